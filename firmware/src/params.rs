@@ -1,0 +1,118 @@
+//! Every design constant of the gripper, in one place.
+//!
+//! A constant carries its unit, its source, and whether it is *assumed*: a value that the paper
+//! (Tanaka et al., "Mechanisms and Computational Design of Multi-Modal End-Effector with Force
+//! Sensing using Gated Networks") does not state, or that no one has confirmed on a board.
+//! Running the firmware's binary on a computer prints this file as a card.
+
+/// One design constant with what is needed to trust it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Constant {
+    /// What it is, as a person calls it.
+    pub name: &'static str,
+    /// The number, in [`Constant::unit`].
+    pub value: f64,
+    /// The unit, as in column names.
+    pub unit: &'static str,
+    /// Where the number comes from.
+    pub source: &'static str,
+    /// True where nobody has stated or measured it for this gripper.
+    pub assumed: bool,
+}
+
+const fn stated(
+    name: &'static str,
+    value: f64,
+    unit: &'static str,
+    source: &'static str,
+) -> Constant {
+    Constant {
+        name,
+        value,
+        unit,
+        source,
+        assumed: false,
+    }
+}
+
+const fn assumed(
+    name: &'static str,
+    value: f64,
+    unit: &'static str,
+    source: &'static str,
+) -> Constant {
+    Constant {
+        name,
+        value,
+        unit,
+        source,
+        assumed: true,
+    }
+}
+
+/// Diameter of the axially magnetised cylinder.
+pub const MAGNET_DIAMETER: Constant = stated("magnet diameter", 3.0, "mm", "paper V-B");
+/// Length of the magnet along its axis.
+pub const MAGNET_LENGTH: Constant = stated(
+    "magnet length",
+    2.0,
+    "mm",
+    "paper, caption of the sensitivity figure",
+);
+/// Remanence of the magnet's material.
+pub const REMANENCE: Constant = stated("remanence", 1.2, "T", "paper IV-C (NdFeB, N32)");
+/// Distance from the magnet's face to the Hall element, at rest.
+pub const GAP: Constant = stated("gap, face to Hall element", 1.5, "mm", "paper V-B");
+/// Lateral flexure: 250 N at the paper's 0.5 mm of travel.
+pub const STIFFNESS_X: Constant = assumed("lateral stiffness", 500.0, "N/mm", "250 N over 0.5 mm");
+/// Longitudinal flexure.
+pub const STIFFNESS_Z: Constant = assumed(
+    "longitudinal stiffness",
+    800.0,
+    "N/mm",
+    "stiffer than lateral",
+);
+/// Effective length of the flexure beam.
+pub const BEAM_LENGTH: Constant = stated("beam length", 30.0, "mm", "paper V-B");
+/// Scale of the Hall sensor at a range of +-2000 G.
+pub const SENSOR_SCALE: Constant = assumed(
+    "Hall sensor scale",
+    0.125,
+    "G/LSB",
+    "A31301, 8 LSB/G, inferred",
+);
+/// Range of each axis of the Hall sensor.
+pub const SENSOR_RANGE: Constant = stated("Hall sensor range", 2000.0, "G", "paper V-B");
+/// Width of the Hall sensor's field word, two's complement.
+pub const SENSOR_BITS: Constant = stated("Hall sensor word", 15.0, "bit", "A31301");
+/// Hall sensors on the gripper.
+pub const SENSORS: Constant = stated("Hall sensors", 4.0, "", "paper II-B");
+/// Rate at which the board reads every Hall sensor.
+pub const SENSE_RATE: Constant = stated("Hall rate", 1000.0, "Hz", "paper V-C");
+/// Rate of the reference force/torque sensors on the bench.
+pub const REFERENCE_RATE: Constant = stated("reference rate", 100.0, "Hz", "paper V-C");
+/// Force that each axis of each sensor is designed for, either sign.
+pub const FORCE_RANGE: Constant = assumed(
+    "force range, each axis",
+    250.0,
+    "N",
+    "design box of the ideal model",
+);
+
+/// All constants, in the order of the data path: the parameter card.
+pub const CARD: &[Constant] = &[
+    MAGNET_DIAMETER,
+    MAGNET_LENGTH,
+    REMANENCE,
+    GAP,
+    STIFFNESS_X,
+    STIFFNESS_Z,
+    BEAM_LENGTH,
+    FORCE_RANGE,
+    SENSORS,
+    SENSOR_SCALE,
+    SENSOR_RANGE,
+    SENSOR_BITS,
+    SENSE_RATE,
+    REFERENCE_RATE,
+];

@@ -1,0 +1,93 @@
+//! `magpie import`: foreign tables turned into a campaign by a mapping file.
+
+use std::path::PathBuf;
+
+use anyhow::Result;
+use model_export::recordings::Campaign;
+use model_export::recordings::align::Alignment;
+use model_export::recordings::import;
+use serde_json::json;
+
+use crate::{progress, show};
+
+/// Turn foreign data into a campaign, by a mapping file (columns, units, scale, clocks).
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  magpie import tests/data/eflesh_normal.mapping.toml run1.csv run2.csv run3.csv -o eflesh
+
+A mapping file:
+  description = \"what was recorded\"
+  one_clock = true                  # the sources share one running clock
+  [hall]
+  clock = { from = \"t_sensor_s\", unit = \"s\" }
+  columns = [ { from = \"bx0_uT\", unit = \"uT\", to = \"s0_x_gauss\" } ]
+  [force]
+  clock = { from = \"t_state_s\", unit = \"s\" }
+  columns = [ { from = \"weight_g\", unit = \"g\", to = \"f0_z_n\", scale = -1, missing = -1 } ]
+Where the two sides are separate files, give each side `file = \"NAME\"` and name folders as sources.")]
+pub struct Args {
+    /// What becomes of the columns.
+    mapping: PathBuf,
+    /// One file (or folder) for each recording, in order.
+    #[arg(required = true)]
+    sources: Vec<PathBuf>,
+    /// Folder of the new campaign; must not exist yet.
+    #[arg(short, long, value_name = "CAMPAIGN")]
+    output: PathBuf,
+    /// Print one JSON object on stdout and nothing else there.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<()> {
+    let bar = progress::bar("importing", args.sources.len());
+    let imported = import::import(&args.mapping, &args.sources, &args.output, |_| bar.inc(1))?;
+    bar.finish_and_clear();
+    // Read it back the way every other command will: what is wrong shows now.
+    let campaign = Campaign::read(&args.output, Alignment { delay_us: 0.0 }, |_| ())?;
+    for notice in campaign.notices() {
+        eprintln!("note: {notice}");
+    }
+    if args.json {
+        let recordings = imported.iter().map(|recording| {
+            let (hall, force, measured) = recording.rows;
+            json!({ "folder": recording.folder, "hall_rows": hall, "force_rows": force, "measured_rows": measured })
+        });
+        show::page(&format!(
+            "{}\n",
+            json!({ "campaign": args.output, "recordings": recordings.collect::<Vec<_>>() })
+        ))?;
+        return Ok(());
+    }
+    let mut table = show::table([
+        "recording",
+        "start s",
+        "length s",
+        "sensors",
+        "board rows",
+        "reference rows",
+        "with a force",
+    ]);
+    for (recording, imported) in campaign.recordings.iter().zip(&imported) {
+        let ends = recording.time_s.first().zip(recording.time_s.last());
+        let (hall, force, measured) = imported.rows;
+        table.add_row([
+            imported.folder.display().to_string(),
+            format!("{:.1}", recording.description.start_s),
+            format!("{:.1}", ends.map_or(0.0, |(first, last)| last - first)),
+            recording.sensors.len().to_string(),
+            hall.to_string(),
+            force.to_string(),
+            measured.to_string(),
+        ]);
+    }
+    show::right_align(&mut table, 1);
+    let next = format!(
+        "Next: magpie fit {} --base polynomial -o model.toml",
+        args.output.display()
+    );
+    show::page(&format!("{table}\n{next}\n"))?;
+    Ok(())
+}

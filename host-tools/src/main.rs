@@ -1,0 +1,7 @@
+//! `magpie`: see [`host_tools`].
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    host_tools::cli::run(std::env::args_os())
+}

@@ -1,0 +1,90 @@
+//! Base physics fitted to a campaign.
+//!
+//! - [`rows`]: what one sensor and its reference saw, row by row, with their noise.
+//! - [`orientation`]: are the columns what they say? Swapped and flipped axes, wrong units.
+//! - [`blocks`]: block bootstrap of a least-squares solution, for error bars that hold for
+//!   residuals with memory.
+//! - [`folds`]: what is kept out of a fit to judge it.
+//! - [`parameters`]: the parameters of the cylinder base, their tolerances and their Jacobian.
+//! - [`space`]: which combinations of parameters the data tell.
+//! - [`cylinder`]: the geometric base: Levenberg-Marquardt on all three axes jointly.
+//! - [`polynomial`]: the base where no geometry is known.
+//! - [`score`]: held-out error beside the noise floor.
+//! - [`campaign`]: all sensors at once.
+
+pub mod blocks;
+pub mod campaign;
+pub mod cylinder;
+pub mod folds;
+pub mod orientation;
+pub mod parameters;
+pub mod polynomial;
+pub mod rows;
+pub mod score;
+pub mod space;
+
+pub use campaign::Fits;
+pub use score::AxisScore;
+
+use crate::recordings::{Place, Problem};
+
+/// A campaign that cannot be fitted as it is.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)] // The sentence of each variant is its documentation.
+pub enum FitError {
+    #[error(transparent)]
+    Recording(#[from] Problem),
+    #[error(
+        "{place}: there is no [design] table, so the geometry is not known; add the nominal design, or fit with --base polynomial"
+    )]
+    NoDesign { place: Place },
+    #[error(
+        "{place}: the force on sensor {sensor} along {axis} was not recorded; record {axis} as well (zero if nothing pushes there), or fit with --base polynomial"
+    )]
+    NoForce {
+        place: Place,
+        sensor: u32,
+        axis: &'static str,
+    },
+    #[error(
+        "{place}: sensor {sensor} has {rows} usable rows and the fit needs {needed}; record longer"
+    )]
+    TooFewRows {
+        place: Place,
+        sensor: u32,
+        rows: usize,
+        needed: usize,
+    },
+    #[error("{place}: {what}; {advice}")]
+    Orientation {
+        place: Place,
+        what: String,
+        advice: String,
+    },
+    #[error(
+        "the forces of sensor {sensor} do not move: from a constant load no response can be learnt; record with the load going up and down"
+    )]
+    ConstantForce { sensor: u32 },
+    #[error(
+        "the fit of sensor {sensor} did not converge ({reason}); check the nominal design in recording.toml, or fit with --base polynomial"
+    )]
+    NotConverged { sensor: u32, reason: String },
+}
+
+/// How a fit is done.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Options {
+    /// Seed of the bootstrap.
+    pub seed: u64,
+    /// Resamples of the bootstrap.
+    pub draws: usize,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            seed: 1,
+            draws: 400,
+        }
+    }
+}

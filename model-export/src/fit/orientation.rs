@@ -1,0 +1,216 @@
+//! Are the columns what they say? A swapped, flipped or wrongly scaled column makes a bad fit that
+//! looks like bad physics, so it is refused before the fit, by name.
+//!
+//! For each recording and sensor the field is regressed on the two forces; the slopes and the field
+//! at rest are held against those of the nominal design. Only gross faults count: a factor of three
+//! or a wrong sign, far beyond any manufacturing tolerance.
+
+use nalgebra::{Matrix3, SMatrix, Vector3};
+
+use super::FitError;
+use crate::physics::ForwardModel;
+use crate::recordings::columns::Axis;
+use crate::recordings::{Campaign, Place, Recording};
+
+/// Beyond this factor from nominal, either way, a scale is wrong.
+const SCALE: f64 = 3.0;
+/// A force that moves less than this (standard deviation, N) says nothing about its column.
+const MOVES_N: f64 = 1.0;
+
+/// Checks every recording's columns for `sensor` against the nominal design.
+///
+/// # Errors
+/// The first column that cannot be what it says.
+pub fn check(campaign: &Campaign, sensor: u32, nominal: &ForwardModel) -> Result<(), FitError> {
+    for recording in &campaign.recordings {
+        let Some(slopes) = Slopes::of(recording, sensor, sensor) else {
+            continue;
+        };
+        let found = Check {
+            recording,
+            sensor,
+            nominal,
+            slopes,
+        };
+        found.rest_field()?;
+        found.forces()?;
+    }
+    Ok(())
+}
+
+/// Field at zero force, and its slope to each force that moves.
+struct Slopes {
+    rest_g: Vector3<f64>,
+    /// `[dB/dFx, dB/dFz]` in G/N; `None` where the force does not move.
+    per_newton: [Option<Vector3<f64>>; 2],
+}
+
+impl Slopes {
+    fn of(recording: &Recording, sensor: u32, place: u32) -> Option<Self> {
+        let track = recording.sensors.get(&sensor)?;
+        let loads = [Axis::X, Axis::Z].map(|axis| recording.forces.get(&(place, axis)));
+        let [x, z] = loads;
+        let (x, z) = (x?, z?);
+        let mut normal: Matrix3<f64> = Matrix3::zeros();
+        let mut right: SMatrix<f64, 3, 3> = SMatrix::zeros();
+        for ((field, &fx), &fz) in track.field_g.iter().zip(&x.newtons).zip(&z.newtons) {
+            let (regressor, field) = (Vector3::new(1.0, fx, fz), Vector3::from(*field));
+            if regressor
+                .iter()
+                .chain(field.iter())
+                .all(|value| value.is_finite())
+            {
+                normal += regressor * regressor.transpose();
+                right += regressor * field.transpose();
+            }
+        }
+        let count = normal[(0, 0)];
+        let moves = [1, 2].map(|i| {
+            let mean = normal[(0, i)] / count;
+            normal[(i, i)] / count - mean * mean > MOVES_N * MOVES_N
+        });
+        // A force at rest would leave its slope undefined: hold that at zero.
+        for (i, moves) in moves.iter().enumerate() {
+            normal[(i + 1, i + 1)] += if *moves { 0.0 } else { 1e12 };
+        }
+        let solution = normal.cholesky()?.solve(&right);
+        let slope = |i: usize| moves[i].then(|| solution.row(i + 1).transpose());
+        Some(Self {
+            rest_g: solution.row(0).transpose(),
+            per_newton: [slope(0), slope(1)],
+        })
+    }
+
+    /// Slopes as shares of nominal: `shares[force][axis]`, axis and force out of x and z.
+    fn shares(&self, nominal: &ForwardModel) -> [Option<[f64; 2]>; 2] {
+        let expected = nominal.per_newton(&nominal.respond(Vector3::zeros()));
+        let scale = [expected[0].x, expected[1].z];
+        self.per_newton
+            .map(|slope| slope.map(|slope| [slope.x / scale[0], slope.z / scale[1]]))
+    }
+}
+
+struct Check<'a> {
+    recording: &'a Recording,
+    sensor: u32,
+    nominal: &'a ForwardModel,
+    slopes: Slopes,
+}
+
+impl Check<'_> {
+    fn rest_field(&self) -> Result<(), FitError> {
+        let (rest, expected) = (self.slopes.rest_g, self.nominal.field([0.0, 0.0]));
+        let strongest = expected.iamax();
+        let columns = |axis: usize| format!("s{}_{}", self.sensor, Axis::ALL[axis].letter());
+        if rest.iamax() != strongest && rest.amax() > expected.amax() / SCALE {
+            return self.hall(
+                &columns(rest.iamax()),
+                format!("the magnet's field stands on this axis ({:.0} G at rest), and by the design it belongs on {}", rest.amax(), columns(strongest)),
+                "the field columns are permuted: rename them, or correct magnet.axis in recording.toml",
+            );
+        }
+        let ratio = rest[strongest] / expected[strongest];
+        if ratio.abs() > SCALE || ratio.abs() < 1.0 / SCALE {
+            return self.hall(
+                &columns(strongest),
+                format!("the field at rest is {:.1} G and the design gives {:.1} G, a factor of {ratio:.3}", rest[strongest], expected[strongest]),
+                "check the unit (1 mT is 10 G, 100 uT is 1 G), gauss_per_lsb, and the magnet and gap in recording.toml",
+            );
+        }
+        if ratio < 0.0 {
+            return self.hall(
+                &columns(strongest),
+                format!("the field at rest is {:.0} G and the design gives {:.0} G: its sign is flipped", rest[strongest], expected[strongest]),
+                "multiply the column by -1, or, if the magnet sits the other way round, give remanence_t a minus sign in recording.toml",
+            );
+        }
+        Ok(())
+    }
+
+    fn forces(&self) -> Result<(), FitError> {
+        let shares = self.slopes.shares(self.nominal);
+        let own = |force: usize| shares[force].map(|share| share[force]);
+        let other = |force: usize| shares[force].map(|share| share[1 - force]);
+        let follows = |share: Option<f64>| share.is_some_and(|share| share.abs() > 1.0 / SCALE);
+        let silent = |force: usize| shares[force].is_some() && !follows(own(force));
+        if (silent(0) && follows(other(0))) || (silent(1) && follows(other(1))) {
+            return self.force(
+                if silent(0) { 0 } else { 1 },
+                format!("the field along x follows the force along z, and the field along z that along x, at sensor {}", self.sensor),
+                "the two force columns (or the two field columns) are swapped: rename them",
+            );
+        }
+        for force in 0..2 {
+            let Some(share) = own(force) else { continue };
+            let axis = ["x", "z"][force];
+            if share.abs() < 1.0 / SCALE {
+                return self.silent(force, share);
+            }
+            if share < 0.0 {
+                return self.force(
+                    force,
+                    format!("the field along {axis} of sensor {} falls where this force rises: one of the two has its sign flipped", self.sensor),
+                    "multiply the force column by -1 if the reference is mounted the other way round, else the field column",
+                );
+            }
+            if share > SCALE {
+                return self.force(
+                    force,
+                    format!("sensor {} answers {share:.1} times as strongly as the design says", self.sensor),
+                    "check the force's unit (newtons, not kilograms), the field's unit, and the stiffness in recording.toml",
+                );
+            }
+        }
+        Ok(())
+    }
+
+    /// The field hardly follows its own force: perhaps it follows another place's.
+    fn silent(&self, force: usize, share: f64) -> Result<(), FitError> {
+        let places: Vec<u32> = self
+            .recording
+            .forces
+            .keys()
+            .map(|(place, _)| *place)
+            .collect();
+        for place in places.into_iter().filter(|place| *place != self.sensor) {
+            let shares = Slopes::of(self.recording, self.sensor, place)
+                .map(|slopes| slopes.shares(self.nominal))
+                .and_then(|shares| shares[force]);
+            if shares.is_some_and(|shares| shares[force] > 1.0 / SCALE) {
+                return self.force(
+                    force,
+                    format!("sensor {} does not follow this force, it follows that of place {place}", self.sensor),
+                    "the force columns of the two places (or the two sensors' field columns) are swapped: rename them",
+                );
+            }
+        }
+        self.force(
+            force,
+            format!("sensor {} answers with {:.2} of what the design says", self.sensor, share),
+            "check the force's unit (newtons), the field's unit, and the stiffness in recording.toml",
+        )
+    }
+
+    fn hall(&self, column: &str, what: String, advice: &str) -> Result<(), FitError> {
+        Err(self.error("hall.csv", column.to_owned(), what, advice))
+    }
+
+    fn force(&self, force: usize, what: String, advice: &str) -> Result<(), FitError> {
+        let column = format!("f{}_{}_n", self.sensor, ["x", "z"][force]);
+        Err(self.error("force.csv", column, what, advice))
+    }
+
+    fn error(&self, file: &str, column: String, what: String, advice: &str) -> FitError {
+        let packed = self.recording.folder.join(format!("{file}.gz"));
+        let path = if packed.exists() {
+            packed
+        } else {
+            self.recording.folder.join(file)
+        };
+        FitError::Orientation {
+            place: Place::file(&path).column(column),
+            what,
+            advice: advice.to_owned(),
+        }
+    }
+}

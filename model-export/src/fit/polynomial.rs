@@ -1,0 +1,281 @@
+//! The base where no geometry is known: each axis of the field as a polynomial of the forces.
+
+use nalgebra::{DMatrix, DVector, Vector3};
+
+use super::blocks::{self, Block};
+use super::folds::{folds, stretches};
+use super::rows::{Part, SensorRows};
+use super::score::Tally;
+use super::{AxisScore, FitError, Options};
+use crate::recordings::columns::Axis;
+
+/// Highest degree that is tried where none is given.
+pub const HIGHEST_DEGREE: usize = 7;
+
+/// A lower degree is preferred while its held-out mean square is within this share of the best.
+const WORTH: f64 = 0.01;
+
+/// Field as a polynomial of the forces: products of Legendre polynomials of the scaled forces, up
+/// to a total degree. Legendre polynomials keep the least squares well conditioned.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Polynomial {
+    /// Total degree.
+    pub degree: usize,
+    /// The forces, in the order of the arguments.
+    pub forces: Vec<(u32, Axis)>,
+    /// Range of each force in newtons that is scaled to -1 to 1.
+    pub spans_n: Vec<(f64, f64)>,
+    /// Coefficients in gauss: a row for each term of [`Polynomial::terms`], a column for each axis.
+    pub coefficients_g: DMatrix<f64>,
+}
+
+impl Polynomial {
+    /// Degrees in each force, one entry for each term, the constant first.
+    pub fn terms(forces: usize, degree: usize) -> Vec<Vec<usize>> {
+        let mut terms = vec![Vec::new()];
+        for _ in 0..forces {
+            terms = terms
+                .into_iter()
+                .flat_map(|term| {
+                    let left = degree - term.iter().sum::<usize>();
+                    (0..=left).map(move |power| term.iter().copied().chain([power]).collect())
+                })
+                .collect();
+        }
+        terms.sort_by_key(|term: &Vec<usize>| term.iter().sum::<usize>());
+        terms
+    }
+
+    /// Field in gauss under `force_n`, in the order of [`Polynomial::forces`].
+    pub fn field(&self, force_n: &[f64]) -> Vector3<f64> {
+        let terms = Self::terms(self.spans_n.len(), self.degree);
+        self.combine(&basis(force_n, &self.spans_n, &terms, self.degree))
+    }
+
+    fn combine(&self, values: &[f64]) -> Vector3<f64> {
+        let mut field = Vector3::zeros();
+        for (value, row) in values.iter().zip(self.coefficients_g.row_iter()) {
+            field += Vector3::new(row[0], row[1], row[2]) * *value;
+        }
+        field
+    }
+
+    /// dB/dF for each force, in G/N.
+    pub fn per_newton(&self, force_n: &[f64]) -> Vec<Vector3<f64>> {
+        let step = |force: usize, by: f64| {
+            let mut moved = force_n.to_vec();
+            moved[force] += by;
+            self.field(&moved)
+        };
+        let half = |force: usize| 5e-4 * (self.spans_n[force].1 - self.spans_n[force].0);
+        (0..force_n.len())
+            .map(|f| (step(f, half(f)) - step(f, -half(f))) / (2.0 * half(f)))
+            .collect()
+    }
+}
+
+/// Values of all terms at one load.
+fn basis(force_n: &[f64], spans: &[(f64, f64)], terms: &[Vec<usize>], degree: usize) -> Vec<f64> {
+    let legendre: Vec<Vec<f64>> = force_n
+        .iter()
+        .zip(spans)
+        .map(|(force, (low, high))| {
+            let x = (2.0 * force - low - high) / (high - low);
+            let mut values = vec![1.0, x];
+            for n in 1..degree {
+                let n_f = n as f64;
+                values
+                    .push(((2.0 * n_f + 1.0) * x * values[n] - n_f * values[n - 1]) / (n_f + 1.0));
+            }
+            values
+        })
+        .collect();
+    terms
+        .iter()
+        .map(|term| {
+            term.iter()
+                .zip(&legendre)
+                .map(|(&power, values)| values[power])
+                .product()
+        })
+        .collect()
+}
+
+/// The fit of one sensor.
+#[derive(Clone, Debug)]
+pub struct PolynomialFit {
+    /// Number of the sensor.
+    pub sensor: u32,
+    /// The fitted polynomial.
+    pub model: Polynomial,
+    /// One standard deviation of each coefficient, in gauss.
+    pub std_error_g: DMatrix<f64>,
+    /// Held-out error beside the floor, each axis.
+    pub scores: Vec<AxisScore>,
+    /// Held-out error in gauss, root mean square over the axes, of each degree that was tried.
+    pub tried: Vec<(usize, f64)>,
+    /// Length of the bootstrap's blocks in seconds, and their number.
+    pub blocks: (f64, usize),
+}
+
+/// Fits one sensor with a polynomial of `degree`, or of the lowest degree whose held-out error is
+/// within 1 % of the best up to [`HIGHEST_DEGREE`].
+pub fn fit(
+    rows: &SensorRows,
+    degree: Option<usize>,
+    options: Options,
+) -> Result<PolynomialFit, FitError> {
+    let spans = rows.force_spans();
+    if spans.iter().any(|(low, high)| high - low < 1e-9) {
+        return Err(FitError::ConstantForce {
+            sensor: rows.sensor,
+        });
+    }
+    let degrees = degree.map_or(1..=HIGHEST_DEGREE, |d| d..=d);
+    let tried: Vec<(usize, Tally)> = degrees
+        .map(|degree| Ok((degree, held_out(rows, &spans, degree)?)))
+        .collect::<Result<_, FitError>>()?;
+    let best = tried
+        .iter()
+        .map(|(_, tally)| tally.mean_square())
+        .fold(f64::INFINITY, f64::min);
+    let chosen = tried
+        .iter()
+        .find(|(_, tally)| tally.mean_square() <= (1.0 + WORTH) * best);
+    let Some((degree, tally)) = chosen else {
+        let reason = "no degree gave a finite error".to_owned();
+        return Err(FitError::NotConverged {
+            sensor: rows.sensor,
+            reason,
+        });
+    };
+    let parts: Vec<&Part> = rows.parts.iter().collect();
+    let model = solve(rows, &parts, &spans, *degree)?;
+    let (std_error_g, blocks) = error_bars(rows, &model, options);
+    Ok(PolynomialFit {
+        sensor: rows.sensor,
+        model,
+        std_error_g,
+        scores: tally.scores(rows.sensor, rows.field_span()),
+        tried: tried
+            .iter()
+            .map(|(d, tally)| (*d, tally.mean_square().sqrt()))
+            .collect(),
+        blocks,
+    })
+}
+
+fn held_out(rows: &SensorRows, spans: &[(f64, f64)], degree: usize) -> Result<Tally, FitError> {
+    let mut tally = Tally::default();
+    for fold in folds(rows, 1.0) {
+        let training: Vec<&Part> = fold.training.iter().map(AsRef::as_ref).collect();
+        let model = solve(rows, &training, spans, degree)?;
+        for part in &fold.test {
+            for (force, field) in part.force_n.iter().zip(&part.field_g) {
+                tally.add(part, field - model.field(force), &model.per_newton(force));
+            }
+        }
+    }
+    Ok(tally)
+}
+
+fn solve(
+    rows: &SensorRows,
+    parts: &[&Part],
+    spans: &[(f64, f64)],
+    degree: usize,
+) -> Result<Polynomial, FitError> {
+    let terms = Polynomial::terms(spans.len(), degree);
+    let mut normal = DMatrix::zeros(terms.len(), terms.len());
+    let mut right = DMatrix::zeros(terms.len(), 3);
+    for part in parts {
+        for (force, field) in part.force_n.iter().zip(&part.field_g) {
+            let values = DVector::from_vec(basis(force, spans, &terms, degree));
+            normal.ger(1.0, &values, &values, 1.0);
+            right += &values * field.transpose();
+        }
+    }
+    let not_converged = || FitError::NotConverged {
+        sensor: rows.sensor,
+        reason: format!(
+            "the loads do not tell {} terms of degree {degree} apart: give a lower --degree",
+            terms.len()
+        ),
+    };
+    let coefficients_g = normal.cholesky().ok_or_else(not_converged)?.solve(&right);
+    Ok(Polynomial {
+        degree,
+        forces: rows.forces.clone(),
+        spans_n: spans.to_vec(),
+        coefficients_g,
+    })
+}
+
+fn error_bars(
+    rows: &SensorRows,
+    model: &Polynomial,
+    options: Options,
+) -> (DMatrix<f64>, (f64, usize)) {
+    let terms = Polynomial::terms(model.spans_n.len(), model.degree);
+    let residuals: Vec<Vec<Vector3<f64>>> = rows
+        .parts
+        .iter()
+        .map(|part| {
+            let loads = part.force_n.iter().zip(&part.field_g);
+            loads
+                .map(|(force, field)| field - model.field(force))
+                .collect()
+        })
+        .collect();
+    let length_s = blocks::length_s(rows, |part, axis| {
+        residuals[part].iter().map(|r| r[axis]).collect()
+    });
+    let mut bars = DMatrix::zeros(terms.len(), 3);
+    let mut count = 0;
+    for axis in 0..3 {
+        let mut list = Vec::new();
+        for (part, residuals) in rows.parts.iter().zip(&residuals) {
+            for range in stretches(&part.time_s, length_s) {
+                let mut block = Block::zeros(terms.len());
+                for i in range {
+                    let values = DVector::from_vec(basis(
+                        &part.force_n[i],
+                        &model.spans_n,
+                        &terms,
+                        model.degree,
+                    ));
+                    block.normal.ger(1.0, &values, &values, 1.0);
+                    block.score.axpy(residuals[i][axis], &values, 1.0);
+                }
+                list.push(block);
+            }
+        }
+        count = list.len();
+        let covariance = blocks::bootstrap_covariance(&list, options.draws, options.seed);
+        bars.set_column(axis, &covariance.diagonal().map(|v| v.max(0.0).sqrt()));
+    }
+    (bars, (length_s, count))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn two_forces_of_degree_two_have_six_terms() {
+        let terms = Polynomial::terms(2, 2);
+        assert_eq!(terms.len(), 6);
+        assert_eq!(terms[0], [0, 0]);
+        assert!(terms.contains(&vec![1, 1]) && terms.contains(&vec![0, 2]));
+    }
+
+    #[test]
+    fn the_basis_is_legendre_s() {
+        // P3(0.5) = (5 * 0.125 - 3 * 0.5) / 2 = -0.4375, at force 3 in the range 0 to 4.
+        let terms = Polynomial::terms(1, 3);
+        assert_eq!(
+            basis(&[3.0], &[(0.0, 4.0)], &terms, 3),
+            [1.0, 0.5, -0.125, -0.4375]
+        );
+    }
+}

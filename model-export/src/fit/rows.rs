@@ -1,0 +1,203 @@
+//! What one sensor and its reference saw, row by row, with their noise.
+
+use nalgebra::Vector3;
+
+use super::FitError;
+use crate::recordings::columns::Axis;
+use crate::recordings::{Campaign, Place, Recording};
+
+/// The usable rows of one sensor: field finite on all axes, every force measured.
+#[derive(Clone, Debug)]
+pub struct SensorRows {
+    /// Number of the sensor.
+    pub sensor: u32,
+    /// The forces that act on it, as columns of every row's `force_n`.
+    pub forces: Vec<(u32, Axis)>,
+    /// One part for each recording, in the campaign's order.
+    pub parts: Vec<Part>,
+}
+
+/// The rows of one recording.
+#[derive(Clone, Debug)]
+pub struct Part {
+    /// The reference's clock in seconds.
+    pub time_s: Vec<f64>,
+    /// Newtons, in the order of [`SensorRows::forces`].
+    pub force_n: Vec<Vec<f64>>,
+    /// Gauss.
+    pub field_g: Vec<Vector3<f64>>,
+    /// White noise of one averaged row in gauss, each axis.
+    pub field_noise_g: Vector3<f64>,
+    /// White noise of one reference row in newtons, each force.
+    pub force_noise_n: Vec<f64>,
+}
+
+impl SensorRows {
+    /// The rows of `sensor` under the forces of its own place, lateral and longitudinal.
+    ///
+    /// # Errors
+    /// One of the two was not recorded.
+    pub fn with_own_forces(campaign: &Campaign, sensor: u32) -> Result<Self, FitError> {
+        let forces = [(sensor, Axis::X), (sensor, Axis::Z)];
+        for recording in &campaign.recordings {
+            if let Some((_, axis)) = forces
+                .iter()
+                .find(|force| !recording.forces.contains_key(force))
+            {
+                return Err(FitError::NoForce {
+                    place: Place::file(&recording.folder),
+                    sensor,
+                    axis: axis.letter(),
+                });
+            }
+        }
+        Self::collect(campaign, sensor, forces.to_vec())
+    }
+
+    /// The rows of `sensor` under whatever forces were recorded: those of its own place, or, where
+    /// it has none, all of them (one reference that loads every sensor).
+    pub fn with_recorded_forces(campaign: &Campaign, sensor: u32) -> Result<Self, FitError> {
+        let everywhere = |force: &&(u32, Axis)| {
+            campaign
+                .recordings
+                .iter()
+                .all(|r| r.forces.contains_key(*force))
+        };
+        let recorded: Vec<(u32, Axis)> =
+            campaign.recordings.first().map_or_else(Vec::new, |first| {
+                first.forces.keys().filter(everywhere).copied().collect()
+            });
+        let own: Vec<_> = recorded
+            .iter()
+            .filter(|(place, _)| *place == sensor)
+            .copied()
+            .collect();
+        let forces = if own.is_empty() { recorded } else { own };
+        if forces.is_empty() {
+            return Err(FitError::NoForce {
+                place: Place::file(&campaign.folder),
+                sensor,
+                axis: "x and z",
+            });
+        }
+        Self::collect(campaign, sensor, forces)
+    }
+
+    fn collect(
+        campaign: &Campaign,
+        sensor: u32,
+        forces: Vec<(u32, Axis)>,
+    ) -> Result<Self, FitError> {
+        let parts: Vec<Part> = campaign
+            .recordings
+            .iter()
+            .map(|recording| Part::new(recording, sensor, &forces))
+            .collect();
+        let rows: usize = parts.iter().map(Part::len).sum();
+        // Twelve parameters at the most in the geometric base, and some rows for each.
+        let needed = 100;
+        if rows < needed {
+            return Err(FitError::TooFewRows {
+                place: Place::file(&campaign.folder),
+                sensor,
+                rows,
+                needed,
+            });
+        }
+        Ok(Self {
+            sensor,
+            forces,
+            parts,
+        })
+    }
+
+    /// Rows in all parts.
+    pub fn len(&self) -> usize {
+        self.parts.iter().map(Part::len).sum()
+    }
+
+    /// True where no row is usable.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Least and greatest value of each force.
+    pub fn force_spans(&self) -> Vec<(f64, f64)> {
+        let span = |force: usize| {
+            self.parts
+                .iter()
+                .flat_map(|part| part.force_n.iter().map(move |row| row[force]))
+                .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| {
+                    (low.min(value), high.max(value))
+                })
+        };
+        (0..self.forces.len()).map(span).collect()
+    }
+
+    /// Peak-to-peak field of each axis in gauss: what an error is a share of.
+    pub fn field_span(&self) -> Vector3<f64> {
+        let fields = || self.parts.iter().flat_map(|part| &part.field_g);
+        let high = fields().fold(Vector3::repeat(f64::NEG_INFINITY), |high, field| {
+            high.sup(field)
+        });
+        let low = fields().fold(Vector3::repeat(f64::INFINITY), |low, field| low.inf(field));
+        high - low
+    }
+}
+
+impl Part {
+    fn new(recording: &Recording, sensor: u32, forces: &[(u32, Axis)]) -> Self {
+        let track = recording.sensors.get(&sensor).cloned().unwrap_or_default();
+        let loads: Vec<_> = forces
+            .iter()
+            .filter_map(|force| recording.forces.get(force))
+            .collect();
+        let mut part = Self {
+            time_s: Vec::new(),
+            force_n: Vec::new(),
+            field_g: Vec::new(),
+            field_noise_g: Vector3::from(track.noise_g) * recording.noise_gain,
+            force_noise_n: loads.iter().map(|load| load.noise_n).collect(),
+        };
+        for (i, (&time, field)) in recording.time_s.iter().zip(&track.field_g).enumerate() {
+            let force: Vec<f64> = loads.iter().map(|load| load.newtons[i]).collect();
+            let usable = field.iter().chain(&force).all(|value| value.is_finite());
+            if usable && force.len() == forces.len() {
+                part.time_s.push(time);
+                part.force_n.push(force);
+                part.field_g.push(Vector3::from(*field));
+            }
+        }
+        part
+    }
+
+    /// Some of the rows.
+    pub fn slice(&self, range: std::ops::Range<usize>) -> Self {
+        Self {
+            time_s: self.time_s[range.clone()].to_vec(),
+            force_n: self.force_n[range.clone()].to_vec(),
+            field_g: self.field_g[range].to_vec(),
+            ..self.without_rows()
+        }
+    }
+
+    fn without_rows(&self) -> Self {
+        Self {
+            time_s: Vec::new(),
+            force_n: Vec::new(),
+            field_g: Vec::new(),
+            field_noise_g: self.field_noise_g,
+            force_noise_n: self.force_noise_n.clone(),
+        }
+    }
+
+    /// Number of rows.
+    pub fn len(&self) -> usize {
+        self.time_s.len()
+    }
+
+    /// True without rows.
+    pub fn is_empty(&self) -> bool {
+        self.time_s.is_empty()
+    }
+}

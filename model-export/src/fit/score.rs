@@ -1,0 +1,98 @@
+//! Held-out error beside the noise floor.
+
+use nalgebra::Vector3;
+
+use super::rows::Part;
+use crate::recordings::columns::Axis;
+
+/// How well one axis of one sensor is modelled on recordings that the fit did not see.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AxisScore {
+    /// Number of the sensor.
+    pub sensor: u32,
+    /// Axis of its field.
+    pub axis: Axis,
+    /// Root mean square of measured minus modelled field, in gauss.
+    pub held_out_rms_g: f64,
+    /// What it would be were the model perfect: the sensor's white noise after averaging, and the
+    /// reference's noise through dB/dF, added in squares.
+    pub floor_g: f64,
+    /// Peak-to-peak field in the campaign, in gauss.
+    pub span_g: f64,
+}
+
+impl AxisScore {
+    /// The part of the error that a better model could remove, in gauss.
+    pub fn explainable_g(&self) -> f64 {
+        (self.held_out_rms_g.powi(2) - self.floor_g.powi(2))
+            .max(0.0)
+            .sqrt()
+    }
+}
+
+/// Adds up squared errors and squared floors over held-out rows.
+#[derive(Clone, Copy, Debug)]
+pub struct Tally {
+    rows: usize,
+    error: Vector3<f64>,
+    floor: Vector3<f64>,
+}
+
+impl Default for Tally {
+    fn default() -> Self {
+        Self {
+            rows: 0,
+            error: Vector3::zeros(),
+            floor: Vector3::zeros(),
+        }
+    }
+}
+
+impl Tally {
+    /// One row: its residual in gauss, and the field's answer to each force in G/N.
+    pub fn add(&mut self, part: &Part, residual: Vector3<f64>, per_newton: &[Vector3<f64>]) {
+        self.rows += 1;
+        self.error += residual.component_mul(&residual);
+        self.floor += floor_squared(part, per_newton);
+    }
+
+    /// Mean squared error over all axes, in gauss squared.
+    pub fn mean_square(&self) -> f64 {
+        self.error.sum() / (3 * self.rows.max(1)) as f64
+    }
+
+    /// One score for each axis.
+    pub fn scores(&self, sensor: u32, span_g: Vector3<f64>) -> Vec<AxisScore> {
+        let rows = self.rows.max(1) as f64;
+        let axes = Axis::ALL.into_iter().enumerate();
+        axes.map(|(i, axis)| AxisScore {
+            sensor,
+            axis,
+            held_out_rms_g: (self.error[i] / rows).sqrt(),
+            floor_g: (self.floor[i] / rows).sqrt(),
+            span_g: span_g[i],
+        })
+        .collect()
+    }
+}
+
+/// Variance of a perfect model's residual in one row, each axis. Noise that cannot be known (a
+/// recording of a few rows) counts as none: the floor is then too low, never too high.
+pub fn floor_squared(part: &Part, per_newton: &[Vector3<f64>]) -> Vector3<f64> {
+    let known = |noise: f64| if noise.is_finite() { noise } else { 0.0 };
+    let sensor = part.field_noise_g.map(|noise| known(noise).powi(2));
+    let through = |(slope, noise): (&Vector3<f64>, &f64)| (slope * known(*noise)).map(|x| x * x);
+    per_newton
+        .iter()
+        .zip(&part.force_noise_n)
+        .map(through)
+        .fold(sensor, |sum, term| sum + term)
+}
+
+/// Pools scores into one number over all axes and sensors: root of the mean square.
+pub fn pooled_rms(values: impl Iterator<Item = f64>) -> f64 {
+    let (sum, count) = values.fold((0.0, 0_usize), |(sum, count), value| {
+        (sum + value * value, count + 1)
+    });
+    (sum / count.max(1) as f64).sqrt()
+}

@@ -1,0 +1,15 @@
+//! From recordings to a model: no terminal, no HTML, only the physics and the numbers.
+//!
+//! The modules stand in the order in which data flows; each uses only those above it.
+//!
+//! - [`quantity`]: units that people write, and the one unit that each quantity has here.
+//! - [`recordings`]: campaigns on disk, checked as they are read, brought to one clock.
+//! - [`physics`]: the forward model, from forces to the field at each Hall sensor.
+//! - [`fit`]: the forward model fitted to a campaign, with honest error bars.
+//! - [`model_file`]: the human-readable result, `model.toml`.
+
+pub mod fit;
+pub mod model_file;
+pub mod physics;
+pub mod quantity;
+pub mod recordings;

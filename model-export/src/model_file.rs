@@ -1,0 +1,362 @@
+//! `model.toml`: a fitted model in a form that people read, with where it comes from.
+//!
+//! The device never sees this file. Values are stored with all their digits, beside their error
+//! bars and the nominal design they depart from.
+
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use nalgebra::DMatrix;
+use serde::{Deserialize, Serialize};
+
+use crate::fit::cylinder::CylinderFit;
+use crate::fit::parameters::{self, PARAMETERS};
+use crate::fit::polynomial::{Polynomial, PolynomialFit};
+use crate::fit::{AxisScore, FitError, Fits, Options};
+use crate::physics::ForwardModel;
+use crate::recordings::campaign::fingerprint;
+use crate::recordings::columns::{Axis, ForceColumn, force_column};
+use crate::recordings::description::{Design, parse_toml};
+use crate::recordings::problem::Fault;
+use crate::recordings::{Campaign, Place, Problem};
+
+/// Version of the file.
+pub const FORMAT: i64 = 1;
+
+/// A fitted model of one gripper.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ModelFile {
+    /// Version, [`FORMAT`].
+    pub format: i64,
+    /// What the field is computed from.
+    pub base: Base,
+    /// Where the numbers come from.
+    pub provenance: Provenance,
+    /// The nominal design; absent with the polynomial base.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub design: Option<Design>,
+    /// One entry for each sensor.
+    #[serde(rename = "sensor")]
+    pub sensors: Vec<SensorModel>,
+}
+
+/// What the field is computed from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Base {
+    /// Exact cylinder magnet on two flexures.
+    Cylinder,
+    /// Polynomial of the forces.
+    Polynomial,
+}
+
+/// Where a model's numbers come from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Provenance {
+    /// Name of the campaign's folder.
+    pub campaign: String,
+    /// Names of the recordings.
+    pub recordings: Vec<String>,
+    /// SHA-256 over the campaign's files.
+    pub sha256: String,
+    /// Rows on the reference's clock, all recordings.
+    pub rows: usize,
+    /// Half the averaging window in milliseconds.
+    pub half_window_ms: f64,
+    /// Delay of the reference that was assumed, in milliseconds.
+    pub delay_ms: f64,
+    /// Seed of the bootstrap.
+    pub seed: u64,
+    /// Version of the tool.
+    pub tool: String,
+}
+
+/// The model of one sensor.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SensorModel {
+    /// Number of the sensor.
+    pub number: u32,
+    /// Held-out error beside the floor, each axis.
+    pub held_out: Vec<HeldOut>,
+    /// With the cylinder base: every parameter.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub parameters: BTreeMap<String, Value>,
+    /// With the cylinder base: combinations held at nominal.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub held: Vec<Held>,
+    /// With the polynomial base: the polynomial.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub polynomial: Option<PolynomialTable>,
+}
+
+/// Held-out error of one axis.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct HeldOut {
+    /// `x`, `y` or `z`.
+    pub axis: String,
+    /// Root mean square of measured minus modelled field on recordings kept out of the fit.
+    pub rms_g: f64,
+    /// What a perfect model would leave.
+    pub floor_g: f64,
+    /// Peak-to-peak field in the campaign.
+    pub span_g: f64,
+}
+
+/// A fitted number.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Value {
+    /// The number.
+    pub value: f64,
+    /// One standard deviation.
+    pub std_error: f64,
+    /// Unit.
+    pub unit: String,
+    /// Whether the data tell it, to half a manufacturing tolerance.
+    pub identifiable: bool,
+}
+
+/// A combination of parameters held at nominal.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Held {
+    /// Shares of the parameters in it, in tolerances.
+    pub shares: BTreeMap<String, f64>,
+    /// How well the data alone know it, in tolerances.
+    pub known_within: f64,
+}
+
+/// A polynomial of the forces.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PolynomialTable {
+    /// Total degree.
+    pub degree: usize,
+    /// Columns of `force.csv` that it takes.
+    pub forces: Vec<String>,
+    /// Range of each force in newtons that is scaled to -1 to 1.
+    pub spans_n: Vec<(f64, f64)>,
+    /// Degrees of the Legendre polynomials of each term.
+    pub terms: Vec<Vec<usize>>,
+    /// Coefficients of each term in gauss: x, y, z.
+    pub coefficients_g: Vec<[f64; 3]>,
+    /// Their standard deviations in gauss.
+    pub std_errors_g: Vec<[f64; 3]>,
+}
+
+impl ModelFile {
+    /// The file of a fit.
+    pub fn of(fits: &Fits, provenance: Provenance) -> Self {
+        let (base, design, sensors) = match fits {
+            Fits::Cylinder(design, fits) => (
+                Base::Cylinder,
+                Some(design.clone()),
+                fits.iter().map(SensorModel::of_cylinder).collect(),
+            ),
+            Fits::Polynomial(fits) => (
+                Base::Polynomial,
+                None,
+                fits.iter().map(SensorModel::of_polynomial).collect(),
+            ),
+        };
+        Self {
+            format: FORMAT,
+            base,
+            provenance,
+            design,
+            sensors,
+        }
+    }
+
+    /// Reads and checks a model file.
+    pub fn read(path: &Path) -> Result<Self, Problem> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|error| Fault::Unreadable(error).at(Place::file(path)))?;
+        let model: Self = parse_toml(path, &text)?;
+        if model.format != FORMAT {
+            let advice = format!("this tool reads format = {FORMAT}: fit the model again");
+            let found = model.format.to_string();
+            return Err(Fault::BadValue { found, advice }.at(Place::file(path).column("format")));
+        }
+        for sensor in &model.sensors {
+            model.check(path, sensor)?;
+        }
+        Ok(model)
+    }
+
+    fn check(&self, path: &Path, sensor: &SensorModel) -> Result<(), Problem> {
+        let place =
+            |key: &str| Place::file(path).column(format!("sensor {}, {key}", sensor.number));
+        let usable = match self.base {
+            Base::Cylinder => {
+                if self.design.is_none() {
+                    let example = "the [design] table of the recordings";
+                    return Err(
+                        Fault::MissingKey { example }.at(Place::file(path).column("design"))
+                    );
+                }
+                if let Some(missing) = PARAMETERS
+                    .iter()
+                    .find(|p| !sensor.parameters.contains_key(p.name))
+                {
+                    let example = "it as a fit writes it, or fit again";
+                    return Err(Fault::MissingKey { example }.at(place(missing.name)));
+                }
+                sensor
+                    .parameters
+                    .values()
+                    .all(|value| value.value.is_finite())
+            }
+            Base::Polynomial => sensor.polynomial().is_some(),
+        };
+        if !usable {
+            let found = "a value that is not finite, or a polynomial that does not fit its degree"
+                .to_owned();
+            let advice = "fit the model again".to_owned();
+            return Err(Fault::BadValue { found, advice }.at(place("parameters")));
+        }
+        Ok(())
+    }
+
+    /// Writes the file beside its final place and renames it: the old one is never half lost.
+    pub fn write(&self, path: &Path) -> Result<(), Problem> {
+        let failed = |error| Fault::Unreadable(error).at(Place::file(path));
+        let text = toml::to_string(self)
+            .map_err(|error| Fault::Toml(error.to_string()).at(Place::file(path)))?;
+        let folder = match path.parent() {
+            Some(folder) if !folder.as_os_str().is_empty() => folder.to_path_buf(),
+            _ => PathBuf::from("."),
+        };
+        let mut draft = tempfile::NamedTempFile::new_in(folder).map_err(failed)?;
+        draft.write_all(text.as_bytes()).map_err(failed)?;
+        draft.as_file().sync_all().map_err(failed)?;
+        draft.persist(path).map_err(|error| failed(error.error))?;
+        Ok(())
+    }
+
+    /// The forward model of one sensor; `None` for a polynomial or an unknown sensor.
+    pub fn forward(&self, number: u32) -> Option<ForwardModel> {
+        let nominal = ForwardModel::nominal(self.design.as_ref()?);
+        let sensor = self.sensors.iter().find(|sensor| sensor.number == number)?;
+        let mut values = parameters::values(&nominal);
+        for (value, parameter) in values.iter_mut().zip(&PARAMETERS) {
+            *value = sensor.parameters.get(parameter.name)?.value;
+        }
+        Some(parameters::with_values(&nominal, &values))
+    }
+}
+
+impl Provenance {
+    /// What `campaign` and the options of the fit are.
+    pub fn of(campaign: &Campaign, delay_us: f64, options: Options) -> Result<Self, FitError> {
+        let absolute = campaign
+            .folder
+            .canonicalize()
+            .unwrap_or_else(|_| campaign.folder.clone());
+        let half_widths = campaign.recordings.iter().map(|r| r.half_width_s);
+        Ok(Self {
+            campaign: absolute
+                .file_name()
+                .map_or_else(String::new, |name| name.to_string_lossy().into_owned()),
+            recordings: campaign.recordings.iter().map(|r| r.name.clone()).collect(),
+            sha256: fingerprint(campaign)?,
+            rows: campaign.recordings.iter().map(|r| r.time_s.len()).sum(),
+            half_window_ms: 1e3 * half_widths.fold(0.0, f64::max),
+            delay_ms: 1e-3 * delay_us,
+            seed: options.seed,
+            tool: format!("magpie {}", env!("CARGO_PKG_VERSION")),
+        })
+    }
+}
+
+impl SensorModel {
+    fn of_cylinder(fit: &CylinderFit) -> Self {
+        let value = |estimate: &crate::fit::cylinder::Estimate| Value {
+            value: estimate.value,
+            std_error: estimate.std_error,
+            unit: estimate.unit.to_owned(),
+            identifiable: estimate.identifiable,
+        };
+        let held = |held: &crate::fit::space::Held| Held {
+            shares: held
+                .shares
+                .iter()
+                .map(|(name, share)| ((*name).to_owned(), *share))
+                .collect(),
+            known_within: held.known_within,
+        };
+        Self {
+            number: fit.sensor,
+            held_out: fit.scores.iter().map(HeldOut::of).collect(),
+            parameters: fit
+                .parameters
+                .iter()
+                .map(|e| (e.name.to_owned(), value(e)))
+                .collect(),
+            held: fit.held.iter().map(held).collect(),
+            polynomial: None,
+        }
+    }
+
+    fn of_polynomial(fit: &PolynomialFit) -> Self {
+        let rows = |matrix: &DMatrix<f64>| {
+            matrix
+                .row_iter()
+                .map(|row| [row[0], row[1], row[2]])
+                .collect::<Vec<_>>()
+        };
+        let model = &fit.model;
+        Self {
+            number: fit.sensor,
+            held_out: fit.scores.iter().map(HeldOut::of).collect(),
+            parameters: BTreeMap::new(),
+            held: Vec::new(),
+            polynomial: Some(PolynomialTable {
+                degree: model.degree,
+                forces: model
+                    .forces
+                    .iter()
+                    .map(|(place, axis)| format!("f{place}_{}_n", axis.letter()))
+                    .collect(),
+                spans_n: model.spans_n.clone(),
+                terms: Polynomial::terms(model.forces.len(), model.degree),
+                coefficients_g: rows(&model.coefficients_g),
+                std_errors_g: rows(&fit.std_error_g),
+            }),
+        }
+    }
+
+    /// The polynomial; `None` where there is none or the table does not fit its degree.
+    pub fn polynomial(&self) -> Option<Polynomial> {
+        let table = self.polynomial.as_ref()?;
+        let force = |name: &String| match force_column(name) {
+            Ok(ForceColumn::Force { place, axis }) => Some((place, axis)),
+            _ => None,
+        };
+        let forces: Vec<(u32, Axis)> = table.forces.iter().map(force).collect::<Option<_>>()?;
+        let terms = Polynomial::terms(forces.len(), table.degree);
+        let finite = table
+            .coefficients_g
+            .iter()
+            .flatten()
+            .all(|value| value.is_finite());
+        let fits = terms == table.terms
+            && table.coefficients_g.len() == terms.len()
+            && table.spans_n.len() == forces.len();
+        (finite && fits).then(|| Polynomial {
+            degree: table.degree,
+            forces,
+            spans_n: table.spans_n.clone(),
+            coefficients_g: DMatrix::from_fn(terms.len(), 3, |i, j| table.coefficients_g[i][j]),
+        })
+    }
+}
+
+impl HeldOut {
+    fn of(score: &AxisScore) -> Self {
+        Self {
+            axis: score.axis.letter().to_owned(),
+            rms_g: score.held_out_rms_g,
+            floor_g: score.floor_g,
+            span_g: score.span_g,
+        }
+    }
+}

@@ -1,0 +1,322 @@
+//! One finger's sensor: two flexures move a magnet in front of a Hall element.
+//!
+//! Frame of the gripper, origin at the Hall element: `x` lateral (grasping), `z` longitudinal
+//! (ground reaction), `y` from the element to the magnet. A positive force moves the magnet along
+//! its positive axis, so Bx follows Fx, Bz follows Fz, and By is of second order in both.
+
+use nalgebra::{Matrix3, Rotation3, Vector3};
+
+use super::magnet::Cylinder;
+use crate::recordings::description::{Design, MagnetAxis};
+
+/// The forward model of one sensor, geometry and flexures.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ForwardModel {
+    /// The magnet.
+    pub magnet: Cylinder,
+    /// The sensor's axis along which the magnet's axis lies.
+    pub axis: MagnetAxis,
+    /// Remanence in T; negative where the magnet is mounted the other way round.
+    pub remanence_t: f64,
+    /// Face of the magnet to the Hall element at rest, in mm.
+    pub gap_mm: f64,
+    /// Lateral and longitudinal stiffness in N/mm.
+    pub stiffness_n_per_mm: [f64; 2],
+    /// Misalignment of the magnet in the plane of motion, x and z, in mm.
+    pub offset_mm: [f64; 2],
+    /// Tilt of the magnet's axis, a rotation vector about the gripper's x and z, in rad. (A tilt of
+    /// a lying magnet about y is not modelled.)
+    pub tilt_rad: [f64; 2],
+    /// Orientation of the Hall element against the gripper: a rotation vector in rad.
+    pub rotation_rad: Vector3<f64>,
+    /// Constant field in gauss, sensor's axes: its own offset and whatever stands outside.
+    pub bias_g: Vector3<f64>,
+}
+
+/// The field at one load, and how it answers.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Response {
+    /// Field in gauss, sensor's axes.
+    pub field_g: Vector3<f64>,
+    /// `dB/dd` in G/mm: column j is the answer to a displacement of the magnet along axis j.
+    pub per_mm: Matrix3<f64>,
+    /// Field of the magnet alone for each tesla, before bias, sensor's axes, in gauss.
+    pub unit_field_g: Vector3<f64>,
+    /// The Hall element as seen from the magnet's centre, sensor's axes, in mm.
+    pub element_mm: Vector3<f64>,
+}
+
+/// The rotations of a [`ForwardModel`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Frames {
+    /// From the magnet's frame (its axis is z) to the gripper's.
+    pub magnet: Rotation3<f64>,
+    /// From the gripper's frame to the sensor's.
+    pub element: Rotation3<f64>,
+}
+
+impl ForwardModel {
+    /// The nominal design, perfectly made.
+    pub fn nominal(design: &Design) -> Self {
+        Self {
+            magnet: Cylinder {
+                diameter_mm: design.magnet.diameter_mm,
+                length_mm: design.magnet.length_mm,
+            },
+            axis: design.magnet.axis,
+            remanence_t: design.magnet.remanence_t,
+            gap_mm: design.gap_mm,
+            stiffness_n_per_mm: [design.stiffness_x_n_per_mm, design.stiffness_z_n_per_mm],
+            offset_mm: [0.0; 2],
+            tilt_rad: [0.0; 2],
+            rotation_rad: Vector3::zeros(),
+            bias_g: Vector3::zeros(),
+        }
+    }
+
+    /// Displacement of the magnet in mm under the forces `[Fx, Fz]` in N.
+    pub fn displacement(&self, force_n: [f64; 2]) -> Vector3<f64> {
+        let [kx, kz] = self.stiffness_n_per_mm;
+        Vector3::new(force_n[0] / kx, 0.0, force_n[1] / kz)
+    }
+
+    /// Field in gauss under the forces `[Fx, Fz]` in N.
+    pub fn field(&self, force_n: [f64; 2]) -> Vector3<f64> {
+        let frame = self.magnet_frame();
+        let element = self.element(self.displacement(force_n));
+        let unit_g = frame * self.magnet.unit_field(frame.inverse() * element);
+        self.reading(&self.element_turn(), unit_g)
+    }
+
+    /// Field and derivatives with the magnet displaced by `displacement_mm` from its rest.
+    pub fn respond(&self, displacement_mm: Vector3<f64>) -> Response {
+        self.respond_in(&self.frames(), displacement_mm)
+    }
+
+    /// The rotations of this model, for loops over many rows.
+    pub fn frames(&self) -> Frames {
+        Frames {
+            magnet: self.magnet_frame(),
+            element: self.element_turn(),
+        }
+    }
+
+    /// [`ForwardModel::respond`] with the model's own rotations at hand.
+    pub fn respond_in(&self, frames: &Frames, displacement_mm: Vector3<f64>) -> Response {
+        let element_mm = self.element(displacement_mm);
+        let (unit, gradient) = self
+            .magnet
+            .unit_field_and_gradient(frames.magnet.inverse() * element_mm);
+        let unit_g = frames.magnet * unit;
+        let turn = frames.magnet.matrix();
+        // The element stands still and the magnet moves, hence the sign.
+        let per_mm = -(turn * gradient * turn.transpose()) * self.remanence_t;
+        Response {
+            field_g: self.reading(&frames.element, unit_g),
+            per_mm: frames.element.matrix() * per_mm,
+            unit_field_g: frames.element * unit_g,
+            element_mm: frames.element * element_mm,
+        }
+    }
+
+    /// `[dB/dFx, dB/dFz]` in G/N at the response's load.
+    pub fn per_newton(&self, response: &Response) -> [Vector3<f64>; 2] {
+        let [kx, kz] = self.stiffness_n_per_mm;
+        [
+            response.per_mm.column(0) / kx,
+            response.per_mm.column(2) / kz,
+        ]
+    }
+
+    /// The Hall element as seen from the magnet's centre, gripper's axes, in mm.
+    fn element(&self, displacement_mm: Vector3<f64>) -> Vector3<f64> {
+        let reach = match self.axis {
+            MagnetAxis::Y => 0.5 * self.magnet.length_mm,
+            MagnetAxis::X | MagnetAxis::Z => 0.5 * self.magnet.diameter_mm,
+        };
+        let [x, z] = self.offset_mm;
+        -(displacement_mm + Vector3::new(x, self.gap_mm + reach, z))
+    }
+
+    fn reading(&self, element_turn: &Rotation3<f64>, unit_g: Vector3<f64>) -> Vector3<f64> {
+        element_turn * (unit_g * self.remanence_t) + self.bias_g
+    }
+
+    fn element_turn(&self) -> Rotation3<f64> {
+        Rotation3::from_scaled_axis(self.rotation_rad)
+    }
+
+    fn magnet_frame(&self) -> Rotation3<f64> {
+        let quarter = std::f64::consts::FRAC_PI_2;
+        let upright = match self.axis {
+            MagnetAxis::X => Rotation3::from_axis_angle(&Vector3::y_axis(), quarter),
+            MagnetAxis::Y => Rotation3::from_axis_angle(&Vector3::x_axis(), -quarter),
+            MagnetAxis::Z => Rotation3::identity(),
+        };
+        let [x, z] = self.tilt_rad;
+        Rotation3::from_scaled_axis(Vector3::new(x, 0.0, z)) * upright
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use approx::assert_abs_diff_eq;
+    use firmware::params;
+    use proptest::prelude::*;
+
+    fn nominal() -> ForwardModel {
+        ForwardModel {
+            magnet: Cylinder {
+                diameter_mm: params::MAGNET_DIAMETER.value,
+                length_mm: params::MAGNET_LENGTH.value,
+            },
+            axis: MagnetAxis::Y,
+            remanence_t: params::REMANENCE.value,
+            gap_mm: params::GAP.value,
+            stiffness_n_per_mm: [params::STIFFNESS_X.value, params::STIFFNESS_Z.value],
+            offset_mm: [0.0; 2],
+            tilt_rad: [0.0; 2],
+            rotation_rad: Vector3::zeros(),
+            bias_g: Vector3::zeros(),
+        }
+    }
+
+    #[test]
+    fn the_field_at_rest_is_1272_gauss_along_the_gap() {
+        let rest = nominal().field([0.0, 0.0]);
+        assert_abs_diff_eq!(rest, Vector3::new(0.0, 1272.0, 0.0), epsilon = 0.5);
+    }
+
+    #[test]
+    fn the_slopes_at_rest_are_585_in_the_plane_and_minus_1170_along_the_axis() {
+        let slopes = nominal().respond(Vector3::zeros()).per_mm;
+        let expected = Matrix3::from_diagonal(&Vector3::new(585.0, -1170.0, 585.0));
+        assert_abs_diff_eq!(slopes, expected, epsilon = 0.5);
+    }
+
+    #[test]
+    fn the_lateral_field_is_the_known_cubic_within_half_a_millimetre() {
+        for step in -50..=50 {
+            let d = f64::from(step) * 0.01;
+            let expected = 584.95 * d - 79.99 * d.powi(3);
+            let found = nominal().respond(Vector3::new(d, 0.0, 0.0)).field_g.x;
+            assert_abs_diff_eq!(found, expected, epsilon = 0.02);
+        }
+    }
+
+    #[test]
+    fn one_newton_of_grasp_is_1_17_gauss() {
+        let model = nominal();
+        let [gx, gz] = model.per_newton(&model.respond(Vector3::zeros()));
+        assert_abs_diff_eq!(gx, Vector3::new(1.17, 0.0, 0.0), epsilon = 1e-3);
+        assert_abs_diff_eq!(gz, Vector3::new(0.0, 0.0, 0.731), epsilon = 1e-3);
+    }
+
+    #[test]
+    fn the_sensor_saturates_below_a_gap_of_1_02_mm() {
+        let at = |gap_mm| {
+            ForwardModel {
+                gap_mm,
+                ..nominal()
+            }
+            .field([0.0, 0.0])
+            .y
+        };
+        let limit = params::SENSOR_RANGE.value;
+        assert!(at(1.01) > limit && at(1.03) < limit);
+    }
+
+    #[test]
+    fn other_magnets_have_their_known_field_and_slope() {
+        let known = [
+            (3.0, 1.0, 902.0, 435.0),
+            (3.0, 3.0, 1449.0, 644.0),
+            (3.0, 5.0, 1604.0, 684.0),
+            (5.0, 2.0, 1795.0, 521.0),
+            (2.5, 2.5, 1118.0, 566.0),
+        ];
+        for (diameter_mm, length_mm, field, slope) in known {
+            let magnet = Cylinder {
+                diameter_mm,
+                length_mm,
+            };
+            let response = ForwardModel {
+                magnet,
+                ..nominal()
+            }
+            .respond(Vector3::zeros());
+            assert_abs_diff_eq!(response.field_g.y, field, epsilon = 0.5);
+            assert_abs_diff_eq!(response.per_mm[(0, 0)], slope, epsilon = 0.5);
+        }
+    }
+
+    #[test]
+    fn a_tenth_of_a_millimetre_of_misplacement_is_58_gauss_sideways_and_111_across() {
+        let model = nominal();
+        let rest = model.field([0.0, 0.0]);
+        let aside = ForwardModel {
+            offset_mm: [0.1, 0.0],
+            ..model
+        }
+        .field([0.0, 0.0]);
+        let apart = ForwardModel {
+            gap_mm: 1.6,
+            ..model
+        }
+        .field([0.0, 0.0]);
+        assert_abs_diff_eq!(aside.x, 58.4, epsilon = 0.1);
+        assert_abs_diff_eq!((apart - rest).y, -111.0, epsilon = 1.0);
+    }
+
+    #[test]
+    fn a_sensor_turned_by_two_degrees_reads_44_gauss_of_the_gap_field_sideways() {
+        let rotation_rad = Vector3::new(0.0, 0.0, -2.0_f64.to_radians());
+        let field = ForwardModel {
+            rotation_rad,
+            ..nominal()
+        }
+        .field([0.0, 0.0]);
+        assert_abs_diff_eq!(field.x, 44.4, epsilon = 0.1);
+    }
+
+    #[test]
+    fn a_lying_magnet_shows_its_side() {
+        // Half the field of the pole face, roughly, and against the axis: a dipole's equator.
+        let model = ForwardModel {
+            axis: MagnetAxis::X,
+            ..nominal()
+        };
+        let field = model.field([0.0, 0.0]);
+        assert!(
+            field.x < -300.0 && field.y.abs() < 1e-9 && field.z.abs() < 1e-9,
+            "{field}"
+        );
+    }
+
+    proptest! {
+        #[test]
+        fn derivatives_are_those_of_the_field_wherever_the_magnet_stands(
+            offset in -0.2..0.2_f64, tilt in -0.05..0.05_f64,
+            fx in -250.0..250.0_f64, fz in -250.0..250.0_f64,
+        ) {
+            let model = ForwardModel {
+                offset_mm: [offset, -offset],
+                tilt_rad: [tilt, 0.5 * tilt],
+                rotation_rad: Vector3::new(tilt, -tilt, 2.0 * tilt),
+                ..nominal()
+            };
+            let response = model.respond(model.displacement([fx, fz]));
+            let slopes = model.per_newton(&response);
+            let h = 0.05;
+            let plain = [
+                (model.field([fx + h, fz]) - model.field([fx - h, fz])) / (2.0 * h),
+                (model.field([fx, fz + h]) - model.field([fx, fz - h])) / (2.0 * h),
+            ];
+            for (slope, plain) in slopes.iter().zip(plain) {
+                prop_assert!((slope - plain).amax() < 1e-5);
+            }
+            prop_assert!((response.field_g - model.field([fx, fz])).amax() < 1e-9);
+        }
+    }
+}

@@ -1,0 +1,213 @@
+//! `recording.toml`: what was recorded, the sensor's scale, and the nominal design.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use super::problem::{Fault, Notice, Place, Problem};
+use crate::quantity::column_unit;
+
+/// The file's name in a recording's folder.
+pub const FILE: &str = "recording.toml";
+
+/// The format that this code reads and writes.
+pub const FORMAT: i64 = 1;
+
+/// What `recording.toml` says.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Description {
+    /// Version of the format, [`FORMAT`].
+    pub format: i64,
+    /// In a person's words.
+    #[serde(default)]
+    pub description: String,
+    /// Start of the recording in seconds since the campaign began.
+    pub start_s: f64,
+    /// Scale of the raw counts; needed where a column ends in `_lsb`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gauss_per_lsb: Option<f64>,
+    /// Range of each axis, either sign; where it is given, saturated samples are left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub range_gauss: Option<f64>,
+    /// Covariates beyond those of the format, each name ending in its unit.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub covariates: Vec<String>,
+    /// The nominal design; absent where nobody knows the geometry.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub design: Option<Design>,
+    /// Keys that this version does not know.
+    #[serde(flatten, skip_serializing)]
+    unknown: toml::Table,
+}
+
+/// The nominal design, in the words and units of the file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Design {
+    /// The magnet on the longitudinal flexure.
+    pub magnet: Magnet,
+    /// From the magnet's face to the Hall element, unloaded.
+    pub gap_mm: f64,
+    /// Lateral flexure.
+    pub stiffness_x_n_per_mm: f64,
+    /// Longitudinal flexure.
+    pub stiffness_z_n_per_mm: f64,
+    /// What the file says beyond this (beam, motor, screw), kept for the effects that need it.
+    #[serde(flatten)]
+    pub more: toml::Table,
+}
+
+/// A permanent magnet.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Magnet {
+    /// Only cylinders for now.
+    pub shape: Shape,
+    /// Diameter.
+    pub diameter_mm: f64,
+    /// Length along its axis.
+    pub length_mm: f64,
+    /// Remanence; negative where the magnet is mounted the other way round.
+    pub remanence_t: f64,
+    /// The sensor's axis along which the magnet's axis lies.
+    pub axis: MagnetAxis,
+}
+
+/// Shapes whose field is known in closed form here.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Shape {
+    /// Magnetised along its axis.
+    Cylinder,
+}
+
+/// The sensor's axis along which the magnet's axis lies.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum MagnetAxis {
+    /// Lying, along the lateral motion.
+    X,
+    /// Facing the sensor across the gap.
+    Y,
+    /// Lying, along the longitudinal motion.
+    Z,
+}
+
+impl Description {
+    /// A description with nothing but what every recording has.
+    pub fn new(description: impl Into<String>, start_s: f64) -> Self {
+        Self {
+            format: FORMAT,
+            description: description.into(),
+            start_s,
+            gauss_per_lsb: None,
+            range_gauss: None,
+            covariates: Vec::new(),
+            design: None,
+            unknown: toml::Table::new(),
+        }
+    }
+
+    /// Reads and checks `recording.toml` in `folder`.
+    pub fn read(folder: &Path) -> Result<(Self, Vec<Notice>), Problem> {
+        let path = folder.join(FILE);
+        let text = std::fs::read_to_string(&path).map_err(|error| match error.kind() {
+            std::io::ErrorKind::NotFound => Fault::MissingFile {
+                name: FILE,
+                advice: "it needs at least `format = 1`, `start_s` and, for raw counts, `gauss_per_lsb`",
+            }
+            .at(Place::file(folder)),
+            _ => Fault::Unreadable(error).at(Place::file(&path)),
+        })?;
+        let description: Self = parse_toml(&path, &text)?;
+        description.check(&path)?;
+        let notices = description.unknown_keys(&path);
+        Ok((description, notices))
+    }
+
+    /// Writes `recording.toml` into `folder`.
+    pub fn write(&self, folder: &Path) -> Result<(), Problem> {
+        let path = folder.join(FILE);
+        let text = toml::to_string(self)
+            .map_err(|error| Fault::Toml(error.to_string()).at(Place::file(&path)))?;
+        std::fs::write(&path, text).map_err(|error| Fault::Unreadable(error).at(Place::file(&path)))
+    }
+
+    fn check(&self, path: &Path) -> Result<(), Problem> {
+        let bad = |key: &str, found: String, advice: String| {
+            Err(Fault::BadValue { found, advice }.at(Place::file(path).column(key)))
+        };
+        if self.format != FORMAT {
+            let advice = format!("this tool reads format = {FORMAT}");
+            return bad("format", self.format.to_string(), advice);
+        }
+        if !self.start_s.is_finite() {
+            let advice = "give the seconds since the campaign began".to_owned();
+            return bad("start_s", self.start_s.to_string(), advice);
+        }
+        let positive = [
+            ("gauss_per_lsb", self.gauss_per_lsb),
+            ("range_gauss", self.range_gauss),
+            ("design.gap_mm", self.design.as_ref().map(|d| d.gap_mm)),
+            (
+                "design.stiffness_x_n_per_mm",
+                self.design.as_ref().map(|d| d.stiffness_x_n_per_mm),
+            ),
+            (
+                "design.stiffness_z_n_per_mm",
+                self.design.as_ref().map(|d| d.stiffness_z_n_per_mm),
+            ),
+            (
+                "design.magnet.diameter_mm",
+                self.design.as_ref().map(|d| d.magnet.diameter_mm),
+            ),
+            (
+                "design.magnet.length_mm",
+                self.design.as_ref().map(|d| d.magnet.length_mm),
+            ),
+            (
+                "design.magnet.remanence_t",
+                self.design.as_ref().map(|d| d.magnet.remanence_t.abs()),
+            ),
+        ];
+        for (key, value) in positive {
+            if let Some(value) = value.filter(|v| !(v.is_finite() && *v > 0.0)) {
+                return bad(
+                    key,
+                    value.to_string(),
+                    "give a number above zero".to_owned(),
+                );
+            }
+        }
+        for name in &self.covariates {
+            if column_unit(name).is_none() {
+                let advice = "end the name in its unit, for example robot_z_mm".to_owned();
+                return bad("covariates", format!("{name:?}"), advice);
+            }
+        }
+        Ok(())
+    }
+
+    fn unknown_keys(&self, path: &Path) -> Vec<Notice> {
+        self.unknown
+            .keys()
+            .map(|key| Notice {
+                place: Place::file(path).column(key.as_str()),
+                message: "this key is not known and was ignored; check its spelling".to_owned(),
+            })
+            .collect()
+    }
+}
+
+/// Parses TOML; an error names the line.
+pub(crate) fn parse_toml<T: serde::de::DeserializeOwned>(
+    path: &Path,
+    text: &str,
+) -> Result<T, Problem> {
+    toml::from_str(text).map_err(|error: toml::de::Error| {
+        let mut place = Place::file(path);
+        if let Some(span) = error.span() {
+            let before = text.get(..span.start).unwrap_or(text);
+            place = place.line(before.matches('\n').count() as u64 + 1);
+        }
+        Fault::Toml(error.message().replace('\n', " ")).at(place)
+    })
+}

@@ -1,0 +1,68 @@
+//! The reference's table.
+
+use super::clock::{ClockWatch, no_clock};
+use super::columns::{ForceColumn, force_column};
+use super::noise::WhiteNoise;
+use super::problem::{Fault, Problem};
+use super::table::{Cells, Row, Table};
+
+/// Reads `force.csv`; a force may be empty.
+pub(super) struct ForceReader {
+    pub(super) table: Table,
+    pub(super) time_column: usize,
+    picks: Vec<usize>,
+    pub(super) columns: Vec<ForceColumn>,
+    pub(super) period_us: f64,
+    pub(super) clock: ClockWatch,
+    pub(super) noise: Vec<WhiteNoise>,
+}
+
+impl ForceReader {
+    pub(super) fn open(mut table: Table) -> Result<Self, Problem> {
+        let mut time_column = None;
+        let (mut picks, mut columns) = (Vec::new(), Vec::new());
+        for (i, name) in table.header().iter().enumerate() {
+            match force_column(name) {
+                Ok(ForceColumn::Time) => time_column = Some(i),
+                Ok(column) => {
+                    picks.push(i);
+                    columns.push(column);
+                }
+                Err(fault) => return Err(fault.at(table.header_place(name))),
+            }
+        }
+        let time_column = time_column.ok_or_else(|| no_clock(&table))?;
+        if columns.is_empty() {
+            let advice = "add at least one force, f0_x_n or f0_z_n".to_owned();
+            return Err(Fault::MissingColumn { advice }.at(table.header_place("f0_x_n")));
+        }
+        let mut cells = vec![Cells::MayBeEmpty; table.header().len()];
+        cells[time_column] = Cells::Number;
+        table.rules(time_column, cells);
+        let period_us = table.typical_period()?;
+        Ok(Self {
+            time_column,
+            noise: vec![WhiteNoise::default(); columns.len()],
+            clock: ClockWatch::new(period_us),
+            table,
+            picks,
+            columns,
+            period_us,
+        })
+    }
+
+    pub(super) fn next_row(&mut self) -> Result<Option<Row>, Problem> {
+        let row = self.table.next_row()?;
+        if let Some(row) = &row {
+            self.clock.tick(row, row.cells[self.time_column]);
+            for (noise, &pick) in self.noise.iter_mut().zip(&self.picks) {
+                noise.push(row.cells[pick]);
+            }
+        }
+        Ok(row)
+    }
+
+    pub(super) fn forces(&self, row: &Row) -> Vec<f64> {
+        self.picks.iter().map(|&pick| row.cells[pick]).collect()
+    }
+}

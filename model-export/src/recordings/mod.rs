@@ -1,0 +1,30 @@
+//! Recordings: one uninterrupted run of one gripper each; a campaign is a folder of them.
+//!
+//! - [`problem`]: what can be wrong with a recording, each with its place and its one sentence.
+//! - [`columns`]: what a column's name means.
+//! - [`description`]: `recording.toml`, the sensor's scale and the nominal design.
+//! - [`table`]: a `.csv` or `.csv.gz` as a stream of checked rows.
+//! - [`noise`]: white noise of a stream, from differences of its rows.
+//! - [`align`]: the board's stream brought to the reference's clock.
+//! - [`stream`]: one recording as rows on the reference's clock.
+//! - [`recording`]: one folder, checked, aligned and in memory.
+//! - [`campaign`]: all recordings of one gripper.
+//! - [`import`]: foreign tables turned into a campaign by a mapping file.
+
+pub mod align;
+pub mod campaign;
+mod clock;
+pub mod columns;
+pub mod description;
+mod force_reader;
+mod hall_reader;
+pub mod import;
+pub mod noise;
+pub mod problem;
+pub mod recording;
+pub mod stream;
+pub mod table;
+
+pub use campaign::Campaign;
+pub use problem::{Notice, Place, Problem};
+pub use recording::{Recording, SensorTrack};

@@ -1,0 +1,189 @@
+//! What can be wrong with a recording, each with its place and one sentence that says what to do.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+/// Where in the input something was found.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Place {
+    /// The file, or the folder where a file is missing.
+    pub file: PathBuf,
+    /// Line in the file, the header being line 1.
+    pub line: Option<u64>,
+    /// The column's name in the header, or the key in a TOML file.
+    pub column: Option<String>,
+}
+
+impl Place {
+    /// A whole file.
+    pub fn file(file: &Path) -> Self {
+        Self {
+            file: file.to_path_buf(),
+            ..Self::default()
+        }
+    }
+
+    /// The same place, narrowed to a line.
+    pub fn line(mut self, line: u64) -> Self {
+        self.line = Some(line);
+        self
+    }
+
+    /// The same place, narrowed to a column or key.
+    pub fn column(mut self, column: impl Into<String>) -> Self {
+        self.column = Some(column.into());
+        self
+    }
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.file.display())?;
+        if let Some(line) = self.line {
+            write!(f, ", line {line}")?;
+        }
+        if let Some(column) = &self.column {
+            write!(f, ", column {column}")?;
+        }
+        Ok(())
+    }
+}
+
+/// A recording that cannot be used as it is.
+#[derive(Debug, thiserror::Error)]
+#[error("{place}: {fault}")]
+pub struct Problem {
+    /// Where.
+    pub place: Box<Place>,
+    /// What, and what to do about it.
+    pub fault: Box<Fault>,
+}
+
+/// The kinds of [`Problem`]; each displays as one sentence.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)] // The sentence of each variant is its documentation.
+pub enum Fault {
+    #[error(
+        "this campaign has no recordings; a recording is a folder that holds recording.toml, hall.csv and force.csv (each csv may be gzipped)"
+    )]
+    NoRecordings,
+    #[error("{name} is missing; {advice}")]
+    MissingFile {
+        name: &'static str,
+        advice: &'static str,
+    },
+    #[error("both {name} and {name}.gz are here; keep the one that counts")]
+    TwoFiles { name: &'static str },
+    #[error("cannot be read: {0}; check the path and the permissions")]
+    Unreadable(std::io::Error),
+    #[error(
+        "the gzip stream ends too early or is damaged ({0}); copy the file again, or unpack what is left with `zcat` and record that"
+    )]
+    DamagedGzip(std::io::Error),
+    #[error("is not valid TOML: {0}")]
+    Toml(String),
+    #[error("the key is missing; add {example}")]
+    MissingKey { example: &'static str },
+    #[error("{found} is not possible here; {advice}")]
+    BadValue { found: String, advice: String },
+    #[error("the file is empty; it needs a header line of column names and at least one row")]
+    Empty,
+    #[error("there are no rows under the header; record at least a few seconds")]
+    NoRows,
+    #[error("the column is missing from the header; {advice}")]
+    MissingColumn { advice: String },
+    #[error("the column has no unit; {advice}")]
+    UnitlessColumn { advice: String },
+    #[error("this column is not known; {advice}")]
+    UnknownColumn { advice: String },
+    #[error("the column stands twice in the header; remove or rename one")]
+    RepeatedColumn,
+    #[error(
+        "the row has {found} cells where the header has {expected}; complete the row or remove it (a recording cut short usually breaks its last line)"
+    )]
+    CellCount { found: usize, expected: usize },
+    #[error("{text:?} is not a number; correct it or remove the row")]
+    NotANumber { text: String },
+    #[error(
+        "{text:?} is not finite; remove the row, or leave the cell empty where a force was not measured"
+    )]
+    NotFinite { text: String },
+    #[error(
+        "the cell is empty; only forces may be left empty: remove the row, or the whole column if it was not recorded"
+    )]
+    EmptyCell,
+    #[error(
+        "{value} does not fit the sensor's {bits} bit word ({low} to {high}); is this column really raw counts? A converted field belongs in a column that ends in _gauss"
+    )]
+    OutsideWord {
+        value: f64,
+        bits: u32,
+        low: f64,
+        high: f64,
+    },
+    #[error(
+        "the clock runs backwards, from {before} to {after}; sort the rows by time if they were merged, or split the recording here if the clock was reset"
+    )]
+    ClockBackwards { before: f64, after: f64 },
+    #[error("the row repeats the one before it; remove it")]
+    RepeatedRow,
+    #[error("two rows have the same time, {time}, and different values; remove the wrong one")]
+    RepeatedTime { time: f64 },
+    #[error(
+        "the two clocks do not overlap: the board has {hall_from:.3} to {hall_to:.3} s, the reference {force_from:.3} to {force_to:.3} s; shift one t_us column so that both start from the same event"
+    )]
+    NoOverlap {
+        hall_from: f64,
+        hall_to: f64,
+        force_from: f64,
+        force_to: f64,
+    },
+    #[error(
+        "recordings of one campaign come from one gripper, but this one has {found} where {other} has {expected}; move it to a campaign of its own"
+    )]
+    DifferentGripper {
+        found: String,
+        expected: String,
+        other: String,
+    },
+    #[error("no field column was found; name them s0_x_lsb (raw counts) or s0_x_gauss")]
+    NoField,
+}
+
+impl Fault {
+    /// Ties the fault to its place.
+    pub fn at(self, place: Place) -> Problem {
+        Problem {
+            place: Box::new(place),
+            fault: Box::new(self),
+        }
+    }
+}
+
+/// Something that a person should know about their recording, and that does not stop the work.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Notice {
+    /// Where.
+    pub place: Place,
+    /// One sentence: what was found and what was done about it.
+    pub message: String,
+}
+
+impl fmt::Display for Notice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.place, self.message)
+    }
+}
+
+/// `, did you mean NAME?` where one of the candidates is close to what was written.
+pub(crate) fn closest<'a>(
+    written: &str,
+    candidates: impl IntoIterator<Item = &'a str>,
+) -> Option<&'a str> {
+    candidates
+        .into_iter()
+        .map(|candidate| (strsim::damerau_levenshtein(written, candidate), candidate))
+        .filter(|(distance, candidate)| *distance * 3 <= candidate.len().max(3))
+        .min_by_key(|(distance, _)| *distance)
+        .map(|(_, candidate)| candidate)
+}
