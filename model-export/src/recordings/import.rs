@@ -237,7 +237,7 @@ fn import_one(
         false => session.end_us,
     };
     session.end_us += last_us;
-    let mut description = Description::new(mapping.description.clone(), start_us * 1e-6);
+    let mut description = Description::new(mapping.description.clone(), start_us.round() / 1e6);
     description.covariates = mapping.covariates();
     description.range_gauss = mapping.range_gauss;
     description.gauss_per_lsb = mapping.gauss_per_lsb;

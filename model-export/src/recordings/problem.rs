@@ -175,15 +175,22 @@ impl fmt::Display for Notice {
     }
 }
 
-/// `, did you mean NAME?` where one of the candidates is close to what was written.
+/// The candidate that was probably meant, where one is close to what was written.
 pub(crate) fn closest<'a>(
     written: &str,
     candidates: impl IntoIterator<Item = &'a str>,
 ) -> Option<&'a str> {
     candidates
         .into_iter()
-        .map(|candidate| (strsim::damerau_levenshtein(written, candidate), candidate))
-        .filter(|(distance, candidate)| *distance * 3 <= candidate.len().max(3))
-        .min_by_key(|(distance, _)| *distance)
-        .map(|(_, candidate)| candidate)
+        .map(|candidate| {
+            let distance = strsim::damerau_levenshtein(written, candidate);
+            (
+                distance,
+                !candidate.eq_ignore_ascii_case(written),
+                candidate,
+            )
+        })
+        .filter(|(distance, _, candidate)| *distance * 3 <= candidate.len().max(3))
+        .min()
+        .map(|(_, _, candidate)| candidate)
 }

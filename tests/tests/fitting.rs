@@ -1,0 +1,263 @@
+//! What a fit promises: the truth within its error bars, the floor on clean data, and a named
+//! refusal of columns that cannot be what they say.
+
+use model_export::fit::campaign;
+use model_export::fit::cylinder::CylinderFit;
+use model_export::fit::parameters::{COUNT, PARAMETERS, tolerances, values, with_values};
+use model_export::fit::{Fits, Options};
+use model_export::model_file::{ModelFile, Provenance};
+use model_export::recordings::Campaign;
+use model_export::recordings::align::Alignment;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+use tempfile::TempDir;
+use tests::{Bench, data, nominal};
+
+const AT_ONCE: Alignment = Alignment { delay_us: 0.0 };
+
+fn read(folder: &std::path::Path) -> Campaign {
+    Campaign::read(folder, AT_ONCE, |_| ()).unwrap()
+}
+
+fn cylinder_fits(campaign: &Campaign) -> (Fits, Vec<CylinderFit>) {
+    let (fits, _) = campaign::cylinder(campaign, Options::default(), |_| ()).unwrap();
+    match &fits {
+        Fits::Cylinder(_, list) => (fits.clone(), list.clone()),
+        Fits::Polynomial(_) => unreachable!("a cylinder was asked for"),
+    }
+}
+
+#[test]
+fn a_clean_campaign_is_fitted_to_its_noise_floor_on_every_axis_held_out() {
+    let (fits, _) = cylinder_fits(&read(&data("clean")));
+    let scores = fits.scores();
+    assert_eq!(scores.len(), 12);
+    for score in scores {
+        let ratio = score.held_out_rms_g / score.floor_g;
+        // Far below would mean that the floor is wrong.
+        assert!(
+            (0.93..=1.05).contains(&ratio),
+            "sensor {} {:?}: {ratio}",
+            score.sensor,
+            score.axis
+        );
+    }
+}
+
+#[test]
+fn the_floor_holds_the_sensor_s_noise_after_averaging_and_the_reference_s_through_the_slope() {
+    // 0.35 G and 0.036 G of quantisation through eleven samples, 0.15 N through 1.17 and 0.73 G/N.
+    let (fits, _) = cylinder_fits(&read(&data("clean")));
+    let sensor = 0.308_22 * 0.351_9_f64;
+    let expected = [sensor.hypot(0.15 * 1.17), sensor, sensor.hypot(0.15 * 0.73)];
+    for (score, expected) in fits.scores().iter().zip(expected.iter().cycle()) {
+        // Sensors differ by 15 % in stiffness.
+        let ratio = score.floor_g / expected;
+        assert!((0.85..1.15).contains(&ratio), "{score:?}: {ratio}");
+    }
+}
+
+#[test]
+fn true_parameters_lie_within_three_error_bars_whatever_the_seed() {
+    let design = nominal();
+    let scale = tolerances(&design);
+    let (mut within, mut judged, mut known) = (0, 0, 0);
+    for seed in 1..=12 {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let start = values(&design);
+        let truth: [f64; COUNT] = std::array::from_fn(|i| {
+            let scatter: f64 = StandardNormal.sample(&mut rng);
+            start[i] + scale[i] * scatter.clamp(-2.0, 2.0)
+        });
+        let folder = TempDir::new().unwrap();
+        let bench = Bench {
+            model: with_values(&design, &truth),
+            seconds: 8.0,
+            noise: (0.35, 0.15),
+            seed,
+        };
+        bench.write_campaign(folder.path(), 3);
+        let (_, fits) = cylinder_fits(&read(folder.path()));
+        for (estimate, truth) in fits[0].parameters.iter().zip(truth) {
+            judged += 1;
+            known += usize::from(estimate.identifiable);
+            within += usize::from((estimate.value - truth).abs() <= 3.0 * estimate.std_error);
+        }
+    }
+    assert!(
+        within as f64 >= 0.97 * judged as f64,
+        "{within} of {judged}"
+    );
+    // An error bar as wide as the tolerance would pass the line above and say nothing.
+    assert!(
+        known as f64 >= 0.6 * judged as f64,
+        "{known} of {judged} known"
+    );
+}
+
+#[test]
+fn remanence_and_bias_along_the_gap_are_reported_as_inseparable() {
+    let (_, fits) = cylinder_fits(&read(&data("clean")));
+    for fit in fits {
+        let of = |name: &str| fit.parameters.iter().find(|p| p.name == name).unwrap();
+        assert!(!of("bias_y").identifiable && of("stiffness_x").identifiable);
+        let names: Vec<&str> = fit
+            .held
+            .iter()
+            .flat_map(|held| held.shares.iter().map(|s| s.0))
+            .collect();
+        assert!(
+            names.contains(&"bias_y") && names.contains(&"remanence"),
+            "{names:?}"
+        );
+    }
+}
+
+#[test]
+fn an_effect_that_the_model_lacks_does_not_make_the_parameters_run_away() {
+    // Fields swing by 20 G with a slow period of their own: far more than any parameter explains.
+    let folder = TempDir::new().unwrap();
+    let bench = Bench {
+        model: nominal(),
+        seconds: 8.0,
+        noise: (0.35, 0.15),
+        seed: 5,
+    };
+    for recording in 1..=3 {
+        let (hall, force) = bench.tables(recording);
+        let mut rows = hall.lines();
+        let mut swung = rows.next().unwrap().to_owned() + "\n";
+        for (ms, row) in rows.enumerate() {
+            let cells: Vec<i64> = row.split(',').map(|cell| cell.parse().unwrap()).collect();
+            let swing = (160.0 * (ms as f64 * 1e-3 * 0.9 + recording as f64).sin()) as i64;
+            swung += &format!(
+                "{},{},{},{}\n",
+                cells[0],
+                cells[1] + swing,
+                cells[2] - 2 * swing,
+                cells[3]
+            );
+        }
+        let path = folder.path().join(recording.to_string());
+        tests::write_recording(&path, tests::RECORDING_TOML, &swung, &force);
+    }
+    let (fits, list) = cylinder_fits(&read(folder.path()));
+    assert!(
+        fits.scores()
+            .iter()
+            .any(|s| s.held_out_rms_g > 20.0 * s.floor_g)
+    );
+    let scale = tolerances(&nominal());
+    for (i, estimate) in list[0].parameters.iter().enumerate() {
+        let moved = (estimate.value - estimate.nominal).abs() / scale[i];
+        assert!(
+            moved < 3.0,
+            "{} moved by {moved} tolerances",
+            PARAMETERS[i].name
+        );
+    }
+}
+
+#[test]
+fn a_model_file_gives_back_the_model_that_was_written() {
+    let campaign = read(&data("clean"));
+    let (fits, list) = cylinder_fits(&campaign);
+    let provenance = Provenance::of(&campaign, 0.0, Options::default()).unwrap();
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("model.toml");
+    let written = ModelFile::of(&fits, provenance);
+    written.write(&path).unwrap();
+    let read = ModelFile::read(&path).unwrap();
+    assert_eq!(read, written);
+    for fit in list {
+        let model = read.forward(fit.sensor).unwrap();
+        let difference = model.field([100.0, -50.0]) - fit.model.field([100.0, -50.0]);
+        assert!(difference.amax() < 1e-9);
+    }
+}
+
+#[test]
+fn one_recording_is_judged_on_stretches_of_itself() {
+    let (fits, _) = cylinder_fits(&read(&data("clean/1")));
+    for score in fits.scores() {
+        let ratio = score.held_out_rms_g / score.floor_g;
+        assert!((0.9..1.12).contains(&ratio), "{score:?}");
+    }
+}
+
+/// What fitting says after the header of one table was edited.
+fn said(file: &str, rename: &[(&str, &str)], scale: Option<(usize, f64)>) -> String {
+    let folder = TempDir::new().unwrap();
+    let bench = Bench {
+        model: nominal(),
+        seconds: 4.0,
+        noise: (0.35, 0.15),
+        seed: 2,
+    };
+    bench.write_campaign(folder.path(), 1);
+    let path = folder.path().join("1").join(file);
+    let text = std::fs::read_to_string(&path).unwrap();
+    let mut rows = text.lines();
+    let mut header = rows.next().unwrap().to_owned();
+    for (i, (from, _)) in rename.iter().enumerate() {
+        header = header.replace(from, &format!("#{i}#"));
+    }
+    for (i, (_, to)) in rename.iter().enumerate() {
+        header = header.replace(&format!("#{i}#"), to);
+    }
+    let mut edited = header + "\n";
+    for row in rows {
+        let mut cells: Vec<String> = row.split(',').map(str::to_owned).collect();
+        if let Some((column, factor)) = scale {
+            let value: f64 = cells[column].parse().unwrap();
+            cells[column] = (value * factor).to_string();
+        }
+        edited += &(cells.join(",") + "\n");
+    }
+    std::fs::write(&path, edited).unwrap();
+    let error = campaign::cylinder(&read(folder.path()), Options::default(), |_| ()).unwrap_err();
+    error.to_string()
+}
+
+#[test]
+fn swapped_flipped_and_wrongly_scaled_columns_are_refused_by_name() {
+    let swapped = said(
+        "force.csv",
+        &[("f0_x_n", "f0_z_n"), ("f0_z_n", "f0_x_n")],
+        None,
+    );
+    assert!(
+        swapped.contains("force.csv, column f0_x_n") && swapped.contains("swapped"),
+        "{swapped}"
+    );
+    let flipped = said("force.csv", &[], Some((2, -1.0)));
+    assert!(
+        flipped.contains("column f0_z_n") && flipped.contains("sign flipped"),
+        "{flipped}"
+    );
+    let kilograms = said("force.csv", &[], Some((1, 1.0 / 9.80665)));
+    assert!(
+        kilograms.contains("column f0_x_n") && kilograms.contains("unit"),
+        "{kilograms}"
+    );
+    let reversed = said("hall.csv", &[], Some((2, -1.0)));
+    assert!(
+        reversed.contains("column s0_y") && reversed.contains("sign is flipped"),
+        "{reversed}"
+    );
+    let permuted = said(
+        "hall.csv",
+        &[("s0_x_lsb", "s0_y_lsb"), ("s0_y_lsb", "s0_x_lsb")],
+        None,
+    );
+    assert!(
+        permuted.contains("column s0_x") && permuted.contains("permuted"),
+        "{permuted}"
+    );
+    let millitesla = said("hall.csv", &[("_lsb", "_gauss")], Some((2, 0.0125)));
+    assert!(
+        millitesla.contains("column s0_y") && millitesla.contains("1 mT is 10 G"),
+        "{millitesla}"
+    );
+}

@@ -1,0 +1,135 @@
+//! Foreign tables become a campaign: units, signs, clocks and missing values, and clear refusals.
+
+use std::fs;
+use std::path::PathBuf;
+
+use model_export::recordings::align::Alignment;
+use model_export::recordings::columns::Axis;
+use model_export::recordings::import::import;
+use model_export::recordings::{Campaign, Problem};
+use tempfile::TempDir;
+
+const MAPPING: &str = r#"
+description = "a foreign bench"
+[hall]
+clock = { from = "time", unit = "ms" }
+columns = [
+  { from = "mx", unit = "mT", to = "s0_x_gauss" },
+  { from = "my", unit = "mT", to = "s0_y_gauss", scale = -1 },
+  { from = "mz", unit = "mT", to = "s0_z_gauss" },
+  { from = "height", unit = "m", to = "stage_mm" },
+]
+[force]
+clock = { from = "scale_time", unit = "s" }
+columns = [{ from = "mass", unit = "kg", to = "f0_z_n", missing = -1 }]
+"#;
+
+/// Rows every 10 ms; the source's clocks start at 5 s.
+fn source() -> String {
+    let mut text = "time,scale_time,mx,my,mz,height,mass,note\n".to_owned();
+    for i in 0..40 {
+        let mass = if i % 2 == 0 {
+            "-1".to_owned()
+        } else {
+            format!("0.{i:02}")
+        };
+        text += &format!(
+            "{},{},1.5,-2.5,0.25,0.012,{mass},ok\n",
+            5000 + 10 * i,
+            5.0 + 0.01 * f64::from(i)
+        );
+    }
+    text
+}
+
+struct Bench {
+    folder: TempDir,
+}
+
+impl Bench {
+    fn import(mapping: &str, source: &str) -> (Self, Result<PathBuf, Problem>) {
+        let bench = Self {
+            folder: TempDir::new().unwrap(),
+        };
+        let at = |name: &str| bench.folder.path().join(name);
+        fs::write(at("mapping.toml"), mapping).unwrap();
+        fs::write(at("source.csv"), source).unwrap();
+        let sources = [at("source.csv"), at("source.csv")];
+        let result = import(&at("mapping.toml"), &sources, &at("campaign"), |_| ());
+        let campaign = at("campaign");
+        (bench, result.map(|_| campaign))
+    }
+}
+
+fn said(mapping: &str, source: &str) -> String {
+    let (bench, result) = Bench::import(mapping, source);
+    let left: Vec<_> = fs::read_dir(bench.folder.path()).unwrap().collect();
+    assert_eq!(left.len(), 2, "a failed import leaves nothing behind");
+    let said = result.unwrap_err().to_string();
+    said.replace(&bench.folder.path().display().to_string(), "")
+}
+
+#[test]
+fn units_signs_clocks_and_missing_values_are_brought_to_the_format() {
+    let (_bench, result) = Bench::import(MAPPING, &source());
+    let campaign = Campaign::read(&result.unwrap(), Alignment { delay_us: 0.0 }, |_| ()).unwrap();
+    let first = &campaign.recordings[0];
+    // 1.5 mT is 15 G; -2.5 mT, turned, is 25 G.
+    assert_eq!(first.sensors[&0].field_g[3], [15.0, 25.0, 2.5]);
+    assert_eq!(first.covariates["stage_mm"][3], 12.0);
+    let force = &first.forces[&(0, Axis::Z)].newtons;
+    assert!(force.iter().any(|n| n.is_nan()));
+    let heaviest = force
+        .iter()
+        .copied()
+        .filter(|n| n.is_finite())
+        .fold(0.0, f64::max);
+    // The last row has no window: 0.37 kg is the heaviest that counts.
+    assert!((heaviest - 0.37 * 9.80665).abs() < 1e-9, "{heaviest}");
+    // Both clocks start with the recording, and recordings without one clock stand end to end.
+    assert_eq!(first.time_s[0], 0.01);
+    assert_eq!(campaign.recordings[1].description.start_s, 0.39);
+}
+
+#[test]
+fn one_clock_through_all_sources_keeps_their_distance() {
+    let (_bench, result) = Bench::import(
+        &MAPPING.replace("[hall]", "one_clock = true\n[hall]"),
+        &source(),
+    );
+    let campaign = Campaign::read(&result.unwrap(), Alignment { delay_us: 0.0 }, |_| ()).unwrap();
+    assert_eq!(campaign.recordings[1].description.start_s, 0.0);
+}
+
+#[test]
+fn a_wrong_mapping_is_told_what_to_write() {
+    let unit = said(&MAPPING.replace("\"kg\"", "\"Kg\""), &source());
+    assert!(
+        unit.contains("column f0_z_n: the unit \"Kg\" is not possible here; did you mean \"kg\"?"),
+        "{unit}"
+    );
+    let quantity = said(&MAPPING.replace("\"kg\"", "\"mm\""), &source());
+    assert!(
+        quantity.contains("f0_z_n is not in a unit that \"mm\" converts to"),
+        "{quantity}"
+    );
+    let target = said(&MAPPING.replace("s0_x_gauss", "s0_x_guass"), &source());
+    assert!(target.contains("s0_x_guass"), "{target}");
+    let column = said(&MAPPING.replace("\"mass\"", "\"maas\""), &source());
+    assert!(column.contains("source.csv, line 1, column maas: the column is missing from the header; did the mapping mean mass?"), "{column}");
+    let key = said(&MAPPING.replace("missing", "mising"), &source());
+    assert!(
+        key.contains("mapping.toml, line 13: is not valid TOML: unknown field `mising`"),
+        "{key}"
+    );
+}
+
+#[test]
+fn a_fault_in_the_source_is_named_with_its_line() {
+    let text = source().replace("5100,5.1,1.5", "5100,5.1,oops");
+    let fault = said(MAPPING, &text);
+    assert!(
+        fault.contains("source.csv, line 12, column mx: \"oops\" is not a number"),
+        "{fault}"
+    );
+}
