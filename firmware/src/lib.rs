@@ -3,6 +3,20 @@
 //! The modules stand in the order in which data flows; each uses only those above it.
 //!
 //! - [`params`]: every design constant with its unit and source, assumptions marked.
+//! - [`units`]: fixed-point quantities.
+//! - [`hall`]: Hall sensors, from bytes on the bus to readings.
+//! - [`frame`]: one millisecond of sensing.
+//! - [`model`]: tables, and the integer arithmetic that turns a field into forces.
+//! - [`force`]: the estimate, with its validity.
 #![no_std]
 
 pub mod params;
+pub mod units;
+
+pub mod hall;
+
+pub mod frame;
+
+pub mod model;
+
+pub mod force;

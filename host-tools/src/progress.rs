@@ -14,3 +14,16 @@ pub fn bar(what: &'static str, steps: usize) -> ProgressBar {
     bar.enable_steady_tick(Duration::from_millis(100));
     bar
 }
+
+/// A count of rows whose end is not known.
+pub fn rows(what: &'static str) -> ProgressBar {
+    let spinner = ProgressBar::new_spinner();
+    if let Ok(style) =
+        ProgressStyle::with_template("{msg:<28} {spinner} {human_pos} rows, {per_sec}")
+    {
+        spinner.set_style(style);
+    }
+    spinner.set_message(what);
+    spinner.enable_steady_tick(Duration::from_millis(100));
+    spinner
+}

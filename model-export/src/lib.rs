@@ -7,8 +7,10 @@
 //! - [`physics`]: the forward model, from forces to the field at each Hall sensor.
 //! - [`fit`]: the forward model fitted to a campaign, with honest error bars.
 //! - [`model_file`]: the human-readable result, `model.toml`.
+//! - [`inverse`]: from fields to forces: the ideal model and the device's tables.
 
 pub mod fit;
+pub mod inverse;
 pub mod model_file;
 pub mod physics;
 pub mod quantity;

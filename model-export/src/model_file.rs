@@ -5,8 +5,9 @@
 
 use std::collections::BTreeMap;
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
+use firmware::params;
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
@@ -33,12 +34,44 @@ pub struct ModelFile {
     pub base: Base,
     /// Where the numbers come from.
     pub provenance: Provenance,
+    /// Scale and range of the sensors.
+    pub sensor_scale: SensorScale,
     /// The nominal design; absent with the polynomial base.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub design: Option<Design>,
     /// One entry for each sensor.
     #[serde(rename = "sensor")]
     pub sensors: Vec<SensorModel>,
+}
+
+/// How counts become gauss.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SensorScale {
+    /// Gauss for each count.
+    pub gauss_per_lsb: f64,
+    /// Range of each axis in gauss, either way.
+    pub range_gauss: f64,
+    /// True where the recordings do not say it and the part's own is assumed.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub assumed: bool,
+}
+
+impl SensorScale {
+    /// What the recordings say, else the A31301's.
+    pub fn of(campaign: &Campaign) -> Self {
+        let description = campaign
+            .recordings
+            .first()
+            .map(|recording| &recording.description);
+        let stated = description.and_then(|d| d.gauss_per_lsb.zip(d.range_gauss));
+        let (gauss_per_lsb, range_gauss) =
+            stated.unwrap_or((params::SENSOR_SCALE.value, params::SENSOR_RANGE.value));
+        Self {
+            gauss_per_lsb,
+            range_gauss,
+            assumed: stated.is_none(),
+        }
+    }
 }
 
 /// What the field is computed from.
@@ -56,10 +89,8 @@ pub enum Base {
 pub struct Provenance {
     /// Name of the campaign's folder.
     pub campaign: String,
-    /// Names of the recordings.
-    pub recordings: Vec<String>,
-    /// SHA-256 over the campaign's files.
-    pub sha256: String,
+    /// The recordings that were fitted.
+    pub recordings: Vec<Fitted>,
     /// Rows on the reference's clock, all recordings.
     pub rows: usize,
     /// Half the averaging window in milliseconds.
@@ -70,6 +101,18 @@ pub struct Provenance {
     pub seed: u64,
     /// Version of the tool.
     pub tool: String,
+}
+
+/// A recording that a model was fitted to.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Fitted {
+    /// Name of its folder.
+    pub name: String,
+    /// SHA-256 over its files.
+    pub sha256: String,
+    /// When it was recorded, if it says so.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub recorded: Option<String>,
 }
 
 /// The model of one sensor.
@@ -144,7 +187,7 @@ pub struct PolynomialTable {
 
 impl ModelFile {
     /// The file of a fit.
-    pub fn of(fits: &Fits, provenance: Provenance) -> Self {
+    pub fn of(campaign: &Campaign, fits: &Fits, provenance: Provenance) -> Self {
         let (base, design, sensors) = match fits {
             Fits::Cylinder(design, fits) => (
                 Base::Cylinder,
@@ -161,6 +204,7 @@ impl ModelFile {
             format: FORMAT,
             base,
             provenance,
+            sensor_scale: SensorScale::of(campaign),
             design,
             sensors,
         }
@@ -216,20 +260,12 @@ impl ModelFile {
         Ok(())
     }
 
-    /// Writes the file beside its final place and renames it: the old one is never half lost.
+    /// Writes the file; see [`write_beside`].
     pub fn write(&self, path: &Path) -> Result<(), Problem> {
-        let failed = |error| Fault::Unreadable(error).at(Place::file(path));
         let text = toml::to_string(self)
             .map_err(|error| Fault::Toml(error.to_string()).at(Place::file(path)))?;
-        let folder = match path.parent() {
-            Some(folder) if !folder.as_os_str().is_empty() => folder.to_path_buf(),
-            _ => PathBuf::from("."),
-        };
-        let mut draft = tempfile::NamedTempFile::new_in(folder).map_err(failed)?;
-        draft.write_all(text.as_bytes()).map_err(failed)?;
-        draft.as_file().sync_all().map_err(failed)?;
-        draft.persist(path).map_err(|error| failed(error.error))?;
-        Ok(())
+        write_beside(path, text.as_bytes())
+            .map_err(|error| Fault::Unwritable(error).at(Place::file(path)))
     }
 
     /// The forward model of one sensor; `None` for a polynomial or an unknown sensor.
@@ -244,6 +280,19 @@ impl ModelFile {
     }
 }
 
+/// Writes a new file beside `path` and renames it: the old one is never half lost.
+pub fn write_beside(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
+    let folder = match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    };
+    let mut draft = tempfile::NamedTempFile::new_in(folder)?;
+    draft.write_all(bytes)?;
+    draft.as_file().sync_all()?;
+    draft.persist(path)?;
+    Ok(())
+}
+
 impl Provenance {
     /// What `campaign` and the options of the fit are.
     pub fn of(campaign: &Campaign, delay_us: f64, options: Options) -> Result<Self, FitError> {
@@ -256,8 +305,17 @@ impl Provenance {
             campaign: absolute
                 .file_name()
                 .map_or_else(String::new, |name| name.to_string_lossy().into_owned()),
-            recordings: campaign.recordings.iter().map(|r| r.name.clone()).collect(),
-            sha256: fingerprint(campaign)?,
+            recordings: campaign
+                .recordings
+                .iter()
+                .map(|recording| {
+                    Ok(Fitted {
+                        name: recording.name.clone(),
+                        sha256: fingerprint(&recording.folder)?,
+                        recorded: recording.description.recorded.clone(),
+                    })
+                })
+                .collect::<Result<_, Problem>>()?,
             rows: campaign.recordings.iter().map(|r| r.time_s.len()).sum(),
             half_window_ms: 1e3 * half_widths.fold(0.0, f64::max),
             delay_ms: 1e-3 * delay_us,

@@ -166,7 +166,7 @@ fn a_model_file_gives_back_the_model_that_was_written() {
     let provenance = Provenance::of(&campaign, 0.0, Options::default()).unwrap();
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("model.toml");
-    let written = ModelFile::of(&fits, provenance);
+    let written = ModelFile::of(&campaign, &fits, provenance);
     written.write(&path).unwrap();
     let read = ModelFile::read(&path).unwrap();
     assert_eq!(read, written);

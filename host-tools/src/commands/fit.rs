@@ -90,7 +90,7 @@ pub fn run(args: &Args) -> Result<()> {
 
     let notices: Vec<Notice> = campaign.notices().cloned().chain(fit_notices).collect();
     let provenance = Provenance::of(&campaign, alignment.delay_us, options)?;
-    let model = ModelFile::of(&fits, provenance);
+    let model = ModelFile::of(&campaign, &fits, provenance);
     for notice in &notices {
         eprintln!("note: {notice}");
     }

@@ -1,4 +1,6 @@
 //! One file for each command.
 
+pub mod export;
 pub mod fit;
 pub mod import;
+pub mod replay;

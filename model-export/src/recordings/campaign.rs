@@ -101,13 +101,18 @@ impl Campaign {
                 let found = "another [design]".to_owned();
                 return different(recording, found, "its own".to_owned());
             }
+            let scale = |r: &Recording| (r.description.gauss_per_lsb, r.description.range_gauss);
+            if scale(recording) != scale(first) {
+                let found = "another gauss_per_lsb or range_gauss".to_owned();
+                return different(recording, found, "its own".to_owned());
+            }
         }
         Ok(())
     }
 }
 
-/// Folders under `folder` that hold a recording, ordered by name with numbers as numbers.
-fn recording_folders(folder: &Path) -> Result<Vec<PathBuf>, Problem> {
+/// Folders under `folder` (or itself) that hold a recording, ordered by name with numbers as numbers.
+pub fn recording_folders(folder: &Path) -> Result<Vec<PathBuf>, Problem> {
     let entries =
         fs::read_dir(folder).map_err(|error| Fault::Unreadable(error).at(Place::file(folder)))?;
     if is_recording(folder) {
@@ -136,27 +141,29 @@ fn is_recording(folder: &Path) -> bool {
         .any(|name| folder.join(name).is_file())
 }
 
-/// SHA-256 over the campaign's files, in order of their names: the same bytes, the same hash.
-pub fn fingerprint(campaign: &Campaign) -> Result<String, Problem> {
+/// SHA-256 over a recording's files, in order of their names: the same bytes, the same hash.
+pub fn fingerprint(folder: &Path) -> Result<String, Problem> {
     let mut hash = Sha256::new();
-    for recording in &campaign.recordings {
-        let unreadable = |error| Fault::Unreadable(error).at(Place::file(&recording.folder));
-        let names: BTreeSet<PathBuf> = fs::read_dir(&recording.folder)
-            .map_err(unreadable)?
-            .filter_map(|entry| entry.ok().map(|entry| entry.path()))
-            .filter(|path| path.is_file())
-            .collect();
-        for path in names {
-            let mut file = fs::File::open(&path).map_err(unreadable)?;
-            let mut chunk = [0; 1 << 16];
-            loop {
-                match file.read(&mut chunk).map_err(unreadable)? {
-                    0 => break,
-                    n => hash.update(&chunk[..n]),
-                }
+    let unreadable = |error| Fault::Unreadable(error).at(Place::file(folder));
+    let files: BTreeSet<PathBuf> = fs::read_dir(folder)
+        .map_err(unreadable)?
+        .filter_map(|entry| entry.ok().map(|entry| entry.path()))
+        .filter(|path| path.is_file())
+        .collect();
+    for path in files {
+        let mut file = fs::File::open(&path).map_err(unreadable)?;
+        let mut chunk = [0; 1 << 16];
+        loop {
+            match file.read(&mut chunk).map_err(unreadable)? {
+                0 => break,
+                n => hash.update(&chunk[..n]),
             }
         }
     }
-    let digest = hash.finalize();
-    Ok(digest.iter().map(|byte| format!("{byte:02x}")).collect())
+    Ok(hex(&hash.finalize()))
+}
+
+/// Lower-case hexadecimal.
+pub fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }

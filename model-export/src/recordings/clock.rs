@@ -13,6 +13,8 @@ pub(super) struct ClockWatch {
     pub(super) rows: u64,
     pub(super) first_us: f64,
     pub(super) last_us: f64,
+    /// Line of the last row.
+    pub(super) line: u64,
     gaps: u64,
     longest_us: f64,
     longest_line: u64,
@@ -25,6 +27,7 @@ impl ClockWatch {
             rows: 0,
             first_us: f64::NAN,
             last_us: f64::NAN,
+            line: 0,
             gaps: 0,
             longest_us: 0.0,
             longest_line: 0,
@@ -42,6 +45,7 @@ impl ClockWatch {
             }
         }
         self.last_us = t_us;
+        self.line = row.line;
         self.rows += 1;
     }
 

@@ -21,6 +21,9 @@ pub struct Description {
     /// In a person's words.
     #[serde(default)]
     pub description: String,
+    /// When it was recorded, as a date in the user's words; optional.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub recorded: Option<String>,
     /// Start of the recording in seconds since the campaign began.
     pub start_s: f64,
     /// Scale of the raw counts; needed where a column ends in `_lsb`.
@@ -97,6 +100,7 @@ impl Description {
         Self {
             format: FORMAT,
             description: description.into(),
+            recorded: None,
             start_s,
             gauss_per_lsb: None,
             range_gauss: None,
@@ -128,7 +132,7 @@ impl Description {
         let path = folder.join(FILE);
         let text = toml::to_string(self)
             .map_err(|error| Fault::Toml(error.to_string()).at(Place::file(&path)))?;
-        std::fs::write(&path, text).map_err(|error| Fault::Unreadable(error).at(Place::file(&path)))
+        std::fs::write(&path, text).map_err(|error| Fault::Unwritable(error).at(Place::file(&path)))
     }
 
     fn check(&self, path: &Path) -> Result<(), Problem> {

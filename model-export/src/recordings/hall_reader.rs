@@ -90,7 +90,8 @@ impl HallReader {
         })
     }
 
-    pub(super) fn next_sample(&mut self) -> Result<Option<Sample>, Problem> {
+    /// The next row: fields in gauss.
+    pub(super) fn next_row(&mut self) -> Result<Option<Sample>, Problem> {
         let Some(row) = self.table.next_row()? else {
             return Ok(None);
         };
@@ -98,29 +99,38 @@ impl HallReader {
         self.clock.tick(&row, t_us);
         let mut values = Vec::with_capacity(self.picks.len());
         for channel in 0..self.picks.len() {
-            let value = self.convert(channel, &row)?;
-            self.noise[channel].push(value);
-            values.push(value);
+            values.push(self.convert(channel, &row)?);
         }
         Ok(Some(Sample { t_us, values }))
     }
 
+    /// [`HallReader::next_row`] with NaN for what is saturated, its noise taken note of.
+    pub(super) fn next_sample(&mut self) -> Result<Option<Sample>, Problem> {
+        let mut sample = self.next_row()?;
+        for (channel, value) in sample
+            .iter_mut()
+            .flat_map(|s| s.values.iter_mut().enumerate())
+        {
+            let is_field = matches!(self.columns[channel], HallColumn::Field { .. });
+            if is_field && value.abs() >= self.limit_gauss {
+                let (count, line) = &mut self.saturated[channel];
+                *line = if *count == 0 { self.clock.line } else { *line };
+                *count += 1;
+                *value = f64::NAN;
+            }
+            self.noise[channel].push(*value);
+        }
+        Ok(sample)
+    }
+
+    /// Fields in gauss, angles continuous, the rest as it is.
     fn convert(&mut self, channel: usize, row: &Row) -> Result<f64, Problem> {
         let cell = row.cells[self.picks[channel]];
         match &self.columns[channel] {
-            HallColumn::Field { unit, .. } => {
-                let gauss = match unit {
-                    FieldUnit::Gauss => cell,
-                    FieldUnit::Lsb => self.scale(channel, cell, row)?,
-                };
-                if gauss.abs() >= self.limit_gauss {
-                    let (count, line) = &mut self.saturated[channel];
-                    *line = if *count == 0 { row.line } else { *line };
-                    *count += 1;
-                    return Ok(f64::NAN);
-                }
-                Ok(gauss)
-            }
+            HallColumn::Field {
+                unit: FieldUnit::Lsb,
+                ..
+            } => self.scale(channel, cell, row),
             HallColumn::Covariate { name } if is_angle(name) => {
                 // Follow the angle through its wrap: the mean of 6.28 and 0.01 is not 3.1.
                 let turn = std::f64::consts::TAU;

@@ -180,7 +180,7 @@ pub fn import(
     done: impl Fn(&Path),
 ) -> Result<Vec<Imported>, Problem> {
     let mapping = Mapping::read(mapping_path)?;
-    let unwritable = |error| Fault::Unreadable(error).at(Place::file(target));
+    let unwritable = |error| Fault::Unwritable(error).at(Place::file(target));
     if target.exists() {
         let advice = "choose another folder, or move the old one away: an import never overwrites"
             .to_owned();
@@ -323,7 +323,7 @@ impl Source {
 
     /// Writes all rows; returns how many, how many hold any value, and the last time.
     fn write(&mut self, path: &Path, origin_us: f64) -> Result<(u64, u64, f64), Problem> {
-        let failed = |error| Fault::Unreadable(error).at(Place::file(path));
+        let failed = |error| Fault::Unwritable(error).at(Place::file(path));
         let file = File::create(path).map_err(failed)?;
         let mut out = GzEncoder::new(BufWriter::new(file), Compression::default());
         let names = self.picks.iter().map(|pick| pick.to.as_str());

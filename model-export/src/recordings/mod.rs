@@ -7,6 +7,7 @@
 //! - [`noise`]: white noise of a stream, from differences of its rows.
 //! - [`align`]: the board's stream brought to the reference's clock.
 //! - [`stream`]: one recording as rows on the reference's clock.
+//! - [`raw`]: one recording at the board's own rate, for replay.
 //! - [`recording`]: one folder, checked, aligned and in memory.
 //! - [`campaign`]: all recordings of one gripper.
 //! - [`import`]: foreign tables turned into a campaign by a mapping file.
@@ -21,6 +22,7 @@ mod hall_reader;
 pub mod import;
 pub mod noise;
 pub mod problem;
+pub mod raw;
 pub mod recording;
 pub mod stream;
 pub mod table;

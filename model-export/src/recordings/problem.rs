@@ -76,6 +76,8 @@ pub enum Fault {
     TwoFiles { name: &'static str },
     #[error("cannot be read: {0}; check the path and the permissions")]
     Unreadable(std::io::Error),
+    #[error("cannot be written: {0}; check the path, the permissions and the space left")]
+    Unwritable(std::io::Error),
     #[error(
         "the gzip stream ends too early or is damaged ({0}); copy the file again, or unpack what is left with `zcat` and record that"
     )]

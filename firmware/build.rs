@@ -1,0 +1,22 @@
+//! Chooses the tables: `MAGPIE_TABLES=PATH`, else those of the repository.
+
+use std::env;
+use std::path::{Path, PathBuf};
+
+fn main() {
+    println!("cargo:rerun-if-env-changed=MAGPIE_TABLES");
+    let root = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
+    let own = root.join("src/model/tables.rs");
+    let chosen = match env::var_os("MAGPIE_TABLES") {
+        // Relative paths are the user's: they start where cargo was called, at the workspace's root.
+        Some(path) => root.parent().unwrap_or(Path::new(".")).join(path),
+        None => own,
+    };
+    assert!(
+        chosen.is_file(),
+        "MAGPIE_TABLES names no file: {} (write one with `cargo magpie export model.toml -o PATH`)",
+        chosen.display()
+    );
+    println!("cargo:rerun-if-changed={}", chosen.display());
+    println!("cargo:rustc-env=MAGPIE_TABLES_SOURCE={}", chosen.display());
+}

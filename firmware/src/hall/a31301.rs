@@ -1,0 +1,98 @@
+//! Allegro A31301: three axes over I2C, +-2000 G.
+//!
+//! Registers are 16 bit, big-endian, at even addresses; the pointer moves on by itself, so one
+//! transfer of eight bytes from [`TEMPERATURE`] holds a whole reading. No configuration is needed
+//! after power-up, and the EEPROM is never written.
+
+use embedded_hal_async::i2c::I2c;
+
+use super::Reading;
+
+/// First register of a reading: temperature, then X, Y, Z.
+pub const TEMPERATURE: u8 = 0x1C;
+/// Bytes of a reading.
+pub const READING_BYTES: usize = 8;
+/// 7-bit addresses of the four sensors by their straps. Unverified: only 0x60 and 0x6F are stated
+/// by public sources; 0x63 was seen, 0x6C is inferred.
+pub const ADDRESSES: [u8; 4] = [0x60, 0x63, 0x6C, 0x6F];
+
+/// Field words are 15-bit two's complement; what bit 15 means is unknown, so it is masked.
+const FIELD_SPARE_BITS: u32 = 1;
+/// Temperature words are 12-bit two's complement.
+const TEMPERATURE_SPARE_BITS: u32 = 4;
+
+/// The reading in the eight bytes of a transfer.
+pub const fn decode(bytes: [u8; READING_BYTES]) -> Reading {
+    let [t1, t0, x1, x0, y1, y0, z1, z0] = bytes;
+    let field = [
+        signed(u16::from_be_bytes([x1, x0]), FIELD_SPARE_BITS),
+        signed(u16::from_be_bytes([y1, y0]), FIELD_SPARE_BITS),
+        signed(u16::from_be_bytes([z1, z0]), FIELD_SPARE_BITS),
+    ];
+    Reading {
+        field,
+        temperature: signed(u16::from_be_bytes([t1, t0]), TEMPERATURE_SPARE_BITS),
+    }
+}
+
+/// The bytes that a sensor with this reading sends: what replay and simulated buses feed to
+/// [`decode`]. Counts that do not fit the word lose their upper bits, as on the wire.
+pub const fn encode(reading: Reading) -> [u8; READING_BYTES] {
+    let [x, y, z] = reading.field;
+    let [t1, t0] = word(reading.temperature, TEMPERATURE_SPARE_BITS);
+    let [x1, x0] = word(x, FIELD_SPARE_BITS);
+    let [y1, y0] = word(y, FIELD_SPARE_BITS);
+    let [z1, z0] = word(z, FIELD_SPARE_BITS);
+    [t1, t0, x1, x0, y1, y0, z1, z0]
+}
+
+const fn word(counts: i16, spare_bits: u32) -> [u8; 2] {
+    (counts as u16 & (u16::MAX >> spare_bits)).to_be_bytes()
+}
+
+const fn signed(word: u16, spare_bits: u32) -> i16 {
+    ((word << spare_bits) as i16) >> spare_bits
+}
+
+/// Reads one sensor.
+///
+/// # Errors
+/// Those of the bus: no answer, or a transfer that broke off.
+pub async fn read<B: I2c>(bus: &mut B, address: u8) -> Result<Reading, B::Error> {
+    let mut bytes = [0; READING_BYTES];
+    bus.write_read(address, &[TEMPERATURE], &mut bytes).await?;
+    Ok(decode(bytes))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_transfer_written_out_byte_for_byte_is_the_reading() {
+        // T = -2048, X = 1, Y = -1 with the unknown bit 15 clear, Z = -16384.
+        let bytes = [0x08, 0x00, 0x00, 0x01, 0x7F, 0xFF, 0x40, 0x00];
+        let reading = decode(bytes);
+        assert_eq!(reading.field, [1, -1, -16384]);
+        assert_eq!(reading.temperature, -2048);
+    }
+
+    #[test]
+    fn the_unknown_bits_do_not_matter() {
+        assert_eq!(
+            decode([0xF8, 0x00, 0x80, 0x01, 0xFF, 0xFF, 0xC0, 0x00]),
+            decode([0x08, 0x00, 0x00, 0x01, 0x7F, 0xFF, 0x40, 0x00])
+        );
+    }
+
+    #[test]
+    fn what_is_encoded_is_decoded_over_the_whole_range() {
+        for counts in -16384..=16383 {
+            let reading = Reading {
+                field: [counts, -counts.max(-16383), counts / 2],
+                temperature: counts / 8,
+            };
+            assert_eq!(decode(encode(reading)), reading);
+        }
+    }
+}

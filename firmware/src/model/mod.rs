@@ -1,0 +1,15 @@
+//! The model on the device: tables and the arithmetic over them. No floating point, no allocation.
+//!
+//! - [`table`]: the formats. What the exporter builds and the device reads is the same struct.
+//! - [`grbf`]: Gaussian radial basis functions, the definition of every bit.
+//! - [`ideal`]: scaling, linear part and radial basis functions: from a field to two forces.
+//! - [`tables`]: the tables that this image is built with, written by `magpie export`.
+
+pub mod grbf;
+pub mod ideal;
+pub mod table;
+
+#[allow(missing_docs, clippy::all)] // Generated; its header says what it is.
+pub mod tables {
+    include!(env!("MAGPIE_TABLES_SOURCE"));
+}

@@ -1,0 +1,152 @@
+//! `magpie export`: the device's tables as Rust source.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+use model_export::inverse::build::{Variant, build};
+use model_export::inverse::emit::{Header, source};
+use model_export::inverse::error_map::ErrorMap;
+use model_export::inverse::search::Chosen;
+use model_export::model_file::{ModelFile, write_beside};
+use serde_json::json;
+
+use crate::show;
+
+/// Loads along each axis of the printed error map.
+const MAP_ACROSS: usize = 9;
+
+/// Write the tables that the firmware is built with, with their fixed-point error in newtons.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  magpie export model.toml -o my-tables.rs
+  MAGPIE_TABLES=my-tables.rs cargo image")]
+pub struct Args {
+    /// Model file, as `magpie fit` writes it.
+    model: PathBuf,
+    /// Where the Rust source goes.
+    #[arg(short, long, value_name = "PATH")]
+    output: PathBuf,
+    /// Invert the nominal design alone (the paper's ideal model), not the fitted parameters.
+    #[arg(long)]
+    nominal: bool,
+    /// Print one JSON object on stdout and nothing else there.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<()> {
+    let variant = if args.nominal {
+        Variant::Nominal
+    } else {
+        Variant::Fitted
+    };
+    let (model, chosen, header) = build(&args.model, variant)?;
+    write_beside(&args.output, source(&chosen, &header).as_bytes())
+        .with_context(|| format!("{} was not written", args.output.display()))?;
+    let text = match args.json {
+        true => format!("{}\n", json(&chosen, &header)),
+        false => {
+            report(&model, &chosen, &header) + &format!("Written to {}.\n", args.output.display())
+        }
+    };
+    show::page(&text)?;
+    Ok(())
+}
+
+/// What was chosen, and how well it inverts.
+pub fn report(model: &ModelFile, chosen: &Chosen, header: &Header) -> String {
+    let shape = chosen.shape;
+    let mut table = show::table([
+        "sensor",
+        "force",
+        "inverse rms",
+        "worst",
+        "fixed - float rms",
+        "worst",
+        "linear rms",
+        "worst",
+    ]);
+    for (errors, number) in chosen.errors.iter().zip(&header.sensors) {
+        for (axis, name) in ["Fx", "Fz"].into_iter().enumerate() {
+            let shown = [errors.model, errors.fixed, errors.linear]
+                .into_iter()
+                .flat_map(|(rms, worst)| {
+                    [format!("{:.3}", rms[axis]), format!("{:.3}", worst[axis])]
+                });
+            let row: Vec<String> = [number.to_string(), name.to_owned()]
+                .into_iter()
+                .chain(shown)
+                .collect();
+            table.add_row(row);
+        }
+    }
+    show::right_align(&mut table, 2);
+    format!(
+        "Ideal model of the {}: {} centres and a linear part for each sensor (width gamma {:.3}, ridge {:.0e},\n\
+         chosen by error on loads that were not fitted, through the device's arithmetic).\n\
+         Error in N over the box of ±{:.0} N:\n{table}\n{}",
+        header.variant,
+        shape.centres_across * shape.centres_across,
+        shape.gamma,
+        shape.ridge,
+        chosen
+            .models
+            .first()
+            .map_or(0.0, |model| model.design.force_n[0]),
+        worst_map(model, chosen, header),
+    )
+}
+
+/// The error map of the sensor whose map is the worst.
+fn worst_map(model: &ModelFile, chosen: &Chosen, header: &Header) -> String {
+    let scale = model.sensor_scale.gauss_per_lsb;
+    let maps = chosen.forward.iter().enumerate().map(|(i, forward)| {
+        let force_n = chosen.models[i].design.force_n;
+        (
+            i,
+            ErrorMap::of(forward, force_n, MAP_ACROSS, |field| {
+                chosen.tables.force(i, field, scale)
+            }),
+        )
+    });
+    let Some((sensor, map)) = maps.max_by(|a, b| a.1.worst_n().total_cmp(&b.1.worst_n())) else {
+        return String::new();
+    };
+    let loads = map.loads_n.iter().map(|load| format!("{load:.0}"));
+    let mut table = show::table(["Fz \\ Fx N".to_owned()].into_iter().chain(loads));
+    for (load, errors) in map.loads_n.iter().zip(&map.errors_n).rev() {
+        let cells = errors.iter().map(|error| format!("{error:.2}"));
+        table.add_row(
+            [format!("{load:.0}")]
+                .into_iter()
+                .chain(cells)
+                .collect::<Vec<_>>(),
+        );
+    }
+    show::right_align(&mut table, 0);
+    format!(
+        "Error map of sensor {}, the worst, in N, fixed point:\n{table}\n",
+        header.sensors[sensor]
+    )
+}
+
+fn json(chosen: &Chosen, header: &Header) -> serde_json::Value {
+    let sensors = chosen.errors.iter().zip(&header.sensors).flat_map(|(errors, number)| {
+        ["x", "z"].into_iter().enumerate().map(move |(axis, name)| {
+            json!({
+                "sensor": number, "axis": name,
+                "inverse_rms_n": errors.model.0[axis], "inverse_worst_n": errors.model.1[axis],
+                "fixed_minus_float_rms_n": errors.fixed.0[axis], "fixed_minus_float_worst_n": errors.fixed.1[axis],
+                "linear_rms_n": errors.linear.0[axis], "linear_worst_n": errors.linear.1[axis],
+            })
+        })
+    });
+    json!({
+        "sensors": sensors.collect::<Vec<_>>(),
+        "centres": chosen.shape.centres_across * chosen.shape.centres_across,
+        "gamma": chosen.shape.gamma, "ridge": chosen.shape.ridge,
+        "id": chosen.tables.id, "inputs_sha256": header.inputs_sha256,
+    })
+}

@@ -1,0 +1,154 @@
+//! `magpie replay`: a campaign through the device's own code.
+
+mod report;
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Result, bail};
+use model_export::inverse::build::{Variant, build};
+use model_export::inverse::grbf::Grbf;
+use model_export::inverse::quantise::TableSet;
+use model_export::model_file::ModelFile;
+use model_export::recordings::align::Alignment;
+use model_export::recordings::campaign::{fingerprint, recording_folders};
+use model_export::recordings::description::Description;
+use model_export::recordings::raw::RawStream;
+
+use crate::replay::{Models, RecordingReplay, replay};
+use crate::{progress, show};
+
+/// Run every row of a campaign through the code of the gripper, beside the reference.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  magpie replay model.toml recordings/clean
+  magpie replay model.toml recordings/clean --json | jq '.sensors'")]
+pub struct Args {
+    /// Model file, as `magpie fit` writes it.
+    model: PathBuf,
+    /// Folder of recordings (or one recording).
+    campaign: PathBuf,
+    /// Delay of the reference's clock, as given to the fit.
+    #[arg(
+        long,
+        value_name = "MS",
+        default_value_t = 0.0,
+        allow_negative_numbers = true
+    )]
+    delay_ms: f64,
+    /// Print one JSON object on stdout and nothing else there.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<()> {
+    let outcome = outcome(&args.model, &args.campaign, args.delay_ms)?;
+    let text = match args.json {
+        true => format!("{}\n", report::json(&outcome)),
+        false => report::text(&outcome),
+    };
+    show::page(&text)?;
+    Ok(())
+}
+
+/// A campaign replayed by one model and, beside it, by simpler ones.
+pub struct Outcome {
+    /// The fitted radial basis functions.
+    pub fitted: Vec<RecordingReplay>,
+    /// The best linear model of the same fit.
+    pub linear: Vec<RecordingReplay>,
+    /// Radial basis functions of the nominal design: the paper's ideal model.
+    pub nominal: Vec<RecordingReplay>,
+    /// Names of recordings that the model was fitted to.
+    pub seen: Vec<String>,
+}
+
+/// Replays `campaign` by the model at `model`.
+pub fn outcome(model: &Path, campaign: &Path, delay_ms: f64) -> Result<Outcome> {
+    let folders = recording_folders(campaign)?;
+    let building = progress::bar("building tables", 2);
+    let (file, fitted, header) = build(model, Variant::Fitted)?;
+    building.inc(1);
+    let (_, nominal, _) = build(model, Variant::Nominal)?;
+    building.finish_and_clear();
+    let scale = file.sensor_scale;
+    let linear = TableSet::build(
+        fitted.tables.id,
+        &fitted.linear,
+        scale.gauss_per_lsb,
+        scale.range_gauss,
+    )?;
+    let alignment = Alignment {
+        delay_us: delay_ms * 1e3,
+    };
+    let run = |tables: &TableSet, float: &[Grbf]| {
+        let models = Models {
+            numbers: &header.sensors,
+            tables,
+            float,
+            gauss_per_lsb: scale.gauss_per_lsb,
+        };
+        replay_all(&folders, models, alignment)
+    };
+    let outcome = Outcome {
+        fitted: run(&fitted.tables, &fitted.models)?,
+        linear: run(&linear, &fitted.linear)?,
+        nominal: run(&nominal.tables, &nominal.models)?,
+        seen: seen(&folders, &file)?,
+    };
+    if outcome
+        .fitted
+        .iter()
+        .all(|recording| recording.sensors.is_empty())
+    {
+        bail!(
+            "{}: no sensor of the model has its field and both its forces in these recordings",
+            campaign.display()
+        );
+    }
+    Ok(outcome)
+}
+
+/// One recording after the other, on one core.
+fn replay_all(
+    folders: &[PathBuf],
+    models: Models,
+    alignment: Alignment,
+) -> Result<Vec<RecordingReplay>> {
+    let bar = progress::rows("replaying");
+    let mut replays = Vec::new();
+    for folder in folders {
+        let (description, _) = Description::read(folder)?;
+        let stream = RawStream::open(folder, &description, alignment)?;
+        let name = folder
+            .file_name()
+            .map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+        let before = bar.position();
+        replays.push(replay(models, &name, stream, |rows| {
+            bar.set_position(before + rows)
+        })?);
+    }
+    bar.finish_and_clear();
+    Ok(replays)
+}
+
+fn seen(folders: &[PathBuf], model: &ModelFile) -> Result<Vec<String>> {
+    let mut seen = Vec::new();
+    for folder in folders {
+        let hash = fingerprint(folder)?;
+        if model
+            .provenance
+            .recordings
+            .iter()
+            .any(|recording| recording.sha256 == hash)
+        {
+            seen.push(
+                folder
+                    .file_name()
+                    .map_or_else(String::new, |n| n.to_string_lossy().into_owned()),
+            );
+        }
+    }
+    Ok(seen)
+}

@@ -1,0 +1,229 @@
+//! What `magpie replay` shows.
+
+use serde_json::{Value, json};
+
+use super::Outcome;
+use crate::replay::{RecordingReplay, Sums, Track};
+use crate::show;
+
+const FORCES: [(&str, &str); 2] = [("Fx", "x"), ("Fz", "z")];
+
+/// One force of one sensor over all recordings.
+struct Pooled {
+    sensor: u32,
+    axis: usize,
+    tracks: Vec<Track>,
+}
+
+impl Pooled {
+    fn sum(&self, of: impl Fn(&Track) -> Sums) -> Sums {
+        self.tracks
+            .iter()
+            .fold(Sums::default(), |sum, track| sum.with(of(track)))
+    }
+
+    /// `None` where one of the recordings has no unloaded stretch.
+    fn tared(&self) -> Option<Sums> {
+        let mut sum = Sums::default();
+        for track in &self.tracks {
+            sum = sum.with(track.tared()?);
+        }
+        Some(sum)
+    }
+}
+
+fn pooled(recordings: &[RecordingReplay]) -> Vec<Pooled> {
+    let mut numbers: Vec<u32> = recordings
+        .iter()
+        .flat_map(|r| r.sensors.iter().map(|s| s.number))
+        .collect();
+    numbers.sort_unstable();
+    numbers.dedup();
+    let tracks = |number: u32, axis: usize| {
+        let sensors = recordings.iter().flat_map(|r| &r.sensors);
+        sensors
+            .filter(|s| s.number == number)
+            .map(|s| s.axes[axis])
+            .collect()
+    };
+    numbers
+        .into_iter()
+        .flat_map(|sensor| {
+            [0, 1].map(|axis| Pooled {
+                sensor,
+                axis,
+                tracks: tracks(sensor, axis),
+            })
+        })
+        .collect()
+}
+
+/// Seconds of recording for each second spent reading and estimating, on one core.
+fn times_real_time(recordings: &[RecordingReplay]) -> f64 {
+    let spent: f64 = recordings.iter().map(|r| r.spent.as_secs_f64()).sum();
+    recordings.iter().map(|r| r.span_s).sum::<f64>() / spent
+}
+
+fn newtons(sums: Option<Sums>) -> String {
+    sums.map_or_else(|| "-".to_owned(), |sums| format!("{:.3}", sums.rms()))
+}
+
+/// The page.
+pub fn text(outcome: &Outcome) -> String {
+    let mut table = show::table([
+        "sensor",
+        "force",
+        "RMSE",
+        "mean",
+        "std",
+        "RMSE tared",
+        "float RMSE",
+        "fixed - float rms",
+    ]);
+    for pooled in pooled(&outcome.fitted) {
+        let error = pooled.sum(|track| track.error);
+        table.add_row([
+            pooled.sensor.to_string(),
+            FORCES[pooled.axis].0.to_owned(),
+            format!("{:.3}", error.rms()),
+            format!("{:+.3}", error.mean()),
+            format!("{:.3}", error.std()),
+            newtons(pooled.tared()),
+            format!("{:.3}", pooled.sum(|track| track.float).rms()),
+            format!("{:.4}", pooled.sum(|track| track.fixed_minus_float).rms()),
+        ]);
+    }
+    show::right_align(&mut table, 2);
+    let rows: u64 = outcome.fitted.iter().map(|r| r.rows).sum();
+    format!(
+        "Every row through the device's code, in newtons, device minus reference\n{table}\n\
+         {}{}\n{rows} rows, {:.0} times real time on one core (reading and the device's code).\n\n\
+         {}\n{}",
+        tare_line(&outcome.fitted),
+        invalid_line(&outcome.fitted),
+        times_real_time(&outcome.fitted),
+        by_recording(outcome),
+        beside(outcome),
+    )
+}
+
+fn tare_line(recordings: &[RecordingReplay]) -> String {
+    let tares = recordings
+        .iter()
+        .flat_map(|r| r.sensors.iter().map(|s| s.axes[0].tare));
+    let lengths: Vec<Option<f64>> = tares.map(|tare| tare.map(|(_, length)| length)).collect();
+    let shortest = lengths
+        .iter()
+        .flatten()
+        .copied()
+        .fold(f64::INFINITY, f64::min);
+    if lengths.iter().any(Option::is_none) {
+        return "Some recordings never rest without load for 0.2 s: they cannot be tared (-). Record an\n\
+                unloaded second at the start.\n"
+            .to_owned();
+    }
+    let short = if shortest < 0.95 {
+        "; record a whole unloaded second for a better one"
+    } else {
+        ""
+    };
+    format!(
+        "Tare: the mean over the first unloaded stretch, a second at the most (here {shortest:.2} s{short}).\n"
+    )
+}
+
+fn invalid_line(recordings: &[RecordingReplay]) -> String {
+    let invalid: u64 = recordings
+        .iter()
+        .flat_map(|r| r.sensors.iter().map(|s| s.invalid))
+        .sum();
+    match invalid {
+        0 => "The device called every estimate valid.".to_owned(),
+        n => format!(
+            "The device called {n} estimates invalid (saturated, or outside the model): they are not counted."
+        ),
+    }
+}
+
+fn by_recording(outcome: &Outcome) -> String {
+    let heads = outcome.fitted.iter().map(|recording| {
+        let seen = outcome.seen.contains(&recording.name);
+        format!(
+            "{} ({})",
+            recording.name,
+            if seen { "fitted" } else { "held out" }
+        )
+    });
+    let words = ["sensor", "force"].map(String::from);
+    let mut table = show::table(words.into_iter().chain(heads));
+    for pooled in pooled(&outcome.fitted) {
+        let cells = pooled.tracks.iter().map(|track| newtons(track.tared()));
+        let words = [pooled.sensor.to_string(), FORCES[pooled.axis].0.to_owned()];
+        table.add_row(words.into_iter().chain(cells).collect::<Vec<_>>());
+    }
+    show::right_align(&mut table, 2);
+    format!("RMSE after tare, each recording (held out: the model has not seen it)\n{table}\n")
+}
+
+fn beside(outcome: &Outcome) -> String {
+    let mut table = show::table([
+        "sensor",
+        "force",
+        "ideal, raw",
+        "ideal, tared",
+        "linear, tared",
+        "fitted, tared",
+    ]);
+    let (fitted, linear, nominal) = (
+        pooled(&outcome.fitted),
+        pooled(&outcome.linear),
+        pooled(&outcome.nominal),
+    );
+    for ((fitted, linear), nominal) in fitted.iter().zip(&linear).zip(&nominal) {
+        table.add_row([
+            fitted.sensor.to_string(),
+            FORCES[fitted.axis].0.to_owned(),
+            newtons(Some(nominal.sum(|track| track.error))),
+            newtons(nominal.tared()),
+            newtons(linear.tared()),
+            newtons(fitted.tared()),
+        ]);
+    }
+    show::right_align(&mut table, 2);
+    format!(
+        "RMSE of simpler models through the same code: the nominal design alone (the paper's ideal model),\n\
+         and the best linear model of the fit\n{table}\n"
+    )
+}
+
+/// The object of `--json`.
+pub fn json(outcome: &Outcome) -> Value {
+    let spent = times_real_time(&outcome.fitted);
+    json!({
+        "sensors": pooled(&outcome.fitted).iter().map(sensor_json).collect::<Vec<_>>(),
+        "recordings": outcome.fitted.iter().map(|recording| {
+            let own = std::slice::from_ref(recording);
+            json!({
+                "name": recording.name, "rows": recording.rows,
+                "held_out": !outcome.seen.contains(&recording.name),
+                "invalid": recording.sensors.iter().map(|s| s.invalid).sum::<u64>(),
+                "sensors": pooled(own).iter().map(sensor_json).collect::<Vec<_>>(),
+            })
+        }).collect::<Vec<_>>(),
+        "linear": pooled(&outcome.linear).iter().map(sensor_json).collect::<Vec<_>>(),
+        "nominal": pooled(&outcome.nominal).iter().map(sensor_json).collect::<Vec<_>>(),
+        "rows": outcome.fitted.iter().map(|r| r.rows).sum::<u64>(),
+        "times_real_time": spent,
+    })
+}
+
+fn sensor_json(pooled: &Pooled) -> Value {
+    let error = pooled.sum(|track| track.error);
+    json!({
+        "sensor": pooled.sensor, "axis": FORCES[pooled.axis].1,
+        "rmse_n": error.rms(), "mean_n": error.mean(), "std_n": error.std(),
+        "tared_rmse_n": pooled.tared().map(|sums| sums.rms()),
+        "float_rmse_n": pooled.sum(|track| track.float).rms(),
+        "fixed_minus_float_rms_n": pooled.sum(|track| track.fixed_minus_float).rms(),
+    })
+}

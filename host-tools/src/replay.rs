@@ -1,0 +1,353 @@
+//! Recorded data through the device's own code, row by row, beside the reference.
+
+use std::time::{Duration, Instant};
+
+use firmware::force::{Validity, estimate};
+use firmware::hall::{Reading, a31301};
+use firmware::units::Force;
+use model_export::inverse::grbf::Grbf;
+use model_export::inverse::quantise::TableSet;
+use model_export::recordings::Problem;
+use model_export::recordings::columns::{Axis, ForceColumn};
+use model_export::recordings::raw::{RawRow, RawStream};
+use nalgebra::Vector3;
+
+/// Rows that are read and estimated at once; only these two are timed.
+const CHUNK: usize = 4096;
+/// The load counts as none below this, both axes, in newtons.
+const UNLOADED_N: f64 = 1.0;
+/// A tare is the mean over up to this long an unloaded stretch, in seconds.
+const TARE_S: f64 = 1.0;
+/// Shorter stretches are no rest, only a load that passes zero.
+const SHORTEST_TARE_S: f64 = 0.2;
+
+/// Sums over rows from which every statistic follows.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Sums {
+    count: f64,
+    sum: f64,
+    squares: f64,
+}
+
+impl Sums {
+    fn add(&mut self, value: f64) {
+        self.count += 1.0;
+        self.sum += value;
+        self.squares += value * value;
+    }
+
+    /// The sums over both.
+    pub fn with(self, other: Self) -> Self {
+        Self {
+            count: self.count + other.count,
+            sum: self.sum + other.sum,
+            squares: self.squares + other.squares,
+        }
+    }
+
+    /// The sums had every value been less by `offset`.
+    pub fn less(self, offset: f64) -> Self {
+        Self {
+            squares: self.squares - 2.0 * offset * self.sum + self.count * offset * offset,
+            sum: self.sum - self.count * offset,
+            ..self
+        }
+    }
+
+    /// Mean.
+    pub fn mean(&self) -> f64 {
+        self.sum / self.count
+    }
+
+    /// Root of the mean square.
+    pub fn rms(&self) -> f64 {
+        (self.squares / self.count).sqrt()
+    }
+
+    /// Standard deviation: what is left of the root mean square without the mean.
+    pub fn std(&self) -> f64 {
+        (self.squares / self.count - self.mean().powi(2))
+            .max(0.0)
+            .sqrt()
+    }
+
+    /// Rows.
+    pub fn rows(&self) -> f64 {
+        self.count
+    }
+}
+
+/// One force of one sensor over one recording, in newtons.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Track {
+    /// Device minus reference.
+    pub error: Sums,
+    /// Floating point minus reference.
+    pub float: Sums,
+    /// Device minus floating point.
+    pub fixed_minus_float: Sums,
+    /// Mean estimate over an unloaded stretch, and its length in seconds; `None` where the force
+    /// never rested.
+    pub tare: Option<(f64, f64)>,
+}
+
+impl Track {
+    /// The error after the tare.
+    pub fn tared(&self) -> Option<Sums> {
+        self.tare.map(|(tare, _)| self.error.less(tare))
+    }
+}
+
+/// One sensor over one recording.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct SensorReplay {
+    /// Number of the sensor.
+    pub number: u32,
+    /// Fx, Fz.
+    pub axes: [Track; 2],
+    /// Rows that the device called invalid: they are not in the errors.
+    pub invalid: u64,
+}
+
+/// One recording.
+#[derive(Clone, Debug, Default)]
+pub struct RecordingReplay {
+    /// Its name.
+    pub name: String,
+    /// Sensors whose two forces were recorded.
+    pub sensors: Vec<SensorReplay>,
+    /// Rows of the board.
+    pub rows: u64,
+    /// Seconds that they span.
+    pub span_s: f64,
+    /// Time for reading and for the device's code, on one core.
+    pub spent: Duration,
+}
+
+/// What is replayed: the device's tables, and the model in floating point beside them.
+#[derive(Clone, Copy, Debug)]
+pub struct Models<'a> {
+    /// Numbers of the sensors, in the order of the tables.
+    pub numbers: &'a [u32],
+    /// The device's.
+    pub tables: &'a TableSet,
+    /// Floating point, in the same order.
+    pub float: &'a [Grbf],
+    /// Scale of a count.
+    pub gauss_per_lsb: f64,
+}
+
+/// Where a sensor's columns are in a row.
+struct Wiring {
+    table: usize,
+    number: u32,
+    field: [usize; 3],
+    forces: [usize; 2],
+}
+
+/// Replays one recording; `done` is told the rows so far.
+pub fn replay(
+    models: Models,
+    name: &str,
+    mut stream: RawStream,
+    done: impl Fn(u64),
+) -> Result<RecordingReplay, Problem> {
+    let wiring = wire(models.numbers, &stream);
+    let mut result = RecordingReplay {
+        name: name.to_owned(),
+        sensors: wiring
+            .iter()
+            .map(|w| SensorReplay {
+                number: w.number,
+                ..Default::default()
+            })
+            .collect(),
+        ..Default::default()
+    };
+    let mut rests: Vec<Rest> = wiring.iter().map(|_| Rest::default()).collect();
+    let tables = models.tables.tables();
+    let mut first_s = None;
+    let mut rows = Vec::with_capacity(CHUNK);
+    let mut estimates = Vec::with_capacity(CHUNK * wiring.len());
+    loop {
+        rows.clear();
+        estimates.clear();
+        let start = Instant::now();
+        while rows.len() < CHUNK
+            && let Some(row) = stream.next_row()?
+        {
+            for wires in &wiring {
+                let bytes = a31301::encode(reading(&row, wires, models.gauss_per_lsb));
+                estimates.push(estimate(&tables, wires.table, Some(a31301::decode(bytes))));
+            }
+            rows.push(row);
+        }
+        result.spent += start.elapsed();
+        let (Some(first), Some(last)) = (rows.first(), rows.last()) else {
+            break;
+        };
+        result.span_s = last.time_s - *first_s.get_or_insert(first.time_s);
+        result.rows += rows.len() as u64;
+        for (row, estimates) in rows.iter().zip(estimates.chunks(wiring.len().max(1))) {
+            for (i, (wires, estimate)) in wiring.iter().zip(estimates).enumerate() {
+                let sensor = &mut result.sensors[i];
+                let reference = wires.forces.map(|force| row.forces[force]);
+                if estimate.validity != Validity::Valid {
+                    sensor.invalid += 1;
+                } else if reference.iter().all(|n| n.is_finite()) {
+                    let found = estimate.force.map(Force::newtons);
+                    let counts = reading(row, wires, models.gauss_per_lsb)
+                        .field
+                        .map(f64::from);
+                    let float = models.float[wires.table]
+                        .force(&(Vector3::from(counts) * models.gauss_per_lsb));
+                    for axis in 0..2 {
+                        let track = &mut sensor.axes[axis];
+                        track.error.add(found[axis] - reference[axis]);
+                        track.float.add(float[axis] - reference[axis]);
+                        track.fixed_minus_float.add(found[axis] - float[axis]);
+                    }
+                    rests[i].add(row.time_s, reference, found);
+                }
+            }
+        }
+        done(result.rows);
+    }
+    for (sensor, rest) in result.sensors.iter_mut().zip(rests) {
+        let tare = rest.tare();
+        for (axis, track) in sensor.axes.iter_mut().enumerate() {
+            track.tare = tare.map(|(mean, length)| (mean[axis], length));
+        }
+    }
+    Ok(result)
+}
+
+fn wire(numbers: &[u32], stream: &RawStream) -> Vec<Wiring> {
+    let layout = stream.layout();
+    let force = |number: u32, axis: Axis| {
+        layout.forces.iter().position(|column| {
+            *column
+                == ForceColumn::Force {
+                    place: number,
+                    axis,
+                }
+        })
+    };
+    let wires = numbers.iter().enumerate().filter_map(|(table, &number)| {
+        Some(Wiring {
+            table,
+            number,
+            field: layout.field_channels(number)?,
+            forces: [force(number, Axis::X)?, force(number, Axis::Z)?],
+        })
+    });
+    wires.collect()
+}
+
+fn reading(row: &RawRow, wires: &Wiring, gauss_per_lsb: f64) -> Reading {
+    Reading {
+        field: wires
+            .field
+            .map(|channel| (row.hall[channel] / gauss_per_lsb).round() as i16),
+        // The sensor's scale of temperature is not known, and the model does not use it yet.
+        temperature: 0,
+    }
+}
+
+/// Looks for the first stretch without load.
+#[derive(Clone, Copy, Debug, Default)]
+struct Rest {
+    since_s: Option<f64>,
+    last_s: f64,
+    sums: [Sums; 2],
+    found: Option<([f64; 2], f64)>,
+}
+
+impl Rest {
+    fn add(&mut self, time_s: f64, reference_n: [f64; 2], found_n: [f64; 2]) {
+        if self.found.is_some() {
+            return;
+        }
+        let loaded = reference_n.iter().any(|n| n.abs() > UNLOADED_N);
+        let since_s = *self.since_s.get_or_insert(time_s);
+        if loaded || time_s - since_s >= TARE_S {
+            self.close();
+            *self = Self {
+                found: self.found,
+                ..Self::default()
+            };
+        }
+        if !loaded && self.found.is_none() {
+            self.since_s.get_or_insert(time_s);
+            self.last_s = time_s;
+            for (sums, found) in self.sums.iter_mut().zip(found_n) {
+                sums.add(found);
+            }
+        }
+    }
+
+    fn close(&mut self) {
+        let length_s = self.last_s - self.since_s.unwrap_or(self.last_s);
+        if length_s >= SHORTEST_TARE_S {
+            self.found = Some((self.sums.map(|sums| sums.mean()), length_s));
+        }
+    }
+
+    fn tare(mut self) -> Option<([f64; 2], f64)> {
+        if self.found.is_none() {
+            self.close();
+        }
+        self.found
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rest_of(rows: impl IntoIterator<Item = (f64, f64, f64)>) -> Option<([f64; 2], f64)> {
+        let mut rest = Rest::default();
+        for (time_s, reference, found) in rows {
+            rest.add(time_s, [reference, 0.0], [found, 2.0 * found]);
+        }
+        rest.tare()
+    }
+
+    #[test]
+    fn a_tare_is_the_mean_of_the_first_unloaded_second_and_no_more() {
+        let rows = (0..3000).map(|ms| {
+            (
+                f64::from(ms) * 1e-3,
+                0.1,
+                if ms < 1000 { 5.0 } else { 50.0 },
+            )
+        });
+        let (tare, length_s) = rest_of(rows).unwrap();
+        assert_eq!(tare, [5.0, 10.0]);
+        assert!((length_s - 0.999).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_load_that_passes_zero_is_no_rest() {
+        let rows = (0..3000).map(|ms| {
+            (
+                f64::from(ms) * 1e-3,
+                200.0 * (f64::from(ms) * 3.14e-3).sin(),
+                1.0,
+            )
+        });
+        assert_eq!(rest_of(rows), None);
+    }
+
+    #[test]
+    fn statistics_after_an_offset_are_those_of_the_shifted_values() {
+        let mut sums = Sums::default();
+        [1.0, 2.0, 6.0]
+            .into_iter()
+            .for_each(|value| sums.add(value));
+        let shifted = sums.less(3.0);
+        assert_eq!((sums.mean(), shifted.mean()), (3.0, 0.0));
+        assert!((shifted.rms() - (14.0_f64 / 3.0).sqrt()).abs() < 1e-12);
+        assert!((shifted.std() - sums.std()).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,135 @@
+//! The tables as Rust source. The same tables and header give the same bytes.
+
+use std::fmt::{Display, Write};
+
+use firmware::model::table::{CentrePair, SensorTable};
+
+use super::quantise::TableSet;
+use super::search::Chosen;
+
+/// What the header says beyond the tables themselves.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Header {
+    /// SHA-256 of the model file that the tables come from.
+    pub inputs_sha256: String,
+    /// What was inverted: the fitted model, or the nominal design alone.
+    pub variant: &'static str,
+    /// Name of the campaign.
+    pub campaign: String,
+    /// Dates of the recordings, where they state any.
+    pub recorded: Vec<String>,
+    /// Numbers of the sensors, in the order of the tables.
+    pub sensors: Vec<u32>,
+}
+
+/// The source of a file that declares `TABLES`.
+pub fn source(chosen: &Chosen, header: &Header) -> String {
+    let tables = &chosen.tables;
+    let mut text = comment(chosen, header);
+    text += "\nuse crate::model::table::*;\n\n";
+    text += "/// The ideal model of every sensor.\n";
+    text += "pub static TABLES: Tables<'static> = Tables {\n";
+    text += &format!(
+        "    id: 0x{:04x},\n    exp: &EXP,\n    sensors: &SENSORS,\n}};\n\n",
+        tables.id
+    );
+    text += &format!(
+        "static EXP: [u32; EXP_ENTRIES] = [\n{}];\n\n",
+        exponential(tables)
+    );
+    text += &format!(
+        "static SENSORS: [SensorTable; {}] = [\n",
+        tables.sensors.len()
+    );
+    for (table, number) in tables.sensors.iter().zip(&header.sensors) {
+        text += &sensor(table, *number);
+    }
+    text + "];\n"
+}
+
+fn comment(chosen: &Chosen, header: &Header) -> String {
+    let recorded = match header.recorded.is_empty() {
+        true => "not stated in recording.toml".to_owned(),
+        false => header.recorded.join(", "),
+    };
+    let mut text = format!(
+        "// Written by `magpie export`. Do not edit: fit again and export again.\n\
+         //\n\
+         // inputs    {} (SHA-256 of the model file)\n\
+         // model     {}, campaign {}\n\
+         // recorded  {recorded}\n\
+         // shape     {} x {} centres, gamma {:.4}, ridge {:.0e}\n\
+         //\n\
+         // Over the design box, in newtons, root mean square / greatest, for Fx and Fz:\n",
+        header.inputs_sha256,
+        header.variant,
+        header.campaign,
+        chosen.shape.centres_across,
+        chosen.shape.centres_across,
+        chosen.shape.gamma,
+        chosen.shape.ridge,
+    );
+    for (errors, number) in chosen.errors.iter().zip(&header.sensors) {
+        let both = |(rms, worst): ([f64; 2], [f64; 2])| {
+            format!(
+                "{:.3} / {:.3}, {:.3} / {:.3}",
+                rms[0], worst[0], rms[1], worst[1]
+            )
+        };
+        // Writing to a string cannot fail.
+        let _ = writeln!(
+            text,
+            "// sensor {number}: inverse {}; fixed point against floating point {}",
+            both(errors.model),
+            both(errors.fixed)
+        );
+    }
+    text
+}
+
+fn exponential(tables: &TableSet) -> String {
+    let rows = tables.exp.chunks(8).map(|row| {
+        let entries: Vec<String> = row.iter().map(|entry| format!("0x{entry:08x}")).collect();
+        format!("    {},\n", entries.join(", "))
+    });
+    rows.collect()
+}
+
+fn sensor(table: &SensorTable, number: u32) -> String {
+    let scale = table.scale.map(|axis| {
+        format!(
+            "AxisScale {{ offset: {}, gain: {} }}",
+            axis.offset, axis.gain
+        )
+    });
+    let used = usize::from(table.used_pairs).min(table.pairs.len());
+    let pairs: String = table.pairs[..used].iter().map(pair).collect();
+    format!(
+        "    // Sensor {number}.\n    SensorTable {{\n        scale: [\n            {},\n        ],\n        \
+         limit_counts: {},\n        linear: Linear {{\n            bias: {},\n            slope: [{}, {}],\n        }},\n        \
+         pairs: padded([\n{pairs}        ]),\n        used_pairs: {},\n        shift: {},\n    }},\n",
+        scale.join(",\n            "),
+        table.limit_counts,
+        list(&table.linear.bias),
+        list(&table.linear.slope[0]),
+        list(&table.linear.slope[1]),
+        table.used_pairs,
+        list(&table.shift),
+    )
+}
+
+fn pair(pair: &CentrePair) -> String {
+    format!(
+        "            CentrePair {{ xy: [{}, {}], z: {}, weight: [{}, {}] }},\n",
+        list(&pair.xy[0]),
+        list(&pair.xy[1]),
+        list(&pair.z),
+        list(&pair.weight[0]),
+        list(&pair.weight[1])
+    )
+}
+
+fn list<T: Display>(items: &[T]) -> String {
+    let items: Vec<String> = items.iter().map(ToString::to_string).collect();
+    format!("[{}]", items.join(", "))
+}

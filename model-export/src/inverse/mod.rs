@@ -1,0 +1,20 @@
+//! The ideal inverse: from the field at a sensor to its two forces, in floating point and as the
+//! device's integers.
+//!
+//! - [`design_box`]: the loads that a model is built for, and where their fields lie.
+//! - [`samples`]: fields with the forces that explain them best.
+//! - [`grbf`]: Gaussian radial basis functions on top of a linear part, in floating point.
+//! - [`search`]: centres, width and ridge chosen by held-out error.
+//! - [`quantise`]: the device's tables, with the proof that nothing overflows.
+//! - [`error_map`]: where in the box an inverse errs.
+//! - [`build`]: from a model file to the device's tables.
+//! - [`emit`]: the tables as Rust source.
+
+pub mod build;
+pub mod design_box;
+pub mod emit;
+pub mod error_map;
+pub mod grbf;
+pub mod quantise;
+pub mod samples;
+pub mod search;

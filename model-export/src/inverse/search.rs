@@ -1,0 +1,155 @@
+//! Centres, width and ridge chosen by held-out error, through the device's own arithmetic.
+//!
+//! All sensors share one shape, since they share the table of the exponential and the time that the
+//! device has. A shape that the device cannot represent is not a candidate.
+
+use rayon::prelude::*;
+
+use super::design_box::DesignBox;
+use super::grbf::{Grbf, Shape, errors};
+use super::quantise::{Overflow, TableSet, representable};
+use super::samples::{Sample, held_out, training};
+use crate::physics::ForwardModel;
+
+/// Seed of the samples by which shapes are chosen.
+const CHOOSING_SEED: u64 = 11;
+/// Seed of the samples that judge the choice: never those it was made by.
+const JUDGING_SEED: u64 = 12;
+/// Samples of each.
+const SAMPLES: usize = 1500;
+
+/// Error over both forces that counts as good enough, in newtons: a third of the noise of one
+/// reading (0.35 G through 1.17 and 0.73 G/N). Beyond it fewer centres are preferred.
+const GOOD_ENOUGH_N: f64 = 0.19;
+
+/// The chosen models and what they cost.
+#[derive(Clone, Debug)]
+pub struct Chosen {
+    /// What was chosen.
+    pub shape: Shape,
+    /// What was inverted, one for each sensor.
+    pub forward: Vec<ForwardModel>,
+    /// In floating point, one for each sensor.
+    pub models: Vec<Grbf>,
+    /// For the device.
+    pub tables: TableSet,
+    /// Each sensor's errors on samples that the choice did not see.
+    pub errors: Vec<SensorErrors>,
+    /// The linear models beside them.
+    pub linear: Vec<Grbf>,
+}
+
+/// Errors of one sensor's inverse over the box, in newtons: for Fx and Fz.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SensorErrors {
+    /// Floating point against the forward model: root mean square, greatest.
+    pub model: ([f64; 2], [f64; 2]),
+    /// Fixed against floating point: root mean square, greatest.
+    pub fixed: ([f64; 2], [f64; 2]),
+    /// The linear model against the forward model: root mean square, greatest.
+    pub linear: ([f64; 2], [f64; 2]),
+}
+
+struct Sensor<'a> {
+    model: &'a ForwardModel,
+    design: DesignBox,
+    training: Vec<Sample>,
+    choosing: Vec<Sample>,
+}
+
+/// Chooses one shape for all sensors and fits their models.
+pub fn choose(
+    models: &[ForwardModel],
+    id: u16,
+    gauss_per_lsb: f64,
+    range_gauss: f64,
+) -> Result<Chosen, Overflow> {
+    let sensors: Vec<Sensor> = models
+        .par_iter()
+        .map(|model| {
+            let (_, design) = DesignBox::of(model).device_scale(gauss_per_lsb);
+            Sensor {
+                model,
+                design,
+                training: training(model, &design),
+                choosing: held_out(model, &design, SAMPLES, CHOOSING_SEED),
+            }
+        })
+        .collect();
+    let fit_all = |shape: Shape| -> Option<Vec<Grbf>> {
+        let fit = |s: &Sensor| Grbf::fit(s.model, &s.design, shape, &s.training, representable);
+        sensors.iter().map(fit).collect()
+    };
+    let build = |models: &[Grbf]| TableSet::build(id, models, gauss_per_lsb, range_gauss);
+    let tried: Vec<(Shape, f64)> = shapes()
+        .into_par_iter()
+        .filter_map(|shape| {
+            let tables = build(&fit_all(shape)?).ok()?;
+            let worst = sensors.iter().enumerate().map(|(i, sensor)| {
+                let (rms, _) = errors(&sensor.choosing, |field| {
+                    tables.force(i, field, gauss_per_lsb)
+                });
+                rms[0].hypot(rms[1])
+            });
+            Some((shape, worst.fold(0.0, f64::max)))
+        })
+        .collect();
+    let best = tried.iter().min_by(|a, b| a.1.total_cmp(&b.1)).copied();
+    let enough = tried.iter().filter(|(_, error)| *error <= GOOD_ENOUGH_N);
+    let fewest = enough.min_by(|a, b| {
+        (a.0.centres_across, a.1)
+            .partial_cmp(&(b.0.centres_across, b.1))
+            .unwrap_or(std::cmp::Ordering::Equal)
+    });
+    let linear_shape = Shape {
+        centres_across: 0,
+        gamma: 1.0,
+        ridge: 0.0,
+    };
+    let (shape, _) = fewest.copied().or(best).unwrap_or((linear_shape, f64::NAN));
+    let chosen = fit_all(shape).unwrap_or_default();
+    let linear = fit_all(linear_shape).unwrap_or_default();
+    let tables = build(&chosen)?;
+    let judged = sensors.par_iter().enumerate().map(|(i, sensor)| {
+        let samples = held_out(sensor.model, &sensor.design, SAMPLES, JUDGING_SEED);
+        let float: Vec<Sample> = samples
+            .iter()
+            .map(|s| Sample {
+                force_n: chosen[i].force(&s.field_g),
+                ..*s
+            })
+            .collect();
+        SensorErrors {
+            model: errors(&samples, |field| chosen[i].force(field)),
+            fixed: errors(&float, |field| tables.force(i, field, gauss_per_lsb)),
+            linear: errors(&samples, |field| linear[i].force(field)),
+        }
+    });
+    Ok(Chosen {
+        shape,
+        errors: judged.collect(),
+        forward: models.to_vec(),
+        models: chosen,
+        tables,
+        linear,
+    })
+}
+
+/// The shapes that are tried.
+fn shapes() -> Vec<Shape> {
+    let mut shapes = Vec::new();
+    for centres_across in [4, 5, 6, 7, 8] {
+        let spacing = 2.0 / (centres_across - 1) as f64;
+        for width in [1.0, 1.4, 2.0, 2.8, 4.0] {
+            for ridge in [1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8] {
+                let sigma: f64 = width * spacing;
+                shapes.push(Shape {
+                    centres_across,
+                    gamma: 0.5 / (sigma * sigma),
+                    ridge,
+                });
+            }
+        }
+    }
+    shapes
+}
