@@ -57,6 +57,10 @@ pub fn estimate(tables: &Tables, sensor: usize, reading: Option<Reading>) -> Est
 }
 
 /// The forces at every sensor of a frame.
+///
+/// Kept as a function of its own, so that a check of the image can follow every call from here and
+/// find no panic.
+#[inline(never)]
 pub fn estimate_all(tables: &Tables, frame: &Frame) -> [Estimate; SENSORS] {
     let mut number = 0;
     frame.readings.map(|reading| {

@@ -8,6 +8,9 @@
 //! - [`frame`]: one millisecond of sensing.
 //! - [`model`]: tables, and the integer arithmetic that turns a field into forces.
 //! - [`force`]: the estimate, with its validity.
+//! - [`wire`]: the messages on the CAN bus.
+//! - `hardware`: only on the chip: the board.
+//! - `tasks`: only on the chip: what runs, and every static with its one writer.
 #![no_std]
 
 pub mod params;
@@ -20,3 +23,11 @@ pub mod frame;
 pub mod model;
 
 pub mod force;
+
+pub mod wire;
+
+#[cfg(target_os = "none")]
+pub mod hardware;
+
+#[cfg(target_os = "none")]
+pub mod tasks;

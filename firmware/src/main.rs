@@ -1,10 +1,21 @@
-//! Prints the parameter card: what this firmware assumes about its gripper.
+//! The firmware: on the gripper's microcontroller it brings up the board and spawns the tasks; on a
+//! computer it prints the parameter card.
+#![cfg_attr(target_os = "none", no_std, no_main)]
 
-use firmware::params::CARD;
+#[cfg(target_os = "none")]
+use {defmt_rtt as _, panic_probe as _};
 
+#[cfg(target_os = "none")]
+#[embassy_executor::main]
+async fn main(spawner: embassy_executor::Spawner) {
+    let board = firmware::hardware::board::bring_up();
+    firmware::tasks::spawn(spawner, board);
+}
+
+#[cfg(not(target_os = "none"))]
 fn main() {
     println!("MAGPIE gripper, design constants (* = assumed, confirm on your own hardware)");
-    for constant in CARD {
+    for constant in firmware::params::CARD {
         println!(
             "{} {:<26} {:>9} {:<6} {}",
             if constant.assumed { "*" } else { " " },

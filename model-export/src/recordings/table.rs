@@ -205,7 +205,10 @@ impl Table {
         }
         let row = Row { line, cells };
         self.check_clock(&row)?;
-        self.last = Some(row.clone());
+        match &mut self.last {
+            Some(last) => last.cells.copy_from_slice(&row.cells),
+            None => self.last = Some(row.clone()),
+        }
         Ok(Some(row))
     }
 

@@ -1,0 +1,3 @@
+//! What knows the chip. The only part of the library, with `tasks`, that is not on a computer.
+
+pub mod board;
