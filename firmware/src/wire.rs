@@ -68,7 +68,10 @@ mod tests {
     #[test]
     fn what_cannot_be_used_is_not_marked_valid() {
         let flags = |validity| {
-            let estimate = Estimate { force: [Force(0); 2], validity };
+            let estimate = Estimate {
+                force: [Force(0); 2],
+                validity,
+            };
             force(DEFAULT_NODE, 0, &estimate, 0).1[6]
         };
         assert_eq!(flags(Validity::Missing), 0b1000);

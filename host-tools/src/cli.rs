@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-use crate::commands::{export, fit, import, replay};
+use crate::commands::{demo, export, fit, import, replay};
 
 /// Turns four Hall sensors in a robot gripper into forces one can trust, and tells which piece of
 /// physics the model still lacks.
@@ -18,6 +18,7 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Demo(demo::Args),
     Fit(fit::Args),
     Import(import::Args),
     Export(export::Args),
@@ -31,6 +32,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Err(error) => error.exit(),
     };
     let result = match cli.command {
+        Command::Demo(args) => demo::run(&args),
         Command::Fit(args) => fit::run(&args),
         Command::Import(args) => import::run(&args),
         Command::Export(args) => export::run(&args),

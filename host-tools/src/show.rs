@@ -40,6 +40,7 @@ pub fn page(text: &str) -> std::io::Result<()> {
 pub fn right_align(table: &mut Table, words: usize) {
     for column in table.column_iter_mut().skip(words) {
         column.set_cell_alignment(CellAlignment::Right);
+        column.set_padding((1, 0));
     }
 }
 

@@ -98,13 +98,121 @@ fn an_error_is_one_sentence_on_stderr_and_exit_code_1() {
 
 #[test]
 fn every_command_s_help_has_an_example() {
-    for command in ["fit", "import"] {
+    for command in ["fit", "import", "export", "replay", "demo"] {
         let help = text(&magpie(&[command, "--help"]).stdout);
         assert!(
-            help.contains("Examples:") && help.contains(&format!("  magpie {command} ")),
+            help.contains("Examples:") && help.contains(&format!("  cargo magpie {command} ")),
             "{help}"
         );
     }
+}
+
+#[test]
+fn replay_gives_forces_below_a_newton_on_a_recording_that_was_not_fitted() {
+    let folder = TempDir::new().unwrap();
+    let two = folder.path().join("two");
+    for name in ["1", "2"] {
+        std::fs::create_dir_all(two.join(name)).unwrap();
+        for file in ["recording.toml", "hall.csv.gz", "force.csv.gz"] {
+            std::fs::copy(
+                data("clean").join(name).join(file),
+                two.join(name).join(file),
+            )
+            .unwrap();
+        }
+    }
+    let model = folder.path().join("model.toml");
+    let model = model.to_str().unwrap();
+    assert!(
+        magpie(&["fit", two.to_str().unwrap(), "-o", model])
+            .status
+            .success()
+    );
+    let json = json_of(&["replay", model, data("clean/3").to_str().unwrap(), "--json"]);
+    assert_eq!(
+        (&json["rows"], &json["recordings"][0]["held_out"]),
+        (&12_001.into(), &true.into())
+    );
+    for sensor in json["sensors"].as_array().unwrap() {
+        let of = |key: &str| sensor[key].as_f64().unwrap();
+        // Noise alone is 0.35 G through 1.17 and 0.73 G/N, and 0.15 N: far less would be a fault.
+        let (least, most) = if sensor["axis"] == "x" {
+            (0.25, 0.6)
+        } else {
+            (0.40, 0.9)
+        };
+        assert!((least..=most).contains(&of("tared_rmse_n")), "{sensor}");
+        assert!(
+            of("fixed_minus_float_rms_n") <= 0.1 && of("mean_n").abs() < 0.2,
+            "{sensor}"
+        );
+        let parts = of("mean_n").hypot(of("std_n"));
+        assert!((parts - of("rmse_n")).abs() < 1e-9, "{sensor}");
+    }
+    // The paper's ideal model, of the nominal design alone, is off by newtons.
+    let nominal = json["nominal"].as_array().unwrap();
+    assert!(
+        nominal
+            .iter()
+            .all(|sensor| sensor["rmse_n"].as_f64() > Some(2.0))
+    );
+}
+
+#[test]
+fn the_committed_tables_are_those_of_the_demo() {
+    let folder = TempDir::new().unwrap();
+    let output = magpie(&["demo", "-o", folder.path().to_str().unwrap()]);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let written = std::fs::read_to_string(folder.path().join("tables.rs")).unwrap();
+    let committed = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../firmware/src/model/tables.rs"
+    );
+    assert!(
+        written == std::fs::read_to_string(committed).unwrap(),
+        "firmware/src/model/tables.rs is not the demo's: run `cargo magpie demo` and copy magpie-demo/tables.rs there"
+    );
+    let story = text(&output.stdout);
+    for part in [
+        "1. The recordings.",
+        "2. The fit.",
+        "3. The inverse.",
+        "4. The judgement.",
+    ] {
+        assert!(story.contains(part), "{story}");
+    }
+    for line in story.lines() {
+        assert!(
+            line.chars().count() <= 100 || line.contains("MAGPIE_TABLES"),
+            "{line}"
+        );
+    }
+}
+
+#[test]
+fn a_polynomial_has_no_tables_and_says_so() {
+    let folder = TempDir::new().unwrap();
+    let model = folder.path().join("model.toml");
+    let model = model.to_str().unwrap();
+    let fit = magpie(&[
+        "fit",
+        data("clean").to_str().unwrap(),
+        "--base",
+        "polynomial",
+        "--degree",
+        "3",
+        "-o",
+        model,
+    ]);
+    assert!(fit.status.success());
+    let tables = folder.path().join("tables.rs");
+    let output = magpie(&["export", model, "-o", tables.to_str().unwrap()]);
+    assert!(
+        text(&output.stderr).contains("a polynomial of the forces has no unique inverse"),
+        "{}",
+        text(&output.stderr)
+    );
+    assert!(!tables.exists());
 }
 
 #[test]

@@ -4,6 +4,7 @@
 //!
 //! - [`quantity`]: units that people write, and the one unit that each quantity has here.
 //! - [`recordings`]: campaigns on disk, checked as they are read, brought to one clock.
+//! - [`output`]: files that the tool writes.
 //! - [`physics`]: the forward model, from forces to the field at each Hall sensor.
 //! - [`fit`]: the forward model fitted to a campaign, with honest error bars.
 //! - [`model_file`]: the human-readable result, `model.toml`.
@@ -12,6 +13,7 @@
 pub mod fit;
 pub mod inverse;
 pub mod model_file;
+pub mod output;
 pub mod physics;
 pub mod quantity;
 pub mod recordings;

@@ -1,10 +1,9 @@
 //! `model.toml`: a fitted model in a form that people read, with where it comes from.
 //!
-//! The device never sees this file. Values are stored with all their digits, beside their error
+//! The device never sees this file. Values are stored beside their error
 //! bars and the nominal design they depart from.
 
 use std::collections::BTreeMap;
-use std::io::Write;
 use std::path::Path;
 
 use firmware::params;
@@ -15,7 +14,9 @@ use crate::fit::cylinder::CylinderFit;
 use crate::fit::parameters::{self, PARAMETERS};
 use crate::fit::polynomial::{Polynomial, PolynomialFit};
 use crate::fit::{AxisScore, FitError, Fits, Options};
+use crate::output::write_output;
 use crate::physics::ForwardModel;
+use crate::quantity::rounded;
 use crate::recordings::campaign::fingerprint;
 use crate::recordings::columns::{Axis, ForceColumn, force_column};
 use crate::recordings::description::{Design, parse_toml};
@@ -24,6 +25,9 @@ use crate::recordings::{Campaign, Place, Problem};
 
 /// Version of the file.
 pub const FORMAT: i64 = 1;
+
+/// First line of every model file.
+const MARK: &str = "# A magpie model, written by `magpie fit`.";
 
 /// A fitted model of one gripper.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -140,6 +144,8 @@ pub struct HeldOut {
     pub axis: String,
     /// Root mean square of measured minus modelled field on recordings kept out of the fit.
     pub rms_g: f64,
+    /// The same on the recordings that were fitted.
+    pub fitted_rms_g: f64,
     /// What a perfect model would leave.
     pub floor_g: f64,
     /// Peak-to-peak field in the campaign.
@@ -260,12 +266,12 @@ impl ModelFile {
         Ok(())
     }
 
-    /// Writes the file; see [`write_beside`].
+    /// Writes the file; see [`write_output`].
     pub fn write(&self, path: &Path) -> Result<(), Problem> {
         let text = toml::to_string(self)
+            .map(|text| format!("{MARK}\n{text}"))
             .map_err(|error| Fault::Toml(error.to_string()).at(Place::file(path)))?;
-        write_beside(path, text.as_bytes())
-            .map_err(|error| Fault::Unwritable(error).at(Place::file(path)))
+        write_output(path, text.as_bytes(), MARK)
     }
 
     /// The forward model of one sensor; `None` for a polynomial or an unknown sensor.
@@ -278,19 +284,6 @@ impl ModelFile {
         }
         Some(parameters::with_values(&nominal, &values))
     }
-}
-
-/// Writes a new file beside `path` and renames it: the old one is never half lost.
-pub fn write_beside(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
-    let folder = match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    };
-    let mut draft = tempfile::NamedTempFile::new_in(folder)?;
-    draft.write_all(bytes)?;
-    draft.as_file().sync_all()?;
-    draft.persist(path)?;
-    Ok(())
 }
 
 impl Provenance {
@@ -325,11 +318,17 @@ impl Provenance {
     }
 }
 
+/// Ten digits are far below any error bar, and the last bits, in which two kinds of processor may
+/// differ, do not reach the file.
+fn digits(value: f64) -> f64 {
+    rounded(value, 10)
+}
+
 impl SensorModel {
     fn of_cylinder(fit: &CylinderFit) -> Self {
         let value = |estimate: &crate::fit::cylinder::Estimate| Value {
-            value: estimate.value,
-            std_error: estimate.std_error,
+            value: digits(estimate.value),
+            std_error: digits(estimate.std_error),
             unit: estimate.unit.to_owned(),
             identifiable: estimate.identifiable,
         };
@@ -337,9 +336,9 @@ impl SensorModel {
             shares: held
                 .shares
                 .iter()
-                .map(|(name, share)| ((*name).to_owned(), *share))
+                .map(|(name, share)| ((*name).to_owned(), digits(*share)))
                 .collect(),
-            known_within: held.known_within,
+            known_within: digits(held.known_within),
         };
         Self {
             number: fit.sensor,
@@ -358,7 +357,7 @@ impl SensorModel {
         let rows = |matrix: &DMatrix<f64>| {
             matrix
                 .row_iter()
-                .map(|row| [row[0], row[1], row[2]])
+                .map(|row| [digits(row[0]), digits(row[1]), digits(row[2])])
                 .collect::<Vec<_>>()
         };
         let model = &fit.model;
@@ -412,9 +411,10 @@ impl HeldOut {
     fn of(score: &AxisScore) -> Self {
         Self {
             axis: score.axis.letter().to_owned(),
-            rms_g: score.held_out_rms_g,
-            floor_g: score.floor_g,
-            span_g: score.span_g,
+            rms_g: digits(score.held_out_rms_g),
+            fitted_rms_g: digits(score.fitted_rms_g),
+            floor_g: digits(score.floor_g),
+            span_g: digits(score.span_g),
         }
     }
 }

@@ -44,6 +44,7 @@ pub const UNITS: &[Unit] = &[
     unit("kN", "n", 1e3),
     unit("g", "n", 1e-3 * STANDARD_GRAVITY),
     unit("kg", "n", STANDARD_GRAVITY),
+    unit("kgf", "n", STANDARD_GRAVITY),
     unit("lbf", "n", 4.448_221_615_260_5),
     unit("mm", "mm", 1.0),
     unit("um", "mm", 1e-3),
@@ -76,6 +77,13 @@ pub fn column_unit(column: &str) -> Option<&'static str> {
     column_units().into_iter().find(|unit| *unit == suffix)
 }
 
+/// `value` to this many significant digits.
+pub fn rounded(value: f64, digits: usize) -> f64 {
+    format!("{value:.*e}", digits.saturating_sub(1))
+        .parse()
+        .unwrap_or(value)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -90,6 +98,14 @@ mod tests {
     #[test]
     fn a_kilogram_on_a_scale_weighs_nine_point_eight_newtons() {
         assert_eq!(unit_named("kg").unwrap().factor, 9.806_65);
+    }
+
+    #[test]
+    fn rounding_keeps_the_leading_digits_and_what_has_none() {
+        assert_eq!(rounded(0.1 + 0.2, 9), 0.3);
+        assert_eq!(rounded(-123_456.789, 4), -123_500.0);
+        assert_eq!(rounded(0.0, 9), 0.0);
+        assert!(rounded(f64::INFINITY, 9).is_infinite());
     }
 
     #[test]

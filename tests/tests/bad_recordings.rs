@@ -116,7 +116,7 @@ fn a_missing_column_is_named() {
     });
     starts(
         &sentence,
-        "rec/force.csv, line 1, column time_us: this column is not known; ",
+        "rec/force.csv, line 1, column t_us: the column is missing from the header; every table starts",
     );
 }
 
@@ -253,7 +253,38 @@ fn a_gzip_that_is_none_is_named() {
     });
     starts(
         &sentence,
-        "rec/hall.csv.gz: the gzip stream ends too early or is damaged",
+        "rec/hall.csv.gz: this is not a gzip file; if it is plain text, take the .gz off its name",
+    );
+}
+
+#[test]
+fn a_packed_file_with_a_plain_name_is_no_text() {
+    let sentence = said(|path, _, _| {
+        pack(path, "hall.csv");
+        fs::rename(path.join("hall.csv.gz"), path.join("hall.csv")).unwrap();
+    });
+    starts(
+        &sentence,
+        "rec/hall.csv, line 1: this is no text; if it is packed, its name must end in .csv.gz",
+    );
+}
+
+#[test]
+fn a_clock_in_seconds_is_told_its_unit() {
+    let sentence = said(|path, hall, _| {
+        let seconds = |(i, row): (usize, &str)| match row.split_once(',') {
+            Some((t, rest)) if i > 0 => format!("{},{rest}\n", t.parse::<f64>().unwrap() * 1e-6),
+            _ => format!("{row}\n"),
+        };
+        fs::write(
+            path.join("hall.csv"),
+            hall.lines().enumerate().map(seconds).collect::<String>(),
+        )
+        .unwrap();
+    });
+    starts(
+        &sentence,
+        "rec/hall.csv, line 2, column t_us: rows are 0.001 us apart; is t_us really in microseconds?",
     );
 }
 
@@ -284,7 +315,7 @@ fn a_wrong_key_in_the_description_is_named_with_its_line() {
         (
             "start_s = 0.0",
             "start_s = \"now\"",
-            "rec/recording.toml, line 3: is not valid TOML",
+            "rec/recording.toml, line 3: cannot be understood",
         ),
         (
             "format = 1",
@@ -304,7 +335,7 @@ fn a_wrong_key_in_the_description_is_named_with_its_line() {
         (
             "\"cylinder\"",
             "\"banana\"",
-            "line 7: is not valid TOML: unknown variant `banana`",
+            "line 7: cannot be understood: unknown variant `banana`",
         ),
     ] {
         let sentence = said(|path, _, _| {

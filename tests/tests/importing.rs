@@ -119,7 +119,7 @@ fn a_wrong_mapping_is_told_what_to_write() {
     assert!(column.contains("source.csv, line 1, column maas: the column is missing from the header; did the mapping mean mass?"), "{column}");
     let key = said(&MAPPING.replace("missing", "mising"), &source());
     assert!(
-        key.contains("mapping.toml, line 13: is not valid TOML: unknown field `mising`"),
+        key.contains("mapping.toml, line 13: cannot be understood: unknown field `mising`"),
         "{key}"
     );
 }

@@ -45,8 +45,24 @@ pub fn bring_up() -> Board {
     let p = embassy_stm32::init(clocks());
     Board {
         sensor_buses: [
-            I2c::new(p.I2C1, p.PB8, p.PB9, p.DMA1_CH1, p.DMA1_CH2, Interrupts, sensor_bus()),
-            I2c::new(p.I2C3, p.PC8, p.PC9, p.DMA1_CH3, p.DMA1_CH4, Interrupts, sensor_bus()),
+            I2c::new(
+                p.I2C1,
+                p.PB8,
+                p.PB9,
+                p.DMA1_CH1,
+                p.DMA1_CH2,
+                Interrupts,
+                sensor_bus(),
+            ),
+            I2c::new(
+                p.I2C3,
+                p.PC8,
+                p.PC9,
+                p.DMA1_CH3,
+                p.DMA1_CH4,
+                Interrupts,
+                sensor_bus(),
+            ),
         ],
         can: {
             let mut can = CanConfigurator::new(p.FDCAN1, p.PA11, p.PA12, Interrupts);

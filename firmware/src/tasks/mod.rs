@@ -49,7 +49,8 @@ async fn sense(mut first: SensorBus, mut second: SensorBus) {
     loop {
         ticker.next().await;
         let time_us = Instant::now().as_micros() as u32;
-        let ([r0, r1], [r2, r3]) = join(read_two(&mut first, [a, b]), read_two(&mut second, [c, d])).await;
+        let ([r0, r1], [r2, r3]) =
+            join(read_two(&mut first, [a, b]), read_two(&mut second, [c, d])).await;
         let frame = Frame {
             time_us,
             readings: [r0, r1, r2, r3],
@@ -86,7 +87,13 @@ async fn report(mut can: Can<'static>) {
         if counter.is_multiple_of(REPORTS_PER_LINE) {
             for (sensor, estimate) in (0_u8..).zip(&estimates) {
                 let [x, z] = estimate.force;
-                info!("sensor {}: {} {} /1024 N, valid {}", sensor, x.0, z.0, estimate.validity == Validity::Valid);
+                info!(
+                    "sensor {}: {} {} /1024 N, valid {}",
+                    sensor,
+                    x.0,
+                    z.0,
+                    estimate.validity == Validity::Valid
+                );
             }
         }
         counter = counter.wrapping_add(1);

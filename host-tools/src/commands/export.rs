@@ -2,12 +2,13 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use model_export::inverse::build::{Variant, build};
-use model_export::inverse::emit::{Header, source};
+use model_export::inverse::emit::{Header, MARK, source};
 use model_export::inverse::error_map::ErrorMap;
 use model_export::inverse::search::Chosen;
-use model_export::model_file::{ModelFile, write_beside};
+use model_export::model_file::ModelFile;
+use model_export::output::write_output;
 use serde_json::json;
 
 use crate::show;
@@ -19,7 +20,7 @@ const MAP_ACROSS: usize = 9;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  magpie export model.toml -o my-tables.rs
+  cargo magpie export model.toml -o my-tables.rs
   MAGPIE_TABLES=my-tables.rs cargo image")]
 pub struct Args {
     /// Model file, as `magpie fit` writes it.
@@ -43,12 +44,13 @@ pub fn run(args: &Args) -> Result<()> {
         Variant::Fitted
     };
     let (model, chosen, header) = build(&args.model, variant)?;
-    write_beside(&args.output, source(&chosen, &header).as_bytes())
-        .with_context(|| format!("{} was not written", args.output.display()))?;
+    write_output(&args.output, source(&chosen, &header).as_bytes(), MARK)?;
     let text = match args.json {
         true => format!("{}\n", json(&chosen, &header)),
         false => {
-            report(&model, &chosen, &header) + &format!("Written to {}.\n", args.output.display())
+            report(&chosen, &header)
+                + &worst_map(&model, &chosen, &header)
+                + &format!("Written to {}.\n", args.output.display())
         }
     };
     show::page(&text)?;
@@ -56,7 +58,7 @@ pub fn run(args: &Args) -> Result<()> {
 }
 
 /// What was chosen, and how well it inverts.
-pub fn report(model: &ModelFile, chosen: &Chosen, header: &Header) -> String {
+pub fn report(chosen: &Chosen, header: &Header) -> String {
     let shape = chosen.shape;
     let mut table = show::table([
         "sensor",
@@ -84,9 +86,10 @@ pub fn report(model: &ModelFile, chosen: &Chosen, header: &Header) -> String {
     }
     show::right_align(&mut table, 2);
     format!(
-        "Ideal model of the {}: {} centres and a linear part for each sensor (width gamma {:.3}, ridge {:.0e},\n\
-         chosen by error on loads that were not fitted, through the device's arithmetic).\n\
-         Error in N over the box of ±{:.0} N:\n{table}\n{}",
+        "Ideal model of the {}: {} centres and a linear part for each sensor\n\
+         (width gamma {:.3}, ridge {:.0e}, chosen by error on loads that were not fitted, through the device's\n\
+         arithmetic).\n\
+         Error in N over the box of ±{:.0} N:\n{table}\n",
         header.variant,
         shape.centres_across * shape.centres_across,
         shape.gamma,
@@ -95,7 +98,6 @@ pub fn report(model: &ModelFile, chosen: &Chosen, header: &Header) -> String {
             .models
             .first()
             .map_or(0.0, |model| model.design.force_n[0]),
-        worst_map(model, chosen, header),
     )
 }
 

@@ -1,14 +1,15 @@
 //! `magpie fit`: base physics fitted to recordings.
 
-mod report;
+pub mod report;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use clap::ValueEnum;
-use model_export::fit::{self, Options};
+use model_export::fit::{self, Fits, Options};
 use model_export::model_file::{ModelFile, Provenance};
 use model_export::recordings::align::Alignment;
+use model_export::recordings::campaign::recording_folders;
 use model_export::recordings::{Campaign, Notice};
 
 use crate::{progress, show};
@@ -17,9 +18,9 @@ use crate::{progress, show};
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  magpie fit recordings/clean -o model.toml
-  magpie fit my-campaign --base polynomial --degree 5 -o model.toml
-  magpie fit recordings/clean --json | jq '.axes'")]
+  cargo magpie fit recordings/clean -o model.toml
+  cargo magpie fit my-campaign --base polynomial --degree 5 -o model.toml
+  cargo magpie fit recordings/clean --json | jq '.axes'")]
 pub struct Args {
     /// Folder of recordings (or one recording).
     campaign: PathBuf,
@@ -48,8 +49,9 @@ pub struct Args {
     json: bool,
 }
 
+/// What the field is computed from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum BaseChoice {
+pub enum BaseChoice {
     /// Exact cylinder magnet on two flexures; needs the nominal [design].
     Cylinder,
     /// Polynomial of the forces, where no geometry is known.
@@ -71,40 +73,105 @@ pub fn run(args: &Args) -> Result<()> {
         seed: args.seed,
         ..Options::default()
     };
-    let reading = progress::bar("reading recordings", 0);
-    let campaign = Campaign::read(&args.campaign, alignment, |_| reading.inc(1))?;
-    reading.finish_and_clear();
+    let Fitted {
+        campaign,
+        fits,
+        notices,
+    } = fit(&args.campaign, args.base, args.degree, alignment, options)?;
+    let provenance = Provenance::of(&campaign, alignment.delay_us, options)?;
+    refuse_copies(&provenance)?;
+    let model = ModelFile::of(&campaign, &fits, provenance);
+    match args.json {
+        true => show::page(&format!("{}\n", report::json(&model, &notices)))?,
+        false => show::page(&report::text(&campaign, &model, &fits))?,
+    }
+    if let Some(path) = &args.output {
+        model.write(path)?;
+    }
+    if !args.json {
+        show::page(&match &args.output {
+            Some(path) => format!("Written to {}.\n", path.display()),
+            None => "Not written: give -o model.toml to keep it.\n".to_owned(),
+        })?;
+    }
+    Ok(())
+}
 
+/// A campaign and its fits.
+pub struct Fitted {
+    /// As read.
+    pub campaign: Campaign,
+    /// Of all sensors.
+    pub fits: Fits,
+    /// What a person should know; said already.
+    pub notices: Vec<Notice>,
+}
+
+/// Reads and fits a campaign; says on the way what a person should know.
+pub fn fit(
+    folder: &Path,
+    base: BaseChoice,
+    degree: Option<u8>,
+    alignment: Alignment,
+    options: Options,
+) -> Result<Fitted> {
+    let reading = progress::bar("reading recordings", recording_folders(folder)?.len());
+    let campaign = Campaign::read(folder, alignment, |_| reading.inc(1))?;
+    reading.finish_and_clear();
+    let mut notices: Vec<Notice> = campaign.notices().cloned().collect();
+    say(&notices);
+    let (fits, more) = fit_campaign(&campaign, base, degree, options)?;
+    say(&more);
+    notices.extend(more);
+    Ok(Fitted {
+        campaign,
+        fits,
+        notices,
+    })
+}
+
+/// Fits a campaign that was read.
+pub fn fit_campaign(
+    campaign: &Campaign,
+    base: BaseChoice,
+    degree: Option<u8>,
+    options: Options,
+) -> Result<(Fits, Vec<Notice>)> {
     let fitting = progress::bar("fitting sensors", campaign.sensors().len());
-    let (fits, fit_notices) = match args.base {
-        BaseChoice::Cylinder => fit::campaign::cylinder(&campaign, options, |_| fitting.inc(1))?,
+    let result = match base {
+        BaseChoice::Cylinder => fit::campaign::cylinder(campaign, options, |_| fitting.inc(1))?,
         BaseChoice::Polynomial => {
-            let degree = args.degree.map(usize::from);
+            let degree = degree.map(usize::from);
             (
-                fit::campaign::polynomial(&campaign, degree, options, |_| fitting.inc(1))?,
+                fit::campaign::polynomial(campaign, degree, options, |_| fitting.inc(1))?,
                 Vec::new(),
             )
         }
     };
     fitting.finish_and_clear();
+    Ok(result)
+}
 
-    let notices: Vec<Notice> = campaign.notices().cloned().chain(fit_notices).collect();
-    let provenance = Provenance::of(&campaign, alignment.delay_us, options)?;
-    let model = ModelFile::of(&campaign, &fits, provenance);
-    for notice in &notices {
+fn say(notices: &[Notice]) {
+    for notice in notices {
         eprintln!("note: {notice}");
     }
-    if let Some(path) = &args.output {
-        model.write(path)?;
-    }
-    if args.json {
-        show::page(&format!("{}\n", report::json(&model, &notices)))?;
-    } else {
-        let written = match &args.output {
-            Some(path) => format!("Written to {}.\n", path.display()),
-            None => "Not written: give -o model.toml to keep it.\n".to_owned(),
-        };
-        show::page(&(report::text(&campaign, &model, &fits) + &written))?;
+}
+
+/// The same recording twice would be fitted and held out at once.
+fn refuse_copies(provenance: &Provenance) -> Result<()> {
+    for (i, one) in provenance.recordings.iter().enumerate() {
+        if let Some(other) = provenance.recordings[..i]
+            .iter()
+            .find(|r| r.sha256 == one.sha256)
+        {
+            anyhow::bail!(
+                "{}: recordings {} and {} are the same data; remove one, or the held-out errors would not be held out",
+                provenance.campaign,
+                other.name,
+                one.name
+            );
+        }
     }
     Ok(())
 }

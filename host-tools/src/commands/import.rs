@@ -14,7 +14,7 @@ use crate::{progress, show};
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  magpie import tests/data/eflesh_normal.mapping.toml run1.csv run2.csv run3.csv -o eflesh
+  cargo magpie import tests/data/eflesh_normal.mapping.toml run1.csv run2.csv run3.csv -o eflesh
 
 A mapping file:
   description = \"what was recorded\"
@@ -43,11 +43,10 @@ pub struct Args {
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     let bar = progress::bar("importing", args.sources.len());
-    let imported = import::import(&args.mapping, &args.sources, &args.output, |_| bar.inc(1))?;
+    let (imported, notices) =
+        import::import(&args.mapping, &args.sources, &args.output, |_| bar.inc(1))?;
     bar.finish_and_clear();
-    // Read it back the way every other command will: what is wrong shows now.
-    let campaign = Campaign::read(&args.output, Alignment { delay_us: 0.0 }, |_| ())?;
-    for notice in campaign.notices() {
+    for notice in &notices {
         eprintln!("note: {notice}");
     }
     if args.json {
@@ -61,6 +60,7 @@ pub fn run(args: &Args) -> Result<()> {
         ))?;
         return Ok(());
     }
+    let campaign = Campaign::read(&args.output, Alignment { delay_us: 0.0 }, |_| ())?;
     let mut table = show::table([
         "recording",
         "start s",
@@ -84,9 +84,14 @@ pub fn run(args: &Args) -> Result<()> {
         ]);
     }
     show::right_align(&mut table, 1);
+    let base = if campaign.design().is_some() {
+        ""
+    } else {
+        " --base polynomial"
+    };
     let next = format!(
-        "Next: magpie fit {} --base polynomial -o model.toml",
-        args.output.display()
+        "Next: cargo magpie fit {:?}{base} -o model.toml",
+        args.output
     );
     show::page(&format!("{table}\n{next}\n"))?;
     Ok(())

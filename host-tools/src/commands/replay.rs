@@ -1,6 +1,6 @@
 //! `magpie replay`: a campaign through the device's own code.
 
-mod report;
+pub mod report;
 
 use std::path::{Path, PathBuf};
 
@@ -21,8 +21,8 @@ use crate::{progress, show};
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  magpie replay model.toml recordings/clean
-  magpie replay model.toml recordings/clean --json | jq '.sensors'")]
+  cargo magpie replay model.toml recordings/clean
+  cargo magpie replay model.toml recordings/clean --json | jq '.sensors'")]
 pub struct Args {
     /// Model file, as `magpie fit` writes it.
     model: PathBuf,

@@ -63,6 +63,7 @@ pub fn cylinder(
         })
         .collect();
     for rows in &rows {
+        rows.check_moving(campaign)?;
         orientation::check(campaign, rows.sensor, &nominal)?;
     }
     let fits = rows
@@ -88,6 +89,7 @@ pub fn polynomial(
         .par_iter()
         .map(|&sensor| {
             let rows = SensorRows::with_recorded_forces(campaign, sensor)?;
+            rows.check_moving(campaign)?;
             let fit = polynomial::fit(&rows, degree, options)?;
             done(sensor);
             Ok(fit)

@@ -67,13 +67,6 @@ pub fn fit(
     nominal: &ForwardModel,
     options: Options,
 ) -> Result<CylinderFit, FitError> {
-    for (low, high) in rows.force_spans() {
-        if high - low < 1.0 {
-            return Err(FitError::ConstantForce {
-                sensor: rows.sensor,
-            });
-        }
-    }
     let full = weights(rows, nominal);
     let solve = |parts: Vec<&Part>, weights, space: &Space, start: &Departures| {
         solve(parts, nominal, weights, space, start).map_err(|reason| FitError::NotConverged {
@@ -108,20 +101,30 @@ pub fn fit(
         let training = fold.training.iter().map(AsRef::as_ref).collect();
         let model = depart(nominal, &solve(training, weights, &space, &departures)?);
         for part in &fold.test {
-            for (force, field) in part.force_n.iter().zip(&part.field_g) {
-                let response = model.respond(model.displacement([force[0], force[1]]));
-                tally.add(part, field - response.field_g, &model.per_newton(&response));
-            }
+            judge(&mut tally, part, &model);
         }
+    }
+    let mut seen = Tally::default();
+    let model = depart(nominal, &departures);
+    for part in &rows.parts {
+        judge(&mut seen, part, &model);
     }
     Ok(CylinderFit {
         sensor: rows.sensor,
-        model: depart(nominal, &departures),
+        model,
         parameters: estimates(nominal, &departures, &space, &blocks, options),
         held: space.held,
-        scores: tally.scores(rows.sensor, rows.field_span()),
+        scores: tally.scores(&seen, rows.sensor, rows.field_span()),
         blocks: (length_s, blocks.len()),
     })
+}
+
+fn judge(tally: &mut Tally, part: &Part, model: &ForwardModel) {
+    let frames = model.frames();
+    for (force, field) in part.force_n.iter().zip(&part.field_g) {
+        let response = model.respond_in(&frames, model.displacement([force[0], force[1]]));
+        tally.add(part, field - response.field_g, &model.per_newton(&response));
+    }
 }
 
 /// One over the floor of each axis at rest: every axis counts by what it can tell.
@@ -236,7 +239,12 @@ fn solve(
             TerminationReason::NoImprovementPossible(_)
         );
     if !done {
-        return Err(format!("{:?}", report.termination));
+        return Err(match report.termination {
+            TerminationReason::User(_) | TerminationReason::Numerical(_) => {
+                "a value is too large to compute with".to_owned()
+            }
+            other => format!("{other:?}"),
+        });
     }
     let departures = problem.departures();
     match departures.iter().all(|d| d.is_finite()) {

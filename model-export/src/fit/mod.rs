@@ -39,7 +39,7 @@ pub enum FitError {
     )]
     NoDesign { place: Place },
     #[error(
-        "{place}: the force on sensor {sensor} along {axis} was not recorded; record {axis} as well (zero if nothing pushes there), or fit with --base polynomial"
+        "{place}: the force on sensor {sensor} along {axis} was not recorded; record {axis} as well, or fit with --base polynomial"
     )]
     NoForce {
         place: Place,
@@ -55,6 +55,22 @@ pub enum FitError {
         rows: usize,
         needed: usize,
     },
+    #[error(
+        "{place}: sensor {sensor} is saturated in {share:.0} % of the rows; check gauss_per_lsb, range_gauss and the unit of its columns, or widen the gap"
+    )]
+    Saturated {
+        place: Place,
+        sensor: u32,
+        share: f64,
+    },
+    #[error(
+        "{place}: the channel never changes; the sensor is stuck or not connected: repair it, or remove the columns of sensor {sensor}"
+    )]
+    Stuck { place: Place, sensor: u32 },
+    #[error(
+        "{place}: the forces on sensor {sensor} were recorded here and not in every recording; complete them, or move this recording to a campaign of its own"
+    )]
+    ForcesDiffer { place: Place, sensor: u32 },
     #[error("{place}: {what}; {advice}")]
     Orientation {
         place: Place,
@@ -62,9 +78,9 @@ pub enum FitError {
         advice: String,
     },
     #[error(
-        "the forces of sensor {sensor} do not move: from a constant load no response can be learnt; record with the load going up and down"
+        "{place}: the force does not move beyond its noise: from a constant load no response can be learnt; record with the load going up and down, or, if nothing ever pushes there, fit with --base polynomial and without this column"
     )]
-    ConstantForce { sensor: u32 },
+    ConstantForce { place: Place },
     #[error(
         "the fit of sensor {sensor} did not converge ({reason}); check the nominal design in recording.toml, or fit with --base polynomial"
     )]

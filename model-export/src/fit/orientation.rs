@@ -121,7 +121,7 @@ impl Check<'_> {
             return self.hall(
                 &columns(strongest),
                 format!("the field at rest is {:.0} G and the design gives {:.0} G: its sign is flipped", rest[strongest], expected[strongest]),
-                "multiply the column by -1, or, if the magnet sits the other way round, give remanence_t a minus sign in recording.toml",
+                "multiply the column by -1, or, if the magnet sits the other way round, give remanence_t the other sign in recording.toml",
             );
         }
         Ok(())
@@ -143,14 +143,27 @@ impl Check<'_> {
         for force in 0..2 {
             let Some(share) = own(force) else { continue };
             let axis = ["x", "z"][force];
-            if share.abs() < 1.0 / SCALE {
-                return self.silent(force, share);
+            if share < 1.0 / SCALE
+                && let Some(place) = self.followed(force)
+            {
+                return self.force(
+                    force,
+                    format!("sensor {} does not follow this force, it follows that of place {place}", self.sensor),
+                    "the force columns of the two places (or the two sensors' field columns) are swapped: rename them",
+                );
             }
-            if share < 0.0 {
+            if share <= -1.0 / SCALE {
                 return self.force(
                     force,
                     format!("the field along {axis} of sensor {} falls where this force rises: one of the two has its sign flipped", self.sensor),
                     "multiply the force column by -1 if the reference is mounted the other way round, else the field column",
+                );
+            }
+            if share < 1.0 / SCALE {
+                return self.force(
+                    force,
+                    format!("sensor {} answers with {share:.2} of what the design says", self.sensor),
+                    "check the force's unit (newtons), the field's unit, and the stiffness in recording.toml",
                 );
             }
             if share > SCALE {
@@ -164,31 +177,14 @@ impl Check<'_> {
         Ok(())
     }
 
-    /// The field hardly follows its own force: perhaps it follows another place's.
-    fn silent(&self, force: usize, share: f64) -> Result<(), FitError> {
-        let places: Vec<u32> = self
-            .recording
-            .forces
-            .keys()
-            .map(|(place, _)| *place)
-            .collect();
-        for place in places.into_iter().filter(|place| *place != self.sensor) {
-            let shares = Slopes::of(self.recording, self.sensor, place)
-                .map(|slopes| slopes.shares(self.nominal))
-                .and_then(|shares| shares[force]);
-            if shares.is_some_and(|shares| shares[force] > 1.0 / SCALE) {
-                return self.force(
-                    force,
-                    format!("sensor {} does not follow this force, it follows that of place {place}", self.sensor),
-                    "the force columns of the two places (or the two sensors' field columns) are swapped: rename them",
-                );
-            }
-        }
-        self.force(
-            force,
-            format!("sensor {} answers with {:.2} of what the design says", self.sensor, share),
-            "check the force's unit (newtons), the field's unit, and the stiffness in recording.toml",
-        )
+    /// The other place whose force the field follows.
+    fn followed(&self, force: usize) -> Option<u32> {
+        let places = self.recording.forces.keys().map(|(place, _)| *place);
+        places.filter(|place| *place != self.sensor).find(|place| {
+            Slopes::of(self.recording, self.sensor, *place)
+                .and_then(|slopes| slopes.shares(self.nominal)[force])
+                .is_some_and(|shares| shares[force] > 1.0 / SCALE)
+        })
     }
 
     fn hall(&self, column: &str, what: String, advice: &str) -> Result<(), FitError> {

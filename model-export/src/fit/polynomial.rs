@@ -126,11 +126,6 @@ pub fn fit(
     options: Options,
 ) -> Result<PolynomialFit, FitError> {
     let spans = rows.force_spans();
-    if spans.iter().any(|(low, high)| high - low < 1e-9) {
-        return Err(FitError::ConstantForce {
-            sensor: rows.sensor,
-        });
-    }
     let degrees = degree.map_or(1..=HIGHEST_DEGREE, |d| d..=d);
     let tried: Vec<(usize, Tally)> = degrees
         .map(|degree| Ok((degree, held_out(rows, &spans, degree)?)))
@@ -151,12 +146,14 @@ pub fn fit(
     };
     let parts: Vec<&Part> = rows.parts.iter().collect();
     let model = solve(rows, &parts, &spans, *degree)?;
+    let mut seen = Tally::default();
+    parts.iter().for_each(|part| judge(&mut seen, part, &model));
     let (std_error_g, blocks) = error_bars(rows, &model, options);
     Ok(PolynomialFit {
         sensor: rows.sensor,
         model,
         std_error_g,
-        scores: tally.scores(rows.sensor, rows.field_span()),
+        scores: tally.scores(&seen, rows.sensor, rows.field_span()),
         tried: tried
             .iter()
             .map(|(d, tally)| (*d, tally.mean_square().sqrt()))
@@ -171,12 +168,16 @@ fn held_out(rows: &SensorRows, spans: &[(f64, f64)], degree: usize) -> Result<Ta
         let training: Vec<&Part> = fold.training.iter().map(AsRef::as_ref).collect();
         let model = solve(rows, &training, spans, degree)?;
         for part in &fold.test {
-            for (force, field) in part.force_n.iter().zip(&part.field_g) {
-                tally.add(part, field - model.field(force), &model.per_newton(force));
-            }
+            judge(&mut tally, part, &model);
         }
     }
     Ok(tally)
+}
+
+fn judge(tally: &mut Tally, part: &Part, model: &Polynomial) {
+    for (force, field) in part.force_n.iter().zip(&part.field_g) {
+        tally.add(part, field - model.field(force), &model.per_newton(force));
+    }
 }
 
 fn solve(

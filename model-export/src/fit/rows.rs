@@ -6,6 +6,9 @@ use super::FitError;
 use crate::recordings::columns::Axis;
 use crate::recordings::{Campaign, Place, Recording};
 
+/// A force must move this many times its noise (standard deviations) to tell anything.
+const MOVES: f64 = 10.0;
+
 /// The usable rows of one sensor: field finite on all axes, every force measured.
 #[derive(Clone, Debug)]
 pub struct SensorRows {
@@ -67,6 +70,18 @@ impl SensorRows {
             campaign.recordings.first().map_or_else(Vec::new, |first| {
                 first.forces.keys().filter(everywhere).copied().collect()
             });
+        for recording in &campaign.recordings {
+            let own = recording
+                .forces
+                .keys()
+                .filter(|(place, _)| *place == sensor);
+            if own.clone().any(|force| !recorded.contains(force)) {
+                return Err(FitError::ForcesDiffer {
+                    place: Place::file(&recording.folder),
+                    sensor,
+                });
+            }
+        }
         let own: Vec<_> = recorded
             .iter()
             .filter(|(place, _)| *place == sensor)
@@ -96,6 +111,14 @@ impl SensorRows {
         let rows: usize = parts.iter().map(Part::len).sum();
         // Twelve parameters at the most in the geometric base, and some rows for each.
         let needed = 100;
+        let saturated = saturated_share(campaign, sensor);
+        if rows < needed && saturated > 0.5 {
+            return Err(FitError::Saturated {
+                place: Place::file(&campaign.folder),
+                sensor,
+                share: 100.0 * saturated,
+            });
+        }
         if rows < needed {
             return Err(FitError::TooFewRows {
                 place: Place::file(&campaign.folder),
@@ -109,6 +132,45 @@ impl SensorRows {
             forces,
             parts,
         })
+    }
+
+    /// Refuses a channel of the field that never changes, and a force that moves little more than
+    /// its noise.
+    pub fn check_moving(&self, campaign: &Campaign) -> Result<(), FitError> {
+        let folder = Place::file(&campaign.folder);
+        for (axis, span) in Axis::ALL.into_iter().zip(self.field_span().iter()) {
+            if *span == 0.0 {
+                let place = folder
+                    .clone()
+                    .column(format!("s{}_{}", self.sensor, axis.letter()));
+                return Err(FitError::Stuck {
+                    place,
+                    sensor: self.sensor,
+                });
+            }
+        }
+        for (i, (place, axis)) in self.forces.iter().enumerate() {
+            let values = || {
+                self.parts
+                    .iter()
+                    .flat_map(|part| part.force_n.iter().map(move |row| row[i]))
+            };
+            let count = self.len() as f64;
+            let mean = values().sum::<f64>() / count;
+            let variance = values().map(|value| (value - mean).powi(2)).sum::<f64>() / count;
+            let noise = self
+                .parts
+                .iter()
+                .map(|part| part.force_noise_n[i])
+                .fold(0.0, f64::max);
+            if variance.sqrt() <= MOVES * noise {
+                let place = folder
+                    .clone()
+                    .column(format!("f{place}_{}_n", axis.letter()));
+                return Err(FitError::ConstantForce { place });
+            }
+        }
+        Ok(())
     }
 
     /// Rows in all parts.
@@ -143,6 +205,21 @@ impl SensorRows {
         let low = fields().fold(Vector3::repeat(f64::INFINITY), |low, field| low.inf(field));
         high - low
     }
+}
+
+/// Share of the rows in which an axis of the sensor was saturated.
+fn saturated_share(campaign: &Campaign, sensor: u32) -> f64 {
+    let fields = || {
+        campaign
+            .recordings
+            .iter()
+            .filter_map(|r| r.sensors.get(&sensor))
+            .flat_map(|track| &track.field_g)
+    };
+    let saturated = fields()
+        .filter(|field| field.iter().any(|axis| axis.is_nan()))
+        .count();
+    saturated as f64 / fields().count().max(1) as f64
 }
 
 impl Part {

@@ -14,6 +14,8 @@ pub struct AxisScore {
     pub axis: Axis,
     /// Root mean square of measured minus modelled field, in gauss.
     pub held_out_rms_g: f64,
+    /// The same on the rows that were fitted.
+    pub fitted_rms_g: f64,
     /// What it would be were the model perfect: the sensor's white noise after averaging, and the
     /// reference's noise through dB/dF, added in squares.
     pub floor_g: f64,
@@ -61,13 +63,14 @@ impl Tally {
         self.error.sum() / (3 * self.rows.max(1)) as f64
     }
 
-    /// One score for each axis.
-    pub fn scores(&self, sensor: u32, span_g: Vector3<f64>) -> Vec<AxisScore> {
+    /// One score for each axis; `seen` is the tally of the rows that were fitted.
+    pub fn scores(&self, seen: &Self, sensor: u32, span_g: Vector3<f64>) -> Vec<AxisScore> {
         let rows = self.rows.max(1) as f64;
         let axes = Axis::ALL.into_iter().enumerate();
         axes.map(|(i, axis)| AxisScore {
             sensor,
             axis,
+            fitted_rms_g: (seen.error[i] / seen.rows.max(1) as f64).sqrt(),
             held_out_rms_g: (self.error[i] / rows).sqrt(),
             floor_g: (self.floor[i] / rows).sqrt(),
             span_g: span_g[i],

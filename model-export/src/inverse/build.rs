@@ -33,7 +33,10 @@ pub enum BuildError {
     )]
     Polynomial { place: Place },
     #[error("{place}: the tables cannot be built: {overflow}")]
-    Overflow { place: Place, overflow: Overflow },
+    Overflow {
+        place: Place,
+        overflow: Box<Overflow>,
+    },
 }
 
 /// Reads the model at `path` and builds the tables of all its sensors.
@@ -59,7 +62,7 @@ pub fn build(path: &Path, variant: Variant) -> Result<(ModelFile, Chosen, Header
         choose(&forward, id, scale.gauss_per_lsb, scale.range_gauss).map_err(|overflow| {
             BuildError::Overflow {
                 place: place(),
-                overflow,
+                overflow: Box::new(overflow),
             }
         })?;
     let header = Header {

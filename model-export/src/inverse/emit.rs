@@ -7,6 +7,9 @@ use firmware::model::table::{CentrePair, SensorTable};
 use super::quantise::TableSet;
 use super::search::Chosen;
 
+/// How every file of tables begins.
+pub const MARK: &str = "// Written by `magpie export`.";
+
 /// What the header says beyond the tables themselves.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Header {
@@ -53,7 +56,7 @@ fn comment(chosen: &Chosen, header: &Header) -> String {
         false => header.recorded.join(", "),
     };
     let mut text = format!(
-        "// Written by `magpie export`. Do not edit: fit again and export again.\n\
+        "{MARK} Do not edit: fit again and export again.\n\
          //\n\
          // inputs    {} (SHA-256 of the model file)\n\
          // model     {}, campaign {}\n\

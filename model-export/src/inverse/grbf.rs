@@ -79,10 +79,11 @@ impl Grbf {
             normal[(i, i)] += share * samples.len() as f64;
         }
         let solution = normal.cholesky()?.solve(&regressors.tr_mul(&forces));
-        let row = |i: usize| [solution[(i, 0)], solution[(i, 1)]];
-        fitted.bias_n = row(0);
+        fitted.bias_n = [solution[(0, 0)], solution[(0, 1)]];
         fitted.slope_n = [0, 1].map(|axis| Vector3::from_fn(|i, _| solution[(1 + i, axis)]));
-        fitted.weights_n = (4..width).map(row).collect();
+        fitted.weights_n = (4..width)
+            .map(|i| [solution[(i, 0)], solution[(i, 1)]])
+            .collect();
         Some(fitted)
     }
 

@@ -63,8 +63,21 @@ impl ClockWatch {
     }
 }
 
+/// Rows closer together than this are no sensor's: the clock is in another unit.
+const SHORTEST_PERIOD_US: f64 = 20.0;
+
+/// The typical step of a table's clock, if it can be microseconds.
+pub(super) fn period_us(table: &mut Table, time_column: usize) -> Result<f64, Problem> {
+    let period_us = table.typical_period()?;
+    if period_us > 0.0 && period_us < SHORTEST_PERIOD_US {
+        return Err(Fault::ClockUnit { period_us }.at(table.cell_place(2, time_column)));
+    }
+    Ok(period_us)
+}
+
 /// A table without `t_us`.
 pub(super) fn no_clock(table: &Table) -> Problem {
-    let advice = "every table starts with its clock in microseconds".to_owned();
+    let advice =
+        "every table starts with its clock in microseconds: name that column t_us".to_owned();
     Fault::MissingColumn { advice }.at(table.header_place("t_us"))
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::problem::{Fault, Notice, Place, Problem};
-use crate::quantity::column_unit;
+use crate::quantity::{column_unit, column_units};
 
 /// The file's name in a recording's folder.
 pub const FILE: &str = "recording.toml";
@@ -183,7 +183,8 @@ impl Description {
         }
         for name in &self.covariates {
             if column_unit(name).is_none() {
-                let advice = "end the name in its unit, for example robot_z_mm".to_owned();
+                let units = column_units().join(", ");
+                let advice = format!("end the name in its unit ({units}), for example robot_z_mm");
                 return bad("covariates", format!("{name:?}"), advice);
             }
         }

@@ -1,6 +1,6 @@
 //! The reference's table.
 
-use super::clock::{ClockWatch, no_clock};
+use super::clock::{ClockWatch, no_clock, period_us};
 use super::columns::{ForceColumn, force_column};
 use super::noise::WhiteNoise;
 use super::problem::{Fault, Problem};
@@ -19,6 +19,9 @@ pub(super) struct ForceReader {
 
 impl ForceReader {
     pub(super) fn open(mut table: Table) -> Result<Self, Problem> {
+        if !table.header().iter().any(|name| name == "t_us") {
+            return Err(no_clock(&table));
+        }
         let mut time_column = None;
         let (mut picks, mut columns) = (Vec::new(), Vec::new());
         for (i, name) in table.header().iter().enumerate() {
@@ -39,7 +42,7 @@ impl ForceReader {
         let mut cells = vec![Cells::MayBeEmpty; table.header().len()];
         cells[time_column] = Cells::Number;
         table.rules(time_column, cells);
-        let period_us = table.typical_period()?;
+        let period_us = period_us(&mut table, time_column)?;
         Ok(Self {
             time_column,
             noise: vec![WhiteNoise::default(); columns.len()],

@@ -5,7 +5,7 @@ use std::path::Path;
 use firmware::params;
 
 use super::align::Sample;
-use super::clock::{ClockWatch, no_clock};
+use super::clock::{ClockWatch, no_clock, period_us};
 use super::columns::{Axis, FieldUnit, HallColumn, hall_column, is_angle};
 use super::description::{Description, FILE};
 use super::noise::WhiteNoise;
@@ -36,6 +36,9 @@ impl HallReader {
         description: &Description,
         folder: &Path,
     ) -> Result<Self, Problem> {
+        if !table.header().iter().any(|name| name == "t_us") {
+            return Err(no_clock(&table));
+        }
         let mut time_column = None;
         let (mut picks, mut columns) = (Vec::new(), Vec::new());
         for (i, name) in table.header().iter().enumerate() {
@@ -68,7 +71,7 @@ impl HallReader {
             (_, scale) => scale.unwrap_or(1.0),
         };
         table.rules(time_column, vec![Cells::Number; table.header().len()]);
-        let period_us = table.typical_period()?;
+        let period_us = period_us(&mut table, time_column)?;
         // A step below full scale: converters stop at the last code, not at the round number.
         let limit_gauss = match description.range_gauss {
             Some(range) if raw => range - 1.5 * gauss_per_lsb,

@@ -11,11 +11,16 @@ use flate2::Compression;
 use flate2::write::GzEncoder;
 use serde::Deserialize;
 
+use super::align::Alignment;
+use super::campaign::Campaign;
 use super::columns::{force_column, hall_column};
 use super::description::{Description, Design, parse_toml};
-use super::problem::{Fault, Place, Problem, closest};
+use super::problem::{Fault, Notice, Place, Problem, closest};
 use super::table::{Cells, Table};
-use crate::quantity::{UNITS, column_unit, unit_named};
+use crate::quantity::{UNITS, column_unit, rounded, unit_named};
+
+/// Digits that are kept: enough for any sensor, and no 0.30000000000000004.
+const IMPORTED_DIGITS: usize = 9;
 
 /// What a mapping file holds.
 #[derive(Clone, Debug, Deserialize)]
@@ -63,6 +68,9 @@ pub struct Clock {
     pub from: String,
     /// Its unit.
     pub unit: String,
+    /// Added to it, in seconds: brings two clocks of different epochs together.
+    #[serde(default)]
+    pub offset_s: f64,
 }
 
 /// One column.
@@ -97,6 +105,12 @@ impl Mapping {
             factor(path, &side.clock.unit, "t_us", &side.clock.from)?;
             for column in &side.columns {
                 factor(path, &column.unit, &column.to, &column.to)?;
+                if !column.scale.is_finite() || column.scale == 0.0 {
+                    let found = format!("scale = {}", column.scale);
+                    let advice = "give a number other than zero".to_owned();
+                    return Err(Fault::BadValue { found, advice }
+                        .at(Place::file(path).column(column.to.as_str())));
+                }
             }
         }
         let declared = mapping.covariates();
@@ -178,7 +192,7 @@ pub fn import(
     sources: &[PathBuf],
     target: &Path,
     done: impl Fn(&Path),
-) -> Result<Vec<Imported>, Problem> {
+) -> Result<(Vec<Imported>, Vec<Notice>), Problem> {
     let mapping = Mapping::read(mapping_path)?;
     let unwritable = |error| Fault::Unwritable(error).at(Place::file(target));
     if target.exists() {
@@ -209,8 +223,15 @@ pub fn import(
         });
         done(source);
     }
+    // Read it back the way every other command will: what is wrong shows before anything is kept.
+    let campaign = Campaign::read(draft.path(), Alignment { delay_us: 0.0 }, |_| ())
+        .map_err(|problem| problem.moved(draft.path(), target))?;
+    let notices = campaign
+        .notices()
+        .map(|notice| notice.moved(draft.path(), target))
+        .collect();
     std::fs::rename(draft.keep(), target).map_err(unwritable)?;
-    Ok(imported)
+    Ok((imported, notices))
 }
 
 /// Where the recordings lie in the campaign's time.
@@ -251,6 +272,7 @@ struct Source {
     table: Table,
     clock: usize,
     clock_factor: f64,
+    clock_offset_us: f64,
     picks: Vec<Pick>,
 }
 
@@ -308,6 +330,7 @@ impl Source {
             table,
             clock,
             clock_factor,
+            clock_offset_us: side.clock.offset_s * 1e6,
             picks,
         })
     }
@@ -317,7 +340,7 @@ impl Source {
         let first = self
             .table
             .peek()?
-            .map(|row| row.cells[self.clock] * self.clock_factor);
+            .map(|row| row.cells[self.clock] * self.clock_factor + self.clock_offset_us);
         first.ok_or_else(|| Fault::NoRows.at(Place::file(self.table.path())))
     }
 
@@ -331,7 +354,7 @@ impl Source {
         writeln!(out, "{}", header.join(",")).map_err(failed)?;
         let (mut rows, mut measured, mut last_us) = (0, 0, 0.0);
         while let Some(row) = self.table.next_row()? {
-            last_us = row.cells[self.clock] * self.clock_factor - origin_us;
+            last_us = row.cells[self.clock] * self.clock_factor + self.clock_offset_us - origin_us;
             let mut line = last_us.round().to_string();
             let mut any = false;
             for pick in &self.picks {
@@ -339,7 +362,7 @@ impl Source {
                 line.push(',');
                 if !value.is_nan() && Some(value) != pick.missing {
                     any = true;
-                    line.push_str(&significant(value * pick.factor));
+                    line.push_str(&rounded(value * pick.factor, IMPORTED_DIGITS).to_string());
                 }
             }
             writeln!(out, "{line}").map_err(failed)?;
@@ -351,10 +374,4 @@ impl Source {
             .map_err(failed)?;
         Ok((rows, measured, last_us))
     }
-}
-
-/// Nine significant digits without trailing zeros: enough for any sensor, and no 0.30000000000004.
-fn significant(value: f64) -> String {
-    let rounded: f64 = format!("{value:.8e}").parse().unwrap_or(value);
-    rounded.to_string()
 }

@@ -79,15 +79,25 @@ pub enum Fault {
     #[error("cannot be written: {0}; check the path, the permissions and the space left")]
     Unwritable(std::io::Error),
     #[error(
-        "the gzip stream ends too early or is damaged ({0}); copy the file again, or unpack what is left with `zcat` and record that"
+        "the gzip stream ends too early or is damaged ({0}); copy the file again from where it was recorded"
     )]
     DamagedGzip(std::io::Error),
-    #[error("is not valid TOML: {0}")]
+    #[error("cannot be understood: {0}; correct it there")]
     Toml(String),
     #[error("the key is missing; add {example}")]
     MissingKey { example: &'static str },
     #[error("{found} is not possible here; {advice}")]
     BadValue { found: String, advice: String },
+    #[error(
+        "this is no text; if it is packed, its name must end in .csv.gz, else save it as plain CSV (comma, UTF-8)"
+    )]
+    NotText,
+    #[error("this is not a gzip file; if it is plain text, take the .gz off its name")]
+    NotGzip,
+    #[error(
+        "rows are {period_us:.3} us apart; is t_us really in microseconds? Multiply the column accordingly"
+    )]
+    ClockUnit { period_us: f64 },
     #[error("the file is empty; it needs a header line of column names and at least one row")]
     Empty,
     #[error("there are no rows under the header; record at least a few seconds")]
@@ -150,6 +160,28 @@ pub enum Fault {
     },
     #[error("no field column was found; name them s0_x_lsb (raw counts) or s0_x_gauss")]
     NoField,
+}
+
+impl Problem {
+    /// The same problem of a file that goes from one folder to another.
+    pub(crate) fn moved(mut self, from: &Path, to: &Path) -> Self {
+        self.place.file = moved(&self.place.file, from, to);
+        self
+    }
+}
+
+impl Notice {
+    /// The same notice of a file that goes from one folder to another.
+    pub(crate) fn moved(&self, from: &Path, to: &Path) -> Self {
+        let mut notice = self.clone();
+        notice.place.file = moved(&notice.place.file, from, to);
+        notice
+    }
+}
+
+fn moved(path: &Path, from: &Path, to: &Path) -> PathBuf {
+    path.strip_prefix(from)
+        .map_or_else(|_| path.to_path_buf(), |rest| to.join(rest))
 }
 
 impl Fault {

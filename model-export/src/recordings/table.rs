@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 use std::fs::File;
-use std::io::Read;
+use std::io::{Read, Seek};
 use std::path::{Path, PathBuf};
 
 use super::problem::{Fault, Place, Problem};
@@ -15,6 +15,9 @@ pub struct Row {
     /// One number for each column of the header.
     pub cells: Vec<f64>,
 }
+
+/// First bytes of a gzip file.
+const GZIP_MAGIC: [u8; 2] = [0x1F, 0x8B];
 
 /// What the cells of a column may hold.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -61,8 +64,17 @@ impl Table {
 
     /// Opens one file, unpacked on the way where its name ends in `.gz`.
     pub fn open_file(path: &Path) -> Result<Self, Problem> {
-        let file = File::open(path).map_err(|e| Fault::Unreadable(e).at(Place::file(path)))?;
+        let unreadable = |error| Fault::Unreadable(error).at(Place::file(path));
+        let mut file = File::open(path).map_err(unreadable)?;
         let packed = path.extension().is_some_and(|extension| extension == "gz");
+        if packed {
+            let mut magic = [0; 2];
+            let length = file.read(&mut magic).map_err(unreadable)?;
+            file.rewind().map_err(unreadable)?;
+            if length == 2 && magic != GZIP_MAGIC {
+                return Err(Fault::NotGzip.at(Place::file(path)));
+            }
+        }
         let input: Box<dyn Read + Send> = if packed {
             Box::new(flate2::read::MultiGzDecoder::new(file))
         } else {
@@ -84,6 +96,13 @@ impl Table {
             .map_err(|error| read_fault(error).at(Place::file(path)))?;
         if !found {
             return Err(Fault::Empty.at(Place::file(path)));
+        }
+        let text = record.iter().all(|cell| {
+            std::str::from_utf8(cell)
+                .is_ok_and(|cell| !cell.contains(|c: char| c.is_control() && !c.is_whitespace()))
+        });
+        if !text {
+            return Err(Fault::NotText.at(Place::file(path).line(1)));
         }
         let header: Vec<String> = record
             .iter()

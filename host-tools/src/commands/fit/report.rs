@@ -14,6 +14,9 @@ use crate::show;
 /// Held-out error up to this factor of the floor counts as being at it.
 const AT_FLOOR: f64 = 1.15;
 
+/// A parameter this many tolerances from nominal is marked: the unit or the design may be wrong.
+const FAR: f64 = 3.0;
+
 /// Sensors side by side in one table.
 const SENSORS_ACROSS: usize = 4;
 
@@ -21,8 +24,8 @@ const SENSORS_ACROSS: usize = 4;
 pub fn text(campaign: &Campaign, model: &ModelFile, fits: &Fits) -> String {
     let provenance = &model.provenance;
     let base = match fits {
-        Fits::Cylinder(..) => parameters(model),
-        Fits::Polynomial(fits) => fits.iter().map(degrees).collect(),
+        Fits::Cylinder(..) => parameters(model) + &held(model),
+        Fits::Polynomial(fits) => degrees(fits),
     };
     format!(
         "{}: {} recordings, {:.1} s, {} rows; the field is averaged over ±{:.2} ms around each\n\
@@ -41,14 +44,15 @@ pub fn text(campaign: &Campaign, model: &ModelFile, fits: &Fits) -> String {
     )
 }
 
-fn parameters(model: &ModelFile) -> String {
+/// Every parameter of every sensor.
+pub fn parameters(model: &ModelFile) -> String {
     let Some(design) = &model.design else {
         return String::new();
     };
     let nominal = ForwardModel::nominal(design);
     let (nominals, tolerances) = (values(&nominal), tolerances(&nominal));
     let mut text = "Fitted parameters ± one standard deviation, beside the nominal design and the tolerance (assumed\n\
-                    manufacturing scatter). ? : these recordings do not tell it to half a tolerance.\n"
+                    manufacturing scatter). ?: not told to half a tolerance. !: over 3 tolerances off, check design.\n"
         .to_owned();
     for sensors in model.sensors.chunks(SENSORS_ACROSS) {
         let numbers = sensors
@@ -61,7 +65,13 @@ fn parameters(model: &ModelFile) -> String {
                 let value = sensor.parameters.get(parameter.name);
                 value.map_or_else(String::new, |value| {
                     let shown = show::with_error(value.value, value.std_error, tolerances[i]);
-                    shown + if value.identifiable { "" } else { "?" }
+                    let far = (value.value - nominals[i]).abs() > FAR * tolerances[i];
+                    shown
+                        + match (value.identifiable, far) {
+                            (false, _) => "?",
+                            (true, true) => "!",
+                            (true, false) => "",
+                        }
                 })
             });
             let words = [
@@ -74,6 +84,12 @@ fn parameters(model: &ModelFile) -> String {
         show::right_align(&mut table, 1);
         text += &format!("{table}\n");
     }
+    text
+}
+
+/// The combinations of parameters that were held at nominal.
+fn held(model: &ModelFile) -> String {
+    let mut text = String::new();
     if model.sensors.iter().any(|sensor| !sensor.held.is_empty()) {
         text += "Combinations that cannot be told apart, held at nominal (shares in tolerances; in brackets how\n\
                  well the data alone know each):\n";
@@ -84,7 +100,13 @@ fn parameters(model: &ModelFile) -> String {
         .filter(|sensor| !sensor.held.is_empty())
     {
         let held: Vec<String> = sensor.held.iter().map(combination).collect();
-        text += &format!("  sensor {}: {}\n", sensor.number, held.join("; "));
+        // Two fit in a line.
+        let lines: Vec<String> = held.chunks(2).map(|pair| pair.join("; ")).collect();
+        text += &format!(
+            "  sensor {}: {}\n",
+            sensor.number,
+            lines.join("\n            ")
+        );
     }
     text
 }
@@ -96,28 +118,44 @@ fn combination(held: &Held) -> String {
         .iter()
         .map(|(name, share)| format!("{share:+.2} {name}"))
         .collect();
-    format!("{} ({:.1})", shares.join(" "), held.known_within)
+    let known = match held.known_within {
+        little if little < 100.0 => format!("{little:.1}"),
+        _ => "nothing".to_owned(),
+    };
+    format!("{} ({known})", shares.join(" "))
 }
 
-fn degrees(fit: &PolynomialFit) -> String {
-    let forces = fit.model.forces.iter();
-    let forces: Vec<String> = forces
-        .map(|(place, axis)| format!("f{place}_{}_n", axis.letter()))
-        .collect();
-    let tried = fit.tried.iter();
-    let tried: Vec<String> = tried
-        .map(|(degree, rms)| format!("degree {degree} {rms:.4} G"))
-        .collect();
-    format!(
-        "Sensor {}: polynomial of degree {} in {}; held out: {}.\n",
-        fit.sensor,
-        fit.model.degree,
-        forces.join(", "),
-        tried.join(", ")
-    )
+fn degrees(fits: &[PolynomialFit]) -> String {
+    let Some(first) = fits.first() else {
+        return String::new();
+    };
+    let tried = first
+        .tried
+        .iter()
+        .map(|(degree, _)| format!("degree {degree}"));
+    let words = ["sensor", "forces", "taken"].map(String::from);
+    let mut table = show::table(words.into_iter().chain(tried));
+    for fit in fits {
+        let forces: Vec<String> = fit
+            .model
+            .forces
+            .iter()
+            .map(|(place, axis)| format!("f{place}_{}", axis.letter()))
+            .collect();
+        let words = [
+            fit.sensor.to_string(),
+            forces.join(", "),
+            fit.model.degree.to_string(),
+        ];
+        let errors = fit.tried.iter().map(|(_, rms)| format!("{rms:.4}"));
+        table.add_row(words.into_iter().chain(errors).collect::<Vec<_>>());
+    }
+    show::right_align(&mut table, 2);
+    format!("Held-out error in G by degree of the polynomial\n{table}\n")
 }
 
-fn scores(campaign: &Campaign, model: &ModelFile) -> String {
+/// Held-out error of every axis.
+pub fn scores(campaign: &Campaign, model: &ModelFile) -> String {
     let how = match campaign.recordings.len() {
         1 => "on sixths kept out in turn; one recording: no claim beyond it",
         _ => "on each recording in turn, kept out of the fit",
@@ -160,24 +198,34 @@ fn axes(model: &ModelFile) -> impl Iterator<Item = (&SensorModel, &HeldOut)> {
         .flat_map(|sensor| sensor.held_out.iter().map(move |axis| (sensor, axis)))
 }
 
-fn verdict(model: &ModelFile) -> String {
+/// One line in words.
+pub fn verdict(model: &ModelFile) -> String {
     let above = |axis: &HeldOut| axis.rms_g / axis.floor_g;
     let worst = axes(model).max_by(|a, b| above(a.1).total_cmp(&above(b.1)));
-    match worst {
-        Some((sensor, axis)) if above(axis) > AT_FLOOR => {
-            let why = match model.base {
-                Base::Cylinder => "the base physics lacks an effect",
-                Base::Polynomial => "the field depends on more than these forces",
-            };
-            format!(
-                "Structure remains: {why}. Worst is sensor {} {}, {:.1} times its floor.",
-                sensor.number,
-                axis.axis,
-                above(axis)
-            )
-        }
-        _ => "At the noise floor: nothing is left that a better model could explain.".to_owned(),
+    let Some((sensor, axis)) = worst.filter(|(_, axis)| above(axis) > AT_FLOOR) else {
+        let percent = 100.0 * (AT_FLOOR - 1.0);
+        return format!(
+            "At the noise floor: within {percent:.0} % of what noise alone would leave, on every axis."
+        );
+    };
+    let where_ = format!(
+        "Worst is sensor {} {}, {:.1} times its floor.",
+        sensor.number,
+        axis.axis,
+        above(axis)
+    );
+    if axis.fitted_rms_g <= AT_FLOOR * axis.floor_g {
+        return format!(
+            "Too little data: at the floor where it was fitted, above it where it was not. {where_}"
+        );
     }
+    let why = match model.base {
+        Base::Cylinder => "the base physics lacks an effect, or the two clocks disagree.",
+        Base::Polynomial => {
+            "the degree is too low, or the field depends on more than these forces."
+        }
+    };
+    format!("Structure remains: {why}\n{where_}")
 }
 
 /// The object of `--json`.

@@ -70,6 +70,16 @@ fn newtons(sums: Option<Sums>) -> String {
 
 /// The page.
 pub fn text(outcome: &Outcome) -> String {
+    format!(
+        "{}\n{}\n{}",
+        forces(outcome),
+        by_recording(outcome),
+        beside(outcome)
+    )
+}
+
+/// Errors of the device's code against the reference, all recordings.
+pub fn forces(outcome: &Outcome) -> String {
     let mut table = show::table([
         "sensor",
         "force",
@@ -97,13 +107,10 @@ pub fn text(outcome: &Outcome) -> String {
     let rows: u64 = outcome.fitted.iter().map(|r| r.rows).sum();
     format!(
         "Every row through the device's code, in newtons, device minus reference\n{table}\n\
-         {}{}\n{rows} rows, {:.0} times real time on one core (reading and the device's code).\n\n\
-         {}\n{}",
+         {}{}\n{rows} rows, {:.0} times real time on one core (reading and the device's code).\n",
         tare_line(&outcome.fitted),
         invalid_line(&outcome.fitted),
         times_real_time(&outcome.fitted),
-        by_recording(outcome),
-        beside(outcome),
     )
 }
 
@@ -122,13 +129,8 @@ fn tare_line(recordings: &[RecordingReplay]) -> String {
                 unloaded second at the start.\n"
             .to_owned();
     }
-    let short = if shortest < 0.95 {
-        "; record a whole unloaded second for a better one"
-    } else {
-        ""
-    };
     format!(
-        "Tare: the mean over the first unloaded stretch, a second at the most (here {shortest:.2} s{short}).\n"
+        "Tare: the mean over the first unloaded stretch, a second at the most (here {shortest:.2} s).\n"
     )
 }
 
@@ -165,7 +167,8 @@ fn by_recording(outcome: &Outcome) -> String {
     format!("RMSE after tare, each recording (held out: the model has not seen it)\n{table}\n")
 }
 
-fn beside(outcome: &Outcome) -> String {
+/// The same recordings by simpler models.
+pub fn beside(outcome: &Outcome) -> String {
     let mut table = show::table([
         "sensor",
         "force",

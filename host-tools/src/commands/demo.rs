@@ -1,0 +1,103 @@
+//! `magpie demo`: from raw recordings to forces by the gripper's own code, as a short story.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use firmware::params;
+use model_export::fit::Options;
+use model_export::inverse::build::{Variant, build};
+use model_export::inverse::emit::{MARK, source};
+use model_export::model_file::{ModelFile, Provenance};
+use model_export::output::write_output;
+use model_export::recordings::Campaign;
+use model_export::recordings::align::Alignment;
+
+use super::fit::{BaseChoice, fit_campaign};
+use super::{export, fit, replay};
+use crate::{progress, show};
+
+/// Raw recordings to forces, on a small campaign that comes with the project.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  cargo magpie demo
+  cargo magpie demo -o somewhere")]
+pub struct Args {
+    /// Folder for the model and the tables that the demo writes.
+    #[arg(short, long, value_name = "FOLDER", default_value = "magpie-demo")]
+    output: PathBuf,
+}
+
+/// The campaign of the demo, in the checkout that this tool was built from.
+const CAMPAIGN: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/data/demo");
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<()> {
+    let folder = Path::new(CAMPAIGN);
+    let alignment = Alignment { delay_us: 0.0 };
+    let reading = progress::bar("reading recordings", 3);
+    let mut campaign = Campaign::read(folder, alignment, |_| reading.inc(1))
+        .context("the demo's recordings lie in the project's checkout (tests/data/demo)")?;
+    reading.finish_and_clear();
+    std::fs::create_dir_all(&args.output)
+        .with_context(|| format!("{} cannot be made", args.output.display()))?;
+    let model_path = args.output.join("model.toml");
+    let tables_path = args.output.join("tables.rs");
+
+    let held_out = campaign
+        .recordings
+        .pop()
+        .context("the demo's campaign is empty")?;
+    show::page(&format!(
+        "1. The recordings. {} recordings of a gripper on a bench, {:.0} s each: {} Hall sensors at 1 kHz, and the\n\
+         force on each by a reference at 100 Hz. Recording {} is put aside: nothing below is fitted to it.\n\n",
+        campaign.recordings.len() + 1,
+        campaign.duration_s() / campaign.recordings.len() as f64,
+        campaign.sensors().len(),
+        held_out.name,
+    ))?;
+
+    let options = Options::default();
+    let (fits, _) = fit_campaign(&campaign, BaseChoice::Cylinder, None, options)?;
+    let provenance = Provenance::of(&campaign, alignment.delay_us, options)?;
+    let model = ModelFile::of(&campaign, &fits, provenance);
+    model.write(&model_path)?;
+    show::page(&format!(
+        "2. The fit. Magnet, gap, flexures and misalignment of each sensor, from field and reference.\n\n{}\n{}{}\n\n",
+        fit::report::parameters(&model),
+        fit::report::scores(&campaign, &model),
+        fit::report::verdict(&model),
+    ))?;
+
+    let building = progress::bar("building tables", 1);
+    let (_, chosen, header) = build(&model_path, Variant::Fitted)?;
+    building.finish_and_clear();
+    write_output(&tables_path, source(&chosen, &header).as_bytes(), MARK)?;
+    show::page(&format!(
+        "3. The inverse. From three fields to two forces, in integers, as the {} Hz loop of the gripper\n\
+         computes it.\n\n{}\n",
+        params::SENSE_RATE.value,
+        export::report(&chosen, &header),
+    ))?;
+
+    let outcome = replay::outcome(&model_path, &held_out.folder, 0.0)?;
+    show::page(&format!(
+        "4. The judgement. Recording {}, which the fit has not seen, row by row through the device's own code.\n\n{}\n{}\n{}",
+        held_out.name,
+        replay::report::forces(&outcome),
+        replay::report::beside(&outcome),
+        closing(&model_path, &tables_path),
+    ))?;
+    Ok(())
+}
+
+fn closing(model: &Path, tables: &Path) -> String {
+    format!(
+        "Written: {} (to read), {} (for the firmware).\n\
+         An image with these tables: MAGPIE_TABLES={} cargo image\n\
+         Your own recordings:        cargo magpie fit YOUR-CAMPAIGN -o model.toml\n",
+        model.display(),
+        tables.display(),
+        tables.display(),
+    )
+}
