@@ -19,7 +19,7 @@ pub const SLOPE_BITS: u32 = 16;
 pub struct Tables<'a> {
     /// Identifies the tables on the bus: the first two bytes of the inputs' hash.
     pub id: u16,
-    /// exp(-gamma d^2), as [`crate::model::grbf::exponential`] reads it.
+    /// exp(-gamma d^2), as [`crate::model::grbf`] reads it.
     pub exp: &'a [u32; EXP_ENTRIES],
     /// One for each sensor, in order.
     pub sensors: &'a [SensorTable],
