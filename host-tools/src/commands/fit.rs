@@ -52,7 +52,7 @@ pub struct Args {
 /// What the field is computed from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum BaseChoice {
-    /// Exact cylinder magnet on two flexures; needs the nominal [design].
+    /// Exact cylinder magnet on two flexures; needs the nominal design.
     Cylinder,
     /// Polynomial of the forces, where no geometry is known.
     Polynomial,
