@@ -8,9 +8,9 @@ use super::align::Sample;
 use super::clock::{ClockWatch, no_clock, period_us};
 use super::columns::{Axis, FieldUnit, HallColumn, hall_column, is_angle};
 use super::description::{Description, FILE};
+use super::layout::Layout;
 use super::noise::WhiteNoise;
 use super::problem::{Fault, Notice, Place, Problem};
-use super::stream::Layout;
 use super::table::{Cells, Row, Table};
 
 /// Reads `hall.csv`: scale, saturation, angles through their wrap.

@@ -2,6 +2,7 @@
 //!
 //! - [`problem`]: what can be wrong with a recording, each with its place and its one sentence.
 //! - [`columns`]: what a column's name means.
+//! - [`layout`]: which channels a recording has.
 //! - [`description`]: `recording.toml`, the sensor's scale and the nominal design.
 //! - [`table`]: a `.csv` or `.csv.gz` as a stream of checked rows.
 //! - [`noise`]: white noise of a stream, from differences of its rows.
@@ -20,6 +21,7 @@ pub mod description;
 mod force_reader;
 mod hall_reader;
 pub mod import;
+pub mod layout;
 pub mod noise;
 pub mod problem;
 pub mod raw;

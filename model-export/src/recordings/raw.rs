@@ -7,8 +7,8 @@ use super::align::Alignment;
 use super::description::Description;
 use super::force_reader::ForceReader;
 use super::hall_reader::HallReader;
+use super::layout::Layout;
 use super::problem::Problem;
-use super::stream::Layout;
 use super::table::{Row, Table};
 
 /// One row of the board.

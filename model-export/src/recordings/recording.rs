@@ -6,8 +6,9 @@ use std::path::{Path, PathBuf};
 use super::align::Alignment;
 use super::columns::{Axis, ForceColumn, HallColumn};
 use super::description::Description;
+use super::layout::Layout;
 use super::problem::{Notice, Problem};
-use super::stream::{AlignedRow, Layout, RecordingStream, Summary};
+use super::stream::{AlignedRow, RecordingStream, Summary};
 
 /// One uninterrupted run, on the reference's clock.
 #[derive(Clone, Debug)]

@@ -1,14 +1,13 @@
 //! One recording as a stream of rows on the reference's clock. Memory does not grow with length.
 
-use std::collections::BTreeSet;
 use std::path::Path;
 
 use super::align::{Aligner, Alignment, Window};
 use super::clock::GAP_STEPS;
-use super::columns::{Axis, ForceColumn, HallColumn};
 use super::description::Description;
 use super::force_reader::ForceReader;
 use super::hall_reader::HallReader;
+use super::layout::Layout;
 use super::noise::WhiteNoise;
 use super::problem::{Fault, Notice, Place, Problem};
 use super::table::{Row, Table};
@@ -24,40 +23,6 @@ pub struct AlignedRow {
     pub forces: Vec<f64>,
     /// Factor by which the averaging multiplies the standard deviation of the sensor's white noise.
     pub noise_gain: f64,
-}
-
-/// What the channels of an [`AlignedRow`] are.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Layout {
-    /// Columns of `hall.csv`, without the clock.
-    pub hall: Vec<HallColumn>,
-    /// Columns of `force.csv`, without the clock.
-    pub forces: Vec<ForceColumn>,
-}
-
-impl Layout {
-    /// Numbers of the sensors, ascending.
-    pub fn sensors(&self) -> Vec<u32> {
-        let sensors: BTreeSet<u32> = self
-            .hall
-            .iter()
-            .filter_map(|column| match column {
-                HallColumn::Field { sensor, .. } => Some(*sensor),
-                _ => None,
-            })
-            .collect();
-        sensors.into_iter().collect()
-    }
-
-    /// Where the three axes of a sensor are among the board's channels.
-    pub fn field_channels(&self, sensor: u32) -> Option<[usize; 3]> {
-        let find = |wanted: Axis| {
-            self.hall.iter().position(|column| {
-                matches!(column, HallColumn::Field { sensor: s, axis, .. } if *s == sensor && *axis == wanted)
-            })
-        };
-        Some([find(Axis::X)?, find(Axis::Y)?, find(Axis::Z)?])
-    }
 }
 
 /// What a stream has seen when it has ended.
