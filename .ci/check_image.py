@@ -6,6 +6,7 @@
 Needs arm-none-eabi-objdump (Debian: binutils-arm-none-eabi).
 """
 
+import bisect
 import re
 import struct
 import subprocess
@@ -41,41 +42,55 @@ def check_vectors(elf, sections):
 
 
 def functions(elf):
-    """Name to the set of names that it calls or jumps to; None stands for an unknown target."""
-    graph, name = {}, None
-    head = re.compile(r"^[0-9a-f]+ <(.+)>:$")
-    branch = re.compile(r"\t(?:bl|blx|b|b\.w|b\.n|bx|cbz|cbnz|b[a-z]{2}(?:\.[nw])?)\t(.*)$")
+    """Address of each function to its name and the addresses that it calls or jumps to.
+
+    Names with templates in them cannot be told apart in the text of a branch, addresses can. None
+    stands for an unknown target.
+    """
+    found, address = {}, None
+    head = re.compile(r"^([0-9a-f]+) <(.+)>:$")
+    condition = "eq|ne|cs|cc|hs|lo|mi|pl|vs|vc|hi|ls|ge|lt|gt|le"
+    branch = re.compile(rf"\t(?:bl|blx|bx|cbn?z|b(?:{condition})?)(?:\.[nw])?\t(.*)$")
+    indirect = re.compile(r"\t(?:mov|ldr|pop)(?:\.[nw])?\t(?:pc, |.*\bpc\b.*\})")
     for line in objdump("-d", "--demangle", elf).splitlines():
         if match := head.match(line):
-            name = match[1]
-            graph.setdefault(name, set())
-        elif name and (match := branch.search(line)):
-            target = re.search(r"<(.+?)(?:\+0x[0-9a-f]+)?>", match[1])
+            address = int(match[1], 16)
+            found[address] = (match[2], set())
+        elif address and (match := branch.search(line)):
+            target = re.search(r"(?:^|, )([0-9a-f]{6,8}) <", match[1])
             if target:
-                graph[name].add(target[1])
-            elif match[1].strip() != "lr":
-                graph[name].add(None)
-    return graph
+                found[address][1].add(int(target[1], 16))
+            elif not match[1].startswith("lr"):
+                found[address][1].add(None)
+        elif address and indirect.search(line) and "\tpop" not in line and "sp!" not in line:
+            found[address][1].add(None)
+    return found
 
 
 def check_no_panic(elf):
-    graph = functions(elf)
-    starts = [name for name in graph if name.startswith(ENTRY)]
-    if not starts:
+    found = functions(elf)
+    starts = sorted(found)
+    waiting = [address for address, (name, _) in found.items() if name.startswith(ENTRY)]
+    if not waiting:
         sys.exit(f"{elf}: {ENTRY} is not in the image")
-    reached, waiting = set(), starts
+    reached = set()
     while waiting:
-        name = waiting.pop()
-        if name in reached:
+        target = waiting.pop()
+        if target is None:
+            sys.exit(f"{elf}: a call through a pointer is reachable from {ENTRY}: where it goes is not known")
+        place = bisect.bisect_right(starts, target) - 1
+        if place < 0:
+            sys.exit(f"{elf}: a call to {target:#x} leads out of the image")
+        address = starts[place]
+        if address in reached:
             continue
-        reached.add(name)
+        reached.add(address)
+        name, targets = found[address]
         if "panic" in name or "unwrap_failed" in name or "expect_failed" in name:
             sys.exit(f"{elf}: {name} is reachable from {ENTRY}")
-        for target in graph.get(name, ()):
-            if target is None:
-                sys.exit(f"{elf}: {name} calls through a pointer: what it reaches is not known")
-            waiting.append(target)
-    print(f"no panic among the {len(reached)} functions reachable from {ENTRY}")
+        waiting.extend(targets)
+    names = sorted(found[address][0] for address in reached)
+    print(f"no panic among the {len(names)} functions reachable from {ENTRY}")
 
 
 def main(elf):
