@@ -7,8 +7,8 @@ use crate::recordings::problem::Fault;
 use crate::recordings::{Place, Problem};
 
 /// Writes `bytes` to a new file beside `path` and renames it. What stands at `path` is replaced only
-/// if it begins with `mark`, as everything does that the tool has written there before; a link is
-/// followed.
+/// if it is empty or begins with `mark`, as everything does that the tool has written there before; a
+/// link is followed.
 ///
 /// # Errors
 /// Something else stands there, or the file system refuses.
@@ -21,10 +21,8 @@ pub fn write_output(path: &Path, bytes: &[u8], mark: &str) -> Result<(), Problem
         Ok(_) => path.canonicalize().map_err(failed)?,
         Err(_) => path.to_path_buf(),
     };
-    if target.exists() && !begins_with(&target, mark) {
-        let found = "a file that magpie has not written".to_owned();
-        let advice = "choose another name: it is not overwritten".to_owned();
-        return Err(Fault::BadValue { found, advice }.at(Place::file(path)));
+    if target.exists() && !is_ours(&target, mark) {
+        return Err(Fault::Occupied.at(Place::file(path)));
     }
     let folder = match target.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder,
@@ -45,12 +43,17 @@ pub fn write_output(path: &Path, bytes: &[u8], mark: &str) -> Result<(), Problem
     Ok(())
 }
 
-fn begins_with(path: &Path, mark: &str) -> bool {
-    let is_file = path.metadata().is_ok_and(|metadata| metadata.is_file());
+/// An empty file, or one that begins with the mark.
+fn is_ours(path: &Path, mark: &str) -> bool {
+    let Ok(metadata) = path.metadata() else {
+        return false;
+    };
     let mut start = vec![0; mark.len()];
-    is_file
-        && std::fs::File::open(path)
+    let mut marked = || {
+        std::fs::File::open(path)
             .and_then(|mut file| file.read_exact(&mut start))
             .is_ok()
-        && start == mark.as_bytes()
+            && start == mark.as_bytes()
+    };
+    metadata.is_file() && (metadata.len() == 0 || marked())
 }

@@ -190,6 +190,7 @@ fn a_file_that_magpie_has_not_written_is_never_overwritten() {
     assert!(refused.contains("it is not overwritten"), "{refused}");
     assert_eq!(std::fs::read_to_string(&precious).unwrap(), "start_s = 0.0");
     let own = folder.path().join("model.toml");
+    std::fs::write(&own, "").unwrap();
     model.write(&own).unwrap();
     model.write(&own).unwrap();
 }

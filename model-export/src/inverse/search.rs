@@ -22,6 +22,10 @@ const SAMPLES: usize = 1500;
 /// reading (0.35 G through 1.17 and 0.73 G/N). Beyond it fewer centres are preferred.
 const GOOD_ENOUGH_N: f64 = 0.19;
 
+/// Error by rounding to the device's integers, each force, root mean square, that is put up with in
+/// newtons: a tenth of the noise of one reading.
+const MOST_ROUNDING_N: f64 = 0.04;
+
 /// The chosen models and what they cost.
 #[derive(Clone, Debug)]
 pub struct Chosen {
@@ -84,14 +88,20 @@ pub fn choose(
     let tried: Vec<(Shape, f64)> = shapes()
         .into_par_iter()
         .filter_map(|shape| {
-            let tables = build(&fit_all(shape)?).ok()?;
-            let worst = sensors.iter().enumerate().map(|(i, sensor)| {
-                let (rms, _) = errors(&sensor.choosing, |field| {
-                    tables.force(i, field, gauss_per_lsb)
-                });
-                rms[0].hypot(rms[1])
-            });
-            Some((shape, worst.fold(0.0, f64::max)))
+            let models = fit_all(shape)?;
+            let tables = build(&models).ok()?;
+            let mut worst = 0.0_f64;
+            for (i, (sensor, model)) in sensors.iter().zip(&models).enumerate() {
+                let fixed = |field: &_| tables.force(i, field, gauss_per_lsb);
+                let float = in_float(model, &sensor.choosing[..SAMPLES / 5]);
+                let (rounding, _) = errors(&float, fixed);
+                if rounding.iter().any(|rms| *rms > MOST_ROUNDING_N) {
+                    return None;
+                }
+                let (rms, _) = errors(&sensor.choosing, fixed);
+                worst = worst.max(rms[0].hypot(rms[1]));
+            }
+            Some((shape, worst))
         })
         .collect();
     let best = tried.iter().min_by(|a, b| a.1.total_cmp(&b.1)).copied();
@@ -112,13 +122,7 @@ pub fn choose(
     let tables = build(&chosen)?;
     let judged = sensors.par_iter().enumerate().map(|(i, sensor)| {
         let samples = held_out(sensor.model, &sensor.design, SAMPLES, JUDGING_SEED);
-        let float: Vec<Sample> = samples
-            .iter()
-            .map(|s| Sample {
-                force_n: chosen[i].force(&s.field_g),
-                ..*s
-            })
-            .collect();
+        let float = in_float(&chosen[i], &samples);
         SensorErrors {
             model: errors(&samples, |field| chosen[i].force(field)),
             fixed: errors(&float, |field| tables.force(i, field, gauss_per_lsb)),
@@ -133,6 +137,15 @@ pub fn choose(
         tables,
         linear,
     })
+}
+
+/// The same fields with the forces that the model in floating point gives.
+fn in_float(model: &Grbf, samples: &[Sample]) -> Vec<Sample> {
+    let force = |sample: &Sample| Sample {
+        force_n: model.force(&sample.field_g),
+        ..*sample
+    };
+    samples.iter().map(force).collect()
 }
 
 /// The shapes that are tried.

@@ -68,4 +68,11 @@ impl ForceReader {
     pub(super) fn forces(&self, row: &Row) -> Vec<f64> {
         self.picks.iter().map(|&pick| row.cells[pick]).collect()
     }
+
+    /// The forces on the straight line between two rows.
+    pub(super) fn between(&self, before: &Row, after: &Row, share: f64) -> Vec<f64> {
+        let line =
+            |&pick: &usize| before.cells[pick] + share * (after.cells[pick] - before.cells[pick]);
+        self.picks.iter().map(line).collect()
+    }
 }

@@ -89,6 +89,10 @@ pub enum Fault {
     #[error("{found} is not possible here; {advice}")]
     BadValue { found: String, advice: String },
     #[error(
+        "something stands there that magpie has not written; choose another name: it is not overwritten"
+    )]
+    Occupied,
+    #[error(
         "this is no text; if it is packed, its name must end in .csv.gz, else save it as plain CSV (comma, UTF-8)"
     )]
     NotText,

@@ -91,11 +91,7 @@ impl RawStream {
             (_, Some(after)) if time(after) == time_us => self.force.forces(after),
             (Some(before), Some(after)) if time(after) - time(before) <= self.gap_us => {
                 let share = (time_us - time(before)) / (time(after) - time(before));
-                let (from, to) = (self.force.forces(before), self.force.forces(after));
-                from.iter()
-                    .zip(&to)
-                    .map(|(a, b)| a + share * (b - a))
-                    .collect()
+                self.force.between(before, after, share)
             }
             _ => vec![f64::NAN; self.layout.forces.len()],
         }
