@@ -75,27 +75,31 @@ pub fn fit(
         })
     };
     let all = || rows.parts.iter().collect::<Vec<_>>();
-    let mut space = Space::whole();
-    let mut departures = Departures::zeros();
-    let mut weights = full / FIRST_INFLATION.sqrt();
-    let mut linear = (0.0, Vec::new());
-    for held in [false, true] {
-        departures = solve(all(), weights, &space, &departures)?;
-        linear = linearised(rows, nominal, &departures, full);
-        weights = full / inflation(&linear.1).sqrt();
-        if held {
-            space = Space::known_from(&linear.1);
-            if space.free.ncols() == 0 {
-                return Err(FitError::NotConverged {
-                    sensor: rows.sensor,
-                    reason: "these recordings tell none of its parameters".to_owned(),
-                });
-            }
-            departures = solve(all(), weights, &space, &departures)?;
-            linear = linearised(rows, nominal, &departures, full);
-        }
+    let whole = Space::whole();
+    let linear = |at: &Departures| linearised(rows, nominal, at, full);
+    let deserved = |blocks: &[Block]| full / inflation(blocks).sqrt();
+
+    // With the data's weight low, to see their residual; then with the weight that it deserves;
+    // last with what the data do not tell held at nominal.
+    let first = solve(
+        all(),
+        full / FIRST_INFLATION.sqrt(),
+        &whole,
+        &Departures::zeros(),
+    )?;
+    let second = solve(all(), deserved(&linear(&first).1), &whole, &first)?;
+    let (_, blocks) = linear(&second);
+    let weights = deserved(&blocks);
+    let space = Space::known_from(&blocks);
+    if space.free.ncols() == 0 {
+        return Err(FitError::NotConverged {
+            sensor: rows.sensor,
+            reason: "these recordings tell none of its parameters".to_owned(),
+        });
     }
-    let (length_s, blocks) = linear;
+    let departures = solve(all(), weights, &space, &second)?;
+    let (length_s, blocks) = linear(&departures);
+
     let mut tally = Tally::default();
     for fold in folds(rows, length_s) {
         let training = fold.training.iter().map(AsRef::as_ref).collect();
@@ -136,7 +140,8 @@ fn weights(rows: &SensorRows, nominal: &ForwardModel) -> Vector3<f64> {
     floor.map(|variance| 1.0 / variance.sqrt().max(1e-3))
 }
 
-/// Model minus measurement over some parts, weighted, and the prior of one tolerance, as a function of the free directions.
+/// Model minus measurement over some parts, weighted, and the prior of one tolerance, as a function
+/// of the free directions.
 struct Problem<'a> {
     parts: Vec<&'a Part>,
     nominal: &'a ForwardModel,
