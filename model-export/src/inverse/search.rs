@@ -117,8 +117,15 @@ pub fn choose(
         ridge: 0.0,
     };
     let (shape, _) = fewest.copied().or(best).unwrap_or((linear_shape, f64::NAN));
-    let chosen = fit_all(shape).unwrap_or_default();
-    let linear = fit_all(linear_shape).unwrap_or_default();
+    let (Some(chosen), Some(linear)) = (fit_all(shape), fit_all(linear_shape)) else {
+        return Err(Overflow {
+            sensor: 0,
+            row: "every row".to_owned(),
+            value: f64::NAN,
+            format: "any shape".to_owned(),
+            advice: "the field of this model does not determine the forces: check its parameters",
+        });
+    };
     let tables = build(&chosen)?;
     let judged = sensors.par_iter().enumerate().map(|(i, sensor)| {
         let samples = held_out(sensor.model, &sensor.design, SAMPLES, JUDGING_SEED);
