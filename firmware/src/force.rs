@@ -36,9 +36,9 @@ impl Estimate {
     };
 }
 
-/// The forces at sensor number `sensor` of the tables.
-pub fn estimate(tables: &Tables, sensor: usize, reading: Option<Reading>) -> Estimate {
-    let (Some(table), Some(reading)) = (tables.sensors.get(sensor), reading) else {
+/// The forces at the sensor with this number.
+pub fn estimate(tables: &Tables, number: usize, reading: Option<Reading>) -> Estimate {
+    let (Some(table), Some(reading)) = (tables.sensor(number), reading) else {
         return Estimate::MISSING;
     };
     let inverse = ideal::evaluate(tables, table, reading.field.map(Field::from_counts));

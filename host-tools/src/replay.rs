@@ -9,6 +9,7 @@ use model_export::inverse::grbf::Grbf;
 use model_export::inverse::quantise::TableSet;
 use model_export::recordings::Problem;
 use model_export::recordings::columns::{Axis, ForceColumn};
+use model_export::recordings::noise::WhiteNoise;
 use model_export::recordings::raw::{RawRow, RawStream};
 use nalgebra::Vector3;
 
@@ -20,6 +21,10 @@ const UNLOADED_N: f64 = 1.0;
 const TARE_S: f64 = 1.0;
 /// Shorter stretches are no rest, only a load that passes zero.
 const SHORTEST_TARE_S: f64 = 0.2;
+
+/// Noise on a straight line between two noisy rows, as a share of a row's, root mean square: the mean
+/// of (1-s)^2 + s^2 is 2/3.
+const BETWEEN_ROWS: f64 = 0.816_496_580_927_726;
 
 /// Sums over rows from which every statistic follows.
 #[derive(Clone, Copy, Debug, Default)]
@@ -86,6 +91,9 @@ pub struct Track {
     pub float: Sums,
     /// Device minus floating point.
     pub fixed_minus_float: Sums,
+    /// Root mean square that white noise alone would leave: that of the sensor, seen in the
+    /// estimates, and that of the reference on the line between two of its rows.
+    pub noise_n: f64,
     /// Mean estimate over an unloaded stretch, and its length in seconds; `None` where the force
     /// never rested.
     pub tare: Option<(f64, f64)>,
@@ -164,6 +172,7 @@ pub fn replay(
             .collect(),
         ..Default::default()
     };
+    let mut noises = vec![[WhiteNoise::default(), WhiteNoise::default()]; wiring.len()];
     let mut rests: Vec<Rest> = wiring.iter().map(|_| Rest::default()).collect();
     let tables = models.tables.tables();
     let mut first_s = None;
@@ -178,7 +187,11 @@ pub fn replay(
         {
             for wires in &wiring {
                 let bytes = a31301::encode(reading(&row, wires, models.gauss_per_lsb));
-                estimates.push(estimate(&tables, wires.table, Some(a31301::decode(bytes))));
+                estimates.push(estimate(
+                    &tables,
+                    wires.number as usize,
+                    Some(a31301::decode(bytes)),
+                ));
             }
             rows.push(row);
         }
@@ -202,6 +215,7 @@ pub fn replay(
                     let float = models.float[wires.table]
                         .force(&(Vector3::from(counts) * models.gauss_per_lsb));
                     for axis in 0..2 {
+                        noises[i][axis].push(found[axis]);
                         let track = &mut sensor.axes[axis];
                         track.error.add(found[axis] - reference[axis]);
                         track.float.add(float[axis] - reference[axis]);
@@ -213,10 +227,15 @@ pub fn replay(
         }
         done(result.rows);
     }
-    for (sensor, rest) in result.sensors.iter_mut().zip(rests) {
+    let force_noise = stream.force_noise();
+    let seen = wiring.iter().zip(&noises).zip(rests);
+    for (sensor, ((wires, noise), rest)) in result.sensors.iter_mut().zip(seen) {
         let tare = rest.tare();
         for (axis, track) in sensor.axes.iter_mut().enumerate() {
             track.tare = tare.map(|(mean, length)| (mean[axis], length));
+            let own = noise[axis].estimate().unwrap_or(0.0);
+            let reference = force_noise[wires.forces[axis]].unwrap_or(0.0);
+            track.noise_n = own.hypot(reference * BETWEEN_ROWS);
         }
     }
     Ok(result)

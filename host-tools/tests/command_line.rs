@@ -146,6 +146,9 @@ fn replay_gives_forces_below_a_newton_on_a_recording_that_was_not_fitted() {
             of("fixed_minus_float_rms_n") <= 0.1 && of("mean_n").abs() < 0.2,
             "{sensor}"
         );
+        // What is left beyond white noise is the model's: little on clean data.
+        let beyond = of("tared_rmse_n") / of("noise_n");
+        assert!((0.97..1.08).contains(&beyond), "{sensor}");
         let parts = of("mean_n").hypot(of("std_n"));
         assert!((parts - of("rmse_n")).abs() < 1e-9, "{sensor}");
     }
@@ -187,6 +190,59 @@ fn the_committed_tables_are_those_of_the_demo() {
             "{line}"
         );
     }
+}
+
+#[test]
+fn a_model_with_a_broken_number_is_refused_by_its_name() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("model.toml");
+    let model = path.to_str().unwrap();
+    assert!(
+        magpie(&["fit", data("clean").to_str().unwrap(), "-o", model])
+            .status
+            .success()
+    );
+    let good = std::fs::read_to_string(&path).unwrap();
+    let gap = good
+        .split("[sensor.parameters.gap]\nvalue = ")
+        .nth(1)
+        .unwrap();
+    let gap = gap.lines().next().unwrap();
+    let said = |from: &str, to: &str| {
+        std::fs::write(&path, good.replacen(from, to, 1)).unwrap();
+        let output = magpie(&[
+            "export",
+            model,
+            "-o",
+            folder.path().join("tables.rs").to_str().unwrap(),
+        ]);
+        assert_eq!(output.status.code(), Some(1));
+        text(&output.stderr)
+    };
+    let negative = said(gap, "-1.5");
+    assert!(
+        negative.contains("column gap of sensor 0: -1.5 is not possible here"),
+        "{negative}"
+    );
+    let huge = said(gap, "1e9");
+    assert!(huge.contains("sensor 0, gain of axis 0"), "{huge}");
+    let scale = said("gauss_per_lsb = 0.125", "gauss_per_lsb = 0.0");
+    assert!(
+        scale.contains("column sensor_scale.gauss_per_lsb: 0 is not possible here"),
+        "{scale}"
+    );
+    let twice = said("number = 1", "number = 0");
+    assert!(twice.contains("it stands twice"), "{twice}");
+}
+
+#[test]
+fn swapped_arguments_are_told_the_order() {
+    let output = magpie(&["replay", data("clean/3").to_str().unwrap(), "model.toml"]);
+    assert!(
+        text(&output.stderr).contains("the order is MODEL CAMPAIGN"),
+        "{}",
+        text(&output.stderr)
+    );
 }
 
 #[test]

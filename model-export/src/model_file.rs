@@ -29,7 +29,7 @@ pub use provenance::{Fitted, Provenance, SensorScale};
 pub const FORMAT: i64 = 1;
 
 /// First line of every model file.
-const MARK: &str = "# A magpie model, written by `magpie fit`.";
+pub const MARK: &str = "# A magpie model, written by `magpie fit`.";
 
 /// A fitted model of one gripper.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -159,6 +159,9 @@ impl ModelFile {
 
     /// Reads and checks a model file.
     pub fn read(path: &Path) -> Result<Self, Problem> {
+        if path.is_dir() {
+            return Err(Fault::NoModel.at(Place::file(path)));
+        }
         let text = std::fs::read_to_string(path)
             .map_err(|error| Fault::Unreadable(error).at(Place::file(path)))?;
         let model: Self = parse_toml(path, &text)?;
@@ -167,42 +170,80 @@ impl ModelFile {
             let found = model.format.to_string();
             return Err(Fault::BadValue { found, advice }.at(Place::file(path).column("format")));
         }
-        for sensor in &model.sensors {
-            model.check(path, sensor)?;
-        }
+        model.check(path)?;
         Ok(model)
     }
 
-    fn check(&self, path: &Path, sensor: &SensorModel) -> Result<(), Problem> {
-        let place =
-            |key: &str| Place::file(path).column(format!("sensor {}, {key}", sensor.number));
-        let usable = match self.base {
-            Base::Cylinder => {
-                if self.design.is_none() {
-                    let example = "the [design] table of the recordings";
-                    return Err(
-                        Fault::MissingKey { example }.at(Place::file(path).column("design"))
+    fn check(&self, path: &Path) -> Result<(), Problem> {
+        let place = |key: String| Place::file(path).column(key);
+        let bad = |key: String, found: String, advice: &str| {
+            let advice = advice.to_owned();
+            Err(Fault::BadValue { found, advice }.at(place(key)))
+        };
+        if self.base == Base::Cylinder && self.design.is_none() {
+            let example = "the [design] table of the recordings";
+            return Err(Fault::MissingKey { example }.at(place("design".to_owned())));
+        }
+        let scale = [
+            (
+                "sensor_scale.gauss_per_lsb",
+                self.sensor_scale.gauss_per_lsb,
+            ),
+            ("sensor_scale.range_gauss", self.sensor_scale.range_gauss),
+        ];
+        let design = self.design.as_ref().map_or_else(Vec::new, Design::sizes);
+        for (key, value) in scale.into_iter().chain(design) {
+            if !(value.is_finite() && value > 0.0) {
+                return bad(
+                    key.to_owned(),
+                    value.to_string(),
+                    "give a number above zero, or fit again",
+                );
+            }
+        }
+        for (i, sensor) in self.sensors.iter().enumerate() {
+            let key = |name: &str| format!("{name} of sensor {}", sensor.number);
+            if self
+                .sensors
+                .iter()
+                .take(i)
+                .any(|other| other.number == sensor.number)
+            {
+                return bad(
+                    key("number"),
+                    sensor.number.to_string(),
+                    "it stands twice: number the sensors as in the recordings",
+                );
+            }
+            if self.base == Base::Polynomial {
+                if sensor.polynomial().is_none() {
+                    return bad(
+                        key("polynomial"),
+                        "a table that does not fit its degree".to_owned(),
+                        "fit again",
                     );
                 }
-                if let Some(missing) = PARAMETERS
-                    .iter()
-                    .find(|p| !sensor.parameters.contains_key(p.name))
-                {
-                    let example = "it as a fit writes it, or fit again";
-                    return Err(Fault::MissingKey { example }.at(place(missing.name)));
-                }
-                sensor
-                    .parameters
-                    .values()
-                    .all(|value| value.value.is_finite())
+                continue;
             }
-            Base::Polynomial => sensor.polynomial().is_some(),
-        };
-        if !usable {
-            let found = "a value that is not finite, or a polynomial that does not fit its degree"
-                .to_owned();
-            let advice = "fit the model again".to_owned();
-            return Err(Fault::BadValue { found, advice }.at(place("parameters")));
+            for parameter in &PARAMETERS {
+                let Some(value) = sensor
+                    .parameters
+                    .get(parameter.name)
+                    .map(|value| value.value)
+                else {
+                    let example = "it as a fit writes it, or fit again";
+                    return Err(Fault::MissingKey { example }.at(place(key(parameter.name))));
+                };
+                let above_zero = parameter.name == "gap" || parameter.name.starts_with("stiffness");
+                let nothing = parameter.name == "remanence" && value == 0.0;
+                if !value.is_finite() || (above_zero && value <= 0.0) || nothing {
+                    return bad(
+                        key(parameter.name),
+                        value.to_string(),
+                        "correct it, or fit again",
+                    );
+                }
+            }
         }
         Ok(())
     }

@@ -1,7 +1,7 @@
 //! Files that the tool writes: complete or not at all, and never over somebody else's.
 
 use std::io::{Read, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::recordings::problem::Fault;
 use crate::recordings::{Place, Problem};
@@ -13,34 +13,50 @@ use crate::recordings::{Place, Problem};
 /// # Errors
 /// Something else stands there, or the file system refuses.
 pub fn write_output(path: &Path, bytes: &[u8], mark: &str) -> Result<(), Problem> {
-    let failed = |error: std::io::Error| {
-        // The kind alone: the draft's name would only confuse.
-        Fault::Unwritable(std::io::Error::from(error.kind())).at(Place::file(path))
-    };
-    let target = match path.symlink_metadata() {
-        Ok(_) => path.canonicalize().map_err(failed)?,
-        Err(_) => path.to_path_buf(),
-    };
-    if target.exists() && !is_ours(&target, mark) {
-        return Err(Fault::Occupied.at(Place::file(path)));
-    }
-    let folder = match target.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    };
+    let target = check_output(path, mark)?;
+    let failed = |error| unwritable(path, error);
     let mut draft = tempfile::Builder::new();
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt;
         draft.permissions(std::fs::Permissions::from_mode(0o666));
     }
-    let mut draft = draft.tempfile_in(folder).map_err(failed)?;
+    let mut draft = draft.tempfile_in(folder_of(&target)).map_err(failed)?;
     draft.write_all(bytes).map_err(failed)?;
     draft.as_file().sync_all().map_err(failed)?;
     draft
         .persist(&target)
         .map_err(|error| failed(error.error))?;
     Ok(())
+}
+
+/// Whether [`write_output`] may write there, to be asked before long work; the file that it means.
+pub fn check_output(path: &Path, mark: &str) -> Result<PathBuf, Problem> {
+    let target = match path.symlink_metadata() {
+        Ok(_) => path
+            .canonicalize()
+            .map_err(|error| unwritable(path, error))?,
+        Err(_) => path.to_path_buf(),
+    };
+    if target.exists() && !is_ours(&target, mark) {
+        return Err(Fault::Occupied.at(Place::file(path)));
+    }
+    folder_of(&target)
+        .metadata()
+        .map_err(|error| unwritable(path, error))?;
+    Ok(target)
+}
+
+fn folder_of(path: &Path) -> &Path {
+    match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    }
+}
+
+fn unwritable(path: &Path, error: std::io::Error) -> Problem {
+    // The kind alone: the draft's name would only confuse.
+    Fault::Unwritable(std::io::Error::from(error.kind())).at(Place::file(path))
 }
 
 /// An empty file, or one that begins with the mark.

@@ -3,12 +3,14 @@
 //! - [`table`]: the formats. What the exporter builds and the device reads is the same struct.
 //! - [`grbf`]: Gaussian radial basis functions, the definition of every bit.
 //! - [`ideal`]: scaling, linear part and radial basis functions: from a field to two forces.
-//! - [`tables`]: the tables that this image is built with, written by `magpie export`.
+//! - `tables`: only on the chip: the tables of this image, written by `magpie export`.
 
 pub mod grbf;
 pub mod ideal;
 pub mod table;
 
+// Only the image needs them: the tool that writes them must build without them.
+#[cfg(target_os = "none")]
 #[allow(missing_docs, clippy::all)] // Generated; its header says what it is.
 pub mod tables {
     include!(env!("MAGPIE_TABLES_SOURCE"));

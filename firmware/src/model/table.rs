@@ -21,13 +21,24 @@ pub struct Tables<'a> {
     pub id: u16,
     /// exp(-gamma d^2), as [`crate::model::grbf`] reads it.
     pub exp: &'a [u32; EXP_ENTRIES],
-    /// One for each sensor, in order.
+    /// One for each sensor that the model knows, in any order.
     pub sensors: &'a [SensorTable],
+}
+
+impl Tables<'_> {
+    /// The table of the sensor with this number, if the model knows it.
+    pub fn sensor(&self, number: usize) -> Option<&SensorTable> {
+        self.sensors
+            .iter()
+            .find(|table| usize::from(table.number) == number)
+    }
 }
 
 /// The ideal model of one sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SensorTable {
+    /// Number of the sensor: its place in the frame, whatever other sensors the model knows.
+    pub number: u8,
     /// Field to scaled coordinate, each axis.
     pub scale: [AxisScale; 3],
     /// The sensor saturates at these counts, either way.

@@ -90,6 +90,7 @@ static EXP: [u32; EXP_ENTRIES] = [
 static SENSORS: [SensorTable; 4] = [
     // Sensor 0.
     SensorTable {
+        number: 0,
         scale: [
             AxisScale { offset: -1462, gain: 294652 },
             AxisScale { offset: 149491, gain: 269410 },
@@ -125,6 +126,7 @@ static SENSORS: [SensorTable; 4] = [
     },
     // Sensor 1.
     SensorTable {
+        number: 1,
         scale: [
             AxisScale { offset: 1311, gain: 278992 },
             AxisScale { offset: 161299, gain: 264172 },
@@ -160,6 +162,7 @@ static SENSORS: [SensorTable; 4] = [
     },
     // Sensor 2.
     SensorTable {
+        number: 2,
         scale: [
             AxisScale { offset: -3569, gain: 250269 },
             AxisScale { offset: 152555, gain: 250176 },
@@ -195,6 +198,7 @@ static SENSORS: [SensorTable; 4] = [
     },
     // Sensor 3.
     SensorTable {
+        number: 3,
         scale: [
             AxisScale { offset: 1321, gain: 292219 },
             AxisScale { offset: 153026, gain: 268535 },

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use firmware::params;
 use model_export::fit::Options;
+use model_export::fit::score::pooled_rms;
 use model_export::inverse::build::{Variant, build};
 use model_export::inverse::emit::{MARK, source};
 use model_export::model_file::{ModelFile, Provenance};
@@ -49,8 +50,9 @@ pub fn run(args: &Args) -> Result<()> {
         .pop()
         .context("the demo's campaign is empty")?;
     show::page(&format!(
-        "1. The recordings. {} recordings of a gripper on a bench, {:.0} s each: {} Hall sensors at 1 kHz, and the\n\
-         force on each by a reference at 100 Hz. Recording {} is put aside: nothing below is fitted to it.\n\n",
+        "1. The recordings. {} recordings of a gripper on a (simulated) bench, {:.0} s each: {} Hall sensors at\n\
+         1 kHz, and the force on each by a reference at 100 Hz. Recording {} is put aside: nothing is fitted\n\
+         to it.\n\n",
         campaign.recordings.len() + 1,
         campaign.duration_s() / campaign.recordings.len() as f64,
         campaign.sensors().len(),
@@ -63,10 +65,11 @@ pub fn run(args: &Args) -> Result<()> {
     let model = ModelFile::of(&campaign, &fits, provenance);
     model.write(&model_path)?;
     show::page(&format!(
-        "2. The fit. Magnet, gap, flexures and misalignment of each sensor, from field and reference.\n\n{}\n{}{}\n\n",
+        "2. The fit. Magnet, gap, flexures and misalignment of each sensor, from field and reference.\n\n{}\n{}{}\n{}\n",
         fit::report::parameters(&model),
         fit::report::scores(&campaign, &model),
         fit::report::verdict(&model),
+        what_it_means(&model),
     ))?;
 
     let building = progress::bar("building tables", 1);
@@ -89,6 +92,26 @@ pub fn run(args: &Args) -> Result<()> {
         closing(&model_path, &tables_path),
     ))?;
     Ok(())
+}
+
+/// Which axis errs most, and what that means for the forces.
+fn what_it_means(model: &ModelFile) -> String {
+    let axes = || model.sensors.iter().flat_map(|sensor| &sensor.held_out);
+    let of = |letter: &str| {
+        pooled_rms(
+            axes()
+                .filter(|axis| axis.axis == letter)
+                .map(|axis| axis.rms_g),
+        )
+    };
+    let (across, along) = (of("x").hypot(of("z")), of("y"));
+    if along > 2.0 * across {
+        return format!(
+            "Something that the fit does not know moves the field along the gap ({along:.1} G, against {across:.1} G in the\n\
+             plane of motion). The forces are read in the plane, so they suffer less, as step 4 shows.\n"
+        );
+    }
+    String::new()
 }
 
 fn closing(model: &Path, tables: &Path) -> String {

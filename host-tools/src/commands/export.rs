@@ -8,7 +8,7 @@ use model_export::inverse::emit::{Header, MARK, source};
 use model_export::inverse::error_map::ErrorMap;
 use model_export::inverse::search::Chosen;
 use model_export::model_file::ModelFile;
-use model_export::output::write_output;
+use model_export::output::{check_output, write_output};
 use serde_json::json;
 
 use crate::show;
@@ -43,6 +43,7 @@ pub fn run(args: &Args) -> Result<()> {
     } else {
         Variant::Fitted
     };
+    check_output(&args.output, MARK)?;
     let (model, chosen, header) = build(&args.model, variant)?;
     write_output(&args.output, source(&chosen, &header).as_bytes(), MARK)?;
     let text = match args.json {

@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 use anyhow::Result;
 use clap::ValueEnum;
 use model_export::fit::{self, Fits, Options};
-use model_export::model_file::{ModelFile, Provenance};
+use model_export::model_file::{self, ModelFile, Provenance};
+use model_export::output::check_output;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::campaign::recording_folders;
 use model_export::recordings::{Campaign, Notice};
@@ -18,9 +19,9 @@ use crate::{progress, show};
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  cargo magpie fit recordings/clean -o model.toml
+  cargo magpie fit tests/data/clean -o model.toml
   cargo magpie fit my-campaign --base polynomial --degree 5 -o model.toml
-  cargo magpie fit recordings/clean --json | jq '.axes'")]
+  cargo magpie fit tests/data/clean --json | jq '.axes'")]
 pub struct Args {
     /// Folder of recordings (or one recording).
     campaign: PathBuf,
@@ -65,6 +66,9 @@ pub fn run(args: &Args) -> Result<()> {
     }
     if !args.delay_ms.is_finite() {
         anyhow::bail!("--delay-ms must be a finite number of milliseconds");
+    }
+    if let Some(path) = &args.output {
+        check_output(path, model_file::MARK)?;
     }
     let alignment = Alignment {
         delay_us: args.delay_ms * 1e3,

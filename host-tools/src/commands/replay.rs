@@ -21,8 +21,8 @@ use crate::{progress, show};
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  cargo magpie replay model.toml recordings/clean
-  cargo magpie replay model.toml recordings/clean --json | jq '.sensors'")]
+  cargo magpie replay model.toml tests/data/clean
+  cargo magpie replay model.toml tests/data/clean --json | jq '.sensors'")]
 pub struct Args {
     /// Model file, as `magpie fit` writes it.
     model: PathBuf,
@@ -62,6 +62,8 @@ pub struct Outcome {
     pub nominal: Vec<RecordingReplay>,
     /// Names of recordings that the model was fitted to.
     pub seen: Vec<String>,
+    /// What a person should know.
+    pub notes: Vec<String>,
 }
 
 /// Replays `campaign` by the model at `model`.
@@ -73,9 +75,11 @@ pub fn outcome(model: &Path, campaign: &Path, delay_ms: f64) -> Result<Outcome> 
     let (_, nominal, _) = build(model, Variant::Nominal)?;
     building.finish_and_clear();
     let scale = file.sensor_scale;
+    let mut notes = differences(&folders, &file, delay_ms)?;
     let linear = TableSet::build(
         fitted.tables.id,
         &fitted.linear,
+        &header.sensors,
         scale.gauss_per_lsb,
         scale.range_gauss,
     )?;
@@ -96,18 +100,63 @@ pub fn outcome(model: &Path, campaign: &Path, delay_ms: f64) -> Result<Outcome> 
         linear: run(&linear, &fitted.linear)?,
         nominal: run(&nominal.tables, &nominal.models)?,
         seen: seen(&folders, &file)?,
+        notes: Vec::new(),
     };
-    if outcome
-        .fitted
-        .iter()
-        .all(|recording| recording.sensors.is_empty())
-    {
+    let compared = outcome.fitted.iter().flat_map(|r| &r.sensors);
+    if compared.clone().count() == 0 {
         bail!(
             "{}: no sensor of the model has its field and both its forces in these recordings",
             campaign.display()
         );
     }
+    if compared
+        .clone()
+        .all(|sensor| sensor.axes[0].error.rows() == 0.0)
+    {
+        bail!(
+            "{}: in no row are a valid estimate and a measured force together; check that force.csv is filled, and the scale and unit of hall.csv",
+            campaign.display()
+        );
+    }
+    for number in &header.sensors {
+        if !compared.clone().any(|sensor| sensor.number == *number) {
+            notes.push(format!("sensor {number} of the model was not replayed: its field or its forces are not in these recordings"));
+        }
+    }
+    let outcome = Outcome { notes, ..outcome };
+    outcome
+        .notes
+        .iter()
+        .for_each(|note| eprintln!("note: {note}"));
     Ok(outcome)
+}
+
+/// Where the recordings are not of the gripper, or not aligned, as the model's were.
+fn differences(folders: &[PathBuf], model: &ModelFile, delay_ms: f64) -> Result<Vec<String>> {
+    let mut notes = Vec::new();
+    let fitted_ms = model.provenance.delay_ms;
+    if delay_ms != fitted_ms {
+        notes.push(format!(
+            "the model was fitted with --delay-ms {fitted_ms}, this replay has {delay_ms}"
+        ));
+    }
+    for folder in folders {
+        let (description, _) = Description::read(folder)?;
+        let (own, stated) = (model.sensor_scale.gauss_per_lsb, description.gauss_per_lsb);
+        if let Some(other) = stated.filter(|other| *other != own) {
+            bail!(
+                "{}: gauss_per_lsb is {other}, and the model's tables are for {own}; fit these recordings, or correct recording.toml",
+                folder.display()
+            );
+        }
+        if description.design != model.design {
+            notes.push(format!(
+                "{}: [design] is not that of the model: is it the same gripper?",
+                folder.display()
+            ));
+        }
+    }
+    Ok(notes)
 }
 
 /// One recording after the other, on one core.

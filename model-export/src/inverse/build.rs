@@ -58,13 +58,18 @@ pub fn build(path: &Path, variant: Variant) -> Result<(ModelFile, Chosen, Header
     let digest = Sha256::digest(&bytes);
     let id = u16::from_be_bytes([digest[0], digest[1]]);
     let scale = model.sensor_scale;
-    let chosen =
-        choose(&forward, id, scale.gauss_per_lsb, scale.range_gauss).map_err(|overflow| {
-            BuildError::Overflow {
-                place: place(),
-                overflow: Box::new(overflow),
-            }
-        })?;
+    let numbers: Vec<u32> = model.sensors.iter().map(|sensor| sensor.number).collect();
+    let chosen = choose(
+        &forward,
+        &numbers,
+        id,
+        scale.gauss_per_lsb,
+        scale.range_gauss,
+    )
+    .map_err(|overflow| BuildError::Overflow {
+        place: place(),
+        overflow: Box::new(overflow),
+    })?;
     let header = Header {
         inputs_sha256: hex(&digest),
         variant: match variant {
@@ -78,7 +83,7 @@ pub fn build(path: &Path, variant: Variant) -> Result<(ModelFile, Chosen, Header
             .iter()
             .filter_map(|r| r.recorded.clone())
             .collect(),
-        sensors: model.sensors.iter().map(|sensor| sensor.number).collect(),
+        sensors: numbers,
     };
     Ok((model, chosen, header))
 }

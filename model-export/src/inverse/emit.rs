@@ -108,7 +108,7 @@ fn sensor(table: &SensorTable, number: u32) -> String {
     let used = usize::from(table.used_pairs).min(table.pairs.len());
     let pairs: String = table.pairs[..used].iter().map(pair).collect();
     format!(
-        "    // Sensor {number}.\n    SensorTable {{\n        scale: [\n            {},\n        ],\n        \
+        "    // Sensor {number}.\n    SensorTable {{\n        number: {number},\n        scale: [\n            {},\n        ],\n        \
          limit_counts: {},\n        linear: Linear {{\n            bias: {},\n            slope: [{}, {}],\n        }},\n        \
          pairs: padded([\n{pairs}        ]),\n        used_pairs: {},\n        shift: {},\n    }},\n",
         scale.join(",\n            "),

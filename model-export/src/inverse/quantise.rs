@@ -20,8 +20,8 @@ const EXP_BITS: u32 = 15;
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("sensor {sensor}, {row}: {value:.6e} does not fit {format}; {advice}")]
 pub struct Overflow {
-    /// Position of the sensor in the tables.
-    pub sensor: usize,
+    /// Number of the sensor.
+    pub sensor: u32,
     /// The row of the table.
     pub row: String,
     /// The number.
@@ -44,15 +44,16 @@ pub struct TableSet {
 }
 
 impl TableSet {
-    /// The tables of `models` (all of one width), for sensors of this scale and range.
+    /// The tables of `models` (all of one width) for sensors of these numbers, this scale and range.
     pub fn build(
         id: u16,
         models: &[Grbf],
+        numbers: &[u32],
         gauss_per_lsb: f64,
         range_gauss: f64,
     ) -> Result<Self, Overflow> {
         let gamma = models.first().map_or(1.0, |model| model.gamma);
-        let sensors = models.iter().enumerate().map(|(number, model)| {
+        let sensors = models.iter().zip(numbers).map(|(model, &number)| {
             let row = Row { sensor: number };
             sensor_table(row, model, gauss_per_lsb, range_gauss)
         });
@@ -85,16 +86,16 @@ impl TableSet {
         }
     }
 
-    /// The device's estimate for a reading.
-    pub fn estimate(&self, sensor: usize, reading: Reading) -> firmware::force::Estimate {
-        estimate(&self.tables(), sensor, Some(reading))
+    /// The device's estimate for a reading of the sensor with this number.
+    pub fn estimate(&self, number: usize, reading: Reading) -> firmware::force::Estimate {
+        estimate(&self.tables(), number, Some(reading))
     }
 }
 
 /// Names the place of a number that does not fit.
 #[derive(Clone, Copy)]
 struct Row {
-    sensor: usize,
+    sensor: u32,
 }
 
 impl Row {
@@ -158,7 +159,15 @@ fn sensor_table(
     padded[..used_pairs].copy_from_slice(&pairs);
     let limit_counts =
         ((range_gauss / gauss_per_lsb).floor() - 1.0).clamp(0.0, f64::from(i16::MAX));
+    let too_many = "the device knows sensors 0 to 255";
+    let number = row.fit(
+        || "number".to_owned(),
+        f64::from(row.sensor),
+        255.0,
+        too_many,
+    )?;
     Ok(SensorTable {
+        number: number as u8,
         scale: axes,
         limit_counts: limit_counts as i16,
         linear: linear(row, model)?,

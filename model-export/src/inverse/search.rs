@@ -64,6 +64,7 @@ struct Sensor<'a> {
 /// Chooses one shape for all sensors and fits their models.
 pub fn choose(
     models: &[ForwardModel],
+    numbers: &[u32],
     id: u16,
     gauss_per_lsb: f64,
     range_gauss: f64,
@@ -84,7 +85,7 @@ pub fn choose(
         let fit = |s: &Sensor| Grbf::fit(s.model, &s.design, shape, &s.training, representable);
         sensors.iter().map(fit).collect()
     };
-    let build = |models: &[Grbf]| TableSet::build(id, models, gauss_per_lsb, range_gauss);
+    let build = |models: &[Grbf]| TableSet::build(id, models, numbers, gauss_per_lsb, range_gauss);
     let tried: Vec<(Shape, f64)> = shapes()
         .into_par_iter()
         .filter_map(|shape| {

@@ -113,6 +113,9 @@ impl Campaign {
 
 /// Folders under `folder` (or itself) that hold a recording, ordered by name with numbers as numbers.
 pub fn recording_folders(folder: &Path) -> Result<Vec<PathBuf>, Problem> {
+    if folder.is_file() {
+        return Err(Fault::NoFolder.at(Place::file(folder)));
+    }
     let entries =
         fs::read_dir(folder).map_err(|error| Fault::Unreadable(error).at(Place::file(folder)))?;
     if is_recording(folder) {

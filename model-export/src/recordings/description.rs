@@ -94,6 +94,20 @@ pub enum MagnetAxis {
     Z,
 }
 
+impl Design {
+    /// Everything that must be above zero, by its key.
+    pub(crate) fn sizes(&self) -> Vec<(&'static str, f64)> {
+        vec![
+            ("design.gap_mm", self.gap_mm),
+            ("design.stiffness_x_n_per_mm", self.stiffness_x_n_per_mm),
+            ("design.stiffness_z_n_per_mm", self.stiffness_z_n_per_mm),
+            ("design.magnet.diameter_mm", self.magnet.diameter_mm),
+            ("design.magnet.length_mm", self.magnet.length_mm),
+            ("design.magnet.remanence_t", self.magnet.remanence_t.abs()),
+        ]
+    }
+}
+
 impl Description {
     /// A description with nothing but what every recording has.
     pub fn new(description: impl Into<String>, start_s: f64) -> Self {
@@ -147,33 +161,16 @@ impl Description {
             let advice = "give the seconds since the campaign began".to_owned();
             return bad("start_s", self.start_s.to_string(), advice);
         }
-        let positive = [
+        let scale = [
             ("gauss_per_lsb", self.gauss_per_lsb),
             ("range_gauss", self.range_gauss),
-            ("design.gap_mm", self.design.as_ref().map(|d| d.gap_mm)),
-            (
-                "design.stiffness_x_n_per_mm",
-                self.design.as_ref().map(|d| d.stiffness_x_n_per_mm),
-            ),
-            (
-                "design.stiffness_z_n_per_mm",
-                self.design.as_ref().map(|d| d.stiffness_z_n_per_mm),
-            ),
-            (
-                "design.magnet.diameter_mm",
-                self.design.as_ref().map(|d| d.magnet.diameter_mm),
-            ),
-            (
-                "design.magnet.length_mm",
-                self.design.as_ref().map(|d| d.magnet.length_mm),
-            ),
-            (
-                "design.magnet.remanence_t",
-                self.design.as_ref().map(|d| d.magnet.remanence_t.abs()),
-            ),
         ];
-        for (key, value) in positive {
-            if let Some(value) = value.filter(|v| !(v.is_finite() && *v > 0.0)) {
+        let design = self.design.as_ref().map_or_else(Vec::new, Design::sizes);
+        let stated = scale
+            .into_iter()
+            .filter_map(|(key, value)| Some((key, value?)));
+        for (key, value) in stated.chain(design) {
+            if !(value.is_finite() && value > 0.0) {
                 return bad(
                     key,
                     value.to_string(),

@@ -89,8 +89,14 @@ pub enum Fault {
     #[error("{found} is not possible here; {advice}")]
     BadValue { found: String, advice: String },
     #[error(
-        "something stands there that magpie has not written; choose another name: it is not overwritten"
+        "this is a folder, and a model is a file that `magpie fit` writes; the order is MODEL CAMPAIGN"
     )]
+    NoModel,
+    #[error(
+        "this is a file, and a campaign is a folder of recordings; the order is MODEL CAMPAIGN"
+    )]
+    NoFolder,
+    #[error("something else stands there; choose another name: it is not overwritten")]
     Occupied,
     #[error(
         "this is no text; if it is packed, its name must end in .csv.gz, else save it as plain CSV (comma, UTF-8)"

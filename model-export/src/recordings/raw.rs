@@ -8,6 +8,7 @@ use super::description::Description;
 use super::force_reader::ForceReader;
 use super::hall_reader::HallReader;
 use super::layout::Layout;
+use super::noise::WhiteNoise;
 use super::problem::Problem;
 use super::table::{Row, Table};
 
@@ -61,6 +62,11 @@ impl RawStream {
     /// What the channels are.
     pub fn layout(&self) -> &Layout {
         &self.layout
+    }
+
+    /// White noise of a reference row so far, in newtons, for each force.
+    pub fn force_noise(&self) -> Vec<Option<f64>> {
+        self.force.noise.iter().map(WhiteNoise::estimate).collect()
     }
 
     /// The next row, or `None` at the end of the board's table.

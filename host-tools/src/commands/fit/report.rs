@@ -91,8 +91,8 @@ pub fn parameters(model: &ModelFile) -> String {
 fn held(model: &ModelFile) -> String {
     let mut text = String::new();
     if model.sensors.iter().any(|sensor| !sensor.held.is_empty()) {
-        text += "Combinations that cannot be told apart, held at nominal (shares in tolerances; in brackets how\n\
-                 well the data alone know each):\n";
+        text += "Combinations that cannot be told apart, held at nominal while their members move (shares in\n\
+                 tolerances; in brackets to how many tolerances the data alone know each):\n";
     }
     for sensor in model
         .sensors
@@ -120,7 +120,7 @@ fn combination(held: &Held) -> String {
         .collect();
     let known = match held.known_within {
         little if little < 100.0 => format!("{little:.1}"),
-        _ => "nothing".to_owned(),
+        _ => "not at all".to_owned(),
     };
     format!("{} ({known})", shares.join(" "))
 }
@@ -185,7 +185,8 @@ pub fn scores(campaign: &Campaign, model: &ModelFile) -> String {
     format!(
         "Held-out field error, {how}\n{table}\n\
          Root mean square over all {} channels: {:.4} G. Floor: the sensor's white noise after averaging and\n\
-         the reference's noise through dB/dF, added in squares.\n",
+         the reference's noise through dB/dF, added in squares. Explainable: what error has beyond its floor,\n\
+         in squares. Range: of the field in this campaign.\n",
         axes(model).count(),
         pooled_rms(axes(model).map(|(_, axis)| axis.rms_g)),
     )
@@ -216,7 +217,7 @@ pub fn verdict(model: &ModelFile) -> String {
     );
     if axis.fitted_rms_g <= AT_FLOOR * axis.floor_g {
         return format!(
-            "Too little data: at the floor where it was fitted, above it where it was not. {where_}"
+            "Too little data: at the floor where it was fitted, above it where it was not.\n{where_}"
         );
     }
     let why = match model.base {

@@ -1,10 +1,14 @@
 //! What `magpie replay` shows.
 
+use firmware::params;
 use serde_json::{Value, json};
 
 use super::Outcome;
 use crate::replay::{RecordingReplay, Sums, Track};
 use crate::show;
+
+/// A tare that multiplies the error by this is worth a word.
+const TARE_HARM: f64 = 1.2;
 
 const FORCES: [(&str, &str); 2] = [("Fx", "x"), ("Fz", "z")];
 
@@ -20,6 +24,12 @@ impl Pooled {
         self.tracks
             .iter()
             .fold(Sums::default(), |sum, track| sum.with(of(track)))
+    }
+
+    /// Root mean square of white noise alone, all recordings.
+    fn noise_n(&self) -> f64 {
+        let squares: f64 = self.tracks.iter().map(|track| track.noise_n.powi(2)).sum();
+        (squares / self.tracks.len().max(1) as f64).sqrt()
     }
 
     /// `None` where one of the recordings has no unloaded stretch.
@@ -87,8 +97,9 @@ pub fn forces(outcome: &Outcome) -> String {
         "mean",
         "std",
         "RMSE tared",
+        "noise",
         "float RMSE",
-        "fixed - float rms",
+        "fixed - float",
     ]);
     for pooled in pooled(&outcome.fitted) {
         let error = pooled.sum(|track| track.error);
@@ -99,6 +110,7 @@ pub fn forces(outcome: &Outcome) -> String {
             format!("{:+.3}", error.mean()),
             format!("{:.3}", error.std()),
             newtons(pooled.tared()),
+            format!("{:.3}", pooled.noise_n()),
             format!("{:.3}", pooled.sum(|track| track.float).rms()),
             format!("{:.4}", pooled.sum(|track| track.fixed_minus_float).rms()),
         ]);
@@ -106,9 +118,12 @@ pub fn forces(outcome: &Outcome) -> String {
     show::right_align(&mut table, 2);
     let rows: u64 = outcome.fitted.iter().map(|r| r.rows).sum();
     format!(
-        "Every row through the device's code, in newtons, device minus reference\n{table}\n\
-         {}{}\n{rows} rows, {:.0} times real time on one core (reading and the device's code).\n",
+        "Every row through the device's code, in newtons, device minus reference (on a straight line between\n\
+         its rows). Noise: what white noise of sensor and reference alone would leave.\n{table}\n\
+         {}{}{}{}\n{rows} rows, {:.0} times real time on one core (reading and the device's code).\n",
         tare_line(&outcome.fitted),
+        tare_harms(outcome).unwrap_or_default(),
+        far_off(outcome).unwrap_or_default(),
         invalid_line(&outcome.fitted),
         times_real_time(&outcome.fitted),
     )
@@ -167,15 +182,51 @@ fn by_recording(outcome: &Outcome) -> String {
     format!("RMSE after tare, each recording (held out: the model has not seen it)\n{table}\n")
 }
 
+/// A tare removes what is constant. Where it adds error, the field at rest was not the field at no
+/// force.
+fn tare_harms(outcome: &Outcome) -> Option<String> {
+    let worse = |track: &Track| {
+        track
+            .tared()
+            .is_some_and(|tared| tared.rms() > TARE_HARM * track.error.rms())
+    };
+    let harmed: Vec<&str> = outcome
+        .fitted
+        .iter()
+        .filter(|recording| recording.sensors.iter().any(|s| s.axes.iter().any(worse)))
+        .map(|recording| recording.name.as_str())
+        .collect();
+    (!harmed.is_empty()).then(|| {
+        format!(
+            "In recording {} the tare makes it worse: while nothing pushed, something else moved the field.\n",
+            harmed.join(", ")
+        )
+    })
+}
+
+/// Errors of a tenth of the range are no model's error but a mistake.
+fn far_off(outcome: &Outcome) -> Option<String> {
+    let limit = 0.1 * params::FORCE_RANGE.value;
+    let worst = pooled(&outcome.fitted)
+        .iter()
+        .map(|p| p.sum(|t| t.error).std())
+        .fold(0.0, f64::max);
+    (worst > limit).then(|| {
+        format!("Errors beyond {limit:.0} N: is this the model's gripper? Are columns swapped or flipped? `fit` would say.\n")
+    })
+}
+
 /// The same recordings by simpler models.
 pub fn beside(outcome: &Outcome) -> String {
     let mut table = show::table([
         "sensor",
         "force",
-        "ideal, raw",
-        "ideal, tared",
-        "linear, tared",
-        "fitted, tared",
+        "ideal raw",
+        "tared",
+        "linear raw",
+        "tared",
+        "fitted raw",
+        "tared",
     ]);
     let (fitted, linear, nominal) = (
         pooled(&outcome.fitted),
@@ -188,14 +239,16 @@ pub fn beside(outcome: &Outcome) -> String {
             FORCES[fitted.axis].0.to_owned(),
             newtons(Some(nominal.sum(|track| track.error))),
             newtons(nominal.tared()),
+            newtons(Some(linear.sum(|track| track.error))),
             newtons(linear.tared()),
+            newtons(Some(fitted.sum(|track| track.error))),
             newtons(fitted.tared()),
         ]);
     }
     show::right_align(&mut table, 2);
     format!(
         "RMSE of simpler models through the same code: the nominal design alone (the paper's ideal model),\n\
-         and the best linear model of the fit\n{table}\n"
+         and the best linear model of the fit; raw and after the tare\n{table}\n"
     )
 }
 
@@ -215,6 +268,7 @@ pub fn json(outcome: &Outcome) -> Value {
         }).collect::<Vec<_>>(),
         "linear": pooled(&outcome.linear).iter().map(sensor_json).collect::<Vec<_>>(),
         "nominal": pooled(&outcome.nominal).iter().map(sensor_json).collect::<Vec<_>>(),
+        "notes": outcome.notes,
         "rows": outcome.fitted.iter().map(|r| r.rows).sum::<u64>(),
         "times_real_time": spent,
     })
@@ -227,6 +281,7 @@ fn sensor_json(pooled: &Pooled) -> Value {
         "rmse_n": error.rms(), "mean_n": error.mean(), "std_n": error.std(),
         "tared_rmse_n": pooled.tared().map(|sums| sums.rms()),
         "float_rmse_n": pooled.sum(|track| track.float).rms(),
+        "noise_n": pooled.noise_n(),
         "fixed_minus_float_rms_n": pooled.sum(|track| track.fixed_minus_float).rms(),
     })
 }
