@@ -68,12 +68,12 @@ pub struct Outcome {
 
 /// Replays `campaign` by the model at `model`.
 pub fn outcome(model: &Path, campaign: &Path, delay_ms: f64) -> Result<Outcome> {
-    let folders = recording_folders(campaign)?;
     let building = progress::bar("building tables", 2);
     let (file, fitted, header) = build(model, Variant::Fitted)?;
     building.inc(1);
     let (_, nominal, _) = build(model, Variant::Nominal)?;
     building.finish_and_clear();
+    let folders = recording_folders(campaign)?;
     let scale = file.sensor_scale;
     let mut notes = differences(&folders, &file, delay_ms)?;
     let linear = TableSet::build(
