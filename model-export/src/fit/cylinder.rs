@@ -212,8 +212,20 @@ impl LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_> {
                 .copy_from(&rows);
         }
         jacobian.rows_mut(self.rows(), COUNT).fill_with_identity();
-        Some(jacobian * &self.space.free)
+        Some(onto(&jacobian, &self.space.free))
     }
+}
+
+/// `jacobian * free`, column by column. The library's own product picks its instructions by the
+/// processor and rounds differently on each; a fit must give the same digits everywhere.
+fn onto(jacobian: &DMatrix<f64>, free: &DMatrix<f64>) -> DMatrix<f64> {
+    let mut product = DMatrix::zeros(jacobian.nrows(), free.ncols());
+    for (mut column, direction) in product.column_iter_mut().zip(free.column_iter()) {
+        for (share, derivative) in direction.iter().zip(jacobian.column_iter()) {
+            column.axpy(*share, &derivative, 1.0);
+        }
+    }
+    product
 }
 
 fn solve(
