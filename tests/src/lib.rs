@@ -6,9 +6,8 @@ use std::path::{Path, PathBuf};
 
 use flate2::Compression;
 use flate2::write::GzEncoder;
-use model_export::physics::{Cylinder, ForwardModel};
-use model_export::recordings::description::MagnetAxis;
-use nalgebra::Vector3;
+use model_export::physics::ForwardModel;
+use model_export::recordings::description::Design;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
@@ -39,20 +38,7 @@ pub fn real_data(name: &str) -> Option<PathBuf> {
 
 /// The nominal design, perfectly made.
 pub fn nominal() -> ForwardModel {
-    ForwardModel {
-        magnet: Cylinder {
-            diameter_mm: 3.0,
-            length_mm: 2.0,
-        },
-        axis: MagnetAxis::Y,
-        remanence_t: 1.2,
-        gap_mm: 1.5,
-        stiffness_n_per_mm: [500.0, 800.0],
-        offset_mm: [0.0; 2],
-        tilt_rad: [0.0; 2],
-        rotation_rad: Vector3::zeros(),
-        bias_g: Vector3::zeros(),
-    }
+    ForwardModel::nominal(&Design::magpie())
 }
 
 /// `recording.toml` of the nominal design.

@@ -232,25 +232,11 @@ fn spin(at: Vector3<f64>, axis: Vector3<f64>) -> Vector3<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::physics::Cylinder;
-    use crate::recordings::description::MagnetAxis;
+    use crate::recordings::description::Design;
     use proptest::prelude::*;
 
     fn nominal() -> ForwardModel {
-        ForwardModel {
-            magnet: Cylinder {
-                diameter_mm: 3.0,
-                length_mm: 2.0,
-            },
-            axis: MagnetAxis::Y,
-            remanence_t: 1.2,
-            gap_mm: 1.5,
-            stiffness_n_per_mm: [500.0, 800.0],
-            offset_mm: [0.0; 2],
-            tilt_rad: [0.0; 2],
-            rotation_rad: Vector3::zeros(),
-            bias_g: Vector3::zeros(),
-        }
+        ForwardModel::nominal(&Design::magpie())
     }
 
     proptest! {

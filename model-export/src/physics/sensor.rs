@@ -166,20 +166,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn nominal() -> ForwardModel {
-        ForwardModel {
-            magnet: Cylinder {
-                diameter_mm: params::MAGNET_DIAMETER.value,
-                length_mm: params::MAGNET_LENGTH.value,
-            },
-            axis: MagnetAxis::Y,
-            remanence_t: params::REMANENCE.value,
-            gap_mm: params::GAP.value,
-            stiffness_n_per_mm: [params::STIFFNESS_X.value, params::STIFFNESS_Z.value],
-            offset_mm: [0.0; 2],
-            tilt_rad: [0.0; 2],
-            rotation_rad: Vector3::zeros(),
-            bias_g: Vector3::zeros(),
-        }
+        ForwardModel::nominal(&Design::magpie())
     }
 
     #[test]

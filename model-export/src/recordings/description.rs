@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use firmware::params;
 use serde::{Deserialize, Serialize};
 
 use super::problem::{Fault, Notice, Place, Problem};
@@ -95,6 +96,23 @@ pub enum MagnetAxis {
 }
 
 impl Design {
+    /// The gripper's own nominal design, from [`firmware::params`].
+    pub fn magpie() -> Self {
+        Self {
+            magnet: Magnet {
+                shape: Shape::Cylinder,
+                diameter_mm: params::MAGNET_DIAMETER.value,
+                length_mm: params::MAGNET_LENGTH.value,
+                remanence_t: params::REMANENCE.value,
+                axis: MagnetAxis::Y,
+            },
+            gap_mm: params::GAP.value,
+            stiffness_x_n_per_mm: params::STIFFNESS_X.value,
+            stiffness_z_n_per_mm: params::STIFFNESS_Z.value,
+            more: toml::Table::new(),
+        }
+    }
+
     /// Everything that must be above zero, by its key.
     pub(crate) fn sizes(&self) -> Vec<(&'static str, f64)> {
         vec![
