@@ -3,7 +3,8 @@
 //! Scaled coordinates are integers of at most [`COORDINATE_LIMIT`] either way: then the squared
 //! distance of two points, over three axes, stays below 2^31.
 
-/// Greatest scaled coordinate, either way: floor(sqrt(2^31 / 3) / 2), less rounding.
+/// Greatest scaled coordinate, either way: floor(sqrt(2^27)). The square of a difference is then at
+/// most 2^29, and three of them stay below 2^31.
 pub const COORDINATE_LIMIT: i16 = 11_585;
 /// Entries of the table of the exponential.
 pub const EXP_ENTRIES: usize = 512;

@@ -2,7 +2,7 @@
 //!
 //! | task | rate | deadline | missed |
 //! | --- | --- | --- | --- |
-//! | [`sense`] | 1 kHz | the next tick | the tick is skipped and the next one starts on time |
+//! | [`sense`] | 1 kHz | the next tick | the late ticks follow at once until the task has caught up |
 //! | [`report`] | 100 Hz | none | the bus sees an older estimate |
 
 use defmt::{info, unwrap, warn};

@@ -10,7 +10,7 @@ use crate::physics::ForwardModel;
 /// Room around the fields of the box in the plane of motion, as a share of their span: what bias
 /// and drift may add before the device calls the field foreign to the model.
 const MARGIN: f64 = 0.10;
-/// Room along the gap in gauss: 0.3 mm of gap or a quarter of the magnet stay inside. The load
+/// Room along the gap in gauss: a quarter of a millimetre of gap or of the magnet stays inside. The load
 /// hardly moves this axis, and a wide box keeps it from counting much in the distances.
 const GAP_MARGIN_G: f64 = 300.0;
 
