@@ -264,10 +264,16 @@ fn wire(numbers: &[u32], stream: &RawStream) -> Vec<Wiring> {
 }
 
 fn reading(row: &RawRow, wires: &Wiring, gauss_per_lsb: f64) -> Reading {
+    let (least, greatest) = a31301::FIELD_LIMITS;
+    let (least, greatest) = (f64::from(least), f64::from(greatest));
+    let counts = |channel: usize| {
+        (row.hall[channel] / gauss_per_lsb)
+            .round()
+            .clamp(least, greatest)
+    };
     Reading {
-        field: wires
-            .field
-            .map(|channel| (row.hall[channel] / gauss_per_lsb).round() as i16),
+        // A converted field may exceed the word; the sensor itself stays at its end.
+        field: wires.field.map(|channel| counts(channel) as i16),
         // The sensor's scale of temperature is not known, and the model does not use it yet.
         temperature: 0,
     }
@@ -344,6 +350,23 @@ mod tests {
         let (tare, length_s) = rest_of(rows).unwrap();
         assert_eq!(tare, [5.0, 10.0]);
         assert!((length_s - 0.999).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_field_beyond_the_sensor_s_word_stays_at_its_end_and_does_not_wrap() {
+        let wires = Wiring {
+            table: 0,
+            number: 0,
+            field: [0, 1, 2],
+            forces: [0, 1],
+        };
+        let row = RawRow {
+            time_s: 0.0,
+            hall: vec![2100.0, -2100.0, 0.25],
+            forces: Vec::new(),
+        };
+        let seen = a31301::decode(a31301::encode(reading(&row, &wires, 0.125)));
+        assert_eq!(seen.field, [16383, -16384, 2]);
     }
 
     #[test]

@@ -16,6 +16,9 @@ pub const READING_BYTES: usize = 8;
 /// by public sources; 0x63 was seen, 0x6C is inferred.
 pub const ADDRESSES: [u8; 4] = [0x60, 0x63, 0x6C, 0x6F];
 
+/// Least and greatest field in counts: the word's ends, where the sensor stays.
+pub const FIELD_LIMITS: (i16, i16) = (i16::MIN >> FIELD_SPARE_BITS, i16::MAX >> FIELD_SPARE_BITS);
+
 /// Field words are 15-bit two's complement; what bit 15 means is unknown, so it is masked.
 const FIELD_SPARE_BITS: u32 = 1;
 /// Temperature words are 12-bit two's complement.
@@ -87,7 +90,9 @@ mod tests {
 
     #[test]
     fn what_is_encoded_is_decoded_over_the_whole_range() {
-        for counts in -16384..=16383 {
+        let (least, greatest) = FIELD_LIMITS;
+        assert_eq!((least, greatest), (-16384, 16383));
+        for counts in least..=greatest {
             let reading = Reading {
                 field: [counts, -counts.max(-16383), counts / 2],
                 temperature: counts / 8,

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use firmware::hall::a31301;
 use firmware::params;
 
 use super::align::Sample;
@@ -149,13 +150,14 @@ impl HallReader {
     }
 
     fn scale(&self, channel: usize, counts: f64, row: &Row) -> Result<f64, Problem> {
-        let bits = params::SENSOR_BITS.value;
-        let high = (bits - 1.0).exp2() - 1.0;
-        let low = -high - 1.0;
+        let (low, high) = (
+            f64::from(a31301::FIELD_LIMITS.0),
+            f64::from(a31301::FIELD_LIMITS.1),
+        );
         if !(low..=high).contains(&counts) || counts.fract() != 0.0 {
             let fault = Fault::OutsideWord {
                 value: counts,
-                bits: bits as u32,
+                bits: params::SENSOR_BITS.value as u32,
                 low,
                 high,
             };
