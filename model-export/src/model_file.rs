@@ -358,6 +358,11 @@ impl SensorModel {
 }
 
 impl HeldOut {
+    /// The part of the error that a better model could remove, in gauss.
+    pub fn explainable_g(&self) -> f64 {
+        (self.rms_g.powi(2) - self.floor_g.powi(2)).max(0.0).sqrt()
+    }
+
     fn of(score: &AxisScore) -> Self {
         Self {
             axis: score.axis.letter().to_owned(),

@@ -83,7 +83,7 @@ pub fn run(args: &Args) -> Result<()> {
         export::report(&chosen, &header),
     ))?;
 
-    let outcome = replay::outcome(&model_path, &held_out.folder, 0.0)?;
+    let outcome = replay::outcome(&model_path, &held_out.folder, alignment)?;
     show::page(&format!(
         "4. The judgement. Recording {}, which the fit has not seen, row by row through the device's own code.\n\n{}\n{}\n{}",
         held_out.name,

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::Result;
+use firmware::frame::SENSORS;
 use model_export::inverse::build::{Variant, build};
 use model_export::inverse::emit::{Header, MARK, source};
 use model_export::inverse::error_map::ErrorMap;
@@ -46,6 +47,13 @@ pub fn run(args: &Args) -> Result<()> {
     check_output(&args.output, MARK)?;
     let (model, chosen, header) = build(&args.model, variant)?;
     write_output(&args.output, source(&chosen, &header).as_bytes(), MARK)?;
+    let image: Vec<u32> = (0..SENSORS as u32).collect();
+    if header.sensors != image {
+        eprintln!(
+            "note: the image reads sensors {image:?} and these tables know {:?}: the others will be called missing",
+            header.sensors
+        );
+    }
     let text = match args.json {
         true => format!("{}\n", json(&chosen, &header)),
         false => {

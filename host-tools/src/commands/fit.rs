@@ -2,17 +2,17 @@
 
 pub mod report;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::ValueEnum;
 use model_export::fit::{self, Fits, Options};
 use model_export::model_file::{self, ModelFile, Provenance};
 use model_export::output::check_output;
-use model_export::recordings::align::Alignment;
 use model_export::recordings::campaign::recording_folders;
 use model_export::recordings::{Campaign, Notice};
 
+use super::clocks::Clocks;
 use crate::{progress, show};
 
 /// Fit the base physics to a campaign and write a model file.
@@ -34,14 +34,8 @@ pub struct Args {
     /// Degree of the polynomial base; chosen by held-out error if not given.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=9))]
     degree: Option<u8>,
-    /// Delay of the reference's clock: added to its times before the fields are averaged around them.
-    #[arg(
-        long,
-        value_name = "MS",
-        default_value_t = 0.0,
-        allow_negative_numbers = true
-    )]
-    delay_ms: f64,
+    #[command(flatten)]
+    clocks: Clocks,
     /// Seed of the bootstrap behind the error bars.
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -64,24 +58,25 @@ pub fn run(args: &Args) -> Result<()> {
     if args.degree.is_some() && args.base == BaseChoice::Cylinder {
         anyhow::bail!("--degree belongs to --base polynomial; the cylinder base has no degree");
     }
-    if !args.delay_ms.is_finite() {
-        anyhow::bail!("--delay-ms must be a finite number of milliseconds");
-    }
     if let Some(path) = &args.output {
         check_output(path, model_file::MARK)?;
     }
-    let alignment = Alignment {
-        delay_us: args.delay_ms * 1e3,
-    };
+    let alignment = args.clocks.alignment()?;
     let options = Options {
         seed: args.seed,
         ..Options::default()
     };
-    let Fitted {
-        campaign,
-        fits,
-        notices,
-    } = fit(&args.campaign, args.base, args.degree, alignment, options)?;
+    let reading = progress::bar(
+        "reading recordings",
+        recording_folders(&args.campaign)?.len(),
+    );
+    let campaign = Campaign::read(&args.campaign, alignment, |_| reading.inc(1))?;
+    reading.finish_and_clear();
+    let mut notices: Vec<Notice> = campaign.notices().cloned().collect();
+    say(&notices);
+    let (fits, more) = fit_campaign(&campaign, args.base, args.degree, options)?;
+    say(&more);
+    notices.extend(more);
     let provenance = Provenance::of(&campaign, alignment.delay_us, options)?;
     refuse_copies(&provenance)?;
     let model = ModelFile::of(&campaign, &fits, provenance);
@@ -99,39 +94,6 @@ pub fn run(args: &Args) -> Result<()> {
         })?;
     }
     Ok(())
-}
-
-/// A campaign and its fits.
-pub struct Fitted {
-    /// As read.
-    pub campaign: Campaign,
-    /// Of all sensors.
-    pub fits: Fits,
-    /// What a person should know; said already.
-    pub notices: Vec<Notice>,
-}
-
-/// Reads and fits a campaign; says on the way what a person should know.
-pub fn fit(
-    folder: &Path,
-    base: BaseChoice,
-    degree: Option<u8>,
-    alignment: Alignment,
-    options: Options,
-) -> Result<Fitted> {
-    let reading = progress::bar("reading recordings", recording_folders(folder)?.len());
-    let campaign = Campaign::read(folder, alignment, |_| reading.inc(1))?;
-    reading.finish_and_clear();
-    let mut notices: Vec<Notice> = campaign.notices().cloned().collect();
-    say(&notices);
-    let (fits, more) = fit_campaign(&campaign, base, degree, options)?;
-    say(&more);
-    notices.extend(more);
-    Ok(Fitted {
-        campaign,
-        fits,
-        notices,
-    })
 }
 
 /// Fits a campaign that was read.

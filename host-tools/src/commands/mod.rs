@@ -1,5 +1,6 @@
-//! One file for each command.
+//! One file for each command, and what several share.
 
+pub mod clocks;
 pub mod demo;
 pub mod export;
 pub mod fit;

@@ -14,6 +14,7 @@ use model_export::recordings::campaign::{fingerprint, recording_folders};
 use model_export::recordings::description::Description;
 use model_export::recordings::raw::RawStream;
 
+use super::clocks::Clocks;
 use crate::replay::{Models, RecordingReplay, replay};
 use crate::{progress, show};
 
@@ -28,14 +29,8 @@ pub struct Args {
     model: PathBuf,
     /// Folder of recordings (or one recording).
     campaign: PathBuf,
-    /// Delay of the reference's clock, as given to the fit.
-    #[arg(
-        long,
-        value_name = "MS",
-        default_value_t = 0.0,
-        allow_negative_numbers = true
-    )]
-    delay_ms: f64,
+    #[command(flatten)]
+    clocks: Clocks,
     /// Print one JSON object on stdout and nothing else there.
     #[arg(long)]
     json: bool,
@@ -43,7 +38,7 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
-    let outcome = outcome(&args.model, &args.campaign, args.delay_ms)?;
+    let outcome = outcome(&args.model, &args.campaign, args.clocks.alignment()?)?;
     let text = match args.json {
         true => format!("{}\n", report::json(&outcome)),
         false => report::text(&outcome),
@@ -67,7 +62,7 @@ pub struct Outcome {
 }
 
 /// Replays `campaign` by the model at `model`.
-pub fn outcome(model: &Path, campaign: &Path, delay_ms: f64) -> Result<Outcome> {
+pub fn outcome(model: &Path, campaign: &Path, alignment: Alignment) -> Result<Outcome> {
     let building = progress::bar("building tables", 2);
     let (file, fitted, header) = build(model, Variant::Fitted)?;
     building.inc(1);
@@ -75,7 +70,7 @@ pub fn outcome(model: &Path, campaign: &Path, delay_ms: f64) -> Result<Outcome> 
     building.finish_and_clear();
     let folders = recording_folders(campaign)?;
     let scale = file.sensor_scale;
-    let mut notes = differences(&folders, &file, delay_ms)?;
+    let mut notes = differences(&folders, &file, alignment)?;
     let linear = TableSet::build(
         fitted.tables.id,
         &fitted.linear,
@@ -83,9 +78,6 @@ pub fn outcome(model: &Path, campaign: &Path, delay_ms: f64) -> Result<Outcome> 
         scale.gauss_per_lsb,
         scale.range_gauss,
     )?;
-    let alignment = Alignment {
-        delay_us: delay_ms * 1e3,
-    };
     let run = |tables: &TableSet, float: &[Grbf]| {
         let models = Models {
             numbers: &header.sensors,
@@ -95,46 +87,43 @@ pub fn outcome(model: &Path, campaign: &Path, delay_ms: f64) -> Result<Outcome> 
         };
         replay_all(&folders, models, alignment)
     };
-    let outcome = Outcome {
-        fitted: run(&fitted.tables, &fitted.models)?,
-        linear: run(&linear, &fitted.linear)?,
-        nominal: run(&nominal.tables, &nominal.models)?,
-        seen: seen(&folders, &file)?,
-        notes: Vec::new(),
-    };
-    let compared = outcome.fitted.iter().flat_map(|r| &r.sensors);
-    if compared.clone().count() == 0 {
+    let replayed = run(&fitted.tables, &fitted.models)?;
+    let sensors = || replayed.iter().flat_map(|recording| &recording.sensors);
+    if sensors().count() == 0 {
         bail!(
             "{}: no sensor of the model has its field and both its forces in these recordings",
             campaign.display()
         );
     }
-    if compared
-        .clone()
-        .all(|sensor| sensor.axes[0].error.rows() == 0.0)
-    {
+    if sensors().all(|sensor| sensor.axes[0].error.rows() == 0.0) {
         bail!(
             "{}: in no row are a valid estimate and a measured force together; check that force.csv is filled, and the scale and unit of hall.csv",
             campaign.display()
         );
     }
     for number in &header.sensors {
-        if !compared.clone().any(|sensor| sensor.number == *number) {
+        if !sensors().any(|sensor| sensor.number == *number) {
             notes.push(format!("sensor {number} of the model was not replayed: its field or its forces are not in these recordings"));
         }
     }
-    let outcome = Outcome { notes, ..outcome };
-    outcome
-        .notes
-        .iter()
-        .for_each(|note| eprintln!("note: {note}"));
-    Ok(outcome)
+    notes.iter().for_each(|note| eprintln!("note: {note}"));
+    Ok(Outcome {
+        linear: run(&linear, &fitted.linear)?,
+        nominal: run(&nominal.tables, &nominal.models)?,
+        fitted: replayed,
+        seen: seen(&folders, &file)?,
+        notes,
+    })
 }
 
 /// Where the recordings are not of the gripper, or not aligned, as the model's were.
-fn differences(folders: &[PathBuf], model: &ModelFile, delay_ms: f64) -> Result<Vec<String>> {
+fn differences(
+    folders: &[PathBuf],
+    model: &ModelFile,
+    alignment: Alignment,
+) -> Result<Vec<String>> {
     let mut notes = Vec::new();
-    let fitted_ms = model.provenance.delay_ms;
+    let (fitted_ms, delay_ms) = (model.provenance.delay_ms, 1e-3 * alignment.delay_us);
     if delay_ms != fitted_ms {
         notes.push(format!(
             "the model was fitted with --delay-ms {fitted_ms}, this replay has {delay_ms}"

@@ -9,7 +9,8 @@
 //!
 //! Every direction in the space of parameters (in tolerances) is then judged by the residual
 //! itself: one whose error bar is wider than half a tolerance is not known from these data and is
-//! held at nominal while the others are fitted.
+//! held at nominal while the others are fitted. Which directions are held is decided once, on all
+//! recordings; the values are fitted anew for each recording left out.
 
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt, TerminationReason};
 use nalgebra::storage::Owned;
@@ -57,8 +58,8 @@ pub struct CylinderFit {
     pub held: Vec<Held>,
     /// Held-out error beside the floor, each axis.
     pub scores: Vec<AxisScore>,
-    /// Length of the bootstrap's blocks in seconds, and their number.
-    pub blocks: (f64, usize),
+    /// Length of the bootstrap's blocks in seconds.
+    pub block_s: f64,
 }
 
 /// Fits one sensor; `rows` hold its own two forces.
@@ -119,7 +120,7 @@ pub fn fit(
         parameters: estimates(nominal, &departures, &space, &blocks, options),
         held: space.held,
         scores: tally.scores(&seen, rows.sensor, rows.field_span()),
-        blocks: (length_s, blocks.len()),
+        block_s: length_s,
     })
 }
 

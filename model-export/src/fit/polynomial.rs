@@ -114,8 +114,8 @@ pub struct PolynomialFit {
     pub scores: Vec<AxisScore>,
     /// Held-out error in gauss, root mean square over the axes, of each degree that was tried.
     pub tried: Vec<(usize, f64)>,
-    /// Length of the bootstrap's blocks in seconds, and their number.
-    pub blocks: (f64, usize),
+    /// Length of the bootstrap's blocks in seconds.
+    pub block_s: f64,
 }
 
 /// Fits one sensor with a polynomial of `degree`, or of the lowest degree whose held-out error is
@@ -148,7 +148,7 @@ pub fn fit(
     let model = solve(rows, &parts, &spans, *degree)?;
     let mut seen = Tally::default();
     parts.iter().for_each(|part| judge(&mut seen, part, &model));
-    let (std_error_g, blocks) = error_bars(rows, &model, options);
+    let (std_error_g, block_s) = error_bars(rows, &model, options);
     Ok(PolynomialFit {
         sensor: rows.sensor,
         model,
@@ -158,7 +158,7 @@ pub fn fit(
             .iter()
             .map(|(d, tally)| (*d, tally.mean_square().sqrt()))
             .collect(),
-        blocks,
+        block_s,
     })
 }
 
@@ -212,11 +212,7 @@ fn solve(
     })
 }
 
-fn error_bars(
-    rows: &SensorRows,
-    model: &Polynomial,
-    options: Options,
-) -> (DMatrix<f64>, (f64, usize)) {
+fn error_bars(rows: &SensorRows, model: &Polynomial, options: Options) -> (DMatrix<f64>, f64) {
     let terms = Polynomial::terms(model.spans_n.len(), model.degree);
     let residuals: Vec<Vec<Vector3<f64>>> = rows
         .parts
@@ -232,7 +228,6 @@ fn error_bars(
         residuals[part].iter().map(|r| r[axis]).collect()
     });
     let mut bars = DMatrix::zeros(terms.len(), 3);
-    let mut count = 0;
     for axis in 0..3 {
         let mut list = Vec::new();
         for (part, residuals) in rows.parts.iter().zip(&residuals) {
@@ -251,11 +246,10 @@ fn error_bars(
                 list.push(block);
             }
         }
-        count = list.len();
         let covariance = blocks::bootstrap_covariance(&list, options.draws, options.seed);
         bars.set_column(axis, &covariance.diagonal().map(|v| v.max(0.0).sqrt()));
     }
-    (bars, (length_s, count))
+    (bars, length_s)
 }
 
 #[cfg(test)]

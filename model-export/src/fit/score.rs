@@ -23,15 +23,6 @@ pub struct AxisScore {
     pub span_g: f64,
 }
 
-impl AxisScore {
-    /// The part of the error that a better model could remove, in gauss.
-    pub fn explainable_g(&self) -> f64 {
-        (self.held_out_rms_g.powi(2) - self.floor_g.powi(2))
-            .max(0.0)
-            .sqrt()
-    }
-}
-
 /// Adds up squared errors and squared floors over held-out rows.
 #[derive(Clone, Copy, Debug)]
 pub struct Tally {

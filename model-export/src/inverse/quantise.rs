@@ -1,7 +1,5 @@
 //! The device's tables from a model in floating point, with the proof that nothing overflows.
 
-use firmware::force::estimate;
-use firmware::hall::Reading;
 use firmware::model::grbf::{ENTRY_BITS, ENTRY_STEP};
 use firmware::model::ideal;
 use firmware::model::table::{
@@ -84,11 +82,6 @@ impl TableSet {
                 .map(Force::newtons),
             None => [f64::NAN; 2],
         }
-    }
-
-    /// The device's estimate for a reading of the sensor with this number.
-    pub fn estimate(&self, number: usize, reading: Reading) -> firmware::force::Estimate {
-        estimate(&self.tables(), number, Some(reading))
     }
 }
 

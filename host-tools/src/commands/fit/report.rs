@@ -30,7 +30,7 @@ pub fn text(campaign: &Campaign, model: &ModelFile, fits: &Fits) -> String {
     format!(
         "{}: {} recordings, {:.1} s, {} rows; the field is averaged over ±{:.2} ms around each\n\
          reference row (delay {} ms).\n\n{base}\n{}{}\n\
-         Error bars: block bootstrap, {} draws, seed {}.\n",
+         Error bars: block bootstrap, {} draws, seed {}, blocks of {} s.\n",
         provenance.campaign,
         campaign.recordings.len(),
         campaign.duration_s(),
@@ -41,7 +41,17 @@ pub fn text(campaign: &Campaign, model: &ModelFile, fits: &Fits) -> String {
         verdict(model),
         Options::default().draws,
         provenance.seed,
+        show::plain(longest_block_s(fits), 1),
     )
+}
+
+/// The longest block among the sensors: how long their residuals remember.
+fn longest_block_s(fits: &Fits) -> f64 {
+    let lengths: Vec<f64> = match fits {
+        Fits::Cylinder(_, fits) => fits.iter().map(|fit| fit.block_s).collect(),
+        Fits::Polynomial(fits) => fits.iter().map(|fit| fit.block_s).collect(),
+    };
+    lengths.into_iter().fold(0.0, f64::max)
 }
 
 /// Every parameter of every sensor.
@@ -170,14 +180,13 @@ pub fn scores(campaign: &Campaign, model: &ModelFile) -> String {
         "share of range",
     ]);
     for (sensor, axis) in axes(model) {
-        let explainable = (axis.rms_g.powi(2) - axis.floor_g.powi(2)).max(0.0).sqrt();
         table.add_row([
             sensor.number.to_string(),
             axis.axis.clone(),
             format!("{:.4}", axis.rms_g),
             format!("{:.4}", axis.floor_g),
             format!("{:.3}", axis.rms_g / axis.floor_g),
-            format!("{explainable:.4}"),
+            format!("{:.4}", axis.explainable_g()),
             format!("{:.3} %", 100.0 * axis.rms_g / axis.span_g),
         ]);
     }
