@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-use crate::commands::{demo, export, fit, import, replay};
+use crate::commands::{demo, export, fit, import, replay, simulate};
 
 /// Turns four Hall sensors in a robot gripper into forces one can trust, and tells which piece of
 /// physics the model still lacks.
@@ -23,6 +23,7 @@ enum Command {
     Import(import::Args),
     Export(export::Args),
     Replay(replay::Args),
+    Simulate(simulate::Args),
 }
 
 /// Runs one command; errors go to stderr as one sentence.
@@ -37,6 +38,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Import(args) => import::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Replay(args) => replay::run(&args),
+        Command::Simulate(args) => simulate::run(&args),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

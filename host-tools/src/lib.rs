@@ -2,10 +2,12 @@
 //!
 //! - [`cli`]: the commands and their arguments.
 //! - [`commands`]: one file each.
+//! - [`bench`]: a simulated bench that shares no mechanics with the fit.
 //! - [`replay`]: recorded data through the device's own code.
 //! - [`show`]: numbers and tables as people read them.
 //! - [`progress`]: what long work shows while it runs.
 
+pub mod bench;
 pub mod cli;
 pub mod commands;
 pub mod progress;

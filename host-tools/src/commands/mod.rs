@@ -6,3 +6,4 @@ pub mod export;
 pub mod fit;
 pub mod import;
 pub mod replay;
+pub mod simulate;

@@ -220,7 +220,7 @@ impl fmt::Display for Notice {
 }
 
 /// The candidate that was probably meant, where one is close to what was written.
-pub(crate) fn closest<'a>(
+pub fn closest<'a>(
     written: &str,
     candidates: impl IntoIterator<Item = &'a str>,
 ) -> Option<&'a str> {
