@@ -98,7 +98,7 @@ fn an_error_is_one_sentence_on_stderr_and_exit_code_1() {
 
 #[test]
 fn every_command_s_help_has_an_example() {
-    for command in ["fit", "import", "export", "replay", "demo"] {
+    for command in ["fit", "import", "export", "replay", "simulate", "demo"] {
         let help = text(&magpie(&[command, "--help"]).stdout);
         assert!(
             help.contains("Examples:") && help.contains(&format!("  cargo magpie {command} ")),

@@ -16,6 +16,9 @@ const BALANCE_N: f64 = 1e-9;
 /// Load in newtons that counts as a change of direction when load cycles are counted.
 const CYCLE_N: f64 = 5.0;
 
+/// Steps in which a pause is gone through; nothing is seen of it but its end.
+const PAUSE_STEPS: u32 = 20;
+
 /// What one flexure is made of.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Build {
@@ -115,11 +118,10 @@ impl Flexure {
         self.at_mm
     }
 
-    /// A pause without load; slow memories fade, friction keeps its own.
+    /// A pause without load: slow memories fade, friction keeps its own.
     pub fn pause(&mut self, seconds: f64) {
-        let (share, time_s) = self.build.creep;
-        if share > 0.0 {
-            self.delayed_mm *= libm::exp(-seconds / time_s);
+        for _ in 0..PAUSE_STEPS {
+            self.step(0.0, seconds / f64::from(PAUSE_STEPS));
         }
     }
 
@@ -283,6 +285,22 @@ mod tests {
             (grown - 0.03 * (1.0 - libm::exp(-1.0))).abs() < 1e-9,
             "{grown}"
         );
+    }
+
+    #[test]
+    fn after_a_pause_only_friction_remembers_the_load() {
+        let slow = Build {
+            lag_s: 0.01,
+            creep: (0.02, 5.0),
+            ..PLAIN
+        };
+        for (friction_n, least, most) in [(0.0, 0.0, 1e-9), (2.5, 0.004, 0.006)] {
+            let mut flexure = Flexure::new(Build { friction_n, ..slow });
+            ramp(&mut flexure, 0.0, 200.0, 1.0);
+            flexure.pause(500.0);
+            let left = flexure.at_mm().abs();
+            assert!((least..=most).contains(&left), "{friction_n}: {left}");
+        }
     }
 
     #[test]

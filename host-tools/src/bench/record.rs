@@ -31,6 +31,9 @@ const CURRENT_A: f64 = 0.02;
 const ANGLE_RAD: f64 = 0.002;
 const ACCELERATION_MPS2: f64 = 0.05;
 
+/// Before its first row a recording stands unloaded for this long.
+const SETTLING_S: f64 = 1.0;
+
 /// A table being written, packed.
 type Table = Writer<GzEncoder<BufWriter<File>>>;
 
@@ -93,14 +96,12 @@ impl Recorder<'_> {
         let mut rng = stream(seed, Purpose::Covariates, self.recording);
         // Where the field is late against the reference, the board sees what has been.
         let late_s = 1e-3 * self.effects.size("clock_skew");
-        let period_s = self.clocks[0].period_us as f64 * 1e-6;
         let mut before_s = f64::NAN;
         for (stamp_us, true_s) in self.clocks[0].ticks(self.settings.seconds) {
             let time_s = true_s - late_s;
-            let since_s = if before_s.is_nan() {
-                period_s
-            } else {
-                time_s - before_s
+            let since_s = match before_s.is_nan() {
+                true => SETTLING_S,
+                false => time_s - before_s,
             };
             before_s = time_s;
             let moment = Moment {

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use model_export::output::write_output;
 use serde_json::{Value, json};
+use tempfile::TempDir;
 
 use crate::bench::effects::{Effect, hide};
 use crate::bench::element::NoiseKind;
@@ -98,10 +99,13 @@ pub fn run(args: &Args) -> Result<()> {
     };
     truth::check_outside(&truth_path, &args.output)?;
     check_free(&args.output, &truth_path)?;
+    let draft = draft(&args.output)?;
     let bar = progress::bar("simulating recordings", settings.recordings as usize);
-    let truth = bench::simulate(&settings, &args.output, || bar.inc(1))?;
+    let truth = bench::simulate(&settings, draft.path(), || bar.inc(1))?;
     bar.finish_and_clear();
     write_output(&truth_path, truth.text()?.as_bytes(), truth::MARK)?;
+    std::fs::rename(draft.keep(), &args.output)
+        .with_context(|| format!("{} cannot be written", args.output.display()))?;
     let page = match args.json {
         true => format!("{}\n", report_json(args, &settings, &truth, &truth_path)),
         false => report(args, &settings, &truth, &truth_path),
@@ -159,6 +163,24 @@ const SECONDS: [f64; 2] = [3.0, 3600.0];
 
 /// Five standard deviations of the stiffness at this scatter are its whole.
 const MOST_SCATTER: f64 = 4.0;
+
+/// A folder beside the campaign's that takes its name when it is complete.
+fn draft(campaign: &Path) -> Result<TempDir> {
+    let parent = match campaign.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    };
+    let mut draft = tempfile::Builder::new();
+    draft.prefix(".magpie-simulate-");
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        draft.permissions(std::fs::Permissions::from_mode(0o777));
+    }
+    std::fs::create_dir_all(parent)
+        .and_then(|()| draft.tempdir_in(parent))
+        .with_context(|| format!("{} cannot be written", campaign.display()))
+}
 
 /// Nothing is overwritten.
 fn check_free(campaign: &Path, truth: &Path) -> Result<()> {

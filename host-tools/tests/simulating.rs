@@ -1,0 +1,283 @@
+//! What the simulated bench promises: campaigns that are read like any other, a clean one that is
+//! clean, effects that are there and named only where they may be.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use host_tools::bench::sizes::SIZES;
+use model_export::fit::{Options, campaign};
+use model_export::recordings::Campaign;
+use model_export::recordings::align::Alignment;
+use serde_json::Value;
+use tempfile::TempDir;
+
+fn simulate(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_magpie"))
+        .arg("simulate")
+        .args(arguments)
+        .output()
+        .expect("the command runs")
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// Simulates into `name` in a folder; the campaign's path and what was printed.
+fn simulated(folder: &TempDir, name: &str, arguments: &[&str]) -> (PathBuf, String) {
+    let path = folder.path().join(name);
+    let output = simulate(&[&["-o", path.to_str().unwrap()], arguments].concat());
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    (path, text(&output.stdout) + &text(&output.stderr))
+}
+
+fn read(campaign: &Path) -> Campaign {
+    Campaign::read(campaign, Alignment { delay_us: 0.0 }, |_| ()).unwrap()
+}
+
+/// Held-out error over floor, every axis of every sensor.
+fn ratios(campaign: &Campaign) -> Vec<f64> {
+    let (fits, notices) = campaign::cylinder(campaign, Options::default(), |_| ()).unwrap();
+    assert!(notices.is_empty());
+    let scores = fits.scores();
+    scores
+        .iter()
+        .map(|s| s.held_out_rms_g / s.floor_g)
+        .collect()
+}
+
+/// Everything in a folder, by path in it.
+fn contents(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+    let mut files = Vec::new();
+    let mut folders = vec![folder.to_path_buf()];
+    while let Some(at) = folders.pop() {
+        for entry in fs::read_dir(at).unwrap() {
+            let path = entry.unwrap().path();
+            match path.is_dir() {
+                true => folders.push(path),
+                false => files.push((
+                    path.strip_prefix(folder).unwrap().to_path_buf(),
+                    fs::read(&path).unwrap(),
+                )),
+            }
+        }
+    }
+    files.sort();
+    files
+}
+
+#[test]
+fn a_clean_campaign_is_read_without_notices_and_fits_to_its_floor_on_every_axis() {
+    let folder = TempDir::new().unwrap();
+    for seed in ["1", "2", "3"] {
+        let (path, _) = simulated(&folder, seed, &["--seed", seed]);
+        let campaign = read(&path);
+        assert_eq!(campaign.notices().count(), 0);
+        assert_eq!(
+            (campaign.recordings.len(), campaign.sensors().len()),
+            (3, 4)
+        );
+        for ratio in ratios(&campaign) {
+            assert!((0.95..=1.05).contains(&ratio), "seed {seed}: {ratio}");
+        }
+    }
+}
+
+#[test]
+fn every_programme_gives_a_campaign_that_fits_to_its_floor() {
+    let folder = TempDir::new().unwrap();
+    for programme in [
+        "still",
+        "level",
+        "isothermal",
+        "same-warm-up",
+        "single-sine",
+    ] {
+        let (path, _) = simulated(&folder, programme, &["--programme", programme]);
+        for ratio in ratios(&read(&path)) {
+            assert!((0.9..=1.1).contains(&ratio), "{programme}: {ratio}");
+        }
+    }
+}
+
+#[test]
+fn the_first_half_second_of_every_recording_is_unloaded() {
+    let folder = TempDir::new().unwrap();
+    let (path, _) = simulated(&folder, "one", &["--seconds", "5"]);
+    for recording in read(&path).recordings {
+        let rows = recording.time_s.iter().filter(|t| **t < 0.49).count();
+        for track in recording.forces.values() {
+            let largest = track.newtons[..rows]
+                .iter()
+                .fold(0.0_f64, |l, n| l.max(n.abs()));
+            assert!(rows > 40 && largest < 1.0, "{largest}");
+            assert!(track.newtons.iter().any(|n| n.abs() > 100.0));
+        }
+    }
+}
+
+#[test]
+fn every_effect_is_felt_by_board_or_reference_and_all_go_together() {
+    let folder = TempDir::new().unwrap();
+    let short = ["--seconds", "4", "--sensors", "1", "--recordings", "2"];
+    let (clean, _) = simulated(&folder, "clean", &short);
+    let (clean, mut all) = (contents(&clean), short.map(str::to_owned).to_vec());
+    for size in SIZES {
+        let wanted = [&short[..], &["--effect", size.id]].concat();
+        let (path, _) = simulated(&folder, size.id, &wanted);
+        assert_ne!(contents(&path), clean, "{}", size.id);
+        all.extend(["--effect".to_owned(), size.id.to_owned()]);
+    }
+    let all: Vec<&str> = all.iter().map(String::as_str).collect();
+    let (path, _) = simulated(&folder, "all", &all);
+    assert_eq!(read(&path).notices().count(), 0);
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bytes_and_another_seed_others() {
+    let folder = TempDir::new().unwrap();
+    let hidden = ["--hide", "3", "--seconds", "4", "--noise", "ar1"];
+    let of = |name: &str, seed: &str| {
+        let (path, _) = simulated(&folder, name, &[&hidden[..], &["--seed", seed]].concat());
+        let truth = folder.path().join(format!("{name}-truth.toml"));
+        (contents(&path), text(&fs::read(truth).unwrap()))
+    };
+    let (first, again, other) = (of("a", "5"), of("b", "5"), of("c", "6"));
+    assert_eq!(first.0.len(), 9);
+    assert!(first == again && first.0 != other.0 && first.1 != other.1);
+}
+
+#[test]
+fn hidden_effects_are_named_in_the_truth_and_nowhere_else() {
+    let folder = TempDir::new().unwrap();
+    let arguments = ["--hide", "4", "--seconds", "4", "--seed", "9"];
+    let (path, said) = simulated(&folder, "riddle", &arguments);
+    let (_, json) = simulated(&folder, "again", &[&arguments[..], &["--json"]].concat());
+    let truth: toml::Table =
+        toml::from_str(&fs::read_to_string(folder.path().join("riddle-truth.toml")).unwrap())
+            .unwrap();
+    let effects = truth["effect"].as_array().unwrap();
+    assert!(effects.len() >= 4);
+    let described = fs::read_to_string(path.join("1/recording.toml")).unwrap();
+    for effect in effects {
+        let id = effect["id"].as_str().unwrap();
+        assert!(
+            !said.contains(id) && !json.contains(id) && !described.contains(id),
+            "{id}"
+        );
+        let each = effect["each"].as_array().unwrap();
+        let sum: f64 = each.iter().map(|size| size.as_float().unwrap()).sum();
+        let size = effect["size"].as_float().unwrap();
+        assert!(
+            (sum / each.len() as f64 - size).abs() < 1e-9 * size.abs().max(1.0),
+            "{id}"
+        );
+    }
+    let names: Vec<PathBuf> = contents(&path).into_iter().map(|(name, _)| name).collect();
+    let of_one = ["force.csv.gz", "hall.csv.gz", "recording.toml"];
+    let expected = ["1", "2", "3"]
+        .iter()
+        .flat_map(|n| of_one.map(|file| Path::new(n).join(file)));
+    assert_eq!(names, expected.collect::<Vec<_>>());
+}
+
+#[test]
+fn the_description_is_the_same_whatever_is_simulated() {
+    let folder = TempDir::new().unwrap();
+    let (clean, _) = simulated(&folder, "clean", &["--seconds", "3"]);
+    let wanted = [
+        "--seconds",
+        "3",
+        "--effect",
+        "creep",
+        "--programme",
+        "level",
+        "--seed",
+        "4",
+    ];
+    let (other, _) = simulated(&folder, "other", &wanted);
+    for file in ["1/recording.toml", "2/recording.toml", "3/recording.toml"] {
+        assert_eq!(
+            fs::read(clean.join(file)).unwrap(),
+            fs::read(other.join(file)).unwrap()
+        );
+    }
+}
+
+#[test]
+fn json_names_seed_programme_and_effects_that_are_not_hidden() {
+    let folder = TempDir::new().unwrap();
+    let wanted = [
+        "--effect",
+        "hysteresis=1.5:both",
+        "--seconds",
+        "3",
+        "--json",
+    ];
+    let (_, json) = simulated(&folder, "one", &wanted);
+    let json: Value = serde_json::from_str(&json).unwrap();
+    assert_eq!(
+        (&json["seed"], &json["programme"]),
+        (&1.into(), &"bench".into())
+    );
+    let effect = &json["effects"][0];
+    assert_eq!(
+        (&effect["id"], &effect["size"]),
+        (&"hysteresis".into(), &1.5.into())
+    );
+    let truth = fs::read_to_string(folder.path().join("one-truth.toml")).unwrap();
+    assert!(truth.contains("flexures = \"both\""), "{truth}");
+}
+
+#[test]
+fn an_unknown_effect_is_told_its_neighbour() {
+    let output = simulate(&["-o", "nowhere", "--effect", "histeresis"]);
+    let said = text(&output.stderr);
+    assert!(
+        !output.status.success() && said.contains("did you mean hysteresis?"),
+        "{said}"
+    );
+    assert!(said.contains("screw_ripple"), "{said}");
+}
+
+#[test]
+fn nothing_is_overwritten_and_a_truth_never_lies_in_its_campaign() {
+    let folder = TempDir::new().unwrap();
+    let (path, _) = simulated(&folder, "one", &["--seconds", "3"]);
+    let path = path.to_str().unwrap();
+    let again = simulate(&["-o", path]);
+    assert!(
+        text(&again.stderr).contains("it is not overwritten"),
+        "{}",
+        text(&again.stderr)
+    );
+    let truth = folder.path().join("one-truth.toml");
+    let free = folder.path().join("two");
+    let free = free.to_str().unwrap();
+    let over = simulate(&["-o", free, "--truth", truth.to_str().unwrap()]);
+    assert!(text(&over.stderr).contains("it is not overwritten"));
+    let inside = simulate(&["-o", free, "--truth", &format!("{free}/truth.toml")]);
+    assert!(text(&inside.stderr).contains("choose another place"));
+    assert!(!Path::new(free).exists());
+}
+
+#[test]
+fn an_empty_folder_may_become_a_campaign_and_settings_that_cannot_be_are_refused() {
+    let folder = TempDir::new().unwrap();
+    fs::create_dir(folder.path().join("empty")).unwrap();
+    simulated(&folder, "empty", &["--seconds", "3"]);
+    for wrong in [
+        ["--seconds", "1"],
+        ["--scatter", "NaN"],
+        ["--field-noise", "-1"],
+        ["--hide", "99"],
+    ] {
+        let path = folder.path().join("wrong");
+        let argument = format!("{}={}", wrong[0], wrong[1]);
+        let output = simulate(&["-o", path.to_str().unwrap(), &argument]);
+        assert_eq!(output.status.code(), Some(1), "{}", text(&output.stderr));
+        assert_eq!(text(&output.stderr).lines().count(), 1);
+        assert!(!path.exists());
+    }
+}
