@@ -2,7 +2,7 @@
 //!
 //! - [`cli`]: the commands and their arguments.
 //! - [`commands`]: one file each.
-//! - [`bench`]: a simulated bench that shares no mechanics with the fit.
+//! - [`bench`](mod@bench): a simulated bench that shares no mechanics with the fit.
 //! - [`replay`]: recorded data through the device's own code.
 //! - [`show`]: numbers and tables as people read them.
 //! - [`progress`]: what long work shows while it runs.

@@ -33,7 +33,12 @@ fn simulated(folder: &TempDir, name: &str, arguments: &[&str]) -> (PathBuf, Stri
 }
 
 fn read(campaign: &Path) -> Campaign {
-    Campaign::read(campaign, Alignment { delay_us: 0.0 }, |_| ()).unwrap()
+    read_late(campaign, 0.0)
+}
+
+/// Reads a campaign with a delay added to the reference's times.
+fn read_late(campaign: &Path, delay_us: f64) -> Campaign {
+    Campaign::read(campaign, Alignment { delay_us }, |_| ()).unwrap()
 }
 
 /// Held-out error over floor, every axis of every sensor.
@@ -99,6 +104,19 @@ fn every_programme_gives_a_campaign_that_fits_to_its_floor() {
             assert!((0.9..=1.1).contains(&ratio), "{programme}: {ratio}");
         }
     }
+}
+
+#[test]
+fn clocks_that_differ_by_a_known_time_are_brought_together_by_it() {
+    let folder = TempDir::new().unwrap();
+    let skewed = ["--effect", "clock_skew=7", "--seconds", "15"];
+    let (path, _) = simulated(&folder, "skewed", &skewed);
+    let worst = |delay_us| {
+        ratios(&read_late(&path, delay_us))
+            .into_iter()
+            .fold(0.0, f64::max)
+    };
+    assert!(worst(7000.0) < 1.05 && worst(0.0) > 5.0);
 }
 
 #[test]

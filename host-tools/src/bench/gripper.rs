@@ -175,3 +175,43 @@ fn losses(seed: u64, recordings: u32) -> Vec<f64> {
     }
     losses
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bench::element::NoiseKind;
+    use crate::bench::programme::Programme;
+
+    fn gripper(wanted: &[&str]) -> Gripper {
+        let settings = Settings {
+            seed: 1,
+            programme: Programme::Bench,
+            recordings: 3,
+            seconds: 5.0,
+            sensors: 1,
+            scatter: 0.0,
+            noise: NoiseKind::White,
+            field_noise_g: 0.0,
+            reference_noise_n: 0.0,
+            effects: wanted.iter().map(|id| id.parse().unwrap()).collect(),
+            hidden: false,
+        };
+        let effects = Effects::new(&settings.effects, 1, 1, 0.0).unwrap();
+        Gripper::new(&settings, &effects, &[])
+    }
+
+    #[test]
+    fn ten_kelvin_take_a_little_more_than_a_percent_of_the_magnet() {
+        let gripper = gripper(&["magnet_temperature"]);
+        let at = |warm_k| gripper.sensors[0].own_field(warm_k, 0.0, 0.0).y;
+        assert!((at(10.0) / at(0.0) - 0.989).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_magnet_loses_its_share_before_the_second_recording_and_some_more_later() {
+        let gripper = gripper(&["demagnetisation=0.5"]);
+        let at = |lost| gripper.sensors[0].own_field(0.0, 0.0, lost).y;
+        assert!((at(gripper.losses[1]) / at(gripper.losses[0]) - 0.995).abs() < 1e-12);
+        assert!((1.0..1.3).contains(&gripper.losses[2]));
+    }
+}

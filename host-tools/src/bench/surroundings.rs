@@ -35,7 +35,7 @@ pub struct Neighbour {
 }
 
 impl Neighbour {
-    /// Draws where the neighbour is; `stated_g` is its field at [`STATED_OPENING_MM`].
+    /// Draws where the neighbour is; `stated_g` is its field at 10 mm, in gauss.
     pub fn draw(made: &Made, seed: u64, scatter: f64, stated_g: f64) -> Self {
         let mut rng = stream(seed, Purpose::Neighbour, made.number);
         let mut out = || scatter * OUT_OF_LINE_MM * normal(&mut rng);
@@ -99,6 +99,7 @@ pub fn in_body(world: Vector3<f64>, standing: &Standing) -> Vector3<f64> {
 mod tests {
     use super::*;
     use model_export::recordings::description::Design;
+    use nalgebra::Rotation3;
 
     fn made() -> Made {
         Made::draw(&Design::magpie(), 1, 5, 1.0)
@@ -118,6 +119,21 @@ mod tests {
     fn leakage_is_stated_for_ten_amperes() {
         let effects = Effects::new(&["motor_leakage=1".parse().unwrap()], 5, 2, 0.0).unwrap();
         assert!((leakage(&made(), &effects, 5).norm() * 10.0 - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_earth_s_field_dips_below_the_horizon_however_the_gripper_is_held() {
+        let effects = Effects::new(&["earth_field".parse().unwrap()], 5, 1, 0.0).unwrap();
+        let world = earth(&effects, 5);
+        let down = -0.48 * libm::sin(60.0_f64.to_radians());
+        let on_its_side = Standing {
+            angles_rad: [0.0; 3],
+            to_world: Rotation3::from_euler_angles(std::f64::consts::FRAC_PI_2, 0.0, 0.0),
+            specific_force: Vector3::zeros(),
+        };
+        assert!((world.norm() - 0.48).abs() < 1e-12 && (world.z - down).abs() < 1e-12);
+        // Rolled by a quarter turn, the body's y points up.
+        assert!((in_body(world, &on_its_side).y - down).abs() < 1e-12);
     }
 
     #[test]
