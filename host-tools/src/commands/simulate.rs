@@ -29,7 +29,7 @@ pub struct Args {
     #[arg(long, value_name = "N", conflicts_with = "effects")]
     hide: Option<usize>,
     /// Multiplies the typical sizes of hidden effects.
-    #[arg(long, default_value_t = 1.0, requires = "hide")]
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, requires = "hide")]
     strength: f64,
     /// What is done to the gripper.
     #[arg(long, value_enum, default_value = "bench")]
@@ -44,7 +44,7 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=8))]
     sensors: u32,
     /// Multiplies the scatter of manufacture; 0 makes a perfect gripper.
-    #[arg(long, default_value_t = 1.0)]
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     scatter: f64,
     /// Noise of the field beside white noise.
     #[arg(long, value_enum, default_value = "white")]
@@ -56,7 +56,8 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 0.15)]
     reference_noise: f64,
     /// Seed of everything that is drawn: the same seed, the same bytes.
-    #[arg(long, default_value_t = 1)]
+    // TOML, and with it the truth, has no larger integers.
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
     seed: u64,
     /// Where the truth goes; otherwise beside the campaign, as CAMPAIGN-truth.toml.
     #[arg(long, value_name = "PATH")]
