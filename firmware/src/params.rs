@@ -99,6 +99,14 @@ pub const FORCE_RANGE: Constant = assumed(
     "design box of the ideal model",
 );
 
+/// Pole pairs of the motor.
+pub const POLE_PAIRS: Constant = assumed(
+    "motor pole pairs",
+    7.0,
+    "",
+    "the paper names no motor; common for its size",
+);
+
 /// All constants, in the order of the data path: the parameter card.
 pub const CARD: &[Constant] = &[
     MAGNET_DIAMETER,
@@ -115,4 +123,5 @@ pub const CARD: &[Constant] = &[
     SENSOR_BITS,
     SENSE_RATE,
     REFERENCE_RATE,
+    POLE_PAIRS,
 ];

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-use crate::commands::{demo, export, fit, import, replay, simulate};
+use crate::commands::{add, demo, drop, effects, export, fit, import, replay, simulate};
 
 /// Turns four Hall sensors in a robot gripper into forces one can trust, and tells which piece of
 /// physics the model still lacks.
@@ -21,6 +21,9 @@ enum Command {
     Demo(demo::Args),
     Fit(fit::Args),
     Import(import::Args),
+    Effects(effects::Args),
+    Add(add::Args),
+    Drop(drop::Args),
     Export(export::Args),
     Replay(replay::Args),
     Simulate(simulate::Args),
@@ -36,6 +39,9 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Demo(args) => demo::run(&args),
         Command::Fit(args) => fit::run(&args),
         Command::Import(args) => import::run(&args),
+        Command::Effects(args) => effects::run(&args),
+        Command::Add(args) => add::run(&args),
+        Command::Drop(args) => drop::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Replay(args) => replay::run(&args),
         Command::Simulate(args) => simulate::run(&args),

@@ -36,6 +36,13 @@ pub fn page(text: &str) -> std::io::Result<()> {
     }
 }
 
+/// Text broken into lines of the page's width, as far as its first line is set in.
+pub fn paragraph(text: &str) -> String {
+    let indent = " ".repeat(text.len() - text.trim_start().len());
+    let options = textwrap::Options::new(usize::from(WIDTH)).subsequent_indent(&indent);
+    textwrap::fill(text, options) + "\n"
+}
+
 /// Puts all columns but the first `words` to the right.
 pub fn right_align(table: &mut Table, words: usize) {
     for column in table.column_iter_mut().skip(words) {

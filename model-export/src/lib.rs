@@ -6,10 +6,12 @@
 //! - [`recordings`]: campaigns on disk, checked as they are read, brought to one clock.
 //! - [`output`]: files that the tool writes.
 //! - [`physics`]: the forward model, from forces to the field at each Hall sensor.
+//! - [`effects`]: the catalogue of physical effects, and a user's own.
 //! - [`fit`]: the forward model fitted to a campaign, with honest error bars.
 //! - [`model_file`]: the human-readable result, `model.toml`.
 //! - [`inverse`]: from fields to forces: the ideal model and the device's tables.
 
+pub mod effects;
 pub mod fit;
 pub mod inverse;
 pub mod model_file;

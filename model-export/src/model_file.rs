@@ -3,6 +3,7 @@
 //! The device never sees this file. Values are stored beside their error
 //! bars and the nominal design they depart from.
 
+mod effects;
 mod provenance;
 
 use std::collections::BTreeMap;
@@ -11,7 +12,9 @@ use std::path::Path;
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
-use crate::fit::cylinder::CylinderFit;
+use crate::effects::Addition;
+use crate::fit::campaign::Prepared;
+use crate::fit::joint::{JointFit, SensorFit};
 use crate::fit::parameters::{self, PARAMETERS};
 use crate::fit::polynomial::{Polynomial, PolynomialFit};
 use crate::fit::{AxisScore, Fits};
@@ -23,6 +26,7 @@ use crate::recordings::description::{Design, parse_toml};
 use crate::recordings::problem::Fault;
 use crate::recordings::{Campaign, Place, Problem};
 
+pub use effects::{EffectModel, EffectOfSensor};
 pub use provenance::{Fitted, Provenance, SensorScale};
 
 /// Version of the file.
@@ -48,6 +52,9 @@ pub struct ModelFile {
     /// One entry for each sensor.
     #[serde(rename = "sensor")]
     pub sensors: Vec<SensorModel>,
+    /// Effects beside the base.
+    #[serde(default, rename = "effect", skip_serializing_if = "Vec::is_empty")]
+    pub effects: Vec<EffectModel>,
 }
 
 /// What the field is computed from.
@@ -133,13 +140,16 @@ pub struct PolynomialTable {
 }
 
 impl ModelFile {
-    /// The file of a fit.
+    /// The file of a fit of the base alone.
     pub fn of(campaign: &Campaign, fits: &Fits, provenance: Provenance) -> Self {
         let (base, design, sensors) = match fits {
-            Fits::Cylinder(design, fits) => (
+            Fits::Cylinder(design, fit) => (
                 Base::Cylinder,
                 Some(design.clone()),
-                fits.iter().map(SensorModel::of_cylinder).collect(),
+                fit.sensors
+                    .iter()
+                    .map(|fit| SensorModel::of_cylinder(fit, &fit.values))
+                    .collect(),
             ),
             Fits::Polynomial(fits) => (
                 Base::Polynomial,
@@ -154,7 +164,51 @@ impl ModelFile {
             sensor_scale: SensorScale::of(campaign),
             design,
             sensors,
+            effects: Vec::new(),
         }
+    }
+
+    /// The file of a fit with effects.
+    pub fn with_effects(
+        campaign: &Campaign,
+        prepared: &Prepared,
+        fit: &JointFit,
+        effects: &[Addition],
+        provenance: Provenance,
+    ) -> Self {
+        let sensor = |(i, fit): (usize, &SensorFit)| match prepared.polynomials.get(i) {
+            None => SensorModel::of_cylinder(fit, &fit.values),
+            Some(start) => SensorModel::of_polynomial_with_effects(start, fit),
+        };
+        Self {
+            format: FORMAT,
+            base: if prepared.design.is_some() {
+                Base::Cylinder
+            } else {
+                Base::Polynomial
+            },
+            provenance,
+            sensor_scale: SensorScale::of(campaign),
+            design: prepared.design.clone(),
+            sensors: fit.sensors.iter().enumerate().map(sensor).collect(),
+            effects: EffectModel::all_of(fit, effects, campaign.recordings.len()),
+        }
+    }
+
+    /// Degree of the polynomials; `None` with the cylinder base.
+    pub fn degree(&self) -> Option<usize> {
+        Some(self.sensors.first()?.polynomial.as_ref()?.degree)
+    }
+
+    /// The effects, each checked.
+    pub fn additions(&self, path: &Path) -> Result<Vec<Addition>, Problem> {
+        let addition = |effect: &EffectModel| {
+            effect.addition().map_err(|advice| {
+                let found = effect.name.clone();
+                Fault::BadValue { found, advice }.at(Place::file(path).column("effect"))
+            })
+        };
+        self.effects.iter().map(addition).collect()
     }
 
     /// Reads and checks a model file.
@@ -275,32 +329,49 @@ fn digits(value: f64) -> f64 {
 }
 
 impl SensorModel {
-    fn of_cylinder(fit: &CylinderFit) -> Self {
-        let value = |estimate: &crate::fit::cylinder::Estimate| Value {
-            value: digits(estimate.value),
-            std_error: digits(estimate.std_error),
-            unit: estimate.unit.to_owned(),
-            identifiable: estimate.identifiable,
+    /// The entry of one sensor with these values, its error bars those of the fit.
+    fn of_cylinder(fit: &SensorFit, values: &[f64]) -> Self {
+        let value = |i: usize| Value {
+            value: digits(values[i]),
+            std_error: digits(fit.std_error(i)),
+            unit: fit.slots[i].unit.clone(),
+            identifiable: fit.identifiable[i],
         };
         let held = |held: &crate::fit::space::Held| Held {
             shares: held
                 .shares
                 .iter()
-                .map(|(name, share)| ((*name).to_owned(), digits(*share)))
+                .map(|(name, share)| (name.clone(), digits(*share)))
                 .collect(),
             known_within: digits(held.known_within),
         };
         Self {
             number: fit.sensor,
             held_out: fit.scores.iter().map(HeldOut::of).collect(),
-            parameters: fit
-                .parameters
-                .iter()
-                .map(|e| (e.name.to_owned(), value(e)))
+            parameters: (0..fit.base_count)
+                .map(|i| (fit.slots[i].name.clone(), value(i)))
                 .collect(),
             held: fit.held.iter().map(held).collect(),
             polynomial: None,
         }
+    }
+
+    fn of_polynomial_with_effects(start: &PolynomialFit, fit: &SensorFit) -> Self {
+        let mut entry = Self::of_polynomial(start);
+        entry.held_out = fit.scores.iter().map(HeldOut::of).collect();
+        if let Some(table) = &mut entry.polynomial {
+            let row = |i: usize, of: &dyn Fn(usize) -> f64| {
+                [0, 1, 2].map(|axis| digits(of(3 * i + axis)))
+            };
+            let terms = table.terms.len();
+            table.coefficients_g = (0..terms)
+                .map(|i| row(i, &|slot| fit.values[slot]))
+                .collect();
+            table.std_errors_g = (0..terms)
+                .map(|i| row(i, &|slot| fit.std_error(slot)))
+                .collect();
+        }
+        entry
     }
 
     fn of_polynomial(fit: &PolynomialFit) -> Self {

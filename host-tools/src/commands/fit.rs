@@ -2,13 +2,14 @@
 
 pub mod report;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use clap::ValueEnum;
 use model_export::fit::{self, Fits, Options};
 use model_export::model_file::{self, ModelFile, Provenance};
 use model_export::output::check_output;
+use model_export::recordings::align::Alignment;
 use model_export::recordings::campaign::recording_folders;
 use model_export::recordings::{Campaign, Notice};
 
@@ -66,12 +67,7 @@ pub fn run(args: &Args) -> Result<()> {
         seed: args.seed,
         ..Options::default()
     };
-    let reading = progress::bar(
-        "reading recordings",
-        recording_folders(&args.campaign)?.len(),
-    );
-    let campaign = Campaign::read(&args.campaign, alignment, |_| reading.inc(1))?;
-    reading.finish_and_clear();
+    let campaign = read_campaign(&args.campaign, alignment)?;
     let mut notices: Vec<Notice> = campaign.notices().cloned().collect();
     say(&notices);
     let (fits, more) = fit_campaign(&campaign, args.base, args.degree, options)?;
@@ -96,6 +92,14 @@ pub fn run(args: &Args) -> Result<()> {
     Ok(())
 }
 
+/// Reads a campaign, with progress.
+pub fn read_campaign(folder: &Path, alignment: Alignment) -> Result<Campaign> {
+    let reading = progress::bar("reading recordings", recording_folders(folder)?.len());
+    let campaign = Campaign::read(folder, alignment, |_| reading.inc(1))?;
+    reading.finish_and_clear();
+    Ok(campaign)
+}
+
 /// Fits a campaign that was read.
 pub fn fit_campaign(
     campaign: &Campaign,
@@ -118,14 +122,15 @@ pub fn fit_campaign(
     Ok(result)
 }
 
-fn say(notices: &[Notice]) {
+/// Says on stderr what a person should know.
+pub fn say(notices: &[impl std::fmt::Display]) {
     for notice in notices {
         eprintln!("note: {notice}");
     }
 }
 
 /// The same recording twice would be fitted and held out at once.
-fn refuse_copies(provenance: &Provenance) -> Result<()> {
+pub fn refuse_copies(provenance: &Provenance) -> Result<()> {
     for (i, one) in provenance.recordings.iter().enumerate() {
         if let Some(other) = provenance.recordings[..i]
             .iter()

@@ -1,7 +1,11 @@
 //! One file for each command, and what several share.
 
+pub mod add;
+pub mod change;
 pub mod clocks;
 pub mod demo;
+pub mod drop;
+pub mod effects;
 pub mod export;
 pub mod fit;
 pub mod import;

@@ -21,6 +21,23 @@ pub struct Block {
 }
 
 impl Block {
+    /// The block of these rows: derivatives and residuals, weighted.
+    pub fn of(jacobian: &DMatrix<f64>, residuals: &[f64]) -> Self {
+        let size = jacobian.ncols();
+        let residuals = DVector::from_column_slice(residuals);
+        let mut block = Self::zeros(size);
+        for i in 0..size {
+            let column = jacobian.column(i);
+            block.score[i] = column.dot(&residuals);
+            for j in 0..=i {
+                let product = column.dot(&jacobian.column(j));
+                block.normal[(i, j)] = product;
+                block.normal[(j, i)] = product;
+            }
+        }
+        block
+    }
+
     /// A block without rows.
     pub fn zeros(size: usize) -> Self {
         Self {

@@ -1,65 +1,104 @@
-//! What is kept out of a fit to judge it: one recording after the other, or, where there is only
-//! one, contiguous sixths of it.
+//! What is kept out of a fit to judge it: one recording after the other, or contiguous sixths of
+//! each where there is only one, or where an effect lives in single recordings.
 
-use std::borrow::Cow;
 use std::ops::Range;
 
 use super::rows::{Part, SensorRows};
 
-/// Parts into which a single recording is cut.
-const SINGLE_CUTS: usize = 6;
+/// Parts into which a recording is cut where none can be left out whole.
+const CUTS: usize = 6;
 
-/// One split into what is fitted and what is judged.
-pub struct Fold<'a> {
-    /// Fitted.
-    pub training: Vec<Cow<'a, Part>>,
-    /// Judged.
-    pub test: Vec<Cow<'a, Part>>,
+/// Some rows of one recording.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Stretch {
+    /// The recording's place in the campaign.
+    pub part: usize,
+    /// Its rows.
+    pub rows: Range<usize>,
 }
 
-/// Every row is judged once. With a single recording, `gap_s` seconds on both sides of the judged
-/// stretch are not fitted either, since rows close in time err together.
-pub fn folds(rows: &SensorRows, gap_s: f64) -> Vec<Fold<'_>> {
-    let filled: Vec<&Part> = rows.parts.iter().filter(|part| !part.is_empty()).collect();
-    match filled.as_slice() {
-        [single] => single_folds(single, gap_s),
-        parts => (0..parts.len())
-            .map(|judged| {
-                let others = parts.iter().enumerate().filter(|(i, _)| *i != judged);
-                Fold {
-                    training: others.map(|(_, part)| Cow::Borrowed(*part)).collect(),
-                    test: vec![Cow::Borrowed(parts[judged])],
-                }
-            })
-            .collect(),
+/// One split into what is fitted and what is judged.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Fold {
+    /// Fitted.
+    pub training: Vec<Stretch>,
+    /// Judged.
+    pub test: Vec<Stretch>,
+}
+
+/// How a campaign is split; the same for all its sensors.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Split {
+    /// Each recording in turn, of this many.
+    Recordings(usize),
+    /// A sixth of every recording in turn.
+    Sixths,
+}
+
+impl Split {
+    /// By recordings where there are several, unless something lives within one.
+    pub fn of(sensors: &[SensorRows], within_recordings: bool) -> Self {
+        let filled = |rows: &SensorRows| rows.parts.iter().filter(|part| !part.is_empty()).count();
+        let recordings = sensors.iter().map(filled).max().unwrap_or(0);
+        match recordings < 2 || within_recordings {
+            true => Self::Sixths,
+            false => Self::Recordings(sensors.first().map_or(0, |rows| rows.parts.len())),
+        }
+    }
+
+    /// Every row is judged once. In sixths, `gap_s` seconds on both sides of a judged stretch are not
+    /// fitted either, since rows close in time err together.
+    pub fn folds(self, rows: &SensorRows, gap_s: f64) -> Vec<Fold> {
+        match self {
+            Self::Recordings(count) => (0..count).map(|judged| without(rows, judged)).collect(),
+            Self::Sixths => (0..CUTS).map(|cut| sixth(rows, cut, gap_s)).collect(),
+        }
     }
 }
 
-fn single_folds(part: &Part, gap_s: f64) -> Vec<Fold<'_>> {
-    let (Some(first), Some(last)) = (part.time_s.first(), part.time_s.last()) else {
-        return Vec::new();
+/// All rows.
+pub fn everything(rows: &SensorRows) -> Vec<Stretch> {
+    whole(rows).collect()
+}
+
+fn whole(rows: &SensorRows) -> impl Iterator<Item = Stretch> {
+    let stretch = |(part, rows): (usize, &Part)| Stretch {
+        part,
+        rows: 0..rows.len(),
     };
-    let step = (last - first) / SINGLE_CUTS as f64;
-    let before = |time: f64| part.time_s.partition_point(|t| *t < time);
-    (0..SINGLE_CUTS)
-        .map(|cut| {
-            let from = first + step * cut as f64;
-            let to = if cut + 1 == SINGLE_CUTS {
-                f64::INFINITY
-            } else {
-                from + step
-            };
-            let pieces = [0..before(from - gap_s), before(to + gap_s)..part.len()];
-            Fold {
-                training: pieces
-                    .into_iter()
-                    .filter(|p| !p.is_empty())
-                    .map(|p| Cow::Owned(part.slice(p)))
-                    .collect(),
-                test: vec![Cow::Owned(part.slice(before(from)..before(to)))],
+    rows.parts.iter().enumerate().map(stretch)
+}
+
+fn without(rows: &SensorRows, judged: usize) -> Fold {
+    let (test, training) = whole(rows).partition(|stretch| stretch.part == judged);
+    Fold { training, test }
+}
+
+fn sixth(rows: &SensorRows, cut: usize, gap_s: f64) -> Fold {
+    let (mut training, mut test) = (Vec::new(), Vec::new());
+    for (i, part) in rows.parts.iter().enumerate() {
+        let (Some(first), Some(last)) = (part.time_s.first(), part.time_s.last()) else {
+            continue;
+        };
+        let step = (last - first) / CUTS as f64;
+        let before = |time: f64| part.time_s.partition_point(|t| *t < time);
+        let from = first + step * cut as f64;
+        let to = if cut + 1 == CUTS {
+            f64::INFINITY
+        } else {
+            from + step
+        };
+        for rows in [0..before(from - gap_s), before(to + gap_s)..part.len()] {
+            if !rows.is_empty() {
+                training.push(Stretch { part: i, rows });
             }
-        })
-        .collect()
+        }
+        test.push(Stretch {
+            part: i,
+            rows: before(from)..before(to),
+        });
+    }
+    Fold { training, test }
 }
 
 /// Ranges of rows that each span about `length_s`.

@@ -6,22 +6,38 @@
 //!   residuals with memory.
 //! - [`folds`]: what is kept out of a fit to judge it.
 //! - [`parameters`]: the parameters of the cylinder base, their tolerances and their Jacobian.
-//! - [`space`]: which combinations of parameters the data tell.
-//! - [`cylinder`]: the geometric base: Levenberg-Marquardt on all three axes jointly.
-//! - [`polynomial`]: the base where no geometry is known.
+//! - [`slot`]: one number that a fit may move, of the base or of an effect.
 //! - [`score`]: held-out error beside the noise floor.
-//! - [`campaign`]: all sensors at once.
+//! - [`polynomial`]: the base where no geometry is known.
+//! - [`base`]: both bases as a fit sees them.
+//! - [`problem`]: one sensor's fields as a function of all its parameters.
+//! - [`space`]: which combinations of parameters the data tell.
+//! - [`solve`]: Levenberg-Marquardt on all three axes jointly.
+//! - [`sensor`]: the fit of one sensor, step by step.
+//! - [`start`]: where the parameters of effects start from.
+//! - [`pool`]: what all sensors share.
+//! - [`size`]: how large an effect is over all sensors.
+//! - [`joint`]: all sensors together, judged on what was kept out.
+//! - [`campaign`]: from a campaign to its fits.
 
+pub mod base;
 pub mod blocks;
 pub mod campaign;
-pub mod cylinder;
 pub mod folds;
+pub mod joint;
 pub mod orientation;
 pub mod parameters;
 pub mod polynomial;
+pub mod pool;
+pub mod problem;
 pub mod rows;
 pub mod score;
+pub mod sensor;
+pub mod size;
+pub mod slot;
+pub mod solve;
 pub mod space;
+pub mod start;
 
 pub use campaign::Fits;
 pub use score::AxisScore;
@@ -71,6 +87,10 @@ pub enum FitError {
         "{place}: the forces on sensor {sensor} were recorded here and not in every recording; complete them, or move this recording to a campaign of its own"
     )]
     ForcesDiffer { place: Place, sensor: u32 },
+    #[error(
+        "{place}: sensor {sensor} is under several forces along one axis, so an effect would not know which it belongs to; keep one fN_x_n and one fN_z_n"
+    )]
+    ManyForces { place: Place, sensor: u32 },
     #[error("{place}: {what}; {advice}")]
     Orientation {
         place: Place,

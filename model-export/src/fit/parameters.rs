@@ -1,16 +1,21 @@
 //! The parameters of the cylinder base: names, tolerances, and how the field answers to each.
 
-use nalgebra::{Matrix3, Rotation3, SMatrix, SVector, Vector3};
+use nalgebra::{SMatrix, Vector3};
 
-use crate::physics::{ForwardModel, Frames, Response};
+use crate::physics::sensor::spin;
+use crate::physics::{ForwardModel, Frames, Response, State};
+
+/// A degree in rad.
+const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
 /// Number of parameters of one sensor.
 pub const COUNT: usize = 14;
 
+/// The parameters before this one are the stiffnesses: they act through the state alone.
+pub const FIRST_OF_GEOMETRY: usize = 2;
+
 /// One column of the Jacobian for each parameter, one row for each axis.
 pub type Jacobian = SMatrix<f64, 3, COUNT>;
-/// Departures from nominal, each in units of its tolerance.
-pub type Departures = SVector<f64, COUNT>;
 
 /// One parameter of the cylinder base.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -135,60 +140,41 @@ pub fn tolerances(nominal: &ForwardModel) -> [f64; COUNT] {
     })
 }
 
-/// `nominal`, departed from by `departures` tolerances.
-pub fn depart(nominal: &ForwardModel, departures: &Departures) -> ForwardModel {
-    let (start, scale) = (values(nominal), tolerances(nominal));
-    let moved = std::array::from_fn(|i| start[i] + scale[i] * departures[i]);
-    with_values(nominal, &moved)
-}
-
-/// Derivatives of the field to [`Departures`], for many rows of one model.
+/// Derivatives of the field to the parameters, in their units, for many rows of one model.
 pub struct Derivatives {
     model: ForwardModel,
-    scale: [f64; COUNT],
     frames: Frames,
-    /// How the magnet turns about the sensor's axes for each degree of `tilt_x`, `tilt_z`.
-    tilts: [Vector3<f64>; 2],
     /// How the reading turns for each degree of `rotation_x`, `_y`, `_z`.
     turns: [Vector3<f64>; 3],
 }
 
 impl Derivatives {
-    /// Prepares for `model`, a departure from `nominal`.
-    pub fn new(model: &ForwardModel, nominal: &ForwardModel) -> Self {
-        let frames = model.frames();
-        let [x, z] = model.tilt_rad;
-        let tilt = Vector3::new(x, 0.0, z);
-        let tilts = [Vector3::x(), Vector3::z()].map(|axis| frames.element * spin(tilt, axis));
-        let turns =
-            [Vector3::x(), Vector3::y(), Vector3::z()].map(|axis| spin(model.rotation_rad, axis));
+    /// Prepares for `model`.
+    pub fn new(model: &ForwardModel) -> Self {
+        let turns = [Vector3::x(), Vector3::y(), Vector3::z()]
+            .map(|axis| spin(model.rotation_rad, axis) * DEGREE);
         Self {
             model: *model,
-            scale: tolerances(nominal),
-            frames,
-            tilts,
+            frames: model.frames(),
             turns,
         }
     }
 
-    /// The response under `force_n`, and the derivatives of its field.
-    pub fn at(&self, force_n: [f64; 2]) -> (Response, Jacobian) {
-        let model = &self.model;
-        let displacement = model.displacement(force_n);
-        let response = model.respond_in(&self.frames, displacement);
-        let [kx, kz] = model.stiffness_n_per_mm;
+    /// The response at `state`, and the derivatives of its field. The stiffnesses act through the
+    /// state alone: their columns are zero here and are filled by who made the state.
+    pub fn at(&self, state: &State) -> (Response, Jacobian) {
+        let response = self.model.respond_in(&self.frames, state);
         let per_mm = &response.per_mm;
-        let unbiased = response.unit_field_g * model.remanence_t;
-        // A turn of the magnet turns its field, and carries the element to another place in it.
-        let [tilt_x, tilt_z] = self.tilts.map(|spin| {
-            spin.cross(&unbiased) + self.carried(per_mm, spin.cross(&response.element_mm))
-        });
-        let [turn_x, turn_y, turn_z] = self.turns.map(|spin| spin.cross(&unbiased));
-        let identity: Matrix3<f64> = Matrix3::identity();
-        let mut jacobian = Jacobian::from_columns(&[
-            per_mm.column(0) * (-displacement.x / kx),
-            per_mm.column(2) * (-displacement.z / kz),
-            response.unit_field_g,
+        let [turn_x, turn_y, turn_z] = self
+            .turns
+            .map(|spin| response.per_field * spin.cross(&response.at_element_g));
+        let [tilt_x, tilt_z] = response.per_lean.map(|lean| lean * DEGREE);
+        let none = Vector3::zeros();
+        let per_tesla = response.per_strength * (state.strength / self.model.remanence_t);
+        let jacobian = Jacobian::from_columns(&[
+            none,
+            none,
+            per_tesla,
             per_mm.column(1).into_owned(),
             per_mm.column(0).into_owned(),
             per_mm.column(2).into_owned(),
@@ -197,36 +183,12 @@ impl Derivatives {
             turn_x,
             turn_y,
             turn_z,
-            identity.column(0).into_owned(),
-            identity.column(1).into_owned(),
-            identity.column(2).into_owned(),
+            response.per_offset.column(0).into_owned(),
+            response.per_offset.column(1).into_owned(),
+            response.per_offset.column(2).into_owned(),
         ]);
-        for (mut column, scale) in jacobian.column_iter_mut().zip(self.scale) {
-            column *= scale;
-        }
         (response, jacobian)
     }
-
-    /// `per_mm` takes displacements in the gripper's axes; `move_mm` is in the sensor's.
-    fn carried(&self, per_mm: &Matrix3<f64>, move_mm: Vector3<f64>) -> Vector3<f64> {
-        per_mm * (self.frames.element.inverse() * move_mm)
-    }
-}
-
-/// The turn per degree along `axis` of the rotation vector `at`, as a vector to cross with.
-fn spin(at: Vector3<f64>, axis: Vector3<f64>) -> Vector3<f64> {
-    let step = 1e-5;
-    let ahead = Rotation3::from_scaled_axis(at + axis * step);
-    let behind = Rotation3::from_scaled_axis(at - axis * step);
-    // The antisymmetric part of a small rotation is its vector; its angle by way of the cosine
-    // would lose half the digits.
-    let between = (ahead * behind.inverse()).into_inner();
-    let turned = Vector3::new(
-        between[(2, 1)] - between[(1, 2)],
-        between[(0, 2)] - between[(2, 0)],
-        between[(1, 0)] - between[(0, 1)],
-    );
-    turned / (4.0 * step) * 1.0_f64.to_radians()
 }
 
 #[cfg(test)]
@@ -246,18 +208,21 @@ mod tests {
             fx in -250.0..250.0_f64,
             fz in -250.0..250.0_f64,
         ) {
-            let departures = Departures::from(departures);
-            let model = depart(&nominal(), &departures);
-            let (response, jacobian) = Derivatives::new(&model, &nominal()).at([fx, fz]);
+            let (start, scale) = (values(&nominal()), tolerances(&nominal()));
+            let at = |i: usize, by: f64| {
+                let mut moved: [f64; COUNT] = std::array::from_fn(|i| start[i] + departures[i] * scale[i]);
+                moved[i] += by * scale[i];
+                with_values(&nominal(), &moved)
+            };
+            let model = at(0, 0.0);
+            let state = State::displaced(model.displacement([fx, fz]));
+            let (response, jacobian) = Derivatives::new(&model).at(&state);
             prop_assert!((response.field_g - model.field([fx, fz])).amax() < 1e-9);
-            for i in 0..COUNT {
-                let mut step = Departures::zeros();
-                step[i] = 1e-4;
-                let ahead = depart(&nominal(), &(departures + step)).field([fx, fz]);
-                let behind = depart(&nominal(), &(departures - step)).field([fx, fz]);
-                let plain = (ahead - behind) / 2e-4;
-                let error = (plain - jacobian.column(i)).amax();
-                prop_assert!(error < 1e-5 * (1.0 + plain.amax()), "{}: {error}", PARAMETERS[i].name);
+            for i in FIRST_OF_GEOMETRY..COUNT {
+                let (ahead, behind) = (at(i, 1e-4).field([fx, fz]), at(i, -1e-4).field([fx, fz]));
+                let plain = (ahead - behind) / (2e-4 * scale[i]);
+                let error = (plain - jacobian.column(i)).amax() * scale[i];
+                prop_assert!(error < 1e-5 * (1.0 + plain.amax() * scale[i]), "{}: {error}", PARAMETERS[i].name);
             }
         }
     }

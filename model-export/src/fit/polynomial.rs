@@ -3,8 +3,8 @@
 use nalgebra::{DMatrix, DVector, Vector3};
 
 use super::blocks::{self, Block};
-use super::folds::{folds, stretches};
-use super::rows::{Part, SensorRows};
+use super::folds::{Split, Stretch, everything, stretches};
+use super::rows::SensorRows;
 use super::score::Tally;
 use super::{AxisScore, FitError, Options};
 use crate::recordings::columns::Axis;
@@ -48,8 +48,13 @@ impl Polynomial {
 
     /// Field in gauss under `force_n`, in the order of [`Polynomial::forces`].
     pub fn field(&self, force_n: &[f64]) -> Vector3<f64> {
+        self.combine(&self.basis(force_n))
+    }
+
+    /// Values of all terms under `force_n`.
+    pub fn basis(&self, force_n: &[f64]) -> Vec<f64> {
         let terms = Self::terms(self.spans_n.len(), self.degree);
-        self.combine(&basis(force_n, &self.spans_n, &terms, self.degree))
+        basis(force_n, &self.spans_n, &terms, self.degree)
     }
 
     fn combine(&self, values: &[f64]) -> Vector3<f64> {
@@ -144,10 +149,10 @@ pub fn fit(
             reason,
         });
     };
-    let parts: Vec<&Part> = rows.parts.iter().collect();
-    let model = solve(rows, &parts, &spans, *degree)?;
+    let all = everything(rows);
+    let model = solve(rows, &all, &spans, *degree)?;
     let mut seen = Tally::default();
-    parts.iter().for_each(|part| judge(&mut seen, part, &model));
+    judge(&mut seen, rows, &all, &model);
     let (std_error_g, block_s) = error_bars(rows, &model, options);
     Ok(PolynomialFit {
         sensor: rows.sensor,
@@ -164,36 +169,42 @@ pub fn fit(
 
 fn held_out(rows: &SensorRows, spans: &[(f64, f64)], degree: usize) -> Result<Tally, FitError> {
     let mut tally = Tally::default();
-    for fold in folds(rows, 1.0) {
-        let training: Vec<&Part> = fold.training.iter().map(AsRef::as_ref).collect();
-        let model = solve(rows, &training, spans, degree)?;
-        for part in &fold.test {
-            judge(&mut tally, part, &model);
+    for fold in Split::of(std::slice::from_ref(rows), false).folds(rows, 1.0) {
+        if fold.test.iter().all(|stretch| stretch.rows.is_empty()) {
+            continue;
         }
+        let model = solve(rows, &fold.training, spans, degree)?;
+        judge(&mut tally, rows, &fold.test, &model);
     }
     Ok(tally)
 }
 
-fn judge(tally: &mut Tally, part: &Part, model: &Polynomial) {
-    for (force, field) in part.force_n.iter().zip(&part.field_g) {
-        tally.add(part, field - model.field(force), &model.per_newton(force));
+fn judge(tally: &mut Tally, rows: &SensorRows, stretches: &[Stretch], model: &Polynomial) {
+    for stretch in stretches {
+        let part = &rows.parts[stretch.part];
+        for row in stretch.rows.clone() {
+            let force = &part.force_n[row];
+            let residual = part.field_g[row] - model.field(force);
+            tally.add(part, residual, model.per_newton(force));
+        }
     }
 }
 
 fn solve(
     rows: &SensorRows,
-    parts: &[&Part],
+    stretches: &[Stretch],
     spans: &[(f64, f64)],
     degree: usize,
 ) -> Result<Polynomial, FitError> {
     let terms = Polynomial::terms(spans.len(), degree);
     let mut normal = DMatrix::zeros(terms.len(), terms.len());
     let mut right = DMatrix::zeros(terms.len(), 3);
-    for part in parts {
-        for (force, field) in part.force_n.iter().zip(&part.field_g) {
-            let values = DVector::from_vec(basis(force, spans, &terms, degree));
+    for stretch in stretches {
+        let part = &rows.parts[stretch.part];
+        for row in stretch.rows.clone() {
+            let values = DVector::from_vec(basis(&part.force_n[row], spans, &terms, degree));
             normal.ger(1.0, &values, &values, 1.0);
-            right += &values * field.transpose();
+            right += &values * part.field_g[row].transpose();
         }
     }
     let not_converged = || FitError::NotConverged {

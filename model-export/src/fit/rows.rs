@@ -3,6 +3,8 @@
 use nalgebra::Vector3;
 
 use super::FitError;
+use crate::effects::Track;
+use crate::effects::track::count_cycles;
 use crate::recordings::columns::Axis;
 use crate::recordings::{Campaign, Place, Recording};
 
@@ -33,6 +35,8 @@ pub struct Part {
     pub field_noise_g: Vector3<f64>,
     /// White noise of one reference row in newtons, each force.
     pub force_noise_n: Vec<f64>,
+    /// The same rows as effects see them.
+    pub track: Track,
 }
 
 impl SensorRows {
@@ -103,11 +107,13 @@ impl SensorRows {
         sensor: u32,
         forces: Vec<(u32, Axis)>,
     ) -> Result<Self, FitError> {
-        let parts: Vec<Part> = campaign
-            .recordings
-            .iter()
-            .map(|recording| Part::new(recording, sensor, &forces))
-            .collect();
+        let mut before_s = 0.0;
+        let mut parts = Vec::new();
+        for (i, recording) in campaign.recordings.iter().enumerate() {
+            parts.push(Part::new(recording, (i, before_s), sensor, &forces));
+            before_s += recording.span_s();
+        }
+        count_cycles(parts.iter_mut().map(|part| &mut part.track));
         let rows: usize = parts.iter().map(Part::len).sum();
         // Twelve parameters at the most in the geometric base, and some rows for each.
         let needed = 100;
@@ -173,6 +179,17 @@ impl SensorRows {
         Ok(())
     }
 
+    /// Those of the answers to a lateral and a longitudinal force that belong to a force measured here,
+    /// in the order of [`SensorRows::forces`].
+    pub fn slopes(&self, per_newton: &[Vector3<f64>; 2]) -> impl Iterator<Item = Vector3<f64>> {
+        let slope = |axis| per_newton[usize::from(axis == Axis::Z)];
+        self.forces
+            .iter()
+            .map(move |(_, axis)| slope(*axis))
+            .collect::<Vec<_>>()
+            .into_iter()
+    }
+
     /// Rows in all parts.
     pub fn len(&self) -> usize {
         self.parts.iter().map(Part::len).sum()
@@ -223,48 +240,36 @@ fn saturated_share(campaign: &Campaign, sensor: u32) -> f64 {
 }
 
 impl Part {
-    fn new(recording: &Recording, sensor: u32, forces: &[(u32, Axis)]) -> Self {
+    fn new(
+        recording: &Recording,
+        place: (usize, f64),
+        sensor: u32,
+        forces: &[(u32, Axis)],
+    ) -> Self {
         let track = recording.sensors.get(&sensor).cloned().unwrap_or_default();
         let loads: Vec<_> = forces
             .iter()
             .filter_map(|force| recording.forces.get(force))
             .collect();
-        let mut part = Self {
-            time_s: Vec::new(),
-            force_n: Vec::new(),
-            field_g: Vec::new(),
+        let load = |i: usize| loads.iter().map(move |load| load.newtons[i]);
+        let usable: Vec<usize> = (0..track.field_g.len())
+            .filter(|&i| {
+                let mut values = track.field_g[i].into_iter().chain(load(i));
+                values.all(f64::is_finite) && loads.len() == forces.len()
+            })
+            .collect();
+        let along = |axis| forces.iter().copied().find(|(_, of)| *of == axis);
+        let pair = [along(Axis::X), along(Axis::Z)];
+        Self {
+            time_s: usable.iter().map(|&i| recording.time_s[i]).collect(),
+            force_n: usable.iter().map(|&i| load(i).collect()).collect(),
+            field_g: usable
+                .iter()
+                .map(|&i| Vector3::from(track.field_g[i]))
+                .collect(),
             field_noise_g: Vector3::from(track.noise_g) * recording.noise_gain,
             force_noise_n: loads.iter().map(|load| load.noise_n).collect(),
-        };
-        for (i, (&time, field)) in recording.time_s.iter().zip(&track.field_g).enumerate() {
-            let force: Vec<f64> = loads.iter().map(|load| load.newtons[i]).collect();
-            let usable = field.iter().chain(&force).all(|value| value.is_finite());
-            if usable && force.len() == forces.len() {
-                part.time_s.push(time);
-                part.force_n.push(force);
-                part.field_g.push(Vector3::from(*field));
-            }
-        }
-        part
-    }
-
-    /// Some of the rows.
-    pub fn slice(&self, range: std::ops::Range<usize>) -> Self {
-        Self {
-            time_s: self.time_s[range.clone()].to_vec(),
-            force_n: self.force_n[range.clone()].to_vec(),
-            field_g: self.field_g[range].to_vec(),
-            ..self.without_rows()
-        }
-    }
-
-    fn without_rows(&self) -> Self {
-        Self {
-            time_s: Vec::new(),
-            force_n: Vec::new(),
-            field_g: Vec::new(),
-            field_noise_g: self.field_noise_g,
-            force_noise_n: self.force_noise_n.clone(),
+            track: Track::new(recording, place, sensor, pair, &usable),
         }
     }
 

@@ -4,9 +4,11 @@
 //! (ground reaction), `y` from the element to the magnet. A positive force moves the magnet along
 //! its positive axis, so Bx follows Fx, Bz follows Fz, and By is of second order in both.
 
-use nalgebra::{Matrix3, Rotation3, Vector3};
+use nalgebra::{Rotation3, Vector3};
 
 use super::magnet::Cylinder;
+use super::response::{Response, read};
+use super::state::State;
 use crate::recordings::description::{Design, MagnetAxis};
 
 /// The forward model of one sensor, geometry and flexures.
@@ -33,19 +35,6 @@ pub struct ForwardModel {
     pub bias_g: Vector3<f64>,
 }
 
-/// The field at one load, and how it answers.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Response {
-    /// Field in gauss, sensor's axes.
-    pub field_g: Vector3<f64>,
-    /// `dB/dd` in G/mm: column j is the answer to a displacement of the magnet along axis j.
-    pub per_mm: Matrix3<f64>,
-    /// Field of the magnet alone for each tesla, before bias, sensor's axes, in gauss.
-    pub unit_field_g: Vector3<f64>,
-    /// The Hall element as seen from the magnet's centre, sensor's axes, in mm.
-    pub element_mm: Vector3<f64>,
-}
-
 /// The rotations of a [`ForwardModel`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Frames {
@@ -53,6 +42,8 @@ pub struct Frames {
     pub magnet: Rotation3<f64>,
     /// From the gripper's frame to the sensor's.
     pub element: Rotation3<f64>,
+    /// How the magnet turns about the gripper's axes for each rad of lean about x and z.
+    pub lean: [Vector3<f64>; 2],
 }
 
 impl ForwardModel {
@@ -82,40 +73,65 @@ impl ForwardModel {
 
     /// Field in gauss under the forces `[Fx, Fz]` in N.
     pub fn field(&self, force_n: [f64; 2]) -> Vector3<f64> {
-        let frame = self.magnet_frame();
-        let element = self.element(self.displacement(force_n));
-        let unit_g = frame * self.magnet.unit_field(frame.inverse() * element);
-        self.reading(&self.element_turn(), unit_g)
+        self.field_in(
+            &self.frames(),
+            &State::displaced(self.displacement(force_n)),
+        )
+    }
+
+    /// Field in gauss at any state.
+    pub fn field_in(&self, frames: &Frames, state: &State) -> Vector3<f64> {
+        let turn = self.turned(frames, state);
+        let unit_g = turn * self.magnet.unit_field(turn.inverse() * self.element(state));
+        let at_element = frames.element * (unit_g * self.strength_t(state) + state.outside_g);
+        read(at_element, self.bias_g, state).field_g
     }
 
     /// Field and derivatives with the magnet displaced by `displacement_mm` from its rest.
     pub fn respond(&self, displacement_mm: Vector3<f64>) -> Response {
-        self.respond_in(&self.frames(), displacement_mm)
+        self.respond_in(&self.frames(), &State::displaced(displacement_mm))
     }
 
     /// The rotations of this model, for loops over many rows.
     pub fn frames(&self) -> Frames {
+        let [x, z] = self.tilt_rad;
+        let tilt = Vector3::new(x, 0.0, z);
         Frames {
-            magnet: self.magnet_frame(),
-            element: self.element_turn(),
+            magnet: self.magnet_frame([0.0; 2]),
+            element: Rotation3::from_scaled_axis(self.rotation_rad),
+            lean: [Vector3::x(), Vector3::z()].map(|axis| spin(tilt, axis)),
         }
     }
 
-    /// [`ForwardModel::respond`] with the model's own rotations at hand.
-    pub fn respond_in(&self, frames: &Frames, displacement_mm: Vector3<f64>) -> Response {
-        let element_mm = self.element(displacement_mm);
+    /// Field and derivatives at any state, with the model's own rotations at hand.
+    pub fn respond_in(&self, frames: &Frames, state: &State) -> Response {
+        let turn = self.turned(frames, state);
+        let element_mm = self.element(state);
         let (unit, gradient) = self
             .magnet
-            .unit_field_and_gradient(frames.magnet.inverse() * element_mm);
-        let unit_g = frames.magnet * unit;
-        let turn = frames.magnet.matrix();
+            .unit_field_and_gradient(turn.inverse() * element_mm);
+        let unit_g = turn * unit;
+        let strength_t = self.strength_t(state);
         // The element stands still and the magnet moves, hence the sign.
-        let per_mm = -(turn * gradient * turn.transpose()) * self.remanence_t;
+        let per_mm = -(turn.matrix() * gradient * turn.matrix().transpose()) * strength_t;
+        // A lean turns the magnet's field, and carries the element to another place in it.
+        let per_lean = frames
+            .lean
+            .map(|spin| spin.cross(&(unit_g * strength_t)) + per_mm * spin.cross(&element_mm));
+        let at_element = frames.element * (unit_g * strength_t + state.outside_g);
+        let reading = read(at_element, self.bias_g, state);
+        let seen = reading.per_field * frames.element.matrix();
         Response {
-            field_g: self.reading(&frames.element, unit_g),
-            per_mm: frames.element.matrix() * per_mm,
-            unit_field_g: frames.element * unit_g,
-            element_mm: frames.element * element_mm,
+            field_g: reading.field_g,
+            at_element_g: at_element,
+            per_field: reading.per_field,
+            per_mm: seen * per_mm,
+            per_lean: per_lean.map(|lean| seen * lean),
+            per_strength: seen * (unit_g * self.remanence_t),
+            per_outside: seen,
+            per_gain: reading.per_gain,
+            per_offset: reading.per_offset,
+            per_compression: reading.per_compression,
         }
     }
 
@@ -129,33 +145,52 @@ impl ForwardModel {
     }
 
     /// The Hall element as seen from the magnet's centre, gripper's axes, in mm.
-    fn element(&self, displacement_mm: Vector3<f64>) -> Vector3<f64> {
+    fn element(&self, state: &State) -> Vector3<f64> {
         let reach = match self.axis {
             MagnetAxis::Y => 0.5 * self.magnet.length_mm,
             MagnetAxis::X | MagnetAxis::Z => 0.5 * self.magnet.diameter_mm,
         };
         let [x, z] = self.offset_mm;
-        -(displacement_mm + Vector3::new(x, self.gap_mm + reach, z))
+        -(state.displacement_mm + Vector3::new(x, self.gap_mm + reach, z))
     }
 
-    fn reading(&self, element_turn: &Rotation3<f64>, unit_g: Vector3<f64>) -> Vector3<f64> {
-        element_turn * (unit_g * self.remanence_t) + self.bias_g
+    fn strength_t(&self, state: &State) -> f64 {
+        self.remanence_t * state.strength
     }
 
-    fn element_turn(&self) -> Rotation3<f64> {
-        Rotation3::from_scaled_axis(self.rotation_rad)
+    fn turned(&self, frames: &Frames, state: &State) -> Rotation3<f64> {
+        match state.lean_rad {
+            [0.0, 0.0] => frames.magnet,
+            lean => self.magnet_frame(lean),
+        }
     }
 
-    fn magnet_frame(&self) -> Rotation3<f64> {
+    fn magnet_frame(&self, lean_rad: [f64; 2]) -> Rotation3<f64> {
         let quarter = std::f64::consts::FRAC_PI_2;
         let upright = match self.axis {
             MagnetAxis::X => Rotation3::from_axis_angle(&Vector3::y_axis(), quarter),
             MagnetAxis::Y => Rotation3::from_axis_angle(&Vector3::x_axis(), -quarter),
             MagnetAxis::Z => Rotation3::identity(),
         };
-        let [x, z] = self.tilt_rad;
+        let [x, z] = [0, 1].map(|i| self.tilt_rad[i] + lean_rad[i]);
         Rotation3::from_scaled_axis(Vector3::new(x, 0.0, z)) * upright
     }
+}
+
+/// The turn per rad along `axis` of the rotation vector `at`, as a vector to cross with.
+pub(crate) fn spin(at: Vector3<f64>, axis: Vector3<f64>) -> Vector3<f64> {
+    let step = 1e-5;
+    let ahead = Rotation3::from_scaled_axis(at + axis * step);
+    let behind = Rotation3::from_scaled_axis(at - axis * step);
+    // The antisymmetric part of a small rotation is its vector; its angle by way of the cosine
+    // would lose half the digits.
+    let between = (ahead * behind.inverse()).into_inner();
+    let turned = Vector3::new(
+        between[(2, 1)] - between[(1, 2)],
+        between[(0, 2)] - between[(2, 0)],
+        between[(1, 0)] - between[(0, 1)],
+    );
+    turned / (4.0 * step)
 }
 
 #[cfg(test)]
@@ -163,6 +198,7 @@ mod tests {
     use super::*;
     use approx::assert_abs_diff_eq;
     use firmware::params;
+    use nalgebra::Matrix3;
     use proptest::prelude::*;
 
     fn nominal() -> ForwardModel {
@@ -304,6 +340,38 @@ mod tests {
                 prop_assert!((slope - plain).amax() < 1e-5);
             }
             prop_assert!((response.field_g - model.field([fx, fz])).amax() < 1e-9);
+        }
+
+        #[test]
+        fn the_answer_to_a_change_of_the_state_is_that_of_the_field(
+            d in proptest::array::uniform3(-0.3..0.3_f64), outside in proptest::array::uniform3(-20.0..20.0_f64),
+            step in proptest::array::uniform11(-1.0..1.0_f64),
+        ) {
+            let model = ForwardModel { tilt_rad: [0.03, -0.02], rotation_rad: Vector3::new(0.02, -0.01, 0.03), ..nominal() };
+            let frames = model.frames();
+            let at = State {
+                lean_rad: [0.01, -0.005],
+                strength: 0.99,
+                outside_g: outside.into(),
+                gain: 1.01,
+                offset_g: Vector3::new(0.3, -0.2, 0.1),
+                compression: 0.01,
+                ..State::displaced(d.into())
+            };
+            let moved = |by: f64| State {
+                displacement_mm: at.displacement_mm + Vector3::new(step[0], step[1], step[2]) * by * 1e-3,
+                lean_rad: [at.lean_rad[0] + by * step[3] * 1e-3, at.lean_rad[1] + by * step[4] * 1e-3],
+                strength: at.strength + by * step[5] * 1e-3,
+                outside_g: at.outside_g + Vector3::new(step[6], step[7], 1.0) * by,
+                gain: at.gain + by * step[8] * 1e-3,
+                offset_g: at.offset_g + Vector3::new(step[9], 1.0, -1.0) * by,
+                compression: at.compression + by * step[10] * 1e-3,
+            };
+            let plain = (model.field_in(&frames, &moved(1.0)) - model.field_in(&frames, &moved(-1.0))) / 2.0;
+            let found = model.respond_in(&frames, &at).change(&at, &moved(1.0));
+            // A lean of some hundredths turns the axis of the next lean by as much.
+            prop_assert!((plain - found).amax() < 0.01 + 0.01 * plain.amax(), "{plain} {found}");
+            prop_assert!((model.respond_in(&frames, &at).field_g - model.field_in(&frames, &at)).amax() < 1e-9);
         }
     }
 }

@@ -70,11 +70,7 @@ impl Campaign {
 
     /// Seconds covered by the aligned rows.
     pub fn duration_s(&self) -> f64 {
-        let spans = self.recordings.iter().map(|recording| {
-            let ends = recording.time_s.first().zip(recording.time_s.last());
-            ends.map_or(0.0, |(first, last)| last - first)
-        });
-        spans.sum()
+        self.recordings.iter().map(Recording::span_s).sum()
     }
 
     fn check_same_gripper(&self) -> Result<(), Problem> {

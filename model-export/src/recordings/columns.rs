@@ -97,6 +97,10 @@ pub const COVARIATES: &[&str] = &[
     "yaw_rad",
 ];
 
+/// Covariates that are formed from `motor_iq_a` and `motor_angle_rad` as a recording is read: the
+/// phase currents in the stator's frame, in amperes.
+pub const STATOR_CURRENTS: [&str; 2] = ["motor_alpha_a", "motor_beta_a"];
+
 /// True for columns that wrap around at a full turn.
 pub fn is_angle(column: &str) -> bool {
     column.ends_with("_rad")

@@ -113,6 +113,14 @@ impl Design {
         }
     }
 
+    /// A number among what the file says beyond this.
+    pub fn number(&self, key: &str) -> Option<f64> {
+        let value = self.more.get(key)?;
+        value
+            .as_float()
+            .or_else(|| value.as_integer().map(|n| n as f64))
+    }
+
     /// Everything that must be above zero, by its key.
     pub(crate) fn sizes(&self) -> Vec<(&'static str, f64)> {
         vec![

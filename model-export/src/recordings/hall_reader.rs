@@ -7,7 +7,7 @@ use firmware::params;
 
 use super::align::Sample;
 use super::clock::{ClockWatch, no_clock, period_us};
-use super::columns::{Axis, FieldUnit, HallColumn, hall_column, is_angle};
+use super::columns::{Axis, FieldUnit, HallColumn, STATOR_CURRENTS, hall_column, is_angle};
 use super::description::{Description, FILE};
 use super::layout::Layout;
 use super::noise::WhiteNoise;
@@ -29,6 +29,38 @@ pub(super) struct HallReader {
     pub(super) noise: Vec<WhiteNoise>,
     saturated: Vec<(u64, u64)>,
     last_angle: Vec<Option<f64>>,
+    motor: Option<Motor>,
+}
+
+/// The motor's columns, from which the currents in the stator's frame are formed row by row: once
+/// averaged, a current that turns has vanished.
+struct Motor {
+    /// Channels of the quadrature current and of the mechanical angle.
+    channels: (usize, usize),
+    pole_pairs: f64,
+}
+
+impl Motor {
+    fn find(columns: &[HallColumn], description: &Description) -> Option<Self> {
+        let channel = |column: &str| {
+            columns
+                .iter()
+                .position(|c| matches!(c, HallColumn::Covariate { name } if name == column))
+        };
+        let design = description.design.as_ref();
+        let stated = design.and_then(|design| design.number("motor_pole_pairs"));
+        Some(Self {
+            channels: (channel("motor_iq_a")?, channel("motor_angle_rad")?),
+            pole_pairs: stated.unwrap_or(params::POLE_PAIRS.value),
+        })
+    }
+
+    /// Alpha and beta current in amperes where all current is quadrature current.
+    fn currents(&self, values: &[f64]) -> [f64; 2] {
+        let (iq, angle) = (values[self.channels.0], values[self.channels.1]);
+        let electrical = self.pole_pairs * angle;
+        [-iq * libm::sin(electrical), iq * libm::cos(electrical)]
+    }
 }
 
 impl HallReader {
@@ -54,6 +86,12 @@ impl HallReader {
         }
         let time_column = time_column.ok_or_else(|| no_clock(&table))?;
         check_fields(&table, &columns)?;
+        let motor = Motor::find(&columns, description);
+        if motor.is_some() {
+            columns.extend(STATOR_CURRENTS.map(|name| HallColumn::Covariate {
+                name: name.to_owned(),
+            }));
+        }
         let raw = columns.iter().any(|c| {
             matches!(
                 c,
@@ -85,6 +123,7 @@ impl HallReader {
             saturated: vec![(0, 0); columns.len()],
             last_angle: vec![None; columns.len()],
             clock: ClockWatch::new(period_us),
+            motor,
             table,
             picks,
             columns,
@@ -104,6 +143,9 @@ impl HallReader {
         let mut values = Vec::with_capacity(self.picks.len());
         for channel in 0..self.picks.len() {
             values.push(self.convert(channel, &row)?);
+        }
+        if let Some(motor) = &self.motor {
+            values.extend(motor.currents(&values));
         }
         Ok(Some(Sample { t_us, values }))
     }

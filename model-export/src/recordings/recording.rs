@@ -88,6 +88,12 @@ impl Recording {
         Ok(recording)
     }
 
+    /// Seconds between its first and its last row.
+    pub fn span_s(&self) -> f64 {
+        let ends = self.time_s.first().zip(self.time_s.last());
+        ends.map_or(0.0, |(first, last)| last - first)
+    }
+
     fn push(&mut self, layout: &Layout, row: &AlignedRow) {
         self.time_s.push(row.time_s);
         for sensor in layout.sensors() {

@@ -48,7 +48,7 @@ pub fn text(campaign: &Campaign, model: &ModelFile, fits: &Fits) -> String {
 /// The longest block among the sensors: how long their residuals remember.
 fn longest_block_s(fits: &Fits) -> f64 {
     let lengths: Vec<f64> = match fits {
-        Fits::Cylinder(_, fits) => fits.iter().map(|fit| fit.block_s).collect(),
+        Fits::Cylinder(_, fit) => fit.sensors.iter().map(|fit| fit.block_s).collect(),
         Fits::Polynomial(fits) => fits.iter().map(|fit| fit.block_s).collect(),
     };
     lengths.into_iter().fold(0.0, f64::max)

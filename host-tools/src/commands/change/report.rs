@@ -1,0 +1,266 @@
+//! What `magpie add` and `magpie drop` show.
+
+use model_export::fit::folds::Split;
+use model_export::fit::joint::JointFit;
+use model_export::fit::score::Tally;
+use model_export::model_file::EffectModel;
+use serde_json::{Value, json};
+
+use super::Change;
+use crate::show;
+
+/// A change of the held-out error below this share is none.
+const NO_CHANGE: f64 = 0.005;
+/// Held-out error up to this factor of the floor counts as being at it.
+const AT_FLOOR: f64 = 1.15;
+/// Shares of a held combination below this are not told.
+const SENSORS_ACROSS: usize = 4;
+
+/// The page.
+pub fn text(change: &Change) -> String {
+    format!(
+        "{}\n{}\n{}{}\n",
+        effects(change),
+        parameters(&change.model.effects),
+        errors(change),
+        verdict(change),
+    )
+}
+
+/// Each effect's size beside what is typical.
+fn effects(change: &Change) -> String {
+    if change.sizes.is_empty() {
+        return "No effects are left beside the base.\n".to_owned();
+    }
+    let mut table = show::table(["effect", "size", "unit", "what", "typical", "plausible", ""]);
+    for (effect, size) in change.model.effects.iter().zip(&change.sizes) {
+        let scale = if size.size.typical.is_finite() {
+            size.size.typical.abs()
+        } else {
+            size.value.abs()
+        };
+        let (low, high) = size.size.plausible;
+        let number = |value: f64| {
+            if value.is_finite() {
+                show::plain(value, 3)
+            } else {
+                "-".to_owned()
+            }
+        };
+        let remark = match (
+            size.is_possible(),
+            size.is_plausible(),
+            size.value.abs() < 2.0 * size.std_error,
+        ) {
+            (_, _, true) => "within two error bars of none",
+            (false, ..) => "not possible: it stands for something else",
+            (true, false, _) => "unusual",
+            (true, true, _) => "",
+        };
+        table.add_row([
+            effect.name.clone(),
+            show::with_error(size.value, size.std_error, scale),
+            size.size.unit.to_owned(),
+            effect.means.clone(),
+            number(size.size.typical),
+            if low.is_finite() {
+                format!("{} to {}", number(low), number(high))
+            } else {
+                "-".to_owned()
+            },
+            remark.to_owned(),
+        ]);
+    }
+    format!("Effects, each over all sensors ± one standard deviation\n{table}\n")
+}
+
+/// Every parameter of every effect.
+fn parameters(effects: &[EffectModel]) -> String {
+    let mut text = String::new();
+    let Some(first) = effects.first() else {
+        return text;
+    };
+    let numbers: Vec<u32> = first.sensors.iter().map(|sensor| sensor.number).collect();
+    for numbers in numbers.chunks(SENSORS_ACROSS) {
+        let heads = numbers.iter().map(|number| format!("sensor {number}"));
+        let mut table = show::table(
+            ["effect", "parameter"]
+                .map(String::from)
+                .into_iter()
+                .chain(heads),
+        );
+        for effect in effects {
+            let sensors = || {
+                effect
+                    .sensors
+                    .iter()
+                    .filter(|sensor| numbers.contains(&sensor.number))
+            };
+            let Some(first) = sensors().next() else {
+                continue;
+            };
+            for (name, value) in &first.parameters {
+                let shown = sensors().map(|sensor| match sensor.parameters.get(name) {
+                    Some(value) => {
+                        let mark = if value.identifiable { "" } else { "?" };
+                        show::with_error(value.value, value.std_error, value.value.abs()) + mark
+                    }
+                    None => String::new(),
+                });
+                let words = [effect.name.clone(), format!("{name} {}", value.unit)];
+                table.add_row(words.into_iter().chain(shown).collect::<Vec<_>>());
+            }
+        }
+        show::right_align(&mut table, 2);
+        text += &format!("{table}\n");
+    }
+    text + "?: not told by these recordings.\n"
+}
+
+/// The error of each axis before and after.
+fn errors(change: &Change) -> String {
+    let mut table = show::table([
+        "sensor",
+        "axis",
+        "before G",
+        "after G",
+        "floor G",
+        "after / floor",
+        "share of range",
+    ]);
+    let (before, after) = (&change.before.1, &change.after.1);
+    let scores = |fit: &JointFit| {
+        fit.sensors
+            .iter()
+            .flat_map(|s| s.scores.clone())
+            .collect::<Vec<_>>()
+    };
+    for (old, new) in scores(before).iter().zip(&scores(after)) {
+        table.add_row([
+            new.sensor.to_string(),
+            new.axis.letter().to_owned(),
+            format!("{:.4}", old.held_out_rms_g),
+            format!("{:.4}", new.held_out_rms_g),
+            format!("{:.4}", new.floor_g),
+            format!("{:.3}", new.held_out_rms_g / new.floor_g),
+            format!("{:.3} %", 100.0 * new.held_out_rms_g / new.span_g),
+        ]);
+    }
+    show::right_align(&mut table, 2);
+    let how = match after.split {
+        Split::Recordings(_) => "on each recording in turn, kept out of the fit",
+        Split::Sixths if change.campaign.recordings.len() == 1 => {
+            "on sixths kept out in turn; one recording: no claim beyond it"
+        }
+        Split::Sixths => {
+            "on sixths of every recording in turn, since an effect lives within single recordings"
+        }
+    };
+    format!("Held-out field error, {how}\n{table}\n{}", summary(change))
+}
+
+fn summary(change: &Change) -> String {
+    let (old, new) = (change.before.1.tally(), change.after.1.tally());
+    let wins = wins(change);
+    let newtons = match (old.rmse_n(), new.rmse_n()) {
+        (Some(old), Some(new)) => format!(" ({old:.3} N -> {new:.3} N, taken for forces)"),
+        _ => String::new(),
+    };
+    format!(
+        "Together: {:.4} G -> {:.4} G{newtons}, floor {:.4} G. Lower in {} of {} parts kept out.\n",
+        old.mean_square().sqrt(),
+        new.mean_square().sqrt(),
+        new.floor_g(),
+        wins.0,
+        wins.1,
+    )
+}
+
+/// Parts kept out in which the error fell, and parts.
+fn wins(change: &Change) -> (usize, usize) {
+    let (old, new) = (change.before.1.folds(), change.after.1.folds());
+    let fell = old
+        .iter()
+        .zip(&new)
+        .filter(|(old, new)| new.mean_square() < old.mean_square());
+    (fell.count(), new.len())
+}
+
+/// One line in words.
+pub fn verdict(change: &Change) -> String {
+    let rms = |tally: Tally| tally.mean_square().sqrt();
+    let (old, new) = (rms(change.before.1.tally()), rms(change.after.1.tally()));
+    let floor = change.after.1.tally().floor_g();
+    let fall = 1.0 - new / old;
+    let adding = change.after.0.len() >= change.before.0.len();
+    let names = |fit: &[model_export::effects::Addition],
+                 other: &[model_export::effects::Addition]| {
+        let names: Vec<&str> = fit
+            .iter()
+            .filter(|e| !other.contains(e))
+            .map(|e| e.name())
+            .collect();
+        names.join(" and ")
+    };
+    if !adding {
+        let dropped = names(&change.before.0, &change.after.0);
+        return match -fall > NO_CHANGE {
+            true => format!(
+                "Without {dropped} the error is {:.1} % higher.",
+                -100.0 * fall
+            ),
+            false => format!(
+                "Without {dropped} the error is no higher: these recordings do not need it."
+            ),
+        };
+    }
+    let added = names(&change.after.0, &change.before.0);
+    if fall <= NO_CHANGE {
+        return format!(
+            "Nothing gained: on what was kept out the error changes by {:+.2} %. These recordings do not show {added}.",
+            -100.0 * fall
+        );
+    }
+    let rest = match new <= AT_FLOOR * floor {
+        true => "and is at the noise floor".to_owned(),
+        false => format!(
+            "and is still {:.1} times the floor: something else is missing",
+            new / floor
+        ),
+    };
+    format!(
+        "With {added} the error falls by {:.1} % {rest}.",
+        100.0 * fall
+    )
+}
+
+/// The object of `--json`.
+pub fn json(change: &Change) -> Value {
+    let side = |fit: &JointFit| {
+        let tally = fit.tally();
+        json!({
+            "held_out_rms_g": tally.mean_square().sqrt(), "rmse_n": tally.rmse_n(),
+            "parts_rms_g": fit.folds().iter().map(|fold| fold.mean_square().sqrt()).collect::<Vec<_>>(),
+            "axes": fit.sensors.iter().flat_map(|s| &s.scores).map(|score| json!({
+                "sensor": score.sensor, "axis": score.axis.letter(),
+                "held_out_rms_g": score.held_out_rms_g, "floor_g": score.floor_g, "span_g": score.span_g,
+            })).collect::<Vec<_>>(),
+        })
+    };
+    let effects = change.model.effects.iter().zip(&change.sizes).map(|(effect, size)| {
+        json!({
+            "effect": effect.name, "value": effect.value, "std_error": effect.std_error, "unit": effect.unit,
+            "means": effect.means, "plausible": size.is_plausible(), "possible": size.is_possible(),
+            "sensors": effect.sensors,
+        })
+    });
+    json!({
+        "before": side(&change.before.1),
+        "after": side(&change.after.1),
+        "floor_g": change.after.1.tally().floor_g(),
+        "effects": effects.collect::<Vec<_>>(),
+        "device": Value::Null,
+        "verdict": verdict(change),
+        "notices": change.notices,
+    })
+}

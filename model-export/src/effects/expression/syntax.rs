@@ -1,0 +1,205 @@
+//! Where a formula is wrong, to the character: the parser itself does not say.
+
+/// A formula that cannot be used, with the character that is to blame.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{message}\n  {text}\n  {caret}", caret = caret(text, *at))]
+pub struct ExpressionError {
+    text: String,
+    /// Byte in the text.
+    at: usize,
+    message: String,
+}
+
+impl ExpressionError {
+    pub(super) fn at(text: &str, at: usize, message: String) -> Self {
+        Self {
+            text: text.to_owned(),
+            at,
+            message,
+        }
+    }
+}
+
+fn caret(text: &str, at: usize) -> String {
+    let before = text.get(..at).unwrap_or(text).chars().count();
+    " ".repeat(before) + "^"
+}
+
+/// A piece of the text.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Piece<'a> {
+    pub(super) text: &'a str,
+    start: usize,
+}
+
+impl Piece<'_> {
+    pub(super) fn error(&self, text: &str, message: String) -> ExpressionError {
+        ExpressionError::at(text, self.start, message)
+    }
+}
+
+fn trimmed(text: &str, start: usize) -> Piece<'_> {
+    let lead = text.len() - text.trim_start().len();
+    Piece {
+        text: text.trim(),
+        start: start + lead,
+    }
+}
+
+pub(super) struct Parts<'a> {
+    pub(super) name: Piece<'a>,
+    pub(super) target: Piece<'a>,
+    pub(super) formula: Piece<'a>,
+}
+
+/// `NAME: TARGET = FORMULA`.
+pub(super) fn split(text: &str) -> Result<Parts<'_>, ExpressionError> {
+    let shape = |at| {
+        let advice =
+            "write NAME: TARGET = FORMULA, as in 'ripple: dz_um = a*sin(2*pi*opening_mm/p)'";
+        ExpressionError::at(text, at, advice.to_owned())
+    };
+    let colon = text.find(':').ok_or_else(|| shape(0))?;
+    let equals = text
+        .find('=')
+        .filter(|equals| *equals > colon)
+        .ok_or_else(|| shape(colon))?;
+    let parts = Parts {
+        name: trimmed(&text[..colon], 0),
+        target: trimmed(&text[colon + 1..equals], colon + 1),
+        formula: trimmed(&text[equals + 1..], equals + 1),
+    };
+    let plain = |c: char| c.is_ascii_alphanumeric() || c == '_';
+    if parts.name.text.is_empty() || !parts.name.text.chars().all(plain) {
+        return Err(parts
+            .name
+            .error(text, "a name is made of letters, digits and _".to_owned()));
+    }
+    if super::super::find(parts.name.text).is_ok() {
+        let advice = "the catalogue has an effect of this name: choose another".to_owned();
+        return Err(parts.name.error(text, advice));
+    }
+    Ok(parts)
+}
+
+/// The names of a formula and where each stands first.
+pub(super) struct Names {
+    found: Vec<(String, usize)>,
+    /// Where the formula begins.
+    pub(super) start: usize,
+}
+
+impl Names {
+    pub(super) fn place(&self, name: &str) -> Piece<'_> {
+        let at = self.found.iter().find(|(found, _)| found == name);
+        Piece {
+            text: "",
+            start: at.map_or(self.start, |(_, at)| *at),
+        }
+    }
+}
+
+/// Functions of one argument that a formula may use.
+const FUNCTIONS: [&str; 16] = [
+    "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp", "ln", "log2",
+    "log10", "sqrt", "abs", "signum",
+];
+
+/// Walks over the formula, expecting a value or an operator in turn.
+pub(super) fn check(text: &str, formula: &Piece) -> Result<Names, ExpressionError> {
+    let fail = |at: usize, message: String| Err(ExpressionError::at(text, at, message));
+    let mut names = Names {
+        found: Vec::new(),
+        start: formula.start,
+    };
+    let (mut open, mut wants_value, mut at) = (Vec::new(), true, 0);
+    let bytes = formula.text.as_bytes();
+    while let Some(&byte) = bytes.get(at) {
+        let here = formula.start + at;
+        let rest = &formula.text[at..];
+        match byte {
+            b' ' | b'\t' => at += 1,
+            b'0'..=b'9' | b'.' | b'a'..=b'z' | b'A'..=b'Z' | b'_' if !wants_value => {
+                return fail(here, "an operator is missing before this".to_owned());
+            }
+            b'0'..=b'9' | b'.' => {
+                at += number(rest);
+                wants_value = false;
+            }
+            b'a'..=b'z' | b'A'..=b'Z' | b'_' => {
+                let length = rest
+                    .bytes()
+                    .take_while(|b| b.is_ascii_alphanumeric() || *b == b'_')
+                    .count();
+                let name = &rest[..length];
+                let is_call = rest[length..].trim_start().starts_with('(');
+                match (is_call, FUNCTIONS.contains(&name)) {
+                    (true, true) => {}
+                    (true, false) => {
+                        return fail(
+                            here,
+                            format!(
+                                "there is no function {name}; there are {}",
+                                FUNCTIONS.join(", ")
+                            ),
+                        );
+                    }
+                    (false, true) => {
+                        return fail(here, format!("{name} needs its argument in brackets"));
+                    }
+                    (false, false) => {
+                        names.found.push((name.to_owned(), here));
+                        wants_value = false;
+                    }
+                }
+                at += length;
+            }
+            b'+' | b'-' if wants_value => at += 1,
+            b'+' | b'-' | b'*' | b'/' | b'^' if !wants_value => {
+                wants_value = true;
+                at += 1;
+            }
+            b'+' | b'-' | b'*' | b'/' | b'^' => {
+                return fail(here, "a value is missing before this".to_owned());
+            }
+            b'(' if wants_value => {
+                open.push(here);
+                at += 1;
+            }
+            b'(' => return fail(here, "an operator is missing before this".to_owned()),
+            b')' if open.is_empty() => return fail(here, "this bracket was not opened".to_owned()),
+            b')' if wants_value => return fail(here, "a value is missing before this".to_owned()),
+            b')' => {
+                open.pop();
+                at += 1;
+            }
+            _ => return fail(here, "this character cannot stand here".to_owned()),
+        }
+    }
+    if let Some(bracket) = open.pop() {
+        return fail(bracket, "this bracket is not closed".to_owned());
+    }
+    if wants_value {
+        return fail(
+            formula.start + formula.text.len(),
+            "a value is missing at the end".to_owned(),
+        );
+    }
+    Ok(names)
+}
+
+/// Length of the number that `text` begins with.
+fn number(text: &str) -> usize {
+    let digits = |from: usize| {
+        text[from..]
+            .bytes()
+            .take_while(|b| b.is_ascii_digit() || *b == b'.')
+            .count()
+    };
+    let mantissa = digits(0);
+    let exponent = text[mantissa..].strip_prefix(['e', 'E']).map(|rest| {
+        let sign = usize::from(rest.starts_with(['+', '-']));
+        1 + sign + digits(mantissa + 1 + sign)
+    });
+    mantissa + exponent.filter(|length| *length > 1).unwrap_or(0)
+}

@@ -1,0 +1,77 @@
+//! A foreign magnet passes by, or is put down.
+
+use nalgebra::Vector3;
+
+use super::{Effect, Parameter, Series, Size, SizeOf, Stage, Track, Undone};
+
+/// The effect.
+pub const EFFECT: Effect = Effect {
+    id: "external_magnet",
+    stage: Stage::Outside,
+    physics: "A screwdriver, a loudspeaker, a magnetic base: anything magnetic that comes near adds its \
+              field to that of every sensor at once, for as long as it is there. A dipole on a straight \
+              path gives a curve with three shapes, whatever its direction; one that is put down and stays \
+              leaves a step. Two forces cannot explain a change of three field axes, which is how the \
+              device may notice.",
+    equation: "B + (a + b u + c u^2) / (1 + u^2)^(5/2) + d step(u), u = (t - t0) / width",
+    regressors: "the three shapes of a passing dipole and a step, in each axis",
+    needs: &[],
+    parameters: &[
+        Parameter::coefficient("near_x", "G", 5.0),
+        Parameter::coefficient("near_y", "G", 5.0),
+        Parameter::coefficient("near_z", "G", 5.0),
+        Parameter::coefficient("tilt_x", "G", 5.0),
+        Parameter::coefficient("tilt_y", "G", 5.0),
+        Parameter::coefficient("tilt_z", "G", 5.0),
+        Parameter::coefficient("far_x", "G", 5.0),
+        Parameter::coefficient("far_y", "G", 5.0),
+        Parameter::coefficient("far_z", "G", 5.0),
+        Parameter::coefficient("stay_x", "G", 5.0),
+        Parameter::coefficient("stay_y", "G", 5.0),
+        Parameter::coefficient("stay_z", "G", 5.0),
+        Parameter::instant("at", "s"),
+        Parameter::shape("width", "s", &[0.1, 0.25, 0.6, 1.5, 4.0]),
+    ],
+    size: Size {
+        words: "field at its closest",
+        unit: "G",
+        first: 3,
+        of: SizeOf::Norm,
+        factor: 1.0,
+        typical: 5.0,
+        plausible: (0.0, 500.0),
+        possible: (0.0, 20000.0),
+    },
+    record: "Nothing to record: keep magnets away, and record again.",
+    confused_with: &[
+        ("neighbour_magnet", "where the gripper closed only once"),
+        ("demagnetisation", "a step that stays"),
+    ],
+    undone: Undone::Never("it happened once; the device can only notice it"),
+    lives_in_one_recording: true,
+    apply,
+};
+
+fn apply(values: &[f64], track: &Track, series: &mut Series) {
+    let &[ref coefficients @ .., at_s, width_s] = values else {
+        return;
+    };
+    let shapes: Vec<Vector3<f64>> = coefficients
+        .chunks_exact(3)
+        .map(|c| Vector3::new(c[0], c[1], c[2]))
+        .collect();
+    let &[near, tilt, far, stay] = shapes.as_slice() else {
+        return;
+    };
+    // What stays, stays until the recording ends: nobody knows what happened between two.
+    let end_s = track.time_s.last().copied().unwrap_or(0.0);
+    let own = (0.0..=end_s).contains(&(at_s - track.before_s));
+    for (state, time_s) in series.states.iter_mut().zip(&track.time_s) {
+        let u = (track.before_s + time_s - at_s) / width_s;
+        let fall = libm::pow(1.0 + u * u, -2.5);
+        state.outside_g += (near + tilt * u + far * (u * u)) * fall;
+        if own {
+            state.outside_g += stay * (0.5 + 0.5 * libm::tanh(u));
+        }
+    }
+}

@@ -1,0 +1,71 @@
+//! Beyond a knee the flexure meets a stop.
+
+use super::{Effect, Parameter, Series, Size, SizeOf, Stage, Track, Undone};
+
+/// The effect.
+pub const EFFECT: Effect = Effect {
+    id: "hard_stop",
+    stage: Stage::Flexure,
+    physics: "Many flexures carry a stop against overload: beyond some deflection the finger touches a \
+              wall and the force goes on without much more movement. In the field the answer to the force \
+              has a knee. Up to it nothing at all is seen, which tells a stop from a stiffening flexure.",
+    equation: "F' = F - c (|F| - F_knee) sign(F) beyond the knee",
+    regressors: "dB/dF times the force beyond the knee",
+    needs: &[],
+    parameters: &[
+        Parameter::coefficient("lost_x", "%", 60.0),
+        Parameter::coefficient("lost_z", "%", 60.0),
+        Parameter::shape(
+            "knee_x",
+            "N",
+            &[
+                20.0, 40.0, 60.0, 80.0, 100.0, 120.0, 140.0, 160.0, 180.0, 210.0,
+            ],
+        ),
+        Parameter::shape(
+            "knee_z",
+            "N",
+            &[
+                20.0, 40.0, 60.0, 80.0, 100.0, 120.0, 140.0, 160.0, 180.0, 210.0,
+            ],
+        ),
+    ],
+    size: Size {
+        words: "compliance lost beyond the knee",
+        unit: "%",
+        first: 2,
+        of: SizeOf::MostSignificant,
+        factor: 1.0,
+        typical: 60.0,
+        plausible: (5.0, 100.0),
+        possible: (0.0, 105.0),
+    },
+    record: "Go slowly 10 % past the suspected stop, both signs, and look at the raw counts for clipping.",
+    confused_with: &[
+        (
+            "geometric_stiffening",
+            "where the load hardly goes beyond the knee",
+        ),
+        (
+            "sensor_compression",
+            "where the field along the gap grows with the load",
+        ),
+    ],
+    undone: Undone::Tables,
+    lives_in_one_recording: false,
+    apply,
+};
+
+fn apply(values: &[f64], _: &Track, series: &mut Series) {
+    let &[lost_x, lost_z, knee_x, knee_z] = values else {
+        return;
+    };
+    for force in &mut series.force_n {
+        let stopped =
+            |n: f64, lost: f64, knee: f64| n - 0.01 * lost * (n.abs() - knee).max(0.0) * n.signum();
+        *force = [
+            stopped(force[0], lost_x, knee_x),
+            stopped(force[1], lost_z, knee_z),
+        ];
+    }
+}

@@ -1,0 +1,113 @@
+//! A number of an effect.
+
+use std::borrow::Cow;
+
+/// How a parameter enters.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Kind {
+    /// The effect vanishes where all its coefficients are zero, and grows with them.
+    Coefficient,
+    /// It gives the effect its form: a time constant, a reach, a distance. Above zero; the fit
+    /// starts from the best of `grid`.
+    Shape {
+        /// Where the search begins.
+        grid: Cow<'static, [f64]>,
+    },
+    /// An instant of the campaign in seconds (recordings laid end to end), searched on the data and
+    /// then refined.
+    Instant,
+}
+
+/// One parameter of an effect, of one sensor.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Parameter {
+    /// Name in files and tables.
+    pub name: Cow<'static, str>,
+    /// Unit.
+    pub unit: Cow<'static, str>,
+    /// How it enters.
+    pub kind: Kind,
+    /// A size that shows on a gripper, in its unit; its sign does not matter. The fit expects nothing
+    /// beyond some ten times this unless the data say so.
+    pub typical: f64,
+    /// True where all sensors of a gripper have the same value.
+    pub shared: bool,
+    /// True where it stands for one parameter of every recording but the first.
+    pub each_later_recording: bool,
+}
+
+impl Parameter {
+    const fn new(name: &'static str, unit: &'static str, kind: Kind, typical: f64) -> Self {
+        Self {
+            name: Cow::Borrowed(name),
+            unit: Cow::Borrowed(unit),
+            kind,
+            typical,
+            shared: false,
+            each_later_recording: false,
+        }
+    }
+
+    /// A coefficient of each sensor.
+    pub const fn coefficient(name: &'static str, unit: &'static str, typical: f64) -> Self {
+        Self::new(name, unit, Kind::Coefficient, typical)
+    }
+
+    /// A shape of each sensor, with the values from which its search begins.
+    pub const fn shape(name: &'static str, unit: &'static str, grid: &'static [f64]) -> Self {
+        let grid = Cow::Borrowed(grid);
+        Self::new(name, unit, Kind::Shape { grid }, 0.0)
+    }
+
+    /// An instant of the campaign.
+    pub const fn instant(name: &'static str, unit: &'static str) -> Self {
+        Self::new(name, unit, Kind::Instant, 0.0)
+    }
+
+    /// The same for all sensors.
+    pub const fn shared(mut self) -> Self {
+        self.shared = true;
+        self
+    }
+
+    /// One for every recording but the first.
+    pub const fn each_later_recording(mut self) -> Self {
+        self.each_later_recording = true;
+        self
+    }
+
+    /// True for coefficients.
+    pub fn is_coefficient(&self) -> bool {
+        self.kind == Kind::Coefficient
+    }
+}
+
+/// How one number is made of several coefficients.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SizeOf {
+    /// The one that stands out most from its error bar.
+    MostSignificant,
+    /// Root of the sum of squares.
+    Norm,
+}
+
+/// The one number that says how large an effect is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Size {
+    /// What it is, for people.
+    pub words: &'static str,
+    /// Unit.
+    pub unit: &'static str,
+    /// The first this many coefficients make it; zero for all.
+    pub first: usize,
+    /// How.
+    pub of: SizeOf,
+    /// Multiplies what they make.
+    pub factor: f64,
+    /// A size that shows.
+    pub typical: f64,
+    /// Sizes that no one would wonder at.
+    pub plausible: (f64, f64),
+    /// Sizes that physics allows at all.
+    pub possible: (f64, f64),
+}

@@ -1,0 +1,213 @@
+//! What one sensor met over one recording: the reference's forces and every covariate, row by row.
+
+use std::collections::BTreeMap;
+
+use crate::recordings::Recording;
+use crate::recordings::columns::Axis;
+
+use super::memory;
+
+/// Rows of one sensor over one recording, on the reference's clock.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Track {
+    /// Place of the recording in the campaign, from zero.
+    pub recording: usize,
+    /// Start of the recording in seconds since the campaign began.
+    pub start_s: f64,
+    /// Seconds that the recordings before it span: with it, every instant of a campaign has one
+    /// time, even where nobody wrote down when a recording began.
+    pub before_s: f64,
+    /// Since the recording's first row, in seconds.
+    pub time_s: Vec<f64>,
+    /// Lateral and longitudinal force of the reference in newtons; zero where it has no such axis.
+    pub force_n: Vec<[f64; 2]>,
+    /// The same without the reference's white noise. What has memory or a derivative is computed
+    /// from this, so that no effect can seem to help by averaging that noise away.
+    pub smooth_n: Vec<[f64; 2]>,
+    /// Rate of the force in N/s.
+    pub rate_n_per_s: Vec<[f64; 2]>,
+    /// Load cycles of each axis since the campaign began, counted through zero.
+    pub cycles: Vec<[f64; 2]>,
+    /// True where the recording starts without load: what has memory starts empty then.
+    pub starts_unloaded: bool,
+    /// The sensor's temperature in degrees Celsius; empty where it was not recorded.
+    pub temperature_c: Vec<f64>,
+    /// Covariates of the whole gripper by column.
+    pub covariates: BTreeMap<String, Vec<f64>>,
+}
+
+/// A start counts as unloaded where the force stays below this share of its greatest value ...
+const UNLOADED: f64 = 0.03;
+/// ... for this long, in seconds.
+const UNLOADED_S: f64 = 0.2;
+
+impl Track {
+    /// The rows `usable` of `sensor` in `recording`, under the two forces of these places (`None`
+    /// where an axis has no reference).
+    pub fn new(
+        recording: &Recording,
+        place: (usize, f64),
+        sensor: u32,
+        forces: [Option<(u32, Axis)>; 2],
+        usable: &[usize],
+    ) -> Self {
+        let pick = |values: &[f64]| -> Vec<f64> { usable.iter().map(|&i| values[i]).collect() };
+        let first_s = recording.time_s.first().copied().unwrap_or(0.0);
+        let time_s: Vec<f64> = usable
+            .iter()
+            .map(|&i| recording.time_s[i] - first_s)
+            .collect();
+        let columns = forces.map(|force| {
+            let track = force.and_then(|force| recording.forces.get(&force));
+            track.map_or_else(|| vec![0.0; usable.len()], |track| pick(&track.newtons))
+        });
+        let smoothed = columns
+            .each_ref()
+            .map(|values| memory::smooth(&time_s, values));
+        let pair = |of: &dyn Fn(usize, usize) -> f64| {
+            (0..usable.len()).map(|i| [of(0, i), of(1, i)]).collect()
+        };
+        let temperature = recording
+            .sensors
+            .get(&sensor)
+            .map(|track| &track.temperature_c);
+        Self {
+            recording: place.0,
+            start_s: recording.description.start_s,
+            before_s: place.1,
+            cycles: Vec::new(),
+            force_n: pair(&|axis, i| columns[axis][i]),
+            smooth_n: pair(&|axis, i| smoothed[axis].0[i]),
+            rate_n_per_s: pair(&|axis, i| smoothed[axis].1[i]),
+            starts_unloaded: columns
+                .iter()
+                .all(|values| starts_unloaded(&time_s, values)),
+            temperature_c: temperature
+                .filter(|t| !t.is_empty())
+                .map_or_else(Vec::new, |t| pick(t)),
+            covariates: recording
+                .covariates
+                .iter()
+                .map(|(name, values)| (name.clone(), pick(values)))
+                .collect(),
+            time_s,
+        }
+    }
+
+    /// Number of rows.
+    pub fn len(&self) -> usize {
+        self.time_s.len()
+    }
+
+    /// True without rows.
+    pub fn is_empty(&self) -> bool {
+        self.time_s.is_empty()
+    }
+
+    /// A covariate by its column name: what a recording names, or one of [`OWN`].
+    pub fn covariate(&self, name: &str) -> Option<Vec<f64>> {
+        let force = |axis: usize| self.force_n.iter().map(|force| force[axis]).collect();
+        match name {
+            "fx_n" => Some(force(0)),
+            "fz_n" => Some(force(1)),
+            "temp_c" => (!self.temperature_c.is_empty()).then(|| self.temperature_c.clone()),
+            "time_s" => Some(self.time_s.clone()),
+            "session_s" => Some(self.time_s.iter().map(|t| t + self.start_s).collect()),
+            _ => self.covariates.get(name).cloned(),
+        }
+    }
+}
+
+/// Covariates that every sensor has beside the recording's own columns: its two forces, its
+/// temperature, the time since the recording began and since the campaign began.
+pub const OWN: [&str; 5] = ["fx_n", "fz_n", "temp_c", "time_s", "session_s"];
+
+fn starts_unloaded(time_s: &[f64], force_n: &[f64]) -> bool {
+    let greatest = force_n
+        .iter()
+        .fold(0.0_f64, |most, force| most.max(force.abs()));
+    let start = time_s
+        .iter()
+        .zip(force_n)
+        .take_while(|(t, _)| **t <= UNLOADED_S);
+    start.clone().count() > 0
+        && start
+            .into_iter()
+            .all(|(_, force)| force.abs() <= UNLOADED * greatest)
+}
+
+/// A load cycle counts where the force goes beyond this share of its greatest value on both sides.
+const SWING: f64 = 0.1;
+
+/// Counts load cycles through the recordings of a campaign, in their order. Between two passages
+/// through zero the count goes on evenly.
+pub fn count_cycles<'a>(tracks: impl Iterator<Item = &'a mut Track>) {
+    let mut before = [0.0; 2];
+    for track in tracks {
+        let counts = [0, 1].map(|axis| {
+            let force: Vec<f64> = track.smooth_n.iter().map(|force| force[axis]).collect();
+            half_cycles(&track.time_s, &force)
+        });
+        track.cycles = (0..track.len())
+            .map(|row| [0, 1].map(|axis| before[axis] + 0.5 * counts[axis][row]))
+            .collect();
+        if let Some(last) = track.cycles.last() {
+            before = *last;
+        }
+    }
+}
+
+fn half_cycles(time_s: &[f64], force_n: &[f64]) -> Vec<f64> {
+    let threshold = SWING
+        * force_n
+            .iter()
+            .fold(0.0_f64, |most, force| most.max(force.abs()));
+    let (mut side, mut turns) = (0.0, Vec::new());
+    for (time, force) in time_s.iter().zip(force_n) {
+        if force.abs() > threshold && force.signum() != side {
+            side = force.signum();
+            turns.push(*time);
+        }
+    }
+    time_s
+        .iter()
+        .map(|time| {
+            let passed = turns.partition_point(|turn| turn <= time);
+            let next = turns.get(passed);
+            let last = passed.checked_sub(1).and_then(|i| turns.get(i));
+            match (last, next) {
+                (Some(last), Some(next)) => (passed - 1) as f64 + (time - last) / (next - last),
+                _ => passed.saturating_sub(1) as f64,
+            }
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn load_cycles_are_counted_through_recordings() {
+        let time_s: Vec<f64> = (0..1000).map(|i| f64::from(i) * 0.01).collect();
+        let sine = |t: &f64| [100.0 * (std::f64::consts::TAU * t).sin(), 0.0];
+        let mut tracks = vec![
+            Track {
+                smooth_n: time_s.iter().map(sine).collect(),
+                time_s,
+                ..Track::default()
+            };
+            2
+        ];
+        count_cycles(tracks.iter_mut());
+        let last = |track: &Track| track.cycles.last().unwrap()[0];
+        // Ten periods each, and the half cycle in which each ends does not count.
+        assert!((last(&tracks[0]) - 9.5).abs() < 0.1, "{}", last(&tracks[0]));
+        assert!(
+            (last(&tracks[1]) - 19.0).abs() < 0.1,
+            "{}",
+            last(&tracks[1])
+        );
+        assert_eq!(tracks[1].cycles[0][1], 0.0);
+    }
+}
