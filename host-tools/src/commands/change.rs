@@ -29,6 +29,7 @@ pub struct Common {
     /// Where the new model goes; without it nothing is written.
     #[arg(short, long, value_name = "NEW")]
     pub output: Option<PathBuf>,
+    /// How the two clocks belong together.
     #[command(flatten)]
     pub clocks: Clocks,
     /// Seed of the bootstrap behind the error bars.

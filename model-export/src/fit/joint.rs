@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 use super::base::Base;
-use super::folds::{Split, everything};
+use super::folds::{Fold, Split, everything};
 use super::pool::{Witness, pool};
 use super::problem::SensorProblem;
 use super::rows::SensorRows;
@@ -107,13 +107,21 @@ pub fn fit(
             Ok((problem, state))
         })
         .collect::<Result<Vec<_>, FitError>>()?;
-    let started = match effects.is_empty() {
-        true => alone,
-        false => with_effects(alone, &effects)?,
+    let folds = match effects.is_empty() {
+        true => {
+            let (problems, states): (Vec<_>, Vec<_>) = alone.into_iter().unzip();
+            let covariances = states.par_iter().map(|state| state.covariance(options)).collect();
+            let folds = cross_validate(&problems, &states, split, None)?;
+            (problems, states, covariances, folds)
+        }
+        false => {
+            let (problems, states): (Vec<_>, Vec<_>) = with_effects(&alone, &effects)?.into_iter().unzip();
+            let (states, covariances) = share(&problems, states, options)?;
+            let folds = cross_validate(&problems, &states, split, Some(&alone))?;
+            (problems, states, covariances, folds)
+        }
     };
-    let (problems, states): (Vec<SensorProblem>, Vec<State>) = started.into_iter().unzip();
-    let (states, covariances) = share(&problems, states, options)?;
-    let folds = cross_validate(&problems, &states, split)?;
+    let (problems, states, covariances, folds): (Vec<SensorProblem>, Vec<State>, Vec<DMatrix<f64>>, _) = folds;
     let finished = problems.par_iter().zip(&states).zip(covariances).zip(folds);
     let sensors = finished
         .map(|(((problem, state), covariance), (values, tallies))| {
@@ -126,9 +134,12 @@ pub fn fit(
 }
 
 type Started<'a> = Vec<(SensorProblem<'a>, State)>;
+/// Of one sensor: values and held-out errors of each fold.
+type Judged = (Vec<Vec<f64>>, Vec<Tally>);
 
 /// The same sensors with effects, from the fits of their bases.
-fn with_effects<'a>(alone: Started<'a>, effects: &'a [Addition]) -> Result<Started<'a>, FitError> {
+fn with_effects<'a>(
+    alone: &Started<'a>, effects: &'a [Addition]) -> Result<Started<'a>, FitError> {
     let mut seekers: Vec<Seeker> = alone
         .par_iter()
         .map(|(problem, state)| {
@@ -209,65 +220,76 @@ fn share(
     Ok(fixed.into_iter().unzip())
 }
 
-/// For each sensor: values and held-out errors of each fold. What is shared is estimated anew in
-/// each fold.
+/// Each sensor judged on each fold. What is shared, and the base from which the effects depart, are
+/// estimated anew in each: `alone` holds the fits of the bases, where there are effects.
 fn cross_validate(
     problems: &[SensorProblem],
     states: &[State],
     split: Split,
-) -> Result<Vec<(Vec<Vec<f64>>, Vec<Tally>)>, FitError> {
+    alone: Option<&Started>,
+) -> Result<Vec<Judged>, FitError> {
     let folds: Vec<_> = problems
         .iter()
         .zip(states)
         .map(|(problem, state)| split.folds(problem.rows, state.length_s))
         .collect();
     let count = folds.first().map_or(0, Vec::len);
-    let mut results: Vec<(Vec<Vec<f64>>, Vec<Tally>)> = vec![Default::default(); problems.len()];
+    let mut results: Vec<Judged> = vec![Default::default(); problems.len()];
     for i in 0..count {
-        let refit = |starts: &[DVector<f64>], free_shared: bool| {
-            (0..problems.len())
-                .into_par_iter()
-                .map(|s| {
-                    let (problem, state) = (&problems[s], &states[s]);
-                    let training = &folds[s][i].training;
-                    match free_shared {
-                        false => state.refit(problem, training, &starts[s]),
-                        true => {
-                            let open = State {
-                                space: state.space.with_free(&shared_slots(problem)),
-                                ..state.clone()
-                            };
-                            open.refit(problem, training, &starts[s])
-                        }
-                    }
-                })
-                .collect::<Result<Vec<_>, FitError>>()
-        };
-        let mut starts: Vec<DVector<f64>> = states
-            .iter()
-            .map(|state| state.departures.clone())
-            .collect();
-        if problems
-            .iter()
-            .any(|problem| !shared_slots(problem).is_empty())
-        {
-            let opened = refit(&starts, true)?;
-            let mean =
-                |slot: usize| opened.iter().map(|d| d[slot]).sum::<f64>() / opened.len() as f64;
-            for (problem, start) in problems.iter().zip(&mut starts) {
-                shared_slots(problem)
-                    .into_iter()
-                    .for_each(|slot| start[slot] = mean(slot));
-            }
-        }
-        for (s, departures) in refit(&starts, false)?.into_iter().enumerate() {
-            results[s].0.push(problems[s].values(&departures));
-            results[s]
-                .1
-                .push(held_out(&problems[s], &folds[s][i], &departures));
+        let folds: Vec<&Fold> = folds.iter().map(|folds| &folds[i]).collect();
+        let judged = judge_fold(problems, states, &folds, alone)?;
+        for (result, (values, tally)) in results.iter_mut().zip(judged) {
+            result.0.push(values);
+            result.1.push(tally);
         }
     }
     Ok(results)
+}
+
+fn judge_fold(
+    problems: &[SensorProblem],
+    states: &[State],
+    folds: &[&Fold],
+    alone: Option<&Started>,
+) -> Result<Vec<(Vec<f64>, Tally)>, FitError> {
+    let centred: Vec<(SensorProblem, DVector<f64>)> = (0..problems.len())
+        .into_par_iter()
+        .map(|s| {
+            let mut problem = problems[s].clone();
+            let values = problem.values(&states[s].departures);
+            if let Some((base, state)) = alone.and_then(|alone| alone.get(s)) {
+                let found = state.refit(base, &folds[s].training, &state.departures)?;
+                problem.centre_base(&base.values(&found));
+            }
+            let start = problem.departures(&values);
+            Ok((problem, start))
+        })
+        .collect::<Result<_, FitError>>()?;
+    let refit = |starts: &[DVector<f64>], open: bool| {
+        (0..problems.len())
+            .into_par_iter()
+            .map(|s| {
+                let (problem, training) = (&centred[s].0, &folds[s].training);
+                match open {
+                    false => states[s].refit(problem, training, &starts[s]),
+                    true => states[s].opened(&shared_slots(problem)).refit(problem, training, &starts[s]),
+                }
+            })
+            .collect::<Result<Vec<_>, FitError>>()
+    };
+    let mut starts: Vec<DVector<f64>> = centred.iter().map(|(_, start)| start.clone()).collect();
+    if problems.iter().any(|problem| !shared_slots(problem).is_empty()) {
+        let opened = refit(&starts, true)?;
+        let mean = |slot: usize| opened.iter().map(|d| d[slot]).sum::<f64>() / opened.len() as f64;
+        for (problem, start) in problems.iter().zip(&mut starts) {
+            shared_slots(problem).into_iter().for_each(|slot| start[slot] = mean(slot));
+        }
+    }
+    let judged = refit(&starts, false)?.into_iter().enumerate().map(|(s, departures)| {
+        let problem = &centred[s].0;
+        (problem.values(&departures), held_out(problem, folds[s], &departures))
+    });
+    Ok(judged.collect())
 }
 
 fn close(

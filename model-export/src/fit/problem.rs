@@ -15,6 +15,7 @@ use crate::physics::State;
 const STEP: f64 = 1e-4;
 
 /// A sensor's rows, the base of its model, and the effects beside it.
+#[derive(Clone)]
 pub struct SensorProblem<'a> {
     /// Measured.
     pub rows: &'a SensorRows,
@@ -60,6 +61,13 @@ impl<'a> SensorProblem<'a> {
         };
         problem.weights = problem.axis_weights();
         problem
+    }
+
+    /// Lets departures of the base count from these values: what the base alone explains, no effect
+    /// takes from it.
+    pub fn centre_base(&mut self, values: &[f64]) {
+        let slots = self.slots.iter_mut().take(self.base_count);
+        slots.zip(values).for_each(|(slot, value)| slot.start = *value);
     }
 
     /// Where each effect's parameters are among the slots.

@@ -98,6 +98,11 @@ impl State {
         solve(problem, training, self.weights, &self.space, start)
     }
 
+    /// The same with these parameters, frozen so far, free to move.
+    pub fn opened(&self, slots: &[usize]) -> Self {
+        Self { space: self.space.with_free(slots), ..self.clone() }
+    }
+
     /// Covariance of the departures.
     pub fn covariance(&self, options: Options) -> DMatrix<f64> {
         self.space.covariance(&self.blocks, options)

@@ -32,9 +32,9 @@ pub struct Seeker<'a> {
 
 impl<'a> Seeker<'a> {
     /// From the base's fitted values.
-    pub fn new(problem: SensorProblem<'a>, base_values: &[f64]) -> Self {
-        let mut values: Vec<f64> = problem.slots.iter().map(|slot| slot.start).collect();
-        values[..base_values.len()].copy_from_slice(base_values);
+    pub fn new(mut problem: SensorProblem<'a>, base_values: &[f64]) -> Self {
+        problem.centre_base(base_values);
+        let values: Vec<f64> = problem.slots.iter().map(|slot| slot.start).collect();
         let departures = problem.departures(&values);
         let (mut residual, mut columns) = (Vec::new(), Vec::new());
         for part in 0..problem.rows.parts.len() {

@@ -83,12 +83,7 @@ fn parameters(effects: &[EffectModel]) -> String {
     let numbers: Vec<u32> = first.sensors.iter().map(|sensor| sensor.number).collect();
     for numbers in numbers.chunks(SENSORS_ACROSS) {
         let heads = numbers.iter().map(|number| format!("sensor {number}"));
-        let mut table = show::table(
-            ["effect", "parameter"]
-                .map(String::from)
-                .into_iter()
-                .chain(heads),
-        );
+        let mut table = show::table(["parameter".to_owned()].into_iter().chain(heads));
         for effect in effects {
             let sensors = || {
                 effect
@@ -99,6 +94,7 @@ fn parameters(effects: &[EffectModel]) -> String {
             let Some(first) = sensors().next() else {
                 continue;
             };
+            table.add_row([effect.name.clone()]);
             for (name, value) in &first.parameters {
                 let shown = sensors().map(|sensor| match sensor.parameters.get(name) {
                     Some(value) => {
@@ -107,11 +103,11 @@ fn parameters(effects: &[EffectModel]) -> String {
                     }
                     None => String::new(),
                 });
-                let words = [effect.name.clone(), format!("{name} {}", value.unit)];
+                let words = [format!("  {name} {}", value.unit)];
                 table.add_row(words.into_iter().chain(shown).collect::<Vec<_>>());
             }
         }
-        show::right_align(&mut table, 2);
+        show::right_align(&mut table, 1);
         text += &format!("{table}\n");
     }
     text + "?: not told by these recordings.\n"
