@@ -1,7 +1,7 @@
 //! `magpie effects`: the catalogue, for reading.
 
 use anyhow::Result;
-use model_export::effects::{CATALOGUE, Effect, Kind, Undone, find};
+use model_export::effects::{CATALOGUE, Effect, Kind, Of, Undone, find};
 use serde_json::{Value, json};
 
 use crate::show;
@@ -82,14 +82,17 @@ fn explain(effect: &Effect) -> String {
             Kind::Shape { grid } => {
                 format!("searched from {} to {}", grid[0], grid[grid.len() - 1])
             }
+            Kind::Beginning => "where its memory begins".to_owned(),
             Kind::Instant => "searched over the campaign".to_owned(),
         };
         if parameter.shared {
             what += ", the same for all sensors";
         }
-        if parameter.each_later_recording {
-            what += ", one for each recording but the first";
-        }
+        what += match parameter.of {
+            Of::Campaign => "",
+            Of::EachRecording => ", one for each recording",
+            Of::EachLaterRecording => ", one for each recording but the first",
+        };
         parameters.add_row([parameter.name.to_string(), parameter.unit.to_string(), what]);
     }
     let (low, high) = effect.size.plausible;

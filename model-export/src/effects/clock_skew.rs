@@ -19,7 +19,7 @@ pub const EFFECT: Effect = Effect {
         words: "field after force",
         unit: "ms",
         first: 0,
-        of: SizeOf::MostSignificant,
+        of: SizeOf::Largest,
         factor: 1.0,
         typical: 5.0,
         plausible: (-50.0, 50.0),

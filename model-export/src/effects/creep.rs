@@ -22,7 +22,7 @@ pub const EFFECT: Effect = Effect {
         words: "delayed share of the deflection",
         unit: "%",
         first: 2,
-        of: SizeOf::MostSignificant,
+        of: SizeOf::Largest,
         factor: 1.0,
         typical: 2.0,
         plausible: (0.0, 15.0),

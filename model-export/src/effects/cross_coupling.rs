@@ -21,7 +21,7 @@ pub const EFFECT: Effect = Effect {
         words: "share of the other force",
         unit: "%",
         first: 0,
-        of: SizeOf::MostSignificant,
+        of: SizeOf::Largest,
         factor: 1.0,
         typical: 1.5,
         plausible: (-10.0, 10.0),

@@ -9,7 +9,7 @@ pub const EFFECT: Effect = Effect {
     physics: "Heat, a stronger magnet or a blow take away some of a magnet's strength, and unlike the \
               change with temperature it does not come back. It shows as a step from one recording to the \
               next, or as a slow loss within one. Stabilised magnets lose less than a percent.",
-    equation: "B_magnet (1 + d_r + e t), one d for each recording but the first",
+    equation: "B_magnet (1 - d_r - e t), one d for each recording but the first",
     regressors: "the magnet's own field in each recording, and times t",
     needs: &[],
     parameters: &[
@@ -17,14 +17,14 @@ pub const EFFECT: Effect = Effect {
         Parameter::coefficient("slope", "%/min", 0.1),
     ],
     size: Size {
-        words: "largest step since the first recording",
+        words: "loss since the first recording",
         unit: "%",
         first: 0,
-        of: SizeOf::MostSignificant,
+        of: SizeOf::Largest,
         factor: 1.0,
-        typical: -0.5,
-        plausible: (-5.0, 0.0),
-        possible: (-100.0, 5.0),
+        typical: 0.5,
+        plausible: (0.0, 5.0),
+        possible: (-1.0, 100.0),
     },
     record: "Repeat the first recording's load at the first recording's temperature after each heating.",
     confused_with: &[
@@ -54,6 +54,6 @@ fn apply(values: &[f64], track: &Track, series: &mut Series) {
         None => 0.0,
     };
     for (state, time_s) in series.states.iter_mut().zip(&track.time_s) {
-        state.strength *= 1.0 + 0.01 * (step + slope * time_s / 60.0);
+        state.strength *= 1.0 - 0.01 * (step + slope * time_s / 60.0);
     }
 }

@@ -36,7 +36,7 @@ pub const EFFECT: Effect = Effect {
         words: "field at its closest",
         unit: "G",
         first: 3,
-        of: SizeOf::Norm,
+        of: SizeOf::GreatestNorm,
         factor: 1.0,
         typical: 5.0,
         plausible: (0.0, 500.0),

@@ -18,7 +18,7 @@ pub const EFFECT: Effect = Effect {
         words: "mass",
         unit: "kg",
         first: 0,
-        of: SizeOf::MostSignificant,
+        of: SizeOf::Largest,
         factor: 1.0,
         typical: 0.1,
         plausible: (0.0, 1.0),

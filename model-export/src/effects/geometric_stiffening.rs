@@ -25,7 +25,7 @@ pub const EFFECT: Effect = Effect {
         words: "stiffness gained at 0.5 mm",
         unit: "%",
         first: 0,
-        of: SizeOf::MostSignificant,
+        of: SizeOf::Largest,
         factor: 1.0,
         typical: 5.0,
         plausible: (0.0, 40.0),

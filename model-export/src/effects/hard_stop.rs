@@ -34,7 +34,7 @@ pub const EFFECT: Effect = Effect {
         words: "compliance lost beyond the knee",
         unit: "%",
         first: 2,
-        of: SizeOf::MostSignificant,
+        of: SizeOf::Largest,
         factor: 1.0,
         typical: 60.0,
         plausible: (5.0, 100.0),

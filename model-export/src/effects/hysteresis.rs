@@ -29,12 +29,14 @@ pub const EFFECT: Effect = Effect {
         Parameter::shape("reach3_z", "N", &[8.0, 16.0, 32.0, 64.0, 128.0]),
         Parameter::shape("weight1_z", "", &[0.1, 0.3, 1.0, 3.0]),
         Parameter::shape("weight2_z", "", &[0.1, 0.3, 1.0, 3.0]),
+        Parameter::beginning("begin_x", "", 0.5),
+        Parameter::beginning("begin_z", "", 0.5),
     ],
     size: Size {
         words: "friction force (half the width of the loop)",
         unit: "N",
         first: 2,
-        of: SizeOf::MostSignificant,
+        of: SizeOf::Largest,
         factor: 1.0,
         typical: 2.5,
         plausible: (0.0, 25.0),
@@ -56,16 +58,28 @@ pub const EFFECT: Effect = Effect {
 const SHAPES: usize = 5;
 
 fn apply(values: &[f64], track: &Track, series: &mut Series) {
-    let Some((frictions, shapes)) = values.split_at_checked(2) else {
+    let Some((frictions, rest)) = values.split_at_checked(2) else {
         return;
     };
-    for (axis, (&friction, shapes)) in frictions.iter().zip(shapes.chunks_exact(SHAPES)).enumerate() {
+    let Some((shapes, beginnings)) = rest.split_at_checked(2 * SHAPES) else {
+        return;
+    };
+    let recordings = beginnings.len() / 2;
+    for (axis, (&friction, shapes)) in frictions
+        .iter()
+        .zip(shapes.chunks_exact(SHAPES))
+        .enumerate()
+    {
         if friction == 0.0 {
             continue;
         }
+        let begin = beginnings
+            .get(axis * recordings + track.recording)
+            .copied()
+            .unwrap_or(0.0);
         let force: Vec<f64> = track.smooth_n.iter().map(|force| force[axis]).collect();
         for (share, reach) in sliders(shapes) {
-            let slider = stop(&force, reach, track.starts_unloaded);
+            let slider = stop(&force, reach, begin);
             series.add_force(axis, |row| -friction * share * slider[row]);
         }
     }
@@ -78,5 +92,9 @@ pub fn sliders(shapes: &[f64]) -> [(f64, f64); 3] {
     let [reach1, reach2, reach3, weight1, weight2] =
         std::array::from_fn(|i| shapes.get(i).copied().unwrap_or(1.0));
     let all = weight1 + weight2 + 1.0;
-    [(weight1 / all, reach1), (weight2 / all, reach2), (1.0 / all, reach3)]
+    [
+        (weight1 / all, reach1),
+        (weight2 / all, reach2),
+        (1.0 / all, reach3),
+    ]
 }

@@ -18,7 +18,7 @@ pub const EFFECT: Effect = Effect {
         words: "change of the remanence",
         unit: "%/K",
         first: 0,
-        of: SizeOf::MostSignificant,
+        of: SizeOf::Largest,
         factor: 1.0,
         typical: -0.11,
         plausible: (-0.25, 0.0),

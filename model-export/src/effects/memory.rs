@@ -1,83 +1,60 @@
 //! Operators that remember, over rows at any times: play and stop, low pass, and the smoothing that
 //! keeps a reference's noise out of them.
 
-/// Rows on each side that a value is smoothed over.
-const SIDE: usize = 3;
+use nalgebra::{DMatrix, DVector};
 
-/// Smoothed values and their rate, by a parabola through the rows around each (Savitzky and Golay
-/// 1964, for uneven times).
+/// Rows on each side that a value is smoothed over.
+const SIDE: usize = 4;
+
+/// Smoothed values and their rate, by a cubic through the rows around each (Savitzky and Golay 1964,
+/// for uneven times).
 pub fn smooth(time_s: &[f64], values: &[f64]) -> (Vec<f64>, Vec<f64>) {
     let n = values.len();
     (0..n)
         .map(|i| {
             let range = i.saturating_sub(SIDE)..(i + SIDE + 1).min(n);
-            parabola(time_s[i], &time_s[range.clone()], &values[range])
+            local(time_s[i], &time_s[range.clone()], &values[range])
         })
         .unzip()
 }
 
-/// Value and slope at `at` of the parabola through the points; a straight line or a mean where the
-/// points do not tell one.
-fn parabola(at: f64, time_s: &[f64], values: &[f64]) -> (f64, f64) {
-    let mut moments = [0.0; 5];
-    let mut sums = [0.0; 3];
+/// Value and slope at `at` of the cubic through the points, or of the straight line where they are
+/// too few for one.
+fn local(at: f64, time_s: &[f64], values: &[f64]) -> (f64, f64) {
     let reach = time_s
         .iter()
         .fold(0.0_f64, |most, t| most.max((t - at).abs()));
     if reach == 0.0 {
         return (values.iter().sum::<f64>() / values.len().max(1) as f64, 0.0);
     }
-    for (t, value) in time_s.iter().zip(values) {
-        let x = (t - at) / reach;
-        let mut power = 1.0;
-        for (i, moment) in moments.iter_mut().enumerate() {
-            *moment += power;
-            if let Some(sum) = sums.get_mut(i) {
-                *sum += power * value;
-            }
-            power *= x;
+    let fit = |terms: usize| {
+        let mut normal = DMatrix::zeros(terms, terms);
+        let mut right = DVector::zeros(terms);
+        for (t, value) in time_s.iter().zip(values) {
+            let x = (t - at) / reach;
+            let powers = DVector::from_fn(terms, |i, _| x.powi(i as i32));
+            normal.ger(1.0, &powers, &powers, 1.0);
+            right.axpy(*value, &powers, 1.0);
         }
-    }
-    let [m0, m1, m2, m3, m4] = moments;
-    let normal = nalgebra::Matrix3::new(m0, m1, m2, m1, m2, m3, m2, m3, m4);
-    let right = nalgebra::Vector3::from(sums);
-    match normal.cholesky().filter(|_| time_s.len() > 3) {
-        Some(factor) => {
-            let solution = factor.solve(&right);
-            (solution.x, solution.y / reach)
-        }
-        None => {
-            let determinant = m0 * m2 - m1 * m1;
-            let slope = if determinant > 0.0 {
-                (m0 * sums[1] - m1 * sums[0]) / determinant
-            } else {
-                0.0
-            };
-            ((sums[0] - slope * m1) / m0, slope / reach)
-        }
-    }
+        let solution = normal.cholesky()?.solve(&right);
+        Some((solution[0], solution[1] / reach))
+    };
+    let cubic = if time_s.len() > 5 { fit(4) } else { None };
+    let mean = (values.iter().sum::<f64>() / values.len() as f64, 0.0);
+    cubic.or_else(|| fit(2)).unwrap_or(mean)
 }
 
 /// The stop operator: an elastic slider that follows `values` and slips at `reach` either way, as a
-/// share of `reach` (Prandtl's element). Where `from_rest` is false nobody knows how it began: the
-/// mean of the two extremes is taken, which agree as soon as the load has swung twice the reach.
-pub fn stop(values: &[f64], reach: f64, from_rest: bool) -> Vec<f64> {
-    let run = |start: f64| {
-        let mut last = values.first().copied().unwrap_or(0.0);
-        let mut stretch = start * reach;
-        values.iter().map(move |&value| {
-            stretch = (stretch + value - last).clamp(-reach, reach);
-            last = value;
-            stretch / reach
-        })
+/// share of `reach` (Prandtl's element). It begins at the share `start`.
+pub fn stop(values: &[f64], reach: f64, start: f64) -> Vec<f64> {
+    let mut last = values.first().copied().unwrap_or(0.0);
+    let mut stretch = start.clamp(-1.0, 1.0) * reach;
+    let follow = |&value: &f64| {
+        stretch = (stretch + value - last).clamp(-reach, reach);
+        last = value;
+        stretch / reach
     };
-    match from_rest {
-        true => run(0.0).collect(),
-        false => run(1.0)
-            .zip(run(-1.0))
-            .map(|(a, b)| 0.5 * (a + b))
-            .collect(),
-    }
+    values.iter().map(follow).collect()
 }
 
 /// First-order low pass with time constant `tau_s`, exact for straight lines between the rows,
@@ -126,29 +103,32 @@ mod tests {
     }
 
     #[test]
-    fn a_parabola_is_smoothed_to_itself_with_its_slope_even_at_uneven_times() {
+    fn a_cubic_is_smoothed_to_itself_with_its_slope_even_at_uneven_times() {
         let time_s: Vec<f64> = times(50).iter().map(|t| t + 0.3 * t * t).collect();
-        let values: Vec<f64> = time_s.iter().map(|t| 2.0 - 3.0 * t + 5.0 * t * t).collect();
+        let values: Vec<f64> = time_s
+            .iter()
+            .map(|t| 2.0 - 3.0 * t + 5.0 * t * t * t)
+            .collect();
         let (smooth, rate) = smooth(&time_s, &values);
         for i in 0..50 {
             assert_abs_diff_eq!(smooth[i], values[i], epsilon = 1e-9);
-            assert_abs_diff_eq!(rate[i], 10.0 * time_s[i] - 3.0, epsilon = 1e-6);
+            assert_abs_diff_eq!(rate[i], 15.0 * time_s[i] * time_s[i] - 3.0, epsilon = 1e-6);
         }
     }
 
     #[test]
     fn a_slider_slips_at_its_reach_and_turns_back_elastically() {
         let load = [0.0, 3.0, 10.0, 8.0, 4.0, 9.0];
-        let found = stop(&load, 2.0, true);
+        let found = stop(&load, 2.0, 0.0);
         assert_eq!(found, [0.0, 1.0, 1.0, 0.0, -1.0, 1.0]);
     }
 
     #[test]
-    fn an_unknown_start_is_forgotten_after_a_swing_of_twice_the_reach() {
+    fn where_a_slider_began_is_forgotten_after_a_swing_of_twice_the_reach() {
         let load = [0.0, 1.0, 4.0, 3.0];
-        let (known, unknown) = (stop(&load, 2.0, true), stop(&load, 2.0, false));
-        assert_ne!(known[1], unknown[1]);
-        assert_eq!(known[2..], unknown[2..]);
+        let (middle, end) = (stop(&load, 2.0, 0.0), stop(&load, 2.0, -1.0));
+        assert_ne!(middle[1], end[1]);
+        assert_eq!(middle[2..], end[2..]);
     }
 
     #[test]

@@ -47,7 +47,7 @@ use std::sync::Arc;
 use crate::recordings::problem::closest;
 
 pub use expression::Expression;
-pub use parameter::{Kind, Parameter, Size, SizeOf};
+pub use parameter::{Kind, Of, Parameter, Size, SizeOf};
 pub use series::{Series, Stage};
 pub use track::Track;
 
@@ -144,6 +144,20 @@ pub fn find(name: &str) -> Result<&'static Effect, UnknownEffect> {
     })
 }
 
+/// A parameter as often as recordings need it, numbered from 1 where there are several.
+fn repeated(parameter: &Parameter, recordings: usize) -> Vec<Parameter> {
+    let first = match parameter.of {
+        Of::Campaign => return vec![parameter.clone()],
+        Of::EachRecording => 1,
+        Of::EachLaterRecording => 2,
+    };
+    let numbered = |n: usize| Parameter {
+        name: Cow::Owned(format!("{}_{n}", parameter.name)),
+        ..parameter.clone()
+    };
+    (first..=recordings).map(numbered).collect()
+}
+
 /// What can be added to a model: an effect of the catalogue, or a user's own.
 #[derive(Clone, Debug)]
 pub enum Addition {
@@ -179,19 +193,11 @@ impl Addition {
     /// Every parameter in a campaign of this many recordings.
     pub fn parameters(&self, recordings: usize) -> Vec<Parameter> {
         match self {
-            Self::Catalogue(effect) => {
-                let mut parameters = Vec::new();
-                for parameter in effect.parameters {
-                    match parameter.each_later_recording {
-                        false => parameters.push(parameter.clone()),
-                        true => parameters.extend((2..=recordings).map(|n| Parameter {
-                            name: Cow::Owned(format!("{}_{n}", parameter.name)),
-                            ..parameter.clone()
-                        })),
-                    }
-                }
-                parameters
-            }
+            Self::Catalogue(effect) => effect
+                .parameters
+                .iter()
+                .flat_map(|parameter| repeated(parameter, recordings))
+                .collect(),
             Self::Expression(expression) => expression.parameters(),
         }
     }

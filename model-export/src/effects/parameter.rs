@@ -13,6 +13,8 @@ pub enum Kind {
         /// Where the search begins.
         grid: Cow<'static, [f64]>,
     },
+    /// Where a memory stands as a recording begins; zero unless the data say otherwise.
+    Beginning,
     /// An instant of the campaign in seconds (recordings laid end to end), searched on the data and
     /// then refined.
     Instant,
@@ -32,8 +34,19 @@ pub struct Parameter {
     pub typical: f64,
     /// True where all sensors of a gripper have the same value.
     pub shared: bool,
-    /// True where it stands for one parameter of every recording but the first.
-    pub each_later_recording: bool,
+    /// For which recordings it stands.
+    pub of: Of,
+}
+
+/// For which recordings of a campaign a parameter stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Of {
+    /// One for all.
+    Campaign,
+    /// One for each.
+    EachRecording,
+    /// One for each but the first.
+    EachLaterRecording,
 }
 
 impl Parameter {
@@ -44,7 +57,7 @@ impl Parameter {
             kind,
             typical,
             shared: false,
-            each_later_recording: false,
+            of: Of::Campaign,
         }
     }
 
@@ -70,9 +83,16 @@ impl Parameter {
         self
     }
 
+    /// Where a memory begins, in each recording; `typical` is its spread.
+    pub const fn beginning(name: &'static str, unit: &'static str, typical: f64) -> Self {
+        let mut parameter = Self::new(name, unit, Kind::Beginning, typical);
+        parameter.of = Of::EachRecording;
+        parameter
+    }
+
     /// One for every recording but the first.
     pub const fn each_later_recording(mut self) -> Self {
-        self.each_later_recording = true;
+        self.of = Of::EachLaterRecording;
         self
     }
 
@@ -85,10 +105,12 @@ impl Parameter {
 /// How one number is made of several coefficients.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SizeOf {
-    /// The one that stands out most from its error bar.
-    MostSignificant,
-    /// Root of the sum of squares.
+    /// The largest of those that stand out from their error bars.
+    Largest,
+    /// Root of the sum of squares, mean over the sensors.
     Norm,
+    /// Root of the sum of squares, at the sensor where it is greatest.
+    GreatestNorm,
 }
 
 /// The one number that says how large an effect is.

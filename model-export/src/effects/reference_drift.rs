@@ -21,7 +21,7 @@ pub const EFFECT: Effect = Effect {
         words: "drift",
         unit: "N/min",
         first: 0,
-        of: SizeOf::MostSignificant,
+        of: SizeOf::Largest,
         factor: 1.0,
         typical: 0.5,
         plausible: (-10.0, 10.0),

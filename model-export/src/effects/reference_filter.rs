@@ -17,7 +17,7 @@ pub const EFFECT: Effect = Effect {
         words: "time constant",
         unit: "ms",
         first: 0,
-        of: SizeOf::MostSignificant,
+        of: SizeOf::Largest,
         factor: 1.0,
         typical: 4.0,
         plausible: (0.0, 30.0),

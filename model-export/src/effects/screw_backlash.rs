@@ -17,12 +17,15 @@ pub const EFFECT: Effect = Effect {
     equation: "opening = play operator of the measured opening",
     regressors: "d(neighbour field)/d(opening) times the direction of travel",
     needs: &["opening_mm"],
-    parameters: &[Parameter::coefficient("play", "mm", 0.1)],
+    parameters: &[
+        Parameter::coefficient("play", "mm", 0.1),
+        Parameter::beginning("begin", "", 0.5),
+    ],
     size: Size {
         words: "play",
         unit: "mm",
         first: 0,
-        of: SizeOf::MostSignificant,
+        of: SizeOf::Largest,
         factor: 1.0,
         typical: 0.1,
         plausible: (0.0, 0.5),
@@ -38,11 +41,13 @@ pub const EFFECT: Effect = Effect {
     apply,
 };
 
-fn apply(values: &[f64], _: &Track, series: &mut Series) {
-    let &[play_mm] = values else { return };
+fn apply(values: &[f64], track: &Track, series: &mut Series) {
+    let Some((&play_mm, beginnings)) = values.split_first() else {
+        return;
+    };
     let half = 0.5 * play_mm;
-    // Where it began within its play is not known: that is forgotten with the first strokes.
-    let slider = stop(&series.opening_mm, half.abs().max(LEAST_MM), false);
+    let begin = beginnings.get(track.recording).copied().unwrap_or(0.0);
+    let slider = stop(&series.opening_mm, half.abs().max(LEAST_MM), begin);
     for (opening, slider) in series.opening_mm.iter_mut().zip(slider) {
         *opening -= half * slider;
     }

@@ -17,7 +17,7 @@ pub const EFFECT: Effect = Effect {
         words: "gain lost at 1300 G",
         unit: "%",
         first: 0,
-        of: SizeOf::MostSignificant,
+        of: SizeOf::Largest,
         factor: 1.0,
         typical: 1.0,
         plausible: (-1.0, 10.0),

@@ -21,7 +21,7 @@ pub const EFFECT: Effect = Effect {
         words: "compliance gained in the end",
         unit: "%",
         first: 2,
-        of: SizeOf::MostSignificant,
+        of: SizeOf::Largest,
         factor: 1.0,
         typical: 3.0,
         plausible: (-10.0, 20.0),
@@ -37,7 +37,7 @@ pub const EFFECT: Effect = Effect {
         ("magnet_temperature", "where it warms up meanwhile"),
     ],
     undone: Undone::Never("it happens once: run the flexures in, and fit afterwards"),
-    lives_in_one_recording: false,
+    lives_in_one_recording: true,
     apply,
 };
 

@@ -18,7 +18,7 @@ pub const EFFECT: Effect = Effect {
         words: "growth of the gap",
         unit: "um/K",
         first: 0,
-        of: SizeOf::MostSignificant,
+        of: SizeOf::Largest,
         factor: 1.0,
         typical: 0.5,
         plausible: (-3.0, 3.0),

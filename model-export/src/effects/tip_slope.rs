@@ -27,7 +27,7 @@ pub const EFFECT: Effect = Effect {
         words: "foreshortening at 0.5 mm",
         unit: "um",
         first: 2,
-        of: SizeOf::MostSignificant,
+        of: SizeOf::Largest,
         factor: 1.0,
         typical: 5.0,
         plausible: (-30.0, 30.0),

@@ -26,7 +26,7 @@ pub struct Track {
     pub smooth_n: Vec<[f64; 2]>,
     /// Rate of the force in N/s.
     pub rate_n_per_s: Vec<[f64; 2]>,
-    /// Load cycles of each axis since the campaign began, counted through zero.
+    /// Load cycles of each axis since the campaign began: upward passages through zero.
     pub cycles: Vec<[f64; 2]>,
     /// True where the recording starts without load: what has memory starts empty then.
     pub starts_unloaded: bool,
@@ -137,19 +137,19 @@ fn starts_unloaded(time_s: &[f64], force_n: &[f64]) -> bool {
 }
 
 /// A load cycle counts where the force goes beyond this share of its greatest value on both sides.
-const SWING: f64 = 0.1;
+const SWING: f64 = 0.05;
 
-/// Counts load cycles through the recordings of a campaign, in their order. Between two passages
-/// through zero the count goes on evenly.
+/// Counts load cycles through the recordings of a campaign, in their order: upward passages through
+/// zero.
 pub fn count_cycles<'a>(tracks: impl Iterator<Item = &'a mut Track>) {
     let mut before = [0.0; 2];
     for track in tracks {
         let counts = [0, 1].map(|axis| {
             let force: Vec<f64> = track.smooth_n.iter().map(|force| force[axis]).collect();
-            half_cycles(&track.time_s, &force)
+            passages(&force)
         });
         track.cycles = (0..track.len())
-            .map(|row| [0, 1].map(|axis| before[axis] + 0.5 * counts[axis][row]))
+            .map(|row| [0, 1].map(|axis| before[axis] + counts[axis][row]))
             .collect();
         if let Some(last) = track.cycles.last() {
             before = *last;
@@ -157,30 +157,20 @@ pub fn count_cycles<'a>(tracks: impl Iterator<Item = &'a mut Track>) {
     }
 }
 
-fn half_cycles(time_s: &[f64], force_n: &[f64]) -> Vec<f64> {
+fn passages(force_n: &[f64]) -> Vec<f64> {
     let threshold = SWING
         * force_n
             .iter()
             .fold(0.0_f64, |most, force| most.max(force.abs()));
-    let (mut side, mut turns) = (0.0, Vec::new());
-    for (time, force) in time_s.iter().zip(force_n) {
-        if force.abs() > threshold && force.signum() != side {
-            side = force.signum();
-            turns.push(*time);
+    let (mut below, mut count) = (false, 0.0);
+    let passed = |force: &f64| {
+        if below && *force > threshold {
+            (below, count) = (false, count + 1.0);
         }
-    }
-    time_s
-        .iter()
-        .map(|time| {
-            let passed = turns.partition_point(|turn| turn <= time);
-            let next = turns.get(passed);
-            let last = passed.checked_sub(1).and_then(|i| turns.get(i));
-            match (last, next) {
-                (Some(last), Some(next)) => (passed - 1) as f64 + (time - last) / (next - last),
-                _ => passed.saturating_sub(1) as f64,
-            }
-        })
-        .collect()
+        below |= *force < -threshold;
+        count
+    };
+    force_n.iter().map(passed).collect()
 }
 
 #[cfg(test)]

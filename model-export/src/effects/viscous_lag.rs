@@ -22,7 +22,7 @@ pub const EFFECT: Effect = Effect {
         words: "retardation time",
         unit: "ms",
         first: 0,
-        of: SizeOf::MostSignificant,
+        of: SizeOf::Largest,
         factor: 1.0,
         typical: 10.0,
         plausible: (0.0, 100.0),

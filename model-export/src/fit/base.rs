@@ -59,6 +59,7 @@ impl Base for CylinderBase {
             scale: scale[i],
             relative: false,
             shared: false,
+            from_scratch: true,
         };
         (0..COUNT).map(slot).collect()
     }
@@ -150,6 +151,7 @@ impl Base for PolynomialBase {
             scale: self.width_g,
             relative: false,
             shared: false,
+            from_scratch: true,
         };
         (0..3 * terms).map(slot).collect()
     }

@@ -8,6 +8,9 @@ use super::rows::{Part, SensorRows};
 /// Parts into which a recording is cut where none can be left out whole.
 const CUTS: usize = 6;
 
+/// Length of a tooth of [`Split::Comb`] in seconds.
+const TOOTH_S: f64 = 0.25;
+
 /// Some rows of one recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Stretch {
@@ -31,8 +34,11 @@ pub struct Fold {
 pub enum Split {
     /// Each recording in turn, of this many.
     Recordings(usize),
-    /// A sixth of every recording in turn.
+    /// A contiguous sixth of every recording in turn.
     Sixths,
+    /// Every sixth stretch of a quarter of a second in turn: what happened once is seen in part by
+    /// every fit.
+    Comb,
 }
 
 impl Split {
@@ -40,7 +46,8 @@ impl Split {
     pub fn of(sensors: &[SensorRows], within_recordings: bool) -> Self {
         let filled = |rows: &SensorRows| rows.parts.iter().filter(|part| !part.is_empty()).count();
         let recordings = sensors.iter().map(filled).max().unwrap_or(0);
-        match recordings < 2 || within_recordings {
+        match recordings < 2 {
+            _ if within_recordings => Self::Comb,
             true => Self::Sixths,
             false => Self::Recordings(sensors.first().map_or(0, |rows| rows.parts.len())),
         }
@@ -52,6 +59,7 @@ impl Split {
         match self {
             Self::Recordings(count) => (0..count).map(|judged| without(rows, judged)).collect(),
             Self::Sixths => (0..CUTS).map(|cut| sixth(rows, cut, gap_s)).collect(),
+            Self::Comb => (0..CUTS).map(|tooth| comb(rows, tooth)).collect(),
         }
     }
 }
@@ -99,6 +107,19 @@ fn sixth(rows: &SensorRows, cut: usize, gap_s: f64) -> Fold {
         });
     }
     Fold { training, test }
+}
+
+fn comb(rows: &SensorRows, tooth: usize) -> Fold {
+    let teeth = rows.parts.iter().enumerate().flat_map(|(part, of)| {
+        let ranges = stretches(&of.time_s, TOOTH_S).into_iter().enumerate();
+        ranges.map(move |(i, rows)| (i % CUTS == tooth, Stretch { part, rows }))
+    });
+    let (test, training): (Vec<_>, Vec<_>) = teeth.partition(|(judged, _)| *judged);
+    let plain = |list: Vec<(bool, Stretch)>| list.into_iter().map(|(_, stretch)| stretch).collect();
+    Fold {
+        training: plain(training),
+        test: plain(test),
+    }
 }
 
 /// Ranges of rows that each span about `length_s`.

@@ -110,18 +110,27 @@ pub fn fit(
     let folds = match effects.is_empty() {
         true => {
             let (problems, states): (Vec<_>, Vec<_>) = alone.into_iter().unzip();
-            let covariances = states.par_iter().map(|state| state.covariance(options)).collect();
+            let covariances = states
+                .par_iter()
+                .map(|state| state.covariance(options))
+                .collect();
             let folds = cross_validate(&problems, &states, split, None)?;
             (problems, states, covariances, folds)
         }
         false => {
-            let (problems, states): (Vec<_>, Vec<_>) = with_effects(&alone, &effects)?.into_iter().unzip();
+            let (problems, states): (Vec<_>, Vec<_>) =
+                with_effects(&alone, &effects)?.into_iter().unzip();
             let (states, covariances) = share(&problems, states, options)?;
             let folds = cross_validate(&problems, &states, split, Some(&alone))?;
             (problems, states, covariances, folds)
         }
     };
-    let (problems, states, covariances, folds): (Vec<SensorProblem>, Vec<State>, Vec<DMatrix<f64>>, _) = folds;
+    let (problems, states, covariances, folds): (
+        Vec<SensorProblem>,
+        Vec<State>,
+        Vec<DMatrix<f64>>,
+        _,
+    ) = folds;
     let finished = problems.par_iter().zip(&states).zip(covariances).zip(folds);
     let sensors = finished
         .map(|(((problem, state), covariance), (values, tallies))| {
@@ -138,8 +147,7 @@ type Started<'a> = Vec<(SensorProblem<'a>, State)>;
 type Judged = (Vec<Vec<f64>>, Vec<Tally>);
 
 /// The same sensors with effects, from the fits of their bases.
-fn with_effects<'a>(
-    alone: &Started<'a>, effects: &'a [Addition]) -> Result<Started<'a>, FitError> {
+fn with_effects<'a>(alone: &Started<'a>, effects: &'a [Addition]) -> Result<Started<'a>, FitError> {
     let mut seekers: Vec<Seeker> = alone
         .par_iter()
         .map(|(problem, state)| {
@@ -155,9 +163,8 @@ fn with_effects<'a>(
         .into_par_iter()
         .map(|seeker| {
             let start = seeker.problem.departures(&seeker.values);
-            let near = sensor::settle(&seeker.problem, &start, &[])?;
-            // Once more: the residual with the effects says better what the data are worth.
-            let state = sensor::settle(&seeker.problem, &near.departures, &[])?;
+            let near = sensor::approach(&seeker.problem, &start)?;
+            let state = sensor::settle(&seeker.problem, &near, &[])?;
             Ok((seeker.problem, state))
         })
         .collect()
@@ -257,6 +264,7 @@ fn judge_fold(
         .map(|s| {
             let mut problem = problems[s].clone();
             let values = problem.values(&states[s].departures);
+            problem.centre_shapes(&values);
             if let Some((base, state)) = alone.and_then(|alone| alone.get(s)) {
                 let found = state.refit(base, &folds[s].training, &state.departures)?;
                 problem.centre_base(&base.values(&found));
@@ -272,23 +280,36 @@ fn judge_fold(
                 let (problem, training) = (&centred[s].0, &folds[s].training);
                 match open {
                     false => states[s].refit(problem, training, &starts[s]),
-                    true => states[s].opened(&shared_slots(problem)).refit(problem, training, &starts[s]),
+                    true => states[s]
+                        .opened(&shared_slots(problem))
+                        .refit(problem, training, &starts[s]),
                 }
             })
             .collect::<Result<Vec<_>, FitError>>()
     };
     let mut starts: Vec<DVector<f64>> = centred.iter().map(|(_, start)| start.clone()).collect();
-    if problems.iter().any(|problem| !shared_slots(problem).is_empty()) {
+    if problems
+        .iter()
+        .any(|problem| !shared_slots(problem).is_empty())
+    {
         let opened = refit(&starts, true)?;
         let mean = |slot: usize| opened.iter().map(|d| d[slot]).sum::<f64>() / opened.len() as f64;
         for (problem, start) in problems.iter().zip(&mut starts) {
-            shared_slots(problem).into_iter().for_each(|slot| start[slot] = mean(slot));
+            shared_slots(problem)
+                .into_iter()
+                .for_each(|slot| start[slot] = mean(slot));
         }
     }
-    let judged = refit(&starts, false)?.into_iter().enumerate().map(|(s, departures)| {
-        let problem = &centred[s].0;
-        (problem.values(&departures), held_out(problem, folds[s], &departures))
-    });
+    let judged = refit(&starts, false)?
+        .into_iter()
+        .enumerate()
+        .map(|(s, departures)| {
+            let problem = &centred[s].0;
+            (
+                problem.values(&departures),
+                held_out(problem, folds[s], &departures),
+            )
+        });
     Ok(judged.collect())
 }
 

@@ -67,7 +67,17 @@ impl<'a> SensorProblem<'a> {
     /// takes from it.
     pub fn centre_base(&mut self, values: &[f64]) {
         let slots = self.slots.iter_mut().take(self.base_count);
-        slots.zip(values).for_each(|(slot, value)| slot.start = *value);
+        slots
+            .zip(values)
+            .for_each(|(slot, value)| slot.start = *value);
+    }
+
+    /// Lets departures of shapes and beginnings count from these values.
+    pub fn centre_shapes(&mut self, values: &[f64]) {
+        let slots = self.slots.iter_mut().zip(values);
+        slots
+            .filter(|(slot, _)| !slot.from_scratch)
+            .for_each(|(slot, value)| slot.start = *value);
     }
 
     /// Where each effect's parameters are among the slots.

@@ -60,6 +60,19 @@ pub fn first(problem: &SensorProblem) -> Result<State, FitError> {
     settle(problem, &second, &[])
 }
 
+/// From a start that is near: everything free, so that the residual shows what the data can tell.
+pub fn approach(problem: &SensorProblem, start: &DVector<f64>) -> Result<DVector<f64>, FitError> {
+    let whole = Space::whole(problem.slots.len());
+    let all = everything(problem.rows);
+    let mut departures = start.clone();
+    for _ in 0..2 {
+        let (_, blocks) = linearised(problem, &departures);
+        let weights = problem.weights / inflation(&blocks).sqrt();
+        departures = solve(problem, &all, weights, &whole, &departures)?;
+    }
+    Ok(departures)
+}
+
 /// From a start close by: weights and held directions anew, then the solution. `frozen` parameters
 /// stay as they are.
 pub fn settle(
@@ -100,7 +113,10 @@ impl State {
 
     /// The same with these parameters, frozen so far, free to move.
     pub fn opened(&self, slots: &[usize]) -> Self {
-        Self { space: self.space.with_free(slots), ..self.clone() }
+        Self {
+            space: self.space.with_free(slots),
+            ..self.clone()
+        }
     }
 
     /// Covariance of the departures.

@@ -3,6 +3,9 @@
 use super::joint::{JointFit, SensorFit};
 use crate::effects::{Addition, Size, SizeOf};
 
+/// A component stands out where it is this many error bars from zero.
+const STANDS_OUT: f64 = 4.0;
+
 /// The size of an effect.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EffectSize {
@@ -96,18 +99,27 @@ fn size_of(
         }))
     };
     let (value, std_error, component) = match size.of {
-        SizeOf::MostSignificant => {
+        SizeOf::Largest => {
             let all: Vec<(f64, f64)> = (0..count).map(single).collect();
-            let stands_out = |&i: &usize| all[i].0.abs() / all[i].1.max(f64::MIN_POSITIVE);
-            let most = (0..count)
-                .max_by(|a, b| stands_out(a).total_cmp(&stands_out(b)))
-                .unwrap_or(0);
-            let (value, std_error) = all.get(most).copied().unwrap_or((f64::NAN, f64::NAN));
+            let significance = |i: usize| all[i].0.abs() / all[i].1.max(f64::MIN_POSITIVE);
+            let stands_out = |i: &usize| significance(*i) >= STANDS_OUT;
+            let largest = (0..count)
+                .filter(stands_out)
+                .max_by(|&a, &b| all[a].0.abs().total_cmp(&all[b].0.abs()));
+            let most = || (0..count).max_by(|&a, &b| significance(a).total_cmp(&significance(b)));
+            let chosen = largest.or_else(most).unwrap_or(0);
+            let (value, std_error) = all.get(chosen).copied().unwrap_or((f64::NAN, f64::NAN));
             (
                 value,
                 std_error,
-                (count > 1).then(|| parameters[most].name.to_string()),
+                (count > 1).then(|| parameters[chosen].name.to_string()),
             )
+        }
+        SizeOf::GreatestNorm => {
+            let norms = fit.sensors.iter().map(|s| norm(s, slots(s)));
+            let greatest = norms.max_by(|a, b| a.0.total_cmp(&b.0));
+            let (value, std_error) = greatest.unwrap_or((f64::NAN, f64::NAN));
+            (value, std_error, None)
         }
         SizeOf::Norm => {
             let norms: Vec<(f64, f64)> = fit.sensors.iter().map(|s| norm(s, slots(s))).collect();

@@ -22,6 +22,9 @@ pub struct Slot {
     pub relative: bool,
     /// True where all sensors share the value.
     pub shared: bool,
+    /// True for coefficients and for the base: what each fold fits anew from scratch. Shapes and
+    /// beginnings depart from those of the whole campaign.
+    pub from_scratch: bool,
 }
 
 impl Slot {
@@ -29,6 +32,7 @@ impl Slot {
     pub fn of(parameter: &Parameter) -> Self {
         let (start, scale, relative) = match &parameter.kind {
             Kind::Coefficient => (0.0, EXPECTED * parameter.typical.abs(), false),
+            Kind::Beginning => (0.0, parameter.typical, false),
             Kind::Instant => (0.0, 0.5, false),
             Kind::Shape { grid } => {
                 let (first, last) = (grid[0], grid[grid.len() - 1]);
@@ -50,6 +54,7 @@ impl Slot {
             scale,
             relative,
             shared: parameter.shared,
+            from_scratch: parameter.is_coefficient(),
         }
     }
 

@@ -14,8 +14,10 @@ use crate::effects::{Kind, Parameter};
 const ROWS: usize = 400;
 /// Rounds through the shapes of one effect where it has several.
 const ROUNDS: usize = 2;
-/// Seconds between the instants that are tried.
-const INSTANT_S: f64 = 0.25;
+/// Seconds between the instants that are tried: over the whole campaign, then around the best.
+const INSTANT_S: [f64; 2] = [0.5, 0.05];
+/// Instants on each side of the best that are tried in the second round.
+const AROUND: usize = 12;
 /// Where nobody knows how large a coefficient may be: what moves the field by this many times its
 /// present residual.
 const EXPECTED: f64 = 10.0;
@@ -135,9 +137,10 @@ pub fn seek(seekers: &mut [Seeker]) {
     for (i, effect) in effects.iter().enumerate() {
         let parameters = effect.parameters(recordings);
         let shapes = parameters.iter().filter(|p| !p.is_coefficient()).count();
-        for _ in 0..if shapes > 1 { ROUNDS } else { 1 } {
+        for round in 0..if shapes > 1 { ROUNDS } else { 1 } {
             for (j, parameter) in parameters.iter().enumerate() {
-                let tried = grid(parameter, seekers);
+                let now = first_value(seekers, i, j);
+                let tried = grid(parameter, seekers, round, now);
                 if tried.len() > 1 {
                     choose(seekers, i, j, &tried);
                 }
@@ -148,17 +151,27 @@ pub fn seek(seekers: &mut [Seeker]) {
     seekers.par_iter_mut().for_each(start_coefficients);
 }
 
-fn grid(parameter: &Parameter, seekers: &[Seeker]) -> Vec<f64> {
+/// The present value of parameter `j` of effect `i`: the same at every sensor, while it is sought.
+fn first_value(seekers: &[Seeker], i: usize, j: usize) -> f64 {
+    seekers.first().map_or(0.0, |seeker| {
+        seeker.values[seeker.problem.ranges()[i].start + j]
+    })
+}
+
+fn grid(parameter: &Parameter, seekers: &[Seeker], round: usize, now: f64) -> Vec<f64> {
     match &parameter.kind {
-        Kind::Coefficient => Vec::new(),
+        Kind::Coefficient | Kind::Beginning => Vec::new(),
         Kind::Shape { grid } => grid.to_vec(),
+        Kind::Instant if round > 0 => (0..=2 * AROUND)
+            .map(|k| now + INSTANT_S[1] * (k as f64 - AROUND as f64))
+            .collect(),
         Kind::Instant => {
             let spans = seekers.iter().flat_map(|s| &s.problem.rows.parts);
             let end =
                 spans.filter_map(|part| Some(part.track.before_s + part.track.time_s.last()?));
             let end_s = end.fold(0.0, f64::max);
-            (1..(end_s / INSTANT_S) as usize)
-                .map(|i| INSTANT_S * i as f64)
+            (1..(end_s / INSTANT_S[0]) as usize)
+                .map(|k| INSTANT_S[0] * k as f64)
                 .collect()
         }
     }

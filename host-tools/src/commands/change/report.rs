@@ -148,6 +148,9 @@ fn errors(change: &Change) -> String {
         Split::Sixths if change.campaign.recordings.len() == 1 => {
             "on sixths kept out in turn; one recording: no claim beyond it"
         }
+        Split::Comb => {
+            "on every sixth quarter of a second in turn, since an effect happens within single recordings"
+        }
         Split::Sixths => {
             "on sixths of every recording in turn, since an effect lives within single recordings"
         }
