@@ -1,9 +1,11 @@
 //! The estimate: forces in fixed point, with what one must know before believing them.
 
+use crate::compensate::{Memory, Undone};
 use crate::frame::{Frame, SENSORS};
 use crate::hall::Reading;
 use crate::model::ideal;
 use crate::model::table::Tables;
+use crate::surroundings::Surroundings;
 use crate::units::{Field, Force};
 
 /// May the number be used?
@@ -26,6 +28,12 @@ pub struct Estimate {
     pub force: [Force; 2],
     /// May they be used?
     pub validity: Validity,
+    /// The field without the effects that were undone: what the ideal model was given.
+    pub field: [Field; 3],
+    /// The forces that the deflection shows, before the effects of the flexures were undone.
+    pub shown: [Force; 2],
+    /// True where the model holds an effect whose input the board does not know: it is not undone.
+    pub lacking: bool,
 }
 
 impl Estimate {
@@ -33,38 +41,75 @@ impl Estimate {
     pub const MISSING: Self = Self {
         force: [Force(0); 2],
         validity: Validity::Missing,
+        field: [Field(0); 3],
+        shown: [Force(0); 2],
+        lacking: false,
     };
 }
 
-/// The forces at the sensor with this number.
-pub fn estimate(tables: &Tables, number: usize, reading: Option<Reading>) -> Estimate {
+/// The forces at the sensor with this number; `memory` is that sensor's own.
+pub fn estimate(
+    tables: &Tables,
+    number: usize,
+    reading: Option<Reading>,
+    around: &Surroundings,
+    memory: &mut Memory,
+) -> Estimate {
     let (Some(table), Some(reading)) = (tables.sensor(number), reading) else {
         return Estimate::MISSING;
     };
-    let inverse = ideal::evaluate(tables, table, reading.field.map(Field::from_counts));
+    let measured = reading.field.map(Field::from_counts);
     let saturated = reading
         .field
         .iter()
         .any(|counts| counts.unsigned_abs() >= table.limit_counts.unsigned_abs());
+    let effects = tables.compensation(number);
+    let field = match effects {
+        Some(effects) => effects.field(measured, reading.temperature, around, memory),
+        None => Undone {
+            left: measured,
+            lacking: false,
+        },
+    };
+    let inverse = ideal::evaluate(tables, table, field.left);
+    let force = match effects {
+        Some(effects) => effects.force(inverse.force, around, memory),
+        None => Undone {
+            left: inverse.force,
+            lacking: false,
+        },
+    };
     Estimate {
-        force: inverse.force,
+        force: force.left,
         validity: match (saturated, inverse.inside) {
             (true, _) => Validity::Saturated,
             (false, false) => Validity::OutsideModel,
             (false, true) => Validity::Valid,
         },
+        field: field.left,
+        shown: inverse.force,
+        lacking: field.lacking || force.lacking,
     }
 }
 
-/// The forces at every sensor of a frame.
+/// The forces at every sensor of a frame, each with its own memory.
 ///
 /// Kept as a function of its own, so that a check of the image can follow every call from here and
 /// find no panic.
 #[inline(never)]
-pub fn estimate_all(tables: &Tables, frame: &Frame) -> [Estimate; SENSORS] {
+pub fn estimate_all(
+    tables: &Tables,
+    frame: &Frame,
+    around: &Surroundings,
+    memories: &mut [Memory; SENSORS],
+) -> [Estimate; SENSORS] {
+    let mut memories = memories.iter_mut();
     let mut number = 0;
     frame.readings.map(|reading| {
-        let estimate = estimate(tables, number, reading);
+        let estimate = match memories.next() {
+            Some(memory) => estimate(tables, number, reading, around, memory),
+            None => Estimate::MISSING,
+        };
         number += 1;
         estimate
     })

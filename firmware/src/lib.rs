@@ -3,9 +3,13 @@
 //! The modules stand in the order in which data flows; each uses only those above it.
 //!
 //! - [`params`]: every design constant with its unit and source, assumptions marked.
+//! - [`fixed`]: integer arithmetic that saturates.
 //! - [`units`]: fixed-point quantities.
 //! - [`hall`]: Hall sensors, from bytes on the bus to readings.
+//! - [`imu`]: inertial sensors.
 //! - [`frame`]: one millisecond of sensing.
+//! - [`surroundings`]: what the board knows beside the fields.
+//! - [`compensate`]: physical effects undone, one file each.
 //! - [`model`]: tables, and the integer arithmetic that turns a field into forces.
 //! - [`force`]: the estimate, with its validity.
 //! - [`wire`]: the messages on the CAN bus.
@@ -13,12 +17,18 @@
 //! - `tasks`: only on the chip: what runs, and every static with its one writer.
 #![no_std]
 
+pub mod fixed;
 pub mod params;
 pub mod units;
 
 pub mod hall;
 
+pub mod imu;
+
 pub mod frame;
+pub mod surroundings;
+
+pub mod compensate;
 
 pub mod model;
 

@@ -85,6 +85,14 @@ pub const SENSOR_SCALE: Constant = assumed(
 pub const SENSOR_RANGE: Constant = stated("Hall sensor range", 2000.0, "G", "paper V-B");
 /// Width of the Hall sensor's field word, two's complement.
 pub const SENSOR_BITS: Constant = stated("Hall sensor word", 15.0, "bit", "A31301");
+/// Scale of the Hall sensor's temperature word. Only ratios to a calibration enter: counts are turned
+/// into degrees for people, and back for the device, by this one number.
+pub const TEMPERATURE_SCALE: Constant = assumed(
+    "Hall temperature scale",
+    8.0,
+    "LSB/K",
+    "A31301, not stated in public; zero at 25 C",
+);
 /// Hall sensors on the gripper.
 pub const SENSORS: Constant = stated("Hall sensors", 4.0, "", "paper II-B");
 /// Rate at which the board reads every Hall sensor.
@@ -121,6 +129,7 @@ pub const CARD: &[Constant] = &[
     SENSOR_SCALE,
     SENSOR_RANGE,
     SENSOR_BITS,
+    TEMPERATURE_SCALE,
     SENSE_RATE,
     REFERENCE_RATE,
     POLE_PAIRS,

@@ -13,6 +13,11 @@ impl Field {
     pub const fn from_counts(counts: i16) -> Self {
         Self((counts as i32) << Self::BITS)
     }
+
+    /// In counts, for people.
+    pub fn counts(self) -> f64 {
+        f64::from(self.0) / f64::from(1_u32 << Self::BITS)
+    }
 }
 
 /// A force in 1/1024 N; the range is two million newtons either way.

@@ -59,6 +59,7 @@ mod tests {
             // 100 N and -50 N: 2000 and -1000 units of 0.05 N.
             force: [Force(100 << 10), Force(-(50 << 10))],
             validity: Validity::Valid,
+            ..Estimate::MISSING
         };
         let (id, bytes) = force(DEFAULT_NODE, 2, &estimate, 7);
         assert_eq!(id, 0x20A);
@@ -69,8 +70,8 @@ mod tests {
     fn what_cannot_be_used_is_not_marked_valid() {
         let flags = |validity| {
             let estimate = Estimate {
-                force: [Force(0); 2],
                 validity,
+                ..Estimate::MISSING
             };
             force(DEFAULT_NODE, 0, &estimate, 0).1[6]
         };

@@ -3,6 +3,7 @@
 //! - [`cli`]: the commands and their arguments.
 //! - [`commands`]: one file each.
 //! - [`bench`](mod@bench): a simulated bench that shares no mechanics with the fit.
+//! - [`surroundings`]: what the board would know beside its fields.
 //! - [`replay`]: recorded data through the device's own code.
 //! - [`show`]: numbers and tables as people read them.
 //! - [`progress`]: what long work shows while it runs.
@@ -13,3 +14,4 @@ pub mod commands;
 pub mod progress;
 pub mod replay;
 pub mod show;
+pub mod surroundings;

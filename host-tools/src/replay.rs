@@ -2,16 +2,23 @@
 
 use std::time::{Duration, Instant};
 
+use firmware::compensate::{Compensation, Memory};
 use firmware::force::{Validity, estimate};
 use firmware::hall::{Reading, a31301};
-use firmware::units::Force;
+use firmware::params;
+use firmware::units::{Field, Force};
+use model_export::effects::REFERENCE_C;
+use model_export::inverse::compensation::OwnedCompensation;
 use model_export::inverse::grbf::Grbf;
 use model_export::inverse::quantise::TableSet;
 use model_export::recordings::Problem;
-use model_export::recordings::columns::{Axis, ForceColumn};
+use model_export::recordings::columns::{Axis, ForceColumn, HallColumn};
+use model_export::recordings::description::Design;
 use model_export::recordings::noise::WhiteNoise;
 use model_export::recordings::raw::{RawRow, RawStream};
 use nalgebra::Vector3;
+
+use crate::surroundings::Covariates;
 
 /// Rows that are read and estimated at once; only these two are timed.
 const CHUNK: usize = 4096;
@@ -115,6 +122,8 @@ pub struct SensorReplay {
     pub axes: [Track; 2],
     /// Rows that the device called invalid: they are not in the errors.
     pub invalid: u64,
+    /// Rows in which an effect could not be undone since its input was not recorded.
+    pub lacking: u64,
 }
 
 /// One recording.
@@ -139,6 +148,10 @@ pub struct Models<'a> {
     pub numbers: &'a [u32],
     /// The device's.
     pub tables: &'a TableSet,
+    /// What is undone around them.
+    pub compensations: &'a [OwnedCompensation],
+    /// Design of the gripper, for what the covariates mean.
+    pub design: Option<&'a Design>,
     /// Floating point, in the same order.
     pub float: &'a [Grbf],
     /// Scale of a count.
@@ -150,6 +163,7 @@ struct Wiring {
     table: usize,
     number: u32,
     field: [usize; 3],
+    temperature: Option<usize>,
     forces: [usize; 2],
 }
 
@@ -174,7 +188,14 @@ pub fn replay(
     };
     let mut noises = vec![[WhiteNoise::default(), WhiteNoise::default()]; wiring.len()];
     let mut rests: Vec<Rest> = wiring.iter().map(|_| Rest::default()).collect();
-    let tables = models.tables.tables();
+    let compensations: Vec<Compensation> = models
+        .compensations
+        .iter()
+        .map(OwnedCompensation::view)
+        .collect();
+    let tables = models.tables.tables(&compensations);
+    let covariates = Covariates::find(stream.layout(), models.design);
+    let mut memories = vec![Memory::default(); wiring.len()];
     let mut first_s = None;
     let mut rows = Vec::with_capacity(CHUNK);
     let mut estimates = Vec::with_capacity(CHUNK * wiring.len());
@@ -185,12 +206,15 @@ pub fn replay(
         while rows.len() < CHUNK
             && let Some(row) = stream.next_row()?
         {
-            for wires in &wiring {
+            let around = covariates.at(&row);
+            for (wires, memory) in wiring.iter().zip(&mut memories) {
                 let bytes = a31301::encode(reading(&row, wires, models.gauss_per_lsb));
                 estimates.push(estimate(
                     &tables,
                     wires.number as usize,
                     Some(a31301::decode(bytes)),
+                    &around,
+                    memory,
                 ));
             }
             rows.push(row);
@@ -205,21 +229,23 @@ pub fn replay(
             for (i, (wires, estimate)) in wiring.iter().zip(estimates).enumerate() {
                 let sensor = &mut result.sensors[i];
                 let reference = wires.forces.map(|force| row.forces[force]);
+                sensor.lacking += u64::from(estimate.lacking);
                 if estimate.validity != Validity::Valid {
                     sensor.invalid += 1;
                 } else if reference.iter().all(|n| n.is_finite()) {
                     let found = estimate.force.map(Force::newtons);
-                    let counts = reading(row, wires, models.gauss_per_lsb)
-                        .field
-                        .map(f64::from);
-                    let float = models.float[wires.table]
+                    let counts = estimate.field.map(Field::counts);
+                    let shown = models.float[wires.table]
                         .force(&(Vector3::from(counts) * models.gauss_per_lsb));
                     for axis in 0..2 {
+                        // What is undone on the forces is integer arithmetic alone.
+                        let undone = found[axis] - estimate.shown[axis].newtons();
+                        let float = shown[axis] + undone;
                         noises[i][axis].push(found[axis]);
                         let track = &mut sensor.axes[axis];
                         track.error.add(found[axis] - reference[axis]);
-                        track.float.add(float[axis] - reference[axis]);
-                        track.fixed_minus_float.add(found[axis] - float[axis]);
+                        track.float.add(float - reference[axis]);
+                        track.fixed_minus_float.add(found[axis] - float);
                     }
                     rests[i].add(row.time_s, reference, found);
                 }
@@ -257,6 +283,9 @@ fn wire(numbers: &[u32], stream: &RawStream) -> Vec<Wiring> {
             table,
             number,
             field: layout.field_channels(number)?,
+            temperature: layout.hall.iter().position(
+                |column| matches!(column, HallColumn::Temperature { sensor } if *sensor == number),
+            ),
             forces: [force(number, Axis::X)?, force(number, Axis::Z)?],
         })
     });
@@ -274,8 +303,11 @@ fn reading(row: &RawRow, wires: &Wiring, gauss_per_lsb: f64) -> Reading {
     Reading {
         // A converted field may exceed the word; the sensor itself stays at its end.
         field: wires.field.map(|channel| counts(channel) as i16),
-        // The sensor's scale of temperature is not known, and the model does not use it yet.
-        temperature: 0,
+        // Degrees were made of counts by the same scale, so that what it really is does not matter.
+        temperature: wires.temperature.map_or(0, |channel| {
+            let warmer = row.hall[channel] - REFERENCE_C;
+            (warmer * params::TEMPERATURE_SCALE.value).round() as i16
+        }),
     }
 }
 
@@ -358,6 +390,7 @@ mod tests {
             table: 0,
             number: 0,
             field: [0, 1, 2],
+            temperature: None,
             forces: [0, 1],
         };
         let row = RawRow {

@@ -3,6 +3,8 @@
 //! Scaled coordinates are integers of at most [`COORDINATE_LIMIT`] either way: then the squared
 //! distance of two points, over three axes, stays below 2^31.
 
+use crate::compensate::Compensation;
+
 /// Greatest scaled coordinate, either way: floor(sqrt(2^27)). The square of a difference is then at
 /// most 2^29, and three of them stay below 2^31.
 pub const COORDINATE_LIMIT: i16 = 11_585;
@@ -24,9 +26,18 @@ pub struct Tables<'a> {
     pub exp: &'a [u32; EXP_ENTRIES],
     /// One for each sensor that the model knows, in any order.
     pub sensors: &'a [SensorTable],
+    /// What is undone around the ideal model, for each sensor that has effects.
+    pub compensations: &'a [Compensation<'a>],
 }
 
-impl Tables<'_> {
+impl<'a> Tables<'a> {
+    /// What is undone at the sensor with this number; nothing where it has no effects.
+    pub fn compensation(&self, number: usize) -> Option<&'a Compensation<'a>> {
+        self.compensations
+            .iter()
+            .find(|compensation| usize::from(compensation.number) == number)
+    }
+
     /// The table of the sensor with this number, if the model knows it.
     pub fn sensor(&self, number: usize) -> Option<&SensorTable> {
         self.sensors

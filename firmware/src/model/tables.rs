@@ -18,6 +18,7 @@ pub static TABLES: Tables<'static> = Tables {
     id: 0xf708,
     exp: &EXP,
     sensors: &SENSORS,
+    compensations: &[],
 };
 
 static EXP: [u32; EXP_ENTRIES] = [

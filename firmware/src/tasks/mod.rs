@@ -14,12 +14,14 @@ use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::signal::Signal;
 use embassy_time::{Duration, Instant, Ticker, with_timeout};
 
+use crate::compensate::Memory;
 use crate::force::{Estimate, Validity, estimate_all};
 use crate::frame::{Frame, SENSORS};
 use crate::hall::{Reading, a31301};
 use crate::hardware::board::{Board, SensorBus};
 use crate::model::tables::TABLES;
 use crate::params;
+use crate::surroundings::Surroundings;
 use crate::wire;
 
 /// Reports to one line in the log.
@@ -46,6 +48,9 @@ async fn sense(mut first: SensorBus, mut second: SensorBus) {
     let [a, b, c, d] = a31301::ADDRESSES;
     let mut ticker = Ticker::every(Duration::from_hz(params::SENSE_RATE.value as u64));
     let mut ticks = 0_u32;
+    let mut memories = [Memory::default(); SENSORS];
+    // Nothing on this board measures them yet: what needs them stays off, and the estimates say so.
+    let around = Surroundings::default();
     loop {
         ticker.next().await;
         let time_us = Instant::now().as_micros() as u32;
@@ -55,7 +60,7 @@ async fn sense(mut first: SensorBus, mut second: SensorBus) {
             time_us,
             readings: [r0, r1, r2, r3],
         };
-        let estimates = estimate_all(&TABLES, &frame);
+        let estimates = estimate_all(&TABLES, &frame, &around, &mut memories);
         ticks = ticks.wrapping_add(1);
         if ticks.is_multiple_of(TICKS_PER_REPORT) {
             ESTIMATES.signal(estimates);
@@ -88,11 +93,12 @@ async fn report(mut can: Can<'static>) {
             for (sensor, estimate) in (0_u8..).zip(&estimates) {
                 let [x, z] = estimate.force;
                 info!(
-                    "sensor {}: {} {} /1024 N, valid {}",
+                    "sensor {}: {} {} /1024 N, valid {}, effects not undone for want of an input {}",
                     sensor,
                     x.0,
                     z.0,
-                    estimate.validity == Validity::Valid
+                    estimate.validity == Validity::Valid,
+                    estimate.lacking
                 );
             }
         }

@@ -1,5 +1,6 @@
 //! What `add` and `drop` share: the model with other effects, refitted, beside what it was.
 
+pub mod device;
 pub mod report;
 
 use std::path::PathBuf;
@@ -14,7 +15,9 @@ use model_export::fit::size::{EffectSize, sizes};
 use model_export::model_file::{self, Base, ModelFile, Provenance};
 use model_export::output::check_output;
 use model_export::recordings::Campaign;
+use model_export::recordings::align::Alignment;
 
+use self::device::{Device, Fitted};
 use super::clocks::Clocks;
 use super::fit::{read_campaign, refuse_copies, say};
 use crate::{progress, show};
@@ -52,6 +55,8 @@ pub struct Change {
     pub sizes: Vec<EffectSize>,
     /// The new model.
     pub model: ModelFile,
+    /// The fall through the device's code; `None` with a base that has no inverse.
+    pub device: Option<Device>,
     /// What a person should know.
     pub notices: Vec<String>,
 }
@@ -73,7 +78,7 @@ pub fn run(
     let campaign = read_campaign(&common.campaign, alignment)?;
     let before = model.additions(&common.model)?;
     let after = change(&model, &before, &campaign)?;
-    let changed = compute(campaign, &model, before, after, alignment.delay_us, options)?;
+    let changed = compute(campaign, &model, before, after, alignment, options)?;
     let text = match common.json {
         true => format!("{}\n", report::json(&changed)),
         false => report::text(&changed),
@@ -96,7 +101,7 @@ fn compute(
     model: &ModelFile,
     before: Vec<Addition>,
     after: Vec<Addition>,
-    delay_us: f64,
+    alignment: Alignment,
     options: Options,
 ) -> Result<Change> {
     let mut notices: Vec<String> = campaign.notices().map(ToString::to_string).collect();
@@ -115,9 +120,12 @@ fn compute(
     let fit = |effects: &[Addition]| prepared.fit(effects, split, options, |_| fitting.inc(1));
     let (old, new) = (fit(&before)?, fit(&after)?);
     fitting.finish_and_clear();
-    let provenance = Provenance::of(&campaign, delay_us, options)?;
+    let provenance = Provenance::of(&campaign, alignment.delay_us, options)?;
     refuse_copies(&provenance)?;
+    let sides = [(&before, &old), (&after, &new)].map(|(effects, fit)| Fitted { effects, fit });
+    let device = device::judge(&campaign, &prepared, &provenance, alignment, sides)?;
     Ok(Change {
+        device,
         sizes: sizes(&new, &after, campaign.recordings.len()),
         model: ModelFile::with_effects(&campaign, &prepared, &new, &after, provenance),
         before: (before, old),

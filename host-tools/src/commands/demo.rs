@@ -73,14 +73,14 @@ pub fn run(args: &Args) -> Result<()> {
     ))?;
 
     let building = progress::bar("building tables", 1);
-    let (_, chosen, header) = build(&model_path, Variant::Fitted)?;
+    let built = build(&model_path, Variant::Fitted)?;
     building.finish_and_clear();
-    write_output(&tables_path, source(&chosen, &header).as_bytes(), MARK)?;
+    write_output(&tables_path, source(&built).as_bytes(), MARK)?;
     show::page(&format!(
         "3. The inverse. From three fields to two forces, in integers, as the {} Hz loop of the gripper\n\
          computes it.\n\n{}\n",
         params::SENSE_RATE.value,
-        export::report(&chosen, &header),
+        export::report(&built.chosen, &built.header),
     ))?;
 
     let outcome = replay::outcome(&model_path, &held_out.folder, alignment)?;

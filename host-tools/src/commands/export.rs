@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use firmware::frame::SENSORS;
-use model_export::inverse::build::{Variant, build};
+use model_export::inverse::build::{Built, Variant, build};
 use model_export::inverse::emit::{Header, MARK, source};
 use model_export::inverse::error_map::ErrorMap;
 use model_export::inverse::search::Chosen;
@@ -45,8 +45,17 @@ pub fn run(args: &Args) -> Result<()> {
         Variant::Fitted
     };
     check_output(&args.output, MARK)?;
-    let (model, chosen, header) = build(&args.model, variant)?;
-    write_output(&args.output, source(&chosen, &header).as_bytes(), MARK)?;
+    let built = build(&args.model, variant)?;
+    write_output(&args.output, source(&built).as_bytes(), MARK)?;
+    for (effect, why) in &built.left {
+        eprintln!("note: {effect} is not undone: {why}");
+    }
+    let Built {
+        model,
+        chosen,
+        header,
+        ..
+    } = built;
     let image: Vec<u32> = (0..SENSORS as u32).collect();
     if header.sensors != image {
         eprintln!(

@@ -5,7 +5,8 @@ pub mod report;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
-use model_export::inverse::build::{Variant, build};
+use model_export::inverse::build::{Built, Variant, build};
+use model_export::inverse::compensation::OwnedCompensation;
 use model_export::inverse::grbf::Grbf;
 use model_export::inverse::quantise::TableSet;
 use model_export::model_file::ModelFile;
@@ -55,6 +56,8 @@ pub struct Outcome {
     pub linear: Vec<RecordingReplay>,
     /// Radial basis functions of the nominal design: the paper's ideal model.
     pub nominal: Vec<RecordingReplay>,
+    /// The fitted functions with nothing undone around them, where the model has effects.
+    pub uncompensated: Option<Vec<RecordingReplay>>,
     /// Names of recordings that the model was fitted to.
     pub seen: Vec<String>,
     /// What a person should know.
@@ -64,13 +67,23 @@ pub struct Outcome {
 /// Replays `campaign` by the model at `model`.
 pub fn outcome(model: &Path, campaign: &Path, alignment: Alignment) -> Result<Outcome> {
     let building = progress::bar("building tables", 2);
-    let (file, fitted, header) = build(model, Variant::Fitted)?;
+    let Built {
+        model: file,
+        chosen: fitted,
+        compensations,
+        left,
+        header,
+    } = build(model, Variant::Fitted)?;
     building.inc(1);
-    let (_, nominal, _) = build(model, Variant::Nominal)?;
+    let nominal = build(model, Variant::Nominal)?.chosen;
     building.finish_and_clear();
     let folders = recording_folders(campaign)?;
     let scale = file.sensor_scale;
     let mut notes = differences(&folders, &file, alignment)?;
+    notes.extend(
+        left.iter()
+            .map(|(effect, why)| format!("{effect} is not undone: {why}")),
+    );
     let linear = TableSet::build(
         fitted.tables.id,
         &fitted.linear,
@@ -78,16 +91,18 @@ pub fn outcome(model: &Path, campaign: &Path, alignment: Alignment) -> Result<Ou
         scale.gauss_per_lsb,
         scale.range_gauss,
     )?;
-    let run = |tables: &TableSet, float: &[Grbf]| {
+    let run = |tables: &TableSet, float: &[Grbf], compensations: &[OwnedCompensation]| {
         let models = Models {
             numbers: &header.sensors,
             tables,
+            compensations,
+            design: file.design.as_ref(),
             float,
             gauss_per_lsb: scale.gauss_per_lsb,
         };
         replay_all(&folders, models, alignment)
     };
-    let replayed = run(&fitted.tables, &fitted.models)?;
+    let replayed = run(&fitted.tables, &fitted.models, &compensations)?;
     let sensors = || replayed.iter().flat_map(|recording| &recording.sensors);
     if sensors().count() == 0 {
         bail!(
@@ -106,10 +121,21 @@ pub fn outcome(model: &Path, campaign: &Path, alignment: Alignment) -> Result<Ou
             notes.push(format!("sensor {number} of the model was not replayed: its field or its forces are not in these recordings"));
         }
     }
+    let lacking: u64 = sensors().map(|sensor| sensor.lacking).sum();
+    if lacking > 0 {
+        notes.push(format!(
+            "in {lacking} estimates an effect could not be undone, since the column that it needs was not recorded; the model has {}",
+            header.effects.join(", ")
+        ));
+    }
     notes.iter().for_each(|note| eprintln!("note: {note}"));
     Ok(Outcome {
-        linear: run(&linear, &fitted.linear)?,
-        nominal: run(&nominal.tables, &nominal.models)?,
+        linear: run(&linear, &fitted.linear, &[])?,
+        nominal: run(&nominal.tables, &nominal.models, &[])?,
+        uncompensated: match header.effects.is_empty() {
+            true => None,
+            false => Some(run(&fitted.tables, &fitted.models, &[])?),
+        },
         fitted: replayed,
         seen: seen(&folders, &file)?,
         notes,
@@ -148,8 +174,8 @@ fn differences(
     Ok(notes)
 }
 
-/// One recording after the other, on one core.
-fn replay_all(
+/// Replays one recording after the other, on one core.
+pub fn replay_all(
     folders: &[PathBuf],
     models: Models,
     alignment: Alignment,

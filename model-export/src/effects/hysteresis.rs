@@ -85,10 +85,18 @@ fn apply(values: &[f64], track: &Track, series: &mut Series) {
     }
 }
 
+/// Friction in newtons of one axis (0 lateral, 1 longitudinal), and its sliders; `values` in the order
+/// of the parameters.
+pub fn sliders_of(values: &[f64], axis: usize) -> (f64, [(f64, f64); 3]) {
+    let shapes = values.get(2 + axis * SHAPES..2 + (axis + 1) * SHAPES);
+    let friction = values.get(axis).copied().unwrap_or(0.0);
+    (friction, sliders(shapes.unwrap_or(&[])))
+}
+
 /// Share of the friction and reach in newtons of each slider, from the shapes of one axis. Friction
 /// is never one contact that lets go at once: three sliders in series with springs of their own
 /// (the Maxwell-slip model) follow a measured loop closely, one misses it by a fifth.
-pub fn sliders(shapes: &[f64]) -> [(f64, f64); 3] {
+fn sliders(shapes: &[f64]) -> [(f64, f64); 3] {
     let [reach1, reach2, reach3, weight1, weight2] =
         std::array::from_fn(|i| shapes.get(i).copied().unwrap_or(1.0));
     let all = weight1 + weight2 + 1.0;

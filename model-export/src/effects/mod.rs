@@ -47,6 +47,8 @@ use std::sync::Arc;
 use crate::recordings::problem::closest;
 
 pub use expression::Expression;
+pub use hysteresis::sliders_of as hysteresis_sliders;
+pub use neighbour_magnet::field as neighbour_field;
 pub use parameter::{Kind, Of, Parameter, Size, SizeOf};
 pub use series::{Series, Stage};
 pub use track::Track;

@@ -78,6 +78,17 @@ impl JointFit {
         (0..count).map(fold).collect()
     }
 
+    /// The same fit with the values that were found without one fold.
+    pub fn without(&self, fold: usize) -> Self {
+        let mut other = self.clone();
+        for sensor in &mut other.sensors {
+            if let Some(values) = sensor.fold_values.get(fold) {
+                sensor.values.clone_from(values);
+            }
+        }
+        other
+    }
+
     /// Held-out errors of everything.
     pub fn tally(&self) -> Tally {
         self.sensors

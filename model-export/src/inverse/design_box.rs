@@ -5,7 +5,7 @@ use firmware::params;
 use firmware::units::Field;
 use nalgebra::Vector3;
 
-use crate::physics::ForwardModel;
+use super::at_rest::AtRest;
 
 /// Room around the fields of the box in the plane of motion, as a share of their span: what bias
 /// and drift may add before the device calls the field foreign to the model.
@@ -27,7 +27,7 @@ pub struct DesignBox {
 
 impl DesignBox {
     /// The box of the design's force range around the fields of `model`.
-    pub fn of(model: &ForwardModel) -> Self {
+    pub fn of(model: &AtRest) -> Self {
         let force_n = [params::FORCE_RANGE.value; 2];
         let (mut low, mut high) = (
             Vector3::repeat(f64::INFINITY),

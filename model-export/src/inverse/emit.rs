@@ -2,8 +2,11 @@
 
 use std::fmt::{Display, Write};
 
+use firmware::compensate::{OnField, OnForce};
 use firmware::model::table::{CentrePair, SensorTable};
 
+use super::build::Built;
+use super::compensation::OwnedCompensation;
 use super::quantise::TableSet;
 use super::search::Chosen;
 
@@ -21,20 +24,33 @@ pub struct Header {
     pub campaign: String,
     /// Dates of the recordings, where they state any.
     pub recorded: Vec<String>,
+    /// Names of the model's effects.
+    pub effects: Vec<String>,
     /// Numbers of the sensors, in the order of the tables.
     pub sensors: Vec<u32>,
 }
 
 /// The source of a file that declares `TABLES`.
-pub fn source(chosen: &Chosen, header: &Header) -> String {
+pub fn source(built: &Built) -> String {
+    let (chosen, header) = (&built.chosen, &built.header);
     let tables = &chosen.tables;
     let mut text = comment(chosen, header);
+    if !built.compensations.is_empty() {
+        text +=
+            "\n// Numbers as they are printed by the exporter: long lines, and no digit grouped.\n";
+        text += "#[rustfmt::skip]\nuse crate::compensate::{*, map::*};\n";
+    }
     text += "\nuse crate::model::table::*;\n\n";
     text += "/// The ideal model of every sensor.\n";
     text += "pub static TABLES: Tables<'static> = Tables {\n";
     text += &format!(
-        "    id: 0x{:04x},\n    exp: &EXP,\n    sensors: &SENSORS,\n}};\n\n",
-        tables.id
+        "    id: 0x{:04x},\n    exp: &EXP,\n    sensors: &SENSORS,\n    compensations: &{},\n}};\n\n",
+        tables.id,
+        if built.compensations.is_empty() {
+            "[]"
+        } else {
+            "COMPENSATIONS"
+        },
     );
     text += &format!(
         "static EXP: [u32; EXP_ENTRIES] = [\n{}];\n\n",
@@ -47,7 +63,69 @@ pub fn source(chosen: &Chosen, header: &Header) -> String {
     for (table, number) in tables.sensors.iter().zip(&header.sensors) {
         text += &sensor(table, *number);
     }
+    text += "];\n";
+    if !built.compensations.is_empty() {
+        text += &compensations(&built.compensations);
+    }
+    text
+}
+
+/// The compensations as the debug form of their structs, which is Rust's own notation but for slices.
+fn compensations(list: &[OwnedCompensation]) -> String {
+    let mut text = format!(
+        "\n#[rustfmt::skip]\nstatic COMPENSATIONS: [Compensation; {}] = [\n",
+        list.len()
+    );
+    for compensation in list {
+        let view = compensation.view();
+        let field = view
+            .field
+            .map(|effect| literal(&effect, effect.as_ref().map(on_field)));
+        let force = view
+            .force
+            .map(|effect| literal(&effect, effect.as_ref().map(on_force)));
+        text += &format!(
+            "    Compensation {{ number: {}, field: [{}], force: [{}] }},\n",
+            view.number,
+            field.join(", "),
+            force.join(", ")
+        );
+    }
     text + "];\n"
+}
+
+/// `Some(Variant(module::Table { .. }))`, with a reference before every slice.
+fn literal(effect: &impl std::fmt::Debug, module: Option<&str>) -> String {
+    let Some(module) = module else {
+        return "None".to_owned();
+    };
+    format!("{effect:?}")
+        .replace("Table {", &format!("{module}::Table {{"))
+        .replace("Slider {", "hysteresis::Slider {")
+        .replace("knots: [[", "knots: &[[")
+        .replace("values: [", "values: &[")
+}
+
+fn on_field(effect: &OnField) -> &'static str {
+    match effect {
+        OnField::SensorTemperature(_) => "sensor_temperature",
+        OnField::MotorLeakage(_) => "motor_leakage",
+        OnField::EarthField(_) => "earth_field",
+        OnField::NeighbourMagnet(_) => "neighbour_magnet",
+        OnField::Map(_) => "map",
+        OnField::MagnetTemperature(_) => "magnet_temperature",
+        OnField::ThermalGap(_) => "thermal_gap",
+    }
+}
+
+fn on_force(effect: &OnForce) -> &'static str {
+    match effect {
+        OnForce::ViscousLag(_) => "viscous_lag",
+        OnForce::Creep(_) => "creep",
+        OnForce::Hysteresis(_) => "hysteresis",
+        OnForce::FingertipMass(_) => "fingertip_mass",
+        OnForce::Map(_) => "map",
+    }
 }
 
 fn comment(chosen: &Chosen, header: &Header) -> String {
@@ -60,6 +138,7 @@ fn comment(chosen: &Chosen, header: &Header) -> String {
          //\n\
          // inputs    {} (SHA-256 of the model file)\n\
          // model     {}, campaign {}\n\
+         // effects   {}\n\
          // recorded  {recorded}\n\
          // shape     {} x {} centres, gamma {:.4}, ridge {:.0e}\n\
          //\n\
@@ -67,6 +146,11 @@ fn comment(chosen: &Chosen, header: &Header) -> String {
         header.inputs_sha256,
         header.variant,
         header.campaign,
+        if header.effects.is_empty() {
+            "none beside the base".to_owned()
+        } else {
+            header.effects.join(", ")
+        },
         chosen.shape.centres_across,
         chosen.shape.centres_across,
         chosen.shape.gamma,

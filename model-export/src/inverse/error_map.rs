@@ -1,7 +1,7 @@
 //! Where in the box an inverse errs.
 
+use super::at_rest::AtRest;
 use super::design_box::lattice;
-use crate::physics::ForwardModel;
 use nalgebra::Vector3;
 
 /// Errors over a lattice of loads.
@@ -17,7 +17,7 @@ pub struct ErrorMap {
 impl ErrorMap {
     /// The map of `inverse` on `across` by `across` loads up to `force_n`.
     pub fn of(
-        model: &ForwardModel,
+        model: &AtRest,
         force_n: [f64; 2],
         across: usize,
         inverse: impl Fn(&Vector3<f64>) -> [f64; 2],

@@ -6,9 +6,9 @@
 
 use nalgebra::{DMatrix, Vector3};
 
+use super::at_rest::AtRest;
 use super::design_box::{DesignBox, lattice};
 use super::samples::Sample;
-use crate::physics::ForwardModel;
 
 /// The shape of a model: what is chosen before its weights are solved for.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -42,7 +42,7 @@ impl Grbf {
     /// Fits a model of `shape`; `round` puts a centre where the device can have one. `None` where the
     /// samples do not determine it.
     pub fn fit(
-        model: &ForwardModel,
+        model: &AtRest,
         design: &DesignBox,
         shape: Shape,
         samples: &[Sample],

@@ -1,5 +1,6 @@
 //! The device's tables from a model in floating point, with the proof that nothing overflows.
 
+use firmware::compensate::Compensation;
 use firmware::model::grbf::{ENTRY_BITS, ENTRY_STEP};
 use firmware::model::ideal;
 use firmware::model::table::{
@@ -62,12 +63,13 @@ impl TableSet {
         })
     }
 
-    /// As the device sees them.
-    pub fn tables(&self) -> Tables<'_> {
+    /// As the device sees them, with what is undone around them.
+    pub fn tables<'a>(&'a self, compensations: &'a [Compensation<'a>]) -> Tables<'a> {
         Tables {
             id: self.id,
             exp: &self.exp,
             sensors: &self.sensors,
+            compensations,
         }
     }
 
@@ -77,7 +79,7 @@ impl TableSet {
         let units = f64::from(1_u32 << Field::BITS) / gauss_per_lsb;
         let field = [0, 1, 2].map(|axis| Field((field_g[axis] * units).round() as i32));
         match self.sensors.get(sensor) {
-            Some(table) => ideal::evaluate(&self.tables(), table, field)
+            Some(table) => ideal::evaluate(&self.tables(&[]), table, field)
                 .force
                 .map(Force::newtons),
             None => [f64::NAN; 2],

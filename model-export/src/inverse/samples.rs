@@ -10,8 +10,8 @@ use nalgebra::{Matrix2, Vector2, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use super::at_rest::AtRest;
 use super::design_box::{DesignBox, lattice};
-use crate::physics::ForwardModel;
 
 /// Weight of the gap axis in the distance, against 1 for each axis in the plane of motion.
 const GAP_WEIGHT: f64 = 0.01;
@@ -30,7 +30,7 @@ pub struct Sample {
 }
 
 /// Samples to fit: a lattice of loads, on the surface and beside it on both sides.
-pub fn training(model: &ForwardModel, design: &DesignBox) -> Vec<Sample> {
+pub fn training(model: &AtRest, design: &DesignBox) -> Vec<Sample> {
     let loads: Vec<[f64; 2]> = lattice(design.force_n.map(|f| f * BEYOND), 25).collect();
     let beside = [-BESIDE_G, 0.0, BESIDE_G];
     loads
@@ -40,7 +40,7 @@ pub fn training(model: &ForwardModel, design: &DesignBox) -> Vec<Sample> {
 }
 
 /// Samples to judge: random loads in the box, on the surface or up to that far beside it.
-pub fn held_out(model: &ForwardModel, design: &DesignBox, count: usize, seed: u64) -> Vec<Sample> {
+pub fn held_out(model: &AtRest, design: &DesignBox, count: usize, seed: u64) -> Vec<Sample> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     (0..count)
         .map(|_| {
@@ -52,7 +52,7 @@ pub fn held_out(model: &ForwardModel, design: &DesignBox, count: usize, seed: u6
         .collect()
 }
 
-fn sample(model: &ForwardModel, load_n: [f64; 2], beside_g: f64) -> Sample {
+fn sample(model: &AtRest, load_n: [f64; 2], beside_g: f64) -> Sample {
     let mut field_g = model.field(load_n);
     field_g.y += beside_g;
     Sample {
@@ -62,14 +62,13 @@ fn sample(model: &ForwardModel, load_n: [f64; 2], beside_g: f64) -> Sample {
 }
 
 /// The forces whose field is nearest to `field_g`, from a start close by.
-pub fn nearest(model: &ForwardModel, field_g: &Vector3<f64>, start_n: [f64; 2]) -> [f64; 2] {
+pub fn nearest(model: &AtRest, field_g: &Vector3<f64>, start_n: [f64; 2]) -> [f64; 2] {
     let weight = Vector3::new(1.0, GAP_WEIGHT, 1.0);
     let mut force = Vector2::from(start_n);
     for _ in 0..6 {
-        let response = model.respond(model.displacement(force.into()));
-        let [gx, gz] = model.per_newton(&response);
+        let [gx, gz] = model.per_newton(force.into());
         let (wx, wz) = (gx.component_mul(&weight), gz.component_mul(&weight));
-        let residual = field_g - response.field_g;
+        let residual = field_g - model.field(force.into());
         let normal = Matrix2::new(wx.dot(&gx), wx.dot(&gz), wz.dot(&gx), wz.dot(&gz));
         let right = Vector2::new(wx.dot(&residual), wz.dot(&residual));
         let Some(inverse) = normal.try_inverse() else {

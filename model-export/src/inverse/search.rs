@@ -5,11 +5,11 @@
 
 use rayon::prelude::*;
 
+use super::at_rest::AtRest;
 use super::design_box::DesignBox;
 use super::grbf::{Grbf, Shape, errors};
 use super::quantise::{Overflow, TableSet, representable};
 use super::samples::{Sample, held_out, training};
-use crate::physics::ForwardModel;
 
 /// Seed of the samples by which shapes are chosen.
 const CHOOSING_SEED: u64 = 11;
@@ -32,7 +32,7 @@ pub struct Chosen {
     /// What was chosen.
     pub shape: Shape,
     /// What was inverted, one for each sensor.
-    pub forward: Vec<ForwardModel>,
+    pub forward: Vec<AtRest>,
     /// In floating point, one for each sensor.
     pub models: Vec<Grbf>,
     /// For the device.
@@ -55,7 +55,7 @@ pub struct SensorErrors {
 }
 
 struct Sensor<'a> {
-    model: &'a ForwardModel,
+    model: &'a AtRest,
     design: DesignBox,
     training: Vec<Sample>,
     choosing: Vec<Sample>,
@@ -63,7 +63,7 @@ struct Sensor<'a> {
 
 /// Chooses one shape for all sensors and fits their models.
 pub fn choose(
-    models: &[ForwardModel],
+    models: &[AtRest],
     numbers: &[u32],
     id: u16,
     gauss_per_lsb: f64,

@@ -19,10 +19,11 @@ const SENSORS_ACROSS: usize = 4;
 /// The page.
 pub fn text(change: &Change) -> String {
     format!(
-        "{}\n{}\n{}{}\n",
+        "{}\n{}\n{}{}{}\n",
         effects(change),
         parameters(&change.model.effects),
         errors(change),
+        device(change).unwrap_or_default(),
         verdict(change),
     )
 }
@@ -175,6 +176,25 @@ fn summary(change: &Change) -> String {
     )
 }
 
+/// The forces by the device's own code.
+fn device(change: &Change) -> Option<String> {
+    let device = change.device.as_ref()?;
+    let how = if device.held_out {
+        "which neither fit has seen"
+    } else {
+        "which both fits have seen"
+    };
+    let left: String = device
+        .left
+        .iter()
+        .map(|line| show::paragraph(&format!("  {line}")))
+        .collect();
+    Some(format!(
+        "Through the device's fixed-point code, recording {}, {how}: {:.3} N -> {:.3} N RMSE.\n{left}",
+        device.recording, device.before_rmse_n, device.after_rmse_n
+    ))
+}
+
 /// Parts kept out in which the error fell, and parts.
 fn wins(change: &Change) -> (usize, usize) {
     let (old, new) = (change.before.1.folds(), change.after.1.folds());
@@ -258,7 +278,7 @@ pub fn json(change: &Change) -> Value {
         "after": side(&change.after.1),
         "floor_g": change.after.1.tally().floor_g(),
         "effects": effects.collect::<Vec<_>>(),
-        "device": Value::Null,
+        "device": change.device,
         "verdict": verdict(change),
         "notices": change.notices,
     })

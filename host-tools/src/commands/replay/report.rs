@@ -81,8 +81,9 @@ fn newtons(sums: Option<Sums>) -> String {
 /// The page.
 pub fn text(outcome: &Outcome) -> String {
     format!(
-        "{}\n{}\n{}",
+        "{}\n{}{}\n{}",
         forces(outcome),
+        without_compensation(outcome).unwrap_or_default(),
         by_recording(outcome),
         beside(outcome)
     )
@@ -127,6 +128,25 @@ pub fn forces(outcome: &Outcome) -> String {
         invalid_line(&outcome.fitted),
         times_real_time(&outcome.fitted),
     )
+}
+
+/// What undoing the effects on the device is worth.
+pub fn without_compensation(outcome: &Outcome) -> Option<String> {
+    let without = outcome.uncompensated.as_ref()?;
+    Some(format!(
+        "Over all forces: RMSE {:.3} N with the model's effects undone on the device, {:.3} N without.\n\n",
+        rmse_n(&outcome.fitted),
+        rmse_n(without),
+    ))
+}
+
+/// Root mean square error over all forces of all sensors, in newtons.
+pub fn rmse_n(recordings: &[RecordingReplay]) -> f64 {
+    let axes = recordings
+        .iter()
+        .flat_map(|r| r.sensors.iter().flat_map(|s| &s.axes));
+    axes.fold(Sums::default(), |sum, track| sum.with(track.error))
+        .rms()
 }
 
 fn tare_line(recordings: &[RecordingReplay]) -> String {
@@ -268,6 +288,8 @@ pub fn json(outcome: &Outcome) -> Value {
         }).collect::<Vec<_>>(),
         "linear": pooled(&outcome.linear).iter().map(sensor_json).collect::<Vec<_>>(),
         "nominal": pooled(&outcome.nominal).iter().map(sensor_json).collect::<Vec<_>>(),
+        "rmse_n": rmse_n(&outcome.fitted),
+        "uncompensated_rmse_n": outcome.uncompensated.as_deref().map(rmse_n),
         "notes": outcome.notes,
         "rows": outcome.fitted.iter().map(|r| r.rows).sum::<u64>(),
         "times_real_time": spent,

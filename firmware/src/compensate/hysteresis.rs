@@ -1,0 +1,94 @@
+//! Friction beside the flexure holds it back.
+//!
+//! The flexure deflects as if the force were less by the sliders' friction. That relation is a
+//! Prandtl-Ishlinskii operator, and its inverse is another one with sliders of its own: the exporter
+//! computes their reach and force (see the host's `inverse/compensation.rs`), and here they are
+//! added back.
+
+use crate::fixed::share_of;
+use crate::units::Force;
+
+/// Sliders of each axis.
+pub const SLIDERS: usize = 3;
+/// Fractional bits of [`Slider::share`].
+pub const BITS: u32 = 16;
+
+/// A slider of the inverse.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Slider {
+    /// It slips where it is stretched by this, in force units.
+    pub reach: i32,
+    /// Force that it adds for each unit of stretch.
+    pub share: i32,
+}
+
+/// The sliders of the lateral and of the longitudinal flexure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Table {
+    /// For Fx and Fz.
+    pub sliders: [[Slider; SLIDERS]; 2],
+}
+
+/// Where the sliders are; at rest before the first reading.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct State {
+    axes: [Axis; 2],
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Axis {
+    last: Option<i32>,
+    stretch: [i32; SLIDERS],
+}
+
+impl Table {
+    /// The forces that act, from those that the deflection shows.
+    pub fn undo(&self, force: [Force; 2], state: &mut State) -> [Force; 2] {
+        let [x, z] = &mut state.axes;
+        let [fx, fz] = force;
+        let [sx, sz] = &self.sliders;
+        [x.follow(sx, fx), z.follow(sz, fz)]
+    }
+}
+
+impl Axis {
+    fn follow(&mut self, sliders: &[Slider; SLIDERS], force: Force) -> Force {
+        let moved = force.0.saturating_sub(self.last.unwrap_or(force.0));
+        self.last = Some(force.0);
+        let mut sum = force.0;
+        for (slider, stretch) in sliders.iter().zip(&mut self.stretch) {
+            let reach = slider.reach.max(0);
+            *stretch = stretch.saturating_add(moved).clamp(-reach, reach);
+            sum = sum.saturating_add(share_of(*stretch, slider.share, BITS));
+        }
+        Force(sum)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn friction_that_was_taken_is_added_back_on_both_branches() {
+        // One slider that adds 2 N after 10 N of travel.
+        let one = Slider {
+            reach: 10 << 10,
+            share: (0.2 * f64::from(1 << BITS)) as i32,
+        };
+        let none = Slider { reach: 0, share: 0 };
+        let table = Table {
+            sliders: [[one, none, none]; 2],
+        };
+        let mut state = State::default();
+        let mut at = |newtons: i32| {
+            table
+                .undo([Force(newtons << 10); 2], &mut state)
+                .map(Force::newtons)[0]
+        };
+        let found = [0, 5, 50, 45, 30, 50].map(&mut at);
+        for (found, expected) in found.iter().zip([0.0, 6.0, 52.0, 46.0, 28.0, 52.0]) {
+            assert!((found - expected).abs() < 0.01, "{found} {expected}");
+        }
+    }
+}

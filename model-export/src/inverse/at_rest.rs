@@ -1,0 +1,90 @@
+//! What the tables of the ideal model invert: the forward model with those effects that depend on
+//! the present forces alone. Everything else is at rest: the reference temperature, nothing outside.
+
+use nalgebra::{Matrix3, Vector3};
+
+use crate::effects::{Addition, Series, Track, Undone};
+use crate::physics::{ForwardModel, State};
+
+/// Half the step of the differences in newtons.
+const STEP_N: f64 = 0.5;
+
+/// The forward model of one sensor at rest.
+#[derive(Clone, Debug)]
+pub struct AtRest {
+    /// Magnet, flexures, sensor.
+    pub model: ForwardModel,
+    /// Effects that depend on the forces, in the order of their stages, with their values.
+    effects: Vec<(Addition, Vec<f64>)>,
+}
+
+impl AtRest {
+    /// Without any effect.
+    pub fn plain(model: ForwardModel) -> Self {
+        Self {
+            model,
+            effects: Vec::new(),
+        }
+    }
+
+    /// With those of `effects` that belong here.
+    pub fn new(model: ForwardModel, effects: &[(Addition, Vec<f64>)]) -> Self {
+        let belongs = |effect: &Addition| matches!(effect, Addition::Catalogue(effect) if effect.undone == Undone::Tables);
+        let mut own: Vec<_> = effects
+            .iter()
+            .filter(|(effect, _)| belongs(effect))
+            .cloned()
+            .collect();
+        own.sort_by_key(|(effect, _)| effect.stage());
+        Self {
+            model,
+            effects: own,
+        }
+    }
+
+    /// Field in gauss under the forces `[Fx, Fz]` in N.
+    pub fn field(&self, force_n: [f64; 2]) -> Vector3<f64> {
+        self.model
+            .field_in(&self.model.frames(), &self.state(force_n))
+    }
+
+    /// `[dB/dFx, dB/dFz]` in G/N.
+    pub fn per_newton(&self, force_n: [f64; 2]) -> [Vector3<f64>; 2] {
+        [0, 1].map(|axis| {
+            let at = |by: f64| {
+                let mut moved = force_n;
+                moved[axis] += by;
+                self.field(moved)
+            };
+            (at(STEP_N) - at(-STEP_N)) / (2.0 * STEP_N)
+        })
+    }
+
+    /// dB/dd in G/mm under these forces.
+    pub fn per_mm(&self, force_n: [f64; 2]) -> Matrix3<f64> {
+        self.model
+            .respond_in(&self.model.frames(), &self.state(force_n))
+            .per_mm
+    }
+
+    fn state(&self, force_n: [f64; 2]) -> State {
+        if self.effects.is_empty() {
+            return State::displaced(self.model.displacement(force_n));
+        }
+        let track = Track {
+            time_s: vec![0.0],
+            force_n: vec![force_n],
+            ..Track::default()
+        };
+        let effects: Vec<(&Addition, &[f64])> = self
+            .effects
+            .iter()
+            .map(|(effect, values)| (effect, values.as_slice()))
+            .collect();
+        let states = Series::of(&track, self.model.stiffness_n_per_mm, &effects).states;
+        states
+            .first()
+            .copied()
+            .unwrap_or(State::displaced(Vector3::zeros()))
+    }
+}

@@ -1,0 +1,425 @@
+//! The effects that the device undoes by compensations of their own, in its formats. One function an
+//! effect; each mirrors a file in the firmware's `compensate/`.
+
+use firmware::compensate::{
+    Compensation, MOST, OnField, OnForce, creep, earth_field, fingertip_mass, hysteresis,
+    magnet_temperature, motor_leakage, neighbour_magnet, sensor_temperature, thermal_gap,
+    viscous_lag,
+};
+use firmware::params;
+use firmware::units::{Field, Force};
+use nalgebra::{Matrix3, Vector3};
+
+use super::at_rest::AtRest;
+use super::design_box::lattice;
+use super::map::OwnedMap;
+use crate::effects::{Addition, Undone, hysteresis_sliders, neighbour_field};
+
+/// Field of a slider's inverse that is smaller than this in newtons would follow the noise of a
+/// reading.
+const LEAST_REACH_N: f64 = 0.6;
+/// Steepest slope of the inverse of a loop: what sticks altogether has none.
+const LEAST_SLOPE: f64 = 0.05;
+/// The filter of a rate is this many times as long as the lag, and not shorter than that many
+/// milliseconds: then its noise adds a tenth to that of a reading.
+const RATE_FILTER: (f64, f64) = (1.5, 20.0);
+
+/// An effect that cannot be undone as it stands.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{effect} of sensor {sensor} cannot be undone on the device: {why}")]
+pub struct NotUndone {
+    /// Its name.
+    pub effect: String,
+    /// The sensor.
+    pub sensor: u32,
+    /// Why, and what to do.
+    pub why: String,
+}
+
+/// The compensation of one sensor, owned.
+#[derive(Clone, Debug, Default)]
+pub struct OwnedCompensation {
+    number: u8,
+    field: Vec<OwnedOnField>,
+    force: Vec<OwnedOnForce>,
+}
+
+#[derive(Clone, Debug)]
+enum OwnedOnField {
+    Plain(OnField<'static>),
+    Neighbour(Box<[[i16; 3]; neighbour_magnet::KNOTS]>),
+    Map([OwnedMap; 3]),
+}
+
+#[derive(Clone, Debug)]
+enum OwnedOnForce {
+    Plain(OnForce<'static>),
+    Map([OwnedMap; 2]),
+}
+
+/// One sensor while its effects are brought into the device's formats.
+pub(super) struct Sensor<'a> {
+    pub(super) number: u32,
+    pub(super) at_rest: &'a AtRest,
+    /// Field units in a gauss.
+    pub(super) units: f64,
+}
+
+impl OwnedCompensation {
+    /// What the device undoes at one sensor, and notes on what it does not. `None` where nothing is
+    /// undone.
+    pub fn build(
+        number: u32,
+        at_rest: &AtRest,
+        effects: &[(Addition, Vec<f64>)],
+        gauss_per_lsb: f64,
+    ) -> Result<Option<Self>, NotUndone> {
+        let units = f64::from(1_u32 << Field::BITS) / gauss_per_lsb;
+        let sensor = Sensor {
+            number,
+            at_rest,
+            units,
+        };
+        let mut own = Self {
+            number: number as u8,
+            ..Self::default()
+        };
+        let mut sorted: Vec<&(Addition, Vec<f64>)> = effects.iter().collect();
+        // Backwards through the chain: what came last is taken off first.
+        sorted.sort_by_key(|(effect, _)| std::cmp::Reverse(effect.stage()));
+        for (effect, values) in sorted {
+            match effect {
+                Addition::Catalogue(known) if known.undone == Undone::Compensation => {
+                    sensor.add(&mut own, known.id, values)?;
+                }
+                Addition::Catalogue(_) => {}
+                Addition::Expression(formula) => match sensor.map(formula, values)? {
+                    super::map::Maps::Field(maps) => own.field.push(OwnedOnField::Map(maps)),
+                    super::map::Maps::Force(maps) => own.force.push(OwnedOnForce::Map(maps)),
+                },
+            }
+        }
+        let most = own.field.len().max(own.force.len());
+        if most > MOST {
+            return Err(sensor.refuse(
+                "the whole",
+                format!("{most} effects, and the device has room for {MOST}: drop some"),
+            ));
+        }
+        Ok((most > 0).then_some(own))
+    }
+
+    /// As the device sees it.
+    pub fn view(&self) -> Compensation<'_> {
+        let mut view = Compensation {
+            number: self.number,
+            field: [None; MOST],
+            force: [None; MOST],
+        };
+        for (slot, effect) in view.field.iter_mut().zip(&self.field) {
+            *slot = Some(match effect {
+                OwnedOnField::Plain(plain) => *plain,
+                OwnedOnField::Neighbour(knots) => {
+                    OnField::NeighbourMagnet(neighbour_magnet::Table { knots })
+                }
+                OwnedOnField::Map(maps) => OnField::Map(maps.each_ref().map(OwnedMap::view)),
+            });
+        }
+        for (slot, effect) in view.force.iter_mut().zip(&self.force) {
+            *slot = Some(match effect {
+                OwnedOnForce::Plain(plain) => *plain,
+                OwnedOnForce::Map(maps) => OnForce::Map(maps.each_ref().map(OwnedMap::view)),
+            });
+        }
+        view
+    }
+}
+
+impl Sensor<'_> {
+    pub(super) fn refuse(&self, effect: &str, why: impl Into<String>) -> NotUndone {
+        NotUndone {
+            effect: effect.to_owned(),
+            sensor: self.number,
+            why: why.into(),
+        }
+    }
+
+    /// A number in the device's format.
+    pub(super) fn integer(&self, effect: &str, value: f64, bits: u32) -> Result<i32, NotUndone> {
+        let scaled = (value * 2.0_f64.powi(bits as i32)).round();
+        match scaled.abs() <= f64::from(i32::MAX) {
+            true => Ok(scaled as i32),
+            false => Err(self.refuse(
+                effect,
+                format!("{value:.3e} does not fit the device's format"),
+            )),
+        }
+    }
+
+    fn add(&self, own: &mut OwnedCompensation, id: &str, values: &[f64]) -> Result<(), NotUndone> {
+        let per_count = 1.0 / params::TEMPERATURE_SCALE.value;
+        match id {
+            "sensor_temperature" => own.field.push(OwnedOnField::Plain(
+                self.sensor_temperature(values, per_count)?,
+            )),
+            "motor_leakage" => own
+                .field
+                .push(OwnedOnField::Plain(self.motor_leakage(values)?)),
+            "earth_field" => own
+                .field
+                .push(OwnedOnField::Plain(self.earth_field(values)?)),
+            "neighbour_magnet" => own
+                .field
+                .push(OwnedOnField::Neighbour(self.neighbour_magnet(values)?)),
+            "magnet_temperature" => own.field.push(OwnedOnField::Plain(
+                self.magnet_temperature(values, per_count)?,
+            )),
+            "thermal_gap" => own
+                .field
+                .push(OwnedOnField::Plain(self.thermal_gap(values, per_count)?)),
+            "viscous_lag" => own
+                .force
+                .push(OwnedOnForce::Plain(self.viscous_lag(values)?)),
+            "creep" => own.force.push(OwnedOnForce::Plain(self.creep(values)?)),
+            "hysteresis" => own
+                .force
+                .push(OwnedOnForce::Plain(self.hysteresis(values)?)),
+            "fingertip_mass" => own
+                .force
+                .push(OwnedOnForce::Plain(self.fingertip_mass(values)?)),
+            other => return Err(self.refuse(other, "the device has no compensation of this name")),
+        }
+        Ok(())
+    }
+
+    fn turn(&self) -> Matrix3<f64> {
+        *self.at_rest.model.frames().element.matrix()
+    }
+
+    fn three(&self, id: &str, values: Vector3<f64>, bits: u32) -> Result<[i32; 3], NotUndone> {
+        Ok([
+            self.integer(id, values.x, bits)?,
+            self.integer(id, values.y, bits)?,
+            self.integer(id, values.z, bits)?,
+        ])
+    }
+
+    fn matrix(
+        &self,
+        id: &str,
+        matrix: Matrix3<f64>,
+        bits: u32,
+    ) -> Result<[[i32; 3]; 3], NotUndone> {
+        let row = |i: usize| self.three(id, matrix.row(i).transpose(), bits);
+        Ok([row(0)?, row(1)?, row(2)?])
+    }
+
+    fn sensor_temperature(
+        &self,
+        values: &[f64],
+        per_count: f64,
+    ) -> Result<OnField<'static>, NotUndone> {
+        let id = "sensor_temperature";
+        let [x, y, z, gain] = self.values(id, values)?;
+        let offset = Vector3::new(x, y, z) * (self.units * per_count);
+        Ok(OnField::SensorTemperature(sensor_temperature::Table {
+            offset: self.three(id, offset, sensor_temperature::BITS)?,
+            gain: self.integer(id, 0.01 * gain * per_count, sensor_temperature::BITS)?,
+        }))
+    }
+
+    fn motor_leakage(&self, values: &[f64]) -> Result<OnField<'static>, NotUndone> {
+        let id = "motor_leakage";
+        let values: [f64; 9] = self.values(id, values)?;
+        // Columns: the field of each current; the device wants them in the sensor's axes, per mA.
+        let per_a = self.turn() * Matrix3::from_column_slice(&values);
+        let per_ma = per_a * (1e-3 * self.units);
+        Ok(OnField::MotorLeakage(motor_leakage::Table {
+            per_ma: self.matrix(id, per_ma, motor_leakage::BITS)?,
+        }))
+    }
+
+    fn earth_field(&self, values: &[f64]) -> Result<OnField<'static>, NotUndone> {
+        let id = "earth_field";
+        let [x, y, z] = self.values(id, values)?;
+        Ok(OnField::EarthField(earth_field::Table {
+            world: self.three(id, Vector3::new(x, y, z) * self.units, earth_field::BITS)?,
+            element: self.matrix(id, self.turn(), earth_field::BITS)?,
+        }))
+    }
+
+    fn neighbour_magnet(
+        &self,
+        values: &[f64],
+    ) -> Result<Box<[[i16; 3]; neighbour_magnet::KNOTS]>, NotUndone> {
+        let at =
+            |opening_um: f64| self.turn() * neighbour_field(values, 1e-3 * opening_um) * self.units;
+        let step = f64::from(neighbour_magnet::STEP_UM);
+        let mut knots = Box::new([[0; 3]; neighbour_magnet::KNOTS]);
+        for (i, knot) in knots.iter_mut().enumerate() {
+            let opening = step * i as f64;
+            let field = at(opening);
+            // A straight line between knots lies beside the curve: half of that is taken off both.
+            let bow = 0.5 * (at(opening + 0.5 * step) - 0.5 * (field + at(opening + step)));
+            let shifted = (field + bow).map(f64::round);
+            if shifted.amax() > f64::from(i16::MAX) {
+                return Err(self.refuse(
+                    "neighbour_magnet",
+                    "its field at this opening is beyond what the device can hold",
+                ));
+            }
+            *knot = [shifted.x as i16, shifted.y as i16, shifted.z as i16];
+        }
+        Ok(knots)
+    }
+
+    fn magnet_temperature(
+        &self,
+        values: &[f64],
+        per_count: f64,
+    ) -> Result<OnField<'static>, NotUndone> {
+        let id = "magnet_temperature";
+        let [percent_per_k] = self.values(id, values)?;
+        Ok(OnField::MagnetTemperature(magnet_temperature::Table {
+            without: self.three(id, self.at_rest.model.bias_g * self.units, 0)?,
+            per_count: self.integer(
+                id,
+                0.01 * percent_per_k * per_count,
+                magnet_temperature::BITS,
+            )?,
+        }))
+    }
+
+    /// The answer to the gap, fitted as a linear function of the field over the design box.
+    fn thermal_gap(&self, values: &[f64], per_count: f64) -> Result<OnField<'static>, NotUndone> {
+        let id = "thermal_gap";
+        let [um_per_k] = self.values(id, values)?;
+        let mm_per_count = 1e-3 * um_per_k * per_count;
+        let at = self.at_rest.field([0.0; 2]) * self.units;
+        let mut normal = nalgebra::Matrix4::<f64>::zeros();
+        let mut right = nalgebra::Matrix4x3::<f64>::zeros();
+        for force in lattice([params::FORCE_RANGE.value; 2], 15) {
+            let away = self.at_rest.field(force) * self.units - at;
+            let regressor = nalgebra::Vector4::new(1.0, away.x, away.y, away.z);
+            let answer = self.at_rest.per_mm(force).column(1) * (mm_per_count * self.units);
+            normal += regressor * regressor.transpose();
+            right += regressor * answer.transpose();
+        }
+        let fitted = normal.cholesky().map(|factor| factor.solve(&right));
+        let fitted = fitted
+            .ok_or_else(|| self.refuse(id, "the field hardly moves over the box of forces"))?;
+        let bend = fitted.fixed_rows::<3>(1).transpose();
+        Ok(OnField::ThermalGap(thermal_gap::Table {
+            at: self.three(id, at, 0)?,
+            rest: self.three(id, fitted.row(0).transpose(), thermal_gap::BITS)?,
+            bend: self.matrix(id, bend, thermal_gap::BITS)?,
+        }))
+    }
+
+    fn viscous_lag(&self, values: &[f64]) -> Result<OnForce<'static>, NotUndone> {
+        let id = "viscous_lag";
+        let lags: [f64; 2] = self.values(id, values)?;
+        let (factor, least_ms) = RATE_FILTER;
+        let filter_ms = (factor * lags[0].max(lags[1])).max(least_ms);
+        let lead = |lag: f64| self.integer(id, lag.max(0.0) / filter_ms, viscous_lag::BITS);
+        let tick_ms = 1e3 / params::SENSE_RATE.value;
+        Ok(OnForce::ViscousLag(viscous_lag::Table {
+            lead: [lead(lags[0])?, lead(lags[1])?],
+            rate: self.integer(id, tick_ms / filter_ms, viscous_lag::BITS)?,
+        }))
+    }
+
+    fn creep(&self, values: &[f64]) -> Result<OnForce<'static>, NotUndone> {
+        let id = "creep";
+        let [x, z, time_s] = self.values(id, values)?;
+        let share = |percent: f64| self.integer(id, 0.01 * percent, creep::BITS);
+        Ok(OnForce::Creep(creep::Table {
+            share: [share(x)?, share(z)?],
+            rate: self.integer(id, 1.0 / (params::SENSE_RATE.value * time_s), creep::BITS)?,
+        }))
+    }
+
+    fn hysteresis(&self, values: &[f64]) -> Result<OnForce<'static>, NotUndone> {
+        let axis = |axis: usize| -> Result<[hysteresis::Slider; hysteresis::SLIDERS], NotUndone> {
+            let (friction, sliders) = hysteresis_sliders(values, axis);
+            let [a, b, c] = inverse_sliders(friction, sliders);
+            let slider = |(reach_n, force_n): (f64, f64)| {
+                Ok(hysteresis::Slider {
+                    reach: self.integer("hysteresis", reach_n, Force::BITS)?,
+                    share: self.integer("hysteresis", force_n / reach_n, hysteresis::BITS)?,
+                })
+            };
+            Ok([slider(a)?, slider(b)?, slider(c)?])
+        };
+        Ok(OnForce::Hysteresis(hysteresis::Table {
+            sliders: [axis(0)?, axis(1)?],
+        }))
+    }
+
+    fn fingertip_mass(&self, values: &[f64]) -> Result<OnForce<'static>, NotUndone> {
+        let id = "fingertip_mass";
+        let [mass_kg] = self.values(id, values)?;
+        let mass = self.integer(id, 1e-3 * mass_kg * Force::PER_NEWTON, fingertip_mass::BITS)?;
+        Ok(OnForce::FingertipMass(fingertip_mass::Table { mass }))
+    }
+
+    fn values<const N: usize>(&self, id: &str, values: &[f64]) -> Result<[f64; N], NotUndone> {
+        let found: Option<[f64; N]> = values.try_into().ok();
+        found.ok_or_else(|| {
+            self.refuse(
+                id,
+                format!("it has {} parameters and needs {N}", values.len()),
+            )
+        })
+    }
+}
+
+/// Reach and force in newtons of each slider of the inverse: the deflection of a loop's first branch
+/// is piecewise straight in the force, and the inverse follows its mirror image (Krejci and Kuhnen
+/// 2001).
+fn inverse_sliders(friction_n: f64, mut sliders: [(f64, f64); 3]) -> [(f64, f64); 3] {
+    sliders.sort_by(|a, b| a.1.total_cmp(&b.1));
+    let slope = |first: usize| {
+        let taken: f64 = sliders[first..]
+            .iter()
+            .map(|(share, reach)| friction_n * share / reach)
+            .sum();
+        (1.0 - taken).max(LEAST_SLOPE)
+    };
+    let (mut shown, mut from) = (0.0, 0.0);
+    [0, 1, 2].map(|i| {
+        let reach = sliders[i].1;
+        shown += slope(i) * (reach - from);
+        from = reach;
+        let after = if i < 2 { slope(i + 1) } else { 1.0 };
+        let force = (1.0 / slope(i) - 1.0 / after) * shown;
+        (shown.max(LEAST_REACH_N), force)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_inverse_of_a_loop_adds_what_the_loop_took() {
+        let sliders = [(0.3, 12.0), (0.4, 40.0), (0.3, 70.0)];
+        let inverse = inverse_sliders(8.0, sliders);
+        for force in [5.0, 12.0, 30.0, 55.0, 90.0, 200.0] {
+            let taken: f64 = sliders
+                .iter()
+                .map(|(share, reach)| 8.0 * share * (force / reach).min(1.0))
+                .sum();
+            let shown = force - taken;
+            let added: f64 = inverse
+                .iter()
+                .map(|(reach, n)| n * (shown / reach).min(1.0))
+                .sum();
+            assert!(
+                (shown + added - force).abs() < 1e-9,
+                "{force}: {}",
+                shown + added
+            );
+        }
+    }
+}
