@@ -5,13 +5,21 @@
 //! computes their reach and force (see the host's `inverse/compensation.rs`), and here they are
 //! added back.
 
-use crate::fixed::share_of;
+use crate::fixed::{clamped, share_of};
 use crate::units::Force;
 
 /// Sliders of each axis.
 pub const SLIDERS: usize = 3;
 /// Fractional bits of [`Slider::share`].
 pub const BITS: u32 = 16;
+
+/// A slider that adds more than it is stretched by would multiply the noise of a reading: it follows
+/// the force through a low pass, whose lag only counts while the load turns.
+const STEEP: i32 = 1 << BITS;
+/// That low pass goes this part of the way in a tick: 8 ms at 1 kHz.
+const SMOOTH_SHIFT: u32 = 3;
+/// Fractional bits of the filtered force beyond a force's own.
+const SMOOTH_BITS: u32 = 8;
 
 /// A slider of the inverse.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -38,6 +46,8 @@ pub struct State {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Axis {
     last: Option<i32>,
+    /// The force through the low pass.
+    smooth: i64,
     stretch: [i32; SLIDERS],
 }
 
@@ -53,12 +63,21 @@ impl Table {
 
 impl Axis {
     fn follow(&mut self, sliders: &[Slider; SLIDERS], force: Force) -> Force {
+        let now = i64::from(force.0) << SMOOTH_BITS;
+        let before = self.last.map_or(now, |_| self.smooth);
+        self.smooth = before.saturating_add((now - before) >> SMOOTH_SHIFT);
+        let smoothly = clamped((self.smooth >> SMOOTH_BITS) - (before >> SMOOTH_BITS));
         let moved = force.0.saturating_sub(self.last.unwrap_or(force.0));
         self.last = Some(force.0);
         let mut sum = force.0;
         for (slider, stretch) in sliders.iter().zip(&mut self.stretch) {
             let reach = slider.reach.max(0);
-            *stretch = stretch.saturating_add(moved).clamp(-reach, reach);
+            let by = if slider.share > STEEP {
+                smoothly
+            } else {
+                moved
+            };
+            *stretch = stretch.saturating_add(by).clamp(-reach, reach);
             sum = sum.saturating_add(share_of(*stretch, slider.share, BITS));
         }
         Force(sum)

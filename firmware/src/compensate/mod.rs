@@ -3,18 +3,19 @@
 //! Effects on the field are taken off before the ideal model, in the order in which a signal meets
 //! them on its way back from the sensor: the sensor, fields of other sources, the magnet, the gap.
 //! Effects on the flexures are undone on the forces afterwards, with a memory of their own. Effects
-//! that only depend on the present forces (stiffening, tip slope, cross coupling, a hard stop, the
-//! sensor's compression) are part of the ideal model's tables.
+//! that only depend on the present forces (stiffening, tip slope, cross coupling, the sensor's
+//! compression) are part of the ideal model's tables.
 //!
 //! - [`temperature`]: the sensor's temperature without its noise.
 //! - [`sensor_temperature`], [`motor_leakage`], [`earth_field`], [`neighbour_magnet`],
 //!   [`magnet_temperature`], [`thermal_gap`]: on the field.
-//! - [`viscous_lag`], [`creep`], [`hysteresis`], [`fingertip_mass`]: on the forces.
+//! - [`viscous_lag`], [`creep`], [`hysteresis`], [`hard_stop`], [`fingertip_mass`]: on the forces.
 //! - [`map`]: a user's own effect as a table of one or two covariates.
 
 pub mod creep;
 pub mod earth_field;
 pub mod fingertip_mass;
+pub mod hard_stop;
 pub mod hysteresis;
 pub mod magnet_temperature;
 pub mod map;
@@ -68,6 +69,8 @@ pub enum OnForce<'a> {
     ViscousLag(viscous_lag::Table),
     /// The flexures give way slowly.
     Creep(creep::Table),
+    /// The flexures meet their stops.
+    HardStop(hard_stop::Table),
     /// Friction beside the flexures.
     Hysteresis(hysteresis::Table),
     /// The fingertip's own weight and inertia.
@@ -139,6 +142,7 @@ impl Compensation<'_> {
             let found = match effect {
                 OnForce::ViscousLag(table) => Some(table.undo(force, &mut memory.lag)),
                 OnForce::Creep(table) => Some(table.undo(force, &mut memory.creep)),
+                OnForce::HardStop(table) => Some(table.undo(force)),
                 OnForce::Hysteresis(table) => Some(table.undo(force, &mut memory.hysteresis)),
                 OnForce::FingertipMass(table) => table.undo(force, around),
                 OnForce::Map(tables) => map_force(tables, force, warmer, around),

@@ -1,8 +1,7 @@
 //! The flexure follows its force late.
 //!
 //! The force runs ahead of the deflection by the lag times the deflection's rate. A rate is noisy:
-//! it is taken from a low pass whose time constant the exporter chooses, long enough to keep the
-//! noise and short enough to follow the load.
+//! it is taken behind two low passes, whose time constant the exporter chooses.
 
 use crate::fixed::clamped;
 use crate::fixed::share_of;

@@ -51,7 +51,7 @@ pub const EFFECT: Effect = Effect {
             "where the field along the gap grows with the load",
         ),
     ],
-    undone: Undone::Tables,
+    undone: Undone::Compensation,
     lives_in_one_recording: false,
     apply,
 };

@@ -80,10 +80,10 @@ fn compensations(list: &[OwnedCompensation]) -> String {
         let view = compensation.view();
         let field = view
             .field
-            .map(|effect| literal(&effect, effect.as_ref().map(on_field)));
+            .map(|effect| literal(&effect, "OnField", effect.as_ref().map(on_field)));
         let force = view
             .force
-            .map(|effect| literal(&effect, effect.as_ref().map(on_force)));
+            .map(|effect| literal(&effect, "OnForce", effect.as_ref().map(on_force)));
         text += &format!(
             "    Compensation {{ number: {}, field: [{}], force: [{}] }},\n",
             view.number,
@@ -94,12 +94,14 @@ fn compensations(list: &[OwnedCompensation]) -> String {
     text + "];\n"
 }
 
-/// `Some(Variant(module::Table { .. }))`, with a reference before every slice.
-fn literal(effect: &impl std::fmt::Debug, module: Option<&str>) -> String {
+/// `Some(Kind::Variant(module::Table { .. }))`, with a reference before every slice.
+fn literal(effect: &impl std::fmt::Debug, kind: &str, module: Option<&str>) -> String {
     let Some(module) = module else {
         return "None".to_owned();
     };
     format!("{effect:?}")
+        .replacen("Some(", &format!("Some({kind}::"), 1)
+        .replace("covariate: ", "covariate: Covariate::")
         .replace("Table {", &format!("{module}::Table {{"))
         .replace("Slider {", "hysteresis::Slider {")
         .replace("knots: [[", "knots: &[[")
@@ -122,6 +124,7 @@ fn on_force(effect: &OnForce) -> &'static str {
     match effect {
         OnForce::ViscousLag(_) => "viscous_lag",
         OnForce::Creep(_) => "creep",
+        OnForce::HardStop(_) => "hard_stop",
         OnForce::Hysteresis(_) => "hysteresis",
         OnForce::FingertipMass(_) => "fingertip_mass",
         OnForce::Map(_) => "map",
