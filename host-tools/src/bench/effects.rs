@@ -82,16 +82,16 @@ impl FromStr for Effect {
             Some(size) => size.parse().with_context(|| {
                 format!(
                     "{size:?} is no size; write {id}={} for example",
-                    kind.typical
+                    kind.typical()
                 )
             })?,
-            None => kind.typical,
+            None => kind.typical(),
         };
         if !kind.possible.contains(&size) {
             let (least, most) = (kind.possible.start(), kind.possible.end());
             bail!(
                 "{id}={size} is not possible here; give {least} to {most} {}",
-                kind.unit
+                kind.unit()
             );
         }
         Ok(Self {
@@ -121,7 +121,7 @@ pub fn hide(seed: u64, count: usize, strength: f64) -> Result<Vec<Effect>> {
     kinds.shuffle(&mut rng);
     let mut effects = Vec::new();
     for kind in kinds.into_iter().take(count) {
-        let size = kind.typical * strength * between(&mut rng, HIDDEN[0], HIDDEN[1]);
+        let size = kind.typical() * strength * between(&mut rng, HIDDEN[0], HIDDEN[1]);
         let (least, most) = (*kind.possible.start(), *kind.possible.end());
         let flexures = match between(&mut rng, 0.0, 3.0) {
             u if u < 1.0 => Flexures::Lateral,
@@ -169,7 +169,7 @@ impl Effects {
             && !has(&effects, "neighbour_magnet")
             && let Some(kind) = size_of("neighbour_magnet")
         {
-            effects.push(Effect::new(kind, NEIGHBOUR_FOR_BACKLASH * kind.typical));
+            effects.push(Effect::new(kind, NEIGHBOUR_FOR_BACKLASH * kind.typical()));
             needed_by = Some("screw_backlash");
         }
         let mut chosen = Vec::new();

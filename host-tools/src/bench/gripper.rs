@@ -3,7 +3,6 @@
 use model_export::recordings::description::Design;
 use nalgebra::{Matrix3, Vector3};
 
-use super::draw::{Purpose, between, stream};
 use super::effects::Effects;
 use super::element::Element;
 use super::finger::Finger;
@@ -17,9 +16,6 @@ use super::{Settings, start_s};
 
 /// Steps of the mechanics in one period of the board.
 const SUBSTEPS: u32 = 4;
-
-/// Recordings after the second lose up to this share more of the second's loss of remanence, each.
-const FURTHER_LOSS: f64 = 0.3;
 
 /// A gripper on the bench.
 pub struct Gripper {
@@ -95,7 +91,7 @@ impl Gripper {
                 settings.recordings,
                 settings.seconds,
             ),
-            losses: losses(seed, settings.recordings),
+            losses: losses(settings.recordings),
             backlash: Backlash::new(effects.size("screw_backlash")),
         }
     }
@@ -161,19 +157,11 @@ impl Sensor {
     }
 }
 
-/// None in the first recording, one in the second, then a little more each time.
-fn losses(seed: u64, recordings: u32) -> Vec<f64> {
-    let mut rng = stream(seed, Purpose::Demagnetisation, 0);
-    let mut losses = vec![0.0];
-    for recording in 2..=recordings {
-        let before = losses.last().copied().unwrap_or(0.0);
-        let more = match recording {
-            2 => 1.0,
-            _ => between(&mut rng, 0.0, FURTHER_LOSS),
-        };
-        losses.push(before + more);
-    }
-    losses
+/// None in the first recording, all of it in the others.
+fn losses(recordings: u32) -> Vec<f64> {
+    (1..=recordings)
+        .map(|recording| f64::from(u8::from(recording > 1)))
+        .collect()
 }
 
 #[cfg(test)]
@@ -208,10 +196,10 @@ mod tests {
     }
 
     #[test]
-    fn the_magnet_loses_its_share_before_the_second_recording_and_some_more_later() {
+    fn the_magnet_loses_its_share_before_the_second_recording_and_no_more_later() {
         let gripper = gripper(&["demagnetisation=0.5"]);
         let at = |lost| gripper.sensors[0].own_field(0.0, 0.0, lost).y;
         assert!((at(gripper.losses[1]) / at(gripper.losses[0]) - 0.995).abs() < 1e-12);
-        assert!((1.0..1.3).contains(&gripper.losses[2]));
+        assert_eq!(gripper.losses[2], gripper.losses[1]);
     }
 }

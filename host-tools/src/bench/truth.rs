@@ -117,7 +117,7 @@ impl EffectTruth {
         Ok(Self {
             id: kind.id.to_owned(),
             size: chosen.effect.size,
-            unit: kind.unit.to_owned(),
+            unit: kind.unit().to_owned(),
             meaning: kind.meaning.to_owned(),
             each: chosen.each.clone(),
             details,

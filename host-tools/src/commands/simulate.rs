@@ -80,8 +80,8 @@ Effects, each with its typical size (friction takes :lateral, :longitudinal or :
 "
     .to_owned();
     for size in SIZES {
-        let typical = format!("{}={}", size.id, size.typical);
-        text += &format!("  {typical:<28} {:<6} {}\n", size.unit, size.meaning);
+        let typical = format!("{}={}", size.id, size.typical());
+        text += &format!("  {typical:<28} {:<6} {}\n", size.unit(), size.meaning);
     }
     text
 }

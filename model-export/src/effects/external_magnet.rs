@@ -35,8 +35,8 @@ pub const EFFECT: Effect = Effect {
     size: Size {
         words: "field at its closest",
         unit: "G",
-        first: 3,
-        of: SizeOf::GreatestNorm,
+        first: 0,
+        of: SizeOf::Greatest(peak),
         factor: 1.0,
         typical: 5.0,
         plausible: (0.0, 500.0),
@@ -52,26 +52,34 @@ pub const EFFECT: Effect = Effect {
     apply,
 };
 
+/// Field at `u` widths from the closest approach, in gauss; `values` in the order of the parameters.
+fn field(values: &[f64], u: f64) -> Vector3<f64> {
+    let three = |i: usize| {
+        values
+            .get(3 * i..3 * i + 3)
+            .map_or_else(Vector3::zeros, Vector3::from_column_slice)
+    };
+    let [near, tilt, far, stay] = [0, 1, 2, 3].map(three);
+    let fall = libm::pow(1.0 + u * u, -2.5);
+    (near + tilt * u + far * (u * u)) * fall + stay * (0.5 + 0.5 * libm::tanh(u))
+}
+
+/// The greatest field in gauss.
+fn peak(values: &[f64]) -> f64 {
+    let fields = (-60..=60).map(|i| field(values, 0.1 * f64::from(i)).norm());
+    fields.fold(0.0, f64::max)
+}
+
 fn apply(values: &[f64], track: &Track, series: &mut Series) {
-    let &[ref coefficients @ .., at_s, width_s] = values else {
+    let &[.., at_s, width_s] = values else {
         return;
     };
-    let shapes: Vec<Vector3<f64>> = coefficients
-        .chunks_exact(3)
-        .map(|c| Vector3::new(c[0], c[1], c[2]))
-        .collect();
-    let &[near, tilt, far, stay] = shapes.as_slice() else {
-        return;
-    };
-    // What stays, stays until the recording ends: nobody knows what happened between two.
+    // What stays, stays until the recording ends, and no other recording knows of it.
     let end_s = track.time_s.last().copied().unwrap_or(0.0);
-    let own = (0.0..=end_s).contains(&(at_s - track.before_s));
+    if !(0.0..=end_s).contains(&(at_s - track.before_s)) {
+        return;
+    }
     for (state, time_s) in series.states.iter_mut().zip(&track.time_s) {
-        let u = (track.before_s + time_s - at_s) / width_s;
-        let fall = libm::pow(1.0 + u * u, -2.5);
-        state.outside_g += (near + tilt * u + far * (u * u)) * fall;
-        if own {
-            state.outside_g += stay * (0.5 + 0.5 * libm::tanh(u));
-        }
+        state.outside_g += field(values, (track.before_s + time_s - at_s) / width_s);
     }
 }

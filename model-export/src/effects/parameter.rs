@@ -103,18 +103,18 @@ impl Parameter {
 }
 
 /// How one number is made of several coefficients.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug)]
 pub enum SizeOf {
     /// The largest of those that stand out from their error bars.
     Largest,
     /// Root of the sum of squares, mean over the sensors.
     Norm,
-    /// Root of the sum of squares, at the sensor where it is greatest.
-    GreatestNorm,
+    /// What this makes of all values, at the sensor where it is greatest.
+    Greatest(fn(&[f64]) -> f64),
 }
 
 /// The one number that says how large an effect is.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug)]
 pub struct Size {
     /// What it is, for people.
     pub words: &'static str,

@@ -7,7 +7,7 @@ use crate::effects::{Addition, Size, SizeOf};
 const STANDS_OUT: f64 = 4.0;
 
 /// The size of an effect.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct EffectSize {
     /// In the unit of `size`.
     pub value: f64,
@@ -115,9 +115,16 @@ fn size_of(
                 (count > 1).then(|| parameters[chosen].name.to_string()),
             )
         }
-        SizeOf::GreatestNorm => {
-            let norms = fit.sensors.iter().map(|s| norm(s, slots(s)));
-            let greatest = norms.max_by(|a, b| a.0.total_cmp(&b.0));
+        SizeOf::Greatest(of) => {
+            let all = |sensor: &SensorFit| {
+                let first = slots(sensor).start;
+                made(sensor, first..first + parameters.len(), of)
+            };
+            let greatest = fit
+                .sensors
+                .iter()
+                .map(all)
+                .max_by(|a, b| a.0.total_cmp(&b.0));
             let (value, std_error) = greatest.unwrap_or((f64::NAN, f64::NAN));
             (value, std_error, None)
         }
@@ -150,6 +157,26 @@ fn size_of(
         component,
         size,
     }
+}
+
+/// What `of` makes of the values of these slots, and its error bar to first order.
+fn made(sensor: &SensorFit, slots: std::ops::Range<usize>, of: fn(&[f64]) -> f64) -> (f64, f64) {
+    let values = &sensor.values[slots.clone()];
+    let value = of(values);
+    let slope = |i: usize| {
+        let step = 0.1 * sensor.std_error(slots.start + i).max(1e-9);
+        let mut moved = values.to_vec();
+        moved[i] += step;
+        (of(&moved) - value) / step
+    };
+    let slopes: Vec<f64> = (0..values.len()).map(slope).collect();
+    let mut variance = 0.0;
+    for (i, a) in slots.clone().enumerate() {
+        for (j, b) in slots.clone().enumerate() {
+            variance += slopes[i] * sensor.covariance[(a, b)] * slopes[j];
+        }
+    }
+    (value, variance.max(0.0).sqrt())
 }
 
 /// Root of the sum of squares and its error bar. Noise alone has a norm as well: its expected square
