@@ -27,7 +27,6 @@ pub enum Purpose {
     Earth,
     SensorTemperature,
     FieldDrift,
-    Demagnetisation,
     ForeignMagnet,
 }
 

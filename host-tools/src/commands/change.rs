@@ -96,7 +96,8 @@ pub fn run(
     Ok(())
 }
 
-fn compute(
+/// Refits a model with the effects `before` and with those `after`.
+pub fn compute(
     campaign: Campaign,
     model: &ModelFile,
     before: Vec<Addition>,
@@ -123,7 +124,16 @@ fn compute(
     let provenance = Provenance::of(&campaign, alignment.delay_us, options)?;
     refuse_copies(&provenance)?;
     let sides = [(&before, &old), (&after, &new)].map(|(effects, fit)| Fitted { effects, fit });
-    let device = device::judge(&campaign, &prepared, &provenance, alignment, sides)?;
+    let known = notices.len();
+    let device = device::judge(
+        &campaign,
+        &prepared,
+        &provenance,
+        alignment,
+        sides,
+        &mut notices,
+    )?;
+    say(&notices[known..]);
     Ok(Change {
         device,
         sizes: sizes(&new, &after, campaign.recordings.len()),

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use firmware::params;
+use model_export::effects::{Addition, find};
 use model_export::fit::Options;
 use model_export::fit::score::pooled_rms;
 use model_export::inverse::build::{Variant, build};
@@ -14,7 +15,7 @@ use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 
 use super::fit::{BaseChoice, fit_campaign};
-use super::{export, fit, replay};
+use super::{change, export, fit, replay};
 use crate::{progress, show};
 
 /// Raw recordings to forces, on a small campaign that comes with the project.
@@ -89,7 +90,46 @@ pub fn run(args: &Args) -> Result<()> {
         held_out.name,
         replay::report::forces(&outcome),
         replay::report::beside(&outcome),
-        closing(&model_path, &tables_path),
+        "",
+    ))?;
+    let better_path = args.output.join("better.toml");
+    better(campaign, &model, &held_out.folder, &outcome, &better_path)?;
+    show::page(&closing(&better_path, &tables_path))?;
+    Ok(())
+}
+
+/// The effect that the demo's campaign lacks.
+const MISSING: &str = "neighbour_magnet";
+
+/// Adds the missing effect and replays the recording that was put aside once more.
+fn better(
+    campaign: Campaign,
+    model: &ModelFile,
+    held_out: &Path,
+    before: &replay::Outcome,
+    path: &Path,
+) -> Result<()> {
+    let effect = find(MISSING)?;
+    let alignment = Alignment { delay_us: 0.0 };
+    let added = vec![Addition::Catalogue(effect)];
+    let change = change::compute(
+        campaign,
+        model,
+        Vec::new(),
+        added,
+        alignment,
+        Options::default(),
+    )?;
+    change.model.write(path)?;
+    let after = replay::outcome(path, held_out, alignment)?;
+    show::page(&format!(
+        "5. The missing effect. {}\n{}\n\n{}{}\nThe recording that was put aside, through the device's code: {:.3} N -> {:.3} N RMSE over all forces.\n\n",
+        show::paragraph(&format!("{MISSING}: {}", effect.physics)).trim_start(),
+        change::report::effects(&change),
+        change::report::summary(&change),
+        change::report::verdict(&change),
+        replay::report::rmse_n(&before.fitted),
+        replay::report::rmse_n(&after.fitted),
     ))?;
     Ok(())
 }
@@ -117,7 +157,8 @@ fn what_it_means(model: &ModelFile) -> String {
 fn closing(model: &Path, tables: &Path) -> String {
     format!(
         "Written: {} (to read), {} (for the firmware).\n\
-         An image with these tables: MAGPIE_TABLES={} cargo image\n\
+         Try others:                 cargo magpie effects\n\
+         An image with the tables:   MAGPIE_TABLES={} cargo image\n\
          Your own recordings:        cargo magpie fit YOUR-CAMPAIGN -o model.toml\n",
         model.display(),
         tables.display(),

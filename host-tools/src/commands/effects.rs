@@ -67,6 +67,11 @@ fn undone(effect: &Effect) -> (&'static str, String) {
             "tables",
             "on the device, within the tables of the ideal model.".to_owned(),
         ),
+        Undone::Settled => (
+            "settled",
+            "not step by step; the device's tables are those of the gripper as it is in the end."
+                .to_owned(),
+        ),
         Undone::Never(why) => ("no", format!("not on the device: {why}.")),
     }
 }

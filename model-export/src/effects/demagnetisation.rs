@@ -38,9 +38,7 @@ pub const EFFECT: Effect = Effect {
             "the field weakens against stiffness, recording by recording",
         ),
     ],
-    undone: Undone::Never(
-        "a loss that stays is part of the magnet now: fit the latest recordings alone",
-    ),
+    undone: Undone::Settled,
     lives_in_one_recording: true,
     apply,
 };

@@ -203,7 +203,7 @@ impl Expression {
         Ok(())
     }
 
-    /// Twice a coefficient must give twice its term, and no coefficient nothing.
+    /// Each coefficient must enter linearly, whatever the others are; no coefficient, no effect.
     fn check_linear(&self, text: &str, names: &Names) -> Result<(), ExpressionError> {
         let shapes: Vec<f64> = self
             .ranges
@@ -214,25 +214,31 @@ impl Expression {
             .map(|i| 0.71 + 0.13 * i as f64)
             .collect();
         let value = |coefficients: &[f64]| self.evaluate(coefficients, &shapes, &covariates);
-        let none = vec![0.0; self.coefficients.len()];
-        let all: Vec<f64> = (0..none.len()).map(|i| 1.0 + 0.5 * i as f64).collect();
-        let mut sum = 0.0;
+        let all: Vec<f64> = (0..self.coefficients.len())
+            .map(|i| 1.0 + 0.5 * i as f64)
+            .collect();
+        let differs = |a: f64, b: f64, scale: f64| {
+            a.is_finite() && b.is_finite() && (a - b).abs() > 1e-9 * scale
+        };
+        let (none, mut alone) = (vec![0.0; all.len()], 0.0);
         for (i, name) in self.coefficients.iter().enumerate() {
-            let mut only = none.clone();
-            only[i] = all[i];
-            let once = value(&only);
-            only[i] *= 2.0;
-            if once.is_finite() && (value(&only) - 2.0 * once).abs() > 1e-9 * once.abs() {
+            let at = |from: &[f64], to: f64| {
+                let mut moved = from.to_vec();
+                moved[i] = to;
+                value(&moved)
+            };
+            let [zero, one, two] = [0.0, 1.0, 2.0].map(|to| at(&all, to));
+            if differs(two - one, one - zero, two.abs() + one.abs() + zero.abs()) {
                 let advice = format!(
                     "{name:?} does not enter linearly: give it a range, as in --range {name}=1..10"
                 );
                 return Err(names.place(name).error(text, advice));
             }
-            sum += once;
+            alone += at(&none, all[i]);
         }
         let (whole, nothing) = (value(&all), value(&none));
-        let additive = (whole - sum).abs() <= 1e-9 * sum.abs().max(whole.abs());
-        if nothing.is_finite() && nothing != 0.0 || (whole.is_finite() && !additive) {
+        let scale = whole.abs() + alone.abs() + 1e-300;
+        if differs(nothing, 0.0, scale) || differs(whole, alone, scale) {
             let advice = "every term must be multiplied by one coefficient and no other".to_owned();
             return Err(ExpressionError::at(text, names.start, advice));
         }

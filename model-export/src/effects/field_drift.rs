@@ -42,7 +42,7 @@ pub const EFFECT: Effect = Effect {
         ),
         ("demagnetisation", "both change from recording to recording"),
     ],
-    undone: Undone::Never("the device cannot know when its session began; the tare takes it away"),
+    undone: Undone::Settled,
     lives_in_one_recording: false,
     apply,
 };

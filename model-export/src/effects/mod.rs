@@ -63,6 +63,8 @@ pub enum Undone {
     Compensation,
     /// On the device, by the tables of the ideal model: it only depends on the present forces.
     Tables,
+    /// It changes the gripper for good: the tables are those of the gripper as it is in the end.
+    Settled,
     /// Nowhere: it belongs to the bench, or happened once.
     Never(&'static str),
 }

@@ -36,7 +36,7 @@ pub const EFFECT: Effect = Effect {
         ),
         ("magnet_temperature", "where it warms up meanwhile"),
     ],
-    undone: Undone::Never("it happens once: run the flexures in, and fit afterwards"),
+    undone: Undone::Settled,
     lives_in_one_recording: true,
     apply,
 };

@@ -1,10 +1,14 @@
 //! What the tables of the ideal model invert: the forward model with those effects that depend on
-//! the present forces alone. Everything else is at rest: the reference temperature, nothing outside.
+//! the present forces alone, and with what has changed the gripper for good, as it is in the end.
+//! Everything else is at rest: the reference temperature, nothing outside.
 
 use nalgebra::{Matrix3, Vector3};
 
 use crate::effects::{Addition, Series, Track, Undone};
 use crate::physics::{ForwardModel, State};
+
+/// Load cycles and seconds after which whatever settles has settled.
+const SETTLED: f64 = 1e9;
 
 /// Half the step of the differences in newtons.
 const STEP_N: f64 = 0.5;
@@ -16,6 +20,8 @@ pub struct AtRest {
     pub model: ForwardModel,
     /// Effects that depend on the forces, in the order of their stages, with their values.
     effects: Vec<(Addition, Vec<f64>)>,
+    /// Recordings of the campaign that the effects are of.
+    recordings: usize,
 }
 
 impl AtRest {
@@ -24,12 +30,13 @@ impl AtRest {
         Self {
             model,
             effects: Vec::new(),
+            recordings: 1,
         }
     }
 
-    /// With those of `effects` that belong here.
-    pub fn new(model: ForwardModel, effects: &[(Addition, Vec<f64>)]) -> Self {
-        let belongs = |effect: &Addition| matches!(effect, Addition::Catalogue(effect) if effect.undone == Undone::Tables);
+    /// With those of `effects`, fitted to this many recordings, that belong here.
+    pub fn new(model: ForwardModel, effects: &[(Addition, Vec<f64>)], recordings: usize) -> Self {
+        let belongs = |effect: &Addition| matches!(effect, Addition::Catalogue(effect) if matches!(effect.undone, Undone::Tables | Undone::Settled));
         let mut own: Vec<_> = effects
             .iter()
             .filter(|(effect, _)| belongs(effect))
@@ -39,6 +46,7 @@ impl AtRest {
         Self {
             model,
             effects: own,
+            recordings,
         }
     }
 
@@ -74,6 +82,9 @@ impl AtRest {
         let track = Track {
             time_s: vec![0.0],
             force_n: vec![force_n],
+            recording: self.recordings.saturating_sub(1),
+            start_s: SETTLED,
+            cycles: vec![[SETTLED; 2]],
             ..Track::default()
         };
         let effects: Vec<(&Addition, &[f64])> = self

@@ -91,7 +91,7 @@ pub fn build_model(
             place: Place::file(place),
         })?;
         let effects = values(&model, &additions, number, recordings, place)?;
-        let rest = AtRest::new(forward, &effects);
+        let rest = AtRest::new(forward, &effects, recordings);
         compensations.extend(OwnedCompensation::build(
             number,
             &rest,

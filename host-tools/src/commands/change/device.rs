@@ -7,7 +7,7 @@ use model_export::effects::Addition;
 use model_export::fit::campaign::Prepared;
 use model_export::fit::folds::Split;
 use model_export::fit::joint::JointFit;
-use model_export::inverse::build::{Variant, build_model};
+use model_export::inverse::build::{BuildError, Variant, build_model};
 use model_export::model_file::{ModelFile, Provenance};
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
@@ -41,13 +41,15 @@ pub struct Fitted<'a> {
 }
 
 /// Replays the last recording by both models: fitted without it where recordings were left out in
-/// turn. `None` with a base that has no inverse.
+/// turn. `None` with a base that has no inverse, and where an effect cannot be undone on the device:
+/// then the reason is added to `notices`.
 pub fn judge(
     campaign: &Campaign,
     prepared: &Prepared,
     provenance: &Provenance,
     alignment: Alignment,
     [before, after]: [Fitted; 2],
+    notices: &mut Vec<String>,
 ) -> Result<Option<Device>> {
     let (Some(last), true) = (campaign.recordings.last(), prepared.design.is_some()) else {
         return Ok(None);
@@ -61,7 +63,17 @@ pub fn judge(
             ModelFile::with_effects(campaign, prepared, &fit, fitted.effects, provenance.clone());
         replayed(model, &last.folder, alignment)
     };
-    let ((before_rmse_n, _), (after_rmse_n, left)) = (run(&before)?, run(&after)?);
+    let both = run(&before).and_then(|before| Ok((before, run(&after)?)));
+    let ((before_rmse_n, _), (after_rmse_n, left)) = match both {
+        Ok(both) => both,
+        Err(error) => match error.downcast_ref::<BuildError>() {
+            Some(BuildError::NotUndone(why)) => {
+                notices.push(why.to_string());
+                return Ok(None);
+            }
+            _ => return Err(error),
+        },
+    };
     Ok(Some(Device {
         before_rmse_n,
         after_rmse_n,

@@ -29,7 +29,7 @@ pub fn text(change: &Change) -> String {
 }
 
 /// Each effect's size beside what is typical.
-fn effects(change: &Change) -> String {
+pub fn effects(change: &Change) -> String {
     if change.sizes.is_empty() {
         return "No effects are left beside the base.\n".to_owned();
     }
@@ -159,7 +159,8 @@ fn errors(change: &Change) -> String {
     format!("Held-out field error, {how}\n{table}\n{}", summary(change))
 }
 
-fn summary(change: &Change) -> String {
+/// The error over everything, before and after.
+pub fn summary(change: &Change) -> String {
     let (old, new) = (change.before.1.tally(), change.after.1.tally());
     let wins = wins(change);
     let newtons = match (old.rmse_n(), new.rmse_n()) {
