@@ -1,11 +1,14 @@
 //! The device's arithmetic against its definition and against floating point, and the exporter's
 //! promise that nothing overflows.
 
-use firmware::force::{Validity, estimate, estimate_all};
-use firmware::frame::Frame;
+use firmware::compensate::Memory;
+use firmware::force::{Estimate, Validity};
+use firmware::frame::{Frame, SENSORS};
 use firmware::hall::Reading;
 use firmware::model::grbf;
-use firmware::model::table::{COORDINATE_LIMIT, CentrePair};
+use firmware::model::table::{COORDINATE_LIMIT, CentrePair, Tables};
+use firmware::surroundings::Surroundings;
+use model_export::inverse::at_rest::AtRest;
 use model_export::inverse::build::Variant;
 use model_export::inverse::design_box::DesignBox;
 use model_export::inverse::error_map::ErrorMap;
@@ -15,15 +18,44 @@ use model_export::inverse::samples::{nearest, training};
 use model_export::inverse::search::{Chosen, choose};
 use nalgebra::Vector3;
 use proptest::prelude::*;
-use tests::nominal;
+
+/// The nominal design at rest, without any effect.
+fn nominal() -> AtRest {
+    AtRest::plain(tests::nominal())
+}
+
+/// The device's estimate where nothing is undone around the ideal model.
+fn estimate(tables: &Tables, number: usize, reading: Option<Reading>) -> Estimate {
+    let mut memory = Memory::default();
+    firmware::force::estimate(
+        tables,
+        number,
+        reading,
+        &Surroundings::default(),
+        &mut memory,
+    )
+}
+
+fn estimate_all(tables: &Tables, frame: &Frame) -> [Estimate; SENSORS] {
+    let mut memories = [Memory::default(); SENSORS];
+    firmware::force::estimate_all(tables, frame, &Surroundings::default(), &mut memories)
+}
 
 const GAUSS_PER_LSB: f64 = 0.125;
 const RANGE_G: f64 = 2000.0;
 
 fn chosen() -> &'static Chosen {
     static CHOSEN: std::sync::OnceLock<Chosen> = std::sync::OnceLock::new();
-    CHOSEN
-        .get_or_init(|| choose(&[nominal(); 4], &[0, 1, 2, 3], 7, GAUSS_PER_LSB, RANGE_G).unwrap())
+    CHOSEN.get_or_init(|| {
+        choose(
+            &[(); 4].map(|()| nominal()),
+            &[0, 1, 2, 3],
+            7,
+            GAUSS_PER_LSB,
+            RANGE_G,
+        )
+        .unwrap()
+    })
 }
 
 fn reading(field_g: Vector3<f64>) -> Reading {
@@ -79,7 +111,7 @@ fn a_load_worked_out_by_hand_comes_back() {
     assert!((field.x - 116.35).abs() < 0.02);
     field.x = 116.35;
     let chosen = chosen();
-    let found = estimate(&chosen.tables.tables(), 0, Some(reading(field)));
+    let found = estimate(&chosen.tables.tables(&[]), 0, Some(reading(field)));
     assert_eq!(found.validity, Validity::Valid);
     let [x, z] = found.force.map(|force| force.newtons());
     assert!((x - 100.0).abs() < 0.4 && z.abs() < 0.4, "{x} {z}");
@@ -89,7 +121,7 @@ fn a_load_worked_out_by_hand_comes_back() {
 fn one_centre_sums_to_weight_times_the_exponential() {
     // At the centre the exponential is one; one table step away in each direction it is known.
     let chosen = chosen();
-    let exp = chosen.tables.tables().exp;
+    let exp = chosen.tables.tables(&[]).exp;
     let pair = CentrePair {
         xy: [[100, -200], [0, 0]],
         z: [300, 0],
@@ -112,7 +144,7 @@ fn one_centre_sums_to_weight_times_the_exponential() {
 
 #[test]
 fn what_cannot_be_trusted_says_why() {
-    let tables = chosen().tables.tables();
+    let tables = chosen().tables.tables(&[]);
     let rest = nominal().field([0.0, 0.0]);
     let of = |field| estimate(&tables, 1, Some(reading(field))).validity;
     assert_eq!(of(rest), Validity::Valid);
@@ -129,20 +161,27 @@ fn what_cannot_be_trusted_says_why() {
 
 #[test]
 fn a_model_of_some_sensors_serves_those_and_calls_the_others_missing() {
-    let chosen = choose(&[nominal(); 2], &[1, 3], 7, GAUSS_PER_LSB, RANGE_G).unwrap();
+    let chosen = choose(
+        &[(); 2].map(|()| nominal()),
+        &[1, 3],
+        7,
+        GAUSS_PER_LSB,
+        RANGE_G,
+    )
+    .unwrap();
     let loaded = Some(reading(nominal().field([50.0, -80.0])));
     let frame = Frame {
         time_us: 0,
         readings: [loaded; 4],
     };
-    let found = estimate_all(&chosen.tables.tables(), &frame).map(|estimate| estimate.validity);
+    let found = estimate_all(&chosen.tables.tables(&[]), &frame).map(|estimate| estimate.validity);
     let (valid, missing) = (Validity::Valid, Validity::Missing);
     assert_eq!(found, [missing, valid, missing, valid]);
 }
 
 #[test]
 fn a_missing_sensor_does_not_disturb_the_others() {
-    let tables = chosen().tables.tables();
+    let tables = chosen().tables.tables(&[]);
     let loaded = Some(reading(nominal().field([50.0, -80.0])));
     let frame = Frame {
         time_us: 0,
@@ -208,7 +247,7 @@ proptest! {
     ) {
         let chosen = chosen();
         let reading = Reading { field: [x, y, z], temperature: 0 };
-        let found = estimate(&chosen.tables.tables(), sensor, Some(reading));
+        let found = estimate(&chosen.tables.tables(&[]), sensor, Some(reading));
         // The box is 250 N; clamped coordinates reach its margin and no further.
         for force in found.force {
             prop_assert!(force.newtons().abs() < 600.0, "{force:?}");
@@ -249,8 +288,9 @@ fn the_nominal_variant_is_the_same_model_for_every_sensor() {
     model_export::model_file::ModelFile::of(&campaign, &fits, provenance)
         .write(&path)
         .unwrap();
-    let (_, ideal, header) = model_export::inverse::build::build(&path, Variant::Nominal).unwrap();
-    assert_eq!(header.variant, "nominal design");
+    let built = model_export::inverse::build::build(&path, Variant::Nominal).unwrap();
+    let ideal = built.chosen;
+    assert_eq!(built.header.variant, "nominal design");
     assert!(
         ideal
             .tables
@@ -258,7 +298,7 @@ fn the_nominal_variant_is_the_same_model_for_every_sensor() {
             .windows(2)
             .all(|pair| pair[0].pairs == pair[1].pairs)
     );
-    let (_, fitted, _) = model_export::inverse::build::build(&path, Variant::Fitted).unwrap();
+    let fitted = model_export::inverse::build::build(&path, Variant::Fitted).unwrap().chosen;
     assert!(
         fitted
             .tables

@@ -39,7 +39,7 @@ impl Table {
         let acts = clamped(i64::from(shown.0) - taken);
         let way = (i64::from(acts) << STATE_BITS) - before;
         // 2^51 at the most, times a rate below one: the product is taken in two halves.
-        let step = (way >> 20) * i64::from(self.rate) >> (BITS - 20);
+        let step = ((way >> 20) * i64::from(self.rate)) >> (BITS - 20);
         *delayed = Some(before.saturating_add(step));
         Force(acts)
     }

@@ -40,7 +40,9 @@ impl Table {
         let now = i64::from(shown.0) << STATE_BITS;
         let [first, second] = filters.unwrap_or([now; 2]);
         let follow = |from: i64, to: i64| {
-            from.saturating_add((to.saturating_sub(from) >> 8) * i64::from(self.rate) >> (BITS - 8))
+            from.saturating_add(
+                ((to.saturating_sub(from) >> 8) * i64::from(self.rate)) >> (BITS - 8),
+            )
         };
         let first = follow(first, now);
         let second = follow(second, first);

@@ -16,9 +16,9 @@ const CTRL3_C: u8 = 0x12;
 const OUTX_L_G: u8 = 0x22;
 
 /// 833 Hz, +-4 g.
-const ACCELERATION_SETTING: u8 = 0b0111_10_00;
+const ACCELERATION_SETTING: u8 = 0b0111_1000;
 /// 833 Hz, +-2000 degrees per second.
-const TURN_SETTING: u8 = 0b0111_11_00;
+const TURN_SETTING: u8 = 0b0111_1100;
 /// Registers are updated as a whole, and the address moves on by itself.
 const WHOLE_SAMPLES: u8 = 0b0100_0100;
 

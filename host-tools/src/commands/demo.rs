@@ -123,8 +123,8 @@ fn better(
     change.model.write(path)?;
     let after = replay::outcome(path, held_out, alignment)?;
     show::page(&format!(
-        "5. The missing effect. {}\n{}\n\n{}{}\nThe recording that was put aside, through the device's code: {:.3} N -> {:.3} N RMSE over all forces.\n\n",
-        show::paragraph(&format!("{MISSING}: {}", effect.physics)).trim_start(),
+        "5. The missing effect: {MISSING}.\n\n{}\n{}\n{}{}\nThe recording that was put aside, through the device's code: {:.3} N -> {:.3} N RMSE over all forces.\n\n",
+        show::paragraph(effect.physics),
         change::report::effects(&change),
         change::report::summary(&change),
         change::report::verdict(&change),

@@ -21,6 +21,7 @@ pub const EFFECT: Effect = Effect {
         first: 0,
         of: SizeOf::Largest,
         factor: 1.0,
+        resolution: 0.05,
         typical: 5.0,
         plausible: (-50.0, 50.0),
         possible: (-2000.0, 2000.0),

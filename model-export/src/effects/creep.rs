@@ -24,6 +24,7 @@ pub const EFFECT: Effect = Effect {
         first: 2,
         of: SizeOf::Largest,
         factor: 1.0,
+        resolution: 0.0,
         typical: 2.0,
         plausible: (0.0, 15.0),
         possible: (0.0, 300.0),

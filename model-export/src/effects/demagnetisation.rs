@@ -22,6 +22,7 @@ pub const EFFECT: Effect = Effect {
         first: 0,
         of: SizeOf::Largest,
         factor: 1.0,
+        resolution: 0.0,
         typical: 0.5,
         plausible: (0.0, 5.0),
         possible: (-1.0, 100.0),

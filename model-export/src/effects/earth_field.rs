@@ -26,6 +26,7 @@ pub const EFFECT: Effect = Effect {
         first: 0,
         of: SizeOf::Norm,
         factor: 1.0,
+        resolution: 0.0,
         typical: 0.48,
         plausible: (0.2, 0.7),
         possible: (0.0, 5.0),

@@ -298,6 +298,7 @@ impl Expression {
             first: 0,
             of: SizeOf::Norm,
             factor: 1.0,
+            resolution: 0.0,
             typical: f64::NAN,
             plausible: all,
             possible: all,

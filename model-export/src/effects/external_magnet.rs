@@ -38,6 +38,7 @@ pub const EFFECT: Effect = Effect {
         first: 0,
         of: SizeOf::Greatest(peak),
         factor: 1.0,
+        resolution: 0.0,
         typical: 5.0,
         plausible: (0.0, 500.0),
         possible: (0.0, 20000.0),

@@ -27,6 +27,7 @@ pub const EFFECT: Effect = Effect {
         first: 3,
         of: SizeOf::Norm,
         factor: 1.0,
+        resolution: 0.0,
         typical: 0.7,
         plausible: (0.0, 10.0),
         possible: (0.0, 500.0),

@@ -20,6 +20,7 @@ pub const EFFECT: Effect = Effect {
         first: 0,
         of: SizeOf::Largest,
         factor: 1.0,
+        resolution: 0.0,
         typical: 0.1,
         plausible: (0.0, 1.0),
         possible: (0.0, 20.0),

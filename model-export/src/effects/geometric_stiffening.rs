@@ -27,6 +27,7 @@ pub const EFFECT: Effect = Effect {
         first: 0,
         of: SizeOf::Largest,
         factor: 1.0,
+        resolution: 0.0,
         typical: 5.0,
         plausible: (0.0, 40.0),
         possible: (-50.0, 200.0),

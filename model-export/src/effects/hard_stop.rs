@@ -36,6 +36,7 @@ pub const EFFECT: Effect = Effect {
         first: 2,
         of: SizeOf::Largest,
         factor: 1.0,
+        resolution: 0.0,
         typical: 60.0,
         plausible: (5.0, 100.0),
         possible: (0.0, 105.0),

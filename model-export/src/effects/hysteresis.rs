@@ -38,6 +38,7 @@ pub const EFFECT: Effect = Effect {
         first: 2,
         of: SizeOf::Largest,
         factor: 1.0,
+        resolution: 0.0,
         typical: 2.5,
         plausible: (0.0, 25.0),
         possible: (0.0, 250.0),

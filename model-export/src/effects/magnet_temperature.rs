@@ -20,6 +20,7 @@ pub const EFFECT: Effect = Effect {
         first: 0,
         of: SizeOf::Largest,
         factor: 1.0,
+        resolution: 0.0,
         typical: -0.11,
         plausible: (-0.25, 0.0),
         possible: (-1.0, 0.2),

@@ -37,6 +37,7 @@ pub const EFFECT: Effect = Effect {
         first: 9,
         of: SizeOf::Norm,
         factor: 10.0,
+        resolution: 0.0,
         typical: 1.0,
         plausible: (0.0, 20.0),
         possible: (0.0, 2000.0),

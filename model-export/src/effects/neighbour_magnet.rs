@@ -29,9 +29,10 @@ pub const EFFECT: Effect = Effect {
     size: Size {
         words: "field at an opening of 10 mm",
         unit: "G",
-        first: 3,
-        of: SizeOf::Norm,
+        first: 0,
+        of: SizeOf::Mean(at_ten_millimetres),
         factor: 1.0,
+        resolution: 0.0,
         typical: 2.0,
         plausible: (0.0, 100.0),
         possible: (0.0, 2000.0),
@@ -52,6 +53,11 @@ fn apply(values: &[f64], _: &Track, series: &mut Series) {
     for (state, opening_mm) in series.states.iter_mut().zip(&series.opening_mm) {
         state.outside_g += field(values, *opening_mm);
     }
+}
+
+/// Magnitude of the field in gauss where the size is stated.
+fn at_ten_millimetres(values: &[f64]) -> f64 {
+    field(values, AT_MM).norm()
 }
 
 /// Field of the neighbour in gauss, gripper's axes, at an opening in mm; `values` in the order of the

@@ -109,6 +109,8 @@ pub enum SizeOf {
     Largest,
     /// Root of the sum of squares, mean over the sensors.
     Norm,
+    /// What this makes of all values, mean over the sensors.
+    Mean(fn(&[f64]) -> f64),
     /// What this makes of all values, at the sensor where it is greatest.
     Greatest(fn(&[f64]) -> f64),
 }
@@ -126,6 +128,9 @@ pub struct Size {
     pub of: SizeOf,
     /// Multiplies what they make.
     pub factor: f64,
+    /// What no number of rows can better, one standard deviation in the size's unit, added to the
+    /// error bar: two clocks' stamps agree to some hundredths of a millisecond at best (assumed).
+    pub resolution: f64,
     /// A size that shows.
     pub typical: f64,
     /// Sizes that no one would wonder at.

@@ -23,6 +23,7 @@ pub const EFFECT: Effect = Effect {
         first: 0,
         of: SizeOf::Largest,
         factor: 1.0,
+        resolution: 0.0,
         typical: 0.5,
         plausible: (-10.0, 10.0),
         possible: (-1000.0, 1000.0),

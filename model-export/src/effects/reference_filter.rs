@@ -19,6 +19,7 @@ pub const EFFECT: Effect = Effect {
         first: 0,
         of: SizeOf::Largest,
         factor: 1.0,
+        resolution: 0.05,
         typical: 4.0,
         plausible: (0.0, 30.0),
         possible: (0.0, 2000.0),

@@ -27,6 +27,7 @@ pub const EFFECT: Effect = Effect {
         first: 0,
         of: SizeOf::Largest,
         factor: 1.0,
+        resolution: 0.0,
         typical: 0.1,
         plausible: (0.0, 0.5),
         possible: (0.0, 5.0),

@@ -19,6 +19,7 @@ pub const EFFECT: Effect = Effect {
         first: 0,
         of: SizeOf::Largest,
         factor: 1.0,
+        resolution: 0.0,
         typical: 1.0,
         plausible: (-1.0, 10.0),
         possible: (-20.0, 60.0),

@@ -23,6 +23,7 @@ pub const EFFECT: Effect = Effect {
         first: 2,
         of: SizeOf::Largest,
         factor: 1.0,
+        resolution: 0.0,
         typical: 3.0,
         plausible: (-10.0, 20.0),
         possible: (-90.0, 500.0),

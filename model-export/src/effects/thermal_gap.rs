@@ -20,6 +20,7 @@ pub const EFFECT: Effect = Effect {
         first: 0,
         of: SizeOf::Largest,
         factor: 1.0,
+        resolution: 0.0,
         typical: 0.5,
         plausible: (-3.0, 3.0),
         possible: (-50.0, 50.0),

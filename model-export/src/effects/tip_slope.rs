@@ -29,6 +29,7 @@ pub const EFFECT: Effect = Effect {
         first: 2,
         of: SizeOf::Largest,
         factor: 1.0,
+        resolution: 0.0,
         typical: 5.0,
         plausible: (-30.0, 30.0),
         possible: (-250.0, 250.0),

@@ -24,6 +24,7 @@ pub const EFFECT: Effect = Effect {
         first: 0,
         of: SizeOf::Largest,
         factor: 1.0,
+        resolution: 0.0,
         typical: 10.0,
         plausible: (0.0, 100.0),
         possible: (0.0, 2000.0),

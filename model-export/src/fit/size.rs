@@ -115,45 +115,35 @@ fn size_of(
                 (count > 1).then(|| parameters[chosen].name.to_string()),
             )
         }
-        SizeOf::Greatest(of) => {
-            let all = |sensor: &SensorFit| {
+        SizeOf::Greatest(of) | SizeOf::Mean(of) => {
+            let all = fit.sensors.iter().map(|sensor| {
                 let first = slots(sensor).start;
                 made(sensor, first..first + parameters.len(), of)
-            };
-            let greatest = fit
-                .sensors
-                .iter()
-                .map(all)
-                .max_by(|a, b| a.0.total_cmp(&b.0));
-            let (value, std_error) = greatest.unwrap_or((f64::NAN, f64::NAN));
-            (value, std_error, None)
+            });
+            let all: Vec<(f64, f64)> = all.collect();
+            match size.of {
+                SizeOf::Mean(_) => {
+                    let (value, std_error) = plain_mean(&all);
+                    (value, std_error, None)
+                }
+                _ => {
+                    let greatest = all.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
+                    let (value, std_error) = greatest.unwrap_or((f64::NAN, f64::NAN));
+                    (value, std_error, None)
+                }
+            }
         }
         SizeOf::Norm => {
             let norms: Vec<(f64, f64)> = fit.sensors.iter().map(|s| norm(s, slots(s))).collect();
-            let n = norms.len().max(1) as f64;
-            // Sensors differ in where they stand: their plain mean is the gripper's.
-            let value = norms.iter().map(|(value, _)| value).sum::<f64>() / n;
+            let (value, error) = plain_mean(&norms);
             let shared = parameters.first().is_some_and(|parameter| parameter.shared);
-            let error = norms
-                .iter()
-                .map(|(_, error)| error * error)
-                .sum::<f64>()
-                .sqrt()
-                / n;
-            (
-                value,
-                if shared {
-                    norms.first().map_or(error, |n| n.1)
-                } else {
-                    error
-                },
-                None,
-            )
+            let of_one = norms.first().map_or(error, |norm| norm.1);
+            (value, if shared { of_one } else { error }, None)
         }
     };
     EffectSize {
         value: value * size.factor,
-        std_error: std_error * size.factor.abs(),
+        std_error: (std_error * size.factor).hypot(size.resolution),
         component,
         size,
     }
@@ -196,6 +186,14 @@ fn norm(sensor: &SensorFit, slots: std::ops::Range<usize>) -> (f64, f64) {
         }
     }
     ((square - noise).max(0.0).sqrt(), variance.max(0.0).sqrt())
+}
+
+/// Sensors differ in where they stand: their plain mean is the gripper's.
+fn plain_mean(values: &[(f64, f64)]) -> (f64, f64) {
+    let n = values.len().max(1) as f64;
+    let sum: f64 = values.iter().map(|(value, _)| value).sum();
+    let squares: f64 = values.iter().map(|(_, error)| error * error).sum();
+    (sum / n, squares.sqrt() / n)
 }
 
 /// Mean with the weights of the error bars; sensors that disagree widen it.
