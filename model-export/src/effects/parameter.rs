@@ -34,6 +34,10 @@ pub struct Parameter {
     pub typical: f64,
     /// True where all sensors of a gripper have the same value.
     pub shared: bool,
+    /// True for a shape that spans recordings. Within the recordings fitted, a time constant of their own
+    /// length trades against every slow thing that the model lacks; what counts is whether it carries
+    /// over to a recording that the fit did not see, so that decides.
+    pub across: bool,
     /// For which recordings it stands.
     pub of: Of,
 }
@@ -57,6 +61,7 @@ impl Parameter {
             kind,
             typical,
             shared: false,
+            across: false,
             of: Of::Campaign,
         }
     }
@@ -80,6 +85,12 @@ impl Parameter {
     /// The same for all sensors.
     pub const fn shared(mut self) -> Self {
         self.shared = true;
+        self
+    }
+
+    /// Told by what carries over to recordings left out, where there are several.
+    pub const fn across_recordings(mut self) -> Self {
+        self.across = true;
         self
     }
 

@@ -60,6 +60,7 @@ impl Base for CylinderBase {
             relative: false,
             shared: false,
             from_scratch: true,
+            chosen: None,
         };
         (0..COUNT).map(slot).collect()
     }
@@ -152,6 +153,7 @@ impl Base for PolynomialBase {
             relative: false,
             shared: false,
             from_scratch: true,
+            chosen: None,
         };
         (0..3 * terms).map(slot).collect()
     }

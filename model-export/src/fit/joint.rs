@@ -172,7 +172,7 @@ fn with_effects<'a>(alone: &Started<'a>, effects: &'a [Addition]) -> Result<Star
 
 fn shared_slots(problem: &SensorProblem) -> Vec<usize> {
     (0..problem.slots.len())
-        .filter(|&slot| problem.slots[slot].shared)
+        .filter(|&slot| problem.slots[slot].shared && problem.slots[slot].chosen.is_none())
         .collect()
 }
 
@@ -316,10 +316,15 @@ fn judge_fold(
 fn close(
     problem: &SensorProblem,
     state: &State,
-    covariance: DMatrix<f64>,
+    mut covariance: DMatrix<f64>,
     fold_values: Vec<Vec<f64>>,
     folds: Vec<Tally>,
 ) -> SensorFit {
+    for slot in problem.chosen() {
+        covariance[(slot, slot)] = problem.slots[slot]
+            .chosen
+            .map_or(0.0, |error| error * error);
+    }
     let mut seen = Tally::default();
     judge(
         &mut seen,

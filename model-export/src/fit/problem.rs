@@ -80,6 +80,14 @@ impl<'a> SensorProblem<'a> {
             .for_each(|(slot, value)| slot.start = *value);
     }
 
+    /// Slots whose values were chosen and stay as they are.
+    pub fn chosen(&self) -> Vec<usize> {
+        let slots = 0..self.slots.len();
+        slots
+            .filter(|&slot| self.slots[slot].chosen.is_some())
+            .collect()
+    }
+
     /// Where each effect's parameters are among the slots.
     pub fn ranges(&self) -> Vec<Range<usize>> {
         let mut start = self.base_count;

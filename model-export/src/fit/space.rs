@@ -57,13 +57,14 @@ pub struct Space {
 }
 
 impl Space {
-    /// Every direction is free.
-    pub fn whole(count: usize) -> Self {
+    /// Every direction is free but those of `frozen` parameters.
+    pub fn all_but(frozen: &[usize], count: usize) -> Self {
+        let open: Vec<usize> = (0..count).filter(|slot| !frozen.contains(slot)).collect();
         Self {
-            free: DMatrix::identity(count, count),
+            free: DMatrix::from_fn(count, open.len(), |i, j| f64::from(u8::from(open[j] == i))),
             held: Vec::new(),
             held_directions: Vec::new(),
-            frozen: Vec::new(),
+            frozen: frozen.to_vec(),
         }
     }
 
