@@ -161,7 +161,7 @@ fn seek_one(seekers: &mut [Seeker], i: usize, parameters: &[Parameter]) {
         for (j, parameter) in parameters.iter().enumerate() {
             let now = first_value(seekers, i, j);
             let tried = grid(parameter, seekers, round, now);
-            if tried.len() > 1 {
+            if !tried.is_empty() {
                 let across = parameter.across && recordings_with_rows(seekers) > 1;
                 choose(seekers, i, j, &tried, across);
             }
@@ -194,6 +194,13 @@ fn grid(parameter: &Parameter, seekers: &[Seeker], round: usize, now: f64) -> Ve
     match &parameter.kind {
         Kind::Coefficient | Kind::Beginning => Vec::new(),
         Kind::Shape { grid } if parameter.across => refined(grid),
+        Kind::Shape { grid } if parameter.within_swing => {
+            let most = half_swing_n(seekers).max(grid[0]);
+            grid.iter()
+                .copied()
+                .filter(|value| *value <= most)
+                .collect()
+        }
         Kind::Shape { grid } => grid.to_vec(),
         Kind::Instant if round > 0 => (0..=2 * AROUND)
             .map(|k| now + INSTANT_S[1] * (k as f64 - AROUND as f64))
@@ -208,6 +215,13 @@ fn grid(parameter: &Parameter, seekers: &[Seeker], round: usize, now: f64) -> Ve
                 .collect()
         }
     }
+}
+
+/// Half of the greatest swing of any force, in newtons.
+fn half_swing_n(seekers: &[Seeker]) -> f64 {
+    let spans = seekers.iter().flat_map(|s| s.problem.rows.force_spans());
+    let swings = spans.map(|(low, high)| 0.5 * (high - low));
+    swings.fold(0.0, f64::max)
 }
 
 /// A grid with steps between its values, in equal ratios.
