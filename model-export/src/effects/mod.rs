@@ -256,6 +256,11 @@ impl Addition {
         }
     }
 
+    /// True where it brings the field that stands in the room: an offset is then the sensor's own alone.
+    pub fn brings_standing_field(&self) -> bool {
+        matches!(self, Self::Catalogue(effect) if effect.id == earth_field::EFFECT.id)
+    }
+
     /// Changes the series.
     pub fn apply(&self, values: &[f64], track: &Track, series: &mut Series) {
         match self {

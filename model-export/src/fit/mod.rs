@@ -65,6 +65,10 @@ pub enum FitError {
         axis: &'static str,
     },
     #[error(
+        "sensor {sensor}: a polynomial of degree {degree} needs a force, and none was recorded; leave out --degree (constants alone are then fitted), or record a force"
+    )]
+    DegreeWithoutForce { sensor: u32, degree: usize },
+    #[error(
         "{place}: sensor {sensor} has {rows} usable rows and the fit needs {needed}; record longer"
     )]
     TooFewRows {
