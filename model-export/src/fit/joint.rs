@@ -11,10 +11,14 @@ use super::rows::SensorRows;
 use super::score::Tally;
 use super::sensor::{self, State, held_out, judge};
 use super::slot::Slot;
-use super::space::{Held, KNOWN_WITHIN};
+use super::space::{Held, KNOWN_WITHIN, variance_inflation};
 use super::start::{Seeker, seek};
 use super::{AxisScore, FitError, Options};
 use crate::effects::Addition;
+
+/// From this factor on, by which its variance grows because others can stand in for it, a number counts
+/// as not told apart from them (the usual limit of regression).
+const COLLINEAR: f64 = 10.0;
 
 /// The fit of one sensor.
 #[derive(Clone, Debug)]
@@ -25,6 +29,8 @@ pub struct SensorFit {
     pub slots: Vec<Slot>,
     /// Number of the base's parameters.
     pub base_count: usize,
+    /// True where the data do not tell the sensor's own offset from the field that stands around it.
+    pub offset_is_open: bool,
     /// Fitted values, in the order of the slots.
     pub values: Vec<f64>,
     /// Covariance of the values.
@@ -345,6 +351,8 @@ fn close(
     SensorFit {
         sensor: problem.rows.sensor,
         base_count: problem.base_count,
+        offset_is_open: (0..problem.offsets)
+            .any(|slot| variance_inflation(&state.blocks, slot) > COLLINEAR),
         values: problem.values(&state.departures),
         identifiable: (0..size)
             .map(|i| covariance[(i, i)].max(0.0).sqrt() <= KNOWN_WITHIN)
