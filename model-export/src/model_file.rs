@@ -200,10 +200,20 @@ impl ModelFile {
         Some(self.sensors.first()?.polynomial.as_ref()?.degree)
     }
 
+    /// Whether any sensor's polynomial takes a lateral and a longitudinal force; `None` with the
+    /// cylinder base. Effects beside a polynomial need to know.
+    pub fn force_axes(&self) -> Option<[bool; 2]> {
+        let forces = self.sensors.iter().filter_map(|s| s.polynomial.as_ref());
+        let forces: Vec<&String> = forces.flat_map(|table| &table.forces).collect();
+        let any = |end: &str| forces.iter().any(|name| name.ends_with(end));
+        (self.base == Base::Polynomial).then(|| [any("_x_n"), any("_z_n")])
+    }
+
     /// The effects, each checked.
     pub fn additions(&self, path: &Path) -> Result<Vec<Addition>, Problem> {
+        let axes = self.force_axes();
         let addition = |effect: &EffectModel| {
-            effect.addition().map_err(|advice| {
+            effect.addition(axes).map_err(|advice| {
                 let found = effect.name.clone();
                 Fault::BadValue { found, advice }.at(Place::file(path).column("effect"))
             })

@@ -77,7 +77,7 @@ pub fn run(
     };
     let campaign = read_campaign(&common.campaign, alignment)?;
     let before = model.additions(&common.model)?;
-    let after = change(&model, &before, &campaign)?;
+    let after = beside(&model, change(&model, &before, &campaign)?)?;
     let changed = compute(campaign, &model, before, after, alignment, options)?;
     let text = match common.json {
         true => format!("{}\n", report::json(&changed)),
@@ -145,6 +145,25 @@ pub fn compute(
     })
 }
 
+/// The effects as they act beside the model's base.
+fn beside(model: &ModelFile, effects: Vec<Addition>) -> Result<Vec<Addition>> {
+    let Some(axes) = model.force_axes() else {
+        return Ok(effects);
+    };
+    let mut all = Vec::new();
+    for effect in effects {
+        let effect = effect.beside_polynomial(axes);
+        if matches!(effect, Addition::Channelwise(_)) && axes == [false; 2] {
+            bail!(
+                "{} acts through a force on the flexures, and the model takes none",
+                effect.name()
+            );
+        }
+        all.push(effect);
+    }
+    Ok(all)
+}
+
 /// Whether these recordings can tell anything of an effect; a notice where they hardly can.
 fn check(
     effect: &Addition,
@@ -169,9 +188,9 @@ fn check(
         if spread == 0.0 {
             notices.push(format!(
                 "{column} never moves in these recordings, so {name} cannot be judged from them{}",
-                match effect {
-                    Addition::Catalogue(effect) => format!(". Record: {}", effect.record),
-                    Addition::Expression(_) => String::new(),
+                match effect.effect() {
+                    Some(effect) => format!(". Record: {}", effect.record),
+                    None => String::new(),
                 }
             ));
         }

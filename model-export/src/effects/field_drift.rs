@@ -19,7 +19,9 @@ pub const EFFECT: Effect = Effect {
         Parameter::coefficient("shift_x", "G", 0.7),
         Parameter::coefficient("shift_y", "G", 0.7),
         Parameter::coefficient("shift_z", "G", 0.7),
-        Parameter::shape("time", "s", &[60.0, 150.0, 400.0, 1000.0, 3000.0]).shared(),
+        Parameter::shape("time", "s", &[60.0, 150.0, 400.0, 1000.0, 3000.0])
+            .shared()
+            .across_recordings(),
     ],
     size: Size {
         words: "final shift",

@@ -5,12 +5,14 @@
 //! - [`track`]: what a sensor met over a recording.
 //! - [`memory`]: play, low pass, smoothing.
 //! - [`series`]: from forces to states, effect by effect.
+//! - [`channelwise`]: an effect of the flexures where no geometry is known.
 //! - [`expression`]: a user's own effect, written as a formula.
 //! - [`CATALOGUE`]: all effects; each file below holds one.
 //!
 //! An effect is stated once, as what it does to the state ([`Effect::apply`]). Its regressors in the
 //! field are the derivative of that to its coefficients, so they cannot disagree with it.
 
+pub mod channelwise;
 pub mod expression;
 pub mod memory;
 pub mod parameter;
@@ -46,6 +48,7 @@ use std::sync::Arc;
 
 use crate::recordings::problem::closest;
 
+pub use channelwise::Channelwise;
 pub use expression::Expression;
 pub use hysteresis::sliders_of as hysteresis_sliders;
 pub use neighbour_magnet::field as neighbour_field;
@@ -167,6 +170,8 @@ fn repeated(parameter: &Parameter, recordings: usize) -> Vec<Parameter> {
 pub enum Addition {
     /// Of the catalogue.
     Catalogue(&'static Effect),
+    /// An effect of the flexures beside a base that knows no geometry.
+    Channelwise(Channelwise),
     /// A user's own.
     Expression(Arc<Expression>),
 }
@@ -182,6 +187,7 @@ impl Addition {
     pub fn name(&self) -> &str {
         match self {
             Self::Catalogue(effect) => effect.id,
+            Self::Channelwise(own) => own.effect().id,
             Self::Expression(expression) => &expression.name,
         }
     }
@@ -190,6 +196,8 @@ impl Addition {
     pub fn stage(&self) -> Stage {
         match self {
             Self::Catalogue(effect) => effect.stage,
+            // It no longer moves the flexures: its answers are added to what the sensor reads.
+            Self::Channelwise(_) => Stage::Sensor,
             Self::Expression(expression) => expression.stage(),
         }
     }
@@ -202,6 +210,7 @@ impl Addition {
                 .iter()
                 .flat_map(|parameter| repeated(parameter, recordings))
                 .collect(),
+            Self::Channelwise(own) => own.parameters(recordings),
             Self::Expression(expression) => expression.parameters(),
         }
     }
@@ -210,27 +219,57 @@ impl Addition {
     pub fn size(&self) -> Size {
         match self {
             Self::Catalogue(effect) => effect.size,
+            Self::Channelwise(own) => own.size(),
             Self::Expression(expression) => expression.size(),
         }
     }
 
     /// Columns that it cannot do without.
     pub fn needs(&self) -> Vec<String> {
+        let named = |effect: &Effect| effect.needs.iter().map(|&name| name.to_owned()).collect();
         match self {
-            Self::Catalogue(effect) => effect.needs.iter().map(|&name| name.to_owned()).collect(),
+            Self::Catalogue(effect) => named(effect),
+            Self::Channelwise(own) => named(own.effect()),
             Self::Expression(expression) => expression.covariates.clone(),
         }
     }
 
     /// True where a recording left out says nothing of it.
     pub fn lives_in_one_recording(&self) -> bool {
-        matches!(self, Self::Catalogue(effect) if effect.lives_in_one_recording)
+        self.effect()
+            .is_some_and(|effect| effect.lives_in_one_recording)
+    }
+
+    /// The effect of the catalogue that it is; `None` for a user's own.
+    pub fn effect(&self) -> Option<&'static Effect> {
+        match self {
+            Self::Catalogue(effect) => Some(effect),
+            Self::Channelwise(own) => Some(own.effect()),
+            Self::Expression(_) => None,
+        }
+    }
+
+    /// The same beside a base that knows no geometry, where a lateral and a longitudinal force were
+    /// recorded or not: effects of the flexures become channelwise.
+    pub fn beside_polynomial(self, axes: [bool; 2]) -> Self {
+        match self {
+            Self::Catalogue(effect) if effect.stage == Stage::Flexure => {
+                Self::Channelwise(Channelwise::new(effect, axes))
+            }
+            other => other,
+        }
+    }
+
+    /// True where it brings the field that stands in the room: an offset is then the sensor's own alone.
+    pub fn brings_standing_field(&self) -> bool {
+        matches!(self, Self::Catalogue(effect) if effect.id == earth_field::EFFECT.id)
     }
 
     /// Changes the series.
     pub fn apply(&self, values: &[f64], track: &Track, series: &mut Series) {
         match self {
             Self::Catalogue(effect) => (effect.apply)(values, track, series),
+            Self::Channelwise(own) => own.apply(values, track, series),
             Self::Expression(expression) => expression.apply(values, track, series),
         }
     }

@@ -34,6 +34,13 @@ pub struct Parameter {
     pub typical: f64,
     /// True where all sensors of a gripper have the same value.
     pub shared: bool,
+    /// True for a shape that spans recordings. Within the recordings fitted, a time constant of their own
+    /// length trades against every slow thing that the model lacks; what counts is whether it carries
+    /// over to a recording that the fit did not see, so that decides.
+    pub across: bool,
+    /// True for a travel, in newtons, that the load must go through twice before it shows: a slider whose
+    /// reach is more than half the load's swing never slips, and is a spring like the flexure.
+    pub within_swing: bool,
     /// For which recordings it stands.
     pub of: Of,
 }
@@ -57,6 +64,8 @@ impl Parameter {
             kind,
             typical,
             shared: false,
+            across: false,
+            within_swing: false,
             of: Of::Campaign,
         }
     }
@@ -80,6 +89,18 @@ impl Parameter {
     /// The same for all sensors.
     pub const fn shared(mut self) -> Self {
         self.shared = true;
+        self
+    }
+
+    /// Told by what carries over to recordings left out, where there are several.
+    pub const fn across_recordings(mut self) -> Self {
+        self.across = true;
+        self
+    }
+
+    /// Sought only up to half the swing of the load.
+    pub const fn within_swing(mut self) -> Self {
+        self.within_swing = true;
         self
     }
 

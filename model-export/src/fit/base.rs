@@ -23,6 +23,12 @@ pub trait Base: Sync {
     /// The first this many act through the state alone: the stiffnesses.
     fn mechanical(&self) -> usize;
 
+    /// The first this many are nothing but the sensor's own offset and whatever field stands around it;
+    /// none where a magnet's field is in them or where they have a prior of their own.
+    fn offsets(&self) -> usize {
+        0
+    }
+
     /// Stiffness of both flexures in N/mm; 1 where forces take the place of displacements.
     fn stiffness(&self, values: &[f64]) -> [f64; 2];
 
@@ -60,6 +66,7 @@ impl Base for CylinderBase {
             relative: false,
             shared: false,
             from_scratch: true,
+            chosen: None,
         };
         (0..COUNT).map(slot).collect()
     }
@@ -152,12 +159,18 @@ impl Base for PolynomialBase {
             relative: false,
             shared: false,
             from_scratch: true,
+            chosen: None,
         };
         (0..3 * terms).map(slot).collect()
     }
 
     fn mechanical(&self) -> usize {
         0
+    }
+
+    fn offsets(&self) -> usize {
+        // Without a force nothing pushes a magnet about; the constants are the three first slots.
+        if self.axes.is_empty() { 3 } else { 0 }
     }
 
     fn stiffness(&self, _: &[f64]) -> [f64; 2] {

@@ -11,10 +11,14 @@ use super::rows::SensorRows;
 use super::score::Tally;
 use super::sensor::{self, State, held_out, judge};
 use super::slot::Slot;
-use super::space::{Held, KNOWN_WITHIN};
+use super::space::{Held, KNOWN_WITHIN, variance_inflation};
 use super::start::{Seeker, seek};
 use super::{AxisScore, FitError, Options};
 use crate::effects::Addition;
+
+/// From this factor on, by which its variance grows because others can stand in for it, a number counts
+/// as not told apart from them (the usual limit of regression).
+const COLLINEAR: f64 = 10.0;
 
 /// The fit of one sensor.
 #[derive(Clone, Debug)]
@@ -25,6 +29,8 @@ pub struct SensorFit {
     pub slots: Vec<Slot>,
     /// Number of the base's parameters.
     pub base_count: usize,
+    /// True where the data do not tell the sensor's own offset from the field that stands around it.
+    pub offset_is_open: bool,
     /// Fitted values, in the order of the slots.
     pub values: Vec<f64>,
     /// Covariance of the values.
@@ -183,7 +189,7 @@ fn with_effects<'a>(alone: &Started<'a>, effects: &'a [Addition]) -> Result<Star
 
 fn shared_slots(problem: &SensorProblem) -> Vec<usize> {
     (0..problem.slots.len())
-        .filter(|&slot| problem.slots[slot].shared)
+        .filter(|&slot| problem.slots[slot].shared && problem.slots[slot].chosen.is_none())
         .collect()
 }
 
@@ -327,10 +333,15 @@ fn judge_fold(
 fn close(
     problem: &SensorProblem,
     state: &State,
-    covariance: DMatrix<f64>,
+    mut covariance: DMatrix<f64>,
     fold_values: Vec<Vec<f64>>,
     folds: Vec<Tally>,
 ) -> SensorFit {
+    for slot in problem.chosen() {
+        covariance[(slot, slot)] = problem.slots[slot]
+            .chosen
+            .map_or(0.0, |error| error * error);
+    }
     let mut seen = Tally::default();
     judge(
         &mut seen,
@@ -351,6 +362,8 @@ fn close(
     SensorFit {
         sensor: problem.rows.sensor,
         base_count: problem.base_count,
+        offset_is_open: (0..problem.offsets)
+            .any(|slot| variance_inflation(&state.blocks, slot) > COLLINEAR),
         values: problem.values(&state.departures),
         identifiable: (0..size)
             .map(|i| covariance[(i, i)].max(0.0).sqrt() <= KNOWN_WITHIN)

@@ -14,6 +14,7 @@
 //! - [`space`]: which combinations of parameters the data tell.
 //! - [`solve`]: Levenberg-Marquardt on all three axes jointly.
 //! - [`sensor`]: the fit of one sensor, step by step.
+//! - [`normal`]: small regressions by recording.
 //! - [`start`]: where the parameters of effects start from.
 //! - [`pool`]: what all sensors share.
 //! - [`size`]: how large an effect is over all sensors.
@@ -25,6 +26,7 @@ pub mod blocks;
 pub mod campaign;
 pub mod folds;
 pub mod joint;
+pub mod normal;
 pub mod orientation;
 pub mod parameters;
 pub mod polynomial;
@@ -62,6 +64,10 @@ pub enum FitError {
         sensor: u32,
         axis: &'static str,
     },
+    #[error(
+        "sensor {sensor}: a polynomial of degree {degree} needs a force, and none was recorded; leave out --degree (constants alone are then fitted), or record a force"
+    )]
+    DegreeWithoutForce { sensor: u32, degree: usize },
     #[error(
         "{place}: sensor {sensor} has {rows} usable rows and the fit needs {needed}; record longer"
     )]

@@ -124,14 +124,24 @@ pub struct PolynomialFit {
 }
 
 /// Fits one sensor with a polynomial of `degree`, or of the lowest degree whose held-out error is
-/// within 1 % of the best up to [`HIGHEST_DEGREE`].
+/// within 1 % of the best up to [`HIGHEST_DEGREE`]. Without a force there are constants alone.
 pub fn fit(
     rows: &SensorRows,
     degree: Option<usize>,
     options: Options,
 ) -> Result<PolynomialFit, FitError> {
     let spans = rows.force_spans();
-    let degrees = degree.map_or(1..=HIGHEST_DEGREE, |d| d..=d);
+    let degrees = match (degree, rows.forces.is_empty()) {
+        (Some(stated), true) if stated > 0 => {
+            return Err(FitError::DegreeWithoutForce {
+                sensor: rows.sensor,
+                degree: stated,
+            });
+        }
+        (_, true) => 0..=0,
+        (Some(stated), false) => stated..=stated,
+        (None, false) => 1..=HIGHEST_DEGREE,
+    };
     let tried: Vec<(usize, Tally)> = degrees
         .map(|degree| Ok((degree, held_out(rows, &spans, degree)?)))
         .collect::<Result<_, FitError>>()?;

@@ -14,6 +14,11 @@ use crate::physics::State;
 /// Step of the differences by which states answer to a parameter, in departures.
 const STEP: f64 = 1e-4;
 
+/// Offset of a magnetometer in gauss beside the Earth's field, as it leaves its calibration. Where the
+/// recordings turn the sensor too little to tell the two apart, a free offset takes what is the field's
+/// and fails at the next attitude; this prior gives the field what a plausible offset cannot be.
+const OFFSET_G: f64 = 0.05;
+
 /// A sensor's rows, the base of its model, and the effects beside it.
 #[derive(Clone)]
 pub struct SensorProblem<'a> {
@@ -27,6 +32,9 @@ pub struct SensorProblem<'a> {
     pub slots: Vec<Slot>,
     /// Number of the base's parameters.
     pub base_count: usize,
+    /// The first this many slots are the sensor's own offset, beside an effect that brings the field
+    /// around it: they depart from nothing.
+    pub offsets: usize,
     /// One over the floor at rest of each axis.
     pub weights: Vector3<f64>,
 }
@@ -57,18 +65,25 @@ impl<'a> SensorProblem<'a> {
             effects,
             slots,
             base_count,
+            offsets: match effects.iter().any(Addition::brings_standing_field) {
+                true => base.offsets(),
+                false => 0,
+            },
             weights: Vector3::repeat(1.0),
         };
         problem.weights = problem.axis_weights();
+        for slot in &mut problem.slots[..problem.offsets] {
+            (slot.start, slot.scale) = (0.0, OFFSET_G);
+        }
         problem
     }
 
     /// Lets departures of the base count from these values: what the base alone explains, no effect
-    /// takes from it.
+    /// takes from it. (But offsets where an effect brings the field that stands around the sensor.)
     pub fn centre_base(&mut self, values: &[f64]) {
-        let slots = self.slots.iter_mut().take(self.base_count);
+        let slots = self.slots.iter_mut().zip(values).take(self.base_count);
         slots
-            .zip(values)
+            .skip(self.offsets)
             .for_each(|(slot, value)| slot.start = *value);
     }
 
@@ -78,6 +93,14 @@ impl<'a> SensorProblem<'a> {
         slots
             .filter(|(slot, _)| !slot.from_scratch)
             .for_each(|(slot, value)| slot.start = *value);
+    }
+
+    /// Slots whose values were chosen and stay as they are.
+    pub fn chosen(&self) -> Vec<usize> {
+        let slots = 0..self.slots.len();
+        slots
+            .filter(|&slot| self.slots[slot].chosen.is_some())
+            .collect()
     }
 
     /// Where each effect's parameters are among the slots.

@@ -62,7 +62,8 @@ impl SensorRows {
     }
 
     /// The rows of `sensor` under whatever forces were recorded: those of its own place, or, where
-    /// it has none, all of them (one reference that loads every sensor).
+    /// it has none, all of them (one reference that loads every sensor). Where no recording has any, it
+    /// is a sensor that nothing pushes.
     pub fn with_recorded_forces(campaign: &Campaign, sensor: u32) -> Result<Self, FitError> {
         let everywhere = |force: &&(u32, Axis)| {
             campaign
@@ -92,7 +93,8 @@ impl SensorRows {
             .copied()
             .collect();
         let forces = if own.is_empty() { recorded } else { own };
-        if forces.is_empty() {
+        let any = campaign.recordings.iter().any(|r| !r.forces.is_empty());
+        if forces.is_empty() && any {
             return Err(FitError::NoForce {
                 place: Place::file(&campaign.folder),
                 sensor,

@@ -44,7 +44,7 @@ pub struct State {
 /// From nothing known: with the data's weight low, to see their residual; then with the weight that
 /// it deserves; last with what the data do not tell held at its start.
 pub fn first(problem: &SensorProblem) -> Result<State, FitError> {
-    let whole = Space::whole(problem.slots.len());
+    let whole = Space::all_but(&problem.chosen(), problem.slots.len());
     let start = DVector::zeros(problem.slots.len());
     let all = everything(problem.rows);
     let low = problem.weights / FIRST_INFLATION.sqrt();
@@ -62,7 +62,7 @@ pub fn first(problem: &SensorProblem) -> Result<State, FitError> {
 
 /// From a start that is near: everything free, so that the residual shows what the data can tell.
 pub fn approach(problem: &SensorProblem, start: &DVector<f64>) -> Result<DVector<f64>, FitError> {
-    let whole = Space::whole(problem.slots.len());
+    let whole = Space::all_but(&problem.chosen(), problem.slots.len());
     let all = everything(problem.rows);
     let mut departures = start.clone();
     for _ in 0..2 {
@@ -82,7 +82,8 @@ pub fn settle(
 ) -> Result<State, FitError> {
     let (_, blocks) = linearised(problem, start);
     let weights = problem.weights / inflation(&blocks).sqrt();
-    let space = Space::known_from(&blocks, &problem.slots, frozen);
+    let frozen: Vec<usize> = frozen.iter().copied().chain(problem.chosen()).collect();
+    let space = Space::known_from(&blocks, &problem.slots, &frozen);
     if space.free.ncols() == 0 {
         return Err(FitError::NotConverged {
             sensor: problem.rows.sensor,

@@ -25,12 +25,17 @@ pub struct Slot {
     /// True for coefficients and for the base: what each fold fits anew from scratch. Shapes and
     /// beginnings depart from those of the whole campaign.
     pub from_scratch: bool,
+    /// Chosen by recordings left out, and no longer moved by any fit: its standard deviation in
+    /// departures.
+    pub chosen: Option<f64>,
 }
 
 impl Slot {
     /// The slot of an effect's parameter.
     pub fn of(parameter: &Parameter) -> Self {
         let (start, scale, relative) = match &parameter.kind {
+            // Until the search for a start knows better.
+            Kind::Coefficient if parameter.typical.is_nan() => (0.0, 1.0, false),
             Kind::Coefficient => (0.0, EXPECTED * parameter.typical.abs(), false),
             Kind::Beginning => (0.0, parameter.typical, false),
             Kind::Instant => (0.0, 0.5, false),
@@ -55,6 +60,7 @@ impl Slot {
             relative,
             shared: parameter.shared,
             from_scratch: parameter.is_coefficient(),
+            chosen: None,
         }
     }
 

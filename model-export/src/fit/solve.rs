@@ -9,6 +9,15 @@ use super::folds::Stretch;
 use super::problem::SensorProblem;
 use super::space::Space;
 
+/// Evaluations in one round of the descent, or a little more: enough that steps turned down do not
+/// look like an arrival. The library's own hundred for each free direction are minutes in a flat valley.
+const EVALUATIONS: usize = 50;
+/// A round that lowers the sum of squares by a smaller share than this has arrived: what is left of
+/// the valley is flat, and noise decides where in it the solution stands.
+const LEAST_GAIN: f64 = 1e-4;
+/// A descent that still gains after so many rounds runs away.
+const ROUNDS: usize = 30;
+
 /// Model minus measurement over some rows, weighted, and the prior, as a function of the free
 /// directions.
 struct Descent<'a> {
@@ -143,26 +152,7 @@ pub fn solve(
         fixed: space.pinned(start),
         free,
     };
-    // A step that lowers the error by a millionth is no news beside noise.
-    let method = LevenbergMarquardt::new()
-        .with_ftol(1e-8)
-        .with_xtol(1e-8)
-        .with_gtol(1e-10);
-    let (descent, report) = method.minimize(descent);
-    // A recording without noise is fitted to the last digit: that is success as well.
-    let done = report.termination.was_successful()
-        || matches!(
-            report.termination,
-            TerminationReason::NoImprovementPossible(_)
-        );
-    if !done {
-        return Err(not_converged(match report.termination {
-            TerminationReason::User(_) | TerminationReason::Numerical(_) => {
-                "a value is too large to compute with".to_owned()
-            }
-            other => format!("{other:?}"),
-        }));
-    }
+    let descent = descend(descent).map_err(not_converged)?;
     let departures = descent.departures();
     match departures.iter().all(|d| d.is_finite()) {
         true => Ok(departures),
@@ -170,4 +160,36 @@ pub fn solve(
             "the parameters left the range of numbers".to_owned(),
         )),
     }
+}
+
+/// The descent in rounds, until it arrives; an error says why it did not.
+fn descend(mut descent: Descent) -> Result<Descent, String> {
+    // A step that lowers the error by a millionth is no news beside noise.
+    let method = LevenbergMarquardt::new()
+        .with_ftol(1e-8)
+        .with_xtol(1e-8)
+        .with_gtol(1e-10)
+        .with_patience(EVALUATIONS.div_ceil(descent.free.len() + 1));
+    let mut before = f64::INFINITY;
+    for _ in 0..ROUNDS {
+        let (after, report) = method.minimize(descent);
+        descent = after;
+        match report.termination {
+            TerminationReason::LostPatience => {
+                let left = report.objective_function;
+                if before - left <= LEAST_GAIN * before && before.is_finite() {
+                    return Ok(descent);
+                }
+                before = left;
+            }
+            // A recording without noise is fitted to the last digit: that is success as well.
+            TerminationReason::NoImprovementPossible(_) => return Ok(descent),
+            ref arrived if arrived.was_successful() => return Ok(descent),
+            TerminationReason::User(_) | TerminationReason::Numerical(_) => {
+                return Err("a value is too large to compute with".to_owned());
+            }
+            other => return Err(format!("{other:?}")),
+        }
+    }
+    Err(format!("the descent still moves after {ROUNDS} rounds"))
 }

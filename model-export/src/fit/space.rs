@@ -44,6 +44,24 @@ fn normal(blocks: &[Block]) -> DMatrix<f64> {
         .fold(DMatrix::zeros(size, size), |sum, block| sum + &block.normal)
 }
 
+/// By how much the variance of one parameter grows because others can stand in for it; judged by the
+/// answers of the field alone, without any prior.
+pub fn variance_inflation(blocks: &[Block], slot: usize) -> f64 {
+    let normal = normal(blocks);
+    let answered: Vec<usize> = (0..normal.nrows())
+        .filter(|&i| normal[(i, i)] > 0.0)
+        .collect();
+    let Some(own) = answered.iter().position(|&i| i == slot) else {
+        return f64::INFINITY;
+    };
+    let scaled = DMatrix::from_fn(answered.len(), answered.len(), |i, j| {
+        let (i, j) = (answered[i], answered[j]);
+        normal[(i, j)] / (normal[(i, i)] * normal[(j, j)]).sqrt()
+    });
+    let inverse = scaled.cholesky().map(|factor| factor.inverse());
+    inverse.map_or(f64::INFINITY, |inverse| inverse[(own, own)])
+}
+
 /// The directions in which the parameters may move, and those in which they are held.
 #[derive(Clone, Debug)]
 pub struct Space {
@@ -57,13 +75,14 @@ pub struct Space {
 }
 
 impl Space {
-    /// Every direction is free.
-    pub fn whole(count: usize) -> Self {
+    /// Every direction is free but those of `frozen` parameters.
+    pub fn all_but(frozen: &[usize], count: usize) -> Self {
+        let open: Vec<usize> = (0..count).filter(|slot| !frozen.contains(slot)).collect();
         Self {
-            free: DMatrix::identity(count, count),
+            free: DMatrix::from_fn(count, open.len(), |i, j| f64::from(u8::from(open[j] == i))),
             held: Vec::new(),
             held_directions: Vec::new(),
-            frozen: Vec::new(),
+            frozen: frozen.to_vec(),
         }
     }
 
@@ -175,4 +194,20 @@ fn shares(direction: &DVector<f64>, slots: &[Slot]) -> Vec<(String, f64)> {
     shares.iter_mut().for_each(|share| share.1 *= sign);
     shares.retain(|share| share.1.abs() > 0.2);
     shares
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_another_can_stand_in_for_is_not_told_apart() {
+        let answers = |second: [f64; 4]| {
+            let columns: Vec<f64> = [1.0; 4].into_iter().chain(second).collect();
+            let jacobian = DMatrix::from_column_slice(4, 2, &columns);
+            variance_inflation(&[Block::of(&jacobian, &[0.0; 4])], 0)
+        };
+        assert!((answers([1.0, -1.0, 1.0, -1.0]) - 1.0).abs() < 1e-9);
+        assert!(answers([1.0, 1.1, 0.9, 1.0]) > 100.0);
+    }
 }

@@ -2,18 +2,23 @@
 //!
 //! The residual of the base alone is regressed on the answers to the coefficients, together with
 //! those of the base's parameters, so that no effect gets credit for what the base could absorb.
-//! The shape that explains most over all sensors is taken.
+//! The shape that explains most over all sensors is taken; one that spans recordings is taken where it
+//! carries over best to recordings left out, as the degree of a polynomial is, and stays there.
 
 use nalgebra::{DMatrix, DVector, Vector3};
 use rayon::prelude::*;
 
+use super::normal::{Normals, left_by, left_out_by};
 use super::problem::SensorProblem;
 use crate::effects::{Kind, Parameter};
 
 /// Rows of one recording that take part in the search.
 const ROWS: usize = 400;
-/// Rounds through the shapes of one effect where it has several.
+/// Rounds through all effects where there are several, and through the shapes of one where it has
+/// several.
 const ROUNDS: usize = 2;
+/// Steps between two values of the grid in which a shape that spans recordings is refined.
+const FINE: i32 = 4;
 /// Seconds between the instants that are tried: over the whole campaign, then around the best.
 const INSTANT_S: [f64; 2] = [0.5, 0.05];
 /// Instants on each side of the best that are tried in the second round.
@@ -29,7 +34,10 @@ pub struct Seeker<'a> {
     /// Fitted values of the base, then present values of the effects.
     pub values: Vec<f64>,
     residual: DVector<f64>,
-    base: DMatrix<f64>,
+    /// The base's answers, by recording.
+    normals: Normals,
+    /// Answers of the other effects that were sought so far.
+    others: DMatrix<f64>,
 }
 
 impl<'a> Seeker<'a> {
@@ -39,6 +47,7 @@ impl<'a> Seeker<'a> {
         let values: Vec<f64> = problem.slots.iter().map(|slot| slot.start).collect();
         let departures = problem.departures(&values);
         let (mut residual, mut columns) = (Vec::new(), Vec::new());
+        let mut ends = Vec::new();
         for part in 0..problem.rows.parts.len() {
             let linear = problem.linear(part, &departures);
             for row in picked(problem.rows.parts[part].len()) {
@@ -49,13 +58,16 @@ impl<'a> Seeker<'a> {
                     columns.push(row.columns(0, problem.base_count) * problem.weights[axis]);
                 }
             }
+            ends.push(residual.len());
         }
         let base = DMatrix::from_fn(columns.len(), problem.base_count, |i, j| columns[i][j]);
+        let residual = DVector::from_vec(residual);
         Self {
             problem,
             values,
-            residual: DVector::from_vec(residual),
-            base,
+            others: DMatrix::zeros(residual.len(), 0),
+            normals: Normals::new(base, residual.clone(), &ends),
+            residual,
         }
     }
 
@@ -91,41 +103,36 @@ impl<'a> Seeker<'a> {
         columns
     }
 
-    /// Squared residual that is left by the base and these columns, and the columns' coefficients.
-    fn regress(&self, columns: &DMatrix<f64>) -> (f64, Vec<f64>) {
-        let all: Vec<_> = self
-            .base
-            .column_iter()
-            .chain(columns.column_iter())
-            .collect();
-        let size = all.len();
-        let mut normal = DMatrix::zeros(size, size);
-        let mut right = DVector::zeros(size);
-        for i in 0..size {
-            right[i] = all[i].dot(&self.residual);
-            for j in 0..=i {
-                normal[(i, j)] = all[i].dot(&all[j]);
-                normal[(j, i)] = normal[(i, j)];
-            }
+    /// Squared residual that is left beside the other effects by the coefficients of `effect`, with its
+    /// parameter `j` at `value`: over all recordings, or (`left_out`) over each in turn by the fit to
+    /// the others, recording by recording.
+    fn left(&self, effect: usize, j: usize, value: f64, left_out: bool) -> Vec<f64> {
+        let mut values = self.values.clone();
+        values[self.problem.ranges()[effect].start + j] = value;
+        let own = self.columns(&coefficients(&self.problem, effect), &values);
+        let all = side_by_side(&self.others, &own);
+        let normals = self.normals.with(&all);
+        match left_out {
+            true => left_out_by(&normals),
+            false => vec![left_by(&normals).0],
         }
-        // Scaled, and with a ridge far below any answer that counts.
-        let scale = normal
-            .diagonal()
-            .map(|d| if d > 0.0 { 1.0 / d.sqrt() } else { 0.0 });
-        let scaled = DMatrix::from_fn(size, size, |i, j| {
-            normal[(i, j)] * scale[i] * scale[j] + if i == j { 1e-6 } else { 0.0 }
-        });
-        let Some(factor) = scaled.cholesky() else {
-            return (f64::INFINITY, vec![0.0; columns.ncols()]);
-        };
-        let solution = factor
-            .solve(&right.component_mul(&scale))
-            .component_mul(&scale);
-        let left = self.residual.dot(&self.residual) - solution.dot(&right);
-        (
-            left,
-            solution.iter().skip(self.base.ncols()).copied().collect(),
-        )
+    }
+
+    /// Keeps at hand the answers of the effects in `sought`.
+    fn beside(&mut self, sought: &[usize]) {
+        let slots: Vec<usize> = sought
+            .iter()
+            .flat_map(|&i| coefficients(&self.problem, i))
+            .collect();
+        self.others = self.columns(&slots, &self.values);
+    }
+}
+
+fn side_by_side(left: &DMatrix<f64>, right: &DMatrix<f64>) -> DMatrix<f64> {
+    let columns: Vec<_> = left.column_iter().chain(right.column_iter()).collect();
+    match columns.is_empty() {
+        true => DMatrix::zeros(left.nrows(), 0),
+        false => DMatrix::from_columns(&columns),
     }
 }
 
@@ -134,21 +141,46 @@ pub fn seek(seekers: &mut [Seeker]) {
     let Some(first) = seekers.first() else { return };
     let recordings = first.problem.rows.parts.len();
     let effects = first.problem.effects;
-    for (i, effect) in effects.iter().enumerate() {
-        let parameters = effect.parameters(recordings);
-        let shapes = parameters.iter().filter(|p| !p.is_coefficient()).count();
-        for round in 0..if shapes > 1 { ROUNDS } else { 1 } {
-            for (j, parameter) in parameters.iter().enumerate() {
-                let now = first_value(seekers, i, j);
-                let tried = grid(parameter, seekers, round, now);
-                if tried.len() > 1 {
-                    choose(seekers, i, j, &tried);
-                }
-            }
+    // Alone, each effect would take the shape that best stands in for all the others.
+    for pass in 0..if effects.len() > 1 { ROUNDS } else { 1 } {
+        for (i, effect) in effects.iter().enumerate() {
+            let sought: Vec<usize> = (0..effects.len())
+                .filter(|&other| other != i && (pass > 0 || other < i))
+                .collect();
+            seekers.par_iter_mut().for_each(|s| s.beside(&sought));
+            seek_one(seekers, i, &effect.parameters(recordings));
         }
-        scale_unknown(seekers, i, &parameters);
     }
     seekers.par_iter_mut().for_each(start_coefficients);
+}
+
+/// Sets the start of one effect's parameters.
+fn seek_one(seekers: &mut [Seeker], i: usize, parameters: &[Parameter]) {
+    let shapes = parameters.iter().filter(|p| !p.is_coefficient()).count();
+    for round in 0..if shapes > 1 { ROUNDS } else { 1 } {
+        for (j, parameter) in parameters.iter().enumerate() {
+            let now = first_value(seekers, i, j);
+            let tried = grid(parameter, seekers, round, now);
+            if !tried.is_empty() {
+                let across = parameter.across && recordings_with_rows(seekers) > 1;
+                choose(seekers, i, j, &tried, across);
+            }
+        }
+    }
+    scale_unknown(seekers, i, parameters);
+}
+
+/// Recordings from which at least one sensor has rows.
+fn recordings_with_rows(seekers: &[Seeker]) -> usize {
+    let filled = |s: &Seeker| {
+        s.problem
+            .rows
+            .parts
+            .iter()
+            .filter(|p| !p.is_empty())
+            .count()
+    };
+    seekers.iter().map(filled).max().unwrap_or(0)
 }
 
 /// The present value of parameter `j` of effect `i`: the same at every sensor, while it is sought.
@@ -161,6 +193,14 @@ fn first_value(seekers: &[Seeker], i: usize, j: usize) -> f64 {
 fn grid(parameter: &Parameter, seekers: &[Seeker], round: usize, now: f64) -> Vec<f64> {
     match &parameter.kind {
         Kind::Coefficient | Kind::Beginning => Vec::new(),
+        Kind::Shape { grid } if parameter.across => refined(grid),
+        Kind::Shape { grid } if parameter.within_swing => {
+            let most = half_swing_n(seekers).max(grid[0]);
+            grid.iter()
+                .copied()
+                .filter(|value| *value <= most)
+                .collect()
+        }
         Kind::Shape { grid } => grid.to_vec(),
         Kind::Instant if round > 0 => (0..=2 * AROUND)
             .map(|k| now + INSTANT_S[1] * (k as f64 - AROUND as f64))
@@ -177,29 +217,76 @@ fn grid(parameter: &Parameter, seekers: &[Seeker], round: usize, now: f64) -> Ve
     }
 }
 
-/// Takes the value of parameter `j` of effect `i` that leaves the least, over all sensors.
-fn choose(seekers: &mut [Seeker], i: usize, j: usize, tried: &[f64]) {
-    let left: Vec<f64> = tried
+/// Half of the greatest swing of any force, in newtons.
+fn half_swing_n(seekers: &[Seeker]) -> f64 {
+    let spans = seekers.iter().flat_map(|s| s.problem.rows.force_spans());
+    let swings = spans.map(|(low, high)| 0.5 * (high - low));
+    swings.fold(0.0, f64::max)
+}
+
+/// A grid with steps between its values, in equal ratios.
+fn refined(grid: &[f64]) -> Vec<f64> {
+    let between = |pair: &[f64]| {
+        let ratio = pair[1] / pair[0];
+        let from = pair[0];
+        (0..FINE).map(move |k| from * libm::pow(ratio, f64::from(k) / f64::from(FINE)))
+    };
+    grid.windows(2)
+        .flat_map(between)
+        .chain(grid.last().copied())
+        .collect()
+}
+
+/// Takes the value of parameter `j` of effect `i` that leaves the least, over all sensors. Where it
+/// spans recordings (`across`) that is judged on each recording left out, and there it stays.
+fn choose(seekers: &mut [Seeker], i: usize, j: usize, tried: &[f64], across: bool) {
+    let left: Vec<Vec<f64>> = tried
         .par_iter()
         .map(|&value| {
-            let left = seekers.iter().map(|seeker| {
-                let range = seeker.problem.ranges()[i].clone();
-                let mut values = seeker.values.clone();
-                values[range.start + j] = value;
-                let slots = coefficients(&seeker.problem, i);
-                seeker.regress(&seeker.columns(&slots, &values)).0
-            });
-            left.sum()
+            let mut sum: Vec<f64> = Vec::new();
+            for left in seekers.iter().map(|s| s.left(i, j, value, across)) {
+                sum.resize(left.len(), 0.0);
+                sum.iter_mut().zip(left).for_each(|(sum, own)| *sum += own);
+            }
+            sum
         })
         .collect();
-    let best = left.iter().zip(tried).min_by(|a, b| a.0.total_cmp(b.0));
-    if let Some((_, &value)) = best {
-        for seeker in seekers {
-            let slot = seeker.problem.ranges()[i].start + j;
-            seeker.values[slot] = value;
-            seeker.problem.slots[slot].start = value;
-        }
+    let Some(value) = best(tried, &left, None) else {
+        return;
+    };
+    let spread = across.then(|| jackknife(tried, &left));
+    for seeker in seekers {
+        let slot = seeker.problem.ranges()[i].start + j;
+        seeker.values[slot] = value;
+        seeker.problem.slots[slot].start = value;
+        seeker.problem.slots[slot].chosen =
+            spread.map(|spread| spread / seeker.problem.slots[slot].scale);
     }
+}
+
+/// The value that leaves the least over all recordings but `without`.
+fn best(tried: &[f64], left: &[Vec<f64>], without: Option<usize>) -> Option<f64> {
+    let sum = |left: &Vec<f64>| -> f64 {
+        let counted = left.iter().enumerate().filter(|(k, _)| Some(*k) != without);
+        counted.map(|(_, left)| left).sum()
+    };
+    let pairs = left.iter().map(sum).zip(tried);
+    pairs
+        .min_by(|a, b| a.0.total_cmp(&b.0))
+        .map(|(_, value)| *value)
+}
+
+/// Standard deviation of the logarithm of the chosen value: how far it moves where each recording in
+/// turn has no say.
+fn jackknife(tried: &[f64], left: &[Vec<f64>]) -> f64 {
+    let count = left.first().map_or(0, Vec::len);
+    let logs: Vec<f64> = (0..count)
+        .filter_map(|k| best(tried, left, Some(k)).map(f64::ln))
+        .collect();
+    let n = logs.len().max(1) as f64;
+    let mean = logs.iter().sum::<f64>() / n;
+    let squares: f64 = logs.iter().map(|log| (log - mean).powi(2)).sum();
+    (squares * (n - 1.0) / n).sqrt()
 }
 
 fn coefficients(problem: &SensorProblem, effect: usize) -> Vec<usize> {
@@ -236,7 +323,9 @@ fn start_coefficients(seeker: &mut Seeker) {
     let slots: Vec<usize> = effects
         .flat_map(|i| coefficients(&seeker.problem, i))
         .collect();
-    let (_, found) = seeker.regress(&seeker.columns(&slots, &seeker.values));
+    let columns = seeker.columns(&slots, &seeker.values);
+    let (_, found) = left_by(&seeker.normals.with(&columns));
+    let found = found.into_iter().skip(seeker.problem.base_count);
     for (slot, value) in slots.into_iter().zip(found) {
         // A start, not a solution: within what is expected at all.
         let limit = seeker.problem.slots[slot].scale.abs();

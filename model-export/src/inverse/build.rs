@@ -165,7 +165,7 @@ fn values(
         Some((effect, entry))
     });
     pairs
-        .map(|(effect, entry)| match entry.values(number, recordings) {
+        .map(|(effect, entry)| match entry.values(effect, number, recordings) {
             Some(values) => Ok((effect.clone(), values)),
             None => {
                 let found = format!("{} of sensor {number}", entry.name);

@@ -92,7 +92,8 @@ impl OwnedCompensation {
                 Addition::Catalogue(known) if known.undone == Undone::Compensation => {
                     sensor.add(&mut own, known.id, values)?;
                 }
-                Addition::Catalogue(_) => {}
+                // A polynomial, beside which alone effects act channel by channel, has no inverse.
+                Addition::Catalogue(_) | Addition::Channelwise(_) => {}
                 Addition::Expression(formula) => match sensor.map(formula, values)? {
                     super::map::Maps::Field(maps) => own.field.push(OwnedOnField::Map(maps)),
                     super::map::Maps::Force(maps) => own.force.push(OwnedOnForce::Map(maps)),

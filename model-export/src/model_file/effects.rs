@@ -52,8 +52,8 @@ impl EffectModel {
         pairs
             .map(|(effect, size)| {
                 let (expression, ranges) = match effect {
-                    Addition::Catalogue(_) => (None, Vec::new()),
                     Addition::Expression(own) => (Some(own.text.clone()), own.ranges.clone()),
+                    _ => (None, Vec::new()),
                 };
                 Self {
                     name: effect.name().to_owned(),
@@ -72,22 +72,25 @@ impl EffectModel {
             .collect()
     }
 
-    /// The effect itself; what a formula names was checked when it was added.
-    pub fn addition(&self) -> Result<Addition, String> {
+    /// The effect itself, beside a polynomial of forces along `axes` (lateral, longitudinal) or, with
+    /// `None`, beside the cylinder; what a formula names was checked when it was added.
+    pub fn addition(&self, axes: Option<[bool; 2]>) -> Result<Addition, String> {
         let Some(text) = &self.expression else {
-            return find(&self.name)
-                .map(Addition::Catalogue)
-                .map_err(|error| error.to_string());
+            let effect = Addition::Catalogue(find(&self.name).map_err(|error| error.to_string())?);
+            return Ok(match axes {
+                Some(axes) => effect.beside_polynomial(axes),
+                None => effect,
+            });
         };
         let any = Expression::names(text);
         let own = Expression::parse(text, &self.ranges, &any).map_err(|error| error.to_string())?;
         Ok(Addition::Expression(Arc::new(own)))
     }
 
-    /// Values at one sensor, in the order of the effect's parameters; `None` where one is missing.
-    pub fn values(&self, number: u32, recordings: usize) -> Option<Vec<f64>> {
+    /// Values at one sensor, in the order of the parameters of `addition`; `None` where one is missing.
+    pub fn values(&self, addition: &Addition, number: u32, recordings: usize) -> Option<Vec<f64>> {
         let sensor = self.sensors.iter().find(|sensor| sensor.number == number)?;
-        let parameters = self.addition().ok()?.parameters(recordings);
+        let parameters = addition.parameters(recordings);
         let value = |name: &str| Some(sensor.parameters.get(name)?.value);
         parameters
             .iter()

@@ -12,6 +12,7 @@ use flate2::write::GzEncoder;
 use serde::Deserialize;
 
 use super::align::Alignment;
+use super::attitude::{ANGLES, Attitude, angles};
 use super::campaign::Campaign;
 use super::columns::{force_column, hall_column};
 use super::description::{Description, Design, parse_toml};
@@ -56,8 +57,12 @@ pub struct Side {
     pub file: Option<String>,
     /// The side's own clock.
     pub clock: Clock,
-    /// Columns to take.
+    /// Columns to take. The reference's may be none: a sensor that nothing pushes.
     pub columns: Vec<Column>,
+    /// The quaternion from the body to the world (the board's side only); it becomes `roll_rad`,
+    /// `pitch_rad` and `yaw_rad`.
+    #[serde(default)]
+    pub attitude: Option<Attitude>,
 }
 
 /// A clock of the source.
@@ -125,6 +130,11 @@ impl Mapping {
                 return Err(Fault::BadValue { found, advice }
                     .at(Place::file(path).column(column.to.as_str())));
             }
+        }
+        if mapping.force.attitude.is_some() {
+            let found = "attitude beside the forces".to_owned();
+            let advice = "the attitude is the board's: move it to [hall]".to_owned();
+            return Err(Fault::BadValue { found, advice }.at(Place::file(path).column("attitude")));
         }
         for column in &mapping.force.columns {
             force_column(&column.to)
@@ -274,6 +284,8 @@ struct Source {
     clock_factor: f64,
     clock_offset_us: f64,
     picks: Vec<Pick>,
+    /// Columns of the quaternion.
+    attitude: Option<[usize; 4]>,
 }
 
 struct Pick {
@@ -319,7 +331,17 @@ impl Source {
                 missing: column.missing,
             });
         }
+        let attitude = match &side.attitude {
+            None => None,
+            Some(attitude) => {
+                let [w, x, y, z] = attitude.columns().map(&find);
+                Some([w?, x?, y?, z?])
+            }
+        };
         let mut cells = vec![Cells::Ignored; table.header().len()];
+        for column in attitude.into_iter().flatten() {
+            cells[column] = Cells::Number;
+        }
         for pick in &picks {
             cells[pick.column] = values;
         }
@@ -332,6 +354,7 @@ impl Source {
             clock_factor,
             clock_offset_us: side.clock.offset_s * 1e6,
             picks,
+            attitude,
         })
     }
 
@@ -350,9 +373,10 @@ impl Source {
         let file = File::create(path).map_err(failed)?;
         let mut out = GzEncoder::new(BufWriter::new(file), Compression::default());
         let names = self.picks.iter().map(|pick| pick.to.as_str());
-        let header: Vec<&str> = ["t_us"].into_iter().chain(names).collect();
+        let turns = ANGLES.iter().copied().filter(|_| self.attitude.is_some());
+        let header: Vec<&str> = ["t_us"].into_iter().chain(names).chain(turns).collect();
         writeln!(out, "{}", header.join(",")).map_err(failed)?;
-        let (mut rows, mut measured, mut last_us) = (0, 0, 0.0);
+        let (mut rows, mut measured, mut last_us, mut attitude) = (0, 0, 0.0, None);
         while let Some(row) = self.table.next_row()? {
             last_us = row.cells[self.clock] * self.clock_factor + self.clock_offset_us - origin_us;
             let mut line = last_us.round().to_string();
@@ -364,6 +388,14 @@ impl Source {
                     any = true;
                     line.push_str(&rounded(value * pick.factor, IMPORTED_DIGITS).to_string());
                 }
+            }
+            if let Some(columns) = self.attitude {
+                let turned = angles(columns.map(|column| row.cells[column]), attitude)
+                    .map_err(|fault| fault.at(self.table.cell_place(row.line, columns[0])))?;
+                for angle in turned {
+                    line.push_str(&format!(",{}", rounded(angle, IMPORTED_DIGITS)));
+                }
+                attitude = Some(turned);
             }
             writeln!(out, "{line}").map_err(failed)?;
             rows += 1;

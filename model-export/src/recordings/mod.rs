@@ -14,6 +14,7 @@
 //! - [`import`]: foreign tables turned into a campaign by a mapping file.
 
 pub mod align;
+pub mod attitude;
 pub mod campaign;
 mod clock;
 pub mod columns;

@@ -4,6 +4,7 @@ use model_export::fit::folds::Split;
 use model_export::fit::joint::JointFit;
 use model_export::fit::score::Tally;
 use model_export::model_file::EffectModel;
+use model_export::recordings::attitude::ANGLES;
 use serde_json::{Value, json};
 
 use super::Change;
@@ -206,8 +207,41 @@ fn wins(change: &Change) -> (usize, usize) {
     (fell.count(), new.len())
 }
 
-/// One line in words.
+/// What the change did, in words, and what these recordings do not tell.
 pub fn verdict(change: &Change) -> String {
+    let words = [Some(gain(change)), confusion(change)];
+    words.into_iter().flatten().collect::<Vec<_>>().join(" ")
+}
+
+/// Offset and Earth's field, where they cannot be told apart.
+fn confusion(change: &Change) -> Option<String> {
+    let sensors: Vec<String> = (change.after.1.sensors.iter())
+        .filter(|fit| fit.offset_is_open)
+        .map(|fit| fit.sensor.to_string())
+        .collect();
+    if sensors.is_empty() {
+        return None;
+    }
+    let turned = ANGLES.map(|name| {
+        let values = || (change.campaign.recordings.iter()).filter_map(|r| r.covariates.get(name));
+        let low = values().flatten().copied().fold(f64::INFINITY, f64::min);
+        let high = values()
+            .flatten()
+            .copied()
+            .fold(f64::NEG_INFINITY, f64::max);
+        (high - low).to_degrees()
+    });
+    Some(format!(
+        "The offset of sensor {} and the Earth's field cannot be told apart in these recordings (roll moved by {:.0}, pitch by {:.0}, yaw by {:.0} degrees): the offset is kept near zero, as far as a plausible one goes. Turn the gripper further, at least 90 degrees about two axes.",
+        sensors.join(", "),
+        turned[0],
+        turned[1],
+        turned[2],
+    ))
+}
+
+/// What the change did to the error.
+fn gain(change: &Change) -> String {
     let rms = |tally: Tally| tally.mean_square().sqrt();
     let (old, new) = (rms(change.before.1.tally()), rms(change.after.1.tally()));
     let floor = change.after.1.tally().floor_g();
