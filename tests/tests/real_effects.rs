@@ -17,11 +17,13 @@ use tests::{data, real_data};
 /// Fewer draws of the bootstrap than a person would take: only error bars need them.
 const OPTIONS: Options = Options { seed: 1, draws: 40 };
 
-fn campaign(mapping: &str, sources: &[PathBuf]) -> Campaign {
+/// The campaign, and the folder that it lies in while it is used.
+fn campaign(mapping: &str, sources: &[PathBuf]) -> (Campaign, TempDir) {
     let folder = TempDir::new().unwrap();
     let target = folder.path().join("campaign");
     import(&data(mapping), sources, &target, |_| ()).unwrap();
-    Campaign::read(&target, Alignment { delay_us: 0.0 }, |_| ()).unwrap()
+    let campaign = Campaign::read(&target, Alignment { delay_us: 0.0 }, |_| ()).unwrap();
+    (campaign, folder)
 }
 
 fn fit(prepared: &Prepared, effects: &[Addition]) -> JointFit {
@@ -39,7 +41,7 @@ fn drift_then_hysteresis_then_creep_each_lower_the_error_of_a_printed_lattice() 
         return;
     };
     let sources = ["run1.csv", "run2.csv", "run3.csv"].map(|name| folder.join(name));
-    let campaign = campaign("eflesh_normal.mapping.toml", &sources);
+    let (campaign, _kept) = campaign("eflesh_normal.mapping.toml", &sources);
     let prepared = Prepared::polynomial(&campaign, Some(5), OPTIONS).unwrap();
     let mut effects = Vec::new();
     let mut before = fit(&prepared, &effects);
@@ -79,7 +81,7 @@ fn a_magnetometer_that_nothing_pushes_feels_the_earth_s_field() {
         return;
     };
     let sources = [folder.join("sample_mag.csv")];
-    let campaign = campaign("px4_earth_field.mapping.toml", &sources);
+    let (campaign, _kept) = campaign("px4_earth_field.mapping.toml", &sources);
     let prepared = Prepared::polynomial(&campaign, None, OPTIONS).unwrap();
     assert_eq!(prepared.polynomials[0].model.degree, 0);
     let before = fit(&prepared, &[]);
@@ -98,7 +100,7 @@ fn a_degree_without_a_force_is_refused() {
         return;
     };
     let sources = [folder.join("sample_mag.csv")];
-    let campaign = campaign("px4_earth_field.mapping.toml", &sources);
+    let (campaign, _kept) = campaign("px4_earth_field.mapping.toml", &sources);
     let refused = Prepared::polynomial(&campaign, Some(2), OPTIONS).err();
     let said = refused.unwrap().to_string();
     assert!(
