@@ -133,3 +133,48 @@ fn a_fault_in_the_source_is_named_with_its_line() {
         "{fault}"
     );
 }
+
+/// The same bench with an attitude and nothing that pushes.
+const TURNING: &str = r#"
+description = "a magnetometer"
+[hall]
+clock = { from = "time", unit = "ms" }
+columns = [
+  { from = "mx", unit = "mT", to = "s0_x_gauss" },
+  { from = "my", unit = "mT", to = "s0_y_gauss" },
+  { from = "mz", unit = "mT", to = "s0_z_gauss" },
+]
+attitude = { w = "qw", x = "qx", y = "qy", z = "qz" }
+[force]
+clock = { from = "time", unit = "ms" }
+columns = []
+"#;
+
+fn turning_source() -> String {
+    let mut text = "time,mx,my,mz,qw,qx,qy,qz\n".to_owned();
+    for i in 0..40 {
+        text += &format!("{},1.5,-2.5,0.25,2,0,0,2\n", 10 * i);
+    }
+    text
+}
+
+#[test]
+fn a_quaternion_becomes_angles_and_no_force_is_needed() {
+    let (_bench, result) = Bench::import(TURNING, &turning_source());
+    let campaign = Campaign::read(&result.unwrap(), Alignment { delay_us: 0.0 }, |_| ()).unwrap();
+    let first = &campaign.recordings[0];
+    assert!(first.forces.is_empty());
+    assert!((first.covariates["yaw_rad"][3] - std::f64::consts::FRAC_PI_2).abs() < 1e-6);
+    assert!(first.covariates["roll_rad"][3].abs() < 1e-6);
+}
+
+#[test]
+fn a_quaternion_of_zeros_is_named_with_its_line() {
+    let text =
+        turning_source().replace("\n100,1.5,-2.5,0.25,2,0,0,2", "\n100,1.5,-2.5,0.25,0,0,0,0");
+    let fault = said(TURNING, &text);
+    assert!(
+        fault.contains("source.csv, line 12, column qw: the quaternion 0, 0, 0, 0"),
+        "{fault}"
+    );
+}

@@ -11,6 +11,8 @@
 //! - [`raw`]: one recording at the board's own rate, for replay.
 //! - [`recording`]: one folder, checked, aligned and in memory.
 //! - [`campaign`]: all recordings of one gripper.
+//! - [`attitude`]: quaternions of foreign recordings as angles.
+//! - [`mapping`]: what a mapping file holds.
 //! - [`import`]: foreign tables turned into a campaign by a mapping file.
 
 pub mod align;
@@ -23,6 +25,7 @@ mod force_reader;
 mod hall_reader;
 pub mod import;
 pub mod layout;
+pub mod mapping;
 pub mod noise;
 pub mod problem;
 pub mod raw;
