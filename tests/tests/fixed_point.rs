@@ -298,7 +298,9 @@ fn the_nominal_variant_is_the_same_model_for_every_sensor() {
             .windows(2)
             .all(|pair| pair[0].pairs == pair[1].pairs)
     );
-    let fitted = model_export::inverse::build::build(&path, Variant::Fitted).unwrap().chosen;
+    let fitted = model_export::inverse::build::build(&path, Variant::Fitted)
+        .unwrap()
+        .chosen;
     assert!(
         fitted
             .tables

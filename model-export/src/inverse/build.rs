@@ -165,15 +165,17 @@ fn values(
         Some((effect, entry))
     });
     pairs
-        .map(|(effect, entry)| match entry.values(effect, number, recordings) {
-            Some(values) => Ok((effect.clone(), values)),
-            None => {
-                let found = format!("{} of sensor {number}", entry.name);
-                let advice = "a parameter is missing: add the effect again".to_owned();
-                Err(Fault::BadValue { found, advice }
-                    .at(Place::file(place).column("effect"))
-                    .into())
-            }
-        })
+        .map(
+            |(effect, entry)| match entry.values(effect, number, recordings) {
+                Some(values) => Ok((effect.clone(), values)),
+                None => {
+                    let found = format!("{} of sensor {number}", entry.name);
+                    let advice = "a parameter is missing: add the effect again".to_owned();
+                    Err(Fault::BadValue { found, advice }
+                        .at(Place::file(place).column("effect"))
+                        .into())
+                }
+            },
+        )
         .collect()
 }
