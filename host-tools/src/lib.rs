@@ -4,6 +4,7 @@
 //! - [`commands`]: one file each.
 //! - [`bench`](mod@bench): a simulated bench that shares no mechanics with the fit.
 //! - [`surroundings`]: what the board would know beside its fields.
+//! - [`sums`]: statistics of many rows.
 //! - [`replay`]: recorded data through the device's own code.
 //! - [`show`]: numbers and tables as people read them.
 //! - [`progress`]: what long work shows while it runs.
@@ -14,4 +15,5 @@ pub mod commands;
 pub mod progress;
 pub mod replay;
 pub mod show;
+pub mod sums;
 pub mod surroundings;

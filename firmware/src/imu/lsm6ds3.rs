@@ -71,7 +71,7 @@ impl<B: I2c> Imu for Lsm6ds3<B> {
     }
 }
 
-/// The reading in the twelve bytes from [`OUTX_L_G`] on: turn, then acceleration, little-endian.
+/// The reading in the twelve bytes from the first register of the turn on: turn, then acceleration, little-endian.
 pub fn decode(bytes: [u8; 12]) -> Motion {
     let [gx0, gx1, gy0, gy1, gz0, gz1, ax0, ax1, ay0, ay1, az0, az1] = bytes;
     let word = |low, high| i32::from(i16::from_le_bytes([low, high]));

@@ -5,6 +5,7 @@
 //! are coefficients, which must enter linearly. Every sensor gets its own values.
 
 mod syntax;
+mod target;
 
 use std::borrow::Cow;
 
@@ -19,39 +20,10 @@ use crate::recordings::problem::closest;
 
 pub use syntax::ExpressionError;
 use syntax::{Names, check};
+use target::{TARGETS, Target};
 
 /// Steps of the search over a parameter's range: fine enough for the phase of a ripple.
 const SEARCH: usize = 60;
-
-/// What a formula gives.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Target {
-    name: &'static str,
-    unit: &'static str,
-    stage: Stage,
-    /// x, y, z of the gripper.
-    axis: usize,
-}
-
-const fn target(name: &'static str, unit: &'static str, stage: Stage, axis: usize) -> Target {
-    Target {
-        name,
-        unit,
-        stage,
-        axis,
-    }
-}
-
-const TARGETS: [Target; 8] = [
-    target("fx_n", "N", Stage::Load, 0),
-    target("fz_n", "N", Stage::Load, 2),
-    target("dx_um", "um", Stage::Displacement, 0),
-    target("dy_um", "um", Stage::Displacement, 1),
-    target("dz_um", "um", Stage::Displacement, 2),
-    target("bx_g", "G", Stage::Outside, 0),
-    target("by_g", "G", Stage::Outside, 1),
-    target("bz_g", "G", Stage::Outside, 2),
-];
 
 /// What a name in a formula stands for.
 #[derive(Clone, Debug, PartialEq)]

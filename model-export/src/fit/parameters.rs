@@ -51,7 +51,7 @@ const fn absolute(name: &'static str, unit: &'static str, tolerance: f64) -> Par
 
 /// All parameters, in the order of the vectors.
 ///
-/// The tolerances only decide what is held at nominal (see [`super::cylinder`]): a combination
+/// The tolerances only decide what is held at nominal (see [`super::space`]): a combination
 /// that the data know no better than this.
 pub const PARAMETERS: [Parameter; COUNT] = [
     // A wire-cut beam's thickness enters with its third power: 0.1 mm of 5 mm is 6 %.

@@ -20,7 +20,7 @@ pub mod design_box;
 pub mod emit;
 pub mod error_map;
 pub mod grbf;
-mod map;
+pub mod map;
 pub mod quantise;
 pub mod samples;
 pub mod search;
