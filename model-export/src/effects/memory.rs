@@ -39,7 +39,7 @@ fn local(at: f64, time_s: &[f64], values: &[f64]) -> (f64, f64) {
         let solution = normal.cholesky()?.solve(&right);
         Some((solution[0], solution[1] / reach))
     };
-    let cubic = if time_s.len() > 5 { fit(4) } else { None };
+    let cubic = if time_s.len() > 4 { fit(4) } else { None };
     let mean = (values.iter().sum::<f64>() / values.len() as f64, 0.0);
     cubic.or_else(|| fit(2)).unwrap_or(mean)
 }
