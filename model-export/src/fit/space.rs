@@ -103,13 +103,14 @@ impl Space {
             .zip(eigen.eigenvalues.iter())
         {
             let variance = direction.dot(&(&noise * direction));
-            let known_within = variance.sqrt() / value.max(f64::MIN_POSITIVE);
+            let value = value.max(f64::MIN_POSITIVE);
+            // No residual is quieter than the floor, whatever a direction without an answer shows.
+            let known_within = (variance.sqrt() / value).max(1.0 / value.sqrt());
             let mut lifted = DVector::zeros(count);
             open.iter()
                 .zip(direction.iter())
                 .for_each(|(&slot, share)| lifted[slot] = *share);
-            // What has no answer at all is not known, however quiet the residual.
-            if known_within <= KNOWN_WITHIN && value > 0.0 {
+            if known_within <= KNOWN_WITHIN {
                 free.push(lifted);
             } else {
                 held.push(Held {

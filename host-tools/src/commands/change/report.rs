@@ -97,7 +97,11 @@ fn parameters(effects: &[EffectModel]) -> String {
                 continue;
             };
             table.add_row([effect.name.clone()]);
-            for (name, value) in &first.parameters {
+            for (name, value) in first
+                .parameters
+                .iter()
+                .filter(|(name, _)| !is_beginning(name))
+            {
                 let shown = sensors().map(|sensor| match sensor.parameters.get(name) {
                     Some(value) => {
                         let mark = if value.identifiable { "" } else { "?" };
@@ -113,6 +117,11 @@ fn parameters(effects: &[EffectModel]) -> String {
         text += &format!("{table}\n");
     }
     text + "?: not told by these recordings.\n"
+}
+
+/// Where a memory began tells nothing about the gripper: that stays in the file.
+fn is_beginning(name: &str) -> bool {
+    name.starts_with("begin")
 }
 
 /// The error of each axis before and after.
