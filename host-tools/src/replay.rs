@@ -139,6 +139,10 @@ pub fn replay(
         .map(OwnedCompensation::view)
         .collect();
     let tables = models.tables.tables(&compensations);
+    let needs_temperature = models
+        .compensations
+        .iter()
+        .any(OwnedCompensation::needs_temperature);
     let covariates = Covariates::find(stream.layout(), models.design);
     let mut memories = vec![Memory::default(); wiring.len()];
     let mut first_s = None;
@@ -174,7 +178,8 @@ pub fn replay(
             for (i, (wires, estimate)) in wiring.iter().zip(estimates).enumerate() {
                 let sensor = &mut result.sensors[i];
                 let reference = wires.forces.map(|force| row.forces[force]);
-                sensor.lacking += u64::from(estimate.lacking);
+                let cold = needs_temperature && wires.temperature.is_none();
+                sensor.lacking += u64::from(estimate.lacking || cold);
                 if estimate.validity != Validity::Valid {
                     sensor.invalid += 1;
                 } else if reference.iter().all(|n| n.is_finite()) {

@@ -181,6 +181,8 @@ fn the_committed_tables_are_those_of_the_demo() {
         "2. The fit.",
         "3. The inverse.",
         "4. The judgement.",
+        "5. The missing effect: neighbour_magnet.",
+        "is at the noise floor",
     ] {
         assert!(story.contains(part), "{story}");
     }

@@ -113,6 +113,7 @@ pub fn compute(
     notices.extend(prepared.notices.iter().map(ToString::to_string));
     for effect in &after {
         notices.extend(check(effect, &after, model.base, &campaign)?);
+        check_numbers(effect, &prepared)?;
     }
     say(&notices);
     let all: Vec<Addition> = before.iter().chain(&after).cloned().collect();
@@ -196,6 +197,24 @@ fn check(
         }
     }
     Ok(notices)
+}
+
+/// Refuses a formula that is no number somewhere in these recordings.
+fn check_numbers(effect: &Addition, prepared: &Prepared) -> Result<()> {
+    let Addition::Expression(formula) = effect else {
+        return Ok(());
+    };
+    let mut tracks = prepared
+        .rows
+        .iter()
+        .flat_map(|rows| rows.parts.iter().map(|part| &part.track));
+    match tracks.find_map(|track| formula.no_number(track)) {
+        Some(place) => bail!(
+            "{}: the formula is no number where {place}; keep it away from divisions by zero and roots of negative numbers",
+            formula.name
+        ),
+        None => Ok(()),
+    }
 }
 
 /// Peak-to-peak of a covariate over all recordings; an error where one has it not.

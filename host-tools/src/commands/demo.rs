@@ -123,11 +123,12 @@ fn better(
     change.model.write(path)?;
     let after = replay::outcome(path, held_out, alignment)?;
     show::page(&format!(
-        "5. The missing effect: {MISSING}.\n\n{}\n{}\n{}{}\nThe recording that was put aside, through the device's code: {:.3} N -> {:.3} N RMSE over all forces.\n\n",
+        "5. The missing effect: {MISSING}.\n\n{}\n{}\n{}{}\
+         The recording that was put aside, by the device's code: {:.3} N -> {:.3} N RMSE over all forces.\n\n",
         show::paragraph(effect.physics),
         change::report::effects(&change),
         change::report::summary(&change),
-        change::report::verdict(&change),
+        show::paragraph(&change::report::verdict(&change)),
         replay::report::rmse_n(&before.fitted),
         replay::report::rmse_n(&after.fitted),
     ))?;

@@ -104,10 +104,14 @@ pub fn report(chosen: &Chosen, header: &Header) -> String {
     }
     show::right_align(&mut table, 2);
     format!(
-        "Ideal model of the {}: {} centres and a linear part for each sensor\n\
+        "{}Ideal model of the {}: {} centres and a linear part for each sensor\n\
          (width gamma {:.3}, ridge {:.0e}, chosen by error on loads that were not fitted, through the device's\n\
          arithmetic).\n\
          Error in N over the box of ±{:.0} N:\n{table}\n",
+        match header.effects.as_slice() {
+            [] => String::new(),
+            effects => format!("Effects of the model: {}.\n", effects.join(", ")),
+        },
         header.variant,
         shape.centres_across * shape.centres_across,
         shape.gamma,

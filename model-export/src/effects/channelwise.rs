@@ -9,7 +9,7 @@ use std::borrow::Cow;
 
 use nalgebra::Vector3;
 
-use super::parameter::{Kind, Of, Parameter, Size, SizeOf};
+use super::parameter::{Kind, Of, Parameter, Size};
 use super::{Effect, Series, Track, repeated};
 
 /// Names of a coefficient's three answers end in these.
@@ -63,23 +63,13 @@ impl Channelwise {
 
     /// The channels' answers together.
     pub fn size(&self) -> Size {
-        let all = (f64::NEG_INFINITY, f64::INFINITY);
         let unit = self.effect.parameters.first().map_or("", |p| &p.unit);
-        Size {
-            words: match unit {
-                "N" => "answer to 1 N of it, root of the sum of squares of the channels",
-                "%" => "answer to 1 % of it, root of the sum of squares of the channels",
-                _ => "answer to 1 ms of it, root of the sum of squares of the channels",
-            },
-            unit: "G",
-            first: 0,
-            of: SizeOf::Norm,
-            factor: 1.0,
-            resolution: 0.0,
-            typical: f64::NAN,
-            plausible: all,
-            possible: all,
-        }
+        let words = match unit {
+            "N" => "answer to 1 N of it, root of the sum of squares of the channels",
+            "%" => "answer to 1 % of it, root of the sum of squares of the channels",
+            _ => "answer to 1 ms of it, root of the sum of squares of the channels",
+        };
+        Size::unexpected(words, "G")
     }
 
     /// Adds to the reading what each channel makes of the shift of the force. `values` are in the order

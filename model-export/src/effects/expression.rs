@@ -12,7 +12,7 @@ use std::borrow::Cow;
 use exmex::{Express, FlatEx};
 use nalgebra::Vector3;
 
-use super::parameter::{Kind, Parameter, Size, SizeOf};
+use super::parameter::{Kind, Parameter, Size};
 use super::series::{Series, Stage};
 use super::track::{OWN, Track};
 use crate::quantity::column_unit;
@@ -199,8 +199,13 @@ impl Expression {
                 moved[i] = to;
                 value(&moved)
             };
-            let [zero, one, two] = [0.0, 1.0, 2.0].map(|to| at(&all, to));
-            if differs(two - one, one - zero, two.abs() + one.abs() + zero.abs()) {
+            // Not at zero: what divides by it would be no number there.
+            let [low, middle, high] = [1.0, 2.0, 3.0].map(|to| at(&all, to));
+            if differs(
+                high - middle,
+                middle - low,
+                high.abs() + middle.abs() + low.abs(),
+            ) {
                 let advice = format!(
                     "{name:?} does not enter linearly: give it a range, as in --range {name}=1..10"
                 );
@@ -263,18 +268,7 @@ impl Expression {
 
     /// Its coefficients together.
     pub fn size(&self) -> Size {
-        let all = (f64::NEG_INFINITY, f64::INFINITY);
-        Size {
-            words: "coefficients, root of the sum of squares",
-            unit: self.target.unit,
-            first: 0,
-            of: SizeOf::Norm,
-            factor: 1.0,
-            resolution: 0.0,
-            typical: f64::NAN,
-            plausible: all,
-            possible: all,
-        }
+        Size::unexpected("coefficients, root of the sum of squares", self.target.unit)
     }
 
     /// The formula at one set of covariates, in the order of [`Expression::covariates`], and the axis
@@ -285,6 +279,39 @@ impl Expression {
             self.evaluate(coefficients, shapes, covariates),
             self.target.axis,
         )
+    }
+
+    /// The first row in which the formula is no number, at the ends and the middle of its ranges, in
+    /// words; `None` where it is one everywhere.
+    pub fn no_number(&self, track: &Track) -> Option<String> {
+        let columns: Vec<Vec<f64>> = self
+            .covariates
+            .iter()
+            .map(|name| track.covariate(name))
+            .collect::<Option<_>>()?;
+        for share in [0.0, 0.5, 1.0] {
+            let shapes: Vec<f64> = self
+                .ranges
+                .iter()
+                .map(|r| r.from + share * (r.to - r.from))
+                .collect();
+            for row in 0..track.len() {
+                let at: Vec<f64> = columns.iter().map(|column| column[row]).collect();
+                if !self
+                    .evaluate(&vec![1.0; self.coefficients.len()], &shapes, &at)
+                    .is_finite()
+                {
+                    let named = self.covariates.iter().zip(&at);
+                    let ranged = self.ranges.iter().map(|range| &range.name).zip(&shapes);
+                    let places: Vec<String> = named
+                        .chain(ranged)
+                        .map(|(name, value)| format!("{name} = {value}"))
+                        .collect();
+                    return Some(places.join(", "));
+                }
+            }
+        }
+        None
     }
 
     /// Adds the formula's value to every row.

@@ -159,3 +159,21 @@ pub struct Size {
     /// Sizes that physics allows at all.
     pub possible: (f64, f64),
 }
+
+impl Size {
+    /// The coefficients' root of the sum of squares, where nobody knows what to expect.
+    pub const fn unexpected(words: &'static str, unit: &'static str) -> Self {
+        let all = (f64::NEG_INFINITY, f64::INFINITY);
+        Self {
+            words,
+            unit,
+            first: 0,
+            of: SizeOf::Norm,
+            factor: 1.0,
+            resolution: 0.0,
+            typical: f64::NAN,
+            plausible: all,
+            possible: all,
+        }
+    }
+}

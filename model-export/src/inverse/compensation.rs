@@ -98,6 +98,20 @@ impl OwnedCompensation {
         Ok((most > 0).then_some(own))
     }
 
+    /// True where one of the effects needs the sensor's temperature.
+    pub fn needs_temperature(&self) -> bool {
+        self.field.iter().any(|effect| {
+            matches!(
+                effect,
+                OwnedOnField::Plain(
+                    OnField::SensorTemperature(_)
+                        | OnField::MagnetTemperature(_)
+                        | OnField::ThermalGap(_)
+                )
+            )
+        })
+    }
+
     /// As the device sees it.
     pub fn view(&self) -> Compensation<'_> {
         let mut view = Compensation {

@@ -1,8 +1,10 @@
 //! What `magpie add` and `magpie drop` show.
 
+use model_export::effects::Addition;
 use model_export::fit::folds::Split;
 use model_export::fit::joint::JointFit;
 use model_export::fit::score::Tally;
+use model_export::fit::size::EffectSize;
 use model_export::model_file::EffectModel;
 use model_export::recordings::attitude::ANGLES;
 use serde_json::{Value, json};
@@ -12,20 +14,22 @@ use crate::show;
 
 /// A change of the held-out error below this share is none.
 const NO_CHANGE: f64 = 0.005;
+/// A fall below this share proves little where the size is odd.
+const LITTLE: f64 = 0.05;
 /// Held-out error up to this factor of the floor counts as being at it.
 const AT_FLOOR: f64 = 1.15;
-/// Shares of a held combination below this are not told.
+/// Sensors side by side in one table.
 const SENSORS_ACROSS: usize = 4;
 
 /// The page.
 pub fn text(change: &Change) -> String {
     format!(
-        "{}\n{}\n{}{}{}\n",
+        "{}\n{}\n{}{}{}",
         effects(change),
         parameters(&change.model.effects),
         errors(change),
         device(change).unwrap_or_default(),
-        verdict(change),
+        show::paragraph(&verdict(change)),
     )
 }
 
@@ -177,33 +181,34 @@ pub fn summary(change: &Change) -> String {
         (Some(old), Some(new)) => format!(" ({old:.3} N -> {new:.3} N, taken for forces)"),
         _ => String::new(),
     };
-    format!(
-        "Together: {:.4} G -> {:.4} G{newtons}, floor {:.4} G. Lower in {} of {} parts kept out.\n",
+    show::paragraph(&format!(
+        "Together: {:.4} G -> {:.4} G{newtons}, floor {:.4} G. Lower in {} of {} parts kept out.",
         old.mean_square().sqrt(),
         new.mean_square().sqrt(),
         new.floor_g(),
         wins.0,
         wins.1,
-    )
+    ))
 }
 
 /// The forces by the device's own code.
 fn device(change: &Change) -> Option<String> {
     let device = change.device.as_ref()?;
     let how = if device.held_out {
-        "which neither fit has seen"
+        "both models fitted anew without it"
     } else {
-        "which both fits have seen"
+        "which both models were fitted to"
     };
     let left: String = device
         .left
         .iter()
         .map(|line| show::paragraph(&format!("  {line}")))
         .collect();
-    Some(format!(
-        "Through the device's fixed-point code, recording {}, {how}: {:.3} N -> {:.3} N RMSE.\n{left}",
+    let told = format!(
+        "Through the device's fixed-point code, recording {}, {how}: {:.3} N -> {:.3} N RMSE.",
         device.recording, device.before_rmse_n, device.after_rmse_n
-    ))
+    );
+    Some(show::paragraph(&told) + &left)
 }
 
 /// Parts kept out in which the error fell, and parts.
@@ -256,8 +261,7 @@ fn gain(change: &Change) -> String {
     let floor = change.after.1.tally().floor_g();
     let fall = 1.0 - new / old;
     let adding = change.after.0.len() >= change.before.0.len();
-    let names = |fit: &[model_export::effects::Addition],
-                 other: &[model_export::effects::Addition]| {
+    let names = |fit: &[Addition], other: &[Addition]| {
         let names: Vec<&str> = fit
             .iter()
             .filter(|e| !other.contains(e))
@@ -284,12 +288,29 @@ fn gain(change: &Change) -> String {
             -100.0 * fall
         );
     }
-    let rest = match new <= AT_FLOOR * floor {
-        true => "and is at the noise floor".to_owned(),
-        false => format!(
-            "and is still {:.1} times the floor: something else is missing",
-            new / floor
-        ),
+    let (lower, parts) = wins(change);
+    let told = |size: &EffectSize| size.value.abs() >= 2.0 * size.std_error;
+    let is_new = |effect: &Addition| !change.before.0.contains(effect);
+    let pairs = change.after.0.iter().zip(&change.sizes);
+    let doubts: Vec<String> = pairs
+        .filter(|(effect, size)| is_new(effect) && !(told(size) && size.is_plausible()))
+        .map(|(effect, size)| match (told(size), size.is_possible()) {
+            (false, _) => format!("the size of {} cannot be told from none", effect.name()),
+            (true, true) => format!("the size of {} is unusual", effect.name()),
+            (true, false) => format!("the size of {} is not possible", effect.name()),
+        })
+        .collect();
+    if lower < parts || (!doubts.is_empty() && fall < LITTLE) {
+        let doubts: String = doubts.iter().map(|doubt| format!("; {doubt}")).collect();
+        return format!(
+            "Doubtful: with {added} the error falls by {:.1} %, in {lower} of {parts} parts kept out{doubts}. Something else may be missing.",
+            100.0 * fall
+        );
+    }
+    let times = new / floor;
+    let rest = match times <= AT_FLOOR {
+        true => format!("and is at the noise floor ({times:.2} times it)"),
+        false => format!("and is still {times:.1} times the floor: something else is missing"),
     };
     format!(
         "With {added} the error falls by {:.1} % {rest}.",
