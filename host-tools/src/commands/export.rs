@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use firmware::frame::SENSORS;
-use model_export::inverse::build::{Built, Variant, build};
-use model_export::inverse::emit::{Header, MARK, source};
+use model_export::inverse::build::{Built, Header, Variant, build};
+use model_export::inverse::emit::{MARK, source};
 use model_export::inverse::error_map::ErrorMap;
 use model_export::inverse::search::Chosen;
 use model_export::model_file::ModelFile;

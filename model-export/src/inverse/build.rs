@@ -6,7 +6,6 @@ use sha2::{Digest, Sha256};
 
 use super::at_rest::AtRest;
 use super::compensation::{NotUndone, OwnedCompensation};
-use super::emit::Header;
 use super::quantise::Overflow;
 use super::search::{Chosen, choose};
 use crate::effects::{Addition, Effect, Undone};
@@ -42,6 +41,23 @@ pub enum BuildError {
         place: Place,
         overflow: Box<Overflow>,
     },
+}
+
+/// What the file of tables says in its head beyond the tables themselves.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Header {
+    /// SHA-256 of the model file that the tables come from.
+    pub inputs_sha256: String,
+    /// What was inverted: the fitted model, or the nominal design alone.
+    pub variant: &'static str,
+    /// Name of the campaign.
+    pub campaign: String,
+    /// Dates of the recordings, where they state any.
+    pub recorded: Vec<String>,
+    /// Names of the model's effects.
+    pub effects: Vec<String>,
+    /// Numbers of the sensors, in the order of the tables.
+    pub sensors: Vec<u32>,
 }
 
 /// Everything that the device needs of a model.

@@ -5,30 +5,13 @@ use std::fmt::{Display, Write};
 use firmware::compensate::{OnField, OnForce};
 use firmware::model::table::{CentrePair, SensorTable};
 
-use super::build::Built;
+use super::build::{Built, Header};
 use super::compensation::OwnedCompensation;
 use super::quantise::TableSet;
 use super::search::Chosen;
 
 /// How every file of tables begins.
 pub const MARK: &str = "// Written by `magpie export`.";
-
-/// What the header says beyond the tables themselves.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Header {
-    /// SHA-256 of the model file that the tables come from.
-    pub inputs_sha256: String,
-    /// What was inverted: the fitted model, or the nominal design alone.
-    pub variant: &'static str,
-    /// Name of the campaign.
-    pub campaign: String,
-    /// Dates of the recordings, where they state any.
-    pub recorded: Vec<String>,
-    /// Names of the model's effects.
-    pub effects: Vec<String>,
-    /// Numbers of the sensors, in the order of the tables.
-    pub sensors: Vec<u32>,
-}
 
 /// The source of a file that declares `TABLES`.
 pub fn source(built: &Built) -> String {
