@@ -19,7 +19,7 @@ impl State {
         let next = match self.0 {
             None => now,
             Some(before) => {
-                // Rounded away from where it is, so that it arrives.
+                // Rounded to the nearest, so that it arrives to half a count.
                 let step = now.saturating_sub(before);
                 before.saturating_add((step + (1 << (SHIFT - 1))) >> SHIFT)
             }

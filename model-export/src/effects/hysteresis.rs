@@ -96,7 +96,8 @@ pub fn sliders_of(values: &[f64], axis: usize) -> (f64, [(f64, f64); 3]) {
 
 /// Share of the friction and reach in newtons of each slider, from the shapes of one axis. Friction
 /// is never one contact that lets go at once: three sliders in series with springs of their own
-/// (the Maxwell-slip model) follow a measured loop closely, one misses it by a fifth.
+/// (the Maxwell-slip model) end at the noise floor of the recordings in `tests/data/friction`, where
+/// one alone leaves some three times that.
 fn sliders(shapes: &[f64]) -> [(f64, f64); 3] {
     let [reach1, reach2, reach3, weight1, weight2] =
         std::array::from_fn(|i| shapes.get(i).copied().unwrap_or(1.0));

@@ -28,18 +28,11 @@ pub struct Track {
     pub rate_n_per_s: Vec<[f64; 2]>,
     /// Load cycles of each axis since the campaign began: upward passages through zero.
     pub cycles: Vec<[f64; 2]>,
-    /// True where the recording starts without load: what has memory starts empty then.
-    pub starts_unloaded: bool,
     /// The sensor's temperature in degrees Celsius; empty where it was not recorded.
     pub temperature_c: Vec<f64>,
     /// Covariates of the whole gripper by column.
     pub covariates: BTreeMap<String, Vec<f64>>,
 }
-
-/// A start counts as unloaded where the force stays below this share of its greatest value ...
-const UNLOADED: f64 = 0.03;
-/// ... for this long, in seconds.
-const UNLOADED_S: f64 = 0.2;
 
 impl Track {
     /// The rows `usable` of `sensor` in `recording`, under the two forces of these places (`None`
@@ -79,9 +72,6 @@ impl Track {
             force_n: pair(&|axis, i| columns[axis][i]),
             smooth_n: pair(&|axis, i| smoothed[axis].0[i]),
             rate_n_per_s: pair(&|axis, i| smoothed[axis].1[i]),
-            starts_unloaded: columns
-                .iter()
-                .all(|values| starts_unloaded(&time_s, values)),
             temperature_c: temperature
                 .filter(|t| !t.is_empty())
                 .map_or_else(Vec::new, |t| pick(t)),
@@ -121,20 +111,6 @@ impl Track {
 /// Covariates that every sensor has beside the recording's own columns: its two forces, its
 /// temperature, the time since the recording began and since the campaign began.
 pub const OWN: [&str; 5] = ["fx_n", "fz_n", "temp_c", "time_s", "session_s"];
-
-fn starts_unloaded(time_s: &[f64], force_n: &[f64]) -> bool {
-    let greatest = force_n
-        .iter()
-        .fold(0.0_f64, |most, force| most.max(force.abs()));
-    let start = time_s
-        .iter()
-        .zip(force_n)
-        .take_while(|(t, _)| **t <= UNLOADED_S);
-    start.clone().count() > 0
-        && start
-            .into_iter()
-            .all(|(_, force)| force.abs() <= UNLOADED * greatest)
-}
 
 /// A load cycle counts where the force goes beyond this share of its greatest value on both sides.
 const SWING: f64 = 0.05;
