@@ -5,6 +5,7 @@
 //! - [`bench`](mod@bench): a simulated bench that shares no mechanics with the fit.
 //! - [`surroundings`]: what the board would know beside its fields.
 //! - [`sums`]: statistics of many rows.
+//! - [`compare`]: a model beside a measurement.
 //! - [`replay`]: recorded data through the device's own code.
 //! - [`show`]: numbers and tables as people read them.
 //! - [`progress`]: what long work shows while it runs.
@@ -12,6 +13,7 @@
 pub mod bench;
 pub mod cli;
 pub mod commands;
+pub mod compare;
 pub mod progress;
 pub mod replay;
 pub mod show;
