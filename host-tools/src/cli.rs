@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-use crate::commands::{add, demo, drop, effects, export, fit, import, replay, simulate};
+use crate::commands::{add, compare, demo, drop, effects, export, fit, import, replay, simulate};
 
 /// Turns four Hall sensors in a robot gripper into forces one can trust, and tells which piece of
 /// physics the model still lacks.
@@ -20,6 +20,7 @@ struct Cli {
 enum Command {
     Demo(demo::Args),
     Fit(fit::Args),
+    Compare(compare::Args),
     Import(import::Args),
     Effects(effects::Args),
     Add(add::Args),
@@ -38,6 +39,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     let result = match cli.command {
         Command::Demo(args) => demo::run(&args),
         Command::Fit(args) => fit::run(&args),
+        Command::Compare(args) => compare::run(&args),
         Command::Import(args) => import::run(&args),
         Command::Effects(args) => effects::run(&args),
         Command::Add(args) => add::run(&args),

@@ -112,12 +112,36 @@ struct Wiring {
     forces: [usize; 2],
 }
 
+/// One valid estimate beside the reference.
+#[derive(Clone, Copy, Debug)]
+pub struct Observed {
+    /// Place of the sensor in [`RecordingReplay::sensors`].
+    pub sensor: usize,
+    /// The board's clock in seconds.
+    pub time_s: f64,
+    /// The reference, on the line between its rows: lateral, longitudinal, in newtons.
+    pub reference_n: [f64; 2],
+    /// The device's estimate.
+    pub found_n: [f64; 2],
+}
+
 /// Replays one recording; `done` is told the rows so far.
 pub fn replay(
     models: Models,
     name: &str,
+    stream: RawStream,
+    done: impl Fn(u64),
+) -> Result<RecordingReplay, Problem> {
+    replay_watched(models, name, stream, done, |_| ())
+}
+
+/// The same; `watch` is told every valid estimate.
+pub fn replay_watched(
+    models: Models,
+    name: &str,
     mut stream: RawStream,
     done: impl Fn(u64),
+    mut watch: impl FnMut(Observed),
 ) -> Result<RecordingReplay, Problem> {
     let wiring = wire(models.numbers, &stream);
     let mut result = RecordingReplay {
@@ -198,6 +222,12 @@ pub fn replay(
                         track.fixed_minus_float.add(found[axis] - float);
                     }
                     rests[i].add(row.time_s, reference, found);
+                    watch(Observed {
+                        sensor: i,
+                        time_s: row.time_s,
+                        reference_n: reference,
+                        found_n: found,
+                    });
                 }
             }
         }

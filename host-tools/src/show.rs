@@ -28,9 +28,10 @@ pub fn table<S: ToString>(heads: impl IntoIterator<Item = S>) -> Table {
     table
 }
 
-/// Prints a page on stdout; a reader that has seen enough (`| head`) is no error.
+/// Prints a page on stdout, without its colours where that is no terminal or `NO_COLOR` is set; a
+/// reader that has seen enough (`| head`) is no error.
 pub fn page(text: &str) -> std::io::Result<()> {
-    match std::io::stdout().lock().write_all(text.as_bytes()) {
+    match anstream::stdout().lock().write_all(text.as_bytes()) {
         Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
         result => result,
     }

@@ -4,6 +4,7 @@
 //! bars and the nominal design they depart from.
 
 mod effects;
+mod predictor;
 mod provenance;
 mod sensor;
 
@@ -24,6 +25,7 @@ use crate::recordings::problem::Fault;
 use crate::recordings::{Campaign, Place, Problem};
 
 pub use effects::{EffectModel, EffectOfSensor};
+pub use predictor::{Predicted, Predictor};
 pub use provenance::{Fitted, Provenance, SensorScale};
 pub use sensor::{Held, HeldOut, PolynomialTable, SensorModel, Value};
 

@@ -3,6 +3,7 @@
 pub mod add;
 pub mod change;
 pub mod clocks;
+pub mod compare;
 pub mod demo;
 pub mod drop;
 pub mod effects;

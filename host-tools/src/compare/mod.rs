@@ -5,8 +5,23 @@
 //!
 //! [`Comparison`] is everything that is known; the terminal, the report and `--json` only show it.
 
+pub mod bands;
+pub mod binning;
+pub mod collect;
+pub mod compute;
+pub mod covariate;
 pub mod curve;
+pub mod device;
+pub mod errors;
 pub mod finding;
+pub mod locate;
+pub mod map;
+pub mod plan;
+pub mod replicates;
+pub mod rest;
+pub mod rows;
+pub mod words;
+pub mod worst;
 
 use model_export::recordings::columns::Axis;
 

@@ -117,18 +117,23 @@ const SWING: f64 = 0.05;
 
 /// Counts load cycles through the recordings of a campaign, in their order: upward passages through
 /// zero.
-pub fn count_cycles<'a>(tracks: impl Iterator<Item = &'a mut Track>) {
-    let mut before = [0.0; 2];
-    for track in tracks {
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Cycles {
+    before: [f64; 2],
+}
+
+impl Cycles {
+    /// The next recording.
+    pub fn count(&mut self, track: &mut Track) {
         let counts = [0, 1].map(|axis| {
             let force: Vec<f64> = track.smooth_n.iter().map(|force| force[axis]).collect();
             passages(&force)
         });
         track.cycles = (0..track.len())
-            .map(|row| [0, 1].map(|axis| before[axis] + counts[axis][row]))
+            .map(|row| [0, 1].map(|axis| self.before[axis] + counts[axis][row]))
             .collect();
         if let Some(last) = track.cycles.last() {
-            before = *last;
+            self.before = *last;
         }
     }
 }
@@ -165,7 +170,8 @@ mod tests {
             };
             2
         ];
-        count_cycles(tracks.iter_mut());
+        let mut cycles = Cycles::default();
+        tracks.iter_mut().for_each(|track| cycles.count(track));
         let last = |track: &Track| track.cycles.last().unwrap()[0];
         // Ten periods each, of which the first does not come from below.
         assert_eq!((last(&tracks[0]), last(&tracks[1])), (9.0, 18.0));

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use super::FitError;
 use crate::effects::Track;
-use crate::effects::track::count_cycles;
+use crate::effects::track::Cycles;
 use crate::recordings::columns::Axis;
 use crate::recordings::{Campaign, Place, Recording};
 
@@ -45,7 +45,7 @@ impl SensorRows {
     /// # Errors
     /// One of the two was not recorded.
     pub fn with_own_forces(campaign: &Campaign, sensor: u32) -> Result<Self, FitError> {
-        let forces = [(sensor, Axis::X), (sensor, Axis::Z)];
+        let forces = own_forces(sensor);
         for recording in &campaign.recordings {
             if let Some((_, axis)) = forces
                 .iter()
@@ -111,11 +111,13 @@ impl SensorRows {
     ) -> Result<Self, FitError> {
         let mut before_s = 0.0;
         let mut parts = Vec::new();
+        let mut cycles = Cycles::default();
         for (i, recording) in campaign.recordings.iter().enumerate() {
-            parts.push(Part::new(recording, (i, before_s), sensor, &forces));
+            let mut part = Part::new(recording, (i, before_s), sensor, &forces);
+            cycles.count(&mut part.track);
+            parts.push(part);
             before_s += recording.span_s();
         }
-        count_cycles(parts.iter_mut().map(|part| &mut part.track));
         let rows: usize = parts.iter().map(Part::len).sum();
         // Twelve parameters at the most in the geometric base, and some rows for each.
         let needed = 100;
@@ -226,6 +228,11 @@ impl SensorRows {
     }
 }
 
+/// The forces that act on a sensor's own place: lateral, longitudinal.
+pub fn own_forces(sensor: u32) -> [(u32, Axis); 2] {
+    [(sensor, Axis::X), (sensor, Axis::Z)]
+}
+
 /// Share of the rows in which an axis of the sensor was saturated.
 fn saturated_share(campaign: &Campaign, sensor: u32) -> f64 {
     let fields = || {
@@ -242,6 +249,22 @@ fn saturated_share(campaign: &Campaign, sensor: u32) -> f64 {
 }
 
 impl Part {
+    /// The usable rows of `sensor` in one recording under these forces; `place` is the recording's in
+    /// the campaign and the seconds that those before it span. Load cycles are left at none. `None`
+    /// where the recording has not the sensor or one of the forces.
+    pub fn of(
+        recording: &Recording,
+        place: (usize, f64),
+        sensor: u32,
+        forces: &[(u32, Axis)],
+    ) -> Option<Self> {
+        let has = forces
+            .iter()
+            .all(|force| recording.forces.contains_key(force));
+        let there = recording.sensors.contains_key(&sensor) && has;
+        there.then(|| Self::new(recording, place, sensor, forces))
+    }
+
     fn new(
         recording: &Recording,
         place: (usize, f64),

@@ -48,13 +48,25 @@ impl Grbf {
         samples: &[Sample],
         round: impl Fn(Vector3<f64>) -> Vector3<f64>,
     ) -> Option<Self> {
+        Self::fit_ridges(model, design, shape, &[shape.ridge], samples, round).pop()?
+    }
+
+    /// Fits one model for each penalty: what does not depend on it is formed once.
+    pub fn fit_ridges(
+        model: &AtRest,
+        design: &DesignBox,
+        shape: Shape,
+        ridges: &[f64],
+        samples: &[Sample],
+        round: impl Fn(Vector3<f64>) -> Vector3<f64>,
+    ) -> Vec<Option<Self>> {
         let centres: Vec<Vector3<f64>> = match shape.centres_across {
             0 => Vec::new(),
             n => lattice(design.force_n, n)
                 .map(|load| round(design.coordinates(&model.field(load))))
                 .collect(),
         };
-        let mut fitted = Self {
+        let unsolved = Self {
             design: *design,
             gamma: shape.gamma,
             centres,
@@ -62,29 +74,37 @@ impl Grbf {
             bias_n: [0.0; 2],
             slope_n: [Vector3::zeros(); 2],
         };
-        let width = 4 + fitted.centres.len();
+        let width = 4 + unsolved.centres.len();
         let regressors = DMatrix::from_row_iterator(
             samples.len(),
             width,
             samples
                 .iter()
-                .flat_map(|sample| fitted.regressors(&sample.field_g)),
+                .flat_map(|sample| unsolved.regressors(&sample.field_g)),
         );
         let forces =
             DMatrix::from_row_iterator(samples.len(), 2, samples.iter().flat_map(|s| s.force_n));
-        let mut normal = regressors.tr_mul(&regressors);
-        for i in 0..width {
-            // The linear part is free but for a trace that keeps the matrix sound.
-            let share = if i < 4 { 1e-12 } else { shape.ridge };
-            normal[(i, i)] += share * samples.len() as f64;
-        }
-        let solution = normal.cholesky()?.solve(&regressors.tr_mul(&forces));
-        fitted.bias_n = [solution[(0, 0)], solution[(0, 1)]];
-        fitted.slope_n = [0, 1].map(|axis| Vector3::from_fn(|i, _| solution[(1 + i, axis)]));
-        fitted.weights_n = (4..width)
+        let normal = regressors.tr_mul(&regressors);
+        let right = regressors.tr_mul(&forces);
+        let solve = |ridge: &f64| {
+            let mut normal = normal.clone();
+            for i in 0..width {
+                // The linear part is free but for a trace that keeps the matrix sound.
+                let share = if i < 4 { 1e-12 } else { *ridge };
+                normal[(i, i)] += share * samples.len() as f64;
+            }
+            Some(unsolved.clone().solved(&normal.cholesky()?.solve(&right)))
+        };
+        ridges.iter().map(solve).collect()
+    }
+
+    fn solved(mut self, solution: &DMatrix<f64>) -> Self {
+        self.bias_n = [solution[(0, 0)], solution[(0, 1)]];
+        self.slope_n = [0, 1].map(|axis| Vector3::from_fn(|i, _| solution[(1 + i, axis)]));
+        self.weights_n = (4..solution.nrows())
             .map(|i| [solution[(i, 0)], solution[(i, 1)]])
             .collect();
-        Some(fitted)
+        self
     }
 
     fn regressors(&self, field_g: &Vector3<f64>) -> Vec<f64> {

@@ -26,6 +26,13 @@ const GOOD_ENOUGH_N: f64 = 0.19;
 /// newtons: a tenth of the noise of one reading.
 const MOST_ROUNDING_N: f64 = 0.04;
 
+/// Centres along each axis that are tried, the fewest first.
+const CENTRES_ACROSS: [usize; 5] = [4, 5, 6, 7, 8];
+/// Widths that are tried, in spacings of the centres.
+const WIDTHS: [f64; 5] = [1.0, 1.4, 2.0, 2.8, 4.0];
+/// Penalties that are tried.
+const RIDGES: [f64; 6] = [1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8];
+
 /// The chosen models and what they cost.
 #[derive(Clone, Debug)]
 pub struct Chosen {
@@ -86,25 +93,59 @@ pub fn choose(
         sensors.iter().map(fit).collect()
     };
     let build = |models: &[Grbf]| TableSet::build(id, models, numbers, gauss_per_lsb, range_gauss);
-    let tried: Vec<(Shape, f64)> = shapes()
-        .into_par_iter()
-        .filter_map(|shape| {
-            let models = fit_all(shape)?;
-            let tables = build(&models).ok()?;
-            let mut worst = 0.0_f64;
-            for (i, (sensor, model)) in sensors.iter().zip(&models).enumerate() {
-                let fixed = |field: &_| tables.force(i, field, gauss_per_lsb);
-                let float = in_float(model, &sensor.choosing[..SAMPLES / 5]);
-                let (rounding, _) = errors(&float, fixed);
-                if rounding.iter().any(|rms| *rms > MOST_ROUNDING_N) {
-                    return None;
-                }
-                let (rms, _) = errors(&sensor.choosing, fixed);
-                worst = worst.max(rms[0].hypot(rms[1]));
+    // The error of one candidate on all sensors; `None` where the device cannot represent it.
+    let judge = |models: &[Grbf]| -> Option<f64> {
+        let tables = build(models).ok()?;
+        let mut worst = 0.0_f64;
+        for (i, (sensor, model)) in sensors.iter().zip(models).enumerate() {
+            let fixed = |field: &_| tables.force(i, field, gauss_per_lsb);
+            let float = in_float(model, &sensor.choosing[..SAMPLES / 5]);
+            let (rounding, _) = errors(&float, fixed);
+            if rounding.iter().any(|rms| *rms > MOST_ROUNDING_N) {
+                return None;
             }
-            Some((shape, worst))
-        })
-        .collect();
+            let (rms, _) = errors(&sensor.choosing, fixed);
+            worst = worst.max(rms[0].hypot(rms[1]));
+        }
+        Some(worst)
+    };
+    let of_width = |shape: Shape| -> Vec<(Shape, f64)> {
+        let fit = |s: &Sensor| {
+            Grbf::fit_ridges(
+                s.model,
+                &s.design,
+                shape,
+                &RIDGES,
+                &s.training,
+                representable,
+            )
+        };
+        let fitted: Vec<Vec<Option<Grbf>>> = sensors.iter().map(fit).collect();
+        let candidate = |(i, ridge): (usize, &f64)| {
+            let models: Vec<Grbf> = fitted
+                .iter()
+                .map(|of| of[i].clone())
+                .collect::<Option<_>>()?;
+            let shape = Shape {
+                ridge: *ridge,
+                ..shape
+            };
+            Some((shape, judge(&models)?))
+        };
+        RIDGES.iter().enumerate().filter_map(candidate).collect()
+    };
+    let mut tried: Vec<(Shape, f64)> = Vec::new();
+    for centres_across in CENTRES_ACROSS {
+        tried.par_extend(
+            widths(centres_across)
+                .into_par_iter()
+                .flat_map_iter(of_width),
+        );
+        // More centres would not be taken.
+        if tried.iter().any(|(_, error)| *error <= GOOD_ENOUGH_N) {
+            break;
+        }
+    }
     let best = tried.iter().min_by(|a, b| a.1.total_cmp(&b.1)).copied();
     let enough = tried.iter().filter(|(_, error)| *error <= GOOD_ENOUGH_N);
     let fewest = enough.min_by(|a, b| {
@@ -156,21 +197,16 @@ fn in_float(model: &Grbf, samples: &[Sample]) -> Vec<Sample> {
     samples.iter().map(force).collect()
 }
 
-/// The shapes that are tried.
-fn shapes() -> Vec<Shape> {
-    let mut shapes = Vec::new();
-    for centres_across in [4, 5, 6, 7, 8] {
-        let spacing = 2.0 / (centres_across - 1) as f64;
-        for width in [1.0, 1.4, 2.0, 2.8, 4.0] {
-            for ridge in [1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8] {
-                let sigma: f64 = width * spacing;
-                shapes.push(Shape {
-                    centres_across,
-                    gamma: 0.5 / (sigma * sigma),
-                    ridge,
-                });
-            }
+/// The shapes of one number of centres, their penalty left open.
+fn widths(centres_across: usize) -> Vec<Shape> {
+    let spacing = 2.0 / (centres_across - 1) as f64;
+    let shape = |width: &f64| {
+        let sigma = width * spacing;
+        Shape {
+            centres_across,
+            gamma: 0.5 / (sigma * sigma),
+            ridge: f64::NAN,
         }
-    }
-    shapes
+    };
+    WIDTHS.iter().map(shape).collect()
 }

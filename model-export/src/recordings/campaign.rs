@@ -73,7 +73,8 @@ impl Campaign {
         self.recordings.iter().map(Recording::span_s).sum()
     }
 
-    fn check_same_gripper(&self) -> Result<(), Problem> {
+    /// Refuses recordings of different grippers or sensors.
+    pub fn check_same_gripper(&self) -> Result<(), Problem> {
         let Some((first, others)) = self.recordings.split_first() else {
             return Ok(());
         };

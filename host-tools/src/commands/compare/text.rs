@@ -1,0 +1,309 @@
+//! What `magpie compare` shows in the terminal.
+
+use anstyle::{AnsiColor, Style};
+
+use crate::compare::finding::Finding;
+use crate::compare::words::{self, AT_FLOOR};
+use crate::compare::{AxisFigures, Comparison, Figures, ForceFigures, Located, Worst};
+use crate::show;
+
+const GOOD: Style = AnsiColor::Green.on_default().bold();
+const DOUBTFUL: Style = AnsiColor::Yellow.on_default().bold();
+const BAD: Style = AnsiColor::Red.on_default().bold();
+const HEAD: Style = Style::new().bold();
+
+/// Covariates that are not chosen and yet shown, with the most that they would locate.
+const ALSO: usize = 4;
+/// Widest text of a bar in characters.
+const BAR: usize = 20;
+
+/// The page.
+pub fn text(comparison: &Comparison) -> String {
+    let mut page = findings(&comparison.findings);
+    if comparison.axes.is_empty() {
+        page += &coloured(BAD, &comparison.verdict);
+        return page;
+    }
+    page += &field(comparison);
+    page += &forces(comparison);
+    page += &located(comparison);
+    page += &worst(&comparison.worst);
+    page += &show::paragraph(&format!("Held out: {}.", comparison.judged));
+    if let Some(other) = &comparison.other {
+        page += &beside(comparison, other);
+    }
+    page.push('\n');
+    page + &coloured(verdict_style(comparison), &comparison.verdict)
+}
+
+fn coloured(style: Style, text: &str) -> String {
+    // Each line for itself: a reader that shows one line keeps its colour.
+    show::paragraph(text)
+        .lines()
+        .map(|line| format!("{style}{line}{style:#}\n"))
+        .collect()
+}
+
+fn verdict_style(comparison: &Comparison) -> Style {
+    match words::rms_g(&comparison.axes) <= AT_FLOOR * words::floor_g(&comparison.axes) {
+        true => GOOD,
+        false => DOUBTFUL,
+    }
+}
+
+/// Mistakes of the rig, before any statistics.
+pub fn findings(findings: &[Finding]) -> String {
+    if findings.is_empty() {
+        return "No mistake of the rig was found in these recordings.\n\n".to_owned();
+    }
+    let mut page = coloured(
+        BAD,
+        &format!(
+            "Mistakes of the rig ({}), to be mended before the model is blamed:",
+            findings.len()
+        ),
+    );
+    for (i, finding) in findings.iter().enumerate() {
+        page += &show::paragraph(&format!("  {}. {}: {}", i + 1, finding.id, finding.message));
+        page += &show::paragraph(&format!("     {}", finding.place));
+        if let Some(fix) = &finding.fix {
+            page += &show::paragraph(&format!("     --fix would: {fix}"));
+        }
+    }
+    page + "\n"
+}
+
+fn field(comparison: &Comparison) -> String {
+    let heads = [
+        "field",
+        "rms / G",
+        "mean",
+        "std",
+        "P95",
+        "greatest",
+        "% of span",
+        "floor / G",
+        "x floor",
+        "explainable",
+    ];
+    let mut table = show::table(heads);
+    let digits = decimals(comparison.axes.iter().map(|axis| axis.floor.total));
+    for axis in &comparison.axes {
+        let name = format!("s{} {}", axis.sensor, axis.axis.letter());
+        table.add_row(row(
+            &name,
+            &axis.error,
+            axis.floor.total,
+            axis.explainable,
+            digits,
+        ));
+    }
+    show::right_align(&mut table, 1);
+    format!(
+        "{HEAD}Field, measured minus modelled, held out{HEAD:#}\n{table}\n{}\n",
+        floor(&comparison.axes)
+    )
+}
+
+/// Decimals that show a floor to two digits.
+fn decimals(floors: impl Iterator<Item = f64>) -> usize {
+    let least = floors
+        .filter(|floor| *floor > 0.0)
+        .fold(f64::INFINITY, f64::min);
+    show::decimals_for(least).max(3)
+}
+
+fn row(name: &str, error: &Figures, floor: f64, explainable: f64, digits: usize) -> Vec<String> {
+    let number = |value: f64| format!("{value:.digits$}");
+    vec![
+        name.to_owned(),
+        number(error.rms),
+        number(error.mean),
+        number(error.std),
+        number(error.p95),
+        number(error.greatest),
+        format!("{:.2}", 100.0 * error.rms / error.span),
+        number(floor),
+        match floor > 0.0 {
+            true => format!("{:.2}", error.rms / floor),
+            false => "-".to_owned(),
+        },
+        number(explainable),
+    ]
+}
+
+/// Of what the floor consists.
+fn floor(axes: &[AxisFigures]) -> String {
+    let mean = |of: &dyn Fn(&AxisFigures) -> Option<f64>| {
+        let values: Vec<f64> = axes.iter().filter_map(of).collect();
+        let squares: f64 = values.iter().map(|value| value * value).sum();
+        (!values.is_empty()).then(|| words::field((squares / values.len() as f64).sqrt()))
+    };
+    let mut text = format!(
+        "The floor: white noise {} and the reference's noise {}; steps of the word {}",
+        mean(&|axis| Some(axis.floor.white)).unwrap_or_default(),
+        mean(&|axis| Some(axis.floor.reference)).unwrap_or_default(),
+        mean(&|axis| Some(axis.floor.quantisation)).unwrap_or_default(),
+    );
+    text += &match mean(&|axis| axis.floor.slow) {
+        Some(slow) => format!("; at rest {slow} wander slowly"),
+        None => "; slow wander unknown, no rest of 10 s was recorded".to_owned(),
+    };
+    text += &match mean(&|axis| axis.floor.replicates) {
+        Some(scatter) => format!("; visits of one condition scatter by {scatter}."),
+        None => "; no condition was met often enough to compare visits.".to_owned(),
+    };
+    show::paragraph(&text)
+}
+
+fn forces(comparison: &Comparison) -> String {
+    if let Some(why) = &comparison.no_forces {
+        return show::paragraph(&format!("No forces: {why}.")) + "\n";
+    }
+    let heads = [
+        "force",
+        "rmse / N",
+        "mean",
+        "std",
+        "P95",
+        "greatest",
+        "% of span",
+        "noise / N",
+        "x noise",
+        "explainable",
+        "tared",
+    ];
+    let mut table = show::table(heads);
+    for force in &comparison.forces {
+        let name = format!("s{} F{}", force.sensor, force.axis.letter());
+        let mut cells = row(&name, &force.error, force.floor, force.explainable, 3);
+        cells.push(
+            force
+                .tared_rms
+                .map_or_else(|| "-".to_owned(), |rms| format!("{rms:.3}")),
+        );
+        table.add_row(cells);
+    }
+    show::right_align(&mut table, 1);
+    format!("{HEAD}Force through the device's fixed-point code, held out{HEAD:#}\n{table}\n\n")
+}
+
+fn located(comparison: &Comparison) -> String {
+    let chosen = comparison.located.iter().filter(|l| l.chosen);
+    let others = comparison.located.iter().filter(|l| !l.chosen).take(ALSO);
+    let mut table = show::table([
+        "",
+        "what is left follows",
+        "share",
+        "alone",
+        "from",
+        "error by bin",
+        "to",
+    ]);
+    for (i, one) in chosen.chain(others).enumerate() {
+        let ends = one.bins.first().zip(one.bins.last());
+        let end = |value: Option<f64>| match value {
+            Some(value) => format!("{} {}", words::short(value), one.unit)
+                .trim_end()
+                .to_owned(),
+            None => String::new(),
+        };
+        table.add_row([
+            match one.chosen {
+                true => format!("{}.", i + 1),
+                false => String::new(),
+            },
+            one.words.to_owned(),
+            format!("{:.1} %", 100.0 * one.share),
+            format!("{:.1} %", 100.0 * one.alone),
+            end(ends.map(|(first, _)| first.from)),
+            sparkline(one),
+            end(ends.map(|(_, last)| last.to)),
+        ]);
+    }
+    let mut page = format!("{HEAD}Where it fails{HEAD:#}\n{table}\n");
+    let lines = comparison
+        .located
+        .iter()
+        .filter(|l| l.chosen)
+        .map(words::follows);
+    for line in lines {
+        page += &show::paragraph(&format!("{line}."));
+    }
+    page += &show::paragraph(&format!(
+        "Shares are of the squared residual above the floor, of rows that took no part; each beyond the ones before it. The residual is correlated over {:.2} s.",
+        comparison.correlation_s
+    ));
+    page + "\n"
+}
+
+/// Root mean square in each bin, from nothing to the greatest.
+fn sparkline(located: &Located) -> String {
+    const BLOCKS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
+    let most = located.bins.iter().map(|bin| bin.rms_g).fold(0.0, f64::max);
+    let block = |rms: f64| {
+        let height = rms / most * (BLOCKS.len() - 1) as f64;
+        BLOCKS.get(height.round() as usize).copied().unwrap_or(' ')
+    };
+    located
+        .bins
+        .iter()
+        .take(BAR)
+        .map(|bin| block(bin.rms_g))
+        .collect()
+}
+
+fn worst(list: &[Worst]) -> String {
+    let mut table = show::table([
+        "worst stretches",
+        "from / s",
+        "to / s",
+        "sensor",
+        "rms / G",
+        "while",
+    ]);
+    for one in list {
+        table.add_row([
+            format!("recording {}", one.recording),
+            format!("{:.1}", one.from_s),
+            format!("{:.1}", one.to_s),
+            one.sensor.to_string(),
+            format!("{:.3}", one.rms_g),
+            one.doing.clone(),
+        ]);
+    }
+    format!("{table}\n")
+}
+
+/// Two models side by side.
+fn beside(one: &Comparison, other: &Comparison) -> String {
+    let mut table = show::table([
+        "",
+        "field / G",
+        "x floor",
+        "force / N",
+        "first covariate",
+        "share",
+    ]);
+    for model in [one, other] {
+        let (rms, floor) = (words::rms_g(&model.axes), words::floor_g(&model.axes));
+        let first = model.located.iter().find(|located| located.chosen);
+        let newtons = |forces: &[ForceFigures]| match words::rmse_n(forces) {
+            n if n.is_finite() => format!("{n:.3}"),
+            _ => "-".to_owned(),
+        };
+        table.add_row([
+            model.model.clone(),
+            format!("{rms:.4}"),
+            format!("{:.2}", rms / floor),
+            newtons(&model.forces),
+            first.map_or("none", |located| located.words).to_owned(),
+            first.map_or_else(|| "-".to_owned(), |l| format!("{:.0} %", 100.0 * l.share)),
+        ]);
+    }
+    show::right_align(&mut table, 1);
+    format!(
+        "\n{HEAD}Side by side{HEAD:#}\n{table}\n{}",
+        show::paragraph(&format!("{}: {}", other.model, other.verdict))
+    )
+}

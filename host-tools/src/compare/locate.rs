@@ -1,0 +1,250 @@
+//! Where a model fails: which covariates the residual follows, one after the other.
+//!
+//! A covariate locates what the mean residual in its bins predicts of rows that took no part in
+//! those means. The one that locates most comes first; what it predicts is taken away, and the next
+//! is judged on what is left, so that two covariates which move together are not both blamed.
+
+use nalgebra::Vector3;
+use rayon::prelude::*;
+
+use super::binning::Binning;
+use super::covariate::{COVARIATES, Kind};
+use super::rows::SensorColumns;
+
+/// Covariates are chosen while the next locates at least this share of the excess.
+pub const WORTH: f64 = 0.05;
+/// Covariates that are chosen at the most: a person reads no longer list.
+const MOST: usize = 6;
+/// Time must locate this many times what the best quantity does: it can stand in for anything slow.
+const TIME_BEYOND: f64 = 2.0;
+/// The excess over the floor counts as at least this share of the squared residual: at the floor
+/// there is next to nothing that could be located, and shares of nothing mean nothing.
+const LEAST_EXCESS: f64 = 0.1;
+/// A mean of fewer rows predicts nothing.
+const FEWEST_ROWS: usize = 20;
+/// Folds where recordings are not left out one by one.
+const FOLDS: usize = 6;
+/// More recordings than this are left out in groups.
+const MOST_FOLDS: usize = 10;
+
+/// One covariate and what it locates.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Found {
+    /// Its place in [`COVARIATES`].
+    pub covariate: usize,
+    /// Share of the excess beyond the chosen ones before it.
+    pub share: f64,
+    /// The same had nothing been located before.
+    pub alone: f64,
+    /// Whether it was chosen.
+    pub chosen: bool,
+}
+
+/// Residuals of all sensors, ready to be located.
+pub struct Locator<'a> {
+    sensors: &'a [SensorColumns],
+    /// For each covariate its bins; `None` where it is absent or never moves.
+    pub binnings: Vec<Option<Binning>>,
+    /// For each sensor and row: the fold by recordings (or stretches of them), and by blocks of time.
+    folds: [Vec<Vec<u8>>; 2],
+    /// True where the first kind of fold leaves out whole recordings.
+    by_recordings: bool,
+    excess: f64,
+}
+
+impl<'a> Locator<'a> {
+    /// `block_s` is the length of the blocks in which a residual forgets.
+    pub fn new(sensors: &'a [SensorColumns], block_s: f64) -> Self {
+        let recordings = sensors
+            .iter()
+            .flat_map(|sensor| sensor.recording.last())
+            .max()
+            .map_or(0, |last| *last as usize + 1);
+        let by_recordings = recordings >= 3;
+        let group = |recording: u32| (recording as usize % MOST_FOLDS) as u8;
+        let block = |time: f64| ((time / block_s) as usize % FOLDS) as u8;
+        let first = |sensor: &SensorColumns| match by_recordings {
+            true => sensor.recording.iter().map(|r| group(*r)).collect(),
+            false => sixths(sensor),
+        };
+        let second =
+            |sensor: &SensorColumns| sensor.time_s.iter().map(|t| block(*t)).collect::<Vec<u8>>();
+        let binnings = (0..COVARIATES.len())
+            .into_par_iter()
+            .map(|c| {
+                let values: Vec<&[f32]> = sensors
+                    .iter()
+                    .map(|sensor| sensor.covariates[c].as_slice())
+                    .collect();
+                Binning::of(&values)
+            })
+            .collect();
+        let (squares, floor) = sums(sensors);
+        Self {
+            binnings,
+            folds: [
+                sensors.iter().map(first).collect(),
+                sensors.iter().map(second).collect(),
+            ],
+            by_recordings,
+            excess: (squares - floor)
+                .max(LEAST_EXCESS * squares)
+                .max(f64::MIN_POSITIVE),
+            sensors,
+        }
+    }
+
+    /// Every covariate that moves: the chosen ones in their order, then the rest by what they would
+    /// still locate.
+    pub fn rank(&self) -> Vec<Found> {
+        let mut residual: Vec<Vec<Vector3<f64>>> = self
+            .sensors
+            .iter()
+            .map(|sensor| sensor.residual_g.clone())
+            .collect();
+        let mut left: Vec<usize> = (0..COVARIATES.len())
+            .filter(|c| self.binnings[*c].is_some())
+            .collect();
+        let alone = self.shares(&left, &residual);
+        let alone_of = |covariate: usize| {
+            alone
+                .iter()
+                .find(|(c, _)| *c == covariate)
+                .map_or(0.0, |(_, share)| *share)
+        };
+        let mut ranked = Vec::new();
+        let mut shares = alone.clone();
+        while ranked.len() < MOST
+            && let Some((covariate, share)) = best(&shares)
+            && share >= WORTH
+        {
+            ranked.push(Found {
+                covariate,
+                share,
+                alone: alone_of(covariate),
+                chosen: true,
+            });
+            if let Some(predicted) = self.predict(covariate, &residual) {
+                for (residual, predicted) in residual.iter_mut().zip(&predicted) {
+                    residual
+                        .iter_mut()
+                        .zip(predicted)
+                        .for_each(|(r, p)| *r -= p);
+                }
+            }
+            left.retain(|other| *other != covariate);
+            shares = self.shares(&left, &residual);
+        }
+        shares.sort_by(|a, b| b.1.total_cmp(&a.1));
+        ranked.extend(shares.into_iter().map(|(covariate, share)| Found {
+            covariate,
+            share,
+            alone: alone_of(covariate),
+            chosen: false,
+        }));
+        ranked
+    }
+
+    /// The share of each covariate: zero where it predicts worse than nothing.
+    fn shares(&self, of: &[usize], residual: &[Vec<Vector3<f64>>]) -> Vec<(usize, f64)> {
+        of.par_iter()
+            .map(|&covariate| {
+                let gain = self.predict(covariate, residual).map_or(0.0, |predicted| {
+                    let pairs = residual.iter().flatten().zip(predicted.iter().flatten());
+                    pairs
+                        .map(|(r, p)| r.norm_squared() - (r - p).norm_squared())
+                        .sum::<f64>()
+                });
+                (covariate, (gain / self.excess).max(0.0))
+            })
+            .collect()
+    }
+
+    /// The mean residual in each row's bin, over the rows of all other folds.
+    fn predict(
+        &self,
+        covariate: usize,
+        residual: &[Vec<Vector3<f64>>],
+    ) -> Option<Vec<Vec<Vector3<f64>>>> {
+        let binning = self.binnings[covariate].as_ref()?;
+        let within = match COVARIATES[covariate].kind {
+            Kind::Quantity => false,
+            Kind::Time => !self.by_recordings,
+            Kind::TimeOfCampaign => true,
+        };
+        let folds = &self.folds[usize::from(within)];
+        let sensors = residual.iter().zip(&binning.of).zip(folds);
+        Some(
+            sensors
+                .map(|((r, bins), folds)| without_own(r, bins, folds, binning.count()))
+                .collect(),
+        )
+    }
+}
+
+/// For each row the mean over its bin without its own fold.
+fn without_own(
+    residual: &[Vector3<f64>],
+    bins: &[u16],
+    folds: &[u8],
+    count: usize,
+) -> Vec<Vector3<f64>> {
+    let folds_count = FOLDS.max(MOST_FOLDS);
+    let mut sums = vec![(Vector3::zeros(), 0_usize); count * (folds_count + 1)];
+    let at = |bin: u16, fold: usize| usize::from(bin) * (folds_count + 1) + fold;
+    for ((r, &bin), &fold) in residual.iter().zip(bins).zip(folds) {
+        if bin == Binning::NONE {
+            continue;
+        }
+        for cell in [at(bin, usize::from(fold)), at(bin, folds_count)] {
+            sums[cell].0 += r;
+            sums[cell].1 += 1;
+        }
+    }
+    let mean = |(&bin, &fold): (&u16, &u8)| {
+        if bin == Binning::NONE {
+            return Vector3::zeros();
+        }
+        let (own, all) = (sums[at(bin, usize::from(fold))], sums[at(bin, folds_count)]);
+        match all.1 - own.1 {
+            rows if rows >= FEWEST_ROWS => (all.0 - own.0) / rows as f64,
+            _ => Vector3::zeros(),
+        }
+    };
+    bins.iter().zip(folds).map(mean).collect()
+}
+
+/// The covariate to choose next.
+fn best(shares: &[(usize, f64)]) -> Option<(usize, f64)> {
+    let most = |time: bool| {
+        let of = shares
+            .iter()
+            .filter(|(c, _)| (COVARIATES[*c].kind != Kind::Quantity) == time);
+        of.copied().max_by(|a, b| a.1.total_cmp(&b.1))
+    };
+    match (most(false), most(true)) {
+        (Some(quantity), Some(time)) if time.1 > TIME_BEYOND * quantity.1.max(WORTH) => Some(time),
+        // What no quantity locates, time may.
+        (Some(quantity), Some(time)) if quantity.1 < WORTH => Some(time),
+        (quantity, time) => quantity.or(time),
+    }
+}
+
+/// Squared residual and squared floor over everything.
+fn sums(sensors: &[SensorColumns]) -> (f64, f64) {
+    let squares = sensors
+        .iter()
+        .flat_map(|s| &s.residual_g)
+        .map(Vector3::norm_squared);
+    let floor = sensors.iter().flat_map(|s| &s.floor_g2).map(Vector3::sum);
+    (squares.sum(), floor.sum())
+}
+
+/// Contiguous sixths of each recording.
+fn sixths(sensor: &SensorColumns) -> Vec<u8> {
+    let mut folds = Vec::with_capacity(sensor.len());
+    for chunk in sensor.recording.chunk_by(|a, b| a == b) {
+        folds.extend((0..chunk.len()).map(|row| (row * FOLDS / chunk.len()) as u8));
+    }
+    folds
+}
