@@ -127,3 +127,152 @@ fn deviation(values: &[f32]) -> Option<f64> {
     let variance = finite().map(|value| (value - mean).powi(2)).sum::<f64>() / count.max(1) as f64;
     (count == values.len() && variance > 0.0).then(|| variance.sqrt())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use model_export::fit::Options;
+    use model_export::fit::polynomial;
+    use model_export::fit::rows::{Part, SensorRows};
+    use model_export::recordings::columns::Axis;
+    use nalgebra::Vector3;
+
+    /// NIST Statistical Reference Datasets, `Pontius`: load (here in millions) and deflection of a load
+    /// cell, each load applied twice. Certified for y = b0 + b1 x + b2 x^2.
+    const PONTIUS: [(f64, f64); 40] = [
+        (0.15, 0.11019),
+        (0.3, 0.21956),
+        (0.45, 0.32949),
+        (0.6, 0.43899),
+        (0.75, 0.54803),
+        (0.9, 0.65694),
+        (1.05, 0.76562),
+        (1.2, 0.87487),
+        (1.35, 0.98292),
+        (1.5, 1.09146),
+        (1.65, 1.20001),
+        (1.8, 1.30822),
+        (1.95, 1.41599),
+        (2.1, 1.52399),
+        (2.25, 1.63194),
+        (2.4, 1.73947),
+        (2.55, 1.84646),
+        (2.7, 1.95392),
+        (2.85, 2.06128),
+        (3.0, 2.16844),
+        (0.15, 0.11052),
+        (0.3, 0.22018),
+        (0.45, 0.32939),
+        (0.6, 0.43886),
+        (0.75, 0.54798),
+        (0.9, 0.65739),
+        (1.05, 0.76596),
+        (1.2, 0.87474),
+        (1.35, 0.98300),
+        (1.5, 1.09150),
+        (1.65, 1.20004),
+        (1.8, 1.30818),
+        (1.95, 1.41613),
+        (2.1, 1.52408),
+        (2.25, 1.63159),
+        (2.4, 1.73965),
+        (2.55, 1.84696),
+        (2.7, 1.95445),
+        (2.85, 2.06177),
+        (3.0, 2.16829),
+    ];
+
+    /// A polynomial of the load fitted by the project's own base, and its residuals by load.
+    fn fitted(degree: usize) -> (polynomial::Polynomial, Vec<Vec<f64>>) {
+        let part = Part {
+            time_s: (0..40).map(f64::from).collect(),
+            force_n: PONTIUS.iter().map(|(load, _)| vec![*load]).collect(),
+            field_g: PONTIUS.iter().map(|(_, y)| Vector3::repeat(*y)).collect(),
+            field_noise_g: Vector3::zeros(),
+            force_noise_n: vec![0.0],
+            track: Default::default(),
+        };
+        let rows = SensorRows {
+            sensor: 0,
+            forces: vec![(0, Axis::Z)],
+            parts: vec![part],
+        };
+        let model = polynomial::fit(&rows, Some(degree), Options::default())
+            .unwrap()
+            .model;
+        let mut groups: Vec<(f64, Vec<f64>)> = Vec::new();
+        for (load, y) in PONTIUS {
+            let residual = y - model.field(&[load]).x;
+            match groups.iter_mut().find(|(known, _)| *known == load) {
+                Some((_, group)) => group.push(residual),
+                None => groups.push((load, vec![residual])),
+            }
+        }
+        (model, groups.into_iter().map(|(_, group)| group).collect())
+    }
+
+    #[test]
+    fn a_straight_line_through_pontius_leaves_structure() {
+        let test = LackOfFit::of(&fitted(1).1, 2).unwrap();
+        assert_eq!((test.lack_freedom, test.pure_freedom), (18, 20));
+        // In exact fractions 214.746924; the handbook prints 214.7464.
+        assert!((test.f() - 214.746_924).abs() < 1e-6, "{}", test.f());
+        assert_eq!(test.verdict(), "structure remains");
+    }
+
+    #[test]
+    fn a_parabola_through_pontius_is_at_the_replicate_floor() {
+        let test = LackOfFit::of(&fitted(2).1, 3).unwrap();
+        assert!((test.f() - 0.81).abs() < 5e-3, "{}", test.f());
+        assert_eq!(test.verdict(), "at the replicate floor");
+    }
+
+    #[test]
+    fn the_parabola_s_coefficients_are_the_certified_ones() {
+        let model = fitted(2).0;
+        let at = |load: f64| model.field(&[load]).x;
+        // Newton's divided differences at three loads give the coefficients of powers.
+        let (x0, x1, x2) = (0.15, 1.5, 3.0);
+        let slope = (at(x1) - at(x0)) / (x1 - x0);
+        let b2 = ((at(x2) - at(x1)) / (x2 - x1) - slope) / (x2 - x0);
+        let b1 = slope - b2 * (x0 + x1);
+        let b0 = at(x0) - b1 * x0 - b2 * x0 * x0;
+        let certified = [
+            0.673_565_789_473_684e-3,
+            0.732_059_160_401_003,
+            -0.316_081_871_345_029e-2,
+        ];
+        for (found, certified) in [b0, b1, b2].into_iter().zip(certified) {
+            assert!(
+                (found / certified - 1.0).abs() < 1e-9,
+                "{found} {certified}"
+            );
+        }
+    }
+
+    #[test]
+    fn visits_of_one_condition_scatter_by_the_noise_alone() {
+        let mut sensor = SensorColumns::new(0);
+        // A force that goes up and down through 100 values; the residual alternates by visit.
+        for row in 0..4000_u32 {
+            let (visit, place) = (row / 100, row % 100);
+            sensor.recording.push(0);
+            sensor
+                .time_s
+                .push(f64::from(visit) * 10.0 + f64::from(place) * 0.01);
+            sensor
+                .residual_g
+                .push(Vector3::repeat(if visit % 2 == 0 { 0.3 } else { -0.3 }));
+            sensor.floor_g2.push(Vector3::zeros());
+            for (column, covariate) in sensor.covariates.iter_mut().zip(&COVARIATES) {
+                column.push(match covariate.name {
+                    "fx_n" => place as f32,
+                    _ => f32::NAN,
+                });
+            }
+        }
+        let scatter = scatter(&sensor).unwrap();
+        // Twenty visits of +0.3 and twenty of -0.3: 0.3 sqrt(40 / 39).
+        assert!((scatter[0] - 0.3 * (40.0_f64 / 39.0).sqrt()).abs() < 1e-12);
+    }
+}

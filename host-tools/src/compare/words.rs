@@ -185,7 +185,7 @@ mod tests {
             "48 % of what is left follows the opening, most of it below 4.00 mm"
         );
         assert_eq!(
-            follows(&located([0.0, 0.0, 0.0, 0.01, 0.2, 0.3])),
+            follows(&located([0.0, 0.0, 0.0, 0.01, 0.15, 0.35])),
             "48 % of what is left follows the opening, most of it above 20.0 mm"
         );
     }

@@ -13,7 +13,12 @@ const STRETCH_S: f64 = 1.0;
 /// Stretches that are named.
 const NAMED: usize = 5;
 /// What was going on, by these columns.
-const DOING: [&str; 4] = ["fx_n", "fz_n", "opening_mm", "temp_c"];
+const DOING: [(&str, &str); 4] = [
+    ("fx_n", "Fx"),
+    ("fz_n", "Fz"),
+    ("opening_mm", "opening"),
+    ("temp_c", ""),
+];
 
 /// Sums of one stretch.
 #[derive(Clone, Default)]
@@ -84,7 +89,7 @@ fn doing(sensor: &SensorColumns, recording: u32, from_s: f64) -> String {
     };
     let rows: Vec<usize> = (0..sensor.len()).filter(inside).collect();
     let mut words = Vec::new();
-    for name in DOING {
+    for (name, short) in DOING {
         let Some(i) = COVARIATES
             .iter()
             .position(|covariate| covariate.name == name)
@@ -95,10 +100,8 @@ fn doing(sensor: &SensorColumns, recording: u32, from_s: f64) -> String {
         let mean = values.sum::<f64>() / rows.len().max(1) as f64;
         let moves = sensor.covariates[i].iter().any(|value| *value != 0.0);
         if mean.is_finite() && moves {
-            words.push(format!(
-                "{} {mean:.1} {}",
-                COVARIATES[i].words, COVARIATES[i].unit
-            ));
+            let unit = COVARIATES[i].unit;
+            words.push(format!("{short} {mean:.0} {unit}").trim_start().to_owned());
         }
     }
     words.join(", ")

@@ -202,6 +202,7 @@ fn located(comparison: &Comparison) -> String {
     ]);
     for (i, one) in chosen.chain(others).enumerate() {
         let ends = one.bins.first().zip(one.bins.last());
+        let channel = strongest(one);
         let end = |value: Option<f64>| match value {
             Some(value) => format!("{} {}", words::short(value), one.unit)
                 .trim_end()
@@ -215,10 +216,13 @@ fn located(comparison: &Comparison) -> String {
             },
             one.words.to_owned(),
             format!("{:.1} %", 100.0 * one.share),
-            format!("{:.1} %", 100.0 * one.alone),
             end(ends.map(|(first, _)| first.from)),
-            sparkline(one),
+            channel.map_or_else(String::new, |channel| sparkline(one, channel)),
             end(ends.map(|(_, last)| last.to)),
+            channel.map_or_else(String::new, |(sensor, axis)| {
+                format!("s{} {}", one.sensors[sensor], ["x", "y", "z"][axis])
+            }),
+            channel.map_or_else(String::new, |channel| words::short(reach(one, channel))),
         ]);
     }
     let mut page = format!("{HEAD}Where it fails{HEAD:#}\n{table}\n");
@@ -231,25 +235,56 @@ fn located(comparison: &Comparison) -> String {
         page += &show::paragraph(&format!("{line}."));
     }
     page += &show::paragraph(&format!(
-        "Shares are of the squared residual above the floor, of rows that took no part; each beyond the ones before it. The residual is correlated over {:.2} s.",
+        "Shares are of the squared residual above the floor, of rows that took no part; each beyond the ones before it. The bars show the channel in which it is seen best, from -G to +G. The residual is correlated over {:.2} s.",
         comparison.correlation_s
     ));
     page + "\n"
 }
 
-/// Root mean square in each bin, from nothing to the greatest.
-fn sparkline(located: &Located) -> String {
-    const BLOCKS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
-    let most = located.bins.iter().map(|bin| bin.rms_g).fold(0.0, f64::max);
-    let block = |rms: f64| {
-        let height = rms / most * (BLOCKS.len() - 1) as f64;
-        BLOCKS.get(height.round() as usize).copied().unwrap_or(' ')
+/// The sensor (by place) and axis whose mean error varies most over the bins.
+fn strongest(located: &Located) -> Option<(usize, usize)> {
+    let sensors = 0..located.sensors.len();
+    let channels = sensors.flat_map(|sensor| [0, 1, 2].map(|axis| (sensor, axis)));
+    let spread = |channel: &(usize, usize)| {
+        let means = means(located, *channel);
+        let (low, high) = means
+            .iter()
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), m| {
+                (low.min(*m), high.max(*m))
+            });
+        high - low
     };
+    channels.max_by(|a, b| spread(a).total_cmp(&spread(b)))
+}
+
+fn means(located: &Located, (sensor, axis): (usize, usize)) -> Vec<f64> {
     located
         .bins
         .iter()
+        .filter_map(|bin| Some(bin.mean_g.get(sensor)?[axis]))
+        .collect()
+}
+
+/// Greatest mean error of any bin, in size.
+fn reach(located: &Located, channel: (usize, usize)) -> f64 {
+    means(located, channel)
+        .iter()
+        .map(|mean| mean.abs())
+        .fold(0.0, f64::max)
+}
+
+/// Mean error in each bin, from its greatest size below zero to the same above.
+fn sparkline(located: &Located, channel: (usize, usize)) -> String {
+    const BLOCKS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
+    let most = reach(located, channel).max(f64::MIN_POSITIVE);
+    let block = |mean: &f64| {
+        let height = 0.5 * (mean / most + 1.0) * (BLOCKS.len() - 1) as f64;
+        BLOCKS.get(height.round() as usize).copied().unwrap_or(' ')
+    };
+    means(located, channel)
+        .iter()
         .take(BAR)
-        .map(|bin| block(bin.rms_g))
+        .map(block)
         .collect()
 }
 
