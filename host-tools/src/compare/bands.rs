@@ -180,7 +180,7 @@ mod tests {
     fn the_band_of_a_mean_widens_with_the_residual_s_memory() {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let mut state = 0.0;
-        let mut sensor = SensorColumns::new(0);
+        let mut sensor = SensorColumns::new(0, &[]);
         for row in 0..20_000 {
             let step: f64 = StandardNormal.sample(&mut rng);
             state = 0.9 * state + step;

@@ -8,15 +8,16 @@ use anyhow::{Result, bail};
 use model_export::effects::track::Cycles;
 use model_export::fit::rows::{Part, own_forces};
 use model_export::fit::score::floor_squared;
-use model_export::model_file::{ModelFile, Predictor};
+use model_export::model_file::{ModelFile, Predicted};
 use model_export::recordings::align::Alignment;
 use model_export::recordings::columns::Axis;
 use model_export::recordings::{Campaign, Notice, Problem, Recording};
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
+use super::covariate::all;
 use super::errors::Errors;
-use super::plan::{Plan, Planned};
+use super::plan::{Judge, Plan, Planned};
 use super::rows::{MOST_ROWS, SensorColumns};
 use super::{Curve, Trace};
 use crate::progress;
@@ -102,6 +103,7 @@ pub fn collect(plan: &Plan, campaign: &Path, alignment: Alignment) -> Result<See
 /// The sensors that the model knows and the recordings have.
 fn sensors(model: &ModelFile, recording: &Recording, campaign: &Path) -> Result<Vec<SensorSeen>> {
     let mut list = Vec::new();
+    let covariates = all(recording);
     for sensor in &model.sensors {
         let number = sensor.number;
         let forces = match sensor.polynomial() {
@@ -117,7 +119,7 @@ fn sensors(model: &ModelFile, recording: &Recording, campaign: &Path) -> Result<
                 forces,
                 errors: Default::default(),
                 floor: [Vector3::zeros(); 3],
-                columns: SensorColumns::new(number),
+                columns: SensorColumns::new(number, &covariates),
                 cycles: Cycles::default(),
             });
         }
@@ -166,7 +168,11 @@ impl Seen {
 
 /// Modelled fields and squared floors of the rows of one recording.
 struct Modelled {
+    /// By values that have not seen the row.
     field_g: Vec<Vector3<f64>>,
+    /// By the model's own values. What an error depends on is sought in these: they are the same for
+    /// all recordings, where those that leave one out are each wrong in a way of their own.
+    own_g: Vec<Vector3<f64>>,
     /// Of the reference's noise through dB/dF.
     reference_g2: Vec<Vector3<f64>>,
     floor_g2: Vec<Vector3<f64>>,
@@ -186,6 +192,9 @@ impl SensorSeen {
         let rows = part.len();
         let mut modelled = Modelled {
             field_g: Vec::with_capacity(rows),
+            own_g: self
+                .predict(plan.judges.first()?, planned, &mut part)?
+                .field_g,
             reference_g2: Vec::with_capacity(rows),
             floor_g2: Vec::with_capacity(rows),
         };
@@ -195,9 +204,7 @@ impl SensorSeen {
             if end <= modelled.field_g.len() {
                 continue;
             }
-            let predictor: Predictor = judge.model.predictor(self.sensor, &judge.additions)?;
-            part.track.recording = judge.place_of(planned);
-            let predicted = predictor.over(&part, &self.forces);
+            let predicted = self.predict(judge, planned, &mut part)?;
             for row in modelled.field_g.len()..end {
                 let slopes = predicted.per_newton[row].iter().copied();
                 let floor = floor_squared(&part, slopes);
@@ -209,6 +216,13 @@ impl SensorSeen {
         (modelled.field_g.len() == rows).then_some((modelled, part))
     }
 
+    /// What a judge says of a recording.
+    fn predict(&self, judge: &Judge, planned: &Planned, part: &mut Part) -> Option<Predicted> {
+        let predictor = judge.model.predictor(self.sensor, &judge.additions)?;
+        part.track.recording = judge.place_of(planned);
+        Some(predictor.over(part, &self.forces))
+    }
+
     fn add(
         &mut self,
         part: &Part,
@@ -218,12 +232,14 @@ impl SensorSeen {
         points: usize,
         recording: &Recording,
     ) -> Trace {
-        let residual: Vec<Vector3<f64>> = part
-            .field_g
-            .iter()
-            .zip(&modelled.field_g)
-            .map(|(b, m)| b - m)
-            .collect();
+        let minus = |modelled: &[Vector3<f64>]| -> Vec<Vector3<f64>> {
+            part.field_g
+                .iter()
+                .zip(modelled)
+                .map(|(b, m)| b - m)
+                .collect()
+        };
+        let (residual, own) = (minus(&modelled.field_g), minus(&modelled.own_g));
         let step = recording.description.gauss_per_lsb.unwrap_or(0.0) * recording.noise_gain;
         let steps = Vector3::repeat(step * step / 12.0);
         let white = floor_squared(part, []);
@@ -236,7 +252,7 @@ impl SensorSeen {
             self.floor[2] += modelled.reference_g2[row];
         }
         self.columns
-            .push(place, &part.track, &residual, &modelled.floor_g2, stride);
+            .push(place, &part.track, &own, &modelled.floor_g2, stride);
         let curve = |of: &[Vector3<f64>], axis: usize| {
             let values: Vec<f64> = of.iter().map(|field| field[axis]).collect();
             Curve::of(&part.track.time_s, &values, points)

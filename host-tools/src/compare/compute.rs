@@ -11,7 +11,6 @@ use model_export::recordings::columns::Axis;
 
 use super::bands::Bands;
 use super::collect::{Seen, SensorSeen, collect};
-use super::covariate::COVARIATES;
 use super::device::forces;
 use super::locate::{Found, Locator};
 use super::map::map;
@@ -46,7 +45,7 @@ pub fn compare(
     let columns: Vec<SensorColumns> = seen
         .sensors
         .iter_mut()
-        .map(|sensor| std::mem::replace(&mut sensor.columns, SensorColumns::new(0)))
+        .map(|sensor| std::mem::replace(&mut sensor.columns, SensorColumns::new(0, &[])))
         .collect();
     let correlation_s = correlation_s(&columns);
     let block_s = (3.0 * correlation_s).max(SHORTEST_BLOCK_S);
@@ -121,11 +120,11 @@ fn located(
 ) -> Vec<Located> {
     let bands = Bands::new(columns, block_s, seed);
     let one = |found: &Found| {
-        let covariate = &COVARIATES[found.covariate];
+        let covariate = &columns.first()?.covariates[found.covariate].of;
         let binning = locator.binnings[found.covariate].as_ref()?;
         Some(Located {
-            covariate: covariate.name,
-            words: covariate.words,
+            covariate: covariate.name.clone(),
+            words: covariate.words.clone(),
             unit: covariate.unit,
             share: found.share,
             alone: found.alone,

@@ -1,8 +1,11 @@
 //! What an error may depend on: the columns of a recording, and what follows from them.
 
+use std::borrow::Cow;
 use std::f64::consts::{PI, TAU};
 
 use model_export::effects::Track;
+use model_export::recordings::Recording;
+use model_export::recordings::columns::STATOR_CURRENTS;
 
 /// How a covariate is cut into bins and judged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -17,12 +20,12 @@ pub enum Kind {
 }
 
 /// A covariate.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Covariate {
     /// Name as in the recordings, or of what is made from them.
-    pub name: &'static str,
+    pub name: Cow<'static, str>,
     /// In words.
-    pub words: &'static str,
+    pub words: Cow<'static, str>,
     /// Unit; empty for a number without one.
     pub unit: &'static str,
     /// How it is judged.
@@ -30,16 +33,25 @@ pub struct Covariate {
 }
 
 const fn quantity(name: &'static str, words: &'static str, unit: &'static str) -> Covariate {
+    covariate(name, words, unit, Kind::Quantity)
+}
+
+const fn covariate(
+    name: &'static str,
+    words: &'static str,
+    unit: &'static str,
+    kind: Kind,
+) -> Covariate {
     Covariate {
-        name,
-        words,
+        name: Cow::Borrowed(name),
+        words: Cow::Borrowed(words),
         unit,
-        kind: Kind::Quantity,
+        kind,
     }
 }
 
-/// Every covariate that is looked at, where a recording has it.
-pub const COVARIATES: [Covariate; 21] = [
+/// What every gripper may have.
+const KNOWN: [Covariate; 21] = [
     quantity("fx_n", "lateral force", "N"),
     quantity("fz_n", "longitudinal force", "N"),
     quantity("force_n", "size of the force", "N"),
@@ -58,24 +70,14 @@ pub const COVARIATES: [Covariate; 21] = [
     quantity("accel_x_mps2", "acceleration along x", "m/s²"),
     quantity("accel_y_mps2", "acceleration along y", "m/s²"),
     quantity("accel_z_mps2", "acceleration along z", "m/s²"),
-    Covariate {
-        name: "time_s",
-        words: "time in the recording",
-        unit: "s",
-        kind: Kind::Time,
-    },
-    Covariate {
-        name: "session_s",
-        words: "time in the session",
-        unit: "s",
-        kind: Kind::TimeOfCampaign,
-    },
-    Covariate {
-        name: "recording",
-        words: "recording",
-        unit: "",
-        kind: Kind::TimeOfCampaign,
-    },
+    covariate("time_s", "time in the recording", "s", Kind::Time),
+    covariate(
+        "session_s",
+        "time in the session",
+        "s",
+        Kind::TimeOfCampaign,
+    ),
+    covariate("recording", "recording", "", Kind::TimeOfCampaign),
 ];
 
 /// A rate below this share of its own root mean square is no direction of loading.
@@ -84,12 +86,29 @@ const DEADBAND: f64 = 0.1;
 /// Seconds over which the rate of a temperature is taken: far above its steps, below its swings.
 const TEMPERATURE_RATE_S: f64 = 4.0;
 
+/// Every covariate that is looked at: those that any gripper may have, and those that the recording
+/// declares.
+pub fn all(recording: &Recording) -> Vec<Covariate> {
+    let known = |name: &str| KNOWN.iter().any(|covariate| covariate.name == name);
+    let declared = recording.covariates.keys().filter(|name| {
+        // The stator's currents are the motor's current and the rotor's angle once more.
+        !known(name) && !STATOR_CURRENTS.contains(&name.as_str())
+    });
+    let own = declared.map(|name| Covariate {
+        name: Cow::Owned(name.clone()),
+        words: Cow::Owned(name.clone()),
+        unit: "",
+        kind: Kind::Quantity,
+    });
+    KNOWN.iter().cloned().chain(own).collect()
+}
+
 impl Covariate {
     /// Its values over a track; `None` where it was not recorded. `place` is the recording's in the
     /// campaign, from 1.
     pub fn values(&self, track: &Track, place: usize) -> Option<Vec<f64>> {
         let of_force = |f: &dyn Fn(&[f64; 2]) -> f64| Some(track.force_n.iter().map(f).collect());
-        match self.name {
+        match self.name.as_ref() {
             "force_n" => of_force(&|[x, z]| x.hypot(*z)),
             "fx_rate_n_per_s" => Some(rates(track, 0)),
             "fz_rate_n_per_s" => Some(rates(track, 1)),
@@ -98,7 +117,7 @@ impl Covariate {
             "temp_rate_c_per_min" => (!track.temperature_c.is_empty())
                 .then(|| slope_per_min(&track.time_s, &track.temperature_c)),
             "motor_angle_rad" => {
-                let turns = track.covariate(self.name)?;
+                let turns = track.covariate(&self.name)?;
                 Some(turns.iter().map(|angle| wrapped(*angle)).collect())
             }
             "recording" => Some(vec![place as f64; track.len()]),

@@ -1,14 +1,14 @@
 //! Where a model fails: which covariates the residual follows, one after the other.
 //!
-//! A covariate locates what the mean residual in its bins predicts of rows that took no part in
-//! those means. The one that locates most comes first; what it predicts is taken away, and the next
+//! A covariate locates what the residual in its bins (a straight line in each) predicts of rows that
+//! took no part. The one that locates most comes first; what it predicts is taken away, and the next
 //! is judged on what is left, so that two covariates which move together are not both blamed.
 
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::binning::Binning;
-use super::covariate::{COVARIATES, Kind};
+use super::covariate::Kind;
 use super::rows::SensorColumns;
 
 /// Covariates are chosen while the next locates at least this share of the excess.
@@ -20,8 +20,8 @@ const TIME_BEYOND: f64 = 2.0;
 /// The excess over the floor counts as at least this share of the squared residual: at the floor
 /// there is next to nothing that could be located, and shares of nothing mean nothing.
 const LEAST_EXCESS: f64 = 0.1;
-/// A mean of fewer rows predicts nothing.
-const FEWEST_ROWS: usize = 20;
+/// Fewer rows predict nothing.
+const FEWEST_ROWS: f64 = 20.0;
 /// Folds where recordings are not left out one by one.
 const FOLDS: usize = 6;
 /// More recordings than this are left out in groups.
@@ -30,7 +30,7 @@ const MOST_FOLDS: usize = 10;
 /// One covariate and what it locates.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Found {
-    /// Its place in [`COVARIATES`].
+    /// Its place among the columns.
     pub covariate: usize,
     /// Share of the excess beyond the chosen ones before it.
     pub share: f64,
@@ -43,6 +43,7 @@ pub struct Found {
 /// Residuals of all sensors, ready to be located.
 pub struct Locator<'a> {
     sensors: &'a [SensorColumns],
+    kinds: Vec<Kind>,
     /// For each covariate its bins; `None` where it is absent or never moves.
     pub binnings: Vec<Option<Binning>>,
     /// For each sensor and row: the fold by recordings (or stretches of them), and by blocks of time.
@@ -69,12 +70,15 @@ impl<'a> Locator<'a> {
         };
         let second =
             |sensor: &SensorColumns| sensor.time_s.iter().map(|t| block(*t)).collect::<Vec<u8>>();
-        let binnings = (0..COVARIATES.len())
+        let kinds: Vec<Kind> = sensors.first().map_or_else(Vec::new, |s| {
+            s.covariates.iter().map(|c| c.of.kind).collect()
+        });
+        let binnings = (0..kinds.len())
             .into_par_iter()
             .map(|c| {
                 let values: Vec<&[f32]> = sensors
                     .iter()
-                    .map(|sensor| sensor.covariates[c].as_slice())
+                    .map(|sensor| sensor.covariates[c].values.as_slice())
                     .collect();
                 Binning::of(&values)
             })
@@ -91,6 +95,7 @@ impl<'a> Locator<'a> {
                 .max(LEAST_EXCESS * squares)
                 .max(f64::MIN_POSITIVE),
             sensors,
+            kinds,
         }
     }
 
@@ -102,7 +107,7 @@ impl<'a> Locator<'a> {
             .iter()
             .map(|sensor| sensor.residual_g.clone())
             .collect();
-        let mut left: Vec<usize> = (0..COVARIATES.len())
+        let mut left: Vec<usize> = (0..self.kinds.len())
             .filter(|c| self.binnings[*c].is_some())
             .collect();
         let alone = self.shares(&left, &residual);
@@ -115,7 +120,7 @@ impl<'a> Locator<'a> {
         let mut ranked = Vec::new();
         let mut shares = alone.clone();
         while ranked.len() < MOST
-            && let Some((covariate, share)) = best(&shares)
+            && let Some((covariate, share)) = self.best(&shares)
             && share >= WORTH
         {
             ranked.push(Found {
@@ -160,74 +165,125 @@ impl<'a> Locator<'a> {
             .collect()
     }
 
-    /// The mean residual in each row's bin, over the rows of all other folds.
+    /// What the rows of all other folds say of each row's bin.
     fn predict(
         &self,
         covariate: usize,
         residual: &[Vec<Vector3<f64>>],
     ) -> Option<Vec<Vec<Vector3<f64>>>> {
         let binning = self.binnings[covariate].as_ref()?;
-        let within = match COVARIATES[covariate].kind {
+        let within = match self.kinds[covariate] {
             Kind::Quantity => false,
             Kind::Time => !self.by_recordings,
             Kind::TimeOfCampaign => true,
         };
         let folds = &self.folds[usize::from(within)];
-        let sensors = residual.iter().zip(&binning.of).zip(folds);
-        Some(
-            sensors
-                .map(|((r, bins), folds)| without_own(r, bins, folds, binning.count()))
-                .collect(),
-        )
+        let sensors = residual
+            .iter()
+            .zip(self.sensors)
+            .zip(&binning.of)
+            .zip(folds);
+        let one =
+            |(((r, sensor), bins), folds): (((&Vec<_>, &SensorColumns), &Vec<u16>), &Vec<u8>)| {
+                let values = &sensor.covariates[covariate].values;
+                without_own(r, values, bins, folds, binning)
+            };
+        Some(sensors.map(one).collect())
+    }
+
+    /// The covariate to choose next.
+    fn best(&self, shares: &[(usize, f64)]) -> Option<(usize, f64)> {
+        let most = |time: bool| {
+            let of = shares
+                .iter()
+                .filter(|(c, _)| (self.kinds[*c] != Kind::Quantity) == time);
+            of.copied().max_by(|a, b| a.1.total_cmp(&b.1))
+        };
+        match (most(false), most(true)) {
+            (Some(quantity), Some(time)) if time.1 > TIME_BEYOND * quantity.1.max(WORTH) => {
+                Some(time)
+            }
+            // What no quantity locates, time may.
+            (Some(quantity), Some(time)) if quantity.1 < WORTH => Some(time),
+            (quantity, time) => quantity.or(time),
+        }
     }
 }
 
-/// For each row the mean over its bin without its own fold.
-fn without_own(
-    residual: &[Vector3<f64>],
-    bins: &[u16],
-    folds: &[u8],
-    count: usize,
-) -> Vec<Vector3<f64>> {
-    let folds_count = FOLDS.max(MOST_FOLDS);
-    let mut sums = vec![(Vector3::zeros(), 0_usize); count * (folds_count + 1)];
-    let at = |bin: u16, fold: usize| usize::from(bin) * (folds_count + 1) + fold;
-    for ((r, &bin), &fold) in residual.iter().zip(bins).zip(folds) {
-        if bin == Binning::NONE {
-            continue;
-        }
-        for cell in [at(bin, usize::from(fold)), at(bin, folds_count)] {
-            sums[cell].0 += r;
-            sums[cell].1 += 1;
+/// Sums over the rows of one bin, from which the straight line through them follows.
+#[derive(Clone, Copy, Default)]
+struct Line {
+    rows: f64,
+    x: f64,
+    xx: f64,
+    r: Vector3<f64>,
+    xr: Vector3<f64>,
+}
+
+impl Line {
+    fn add(&mut self, x: f64, r: &Vector3<f64>) {
+        self.rows += 1.0;
+        self.x += x;
+        self.xx += x * x;
+        self.r += r;
+        self.xr += r * x;
+    }
+
+    fn without(&self, other: &Self) -> Self {
+        Self {
+            rows: self.rows - other.rows,
+            x: self.x - other.x,
+            xx: self.xx - other.xx,
+            r: self.r - other.r,
+            xr: self.xr - other.xr,
         }
     }
-    let mean = |(&bin, &fold): (&u16, &u8)| {
-        if bin == Binning::NONE {
+
+    /// The line's value at `x`; nothing where too few rows tell it, and level where they are at one
+    /// value.
+    fn at(&self, x: f64) -> Vector3<f64> {
+        if self.rows < FEWEST_ROWS {
             return Vector3::zeros();
         }
-        let (own, all) = (sums[at(bin, usize::from(fold))], sums[at(bin, folds_count)]);
-        match all.1 - own.1 {
-            rows if rows >= FEWEST_ROWS => (all.0 - own.0) / rows as f64,
-            _ => Vector3::zeros(),
+        let (middle, mean) = (self.x / self.rows, self.r / self.rows);
+        let spread = self.xx / self.rows - middle * middle;
+        if spread <= 1e-9 * (self.xx / self.rows) {
+            return mean;
         }
-    };
-    bins.iter().zip(folds).map(mean).collect()
+        // Outside the values that tell it, a line says nothing more.
+        let reach = 2.0 * spread.sqrt();
+        let slope = (self.xr / self.rows - mean * middle) / spread;
+        mean + slope * (x - middle).clamp(-reach, reach)
+    }
 }
 
-/// The covariate to choose next.
-fn best(shares: &[(usize, f64)]) -> Option<(usize, f64)> {
-    let most = |time: bool| {
-        let of = shares
-            .iter()
-            .filter(|(c, _)| (COVARIATES[*c].kind != Kind::Quantity) == time);
-        of.copied().max_by(|a, b| a.1.total_cmp(&b.1))
-    };
-    match (most(false), most(true)) {
-        (Some(quantity), Some(time)) if time.1 > TIME_BEYOND * quantity.1.max(WORTH) => Some(time),
-        // What no quantity locates, time may.
-        (Some(quantity), Some(time)) if quantity.1 < WORTH => Some(time),
-        (quantity, time) => quantity.or(time),
+/// For each row the straight line through its bin without its own fold: a bin may be wide where a
+/// residual is steep.
+fn without_own(
+    residual: &[Vector3<f64>],
+    values: &[f32],
+    bins: &[u16],
+    folds: &[u8],
+    binning: &Binning,
+) -> Vec<Vector3<f64>> {
+    let folds_count = FOLDS.max(MOST_FOLDS);
+    let mut sums = vec![Line::default(); binning.count() * (folds_count + 1)];
+    let at = |bin: u16, fold: usize| usize::from(bin) * (folds_count + 1) + fold;
+    let from_centre = |value: f32, bin: u16| f64::from(value) - binning.centres[usize::from(bin)];
+    for (((r, &bin), &fold), &value) in residual.iter().zip(bins).zip(folds).zip(values) {
+        if bin != Binning::NONE {
+            let x = from_centre(value, bin);
+            sums[at(bin, usize::from(fold))].add(x, r);
+            sums[at(bin, folds_count)].add(x, r);
+        }
     }
+    let line = |((&bin, &fold), &value): ((&u16, &u8), &f32)| match bin {
+        Binning::NONE => Vector3::zeros(),
+        _ => sums[at(bin, folds_count)]
+            .without(&sums[at(bin, usize::from(fold))])
+            .at(from_centre(value, bin)),
+    };
+    bins.iter().zip(folds).zip(values).map(line).collect()
 }
 
 /// Squared residual and squared floor over everything.

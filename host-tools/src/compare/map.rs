@@ -1,7 +1,6 @@
 //! The residual over two covariates at once.
 
 use super::Map;
-use super::covariate::COVARIATES;
 use super::rows::SensorColumns;
 
 /// Cells along each side.
@@ -17,7 +16,10 @@ pub fn map(sensors: &[SensorColumns], across: usize, upwards: usize) -> Option<M
     let mut rows = vec![[0_usize; CELLS]; CELLS];
     let (mut floor, mut all) = (0.0, 0_usize);
     for sensor in sensors {
-        let (x, y) = (&sensor.covariates[across], &sensor.covariates[upwards]);
+        let (x, y) = (
+            &sensor.covariates[across].values,
+            &sensor.covariates[upwards].values,
+        );
         for (row, residual) in sensor.residual_g.iter().enumerate() {
             floor += sensor.floor_g2[row].sum();
             all += 1;
@@ -37,7 +39,7 @@ pub fn map(sensors: &[SensorColumns], across: usize, upwards: usize) -> Option<M
     }
     let [across_edges, upwards_edges] = edges;
     Some(Map {
-        axes: [across, upwards].map(label),
+        axes: [across, upwards].map(|covariate| label(sensors, covariate)),
         across: across_edges,
         upwards: upwards_edges,
         rms_g: squares
@@ -55,10 +57,13 @@ pub fn map(sensors: &[SensorColumns], across: usize, upwards: usize) -> Option<M
     })
 }
 
-fn label(covariate: usize) -> String {
-    let covariate = &COVARIATES[covariate];
+fn label(sensors: &[SensorColumns], covariate: usize) -> String {
+    let Some(first) = sensors.first() else {
+        return String::new();
+    };
+    let covariate = &first.covariates[covariate].of;
     match covariate.unit {
-        "" => covariate.words.to_owned(),
+        "" => covariate.words.to_string(),
         unit => format!("{} / {unit}", covariate.words),
     }
 }
@@ -66,7 +71,7 @@ fn label(covariate: usize) -> String {
 fn edges(sensors: &[SensorColumns], covariate: usize) -> Option<Vec<f64>> {
     let values = sensors
         .iter()
-        .flat_map(|sensor| &sensor.covariates[covariate]);
+        .flat_map(|sensor| &sensor.covariates[covariate].values);
     let mut sorted: Vec<f32> = values.copied().filter(|value| value.is_finite()).collect();
     sorted.sort_by(f32::total_cmp);
     let at = |share: f64| sorted.get((share * (sorted.len().max(1) - 1) as f64) as usize);

@@ -23,6 +23,8 @@ pub mod rows;
 pub mod words;
 pub mod worst;
 
+use std::borrow::Cow;
+
 use model_export::recordings::columns::Axis;
 
 pub use curve::Curve;
@@ -137,9 +139,9 @@ pub struct ForceFigures {
 #[derive(Clone, Debug)]
 pub struct Located {
     /// Name as in the recordings, or one of those made from them (`fx_rate_n_per_s`, `loading_x`).
-    pub covariate: &'static str,
+    pub covariate: Cow<'static, str>,
     /// In words, for people: `opening`.
-    pub words: &'static str,
+    pub words: Cow<'static, str>,
     /// Unit, empty for a number without one.
     pub unit: &'static str,
     /// Share of the squared residual above the floor that it locates beyond the ones before it,

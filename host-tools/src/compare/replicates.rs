@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
-use super::covariate::{COVARIATES, Kind};
+use super::covariate::Kind;
 use super::rows::SensorColumns;
 
 /// Two rows are at the same condition where every covariate agrees to this share of its standard
@@ -82,17 +82,16 @@ impl LackOfFit {
 /// Standard deviation between visits of the same condition on each axis of one sensor, in gauss;
 /// `None` where too few conditions were met twice.
 pub fn scatter(sensor: &SensorColumns) -> Option<[f64; 3]> {
-    let widths: Vec<(usize, f64)> = COVARIATES
+    let widths: Vec<(&[f32], f64)> = sensor
+        .covariates
         .iter()
-        .enumerate()
-        .filter(|(_, covariate)| covariate.kind == Kind::Quantity)
-        .filter_map(|(i, _)| Some((i, CELL * deviation(&sensor.covariates[i])?)))
+        .filter(|column| column.of.kind == Kind::Quantity)
+        .filter_map(|column| Some((column.values.as_slice(), CELL * deviation(&column.values)?)))
         .collect();
     let mut cells: HashMap<Vec<i32>, Vec<usize>> = HashMap::new();
     for row in 0..sensor.len() {
-        let place = |(i, width): &(usize, f64)| {
-            (f64::from(sensor.covariates[*i][row]) / width).floor() as i32
-        };
+        let place =
+            |(values, width): &(&[f32], f64)| (f64::from(values[row]) / width).floor() as i32;
         let visits = cells.entry(widths.iter().map(place).collect()).or_default();
         let again = visits.last().is_none_or(|&last| {
             sensor.recording[last] != sensor.recording[row]
@@ -131,11 +130,20 @@ fn deviation(values: &[f32]) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::compare::covariate::Covariate;
     use model_export::fit::Options;
     use model_export::fit::polynomial;
     use model_export::fit::rows::{Part, SensorRows};
     use model_export::recordings::columns::Axis;
     use nalgebra::Vector3;
+    use std::borrow::Cow;
+
+    const FX: Covariate = Covariate {
+        name: Cow::Borrowed("fx_n"),
+        words: Cow::Borrowed("force"),
+        unit: "N",
+        kind: Kind::Quantity,
+    };
 
     /// NIST Statistical Reference Datasets, `Pontius`: load (here in millions) and deflection of a load
     /// cell, each load applied twice. Certified for y = b0 + b1 x + b2 x^2.
@@ -252,7 +260,7 @@ mod tests {
 
     #[test]
     fn visits_of_one_condition_scatter_by_the_noise_alone() {
-        let mut sensor = SensorColumns::new(0);
+        let mut sensor = SensorColumns::new(0, &[FX]);
         // A force that goes up and down through 100 values; the residual alternates by visit.
         for row in 0..4000_u32 {
             let (visit, place) = (row / 100, row % 100);
@@ -264,12 +272,7 @@ mod tests {
                 .residual_g
                 .push(Vector3::repeat(if visit % 2 == 0 { 0.3 } else { -0.3 }));
             sensor.floor_g2.push(Vector3::zeros());
-            for (column, covariate) in sensor.covariates.iter_mut().zip(&COVARIATES) {
-                column.push(match covariate.name {
-                    "fx_n" => place as f32,
-                    _ => f32::NAN,
-                });
-            }
+            sensor.covariates[0].values.push(place as f32);
         }
         let scatter = scatter(&sensor).unwrap();
         // Twenty visits of +0.3 and twenty of -0.3: 0.3 sqrt(40 / 39).

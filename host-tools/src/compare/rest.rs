@@ -1,7 +1,6 @@
 //! What wanders while nothing changes.
 
-use super::covariate::COVARIATES;
-use super::rows::SensorColumns;
+use super::rows::{Column, SensorColumns};
 
 /// Shortest rest that shows anything slow, in seconds.
 const REST_S: f64 = 10.0;
@@ -34,19 +33,17 @@ fn rests(sensor: &SensorColumns) -> Vec<(usize, usize)> {
         ("fz_n", STILL_N),
         ("opening_mm", STILL_MM),
     ];
-    let watched: Vec<(usize, f64)> = limits
+    let watched: Vec<(&Column, f64)> = limits
         .iter()
-        .filter_map(|(name, limit)| {
-            Some((COVARIATES.iter().position(|c| c.name == *name)?, *limit))
-        })
+        .filter_map(|(name, limit)| Some((sensor.column(name)?, *limit)))
         .collect();
     let mut list = Vec::new();
     let mut from = 0;
     let long =
         |from: usize, to: usize| to > from && sensor.time_s[to - 1] - sensor.time_s[from] >= REST_S;
     for row in 0..sensor.len() {
-        let moved = |(i, limit): &(usize, f64)| {
-            f64::from((sensor.covariates[*i][row] - sensor.covariates[*i][from]).abs()) > *limit
+        let moved = |(column, limit): &(&Column, f64)| {
+            f64::from((column.values[row] - column.values[from]).abs()) > *limit
         };
         if sensor.recording[row] != sensor.recording[from] || watched.iter().any(moved) {
             if long(from, row) {

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use super::covariate::COVARIATES;
+use super::covariate::Covariate;
 use model_export::effects::Track;
 
 /// Rows of a sensor that are kept: five minutes at 100 Hz. Of more, every second, third and so on
@@ -22,20 +22,35 @@ pub struct SensorColumns {
     pub residual_g: Vec<Vector3<f64>>,
     /// What a perfect model would leave, squared.
     pub floor_g2: Vec<Vector3<f64>>,
-    /// Covariates in the order of [`COVARIATES`], NaN where a recording has none.
-    pub covariates: Vec<Vec<f32>>,
+    /// The covariates, the same ones at every sensor.
+    pub covariates: Vec<Column>,
+}
+
+/// A covariate, row by row.
+#[derive(Clone, Debug)]
+pub struct Column {
+    /// Which.
+    pub of: Covariate,
+    /// Its values, NaN where a recording has none.
+    pub values: Vec<f32>,
 }
 
 impl SensorColumns {
     /// Without rows.
-    pub fn new(sensor: u32) -> Self {
+    pub fn new(sensor: u32, covariates: &[Covariate]) -> Self {
         Self {
             sensor,
             recording: Vec::new(),
             time_s: Vec::new(),
             residual_g: Vec::new(),
             floor_g2: Vec::new(),
-            covariates: vec![Vec::new(); COVARIATES.len()],
+            covariates: covariates
+                .iter()
+                .map(|of| Column {
+                    of: of.clone(),
+                    values: Vec::new(),
+                })
+                .collect(),
         }
     }
 
@@ -53,12 +68,17 @@ impl SensorColumns {
         self.time_s.extend(kept().map(|row| track.time_s[row]));
         self.residual_g.extend(kept().map(|row| residual_g[row]));
         self.floor_g2.extend(kept().map(|row| floor_g2[row]));
-        for (column, covariate) in self.covariates.iter_mut().zip(&COVARIATES) {
-            match covariate.values(track, recording + 1) {
+        for Column { of, values: column } in &mut self.covariates {
+            match of.values(track, recording + 1) {
                 Some(values) => column.extend(kept().map(|row| values[row] as f32)),
                 None => column.extend(kept().map(|_| f32::NAN)),
             }
         }
+    }
+
+    /// The covariate of this name.
+    pub fn column(&self, name: &str) -> Option<&Column> {
+        self.covariates.iter().find(|column| column.of.name == name)
     }
 
     /// Rows.

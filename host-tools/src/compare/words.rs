@@ -167,8 +167,8 @@ mod tests {
             ..Bin::default()
         };
         Located {
-            covariate: "opening_mm",
-            words: "opening",
+            covariate: "opening_mm".into(),
+            words: "opening".into(),
             unit: "mm",
             share: 0.48,
             alone: 0.48,

@@ -5,7 +5,6 @@ use std::collections::BTreeMap;
 use nalgebra::Vector3;
 
 use super::Worst;
-use super::covariate::COVARIATES;
 use super::rows::SensorColumns;
 
 /// Length of a stretch in seconds: long enough to be looked at, short enough to be one event.
@@ -90,17 +89,14 @@ fn doing(sensor: &SensorColumns, recording: u32, from_s: f64) -> String {
     let rows: Vec<usize> = (0..sensor.len()).filter(inside).collect();
     let mut words = Vec::new();
     for (name, short) in DOING {
-        let Some(i) = COVARIATES
-            .iter()
-            .position(|covariate| covariate.name == name)
-        else {
+        let Some(column) = sensor.column(name) else {
             continue;
         };
-        let values = rows.iter().map(|&row| f64::from(sensor.covariates[i][row]));
+        let values = rows.iter().map(|&row| f64::from(column.values[row]));
         let mean = values.sum::<f64>() / rows.len().max(1) as f64;
-        let moves = sensor.covariates[i].iter().any(|value| *value != 0.0);
+        let moves = column.values.iter().any(|value| *value != 0.0);
         if mean.is_finite() && moves {
-            let unit = COVARIATES[i].unit;
+            let unit = column.of.unit;
             words.push(format!("{short} {mean:.0} {unit}").trim_start().to_owned());
         }
     }

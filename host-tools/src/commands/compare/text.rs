@@ -214,7 +214,7 @@ fn located(comparison: &Comparison) -> String {
                 true => format!("{}.", i + 1),
                 false => String::new(),
             },
-            one.words.to_owned(),
+            one.words.to_string(),
             format!("{:.1} %", 100.0 * one.share),
             end(ends.map(|(first, _)| first.from)),
             channel.map_or_else(String::new, |channel| sparkline(one, channel)),
@@ -332,7 +332,9 @@ fn beside(one: &Comparison, other: &Comparison) -> String {
             format!("{rms:.4}"),
             format!("{:.2}", rms / floor),
             newtons(&model.forces),
-            first.map_or("none", |located| located.words).to_owned(),
+            first
+                .map_or("none", |located| located.words.as_ref())
+                .to_owned(),
             first.map_or_else(|| "-".to_owned(), |l| format!("{:.0} %", 100.0 * l.share)),
         ]);
     }
