@@ -178,17 +178,11 @@ impl<'a> Locator<'a> {
             Kind::TimeOfCampaign => true,
         };
         let folds = &self.folds[usize::from(within)];
-        let sensors = residual
-            .iter()
-            .zip(self.sensors)
-            .zip(&binning.of)
-            .zip(folds);
-        let one =
-            |(((r, sensor), bins), folds): (((&Vec<_>, &SensorColumns), &Vec<u16>), &Vec<u8>)| {
-                let values = &sensor.covariates[covariate].values;
-                without_own(r, values, bins, folds, binning)
-            };
-        Some(sensors.map(one).collect())
+        let one = |i: usize| {
+            let values = &self.sensors[i].covariates[covariate].values;
+            without_own(&residual[i], values, &binning.of[i], &folds[i], binning)
+        };
+        Some((0..residual.len()).map(one).collect())
     }
 
     /// The covariate to choose next.

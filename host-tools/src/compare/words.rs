@@ -47,7 +47,7 @@ pub fn verdict(comparison: &Comparison) -> String {
         field(rms),
         100.0 * rms / span
     );
-    if !(floor > 0.0) {
+    if floor <= 0.0 || floor.is_nan() {
         return format!(
             "Cannot be judged: these recordings show no noise to hold {error}{newtons} against."
         );
@@ -126,14 +126,13 @@ fn concentrated(located: &Located) -> Option<String> {
         "" => format!("{value:.0}"),
         unit => format!("{} {unit}", short(value)),
     };
-    let sides = (1..count).find_map(|k| {
+    (1..count).find_map(|k| {
         if few(&located.bins[..k]) {
             return Some(format!("below {}", number(located.bins[k - 1].to)));
         }
         few(&located.bins[count - k..])
             .then(|| format!("above {}", number(located.bins[count - k].from)))
-    });
-    sides
+    })
 }
 
 /// A number to about three digits.
