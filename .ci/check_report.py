@@ -14,8 +14,8 @@ from playwright.sync_api import sync_playwright
 # Width, height, device pixels to a pixel.
 SCREENS = {"laptop": (1280, 900, 1), "telephone": (390, 844, 2)}
 # Each must be there with a size; those of DRAWN with lines or areas in a plot.
-PANELS = ["header", "#findings", "#errors", "#overlay", "#histograms", "#located", "#map", "#worst", "#origin"]
-DRAWN = ["header", "#errors", "#overlay", "#histograms", "#located", "#map"]
+PANELS = ["header", "#findings", "#scale", "#errors", "#overlay", "#histograms", "#located", "#map", "#worst", "#origin"]
+DRAWN = ["#scale", "#errors", "#overlay", "#histograms", "#located", "#map"]
 SHAPES = "path, polyline, polygon, rect, circle, line"
 # A page that is shown in less time than a person waits, in milliseconds.
 LOADED_MS = 3000
@@ -36,6 +36,7 @@ class Page:
         self.address = path.as_uri()
         self.wrong = []
         self.page = context.new_page()
+        self.page.set_default_timeout(5000)
         self.page.on("console", lambda message: self.wrong.append(f"console: {message.text}"))
         self.page.on("pageerror", lambda error: self.wrong.append(f"error: {error}"))
         self.page.on("request", self.requested)
@@ -64,7 +65,8 @@ class Page:
 def panels(opened):
     page = opened.page
     for panel in PANELS:
-        box = page.locator(panel).bounding_box()
+        there = page.locator(panel)
+        box = there.bounding_box() if there.count() else None
         opened.check(box and box["width"] > 100 and box["height"] > 15, f"{panel} has no size")
     for panel in DRAWN:
         drawn = page.locator(f"{panel} svg[role=img]")
@@ -95,7 +97,7 @@ def zooms(opened):
     opened.check(before != after, "the curve stays as it was")
     labels = opened.labels()
     inside = all(inner[0] - 0.01 <= label <= inner[1] + 0.01 for label in labels)
-    opened.check(len(labels) >= 3 and inside, f"time labels {labels} in {inner}")
+    opened.check(len(labels) >= 2 and inside, f"time labels {labels} in {inner}")
     page.focus("#plots")
     page.keyboard.press("ArrowRight")
     opened.check(opened.window()[0] > inner[0], "the arrow does not move it")

@@ -6,7 +6,7 @@ use plotters::prelude::*;
 use super::numbers::number;
 use super::palette::{self, Role};
 use super::plot::{Along, Failure, Paper, Swatch, axes, centred, figure, key, px, stroke};
-use super::{both, role_of, tables};
+use super::{both, tables};
 use crate::compare::Comparison;
 
 /// Size of a plot of bars, in pixels.
@@ -69,7 +69,7 @@ fn bars(
 ) -> Markup {
     let models: Vec<(Role, Vec<Bar>)> = both(comparison)
         .into_iter()
-        .map(|model| (role_of(comparison, model), bars_of(model)))
+        .map(|(role, _, model)| (role, bars_of(model)))
         .collect();
     let Some((_, first)) = models.first().filter(|(_, bars)| !bars.is_empty()) else {
         return html! {};
@@ -137,7 +137,7 @@ fn draw(paper: &Paper, upwards: &Along, models: &[(Role, Vec<Bar>)]) -> Result<(
             let left = i as f64 + (1.0 - FILLED) / 2.0 + wide * m as f64;
             if bar.rms.is_finite() {
                 let corners = [(left, 0.0), (left + wide, bar.rms)];
-                let fill = if m == 0 { 1.0 } else { 0.25 };
+                let fill = if m == 0 { 1.0 } else { 0.35 };
                 let area = Rectangle::new(corners, role.light.mix(fill).filled());
                 chart.draw_series([area])?;
                 if m > 0 {

@@ -3,9 +3,9 @@
 use maud::{Markup, html};
 use plotters::prelude::*;
 
+use super::both;
 use super::palette::{self, Role};
 use super::plot::{Along, Failure, Paper, Swatch, axes, figure, key, stroke};
-use super::{both, role_of};
 use crate::compare::{Comparison, Histogram};
 
 /// Size of a histogram, in pixels.
@@ -34,9 +34,9 @@ fn percents(histogram: &Histogram) -> Vec<f64> {
 fn plot(comparison: &Comparison, histogram: &Histogram) -> Markup {
     let models: Vec<(Role, &Histogram)> = both(comparison)
         .into_iter()
-        .filter_map(|model| {
+        .filter_map(|(role, _, model)| {
             let same = model.histograms.iter().find(|h| h.of == histogram.of)?;
-            Some((role_of(comparison, model), same))
+            Some((role, same))
         })
         .collect();
     if histogram.counts.is_empty() || histogram.edges.len() != histogram.counts.len() + 1 {
@@ -61,7 +61,6 @@ fn plot(comparison: &Comparison, histogram: &Histogram) -> Markup {
     });
     html! {
         figure {
-            figcaption { (histogram.of) }
             (drawn)
             @if models.len() > 1 { (key(&entries.collect::<Vec<_>>())) }
             p.note { "Errors beyond the ends are in the first and the last bin." }

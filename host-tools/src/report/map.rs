@@ -11,9 +11,9 @@ use crate::compare::{Comparison, Map};
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 /// Size of the map, in pixels.
-const SIZE: (u32, u32) = (540, 380);
+const SIZE: (u32, u32) = (460, 360);
 /// Width of the colour bar with its numbers.
-const BAR: i32 = 74;
+const BAR: i32 = 72;
 /// A cell narrower or lower than this holds no number, in pixels.
 const NARROWEST: (f64, f64) = (30.0, 15.0);
 /// Steps of the colour bar.

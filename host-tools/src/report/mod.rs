@@ -3,7 +3,7 @@
 //! - [`palette`]: colours, in the light and in the dark.
 //! - [`plot`]: what every plot shares.
 //! - [`numbers`]: numbers as they are written.
-//! - [`summary`]: the verdict and the scale; [`findings`]: mistakes of the rig.
+//! - [`summary`]: the verdict, and all errors on one scale; [`findings`]: mistakes of the rig.
 //! - [`errors`] and [`tables`]: the errors by sensor; [`histograms`]: how often each size occurs.
 //! - [`overlay`]: measured and modelled over time; [`pack`]: its curves for the page's script.
 //! - [`located`], [`map`], [`worst`]: where the error lies.
@@ -73,6 +73,7 @@ pub fn page_with(comparison: &Comparison, more: &[Section]) -> String {
                 main {
                     (summary::head(comparison))
                     (findings::section(comparison))
+                    (summary::section(comparison))
                     (errors::section(comparison))
                     (overlay::section(comparison))
                     (histograms::section(comparison))
@@ -103,19 +104,14 @@ pub fn write(path: &Path, comparison: &Comparison, more: &[Section]) -> Result<(
 const WITHOUT_SCRIPT: &str =
     ".of-sensor[hidden]{display:block!important}.static-only{display:inline}";
 
-/// The model and the one beside it, if there is one.
-fn both(comparison: &Comparison) -> Vec<&Comparison> {
-    [Some(comparison), comparison.other.as_deref()]
-        .into_iter()
-        .flatten()
-        .collect()
-}
-
-/// Colour of one of [`both`].
-fn role_of(comparison: &Comparison, model: &Comparison) -> Role {
-    match std::ptr::eq(comparison, model) {
-        true => palette::FIRST,
-        false => palette::SECOND,
+/// The model, and the one beside it if there is one: colour, letter where there are two, figures.
+fn both(comparison: &Comparison) -> Vec<(Role, &'static str, &Comparison)> {
+    match comparison.other.as_deref() {
+        None => vec![(palette::FIRST, "", comparison)],
+        Some(other) => vec![
+            (palette::FIRST, "A", comparison),
+            (palette::SECOND, "B", other),
+        ],
     }
 }
 

@@ -10,8 +10,8 @@ pub fn section(comparison: &Comparison) -> Markup {
     html! {
         section #origin {
             h2 { "Where this comes from" }
-            @for model in both(comparison) {
-                @if comparison.other.is_some() { h3 { (model.model) } }
+            @for (_, letter, model) in both(comparison) {
+                @if comparison.other.is_some() { h3 { (letter) ": " (model.model) } }
                 dl.origin {
                     @for (name, value) in &model.provenance { dt { (name) } dd { (value) } }
                 }

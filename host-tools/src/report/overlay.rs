@@ -9,7 +9,7 @@ use super::plot::{Along, Chart, Failure, Swatch, axes, bounds, figure, key, line
 use crate::compare::{Comparison, Curve, Trace};
 
 /// Size of a plot that stands still, in pixels.
-const SIZE: (u32, u32) = (520, 260);
+const SIZE: (u32, u32) = (440, 260);
 /// Share of its height that the residual takes, in pixels.
 const STRIP: f64 = 96.0;
 /// Traces that are drawn for readers without a script; all would make the page too large.
@@ -86,8 +86,9 @@ fn controls() -> Markup {
             }
             output #window aria-live="polite" {}
         }
-        p.note { "Drag over a stretch to zoom in; once zoomed, drag to move. Pinch, or click a plot and turn the wheel, "
-            "to zoom. Keys: + \u{2212} \u{2190} \u{2192} 0." }
+        p.note { "Drag across a stretch to zoom in; once zoomed, drag to move. "
+            span.finger { "Pinch to zoom." }
+            span.mouse { "Or click a plot, then turn the wheel or press + \u{2212} \u{2190} \u{2192}, and 0 to see all." } }
     }
 }
 

@@ -161,8 +161,17 @@ pub fn pack(comparison: &Comparison) -> Pack {
     };
     Pack {
         traces: comparison.traces.iter().map(trace).collect(),
-        models: both(comparison).iter().map(|m| m.model.clone()).collect(),
+        models: both(comparison)
+            .iter()
+            .map(|(_, _, m)| m.model.clone())
+            .collect(),
     }
+}
+
+/// Each stretch is one value.
+fn is_single(curve: &Curve) -> bool {
+    let mut sides = curve.low.iter().zip(&curve.high);
+    sides.all(|(low, high)| low == high || low.is_nan())
 }
 
 /// One of the worst stretches lies in it.
@@ -175,25 +184,31 @@ fn fails_most(comparison: &Comparison, trace: &Trace) -> bool {
 fn stretches(comparison: &Comparison, numbers: usize) -> usize {
     // Measured, modelled and what is left, each low and high; a second model adds two.
     let halves = if comparison.other.is_some() { 10 } else { 6 };
-    let curves: Vec<(bool, usize)> = comparison
+    let curves: Vec<(bool, bool, usize)> = comparison
         .traces
         .iter()
         .flat_map(|trace| {
             let worst = fails_most(comparison, trace);
-            channels(trace).map(move |channel| (worst, channel.measured.len()))
+            channels(trace).map(move |channel| {
+                let curve = channel.measured;
+                (worst, is_single(curve), curve.len())
+            })
         })
         .collect();
     let taken = |common: usize| -> usize {
-        let of = |(worst, len): &(bool, usize)| match worst {
-            true => common.max(WORST).min(*len),
-            false => common.min(*len),
+        let of = |&(worst, single, len): &(bool, bool, usize)| {
+            let most = if worst { common.max(WORST) } else { common };
+            // One value a stretch where no rows are taken together.
+            let sides = if single && most >= len {
+                halves / 2
+            } else {
+                halves
+            };
+            sides * most.min(len) + halves * AROUND
         };
-        curves
-            .iter()
-            .map(|curve| halves * (of(curve) + AROUND))
-            .sum()
+        curves.iter().map(of).sum()
     };
-    let mut common = curves.iter().map(|(_, len)| *len).max().unwrap_or(0);
+    let mut common = curves.iter().map(|(_, _, len)| *len).max().unwrap_or(0);
     while common > FEWEST && taken(common) > numbers {
         common = common * 9 / 10;
     }
@@ -212,11 +227,7 @@ fn packed(trace: &Trace, other: Option<&Trace>, most: usize) -> PackedTrace {
                     times.push(curve.time_s.clone());
                     times.len() - 1
                 });
-                let single = curve
-                    .low
-                    .iter()
-                    .zip(&curve.high)
-                    .all(|(a, b)| a == b || a.is_nan());
+                let single = is_single(&curve);
                 Line {
                     role,
                     time,

@@ -16,7 +16,7 @@
   if (plots) overlay(JSON.parse(at("traces").textContent), plots);
 
   function overlay(data, plots) {
-    const LEFT = 58, RIGHT = 10, TOP = 8, HIGH = 150, LOW = 62, GAP = 12, FOOT = 34; // pixels
+    const LEFT = 58, RIGHT = 10, TOP = 8, HIGH = 150, LOW = 84, GAP = 12, FOOT = 22; // pixels
     const SHORTEST = 0.02; // seconds: two rows of the reference
     const STEP = 1.5; // one press of + or -
     const recording = at("recording"), sensor = at("sensor"), kind = at("kind"), output = at("window");
@@ -113,16 +113,16 @@
       const x = (time) => LEFT + ((time - from) / (to - from)) * width;
       const y = (value) => top + height - ((value - low) / (high - low)) * height;
       let text = `<clipPath id="${clip}"><rect x="${LEFT}" y="${top}" width="${width}" height="${height}"/></clipPath>`;
-      for (const [value, label] of ticks(low, high, height / 34)) {
+      for (const [value, label] of ticks(low, high, height / 28)) {
         text += `<path class="${Number(label) === 0 ? "zero" : "grid"}" d="M${LEFT},${y(value)}H${LEFT + width}"/>`;
         text += `<text x="${LEFT - 6}" y="${y(value)}" dy=".35em" text-anchor="end">${label}</text>`;
       }
-      for (const [value, label] of ticks(from, to, width / 80)) {
+      for (const [value, label] of ticks(from, to, width / 64)) {
         text += `<path class="grid" d="M${x(value)},${top}V${top + height}"/>`;
         if (withTime) text += `<text class="time" x="${x(value)}" y="${top + height + 15}" text-anchor="middle">${label}</text>`;
       }
       text += `<text class="unit" transform="translate(11,${top + height / 2}) rotate(-90)" text-anchor="middle">${unit}</text>`;
-      if (withTime) text += `<text class="unit" x="${LEFT + width / 2}" y="${top + height + 31}" text-anchor="middle">time in s</text>`;
+      if (withTime) text += `<text class="unit" x="${LEFT - 16}" y="${top + height + 15}" text-anchor="end">time, s</text>`;
       if (mark) text += `<rect class="chosen" x="${x(mark[0])}" y="${top}" width="${x(mark[1]) - x(mark[0])}" height="${height}" clip-path="url(#${clip})"/>`;
       return text + `<g clip-path="url(#${clip})">${seen.map((line) => path(line, x, y)).join("")}</g>`;
     }
@@ -135,7 +135,7 @@
       const shown = trace.panels.filter((panel) => !kind.value || panel.kind === kind.value);
       plots.innerHTML = shown.map((panel, i) => {
         const above = chart(panel.lines, width, TOP, HIGH, panel.unit, `above-${i}`, false);
-        const below = chart(panel.left, width, TOP + HIGH + GAP, LOW, "residual", `below-${i}`, true);
+        const below = chart(panel.left, width, TOP + HIGH + GAP, LOW, `residual, ${panel.unit}`, `below-${i}`, true);
         const says = `${panel.name} in ${panel.unit} from ${from.toFixed(2)} to ${to.toFixed(2)} s, measured and modelled; the residual below`;
         return `<h3>${panel.name}, in ${panel.unit}</h3><svg role="img" aria-label="${says}" viewBox="0 0 ${LEFT + width + RIGHT} ${height}">${above}${below}<rect class="chosen drag" y="${TOP}" height="${HIGH + GAP + LOW}" width="0"/></svg>`;
       }).join("") || "<p>Nothing of this kind in this recording.</p>";

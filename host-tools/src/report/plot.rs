@@ -13,8 +13,9 @@ use crate::show::{decimals_for, plain};
 
 /// Drawing units to a pixel: the backend draws in whole units, and pixels would make stairs of lines.
 const PX: u32 = 4;
-/// Size of letters in pixels: a plot drawn 400 pixels wide is shown at 340 on a telephone.
-const LETTERS: u32 = 13;
+/// Size of a line of letters in pixels, of which the letters take 1/1.24: a plot drawn 440 pixels wide
+/// is shown at 358 on a telephone.
+const LETTERS: u32 = 16;
 
 /// What the backend may say.
 pub type Failure = DrawingAreaErrorKind<std::io::Error>;
@@ -137,7 +138,7 @@ pub fn axes<'a, 'b>(
         .margin_top(px(8.0))
         .margin_right(px(10.0))
         .x_label_area_size(px(below))
-        .y_label_area_size(px(56.0))
+        .y_label_area_size(px(60.0))
         .build_cartesian_2d(across.range.clone(), upwards.range.clone())?;
     let grid = stroke(palette::GRID, 1.0);
     let mut mesh = chart.configure_mesh();

@@ -1,4 +1,4 @@
-//! The head of the report: the verdict, three figures, and all errors on one scale.
+//! The head of the report with the verdict; then three figures, and all errors on one scale.
 //!
 //! The scale counts in floors: one floor is what a perfect model would leave, and how much was measured
 //! lies as far to the right as the measurement allows. An error means something between these two.
@@ -7,10 +7,10 @@ use maud::{Markup, html};
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
+use super::both;
 use super::numbers::{number, percent, rms};
 use super::palette::{self, Role};
 use super::plot::{Failure, Paper, Swatch, centred, figure, key, letters, px, stroke};
-use super::{both, role_of};
 use crate::compare::{Comparison, Figures};
 use model_export::recordings::columns::Axis;
 
@@ -69,52 +69,66 @@ fn pools(comparison: &Comparison) -> Vec<Pool> {
     .collect()
 }
 
-/// Model, campaign, verdict, how it was judged, and the scale.
+/// Model, campaign, verdict, and how it was judged.
 pub fn head(comparison: &Comparison) -> Markup {
     let models = both(comparison);
+    let two = models.len() > 1;
     html! {
         header {
             h1 { "Model beside measurement" }
             dl.of {
-                @for model in &models {
-                    dt { "Model" @if models.len() > 1 { " " (swatch(comparison, model)) } } dd { (model.model) }
+                @for (role, letter, model) in &models {
+                    dt { "Model" @if two { " " (initial(*role, letter)) } } dd { (model.model) }
                 }
                 dt { "Campaign" } dd { (comparison.campaign) }
             }
-            @for model in &models {
+            @for (role, letter, model) in &models {
                 p.verdict {
-                    @if models.len() > 1 { (swatch(comparison, model)) " " strong { (model.model) ": " } }
+                    @if two { (initial(*role, letter)) " " span.name { (model.model) ": " } }
                     @if model.verdict.is_empty() { "No verdict." } @else { (model.verdict) }
                 }
             }
             @if !comparison.judged.is_empty() { p.judged { "How it was judged: " (comparison.judged) } }
-            @for model in &models { (tiles(comparison, model)) }
-            (scale(comparison))
         }
     }
 }
 
-fn swatch(comparison: &Comparison, model: &Comparison) -> Markup {
-    let role = role_of(comparison, model);
-    let letter = if role.name == palette::FIRST.name {
-        "A"
-    } else {
-        "B"
-    };
+fn initial(role: Role, letter: &str) -> Markup {
     html! { span.letter style=(format!("color:var(--{})", role.name)) { (letter) } }
 }
 
-fn tiles(comparison: &Comparison, model: &Comparison) -> Markup {
+/// Three figures and the scale.
+pub fn section(comparison: &Comparison) -> Markup {
+    if pools(comparison).is_empty() {
+        return html! {};
+    }
+    html! {
+        section #scale {
+            h2 { "How good it is" }
+            div.beside {
+                (tiles(comparison))
+                (scale(comparison))
+            }
+        }
+    }
+}
+
+fn tiles(comparison: &Comparison) -> Markup {
+    let rows = interleaved(comparison);
     html! {
         ul.tiles {
-            @for pool in pools(model) {
+            @for group in rows.chunk_by(|(_, _, one), (_, _, next)| one.of == next.of) {
                 li {
-                    span.of { (pool.of) ", RMS"
-                        @if comparison.other.is_some() { " " (swatch(comparison, model)) } }
-                    span.size { (number(pool.error.rms)) " " (pool.unit) }
-                    span.share { (percent(pool.error.rms / pool.error.span)) " of its span" }
-                    @if let Some(floors) = pool.floors(pool.error.rms) {
-                        span.share { (number(floors)) " times the floor" }
+                    @for (i, (role, letter, pool)) in group.iter().enumerate() {
+                        @if i == 0 { span.of { (pool.of) ", RMS" } }
+                        span.size {
+                            @if comparison.other.is_some() { (initial(*role, letter)) " " }
+                            (number(pool.error.rms)) " " (pool.unit)
+                        }
+                        span.share {
+                            @if let Some(floors) = pool.floors(pool.error.rms) { (number(floors)) " times the floor, " }
+                            (percent(pool.error.rms / pool.error.span)) " of its span"
+                        }
                     }
                 }
             }
@@ -123,9 +137,9 @@ fn tiles(comparison: &Comparison, model: &Comparison) -> Markup {
 }
 
 /// Width of the scale in pixels.
-const WIDTH: u32 = 560;
+const WIDTH: u32 = 440;
 /// Height of one row.
-const ROW: u32 = 46;
+const ROW: u32 = 44;
 /// Room for the numbers beneath.
 const FOOT: u32 = 40;
 /// From the left, in pixels.
@@ -134,17 +148,14 @@ const LEFT: f64 = 14.0;
 const LEAST: f64 = 0.7;
 
 fn scale(comparison: &Comparison) -> Markup {
-    let rows: Vec<(Role, Pool)> = interleaved(comparison);
+    let rows = interleaved(comparison);
     let most = rows
         .iter()
-        .filter_map(|(_, pool)| pool.floors(pool.error.span.max(pool.error.greatest)))
+        .filter_map(|(_, _, pool)| pool.floors(pool.error.span.max(pool.error.greatest)))
         .fold(10.0, f64::max);
-    if rows.is_empty() {
-        return html! {};
-    }
     let says = rows.iter().fold(
         "Errors as multiples of the floor, on a logarithmic scale.".to_owned(),
-        |says, (_, pool)| {
+        |says, (_, _, pool)| {
             let floors = |size| {
                 pool.floors(size)
                     .map_or_else(|| "unknown".to_owned(), number)
@@ -165,12 +176,13 @@ fn scale(comparison: &Comparison) -> Markup {
     let height = ROW * rows.len() as u32 + FOOT;
     let drawn = figure((WIDTH, height), &says, |paper| {
         ticks(paper, &place, most, height)?;
-        for (i, (role, pool)) in rows.iter().enumerate() {
+        for (i, (role, letter, pool)) in rows.iter().enumerate() {
             row(
                 paper,
                 &place,
                 f64::from(ROW) * (i as f64 + 0.75),
                 *role,
+                letter,
                 pool,
             )?;
         }
@@ -194,21 +206,17 @@ fn scale(comparison: &Comparison) -> Markup {
 }
 
 /// Field of both models, then each force of both.
-fn interleaved(comparison: &Comparison) -> Vec<(Role, Pool)> {
-    let models = both(comparison);
-    let mut rows: Vec<(Role, Pool)> = models
-        .iter()
-        .flat_map(|model| {
-            let role = role_of(comparison, model);
-            pools(model).into_iter().map(move |pool| (role, pool))
-        })
-        .collect();
-    let rank = |of: &str| {
-        ["Field", "Lateral force"]
-            .iter()
-            .position(|name| *name == of)
+fn interleaved(comparison: &Comparison) -> Vec<(Role, &'static str, Pool)> {
+    let of_model = |(role, letter, model): (Role, &'static str, &Comparison)| {
+        let pools = pools(model).into_iter();
+        pools.map(move |pool| (role, letter, pool))
     };
-    rows.sort_by_key(|(_, pool)| rank(pool.of).unwrap_or(2));
+    let mut rows: Vec<_> = both(comparison).into_iter().flat_map(of_model).collect();
+    let rank = |of: &str| {
+        let first = ["Field", "Lateral force"];
+        first.iter().position(|name| *name == of)
+    };
+    rows.sort_by_key(|(_, _, pool)| rank(pool.of).unwrap_or(2));
     rows
 }
 
@@ -248,16 +256,12 @@ fn row(
     place: &impl Fn(f64) -> i32,
     y: f64,
     role: Role,
+    letter: &str,
     pool: &Pool,
 ) -> Result<(), Failure> {
-    let letter = if role.name == palette::SECOND.name {
-        " (B)"
-    } else {
-        ""
-    };
     let y = px(y);
     let Some(rms) = pool.floors(pool.error.rms) else {
-        let words = format!("{}{letter}: no floor to hold it against", pool.of);
+        let words = format!("{letter} {}: no floor to hold it against", pool.of);
         return paper.draw(&Text::new(
             words,
             (place(1.0) + px(6.0), y),
@@ -279,15 +283,13 @@ fn row(
         paper.draw(&Circle::new((greatest, y), px(5.0), line))?;
     }
     if let Some(p95) = at(pool.error.p95) {
-        let reach = px(6.0);
-        paper.draw(&PathElement::new(
-            [(p95, y - reach), (p95, y + reach)],
-            line,
-        ))?;
+        let (half, reach) = (px(1.0), px(6.0));
+        let corners = [(p95 - half, y - reach), (p95 + half, y + reach)];
+        paper.draw(&Rectangle::new(corners, role.light.filled()))?;
     }
     paper.draw(&Circle::new((rms_x, y), px(5.5), role.light.filled()))?;
     let words = format!(
-        "{}{letter}: RMS {} {} = {}\u{d7} floor",
+        "{letter} {}: RMS {} {} = {}\u{d7} floor",
         pool.of,
         number(pool.error.rms),
         pool.unit,

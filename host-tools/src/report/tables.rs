@@ -58,7 +58,7 @@ fn beside<T: Copy>(
     let mut rows: Vec<(usize, T)> = both(comparison)
         .into_iter()
         .enumerate()
-        .flat_map(|(model, judged)| of(judged).iter().map(move |row| (model, *row)))
+        .flat_map(|(model, (_, _, judged))| of(judged).iter().map(move |row| (model, *row)))
         .collect();
     rows.sort_by_key(|(model, row)| (whose(row), *model));
     rows

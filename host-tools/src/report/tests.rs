@@ -16,6 +16,7 @@ fn every_section_stands_in_the_page_in_its_order() {
         "class=\"verdict\"",
         "held out in five turns",
         "id=\"findings\"",
+        "id=\"scale\"",
         "id=\"errors\"",
         "id=\"overlay\"",
         "id=\"histograms\"",

@@ -35,7 +35,7 @@ pub fn section(comparison: &Comparison) -> Markup {
             @if comparison.worst.is_empty() { p.empty { "None stands out." } }
             @else {
                 (table(
-                    "The worst stretches: RMS over all sensors and axes",
+                    "RMS over all sensors and axes",
                     &["RMS", "recording", "from, to (s)", "sensor", "what was going on", ""],
                     rows,
                 ))
