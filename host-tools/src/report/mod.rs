@@ -72,16 +72,21 @@ pub fn page_with(comparison: &Comparison, more: &[Section]) -> String {
             body {
                 main {
                     (summary::head(comparison))
+                    @if !stopped(comparison) { (links(more)) }
                     (findings::section(comparison))
-                    (summary::section(comparison))
-                    (errors::section(comparison))
-                    (overlay::section(comparison))
-                    (histograms::section(comparison))
-                    (located::section(comparison))
-                    (map::section(comparison))
-                    (worst::section(comparison))
-                    @for section in more {
-                        section { h2 { (section.heading) } (section.body) }
+                    @if stopped(comparison) {
+                        p.empty { "No figures: none would mean anything before this is mended." }
+                    } @else {
+                        (summary::section(comparison))
+                        (errors::section(comparison))
+                        (overlay::section(comparison))
+                        (histograms::section(comparison))
+                        (located::section(comparison))
+                        (map::section(comparison))
+                        (worst::section(comparison))
+                    }
+                    @for (i, section) in more.iter().enumerate() {
+                        section id=(format!("more-{i}")) { h2 { (section.heading) } (section.body) }
                     }
                     (origin::section(comparison))
                 }
@@ -90,6 +95,33 @@ pub fn page_with(comparison: &Comparison, more: &[Section]) -> String {
         }
     };
     MARK.to_owned() + &page.into_string()
+}
+
+/// Where things are on a long page.
+fn links(more: &[Section]) -> Markup {
+    let places = [
+        ("scale", "How good it is"),
+        ("errors", "By sensor"),
+        ("overlay", "Over time"),
+        ("histograms", "Sizes of errors"),
+        ("located", "Where the error lies"),
+        ("map", "Map"),
+        ("worst", "Worst stretches"),
+    ];
+    html! {
+        nav aria-label="On this page" {
+            @for (place, words) in places { a href=(format!("#{place}")) { (words) } }
+            @for (i, section) in more.iter().enumerate() {
+                a href=(format!("#more-{i}")) { (section.heading) }
+            }
+            a href="#origin" { "Origin" }
+        }
+    }
+}
+
+/// A mistake of the rig kept everything else from being judged.
+fn stopped(comparison: &Comparison) -> bool {
+    comparison.axes.is_empty() && comparison.findings.iter().any(|finding| finding.stops)
 }
 
 /// Writes the page to `path`, complete or not at all.

@@ -3,7 +3,7 @@
 use maud::{Markup, PreEscaped, html};
 use plotters::prelude::*;
 
-use super::pack::{Channel, channels, left, pack, same};
+use super::pack::{Channel, channels, pack, same};
 use super::palette::{self, Role};
 use super::plot::{Along, Chart, Failure, Swatch, axes, bounds, figure, key, lines, stroke};
 use crate::compare::{Comparison, Curve, Trace};
@@ -14,8 +14,8 @@ const SIZE: (u32, u32) = (440, 260);
 const STRIP: f64 = 96.0;
 /// Traces that are drawn for readers without a script; all would make the page too large.
 const STILL: usize = 12;
-/// Stretches of a curve that stands still: about one for three pixels.
-const STRETCHES: usize = 160;
+/// Stretches of a curve that stands still: about one for four pixels.
+const STRETCHES: usize = 120;
 
 /// The overlay with its controls, and the same standing still.
 pub fn section(comparison: &Comparison) -> Markup {
@@ -60,7 +60,7 @@ fn legend(comparison: &Comparison) -> Markup {
     }
     html! {
         (key(&entries))
-        p.note { "Below each: measured minus modelled, on its own scale. Long stretches are drawn as envelopes "
+        p.note { "Below each: the error, on its own scale. Long stretches are drawn as envelopes "
             "from the least to the greatest value, so that no peak is hidden." }
     }
 }
@@ -123,7 +123,7 @@ fn plot(channel: Channel, other: Option<&Trace>) -> Markup {
         .collect();
     let residual: Vec<_> = models
         .iter()
-        .map(|(role, c)| (*role, few(&left(c.measured, c.modelled))))
+        .map(|(role, c)| (*role, few(&c.error())))
         .collect();
     let time = Along {
         labels: 6,
@@ -148,7 +148,7 @@ fn plot(channel: Channel, other: Option<&Trace>) -> Markup {
         let left = residual.iter().map(|(_, curve)| curve);
         let upwards = Along {
             labels: 3,
-            ..Along::holding("left", numbers(left))
+            ..Along::holding("error", numbers(left))
         };
         let mut chart = axes(&below, &time, &upwards)?;
         for (role, curve) in &residual {
@@ -156,7 +156,7 @@ fn plot(channel: Channel, other: Option<&Trace>) -> Markup {
         }
         Ok(())
     });
-    html! { figure { figcaption { (name) ", in " (unit) } (drawn) } }
+    html! { figure { figcaption { (name) ", in " (unit) "; below: " (channel.sign()) } (drawn) } }
 }
 
 fn numbers<'a>(curves: impl Iterator<Item = &'a Curve>) -> Vec<f64> {

@@ -13,7 +13,7 @@ const NUMBERS: usize = 1_000_000;
 /// What surrounds the numbers of half a curve, in numbers of 8/3 letters.
 const AROUND: usize = 16;
 /// A curve of fewer stretches shows nothing.
-const FEWEST: usize = 32;
+const FEWEST: usize = 30;
 /// Stretches of the curves in which the model fails most, however many others there are: these are
 /// the ones that are zoomed into.
 const WORST: usize = 1000;
@@ -41,6 +41,7 @@ struct Panel {
     kind: &'static str,
     name: &'static str,
     unit: &'static str,
+    sign: &'static str,
     lines: Vec<Line>,
     left: Vec<Line>,
 }
@@ -78,20 +79,17 @@ impl Codes {
     }
 }
 
-/// Measured minus modelled. Exact where a stretch is one row; where it is many, the difference of the
+/// One curve minus another. Exact where a stretch is one row; where it is many, the difference of the
 /// least values and that of the greatest: these lie at about the same rows, so that a steep stretch does
 /// not look like an error.
-pub fn left(measured: &Curve, modelled: &Curve) -> Curve {
+fn difference(one: &Curve, other: &Curve) -> Curve {
     let pairs = |of: fn(f64, f64) -> f64| {
-        let low = measured.low.iter().zip(&modelled.low);
-        let high = measured.high.iter().zip(&modelled.high);
-        low.map(|(a, b)| a - b)
-            .zip(high.map(|(a, b)| a - b))
-            .map(|(low, high)| of(low, high))
-            .collect()
+        let low = one.low.iter().zip(&other.low).map(|(a, b)| a - b);
+        let high = one.high.iter().zip(&other.high).map(|(a, b)| a - b);
+        low.zip(high).map(|(low, high)| of(low, high)).collect()
     };
     Curve {
-        time_s: measured.time_s.clone(),
+        time_s: one.time_s.clone(),
         low: pairs(f64::min),
         high: pairs(f64::max),
     }
@@ -124,6 +122,22 @@ pub struct Channel<'a> {
 }
 
 impl<'a> Channel<'a> {
+    /// The error, with the sign that the tables give it.
+    pub fn error(&self) -> Curve {
+        match self.kind {
+            "force" => difference(self.modelled, self.measured),
+            _ => difference(self.measured, self.modelled),
+        }
+    }
+
+    /// That sign in words.
+    pub fn sign(&self) -> &'static str {
+        match self.kind {
+            "force" => "device minus reference",
+            _ => "measured minus modelled",
+        }
+    }
+
     fn of(
         kind: &'static str,
         name: &'static str,
@@ -237,7 +251,7 @@ fn packed(trace: &Trace, other: Option<&Trace>, most: usize) -> PackedTrace {
             };
             let measured = (model == 0).then(|| line(0, channel.measured));
             let modelled = line(model + 1, channel.modelled);
-            let left = line(model + 1, &left(channel.measured, channel.modelled));
+            let left = line(model + 1, &channel.error());
             let known = panels.iter().position(|panel| panel.name == channel.name);
             match known.and_then(|at| panels.get_mut(at)) {
                 Some(panel) => {
@@ -248,6 +262,7 @@ fn packed(trace: &Trace, other: Option<&Trace>, most: usize) -> PackedTrace {
                     kind: channel.kind,
                     name: channel.name,
                     unit: channel.unit,
+                    sign: channel.sign(),
                     lines: measured.into_iter().chain([modelled]).collect(),
                     left: vec![left],
                 }),
@@ -286,9 +301,25 @@ mod tests {
         // Ten rows a stretch on a slope of 1 a row; the model is 0.5 below throughout.
         let time: Vec<f64> = (0..100).map(f64::from).collect();
         let model: Vec<f64> = time.iter().map(|t| t - 0.5).collect();
-        let left = left(&Curve::of(&time, &time, 10), &Curve::of(&time, &model, 10));
+        let left = difference(&Curve::of(&time, &time, 10), &Curve::of(&time, &model, 10));
         assert_eq!(left.low, [0.5; 10]);
         assert_eq!(left.high, [0.5; 10]);
+    }
+
+    #[test]
+    fn the_error_has_the_sign_of_the_tables() {
+        let (three, one) = (Curve::of(&[0.0], &[3.0], 1), Curve::of(&[0.0], &[1.0], 1));
+        let curves = [three, one];
+        let field = Channel::of("field", "field x", "G", &curves);
+        assert_eq!(
+            (field.error().low, field.sign()),
+            (vec![2.0], "measured minus modelled")
+        );
+        let force = Channel::of("force", "lateral force", "N", &curves);
+        assert_eq!(
+            (force.error().low, force.sign()),
+            (vec![-2.0], "device minus reference")
+        );
     }
 
     #[test]

@@ -89,6 +89,9 @@
         const flat = run.every((p) => p.low === p.high);
         const back = flat ? "" : "L" + run.map(place("low")).reverse().join("L") + "Z";
         text += `<path class="curve r${role}${flat ? "" : " band"}" d="M${run.map(place("high")).join("L")}${back}"/>`;
+        // The second model's dashes would be lost in a band.
+        const middle = (p) => `${x(p.time).toFixed(1)},${y((p.low + p.high) / 2).toFixed(1)}`;
+        if (role === 2 && !flat) text += `<path class="curve r2" d="M${run.map(middle).join("L")}"/>`;
       };
       let run = [];
       for (const point of points) {
@@ -113,7 +116,7 @@
       const x = (time) => LEFT + ((time - from) / (to - from)) * width;
       const y = (value) => top + height - ((value - low) / (high - low)) * height;
       let text = `<clipPath id="${clip}"><rect x="${LEFT}" y="${top}" width="${width}" height="${height}"/></clipPath>`;
-      for (const [value, label] of ticks(low, high, height / 28)) {
+      for (const [value, label] of ticks(low, high, height / 22)) {
         text += `<path class="${Number(label) === 0 ? "zero" : "grid"}" d="M${LEFT},${y(value)}H${LEFT + width}"/>`;
         text += `<text x="${LEFT - 6}" y="${y(value)}" dy=".35em" text-anchor="end">${label}</text>`;
       }
@@ -135,9 +138,9 @@
       const shown = trace.panels.filter((panel) => !kind.value || panel.kind === kind.value);
       plots.innerHTML = shown.map((panel, i) => {
         const above = chart(panel.lines, width, TOP, HIGH, panel.unit, `above-${i}`, false);
-        const below = chart(panel.left, width, TOP + HIGH + GAP, LOW, `residual, ${panel.unit}`, `below-${i}`, true);
-        const says = `${panel.name} in ${panel.unit} from ${from.toFixed(2)} to ${to.toFixed(2)} s, measured and modelled; the residual below`;
-        return `<h3>${panel.name}, in ${panel.unit}</h3><svg role="img" aria-label="${says}" viewBox="0 0 ${LEFT + width + RIGHT} ${height}">${above}${below}<rect class="chosen drag" y="${TOP}" height="${HIGH + GAP + LOW}" width="0"/></svg>`;
+        const below = chart(panel.left, width, TOP + HIGH + GAP, LOW, `error, ${panel.unit}`, `below-${i}`, true);
+        const says = `${panel.name} in ${panel.unit} from ${from.toFixed(2)} to ${to.toFixed(2)} s, measured and modelled; their difference below`;
+        return `<h3>${panel.name}, in ${panel.unit} <span>below: ${panel.sign}</span></h3><svg role="img" aria-label="${says}" viewBox="0 0 ${LEFT + width + RIGHT} ${height}">${above}${below}<rect class="chosen drag" y="${TOP}" height="${HIGH + GAP + LOW}" width="0"/></svg>`;
       }).join("") || "<p>Nothing of this kind in this recording.</p>";
       const all = from <= start && to >= end;
       plots.classList.toggle("zoomed", !all);

@@ -52,7 +52,7 @@ pub fn figure(
     let inside = inside.replace(" opacity=\"1\"", "");
     let view = format!("0 0 {} {}", width * PX, height * PX);
     html! {
-        svg viewBox=(view) role="img" aria-label=(says) style=(format!("max-width:{}px", width * 3 / 2)) {
+        svg viewBox=(view) role="img" aria-label=(says) style=(format!("max-width:{}px", width * 5 / 4)) {
             (PreEscaped(inside))
         }
     }

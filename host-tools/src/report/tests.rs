@@ -145,6 +145,20 @@ fn an_empty_comparison_is_a_page_that_says_what_is_missing() {
 }
 
 #[test]
+fn a_mistake_that_stops_the_comparison_stands_alone() {
+    let stopped = Comparison {
+        findings: full(1).findings,
+        ..Comparison::default()
+    };
+    let text = page(&stopped);
+    assert!(text.contains("Stops the comparison. "));
+    assert!(text.contains("force.csv, line 1412, column f2_x_n"));
+    assert!(text.contains("multiplies f2_x_n by -1"));
+    assert!(text.contains("No figures: none would mean anything"));
+    assert!(!text.contains("<section id=\"errors\""));
+}
+
+#[test]
 fn the_share_that_a_covariate_locates_stands_in_its_caption() {
     let text = page(&comparison(1, 4, 4.0));
     assert!(text.contains("<strong>opening</strong>: 48\u{a0}% of what is left"));
@@ -175,7 +189,7 @@ fn another_command_s_section_stands_above_the_provenance() {
     };
     let text = page_with(&comparison(1, 1, 1.0), &[section]);
     let at = text
-        .find("<section><h2>What is &lt;missing&gt;</h2><p>An effect.</p></section>")
+        .find("<section id=\"more-0\"><h2>What is &lt;missing&gt;</h2><p>An effect.</p></section>")
         .unwrap();
     assert!(at < text.find("id=\"origin\"").unwrap());
 }
