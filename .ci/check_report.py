@@ -50,9 +50,13 @@ class Page:
         if not good:
             self.wrong.append(what)
 
+    def drawn(self):
+        """Waits until what was asked for is drawn."""
+        self.page.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
     def window(self):
         """Seconds that the overlay shows, from and to."""
-        self.page.wait_for_timeout(60)
+        self.drawn()
         words = self.page.inner_text("#window").split()
         return float(words[0]), float(words[2])
 
@@ -106,6 +110,7 @@ def zooms(opened):
     page.keyboard.press("0")
     opened.check(opened.window() == whole, "0 does not show all")
 
+    page.locator("#plots svg").first.scroll_into_view_if_needed()
     box = page.locator("#plots svg").first.bounding_box()
     middle = box["y"] + 60
     drag = lambda a, b: (  # noqa: E731
@@ -156,7 +161,7 @@ def switches(opened):
             other = next(o.get_attribute("value") for o in page.locator(f"{select} option").all()
                          if o.get_attribute("value") != now)
             page.select_option(select, other)
-            page.wait_for_timeout(60)
+            opened.drawn()
             opened.check(curve() != before, f"{select} changes nothing")
     options = page.locator("#located-sensor option")
     if options.count() > 1:
@@ -189,7 +194,7 @@ def main():
             opened = Page(browser, path, SCREENS[screen], scheme, script)
             page = opened.page
             page.wait_for_timeout(200)
-            page.screenshot(path=folder / f"{name}.png", full_page=True)
+            page.screenshot(path=folder / f"{name}.png", full_page=True, timeout=60000)
             panels(opened)
             if script:
                 loaded = page.evaluate("performance.getEntriesByType('navigation')[0].loadEventEnd")

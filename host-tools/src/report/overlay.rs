@@ -148,11 +148,12 @@ fn plot(channel: Channel, other: Option<&Trace>) -> Markup {
         let left = residual.iter().map(|(_, curve)| curve);
         let upwards = Along {
             labels: 3,
-            ..Along::holding("error", numbers(left))
+            ..Along::holding(format!("error, {unit}"), numbers(left))
         };
         let mut chart = axes(&below, &time, &upwards)?;
         for (role, curve) in &residual {
-            envelope(&mut chart, *role, 1.0, 1.0, curve)?;
+            // The first model is seen through the second.
+            envelope(&mut chart, *role, 1.0, 0.6, curve)?;
         }
         Ok(())
     });

@@ -4,7 +4,6 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use serde::Serialize;
 
-use super::both;
 use crate::compare::{Comparison, Curve, Trace};
 
 /// Numbers in all curves of a page: at 8/3 letters each they take 2.7 MB of the 5 MB of a page that
@@ -24,8 +23,6 @@ const HOLE: u16 = u16::MAX;
 #[derive(Debug, Serialize)]
 pub struct Pack {
     traces: Vec<PackedTrace>,
-    /// Names of the models.
-    models: Vec<String>,
 }
 
 #[derive(Debug, Serialize)]
@@ -175,10 +172,6 @@ pub fn pack(comparison: &Comparison) -> Pack {
     };
     Pack {
         traces: comparison.traces.iter().map(trace).collect(),
-        models: both(comparison)
-            .iter()
-            .map(|(_, _, m)| m.model.clone())
-            .collect(),
     }
 }
 

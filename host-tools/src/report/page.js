@@ -130,6 +130,8 @@
       return text + `<g clip-path="url(#${clip})">${seen.map((line) => path(line, x, y)).join("")}</g>`;
     }
 
+    // Sums of times are rounded.
+    const whole = () => to - from > (end - start) * (1 - 1e-9);
     const inner = () => Math.max(120, plots.clientWidth - LEFT - RIGHT);
 
     function draw() {
@@ -142,7 +144,7 @@
         const says = `${panel.name} in ${panel.unit} from ${from.toFixed(2)} to ${to.toFixed(2)} s, measured and modelled; their difference below`;
         return `<h3>${panel.name}, in ${panel.unit} <span>below: ${panel.sign}</span></h3><svg role="img" aria-label="${says}" viewBox="0 0 ${LEFT + width + RIGHT} ${height}">${above}${below}<rect class="chosen drag" y="${TOP}" height="${HIGH + GAP + LOW}" width="0"/></svg>`;
       }).join("") || "<p>Nothing of this kind in this recording.</p>";
-      const all = from <= start && to >= end;
+      const all = whole();
       plots.classList.toggle("zoomed", !all);
       output.textContent = `${from.toFixed(2)} to ${to.toFixed(2)} s`;
       for (const button of document.querySelectorAll("[data-zoom]")) button.disabled = all && button.dataset.zoom !== "in";
@@ -216,6 +218,8 @@
     plots.addEventListener("wheel", (event) => {
       // Only once a plot was clicked, or with Ctrl: the page itself must stay easy to scroll.
       if (!event.ctrlKey && document.activeElement !== plots) return;
+      // Zooming out of the whole is scrolling on.
+      if (event.deltaY > 0 && whole() && !event.ctrlKey) return;
       event.preventDefault();
       zoom(Math.exp(-0.002 * event.deltaY * (event.deltaMode ? 30 : 1)), timeAt(event.clientX));
     }, { passive: false });
@@ -229,8 +233,7 @@
       plots.focus({ preventScroll: true });
       plots.setPointerCapture(event.pointerId);
       down.set(event.pointerId, event.clientX);
-      const whole = from <= start && to >= end;
-      drag = { by: down.size > 1 ? "pinch" : whole || event.shiftKey ? "choose" : "move", x: event.clientX, times: ends().map(timeAt) };
+      drag = { by: down.size > 1 ? "pinch" : whole() || event.shiftKey ? "choose" : "move", x: event.clientX, times: ends().map(timeAt) };
       outline(0, 0);
     }
     function outline(left, width) {
