@@ -7,6 +7,7 @@
 //! - [`sums`]: statistics of many rows.
 //! - [`compare`]: a model beside a measurement.
 //! - [`replay`]: recorded data through the device's own code.
+//! - [`report`]: the page that a comparison leaves to open.
 //! - [`show`]: numbers and tables as people read them.
 //! - [`progress`]: what long work shows while it runs.
 
@@ -16,6 +17,7 @@ pub mod commands;
 pub mod compare;
 pub mod progress;
 pub mod replay;
+pub mod report;
 pub mod show;
 pub mod sums;
 pub mod surroundings;

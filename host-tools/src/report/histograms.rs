@@ -1,0 +1,97 @@
+//! How often errors of the forces of each size occur.
+
+use maud::{Markup, html};
+use plotters::prelude::*;
+
+use super::both;
+use super::palette::{self, Role};
+use super::plot::{Along, Failure, Paper, Swatch, axes, figure, key, stroke};
+use crate::compare::{Comparison, Histogram};
+
+/// Size of a histogram, in pixels.
+const SIZE: (u32, u32) = (440, 260);
+
+/// A histogram for each kind of force.
+pub fn section(comparison: &Comparison) -> Markup {
+    html! {
+        section #histograms {
+            h2 { "How often errors of each size occur" }
+            @if comparison.histograms.is_empty() { p.empty { "No errors of the forces." } }
+            div.pair {
+                @for histogram in &comparison.histograms { (plot(comparison, histogram)) }
+            }
+        }
+    }
+}
+
+/// Percent of the rows in each bin.
+fn percents(histogram: &Histogram) -> Vec<f64> {
+    let all: u64 = histogram.counts.iter().sum();
+    let percent = |count: &u64| 100.0 * *count as f64 / (all.max(1)) as f64;
+    histogram.counts.iter().map(percent).collect()
+}
+
+fn plot(comparison: &Comparison, histogram: &Histogram) -> Markup {
+    let models: Vec<(Role, &Histogram)> = both(comparison)
+        .into_iter()
+        .filter_map(|(role, _, model)| {
+            let same = model.histograms.iter().find(|h| h.of == histogram.of)?;
+            Some((role, same))
+        })
+        .collect();
+    if histogram.counts.is_empty() || histogram.edges.len() != histogram.counts.len() + 1 {
+        return html! { p.empty { (histogram.of) ": no rows." } };
+    }
+    let across = Along::holding(
+        histogram.of.clone(),
+        models.iter().flat_map(|(_, h)| h.edges.iter().copied()),
+    );
+    let upwards = Along::bars(
+        "% of the rows",
+        models.iter().flat_map(|(_, h)| percents(h)),
+    );
+    let says = format!("Histogram: {}, in percent of the rows.", histogram.of);
+    let drawn = figure(SIZE, &says, |paper| draw(paper, &across, &upwards, &models));
+    let entries = models.iter().enumerate().map(|(m, (role, _))| match m {
+        0 => (Swatch::Full, *role, format!("A: {}", comparison.model)),
+        _ => {
+            let name = comparison.other.as_ref().map_or("", |other| &other.model);
+            (Swatch::Line, *role, format!("B: {name}"))
+        }
+    });
+    html! {
+        figure {
+            (drawn)
+            @if models.len() > 1 { (key(&entries.collect::<Vec<_>>())) }
+            p.note { "Errors beyond the ends are in the first and the last bin." }
+        }
+    }
+}
+
+fn draw(
+    paper: &Paper,
+    across: &Along,
+    upwards: &Along,
+    models: &[(Role, &Histogram)],
+) -> Result<(), Failure> {
+    let mut chart = axes(paper, across, upwards)?;
+    for (m, (role, histogram)) in models.iter().enumerate() {
+        let bins = histogram.edges.windows(2).zip(percents(histogram));
+        if m == 0 {
+            let bars = bins.filter_map(|(edges, percent)| {
+                let corners = [(*edges.first()?, 0.0), (*edges.last()?, percent)];
+                Some(Rectangle::new(corners, role.light.mix(0.8).filled()))
+            });
+            chart.draw_series(bars)?;
+        } else {
+            let steps = bins.flat_map(|(edges, percent)| edges.iter().map(move |x| (*x, percent)));
+            let steps: Vec<_> = steps.collect();
+            chart.draw_series([PathElement::new(steps, stroke(*role, 2.0))])?;
+        }
+    }
+    if across.range.contains(&0.0) {
+        let zero = [(0.0, upwards.range.start), (0.0, upwards.range.end)];
+        chart.draw_series([PathElement::new(zero, stroke(palette::MUTED, 1.0))])?;
+    }
+    Ok(())
+}

@@ -1,0 +1,207 @@
+//! Measured and modelled over time: drawn by the page's script, which can zoom; without it, still plots.
+
+use maud::{Markup, PreEscaped, html};
+use plotters::prelude::*;
+
+use super::pack::{Channel, channels, pack, same};
+use super::palette::{self, Role};
+use super::plot::{Along, Chart, Failure, Swatch, axes, bounds, figure, key, lines, stroke};
+use crate::compare::{Comparison, Curve, Trace};
+
+/// Size of a plot that stands still, in pixels.
+const SIZE: (u32, u32) = (440, 260);
+/// Share of its height that the residual takes, in pixels.
+const STRIP: f64 = 96.0;
+/// Traces that are drawn for readers without a script; all would make the page too large.
+const STILL: usize = 12;
+/// Stretches of a curve that stands still: about one for four pixels.
+const STRETCHES: usize = 120;
+
+/// The overlay with its controls, and the same standing still.
+pub fn section(comparison: &Comparison) -> Markup {
+    if comparison.traces.is_empty() {
+        return html! {
+            section #overlay { h2 { "Measured and modelled over time" } p.empty { "No traces." } }
+        };
+    }
+    html! {
+        section #overlay {
+            h2 { "Measured and modelled over time" }
+            (legend(comparison))
+            div.live hidden {
+                (controls())
+                div #plots tabindex="0" role="group"
+                    aria-label="Measured and modelled over time. Plus and minus zoom, the arrows move, 0 shows all." {}
+            }
+            noscript { (still(comparison)) }
+            script #traces type="application/json" { (PreEscaped(data(comparison))) }
+        }
+    }
+}
+
+/// As JSON that cannot end the script's element, whatever a recording is called.
+fn data(comparison: &Comparison) -> String {
+    serde_json::to_string(&pack(comparison))
+        .unwrap_or_else(|_| "null".to_owned())
+        .replace('<', "\\u003c")
+}
+
+fn legend(comparison: &Comparison) -> Markup {
+    let model = |letter: &str, model: &str| match comparison.other {
+        Some(_) => format!("{letter}: {model}"),
+        None => format!("modelled by {model}"),
+    };
+    let mut entries = vec![
+        (Swatch::Broad, palette::INK, "measured".to_owned()),
+        (Swatch::Line, palette::FIRST, model("A", &comparison.model)),
+    ];
+    if let Some(other) = &comparison.other {
+        entries.push((Swatch::Line, palette::SECOND, model("B", &other.model)));
+    }
+    html! {
+        (key(&entries))
+        p.note { "Below each: the error, on its own scale. Long stretches are drawn as envelopes "
+            "from the least to the greatest value, so that no peak is hidden." }
+    }
+}
+
+fn controls() -> Markup {
+    html! {
+        div.controls {
+            label { "Recording " select #recording {} }
+            label { "Sensor " select #sensor {} }
+            label { "Show " select #kind {
+                option value="" { "forces and field" }
+                option value="force" { "forces" }
+                option value="field" { "field" }
+            } }
+            span.buttons {
+                @for (step, sign, says) in [
+                    ("in", "+", "Zoom in"), ("out", "\u{2212}", "Zoom out"), ("back", "\u{25c0}\u{fe0e}", "Earlier"),
+                    ("on", "\u{25b6}\u{fe0e}", "Later"),
+                ] {
+                    button type="button" data-zoom=(step) aria-label=(says) title=(says) { (sign) }
+                }
+                button type="button" data-zoom="all" { "Show all" }
+            }
+            output #window aria-live="polite" {}
+        }
+        p.note { "Drag across a stretch to zoom in; once zoomed, drag to move. "
+            span.finger { "Pinch to zoom." }
+            span.mouse { "Or click a plot, then turn the wheel or press + \u{2212} \u{2190} \u{2192}, and 0 to see all." } }
+    }
+}
+
+fn still(comparison: &Comparison) -> Markup {
+    let traces = &comparison.traces;
+    html! {
+        @for trace in traces.iter().take(STILL) {
+            h3 { (trace.recording) ", s" (trace.sensor) }
+            div.pair.still {
+                @for channel in channels(trace) {
+                    (plot(channel, same(comparison.other.as_deref(), trace)))
+                }
+            }
+        }
+        @if traces.len() > STILL {
+            p.empty { "With JavaScript, this page shows " (traces.len() - STILL) " more." }
+        }
+    }
+}
+
+fn plot(channel: Channel, other: Option<&Trace>) -> Markup {
+    let second = other.and_then(|other| channels(other).find(|c| c.name == channel.name));
+    let models: Vec<(Role, Channel)> = [(palette::FIRST, Some(channel)), (palette::SECOND, second)]
+        .into_iter()
+        .filter_map(|(role, channel)| Some((role, channel?)))
+        .collect();
+    let few = |curve: &Curve| curve.coarser(STRETCHES);
+    let measured = few(channel.measured);
+    let modelled: Vec<_> = models
+        .iter()
+        .map(|(role, c)| (*role, few(c.modelled)))
+        .collect();
+    let residual: Vec<_> = models
+        .iter()
+        .map(|(role, c)| (*role, few(&c.error())))
+        .collect();
+    let time = Along {
+        labels: 6,
+        ..Along::holding("time in s", measured.time_s.iter().copied())
+    };
+    let bare = Along {
+        words: String::new(),
+        ..time.clone()
+    };
+    let (name, unit) = (channel.name, channel.unit);
+    let says =
+        format!("{name} in {unit} over time, measured and modelled, and their difference below.");
+    let drawn = figure(SIZE, &says, |paper| {
+        let height = f64::from(SIZE.1) - STRIP;
+        let (above, below) = paper.split_vertically(super::plot::px(height));
+        let curves = || modelled.iter().map(|(_, curve)| curve).chain([&measured]);
+        let mut chart = axes(&above, &bare, &Along::holding(unit, numbers(curves())))?;
+        envelope(&mut chart, palette::INK, 4.0, 0.4, &measured)?;
+        for (role, curve) in &modelled {
+            envelope(&mut chart, *role, 1.5, 1.0, curve)?;
+        }
+        let left = residual.iter().map(|(_, curve)| curve);
+        let upwards = Along {
+            labels: 3,
+            ..Along::holding(format!("error, {unit}"), numbers(left))
+        };
+        let mut chart = axes(&below, &time, &upwards)?;
+        for (role, curve) in &residual {
+            // The first model is seen through the second.
+            envelope(&mut chart, *role, 1.0, 0.6, curve)?;
+        }
+        Ok(())
+    });
+    html! { figure { figcaption { (name) ", in " (unit) "; below: " (channel.sign()) } (drawn) } }
+}
+
+fn numbers<'a>(curves: impl Iterator<Item = &'a Curve>) -> Vec<f64> {
+    let ends = curves.flat_map(|curve| {
+        let all = curve.low.iter().chain(&curve.high);
+        bounds(all.copied())
+    });
+    ends.flat_map(|(least, greatest)| [least, greatest])
+        .collect()
+}
+
+/// A band from the least to the greatest values, framed so that it is seen where it is thin.
+fn envelope(
+    chart: &mut Chart,
+    role: Role,
+    width: f64,
+    opacity: f64,
+    curve: &Curve,
+) -> Result<(), Failure> {
+    let along = |values: &[f64]| -> Vec<(f64, f64)> {
+        curve
+            .time_s
+            .iter()
+            .copied()
+            .zip(values.iter().copied())
+            .collect()
+    };
+    let style = ShapeStyle {
+        color: role.light.mix(opacity),
+        ..stroke(role, width)
+    };
+    let runs = lines(&along(&curve.low))
+        .into_iter()
+        .zip(lines(&along(&curve.high)));
+    for (low, high) in runs {
+        let single = low == high;
+        if single {
+            chart.draw_series([PathElement::new(low, style)])?;
+        } else {
+            // Its frame comes from the page's style: the backend would write all points again.
+            let outline: Vec<_> = low.iter().chain(high.iter().rev()).copied().collect();
+            let area = Polygon::new(outline, role.light.mix(opacity).filled());
+            chart.draw_series([area])?;
+        }
+    }
+    Ok(())
+}

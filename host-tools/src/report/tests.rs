@@ -1,0 +1,231 @@
+use std::time::Instant;
+
+use super::fixture::{comparison, full};
+use super::*;
+use crate::compare::{Curve, Finding, Trace};
+
+/// Where a browser's check wants the page; `.ci/report` reads it.
+const PAGE: &str = "MAGPIE_REPORT_PAGE";
+
+#[test]
+fn every_section_stands_in_the_page_in_its_order() {
+    let page = page(&full(3));
+    let places: Vec<_> = [
+        "<h1>",
+        "<dd>recordings/hidden-a",
+        "class=\"verdict\"",
+        "held out in five turns",
+        "id=\"findings\"",
+        "id=\"scale\"",
+        "id=\"errors\"",
+        "id=\"overlay\"",
+        "id=\"histograms\"",
+        "id=\"located\"",
+        "id=\"map\"",
+        "id=\"worst\"",
+        "id=\"origin\"",
+    ]
+    .iter()
+    .map(|part| {
+        page.find(part)
+            .unwrap_or_else(|| panic!("{part} is missing"))
+    })
+    .collect();
+    assert!(places.is_sorted(), "{places:?}");
+}
+
+#[test]
+fn a_page_to_look_at_is_left_where_it_is_wanted() {
+    let recordings = std::env::var("MAGPIE_REPORT_RECORDINGS")
+        .ok()
+        .and_then(|n| n.parse().ok())
+        .unwrap_or(3);
+    if let Ok(path) = std::env::var(PAGE) {
+        write(Path::new(&path), &full(recordings), &[]).unwrap();
+    }
+}
+
+#[test]
+fn what_a_user_named_is_never_markup() {
+    let evil = "<b>&\"'</script><!--";
+    let mut comparison = full(1);
+    comparison.model = evil.to_owned();
+    comparison.campaign = evil.to_owned();
+    comparison.verdict = evil.to_owned();
+    comparison.findings.push(Finding {
+        message: evil.to_owned(),
+        ..comparison.findings[0].clone()
+    });
+    comparison.traces[0].recording = evil.to_owned();
+    comparison.worst[0].recording = evil.to_owned();
+    comparison.worst[0].sensor = 0;
+    comparison.provenance[0].1 = evil.to_owned();
+    if let Some(map) = &mut comparison.map {
+        map.axes[0] = evil.to_owned();
+    }
+    let page = page(&comparison);
+    assert!(!page.contains("<b>"));
+    // The comment of the mark is the only one.
+    assert_eq!(page.matches("<!--").count(), 1);
+    assert_eq!(
+        page.matches("<script").count(),
+        page.matches("</script>").count()
+    );
+    assert!(page.matches("&lt;b&gt;").count() > 8);
+}
+
+#[test]
+fn nothing_is_fetched() {
+    let page = page(&full(3));
+    for address in ["http", "src=", "@import", "url(http"] {
+        assert!(!page.contains(address), "{address}");
+    }
+    assert!(page.starts_with("<!-- report of magpie -->\n<!DOCTYPE html><html lang=\"en\">"));
+}
+
+#[test]
+fn the_page_can_be_sent_by_mail_and_takes_no_time() {
+    let comparison = full(3);
+    let start = Instant::now();
+    let text = page(&comparison);
+    let spent = start.elapsed();
+    println!("{} bytes in {spent:?}", text.len());
+    assert!(text.len() < 5_000_000, "{}", text.len());
+    // Tests of other crates may run beside this one.
+    assert!(spent.as_secs_f64() < 2.0, "{spent:?}");
+}
+
+#[test]
+fn a_hundred_recordings_fit_into_the_same_page() {
+    let text = page(&full(100));
+    println!("{} bytes", text.len());
+    assert!(text.len() < 5_000_000, "{}", text.len());
+    assert!(text.contains("100-grasp-and-walk"));
+}
+
+#[test]
+fn what_is_no_number_is_nowhere_drawn() {
+    let mut broken = full(1);
+    let hole = f64::NAN;
+    broken.axes[0].error.rms = hole;
+    broken.axes[1].floor.total = 0.0;
+    broken.forces[0].error.span = 0.0;
+    broken.located[0].bins[0].centre = f64::INFINITY;
+    broken.located[1].bins.clear();
+    broken.histograms[0].edges.fill(hole);
+    if let Some(map) = &mut broken.map {
+        map.rms_g[2].fill(f64::INFINITY);
+    }
+    for [measured, modelled] in &mut broken.traces[0].field {
+        measured.low.fill(hole);
+        measured.high.fill(hole);
+        modelled.low[5] = f64::INFINITY;
+    }
+    // Packed codes may spell anything.
+    let text = page(&broken).replace(include_str!("page.js"), "");
+    let (before, packed) = text.split_once("<script id=\"traces\"").unwrap();
+    let (packed, after) = packed.split_once("</script>").unwrap();
+    assert!(!packed.contains("null"));
+    let text = format!("{before}{after}");
+    for word in ["NaN", "inf,", "inf ", "\"inf", "-2147483648", "2147483647"] {
+        let at = text
+            .find(word)
+            .map(|at| &text[at.saturating_sub(80)..at + 20]);
+        assert_eq!(at, None, "{word}");
+    }
+}
+
+#[test]
+fn an_empty_comparison_is_a_page_that_says_what_is_missing() {
+    let text = page(&Comparison::default());
+    assert!(text.contains("Mistakes of the rig: none found."));
+    assert!(text.contains("No verdict."));
+    assert!(text.contains("No traces."));
+    assert!(!text.contains("<svg viewBox"));
+}
+
+#[test]
+fn a_mistake_that_stops_the_comparison_stands_alone() {
+    let stopped = Comparison {
+        findings: full(1).findings,
+        ..Comparison::default()
+    };
+    let text = page(&stopped);
+    assert!(text.contains("Stops the comparison. "));
+    assert!(text.contains("force.csv, line 1412, column f2_x_n"));
+    assert!(text.contains("multiplies f2_x_n by -1"));
+    assert!(text.contains("No figures: none would mean anything"));
+    assert!(!text.contains("<section id=\"errors\""));
+}
+
+#[test]
+fn the_share_that_a_covariate_locates_stands_in_its_caption() {
+    let text = page(&comparison(1, 4, 4.0));
+    assert!(text.contains("<strong>opening</strong>: 48\u{a0}% of what is left"));
+    let rest = text
+        .find("<summary>The other 11 covariates</summary>")
+        .unwrap();
+    assert!(text.find("<strong>roll</strong>").unwrap() > rest);
+    assert!(text.contains("<option value=\"3\" selected>s3, errs most"));
+}
+
+#[test]
+fn a_second_model_stands_beside_the_first() {
+    let alone = page(&comparison(1, 4, 4.0));
+    let two = page(&full(1));
+    assert!(!alone.contains("B: "));
+    assert!(two.contains("RMS of B: with-neighbour.toml"));
+    assert!(two.contains("s0 x <span class=\"model\">B</span>"));
+    // The script gets its curve.
+    assert!(two.contains("\"role\":2"));
+    assert!(!alone.contains("\"role\":2"));
+}
+
+#[test]
+fn another_command_s_section_stands_above_the_provenance() {
+    let section = Section {
+        heading: "What is <missing>".to_owned(),
+        body: html! { p { "An effect." } },
+    };
+    let text = page_with(&comparison(1, 1, 1.0), &[section]);
+    let at = text
+        .find("<section id=\"more-0\"><h2>What is &lt;missing&gt;</h2><p>An effect.</p></section>")
+        .unwrap();
+    assert!(at < text.find("id=\"origin\"").unwrap());
+}
+
+#[test]
+fn only_a_report_is_replaced_by_a_report() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("report.html");
+    let small = Comparison::default();
+    write(&path, &small, &[]).unwrap();
+    write(&path, &small, &[]).unwrap();
+    std::fs::write(&path, "<!DOCTYPE html><p>mine</p>").unwrap();
+    assert!(write(&path, &small, &[]).is_err());
+    assert_eq!(
+        std::fs::read_to_string(&path).unwrap(),
+        "<!DOCTYPE html><p>mine</p>"
+    );
+}
+
+#[test]
+fn a_trace_of_one_row_and_one_of_none_are_drawn() {
+    let one = Curve::of(&[1.0], &[2.0], 10);
+    let row = [one.clone(), one];
+    let mut comparison = comparison(1, 1, 1.0);
+    comparison.traces = vec![
+        Trace {
+            field: vec![row; 3],
+            ..comparison.traces[0].clone()
+        },
+        Trace {
+            field: vec![Default::default(); 3],
+            force: Vec::new(),
+            ..comparison.traces[0].clone()
+        },
+    ];
+    let text = page(&comparison);
+    assert!(text.contains("field y, in G"));
+    assert!(!text.contains("could not be drawn"));
+}
