@@ -121,7 +121,8 @@ fn shift(recording: usize, cases: &[&Case]) -> Option<Shift> {
     if cases.is_empty() || !before.is_finite() || before < ABOVE_FLOOR * cases.len() as f64 {
         return None;
     }
-    let ms = best(|ms| total(&excess(ms)));
+    // Cut off at the floor, the sum would be flat about its least.
+    let ms = best(|ms| excess(ms).iter().sum());
     let each = excess(ms);
     let fall = 1.0 - total(&each) / before;
     // A sensor that had nothing above the floor has nothing to lose.
