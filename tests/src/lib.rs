@@ -1,5 +1,7 @@
 //! What the integration tests share: where data are, and a small bench that writes recordings.
 
+pub mod spoilt;
+
 use std::fs::{self, File};
 use std::io::Write;
 use std::path::{Path, PathBuf};

@@ -2,6 +2,8 @@
 
 use model_export::recordings::Place;
 
+use crate::findings::repair::Fix;
+
 /// One mistake of the rig, with its evidence and its cure.
 #[derive(Clone, Debug)]
 pub struct Finding {
@@ -13,6 +15,6 @@ pub struct Finding {
     pub message: String,
     /// True where nothing that follows would mean anything before it is mended.
     pub stops: bool,
-    /// What `--fix` does about it, in words; `None` where that is not unambiguous.
-    pub fix: Option<String>,
+    /// What `--fix` does about it; it displays in words. `None` where that is not unambiguous.
+    pub fix: Option<Fix>,
 }

@@ -2,6 +2,7 @@
 
 use std::f64::consts::PI;
 
+use crate::findings::repair::Fix;
 use model_export::recordings::Place;
 use model_export::recordings::columns::Axis;
 
@@ -250,7 +251,10 @@ pub fn full(recordings: usize) -> Comparison {
                 place: place.clone(),
                 message: "The lateral force of place 2 has the wrong sign: it correlates with the field at -0.98 where the other places have 0.97 to 0.99. Turn it in the recorder, or let --fix do so.".to_owned(),
                 stops: true,
-                fix: Some("multiplies f2_x_n by -1".to_owned()),
+                fix: Some(Fix {
+                    words: "multiplies f2_x_n by -1".to_owned(),
+                    repairs: Vec::new(),
+                }),
             },
             Finding {
                 id: "clock_gap",

@@ -84,6 +84,45 @@ impl Track {
         }
     }
 
+    /// The same rows under other forces in newtons, one pair a row; what is smooth and the rates are
+    /// formed anew, the count of load cycles stays.
+    pub fn under(&self, force_n: Vec<[f64; 2]>) -> Self {
+        let [x, z] = [0, 1].map(|axis| {
+            let column: Vec<f64> = force_n.iter().map(|force| force[axis]).collect();
+            memory::smooth(&self.time_s, &column)
+        });
+        let pair = |x: &[f64], z: &[f64]| x.iter().zip(z).map(|(x, z)| [*x, *z]).collect();
+        Self {
+            smooth_n: pair(&x.0, &z.0),
+            rate_n_per_s: pair(&x.1, &z.1),
+            force_n,
+            ..self.clone()
+        }
+    }
+
+    /// Only these rows of it, in this order.
+    pub fn at(&self, rows: &[usize]) -> Self {
+        fn pick<T: Copy>(values: &[T], rows: &[usize]) -> Vec<T> {
+            rows.iter()
+                .filter_map(|&row| values.get(row).copied())
+                .collect()
+        }
+        Self {
+            time_s: pick(&self.time_s, rows),
+            force_n: pick(&self.force_n, rows),
+            smooth_n: pick(&self.smooth_n, rows),
+            rate_n_per_s: pick(&self.rate_n_per_s, rows),
+            cycles: pick(&self.cycles, rows),
+            temperature_c: pick(&self.temperature_c, rows),
+            covariates: self
+                .covariates
+                .iter()
+                .map(|(name, values)| (name.clone(), pick(values, rows)))
+                .collect(),
+            ..*self
+        }
+    }
+
     /// Number of rows.
     pub fn len(&self) -> usize {
         self.time_s.len()
@@ -157,6 +196,24 @@ fn passages(force_n: &[f64]) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_track_under_other_forces_has_their_rates_and_keeps_its_covariates() {
+        let time_s: Vec<f64> = (0..100).map(|i| f64::from(i) * 0.01).collect();
+        let track = Track {
+            force_n: vec![[1.0, 2.0]; 100],
+            temperature_c: time_s.clone(),
+            time_s,
+            ..Track::default()
+        };
+        let ramp = track.time_s.iter().map(|t| [5.0 * t, -3.0]).collect();
+        let under = track.under(ramp).at(&[10, 90]);
+        assert_eq!(under.time_s, [0.1, 0.9]);
+        assert_eq!(under.temperature_c, [0.1, 0.9]);
+        assert!((under.smooth_n[1][0] - 4.5).abs() < 1e-9);
+        assert!((under.rate_n_per_s[0][0] - 5.0).abs() < 1e-6);
+        assert!(under.rate_n_per_s[1][1].abs() < 1e-6);
+    }
 
     #[test]
     fn load_cycles_are_counted_through_recordings() {

@@ -4,7 +4,7 @@ use super::problem::{Fault, Notice, Place, Problem};
 use super::table::{Row, Table};
 
 /// A clock's step above this many typical steps is a gap.
-pub(super) const GAP_STEPS: f64 = 5.0;
+pub const GAP_STEPS: f64 = 5.0;
 
 /// Watches a clock for gaps.
 #[derive(Clone, Debug)]

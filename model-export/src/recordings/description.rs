@@ -175,6 +175,16 @@ impl Description {
         std::fs::write(&path, text).map_err(|error| Fault::Unwritable(error).at(Place::file(&path)))
     }
 
+    /// Field in gauss from which on a sample is saturated, of raw counts or of a converted field.
+    pub fn saturated_gauss(&self, raw: bool) -> f64 {
+        // A step below full scale: converters stop at the last code, not at the round number.
+        match self.range_gauss {
+            Some(range) if raw => range - 1.5 * self.gauss_per_lsb.unwrap_or(1.0),
+            Some(range) => range,
+            None => f64::INFINITY,
+        }
+    }
+
     fn check(&self, path: &Path) -> Result<(), Problem> {
         let bad = |key: &str, found: String, advice: String| {
             Err(Fault::BadValue { found, advice }.at(Place::file(path).column(key)))

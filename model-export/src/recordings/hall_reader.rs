@@ -111,12 +111,6 @@ impl HallReader {
         };
         table.rules(time_column, vec![Cells::Number; table.header().len()]);
         let period_us = period_us(&mut table, time_column)?;
-        // A step below full scale: converters stop at the last code, not at the round number.
-        let limit_gauss = match description.range_gauss {
-            Some(range) if raw => range - 1.5 * gauss_per_lsb,
-            Some(range) => range,
-            None => f64::INFINITY,
-        };
         Ok(Self {
             time_column,
             noise: vec![WhiteNoise::default(); columns.len()],
@@ -129,7 +123,7 @@ impl HallReader {
             columns,
             period_us,
             gauss_per_lsb,
-            limit_gauss,
+            limit_gauss: description.saturated_gauss(raw),
         })
     }
 

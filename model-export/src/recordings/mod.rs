@@ -5,6 +5,7 @@
 //! - [`layout`]: which channels a recording has.
 //! - [`description`]: `recording.toml`, the sensor's scale and the nominal design.
 //! - [`table`]: a `.csv` or `.csv.gz` as a stream of checked rows.
+//! - [`clock`]: a clock watched for gaps.
 //! - [`noise`]: white noise of a stream, from differences of its rows.
 //! - [`align`]: the board's stream brought to the reference's clock.
 //! - [`stream`]: one recording as rows on the reference's clock.
@@ -18,7 +19,7 @@
 pub mod align;
 pub mod attitude;
 pub mod campaign;
-mod clock;
+pub mod clock;
 pub mod columns;
 pub mod description;
 mod force_reader;

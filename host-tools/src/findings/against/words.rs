@@ -1,0 +1,298 @@
+//! Findings about columns as sentences, with the repair where it is sure.
+
+use std::collections::BTreeSet;
+
+use model_export::recordings::columns::Axis;
+use model_export::recordings::{Campaign, Place};
+
+use super::columns::Verdict;
+use super::hypothesis::Hypothesis;
+use super::names::{Names, force_name};
+use super::scales;
+use crate::compare::Finding;
+use crate::findings::judge::{digits, list};
+use crate::findings::repair::{Change, Fix, Repair};
+
+/// What a hypothesis says of the columns of one sensor in one recording.
+struct Told {
+    id: &'static str,
+    /// Each with what it is instead.
+    columns: Vec<(String, String)>,
+    /// Changes that mend it; empty where that is not sure.
+    repairs: Vec<Repair>,
+}
+
+/// One finding for the same mistake at several sensors or in several recordings.
+pub fn tell(campaign: &Campaign, names: &Names, group: &[Verdict]) -> Finding {
+    let told: Vec<Told> = group
+        .iter()
+        .map(|verdict| told(names, verdict, &verdict.best.hypothesis))
+        .collect();
+    let first = &group[0];
+    let mut columns: Vec<String> = Vec::new();
+    for (column, instead) in told.iter().flat_map(|told| &told.columns) {
+        let words = format!("{column} {instead}");
+        if !columns.contains(&words) {
+            columns.push(words);
+        }
+    }
+    let columns: Vec<&str> = columns.iter().map(String::as_str).collect();
+    let worst = |of: &dyn Fn(&Verdict) -> f64| group.iter().map(of).fold(0.0, f64::max).sqrt();
+    let mut message = format!(
+        "{} {}: the model leaves {} G as recorded and {} G with that undone (RMS)",
+        list(&columns),
+        recordings(campaign, group),
+        digits(worst(&|verdict| verdict.before)),
+        digits(worst(&|verdict| verdict.best.left)),
+    );
+    let mut fix = None;
+    match first.others.is_empty() {
+        true => {
+            fix = repair(&told);
+            message += match (fix.is_some(), told[0].id) {
+                (true, "wrong_unit") => "; convert the column",
+                (true, _) => {
+                    "; mend the wiring or the logger, and the columns of what was recorded"
+                }
+                (false, "wrong_unit") => "; find out its unit and convert it",
+                (false, _) => "; find out which column is which at the bench",
+            };
+        }
+        false => {
+            let other = told_all(names, first);
+            message += &format!(
+                "; as good is that {}: only the bench can tell, so push on one finger by hand and look at the signs",
+                list(&other.iter().map(String::as_str).collect::<Vec<_>>())
+            );
+        }
+    }
+    let is_force = matches!(
+        first.best.hypothesis,
+        Hypothesis::Forces(_) | Hypothesis::ForceUnit(_)
+    );
+    let file = match is_force {
+        true => names.force(first.recording),
+        false => names.hall(first.recording),
+    };
+    let place = Place::file(&file).line(1);
+    Finding {
+        id: told[0].id,
+        place: match told[0].columns.first() {
+            Some((column, _)) => place.column(column.as_str()),
+            None => place,
+        },
+        message,
+        stops: true,
+        fix,
+    }
+}
+
+fn told_all(names: &Names, verdict: &Verdict) -> Vec<String> {
+    let others = verdict.others.iter();
+    others
+        .map(|other| {
+            let told = told(names, verdict, other);
+            let columns: Vec<String> = told
+                .columns
+                .iter()
+                .map(|(column, instead)| format!("{column} {instead}"))
+                .collect();
+            list(&columns.iter().map(String::as_str).collect::<Vec<_>>())
+        })
+        .collect()
+}
+
+fn recordings(campaign: &Campaign, group: &[Verdict]) -> String {
+    let hit: BTreeSet<usize> = group.iter().map(|verdict| verdict.recording).collect();
+    if hit.len() == campaign.recordings.len() {
+        return "throughout".to_owned();
+    }
+    let names: Vec<&str> = hit
+        .iter()
+        .map(|&i| campaign.recordings[i].name.as_str())
+        .collect();
+    format!(
+        "in recording{} {}",
+        if names.len() == 1 { "" } else { "s" },
+        list(&names)
+    )
+}
+
+/// The repairs of all, if no column is lost by them.
+fn repair(told: &[Told]) -> Option<Fix> {
+    let repairs: Vec<Repair> = told.iter().flat_map(|told| told.repairs.clone()).collect();
+    let files: BTreeSet<_> = repairs.iter().map(|repair| repair.file.clone()).collect();
+    let keeps_all = files.iter().all(|file| {
+        let ends = |of: &dyn Fn(&Change) -> Option<String>| -> Vec<String> {
+            let own = repairs.iter().filter(|repair| repair.file == *file);
+            let mut ends: Vec<String> = own.filter_map(|repair| of(&repair.change)).collect();
+            ends.sort();
+            ends
+        };
+        let to = ends(&|change| match change {
+            Change::Take { to, .. } => Some(to.clone()),
+            _ => None,
+        });
+        let from = ends(&|change| match change {
+            Change::Take { from, .. } => Some(from.clone()),
+            _ => None,
+        });
+        to == from
+    });
+    let sure = keeps_all && told.iter().all(|told| !told.repairs.is_empty());
+    let words = match told[0].id {
+        "wrong_unit" => "converts the columns",
+        "axis_flipped" | "force_flipped" => "turns the sign of the columns",
+        _ => "puts the columns where they belong",
+    };
+    sure.then(|| Fix {
+        words: words.to_owned(),
+        repairs,
+    })
+}
+
+fn told(names: &Names, verdict: &Verdict, hypothesis: &Hypothesis) -> Told {
+    match hypothesis {
+        Hypothesis::Axes(turned) => {
+            let name = |axis: usize| names.field(verdict.recording, verdict.sensor, axis);
+            let axes = (0..3).map(|axis| (name(axis), name(turned.from[axis]), turned.sign[axis]));
+            let permuted = turned.from != [0, 1, 2];
+            let id = if permuted {
+                "axis_permuted"
+            } else {
+                "axis_flipped"
+            };
+            exchanged(id, names.hall(verdict.recording), axes)
+        }
+        Hypothesis::Forces(sources) => {
+            let axes = own_forces(verdict.sensor, sources.len())
+                .into_iter()
+                .zip(sources);
+            let axes: Vec<_> = axes
+                .map(|(own, (source, sign))| (force_name(own), force_name(*source), *sign))
+                .collect();
+            let swapped = axes.iter().any(|(to, from, _)| to != from);
+            let id = if swapped {
+                "force_swapped"
+            } else {
+                "force_flipped"
+            };
+            exchanged(id, names.force(verdict.recording), axes.into_iter())
+        }
+        Hypothesis::FieldUnit(factor) => field_unit(names, verdict, *factor),
+        Hypothesis::ForceUnit(factors) => force_unit(names, verdict, *factors),
+    }
+}
+
+fn own_forces(sensor: u32, count: usize) -> Vec<(u32, Axis)> {
+    [(sensor, Axis::X), (sensor, Axis::Z)]
+        .into_iter()
+        .take(count)
+        .collect()
+}
+
+/// Columns that stand for each other: written, meant, sign.
+fn exchanged(
+    id: &'static str,
+    file: std::path::PathBuf,
+    axes: impl Iterator<Item = (String, String, f64)>,
+) -> Told {
+    let (mut columns, mut repairs) = (Vec::new(), Vec::new());
+    for (to, from, sign) in axes {
+        let instead = match (to == from, sign < 0.0) {
+            (true, false) => continue,
+            (true, true) => "has the other sign".to_owned(),
+            (false, false) => format!("belongs where {from} stands"),
+            (false, true) => format!("belongs where {from} stands, with the other sign"),
+        };
+        columns.push((to.clone(), instead));
+        repairs.push(Repair {
+            file: file.clone(),
+            change: Change::Take {
+                to,
+                from,
+                negate: sign < 0.0,
+            },
+        });
+    }
+    Told {
+        id,
+        columns,
+        repairs,
+    }
+}
+
+fn field_unit(names: &Names, verdict: &Verdict, factor: f64) -> Told {
+    let raw = names.is_raw(verdict.recording, verdict.sensor);
+    let unit = scales::field_unit(factor);
+    let instead = match (raw, unit) {
+        (true, _) => format!(
+            "is {} times the model's field (look at gauss_per_lsb in recording.toml: the sensor's range may be another)",
+            digits(1.0 / factor)
+        ),
+        (false, Some((name, _))) => format!("is in {name}, not in gauss"),
+        (false, None) => format!("is {} times the model's field", digits(1.0 / factor)),
+    };
+    let columns = (0..3).map(|axis| names.field(verdict.recording, verdict.sensor, axis));
+    let repairs = match unit.filter(|_| !raw) {
+        Some((_, exact)) => converted(names.hall(verdict.recording), columns.clone(), exact),
+        None => Vec::new(),
+    };
+    Told {
+        id: "wrong_unit",
+        columns: columns.map(|column| (column, instead.clone())).collect(),
+        repairs,
+    }
+}
+
+fn force_unit(names: &Names, verdict: &Verdict, factors: [f64; 2]) -> Told {
+    let mut told = Told {
+        id: "wrong_unit",
+        columns: Vec::new(),
+        repairs: Vec::new(),
+    };
+    let mut sure = true;
+    for ((_, axis), factor) in own_forces(verdict.sensor, 2).into_iter().zip(factors) {
+        if factor == 1.0 {
+            continue;
+        }
+        let column = force_name((verdict.sensor, axis));
+        let instead = match scales::force_unit(factor) {
+            Some((name, exact)) => {
+                let file = names.force(verdict.recording);
+                told.repairs
+                    .extend(converted(file, [column.clone()].into_iter(), exact));
+                format!("is in {name}, not in newtons")
+            }
+            None => {
+                sure = false;
+                format!(
+                    "is {} times the force that the model needs",
+                    digits(1.0 / factor)
+                )
+            }
+        };
+        told.columns.push((column, instead));
+    }
+    if !sure {
+        told.repairs.clear();
+    }
+    told
+}
+
+fn converted(
+    file: std::path::PathBuf,
+    columns: impl Iterator<Item = String>,
+    factor: f64,
+) -> Vec<Repair> {
+    columns
+        .map(|column| Repair {
+            file: file.clone(),
+            change: Change::Convert {
+                column,
+                factor,
+                offset: 0.0,
+            },
+        })
+        .collect()
+}

@@ -1,0 +1,185 @@
+//! `spectral_line`: something oscillates that is not the load.
+
+use crate::compare::Finding;
+use crate::findings::scan::spectrum::Line;
+use crate::findings::scan::{Quantity, RecordingScan};
+
+use super::{Desk, Seen, by_table, digits, list, repeated};
+
+/// Frequencies of mains in hertz.
+const MAINS_HZ: [f64; 2] = [50.0, 60.0];
+/// Multiples that are looked for, of mains and of the rotor.
+const MULTIPLES: u32 = 6;
+/// Clocks and mains are this exact.
+const EXACT: f64 = 2e-3;
+/// A line of less than this share of the white noise cannot matter to anything.
+const MATTERS: f64 = 0.2;
+/// The load's own harmonics reach this many times the band in which it moves.
+const HARMONICS: f64 = 10.0;
+/// A line in a force of more than this share of its span is load.
+const LOAD_SHARE: f64 = 0.02;
+/// Other lines that are told, the strongest first.
+const MOST: usize = 4;
+
+/// A line of one column.
+type Found<'a> = (Seen<'a>, Line);
+
+/// What oscillates.
+#[derive(Clone, Debug, PartialEq)]
+enum Source {
+    /// Mains of this frequency.
+    Mains(f64),
+    /// The rotor at this many turns per second.
+    Rotor(f64),
+    /// Nobody knows.
+    Unknown,
+}
+
+/// Looks at fields and forces.
+pub fn judge(desk: &mut Desk) {
+    let columns: Vec<Seen> = desk
+        .columns()
+        .into_iter()
+        .filter(|one| !repeated::repeats(one.table) && one.table.clock.falls == 0)
+        .collect();
+    for columns in by_table(columns) {
+        let found: Vec<Found> = columns
+            .iter()
+            .flat_map(|one| one.column.lines.iter().map(|line| (*one, *line)))
+            .filter(|(one, line)| matters(desk.recordings, one, line))
+            .collect();
+        let mut unknown = 0;
+        for (source, group) in groups(desk.recordings, found) {
+            unknown += usize::from(source == Source::Unknown);
+            if unknown <= MOST {
+                let finding = tell(desk, &source, &group);
+                desk.findings.push(finding);
+            }
+        }
+    }
+}
+
+/// Neither too small, nor the load's.
+fn matters(recordings: &[RecordingScan], one: &Seen, line: &Line) -> bool {
+    let Some(force) = recordings[one.recording].table("force.csv") else {
+        return line.amplitude > MATTERS * one.column.noise();
+    };
+    let edges = force.columns.iter().map(|column| column.load_edge_hz);
+    let load_hz = HARMONICS * edges.fold(0.0, f64::max);
+    let is_load = force.columns.iter().any(|column| {
+        let same = |other: &Line| (other.hz - line.hz).abs() < 2.0 * other.bin_hz.max(line.bin_hz);
+        let large = |other: &Line| other.amplitude > LOAD_SHARE * column.span();
+        column.lines.iter().any(|other| same(other) && large(other))
+    });
+    line.amplitude > MATTERS * one.column.noise() && line.hz > load_hz && !is_load
+}
+
+/// Lines of one source, the strongest source first.
+fn groups<'a>(
+    recordings: &[RecordingScan],
+    found: Vec<Found<'a>>,
+) -> Vec<(Source, Vec<Found<'a>>)> {
+    let mut groups: Vec<(Source, Vec<Found>)> = Vec::new();
+    for (one, line) in found {
+        let source = source(&recordings[one.recording], &one, &line);
+        let belongs = |(other, group): &&mut (Source, Vec<Found>)| match source {
+            Source::Mains(_) => *other == source,
+            Source::Rotor(_) => matches!(other, Source::Rotor(_)),
+            Source::Unknown => {
+                let near = |(_, first): &Found| (first.hz - line.hz).abs() < 2.0 * line.bin_hz;
+                *other == Source::Unknown && group.iter().any(near)
+            }
+        };
+        match groups.iter_mut().find(belongs) {
+            Some((_, group)) => group.push((one, line)),
+            None => groups.push((source, vec![(one, line)])),
+        }
+    }
+    let strength = |group: &[Found]| {
+        let sizes = group
+            .iter()
+            .map(|(one, line)| line.amplitude / one.column.noise());
+        sizes.fold(0.0, f64::max)
+    };
+    groups.sort_by(|(_, a), (_, b)| strength(b).total_cmp(&strength(a)));
+    groups
+}
+
+fn source(recording: &RecordingScan, one: &Seen, line: &Line) -> Source {
+    let rate_hz = 1e6 / one.table.clock.period_us;
+    let is_multiple = |base_hz: f64, exact: f64| {
+        (1..=MULTIPLES).any(|n| {
+            let hz = f64::from(n) * base_hz;
+            (folded(hz, rate_hz) - line.hz).abs() < 0.5 * line.bin_hz + exact * hz
+        })
+    };
+    let rotor_hz = recording
+        .table("hall.csv")
+        .and_then(|hall| hall.turning.steady_hz());
+    match MAINS_HZ.into_iter().find(|hz| is_multiple(*hz, EXACT)) {
+        Some(hz) => Source::Mains(hz),
+        None => match rotor_hz.filter(|hz| is_multiple(*hz, EXACT)) {
+            Some(hz) => Source::Rotor(hz),
+            None => Source::Unknown,
+        },
+    }
+}
+
+/// Where a frequency appears when it is sampled at `rate_hz`.
+fn folded(hz: f64, rate_hz: f64) -> f64 {
+    (hz - rate_hz * (hz / rate_hz).round()).abs()
+}
+
+fn tell(desk: &Desk, source: &Source, group: &[Found]) -> Finding {
+    let mut seen: Vec<Seen> = group.iter().map(|(one, _)| *one).collect();
+    seen.dedup_by(|a, b| a.recording == b.recording && a.column.name == b.column.name);
+    let amplitude = |(one, line): &Found| line.amplitude * one.column.scale;
+    let strongest = group
+        .iter()
+        .max_by(|a, b| amplitude(a).total_cmp(&amplitude(b)))
+        .unwrap_or(&group[0]);
+    let mut lines: Vec<f64> = group.iter().map(|(_, line)| line.hz).collect();
+    lines.sort_by(f64::total_cmp);
+    lines.dedup_by(|a, b| (*a - *b).abs() < 2.0 * strongest.1.bin_hz);
+    let hz: Vec<String> = lines.iter().map(|hz| digits(*hz)).collect();
+    let hz = list(&hz.iter().map(String::as_str).collect::<Vec<_>>());
+    let unit = match strongest.0.column.quantity {
+        Quantity::Force => "N",
+        _ => "G",
+    };
+    let advice = match source {
+        Source::Mains(mains) => format!(
+            "mains of {mains} Hz, directly or folded about half the row rate: look for a loop of ground, an unshielded lead or a power supply nearby"
+        ),
+        Source::Rotor(turns) => format!(
+            "multiples of the rotor's {} turns per second: the motor's field, or something out of balance; `magpie diagnose` judges motor_leakage",
+            digits(*turns)
+        ),
+        Source::Unknown => "if the inverter's PWM is near a multiple of the row rate, it folds to here: move the sampling or synchronise it; else look for a fan, a resonance of the bench or another switching supply".to_owned(),
+    };
+    Finding {
+        id: "spectral_line",
+        place: strongest.0.at(2),
+        message: format!(
+            "a line at {hz} Hz in {}, up to {} {unit} in {}: {advice}",
+            desk.whose(&seen),
+            digits(amplitude(strongest)),
+            strongest.0.column.name,
+        ),
+        stops: false,
+        fix: None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::folded;
+
+    #[test]
+    fn a_frequency_above_half_the_rate_folds_down() {
+        assert_eq!(folded(60.0, 100.0), 40.0);
+        assert_eq!(folded(250.0, 100.0), 50.0);
+        assert_eq!(folded(20_013.0, 1000.0), 13.0);
+        assert_eq!(folded(50.0, 1000.0), 50.0);
+    }
+}
