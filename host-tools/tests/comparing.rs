@@ -38,7 +38,7 @@ fn fitted(campaign: &str) -> (TempDir, std::path::PathBuf) {
 
 fn compared(model: &Path, campaign: &str) -> Comparison {
     let alignment = Alignment { delay_us: 0.0 };
-    compare(model, &data(campaign), alignment, Options::default()).unwrap()
+    compare(model, &data(campaign), None, alignment, Options::default()).unwrap()
 }
 
 fn chosen(comparison: &Comparison) -> Vec<(String, f64)> {

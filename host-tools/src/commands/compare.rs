@@ -7,10 +7,12 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use model_export::fit::Options;
+use model_export::output::check_output;
 
 use super::clocks::Clocks;
 use crate::compare::compute::compare;
-use crate::show;
+use crate::findings::fix;
+use crate::{report, show};
 
 /// Hold a model against recordings: how good it is, and where it fails.
 #[derive(Debug, clap::Args)]
@@ -28,6 +30,12 @@ pub struct Args {
     /// A second model, judged on the same rows.
     #[arg(long, value_name = "OTHER")]
     with: Option<PathBuf>,
+    /// Where the report goes: one HTML file; without it none is written.
+    #[arg(short, long, value_name = "REPORT")]
+    output: Option<PathBuf>,
+    /// Write the recordings anew, with those mistakes of the rig mended that can be without doubt.
+    #[arg(long, value_name = "NEW")]
+    fix: Option<PathBuf>,
     #[command(flatten)]
     clocks: Clocks,
     /// Seed of the bootstrap behind the bands.
@@ -45,14 +53,36 @@ pub fn run(args: &Args) -> Result<()> {
         seed: args.seed,
         ..Options::default()
     };
-    let mut comparison = compare(&args.model, &args.campaign, alignment, options)?;
-    if let Some(with) = &args.with {
-        comparison.other = Some(Box::new(compare(with, &args.campaign, alignment, options)?));
+    if let Some(path) = &args.output {
+        check_output(path, report::MARK)?;
     }
+    let with = args.with.as_deref();
+    let comparison = compare(&args.model, &args.campaign, with, alignment, options)?;
     let text = match args.json {
         true => format!("{}\n", json::json(&comparison)),
         false => text::text(&comparison),
     };
     show::page(&text)?;
+    if let Some(path) = &args.output {
+        report::write(path, &comparison, &[])?;
+        say(
+            args,
+            &format!("The report is in {}: open it in a browser.", path.display()),
+        );
+    }
+    if let Some(to) = &args.fix {
+        for done in fix::write(&args.campaign, &comparison.findings, to)? {
+            say(args, &done);
+        }
+        say(args, &format!("Mended recordings are in {}.", to.display()));
+    }
     Ok(())
+}
+
+/// One line for a person, kept away from what a machine reads.
+fn say(args: &Args, line: &str) {
+    match args.json {
+        true => eprintln!("{line}"),
+        false => println!("{line}"),
+    }
 }

@@ -1,6 +1,7 @@
 //! Through the recordings one after the other: residuals of the field, with what they may depend on.
 //! Memory holds a few recordings at a time.
 
+use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::path::Path;
 
@@ -9,7 +10,6 @@ use model_export::effects::track::Cycles;
 use model_export::fit::rows::{Part, own_forces};
 use model_export::fit::score::floor_squared;
 use model_export::model_file::{ModelFile, Predicted};
-use model_export::recordings::align::Alignment;
 use model_export::recordings::columns::Axis;
 use model_export::recordings::{Campaign, Notice, Problem, Recording};
 use nalgebra::Vector3;
@@ -19,6 +19,7 @@ use super::covariate::all;
 use super::errors::Errors;
 use super::plan::{Judge, Plan, Planned};
 use super::rows::{MOST_ROWS, SensorColumns};
+use super::source::Source;
 use super::{Curve, Trace};
 use crate::progress;
 
@@ -56,7 +57,8 @@ pub struct Seen {
 }
 
 /// Reads the recordings of `plan` and judges the field of every sensor that model and recordings share.
-pub fn collect(plan: &Plan, campaign: &Path, alignment: Alignment) -> Result<Seen> {
+pub fn collect(plan: &Plan, source: &Source) -> Result<Seen> {
+    let campaign = source.folder.as_path();
     let mut seen = Seen {
         sensors: Vec::new(),
         traces: Vec::new(),
@@ -68,24 +70,24 @@ pub fn collect(plan: &Plan, campaign: &Path, alignment: Alignment) -> Result<See
     let mut before_s = 0.0;
     let bar = progress::bar("comparing the field", plan.recordings.len());
     let at_once = 2 * rayon::current_num_threads();
-    for (chunk, planned) in plan.recordings.chunks(at_once).enumerate() {
-        let read = planned
+    let places: Vec<usize> = (0..plan.recordings.len()).collect();
+    for places in places.chunks(at_once) {
+        let read = places
             .par_iter()
-            .map(|planned| Recording::read(&planned.folder, alignment))
-            .collect::<Result<Vec<_>, Problem>>()?;
-        for (i, recording) in read.into_iter().enumerate() {
-            let place = chunk * at_once + i;
+            .map(|&place| source.read(place))
+            .collect::<Result<Vec<Cow<Recording>>, Problem>>()?;
+        for (&place, recording) in places.iter().zip(read) {
             match &first {
                 None => seen.sensors = sensors(&plan.judges[0].model, &recording, campaign)?,
                 Some(first) => same_gripper(campaign, first, &recording)?,
             }
             seen.take(plan, place, &recording, before_s)?;
             before_s += recording.span_s();
-            seen.origins_s
-                .push(recording.time_s.first().copied().unwrap_or(0.0));
+            let origin_s = recording.time_s.first().copied();
+            seen.origins_s.push(origin_s.unwrap_or(0.0));
             seen.spans_s.push(recording.span_s());
             seen.notices.extend(recording.notices.iter().cloned());
-            first.get_or_insert_with(|| emptied(recording));
+            first.get_or_insert_with(|| emptied(&recording));
             bar.inc(1);
         }
     }
@@ -269,21 +271,28 @@ impl SensorSeen {
 }
 
 /// A recording without its rows.
-fn emptied(mut recording: Recording) -> Recording {
-    recording.time_s = Vec::new();
-    recording.forces.clear();
-    recording.covariates.clear();
-    recording
-        .sensors
-        .values_mut()
-        .for_each(|track| *track = Default::default());
-    recording
+fn emptied(recording: &Recording) -> Recording {
+    Recording {
+        name: recording.name.clone(),
+        folder: recording.folder.clone(),
+        description: recording.description.clone(),
+        time_s: Vec::new(),
+        sensors: recording
+            .sensors
+            .keys()
+            .map(|number| (*number, Default::default()))
+            .collect(),
+        forces: Default::default(),
+        covariates: Default::default(),
+        notices: Vec::new(),
+        ..*recording
+    }
 }
 
 fn same_gripper(campaign: &Path, first: &Recording, other: &Recording) -> Result<(), Problem> {
     Campaign {
         folder: campaign.to_path_buf(),
-        recordings: vec![first.clone(), emptied(other.clone())],
+        recordings: vec![first.clone(), emptied(other)],
     }
     .check_same_gripper()
 }

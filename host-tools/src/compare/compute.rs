@@ -3,10 +3,13 @@
 use std::path::Path;
 
 use anyhow::Result;
+use model_export::effects::{Addition, Track};
 use model_export::fit::Options;
 use model_export::fit::blocks::correlation_rows;
-use model_export::model_file::ModelFile;
+use model_export::fit::rows::SensorRows;
+use model_export::model_file::{ModelFile, Predictor};
 use model_export::recordings::align::Alignment;
+use model_export::recordings::campaign::recording_folders;
 use model_export::recordings::columns::Axis;
 
 use super::bands::Bands;
@@ -14,33 +17,113 @@ use super::collect::{Seen, SensorSeen, collect};
 use super::device::forces;
 use super::locate::{Found, Locator};
 use super::map::map;
-use super::plan::{Plan, Planned, recordings};
+use super::plan::{Plan, Planned};
 use super::replicates::scatter;
 use super::rest::slow;
 use super::rows::SensorColumns;
+use super::source::Source;
 use super::worst::worst;
-use super::{AxisFigures, Comparison, Floor, Located, words};
+use super::{AxisFigures, Comparison, Finding, Floor, Located, words};
+use crate::findings::against::{Beside, against};
+use crate::findings::files::scan;
+use crate::findings::sort;
+use crate::progress;
 
 /// Shortest block of the bootstrap in seconds.
 const SHORTEST_BLOCK_S: f64 = 1.0;
 
-/// Compares the model at `path` with a campaign.
+/// Compares the model at `path` with a campaign; and the model at `other`, on the same rows.
 pub fn compare(
     path: &Path,
     campaign: &Path,
+    other: Option<&Path>,
     alignment: Alignment,
     options: Options,
 ) -> Result<Comparison> {
     let model = ModelFile::read(path)?;
-    let plan = Plan::new(
-        path,
-        &model,
-        campaign,
-        recordings(campaign)?,
-        alignment,
-        options,
-    )?;
-    let mut seen = collect(&plan, campaign, alignment)?;
+    let bar = progress::bar(
+        "looking for mistakes of the rig",
+        recording_folders(campaign)?.len(),
+    );
+    let mut findings = scan(campaign, |_| bar.inc(1))?;
+    bar.finish_and_clear();
+    let stopped = |findings: Vec<Finding>| Comparison {
+        model: path.display().to_string(),
+        campaign: campaign.display().to_string(),
+        verdict: words::stopped(&findings),
+        findings,
+        ..Comparison::default()
+    };
+    if findings.iter().any(|finding| finding.stops) {
+        return Ok(stopped(findings));
+    }
+    let source = Source::open(campaign, alignment)?;
+    findings.extend(beside(&source, &model, &model.additions(path)?)?);
+    sort(&mut findings);
+    if findings.iter().any(|finding| finding.stops) {
+        return Ok(stopped(findings));
+    }
+    let mut comparison = judge(path, &model, &source, options)?;
+    if let Some(other) = other {
+        let judged = judge(other, &ModelFile::read(other)?, &source, options)?;
+        comparison.other = Some(Box::new(judged));
+    }
+    comparison.findings = findings;
+    Ok(comparison)
+}
+
+/// Mistakes of the rig that show only beside a model, some recordings at a time.
+fn beside(source: &Source, model: &ModelFile, additions: &[Addition]) -> Result<Vec<Finding>> {
+    let mut findings = Vec::new();
+    let places: Vec<usize> = (0..source.names.len()).collect();
+    let bar = progress::bar("holding columns against the model", places.len());
+    for places in places.chunks(source.at_once) {
+        let campaign = source.campaign(places)?;
+        let rows = model.sensors.iter().filter_map(|sensor| {
+            let predictor = model.predictor(sensor.number, additions)?;
+            let rows = SensorRows::with_own_forces(&campaign, sensor.number).ok()?;
+            Some((rows, predictor))
+        });
+        let rows: Vec<(SensorRows, Predictor)> = rows.collect();
+        let place_of = |recording: usize| {
+            let named = places
+                .get(recording)
+                .and_then(|place| source.names.get(*place));
+            let fitted = &model.provenance.recordings;
+            let found = fitted
+                .iter()
+                .position(|f| Some(&f.sha256) == named.map(|n| &n.sha256));
+            found.unwrap_or(fitted.len())
+        };
+        let predicts: Vec<_> = rows
+            .iter()
+            .map(|(_, predictor)| {
+                move |track: &Track| {
+                    let track = Track {
+                        recording: place_of(track.recording),
+                        ..track.clone()
+                    };
+                    predictor.fields(&track).unwrap_or_default()
+                }
+            })
+            .collect();
+        let sensors: Vec<Beside> = rows
+            .iter()
+            .zip(&predicts)
+            .map(|((rows, _), predict)| Beside { rows, predict })
+            .collect();
+        findings.extend(against(&campaign, source.alignment, &sensors));
+        bar.inc(places.len() as u64);
+    }
+    bar.finish_and_clear();
+    Ok(findings)
+}
+
+/// Holds one model against recordings that are sound.
+fn judge(path: &Path, model: &ModelFile, source: &Source, options: Options) -> Result<Comparison> {
+    let plan = Plan::new(path, model, source, options)?;
+    let mut seen = collect(&plan, source)?;
+    let alignment = source.alignment;
     let device = forces(&plan, path, alignment, &seen.origins_s, &mut seen.traces)?;
     let columns: Vec<SensorColumns> = seen
         .sensors
@@ -51,10 +134,14 @@ pub fn compare(
     let block_s = (3.0 * correlation_s).max(SHORTEST_BLOCK_S);
     let locator = Locator::new(&columns, block_s);
     let ranked = locator.rank();
-    let names: Vec<String> = plan.recordings.iter().map(|r| r.name.clone()).collect();
+    let names: Vec<String> = source
+        .names
+        .iter()
+        .map(|named| named.name.clone())
+        .collect();
     let mut comparison = Comparison {
         model: path.display().to_string(),
-        campaign: campaign.display().to_string(),
+        campaign: source.folder.display().to_string(),
         judged: plan.judged.clone(),
         axes: axes(&seen, &columns),
         forces: device.figures,
@@ -68,7 +155,7 @@ pub fn compare(
         correlation_s,
         traces: seen.traces,
         histograms: device.histograms,
-        provenance: provenance(&model, &plan, block_s, options),
+        provenance: provenance(model, &plan, block_s, options),
         ..Comparison::default()
     };
     comparison.verdict = words::verdict(&comparison);
@@ -171,7 +258,7 @@ fn provenance(
         .iter()
         .map(|effect| effect.name.as_str())
         .collect();
-    let hash = |recording: &Planned| format!("sha256 {}", recording.sha256);
+    let hash = |recording: &Planned| format!("sha256 {}", recording.named.sha256);
     let mut list = vec![
         (
             "tool".to_owned(),
@@ -219,7 +306,7 @@ fn provenance(
     list.extend(
         plan.recordings
             .iter()
-            .map(|r| (format!("recording {}", r.name), hash(r))),
+            .map(|r| (format!("recording {}", r.named.name), hash(r))),
     );
     list
 }

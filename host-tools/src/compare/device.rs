@@ -121,7 +121,7 @@ pub fn forces(
             lacking += rows_lacking;
             for sensor in sensors {
                 let matches =
-                    |t: &&mut Trace| t.recording == planned.name && t.sensor == sensor.number;
+                    |t: &&mut Trace| t.recording == planned.named.name && t.sensor == sensor.number;
                 if let Some(trace) = traces.iter_mut().find(matches) {
                     let curve = |values: &Vec<f64>| Curve::of(&sensor.time_s, values, points);
                     trace.force = sensor
@@ -173,7 +173,7 @@ fn one(
     alignment: Alignment,
     origin_s: f64,
 ) -> Result<(Vec<SensorOf>, u64)> {
-    let (description, _) = Description::read(&planned.folder)?;
+    let (description, _) = Description::read(&planned.named.folder)?;
     let mut judges: Vec<usize> = planned.judges.iter().map(|(_, judge)| *judge).collect();
     judges.sort_unstable();
     judges.dedup();
@@ -182,7 +182,7 @@ fn one(
         let built = built
             .get(*judge)
             .and_then(Option::as_ref)
-            .ok_or_else(|| anyhow!("{}: no tables were built for it", planned.name))?;
+            .ok_or_else(|| anyhow!("{}: no tables were built for it", planned.named.name))?;
         let models = Models {
             numbers: &built.header.sensors,
             tables: &built.chosen.tables,
@@ -191,11 +191,11 @@ fn one(
             float: &built.chosen.models,
             gauss_per_lsb: built.model.sensor_scale.gauss_per_lsb,
         };
-        let stream = RawStream::open(&planned.folder, &description, alignment)?;
+        let stream = RawStream::open(&planned.named.folder, &description, alignment)?;
         let mut seen: Vec<SensorOf> = Vec::new();
         let replayed = replay_watched(
             models,
-            &planned.name,
+            &planned.named.name,
             stream,
             |_| (),
             |row| {

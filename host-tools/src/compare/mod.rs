@@ -20,6 +20,7 @@ pub mod plan;
 pub mod replicates;
 pub mod rest;
 pub mod rows;
+pub mod source;
 pub mod words;
 pub mod worst;
 

@@ -1,25 +1,18 @@
 //! Which values of a model judge which rows, so that none has seen what it judges.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use anyhow::{Result, bail};
+use anyhow::Result;
 use model_export::effects::Addition;
 use model_export::fit::campaign::Prepared;
 use model_export::fit::folds::Split;
 use model_export::fit::joint::JointFit;
 use model_export::fit::{FitError, Options};
 use model_export::model_file::{Base, ModelFile, Provenance};
-use model_export::recordings::align::Alignment;
-use model_export::recordings::campaign::{fingerprint, recording_folders};
-use model_export::recordings::description::Description;
-use model_export::recordings::{Campaign, Problem, Recording};
-use rayon::prelude::*;
 
+use super::source::{Named, Source};
 use crate::progress;
 
-/// Rows for each sensor on which a model is fitted again to judge what it has seen: ten minutes at
-/// 100 Hz tell the parameters of a gripper far better than they need be known.
-const MOST_ROWS: usize = 60_000;
 /// Where the file's own values err more than those of a fit to the same recordings by this factor, the
 /// file is no fit of these recordings (edited, or of an older tool), and is judged as it stands.
 const NOT_A_FIT: f64 = 1.02;
@@ -35,12 +28,8 @@ pub struct Judge {
 /// One recording of the campaign.
 #[derive(Clone, Debug)]
 pub struct Planned {
-    /// Its folder.
-    pub folder: PathBuf,
-    /// Its name.
-    pub name: String,
-    /// SHA-256 over its files.
-    pub sha256: String,
+    /// Its name, folder and hash.
+    pub named: Named,
     /// Which judge is in charge until which second of the recording, in order.
     pub judges: Vec<(f64, usize)>,
 }
@@ -61,53 +50,19 @@ impl Judge {
         let fitted = &self.model.provenance.recordings;
         let place = fitted
             .iter()
-            .position(|other| other.sha256 == recording.sha256);
+            .position(|other| other.sha256 == recording.named.sha256);
         place.unwrap_or(fitted.len())
     }
 }
 
-/// The recordings under `campaign` in the order in which they were made, not yet judged.
-pub fn recordings(campaign: &Path) -> Result<Vec<Planned>> {
-    let mut list = recording_folders(campaign)?
-        .into_par_iter()
-        .map(|folder| {
-            let (description, _) = Description::read(&folder)?;
-            let planned = Planned {
-                name: folder
-                    .file_name()
-                    .map_or_else(String::new, |name| name.to_string_lossy().into_owned()),
-                sha256: fingerprint(&folder)?,
-                judges: vec![(f64::INFINITY, 0)],
-                folder,
-            };
-            Ok((description.start_s, planned))
-        })
-        .collect::<Result<Vec<_>, Problem>>()?;
-    list.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let list: Vec<Planned> = list.into_iter().map(|(_, planned)| planned).collect();
-    for (i, one) in list.iter().enumerate() {
-        if let Some(other) = list[..i].iter().find(|other| other.sha256 == one.sha256) {
-            bail!(
-                "{}: recordings {} and {} are the same data; remove one",
-                campaign.display(),
-                other.name,
-                one.name
-            );
-        }
-    }
-    Ok(list)
-}
-
 impl Plan {
-    /// Decides who judges the recordings of `campaign`. `path` is the model's, for messages.
-    pub fn new(
-        path: &Path,
-        model: &ModelFile,
-        campaign: &Path,
-        recordings: Vec<Planned>,
-        alignment: Alignment,
-        options: Options,
-    ) -> Result<Self> {
+    /// Decides who judges the recordings of `source`. `path` is the model's, for messages.
+    pub fn new(path: &Path, model: &ModelFile, source: &Source, options: Options) -> Result<Self> {
+        let unjudged = |named: &Named| Planned {
+            named: named.clone(),
+            judges: vec![(f64::INFINITY, 0)],
+        };
+        let recordings: Vec<Planned> = source.names.iter().map(unjudged).collect();
         let stands = Judge {
             additions: model.additions(path)?,
             model: model.clone(),
@@ -123,20 +78,18 @@ impl Plan {
                 .to_owned(),
         };
         if !seen.is_empty() {
-            plan.refit(campaign, &seen, alignment, options)?;
+            plan.refit(source, &seen, options)?;
         }
         Ok(plan)
     }
 
     /// Fits the model again without what is judged.
-    fn refit(
-        &mut self,
-        folder: &Path,
-        seen: &[usize],
-        alignment: Alignment,
-        options: Options,
-    ) -> Result<()> {
-        let campaign = self.read_some(folder, seen, alignment)?;
+    fn refit(&mut self, source: &Source, seen: &[usize], options: Options) -> Result<()> {
+        // Ten minutes tell a gripper's parameters far better than they need be known: of more, some
+        // recordings spread evenly over them.
+        let most = source.at_once.max(3).min(seen.len());
+        let some: Vec<usize> = (0..most).map(|i| seen[i * seen.len() / most]).collect();
+        let campaign = source.campaign(&some)?;
         let (model, additions) = (
             self.judges[0].model.clone(),
             self.judges[0].additions.clone(),
@@ -168,7 +121,7 @@ impl Plan {
             );
             return Ok(());
         }
-        let provenance = Provenance::of(&campaign, alignment.delay_us, options)?;
+        let provenance = Provenance::of(&campaign, source.alignment.delay_us, options)?;
         let judge = |fit: &JointFit| Judge {
             model: ModelFile::with_effects(
                 &campaign,
@@ -188,42 +141,13 @@ impl Plan {
         let names: Vec<String> = campaign.recordings.iter().map(|r| r.name.clone()).collect();
         for &i in seen {
             let recording = &mut self.recordings[i];
-            recording.judges = match names.iter().position(|name| *name == recording.name) {
+            recording.judges = match names.iter().position(|name| *name == recording.named.name) {
                 None => vec![(f64::INFINITY, all)],
                 Some(part) => segments(&prepared, &fit, part, first),
             };
         }
         self.judged = sentence(fit.split, seen.len(), names.len(), self.recordings.len());
         Ok(())
-    }
-
-    /// Reads the recordings that the model is fitted to again: all that it has seen, or where they are
-    /// many, some spread evenly over them.
-    fn read_some(&self, folder: &Path, seen: &[usize], alignment: Alignment) -> Result<Campaign> {
-        let read = |i: usize| Recording::read(&self.recordings[i].folder, alignment);
-        let bar = progress::bar("reading recordings", seen.len());
-        let first = read(seen[0])?;
-        bar.inc(1);
-        let most = (MOST_ROWS / first.time_s.len().max(1))
-            .max(3)
-            .min(seen.len());
-        let others = (1..most)
-            .into_par_iter()
-            .map(|i| {
-                let recording = read(seen[i * seen.len() / most]);
-                bar.inc(1);
-                recording
-            })
-            .collect::<Result<Vec<_>, Problem>>()?;
-        bar.finish_and_clear();
-        let mut recordings = vec![first];
-        recordings.extend(others);
-        let campaign = Campaign {
-            folder: folder.to_path_buf(),
-            recordings,
-        };
-        campaign.check_same_gripper()?;
-        Ok(campaign)
     }
 }
 

@@ -1,6 +1,6 @@
 //! What the numbers say, in words.
 
-use super::{AxisFigures, Comparison, ForceFigures, Located};
+use super::{AxisFigures, Comparison, Finding, ForceFigures, Located};
 
 /// Up to this many times the floor nothing that is left can be told from noise.
 pub const AT_FLOOR: f64 = 1.15;
@@ -91,6 +91,19 @@ pub fn verdict(comparison: &Comparison) -> String {
         "Structure remains: {error}, {:.1} times the floor of {}{newtons}; {lead}{open}.",
         rms / floor,
         field(floor)
+    )
+}
+
+/// The one line where a mistake of the rig stops the comparison.
+pub fn stopped(findings: &[Finding]) -> String {
+    let stop: Vec<&str> = findings.iter().filter(|f| f.stops).map(|f| f.id).collect();
+    let fix = match findings.iter().any(|finding| finding.fix.is_some()) {
+        true => " (`--fix NEW` writes the recordings anew with what can be mended without doubt)",
+        false => "",
+    };
+    format!(
+        "Not compared: {} must be mended first{fix}; until then no figure would be about the model.",
+        stop.join(", ")
     )
 }
 
