@@ -116,6 +116,8 @@ def zooms(opened):
     drag = lambda a, b: (  # noqa: E731
         page.mouse.move(box["x"] + a * box["width"], middle), page.mouse.down(),
         page.mouse.move(box["x"] + b * box["width"], middle, steps=4), page.mouse.up())
+    page.mouse.move(box["x"] + 0.5 * box["width"], middle)
+    opened.check(" s: measured " in page.text_content("#value"), "the curve under the mouse is not read")
     drag(0.5, 0.7)
     chosen = opened.window()
     share = (chosen[1] - chosen[0]) / (whole[1] - whole[0])

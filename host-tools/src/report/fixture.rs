@@ -28,14 +28,11 @@ fn channel(size: f64, error: f64, noisy: f64, salt: usize) -> [Curve; 2] {
     let phase = salt as f64;
     let truth =
         |t: f64| size * (0.4 * (0.9 * t + phase).sin() + 0.25 * (2.3 * t).cos() * (0.2 * t).sin());
-    let model: Vec<f64> = time.iter().map(|t| truth(*t)).collect();
-    let measured: Vec<f64> = time
-        .iter()
-        .enumerate()
-        .map(|(i, t)| {
-            truth(*t) + error * (0.7 * t + phase).sin().powi(3) + 1.7 * noisy * noise(i, salt)
-        })
-        .collect();
+    // Two models of the same recording differ in what they miss.
+    let missed = |t: f64| error * (0.7 * t + phase).sin().powi(3);
+    let model: Vec<f64> = time.iter().map(|t| truth(*t) - missed(*t)).collect();
+    let noisy = |(i, t): (usize, &f64)| truth(*t) + 1.7 * noisy * noise(i, salt);
+    let measured: Vec<f64> = time.iter().enumerate().map(noisy).collect();
     [
         Curve::of(&time, &measured, rows),
         Curve::of(&time, &model, rows),

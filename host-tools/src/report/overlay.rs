@@ -86,6 +86,7 @@ fn controls() -> Markup {
             }
             output #window aria-live="polite" {}
         }
+        p.note.mouse #value { "Point at a curve to read it." }
         p.note { "Drag across a stretch to zoom in; once zoomed, drag to move. "
             span.finger { "Pinch to zoom." }
             span.mouse { "Or click a plot, then turn the wheel or press + \u{2212} \u{2190} \u{2192}, and 0 to see all." } }

@@ -20,7 +20,7 @@
     const SHORTEST = 0.02; // seconds: two rows of the reference
     const STEP = 1.5; // one press of + or -
     const recording = at("recording"), sensor = at("sensor"), kind = at("kind"), output = at("window");
-    let trace, start, end, from, to, mark, drawing;
+    let trace, shown, start, end, from, to, mark, drawing;
 
     /** Numbers from 16-bit codes; the last code is a hole. */
     function numbers([first, last, codes]) {
@@ -137,12 +137,12 @@
     function draw() {
       drawing = 0;
       const width = inner(), height = TOP + HIGH + GAP + LOW + FOOT;
-      const shown = trace.panels.filter((panel) => !kind.value || panel.kind === kind.value);
+      shown = trace.panels.filter((panel) => !kind.value || panel.kind === kind.value);
       plots.innerHTML = shown.map((panel, i) => {
         const above = chart(panel.lines, width, TOP, HIGH, panel.unit, `above-${i}`, false);
         const below = chart(panel.left, width, TOP + HIGH + GAP, LOW, `error, ${panel.unit}`, `below-${i}`, true);
         const says = `${panel.name} in ${panel.unit} from ${from.toFixed(2)} to ${to.toFixed(2)} s, measured and modelled; their difference below`;
-        return `<h3>${panel.name}, in ${panel.unit} <span>below: ${panel.sign}</span></h3><svg role="img" aria-label="${says}" viewBox="0 0 ${LEFT + width + RIGHT} ${height}">${above}${below}<rect class="chosen drag" y="${TOP}" height="${HIGH + GAP + LOW}" width="0"/></svg>`;
+        return `<h3>${panel.name}, in ${panel.unit} <span>below: ${panel.sign}</span></h3><svg role="img" aria-label="${says}" viewBox="0 0 ${LEFT + width + RIGHT} ${height}">${above}${below}<rect class="hair" y="${TOP}" height="${HIGH + GAP + LOW}" width="0"/><rect class="chosen drag" y="${TOP}" height="${HIGH + GAP + LOW}" width="0"/></svg>`;
       }).join("") || "<p>Nothing of this kind in this recording.</p>";
       const all = whole();
       plots.classList.toggle("zoomed", !all);
@@ -265,6 +265,23 @@
       else outline(0, 0);
       drag = undefined;
     }
+    // What the curves say under the mouse.
+    const names = ["measured", ...(trace.panels[0]?.left.length > 1 ? ["A", "B"] : ["modelled"])];
+    function read(event) {
+      const panel = shown[[...plots.querySelectorAll("svg")].indexOf(event.target.closest("svg"))];
+      const time = timeAt(event.clientX);
+      const inside = panel && !drag && time >= from && time <= to;
+      const x = LEFT + ((time - from) / (to - from)) * inner();
+      for (const hair of plots.querySelectorAll(".hair")) hair.setAttribute("x", inside ? x : 0), hair.setAttribute("width", inside ? 1 : 0);
+      if (!inside) return;
+      const values = panel.lines.map((line) => {
+        const i = Math.min(line.time.length - 1, index(line.time, time));
+        const value = (line.low[i] + line.high[i]) / 2;
+        return `${names[line.role]} ${Number.isNaN(value) ? "none" : value.toFixed(2).replace("-", "\u2212") + " " + panel.unit}`;
+      });
+      at("value").textContent = `${panel.name} at ${time.toFixed(2)} s: ${values.join(", ")}`;
+    }
+    plots.addEventListener("pointermove", (event) => event.pointerType === "mouse" && read(event));
     plots.addEventListener("pointerdown", begin);
     plots.addEventListener("pointermove", continues);
     plots.addEventListener("pointerup", finish);

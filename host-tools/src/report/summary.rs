@@ -84,7 +84,7 @@ pub fn head(comparison: &Comparison) -> Markup {
             }
             @for (role, letter, model) in &models {
                 p.verdict {
-                    @if two { (initial(*role, letter)) " " span.name { (model.model) ": " } }
+                    @if two { (initial(*role, letter)) ": " }
                     @if model.verdict.is_empty() { "No verdict." } @else { (model.verdict) }
                 }
             }

@@ -41,7 +41,14 @@ fn a_page_to_look_at_is_left_where_it_is_wanted() {
         .and_then(|n| n.parse().ok())
         .unwrap_or(3);
     if let Ok(path) = std::env::var(PAGE) {
-        write(Path::new(&path), &full(recordings), &[]).unwrap();
+        let path = Path::new(&path);
+        write(path, &full(recordings), &[]).unwrap();
+        write(
+            &path.with_extension("one.html"),
+            &comparison(recordings, 4, 4.0),
+            &[],
+        )
+        .unwrap();
     }
 }
 
