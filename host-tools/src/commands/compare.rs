@@ -68,21 +68,22 @@ pub fn run(args: &Args) -> Result<()> {
         say(
             args,
             &format!("The report is in {}: open it in a browser.", path.display()),
-        );
+        )?;
     }
     if let Some(to) = &args.fix {
         for done in fix::write(&args.campaign, &comparison.findings, to)? {
-            say(args, &done);
+            say(args, &done)?;
         }
-        say(args, &format!("Mended recordings are in {}.", to.display()));
+        say(args, &format!("Mended recordings are in {}.", to.display()))?;
     }
     Ok(())
 }
 
 /// One line for a person, kept away from what a machine reads.
-fn say(args: &Args, line: &str) {
+fn say(args: &Args, line: &str) -> Result<()> {
     match args.json {
         true => eprintln!("{line}"),
-        false => println!("{line}"),
+        false => show::page(&format!("{line}\n"))?,
     }
+    Ok(())
 }

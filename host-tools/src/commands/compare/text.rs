@@ -56,12 +56,14 @@ pub fn findings(findings: &[Finding]) -> String {
     if findings.is_empty() {
         return "No mistake of the rig was found in these recordings.\n\n".to_owned();
     }
+    let stops = findings.iter().any(|finding| finding.stops);
+    let (style, say) = match stops {
+        true => (BAD, "to be mended before anything is said of the model"),
+        false => (DOUBTFUL, "to be known before the model is blamed"),
+    };
     let mut page = coloured(
-        BAD,
-        &format!(
-            "Mistakes of the rig ({}), to be mended before the model is blamed:",
-            findings.len()
-        ),
+        style,
+        &format!("Found in the recordings ({}), {say}:", findings.len()),
     );
     for (i, finding) in findings.iter().enumerate() {
         page += &show::paragraph(&format!("  {}. {}: {}", i + 1, finding.id, finding.message));
