@@ -5,7 +5,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use crate::effects::{Addition, Series, Track, Undone};
-use crate::physics::{ForwardModel, State};
+use crate::physics::{ForwardModel, Frames, State};
 
 /// Load cycles and seconds after which whatever settles has settled.
 const SETTLED: f64 = 1e9;
@@ -18,6 +18,7 @@ const STEP_N: f64 = 0.5;
 pub struct AtRest {
     /// Magnet, flexures, sensor.
     pub model: ForwardModel,
+    frames: Frames,
     /// Effects that depend on the forces, in the order of their stages, with their values.
     effects: Vec<(Addition, Vec<f64>)>,
     /// Recordings of the campaign that the effects are of.
@@ -28,6 +29,7 @@ impl AtRest {
     /// Without any effect.
     pub fn plain(model: ForwardModel) -> Self {
         Self {
+            frames: model.frames(),
             model,
             effects: Vec::new(),
             recordings: 1,
@@ -44,6 +46,7 @@ impl AtRest {
             .collect();
         own.sort_by_key(|(effect, _)| effect.stage());
         Self {
+            frames: model.frames(),
             model,
             effects: own,
             recordings,
@@ -52,8 +55,7 @@ impl AtRest {
 
     /// Field in gauss under the forces `[Fx, Fz]` in N.
     pub fn field(&self, force_n: [f64; 2]) -> Vector3<f64> {
-        self.model
-            .field_in(&self.model.frames(), &self.state(force_n))
+        self.model.field_in(&self.frames, &self.state(force_n))
     }
 
     /// `[dB/dFx, dB/dFz]` in G/N.
@@ -71,7 +73,7 @@ impl AtRest {
     /// dB/dd in G/mm under these forces.
     pub fn per_mm(&self, force_n: [f64; 2]) -> Matrix3<f64> {
         self.model
-            .respond_in(&self.model.frames(), &self.state(force_n))
+            .respond_in(&self.frames, &self.state(force_n))
             .per_mm
     }
 
