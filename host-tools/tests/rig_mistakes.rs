@@ -311,6 +311,41 @@ fn mains_folded_into_the_forces_is_named() {
 }
 
 #[test]
+fn mains_at_half_the_row_rate_is_named() {
+    let finding = only(&with_line(&[2], "force.csv", &["f3_x_n"], 49.98, 0.4));
+    assert_eq!((finding.id, column(&finding)), ("spectral_line", "f3_x_n"));
+    says(&finding, &["mains of 50 Hz", "in recording 2"]);
+}
+
+#[test]
+fn a_single_sensor_that_is_held_is_named() {
+    let spoilt = Spoilt::new().change(&ALL, "hall.csv", |cells| {
+        for row in 0..cells.rows.len() {
+            for cell in [5, 6, 7] {
+                cells.rows[row][cell] = cells.rows[row - row % 10][cell].clone();
+            }
+        }
+    });
+    let finding = only(&spoilt);
+    assert_eq!(finding.id, "repeated_samples");
+    says(&finding, &["90 %", "of s1 in", "about 99.9 times a second"]);
+}
+
+#[test]
+fn all_channels_that_freeze_together_are_one_finding() {
+    let spoilt = Spoilt::new().change(&[1], "hall.csv", |cells| {
+        for row in 5000..6000 {
+            for cell in 1..17 {
+                cells.rows[row][cell] = cells.rows[5000][cell].clone();
+            }
+        }
+    });
+    let finding = only(&spoilt);
+    assert_eq!(finding.id, "stuck_channel");
+    says(&finding, &["from 5 to 6 s", "7 more"]);
+}
+
+#[test]
 fn a_line_of_no_known_source_names_what_folds() {
     let finding = only(&with_line(&ALL, "hall.csv", &["s1_z_lsb"], 137.3, 3.0));
     assert_eq!(finding.id, "spectral_line");

@@ -6,7 +6,7 @@ use std::sync::OnceLock;
 
 use host_tools::compare::Finding;
 use host_tools::findings::against::{Beside, against};
-use host_tools::findings::{files, fix};
+use host_tools::findings::{files, fix, merge};
 use model_export::effects::{Series, Track};
 use model_export::fit::rows::SensorRows;
 use model_export::fit::{self, Options};
@@ -71,8 +71,8 @@ fn beside(model: &ModelFile, folder: &Path, alignment: Alignment) -> Vec<Finding
 
 /// The only finding, of the files or beside the model.
 fn only(spoilt: &Spoilt) -> Finding {
-    let mut findings = files::scan(&spoilt.path(), |_| ()).unwrap();
-    findings.extend(beside_model(&spoilt.path(), AT_ONCE));
+    let files = files::scan(&spoilt.path(), |_| ()).unwrap();
+    let mut findings = merge(files, beside_model(&spoilt.path(), AT_ONCE));
     let kinds: Vec<_> = findings.iter().map(|f| (f.id, f.message.clone())).collect();
     assert_eq!(findings.len(), 1, "{kinds:#?}");
     findings.remove(0)
@@ -212,6 +212,40 @@ fn forces_of_two_places_exchanged_are_one_finding_and_mended() {
 }
 
 #[test]
+fn two_sensors_with_exchanged_plugs_are_one_finding_and_mended() {
+    let spoilt = Spoilt::new().change(&[1, 2], "hall.csv", |cells| {
+        for axis in ["x", "y", "z"] {
+            cells.exchange(&format!("s0_{axis}_lsb"), &format!("s1_{axis}_lsb"));
+        }
+    });
+    let finding = only(&spoilt);
+    assert_eq!(finding.id, "axis_permuted");
+    says(
+        &finding,
+        &[
+            "s0_x_lsb belongs where s1_x_lsb stands",
+            "in recordings 1 and 2",
+        ],
+    );
+    mends_to_clean(&spoilt, finding, "hall.csv");
+}
+
+#[test]
+fn samples_that_are_held_are_told_before_the_lag_that_they_make() {
+    let spoilt = Spoilt::new().change(&ALL, "hall.csv", |cells| {
+        for row in 0..cells.rows.len() {
+            for cell in 1..17 {
+                cells.rows[row][cell] = cells.rows[row - row % 10][cell].clone();
+            }
+        }
+    });
+    let files = files::scan(&spoilt.path(), |_| ()).unwrap();
+    let all = merge(files, beside_model(&spoilt.path(), AT_ONCE));
+    let kinds: Vec<_> = all.iter().map(|finding| finding.id).collect();
+    assert_eq!(kinds, ["repeated_samples", "clock_skew"]);
+}
+
+#[test]
 fn a_field_in_another_unit_is_named_and_mended() {
     for (unit, factor) in [("mT", 0.1), ("uT", 100.0), ("mG", 1000.0)] {
         let spoilt = Spoilt::new().change(&ALL, "hall.csv", |cells| {
@@ -234,7 +268,7 @@ fn a_field_in_another_unit_is_named_and_mended() {
         assert_eq!((finding.id, finding.stops), ("wrong_unit", true));
         says(
             &finding,
-            &[&format!("is in {unit}, not in gauss"), "throughout"],
+            &[&format!("are in {unit}, not in gauss"), "throughout"],
         );
         fix::write(&spoilt.path(), &[finding], &spoilt.beside()).unwrap();
         let left = beside_model(&spoilt.beside(), AT_ONCE);
@@ -261,7 +295,7 @@ fn a_force_in_another_unit_is_named_and_mended() {
         assert_eq!((finding.id, finding.stops), ("wrong_unit", true));
         says(
             &finding,
-            &[&format!("is in {unit}, not in newtons"), "throughout"],
+            &[&format!("are in {unit}, not in newtons"), "throughout"],
         );
         fix::write(&spoilt.path(), &[finding], &spoilt.beside()).unwrap();
         let left = beside_model(&spoilt.beside(), AT_ONCE);

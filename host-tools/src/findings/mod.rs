@@ -38,12 +38,50 @@ pub const ORDER: [&str; 16] = [
     "constant_covariate",
 ];
 
+/// Findings of the files and beside a model as one list: what one of them explains is told once.
+pub fn merge(files: Vec<Finding>, beside: Vec<Finding>) -> Vec<Finding> {
+    let table = |finding: &Finding| {
+        let name = finding.place.file.file_name().unwrap_or_default();
+        name.to_string_lossy().trim_end_matches(".gz").to_owned()
+    };
+    let has = |id: &str| files.iter().any(|finding| finding.id == id);
+    let held = has("repeated_samples");
+    let mut all: Vec<Finding> = files
+        .iter()
+        .filter(|finding| {
+            // Kilonewtons to three digits are coarse, too, and the unit is what is wrong.
+            let unit = |other: &Finding| other.id == "wrong_unit" && table(other) == table(finding);
+            finding.id != "coarse_steps" || !beside.iter().any(unit)
+        })
+        .cloned()
+        .collect();
+    all.extend(beside);
+    sort(&mut all);
+    if held {
+        // Samples that are held come late: what looks like a clock may be no more than that.
+        all.sort_by_key(|finding| {
+            let rank = rank(finding);
+            match finding.id {
+                "repeated_samples" => (rank_of("clock_skew"), 0),
+                _ => (rank, 1),
+            }
+        });
+    }
+    all
+}
+
+fn rank(finding: &Finding) -> usize {
+    rank_of(finding.id)
+}
+
+fn rank_of(id: &str) -> usize {
+    ORDER
+        .iter()
+        .position(|other| *other == id)
+        .unwrap_or(ORDER.len())
+}
+
 /// Puts the gravest first; findings of one kind stay in their order.
 pub fn sort(findings: &mut [Finding]) {
-    findings.sort_by_key(|finding| {
-        ORDER
-            .iter()
-            .position(|id| *id == finding.id)
-            .unwrap_or(ORDER.len())
-    });
+    findings.sort_by_key(rank);
 }

@@ -3,6 +3,7 @@
 use model_export::effects::Track;
 use model_export::fit::rows::Part;
 use model_export::fit::score::floor_squared;
+use model_export::recordings::Recording;
 use model_export::recordings::columns::Axis;
 use nalgebra::Vector3;
 
@@ -90,6 +91,29 @@ impl<'a> Case<'a> {
             floor_squared(self.part, slopes).sum() / 3.0
         };
         (0..self.rows.len()).map(at).sum::<f64>() / self.rows.len().max(1) as f64
+    }
+
+    /// Where the rows of the part are among the recording's.
+    pub fn indices_of_part(&self, recording: &Recording) -> Vec<usize> {
+        // They are some of them, in order.
+        let mut next = 0;
+        let place = |time: &f64| {
+            next += recording
+                .time_s
+                .get(next..)?
+                .iter()
+                .position(|t| t == time)?
+                + 1;
+            Some(next - 1)
+        };
+        self.part.time_s.iter().filter_map(place).collect()
+    }
+
+    /// Where the rows that are looked at are among the recording's.
+    pub fn indices(&self, recording: &Recording) -> Vec<usize> {
+        let all = self.indices_of_part(recording);
+        let rows = self.rows.iter();
+        rows.filter_map(|&row| all.get(row).copied()).collect()
     }
 
     /// What the model says of another track.

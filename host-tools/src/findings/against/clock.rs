@@ -88,7 +88,7 @@ fn tell(campaign: &Campaign, names: &Names, alignment: Alignment, group: &[Shift
         id: "clock_skew",
         place,
         message: format!(
-            "the field comes {} ms {} the force {}, the same at {}: taken away, {} less is left above the noise. Flexures that lag look the same; if the clocks are to blame, {cure}",
+            "the field comes {} ms {} the force {}, the same at {}: taken away, {} less is left above the noise. Flexures that lag, or a filter of the reference, look the same; if the clocks are to blame, {cure}",
             tenths(mean_ms.abs()),
             if mean_ms > 0.0 { "after" } else { "before" },
             match whole {

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::case::Case;
 use super::force_columns::force_columns;
-use super::hypothesis::{Hypothesis, Tried, axes};
+use super::hypothesis::{Hypothesis, Tried, axes, of_sensors};
 use super::names::Names;
 use super::{scales, words};
 use crate::compare::Finding;
@@ -64,7 +64,9 @@ fn verdict(campaign: &Campaign, case: &Case) -> Option<Verdict> {
         return None;
     }
     let mut tried = axes(case);
-    tried.extend(force_columns(case, &campaign.recordings[case.recording]));
+    let recording = &campaign.recordings[case.recording];
+    tried.extend(of_sensors(case, recording));
+    tried.extend(force_columns(case, recording));
     tried.extend(scales::field(case));
     tried.extend(scales::forces(case));
     let least = tried
@@ -94,12 +96,13 @@ fn verdict(campaign: &Campaign, case: &Case) -> Option<Verdict> {
 
 /// True for the same mistake at another sensor or in another recording.
 fn alike(one: &Verdict, other: &Verdict) -> bool {
-    use Hypothesis::{Axes, FieldUnit, ForceUnit, Forces};
+    use Hypothesis::{Axes, FieldUnit, ForceUnit, Forces, OfSensor};
     if one.others.is_empty() != other.others.is_empty() {
         return false;
     }
     match (&one.best.hypothesis, &other.best.hypothesis) {
         (Axes(a), Axes(b)) => a == b,
+        (OfSensor(_), OfSensor(_)) => true,
         (FieldUnit(a), FieldUnit(b)) => scales::field_unit(*a) == scales::field_unit(*b),
         (ForceUnit(a), ForceUnit(b)) => {
             [0, 1].map(|i| scales::force_unit(a[i])) == [0, 1].map(|i| scales::force_unit(b[i]))

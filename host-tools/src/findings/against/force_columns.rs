@@ -86,22 +86,7 @@ fn track(case: &Case, columns: &BTreeMap<(u32, Axis), Column>, sources: &[Source
 
 /// Every column that was measured in all rows of the case.
 fn columns(case: &Case, recording: &Recording) -> BTreeMap<(u32, Axis), Column> {
-    // The case's rows are some of the recording's, in order.
-    let mut next = 0;
-    let indices: Vec<usize> = case
-        .part
-        .time_s
-        .iter()
-        .filter_map(|time| {
-            next += recording
-                .time_s
-                .get(next..)?
-                .iter()
-                .position(|t| t == time)?
-                + 1;
-            Some(next - 1)
-        })
-        .collect();
+    let indices = case.indices_of_part(recording);
     let mut columns = BTreeMap::new();
     for (key, forces) in &recording.forces {
         let newtons: Vec<f64> = indices.iter().map(|&i| forces.newtons[i]).collect();

@@ -1,5 +1,6 @@
 //! What may be wrong with the columns of one sensor.
 
+use model_export::recordings::Recording;
 use model_export::recordings::columns::Axis;
 use nalgebra::Vector3;
 
@@ -22,6 +23,8 @@ pub type Source = ((u32, Axis), f64);
 pub enum Hypothesis {
     /// The field's columns.
     Axes(Turned),
+    /// The field is that of another sensor.
+    OfSensor(u32),
     /// The forces' columns: what stands for each force of the sensor, in their order.
     Forces(Vec<Source>),
     /// The field's unit: what was recorded times this is gauss.
@@ -70,6 +73,36 @@ pub fn axes(case: &Case) -> Vec<Tried> {
         }
     }
     tried
+}
+
+/// The field of every other sensor in place of its own.
+pub fn of_sensors(case: &Case, recording: &Recording) -> Vec<Tried> {
+    let indices = case.indices(recording);
+    let others = recording
+        .sensors
+        .iter()
+        .filter(|(sensor, _)| **sensor != case.sensor);
+    others
+        .map(|(sensor, track)| {
+            let at = |i: &usize| {
+                track
+                    .field_g
+                    .get(*i)
+                    .copied()
+                    .map_or_else(nan, Vector3::from)
+            };
+            let fields: Vec<Vector3<f64>> = indices.iter().map(at).collect();
+            Tried {
+                hypothesis: Hypothesis::OfSensor(*sensor),
+                left: mean_square(&fields, &case.modelled),
+                cost: 1,
+            }
+        })
+        .collect()
+}
+
+fn nan() -> Vector3<f64> {
+    Vector3::repeat(f64::NAN)
 }
 
 impl Turned {

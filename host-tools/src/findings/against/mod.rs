@@ -1,13 +1,13 @@
 //! Findings from the recordings beside a model: columns exchanged, turned or in another unit, and
 //! clocks that disagree.
 //!
-//! - [`case`](mod@case): one sensor over one recording, thinned, with what the model says of it.
-//! - [`names`]: how the columns are called, and in which files they are.
-//! - [`hypothesis`]: what may be wrong with the columns. [`force_columns`] and [`scales`] make the many
+//! - `case`: one sensor over one recording, thinned, with what the model says of it.
+//! - `names`: how the columns are called, and in which files they are.
+//! - `hypothesis`: what may be wrong with the columns. `force_columns` and `scales` make the many
 //!   of one sort.
-//! - [`columns`]: the one that mends the residual, told for all sensors and recordings together.
-//! - [`words`]: those findings as sentences.
-//! - [`clock`]: a shift of the reference's clock.
+//! - `columns`: the one that mends the residual, told for all sensors and recordings together.
+//! - `words`: those findings as sentences.
+//! - `clock`: a shift of the reference's clock.
 //!
 //! A model of the same gripper errs by a tenth where an effect is missing. A mistake of the rig leaves a
 //! residual as large as the signal, and one exchange takes nearly all of it away: only that is told.

@@ -29,18 +29,12 @@ pub fn tell(campaign: &Campaign, names: &Names, group: &[Verdict]) -> Finding {
         .map(|verdict| told(names, verdict, &verdict.best.hypothesis))
         .collect();
     let first = &group[0];
-    let mut columns: Vec<String> = Vec::new();
-    for (column, instead) in told.iter().flat_map(|told| &told.columns) {
-        let words = format!("{column} {instead}");
-        if !columns.contains(&words) {
-            columns.push(words);
-        }
-    }
-    let columns: Vec<&str> = columns.iter().map(String::as_str).collect();
+    let columns: Vec<(String, String)> =
+        told.iter().flat_map(|told| told.columns.clone()).collect();
     let worst = |of: &dyn Fn(&Verdict) -> f64| group.iter().map(of).fold(0.0, f64::max).sqrt();
     let mut message = format!(
         "{} {}: the model leaves {} G as recorded and {} G with that undone (RMS)",
-        list(&columns),
+        sentence(&columns),
         recordings(campaign, group),
         digits(worst(&|verdict| verdict.before)),
         digits(worst(&|verdict| verdict.best.left)),
@@ -90,16 +84,43 @@ pub fn tell(campaign: &Campaign, names: &Names, group: &[Verdict]) -> Finding {
 fn told_all(names: &Names, verdict: &Verdict) -> Vec<String> {
     let others = verdict.others.iter();
     others
-        .map(|other| {
-            let told = told(names, verdict, other);
-            let columns: Vec<String> = told
-                .columns
-                .iter()
-                .map(|(column, instead)| format!("{column} {instead}"))
-                .collect();
-            list(&columns.iter().map(String::as_str).collect::<Vec<_>>())
-        })
+        .map(|other| sentence(&told(names, verdict, other).columns))
         .collect()
+}
+
+/// Columns of which the same is said are said together.
+fn sentence(columns: &[(String, String)]) -> String {
+    let mut groups: Vec<(&str, Vec<&str>)> = Vec::new();
+    for (column, instead) in columns {
+        match groups.iter_mut().find(|(other, _)| other == instead) {
+            Some((_, names)) if names.contains(&column.as_str()) => {}
+            Some((_, names)) => names.push(column),
+            None => groups.push((instead, vec![column])),
+        }
+    }
+    let said = groups.iter().map(|(instead, names)| {
+        let instead = match names.len() {
+            1 => (*instead).to_owned(),
+            _ => several(instead),
+        };
+        format!("{} {instead}", list(names))
+    });
+    list(
+        &said
+            .collect::<Vec<_>>()
+            .iter()
+            .map(String::as_str)
+            .collect::<Vec<_>>(),
+    )
+}
+
+/// What is said of one column, said of several.
+fn several(instead: &str) -> String {
+    let verbs = [("has ", "have "), ("is ", "are "), ("belongs ", "belong ")];
+    let found = verbs
+        .iter()
+        .find_map(|(one, more)| Some(format!("{more}{}", instead.strip_prefix(one)?)));
+    found.unwrap_or_else(|| instead.to_owned())
 }
 
 fn recordings(campaign: &Campaign, group: &[Verdict]) -> String {
@@ -163,6 +184,12 @@ fn told(names: &Names, verdict: &Verdict, hypothesis: &Hypothesis) -> Told {
                 "axis_flipped"
             };
             exchanged(id, names.hall(verdict.recording), axes)
+        }
+        Hypothesis::OfSensor(other) => {
+            let own = |axis: usize| names.field(verdict.recording, verdict.sensor, axis);
+            let theirs = |axis: usize| names.field(verdict.recording, *other, axis);
+            let axes = (0..3).map(|axis| (own(axis), theirs(axis), 1.0));
+            exchanged("axis_permuted", names.hall(verdict.recording), axes)
         }
         Hypothesis::Forces(sources) => {
             let axes = own_forces(verdict.sensor, sources.len())

@@ -1,7 +1,7 @@
 //! A campaign written anew, with what is unambiguous mended.
 //!
-//! - [`table`]: one table, row by row. [`number`]: a number converted as it is written.
-//! - [`description`]: what was done, added to `recording.toml`.
+//! - `table`: one table, row by row. `number`: a number converted as it is written.
+//! - `description`: what was done, added to `recording.toml`.
 
 mod description;
 mod number;

@@ -66,7 +66,7 @@ mod tests {
     fn degrees_become_rad_without_losing_a_step() {
         let factor = std::f64::consts::PI / 180.0;
         assert_eq!(convert("57.296", factor, 0.0).unwrap(), "1.000004");
-        assert_eq!(convert("1e2", factor, 0.0).unwrap(), "2");
+        assert_eq!(convert("1e2", factor, 0.0).unwrap(), "1.7");
         assert_eq!(convert("none", factor, 0.0), None);
     }
 

@@ -6,7 +6,7 @@ use crate::compare::Finding;
 use crate::findings::scan::grid::FEW;
 use crate::findings::scan::{ColumnScan, Quantity};
 
-use super::{Desk, Seen, by_table, digits};
+use super::{Desk, Seen, by_table, digits, repeated, verb};
 
 /// Steps this many times the white noise are not smoothed by it. Rounding alone looks like a noise of
 /// 0.29 steps, a ratio of 3.5.
@@ -22,6 +22,8 @@ pub fn judge(desk: &mut Desk) {
         .columns()
         .into_iter()
         .filter(|one| step(one.column).is_some())
+        // Samples that are held hide their noise.
+        .filter(|one| one.column.quantity.is_field() || !repeated::any(one.table))
         .collect();
     for seen in by_table(coarse) {
         let coarseness = |one: &Seen| step(one.column).unwrap_or(0.0) / one.column.span();
@@ -38,8 +40,9 @@ pub fn judge(desk: &mut Desk) {
             _ => "",
         };
         let message = format!(
-            "{} lies in steps, the coarsest in {}: every value is {} {counts}from the next, {} steps from end to end, which adds an error of {} that no average removes; write more digits, or look for bits lost in a driver",
+            "{} {} in steps, the coarsest in {}: every value is {} {counts}from the next, {} steps from end to end, which adds an error of {} that no average removes; write more digits, or look for bits lost in a driver",
             desk.whose(&seen),
+            verb(&seen, "lies", "lie"),
             worst.column.name,
             digits(step),
             digits(worst.column.span() / step),

@@ -88,6 +88,7 @@ fn message(group: &[&str], first: &Seen) -> String {
         })
         .map(|effect| effect.id)
         .collect();
+    let (_, mean, _) = first.column.moments();
     let then = match lost.is_empty() {
         true => "nothing that hangs on it can be judged".to_owned(),
         false => format!("{} cannot be judged", list(&lost)),
@@ -96,6 +97,10 @@ fn message(group: &[&str], first: &Seen) -> String {
         "{} {} at {} throughout the campaign, its noise apart: {then}; record while it changes, or leave the column out if it was not measured",
         list(group),
         if group.len() == 1 { "stands" } else { "stand" },
-        digits(first.column.moments().1),
+        digits(if mean.abs() < first.column.noise() {
+            0.0
+        } else {
+            mean
+        }),
     )
 }

@@ -40,7 +40,7 @@ pub fn judge(desk: &mut Desk) {
     let columns: Vec<Seen> = desk
         .columns()
         .into_iter()
-        .filter(|one| !repeated::repeats(one.table) && one.table.clock.falls == 0)
+        .filter(|one| !repeated::hits(one) && one.table.clock.falls == 0)
         .collect();
     for columns in by_table(columns) {
         let found: Vec<Found> = columns
@@ -49,7 +49,8 @@ pub fn judge(desk: &mut Desk) {
             .filter(|(one, line)| matters(desk.recordings, one, line))
             .collect();
         let mut unknown = 0;
-        for (source, group) in groups(desk.recordings, found) {
+        let mains = mains_of(&found);
+        for (source, group) in groups(desk.recordings, mains, found) {
             unknown += usize::from(source == Source::Unknown);
             if unknown <= MOST {
                 let finding = tell(desk, &source, &group);
@@ -77,11 +78,12 @@ fn matters(recordings: &[RecordingScan], one: &Seen, line: &Line) -> bool {
 /// Lines of one source, the strongest source first.
 fn groups<'a>(
     recordings: &[RecordingScan],
+    mains: [f64; 2],
     found: Vec<Found<'a>>,
 ) -> Vec<(Source, Vec<Found<'a>>)> {
     let mut groups: Vec<(Source, Vec<Found>)> = Vec::new();
     for (one, line) in found {
-        let source = source(&recordings[one.recording], &one, &line);
+        let source = source(&recordings[one.recording], mains, &one, &line);
         let belongs = |(other, group): &&mut (Source, Vec<Found>)| match source {
             Source::Mains(_) => *other == source,
             Source::Rotor(_) => matches!(other, Source::Rotor(_)),
@@ -105,24 +107,40 @@ fn groups<'a>(
     groups
 }
 
-fn source(recording: &RecordingScan, one: &Seen, line: &Line) -> Source {
-    let rate_hz = 1e6 / one.table.clock.period_us;
-    let is_multiple = |base_hz: f64, exact: f64| {
-        (1..=MULTIPLES).any(|n| {
-            let hz = f64::from(n) * base_hz;
-            (folded(hz, rate_hz) - line.hz).abs() < 0.5 * line.bin_hz + exact * hz
-        })
+/// The frequencies of mains, first the one that more of the lines are multiples of: some are of both.
+fn mains_of(found: &[Found]) -> [f64; 2] {
+    let lines = |mains_hz: f64| {
+        let own = found.iter().filter(|found| is_multiple(found, mains_hz));
+        own.count()
     };
+    let [one, other] = MAINS_HZ;
+    match lines(other) > lines(one) {
+        true => [other, one],
+        false => [one, other],
+    }
+}
+
+fn source(recording: &RecordingScan, mains: [f64; 2], one: &Seen, line: &Line) -> Source {
+    let found = (*one, *line);
     let rotor_hz = recording
         .table("hall.csv")
         .and_then(|hall| hall.turning.steady_hz());
-    match MAINS_HZ.into_iter().find(|hz| is_multiple(*hz, EXACT)) {
+    match mains.into_iter().find(|hz| is_multiple(&found, *hz)) {
         Some(hz) => Source::Mains(hz),
-        None => match rotor_hz.filter(|hz| is_multiple(*hz, EXACT)) {
+        None => match rotor_hz.filter(|hz| is_multiple(&found, *hz)) {
             Some(hz) => Source::Rotor(hz),
             None => Source::Unknown,
         },
     }
+}
+
+/// True for a line at a multiple of `base_hz`, as it appears at the table's row rate.
+fn is_multiple((one, line): &Found, base_hz: f64) -> bool {
+    let rate_hz = 1e6 / one.table.clock.period_us;
+    (1..=MULTIPLES).any(|n| {
+        let hz = f64::from(n) * base_hz;
+        (folded(hz, rate_hz) - line.hz).abs() < 0.5 * line.bin_hz + EXACT * hz
+    })
 }
 
 /// Where a frequency appears when it is sampled at `rate_hz`.

@@ -159,6 +159,15 @@ pub fn list(names: &[&str]) -> String {
     }
 }
 
+/// The verb for one column or several.
+pub fn verb(seen: &[Seen], one: &'static str, several: &'static str) -> &'static str {
+    let first = seen.first().map(|one| &one.column.name);
+    match seen.iter().all(|one| Some(&one.column.name) == first) {
+        true => one,
+        false => several,
+    }
+}
+
 /// Splits `seen` into the board's and the reference's columns.
 pub fn by_table<'a>(seen: Vec<Seen<'a>>) -> [Vec<Seen<'a>>; 2] {
     let (hall, force) = seen
@@ -186,7 +195,10 @@ pub fn digits(value: f64) -> String {
 
 /// A share in percent, never rounded to nothing.
 pub fn percent(share: f64) -> String {
-    format!("{} %", digits(100.0 * share))
+    match share > 0.0 && share < 1e-4 {
+        true => "less than 0.01 %".to_owned(),
+        false => format!("{} %", digits(100.0 * share)),
+    }
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use crate::compare::Finding;
 use crate::findings::scan::Quantity;
 
-use super::{Desk, Seen, by_table, digits, percent};
+use super::{Desk, Seen, by_table, digits, percent, verb};
 
 /// Looks at fields and forces.
 pub fn judge(desk: &mut Desk) {
@@ -36,8 +36,9 @@ fn at_its_end(desk: &Desk, seen: &[Seen]) -> Option<Finding> {
         id: "saturated",
         place: worst.at(worst.column.at_limit.1),
         message: format!(
-            "{} reaches the end of its range, most in {} with {} of the rows; those rows are left out: widen the gap or lower the load",
+            "{} {} the end of its range, most in {} with {} of the rows; those rows are left out: widen the gap or lower the load",
             desk.whose(seen),
+            verb(seen, "reaches", "reach"),
             worst.column.name,
             percent(share(worst)),
         ),
@@ -51,12 +52,21 @@ fn cut_short(desk: &Desk, seen: &[Seen]) -> Option<Finding> {
     let share = |one: &Seen| rows(one) as f64 / one.column.rows as f64;
     let worst = seen.iter().max_by(|a, b| share(a).total_cmp(&share(b)))?;
     let (value, _) = worst.column.cut_off()?;
+    let advice = match value == 0.0 && worst.column.quantity == Quantity::Force {
+        true => {
+            "that is well where it only rests at zero, as on a scale; else forces of one sign are lost: set the zero of the amplifier anew"
+        }
+        false => {
+            "look for a limit in the amplifier, the converter or the logger, or lower the load"
+        }
+    };
     Some(Finding {
         id: "saturated",
         place: worst.at(2),
         message: format!(
-            "{} is cut off: {} of the rows of {} are {} and none lies beyond, where noise would scatter them; look for a limit in the amplifier, the converter or the logger, or lower the load. These rows are not left out by themselves",
+            "{} {} cut off: {} of the rows of {} are exactly {} and none lies beyond, where noise would scatter them; {advice}. These rows are not left out by themselves",
             desk.whose(seen),
+            verb(seen, "is", "are"),
             percent(share(worst)),
             worst.column.name,
             digits(value),

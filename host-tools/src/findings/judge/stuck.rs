@@ -4,10 +4,12 @@ use crate::compare::Finding;
 use crate::findings::scan::Quantity;
 use crate::findings::scan::runs::Run;
 
-use super::{Desk, Seen, by_table, digits};
+use super::{Desk, Seen, by_table, digits, verb};
 
 /// A recording shorter than this many rows may well hold one value only.
 const LEAST_ROWS: u64 = 20;
+/// A single stay that holds this share of the rows at the extreme value is no limit.
+const ONE_STAY: f64 = 0.95;
 /// Stretches that begin within this time of each other in microseconds have one cause.
 const TOGETHER_US: f64 = 100_000.0;
 
@@ -52,7 +54,11 @@ pub fn judge(desk: &mut Desk) {
 fn is_an_end(seen: &Seen, run: &Run) -> bool {
     let at_limit = run.value <= seen.column.limits.0 || run.value >= seen.column.limits.1;
     let cut_off = seen.column.cut_off();
-    at_limit || cut_off.is_some_and(|(value, _)| value == run.value)
+    // Noise breaks the stay at a limit into several; a channel that hung at its peak stays once.
+    at_limit
+        || cut_off.is_some_and(|(value, rows)| {
+            value == run.value && (run.rows as f64) < ONE_STAY * rows as f64
+        })
 }
 
 fn never_changes(desk: &Desk, seen: &[Seen], whole: bool) -> Finding {
@@ -62,8 +68,9 @@ fn never_changes(desk: &Desk, seen: &[Seen], whole: bool) -> Finding {
         false => "",
     };
     let message = format!(
-        "{} is {}{end} in every row; a live channel shows its noise: look for a broken wire, a sensor that was not read, or a column filled by hand{}",
+        "{} {} {}{end} in every row; a live channel shows its noise: look for a broken wire, a sensor that was not read, or a column filled by hand{}",
         desk.whose(seen),
+        verb(seen, "is", "are"),
         digits(first.column.extent.0),
         match whole {
             true => "",
@@ -83,8 +90,9 @@ fn frozen_for(desk: &Desk, group: &[(Seen, Run)]) -> Finding {
     let (first, run) = group[0];
     let seen: Vec<Seen> = group.iter().map(|(one, _)| *one).collect();
     let message = format!(
-        "{} stands still from {} to {} s, {} rows of the same value ({}), where noise of {} would change it in nearly every row; look for a loose plug or a sensor that hung, and cut the stretch out",
+        "{} {} still from {} to {} s, {} rows of the same value ({}), where noise of {} would change it in nearly every row; look for a loose plug or a sensor that hung, and cut the stretch out",
         desk.whose(&seen),
+        verb(&seen, "stands", "stand"),
         digits(first.table.second(run.from_us)),
         digits(first.table.second(run.to_us)),
         run.rows,

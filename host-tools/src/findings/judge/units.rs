@@ -6,7 +6,7 @@ use crate::compare::Finding;
 use crate::findings::repair::{Change, Fix, Repair};
 use crate::findings::scan::{ColumnScan, Quantity, RecordingScan};
 
-use super::{Desk, Seen, digits};
+use super::{Desk, Seen, digits, verb};
 
 /// Standard gravity in m/s².
 const GRAVITY: f64 = 9.806_65;
@@ -87,15 +87,16 @@ fn tell(desk: &Desk, misfit: &Misfit, seen: &[Seen]) -> Finding {
             .collect(),
     });
     let says = match fix {
-        Some(_) => "is",
-        None => "looks like",
+        Some(_) => verb(seen, "is", "are"),
+        None => verb(seen, "seems to be", "seem to be"),
     };
     Finding {
         id: "wrong_unit",
         place: seen[0].at(2),
         message: format!(
-            "{} {says} in {found}, not in {wanted}: {} is {evidence}; convert the column",
+            "{} {} in {found}, not in {wanted}: {} is {evidence}; convert the column",
             desk.whose(seen),
+            says,
             seen[0].column.name,
         ),
         stops: true,

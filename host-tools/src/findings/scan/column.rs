@@ -10,8 +10,9 @@ use super::sample::Sample;
 use super::spectrum::{Line, Spectrum};
 use super::spikes::Spikes;
 
-/// A value that stays for longer than this many rows is held: it says nothing of the noise.
-const HELD_ROWS: u64 = 30;
+/// A value that stays for longer than this many rows is frozen: it says nothing of the noise. A sample
+/// that is held for shorter does.
+const HELD_ROWS: u64 = 200;
 /// Values that differ by noise: it is at least this share of their smallest step. Rounding alone
 /// leaves 0.29 steps.
 const NOISY_STEPS: f64 = 0.5;

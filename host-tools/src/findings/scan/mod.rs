@@ -2,7 +2,7 @@
 //!
 //! - [`rows`]: a table read tolerantly: what the strict reader refuses is passed over here.
 //! - [`clock`]: order, copies and gaps of a clock.
-//! - [`column`]: everything that is kept of a column, from the following.
+//! - [`column`](mod@column): everything that is kept of a column, from the following.
 //! - [`runs`]: stretches of equal values. [`ends`]: its extreme values. [`grid`]: its steps.
 //!   [`spikes`]: rows that stand out, and its noise by quantiles. [`sample`]: a few values.
 //! - [`spectrum`]: periodograms averaged, and the narrow lines in them.

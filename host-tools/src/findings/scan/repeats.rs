@@ -1,8 +1,12 @@
-//! Rows in which no field changed although the clock went on.
+//! Rows in which no axis of a sensor changed although the clock went on.
 
-/// Follows all field columns of a table together.
+/// Follows the axes of one sensor together.
 #[derive(Clone, Debug, Default)]
 pub struct Repeats {
+    /// Number of the sensor.
+    pub sensor: u32,
+    /// Where its axes stand in a row.
+    pub indices: Vec<usize>,
     last: Vec<f64>,
     /// Rows after the first.
     pub rows: u64,
@@ -15,6 +19,15 @@ pub struct Repeats {
 }
 
 impl Repeats {
+    /// Of a sensor, the first of whose axes stands in that column.
+    pub fn of(sensor: u32, index: usize) -> Self {
+        Self {
+            sensor,
+            indices: vec![index],
+            ..Self::default()
+        }
+    }
+
     /// Takes the next row's fields.
     pub fn push(&mut self, fields: &[f64], line: u64) {
         if self.last.len() != fields.len() {

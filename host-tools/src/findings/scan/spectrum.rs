@@ -127,19 +127,36 @@ impl Spectrum {
         }
         let averages = INDEPENDENT * self.segments as f64;
         let threshold = MARGIN * highest_by_chance(averages, FALSE_ALARM / tests);
+        // There, one part of the number is always zero: half as many count.
+        let at_the_end = 2.0 * MARGIN * highest_by_chance(0.5 * averages, FALSE_ALARM / tests);
         // The median of a mean of exponentials is below its mean (Wilson and Hilferty 1931).
         let median_share = (1.0 - 1.0 / (9.0 * averages)).powi(3);
         let lowest = (LOWEST_HZ / self.bin_hz()).ceil() as usize;
         let mut lines = Vec::new();
-        for bin in lowest..self.power.len() - LOBE {
-            let around = &self.power[bin - LOBE..=bin + LOBE];
-            let is_peak = around.iter().all(|power| *power <= self.power[bin]);
+        for bin in lowest..self.power.len() {
+            let around = bin - LOBE..=bin + LOBE;
+            let is_peak = around.into_iter().all(|i| self.at(i) <= self.power[bin]);
             let background = self.background(bin) / median_share;
+            let threshold = match self.is_last(bin) {
+                true => at_the_end,
+                false => threshold,
+            };
             if is_peak && self.power[bin] > threshold * background {
                 lines.push(self.line(bin, background));
             }
         }
         lines
+    }
+
+    /// The power of a bin; beyond half the row rate frequencies fold back.
+    fn at(&self, bin: usize) -> f64 {
+        let last = self.power.len() - 1;
+        self.power[if bin > last { 2 * last - bin } else { bin }]
+    }
+
+    /// True for the bin of half the row rate.
+    fn is_last(&self, bin: usize) -> bool {
+        bin + 1 == self.power.len()
     }
 
     /// The greater of the medians on both sides, so that a slope is no line.
@@ -159,15 +176,17 @@ impl Spectrum {
     }
 
     fn line(&self, bin: usize, background: f64) -> Line {
-        let excess = |i: usize| (self.power[i] - background).max(0.0);
+        let excess = |i: usize| (self.at(i) - background).max(0.0);
         let lobe = bin - LOBE..=bin + LOBE;
         let total: f64 = lobe.clone().map(excess).sum();
         let centre: f64 = lobe.map(|i| i as f64 * excess(i)).sum::<f64>() / total;
         let squares: f64 = self.window.iter().map(|weight| weight * weight).sum();
         let length = self.window.len() as f64;
+        // Half of a line lies at the mirrored frequency; at half the row rate both fall together.
+        let share = if self.is_last(bin) { 1.0 } else { 2.0 };
         Line {
-            hz: centre * self.bin_hz(),
-            amplitude: 2.0 * (total / self.segments as f64 / (length * squares)).sqrt(),
+            hz: centre.min((self.power.len() - 1) as f64) * self.bin_hz(),
+            amplitude: share * (total / self.segments as f64 / (length * squares)).sqrt(),
             bin_hz: self.bin_hz(),
         }
     }

@@ -28,14 +28,13 @@ pub struct TableScan {
     pub clock: ClockScan,
     /// Its columns but the clock, as far as their names are known.
     pub columns: Vec<ColumnScan>,
-    /// Rows in which no field changed.
-    pub repeats: Repeats,
+    /// Rows in which no axis of a sensor changed, sensor by sensor.
+    pub repeats: Vec<Repeats>,
     /// The rotor.
     pub turning: Turning,
     /// Length of the acceleration in its own unit, a few rows of it.
     pub acceleration: Sample,
     time_column: usize,
-    fields: Vec<usize>,
     angle: Option<usize>,
     accelerations: Vec<usize>,
 }
@@ -65,7 +64,7 @@ impl TableScan {
             let wanted = columns.iter().filter(|column| wanted(column));
             wanted.map(|column| column.index).collect()
         };
-        let fields = indices(&|column| column.quantity.is_field());
+        let repeats = repeats(&columns);
         let angle = indices(&|column| column.name == "motor_angle_rad");
         let accelerations = indices(&|column| column.name.starts_with("accel_"));
         let first = first_rows(&mut rows);
@@ -74,12 +73,11 @@ impl TableScan {
             name,
             clock: ClockScan::new(typical_step(&first, time_column)?),
             columns,
-            repeats: Repeats::default(),
+            repeats,
             turning: Turning::default(),
             acceleration: Sample::default(),
             accelerations,
             time_column,
-            fields,
             angle: angle.first().copied(),
         };
         scan.plan_spectra();
@@ -123,9 +121,9 @@ impl TableScan {
         for column in &mut self.columns {
             column.push(cell(column.index), t_us, line, regular);
         }
-        if !self.fields.is_empty() {
-            let fields: Vec<f64> = self.fields.iter().map(|&index| cell(index)).collect();
-            self.repeats.push(&fields, line);
+        for repeats in &mut self.repeats {
+            let fields: Vec<f64> = repeats.indices.iter().map(|&index| cell(index)).collect();
+            repeats.push(&fields, line);
         }
         if self.accelerations.len() == 3 {
             let squares = self.accelerations.iter().map(|&index| cell(index).powi(2));
@@ -148,6 +146,21 @@ impl TableScan {
     pub fn second(&self, t_us: f64) -> f64 {
         1e-6 * (t_us - self.clock.first_us)
     }
+}
+
+/// One for each sensor.
+fn repeats(columns: &[ColumnScan]) -> Vec<Repeats> {
+    let mut all: Vec<Repeats> = Vec::new();
+    for column in columns {
+        let Quantity::Field { sensor, .. } = column.quantity else {
+            continue;
+        };
+        match all.iter_mut().find(|repeats| repeats.sensor == sensor) {
+            Some(repeats) => repeats.indices.push(column.index),
+            None => all.push(Repeats::of(sensor, column.index)),
+        }
+    }
+    all
 }
 
 fn first_rows(rows: &mut Rows) -> Vec<Row> {
