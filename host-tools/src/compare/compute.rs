@@ -26,7 +26,7 @@ use super::worst::worst;
 use super::{AxisFigures, Comparison, Finding, Floor, Located, words};
 use crate::findings::against::{Beside, against};
 use crate::findings::files::scan;
-use crate::findings::sort;
+use crate::findings::merge;
 use crate::progress;
 
 /// Shortest block of the bootstrap in seconds.
@@ -45,7 +45,7 @@ pub fn compare(
         "looking for mistakes of the rig",
         recording_folders(campaign)?.len(),
     );
-    let mut findings = scan(campaign, |_| bar.inc(1))?;
+    let findings = scan(campaign, |_| bar.inc(1))?;
     bar.finish_and_clear();
     let stopped = |findings: Vec<Finding>| Comparison {
         model: path.display().to_string(),
@@ -58,8 +58,7 @@ pub fn compare(
         return Ok(stopped(findings));
     }
     let source = Source::open(campaign, alignment)?;
-    findings.extend(beside(&source, &model, &model.additions(path)?)?);
-    sort(&mut findings);
+    let findings = merge(findings, beside(&source, &model, &model.additions(path)?)?);
     if findings.iter().any(|finding| finding.stops) {
         return Ok(stopped(findings));
     }
