@@ -11,6 +11,7 @@ use model_export::recordings::align::Alignment;
 use serde_json::Value;
 use tempfile::TempDir;
 use tests::data;
+use tests::spoilt::Spoilt;
 
 fn magpie(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_magpie"))
@@ -246,4 +247,50 @@ fn the_page_fits_a_hundred_columns_and_has_no_colour_where_nobody_sees_it() {
         assert!(line.chars().count() <= 100, "{line}");
     }
     assert!(page.contains("Structure remains"));
+}
+
+#[test]
+fn a_mistake_of_the_rig_stops_the_comparison_until_it_is_mended() {
+    let (folder, model) = fitted("clean");
+    let spoilt = Spoilt::new().change(&[1, 2, 3], "hall.csv", |cells| {
+        cells.exchange("s1_x_lsb", "s1_z_lsb");
+    });
+    let (mended, page) = (
+        folder.path().join("mended"),
+        folder.path().join("page.html"),
+    );
+    let path = spoilt.path();
+    let arguments = ["compare", text(&model), text(&path), "--json"];
+    let more = ["--fix", text(&mended), "-o", text(&page)];
+    let output = magpie(&[&arguments[..], &more].concat());
+    let object: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let first = &object["findings"][0];
+    assert_eq!(first["id"], "axis_permuted");
+    assert_eq!(first["column"], "s1_x_lsb");
+    assert_eq!(object["axes"], Value::Array(Vec::new()));
+    assert!(
+        object["verdict"]
+            .as_str()
+            .unwrap()
+            .starts_with("Not compared")
+    );
+    assert!(
+        std::fs::read_to_string(&page)
+            .unwrap()
+            .contains("s1_x_lsb belongs where")
+    );
+    let comparison = compare(
+        &model,
+        &mended,
+        None,
+        Alignment { delay_us: 0.0 },
+        Options::default(),
+    );
+    let comparison = comparison.unwrap();
+    assert!(comparison.findings.is_empty(), "{:?}", comparison.findings);
+    assert!(
+        comparison.verdict.starts_with("At the noise floor"),
+        "{}",
+        comparison.verdict
+    );
 }
