@@ -11,6 +11,7 @@ use rayon::prelude::*;
 use super::normal::{Normals, left_by, left_out_by};
 use super::problem::SensorProblem;
 use crate::effects::{Kind, Parameter};
+use crate::physics::{Response, State};
 
 /// Rows of one recording that take part in the search.
 const ROWS: usize = 400;
@@ -34,10 +35,13 @@ pub struct Seeker<'a> {
     /// Fitted values of the base, then present values of the effects.
     pub values: Vec<f64>,
     residual: DVector<f64>,
-    /// The base's answers, by recording.
+    /// Answers of everything that is fitted already, by recording.
     normals: Normals,
     /// Answers of the other effects that were sought so far.
     others: DMatrix<f64>,
+    /// The rows that take part, with their states and responses, recording by recording. While an
+    /// effect is sought its coefficients are zero, so that they hold throughout.
+    rows: Vec<Vec<(usize, State, Response)>>,
 }
 
 impl<'a> Seeker<'a> {
@@ -45,60 +49,66 @@ impl<'a> Seeker<'a> {
     pub fn new(mut problem: SensorProblem<'a>, base_values: &[f64]) -> Self {
         problem.centre_base(base_values);
         let values: Vec<f64> = problem.slots.iter().map(|slot| slot.start).collect();
+        let fixed: Vec<usize> = (0..problem.base_count).collect();
+        Self::around(problem, values, &fixed)
+    }
+
+    /// From values at which the slots `fixed` were fitted; the coefficients of the others are zero.
+    pub fn around(problem: SensorProblem<'a>, values: Vec<f64>, fixed: &[usize]) -> Self {
         let departures = problem.departures(&values);
         let (mut residual, mut columns) = (Vec::new(), Vec::new());
-        let mut ends = Vec::new();
+        let (mut ends, mut rows) = (Vec::new(), Vec::new());
+        let at = problem.base.linear(&values[..problem.base_count]);
+        let mut unused = vec![Vector3::zeros(); problem.base_count];
         for part in 0..problem.rows.parts.len() {
             let linear = problem.linear(part, &departures);
+            let states = problem.states(part, &values);
+            let mut of_part = Vec::new();
             for row in picked(problem.rows.parts[part].len()) {
                 let error = problem.rows.parts[part].field_g[row] - linear.fields[row];
                 for axis in 0..3 {
                     residual.push(error[axis] * problem.weights[axis]);
                     let row = linear.jacobian.row(3 * row + axis);
-                    columns.push(row.columns(0, problem.base_count) * problem.weights[axis]);
+                    columns.extend(fixed.iter().map(|&slot| row[slot] * problem.weights[axis]));
                 }
+                of_part.push((row, states[row], at(&states[row], &mut unused)));
             }
             ends.push(residual.len());
+            rows.push(of_part);
         }
-        let base = DMatrix::from_fn(columns.len(), problem.base_count, |i, j| columns[i][j]);
+        let fixed = DMatrix::from_row_slice(residual.len(), fixed.len(), &columns);
         let residual = DVector::from_vec(residual);
+        drop(at);
         Self {
+            others: DMatrix::zeros(residual.len(), 0),
+            normals: Normals::new(fixed, residual.clone(), &ends),
             problem,
             values,
-            others: DMatrix::zeros(residual.len(), 0),
-            normals: Normals::new(base, residual.clone(), &ends),
             residual,
+            rows,
         }
     }
 
     /// Answers of the field to these slots at `values`, weighted, by unit of the parameter.
     fn columns(&self, slots: &[usize], values: &[f64]) -> DMatrix<f64> {
         let problem = &self.problem;
-        let field = problem.base.linear(&values[..problem.base_count]);
-        let mut unused = vec![Vector3::zeros(); problem.base_count];
         let mut columns = DMatrix::zeros(self.residual.len(), slots.len());
         let mut at = 0;
-        for part in 0..problem.rows.parts.len() {
-            let states = problem.states(part, values);
-            let picked: Vec<usize> = picked(states.len()).collect();
-            let responses: Vec<_> = picked
-                .iter()
-                .map(|&row| field(&states[row], &mut unused))
-                .collect();
+        for (part, rows) in self.rows.iter().enumerate() {
             for (column, &slot) in slots.iter().enumerate() {
                 let step = 1e-3 * problem.slots[slot].scale.abs().max(1e-9);
                 let mut moved = values.to_vec();
                 moved[slot] += step;
                 let moved = problem.states(part, &moved);
-                for (i, (&row, response)) in picked.iter().zip(&responses).enumerate() {
+                for (i, (row, state, response)) in rows.iter().enumerate() {
                     let change = response
-                        .change(&states[row], &moved[row])
+                        .change(state, &moved[*row])
                         .component_mul(&problem.weights)
                         / step;
                     (0..3).for_each(|axis| columns[(at + 3 * i + axis, column)] = change[axis]);
                 }
             }
-            at += 3 * picked.len();
+            at += 3 * rows.len();
         }
         columns
     }
