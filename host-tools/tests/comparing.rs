@@ -294,3 +294,18 @@ fn a_mistake_of_the_rig_stops_the_comparison_until_it_is_mended() {
         comparison.verdict
     );
 }
+
+#[test]
+fn a_constant_is_called_one_and_not_blamed_on_a_covariate() {
+    let (_folder, model) = fitted("demo");
+    let comparison = compared(&model, "clean");
+    let (covariate, share) = chosen(&comparison).remove(0);
+    assert_eq!(covariate, "constant");
+    // Two grippers of one design: their fields at rest differ by far more than their slopes.
+    assert!(share > 0.5, "{share}");
+    assert!(
+        comparison.verdict.contains("another gripper"),
+        "{}",
+        comparison.verdict
+    );
+}

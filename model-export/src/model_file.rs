@@ -156,6 +156,14 @@ impl ModelFile {
         }
         let text = std::fs::read_to_string(path)
             .map_err(|error| Fault::Unreadable(error).at(Place::file(path)))?;
+        let looks_like =
+            |table: &toml::Table| table.contains_key("base") && table.contains_key("sensor");
+        if text
+            .parse::<toml::Table>()
+            .is_ok_and(|table| !looks_like(&table))
+        {
+            return Err(Fault::ForeignModel.at(Place::file(path)));
+        }
         let model: Self = parse_toml(path, &text)?;
         if model.format != FORMAT {
             let advice = format!("this tool reads format = {FORMAT}: fit the model again");

@@ -41,9 +41,11 @@ pub fn check_output(path: &Path, mark: &str) -> Result<PathBuf, Problem> {
     if target.exists() && !is_ours(&target, mark) {
         return Err(Fault::Occupied.at(Place::file(path)));
     }
-    folder_of(&target)
-        .metadata()
-        .map_err(|error| unwritable(path, error))?;
+    let folder = folder_of(&target);
+    if !folder.exists() {
+        return Err(Fault::NoSuchFolder.at(Place::file(folder)));
+    }
+    folder.metadata().map_err(|error| unwritable(path, error))?;
     Ok(target)
 }
 

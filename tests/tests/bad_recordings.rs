@@ -60,6 +60,18 @@ fn advises(sentence: &str, advice: &str) {
 }
 
 #[test]
+fn columns_between_semicolons_are_called_so() {
+    let said = said(|path, hall, _| {
+        fs::write(path.join("hall.csv"), hall.replace(',', ";")).unwrap();
+        fs::remove_file(path.join("hall.csv.gz")).ok();
+    });
+    assert!(
+        said.contains("hall.csv, line 1: the columns are separated by ';'"),
+        "{said}"
+    );
+}
+
+#[test]
 fn the_recording_before_it_is_spoilt_reads_well() {
     let folder = TempDir::new().unwrap();
     let (hall, force) = good();

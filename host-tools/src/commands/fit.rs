@@ -14,6 +14,8 @@ use model_export::recordings::campaign::recording_folders;
 use model_export::recordings::{Campaign, Notice};
 
 use super::clocks::Clocks;
+use crate::compare::Finding;
+use crate::findings::files::scan;
 use crate::{progress, show};
 
 /// Fit the base physics to a campaign and write a model file.
@@ -69,6 +71,7 @@ pub fn run(args: &Args) -> Result<()> {
     };
     let campaign = read_campaign(&args.campaign, alignment)?;
     let mut notices: Vec<Notice> = campaign.notices().cloned().collect();
+    notices.extend(mistakes(&args.campaign, &notices)?);
     say(&notices);
     let (fits, more) = fit_campaign(&campaign, args.base, args.degree, options)?;
     say(&more);
@@ -90,6 +93,28 @@ pub fn run(args: &Args) -> Result<()> {
         })?;
     }
     Ok(())
+}
+
+/// What is wrong with the recordings themselves and would end up in the fit; what reading them said
+/// already is left out.
+fn mistakes(campaign: &Path, known: &[Notice]) -> Result<Vec<Notice>> {
+    let looking = progress::bar("looking for mistakes", recording_folders(campaign)?.len());
+    let findings = scan(campaign, |_| looking.inc(1))?;
+    looking.finish_and_clear();
+    let new = |finding: &Finding| {
+        // A covariate that stands still does no harm to a fit without it.
+        finding.id != "constant_covariate"
+            && !known
+                .iter()
+                .any(|notice| notice.place.file == finding.place.file)
+    };
+    let found = findings.into_iter().filter(new);
+    Ok(found
+        .map(|finding| Notice {
+            place: finding.place,
+            message: format!("{} (`magpie compare` tells more)", finding.message),
+        })
+        .collect())
 }
 
 /// Reads a campaign, with progress.

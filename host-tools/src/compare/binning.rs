@@ -18,6 +18,15 @@ impl Binning {
     /// No bin.
     pub const NONE: u16 = u16::MAX;
 
+    /// One bin for everything.
+    pub fn whole(values: &[&[f32]]) -> Self {
+        Self {
+            ranges: vec![(0.0, 0.0)],
+            centres: vec![0.0],
+            of: values.iter().map(|values| vec![0; values.len()]).collect(),
+        }
+    }
+
     /// Bins of the values of all sensors together; `None` where there are not two different ones.
     pub fn of(values: &[&[f32]]) -> Option<Self> {
         let all = || values.iter().flat_map(|values| values.iter().copied());

@@ -140,6 +140,21 @@ fn sensors(model: &ModelFile, recording: &Recording, campaign: &Path) -> Result<
         );
     }
     list.sort_by_key(|sensor| sensor.sensor);
+    for number in recording.sensors.keys() {
+        if !model.sensors.iter().any(|sensor| sensor.number == *number) {
+            eprintln!(
+                "note: sensor {number} of the recordings is not in the model, and is left out"
+            );
+        }
+    }
+    for sensor in &model.sensors {
+        if !list.iter().any(|seen| seen.sensor == sensor.number) {
+            let number = sensor.number;
+            eprintln!(
+                "note: sensor {number} of the model has not its field and its forces in these recordings, and is left out"
+            );
+        }
+    }
     Ok(list)
 }
 

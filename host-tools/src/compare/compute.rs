@@ -52,6 +52,10 @@ pub fn compare(
         campaign: campaign.display().to_string(),
         verdict: words::stopped(&findings),
         findings,
+        provenance: vec![(
+            "tool".to_owned(),
+            format!("magpie {}", env!("CARGO_PKG_VERSION")),
+        )],
         ..Comparison::default()
     };
     if findings.iter().any(|finding| finding.stops) {
@@ -66,6 +70,9 @@ pub fn compare(
     if let Some(other) = other {
         let judged = judge(other, &ModelFile::read(other)?, &source, options)?;
         comparison.other = Some(Box::new(judged));
+    }
+    if let Some(doubt) = words::doubt(&findings) {
+        comparison.verdict = format!("{doubt} {}", comparison.verdict);
     }
     comparison.findings = findings;
     Ok(comparison)

@@ -12,6 +12,8 @@ use model_export::recordings::columns::STATOR_CURRENTS;
 pub enum Kind {
     /// A quantity: what it does carries over from one recording to another.
     Quantity,
+    /// Nothing that moves: a constant of each channel.
+    Constant,
     /// Time, or a recording's number: it can stand in for anything that changes slowly, so that it
     /// comes last unless it explains far more than a quantity.
     Time,
@@ -51,7 +53,7 @@ const fn covariate(
 }
 
 /// What every gripper may have.
-const KNOWN: [Covariate; 21] = [
+const KNOWN: [Covariate; 24] = [
     quantity("fx_n", "lateral force", "N"),
     quantity("fz_n", "longitudinal force", "N"),
     quantity("force_n", "size of the force", "N"),
@@ -64,6 +66,8 @@ const KNOWN: [Covariate; 21] = [
     quantity("temp_rate_c_per_min", "rate of the temperature", "°C/min"),
     quantity("motor_iq_a", "motor current", "A"),
     quantity("motor_angle_rad", "rotor angle", "rad"),
+    quantity(STATOR_CURRENTS[0], "stator current along alpha", "A"),
+    quantity(STATOR_CURRENTS[1], "stator current along beta", "A"),
     quantity("roll_rad", "roll", "rad"),
     quantity("pitch_rad", "pitch", "rad"),
     quantity("yaw_rad", "yaw", "rad"),
@@ -78,6 +82,7 @@ const KNOWN: [Covariate; 21] = [
         Kind::TimeOfCampaign,
     ),
     covariate("recording", "recording", "", Kind::TimeOfCampaign),
+    covariate("constant", "a constant of each channel", "", Kind::Constant),
 ];
 
 /// A rate below this share of its own root mean square is no direction of loading.
@@ -90,10 +95,7 @@ const TEMPERATURE_RATE_S: f64 = 4.0;
 /// declares.
 pub fn all(recording: &Recording) -> Vec<Covariate> {
     let known = |name: &str| KNOWN.iter().any(|covariate| covariate.name == name);
-    let declared = recording.covariates.keys().filter(|name| {
-        // The stator's currents are the motor's current and the rotor's angle once more.
-        !known(name) && !STATOR_CURRENTS.contains(&name.as_str())
-    });
+    let declared = recording.covariates.keys().filter(|name| !known(name));
     let own = declared.map(|name| Covariate {
         name: Cow::Owned(name.clone()),
         words: Cow::Owned(name.clone()),
@@ -121,6 +123,7 @@ impl Covariate {
                 Some(turns.iter().map(|angle| wrapped(*angle)).collect())
             }
             "recording" => Some(vec![place as f64; track.len()]),
+            "constant" => Some(vec![0.0; track.len()]),
             name => track.covariate(name),
         }
     }

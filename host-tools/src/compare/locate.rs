@@ -13,6 +13,10 @@ use super::rows::SensorColumns;
 
 /// Covariates are chosen while the next locates at least this share of the excess.
 pub const WORTH: f64 = 0.05;
+/// More than this share of the squared floor, above it, is structure and no noise.
+const STRUCTURE: f64 = 0.3;
+/// Beyond [`WORTH`], covariates are chosen while the next locates this share of the structure left.
+const OF_THE_REST: f64 = 0.25;
 /// Covariates that are chosen at the most: a person reads no longer list.
 const MOST: usize = 6;
 /// Time must locate this many times what the best quantity does: it can stand in for anything slow.
@@ -51,6 +55,8 @@ pub struct Locator<'a> {
     /// True where the first kind of fold leaves out whole recordings.
     by_recordings: bool,
     excess: f64,
+    /// Squared floor over everything.
+    floor: f64,
 }
 
 impl<'a> Locator<'a> {
@@ -80,7 +86,10 @@ impl<'a> Locator<'a> {
                     .iter()
                     .map(|sensor| sensor.covariates[c].values.as_slice())
                     .collect();
-                Binning::of(&values)
+                match kinds[c] {
+                    Kind::Constant => Some(Binning::whole(&values)),
+                    _ => Binning::of(&values),
+                }
             })
             .collect();
         let (squares, floor) = sums(sensors);
@@ -94,6 +103,7 @@ impl<'a> Locator<'a> {
             excess: (squares - floor)
                 .max(LEAST_EXCESS * squares)
                 .max(f64::MIN_POSITIVE),
+            floor,
             sensors,
             kinds,
         }
@@ -121,7 +131,7 @@ impl<'a> Locator<'a> {
         let mut shares = alone.clone();
         while ranked.len() < MOST
             && let Some((covariate, share)) = self.best(&shares)
-            && share >= WORTH
+            && self.is_worth(share, &residual)
         {
             ranked.push(Found {
                 covariate,
@@ -173,7 +183,7 @@ impl<'a> Locator<'a> {
     ) -> Option<Vec<Vec<Vector3<f64>>>> {
         let binning = self.binnings[covariate].as_ref()?;
         let within = match self.kinds[covariate] {
-            Kind::Quantity => false,
+            Kind::Constant | Kind::Quantity => false,
             Kind::Time => !self.by_recordings,
             Kind::TimeOfCampaign => true,
         };
@@ -185,12 +195,30 @@ impl<'a> Locator<'a> {
         Some((0..residual.len()).map(one).collect())
     }
 
+    /// Whether the next covariate is worth naming: for its share of everything, or, where far more than
+    /// noise is left, for its share of that.
+    fn is_worth(&self, share: f64, residual: &[Vec<Vector3<f64>>]) -> bool {
+        let left: f64 = residual.iter().flatten().map(Vector3::norm_squared).sum();
+        let structure = left - self.floor;
+        share >= WORTH
+            || (structure > STRUCTURE * self.floor
+                && share * self.excess >= OF_THE_REST * structure)
+    }
+
     /// The covariate to choose next.
     fn best(&self, shares: &[(usize, f64)]) -> Option<(usize, f64)> {
+        // What is a constant, every covariate would locate.
+        let constant = shares
+            .iter()
+            .find(|(c, _)| self.kinds[*c] == Kind::Constant);
+        if let Some(constant) = constant.filter(|(_, share)| *share >= WORTH) {
+            return Some(*constant);
+        }
         let most = |time: bool| {
+            let is_time = |c: usize| matches!(self.kinds[c], Kind::Time | Kind::TimeOfCampaign);
             let of = shares
                 .iter()
-                .filter(|(c, _)| (self.kinds[*c] != Kind::Quantity) == time);
+                .filter(|(c, _)| is_time(*c) == time && self.kinds[*c] != Kind::Constant);
             of.copied().max_by(|a, b| a.1.total_cmp(&b.1))
         };
         match (most(false), most(true)) {

@@ -1,5 +1,6 @@
 //! What the numbers say, in words.
 
+use super::locate::WORTH;
 use super::{AxisFigures, Comparison, Finding, ForceFigures, Located};
 
 /// Up to this many times the floor nothing that is left can be told from noise.
@@ -57,14 +58,24 @@ pub fn verdict(comparison: &Comparison) -> String {
         .iter()
         .map(|axis| axis.error.rms / axis.floor.total)
         .fold(0.0, f64::max);
+    let chosen: Vec<&Located> = comparison.located.iter().filter(|l| l.chosen).collect();
     if rms <= AT_FLOOR * floor && worst <= AT_FLOOR * AT_FLOOR {
+        if let Some(lead) = chosen.first() {
+            return format!(
+                "Within {:.0} % of the noise floor: {error}, the floor is {}{newtons}; of the little that is left {:.0} % follows the {}.",
+                100.0 * (rms / floor - 1.0),
+                field(floor),
+                100.0 * lead.share,
+                lead.words
+            );
+        }
         return format!(
             "At the noise floor: {error}, the floor is {}{newtons}. These recordings show nothing that the model lacks.",
             field(floor)
         );
     }
-    let chosen: Vec<&Located> = comparison.located.iter().filter(|l| l.chosen).collect();
     let located: f64 = chosen.iter().map(|l| l.share).sum();
+    let rest = 1.0 - located;
     let lead = match chosen.first() {
         None => "no covariate locates what is left".to_owned(),
         Some(lead) => format!(
@@ -80,10 +91,11 @@ pub fn verdict(comparison: &Comparison) -> String {
             }
         ),
     };
-    let open = match located < 0.5 && !chosen.is_empty() {
+    let open = match rest >= WORTH && !chosen.is_empty() {
         true => format!(
-            "; {:.0} % follow none of the covariates",
-            100.0 * (1.0 - located)
+            "; {:.0} % ({}) follow none of the covariates",
+            100.0 * rest,
+            field((rest * (rms * rms - floor * floor).max(0.0)).sqrt())
         ),
         false => String::new(),
     };
@@ -96,9 +108,10 @@ pub fn verdict(comparison: &Comparison) -> String {
 
 /// The one line where a mistake of the rig stops the comparison.
 pub fn stopped(findings: &[Finding]) -> String {
-    let stop: Vec<&str> = findings.iter().filter(|f| f.stops).map(|f| f.id).collect();
+    let mut stop: Vec<&str> = findings.iter().filter(|f| f.stops).map(|f| f.id).collect();
+    stop.dedup();
     let fix = match findings.iter().any(|finding| finding.fix.is_some()) {
-        true => " (`--fix NEW` writes the recordings anew with what can be mended without doubt)",
+        true => " (--fix NEW writes the recordings anew with what can be mended without doubt)",
         false => "",
     };
     format!(
@@ -107,13 +120,29 @@ pub fn stopped(findings: &[Finding]) -> String {
     )
 }
 
+/// What must be said beside a verdict whose figures a mistake of the rig may have made.
+pub fn doubt(findings: &[Finding]) -> Option<String> {
+    let mut doubtful: Vec<&str> = findings.iter().map(|finding| finding.id).collect();
+    doubtful.retain(|id| *id != "constant_covariate");
+    doubtful.dedup();
+    (!doubtful.is_empty()).then(|| {
+        format!(
+            "In the recordings stands {}, which is in these figures: mend it before the model is blamed.",
+            doubtful.join(", ")
+        )
+    })
+}
+
 /// "48 % of what is left follows the opening, most of it below 12 mm".
 pub fn follows(located: &Located) -> String {
-    let share = format!(
-        "{:.0} % of what is left follows the {}",
-        100.0 * located.share,
-        located.words
-    );
+    let share = 100.0 * located.share;
+    if located.covariate == "constant" {
+        return format!(
+            "{share:.0} % of what is left is {}: another gripper, a magnet displaced, or a reference not zeroed",
+            located.words
+        );
+    }
+    let share = format!("{share:.0} % of what is left follows the {}", located.words);
     match concentrated(located) {
         Some(place) => format!("{share}, most of it {place}"),
         None => share,

@@ -12,7 +12,7 @@ pub fn section(comparison: &Comparison) -> Markup {
             @if findings.is_empty() {
                 p.none { "Mistakes of the rig: none found." }
             } @else {
-                h2 { "Mistakes of the rig: " (findings.len()) }
+                h2 { "Found in the recordings: " (findings.len()) }
                 ol.findings {
                     @for finding in findings {
                         li.stops[finding.stops] {

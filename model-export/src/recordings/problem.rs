@@ -76,6 +76,12 @@ pub enum Fault {
     TwoFiles { name: &'static str },
     #[error("cannot be read: {0}; check the path and the permissions")]
     Unreadable(std::io::Error),
+    #[error(
+        "the columns are separated by {other:?} and not by commas; export the table with commas (and points in its numbers)"
+    )]
+    OtherSeparator { other: char },
+    #[error("this folder does not exist; create it, or write elsewhere")]
+    NoSuchFolder,
     #[error("cannot be written: {0}; check the path, the permissions and the space left")]
     Unwritable(std::io::Error),
     #[error(
@@ -92,6 +98,8 @@ pub enum Fault {
         "this is a folder, and a model is a file that `magpie fit` writes; the order is MODEL CAMPAIGN"
     )]
     NoModel,
+    #[error("this is not a model; a model is a file that `magpie fit` writes")]
+    ForeignModel,
     #[error(
         "this is a file, and a campaign is a folder of recordings; the order is MODEL CAMPAIGN"
     )]

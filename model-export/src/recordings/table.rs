@@ -111,6 +111,11 @@ impl Table {
                 name.trim_start_matches('\u{feff}').trim().to_owned()
             })
             .collect();
+        if let [only] = header.as_slice()
+            && let Some(other) = [';', '\t'].into_iter().find(|c| only.contains(*c))
+        {
+            return Err(Fault::OtherSeparator { other }.at(Place::file(path).line(1)));
+        }
         for (i, name) in header.iter().enumerate() {
             if header.get(..i).is_some_and(|before| before.contains(name)) {
                 let place = Place::file(path).line(1).column(name.as_str());

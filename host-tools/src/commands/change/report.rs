@@ -14,6 +14,8 @@ use crate::show;
 
 /// A change of the held-out error below this share is none.
 const NO_CHANGE: f64 = 0.005;
+/// While more than this many times the floor is left, an effect may be there and not be seen.
+const HIDDEN: f64 = 1.5;
 /// A fall below this share proves little where the size is odd.
 const LITTLE: f64 = 0.05;
 /// Held-out error up to this factor of the floor counts as being at it.
@@ -283,8 +285,15 @@ fn gain(change: &Change) -> String {
     }
     let added = names(&change.after.0, &change.before.0);
     if fall <= NO_CHANGE {
+        let shown = match floor {
+            floor if new > HIDDEN * floor => format!(
+                "What else is left, {:.1} times the floor, may hide {added}",
+                new / floor
+            ),
+            _ => format!("These recordings do not show {added}"),
+        };
         return format!(
-            "Nothing gained: on what was kept out the error changes by {:+.2} %. These recordings do not show {added}.",
+            "Nothing gained: on what was kept out the error changes by {:+.2} %. {shown}.",
             -100.0 * fall
         );
     }

@@ -12,8 +12,12 @@ const DOUBTFUL: Style = AnsiColor::Yellow.on_default().bold();
 const BAD: Style = AnsiColor::Red.on_default().bold();
 const HEAD: Style = Style::new().bold();
 
+/// A tare that multiplies an error by this is worth a word.
+const TARE_HARM: f64 = 1.2;
 /// Covariates that are not chosen and yet shown, with the most that they would locate.
 const ALSO: usize = 4;
+/// Covariates that locate less than this share are not shown.
+const SEEN: f64 = 0.005;
 /// Widest text of a bar in characters.
 const BAR: usize = 20;
 
@@ -187,29 +191,60 @@ fn forces(comparison: &Comparison) -> String {
         table.add_row(cells);
     }
     show::right_align(&mut table, 1);
-    format!("{HEAD}Force through the device's fixed-point code, held out{HEAD:#}\n{table}\n\n")
+    format!(
+        "{HEAD}Force through the device's fixed-point code, held out{HEAD:#}\n{table}\n{}\n",
+        tare(&comparison.forces)
+    )
+}
+
+/// Where a tare does harm.
+fn tare(forces: &[ForceFigures]) -> String {
+    let harmed = |force: &ForceFigures| {
+        force
+            .tared_rms
+            .is_some_and(|tared| tared > TARE_HARM * force.error.rms)
+    };
+    match forces.iter().any(harmed) {
+        true => show::paragraph(
+            "A tare makes it worse: what the model errs by at rest (a neighbour's magnet beside closed fingers, say) is then in every row.",
+        ),
+        false => String::new(),
+    }
 }
 
 fn located(comparison: &Comparison) -> String {
     let chosen = comparison.located.iter().filter(|l| l.chosen);
-    let others = comparison.located.iter().filter(|l| !l.chosen).take(ALSO);
-    let mut table = show::table([
+    let others = comparison
+        .located
+        .iter()
+        .filter(|l| !l.chosen && l.share >= SEEN)
+        .take(ALSO);
+    let looked_at = comparison.located.len();
+    let shown: Vec<&Located> = chosen.chain(others).collect();
+    if shown.is_empty() {
+        return format!(
+            "{HEAD}Where it fails{HEAD:#}\nNone of {looked_at} covariates locates anything of what is left.\n\n"
+        );
+    }
+    let heads = [
         "",
         "what is left follows",
         "share",
-        "alone",
         "from",
-        "error by bin",
+        "mean error by bin",
         "to",
-    ]);
-    for (i, one) in chosen.chain(others).enumerate() {
+        "of",
+        "± G",
+    ];
+    let mut table = show::table(heads);
+    for (i, one) in shown.into_iter().enumerate() {
         let ends = one.bins.first().zip(one.bins.last());
         let channel = strongest(one);
         let end = |value: Option<f64>| match value {
-            Some(value) => format!("{} {}", words::short(value), one.unit)
+            Some(value) if one.bins.len() > 1 => format!("{} {}", words::short(value), one.unit)
                 .trim_end()
                 .to_owned(),
-            None => String::new(),
+            _ => String::new(),
         };
         table.add_row([
             match one.chosen {
@@ -254,7 +289,10 @@ fn strongest(located: &Located) -> Option<(usize, usize)> {
             .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), m| {
                 (low.min(*m), high.max(*m))
             });
-        high - low
+        match located.bins.len() {
+            1 => low.abs(),
+            _ => high - low,
+        }
     };
     channels.max_by(|a, b| spread(a).total_cmp(&spread(b)))
 }
@@ -291,25 +329,18 @@ fn sparkline(located: &Located, channel: (usize, usize)) -> String {
 }
 
 fn worst(list: &[Worst]) -> String {
-    let mut table = show::table([
-        "worst stretches",
-        "from / s",
-        "to / s",
-        "sensor",
-        "rms / G",
-        "while",
-    ]);
+    let heads = ["worst stretches", "seconds", "rms / G", "most at", "while"];
+    let mut table = show::table(heads);
     for one in list {
         table.add_row([
             format!("recording {}", one.recording),
-            format!("{:.1}", one.from_s),
-            format!("{:.1}", one.to_s),
-            one.sensor.to_string(),
+            format!("{:.0} to {:.0}", one.from_s, one.to_s),
             format!("{:.3}", one.rms_g),
+            format!("s{}", one.sensor),
             one.doing.clone(),
         ]);
     }
-    format!("{table}\n")
+    format!("{table}\n(rms over all channels)\n\n")
 }
 
 /// Two models side by side.

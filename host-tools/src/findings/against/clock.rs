@@ -88,7 +88,7 @@ fn tell(campaign: &Campaign, names: &Names, alignment: Alignment, group: &[Shift
         id: "clock_skew",
         place,
         message: format!(
-            "the field comes {} ms {} the force {}, the same at {}: taken away, {} less is left above the noise. Flexures that lag, or a filter of the reference, look the same; if the clocks are to blame, {cure}",
+            "the field comes {} ms {} the force {}, the same at {}: with that taken away {} of the error above the noise is gone. {}{cure}",
             tenths(mean_ms.abs()),
             if mean_ms > 0.0 { "after" } else { "before" },
             match whole {
@@ -100,6 +100,11 @@ fn tell(campaign: &Campaign, names: &Names, alignment: Alignment, group: &[Shift
                 n => format!("all {n} sensors"),
             },
             percent(fall),
+            match mean_ms > 0.0 {
+                true =>
+                    "Flexures that lag, or a filter of the reference, look the same; if the clocks are to blame, ",
+                false => "No flexure leads its force, so it is the clocks: ",
+            },
         ),
         stops: false,
         fix: None,

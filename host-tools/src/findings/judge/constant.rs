@@ -35,7 +35,10 @@ pub fn judge(desk: &mut Desk) {
         desk.findings.push(Finding {
             id: "constant_covariate",
             place: seen[0].at(2),
-            message: message(&group, &seen[0]),
+            message: message(
+                &group,
+                &group.iter().map(|name| of(name)[0]).collect::<Vec<_>>(),
+            ),
             stops: false,
             fix: None,
         });
@@ -76,7 +79,7 @@ fn stands(seen: &[Seen]) -> bool {
     rows >= LEAST_ROWS && (squares / rows).sqrt() <= (MOVES * noise).max(rounding)
 }
 
-fn message(group: &[&str], first: &Seen) -> String {
+fn message(group: &[&str], seen: &[Seen]) -> String {
     let needed = |name: &str, column: &str| {
         name == column || (name == "temp_c" && column.ends_with("_temp_c"))
     };
@@ -88,19 +91,23 @@ fn message(group: &[&str], first: &Seen) -> String {
         })
         .map(|effect| effect.id)
         .collect();
-    let (_, mean, _) = first.column.moments();
     let then = match lost.is_empty() {
         true => "nothing that hangs on it can be judged".to_owned(),
         false => format!("{} cannot be judged", list(&lost)),
     };
-    format!(
-        "{} {} at {} throughout the campaign, its noise apart: {then}; record while it changes, or leave the column out if it was not measured",
-        list(group),
-        if group.len() == 1 { "stands" } else { "stand" },
-        digits(if mean.abs() < first.column.noise() {
+    let stands = group.iter().zip(seen).map(|(name, one)| {
+        let (_, mean, _) = one.column.moments();
+        let value = if mean.abs() < one.column.noise() {
             0.0
         } else {
             mean
-        }),
+        };
+        format!("{name} at {}", digits(value))
+    });
+    let stands: Vec<String> = stands.collect();
+    let stands: Vec<&str> = stands.iter().map(String::as_str).collect();
+    format!(
+        "nothing but noise moves it: the whole campaign has {}; {then}; record while it changes, or leave the column out if it was not measured",
+        list(&stands),
     )
 }
