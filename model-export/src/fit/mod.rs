@@ -4,6 +4,7 @@
 //! - [`orientation`]: are the columns what they say? Swapped and flipped axes, wrong units.
 //! - [`blocks`]: block bootstrap of a least-squares solution, for error bars that hold for
 //!   residuals with memory.
+//! - [`evidence`]: what speaks for an effect before it is fitted.
 //! - [`folds`]: what is kept out of a fit to judge it.
 //! - [`parameters`]: the parameters of the cylinder base, their tolerances and their Jacobian.
 //! - [`slot`]: one number that a fit may move, of the base or of an effect.
@@ -24,6 +25,7 @@
 pub mod base;
 pub mod blocks;
 pub mod campaign;
+pub mod evidence;
 pub mod folds;
 pub mod joint;
 pub mod normal;

@@ -40,6 +40,11 @@ impl Normals {
         }
     }
 
+    /// The columns that always take part.
+    pub fn fixed(&self) -> &DMatrix<f64> {
+        &self.fixed
+    }
+
     /// The equations of each recording with these columns after the fixed ones.
     pub fn with(&self, columns: &DMatrix<f64>) -> Vec<Normal> {
         let (fixed, size) = (self.fixed.ncols(), self.fixed.ncols() + columns.ncols());

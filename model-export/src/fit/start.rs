@@ -5,6 +5,8 @@
 //! The shape that explains most over all sensors is taken; one that spans recordings is taken where it
 //! carries over best to recordings left out, as the degree of a polynomial is, and stays there.
 
+use std::sync::Arc;
+
 use nalgebra::{DMatrix, DVector, Vector3};
 use rayon::prelude::*;
 
@@ -28,43 +30,37 @@ const AROUND: usize = 12;
 /// present residual.
 const EXPECTED: f64 = 10.0;
 
-/// One sensor while its start is sought: its problem, and the values so far.
-pub struct Seeker<'a> {
-    /// The problem with all effects; its slots' starts are set here.
-    pub problem: SensorProblem<'a>,
-    /// Fitted values of the base, then present values of the effects.
-    pub values: Vec<f64>,
+/// Where an effect is sought from: the rows that take part, what is left in them, and the answers of
+/// everything that is fitted already.
+#[derive(Clone)]
+pub struct Ground {
     residual: DVector<f64>,
-    /// Answers of everything that is fitted already, by recording.
-    normals: Normals,
-    /// Answers of the other effects that were sought so far.
-    others: DMatrix<f64>,
-    /// The rows that take part, with their states and responses, recording by recording. While an
-    /// effect is sought its coefficients are zero, so that they hold throughout.
-    rows: Vec<Vec<(usize, State, Response)>>,
+    /// Answers of what is fitted, by recording.
+    normals: Arc<Normals>,
+    /// The rows with their states and responses, recording by recording. While an effect is sought its
+    /// coefficients are zero, so that they hold throughout.
+    rows: Arc<Vec<Vec<(usize, State, Response)>>>,
 }
 
-impl<'a> Seeker<'a> {
-    /// From the base's fitted values.
-    pub fn new(mut problem: SensorProblem<'a>, base_values: &[f64]) -> Self {
-        problem.centre_base(base_values);
-        let values: Vec<f64> = problem.slots.iter().map(|slot| slot.start).collect();
-        let fixed: Vec<usize> = (0..problem.base_count).collect();
-        Self::around(problem, values, &fixed)
-    }
-
-    /// From values at which the slots `fixed` were fitted; the coefficients of the others are zero.
-    pub fn around(problem: SensorProblem<'a>, values: Vec<f64>, fixed: &[usize]) -> Self {
-        let departures = problem.departures(&values);
+impl Ground {
+    /// Around values at which the slots `fixed` were fitted; the coefficients of the others are zero. So
+    /// many rows of each recording take part.
+    pub fn new(
+        problem: &SensorProblem,
+        values: &[f64],
+        fixed: &[usize],
+        per_recording: usize,
+    ) -> Self {
+        let departures = problem.departures(values);
         let (mut residual, mut columns) = (Vec::new(), Vec::new());
         let (mut ends, mut rows) = (Vec::new(), Vec::new());
         let at = problem.base.linear(&values[..problem.base_count]);
         let mut unused = vec![Vector3::zeros(); problem.base_count];
         for part in 0..problem.rows.parts.len() {
             let linear = problem.linear(part, &departures);
-            let states = problem.states(part, &values);
+            let states = problem.states(part, values);
             let mut of_part = Vec::new();
-            for row in picked(problem.rows.parts[part].len()) {
+            for row in picked(problem.rows.parts[part].len(), per_recording) {
                 let error = problem.rows.parts[part].field_g[row] - linear.fields[row];
                 for axis in 0..3 {
                     residual.push(error[axis] * problem.weights[axis]);
@@ -78,23 +74,77 @@ impl<'a> Seeker<'a> {
         }
         let fixed = DMatrix::from_row_slice(residual.len(), fixed.len(), &columns);
         let residual = DVector::from_vec(residual);
-        drop(at);
         Self {
-            others: DMatrix::zeros(residual.len(), 0),
-            normals: Normals::new(fixed, residual.clone(), &ends),
+            normals: Arc::new(Normals::new(fixed, residual.clone(), &ends)),
+            residual,
+            rows: Arc::new(rows),
+        }
+    }
+
+    /// What is left, weighted: x, y, z of one row after the other.
+    pub fn residual(&self) -> &DVector<f64> {
+        &self.residual
+    }
+
+    /// Answers of what is fitted already, weighted, by departure.
+    pub fn fixed(&self) -> &DMatrix<f64> {
+        self.normals.fixed()
+    }
+
+    /// Recording and row of each row that takes part.
+    pub fn places(&self) -> impl Iterator<Item = (usize, usize)> {
+        let parts = self.rows.iter().enumerate();
+        parts.flat_map(|(part, rows)| rows.iter().map(move |(row, ..)| (part, *row)))
+    }
+}
+
+/// One sensor while its start is sought: its problem, and the values so far.
+pub struct Seeker<'a> {
+    /// The problem with all effects; its slots' starts are set here.
+    pub problem: SensorProblem<'a>,
+    /// Fitted values, then present values of the effects that are sought.
+    pub values: Vec<f64>,
+    ground: Ground,
+    /// Answers of the other effects that were sought so far.
+    others: DMatrix<f64>,
+}
+
+impl<'a> Seeker<'a> {
+    /// From the base's fitted values.
+    pub fn new(mut problem: SensorProblem<'a>, base_values: &[f64]) -> Self {
+        problem.centre_base(base_values);
+        let values: Vec<f64> = problem.slots.iter().map(|slot| slot.start).collect();
+        let fixed: Vec<usize> = (0..problem.base_count).collect();
+        let ground = Ground::new(&problem, &values, &fixed, ROWS);
+        Self::upon(ground, problem, values)
+    }
+
+    /// Upon a ground; `problem` may have effects more, whose coefficients are zero in `values`.
+    pub fn upon(ground: Ground, problem: SensorProblem<'a>, values: Vec<f64>) -> Self {
+        Self {
+            others: DMatrix::zeros(ground.residual.len(), 0),
+            ground,
             problem,
             values,
-            residual,
-            rows,
         }
+    }
+
+    /// Answers of the coefficients of `effect` at the shapes found, weighted, by departure.
+    pub fn answers(&self, effect: usize) -> DMatrix<f64> {
+        let slots = coefficients(&self.problem, effect);
+        let mut columns = self.columns(&slots, &self.values);
+        for (mut column, slot) in columns.column_iter_mut().zip(slots) {
+            column *= self.problem.slots[slot].scale;
+        }
+        columns
     }
 
     /// Answers of the field to these slots at `values`, weighted, by unit of the parameter.
     fn columns(&self, slots: &[usize], values: &[f64]) -> DMatrix<f64> {
         let problem = &self.problem;
-        let mut columns = DMatrix::zeros(self.residual.len(), slots.len());
+        let mut columns = DMatrix::zeros(self.ground.residual.len(), slots.len());
         let mut at = 0;
-        for (part, rows) in self.rows.iter().enumerate() {
+        for (part, rows) in self.ground.rows.iter().enumerate() {
             for (column, &slot) in slots.iter().enumerate() {
                 let step = 1e-3 * problem.slots[slot].scale.abs().max(1e-9);
                 let mut moved = values.to_vec();
@@ -121,7 +171,7 @@ impl<'a> Seeker<'a> {
         values[self.problem.ranges()[effect].start + j] = value;
         let own = self.columns(&coefficients(&self.problem, effect), &values);
         let all = side_by_side(&self.others, &own);
-        let normals = self.normals.with(&all);
+        let normals = self.ground.normals.with(&all);
         match left_out {
             true => left_out_by(&normals),
             false => vec![left_by(&normals).0],
@@ -162,6 +212,14 @@ pub fn seek(seekers: &mut [Seeker]) {
         }
     }
     seekers.par_iter_mut().for_each(start_coefficients);
+}
+
+/// Finds the shapes of one effect beside what is fitted already.
+pub fn seek_beside(seekers: &mut [Seeker], effect: usize) {
+    let Some(first) = seekers.first() else { return };
+    let recordings = first.problem.rows.parts.len();
+    let parameters = first.problem.effects[effect].parameters(recordings);
+    seek_one(seekers, effect, &parameters);
 }
 
 /// Sets the start of one effect's parameters.
@@ -322,7 +380,7 @@ fn scale_unknown(seekers: &mut [Seeker], effect: usize, parameters: &[Parameter]
             let slot = seeker.problem.ranges()[effect].start + j;
             seeker.problem.slots[slot].scale = 1.0;
             let answer = seeker.columns(&[slot], &seeker.values).norm();
-            let scale = EXPECTED * seeker.residual.norm() / answer;
+            let scale = EXPECTED * seeker.ground.residual.norm() / answer;
             seeker.problem.slots[slot].scale = if scale.is_finite() { scale } else { 1.0 };
         }
     }
@@ -334,7 +392,7 @@ fn start_coefficients(seeker: &mut Seeker) {
         .flat_map(|i| coefficients(&seeker.problem, i))
         .collect();
     let columns = seeker.columns(&slots, &seeker.values);
-    let (_, found) = left_by(&seeker.normals.with(&columns));
+    let (_, found) = left_by(&seeker.ground.normals.with(&columns));
     let found = found.into_iter().skip(seeker.problem.base_count);
     for (slot, value) in slots.into_iter().zip(found) {
         // A start, not a solution: within what is expected at all.
@@ -344,6 +402,6 @@ fn start_coefficients(seeker: &mut Seeker) {
 }
 
 /// Rows that take part, evenly over a recording.
-fn picked(rows: usize) -> impl Iterator<Item = usize> + Clone {
-    (0..rows).step_by((rows / ROWS).max(1))
+fn picked(rows: usize, most: usize) -> impl Iterator<Item = usize> + Clone {
+    (0..rows).step_by((rows / most).max(1))
 }

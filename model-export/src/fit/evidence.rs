@@ -1,0 +1,401 @@
+//! What speaks for an effect that a fitted model has not, before anything is fitted anew.
+//!
+//! Around a fitted model the field answers to every number in a straight line. A candidate is
+//! regressed together with everything that is fitted already (Frisch and Waugh 1933), so that it gets
+//! no credit for what the others could absorb; it is judged on what was left out; and what it explains
+//! is held against what it would explain had whole stretches of the residual the other sign (Wu's wild
+//! bootstrap, by blocks).
+
+use std::collections::BTreeMap;
+
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+
+use super::campaign::Prepared;
+use super::folds::{Fold, Split};
+use super::joint::JointFit;
+use super::problem::SensorProblem;
+use super::start::{Ground, Seeker, seek_beside};
+use crate::effects::{Addition, SizeOf};
+
+/// Rows of a recording that take part.
+const ROWS: usize = 1500;
+
+/// A fitted model with the straight lines around it.
+pub struct Around<'a> {
+    prepared: &'a Prepared,
+    effects: Vec<Addition>,
+    values: Vec<Vec<f64>>,
+    /// One for each sensor.
+    sensors: Vec<Sensor>,
+    /// Number of blocks of time.
+    pub blocks: usize,
+    recordings: usize,
+}
+
+/// One sensor: what is left and what it answers to.
+struct Sensor {
+    ground: Ground,
+    /// Inverse of the fixed columns' products, prior included.
+    inverse: DMatrix<f64>,
+    /// For each row (three entries of the residual): its block, and its part of each kind of split.
+    block: Vec<usize>,
+    parts: [Vec<usize>; 2],
+    /// Rows' weight of the prior: of how many rows one witness is worth.
+    prior: f64,
+}
+
+/// What a candidate would explain.
+pub struct Evidence {
+    /// Squared residual of each part left out, weighted: without the candidate, with it.
+    pub folds: Vec<(f64, f64)>,
+    /// Sum of squares explained, each number's worth of noise being one, over all sensors.
+    pub explained: f64,
+    /// Numbers that it takes.
+    pub count: usize,
+    /// How many error bars its typical size is from nothing.
+    pub z_typical: f64,
+    /// Answers that no fixed column stands in for, one for each sensor.
+    apart: Vec<DMatrix<f64>>,
+    /// Inverse of their products.
+    inverse: Vec<DMatrix<f64>>,
+}
+
+impl Evidence {
+    /// Share of the squared residual left out that the candidate takes away.
+    pub fn gain(&self) -> f64 {
+        let (without, with) = self
+            .folds
+            .iter()
+            .fold((0.0, 0.0), |(a, b), f| (a + f.0, b + f.1));
+        1.0 - with / without
+    }
+
+    /// Parts left out in which the error falls.
+    pub fn wins(&self) -> usize {
+        self.folds
+            .iter()
+            .filter(|(without, with)| with < without)
+            .count()
+    }
+}
+
+impl<'a> Around<'a> {
+    /// Around `fit` with `effects`; blocks of `block_s` seconds.
+    pub fn new(prepared: &'a Prepared, effects: &[Addition], fit: &JointFit, block_s: f64) -> Self {
+        let mut effects = effects.to_vec();
+        effects.sort_by_key(Addition::stage);
+        let recordings = prepared.rows.first().map_or(0, |rows| rows.parts.len());
+        let values: Vec<Vec<f64>> = fit
+            .sensors
+            .iter()
+            .map(|sensor| sensor.values.clone())
+            .collect();
+        let (firsts, blocks) = first_blocks(prepared, block_s);
+        let sensors = (0..prepared.rows.len())
+            .into_par_iter()
+            .map(|s| {
+                let rows = &prepared.rows[s];
+                let problem = SensorProblem::new(rows, prepared.bases[s].as_ref(), &effects);
+                let fixed: Vec<usize> = (0..problem.slots.len()).collect();
+                let ground = Ground::new(&problem, &values[s], &fixed, ROWS);
+                let place = |(part, row): (usize, usize)| {
+                    let time_s = rows.parts[part].track.time_s[row];
+                    firsts[part] + (time_s / block_s) as usize
+                };
+                let parts = [
+                    Split::of(&prepared.rows, false),
+                    Split::of(&prepared.rows, true),
+                ]
+                .map(|split| part_of(&split.folds(rows, 0.0), &ground));
+                let block = ground.places().map(place).collect();
+                Sensor::new(ground, block, parts)
+            })
+            .collect();
+        Self {
+            prepared,
+            effects,
+            values,
+            sensors,
+            blocks,
+            recordings,
+        }
+    }
+
+    /// What speaks for `candidate`; `None` where the field does not answer to it at all.
+    pub fn evidence(&self, candidate: &Addition) -> Option<Evidence> {
+        let mut effects = self.effects.clone();
+        effects.push(candidate.clone());
+        effects.sort_by_key(Addition::stage);
+        let place = effects.iter().position(|effect| effect == candidate)?;
+        let mut seekers: Vec<Seeker> = (0..self.sensors.len())
+            .into_par_iter()
+            .map(|s| {
+                let rows = &self.prepared.rows[s];
+                let problem = SensorProblem::new(rows, self.prepared.bases[s].as_ref(), &effects);
+                let values = self.spread(&problem, place, &self.values[s]);
+                Seeker::upon(self.sensors[s].ground.clone(), problem, values)
+            })
+            .collect();
+        seek_beside(&mut seekers, place);
+        let answers: Vec<DMatrix<f64>> = seekers
+            .par_iter()
+            .map(|seeker| seeker.answers(place))
+            .collect();
+        let within = usize::from(candidate.lives_in_one_recording());
+        let count = answers.first()?.ncols();
+        let judged: Vec<_> = self
+            .sensors
+            .par_iter()
+            .zip(&answers)
+            .map(|(sensor, answers)| sensor.judge(answers, within))
+            .collect();
+        let mut folds: Vec<(f64, f64)> = Vec::new();
+        for (_, _, own) in &judged {
+            folds.resize(folds.len().max(own.len()), (0.0, 0.0));
+            folds.iter_mut().zip(own).for_each(|(sum, own)| {
+                sum.0 += own.0;
+                sum.1 += own.1;
+            });
+        }
+        folds.retain(|(without, _)| *without > 0.0);
+        let (apart, inverse): (Vec<_>, Vec<_>) = judged
+            .into_iter()
+            .map(|(apart, inverse, _)| (apart, inverse))
+            .unzip();
+        let mut evidence = Evidence {
+            folds,
+            explained: 0.0,
+            count,
+            z_typical: 0.0,
+            apart,
+            inverse,
+        };
+        let signs = vec![1.0; self.blocks];
+        evidence.explained = self.explained(&evidence, &self.scores(&evidence, None), &signs);
+        evidence.z_typical = self.z_typical(&evidence, candidate);
+        Some(evidence)
+    }
+
+    /// Values of a model with one effect more than was fitted.
+    fn spread(&self, problem: &SensorProblem, place: usize, values: &[f64]) -> Vec<f64> {
+        let own = problem.ranges()[place].clone();
+        let mut all: Vec<f64> = problem.slots.iter().map(|slot| slot.start).collect();
+        let others = (0..all.len()).filter(|slot| !own.contains(slot));
+        for (slot, value) in others.zip(values) {
+            all[slot] = *value;
+        }
+        all
+    }
+
+    /// Products of a candidate's answers with the residual (or what `beside` leaves of it), block by
+    /// block, for each sensor.
+    fn scores(&self, evidence: &Evidence, beside: Option<&Evidence>) -> Vec<Vec<DVector<f64>>> {
+        let one = |s: usize| {
+            let sensor = &self.sensors[s];
+            let mut left = sensor.left();
+            if let Some(best) = beside {
+                let apart = &best.apart[s];
+                let coefficients = &best.inverse[s] * apart.tr_mul(&left);
+                left -= apart * coefficients;
+            }
+            let apart = &evidence.apart[s];
+            let mut scores = vec![DVector::zeros(apart.ncols()); self.blocks];
+            for (row, &block) in sensor.block.iter().enumerate() {
+                for entry in 3 * row..3 * row + 3 {
+                    for (j, score) in scores[block].iter_mut().enumerate() {
+                        *score += apart[(entry, j)] * left[entry];
+                    }
+                }
+            }
+            scores
+        };
+        (0..self.sensors.len()).into_par_iter().map(one).collect()
+    }
+
+    /// What a candidate explains where blocks have these signs.
+    fn explained(&self, evidence: &Evidence, scores: &[Vec<DVector<f64>>], signs: &[f64]) -> f64 {
+        let mut sum = 0.0;
+        for (scores, inverse) in scores.iter().zip(&evidence.inverse) {
+            let mut score = DVector::zeros(evidence.count);
+            for (of_block, sign) in scores.iter().zip(signs) {
+                score.axpy(*sign, of_block, 1.0);
+            }
+            sum += score.dot(&(inverse * &score));
+        }
+        sum
+    }
+
+    /// What each candidate would explain of the residual that `best` leaves, under each draw of signs.
+    pub fn drawn(&self, evidence: &Evidence, best: &Evidence, draws: &[Vec<f64>]) -> Vec<f64> {
+        let scores = self.scores(evidence, Some(best));
+        let draw = |signs: &Vec<f64>| self.explained(evidence, &scores, signs);
+        draws.par_iter().map(draw).collect()
+    }
+
+    /// How far the typical size stands out of what the residual shows by blocks.
+    fn z_typical(&self, evidence: &Evidence, candidate: &Addition) -> f64 {
+        let parameters = candidate.parameters(self.recordings);
+        let typical: Vec<f64> = parameters
+            .iter()
+            .filter(|parameter| parameter.is_coefficient())
+            .map(|parameter| parameter.typical)
+            .collect();
+        let mut singles = Vec::new();
+        for j in 0..evidence.count {
+            if typical.get(j).is_none_or(|typical| typical.is_nan()) {
+                continue;
+            }
+            let (mut norm, mut by_block) = (0.0, vec![0.0; self.blocks]);
+            for (sensor, apart) in self.sensors.iter().zip(&evidence.apart) {
+                // Columns are by departure, and a typical size is a tenth of one.
+                let column = apart.column(j) * 0.1;
+                let left = sensor.left();
+                norm += column.norm_squared();
+                for (row, &block) in sensor.block.iter().enumerate() {
+                    for entry in 3 * row..3 * row + 3 {
+                        by_block[block] += column[entry] * left[entry];
+                    }
+                }
+            }
+            let norm = norm.sqrt();
+            let spread = by_block
+                .iter()
+                .map(|score| score * score)
+                .sum::<f64>()
+                .sqrt();
+            if norm > 0.0 {
+                // No residual is quieter than white noise of the floor's size.
+                singles.push(norm / (spread / norm).max(1.0));
+            }
+        }
+        let squares: f64 = singles.iter().map(|z| z * z).sum();
+        match candidate.size().of {
+            SizeOf::Norm => (squares / singles.len().max(1) as f64).sqrt(),
+            _ => singles.into_iter().fold(0.0, f64::max),
+        }
+    }
+}
+
+impl Sensor {
+    fn new(ground: Ground, block: Vec<usize>, parts: [Vec<usize>; 2]) -> Self {
+        let (residual, fixed) = (ground.residual(), ground.fixed());
+        let mean_square = residual.norm_squared() / residual.len().max(1) as f64;
+        let prior = mean_square.max(1.0);
+        let normal = fixed.tr_mul(&fixed);
+        Self {
+            inverse: inverse(normal, prior),
+            ground,
+            block,
+            parts,
+            prior,
+        }
+    }
+
+    /// What is left where everything fitted already may move once more.
+    fn left(&self) -> DVector<f64> {
+        let coefficients = &self.inverse * self.ground.fixed().tr_mul(self.ground.residual());
+        self.ground.residual() - self.ground.fixed() * coefficients
+    }
+
+    /// A candidate's answers that nothing fixed stands in for, the inverse of their products, and the
+    /// squares left out, part by part.
+    fn judge(
+        &self,
+        answers: &DMatrix<f64>,
+        kind: usize,
+    ) -> (DMatrix<f64>, DMatrix<f64>, Vec<(f64, f64)>) {
+        let stood_in = &self.inverse * self.ground.fixed().tr_mul(answers);
+        let apart = answers - self.ground.fixed() * stood_in;
+        let inverse = inverse(apart.tr_mul(&apart), self.prior);
+        (apart, inverse, self.left_out(answers, kind))
+    }
+
+    fn left_out(&self, answers: &DMatrix<f64>, kind: usize) -> Vec<(f64, f64)> {
+        let all = DMatrix::from_columns(
+            &self
+                .ground
+                .fixed()
+                .column_iter()
+                .chain(answers.column_iter())
+                .collect::<Vec<_>>(),
+        );
+        let parts = self.parts[kind].iter().max().map_or(0, |last| last + 1);
+        let size = all.ncols();
+        let mut sums = vec![(DMatrix::zeros(size, size), DVector::zeros(size), 0.0); parts];
+        let mut by_part: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+        for (row, part) in self.parts[kind].iter().enumerate() {
+            by_part
+                .entry(*part)
+                .or_default()
+                .extend(3 * row..3 * row + 3);
+        }
+        for (part, entries) in by_part {
+            let own = all.select_rows(&entries);
+            let left = self.ground.residual().select_rows(&entries);
+            sums[part] = (own.tr_mul(&own), own.tr_mul(&left), left.norm_squared());
+        }
+        let base = self.ground.fixed().ncols();
+        let one = |k: usize| {
+            let mut normal = DMatrix::zeros(size, size);
+            let mut right = DVector::zeros(size);
+            for (i, (n, r, _)) in sums.iter().enumerate() {
+                if i != k {
+                    normal += n;
+                    right += r;
+                }
+            }
+            let judged = |count: usize| {
+                let n = normal.view((0, 0), (count, count)).into_owned();
+                let x = inverse(n, self.prior) * right.rows(0, count);
+                let own = sums[k].0.view((0, 0), (count, count));
+                sums[k].2 - 2.0 * x.dot(&sums[k].1.rows(0, count)) + x.dot(&(own * &x))
+            };
+            (judged(base), judged(size))
+        };
+        (0..parts).map(one).collect()
+    }
+}
+
+/// Inverse of normal equations with a prior of one departure on each number.
+fn inverse(mut normal: DMatrix<f64>, prior: f64) -> DMatrix<f64> {
+    for i in 0..normal.nrows() {
+        normal[(i, i)] += prior;
+    }
+    let size = normal.nrows();
+    normal
+        .cholesky()
+        .map_or_else(|| DMatrix::zeros(size, size), |factor| factor.inverse())
+}
+
+/// Number of the first block of each recording, and of all.
+fn first_blocks(prepared: &Prepared, block_s: f64) -> (Vec<usize>, usize) {
+    let recordings = prepared.rows.first().map_or(0, |rows| rows.parts.len());
+    let (mut firsts, mut next) = (Vec::new(), 0);
+    for recording in 0..recordings {
+        let last = prepared
+            .rows
+            .iter()
+            .filter_map(|rows| rows.parts[recording].track.time_s.last());
+        let blocks = last
+            .map(|time| (time / block_s) as usize + 1)
+            .max()
+            .unwrap_or(0);
+        firsts.push(next);
+        next += blocks;
+    }
+    (firsts, next)
+}
+
+/// The part in which each row is left out.
+fn part_of(folds: &[Fold], ground: &Ground) -> Vec<usize> {
+    let find = |(part, row): (usize, usize)| {
+        let holds = |fold: &Fold| {
+            fold.test
+                .iter()
+                .any(|stretch| stretch.part == part && stretch.rows.contains(&row))
+        };
+        folds.iter().position(holds).unwrap_or(0)
+    };
+    ground.places().map(find).collect()
+}
