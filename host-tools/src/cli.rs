@@ -5,7 +5,9 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-use crate::commands::{add, compare, demo, drop, effects, export, fit, import, replay, simulate};
+use crate::commands::{
+    add, compare, demo, diagnose, drop, effects, export, fit, import, replay, simulate,
+};
 
 /// Turns four Hall sensors in a robot gripper into forces one can trust, and tells which piece of
 /// physics the model still lacks.
@@ -21,6 +23,7 @@ enum Command {
     Demo(demo::Args),
     Fit(fit::Args),
     Compare(compare::Args),
+    Diagnose(diagnose::Args),
     Import(import::Args),
     Effects(effects::Args),
     Add(add::Args),
@@ -40,6 +43,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Demo(args) => demo::run(&args),
         Command::Fit(args) => fit::run(&args),
         Command::Compare(args) => compare::run(&args),
+        Command::Diagnose(args) => diagnose::run(&args),
         Command::Import(args) => import::run(&args),
         Command::Effects(args) => effects::run(&args),
         Command::Add(args) => add::run(&args),

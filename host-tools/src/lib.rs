@@ -6,6 +6,7 @@
 //! - [`surroundings`]: what the board would know beside its fields.
 //! - [`sums`]: statistics of many rows.
 //! - [`compare`]: a model beside a measurement.
+//! - [`diagnose`]: which effect a model lacks.
 //! - [`findings`]: what is wrong with a campaign's recordings.
 //! - [`replay`]: recorded data through the device's own code.
 //! - [`report`]: the page that a comparison leaves to open.
@@ -16,6 +17,7 @@ pub mod bench;
 pub mod cli;
 pub mod commands;
 pub mod compare;
+pub mod diagnose;
 pub mod findings;
 pub mod progress;
 pub mod replay;

@@ -1,13 +1,9 @@
 //! `magpie add`: an effect added to a model, everything refitted, the error before and after.
 
-use std::sync::Arc;
-
-use anyhow::{Context, Result, anyhow, bail};
-use model_export::effects::expression::Range;
-use model_export::effects::{Addition, Expression};
-use model_export::recordings::Campaign;
+use anyhow::{Result, bail};
 
 use super::change::{self, Common, named};
+use super::formulas::Formulas;
 
 /// Add physical effects to a model, refit everything, and show the error before and after.
 #[derive(Debug, clap::Args)]
@@ -27,33 +23,17 @@ pub struct Args {
     /// Effects of the catalogue; `magpie effects` lists them.
     #[arg(value_name = "EFFECT")]
     effects: Vec<String>,
-    /// An effect of your own: 'NAME: TARGET = FORMULA'.
-    #[arg(long, value_name = "FORMULA")]
-    expr: Vec<String>,
-    /// Range of a nonlinear parameter in the formulas: NAME=FROM..TO.
-    #[arg(long, value_name = "NAME=FROM..TO", value_parser = range)]
-    range: Vec<Range>,
-}
-
-fn range(text: &str) -> Result<Range, String> {
-    let advice = || "write NAME=FROM..TO, as in p=2..5".to_owned();
-    let (name, ends) = text.split_once('=').ok_or_else(advice)?;
-    let (from, to) = ends.split_once("..").ok_or_else(advice)?;
-    let number = |text: &str| text.trim().parse::<f64>().map_err(|_| advice());
-    Ok(Range {
-        name: name.trim().to_owned(),
-        from: number(from)?,
-        to: number(to)?,
-    })
+    #[command(flatten)]
+    formulas: Formulas,
 }
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
-    if args.effects.is_empty() && args.expr.is_empty() {
+    if args.effects.is_empty() && args.formulas.is_empty() {
         bail!("name an effect (`magpie effects` lists them), or give a formula with --expr");
     }
     change::run(&args.common, |_, before, campaign| {
-        let added = named(&args.effects, &formulas(&args.expr, &args.range, campaign)?)?;
+        let added = named(&args.effects, &args.formulas.read(campaign)?)?;
         if let Some(twice) = added.iter().find(|effect| before.contains(effect)) {
             bail!(
                 "{}: the model already has {}",
@@ -63,33 +43,4 @@ pub fn run(args: &Args) -> Result<()> {
         }
         Ok(before.iter().cloned().chain(added).collect())
     })
-}
-
-/// Reads formulas; each takes the ranges that it names.
-fn formulas(texts: &[String], ranges: &[Range], campaign: &Campaign) -> Result<Vec<Addition>> {
-    let first = campaign
-        .recordings
-        .first()
-        .context("the campaign is empty")?;
-    let columns: Vec<String> = first.covariates.keys().cloned().collect();
-    let word = |c: char| !(c.is_ascii_alphanumeric() || c == '_');
-    for range in ranges {
-        if !texts
-            .iter()
-            .any(|text| text.split(word).any(|name| name == range.name))
-        {
-            bail!("--range {}: no formula has such a name", range.name);
-        }
-    }
-    let read = |text: &String| {
-        let own: Vec<Range> = ranges
-            .iter()
-            .filter(|range| text.split(word).any(|name| name == range.name))
-            .cloned()
-            .collect();
-        let formula =
-            Expression::parse(text, &own, &columns).map_err(|error| anyhow!("--expr: {error}"))?;
-        Ok(Addition::Expression(Arc::new(formula)))
-    };
-    texts.iter().map(read).collect()
 }

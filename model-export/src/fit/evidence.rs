@@ -55,6 +55,8 @@ pub struct Evidence {
     pub count: usize,
     /// How many error bars its typical size is from nothing.
     pub z_typical: f64,
+    /// The most that it may be, in typical sizes: its estimate and two error bars.
+    pub bound: f64,
     /// Answers that no fixed column stands in for, one for each sensor.
     apart: Vec<DMatrix<f64>>,
     /// Inverse of their products.
@@ -168,12 +170,13 @@ impl<'a> Around<'a> {
             explained: 0.0,
             count,
             z_typical: 0.0,
+            bound: f64::INFINITY,
             apart,
             inverse,
         };
         let signs = vec![1.0; self.blocks];
         evidence.explained = self.explained(&evidence, &self.scores(&evidence, None), &signs);
-        evidence.z_typical = self.z_typical(&evidence, candidate);
+        (evidence.z_typical, evidence.bound) = self.typical(&evidence, candidate);
         Some(evidence)
     }
 
@@ -233,15 +236,16 @@ impl<'a> Around<'a> {
         draws.par_iter().map(draw).collect()
     }
 
-    /// How far the typical size stands out of what the residual shows by blocks.
-    fn z_typical(&self, evidence: &Evidence, candidate: &Addition) -> f64 {
+    /// How far the typical size stands out of what the residual shows by blocks, and the most that the
+    /// candidate may be in typical sizes.
+    fn typical(&self, evidence: &Evidence, candidate: &Addition) -> (f64, f64) {
         let parameters = candidate.parameters(self.recordings);
         let typical: Vec<f64> = parameters
             .iter()
             .filter(|parameter| parameter.is_coefficient())
             .map(|parameter| parameter.typical)
             .collect();
-        let mut singles = Vec::new();
+        let (mut singles, mut bound) = (Vec::new(), 0.0_f64);
         for j in 0..evidence.count {
             if typical.get(j).is_none_or(|typical| typical.is_nan()) {
                 continue;
@@ -266,14 +270,18 @@ impl<'a> Around<'a> {
                 .sqrt();
             if norm > 0.0 {
                 // No residual is quieter than white noise of the floor's size.
-                singles.push(norm / (spread / norm).max(1.0));
+                let z = norm / (spread / norm).max(1.0);
+                let estimate = by_block.iter().sum::<f64>() / (norm * norm);
+                bound = bound.max(estimate.abs() + 2.0 / z);
+                singles.push(z);
             }
         }
         let squares: f64 = singles.iter().map(|z| z * z).sum();
-        match candidate.size().of {
+        let z = match candidate.size().of {
             SizeOf::Norm => (squares / singles.len().max(1) as f64).sqrt(),
             _ => singles.into_iter().fold(0.0, f64::max),
-        }
+        };
+        (z, bound)
     }
 }
 

@@ -1,0 +1,436 @@
+//! Forward selection: the effect that lowers the error left out most, fitted anew with everything else;
+//! what explains the same as well is tied with it; then again, until nothing more is told from chance.
+
+use anyhow::Result;
+use model_export::effects::{Addition, Series};
+use model_export::fit::Options;
+use model_export::fit::blocks::correlation_rows;
+use model_export::fit::campaign::Prepared;
+use model_export::fit::evidence::Around;
+use model_export::fit::folds::Split;
+use model_export::fit::joint::JointFit;
+use model_export::fit::score::floor_squared;
+use model_export::fit::size::{EffectSize, sizes};
+use model_export::recordings::Campaign;
+use nalgebra::Vector3;
+use rayon::prelude::*;
+
+use super::screening::{LEAST_GAIN, Screened, screen};
+use crate::compare::covariate::{Covariate, all};
+use crate::compare::locate::Locator;
+use crate::compare::rows::SensorColumns;
+
+/// Steps at the most.
+const MOST_STEPS: usize = 6;
+/// Candidates that are fitted in each step: the best by the straight lines, which order others well.
+const CONTENDERS: usize = 5;
+/// Share of the best candidate's gain below which another is no contender.
+const CONTENDS: f64 = 0.3;
+/// Shortest block of the bootstrap in seconds.
+const SHORTEST_BLOCK_S: f64 = 5.0;
+/// While this many times the floor is left, something large is missing and names are provisional.
+pub const COMPLETE: f64 = 1.5;
+/// What takes away all but this share of what the best contender does is tied with it at first.
+const NEAR: f64 = 0.05;
+/// Two effects are told apart where the better leaves less in every part left out, and less by this
+/// share over all.
+const TOLD: f64 = 0.002;
+/// Where a covariate locates this share of what is left, and the best effect takes away less than
+/// [`SMALL`] of it, the effect is not named: it would be a stand-in for part of something else.
+const LOCATED: f64 = 0.3;
+/// See [`LOCATED`].
+const SMALL: f64 = 0.5;
+
+/// A model while effects are added to it.
+pub struct Stage {
+    /// All effects.
+    pub effects: Vec<Addition>,
+    /// Its fit.
+    pub fit: JointFit,
+}
+
+impl Stage {
+    /// Fitted and judged on what is left out.
+    fn new(
+        prepared: &Prepared,
+        effects: Vec<Addition>,
+        split: Split,
+        options: Options,
+    ) -> Result<Self> {
+        let fit = prepared.fit(&effects, split, options, |_| ())?;
+        Ok(Self { effects, fit })
+    }
+
+    /// Fitted and not judged: enough to order contenders.
+    fn quick(prepared: &Prepared, effects: Vec<Addition>) -> Result<Self> {
+        let options = Options { seed: 1, draws: 2 };
+        Self::new(prepared, effects, Split::Recordings(0), options)
+    }
+
+    /// Mean square over all channels on what was fitted, in gauss squared.
+    fn fitted_mean_square(&self) -> f64 {
+        let scores = || self.fit.sensors.iter().flat_map(|sensor| &sensor.scores);
+        let squares: f64 = scores().map(|score| score.fitted_rms_g.powi(2)).sum();
+        squares / scores().count().max(1) as f64
+    }
+
+    /// Held-out mean square over all channels, in gauss squared.
+    pub fn mean_square(&self) -> f64 {
+        self.fit.tally().mean_square()
+    }
+
+    /// Held-out error beside the floor.
+    pub fn floors(&self) -> f64 {
+        self.mean_square().sqrt() / self.fit.tally().floor_g()
+    }
+
+    fn wins(&self, before: &Self) -> bool {
+        let pairs = self.fit.folds().into_iter().zip(before.fit.folds());
+        pairs
+            .filter(|(_, old)| old.rows() > 0)
+            .all(|(new, old)| new.mean_square() < old.mean_square())
+    }
+
+    /// Whether every effect has a size that physics allows.
+    fn is_possible(&self, recordings: usize) -> bool {
+        sizes(&self.fit, &self.effects, recordings)
+            .iter()
+            .all(EffectSize::is_possible)
+    }
+}
+
+/// A step that was accepted.
+pub struct Step {
+    /// The effect that is in the model from here on.
+    pub chosen: Addition,
+    /// Those that explain the same as well.
+    pub tied: Vec<Addition>,
+    /// Those that explain part of the same, and nothing beside it.
+    pub shadows: Vec<Addition>,
+    /// Share of the squared error left out that it took away.
+    pub gain: f64,
+    /// Probability of as much by chance.
+    pub p_adjusted: f64,
+    /// Typical size in error bars when it was judged.
+    pub z_typical: f64,
+}
+
+/// What the selection ends with.
+pub struct Selection {
+    /// Accepted steps.
+    pub steps: Vec<Step>,
+    /// The models from the first to the last.
+    pub stages: Vec<Stage>,
+    /// Every candidate around the last model.
+    pub last: Vec<Screened>,
+    /// Covariates that what is left follows, with their shares of it.
+    pub located: Vec<(Covariate, f64)>,
+    /// True where the best candidate was not named since something far larger is unexplained.
+    pub withheld: Option<String>,
+    /// Length of the blocks in seconds, and how many.
+    pub block_s: f64,
+    /// See `block_s`.
+    pub blocks: usize,
+}
+
+/// Runs the selection from a model with the effects `present`.
+pub fn select(
+    campaign: &Campaign,
+    prepared: &Prepared,
+    present: &[Addition],
+    candidates: &[Addition],
+    options: Options,
+    said: &dyn Fn(&str),
+) -> Result<Selection> {
+    let mut selection = Selection {
+        steps: Vec::new(),
+        stages: vec![Stage::new(
+            prepared,
+            present.to_vec(),
+            prepared.split(present),
+            options,
+        )?],
+        last: Vec::new(),
+        located: Vec::new(),
+        withheld: None,
+        block_s: SHORTEST_BLOCK_S,
+        blocks: 0,
+    };
+    loop {
+        let stage = &selection.stages[selection.stages.len() - 1];
+        let left: Vec<Addition> = candidates
+            .iter()
+            .filter(|c| !stage.effects.contains(c))
+            .cloned()
+            .collect();
+        said("screening candidates");
+        let columns = residuals(campaign, prepared, stage);
+        selection.block_s = block_s(&columns);
+        let around = Around::new(prepared, &stage.effects, &stage.fit, selection.block_s);
+        selection.blocks = around.blocks;
+        selection.last = screen(&around, &left, options.seed);
+        selection.located = located(&columns, selection.block_s);
+        if selection.steps.len() >= MOST_STEPS {
+            break;
+        }
+        let Some((step, next)) = contest(prepared, stage, &selection, options, said)? else {
+            break;
+        };
+        if let Some((covariate, share)) = selection.located.first() {
+            let excess = 1.0 - stage.floors().powi(-2);
+            if *share > LOCATED && stage.floors() > COMPLETE && step.gain < SMALL * share * excess {
+                selection.withheld = Some(format!(
+                    "{} would take {:.1} % away, and {:.0} % of what is left follows the {}",
+                    step.chosen.name(),
+                    100.0 * step.gain,
+                    100.0 * share,
+                    covariate.words
+                ));
+                break;
+            }
+        }
+        selection.steps.push(step);
+        selection.stages.push(next);
+    }
+    retell(prepared, &mut selection, options, said)?;
+    Ok(selection)
+}
+
+/// The candidates that are worth a fit of their own, the best by the straight lines first.
+fn contenders(screened: &[Screened]) -> Vec<&Screened> {
+    let significant: Vec<&Screened> = screened.iter().filter(|s| s.is_significant()).collect();
+    let within = |s: &Screened| s.candidate.lives_in_one_recording();
+    let ordinary = significant
+        .iter()
+        .find(|s| !within(s))
+        .map_or(0.0, |s| s.evidence.gain());
+    // What lives within recordings is judged within them, which is easier: it must do better.
+    let contends = |s: &&Screened| match within(s) {
+        true => s.evidence.gain() > ordinary,
+        false => s.evidence.gain() >= CONTENDS * ordinary,
+    };
+    significant
+        .into_iter()
+        .filter(contends)
+        .take(CONTENDERS)
+        .collect()
+}
+
+/// The best of the significant candidates after fitting each anew, with what is tied with it.
+fn contest(
+    prepared: &Prepared,
+    stage: &Stage,
+    selection: &Selection,
+    options: Options,
+    said: &dyn Fn(&str),
+) -> Result<Option<(Step, Stage)>> {
+    let contenders = contenders(&selection.last);
+    if contenders.is_empty() {
+        return Ok(None);
+    }
+    said("fitting contenders");
+    let recordings = prepared.rows.first().map_or(0, |rows| rows.parts.len());
+    let with = |screened: &Screened| {
+        let mut effects = stage.effects.clone();
+        effects.push(screened.candidate.clone());
+        effects
+    };
+    let mut quick: Vec<(&Screened, Stage)> = contenders
+        .par_iter()
+        .filter_map(|screened| Some((*screened, Stage::quick(prepared, with(screened)).ok()?)))
+        .filter(|(_, stage)| stage.is_possible(recordings))
+        .collect();
+    quick.sort_by(|a, b| {
+        a.1.fitted_mean_square()
+            .total_cmp(&b.1.fitted_mean_square())
+    });
+    let Some((best, first)) = quick.first() else {
+        return Ok(None);
+    };
+    let split = prepared.split(&first.effects);
+    let winner = Stage::new(prepared, first.effects.clone(), split, options)?;
+    let before = match split == stage.fit.split {
+        true => None,
+        false => Some(Stage::new(prepared, stage.effects.clone(), split, options)?),
+    };
+    let before = before.as_ref().unwrap_or(stage);
+    let gain = 1.0 - winner.mean_square() / before.mean_square();
+    if gain <= LEAST_GAIN || !winner.wins(before) {
+        return Ok(None);
+    }
+    // What comes close is tied until the end, when nothing larger stands in the way of telling.
+    let near = |other: &Stage| {
+        let (old, won) = (stage.fitted_mean_square(), first.fitted_mean_square());
+        other.fitted_mean_square() - won <= NEAR * (old - won)
+    };
+    let others = || quick[1..].iter();
+    let named = |keep: bool| -> Vec<Addition> {
+        let of = others().filter(|(_, other)| near(other) == keep);
+        of.map(|(screened, _)| screened.candidate.clone()).collect()
+    };
+    let step = Step {
+        chosen: best.candidate.clone(),
+        tied: named(true),
+        shadows: named(false),
+        gain,
+        p_adjusted: best.p_adjusted,
+        z_typical: best.evidence.z_typical,
+    };
+    Ok(Some((step, winner)))
+}
+
+/// Tells the members of tied sets apart in the last model, where nothing larger hides the difference: a
+/// tie remains where another member leaves as little in some part left out, or hardly more in all.
+fn retell(
+    prepared: &Prepared,
+    selection: &mut Selection,
+    options: Options,
+    said: &dyn Fn(&str),
+) -> Result<()> {
+    let recordings = prepared.rows.first().map_or(0, |rows| rows.parts.len());
+    for i in 0..selection.steps.len() {
+        if selection.steps[i].tied.is_empty() {
+            continue;
+        }
+        said("telling ties apart");
+        let step = &selection.steps[i];
+        let Some(last) = selection.stages.last() else {
+            return Ok(());
+        };
+        let instead = |other: &Addition| {
+            let swap = |effect: &Addition| match effect == &step.chosen {
+                true => other.clone(),
+                false => effect.clone(),
+            };
+            last.effects.iter().map(swap).collect::<Vec<_>>()
+        };
+        let mut others: Vec<(Addition, Stage)> = Vec::new();
+        for other in &step.tied {
+            let split = last.fit.split;
+            if let Ok(stage) = Stage::new(prepared, instead(other), split, options)
+                && stage.is_possible(recordings)
+            {
+                others.push((other.clone(), stage));
+            }
+        }
+        others.sort_by(|a, b| a.1.mean_square().total_cmp(&b.1.mean_square()));
+        // The best of all stands for the set.
+        let better = others
+            .first()
+            .is_some_and(|(_, s)| s.mean_square() < last.mean_square());
+        let chosen = step.chosen.clone();
+        let (stands, stage) = match better {
+            true => others.remove(0),
+            false => (
+                chosen.clone(),
+                Stage {
+                    effects: last.effects.clone(),
+                    fit: last.fit.clone(),
+                },
+            ),
+        };
+        if better {
+            let old = Stage {
+                effects: last.effects.clone(),
+                fit: last.fit.clone(),
+            };
+            others.push((chosen, old));
+        }
+        let told = |other: &Stage| {
+            stage.wins(other) && other.mean_square() > (1.0 + TOLD) * stage.mean_square()
+        };
+        let (apart, tied): (Vec<_>, Vec<_>) = others.into_iter().partition(|(_, s)| told(s));
+        let plain = |list: Vec<(Addition, Stage)>| list.into_iter().map(|(a, _)| a);
+        let step = &mut selection.steps[i];
+        step.chosen = stands;
+        step.tied = plain(tied).collect();
+        step.shadows.extend(plain(apart));
+        if let Some(last) = selection.stages.last_mut() {
+            *last = stage;
+        }
+    }
+    Ok(())
+}
+
+/// What a fitted model leaves, with everything that it may depend on.
+pub fn residuals(campaign: &Campaign, prepared: &Prepared, stage: &Stage) -> Vec<SensorColumns> {
+    let covariates = campaign.recordings.first().map_or_else(Vec::new, all);
+    let mut effects = stage.effects.clone();
+    effects.sort_by_key(Addition::stage);
+    (0..prepared.rows.len())
+        .into_par_iter()
+        .map(|s| {
+            let (rows, base, fit) = (&prepared.rows[s], &prepared.bases[s], &stage.fit.sensors[s]);
+            let mut columns = SensorColumns::new(rows.sensor, &covariates);
+            let recordings = rows.parts.len();
+            let mut at = fit.base_count;
+            let values: Vec<(&Addition, &[f64])> = effects
+                .iter()
+                .map(|effect| {
+                    let from = at;
+                    at += effect.parameters(recordings).len();
+                    (effect, &fit.values[from..at])
+                })
+                .collect();
+            let [kx, kz] = base.stiffness(&fit.values);
+            let linear = base.linear(&fit.values[..fit.base_count]);
+            let mut unused = vec![Vector3::zeros(); fit.base_count];
+            for (place, part) in rows.parts.iter().enumerate() {
+                let states = Series::of(&part.track, [kx, kz], &values).states;
+                let (mut left, mut floor) = (Vec::new(), Vec::new());
+                for (row, state) in states.iter().enumerate() {
+                    let response = linear(state, &mut unused);
+                    left.push(part.field_g[row] - response.field_g);
+                    let per_newton = [
+                        response.per_mm.column(0) / kx,
+                        response.per_mm.column(2) / kz,
+                    ];
+                    floor.push(floor_squared(part, rows.slopes(&per_newton)));
+                }
+                columns.push(place, &part.track, &left, &floor, 1);
+            }
+            columns
+        })
+        .collect()
+}
+
+/// Length of a block: three times what the residual remembers.
+fn block_s(columns: &[SensorColumns]) -> f64 {
+    let mut longest = 0.0_f64;
+    for sensor in columns {
+        for axis in 0..3 {
+            let values: Vec<f64> = sensor.residual_g.iter().map(|r| r[axis]).collect();
+            let span = sensor.time_s.last().copied().unwrap_or(0.0);
+            let rows = sensor
+                .recording
+                .iter()
+                .filter(|r| Some(*r) == sensor.recording.last())
+                .count();
+            longest = longest.max(correlation_rows(&values) * span / rows.max(1) as f64);
+        }
+    }
+    // A dozen blocks at the least, or chance has no room.
+    let duration: f64 = columns.first().map_or(0.0, |sensor| {
+        sensor
+            .recording
+            .chunk_by(|a, b| a == b)
+            .map(<[u32]>::len)
+            .sum::<usize>() as f64
+            * sensor
+                .time_s
+                .get(1)
+                .map_or(0.01, |second| second - sensor.time_s[0])
+    });
+    (3.0 * longest).clamp(SHORTEST_BLOCK_S, (duration / 15.0).max(1.0))
+}
+
+fn located(columns: &[SensorColumns], block_s: f64) -> Vec<(Covariate, f64)> {
+    let ranked = Locator::new(columns, block_s).rank();
+    let Some(first) = columns.first() else {
+        return Vec::new();
+    };
+    let chosen = ranked.into_iter().filter(|found| found.chosen);
+    chosen
+        .map(|found| (first.covariates[found.covariate].of.clone(), found.share))
+        .collect()
+}
