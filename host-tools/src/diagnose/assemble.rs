@@ -5,7 +5,8 @@ use model_export::fit::size::{EffectSize, sizes};
 
 use super::candidates::Unjudged;
 use super::screening::Screened;
-use super::select::{COMPLETE, Selection, Stage, Step};
+use super::select::{COMPLETE, Selection, Step};
+use super::stage::Stage;
 use super::{Diagnosis, Kind, Stair, Unexplained, Verdict};
 use crate::compare::words::{AT_FLOOR, field};
 

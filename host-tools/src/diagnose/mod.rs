@@ -3,15 +3,19 @@
 //!
 //! - [`assemble`]: verdicts.
 //! - [`candidates`]: what may be missing, and what these recordings cannot judge.
+//! - [`left`]: what a model leaves.
 //! - [`screening`]: every candidate around one fitted model.
 //! - [`select`]: forward selection, one refit after the other.
+//! - [`stage`]: a model on the way.
 //!
 //! [`Diagnosis`] is everything that is known; terminal, report and `--json` only show it.
 
 pub mod assemble;
 pub mod candidates;
+pub mod left;
 pub mod screening;
 pub mod select;
+pub mod stage;
 
 use crate::compare::Finding;
 

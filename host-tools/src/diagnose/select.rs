@@ -2,23 +2,17 @@
 //! what explains the same as well is tied with it; then again, until nothing more is told from chance.
 
 use anyhow::Result;
-use model_export::effects::{Addition, Series};
+use model_export::effects::Addition;
 use model_export::fit::Options;
-use model_export::fit::blocks::correlation_rows;
 use model_export::fit::campaign::Prepared;
 use model_export::fit::evidence::Around;
-use model_export::fit::folds::Split;
-use model_export::fit::joint::JointFit;
-use model_export::fit::score::floor_squared;
-use model_export::fit::size::{EffectSize, sizes};
 use model_export::recordings::Campaign;
-use nalgebra::Vector3;
 use rayon::prelude::*;
 
+use super::left::{block_s, located, residuals};
 use super::screening::{LEAST_GAIN, Screened, screen};
-use crate::compare::covariate::{Covariate, all};
-use crate::compare::locate::Locator;
-use crate::compare::rows::SensorColumns;
+use super::stage::Stage;
+use crate::compare::covariate::Covariate;
 
 /// Steps at the most.
 const MOST_STEPS: usize = 6;
@@ -26,8 +20,6 @@ const MOST_STEPS: usize = 6;
 const CONTENDERS: usize = 5;
 /// Share of the best candidate's gain below which another is no contender.
 const CONTENDS: f64 = 0.3;
-/// Shortest block of the bootstrap in seconds.
-const SHORTEST_BLOCK_S: f64 = 5.0;
 /// While this many times the floor is left, something large is missing and names are provisional.
 pub const COMPLETE: f64 = 1.5;
 /// What takes away all but this share of what the best contender does is tied with it at first.
@@ -40,64 +32,6 @@ const TOLD: f64 = 0.002;
 const LOCATED: f64 = 0.3;
 /// See [`LOCATED`].
 const SMALL: f64 = 0.5;
-
-/// A model while effects are added to it.
-pub struct Stage {
-    /// All effects.
-    pub effects: Vec<Addition>,
-    /// Its fit.
-    pub fit: JointFit,
-}
-
-impl Stage {
-    /// Fitted and judged on what is left out.
-    fn new(
-        prepared: &Prepared,
-        effects: Vec<Addition>,
-        split: Split,
-        options: Options,
-    ) -> Result<Self> {
-        let fit = prepared.fit(&effects, split, options, |_| ())?;
-        Ok(Self { effects, fit })
-    }
-
-    /// Fitted and not judged: enough to order contenders.
-    fn quick(prepared: &Prepared, effects: Vec<Addition>) -> Result<Self> {
-        let options = Options { seed: 1, draws: 2 };
-        Self::new(prepared, effects, Split::Recordings(0), options)
-    }
-
-    /// Mean square over all channels on what was fitted, in gauss squared.
-    fn fitted_mean_square(&self) -> f64 {
-        let scores = || self.fit.sensors.iter().flat_map(|sensor| &sensor.scores);
-        let squares: f64 = scores().map(|score| score.fitted_rms_g.powi(2)).sum();
-        squares / scores().count().max(1) as f64
-    }
-
-    /// Held-out mean square over all channels, in gauss squared.
-    pub fn mean_square(&self) -> f64 {
-        self.fit.tally().mean_square()
-    }
-
-    /// Held-out error beside the floor.
-    pub fn floors(&self) -> f64 {
-        self.mean_square().sqrt() / self.fit.tally().floor_g()
-    }
-
-    fn wins(&self, before: &Self) -> bool {
-        let pairs = self.fit.folds().into_iter().zip(before.fit.folds());
-        pairs
-            .filter(|(_, old)| old.rows() > 0)
-            .all(|(new, old)| new.mean_square() < old.mean_square())
-    }
-
-    /// Whether every effect has a size that physics allows.
-    fn is_possible(&self, recordings: usize) -> bool {
-        sizes(&self.fit, &self.effects, recordings)
-            .iter()
-            .all(EffectSize::is_possible)
-    }
-}
 
 /// A step that was accepted.
 pub struct Step {
@@ -153,7 +87,7 @@ pub fn select(
         last: Vec::new(),
         located: Vec::new(),
         withheld: None,
-        block_s: SHORTEST_BLOCK_S,
+        block_s: 0.0,
         blocks: 0,
     };
     loop {
@@ -350,87 +284,4 @@ fn retell(
         }
     }
     Ok(())
-}
-
-/// What a fitted model leaves, with everything that it may depend on.
-pub fn residuals(campaign: &Campaign, prepared: &Prepared, stage: &Stage) -> Vec<SensorColumns> {
-    let covariates = campaign.recordings.first().map_or_else(Vec::new, all);
-    let mut effects = stage.effects.clone();
-    effects.sort_by_key(Addition::stage);
-    (0..prepared.rows.len())
-        .into_par_iter()
-        .map(|s| {
-            let (rows, base, fit) = (&prepared.rows[s], &prepared.bases[s], &stage.fit.sensors[s]);
-            let mut columns = SensorColumns::new(rows.sensor, &covariates);
-            let recordings = rows.parts.len();
-            let mut at = fit.base_count;
-            let values: Vec<(&Addition, &[f64])> = effects
-                .iter()
-                .map(|effect| {
-                    let from = at;
-                    at += effect.parameters(recordings).len();
-                    (effect, &fit.values[from..at])
-                })
-                .collect();
-            let [kx, kz] = base.stiffness(&fit.values);
-            let linear = base.linear(&fit.values[..fit.base_count]);
-            let mut unused = vec![Vector3::zeros(); fit.base_count];
-            for (place, part) in rows.parts.iter().enumerate() {
-                let states = Series::of(&part.track, [kx, kz], &values).states;
-                let (mut left, mut floor) = (Vec::new(), Vec::new());
-                for (row, state) in states.iter().enumerate() {
-                    let response = linear(state, &mut unused);
-                    left.push(part.field_g[row] - response.field_g);
-                    let per_newton = [
-                        response.per_mm.column(0) / kx,
-                        response.per_mm.column(2) / kz,
-                    ];
-                    floor.push(floor_squared(part, rows.slopes(&per_newton)));
-                }
-                columns.push(place, &part.track, &left, &floor, 1);
-            }
-            columns
-        })
-        .collect()
-}
-
-/// Length of a block: three times what the residual remembers.
-fn block_s(columns: &[SensorColumns]) -> f64 {
-    let mut longest = 0.0_f64;
-    for sensor in columns {
-        for axis in 0..3 {
-            let values: Vec<f64> = sensor.residual_g.iter().map(|r| r[axis]).collect();
-            let span = sensor.time_s.last().copied().unwrap_or(0.0);
-            let rows = sensor
-                .recording
-                .iter()
-                .filter(|r| Some(*r) == sensor.recording.last())
-                .count();
-            longest = longest.max(correlation_rows(&values) * span / rows.max(1) as f64);
-        }
-    }
-    // A dozen blocks at the least, or chance has no room.
-    let duration: f64 = columns.first().map_or(0.0, |sensor| {
-        sensor
-            .recording
-            .chunk_by(|a, b| a == b)
-            .map(<[u32]>::len)
-            .sum::<usize>() as f64
-            * sensor
-                .time_s
-                .get(1)
-                .map_or(0.01, |second| second - sensor.time_s[0])
-    });
-    (3.0 * longest).clamp(SHORTEST_BLOCK_S, (duration / 15.0).max(1.0))
-}
-
-fn located(columns: &[SensorColumns], block_s: f64) -> Vec<(Covariate, f64)> {
-    let ranked = Locator::new(columns, block_s).rank();
-    let Some(first) = columns.first() else {
-        return Vec::new();
-    };
-    let chosen = ranked.into_iter().filter(|found| found.chosen);
-    chosen
-        .map(|found| (first.covariates[found.covariate].of.clone(), found.share))
-        .collect()
 }

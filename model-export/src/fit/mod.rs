@@ -19,6 +19,7 @@
 //! - [`start`]: where the parameters of effects start from.
 //! - [`pool`]: what all sensors share.
 //! - [`size`]: how large an effect is over all sensors.
+//! - [`ground`]: where an effect is sought from.
 //! - [`joint`]: all sensors together, judged on what was kept out.
 //! - [`campaign`]: from a campaign to its fits.
 
@@ -27,6 +28,7 @@ pub mod blocks;
 pub mod campaign;
 pub mod evidence;
 pub mod folds;
+pub mod ground;
 pub mod joint;
 pub mod normal;
 pub mod orientation;

@@ -1,0 +1,68 @@
+//! A model on the way: its effects and its fit.
+
+use anyhow::Result;
+use model_export::effects::Addition;
+use model_export::fit::Options;
+use model_export::fit::campaign::Prepared;
+use model_export::fit::folds::Split;
+use model_export::fit::joint::JointFit;
+use model_export::fit::size::{EffectSize, sizes};
+
+/// A model while effects are added to it.
+pub struct Stage {
+    /// All effects.
+    pub effects: Vec<Addition>,
+    /// Its fit.
+    pub fit: JointFit,
+}
+
+impl Stage {
+    /// Fitted and judged on what is left out.
+    pub fn new(
+        prepared: &Prepared,
+        effects: Vec<Addition>,
+        split: Split,
+        options: Options,
+    ) -> Result<Self> {
+        let fit = prepared.fit(&effects, split, options, |_| ())?;
+        Ok(Self { effects, fit })
+    }
+
+    /// Fitted and not judged: enough to order contenders.
+    pub fn quick(prepared: &Prepared, effects: Vec<Addition>) -> Result<Self> {
+        let options = Options { seed: 1, draws: 2 };
+        Self::new(prepared, effects, Split::Recordings(0), options)
+    }
+
+    /// Mean square over all channels on what was fitted, in gauss squared.
+    pub fn fitted_mean_square(&self) -> f64 {
+        let scores = || self.fit.sensors.iter().flat_map(|sensor| &sensor.scores);
+        let squares: f64 = scores().map(|score| score.fitted_rms_g.powi(2)).sum();
+        squares / scores().count().max(1) as f64
+    }
+
+    /// Held-out mean square over all channels, in gauss squared.
+    pub fn mean_square(&self) -> f64 {
+        self.fit.tally().mean_square()
+    }
+
+    /// Held-out error beside the floor.
+    pub fn floors(&self) -> f64 {
+        self.mean_square().sqrt() / self.fit.tally().floor_g()
+    }
+
+    /// Whether every part left out is judged better than by `before`.
+    pub fn wins(&self, before: &Self) -> bool {
+        let pairs = self.fit.folds().into_iter().zip(before.fit.folds());
+        pairs
+            .filter(|(_, old)| old.rows() > 0)
+            .all(|(new, old)| new.mean_square() < old.mean_square())
+    }
+
+    /// Whether every effect has a size that physics allows.
+    pub fn is_possible(&self, recordings: usize) -> bool {
+        sizes(&self.fit, &self.effects, recordings)
+            .iter()
+            .all(EffectSize::is_possible)
+    }
+}
