@@ -1,7 +1,7 @@
 //! Which physical effect a model lacks: evidence, ties, what cannot be judged, and what no effect
 //! explains.
 //!
-//! - [`assemble`]: verdicts.
+//! - [`assemble`](mod@assemble): from a selection to verdicts.
 //! - [`candidates`]: what may be missing, and what these recordings cannot judge.
 //! - [`left`]: what a model leaves.
 //! - [`screening`]: every candidate around one fitted model.
