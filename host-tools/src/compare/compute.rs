@@ -127,6 +127,13 @@ fn beside(source: &Source, model: &ModelFile, additions: &[Addition]) -> Result<
 
 /// Holds one model against recordings that are sound.
 fn judge(path: &Path, model: &ModelFile, source: &Source, options: Options) -> Result<Comparison> {
+    let (fitted_ms, delay_ms) = (model.provenance.delay_ms, 1e-3 * source.alignment.delay_us);
+    if fitted_ms != delay_ms {
+        eprintln!(
+            "note: {} was fitted with --delay-ms {fitted_ms}, these recordings are read with {delay_ms}",
+            path.display()
+        );
+    }
     let plan = Plan::new(path, model, source, options)?;
     let mut seen = collect(&plan, source)?;
     let alignment = source.alignment;
