@@ -125,7 +125,7 @@ fn of_step(step: &Step, last: &Stage, recordings: usize, complete: bool) -> Vec<
         );
         verdict.reason = match step.tied.is_empty() {
             true => format!(
-                "without it {:.1} % more of the squared error left out remains",
+                "it takes {:.1} % of the squared error left out away",
                 100.0 * step.gain
             ),
             false => {
@@ -144,6 +144,7 @@ fn of_step(step: &Step, last: &Stage, recordings: usize, complete: bool) -> Vec<
     for effect in &step.shadows {
         let mut verdict = base(effect, Kind::Shadow);
         verdict.tied_with.clear();
+        (verdict.gain, verdict.p_adjusted, verdict.z_typical) = (f64::NAN, f64::NAN, f64::NAN);
         verdict.reason = format!(
             "it explains part of what {} explains better",
             all.join(" or ")
@@ -192,7 +193,8 @@ fn of_rest(screened: &Screened, complete: bool, unexplained: &[Unexplained]) -> 
     } else {
         let bound = format!(
             "at most {:.2} times its typical size (95 %)",
-            evidence.bound
+            // Rounded up: a bound of nothing would be a claim.
+            (100.0 * evidence.bound).ceil() / 100.0
         );
         (Kind::Absent, bound, String::new())
     };

@@ -54,7 +54,10 @@ fn verdicts(diagnosis: &Diagnosis) -> String {
         table.add_row([
             verdict.effect.clone(),
             word(verdict),
-            format!("{:.1} %", 100.0 * verdict.gain.max(0.0)),
+            match verdict.gain.is_nan() {
+                true => "-".to_owned(),
+                false => format!("{:.1} %", 100.0 * verdict.gain.max(0.0)),
+            },
             number(verdict.p_adjusted, 3),
             number(verdict.z_typical, 1),
             verdict.reason.clone(),
