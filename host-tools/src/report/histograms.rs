@@ -24,11 +24,12 @@ pub fn section(comparison: &Comparison) -> Markup {
     }
 }
 
-/// Percent of the rows in each bin.
+/// Percent of the rows for each newton, bin by bin: two models' bins differ in width.
 fn percents(histogram: &Histogram) -> Vec<f64> {
     let all: u64 = histogram.counts.iter().sum();
-    let percent = |count: &u64| 100.0 * *count as f64 / (all.max(1)) as f64;
-    histogram.counts.iter().map(percent).collect()
+    let widths = histogram.edges.windows(2).map(|edges| edges[1] - edges[0]);
+    let percent = |(count, width): (&u64, f64)| 100.0 * *count as f64 / (all.max(1)) as f64 / width;
+    histogram.counts.iter().zip(widths).map(percent).collect()
 }
 
 fn plot(comparison: &Comparison, histogram: &Histogram) -> Markup {
@@ -47,10 +48,13 @@ fn plot(comparison: &Comparison, histogram: &Histogram) -> Markup {
         models.iter().flat_map(|(_, h)| h.edges.iter().copied()),
     );
     let upwards = Along::bars(
-        "% of the rows",
+        "% of the rows for each N",
         models.iter().flat_map(|(_, h)| percents(h)),
     );
-    let says = format!("Histogram: {}, in percent of the rows.", histogram.of);
+    let says = format!(
+        "Histogram: {}, in percent of the rows for each newton.",
+        histogram.of
+    );
     let drawn = figure(SIZE, &says, |paper| draw(paper, &across, &upwards, &models));
     let entries = models.iter().enumerate().map(|(m, (role, _))| match m {
         0 => (Swatch::Full, *role, format!("A: {}", comparison.model)),
@@ -94,4 +98,22 @@ fn draw(
         chart.draw_series([PathElement::new(zero, stroke(palette::MUTED, 1.0))])?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_same_errors_in_wider_bins_stand_as_high() {
+        let of = |edges: Vec<f64>, counts: Vec<u64>| {
+            percents(&Histogram {
+                of: "error / N".to_owned(),
+                edges,
+                counts,
+            })
+        };
+        assert_eq!(of(vec![-1.0, 0.0, 1.0], vec![50, 50]), [50.0, 50.0]);
+        assert_eq!(of(vec![-1.0, 1.0], vec![100]), [50.0]);
+    }
 }
