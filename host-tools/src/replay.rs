@@ -8,6 +8,7 @@ use firmware::hall::{Reading, a31301};
 use firmware::params;
 use firmware::units::{Field, Force};
 use model_export::effects::REFERENCE_C;
+use model_export::inverse::build::Built;
 use model_export::inverse::compensation::OwnedCompensation;
 use model_export::inverse::grbf::Grbf;
 use model_export::inverse::quantise::TableSet;
@@ -101,6 +102,20 @@ pub struct Models<'a> {
     pub float: &'a [Grbf],
     /// Scale of a count.
     pub gauss_per_lsb: f64,
+}
+
+impl<'a> Models<'a> {
+    /// Everything that was built of a model.
+    pub fn of(built: &'a Built) -> Self {
+        Self {
+            numbers: &built.header.sensors,
+            tables: &built.chosen.tables,
+            compensations: &built.compensations,
+            design: built.model.design.as_ref(),
+            float: &built.chosen.models,
+            gauss_per_lsb: built.model.sensor_scale.gauss_per_lsb,
+        }
+    }
 }
 
 /// Where a sensor's columns are in a row.

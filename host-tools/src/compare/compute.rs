@@ -8,6 +8,7 @@ use model_export::fit::Options;
 use model_export::fit::blocks::correlation_rows;
 use model_export::fit::rows::SensorRows;
 use model_export::model_file::{ModelFile, Predictor};
+use model_export::recordings::Place;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::campaign::recording_folders;
 use model_export::recordings::columns::Axis;
@@ -66,9 +67,9 @@ pub fn compare(
     if findings.iter().any(|finding| finding.stops) {
         return Ok(stopped(findings));
     }
-    let mut comparison = judge(path, &model, &source, options)?;
+    let mut comparison = judge(path, &model, &source, &findings, options)?;
     if let Some(other) = other {
-        let judged = judge(other, &ModelFile::read(other)?, &source, options)?;
+        let judged = judge(other, &ModelFile::read(other)?, &source, &findings, options)?;
         comparison.other = Some(Box::new(judged));
     }
     if let Some(doubt) = words::doubt(&findings) {
@@ -126,7 +127,13 @@ fn beside(source: &Source, model: &ModelFile, additions: &[Addition]) -> Result<
 }
 
 /// Holds one model against recordings that are sound.
-fn judge(path: &Path, model: &ModelFile, source: &Source, options: Options) -> Result<Comparison> {
+fn judge(
+    path: &Path,
+    model: &ModelFile,
+    source: &Source,
+    findings: &[Finding],
+    options: Options,
+) -> Result<Comparison> {
     let (fitted_ms, delay_ms) = (model.provenance.delay_ms, 1e-3 * source.alignment.delay_us);
     if fitted_ms != delay_ms {
         eprintln!(
@@ -136,6 +143,14 @@ fn judge(path: &Path, model: &ModelFile, source: &Source, options: Options) -> R
     }
     let plan = Plan::new(path, model, source, options)?;
     let mut seen = collect(&plan, source)?;
+    // A finding tells of a column in all recordings at once: that is not told again.
+    let told = |place: &Place| {
+        let same =
+            |of: &Place| of.file.file_name() == place.file.file_name() && of.column == place.column;
+        findings.iter().any(|finding| same(&finding.place))
+    };
+    let untold = seen.notices.iter().filter(|notice| !told(&notice.place));
+    untold.for_each(|notice| eprintln!("note: {notice}"));
     let alignment = source.alignment;
     let device = forces(&plan, path, alignment, &seen.origins_s, &mut seen.traces)?;
     let columns: Vec<SensorColumns> = seen
@@ -237,7 +252,7 @@ fn located(
 }
 
 /// The longest integrated autocorrelation time of any channel, in seconds.
-fn correlation_s(columns: &[SensorColumns]) -> f64 {
+pub fn correlation_s(columns: &[SensorColumns]) -> f64 {
     let of_channel = |sensor: &SensorColumns, axis: usize| {
         let (mut sum, mut rows, mut at) = (0.0, 0.0, 0);
         for chunk in sensor.recording.chunk_by(|a, b| a == b) {

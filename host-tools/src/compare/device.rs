@@ -183,14 +183,7 @@ fn one(
             .get(*judge)
             .and_then(Option::as_ref)
             .ok_or_else(|| anyhow!("{}: no tables were built for it", planned.named.name))?;
-        let models = Models {
-            numbers: &built.header.sensors,
-            tables: &built.chosen.tables,
-            compensations: &built.compensations,
-            design: built.model.design.as_ref(),
-            float: &built.chosen.models,
-            gauss_per_lsb: built.model.sensor_scale.gauss_per_lsb,
-        };
+        let models = Models::of(built);
         let stream = RawStream::open(&planned.named.folder, &description, alignment)?;
         let mut seen: Vec<SensorOf> = Vec::new();
         let replayed = replay_watched(

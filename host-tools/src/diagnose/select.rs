@@ -59,8 +59,6 @@ pub struct Selection {
     pub last: Vec<Screened>,
     /// Covariates that what is left follows, with their shares of it.
     pub located: Vec<(Covariate, f64)>,
-    /// True where the best candidate was not named since something far larger is unexplained.
-    pub withheld: Option<String>,
     /// Length of the blocks in seconds, and how many.
     pub block_s: f64,
     /// See `block_s`.
@@ -86,7 +84,6 @@ pub fn select(
         )?],
         last: Vec::new(),
         located: Vec::new(),
-        withheld: None,
         block_s: 0.0,
         blocks: 0,
     };
@@ -110,16 +107,9 @@ pub fn select(
         let Some((step, next)) = contest(prepared, stage, &selection, options, said)? else {
             break;
         };
-        if let Some((covariate, share)) = selection.located.first() {
+        if let Some((_, share)) = selection.located.first() {
             let excess = 1.0 - stage.floors().powi(-2);
             if *share > LOCATED && stage.floors() > COMPLETE && step.gain < SMALL * share * excess {
-                selection.withheld = Some(format!(
-                    "{} would take {:.1} % away, and {:.0} % of what is left follows the {}",
-                    step.chosen.name(),
-                    100.0 * step.gain,
-                    100.0 * share,
-                    covariate.words
-                ));
                 break;
             }
         }

@@ -91,14 +91,7 @@ fn replayed(model: ModelFile, folder: &Path, alignment: Alignment) -> Result<(f6
         bytes.as_bytes(),
         Variant::Fitted,
     )?;
-    let models = Models {
-        numbers: &built.header.sensors,
-        tables: &built.chosen.tables,
-        compensations: &built.compensations,
-        design: built.model.design.as_ref(),
-        float: &built.chosen.models,
-        gauss_per_lsb: built.model.sensor_scale.gauss_per_lsb,
-    };
+    let models = Models::of(&built);
     let replays = replay_all(&[PathBuf::from(folder)], models, alignment)?;
     let left = built
         .left
