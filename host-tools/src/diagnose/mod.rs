@@ -2,20 +2,26 @@
 //! explains.
 //!
 //! - [`assemble`](mod@assemble): from a selection to verdicts.
+//! - [`backward`]: what a later step made needless.
 //! - [`candidates`]: what may be missing, and what these recordings cannot judge.
+//! - [`contest`]: the significant candidates fitted anew, the best one added.
 //! - [`left`]: what a model leaves.
 //! - [`screening`]: every candidate around one fitted model.
 //! - [`select`]: forward selection, one refit after the other.
 //! - [`stage`]: a model on the way.
+//! - [`ties`]: effects that explain the same, told apart.
 //!
 //! [`Diagnosis`] is everything that is known; terminal, report and `--json` only show it.
 
 pub mod assemble;
+pub mod backward;
 pub mod candidates;
+pub mod contest;
 pub mod left;
 pub mod screening;
 pub mod select;
 pub mod stage;
+pub mod ties;
 
 use crate::compare::Finding;
 

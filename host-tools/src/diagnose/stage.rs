@@ -28,19 +28,6 @@ impl Stage {
         Ok(Self { effects, fit })
     }
 
-    /// Fitted and not judged: enough to order contenders.
-    pub fn quick(prepared: &Prepared, effects: Vec<Addition>) -> Result<Self> {
-        let options = Options { seed: 1, draws: 2 };
-        Self::new(prepared, effects, Split::Recordings(0), options)
-    }
-
-    /// Mean square over all channels on what was fitted, in gauss squared.
-    pub fn fitted_mean_square(&self) -> f64 {
-        let scores = || self.fit.sensors.iter().flat_map(|sensor| &sensor.scores);
-        let squares: f64 = scores().map(|score| score.fitted_rms_g.powi(2)).sum();
-        squares / scores().count().max(1) as f64
-    }
-
     /// Held-out mean square over all channels, in gauss squared.
     pub fn mean_square(&self) -> f64 {
         self.fit.tally().mean_square()
@@ -49,6 +36,11 @@ impl Stage {
     /// Held-out error beside the floor.
     pub fn floors(&self) -> f64 {
         self.mean_square().sqrt() / self.fit.tally().floor_g()
+    }
+
+    /// Share of the squared error left out that it takes away from `before`.
+    pub fn gain(&self, before: &Self) -> f64 {
+        1.0 - self.mean_square() / before.mean_square()
     }
 
     /// Whether every part left out is judged better than by `before`.

@@ -61,7 +61,8 @@ fn field(values: &[f64], u: f64) -> Vector3<f64> {
             .map_or_else(Vector3::zeros, Vector3::from_column_slice)
     };
     let [near, tilt, far, stay] = [0, 1, 2, 3].map(three);
-    let fall = libm::pow(1.0 + u * u, -2.5);
+    let nearness = 1.0 / (1.0 + u * u);
+    let fall = nearness * nearness * nearness.sqrt();
     (near + tilt * u + far * (u * u)) * fall + stay * (0.5 + 0.5 * libm::tanh(u))
 }
 

@@ -49,10 +49,12 @@ fn local(at: f64, time_s: &[f64], values: &[f64]) -> (f64, f64) {
 pub fn stop(values: &[f64], reach: f64, start: f64) -> Vec<f64> {
     let mut last = values.first().copied().unwrap_or(0.0);
     let mut stretch = start.clamp(-1.0, 1.0) * reach;
+    let share = 1.0 / reach;
     let follow = |&value: &f64| {
-        stretch = (stretch + value - last).clamp(-reach, reach);
+        let step = value - last;
         last = value;
-        stretch / reach
+        stretch = (stretch + step).max(-reach).min(reach);
+        stretch * share
     };
     values.iter().map(follow).collect()
 }

@@ -240,6 +240,13 @@ impl Addition {
             .is_some_and(|effect| effect.lives_in_one_recording)
     }
 
+    /// True where what it does to a row's state depends on nothing but that row: no memory, and no
+    /// later effect reads what it changes.
+    pub fn is_pointwise(&self) -> bool {
+        let flexures_and_screw = self.stage() <= Stage::Flexure || self.stage() == Stage::Opening;
+        matches!(self, Self::Catalogue(_)) && !flexures_and_screw
+    }
+
     /// The effect of the catalogue that it is; `None` for a user's own.
     pub fn effect(&self) -> Option<&'static Effect> {
         match self {

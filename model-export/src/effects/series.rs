@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use super::Addition;
-use super::track::Track;
+use super::track::{Track, pick};
 use crate::physics::State;
 
 /// Where in the chain from force to field an effect acts. Effects are applied in this order.
@@ -75,6 +75,15 @@ impl Series {
             effect.apply(values, track, &mut series);
         }
         series
+    }
+
+    /// Only these rows of it, in this order.
+    pub fn at(&self, rows: &[usize]) -> Self {
+        Self {
+            force_n: pick(&self.force_n, rows),
+            opening_mm: pick(&self.opening_mm, rows),
+            states: pick(&self.states, rows),
+        }
     }
 
     /// Adds `term(row)` to the force of one axis (0 lateral, 1 longitudinal).

@@ -102,11 +102,6 @@ impl Track {
 
     /// Only these rows of it, in this order.
     pub fn at(&self, rows: &[usize]) -> Self {
-        fn pick<T: Copy>(values: &[T], rows: &[usize]) -> Vec<T> {
-            rows.iter()
-                .filter_map(|&row| values.get(row).copied())
-                .collect()
-        }
         Self {
             time_s: pick(&self.time_s, rows),
             force_n: pick(&self.force_n, rows),
@@ -145,6 +140,12 @@ impl Track {
             _ => self.covariates.get(name).cloned(),
         }
     }
+}
+
+/// The values at these rows; none where a column was not recorded.
+pub(super) fn pick<T: Copy>(values: &[T], rows: &[usize]) -> Vec<T> {
+    let found = rows.iter().filter_map(|&row| values.get(row));
+    found.copied().collect()
 }
 
 /// Covariates that every sensor has beside the recording's own columns: its two forces, its

@@ -1,5 +1,7 @@
 //! From a campaign to its fits.
 
+use std::sync::OnceLock;
+
 use rayon::prelude::*;
 
 use super::base::{Base, CylinderBase, PolynomialBase};
@@ -7,6 +9,7 @@ use super::folds::Split;
 use super::joint::{self, JointFit};
 use super::polynomial::{self, PolynomialFit};
 use super::rows::SensorRows;
+use super::sensor::State;
 use super::{AxisScore, FitError, Options, orientation};
 use crate::effects::Addition;
 use crate::physics::ForwardModel;
@@ -48,6 +51,8 @@ pub struct Prepared {
     pub polynomials: Vec<PolynomialFit>,
     /// Sensors that could not be fitted.
     pub notices: Vec<Notice>,
+    /// The fits of the bases alone, once they were needed.
+    alone: OnceLock<Vec<State>>,
 }
 
 impl Prepared {
@@ -82,6 +87,7 @@ impl Prepared {
             rows,
             design: Some(design.clone()),
             polynomials: Vec::new(),
+            alone: OnceLock::new(),
         })
     }
 
@@ -118,6 +124,7 @@ impl Prepared {
             design: None,
             polynomials,
             notices: Vec::new(),
+            alone: OnceLock::new(),
         })
     }
 
@@ -130,7 +137,22 @@ impl Prepared {
         options: Options,
         done: impl Fn(u32) + Sync,
     ) -> Result<JointFit, FitError> {
-        joint::fit(&self.rows, &self.bases, effects, split, options, done)
+        let alone = match self.alone.get() {
+            Some(alone) => alone,
+            None => {
+                let alone = joint::bases(&self.rows, &self.bases)?;
+                self.alone.get_or_init(|| alone)
+            }
+        };
+        joint::fit(
+            &self.rows,
+            &self.bases,
+            alone,
+            effects,
+            split,
+            options,
+            done,
+        )
     }
 
     /// How a fit with these effects is judged.

@@ -126,13 +126,14 @@ impl<'a> Around<'a> {
                 let rows = &self.prepared.rows[s];
                 let problem = SensorProblem::new(rows, self.prepared.bases[s].as_ref(), &effects);
                 let values = self.spread(&problem, place, &self.values[s]);
-                Seeker::upon(self.sensors[s].ground.clone(), problem, values)
+                Seeker::upon(self.sensors[s].coarse.clone(), problem, values)
             })
             .collect();
         seek_beside(&mut seekers, place);
         let answers: Vec<DMatrix<f64>> = seekers
-            .par_iter()
-            .map(|seeker| seeker.answers(place))
+            .into_par_iter()
+            .zip(&self.sensors)
+            .map(|(seeker, sensor)| seeker.moved_to(sensor.ground.clone()).answers(place))
             .collect();
         let within = usize::from(candidate.lives_in_one_recording());
         let count = answers.first()?.ncols();

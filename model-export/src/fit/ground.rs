@@ -6,6 +6,7 @@ use nalgebra::{DMatrix, DVector, Vector3};
 
 use super::normal::Normals;
 use super::problem::SensorProblem;
+use crate::effects::{Addition, Series, Track};
 use crate::physics::{Response, State};
 
 /// Where an effect is sought from: the rows that take part, what is left in them, and the answers of
@@ -18,6 +19,8 @@ pub struct Ground {
     /// The rows with their states and responses, recording by recording. While an effect is sought its
     /// coefficients are zero, so that they hold throughout.
     pub(super) rows: Arc<Vec<Vec<(usize, State, Response)>>>,
+    /// What the same rows met, recording by recording, and their state.
+    met: Arc<Vec<(Track, Series)>>,
 }
 
 impl Ground {
@@ -31,24 +34,28 @@ impl Ground {
     ) -> Self {
         let departures = problem.departures(values);
         let (mut residual, mut columns) = (Vec::new(), Vec::new());
-        let (mut ends, mut rows) = (Vec::new(), Vec::new());
+        let (mut ends, mut rows, mut met) = (Vec::new(), Vec::new(), Vec::new());
         let at = problem.base.linear(&values[..problem.base_count]);
         let mut unused = vec![Vector3::zeros(); problem.base_count];
-        for part in 0..problem.rows.parts.len() {
+        for (part, of) in problem.rows.parts.iter().enumerate() {
             let linear = problem.linear(part, &departures);
-            let states = problem.states(part, values);
-            let mut of_part = Vec::new();
-            for row in picked(problem.rows.parts[part].len(), per_recording) {
-                let error = problem.rows.parts[part].field_g[row] - linear.fields[row];
+            let series = problem.series(part, values);
+            let picked: Vec<usize> = picked(of.len(), per_recording).collect();
+            for &row in &picked {
+                let error = of.field_g[row] - linear.fields[row];
                 for axis in 0..3 {
                     residual.push(error[axis] * problem.weights[axis]);
                     let row = linear.jacobian.row(3 * row + axis);
                     columns.extend(fixed.iter().map(|&slot| row[slot] * problem.weights[axis]));
                 }
-                of_part.push((row, states[row], at(&states[row], &mut unused)));
             }
+            let response = |&row: &usize| {
+                let state = series.states[row];
+                (row, state, at(&state, &mut unused))
+            };
+            rows.push(picked.iter().map(response).collect());
             ends.push(residual.len());
-            rows.push(of_part);
+            met.push((of.track.at(&picked), series.at(&picked)));
         }
         let fixed = DMatrix::from_row_slice(residual.len(), fixed.len(), &columns);
         let residual = DVector::from_vec(residual);
@@ -56,7 +63,42 @@ impl Ground {
             normals: Arc::new(Normals::new(fixed, residual.clone(), &ends)),
             residual,
             rows: Arc::new(rows),
+            met: Arc::new(met),
         }
+    }
+
+    /// Every so-manieth row of it.
+    pub fn thinned(&self, step: usize) -> Self {
+        let (mut entries, mut ends) = (Vec::new(), Vec::new());
+        let (mut rows, mut met) = (Vec::new(), Vec::new());
+        let mut start = 0;
+        for (of, (track, series)) in self.rows.iter().zip(self.met.iter()) {
+            let kept: Vec<usize> = (0..of.len()).step_by(step.max(1)).collect();
+            let first = |row: &usize| start + 3 * row;
+            entries.extend(kept.iter().flat_map(|row| first(row)..first(row) + 3));
+            ends.push(entries.len());
+            rows.push(kept.iter().map(|&row| of[row]).collect());
+            met.push((track.at(&kept), series.at(&kept)));
+            start += 3 * of.len();
+        }
+        let residual = self.residual.select_rows(&entries);
+        let fixed = self.fixed().select_rows(&entries);
+        Self {
+            normals: Arc::new(Normals::new(fixed, residual.clone(), &ends)),
+            residual,
+            rows: Arc::new(rows),
+            met: Arc::new(met),
+        }
+    }
+
+    /// States of a recording's rows with an effect whose coefficients are zero in the ground.
+    pub fn with(&self, part: usize, effect: &Addition, values: &[f64]) -> Vec<State> {
+        let Some((track, series)) = self.met.get(part) else {
+            return Vec::new();
+        };
+        let mut series = series.clone();
+        effect.apply(values, track, &mut series);
+        series.states
     }
 
     /// What is left, weighted: x, y, z of one row after the other.

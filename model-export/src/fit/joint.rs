@@ -103,11 +103,21 @@ impl JointFit {
     }
 }
 
-/// Fits every sensor with its base and the effects (in any order). `split` says how it is judged;
-/// `done` is called after each sensor, from any thread.
+/// The fit of each sensor's base alone, from which effects depart.
+pub fn bases(rows: &[SensorRows], bases: &[Box<dyn Base>]) -> Result<Vec<State>, FitError> {
+    let pairs: Vec<_> = rows.iter().zip(bases).collect();
+    pairs
+        .par_iter()
+        .map(|(rows, base)| sensor::first(&SensorProblem::new(rows, base.as_ref(), &[])))
+        .collect()
+}
+
+/// Fits every sensor with its base, whose fit alone is `alone`, and the effects (in any order).
+/// `split` says how it is judged; `done` is called after each sensor, from any thread.
 pub fn fit(
     rows: &[SensorRows],
     bases: &[Box<dyn Base>],
+    alone: &[State],
     effects: &[Addition],
     split: Split,
     options: Options,
@@ -115,15 +125,11 @@ pub fn fit(
 ) -> Result<JointFit, FitError> {
     let mut effects = effects.to_vec();
     effects.sort_by_key(Addition::stage);
-    let pairs: Vec<_> = rows.iter().zip(bases).collect();
-    let alone = pairs
-        .par_iter()
-        .map(|(rows, base)| {
-            let problem = SensorProblem::new(rows, base.as_ref(), &[]);
-            let state = sensor::first(&problem)?;
-            Ok((problem, state))
-        })
-        .collect::<Result<Vec<_>, FitError>>()?;
+    let problems = rows
+        .iter()
+        .zip(bases)
+        .map(|(rows, base)| SensorProblem::new(rows, base.as_ref(), &[]));
+    let alone: Started = problems.zip(alone.iter().cloned()).collect();
     let folds = match effects.is_empty() {
         true => {
             let (problems, states): (Vec<_>, Vec<_>) = alone.into_iter().unzip();

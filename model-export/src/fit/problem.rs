@@ -136,6 +136,11 @@ impl<'a> SensorProblem<'a> {
 
     /// The states over a recording.
     pub fn states(&self, part: usize, values: &[f64]) -> Vec<State> {
+        self.series(part, values).states
+    }
+
+    /// Forces, opening and states over a recording.
+    pub fn series(&self, part: usize, values: &[f64]) -> Series {
         let effects: Vec<(&Addition, &[f64])> = self
             .effects
             .iter()
@@ -147,7 +152,6 @@ impl<'a> SensorProblem<'a> {
             self.base.stiffness(values),
             &effects,
         )
-        .states
     }
 
     /// Modelled fields over a recording.

@@ -19,7 +19,7 @@ use super::folds::{Fold, Stretch, everything, stretches};
 use super::problem::SensorProblem;
 use super::rows::SensorRows;
 use super::score::Tally;
-use super::solve::solve;
+use super::solve::{NEAR, THERE, solve, weighted};
 use super::space::{Space, inflation};
 use super::{FitError, Options};
 
@@ -48,7 +48,7 @@ pub fn first(problem: &SensorProblem) -> Result<State, FitError> {
     let start = DVector::zeros(problem.slots.len());
     let all = everything(problem.rows);
     let low = problem.weights / FIRST_INFLATION.sqrt();
-    let first = solve(problem, &all, low, &whole, &start)?;
+    let first = solve(problem, &all, low, &whole, &start, NEAR)?;
     let (_, blocks) = linearised(problem, &first);
     let second = solve(
         problem,
@@ -56,6 +56,7 @@ pub fn first(problem: &SensorProblem) -> Result<State, FitError> {
         problem.weights / inflation(&blocks).sqrt(),
         &whole,
         &first,
+        NEAR,
     )?;
     settle(problem, &second, &[])
 }
@@ -68,7 +69,7 @@ pub fn approach(problem: &SensorProblem, start: &DVector<f64>) -> Result<DVector
     for _ in 0..2 {
         let (_, blocks) = linearised(problem, &departures);
         let weights = problem.weights / inflation(&blocks).sqrt();
-        departures = solve(problem, &all, weights, &whole, &departures)?;
+        departures = solve(problem, &all, weights, &whole, &departures, NEAR)?;
     }
     Ok(departures)
 }
@@ -90,7 +91,8 @@ pub fn settle(
             reason: "these recordings tell none of its parameters".to_owned(),
         });
     }
-    let departures = solve(problem, &everything(problem.rows), weights, &space, start)?;
+    let all = everything(problem.rows);
+    let departures = solve(problem, &all, weights, &space, start, THERE)?;
     let (length_s, blocks) = linearised(problem, &departures);
     Ok(State {
         departures,
@@ -109,7 +111,7 @@ impl State {
         training: &[Stretch],
         start: &DVector<f64>,
     ) -> Result<DVector<f64>, FitError> {
-        solve(problem, training, self.weights, &self.space, start)
+        solve(problem, training, self.weights, &self.space, start, THERE)
     }
 
     /// The same with these parameters, frozen so far, free to move.
@@ -154,22 +156,7 @@ pub fn held_out(problem: &SensorProblem, fold: &Fold, departures: &DVector<f64>)
 fn linearised(problem: &SensorProblem, departures: &DVector<f64>) -> (f64, Vec<Block>) {
     let rows: &SensorRows = problem.rows;
     let evaluated: Vec<(DMatrix<f64>, Vec<f64>)> = (0..rows.parts.len())
-        .map(|part| {
-            let linear = problem.linear(part, departures);
-            let mut jacobian = linear.jacobian;
-            for mut column in jacobian.column_iter_mut() {
-                column
-                    .iter_mut()
-                    .enumerate()
-                    .for_each(|(i, value)| *value *= problem.weights[i % 3]);
-            }
-            let residuals = rows.parts[part].field_g.iter().zip(&linear.fields);
-            let residuals = residuals.flat_map(|(field, modelled)| {
-                let weighted = (field - modelled).component_mul(&problem.weights);
-                [weighted.x, weighted.y, weighted.z]
-            });
-            (jacobian, residuals.collect())
-        })
+        .map(|part| weighted(problem, part, departures, &problem.weights))
         .collect();
     let length_s = blocks::length_s(rows, |part, axis| {
         evaluated[part]
@@ -185,7 +172,7 @@ fn linearised(problem: &SensorProblem, departures: &DVector<f64>) -> (f64, Vec<B
         for range in stretches(&part.time_s, length_s) {
             let rows = 3 * range.start..3 * range.end;
             list.push(Block::of(
-                &jacobian.rows(rows.start, rows.len()).into_owned(),
+                jacobian.rows_range(rows.clone()),
                 &residuals[rows],
             ));
         }

@@ -12,6 +12,7 @@ use super::ground::Ground;
 use super::normal::{left_by, left_out_by};
 use super::problem::SensorProblem;
 use crate::effects::{Kind, Parameter};
+use crate::physics::State;
 
 /// Rows of one recording that take part in the search.
 const ROWS: usize = 400;
@@ -59,6 +60,11 @@ impl<'a> Seeker<'a> {
         }
     }
 
+    /// The same with what was found, upon other rows.
+    pub fn moved_to(self, ground: Ground) -> Self {
+        Self::upon(ground, self.problem, self.values)
+    }
+
     /// Answers of the coefficients of `effect` at the shapes found, weighted, by departure.
     pub fn answers(&self, effect: usize) -> DMatrix<f64> {
         let slots = coefficients(&self.problem, effect);
@@ -79,10 +85,10 @@ impl<'a> Seeker<'a> {
                 let step = 1e-3 * problem.slots[slot].scale.abs().max(1e-9);
                 let mut moved = values.to_vec();
                 moved[slot] += step;
-                let moved = problem.states(part, &moved);
-                for (i, (row, state, response)) in rows.iter().enumerate() {
+                let moved = self.states(part, slot, &moved);
+                for (i, ((_, state, response), moved)) in rows.iter().zip(&moved).enumerate() {
                     let change = response
-                        .change(state, &moved[*row])
+                        .change(state, moved)
                         .component_mul(&problem.weights)
                         / step;
                     (0..3).for_each(|axis| columns[(at + 3 * i + axis, column)] = change[axis]);
@@ -91,6 +97,19 @@ impl<'a> Seeker<'a> {
             at += 3 * rows.len();
         }
         columns
+    }
+
+    /// States of a recording's rows where the parameter of one slot was moved.
+    fn states(&self, part: usize, slot: usize, moved: &[f64]) -> Vec<State> {
+        let ranges = self.problem.ranges().into_iter();
+        let mut of_effects = self.problem.effects.iter().zip(ranges);
+        let own = of_effects.find(|(_, range)| range.contains(&slot));
+        if let Some((effect, range)) = own.filter(|(effect, _)| effect.is_pointwise()) {
+            return self.ground.with(part, effect, &moved[range]);
+        }
+        let states = self.problem.states(part, moved);
+        let rows = self.ground.rows[part].iter();
+        rows.map(|(row, ..)| states[*row]).collect()
     }
 
     /// Squared residual that is left beside the other effects by the coefficients of `effect`, with its

@@ -7,9 +7,14 @@ use nalgebra::{DMatrix, DVector};
 
 use super::super::ground::Ground;
 
+/// Every so-manieth row takes part in the search of shapes.
+const COARSE: usize = 4;
+
 /// One sensor: what is left and what it answers to.
 pub(super) struct Sensor {
     pub(super) ground: Ground,
+    /// Fewer rows, for the search of shapes.
+    pub(super) coarse: Ground,
     /// Inverse of the fixed columns' products, prior included.
     inverse: DMatrix<f64>,
     /// For each row (three entries of the residual): its block, and its part of each kind of split.
@@ -27,6 +32,7 @@ impl Sensor {
         let normal = fixed.tr_mul(fixed);
         Self {
             inverse: inverse(normal, prior),
+            coarse: ground.thinned(COARSE),
             ground,
             block,
             parts,
