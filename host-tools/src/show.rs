@@ -6,6 +6,8 @@ use comfy_table::{CellAlignment, ContentArrangement, LineStyle, Table, TableStyl
 
 /// Widest line that is printed.
 pub const WIDTH: u16 = 100;
+/// Width of a page that is read rather than looked up: that of a terminal as it opens.
+pub const NARROW: u16 = 80;
 
 /// A rule under the heads and at the end: the rows themselves need none.
 const STYLE: TableStyle = TableStyle::new()
@@ -39,8 +41,13 @@ pub fn page(text: &str) -> std::io::Result<()> {
 
 /// Text broken into lines of the page's width, as far as its first line is set in.
 pub fn paragraph(text: &str) -> String {
+    wrapped(text, WIDTH)
+}
+
+/// The same in lines of this width.
+pub fn wrapped(text: &str, width: u16) -> String {
     let indent = " ".repeat(text.len() - text.trim_start().len());
-    let options = textwrap::Options::new(usize::from(WIDTH)).subsequent_indent(&indent);
+    let options = textwrap::Options::new(usize::from(width)).subsequent_indent(&indent);
     textwrap::fill(text, options) + "\n"
 }
 

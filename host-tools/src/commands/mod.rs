@@ -1,6 +1,7 @@
 //! One file for each command, and what several share.
 
 pub mod add;
+pub mod beside;
 pub mod change;
 pub mod clocks;
 pub mod compare;

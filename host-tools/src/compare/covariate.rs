@@ -53,7 +53,7 @@ const fn covariate(
 }
 
 /// What every gripper may have.
-const KNOWN: [Covariate; 24] = [
+static KNOWN: [Covariate; 24] = [
     quantity("fx_n", "lateral force", "N"),
     quantity("fz_n", "longitudinal force", "N"),
     quantity("force_n", "size of the force", "N"),
@@ -90,6 +90,11 @@ const DEADBAND: f64 = 0.1;
 
 /// Seconds over which the rate of a temperature is taken: far above its steps, below its swings.
 const TEMPERATURE_RATE_S: f64 = 4.0;
+
+/// Those that any gripper may have.
+pub fn known() -> &'static [Covariate] {
+    &KNOWN
+}
 
 /// Every covariate that is looked at: those that any gripper may have, and those that the recording
 /// declares.

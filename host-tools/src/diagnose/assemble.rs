@@ -9,9 +9,14 @@ use super::select::{COMPLETE, Selection, Step};
 use super::stage::Stage;
 use super::{Diagnosis, Kind, Stair, Unexplained, Verdict};
 use crate::compare::words::{AT_FLOOR, field};
+use super::words::SEE_BELOW;
+use crate::show;
 
 /// A typical size fewer error bars than this from nothing cannot be judged.
 const JUDGEABLE: f64 = 4.0;
+
+/// A reason of more letters than this is no cell of a table.
+const LONGEST: usize = 40;
 
 /// Verdicts on every candidate, and what they come to.
 pub fn assemble(selection: &Selection, unjudged: &[Unjudged], recordings: usize) -> Diagnosis {
@@ -111,6 +116,7 @@ fn of_step(step: &Step, last: &Stage, recordings: usize, complete: bool) -> Vec<
         unit: effect.size().unit.to_owned(),
         z_typical: step.z_typical,
         reason: String::new(),
+        short: String::new(),
         record: String::new(),
     };
     let mut verdicts = Vec::new();
@@ -133,11 +139,18 @@ fn of_step(step: &Step, last: &Stage, recordings: usize, complete: bool) -> Vec<
                 "each of them explains the same: these recordings do not tell which".to_owned()
             }
         };
+        if !step.tied.is_empty() {
+            verdict.short = format!("or {}", verdict.tied_with.join(", "));
+        }
         if *effect == step.chosen
             && let Some(size) = size
         {
             (verdict.value, verdict.std_error) = (size.value, size.std_error);
             verdict.reason += &unusual(size);
+            if step.tied.is_empty() {
+                let value = show::with_error(size.value, size.std_error, size.value.abs());
+                verdict.short = format!("{value} {}", size.size.unit);
+            }
         }
         verdicts.push(verdict);
     }
@@ -149,6 +162,7 @@ fn of_step(step: &Step, last: &Stage, recordings: usize, complete: bool) -> Vec<
             "it explains part of what {} explains better",
             all.join(" or ")
         );
+        verdict.short = format!("part of {}", step.chosen.name());
         verdicts.push(verdict);
     }
     verdicts
@@ -170,7 +184,7 @@ fn of_rest(screened: &Screened, complete: bool, unexplained: &[Unexplained]) -> 
     let record = effect
         .effect()
         .map_or_else(String::new, |effect| effect.record.to_owned());
-    let (kind, reason, record) = if !complete {
+    let (kind, reason, short, record) = if !complete {
         let what = match unexplained.first() {
             Some(first) => format!(
                 "{:.0} % of what is left follows the {}",
@@ -182,6 +196,7 @@ fn of_rest(screened: &Screened, complete: bool, unexplained: &[Unexplained]) -> 
         (
             Kind::NotJudgeable,
             format!("{what}, and no effect explains that: it stands in the way"),
+            "too much is unexplained".to_owned(),
             record,
         )
     } else if evidence.z_typical < JUDGEABLE {
@@ -189,19 +204,22 @@ fn of_rest(screened: &Screened, complete: bool, unexplained: &[Unexplained]) -> 
             "a typical size would stand {:.1} error bars out of what these recordings show",
             evidence.z_typical
         );
-        (Kind::NotJudgeable, why, record)
+        let short = "too small to show here".to_owned();
+        (Kind::NotJudgeable, why, short, record)
     } else {
-        let bound = format!(
-            "at most {:.2} times its typical size (95 %)",
-            // Rounded up: a bound of nothing would be a claim.
-            (100.0 * evidence.bound).ceil() / 100.0
-        );
-        (Kind::Absent, bound, String::new())
+        // Rounded up: a bound of nothing would be a claim.
+        let bound = (100.0 * evidence.bound).ceil() / 100.0;
+        (
+            Kind::Absent,
+            format!("at most {bound:.2} times its typical size (95 %)"),
+            format!("at most {bound:.2} of typical"),
+            String::new(),
+        )
     };
     Verdict {
         effect: effect.name().to_owned(),
         kind,
-        provisional: false,
+        provisional: !complete,
         tied_with: Vec::new(),
         gain: evidence.gain(),
         p_adjusted: screened.p_adjusted,
@@ -210,6 +228,7 @@ fn of_rest(screened: &Screened, complete: bool, unexplained: &[Unexplained]) -> 
         unit: effect.size().unit.to_owned(),
         z_typical: evidence.z_typical,
         reason,
+        short,
         record,
     }
 }
@@ -227,6 +246,10 @@ fn of_unjudged(unjudged: &Unjudged) -> Verdict {
         unit: String::new(),
         z_typical: 0.0,
         reason: unjudged.why.clone(),
+        short: match unjudged.why.len() <= LONGEST {
+            true => unjudged.why.clone(),
+            false => SEE_BELOW.to_owned(),
+        },
         record: unjudged.record.clone(),
     }
 }

@@ -22,13 +22,22 @@ const FEWEST_BLOCKS: f64 = 15.0;
 /// What a fitted model leaves, with everything that it may depend on.
 pub fn residuals(campaign: &Campaign, prepared: &Prepared, stage: &Stage) -> Vec<SensorColumns> {
     let covariates = campaign.recordings.first().map_or_else(Vec::new, all);
+    residuals_beside(prepared, stage, &covariates)
+}
+
+/// What a fitted model leaves, beside these covariates.
+pub fn residuals_beside(
+    prepared: &Prepared,
+    stage: &Stage,
+    covariates: &[Covariate],
+) -> Vec<SensorColumns> {
     let mut effects = stage.effects.clone();
     effects.sort_by_key(Addition::stage);
     (0..prepared.rows.len())
         .into_par_iter()
         .map(|s| {
             let (rows, base, fit) = (&prepared.rows[s], &prepared.bases[s], &stage.fit.sensors[s]);
-            let mut columns = SensorColumns::new(rows.sensor, &covariates);
+            let mut columns = SensorColumns::new(rows.sensor, covariates);
             let problem = SensorProblem::new(rows, base.as_ref(), &effects);
             let departures = problem.departures(&fit.values);
             for (place, part) in rows.parts.iter().enumerate() {

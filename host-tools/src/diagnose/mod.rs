@@ -6,10 +6,13 @@
 //! - [`candidates`]: what may be missing, and what these recordings cannot judge.
 //! - [`contest`]: the significant candidates fitted anew, the best one added.
 //! - [`left`]: what a model leaves.
+//! - [`next`]: the command to type next.
 //! - [`screening`]: every candidate around one fitted model.
 //! - [`select`]: forward selection, one refit after the other.
+//! - [`shape`]: what an effect takes away, over the covariate that it shows against.
 //! - [`stage`]: a model on the way.
 //! - [`ties`]: effects that explain the same, told apart.
+//! - [`words`]: what terminal and report both say.
 //!
 //! [`Diagnosis`] is everything that is known; terminal, report and `--json` only show it.
 
@@ -18,12 +21,17 @@ pub mod backward;
 pub mod candidates;
 pub mod contest;
 pub mod left;
+pub mod next;
 pub mod screening;
 pub mod select;
+pub mod shape;
 pub mod stage;
 pub mod ties;
+pub mod words;
 
 use crate::compare::Finding;
+pub use next::Next;
+pub use shape::Shape;
 
 /// What was found.
 #[derive(Clone, Debug, Default)]
@@ -44,6 +52,10 @@ pub struct Diagnosis {
     pub at_floor: bool,
     /// The held-out error with every step.
     pub staircase: Vec<Stair>,
+    /// What each step took away, in the order of the steps.
+    pub shapes: Vec<Shape>,
+    /// What to type next.
+    pub next: Next,
     /// One line in words.
     pub verdict: String,
     /// Blocks of time that the bootstrap had.
@@ -89,7 +101,8 @@ pub struct Verdict {
     pub effect: String,
     /// What is said of it.
     pub kind: Kind,
-    /// True where far more than noise stays unexplained: then names are provisional.
+    /// True where far more than noise stays unexplained: then names are provisional, and what stays
+    /// keeps all others from being judged.
     pub provisional: bool,
     /// The others that explain the same.
     pub tied_with: Vec<String>,
@@ -107,6 +120,8 @@ pub struct Verdict {
     pub z_typical: f64,
     /// Why, in one sentence.
     pub reason: String,
+    /// The same in few words, for a table; alike where the reasons are alike.
+    pub short: String,
     /// What to record to know better; empty where nothing is to be known.
     pub record: String,
 }

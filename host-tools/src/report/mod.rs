@@ -7,10 +7,12 @@
 //! - [`errors`] and [`tables`]: the errors by sensor; [`histograms`]: how often each size occurs.
 //! - [`overlay`]: measured and modelled over time; [`pack`]: its curves for the page's script.
 //! - [`located`], [`map`], [`worst`]: where the error lies.
+//! - [`diagnosis`]: the sections of a diagnosis.
 //! - [`origin`]: where all this comes from.
 //!
 //! The plots are drawn here and stand in the page as SVG; its script only zooms and switches.
 
+pub mod diagnosis;
 pub mod errors;
 pub mod findings;
 #[cfg(test)]
@@ -43,6 +45,8 @@ pub const MARK: &str = "<!-- report of magpie -->\n";
 /// A section that another command adds to the page.
 #[derive(Clone, Debug)]
 pub struct Section {
+    /// Where links find it.
+    pub id: &'static str,
     /// Its heading.
     pub heading: String,
     /// What stands below.
@@ -54,7 +58,7 @@ pub fn page(comparison: &Comparison) -> String {
     page_with(comparison, &[])
 }
 
-/// The whole page with more sections, which stand above the provenance.
+/// The whole page with more sections, which stand first after the summary: they say what to do.
 pub fn page_with(comparison: &Comparison, more: &[Section]) -> String {
     let page = html! {
         (DOCTYPE)
@@ -76,17 +80,16 @@ pub fn page_with(comparison: &Comparison, more: &[Section]) -> String {
                     (findings::section(comparison))
                     @if stopped(comparison) {
                         p.empty { "No figures: none would mean anything before this is mended." }
+                        @for section in more { (placed(section)) }
                     } @else {
                         (summary::section(comparison))
+                        @for section in more { (placed(section)) }
                         (errors::section(comparison))
                         (overlay::section(comparison))
                         (histograms::section(comparison))
                         (located::section(comparison))
                         (map::section(comparison))
                         (worst::section(comparison))
-                    }
-                    @for (i, section) in more.iter().enumerate() {
-                        section id=(format!("more-{i}")) { h2 { (section.heading) } (section.body) }
                     }
                     (origin::section(comparison))
                 }
@@ -97,24 +100,26 @@ pub fn page_with(comparison: &Comparison, more: &[Section]) -> String {
     MARK.to_owned() + &page.into_string()
 }
 
+fn placed(section: &Section) -> Markup {
+    html! { section id=(section.id) { h2 { (section.heading) } (section.body) } }
+}
+
 /// Where things are on a long page.
 fn links(more: &[Section]) -> Markup {
+    let more = more.iter().map(|s| (s.id, s.heading.as_str()));
+    let first = std::iter::once(("scale", "How good it is")).chain(more);
     let places = [
-        ("scale", "How good it is"),
         ("errors", "By sensor"),
         ("overlay", "Over time"),
         ("histograms", "Sizes of errors"),
         ("located", "Where the error lies"),
         ("map", "Map"),
         ("worst", "Worst stretches"),
+        ("origin", "Origin"),
     ];
     html! {
         nav aria-label="On this page" {
-            @for (place, words) in places { a href=(format!("#{place}")) { (words) } }
-            @for (i, section) in more.iter().enumerate() {
-                a href=(format!("#more-{i}")) { (section.heading) }
-            }
-            a href="#origin" { "Origin" }
+            @for (place, words) in first.chain(places) { a href=(format!("#{place}")) { (words) } }
         }
     }
 }

@@ -189,16 +189,19 @@ fn a_second_model_stands_beside_the_first() {
 }
 
 #[test]
-fn another_command_s_section_stands_above_the_provenance() {
+fn another_command_s_section_stands_first_after_the_summary() {
     let section = Section {
+        id: "diagnosis",
         heading: "What is <missing>".to_owned(),
         body: html! { p { "An effect." } },
     };
     let text = page_with(&comparison(1, 1, 1.0), &[section]);
-    let at = text
-        .find("<section id=\"more-0\"><h2>What is &lt;missing&gt;</h2><p>An effect.</p></section>")
-        .unwrap();
-    assert!(at < text.find("id=\"origin\"").unwrap());
+    let place = |part: &str| text.find(part).unwrap_or_else(|| panic!("{part}"));
+    let at = place(
+        "<section id=\"diagnosis\"><h2>What is &lt;missing&gt;</h2><p>An effect.</p></section>",
+    );
+    assert!(place("id=\"scale\"") < at && at < place("id=\"errors\""));
+    assert!(text.contains("<a href=\"#diagnosis\">What is &lt;missing&gt;</a>"));
 }
 
 #[test]

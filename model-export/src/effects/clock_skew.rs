@@ -14,6 +14,7 @@ pub const EFFECT: Effect = Effect {
     equation: "F(t) = F_reference(t - tau)",
     regressors: "-(dB/dFx dFx/dt + dB/dFz dFz/dt)",
     needs: &[],
+    shows_against: &["fx_rate_n_per_s", "fz_rate_n_per_s"],
     parameters: &[Parameter::coefficient("skew", "ms", 5.0).shared()],
     size: Size {
         words: "field after force",

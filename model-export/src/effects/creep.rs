@@ -13,6 +13,7 @@ pub const EFFECT: Effect = Effect {
     equation: "F' = F + c y, tau y' + y = F",
     regressors: "dB/dF times the low-passed F",
     needs: &[],
+    shows_against: &["loading_x", "loading_z", "fx_n", "fz_n"],
     parameters: &[
         Parameter::coefficient("creep_x", "%", 2.0),
         Parameter::coefficient("creep_z", "%", 2.0),

@@ -13,6 +13,7 @@ pub const EFFECT: Effect = Effect {
     equation: "Fx' = Fx + c_x Fz, Fz' = Fz + c_z Fx",
     regressors: "dB/dFx times Fz, dB/dFz times Fx",
     needs: &[],
+    shows_against: &["fx_n", "fz_n"],
     parameters: &[
         Parameter::coefficient("onto_x", "%", 1.5),
         Parameter::coefficient("onto_z", "%", 1.5),

@@ -12,6 +12,7 @@ pub const EFFECT: Effect = Effect {
     equation: "B_magnet (1 - d_r - e t), one d for each recording but the first",
     regressors: "the magnet's own field in each recording, and times t",
     needs: &[],
+    shows_against: &["session_s"],
     parameters: &[
         Parameter::coefficient("step", "%", 0.5).each_later_recording(),
         Parameter::coefficient("slope", "%/min", 0.1),

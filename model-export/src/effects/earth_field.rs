@@ -15,6 +15,7 @@ pub const EFFECT: Effect = Effect {
     equation: "B + R' b, R from roll, pitch, yaw (ZYX, body to world)",
     regressors: "the rows of the rotation",
     needs: &["roll_rad", "pitch_rad", "yaw_rad"],
+    shows_against: &["roll_rad", "pitch_rad", "yaw_rad"],
     parameters: &[
         Parameter::coefficient("world_x", "G", 0.3).shared(),
         Parameter::coefficient("world_y", "G", 0.3).shared(),

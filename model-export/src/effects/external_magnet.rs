@@ -16,6 +16,7 @@ pub const EFFECT: Effect = Effect {
     equation: "B + (a + b u + c u^2) / (1 + u^2)^(5/2) + d step(u), u = (t - t0) / width",
     regressors: "the three shapes of a passing dipole and a step, in each axis",
     needs: &[],
+    shows_against: &["session_s"],
     parameters: &[
         Parameter::coefficient("near_x", "G", 5.0),
         Parameter::coefficient("near_y", "G", 5.0),

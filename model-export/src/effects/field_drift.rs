@@ -15,6 +15,7 @@ pub const EFFECT: Effect = Effect {
     equation: "B + A (1 - exp(-t / tau)), t since the campaign began",
     regressors: "1 - exp(-t / tau) in each axis",
     needs: &[],
+    shows_against: &["session_s"],
     parameters: &[
         Parameter::coefficient("shift_x", "G", 0.7),
         Parameter::coefficient("shift_y", "G", 0.7),

@@ -13,6 +13,7 @@ pub const EFFECT: Effect = Effect {
     equation: "F' = F + m a, a specific force along x and z",
     regressors: "dB/dFx times accel_x plus dB/dFz times accel_z",
     needs: &["accel_x_mps2", "accel_z_mps2"],
+    shows_against: &["accel_x_mps2", "accel_z_mps2"],
     parameters: &[Parameter::coefficient("mass", "kg", 0.1)],
     size: Size {
         words: "mass",

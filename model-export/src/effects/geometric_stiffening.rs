@@ -17,6 +17,7 @@ pub const EFFECT: Effect = Effect {
     equation: "F = k w (1 + s (w / 0.5 mm)^2)",
     regressors: "dB/dF times F^3, each flexure",
     needs: &[],
+    shows_against: &["fx_n", "fz_n"],
     parameters: &[
         Parameter::coefficient("stiffening_x", "%", 5.0),
         Parameter::coefficient("stiffening_z", "%", 5.0),

@@ -12,6 +12,7 @@ pub const EFFECT: Effect = Effect {
     equation: "F' = F - c (|F| - F_knee) sign(F) beyond the knee",
     regressors: "dB/dF times the force beyond the knee",
     needs: &[],
+    shows_against: &["fx_n", "fz_n"],
     parameters: &[
         Parameter::coefficient("lost_x", "%", 60.0),
         Parameter::coefficient("lost_z", "%", 60.0),

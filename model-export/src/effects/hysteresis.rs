@@ -16,6 +16,7 @@ pub const EFFECT: Effect = Effect {
     equation: "F' = F - f (w1 s1 + w2 s2 + s3) / (w1 + w2 + 1), si = stop operator of F with reach i, from -1 to 1",
     regressors: "dB/dF times the stop operators of F",
     needs: &[],
+    shows_against: &["loading_x", "loading_z"],
     parameters: &[
         Parameter::coefficient("friction_x", "N", 2.5),
         Parameter::coefficient("friction_z", "N", 2.5),

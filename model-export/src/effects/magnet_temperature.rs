@@ -13,6 +13,7 @@ pub const EFFECT: Effect = Effect {
     equation: "B_magnet (1 + a (T - 25 C))",
     regressors: "T times the magnet's own field",
     needs: &["temp_c"],
+    shows_against: &["temp_c"],
     parameters: &[Parameter::coefficient("coefficient", "%/K", 0.11)],
     size: Size {
         words: "change of the remanence",

@@ -87,6 +87,8 @@ pub struct Effect {
     pub regressors: &'static str,
     /// Columns without which it cannot be judged, beside force and field.
     pub needs: &'static [&'static str],
+    /// What to draw its field over: one of these, whichever it follows most.
+    pub shows_against: &'static [&'static str],
     /// Its parameters; coefficients first.
     pub parameters: &'static [Parameter],
     /// The one number that says how large it is.
@@ -232,6 +234,15 @@ impl Addition {
             Self::Channelwise(own) => named(own.effect()),
             Self::Expression(expression) => expression.covariates.clone(),
         }
+    }
+
+    /// What to draw its field over: a formula's own first covariate, or the force.
+    pub fn shows_against(&self) -> Vec<String> {
+        if let Some(effect) = self.effect() {
+            return effect.shows_against.iter().map(|&n| n.to_owned()).collect();
+        }
+        let first = self.needs().into_iter().next();
+        vec![first.unwrap_or_else(|| "force_n".to_owned())]
     }
 
     /// True where a recording left out says nothing of it.

@@ -20,6 +20,7 @@ pub const EFFECT: Effect = Effect {
     equation: "B + K [i_alpha, i_beta] + k iq",
     regressors: "i_alpha, i_beta and iq in each axis",
     needs: &["motor_iq_a", "motor_angle_rad"],
+    shows_against: &COLUMNS,
     parameters: &[
         Parameter::coefficient("alpha_x", "G/A", 0.05),
         Parameter::coefficient("alpha_y", "G/A", 0.05),

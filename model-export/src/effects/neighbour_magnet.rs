@@ -18,6 +18,7 @@ pub const EFFECT: Effect = Effect {
     equation: "B + ((r0 + 10 mm) / r)^3 (3 (K e) e - K), r = (r0 + opening, aside, ahead), e = r / |r|",
     regressors: "the field of a dipole at r0 + opening, for each direction of the dipole",
     needs: &["opening_mm"],
+    shows_against: &["opening_mm"],
     parameters: &[
         Parameter::coefficient("field_x", "G", 2.0),
         Parameter::coefficient("field_y", "G", 2.0),

@@ -13,6 +13,7 @@ pub const EFFECT: Effect = Effect {
     equation: "F = F_reference - c t, t since the campaign began",
     regressors: "dB/dF times t, each axis",
     needs: &[],
+    shows_against: &["time_s"],
     parameters: &[
         Parameter::coefficient("drift_x", "N/min", 0.5),
         Parameter::coefficient("drift_z", "N/min", 0.5),

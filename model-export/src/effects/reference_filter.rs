@@ -12,6 +12,7 @@ pub const EFFECT: Effect = Effect {
     equation: "F = F_reference + tau dF_reference/dt",
     regressors: "dB/dFx dFx/dt + dB/dFz dFz/dt",
     needs: &[],
+    shows_against: &["fx_rate_n_per_s", "fz_rate_n_per_s"],
     parameters: &[Parameter::coefficient("time", "ms", 4.0).shared()],
     size: Size {
         words: "time constant",

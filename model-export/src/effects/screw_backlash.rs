@@ -17,6 +17,7 @@ pub const EFFECT: Effect = Effect {
     equation: "opening = play operator of the measured opening",
     regressors: "d(neighbour field)/d(opening) times the direction of travel",
     needs: &["opening_mm"],
+    shows_against: &["opening_mm"],
     parameters: &[
         Parameter::coefficient("play", "mm", 0.1),
         Parameter::beginning("begin", "", 0.5),

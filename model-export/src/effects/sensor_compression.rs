@@ -12,6 +12,7 @@ pub const EFFECT: Effect = Effect {
     equation: "B (1 - c (|B| / 1300 G)^2)",
     regressors: "B times |B|^2",
     needs: &[],
+    shows_against: &["fx_n", "fz_n"],
     parameters: &[Parameter::coefficient("loss", "%", 1.0)],
     size: Size {
         words: "gain lost at 1300 G",

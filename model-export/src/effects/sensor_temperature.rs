@@ -15,6 +15,7 @@ pub const EFFECT: Effect = Effect {
     equation: "B (1 + s (T - 25 C)) + o (T - 25 C)",
     regressors: "T in each axis, and T times B",
     needs: &["temp_c"],
+    shows_against: &["temp_c"],
     parameters: &[
         Parameter::coefficient("offset_x", "G/K", 0.1),
         Parameter::coefficient("offset_y", "G/K", 0.1),

@@ -12,6 +12,7 @@ pub const EFFECT: Effect = Effect {
     equation: "F' = F (1 + c (1 - exp(-n / N))), n load cycles since the campaign began",
     regressors: "dB/dF times F times the share run in",
     needs: &[],
+    shows_against: &["session_s"],
     parameters: &[
         Parameter::coefficient("softening_x", "%", 3.0),
         Parameter::coefficient("softening_z", "%", 3.0),

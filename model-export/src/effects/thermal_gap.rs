@@ -13,6 +13,7 @@ pub const EFFECT: Effect = Effect {
     equation: "dy = g (T - 25 C)",
     regressors: "dB/dy times T",
     needs: &["temp_c"],
+    shows_against: &["temp_c"],
     parameters: &[Parameter::coefficient("growth", "um/K", 0.5)],
     size: Size {
         words: "growth of the gap",

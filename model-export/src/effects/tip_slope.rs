@@ -17,6 +17,7 @@ pub const EFFECT: Effect = Effect {
     equation: "dy = -s (w / 0.5 mm)^2, lean = a (w / 0.5 mm); s = 0.6 (0.5 mm)^2 / L, a = 1.5 (0.5 mm) / L",
     regressors: "dB/dy times F^2, and the answer to a lean times F",
     needs: &[],
+    shows_against: &["fx_n", "fz_n"],
     parameters: &[
         Parameter::coefficient("shortening_x", "um", 5.0),
         Parameter::coefficient("shortening_z", "um", 5.0),

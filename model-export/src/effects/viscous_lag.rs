@@ -14,6 +14,7 @@ pub const EFFECT: Effect = Effect {
     equation: "w' tau + w = F / k",
     regressors: "dB/dF times -dF/dt, each flexure",
     needs: &[],
+    shows_against: &["fx_rate_n_per_s", "fz_rate_n_per_s"],
     parameters: &[
         Parameter::coefficient("lag_x", "ms", 10.0),
         Parameter::coefficient("lag_z", "ms", 10.0),

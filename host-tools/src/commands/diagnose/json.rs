@@ -26,6 +26,7 @@ pub fn json(diagnosis: &Diagnosis) -> Value {
         "blocks": diagnosis.blocks,
         "block_s": diagnosis.block_s,
         "seed": diagnosis.seed,
+        "next": diagnosis.next.commands,
         "verdict": diagnosis.verdict,
     })
 }

@@ -1,38 +1,83 @@
 //! What `magpie diagnose` shows in the terminal.
 
-use model_export::effects::find;
+use anstyle::{AnsiColor, Style};
 
 use crate::commands::compare::text::findings;
 use crate::compare::words::field;
-use crate::diagnose::{Diagnosis, Kind, Verdict};
-use crate::show;
+use crate::diagnose::{Diagnosis, Next, Verdict, words};
+use crate::show::{self, NARROW};
+
+const HEAD: Style = Style::new().bold();
+const GOOD: Style = AnsiColor::Green.on_default().bold();
+const DOUBTFUL: Style = AnsiColor::Yellow.on_default().bold();
 
 /// The page.
 pub fn text(diagnosis: &Diagnosis) -> String {
     let mut page = findings(&diagnosis.findings);
     if diagnosis.staircase.is_empty() {
-        return page + &show::paragraph(&diagnosis.verdict);
+        return page + &paragraph(&diagnosis.verdict);
     }
-    page += &staircase(diagnosis);
     page += &verdicts(diagnosis);
-    page += &paragraphs(diagnosis);
-    page += &records(diagnosis);
-    page += &show::paragraph(&format!(
-        "Chance: wild bootstrap over {} blocks of {:.1} s, all candidates together, seed {}.",
-        diagnosis.blocks, diagnosis.block_s, diagnosis.seed
-    ));
-    page.push('\n');
-    page + &show::paragraph(&diagnosis.verdict)
+    page += &staircase(diagnosis);
+    page += &found(diagnosis);
+    page += &ties(diagnosis);
+    page += &unjudged(diagnosis);
+    page += &left(diagnosis);
+    let style = match diagnosis.at_floor {
+        true => GOOD,
+        false => DOUBTFUL,
+    };
+    page += &styled(style, &diagnosis.verdict);
+    page + &next(&diagnosis.next)
+}
+
+fn paragraph(text: &str) -> String {
+    show::wrapped(text, NARROW)
+}
+
+fn styled(style: Style, text: &str) -> String {
+    // Each line for itself: a reader that shows one line keeps its colour.
+    paragraph(text)
+        .lines()
+        .map(|line| format!("{style}{line}{style:#}\n"))
+        .collect()
+}
+
+fn verdicts(diagnosis: &Diagnosis) -> String {
+    let mut table = show::table(["effect", "verdict", "gain", "p", "how much, or why not"]);
+    table.set_width(NARROW);
+    for verdict in &diagnosis.verdicts {
+        table.add_row([
+            verdict.effect.clone(),
+            words::word(verdict),
+            match verdict.gain.is_finite() {
+                true => format!("{:.1} %", 100.0 * verdict.gain.max(0.0)),
+                false => "-".to_owned(),
+            },
+            match verdict.p_adjusted.is_finite() {
+                true => format!("{:.3}", verdict.p_adjusted),
+                false => "-".to_owned(),
+            },
+            verdict.short.clone(),
+        ]);
+    }
+    let mut page = format!("{table}\n");
+    if diagnosis
+        .verdicts
+        .iter()
+        .any(|v| words::is_there(v) && v.provisional)
+    {
+        page += &paragraph(words::PROVISIONAL);
+    }
+    page + &paragraph(&words::chance(diagnosis)) + "\n"
 }
 
 fn staircase(diagnosis: &Diagnosis) -> String {
     let mut table = show::table(["the error falls", "held out", "x floor", "as force / N"]);
-    for (i, stair) in diagnosis.staircase.iter().enumerate() {
+    table.set_width(NARROW);
+    for stair in &diagnosis.staircase {
         table.add_row([
-            match i {
-                0 => "the model as it is".to_owned(),
-                _ => format!("+ {}", stair.added.join(" or ")),
-            },
+            words::added(stair),
             field(stair.held_out_rms_g),
             format!("{:.2}", stair.held_out_rms_g / stair.floor_g),
             stair
@@ -44,78 +89,89 @@ fn staircase(diagnosis: &Diagnosis) -> String {
     format!("{table}\n\n")
 }
 
-fn verdicts(diagnosis: &Diagnosis) -> String {
-    let mut table = show::table(["effect", "verdict", "gain", "p", "z typical", "why"]);
-    for verdict in &diagnosis.verdicts {
-        let number = |value: f64, digits: usize| match value.is_finite() {
-            true => format!("{value:.digits$}"),
-            false => "-".to_owned(),
-        };
-        table.add_row([
-            verdict.effect.clone(),
-            word(verdict),
-            match verdict.gain.is_nan() {
-                true => "-".to_owned(),
-                false => format!("{:.1} %", 100.0 * verdict.gain.max(0.0)),
-            },
-            number(verdict.p_adjusted, 3),
-            number(verdict.z_typical, 1),
-            verdict.reason.clone(),
-        ]);
-    }
-    format!("{table}\n\n")
-}
-
-fn word(verdict: &Verdict) -> String {
-    let word = match verdict.kind {
-        Kind::Found => "FOUND",
-        Kind::Tied => "TIED",
-        Kind::Shadow => "SHADOW",
-        Kind::NotJudgeable => "NOT JUDGEABLE",
-        Kind::Absent => "ABSENT",
-    };
-    match verdict.provisional {
-        true => format!("{word}, provisional"),
-        false => word.to_owned(),
-    }
-}
-
-/// The physics of what was found, with its size beside the typical one.
-fn paragraphs(diagnosis: &Diagnosis) -> String {
-    let there = |verdict: &&Verdict| matches!(verdict.kind, Kind::Found | Kind::Tied);
+/// What was found: its size beside the typical one, why it is believed, its physics.
+fn found(diagnosis: &Diagnosis) -> String {
     let mut page = String::new();
-    for verdict in diagnosis.verdicts.iter().filter(there) {
-        let size = match verdict.value.is_finite() {
-            true => format!(
-                ": {} {}",
-                show::with_error(verdict.value, verdict.std_error, verdict.value.abs()),
-                verdict.unit
-            ),
-            false => String::new(),
-        };
-        let tied = match verdict.tied_with.as_slice() {
-            [] => String::new(),
-            tied => format!(" (or {})", tied.join(" or ")),
-        };
-        page += &show::paragraph(&format!("{}{tied}{size}", verdict.effect));
-        if let Ok(effect) = find(&verdict.effect) {
-            let typical = format!("Typical is {} {}.", effect.size.typical, effect.size.unit);
-            page += &show::paragraph(&format!("  {} {typical}", effect.physics));
+    for verdict in diagnosis.verdicts.iter().filter(|v| words::is_there(v)) {
+        page += &styled(HEAD, &heading(verdict));
+        page += &paragraph(&format!("  {}", words::physics(verdict)));
+        page += &paragraph(&format!("  Here {}.\n", verdict.reason));
+    }
+    page
+}
+
+fn heading(verdict: &Verdict) -> String {
+    match words::size(verdict).as_str() {
+        "" => verdict.effect.clone(),
+        size => format!("{}: {size}", verdict.effect),
+    }
+}
+
+/// For each tie the recordings that would tell.
+fn ties(diagnosis: &Diagnosis) -> String {
+    let mut page = String::new();
+    for tie in words::ties(diagnosis) {
+        page += &styled(HEAD, &format!("Not told apart: {}", tie.effects.join(", ")));
+        for alike in &tie.alike {
+            page += &paragraph(&format!("  {alike}."));
         }
+        page += &recordings("To tell, record", &tie.record);
         page.push('\n');
     }
     page
 }
 
-/// What to record, for what is tied or cannot be judged.
-fn records(diagnosis: &Diagnosis) -> String {
-    let open = |verdict: &&Verdict| !verdict.record.is_empty();
+/// What cannot be judged, reason by reason.
+fn unjudged(diagnosis: &Diagnosis) -> String {
+    let groups = words::unjudged(diagnosis);
+    if groups.is_empty() {
+        return String::new();
+    }
+    let mut page = format!("{HEAD}Not judgeable from these recordings{HEAD:#}\n");
+    for group in groups {
+        page += &paragraph(&format!("  {}: {}.", group.effects.join(", "), group.why));
+        page += &recordings("To judge, record", &group.record);
+    }
+    page + "\n"
+}
+
+fn recordings(head: &str, list: &[(String, String)]) -> String {
     let mut page = String::new();
-    for verdict in diagnosis.verdicts.iter().filter(open) {
-        page += &show::paragraph(&format!("  {}: {}", verdict.effect, verdict.record));
+    for (effects, record) in list {
+        page += &match list.len() {
+            1 => paragraph(&format!("    {head}: {record}")),
+            _ => paragraph(&format!("    {head}, for {effects}: {record}")),
+        };
+    }
+    page
+}
+
+/// What no effect explains, or that nothing is left.
+fn left(diagnosis: &Diagnosis) -> String {
+    if diagnosis.at_floor {
+        return styled(GOOD, words::STOP) + "\n";
+    }
+    let mut page = String::new();
+    for one in &diagnosis.unexplained {
+        page += &styled(DOUBTFUL, &words::unexplained(one));
     }
     match page.is_empty() {
         true => page,
-        false => format!("To know better, record:\n{page}\n"),
+        false => page + &paragraph(&format!("  {}", words::EXPR)) + "\n",
     }
 }
+
+/// Commands stand on lines of their own, unbroken: they are to be copied.
+fn next(next: &Next) -> String {
+    let mut page = String::new();
+    if !next.words.is_empty() {
+        page += &format!("\n{}", paragraph(&next.words));
+    }
+    for command in &next.commands {
+        page += &format!("  {command}\n");
+    }
+    page
+}
+
+#[cfg(test)]
+mod tests;
