@@ -16,6 +16,9 @@ SCREENS = {"laptop": (1280, 900, 1), "telephone": (390, 844, 2)}
 # Each must be there with a size; those of DRAWN with lines or areas in a plot.
 PANELS = ["header", "#findings", "#scale", "#errors", "#overlay", "#histograms", "#located", "#map", "#worst", "#origin"]
 DRAWN = ["#scale", "#errors", "#overlay", "#histograms", "#located", "#map"]
+# The sections of a diagnosis, where the page holds one; those of DIAGNOSIS_DRAWN where they are there.
+DIAGNOSIS = ["#diagnosis", "#staircase"]
+DIAGNOSIS_DRAWN = ["#staircase", "#found"]
 SHAPES = "path, polyline, polygon, rect, circle, line"
 # A page that is shown in less time than a person waits, in milliseconds.
 LOADED_MS = 3000
@@ -68,11 +71,12 @@ class Page:
 
 def panels(opened):
     page = opened.page
-    for panel in PANELS:
+    diagnosed = page.locator("#diagnosis").count() > 0
+    for panel in PANELS + DIAGNOSIS * diagnosed:
         there = page.locator(panel)
         box = there.bounding_box() if there.count() else None
         opened.check(box and box["width"] > 100 and box["height"] > 15, f"{panel} has no size")
-    for panel in DRAWN:
+    for panel in DRAWN + [panel for panel in DIAGNOSIS_DRAWN if page.locator(panel).count()]:
         drawn = page.locator(f"{panel} svg[role=img]")
         shapes = drawn.first.locator(SHAPES).count() if drawn.count() else 0
         opened.check(shapes > 3, f"{panel} draws nothing")

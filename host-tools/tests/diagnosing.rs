@@ -61,6 +61,35 @@ fn staircase(diagnosis: &Value) -> Vec<f64> {
 }
 
 #[test]
+fn the_report_holds_the_diagnosis_and_the_figures_of_compare() {
+    let folder = TempDir::new().unwrap();
+    let [model, report] = ["model.toml", "report.html"].map(|name| folder.path().join(name));
+    let [model, page] = [&model, &report].map(|path| path.display().to_string());
+    let campaign = data("demo").display().to_string();
+    assert!(magpie(&["fit", &campaign, "-o", &model]).status.success());
+    let output = magpie(&["diagnose", &model, &campaign, "-o", &page]);
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(output.status.success(), "{said}");
+    assert!(
+        said.contains(&format!(
+            "magpie add {model} {campaign} neighbour_magnet -o "
+        )),
+        "{said}"
+    );
+    let text = std::fs::read_to_string(&report).unwrap();
+    assert!(text.starts_with("<!-- report of magpie -->"));
+    for part in [
+        "<section id=\"diagnosis\">",
+        "<section id=\"staircase\">",
+        "what neighbour_magnet took away",
+        "over the opening",
+        "<section id=\"overlay\"",
+    ] {
+        assert!(text.contains(part), "{part}");
+    }
+}
+
+#[test]
 fn where_nothing_is_hidden_nothing_is_named() {
     let diagnosis = diagnosed("clean", &[]);
     assert_eq!(

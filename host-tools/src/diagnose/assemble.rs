@@ -7,16 +7,16 @@ use super::candidates::Unjudged;
 use super::screening::Screened;
 use super::select::{COMPLETE, Selection, Step};
 use super::stage::Stage;
+use super::words::SEE_BELOW;
 use super::{Diagnosis, Kind, Stair, Unexplained, Verdict};
 use crate::compare::words::{AT_FLOOR, field};
-use super::words::SEE_BELOW;
 use crate::show;
 
 /// A typical size fewer error bars than this from nothing cannot be judged.
 const JUDGEABLE: f64 = 4.0;
 
 /// A reason of more letters than this is no cell of a table.
-const LONGEST: usize = 40;
+const LONGEST: usize = 22;
 
 /// Verdicts on every candidate, and what they come to.
 pub fn assemble(selection: &Selection, unjudged: &[Unjudged], recordings: usize) -> Diagnosis {
@@ -131,7 +131,7 @@ fn of_step(step: &Step, last: &Stage, recordings: usize, complete: bool) -> Vec<
         );
         verdict.reason = match step.tied.is_empty() {
             true => format!(
-                "it takes {:.1} % of the squared error left out away",
+                "it takes away {:.1} % of the squared error that was left out",
                 100.0 * step.gain
             ),
             false => {
@@ -204,7 +204,7 @@ fn of_rest(screened: &Screened, complete: bool, unexplained: &[Unexplained]) -> 
             "a typical size would stand {:.1} error bars out of what these recordings show",
             evidence.z_typical
         );
-        let short = "too small to show here".to_owned();
+        let short = "typical is too small".to_owned();
         (Kind::NotJudgeable, why, short, record)
     } else {
         // Rounded up: a bound of nothing would be a claim.
@@ -212,7 +212,7 @@ fn of_rest(screened: &Screened, complete: bool, unexplained: &[Unexplained]) -> 
         (
             Kind::Absent,
             format!("at most {bound:.2} times its typical size (95 %)"),
-            format!("at most {bound:.2} of typical"),
+            format!("< {bound:.2} of typical"),
             String::new(),
         )
     };
@@ -233,6 +233,15 @@ fn of_rest(screened: &Screened, complete: bool, unexplained: &[Unexplained]) -> 
     }
 }
 
+/// A reason as a cell of a table.
+fn short_of(why: &str) -> String {
+    match why.strip_suffix(" was not recorded") {
+        Some(column) => format!("no {column}"),
+        None if why.len() <= LONGEST => why.to_owned(),
+        None => SEE_BELOW.to_owned(),
+    }
+}
+
 fn of_unjudged(unjudged: &Unjudged) -> Verdict {
     Verdict {
         effect: unjudged.effect.clone(),
@@ -246,10 +255,7 @@ fn of_unjudged(unjudged: &Unjudged) -> Verdict {
         unit: String::new(),
         z_typical: 0.0,
         reason: unjudged.why.clone(),
-        short: match unjudged.why.len() <= LONGEST {
-            true => unjudged.why.clone(),
-            false => SEE_BELOW.to_owned(),
-        },
+        short: short_of(&unjudged.why),
         record: unjudged.record.clone(),
     }
 }

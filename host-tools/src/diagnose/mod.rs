@@ -20,6 +20,8 @@ pub mod assemble;
 pub mod backward;
 pub mod candidates;
 pub mod contest;
+#[cfg(test)]
+pub mod fixture;
 pub mod left;
 pub mod next;
 pub mod screening;

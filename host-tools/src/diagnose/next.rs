@@ -57,7 +57,12 @@ pub fn next(diagnosis: &Diagnosis, typed: &Typed) -> Next {
         words: words.to_owned(),
         commands,
     };
-    let report = || vec![command("compare", &["-o", "report.html"].map(str::to_owned))];
+    let report = || {
+        vec![command(
+            "compare",
+            &["-o", "report.html"].map(str::to_owned),
+        )]
+    };
     if let Some(sets) = sets(&diagnosis.accepted) {
         let add = |set: &Vec<&String>| {
             let mut rest = named(set, typed.own);
@@ -79,10 +84,16 @@ pub fn next(diagnosis: &Diagnosis, typed: &Typed) -> Next {
             vec![line(&words)],
         );
     }
-    match (diagnosis.unexplained.is_empty(), covariates.clone().find(usable)) {
+    match (
+        diagnosis.unexplained.is_empty(),
+        covariates.clone().find(usable),
+    ) {
         (false, Some(covariate)) => say(
             "Next, guess its shape and judge it like any effect (put in yours):",
-            vec![command("diagnose", &["--expr".to_owned(), guess(covariate, typed.base)])],
+            vec![command(
+                "diagnose",
+                &["--expr".to_owned(), guess(covariate, typed.base)],
+            )],
         ),
         _ => say("Next, look where it is:", report()),
     }

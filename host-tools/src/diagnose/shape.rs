@@ -130,7 +130,11 @@ fn shape(
 }
 
 /// Means of the difference of two residuals of the same rows: each bin, each sensor, each axis.
-fn taken(before: &[SensorColumns], after: &[SensorColumns], binning: &Binning) -> Vec<Vec<[f64; 3]>> {
+fn taken(
+    before: &[SensorColumns],
+    after: &[SensorColumns],
+    binning: &Binning,
+) -> Vec<Vec<[f64; 3]>> {
     let mut means = vec![Vec::new(); binning.count()];
     for ((before, after), of) in before.iter().zip(after).zip(&binning.of) {
         let mut sums = vec![(Vector3::zeros(), 0.0); binning.count()];

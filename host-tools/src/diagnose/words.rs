@@ -25,15 +25,22 @@ pub const PROVISIONAL: &str =
     "A question mark: provisional, for far more than noise is unexplained.";
 
 /// Said where nothing is left to find.
-pub const STOP: &str =
-    "AT NOISE FLOOR: what is left cannot be told from noise. A further effect would fit noise: stop here.";
+pub fn stop(diagnosis: &Diagnosis) -> String {
+    let with = match diagnosis.accepted.is_empty() {
+        true => "",
+        false => " with what was found",
+    };
+    format!(
+        "AT NOISE FLOOR{with}: what is left cannot be told from noise. A further effect would fit noise."
+    )
+}
 
 /// True for what was found, alone or tied.
 pub fn is_there(verdict: &Verdict) -> bool {
     matches!(verdict.kind, Kind::Found | Kind::Tied)
 }
 
-/// "7.98±0.01 N (friction), typical is 2.5 N"; what is not known of it is left out.
+/// "7.98±0.01 N, friction force; typical is 2.5 N"; what is not known of it is left out.
 pub fn size(verdict: &Verdict) -> String {
     let typical = find(&verdict.effect).ok().map(|effect| {
         format!(
@@ -48,7 +55,7 @@ pub fn size(verdict: &Verdict) -> String {
     let value = show::with_error(verdict.value, verdict.std_error, verdict.value.abs());
     let value = format!("{value} {}", verdict.unit).trim_end().to_owned();
     match (find(&verdict.effect).ok(), typical) {
-        (Some(effect), Some(typical)) => format!("{value} ({}); {typical}", effect.size.words),
+        (Some(effect), Some(typical)) => format!("{value}, {}; {typical}", effect.size.words),
         _ => value,
     }
 }
@@ -56,6 +63,17 @@ pub fn size(verdict: &Verdict) -> String {
 /// A paragraph of the physics; of a formula of one's own there is none.
 pub fn physics(verdict: &Verdict) -> &'static str {
     find(&verdict.effect).map_or("An effect of your own.", |effect| effect.physics)
+}
+
+/// Why, as a sentence of its own.
+pub fn sentence(verdict: &Verdict) -> String {
+    let mut letters = verdict.reason.chars();
+    let first = letters.next().map(|letter| letter.to_uppercase());
+    format!(
+        "{}{}.",
+        first.into_iter().flatten().collect::<String>(),
+        letters.as_str()
+    )
 }
 
 /// Effects that cannot be told apart, and what would tell.
@@ -114,7 +132,10 @@ fn alike(effects: &[String]) -> Vec<String> {
 fn records<'a>(verdicts: impl Iterator<Item = &'a Verdict>) -> Vec<(String, String)> {
     let mut list: Vec<(String, String)> = Vec::new();
     for verdict in verdicts.filter(|verdict| !verdict.record.is_empty()) {
-        match list.iter_mut().find(|(_, record)| *record == verdict.record) {
+        match list
+            .iter_mut()
+            .find(|(_, record)| *record == verdict.record)
+        {
             Some((effects, _)) => *effects += &format!(", {}", verdict.effect),
             None => list.push((verdict.effect.clone(), verdict.record.clone())),
         }
@@ -146,11 +167,16 @@ pub fn unjudged(diagnosis: &Diagnosis) -> Vec<Unjudged> {
     }
     let of_reason = |why: &str| {
         let members: Vec<&Verdict> = open.iter().copied().filter(|v| reason(v) == why).collect();
-        let first = members.first().map_or("", |verdict| verdict.reason.as_str());
+        let first = members
+            .first()
+            .map_or("", |verdict| verdict.reason.as_str());
         let alike = members.iter().all(|verdict| verdict.reason == first);
         let helps = members.iter().copied().filter(|v| !v.provisional);
         Unjudged {
-            effects: members.iter().map(|verdict| verdict.effect.clone()).collect(),
+            effects: members
+                .iter()
+                .map(|verdict| verdict.effect.clone())
+                .collect(),
             why: if alike { first } else { why }.to_owned(),
             record: records(helps),
         }
@@ -201,27 +227,9 @@ pub fn chance(diagnosis: &Diagnosis) -> String {
 }
 
 #[cfg(test)]
-pub(crate) mod tests {
+mod tests {
     use super::*;
-
-    /// A verdict with nothing in it but this.
-    pub(crate) fn verdict(effect: &str, kind: Kind, short: &str, reason: &str) -> Verdict {
-        Verdict {
-            effect: effect.to_owned(),
-            kind,
-            provisional: false,
-            tied_with: Vec::new(),
-            gain: 0.0,
-            p_adjusted: 1.0,
-            value: f64::NAN,
-            std_error: f64::NAN,
-            unit: String::new(),
-            z_typical: 2.0,
-            reason: reason.to_owned(),
-            short: short.to_owned(),
-            record: find(effect).map_or_else(|_| String::new(), |e| e.record.to_owned()),
-        }
-    }
+    use crate::diagnose::fixture::verdict;
 
     #[test]
     fn a_tie_says_why_its_members_look_alike_and_what_would_tell() {
@@ -244,7 +252,11 @@ pub(crate) mod tests {
             ["neighbour_magnet and motor_leakage: closing needs current"]
         );
         assert_eq!(ties[0].record.len(), 2);
-        assert!(ties[0].record[0].1.starts_with("Open and close over the whole stroke"));
+        assert!(
+            ties[0].record[0]
+                .1
+                .starts_with("Open and close over the whole stroke")
+        );
     }
 
     #[test]
@@ -289,7 +301,7 @@ pub(crate) mod tests {
         (found.value, found.std_error) = (7.982, 0.010);
         found.unit = "N".to_owned();
         let said = size(&found);
-        assert!(said.starts_with("7.982±0.010 N ("), "{said}");
+        assert!(said.starts_with("7.982±0.010 N, friction"), "{said}");
         assert!(said.ends_with("; typical is 2.5 N"), "{said}");
         assert_eq!(size(&verdict("my_own", Kind::Found, "", "")), "");
     }

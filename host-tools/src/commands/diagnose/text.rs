@@ -95,7 +95,7 @@ fn found(diagnosis: &Diagnosis) -> String {
     for verdict in diagnosis.verdicts.iter().filter(|v| words::is_there(v)) {
         page += &styled(HEAD, &heading(verdict));
         page += &paragraph(&format!("  {}", words::physics(verdict)));
-        page += &paragraph(&format!("  Here {}.\n", verdict.reason));
+        page += &paragraph(&format!("  {}\n", words::sentence(verdict)));
     }
     page
 }
@@ -149,7 +149,7 @@ fn recordings(head: &str, list: &[(String, String)]) -> String {
 /// What no effect explains, or that nothing is left.
 fn left(diagnosis: &Diagnosis) -> String {
     if diagnosis.at_floor {
-        return styled(GOOD, words::STOP) + "\n";
+        return styled(GOOD, &words::stop(diagnosis)) + "\n";
     }
     let mut page = String::new();
     for one in &diagnosis.unexplained {

@@ -22,35 +22,41 @@ const FURTHEST_BAND: f64 = 1.6;
 /// Letters of the axes of the field.
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// The strongest channel, and all channels folded.
-pub fn figures(shape: &Shape) -> Markup {
+/// The channel in which it shows most.
+pub fn strongest(shape: &Shape) -> Markup {
     let Some(strongest) = shape.strongest() else {
         return html! {};
     };
     let name = shape.effects.join(" or ");
-    let channels = (0..shape.sensors.len()).flat_map(|s| [0, 1, 2].map(|axis| (s, axis)));
-    let all: Vec<(usize, usize)> = channels.collect();
-    let scale = scale(shape, &all);
     html! {
         figure {
             figcaption {
                 "Where it shows most: " (channel(shape, strongest)) " over the " (shape.words)
             }
-            (plot(shape, strongest, LARGE, &self::scale(shape, &[strongest])))
+            (plot(shape, strongest, LARGE, &scale(shape, &[strongest])))
             (key(&[
-                (Swatch::Full, palette::FIRST, "residual before it was added: mean and 95 % band".to_owned()),
+                (Swatch::Framed, palette::FIRST, "residual before it was added: mean and 95 % band".to_owned()),
                 (Swatch::Line, palette::SECOND, format!("what {name} took away")),
             ]))
         }
-        @if all.len() > 1 {
-            details {
-                summary { "All sensors and axes" }
-                div.small {
-                    @for one in &all {
-                        figure {
-                            figcaption { (channel(shape, *one)) }
-                            (plot(shape, *one, SMALL, &scale))
-                        }
+    }
+}
+
+/// Every channel on one scale, folded.
+pub fn all(shape: &Shape) -> Markup {
+    let sensors = 0..shape.sensors.len();
+    let channels: Vec<(usize, usize)> = sensors
+        .flat_map(|s| [0, 1, 2].map(|axis| (s, axis)))
+        .collect();
+    let scale = scale(shape, &channels);
+    html! {
+        details {
+            summary { "All sensors and axes" }
+            div.small {
+                @for one in &channels {
+                    figure {
+                        figcaption { (channel(shape, *one)) }
+                        (plot(shape, *one, SMALL, &scale))
                     }
                 }
             }
@@ -122,7 +128,11 @@ fn draw(
     chart.draw_series([PathElement::new(zero, stroke(palette::MUTED, 1.0))])?;
     let inside = |value: f64| value.clamp(upwards.range.start, upwards.range.end);
     let before = palette::FIRST.light;
-    let sound = || points.iter().filter(|p| p[..4].iter().all(|v| v.is_finite()));
+    let sound = || {
+        points
+            .iter()
+            .filter(|p| p[..4].iter().all(|v| v.is_finite()))
+    };
     let lower = sound().map(|p| (p[0], inside(p[2])));
     let upper = sound().rev().map(|p| (p[0], inside(p[3])));
     let outline: Vec<(f64, f64)> = lower.chain(upper).collect();

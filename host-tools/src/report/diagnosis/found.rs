@@ -33,9 +33,14 @@ pub fn section(diagnosis: &Diagnosis) -> Option<Section> {
 fn part(verdict: &Verdict, shape: Option<&Shape>) -> Markup {
     html! {
         h3 { (verdict.effect) " " span.model { (words::word(verdict)) } }
-        @if !words::size(verdict).is_empty() { p { strong { (words::size(verdict)) } } }
-        p { (words::physics(verdict)) }
-        p.note { "Here " (verdict.reason) "." }
-        @if let Some(shape) = shape { (effect::figures(shape)) }
+        div.pair {
+            div {
+                @if !words::size(verdict).is_empty() { p { strong { (words::size(verdict)) } } }
+                p { (words::physics(verdict)) }
+                p.note { (words::sentence(verdict)) }
+            }
+            @if let Some(shape) = shape { (effect::strongest(shape)) }
+        }
+        @if let Some(shape) = shape { (effect::all(shape)) }
     }
 }

@@ -7,9 +7,7 @@ use crate::diagnose::{Diagnosis, Stair, words};
 use crate::report::Section;
 use crate::report::numbers::{maybe, number};
 use crate::report::palette;
-use crate::report::plot::{
-    Along, Failure, Paper, Swatch, axes, centred, figure, key, px, stroke,
-};
+use crate::report::plot::{Along, Failure, Paper, Swatch, axes, centred, figure, key, px, stroke};
 use crate::report::tables::table;
 
 /// Size of the plot, in pixels.
@@ -29,8 +27,7 @@ pub fn section(diagnosis: &Diagnosis) -> Section {
         ]
     });
     let body = html! {
-        div.pair {
-            figure {
+        figure {
                 figcaption { "Held-out error over all sensors, in gauss; above each bar in floors" }
                 (plot(stairs))
                 (key(&[
@@ -43,7 +40,6 @@ pub fn section(diagnosis: &Diagnosis) -> Section {
                 &["added", "RMS in G", "RMS / floor", "as force in N"],
                 rows,
             ))
-        }
     };
     Section {
         id: "staircase",
@@ -99,13 +95,21 @@ fn draw(paper: &Paper, stairs: &[Stair]) -> Result<(), Failure> {
         };
         let (x, y) = chart.backend_coord(&(middle, height));
         let words = format!("{} x", number(floors(stair)));
-        paper.draw(&Text::new(words, (x, y - px(10.0)), centred(palette::INK, 1.0)))?;
+        paper.draw(&Text::new(
+            words,
+            (x, y - px(10.0)),
+            centred(palette::INK, 1.0),
+        ))?;
         let (x, y) = chart.backend_coord(&(middle, foot));
         let words = match i {
             0 => "as it is".to_owned(),
             _ => format!("{i}."),
         };
-        paper.draw(&Text::new(words, (x, y + px(12.0)), centred(palette::INK, 1.0)))?;
+        paper.draw(&Text::new(
+            words,
+            (x, y + px(12.0)),
+            centred(palette::INK, 1.0),
+        ))?;
     }
     Ok(())
 }

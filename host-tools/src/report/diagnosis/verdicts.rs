@@ -13,12 +13,12 @@ pub fn section(diagnosis: &Diagnosis) -> Section {
     let provisional = there.clone().any(|verdict| verdict.provisional);
     let body = html! {
         p.verdict { (diagnosis.verdict) }
-        @if diagnosis.at_floor { p { strong { (words::STOP) } } }
+        @if diagnosis.at_floor { p { strong { (words::stop(diagnosis)) } } }
         (next(diagnosis))
         @if !diagnosis.verdicts.is_empty() {
             (table(
                 "Every effect that was judged, the surest first",
-                &["effect", "verdict", "gain", "p", "typical / error bar", "how much, or why not"],
+                &["effect", "verdict", "how much, or why not", "gain", "p", "typical / error bar"],
                 diagnosis.verdicts.iter().map(row),
             ))
             @if provisional { p.note { (words::PROVISIONAL) } }
@@ -39,19 +39,12 @@ fn row(verdict: &Verdict) -> Vec<Markup> {
     vec![
         html! { (verdict.effect) },
         html! { span class=(verdict.kind.id()) { (words::word(verdict)) } },
-        html! { (percent(verdict.gain.max(0.0) + 0.0 * verdict.gain)) },
+        html! { (verdict.short) },
+        // Worse than nothing is nothing; a number that is none stays one.
+        html! { (percent(if verdict.gain < 0.0 { 0.0 } else { verdict.gain })) },
         html! { (number(verdict.p_adjusted)) },
         html! { (number(verdict.z_typical)) },
-        html! { span.why { (why(verdict)) } },
     ]
-}
-
-/// What was found stands with its size, everything else with its reason.
-fn why(verdict: &Verdict) -> &str {
-    match words::is_there(verdict) || verdict.reason.is_empty() {
-        true => &verdict.short,
-        false => &verdict.reason,
-    }
 }
 
 fn next(diagnosis: &Diagnosis) -> Markup {
