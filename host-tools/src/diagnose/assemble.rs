@@ -4,6 +4,7 @@ use model_export::effects::Addition;
 use model_export::fit::size::{EffectSize, sizes};
 
 use super::candidates::Unjudged;
+use super::kin::are_kin;
 use super::screening::Screened;
 use super::select::{COMPLETE, Selection, Step};
 use super::stage::Stage;
@@ -20,7 +21,7 @@ pub fn assemble(selection: &Selection, unjudged: &[Unjudged], recordings: usize)
     };
     let complete = last.floors() <= COMPLETE;
     let mut diagnosis = Diagnosis {
-        at_floor: last.floors() <= AT_FLOOR && selection.located.is_empty(),
+        at_floor: last.floors() <= AT_FLOOR,
         accepted: match complete {
             true => selection.steps.iter().map(names).collect(),
             false => Vec::new(),
@@ -51,9 +52,12 @@ pub fn assemble(selection: &Selection, unjudged: &[Unjudged], recordings: usize)
     let named = |name: &str, verdicts: &[Verdict]| verdicts.iter().any(|v| v.effect == name);
     for screened in &selection.last {
         if !named(screened.candidate.name(), &diagnosis.verdicts) {
-            diagnosis
-                .verdicts
-                .push(of_rest(screened, complete, &diagnosis.unexplained));
+            diagnosis.verdicts.push(of_rest(
+                screened,
+                complete,
+                selection,
+                &diagnosis.unexplained,
+            ));
         }
     }
     diagnosis.verdicts.extend(unjudged.iter().map(of_unjudged));
@@ -164,7 +168,12 @@ fn unusual(size: &EffectSize) -> String {
     }
 }
 
-fn of_rest(screened: &Screened, complete: bool, unexplained: &[Unexplained]) -> Verdict {
+fn of_rest(
+    screened: &Screened,
+    complete: bool,
+    selection: &Selection,
+    unexplained: &[Unexplained],
+) -> Verdict {
     let effect = &screened.candidate;
     let evidence = &screened.evidence;
     let record = effect
@@ -184,6 +193,9 @@ fn of_rest(screened: &Screened, complete: bool, unexplained: &[Unexplained]) -> 
             format!("{what}, and no effect explains that: it stands in the way"),
             record,
         )
+    } else if screened.is_significant() {
+        let (kind, reason) = remainder(effect, selection);
+        (kind, reason, record)
     } else if evidence.z_typical < JUDGEABLE {
         let why = format!(
             "a typical size would stand {:.1} error bars out of what these recordings show",
@@ -211,6 +223,31 @@ fn of_rest(screened: &Screened, complete: bool, unexplained: &[Unexplained]) -> 
         z_typical: evidence.z_typical,
         reason,
         record,
+    }
+}
+
+/// What is said of an effect that explains something of what is left, and still gets no name.
+fn remainder(effect: &Addition, selection: &Selection) -> (Kind, String) {
+    let kin = selection
+        .steps
+        .iter()
+        .find(|step| are_kin(&step.chosen, effect));
+    match kin {
+        Some(step) => (
+            Kind::Shadow,
+            format!(
+                "it explains a remainder that may as well be the form of {}",
+                step.chosen.name()
+            ),
+        ),
+        None if effect.lives_in_one_recording() => (
+            Kind::NotJudgeable,
+            "what is left wanders with time, more freely than it could".to_owned(),
+        ),
+        None => (
+            Kind::NotJudgeable,
+            "it fits some of what is left, which has another cause".to_owned(),
+        ),
     }
 }
 

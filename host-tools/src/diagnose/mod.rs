@@ -5,6 +5,7 @@
 //! - [`backward`]: what a later step made needless.
 //! - [`candidates`]: what may be missing, and what these recordings cannot judge.
 //! - [`contest`]: the significant candidates fitted anew, the best one added.
+//! - [`kin`]: effects that can stand in for each other's form.
 //! - [`left`]: what a model leaves.
 //! - [`screening`]: every candidate around one fitted model.
 //! - [`select`]: forward selection, one refit after the other.
@@ -17,6 +18,7 @@ pub mod assemble;
 pub mod backward;
 pub mod candidates;
 pub mod contest;
+pub mod kin;
 pub mod left;
 pub mod screening;
 pub mod select;

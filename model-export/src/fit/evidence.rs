@@ -8,7 +8,7 @@
 
 mod sensor;
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, Vector3};
 use rayon::prelude::*;
 
 use self::sensor::Sensor;
@@ -22,6 +22,8 @@ use crate::effects::{Addition, SizeOf};
 
 /// Rows of a recording that take part.
 const ROWS: usize = 1500;
+/// Knots of a curve that is free in time, over each recording.
+const KNOTS: usize = 12;
 
 /// A fitted model with the straight lines around it.
 pub struct Around<'a> {
@@ -169,6 +171,46 @@ impl<'a> Around<'a> {
         evidence.explained = self.explained(&evidence, &self.scores(&evidence, None), &signs);
         (evidence.z_typical, evidence.bound) = self.typical(&evidence, candidate);
         Some(evidence)
+    }
+
+    /// How many error bars of white noise a change of the fields stands out of what the model could
+    /// absorb: `change` of a sensor's place, a recording and a row is in gauss.
+    pub fn stands_out(&self, change: impl Fn(usize, usize, usize) -> Vector3<f64>) -> f64 {
+        let mut squares = 0.0;
+        for (s, sensor) in self.sensors.iter().enumerate() {
+            let rows = &self.prepared.rows[s];
+            let base = self.prepared.bases[s].as_ref();
+            let weights = SensorProblem::new(rows, base, &self.effects).weights;
+            let weighted = |(part, row)| change(s, part, row).component_mul(&weights);
+            let entries: Vec<f64> = sensor
+                .ground
+                .places()
+                .flat_map(|place| <[f64; 3]>::from(weighted(place)))
+                .collect();
+            let all: usize = rows.parts.iter().map(|part| part.len()).sum();
+            let stand_for = 3.0 * all as f64 / entries.len().max(1) as f64;
+            let apart = sensor.apart(&DMatrix::from_vec(entries.len(), 1, entries));
+            squares += stand_for * apart.norm_squared();
+        }
+        squares.sqrt()
+    }
+
+    /// Share of the squared residual left out, in teeth of every recording, that a curve free in time
+    /// takes away: one for each axis, sensor and recording.
+    ///
+    /// What happens at an instant or from one recording to the next can only be judged within
+    /// recordings, where any slow noise is foretold by the rows beside: there an effect says something
+    /// only if it explains about as much as a curve that knows no physics.
+    pub fn free_in_time(&self) -> f64 {
+        let judged = self.sensors.par_iter().enumerate().map(|(s, sensor)| {
+            let columns = sensor.ground.hats(&self.prepared.rows[s], KNOTS);
+            let folds = sensor.left_out(&columns, 1);
+            folds
+                .iter()
+                .fold((0.0, 0.0), |(a, b), f| (a + f.0, b + f.1))
+        });
+        let (without, with) = judged.reduce(|| (0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
+        1.0 - with / without
     }
 
     /// Values of a model with one effect more than was fitted.
