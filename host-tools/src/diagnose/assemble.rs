@@ -1,6 +1,7 @@
 //! From a selection to verdicts.
 
 use model_export::effects::Addition;
+use model_export::fit::evidence::Evidence;
 use model_export::fit::size::{EffectSize, sizes};
 
 use super::candidates::Unjudged;
@@ -197,11 +198,7 @@ fn of_rest(
         let (kind, reason) = remainder(effect, selection);
         (kind, reason, record)
     } else if evidence.z_typical < JUDGEABLE {
-        let why = format!(
-            "a typical size would stand {:.1} error bars out of what these recordings show",
-            evidence.z_typical
-        );
-        (Kind::NotJudgeable, why, record)
+        (Kind::NotJudgeable, inadequate(evidence), record)
     } else {
         let bound = format!(
             "at most {:.2} times its typical size (95 %)",
@@ -223,6 +220,18 @@ fn of_rest(
         z_typical: evidence.z_typical,
         reason,
         record,
+    }
+}
+
+/// Why recordings cannot tell a typical size from nothing.
+fn inadequate(evidence: &Evidence) -> String {
+    let z = evidence.z_typical;
+    if evidence.z_alone < JUDGEABLE {
+        format!("a typical size would hardly move the field here ({z:.1} error bars)")
+    } else if evidence.z_in_noise < JUDGEABLE {
+        format!("the model's own numbers can stand in for it ({z:.1} error bars)")
+    } else {
+        format!("what is left of other causes hides a typical size ({z:.1} error bars)")
     }
 }
 

@@ -47,6 +47,10 @@ pub struct Evidence {
     pub count: usize,
     /// How many error bars its typical size is from nothing.
     pub z_typical: f64,
+    /// The same were noise all that is left.
+    pub z_in_noise: f64,
+    /// The same were nothing else fitted either.
+    pub z_alone: f64,
     /// The most that it may be, in typical sizes: its estimate and two error bars.
     pub bound: f64,
     /// Answers that no fixed column stands in for, one for each sensor.
@@ -163,13 +167,15 @@ impl<'a> Around<'a> {
             explained: 0.0,
             count,
             z_typical: 0.0,
+            z_in_noise: 0.0,
+            z_alone: 0.0,
             bound: f64::INFINITY,
             apart,
             inverse,
         };
         let signs = vec![1.0; self.blocks];
         evidence.explained = self.explained(&evidence, &self.scores(&evidence, None), &signs);
-        (evidence.z_typical, evidence.bound) = self.typical(&evidence, candidate);
+        self.typical(&mut evidence, candidate, &answers);
         Some(evidence)
     }
 
@@ -269,9 +275,9 @@ impl<'a> Around<'a> {
         draws.par_iter().map(draw).collect()
     }
 
-    /// How far the typical size stands out of what the residual shows by blocks, and the most that the
-    /// candidate may be in typical sizes.
-    fn typical(&self, evidence: &Evidence, candidate: &Addition) -> (f64, f64) {
+    /// How far the typical size stands out: of what the residual shows by blocks, of noise, and of noise
+    /// with nothing else fitted; and the most that the candidate may be in typical sizes.
+    fn typical(&self, evidence: &mut Evidence, candidate: &Addition, answers: &[DMatrix<f64>]) {
         let parameters = candidate.parameters(self.recordings);
         let typical: Vec<f64> = parameters
             .iter()
@@ -279,6 +285,7 @@ impl<'a> Around<'a> {
             .map(|parameter| parameter.typical)
             .collect();
         let (mut singles, mut bound) = (Vec::new(), 0.0_f64);
+        let (mut in_noise, mut alone) = (Vec::new(), Vec::new());
         for j in 0..evidence.count {
             if typical.get(j).is_none_or(|typical| typical.is_nan()) {
                 continue;
@@ -296,6 +303,9 @@ impl<'a> Around<'a> {
                 }
             }
             let norm = norm.sqrt();
+            let squares: f64 = answers.iter().map(|a| a.column(j).norm_squared()).sum();
+            in_noise.push(norm);
+            alone.push(0.1 * squares.sqrt());
             let spread = by_block
                 .iter()
                 .map(|score| score * score)
@@ -309,12 +319,17 @@ impl<'a> Around<'a> {
                 singles.push(z);
             }
         }
-        let squares: f64 = singles.iter().map(|z| z * z).sum();
-        let z = match candidate.size().of {
-            SizeOf::Norm => (squares / singles.len().max(1) as f64).sqrt(),
-            _ => singles.into_iter().fold(0.0, f64::max),
+        let together = |singles: &[f64]| match candidate.size().of {
+            SizeOf::Norm => {
+                let squares: f64 = singles.iter().map(|z| z * z).sum();
+                (squares / singles.len().max(1) as f64).sqrt()
+            }
+            _ => singles.iter().copied().fold(0.0, f64::max),
         };
-        (z, bound)
+        evidence.z_typical = together(&singles);
+        evidence.z_in_noise = together(&in_noise);
+        evidence.z_alone = together(&alone);
+        evidence.bound = bound;
     }
 }
 
