@@ -25,7 +25,7 @@ const NEAR: f64 = 0.05;
 const AS_GOOD: f64 = 0.8;
 
 /// What takes less than this share of what an accepted kin took is that one's own form.
-const REMAINDER: f64 = 0.1;
+const REMAINDER: f64 = 0.2;
 
 /// A candidate that was fitted.
 struct Contender<'a> {

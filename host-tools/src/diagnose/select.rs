@@ -116,5 +116,17 @@ pub fn select(
     retell(prepared, &mut selection, options);
     said("looking back");
     prune(prepared, &mut selection, options)?;
+    level(prepared, &mut selection.stages, options)?;
     Ok(selection)
+}
+
+/// Judges every stage in the way of the last, so that the staircase compares like with like.
+fn level(prepared: &Prepared, stages: &mut [Stage], options: Options) -> Result<()> {
+    let Some(split) = stages.last().map(|last| last.fit.split) else {
+        return Ok(());
+    };
+    for stage in stages.iter_mut().filter(|stage| stage.fit.split != split) {
+        *stage = Stage::new(prepared, stage.effects.clone(), split, options)?;
+    }
+    Ok(())
 }
