@@ -106,7 +106,7 @@ fn sized(id: &str) -> (Addition, Vec<f64>) {
         "magnet_temperature" => vec![-0.12],
         "thermal_gap" => vec![1.5],
         "viscous_lag" => vec![10.0, 5.0],
-        "creep" => vec![5.0, 3.0, 2.0],
+        "creep" => vec![5.0, 3.0, 1.0, 6.0, 0.5],
         "hysteresis" => vec![
             8.0, 5.0, 12.0, 38.0, 70.0, 1.0, 2.0, 12.0, 38.0, 70.0, 1.0, 2.0, 0.0, 0.0,
         ],

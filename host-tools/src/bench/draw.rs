@@ -28,6 +28,7 @@ pub enum Purpose {
     SensorTemperature,
     FieldDrift,
     ForeignMagnet,
+    Uncatalogued,
 }
 
 /// The stream of a purpose; `part` is the number of a sensor or recording, 0 for the whole campaign.

@@ -65,9 +65,9 @@ impl Element {
     /// temperature and so many seconds into the session.
     pub fn reading(&self, field_g: Vector3<f64>, warm_k: f64, session_s: f64) -> Vector3<f64> {
         let own = self.turn * field_g;
-        let gain = 1.0 - self.compression * own.norm_squared() / (STATED_G * STATED_G);
+        let compressed = own.map(|b| b * (1.0 - self.compression * (b / STATED_G).powi(2)));
         let drifted = -libm::expm1(-session_s / DRIFT_S);
-        own * gain + self.bias_g + self.per_kelvin_g * warm_k + self.drift_g * drifted
+        compressed + self.bias_g + self.per_kelvin_g * warm_k + self.drift_g * drifted
     }
 }
 

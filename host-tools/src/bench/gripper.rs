@@ -11,6 +11,7 @@ use super::programme::Excitation;
 use super::scatter::Made;
 use super::stroke::{Backlash, LEAD_MM};
 use super::surroundings::{Neighbour, currents, earth, in_body, leakage};
+use super::uncatalogued::Uncatalogued;
 use super::warmth::REFERENCE_C;
 use super::{Settings, start_s};
 
@@ -25,6 +26,7 @@ pub struct Gripper {
     pub earth_g: Vector3<f64>,
     /// The magnet that passes.
     pub foreign: ForeignMagnet,
+    uncatalogued: Uncatalogued,
     /// Loss of remanence in each recording, in shares of the effect's size.
     pub losses: Vec<f64>,
     backlash: Backlash,
@@ -91,6 +93,7 @@ impl Gripper {
                 settings.recordings,
                 settings.seconds,
             ),
+            uncatalogued: Uncatalogued::draw(effects, seed),
             losses: losses(settings.recordings),
             backlash: Backlash::new(effects.size("screw_backlash")),
         }
@@ -111,6 +114,7 @@ impl Gripper {
         let session_s = start_s(settings.seconds, moment.recording) + moment.time_s;
         let lost = self.losses[moment.recording as usize - 1];
         let (turns, foreign) = (drive.opening_mm / LEAD_MM, &self.foreign);
+        let unknown = self.uncatalogued.field(&drive, session_s);
         let read = |sensor: &mut Sensor| {
             let number = sensor.made.number;
             sensor.load(excitation, moment);
@@ -119,6 +123,7 @@ impl Gripper {
                 + sensor.neighbour.field(opening_mm)
                 + sensor.leakage * currents
                 + earth
+                + unknown
                 + foreign.field(moment.recording, number, moment.time_s);
             sensor.element.reading(field, warm_k, session_s)
         };

@@ -16,7 +16,7 @@
 //! - [`scatter`]: how a gripper is made.
 //! - [`waves`], [`load`], [`stroke`], [`attitude`], [`warmth`], [`programme`]: what is done to it.
 //! - [`friction`], [`flexure`], [`finger`]: how it gives way.
-//! - [`surroundings`], [`foreign`]: fields from outside.
+//! - [`surroundings`], [`foreign`], [`uncatalogued`]: fields from outside.
 //! - [`element`]: the Hall element.
 //! - [`gripper`]: all of it together, in time.
 //! - [`clocks`], [`reference`](mod@reference), [`record`]: what is measured and written.
@@ -41,6 +41,7 @@ pub mod sizes;
 pub mod stroke;
 pub mod surroundings;
 pub mod truth;
+pub mod uncatalogued;
 pub mod warmth;
 pub mod waves;
 

@@ -92,6 +92,8 @@ pub const SIZES: &[Size] = &[
     size("field_drift", 0.0..=20.0, "norm of the final shift of the field"),
     size("sensor_compression", -5.0..=10.0, "loss of gain at 1300 G"),
     by_name_only(2.0, "um", size("screw_ripple", -50.0..=50.0, "longitudinal motion of the magnet with the screw's turn")),
+    by_name_only(1.0, "G", shared(size("cross_term", -50.0..=50.0, "field of current times opening, at 10 A and 10 mm off the middle"))),
+    by_name_only(3.0, "G", shared(size("unlogged", 0.0..=50.0, "greatest field of a disturbance that nobody records"))),
 ];
 
 /// The effect of this name.
@@ -128,8 +130,8 @@ mod tests {
     }
 
     #[test]
-    fn all_effects_but_the_screw_s_ripple_may_be_hidden() {
+    fn all_effects_but_those_of_no_catalogue_may_be_hidden() {
         let open: Vec<&str> = SIZES.iter().filter(|s| !s.hidden).map(|s| s.id).collect();
-        assert_eq!(open, ["screw_ripple"]);
+        assert_eq!(open, ["screw_ripple", "cross_term", "unlogged"]);
     }
 }

@@ -1,9 +1,11 @@
 //! From a selection to verdicts.
 
 use model_export::effects::Addition;
+use model_export::fit::evidence::Evidence;
 use model_export::fit::size::{EffectSize, sizes};
 
 use super::candidates::Unjudged;
+use super::kin::are_kin;
 use super::screening::Screened;
 use super::select::{COMPLETE, Selection, Step};
 use super::stage::Stage;
@@ -25,7 +27,7 @@ pub fn assemble(selection: &Selection, unjudged: &[Unjudged], recordings: usize)
     };
     let complete = last.floors() <= COMPLETE;
     let mut diagnosis = Diagnosis {
-        at_floor: last.floors() <= AT_FLOOR && selection.located.is_empty(),
+        at_floor: last.floors() <= AT_FLOOR,
         accepted: match complete {
             true => selection.steps.iter().map(names).collect(),
             false => Vec::new(),
@@ -56,9 +58,12 @@ pub fn assemble(selection: &Selection, unjudged: &[Unjudged], recordings: usize)
     let named = |name: &str, verdicts: &[Verdict]| verdicts.iter().any(|v| v.effect == name);
     for screened in &selection.last {
         if !named(screened.candidate.name(), &diagnosis.verdicts) {
-            diagnosis
-                .verdicts
-                .push(of_rest(screened, complete, &diagnosis.unexplained));
+            diagnosis.verdicts.push(of_rest(
+                screened,
+                complete,
+                selection,
+                &diagnosis.unexplained,
+            ));
         }
     }
     diagnosis.verdicts.extend(unjudged.iter().map(of_unjudged));
@@ -178,7 +183,12 @@ fn unusual(size: &EffectSize) -> String {
     }
 }
 
-fn of_rest(screened: &Screened, complete: bool, unexplained: &[Unexplained]) -> Verdict {
+fn of_rest(
+    screened: &Screened,
+    complete: bool,
+    selection: &Selection,
+    unexplained: &[Unexplained],
+) -> Verdict {
     let effect = &screened.candidate;
     let evidence = &screened.evidence;
     let record = effect
@@ -199,13 +209,12 @@ fn of_rest(screened: &Screened, complete: bool, unexplained: &[Unexplained]) -> 
             "too much is unexplained".to_owned(),
             record,
         )
+    } else if screened.is_significant() {
+        let (kind, reason, short) = remainder(effect, selection);
+        (kind, reason, short, record)
     } else if evidence.z_typical < JUDGEABLE {
-        let why = format!(
-            "a typical size would stand {:.1} error bars out of what these recordings show",
-            evidence.z_typical
-        );
-        let short = "typical is too small".to_owned();
-        (Kind::NotJudgeable, why, short, record)
+        let (why, short) = inadequate(evidence);
+        (Kind::NotJudgeable, why, short.to_owned(), record)
     } else {
         // Rounded up: a bound of nothing would be a claim.
         let bound = (100.0 * evidence.bound).ceil() / 100.0;
@@ -239,6 +248,56 @@ fn short_of(why: &str) -> String {
         Some(column) => format!("no {column}"),
         None if why.len() <= LONGEST => why.to_owned(),
         None => SEE_BELOW.to_owned(),
+    }
+}
+
+/// Why recordings cannot tell a typical size from nothing, and the same in few words.
+fn inadequate(evidence: &Evidence) -> (String, &'static str) {
+    let z = evidence.z_typical;
+    let (why, short) = if evidence.z_alone < JUDGEABLE {
+        (
+            "a typical size would hardly move the field here",
+            "hardly moves the field",
+        )
+    } else if evidence.z_in_noise < JUDGEABLE {
+        (
+            "the model's own numbers can stand in for it",
+            "others stand in for it",
+        )
+    } else {
+        (
+            "what is left of other causes hides a typical size",
+            "other causes hide it",
+        )
+    };
+    (format!("{why} ({z:.1} error bars)"), short)
+}
+
+/// What is said of an effect that explains something of what is left, and still gets no name.
+fn remainder(effect: &Addition, selection: &Selection) -> (Kind, String, String) {
+    let kin = selection
+        .steps
+        .iter()
+        .find(|step| are_kin(&step.chosen, effect));
+    match kin {
+        Some(step) => (
+            Kind::Shadow,
+            format!(
+                "it explains a remainder that may as well be the form of {}",
+                step.chosen.name()
+            ),
+            format!("part of {}", step.chosen.name()),
+        ),
+        None if effect.lives_in_one_recording() => (
+            Kind::NotJudgeable,
+            "what is left wanders with time, more freely than it could".to_owned(),
+            "wanders with time".to_owned(),
+        ),
+        None => (
+            Kind::NotJudgeable,
+            "it fits some of what is left, which has another cause".to_owned(),
+            "has another cause".to_owned(),
+        ),
     }
 }
 

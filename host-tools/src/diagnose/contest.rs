@@ -5,11 +5,13 @@ use anyhow::Result;
 use model_export::effects::Addition;
 use model_export::fit::Options;
 use model_export::fit::campaign::Prepared;
+use model_export::fit::evidence::Around;
 use model_export::fit::folds::Split;
 use rayon::prelude::*;
 
+use super::kin::are_kin;
 use super::screening::{LEAST_GAIN, Screened};
-use super::select::Step;
+use super::select::{SMALL, Selection, Step};
 use super::stage::Stage;
 
 /// Candidates that are fitted in each step: the best by the straight lines, which order others well.
@@ -19,24 +21,48 @@ const CONTENDS: f64 = 0.3;
 /// What takes away all but this share of what the best contender does is tied with it at first.
 const NEAR: f64 = 0.05;
 
+/// What happens within recordings explains at least this share of what a curve free in time does.
+const AS_GOOD: f64 = 0.8;
+
+/// What takes less than this share of what an accepted kin took is that one's own form.
+const REMAINDER: f64 = 0.2;
+
 /// A candidate that was fitted.
 struct Contender<'a> {
     screened: &'a Screened,
     stage: Stage,
     /// Share of the squared error left out that it takes away.
     gain: f64,
+    /// The same in gauss squared.
+    taken: f64,
     /// Whether the error falls in every part left out.
     wins: bool,
 }
 
+/// Place of the best contender that wins and is no remainder of an earlier step; none where something
+/// that may have no name explains far more.
+fn winner(ranked: &[Contender], steps: &[Step]) -> Option<usize> {
+    let is_remainder = |contender: &Contender| {
+        steps.iter().any(|step| {
+            are_kin(&step.chosen, &contender.screened.candidate)
+                && contender.taken < REMAINDER * step.taken
+        })
+    };
+    let wins = |c: &Contender| c.wins && c.gain > LEAST_GAIN;
+    let first = ranked.iter().find(|c| wins(c))?;
+    let place = ranked.iter().position(|c| wins(c) && !is_remainder(c))?;
+    (ranked[place].gain >= SMALL * first.gain).then_some(place)
+}
+
 /// The best of the significant candidates with the model that holds it; `None` where none is left.
-pub fn contest(
+pub fn contest<'a>(
     prepared: &Prepared,
     stage: &Stage,
-    screened: &[Screened],
+    around: &Around,
+    selection: &'a Selection,
     options: Options,
 ) -> Result<Option<(Step, Stage)>> {
-    let contenders = contenders(screened);
+    let contenders = contenders(&selection.last, || around.free_in_time());
     let with = |screened: &Screened| {
         let mut effects = stage.effects.clone();
         effects.push(screened.candidate.clone());
@@ -54,30 +80,26 @@ pub fn contest(
         other.unwrap_or(stage)
     };
     let recordings = prepared.rows.first().map_or(0, |rows| rows.parts.len());
-    let fitted = |screened: &&'_ Screened| {
+    let fitted = |screened: &'a Screened| {
         let effects = with(screened);
         let split = prepared.split(&effects);
         // A candidate that cannot be fitted here explains nothing here.
         let stage = Stage::new(prepared, effects, split, options).ok()?;
         let before = judged_like(split);
-        stage
-            .is_possible(recordings)
-            .then(|| (stage.gain(before), stage.wins(before), stage))
+        stage.is_possible(recordings).then(|| Contender {
+            screened,
+            gain: stage.gain(before),
+            taken: before.mean_square() - stage.mean_square(),
+            wins: stage.wins(before),
+            stage,
+        })
     };
     let mut ranked: Vec<Contender> = contenders
         .par_iter()
-        .filter_map(|screened| {
-            let (gain, wins, stage) = fitted(screened)?;
-            Some(Contender {
-                screened,
-                stage,
-                gain,
-                wins,
-            })
-        })
+        .filter_map(|screened| fitted(screened))
         .collect();
     ranked.sort_by(|a, b| b.gain.total_cmp(&a.gain));
-    let Some(place) = ranked.iter().position(|c| c.wins && c.gain > LEAST_GAIN) else {
+    let Some(place) = winner(&ranked, &selection.steps) else {
         return Ok(None);
     };
     let best = ranked.remove(place);
@@ -94,6 +116,7 @@ pub fn contest(
         tied: plain(tied),
         shadows: plain(shadows),
         gain: best.gain,
+        taken: best.taken,
         p_adjusted: best.screened.p_adjusted,
         z_typical: best.screened.evidence.z_typical,
     };
@@ -101,16 +124,21 @@ pub fn contest(
 }
 
 /// The candidates that are worth a fit of their own, the best by the straight lines first.
-fn contenders(screened: &[Screened]) -> Vec<&Screened> {
+fn contenders(screened: &[Screened], free_in_time: impl FnOnce() -> f64) -> Vec<&Screened> {
     let significant: Vec<&Screened> = screened.iter().filter(|s| s.is_significant()).collect();
     let within = |s: &Screened| s.candidate.lives_in_one_recording();
     let ordinary = significant
         .iter()
         .find(|s| !within(s))
         .map_or(0.0, |s| s.evidence.gain());
-    // What lives within recordings is judged within them, which is easier: it must do better.
+    // What lives within recordings is judged within them, which is easier: it must do better than the
+    // others, and about as well as any curve could.
+    let free = match significant.iter().any(|s| within(s)) {
+        true => free_in_time(),
+        false => 0.0,
+    };
     let contends = |s: &&Screened| match within(s) {
-        true => s.evidence.gain() > ordinary,
+        true => s.evidence.gain() > ordinary && s.evidence.gain() >= AS_GOOD * free,
         false => s.evidence.gain() >= CONTENDS * ordinary,
     };
     significant

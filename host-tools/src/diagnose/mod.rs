@@ -5,6 +5,7 @@
 //! - [`backward`]: what a later step made needless.
 //! - [`candidates`]: what may be missing, and what these recordings cannot judge.
 //! - [`contest`]: the significant candidates fitted anew, the best one added.
+//! - [`kin`]: effects that can stand in for each other's form.
 //! - [`left`]: what a model leaves.
 //! - [`next`]: the command to type next.
 //! - [`screening`]: every candidate around one fitted model.
@@ -22,6 +23,7 @@ pub mod candidates;
 pub mod contest;
 #[cfg(test)]
 pub mod fixture;
+pub mod kin;
 pub mod left;
 pub mod next;
 pub mod screening;

@@ -24,7 +24,7 @@ pub const COMPLETE: f64 = 1.5;
 /// [`SMALL`] of it, the effect is not named: it would be a stand-in for part of something else.
 const LOCATED: f64 = 0.3;
 /// See [`LOCATED`].
-const SMALL: f64 = 0.5;
+pub const SMALL: f64 = 0.5;
 
 /// A step that was accepted.
 pub struct Step {
@@ -36,6 +36,8 @@ pub struct Step {
     pub shadows: Vec<Addition>,
     /// Share of the squared error left out that it took away.
     pub gain: f64,
+    /// The same in gauss squared.
+    pub taken: f64,
     /// Probability of as much by chance.
     pub p_adjusted: f64,
     /// Typical size in error bars when it was judged.
@@ -98,12 +100,12 @@ pub fn select(
             break;
         }
         said("fitting contenders");
-        let Some((step, next)) = contest(prepared, stage, &selection.last, options)? else {
+        let Some((step, next)) = contest(prepared, stage, &around, &selection, options)? else {
             break;
         };
         if let Some((_, share)) = selection.located.first() {
             let excess = 1.0 - stage.floors().powi(-2);
-            if *share > LOCATED && stage.floors() > COMPLETE && step.gain < SMALL * share * excess {
+            if *share > LOCATED && step.gain < SMALL * share * excess {
                 break;
             }
         }
@@ -114,5 +116,17 @@ pub fn select(
     retell(prepared, &mut selection, options);
     said("looking back");
     prune(prepared, &mut selection, options)?;
+    level(prepared, &mut selection.stages, options)?;
     Ok(selection)
+}
+
+/// Judges every stage in the way of the last, so that the staircase compares like with like.
+fn level(prepared: &Prepared, stages: &mut [Stage], options: Options) -> Result<()> {
+    let Some(split) = stages.last().map(|last| last.fit.split) else {
+        return Ok(());
+    };
+    for stage in stages.iter_mut().filter(|stage| stage.fit.split != split) {
+        *stage = Stage::new(prepared, stage.effects.clone(), split, options)?;
+    }
+    Ok(())
 }

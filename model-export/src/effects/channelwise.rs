@@ -190,7 +190,14 @@ mod tests {
         };
         assert_eq!(
             names("creep"),
-            ["creep_z_x", "creep_z_y", "creep_z_z", "time"]
+            [
+                "creep_z_x",
+                "creep_z_y",
+                "creep_z_z",
+                "time1",
+                "time2",
+                "weight"
+            ]
         );
         let hysteresis = names("hysteresis");
         assert_eq!(

@@ -1,6 +1,6 @@
 //! The clocks of board and reference disagree.
 
-use super::memory::delayed;
+use super::memory::{beyond, delayed};
 use super::{Effect, Parameter, Series, Size, SizeOf, Stage, Track, Undone};
 
 /// The effect.
@@ -41,8 +41,9 @@ pub const EFFECT: Effect = Effect {
 fn apply(values: &[f64], track: &Track, series: &mut Series) {
     let &[skew_ms] = values else { return };
     for axis in 0..2 {
-        let force: Vec<f64> = track.smooth_n.iter().map(|force| force[axis]).collect();
-        let shifted = delayed(&track.time_s, &force, 1e-3 * skew_ms);
-        series.add_force(axis, |row| shifted[row] - force[row]);
+        let shifted = beyond(track, axis, |time_s, force, rate| {
+            delayed(time_s, force, rate, 1e-3 * skew_ms)
+        });
+        series.add_force(axis, |row| shifted[row]);
     }
 }

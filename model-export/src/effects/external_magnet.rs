@@ -13,8 +13,8 @@ pub const EFFECT: Effect = Effect {
               path gives a curve with three shapes, whatever its direction; one that is put down and stays \
               leaves a step. Two forces cannot explain a change of three field axes, which is how the \
               device may notice.",
-    equation: "B + (a + b u + c u^2) / (1 + u^2)^(5/2) + d step(u), u = (t - t0) / width",
-    regressors: "the three shapes of a passing dipole and a step, in each axis",
+    equation: "B + (a + b u + c u^2) / (1 + u^2)^(5/2) + d step(u), u = (t - t0) / width; B + e in later recordings",
+    regressors: "the three shapes of a passing dipole, a step, and what is left of it in later recordings, each axis",
     needs: &[],
     shows_against: &["session_s"],
     parameters: &[
@@ -30,6 +30,9 @@ pub const EFFECT: Effect = Effect {
         Parameter::coefficient("stay_x", "G", 5.0),
         Parameter::coefficient("stay_y", "G", 5.0),
         Parameter::coefficient("stay_z", "G", 5.0),
+        Parameter::coefficient("later_x", "G", 5.0),
+        Parameter::coefficient("later_y", "G", 5.0),
+        Parameter::coefficient("later_z", "G", 5.0),
         Parameter::instant("at", "s"),
         Parameter::shape("width", "s", &[0.1, 0.25, 0.6, 1.5, 4.0]),
     ],
@@ -54,14 +57,18 @@ pub const EFFECT: Effect = Effect {
     apply,
 };
 
+/// Nothing is seen of a passage faster than two rows of the reference, in seconds.
+const LEAST_S: f64 = 0.02;
+
+/// Three values from a place on, as a vector.
+fn three(values: &[f64], i: usize) -> Vector3<f64> {
+    let found = values.get(3 * i..3 * i + 3);
+    found.map_or_else(Vector3::zeros, Vector3::from_column_slice)
+}
+
 /// Field at `u` widths from the closest approach, in gauss; `values` in the order of the parameters.
 fn field(values: &[f64], u: f64) -> Vector3<f64> {
-    let three = |i: usize| {
-        values
-            .get(3 * i..3 * i + 3)
-            .map_or_else(Vector3::zeros, Vector3::from_column_slice)
-    };
-    let [near, tilt, far, stay] = [0, 1, 2, 3].map(three);
+    let [near, tilt, far, stay] = [0, 1, 2, 3].map(|i| three(values, i));
     let nearness = 1.0 / (1.0 + u * u);
     let fall = nearness * nearness * nearness.sqrt();
     (near + tilt * u + far * (u * u)) * fall + stay * (0.5 + 0.5 * libm::tanh(u))
@@ -77,12 +84,18 @@ fn apply(values: &[f64], track: &Track, series: &mut Series) {
     let &[.., at_s, width_s] = values else {
         return;
     };
-    // What stays, stays until the recording ends, and no other recording knows of it.
     let end_s = track.time_s.last().copied().unwrap_or(0.0);
-    if !(0.0..=end_s).contains(&(at_s - track.before_s)) {
-        return;
-    }
-    for (state, time_s) in series.states.iter_mut().zip(&track.time_s) {
-        state.outside_g += field(values, (track.before_s + time_s - at_s) / width_s);
+    let own_s = at_s - track.before_s;
+    if own_s < 0.0 {
+        // It may still lie there, or nearer, or be gone.
+        let later = three(values, 4);
+        series
+            .states
+            .iter_mut()
+            .for_each(|state| state.outside_g += later);
+    } else if own_s <= end_s {
+        for (state, time_s) in series.states.iter_mut().zip(&track.time_s) {
+            state.outside_g += field(values, (time_s - own_s) / width_s.max(LEAST_S));
+        }
     }
 }

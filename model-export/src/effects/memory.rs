@@ -3,6 +3,8 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use super::Track;
+
 /// Rows on each side that a value is smoothed over.
 const SIDE: usize = 4;
 
@@ -78,9 +80,9 @@ pub fn low_pass(time_s: &[f64], values: &[f64], tau_s: f64) -> Vec<f64> {
     filtered
 }
 
-/// `values` as they were `delay_s` earlier, on straight lines between the rows; beyond the ends the
-/// line through the last two goes on.
-pub fn delayed(time_s: &[f64], values: &[f64], delay_s: f64) -> Vec<f64> {
+/// `values` with these rates as they were `delay_s` earlier, on the cubics between the rows; beyond the
+/// ends the line goes on.
+pub fn delayed(time_s: &[f64], values: &[f64], rates: &[f64], delay_s: f64) -> Vec<f64> {
     if values.len() < 2 {
         return values.to_vec();
     }
@@ -88,11 +90,84 @@ pub fn delayed(time_s: &[f64], values: &[f64], delay_s: f64) -> Vec<f64> {
         let after = time_s
             .partition_point(|t| *t < time)
             .clamp(1, time_s.len() - 1);
-        let (t0, t1) = (time_s[after - 1], time_s[after]);
-        let share = (time - t0) / (t1 - t0);
-        values[after - 1] + share * (values[after] - values[after - 1])
+        let (from, to) = (after - 1, after);
+        let step = time_s[to] - time_s[from];
+        let u = (time - time_s[from]) / step;
+        if u < 0.0 {
+            return values[from] + rates[from] * u * step;
+        }
+        if u > 1.0 {
+            return values[to] + rates[to] * (u - 1.0) * step;
+        }
+        let (back, v) = (u * u * (3.0 - 2.0 * u), 1.0 - u);
+        values[from] * (1.0 - back)
+            + values[to] * back
+            + step * u * v * (rates[from] * v - rates[to] * u)
     };
     time_s.iter().map(|time| at(time - delay_s)).collect()
+}
+
+/// A reading of one among rows that read nothing, smoothed: what the smoothing makes of the noise of a
+/// single row.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LoneReading {
+    time_s: Vec<f64>,
+    smooth: Vec<f64>,
+    rate: Vec<f64>,
+}
+
+impl LoneReading {
+    /// Rows on each side.
+    const AROUND: usize = 20;
+
+    /// Among rows as far apart as these usually are.
+    pub fn among(time_s: &[f64]) -> Self {
+        let mut steps: Vec<f64> = time_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        steps.sort_by(f64::total_cmp);
+        let Some(step) = steps.get(steps.len() / 2) else {
+            return Self::default();
+        };
+        let rows = 0..=2 * Self::AROUND;
+        let time_s: Vec<f64> = rows.clone().map(|i| step * i as f64).collect();
+        let one = |i: usize| f64::from(u8::from(i == Self::AROUND));
+        let reading: Vec<f64> = rows.map(one).collect();
+        let (smooth, rate) = smooth(&time_s, &reading);
+        Self {
+            time_s,
+            smooth,
+            rate,
+        }
+    }
+
+    /// The share of its own noise that a row gets back through `operator` of times, values and rates,
+    /// in place of the share that the smoothed force has of it; of what smoothing took away.
+    fn share(&self, operator: impl Fn(&[f64], &[f64], &[f64]) -> Vec<f64>) -> f64 {
+        let changed = operator(&self.time_s, &self.smooth, &self.rate);
+        match (changed.get(Self::AROUND), self.smooth.get(Self::AROUND)) {
+            (Some(after), Some(before)) => (after - before) / (1.0 - before),
+            _ => 0.0,
+        }
+    }
+}
+
+/// What a linear operator makes of the smoothed force of one axis beyond that force, row by row.
+///
+/// Any shift or filter gives a row less of its own noise than the smoothed force holds: added to the
+/// reading it would average the reference's noise, and seem to help where it is not. What a row would
+/// get back of its own noise is therefore taken off.
+pub fn beyond(
+    track: &Track,
+    axis: usize,
+    operator: impl Fn(&[f64], &[f64], &[f64]) -> Vec<f64>,
+) -> Vec<f64> {
+    let column = |of: &[[f64; 2]]| -> Vec<f64> { of.iter().map(|pair| pair[axis]).collect() };
+    let (smooth, rate) = (column(&track.smooth_n), column(&track.rate_n_per_s));
+    let share = track.lone_reading.share(&operator);
+    let changed = operator(&track.time_s, &smooth, &rate);
+    let readings = track.force_n.iter().map(|force| force[axis]);
+    let rows = changed.iter().zip(&smooth).zip(readings);
+    rows.map(|((after, before), read)| after - before - share * (read - before))
+        .collect()
 }
 
 #[cfg(test)]
@@ -131,6 +206,42 @@ mod tests {
         let (middle, end) = (stop(&load, 2.0, 0.0), stop(&load, 2.0, -1.0));
         assert_ne!(middle[1], end[1]);
         assert_eq!(middle[2..], end[2..]);
+    }
+
+    #[test]
+    fn a_shift_of_less_than_a_row_is_exact_for_a_cubic() {
+        let time_s = times(40);
+        let cubic = |t: f64| 1.0 - 20.0 * t + 300.0 * t * t * t;
+        let values: Vec<f64> = time_s.iter().map(|t| cubic(*t)).collect();
+        let rates: Vec<f64> = time_s.iter().map(|t| 900.0 * t * t - 20.0).collect();
+        let shifted = delayed(&time_s, &values, &rates, 0.003);
+        for i in 1..40 {
+            assert_abs_diff_eq!(shifted[i], cubic(time_s[i] - 0.003), epsilon = 1e-9);
+        }
+    }
+
+    #[test]
+    fn no_shift_averages_the_noise_of_a_row() {
+        // One row reads 1 N too much: none of that may come back at this row by any shift.
+        let mut reading = vec![0.0; 101];
+        reading[50] = 1.0;
+        let time_s = times(101);
+        let force_n = reading.iter().map(|x| [*x, 0.0]).collect();
+        let track = Track {
+            lone_reading: LoneReading::among(&time_s),
+            time_s,
+            ..Track::default()
+        }
+        .under(force_n);
+        for delay_s in [0.003, -0.003, 0.02] {
+            let shift =
+                |t: &[f64], values: &[f64], rates: &[f64]| delayed(t, values, rates, delay_s);
+            let added = beyond(&track, 0, shift);
+            assert!(added[50].abs() < 1e-12, "{delay_s}: {}", added[50]);
+            assert!(added[48].abs() > 1e-4, "{delay_s}: {}", added[48]);
+        }
+        let late = beyond(&track, 0, |t, values, _| low_pass(t, values, 0.03));
+        assert!(late[50].abs() < 1e-12, "{}", late[50]);
     }
 
     #[test]

@@ -49,6 +49,7 @@ use std::sync::Arc;
 use crate::recordings::problem::closest;
 
 pub use channelwise::Channelwise;
+pub use creep::parts_of as creep_parts;
 pub use expression::Expression;
 pub use hysteresis::sliders_of as hysteresis_sliders;
 pub use neighbour_magnet::field as neighbour_field;

@@ -9,8 +9,8 @@ pub const EFFECT: Effect = Effect {
     physics: "Hall elements and their amplifiers are not quite linear: near the end of the range the gain \
               falls. With 1272 G at rest along the gap the sensor always works there, and every load that \
               moves the magnet closer meets less gain.",
-    equation: "B (1 - c (|B| / 1300 G)^2)",
-    regressors: "B times |B|^2",
+    equation: "b (1 - c (b / 1300 G)^2), each axis b of B",
+    regressors: "the cube of each axis' field",
     needs: &[],
     shows_against: &["fx_n", "fz_n"],
     parameters: &[Parameter::coefficient("loss", "%", 1.0)],

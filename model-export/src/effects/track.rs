@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use crate::recordings::Recording;
 use crate::recordings::columns::Axis;
 
-use super::memory;
+use super::memory::{self, LoneReading};
 
 /// Rows of one sensor over one recording, on the reference's clock.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -26,6 +26,8 @@ pub struct Track {
     pub smooth_n: Vec<[f64; 2]>,
     /// Rate of the force in N/s.
     pub rate_n_per_s: Vec<[f64; 2]>,
+    /// What smoothing makes of a single row's noise.
+    pub lone_reading: LoneReading,
     /// Load cycles of each axis since the campaign began: upward passages through zero.
     pub cycles: Vec<[f64; 2]>,
     /// The sensor's temperature in degrees Celsius; empty where it was not recorded.
@@ -69,6 +71,7 @@ impl Track {
             start_s: recording.description.start_s,
             before_s: place.1,
             cycles: Vec::new(),
+            lone_reading: LoneReading::among(&time_s),
             force_n: pair(&|axis, i| columns[axis][i]),
             smooth_n: pair(&|axis, i| smoothed[axis].0[i]),
             rate_n_per_s: pair(&|axis, i| smoothed[axis].1[i]),
@@ -114,6 +117,7 @@ impl Track {
                 .iter()
                 .map(|(name, values)| (name.clone(), pick(values, rows)))
                 .collect(),
+            lone_reading: self.lone_reading.clone(),
             ..*self
         }
     }

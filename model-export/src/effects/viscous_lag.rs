@@ -1,6 +1,6 @@
 //! The flexure follows its force late.
 
-use super::memory::low_pass;
+use super::memory::{beyond, low_pass};
 use super::{Effect, Parameter, Series, Size, SizeOf, Stage, Track, Undone};
 
 /// The effect.
@@ -45,9 +45,10 @@ fn apply(values: &[f64], track: &Track, series: &mut Series) {
     for (axis, &lag_ms) in values.iter().enumerate().take(2) {
         let lag_s = 1e-3 * lag_ms;
         if lag_s > 0.0 {
-            let force: Vec<f64> = track.smooth_n.iter().map(|force| force[axis]).collect();
-            let late = low_pass(&track.time_s, &force, lag_s);
-            series.add_force(axis, |row| late[row] - force[row]);
+            let late = beyond(track, axis, |time_s, force, _| {
+                low_pass(time_s, force, lag_s)
+            });
+            series.add_force(axis, |row| late[row]);
         } else if lag_s < 0.0 {
             // Nothing physical runs ahead; the fit must be able to say so.
             series.add_force(axis, |row| -lag_s * track.rate_n_per_s[row][axis]);

@@ -8,7 +8,7 @@
 
 mod sensor;
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, Vector3};
 use rayon::prelude::*;
 
 use self::sensor::Sensor;
@@ -22,6 +22,8 @@ use crate::effects::{Addition, SizeOf};
 
 /// Rows of a recording that take part.
 const ROWS: usize = 1500;
+/// Knots of a curve that is free in time, over each recording.
+const KNOTS: usize = 12;
 
 /// A fitted model with the straight lines around it.
 pub struct Around<'a> {
@@ -45,6 +47,10 @@ pub struct Evidence {
     pub count: usize,
     /// How many error bars its typical size is from nothing.
     pub z_typical: f64,
+    /// The same were noise all that is left.
+    pub z_in_noise: f64,
+    /// The same were nothing else fitted either.
+    pub z_alone: f64,
     /// The most that it may be, in typical sizes: its estimate and two error bars.
     pub bound: f64,
     /// Answers that no fixed column stands in for, one for each sensor.
@@ -161,14 +167,56 @@ impl<'a> Around<'a> {
             explained: 0.0,
             count,
             z_typical: 0.0,
+            z_in_noise: 0.0,
+            z_alone: 0.0,
             bound: f64::INFINITY,
             apart,
             inverse,
         };
         let signs = vec![1.0; self.blocks];
         evidence.explained = self.explained(&evidence, &self.scores(&evidence, None), &signs);
-        (evidence.z_typical, evidence.bound) = self.typical(&evidence, candidate);
+        self.typical(&mut evidence, candidate, &answers);
         Some(evidence)
+    }
+
+    /// How many error bars of white noise a change of the fields stands out of what the model could
+    /// absorb: `change` of a sensor's place, a recording and a row is in gauss.
+    pub fn stands_out(&self, change: impl Fn(usize, usize, usize) -> Vector3<f64>) -> f64 {
+        let mut squares = 0.0;
+        for (s, sensor) in self.sensors.iter().enumerate() {
+            let rows = &self.prepared.rows[s];
+            let base = self.prepared.bases[s].as_ref();
+            let weights = SensorProblem::new(rows, base, &self.effects).weights;
+            let weighted = |(part, row)| change(s, part, row).component_mul(&weights);
+            let entries: Vec<f64> = sensor
+                .ground
+                .places()
+                .flat_map(|place| <[f64; 3]>::from(weighted(place)))
+                .collect();
+            let all: usize = rows.parts.iter().map(|part| part.len()).sum();
+            let stand_for = 3.0 * all as f64 / entries.len().max(1) as f64;
+            let apart = sensor.apart(&DMatrix::from_vec(entries.len(), 1, entries));
+            squares += stand_for * apart.norm_squared();
+        }
+        squares.sqrt()
+    }
+
+    /// Share of the squared residual left out, in teeth of every recording, that a curve free in time
+    /// takes away: one for each axis, sensor and recording.
+    ///
+    /// What happens at an instant or from one recording to the next can only be judged within
+    /// recordings, where any slow noise is foretold by the rows beside: there an effect says something
+    /// only if it explains about as much as a curve that knows no physics.
+    pub fn free_in_time(&self) -> f64 {
+        let judged = self.sensors.par_iter().enumerate().map(|(s, sensor)| {
+            let columns = sensor.ground.hats(&self.prepared.rows[s], KNOTS);
+            let folds = sensor.left_out(&columns, 1);
+            folds
+                .iter()
+                .fold((0.0, 0.0), |(a, b), f| (a + f.0, b + f.1))
+        });
+        let (without, with) = judged.reduce(|| (0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
+        1.0 - with / without
     }
 
     /// Values of a model with one effect more than was fitted.
@@ -227,9 +275,9 @@ impl<'a> Around<'a> {
         draws.par_iter().map(draw).collect()
     }
 
-    /// How far the typical size stands out of what the residual shows by blocks, and the most that the
-    /// candidate may be in typical sizes.
-    fn typical(&self, evidence: &Evidence, candidate: &Addition) -> (f64, f64) {
+    /// How far the typical size stands out: of what the residual shows by blocks, of noise, and of noise
+    /// with nothing else fitted; and the most that the candidate may be in typical sizes.
+    fn typical(&self, evidence: &mut Evidence, candidate: &Addition, answers: &[DMatrix<f64>]) {
         let parameters = candidate.parameters(self.recordings);
         let typical: Vec<f64> = parameters
             .iter()
@@ -237,6 +285,7 @@ impl<'a> Around<'a> {
             .map(|parameter| parameter.typical)
             .collect();
         let (mut singles, mut bound) = (Vec::new(), 0.0_f64);
+        let (mut in_noise, mut alone) = (Vec::new(), Vec::new());
         for j in 0..evidence.count {
             if typical.get(j).is_none_or(|typical| typical.is_nan()) {
                 continue;
@@ -254,6 +303,9 @@ impl<'a> Around<'a> {
                 }
             }
             let norm = norm.sqrt();
+            let squares: f64 = answers.iter().map(|a| a.column(j).norm_squared()).sum();
+            in_noise.push(norm);
+            alone.push(0.1 * squares.sqrt());
             let spread = by_block
                 .iter()
                 .map(|score| score * score)
@@ -267,12 +319,17 @@ impl<'a> Around<'a> {
                 singles.push(z);
             }
         }
-        let squares: f64 = singles.iter().map(|z| z * z).sum();
-        let z = match candidate.size().of {
-            SizeOf::Norm => (squares / singles.len().max(1) as f64).sqrt(),
-            _ => singles.into_iter().fold(0.0, f64::max),
+        let together = |singles: &[f64]| match candidate.size().of {
+            SizeOf::Norm => {
+                let squares: f64 = singles.iter().map(|z| z * z).sum();
+                (squares / singles.len().max(1) as f64).sqrt()
+            }
+            _ => singles.iter().copied().fold(0.0, f64::max),
         };
-        (z, bound)
+        evidence.z_typical = together(&singles);
+        evidence.z_in_noise = together(&in_noise);
+        evidence.z_alone = together(&alone);
+        evidence.bound = bound;
     }
 }
 

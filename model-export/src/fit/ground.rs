@@ -6,8 +6,12 @@ use nalgebra::{DMatrix, DVector, Vector3};
 
 use super::normal::Normals;
 use super::problem::SensorProblem;
+use super::rows::SensorRows;
 use crate::effects::{Addition, Series, Track};
 use crate::physics::{Response, State};
+
+/// Height of a curve free in time by departure, in floors: no prior may hold it.
+const HIGH: f64 = 1000.0;
 
 /// Where an effect is sought from: the rows that take part, what is left in them, and the answers of
 /// everything that is fitted already.
@@ -99,6 +103,26 @@ impl Ground {
         let mut series = series.clone();
         effect.apply(values, track, &mut series);
         series.states
+    }
+
+    /// Columns of a curve that is free in time: straight lines between so many knots over each recording,
+    /// for each axis.
+    pub fn hats(&self, rows: &SensorRows, knots: usize) -> DMatrix<f64> {
+        let mut columns = DMatrix::zeros(self.residual.len(), 3 * knots * self.rows.len());
+        for (at, (part, row)) in self.places().enumerate() {
+            let time_s = &rows.parts[part].time_s;
+            let (first, last) = (time_s[0], time_s[time_s.len() - 1]);
+            let place = (time_s[row] - first) / (last - first).max(f64::MIN_POSITIVE);
+            let place = place * (knots - 1) as f64;
+            for knot in [place.floor(), place.floor() + 1.0] {
+                let height = HIGH * (1.0 - (place - knot).abs());
+                for axis in 0..3 {
+                    let column = 3 * (knots * part + (knot as usize).min(knots - 1)) + axis;
+                    columns[(3 * at + axis, column)] += height;
+                }
+            }
+        }
+        columns
     }
 
     /// What is left, weighted: x, y, z of one row after the other.

@@ -58,19 +58,17 @@ pub(crate) struct Reading {
     pub(crate) per_compression: Vector3<f64>,
 }
 
-/// Gain, bias, offset and compression of a sensor in the field `at_element_g` (sensor's axes).
+/// Gain, bias, offset and compression of a sensor in the field `at_element_g` (sensor's axes). Each axis
+/// has a plate and an amplifier of its own, and is compressed by what it reads itself.
 pub(crate) fn read(at_element_g: Vector3<f64>, bias_g: Vector3<f64>, state: &State) -> Reading {
     let full = at_element_g * state.gain + bias_g + state.offset_g;
-    let share = full.norm_squared() / (COMPRESSION_AT_G * COMPRESSION_AT_G);
-    let kept = 1.0 - state.compression * share;
-    let bent =
-        full * full.transpose() * (2.0 * state.compression / (COMPRESSION_AT_G * COMPRESSION_AT_G));
-    let per_offset = Matrix3::identity() * kept - bent;
+    let share = full.map(|b| (b / COMPRESSION_AT_G).powi(2));
+    let per_offset = Matrix3::from_diagonal(&share.map(|s| 1.0 - 3.0 * state.compression * s));
     Reading {
-        field_g: full * kept,
+        field_g: full.zip_map(&share, |b, s| b * (1.0 - state.compression * s)),
         per_field: per_offset * state.gain,
         per_offset,
         per_gain: per_offset * at_element_g,
-        per_compression: -full * share,
+        per_compression: -full.component_mul(&share),
     }
 }

@@ -5,7 +5,7 @@
 
 use nalgebra::Vector3;
 
-/// Magnitude of the field in gauss at which [`State::compression`] is stated.
+/// Field along one axis in gauss at which [`State::compression`] is stated.
 pub const COMPRESSION_AT_G: f64 = 1300.0;
 
 /// The state of one sensor at one instant.
@@ -24,8 +24,8 @@ pub struct State {
     pub gain: f64,
     /// Offset of the sensor beyond its bias in gauss, sensor's axes.
     pub offset_g: Vector3<f64>,
-    /// Share of the reading that is lost where its magnitude is [`COMPRESSION_AT_G`]; the loss
-    /// grows with the square of the magnitude.
+    /// Share of an axis' reading that is lost where it is [`COMPRESSION_AT_G`]; the loss grows with the
+    /// square of the reading.
     pub compression: f64,
 }
 

@@ -1,7 +1,7 @@
 //! `clock_skew`: the two clocks disagree by a constant.
 
 use model_export::effects::Track;
-use model_export::effects::memory::delayed;
+use model_export::effects::memory::{delayed, smooth};
 use model_export::recordings::align::Alignment;
 use model_export::recordings::{Campaign, Place};
 use rayon::prelude::*;
@@ -178,7 +178,8 @@ fn later(case: &Case, delay_s: f64) -> Track {
     let shifted = |pairs: &[[f64; 2]]| -> Vec<[f64; 2]> {
         let [x, z] = [0, 1].map(|axis| {
             let column: Vec<f64> = pairs.iter().map(|pair| pair[axis]).collect();
-            delayed(&whole.time_s, &column, delay_s)
+            let (_, rate) = smooth(&whole.time_s, &column);
+            delayed(&whole.time_s, &column, &rate, delay_s)
         });
         case.rows.iter().map(|&row| [x[row], z[row]]).collect()
     };

@@ -46,6 +46,12 @@ impl Sensor {
         self.ground.residual() - self.ground.fixed() * coefficients
     }
 
+    /// What of these answers nothing that is fitted already stands in for.
+    pub(super) fn apart(&self, answers: &DMatrix<f64>) -> DMatrix<f64> {
+        let stood_in = &self.inverse * self.ground.fixed().tr_mul(answers);
+        answers - self.ground.fixed() * stood_in
+    }
+
     /// A candidate's answers that nothing fixed stands in for, the inverse of their products, and the
     /// squares left out, part by part.
     pub(super) fn judge(
@@ -53,13 +59,13 @@ impl Sensor {
         answers: &DMatrix<f64>,
         kind: usize,
     ) -> (DMatrix<f64>, DMatrix<f64>, Vec<(f64, f64)>) {
-        let stood_in = &self.inverse * self.ground.fixed().tr_mul(answers);
-        let apart = answers - self.ground.fixed() * stood_in;
+        let apart = self.apart(answers);
         let inverse = inverse(apart.tr_mul(&apart), self.prior);
         (apart, inverse, self.left_out(answers, kind))
     }
 
-    fn left_out(&self, answers: &DMatrix<f64>, kind: usize) -> Vec<(f64, f64)> {
+    /// Squares left out without and with these answers, part by part.
+    pub(super) fn left_out(&self, answers: &DMatrix<f64>, kind: usize) -> Vec<(f64, f64)> {
         let all = DMatrix::from_columns(
             &self
                 .ground

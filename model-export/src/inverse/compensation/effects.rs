@@ -10,7 +10,7 @@ use firmware::units::Force;
 use nalgebra::{Matrix3, Vector3};
 
 use super::{NotUndone, Sensor};
-use crate::effects::{hysteresis_sliders, neighbour_field};
+use crate::effects::{creep_parts, hysteresis_sliders, neighbour_field};
 use crate::inverse::design_box::lattice;
 
 /// A slider's inverse with less reach than this, in newtons, would follow the noise of a reading.
@@ -145,11 +145,18 @@ impl Sensor<'_> {
 
     pub(super) fn creep(&self, values: &[f64]) -> Result<OnForce<'static>, NotUndone> {
         let id = "creep";
-        let [x, z, time_s] = self.values(id, values)?;
+        let _: [f64; 5] = self.values(id, values)?;
         let share = |percent: f64| self.integer(id, 0.01 * percent, creep::BITS);
+        let shares = |axis: usize| {
+            let [(fast, _), (slow, _)] = creep_parts(values, axis);
+            Ok([share(fast)?, share(slow)?])
+        };
+        let tick_s = 1.0 / params::SENSE_RATE.value;
+        let rate = |time_s: f64| self.integer(id, -libm::expm1(-tick_s / time_s), creep::BITS);
+        let [(_, fast_s), (_, slow_s)] = creep_parts(values, 0);
         Ok(OnForce::Creep(creep::Table {
-            share: [share(x)?, share(z)?],
-            rate: self.integer(id, 1.0 / (params::SENSE_RATE.value * time_s), creep::BITS)?,
+            share: [shares(0)?, shares(1)?],
+            rate: [rate(fast_s)?, rate(slow_s)?],
         }))
     }
 
