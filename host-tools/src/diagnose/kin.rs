@@ -39,7 +39,7 @@ const KIN: [&[&str]; 4] = [
 /// True where two effects show against the same covariate.
 pub fn are_kin(one: &Addition, other: &Addition) -> bool {
     let both = |set: &&[&str]| set.contains(&one.name()) && set.contains(&other.name());
-    KIN.iter().any(|set| both(set))
+    KIN.iter().any(both)
 }
 
 #[cfg(test)]
