@@ -198,7 +198,6 @@ fn always(seed: u64) -> Vec<Case> {
         told("isothermal", "thermal_gap", NOT),
         told("same-warm-up", "magnet_temperature", &["tied"]),
         told("same-warm-up", "sensor_temperature", &["tied"]),
-        told("same-warm-up", "field_drift", &["tied"]),
         told("single-sine", "clock_skew", OPEN),
         told("single-sine", "viscous_lag", OPEN),
         told("single-sine", "hysteresis", OPEN),

@@ -17,10 +17,13 @@ use super::stage::Stage;
 /// Candidates that are fitted in each step: the best by the straight lines, which order others well.
 const CONTENDERS: usize = 5;
 /// Share of the best candidate's gain below which another is no contender.
-const CONTENDS: f64 = 0.3;
+const CONTENDS: f64 = 0.5;
 /// What takes away all but this share of what the best contender does is tied with it at first.
 const NEAR: f64 = 0.05;
 
+/// Where the recordings hide the difference of two effects, they are tied if the other takes this share of
+/// what the better one takes: the rest is only a matter of form.
+const SAME_BUT_FORM: f64 = 0.5;
 /// What happens within recordings explains at least this share of what a curve free in time does.
 const AS_GOOD: f64 = 0.8;
 
@@ -103,9 +106,12 @@ pub fn contest<'a>(
         return Ok(None);
     };
     let best = ranked.remove(place);
-    let (tied, shadows) = ranked
-        .into_iter()
-        .partition::<Vec<_>, _>(|other| other.gain >= (1.0 - NEAR) * best.gain);
+    let (tied, shadows) = ranked.into_iter().partition::<Vec<_>, _>(|other| {
+        let (one, another) = (&best.screened.candidate, &other.screened.candidate);
+        let hidden = selection.excitation.hides_the_difference(one, another);
+        let near = if hidden { SAME_BUT_FORM } else { 1.0 - NEAR };
+        other.gain >= near * best.gain
+    });
     let plain = |list: Vec<Contender>| -> Vec<Addition> {
         list.into_iter()
             .map(|c| c.screened.candidate.clone())

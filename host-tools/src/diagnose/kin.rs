@@ -6,6 +6,15 @@
 
 use model_export::effects::Addition;
 
+/// Effects by the load's history and rate.
+pub const BY_HISTORY: &[&str] = &[
+    "hysteresis",
+    "viscous_lag",
+    "creep",
+    "clock_skew",
+    "reference_filter",
+];
+
 /// Sets of effects that show against the same covariate.
 const KIN: [&[&str]; 4] = [
     // The load itself.
@@ -15,14 +24,7 @@ const KIN: [&[&str]; 4] = [
         "hard_stop",
         "sensor_compression",
     ],
-    // The load's history and rate.
-    &[
-        "hysteresis",
-        "viscous_lag",
-        "creep",
-        "clock_skew",
-        "reference_filter",
-    ],
+    BY_HISTORY,
     // Slow time.
     &[
         "creep",

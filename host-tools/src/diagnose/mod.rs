@@ -5,6 +5,7 @@
 //! - [`backward`]: what a later step made needless.
 //! - [`candidates`]: what may be missing, and what these recordings cannot judge.
 //! - [`contest`]: the significant candidates fitted anew, the best one added.
+//! - [`excitation`]: whether the loads tell the force's history from its rate.
 //! - [`kin`]: effects that can stand in for each other's form.
 //! - [`left`]: what a model leaves.
 //! - [`next`]: the command to type next.
@@ -21,6 +22,7 @@ pub mod assemble;
 pub mod backward;
 pub mod candidates;
 pub mod contest;
+pub mod excitation;
 #[cfg(test)]
 pub mod fixture;
 pub mod kin;

@@ -10,6 +10,7 @@ use model_export::recordings::Campaign;
 
 use super::backward::prune;
 use super::contest::contest;
+use super::excitation::Excitation;
 use super::left::{block_s, located, residuals};
 use super::screening::{Screened, screen};
 use super::stage::Stage;
@@ -54,6 +55,8 @@ pub struct Selection {
     pub last: Vec<Screened>,
     /// Covariates that what is left follows, with their shares of it.
     pub located: Vec<(Covariate, f64)>,
+    /// What the recordings' programme makes alike.
+    pub excitation: Excitation,
     /// Length of the blocks in seconds, and how many.
     pub block_s: f64,
     /// See `block_s`.
@@ -79,6 +82,7 @@ pub fn select(
         )?],
         last: Vec::new(),
         located: Vec::new(),
+        excitation: Excitation::of(prepared),
         block_s: 0.0,
         blocks: 0,
     };

@@ -29,6 +29,7 @@ pub fn retell(prepared: &Prepared, selection: &mut Selection, options: Options) 
 
 fn retell_one(prepared: &Prepared, selection: &mut Selection, place: usize, options: Options) {
     let recordings = prepared.rows.first().map_or(0, |rows| rows.parts.len());
+    let excitation = selection.excitation;
     let (Some(last), step) = (selection.stages.pop(), &mut selection.steps[place]) else {
         return;
     };
@@ -46,9 +47,12 @@ fn retell_one(prepared: &Prepared, selection: &mut Selection, place: usize, opti
     set.push((step.chosen.clone(), last));
     set.sort_by(|a, b| a.1.mean_square().total_cmp(&b.1.mean_square()));
     let (stands, best) = set.remove(0);
-    let told =
-        |other: &Stage| best.wins(other) && other.mean_square() > (1.0 + TOLD) * best.mean_square();
-    let (apart, tied): (Vec<_>, Vec<_>) = set.into_iter().partition(|(_, stage)| told(stage));
+    let told = |(effect, other): &(Addition, Stage)| {
+        let hidden = excitation.hides_the_difference(&stands, effect);
+        let clearly = other.mean_square() > (1.0 + TOLD) * best.mean_square();
+        !hidden && clearly && best.wins(other)
+    };
+    let (apart, tied): (Vec<_>, Vec<_>) = set.into_iter().partition(told);
     let plain = |list: Vec<(Addition, Stage)>| list.into_iter().map(|(effect, _)| effect);
     step.chosen = stands;
     step.tied = plain(tied).collect();

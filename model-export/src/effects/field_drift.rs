@@ -9,20 +9,28 @@ pub const EFFECT: Effect = Effect {
     id: "field_drift",
     stage: Stage::Sensor,
     physics: "Glue settles, a printed lattice relaxes, electronics warm through: over minutes to hours \
-              each channel shifts to a new rest, fast at first and then more slowly. It does not follow \
-              the load. Without a measured cause this is the honest description; a logged temperature may \
+              each channel shifts to a new rest, fast at first and then more slowly. Part of it may start \
+              anew whenever a recording does, with the current that is switched on. It does not follow the \
+              load. Without a measured cause this is the honest description; a logged temperature may \
               explain it better.",
-    equation: "B + A (1 - exp(-t / tau)), t since the campaign began",
-    regressors: "1 - exp(-t / tau) in each axis",
+    equation: "B + A (1 - exp(-t / tau)) + C (1 - exp(-s / tau)), t since the campaign began, s since the recording did",
+    regressors: "1 - exp(-t / tau) and 1 - exp(-s / tau) in each axis",
     needs: &[],
     shows_against: &["session_s"],
     parameters: &[
         Parameter::coefficient("shift_x", "G", 0.7),
         Parameter::coefficient("shift_y", "G", 0.7),
         Parameter::coefficient("shift_z", "G", 0.7),
-        Parameter::shape("time", "s", &[60.0, 150.0, 400.0, 1000.0, 3000.0])
-            .shared()
-            .across_recordings(),
+        Parameter::coefficient("again_x", "G", 0.7),
+        Parameter::coefficient("again_y", "G", 0.7),
+        Parameter::coefficient("again_z", "G", 0.7),
+        Parameter::shape(
+            "time",
+            "s",
+            &[15.0, 30.0, 60.0, 150.0, 400.0, 1000.0, 3000.0],
+        )
+        .shared()
+        .across_recordings(),
     ],
     size: Size {
         words: "final shift",
@@ -39,7 +47,8 @@ pub const EFFECT: Effect = Effect {
               temperature.",
     confused_with: &[
         ("creep", "both are slow"),
-        ("magnet_temperature", "where there is one warm-up only"),
+        ("magnet_temperature", "where every recording warms up alike"),
+        ("sensor_temperature", "where every recording warms up alike"),
         (
             "reference_drift",
             "both are slow; a drifting reference only moves along dB/dF",
@@ -52,9 +61,15 @@ pub const EFFECT: Effect = Effect {
 };
 
 fn apply(values: &[f64], track: &Track, series: &mut Series) {
-    let &[x, y, z, tau_s] = values else { return };
+    let &[x, y, z, again_x, again_y, again_z, tau_s] = values else {
+        return;
+    };
+    let (once, again) = (
+        Vector3::new(x, y, z),
+        Vector3::new(again_x, again_y, again_z),
+    );
+    let settled = |time_s: f64| 1.0 - libm::exp(-time_s.max(0.0) / tau_s);
     for (state, time_s) in series.states.iter_mut().zip(&track.time_s) {
-        let settled = 1.0 - libm::exp(-(track.start_s + time_s).max(0.0) / tau_s);
-        state.offset_g += Vector3::new(x, y, z) * settled;
+        state.offset_g += once * settled(track.start_s + time_s) + again * settled(*time_s);
     }
 }
