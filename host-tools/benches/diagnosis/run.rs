@@ -137,10 +137,16 @@ fn stands_out(clean: &Path, hidden: &Path) -> f64 {
         .expect("a fit");
     let around = Around::new(&clean, &[], &fit, BLOCK_S);
     around.stands_out(|sensor, part, row| {
-        let field = |of: &Prepared| of.rows[sensor].parts[part].field_g.get(row).copied();
-        match (field(&hidden), field(&clean)) {
-            (Some(hidden), Some(clean)) => hidden - clean,
-            _ => nalgebra::Vector3::zeros(),
+        let at = |of: &Prepared| {
+            let part = &of.rows[sensor].parts[part];
+            Some((*part.field_g.get(row)?, *part.track.force_n.get(row)?))
+        };
+        match (at(&hidden), at(&clean)) {
+            (Some((field, force)), Some((clean, without))) => (
+                field - clean,
+                [0, 1].map(|axis| force[axis] - without[axis]),
+            ),
+            _ => (nalgebra::Vector3::zeros(), [0.0; 2]),
         }
     })
 }

@@ -22,6 +22,10 @@ pub fn prune(prepared: &Prepared, selection: &mut Selection, options: Options) -
             let kept = stage.effects.iter().filter(|effect| *effect != chosen);
             kept.cloned().collect()
         };
+        if Stage::unjudged(prepared, without(last), options)?.is_far_behind(last) {
+            place += 1;
+            continue;
+        }
         let split = last.fit.split;
         let simpler = Stage::new(prepared, without(last), split, options)?;
         if last.gain(&simpler) > LEAST_GAIN && last.wins(&simpler) {

@@ -8,6 +8,9 @@ use model_export::fit::folds::Split;
 use model_export::fit::joint::JointFit;
 use model_export::fit::size::{EffectSize, sizes};
 
+/// A model that leaves this many times another's squared error where both were fitted is no rival.
+const FAR: f64 = 1.1;
+
 /// A model while effects are added to it.
 pub struct Stage {
     /// All effects.
@@ -26,6 +29,23 @@ impl Stage {
     ) -> Result<Self> {
         let fit = prepared.fit(&effects, split, options, |_| ())?;
         Ok(Self { effects, fit })
+    }
+
+    /// Fitted and not judged.
+    pub fn unjudged(prepared: &Prepared, effects: Vec<Addition>, options: Options) -> Result<Self> {
+        Self::new(prepared, effects, Split::Recordings(0), options)
+    }
+
+    /// Whether it leaves so much more of what was fitted than `other` that nothing left out need be asked.
+    pub fn is_far_behind(&self, other: &Self) -> bool {
+        self.fitted_mean_square() > FAR * other.fitted_mean_square()
+    }
+
+    /// Mean square over all channels on what was fitted, in gauss squared.
+    fn fitted_mean_square(&self) -> f64 {
+        let scores = || self.fit.sensors.iter().flat_map(|sensor| &sensor.scores);
+        let squares: f64 = scores().map(|score| score.fitted_rms_g.powi(2)).sum();
+        squares / scores().count().max(1) as f64
     }
 
     /// Held-out mean square over all channels, in gauss squared.

@@ -1,6 +1,6 @@
 //! Friction beside the flexure holds it back, on the way there and on the way back.
 
-use super::memory::stop;
+use super::memory::stops;
 use super::{Effect, Parameter, Series, Size, SizeOf, Stage, Track, Undone};
 
 /// The effect.
@@ -80,10 +80,8 @@ fn apply(values: &[f64], track: &Track, series: &mut Series) {
             .copied()
             .unwrap_or(0.0);
         let force: Vec<f64> = track.smooth_n.iter().map(|force| force[axis]).collect();
-        for (share, reach) in sliders(shapes) {
-            let slider = stop(&force, reach, begin);
-            series.add_force(axis, |row| -friction * share * slider[row]);
-        }
+        let held = stops(&force, sliders(shapes), begin);
+        series.add_force(axis, |row| -friction * held[row]);
     }
 }
 

@@ -49,14 +49,25 @@ fn local(at: f64, time_s: &[f64], values: &[f64]) -> (f64, f64) {
 /// The stop operator: an elastic slider that follows `values` and slips at `reach` either way, as a
 /// share of `reach` (Prandtl's element). It begins at the share `start`.
 pub fn stop(values: &[f64], reach: f64, start: f64) -> Vec<f64> {
+    stops(values, [(1.0, reach)], start)
+}
+
+/// Several sliders side by side, each with its weight and its reach: their weighted sum. (In one pass:
+/// each slider waits for its last step, and meanwhile the others move. Half of a fit of friction is here.)
+pub fn stops<const N: usize>(values: &[f64], sliders: [(f64, f64); N], start: f64) -> Vec<f64> {
     let mut last = values.first().copied().unwrap_or(0.0);
-    let mut stretch = start.clamp(-1.0, 1.0) * reach;
-    let share = 1.0 / reach;
+    let mut stretches = sliders.map(|(_, reach)| start.clamp(-1.0, 1.0) * reach);
+    let shares = sliders.map(|(weight, reach)| weight / reach);
     let follow = |&value: &f64| {
         let step = value - last;
         last = value;
-        stretch = (stretch + step).max(-reach).min(reach);
-        stretch * share
+        let mut sum = 0.0;
+        for (i, stretch) in stretches.iter_mut().enumerate() {
+            let reach = sliders[i].1;
+            *stretch = (*stretch + step).max(-reach).min(reach);
+            sum += shares[i] * *stretch;
+        }
+        sum
     };
     values.iter().map(follow).collect()
 }

@@ -19,6 +19,7 @@ use super::joint::JointFit;
 use super::problem::SensorProblem;
 use super::start::{Seeker, seek_beside};
 use crate::effects::{Addition, SizeOf};
+use crate::physics::Response;
 
 /// Rows of a recording that take part.
 const ROWS: usize = 1500;
@@ -179,20 +180,25 @@ impl<'a> Around<'a> {
         Some(evidence)
     }
 
-    /// How many error bars of white noise a change of the fields stands out of what the model could
-    /// absorb: `change` of a sensor's place, a recording and a row is in gauss.
-    pub fn stands_out(&self, change: impl Fn(usize, usize, usize) -> Vector3<f64>) -> f64 {
+    /// How many error bars of white noise a change of the measurement stands out of what the model could
+    /// absorb: `change` of a sensor's place, a recording and a row is that of the field in gauss and of the
+    /// reference's forces in newtons.
+    pub fn stands_out(
+        &self,
+        change: impl Fn(usize, usize, usize) -> (Vector3<f64>, [f64; 2]),
+    ) -> f64 {
         let mut squares = 0.0;
         for (s, sensor) in self.sensors.iter().enumerate() {
             let rows = &self.prepared.rows[s];
             let base = self.prepared.bases[s].as_ref();
             let weights = SensorProblem::new(rows, base, &self.effects).weights;
-            let weighted = |(part, row)| change(s, part, row).component_mul(&weights);
-            let entries: Vec<f64> = sensor
-                .ground
-                .places()
-                .flat_map(|place| <[f64; 3]>::from(weighted(place)))
-                .collect();
+            let [kx, kz] = base.stiffness(&self.values[s]);
+            let of_row = |(part, row, response): (usize, usize, &Response)| {
+                let (field, [fx, fz]) = change(s, part, row);
+                let moved = Vector3::new(fx / kx, 0.0, fz / kz);
+                <[f64; 3]>::from((field - response.per_mm * moved).component_mul(&weights))
+            };
+            let entries: Vec<f64> = sensor.ground.responses().flat_map(of_row).collect();
             let all: usize = rows.parts.iter().map(|part| part.len()).sum();
             let stand_for = 3.0 * all as f64 / entries.len().max(1) as f64;
             let apart = sensor.apart(&DMatrix::from_vec(entries.len(), 1, entries));

@@ -135,6 +135,12 @@ impl Ground {
         self.normals.fixed()
     }
 
+    /// Recording, row and response of each row that takes part.
+    pub fn responses(&self) -> impl Iterator<Item = (usize, usize, &Response)> {
+        let parts = self.rows.iter().enumerate();
+        parts.flat_map(|(part, rows)| rows.iter().map(move |(row, _, r)| (part, *row, r)))
+    }
+
     /// Recording and row of each row that takes part.
     pub fn places(&self) -> impl Iterator<Item = (usize, usize)> {
         let parts = self.rows.iter().enumerate();
