@@ -1,31 +1,34 @@
-//! `magpie demo`: from raw recordings to forces by the gripper's own code, as a short story.
+//! `magpie demo`: from raw recordings to forces by the gripper's own code, and to the effect that is missing,
+//! as a short story.
+
+mod story;
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use firmware::params;
-use model_export::effects::{Addition, find};
 use model_export::fit::Options;
 use model_export::fit::score::pooled_rms;
 use model_export::inverse::build::{Variant, build};
 use model_export::inverse::emit::{MARK, source};
 use model_export::model_file::{ModelFile, Provenance};
 use model_export::output::write_output;
-use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 
-use super::fit::{BaseChoice, fit_campaign};
-use super::{change, export, fit, replay};
+use super::fit::{BaseChoice, fit_campaign, read_campaign};
+use super::{export, fit, replay};
 use crate::{progress, show};
 
-/// Raw recordings to forces, on a small campaign that comes with the project.
+/// The whole story on one campaign: fit, judge, find what is missing, add it, watch the error fall.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   cargo magpie demo
-  cargo magpie demo -o somewhere")]
+  cargo magpie demo tests/data/friction -o friction-story")]
 pub struct Args {
-    /// Folder for the model and the tables that the demo writes.
+    /// Folder of recordings; without it, a small campaign that comes with the project.
+    campaign: Option<PathBuf>,
+    /// Folder for the models, the tables and the report that the demo writes.
     #[arg(short, long, value_name = "FOLDER", default_value = "magpie-demo")]
     output: PathBuf,
 }
@@ -35,21 +38,22 @@ const CAMPAIGN: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/data/demo"
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
-    let folder = Path::new(CAMPAIGN);
+    let folder = args.campaign.as_deref().unwrap_or(Path::new(CAMPAIGN));
     let alignment = Alignment { delay_us: 0.0 };
-    let reading = progress::bar("reading recordings", 3);
-    let mut campaign = Campaign::read(folder, alignment, |_| reading.inc(1))
-        .context("the demo's recordings lie in the project's checkout (tests/data/demo)")?;
-    reading.finish_and_clear();
+    let mut campaign = read_campaign(folder, alignment)?;
     std::fs::create_dir_all(&args.output)
         .with_context(|| format!("{} cannot be made", args.output.display()))?;
     let model_path = args.output.join("model.toml");
     let tables_path = args.output.join("tables.rs");
 
-    let held_out = campaign
-        .recordings
-        .pop()
-        .context("the demo's campaign is empty")?;
+    if campaign.recordings.len() < 3 {
+        bail!(
+            "{} has {} recordings: the story needs three, one of which is put aside",
+            folder.display(),
+            campaign.recordings.len()
+        );
+    }
+    let held_out = campaign.recordings.pop().context("no recording")?;
     show::page(&format!(
         "1. The recordings. {} recordings of a gripper on a (simulated) bench, {:.0} s each: {} Hall sensors at\n\
          1 kHz, and the force on each by a reference at 100 Hz. Recording {} is put aside: nothing is fitted\n\
@@ -92,46 +96,18 @@ pub fn run(args: &Args) -> Result<()> {
         replay::report::beside(&outcome),
         "",
     ))?;
-    let better_path = args.output.join("better.toml");
-    better(campaign, &model, &held_out.folder, &outcome, &better_path)?;
-    show::page(&closing(&better_path, &tables_path))?;
-    Ok(())
-}
-
-/// The effect that the demo's campaign lacks.
-const MISSING: &str = "neighbour_magnet";
-
-/// Adds the missing effect and replays the recording that was put aside once more.
-fn better(
-    campaign: Campaign,
-    model: &ModelFile,
-    held_out: &Path,
-    before: &replay::Outcome,
-    path: &Path,
-) -> Result<()> {
-    let effect = find(MISSING)?;
-    let alignment = Alignment { delay_us: 0.0 };
-    let added = vec![Addition::Catalogue(effect)];
-    let change = change::compute(
-        campaign,
-        model,
-        Vec::new(),
-        added,
-        alignment,
-        Options::default(),
-    )?;
-    change.model.write(path)?;
-    let after = replay::outcome(path, held_out, alignment)?;
-    show::page(&format!(
-        "5. The missing effect: {MISSING}.\n\n{}\n{}\n{}{}\
-         The recording that was put aside, by the device's code: {:.3} N -> {:.3} N RMSE over all forces.\n\n",
-        show::paragraph(effect.physics),
-        change::report::effects(&change),
-        change::report::summary(&change),
-        show::paragraph(&change::report::verdict(&change)),
-        replay::report::rmse_n(&before.fitted),
-        replay::report::rmse_n(&after.fitted),
-    ))?;
+    let options = Options::default();
+    story::rest(&story::Told {
+        folder,
+        campaign: &campaign,
+        held_out: &held_out.folder,
+        model: &model,
+        model_path: &model_path,
+        before: &outcome,
+        output: &args.output,
+        options,
+    })?;
+    show::page(&closing(&args.output))?;
     Ok(())
 }
 
@@ -155,14 +131,14 @@ fn what_it_means(model: &ModelFile) -> String {
     String::new()
 }
 
-fn closing(model: &Path, tables: &Path) -> String {
+fn closing(output: &Path) -> String {
+    let tables = output.join("tables.rs");
     format!(
-        "Written: {} (to read), {} (for the firmware).\n\
-         Try others:                 cargo magpie effects\n\
+        "Everything is in {}: models to read, tables.rs for the firmware, report.html for a browser.\n\
          An image with the tables:   MAGPIE_TABLES={} cargo image\n\
-         Your own recordings:        cargo magpie fit YOUR-CAMPAIGN -o model.toml\n",
-        model.display(),
-        tables.display(),
+         Your own recordings:        cargo magpie fit YOUR-CAMPAIGN -o model.toml\n\
+         What they lack:             cargo magpie diagnose model.toml YOUR-CAMPAIGN -o report.html\n",
+        output.display(),
         tables.display(),
     )
 }

@@ -4,20 +4,15 @@ pub mod json;
 pub mod text;
 
 use anyhow::Result;
-use model_export::effects::Addition;
-use model_export::fit::campaign::Prepared;
-use model_export::model_file::{Base, ModelFile};
+use model_export::model_file::ModelFile;
 
 use super::beside::Beside;
 use super::fit::read_campaign;
 use super::formulas::Formulas;
 use crate::compare::compute::compare;
 use crate::diagnose::Diagnosis;
-use crate::diagnose::assemble::assemble;
-use crate::diagnose::candidates::candidates;
+use crate::diagnose::compute::compute;
 use crate::diagnose::next::{Typed, next};
-use crate::diagnose::select::select;
-use crate::diagnose::shape::shapes;
 use crate::findings::files::scan;
 use crate::{progress, report, show};
 
@@ -70,22 +65,12 @@ fn diagnosis(args: &Args) -> Result<Diagnosis> {
     let alignment = beside.clocks.alignment()?;
     let campaign = read_campaign(&beside.campaign, alignment)?;
     let own = args.formulas.read(&campaign)?;
-    let prepared = match model.base {
-        Base::Cylinder => Prepared::cylinder(&campaign)?,
-        Base::Polynomial => Prepared::polynomial(&campaign, model.degree(), options)?,
-    };
-    let present: Vec<Addition> = model.additions(&beside.model)?;
-    let (judged, unjudged) = candidates(&campaign, model.base, model.force_axes(), &present, &own);
     let bar = progress::rows("diagnosing");
     let said = |what: &str| bar.set_message(what.to_owned());
-    let selection = select(&campaign, &prepared, &present, &judged, options, &said)?;
+    let mut diagnosis = compute(&campaign, &model, &beside.model, &own, options, &said)?;
     bar.finish_and_clear();
-    let mut diagnosis = assemble(&selection, &unjudged, campaign.recordings.len());
-    diagnosis.shapes = shapes(&campaign, &prepared, &selection, beside.seed);
     diagnosis.findings = findings;
-    diagnosis.model = beside.model.display().to_string();
     diagnosis.campaign = beside.campaign.display().to_string();
-    diagnosis.seed = beside.seed;
     diagnosis.next = next(
         &diagnosis,
         &Typed {

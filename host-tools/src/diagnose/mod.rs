@@ -4,6 +4,7 @@
 //! - [`assemble`](mod@assemble): from a selection to verdicts.
 //! - [`backward`]: what a later step made needless.
 //! - [`candidates`]: what may be missing, and what these recordings cannot judge.
+//! - [`compute`](mod@compute): from a model and a campaign to a diagnosis.
 //! - [`contest`]: the significant candidates fitted anew, the best one added.
 //! - [`excitation`]: whether the loads tell the force's history from its rate.
 //! - [`kin`]: effects that can stand in for each other's form.
@@ -21,6 +22,7 @@
 pub mod assemble;
 pub mod backward;
 pub mod candidates;
+pub mod compute;
 pub mod contest;
 pub mod excitation;
 #[cfg(test)]

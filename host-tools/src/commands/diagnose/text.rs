@@ -31,6 +31,15 @@ pub fn text(diagnosis: &Diagnosis) -> String {
     page + &next(&diagnosis.next)
 }
 
+/// What was found, without the table of everything that was not.
+pub fn story(diagnosis: &Diagnosis) -> String {
+    let mut page = staircase(diagnosis);
+    page += &found(diagnosis);
+    page += &ties(diagnosis);
+    page += &left(diagnosis);
+    page + "\n"
+}
+
 fn paragraph(text: &str) -> String {
     show::wrapped(text, NARROW)
 }
