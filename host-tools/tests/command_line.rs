@@ -181,8 +181,10 @@ fn the_committed_tables_are_those_of_the_demo() {
         "2. The fit.",
         "3. The inverse.",
         "4. The judgement.",
-        "5. The missing effect: neighbour_magnet.",
-        "is at the noise floor",
+        "5. Where it fails.",
+        "6. Which physics is missing.",
+        "AT NOISE FLOOR",
+        "7. The error falls.",
     ] {
         assert!(story.contains(part), "{story}");
     }

@@ -1,4 +1,4 @@
-//! A copy of the small campaign `clean`, spoilt in a way that a bench really would.
+//! A copy of a small campaign, spoilt in a way that a bench really would, or told otherwise.
 
 use std::fs;
 use std::io::Read;
@@ -88,12 +88,17 @@ impl Default for Spoilt {
 impl Spoilt {
     /// A copy of `clean`, nothing spoilt yet.
     pub fn new() -> Self {
+        Self::of("clean")
+    }
+
+    /// A copy of another small campaign.
+    pub fn of(campaign: &str) -> Self {
         let spoilt = Self {
             folder: TempDir::new().expect("a folder"),
         };
         for recording in 1..=3 {
             let (from, to) = (
-                data("clean").join(recording.to_string()),
+                data(campaign).join(recording.to_string()),
                 spoilt.recording(recording),
             );
             fs::create_dir_all(&to).expect("a folder");
@@ -117,6 +122,15 @@ impl Spoilt {
     /// Folder of a recording, from 1.
     pub fn recording(&self, number: u32) -> PathBuf {
         self.path().join(number.to_string())
+    }
+
+    /// Exchanges the names of two recordings' folders.
+    pub fn exchange_recordings(self, one: u32, other: u32) -> Self {
+        let between = self.path().join("between");
+        fs::rename(self.recording(one), &between).expect("renamed");
+        fs::rename(self.recording(other), self.recording(one)).expect("renamed");
+        fs::rename(&between, self.recording(other)).expect("renamed");
+        self
     }
 
     /// Changes the table `name` (without .gz) of these recordings.

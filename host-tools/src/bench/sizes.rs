@@ -92,7 +92,7 @@ pub const SIZES: &[Size] = &[
     size("field_drift", 0.0..=20.0, "norm of the final shift of the field"),
     size("sensor_compression", -5.0..=10.0, "loss of gain at 1300 G"),
     by_name_only(2.0, "um", size("screw_ripple", -50.0..=50.0, "longitudinal motion of the magnet with the screw's turn")),
-    by_name_only(1.0, "G", shared(size("cross_term", -50.0..=50.0, "field of current times opening, at 10 A and 10 mm off the middle"))),
+    by_name_only(1.0, "G", shared(size("cross_term", -50.0..=50.0, "field of current times opening: 10 A, 10 mm off the middle"))),
     by_name_only(3.0, "G", shared(size("unlogged", 0.0..=50.0, "greatest field of a disturbance that nobody records"))),
 ];
 

@@ -24,7 +24,7 @@ pub const COMPLETE: f64 = 1.5;
 /// Where a covariate locates this share of what is left, and the best effect takes away less than
 /// [`SMALL`] of it, the effect is not named: it would be a stand-in for part of something else.
 const LOCATED: f64 = 0.3;
-/// See [`LOCATED`].
+/// What takes away less than this share of what something nameless does gets no name.
 pub const SMALL: f64 = 0.5;
 
 /// A step that was accepted.

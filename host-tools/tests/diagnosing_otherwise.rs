@@ -1,0 +1,159 @@
+//! `magpie diagnose` on what is the same told otherwise, and on simulated recordings that cannot tell: a
+//! small fixed part of the bench `diagnosis`.
+
+use std::path::Path;
+use std::process::Command;
+
+use serde_json::Value;
+use tempfile::TempDir;
+use tests::spoilt::{Cells, Spoilt};
+
+fn magpie(arguments: &[&str]) -> Vec<u8> {
+    let output = Command::new(env!("CARGO_BIN_EXE_magpie"))
+        .args(arguments)
+        .output()
+        .expect("the tool runs");
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{arguments:?}: {said}");
+    output.stdout
+}
+
+/// What is diagnosed of a campaign with its own fitted base.
+fn diagnosed(campaign: &Path) -> Value {
+    let folder = TempDir::new().unwrap();
+    let model = folder.path().join("model.toml");
+    let (model, campaign) = (model.to_str().unwrap(), campaign.to_str().unwrap());
+    magpie(&["fit", campaign, "-o", model]);
+    let said = magpie(&["diagnose", model, campaign, "--json"]);
+    serde_json::from_slice(&said).expect("one JSON object")
+}
+
+/// The same of a simulated campaign of three recordings of 30 s.
+fn simulated(arguments: &[&str]) -> Value {
+    let folder = TempDir::new().unwrap();
+    let campaign = folder.path().join("campaign");
+    let to = campaign.to_str().unwrap();
+    magpie(&[&["simulate", "-o", to], arguments].concat());
+    diagnosed(&campaign)
+}
+
+fn accepted(diagnosis: &Value) -> Vec<Vec<&str>> {
+    let steps = diagnosis["accepted"].as_array().unwrap().iter();
+    steps
+        .map(|step| {
+            let names = step.as_array().unwrap().iter();
+            names.map(|name| name.as_str().unwrap()).collect()
+        })
+        .collect()
+}
+
+fn verdict<'a>(diagnosis: &'a Value, effect: &str) -> &'a str {
+    let mut verdicts = diagnosis["verdicts"].as_array().unwrap().iter();
+    let own = verdicts
+        .find(|verdict| verdict["effect"] == effect)
+        .unwrap();
+    own["verdict"].as_str().unwrap()
+}
+
+fn gain(diagnosis: &Value) -> f64 {
+    diagnosis["verdicts"][0]["gain"].as_f64().unwrap()
+}
+
+#[test]
+fn the_order_of_recordings_and_sensors_and_a_constant_on_the_opening_leave_the_answer() {
+    let told_otherwise = [
+        Spoilt::of("demo"),
+        Spoilt::of("demo").exchange_recordings(1, 3),
+        Spoilt::of("demo")
+            .change(&[1, 2, 3], "hall.csv", |cells: &mut Cells| {
+                for axis in ["x_lsb", "y_lsb", "z_lsb", "temp_c"] {
+                    cells.exchange(&format!("s0_{axis}"), &format!("s2_{axis}"));
+                }
+            })
+            .change(&[1, 2, 3], "force.csv", |cells: &mut Cells| {
+                for axis in ["x_n", "z_n"] {
+                    cells.exchange(&format!("f0_{axis}"), &format!("f2_{axis}"));
+                }
+            }),
+        Spoilt::of("demo").change(&[1, 2, 3], "hall.csv", |cells: &mut Cells| {
+            cells.change("opening_mm", |_, mm| format!("{:.4}", mm + 3.0));
+        }),
+    ];
+    let gains = told_otherwise.map(|campaign| {
+        let diagnosis = diagnosed(&campaign.path());
+        assert_eq!(accepted(&diagnosis), [["neighbour_magnet"]]);
+        gain(&diagnosis)
+    });
+    for other in gains {
+        assert!((other - gains[0]).abs() < 0.01, "{gains:?}");
+    }
+}
+
+#[test]
+fn a_covariate_told_backwards_loses_its_effect() {
+    let campaign = Spoilt::of("demo").change(&[1, 2, 3], "hall.csv", |cells: &mut Cells| {
+        let backwards: Vec<f64> = cells.numbers("opening_mm").into_iter().rev().collect();
+        cells.change("opening_mm", |row, _| format!("{:.4}", backwards[row]));
+    });
+    let diagnosis = diagnosed(&campaign.path());
+    let named = accepted(&diagnosis).concat();
+    assert!(!named.contains(&"neighbour_magnet"), "{named:?}");
+    assert_eq!(diagnosis["at_floor"], false);
+}
+
+#[test]
+fn a_third_of_a_typical_mass_is_found() {
+    let diagnosis = simulated(&["--seed", "5", "--effect", "fingertip_mass=0.03"]);
+    assert_eq!(accepted(&diagnosis), [["fingertip_mass"]]);
+}
+
+#[test]
+fn noise_with_memory_gets_no_name() {
+    for (noise, seed) in [("ar1", "3"), ("walk", "4"), ("walk", "5")] {
+        let diagnosis = simulated(&["--seed", seed, "--noise", noise]);
+        let none: [[&str; 1]; 0] = [];
+        assert_eq!(accepted(&diagnosis), none, "{noise}");
+    }
+}
+
+#[test]
+fn what_never_moved_cannot_be_judged_and_the_recording_to_make_is_said() {
+    let diagnosis = simulated(&["--programme", "still", "--effect", "neighbour_magnet"]);
+    assert_eq!(verdict(&diagnosis, "neighbour_magnet"), "not_judgeable");
+    let verdicts = diagnosis["verdicts"].as_array().unwrap();
+    let open = verdicts.iter().filter(|v| v["verdict"] == "not_judgeable");
+    assert!(open.clone().count() >= 3);
+    for verdict in open {
+        assert!(!verdict["record"].as_str().unwrap().is_empty(), "{verdict}");
+    }
+}
+
+#[test]
+fn the_same_warm_up_every_time_leaves_temperature_and_drift_tied() {
+    let diagnosis = simulated(&[
+        "--programme",
+        "same-warm-up",
+        "--effect",
+        "sensor_temperature",
+    ]);
+    for effect in ["sensor_temperature", "field_drift"] {
+        assert_eq!(verdict(&diagnosis, effect), "tied", "{effect}");
+    }
+}
+
+#[test]
+fn one_sine_does_not_tell_friction_from_a_lag() {
+    let diagnosis = simulated(&["--programme", "single-sine", "--effect", "hysteresis"]);
+    assert_eq!(verdict(&diagnosis, "hysteresis"), "tied");
+    assert_eq!(verdict(&diagnosis, "viscous_lag"), "tied");
+}
+
+#[test]
+fn a_disturbance_that_nobody_recorded_gets_no_name() {
+    for effect in ["unlogged", "cross_term"] {
+        let diagnosis = simulated(&["--seed", "2", "--effect", effect]);
+        let none: [[&str; 1]; 0] = [];
+        assert_eq!(accepted(&diagnosis), none, "{effect}");
+        assert_eq!(diagnosis["at_floor"], false);
+    }
+}
