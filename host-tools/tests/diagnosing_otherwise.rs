@@ -157,3 +157,28 @@ fn a_disturbance_that_nobody_recorded_gets_no_name() {
         assert_eq!(diagnosis["at_floor"], false);
     }
 }
+
+#[test]
+fn a_lag_of_one_flexure_is_told_with_its_sensor_and_not_as_a_mean() {
+    // The reference of one lateral flexure is told a row (10 ms) early: the field of that one lags.
+    let campaign = Spoilt::of("clean").change(&[1, 2, 3], "force.csv", |cells: &mut Cells| {
+        let early: Vec<f64> = cells.numbers("f2_x_n").into_iter().skip(1).collect();
+        cells.change("f2_x_n", |row, last| {
+            format!("{:.3}", early.get(row).unwrap_or(&last))
+        });
+    });
+    let diagnosis = diagnosed(&campaign.path());
+    assert_eq!(
+        accepted(&diagnosis),
+        [["viscous_lag"]],
+        "{}",
+        diagnosis["verdict"]
+    );
+    let verdicts = diagnosis["verdicts"].as_array().unwrap();
+    let lag = verdicts
+        .iter()
+        .find(|v| v["effect"] == "viscous_lag")
+        .unwrap();
+    let value = lag["value"].as_f64().unwrap();
+    assert!((9.0..11.0).contains(&value), "{value}");
+}

@@ -348,11 +348,13 @@ fn sentence(diagnosis: &Diagnosis, selection: &Selection, last: &Stage, complete
             )
         }
         (_, Some(unexplained)) => format!(
-            "Unexplained structure: {unexplained}, and no effect explains it ({rms}, {floors:.1} times the floor). {}",
-            match steps.is_empty() {
-                true => "A formula of your own over it is a candidate like any other (--expr)."
-                    .to_owned(),
-                false => format!("Provisionally missing: {}.", steps.join("; ")),
+            "Structure remains: {unexplained}, and no effect explains it ({rms}, {floors:.1} times the floor). {}",
+            match (steps.is_empty(), complete) {
+                (true, _) =>
+                    "A formula of your own over it is a candidate like any other (--expr)."
+                        .to_owned(),
+                (false, true) => format!("{missing}."),
+                (false, false) => format!("Provisionally missing: {}.", steps.join("; ")),
             }
         ),
         _ => format!(

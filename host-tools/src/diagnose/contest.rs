@@ -20,13 +20,11 @@ const CONTENDERS: usize = 5;
 const CONTENDS: f64 = 0.5;
 /// What takes away all but this share of what the best contender does is tied with it at first.
 const NEAR: f64 = 0.05;
-
 /// Where the recordings hide the difference of two effects, they are tied if the other takes this share of
 /// what the better one takes: the rest is only a matter of form.
 const SAME_BUT_FORM: f64 = 0.5;
 /// What happens within recordings explains at least this share of what a curve free in time does.
 const AS_GOOD: f64 = 0.8;
-
 /// What takes less than this share of what an accepted kin took is that one's own form.
 const REMAINDER: f64 = 0.2;
 

@@ -34,6 +34,8 @@ fn retell_one(prepared: &Prepared, selection: &mut Selection, place: usize, opti
     let (Some(last), step) = (selection.stages.pop(), &mut selection.steps[place]) else {
         return;
     };
+    // What was accepted for itself later is no stand-in.
+    step.tied.retain(|tied| !last.effects.contains(tied));
     let split = last.fit.split;
     let instead = |other: &Addition| {
         let mut effects = last.effects.clone();

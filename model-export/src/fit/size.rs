@@ -6,6 +6,9 @@ use crate::effects::{Addition, Size, SizeOf};
 /// A component stands out where it is this many error bars from zero.
 const STANDS_OUT: f64 = 4.0;
 
+/// A sensor by itself is meant where it shows this many times the mean over all.
+const ALONE: f64 = 3.0;
+
 /// The size of an effect.
 #[derive(Clone, Debug)]
 pub struct EffectSize {
@@ -109,11 +112,27 @@ fn size_of(
             let most = || (0..count).max_by(|&a, &b| significance(a).total_cmp(&significance(b)));
             let chosen = largest.or_else(most).unwrap_or(0);
             let (value, std_error) = all.get(chosen).copied().unwrap_or((f64::NAN, f64::NAN));
-            (
-                value,
-                std_error,
-                (count > 1).then(|| parameters[chosen].name.to_string()),
-            )
+            let own = (0..count).flat_map(|i| {
+                fit.sensors.iter().map(move |sensor| {
+                    let slot = slots(sensor).start + i;
+                    (i, sensor, sensor.values[slot], sensor.std_error(slot))
+                })
+            });
+            let one = own
+                .filter(|(.., value, error)| value.abs() >= STANDS_OUT * error)
+                .max_by(|a, b| a.2.abs().total_cmp(&b.2.abs()));
+            match one {
+                // A flexure or a channel by itself: a mean over all would hide it.
+                Some((i, sensor, single, error)) if single.abs() > ALONE * value.abs() => {
+                    let name = &parameters[i].name;
+                    let component = format!("{name} of sensor {}", sensor.sensor);
+                    (single, error, Some(component))
+                }
+                _ => {
+                    let name = || parameters[chosen].name.to_string();
+                    (value, std_error, (count > 1).then(name))
+                }
+            }
         }
         SizeOf::Greatest(of) | SizeOf::Mean(of) => {
             let all = fit.sensors.iter().map(|sensor| {

@@ -48,7 +48,7 @@ const ALIGNMENT: Alignment = Alignment { delay_us: 0.0 };
 pub fn rest(told: &Told) -> Result<()> {
     let comparison = compare(told.model_path, told.folder, None, ALIGNMENT, told.options)?;
     show::page(&format!(
-        "5. Where it fails. The model beside the measurement, over everything that was recorded with it.\n\n{}\n",
+        "5. Where it fails. The model beside the measurement, over all recordings.\n\n{}\n",
         show::paragraph(&words::verdict(&comparison))
     ))?;
     let bar = progress::rows("diagnosing");
@@ -64,8 +64,11 @@ pub fn rest(told: &Told) -> Result<()> {
     bar.finish_and_clear();
     diagnosis.campaign = told.folder.display().to_string();
     show::page(&format!(
-        "6. Which physics is missing. Each effect of the catalogue is tried on the recordings that were fitted,\n\
-         and judged by what it foretells of one of them from the other.\n\n{}",
+        "{}\n{}",
+        show::paragraph(
+            "6. Which physics is missing. Each effect of the catalogue is tried on the recordings that were \
+             fitted, and judged by what it foretells of one of them from the others."
+        ),
         text::story(&diagnosis)
     ))?;
     let fall = add(told, &diagnosis)?;
