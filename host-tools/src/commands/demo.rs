@@ -134,7 +134,8 @@ fn what_it_means(model: &ModelFile) -> String {
 fn closing(output: &Path) -> String {
     let tables = output.join("tables.rs");
     format!(
-        "Everything is in {}: models to read, tables.rs for the firmware, report.html for a browser.\n\
+        "Everything is in {}:\n\
+         models to read, tables.rs for the firmware, report.html for a browser.\n\
          An image with the tables:   MAGPIE_TABLES={} cargo image\n\
          Your own recordings:        cargo magpie fit YOUR-CAMPAIGN -o model.toml\n\
          What they lack:             cargo magpie diagnose model.toml YOUR-CAMPAIGN -o report.html\n",
