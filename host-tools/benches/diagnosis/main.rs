@@ -5,7 +5,7 @@
 //! that repeat it. The world is `magpie simulate`, whose physics share no code with the models.
 //!
 //! ```text
-//! cargo bench -p host-tools --bench diagnosis                  # all of it, some half an hour on two cores
+//! cargo bench -p host-tools --bench diagnosis                  # all of it
 //! cargo bench -p host-tools --bench diagnosis -- nothing --seeds 3
 //! ```
 

@@ -36,11 +36,13 @@ pub struct Args {
 /// The campaign of the demo, in the checkout that this tool was built from.
 const CAMPAIGN: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/data/demo");
 
+/// The story takes the two clocks to agree.
+const ALIGNMENT: Alignment = Alignment { delay_us: 0.0 };
+
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     let folder = args.campaign.as_deref().unwrap_or(Path::new(CAMPAIGN));
-    let alignment = Alignment { delay_us: 0.0 };
-    let mut campaign = read_campaign(folder, alignment)?;
+    let mut campaign = read_campaign(folder, ALIGNMENT)?;
     std::fs::create_dir_all(&args.output)
         .with_context(|| format!("{} cannot be made", args.output.display()))?;
     let model_path = args.output.join("model.toml");
@@ -66,7 +68,7 @@ pub fn run(args: &Args) -> Result<()> {
 
     let options = Options::default();
     let (fits, _) = fit_campaign(&campaign, BaseChoice::Cylinder, None, options)?;
-    let provenance = Provenance::of(&campaign, alignment.delay_us, options)?;
+    let provenance = Provenance::of(&campaign, ALIGNMENT.delay_us, options)?;
     let model = ModelFile::of(&campaign, &fits, provenance);
     model.write(&model_path)?;
     show::page(&format!(
@@ -88,7 +90,7 @@ pub fn run(args: &Args) -> Result<()> {
         export::report(&built.chosen, &built.header),
     ))?;
 
-    let outcome = replay::outcome(&model_path, &held_out.folder, alignment)?;
+    let outcome = replay::outcome(&model_path, &held_out.folder, ALIGNMENT)?;
     show::page(&format!(
         "4. The judgement. Recording {}, which the fit has not seen, row by row through the device's own code.\n\n{}\n{}\n{}",
         held_out.name,

@@ -97,7 +97,7 @@ pub fn contest<'a>(
     };
     let mut ranked: Vec<Contender> = contenders
         .par_iter()
-        .filter_map(|screened| fitted(screened))
+        .filter_map(|&screened| fitted(screened))
         .collect();
     ranked.sort_by(|a, b| b.gain.total_cmp(&a.gain));
     let Some(place) = winner(&ranked, &selection.steps) else {

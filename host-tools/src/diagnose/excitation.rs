@@ -6,8 +6,7 @@ use model_export::fit::campaign::Prepared;
 
 use super::kin::BY_HISTORY;
 
-/// A sine's amplitude, from value and rate, spreads by less than this share; that of a bench's loads by
-/// half and more.
+/// The amplitude, from value and rate, of what counts as one sine spreads by less than this share.
 const STEADY: f64 = 0.2;
 /// Rows at rest and rows where the sine begins or ends take no part: an amplitude below this share of the
 /// largest.

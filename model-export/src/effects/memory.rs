@@ -53,7 +53,7 @@ pub fn stop(values: &[f64], reach: f64, start: f64) -> Vec<f64> {
 }
 
 /// Several sliders side by side, each with its weight and its reach: their weighted sum. (In one pass:
-/// each slider waits for its last step, and meanwhile the others move. Half of a fit of friction is here.)
+/// each slider waits for its last step, and meanwhile the others move.)
 pub fn stops<const N: usize>(values: &[f64], sliders: [(f64, f64); N], start: f64) -> Vec<f64> {
     let mut last = values.first().copied().unwrap_or(0.0);
     let mut stretches = sliders.map(|(_, reach)| start.clamp(-1.0, 1.0) * reach);

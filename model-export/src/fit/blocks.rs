@@ -11,8 +11,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::rows::SensorRows;
 
-/// Rows whose products are formed together: few enough to stay near the processor, which is most of the
-/// time of a fit.
+/// Rows whose products are formed together: few enough to stay in the processor's cache.
 const NEAR_BY: usize = 256;
 
 /// A stretch of rows: its share of the normal equations `H = J'J` and `g = J'r`.

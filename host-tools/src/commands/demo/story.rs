@@ -8,8 +8,8 @@ use model_export::effects::Addition;
 use model_export::fit::Options;
 use model_export::model_file::ModelFile;
 use model_export::recordings::Campaign;
-use model_export::recordings::align::Alignment;
 
+use super::ALIGNMENT;
 use crate::commands::change::{self, named};
 use crate::commands::diagnose::text;
 use crate::commands::replay;
@@ -41,8 +41,6 @@ pub struct Told<'a> {
 
 /// Steps of the error through the device's code: what was added, and newtons.
 type Fall = Vec<(String, f64)>;
-
-const ALIGNMENT: Alignment = Alignment { delay_us: 0.0 };
 
 /// Tells the rest.
 pub fn rest(told: &Told) -> Result<()> {
