@@ -10,9 +10,11 @@
 //! - [`fit`]: the forward model fitted to a campaign, with honest error bars.
 //! - [`model_file`]: the human-readable result, `model.toml`.
 //! - [`inverse`]: from fields to forces: the ideal model and the device's tables.
+//! - [`gru`]: the recurrent network: training, quantisation, its tables.
 
 pub mod effects;
 pub mod fit;
+pub mod gru;
 pub mod inverse;
 pub mod model_file;
 pub mod output;
