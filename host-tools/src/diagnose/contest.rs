@@ -6,7 +6,6 @@ use model_export::effects::Addition;
 use model_export::fit::Options;
 use model_export::fit::campaign::Prepared;
 use model_export::fit::evidence::Around;
-use model_export::fit::folds::Split;
 use rayon::prelude::*;
 
 use super::kin::are_kin;
@@ -38,15 +37,18 @@ struct Contender<'a> {
     taken: f64,
     /// Whether the error falls in every part left out.
     wins: bool,
+    /// Whether it has a size that the effect is known for.
+    usual: bool,
 }
 
 /// Place of the best contender that wins and is no remainder of an earlier step; none where something
 /// that may have no name explains far more.
 fn winner(ranked: &[Contender], steps: &[Step]) -> Option<usize> {
+    // What is left of a larger effect looks like its kin, or takes a size that no effect has.
     let is_remainder = |contender: &Contender| {
         steps.iter().any(|step| {
-            are_kin(&step.chosen, &contender.screened.candidate)
-                && contender.taken < REMAINDER * step.taken
+            let related = are_kin(&step.chosen, &contender.screened.candidate) || !contender.usual;
+            related && contender.taken < REMAINDER * step.taken
         })
     };
     let wins = |c: &Contender| c.wins && c.gain > LEAST_GAIN;
@@ -64,34 +66,35 @@ pub fn contest<'a>(
     options: Options,
 ) -> Result<Option<(Step, Stage)>> {
     let contenders = contenders(&selection.last, || around.free_in_time());
+    if contenders.is_empty() {
+        return Ok(None);
+    }
     let with = |screened: &Screened| {
         let mut effects = stage.effects.clone();
         effects.push(screened.candidate.clone());
         effects
     };
-    let mut before: Vec<Stage> = Vec::new();
-    for screened in &contenders {
-        let split = prepared.split(&with(screened));
-        if split != stage.fit.split && before.iter().all(|other| other.fit.split != split) {
-            before.push(Stage::new(prepared, stage.effects.clone(), split, options)?);
+    // What lives within recordings is judged within them, which is easier: then all are.
+    let everything: Vec<Addition> = contenders.iter().flat_map(|&s| with(s)).collect();
+    let split = prepared.split(&everything);
+    let judged;
+    let before = match split == stage.fit.split {
+        true => stage,
+        false => {
+            judged = Stage::new(prepared, stage.effects.clone(), split, options)?;
+            &judged
         }
-    }
-    let judged_like = |split: Split| {
-        let other = before.iter().find(|other| other.fit.split == split);
-        other.unwrap_or(stage)
     };
     let recordings = prepared.rows.first().map_or(0, |rows| rows.parts.len());
     let fitted = |screened: &'a Screened| {
-        let effects = with(screened);
-        let split = prepared.split(&effects);
         // A candidate that cannot be fitted here explains nothing here.
-        let stage = Stage::new(prepared, effects, split, options).ok()?;
-        let before = judged_like(split);
+        let stage = Stage::new(prepared, with(screened), split, options).ok()?;
         stage.is_possible(recordings).then(|| Contender {
             screened,
             gain: stage.gain(before),
             taken: before.mean_square() - stage.mean_square(),
             wins: stage.wins(before),
+            usual: stage.newest_is_usual(recordings),
             stage,
         })
     };
@@ -124,7 +127,8 @@ pub fn contest<'a>(
         p_adjusted: best.screened.p_adjusted,
         z_typical: best.screened.evidence.z_typical,
     };
-    Ok(Some((step, best.stage)))
+    let own = prepared.split(&best.stage.effects);
+    Ok(Some((step, best.stage.judged_by(prepared, own, options))))
 }
 
 /// The candidates that are worth a fit of their own, the best by the straight lines first.
@@ -135,14 +139,14 @@ fn contenders(screened: &[Screened], free_in_time: impl FnOnce() -> f64) -> Vec<
         .iter()
         .find(|s| !within(s))
         .map_or(0.0, |s| s.evidence.gain());
-    // What lives within recordings is judged within them, which is easier: it must do better than the
+    // What lives within recordings is judged within them, which is easier: it must do as well as the
     // others, and about as well as any curve could.
     let free = match significant.iter().any(|s| within(s)) {
         true => free_in_time(),
         false => 0.0,
     };
     let contends = |s: &&Screened| match within(s) {
-        true => s.evidence.gain() > ordinary && s.evidence.gain() >= AS_GOOD * free,
+        true => s.evidence.gain() >= (1.0 - NEAR) * ordinary && s.evidence.gain() >= AS_GOOD * free,
         false => s.evidence.gain() >= CONTENDS * ordinary,
     };
     significant

@@ -11,6 +11,9 @@ use model_export::fit::size::{EffectSize, sizes};
 /// A model that leaves this many times another's squared error where both were fitted is no rival.
 const FAR: f64 = 1.1;
 
+/// An effect of less than this share of its typical size is hardly that effect.
+const TINY: f64 = 0.03;
+
 /// A model while effects are added to it.
 pub struct Stage {
     /// All effects.
@@ -29,6 +32,14 @@ impl Stage {
     ) -> Result<Self> {
         let fit = prepared.fit(&effects, split, options, |_| ())?;
         Ok(Self { effects, fit })
+    }
+
+    /// The same model, judged in another way where that is possible.
+    pub fn judged_by(self, prepared: &Prepared, split: Split, options: Options) -> Self {
+        if self.fit.split == split {
+            return self;
+        }
+        Self::new(prepared, self.effects.clone(), split, options).unwrap_or(self)
     }
 
     /// Fitted and not judged.
@@ -69,6 +80,15 @@ impl Stage {
         pairs
             .filter(|(_, old)| old.rows() > 0)
             .all(|(new, old)| new.mean_square() < old.mean_square())
+    }
+
+    /// Whether the effect that was added last has a size that it is known for.
+    pub fn newest_is_usual(&self, recordings: usize) -> bool {
+        let newest = sizes(&self.fit, &self.effects, recordings).pop();
+        newest.is_none_or(|size| {
+            let tiny = size.value.abs() < TINY * size.size.typical;
+            size.is_plausible() && !tiny
+        })
     }
 
     /// Whether every effect has a size that physics allows.

@@ -36,7 +36,8 @@ fn retell_one(prepared: &Prepared, selection: &mut Selection, place: usize, opti
     };
     // What was accepted for itself later is no stand-in.
     step.tied.retain(|tied| !last.effects.contains(tied));
-    let split = last.fit.split;
+    // What lives within recordings cannot be judged by leaving them out: then none of the set is.
+    let split = prepared.split(&[&last.effects[..], &step.tied].concat());
     let instead = |other: &Addition| {
         let mut effects = last.effects.clone();
         for effect in effects.iter_mut().filter(|effect| **effect == step.chosen) {
@@ -47,6 +48,7 @@ fn retell_one(prepared: &Prepared, selection: &mut Selection, place: usize, opti
         possible.then(|| (other.clone(), stage))
     };
     let mut set: Vec<(Addition, Stage)> = step.tied.par_iter().filter_map(instead).collect();
+    let last = last.judged_by(prepared, split, options);
     set.push((step.chosen.clone(), last));
     set.sort_by(|a, b| a.1.mean_square().total_cmp(&b.1.mean_square()));
     let (stands, best) = set.remove(0);
@@ -60,5 +62,8 @@ fn retell_one(prepared: &Prepared, selection: &mut Selection, place: usize, opti
     step.chosen = stands;
     step.tied = plain(tied).collect();
     step.shadows.extend(plain(apart));
-    selection.stages.push(best);
+    let own = prepared.split(&best.effects);
+    selection
+        .stages
+        .push(best.judged_by(prepared, own, options));
 }

@@ -4,6 +4,10 @@ use nalgebra::Vector3;
 
 use super::{Effect, Parameter, Series, Size, SizeOf, Stage, Track, Undone};
 
+/// Expected of a passage beside a step: the fit allows ten times this unless the data say more. Without it, a
+/// step between two rows leaves the three shapes of a passage free to go anywhere in between.
+const PASSING_G: f64 = 0.5;
+
 /// The effect.
 pub const EFFECT: Effect = Effect {
     id: "external_magnet",
@@ -18,15 +22,15 @@ pub const EFFECT: Effect = Effect {
     needs: &[],
     shows_against: &["session_s"],
     parameters: &[
-        Parameter::coefficient("near_x", "G", 5.0),
-        Parameter::coefficient("near_y", "G", 5.0),
-        Parameter::coefficient("near_z", "G", 5.0),
-        Parameter::coefficient("tilt_x", "G", 5.0),
-        Parameter::coefficient("tilt_y", "G", 5.0),
-        Parameter::coefficient("tilt_z", "G", 5.0),
-        Parameter::coefficient("far_x", "G", 5.0),
-        Parameter::coefficient("far_y", "G", 5.0),
-        Parameter::coefficient("far_z", "G", 5.0),
+        Parameter::coefficient("near_x", "G", PASSING_G),
+        Parameter::coefficient("near_y", "G", PASSING_G),
+        Parameter::coefficient("near_z", "G", PASSING_G),
+        Parameter::coefficient("tilt_x", "G", PASSING_G),
+        Parameter::coefficient("tilt_y", "G", PASSING_G),
+        Parameter::coefficient("tilt_z", "G", PASSING_G),
+        Parameter::coefficient("far_x", "G", PASSING_G),
+        Parameter::coefficient("far_y", "G", PASSING_G),
+        Parameter::coefficient("far_z", "G", PASSING_G),
         Parameter::coefficient("stay_x", "G", 5.0),
         Parameter::coefficient("stay_y", "G", 5.0),
         Parameter::coefficient("stay_z", "G", 5.0),

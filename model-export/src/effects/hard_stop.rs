@@ -8,14 +8,17 @@ pub const EFFECT: Effect = Effect {
     stage: Stage::Flexure,
     physics: "Many flexures carry a stop against overload: beyond some deflection the finger touches a \
               wall and the force goes on without much more movement. In the field the answer to the force \
-              has a knee. Up to it nothing at all is seen, which tells a stop from a stiffening flexure.",
-    equation: "F' = F - c (|F| - F_knee) sign(F) beyond the knee",
+              has a knee. Up to it nothing at all is seen, which tells a stop from a stiffening flexure. A \
+              finger that sits off the middle may meet one on one side only.",
+    equation: "F' = F - c (|F| - F_knee) sign(F) beyond the knee, one c for each side",
     regressors: "dB/dF times the force beyond the knee",
     needs: &[],
     shows_against: &["fx_n", "fz_n"],
     parameters: &[
         Parameter::coefficient("lost_x", "%", 60.0),
         Parameter::coefficient("lost_z", "%", 60.0),
+        Parameter::coefficient("lost_back_x", "%", 60.0),
+        Parameter::coefficient("lost_back_z", "%", 60.0),
         Parameter::shape(
             "knee_x",
             "N",
@@ -34,7 +37,7 @@ pub const EFFECT: Effect = Effect {
     size: Size {
         words: "compliance lost beyond the knee",
         unit: "%",
-        first: 2,
+        first: 4,
         of: SizeOf::Largest,
         factor: 1.0,
         resolution: 0.0,
@@ -59,15 +62,17 @@ pub const EFFECT: Effect = Effect {
 };
 
 fn apply(values: &[f64], _: &Track, series: &mut Series) {
-    let &[lost_x, lost_z, knee_x, knee_z] = values else {
+    let &[x, z, back_x, back_z, knee_x, knee_z] = values else {
         return;
     };
     for force in &mut series.force_n {
-        let stopped =
-            |n: f64, lost: f64, knee: f64| n - 0.01 * lost * (n.abs() - knee).max(0.0) * n.signum();
+        let stopped = |n: f64, [lost, back]: [f64; 2], knee: f64| {
+            let lost = if n < 0.0 { back } else { lost };
+            n - 0.01 * lost * (n.abs() - knee).max(0.0) * n.signum()
+        };
         *force = [
-            stopped(force[0], lost_x, knee_x),
-            stopped(force[1], lost_z, knee_z),
+            stopped(force[0], [x, back_x], knee_x),
+            stopped(force[1], [z, back_z], knee_z),
         ];
     }
 }

@@ -28,7 +28,7 @@ pub struct Track {
     pub rate_n_per_s: Vec<[f64; 2]>,
     /// What smoothing makes of a single row's noise.
     pub lone_reading: LoneReading,
-    /// Load cycles of each axis since the campaign began: upward passages through zero.
+    /// Load cycles of each axis since the campaign began, as [`Cycles`] counts them.
     pub cycles: Vec<[f64; 2]>,
     /// The sensor's temperature in degrees Celsius; empty where it was not recorded.
     pub temperature_c: Vec<f64>,
@@ -156,46 +156,56 @@ pub(super) fn pick<T: Copy>(values: &[T], rows: &[usize]) -> Vec<T> {
 /// temperature, the time since the recording began and since the campaign began.
 pub const OWN: [&str; 5] = ["fx_n", "fz_n", "temp_c", "time_s", "session_s"];
 
-/// A load cycle counts where the force goes beyond this share of its greatest value on both sides.
-const SWING: f64 = 0.05;
+/// Turns of the load within this share of its swing are noise and no way.
+const PLAY: f64 = 0.05;
 
-/// Counts load cycles through the recordings of a campaign, in their order: upward passages through
-/// zero.
+/// Counts load cycles through the recordings of a campaign, in their order: the way that the load goes up
+/// and down, in ways of a cycle of the first recording's swing. A small cycle counts less than a large
+/// one, and a cycle counts as it goes.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Cycles {
     before: [f64; 2],
+    /// Amplitude of the sine that is as strong as the load of the first recording; zero before it and
+    /// where there was no load.
+    swing_n: [f64; 2],
 }
 
 impl Cycles {
     /// The next recording.
     pub fn count(&mut self, track: &mut Track) {
-        let counts = [0, 1].map(|axis| {
+        track.cycles = vec![self.before; track.len()];
+        for axis in [0, 1] {
             let force: Vec<f64> = track.smooth_n.iter().map(|force| force[axis]).collect();
-            passages(&force)
-        });
-        track.cycles = (0..track.len())
-            .map(|row| [0, 1].map(|axis| self.before[axis] + counts[axis][row]))
-            .collect();
+            if self.swing_n[axis] <= 0.0 {
+                let squares: f64 = force.iter().map(|force| force * force).sum();
+                self.swing_n[axis] = (2.0 * squares / force.len().max(1) as f64).sqrt();
+            }
+            let swing_n = self.swing_n[axis];
+            if swing_n <= 0.0 {
+                continue;
+            }
+            let way_n = way(&force, PLAY * swing_n);
+            for (cycles, way_n) in track.cycles.iter_mut().zip(way_n) {
+                // Up, back, down, back.
+                cycles[axis] += way_n / (4.0 * swing_n);
+            }
+        }
         if let Some(last) = track.cycles.last() {
             self.before = *last;
         }
     }
 }
 
-fn passages(force_n: &[f64]) -> Vec<f64> {
-    let threshold = SWING
-        * force_n
-            .iter()
-            .fold(0.0_f64, |most, force| most.max(force.abs()));
-    let (mut below, mut count) = (false, 0.0);
-    let passed = |force: &f64| {
-        if below && *force > threshold {
-            (below, count) = (false, count + 1.0);
-        }
-        below |= *force < -threshold;
-        count
+/// The way gone so far by what follows the force with a play of so much either way.
+fn way(force_n: &[f64], play_n: f64) -> Vec<f64> {
+    let (mut at, mut way) = (force_n.first().copied().unwrap_or(0.0), 0.0);
+    let step = |force: &f64| {
+        let to = at.clamp(force - play_n, force + play_n);
+        way += (to - at).abs();
+        at = to;
+        way
     };
-    force_n.iter().map(passed).collect()
+    force_n.iter().map(step).collect()
 }
 
 #[cfg(test)]
@@ -235,8 +245,9 @@ mod tests {
         let mut cycles = Cycles::default();
         tracks.iter_mut().for_each(|track| cycles.count(track));
         let last = |track: &Track| track.cycles.last().unwrap()[0];
-        // Ten periods each, of which the first does not come from below.
-        assert_eq!((last(&tracks[0]), last(&tracks[1])), (9.0, 18.0));
+        // Ten periods each; of each turn the play takes its width.
+        assert!((last(&tracks[0]) - 10.0 * 0.95).abs() < 0.05);
+        assert!((last(&tracks[1]) - 20.0 * 0.95).abs() < 0.1);
         assert_eq!(tracks[1].cycles[0][1], 0.0);
     }
 }

@@ -162,7 +162,7 @@ impl Sensor<'_> {
 
     pub(super) fn hard_stop(&self, values: &[f64]) -> Result<OnForce<'static>, NotUndone> {
         let id = "hard_stop";
-        let [lost_x, lost_z, knee_x, knee_z] = self.values(id, values)?;
+        let [x, z, back_x, back_z, knee_x, knee_z] = self.values(id, values)?;
         // All of it lost would leave nothing to measure beyond the knee.
         let beyond = |lost: f64| 1.0 / (1.0 - 0.01 * lost).max(LEAST_SLOPE) - 1.0;
         let integers = |one: f64, other: f64, bits: u32| {
@@ -170,7 +170,10 @@ impl Sensor<'_> {
         };
         Ok(OnForce::HardStop(hard_stop::Table {
             knee: integers(knee_x, knee_z, Force::BITS)?,
-            beyond: integers(beyond(lost_x), beyond(lost_z), hard_stop::BITS)?,
+            beyond: [
+                integers(beyond(x), beyond(back_x), hard_stop::BITS)?,
+                integers(beyond(z), beyond(back_z), hard_stop::BITS)?,
+            ],
         }))
     }
 
