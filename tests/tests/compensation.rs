@@ -110,7 +110,7 @@ fn sized(id: &str) -> (Addition, Vec<f64>) {
         "hysteresis" => vec![
             8.0, 5.0, 12.0, 38.0, 70.0, 1.0, 2.0, 12.0, 38.0, 70.0, 1.0, 2.0, 0.0, 0.0,
         ],
-        "hard_stop" => vec![50.0, 40.0, 110.0, 90.0],
+        "hard_stop" => vec![50.0, 40.0, 20.0, 40.0, 110.0, 90.0],
         "fingertip_mass" => vec![0.3],
         other => panic!("{other} has no size here"),
     };

@@ -45,13 +45,13 @@ impl Group {
     /// Campaigns of each kind.
     pub fn seeds(self) -> u64 {
         match self {
-            Self::Typical => 4,
-            Self::Small => 3,
+            Self::Typical => 3,
+            Self::Small => 2,
             // Under each of three noises.
             Self::Nothing => 67,
             Self::Pairs => 1,
-            Self::Outside => 8,
-            Self::Always => 2,
+            Self::Outside => 5,
+            Self::Always => 1,
         }
     }
 }

@@ -7,7 +7,7 @@ use model_export::fit::size::{EffectSize, sizes};
 use super::candidates::Unjudged;
 use super::kin::are_kin;
 use super::screening::Screened;
-use super::select::{COMPLETE, Selection, Step};
+use super::select::{Selection, Step};
 use super::stage::Stage;
 use super::words::SEE_BELOW;
 use super::{Diagnosis, Kind, Stair, Unexplained, Verdict};
@@ -25,7 +25,7 @@ pub fn assemble(selection: &Selection, unjudged: &[Unjudged], recordings: usize)
     let Some(last) = selection.stages.last() else {
         return Diagnosis::default();
     };
-    let complete = last.floors() <= COMPLETE;
+    let complete = selection.is_complete();
     let mut diagnosis = Diagnosis {
         at_floor: last.floors() <= AT_FLOOR,
         accepted: match complete {
@@ -330,9 +330,10 @@ fn sentence(diagnosis: &Diagnosis, selection: &Selection, last: &Stage, complete
             false => format!("one of {}", names(step).join(", ")),
         })
         .collect();
-    let missing = match steps.is_empty() {
-        true => "No effect is found missing".to_owned(),
-        false => format!("Missing: {}", steps.join("; ")),
+    let missing = match (steps.is_empty(), complete) {
+        (true, _) => "No effect is found missing".to_owned(),
+        (false, true) => format!("Missing: {}", steps.join("; ")),
+        (false, false) => format!("Provisionally missing: {}", steps.join("; ")),
     };
     let unexplained = diagnosis.unexplained.first().map(|first| {
         format!(
@@ -349,12 +350,10 @@ fn sentence(diagnosis: &Diagnosis, selection: &Selection, last: &Stage, complete
         }
         (_, Some(unexplained)) => format!(
             "Structure remains: {unexplained}, and no effect explains it ({rms}, {floors:.1} times the floor). {}",
-            match (steps.is_empty(), complete) {
-                (true, _) =>
-                    "A formula of your own over it is a candidate like any other (--expr)."
-                        .to_owned(),
-                (false, true) => format!("{missing}."),
-                (false, false) => format!("Provisionally missing: {}.", steps.join("; ")),
+            match steps.is_empty() {
+                true => "A formula of your own over it is a candidate like any other (--expr)."
+                    .to_owned(),
+                false => format!("{missing}."),
             }
         ),
         _ => format!(

@@ -16,11 +16,15 @@ use super::screening::{Screened, screen};
 use super::stage::Stage;
 use super::ties::retell;
 use crate::compare::covariate::Covariate;
+use crate::compare::words::AT_FLOOR;
 
 /// Steps at the most.
 const MOST_STEPS: usize = 6;
 /// While this many times the floor is left, something large is missing and names are provisional.
-pub const COMPLETE: f64 = 1.5;
+const COMPLETE: f64 = 1.5;
+/// So they are while more than this share of what they explain is left beside noise: who explains a part
+/// may stand in for what explains it all.
+const MOST_LEFT: f64 = 0.4;
 /// Where a covariate locates this share of what is left, and the best effect takes away less than
 /// [`SMALL`] of it, the effect is not named: it would be a stand-in for part of something else.
 const LOCATED: f64 = 0.3;
@@ -61,6 +65,20 @@ pub struct Selection {
     pub block_s: f64,
     /// See `block_s`.
     pub blocks: usize,
+}
+
+impl Selection {
+    /// Whether so little is left that the names stand.
+    pub fn is_complete(&self) -> bool {
+        let floors: Vec<f64> = self.stages.iter().map(Stage::floors).collect();
+        let (Some(first), Some(last)) = (floors.first(), floors.last()) else {
+            return true;
+        };
+        let explained = first.powi(2) - last.powi(2);
+        let beside_noise = last.powi(2) - 1.0;
+        let stands = self.steps.is_empty() || beside_noise <= MOST_LEFT * explained;
+        *last <= AT_FLOOR || (*last <= COMPLETE && stands)
+    }
 }
 
 /// Runs the selection from a model with the effects `present`.
