@@ -13,6 +13,9 @@ use super::search::Chosen;
 /// How every file of tables begins.
 pub const MARK: &str = "// Written by `magpie export`.";
 
+/// Before a static that the kernels read: flash would let them wait for up to four cycles a word.
+pub const IN_SRAM: &str = "#[unsafe(link_section = \".data.tables\")]\n";
+
 /// The source of a file that declares `TABLES`.
 pub fn source(built: &Built) -> String {
     let (chosen, header) = (&built.chosen, &built.header);
@@ -35,10 +38,12 @@ pub fn source(built: &Built) -> String {
             "COMPENSATIONS"
         },
     );
+    text += IN_SRAM;
     text += &format!(
         "static EXP: [u32; EXP_ENTRIES] = [\n{}];\n\n",
         exponential(tables)
     );
+    text += IN_SRAM;
     text += &format!(
         "static SENSORS: [SensorTable; {}] = [\n",
         tables.sensors.len()
