@@ -1,5 +1,18 @@
 //! The recurrent network: trained in floating point, quantised for the device.
 //!
 //! - [`network`]: what a trained network is, whoever trained it.
+//! - [`float`]: its step in floating point, which the device's is measured against.
+//! - [`quantise`]: its numbers in the device's formats, with the proof that nothing overflows.
+//! - [`warm_up`]: how long a network remembers how it began.
+//! - [`pack`]: the numbers in the device's order, for the sizes that the device knows.
+//! - [`emit`]: the same as Rust source.
 
+pub mod emit;
+pub mod float;
 pub mod network;
+pub mod pack;
+pub mod quantise;
+pub mod warm_up;
+
+#[cfg(test)]
+mod tests;
