@@ -192,7 +192,10 @@ fn fit(
 
 fn weights(row: Row, what: &str, values: &[f32], bits: u32) -> Result<Vec<i16>, Unfit> {
     let quantised = values.iter().enumerate().map(|(column, &value)| {
-        let name = || format!("{what} weight {column}");
+        let name = || match what {
+            "" => format!("weight {column}"),
+            what => format!("{what} weight {column}"),
+        };
         let limit = i64::from(i16::MAX);
         Ok(fit(row, name, f64::from(value), bits, limit, LARGE_WEIGHTS)? as i16)
     });
