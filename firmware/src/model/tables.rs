@@ -237,3 +237,6 @@ static SENSORS: [SensorTable; 4] = [
         shift: [11, 11],
     },
 ];
+
+/// No recurrent networks.
+pub static NETWORKS: [crate::model::network::Network<1, 4, 1>; 0] = [];

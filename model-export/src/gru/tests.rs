@@ -342,13 +342,10 @@ fn the_source_names_the_size_and_every_sensor() {
     );
     assert!(source.contains("target: Target::Force"));
     assert_eq!(source.matches("UnitPair {").count(), 2 * 2 * 4);
-    // Networks of two sizes have no common static.
-    let other = pack(&random(0, 3, 16, 1, nominal(16)), GAUSS_PER_LSB).unwrap();
-    assert_eq!(
-        super::emit::source(&[
-            other,
-            pack(&random(0, 3, 8, 1, nominal(8)), GAUSS_PER_LSB).unwrap()
-        ]),
-        None
-    );
+    let mixed: Vec<_> = [8, 16]
+        .map(|hidden| pack(&random(0, 3, hidden, 1, nominal(hidden)), GAUSS_PER_LSB).unwrap())
+        .into();
+    assert_eq!(super::emit::source(&mixed), Err(super::emit::SeveralSizes));
+    let none = super::emit::source(&[]).unwrap();
+    assert!(none.ends_with("Network<1, 4, 1>; 0] = [];\n"));
 }

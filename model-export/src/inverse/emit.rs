@@ -9,6 +9,7 @@ use super::build::{Built, Header};
 use super::compensation::OwnedCompensation;
 use super::quantise::TableSet;
 use super::search::Chosen;
+use crate::gru::{self, pack::Packed};
 
 /// How every file of tables begins.
 pub const MARK: &str = "// Written by `magpie export`.";
@@ -16,8 +17,20 @@ pub const MARK: &str = "// Written by `magpie export`.";
 /// Before a static that the kernels read: flash would let them wait for up to four cycles a word.
 pub const IN_SRAM: &str = "#[unsafe(link_section = \".data.tables\")]\n";
 
-/// The source of a file that declares `TABLES`.
+/// The source of a file that declares `TABLES`, and `NETWORKS` without any.
 pub fn source(built: &Built) -> String {
+    tables(built) + gru::emit::NO_NETWORKS
+}
+
+/// The same with recurrent networks.
+pub fn source_with(
+    built: &Built,
+    networks: &[Box<dyn Packed>],
+) -> Result<String, gru::emit::SeveralSizes> {
+    Ok(tables(built) + &gru::emit::source(networks)?)
+}
+
+fn tables(built: &Built) -> String {
     let (chosen, header) = (&built.chosen, &built.header);
     let tables = &chosen.tables;
     let mut text = comment(chosen, header);
