@@ -26,7 +26,7 @@ NETWORKS = "firmware::recurrent::apply"
 TABLES = "firmware::model::activation::TABLES"
 # Most bytes: of a recurrent network's kernel with its tables, of a kernel's stack, and of the stack from
 # the model's entry down (a task's own stack and interrupts come on top; 96 KiB hold all).
-CODE_LIMIT, KERNEL_STACK_LIMIT, STACK_LIMIT = 7 * 1024, 200, 1024
+CODE_LIMIT, KERNEL_STACK_LIMIT, STACK_LIMIT = 7 * 1024, 200, 1280
 
 
 def objdump(*arguments):

@@ -81,7 +81,9 @@ fn main() -> ! {
         true => EXIT_SUCCESS,
         false => EXIT_FAILURE,
     });
-    loop {}
+    loop {
+        cortex_m::asm::wfi();
+    }
 }
 
 #[panic_handler]
@@ -90,5 +92,7 @@ fn panic(info: &PanicInfo) -> ! {
         let _ = writeln!(out, "{info}");
     }
     debug::exit(EXIT_FAILURE);
-    loop {}
+    loop {
+        cortex_m::asm::wfi();
+    }
 }
