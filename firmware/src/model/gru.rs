@@ -20,8 +20,8 @@
 //!
 //! **Reset.** [`State::RESET`], all zero: what training starts from. Until [`Network::warm_up`] steps
 //! have passed the outputs still tell of that start more than of the inputs: the estimate must not be
-//! used. The exporter counts these steps for each network, from two starts that are as far from each
-//! other as states can be.
+//! used. The exporter counts these steps for each network: until the reset and a past with every input
+//! at the end of its range tell the same.
 
 pub mod portable;
 pub mod scale;

@@ -5,16 +5,21 @@
 //! takes the smallest size that holds it; inputs and units beyond its own have no weights, and such a
 //! unit stays at zero.
 
+use std::array;
 use std::fmt::Debug;
 
+use firmware::force::Estimate;
+use firmware::frame::SENSORS;
 use firmware::model::gru::Run;
 use firmware::model::network::{
     GATES, Head, Input, Network as DeviceNetwork, OUTPUTS, Pair, Source, Target as DeviceTarget,
     Told, UnitPair, Weights,
 };
+use firmware::recurrent;
 
 use super::network::{Network, Target};
-use super::quantise::{LayerRows, Quantised, Unfit};
+use super::quantise::{LayerRows, Quantised};
+use super::unfit::Unfit;
 use super::warm_up;
 
 /// A network of any size that the device knows, for the host.
@@ -29,12 +34,31 @@ pub trait Packed: Debug + Send + Sync {
 
 /// A packed network with its state.
 pub trait Running {
+    /// Numbers of the sensors that it tells the forces of.
+    fn sensors(&self) -> Vec<usize>;
+    /// One step over a frame's estimates by the device's own code; see [`recurrent::apply`].
+    fn apply(&mut self, estimates: &mut [Estimate; SENSORS]);
     /// One step by the device's own code; see [`Run::step`].
     fn step(&mut self, value: &dyn Fn(Source) -> i32) -> Option<Vec<Told>>;
     /// States of both layers (Q30), in the order of the units.
     fn states(&self) -> [Vec<i32>; 2];
     /// The latest outputs (Q26).
     fn outputs(&self) -> Vec<i32>;
+}
+
+/// Steps every network over the estimates of one frame, as [`recurrent::apply`] does with networks of
+/// one size: each sees the estimates as they were.
+pub fn apply(running: &mut [Box<dyn Running + '_>], estimates: &mut [Estimate; SENSORS]) {
+    let seen = *estimates;
+    for running in running {
+        let mut told = seen;
+        running.apply(&mut told);
+        for sensor in running.sensors() {
+            if let (Some(to), Some(from)) = (estimates.get_mut(sensor), told.get(sensor)) {
+                *to = *from;
+            }
+        }
+    }
 }
 
 /// Packs a network into the smallest size that holds it.
@@ -125,10 +149,10 @@ fn with_inputs<const INPUTS: usize, const HIDDEN: usize>(
     }
 }
 
-fn device<const INPUTS: usize, const HIDDEN: usize, const SENSORS: usize>(
+fn device<const INPUTS: usize, const HIDDEN: usize, const TOLD: usize>(
     rows: &Quantised,
     around: &Around,
-) -> DeviceNetwork<INPUTS, HIDDEN, SENSORS> {
+) -> DeviceNetwork<INPUTS, HIDDEN, TOLD> {
     let none = Input {
         source: Source::None,
         offset: 0,
@@ -137,20 +161,18 @@ fn device<const INPUTS: usize, const HIDDEN: usize, const SENSORS: usize>(
     let input = |number: usize| rows.inputs.get(number).copied().unwrap_or(none);
     let [first, second] = &rows.layers;
     DeviceNetwork {
-        sensors: std::array::from_fn(|sensor| {
-            around.numbers.get(sensor).copied().unwrap_or(u8::MAX)
-        }),
+        sensors: array::from_fn(|sensor| around.numbers.get(sensor).copied().unwrap_or(u8::MAX)),
         target: match around.target {
             Target::Force => DeviceTarget::Force,
             Target::Rest => DeviceTarget::Rest,
         },
-        inputs: std::array::from_fn(|pair| [input(2 * pair), input(2 * pair + 1)]),
+        inputs: array::from_fn(|pair| [input(2 * pair), input(2 * pair + 1)]),
         force: rows.force,
         warm_up: around.warm_up,
         weights: Weights {
-            first: std::array::from_fn(|pair| unit_pair(first, pair)),
-            second: std::array::from_fn(|pair| unit_pair(second, pair)),
-            heads: std::array::from_fn(|sensor| head(rows, sensor)),
+            first: array::from_fn(|pair| unit_pair(first, pair)),
+            second: array::from_fn(|pair| unit_pair(second, pair)),
+            heads: array::from_fn(|sensor| head(rows, sensor)),
         },
     }
 }
@@ -170,13 +192,11 @@ fn unit_pair<const INPUTS: usize, const HIDDEN: usize>(
     };
     UnitPair {
         bias: units.map(|unit| {
-            std::array::from_fn::<_, GATES, _>(|gate| {
-                row(gate, unit).map_or(0, |row| layer.bias[row])
-            })
+            array::from_fn::<_, GATES, _>(|gate| row(gate, unit).map_or(0, |row| layer.bias[row]))
         }),
-        input: std::array::from_fn(|k| products(&layer.input_weights, layer.inputs, 2 * k)),
+        input: array::from_fn(|k| products(&layer.input_weights, layer.inputs, 2 * k)),
         state_bias: units.map(|unit| layer.candidate_bias.get(unit).copied().unwrap_or(0)),
-        state: std::array::from_fn(|k| products(&layer.state_weights, layer.units, 2 * k)),
+        state: array::from_fn(|k| products(&layer.state_weights, layer.units, 2 * k)),
     }
 }
 
@@ -195,16 +215,16 @@ fn head<const HIDDEN: usize>(rows: &Quantised, sensor: usize) -> Head<HIDDEN> {
         [0, 1].map(|k| weight(&rows.head_weights, Some(row(output)), units, column + k))
     };
     Head {
-        bias: std::array::from_fn(|output| rows.head_bias[row(output)]),
-        weights: std::array::from_fn(|k| std::array::from_fn(|output| pair(output, 2 * k))),
+        bias: array::from_fn(|output| rows.head_bias[row(output)]),
+        weights: array::from_fn(|k| array::from_fn(|output| pair(output, 2 * k))),
     }
 }
 
-impl<const INPUTS: usize, const HIDDEN: usize, const SENSORS: usize> Packed
-    for DeviceNetwork<INPUTS, HIDDEN, SENSORS>
+impl<const INPUTS: usize, const HIDDEN: usize, const TOLD: usize> Packed
+    for DeviceNetwork<INPUTS, HIDDEN, TOLD>
 {
     fn size(&self) -> [usize; 3] {
-        [INPUTS, HIDDEN, SENSORS]
+        [INPUTS, HIDDEN, TOLD]
     }
 
     fn run(&self) -> Box<dyn Running + '_> {
@@ -216,12 +236,21 @@ impl<const INPUTS: usize, const HIDDEN: usize, const SENSORS: usize> Packed
     }
 }
 
-impl<const INPUTS: usize, const HIDDEN: usize, const SENSORS: usize> Running
+impl<const INPUTS: usize, const HIDDEN: usize, const TOLD: usize> Running
     for (
-        &DeviceNetwork<INPUTS, HIDDEN, SENSORS>,
-        Run<INPUTS, HIDDEN, SENSORS>,
+        &DeviceNetwork<INPUTS, HIDDEN, TOLD>,
+        Run<INPUTS, HIDDEN, TOLD>,
     )
 {
+    fn sensors(&self) -> Vec<usize> {
+        self.0.sensors.map(usize::from).into()
+    }
+
+    fn apply(&mut self, estimates: &mut [Estimate; SENSORS]) {
+        let (network, run) = self;
+        recurrent::apply(array::from_ref(*network), array::from_mut(run), estimates);
+    }
+
     fn step(&mut self, value: &dyn Fn(Source) -> i32) -> Option<Vec<Told>> {
         let (network, run) = self;
         run.step(network, value).map(Vec::from)

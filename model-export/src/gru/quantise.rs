@@ -6,8 +6,6 @@
 //! The state's upper half, which the products see, is rounded down: on the average it is half a bit too
 //! small, and each bias holds what that takes from its row.
 
-use std::fmt;
-
 use firmware::model::network::{
     CANDIDATE_BITS, FORCE_BITS, GATES, INPUT_BITS, Input as DeviceInput, OUTPUT_BITS, Source,
     WEIGHT_BITS,
@@ -16,6 +14,7 @@ use firmware::model::table::GAIN_BITS;
 use firmware::units::{Field, Force};
 
 use super::network::{Input, Layer, Network, OUTPUTS, ScaledInput};
+use super::unfit::{LARGE_WEIGHTS, Row, Unfit};
 
 /// Greatest input, either way.
 const INPUT_LIMIT: i64 = 1 << 15;
@@ -23,74 +22,6 @@ const INPUT_LIMIT: i64 = 1 << 15;
 const STATE_LIMIT: i64 = 1 << INPUT_BITS;
 /// Sums stay below this, either way.
 const SUM_LIMIT: i64 = 1 << 31;
-
-const GATE_NAMES: [&str; GATES] = ["reset", "update", "candidate"];
-const LARGE_WEIGHTS: &str = "train with weight decay, or clip weights while training";
-
-/// A row of a network, as a person finds it. Rows, units and columns count from zero.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[allow(missing_docs)] // Their names and the text below say it.
-pub enum Row {
-    Layer {
-        layer: usize,
-        gate: usize,
-        unit: usize,
-    },
-    Head {
-        output: usize,
-    },
-    Input {
-        number: usize,
-    },
-    Force {
-        axis: usize,
-    },
-}
-
-impl fmt::Display for Row {
-    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        match *self {
-            Self::Layer { layer, gate, unit } => {
-                write!(f, "layer {}, {} row {unit}", layer + 1, GATE_NAMES[gate])
-            }
-            Self::Head { output } => write!(f, "head, row {output}"),
-            Self::Input { number } => write!(f, "input {number}"),
-            Self::Force { axis } => write!(f, "force of F{}", ["x", "z"][axis]),
-        }
-    }
-}
-
-/// A network that the device's integers cannot hold.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[allow(missing_docs)] // The sentence of each variant is its documentation.
-pub enum Unfit {
-    #[error("{row}: {what} {value:.4e} does not fit {format}; {advice}")]
-    Number {
-        row: Row,
-        what: String,
-        value: f64,
-        format: String,
-        advice: &'static str,
-    },
-    #[error(
-        "{row}: its sum may reach {greatest:.2} where the accumulator ends at {limit:.0}; {LARGE_WEIGHTS}"
-    )]
-    Wraps { row: Row, greatest: f64, limit: f64 },
-    #[error("{what}: {found} numbers where {expected} belong")]
-    Shape {
-        what: &'static str,
-        found: usize,
-        expected: usize,
-    },
-    #[error(
-        "{inputs} inputs, {hidden} units and {sensors} sensors: the device knows up to 16 inputs, 32 units and 4 sensors"
-    )]
-    Size {
-        inputs: usize,
-        hidden: usize,
-        sensors: usize,
-    },
-}
 
 /// Quantised rows of one layer, in the network's own order.
 #[derive(Clone, Debug, PartialEq)]

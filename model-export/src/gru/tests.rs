@@ -6,8 +6,11 @@ use rand_chacha::ChaCha8Rng;
 use super::float::FloatState;
 use super::network::{GATES, Input, Layer, Network, OUTPUTS, ScaledInput, Target};
 use super::pack::pack;
-use super::quantise::{Row, Unfit};
+use super::unfit::{Row, Unfit};
+use firmware::force::{Estimate, Validity};
+use firmware::frame::SENSORS;
 use firmware::model::network::Source;
+use firmware::units::Force;
 
 /// A scale at which a field of one gauss is one unit, and an input of one is 2^14 units.
 const GAUSS_PER_LSB: f64 = 16.0;
@@ -325,6 +328,40 @@ fn an_estimate_has_the_scale_of_its_forces() {
     let [x, z] = told[0].sigma.map(|force| force.newtons());
     assert!((x - 20.0 * (-1.0_f64).exp()).abs() < 1e-3, "{x}");
     assert!((z - 30.0 * (-3.0_f64).exp()).abs() < 1e-3, "{z}");
+}
+
+#[test]
+fn networks_of_several_sizes_each_see_the_estimates_as_they_were() {
+    let told = |ideal, sensor, hidden| {
+        let mut network = random(1, 1, hidden, 1, nominal(hidden));
+        network.sensors = vec![sensor];
+        network.inputs[0].input = Input::Ideal {
+            sensor: ideal,
+            axis: 0,
+        };
+        network.inputs[0].span = 20.0;
+        network
+    };
+    // The second reads the sensor that the first speaks for.
+    let networks = [told(0, 0, 8), told(0, 1, 16)];
+    let packed = networks.map(|network| pack(&network, GAUSS_PER_LSB).unwrap());
+    let alone = |which: &[usize]| {
+        let mut running: Vec<_> = which.iter().map(|&k| packed[k].run()).collect();
+        let mut estimates = [Estimate::MISSING; SENSORS];
+        for step in 0..3000 {
+            estimates = [Estimate {
+                force: [Force(step * 3); 2],
+                validity: Validity::Valid,
+                ..Estimate::MISSING
+            }; SENSORS];
+            super::pack::apply(&mut running, &mut estimates);
+        }
+        estimates
+    };
+    let (both, second) = (alone(&[0, 1]), alone(&[1]));
+    assert!(both[0].sigma.is_some() && both[1].sigma.is_some() && both[2].sigma.is_none());
+    assert_eq!(both[1], second[1]);
+    assert_ne!(both[0].force, second[0].force);
 }
 
 #[test]

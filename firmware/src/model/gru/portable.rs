@@ -95,3 +95,31 @@ fn multiplied(sum: i32, [a, b]: Pair, [x, y]: Pair) -> i32 {
     sum.wrapping_add(i32::from(a) * i32::from(x))
         .wrapping_add(i32::from(b) * i32::from(y))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_state_stays_within_two_bits_of_the_greatest_candidate() {
+        const END: i32 = (1 << 30) - (1 << 16);
+        for candidate in [i32::MIN, -1 << 29, -3, 0, 3, 1 << 29, i32::MAX] {
+            for update in (-32..32).map(|update| update << 26) {
+                for beyond in -6..=2 {
+                    for state in [END + beyond, -END - beyond] {
+                        let next = unit([0, update, candidate], 0, state);
+                        assert!(next.abs() <= END + 2, "{candidate} {update} {state} {next}");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_product_of_the_least_numbers_is_exact_and_a_sum_wraps() {
+        let least = [i16::MIN; 2];
+        assert_eq!(multiplied(0, [i16::MIN, 0], least), 1 << 30);
+        assert_eq!(multiplied(-1, least, least), i32::MAX);
+        assert_eq!(multiplied(0, least, least), i32::MIN);
+    }
+}
