@@ -27,7 +27,7 @@ const BUDGETS: [(&str, u32); 7] = [
 ];
 
 /// Of every bit of every step: changes only with the definition.
-const DIGEST: u64 = 0x6e38_ea82_5fcc_035d;
+const DIGEST: u64 = 0xfac2_dbba_098c_5c67;
 
 /// The definition alone.
 struct Portable;
