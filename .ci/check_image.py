@@ -1,7 +1,12 @@
 """Checks a firmware image and prints its sizes: check_image.py ELF
 
 - The vector table stands at the start of flash and points into RAM and flash.
-- From the model's entry no panic is reachable, and no call whose target is unknown.
+- From the model's entry no panic is reachable, and no call whose target is unknown; the stack of the
+  deepest way is printed.
+- The kernels lie in the memory beside the core; their code, with the tables of the activations, and
+  their stack stay within bounds.
+
+`check_image.py --kernels ELF` looks at the kernels alone, wherever they lie.
 
 Needs arm-none-eabi-objdump (Debian: binutils-arm-none-eabi).
 """
@@ -14,7 +19,14 @@ import sys
 
 FLASH = range(0x0800_0000, 0x0808_0000)
 RAM = range(0x2000_0000, 0x2001_8001)
+CCM = range(0x1000_0000, 0x1000_8000)
 ENTRY = "firmware::force::estimate_all"
+# Absent from an image without networks.
+NETWORKS = "firmware::recurrent::apply"
+TABLES = "firmware::model::activation::TABLES"
+# Most bytes: of a recurrent network's kernel with its tables, of a kernel's stack, and of the stack from
+# the model's entry down (a task's own stack and interrupts come on top; 96 KiB hold all).
+CODE_LIMIT, KERNEL_STACK_LIMIT, STACK_LIMIT = 7 * 1024, 200, 1280
 
 
 def objdump(*arguments):
@@ -45,15 +57,22 @@ def functions(elf):
     """Address of each function to its name and the addresses that it calls or jumps to.
 
     Names with templates in them cannot be told apart in the text of a branch, addresses can. None
-    stands for an unknown target.
+    stands for an unknown target. A jump from flash to the memory beside the core is too long for a
+    branch: the linker puts the target into ip, half by half, and jumps there at once.
     """
-    found, address = {}, None
+    found, address, high, low = {}, None, None, None
     head = re.compile(r"^([0-9a-f]+) <(.+)>:$")
     condition = "eq|ne|cs|cc|hs|lo|mi|pl|vs|vc|hi|ls|ge|lt|gt|le"
     branch = re.compile(rf"\t(?:bl|blx|bx|cbn?z|b(?:{condition})?)(?:\.[nw])?\t(.*)$")
     indirect = re.compile(r"\t(?:mov|ldr|pop)(?:\.[nw])?\t(?:pc, |.*\bpc\b.*\})")
+    half = re.compile(r"\tmov(w|t)\tip, #(\d+)")
     for line in objdump("-d", "--demangle", elf).splitlines():
-        if match := head.match(line):
+        if match := half.search(line):
+            low, high = (int(match[2]), None) if match[1] == "w" else (low, int(match[2]))
+            continue
+        if address and line.endswith("\tbx\tip") and None not in (low, high):
+            found[address][1].add((high << 16 | low) & ~1)
+        elif match := head.match(line):
             address = int(match[1], 16)
             found[address] = (match[2], set())
         elif address and (match := branch.search(line)):
@@ -64,14 +83,67 @@ def functions(elf):
                 found[address][1].add(None)
         elif address and indirect.search(line) and "\tpop" not in line and "sp!" not in line:
             found[address][1].add(None)
+        low = high = None
     return found
+
+
+def stacks(elf):
+    """Address of each function to the bytes that it puts on the stack itself, at the most."""
+    found, address = {}, None
+    head = re.compile(r"^([0-9a-f]+) <.+>:$")
+    pushed = re.compile(r"\t(?:push|stmdb|vpush|vstmdb)(?:\.w)?\t(?:sp!, )?\{(.*)\}")
+    taken = re.compile(r"\tsub(?:w|\.w)?\tsp, (?:sp, )?#(\d+)|\tstrd?(?:\.w)?\t.*\[sp, #-(\d+)\]!")
+    for line in objdump("-d", elf).splitlines():
+        if match := head.match(line):
+            address = int(match[1], 16)
+            found[address] = 0
+        elif address and (match := pushed.search(line)) and ("push" in line or "sp!" in line):
+            found[address] += sum(register_bytes(word.strip()) for word in match[1].split(","))
+        elif address and (match := taken.search(line)):
+            found[address] += int(match[1] or match[2])
+    return found
+
+
+def register_bytes(word):
+    """Of a register or a range of them."""
+    ends = [int(re.sub(r"\D", "", end) or 0) for end in word.split("-")]
+    return (4, 8)[word.startswith("d")] * (ends[-1] - ends[0] + 1)
+
+
+def symbols(elf):
+    """Name, address, size of each symbol that has one."""
+    row = re.compile(r"^([0-9a-f]{8}) .{7} \S+\t([0-9a-f]{8}) (.+)$")
+    found = (row.match(line) for line in objdump("-t", "--demangle", elf).splitlines())
+    return [(m[3].removeprefix(".hidden "), int(m[1], 16), int(m[2], 16)) for m in found if m]
+
+
+def check_kernels(elf, sections):
+    size, start, load = sections.get(".ccm", (0, 0, 0))
+    if size == 0 or load not in FLASH:
+        sys.exit(f"{elf}: no kernels in .ccm: the linker script was lost")
+    places = {name: address for name, address, _ in symbols(elf)}
+    if places.get("__pre_init") in (None, places.get("DefaultPreInit")):
+        sys.exit(f"{elf}: nobody copies the kernels out of flash")
+    table = next((size for name, _, size in symbols(elf) if name.startswith(TABLES)), 0)
+    stack = stacks(elf)
+    ends = sorted(address for address in functions(elf) if start <= address < start + size) + [start + size]
+    names = {address: name for address, (name, _) in functions(elf).items()}
+    for address, end in zip(ends, ends[1:]):
+        name, bytes_, used = names[address], end - address, stack[address]
+        tables = table if "gru" in name else 0
+        print(f"{name}: {bytes_} bytes of code, {tables} of tables, {used} of stack")
+        if bytes_ + tables > CODE_LIMIT:
+            sys.exit(f"{elf}: {name} and its tables take more than {CODE_LIMIT} bytes")
+        if used > KERNEL_STACK_LIMIT:
+            sys.exit(f"{elf}: {name} takes more than {KERNEL_STACK_LIMIT} bytes of stack")
 
 
 def check_no_panic(elf):
     found = functions(elf)
     starts = sorted(found)
-    waiting = [address for address, (name, _) in found.items() if name.startswith(ENTRY)]
-    if not waiting:
+    entries = [address for address, (name, _) in found.items() if name.startswith((ENTRY, NETWORKS))]
+    waiting = list(entries)
+    if not any(found[address][0].startswith(ENTRY) for address in entries):
         sys.exit(f"{elf}: {ENTRY} is not in the image")
     reached = set()
     while waiting:
@@ -89,17 +161,41 @@ def check_no_panic(elf):
         if "panic" in name or "unwrap_failed" in name or "expect_failed" in name:
             sys.exit(f"{elf}: {name} is reachable from {ENTRY}")
         waiting.extend(targets)
-    names = sorted(found[address][0] for address in reached)
-    print(f"no panic among the {len(names)} functions reachable from {ENTRY}")
+    print(f"no panic among the {len(reached)} functions reachable from the models' entries")
+    for entry in entries:
+        name, stack = found[entry][0], deepest(entry, found, starts, stacks(elf), {})
+        print(f"{stack} bytes of stack from {name} down")
+        if stack > STACK_LIMIT:
+            sys.exit(f"{elf}: more than {STACK_LIMIT} bytes of stack from {name} down")
+
+
+def deepest(address, found, starts, stack, known):
+    """Bytes of stack of a function and the deepest of those that it calls."""
+    if address not in known:
+        known[address] = float("inf")  # Stays so where a function calls itself.
+        called = {starts[bisect.bisect_right(starts, target) - 1] for target in found[address][1]}
+        below = (deepest(target, found, starts, stack, known) for target in called - {address})
+        known[address] = stack[address] + max(below, default=0)
+    return known[address]
 
 
 def main(elf):
     found = sections(elf)
     check_vectors(elf, found)
     check_no_panic(elf)
+    if found.get(".ccm", (0, 0, 0))[1] not in CCM:
+        sys.exit(f"{elf}: the kernels are not in the memory beside the core")
+    check_kernels(elf, found)
     flash = sum(size for name, (size, _, load) in found.items() if load in FLASH and name != ".bss")
     ram = sum(size for size, address, _ in found.values() if address in RAM)
-    print(f"flash {flash} of {len(FLASH)} bytes, RAM {ram} of {len(RAM) - 1} bytes before the stack")
+    ccm = sum(size for size, address, _ in found.values() if address in CCM)
+    print(
+        f"flash {flash} of {len(FLASH)} bytes, RAM {ram} of {len(RAM) - 1} bytes before the stack, "
+        f"{ccm} of {len(CCM)} bytes beside the core"
+    )
 
 
-main(*sys.argv[1:])
+if sys.argv[1] == "--kernels":
+    check_kernels(sys.argv[2], sections(sys.argv[2]))
+else:
+    main(sys.argv[1])

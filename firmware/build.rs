@@ -3,7 +3,14 @@
 use std::env;
 use std::path::{Path, PathBuf};
 
+/// Where the self-test's kernels lie: the G474's memory beside the core as its system bus shows it. QEMU
+/// has plain memory there, and none at the address that the core itself uses.
+const KERNELS_EMULATED: &str = "0x20018000";
+
 fn main() {
+    if env::var("CARGO_CFG_TARGET_OS").is_ok_and(|system| system == "none") {
+        println!("cargo:rustc-link-arg-examples=--defsym=_kernels={KERNELS_EMULATED}");
+    }
     println!("cargo:rerun-if-env-changed=MAGPIE_TABLES");
     let root = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
     let own = root.join("src/model/tables.rs");

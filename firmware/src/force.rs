@@ -26,6 +26,8 @@ pub enum Validity {
 pub struct Estimate {
     /// Lateral and longitudinal; zero where missing.
     pub force: [Force; 2],
+    /// Their standard deviations, where a recurrent network tells them.
+    pub sigma: Option<[Force; 2]>,
     /// May they be used?
     pub validity: Validity,
     /// The field without the effects that were undone: what the ideal model was given.
@@ -40,6 +42,7 @@ impl Estimate {
     /// No reading.
     pub const MISSING: Self = Self {
         force: [Force(0); 2],
+        sigma: None,
         validity: Validity::Missing,
         field: [Field(0); 3],
         shown: [Force(0); 2],
@@ -81,6 +84,7 @@ pub fn estimate(
     };
     Estimate {
         force: force.left,
+        sigma: None,
         validity: match (saturated, inverse.inside) {
             (true, _) => Validity::Saturated,
             (false, false) => Validity::OutsideModel,

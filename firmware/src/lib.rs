@@ -12,6 +12,7 @@
 //! - [`compensate`]: physical effects undone, one file each.
 //! - [`model`]: tables, and the integer arithmetic that turns a field into forces.
 //! - [`force`]: the estimate, with its validity.
+//! - [`recurrent`]: networks over the estimates.
 //! - [`wire`]: the messages on the CAN bus.
 //! - `hardware`: only on the chip: the board.
 //! - `tasks`: only on the chip: what runs, and every static with its one writer.
@@ -33,6 +34,8 @@ pub mod compensate;
 pub mod model;
 
 pub mod force;
+
+pub mod recurrent;
 
 pub mod wire;
 

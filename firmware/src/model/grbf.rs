@@ -1,5 +1,5 @@
-//! Gaussian radial basis functions in integers. This portable code is the definition: a kernel in
-//! assembly must give the same bits.
+//! Gaussian radial basis functions in integers. [`portable`] is the definition of every bit; the chip
+//! runs a kernel in assembly that gives the same.
 
 use super::table::{CentrePair, EXP_ENTRIES};
 
@@ -17,12 +17,22 @@ pub const ENTRY_STEP: u32 = 1 << (ENTRY_BITS + DISTANCE_SHIFT);
 /// The exponential has 15 bits, a weight 16. Sums wrap: the exporter has proved that they do not
 /// overflow for any input.
 pub fn sum(exp: &[u32; EXP_ENTRIES], pairs: &[CentrePair], at: [i16; 3]) -> [i32; 2] {
-    let [x, y, z] = at.map(i32::from);
+    #[cfg(target_os = "none")]
+    return super::kernel::grbf::sum(exp, pairs, at);
+    #[cfg(not(target_os = "none"))]
+    portable(exp, pairs, at)
+}
+
+/// The definition of [`sum`]. Differences wrap at 16 bits: coordinates and centres stay within
+/// [`super::table::COORDINATE_LIMIT`], where they do not.
+pub fn portable(exp: &[u32; EXP_ENTRIES], pairs: &[CentrePair], at: [i16; 3]) -> [i32; 2] {
+    let [x, y, z] = at;
     let (mut fx, mut fz) = (0_i32, 0_i32);
     for pair in pairs {
         let [first, second] = pair.xy;
         let near = |[cx, cy]: [i16; 2], cz: i16| {
-            let (dx, dy, dz) = (x - i32::from(cx), y - i32::from(cy), z - i32::from(cz));
+            let apart = |at: i16, centre: i16| i32::from(at.wrapping_sub(centre));
+            let (dx, dy, dz) = (apart(x, cx), apart(y, cy), apart(z, cz));
             let squares = dx.wrapping_mul(dx).wrapping_add(dy.wrapping_mul(dy));
             exponential(exp, squares.wrapping_add(dz.wrapping_mul(dz)))
         };

@@ -1,17 +1,28 @@
 //! The model on the device: tables and the arithmetic over them. No floating point, no allocation.
 //!
 //! - [`table`]: the formats. What the exporter builds and the device reads is the same struct.
+//! - [`activation`]: sigmoid and tanh.
+//! - [`network`]: the formats of a recurrent network.
+//! - `kernel`: only on the chip: what takes the time, in assembly.
 //! - [`grbf`]: Gaussian radial basis functions, the definition of every bit.
+//! - [`gru`]: the recurrent network, the definition of every bit.
 //! - [`ideal`]: scaling, linear part and radial basis functions: from a field to two forces.
 //! - `tables`: only on the chip: the tables of this image, written by `magpie export`.
 
+pub mod activation;
 pub mod grbf;
+pub mod gru;
 pub mod ideal;
+pub mod network;
 pub mod table;
+
+#[cfg(target_os = "none")]
+pub mod kernel;
 
 // Only the image needs them: the tool that writes them must build without them.
 #[cfg(target_os = "none")]
-#[allow(missing_docs, clippy::all)] // Generated; its header says what it is.
+// Generated; its header says what it is. Where its statics lie is all that is unsafe in it.
+#[allow(missing_docs, unsafe_code, clippy::all)]
 pub mod tables {
     include!(env!("MAGPIE_TABLES_SOURCE"));
 }

@@ -22,6 +22,7 @@ pub static TABLES: Tables<'static> = Tables {
     compensations: &[],
 };
 
+#[unsafe(link_section = ".data.tables")]
 static EXP: [u32; EXP_ENTRIES] = [
     0x7ffefcd5, 0x7cd9fcdf, 0x7cd9fce9, 0x79c6fcf2, 0x79c7fcfc, 0x76c7fd06, 0x76c7fd0f, 0x73dbfd18,
     0x73dbfd22, 0x7101fd2b, 0x7101fd34, 0x6e3afd3d, 0x6e3afd45, 0x6b83fd4e, 0x6b83fd57, 0x68defd5f,
@@ -89,6 +90,7 @@ static EXP: [u32; EXP_ENTRIES] = [
     0x003dfffe, 0x003bfffe, 0x003bffff, 0x003affff, 0x003affff, 0x0039ffff, 0x0039ffff, 0x0037ffff,
 ];
 
+#[unsafe(link_section = ".data.tables")]
 static SENSORS: [SensorTable; 4] = [
     // Sensor 0.
     SensorTable {
@@ -235,3 +237,6 @@ static SENSORS: [SensorTable; 4] = [
         shift: [11, 11],
     },
 ];
+
+/// No recurrent networks.
+pub static NETWORKS: [crate::model::network::Network<1, 4, 1>; 0] = [];

@@ -19,8 +19,10 @@ use crate::force::{Estimate, Validity, estimate_all};
 use crate::frame::{Frame, SENSORS};
 use crate::hall::{Reading, a31301};
 use crate::hardware::board::{Board, SensorBus};
-use crate::model::tables::TABLES;
+use crate::model::gru::Run;
+use crate::model::tables::{NETWORKS, TABLES};
 use crate::params;
+use crate::recurrent;
 use crate::surroundings::Surroundings;
 use crate::wire;
 
@@ -49,6 +51,7 @@ async fn sense(mut first: SensorBus, mut second: SensorBus) {
     let mut ticker = Ticker::every(Duration::from_hz(params::SENSE_RATE.value as u64));
     let mut ticks = 0_u32;
     let mut memories = [Memory::default(); SENSORS];
+    let mut runs = [const { Run::RESET }; NETWORKS.len()];
     // Nothing on this board measures them yet: what needs them stays off, and the estimates say so.
     let around = Surroundings::default();
     loop {
@@ -60,7 +63,8 @@ async fn sense(mut first: SensorBus, mut second: SensorBus) {
             time_us,
             readings: [r0, r1, r2, r3],
         };
-        let estimates = estimate_all(&TABLES, &frame, &around, &mut memories);
+        let mut estimates = estimate_all(&TABLES, &frame, &around, &mut memories);
+        recurrent::apply(&NETWORKS, &mut runs, &mut estimates);
         ticks = ticks.wrapping_add(1);
         if ticks.is_multiple_of(TICKS_PER_REPORT) {
             ESTIMATES.signal(estimates);

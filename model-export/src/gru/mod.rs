@@ -1,5 +1,20 @@
 //! The recurrent network: trained in floating point, quantised for the device.
 //!
 //! - [`network`]: what a trained network is, whoever trained it.
+//! - [`float`]: its step in floating point, which the device's is measured against.
+//! - [`quantise`]: its numbers in the device's formats, with the proof that nothing overflows.
+//! - [`unfit`]: what they cannot hold, by its row's name.
+//! - [`warm_up`]: how long a network remembers how it began.
+//! - [`pack`]: the numbers in the device's order, for the sizes that the device knows.
+//! - [`emit`]: the same as Rust source.
 
+pub mod emit;
+pub mod float;
 pub mod network;
+pub mod pack;
+pub mod quantise;
+pub mod unfit;
+pub mod warm_up;
+
+#[cfg(test)]
+mod tests;

@@ -9,12 +9,28 @@ use super::build::{Built, Header};
 use super::compensation::OwnedCompensation;
 use super::quantise::TableSet;
 use super::search::Chosen;
+use crate::gru::{self, pack::Packed};
 
 /// How every file of tables begins.
 pub const MARK: &str = "// Written by `magpie export`.";
 
-/// The source of a file that declares `TABLES`.
+/// Before a static that the kernels read: flash would let them wait for up to four cycles a word.
+pub const IN_SRAM: &str = "#[unsafe(link_section = \".data.tables\")]\n";
+
+/// The source of a file that declares `TABLES`, and `NETWORKS` without any.
 pub fn source(built: &Built) -> String {
+    tables(built) + gru::emit::NO_NETWORKS
+}
+
+/// The same with recurrent networks.
+pub fn source_with(
+    built: &Built,
+    networks: &[Box<dyn Packed>],
+) -> Result<String, gru::emit::SeveralSizes> {
+    Ok(tables(built) + &gru::emit::source(networks)?)
+}
+
+fn tables(built: &Built) -> String {
     let (chosen, header) = (&built.chosen, &built.header);
     let tables = &chosen.tables;
     let mut text = comment(chosen, header);
@@ -35,10 +51,12 @@ pub fn source(built: &Built) -> String {
             "COMPENSATIONS"
         },
     );
+    text += IN_SRAM;
     text += &format!(
         "static EXP: [u32; EXP_ENTRIES] = [\n{}];\n\n",
         exponential(tables)
     );
+    text += IN_SRAM;
     text += &format!(
         "static SENSORS: [SensorTable; {}] = [\n",
         tables.sensors.len()
