@@ -157,9 +157,8 @@ impl Scales {
     }
 
     fn with(self, number: usize, arrays: &mut Arrays) -> Result<Network, Problem> {
-        let mut take = |name: String, shape: &[usize]| {
-            arrays.take(&format!("network{number}.{name}"), shape)
-        };
+        let mut take =
+            |name: String, shape: &[usize]| arrays.take(&format!("network{number}.{name}"), shape);
         let mut layer = |i: usize, width: usize| {
             let [input, state, input_bias, state_bias] = layer_shapes(width, self.hidden)
                 .map(|(name, shape)| take(format!("layer{i}.{name}"), &shape));
@@ -182,5 +181,153 @@ impl Scales {
             hidden: self.hidden,
             force_n: self.force_n,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::network::Input;
+    use super::*;
+
+    fn network(hidden: usize, inputs: usize) -> Network {
+        let values = |count: usize| (0..count).map(|i| 0.1 * i as f32 - 0.7).collect::<Vec<_>>();
+        let layer = |width: usize| Layer {
+            input_weights: values(GATES * hidden * width),
+            state_weights: values(GATES * hidden * hidden),
+            input_bias: values(GATES * hidden),
+            state_bias: values(GATES * hidden),
+        };
+        let input = |axis| ScaledInput {
+            input: Input::Field { sensor: 2, axis },
+            middle: 0.1 + 0.2,
+            span: 1.0 / 3.0,
+        };
+        Network {
+            sensors: vec![2],
+            inputs: (0..inputs).map(input).collect(),
+            target: Target::Rest,
+            hidden,
+            layers: [layer(inputs), layer(hidden)],
+            head_weights: values(OUTPUTS * hidden),
+            head_bias: values(OUTPUTS),
+            force_n: [1e2 / 3.0, 2e2 / 7.0],
+        }
+    }
+
+    fn file() -> NetworkFile {
+        NetworkFile {
+            provenance: Provenance {
+                tool: "magpie".to_owned(),
+                model_sha256: "ab".to_owned(),
+                campaign: "bench".to_owned(),
+                recordings: Vec::new(),
+                delay_ms: 0.1,
+                topology: Topology {
+                    axes: vec![0, 2],
+                    ideal: false,
+                    target: Target::Rest,
+                    shared: false,
+                    hidden: 2,
+                },
+                settings: Settings {
+                    seed: 1,
+                    epochs: 2,
+                    patience: 3,
+                    rate: 0.1,
+                },
+                found: Vec::new(),
+            },
+            networks: vec![network(2, 3), network(2, 3)],
+        }
+    }
+
+    fn refused(path: &Path) -> String {
+        NetworkFile::read(path).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn what_is_written_is_read_back_bit_by_bit_and_may_be_written_over() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let path = folder.path().join("network");
+        file().write(&path).unwrap();
+        let first = std::fs::read(&path).unwrap();
+        assert_eq!(NetworkFile::read(&path).unwrap(), file());
+        file().write(&path).unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), first);
+    }
+
+    #[test]
+    fn an_array_of_a_wrong_shape_is_refused_by_its_name() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let path = folder.path().join("network");
+        let arrays: Vec<Array> = arrays(0, &network(3, 3));
+        let description = Description {
+            format: FORMAT,
+            provenance: file().provenance,
+            networks: vec![Scales::of(&network(2, 3))],
+        };
+        tensors::write(&path, Kind::Network, &description, &arrays).unwrap();
+        let said = refused(&path);
+        assert!(
+            said.contains(": network0.layer1.input_weights has the shape"),
+            "{said}"
+        );
+        assert!(said.contains("[9, 3] where [6, 3] is expected"), "{said}");
+    }
+
+    #[test]
+    fn a_missing_array_and_one_that_is_not_finite_are_named() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let path = folder.path().join("network");
+        let description = || Description {
+            format: FORMAT,
+            provenance: file().provenance,
+            networks: vec![Scales::of(&network(2, 3))],
+        };
+        let mut all = arrays(0, &network(2, 3));
+        all.retain(|array| array.name != "network0.head.bias");
+        tensors::write(&path, Kind::Network, &description(), &all).unwrap();
+        assert!(refused(&path).contains("network0.head.bias is missing"));
+        let mut all = arrays(0, &network(2, 3));
+        all[5].values[1] = f32::NAN;
+        tensors::write(&path, Kind::Network, &description(), &all).unwrap();
+        assert!(
+            refused(&path)
+                .contains("network0.layer2.state_weights holds a number that is not finite")
+        );
+    }
+
+    #[test]
+    fn other_files_are_neither_read_nor_written_over() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let path = folder.path().join("network");
+        let text = "# my notes, which are long enough to hold whatever mark there is in our files";
+        std::fs::write(&path, text).unwrap();
+        assert!(refused(&path).contains("this is not a network"));
+        assert!(
+            file()
+                .write(&path)
+                .unwrap_err()
+                .to_string()
+                .contains("not overwritten")
+        );
+        // Nor weights that somebody else keeps in the same format.
+        let foreign = br#"{"__metadata__":{"format":"pt"}}"#;
+        let mut bytes = (foreign.len() as u64).to_le_bytes().to_vec();
+        bytes.extend(foreign);
+        std::fs::write(&path, &bytes).unwrap();
+        assert!(refused(&path).contains("this is not a network"));
+        assert!(file().write(&path).is_err());
+        assert_eq!(std::fs::read(&path).unwrap(), bytes);
+    }
+
+    #[test]
+    fn a_file_cut_short_is_called_damaged() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let path = folder.path().join("network");
+        file().write(&path).unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        std::fs::write(&path, &bytes[..bytes.len() - 40]).unwrap();
+        assert!(refused(&path).contains("damaged"), "{}", refused(&path));
     }
 }

@@ -118,8 +118,7 @@ pub fn read<D: DeserializeOwned>(path: &Path, kind: Kind) -> Result<(D, Arrays),
         .as_ref()
         .and_then(|metadata| metadata.get(kind.key()))
         .ok_or_else(|| at(foreign(kind)))?;
-    let description =
-        serde_json::from_str(text).map_err(|error| damaged(error.to_string()))?;
+    let description = serde_json::from_str(text).map_err(|error| damaged(error.to_string()))?;
     let tensors = SafeTensors::deserialize(&bytes).map_err(|error| damaged(error.to_string()))?;
     let mut arrays = HashMap::new();
     for (name, view) in tensors.tensors() {
@@ -150,19 +149,20 @@ fn foreign(kind: Kind) -> Fault {
 impl Arrays {
     /// Takes the array of this name, which must have this shape and finite values.
     pub fn take(&mut self, name: &str, shape: &[usize]) -> Result<Vec<f32>, Problem> {
-        let at = || Place::file(&self.path).column(name);
-        let Some(array) = self.arrays.remove(name) else {
-            return Err(Fault::MissingArray.at(at()));
+        let at = |fault: Fault| fault.at(Place::file(&self.path));
+        let name = name.to_owned();
+        let Some(array) = self.arrays.remove(&name) else {
+            return Err(at(Fault::MissingArray { name }));
         };
         if array.shape != shape {
-            let fault = Fault::ArrayShape {
+            return Err(at(Fault::ArrayShape {
+                name,
                 found: array.shape,
                 expected: shape.to_vec(),
-            };
-            return Err(fault.at(at()));
+            }));
         }
         if array.values.iter().any(|value| !value.is_finite()) {
-            return Err(Fault::ArrayNotFinite.at(at()));
+            return Err(at(Fault::ArrayNotFinite { name }));
         }
         Ok(array.values)
     }

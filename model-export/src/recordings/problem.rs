@@ -106,17 +106,18 @@ pub enum Fault {
     ForeignCheckpoint,
     #[error("the file is damaged ({0}); copy it again, or train again")]
     DamagedArrays(String),
-    #[error("these numbers are missing; the file is damaged or of another version: train again")]
-    MissingArray,
+    #[error("{name} is missing; the file is damaged or of another version: train again")]
+    MissingArray { name: String },
     #[error(
-        "the shape is {found:?} where {expected:?} is expected; the file is damaged or of another version: train again"
+        "{name} has the shape {found:?} where {expected:?} is expected; the file is damaged or of another version: train again"
     )]
     ArrayShape {
+        name: String,
         found: Vec<usize>,
         expected: Vec<usize>,
     },
-    #[error("a number here is not finite; train again")]
-    ArrayNotFinite,
+    #[error("{name} holds a number that is not finite; train again")]
+    ArrayNotFinite { name: String },
     #[error(
         "this is a file, and a campaign is a folder of recordings; the order is MODEL CAMPAIGN"
     )]

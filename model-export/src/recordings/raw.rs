@@ -96,7 +96,9 @@ impl RawStream {
         }
         let met = [&self.before, &self.after].into_iter().flatten();
         let met = met.map(|row| row.cells[clock]);
-        let met_us = met.filter(|t| *t <= on_reference_us).fold(self.met_us, f64::max);
+        let met_us = met
+            .filter(|t| *t <= on_reference_us)
+            .fold(self.met_us, f64::max);
         self.meets = met_us > self.met_us;
         self.met_us = met_us;
         Ok(Some(RawRow {

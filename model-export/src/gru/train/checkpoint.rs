@@ -77,7 +77,12 @@ pub fn write(path: &Path, course: &Course, inputs: &str) -> Result<(), Problem> 
             })
         })
         .collect();
-    tensors::write(path, Kind::Checkpoint, &Description::of(course, inputs), &arrays)
+    tensors::write(
+        path,
+        Kind::Checkpoint,
+        &Description::of(course, inputs),
+        &arrays,
+    )
 }
 
 /// Brings a training that has not begun to where the checkpoint is.

@@ -1,5 +1,7 @@
 //! The networks over a window of rows, and the loss of what they say.
 
+use std::sync::OnceLock;
+
 use candle_core::{Device, Result, Tensor, Var};
 
 use super::parameters::{Parameters, Size, place};
@@ -59,16 +61,14 @@ impl Weights {
                 streams,
                 rows,
                 start: std::mem::take(state),
+                kept: OnceLock::new(),
             };
-            let kept = flow.matmul(input)?.apply_op3(recurrent, bias, operation)?;
-            let states = kept.narrow(3, 0, hidden)?;
+            let states = flow.matmul(input)?.apply_op3(recurrent, bias, operation)?;
             *state = states
                 .narrow(2, rows - 1, 1)?
                 .flatten_all()?
                 .to_vec1::<f32>()?;
-            flow = states
-                .contiguous()?
-                .reshape((networks, streams * rows, hidden))?;
+            flow = states.reshape((networks, streams * rows, hidden))?;
         }
         flow.matmul(self.all[place::HEAD_WEIGHTS].as_tensor())?
             .broadcast_add(self.all[place::HEAD_BIAS].as_tensor())

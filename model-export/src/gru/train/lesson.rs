@@ -170,12 +170,7 @@ pub struct Scaled {
 
 impl Scaled {
     /// Scales a recording.
-    pub fn of(
-        sequence: &Sequence,
-        scaling: &Scaling,
-        groups: &[Vec<u32>],
-        target: Target,
-    ) -> Self {
+    pub fn of(sequence: &Sequence, scaling: &Scaling, groups: &[Vec<u32>], target: Target) -> Self {
         let (rows, inputs) = (sequence.rows, scaling.inputs[0].len());
         let forces = 2 * groups[0].len();
         let mut x = vec![0.0; groups.len() * rows * inputs];

@@ -45,7 +45,9 @@ pub enum Problem {
         "recording {recording}: sensor {sensor} has no row with a measured force and a valid estimate; leave the recording out, or complete it"
     )]
     NoTruthAt { recording: String, sensor: u32 },
-    #[error("the loss of the network of sensors {sensors:?} is no number after epoch {epoch}; train with a lower --rate")]
+    #[error(
+        "the loss of the network of sensors {sensors:?} is no number after epoch {epoch}; train with a lower --rate"
+    )]
     Diverged { sensors: Vec<u32>, epoch: u32 },
     #[error(transparent)]
     Tensors(#[from] candle_core::Error),
@@ -57,10 +59,16 @@ pub enum Problem {
 fn name(input: Input) -> String {
     match input {
         Input::Field { sensor, axis } => {
-            format!("the field of sensor {sensor} along {}", ["x", "y", "z"][axis])
+            format!(
+                "the field of sensor {sensor} along {}",
+                ["x", "y", "z"][axis]
+            )
         }
         Input::Ideal { sensor, axis } => {
-            format!("the ideal model's {} at sensor {sensor}", ["Fx", "Fz"][axis])
+            format!(
+                "the ideal model's {} at sensor {sensor}",
+                ["Fx", "Fz"][axis]
+            )
         }
     }
 }

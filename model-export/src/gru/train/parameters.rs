@@ -205,10 +205,7 @@ impl Parameters {
     /// The head of one network: its weights row by row of the outputs, and its bias.
     pub fn head(&self, network: usize) -> (Vec<f32>, Vec<f32>) {
         (
-            turned(
-                self.all[place::HEAD_WEIGHTS].of(network),
-                self.size.outputs,
-            ),
+            turned(self.all[place::HEAD_WEIGHTS].of(network), self.size.outputs),
             self.all[place::HEAD_BIAS].of(network).to_vec(),
         )
     }

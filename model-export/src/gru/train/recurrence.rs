@@ -5,22 +5,23 @@
 //! arithmetic; here a step is a few loops. Streams do not touch each other, so they run on any number
 //! of threads and give the same bits, and the exponential is the one that is the same everywhere.
 
-use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
+use std::sync::OnceLock;
+
+use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Storage, Tensor, bail};
 use rayon::prelude::*;
 
 use crate::gru::network::GATES;
 
-/// What the operation leaves for each unit and row: the state, then what the way back needs: reset,
-/// update, candidate, and the candidate's recurrent sum before the reset.
-pub const KEPT: usize = 5;
+/// What the way back needs of each unit and row beside the states: reset, update, candidate, and the
+/// candidate's recurrent sum before the reset.
+const KEPT: usize = 4;
 
 /// The recurrence over `streams` of every network, from a state.
 ///
 /// - first argument, `networks x streams x rows x GATES*hidden`: the products of the inputs, without bias;
 /// - second, `networks x hidden x GATES*hidden`: the recurrent weights;
 /// - third, `networks x 2 x GATES*hidden`: the input's and the state's bias;
-/// - result, `networks x streams x rows x KEPT*hidden`; only the states, which stand first, have a
-///   gradient.
+/// - result, `networks x streams x rows x hidden`: the states.
 pub struct Recurrence {
     /// Units.
     pub hidden: usize,
@@ -30,12 +31,21 @@ pub struct Recurrence {
     pub rows: usize,
     /// The state before the first row, `networks x streams x hidden`.
     pub start: Vec<f32>,
+    /// What the way forward leaves for the way back.
+    pub kept: OnceLock<Vec<f32>>,
 }
 
 fn values<'a>(storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [f32]> {
     match layout.contiguous_offsets() {
         Some((from, to)) => Ok(&storage.as_slice::<f32>()?[from..to]),
         None => bail!("the recurrence needs its arguments in one piece"),
+    }
+}
+
+fn on_cpu(storage: &Storage) -> Result<&CpuStorage> {
+    match storage {
+        Storage::Cpu(storage) => Ok(storage),
+        _ => bail!("the recurrence runs on the processor"),
     }
 }
 
@@ -66,14 +76,16 @@ impl Recurrence {
         products: &[f32],
         weights: &[f32],
         bias: &[f32],
-        kept: &mut [f32],
+        (states, kept): (&mut [f32], &mut [f32]),
     ) {
         let hidden = self.hidden;
         let (input_bias, state_bias) = bias.split_at(GATES * hidden);
         let mut state = start.to_vec();
         let mut sums = vec![0.0; GATES * hidden];
         let rows = products.chunks_exact(GATES * hidden);
-        for (product, kept) in rows.zip(kept.chunks_exact_mut(KEPT * hidden)) {
+        let left = states.chunks_exact_mut(hidden);
+        let left = left.zip(kept.chunks_exact_mut(KEPT * hidden));
+        for (product, (states, kept)) in rows.zip(left) {
             sums.copy_from_slice(state_bias);
             for (&h, row) in state.iter().zip(weights.chunks_exact(GATES * hidden)) {
                 add_scaled(&mut sums, h, row);
@@ -84,12 +96,12 @@ impl Recurrence {
                 let update = sigmoid(product[z] + input_bias[z] + sums[z]);
                 let candidate = tanh(product[n] + input_bias[n] + reset * sums[n]);
                 state[i] = candidate + update * (state[i] - candidate);
-                kept[i] = state[i];
-                kept[hidden + i] = reset;
-                kept[2 * hidden + i] = update;
-                kept[3 * hidden + i] = candidate;
-                kept[4 * hidden + i] = sums[n];
+                kept[r] = reset;
+                kept[z] = update;
+                kept[n] = candidate;
+                kept[3 * hidden + i] = sums[n];
             }
+            states.copy_from_slice(&state);
         }
     }
 
@@ -98,7 +110,7 @@ impl Recurrence {
         &self,
         start: &[f32],
         turned: &[f32],
-        kept: &[f32],
+        (states, kept): (&[f32], &[f32]),
         gradient: &[f32],
         products: &mut [f32],
     ) -> Slopes {
@@ -110,13 +122,13 @@ impl Recurrence {
             let kept_row = &kept[row * KEPT * hidden..][..KEPT * hidden];
             let before = match row {
                 0 => start,
-                _ => &kept[(row - 1) * KEPT * hidden..][..hidden],
+                _ => &states[(row - 1) * hidden..][..hidden],
             };
             let product = &mut products[row * GATES * hidden..][..GATES * hidden];
-            let wanted = &gradient[row * KEPT * hidden..][..hidden];
+            let wanted = &gradient[row * hidden..][..hidden];
             for i in 0..hidden {
                 let [reset, update, candidate, inner] =
-                    [1, 2, 3, 4].map(|kind| kept_row[kind * hidden + i]);
+                    [0, 1, 2, 3].map(|kind| kept_row[kind * hidden + i]);
                 let state = carried[i] + wanted[i];
                 let d_candidate = state * (1.0 - update) * (1.0 - candidate * candidate);
                 let d_update = state * (before[i] - candidate) * update * (1.0 - update);
@@ -194,19 +206,24 @@ impl CustomOp3 for Recurrence {
     ) -> Result<(CpuStorage, Shape)> {
         let (products, weights, bias) = (values(s1, l1)?, values(s2, l2)?, values(s3, l3)?);
         let (hidden, networks) = (self.hidden, l2.dims()[0]);
-        let of_stream = self.rows * GATES * hidden;
-        let mut kept = vec![0.0; networks * self.streams * self.rows * KEPT * hidden];
-        kept.par_chunks_mut(self.rows * KEPT * hidden)
-            .zip(products.par_chunks(of_stream))
+        let streams = networks * self.streams;
+        let mut states = vec![0.0; streams * self.rows * hidden];
+        let mut kept = vec![0.0; streams * self.rows * KEPT * hidden];
+        let left = states.par_chunks_mut(self.rows * hidden);
+        left.zip(kept.par_chunks_mut(self.rows * KEPT * hidden))
+            .zip(products.par_chunks(self.rows * GATES * hidden))
             .enumerate()
-            .for_each(|(stream, (kept, products))| {
+            .for_each(|(stream, (left, products))| {
                 let network = stream / self.streams;
                 let weights = &weights[network * GATES * hidden * hidden..];
                 let bias = &bias[network * 2 * GATES * hidden..][..2 * GATES * hidden];
-                self.forward(self.start_of(stream), products, weights, bias, kept);
+                self.forward(self.start_of(stream), products, weights, bias, left);
             });
-        let shape = (networks, self.streams, self.rows, KEPT * hidden);
-        Ok((CpuStorage::F32(kept), shape.into()))
+        if self.kept.set(kept).is_err() {
+            bail!("the recurrence goes forward once");
+        }
+        let shape = (networks, self.streams, self.rows, hidden);
+        Ok((CpuStorage::F32(states), shape.into()))
     }
 
     fn bwd(
@@ -214,22 +231,32 @@ impl CustomOp3 for Recurrence {
         products: &Tensor,
         weights: &Tensor,
         bias: &Tensor,
-        kept: &Tensor,
+        states: &Tensor,
         gradient: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
         let (hidden, networks) = (self.hidden, weights.dims()[0]);
-        let flat = |tensor: &Tensor| tensor.flatten_all()?.to_vec1::<f32>();
-        let (kept, gradient) = (flat(kept)?, flat(gradient)?);
-        let turned = self.turned(&flat(weights)?);
-        let mut d_products = vec![0.0; networks * self.streams * self.rows * GATES * hidden];
-        let of_stream = self.rows * KEPT * hidden;
+        let Some(kept) = self.kept.get() else {
+            bail!("the recurrence goes forward before it goes back");
+        };
+        let gradient = gradient.contiguous()?;
+        let (weights_lock, weights_layout) = weights.storage_and_layout();
+        let (states_lock, states_layout) = states.storage_and_layout();
+        let (gradient_lock, gradient_layout) = gradient.storage_and_layout();
+        let turned = self.turned(values(on_cpu(&weights_lock)?, weights_layout)?);
+        let states = values(on_cpu(&states_lock)?, states_layout)?;
+        let gradient = values(on_cpu(&gradient_lock)?, gradient_layout)?;
+        let streams = networks * self.streams;
+        let mut d_products = vec![0.0; streams * self.rows * GATES * hidden];
+        let known = states.par_chunks(self.rows * hidden);
+        let known = known.zip(kept.par_chunks(self.rows * KEPT * hidden));
         let slopes: Vec<Slopes> = d_products
             .par_chunks_mut(self.rows * GATES * hidden)
-            .zip(kept.par_chunks(of_stream).zip(gradient.par_chunks(of_stream)))
+            .zip(known.zip(gradient.par_chunks(self.rows * hidden)))
             .enumerate()
-            .map(|(stream, (products, (kept, gradient)))| {
+            .map(|(stream, (products, (known, gradient)))| {
                 let turned = &turned[stream / self.streams * GATES * hidden * hidden..];
-                self.backward(self.start_of(stream), turned, kept, gradient, products)
+                let turned = &turned[..GATES * hidden * hidden];
+                self.backward(self.start_of(stream), turned, known, gradient, products)
             })
             .collect();
         // In the order of the streams, whoever was ready first.

@@ -83,13 +83,7 @@ impl Streams {
             for start in &self.starts {
                 let from = start.row + window * WINDOW_ROWS;
                 let counts = window > 0 || start.row == 0;
-                recordings[start.recording].window(
-                    network,
-                    from,
-                    WINDOW_ROWS,
-                    counts,
-                    &mut lists,
-                );
+                recordings[start.recording].window(network, from, WINDOW_ROWS, counts, &mut lists);
             }
             counts.push(lists[2][before..].iter().sum());
         }
