@@ -2,6 +2,7 @@
 //!
 //! - [`lesson`]: what is learned from, and its scaling.
 //! - [`parameters`]: everything that training changes.
+//! - [`curves`]: sigmoid and tangent, several values at once.
 //! - [`recurrence`]: a layer's recurrence as one operation, forward and backward.
 //! - [`forward`]: the networks over a window, and the loss.
 //! - [`streams`]: recordings cut into streams.
@@ -16,6 +17,7 @@
 pub mod adam;
 pub mod checkpoint;
 pub mod course;
+pub mod curves;
 pub mod forward;
 pub mod judge;
 pub mod lesson;

@@ -3,13 +3,14 @@
 //! Products that have no order in time are the library's. The recurrence itself has as many small
 //! steps as rows, and an operation of the library for each piece of each step costs many times the
 //! arithmetic; here a step is a few loops. Streams do not touch each other, so they run on any number
-//! of threads and give the same bits, and the exponential is the one that is the same everywhere.
+//! of threads and give the same bits.
 
 use std::sync::OnceLock;
 
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Storage, Tensor, bail};
 use rayon::prelude::*;
 
+use super::curves::{sigmoid, tanh};
 use crate::gru::network::GATES;
 
 /// What the way back needs of each unit and row beside the states: reset, update, candidate, and the
@@ -49,14 +50,6 @@ fn on_cpu(storage: &Storage) -> Result<&CpuStorage> {
     }
 }
 
-fn sigmoid(x: f32) -> f32 {
-    1.0 / (1.0 + libm::expf(-x))
-}
-
-fn tanh(x: f32) -> f32 {
-    2.0 * sigmoid(2.0 * x) - 1.0
-}
-
 /// `sum += factor * row`.
 fn add_scaled(sum: &mut [f32], factor: f32, row: &[f32]) {
     for (sum, value) in sum.iter_mut().zip(row) {
@@ -90,16 +83,21 @@ impl Recurrence {
             for (&h, row) in state.iter().zip(weights.chunks_exact(GATES * hidden)) {
                 add_scaled(&mut sums, h, row);
             }
-            for i in 0..hidden {
-                let (r, z, n) = (i, hidden + i, 2 * hidden + i);
-                let reset = sigmoid(product[r] + input_bias[r] + sums[r]);
-                let update = sigmoid(product[z] + input_bias[z] + sums[z]);
-                let candidate = tanh(product[n] + input_bias[n] + reset * sums[n]);
-                state[i] = candidate + update * (state[i] - candidate);
-                kept[r] = reset;
-                kept[z] = update;
-                kept[n] = candidate;
-                kept[3 * hidden + i] = sums[n];
+            // Loops of one kind each, so that the compiler takes several units at once.
+            let (gates, candidates) = kept.split_at_mut(2 * hidden);
+            let (candidates, inner) = candidates.split_at_mut(hidden);
+            for (i, gate) in gates.iter_mut().enumerate() {
+                *gate = sigmoid(product[i] + input_bias[i] + sums[i]);
+            }
+            inner.copy_from_slice(&sums[2 * hidden..]);
+            let (reset, update) = gates.split_at(hidden);
+            let bias = product[2 * hidden..].iter().zip(&input_bias[2 * hidden..]);
+            let outer = bias.zip(reset.iter().zip(&*inner));
+            for (candidate, ((product, bias), (reset, inner))) in candidates.iter_mut().zip(outer) {
+                *candidate = tanh(product + bias + reset * inner);
+            }
+            for (h, (candidate, update)) in state.iter_mut().zip(candidates.iter().zip(update)) {
+                *h = candidate + update * (*h - candidate);
             }
             states.copy_from_slice(&state);
         }

@@ -10,7 +10,7 @@ use super::lesson::Scaled;
 /// reaches the loss through the state, which is carried from window to window.
 pub const WINDOW_ROWS: usize = 256;
 /// Streams that a campaign is cut into, where it is long enough.
-pub const STREAMS: usize = 16;
+pub const STREAMS: usize = 8;
 /// Fewest windows of a stream.
 const FEWEST_WINDOWS: usize = 4;
 

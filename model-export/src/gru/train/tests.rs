@@ -429,17 +429,20 @@ fn a_network_is_the_same_whichever_are_trained_beside_it() {
 
 #[test]
 fn a_shared_network_tells_the_forces_of_all_its_sensors() {
-    let course = run(course(30, 1, &[0, 1], true));
+    let course = run(course(100, 1, &[0, 1], true));
     let network = &course.networks()[0];
     assert_eq!(network.sensors, [0, 1]);
     assert_eq!(network.inputs.len(), 2);
     assert_eq!(network.head_bias.len(), 8);
     let told = course.told().unwrap();
-    for force in &told[0] {
+    for (i, force) in told[0].iter().enumerate() {
         let squares = force.iter().map(|one| (one.mean - one.truth).powi(2));
         let error = (squares.sum::<f64>() / force.len() as f64).sqrt();
         let power = force.iter().map(|one| one.truth.powi(2)).sum::<f64>();
-        assert!(error < 0.6 * (power / force.len() as f64).sqrt(), "{error}");
+        assert!(
+            error < 0.6 * (power / force.len() as f64).sqrt(),
+            "{i}: {error}"
+        );
     }
 }
 
