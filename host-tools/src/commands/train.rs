@@ -1,29 +1,24 @@
 //! `magpie train`: a recurrent network trained on recordings.
 
+pub mod campaign;
 pub mod report;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::{Result, bail};
 use clap::ValueEnum;
-use model_export::gru::file::{NetworkFile, Provenance, Recorded};
+use model_export::gru::file::NetworkFile;
 use model_export::gru::network::Target;
 use model_export::gru::tensors::Kind;
 use model_export::gru::train::checkpoint;
 use model_export::gru::train::course::{Course, Settings};
-use model_export::gru::train::lesson::{Sequence, Topology};
-use model_export::inverse::build::{Built, Variant, build};
+use model_export::gru::train::lesson::Topology;
 use model_export::output::check_output;
-use model_export::recordings::align::Alignment;
-use model_export::recordings::campaign::{fingerprint, recording_folders};
-use model_export::recordings::description::Description;
-use model_export::recordings::raw::RawStream;
 
 use super::clocks::Clocks;
-use crate::lessons::sequence;
-use crate::replay::Models;
 use crate::{progress, show};
+use campaign::Campaign;
 use report::Outcome;
 
 /// Units of a layer, if not given: with three inputs the device computes it within the time that the
@@ -72,10 +67,10 @@ pub struct Args {
     #[arg(long, value_name = "NUMBER")]
     hold_out: Option<usize>,
     /// Greatest number of times to go through the recordings.
-    #[arg(long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = 80, value_parser = clap::value_parser!(u32).range(1..))]
     epochs: u32,
     /// Stop after this many epochs without a better held-out likelihood.
-    #[arg(long, value_name = "N", default_value_t = 15, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = 25, value_parser = clap::value_parser!(u32).range(1..))]
     patience: u32,
     /// Learning rate at the start; it falls to a hundredth.
     #[arg(long, default_value_t = 5e-3)]
@@ -223,187 +218,4 @@ fn teach(args: &Args, course: &mut Course, key: &str) -> Result<()> {
     }
     bar.finish_and_clear();
     Ok(())
-}
-
-/// What is learned from, and where it comes from.
-struct Campaign {
-    lessons: Vec<Sequence>,
-    held_out: Sequence,
-    name: String,
-    recordings: Vec<Recorded>,
-    model_sha256: String,
-    delay_ms: f64,
-    notes: Vec<String>,
-}
-
-impl Campaign {
-    /// Runs every recording through the device's code.
-    fn read(args: &Args) -> Result<Self> {
-        let alignment = args.clocks.alignment()?;
-        let folders = recording_folders(&args.campaign)?;
-        let held_out = held_out(&args.campaign, folders.len(), args.hold_out)?;
-        let built = build(&args.model, Variant::Fitted)?;
-        let mut recordings = Vec::new();
-        for (i, folder) in folders.iter().enumerate() {
-            recordings.push(Recorded {
-                name: name(folder),
-                sha256: fingerprint(folder)?,
-                held_out: i == held_out,
-            });
-        }
-        refuse_copies(&args.campaign, &recordings)?;
-        let mut lessons = sequences(&folders, &built, alignment)?;
-        same_sensors(&args.campaign, &lessons)?;
-        let held_out = lessons.remove(held_out);
-        let notes = notes(&built, &recordings, &held_out);
-        notes.iter().for_each(|note| eprintln!("note: {note}"));
-        Ok(Self {
-            lessons,
-            held_out,
-            name: args
-                .campaign
-                .canonicalize()
-                .map_or_else(|_| name(&args.campaign), |absolute| name(&absolute)),
-            recordings,
-            model_sha256: built.header.inputs_sha256,
-            delay_ms: 1e-3 * alignment.delay_us,
-            notes,
-        })
-    }
-
-    /// The same text, the same data.
-    fn key(&self) -> String {
-        let hashes = self.recordings.iter().map(|recording| {
-            let part = if recording.held_out { "-" } else { "+" };
-            format!(" {part}{}", recording.sha256)
-        });
-        let hashes: String = hashes.collect();
-        format!("{} {}ms{hashes}", self.model_sha256, self.delay_ms)
-    }
-
-    fn provenance(&self, course: &Course) -> Provenance {
-        Provenance {
-            tool: format!("magpie {}", env!("CARGO_PKG_VERSION")),
-            model_sha256: self.model_sha256.clone(),
-            campaign: self.name.clone(),
-            recordings: self.recordings.clone(),
-            delay_ms: self.delay_ms,
-            topology: course.topology.clone(),
-            settings: course.settings.clone(),
-            found: course.found.clone(),
-        }
-    }
-}
-
-fn name(folder: &Path) -> String {
-    folder
-        .file_name()
-        .map_or_else(String::new, |name| name.to_string_lossy().into_owned())
-}
-
-/// Place of the held-out recording.
-fn held_out(campaign: &Path, recordings: usize, asked: Option<usize>) -> Result<usize> {
-    if recordings < 2 {
-        bail!(
-            "{}: there is one recording, and one more is needed to tell when to stop: split it in two, or record again",
-            campaign.display()
-        );
-    }
-    match asked {
-        None => Ok(recordings - 1),
-        Some(number @ 1..) if number <= recordings => Ok(number - 1),
-        Some(number) => {
-            bail!("--hold-out {number}: there are {recordings} recordings, counted from 1")
-        }
-    }
-}
-
-fn sequences(folders: &[PathBuf], built: &Built, alignment: Alignment) -> Result<Vec<Sequence>> {
-    let bar = progress::rows("through the device's code");
-    let mut sequences = Vec::new();
-    for folder in folders {
-        let (description, _) = Description::read(folder)?;
-        let own = built.model.sensor_scale.gauss_per_lsb;
-        if let Some(other) = description.gauss_per_lsb.filter(|other| *other != own) {
-            bail!(
-                "{}: gauss_per_lsb is {other}, and the model's tables are for {own}; fit these recordings, or correct recording.toml",
-                folder.display()
-            );
-        }
-        let stream = RawStream::open(folder, &description, alignment)?;
-        let before = bar.position();
-        let done = |rows| bar.set_position(before + rows);
-        sequences.push(sequence(Models::of(built), &name(folder), stream, done)?);
-    }
-    bar.finish_and_clear();
-    Ok(sequences)
-}
-
-fn numbers(sequence: &Sequence) -> Vec<u32> {
-    sequence.tracks.iter().map(|track| track.number).collect()
-}
-
-/// A network needs each of its sensors in every recording.
-fn same_sensors(campaign: &Path, sequences: &[Sequence]) -> Result<()> {
-    let Some((first, others)) = sequences.split_first() else {
-        return Ok(());
-    };
-    if first.tracks.is_empty() {
-        bail!(
-            "{}: no sensor of the model has its field and both its forces in recording {}",
-            campaign.display(),
-            first.name
-        );
-    }
-    for other in others {
-        if numbers(other) != numbers(first) {
-            bail!(
-                "{}: recording {} has field and both forces of sensors {:?}, recording {} of {:?}; train with recordings that have the same",
-                campaign.display(),
-                other.name,
-                numbers(other),
-                first.name,
-                numbers(first)
-            );
-        }
-    }
-    Ok(())
-}
-
-/// The same recording twice would be learned from and held out at once.
-fn refuse_copies(campaign: &Path, recordings: &[Recorded]) -> Result<()> {
-    for (i, one) in recordings.iter().enumerate() {
-        if let Some(other) = recordings[..i].iter().find(|r| r.sha256 == one.sha256) {
-            bail!(
-                "{}: recordings {} and {} are the same data; remove one, or the held-out error would not be held out",
-                campaign.display(),
-                other.name,
-                one.name
-            );
-        }
-    }
-    Ok(())
-}
-
-fn notes(built: &Built, recordings: &[Recorded], held_out: &Sequence) -> Vec<String> {
-    let fitted = &built.model.provenance.recordings;
-    let seen = recordings
-        .iter()
-        .find(|recording| recording.held_out)
-        .filter(|recording| fitted.iter().any(|r| r.sha256 == recording.sha256));
-    let mut notes = Vec::new();
-    if let Some(recording) = seen {
-        notes.push(format!(
-            "the model was fitted to recording {} as well: the ideal model's error there is not held out",
-            recording.name
-        ));
-    }
-    for number in &built.header.sensors {
-        if !numbers(held_out).contains(number) {
-            notes.push(format!(
-                "sensor {number} of the model gets no network: its field or its forces are not in these recordings"
-            ));
-        }
-    }
-    notes
 }

@@ -186,9 +186,10 @@ impl Scaled {
             for (place, &sensor) in sensors.iter().enumerate() {
                 let targets = sequence.track(sensor).into_iter();
                 for (row, target) in targets.flat_map(|track| track.targets(target)) {
-                    for axis in 0..2 {
+                    let shares = target.iter().zip(&scaling.force_n);
+                    for (axis, (target, scale)) in shares.enumerate() {
                         let at = (network * rows + row) * forces + 2 * place + axis;
-                        y[at] = (target[axis] / scaling.force_n[axis]) as f32;
+                        y[at] = (target / scale) as f32;
                         weight[at] = 1.0;
                     }
                 }

@@ -26,6 +26,8 @@ pub mod recurrence;
 pub mod streams;
 
 #[cfg(test)]
+mod learning;
+#[cfg(test)]
 mod tests;
 
 use crate::gru::network::Input;
