@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 use crate::commands::{
-    add, compare, demo, diagnose, drop, effects, export, fit, import, replay, simulate,
+    add, compare, demo, diagnose, drop, effects, export, fit, import, replay, simulate, train,
 };
 
 /// Turns four Hall sensors in a robot gripper into forces one can trust, and tells which piece of
@@ -31,6 +31,7 @@ enum Command {
     Export(export::Args),
     Replay(replay::Args),
     Simulate(simulate::Args),
+    Train(train::Args),
 }
 
 /// Runs one command; errors go to stderr as one sentence.
@@ -51,6 +52,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Export(args) => export::run(&args),
         Command::Replay(args) => replay::run(&args),
         Command::Simulate(args) => simulate::run(&args),
+        Command::Train(args) => train::run(&args),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

@@ -8,6 +8,8 @@
 //! - [`compare`]: a model beside a measurement.
 //! - [`diagnose`]: which effect a model lacks.
 //! - [`findings`]: what is wrong with a campaign's recordings.
+//! - [`wiring`]: a recording's row as the device's readings.
+//! - [`lessons`]: recordings as a recurrent network on the device sees them.
 //! - [`replay`]: recorded data through the device's own code.
 //! - [`report`]: the page that a comparison leaves to open.
 //! - [`show`]: numbers and tables as people read them.
@@ -19,9 +21,11 @@ pub mod commands;
 pub mod compare;
 pub mod diagnose;
 pub mod findings;
+pub mod lessons;
 pub mod progress;
 pub mod replay;
 pub mod report;
 pub mod show;
 pub mod sums;
 pub mod surroundings;
+pub mod wiring;

@@ -27,3 +27,16 @@ pub fn rows(what: &'static str) -> ProgressBar {
     spinner.enable_steady_tick(Duration::from_millis(100));
     spinner
 }
+
+/// A bar of epochs, of which some are done, with the time that is left at the most.
+pub fn epochs(what: &'static str, epochs: u32, done: u32) -> ProgressBar {
+    let bar = ProgressBar::new(u64::from(epochs)).with_position(u64::from(done));
+    let template = "{msg:<44} [{bar:20}] {pos}/{len} {elapsed}, at most {eta} left";
+    if let Ok(style) = ProgressStyle::with_template(template) {
+        bar.set_style(style.progress_chars("=> "));
+    }
+    bar.set_message(what);
+    bar.reset_eta();
+    bar.enable_steady_tick(Duration::from_millis(100));
+    bar
+}

@@ -4,23 +4,21 @@ use std::time::{Duration, Instant};
 
 use firmware::compensate::{Compensation, Memory};
 use firmware::force::{Validity, estimate};
-use firmware::hall::{Reading, a31301};
-use firmware::params;
+use firmware::hall::a31301;
 use firmware::units::{Field, Force};
-use model_export::effects::REFERENCE_C;
 use model_export::inverse::build::Built;
 use model_export::inverse::compensation::OwnedCompensation;
 use model_export::inverse::grbf::Grbf;
 use model_export::inverse::quantise::TableSet;
 use model_export::recordings::Problem;
-use model_export::recordings::columns::{Axis, ForceColumn, HallColumn};
 use model_export::recordings::description::Design;
 use model_export::recordings::noise::WhiteNoise;
-use model_export::recordings::raw::{RawRow, RawStream};
+use model_export::recordings::raw::RawStream;
 use nalgebra::Vector3;
 
 pub use crate::sums::Sums;
 use crate::surroundings::Covariates;
+use crate::wiring::{reading, wire};
 
 /// Rows that are read and estimated at once; only these two are timed.
 const CHUNK: usize = 4096;
@@ -116,15 +114,6 @@ impl<'a> Models<'a> {
             gauss_per_lsb: built.model.sensor_scale.gauss_per_lsb,
         }
     }
-}
-
-/// Where a sensor's columns are in a row.
-struct Wiring {
-    table: usize,
-    number: u32,
-    field: [usize; 3],
-    temperature: Option<usize>,
-    forces: [usize; 2],
 }
 
 /// One valid estimate beside the reference.
@@ -262,50 +251,6 @@ pub fn replay_watched(
     Ok(result)
 }
 
-fn wire(numbers: &[u32], stream: &RawStream) -> Vec<Wiring> {
-    let layout = stream.layout();
-    let force = |number: u32, axis: Axis| {
-        layout.forces.iter().position(|column| {
-            *column
-                == ForceColumn::Force {
-                    place: number,
-                    axis,
-                }
-        })
-    };
-    let wires = numbers.iter().enumerate().filter_map(|(table, &number)| {
-        Some(Wiring {
-            table,
-            number,
-            field: layout.field_channels(number)?,
-            temperature: layout.hall.iter().position(
-                |column| matches!(column, HallColumn::Temperature { sensor } if *sensor == number),
-            ),
-            forces: [force(number, Axis::X)?, force(number, Axis::Z)?],
-        })
-    });
-    wires.collect()
-}
-
-fn reading(row: &RawRow, wires: &Wiring, gauss_per_lsb: f64) -> Reading {
-    let (least, greatest) = a31301::FIELD_LIMITS;
-    let (least, greatest) = (f64::from(least), f64::from(greatest));
-    let counts = |channel: usize| {
-        (row.hall[channel] / gauss_per_lsb)
-            .round()
-            .clamp(least, greatest)
-    };
-    Reading {
-        // A converted field may exceed the word; the sensor itself stays at its end.
-        field: wires.field.map(|channel| counts(channel) as i16),
-        // Degrees were made of counts by the same scale, so that what it really is does not matter.
-        temperature: wires.temperature.map_or(0, |channel| {
-            let warmer = row.hall[channel] - REFERENCE_C;
-            (warmer * params::TEMPERATURE_SCALE.value).round() as i16
-        }),
-    }
-}
-
 /// Looks for the first stretch without load.
 #[derive(Clone, Copy, Debug, Default)]
 struct Rest {
@@ -377,24 +322,6 @@ mod tests {
         let (tare, length_s) = rest_of(rows).unwrap();
         assert_eq!(tare, [5.0, 10.0]);
         assert!((length_s - 0.999).abs() < 1e-9);
-    }
-
-    #[test]
-    fn a_field_beyond_the_sensor_s_word_stays_at_its_end_and_does_not_wrap() {
-        let wires = Wiring {
-            table: 0,
-            number: 0,
-            field: [0, 1, 2],
-            temperature: None,
-            forces: [0, 1],
-        };
-        let row = RawRow {
-            time_s: 0.0,
-            hall: vec![2100.0, -2100.0, 0.25],
-            forces: Vec::new(),
-        };
-        let seen = a31301::decode(a31301::encode(reading(&row, &wires, 0.125)));
-        assert_eq!(seen.field, [16383, -16384, 2]);
     }
 
     #[test]

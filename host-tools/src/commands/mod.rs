@@ -15,3 +15,4 @@ pub mod formulas;
 pub mod import;
 pub mod replay;
 pub mod simulate;
+pub mod train;

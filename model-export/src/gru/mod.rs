@@ -2,6 +2,9 @@
 //!
 //! - [`network`]: what a trained network is, whoever trained it.
 //! - [`float`]: its step in floating point, which the device's is measured against.
+//! - [`tensors`]: arrays of numbers in a file.
+//! - [`train`]: from recordings to weights.
+//! - [`file`](mod@file): trained networks in a file.
 //! - [`quantise`]: its numbers in the device's formats, with the proof that nothing overflows.
 //! - [`unfit`]: what they cannot hold, by its row's name.
 //! - [`warm_up`]: how long a network remembers how it began.
@@ -9,10 +12,13 @@
 //! - [`emit`]: the same as Rust source.
 
 pub mod emit;
+pub mod file;
 pub mod float;
 pub mod network;
 pub mod pack;
 pub mod quantise;
+pub mod tensors;
+pub mod train;
 pub mod unfit;
 pub mod warm_up;
 

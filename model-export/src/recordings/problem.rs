@@ -100,6 +100,24 @@ pub enum Fault {
     NoModel,
     #[error("this is not a model; a model is a file that `magpie fit` writes")]
     ForeignModel,
+    #[error("this is not a network; a network is a file that `magpie train` writes")]
+    ForeignNetwork,
+    #[error("this is not a training to go on with; `magpie train --checkpoint` writes one")]
+    ForeignCheckpoint,
+    #[error("the file is damaged ({0}); copy it again, or train again")]
+    DamagedArrays(String),
+    #[error("{name} is missing; the file is damaged or of another version: train again")]
+    MissingArray { name: String },
+    #[error(
+        "{name} has the shape {found:?} where {expected:?} is expected; the file is damaged or of another version: train again"
+    )]
+    ArrayShape {
+        name: String,
+        found: Vec<usize>,
+        expected: Vec<usize>,
+    },
+    #[error("{name} holds a number that is not finite; train again")]
+    ArrayNotFinite { name: String },
     #[error(
         "this is a file, and a campaign is a folder of recordings; the order is MODEL CAMPAIGN"
     )]

@@ -34,6 +34,8 @@ pub struct RawStream {
     force: ForceReader,
     before: Option<Row>,
     after: Option<Row>,
+    met_us: f64,
+    meets: bool,
 }
 
 impl RawStream {
@@ -54,6 +56,8 @@ impl RawStream {
             gap_us: super::clock::GAP_STEPS * force.period_us,
             before: None,
             after: force.next_row()?,
+            met_us: f64::NEG_INFINITY,
+            meets: false,
             hall,
             force,
         })
@@ -67,6 +71,12 @@ impl RawStream {
     /// White noise of a reference row so far, in newtons, for each force.
     pub fn force_noise(&self) -> Vec<Option<f64>> {
         self.force.noise.iter().map(WhiteNoise::estimate).collect()
+    }
+
+    /// Whether the row that was read last is the first at or after a row of the reference: one row
+    /// for each row of the reference, less than a step of the board from it.
+    pub fn meets_reference(&self) -> bool {
+        self.meets
     }
 
     /// The next row, or `None` at the end of the board's table.
@@ -84,6 +94,13 @@ impl RawStream {
             self.before = self.after.take();
             self.after = self.force.next_row()?;
         }
+        let met = [&self.before, &self.after].into_iter().flatten();
+        let met = met.map(|row| row.cells[clock]);
+        let met_us = met
+            .filter(|t| *t <= on_reference_us)
+            .fold(self.met_us, f64::max);
+        self.meets = met_us > self.met_us;
+        self.met_us = met_us;
         Ok(Some(RawRow {
             time_s: sample.t_us * 1e-6,
             forces: self.forces_at(on_reference_us),

@@ -1,0 +1,333 @@
+//! A file of trained networks: their weights, and where they come from.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use super::network::{GATES, Layer, Network, OUTPUTS, ScaledInput, Target};
+use super::tensors::{self, Array, Arrays, Kind};
+use super::train::course::{Best, Settings};
+use super::train::lesson::Topology;
+use crate::recordings::problem::Fault;
+use crate::recordings::{Place, Problem};
+
+/// Version of the file.
+pub const FORMAT: u32 = 1;
+
+/// Trained networks of one gripper.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NetworkFile {
+    /// Where they come from.
+    pub provenance: Provenance,
+    /// One for each sensor, or one for all.
+    pub networks: Vec<Network>,
+}
+
+/// Where networks come from. No time and no path: the same training gives the same bytes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Provenance {
+    /// Version of the tool.
+    pub tool: String,
+    /// SHA-256 of the model file whose compensation the fields went through.
+    pub model_sha256: String,
+    /// Name of the campaign's folder.
+    pub campaign: String,
+    /// Its recordings.
+    pub recordings: Vec<Recorded>,
+    /// Delay of the reference that was assumed, in milliseconds.
+    pub delay_ms: f64,
+    /// What the networks see and tell.
+    pub topology: Topology,
+    /// How the training went.
+    pub settings: Settings,
+    /// Where the weights of each network were found, with their losses.
+    pub found: Vec<Best>,
+}
+
+/// A recording that networks were trained with.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Recorded {
+    /// Name of its folder.
+    pub name: String,
+    /// SHA-256 over its files.
+    pub sha256: String,
+    /// True for the one that was not learned from: the weights were chosen by it.
+    pub held_out: bool,
+}
+
+/// The description in the file.
+#[derive(Serialize, Deserialize)]
+struct Description {
+    format: u32,
+    provenance: Provenance,
+    networks: Vec<Scales>,
+}
+
+/// All of a network but its weights.
+#[derive(Serialize, Deserialize)]
+struct Scales {
+    sensors: Vec<u32>,
+    inputs: Vec<ScaledInput>,
+    target: Target,
+    hidden: usize,
+    force_n: [f64; 2],
+}
+
+impl NetworkFile {
+    /// Writes the file, whole or not at all.
+    pub fn write(&self, path: &Path) -> Result<(), Problem> {
+        let arrays: Vec<Array> = self
+            .networks
+            .iter()
+            .enumerate()
+            .flat_map(|(number, network)| arrays(number, network))
+            .collect();
+        let description = Description {
+            format: FORMAT,
+            provenance: self.provenance.clone(),
+            networks: self.networks.iter().map(Scales::of).collect(),
+        };
+        tensors::write(path, Kind::Network, &description, &arrays)
+    }
+
+    /// Reads and checks a file.
+    pub fn read(path: &Path) -> Result<Self, Problem> {
+        let (description, mut arrays): (Description, _) = tensors::read(path, Kind::Network)?;
+        if description.format != FORMAT {
+            let found = format!("format {}", description.format);
+            let advice = format!("this version reads format {FORMAT}: train again");
+            return Err(Fault::BadValue { found, advice }.at(Place::file(path)));
+        }
+        let networks = description.networks.into_iter().enumerate();
+        Ok(Self {
+            provenance: description.provenance,
+            networks: networks
+                .map(|(number, scales)| scales.with(number, &mut arrays))
+                .collect::<Result<_, _>>()?,
+        })
+    }
+}
+
+/// Shapes of a layer's arrays, by name.
+fn layer_shapes(inputs: usize, hidden: usize) -> [(&'static str, Vec<usize>); 4] {
+    let rows = GATES * hidden;
+    [
+        ("input_weights", vec![rows, inputs]),
+        ("state_weights", vec![rows, hidden]),
+        ("input_bias", vec![rows]),
+        ("state_bias", vec![rows]),
+    ]
+}
+
+fn arrays(number: usize, network: &Network) -> Vec<Array> {
+    let array = |name: &str, shape: Vec<usize>, values: &[f32]| Array {
+        name: format!("network{number}.{name}"),
+        shape,
+        values: values.to_vec(),
+    };
+    let widths = [network.inputs.len(), network.hidden];
+    let mut arrays = Vec::new();
+    for (i, (layer, width)) in network.layers.iter().zip(widths).enumerate() {
+        let all = [
+            &layer.input_weights,
+            &layer.state_weights,
+            &layer.input_bias,
+            &layer.state_bias,
+        ];
+        for ((name, shape), values) in layer_shapes(width, network.hidden).into_iter().zip(all) {
+            arrays.push(array(&format!("layer{}.{name}", i + 1), shape, values));
+        }
+    }
+    let outputs = OUTPUTS * network.sensors.len();
+    let shape = vec![outputs, network.hidden];
+    arrays.push(array("head.weights", shape, &network.head_weights));
+    arrays.push(array("head.bias", vec![outputs], &network.head_bias));
+    arrays
+}
+
+impl Scales {
+    fn of(network: &Network) -> Self {
+        Self {
+            sensors: network.sensors.clone(),
+            inputs: network.inputs.clone(),
+            target: network.target,
+            hidden: network.hidden,
+            force_n: network.force_n,
+        }
+    }
+
+    fn with(self, number: usize, arrays: &mut Arrays) -> Result<Network, Problem> {
+        let mut take =
+            |name: String, shape: &[usize]| arrays.take(&format!("network{number}.{name}"), shape);
+        let mut layer = |i: usize, width: usize| {
+            let [input, state, input_bias, state_bias] = layer_shapes(width, self.hidden)
+                .map(|(name, shape)| take(format!("layer{i}.{name}"), &shape));
+            Ok(Layer {
+                input_weights: input?,
+                state_weights: state?,
+                input_bias: input_bias?,
+                state_bias: state_bias?,
+            })
+        };
+        let layers = [layer(1, self.inputs.len())?, layer(2, self.hidden)?];
+        let outputs = OUTPUTS * self.sensors.len();
+        Ok(Network {
+            head_weights: take("head.weights".to_owned(), &[outputs, self.hidden])?,
+            head_bias: take("head.bias".to_owned(), &[outputs])?,
+            layers,
+            sensors: self.sensors,
+            inputs: self.inputs,
+            target: self.target,
+            hidden: self.hidden,
+            force_n: self.force_n,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::network::Input;
+    use super::*;
+
+    fn network(hidden: usize, inputs: usize) -> Network {
+        let values = |count: usize| (0..count).map(|i| 0.1 * i as f32 - 0.7).collect::<Vec<_>>();
+        let layer = |width: usize| Layer {
+            input_weights: values(GATES * hidden * width),
+            state_weights: values(GATES * hidden * hidden),
+            input_bias: values(GATES * hidden),
+            state_bias: values(GATES * hidden),
+        };
+        let input = |axis| ScaledInput {
+            input: Input::Field { sensor: 2, axis },
+            middle: 0.1 + 0.2,
+            span: 1.0 / 3.0,
+        };
+        Network {
+            sensors: vec![2],
+            inputs: (0..inputs).map(input).collect(),
+            target: Target::Rest,
+            hidden,
+            layers: [layer(inputs), layer(hidden)],
+            head_weights: values(OUTPUTS * hidden),
+            head_bias: values(OUTPUTS),
+            force_n: [1e2 / 3.0, 2e2 / 7.0],
+        }
+    }
+
+    fn file() -> NetworkFile {
+        NetworkFile {
+            provenance: Provenance {
+                tool: "magpie".to_owned(),
+                model_sha256: "ab".to_owned(),
+                campaign: "bench".to_owned(),
+                recordings: Vec::new(),
+                delay_ms: 0.1,
+                topology: Topology {
+                    axes: vec![0, 2],
+                    ideal: false,
+                    target: Target::Rest,
+                    shared: false,
+                    hidden: 2,
+                },
+                settings: Settings {
+                    seed: 1,
+                    epochs: 2,
+                    patience: 3,
+                    rate: 0.1,
+                },
+                found: Vec::new(),
+            },
+            networks: vec![network(2, 3), network(2, 3)],
+        }
+    }
+
+    fn refused(path: &Path) -> String {
+        NetworkFile::read(path).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn what_is_written_is_read_back_bit_by_bit_and_may_be_written_over() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let path = folder.path().join("network");
+        file().write(&path).unwrap();
+        let first = std::fs::read(&path).unwrap();
+        assert_eq!(NetworkFile::read(&path).unwrap(), file());
+        file().write(&path).unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), first);
+    }
+
+    #[test]
+    fn an_array_of_a_wrong_shape_is_refused_by_its_name() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let path = folder.path().join("network");
+        let arrays: Vec<Array> = arrays(0, &network(3, 3));
+        let description = Description {
+            format: FORMAT,
+            provenance: file().provenance,
+            networks: vec![Scales::of(&network(2, 3))],
+        };
+        tensors::write(&path, Kind::Network, &description, &arrays).unwrap();
+        let said = refused(&path);
+        assert!(
+            said.contains(": network0.layer1.input_weights has the shape"),
+            "{said}"
+        );
+        assert!(said.contains("[9, 3] where [6, 3] is expected"), "{said}");
+    }
+
+    #[test]
+    fn a_missing_array_and_one_that_is_not_finite_are_named() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let path = folder.path().join("network");
+        let description = || Description {
+            format: FORMAT,
+            provenance: file().provenance,
+            networks: vec![Scales::of(&network(2, 3))],
+        };
+        let mut all = arrays(0, &network(2, 3));
+        all.retain(|array| array.name != "network0.head.bias");
+        tensors::write(&path, Kind::Network, &description(), &all).unwrap();
+        assert!(refused(&path).contains("network0.head.bias is missing"));
+        let mut all = arrays(0, &network(2, 3));
+        all[5].values[1] = f32::NAN;
+        tensors::write(&path, Kind::Network, &description(), &all).unwrap();
+        assert!(
+            refused(&path)
+                .contains("network0.layer2.state_weights holds a number that is not finite")
+        );
+    }
+
+    #[test]
+    fn other_files_are_neither_read_nor_written_over() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let path = folder.path().join("network");
+        let text = "# my notes, which are long enough to hold whatever mark there is in our files";
+        std::fs::write(&path, text).unwrap();
+        assert!(refused(&path).contains("this is not a network"));
+        assert!(
+            file()
+                .write(&path)
+                .unwrap_err()
+                .to_string()
+                .contains("not overwritten")
+        );
+        // Nor weights that somebody else keeps in the same format.
+        let foreign = br#"{"__metadata__":{"format":"pt"}}"#;
+        let mut bytes = (foreign.len() as u64).to_le_bytes().to_vec();
+        bytes.extend(foreign);
+        std::fs::write(&path, &bytes).unwrap();
+        assert!(refused(&path).contains("this is not a network"));
+        assert!(file().write(&path).is_err());
+        assert_eq!(std::fs::read(&path).unwrap(), bytes);
+    }
+
+    #[test]
+    fn a_file_cut_short_is_called_damaged() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let path = folder.path().join("network");
+        file().write(&path).unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        std::fs::write(&path, &bytes[..bytes.len() - 40]).unwrap();
+        assert!(refused(&path).contains("damaged"), "{}", refused(&path));
+    }
+}

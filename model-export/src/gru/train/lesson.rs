@@ -1,0 +1,229 @@
+//! What is learned from: recordings as the device sees them, and the same scaled for the networks.
+
+use super::Problem;
+use crate::gru::network::{Input, ScaledInput, Target};
+
+/// One sensor over one recording.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Track {
+    /// Number of the sensor.
+    pub number: u32,
+    /// The compensated field of every row of the board, in G.
+    pub field_g: Vec<[f32; 3]>,
+    /// The ideal model's force of every row, Fx and Fz in N.
+    pub ideal_n: Vec<[f32; 2]>,
+    /// Rows whose true force is known, with that force, Fx and Fz in N.
+    pub truth_n: Vec<(usize, [f32; 2])>,
+}
+
+/// One recording.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Sequence {
+    /// Its name.
+    pub name: String,
+    /// Rows of the board; every track has as many.
+    pub rows: usize,
+    /// One for each sensor, the same sensors in every recording.
+    pub tracks: Vec<Track>,
+}
+
+/// What the networks see and tell.
+#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct Topology {
+    /// Axes of the field, 0, 1, 2 for x, y, z.
+    pub axes: Vec<usize>,
+    /// Whether the ideal model's force is an input as well.
+    pub ideal: bool,
+    /// What the means are.
+    pub target: Target,
+    /// One network for all sensors; else one for each.
+    pub shared: bool,
+    /// Units of a layer.
+    pub hidden: usize,
+}
+
+impl Topology {
+    /// Sensors of each network.
+    pub fn groups(&self, sensors: &[u32]) -> Vec<Vec<u32>> {
+        match self.shared {
+            true => vec![sensors.to_vec()],
+            false => sensors.iter().map(|&sensor| vec![sensor]).collect(),
+        }
+    }
+
+    /// Inputs of a network for these sensors, in order.
+    pub fn inputs(&self, sensors: &[u32]) -> Vec<Input> {
+        let of_sensor = |&sensor: &u32| {
+            let field = self
+                .axes
+                .iter()
+                .map(move |&axis| Input::Field { sensor, axis });
+            let ideal = [0, 1].map(|axis| Input::Ideal { sensor, axis });
+            field.chain(ideal.into_iter().filter(|_| self.ideal))
+        };
+        sensors.iter().flat_map(of_sensor).collect()
+    }
+}
+
+impl Sequence {
+    fn track(&self, number: u32) -> Option<&Track> {
+        self.tracks.iter().find(|track| track.number == number)
+    }
+
+    /// The values of one input, row by row.
+    fn values(&self, input: Input) -> Box<dyn Iterator<Item = f64> + '_> {
+        match input {
+            Input::Field { sensor, axis } => Box::new(
+                self.track(sensor)
+                    .into_iter()
+                    .flat_map(move |track| track.field_g.iter().map(move |g| f64::from(g[axis]))),
+            ),
+            Input::Ideal { sensor, axis } => Box::new(
+                self.track(sensor)
+                    .into_iter()
+                    .flat_map(move |track| track.ideal_n.iter().map(move |n| f64::from(n[axis]))),
+            ),
+        }
+    }
+}
+
+impl Track {
+    /// What a network should tell at each row with truth.
+    pub fn targets(&self, target: Target) -> impl Iterator<Item = (usize, [f64; 2])> + '_ {
+        self.truth_n.iter().map(move |&(row, truth)| {
+            let ideal = self.ideal_n[row];
+            let rest = |axis: usize| match target {
+                Target::Force => f64::from(truth[axis]),
+                Target::Rest => f64::from(truth[axis]) - f64::from(ideal[axis]),
+            };
+            (row, [rest(0), rest(1)])
+        })
+    }
+}
+
+/// How inputs and outputs are scaled.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scaling {
+    /// Inputs of each network.
+    pub inputs: Vec<Vec<ScaledInput>>,
+    /// Newtons of an output of one.
+    pub force_n: [f64; 2],
+}
+
+impl Scaling {
+    /// From the recordings that are learned from.
+    pub fn of(
+        lessons: &[Sequence],
+        topology: &Topology,
+        groups: &[Vec<u32>],
+    ) -> Result<Self, Problem> {
+        let scaled = |input: Input| {
+            let values = lessons.iter().flat_map(|lesson| lesson.values(input));
+            let ends = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), value| {
+                (a.min(value), b.max(value))
+            });
+            let span = 0.5 * (ends.1 - ends.0);
+            if !(span.is_finite() && span > 0.0) {
+                return Err(Problem::ConstantInput { input });
+            }
+            Ok(ScaledInput {
+                input,
+                middle: 0.5 * (ends.0 + ends.1),
+                span,
+            })
+        };
+        let inputs = groups
+            .iter()
+            .map(|sensors| topology.inputs(sensors).into_iter().map(scaled).collect())
+            .collect::<Result<Vec<Vec<ScaledInput>>, Problem>>()?;
+        let tracks = || lessons.iter().flat_map(|lesson| &lesson.tracks);
+        let greatest = |axis: usize| {
+            tracks()
+                .flat_map(|track| track.targets(topology.target))
+                .map(|(_, target)| target[axis].abs())
+                .fold(0.0, f64::max)
+        };
+        let force_n = [greatest(0), greatest(1)];
+        match force_n.iter().all(|n| n.is_finite() && *n > 0.0) {
+            true => Ok(Self { inputs, force_n }),
+            false => Err(Problem::NoTruth),
+        }
+    }
+}
+
+/// One recording, scaled: network by network, row by row.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scaled {
+    /// Rows of the board.
+    pub rows: usize,
+    /// Inputs of a row.
+    pub inputs: usize,
+    /// Forces of a row.
+    pub forces: usize,
+    /// `networks x rows x inputs`.
+    pub x: Vec<f32>,
+    /// `networks x rows x forces`; zero where nothing is known.
+    pub y: Vec<f32>,
+    /// The same: one where the force is known, else zero.
+    pub weight: Vec<f32>,
+}
+
+impl Scaled {
+    /// Scales a recording.
+    pub fn of(sequence: &Sequence, scaling: &Scaling, groups: &[Vec<u32>], target: Target) -> Self {
+        let (rows, inputs) = (sequence.rows, scaling.inputs[0].len());
+        let forces = 2 * groups[0].len();
+        let mut x = vec![0.0; groups.len() * rows * inputs];
+        let mut y = vec![0.0; groups.len() * rows * forces];
+        let mut weight = y.clone();
+        for (network, (sensors, scales)) in groups.iter().zip(&scaling.inputs).enumerate() {
+            for (i, scale) in scales.iter().enumerate() {
+                for (row, value) in sequence.values(scale.input).enumerate() {
+                    let scaled = (value - scale.middle) / scale.span;
+                    x[(network * rows + row) * inputs + i] = scaled as f32;
+                }
+            }
+            for (place, &sensor) in sensors.iter().enumerate() {
+                let targets = sequence.track(sensor).into_iter();
+                for (row, target) in targets.flat_map(|track| track.targets(target)) {
+                    let shares = target.iter().zip(&scaling.force_n);
+                    for (axis, (target, scale)) in shares.enumerate() {
+                        let at = (network * rows + row) * forces + 2 * place + axis;
+                        y[at] = (target / scale) as f32;
+                        weight[at] = 1.0;
+                    }
+                }
+            }
+        }
+        Self {
+            rows,
+            inputs,
+            forces,
+            x,
+            y,
+            weight,
+        }
+    }
+
+    /// Copies `length` rows of a network from `from` on to the ends of three lists; rows after the
+    /// last repeat it and count nothing, as do all where `counts` is false.
+    pub fn window(
+        &self,
+        network: usize,
+        from: usize,
+        length: usize,
+        counts: bool,
+        into: &mut [Vec<f32>; 3],
+    ) {
+        for row in from..from + length {
+            let at = network * self.rows + row.min(self.rows - 1);
+            let forces = at * self.forces..(at + 1) * self.forces;
+            into[0].extend(&self.x[at * self.inputs..(at + 1) * self.inputs]);
+            into[1].extend(&self.y[forces.clone()]);
+            match counts && row < self.rows {
+                true => into[2].extend(&self.weight[forces]),
+                false => into[2].extend(std::iter::repeat_n(0.0, self.forces)),
+            }
+        }
+    }
+}

@@ -1,0 +1,269 @@
+//! The arithmetic of training beside the library's own, and beside the plain equation.
+
+use std::collections::HashMap;
+
+use candle_core::{DType, Device, Tensor, Var};
+use candle_nn::VarBuilder;
+use candle_nn::optim::{AdamW, Optimizer, ParamsAdamW};
+use candle_nn::rnn::{GRU, GRUConfig, RNN};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::adam::{Adam, DECAY, GREATEST_SLOPE, clip};
+use super::forward::{State, Weights, losses};
+use super::parameters::{CANDIDATE_LIMIT, Parameters, Size, WEIGHT_LIMIT, place};
+use crate::gru::network::{Layer, Network, Target};
+
+const SIZE: Size = Size {
+    networks: 2,
+    inputs: 3,
+    hidden: 5,
+    outputs: 4,
+};
+
+/// Weights of all kinds, some of them large.
+fn weights() -> Parameters {
+    let mut parameters = Parameters::random(SIZE, 7, &[0, 1]);
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    for parameter in &mut parameters.all {
+        for value in &mut parameter.values {
+            *value += rng.random_range(-1.0..1.0_f32);
+        }
+    }
+    parameters
+}
+
+fn noise(count: usize, seed: u64) -> Vec<f32> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    (0..count).map(|_| rng.random_range(-1.0..1.0)).collect()
+}
+
+/// One layer's step in plain arithmetic, from the equation alone.
+fn plain_step(layer: &Layer, x: &[f64], h: &[f64]) -> Vec<f64> {
+    let dot = |weights: &[f32], row: usize, values: &[f64]| -> f64 {
+        let row = &weights[row * values.len()..][..values.len()];
+        row.iter().zip(values).map(|(w, v)| f64::from(*w) * v).sum()
+    };
+    let sigmoid = |v: f64| 1.0 / (1.0 + (-v).exp());
+    let hidden = h.len();
+    (0..hidden)
+        .map(|i| {
+            let inner =
+                |row: usize| dot(&layer.input_weights, row, x) + f64::from(layer.input_bias[row]);
+            let outer =
+                |row: usize| dot(&layer.state_weights, row, h) + f64::from(layer.state_bias[row]);
+            let r = sigmoid(inner(i) + outer(i));
+            let z = sigmoid(inner(hidden + i) + outer(hidden + i));
+            let n = (inner(2 * hidden + i) + r * outer(2 * hidden + i)).tanh();
+            (1.0 - z) * n + z * h[i]
+        })
+        .collect()
+}
+
+/// The outputs of an exported network, row by row.
+fn plain(network: &Network, rows: &[Vec<f64>]) -> Vec<Vec<f64>> {
+    let mut states = [vec![0.0; network.hidden], vec![0.0; network.hidden]];
+    let outputs = rows.iter().map(|row| {
+        states[0] = plain_step(&network.layers[0], row, &states[0]);
+        states[1] = plain_step(&network.layers[1], &states[0], &states[1]);
+        let heads = network.head_weights.chunks_exact(network.hidden);
+        heads
+            .zip(&network.head_bias)
+            .map(|(weights, bias)| {
+                let products = weights.iter().zip(&states[1]);
+                f64::from(*bias) + products.map(|(w, h)| f64::from(*w) * h).sum::<f64>()
+            })
+            .collect()
+    });
+    outputs.collect()
+}
+
+fn exported(parameters: &Parameters, network: usize) -> Network {
+    let (head_weights, head_bias) = parameters.head(network);
+    Network {
+        sensors: vec![0],
+        inputs: Vec::new(),
+        target: Target::Force,
+        hidden: parameters.size.hidden,
+        layers: [parameters.layer(network, 0), parameters.layer(network, 1)],
+        head_weights,
+        head_bias,
+        force_n: [1.0; 2],
+    }
+}
+
+#[test]
+fn the_training_s_forward_pass_is_the_equation_of_the_exported_network() {
+    let (streams, rows) = (3, 200);
+    let parameters = weights();
+    let x = noise(SIZE.networks * streams * rows * SIZE.inputs, 1);
+    let shape = (SIZE.networks, streams, rows, SIZE.inputs);
+    let inputs = Tensor::from_slice(&x, shape, &Device::Cpu).unwrap();
+    let mut state = State::zero(SIZE, streams);
+    let weights = Weights::of(&parameters).unwrap();
+    // In two windows, so that the state is carried.
+    let mut halves = Vec::new();
+    for half in 0..2 {
+        let window = inputs.narrow(2, half * rows / 2, rows / 2).unwrap();
+        let window = window.contiguous().unwrap();
+        let window = window
+            .reshape((SIZE.networks, streams * rows / 2, SIZE.inputs))
+            .unwrap();
+        let outputs = weights.forward(&window, streams, &mut state).unwrap();
+        let outputs = outputs.reshape((SIZE.networks, streams, rows / 2, SIZE.outputs));
+        halves.push(outputs.unwrap());
+    }
+    let outputs = Tensor::cat(&halves, 2).unwrap();
+    for network in 0..SIZE.networks {
+        let exported = exported(&parameters, network);
+        for stream in 0..streams {
+            let of_stream = |t: &Tensor| -> Vec<Vec<f64>> {
+                let t = t.get(network).unwrap().get(stream).unwrap();
+                t.to_dtype(DType::F64).unwrap().to_vec2().unwrap()
+            };
+            let wanted = plain(&exported, &of_stream(&inputs));
+            for (found, wanted) in of_stream(&outputs).iter().zip(&wanted) {
+                for (found, wanted) in found.iter().zip(wanted) {
+                    assert!((found - wanted).abs() < 1e-5, "{found} {wanted}");
+                }
+            }
+        }
+    }
+}
+
+/// The library's own layer, step by step, over one network's variables.
+fn library_layer(layer: [&Tensor; 3], inputs: &Tensor) -> Tensor {
+    let [input, state, bias] = layer.map(|t| t.squeeze(0).unwrap());
+    let tensors = HashMap::from([
+        ("weight_ih_l0".to_owned(), input.t().unwrap()),
+        ("weight_hh_l0".to_owned(), state.t().unwrap()),
+        ("bias_ih_l0".to_owned(), bias.get(0).unwrap()),
+        ("bias_hh_l0".to_owned(), bias.get(1).unwrap()),
+    ]);
+    let builder = VarBuilder::from_tensors(tensors, DType::F32, &Device::Cpu);
+    let (inner, hidden) = input.dims2().map(|(i, wide)| (i, wide / 3)).unwrap();
+    let gru = GRU::new(inner, hidden, GRUConfig::default(), builder).unwrap();
+    let states = gru.seq(inputs).unwrap();
+    let (streams, rows, _) = inputs.dims3().unwrap();
+    let states = gru.states_to_tensor(&states).unwrap();
+    states.reshape((streams, rows, hidden)).unwrap()
+}
+
+#[test]
+fn its_slopes_are_those_that_the_library_finds_step_by_step() {
+    let size = Size {
+        networks: 1,
+        ..SIZE
+    };
+    let (streams, rows) = (2, 40);
+    let mut parameters = Parameters::random(size, 5, &[0]);
+    parameters.copy_network(0, &weights());
+    let inputs = noise(streams * rows * size.inputs, 1);
+    let inputs = Tensor::from_vec(inputs, (1, streams * rows, size.inputs), &Device::Cpu).unwrap();
+    let truth = Tensor::from_vec(
+        noise(streams * rows * 2, 2),
+        (1, streams * rows, 2),
+        &Device::Cpu,
+    );
+    let truth = truth.unwrap();
+    let weight = truth.ones_like().unwrap();
+    let slopes = |variables: &[Var], outputs: Tensor| -> Vec<Vec<f32>> {
+        let loss = losses(&outputs, &truth, &weight)
+            .unwrap()
+            .sum_all()
+            .unwrap();
+        let gradients = loss.backward().unwrap();
+        let flat = |v: &Var| gradients.get(v).unwrap().flatten_all()?.to_vec1::<f32>();
+        variables.iter().map(|v| flat(v).unwrap()).collect()
+    };
+    let own = Weights::of(&parameters).unwrap();
+    let mut state = State::zero(size, streams);
+    let found = slopes(&own.all, own.forward(&inputs, streams, &mut state).unwrap());
+
+    let theirs = Weights::of(&parameters).unwrap();
+    let mut flow = inputs.reshape((streams, rows, size.inputs)).unwrap();
+    for layer in place::LAYERS {
+        flow = library_layer(layer.map(|i| theirs.all[i].as_tensor()), &flow);
+    }
+    let flow = flow.reshape((1, streams * rows, size.hidden)).unwrap();
+    let head = flow
+        .matmul(theirs.all[place::HEAD_WEIGHTS].as_tensor())
+        .unwrap();
+    let outputs = head
+        .broadcast_add(theirs.all[place::HEAD_BIAS].as_tensor())
+        .unwrap();
+    let wanted = slopes(&theirs.all, outputs);
+
+    for (found, (wanted, parameter)) in found.iter().zip(wanted.iter().zip(&parameters.all)) {
+        let greatest = wanted.iter().fold(0.0_f32, |a, b| a.max(b.abs()));
+        assert!(greatest > 0.1, "{}", parameter.name);
+        for (found, wanted) in found.iter().zip(wanted) {
+            let error = (found - wanted).abs();
+            assert!(
+                error < 2e-5 * greatest,
+                "{}: {found} {wanted}",
+                parameter.name
+            );
+        }
+    }
+}
+
+#[test]
+fn the_optimiser_s_steps_are_those_of_the_library_s() {
+    let mut parameters = weights();
+    let before = parameters.all[0].values.clone();
+    let variable = Var::from_slice(&before, before.len(), &Device::Cpu).unwrap();
+    let settings = ParamsAdamW {
+        weight_decay: DECAY,
+        ..ParamsAdamW::default()
+    };
+    let mut library = AdamW::new(vec![variable.clone()], settings).unwrap();
+    let mut own = Adam::new(&parameters);
+    for step in 0..5 {
+        let rate = 0.01 / f64::from(step + 1);
+        let mut slopes: Vec<Vec<f32>> = parameters
+            .all
+            .iter()
+            .map(|p| vec![0.0; p.values.len()])
+            .collect();
+        slopes[0] = noise(before.len(), u64::from(step as u32));
+        let slope = Tensor::from_slice(&slopes[0], before.len(), &Device::Cpu).unwrap();
+        let loss = (variable.as_tensor() * slope).unwrap().sum_all().unwrap();
+        library.set_learning_rate(rate);
+        library.step(&loss.backward().unwrap()).unwrap();
+        own.step(&mut parameters, &slopes, rate);
+    }
+    let wanted = variable.to_vec1::<f32>().unwrap();
+    for ((found, wanted), before) in parameters.all[0].values.iter().zip(&wanted).zip(&before) {
+        assert!((found - wanted).abs() < 1e-5, "{found} {wanted}");
+        assert!((wanted - before).abs() > 1e-4);
+    }
+}
+
+#[test]
+fn a_steep_slope_is_shortened_and_that_of_the_network_beside_it_is_not() {
+    let mut slopes = vec![vec![3.0, 0.3], vec![4.0, 0.4]];
+    clip(&mut slopes, 2);
+    assert_eq!(GREATEST_SLOPE, 1.0);
+    assert_eq!(slopes, [[0.6, 0.3], [0.8, 0.4]]);
+}
+
+#[test]
+fn weights_stay_where_the_device_can_hold_them() {
+    let mut parameters = weights();
+    for parameter in &mut parameters.all {
+        parameter.values.fill(-20.0);
+    }
+    parameters.limit();
+    let layer = parameters.layer(0, 1);
+    let (gates, candidate) = layer.state_weights.split_at(2 * SIZE.hidden * SIZE.hidden);
+    assert!(
+        layer
+            .input_weights
+            .iter()
+            .chain(gates)
+            .all(|w| *w == -WEIGHT_LIMIT)
+    );
+    assert!(candidate.iter().all(|w| *w == -CANDIDATE_LIMIT));
+    assert!(layer.state_bias.iter().all(|b| *b == -20.0));
+}
