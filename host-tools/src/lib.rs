@@ -10,6 +10,7 @@
 //! - [`findings`]: what is wrong with a campaign's recordings.
 //! - [`wiring`]: a recording's row as the device's readings.
 //! - [`lessons`]: recordings as a recurrent network on the device sees them.
+//! - [`networks`]: recurrent networks in a replay.
 //! - [`replay`]: recorded data through the device's own code.
 //! - [`report`]: the page that a comparison leaves to open.
 //! - [`show`]: numbers and tables as people read them.
@@ -22,6 +23,7 @@ pub mod compare;
 pub mod diagnose;
 pub mod findings;
 pub mod lessons;
+pub mod networks;
 pub mod progress;
 pub mod replay;
 pub mod report;

@@ -16,6 +16,7 @@ use model_export::recordings::noise::WhiteNoise;
 use model_export::recordings::raw::RawStream;
 use nalgebra::Vector3;
 
+use crate::networks::{Beginning, FloatForce, Networks};
 pub use crate::sums::Sums;
 use crate::surroundings::Covariates;
 use crate::wiring::{reading, wire};
@@ -28,6 +29,9 @@ const UNLOADED_N: f64 = 1.0;
 const TARE_S: f64 = 1.0;
 /// Shorter stretches are no rest, only a load that passes zero.
 const SHORTEST_TARE_S: f64 = 0.2;
+
+/// Multiples of the standard deviation within which errors are counted.
+pub const WITHIN: [f64; 2] = [1.0, 2.0];
 
 /// Noise on a straight line between two noisy rows, as a share of a row's, root mean square: the mean
 /// of (1-s)^2 + s^2 is 2/3.
@@ -48,9 +52,21 @@ pub struct Track {
     /// Mean estimate over an unloaded stretch, and its length in seconds; `None` where the force
     /// never rested.
     pub tare: Option<(f64, f64)>,
+    /// Standard deviations that a network told, in newtons.
+    pub sigma: Sums,
+    /// Errors within [`WITHIN`] of these.
+    pub within: [u64; 2],
 }
 
 impl Track {
+    /// Counts an error beside the standard deviation that a network told of it.
+    fn tell(&mut self, sigma_n: f64, error_n: f64) {
+        self.sigma.add(sigma_n);
+        for (count, width) in self.within.iter_mut().zip(WITHIN) {
+            *count += u64::from(error_n.abs() <= width * sigma_n);
+        }
+    }
+
     /// The error after the tare.
     pub fn tared(&self) -> Option<Sums> {
         self.tare.map(|(tare, _)| self.error.less(tare))
@@ -100,6 +116,8 @@ pub struct Models<'a> {
     pub float: &'a [Grbf],
     /// Scale of a count.
     pub gauss_per_lsb: f64,
+    /// Recurrent networks behind them.
+    pub networks: Option<&'a Networks>,
 }
 
 impl<'a> Models<'a> {
@@ -112,6 +130,7 @@ impl<'a> Models<'a> {
             design: built.model.design.as_ref(),
             float: &built.chosen.models,
             gauss_per_lsb: built.model.sensor_scale.gauss_per_lsb,
+            networks: None,
         }
     }
 }
@@ -173,17 +192,20 @@ pub fn replay_watched(
         .any(OwnedCompensation::needs_temperature);
     let covariates = Covariates::find(stream.layout(), models.design);
     let mut memories = vec![Memory::default(); wiring.len()];
+    let mut networks = models.networks.map(Networks::beginning);
     let mut first_s = None;
     let mut rows = Vec::with_capacity(CHUNK);
     let mut estimates = Vec::with_capacity(CHUNK * wiring.len());
     loop {
         rows.clear();
         estimates.clear();
+        networks.iter_mut().for_each(Beginning::forget);
         let start = Instant::now();
         while rows.len() < CHUNK
             && let Some(row) = stream.next_row()?
         {
             let around = covariates.at(&row);
+            let first = estimates.len();
             for (wires, memory) in wiring.iter().zip(&mut memories) {
                 let bytes = a31301::encode(reading(&row, wires, models.gauss_per_lsb));
                 estimates.push(estimate(
@@ -194,6 +216,9 @@ pub fn replay_watched(
                     memory,
                 ));
             }
+            if let Some(networks) = &mut networks {
+                networks.apply(&wiring, &mut estimates[first..]);
+            }
             rows.push(row);
         }
         result.spent += start.elapsed();
@@ -202,7 +227,9 @@ pub fn replay_watched(
         };
         result.span_s = last.time_s - *first_s.get_or_insert(first.time_s);
         result.rows += rows.len() as u64;
-        for (row, estimates) in rows.iter().zip(estimates.chunks(wiring.len().max(1))) {
+        let estimates = estimates.chunks(wiring.len().max(1));
+        for (at, (row, estimates)) in rows.iter().zip(estimates).enumerate() {
+            let floats = networks.as_mut().map(|networks| networks.float(at));
             for (i, (wires, estimate)) in wiring.iter().zip(estimates).enumerate() {
                 let sensor = &mut result.sensors[i];
                 let reference = wires.forces.map(|force| row.forces[force]);
@@ -215,15 +242,22 @@ pub fn replay_watched(
                     let counts = estimate.field.map(Field::counts);
                     let shown = models.float[wires.table]
                         .force(&(Vector3::from(counts) * models.gauss_per_lsb));
+                    let seen = networks.as_ref().and_then(|networks| networks.saw(at));
+                    let number = wires.number as usize;
+                    let ideal = seen.and_then(|seen| seen.get(number)).unwrap_or(estimate);
+                    let network = floats.and_then(|floats| *floats.get(number)?);
                     for axis in 0..2 {
                         // What is undone on the forces is integer arithmetic alone.
-                        let undone = found[axis] - estimate.shown[axis].newtons();
-                        let float = shown[axis] + undone;
+                        let undone = ideal.force[axis].newtons() - estimate.shown[axis].newtons();
+                        let float = FloatForce::over(network, axis, shown[axis] + undone);
                         noises[i][axis].push(found[axis]);
                         let track = &mut sensor.axes[axis];
                         track.error.add(found[axis] - reference[axis]);
                         track.float.add(float - reference[axis]);
                         track.fixed_minus_float.add(found[axis] - float);
+                        if let Some(sigma) = estimate.sigma {
+                            track.tell(sigma[axis].newtons(), found[axis] - reference[axis]);
+                        }
                     }
                     rests[i].add(row.time_s, reference, found);
                     watch(Observed {

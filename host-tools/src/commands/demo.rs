@@ -90,7 +90,7 @@ pub fn run(args: &Args) -> Result<()> {
         export::report(&built.chosen, &built.header),
     ))?;
 
-    let outcome = replay::outcome(&model_path, &held_out.folder, ALIGNMENT)?;
+    let outcome = replay::outcome(&model_path, &held_out.folder, None, ALIGNMENT)?;
     show::page(&format!(
         "4. The judgement. Recording {}, which the fit has not seen, row by row through the device's own code.\n\n{}\n{}\n{}",
         held_out.name,

@@ -5,13 +5,14 @@ use std::path::PathBuf;
 use anyhow::Result;
 use firmware::frame::SENSORS;
 use model_export::inverse::build::{Built, Header, Variant, build};
-use model_export::inverse::emit::{MARK, source};
+use model_export::inverse::emit::{MARK, source, source_with};
 use model_export::inverse::error_map::ErrorMap;
 use model_export::inverse::search::Chosen;
 use model_export::model_file::ModelFile;
 use model_export::output::{check_output, write_output};
 use serde_json::json;
 
+use crate::networks::Networks;
 use crate::show;
 
 /// Loads along each axis of the printed error map.
@@ -22,6 +23,7 @@ const MAP_ACROSS: usize = 9;
 #[command(after_help = "\
 Examples:
   cargo magpie export model.toml -o my-tables.rs
+  cargo magpie export model.toml --network network.safetensors -o my-tables.rs
   MAGPIE_TABLES=my-tables.rs cargo image")]
 pub struct Args {
     /// Model file, as `magpie fit` writes it.
@@ -29,6 +31,9 @@ pub struct Args {
     /// Where the Rust source goes.
     #[arg(short, long, value_name = "PATH")]
     output: PathBuf,
+    /// Recurrent networks behind the model, as `magpie train` writes them.
+    #[arg(long, value_name = "NETWORK", conflicts_with = "nominal")]
+    network: Option<PathBuf>,
     /// Invert the nominal design alone (the paper's ideal model), not the fitted parameters.
     #[arg(long)]
     nominal: bool,
@@ -46,7 +51,16 @@ pub fn run(args: &Args) -> Result<()> {
     };
     check_output(&args.output, MARK)?;
     let built = build(&args.model, variant)?;
-    write_output(&args.output, source(&built).as_bytes(), MARK)?;
+    let networks = args
+        .network
+        .as_deref()
+        .map(|path| Networks::read(path, &built))
+        .transpose()?;
+    let source = match &networks {
+        None => source(&built),
+        Some(networks) => source_with(&built, &networks.packed)?,
+    };
+    write_output(&args.output, source.as_bytes(), MARK)?;
     for (effect, why) in &built.left {
         eprintln!("note: {effect} is not undone: {why}");
     }
@@ -68,6 +82,9 @@ pub fn run(args: &Args) -> Result<()> {
         false => {
             report(&chosen, &header)
                 + &worst_map(&model, &chosen, &header)
+                + &networks
+                    .as_ref()
+                    .map_or_else(String::new, Networks::sentence)
                 + &format!("Written to {}.\n", args.output.display())
         }
     };

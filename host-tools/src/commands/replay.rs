@@ -1,5 +1,6 @@
 //! `magpie replay`: a campaign through the device's own code.
 
+mod networks;
 pub mod report;
 
 use std::path::{Path, PathBuf};
@@ -16,6 +17,7 @@ use model_export::recordings::description::Description;
 use model_export::recordings::raw::RawStream;
 
 use super::clocks::Clocks;
+use crate::networks::Networks;
 use crate::replay::{Models, RecordingReplay, replay};
 use crate::{progress, show};
 
@@ -24,12 +26,16 @@ use crate::{progress, show};
 #[command(after_help = "\
 Examples:
   cargo magpie replay model.toml tests/data/clean
+  cargo magpie replay model.toml my-campaign --network network.safetensors
   cargo magpie replay model.toml tests/data/clean --json | jq '.sensors'")]
 pub struct Args {
     /// Model file, as `magpie fit` writes it.
     model: PathBuf,
     /// Folder of recordings (or one recording).
     campaign: PathBuf,
+    /// Recurrent networks behind the model, as `magpie train` writes them.
+    #[arg(long, value_name = "NETWORK")]
+    network: Option<PathBuf>,
     #[command(flatten)]
     clocks: Clocks,
     /// Print one JSON object on stdout and nothing else there.
@@ -39,7 +45,12 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
-    let outcome = outcome(&args.model, &args.campaign, args.clocks.alignment()?)?;
+    let outcome = outcome(
+        &args.model,
+        &args.campaign,
+        args.network.as_deref(),
+        args.clocks.alignment()?,
+    )?;
     let text = match args.json {
         true => format!("{}\n", report::json(&outcome)),
         false => report::text(&outcome),
@@ -58,22 +69,33 @@ pub struct Outcome {
     pub nominal: Vec<RecordingReplay>,
     /// The fitted functions with nothing undone around them, where the model has effects.
     pub uncompensated: Option<Vec<RecordingReplay>>,
-    /// Names of recordings that the model was fitted to.
+    /// The fitted functions without the networks, where there are some.
+    pub alone: Option<Vec<RecordingReplay>>,
+    /// Names of recordings that the model was fitted to, or a network learned from.
     pub seen: Vec<String>,
     /// What a person should know.
     pub notes: Vec<String>,
 }
 
-/// Replays `campaign` by the model at `model`.
-pub fn outcome(model: &Path, campaign: &Path, alignment: Alignment) -> Result<Outcome> {
+/// Replays `campaign` by the model at `model`, with the networks at `network` behind it.
+pub fn outcome(
+    model: &Path,
+    campaign: &Path,
+    network: Option<&Path>,
+    alignment: Alignment,
+) -> Result<Outcome> {
     let building = progress::bar("building tables", 2);
+    let built = build(model, Variant::Fitted)?;
+    let networks = network
+        .map(|path| Networks::read(path, &built))
+        .transpose()?;
     let Built {
         model: file,
         chosen: fitted,
         compensations,
         left,
         header,
-    } = build(model, Variant::Fitted)?;
+    } = built;
     building.inc(1);
     let nominal = build(model, Variant::Nominal)?.chosen;
     building.finish_and_clear();
@@ -91,7 +113,10 @@ pub fn outcome(model: &Path, campaign: &Path, alignment: Alignment) -> Result<Ou
         scale.gauss_per_lsb,
         scale.range_gauss,
     )?;
-    let run = |tables: &TableSet, float: &[Grbf], compensations: &[OwnedCompensation]| {
+    let run = |tables: &TableSet,
+               float: &[Grbf],
+               compensations: &[OwnedCompensation],
+               networks: Option<&Networks>| {
         let models = Models {
             numbers: &header.sensors,
             tables,
@@ -99,10 +124,19 @@ pub fn outcome(model: &Path, campaign: &Path, alignment: Alignment) -> Result<Ou
             design: file.design.as_ref(),
             float,
             gauss_per_lsb: scale.gauss_per_lsb,
+            networks,
         };
         replay_all(&folders, models, alignment)
     };
-    let replayed = run(&fitted.tables, &fitted.models, &compensations)?;
+    let alone = |tables: &TableSet, float: &[Grbf], compensations: &[OwnedCompensation]| {
+        run(tables, float, compensations, None)
+    };
+    let replayed = run(
+        &fitted.tables,
+        &fitted.models,
+        &compensations,
+        networks.as_ref(),
+    )?;
     let sensors = || replayed.iter().flat_map(|recording| &recording.sensors);
     if sensors().count() == 0 {
         bail!(
@@ -130,14 +164,18 @@ pub fn outcome(model: &Path, campaign: &Path, alignment: Alignment) -> Result<Ou
     }
     notes.iter().for_each(|note| eprintln!("note: {note}"));
     Ok(Outcome {
-        linear: run(&linear, &fitted.linear, &[])?,
-        nominal: run(&nominal.tables, &nominal.models, &[])?,
+        linear: alone(&linear, &fitted.linear, &[])?,
+        nominal: alone(&nominal.tables, &nominal.models, &[])?,
         uncompensated: match header.effects.is_empty() {
             true => None,
-            false => Some(run(&fitted.tables, &fitted.models, &[])?),
+            false => Some(alone(&fitted.tables, &fitted.models, &[])?),
+        },
+        alone: match networks {
+            None => None,
+            Some(_) => Some(alone(&fitted.tables, &fitted.models, &compensations)?),
         },
         fitted: replayed,
-        seen: seen(&folders, &file)?,
+        seen: seen(&folders, &file, networks.as_ref())?,
         notes,
     })
 }
@@ -197,16 +235,17 @@ pub fn replay_all(
     Ok(replays)
 }
 
-fn seen(folders: &[PathBuf], model: &ModelFile) -> Result<Vec<String>> {
+fn seen(
+    folders: &[PathBuf],
+    model: &ModelFile,
+    networks: Option<&Networks>,
+) -> Result<Vec<String>> {
     let mut seen = Vec::new();
     for folder in folders {
         let hash = fingerprint(folder)?;
-        if model
-            .provenance
-            .recordings
-            .iter()
-            .any(|recording| recording.sha256 == hash)
-        {
+        let mut fitted = model.provenance.recordings.iter();
+        let learned = networks.is_some_and(|networks| networks.learned_from(&hash));
+        if learned || fitted.any(|recording| recording.sha256 == hash) {
             seen.push(
                 folder
                     .file_name()

@@ -102,7 +102,7 @@ fn add(told: &Told, diagnosis: &Diagnosis) -> Result<Fall> {
         )?;
         let path = told.output.join(format!("better-{}.toml", i + 1));
         change.model.write(&path)?;
-        let after = replay::outcome(&path, told.held_out, ALIGNMENT)?;
+        let after = replay::outcome(&path, told.held_out, None, ALIGNMENT)?;
         let newtons = replay::report::rmse_n(&after.fitted);
         fall.push((format!("+ {}", step.join(" or ")), newtons));
     }

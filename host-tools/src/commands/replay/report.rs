@@ -3,31 +3,31 @@
 use firmware::params;
 use serde_json::{Value, json};
 
-use super::Outcome;
+use super::{Outcome, networks};
 use crate::replay::{RecordingReplay, Sums, Track};
 use crate::show;
 
 /// A tare that multiplies the error by this is worth a word.
 const TARE_HARM: f64 = 1.2;
 
-const FORCES: [(&str, &str); 2] = [("Fx", "x"), ("Fz", "z")];
+pub(super) const FORCES: [(&str, &str); 2] = [("Fx", "x"), ("Fz", "z")];
 
 /// One force of one sensor over all recordings.
-struct Pooled {
-    sensor: u32,
-    axis: usize,
-    tracks: Vec<Track>,
+pub(super) struct Pooled {
+    pub(super) sensor: u32,
+    pub(super) axis: usize,
+    pub(super) tracks: Vec<Track>,
 }
 
 impl Pooled {
-    fn sum(&self, of: impl Fn(&Track) -> Sums) -> Sums {
+    pub(super) fn sum(&self, of: impl Fn(&Track) -> Sums) -> Sums {
         self.tracks
             .iter()
             .fold(Sums::default(), |sum, track| sum.with(of(track)))
     }
 
     /// Root mean square of white noise alone, all recordings.
-    fn noise_n(&self) -> f64 {
+    pub(super) fn noise_n(&self) -> f64 {
         let squares: f64 = self.tracks.iter().map(|track| track.noise_n.powi(2)).sum();
         (squares / self.tracks.len().max(1) as f64).sqrt()
     }
@@ -42,7 +42,7 @@ impl Pooled {
     }
 }
 
-fn pooled(recordings: &[RecordingReplay]) -> Vec<Pooled> {
+pub(super) fn pooled(recordings: &[RecordingReplay]) -> Vec<Pooled> {
     let mut numbers: Vec<u32> = recordings
         .iter()
         .flat_map(|r| r.sensors.iter().map(|s| s.number))
@@ -81,8 +81,9 @@ fn newtons(sums: Option<Sums>) -> String {
 /// The page.
 pub fn text(outcome: &Outcome) -> String {
     format!(
-        "{}\n{}{}\n{}",
+        "{}\n{}{}{}\n{}",
         forces(outcome),
+        networks::text(outcome).unwrap_or_default(),
         without_compensation(outcome).unwrap_or_default(),
         by_recording(outcome),
         beside(outcome)
@@ -290,6 +291,7 @@ pub fn json(outcome: &Outcome) -> Value {
         "nominal": pooled(&outcome.nominal).iter().map(sensor_json).collect::<Vec<_>>(),
         "rmse_n": rmse_n(&outcome.fitted),
         "uncompensated_rmse_n": outcome.uncompensated.as_deref().map(rmse_n),
+        "networks": networks::json(outcome),
         "notes": outcome.notes,
         "rows": outcome.fitted.iter().map(|r| r.rows).sum::<u64>(),
         "times_real_time": spent,
