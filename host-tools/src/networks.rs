@@ -56,7 +56,8 @@ impl Networks {
             let [inputs, hidden, _] = packed.size();
             let sensors: Vec<String> = network.sensors.iter().map(u32::to_string).collect();
             format!(
-                "Network of sensor {}: {} inputs and two layers of {} units, on the device {} and {}; it counts {} ms after a start.\n",
+                "Network of sensor {}: {} inputs, two layers of {} units (on the device {} and {}).\n  \
+                 After a start its forces are not used for {} ms: so long it remembers nothing but the start.\n",
                 sensors.join(", "),
                 network.inputs.len(),
                 network.hidden,
@@ -66,7 +67,7 @@ impl Networks {
             )
         });
         lines.collect::<String>()
-            + "No sum of theirs can overflow. `magpie replay --network` shows what fixed point costs on recordings.\n"
+            + "No sum of theirs can overflow. What fixed point costs: `magpie replay --network`.\n"
     }
 
     /// True where the networks learned from the recording with this fingerprint.

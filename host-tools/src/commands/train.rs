@@ -157,7 +157,12 @@ pub fn run(args: &Args) -> Result<()> {
     }
     if !args.json {
         show::page(&match &args.output {
-            Some(path) => format!("Written to {}.\n", path.display()),
+            Some(path) => format!(
+                "Written to {path}.\nNext: cargo magpie replay \"{}\" \"{}\" --network \"{path}\"\n",
+                args.model.display(),
+                args.campaign.display(),
+                path = path.display(),
+            ),
             None => "Not written: give -o network.safetensors to keep it.\n".to_owned(),
         })?;
     }

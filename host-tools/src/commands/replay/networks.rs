@@ -82,9 +82,10 @@ pub fn text(outcome: &Outcome) -> Option<String> {
     }
     show::right_align(&mut table, 2);
     Some(format!(
-        "With the recurrent networks behind the model, in newtons, on {}: RMSE\n\
-         without and with them, the same networks in floating point, the standard deviation that they tell\n\
-         and the share of errors within one and two of it (a Gaussian has 68.3 and 95.4 %).\n{table}\n\
+        "With the recurrent networks behind the model, in newtons,\n\
+         on {}:\n\
+         RMSE without and with them, the same networks in floating point, the standard deviation that\n\
+         they tell and the share of errors within one and two of it (a Gaussian has 68.3 and 95.4 %).\n{table}\n\
          Over all forces there: RMSE {:.3} N without, {:.3} N with. {}\n\n",
         match sides.held_out {
             true => "recordings that neither has seen",

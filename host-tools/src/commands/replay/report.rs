@@ -228,7 +228,7 @@ fn tare_harms(outcome: &Outcome) -> Option<String> {
 /// Errors of a tenth of the range are no model's error but a mistake.
 fn far_off(outcome: &Outcome) -> Option<String> {
     let limit = 0.1 * params::FORCE_RANGE.value;
-    let worst = pooled(&outcome.fitted)
+    let worst = pooled(outcome.alone.as_ref().unwrap_or(&outcome.fitted))
         .iter()
         .map(|p| p.sum(|t| t.error).std())
         .fold(0.0, f64::max);
@@ -250,7 +250,7 @@ pub fn beside(outcome: &Outcome) -> String {
         "tared",
     ]);
     let (fitted, linear, nominal) = (
-        pooled(&outcome.fitted),
+        pooled(outcome.alone.as_ref().unwrap_or(&outcome.fitted)),
         pooled(&outcome.linear),
         pooled(&outcome.nominal),
     );

@@ -147,7 +147,24 @@ pub fn text(outcome: &Outcome) -> String {
         100.0 * EXPECTED[0],
         100.0 * EXPECTED[1],
     ));
-    format!("{head}{table}\n{}", show::paragraph(&ending(outcome)))
+    let end = verdict(outcome) + &ending(outcome);
+    format!("{head}{table}\n{}", show::paragraph(&end))
+}
+
+/// Beside the ideal model, which needs no training.
+fn verdict(outcome: &Outcome) -> String {
+    let pooled = |of: fn(&Row) -> Sums| {
+        let sums = outcome.rows.iter().map(of);
+        sums.fold(Sums::default(), Sums::with).rms()
+    };
+    let (own, ideal) = (pooled(|row| row.error), pooled(|row| row.ideal));
+    let worth = match own < ideal {
+        true => "the networks are better",
+        false => {
+            "the networks are worse than the model alone: train longer, on more or longer recordings, or leave them out"
+        }
+    };
+    format!("Over all forces: {own:.3} N, the ideal model {ideal:.3} N: {worth}. ")
 }
 
 fn ending(outcome: &Outcome) -> String {
