@@ -79,14 +79,14 @@ impl Networks {
     }
 
     /// All of them after a reset.
-    pub fn beginning(&self) -> Beginning<'_> {
+    pub fn start(&self) -> Underway<'_> {
         let floats = self.file.networks.iter().map(|network| Float {
             network,
             state: FloatState::at(network, 0.0),
             steps: 0,
             warm_up: warm_up::steps(network),
         });
-        Beginning {
+        Underway {
             running: self.packed.iter().map(|packed| packed.run()).collect(),
             floats: floats.collect(),
             seen: Vec::new(),
@@ -96,10 +96,10 @@ impl Networks {
 }
 
 /// Networks on their way through a recording.
-pub struct Beginning<'a> {
+pub struct Underway<'a> {
     running: Vec<Box<dyn Running + 'a>>,
     floats: Vec<Float<'a>>,
-    /// What the networks saw since [`Beginning::forget`], a frame for each row.
+    /// What the networks saw since [`Underway::forget`], a frame for each row.
     seen: Vec<[Estimate; SENSORS]>,
     gauss_per_lsb: f64,
 }
@@ -134,7 +134,7 @@ impl FloatForce {
     }
 }
 
-impl Beginning<'_> {
+impl Underway<'_> {
     /// One step of the device's code over the estimates of one row, in the order of `wiring`.
     pub fn apply(&mut self, wiring: &[Wiring], estimates: &mut [Estimate]) {
         let mut frame = [Estimate::MISSING; SENSORS];
@@ -152,7 +152,7 @@ impl Beginning<'_> {
         }
     }
 
-    /// What the networks saw in a row since [`Beginning::forget`].
+    /// What the networks saw in a row since [`Underway::forget`].
     pub fn saw(&self, row: usize) -> Option<&[Estimate; SENSORS]> {
         self.seen.get(row)
     }

@@ -16,7 +16,7 @@ use model_export::recordings::noise::WhiteNoise;
 use model_export::recordings::raw::RawStream;
 use nalgebra::Vector3;
 
-use crate::networks::{Beginning, FloatForce, Networks};
+use crate::networks::{FloatForce, Networks, Underway};
 pub use crate::sums::Sums;
 use crate::surroundings::Covariates;
 use crate::wiring::{reading, wire};
@@ -192,14 +192,14 @@ pub fn replay_watched(
         .any(OwnedCompensation::needs_temperature);
     let covariates = Covariates::find(stream.layout(), models.design);
     let mut memories = vec![Memory::default(); wiring.len()];
-    let mut networks = models.networks.map(Networks::beginning);
+    let mut networks = models.networks.map(Networks::start);
     let mut first_s = None;
     let mut rows = Vec::with_capacity(CHUNK);
     let mut estimates = Vec::with_capacity(CHUNK * wiring.len());
     loop {
         rows.clear();
         estimates.clear();
-        networks.iter_mut().for_each(Beginning::forget);
+        networks.iter_mut().for_each(Underway::forget);
         let start = Instant::now();
         while rows.len() < CHUNK
             && let Some(row) = stream.next_row()?

@@ -12,7 +12,7 @@ use model_export::inverse::grbf::Grbf;
 use model_export::inverse::quantise::TableSet;
 use model_export::model_file::ModelFile;
 use model_export::recordings::align::Alignment;
-use model_export::recordings::campaign::{fingerprint, recording_folders};
+use model_export::recordings::campaign::{fingerprint, name_of, recording_folders};
 use model_export::recordings::description::Description;
 use model_export::recordings::raw::RawStream;
 
@@ -195,13 +195,7 @@ fn differences(
     }
     for folder in folders {
         let (description, _) = Description::read(folder)?;
-        let (own, stated) = (model.sensor_scale.gauss_per_lsb, description.gauss_per_lsb);
-        if let Some(other) = stated.filter(|other| *other != own) {
-            bail!(
-                "{}: gauss_per_lsb is {other}, and the model's tables are for {own}; fit these recordings, or correct recording.toml",
-                folder.display()
-            );
-        }
+        same_scale(folder, &description, model)?;
         if description.design != model.design {
             notes.push(format!(
                 "{}: [design] is not that of the model: is it the same gripper?",
@@ -210,6 +204,18 @@ fn differences(
         }
     }
     Ok(notes)
+}
+
+/// Refuses a recording on another scale than that which the model's tables are for.
+pub fn same_scale(folder: &Path, description: &Description, model: &ModelFile) -> Result<()> {
+    let (own, stated) = (model.sensor_scale.gauss_per_lsb, description.gauss_per_lsb);
+    if let Some(other) = stated.filter(|other| *other != own) {
+        bail!(
+            "{}: gauss_per_lsb is {other}, and the model's tables are for {own}; fit these recordings, or correct recording.toml",
+            folder.display()
+        );
+    }
+    Ok(())
 }
 
 /// Replays one recording after the other, on one core.
@@ -223,11 +229,8 @@ pub fn replay_all(
     for folder in folders {
         let (description, _) = Description::read(folder)?;
         let stream = RawStream::open(folder, &description, alignment)?;
-        let name = folder
-            .file_name()
-            .map_or_else(String::new, |n| n.to_string_lossy().into_owned());
         let before = bar.position();
-        replays.push(replay(models, &name, stream, |rows| {
+        replays.push(replay(models, &name_of(folder), stream, |rows| {
             bar.set_position(before + rows)
         })?);
     }
@@ -246,11 +249,7 @@ fn seen(
         let mut fitted = model.provenance.recordings.iter();
         let learned = networks.is_some_and(|networks| networks.learned_from(&hash));
         if learned || fitted.any(|recording| recording.sha256 == hash) {
-            seen.push(
-                folder
-                    .file_name()
-                    .map_or_else(String::new, |n| n.to_string_lossy().into_owned()),
-            );
+            seen.push(name_of(folder));
         }
     }
     Ok(seen)

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
 use model_export::recordings::align::Alignment;
-use model_export::recordings::campaign::{fingerprint, recording_folders};
+use model_export::recordings::campaign::{fingerprint, name_of, recording_folders};
 use model_export::recordings::description::Description;
 use model_export::recordings::{Campaign, Problem, Recording};
 use rayon::prelude::*;
@@ -48,9 +48,7 @@ impl Source {
             .map(|folder| {
                 let (description, _) = Description::read(&folder)?;
                 let named = Named {
-                    name: folder
-                        .file_name()
-                        .map_or_else(String::new, |name| name.to_string_lossy().into_owned()),
+                    name: name_of(&folder),
                     sha256: fingerprint(&folder)?,
                     folder,
                 };

@@ -141,6 +141,12 @@ fn is_recording(folder: &Path) -> bool {
         .any(|name| folder.join(name).is_file())
 }
 
+/// A recording's name: that of its folder.
+pub fn name_of(folder: &Path) -> String {
+    let name = folder.file_name();
+    name.map_or_else(String::new, |name| name.to_string_lossy().into_owned())
+}
+
 /// SHA-256 over a recording's files, in order of their names: the same bytes, the same hash.
 pub fn fingerprint(folder: &Path) -> Result<String, Problem> {
     let mut hash = Sha256::new();

@@ -8,11 +8,12 @@ use model_export::gru::train::course::Course;
 use model_export::gru::train::lesson::Sequence;
 use model_export::inverse::build::{Built, Variant, build};
 use model_export::recordings::align::Alignment;
-use model_export::recordings::campaign::{fingerprint, recording_folders};
+use model_export::recordings::campaign::{fingerprint, name_of, recording_folders};
 use model_export::recordings::description::Description;
 use model_export::recordings::raw::RawStream;
 
 use super::Args;
+use crate::commands::replay::same_scale;
 use crate::lessons::sequence;
 use crate::progress;
 use crate::replay::Models;
@@ -41,7 +42,7 @@ impl Campaign {
         let mut recordings = Vec::new();
         for (i, folder) in folders.iter().enumerate() {
             recordings.push(Recorded {
-                name: name(folder),
+                name: name_of(folder),
                 sha256: fingerprint(folder)?,
                 held_out: i == held_out,
             });
@@ -58,7 +59,7 @@ impl Campaign {
             name: args
                 .campaign
                 .canonicalize()
-                .map_or_else(|_| name(&args.campaign), |absolute| name(&absolute)),
+                .map_or_else(|_| name_of(&args.campaign), |absolute| name_of(&absolute)),
             recordings,
             model_sha256: built.header.inputs_sha256,
             delay_ms: 1e-3 * alignment.delay_us,
@@ -91,12 +92,6 @@ impl Campaign {
     }
 }
 
-fn name(folder: &Path) -> String {
-    folder
-        .file_name()
-        .map_or_else(String::new, |name| name.to_string_lossy().into_owned())
-}
-
 /// Place of the held-out recording.
 fn held_out(campaign: &Path, recordings: usize, asked: Option<usize>) -> Result<usize> {
     if recordings < 2 {
@@ -119,17 +114,11 @@ fn sequences(folders: &[PathBuf], built: &Built, alignment: Alignment) -> Result
     let mut sequences = Vec::new();
     for folder in folders {
         let (description, _) = Description::read(folder)?;
-        let own = built.model.sensor_scale.gauss_per_lsb;
-        if let Some(other) = description.gauss_per_lsb.filter(|other| *other != own) {
-            bail!(
-                "{}: gauss_per_lsb is {other}, and the model's tables are for {own}; fit these recordings, or correct recording.toml",
-                folder.display()
-            );
-        }
+        same_scale(folder, &description, &built.model)?;
         let stream = RawStream::open(folder, &description, alignment)?;
         let before = bar.position();
         let done = |rows| bar.set_position(before + rows);
-        sequences.push(sequence(Models::of(built), &name(folder), stream, done)?);
+        sequences.push(sequence(Models::of(built), &name_of(folder), stream, done)?);
     }
     bar.finish_and_clear();
     Ok(sequences)
