@@ -9,7 +9,7 @@ use super::kin::are_kin;
 use super::screening::Screened;
 use super::select::{Selection, Step};
 use super::stage::Stage;
-use super::words::SEE_BELOW;
+use super::words::{self, SEE_BELOW};
 use super::{Diagnosis, Kind, Stair, Unexplained, Verdict};
 use crate::compare::words::{AT_FLOOR, field};
 use crate::show;
@@ -153,8 +153,7 @@ fn of_step(step: &Step, last: &Stage, recordings: usize, complete: bool) -> Vec<
             (verdict.value, verdict.std_error) = (size.value, size.std_error);
             verdict.reason += &unusual(size);
             if step.tied.is_empty() {
-                let value = show::with_error(size.value, size.std_error, size.value.abs());
-                verdict.short = format!("{value} {}", size.size.unit);
+                verdict.short = words::value(size.value, size.std_error, &verdict.unit);
             }
         }
         verdicts.push(verdict);

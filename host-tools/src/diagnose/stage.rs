@@ -6,7 +6,7 @@ use model_export::fit::Options;
 use model_export::fit::campaign::Prepared;
 use model_export::fit::folds::Split;
 use model_export::fit::joint::JointFit;
-use model_export::fit::size::{EffectSize, sizes};
+use model_export::fit::size::sizes;
 
 /// A model that leaves this many times another's squared error where both were fitted is no rival.
 const FAR: f64 = 1.1;
@@ -14,7 +14,12 @@ const FAR: f64 = 1.1;
 /// An effect of less than this share of its typical size is hardly that effect.
 const TINY: f64 = 0.03;
 
+/// What happens within recordings can take any form in time: it must tell its size, with an error bar below
+/// this many times the size or the typical one.
+const UNKNOWN: f64 = 10.0;
+
 /// A model while effects are added to it.
+#[derive(Clone)]
 pub struct Stage {
     /// All effects.
     pub effects: Vec<Addition>,
@@ -95,6 +100,11 @@ impl Stage {
     pub fn is_possible(&self, recordings: usize) -> bool {
         sizes(&self.fit, &self.effects, recordings)
             .iter()
-            .all(EffectSize::is_possible)
+            .zip(&self.effects)
+            .all(|(size, effect)| {
+                let known = UNKNOWN * size.value.abs().max(size.size.typical);
+                let told = !effect.lives_in_one_recording() || size.std_error <= known;
+                size.is_possible() && told
+            })
     }
 }

@@ -5,6 +5,9 @@ use model_export::effects::find;
 use super::{Diagnosis, Kind, Stair, Unexplained, Verdict};
 use crate::show;
 
+/// A size with an error bar of more than this many times itself is not known.
+const NOT_TOLD: f64 = 10.0;
+
 /// A verdict in a word or two; a question mark where it is provisional.
 pub fn word(verdict: &Verdict) -> String {
     let word = match verdict.kind {
@@ -52,12 +55,20 @@ pub fn size(verdict: &Verdict) -> String {
     if !verdict.value.is_finite() {
         return typical.unwrap_or_default();
     }
-    let value = show::with_error(verdict.value, verdict.std_error, verdict.value.abs());
-    let value = format!("{value} {}", verdict.unit).trim_end().to_owned();
+    let value = value(verdict.value, verdict.std_error, &verdict.unit);
     match (find(&verdict.effect).ok(), typical) {
         (Some(effect), Some(typical)) => format!("{value}, {}; {typical}", effect.size.words),
         _ => value,
     }
+}
+
+/// "7.98±0.01 N"; where the error bar is far wider than the value, it says that.
+pub fn value(value: f64, std_error: f64, unit: &str) -> String {
+    if std_error > NOT_TOLD * value.abs() {
+        return "size not told".to_owned();
+    }
+    let value = show::with_error(value, std_error, value.abs());
+    format!("{value} {unit}").trim_end().to_owned()
 }
 
 /// A paragraph of the physics; of a formula of one's own there is none.

@@ -135,10 +135,14 @@ pub fn judge(
     stretches: &[Stretch],
     departures: &DVector<f64>,
 ) {
-    for stretch in stretches.iter().filter(|stretch| !stretch.rows.is_empty()) {
-        let part = &problem.rows.parts[stretch.part];
-        let linear = problem.linear(stretch.part, departures);
-        for row in stretch.rows.clone() {
+    // A recording is evaluated once, however many stretches of it are judged.
+    for stretches in stretches.chunk_by(|a, b| a.part == b.part) {
+        let Some(place) = stretches.iter().find(|s| !s.rows.is_empty()) else {
+            continue;
+        };
+        let part = &problem.rows.parts[place.part];
+        let linear = problem.linear(place.part, departures);
+        for row in stretches.iter().flat_map(|stretch| stretch.rows.clone()) {
             let residual = part.field_g[row] - linear.fields[row];
             tally.add(part, residual, problem.rows.slopes(&linear.per_newton[row]));
         }
