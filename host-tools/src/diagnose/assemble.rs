@@ -12,7 +12,6 @@ use super::stage::Stage;
 use super::words::{self, SEE_BELOW};
 use super::{Diagnosis, Kind, Stair, Unexplained, Verdict};
 use crate::compare::words::{AT_FLOOR, field};
-use crate::show;
 
 /// A typical size fewer error bars than this from nothing cannot be judged.
 const JUDGEABLE: f64 = 4.0;
