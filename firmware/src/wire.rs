@@ -1,69 +1,88 @@
-//! The messages on the CAN bus: classic frames of eight bytes, little-endian, fields in order from
-//! bit 0, reserved bits zero. An identifier is `node << 5 | message`.
+//! The messages on the CAN bus and on the serial line.
+//!
+//! CAN: classic frames of eight bytes at 1 Mbit/s, little-endian, reserved bits zero; an identifier is
+//! `node << 5 | number`. [`messages`] is the table of them; `magpie dbc` writes it down for other tools.
+//! Serial line: [`serial`].
+
+pub mod layout;
+pub mod messages;
+pub mod serial;
 
 use crate::force::{Estimate, Validity};
 use crate::units::Force;
 
 /// Node number if nobody gives another: identifiers 0x200 to 0x21F.
 pub const DEFAULT_NODE: u16 = 0x10;
+/// Version of these messages.
+pub const PROTOCOL: (u8, u8) = (1, 0);
+/// An emergency stop for every node.
+pub const STOP_ALL: u16 = 0x002;
 
-/// First of the four force messages.
-const FORCE_0: u16 = 0x08;
 /// Units of a force on the bus in a newton: 0.05 N each.
-const FORCE_PER_NEWTON: i32 = 20;
+const FORCE_PER_NEWTON: i64 = 20;
+/// Units of a standard deviation on the bus in a newton: 0.25 N each.
+const SIGMA_PER_NEWTON: i64 = 4;
 /// Says that sigma is not known.
-const SIGMA_UNKNOWN: u8 = 255;
+const SIGMA_UNKNOWN: u8 = u8::MAX;
+/// Says that a network made the estimate.
+const NETWORK: u8 = 1;
 
-const VALID: u8 = 1 << 0;
-const SATURATED: u8 = 1 << 2;
-const STALE: u8 = 1 << 3;
-
-/// Identifier and bytes of the message `ForceN`: the forces at sensor `sensor` (0 to 3).
-///
-/// Fx, Fz (i16, 0.05 N); sigma of both (u8, 0.25 N, 255: unknown); valid, disturbed, saturated,
-/// stale (4 bits); model (2), reserved (2); counter (8).
-pub fn force(node: u16, sensor: u8, estimate: &Estimate, counter: u8) -> (u16, [u8; 8]) {
-    let [x, z] = estimate.force.map(on_bus);
-    let [x0, x1] = x.to_le_bytes();
-    let [z0, z1] = z.to_le_bytes();
-    let flags = match estimate.validity {
-        Validity::Valid => VALID,
-        Validity::Saturated => SATURATED,
-        Validity::OutsideModel => 0,
-        Validity::Missing => STALE,
-    };
-    let message = FORCE_0 + u16::from(sensor & 3);
-    let bytes = [x0, x1, z0, z1, SIGMA_UNKNOWN, SIGMA_UNKNOWN, flags, counter];
-    (identifier(node, message), bytes)
+/// The message about the forces at one sensor.
+pub fn force(estimate: &Estimate, counter: u8) -> messages::Force {
+    let [fx, fz] = estimate.force.map(|force| {
+        let units = counts(force, FORCE_PER_NEWTON);
+        units.clamp(i16::MIN.into(), i16::MAX.into()) as i16
+    });
+    let known =
+        |force| counts(force, SIGMA_PER_NEWTON).clamp(0, i64::from(SIGMA_UNKNOWN) - 1) as u8;
+    let [sigma_x, sigma_z] = estimate
+        .sigma
+        .map_or([SIGMA_UNKNOWN; 2], |sigma| sigma.map(known));
+    messages::Force {
+        fx,
+        fz,
+        sigma_x,
+        sigma_z,
+        valid: estimate.validity == Validity::Valid,
+        disturbed: false,
+        saturated: estimate.validity == Validity::Saturated,
+        stale: estimate.validity == Validity::Missing,
+        model: if estimate.sigma.is_some() { NETWORK } else { 0 },
+        counter,
+    }
 }
 
-/// Identifier of a message of this node.
-pub const fn identifier(node: u16, message: u16) -> u16 {
-    ((node << 5) | (message & 0x1F)) & 0x7FF
+/// Identifier of a message of a node.
+pub const fn identifier(node: u16, number: u8) -> u16 {
+    ((node << 5) | (number as u16 & 0x1F)) & 0x7FF
 }
 
-/// Rounds to the bus's units; what does not fit stays at the end of the range.
-fn on_bus(force: Force) -> i16 {
+/// Rounds to units of the bus.
+fn counts(force: Force, per_newton: i64) -> i64 {
     let half = 1_i64 << (Force::BITS - 1);
-    let units = (i64::from(force.0) * i64::from(FORCE_PER_NEWTON) + half) >> Force::BITS;
-    units.clamp(i64::from(i16::MIN), i64::from(i16::MAX)) as i16
+    (i64::from(force.0) * per_newton + half) >> Force::BITS
 }
 
 #[cfg(test)]
 mod tests {
+    use super::messages::{LAYOUTS, Message};
     use super::*;
 
     #[test]
     fn a_force_message_is_these_eight_bytes() {
         let estimate = Estimate {
-            // 100 N and -50 N: 2000 and -1000 units of 0.05 N.
+            // 100 N and -50 N: 2000 and -1000 units of 0.05 N; 3 N of sigma: 12 of 0.25 N; 80 N: too many.
             force: [Force(100 << 10), Force(-(50 << 10))],
+            sigma: Some([Force(3 << 10), Force(80 << 10)]),
             validity: Validity::Valid,
             ..Estimate::MISSING
         };
-        let (id, bytes) = force(DEFAULT_NODE, 2, &estimate, 7);
-        assert_eq!(id, 0x20A);
-        assert_eq!(bytes, [0xD0, 0x07, 0x18, 0xFC, 0xFF, 0xFF, 0x01, 0x07]);
+        let bytes = force(&estimate, 7).to_bytes();
+        assert_eq!(
+            identifier(DEFAULT_NODE, messages::Force::LAYOUT.number + 2),
+            0x20A
+        );
+        assert_eq!(bytes, [0xD0, 0x07, 0x18, 0xFC, 0x0C, 0xFE, 0b1_0001, 0x07]);
     }
 
     #[test]
@@ -73,7 +92,7 @@ mod tests {
                 validity,
                 ..Estimate::MISSING
             };
-            force(DEFAULT_NODE, 0, &estimate, 0).1[6]
+            force(&estimate, 0).to_bytes()[6]
         };
         assert_eq!(flags(Validity::Missing), 0b1000);
         assert_eq!(flags(Validity::Saturated), 0b0100);
@@ -82,7 +101,46 @@ mod tests {
 
     #[test]
     fn a_force_beyond_the_message_stays_at_its_end() {
-        assert_eq!(on_bus(Force(i32::MAX)), i16::MAX);
-        assert_eq!(on_bus(Force(i32::MIN)), i16::MIN);
+        let at = |force: i32| {
+            let estimate = Estimate {
+                force: [Force(force); 2],
+                ..Estimate::MISSING
+            };
+            super::force(&estimate, 0).fx
+        };
+        assert_eq!((at(i32::MAX), at(i32::MIN)), (i16::MAX, i16::MIN));
+    }
+
+    #[test]
+    fn every_number_is_one_message_and_every_message_comes_back_from_its_bytes() {
+        let mut taken = 0_u32;
+        for layout in LAYOUTS {
+            for number in layout.numbers() {
+                assert_eq!(
+                    taken & (1 << number),
+                    0,
+                    "{} shares its number",
+                    layout.name
+                );
+                taken |= 1 << number;
+                let bytes = (layout.used() & 0x5A5A_A5A5_1234_FEDC).to_le_bytes();
+                let message = Message::from_frame(number, &bytes).unwrap();
+                assert_eq!(message.layout(), layout);
+                assert_eq!(message.to_bytes(), bytes, "{}", layout.name);
+            }
+        }
+        assert_eq!(taken, 0x0003_FFFF);
+    }
+
+    #[test]
+    fn a_frame_that_is_no_message_is_told_why() {
+        use layout::Malformed;
+        assert_eq!(Message::from_frame(0x12, &[0; 8]), Err(Malformed::Unknown));
+        assert_eq!(Message::from_frame(0x03, &[0; 7]), Err(Malformed::Length));
+        // Bit 47 of a heartbeat belongs to nobody.
+        assert_eq!(
+            Message::from_frame(0x01, &[0, 0, 0, 0, 0, 0x80, 0, 0]),
+            Err(Malformed::Reserved)
+        );
     }
 }

@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 use crate::commands::{
-    add, compare, demo, diagnose, drop, effects, export, fit, import, replay, simulate, train,
+    add, compare, dbc, demo, diagnose, drop, effects, export, fit, import, replay, simulate, train,
 };
 
 /// Turns four Hall sensors in a robot gripper into forces one can trust, and tells which piece of
@@ -32,6 +32,7 @@ enum Command {
     Replay(replay::Args),
     Simulate(simulate::Args),
     Train(train::Args),
+    Dbc(dbc::Args),
 }
 
 /// Runs one command; errors go to stderr as one sentence.
@@ -53,6 +54,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Replay(args) => replay::run(&args),
         Command::Simulate(args) => simulate::run(&args),
         Command::Train(args) => train::run(&args),
+        Command::Dbc(args) => dbc::run(&args),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

@@ -5,6 +5,7 @@ pub mod beside;
 pub mod change;
 pub mod clocks;
 pub mod compare;
+pub mod dbc;
 pub mod demo;
 pub mod diagnose;
 pub mod drop;

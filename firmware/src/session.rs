@@ -1,0 +1,439 @@
+//! Who may move the gripper: arming, and which commands count.
+//!
+//! A host asks to arm and gets a number, the nonce; it says the number back within
+//! [`ECHO_MS`], and from then on seals every command with it. A command counts where its checksum is
+//! right and its counter goes on: what was recorded in an earlier session, or is sent twice, moves
+//! nothing. This is against accidents, not against an attacker with access to the bus: a random frame
+//! with the right identifier passes once in 2^19.
+
+use crate::wire::layout::{Direction, Malformed};
+use crate::wire::messages::{Command, Message, Service, ServiceReply};
+use crate::wire::serial::CHECKSUM;
+use crate::wire::{STOP_ALL, identifier};
+
+/// A nonce is forgotten after this time.
+pub const ECHO_MS: u32 = 500;
+/// Without a command for this time the host counts as silent.
+pub const ALIVE_MS: u32 = 100;
+/// Commands that may be lost between two that count.
+const LOST: u8 = 1;
+/// So many dropped frames within [`FLOOD_MS`] are a broken or a strange sender.
+const FLOOD: usize = 16;
+/// See [`FLOOD`].
+const FLOOD_MS: u32 = 1000;
+
+/// In every service, so that a stray frame starts none: "MG".
+pub const MAGIC: u16 = 0x474D;
+
+/// Services that a host may ask for.
+pub mod op {
+    /// Clears latched faults whose cause is gone.
+    pub const CLEAR_FAULTS: u8 = 1;
+    /// Takes the present forces as zero.
+    pub const TARE: u8 = 2;
+    /// Writes parameters to flash.
+    pub const SAVE: u8 = 3;
+    /// Restarts.
+    pub const REBOOT: u8 = 4;
+    /// Arms, in two steps.
+    pub const ARM: u8 = 5;
+}
+
+/// Answers to a service.
+pub mod status {
+    /// Done.
+    pub const DONE: u8 = 0;
+    /// Say this nonce back.
+    pub const SAY_BACK: u8 = 1;
+    /// The nonce is wrong, or too late.
+    pub const REFUSED: u8 = 2;
+}
+
+/// Frames that moved nothing, since boot.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Dropped {
+    /// Of a number that nobody knows.
+    pub unknown: u32,
+    /// Not what their number promises, or with a wrong checksum.
+    pub malformed: u32,
+    /// With a counter that does not go on.
+    pub replayed: u32,
+    /// Before arming, or a nonce that came too late.
+    pub late: u32,
+}
+
+/// What a frame was good for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Heard {
+    /// Nothing: it is not for this node, or it was dropped and counted.
+    Nothing,
+    /// Stop at once.
+    Stop,
+    /// Answer with this; `armed` where a session has just begun.
+    Reply {
+        /// The answer.
+        reply: ServiceReply,
+        /// Whether commands count from here on.
+        armed: bool,
+    },
+    /// Do this.
+    Command(Command),
+    /// Another message of a host, sound but not of the session's concern.
+    Other(Message),
+}
+
+/// A conversation with a host.
+#[derive(Clone, Copy, Debug)]
+pub struct Session {
+    node: u16,
+    offer: Option<Offer>,
+    open: Option<Open>,
+    dropped: Dropped,
+    /// When the latest frames were dropped, newest last; `None` before there were so many.
+    latest: [Option<u32>; FLOOD],
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Offer {
+    nonce: u16,
+    at_ms: u32,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Open {
+    nonce: u16,
+    /// Counter and time of the command that counted last.
+    last: Option<(u8, u32)>,
+}
+
+impl Session {
+    /// Nobody has armed.
+    pub const fn new(node: u16) -> Self {
+        Self {
+            node,
+            offer: None,
+            open: None,
+            dropped: Dropped {
+                unknown: 0,
+                malformed: 0,
+                replayed: 0,
+                late: 0,
+            },
+            latest: [None; FLOOD],
+        }
+    }
+
+    /// Takes a frame. `random` is fresh with every call: a nonce is made of it.
+    pub fn hear(&mut self, now_ms: u32, id: u16, bytes: &[u8], random: u16) -> Heard {
+        if id == STOP_ALL {
+            return Heard::Stop;
+        }
+        if id >> 5 != self.node {
+            return Heard::Nothing;
+        }
+        let message = match Message::from_frame((id & 0x1F) as u8, bytes) {
+            Ok(message) => message,
+            Err(Malformed::Unknown) => {
+                self.dropped.unknown = self.dropped.unknown.saturating_add(1);
+                return Heard::Nothing;
+            }
+            Err(Malformed::Length | Malformed::Reserved) => return self.malformed(now_ms),
+        };
+        match message {
+            Message::EStop(_) => Heard::Stop,
+            Message::Command(command) => self.command(now_ms, command),
+            Message::Service(service) if service.magic != MAGIC => self.malformed(now_ms),
+            Message::Service(service) if service.op == op::ARM => self.arm(now_ms, service, random),
+            other if other.layout().direction == Direction::In => Heard::Other(other),
+            // Somebody speaks in this node's name.
+            _ => self.malformed(now_ms),
+        }
+    }
+
+    /// Ends the session: a fault, a reset, or a host that asked for it. Only arming begins another.
+    pub fn close(&mut self) {
+        self.open = None;
+        self.offer = None;
+    }
+
+    /// Whether somebody has armed.
+    pub const fn is_open(&self) -> bool {
+        self.open.is_some()
+    }
+
+    /// Whether commands arrive in time.
+    pub fn is_alive(&self, now_ms: u32) -> bool {
+        let last = self.open.and_then(|open| open.last);
+        last.is_some_and(|(_, at_ms)| now_ms.wrapping_sub(at_ms) <= ALIVE_MS)
+    }
+
+    /// Whether so many frames were dropped lately that the sender is broken or strange.
+    pub fn is_flooded(&self, now_ms: u32) -> bool {
+        let [oldest, ..] = self.latest;
+        oldest.is_some_and(|at_ms| now_ms.wrapping_sub(at_ms) <= FLOOD_MS)
+    }
+
+    /// What was dropped since boot.
+    pub const fn dropped(&self) -> Dropped {
+        self.dropped
+    }
+
+    fn arm(&mut self, now_ms: u32, service: Service, random: u16) -> Heard {
+        let reply = |status, nonce| ServiceReply {
+            op: service.op,
+            status,
+            nonce,
+            detail: 0,
+        };
+        if service.nonce == 0 {
+            // Zero asks for a nonce, so it is none.
+            let nonce = random.max(1);
+            self.open = None;
+            self.offer = Some(Offer {
+                nonce,
+                at_ms: now_ms,
+            });
+            return Heard::Reply {
+                reply: reply(status::SAY_BACK, nonce),
+                armed: false,
+            };
+        }
+        let offer = self.offer.take();
+        let in_time = |offer: &Offer| {
+            offer.nonce == service.nonce && now_ms.wrapping_sub(offer.at_ms) <= ECHO_MS
+        };
+        let Some(offer) = offer.filter(in_time) else {
+            self.dropped.late = self.dropped.late.saturating_add(1);
+            self.note(now_ms);
+            return Heard::Reply {
+                reply: reply(status::REFUSED, 0),
+                armed: false,
+            };
+        };
+        self.open = Some(Open {
+            nonce: offer.nonce,
+            last: None,
+        });
+        Heard::Reply {
+            reply: reply(status::DONE, offer.nonce),
+            armed: true,
+        }
+    }
+
+    fn command(&mut self, now_ms: u32, command: Command) -> Heard {
+        let id = identifier(self.node, Command::LAYOUT.number);
+        let Some(open) = &mut self.open else {
+            self.dropped.late = self.dropped.late.saturating_add(1);
+            self.note(now_ms);
+            return Heard::Nothing;
+        };
+        if sealed(open.nonce, id, command) != command {
+            return self.malformed(now_ms);
+        }
+        let goes_on = |(last, _): (u8, u32)| {
+            let step = command.counter.wrapping_sub(last) & 0xF;
+            (1..=1 + LOST).contains(&step)
+        };
+        if !open.last.is_none_or(goes_on) {
+            self.dropped.replayed = self.dropped.replayed.saturating_add(1);
+            self.note(now_ms);
+            return Heard::Nothing;
+        }
+        open.last = Some((command.counter, now_ms));
+        Heard::Command(command)
+    }
+
+    fn malformed(&mut self, now_ms: u32) -> Heard {
+        self.dropped.malformed = self.dropped.malformed.saturating_add(1);
+        self.note(now_ms);
+        Heard::Nothing
+    }
+
+    /// Remembers when a frame was dropped.
+    fn note(&mut self, now_ms: u32) {
+        self.latest.rotate_left(1);
+        let [.., newest] = &mut self.latest;
+        *newest = Some(now_ms);
+    }
+}
+
+/// The command with the checksum that this session asks for: over the nonce, the identifier, and the
+/// bytes before the checksum.
+pub fn sealed(nonce: u16, id: u16, command: Command) -> Command {
+    let bytes = Command { crc: 0, ..command }.to_bytes();
+    let [before @ .., _, _] = bytes;
+    let mut digest = CHECKSUM.digest();
+    digest.update(&nonce.to_le_bytes());
+    digest.update(&id.to_le_bytes());
+    digest.update(&before);
+    Command {
+        crc: digest.finalize(),
+        ..command
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::wire::DEFAULT_NODE;
+    use crate::wire::messages::EStop;
+
+    const COMMAND: u16 = identifier(DEFAULT_NODE, Command::LAYOUT.number);
+    const SERVICE: u16 = identifier(DEFAULT_NODE, Service::LAYOUT.number);
+    const NONCE: u16 = 0xBEEF;
+
+    fn service(op: u8, nonce: u16) -> [u8; 8] {
+        let service = Service {
+            op,
+            magic: MAGIC,
+            nonce,
+            argument: 0,
+        };
+        service.to_bytes()
+    }
+
+    fn command(nonce: u16, counter: u8) -> Command {
+        let command = Command {
+            mode: 2,
+            counter,
+            position: 400,
+            ..Command::default()
+        };
+        sealed(nonce, COMMAND, command)
+    }
+
+    fn armed(at_ms: u32) -> Session {
+        let mut session = Session::new(DEFAULT_NODE);
+        session.hear(at_ms, SERVICE, &service(op::ARM, 0), NONCE);
+        session.hear(at_ms, SERVICE, &service(op::ARM, NONCE), 0);
+        assert!(session.is_open());
+        session
+    }
+
+    fn say(session: &mut Session, now_ms: u32, command: Command) -> bool {
+        session.hear(now_ms, COMMAND, &command.to_bytes(), 0) == Heard::Command(command)
+    }
+
+    #[test]
+    fn nothing_moves_before_somebody_has_armed() {
+        let mut session = Session::new(DEFAULT_NODE);
+        assert!(!say(&mut session, 0, command(0, 1)));
+        assert_eq!(session.dropped().late, 1);
+    }
+
+    #[test]
+    fn a_nonce_counts_for_half_a_second_and_once() {
+        let mut session = Session::new(DEFAULT_NODE);
+        let ask = service(op::ARM, 0);
+        let echo = service(op::ARM, NONCE);
+        session.hear(0, SERVICE, &ask, NONCE);
+        session.hear(501, SERVICE, &echo, 0);
+        assert!(!session.is_open());
+        // The offer is spent, even in time.
+        session.hear(502, SERVICE, &echo, 0);
+        assert!(!session.is_open());
+        session.hear(600, SERVICE, &ask, NONCE);
+        let Heard::Reply { reply, armed } = session.hear(1100, SERVICE, &echo, 0) else {
+            panic!("no answer");
+        };
+        assert!(armed && reply.status == status::DONE && session.is_open());
+        assert_eq!(session.dropped().late, 2);
+    }
+
+    #[test]
+    fn a_recorded_session_moves_nothing_in_the_next() {
+        let mut session = armed(0);
+        let recorded = command(NONCE, 1);
+        assert!(say(&mut session, 1, recorded));
+        session.close();
+        session.hear(10, SERVICE, &service(op::ARM, 0), 0x1234);
+        session.hear(11, SERVICE, &service(op::ARM, 0x1234), 0);
+        assert!(session.is_open());
+        assert!(!say(&mut session, 12, recorded));
+        assert_eq!(session.dropped().malformed, 1);
+    }
+
+    #[test]
+    fn a_counter_that_does_not_go_on_by_one_or_two_is_a_replay() {
+        let mut session = armed(0);
+        for (counter, counts) in [
+            (15, true),
+            (15, false),
+            (0, true),
+            (2, true),
+            (5, false),
+            (1, false),
+            (3, true),
+        ] {
+            assert_eq!(
+                say(&mut session, 1, command(NONCE, counter)),
+                counts,
+                "{counter}"
+            );
+        }
+        assert_eq!(session.dropped().replayed, 3);
+    }
+
+    #[test]
+    fn any_bit_that_flips_in_a_command_drops_it() {
+        let sound = command(NONCE, 1).to_bytes();
+        for bit in 0..64 {
+            let mut session = armed(0);
+            let mut spoilt = sound;
+            spoilt[bit / 8] ^= 1 << (bit % 8);
+            assert_eq!(
+                session.hear(1, COMMAND, &spoilt, 0),
+                Heard::Nothing,
+                "bit {bit}"
+            );
+            assert_eq!(session.dropped().malformed, 1);
+        }
+    }
+
+    #[test]
+    fn a_host_is_silent_after_a_tenth_of_a_second_also_when_the_clock_turns_over() {
+        let begin = u32::MAX - 20;
+        let mut session = armed(begin);
+        assert!(!session.is_alive(begin));
+        assert!(say(&mut session, begin, command(NONCE, 1)));
+        assert!(session.is_alive(begin.wrapping_add(100)));
+        assert!(!session.is_alive(begin.wrapping_add(101)));
+    }
+
+    #[test]
+    fn a_stop_is_heard_from_anybody_and_other_nodes_are_not() {
+        let mut session = Session::new(DEFAULT_NODE);
+        let stop = EStop::default().to_bytes();
+        assert_eq!(session.hear(0, STOP_ALL, &[], 0), Heard::Stop);
+        assert_eq!(
+            session.hear(0, identifier(DEFAULT_NODE, 2), &stop, 0),
+            Heard::Stop
+        );
+        assert_eq!(session.hear(0, identifier(3, 2), &stop, 0), Heard::Nothing);
+        assert_eq!(session.dropped(), Dropped::default());
+    }
+
+    #[test]
+    fn sixteen_dropped_frames_within_a_second_are_a_flood() {
+        let mut session = armed(0);
+        for i in 0..15 {
+            session.hear(60 * i, COMMAND, &[0; 8], 0);
+            assert!(!session.is_flooded(60 * i));
+        }
+        session.hear(900, COMMAND, &[0; 8], 0);
+        assert!(session.is_flooded(1000) && !session.is_flooded(1001));
+    }
+
+    #[test]
+    fn who_speaks_in_this_nodes_name_is_counted() {
+        let mut session = Session::new(DEFAULT_NODE);
+        let heartbeat = identifier(DEFAULT_NODE, 1);
+        assert_eq!(session.hear(0, heartbeat, &[0; 8], 0), Heard::Nothing);
+        assert_eq!(session.dropped().malformed, 1);
+        assert_eq!(
+            session.hear(0, identifier(DEFAULT_NODE, 0x1F), &[0; 8], 0),
+            Heard::Nothing
+        );
+        assert_eq!(session.dropped().unknown, 1);
+    }
+}

@@ -1,0 +1,214 @@
+//! The serial line: the same messages, and every tick's raw and estimated values.
+//!
+//! A packet is postcard's bytes and their checksum, stuffed so that zero occurs nowhere (COBS), and a
+//! zero. Whoever joins late or loses bytes waits for the next zero.
+
+use crc::{CRC_16_IBM_3740, Crc};
+use heapless::Vec;
+use serde::{Deserialize, Serialize};
+
+use super::messages::Message;
+use crate::force::{Estimate, Validity};
+use crate::frame::{Frame, SENSORS};
+use crate::hall::Reading;
+
+/// The checksum of packets and of commands: polynomial 0x1021, from all ones.
+pub static CHECKSUM: Crc<u16> = Crc::<u16>::new(&CRC_16_IBM_3740);
+/// Greatest length of a packet on the line, its zero included: [`Tick`] at its longest is 120 bytes.
+pub const LONGEST: usize = 136;
+
+/// What travels on the line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Packet {
+    /// A message of the CAN bus.
+    Message {
+        /// Which of its copies: the sensor, where there is one message for each.
+        copy: u8,
+        /// The message.
+        message: Message,
+    },
+    /// One tick of sensing.
+    Tick(Tick),
+}
+
+/// Everything about one tick.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Tick {
+    /// When it began, in microseconds since boot; turns over.
+    pub time_us: u32,
+    /// The sensors.
+    pub sensors: [Sensor; SENSORS],
+}
+
+/// One sensor in a tick.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Sensor {
+    /// What it read in counts; zero where it did not answer.
+    pub field: [i16; 3],
+    /// Its temperature in counts.
+    pub temperature: i16,
+    /// The forces in 1/1024 N, lateral and longitudinal.
+    pub force: [i32; 2],
+    /// Whether they may be used: 0 valid, 1 saturated, 2 outside the model, 3 missing.
+    pub validity: u8,
+}
+
+impl Tick {
+    /// The tick of a frame and of what was estimated from it.
+    pub fn of(frame: &Frame, estimates: &[Estimate; SENSORS]) -> Self {
+        let mut estimates = estimates.iter();
+        Self {
+            time_us: frame.time_us,
+            sensors: frame
+                .readings
+                .map(|reading| Sensor::of(reading, estimates.next().unwrap_or(&Estimate::MISSING))),
+        }
+    }
+}
+
+impl Sensor {
+    fn of(reading: Option<Reading>, estimate: &Estimate) -> Self {
+        let reading = reading.unwrap_or_default();
+        Self {
+            field: reading.field,
+            temperature: reading.temperature,
+            force: estimate.force.map(|force| force.0),
+            validity: match estimate.validity {
+                Validity::Valid => 0,
+                Validity::Saturated => 1,
+                Validity::OutsideModel => 2,
+                Validity::Missing => 3,
+            },
+        }
+    }
+}
+
+/// The bytes of a packet with its zero; `None` where they do not fit, which no packet does.
+pub fn encode<'b>(packet: &Packet, buffer: &'b mut [u8; LONGEST]) -> Option<&'b [u8]> {
+    use postcard::ser_flavors::{Cobs, Slice, crc::CrcModifier};
+    let stuffed = Cobs::try_new(Slice::new(buffer)).ok()?;
+    let flavor = CrcModifier::new(stuffed, CHECKSUM.digest());
+    postcard::serialize_with_flavor(packet, flavor)
+        .ok()
+        .map(|bytes: &mut [u8]| &*bytes)
+}
+
+/// Gathers packets out of bytes.
+#[derive(Debug, Default)]
+pub struct Receiver {
+    bytes: Vec<u8, LONGEST>,
+    /// More bytes came than a packet has: nothing counts until the next zero.
+    overrun: bool,
+    /// Packets that were not understood.
+    pub broken: u32,
+}
+
+impl Receiver {
+    /// Takes a byte; returns the packet that it ends. Whatever is no packet is counted and forgotten.
+    pub fn take(&mut self, byte: u8) -> Option<Packet> {
+        if byte != 0 {
+            self.overrun |= self.bytes.push(byte).is_err();
+            return None;
+        }
+        let packet = match self.overrun {
+            true => None,
+            false => decode(&mut self.bytes),
+        };
+        // Two zeros in a row are no packet, and nothing is lost.
+        if packet.is_none() && !self.bytes.is_empty() {
+            self.broken = self.broken.saturating_add(1);
+        }
+        self.bytes.clear();
+        self.overrun = false;
+        packet
+    }
+
+    /// The line lost bytes: what was begun is given up.
+    pub fn lost(&mut self) {
+        self.overrun = true;
+    }
+}
+
+/// The packet in stuffed bytes without their zero.
+fn decode(bytes: &mut [u8]) -> Option<Packet> {
+    let length = cobs::decode_in_place(bytes).ok()?;
+    let bytes = bytes.get(..length)?;
+    postcard::de_flavors::crc::from_bytes_u16(bytes, CHECKSUM.digest()).ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::messages::Power;
+    use super::*;
+
+    fn packet() -> Packet {
+        Packet::Message {
+            copy: 0,
+            message: Message::Power(Power {
+                bus: 2400,
+                current: -12,
+                ..Power::default()
+            }),
+        }
+    }
+
+    fn sent(packet: &Packet) -> std::vec::Vec<u8> {
+        encode(packet, &mut [0; LONGEST]).unwrap().to_vec()
+    }
+
+    fn received(receiver: &mut Receiver, bytes: &[u8]) -> std::vec::Vec<Packet> {
+        bytes
+            .iter()
+            .filter_map(|byte| receiver.take(*byte))
+            .collect()
+    }
+
+    #[test]
+    fn a_packet_comes_back_from_its_bytes_and_holds_one_zero_only() {
+        let bytes = sent(&packet());
+        assert_eq!(
+            bytes.iter().position(|byte| *byte == 0),
+            Some(bytes.len() - 1)
+        );
+        assert_eq!(received(&mut Receiver::default(), &bytes), [packet()]);
+    }
+
+    #[test]
+    fn the_longest_tick_fits() {
+        let sensor = Sensor {
+            field: [i16::MIN; 3],
+            temperature: i16::MIN,
+            force: [i32::MIN; 2],
+            validity: u8::MAX,
+        };
+        let tick = Packet::Tick(Tick {
+            time_us: u32::MAX,
+            sensors: [sensor; SENSORS],
+        });
+        let bytes = sent(&tick);
+        assert!((90..=LONGEST).contains(&bytes.len()), "{}", bytes.len());
+        assert_eq!(received(&mut Receiver::default(), &bytes), [tick]);
+    }
+
+    #[test]
+    fn any_bit_that_flips_loses_that_packet_and_no_other() {
+        let bytes = sent(&packet());
+        for bit in 0..8 * (bytes.len() - 1) {
+            let mut spoilt = bytes.clone();
+            spoilt[bit / 8] ^= 1 << (bit % 8);
+            let mut receiver = Receiver::default();
+            let line = [&spoilt[..], &bytes[..]].concat();
+            assert_eq!(received(&mut receiver, &line), [packet()], "bit {bit}");
+            assert!(receiver.broken >= 1, "bit {bit}");
+        }
+    }
+
+    #[test]
+    fn after_garbage_without_end_the_next_packet_is_understood() {
+        let mut receiver = Receiver::default();
+        assert!(received(&mut receiver, &[0x55; 10_000]).is_empty());
+        assert!(received(&mut receiver, &[0]).is_empty());
+        assert_eq!(receiver.broken, 1);
+        assert_eq!(received(&mut receiver, &sent(&packet())), [packet()]);
+    }
+}
