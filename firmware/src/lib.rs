@@ -5,6 +5,7 @@
 //! - [`params`]: every design constant with its unit and source, assumptions marked.
 //! - [`fixed`]: integer arithmetic that saturates.
 //! - [`units`]: fixed-point quantities.
+//! - [`bus_timing`]: the clock of an I2C bus.
 //! - [`hall`]: Hall sensors, from bytes on the bus to readings.
 //! - [`imu`]: inertial sensors.
 //! - [`frame`]: one millisecond of sensing.
@@ -13,14 +14,20 @@
 //! - [`model`]: tables, and the integer arithmetic that turns a field into forces.
 //! - [`force`]: the estimate, with its validity.
 //! - [`recurrent`]: networks over the estimates.
-//! - [`wire`]: the messages on the CAN bus.
+//! - [`wire`]: the messages on the CAN bus and on the serial line.
+//! - [`session`]: who may move the gripper.
 //! - `hardware`: only on the chip: the board.
 //! - `tasks`: only on the chip: what runs, and every static with its one writer.
 #![no_std]
 
+#[cfg(test)]
+extern crate std;
+
 pub mod fixed;
 pub mod params;
 pub mod units;
+
+pub mod bus_timing;
 
 pub mod hall;
 
@@ -38,6 +45,8 @@ pub mod force;
 pub mod recurrent;
 
 pub mod wire;
+
+pub mod session;
 
 #[cfg(target_os = "none")]
 pub mod hardware;

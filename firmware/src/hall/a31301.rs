@@ -1,28 +1,29 @@
 //! Allegro A31301: three axes over I2C, +-2000 G.
-//!
-//! Registers are 16 bit, big-endian, at even addresses; the pointer moves on by itself, so one
-//! transfer of eight bytes from [`TEMPERATURE`] holds a whole reading. No configuration is needed
-//! after power-up, and the EEPROM is never written.
 
 use embedded_hal_async::i2c::I2c;
 
-use super::Reading;
+use super::registers::a31301::{
+    ADDRESSES, FIELD_SPARE_BITS, READING_BYTES, TEMPERATURE, TEMPERATURE_SPARE_BITS,
+};
+use super::{Part, Reading, Sample};
 
-/// First register of a reading: temperature, then X, Y, Z.
-pub const TEMPERATURE: u8 = 0x1C;
-/// Bytes of a reading.
-pub const READING_BYTES: usize = 8;
-/// 7-bit addresses of the four sensors by their straps. Unverified: only 0x60 and 0x6F are stated
-/// by public sources; 0x63 was seen, 0x6C is inferred.
-pub const ADDRESSES: [u8; 4] = [0x60, 0x63, 0x6C, 0x6F];
+/// The part. It has no sign for new data that is known, so every reading counts as new.
+#[derive(Clone, Copy, Debug)]
+pub struct A31301;
+
+impl Part for A31301 {
+    const ADDRESSES: [u8; 4] = ADDRESSES;
+
+    async fn read<B: I2c>(bus: &mut B, address: u8) -> Result<Sample, B::Error> {
+        let mut bytes = [0; READING_BYTES];
+        // One transfer: no other call of the bus driver ends when the sensor holds the clock.
+        bus.write_read(address, &[TEMPERATURE], &mut bytes).await?;
+        Ok(Sample::New(decode(bytes)))
+    }
+}
 
 /// Least and greatest field in counts: the word's ends, where the sensor stays.
 pub const FIELD_LIMITS: (i16, i16) = (i16::MIN >> FIELD_SPARE_BITS, i16::MAX >> FIELD_SPARE_BITS);
-
-/// Field words are 15-bit two's complement; what bit 15 means is unknown, so it is masked.
-const FIELD_SPARE_BITS: u32 = 1;
-/// Temperature words are 12-bit two's complement.
-const TEMPERATURE_SPARE_BITS: u32 = 4;
 
 /// The reading in the eight bytes of a transfer.
 pub const fn decode(bytes: [u8; READING_BYTES]) -> Reading {
@@ -55,16 +56,6 @@ const fn word(counts: i16, spare_bits: u32) -> [u8; 2] {
 
 const fn signed(word: u16, spare_bits: u32) -> i16 {
     ((word << spare_bits) as i16) >> spare_bits
-}
-
-/// Reads one sensor.
-///
-/// # Errors
-/// Those of the bus: no answer, or a transfer that broke off.
-pub async fn read<B: I2c>(bus: &mut B, address: u8) -> Result<Reading, B::Error> {
-    let mut bytes = [0; READING_BYTES];
-    bus.write_read(address, &[TEMPERATURE], &mut bytes).await?;
-    Ok(decode(bytes))
 }
 
 #[cfg(test)]

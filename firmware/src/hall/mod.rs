@@ -1,12 +1,47 @@
-//! Three-axis Hall sensors: what a reading is, and the parts that give one.
+//! Three-axis Hall sensors: what a reading is, the parts that give one, and whether they still do.
 
 pub mod a31301;
+pub mod als31300;
+pub mod registers;
+pub mod watch;
 
-/// One reading of one sensor.
+use embedded_hal_async::i2c::I2c;
+
+/// One reading of one sensor, in the units of the model's tables whatever the part.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Reading {
-    /// Field in counts: x, y, z.
+    /// Field in counts of 0.125 G: x, y, z.
     pub field: [i16; 3],
-    /// Temperature in counts; the scale is not known.
+    /// Temperature in counts of 1/8 K from 25 C; for the A31301 the scale is assumed.
     pub temperature: i16,
+}
+
+/// What a transfer gave.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sample {
+    /// A reading.
+    New(Reading),
+    /// The part says that nothing is new since the last transfer.
+    Old,
+}
+
+/// A kind of sensor.
+pub trait Part {
+    /// Addresses that its straps can give, in the order of the gripper's sensors.
+    const ADDRESSES: [u8; 4];
+
+    /// Reads one sensor in one transfer.
+    ///
+    /// # Errors
+    /// Those of the bus: no answer, or a transfer that broke off.
+    fn read<B: I2c>(bus: &mut B, address: u8) -> impl Future<Output = Result<Sample, B::Error>>;
+}
+
+/// Which of a part's addresses answer, in their order: for the report at boot.
+pub async fn probe<P: Part, B: I2c>(bus: &mut B) -> [bool; 4] {
+    let mut answers = [false; 4];
+    for (answer, address) in answers.iter_mut().zip(P::ADDRESSES) {
+        *answer = P::read(bus, address).await.is_ok();
+    }
+    answers
 }

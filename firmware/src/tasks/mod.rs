@@ -17,7 +17,9 @@ use embassy_time::{Duration, Instant, Ticker, with_timeout};
 use crate::compensate::Memory;
 use crate::force::{Estimate, Validity, estimate_all};
 use crate::frame::{Frame, SENSORS};
-use crate::hall::{Reading, a31301};
+use crate::hall::a31301::A31301;
+use crate::hall::watch::Watch;
+use crate::hall::{Part, Sample};
 use crate::hardware::board::{Board, SensorBus};
 use crate::model::gru::Run;
 use crate::model::tables::{NETWORKS, TABLES};
@@ -47,7 +49,8 @@ pub fn spawn(spawner: Spawner, board: Board) {
 /// Reads the sensors, two on each bus side by side, and computes the forces.
 #[embassy_executor::task]
 async fn sense(mut first: SensorBus, mut second: SensorBus) {
-    let [a, b, c, d] = a31301::ADDRESSES;
+    let [a, b, c, d] = A31301::ADDRESSES;
+    let mut watches = [Watch::default(); SENSORS];
     let mut ticker = Ticker::every(Duration::from_hz(params::SENSE_RATE.value as u64));
     let mut ticks = 0_u32;
     let mut memories = [Memory::default(); SENSORS];
@@ -59,9 +62,12 @@ async fn sense(mut first: SensorBus, mut second: SensorBus) {
         let time_us = Instant::now().as_micros() as u32;
         let ([r0, r1], [r2, r3]) =
             join(read_two(&mut first, [a, b]), read_two(&mut second, [c, d])).await;
+        let mut samples = [r0, r1, r2, r3].into_iter();
         let frame = Frame {
             time_us,
-            readings: [r0, r1, r2, r3],
+            readings: watches
+                .each_mut()
+                .map(|watch| watch.note(samples.next().flatten()).reading),
         };
         let mut estimates = estimate_all(&TABLES, &frame, &around, &mut memories);
         recurrent::apply(&NETWORKS, &mut runs, &mut estimates);
@@ -72,10 +78,10 @@ async fn sense(mut first: SensorBus, mut second: SensorBus) {
     }
 }
 
-async fn read_two(bus: &mut SensorBus, [one, other]: [u8; 2]) -> [Option<Reading>; 2] {
+async fn read_two(bus: &mut SensorBus, [one, other]: [u8; 2]) -> [Option<Sample>; 2] {
     [
-        a31301::read(bus, one).await.ok(),
-        a31301::read(bus, other).await.ok(),
+        A31301::read(bus, one).await.ok(),
+        A31301::read(bus, other).await.ok(),
     ]
 }
 
@@ -86,7 +92,12 @@ async fn report(mut can: Can<'static>) {
     loop {
         let estimates = ESTIMATES.wait().await;
         for (sensor, estimate) in (0_u8..).zip(&estimates) {
-            let (id, bytes) = wire::force(wire::DEFAULT_NODE, sensor, estimate, counter);
+            let message = wire::force(estimate, counter);
+            let id = wire::identifier(
+                wire::DEFAULT_NODE,
+                wire::messages::Force::LAYOUT.number + sensor,
+            );
+            let bytes = message.to_bytes();
             if let Ok(frame) = CanFrame::new_standard(id, &bytes)
                 && with_timeout(CAN_PATIENCE, can.write(&frame)).await.is_err()
             {
