@@ -13,6 +13,7 @@
 //! - [`model`]: tables, and the integer arithmetic that turns a field into forces.
 //! - [`force`]: the estimate, with its validity.
 //! - [`recurrent`]: networks over the estimates.
+//! - [`foreign`]: a foreign magnet noticed.
 //! - [`wire`]: the messages on the CAN bus.
 //! - `hardware`: only on the chip: the board.
 //! - `tasks`: only on the chip: what runs, and every static with its one writer.
@@ -36,6 +37,8 @@ pub mod model;
 pub mod force;
 
 pub mod recurrent;
+
+pub mod foreign;
 
 pub mod wire;
 

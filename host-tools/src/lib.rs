@@ -16,6 +16,7 @@
 //! - [`show`]: numbers and tables as people read them.
 //! - [`progress`]: what long work shows while it runs.
 
+pub mod coverage;
 pub mod bench;
 pub mod cli;
 pub mod commands;
