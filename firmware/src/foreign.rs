@@ -22,11 +22,11 @@ use crate::frame::SENSORS;
 use crate::units::Force;
 
 /// Squared departures of all sensors, each in its spreads, that count as a signal.
-pub const PARITY: i32 = 40;
+pub const PARITY: i32 = 36;
 /// The same that need no second signal.
-pub const PARITY_ALONE: i32 = 64;
+pub const PARITY_ALONE: i32 = 56;
 /// Square of the sum of all departures, in spreads, over the number of sensors.
-pub const COMMON: i32 = 30;
+pub const COMMON: i32 = 26;
 /// Standard deviation of a force above which a network says that it does not know, in newtons.
 pub const SIGMA_N: i32 = 25;
 /// Difference of network and ideal model: newtons, and a fifth of the ideal model's force beside.

@@ -40,12 +40,12 @@ fn a_constant_departure_is_no_magnet_however_large() {
 
 #[test]
 fn a_departure_of_eight_spreads_is_one_once_the_average_has_followed() {
-    // Eight and a half spreads at one sensor: the square, 72, is above the limit alone after
-    // 8 * ln(72 / (72 - 8 * 8.5)) frames, some 23.
+    // Eight and a half spreads at one sensor: the average is at the root of 56, 7.48, after
+    // 8 * ln(8.5 / (8.5 - 7.48)) frames, some 17.
     let mut detector = settled();
     let moved = [700 + 8 * 128 + 64, -300, 0, 50];
-    assert!(!watch(&mut detector, moved, 18));
-    assert!(watch(&mut detector, moved, 8));
+    assert!(!watch(&mut detector, moved, 14));
+    assert!(watch(&mut detector, moved, 6));
     // Below the limit alone and with no second signal it is not.
     let mut detector = settled();
     assert!(!watch(&mut detector, [700 + 7 * 128, -300, 0, 50], 60));
