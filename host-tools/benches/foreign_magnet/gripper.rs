@@ -67,6 +67,8 @@ impl Gripper {
             sensors: 4,
             scatter: 1.0,
             noise: NoiseKind::White,
+            harder: 1.0,
+            warmer_k: 0.0,
             field_noise_g: 0.35,
             reference_noise_n: 0.15,
             effects,

@@ -32,7 +32,7 @@ pub struct Tally {
 
 impl Tally {
     /// One frame without a magnet.
-    pub fn frame(&mut self, frame: u32, measures: [f64; 4], rose: bool, _vote: bool) {
+    pub fn frame(&mut self, frame: u32, measures: [f64; 4], rose: bool) {
         self.false_alarms += usize::from(rose);
         if frame.is_multiple_of(BLOCK_FRAMES) {
             self.blocks.push([0.0; 4]);

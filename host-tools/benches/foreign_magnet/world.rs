@@ -120,7 +120,7 @@ pub fn run(gripper: &Gripper, number: u32) -> Tally {
         };
         let own = clean.frame(read(&|_| Vector3::zeros()));
         let up = clean.detector.flag();
-        tally.frame(frame, clean.measures(), up && !was_up, clean.detector.signals.vote());
+        tally.frame(frame, clean.measures(), up && !was_up);
         was_up = up;
         if passages.at(time_s) {
             tally.passages.extend(passage.take());
