@@ -3,8 +3,8 @@
 use crate::compensate::{Memory, Undone};
 use crate::frame::{Frame, SENSORS};
 use crate::hall::Reading;
-use crate::model::{ideal, parity};
 use crate::model::table::Tables;
+use crate::model::{ideal, parity};
 use crate::surroundings::Surroundings;
 use crate::units::{Field, Force};
 

@@ -76,7 +76,13 @@ pub struct Signals {
 impl Signals {
     /// True where a foreign magnet is to be assumed.
     pub fn vote(&self) -> bool {
-        let all = [self.sigma, self.split, self.parity, self.common, self.outside];
+        let all = [
+            self.sigma,
+            self.split,
+            self.parity,
+            self.common,
+            self.outside,
+        ];
         self.parity_alone || all.iter().filter(|&&speaks| speaks).count() >= 2
     }
 
@@ -231,7 +237,11 @@ impl Track {
         self.fast += (now - self.fast) >> FAST_SHIFT;
         // One over the number of frames, then a fixed share.
         let own = (u32::BITS - self.frames.leading_zeros()).min(SLOW_SHIFT);
-        let shift = if suspected { own + SUSPECTED_SHIFT } else { own };
+        let shift = if suspected {
+            own + SUSPECTED_SHIFT
+        } else {
+            own
+        };
         self.slow += ((i64::from(self.fast) << SLOW_BITS) - self.slow) >> shift;
         let mean = crate::fixed::clamped(self.slow >> SLOW_BITS);
         let apart = (self.fast - mean).clamp(-MOST_APART, MOST_APART);

@@ -104,7 +104,9 @@ impl Coverage {
         counts.retain(|own| own[3] > 0);
         let shares = |chosen: &mut dyn Iterator<Item = &[u32; 4]>| {
             let sums = chosen.fold([0.0; 4], |mut sums, own| {
-                sums.iter_mut().zip(own).for_each(|(s, o)| *s += f64::from(*o));
+                sums.iter_mut()
+                    .zip(own)
+                    .for_each(|(s, o)| *s += f64::from(*o));
                 sums
             });
             [0, 1, 2].map(|i| sums[i] / sums[3])
@@ -148,7 +150,10 @@ impl Coverage {
     /// `68.1 % (66.0 to 70.2)`.
     pub fn words(&self, place: usize) -> String {
         let [least, most] = self.interval[place].map(|share| 100.0 * share);
-        format!("{:.1} % ({least:.1} to {most:.1})", 100.0 * self.within[place])
+        format!(
+            "{:.1} % ({least:.1} to {most:.1})",
+            100.0 * self.within[place]
+        )
     }
 
     /// For `--json`.

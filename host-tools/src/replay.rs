@@ -118,7 +118,11 @@ impl Disturbances {
     fn note(&mut self, time_s: f64, flag: bool) {
         match (self.up, flag) {
             (false, true) => self.found_s.push([time_s; 2]),
-            (true, true) => self.found_s.last_mut().iter_mut().for_each(|s| s[1] = time_s),
+            (true, true) => self
+                .found_s
+                .last_mut()
+                .iter_mut()
+                .for_each(|s| s[1] = time_s),
             (_, false) => {}
         }
         self.up = flag;

@@ -21,7 +21,8 @@ fn disturbed(folder: &TempDir, campaign: &str) -> Vec<Vec<[f64; 2]>> {
     let said = magpie(folder, &format!("replay model.toml {campaign} --json"));
     let said: Value = serde_json::from_slice(&said).unwrap();
     let recordings = said["recordings"].as_array().unwrap().iter();
-    let stretches = |recording: &Value| serde_json::from_value(recording["disturbed_s"].clone()).unwrap();
+    let stretches =
+        |recording: &Value| serde_json::from_value(recording["disturbed_s"].clone()).unwrap();
     recordings.map(stretches).collect()
 }
 
@@ -32,11 +33,16 @@ fn a_magnet_that_passes_is_noticed_while_it_is_there_and_not_before_or_after() {
     magpie(&folder, &format!("{world} -o clean"));
     magpie(&folder, "fit clean -o model.toml");
     assert!(disturbed(&folder, "clean").iter().all(Vec::is_empty));
-    magpie(&folder, &format!("{world} --effect external_magnet=60 -o passed"));
+    magpie(
+        &folder,
+        &format!("{world} --effect external_magnet=60 -o passed"),
+    );
     let truth = std::fs::read_to_string(folder.path().join("passed-truth.toml")).unwrap();
     let truth: toml::Table = truth.parse().unwrap();
     let effects = truth["effect"].as_array().unwrap().iter();
-    let magnet = effects.clone().find(|e| e["id"].as_str() == Some("external_magnet"));
+    let magnet = effects
+        .clone()
+        .find(|e| e["id"].as_str() == Some("external_magnet"));
     let magnet = magnet.unwrap();
     let number = |value: &toml::Value| value.as_float().unwrap();
     let recording = magnet["path"]["recording"].as_integer().unwrap() as usize;
@@ -47,11 +53,16 @@ fn a_magnet_that_passes_is_noticed_while_it_is_there_and_not_before_or_after() {
         match place == recording {
             false => assert!(stretches.is_empty(), "recording {place}: {stretches:?}"),
             true => {
-                let around = stretches.iter().any(|[a, b]| *a < closest_s && *b > closest_s);
+                let around = stretches
+                    .iter()
+                    .any(|[a, b]| *a < closest_s && *b > closest_s);
                 assert!(around, "{stretches:?} and {closest_s}");
                 // The flag stays for half a second; far fields count too.
                 let all = |[a, b]: &[f64; 2]| *a > from_s - 1.0 && *b < to_s + 3.0;
-                assert!(stretches.iter().all(all), "{stretches:?}: {from_s} to {to_s}");
+                assert!(
+                    stretches.iter().all(all),
+                    "{stretches:?}: {from_s} to {to_s}"
+                );
             }
         }
     }

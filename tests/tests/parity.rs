@@ -40,7 +40,10 @@ fn departures(model: &AtRest, fields: &[Vector3<f64>]) -> Vec<f64> {
         let around = Surroundings::default();
         let mut memory = Memory::default();
         let found = estimate(&tables.tables(&[]), 0, Some(reading), &around, &mut memory);
-        assert_eq!(found.parity.spread, (0.1_f64.hypot(surface.left_g) * 128.0 * 256.0).round() as i32);
+        assert_eq!(
+            found.parity.spread,
+            (0.1_f64.hypot(surface.left_g) * 128.0 * 256.0).round() as i32
+        );
         found.parity.departure.counts() * GAUSS_PER_LSB
     };
     fields.iter().map(told).collect()
@@ -49,7 +52,8 @@ fn departures(model: &AtRest, fields: &[Vector3<f64>]) -> Vec<f64> {
 #[test]
 fn whatever_the_forces_a_field_of_the_own_magnet_lies_on_its_surface() {
     let model = made();
-    let loads = (-4..=4).flat_map(|x| (-4..=4).map(move |z| [60.0 * f64::from(x), 60.0 * f64::from(z)]));
+    let loads =
+        (-4..=4).flat_map(|x| (-4..=4).map(move |z| [60.0 * f64::from(x), 60.0 * f64::from(z)]));
     let fields: Vec<Vector3<f64>> = loads.map(|load| model.field(load)).collect();
     for departure in departures(&model, &fields) {
         assert!(departure.abs() < NOTHING_G, "{departure}");
@@ -61,12 +65,18 @@ fn a_foreign_field_is_seen_by_what_of_it_stands_across_the_surface() {
     let model = made();
     let foreign = Vector3::new(6.0, -8.0, 5.0);
     let loads = [[0.0, 0.0], [150.0, -120.0], [-200.0, 90.0]];
-    let fields: Vec<Vector3<f64>> = loads.iter().map(|load| model.field(*load) + foreign).collect();
+    let fields: Vec<Vector3<f64>> = loads
+        .iter()
+        .map(|load| model.field(*load) + foreign)
+        .collect();
     for (load, found) in loads.iter().zip(departures(&model, &fields)) {
         let [gx, gz] = model.per_newton(*load);
         let across = gx.cross(&gz);
         let expected = across.dot(&foreign) / across.y;
         // The surface is curved: some hundredths of a gauss over eight.
-        assert!((found - expected).abs() < NOTHING_G + 0.1, "{found} {expected}");
+        assert!(
+            (found - expected).abs() < NOTHING_G + 0.1,
+            "{found} {expected}"
+        );
     }
 }

@@ -60,7 +60,11 @@ fn a_smaller_one_that_all_sensors_share_is_one_by_two_signals() {
     assert!(detector.signals.parity && detector.signals.common && !detector.signals.parity_alone);
     // The same in opposite directions is not common.
     let mut detector = settled();
-    assert!(!watch(&mut detector, [700 + by, -300 - by, by, 50 - by], 60));
+    assert!(!watch(
+        &mut detector,
+        [700 + by, -300 - by, by, 50 - by],
+        60
+    ));
 }
 
 #[test]
@@ -69,7 +73,11 @@ fn a_slow_wander_is_followed() {
     let mut detector = settled();
     for second in 0..60 {
         let at = second * 26;
-        assert!(!watch(&mut detector, [700 + at, -300 + at, at, 50 + at], 1000));
+        assert!(!watch(
+            &mut detector,
+            [700 + at, -300 + at, at, 50 + at],
+            1000
+        ));
     }
 }
 

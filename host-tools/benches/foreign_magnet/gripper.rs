@@ -41,7 +41,9 @@ impl Gripper {
         let text = |path: &Path| path.to_str().expect("a name in letters").to_owned();
         let (seed_text, seconds) = (seed.to_string(), SECONDS.to_string());
         let mut simulate = vec!["simulate", "--seed", &seed_text, "--seconds", &seconds];
-        EFFECTS.iter().for_each(|id| simulate.extend(["--effect", id]));
+        EFFECTS
+            .iter()
+            .for_each(|id| simulate.extend(["--effect", id]));
         let (campaign, base, model) = (text(&campaign), text(&base), text(&model));
         magpie(&[&simulate[..], &["-o", &campaign]].concat());
         magpie(&["fit", &campaign, "-o", &base]);
@@ -49,7 +51,8 @@ impl Gripper {
             true => magpie(&["add", &base, &campaign, "magnet_temperature", "-o", &model]),
             false => magpie(&["fit", &campaign, "-o", &model]),
         }
-        let built = build(Path::new(&model), Variant::Fitted).expect("a model that can be inverted");
+        let built =
+            build(Path::new(&model), Variant::Fitted).expect("a model that can be inverted");
         let network = text(&path("network"));
         let networks = networks.then(|| {
             magpie(&["train", &model, &campaign, "-o", &network, "--epochs", "40"]);
@@ -90,12 +93,17 @@ impl Gripper {
     /// What the model knows of its own residual.
     pub fn words(&self) -> String {
         let sensors = self.built.model.sensors.iter();
-        let spreads = sensors.zip(&self.built.chosen.surfaces).map(|(sensor, surface)| {
-            let spread = self.built.model.spread_beside(sensor.number, surface.axis);
-            format!("{spread:.3} ({:.3})", surface.left_g)
-        });
+        let spreads = sensors
+            .zip(&self.built.chosen.surfaces)
+            .map(|(sensor, surface)| {
+                let spread = self.built.model.spread_beside(sensor.number, surface.axis);
+                format!("{spread:.3} ({:.3})", surface.left_g)
+            });
         let spreads: Vec<String> = spreads.collect();
-        format!("spread beside the surface {} G (of it by the polynomial)", spreads.join(", "))
+        format!(
+            "spread beside the surface {} G (of it by the polynomial)",
+            spreads.join(", ")
+        )
     }
 }
 

@@ -55,7 +55,10 @@ impl Tally {
 
     /// Those that moved a force by more than 20 N.
     fn worth(&self) -> Vec<&Passage> {
-        self.passages.iter().filter(|p| p.off_at.is_some()).collect()
+        self.passages
+            .iter()
+            .filter(|p| p.off_at.is_some())
+            .collect()
     }
 
     /// Frames from the force's error to the flag; negative where it was noticed before.
@@ -76,7 +79,10 @@ impl Tally {
     /// Share noticed in time, and false alarms in ten hours.
     fn figures(&self) -> (f64, f64) {
         let latencies = self.latencies();
-        let in_time = latencies.iter().filter(|l| **l <= f64::from(IN_TIME)).count();
+        let in_time = latencies
+            .iter()
+            .filter(|l| **l <= f64::from(IN_TIME))
+            .count();
         let share = in_time as f64 / latencies.len().max(1) as f64;
         (share, self.per_10h(self.false_alarms as f64))
     }
@@ -135,7 +141,10 @@ impl Tally {
             self.per_10h(low),
             self.per_10h(high),
         );
-        let _ = writeln!(text, "Each measure alone: threshold, and share noticed in time");
+        let _ = writeln!(
+            text,
+            "Each measure alone: threshold, and share noticed in time"
+        );
         let _ = write!(text, "{:<12}", "false / 10 h");
         RATES.iter().for_each(|rate| {
             let _ = write!(text, "{rate:>16.0}");
@@ -203,8 +212,16 @@ impl Tally {
 /// Clopper and Pearson's interval of a share.
 fn binomial(count: f64, all: f64) -> [f64; 2] {
     let beta = |a: f64, b: f64, at: f64| Beta::new(a, b).map_or(f64::NAN, |b| b.inverse_cdf(at));
-    let least = if count == 0.0 { 0.0 } else { beta(count, all - count + 1.0, 0.025) };
-    let most = if count == all { 1.0 } else { beta(count + 1.0, all - count, 0.975) };
+    let least = if count == 0.0 {
+        0.0
+    } else {
+        beta(count, all - count + 1.0, 0.025)
+    };
+    let most = if count == all {
+        1.0
+    } else {
+        beta(count + 1.0, all - count, 0.975)
+    };
     [least, most]
 }
 
@@ -213,6 +230,10 @@ fn poisson(count: f64) -> (f64, f64) {
     let chi = |freedom: f64, at: f64| {
         ChiSquared::new(freedom).map_or(f64::NAN, |chi| 0.5 * chi.inverse_cdf(at))
     };
-    let least = if count == 0.0 { 0.0 } else { chi(2.0 * count, 0.025) };
+    let least = if count == 0.0 {
+        0.0
+    } else {
+        chi(2.0 * count, 0.025)
+    };
     (least, chi(2.0 * count + 2.0, 0.975))
 }

@@ -95,7 +95,11 @@ pub fn run(gripper: &Gripper, number: u32) -> Tally {
     let mut was_up = false;
     for frame in 0..(SECONDS * f64::from(RATE)) as u32 {
         let time_s = f64::from(frame) / f64::from(RATE);
-        let since_s = if frame == 0 { SETTLING_S } else { 1.0 / f64::from(RATE) };
+        let since_s = if frame == 0 {
+            SETTLING_S
+        } else {
+            1.0 / f64::from(RATE)
+        };
         let moment = Moment {
             recording,
             time_s,
@@ -132,9 +136,11 @@ pub fn run(gripper: &Gripper, number: u32) -> Tally {
         let elements = &mechanics.sensors;
         let other = passed.frame(read(&|sensor| match magnet {
             None => Vector3::zeros(),
-            Some(magnet) => elements[sensor]
-                .element
-                .turned(magnet.field(recording, sensor as u32, time_s)),
+            Some(magnet) => {
+                elements[sensor]
+                    .element
+                    .turned(magnet.field(recording, sensor as u32, time_s))
+            }
         }));
         if let Some(passage) = &mut passage {
             let forces = own.iter().zip(&other);

@@ -95,15 +95,15 @@ impl ForeignMagnet {
     pub fn above_s(&self, least_g: f64, sensors: u32) -> Option<[f64; 2]> {
         let [from_s, to_s] = self.felt_s();
         let steps = 2000;
-        let times = (0..=steps)
-            .map(|step| from_s + (to_s - from_s) * f64::from(step) / f64::from(steps));
+        let times =
+            (0..=steps).map(|step| from_s + (to_s - from_s) * f64::from(step) / f64::from(steps));
         let felt = |time_s: &f64| {
             let of = |sensor| self.field(self.recording, sensor, *time_s).norm();
             (0..sensors).any(|sensor| of(sensor) > least_g)
         };
         let mut times = times.filter(felt);
         let first = times.next()?;
-        Some([first, times.last().unwrap_or(first)])
+        Some([first, times.next_back().unwrap_or(first)])
     }
 
     /// When its field can be felt, in seconds of its recording.

@@ -50,7 +50,12 @@ pub struct Args {
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     load: f64,
     /// Everything is so much warmer.
-    #[arg(long, value_name = "K", default_value_t = 0.0, allow_negative_numbers = true)]
+    #[arg(
+        long,
+        value_name = "K",
+        default_value_t = 0.0,
+        allow_negative_numbers = true
+    )]
     warmer: f64,
     /// Noise of the field beside white noise.
     #[arg(long, value_enum, default_value = "white")]
@@ -142,7 +147,7 @@ fn settings(args: &Args) -> Result<Settings> {
             args.scatter
         );
     }
-    if args.load > MOST_LOAD || !(args.warmer.abs() <= MOST_WARMER_K) {
+    if args.load > MOST_LOAD || !args.warmer.is_finite() || args.warmer.abs() > MOST_WARMER_K {
         bail!(
             "--load {} --warmer {} is not possible here; give a load of up to {MOST_LOAD} and up to {MOST_WARMER_K} K either way",
             args.load,

@@ -12,8 +12,8 @@ use firmware::force::Estimate;
 use firmware::frame::SENSORS;
 use firmware::model::gru::Run;
 use firmware::model::network::{
-    FORCE_BITS, GATES, Guard, Head, Input, Network as DeviceNetwork, OUTPUTS, Pair, Source, Target as DeviceTarget,
-    Told, UnitPair, Weights,
+    FORCE_BITS, GATES, Guard, Head, Input, Network as DeviceNetwork, OUTPUTS, Pair, Source,
+    Target as DeviceTarget, Told, UnitPair, Weights,
 };
 use firmware::recurrent;
 use firmware::units::{Field, Force};

@@ -106,7 +106,9 @@ impl Surface {
         // The device's arguments are the same coordinates on another scale.
         let scale = f64::from(1_u32 << ARGUMENT_BITS) / f64::from(COORDINATE_LIMIT);
         let one = units * f64::from(1_u32 << TERM_BITS);
-        let powers = (0..=DEGREE).rev().flat_map(|i| (0..=DEGREE - i).map(move |j| DEGREE - j));
+        let powers = (0..=DEGREE)
+            .rev()
+            .flat_map(|i| (0..=DEGREE - i).map(move |j| DEGREE - j));
         let mut terms = [0; TERMS];
         for ((place, term), power) in terms.iter_mut().zip(self.terms_g).zip(powers) {
             let value = term * one * scale.powi(power as i32);

@@ -73,7 +73,10 @@ impl Campaign {
 
     /// Fx and Fz that a gauss in the plane of a sensor is taken for, in newtons.
     pub fn newtons_per_g(&self, sensor: u32) -> [f64; 2] {
-        let found = self.newtons_per_g.iter().find(|(number, _)| *number == sensor);
+        let found = self
+            .newtons_per_g
+            .iter()
+            .find(|(number, _)| *number == sensor);
         found.map_or([0.0; 2], |(_, newtons)| *newtons)
     }
 

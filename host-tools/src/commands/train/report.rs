@@ -49,12 +49,7 @@ pub struct Outcome {
 
 impl Outcome {
     /// Judges the best weights on the held-out recording.
-    pub fn of(
-        course: &Course,
-        held_out: &Sequence,
-        sigma: Sigma,
-        spent: Duration,
-    ) -> Result<Self> {
+    pub fn of(course: &Course, held_out: &Sequence, sigma: Sigma, spent: Duration) -> Result<Self> {
         let mut rows = Vec::new();
         for (sensors, forces) in course.groups.iter().zip(course.told()?) {
             for (force, told) in forces.iter().enumerate() {

@@ -122,7 +122,8 @@ impl Sigma {
             return String::new();
         };
         let factors = self.factors.iter().flat_map(|(_, factors)| factors);
-        let (least, most) = factors.fold((f64::INFINITY, 0.0_f64), |(a, b), f| (a.min(*f), b.max(*f)));
+        let (least, most) =
+            factors.fold((f64::INFINITY, 0.0_f64), |(a, b), f| (a.min(*f), b.max(*f)));
         format!(
             "Sigma was multiplied by {least:.2} to {most:.2}, as every other 5 s of that recording ask for. On the \
              5 s between, after the tare, over all forces, within 1, 2 and 3 of it: {}, {}, {} (a \
@@ -137,9 +138,10 @@ impl Sigma {
 
     /// For `--json`.
     pub fn json(&self) -> Value {
-        let factors = self.factors.iter().map(|(sensor, [x, z])| {
-            json!({ "sensor": sensor, "x": x, "z": z })
-        });
+        let factors = self
+            .factors
+            .iter()
+            .map(|(sensor, [x, z])| json!({ "sensor": sensor, "x": x, "z": z }));
         json!({
             "coverage": self.after.as_ref().map(Coverage::json),
             "before": self.before.as_ref().map(Coverage::json),
@@ -175,7 +177,9 @@ fn greatest_split(track: &Track, axis: usize, told: &[Told]) -> f64 {
 /// Least and greatest departure of a sensor's field from its surface.
 fn departures(lessons: &[Sequence], sensor: u32) -> [f64; 2] {
     let tracks = lessons.iter().flat_map(|lesson| &lesson.tracks);
-    let all = tracks.filter(|track| track.number == sensor).flat_map(|track| &track.beside_g);
+    let all = tracks
+        .filter(|track| track.number == sensor)
+        .flat_map(|track| &track.beside_g);
     all.fold([f64::INFINITY, f64::NEG_INFINITY], |[least, most], g| {
         [least.min(f64::from(*g)), most.max(f64::from(*g))]
     })
