@@ -3,8 +3,8 @@
 use crate::compensate::{Memory, Undone};
 use crate::frame::{Frame, SENSORS};
 use crate::hall::Reading;
-use crate::model::ideal;
 use crate::model::table::Tables;
+use crate::model::{ideal, parity};
 use crate::surroundings::Surroundings;
 use crate::units::{Field, Force};
 
@@ -21,13 +21,25 @@ pub enum Validity {
     Missing,
 }
 
+/// How far a field lies beside the surface of its sensor's fields ([`parity`]).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Beside {
+    /// Along the axis that the other two foretell.
+    pub departure: Field,
+    /// One standard deviation of it in a fit, with [`parity::SPREAD_BITS`] more bits.
+    pub spread: i32,
+}
+
 /// The forces at one sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Estimate {
     /// Lateral and longitudinal; zero where missing.
     pub force: [Force; 2],
-    /// Their standard deviations, where a recurrent network tells them.
+    /// Their standard deviations, where a recurrent network tells them, grown by what lies beyond all
+    /// that it has learned from ([`crate::model::network::Guard`]).
     pub sigma: Option<[Force; 2]>,
+    /// The same before they were grown.
+    pub told_sigma: Option<[Force; 2]>,
     /// May they be used?
     pub validity: Validity,
     /// The field without the effects that were undone: what the ideal model was given.
@@ -36,6 +48,10 @@ pub struct Estimate {
     pub shown: [Force; 2],
     /// True where the model holds an effect whose input the board does not know: it is not undone.
     pub lacking: bool,
+    /// The field beside the surface on which the finger's own magnet brings it.
+    pub parity: Beside,
+    /// True while a foreign magnet is to be assumed ([`crate::foreign`]): the forces may be its own.
+    pub disturbed: bool,
 }
 
 impl Estimate {
@@ -43,10 +59,16 @@ impl Estimate {
     pub const MISSING: Self = Self {
         force: [Force(0); 2],
         sigma: None,
+        told_sigma: None,
         validity: Validity::Missing,
         field: [Field(0); 3],
         shown: [Force(0); 2],
         lacking: false,
+        parity: Beside {
+            departure: Field(0),
+            spread: 0,
+        },
+        disturbed: false,
     };
 }
 
@@ -85,6 +107,7 @@ pub fn estimate(
     Estimate {
         force: force.left,
         sigma: None,
+        told_sigma: None,
         validity: match (saturated, inverse.inside) {
             (true, _) => Validity::Saturated,
             (false, false) => Validity::OutsideModel,
@@ -93,6 +116,11 @@ pub fn estimate(
         field: field.left,
         shown: inverse.force,
         lacking: field.lacking || force.lacking,
+        parity: Beside {
+            departure: parity::departure(table, field.left),
+            spread: table.parity.spread,
+        },
+        disturbed: false,
     }
 }
 

@@ -14,6 +14,7 @@
 //! - [`model`]: tables, and the integer arithmetic that turns a field into forces.
 //! - [`force`]: the estimate, with its validity.
 //! - [`recurrent`]: networks over the estimates.
+//! - [`foreign`]: a foreign magnet noticed.
 //! - [`wire`]: the messages on the CAN bus and on the serial line.
 //! - [`session`]: who may move the gripper.
 //! - `hardware`: only on the chip: the board.
@@ -43,6 +44,8 @@ pub mod model;
 pub mod force;
 
 pub mod recurrent;
+
+pub mod foreign;
 
 pub mod wire;
 

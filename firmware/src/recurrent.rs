@@ -3,10 +3,11 @@
 //! A table of networks names its sizes in its type, so an image links the kernel of these sizes and no
 //! other; without networks it links none.
 
+use crate::fixed::{clamped, share_of};
 use crate::force::{Estimate, Validity};
 use crate::frame::SENSORS;
 use crate::model::gru::Run;
-use crate::model::network::{Network, Source, Target, Told};
+use crate::model::network::{FORCE_BITS, Guard, Network, Source, Target, Told};
 use crate::units::Force;
 
 /// Steps every network over the estimates of one frame and puts what it tells into them, each network
@@ -29,9 +30,10 @@ pub fn apply<const INPUTS: usize, const HIDDEN: usize, const TOLD: usize, const 
             continue;
         }
         let told = run.step(network, |source| value(&seen, source).unwrap_or(0));
-        for (&sensor, told) in network.sensors.iter().zip(told.iter().flatten()) {
+        let heads = network.sensors.iter().zip(&network.guards);
+        for ((&sensor, guard), told) in heads.zip(told.iter().flatten()) {
             if let Some(estimate) = estimates.get_mut(usize::from(sensor)) {
-                correct(estimate, network.target, told);
+                correct(estimate, network.target, guard, told);
             }
         }
     }
@@ -56,7 +58,7 @@ fn value(estimates: &[Estimate; SENSORS], source: Source) -> Option<i32> {
     }
 }
 
-fn correct(estimate: &mut Estimate, target: Target, told: &Told) {
+fn correct(estimate: &mut Estimate, target: Target, guard: &Guard, told: &Told) {
     if estimate.validity == Validity::Missing {
         return;
     }
@@ -69,12 +71,39 @@ fn correct(estimate: &mut Estimate, target: Target, told: &Told) {
             Force(z.0.saturating_add(mean_z.0)),
         ],
     };
-    estimate.sigma = Some(told.sigma);
+    let [apart_x, apart_z] = [(0, x), (1, z)].map(|(axis, ideal)| {
+        let told = estimate.force.get(axis).map_or(ideal.0, |force| force.0);
+        told.saturating_sub(ideal.0).saturating_abs()
+    });
+    let [sigma_x, sigma_z] = told.sigma;
+    let [x, z] = beyond(guard, estimate, [apart_x, apart_z]);
+    estimate.told_sigma = Some(told.sigma);
+    estimate.sigma = Some([
+        Force(sigma_x.0.saturating_add(x)),
+        Force(sigma_z.0.saturating_add(z)),
+    ]);
+}
+
+/// How far, in the unit of a force, a sensor is beyond what its network has learned from: its field
+/// beside the surface, and the network (`apart`) from the ideal model.
+fn beyond(guard: &Guard, estimate: &Estimate, [x, z]: [i32; 2]) -> [i32; 2] {
+    let [least, most] = guard.departure;
+    let departure = estimate.parity.departure;
+    let outside = (i64::from(departure.0) - i64::from(most.0))
+        .max(i64::from(least.0) - i64::from(departure.0))
+        .max(0);
+    let [force_x, force_z] = guard.force;
+    let [split_x, split_z] = guard.split;
+    [(force_x, split_x, x), (force_z, split_z, z)].map(|(force, split, apart)| {
+        let by_field = share_of(clamped(outside), force, FORCE_BITS);
+        by_field.saturating_add(apart.saturating_sub(split.0).max(0))
+    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::force::Beside;
     use crate::model::gru;
     use crate::model::network::{Head, Input, UnitPair, Weights};
     use crate::units::Field;
@@ -109,6 +138,7 @@ mod tests {
             inputs: [[input, none]],
             force: [1 << 18; 2],
             warm_up: 3,
+            guards: [Guard::NONE],
             weights: Weights {
                 first: [(); 4].map(first),
                 second: [(); 4].map(units),
@@ -151,6 +181,26 @@ mod tests {
         assert_eq!(told.force, [Force(1024), Force(2048)]);
         assert!(told.sigma.is_some_and(|[x, _]| (x.0 - 1024).abs() <= 1));
         assert_eq!((other.force, other.sigma), ([Force(100), Force(200)], None));
+    }
+
+    #[test]
+    fn sigma_grows_where_the_field_or_the_force_is_beyond_what_was_learned() {
+        let guard = Guard {
+            departure: [Field(-10), Field(20)],
+            force: [2 << FORCE_BITS, 3 << FORCE_BITS],
+            split: [Force(50), Force(i32::MAX)],
+        };
+        let at = |departure| Estimate {
+            parity: Beside {
+                departure: Field(departure),
+                spread: 1,
+            },
+            ..Estimate::MISSING
+        };
+        assert_eq!(beyond(&guard, &at(20), [50, 9999]), [0, 0]);
+        assert_eq!(beyond(&guard, &at(25), [0, 0]), [10, 15]);
+        assert_eq!(beyond(&guard, &at(-14), [57, 0]), [8 + 7, 12]);
+        assert_eq!(beyond(&Guard::NONE, &at(i32::MIN), [i32::MAX; 2]), [0, 0]);
     }
 
     #[test]

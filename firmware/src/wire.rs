@@ -33,23 +33,28 @@ pub fn force(estimate: &Estimate, counter: u8) -> messages::Force {
         let units = counts(force, FORCE_PER_NEWTON);
         units.clamp(i16::MIN.into(), i16::MAX.into()) as i16
     });
-    let known =
-        |force| counts(force, SIGMA_PER_NEWTON).clamp(0, i64::from(SIGMA_UNKNOWN) - 1) as u8;
     let [sigma_x, sigma_z] = estimate
         .sigma
-        .map_or([SIGMA_UNKNOWN; 2], |sigma| sigma.map(known));
+        .map_or([SIGMA_UNKNOWN; 2], |sigma| sigma.map(rounded_up));
     messages::Force {
         fx,
         fz,
         sigma_x,
         sigma_z,
         valid: estimate.validity == Validity::Valid,
-        disturbed: false,
+        disturbed: estimate.disturbed,
         saturated: estimate.validity == Validity::Saturated,
         stale: estimate.validity == Validity::Missing,
         model: if estimate.sigma.is_some() { NETWORK } else { 0 },
         counter,
     }
+}
+
+/// A standard deviation in units of the bus: never better than it is, nor the unit that says "unknown".
+fn rounded_up(sigma: Force) -> u8 {
+    let units = i64::from(sigma.0.max(0)) * SIGMA_PER_NEWTON;
+    let up = (units + (1 << Force::BITS) - 1) >> Force::BITS;
+    up.min(i64::from(SIGMA_UNKNOWN) - 1) as u8
 }
 
 /// Identifier of a message of a node.
@@ -97,6 +102,18 @@ mod tests {
         assert_eq!(flags(Validity::Missing), 0b1000);
         assert_eq!(flags(Validity::Saturated), 0b0100);
         assert_eq!(flags(Validity::OutsideModel), 0b0000);
+    }
+
+    #[test]
+    fn a_disturbed_force_says_so_and_its_sigma_is_rounded_up() {
+        let estimate = Estimate {
+            sigma: Some([Force(1), Force(80 << 10)]),
+            validity: Validity::Valid,
+            disturbed: true,
+            ..Estimate::MISSING
+        };
+        let bytes = force(&estimate, 0).to_bytes();
+        assert_eq!(bytes[4..7], [1, 254, 0b1_0011]);
     }
 
     #[test]

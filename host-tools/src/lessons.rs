@@ -56,6 +56,7 @@ pub fn sequence(
             track.field_g.push(estimate.field.map(gauss));
             let ideal_n = estimate.force.map(|force: Force| force.newtons() as f32);
             track.ideal_n.push(ideal_n);
+            track.beside_g.push(gauss(estimate.parity.departure));
             let truth = wires.forces.map(|force| row.forces[force]);
             let known = stream.meets_reference() && truth.iter().all(|n| n.is_finite());
             if known && estimate.validity == Validity::Valid {

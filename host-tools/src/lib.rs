@@ -11,6 +11,7 @@
 //! - [`wiring`]: a recording's row as the device's readings.
 //! - [`lessons`]: recordings as a recurrent network on the device sees them.
 //! - [`networks`]: recurrent networks in a replay.
+//! - [`coverage`]: whether standard deviations mean what they say.
 //! - [`replay`]: recorded data through the device's own code.
 //! - [`report`]: the page that a comparison leaves to open.
 //! - [`show`]: numbers and tables as people read them.
@@ -20,6 +21,7 @@ pub mod bench;
 pub mod cli;
 pub mod commands;
 pub mod compare;
+pub mod coverage;
 pub mod diagnose;
 pub mod findings;
 pub mod lessons;

@@ -13,8 +13,6 @@ use model_export::gru::pack::{self, Packed, Running};
 use model_export::gru::warm_up;
 use model_export::inverse::build::Built;
 
-use crate::wiring::Wiring;
-
 /// Trained networks, and the same in the device's formats.
 #[derive(Debug)]
 pub struct Networks {
@@ -135,21 +133,10 @@ impl FloatForce {
 }
 
 impl Underway<'_> {
-    /// One step of the device's code over the estimates of one row, in the order of `wiring`.
-    pub fn apply(&mut self, wiring: &[Wiring], estimates: &mut [Estimate]) {
-        let mut frame = [Estimate::MISSING; SENSORS];
-        for (wires, estimate) in wiring.iter().zip(estimates.iter()) {
-            if let Some(place) = frame.get_mut(wires.number as usize) {
-                *place = *estimate;
-            }
-        }
-        self.seen.push(frame);
-        pack::apply(&mut self.running, &mut frame);
-        for (wires, estimate) in wiring.iter().zip(estimates) {
-            if let Some(told) = frame.get(wires.number as usize) {
-                *estimate = *told;
-            }
-        }
+    /// One step of the device's code over the estimates of one row.
+    pub fn apply(&mut self, frame: &mut [Estimate; SENSORS]) {
+        self.seen.push(*frame);
+        pack::apply(&mut self.running, frame);
     }
 
     /// What the networks saw in a row since [`Underway::forget`].

@@ -4,6 +4,7 @@ use std::time::{Duration, Instant};
 
 use firmware::compensate::{Compensation, Memory};
 use firmware::force::{Validity, estimate};
+use firmware::foreign::Detector;
 use firmware::hall::a31301;
 use firmware::units::{Field, Force};
 use model_export::inverse::build::Built;
@@ -16,10 +17,11 @@ use model_export::recordings::noise::WhiteNoise;
 use model_export::recordings::raw::RawStream;
 use nalgebra::Vector3;
 
+use crate::coverage::Told;
 use crate::networks::{FloatForce, Networks, Underway};
 pub use crate::sums::Sums;
 use crate::surroundings::Covariates;
-use crate::wiring::{reading, wire};
+use crate::wiring::{frame, reading, unframe, wire};
 
 /// Rows that are read and estimated at once; only these two are timed.
 const CHUNK: usize = 4096;
@@ -99,6 +101,32 @@ pub struct RecordingReplay {
     pub span_s: f64,
     /// Time for reading and for the device's code, on one core.
     pub spent: Duration,
+    /// When the device noticed a foreign magnet, and until when: seconds of the board's clock.
+    pub disturbed_s: Vec<[f64; 2]>,
+    /// What networks told, for each of the sensors: errors of Fx and Fz beside their standard deviation.
+    pub told: Vec<[Vec<Told>; 2]>,
+}
+
+/// Stretches in which the device saw a foreign magnet.
+#[derive(Clone, Debug, Default)]
+struct Disturbances {
+    up: bool,
+    found_s: Vec<[f64; 2]>,
+}
+
+impl Disturbances {
+    fn note(&mut self, time_s: f64, flag: bool) {
+        match (self.up, flag) {
+            (false, true) => self.found_s.push([time_s; 2]),
+            (true, true) => self
+                .found_s
+                .last_mut()
+                .iter_mut()
+                .for_each(|s| s[1] = time_s),
+            (_, false) => {}
+        }
+        self.up = flag;
+    }
 }
 
 /// What is replayed: the device's tables, and the model in floating point beside them.
@@ -176,6 +204,7 @@ pub fn replay_watched(
                 ..Default::default()
             })
             .collect(),
+        told: wiring.iter().map(|_| Default::default()).collect(),
         ..Default::default()
     };
     let mut noises = vec![[WhiteNoise::default(), WhiteNoise::default()]; wiring.len()];
@@ -193,6 +222,8 @@ pub fn replay_watched(
     let covariates = Covariates::find(stream.layout(), models.design);
     let mut memories = vec![Memory::default(); wiring.len()];
     let mut networks = models.networks.map(Networks::start);
+    let mut detector = Detector::default();
+    let mut disturbances = Disturbances::default();
     let mut first_s = None;
     let mut rows = Vec::with_capacity(CHUNK);
     let mut estimates = Vec::with_capacity(CHUNK * wiring.len());
@@ -216,9 +247,14 @@ pub fn replay_watched(
                     memory,
                 ));
             }
+            let ideal = frame(&wiring, &estimates[first..]);
+            let mut told = ideal;
             if let Some(networks) = &mut networks {
-                networks.apply(&wiring, &mut estimates[first..]);
+                networks.apply(&mut told);
             }
+            let flag = detector.watch(&ideal, &mut told);
+            disturbances.note(row.time_s, flag);
+            unframe(&wiring, &told, &mut estimates[first..]);
             rows.push(row);
         }
         result.spent += start.elapsed();
@@ -256,7 +292,13 @@ pub fn replay_watched(
                         track.float.add(float - reference[axis]);
                         track.fixed_minus_float.add(found[axis] - float);
                         if let Some(sigma) = estimate.sigma {
-                            track.tell(sigma[axis].newtons(), found[axis] - reference[axis]);
+                            let told = Told {
+                                time_s: row.time_s,
+                                error_n: found[axis] - reference[axis],
+                                sigma_n: sigma[axis].newtons(),
+                            };
+                            track.tell(told.sigma_n, told.error_n);
+                            result.told[i][axis].push(told);
                         }
                     }
                     rests[i].add(row.time_s, reference, found);
@@ -271,6 +313,7 @@ pub fn replay_watched(
         }
         done(result.rows);
     }
+    result.disturbed_s = disturbances.found_s;
     let force_noise = stream.force_noise();
     let seen = wiring.iter().zip(&noises).zip(rests);
     for (sensor, ((wires, noise), rest)) in result.sensors.iter_mut().zip(seen) {

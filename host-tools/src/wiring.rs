@@ -1,5 +1,7 @@
 //! A recording's row as the readings of the device's sensors.
 
+use firmware::force::Estimate;
+use firmware::frame::SENSORS;
 use firmware::hall::{Reading, a31301};
 use firmware::params;
 use model_export::effects::REFERENCE_C;
@@ -44,6 +46,26 @@ pub fn wire(numbers: &[u32], stream: &RawStream) -> Vec<Wiring> {
         })
     });
     wires.collect()
+}
+
+/// The estimates of one row, in the order of the wiring, as the device's frame.
+pub fn frame(wiring: &[Wiring], estimates: &[Estimate]) -> [Estimate; SENSORS] {
+    let mut frame = [Estimate::MISSING; SENSORS];
+    for (wires, estimate) in wiring.iter().zip(estimates) {
+        if let Some(place) = frame.get_mut(wires.number as usize) {
+            *place = *estimate;
+        }
+    }
+    frame
+}
+
+/// A frame's estimates back in the order of the wiring.
+pub fn unframe(wiring: &[Wiring], frame: &[Estimate; SENSORS], estimates: &mut [Estimate]) {
+    for (wires, estimate) in wiring.iter().zip(estimates) {
+        if let Some(told) = frame.get(wires.number as usize) {
+            *estimate = *told;
+        }
+    }
 }
 
 /// What the sensor's registers would hold in this row.

@@ -256,6 +256,15 @@ impl ModelFile {
         write_output(path, text.as_bytes(), MARK)
     }
 
+    /// What a fit leaves of a sensor's field that no forces explain, in gauss: where the file does not
+    /// say, what it leaves of that axis.
+    pub fn spread_beside(&self, number: u32, axis: usize) -> f64 {
+        let sensor = self.sensors.iter().find(|sensor| sensor.number == number);
+        let of_axis = |sensor: &SensorModel| sensor.held_out.get(axis).map(|score| score.rms_g);
+        let found = sensor.and_then(|sensor| sensor.beside_forces_g.or_else(|| of_axis(sensor)));
+        found.filter(|spread| spread.is_finite()).unwrap_or(0.0)
+    }
+
     /// The forward model of one sensor; `None` for a polynomial or an unknown sensor.
     pub fn forward(&self, number: u32) -> Option<ForwardModel> {
         let nominal = ForwardModel::nominal(self.design.as_ref()?);

@@ -40,7 +40,7 @@ pub fn evaluate(tables: &Tables, sensor: &SensorTable, field: [Field; 3]) -> Inv
 }
 
 /// The scaled coordinate, clamped to the box, and whether it lay inside.
-fn coordinate(scale: AxisScale, field: Field) -> (i16, bool) {
+pub(super) fn coordinate(scale: AxisScale, field: Field) -> (i16, bool) {
     let from_middle = i64::from(field.0) - i64::from(scale.offset);
     let half = 1 << (GAIN_BITS - 1);
     let scaled = (from_middle

@@ -6,6 +6,7 @@
 //! - `kernel`: only on the chip: what takes the time, in assembly.
 //! - [`grbf`]: Gaussian radial basis functions, the definition of every bit.
 //! - [`gru`]: the recurrent network, the definition of every bit.
+//! - [`parity`]: three axes against two forces.
 //! - [`ideal`]: scaling, linear part and radial basis functions: from a field to two forces.
 //! - `tables`: only on the chip: the tables of this image, written by `magpie export`.
 
@@ -14,6 +15,7 @@ pub mod grbf;
 pub mod gru;
 pub mod ideal;
 pub mod network;
+pub mod parity;
 pub mod table;
 
 #[cfg(target_os = "none")]

@@ -17,7 +17,7 @@
 //! followed by one with neither weight nor gain, and units without weights fill a layer up: they stay
 //! at zero.
 
-use crate::units::Force;
+use crate::units::{Field, Force};
 
 /// Gates of a unit: reset, update, candidate.
 pub const GATES: usize = 3;
@@ -143,6 +143,29 @@ pub enum Target {
     Rest,
 }
 
+/// Where a network has learned: beyond it its standard deviations grow by as much as the forces may be
+/// off. The likelihood by which it learned says nothing there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Guard {
+    /// Least and greatest departure of the field from its surface in training
+    /// ([`crate::force::Beside`]).
+    pub departure: [Field; 2],
+    /// Force, Fx and Fz, that a unit of field in the plane is taken for, with [`FORCE_BITS`] fractional
+    /// bits: a foreign field has no reason to be smaller in the plane than beside it.
+    pub force: [i32; 2],
+    /// Greatest difference of network and ideal model in training, Fx and Fz.
+    pub split: [Force; 2],
+}
+
+impl Guard {
+    /// Nothing is beyond it.
+    pub const NONE: Self = Self {
+        departure: [Field(i32::MIN), Field(i32::MAX)],
+        force: [0; 2],
+        split: [Force(i32::MAX); 2],
+    };
+}
+
 /// Fractional bits of [`Network::force`].
 pub const FORCE_BITS: u32 = 8;
 
@@ -160,6 +183,8 @@ pub struct Network<const INPUTS: usize, const HIDDEN: usize, const SENSORS: usiz
     pub force: [i32; 2],
     /// Steps after a reset until the outputs count: then a start from anywhere has been forgotten.
     pub warm_up: u16,
+    /// Where it has learned, for each of its sensors.
+    pub guards: [Guard; SENSORS],
     /// The weights.
     pub weights: Weights<INPUTS, HIDDEN, SENSORS>,
 }

@@ -3,6 +3,7 @@
 //! Scaled coordinates are integers of at most [`COORDINATE_LIMIT`] either way: then the squared
 //! distance of two points, over three axes, stays below 2^31.
 
+use super::parity::Parity;
 use crate::compensate::Compensation;
 
 /// Greatest scaled coordinate, either way: floor(sqrt(2^27)). The square of a difference is then at
@@ -63,6 +64,8 @@ pub struct SensorTable {
     pub used_pairs: u8,
     /// The sum over the centres is shifted right by this to give 1/1024 N: Fx, Fz.
     pub shift: [u8; 2],
+    /// The surface on which the fields lie.
+    pub parity: Parity,
 }
 
 /// Field to scaled coordinate: `(field - offset) * gain`.

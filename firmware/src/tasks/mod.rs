@@ -16,6 +16,7 @@ use embassy_time::{Duration, Instant, Ticker, with_timeout};
 
 use crate::compensate::Memory;
 use crate::force::{Estimate, Validity, estimate_all};
+use crate::foreign::Detector;
 use crate::frame::{Frame, SENSORS};
 use crate::hall::a31301::A31301;
 use crate::hall::watch::Watch;
@@ -54,6 +55,7 @@ async fn sense(mut first: SensorBus, mut second: SensorBus) {
     let mut ticker = Ticker::every(Duration::from_hz(params::SENSE_RATE.value as u64));
     let mut ticks = 0_u32;
     let mut memories = [Memory::default(); SENSORS];
+    let mut detector = Detector::default();
     let mut runs = [const { Run::RESET }; NETWORKS.len()];
     // Nothing on this board measures them yet: what needs them stays off, and the estimates say so.
     let around = Surroundings::default();
@@ -70,7 +72,9 @@ async fn sense(mut first: SensorBus, mut second: SensorBus) {
                 .map(|watch| watch.note(samples.next().flatten()).reading),
         };
         let mut estimates = estimate_all(&TABLES, &frame, &around, &mut memories);
+        let ideal = estimates;
         recurrent::apply(&NETWORKS, &mut runs, &mut estimates);
+        detector.watch(&ideal, &mut estimates);
         ticks = ticks.wrapping_add(1);
         if ticks.is_multiple_of(TICKS_PER_REPORT) {
             ESTIMATES.signal(estimates);
@@ -108,11 +112,12 @@ async fn report(mut can: Can<'static>) {
             for (sensor, estimate) in (0_u8..).zip(&estimates) {
                 let [x, z] = estimate.force;
                 info!(
-                    "sensor {}: {} {} /1024 N, valid {}, effects not undone for want of an input {}",
+                    "sensor {}: {} {} /1024 N, valid {}, disturbed {}, effects not undone for want of an input {}",
                     sensor,
                     x.0,
                     z.0,
                     estimate.validity == Validity::Valid,
+                    estimate.disturbed,
                     estimate.lacking
                 );
             }

@@ -61,6 +61,11 @@ impl Element {
         }
     }
 
+    /// What a small field from outside adds to the reading, in gauss, compression apart.
+    pub fn turned(&self, field_g: Vector3<f64>) -> Vector3<f64> {
+        self.turn * field_g
+    }
+
     /// Reading in gauss of a field in the gripper's axes, so many kelvin from the reference
     /// temperature and so many seconds into the session.
     pub fn reading(&self, field_g: Vector3<f64>, warm_k: f64, session_s: f64) -> Vector3<f64> {

@@ -2,6 +2,7 @@
 
 use model_export::physics::magnet::Cylinder;
 use nalgebra::{Rotation3, Vector3};
+use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
 use super::draw::{Purpose, between, direction, stream};
@@ -57,23 +58,57 @@ impl ForeignMagnet {
         let recording =
             1 + (between(&mut rng, 0.0, f64::from(recordings)) as u32).min(recordings - 1);
         let pass_s = between(&mut rng, PASS_S[0], PASS_S[1]);
-        let closest = direction(&mut rng);
         let distance_mm = between(&mut rng, CLOSEST_MM[0], CLOSEST_MM[1]);
-        let along = closest.cross(&direction(&mut rng)).normalize();
+        let closest_s = seconds * between(&mut rng, 0.25, 0.75);
+        let at = (recording, closest_s);
+        Self::passing(&mut rng, at, (distance_mm, pass_s), greatest_g, sensors)
+    }
+
+    /// A path drawn at random in recording `recording`, whose closest approach to the gripper's middle is
+    /// at `closest_s`, so far away, within so many seconds; its greatest field at any of the sensors is
+    /// `greatest_g`.
+    pub fn passing(
+        rng: &mut ChaCha8Rng,
+        (recording, closest_s): (u32, f64),
+        (distance_mm, pass_s): (f64, f64),
+        greatest_g: f64,
+        sensors: u32,
+    ) -> Self {
+        let closest = direction(rng);
+        let along = closest.cross(&direction(rng)).normalize();
         let mut magnet = Self {
             recording,
-            closest_s: seconds * between(&mut rng, 0.25, 0.75),
+            closest_s,
             pass_s,
             closest_mm: (closest * distance_mm).into(),
             // A dipole's field halves half a distance from its closest approach, roughly.
             velocity_mm_per_s: (along * distance_mm / pass_s).into(),
             remanence_t: 1.0,
-            turn: Rotation3::rotation_between(&Vector3::z(), &direction(&mut rng))
+            turn: Rotation3::rotation_between(&Vector3::z(), &direction(rng))
                 .unwrap_or_else(Rotation3::identity),
         };
-        let greatest = magnet.greatest(sensors);
-        magnet.remanence_t = greatest_g / greatest;
+        magnet.remanence_t = greatest_g / magnet.greatest(sensors);
         magnet
+    }
+
+    /// From when to when its field at a sensor is above so many gauss, in seconds of its recording.
+    pub fn above_s(&self, least_g: f64, sensors: u32) -> Option<[f64; 2]> {
+        let [from_s, to_s] = self.felt_s();
+        let steps = 2000;
+        let times =
+            (0..=steps).map(|step| from_s + (to_s - from_s) * f64::from(step) / f64::from(steps));
+        let felt = |time_s: &f64| {
+            let of = |sensor| self.field(self.recording, sensor, *time_s).norm();
+            (0..sensors).any(|sensor| of(sensor) > least_g)
+        };
+        let mut times = times.filter(felt);
+        let first = times.next()?;
+        Some([first, times.next_back().unwrap_or(first)])
+    }
+
+    /// When its field can be felt, in seconds of its recording.
+    pub fn felt_s(&self) -> [f64; 2] {
+        [-FAR, FAR].map(|passes| self.closest_s + passes * self.pass_s)
     }
 
     /// Field at a sensor in gauss, body's axes.

@@ -184,6 +184,8 @@ mod tests {
             sensors: 1,
             scatter: 0.0,
             noise: NoiseKind::White,
+            harder: 1.0,
+            warmer_k: 0.0,
             field_noise_g: 0.0,
             reference_noise_n: 0.0,
             effects: wanted.iter().map(|id| id.parse().unwrap()).collect(),

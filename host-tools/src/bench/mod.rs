@@ -78,6 +78,10 @@ pub struct Settings {
     pub scatter: f64,
     /// Noise of the field beside white noise.
     pub noise: NoiseKind,
+    /// Multiplies every load.
+    pub harder: f64,
+    /// Added to every temperature, in kelvin.
+    pub warmer_k: f64,
     /// White noise of one field sample in gauss.
     pub field_noise_g: f64,
     /// White noise of one reference row in newtons.
@@ -116,6 +120,7 @@ pub fn simulate(settings: &Settings, folder: &Path, done: impl Fn()) -> Result<T
     let excitations: Vec<Excitation> = numbers
         .clone()
         .map(|n| Excitation::draw(settings.programme, seed, n, settings.sensors, seconds))
+        .map(|drawn| drawn.beyond(settings.harder, settings.warmer_k))
         .collect();
     let rates_hz = [params::SENSE_RATE.value, params::REFERENCE_RATE.value];
     let clocks: Vec<[Clock; 2]> = numbers

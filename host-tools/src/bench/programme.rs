@@ -35,6 +35,8 @@ pub struct Excitation {
     attitude: Attitude,
     warmth: Warmth,
     seconds: f64,
+    harder: f64,
+    warmer_k: f64,
 }
 
 impl Excitation {
@@ -53,19 +55,30 @@ impl Excitation {
             attitude: Attitude::draw(programme, seed, recording),
             warmth: Warmth::draw(programme, seed, recording, sensors, seconds),
             seconds,
+            harder: 1.0,
+            warmer_k: 0.0,
+        }
+    }
+
+    /// The same with every load multiplied, and so much warmer.
+    pub fn beyond(self, harder: f64, warmer_k: f64) -> Self {
+        Self {
+            harder,
+            warmer_k,
+            ..self
         }
     }
 
     /// Lateral and longitudinal load on a sensor in newtons.
     pub fn load(&self, sensor: usize, time_s: f64) -> [f64; 2] {
         let [x, z] = &self.loads[sensor];
-        [x.at(time_s), z.at(time_s)]
+        [x, z].map(|load| self.harder * load.at(time_s))
     }
 
     /// Greatest load of each axis of a sensor, either sign, in newtons.
     pub fn greatest_load(&self, sensor: usize) -> [f64; 2] {
         let [x, z] = &self.loads[sensor];
-        [x.greatest(self.seconds), z.greatest(self.seconds)]
+        [x, z].map(|load| (self.harder * load.greatest(self.seconds)).abs())
     }
 
     /// Opening and motor.
@@ -85,6 +98,6 @@ impl Excitation {
 
     /// Temperature of a sensor in C.
     pub fn temperature_c(&self, sensor: usize, time_s: f64) -> f64 {
-        self.warmth.at(sensor, time_s)
+        self.warmth.at(sensor, time_s) + self.warmer_k
     }
 }

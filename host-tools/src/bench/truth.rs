@@ -28,6 +28,8 @@ pub struct Truth {
     sensors: u32,
     scatter: f64,
     noise: NoiseKind,
+    load: f64,
+    warmer_k: f64,
     field_noise_g: f64,
     reference_noise_n: f64,
     hidden: bool,
@@ -77,6 +79,8 @@ impl Truth {
             sensors: settings.sensors,
             scatter: settings.scatter,
             noise: settings.noise,
+            load: settings.harder,
+            warmer_k: settings.warmer_k,
             field_noise_g: settings.field_noise_g,
             reference_noise_n: settings.reference_noise_n,
             hidden: settings.hidden,
@@ -170,7 +174,13 @@ fn details(chosen: &Chosen, effects: &Effects, gripper: &Gripper) -> Result<Tabl
             tell("time_constant_s", Value::try_from(DRIFT_S))?;
         }
         "demagnetisation" => tell("loss_by_recording", Value::try_from(&gripper.losses))?,
-        "external_magnet" => tell("path", Value::try_from(&gripper.foreign))?,
+        "external_magnet" => {
+            tell("path", Value::try_from(&gripper.foreign))?;
+            let count = gripper.sensors.len() as u32;
+            if let Some(stretch_s) = gripper.foreign.above_s(1.0, count) {
+                tell("above_1_g_s", Value::try_from(stretch_s))?;
+            }
+        }
         _ => {}
     }
     Ok(table)

@@ -46,6 +46,17 @@ pub struct Args {
     /// Multiplies the scatter of manufacture; 0 makes a perfect gripper.
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     scatter: f64,
+    /// Multiplies every load.
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    load: f64,
+    /// Everything is so much warmer.
+    #[arg(
+        long,
+        value_name = "K",
+        default_value_t = 0.0,
+        allow_negative_numbers = true
+    )]
+    warmer: f64,
     /// Noise of the field beside white noise.
     #[arg(long, value_enum, default_value = "white")]
     noise: NoiseKind,
@@ -74,6 +85,8 @@ Examples:
   cargo magpie simulate -o clean
   cargo magpie simulate -o warm --effect magnet_temperature --effect creep=3
   cargo magpie simulate -o stuck --effect hysteresis=2.5:both --programme isothermal
+  cargo magpie simulate -o passed --effect external_magnet=60   # passed-truth.toml says when
+  cargo magpie simulate -o hard --load 1.3 --warmer 15    # the same gripper, beyond what it knew
   cargo magpie simulate -o riddle --hide 2 --seed 7    # riddle-truth.toml has the answer
 
 Effects, each with its typical size (friction takes :lateral, :longitudinal or :both after it):
@@ -119,6 +132,7 @@ fn settings(args: &Args) -> Result<Settings> {
     let at_least_zero = [
         ("--strength", args.strength),
         ("--scatter", args.scatter),
+        ("--load", args.load),
         ("--field-noise", args.field_noise),
         ("--reference-noise", args.reference_noise),
     ];
@@ -131,6 +145,13 @@ fn settings(args: &Args) -> Result<Settings> {
         bail!(
             "--scatter {} is not possible here; beyond {MOST_SCATTER} the parts collide",
             args.scatter
+        );
+    }
+    if args.load > MOST_LOAD || !args.warmer.is_finite() || args.warmer.abs() > MOST_WARMER_K {
+        bail!(
+            "--load {} --warmer {} is not possible here; give a load of up to {MOST_LOAD} and up to {MOST_WARMER_K} K either way",
+            args.load,
+            args.warmer
         );
     }
     if !(SECONDS[0]..=SECONDS[1]).contains(&args.seconds) {
@@ -149,6 +170,8 @@ fn settings(args: &Args) -> Result<Settings> {
         sensors: args.sensors,
         scatter: args.scatter,
         noise: args.noise,
+        harder: args.load,
+        warmer_k: args.warmer,
         field_noise_g: args.field_noise,
         reference_noise_n: args.reference_noise,
         effects: match args.hide {
@@ -161,6 +184,10 @@ fn settings(args: &Args) -> Result<Settings> {
 
 /// Lengths of a recording: long enough for the load to come up, short enough for its clocks.
 const SECONDS: [f64; 2] = [3.0, 3600.0];
+
+/// Beyond this load the magnet leaves the sensor's range, beyond this warmth the board its own.
+const MOST_LOAD: f64 = 2.0;
+const MOST_WARMER_K: f64 = 60.0;
 
 /// Five standard deviations of the stiffness at this scatter are its whole.
 const MOST_SCATTER: f64 = 4.0;

@@ -2,6 +2,7 @@
 
 pub mod campaign;
 pub mod report;
+pub mod sigma;
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -20,6 +21,7 @@ use super::clocks::Clocks;
 use crate::{progress, show};
 use campaign::Campaign;
 use report::Outcome;
+use sigma::Sigma;
 
 /// Units of a layer, if not given: with three inputs the device computes it within the time that the
 /// paper states for a computer.
@@ -142,16 +144,19 @@ pub fn run(args: &Args) -> Result<()> {
         &campaign.held_out,
     )?;
     teach(args, &mut course, &campaign.key())?;
-    let outcome = Outcome::of(&course, &campaign.held_out, start.elapsed())?;
+    let sigma = Sigma::of(&course, &campaign)?;
+    let outcome = Outcome::of(&course, &campaign.held_out, sigma, start.elapsed())?;
     let text = match args.json {
         true => format!("{}\n", report::json(&outcome, &campaign.notes)),
         false => report::text(&outcome),
     };
     show::page(&text)?;
     if let Some(path) = &args.output {
+        let mut networks = course.networks();
+        outcome.sigma.apply(&mut networks);
         let file = NetworkFile {
             provenance: campaign.provenance(&course),
-            networks: course.networks(),
+            networks,
         };
         file.write(path)?;
     }

@@ -3,6 +3,7 @@
 use nalgebra::{DMatrix, DVector, Vector3};
 
 use super::rows::Part;
+use crate::inverse::parity;
 use crate::recordings::columns::Axis;
 
 /// How well one axis of one sensor is modelled on recordings that the fit did not see.
@@ -31,6 +32,8 @@ pub struct Tally {
     floor: Vector3<f64>,
     /// Squared errors of the forces that the residual would be taken for, and how many.
     force: (f64, usize),
+    /// Squared residuals beside the plane of both forces' fields, and how many.
+    beside: (f64, usize),
 }
 
 impl Default for Tally {
@@ -40,6 +43,7 @@ impl Default for Tally {
             error: Vector3::zeros(),
             floor: Vector3::zeros(),
             force: (0.0, 0),
+            beside: (0.0, 0),
         }
     }
 }
@@ -61,6 +65,10 @@ impl Tally {
             self.force.0 += taken_for.norm_squared();
             self.force.1 += taken_for.len();
         }
+        if let Some((_, beside)) = parity::beside(&per_newton, residual) {
+            self.beside.0 += beside * beside;
+            self.beside.1 += 1;
+        }
     }
 
     /// The sums over both.
@@ -70,6 +78,10 @@ impl Tally {
             error: self.error + other.error,
             floor: self.floor + other.floor,
             force: (self.force.0 + other.force.0, self.force.1 + other.force.1),
+            beside: (
+                self.beside.0 + other.beside.0,
+                self.beside.1 + other.beside.1,
+            ),
         }
     }
 
@@ -87,6 +99,13 @@ impl Tally {
     /// newtons; `None` where no force was recorded.
     pub fn rmse_n(&self) -> Option<f64> {
         let (squares, count) = self.force;
+        (count > 0).then(|| (squares / count as f64).sqrt())
+    }
+
+    /// Root mean square in gauss of what no forces explain: the residual beside the plane of both
+    /// forces' fields; `None` where two forces were not recorded.
+    pub fn beside_g(&self) -> Option<f64> {
+        let (squares, count) = self.beside;
         (count > 0).then(|| (squares / count as f64).sqrt())
     }
 

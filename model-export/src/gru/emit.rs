@@ -23,7 +23,8 @@ pub fn source(networks: &[Box<dyn Packed>]) -> Result<String, SeveralSizes> {
     let Some(first) = networks.first() else {
         return Ok(NO_NETWORKS.to_owned());
     };
-    let mut text = "\n#[rustfmt::skip]\nuse crate::model::network::*;\n\n".to_owned();
+    let mut text =
+        "\n#[rustfmt::skip]\nuse crate::{model::network::*, units::{Field, Force}};\n\n".to_owned();
     let [inputs, hidden, sensors] = first.size();
     if networks
         .iter()

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::network::{GATES, Layer, Network, OUTPUTS, ScaledInput, Target};
+use super::network::{GATES, Guard, Layer, Network, OUTPUTS, ScaledInput, Target};
 use super::tensors::{self, Array, Arrays, Kind};
 use super::train::course::{Best, Settings};
 use super::train::lesson::Topology;
@@ -71,6 +71,8 @@ struct Scales {
     target: Target,
     hidden: usize,
     force_n: [f64; 2],
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    guards: Vec<Guard>,
 }
 
 impl NetworkFile {
@@ -153,6 +155,7 @@ impl Scales {
             target: network.target,
             hidden: network.hidden,
             force_n: network.force_n,
+            guards: network.guards.clone(),
         }
     }
 
@@ -180,6 +183,7 @@ impl Scales {
             target: self.target,
             hidden: self.hidden,
             force_n: self.force_n,
+            guards: self.guards,
         })
     }
 }
@@ -211,6 +215,11 @@ mod tests {
             head_weights: values(OUTPUTS * hidden),
             head_bias: values(OUTPUTS),
             force_n: [1e2 / 3.0, 2e2 / 7.0],
+            guards: vec![Guard {
+                departure_g: [-0.1, 0.3],
+                newtons_per_g: [0.85, 1.37],
+                split_n: [1.1, 2.2],
+            }],
         }
     }
 

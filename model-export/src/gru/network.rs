@@ -60,6 +60,17 @@ pub enum Target {
     Rest,
 }
 
+/// Where a network has learned, for one of its sensors; see [`firmware::model::network::Guard`].
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Guard {
+    /// Least and greatest departure of the field from its surface in training, in G.
+    pub departure_g: [f64; 2],
+    /// Fx and Fz that a gauss in the plane is taken for, in N.
+    pub newtons_per_g: [f64; 2],
+    /// Greatest difference of network and ideal model in training, Fx and Fz in N.
+    pub split_n: [f64; 2],
+}
+
 /// One layer of `hidden` units over `inputs` inputs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Layer {
@@ -93,4 +104,6 @@ pub struct Network {
     /// Newtons of an output of one, Fx and Fz, the same for every sensor. A standard deviation is
     /// this times the exponential of the output.
     pub force_n: [f64; 2],
+    /// Where it has learned, one for each sensor; none: its standard deviations never grow.
+    pub guards: Vec<Guard>,
 }

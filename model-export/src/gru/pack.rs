@@ -12,10 +12,11 @@ use firmware::force::Estimate;
 use firmware::frame::SENSORS;
 use firmware::model::gru::Run;
 use firmware::model::network::{
-    GATES, Head, Input, Network as DeviceNetwork, OUTPUTS, Pair, Source, Target as DeviceTarget,
-    Told, UnitPair, Weights,
+    FORCE_BITS, GATES, Guard, Head, Input, Network as DeviceNetwork, OUTPUTS, Pair, Source,
+    Target as DeviceTarget, Told, UnitPair, Weights,
 };
 use firmware::recurrent;
+use firmware::units::{Field, Force};
 
 use super::network::{Network, Target};
 use super::quantise::{LayerRows, Quantised};
@@ -83,6 +84,7 @@ pub fn pack(network: &Network, gauss_per_lsb: f64) -> Result<Box<dyn Packed>, Un
         numbers,
         target: network.target,
         warm_up: warm_up::steps(network),
+        guards: guards(network, gauss_per_lsb),
     };
     sized(
         inputs.div_ceil(2),
@@ -99,6 +101,21 @@ struct Around {
     numbers: Vec<u8>,
     target: Target,
     warm_up: u16,
+    guards: Vec<Guard>,
+}
+
+/// Where the network has learned, in the device's units; numbers beyond the range stay at its end.
+fn guards(network: &Network, gauss_per_lsb: f64) -> Vec<Guard> {
+    let units = f64::from(1_u32 << Field::BITS) / gauss_per_lsb;
+    let per_force = f64::from(1_u32 << FORCE_BITS) * Force::PER_NEWTON / units;
+    let guard = |guard: &super::network::Guard| Guard {
+        departure: guard.departure_g.map(|g| Field((g * units).round() as i32)),
+        force: guard.newtons_per_g.map(|n| (n * per_force).round() as i32),
+        split: guard
+            .split_n
+            .map(|n| Force((n * Force::PER_NEWTON).round() as i32)),
+    };
+    network.guards.iter().map(guard).collect()
 }
 
 /// The sizes that the device knows: pairs of units, pairs of inputs and sensors, from the smallest up.
@@ -169,6 +186,7 @@ fn device<const INPUTS: usize, const HIDDEN: usize, const TOLD: usize>(
         inputs: array::from_fn(|pair| [input(2 * pair), input(2 * pair + 1)]),
         force: rows.force,
         warm_up: around.warm_up,
+        guards: array::from_fn(|sensor| around.guards.get(sensor).copied().unwrap_or(Guard::NONE)),
         weights: Weights {
             first: array::from_fn(|pair| unit_pair(first, pair)),
             second: array::from_fn(|pair| unit_pair(second, pair)),

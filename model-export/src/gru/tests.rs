@@ -85,6 +85,7 @@ fn random(seed: u64, inputs: usize, hidden: usize, sensors: u32, sizes: Sizes) -
         head_weights: draw(outputs * hidden, 1.0),
         head_bias: draw(outputs, 1.0),
         force_n: [20.0, 30.0],
+        guards: Vec::new(),
     }
 }
 

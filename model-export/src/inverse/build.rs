@@ -118,7 +118,7 @@ pub fn build_model(
     }
     let digest = Sha256::digest(bytes);
     let id = u16::from_be_bytes([digest[0], digest[1]]);
-    let chosen = choose(
+    let mut chosen = choose(
         &at_rest,
         &numbers,
         id,
@@ -129,6 +129,16 @@ pub fn build_model(
         place: Place::file(place),
         overflow: Box::new(overflow),
     })?;
+    let surfaces = chosen.surfaces.iter().zip(&numbers);
+    for (table, (surface, &number)) in chosen.tables.sensors.iter_mut().zip(surfaces) {
+        let spread_g = model.spread_beside(number, surface.axis);
+        table.parity = surface
+            .table(number, spread_g, scale.gauss_per_lsb)
+            .map_err(|overflow| BuildError::Overflow {
+                place: Place::file(place),
+                overflow: Box::new(overflow),
+            })?;
+    }
     let header = Header {
         inputs_sha256: hex(&digest),
         variant: match variant {

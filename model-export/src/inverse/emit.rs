@@ -39,7 +39,7 @@ fn tables(built: &Built) -> String {
             "\n// Numbers as they are printed by the exporter: long lines, and no digit grouped.\n";
         text += "#[rustfmt::skip]\nuse crate::compensate::{*, map::*};\n";
     }
-    text += "\nuse crate::model::table::*;\n\n";
+    text += "\nuse crate::model::parity::Parity;\nuse crate::model::table::*;\n\n";
     text += "/// The ideal model of every sensor.\n";
     text += "pub static TABLES: Tables<'static> = Tables {\n";
     text += &format!(
@@ -198,7 +198,9 @@ fn sensor(table: &SensorTable, number: u32) -> String {
     format!(
         "    // Sensor {number}.\n    SensorTable {{\n        number: {number},\n        scale: [\n            {},\n        ],\n        \
          limit_counts: {},\n        linear: Linear {{\n            bias: {},\n            slope: [{}, {}],\n        }},\n        \
-         pairs: padded([\n{pairs}        ]),\n        used_pairs: {},\n        shift: {},\n    }},\n",
+         pairs: padded([\n{pairs}        ]),\n        used_pairs: {},\n        shift: {},\n        \
+         parity: Parity {{\n            axis: {},\n            // Powers from the highest down, as `parity.rs` reads them.\n            \
+         terms: {},\n            spread: {},\n        }},\n    }},\n",
         scale.join(",\n            "),
         table.limit_counts,
         list(&table.linear.bias),
@@ -206,6 +208,9 @@ fn sensor(table: &SensorTable, number: u32) -> String {
         list(&table.linear.slope[1]),
         table.used_pairs,
         list(&table.shift),
+        table.parity.axis,
+        list(&table.parity.terms),
+        table.parity.spread,
     )
 }
 

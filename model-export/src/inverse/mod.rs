@@ -7,6 +7,7 @@
 //! - [`grbf`]: Gaussian radial basis functions on top of a linear part, in floating point.
 //! - [`search`]: centres, width and ridge chosen by held-out error.
 //! - [`quantise`]: the device's tables, with the proof that nothing overflows.
+//! - [`parity`]: the surface on which the fields lie: three axes against two forces.
 //! - [`error_map`]: where in the box an inverse errs.
 //! - [`compensation`]: the effects that the device undoes around the inverse, in its formats.
 //! - [`map`]: a user's own effect as a table.
@@ -21,6 +22,7 @@ pub mod emit;
 pub mod error_map;
 pub mod grbf;
 pub mod map;
+pub mod parity;
 pub mod quantise;
 pub mod samples;
 pub mod search;

@@ -3,6 +3,7 @@
 use firmware::compensate::Compensation;
 use firmware::model::grbf::{ENTRY_BITS, ENTRY_STEP};
 use firmware::model::ideal;
+use firmware::model::parity::Parity;
 use firmware::model::table::{
     AxisScale, COORDINATE_LIMIT, CentrePair, EXP_ENTRIES, Linear, MOST_PAIRS, SLOPE_BITS,
     SensorTable, Tables,
@@ -43,7 +44,8 @@ pub struct TableSet {
 }
 
 impl TableSet {
-    /// The tables of `models` (all of one width) for sensors of these numbers, this scale and range.
+    /// The tables of `models` (all of one width) for sensors of these numbers, this scale and range;
+    /// they know no surface of the fields yet.
     pub fn build(
         id: u16,
         models: &[Grbf],
@@ -169,6 +171,7 @@ fn sensor_table(
         pairs: padded,
         used_pairs: used_pairs as u8,
         shift,
+        parity: Parity::NONE,
     })
 }
 

@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use super::at_rest::AtRest;
 use super::design_box::DesignBox;
 use super::grbf::{Grbf, Shape, errors};
+use super::parity::Surface;
 use super::quantise::{Overflow, TableSet, representable};
 use super::samples::{Sample, held_out, training};
 
@@ -48,6 +49,8 @@ pub struct Chosen {
     pub errors: Vec<SensorErrors>,
     /// The linear models beside them.
     pub linear: Vec<Grbf>,
+    /// Where the fields lie, one for each sensor.
+    pub surfaces: Vec<Surface>,
 }
 
 /// Errors of one sensor's inverse over the box, in newtons: for Fx and Fz.
@@ -181,6 +184,10 @@ pub fn choose(
     Ok(Chosen {
         shape,
         errors: judged.collect(),
+        surfaces: sensors
+            .par_iter()
+            .map(|sensor| Surface::of(sensor.model, &sensor.design))
+            .collect(),
         forward: models.to_vec(),
         models: chosen,
         tables,

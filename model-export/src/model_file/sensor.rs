@@ -18,6 +18,10 @@ pub struct SensorModel {
     pub number: u32,
     /// Held-out error beside the floor, each axis.
     pub held_out: Vec<HeldOut>,
+    /// With the cylinder base: root mean square of what no forces explain of a row on recordings kept
+    /// out of the fit, in gauss. By it the device tells a foreign magnet.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub beside_forces_g: Option<f64>,
     /// With the cylinder base: every parameter.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub parameters: BTreeMap<String, Value>,
@@ -103,6 +107,7 @@ impl SensorModel {
         Self {
             number: fit.sensor,
             held_out: fit.scores.iter().map(HeldOut::of).collect(),
+            beside_forces_g: fit.tally().beside_g().map(digits),
             parameters: (0..fit.base_count)
                 .map(|i| (fit.slots[i].name.clone(), value(i)))
                 .collect(),
@@ -140,6 +145,7 @@ impl SensorModel {
         Self {
             number: fit.sensor,
             held_out: fit.scores.iter().map(HeldOut::of).collect(),
+            beside_forces_g: None,
             parameters: BTreeMap::new(),
             held: Vec::new(),
             polynomial: Some(PolynomialTable {

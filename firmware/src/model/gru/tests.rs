@@ -1,7 +1,7 @@
 //! Steps whose result is known by hand, and what must hold for every network.
 
 use super::*;
-use crate::model::network::{Head, Input, Pair, Source, Target, UnitPair, Weights};
+use crate::model::network::{Guard, Head, Input, Pair, Source, Target, UnitPair, Weights};
 
 const ONE: i32 = 1 << 30;
 
@@ -39,6 +39,7 @@ fn nothing() -> Network<1, 4, 1> {
         inputs: [[input; 2]],
         force: [1 << 18; 2],
         warm_up: 2,
+        guards: [Guard::NONE; 1],
         weights: Weights {
             first: [const { 0 }; 4].map(|_| pair.clone()),
             second: [const { 0 }; 4].map(|_| second.clone()),

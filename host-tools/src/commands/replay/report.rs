@@ -122,11 +122,12 @@ pub fn forces(outcome: &Outcome) -> String {
     format!(
         "Every row through the device's code, in newtons, device minus reference (on a straight line between\n\
          its rows). Noise: what white noise of sensor and reference alone would leave.\n{table}\n\
-         {}{}{}{}\n{rows} rows, {:.0} times real time on one core (reading and the device's code).\n",
+         {}{}{}{}\n{}{rows} rows, {:.0} times real time on one core (reading and the device's code).\n",
         tare_line(&outcome.fitted),
         tare_harms(outcome).unwrap_or_default(),
         far_off(outcome).unwrap_or_default(),
         invalid_line(&outcome.fitted),
+        show::paragraph(&disturbed_line(&outcome.fitted)),
         times_real_time(&outcome.fitted),
     )
 }
@@ -182,6 +183,28 @@ fn invalid_line(recordings: &[RecordingReplay]) -> String {
         ),
     }
 }
+
+/// Where the device saw a foreign magnet.
+fn disturbed_line(recordings: &[RecordingReplay]) -> String {
+    let stretch = |recording: &RecordingReplay, [from, to]: &[f64; 2]| {
+        format!("{from:.2} to {to:.2} s of recording {}", recording.name)
+    };
+    let all = recordings.iter();
+    let all: Vec<String> = all
+        .flat_map(|recording| recording.disturbed_s.iter().map(|s| stretch(recording, s)))
+        .collect();
+    match all.len() {
+        0 => "It noticed no foreign magnet.".to_owned(),
+        n if n > MOST_STRETCHES => format!(
+            "It saw a foreign magnet {n} times, first from {}: what moves the field, and is not in the model?",
+            all[0]
+        ),
+        _ => format!("It saw a foreign magnet from {}.", all.join(", ")),
+    }
+}
+
+/// More are not told one by one.
+const MOST_STRETCHES: usize = 3;
 
 fn by_recording(outcome: &Outcome) -> String {
     let heads = outcome.fitted.iter().map(|recording| {
@@ -283,6 +306,7 @@ pub fn json(outcome: &Outcome) -> Value {
             json!({
                 "name": recording.name, "rows": recording.rows,
                 "held_out": !outcome.seen.contains(&recording.name),
+                "disturbed_s": recording.disturbed_s,
                 "invalid": recording.sensors.iter().map(|s| s.invalid).sum::<u64>(),
                 "sensors": pooled(own).iter().map(sensor_json).collect::<Vec<_>>(),
             })

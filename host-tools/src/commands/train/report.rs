@@ -8,6 +8,7 @@ use model_export::gru::train::judge::Told;
 use model_export::gru::train::lesson::Sequence;
 use serde_json::{Value, json};
 
+use super::sigma::Sigma;
 use crate::show;
 use crate::sums::Sums;
 
@@ -42,16 +43,19 @@ pub struct Outcome {
     sensors: Vec<Vec<u32>>,
     found: Vec<Best>,
     spent: Duration,
+    /// How the standard deviations were calibrated.
+    pub sigma: Sigma,
 }
 
 impl Outcome {
     /// Judges the best weights on the held-out recording.
-    pub fn of(course: &Course, held_out: &Sequence, spent: Duration) -> Result<Self> {
+    pub fn of(course: &Course, held_out: &Sequence, sigma: Sigma, spent: Duration) -> Result<Self> {
         let mut rows = Vec::new();
         for (sensors, forces) in course.groups.iter().zip(course.told()?) {
             for (force, told) in forces.iter().enumerate() {
                 let (sensor, axis) = (sensors[force / 2], force % 2);
-                rows.push(Row::of(course, held_out, sensor, axis, told));
+                let factor = sigma.factor(sensor, axis);
+                rows.push(Row::of(course, held_out, (sensor, axis), told, factor));
             }
         }
         Ok(Self {
@@ -62,12 +66,20 @@ impl Outcome {
             sensors: course.groups.clone(),
             found: course.found.clone(),
             spent,
+            sigma,
         })
     }
 }
 
 impl Row {
-    fn of(course: &Course, held_out: &Sequence, sensor: u32, axis: usize, told: &[Told]) -> Self {
+    /// Standard deviations are multiplied by `factor`.
+    fn of(
+        course: &Course,
+        held_out: &Sequence,
+        (sensor, axis): (u32, usize),
+        told: &[Told],
+        factor: f64,
+    ) -> Self {
         let scale_n = course.scaling.force_n[axis];
         let mut row = Self {
             sensor,
@@ -82,7 +94,7 @@ impl Row {
         let mut covered = [0_usize; 2];
         for one in told {
             let error = scale_n * (one.mean - one.truth);
-            let sigma = scale_n * one.log_sigma.exp();
+            let sigma = factor * scale_n * one.log_sigma.exp();
             row.error.add(error);
             row.sigma.add(sigma);
             for (count, width) in covered.iter_mut().zip([1.0, 2.0]) {
@@ -147,7 +159,7 @@ pub fn text(outcome: &Outcome) -> String {
         100.0 * EXPECTED[0],
         100.0 * EXPECTED[1],
     ));
-    let end = verdict(outcome) + &ending(outcome);
+    let end = verdict(outcome) + &outcome.sigma.text() + &ending(outcome);
     format!("{head}{table}\n{}", show::paragraph(&end))
 }
 
@@ -205,6 +217,7 @@ pub fn json(outcome: &Outcome, notes: &[String]) -> Value {
     json!({
         "sensors": rows.collect::<Vec<_>>(),
         "networks": networks.collect::<Vec<_>>(),
+        "sigma": outcome.sigma.json(),
         "held_out": outcome.held_out, "epochs": outcome.epochs, "seed": outcome.seed,
         "seconds": outcome.spent.as_secs_f64(), "notes": notes,
     })

@@ -223,6 +223,7 @@ impl Course {
                 head_weights,
                 head_bias,
                 force_n: self.scaling.force_n,
+                guards: Vec::new(),
             }
         };
         self.groups.iter().enumerate().map(network).collect()

@@ -14,6 +14,8 @@ pub struct Track {
     pub ideal_n: Vec<[f32; 2]>,
     /// Rows whose true force is known, with that force, Fx and Fz in N.
     pub truth_n: Vec<(usize, [f32; 2])>,
+    /// How far the field of every row lies beside the surface of the sensor's fields, in G.
+    pub beside_g: Vec<f32>,
 }
 
 /// One recording.

@@ -89,6 +89,7 @@ fn exported(parameters: &Parameters, network: usize) -> Network {
         head_weights,
         head_bias,
         force_n: [1.0; 2],
+        guards: Vec::new(),
     }
 }
 

@@ -1,0 +1,108 @@
+//! Magnets that pass one after the other, and what became of each.
+
+use host_tools::bench::draw::{Purpose, between, stream};
+use host_tools::bench::foreign::ForeignMagnet;
+use rand_chacha::ChaCha8Rng;
+
+use super::world::SECONDS;
+
+/// Distance of the closest approach from the gripper's middle in mm, duration in seconds, greatest field in
+/// gauss: each drawn evenly in its logarithm.
+const DISTANCE_MM: [f64; 2] = [55.0, 250.0];
+const PASS_S: [f64; 2] = [0.03, 3.0];
+const GREATEST_G: [f64; 2] = [15.0, 300.0];
+/// Between a magnet that is gone and the next that comes, in seconds.
+const APART_S: f64 = 1.5;
+/// The first may come after this.
+const FIRST_S: f64 = 3.0;
+/// A force that is off by more is worth an alarm, in newtons.
+pub const OFF_N: f64 = 20.0;
+/// Frames within which it has to come.
+pub const IN_TIME: u32 = 20;
+
+/// Draws one magnet after the other through a recording.
+pub struct Passages {
+    rng: ChaCha8Rng,
+    recording: u32,
+    /// The one on its way.
+    pub magnet: Option<ForeignMagnet>,
+    next_s: f64,
+}
+
+/// What became of one magnet.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Passage {
+    /// Frame in which a force was off by more than 20 N first.
+    pub off_at: Option<u32>,
+    /// Frame in which the flag rose first while its field was there.
+    pub flag_at: Option<u32>,
+    /// The greatest measures up to the end of the time within which it had to be noticed.
+    pub greatest: [f64; 4],
+}
+
+impl Passages {
+    /// Before the first.
+    pub fn new(seed: u64, recording: u32) -> Self {
+        Self {
+            rng: stream(seed, Purpose::ForeignMagnet, recording),
+            recording,
+            magnet: None,
+            next_s: FIRST_S,
+        }
+    }
+
+    /// True where a new one sets out; the one before is gone where `None` stands.
+    pub fn at(&mut self, time_s: f64) -> bool {
+        if let Some(magnet) = &self.magnet
+            && time_s > magnet.felt_s()[1]
+        {
+            (self.magnet, self.next_s) = (None, time_s + APART_S);
+        }
+        if self.magnet.is_some() || time_s < self.next_s {
+            return false;
+        }
+        let rng = &mut self.rng;
+        let mut even = |[least, most]: [f64; 2]| between(rng, least.ln(), most.ln()).exp();
+        let (distance_mm, pass_s, greatest_g) = (even(DISTANCE_MM), even(PASS_S), even(GREATEST_G));
+        let ahead_s = {
+            let [from, to] = ForeignMagnet::passing(
+                &mut self.rng.clone(),
+                (self.recording, 0.0),
+                (distance_mm, pass_s),
+                greatest_g,
+                4,
+            )
+            .felt_s();
+            0.5 * (to - from)
+        };
+        if time_s + 2.0 * ahead_s > SECONDS {
+            self.next_s = f64::INFINITY;
+            return false;
+        }
+        self.magnet = Some(ForeignMagnet::passing(
+            &mut self.rng,
+            (self.recording, time_s + ahead_s),
+            (distance_mm, pass_s),
+            greatest_g,
+            4,
+        ));
+        true
+    }
+}
+
+impl Passage {
+    /// One frame.
+    pub fn note(&mut self, frame: u32, off_n: f64, flag: bool, measures: [f64; 4]) {
+        if off_n > OFF_N {
+            self.off_at.get_or_insert(frame);
+        }
+        if flag {
+            self.flag_at.get_or_insert(frame);
+        }
+        if self.off_at.is_none_or(|at| frame <= at + IN_TIME) {
+            for (greatest, now) in self.greatest.iter_mut().zip(measures) {
+                *greatest = greatest.max(now);
+            }
+        }
+    }
+}
