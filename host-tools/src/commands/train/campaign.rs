@@ -93,7 +93,7 @@ impl Campaign {
 }
 
 /// Place of the held-out recording.
-fn held_out(campaign: &Path, recordings: usize, asked: Option<usize>) -> Result<usize> {
+pub fn held_out(campaign: &Path, recordings: usize, asked: Option<usize>) -> Result<usize> {
     if recordings < 2 {
         bail!(
             "{}: there is one recording, and one more is needed to tell when to stop: split it in two, or record again",
