@@ -68,11 +68,11 @@ impl Variant {
         match self {
             Self::IdealNominal => "ideal, nominal",
             Self::IdealFitted => "ideal, fitted",
-            Self::Gru2Axis => "GRU, 2 axes",
-            Self::Gru3Axis => "GRU, 3 axes",
-            Self::Gru3AxisIdeal => "GRU, 3 axes + ideal",
-            Self::Gru3AxisNearZero => "GRU, 3 axes, near zero",
-            Self::Physics => "physics with effects",
+            Self::Gru2Axis => "GRU 2 axes",
+            Self::Gru3Axis => "GRU 3 axes",
+            Self::Gru3AxisIdeal => "GRU 3 + ideal",
+            Self::Gru3AxisNearZero => "GRU 3, near zero",
+            Self::Physics => "physics + effects",
             Self::PhysicsGru => "physics + GRU",
         }
     }

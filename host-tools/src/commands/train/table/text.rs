@@ -1,6 +1,7 @@
 //! The table for a terminal.
 
 use crate::show;
+use crate::sums::Sums;
 use crate::table::length::FOLLOWED;
 use crate::table::teach::Plan;
 use crate::table::variant::Variant;
@@ -36,37 +37,38 @@ fn head(table: &Table) -> String {
 }
 
 fn errors(table: &Table) -> String {
+    let shown = FORCES.map(|(axis, name)| format!("{name}\n{}\n", of_force(table, axis)));
+    shown.concat()
+}
+
+fn of_force(table: &Table, axis: usize) -> comfy_table::Table {
     let mut shown = show::table([
-        "force", "by", "RMSE", "mean", "std", "tared", "fixed", "tared", "noise", "paper",
+        "by", "RMSE", "mean", "std", "tared", "fixed", "tared", "noise", "paper",
     ]);
-    for (axis, name) in FORCES {
-        for judged in &table.judged {
-            let figures = &judged.axes[axis];
-            let tared = |sums: Option<crate::sums::Sums>| {
-                sums.map_or_else(|| "-".to_owned(), |sums| format!("{:.3}", sums.rms()))
-            };
-            let stated = paper::stated(judged.variant, axis);
-            shown.add_row([
-                name.to_owned(),
-                judged.variant.words().to_owned(),
-                format!("{:.3}", figures.float.rms()),
-                format!("{:+.3}", figures.float.mean()),
-                format!("{:.3}", figures.float.std()),
-                tared(figures.float_tared),
-                format!("{:.3}", figures.fixed.rms()),
-                tared(figures.fixed_tared),
-                format!("{:.3}", figures.noise_n),
-                stated.map_or_else(String::new, |paper| {
-                    format!(
-                        "{:.1} {:+.1} {:.1}",
-                        paper.rmse_n, paper.mean_n, paper.std_n
-                    )
-                }),
-            ]);
-        }
+    for judged in &table.judged {
+        let figures = &judged.axes[axis];
+        let tared =
+            |sums: Option<Sums>| sums.map_or_else(|| "-".to_owned(), |s| format!("{:.3}", s.rms()));
+        let stated = paper::stated(judged.variant, axis);
+        shown.add_row([
+            judged.variant.words().to_owned(),
+            format!("{:.3}", figures.float.rms()),
+            format!("{:+.3}", figures.float.mean()),
+            format!("{:.3}", figures.float.std()),
+            tared(figures.float_tared),
+            format!("{:.3}", figures.fixed.rms()),
+            tared(figures.fixed_tared),
+            format!("{:.3}", figures.noise_n),
+            stated.map_or_else(String::new, |paper| {
+                format!(
+                    "{:.1} {:+.1} {:.1}",
+                    paper.rmse_n, paper.mean_n, paper.std_n
+                )
+            }),
+        ]);
     }
-    show::right_align(&mut shown, 2);
-    format!("{shown}\n")
+    show::right_align(&mut shown, 1);
+    shown
 }
 
 fn below(table: &Table, plan: &Plan) -> String {
