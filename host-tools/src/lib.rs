@@ -14,6 +14,7 @@
 //! - [`coverage`]: whether standard deviations mean what they say.
 //! - [`replay`]: recorded data through the device's own code.
 //! - [`report`]: the page that a comparison leaves to open.
+//! - [`table`]: all ways of telling the force side by side.
 //! - [`show`]: numbers and tables as people read them.
 //! - [`progress`]: what long work shows while it runs.
 
@@ -32,4 +33,5 @@ pub mod report;
 pub mod show;
 pub mod sums;
 pub mod surroundings;
+pub mod table;
 pub mod wiring;

@@ -21,12 +21,19 @@ pub struct Networks {
     /// As the device holds them, in the same order.
     pub packed: Vec<Box<dyn Packed>>,
     gauss_per_lsb: f64,
+    /// Whether a recording begins with networks that have warmed up over its first row, held: the
+    /// gripper had been on for a while.
+    settled: bool,
 }
 
 impl Networks {
     /// Reads the networks at `path`, which were trained behind the model that was built.
     pub fn read(path: &Path, built: &Built) -> Result<Self> {
-        let file = NetworkFile::read(path)?;
+        Self::of(NetworkFile::read(path)?, path, built)
+    }
+
+    /// Networks in memory; `path` stands for them in messages.
+    pub fn of(file: NetworkFile, path: &Path, built: &Built) -> Result<Self> {
         if file.provenance.model_sha256 != built.header.inputs_sha256 {
             bail!(
                 "{}: these networks were trained behind another model: what it undoes, they never saw; train again with this one",
@@ -44,7 +51,16 @@ impl Networks {
             file,
             packed,
             gauss_per_lsb,
+            settled: false,
         })
+    }
+
+    /// The same on a gripper that has been on, at rest, for longer than any of them warms up.
+    pub fn settled(self) -> Self {
+        Self {
+            settled: true,
+            ..self
+        }
     }
 
     /// How large they are, for a person.
@@ -89,6 +105,7 @@ impl Networks {
             floats: floats.collect(),
             seen: Vec::new(),
             gauss_per_lsb: self.gauss_per_lsb,
+            unsettled: self.settled,
         }
     }
 }
@@ -100,6 +117,8 @@ pub struct Underway<'a> {
     /// What the networks saw since [`Underway::forget`], a frame for each row.
     seen: Vec<[Estimate; SENSORS]>,
     gauss_per_lsb: f64,
+    /// Whether the first row is still to be held until all have warmed up.
+    unsettled: bool,
 }
 
 /// A network in floating point with its state.
@@ -135,8 +154,22 @@ impl FloatForce {
 impl Underway<'_> {
     /// One step of the device's code over the estimates of one row.
     pub fn apply(&mut self, frame: &mut [Estimate; SENSORS]) {
+        if std::mem::take(&mut self.unsettled) {
+            self.settle(frame);
+        }
         self.seen.push(*frame);
         pack::apply(&mut self.running, frame);
+    }
+
+    /// Holds a frame until the slowest network has warmed up.
+    fn settle(&mut self, frame: &[Estimate; SENSORS]) {
+        let longest = self.floats.iter().map(|float| float.warm_up).max();
+        for _ in 0..longest.unwrap_or(0) {
+            pack::apply(&mut self.running, &mut frame.clone());
+            for float in &mut self.floats {
+                float.step(frame, self.gauss_per_lsb);
+            }
+        }
     }
 
     /// What the networks saw in a row since [`Underway::forget`].

@@ -40,3 +40,16 @@ pub fn epochs(what: &'static str, epochs: u32, done: u32) -> ProgressBar {
     bar.enable_steady_tick(Duration::from_millis(100));
     bar
 }
+
+/// A bar over several trainings, whose length grows as they are announced, with the time that is left
+/// at the most.
+pub fn table() -> ProgressBar {
+    let bar = ProgressBar::new(0);
+    let template = "{msg:<44} [{bar:20}] {elapsed}, at most {eta} left";
+    if let Ok(style) = ProgressStyle::with_template(template) {
+        bar.set_style(style.progress_chars("=> "));
+    }
+    bar.set_message("fitting the physics");
+    bar.enable_steady_tick(Duration::from_millis(100));
+    bar
+}

@@ -33,7 +33,7 @@ const TARE_S: f64 = 1.0;
 const SHORTEST_TARE_S: f64 = 0.2;
 
 /// Multiples of the standard deviation within which errors are counted.
-pub const WITHIN: [f64; 2] = [1.0, 2.0];
+pub const WITHIN: [f64; 3] = [1.0, 2.0, 3.0];
 
 /// Noise on a straight line between two noisy rows, as a share of a row's, root mean square: the mean
 /// of (1-s)^2 + s^2 is 2/3.
@@ -54,10 +54,12 @@ pub struct Track {
     /// Mean estimate over an unloaded stretch, and its length in seconds; `None` where the force
     /// never rested.
     pub tare: Option<(f64, f64)>,
+    /// The same mean of floating point.
+    pub float_tare: Option<f64>,
     /// Standard deviations that a network told, in newtons.
     pub sigma: Sums,
     /// Errors within [`WITHIN`] of these.
-    pub within: [u64; 2],
+    pub within: [u64; WITHIN.len()],
 }
 
 impl Track {
@@ -72,6 +74,11 @@ impl Track {
     /// The error after the tare.
     pub fn tared(&self) -> Option<Sums> {
         self.tare.map(|(tare, _)| self.error.less(tare))
+    }
+
+    /// The error of floating point after its tare.
+    pub fn float_tared(&self) -> Option<Sums> {
+        self.float_tare.map(|tare| self.float.less(tare))
     }
 }
 
@@ -174,6 +181,8 @@ pub struct Observed {
     pub reference_n: [f64; 2],
     /// The device's estimate.
     pub found_n: [f64; 2],
+    /// Its standard deviations, where a network tells them.
+    pub sigma_n: Option<[f64; 2]>,
 }
 
 /// Replays one recording; `done` is told the rows so far.
@@ -208,7 +217,8 @@ pub fn replay_watched(
         ..Default::default()
     };
     let mut noises = vec![[WhiteNoise::default(), WhiteNoise::default()]; wiring.len()];
-    let mut rests: Vec<Rest> = wiring.iter().map(|_| Rest::default()).collect();
+    // Of the device, and of floating point.
+    let mut rests = vec![[Rest::default(); 2]; wiring.len()];
     let compensations: Vec<Compensation> = models
         .compensations
         .iter()
@@ -282,10 +292,12 @@ pub fn replay_watched(
                     let number = wires.number as usize;
                     let ideal = seen.and_then(|seen| seen.get(number)).unwrap_or(estimate);
                     let network = floats.and_then(|floats| *floats.get(number)?);
+                    let mut floats_n = [0.0; 2];
                     for axis in 0..2 {
                         // What is undone on the forces is integer arithmetic alone.
                         let undone = ideal.force[axis].newtons() - estimate.shown[axis].newtons();
                         let float = FloatForce::over(network, axis, shown[axis] + undone);
+                        floats_n[axis] = float;
                         noises[i][axis].push(found[axis]);
                         let track = &mut sensor.axes[axis];
                         track.error.add(found[axis] - reference[axis]);
@@ -301,12 +313,15 @@ pub fn replay_watched(
                             result.told[i][axis].push(told);
                         }
                     }
-                    rests[i].add(row.time_s, reference, found);
+                    for (rest, told) in rests[i].iter_mut().zip([found, floats_n]) {
+                        rest.add(row.time_s, reference, told);
+                    }
                     watch(Observed {
                         sensor: i,
                         time_s: row.time_s,
                         reference_n: reference,
                         found_n: found,
+                        sigma_n: estimate.sigma.map(|sigma| sigma.map(Force::newtons)),
                     });
                 }
             }
@@ -317,9 +332,10 @@ pub fn replay_watched(
     let force_noise = stream.force_noise();
     let seen = wiring.iter().zip(&noises).zip(rests);
     for (sensor, ((wires, noise), rest)) in result.sensors.iter_mut().zip(seen) {
-        let tare = rest.tare();
+        let [tare, float_tare] = rest.map(Rest::tare);
         for (axis, track) in sensor.axes.iter_mut().enumerate() {
             track.tare = tare.map(|(mean, length)| (mean[axis], length));
+            track.float_tare = float_tare.map(|(mean, _)| mean[axis]);
             let own = noise[axis].estimate().unwrap_or(0.0);
             let reference = force_noise[wires.forces[axis]].unwrap_or(0.0);
             track.noise_n = own.hypot(reference * BETWEEN_ROWS);

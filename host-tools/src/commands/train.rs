@@ -3,6 +3,7 @@
 pub mod campaign;
 pub mod report;
 pub mod sigma;
+pub mod table;
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -29,6 +30,9 @@ const HIDDEN: usize = 16;
 /// The same for one network of all sensors.
 const HIDDEN_SHARED: usize = 32;
 
+/// Beyond this the rows near zero would be all that is learned; below its inverse none of it.
+const MOST_NEAR_ZERO: f64 = 100.0;
+
 /// Train a recurrent network that tells each force with its uncertainty.
 ///
 /// The network sees what it would see on the gripper: the field after the device's compensation, at
@@ -40,13 +44,20 @@ Examples:
   cargo magpie train model.toml my-campaign -o network.safetensors
   cargo magpie train model.toml my-campaign --shared --hidden 32 -o network.safetensors
   cargo magpie train model.toml my-campaign -o network.safetensors \\
-    --checkpoint training.safetensors --resume")]
+    --checkpoint training.safetensors --resume
+  cargo magpie train --table model.toml my-campaign -o report.html")]
 pub struct Args {
     /// Model file, as `magpie fit` writes it.
     model: PathBuf,
     /// Folder of at least two recordings.
     campaign: PathBuf,
-    /// Where the network goes; without it nothing is written.
+    /// All ways of telling the force side by side, as in the paper's Table I: the ideal model, networks
+    /// of 2 and 3 axes, with the ideal model's force, physics with MODEL's effects, alone and with a
+    /// network; everything fitted and trained anew without the recording held out.
+    #[arg(long, conflicts_with_all = ["axes", "inputs", "target", "shared", "checkpoint"])]
+    table: bool,
+    /// Where the network goes, or with --table the report (a page to open); without it nothing is
+    /// written.
     #[arg(short, long, value_name = "NETWORK")]
     output: Option<PathBuf>,
     /// Axes of the field that the network sees.
@@ -77,6 +88,10 @@ pub struct Args {
     /// Learning rate at the start; it falls to a hundredth.
     #[arg(long, default_value_t = 5e-3)]
     rate: f64,
+    /// What a row without force counts beside one with much, on the likelihood that is learned:
+    /// 1 + (WEIGHT - 1) exp(-(F / 25 N)^2 / 2); 1 if not given, 4 in the table's row.
+    #[arg(long, value_name = "WEIGHT")]
+    near_zero: Option<f64>,
     /// Seed of the first weights: the same seed, the same network.
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -125,6 +140,14 @@ pub enum TargetChoice {
 pub fn run(args: &Args) -> Result<()> {
     if !(args.rate.is_finite() && args.rate > 0.0) {
         bail!("--rate must be a positive number");
+    }
+    if let Some(weight) = args.near_zero
+        && !(MOST_NEAR_ZERO.recip()..=MOST_NEAR_ZERO).contains(&weight)
+    {
+        bail!("--near-zero {weight} is not possible here; give 0.01 to {MOST_NEAR_ZERO}");
+    }
+    if args.table {
+        return table::run(args);
     }
     if let Some(path) = &args.output {
         check_output(path, Kind::Network.mark())?;
@@ -181,6 +204,7 @@ impl Args {
             epochs: self.epochs,
             patience: self.patience,
             rate: self.rate,
+            near_zero: self.near_zero.unwrap_or(1.0),
         }
     }
 

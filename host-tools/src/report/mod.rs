@@ -8,6 +8,7 @@
 //! - [`overlay`]: measured and modelled over time; [`pack`]: its curves for the page's script.
 //! - [`located`], [`map`], [`worst`]: where the error lies.
 //! - [`diagnosis`]: the sections of a diagnosis.
+//! - [`training`]: the sections of a comparison of networks.
 //! - [`origin`]: where all this comes from.
 //!
 //! The plots are drawn here and stand in the page as SVG; its script only zooms and switches.
@@ -28,6 +29,7 @@ pub mod palette;
 pub mod plot;
 pub mod summary;
 pub mod tables;
+pub mod training;
 pub mod worst;
 
 use std::path::Path;
@@ -60,6 +62,46 @@ pub fn page(comparison: &Comparison) -> String {
 
 /// The whole page with more sections, which stand first after the summary: they say what to do.
 pub fn page_with(comparison: &Comparison, more: &[Section]) -> String {
+    let title = format!(
+        "magpie: {} beside {}",
+        comparison.model, comparison.campaign
+    );
+    let body = html! {
+        (summary::head(comparison))
+        @if !stopped(comparison) { (links(more)) }
+        (findings::section(comparison))
+        @if stopped(comparison) {
+            p.empty { "No figures: none would mean anything before this is mended." }
+            @for section in more { (placed(section)) }
+        } @else {
+            (summary::section(comparison))
+            @for section in more { (placed(section)) }
+            (errors::section(comparison))
+            (overlay::section(comparison))
+            (histograms::section(comparison))
+            (located::section(comparison))
+            (map::section(comparison))
+            (worst::section(comparison))
+        }
+        (origin::section(comparison))
+    };
+    whole(&title, &body)
+}
+
+/// A page of nothing but sections, each behind a link.
+pub fn page_of(title: &str, sections: &[Section]) -> String {
+    let body = html! {
+        h1 { (title) }
+        nav aria-label="On this page" {
+            @for section in sections { a href=(format!("#{}", section.id)) { (section.heading) } }
+        }
+        @for section in sections { (placed(section)) }
+    };
+    whole(title, &body)
+}
+
+/// What every page is around its body.
+fn whole(title: &str, body: &Markup) -> String {
     let page = html! {
         (DOCTYPE)
         html lang="en" {
@@ -69,30 +111,12 @@ pub fn page_with(comparison: &Comparison, more: &[Section]) -> String {
                 meta name="color-scheme" content="light dark";
                 // Browsers ask for an icon otherwise.
                 link rel="icon" href="data:,";
-                title { "magpie: " (comparison.model) " beside " (comparison.campaign) }
+                title { (title) }
                 style { (PreEscaped(palette::style())) (PreEscaped(include_str!("page.css"))) }
                 noscript { style { (PreEscaped(WITHOUT_SCRIPT)) } }
             }
             body {
-                main {
-                    (summary::head(comparison))
-                    @if !stopped(comparison) { (links(more)) }
-                    (findings::section(comparison))
-                    @if stopped(comparison) {
-                        p.empty { "No figures: none would mean anything before this is mended." }
-                        @for section in more { (placed(section)) }
-                    } @else {
-                        (summary::section(comparison))
-                        @for section in more { (placed(section)) }
-                        (errors::section(comparison))
-                        (overlay::section(comparison))
-                        (histograms::section(comparison))
-                        (located::section(comparison))
-                        (map::section(comparison))
-                        (worst::section(comparison))
-                    }
-                    (origin::section(comparison))
-                }
+                main { (body) }
                 script { (PreEscaped(include_str!("page.js"))) }
             }
         }
@@ -135,6 +159,14 @@ fn stopped(comparison: &Comparison) -> bool {
 /// A file that is no report stands there, or the file system refuses.
 pub fn write(path: &Path, comparison: &Comparison, more: &[Section]) -> Result<(), Problem> {
     write_output(path, page_with(comparison, more).as_bytes(), MARK)
+}
+
+/// Writes a page of sections to `path`, complete or not at all.
+///
+/// # Errors
+/// A file that is no report stands there, or the file system refuses.
+pub fn write_sections(path: &Path, title: &str, sections: &[Section]) -> Result<(), Problem> {
+    write_output(path, page_of(title, sections).as_bytes(), MARK)
 }
 
 /// Without a script all sensors are shown, each with its name.

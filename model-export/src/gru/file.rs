@@ -3,11 +3,13 @@
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
 
 use super::network::{GATES, Guard, Layer, Network, OUTPUTS, ScaledInput, Target};
 use super::tensors::{self, Array, Arrays, Kind};
 use super::train::course::{Best, Settings};
 use super::train::lesson::Topology;
+use crate::recordings::campaign::hex;
 use crate::recordings::problem::Fault;
 use crate::recordings::{Place, Problem};
 
@@ -73,6 +75,17 @@ struct Scales {
     force_n: [f64; 2],
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     guards: Vec<Guard>,
+}
+
+/// SHA-256 over the weights of networks alone, as the file holds them: the same weights, the same
+/// text, whatever else the file says.
+pub fn fingerprint(networks: &[Network]) -> String {
+    let mut hash = Sha256::new();
+    for array in networks.iter().flat_map(|network| arrays(0, network)) {
+        let bytes = array.values.iter().flat_map(|value| value.to_le_bytes());
+        hash.update(bytes.collect::<Vec<u8>>());
+    }
+    hex(&hash.finalize())
 }
 
 impl NetworkFile {
@@ -243,6 +256,7 @@ mod tests {
                     epochs: 2,
                     patience: 3,
                     rate: 0.1,
+                    near_zero: 1.0,
                 },
                 found: Vec::new(),
             },

@@ -94,6 +94,25 @@ impl Recording {
         ends.map_or(0.0, |(first, last)| last - first)
     }
 
+    /// Its rows before `seconds` after its first alone.
+    pub fn first(&self, seconds: f64) -> Self {
+        let mut part = self.clone();
+        let end = self.time_s.first().map_or(0.0, |first| first + seconds);
+        let rows = self.time_s.partition_point(|time| *time < end);
+        part.time_s.truncate(rows);
+        for sensor in part.sensors.values_mut() {
+            sensor.field_g.truncate(rows);
+            sensor.temperature_c.truncate(rows);
+        }
+        for track in part.forces.values_mut() {
+            track.newtons.truncate(rows);
+        }
+        for covariate in part.covariates.values_mut() {
+            covariate.truncate(rows);
+        }
+        part
+    }
+
     fn push(&mut self, layout: &Layout, row: &AlignedRow) {
         self.time_s.push(row.time_s);
         for sensor in layout.sensors() {

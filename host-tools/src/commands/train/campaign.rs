@@ -114,7 +114,7 @@ fn newtons_per_g(built: &Built) -> Vec<(u32, [f64; 2])> {
 }
 
 /// Place of the held-out recording.
-fn held_out(campaign: &Path, recordings: usize, asked: Option<usize>) -> Result<usize> {
+pub fn held_out(campaign: &Path, recordings: usize, asked: Option<usize>) -> Result<usize> {
     if recordings < 2 {
         bail!(
             "{}: there is one recording, and one more is needed to tell when to stop: split it in two, or record again",

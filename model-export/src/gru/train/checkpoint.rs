@@ -47,7 +47,7 @@ impl Description {
         } else if self.topology != other.topology {
             Some("other networks (--axes, --inputs, --target, --hidden, --shared)")
         } else if self.settings != other.settings {
-            Some("another --seed, --epochs, --patience or --rate")
+            Some("another --seed, --epochs, --patience, --rate or --near-zero")
         } else {
             None
         }

@@ -23,6 +23,22 @@ pub struct Settings {
     pub patience: u32,
     /// Learning rate at the start.
     pub rate: f64,
+    /// What a row without force counts beside one with much, see [`weight_near_zero`]; the weights
+    /// are chosen by the even likelihood all the same.
+    ///
+    /// [`weight_near_zero`]: super::lesson::weight_near_zero
+    #[serde(default = "even", skip_serializing_if = "is_even")]
+    pub near_zero: f64,
+}
+
+/// Weight of a row without force where all count the same.
+fn even() -> f64 {
+    1.0
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref)] // The serialiser's signature.
+fn is_even(near_zero: &f64) -> bool {
+    *near_zero == even()
 }
 
 /// Where the best weights of a network were found.
@@ -100,7 +116,9 @@ impl Course {
         };
         let keys: Vec<u32> = groups.iter().map(|sensors| sensors[0]).collect();
         let parameters = Parameters::random(size, settings.seed, &keys);
-        let scaled = |sequence| Scaled::of(sequence, &scaling, &groups, topology.target);
+        let scaled = |sequence, near_zero| {
+            Scaled::of(sequence, &scaling, &groups, topology.target, near_zero)
+        };
         let nowhere = Best {
             epoch: 0,
             held_out_loss: None,
@@ -112,8 +130,11 @@ impl Course {
             parameters,
             found: vec![nowhere; groups.len()],
             epoch: 0,
-            lessons: lessons.iter().map(scaled).collect(),
-            held_out: scaled(held_out),
+            lessons: lessons
+                .iter()
+                .map(|lesson| scaled(lesson, settings.near_zero))
+                .collect(),
+            held_out: scaled(held_out, even()),
             settings,
             topology,
             groups,

@@ -1,5 +1,7 @@
 //! What is learned from: recordings as the device sees them, and the same scaled for the networks.
 
+use std::ops::Range;
+
 use super::Problem;
 use crate::gru::network::{Input, ScaledInput, Target};
 
@@ -68,6 +70,28 @@ impl Topology {
 }
 
 impl Sequence {
+    /// These rows alone, as a recording that begins and ends there; truth before row `known` of the
+    /// whole is left out.
+    pub fn part(&self, rows: Range<usize>, known: usize) -> Self {
+        let rows = rows.start.min(self.rows)..rows.end.min(self.rows);
+        let track = |track: &Track| {
+            let inside = |row: usize| rows.contains(&row) && row >= known;
+            let truth = track.truth_n.iter().filter(|(row, _)| inside(*row));
+            Track {
+                number: track.number,
+                field_g: track.field_g[rows.clone()].to_vec(),
+                ideal_n: track.ideal_n[rows.clone()].to_vec(),
+                truth_n: truth.map(|&(row, n)| (row - rows.start, n)).collect(),
+                beside_g: track.beside_g.get(rows.clone()).unwrap_or_default().to_vec(),
+            }
+        };
+        Self {
+            name: self.name.clone(),
+            rows: rows.len(),
+            tracks: self.tracks.iter().map(track).collect(),
+        }
+    }
+
     fn track(&self, number: u32) -> Option<&Track> {
         self.tracks.iter().find(|track| track.number == number)
     }
@@ -101,6 +125,17 @@ impl Track {
             (row, [rest(0), rest(1)])
         })
     }
+}
+
+/// How far from zero force rows still count as near, in newtons: a tenth of the range, below which
+/// the paper finds its networks less sure than the ideal model.
+pub const NEAR_ZERO_N: f64 = 25.0;
+
+/// What the likelihood of a row with the true force `truth_n` counts: `1 + (at_zero - 1) exp(-u^2/2)`,
+/// where `u` is the force in [`NEAR_ZERO_N`]. `at_zero` is the weight at no force; one weights evenly.
+pub fn weight_near_zero(truth_n: f64, at_zero: f64) -> f64 {
+    let u = truth_n / NEAR_ZERO_N;
+    1.0 + (at_zero - 1.0) * libm::exp(-0.5 * u * u)
 }
 
 /// How inputs and outputs are scaled.
@@ -166,13 +201,20 @@ pub struct Scaled {
     pub x: Vec<f32>,
     /// `networks x rows x forces`; zero where nothing is known.
     pub y: Vec<f32>,
-    /// The same: one where the force is known, else zero.
+    /// The same: what a row counts where the force is known, else zero.
     pub weight: Vec<f32>,
 }
 
 impl Scaled {
-    /// Scales a recording.
-    pub fn of(sequence: &Sequence, scaling: &Scaling, groups: &[Vec<u32>], target: Target) -> Self {
+    /// Scales a recording; `near_zero` is what a row without force counts beside one with much, see
+    /// [`weight_near_zero`].
+    pub fn of(
+        sequence: &Sequence,
+        scaling: &Scaling,
+        groups: &[Vec<u32>],
+        target: Target,
+        near_zero: f64,
+    ) -> Self {
         let (rows, inputs) = (sequence.rows, scaling.inputs[0].len());
         let forces = 2 * groups[0].len();
         let mut x = vec![0.0; groups.len() * rows * inputs];
@@ -186,13 +228,13 @@ impl Scaled {
                 }
             }
             for (place, &sensor) in sensors.iter().enumerate() {
-                let targets = sequence.track(sensor).into_iter();
-                for (row, target) in targets.flat_map(|track| track.targets(target)) {
-                    let shares = target.iter().zip(&scaling.force_n);
-                    for (axis, (target, scale)) in shares.enumerate() {
+                let tracks = sequence.track(sensor).into_iter();
+                let targets = tracks.flat_map(|track| track.targets(target).zip(&track.truth_n));
+                for ((row, target), (_, truth_n)) in targets {
+                    for axis in 0..2 {
                         let at = (network * rows + row) * forces + 2 * place + axis;
-                        y[at] = (target / scale) as f32;
-                        weight[at] = 1.0;
+                        y[at] = (target[axis] / scaling.force_n[axis]) as f32;
+                        weight[at] = weight_near_zero(f64::from(truth_n[axis]), near_zero) as f32;
                     }
                 }
             }

@@ -6,13 +6,16 @@ use rand_chacha::ChaCha8Rng;
 
 use super::lesson::Scaled;
 
-/// Rows through which the slope of the loss goes back: a quarter of a second. What lies further back
-/// reaches the loss through the state, which is carried from window to window.
-pub const WINDOW_ROWS: usize = 256;
+/// Rows through which the slope of the loss goes back: the direction of a motion shows within them.
+/// What lies further back reaches the loss through the state, which is carried from window to window.
+/// Shorter windows make more steps of the same rows, which is what short recordings lack.
+pub const WINDOW_ROWS: usize = 64;
 /// Streams that a campaign is cut into, where it is long enough.
-pub const STREAMS: usize = 8;
+pub const STREAMS: usize = 16;
+/// Windows that only bring a state to where the sensor's past would have it: a quarter of a second.
+const LEADING_WINDOWS: usize = 4;
 /// Fewest windows of a stream.
-const FEWEST_WINDOWS: usize = 4;
+const FEWEST_WINDOWS: usize = 16;
 
 /// Where one stream of an epoch begins.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -73,8 +76,8 @@ impl Streams {
         self.starts.len()
     }
 
-    /// One window of all streams. The first of a stream that begins within a recording only brings
-    /// the state to where the sensor's past would have it: it counts nothing.
+    /// One window of all streams. The leading ones of a stream that begins within a recording count
+    /// nothing.
     pub fn batch(&self, recordings: &[Scaled], networks: usize, window: usize) -> Result<Batch> {
         let mut lists = [Vec::new(), Vec::new(), Vec::new()];
         let mut counts = Vec::new();
@@ -82,7 +85,7 @@ impl Streams {
             let before = lists[2].len();
             for start in &self.starts {
                 let from = start.row + window * WINDOW_ROWS;
-                let counts = window > 0 || start.row == 0;
+                let counts = window >= LEADING_WINDOWS || start.row == 0;
                 recordings[start.recording].window(network, from, WINDOW_ROWS, counts, &mut lists);
             }
             counts.push(lists[2][before..].iter().sum());

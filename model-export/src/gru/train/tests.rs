@@ -11,6 +11,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::adam::{Adam, DECAY, GREATEST_SLOPE, clip};
 use super::forward::{State, Weights, losses};
+use super::lesson::{Scaled, Scaling, Sequence, Topology, Track, weight_near_zero};
 use super::parameters::{CANDIDATE_LIMIT, Parameters, Size, WEIGHT_LIMIT, place};
 use crate::gru::network::{Layer, Network, Target};
 
@@ -267,4 +268,62 @@ fn weights_stay_where_the_device_can_hold_them() {
     );
     assert!(candidate.iter().all(|w| *w == -CANDIDATE_LIMIT));
     assert!(layer.state_bias.iter().all(|b| *b == -20.0));
+}
+
+#[test]
+fn a_part_of_a_recording_begins_and_ends_where_it_was_cut_and_knows_no_earlier_truth() {
+    let whole = Sequence {
+        name: "whole".to_owned(),
+        rows: 10,
+        tracks: vec![Track {
+            number: 3,
+            field_g: (0..10).map(|row| [row as f32; 3]).collect(),
+            ideal_n: (0..10).map(|row| [0.0, row as f32]).collect(),
+            truth_n: [0, 2, 4, 6, 8].map(|row| (row, [row as f32; 2])).to_vec(),
+        }],
+    };
+    let part = whole.part(3..8, 5);
+    assert_eq!((part.rows, part.tracks[0].number), (5, 3));
+    assert_eq!(part.tracks[0].field_g.first(), Some(&[3.0; 3]));
+    assert_eq!(part.tracks[0].ideal_n.last(), Some(&[0.0, 7.0]));
+    // Row 4 lies before what is known, row 8 behind the end.
+    assert_eq!(part.tracks[0].truth_n, [(3, [6.0; 2])]);
+    assert_eq!(whole.part(0..99, 0), whole);
+    assert_eq!(whole.part(20..30, 0).rows, 0);
+}
+
+#[test]
+fn rows_near_zero_force_count_more_by_the_documented_form() {
+    assert_eq!(weight_near_zero(0.0, 4.0), 4.0);
+    // exp(-1/2) = 0.60653 at 25 N.
+    assert!((weight_near_zero(-25.0, 4.0) - 2.819_59).abs() < 1e-5);
+    assert!((weight_near_zero(200.0, 4.0) - 1.0).abs() < 1e-12);
+    assert_eq!(weight_near_zero(17.0, 1.0), 1.0);
+    let lesson = Sequence {
+        name: String::new(),
+        rows: 2,
+        tracks: vec![Track {
+            number: 0,
+            field_g: vec![[0.0; 3], [1.0; 3]],
+            // What is told is the rest, but what counts is the force.
+            ideal_n: vec![[50.0; 2]; 2],
+            truth_n: vec![(0, [25.0, 0.0]), (1, [250.0, 25.0])],
+        }],
+    };
+    let topology = Topology {
+        axes: vec![0],
+        ideal: false,
+        target: Target::Rest,
+        shared: false,
+        hidden: 2,
+    };
+    let groups = topology.groups(&[0]);
+    let lessons = [lesson];
+    let scaling = Scaling::of(&lessons, &topology, &groups).unwrap();
+    let of = |near_zero| Scaled::of(&lessons[0], &scaling, &groups, Target::Rest, near_zero).weight;
+    assert_eq!(of(1.0), [1.0; 4]);
+    let known = [2.819_59, 4.0, 1.0, 2.819_59];
+    for (weight, known) in of(4.0).into_iter().zip(known) {
+        assert!((weight - known).abs() < 1e-5, "{weight}, {known}");
+    }
 }
