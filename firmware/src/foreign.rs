@@ -243,14 +243,11 @@ impl Track {
         }
         self.frames = self.frames.saturating_add(1);
         self.fast += (now - self.fast) >> FAST_SHIFT;
-        // One over the number of frames, then a fixed share.
-        let own = (u32::BITS - self.frames.leading_zeros()).min(SLOW_SHIFT);
-        let shift = if suspected {
-            own + SUSPECTED_SHIFT
-        } else {
-            own
-        };
-        self.slow += ((i64::from(self.fast) << SLOW_BITS) - self.slow) >> shift;
+        if !suspected || self.frames <= SETTLING {
+            // One over the number of frames, then a fixed share.
+            let shift = (u32::BITS - self.frames.leading_zeros()).min(SLOW_SHIFT);
+            self.slow += ((i64::from(self.fast) << SLOW_BITS) - self.slow) >> shift;
+        }
         let mean = crate::fixed::clamped(self.slow >> SLOW_BITS);
         let apart = (self.fast - mean).clamp(-MOST_APART, MOST_APART);
         let share = (apart << SHARE_BITS).checked_div(estimate.parity.spread)?;
