@@ -11,8 +11,9 @@
 //! Two of these, or the parity alone above [`PARITY_ALONE`], raise the flag; it falls after half a
 //! second without any. What changes slowly (heat, ageing, an effect that nobody modelled) is no magnet:
 //! each departure from the surface is counted from its own mean over some 8 seconds, and averaged over
-//! some 8 ms against noise. While a magnet is suspected that mean follows eight times more slowly: one
-//! that is put down and stays is forgotten after a minute or two, and moves the flag again when it goes.
+//! some 8 ms against noise. While a magnet is suspected that mean stands still, so that all is well once
+//! the magnet is gone. One that is put down and stays is taken for what is normal after a minute, and
+//! raises the flag again when it goes.
 //!
 //! The thresholds are in standard deviations of what the fit leaves beside the surface, which the tables
 //! hold. They were set by `cargo bench -p host-tools --bench foreign_magnet`.
@@ -22,11 +23,11 @@ use crate::frame::SENSORS;
 use crate::units::Force;
 
 /// Squared departures of all sensors, each in its spreads, that count as a signal.
-pub const PARITY: i32 = 36;
+pub const PARITY: i32 = 40;
 /// The same that need no second signal.
 pub const PARITY_ALONE: i32 = 56;
 /// Square of the sum of all departures, in spreads, over the number of sensors.
-pub const COMMON: i32 = 26;
+pub const COMMON: i32 = 40;
 /// Standard deviation of a force above which a network says that it does not know, in newtons.
 pub const SIGMA_N: i32 = 25;
 /// Difference of network and ideal model: newtons, and a fifth of the ideal model's force beside.
@@ -42,8 +43,8 @@ const SETTLING: u32 = 256;
 const FAST_SHIFT: u32 = 3;
 /// The mean takes this share of each frame, once it has seen as many.
 const SLOW_SHIFT: u32 = 13;
-/// So much less while a magnet is suspected.
-const SUSPECTED_SHIFT: u32 = 3;
+/// Frames of suspicion without a break after which the means begin anew.
+const STAYS: u32 = 60_000;
 /// Fractional bits of the average, over the unit of a field; the same as those of a spread.
 const FAST_BITS: u32 = crate::model::parity::SPREAD_BITS;
 /// Fractional bits of the mean beyond those of the average.
@@ -124,7 +125,8 @@ pub struct Detector {
     sigma: Lasting,
     split: Lasting,
     outside: Lasting,
-    suspected: bool,
+    /// Frames for which a magnet has been suspected without a break.
+    suspected: u32,
     flag: bool,
     quiet: u16,
     /// Of the latest frame.
@@ -162,7 +164,13 @@ impl Detector {
             common,
             outside: self.outside.lasts(outside),
         };
-        self.suspected = self.signals.any();
+        self.suspected = match self.signals.any() {
+            true => self.suspected.saturating_add(1),
+            false => 0,
+        };
+        if self.suspected >= STAYS {
+            (self.tracks, self.suspected) = ([Track::default(); SENSORS], 0);
+        }
         self.latch();
         for estimate in estimates.iter_mut() {
             estimate.disturbed = self.flag;
@@ -178,7 +186,7 @@ impl Detector {
     fn measure(&mut self, ideal: &[Estimate; SENSORS], estimates: &[Estimate; SENSORS]) {
         let (mut squares, mut sum, mut seen) = (0_i32, 0_i32, 0_usize);
         let mut measures = Measures::default();
-        let suspected = self.suspected;
+        let suspected = self.suspected > 0;
         for (track, (ideal, told)) in self.tracks.iter_mut().zip(ideal.iter().zip(estimates)) {
             if let Some(share) = track.follow(ideal, suspected) {
                 squares = squares.saturating_add(share * share);
@@ -235,14 +243,11 @@ impl Track {
         }
         self.frames = self.frames.saturating_add(1);
         self.fast += (now - self.fast) >> FAST_SHIFT;
-        // One over the number of frames, then a fixed share.
-        let own = (u32::BITS - self.frames.leading_zeros()).min(SLOW_SHIFT);
-        let shift = if suspected {
-            own + SUSPECTED_SHIFT
-        } else {
-            own
-        };
-        self.slow += ((i64::from(self.fast) << SLOW_BITS) - self.slow) >> shift;
+        if !suspected || self.frames <= SETTLING {
+            // One over the number of frames, then a fixed share.
+            let shift = (u32::BITS - self.frames.leading_zeros()).min(SLOW_SHIFT);
+            self.slow += ((i64::from(self.fast) << SLOW_BITS) - self.slow) >> shift;
+        }
         let mean = crate::fixed::clamped(self.slow >> SLOW_BITS);
         let apart = (self.fast - mean).clamp(-MOST_APART, MOST_APART);
         let share = (apart << SHARE_BITS).checked_div(estimate.parity.spread)?;

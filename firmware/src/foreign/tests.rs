@@ -55,6 +55,7 @@ fn a_departure_of_eight_spreads_is_one_once_the_average_has_followed() {
 #[test]
 fn a_smaller_one_that_all_sensors_share_is_one_by_two_signals() {
     let mut detector = settled();
+    // Each is 3.5 spreads: both squares are 49.
     let by = 3 * 128 + 64;
     assert!(watch(&mut detector, [700 + by, -300 + by, by, 50 + by], 60));
     assert!(detector.signals.parity && detector.signals.common && !detector.signals.parity_alone);
@@ -90,6 +91,18 @@ fn the_flag_falls_half_a_second_after_the_last_signal_and_marks_every_estimate()
     assert!(estimates.iter().all(|estimate| estimate.disturbed));
     assert!(watch(&mut detector, [700, -300, 0, 50], 500));
     assert!(!watch(&mut detector, [700, -300, 0, 50], 60));
+}
+
+#[test]
+fn a_magnet_that_was_there_for_ten_seconds_leaves_nothing_behind_and_one_that_stays_is_forgotten() {
+    let (there, gone) = ([9000, 4000, 0, 50], [700, -300, 0, 50]);
+    let mut detector = settled();
+    assert!(watch(&mut detector, there, 10_000));
+    assert!(!watch(&mut detector, gone, 700));
+    assert!(watch(&mut detector, there, 59_000));
+    assert!(!watch(&mut detector, there, 2_500));
+    // It is told when it goes.
+    assert!(watch(&mut detector, gone, 50));
 }
 
 #[test]

@@ -51,14 +51,15 @@ impl Passages {
         }
     }
 
-    /// True where a new one sets out; the one before is gone where `None` stands.
-    pub fn at(&mut self, time_s: f64) -> bool {
+    /// True where a new one sets out, which it does only while the flag is down; the one before is gone
+    /// where `None` stands.
+    pub fn at(&mut self, time_s: f64, flag: bool) -> bool {
         if let Some(magnet) = &self.magnet
             && time_s > magnet.felt_s()[1]
         {
             (self.magnet, self.next_s) = (None, time_s + APART_S);
         }
-        if self.magnet.is_some() || time_s < self.next_s {
+        if flag || self.magnet.is_some() || time_s < self.next_s {
             return false;
         }
         let rng = &mut self.rng;

@@ -126,7 +126,7 @@ pub fn run(gripper: &Gripper, number: u32) -> Tally {
         let up = clean.detector.flag();
         tally.frame(frame, clean.measures(), up && !was_up);
         was_up = up;
-        if passages.at(time_s) {
+        if passages.at(time_s, passed.detector.flag()) {
             tally.passages.extend(passage.take());
             passage = Some(Passage::default());
         } else if passages.magnet.is_none() {

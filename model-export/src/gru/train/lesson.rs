@@ -82,7 +82,11 @@ impl Sequence {
                 field_g: track.field_g[rows.clone()].to_vec(),
                 ideal_n: track.ideal_n[rows.clone()].to_vec(),
                 truth_n: truth.map(|&(row, n)| (row - rows.start, n)).collect(),
-                beside_g: track.beside_g.get(rows.clone()).unwrap_or_default().to_vec(),
+                beside_g: track
+                    .beside_g
+                    .get(rows.clone())
+                    .unwrap_or_default()
+                    .to_vec(),
             }
         };
         Self {
