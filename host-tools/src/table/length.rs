@@ -1,6 +1,7 @@
 //! How the held-out error falls with the seconds that are learned from: what physics buys.
 
 use anyhow::Result;
+use model_export::gru::unfit::Unfit;
 
 use super::data::Data;
 use super::judge::{Judged, judge};
@@ -87,7 +88,11 @@ fn after(data: &Data, plan: &Plan, refitted: &Refitted, seconds: f64) -> Result<
     let mut points = Vec::new();
     for variant in FOLLOWED {
         if let Some(built) = refitted.behind(variant.behind()) {
-            let taught = plan.teach(variant, &lessons, built, seconds)?;
+            let taught = match plan.teach(variant, &lessons, built, seconds) {
+                // One that the device cannot hold leaves a gap.
+                Err(error) if error.is::<Unfit>() => continue,
+                taught => taught?,
+            };
             let judged = judge(data, variant, built, taught.as_ref())?;
             points.push(Point::of(seconds, &judged));
         }

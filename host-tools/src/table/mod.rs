@@ -8,6 +8,8 @@
 //! - [`judge`]: each way on the held-out recording, through the device's code.
 //! - [`length`]: how the error falls with the seconds that are learned from.
 //!
+//! A network that the device cannot hold is left out with the reason: the table is of what runs there.
+//!
 //! The held-out recording chooses nothing: no weight, no parameter, no epoch, no scale.
 
 pub mod data;
@@ -21,6 +23,7 @@ pub mod variant;
 use anyhow::Result;
 use model_export::gru::file::fingerprint;
 use model_export::gru::train::course::Best;
+use model_export::gru::unfit::Unfit;
 
 use data::Data;
 use judge::{Judged, judge};
@@ -88,7 +91,15 @@ pub fn compute(data: &Data, plan: &Plan) -> Result<Table> {
         let Some(built) = refitted.behind(variant.behind()) else {
             continue;
         };
-        let taught = plan.teach(variant, &lessons, built, whole)?;
+        let taught = match plan.teach(variant, &lessons, built, whole) {
+            Err(error) if error.is::<Unfit>() => {
+                notes.push(format!(
+                    "left out, since the device cannot hold it: {error:#}"
+                ));
+                continue;
+            }
+            taught => taught?,
+        };
         judged.push(judge(data, variant, built, taught.as_ref())?);
         trained.extend(taught.map(|taught| Trained {
             variant,
