@@ -280,6 +280,7 @@ fn a_part_of_a_recording_begins_and_ends_where_it_was_cut_and_knows_no_earlier_t
             field_g: (0..10).map(|row| [row as f32; 3]).collect(),
             ideal_n: (0..10).map(|row| [0.0, row as f32]).collect(),
             truth_n: [0, 2, 4, 6, 8].map(|row| (row, [row as f32; 2])).to_vec(),
+            ..Track::default()
         }],
     };
     let part = whole.part(3..8, 5);
@@ -308,6 +309,7 @@ fn rows_near_zero_force_count_more_by_the_documented_form() {
             // What is told is the rest, but what counts is the force.
             ideal_n: vec![[50.0; 2]; 2],
             truth_n: vec![(0, [25.0, 0.0]), (1, [250.0, 25.0])],
+            ..Track::default()
         }],
     };
     let topology = Topology {
