@@ -158,7 +158,7 @@ fn a_raw_reading_is_read_under_its_sensor() {
     let message = file.messages.iter().find(|m| m.name == "HallRaw").unwrap();
     let shown = |name: &str| {
         let signal = message.signals.iter().find(|s| s.name == name).unwrap();
-        signal.multiplexer_indicator.clone()
+        signal.multiplexer_indicator
     };
     assert_eq!(shown("sensor"), MultiplexIndicator::Multiplexor);
     assert_eq!(shown("x3"), MultiplexIndicator::MultiplexedSignal(3));
