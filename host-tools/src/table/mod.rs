@@ -3,10 +3,10 @@
 //! - [`variant`]: the ways, and what each is made of.
 //! - [`paper`]: the paper's figures.
 //! - [`data`]: what is learned from, what tells when to stop, and what is judged.
-//! - [`refit`]: the physics fitted to what is learned from alone.
-//! - [`teach`]: the networks.
-//! - [`judge`]: each way on the held-out recording, through the device's code.
-//! - [`length`]: how the error falls with the seconds that are learned from.
+//! - [`mod@refit`]: the physics fitted to what is learned from alone.
+//! - [`mod@teach`]: the networks.
+//! - [`mod@judge`]: each way on the held-out recording, through the device's code.
+//! - [`mod@length`]: how the error falls with the seconds that are learned from.
 //!
 //! A network that the device cannot hold is left out with the reason: the table is of what runs there.
 //!

@@ -1,4 +1,4 @@
-//! Table I of the paper. What it calls "Variance [N²]" are standard deviations in newtons: beside each
+//! Table I of the paper. What it calls "Variance (N²)" are standard deviations in newtons: beside each
 //! root mean square and mean no other reading adds up.
 
 use super::variant::Variant;
