@@ -8,12 +8,12 @@ use super::registers::als31300::{
     ADDRESSES, NEW_DATA, READING_BYTES, TEMPERATURE_SPAN_K, TEMPERATURE_ZERO, UPPER,
 };
 use super::{Part, Reading, Sample};
+use crate::params;
 
-/// Counts of a [`Reading`] in one of this part's: 1 G beside 0.125 G.
-const COUNTS: i16 = 8;
-/// Counts of a [`Reading`]'s temperature in a kelvin, and the temperature that is zero there
-/// ([`crate::params::TEMPERATURE_SCALE`]).
-const COUNTS_PER_KELVIN: i32 = 8;
+/// Counts of a [`Reading`] in one of this part's, which is 1 G.
+const COUNTS: i16 = (1.0 / params::SENSOR_SCALE.value) as i16;
+/// Counts of a [`Reading`]'s temperature in a kelvin, and the temperature that is zero there.
+const COUNTS_PER_KELVIN: i32 = params::TEMPERATURE_SCALE.value as i32;
 const ZERO_C: i32 = 25;
 
 /// The part.

@@ -36,12 +36,3 @@ pub trait Part {
     /// Those of the bus: no answer, or a transfer that broke off.
     fn read<B: I2c>(bus: &mut B, address: u8) -> impl Future<Output = Result<Sample, B::Error>>;
 }
-
-/// Which of a part's addresses answer, in their order: for the report at boot.
-pub async fn probe<P: Part, B: I2c>(bus: &mut B) -> [bool; 4] {
-    let mut answers = [false; 4];
-    for (answer, address) in answers.iter_mut().zip(P::ADDRESSES) {
-        *answer = P::read(bus, address).await.is_ok();
-    }
-    answers
-}
