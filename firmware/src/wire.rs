@@ -18,10 +18,11 @@ pub const PROTOCOL: (u8, u8) = (1, 0);
 /// An emergency stop for every node.
 pub const STOP_ALL: u16 = 0x002;
 
-/// Units of a force on the bus in a newton: 0.05 N each.
-const FORCE_PER_NEWTON: i64 = 20;
-/// Units of a standard deviation on the bus in a newton: 0.25 N each.
-const SIGMA_PER_NEWTON: i64 = 4;
+/// Units of a force and of a standard deviation on the bus in a newton, from the table of messages.
+const PER_NEWTON: (i64, i64) = match messages::Force::LAYOUT.fields {
+    [force, _, sigma, ..] => (force.counts_per_unit(), sigma.counts_per_unit()),
+    _ => (0, 0),
+};
 /// Says that sigma is not known.
 const SIGMA_UNKNOWN: u8 = u8::MAX;
 /// Says that a network made the estimate.
@@ -30,7 +31,7 @@ const NETWORK: u8 = 1;
 /// The message about the forces at one sensor.
 pub fn force(estimate: &Estimate, counter: u8) -> messages::Force {
     let [fx, fz] = estimate.force.map(|force| {
-        let units = counts(force, FORCE_PER_NEWTON);
+        let units = counts(force);
         units.clamp(i16::MIN.into(), i16::MAX.into()) as i16
     });
     let [sigma_x, sigma_z] = estimate
@@ -52,7 +53,7 @@ pub fn force(estimate: &Estimate, counter: u8) -> messages::Force {
 
 /// A standard deviation in units of the bus: never better than it is, nor the unit that says "unknown".
 fn rounded_up(sigma: Force) -> u8 {
-    let units = i64::from(sigma.0.max(0)) * SIGMA_PER_NEWTON;
+    let units = i64::from(sigma.0.max(0)) * PER_NEWTON.1;
     let up = (units + (1 << Force::BITS) - 1) >> Force::BITS;
     up.min(i64::from(SIGMA_UNKNOWN) - 1) as u8
 }
@@ -62,10 +63,10 @@ pub const fn identifier(node: u16, number: u8) -> u16 {
     ((node << 5) | (number as u16 & 0x1F)) & 0x7FF
 }
 
-/// Rounds to units of the bus.
-fn counts(force: Force, per_newton: i64) -> i64 {
+/// Rounds a force to units of the bus.
+fn counts(force: Force) -> i64 {
     let half = 1_i64 << (Force::BITS - 1);
-    (i64::from(force.0) * per_newton + half) >> Force::BITS
+    (i64::from(force.0) * PER_NEWTON.0 + half) >> Force::BITS
 }
 
 #[cfg(test)]

@@ -21,6 +21,13 @@ pub struct Field {
     pub words: &'static str,
 }
 
+impl Field {
+    /// Counts in its unit.
+    pub const fn counts_per_unit(&self) -> i64 {
+        (1.0 / self.scale + 0.5) as i64
+    }
+}
+
 /// Who sends a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Direction {
