@@ -21,6 +21,7 @@ FLASH = range(0x0800_0000, 0x0808_0000)
 RAM = range(0x2000_0000, 0x2001_8001)
 CCM = range(0x1000_0000, 0x1000_8000)
 ENTRY = "firmware::force::estimate_all"
+DETECTOR = "firmware::foreign::Detector::watch"
 # Absent from an image without networks.
 NETWORKS = "firmware::recurrent::apply"
 TABLES = "firmware::model::activation::TABLES"
@@ -141,10 +142,11 @@ def check_kernels(elf, sections):
 def check_no_panic(elf):
     found = functions(elf)
     starts = sorted(found)
-    entries = [address for address, (name, _) in found.items() if name.startswith((ENTRY, NETWORKS))]
+    entries = [address for address, (name, _) in found.items() if name.startswith((ENTRY, DETECTOR, NETWORKS))]
     waiting = list(entries)
-    if not any(found[address][0].startswith(ENTRY) for address in entries):
-        sys.exit(f"{elf}: {ENTRY} is not in the image")
+    for entry in (ENTRY, DETECTOR):
+        if not any(found[address][0].startswith(entry) for address in entries):
+            sys.exit(f"{elf}: {entry} is not in the image")
     reached = set()
     while waiting:
         target = waiting.pop()
