@@ -11,6 +11,7 @@
 //! - [`wiring`]: a recording's row as the device's readings.
 //! - [`lessons`]: recordings as a recurrent network on the device sees them.
 //! - [`networks`]: recurrent networks in a replay.
+//! - [`tare`]: what is told where nothing loads.
 //! - [`coverage`]: whether standard deviations mean what they say.
 //! - [`replay`]: recorded data through the device's own code.
 //! - [`report`]: the page that a comparison leaves to open.
@@ -34,4 +35,5 @@ pub mod show;
 pub mod sums;
 pub mod surroundings;
 pub mod table;
+pub mod tare;
 pub mod wiring;

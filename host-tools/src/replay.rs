@@ -17,24 +17,15 @@ use model_export::recordings::noise::WhiteNoise;
 use model_export::recordings::raw::RawStream;
 use nalgebra::Vector3;
 
-use crate::coverage::Told;
+use crate::coverage::{Coverage, Told, WIDTHS, tared};
 use crate::networks::{FloatForce, Networks, Underway};
 pub use crate::sums::Sums;
 use crate::surroundings::Covariates;
+use crate::tare::Rest;
 use crate::wiring::{frame, reading, unframe, wire};
 
 /// Rows that are read and estimated at once; only these two are timed.
 const CHUNK: usize = 4096;
-/// The load counts as none below this, both axes, in newtons.
-const UNLOADED_N: f64 = 1.0;
-/// A tare is the mean over up to this long an unloaded stretch, in seconds.
-const TARE_S: f64 = 1.0;
-/// Shorter stretches are no rest, only a load that passes zero.
-const SHORTEST_TARE_S: f64 = 0.2;
-
-/// Multiples of the standard deviation within which errors are counted.
-pub const WITHIN: [f64; 3] = [1.0, 2.0, 3.0];
-
 /// Noise on a straight line between two noisy rows, as a share of a row's, root mean square: the mean
 /// of (1-s)^2 + s^2 is 2/3.
 const BETWEEN_ROWS: f64 = 0.816_496_580_927_726;
@@ -58,15 +49,15 @@ pub struct Track {
     pub float_tare: Option<f64>,
     /// Standard deviations that a network told, in newtons.
     pub sigma: Sums,
-    /// Errors within [`WITHIN`] of these.
-    pub within: [u64; WITHIN.len()],
+    /// Errors within [`WIDTHS`] of these.
+    pub within: [u64; WIDTHS.len()],
 }
 
 impl Track {
     /// Counts an error beside the standard deviation that a network told of it.
     fn tell(&mut self, sigma_n: f64, error_n: f64) {
         self.sigma.add(sigma_n);
-        for (count, width) in self.within.iter_mut().zip(WITHIN) {
+        for (count, width) in self.within.iter_mut().zip(WIDTHS) {
             *count += u64::from(error_n.abs() <= width * sigma_n);
         }
     }
@@ -125,11 +116,11 @@ impl Disturbances {
     fn note(&mut self, time_s: f64, flag: bool) {
         match (self.up, flag) {
             (false, true) => self.found_s.push([time_s; 2]),
-            (true, true) => self
-                .found_s
-                .last_mut()
-                .iter_mut()
-                .for_each(|s| s[1] = time_s),
+            (true, true) => {
+                if let Some([_, until]) = self.found_s.last_mut() {
+                    *until = time_s;
+                }
+            }
             (_, false) => {}
         }
         self.up = flag;
@@ -344,88 +335,21 @@ pub fn replay_watched(
     Ok(result)
 }
 
-/// Looks for the first stretch without load.
-#[derive(Clone, Copy, Debug, Default)]
-struct Rest {
-    since_s: Option<f64>,
-    last_s: f64,
-    sums: [Sums; 2],
-    found: Option<([f64; 2], f64)>,
-}
-
-impl Rest {
-    fn add(&mut self, time_s: f64, reference_n: [f64; 2], found_n: [f64; 2]) {
-        if self.found.is_some() {
-            return;
-        }
-        let loaded = reference_n.iter().any(|n| n.abs() > UNLOADED_N);
-        let since_s = *self.since_s.get_or_insert(time_s);
-        if loaded || time_s - since_s >= TARE_S {
-            self.close();
-            *self = Self {
-                found: self.found,
-                ..Self::default()
-            };
-        }
-        if !loaded && self.found.is_none() {
-            self.since_s.get_or_insert(time_s);
-            self.last_s = time_s;
-            for (sums, found) in self.sums.iter_mut().zip(found_n) {
-                sums.add(found);
+/// Shares within the standard deviations that were told, after the tare, over all forces; a recording
+/// follows the other by far, so that no block of time holds rows of two.
+pub fn coverage(recordings: &[RecordingReplay]) -> Option<Coverage> {
+    const APART_S: f64 = 1e4;
+    let mut forces = Vec::new();
+    for (place, recording) in recordings.iter().enumerate() {
+        for (sensor, told) in recording.sensors.iter().zip(&recording.told) {
+            for (track, told) in sensor.axes.iter().zip(told) {
+                let mut told = tared(told, track.tare.map_or(0.0, |(tare, _)| tare));
+                let first_s = told.first().map_or(0.0, |one| one.time_s);
+                let shift_s = APART_S * place as f64 - first_s;
+                told.iter_mut().for_each(|one| one.time_s += shift_s);
+                forces.push(told);
             }
         }
     }
-
-    fn close(&mut self) {
-        let length_s = self.last_s - self.since_s.unwrap_or(self.last_s);
-        if length_s >= SHORTEST_TARE_S {
-            self.found = Some((self.sums.map(|sums| sums.mean()), length_s));
-        }
-    }
-
-    fn tare(mut self) -> Option<([f64; 2], f64)> {
-        if self.found.is_none() {
-            self.close();
-        }
-        self.found
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn rest_of(rows: impl IntoIterator<Item = (f64, f64, f64)>) -> Option<([f64; 2], f64)> {
-        let mut rest = Rest::default();
-        for (time_s, reference, found) in rows {
-            rest.add(time_s, [reference, 0.0], [found, 2.0 * found]);
-        }
-        rest.tare()
-    }
-
-    #[test]
-    fn a_tare_is_the_mean_of_the_first_unloaded_second_and_no_more() {
-        let rows = (0..3000).map(|ms| {
-            (
-                f64::from(ms) * 1e-3,
-                0.1,
-                if ms < 1000 { 5.0 } else { 50.0 },
-            )
-        });
-        let (tare, length_s) = rest_of(rows).unwrap();
-        assert_eq!(tare, [5.0, 10.0]);
-        assert!((length_s - 0.999).abs() < 1e-9);
-    }
-
-    #[test]
-    fn a_load_that_passes_zero_is_no_rest() {
-        let rows = (0..3000).map(|ms| {
-            (
-                f64::from(ms) * 1e-3,
-                200.0 * (f64::from(ms) * 3.14e-3).sin(),
-                1.0,
-            )
-        });
-        assert_eq!(rest_of(rows), None);
-    }
+    Coverage::of(forces.iter().map(Vec::as_slice))
 }

@@ -1,55 +1,28 @@
 //! Trained networks behind a model: what replay and export say of them.
 
-use std::fs;
-use std::process::{Command, Output};
+mod desk;
 
-use serde_json::Value;
-use tempfile::TempDir;
+use std::fs;
+
+use desk::Desk;
 
 /// Most that fixed point may cost: newtons, root mean square, and a share of the error.
 const MOST_N: f64 = 0.1;
 const MOST_SHARE: f64 = 0.03;
 
-/// A folder in which the tool runs.
-struct Desk(TempDir);
-
-impl Desk {
-    /// With a campaign of two sensors, a model, and a network that learned for a few epochs.
-    fn new() -> Self {
-        let desk = Self(TempDir::new().unwrap());
-        desk.done("simulate -o bench --seconds 8 --sensors 2 --effect hysteresis=8");
-        desk.done("fit bench -o model.toml");
-        desk.done("train model.toml bench --epochs 6 -o network");
-        desk
-    }
-
-    fn run(&self, line: &str) -> Output {
-        Command::new(env!("CARGO_BIN_EXE_magpie"))
-            .args(line.split_whitespace())
-            .current_dir(self.0.path())
-            .output()
-            .unwrap()
-    }
-
-    fn done(&self, line: &str) -> Vec<u8> {
-        let output = self.run(line);
-        let said = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success(), "{line}: {said}");
-        output.stdout
-    }
-
-    fn refused(&self, line: &str) -> String {
-        let output = self.run(line);
-        assert!(!output.status.success(), "{line} was done");
-        String::from_utf8_lossy(&output.stderr).into_owned()
-    }
+/// A campaign of two sensors, a model, and a network that learned for a few epochs.
+fn learned() -> Desk {
+    let desk = Desk::empty();
+    desk.done("simulate -o bench --seconds 8 --sensors 2 --effect hysteresis=8");
+    desk.done("fit bench -o model.toml");
+    desk.done("train model.toml bench --epochs 6 -o network");
+    desk
 }
 
 #[test]
 fn in_fixed_point_a_trained_network_tells_the_forces_that_it_tells_in_floating_point() {
-    let desk = Desk::new();
-    let said = desk.done("replay model.toml bench --network network --json");
-    let said: Value = serde_json::from_slice(&said).unwrap();
+    let desk = learned();
+    let said = desk.told("replay model.toml bench --network network --json");
     let rows = said["networks"]["sensors"].as_array().unwrap();
     assert_eq!(rows.len(), 4);
     for row in rows {
@@ -66,7 +39,7 @@ fn in_fixed_point_a_trained_network_tells_the_forces_that_it_tells_in_floating_p
 
 #[test]
 fn the_same_network_gives_the_same_tables_whose_type_names_its_size() {
-    let desk = Desk::new();
+    let desk = learned();
     for name in ["one.rs", "two.rs"] {
         desk.done(&format!("export model.toml --network network -o {name}"));
     }
@@ -78,7 +51,7 @@ fn the_same_network_gives_the_same_tables_whose_type_names_its_size() {
 
 #[test]
 fn a_network_behind_another_model_and_a_file_that_is_none_are_refused() {
-    let desk = Desk::new();
+    let desk = learned();
     desk.done("fit bench -o other.toml --seed 7");
     let said = desk.refused("replay other.toml bench --network network");
     assert!(said.contains("another model"), "{said}");

@@ -1,11 +1,12 @@
 //! What `magpie train --table` promises: every way in every column, the figures that other commands
 //! print of the same estimates, and a held-out recording that changes no weight.
 
-use std::fs;
-use std::process::{Command, Output};
+mod desk;
 
+use std::fs;
+
+use desk::Desk;
 use serde_json::Value;
-use tempfile::TempDir;
 
 const WAYS: [&str; 8] = [
     "ideal_nominal",
@@ -18,47 +19,23 @@ const WAYS: [&str; 8] = [
     "physics_effects_gru",
 ];
 
-/// A folder in which the tool runs.
-struct Desk(TempDir);
+/// A campaign of one sensor, the two recordings of it that are learned from, and models.
+fn simulated() -> Desk {
+    let desk = Desk::empty();
+    desk.done("simulate -o bench --seconds 6 --sensors 1 --effect cross_coupling=5");
+    copy(&desk, "bench/1", "learned/1");
+    copy(&desk, "bench/2", "learned/2");
+    desk.done("fit learned -o plain.toml");
+    desk.done("add plain.toml learned cross_coupling -o model.toml");
+    desk
+}
 
-impl Desk {
-    /// With a campaign of one sensor, the two recordings of it that are learned from, and models.
-    fn new() -> Self {
-        let desk = Self(TempDir::new().unwrap());
-        desk.done("simulate -o bench --seconds 6 --sensors 1 --effect cross_coupling=5");
-        desk.copy("bench/1", "learned/1");
-        desk.copy("bench/2", "learned/2");
-        desk.done("fit learned -o plain.toml");
-        desk.done("add plain.toml learned cross_coupling -o model.toml");
-        desk
-    }
-
-    fn run(&self, line: &str) -> Output {
-        Command::new(env!("CARGO_BIN_EXE_magpie"))
-            .args(line.split_whitespace())
-            .current_dir(self.0.path())
-            .output()
-            .unwrap()
-    }
-
-    fn done(&self, line: &str) -> Vec<u8> {
-        let output = self.run(line);
-        let said = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success(), "{line}: {said}");
-        output.stdout
-    }
-
-    fn told(&self, line: &str) -> Value {
-        serde_json::from_slice(&self.done(line)).unwrap()
-    }
-
-    fn copy(&self, from: &str, to: &str) {
-        let (from, to) = (self.0.path().join(from), self.0.path().join(to));
-        fs::create_dir_all(&to).unwrap();
-        for entry in fs::read_dir(from).unwrap() {
-            let entry = entry.unwrap();
-            fs::copy(entry.path(), to.join(entry.file_name())).unwrap();
-        }
+fn copy(desk: &Desk, from: &str, to: &str) {
+    let (from, to) = (desk.0.path().join(from), desk.0.path().join(to));
+    fs::create_dir_all(&to).unwrap();
+    for entry in fs::read_dir(from).unwrap() {
+        let entry = entry.unwrap();
+        fs::copy(entry.path(), to.join(entry.file_name())).unwrap();
     }
 }
 
@@ -78,7 +55,7 @@ const TABLE: &str = "train --table model.toml bench --epochs 2 --hidden 4 --json
 
 #[test]
 fn every_way_has_a_row_and_the_physics_s_are_those_of_a_replay() {
-    let desk = Desk::new();
+    let desk = simulated();
     let told = desk.told(&format!("{TABLE} -o report.html"));
     assert_eq!(told["rows"].as_array().unwrap().len(), 2 * WAYS.len());
     for way in WAYS {
@@ -133,13 +110,13 @@ fn every_way_has_a_row_and_the_physics_s_are_those_of_a_replay() {
 
 #[test]
 fn another_held_out_recording_changes_its_errors_and_not_a_bit_of_any_network() {
-    let desk = Desk::new();
+    let desk = simulated();
     let before = desk.told(TABLE);
     let networks = before["networks"].as_array().unwrap();
     assert_eq!(networks.len(), 5);
     // Of another gripper, and without the coupling.
     desk.done("simulate -o other --seconds 6 --sensors 1 --seed 9");
-    desk.copy("other/3", "bench/3");
+    copy(&desk, "other/3", "bench/3");
     let after = desk.told(TABLE);
     assert_eq!(before["networks"], after["networks"]);
     for way in WAYS {
@@ -147,7 +124,7 @@ fn another_held_out_recording_changes_its_errors_and_not_a_bit_of_any_network() 
         assert!(rmse(&before) != rmse(&after), "{way}");
     }
     // Another recording that is learned from does change them.
-    desk.copy("other/2", "bench/2");
+    copy(&desk, "other/2", "bench/2");
     let learned = desk.told(TABLE);
     for (before, after) in networks.iter().zip(learned["networks"].as_array().unwrap()) {
         assert_ne!(before["sha256"], after["sha256"], "{before}");
@@ -156,7 +133,7 @@ fn another_held_out_recording_changes_its_errors_and_not_a_bit_of_any_network() 
 
 #[test]
 fn without_effects_the_physics_with_effects_is_left_out_and_the_reason_is_said() {
-    let desk = Desk::new();
+    let desk = simulated();
     let line = "train --table plain.toml bench --epochs 1 --hidden 2 --json";
     let told = desk.told(line);
     assert_eq!(told["rows"].as_array().unwrap().len(), 2 * 6);
@@ -170,19 +147,14 @@ fn without_effects_the_physics_with_effects_is_left_out_and_the_reason_is_said()
 
 #[test]
 fn what_the_table_cannot_take_is_refused() {
-    let desk = Desk::new();
-    let refused = |line: &str| {
-        let output = desk.run(line);
-        assert!(!output.status.success(), "{line} was done");
-        String::from_utf8_lossy(&output.stderr).into_owned()
-    };
-    let said = refused("train --table model.toml bench/1");
+    let desk = simulated();
+    let said = desk.refused("train --table model.toml bench/1");
     assert!(said.contains("there is one recording"), "{said}");
-    let said = refused("train --table model.toml bench --axes xz");
+    let said = desk.refused("train --table model.toml bench --axes xz");
     assert!(said.contains("--axes"), "{said}");
-    let said = refused("train --table model.toml bench --near-zero 0");
+    let said = desk.refused("train --table model.toml bench --near-zero 0");
     assert!(said.contains("--near-zero 0"), "{said}");
-    desk.copy("bench/3", "bench/4");
-    let said = refused("train --table model.toml bench");
+    copy(&desk, "bench/3", "bench/4");
+    let said = desk.refused("train --table model.toml bench");
     assert!(said.contains("are the same data"), "{said}");
 }

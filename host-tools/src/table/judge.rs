@@ -8,7 +8,8 @@ use model_export::recordings::raw::RawStream;
 use super::data::Data;
 use super::teach::Taught;
 use super::variant::Variant;
-use crate::replay::{Models, Observed, RecordingReplay, Sums, WITHIN, replay_watched};
+use crate::coverage::Coverage;
+use crate::replay::{Models, Observed, RecordingReplay, Sums, coverage, replay_watched};
 
 /// Of how many rows one error is kept, for the histogram.
 const KEPT: usize = 10;
@@ -37,8 +38,8 @@ pub struct Judged {
     pub variant: Variant,
     /// Fx, Fz.
     pub axes: [Axis; 2],
-    /// Shares of the rows within [`WITHIN`] of the standard deviations that are told.
-    pub coverage: Option<[f64; WITHIN.len()]>,
+    /// Shares of the rows within the standard deviations that are told, after the tare.
+    pub coverage: Option<Coverage>,
     /// Rows in which the device called the estimate invalid.
     pub invalid: u64,
     /// Some of the device's errors of each force, in newtons.
@@ -100,7 +101,7 @@ pub fn judge(
     Ok(Judged {
         variant,
         axes: judged,
-        coverage: coverage(&replay),
+        coverage: coverage(std::slice::from_ref(&replay)),
         invalid: replay.sensors.iter().map(|sensor| sensor.invalid).sum(),
         errors_n,
         shown,
@@ -120,17 +121,4 @@ fn pool(replay: &RecordingReplay, axis: usize) -> Axis {
         fixed_tared: tracks().fold(none(), |sum, track| both(sum, track.tared())),
         noise_n: (squares / replay.sensors.len().max(1) as f64).sqrt(),
     }
-}
-
-/// Over all sensors and forces that a network tells.
-fn coverage(replay: &RecordingReplay) -> Option<[f64; WITHIN.len()]> {
-    let tracks = || replay.sensors.iter().flat_map(|sensor| &sensor.axes);
-    let told: f64 = tracks().map(|track| track.sigma.rows()).sum();
-    let mut within = [0; WITHIN.len()];
-    for track in tracks() {
-        for (sum, count) in within.iter_mut().zip(track.within) {
-            *sum += count;
-        }
-    }
-    (told > 0.0).then(|| within.map(|count| count as f64 / told))
 }

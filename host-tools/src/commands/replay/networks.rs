@@ -4,8 +4,8 @@ use serde_json::{Value, json};
 
 use super::Outcome;
 use super::report::{FORCES, Pooled, pooled, rmse_n};
-use crate::coverage::{Coverage, tared};
-use crate::replay::RecordingReplay;
+use crate::coverage::Coverage;
+use crate::replay::{RecordingReplay, coverage};
 use crate::show;
 
 /// The model with the networks and without them, on recordings that neither has seen where there are
@@ -46,25 +46,6 @@ fn covered(pooled: &Pooled) -> Option<[f64; 2]> {
     let told = pooled.sum(|track| track.sigma).rows();
     let within = |width: usize| -> u64 { pooled.tracks.iter().map(|t| t.within[width]).sum() };
     (told > 0.0).then(|| [0, 1].map(|width| within(width) as f64 / told))
-}
-
-/// Shares within the standard deviations that were told, after the tare, over all forces; a recording
-/// follows the other by far, so that no block of time holds rows of two.
-fn coverage(recordings: &[RecordingReplay]) -> Option<Coverage> {
-    const APART_S: f64 = 1e4;
-    let mut forces = Vec::new();
-    for (place, recording) in recordings.iter().enumerate() {
-        for (sensor, told) in recording.sensors.iter().zip(&recording.told) {
-            for (track, told) in sensor.axes.iter().zip(told) {
-                let mut told = tared(told, track.tare.map_or(0.0, |(tare, _)| tare));
-                let first_s = told.first().map_or(0.0, |one| one.time_s);
-                let shift_s = APART_S * place as f64 - first_s;
-                told.iter_mut().for_each(|one| one.time_s += shift_s);
-                forces.push(told);
-            }
-        }
-    }
-    Coverage::of(forces.iter().map(Vec::as_slice))
 }
 
 fn coverage_line(recordings: &[RecordingReplay]) -> String {

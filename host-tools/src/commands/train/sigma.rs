@@ -12,12 +12,10 @@ use serde_json::{Value, json};
 
 use super::campaign::Campaign;
 use crate::coverage::{Coverage, Told, factor, tared};
+use crate::tare::Rest;
 
 /// A second of the board's rows.
 const ROWS_PER_S: f64 = firmware::params::SENSE_RATE.value;
-/// The load counts as none below this, in newtons; a tare is the mean over the second before the first.
-const UNLOADED_N: f64 = 1.0;
-const TARE_S: f64 = 1.0;
 /// The held-out recording may part network and ideal model by this much more than was seen.
 const SPLIT_MARGIN: f64 = 1.25;
 
@@ -60,7 +58,7 @@ impl Sigma {
                     if let Some(track) = track {
                         split_n[axis] = SPLIT_MARGIN * greatest_split(track, axis, &told);
                     }
-                    let told = tared(&told, track.map_or(0.0, |track| tare(track, &told)));
+                    let told = tared(&told, track.map_or(0.0, |track| tare(track, axis, &told)));
                     let of = |odd: usize| -> Vec<Told> {
                         let chosen = told.iter().filter(|one| one.block() % 2 == odd);
                         chosen.copied().collect()
@@ -150,19 +148,14 @@ impl Sigma {
     }
 }
 
-/// Mean error over the unloaded start; zero where there is none.
-fn tare(track: &Track, told: &[Told]) -> f64 {
-    let loaded = |(_, n): &&(usize, [f32; 2])| n.iter().any(|n| f64::from(n.abs()) > UNLOADED_N);
-    let end_s = match track.truth_n.iter().find(loaded) {
-        Some((row, _)) => (*row as f64 / ROWS_PER_S).min(TARE_S),
-        None => TARE_S,
-    };
-    let rest: Vec<f64> = told
-        .iter()
-        .take_while(|one| one.time_s < end_s)
-        .map(|one| one.error_n)
-        .collect();
-    rest.iter().sum::<f64>() / rest.len().max(1) as f64
+/// The tare of the network; zero where the forces never rest.
+fn tare(track: &Track, axis: usize, told: &[Told]) -> f64 {
+    let mut rest = Rest::default();
+    for ((_, truth), one) in track.truth_n.iter().zip(told) {
+        let truth = truth.map(f64::from);
+        rest.add(one.time_s, truth, truth.map(|n| n + one.error_n));
+    }
+    rest.tare().map_or(0.0, |(tare, _)| tare[axis])
 }
 
 /// How far network and ideal model were apart at most, in newtons.

@@ -28,9 +28,9 @@ pub fn section(table: &Table) -> Section {
             "Tared: less the mean of the estimate over the first unloaded stretch, a second at the most. "
             "Noise: what white noise of sensor and reference leaves of the estimates. "
             "Paper: RMSE, mean, and what Table I calls variance and is a standard deviation in N." }
-        @if let Some(shares) = table.of(Variant::Gru3Axis).and_then(|judged| judged.coverage) {
+        @if let Some(found) = table.of(Variant::Gru3Axis).and_then(|judged| judged.coverage.as_ref()) {
             p { "Within 1, 2, 3 of the standard deviations that the network of 3 axes tells lie "
-                (shares.map(percent).join(", ")) " of its errors; of a Gaussian's, 68.3, 95.4, 99.7 %." }
+                (found.within.map(percent).join(", ")) " of its errors after the tare; of a Gaussian's, 68.3, 95.4, 99.7 %." }
         }
     };
     Section {

@@ -1,5 +1,6 @@
 //! The table as one JSON object.
 
+use crate::coverage::Coverage;
 use serde_json::{Value, json};
 
 use crate::table::judge::Judged;
@@ -14,8 +15,8 @@ pub fn object(table: &Table, plan: &Plan) -> Value {
     let rows = table.judged.iter().flat_map(rows);
     let coverage = table
         .of(Variant::Gru3Axis)
-        .and_then(|judged| judged.coverage)
-        .map(|[one, two, three]| json!({ "1": one, "2": two, "3": three }));
+        .and_then(|judged| judged.coverage.as_ref())
+        .map(Coverage::json);
     let lengths = table.lengths.iter().map(|point| {
         json!({
             "variant": point.variant.id(), "seconds": point.seconds,

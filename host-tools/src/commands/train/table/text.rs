@@ -80,11 +80,11 @@ fn below(table: &Table, plan: &Plan) -> String {
     };
     let coverage = table
         .of(Variant::Gru3Axis)
-        .and_then(|judged| judged.coverage)
-        .map_or_else(String::new, |shares| {
-            let [one, two, three] = shares.map(|share| 100.0 * share);
+        .and_then(|judged| judged.coverage.as_ref())
+        .map_or_else(String::new, |found| {
+            let [one, two, three] = [0, 1, 2].map(|place| found.words(place));
             format!(
-                "Within 1, 2, 3 of the standard deviations that the network of 3 axes tells lie {one:.1}, {two:.1} and {three:.1} % of its errors (a Gaussian: 68.3, 95.4, 99.7). "
+                "Within 1, 2, 3 of the standard deviations that the network of 3 axes tells lie {one}, {two} and {three} of its errors after the tare (a Gaussian: 68.3, 95.4, 99.7 %; intervals of 95 % by blocks of time). "
             )
         });
     format!(
