@@ -67,7 +67,11 @@ def functions(elf):
     branch = re.compile(rf"\t(?:bl|blx|bx|cbn?z|b(?:{condition})?)(?:\.[nw])?\t(.*)$")
     indirect = re.compile(r"\t(?:mov|ldr|pop)(?:\.[nw])?\t(?:pc, |.*\bpc\b.*\})")
     half = re.compile(r"\tmov(w|t)\tip, #(\d+)")
+    # Between functions the linker fills up with a word that reads like a branch.
+    filling = re.compile(r":\td4d4\s")
     for line in objdump("-d", "--demangle", elf).splitlines():
+        if filling.search(line):
+            continue
         if match := half.search(line):
             low, high = (int(match[2]), None) if match[1] == "w" else (low, int(match[2]))
             continue

@@ -5,6 +5,7 @@
 //! - [`params`]: every design constant with its unit and source, assumptions marked.
 //! - [`fixed`]: integer arithmetic that saturates.
 //! - [`units`]: fixed-point quantities.
+//! - [`clock`]: time as the loops see it.
 //! - [`bus_timing`]: the clock of an I2C bus.
 //! - [`hall`]: Hall sensors, from bytes on the bus to readings.
 //! - [`imu`]: inertial sensors.
@@ -15,8 +16,14 @@
 //! - [`force`]: the estimate, with its validity.
 //! - [`recurrent`]: networks over the estimates.
 //! - [`foreign`]: a foreign magnet noticed.
+//! - [`estimator`]: a frame in, forces out.
+//! - [`balance`]: fingers that press alike.
 //! - [`wire`]: the messages on the CAN bus and on the serial line.
 //! - [`session`]: who may move the gripper.
+//! - [`throttle`]: more frames than anybody may mean.
+//! - [`status`]: what is wrong, and where.
+//! - [`events`]: what happened, for those below.
+//! - [`loops`]: what runs, on the chip and in virtual time.
 //! - `hardware`: only on the chip: the board.
 //! - `tasks`: only on the chip: what runs, and every static with its one writer.
 #![no_std]
@@ -27,6 +34,8 @@ extern crate std;
 pub mod fixed;
 pub mod params;
 pub mod units;
+
+pub mod clock;
 
 pub mod bus_timing;
 
@@ -47,9 +56,20 @@ pub mod recurrent;
 
 pub mod foreign;
 
+pub mod estimator;
+
+pub mod balance;
+
 pub mod wire;
 
 pub mod session;
+pub mod throttle;
+
+pub mod status;
+
+pub mod events;
+
+pub mod loops;
 
 #[cfg(target_os = "none")]
 pub mod hardware;

@@ -62,6 +62,16 @@ pub struct Dropped {
     pub late: u32,
 }
 
+impl Dropped {
+    /// All of them.
+    pub const fn all(self) -> u32 {
+        self.unknown
+            .saturating_add(self.malformed)
+            .saturating_add(self.replayed)
+            .saturating_add(self.late)
+    }
+}
+
 /// What a frame was good for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Heard {
@@ -165,6 +175,12 @@ impl Session {
     pub fn is_alive(&self, now_ms: u32) -> bool {
         let last = self.open.and_then(|open| open.last);
         last.is_some_and(|(_, at_ms)| now_ms.wrapping_sub(at_ms) <= ALIVE_MS)
+    }
+
+    /// Whether a host that has commanded does so no more.
+    pub fn is_silent(&self, now_ms: u32) -> bool {
+        let commanded = self.open.is_some_and(|open| open.last.is_some());
+        commanded && !self.is_alive(now_ms)
     }
 
     /// Whether so many frames were dropped lately that the sender is broken or strange.

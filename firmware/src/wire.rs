@@ -4,6 +4,7 @@
 //! `node << 5 | number`. [`messages`] is the table of them; `magpie dbc` writes it down for other tools.
 //! Serial line: [`serial`].
 
+pub mod can;
 pub mod layout;
 pub mod messages;
 pub mod serial;

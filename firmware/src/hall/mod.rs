@@ -2,6 +2,7 @@
 
 pub mod a31301;
 pub mod als31300;
+pub mod bus;
 pub mod registers;
 pub mod watch;
 

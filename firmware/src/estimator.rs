@@ -1,0 +1,80 @@
+//! A frame in, forces out: the ideal model, the networks over it, and the watch for foreign magnets.
+
+use crate::compensate::Memory;
+use crate::force::{Estimate, estimate_all};
+use crate::foreign::Detector;
+use crate::frame::{Frame, SENSORS};
+use crate::model::gru::Run;
+use crate::model::network::Network;
+use crate::model::table::Tables;
+use crate::recurrent;
+use crate::surroundings::Surroundings;
+
+/// Recurrent networks with what they remember.
+pub trait Networks {
+    /// Puts what they tell into the estimates of the next frame.
+    fn apply(&mut self, estimates: &mut [Estimate; SENSORS]);
+}
+
+/// Networks of one size, and their runs.
+#[derive(Debug)]
+pub struct Running<
+    'n,
+    const INPUTS: usize,
+    const HIDDEN: usize,
+    const TOLD: usize,
+    const NETWORKS: usize,
+> {
+    networks: &'n [Network<INPUTS, HIDDEN, TOLD>; NETWORKS],
+    runs: [Run<INPUTS, HIDDEN, TOLD>; NETWORKS],
+}
+
+impl<'n, const INPUTS: usize, const HIDDEN: usize, const TOLD: usize, const NETWORKS: usize>
+    Running<'n, INPUTS, HIDDEN, TOLD, NETWORKS>
+{
+    /// Nothing is remembered yet.
+    pub const fn start(networks: &'n [Network<INPUTS, HIDDEN, TOLD>; NETWORKS]) -> Self {
+        Self {
+            networks,
+            runs: [const { Run::RESET }; NETWORKS],
+        }
+    }
+}
+
+impl<const INPUTS: usize, const HIDDEN: usize, const TOLD: usize, const NETWORKS: usize> Networks
+    for Running<'_, INPUTS, HIDDEN, TOLD, NETWORKS>
+{
+    fn apply(&mut self, estimates: &mut [Estimate; SENSORS]) {
+        recurrent::apply(self.networks, &mut self.runs, estimates);
+    }
+}
+
+/// The whole way from frames to forces, with all that it remembers.
+#[derive(Debug)]
+pub struct Estimator<'t, N> {
+    tables: &'t Tables<'t>,
+    memories: [Memory; SENSORS],
+    networks: N,
+    detector: Detector,
+}
+
+impl<'t, N: Networks> Estimator<'t, N> {
+    /// Nothing is remembered yet.
+    pub fn new(tables: &'t Tables<'t>, networks: N) -> Self {
+        Self {
+            tables,
+            memories: [Memory::default(); SENSORS],
+            networks,
+            detector: Detector::default(),
+        }
+    }
+
+    /// The forces of the next frame.
+    pub fn step(&mut self, frame: &Frame, around: &Surroundings) -> [Estimate; SENSORS] {
+        let mut estimates = estimate_all(self.tables, frame, around, &mut self.memories);
+        let ideal = estimates;
+        self.networks.apply(&mut estimates);
+        self.detector.watch(&ideal, &mut estimates);
+        estimates
+    }
+}

@@ -1,0 +1,124 @@
+//! Turns what was sensed into forces, and judges what that says of the sensors.
+
+use core::sync::atomic::Ordering;
+
+use embassy_sync::blocking_mutex::raw::RawMutex;
+
+use super::{Exchange, Finder};
+use crate::balance::Balance;
+use crate::clock::Clock;
+use crate::estimator::{Estimator, Networks};
+use crate::force::{Estimate, Validity};
+use crate::frame::SENSORS;
+use crate::hall::Reading;
+use crate::hall::watch::{Condition, Watched};
+use crate::params::TICK_US;
+use crate::status::{Fault, Faults};
+use crate::surroundings::Surroundings;
+use crate::wire::serial::Tick;
+
+/// What the loop tells of a tick.
+#[derive(Clone, Copy, Debug)]
+pub struct Told {
+    /// Which tick since boot.
+    pub tick: u32,
+    /// When it began, in microseconds since boot.
+    pub begun_us: u64,
+    /// The forces.
+    pub estimates: [Estimate; SENSORS],
+    /// What they were made of.
+    pub readings: [Option<Reading>; SENSORS],
+}
+
+/// Estimates the forces of every frame that is sensed, for ever. `around` tells what the board knows beside
+/// the fields.
+pub async fn estimate<N: Networks, C: Clock, M: RawMutex>(
+    mut estimator: Estimator<'_, N>,
+    around: impl Fn() -> Surroundings,
+    clock: &C,
+    exchange: &Exchange<M>,
+) -> ! {
+    let mut faults = Faults::default();
+    let mut balance = Balance::default();
+    let mut tick = 0_u32;
+    let mut last_us = None;
+    loop {
+        let sensed = exchange.sensed.wait().await;
+        let woken_us = clock.now_us();
+        let estimates = estimator.step(&sensed.frame, &around());
+        let done_us = clock.now_us();
+        let counts = &exchange.counts;
+        for (worst, spent_us) in [
+            (
+                &counts.worst_tick_us,
+                done_us.saturating_sub(sensed.begun_us),
+            ),
+            (&counts.worst_estimate_us, done_us.saturating_sub(woken_us)),
+        ] {
+            worst.fetch_max(spent_us as u32, Ordering::Relaxed);
+        }
+        // The tick's number goes on in time also where frames were lost on the way here.
+        let ticks = last_us.replace(sensed.begun_us).map_or(0, |last_us| {
+            (sensed.begun_us.saturating_sub(last_us) + TICK_US / 2) / TICK_US
+        });
+        tick = tick.wrapping_add(ticks as u32);
+        judge(
+            &sensed.watched,
+            &estimates,
+            &mut balance,
+            &mut faults,
+            exchange,
+        );
+        exchange.ticks.signal(Tick::of(&sensed.frame, &estimates));
+        exchange.told.signal(Told {
+            tick,
+            begun_us: sensed.begun_us,
+            estimates,
+            readings: sensed.frame.readings,
+        });
+    }
+}
+
+/// Notes what is wrong with sensors and forces.
+fn judge<M: RawMutex>(
+    watched: &[Watched; SENSORS],
+    estimates: &[Estimate; SENSORS],
+    balance: &mut Balance,
+    faults: &mut Faults,
+    exchange: &Exchange<M>,
+) {
+    let mut ok = 0;
+    for (sensor, (watched, estimate)) in (0_u8..).zip(watched.iter().zip(estimates)) {
+        let age = u32::from(watched.age);
+        let lost = watched.condition == Condition::Lost;
+        let frozen = watched.condition == Condition::Frozen;
+        let saturated = estimate.validity == Validity::Saturated;
+        ok |= u32::from(!lost && !frozen) << sensor;
+        for (fault, active) in [
+            (Fault::SensorLost, lost),
+            (Fault::SensorFrozen, frozen),
+            (Fault::SensorSaturated, saturated),
+        ] {
+            exchange.note(Finder::Estimate, faults, (fault, sensor), active, age);
+        }
+    }
+    exchange.counts.sensors_ok.store(ok, Ordering::Relaxed);
+    let difference = balance.note(estimates);
+    let detail = difference.map_or(0, |force| force.0.unsigned_abs());
+    let unbalanced = (Fault::Unbalanced, 0);
+    exchange.note(
+        Finder::Estimate,
+        faults,
+        unbalanced,
+        difference.is_some(),
+        detail,
+    );
+    let disturbed = estimates.iter().any(|estimate| estimate.disturbed);
+    exchange.note(
+        Finder::Estimate,
+        faults,
+        (Fault::Disturbed, 0),
+        disturbed,
+        0,
+    );
+}

@@ -1,0 +1,164 @@
+//! The loops that run on the gripper: each awaits, calls a pure function, publishes. They are generic over
+//! clock and buses: tasks wrap them on the chip, a simulation polls them in virtual time.
+//!
+//! | loop | awaits | level | deadline | when it is missed |
+//! | --- | --- | --- | --- | --- |
+//! | [`sense`] | each millisecond | interrupt executor | [`SENSE_LIMIT_US`](crate::params::SENSE_LIMIT_US) after the tick began | the tick is skipped and counted |
+//! | [`estimate`] | what was sensed | interrupt executor | the next tick | the older frame is lost and counted |
+//! | [`report`] | estimates, events, replies | thread | 1 ms from sample to frame | the bus sees the next estimate |
+//! | [`telemetry`] | estimates | thread | 1 ms | the line misses a tick, its time shows it |
+//! | [`listen`], [`listen_serial`] | frames, bytes | thread | three frames of the controller's memory, 141 us | the controller drops frames |
+//! | [`command`] | what was heard | thread | 1 ms | as a silent host |
+
+mod command;
+mod estimate;
+mod listen;
+mod report;
+mod sense;
+mod telemetry;
+
+use core::sync::atomic::{AtomicU32, Ordering};
+
+use embassy_sync::blocking_mutex::raw::RawMutex;
+use embassy_sync::channel::Channel;
+use embassy_sync::signal::Signal;
+
+pub use command::command;
+pub use estimate::{Told, estimate};
+pub use listen::{Heard, listen, listen_serial};
+pub use report::report;
+pub use sense::{Sensed, sense};
+pub use telemetry::telemetry;
+
+use crate::events::{Event, Events};
+use crate::status::{Fault, Faults};
+use crate::wire::messages::Message;
+use crate::wire::serial::{Packet, Tick};
+
+/// Loops that find faults.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Finder {
+    /// [`sense`].
+    Sense,
+    /// [`estimate`].
+    Estimate,
+    /// [`report`].
+    Report,
+    /// [`command`].
+    Command,
+    /// [`listen`].
+    Listen,
+    /// [`listen_serial`].
+    ListenSerial,
+}
+
+const FINDERS: usize = 6;
+
+/// What the loops hand to each other. Each part has one writer and one reader, named beside it.
+pub struct Exchange<M: RawMutex> {
+    /// From [`sense`] to [`estimate`].
+    pub sensed: Signal<M, Sensed>,
+    /// From [`estimate`] to [`report`].
+    pub told: Signal<M, Told>,
+    /// From [`estimate`] to [`telemetry`].
+    pub ticks: Signal<M, Tick>,
+    /// From [`listen`] and [`listen_serial`] to [`command`].
+    pub heard: Channel<M, Heard, 8>,
+    /// From [`command`] to [`report`].
+    pub replies: Channel<M, Message, 8>,
+    /// From [`report`] to [`telemetry`].
+    pub lines: Channel<M, Packet, 8>,
+    /// From everybody to [`report`].
+    pub events: Events<M>,
+    /// Figures that loops count and [`report`] tells.
+    pub counts: Counts,
+    /// Active faults, each word written by its finder.
+    faults: [AtomicU32; FINDERS],
+}
+
+/// Figures since boot; each has one writer.
+#[derive(Debug, Default)]
+pub struct Counts {
+    /// Transfers from sensors that failed ([`sense`]).
+    pub transfers_failed: AtomicU32,
+    /// Ticks that were skipped ([`sense`]).
+    pub ticks_missed: AtomicU32,
+    /// Longest time from the beginning of a tick to its estimate since [`report`] told it last, in
+    /// microseconds ([`estimate`]).
+    pub worst_tick_us: AtomicU32,
+    /// Longest estimate, likewise.
+    pub worst_estimate_us: AtomicU32,
+    /// Hosts' commands arrive in time: 1, else 0 ([`command`]).
+    pub command_alive: AtomicU32,
+    /// Sensors that answer, one bit each ([`estimate`]).
+    pub sensors_ok: AtomicU32,
+    /// Frames for this node that moved nothing ([`command`]).
+    pub dropped: AtomicU32,
+    /// Packets on the serial line that were not understood ([`listen_serial`]).
+    pub packets_broken: AtomicU32,
+    /// Frames that [`command`] did not find time for ([`listen`], [`listen_serial`]).
+    pub unheard: AtomicU32,
+    /// Frames that nobody acknowledged ([`report`]).
+    pub frames_unsent: AtomicU32,
+    /// Packets that found no place or no line ([`report`], [`telemetry`]).
+    pub packets_unsent: AtomicU32,
+}
+
+impl<M: RawMutex> Exchange<M> {
+    /// Nothing has been said.
+    pub const fn new() -> Self {
+        Self {
+            sensed: Signal::new(),
+            told: Signal::new(),
+            ticks: Signal::new(),
+            heard: Channel::new(),
+            replies: Channel::new(),
+            lines: Channel::new(),
+            events: Events::new(),
+            counts: Counts {
+                transfers_failed: AtomicU32::new(0),
+                ticks_missed: AtomicU32::new(0),
+                worst_tick_us: AtomicU32::new(0),
+                worst_estimate_us: AtomicU32::new(0),
+                command_alive: AtomicU32::new(0),
+                sensors_ok: AtomicU32::new(0),
+                dropped: AtomicU32::new(0),
+                packets_broken: AtomicU32::new(0),
+                unheard: AtomicU32::new(0),
+                frames_unsent: AtomicU32::new(0),
+                packets_unsent: AtomicU32::new(0),
+            },
+            faults: [const { AtomicU32::new(0) }; FINDERS],
+        }
+    }
+
+    /// Notes a fault in its finder's own list, and posts it where it is news.
+    pub fn note(
+        &self,
+        finder: Finder,
+        faults: &mut Faults,
+        (fault, source): (Fault, u8),
+        active: bool,
+        detail: u32,
+    ) {
+        if let Some(event) = faults.note(fault, source, active, detail) {
+            self.events.post(Event::Fault(event));
+            if let Some(word) = self.faults.get(finder as usize) {
+                word.store(faults.bits(), Ordering::Relaxed);
+            }
+        }
+    }
+
+    /// All active faults, one bit for each kind.
+    pub fn fault_bits(&self) -> u32 {
+        let words = self.faults.iter();
+        words.fold(0, |all, word| all | word.load(Ordering::Relaxed))
+    }
+}
+
+impl<M: RawMutex> Default for Exchange<M> {
+    fn default() -> Self {
+        Self::new()
+    }
+}

@@ -1,0 +1,164 @@
+//! Tells forces, faults, and answers on the CAN bus, and hands them on to the serial line.
+
+use core::sync::atomic::Ordering;
+
+use embassy_futures::select::{Either4, select4};
+use embassy_sync::blocking_mutex::raw::RawMutex;
+
+use super::{Exchange, Finder, Told};
+use crate::clock::{Clock, within};
+use crate::events::Event;
+use crate::status::{Fault, Faults};
+use crate::wire::can::{CanError, CanFrame, CanSender};
+use crate::wire::messages::{self, Heartbeat, Message, Timing};
+use crate::wire::serial::Packet;
+use crate::wire::{self, PROTOCOL, identifier};
+
+/// A frame that nobody acknowledges is given up after this.
+const PATIENCE_US: u64 = 2000;
+/// Waits before the controller joins the bus again, the last one for ever.
+const REJOIN_US: [u64; 3] = [10_000, 100_000, 1_000_000];
+/// Milliseconds in a tick of sensing.
+const TICK_MS: u32 = (crate::params::TICK_US / 1000) as u32;
+
+/// Sends everything, for ever; `log` is told every event too.
+pub async fn report<S: CanSender, C: Clock, M: RawMutex>(
+    can: S,
+    (node, version): (u16, messages::Version),
+    mut log: impl FnMut(Event),
+    clock: &C,
+    exchange: &Exchange<M>,
+) -> ! {
+    let mut mouth = Mouth {
+        can,
+        node,
+        off: None,
+        faults: Faults::default(),
+        clock,
+        exchange,
+    };
+    let mut counters = Counters::default();
+    let mut beat_us = clock.now_us();
+    mouth.say(0, Message::Version(version)).await;
+    loop {
+        let next = select4(
+            exchange.replies.receive(),
+            exchange.told.wait(),
+            exchange.events.next(),
+            clock.until(beat_us),
+        );
+        match next.await {
+            Either4::First(reply) => mouth.say(0, reply).await,
+            Either4::Second(told) => mouth.forces(&told, &mut counters).await,
+            Either4::Third(event) => {
+                log(event);
+                if let Event::Fault(fault) = event {
+                    mouth.say(0, Message::FaultEvent(fault)).await;
+                }
+            }
+            Either4::Fourth(()) => {
+                beat_us = beat_us.saturating_add(u64::from(Heartbeat::LAYOUT.period_ms) * 1000);
+                mouth.heartbeat(&mut counters).await;
+            }
+        }
+    }
+}
+
+/// Counters of messages.
+#[derive(Clone, Copy, Debug, Default)]
+struct Counters {
+    force: u8,
+    heartbeat: u8,
+    timing: u8,
+}
+
+/// The way out.
+struct Mouth<'x, S, C, M: RawMutex> {
+    can: S,
+    node: u16,
+    /// The controller has left the bus: until when to wait, and how often it has in a row.
+    off: Option<(u64, usize)>,
+    faults: Faults,
+    clock: &'x C,
+    exchange: &'x Exchange<M>,
+}
+
+impl<S: CanSender, C: Clock, M: RawMutex> Mouth<'_, S, C, M> {
+    /// The forces where they are due.
+    async fn forces(&mut self, told: &Told, counters: &mut Counters) {
+        let period = u32::from(messages::Force::LAYOUT.period_ms) / TICK_MS;
+        if !told.tick.is_multiple_of(period) {
+            return;
+        }
+        for (sensor, estimate) in (0_u8..).zip(&told.estimates) {
+            let message = wire::force(estimate, counters.force);
+            self.say(sensor, Message::Force(message)).await;
+        }
+        counters.force = counters.force.wrapping_add(1);
+    }
+
+    /// The heartbeat, and once a second how busy the gripper is.
+    async fn heartbeat(&mut self, counters: &mut Counters) {
+        let counts = &self.exchange.counts;
+        let beat = Heartbeat {
+            faults: self.exchange.fault_bits(),
+            command_alive: counts.command_alive.load(Ordering::Relaxed) != 0,
+            sensors_ok: counts.sensors_ok.load(Ordering::Relaxed) as u8,
+            protocol_major: PROTOCOL.0,
+            counter: counters.heartbeat,
+            ..Heartbeat::default()
+        };
+        self.say(0, Message::Heartbeat(beat)).await;
+        counters.heartbeat = counters.heartbeat.wrapping_add(1);
+        let beats = Timing::LAYOUT.period_ms / Heartbeat::LAYOUT.period_ms;
+        if u16::from(counters.heartbeat).is_multiple_of(beats) {
+            let word = |count: u32| count.min(u16::MAX.into()) as u16;
+            let timing = Timing {
+                worst_loop: word(counts.worst_tick_us.swap(0, Ordering::Relaxed)),
+                worst_inference: word(counts.worst_estimate_us.swap(0, Ordering::Relaxed)),
+                i2c_errors: word(counts.transfers_failed.load(Ordering::Relaxed)),
+                missed_ticks: counts.ticks_missed.load(Ordering::Relaxed).min(255) as u8,
+                counter: counters.timing,
+            };
+            self.say(0, Message::Timing(timing)).await;
+            counters.timing = counters.timing.wrapping_add(1);
+        }
+    }
+
+    /// Sends a message on both ways; a bus that is off does not keep it from the line.
+    async fn say(&mut self, copy: u8, message: Message) {
+        let packet = Packet::Message { copy, message };
+        if self.exchange.lines.try_send(packet).is_err() {
+            let unsent = &self.exchange.counts.packets_unsent;
+            unsent.fetch_add(1, Ordering::Relaxed);
+        }
+        if let Some((until_us, _)) = self.off
+            && self.clock.now_us() < until_us
+        {
+            return;
+        }
+        if self.off.is_some() {
+            self.can.rejoin();
+        }
+        let number = message.layout().number.saturating_add(copy);
+        let frame = CanFrame::of(identifier(self.node, number), message.to_bytes());
+        match within(self.clock, PATIENCE_US, self.can.send(&frame)).await {
+            Some(Ok(())) => self.off = None,
+            Some(Err(CanError::BusOff)) => {
+                let times = self.off.map_or(0, |(_, times)| times + 1);
+                let [.., last] = REJOIN_US;
+                let wait_us = REJOIN_US.get(times).copied().unwrap_or(last);
+                let until_us = self.clock.now_us().saturating_add(wait_us);
+                self.off = Some((until_us, times.min(REJOIN_US.len())));
+            }
+            Some(Err(CanError::Passing)) | None => {
+                let unsent = &self.exchange.counts.frames_unsent;
+                unsent.fetch_add(1, Ordering::Relaxed);
+            }
+        }
+        let off = (Fault::BusOff, 0);
+        let is_off = self.off.is_some();
+        let exchange = self.exchange;
+        exchange.note(Finder::Report, &mut self.faults, off, is_off, 0);
+    }
+}

@@ -1,0 +1,210 @@
+//! Reads every sensor each millisecond: two buses side by side, two sensors on each.
+
+use core::sync::atomic::Ordering;
+
+use embassy_futures::join::join;
+use embassy_sync::blocking_mutex::raw::RawMutex;
+
+use super::{Exchange, Finder};
+use crate::clock::{Clock, within};
+use crate::events::Event;
+use crate::frame::{Frame, SENSORS};
+use crate::hall::bus::SensorBus;
+use crate::hall::watch::{Watch, Watched};
+use crate::hall::{Part, Sample};
+use crate::params::{SENSE_LIMIT_US, TICK_US, TRANSFER_LIMIT_US};
+use crate::status::{Fault, Faults};
+
+/// A tick that begins later than this is skipped: its frame would be no millisecond after the last.
+const LATE_US: u64 = 50;
+/// Transfers in a row that fail before a bus is cleared.
+const FAILED: u8 = 3;
+/// Ticks after a clearing that did not help until the next: a bus without sensors is free, and silent.
+const PATIENCE: u8 = 100;
+/// Ticks in a row with a line held low that are a fault.
+const STUCK: u8 = 4;
+
+/// What one tick of sensing gave.
+#[derive(Clone, Copy, Debug)]
+pub struct Sensed {
+    /// The readings that may be used.
+    pub frame: Frame,
+    /// Every sensor's condition and age.
+    pub watched: [Watched; SENSORS],
+    /// When the tick began, in microseconds since boot.
+    pub begun_us: u64,
+}
+
+/// Probes both buses and then reads the sensors at `addresses`, the first two on the first bus, for ever.
+///
+/// Within a tick a bus repeats one transfer at the most, and only where the others still find their time.
+/// After three failed ones in a row it is cleared; the other bus goes on meanwhile.
+pub async fn sense<P: Part, B: SensorBus, C: Clock, M: RawMutex>(
+    [first, second]: [B; 2],
+    addresses: [u8; SENSORS],
+    clock: &C,
+    exchange: &Exchange<M>,
+) -> ! {
+    let [a, b, c, d] = addresses;
+    let mut first = Line::new(first, 0);
+    let mut second = Line::new(second, 1);
+    join(
+        first.probe::<P, C, M>(clock, exchange),
+        second.probe::<P, C, M>(clock, exchange),
+    )
+    .await;
+    let mut watches = [Watch::default(); SENSORS];
+    let mut faults = Faults::default();
+    let mut missed = 0_u32;
+    let mut begin_us = clock.now_us().saturating_add(TICK_US);
+    loop {
+        clock.until(begin_us).await;
+        let now_us = clock.now_us();
+        let late_us = now_us.saturating_sub(begin_us);
+        if late_us > LATE_US {
+            let ticks = late_us.div_ceil(TICK_US);
+            begin_us = begin_us.saturating_add(ticks * TICK_US);
+            missed = missed.saturating_add(ticks as u32);
+            exchange
+                .counts
+                .ticks_missed
+                .store(missed, Ordering::Relaxed);
+            let fault = (Fault::TicksMissed, 0);
+            exchange.note(Finder::Sense, &mut faults, fault, true, missed);
+            continue;
+        }
+        let ([r0, r1], [r2, r3]) = join(
+            first.read::<P, C, M>([a, b], now_us, clock, exchange),
+            second.read::<P, C, M>([c, d], now_us, clock, exchange),
+        )
+        .await;
+        for line in [(&first.stuck, 0), (&second.stuck, 1)] {
+            let (stuck, bus) = line;
+            let fault = (Fault::BusStuck, bus);
+            exchange.note(Finder::Sense, &mut faults, fault, *stuck >= STUCK, 0);
+        }
+        let mut samples = [r0, r1, r2, r3].into_iter();
+        let watched = watches
+            .each_mut()
+            .map(|watch| watch.note(samples.next().flatten()));
+        exchange.sensed.signal(Sensed {
+            frame: Frame {
+                time_us: now_us as u32,
+                readings: watched.map(|sensor| sensor.reading),
+            },
+            watched,
+            begun_us: now_us,
+        });
+        begin_us = begin_us.saturating_add(TICK_US);
+    }
+}
+
+/// A bus and how it has behaved.
+struct Line<B> {
+    bus: B,
+    number: u8,
+    /// Transfers in a row that failed.
+    failed: u8,
+    /// Both lines were high after the last clearing.
+    free: bool,
+    /// Ticks in a row with a line held low.
+    stuck: u8,
+    /// Ticks until clearing may be tried again.
+    patience: u8,
+}
+
+impl<B: SensorBus> Line<B> {
+    const fn new(bus: B, number: u8) -> Self {
+        Self {
+            bus,
+            number,
+            failed: 0,
+            free: true,
+            stuck: 0,
+            patience: 0,
+        }
+    }
+
+    /// Tells which of the part's addresses answer.
+    async fn probe<P: Part, C: Clock, M: RawMutex>(&mut self, clock: &C, exchange: &Exchange<M>) {
+        let mut answers = 0;
+        for (bit, address) in P::ADDRESSES.into_iter().enumerate() {
+            let transfer = P::read(&mut self.bus, address);
+            let answer = within(clock, TRANSFER_LIMIT_US, transfer).await;
+            answers |= u8::from(matches!(answer, Some(Ok(_)))) << bit;
+        }
+        let bus = self.number;
+        exchange.events.post(Event::Found { bus, answers });
+    }
+
+    /// Reads both sensors in the tick that began at `begun_us`.
+    async fn read<P: Part, C: Clock, M: RawMutex>(
+        &mut self,
+        addresses: [u8; 2],
+        begun_us: u64,
+        clock: &C,
+        exchange: &Exchange<M>,
+    ) -> [Option<Sample>; 2] {
+        self.patience = self.patience.saturating_sub(1);
+        if !self.free {
+            self.clear(exchange).await;
+        }
+        let mut samples = [None; 2];
+        if !self.free {
+            return samples;
+        }
+        let end_us = begun_us.saturating_add(SENSE_LIMIT_US);
+        let mut may_repeat = true;
+        // Time that the transfers after this one may take.
+        let mut reserved_us = addresses.len() as u64 * TRANSFER_LIMIT_US;
+        for (sample, address) in samples.iter_mut().zip(addresses) {
+            reserved_us = reserved_us.saturating_sub(TRANSFER_LIMIT_US);
+            *sample = self.transfer::<P, C, M>(address, clock, exchange).await;
+            let done_us = clock.now_us().saturating_add(TRANSFER_LIMIT_US);
+            if sample.is_none() && may_repeat && done_us.saturating_add(reserved_us) <= end_us {
+                may_repeat = false;
+                *sample = self.transfer::<P, C, M>(address, clock, exchange).await;
+            }
+        }
+        if self.failed >= FAILED && self.patience == 0 {
+            self.patience = PATIENCE;
+            self.clear(exchange).await;
+        }
+        samples
+    }
+
+    async fn transfer<P: Part, C: Clock, M: RawMutex>(
+        &mut self,
+        address: u8,
+        clock: &C,
+        exchange: &Exchange<M>,
+    ) -> Option<Sample> {
+        let transfer = P::read(&mut self.bus, address);
+        if let Some(Ok(sample)) = within(clock, TRANSFER_LIMIT_US, transfer).await {
+            self.failed = 0;
+            self.patience = 0;
+            return Some(sample);
+        }
+        self.failed = self.failed.saturating_add(1);
+        let failed = &exchange.counts.transfers_failed;
+        failed.fetch_add(1, Ordering::Relaxed);
+        None
+    }
+
+    async fn clear<M: RawMutex>(&mut self, exchange: &Exchange<M>) {
+        let was_free = self.free;
+        self.free = self.bus.recover().await;
+        self.failed = 0;
+        self.stuck = match self.free {
+            true => 0,
+            false => self.stuck.saturating_add(1),
+        };
+        // A line that stays low is cleared each millisecond and told once.
+        if was_free || self.free {
+            exchange.events.post(Event::Cleared {
+                bus: self.number,
+                free: self.free,
+            });
+        }
+    }
+}

@@ -1,0 +1,144 @@
+//! Faults: what is wrong, where, since when.
+//!
+//! Codes stand in ranges: 100 sensing, 200 what is stored, 300 the program, 400 the buses to the host. A
+//! fault has a source (a sensor, a bus, a loop); the heartbeat has one bit for each kind.
+
+use crate::wire::messages::FaultEvent;
+
+/// A kind of fault; the number is its code on the bus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u16)]
+pub enum Fault {
+    /// A sensor gave no reading twice or more in a row. Source: the sensor; detail: its age in ticks.
+    SensorLost = 100,
+    /// A sensor repeats its reading. Source: the sensor; detail: its age in ticks.
+    SensorFrozen = 101,
+    /// A sensor is at the end of its range. Source: the sensor.
+    SensorSaturated = 102,
+    /// A line of a bus stays low. Source: the bus.
+    BusStuck = 103,
+    /// The fingers press with different forces. Detail: the difference in 1/1024 N.
+    Unbalanced = 104,
+    /// A foreign magnet is near.
+    Disturbed = 105,
+    /// The tables are not what was exported.
+    TablesUnsound = 200,
+    /// What was stored cannot be read; defaults hold. Detail: why.
+    StoreUnsound = 201,
+    /// Ticks were missed. Detail: how many since boot.
+    TicksMissed = 300,
+    /// The program broke off before this boot. Detail: where.
+    Crashed = 301,
+    /// The CAN controller left the bus.
+    BusOff = 400,
+    /// A host that had armed is silent.
+    HostSilent = 401,
+    /// More frames arrive than may be meant. Detail: how many were dropped.
+    Flooded = 402,
+    /// Frames are dropped that are malformed, late or repeated. Detail: how many since boot.
+    StrangeFrames = 403,
+}
+
+impl Fault {
+    /// All kinds, in the order of the heartbeat's bits.
+    pub const ALL: [Self; 14] = [
+        Self::SensorLost,
+        Self::SensorFrozen,
+        Self::SensorSaturated,
+        Self::BusStuck,
+        Self::Unbalanced,
+        Self::Disturbed,
+        Self::TablesUnsound,
+        Self::StoreUnsound,
+        Self::TicksMissed,
+        Self::Crashed,
+        Self::BusOff,
+        Self::HostSilent,
+        Self::Flooded,
+        Self::StrangeFrames,
+    ];
+
+    /// The kind with this code.
+    pub fn of_code(code: u16) -> Option<Self> {
+        Self::ALL.into_iter().find(|fault| *fault as u16 == code)
+    }
+}
+
+/// The faults that are active.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Faults {
+    /// For each kind one bit for each source.
+    sources: [u8; Fault::ALL.len()],
+}
+
+impl Faults {
+    /// Notes whether a fault is there; returns the message where that is news.
+    pub fn note(
+        &mut self,
+        fault: Fault,
+        source: u8,
+        active: bool,
+        detail: u32,
+    ) -> Option<FaultEvent> {
+        let kind = Fault::ALL.iter().position(|kind| *kind == fault)?;
+        let sources = self.sources.get_mut(kind)?;
+        let bit = 1 << (source & 7);
+        if (*sources & bit != 0) == active {
+            return None;
+        }
+        *sources ^= bit;
+        Some(FaultEvent {
+            code: fault as u16,
+            source,
+            active: u8::from(active),
+            detail,
+        })
+    }
+
+    /// Whether a fault is there, from whatever source.
+    pub fn is_active(&self, fault: Fault) -> bool {
+        let mut kinds = Fault::ALL.iter().zip(&self.sources);
+        kinds.any(|(kind, sources)| *kind == fault && *sources != 0)
+    }
+
+    /// One bit for each kind that is active.
+    pub fn bits(&self) -> u32 {
+        let bits = (0_u32..).zip(&self.sources);
+        bits.fold(0, |all, (bit, sources)| {
+            all | (u32::from(*sources != 0) << bit)
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_fault_is_told_when_it_comes_and_when_it_goes_and_not_between() {
+        let mut faults = Faults::default();
+        let event = faults.note(Fault::SensorLost, 2, true, 7).unwrap();
+        assert_eq!((event.code, event.source, event.active), (100, 2, 1));
+        assert_eq!(faults.note(Fault::SensorLost, 2, true, 8), None);
+        assert!(faults.note(Fault::SensorLost, 3, true, 2).is_some());
+        assert_eq!(
+            faults.note(Fault::SensorLost, 2, false, 0).unwrap().active,
+            0
+        );
+        assert!(faults.is_active(Fault::SensorLost));
+        assert!(faults.note(Fault::SensorLost, 3, false, 0).is_some());
+        assert!(!faults.is_active(Fault::SensorLost));
+        assert_eq!(faults.note(Fault::SensorLost, 3, false, 0), None);
+    }
+
+    #[test]
+    fn the_heartbeat_has_a_bit_for_each_kind_and_codes_are_no_two_faults() {
+        let mut faults = Faults::default();
+        for (bit, fault) in Fault::ALL.into_iter().enumerate() {
+            faults.note(fault, 0, true, 0);
+            assert_eq!(faults.bits(), (2 << bit) - 1);
+            assert_eq!(Fault::of_code(fault as u16), Some(fault));
+        }
+        assert_eq!(Fault::of_code(99), None);
+    }
+}

@@ -1,0 +1,93 @@
+//! More frames than anybody may mean: what is beyond a rate is dropped before it costs time.
+
+/// Length of a window.
+const WINDOW_US: u64 = 10_000;
+/// Frames in a window that are heard: ten times what a host may send (200 commands a second).
+const HEARD: u8 = 20;
+/// Windows in a row without a drop after which the flood is over.
+const CALM: u8 = 10;
+
+/// The limit of one source.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Throttle {
+    window: u64,
+    heard: u8,
+    /// Windows since one with a drop; at its end where there was none.
+    calm: u8,
+    flooded: bool,
+    dropped: u32,
+}
+
+impl Throttle {
+    /// Takes a frame; whether it may be heard.
+    pub fn admit(&mut self, now_us: u64) -> bool {
+        self.turn(now_us);
+        self.heard = self.heard.saturating_add(1);
+        let admitted = self.heard <= HEARD;
+        if !admitted {
+            self.dropped = self.dropped.saturating_add(1);
+            self.flooded = true;
+            self.calm = 0;
+        }
+        admitted
+    }
+
+    /// Whether a flood goes on.
+    pub fn is_flooded(&mut self, now_us: u64) -> bool {
+        self.turn(now_us);
+        self.flooded
+    }
+
+    /// Frames dropped since boot.
+    pub const fn dropped(&self) -> u32 {
+        self.dropped
+    }
+
+    fn turn(&mut self, now_us: u64) {
+        let window = now_us / WINDOW_US;
+        let passed = window.saturating_sub(self.window);
+        if passed > 0 {
+            self.window = window;
+            self.heard = 0;
+            self.calm = self.calm.saturating_add(passed.min(255) as u8);
+            self.flooded &= self.calm < CALM;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn twenty_frames_in_ten_milliseconds_are_heard_and_no_more() {
+        let mut throttle = Throttle::default();
+        let admitted = (0..213)
+            .filter(|i| throttle.admit(1_000_000 + i * 47))
+            .count();
+        // 213 frames, 47 us apart, end before 10,011 us: the last one or two are of the next window.
+        assert!((20..=21).contains(&admitted), "{admitted}");
+        assert_eq!(throttle.dropped(), 213 - admitted as u32);
+        assert!(throttle.is_flooded(1_010_000));
+    }
+
+    #[test]
+    fn a_flood_is_over_after_a_tenth_of_a_second_of_calm() {
+        let mut throttle = Throttle::default();
+        for _ in 0..21 {
+            throttle.admit(5_000);
+        }
+        assert!(throttle.is_flooded(99_999));
+        assert!(!throttle.is_flooded(100_000));
+        assert!(throttle.admit(100_001));
+    }
+
+    #[test]
+    fn two_hundred_commands_a_second_are_no_flood() {
+        let mut throttle = Throttle::default();
+        for command in 0..2_000 {
+            assert!(throttle.admit(command * 5_000));
+        }
+        assert!(!throttle.is_flooded(10_000_000));
+    }
+}
