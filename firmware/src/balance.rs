@@ -5,19 +5,30 @@
 
 use crate::force::{Estimate, Validity};
 use crate::frame::SENSORS;
-use crate::params;
+use crate::limits::Limits;
 use crate::units::Force;
 
-/// Ticks in a row with a difference.
-const LASTING: u8 = 3;
+/// One over the share of the greater force that is no difference.
+const SHARE: i32 = 10;
 
 /// The watch over both fingers.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub struct Balance {
+    limit: Force,
+    ticks: u8,
     unbalanced: u8,
 }
 
 impl Balance {
+    /// No tick has been seen.
+    pub const fn new(limits: &Limits) -> Self {
+        Self {
+            limit: Force(limits.unbalanced_n.saturating_mul(1 << Force::BITS)),
+            ticks: limits.unbalanced_ticks,
+            unbalanced: 0,
+        }
+    }
+
     /// Takes a tick's estimates; the difference of the fingers' forces where it has lasted. What cannot
     /// be judged, because a force is not valid, is no difference.
     pub fn note(&mut self, estimates: &[Estimate; SENSORS]) -> Option<Force> {
@@ -29,13 +40,12 @@ impl Balance {
         let left = a.saturating_add(b).saturating_abs();
         let right = c.saturating_add(d).saturating_abs();
         let difference = left.saturating_sub(right).saturating_abs();
-        let share = left.max(right) / params::UNBALANCED_SHARE;
-        let limit = params::UNBALANCED_N.saturating_mul(1 << Force::BITS);
-        self.unbalanced = match valid && difference > limit.saturating_add(share) {
+        let share = left.max(right) / SHARE;
+        self.unbalanced = match valid && difference > self.limit.0.saturating_add(share) {
             true => self.unbalanced.saturating_add(1),
             false => 0,
         };
-        (self.unbalanced >= LASTING).then_some(Force(difference))
+        (self.unbalanced >= self.ticks).then_some(Force(difference))
     }
 }
 
@@ -55,7 +65,7 @@ mod tests {
     fn fifteen_newtons_and_a_tenth_for_three_ticks_are_a_difference() {
         // Left 100 N, right 75 N, of the other sign: 25 N is the limit, 26 N more.
         for (right, found) in [(-38, false), (-37, true)] {
-            let mut balance = Balance::default();
+            let mut balance = Balance::new(&Limits::GRIPPER);
             let estimates = pressed([40, 60, right, -37]);
             assert_eq!(balance.note(&estimates), None);
             assert_eq!(balance.note(&estimates), None);
@@ -66,7 +76,7 @@ mod tests {
 
     #[test]
     fn a_force_that_is_not_valid_is_not_judged() {
-        let mut balance = Balance::default();
+        let mut balance = Balance::new(&Limits::GRIPPER);
         let mut estimates = pressed([200, 0, 0, 0]);
         estimates[3].validity = Validity::Saturated;
         for _ in 0..10 {

@@ -3,6 +3,7 @@
 //! The modules stand in the order in which data flows; each uses only those above it.
 //!
 //! - [`params`]: every design constant with its unit and source, assumptions marked.
+//! - [`limits`]: where something counts as wrong.
 //! - [`fixed`]: integer arithmetic that saturates.
 //! - [`units`]: fixed-point quantities.
 //! - [`clock`]: time as the loops see it.
@@ -32,6 +33,7 @@
 extern crate std;
 
 pub mod fixed;
+pub mod limits;
 pub mod params;
 pub mod units;
 

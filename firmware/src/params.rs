@@ -142,7 +142,3 @@ pub const TRANSFER_LIMIT_US: u64 = 250;
 /// Transfers are over so long after the beginning of a tick, retries included: the rest is for clearing a
 /// bus (105 us) and for the estimate.
 pub const SENSE_LIMIT_US: u64 = 3 * TRANSFER_LIMIT_US;
-/// Fingers press differently from this on, in newtons (control study, with a tenth of the force on top).
-pub const UNBALANCED_N: i32 = 15;
-/// The share on top: one over this.
-pub const UNBALANCED_SHARE: i32 = 10;

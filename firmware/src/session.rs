@@ -6,6 +6,7 @@
 //! nothing. This is against accidents, not against an attacker with access to the bus: a random frame
 //! with the right identifier passes once in 2^19.
 
+use crate::limits::Limits;
 use crate::wire::layout::{Direction, Malformed};
 use crate::wire::messages::{Command, Message, Service, ServiceReply};
 use crate::wire::serial::CHECKSUM;
@@ -13,8 +14,6 @@ use crate::wire::{STOP_ALL, identifier};
 
 /// A nonce is forgotten after this time.
 pub const ECHO_MS: u32 = 500;
-/// Without a command for this time the host counts as silent.
-pub const ALIVE_MS: u32 = 100;
 /// Commands that may be lost between two that count.
 const LOST: u8 = 1;
 /// So many dropped frames within [`FLOOD_MS`] are a broken or a strange sender.
@@ -96,6 +95,7 @@ pub enum Heard {
 #[derive(Clone, Copy, Debug)]
 pub struct Session {
     node: u16,
+    silent_ms: u32,
     offer: Option<Offer>,
     open: Option<Open>,
     dropped: Dropped,
@@ -118,9 +118,10 @@ struct Open {
 
 impl Session {
     /// Nobody has armed.
-    pub const fn new(node: u16) -> Self {
+    pub const fn new(node: u16, limits: &Limits) -> Self {
         Self {
             node,
+            silent_ms: limits.silent_ms,
             offer: None,
             open: None,
             dropped: Dropped {
@@ -174,7 +175,7 @@ impl Session {
     /// Whether commands arrive in time.
     pub fn is_alive(&self, now_ms: u32) -> bool {
         let last = self.open.and_then(|open| open.last);
-        last.is_some_and(|(_, at_ms)| now_ms.wrapping_sub(at_ms) <= ALIVE_MS)
+        last.is_some_and(|(_, at_ms)| now_ms.wrapping_sub(at_ms) <= self.silent_ms)
     }
 
     /// Whether a host that has commanded does so no more.

@@ -1,15 +1,16 @@
 //! More frames than anybody may mean: what is beyond a rate is dropped before it costs time.
 
+use crate::limits::Limits;
+
 /// Length of a window.
 const WINDOW_US: u64 = 10_000;
-/// Frames in a window that are heard: ten times what a host may send (200 commands a second).
-const HEARD: u8 = 20;
 /// Windows in a row without a drop after which the flood is over.
 const CALM: u8 = 10;
 
 /// The limit of one source.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub struct Throttle {
+    limit: u8,
     window: u64,
     heard: u8,
     /// Windows since one with a drop; at its end where there was none.
@@ -19,11 +20,23 @@ pub struct Throttle {
 }
 
 impl Throttle {
+    /// Nothing has been heard.
+    pub const fn new(limits: &Limits) -> Self {
+        Self {
+            limit: limits.flood_frames,
+            window: 0,
+            heard: 0,
+            calm: CALM,
+            flooded: false,
+            dropped: 0,
+        }
+    }
+
     /// Takes a frame; whether it may be heard.
     pub fn admit(&mut self, now_us: u64) -> bool {
         self.turn(now_us);
         self.heard = self.heard.saturating_add(1);
-        let admitted = self.heard <= HEARD;
+        let admitted = self.heard <= self.limit;
         if !admitted {
             self.dropped = self.dropped.saturating_add(1);
             self.flooded = true;
@@ -61,7 +74,7 @@ mod tests {
 
     #[test]
     fn twenty_frames_in_ten_milliseconds_are_heard_and_no_more() {
-        let mut throttle = Throttle::default();
+        let mut throttle = Throttle::new(&Limits::GRIPPER);
         let admitted = (0..213)
             .filter(|i| throttle.admit(1_000_000 + i * 47))
             .count();
@@ -73,7 +86,7 @@ mod tests {
 
     #[test]
     fn a_flood_is_over_after_a_tenth_of_a_second_of_calm() {
-        let mut throttle = Throttle::default();
+        let mut throttle = Throttle::new(&Limits::GRIPPER);
         for _ in 0..21 {
             throttle.admit(5_000);
         }
@@ -84,7 +97,7 @@ mod tests {
 
     #[test]
     fn two_hundred_commands_a_second_are_no_flood() {
-        let mut throttle = Throttle::default();
+        let mut throttle = Throttle::new(&Limits::GRIPPER);
         for command in 0..2_000 {
             assert!(throttle.admit(command * 5_000));
         }

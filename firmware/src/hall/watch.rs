@@ -6,13 +6,7 @@
 
 use super::a31301::FIELD_LIMITS;
 use super::{Reading, Sample};
-
-/// Axes that repeated their words, counted over readings that follow each other, at which the sensor is
-/// frozen: three readings after the last that moved. Four equal words in a row are, for Gaussian noise of s
-/// counts, 1 in 2 (2 pi)^(3/2) s^3 an axis: 3 in 10^9 of all readings for three, one tick a day.
-const FROZEN: u8 = 9;
-/// Ticks without a reading, one after the other, at which the sensor is lost.
-const LOST: u8 = 2;
+use crate::limits::Limits;
 
 /// What one tick brought.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,8 +33,10 @@ pub struct Watched {
 }
 
 /// The watch over one sensor.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub struct Watch {
+    lost_ticks: u8,
+    frozen_axes: u8,
     last: Option<Reading>,
     repeated: u8,
     missed: u8,
@@ -48,12 +44,24 @@ pub struct Watch {
 }
 
 impl Watch {
+    /// Nothing has been read yet.
+    pub const fn new(limits: &Limits) -> Self {
+        Self {
+            lost_ticks: limits.lost_ticks,
+            frozen_axes: limits.frozen_axes,
+            last: None,
+            repeated: 0,
+            missed: 0,
+            age: 0,
+        }
+    }
+
     /// Takes what this tick's transfer gave; `None` where it failed.
     pub fn note(&mut self, sample: Option<Sample>) -> Watched {
         self.age = self.age.saturating_add(1);
         let Some(Sample::New(reading)) = sample else {
             self.missed = self.missed.saturating_add(1);
-            let condition = match self.missed >= LOST {
+            let condition = match self.missed >= self.lost_ticks {
                 true => Condition::Lost,
                 false => Condition::Missed,
             };
@@ -67,7 +75,7 @@ impl Watch {
                 0
             }
         };
-        match self.repeated >= FROZEN {
+        match self.repeated >= self.frozen_axes {
             true => self.watched(None, Condition::Frozen),
             false => self.watched(Some(reading), Condition::Live),
         }
@@ -108,13 +116,13 @@ mod tests {
     fn three_readings_after_the_last_that_moved_a_sensor_is_frozen_and_it_thaws_at_once() {
         use Condition::{Frozen, Live};
         let samples = [at(1), at(2), at(2), at(2), at(2), at(2), at(3)];
-        let seen = conditions(&mut Watch::default(), &samples);
+        let seen = conditions(&mut Watch::new(&Limits::GRIPPER), &samples);
         assert_eq!(seen, [Live, Live, Live, Live, Frozen, Frozen, Live]);
     }
 
     #[test]
     fn a_sensor_at_the_end_of_its_range_is_not_frozen_while_another_axis_moves_or_can_not() {
-        let mut watch = Watch::default();
+        let mut watch = Watch::new(&Limits::GRIPPER);
         for _ in 0..1000 {
             let full = Reading {
                 field: [16383, -16384, 16383],
@@ -141,7 +149,7 @@ mod tests {
     fn one_missed_reading_is_missed_and_two_are_lost_also_where_the_part_says_that_nothing_is_new()
     {
         use Condition::{Live, Lost, Missed};
-        let mut watch = Watch::default();
+        let mut watch = Watch::new(&Limits::GRIPPER);
         let samples = [at(1), None, at(2), None, Some(Sample::Old), None, at(3)];
         let seen = conditions(&mut watch, &samples);
         assert_eq!(seen, [Live, Missed, Live, Missed, Lost, Lost, Live]);
@@ -149,7 +157,7 @@ mod tests {
 
     #[test]
     fn the_age_counts_from_the_last_reading_that_moved() {
-        let mut watch = Watch::default();
+        let mut watch = Watch::new(&Limits::GRIPPER);
         let ages = [at(1), at(1), None, at(1), at(2)].map(|s| watch.note(s).age);
         assert_eq!(ages, [0, 1, 2, 3, 0]);
         for _ in 0..300 {

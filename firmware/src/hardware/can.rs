@@ -40,7 +40,13 @@ pub struct Receiver(pub CanRx<'static>);
 
 impl CanReceiver for Receiver {
     async fn receive(&mut self) -> Result<CanFrame, CanError> {
-        let envelope = self.0.read().await.map_err(|_| CanError::Passing)?;
+        let envelope = self.0.read().await.map_err(|_| {
+            // The driver's error does not say so.
+            match pac::FDCAN1.psr().read().bo() {
+                true => CanError::BusOff,
+                false => CanError::Passing,
+            }
+        })?;
         let id: Id = (*envelope.frame.id()).into();
         CanFrame::new(id, envelope.frame.data()).ok_or(CanError::Passing)
     }

@@ -12,6 +12,7 @@ use crate::force::{Estimate, Validity};
 use crate::frame::SENSORS;
 use crate::hall::Reading;
 use crate::hall::watch::{Condition, Watched};
+use crate::limits::Limits;
 use crate::params::TICK_US;
 use crate::status::{Fault, Faults};
 use crate::surroundings::Surroundings;
@@ -35,11 +36,12 @@ pub struct Told {
 pub async fn estimate<N: Networks, C: Clock, M: RawMutex>(
     mut estimator: Estimator<'_, N>,
     around: impl Fn() -> Surroundings,
+    limits: &Limits,
     clock: &C,
     exchange: &Exchange<M>,
 ) -> ! {
     let mut faults = Faults::default();
-    let mut balance = Balance::default();
+    let mut balance = Balance::new(limits);
     let mut tick = 0_u32;
     let mut last_us = None;
     loop {

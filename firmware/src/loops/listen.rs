@@ -7,6 +7,7 @@ use embedded_io_async::Read;
 
 use super::{Exchange, Finder};
 use crate::clock::{Clock, pause};
+use crate::limits::Limits;
 use crate::status::{Fault, Faults};
 use crate::throttle::Throttle;
 use crate::wire::can::{CanError, CanFrame, CanReceiver};
@@ -39,10 +40,10 @@ struct Ear<'x, M: RawMutex> {
 }
 
 impl<'x, M: RawMutex> Ear<'x, M> {
-    fn new(source: u8, exchange: &'x Exchange<M>) -> Self {
+    fn new(source: u8, limits: &Limits, exchange: &'x Exchange<M>) -> Self {
         Self {
             source,
-            throttle: Throttle::default(),
+            throttle: Throttle::new(limits),
             faults: Faults::default(),
             exchange,
         }
@@ -76,14 +77,20 @@ impl<'x, M: RawMutex> Ear<'x, M> {
 /// Hears the CAN bus, for ever.
 pub async fn listen<R: CanReceiver, C: Clock, M: RawMutex>(
     mut can: R,
+    limits: &Limits,
     clock: &C,
     exchange: &Exchange<M>,
 ) -> ! {
-    let mut ear = Ear::new(CAN, exchange);
+    let mut ear = Ear::new(CAN, limits, exchange);
     loop {
         match can.receive().await {
             Ok(frame) => ear.take(frame, clock.now_us()),
-            Err(CanError::Passing | CanError::BusOff) => pause(clock, TROUBLE_US).await,
+            Err(error) => {
+                if error == CanError::BusOff {
+                    exchange.bus_off.signal(());
+                }
+                pause(clock, TROUBLE_US).await;
+            }
         }
     }
 }
@@ -92,10 +99,11 @@ pub async fn listen<R: CanReceiver, C: Clock, M: RawMutex>(
 pub async fn listen_serial<R: Read, C: Clock, M: RawMutex>(
     mut line: R,
     node: u16,
+    limits: &Limits,
     clock: &C,
     exchange: &Exchange<M>,
 ) -> ! {
-    let mut ear = Ear::new(SERIAL, exchange);
+    let mut ear = Ear::new(SERIAL, limits, exchange);
     let mut receiver = Receiver::default();
     let mut bytes = [0; 32];
     loop {

@@ -25,9 +25,9 @@ use embassy_sync::signal::Signal;
 
 pub use command::command;
 pub use estimate::{Told, estimate};
-pub use listen::{Heard, listen, listen_serial};
+pub use listen::{CAN, Heard, SERIAL, listen, listen_serial};
 pub use report::report;
-pub use sense::{Sensed, sense};
+pub use sense::{FIRST_TICK_US, Sensed, sense};
 pub use telemetry::telemetry;
 
 use crate::events::{Event, Events};
@@ -67,6 +67,8 @@ pub struct Exchange<M: RawMutex> {
     pub heard: Channel<M, Heard, 8>,
     /// From [`command`] to [`report`].
     pub replies: Channel<M, Message, 8>,
+    /// From [`listen`] to [`report`]: the controller has left the bus.
+    pub bus_off: Signal<M, ()>,
     /// From [`report`] to [`telemetry`].
     pub lines: Channel<M, Packet, 8>,
     /// From everybody to [`report`].
@@ -114,6 +116,7 @@ impl<M: RawMutex> Exchange<M> {
             ticks: Signal::new(),
             heard: Channel::new(),
             replies: Channel::new(),
+            bus_off: Signal::new(),
             lines: Channel::new(),
             events: Events::new(),
             counts: Counts {

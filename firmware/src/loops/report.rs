@@ -2,7 +2,7 @@
 
 use core::sync::atomic::Ordering;
 
-use embassy_futures::select::{Either4, select4};
+use embassy_futures::select::{Either5, select5};
 use embassy_sync::blocking_mutex::raw::RawMutex;
 
 use super::{Exchange, Finder, Told};
@@ -41,25 +41,27 @@ pub async fn report<S: CanSender, C: Clock, M: RawMutex>(
     let mut beat_us = clock.now_us();
     mouth.say(0, Message::Version(version)).await;
     loop {
-        let next = select4(
+        let next = select5(
             exchange.replies.receive(),
             exchange.told.wait(),
             exchange.events.next(),
             clock.until(beat_us),
+            exchange.bus_off.wait(),
         );
         match next.await {
-            Either4::First(reply) => mouth.say(0, reply).await,
-            Either4::Second(told) => mouth.forces(&told, &mut counters).await,
-            Either4::Third(event) => {
+            Either5::First(reply) => mouth.say(0, reply).await,
+            Either5::Second(told) => mouth.forces(&told, &mut counters).await,
+            Either5::Third(event) => {
                 log(event);
                 if let Event::Fault(fault) = event {
                     mouth.say(0, Message::FaultEvent(fault)).await;
                 }
             }
-            Either4::Fourth(()) => {
+            Either5::Fourth(()) => {
                 beat_us = beat_us.saturating_add(u64::from(Heartbeat::LAYOUT.period_ms) * 1000);
                 mouth.heartbeat(&mut counters).await;
             }
+            Either5::Fifth(()) => mouth.leave(),
         }
     }
 }
@@ -145,17 +147,34 @@ impl<S: CanSender, C: Clock, M: RawMutex> Mouth<'_, S, C, M> {
         match within(self.clock, PATIENCE_US, self.can.send(&frame)).await {
             Some(Ok(())) => self.off = None,
             Some(Err(CanError::BusOff)) => {
-                let times = self.off.map_or(0, |(_, times)| times + 1);
-                let [.., last] = REJOIN_US;
-                let wait_us = REJOIN_US.get(times).copied().unwrap_or(last);
-                let until_us = self.clock.now_us().saturating_add(wait_us);
-                self.off = Some((until_us, times.min(REJOIN_US.len())));
+                self.leave();
+                return;
             }
             Some(Err(CanError::Passing)) | None => {
                 let unsent = &self.exchange.counts.frames_unsent;
                 unsent.fetch_add(1, Ordering::Relaxed);
             }
         }
+        self.note();
+    }
+
+    /// The controller has left the bus: it joins again after a while, longer each time.
+    fn leave(&mut self) {
+        let now_us = self.clock.now_us();
+        let times = match self.off {
+            // Told twice.
+            Some((until_us, _)) if now_us < until_us => return,
+            Some((_, times)) => times + 1,
+            None => 0,
+        };
+        let [.., last] = REJOIN_US;
+        let wait_us = REJOIN_US.get(times).copied().unwrap_or(last);
+        let until_us = now_us.saturating_add(wait_us);
+        self.off = Some((until_us, times.min(REJOIN_US.len())));
+        self.note();
+    }
+
+    fn note(&mut self) {
         let off = (Fault::BusOff, 0);
         let is_off = self.off.is_some();
         let exchange = self.exchange;

@@ -12,17 +12,16 @@ use crate::frame::{Frame, SENSORS};
 use crate::hall::bus::SensorBus;
 use crate::hall::watch::{Watch, Watched};
 use crate::hall::{Part, Sample};
+use crate::limits::Limits;
 use crate::params::{SENSE_LIMIT_US, TICK_US, TRANSFER_LIMIT_US};
 use crate::status::{Fault, Faults};
 
 /// A tick that begins later than this is skipped: its frame would be no millisecond after the last.
 const LATE_US: u64 = 50;
-/// Transfers in a row that fail before a bus is cleared.
-const FAILED: u8 = 3;
+/// The first tick begins this long after the loop: probing every address takes 1 ms at the most.
+pub const FIRST_TICK_US: u64 = 2_000;
 /// Ticks after a clearing that did not help until the next: a bus without sensors is free, and silent.
 const PATIENCE: u8 = 100;
-/// Ticks in a row with a line held low that are a fault.
-const STUCK: u8 = 4;
 
 /// What one tick of sensing gave.
 #[derive(Clone, Copy, Debug)]
@@ -42,21 +41,22 @@ pub struct Sensed {
 pub async fn sense<P: Part, B: SensorBus, C: Clock, M: RawMutex>(
     [first, second]: [B; 2],
     addresses: [u8; SENSORS],
+    limits: &Limits,
     clock: &C,
     exchange: &Exchange<M>,
 ) -> ! {
     let [a, b, c, d] = addresses;
-    let mut first = Line::new(first, 0);
-    let mut second = Line::new(second, 1);
+    let mut begin_us = clock.now_us().saturating_add(FIRST_TICK_US);
+    let mut first = Line::new(first, 0, limits);
+    let mut second = Line::new(second, 1, limits);
     join(
         first.probe::<P, C, M>(clock, exchange),
         second.probe::<P, C, M>(clock, exchange),
     )
     .await;
-    let mut watches = [Watch::default(); SENSORS];
+    let mut watches = [Watch::new(limits); SENSORS];
     let mut faults = Faults::default();
     let mut missed = 0_u32;
-    let mut begin_us = clock.now_us().saturating_add(TICK_US);
     loop {
         clock.until(begin_us).await;
         let now_us = clock.now_us();
@@ -81,7 +81,13 @@ pub async fn sense<P: Part, B: SensorBus, C: Clock, M: RawMutex>(
         for line in [(&first.stuck, 0), (&second.stuck, 1)] {
             let (stuck, bus) = line;
             let fault = (Fault::BusStuck, bus);
-            exchange.note(Finder::Sense, &mut faults, fault, *stuck >= STUCK, 0);
+            exchange.note(
+                Finder::Sense,
+                &mut faults,
+                fault,
+                *stuck >= limits.stuck_ticks,
+                0,
+            );
         }
         let mut samples = [r0, r1, r2, r3].into_iter();
         let watched = watches
@@ -103,6 +109,8 @@ pub async fn sense<P: Part, B: SensorBus, C: Clock, M: RawMutex>(
 struct Line<B> {
     bus: B,
     number: u8,
+    /// Transfers in a row that fail before it is cleared.
+    limit: u8,
     /// Transfers in a row that failed.
     failed: u8,
     /// Both lines were high after the last clearing.
@@ -114,8 +122,9 @@ struct Line<B> {
 }
 
 impl<B: SensorBus> Line<B> {
-    const fn new(bus: B, number: u8) -> Self {
+    const fn new(bus: B, number: u8, limits: &Limits) -> Self {
         Self {
+            limit: limits.failed_transfers,
             bus,
             number,
             failed: 0,
@@ -166,7 +175,7 @@ impl<B: SensorBus> Line<B> {
                 *sample = self.transfer::<P, C, M>(address, clock, exchange).await;
             }
         }
-        if self.failed >= FAILED && self.patience == 0 {
+        if self.failed >= self.limit && self.patience == 0 {
             self.patience = PATIENCE;
             self.clear(exchange).await;
         }

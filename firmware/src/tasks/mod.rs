@@ -19,6 +19,7 @@ use crate::hardware::board::{Board, HARDWARE};
 use crate::hardware::can::{Receiver, Sender};
 use crate::hardware::clock::BoardClock;
 use crate::hardware::sensor_bus::BoardBus;
+use crate::limits::Limits;
 use crate::loops::{self, Exchange};
 use crate::model::tables::{NETWORKS, TABLES};
 use crate::session::Session;
@@ -26,6 +27,8 @@ use crate::surroundings::Surroundings;
 use crate::wire::messages::Version;
 use crate::wire::{DEFAULT_NODE, PROTOCOL};
 
+/// Where something counts as wrong.
+const LIMITS: Limits = Limits::GRIPPER;
 /// Between the loops; the writers stand beside each part.
 static EXCHANGE: Exchange<CriticalSectionRawMutex> = Exchange::new();
 /// Sensing and estimating; its interrupt belongs to no peripheral in use.
@@ -61,7 +64,8 @@ pub fn spawn(spawner: Spawner, board: Board) {
 
 #[embassy_executor::task]
 async fn sense(buses: [BoardBus; 2]) {
-    loops::sense::<A31301, _, _, _>(buses, A31301::ADDRESSES, &BoardClock, &EXCHANGE).await;
+    loops::sense::<A31301, _, _, _>(buses, A31301::ADDRESSES, &LIMITS, &BoardClock, &EXCHANGE)
+        .await;
 }
 
 #[embassy_executor::task]
@@ -69,7 +73,7 @@ async fn estimate() {
     let estimator = Estimator::new(&TABLES, Running::start(&NETWORKS));
     // Nothing on this board measures them yet: what needs them stays off, and the estimates say so.
     let around = Surroundings::default;
-    loops::estimate(estimator, around, &BoardClock, &EXCHANGE).await;
+    loops::estimate(estimator, around, &LIMITS, &BoardClock, &EXCHANGE).await;
 }
 
 #[embassy_executor::task]
@@ -84,18 +88,24 @@ async fn telemetry(line: UartTx<'static, Async>) {
 
 #[embassy_executor::task]
 async fn listen(can: Receiver) {
-    loops::listen(can, &BoardClock, &EXCHANGE).await;
+    loops::listen(can, &LIMITS, &BoardClock, &EXCHANGE).await;
 }
 
 #[embassy_executor::task]
 async fn listen_serial(line: RingBufferedUartRx<'static>) {
-    loops::listen_serial(line, DEFAULT_NODE, &BoardClock, &EXCHANGE).await;
+    loops::listen_serial(line, DEFAULT_NODE, &LIMITS, &BoardClock, &EXCHANGE).await;
 }
 
 #[embassy_executor::task]
 async fn command(mut rng: rng::Rng<'static, peripherals::RNG>) {
     let random = move || rng.next_u32() as u16;
-    loops::command(Session::new(DEFAULT_NODE), random, &BoardClock, &EXCHANGE).await;
+    loops::command(
+        Session::new(DEFAULT_NODE, &LIMITS),
+        random,
+        &BoardClock,
+        &EXCHANGE,
+    )
+    .await;
 }
 
 fn version() -> Version {
