@@ -16,6 +16,8 @@ pub struct Limits {
     pub failed_transfers: u8,
     /// Ticks in a row with a line held low that are a fault.
     pub stuck_ticks: u8,
+    /// Ticks in a row in which a field is outside the model's box.
+    pub outside_ticks: u8,
     /// Difference of the fingers' forces in newtons, with a tenth of the force on top (control study).
     pub unbalanced_n: i32,
     /// Ticks in a row with that difference.
@@ -33,6 +35,7 @@ impl Limits {
         frozen_axes: 9,
         failed_transfers: 3,
         stuck_ticks: 4,
+        outside_ticks: 3,
         unbalanced_n: 15,
         unbalanced_ticks: 3,
         flood_frames: 20,

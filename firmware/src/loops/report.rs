@@ -61,7 +61,9 @@ pub async fn report<S: CanSender, C: Clock, M: RawMutex>(
                 beat_us = beat_us.saturating_add(u64::from(Heartbeat::LAYOUT.period_ms) * 1000);
                 mouth.heartbeat(&mut counters).await;
             }
-            Either5::Fifth(()) => mouth.leave(),
+            // Told every millisecond while it is off.
+            Either5::Fifth(()) if mouth.off.is_none() => mouth.leave(),
+            Either5::Fifth(()) => {}
         }
     }
 }
@@ -161,12 +163,7 @@ impl<S: CanSender, C: Clock, M: RawMutex> Mouth<'_, S, C, M> {
     /// The controller has left the bus: it joins again after a while, longer each time.
     fn leave(&mut self) {
         let now_us = self.clock.now_us();
-        let times = match self.off {
-            // Told twice.
-            Some((until_us, _)) if now_us < until_us => return,
-            Some((_, times)) => times + 1,
-            None => 0,
-        };
+        let times = self.off.map_or(0, |(_, times)| times + 1);
         let [.., last] = REJOIN_US;
         let wait_us = REJOIN_US.get(times).copied().unwrap_or(last);
         let until_us = now_us.saturating_add(wait_us);
