@@ -134,7 +134,10 @@ impl Receiver {
 fn decode(bytes: &mut [u8]) -> Option<Packet> {
     let length = cobs::decode_in_place(bytes).ok()?;
     let bytes = bytes.get(..length)?;
-    postcard::de_flavors::crc::from_bytes_u16(bytes, CHECKSUM.digest()).ok()
+    let (packet, left) =
+        postcard::de_flavors::crc::take_from_bytes_u16(bytes, CHECKSUM.digest()).ok()?;
+    // Where a zero was lost, the next packet follows: one of the two would be lost without being counted.
+    left.is_empty().then_some(packet)
 }
 
 #[cfg(test)]
@@ -202,6 +205,24 @@ mod tests {
             let line = [&spoilt[..], &bytes[..]].concat();
             assert_eq!(received(&mut receiver, &line), [packet()], "bit {bit}");
             assert!(receiver.broken >= 1, "bit {bit}");
+        }
+    }
+
+    #[test]
+    fn bytes_beyond_the_checksum_make_it_no_packet() {
+        let mut payload = [0; LONGEST];
+        let stuffed = sent(&packet());
+        let length = cobs::decode(&stuffed[..stuffed.len() - 1], &mut payload).unwrap();
+        for beyond in 0..4 {
+            let mut line = [0; LONGEST + 2];
+            let stuffed = cobs::encode(&payload[..length + beyond], &mut line);
+            let line = [&line[..stuffed], &[0]].concat();
+            let mut receiver = Receiver::default();
+            let understood = received(&mut receiver, &line).len();
+            assert_eq!(
+                (understood, receiver.broken),
+                if beyond == 0 { (1, 0) } else { (0, 1) }
+            );
         }
     }
 
