@@ -17,7 +17,7 @@ pub trait Networks {
 }
 
 /// Networks of one size, and their runs.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Running<
     'n,
     const INPUTS: usize,
@@ -50,7 +50,7 @@ impl<const INPUTS: usize, const HIDDEN: usize, const TOLD: usize, const NETWORKS
 }
 
 /// The whole way from frames to forces, with all that it remembers.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Estimator<'t, N> {
     tables: &'t Tables<'t>,
     memories: [Memory; SENSORS],

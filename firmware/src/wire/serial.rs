@@ -137,12 +137,20 @@ fn decode(bytes: &mut [u8]) -> Option<Packet> {
     let (packet, left) =
         postcard::de_flavors::crc::take_from_bytes_u16(bytes, CHECKSUM.digest()).ok()?;
     // Where a zero was lost, the next packet follows: one of the two would be lost without being counted.
-    left.is_empty().then_some(packet)
+    (left.is_empty() && is_sound(&packet)).then_some(packet)
+}
+
+/// Whether a message has the copy that the packet names: another one would be a message of another number.
+const fn is_sound(packet: &Packet) -> bool {
+    match packet {
+        Packet::Message { copy, message } => *copy < message.layout().copies,
+        Packet::Tick(_) => true,
+    }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::messages::Power;
+    use super::super::messages::{EStop, Force, Power};
     use super::*;
 
     fn packet() -> Packet {
@@ -224,6 +232,19 @@ mod tests {
                 if beyond == 0 { (1, 0) } else { (0, 1) }
             );
         }
+    }
+
+    #[test]
+    fn a_copy_that_a_message_has_not_is_no_packet() {
+        let understood = |message, copy| {
+            let bytes = sent(&Packet::Message { copy, message });
+            received(&mut Receiver::default(), &bytes).len()
+        };
+        let force = Message::Force(Force::default());
+        assert_eq!([3, 4, 255].map(|copy| understood(force, copy)), [1, 0, 0]);
+        // The next number is a command's.
+        let stop = Message::EStop(EStop::default());
+        assert_eq!([0, 1].map(|copy| understood(stop, copy)), [1, 0]);
     }
 
     #[test]

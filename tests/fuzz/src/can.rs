@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 
+use firmware::limits::Limits;
 use firmware::session::{Heard, MAGIC, Session, op, status};
 use firmware::wire::STOP_ALL;
 use firmware::wire::layout::Malformed;
@@ -17,6 +18,10 @@ const SERVICE: u16 = 4;
 const PARAM_REQUEST: u16 = 5;
 /// Messages of the protocol.
 const MESSAGES: u16 = 18;
+/// Milliseconds between two frames: both sides of every limit.
+const WAITS: [u32; 16] = [
+    0, 0, 0, 1, 2, 5, 10, 20, 50, 99, 100, 101, 500, 501, 1000, 1001,
+];
 /// Longest data of a frame, were it one of CAN FD.
 const LONGEST: usize = 64;
 
@@ -36,15 +41,15 @@ pub fn hear(bytes: &[u8]) -> Tally {
     let mut bytes = Bytes::new(bytes);
     let mut now = u32::from_le_bytes(bytes.array());
     let node = 1 + u16::from(bytes.byte()) % 63;
-    let mut session = Session::new(node);
+    let mut session = Session::new(node, &Limits::GRIPPER);
     let mut witness = Witness::new(node);
     let mut tally = Tally::default();
     while !bytes.is_empty() {
         let kind = bytes.byte();
-        // Mostly milliseconds; a minute at most, so that no story lasts until the clock comes round.
-        let waited = match kind & 0x80 {
-            0 => u32::from((kind >> 3) & 0xF),
-            _ => u32::from(bytes.word()),
+        let waited = match bytes.byte() {
+            // A minute at most, so that no story lasts until the clock comes round.
+            choice @ 0xF0.. => u32::from(choice & 1) * u32::from(bytes.word()),
+            choice => WAITS[usize::from(choice & 0xF)],
         };
         now = now.wrapping_add(waited);
         if kind & 7 == 7 && kind & 0x40 != 0 {
@@ -60,6 +65,7 @@ pub fn hear(bytes: &[u8]) -> Tally {
         assert_eq!(Verdict::of(&heard, &data), expected, "{id:#x} {data:x?}");
         assert_eq!(session.is_open(), witness.open.is_some());
         assert_eq!(session.is_alive(now), witness.is_alive(now));
+        assert_eq!(session.is_silent(now), witness.is_silent(now));
         assert_eq!(session.is_flooded(now), witness.is_flooded(now));
         match expected {
             Verdict::Armed(_) => tally.armed += 1,
@@ -67,14 +73,9 @@ pub fn hear(bytes: &[u8]) -> Tally {
             _ => {}
         }
     }
-    tally.dropped = dropped(&session);
+    tally.dropped = session.dropped().all();
     assert_eq!(tally.dropped, witness.dropped);
     tally
-}
-
-fn dropped(session: &Session) -> u32 {
-    let dropped = session.dropped();
-    dropped.unknown + dropped.malformed + dropped.replayed + dropped.late
 }
 
 /// The next frame of a story: any at all, or one of a host that knows what it was told.
@@ -298,6 +299,10 @@ impl Witness {
     fn is_alive(&self, now: u32) -> bool {
         let heard = |(_, at): (u8, u32)| now.wrapping_sub(at) <= 100;
         self.open.is_some() && self.last.is_some_and(heard)
+    }
+
+    fn is_silent(&self, now: u32) -> bool {
+        self.open.is_some() && self.last.is_some() && !self.is_alive(now)
     }
 
     fn is_flooded(&self, now: u32) -> bool {

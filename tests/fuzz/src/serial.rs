@@ -79,9 +79,10 @@ fn packet(bytes: &mut Bytes) -> Packet {
     }
     let number = bytes.byte() & 0x1F;
     let message = Message::from_frame(number, &bytes.array::<8>());
+    let message = message.unwrap_or(Message::EStop(Default::default()));
     Packet::Message {
-        copy: kind >> 1,
-        message: message.unwrap_or(Message::EStop(Default::default())),
+        copy: (kind >> 1) % message.layout().copies,
+        message,
     }
 }
 
@@ -126,6 +127,9 @@ impl Line {
         let packet = self.receiver.take(byte);
         if let Some(packet) = &packet {
             self.packets += 1;
+            if let Packet::Message { copy, message } = packet {
+                assert!(*copy < message.layout().copies);
+            }
             // What was understood can be sent, and is understood as the same.
             let mut other = Receiver::default();
             let back = sent(packet).into_iter().find_map(|byte| other.take(byte));
@@ -166,7 +170,7 @@ impl Line {
     /// Whatever came before: of two sound packets in a row the second is understood.
     fn recovers(&mut self) {
         let sound = Packet::Message {
-            copy: 3,
+            copy: 0,
             message: Message::EStop(Default::default()),
         };
         let bytes = sent(&sound);
