@@ -26,7 +26,7 @@ impl<N: Networks> Networks for Option<N> {
 }
 
 /// Networks of one size, and their runs.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Running<
     'n,
     const INPUTS: usize,
@@ -59,7 +59,7 @@ impl<const INPUTS: usize, const HIDDEN: usize, const TOLD: usize, const NETWORKS
 }
 
 /// The whole way from frames to forces, with all that it remembers.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Estimator<'t, N> {
     tables: &'t Tables<'t>,
     memories: [Memory; SENSORS],

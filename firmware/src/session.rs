@@ -8,7 +8,7 @@
 
 use crate::limits::Limits;
 use crate::wire::layout::{Direction, Malformed};
-use crate::wire::messages::{Command, Message, Service, ServiceReply};
+use crate::wire::messages::{Command, EStop, Message, Service, ServiceReply};
 use crate::wire::serial::CHECKSUM;
 use crate::wire::{STOP_ALL, identifier};
 
@@ -142,7 +142,12 @@ impl Session {
         if id >> 5 != self.node {
             return Heard::Nothing;
         }
-        let message = match Message::from_frame((id & 0x1F) as u8, bytes) {
+        let number = (id & 0x1F) as u8;
+        if EStop::LAYOUT.numbers().contains(&number) {
+            // Whatever it carries: a stop that is written badly is meant all the same.
+            return Heard::Stop;
+        }
+        let message = match Message::from_frame(number, bytes) {
             Ok(message) => message,
             Err(Malformed::Unknown) => {
                 self.dropped.unknown = self.dropped.unknown.saturating_add(1);
@@ -151,7 +156,6 @@ impl Session {
             Err(Malformed::Length | Malformed::Reserved) => return self.malformed(now_ms),
         };
         match message {
-            Message::EStop(_) => Heard::Stop,
             Message::Command(command) => self.command(now_ms, command),
             Message::Service(service) if service.magic != MAGIC => self.malformed(now_ms),
             Message::Service(service) if service.op == op::ARM => self.arm(now_ms, service, random),

@@ -1,16 +1,15 @@
 //! The `.dbc`, read by a library that shares no code with the gripper, against frames of the gripper.
 
-use can_dbc::{Dbc, MultiplexIndicator, Signal, ValueType};
+use can_dbc::{Dbc, MessageId, MultiplexIndicator, Signal, ValueType};
 use firmware::force::{Estimate, Validity};
 use firmware::units::Force;
-use firmware::wire::messages::{Command, Foot, GripStatus, HallRaw, Heartbeat, Power};
-use firmware::wire::{self, DEFAULT_NODE};
+use firmware::wire::layout::{Field, Layout};
+use firmware::wire::messages::{LAYOUTS, Message};
+use firmware::wire::{self, DEFAULT_NODE, identifier};
 use host_tools::commands::dbc::dbc;
 
 /// The value of a signal in a frame, by what the file says of it.
-fn value(file: &Dbc, message: &str, signal: &str, bytes: [u8; 8]) -> f64 {
-    let message = file.messages.iter().find(|m| m.name == message).unwrap();
-    let signal: &Signal = message.signals.iter().find(|s| s.name == signal).unwrap();
+fn value(signal: &Signal, bytes: [u8; 8]) -> f64 {
     let bit = |i: u64| u64::from(bytes[(i / 8) as usize] >> (i % 8) & 1);
     let counts: u64 = (0..signal.size)
         .map(|i| bit(signal.start_bit + i) << i)
@@ -21,15 +20,94 @@ fn value(file: &Dbc, message: &str, signal: &str, bytes: [u8; 8]) -> f64 {
     counts as f64 * signal.factor + signal.offset
 }
 
-fn file() -> Dbc {
-    Dbc::try_from(dbc(DEFAULT_NODE).as_str()).unwrap()
-}
-
 fn close(measured: f64, expected: f64) {
     assert!(
         (measured - expected).abs() < 1e-9,
         "{measured} instead of {expected}"
     );
+}
+
+/// A row of `tests/data/golden_frames.csv`: a frame, and what it means.
+struct Golden {
+    name: String,
+    case: String,
+    identifier: u16,
+    bytes: [u8; 8],
+    /// Signals of the frame and their values in their units.
+    fields: Vec<(String, f64)>,
+}
+
+fn golden_frames() -> Vec<Golden> {
+    let mut file = csv::Reader::from_path(tests::data("golden_frames.csv")).unwrap();
+    file.records()
+        .map(|row| Golden::read(&row.unwrap()))
+        .collect()
+}
+
+impl Golden {
+    fn read(row: &csv::StringRecord) -> Self {
+        let bytes: Vec<u8> = row[3]
+            .split(' ')
+            .map(|byte| u8::from_str_radix(byte, 16).unwrap())
+            .collect();
+        let field = |field: &str| {
+            let (name, value) = field.split_once('=').unwrap();
+            (name.to_owned(), value.parse().unwrap())
+        };
+        Self {
+            name: row[0].to_owned(),
+            case: row[1].to_owned(),
+            identifier: u16::from_str_radix(&row[2], 16).unwrap(),
+            bytes: bytes.try_into().unwrap(),
+            fields: row[4].split_whitespace().map(field).collect(),
+        }
+    }
+
+    fn what(&self) -> String {
+        format!("{} {}", self.name, self.case)
+    }
+
+    fn number(&self) -> u8 {
+        let first = identifier(DEFAULT_NODE, 0);
+        self.identifier.checked_sub(first).unwrap() as u8
+    }
+
+    fn layout(&self) -> &'static Layout {
+        let number = self.number();
+        LAYOUTS
+            .iter()
+            .find(|layout| layout.numbers().contains(&number))
+            .unwrap()
+    }
+
+    /// The values in the counts of their fields.
+    fn counts(&self) -> Vec<i64> {
+        let fields = self.layout().fields;
+        assert_eq!(fields.len(), self.fields.len(), "{}", self.what());
+        let each = fields.iter().zip(&self.fields);
+        each.map(|(field, (_, value))| {
+            let counts = (value / field.scale).round();
+            close(counts * field.scale, *value);
+            counts as i64
+        })
+        .collect()
+    }
+
+    /// The message of these values, as the gripper would have it. It is named and filled by its fields'
+    /// names, so that the fields need no second list here.
+    fn message(&self) -> Message {
+        let layout = self.layout();
+        let zero = Message::from_frame(self.number(), &[0; 8]).unwrap();
+        let mut named = serde_json::to_value(zero).unwrap();
+        for (field, counts) in layout.fields.iter().zip(self.counts()) {
+            let value = &mut named[layout.name][field.name];
+            *value = match value.is_boolean() {
+                true => (counts == 1).into(),
+                false => counts.into(),
+            };
+        }
+        serde_json::from_value(named).unwrap()
+    }
 }
 
 #[test]
@@ -50,8 +128,12 @@ fn forces_of_the_third_sensor_are_read_in_newtons() {
         ..Estimate::MISSING
     };
     let bytes = wire::force(&estimate, 200).to_bytes();
-    let file = file();
-    let read = |signal| value(&file, "Force2", signal, bytes);
+    let file = Dbc::try_from(dbc(DEFAULT_NODE).as_str()).unwrap();
+    let message = file.messages.iter().find(|m| m.name == "Force2").unwrap();
+    let read = |name| {
+        let signal = message.signals.iter().find(|s| s.name == name).unwrap();
+        value(signal, bytes)
+    };
     close(read("fx"), -123.0);
     close(read("fz"), 47.0);
     close(read("sigma_x"), 2.0);
@@ -63,105 +145,68 @@ fn forces_of_the_third_sensor_are_read_in_newtons() {
 }
 
 #[test]
-fn every_signal_of_these_frames_is_read_as_it_was_meant() {
-    let file = file();
-    let grip = GripStatus {
-        position: 9012,
-        speed: -5830,
-        force: 3500,
-        current: -1234,
-        object: 2,
-        counter: 9,
-    };
-    let read = |signal| value(&file, "GripStatus", signal, grip.to_bytes());
-    close(read("position"), 90.12);
-    close(read("speed"), -58.3);
-    close(read("force"), 350.0);
-    close(read("current"), -12.34);
-    close(read("object"), 2.0);
-    close(read("counter"), 9.0);
-    let power = Power {
-        bus: 2405,
-        current: -310,
-        mcu: -5,
-        motor: 61,
-        sensor: 33,
-        counter: 1,
-    };
-    let read = |signal| value(&file, "Power", signal, power.to_bytes());
-    close(read("bus"), 24.05);
-    close(read("current"), -3.1);
-    close(read("mcu"), -5.0);
-    close(read("motor"), 61.0);
-    let command = Command {
-        mode: 3,
-        counter: 14,
-        position: 2000,
-        speed: 233,
-        force: 3500,
-        flags: 0x81,
-        crc: 0xABCD,
-    };
-    let read = |signal| value(&file, "Command", signal, command.to_bytes());
-    close(read("mode"), 3.0);
-    close(read("counter"), 14.0);
-    close(read("position"), 100.0);
-    close(read("speed"), 58.25);
-    close(read("force"), 350.0);
-    close(read("flags"), f64::from(0x81));
-    close(read("crc"), f64::from(0xABCD));
-    let foot = Foot {
-        contacts: 0b1010,
-        total_fz: -4321,
-        centre: 1750,
-        sigma: 12,
-        counter: 3,
-    };
-    let read = |signal| value(&file, "Foot", signal, foot.to_bytes());
-    close(read("contacts"), 10.0);
-    close(read("total_fz"), -432.1);
-    close(read("centre"), 17.5);
-    close(read("sigma"), 3.0);
-    let heartbeat = Heartbeat {
-        faults: 0x8000_0001,
-        state: 7,
-        object: 3,
-        command_alive: true,
-        sensors_ok: 0b1101,
-        protocol_major: 1,
-        counter: 255,
-    };
-    let read = |signal| value(&file, "Heartbeat", signal, heartbeat.to_bytes());
-    close(read("faults"), f64::from(0x8000_0001_u32));
-    close(read("state"), 7.0);
-    close(read("command_alive"), 1.0);
-    close(read("sensors_ok"), 13.0);
-    close(read("counter"), 255.0);
+fn every_golden_frame_is_what_the_gripper_sends() {
+    for row in golden_frames() {
+        let (what, message) = (row.what(), row.message());
+        assert_eq!(message.to_bytes(), row.bytes, "{what}");
+        let heard = Message::from_frame(row.number(), &row.bytes);
+        assert_eq!(heard, Ok(message), "{what}");
+    }
 }
 
 #[test]
-fn a_raw_reading_is_read_under_its_sensor() {
-    let raw = HallRaw {
-        sensor: 3,
-        x: -16384,
-        y: 16383,
-        z: -1,
-        temperature: -2048,
-    };
-    let file = file();
-    let read = |signal| value(&file, "HallRaw", signal, raw.to_bytes());
-    close(read("sensor"), 3.0);
-    close(read("x3"), -16384.0);
-    close(read("y3"), 16383.0);
-    close(read("z3"), -1.0);
-    close(read("temperature3"), -2048.0);
-    let message = file.messages.iter().find(|m| m.name == "HallRaw").unwrap();
-    let shown = |name: &str| {
-        let signal = message.signals.iter().find(|s| s.name == name).unwrap();
-        signal.multiplexer_indicator
-    };
-    assert_eq!(shown("sensor"), MultiplexIndicator::Multiplexor);
-    assert_eq!(shown("x3"), MultiplexIndicator::MultiplexedSignal(3));
+fn every_golden_frame_is_read_through_the_dbc_as_it_was_meant() {
+    let file = Dbc::try_from(include_str!("../../firmware/magpie.dbc")).unwrap();
+    for row in golden_frames() {
+        let what = row.what();
+        let message = file.messages.iter().find(|m| m.name == row.name).unwrap();
+        assert_eq!(message.id, MessageId::Standard(row.identifier), "{what}");
+        let selected = row.fields.first().map_or(0.0, |(_, value)| *value);
+        let shown = |signal: &&Signal| match signal.multiplexer_indicator {
+            MultiplexIndicator::MultiplexedSignal(value) => value as f64 == selected,
+            _ => true,
+        };
+        let signals: Vec<&Signal> = message.signals.iter().filter(shown).collect();
+        assert_eq!(signals.len(), row.fields.len(), "{what}");
+        for (signal, (name, meant)) in signals.iter().zip(&row.fields) {
+            assert_eq!(signal.name, *name, "{what}");
+            close(value(signal, row.bytes), *meant);
+        }
+    }
+}
+
+#[test]
+fn the_golden_frames_hold_every_message_at_zero_at_both_ends_and_in_between() {
+    let rows = golden_frames();
+    for (layout, number) in LAYOUTS
+        .iter()
+        .flat_map(|layout| layout.numbers().map(move |n| (layout, n)))
+    {
+        let case = |case: &str| -> Vec<i64> {
+            let row = rows.iter().find(|r| r.number() == number && r.case == case);
+            row.unwrap_or_else(|| panic!("no frame '{case}' of {}, {number:#x}", layout.name))
+                .counts()
+        };
+        let ends = |field: &Field| match (field.end - field.first, field.signed) {
+            (width, true) => (-(1_i64 << (width - 1)), (1_i64 << (width - 1)) - 1),
+            (width, false) => (0, (1_i64 << width) - 1),
+        };
+        let (least, greatest): (Vec<i64>, Vec<i64>) = layout.fields.iter().map(ends).unzip();
+        assert_eq!(case("zero"), vec![0; least.len()], "{}", layout.name);
+        // A message without fields is always the same.
+        if layout.fields.is_empty() {
+            continue;
+        }
+        assert_eq!(case("least"), least, "{}", layout.name);
+        assert_eq!(case("greatest"), greatest, "{}", layout.name);
+        let first = if layout.multiplexed {
+            "mixed1"
+        } else {
+            "mixed"
+        };
+        let mixed = case(first);
+        assert!(![vec![0; least.len()], least, greatest].contains(&mixed));
+    }
 }
 
 #[test]

@@ -22,8 +22,8 @@ const TURN_SETTING: u8 = 0b0111_1100;
 /// Registers are updated as a whole, and the address moves on by itself.
 const WHOLE_SAMPLES: u8 = 0b0100_0100;
 
-/// At +-4 g a count is 0.122 mg; 0.122e-3 * 9806.65 mm/s^2, with 16 fractional bits.
-const ACCELERATION_PER_COUNT: i32 = 78_407;
+/// At +-4 g a count is 0.122 mg; 0.122e-3 * 9806.65 mm/s^2 = 1.1964113, with 16 fractional bits.
+const ACCELERATION_PER_COUNT: i32 = 78_408;
 /// At +-2000 degrees per second a count is 70 millidegrees per second.
 const TURN_PER_COUNT: i32 = 70;
 

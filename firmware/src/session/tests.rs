@@ -1,6 +1,5 @@
 use super::*;
 use crate::wire::DEFAULT_NODE;
-use crate::wire::messages::EStop;
 
 const COMMAND: u16 = identifier(DEFAULT_NODE, Command::LAYOUT.number);
 const SERVICE: u16 = identifier(DEFAULT_NODE, Service::LAYOUT.number);
@@ -125,15 +124,15 @@ fn a_host_is_silent_after_a_tenth_of_a_second_also_when_the_clock_turns_over() {
 }
 
 #[test]
-fn a_stop_is_heard_from_anybody_and_other_nodes_are_not() {
+fn a_stop_is_heard_from_anybody_whatever_it_carries_and_other_nodes_are_not() {
     let mut session = Session::new(DEFAULT_NODE, &Limits::GRIPPER);
-    let stop = EStop::default().to_bytes();
-    assert_eq!(session.hear(0, STOP_ALL, &[], 0), Heard::Stop);
-    assert_eq!(
-        session.hear(0, identifier(DEFAULT_NODE, 2), &stop, 0),
-        Heard::Stop
-    );
-    assert_eq!(session.hear(0, identifier(3, 2), &stop, 0), Heard::Nothing);
+    let stop = identifier(DEFAULT_NODE, EStop::LAYOUT.number);
+    for carried in [&[][..], &[0; 8], &[0xFF; 8], &[1, 2, 3], &[0; 64]] {
+        assert_eq!(session.hear(0, STOP_ALL, carried, 0), Heard::Stop);
+        assert_eq!(session.hear(0, stop, carried, 0), Heard::Stop);
+        let other = identifier(3, EStop::LAYOUT.number);
+        assert_eq!(session.hear(0, other, carried, 0), Heard::Nothing);
+    }
     assert_eq!(session.dropped(), Dropped::default());
 }
 

@@ -134,12 +134,23 @@ impl Receiver {
 fn decode(bytes: &mut [u8]) -> Option<Packet> {
     let length = cobs::decode_in_place(bytes).ok()?;
     let bytes = bytes.get(..length)?;
-    postcard::de_flavors::crc::from_bytes_u16(bytes, CHECKSUM.digest()).ok()
+    let (packet, left) =
+        postcard::de_flavors::crc::take_from_bytes_u16(bytes, CHECKSUM.digest()).ok()?;
+    // Where a zero was lost, the next packet follows: one of the two would be lost without being counted.
+    (left.is_empty() && is_sound(&packet)).then_some(packet)
+}
+
+/// Whether a message has the copy that the packet names: another one would be a message of another number.
+const fn is_sound(packet: &Packet) -> bool {
+    match packet {
+        Packet::Message { copy, message } => *copy < message.layout().copies,
+        Packet::Tick(_) => true,
+    }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::messages::Power;
+    use super::super::messages::{EStop, Force, Power};
     use super::*;
 
     fn packet() -> Packet {
@@ -203,6 +214,37 @@ mod tests {
             assert_eq!(received(&mut receiver, &line), [packet()], "bit {bit}");
             assert!(receiver.broken >= 1, "bit {bit}");
         }
+    }
+
+    #[test]
+    fn bytes_beyond_the_checksum_make_it_no_packet() {
+        let mut payload = [0; LONGEST];
+        let stuffed = sent(&packet());
+        let length = cobs::decode(&stuffed[..stuffed.len() - 1], &mut payload).unwrap();
+        for beyond in 0..4 {
+            let mut line = [0; LONGEST + 2];
+            let stuffed = cobs::encode(&payload[..length + beyond], &mut line);
+            let line = [&line[..stuffed], &[0]].concat();
+            let mut receiver = Receiver::default();
+            let understood = received(&mut receiver, &line).len();
+            assert_eq!(
+                (understood, receiver.broken),
+                if beyond == 0 { (1, 0) } else { (0, 1) }
+            );
+        }
+    }
+
+    #[test]
+    fn a_copy_that_a_message_has_not_is_no_packet() {
+        let understood = |message, copy| {
+            let bytes = sent(&Packet::Message { copy, message });
+            received(&mut Receiver::default(), &bytes).len()
+        };
+        let force = Message::Force(Force::default());
+        assert_eq!([3, 4, 255].map(|copy| understood(force, copy)), [1, 0, 0]);
+        // The next number is a command's.
+        let stop = Message::EStop(EStop::default());
+        assert_eq!([0, 1].map(|copy| understood(stop, copy)), [1, 0]);
     }
 
     #[test]

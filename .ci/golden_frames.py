@@ -1,0 +1,58 @@
+#!/usr/bin/env python3
+"""Reads the golden frames through the .dbc with cantools, as a user's tool does, and writes them back.
+
+    golden_frames.py [FRAMES.csv [FILE.dbc]]
+"""
+
+import csv
+import sys
+from pathlib import Path
+
+import cantools
+
+ROOT = Path(__file__).resolve().parent.parent
+# Far below the smallest count, 0.01, and far above the rounding of a double.
+CLOSE = 1e-9
+
+
+def meant(fields):
+    """The values that a row states, by signal."""
+    return {name: float(value) for name, value in (field.split("=") for field in fields.split())}
+
+
+def faults(bus, row):
+    """What cantools reads otherwise than the row states."""
+    message = bus.get_message_by_name(row["message"])
+    if message.frame_id != int(row["identifier"], 16):
+        yield f"identifier {message.frame_id:03X} instead of {row['identifier']}"
+    read = message.decode(bytes.fromhex(row["bytes"]), decode_choices=False)
+    stated = meant(row["fields"])
+    if read.keys() != stated.keys():
+        yield f"signals {sorted(read)} instead of {sorted(stated)}"
+    for name in read.keys() & stated.keys():
+        if not abs(float(read[name]) - stated[name]) < CLOSE:
+            yield f"{name} = {read[name]} instead of {stated[name]}"
+    # Sees the bits that belong to no signal, too.
+    written = message.encode(stated, scaling=True)
+    if written != bytes.fromhex(row["bytes"]):
+        yield f"written as {written.hex(' ').upper()} instead of {row['bytes']}"
+
+
+def main(frames=ROOT / "tests/data/golden_frames.csv", dbc=ROOT / "firmware/magpie.dbc"):
+    bus = cantools.database.load_file(dbc)
+    with open(frames, newline="") as file:
+        rows = list(csv.DictReader(file))
+    wrong = [
+        f"{row['message']} {row['case']}: {fault}" for row in rows for fault in faults(bus, row)
+    ]
+    absent = {message.name for message in bus.messages} - {row["message"] for row in rows}
+    wrong += [f"no frame of {name}" for name in sorted(absent)]
+    for line in wrong:
+        print(line, file=sys.stderr)
+    signals = sum(len(meant(row["fields"])) for row in rows)
+    print(f"{len(rows)} frames, {signals} signals, {len(wrong)} read otherwise than stated")
+    return 1 if wrong or not rows else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))

@@ -1,0 +1,312 @@
+//! Frames on the CAN bus, with their times, into a session and the table of messages.
+
+use std::collections::VecDeque;
+
+use firmware::limits::Limits;
+use firmware::session::{Heard, MAGIC, Session, op, status};
+use firmware::wire::STOP_ALL;
+use firmware::wire::layout::Malformed;
+use firmware::wire::messages::{LAYOUTS, Message};
+
+use super::bytes::Bytes;
+use super::check::crc16;
+
+/// Numbers of the messages that a host sends, by the table of the protocol.
+const STOP: u16 = 2;
+const COMMAND: u16 = 3;
+const SERVICE: u16 = 4;
+const PARAM_REQUEST: u16 = 5;
+/// Messages of the protocol.
+const MESSAGES: u16 = 18;
+/// Milliseconds between two frames: both sides of every limit.
+const WAITS: [u32; 16] = [
+    0, 0, 0, 1, 2, 5, 10, 20, 50, 99, 100, 101, 500, 501, 1000, 1001,
+];
+/// Longest data of a frame, were it one of CAN FD.
+const LONGEST: usize = 64;
+
+/// What a story came to.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Tally {
+    /// Sessions that began.
+    pub armed: u32,
+    /// Commands that counted.
+    pub commands: u32,
+    /// Frames that were dropped.
+    pub dropped: u32,
+}
+
+/// A bus with a gripper, and a witness who knows the rules.
+pub fn hear(bytes: &[u8]) -> Tally {
+    let mut bytes = Bytes::new(bytes);
+    let mut now = u32::from_le_bytes(bytes.array());
+    let node = 1 + u16::from(bytes.byte()) % 63;
+    let mut session = Session::new(node, &Limits::GRIPPER);
+    let mut witness = Witness::new(node);
+    let mut tally = Tally::default();
+    while !bytes.is_empty() {
+        let kind = bytes.byte();
+        let waited = match bytes.byte() {
+            // A minute at most, so that no story lasts until the clock comes round.
+            choice @ 0xF0.. => u32::from(choice & 1) * u32::from(bytes.word()),
+            choice => WAITS[usize::from(choice & 0xF)],
+        };
+        now = now.wrapping_add(waited);
+        if kind & 7 == 7 && kind & 0x40 != 0 {
+            session.close();
+            witness.close();
+            continue;
+        }
+        let (id, data) = frame(kind, &mut bytes, &witness);
+        let random = bytes.word();
+        message(id, &data);
+        let heard = session.hear(now, id, &data, random);
+        let expected = witness.hear(now, id, &data, random);
+        assert_eq!(Verdict::of(&heard, &data), expected, "{id:#x} {data:x?}");
+        assert_eq!(session.is_open(), witness.open.is_some());
+        assert_eq!(session.is_alive(now), witness.is_alive(now));
+        assert_eq!(session.is_silent(now), witness.is_silent(now));
+        assert_eq!(session.is_flooded(now), witness.is_flooded(now));
+        match expected {
+            Verdict::Armed(_) => tally.armed += 1,
+            Verdict::Command => tally.commands += 1,
+            _ => {}
+        }
+    }
+    tally.dropped = session.dropped().all();
+    assert_eq!(tally.dropped, witness.dropped);
+    tally
+}
+
+/// The next frame of a story: any at all, or one of a host that knows what it was told.
+fn frame(kind: u8, bytes: &mut Bytes, witness: &Witness) -> (u16, Vec<u8>) {
+    let of = |number: u16| (witness.node << 5) | number;
+    let service = |op: u8, nonce: u16| {
+        let mut data = [op, 0, 0, 0, 0, 0, 0, 0];
+        data[1..3].copy_from_slice(&MAGIC.to_le_bytes());
+        data[3..5].copy_from_slice(&nonce.to_le_bytes());
+        (of(SERVICE), data.to_vec())
+    };
+    let offered = witness.offer.map_or(0, |(nonce, _)| nonce);
+    match kind & 7 {
+        0 => {
+            let id = bytes.word();
+            let length = usize::from(bytes.byte()) % (LONGEST + 1);
+            (id, bytes.some(length).to_vec())
+        }
+        1 => {
+            let number = u16::from(bytes.byte()) & 0x1F;
+            (of(number), bytes.array::<8>().to_vec())
+        }
+        2 => service(op::ARM, 0),
+        3 => service(op::ARM, offered),
+        4 => service(bytes.byte() % 8, bytes.word()),
+        5 | 6 => {
+            let mut data = bytes.array::<8>();
+            if kind & 7 == 5 {
+                // A counter that goes on, or nearly.
+                let last = witness.last.map_or(0, |(counter, _)| counter);
+                let counter = last.wrapping_add(data[0] & 3);
+                data[0] = (data[0] & 0xF) | (counter << 4);
+            }
+            let nonce = witness.open.unwrap_or(offered);
+            let seal = seal(nonce, of(COMMAND), &data);
+            data[6..].copy_from_slice(&seal.to_le_bytes());
+            // A bit may flip on the way.
+            if kind & 0x40 != 0 {
+                let bit = bytes.byte() & 63;
+                data[usize::from(bit >> 3)] ^= 1 << (bit & 7);
+            }
+            (of(COMMAND), data.to_vec())
+        }
+        _ => (STOP_ALL, bytes.some(usize::from((kind >> 3) & 7)).to_vec()),
+    }
+}
+
+/// Checksum of a command: over the nonce, the identifier and the bytes before it.
+fn seal(nonce: u16, id: u16, data: &[u8]) -> u16 {
+    let head = [nonce.to_le_bytes(), id.to_le_bytes()]
+        .into_iter()
+        .flatten();
+    crc16(head.chain(data[..6].iter().copied()))
+}
+
+/// A message that is understood is these bytes and no others, and what is not says why.
+fn message(id: u16, data: &[u8]) {
+    let number = (id & 0x1F) as u8;
+    let layout = LAYOUTS.iter().find(|l| l.numbers().contains(&number));
+    let own = |layout: &firmware::wire::layout::Layout| {
+        let bits = |f: &firmware::wire::layout::Field| (f.first..f.end).map(|bit| 1_u64 << bit);
+        layout.fields.iter().flat_map(bits).sum::<u64>()
+    };
+    let whole: Option<[u8; 8]> = data.try_into().ok();
+    let spare = |bytes, layout| u64::from_le_bytes(bytes) & !own(layout);
+    let expected = match (whole, layout) {
+        (None, _) => Err(Malformed::Length),
+        (_, None) => Err(Malformed::Unknown),
+        (Some(bytes), Some(layout)) if spare(bytes, layout) != 0 => Err(Malformed::Reserved),
+        (Some(bytes), Some(layout)) => Ok((bytes, layout)),
+    };
+    let understood = Message::from_frame(number, data);
+    assert_eq!(
+        understood.map(|m| (m.to_bytes(), m.layout())),
+        expected,
+        "{number:#x} {data:x?}"
+    );
+}
+
+/// What a frame was good for, as far as anybody may rely on it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Verdict {
+    Nothing,
+    Stop,
+    /// Say this number back.
+    Offered(u16),
+    Refused,
+    Armed(u16),
+    /// The command of these very bytes.
+    Command,
+    Other,
+}
+
+impl Verdict {
+    fn of(heard: &Heard, data: &[u8]) -> Self {
+        match heard {
+            Heard::Nothing => Self::Nothing,
+            Heard::Stop => Self::Stop,
+            Heard::Command(command) => {
+                assert_eq!(command.to_bytes(), data);
+                Self::Command
+            }
+            Heard::Other(message) => {
+                assert_eq!(message.to_bytes(), data);
+                Self::Other
+            }
+            Heard::Reply { reply, armed } => {
+                assert_eq!((reply.op, reply.detail), (op::ARM, 0));
+                match (reply.status, armed) {
+                    (status::SAY_BACK, false) => Self::Offered(reply.nonce),
+                    (status::REFUSED, false) => Self::Refused,
+                    (status::DONE, true) => Self::Armed(reply.nonce),
+                    other => panic!("a reply of no kind: {other:?}"),
+                }
+            }
+        }
+    }
+}
+
+/// The rules of a session, told from its documentation.
+struct Witness {
+    node: u16,
+    /// A nonce that was offered, and when.
+    offer: Option<(u16, u32)>,
+    /// The nonce of the session.
+    open: Option<u16>,
+    /// Counter and time of the last command that counted.
+    last: Option<(u8, u32)>,
+    dropped: u32,
+    /// When frames of a broken sender were dropped: the latest sixteen.
+    latest: VecDeque<u32>,
+}
+
+impl Witness {
+    fn new(node: u16) -> Self {
+        Self {
+            node,
+            offer: None,
+            open: None,
+            last: None,
+            dropped: 0,
+            latest: VecDeque::new(),
+        }
+    }
+
+    fn close(&mut self) {
+        (self.offer, self.open, self.last) = (None, None, None);
+    }
+
+    fn hear(&mut self, now: u32, id: u16, data: &[u8], random: u16) -> Verdict {
+        let number = id & 0x1F;
+        match (id >> 5 == self.node, data.len()) {
+            _ if id == STOP_ALL => Verdict::Stop,
+            (false, _) => Verdict::Nothing,
+            // Whatever it carries.
+            _ if number == STOP => Verdict::Stop,
+            (true, 8) => match number {
+                COMMAND => self.command(now, id, data),
+                SERVICE => self.service(now, data, random),
+                PARAM_REQUEST => Verdict::Other,
+                MESSAGES.. => {
+                    self.dropped += 1;
+                    Verdict::Nothing
+                }
+                _ => self.drop(now),
+            },
+            _ => self.drop(now),
+        }
+    }
+
+    fn service(&mut self, now: u32, data: &[u8], random: u16) -> Verdict {
+        let nonce = u16::from_le_bytes([data[3], data[4]]);
+        if data[1..3] != *b"MG" {
+            return self.drop(now);
+        }
+        if data[0] != 5 {
+            return Verdict::Other;
+        }
+        if nonce == 0 {
+            self.close();
+            let nonce = if random == 0 { 1 } else { random };
+            self.offer = Some((nonce, now));
+            return Verdict::Offered(nonce);
+        }
+        match self.offer.take() {
+            Some((offered, at)) if offered == nonce && now.wrapping_sub(at) <= 500 => {
+                (self.open, self.last) = (Some(nonce), None);
+                Verdict::Armed(nonce)
+            }
+            _ => {
+                self.drop(now);
+                Verdict::Refused
+            }
+        }
+    }
+
+    fn command(&mut self, now: u32, id: u16, data: &[u8]) -> Verdict {
+        let Some(nonce) = self.open else {
+            return self.drop(now);
+        };
+        let counter = data[0] >> 4;
+        let goes_on = self
+            .last
+            .is_none_or(|(last, _)| [(last + 1) % 16, (last + 2) % 16].contains(&counter));
+        if data[6..] != seal(nonce, id, data).to_le_bytes() || !goes_on {
+            return self.drop(now);
+        }
+        self.last = Some((counter, now));
+        Verdict::Command
+    }
+
+    fn drop(&mut self, now: u32) -> Verdict {
+        self.dropped += 1;
+        self.latest.push_back(now);
+        if self.latest.len() > 16 {
+            self.latest.pop_front();
+        }
+        Verdict::Nothing
+    }
+
+    fn is_alive(&self, now: u32) -> bool {
+        let heard = |(_, at): (u8, u32)| now.wrapping_sub(at) <= 100;
+        self.open.is_some() && self.last.is_some_and(heard)
+    }
+
+    fn is_silent(&self, now: u32) -> bool {
+        self.open.is_some() && self.last.is_some() && !self.is_alive(now)
+    }
+
+    fn is_flooded(&self, now: u32) -> bool {
+        let lately = |at: &u32| now.wrapping_sub(*at) <= 1000;
+        self.latest.len() == 16 && self.latest.front().is_some_and(lately)
+    }
+}

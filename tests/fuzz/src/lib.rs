@@ -1,0 +1,14 @@
+//! What comes from outside, into the gripper's code: one function for each way in. Each takes any bytes,
+//! makes a story of them, and panics where the gripper breaks a promise.
+//!
+//! - [`can`]: frames on the CAN bus, with their times.
+//! - [`serial`]: bytes on the serial line.
+//! - [`sensing`]: bytes of the sensors, to forces.
+//! - [`bytes`]: how a story is read from bytes.
+//! - [`check`]: checksum and stuffing by their definitions, beside the tables of the gripper's libraries.
+
+pub mod bytes;
+pub mod can;
+pub mod check;
+pub mod sensing;
+pub mod serial;

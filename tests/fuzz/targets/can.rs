@@ -1,0 +1,6 @@
+//! Frames on the CAN bus, with their times.
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
+    fuzz::can::hear(bytes);
+});
