@@ -15,8 +15,10 @@
 //! - [`force`]: the estimate, with its validity.
 //! - [`recurrent`]: networks over the estimates.
 //! - [`foreign`]: a foreign magnet noticed.
+//! - [`tare`]: what is told without a load, taken off.
 //! - [`wire`]: the messages on the CAN bus and on the serial line.
 //! - [`session`]: who may move the gripper.
+//! - [`parameters`]: what a host may change at run time.
 //! - `hardware`: only on the chip: the board.
 //! - `tasks`: only on the chip: what runs, and every static with its one writer.
 #![no_std]
@@ -47,9 +49,13 @@ pub mod recurrent;
 
 pub mod foreign;
 
+pub mod tare;
+
 pub mod wire;
 
 pub mod session;
+
+pub mod parameters;
 
 #[cfg(target_os = "none")]
 pub mod hardware;
