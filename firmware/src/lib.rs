@@ -4,6 +4,7 @@
 //!
 //! - [`params`]: every design constant with its unit and source, assumptions marked.
 //! - [`fixed`]: integer arithmetic that saturates.
+//! - [`checksum`]: of what is kept.
 //! - [`units`]: fixed-point quantities.
 //! - [`bus_timing`]: the clock of an I2C bus.
 //! - [`hall`]: Hall sensors, from bytes on the bus to readings.
@@ -19,6 +20,7 @@
 //! - [`wire`]: the messages on the CAN bus and on the serial line.
 //! - [`session`]: who may move the gripper.
 //! - [`parameters`]: what a host may change at run time.
+//! - [`store`]: parameters in flash.
 //! - `hardware`: only on the chip: the board.
 //! - `tasks`: only on the chip: what runs, and every static with its one writer.
 #![no_std]
@@ -26,6 +28,7 @@
 #[cfg(test)]
 extern crate std;
 
+pub mod checksum;
 pub mod fixed;
 pub mod params;
 pub mod units;
@@ -56,6 +59,8 @@ pub mod wire;
 pub mod session;
 
 pub mod parameters;
+
+pub mod store;
 
 #[cfg(target_os = "none")]
 pub mod hardware;
