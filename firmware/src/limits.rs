@@ -24,8 +24,6 @@ pub struct Limits {
     pub unbalanced_ticks: u8,
     /// Frames of one source within 10 ms that are heard; ten times what a host may send.
     pub flood_frames: u8,
-    /// A host is silent without a command for so many milliseconds.
-    pub silent_ms: u32,
 }
 
 impl Limits {
@@ -39,6 +37,5 @@ impl Limits {
         unbalanced_n: 15,
         unbalanced_ticks: 3,
         flood_frames: 20,
-        silent_ms: 100,
     };
 }

@@ -11,6 +11,7 @@ use embedded_can::Frame;
 use firmware::frame::SENSORS;
 use firmware::limits::Limits;
 use firmware::loops::FIRST_TICK_US;
+use firmware::parameters::Parameters;
 use firmware::params::TICK_US;
 use firmware::units;
 use firmware::wire::messages::{Force, Message};
@@ -57,6 +58,7 @@ fn run(built: &Built, folder: &Path, seconds: f64) -> Heard {
         tables: built.chosen.tables.clone(),
         compensations: built.compensations.clone(),
         networks: None,
+        parameters: Parameters::DEFAULT,
         limits: Limits::GRIPPER,
     };
     let world = Recorded::new(stream(folder), built);

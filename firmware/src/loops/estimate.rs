@@ -16,6 +16,7 @@ use crate::limits::Limits;
 use crate::params::TICK_US;
 use crate::status::{Fault, Faults};
 use crate::surroundings::Surroundings;
+use crate::tare::{Step, Taring};
 use crate::wire::serial::Tick;
 
 /// What the loop tells of a tick.
@@ -41,12 +42,13 @@ pub async fn estimate<N: Networks, C: Clock, M: RawMutex>(
     exchange: &Exchange<M>,
 ) -> ! {
     let mut judge = Judge::new(limits);
+    let mut taring = None;
     let mut tick = 0_u32;
     let mut last_us = None;
     loop {
         let sensed = exchange.sensed.wait().await;
         let woken_us = clock.now_us();
-        let estimates = estimator.step(&sensed.frame, &around());
+        let mut estimates = estimator.step(&sensed.frame, &around());
         let done_us = clock.now_us();
         let counts = &exchange.counts;
         for (worst, spent_us) in [
@@ -64,6 +66,7 @@ pub async fn estimate<N: Networks, C: Clock, M: RawMutex>(
         });
         tick = tick.wrapping_add(ticks as u32);
         judge.note(&sensed.watched, &estimates, exchange);
+        tare(&mut taring, &mut estimates, exchange);
         exchange.ticks.signal(Tick::of(&sensed.frame, &estimates));
         exchange.told.signal(Told {
             tick,
@@ -72,6 +75,25 @@ pub async fn estimate<N: Networks, C: Clock, M: RawMutex>(
             readings: sensed.frame.readings,
         });
     }
+}
+
+/// Takes the tare off, and gathers another where a host wants one.
+fn tare<M: RawMutex>(
+    taring: &mut Option<Taring>,
+    estimates: &mut [Estimate; SENSORS],
+    exchange: &Exchange<M>,
+) {
+    if exchange.tare_wanted.try_take().is_some() {
+        *taring = Some(Taring::default());
+    }
+    if let Some(running) = taring {
+        let step = running.take(estimates);
+        if step != Step::Gathering {
+            *taring = None;
+            exchange.tare_ended.signal(step);
+        }
+    }
+    exchange.parameters().tare().apply(estimates);
 }
 
 /// Notes what is wrong with sensors and forces.

@@ -3,7 +3,6 @@
 use crate::frame::SENSORS;
 use crate::hall::Part;
 use crate::hall::a31301::A31301;
-use crate::session::ALIVE_MS;
 use crate::tare::GREATEST;
 use crate::wire::DEFAULT_NODE;
 
@@ -88,7 +87,7 @@ pub const TABLE: [Parameter; COUNT] = {
             id: id::COMMAND_TIMEOUT,
             name: "command_timeout",
             unit: "ms",
-            default: ALIVE_MS as i32,
+            default: 100,
             range: Range::Between(20, 500),
             moves: true,
             words: "without a command for this time the gripper holds",
@@ -113,7 +112,10 @@ pub const TABLE: [Parameter; COUNT] = {
         },
         switch(id::RAW, "raw", "raw readings on the CAN bus"),
         switch(id::FOOT, "foot", "messages of the foot on the CAN bus"),
-        switch(id::TELEMETRY, "telemetry", "every tick on the serial line"),
+        Parameter {
+            default: 1,
+            ..switch(id::TELEMETRY, "telemetry", "every tick on the serial line")
+        },
         address(0, "address_0", address_0),
         address(1, "address_1", address_1),
         address(2, "address_2", address_2),

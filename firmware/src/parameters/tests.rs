@@ -35,7 +35,10 @@ fn without_a_host_the_gripper_is_as_it_was_built() {
     let all = Parameters::DEFAULT;
     assert_eq!((all.node(), all.command_timeout_ms()), (0x10, 100));
     assert_eq!(all.force_rate_hz(), 100);
-    assert_eq!([all.raw(), all.foot(), all.telemetry()], [false; 3]);
+    assert_eq!(
+        [all.raw(), all.foot(), all.telemetry()],
+        [false, false, true]
+    );
     assert_eq!(all.addresses(), [0x60, 0x63, 0x6C, 0x6F]);
     assert_eq!((all.tare(), all.screw()), (Tare::NONE, Screw::Unknown));
 }

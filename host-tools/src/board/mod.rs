@@ -5,12 +5,14 @@
 //! - [`i2c`]: a bus with sensors, registers and levels.
 //! - [`can`]: a CAN bus.
 //! - [`line`]: a serial line.
+//! - [`flash`]: where parameters are kept.
 //! - [`recorded`], [`pressed`]: worlds.
 //!
 //! What this does not show: how long the chip computes (virtual time stands still meanwhile), interrupts
 //! and their levels, the chip's drivers, electrical behaviour.
 
 pub mod can;
+pub mod flash;
 pub mod i2c;
 pub mod line;
 pub mod pressed;
@@ -25,12 +27,12 @@ use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use firmware::clock::Clock;
 use firmware::estimator::Estimator;
 use firmware::events::Event;
-use firmware::frame::SENSORS;
 use firmware::hall::Part;
 use firmware::hall::a31301::A31301;
 use firmware::limits::Limits;
-use firmware::loops::{self, Exchange};
-use firmware::session::Session;
+use firmware::loops::{self, Desk, Exchange};
+use firmware::parameters::Parameters;
+use firmware::store::Store;
 use firmware::wire::messages::Version;
 use firmware::wire::{DEFAULT_NODE, PROTOCOL};
 use futures::executor::LocalPool;
@@ -39,6 +41,7 @@ use model_export::inverse::compensation::OwnedCompensation;
 use model_export::inverse::quantise::TableSet;
 
 use can::CanBus;
+use flash::Flash;
 use i2c::{Sensor, SimulatedBus, Wires};
 use line::Line;
 use time::VirtualClock;
@@ -57,6 +60,8 @@ pub struct Program {
     pub compensations: Vec<OwnedCompensation>,
     /// Networks over them.
     pub networks: Option<Networks>,
+    /// What hosts have set and saved.
+    pub parameters: Parameters,
     /// Where something counts as wrong.
     pub limits: Limits,
 }
@@ -117,7 +122,8 @@ impl Board {
     fn spawn_loops(&mut self, program: Program) {
         let limits = program.limits;
         let tables_id = program.tables.id;
-        let addresses: [u8; SENSORS] = A31301::ADDRESSES;
+        let parameters = program.parameters;
+        let addresses = parameters.addresses();
         let shared = (self.clock.clone(), self.exchange.clone());
         let parts = move || shared.clone();
         let buses = self.buses.clone().map(|wires| SimulatedBus {
@@ -176,8 +182,19 @@ impl Board {
                 state = state.wrapping_mul(25_173).wrapping_add(13_849);
                 state
             };
-            let session = Session::new(DEFAULT_NODE, &limits);
-            loops::command(session, random, &clock, &exchange).await;
+            let mut store = Store::new(Flash::default(), 0);
+            // A new flash takes what it is given.
+            let _ = store.save(&parameters).await;
+            let origin = loops::begin(&mut store, &exchange).await;
+            let desk = Desk {
+                version: version(tables_id),
+                store,
+                origin,
+                random,
+                // Whoever restarts a simulated board starts another.
+                reboot: || {},
+            };
+            loops::command(desk, &clock, &exchange).await;
         });
         let passing = can::pass(self.can.clone(), self.clock.clone());
         self.spawn(passing);

@@ -35,7 +35,7 @@ pub enum Detector {
     Unbalanced,
     OutsideTicks,
     FloodFrames,
-    SilentMs,
+    CommandTimeout,
 }
 
 /// Something done at a time, counted from the first tick.

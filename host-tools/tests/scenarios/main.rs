@@ -10,6 +10,8 @@ use std::process::Command;
 use bench::Bench;
 use file::{Detector, Scenario};
 use firmware::limits::Limits;
+use firmware::parameters::Parameters;
+use firmware::parameters::table::id;
 use host_tools::board::pressed::Pressed;
 use host_tools::board::{Board, Program};
 use model_export::inverse::build::{Built, Variant, build};
@@ -53,26 +55,31 @@ fn scenarios() -> Vec<(String, Scenario)> {
     found
 }
 
-fn off(detector: Detector) -> Limits {
-    let mut limits = Limits::GRIPPER;
+/// Limits and parameters with a detector switched off.
+fn without(detector: Option<Detector>) -> (Limits, Parameters) {
+    let (mut limits, mut parameters) = (Limits::GRIPPER, Parameters::DEFAULT);
     match detector {
-        Detector::LostTicks => limits.lost_ticks = u8::MAX,
-        Detector::FrozenAxes => limits.frozen_axes = u8::MAX,
-        Detector::FailedTransfers => limits.failed_transfers = u8::MAX,
-        Detector::StuckTicks => limits.stuck_ticks = u8::MAX,
-        Detector::Unbalanced => limits.unbalanced_n = i32::MAX,
-        Detector::OutsideTicks => limits.outside_ticks = u8::MAX,
-        Detector::FloodFrames => limits.flood_frames = u8::MAX,
-        Detector::SilentMs => limits.silent_ms = u32::MAX,
+        None => {}
+        Some(Detector::LostTicks) => limits.lost_ticks = u8::MAX,
+        Some(Detector::FrozenAxes) => limits.frozen_axes = u8::MAX,
+        Some(Detector::FailedTransfers) => limits.failed_transfers = u8::MAX,
+        Some(Detector::StuckTicks) => limits.stuck_ticks = u8::MAX,
+        Some(Detector::Unbalanced) => limits.unbalanced_n = i32::MAX,
+        Some(Detector::OutsideTicks) => limits.outside_ticks = u8::MAX,
+        Some(Detector::FloodFrames) => limits.flood_frames = u8::MAX,
+        // As late as a host may ask for.
+        Some(Detector::CommandTimeout) => parameters.set(id::COMMAND_TIMEOUT, 500).unwrap(),
     }
-    limits
+    (limits, parameters)
 }
 
-fn play(built: &Built, scenario: &Scenario, limits: Limits) -> bench::Seen {
+fn play(built: &Built, scenario: &Scenario, off: Option<Detector>) -> bench::Seen {
+    let (limits, parameters) = without(off);
     let program = Program {
         tables: built.chosen.tables.clone(),
         compensations: built.compensations.clone(),
         networks: None,
+        parameters,
         limits,
     };
     let left_n = scenario.grip_n / 2.0;
@@ -90,14 +97,14 @@ fn every_scenario_goes_as_its_file_says_and_not_without_its_detector() {
     assert!(scenarios.len() >= 10);
     let mut wrong = Vec::new();
     for (name, scenario) in &scenarios {
-        let seen = play(&built, scenario, Limits::GRIPPER);
+        let seen = play(&built, scenario, None);
         let (differences, latencies) = judge::judge(scenario, &seen);
         for (fault, ms) in latencies {
             println!("{name}: {fault} after {ms:.2} ms ({})", scenario.shows);
         }
         wrong.extend(differences.iter().map(|words| format!("{name}: {words}")));
         if let Some(detector) = scenario.detector {
-            let seen = play(&built, scenario, off(detector));
+            let seen = play(&built, scenario, Some(detector));
             let (differences, _) = judge::judge(scenario, &seen);
             if differences.is_empty() {
                 wrong.push(format!("{name}: goes the same without {detector:?}"));
