@@ -21,6 +21,8 @@
 //! - [`session`]: who may move the gripper.
 //! - [`parameters`]: what a host may change at run time.
 //! - [`store`]: parameters in flash.
+//! - [`crash`]: what is left of a crash.
+//! - [`progress`]: whether every loop moves on.
 //! - `hardware`: only on the chip: the board.
 //! - `tasks`: only on the chip: what runs, and every static with its one writer.
 #![no_std]
@@ -61,6 +63,10 @@ pub mod session;
 pub mod parameters;
 
 pub mod store;
+
+pub mod crash;
+
+pub mod progress;
 
 #[cfg(target_os = "none")]
 pub mod hardware;

@@ -1,3 +1,6 @@
 //! What knows the chip. The only part of the library, with `tasks`, that is not on a computer.
 
 pub mod board;
+pub mod crash;
+pub mod flash;
+pub mod watchdog;
