@@ -71,8 +71,8 @@ impl<const INPUTS: usize, const HIDDEN: usize, const SENSORS: usize> Checked
 
 /// Calls of [`Scrub::step`] for one whole walk, at the most.
 pub const CALLS: usize = 1000;
-/// Calls in a second for which a walk takes ten seconds.
-pub const CALLS_PER_S: u32 = 100;
+/// Calls in a second for which a walk takes five seconds at the most.
+pub const CALLS_PER_S: u32 = 200;
 
 /// What a step of a scrub has found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -93,8 +93,8 @@ pub struct Scrub {
 }
 
 impl Scrub {
-    /// Walks on; always over the same. A bit that turns is found at the end of the walk that reads it: at
-    /// the latest after two walks, 20 s at [`CALLS_PER_S`], and after 10 s where it turns before it is read.
+    /// Walks on; always over the same. A bit that turns behind the walk is found at the end of the next: at
+    /// [`CALLS_PER_S`] after ten seconds at the latest.
     pub fn step(&mut self, of: &impl Checked) -> Found {
         let of = black_box(of);
         let words = of.words();
