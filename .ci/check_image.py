@@ -1,6 +1,8 @@
 """Checks a firmware image and prints its sizes: check_image.py ELF
 
 - The vector table stands at the start of flash and points into RAM and flash.
+- The stack lies at the start of RAM, below the statics; a fault of the core and the non-maskable interrupt
+  end in the firmware's own handlers; the record of a crash is in memory that the start leaves alone.
 - From the model's entry no panic is reachable, and no call whose target is unknown; the stack of the
   deepest way is printed.
 - The kernels lie in the memory beside the core; their code, with the tables of the activations, and
@@ -17,16 +19,19 @@ import struct
 import subprocess
 import sys
 
-FLASH = range(0x0800_0000, 0x0808_0000)
-RAM = range(0x2000_0000, 0x2001_8001)
+# Behind the image four pages keep parameters.
+FLASH = range(0x0800_0000, 0x0807_E000)
+STACK = range(0x2000_0000, 0x2000_4000)
+RAM = range(0x2000_4000, 0x2001_8000)
 CCM = range(0x1000_0000, 0x1000_8000)
 ENTRY = "firmware::force::estimate_all"
 DETECTOR = "firmware::foreign::Detector::watch"
 # Absent from an image without networks.
 NETWORKS = "firmware::recurrent::apply"
 TABLES = "firmware::model::activation::TABLES"
+RECORD = "firmware::hardware::crash::RECORD"
 # Most bytes: of a recurrent network's kernel with its tables, of a kernel's stack, and of the stack from
-# the model's entry down (a task's own stack and interrupts come on top; 96 KiB hold all).
+# the model's entry down (a task's own stack and interrupts come on top; 16 KiB hold all).
 CODE_LIMIT, KERNEL_STACK_LIMIT, STACK_LIMIT = 7 * 1024, 200, 1280
 
 
@@ -49,9 +54,19 @@ def check_vectors(elf, sections):
     lines = objdump("-s", "-j", ".vector_table", elf).splitlines()
     words = next(line for line in lines if line.strip().startswith("8000000")).split()[1:3]
     stack, reset = (struct.unpack("<I", bytes.fromhex(word))[0] for word in words)
-    if stack not in RAM or reset not in FLASH or reset % 2 == 0:
+    if stack != STACK.stop or reset not in FLASH or reset % 2 == 0:
         sys.exit(f"{elf}: vectors make no sense: stack {stack:#x}, reset {reset:#x}")
     print(f"vector table at {address:#010x}: stack {stack:#010x}, reset {reset:#010x}")
+
+
+def check_crash(elf, sections):
+    places = {name: address for name, address, _ in symbols(elf)}
+    for handler, default in (("HardFault", "HardFault_"), ("NonMaskableInt", "DefaultHandler_")):
+        if places.get(handler) in (None, places.get(default)):
+            sys.exit(f"{elf}: {handler} is not the firmware's own: a crash would leave no record")
+    size, start, _ = sections.get(".uninit", (0, 0, 0))
+    if places.get(RECORD) not in range(start, start + size):
+        sys.exit(f"{elf}: {RECORD} is not in .uninit: a reset would clear it")
 
 
 def functions(elf):
@@ -188,6 +203,7 @@ def deepest(address, found, starts, stack, known):
 def main(elf):
     found = sections(elf)
     check_vectors(elf, found)
+    check_crash(elf, found)
     check_no_panic(elf)
     if found.get(".ccm", (0, 0, 0))[1] not in CCM:
         sys.exit(f"{elf}: the kernels are not in the memory beside the core")
@@ -196,7 +212,7 @@ def main(elf):
     ram = sum(size for size, address, _ in found.values() if address in RAM)
     ccm = sum(size for size, address, _ in found.values() if address in CCM)
     print(
-        f"flash {flash} of {len(FLASH)} bytes, RAM {ram} of {len(RAM) - 1} bytes before the stack, "
+        f"flash {flash} of {len(FLASH)} bytes, RAM {ram} of {len(RAM)} bytes and {len(STACK)} of stack, "
         f"{ccm} of {len(CCM)} bytes beside the core"
     )
 

@@ -29,6 +29,8 @@
 //! - [`status`]: what is wrong, and where.
 //! - [`events`]: what happened, for those below.
 //! - [`loops`]: what runs, on the chip and in virtual time.
+//! - [`crash`]: what is left of a crash.
+//! - [`progress`]: whether every loop moves on.
 //! - `hardware`: only on the chip: the board.
 //! - `tasks`: only on the chip: what runs, and every static with its one writer.
 #![no_std]
@@ -83,6 +85,9 @@ pub mod status;
 pub mod events;
 
 pub mod loops;
+pub mod crash;
+
+pub mod progress;
 
 #[cfg(target_os = "none")]
 pub mod hardware;

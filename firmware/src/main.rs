@@ -3,7 +3,13 @@
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
 #[cfg(target_os = "none")]
-use {defmt_rtt as _, panic_probe as _};
+use defmt_rtt as _;
+
+#[cfg(target_os = "none")]
+#[panic_handler]
+fn panic(info: &core::panic::PanicInfo) -> ! {
+    firmware::hardware::crash::panicked(info)
+}
 
 #[cfg(target_os = "none")]
 #[embassy_executor::main]

@@ -147,6 +147,7 @@ mod tests {
                     weights: [[[0; 2]; 4]; 4],
                 }],
             },
+            check: 0,
         }]
     }
 

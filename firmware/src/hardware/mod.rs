@@ -4,3 +4,6 @@ pub mod board;
 pub mod can;
 pub mod clock;
 pub mod sensor_bus;
+pub mod crash;
+pub mod flash;
+pub mod watchdog;

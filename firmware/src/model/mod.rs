@@ -8,9 +8,11 @@
 //! - [`gru`]: the recurrent network, the definition of every bit.
 //! - [`parity`]: three axes against two forces.
 //! - [`ideal`]: scaling, linear part and radial basis functions: from a field to two forces.
+//! - [`check`]: whether tables and weights are still those that were exported.
 //! - `tables`: only on the chip: the tables of this image, written by `magpie export`.
 
 pub mod activation;
+pub mod check;
 pub mod grbf;
 pub mod gru;
 pub mod ideal;
@@ -21,8 +23,9 @@ pub mod table;
 #[cfg(target_os = "none")]
 pub mod kernel;
 
-// Only the image needs them: the tool that writes them must build without them.
-#[cfg(target_os = "none")]
+// Only the image needs them, and a test of their checksum: the tool that writes them must build without
+// them. The name of their section is one of ELF's.
+#[cfg(any(target_os = "none", all(test, target_os = "linux")))]
 // Generated; its header says what it is. Where its statics lie is all that is unsafe in it.
 #[allow(missing_docs, unsafe_code, clippy::all)]
 pub mod tables {

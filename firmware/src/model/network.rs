@@ -187,6 +187,20 @@ pub struct Network<const INPUTS: usize, const HIDDEN: usize, const SENSORS: usiz
     pub guards: [Guard; SENSORS],
     /// The weights.
     pub weights: Weights<INPUTS, HIDDEN, SENSORS>,
+    /// Checksum of all other fields ([`super::check`]).
+    pub check: u32,
+}
+
+impl<const INPUTS: usize, const HIDDEN: usize, const SENSORS: usize>
+    Network<INPUTS, HIDDEN, SENSORS>
+{
+    /// The same with its checksum.
+    pub fn checked(self) -> Self {
+        Self {
+            check: super::check::sum(&self),
+            ..self
+        }
+    }
 }
 
 /// What a network tells of one sensor.

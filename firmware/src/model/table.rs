@@ -29,9 +29,19 @@ pub struct Tables<'a> {
     pub sensors: &'a [SensorTable],
     /// What is undone around the ideal model, for each sensor that has effects.
     pub compensations: &'a [Compensation<'a>],
+    /// Checksum of all other fields ([`super::check`]).
+    pub check: u32,
 }
 
 impl<'a> Tables<'a> {
+    /// The same with their checksum.
+    pub fn checked(self) -> Self {
+        Self {
+            check: super::check::sum(&self),
+            ..self
+        }
+    }
+
     /// What is undone at the sensor with this number; nothing where it has no effects.
     pub fn compensation(&self, number: usize) -> Option<&'a Compensation<'a>> {
         self.compensations

@@ -21,6 +21,7 @@ pub static TABLES: Tables<'static> = Tables {
     exp: &EXP,
     sensors: &SENSORS,
     compensations: &[],
+    check: 0x33fe0c32,
 };
 
 #[unsafe(link_section = ".data.tables")]

@@ -192,7 +192,9 @@ fn device<const INPUTS: usize, const HIDDEN: usize, const TOLD: usize>(
             second: array::from_fn(|pair| unit_pair(second, pair)),
             heads: array::from_fn(|sensor| head(rows, sensor)),
         },
+        check: 0,
     }
+    .checked()
 }
 
 fn unit_pair<const INPUTS: usize, const HIDDEN: usize>(

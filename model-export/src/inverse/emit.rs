@@ -42,14 +42,16 @@ fn tables(built: &Built) -> String {
     text += "\nuse crate::model::parity::Parity;\nuse crate::model::table::*;\n\n";
     text += "/// The ideal model of every sensor.\n";
     text += "pub static TABLES: Tables<'static> = Tables {\n";
+    let views: Vec<_> = built.compensations.iter().map(|own| own.view()).collect();
     text += &format!(
-        "    id: 0x{:04x},\n    exp: &EXP,\n    sensors: &SENSORS,\n    compensations: &{},\n}};\n\n",
+        "    id: 0x{:04x},\n    exp: &EXP,\n    sensors: &SENSORS,\n    compensations: &{},\n    check: 0x{:08x},\n}};\n\n",
         tables.id,
         if built.compensations.is_empty() {
             "[]"
         } else {
             "COMPENSATIONS"
         },
+        tables.tables(&views).check,
     );
     text += IN_SRAM;
     text += &format!(

@@ -65,13 +65,18 @@ impl TableSet {
         })
     }
 
-    /// As the device sees them, with what is undone around them.
+    /// As the device sees them, with what is undone around them, and checked.
     pub fn tables<'a>(&'a self, compensations: &'a [Compensation<'a>]) -> Tables<'a> {
+        self.unchecked(compensations).checked()
+    }
+
+    fn unchecked<'a>(&'a self, compensations: &'a [Compensation<'a>]) -> Tables<'a> {
         Tables {
             id: self.id,
             exp: &self.exp,
             sensors: &self.sensors,
             compensations,
+            check: 0,
         }
     }
 
@@ -81,7 +86,7 @@ impl TableSet {
         let units = f64::from(1_u32 << Field::BITS) / gauss_per_lsb;
         let field = [0, 1, 2].map(|axis| Field((field_g[axis] * units).round() as i32));
         match self.sensors.get(sensor) {
-            Some(table) => ideal::evaluate(&self.tables(&[]), table, field)
+            Some(table) => ideal::evaluate(&self.unchecked(&[]), table, field)
                 .force
                 .map(Force::newtons),
             None => [f64::NAN; 2],

@@ -45,6 +45,7 @@ fn nothing() -> Network<1, 4, 1> {
             second: [const { 0 }; 4].map(|_| second.clone()),
             heads: [head],
         },
+        check: 0,
     }
 }
 
