@@ -26,11 +26,11 @@
 //! - [`throttle`]: more frames than anybody may mean.
 //! - [`parameters`]: what a host may change at run time.
 //! - [`store`]: parameters in flash.
+//! - [`crash`]: what is left of a crash.
+//! - [`progress`]: whether every loop moves on.
 //! - [`status`]: what is wrong, and where.
 //! - [`events`]: what happened, for those below.
 //! - [`loops`]: what runs, on the chip and in virtual time.
-//! - [`crash`]: what is left of a crash.
-//! - [`progress`]: whether every loop moves on.
 //! - `hardware`: only on the chip: the board.
 //! - `tasks`: only on the chip: what runs, and every static with its one writer.
 #![no_std]
@@ -80,15 +80,15 @@ pub mod parameters;
 
 pub mod store;
 
+pub mod crash;
+
+pub mod progress;
+
 pub mod status;
 
 pub mod events;
 
 pub mod loops;
-pub mod crash;
-
-pub mod progress;
-
 #[cfg(target_os = "none")]
 pub mod hardware;
 

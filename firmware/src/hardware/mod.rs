@@ -3,7 +3,7 @@
 pub mod board;
 pub mod can;
 pub mod clock;
-pub mod sensor_bus;
 pub mod crash;
 pub mod flash;
+pub mod sensor_bus;
 pub mod watchdog;

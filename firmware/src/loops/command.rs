@@ -10,6 +10,7 @@ use embedded_storage_async::nor_flash::NorFlash;
 use super::{Exchange, Finder};
 use crate::clock::Clock;
 use crate::parameters;
+use crate::progress::Loop;
 use crate::session::{Heard as Meant, Session, answer, op, status};
 use crate::status::{Fault, Faults};
 use crate::store::{Origin, Store};
@@ -65,6 +66,8 @@ pub async fn command<F: NorFlash, R: FnMut() -> u16, B: FnMut(), C: Clock, M: Ra
         !stored,
         desk.origin.code(),
     );
+    // Nobody is heard, and so nobody arms, before the tables have been looked at.
+    exchange.checked.wait().await;
     let mut look_us = clock.now_us();
     let mut taring = None;
     loop {
@@ -73,7 +76,9 @@ pub async fn command<F: NorFlash, R: FnMut() -> u16, B: FnMut(), C: Clock, M: Ra
             exchange.tare_ended.wait(),
             clock.until(look_us),
         );
-        match next.await {
+        let next = next.await;
+        exchange.progress.check_in(Loop::Command);
+        match next {
             Either3::First(heard) => {
                 let now_ms = (clock.now_us() / 1000) as u32;
                 session.allow(!exchange.is_active(Fault::TablesUnsound));

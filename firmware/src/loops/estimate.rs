@@ -14,6 +14,7 @@ use crate::hall::Reading;
 use crate::hall::watch::{Condition, Watched};
 use crate::limits::Limits;
 use crate::params::TICK_US;
+use crate::progress::Loop;
 use crate::status::{Fault, Faults};
 use crate::surroundings::Surroundings;
 use crate::tare::{Step, Taring};
@@ -47,6 +48,7 @@ pub async fn estimate<N: Networks, C: Clock, M: RawMutex>(
     let mut last_us = None;
     loop {
         let sensed = exchange.sensed.wait().await;
+        exchange.progress.check_in(Loop::Estimate);
         let woken_us = clock.now_us();
         let mut estimates = estimator.step(&sensed.frame, &around());
         let done_us = clock.now_us();

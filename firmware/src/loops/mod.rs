@@ -9,11 +9,13 @@
 //! | [`telemetry`] | estimates | thread | 1 ms | the line misses a tick, its time shows it |
 //! | [`listen`], [`listen_serial`] | frames, bytes | thread | three frames of the controller's memory, 141 us | the controller drops frames |
 //! | [`command`] | what was heard | thread | 1 ms | as a silent host |
+//! | [`scrub`] | each 5 ms | thread | none | a broken table is found later |
 
 mod command;
 mod estimate;
 mod listen;
 mod report;
+mod scrub;
 mod sense;
 mod telemetry;
 
@@ -29,11 +31,13 @@ pub use command::{Desk, begin, command};
 pub use estimate::{Told, estimate};
 pub use listen::{CAN, Heard, SERIAL, listen, listen_serial};
 pub use report::report;
+pub use scrub::scrub;
 pub use sense::{FIRST_TICK_US, Sensed, sense};
 pub use telemetry::telemetry;
 
 use crate::events::{Event, Events};
 use crate::parameters::Parameters;
+use crate::progress::Progress;
 use crate::status::{Fault, Faults};
 use crate::tare::Step;
 use crate::wire::messages::Message;
@@ -55,9 +59,11 @@ pub enum Finder {
     Listen,
     /// [`listen_serial`].
     ListenSerial,
+    /// [`scrub`], and what the start has found.
+    Start,
 }
 
-const FINDERS: usize = 6;
+const FINDERS: usize = 7;
 
 /// What the loops hand to each other. Each part has one writer and one reader, named beside it.
 pub struct Exchange<M: RawMutex> {
@@ -75,12 +81,16 @@ pub struct Exchange<M: RawMutex> {
     pub tare_wanted: Signal<M, ()>,
     /// From [`estimate`] to [`command`]: how it ended.
     pub tare_ended: Signal<M, Step>,
+    /// From [`scrub`] to [`command`]: tables and networks were looked at.
+    pub checked: Signal<M, ()>,
     /// From [`listen`] to [`report`]: the controller has left the bus.
     pub bus_off: Signal<M, ()>,
     /// From [`report`] to [`telemetry`].
     pub lines: Channel<M, Packet, 8>,
     /// From everybody to [`report`].
     pub events: Events<M>,
+    /// Whether the loops move on; each checks in.
+    pub progress: Progress,
     /// Figures that loops count and [`report`] tells.
     pub counts: Counts,
     /// Written by [`command`] alone.
@@ -128,9 +138,11 @@ impl<M: RawMutex> Exchange<M> {
             replies: Channel::new(),
             tare_wanted: Signal::new(),
             tare_ended: Signal::new(),
+            checked: Signal::new(),
             bus_off: Signal::new(),
             lines: Channel::new(),
             events: Events::new(),
+            progress: Progress::new(),
             counts: Counts {
                 transfers_failed: AtomicU32::new(0),
                 ticks_missed: AtomicU32::new(0),

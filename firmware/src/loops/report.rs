@@ -8,6 +8,7 @@ use embassy_sync::blocking_mutex::raw::RawMutex;
 use super::{Exchange, Finder, Told};
 use crate::clock::{Clock, within};
 use crate::events::Event;
+use crate::progress::Loop;
 use crate::status::{Fault, Faults};
 use crate::wire::can::{CanError, CanFrame, CanSender};
 use crate::wire::messages::{self, HallRaw, Heartbeat, Message, Timing};
@@ -48,7 +49,9 @@ pub async fn report<S: CanSender, C: Clock, M: RawMutex>(
             clock.until(beat_us),
             exchange.bus_off.wait(),
         );
-        match next.await {
+        let next = next.await;
+        exchange.progress.check_in(Loop::Report);
+        match next {
             Either5::First(reply) => mouth.say(0, reply).await,
             Either5::Second(told) => mouth.forces(&told, &mut counters).await,
             Either5::Third(event) => {

@@ -14,6 +14,7 @@ use crate::hall::watch::{Watch, Watched};
 use crate::hall::{Part, Sample};
 use crate::limits::Limits;
 use crate::params::{SENSE_LIMIT_US, TICK_US, TRANSFER_LIMIT_US};
+use crate::progress::Loop;
 use crate::status::{Fault, Faults};
 
 /// A tick that begins later than this is skipped: its frame would be no millisecond after the last.
@@ -73,6 +74,7 @@ pub async fn sense<P: Part, B: SensorBus, C: Clock, M: RawMutex>(
             exchange.note(Finder::Sense, &mut faults, fault, true, missed);
             continue;
         }
+        exchange.progress.check_in(Loop::Sense);
         let ([r0, r1], [r2, r3]) = join(
             first.read::<P, C, M>([a, b], now_us, clock, exchange),
             second.read::<P, C, M>([c, d], now_us, clock, exchange),

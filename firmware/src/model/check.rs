@@ -93,6 +93,12 @@ pub struct Scrub {
 }
 
 impl Scrub {
+    /// At the beginning.
+    pub const NEW: Self = Self {
+        at: 0,
+        digest: None,
+    };
+
     /// Walks on; always over the same. A bit that turns behind the walk is found at the end of the next: at
     /// [`CALLS_PER_S`] after ten seconds at the latest.
     pub fn step(&mut self, of: &impl Checked) -> Found {
