@@ -88,9 +88,9 @@ pub mod status;
 
 pub mod events;
 
-pub mod loops;
 #[cfg(target_os = "none")]
 pub mod hardware;
+pub mod loops;
 
 #[cfg(target_os = "none")]
 pub mod tasks;

@@ -15,7 +15,7 @@ fn panic(info: &core::panic::PanicInfo) -> ! {
 #[embassy_executor::main]
 async fn main(spawner: embassy_executor::Spawner) {
     let board = firmware::hardware::board::bring_up();
-    firmware::tasks::spawn(spawner, board);
+    firmware::tasks::start(spawner, board).await;
 }
 
 #[cfg(not(target_os = "none"))]

@@ -12,7 +12,6 @@
 //! The sensors' buses have pull-ups of 1 kOhm (assumed): 1 MHz needs rising edges within 120 ns.
 
 use embassy_stm32::can::config::{FdCanConfig, NominalBitTiming};
-use embassy_stm32::can::filter::{Action, FilterType, StandardFilter, StandardFilterSlot};
 use embassy_stm32::can::{self, CanConfigurator};
 use embassy_stm32::gpio::Flex;
 use embassy_stm32::i2c::{self, I2c};
@@ -20,16 +19,16 @@ use embassy_stm32::mode::Async;
 use embassy_stm32::rng::{self, Rng};
 use embassy_stm32::time::Hertz;
 use embassy_stm32::usart::{self, RingBufferedUartRx, Uart, UartTx};
-use embassy_stm32::{Peripherals, bind_interrupts, dma, pac, peripherals, rcc};
+use embassy_stm32::{Peri, Peripherals, bind_interrupts, dma, pac, peripherals, rcc};
 use embassy_time::Duration;
-use embedded_can::StandardId;
 use static_cell::ConstStaticCell;
 
 use super::can::{Receiver, Sender};
+use super::flash::{self, Pages};
 use super::sensor_bus::{BoardBus, Driver};
 use crate::bus_timing::{Edges, Mode, timing};
 use crate::params::TRANSFER_LIMIT_US;
-use crate::wire::{DEFAULT_NODE, STOP_ALL, identifier};
+use crate::store::Store;
 
 /// Clock of the I2C peripherals: the oscillator of 16 MHz. The driver's own calculation overflows above
 /// 40 MHz.
@@ -75,6 +74,10 @@ pub struct Board {
     pub line: (UartTx<'static, Async>, RingBufferedUartRx<'static>),
     /// Random numbers.
     pub rng: Rng<'static, peripherals::RNG>,
+    /// Where parameters are kept.
+    pub store: Store<Pages>,
+    /// The watchdog, not yet started.
+    pub watchdog: Peri<'static, peripherals::IWDG>,
 }
 
 /// Starts clocks and buses.
@@ -87,11 +90,6 @@ pub fn bring_up() -> Board {
     });
     let mut can = CanConfigurator::new(p.FDCAN1, p.PA11, p.PA12, Interrupts);
     can.set_config(can_config());
-    let [own, all] = filters();
-    can.properties()
-        .set_standard_filter(StandardFilterSlot::_0, own);
-    can.properties()
-        .set_standard_filter(StandardFilterSlot::_1, all);
     let (sender, receiver, properties) = can.into_normal_mode().split();
     let mut config = usart::Config::default();
     config.baudrate = BAUD;
@@ -115,6 +113,8 @@ pub fn bring_up() -> Board {
         ),
         line: (out, into.into_ring_buffered(LINE.take())),
         rng: Rng::new(p.RNG, Interrupts),
+        store: flash::store(p.FLASH),
+        watchdog: p.IWDG,
     }
 }
 
@@ -224,20 +224,4 @@ fn can_config() -> FdCanConfig {
             seg2: non_zero(4),
             sync_jump_width: non_zero(4),
         })
-}
-
-/// This node's 32 identifiers, and a stop for all; masks, since the driver's ranges are swapped.
-fn filters() -> [StandardFilter; 2] {
-    let standard = |id| StandardId::new(id).unwrap_or(StandardId::ZERO);
-    [
-        FilterType::BitMask {
-            filter: identifier(DEFAULT_NODE, 0),
-            mask: 0x7E0,
-        },
-        FilterType::DedicatedSingle(standard(STOP_ALL)),
-    ]
-    .map(|filter| StandardFilter {
-        filter,
-        action: Action::StoreInFifo0,
-    })
 }

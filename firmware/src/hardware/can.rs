@@ -1,12 +1,14 @@
 //! The CAN controller behind the traits of the loops.
 
 use embassy_stm32::can::enums::BusErrorMode;
+use embassy_stm32::can::filter::{Action, FilterType, StandardFilter, StandardFilterSlot};
 use embassy_stm32::can::frame::Frame;
 use embassy_stm32::can::{CanRx, CanTx, Properties};
 use embassy_stm32::pac;
-use embedded_can::{Frame as _, Id};
+use embedded_can::{Frame as _, Id, StandardId};
 
 use crate::wire::can::{CanError, CanFrame, CanReceiver, CanSender};
+use crate::wire::{STOP_ALL, identifier};
 
 /// Frames out.
 pub struct Sender {
@@ -14,6 +16,23 @@ pub struct Sender {
     pub half: CanTx<'static>,
     /// What the controller says of itself.
     pub properties: Properties,
+}
+
+impl Sender {
+    /// Lets the frames for this node in, and the stop for all. Masks, since the driver's ranges are swapped.
+    pub fn listen_as(&self, node: u16) {
+        let id = |id| StandardId::new(id).unwrap_or(StandardId::ZERO);
+        let own = FilterType::BitMask {
+            filter: identifier(node, 0),
+            mask: identifier(u16::MAX, 0),
+        };
+        let all = FilterType::DedicatedSingle(id(STOP_ALL));
+        for (slot, filter) in [(StandardFilterSlot::_0, own), (StandardFilterSlot::_1, all)] {
+            let action = Action::StoreInFifo0;
+            let filter = StandardFilter { filter, action };
+            self.properties.set_standard_filter(slot, filter);
+        }
+    }
 }
 
 impl CanSender for Sender {

@@ -59,11 +59,13 @@ pub enum Finder {
     Listen,
     /// [`listen_serial`].
     ListenSerial,
-    /// [`scrub`], and what the start has found.
-    Start,
+    /// [`scrub`].
+    Scrub,
+    /// The start, of what was before it.
+    Crash,
 }
 
-const FINDERS: usize = 7;
+const FINDERS: usize = 8;
 
 /// What the loops hand to each other. Each part has one writer and one reader, named beside it.
 pub struct Exchange<M: RawMutex> {

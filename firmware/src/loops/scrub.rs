@@ -25,7 +25,7 @@ pub async fn scrub<T: Checked, N: Checked, const COUNT: usize, C: Clock, M: RawM
     let mut broken = |source, is_broken: bool| {
         if is_broken {
             let fault = (Fault::TablesUnsound, source);
-            exchange.note(Finder::Start, &mut faults, fault, true, 0);
+            exchange.note(Finder::Scrub, &mut faults, fault, true, 0);
         }
     };
     broken(TABLES, !tables.is_sound());

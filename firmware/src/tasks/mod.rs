@@ -10,22 +10,28 @@ use embassy_stm32::mode::Async;
 use embassy_stm32::usart::{RingBufferedUartRx, UartTx};
 use embassy_stm32::{interrupt, peripherals, rng};
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
+use embassy_time::{Duration, Ticker};
 
 use crate::estimator::{Estimator, Running};
 use crate::events::Event;
-use crate::hall::Part;
+use crate::frame::SENSORS;
 use crate::hall::a31301::A31301;
 use crate::hardware::board::{Board, HARDWARE};
 use crate::hardware::can::{Receiver, Sender};
 use crate::hardware::clock::BoardClock;
+use crate::hardware::crash;
+use crate::hardware::flash::Pages;
 use crate::hardware::sensor_bus::BoardBus;
+use crate::hardware::watchdog::Watchdog;
 use crate::limits::Limits;
-use crate::loops::{self, Exchange};
+use crate::loops::{self, Desk, Exchange, Finder};
 use crate::model::tables::{NETWORKS, TABLES};
-use crate::session::Session;
+use crate::progress::FED_EVERY_MS;
+use crate::status::{Fault, Faults};
+use crate::store::{Origin, Store};
 use crate::surroundings::Surroundings;
+use crate::wire::PROTOCOL;
 use crate::wire::messages::Version;
-use crate::wire::{DEFAULT_NODE, PROTOCOL};
 
 /// Where something counts as wrong.
 const LIMITS: Limits = Limits::GRIPPER;
@@ -47,25 +53,48 @@ fn FMAC() {
 }
 
 /// Starts every task.
-pub fn spawn(spawner: Spawner, board: Board) {
-    info!("tables {:04x}, {} sensors", TABLES.id, TABLES.sensors.len());
+pub async fn start(spawner: Spawner, board: Board) {
+    let (boot, crash) = crash::take();
+    info!(
+        "start {}, tables {:04x}, {} sensors",
+        boot,
+        TABLES.id,
+        TABLES.sensors.len()
+    );
+    if let Some(crash) = crash {
+        let mut faults = Faults::default();
+        let detail = (crash.kind.number() << 24) | (crash.pc.max(crash.line) & 0x00FF_FFFF);
+        EXCHANGE.note(
+            Finder::Crash,
+            &mut faults,
+            (Fault::Crashed, 0),
+            true,
+            detail,
+        );
+    }
+    let mut store = board.store;
+    let origin = loops::begin(&mut store, &EXCHANGE).await;
+    let parameters = EXCHANGE.parameters();
+    let (sender, receiver) = board.can;
+    sender.listen_as(parameters.node());
+    let (out, into) = board.line;
     interrupt::FMAC.set_priority(LEVEL);
     let upper = UPPER.start(interrupt::FMAC);
-    upper.spawn(unwrap!(sense(board.sensor_buses)));
+    upper.spawn(unwrap!(sense(board.sensor_buses, parameters.addresses())));
     upper.spawn(unwrap!(estimate()));
-    let (sender, receiver) = board.can;
-    let (out, into) = board.line;
-    spawner.spawn(unwrap!(report(sender)));
+    let watchdog = Watchdog::start(board.watchdog);
+    spawner.spawn(unwrap!(feed(watchdog)));
+    spawner.spawn(unwrap!(scrub()));
+    spawner.spawn(unwrap!(report(sender, parameters.node())));
     spawner.spawn(unwrap!(telemetry(out)));
     spawner.spawn(unwrap!(listen(receiver)));
-    spawner.spawn(unwrap!(listen_serial(into)));
-    spawner.spawn(unwrap!(command(board.rng)));
+    spawner.spawn(unwrap!(listen_serial(into, parameters.node())));
+    spawner.spawn(unwrap!(command(store, origin, board.rng)));
 }
 
 #[embassy_executor::task]
-async fn sense(buses: [BoardBus; 2]) {
-    loops::sense::<A31301, _, _, _>(buses, A31301::ADDRESSES, &LIMITS, &BoardClock, &EXCHANGE)
-        .await;
+async fn sense(buses: [BoardBus; 2], addresses: [u8; SENSORS]) {
+    loops::sense::<A31301, _, _, _>(buses, addresses, &LIMITS, &BoardClock, &EXCHANGE).await;
 }
 
 #[embassy_executor::task]
@@ -77,8 +106,22 @@ async fn estimate() {
 }
 
 #[embassy_executor::task]
-async fn report(can: Sender) {
-    loops::report(can, (DEFAULT_NODE, version()), log, &BoardClock, &EXCHANGE).await;
+async fn feed(mut watchdog: Watchdog) {
+    let mut ticker = Ticker::every(Duration::from_millis(FED_EVERY_MS.into()));
+    loop {
+        ticker.next().await;
+        watchdog.feed(&EXCHANGE.progress);
+    }
+}
+
+#[embassy_executor::task]
+async fn scrub() {
+    loops::scrub(&TABLES, &NETWORKS, &BoardClock, &EXCHANGE).await;
+}
+
+#[embassy_executor::task]
+async fn report(can: Sender, node: u16) {
+    loops::report(can, (node, version()), log, &BoardClock, &EXCHANGE).await;
 }
 
 #[embassy_executor::task]
@@ -92,20 +135,24 @@ async fn listen(can: Receiver) {
 }
 
 #[embassy_executor::task]
-async fn listen_serial(line: RingBufferedUartRx<'static>) {
-    loops::listen_serial(line, DEFAULT_NODE, &LIMITS, &BoardClock, &EXCHANGE).await;
+async fn listen_serial(line: RingBufferedUartRx<'static>, node: u16) {
+    loops::listen_serial(line, node, &LIMITS, &BoardClock, &EXCHANGE).await;
 }
 
 #[embassy_executor::task]
-async fn command(mut rng: rng::Rng<'static, peripherals::RNG>) {
-    let random = move || rng.next_u32() as u16;
-    loops::command(
-        Session::new(DEFAULT_NODE, &LIMITS),
-        random,
-        &BoardClock,
-        &EXCHANGE,
-    )
-    .await;
+async fn command(
+    store: Store<Pages>,
+    origin: Origin,
+    mut rng: rng::Rng<'static, peripherals::RNG>,
+) {
+    let desk = Desk {
+        version: version(),
+        store,
+        origin,
+        random: move || rng.next_u32() as u16,
+        reboot: || cortex_m::peripheral::SCB::sys_reset(),
+    };
+    loops::command(desk, &BoardClock, &EXCHANGE).await;
 }
 
 fn version() -> Version {

@@ -23,6 +23,7 @@ pub mod world;
 use std::cell::RefCell;
 use std::rc::Rc;
 
+use embassy_futures::join::join;
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use firmware::clock::Clock;
 use firmware::estimator::Estimator;
@@ -31,6 +32,7 @@ use firmware::hall::Part;
 use firmware::hall::a31301::A31301;
 use firmware::limits::Limits;
 use firmware::loops::{self, Desk, Exchange};
+use firmware::model::table::Tables;
 use firmware::parameters::Parameters;
 use firmware::store::Store;
 use firmware::wire::messages::Version;
@@ -147,7 +149,9 @@ impl Board {
             let networks = program.networks.as_ref().map(Networks::start);
             let estimator = Estimator::new(&tables, networks);
             let around = || now.borrow_mut().at(clock.now_us()).around;
-            loops::estimate(estimator, around, &limits, &clock, &exchange).await;
+            let scrub = loops::scrub::<_, Tables, 0, _, _>(&tables, &[], &clock, &exchange);
+            let estimate = loops::estimate(estimator, around, &limits, &clock, &exchange);
+            join(scrub, estimate).await;
         });
         let (clock, exchange) = parts();
         let sender = can::Sender {
