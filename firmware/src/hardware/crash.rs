@@ -112,15 +112,16 @@ pub fn panicked(info: &PanicInfo) -> ! {
     outputs_off();
     // A panic while one is told: the first counts.
     if !PANICKED.swap(true, Ordering::Relaxed) {
-        let (place, line) = info.location().map_or((0, 0), |location| {
-            (crash::hash(location.file()), location.line())
-        });
+        let (file, line) = info
+            .location()
+            .map_or(("", 0), |location| (location.file(), location.line()));
         note(Crash {
-            place,
+            place: crash::hash(file),
             line,
             ..Crash::new(Kind::Panic)
         });
-        defmt::error!("{}", defmt::Display2Format(info));
+        // Enough to find it; its words would need a formatter.
+        defmt::error!("panic at {=str}:{=u32}", file, line);
     }
     SCB::sys_reset()
 }

@@ -1,12 +1,27 @@
 //! The table of messages: from it come the bytes on the bus, the `.dbc` that other tools read, and the
 //! enum that travels over the serial line.
 
-use serde::{Deserialize, Serialize};
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::layout::{Direction, Field, Layout, Malformed, Raw, put, take};
 
 /// Bytes of every frame.
 pub const BYTES: usize = 8;
+
+/// On the serial line: the number and the same eight bytes as on the bus.
+impl Serialize for Message {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        (self.layout().number, self.to_bytes()).serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for Message {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let (number, bytes) = <(u8, [u8; BYTES])>::deserialize(deserializer)?;
+        Self::from_frame(number, &bytes).map_err(|_| D::Error::custom("no message"))
+    }
+}
 
 /// Declares messages: number (and copies), name, direction, period, then fields with their bits and what
 /// one count means.
@@ -23,7 +38,7 @@ macro_rules! messages {
     )*) => {
         $(
             $(#[doc = $words])+
-            #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+            #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
             pub struct $name {
                 $($(#[doc = $about])+ pub $field: $type,)*
             }
@@ -72,7 +87,7 @@ macro_rules! messages {
         )*
 
         /// Any message.
-        #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum Message {
             $(
                 $(#[doc = $words])+
