@@ -13,6 +13,7 @@
 //! - [`networks`]: recurrent networks in a replay.
 //! - [`tare`]: what is told where nothing loads.
 //! - [`coverage`]: whether standard deviations mean what they say.
+//! - [`foreign`]: how surely the device notices a foreign magnet.
 //! - [`replay`]: recorded data through the device's own code.
 //! - [`report`]: the page that a comparison leaves to open.
 //! - [`table`]: all ways of telling the force side by side.
@@ -26,6 +27,7 @@ pub mod compare;
 pub mod coverage;
 pub mod diagnose;
 pub mod findings;
+pub mod foreign;
 pub mod lessons;
 pub mod networks;
 pub mod progress;

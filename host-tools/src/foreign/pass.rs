@@ -1,34 +1,31 @@
-//! One recording through the device's code, twice: as it is, and with magnets that pass.
+//! Rows through the device's code, twice: as they are, and with magnets that pass.
 
+use anyhow::Result;
 use firmware::compensate::{Compensation, Memory};
 use firmware::force::{Estimate, estimate_all};
 use firmware::foreign::Detector;
 use firmware::frame::{Frame, SENSORS};
 use firmware::hall::Reading;
 use firmware::model::table::Tables;
-use firmware::params;
 use firmware::surroundings::Surroundings;
-use host_tools::bench::draw::{Purpose, normal, stream};
-use host_tools::bench::element::{Noise, counts};
-use host_tools::bench::gripper::{Gripper as Mechanics, Moment};
-use host_tools::bench::programme::Excitation;
-use host_tools::bench::warmth::REFERENCE_C;
 use model_export::gru::pack::{self, Running};
+use model_export::inverse::build::Built;
 use model_export::inverse::compensation::OwnedCompensation;
 use nalgebra::Vector3;
 
-use super::gripper::Gripper;
 use super::passage::{Passage, Passages};
+use super::rows::World;
 use super::tally::Tally;
+use crate::networks::Networks;
 
-/// Length of a recording.
-pub const SECONDS: f64 = 100.0;
-/// Noise of a temperature in K, as the bench's recorder has it.
-const TEMPERATURE_K: f64 = 0.05;
-/// Frames of a second.
-const RATE: u32 = params::SENSE_RATE.value as u32;
-/// A gripper stands so long before its first frame.
-const SETTLING_S: f64 = 1.0;
+/// What runs on the device.
+#[derive(Clone, Copy)]
+pub struct Device<'a> {
+    /// Tables of its model.
+    pub built: &'a Built,
+    /// Networks behind them.
+    pub networks: Option<&'a Networks>,
+}
 
 /// The device with all that it remembers.
 struct Board<'a> {
@@ -38,14 +35,27 @@ struct Board<'a> {
     detector: Detector,
 }
 
-impl Board<'_> {
-    fn frame(&mut self, readings: [Option<Reading>; SENSORS]) -> [Estimate; SENSORS] {
+impl<'a> Board<'a> {
+    fn new(tables: &'a Tables<'a>, networks: Option<&'a Networks>) -> Self {
+        let packed = networks.into_iter().flat_map(|networks| &networks.packed);
+        Self {
+            tables,
+            memories: [Memory::default(); SENSORS],
+            running: packed.map(|packed| packed.run()).collect(),
+            detector: Detector::default(),
+        }
+    }
+
+    fn frame(
+        &mut self,
+        readings: [Option<Reading>; SENSORS],
+        around: &Surroundings,
+    ) -> [Estimate; SENSORS] {
         let frame = Frame {
             time_us: 0,
             readings,
         };
-        let around = Surroundings::default();
-        let ideal = estimate_all(self.tables, &frame, &around, &mut self.memories);
+        let ideal = estimate_all(self.tables, &frame, around, &mut self.memories);
         let mut told = ideal;
         pack::apply(&mut self.running, &mut told);
         self.detector.watch(&ideal, &mut told);
@@ -65,93 +75,56 @@ impl Board<'_> {
     }
 }
 
-/// Runs one fresh recording.
-pub fn run(gripper: &Gripper, number: u32) -> Tally {
-    let (settings, recording) = (&gripper.settings, Gripper::fresh(number));
-    let excitation = Excitation::draw(settings.programme, settings.seed, recording, 4, SECONDS);
-    let excitations = [excitation];
-    let [excitation] = &excitations;
-    let mut mechanics = Mechanics::new(settings, &gripper.effects, &excitations);
-    let mut noises: [Noise; SENSORS] = std::array::from_fn(|sensor| {
-        let place = (recording, sensor as u32);
-        Noise::begin(settings.noise, settings.field_noise_g, settings.seed, place)
+/// The greatest difference of a force between two frames, in newtons.
+fn apart_n(own: &[Estimate; SENSORS], other: &[Estimate; SENSORS]) -> f64 {
+    let forces = own.iter().zip(other).flat_map(|(own, other)| {
+        [0, 1].map(|axis| (other.force[axis].newtons() - own.force[axis].newtons()).abs())
     });
-    let mut rng = stream(settings.seed, Purpose::Covariates, recording);
-    let owned = &gripper.built.compensations;
+    forces.fold(0.0, f64::max)
+}
+
+/// One run.
+pub fn run(device: &Device, world: &World, number: u32) -> Result<Tally> {
+    let owned = &device.built.compensations;
     let compensations: Vec<Compensation> = owned.iter().map(OwnedCompensation::view).collect();
-    let tables = gripper.built.chosen.tables.tables(&compensations);
-    let board = || Board {
-        tables: &tables,
-        memories: [Memory::default(); SENSORS],
-        running: gripper.networks.as_ref().map_or_else(Vec::new, |networks| {
-            networks.packed.iter().map(|packed| packed.run()).collect()
-        }),
-        detector: Detector::default(),
-    };
-    let (mut clean, mut passed) = (board(), board());
-    let mut passages = Passages::new(settings.seed, recording);
+    let tables = device.built.chosen.tables.tables(&compensations);
+    let gauss_per_lsb = device.built.model.sensor_scale.gauss_per_lsb;
+    let [mut clean, mut passed] = [(); 2].map(|()| Board::new(&tables, device.networks));
+    let mut rows = world.rows(number)?;
+    let sensors = device.built.header.sensors.len().min(SENSORS) as u32;
+    let mut passages = Passages::new(world.seed(), number, world.seconds(), sensors);
     let mut passage: Option<Passage> = None;
     let mut tally = Tally::default();
-    let mut was_up = false;
-    for frame in 0..(SECONDS * f64::from(RATE)) as u32 {
-        let time_s = f64::from(frame) / f64::from(RATE);
-        let since_s = if frame == 0 {
-            SETTLING_S
-        } else {
-            1.0 / f64::from(RATE)
-        };
-        let moment = Moment {
-            recording,
-            time_s,
-            since_s,
-        };
-        let fields = mechanics.go_on(settings, excitation, moment);
-        let noise: [Vector3<f64>; SENSORS] =
-            std::array::from_fn(|sensor| noises[sensor].next(since_s));
-        let temperature: [i16; SENSORS] = std::array::from_fn(|sensor| {
-            let warm_k = excitation.temperature_c(sensor, time_s) - REFERENCE_C;
-            let seen_k = warm_k + TEMPERATURE_K * normal(&mut rng);
-            (seen_k * params::TEMPERATURE_SCALE.value).round() as i16
-        });
-        let read = |foreign: &dyn Fn(usize) -> Vector3<f64>| -> [Option<Reading>; SENSORS] {
-            std::array::from_fn(|sensor| {
-                let seen = counts(fields[sensor] + noise[sensor] + foreign(sensor));
-                Some(Reading {
-                    field: seen.map(|count| count as i16),
-                    temperature: temperature[sensor],
-                })
-            })
-        };
-        let own = clean.frame(read(&|_| Vector3::zeros()));
+    let fresh = world.is_fresh(number);
+    let (mut frame, mut was_up) = (0, false);
+    while let Some(row) = rows.next_row()? {
+        let own = clean.frame(
+            row.readings(gauss_per_lsb, |_| Vector3::zeros()),
+            &row.around,
+        );
         let up = clean.detector.flag();
-        tally.frame(frame, clean.measures(), up && !was_up);
+        if fresh {
+            tally.frame(frame, clean.measures(), up && !was_up);
+            tally.seconds = row.time_s;
+        }
         was_up = up;
-        if passages.at(time_s, passed.detector.flag()) {
+        if passages.at(row.time_s, passed.detector.flag()) {
             tally.passages.extend(passage.take());
             passage = Some(Passage::default());
         } else if passages.magnet.is_none() {
             tally.passages.extend(passage.take());
         }
-        let magnet = passages.magnet.as_ref();
-        let elements = &mechanics.sensors;
-        let other = passed.frame(read(&|sensor| match magnet {
-            None => Vector3::zeros(),
-            Some(magnet) => {
-                elements[sensor]
-                    .element
-                    .turned(magnet.field(recording, sensor as u32, time_s))
-            }
-        }));
+        let foreign = |sensor: usize| {
+            let field_g = passages.field(sensor as u32, row.time_s);
+            rows.felt(sensor, field_g)
+        };
+        let other = passed.frame(row.readings(gauss_per_lsb, foreign), &row.around);
         if let Some(passage) = &mut passage {
-            let forces = own.iter().zip(&other);
-            let off_n = forces.flat_map(|(own, other)| {
-                [0, 1].map(|axis| (other.force[axis].newtons() - own.force[axis].newtons()).abs())
-            });
-            let off_n = off_n.fold(0.0, f64::max);
-            passage.note(frame, off_n, passed.detector.flag(), passed.measures());
+            let up = passed.detector.flag();
+            passage.note(frame, apart_n(&own, &other), up, passed.measures());
         }
+        frame += 1;
     }
     tally.passages.extend(passage);
-    tally.seconds = SECONDS;
-    tally
+    Ok(tally)
 }

@@ -1,26 +1,28 @@
 //! The counts: detection, latency, false alarms, operating characteristics.
 
-use std::fmt::Write;
-
-use plotters::prelude::*;
 use statrs::distribution::{Beta, ChiSquared, ContinuousCDF};
 
 use super::passage::{IN_TIME, Passage};
 
-/// The measures, and what they stand for.
-const MEASURES: [&str; 4] = ["parity", "common", "sigma N", "split N"];
+/// The measures of which signals are made, by their names.
+pub const MEASURES: [&str; 4] = ["parity", "common", "sigma", "split"];
+/// Units of their thresholds: squares of shares have none.
+pub const UNITS: [&str; 4] = ["", "", " N", " N"];
+
 /// Signals count in blocks of a second: one that stays up is one alarm.
 const BLOCK_FRAMES: u32 = 1000;
-/// False alarms in ten hours at which the operating characteristics are told.
-const RATES: [f64; 5] = [0.0, 1.0, 10.0, 100.0, 1000.0];
+/// What false alarms are told for: ten hours.
+pub const PER_S: f64 = 36_000.0;
 /// What is to be reached.
 const DETECTED: f64 = 0.99;
 const FALSE_PER_10H: f64 = 1.0;
+/// Points of a curve of operating characteristics for each decade of false alarms.
+const PER_DECADE: f64 = 8.0;
 
 /// What was counted.
 #[derive(Clone, Debug, Default)]
 pub struct Tally {
-    /// Simulated time without a magnet.
+    /// Time without a magnet.
     pub seconds: f64,
     /// Times that the flag rose in it.
     pub false_alarms: usize,
@@ -28,6 +30,17 @@ pub struct Tally {
     pub passages: Vec<Passage>,
     /// The greatest measures of every second without a magnet.
     blocks: Vec<[f64; 4]>,
+}
+
+/// What a threshold of one measure alone would do.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Operating {
+    /// The threshold.
+    pub threshold: f64,
+    /// Seconds in which the measure is above it, in ten hours without a magnet.
+    pub false_per_10h: f64,
+    /// Share of the magnets that bring it above in time.
+    pub noticed: f64,
 }
 
 impl Tally {
@@ -53,187 +66,208 @@ impl Tally {
         self
     }
 
-    /// Those that moved a force by more than 20 N.
-    fn worth(&self) -> Vec<&Passage> {
-        self.passages
-            .iter()
-            .filter(|p| p.off_at.is_some())
-            .collect()
+    /// Hours without a magnet.
+    pub fn hours(&self) -> f64 {
+        self.seconds / 3600.0
     }
 
-    /// Frames from the force's error to the flag; negative where it was noticed before.
-    fn latencies(&self) -> Vec<f64> {
-        let latency = |p: &&Passage| match (p.off_at, p.flag_at) {
-            (Some(off), Some(flag)) => f64::from(flag) - f64::from(off),
-            _ => f64::INFINITY,
-        };
-        let mut all: Vec<f64> = self.worth().iter().map(latency).collect();
+    /// Those that moved a force by more than 20 N.
+    fn worth(&self) -> impl Iterator<Item = &Passage> {
+        self.passages.iter().filter(|p| p.off_at.is_some())
+    }
+
+    /// How many magnets moved a force by more than 20 N.
+    pub fn judged(&self) -> usize {
+        self.worth().count()
+    }
+
+    /// Frames from the force's error to the flag, the shortest first; negative where it was noticed
+    /// before, infinite where it never was.
+    pub fn latencies(&self) -> Vec<f64> {
+        let mut all: Vec<f64> = self.worth().map(Passage::latency).collect();
         all.sort_by(f64::total_cmp);
         all
     }
 
-    fn per_10h(&self, alarms: f64) -> f64 {
-        alarms * 36_000.0 / self.seconds
+    /// The latency within which this share of the magnets was noticed; `None` where it was not, or
+    /// where there were none.
+    pub fn latency(&self, share: f64) -> Option<f64> {
+        let latencies = self.latencies();
+        let place = (share * latencies.len() as f64) as usize;
+        let latency = latencies.get(place.min(latencies.len().checked_sub(1)?))?;
+        latency.is_finite().then_some(*latency)
     }
 
-    /// Share noticed in time, and false alarms in ten hours.
-    fn figures(&self) -> (f64, f64) {
-        let latencies = self.latencies();
-        let in_time = latencies
-            .iter()
-            .filter(|l| **l <= f64::from(IN_TIME))
-            .count();
-        let share = in_time as f64 / latencies.len().max(1) as f64;
-        (share, self.per_10h(self.false_alarms as f64))
+    /// How many were noticed in time.
+    fn in_time(&self) -> usize {
+        let limit = f64::from(IN_TIME);
+        self.worth().filter(|p| p.latency() <= limit).count()
+    }
+
+    /// Share noticed in time; `None` where there were none.
+    pub fn detected(&self) -> Option<f64> {
+        let judged = self.judged();
+        (judged > 0).then(|| self.in_time() as f64 / judged as f64)
+    }
+
+    /// Its interval of 95 %, by Clopper and Pearson.
+    pub fn detected_interval(&self) -> [f64; 2] {
+        binomial(self.in_time() as f64, self.judged() as f64)
+    }
+
+    fn per_10h(&self, alarms: f64) -> f64 {
+        alarms * PER_S / self.seconds
+    }
+
+    /// False alarms in ten hours.
+    pub fn false_per_10h(&self) -> f64 {
+        self.per_10h(self.false_alarms as f64)
+    }
+
+    /// What these are below with 95 %: three times ten hours over the time, where there was none.
+    pub fn false_upper(&self) -> f64 {
+        self.per_10h(poisson_upper(self.false_alarms as f64))
     }
 
     /// True where the figures are reached.
     pub fn reached(&self) -> bool {
-        let (share, alarms) = self.figures();
-        share >= DETECTED && alarms < FALSE_PER_10H
+        self.detected().is_some_and(|share| share >= DETECTED)
+            && self.false_per_10h() < FALSE_PER_10H
     }
 
-    /// Of one measure: threshold, false alarms in ten hours, share noticed in time.
-    fn characteristic(&self, measure: usize) -> Vec<[f64; 3]> {
+    /// What thresholds of one measure do: from the one that is never passed on, as far as every second
+    /// passes it; empty where the measure never was above zero.
+    pub fn characteristic(&self, measure: usize) -> Vec<Operating> {
         let mut clean: Vec<f64> = self.blocks.iter().map(|block| block[measure]).collect();
         clean.sort_by(|a, b| b.total_cmp(a));
-        let worth = self.worth();
-        let point = |alarms: f64| {
-            let place = (alarms * self.seconds / 36_000.0).round() as usize;
-            let threshold = clean.get(place).copied().unwrap_or(0.0);
-            let noticed = worth.iter().filter(|p| p.greatest[measure] > threshold);
-            let share = noticed.count() as f64 / worth.len().max(1) as f64;
-            [threshold, alarms, share]
-        };
-        RATES.map(point).to_vec()
-    }
-
-    /// The page.
-    pub fn text(&self) -> String {
-        let (worth, latencies) = (self.worth().len(), self.latencies());
-        let (share, alarms) = self.figures();
-        let count = (share * worth as f64).round();
-        let [least, most] = binomial(count, worth as f64);
-        let (low, high) = poisson(self.false_alarms as f64);
-        let quantile = |share: f64| {
-            let place = ((share * latencies.len() as f64) as usize).min(latencies.len().max(1) - 1);
-            latencies.get(place).copied().unwrap_or(f64::NAN)
-        };
-        let mut text = String::new();
-        // Writing to a string cannot fail.
-        let _ = writeln!(
-            text,
-            "{} magnets passed, {worth} moved a force by more than 20 N.\n\
-             Noticed within {IN_TIME} ms of that: {:.2} % ({:.2} to {:.2}, binomial, 95 %); \
-             latency p50 {:.0}, p90 {:.0}, p99 {:.0} ms, greatest {:.0}\n\
-             (negative: before the force was off by 20 N).\n\
-             {:.2} h without a magnet: {} false alarms, {alarms:.2} in 10 h ({:.2} to {:.2}, Poisson, 95 %).",
-            self.passages.len(),
-            100.0 * share,
-            100.0 * least,
-            100.0 * most,
-            quantile(0.5),
-            quantile(0.9),
-            quantile(0.99),
-            latencies.last().copied().unwrap_or(f64::NAN),
-            self.seconds / 3600.0,
-            self.false_alarms,
-            self.per_10h(low),
-            self.per_10h(high),
-        );
-        let _ = writeln!(
-            text,
-            "Each measure alone: threshold, and share noticed in time"
-        );
-        let _ = write!(text, "{:<12}", "false / 10 h");
-        RATES.iter().for_each(|rate| {
-            let _ = write!(text, "{rate:>16.0}");
-        });
-        for (measure, name) in MEASURES.iter().enumerate() {
-            let _ = write!(text, "\n{name:<12}");
-            for [threshold, _, share] in self.characteristic(measure) {
-                let _ = write!(text, "{threshold:>8.1} {:>5.1} %", 100.0 * share);
+        if clean.first().is_none_or(|greatest| *greatest <= 0.0) {
+            return Vec::new();
+        }
+        let judged = self.judged().max(1) as f64;
+        let point = |place: usize| {
+            let threshold = clean[place];
+            let noticed = self.worth().filter(|p| p.greatest[measure] > threshold);
+            Operating {
+                threshold,
+                false_per_10h: self.per_10h(place as f64),
+                noticed: noticed.count() as f64 / judged,
             }
-        }
-        text + "\n"
-    }
-
-    /// The operating characteristics as a picture.
-    pub fn plot(&self) -> String {
-        let mut text = String::new();
-        let drawn = self.draw(SVGBackend::with_string(&mut text, (640, 440)));
-        drawn.map_or_else(|error| error.to_string(), |()| text)
-    }
-
-    fn draw<'a>(
-        &self,
-        backend: SVGBackend<'a>,
-    ) -> Result<(), DrawingAreaErrorKind<std::io::Error>> {
-        let paper = backend.into_drawing_area();
-        paper.fill(&WHITE)?;
-        let mut chart = ChartBuilder::on(&paper)
-            .margin(12)
-            .x_label_area_size(42)
-            .y_label_area_size(56)
-            .build_cartesian_2d(-0.2..3.2_f64, 0.0..100.5_f64)?;
-        chart
-            .configure_mesh()
-            .x_desc("false alarms in 10 h")
-            .y_desc("noticed within 20 ms, %")
-            .x_label_formatter(&|x| format!("{:.0}", 10.0_f64.powf(*x)))
-            .draw()?;
-        let colours = [BLUE, GREEN, MAGENTA, CYAN];
-        for ((measure, name), colour) in MEASURES.iter().enumerate().zip(colours) {
-            let points = self.characteristic(measure).into_iter();
-            let points = points.filter(|[_, rate, _]| *rate > 0.0);
-            let points: Vec<(f64, f64)> = points
-                .map(|[_, rate, share]| (rate.log10(), 100.0 * share))
-                .collect();
-            chart
-                .draw_series([PathElement::new(points, colour.stroke_width(2))])?
-                .label(*name)
-                .legend(move |(x, y)| PathElement::new([(x, y), (x + 14, y)], colour));
-        }
-        let (share, alarms) = self.figures();
-        let at = (alarms.max(0.7).log10(), 100.0 * share);
-        chart
-            .draw_series([Circle::new(at, 5, RED.filled())])?
-            .label("the vote")
-            .legend(|(x, y)| Circle::new((x + 7, y), 4, RED.filled()));
-        chart
-            .configure_series_labels()
-            .border_style(BLACK)
-            .background_style(WHITE)
-            .draw()?;
-        paper.present()
+        };
+        places(clean.len()).map(point).collect()
     }
 }
 
-/// Clopper and Pearson's interval of a share.
+/// Zero, and numbers below `count` that grow by the same factor.
+fn places(count: usize) -> impl Iterator<Item = usize> {
+    let steps = (PER_DECADE * (count.max(1) as f64).log10()).floor() as u32;
+    let mut places = vec![0];
+    for step in 0..=steps {
+        let place = 10.0_f64.powf(f64::from(step) / PER_DECADE).round() as usize;
+        if place < count && !places.contains(&place) {
+            places.push(place);
+        }
+    }
+    places.into_iter()
+}
+
+/// Clopper and Pearson's interval of a share, 95 %.
 fn binomial(count: f64, all: f64) -> [f64; 2] {
     let beta = |a: f64, b: f64, at: f64| Beta::new(a, b).map_or(f64::NAN, |b| b.inverse_cdf(at));
-    let least = if count == 0.0 {
-        0.0
-    } else {
-        beta(count, all - count + 1.0, 0.025)
+    let least = match count {
+        0.0 => 0.0,
+        _ => beta(count, all - count + 1.0, 0.025),
     };
-    let most = if count == all {
-        1.0
-    } else {
-        beta(count + 1.0, all - count, 0.975)
+    let most = match count == all {
+        true => 1.0,
+        false => beta(count + 1.0, all - count, 0.975),
     };
     [least, most]
 }
 
-/// Garwood's interval of a mean.
-fn poisson(count: f64) -> (f64, f64) {
-    let chi = |freedom: f64, at: f64| {
-        ChiSquared::new(freedom).map_or(f64::NAN, |chi| 0.5 * chi.inverse_cdf(at))
-    };
-    let least = if count == 0.0 {
-        0.0
-    } else {
-        chi(2.0 * count, 0.025)
-    };
-    (least, chi(2.0 * count + 2.0, 0.975))
+/// What a mean is below with 95 % where so many were counted: 3.0 where none was.
+fn poisson_upper(count: f64) -> f64 {
+    let chi = ChiSquared::new(2.0 * count + 2.0);
+    chi.map_or(f64::NAN, |chi| 0.5 * chi.inverse_cdf(0.95))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn passage(off_at: Option<u32>, flag_at: Option<u32>, parity: f64) -> Passage {
+        Passage {
+            off_at,
+            flag_at,
+            greatest: [parity, 0.0, 0.0, 0.0],
+        }
+    }
+
+    /// An hour without a magnet in which the parity reached 0 to 9 in turn, and four magnets: one that
+    /// moved nothing, one noticed before, one 20 ms late, one 21 ms, one never.
+    fn hour() -> Tally {
+        let mut tally = Tally::default();
+        for second in 0..3600_u32 {
+            for frame in [0, 1] {
+                let parity = f64::from(second % 10);
+                tally.frame(
+                    1000 * second + frame,
+                    [parity, 0.0, 0.0, 0.0],
+                    second == 7 && frame == 0,
+                );
+            }
+        }
+        tally.seconds = 3600.0;
+        tally.passages = vec![
+            passage(None, Some(3), 99.0),
+            passage(Some(100), Some(90), 20.0),
+            passage(Some(100), Some(120), 8.5),
+            passage(Some(100), Some(121), 4.0),
+            passage(Some(100), None, 0.0),
+        ];
+        tally
+    }
+
+    #[test]
+    fn the_share_in_time_counts_those_that_moved_a_force_alone() {
+        let tally = hour();
+        assert_eq!((tally.judged(), tally.detected()), (4, Some(0.5)));
+        assert_eq!(tally.latencies()[..3], [-10.0, 20.0, 21.0]);
+        assert_eq!(
+            (tally.latency(0.5), tally.latency(0.99)),
+            (Some(21.0), None)
+        );
+        // Two of four by Clopper and Pearson: 6.8 to 93.2 %.
+        let [least, most] = tally.detected_interval();
+        assert!((least - 0.0676).abs() < 1e-3 && (most - 0.9324).abs() < 1e-3);
+        assert_eq!(Tally::default().detected(), None);
+        assert!(!tally.reached());
+    }
+
+    #[test]
+    fn one_alarm_in_an_hour_is_ten_in_ten_and_none_is_below_thirty_by_the_rule_of_three() {
+        let mut tally = hour();
+        assert_eq!(tally.false_per_10h(), 10.0);
+        // The upper end of a mean of which one was counted is 4.74.
+        assert!((tally.false_upper() - 47.44).abs() < 0.01);
+        tally.false_alarms = 0;
+        assert!((tally.false_upper() - 29.96).abs() < 0.01);
+    }
+
+    #[test]
+    fn a_lower_threshold_never_notices_less_and_the_highest_has_no_false_alarm() {
+        let curve = hour().characteristic(0);
+        let first = Operating {
+            threshold: 9.0,
+            false_per_10h: 0.0,
+            noticed: 0.25,
+        };
+        assert_eq!(curve[0], first);
+        assert!(curve.windows(2).all(|two| {
+            two[1].false_per_10h > two[0].false_per_10h && two[1].noticed >= two[0].noticed
+        }));
+        // 360 of 3600 seconds reach 9, so that at 3600 a threshold of 8 is passed.
+        let last = curve.last().unwrap();
+        assert!(last.threshold < 4.0 && last.noticed == 0.75, "{last:?}");
+        assert_eq!(hour().characteristic(1), []);
+    }
 }
