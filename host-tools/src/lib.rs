@@ -14,6 +14,7 @@
 //! - [`board`]: the gripper's board in virtual time.
 //! - [`tare`]: what is told where nothing loads.
 //! - [`coverage`]: whether standard deviations mean what they say.
+//! - [`foreign`]: how surely the device notices a foreign magnet.
 //! - [`replay`]: recorded data through the device's own code.
 //! - [`report`]: the page that a comparison leaves to open.
 //! - [`table`]: all ways of telling the force side by side.
@@ -28,6 +29,7 @@ pub mod compare;
 pub mod coverage;
 pub mod diagnose;
 pub mod findings;
+pub mod foreign;
 pub mod lessons;
 pub mod networks;
 pub mod progress;

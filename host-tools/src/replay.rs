@@ -22,8 +22,8 @@ use crate::coverage::{Coverage, Told, WIDTHS, tared};
 use crate::networks::{FloatForce, Networks, Underway};
 pub use crate::sums::Sums;
 use crate::surroundings::Covariates;
-use crate::tare::Rest;
-use crate::wiring::{frame, reading, unframe, wire};
+use crate::tare::{Rest, held_n};
+use crate::wiring::{Wiring, frame, reading, unframe, wire};
 
 /// Rows that are read and estimated at once; only these two are timed.
 const CHUNK: usize = 4096;
@@ -43,10 +43,10 @@ pub struct Track {
     /// Root mean square that white noise alone would leave: that of the sensor, seen in the
     /// estimates, and that of the reference on the line between two of its rows.
     pub noise_n: f64,
-    /// Mean estimate over an unloaded stretch, and its length in seconds; `None` where the force
-    /// never rested.
+    /// Tare over an unloaded stretch, and the stretch's length in seconds; `None` where the force never
+    /// rested.
     pub tare: Option<(f64, f64)>,
-    /// The same mean of floating point.
+    /// The same of floating point.
     pub float_tare: Option<f64>,
     /// Standard deviations that a network told, in newtons.
     pub sigma: Sums,
@@ -210,7 +210,8 @@ pub fn replay_watched(
     };
     let mut noises = vec![[WhiteNoise::default(), WhiteNoise::default()]; wiring.len()];
     // Of the device, and of floating point.
-    let mut rests = vec![[Rest::default(); 2]; wiring.len()];
+    let rest = |wires: &Wiring| Rest::new(held_n(models.compensations, wires.number));
+    let mut rests: Vec<[Rest; 2]> = wiring.iter().map(|wires| [rest(wires); 2]).collect();
     let compensations: Vec<Compensation> = models
         .compensations
         .iter()

@@ -1,4 +1,11 @@
 //! The tare: what is told where nothing loads.
+//!
+//! A gripper that was loaded before is not where it would be without friction: its flexures are held
+//! off by up to the friction's force, and what is told at rest is that force, which is no error of
+//! zero. To take it off would put it into every estimate. So what the model's friction may hold is left
+//! alone, and only more than that is tared. On a gripper the same is done with the unloaded fingers.
+
+use model_export::inverse::compensation::OwnedCompensation;
 
 use crate::sums::Sums;
 
@@ -9,16 +16,34 @@ const TARE_S: f64 = 1.0;
 /// Shorter stretches are no rest, only a load that passes zero.
 const SHORTEST_TARE_S: f64 = 0.2;
 
+/// Standard errors by which a mean may be off.
+const ERRORS: f64 = 3.0;
+
+/// Friction that may be held at rest, Fx and Fz of a sensor in newtons; zero where the model knows none.
+pub fn held_n(compensations: &[OwnedCompensation], sensor: u32) -> [f64; 2] {
+    let found = compensations.iter().find(|one| one.number() == sensor);
+    found.map_or([0.0; 2], OwnedCompensation::friction_n)
+}
+
 /// Looks for the first stretch without load.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Rest {
     since_s: Option<f64>,
     last_s: f64,
     sums: [Sums; 2],
+    held_n: [f64; 2],
     found: Option<([f64; 2], f64)>,
 }
 
 impl Rest {
+    /// Where friction may hold so much.
+    pub fn new(held_n: [f64; 2]) -> Self {
+        Self {
+            held_n,
+            ..Self::default()
+        }
+    }
+
     /// A row: the reference, and what is told of it.
     pub fn add(&mut self, time_s: f64, reference_n: [f64; 2], found_n: [f64; 2]) {
         if self.found.is_some() {
@@ -30,7 +55,7 @@ impl Rest {
             self.close();
             *self = Self {
                 found: self.found,
-                ..Self::default()
+                ..Self::new(self.held_n)
             };
         }
         if !loaded && self.found.is_none() {
@@ -45,16 +70,28 @@ impl Rest {
     fn close(&mut self) {
         let length_s = self.last_s - self.since_s.unwrap_or(self.last_s);
         if length_s >= SHORTEST_TARE_S {
-            self.found = Some((self.sums.map(|sums| sums.mean()), length_s));
+            let tare = [0, 1].map(|axis| beyond(self.sums[axis], self.held_n[axis]));
+            self.found = Some((tare, length_s));
         }
     }
 
-    /// Mean of what was told over the stretch, and its length in seconds.
+    /// Mean of what was told over the stretch, zero where friction may hold as much, and the stretch's
+    /// length in seconds.
     pub fn tare(mut self) -> Option<([f64; 2], f64)> {
         if self.found.is_none() {
             self.close();
         }
         self.found
+    }
+}
+
+/// The mean; zero where friction may hold as much.
+fn beyond(sums: Sums, held_n: f64) -> f64 {
+    let mean = sums.mean();
+    let surely = mean.abs() - ERRORS * sums.std() / sums.rows().sqrt();
+    match held_n > 0.0 && surely <= held_n {
+        true => 0.0,
+        false => mean,
     }
 }
 
@@ -82,6 +119,23 @@ mod tests {
         let (tare, length_s) = rest_of(rows).unwrap();
         assert_eq!(tare, [5.0, 10.0]);
         assert!((length_s - 0.999).abs() < 1e-9);
+    }
+
+    #[test]
+    fn what_friction_may_hold_at_rest_is_no_tare_and_more_is_one() {
+        let tare = |held_n: [f64; 2]| {
+            let mut rest = Rest::new(held_n);
+            for ms in 0..1500 {
+                // Half a newton, told with noise.
+                let noise = if ms % 2 == 0 { 0.1 } else { -0.1 };
+                rest.add(f64::from(ms) * 1e-3, [0.0; 2], [0.5 + noise, -0.5 + noise]);
+            }
+            rest.tare().unwrap().0.map(|n| (n * 1e6).round() / 1e6)
+        };
+        assert_eq!(tare([0.0, 0.0]), [0.5, -0.5]);
+        assert_eq!(tare([0.6, 0.4]), [0.0, -0.5]);
+        // As much as the noise of the mean beyond it says nothing: 3 * 0.1 / sqrt(1000) is 0.0095.
+        assert_eq!(tare([0.495, 0.48]), [0.0, -0.5]);
     }
 
     #[test]

@@ -68,23 +68,29 @@ pub fn unframe(wiring: &[Wiring], frame: &[Estimate; SENSORS], estimates: &mut [
     }
 }
 
+/// The sensor's word of a field in gauss: one beyond the range stays at its end, as the sensor itself.
+pub fn counts(gauss: f64, gauss_per_lsb: f64) -> i16 {
+    let (least, greatest) = a31301::FIELD_LIMITS;
+    let counts = (gauss / gauss_per_lsb).round();
+    counts.clamp(f64::from(least), f64::from(greatest)) as i16
+}
+
+/// The sensor's word of its temperature in this row.
+pub fn temperature(row: &RawRow, wires: &Wiring) -> i16 {
+    // Degrees were made of counts by the same scale, so that what it really is does not matter.
+    wires.temperature.map_or(0, |channel| {
+        let warmer = row.hall[channel] - REFERENCE_C;
+        (warmer * params::TEMPERATURE_SCALE.value).round() as i16
+    })
+}
+
 /// What the sensor's registers would hold in this row.
 pub fn reading(row: &RawRow, wires: &Wiring, gauss_per_lsb: f64) -> Reading {
-    let (least, greatest) = a31301::FIELD_LIMITS;
-    let (least, greatest) = (f64::from(least), f64::from(greatest));
-    let counts = |channel: usize| {
-        (row.hall[channel] / gauss_per_lsb)
-            .round()
-            .clamp(least, greatest)
-    };
     Reading {
-        // A converted field may exceed the word; the sensor itself stays at its end.
-        field: wires.field.map(|channel| counts(channel) as i16),
-        // Degrees were made of counts by the same scale, so that what it really is does not matter.
-        temperature: wires.temperature.map_or(0, |channel| {
-            let warmer = row.hall[channel] - REFERENCE_C;
-            (warmer * params::TEMPERATURE_SCALE.value).round() as i16
-        }),
+        field: wires
+            .field
+            .map(|channel| counts(row.hall[channel], gauss_per_lsb)),
+        temperature: temperature(row, wires),
     }
 }
 

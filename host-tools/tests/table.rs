@@ -51,12 +51,13 @@ fn row<'a>(told: &'a Value, way: &str, axis: &str) -> &'a Value {
     row.unwrap_or_else(|| panic!("no row of {way}, {axis}"))
 }
 
-const TABLE: &str = "train --table model.toml bench --epochs 2 --hidden 4 --json";
+const TABLE: &str = "train --table model.toml bench --epochs 2 --hidden 4 --magnet-hours 0 --json";
 
 #[test]
 fn every_way_has_a_row_and_the_physics_s_are_those_of_a_replay() {
     let desk = simulated();
-    let told = desk.told(&format!("{TABLE} -o report.html"));
+    let table = TABLE.replace("--magnet-hours 0", "--magnet-hours 0.01");
+    let told = desk.told(&format!("{table} -o report.html"));
     assert_eq!(told["rows"].as_array().unwrap().len(), 2 * WAYS.len());
     for way in WAYS {
         for axis in ["x", "z"] {
@@ -102,10 +103,39 @@ fn every_way_has_a_row_and_the_physics_s_are_those_of_a_replay() {
     assert_eq!(told["data_efficiency"].as_array().unwrap().len(), 3 * 5);
     assert_eq!(told["simulated"], true);
     let page = fs::read_to_string(desk.0.path().join("report.html")).unwrap();
-    for id in ["table", "time", "spread", "lengths"] {
+    for id in ["table", "time", "spread", "lengths", "foreign"] {
         assert!(page.contains(&format!("<section id=\"{id}\">")), "{id}");
     }
     assert!(!page.contains("could not be drawn"));
+    foreign_magnets_were_counted(&told["foreign_magnet"]);
+}
+
+/// On a hundred seconds of the same gripper, which are in no recording.
+fn foreign_magnets_were_counted(told: &Value) {
+    assert_eq!(
+        (&told["simulated"], &told["variant"]),
+        (&true.into(), &"physics_effects_gru".into())
+    );
+    let hours = number(told, "hours");
+    assert!((hours - 100.0 / 3600.0).abs() < 1e-4, "{hours}");
+    let (passages, passed) = (number(told, "passages"), number(told, "passed"));
+    assert!(passages >= 3.0 && passed >= passages, "{told}");
+    assert!(number(told, "detected") > 0.5, "{told}");
+    let [least, most] = [0, 1].map(|i| told["detected_interval_95"][i].as_f64().unwrap());
+    assert!(least < number(told, "detected") && number(told, "detected") <= most);
+    assert!(number(told, "p50_ms") <= number(told, "p99_ms"));
+    // By the rule of three, and more where there was an alarm.
+    let (alarms, upper) = (
+        number(told, "false_alarms"),
+        number(told, "false_per_10h_upper_95"),
+    );
+    assert!((number(told, "false_per_10h") - alarms * 10.0 / hours).abs() < 1e-6);
+    assert!(
+        upper > 29.9 / hours && (alarms > 0.0 || upper < 30.0 / hours),
+        "{told}"
+    );
+    let curve = told["roc"]["parity"].as_array().unwrap();
+    assert!(curve.len() > 5 && curve.iter().all(|point| point[2].as_f64().unwrap() <= 1.0));
 }
 
 #[test]
@@ -134,8 +164,20 @@ fn another_held_out_recording_changes_its_errors_and_not_a_bit_of_any_network() 
 #[test]
 fn without_effects_the_physics_with_effects_is_left_out_and_the_reason_is_said() {
     let desk = simulated();
-    let line = "train --table plain.toml bench --epochs 1 --hidden 2 --json";
+    // Nor is it known any more how the recordings were simulated.
+    fs::remove_file(desk.0.path().join("bench-truth.toml")).unwrap();
+    let line = "train --table plain.toml bench --epochs 1 --hidden 2 --magnet-hours 0.002 --json";
     let told = desk.told(line);
+    let magnet = &told["foreign_magnet"];
+    assert_eq!(
+        (&magnet["simulated"], &magnet["variant"]),
+        (&false.into(), &"gru_3axis_ideal".into())
+    );
+    // Magnets passed it twice, but the time without them is that of the one recording.
+    assert!(
+        (number(magnet, "hours") - 6.0 / 3600.0).abs() < 1e-4,
+        "{magnet}"
+    );
     assert_eq!(told["rows"].as_array().unwrap().len(), 2 * 6);
     assert_eq!(told["network_on_physics"], Value::Null);
     let note = told["notes"][0].as_str().unwrap();
@@ -152,6 +194,8 @@ fn what_the_table_cannot_take_is_refused() {
     assert!(said.contains("there is one recording"), "{said}");
     let said = desk.refused("train --table model.toml bench --axes xz");
     assert!(said.contains("--axes"), "{said}");
+    let said = desk.refused("train --table model.toml bench --magnet-hours=-1");
+    assert!(said.contains("--magnet-hours"), "{said}");
     let said = desk.refused("train --table model.toml bench --near-zero 0");
     assert!(said.contains("--near-zero 0"), "{said}");
     copy(&desk, "bench/3", "bench/4");

@@ -3,29 +3,22 @@
 use std::path::Path;
 use std::process::Command;
 
-use host_tools::bench::Settings;
-use host_tools::bench::effects::{Effect, Effects};
-use host_tools::bench::element::NoiseKind;
-use host_tools::bench::programme::Programme;
+use host_tools::bench::{again, truth};
+use host_tools::foreign::pass::Device;
+use host_tools::foreign::rows::{Simulated, World};
 use host_tools::networks::Networks;
 use model_export::inverse::build::{Built, Variant, build};
 use tempfile::TempDir;
 
-use super::world::SECONDS;
-
 /// What every gripper has.
 const EFFECTS: [&str; 3] = ["hysteresis", "cross_coupling", "magnet_temperature"];
-/// Recordings that the model is fitted to.
-const FITTED: u32 = 3;
-/// More than there will ever be: what is lost between recordings is asked for by their number.
-const MOST_RECORDINGS: u32 = 100_000;
+/// Length of the recordings that the model is fitted to.
+const SECONDS: &str = "100";
 
 /// A gripper.
 pub struct Gripper {
-    /// How the bench is set; its recordings are numbered beyond those that were fitted.
-    pub settings: Settings,
-    /// The same effects.
-    pub effects: Effects,
+    /// It on the bench again, in recordings that nothing was fitted to.
+    pub world: World,
     /// The model and its tables.
     pub built: Built,
     /// Behind it.
@@ -39,8 +32,8 @@ impl Gripper {
         let path = |name: &str| folder.path().join(name);
         let (campaign, base, model) = (path("campaign"), path("base.toml"), path("model.toml"));
         let text = |path: &Path| path.to_str().expect("a name in letters").to_owned();
-        let (seed_text, seconds) = (seed.to_string(), SECONDS.to_string());
-        let mut simulate = vec!["simulate", "--seed", &seed_text, "--seconds", &seconds];
+        let seed = seed.to_string();
+        let mut simulate = vec!["simulate", "--seed", &seed, "--seconds", SECONDS];
         EFFECTS
             .iter()
             .for_each(|id| simulate.extend(["--effect", id]));
@@ -58,36 +51,22 @@ impl Gripper {
             magpie(&["train", &model, &campaign, "-o", &network, "--epochs", "40"]);
             Networks::read(Path::new(&network), &built).expect("networks of this model")
         });
-        let effects: Vec<Effect> = EFFECTS
-            .iter()
-            .map(|id| id.parse().expect("an effect of the bench"))
-            .collect();
-        let settings = Settings {
-            seed,
-            programme: Programme::Bench,
-            recordings: MOST_RECORDINGS,
-            seconds: SECONDS,
-            sensors: 4,
-            scatter: 1.0,
-            noise: NoiseKind::White,
-            harder: 1.0,
-            warmer_k: 0.0,
-            field_noise_g: 0.35,
-            reference_noise_n: 0.15,
-            effects,
-            hidden: false,
-        };
+        let truth = truth::default_path(Path::new(&campaign)).expect("a campaign with a name");
+        let settings = again::settings(&truth).expect("the truth beside the campaign");
+        let world = Simulated::again(settings).expect("effects of the bench");
         Self {
-            effects: Effects::new(&settings.effects, seed, 4, 1.0).expect("effects of the bench"),
-            settings,
+            world: World::Simulated(world),
             built,
             networks,
         }
     }
 
-    /// Number of a recording that nothing was fitted to.
-    pub fn fresh(number: u32) -> u32 {
-        FITTED + 1 + number
+    /// What runs on its board.
+    pub fn device(&self) -> Device<'_> {
+        Device {
+            built: &self.built,
+            networks: self.networks.as_ref(),
+        }
     }
 
     /// What the model knows of its own residual.

@@ -1,11 +1,8 @@
-//! How surely, how soon and how often in vain the device notices a foreign magnet.
+//! How surely, how soon and how often in vain the device notices a foreign magnet, over several grippers.
 //!
 //! Simulated grippers (hysteresis, cross coupling, a warming magnet, scatter of manufacture), each with a
-//! model fitted by the tool's own commands to three recordings of 100 s. Then fresh recordings go through
-//! the device's code twice, with the same noise: as they are, which counts false alarms, and with magnets
-//! that pass at random distances, directions and speeds, which counts those that move a force by more than
-//! 20 N and are noticed within 20 ms of that. No file is written on the way, so that ten hours take
-//! minutes.
+//! model fitted by the tool's own commands to three recordings of 100 s; then [`host_tools::foreign`] on
+//! fresh recordings of each.
 //!
 //! ```text
 //! cargo bench -p host-tools --bench foreign_magnet                 # ten hours
@@ -14,14 +11,12 @@
 //! ```
 
 mod gripper;
-mod passage;
-mod tally;
-mod world;
 
 use clap::Parser;
-use rayon::prelude::*;
-
-use tally::Tally;
+use host_tools::foreign::tally::Tally;
+use host_tools::foreign::{count, words};
+use host_tools::report::training::foreign::section;
+use host_tools::{progress, report, show};
 
 /// Counts how surely a foreign magnet is noticed.
 #[derive(Parser)]
@@ -41,9 +36,9 @@ struct Args {
     /// Leave the magnet's temperature out of the models.
     #[arg(long)]
     no_temperature: bool,
-    /// Write the operating characteristics as a plot.
-    #[arg(long, value_name = "SVG")]
-    plot: Option<std::path::PathBuf>,
+    /// Write a page with the operating characteristics.
+    #[arg(short, long, value_name = "HTML")]
+    output: Option<std::path::PathBuf>,
     /// What cargo passes to every bench.
     #[arg(long, hide = true)]
     bench: bool,
@@ -51,29 +46,28 @@ struct Args {
 
 fn main() {
     let args = Args::parse();
-    let each = (args.hours * 3600.0 / world::SECONDS / args.grippers as f64).ceil() as u32;
     let seeds: Vec<u64> = (args.first..args.first + args.grippers).collect();
-    println!(
-        "{} grippers, seeds {seeds:?}, {each} recordings of {} s each",
-        args.grippers,
-        world::SECONDS
-    );
-    let bar = host_tools::progress::bar("recordings", each as usize * seeds.len());
+    let of = format!("{} grippers, seeds {seeds:?}:", args.grippers);
+    println!("{of}");
+    let bar = progress::bar("recordings", 0);
     let mut all = Tally::default();
     for &seed in &seeds {
         let gripper = gripper::Gripper::new(seed, !args.no_temperature, args.networks);
         bar.suspend(|| println!("  gripper {seed}: {}", gripper.words()));
-        let of_gripper = (0..each).into_par_iter().map(|number| {
-            let tally = world::run(&gripper, number);
-            bar.inc(1);
-            tally
-        });
-        all = all.with(of_gripper.reduce(Tally::default, Tally::with));
+        let hours = args.hours / args.grippers as f64;
+        let counted = count(&gripper.device(), &gripper.world, hours, &bar);
+        all = all.with(counted.expect("simulated rows can be read"));
     }
     bar.finish_and_clear();
-    print!("{}", all.text());
-    if let Some(path) = &args.plot {
-        std::fs::write(path, all.plot()).expect("the plot can be written");
+    print!(
+        "{}{}",
+        show::paragraph(&words::sentences(&all)),
+        words::table(&all)
+    );
+    if let Some(path) = &args.output {
+        let title = "magpie: a foreign magnet";
+        report::write_sections(path, title, &[section(&all, &of)])
+            .expect("the page can be written");
     }
     if !all.reached() {
         std::process::exit(1);

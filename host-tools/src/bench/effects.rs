@@ -5,7 +5,7 @@ use std::str::FromStr;
 use anyhow::{Context, Result, bail};
 use model_export::recordings::problem::closest;
 use rand::seq::SliceRandom;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::draw::{Purpose, between, stream};
 use super::sizes::{SIZES, Size, size_of};
@@ -24,7 +24,7 @@ const CREEP_S: f64 = 10.0;
 const SOFTENING_CYCLES: f64 = 8.0;
 
 /// The flexures on which friction acts.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Flexures {
     /// The grasping one.

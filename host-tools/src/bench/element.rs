@@ -4,7 +4,7 @@ use clap::ValueEnum;
 use firmware::params;
 use nalgebra::{Rotation3, Vector3};
 use rand_chacha::ChaCha8Rng;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::draw::{Purpose, direction, normals, stream};
 use super::effects::Effects;
@@ -24,7 +24,7 @@ const AR1_S: f64 = 0.3;
 const WALK_G: f64 = 0.05;
 
 /// The kinds of noise beside white noise.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum NoiseKind {
     /// None.

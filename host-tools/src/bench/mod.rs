@@ -20,8 +20,9 @@
 //! - [`element`]: the Hall element.
 //! - [`gripper`]: all of it together, in time.
 //! - [`clocks`], [`reference`](mod@reference), [`record`]: what is measured and written.
-//! - [`truth`]: what was hidden.
+//! - [`truth`]: what was hidden; [`again`]: the same gripper, from its truth.
 
+pub mod again;
 pub mod attitude;
 pub mod clocks;
 pub mod draw;
@@ -93,7 +94,27 @@ pub struct Settings {
 }
 
 impl Settings {
-    fn noise_of(&self, recording: u32, sensor: u32) -> Noise {
+    /// Its effects.
+    ///
+    /// # Errors
+    /// One of them is not possible.
+    pub fn effects(&self) -> Result<Effects> {
+        let effects = Effects::new(&self.effects, self.seed, self.sensors, self.scatter)?;
+        Ok(match self.hidden {
+            true => effects.with_hidden_times(self.seed),
+            false => effects,
+        })
+    }
+
+    /// What is done to the gripper in a recording, counted from 1.
+    pub fn excitation(&self, recording: u32) -> Excitation {
+        let (seed, sensors) = (self.seed, self.sensors);
+        Excitation::draw(self.programme, seed, recording, sensors, self.seconds)
+            .beyond(self.harder, self.warmer_k)
+    }
+
+    /// Noise of a sensor in a recording.
+    pub fn noise_of(&self, recording: u32, sensor: u32) -> Noise {
         Noise::begin(
             self.noise,
             self.field_noise_g,
@@ -112,16 +133,9 @@ pub fn start_s(seconds: f64, recording: u32) -> f64 {
 /// Writes a campaign into a folder; `done` is called after each recording.
 pub fn simulate(settings: &Settings, folder: &Path, done: impl Fn()) -> Result<Truth> {
     let (seed, seconds) = (settings.seed, settings.seconds);
-    let mut effects = Effects::new(&settings.effects, seed, settings.sensors, settings.scatter)?;
-    if settings.hidden {
-        effects = effects.with_hidden_times(seed);
-    }
+    let effects = settings.effects()?;
     let numbers = 1..=settings.recordings;
-    let excitations: Vec<Excitation> = numbers
-        .clone()
-        .map(|n| Excitation::draw(settings.programme, seed, n, settings.sensors, seconds))
-        .map(|drawn| drawn.beyond(settings.harder, settings.warmer_k))
-        .collect();
+    let excitations: Vec<Excitation> = numbers.clone().map(|n| settings.excitation(n)).collect();
     let rates_hz = [params::SENSE_RATE.value, params::REFERENCE_RATE.value];
     let clocks: Vec<[Clock; 2]> = numbers
         .clone()

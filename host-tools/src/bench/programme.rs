@@ -2,7 +2,7 @@
 
 use clap::ValueEnum;
 use nalgebra::Vector3;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::attitude::{Attitude, Standing};
 use super::load::Load;
@@ -10,7 +10,7 @@ use super::stroke::{Drive, Stroke};
 use super::warmth::Warmth;
 
 /// The programmes of the bench.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Programme {
     /// Everything moves: loads, opening, current, temperature, orientation.

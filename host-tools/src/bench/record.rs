@@ -24,15 +24,16 @@ use super::reference::Reference;
 use super::stroke::{LEAD_MM, POLE_PAIRS};
 use super::{Settings, start_s};
 
-/// Noise of the board's other channels, one standard deviation (assumed of ordinary parts).
-const TEMPERATURE_C: f64 = 0.05;
+/// Noise of a temperature in K, one standard deviation (assumed of ordinary parts, as those below).
+pub const TEMPERATURE_C: f64 = 0.05;
+/// Noise of the board's other channels.
 const OPENING_MM: f64 = 0.005;
 const CURRENT_A: f64 = 0.02;
 const ANGLE_RAD: f64 = 0.002;
 const ACCELERATION_MPS2: f64 = 0.05;
 
 /// Before its first row a recording stands unloaded for this long.
-const SETTLING_S: f64 = 1.0;
+pub const SETTLING_S: f64 = 1.0;
 
 /// A table being written, packed.
 type Table = Writer<GzEncoder<BufWriter<File>>>;
@@ -116,29 +117,12 @@ impl Recorder<'_> {
                 let warmth = self.excitation.temperature_c(sensor, time_s);
                 row.push(format!("{:.2}", warmth + TEMPERATURE_C * normal(&mut rng)));
             }
-            self.covariates(time_s, &mut rng, &mut row);
+            let around = covariates(self.excitation, time_s, &mut rng);
+            let written = around.iter().zip(DECIMALS);
+            row.extend(written.map(|(value, decimals)| format!("{value:.decimals$}")));
             table.write_record(&row)?;
         }
         close(table)
-    }
-
-    /// The columns of [`COVARIATES`], in their order.
-    fn covariates(&self, time_s: f64, rng: &mut ChaCha8Rng, row: &mut Vec<String>) {
-        let mut noisy = |value: f64, noise: f64| value + noise * normal(rng);
-        let drive = self.excitation.drive(time_s);
-        let standing = self.excitation.standing(time_s);
-        row.push(format!("{:.3}", noisy(drive.opening_mm, OPENING_MM)));
-        row.push(format!("{:.3}", noisy(drive.current_a, CURRENT_A)));
-        row.push(format!(
-            "{:.4}",
-            noisy(drive.angle_rad, ANGLE_RAD).rem_euclid(TAU)
-        ));
-        for felt in &standing.specific_force {
-            row.push(format!("{:.3}", noisy(*felt, ACCELERATION_MPS2)));
-        }
-        for angle in standing.angles_rad {
-            row.push(format!("{:.4}", noisy(angle, ANGLE_RAD)));
-        }
     }
 
     fn force(&self, folder: &Path) -> Result<()> {
@@ -160,6 +144,27 @@ impl Recorder<'_> {
         }
         close(table)
     }
+}
+
+/// Decimals of the columns of [`COVARIATES`] in a file.
+const DECIMALS: [usize; COVARIATES.len()] = [3, 3, 4, 3, 3, 3, 4, 4, 4];
+
+/// The columns of [`COVARIATES`] with their noise, in their order.
+pub fn covariates(
+    excitation: &Excitation,
+    time_s: f64,
+    rng: &mut ChaCha8Rng,
+) -> [f64; COVARIATES.len()] {
+    let mut noisy = |value: f64, noise: f64| value + noise * normal(rng);
+    let drive = excitation.drive(time_s);
+    let standing = excitation.standing(time_s);
+    let opening_mm = noisy(drive.opening_mm, OPENING_MM);
+    let current_a = noisy(drive.current_a, CURRENT_A);
+    let angle_rad = noisy(drive.angle_rad, ANGLE_RAD).rem_euclid(TAU);
+    let felt: [f64; 3] = standing.specific_force.into();
+    let [x, y, z] = felt.map(|felt| noisy(felt, ACCELERATION_MPS2));
+    let [roll, pitch, yaw] = standing.angles_rad.map(|angle| noisy(angle, ANGLE_RAD));
+    [opening_mm, current_a, angle_rad, x, y, z, roll, pitch, yaw]
 }
 
 fn hall_columns(sensors: u32) -> Vec<String> {

@@ -33,6 +33,11 @@ const HIDDEN_SHARED: usize = 32;
 /// Beyond this the rows near zero would be all that is learned; below its inverse none of it.
 const MOST_NEAR_ZERO: f64 = 100.0;
 
+/// Hours of the foreign magnet, if not given: a few seconds.
+const MAGNET_HOURS: f64 = 0.2;
+/// More than this is no experiment any more.
+const MOST_MAGNET_HOURS: f64 = 1000.0;
+
 /// Train a recurrent network that tells each force with its uncertainty.
 ///
 /// The network sees what it would see on the gripper: the field after the device's compensation, at
@@ -92,6 +97,10 @@ pub struct Args {
     /// 1 + (WEIGHT - 1) exp(-(F / 25 N)^2 / 2); 1 if not given, 4 in the table's row.
     #[arg(long, value_name = "WEIGHT")]
     near_zero: Option<f64>,
+    /// With --table: hours without a magnet in which the device may call one in vain, and as many with
+    /// magnets that pass; 0 leaves them out. Ten hours take half an hour.
+    #[arg(long, value_name = "H", default_value_t = MAGNET_HOURS)]
+    magnet_hours: f64,
     /// Seed of the first weights: the same seed, the same network.
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -146,6 +155,12 @@ pub fn run(args: &Args) -> Result<()> {
     {
         bail!("--near-zero {weight} is not possible here; give 0.01 to {MOST_NEAR_ZERO}");
     }
+    if !(0.0..=MOST_MAGNET_HOURS).contains(&args.magnet_hours) {
+        bail!(
+            "--magnet-hours {} is not possible here; give 0 to {MOST_MAGNET_HOURS}",
+            args.magnet_hours
+        );
+    }
     if args.table {
         return table::run(args);
     }
@@ -167,7 +182,12 @@ pub fn run(args: &Args) -> Result<()> {
         &campaign.held_out,
     )?;
     teach(args, &mut course, &campaign.key())?;
-    let sigma = Sigma::of(&course, &campaign)?;
+    let sigma = Sigma::of(
+        &course,
+        &campaign.lessons,
+        &campaign.held_out,
+        &campaign.built,
+    )?;
     let outcome = Outcome::of(&course, &campaign.held_out, sigma, start.elapsed())?;
     let text = match args.json {
         true => format!("{}\n", report::json(&outcome, &campaign.notes)),

@@ -7,6 +7,7 @@
 //! - [`mod@teach`]: the networks.
 //! - [`mod@judge`]: each way on the held-out recording, through the device's code.
 //! - [`mod@length`]: how the error falls with the seconds that are learned from.
+//! - [`magnet`]: whether a foreign magnet is noticed.
 //!
 //! A network that the device cannot hold is left out with the reason: the table is of what runs there.
 //!
@@ -15,6 +16,7 @@
 pub mod data;
 pub mod judge;
 pub mod length;
+pub mod magnet;
 pub mod paper;
 pub mod refit;
 pub mod teach;
@@ -28,6 +30,7 @@ use model_export::gru::unfit::Unfit;
 use data::Data;
 use judge::{Judged, judge};
 use length::Point;
+use magnet::Magnet;
 use refit::refit;
 use teach::{Lessons, Plan};
 use variant::Variant;
@@ -58,6 +61,8 @@ pub struct Table {
     pub trained: Vec<Trained>,
     /// Errors against the seconds that were learned from.
     pub lengths: Vec<Point>,
+    /// Whether a foreign magnet is noticed; `None` where it was not asked for.
+    pub foreign: Option<Magnet>,
     /// Whether the recordings say that they are simulated.
     pub simulated: bool,
     /// The physics's effects.
@@ -79,14 +84,16 @@ impl Table {
     }
 }
 
-/// Fits, trains and judges everything; `plan` says how, and is told how far it is.
-pub fn compute(data: &Data, plan: &Plan) -> Result<Table> {
+/// Fits, trains and judges everything; `plan` says how, and is told how far it is. At the end magnets
+/// pass for so many hours.
+pub fn compute(data: &Data, plan: &Plan, magnet_hours: f64) -> Result<Table> {
     let whole = data.training_s();
     let refitted = refit(data, whole)?;
     let lessons = Lessons::of(data, &refitted, whole)?;
     let mut notes = data.notes.clone();
     notes.extend(refitted.notes.iter().cloned());
     let (mut judged, mut trained) = (Vec::new(), Vec::new());
+    let mut networks = None;
     for variant in Variant::ALL {
         let Some(built) = refitted.behind(variant.behind()) else {
             continue;
@@ -101,14 +108,20 @@ pub fn compute(data: &Data, plan: &Plan) -> Result<Table> {
             taught => taught?,
         };
         judged.push(judge(data, variant, built, taught.as_ref())?);
-        trained.extend(taught.map(|taught| Trained {
-            variant,
-            sha256: fingerprint(&taught.networks.file.networks),
-            found: taught.networks.file.provenance.found,
-        }));
+        if let Some(taught) = taught {
+            trained.push(Trained {
+                variant,
+                sha256: fingerprint(&taught.networks.file.networks),
+                found: taught.networks.file.provenance.found.clone(),
+            });
+            if variant == magnet::behind(&refitted) {
+                networks = Some(taught.networks);
+            }
+        }
     }
     let lengths = length::compute(data, plan, &judged)?;
     plan.close();
+    let foreign = magnet::count(data, &refitted, networks.as_ref(), magnet_hours)?;
     Ok(Table {
         recordings: (data.names(), data.held_out_name()),
         training_s: whole,
@@ -116,6 +129,7 @@ pub fn compute(data: &Data, plan: &Plan) -> Result<Table> {
         judged,
         trained,
         lengths,
+        foreign,
         simulated: data.simulated,
         effects: refitted.effects,
         notes,

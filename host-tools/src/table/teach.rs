@@ -1,5 +1,5 @@
 //! The networks of the table: each learns from the same seconds, and a block at their end tells it
-//! when to stop.
+//! when to stop, and calibrates the standard deviations that it tells.
 
 use std::cell::RefCell;
 use std::path::Path;
@@ -15,6 +15,7 @@ use model_export::recordings::raw::RawStream;
 use super::data::Data;
 use super::refit::Refitted;
 use super::variant::{Behind, Variant};
+use crate::commands::train::sigma::Sigma;
 use crate::lessons::sequence;
 use crate::networks::Networks;
 use crate::progress;
@@ -206,6 +207,9 @@ impl Plan {
             self.bar.set_position(before + (share * cost as f64) as u64);
         }
         self.bar.set_position(before + cost);
+        let sigma = Sigma::of(&course, &part.lessons, &part.stopping, built)?;
+        let mut networks = course.networks();
+        sigma.apply(&mut networks);
         let provenance = Provenance {
             tool: format!("magpie {}", env!("CARGO_PKG_VERSION")),
             model_sha256: built.header.inputs_sha256.clone(),
@@ -218,7 +222,7 @@ impl Plan {
         };
         let file = NetworkFile {
             provenance,
-            networks: course.networks(),
+            networks,
         };
         let networks = Networks::of(file, Path::new(variant.words()), built)?.settled();
         Ok(Some(Taught { networks }))

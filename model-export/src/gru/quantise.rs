@@ -17,11 +17,11 @@ use super::network::{Input, Layer, Network, OUTPUTS, ScaledInput};
 use super::unfit::{LARGE_WEIGHTS, Row, Unfit};
 
 /// Greatest input, either way.
-const INPUT_LIMIT: i64 = 1 << 15;
+pub(super) const INPUT_LIMIT: i64 = 1 << 15;
 /// Greatest upper half of a state, either way: the state stays within ±1.
 const STATE_LIMIT: i64 = 1 << INPUT_BITS;
 /// Sums stay below this, either way.
-const SUM_LIMIT: i64 = 1 << 31;
+pub(super) const SUM_LIMIT: i64 = 1 << 31;
 
 /// Quantised rows of one layer, in the network's own order.
 #[derive(Clone, Debug, PartialEq)]

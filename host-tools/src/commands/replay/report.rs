@@ -167,7 +167,8 @@ fn tare_line(recordings: &[RecordingReplay]) -> String {
             .to_owned();
     }
     format!(
-        "Tare: the mean over the first unloaded stretch, a second at the most (here {shortest:.2} s).\n"
+        "Tare: the mean over the first unloaded stretch, a second at the most (here {shortest:.2} s);\n\
+         none where the model's friction may hold as much at rest.\n"
     )
 }
 

@@ -28,8 +28,8 @@ pub struct Campaign {
     recordings: Vec<Recorded>,
     model_sha256: String,
     delay_ms: f64,
-    /// Of each sensor, Fx and Fz that a gauss in the plane is taken for at rest.
-    newtons_per_g: Vec<(u32, [f64; 2])>,
+    /// The physics that the networks stand behind.
+    pub built: Built,
     /// What a person should know.
     pub notes: Vec<String>,
 }
@@ -54,7 +54,6 @@ impl Campaign {
         same_sensors(&args.campaign, &lessons)?;
         let held_out = lessons.remove(held_out);
         let notes = notes(&built, &recordings, &held_out);
-        let newtons_per_g = newtons_per_g(&built);
         notes.iter().for_each(|note| eprintln!("note: {note}"));
         Ok(Self {
             lessons,
@@ -64,20 +63,11 @@ impl Campaign {
                 .canonicalize()
                 .map_or_else(|_| name_of(&args.campaign), |absolute| name_of(&absolute)),
             recordings,
-            model_sha256: built.header.inputs_sha256,
+            model_sha256: built.header.inputs_sha256.clone(),
             delay_ms: 1e-3 * alignment.delay_us,
-            newtons_per_g,
+            built,
             notes,
         })
-    }
-
-    /// Fx and Fz that a gauss in the plane of a sensor is taken for, in newtons.
-    pub fn newtons_per_g(&self, sensor: u32) -> [f64; 2] {
-        let found = self
-            .newtons_per_g
-            .iter()
-            .find(|(number, _)| *number == sensor);
-        found.map_or([0.0; 2], |(_, newtons)| *newtons)
     }
 
     /// Tells what is learned from: the same text, the same data.
@@ -103,14 +93,6 @@ impl Campaign {
             found: course.found.clone(),
         }
     }
-}
-
-fn newtons_per_g(built: &Built) -> Vec<(u32, [f64; 2])> {
-    let sensors = built.header.sensors.iter().zip(&built.chosen.forward);
-    let newtons = |slope: nalgebra::Vector3<f64>| 1.0 / slope.norm().max(f64::MIN_POSITIVE);
-    sensors
-        .map(|(&number, model)| (number, model.per_newton([0.0; 2]).map(newtons)))
-        .collect()
 }
 
 /// Place of the held-out recording.

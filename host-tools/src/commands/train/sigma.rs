@@ -8,11 +8,11 @@
 use model_export::gru::network::{Guard, Network, OUTPUTS};
 use model_export::gru::train::course::Course;
 use model_export::gru::train::lesson::{Sequence, Track};
+use model_export::inverse::build::Built;
 use serde_json::{Value, json};
 
-use super::campaign::Campaign;
 use crate::coverage::{Coverage, Told, factor, tared};
-use crate::tare::Rest;
+use crate::tare::{Rest, held_n};
 
 /// A second of the board's rows.
 const ROWS_PER_S: f64 = firmware::params::SENSE_RATE.value;
@@ -31,8 +31,13 @@ pub struct Sigma {
 }
 
 impl Sigma {
-    /// From a training that has come to its end.
-    pub fn of(course: &Course, campaign: &Campaign) -> anyhow::Result<Self> {
+    /// From a training on these lessons, behind the physics that was built, that has come to its end.
+    pub fn of(
+        course: &Course,
+        lessons: &[Sequence],
+        held_out: &Sequence,
+        built: &Built,
+    ) -> anyhow::Result<Self> {
         let mut own = Self {
             factors: Vec::new(),
             before: None,
@@ -54,11 +59,13 @@ impl Sigma {
                             sigma_n: scale_n * one.log_sigma.exp(),
                         })
                         .collect();
-                    let track = campaign.held_out.tracks.iter().find(|t| t.number == sensor);
+                    let track = held_out.tracks.iter().find(|t| t.number == sensor);
                     if let Some(track) = track {
                         split_n[axis] = SPLIT_MARGIN * greatest_split(track, axis, &told);
                     }
-                    let told = tared(&told, track.map_or(0.0, |track| tare(track, axis, &told)));
+                    let held_n = held_n(&built.compensations, sensor);
+                    let tare = track.map_or(0.0, |track| tare(track, axis, &told, held_n));
+                    let told = tared(&told, tare);
                     let of = |odd: usize| -> Vec<Told> {
                         let chosen = told.iter().filter(|one| one.block() % 2 == odd);
                         chosen.copied().collect()
@@ -76,8 +83,8 @@ impl Sigma {
                 own.guards.push((
                     sensor,
                     Guard {
-                        departure_g: departures(&campaign.lessons, sensor),
-                        newtons_per_g: campaign.newtons_per_g(sensor),
+                        departure_g: departures(lessons, sensor),
+                        newtons_per_g: newtons_per_g(built, sensor),
                         split_n,
                     },
                 ));
@@ -148,9 +155,19 @@ impl Sigma {
     }
 }
 
+/// Fx and Fz that a gauss in the plane of a sensor is taken for at rest, in newtons.
+fn newtons_per_g(built: &Built, sensor: u32) -> [f64; 2] {
+    let mut sensors = built.header.sensors.iter().zip(&built.chosen.forward);
+    let newtons = |slope: nalgebra::Vector3<f64>| 1.0 / slope.norm().max(f64::MIN_POSITIVE);
+    let found = sensors.find(|(number, _)| **number == sensor);
+    found.map_or([0.0; 2], |(_, model)| {
+        model.per_newton([0.0; 2]).map(newtons)
+    })
+}
+
 /// The tare of the network; zero where the forces never rest.
-fn tare(track: &Track, axis: usize, told: &[Told]) -> f64 {
-    let mut rest = Rest::default();
+fn tare(track: &Track, axis: usize, told: &[Told], held_n: [f64; 2]) -> f64 {
+    let mut rest = Rest::new(held_n);
     for ((_, truth), one) in track.truth_n.iter().zip(told) {
         let truth = truth.map(f64::from);
         rest.add(one.time_s, truth, truth.map(|n| n + one.error_n));

@@ -38,7 +38,7 @@ pub fn run(args: &Args) -> Result<()> {
         args.near_zero.unwrap_or(NEAR_ZERO),
     );
     plan.announce(length::trainings(&data).into_iter());
-    let table = compute(&data, &plan)?;
+    let table = compute(&data, &plan, args.magnet_hours)?;
     let page = match args.json {
         true => format!("{}\n", json::object(&table, &plan)),
         false => text::page(&table, &plan),

@@ -25,7 +25,8 @@ pub fn section(table: &Table) -> Section {
         @for note in &table.notes { p.note { "Note: " (note) "." } }
         @for (axis, name) in FORCES { (of_force(table, axis, name)) }
         p.note { "Estimate minus reference in newtons, at every row of the board. Fixed: by the device's own code. "
-            "Tared: less the mean of the estimate over the first unloaded stretch, a second at the most. "
+            "Tared: less the mean of the estimate over the first unloaded stretch, a second at the most, but not what friction "
+            "may hold at rest by the physics with effects. "
             "Noise: what white noise of sensor and reference leaves of the estimates. "
             "Paper: RMSE, mean, and what Table I calls variance and is a standard deviation in N." }
         @if let Some(found) = table.of(Variant::Gru3Axis).and_then(|judged| judged.coverage.as_ref()) {

@@ -4,8 +4,10 @@
 //! - [`time`]: truth and estimates over time (the paper's Fig. 7).
 //! - [`spread`]: how often errors of each size occur (Fig. 8).
 //! - [`lengths`]: the error against the seconds that are learned from.
+//! - [`foreign`]: how surely a foreign magnet is noticed.
 
 pub mod figures;
+pub mod foreign;
 pub mod lengths;
 pub mod spread;
 pub mod time;
@@ -35,10 +37,13 @@ pub fn title(table: &Table) -> String {
 
 /// All of them.
 pub fn sections(table: &Table) -> Vec<Section> {
-    vec![
+    let mut sections = vec![
         figures::section(table),
         time::section(table),
         spread::section(table),
         lengths::section(table),
-    ]
+    ];
+    let magnet = table.foreign.as_ref();
+    sections.extend(magnet.map(|magnet| foreign::section(&magnet.tally, &magnet.of)));
+    sections
 }

@@ -2,6 +2,7 @@
 //!
 //! - [`lesson`]: what is learned from, and its scaling.
 //! - [`parameters`]: everything that training changes.
+//! - [`hold`]: weights brought back to what the device can hold.
 //! - [`curves`]: sigmoid and tangent, several values at once.
 //! - [`recurrence`]: a layer's recurrence as one operation, forward and backward.
 //! - [`forward`]: the networks over a window, and the loss.
@@ -19,6 +20,7 @@ pub mod checkpoint;
 pub mod course;
 pub mod curves;
 pub mod forward;
+pub mod hold;
 pub mod judge;
 pub mod lesson;
 pub mod parameters;

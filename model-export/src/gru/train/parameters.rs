@@ -11,11 +11,6 @@ use crate::gru::network::{GATES, Layer};
 /// earlier would be too small to find any.
 const LONGEST_MEMORY_ROWS: f32 = 1000.0;
 
-/// Greatest weight, either way: the device holds weights within eight.
-pub const WEIGHT_LIMIT: f32 = 7.99;
-/// The same for the candidate's recurrent weights, which the device holds within four.
-pub const CANDIDATE_LIMIT: f32 = 3.99;
-
 /// How large the networks are; all that are trained together have the same size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Size {
@@ -71,31 +66,6 @@ impl Parameter {
     /// Values of one network.
     pub fn each(&self) -> usize {
         self.values.len() / self.shape[0]
-    }
-
-    /// Brings the weights back to what the device can hold.
-    pub fn limit(&mut self) {
-        let columns = self.shape[self.shape.len() - 1];
-        let candidate = columns - columns / GATES;
-        match self.kind {
-            Kind::Weights => self
-                .values
-                .iter_mut()
-                .for_each(|w| *w = w.clamp(-WEIGHT_LIMIT, WEIGHT_LIMIT)),
-            Kind::State => {
-                for row in self.values.chunks_exact_mut(columns) {
-                    for (column, w) in row.iter_mut().enumerate() {
-                        let limit = if column < candidate {
-                            WEIGHT_LIMIT
-                        } else {
-                            CANDIDATE_LIMIT
-                        };
-                        *w = w.clamp(-limit, limit);
-                    }
-                }
-            }
-            Kind::LayerBias | Kind::HeadBias => {}
-        }
     }
 }
 
@@ -182,11 +152,6 @@ impl Parameters {
         for (to, from) in self.all.iter_mut().zip(&from.all) {
             to.of_mut(network).copy_from_slice(from.of(network));
         }
-    }
-
-    /// Brings every weight back to what the device can hold.
-    pub fn limit(&mut self) {
-        self.all.iter_mut().for_each(Parameter::limit);
     }
 
     /// A layer of one network as the device's side knows it.

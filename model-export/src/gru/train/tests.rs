@@ -11,9 +11,11 @@ use rand_chacha::ChaCha8Rng;
 
 use super::adam::{Adam, DECAY, GREATEST_SLOPE, clip};
 use super::forward::{State, Weights, losses};
+use super::hold::{CANDIDATE_LIMIT, WEIGHT_LIMIT};
 use super::lesson::{Scaled, Scaling, Sequence, Topology, Track, weight_near_zero};
-use super::parameters::{CANDIDATE_LIMIT, Parameters, Size, WEIGHT_LIMIT, place};
-use crate::gru::network::{Layer, Network, Target};
+use super::parameters::{Parameter, Parameters, Size, place};
+use crate::gru::network::{Input, Layer, Network, OUTPUTS, ScaledInput, Target};
+use crate::gru::quantise::Quantised;
 
 const SIZE: Size = Size {
     networks: 2,
@@ -253,21 +255,106 @@ fn a_steep_slope_is_shortened_and_that_of_the_network_beside_it_is_not() {
 #[test]
 fn weights_stay_where_the_device_can_hold_them() {
     let mut parameters = weights();
-    for parameter in &mut parameters.all {
-        parameter.values.fill(-20.0);
+    // One in each row, so that no sum is too large.
+    for (place, parameter) in parameters.all.iter_mut().enumerate() {
+        let columns = *parameter.shape.last().unwrap();
+        let only = if place % 3 == 2 { 0.0 } else { -20.0 };
+        parameter.values.fill(0.0);
+        for network in 0..SIZE.networks {
+            parameter.of_mut(network)[..columns].fill(only);
+        }
     }
     parameters.limit();
     let layer = parameters.layer(0, 1);
     let (gates, candidate) = layer.state_weights.split_at(2 * SIZE.hidden * SIZE.hidden);
-    assert!(
-        layer
-            .input_weights
-            .iter()
-            .chain(gates)
-            .all(|w| *w == -WEIGHT_LIMIT)
-    );
-    assert!(candidate.iter().all(|w| *w == -CANDIDATE_LIMIT));
-    assert!(layer.state_bias.iter().all(|b| *b == -20.0));
+    let within = |weights: &[f32], limit: f32| {
+        let known = |weight: &f32| *weight == 0.0 || *weight == -limit;
+        weights.iter().all(known) && weights.contains(&-limit)
+    };
+    assert!(within(&layer.input_weights, WEIGHT_LIMIT));
+    assert!(within(gates, WEIGHT_LIMIT) && within(candidate, CANDIDATE_LIMIT));
+}
+
+/// As an exporter would be given it.
+fn with_inputs(parameters: &Parameters, network: usize) -> Network {
+    let input = |axis| ScaledInput {
+        input: Input::Field { sensor: 0, axis },
+        middle: 0.0,
+        span: 100.0,
+    };
+    Network {
+        sensors: vec![0; SIZE.outputs / OUTPUTS],
+        inputs: (0..SIZE.inputs).map(input).collect(),
+        ..exported(parameters, network)
+    }
+}
+
+#[test]
+fn however_large_the_weights_grow_the_device_can_hold_every_sum_and_every_row_keeps_its_direction()
+{
+    let mut large = 0;
+    for seed in 0..20 {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut parameters = weights();
+        // Well within, and as large as every single weight may be.
+        let size = if seed % 2 == 0 { 1.0 } else { 3.9_f32 };
+        for value in parameters.all.iter_mut().flat_map(|p| &mut p.values) {
+            *value = rng.random_range(-size..size);
+        }
+        let before = parameters.clone();
+        let refused = |p: &Parameters| {
+            let networks = (0..SIZE.networks).map(|network| with_inputs(p, network));
+            networks
+                .filter(|n| Quantised::new(n, 0.125).is_err())
+                .count()
+        };
+        large += refused(&parameters);
+        parameters.limit();
+        assert_eq!(refused(&parameters), 0, "seed {seed}");
+        for (now, then) in parameters.all.iter().zip(&before.all) {
+            let columns = *then.shape.last().unwrap();
+            for column in 0..columns {
+                let values = |p: &Parameter| -> Vec<f32> {
+                    p.of(0)
+                        .iter()
+                        .skip(column)
+                        .step_by(columns)
+                        .copied()
+                        .collect()
+                };
+                let (now, then) = (values(now), values(then));
+                let of_size = |values: &[f32]| values.iter().map(|v| v.abs()).sum::<f32>();
+                let factor = of_size(&now) / of_size(&then);
+                assert!(factor > 0.3 && factor < 1.0 + 1e-5, "{factor}");
+                let mut both = now.iter().zip(&then);
+                let same = both.all(|(now, then)| (now - factor * then).abs() < 1e-4);
+                assert!(same, "{now:?} {then:?}");
+            }
+        }
+        // What is within stays as it is, but for rounding.
+        let within = parameters.clone();
+        parameters.limit();
+        for (again, once) in parameters.all.iter().zip(&within.all) {
+            for (again, once) in again.values.iter().zip(&once.values) {
+                assert!((again - once).abs() <= 1e-6 * once.abs());
+            }
+        }
+    }
+    assert!(large >= 5, "{large}");
+}
+
+#[test]
+fn a_row_too_large_for_the_device_is_refused_without_the_limit() {
+    let mut parameters = weights();
+    parameters.all[place::LAYERS[1][1]].values.fill(3.9);
+    // Five states of 3.9 make 19.5 where a candidate's recurrent sum ends at 16.
+    assert!(Quantised::new(&with_inputs(&parameters, 0), 0.125).is_err());
+    parameters.limit();
+    assert!(Quantised::new(&with_inputs(&parameters, 0), 0.125).is_ok());
+    let layer = parameters.layer(0, 1);
+    let row = &layer.state_weights[2 * SIZE.hidden * SIZE.hidden..][..SIZE.hidden];
+    let sum = row.iter().sum::<f32>() + layer.state_bias[2 * SIZE.hidden].abs();
+    assert!(sum > 15.5 && sum < 16.0, "{sum}");
 }
 
 #[test]

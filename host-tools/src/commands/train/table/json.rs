@@ -4,6 +4,7 @@ use crate::coverage::Coverage;
 use serde_json::{Value, json};
 
 use crate::table::judge::Judged;
+use crate::table::magnet::Magnet;
 use crate::table::teach::Plan;
 use crate::table::variant::Variant;
 use crate::table::{Table, Worth, paper, worth};
@@ -34,6 +35,7 @@ pub fn object(table: &Table, plan: &Plan) -> Value {
         "network_on_physics": worth(table).map(verdict),
         "data_efficiency": lengths.collect::<Vec<_>>(),
         "networks": networks.collect::<Vec<_>>(),
+        "foreign_magnet": table.foreign.as_ref().map(Magnet::json),
         "recordings": table.recordings.0, "held_out": table.recordings.1,
         "training_s": table.training_s, "stopping_s": table.stopping_s,
         "effects": table.effects, "simulated": table.simulated,

@@ -1,5 +1,6 @@
 //! The table for a terminal.
 
+use crate::foreign::words::sentences;
 use crate::show;
 use crate::sums::Sums;
 use crate::table::length::FOLLOWED;
@@ -19,6 +20,7 @@ pub fn page(table: &Table, plan: &Plan) -> String {
         "\n".to_owned(),
         lengths(table),
         show::paragraph(&verdict(table)),
+        foreign(table),
     ];
     parts.concat()
 }
@@ -89,8 +91,8 @@ fn below(table: &Table, plan: &Plan) -> String {
         });
     format!(
         "Fixed: by the device's code; the columns before are floating point. Tared: less the mean of \
-         the estimate over the first unloaded stretch, a second at the most, sensor by sensor; the device \
-         itself tares nothing. Where friction holds at rest, a tare adds what it held. Networks had been \
+         the estimate over the first unloaded stretch, a second at the most, sensor by sensor, but not \
+         what friction may hold at rest by the physics with effects; the device itself tares nothing. Networks had been \
          on at rest before the recording begins. Noise: what white noise of sensor and reference leaves \
          of one reading's estimate; a network can average below the ideal model's. Near zero: rows count \
          1 + {} exp(-(F / 25 N)^2 / 2). {coverage}{data}Seed {}.",
@@ -136,6 +138,17 @@ fn verdict(table: &Table) -> String {
         Some(Worth::Harm(share)) => format!("Behind physics with effects a network makes the error {:.0} % larger: leave it out.", 100.0 * share),
     };
     format!("{}{physics}", against(table))
+}
+
+/// Whether a foreign magnet is noticed.
+fn foreign(table: &Table) -> String {
+    table.foreign.as_ref().map_or_else(String::new, |magnet| {
+        let words = sentences(&magnet.tally);
+        format!(
+            "\n{}",
+            show::paragraph(&format!("A foreign magnet. {} {words}", magnet.of))
+        )
+    })
 }
 
 /// The network of three axes beside the fitted ideal model and beside two axes, after the tare.

@@ -1,10 +1,10 @@
 //! Magnets that pass one after the other, and what became of each.
 
-use host_tools::bench::draw::{Purpose, between, stream};
-use host_tools::bench::foreign::ForeignMagnet;
+use nalgebra::Vector3;
 use rand_chacha::ChaCha8Rng;
 
-use super::world::SECONDS;
+use crate::bench::draw::{Purpose, between, stream};
+use crate::bench::foreign::ForeignMagnet;
 
 /// Distance of the closest approach from the gripper's middle in mm, duration in seconds, greatest field in
 /// gauss: each drawn evenly in its logarithm.
@@ -24,6 +24,9 @@ pub const IN_TIME: u32 = 20;
 pub struct Passages {
     rng: ChaCha8Rng,
     recording: u32,
+    sensors: u32,
+    /// No magnet's field is there any more at this time.
+    end_s: f64,
     /// The one on its way.
     pub magnet: Option<ForeignMagnet>,
     next_s: f64,
@@ -41,14 +44,24 @@ pub struct Passage {
 }
 
 impl Passages {
-    /// Before the first.
-    pub fn new(seed: u64, recording: u32) -> Self {
+    /// Before the first, through so many seconds of a recording of a gripper with so many sensors.
+    pub fn new(seed: u64, recording: u32, seconds: f64, sensors: u32) -> Self {
         Self {
             rng: stream(seed, Purpose::ForeignMagnet, recording),
             recording,
+            sensors,
+            end_s: seconds,
             magnet: None,
             next_s: FIRST_S,
         }
+    }
+
+    /// Field of the one on its way at a sensor, in gauss, body's axes.
+    pub fn field(&self, sensor: u32, time_s: f64) -> Vector3<f64> {
+        let magnet = self.magnet.as_ref();
+        magnet.map_or_else(Vector3::zeros, |magnet| {
+            magnet.field(self.recording, sensor, time_s)
+        })
     }
 
     /// True where a new one sets out, which it does only while the flag is down; the one before is gone
@@ -71,12 +84,12 @@ impl Passages {
                 (self.recording, 0.0),
                 (distance_mm, pass_s),
                 greatest_g,
-                4,
+                self.sensors,
             )
             .felt_s();
             0.5 * (to - from)
         };
-        if time_s + 2.0 * ahead_s > SECONDS {
+        if time_s + 2.0 * ahead_s > self.end_s {
             self.next_s = f64::INFINITY;
             return false;
         }
@@ -85,13 +98,22 @@ impl Passages {
             (self.recording, time_s + ahead_s),
             (distance_mm, pass_s),
             greatest_g,
-            4,
+            self.sensors,
         ));
         true
     }
 }
 
 impl Passage {
+    /// Frames from the force's error to the flag; negative where the flag was first, infinite where
+    /// one of them was not.
+    pub fn latency(&self) -> f64 {
+        match (self.off_at, self.flag_at) {
+            (Some(off), Some(flag)) => f64::from(flag) - f64::from(off),
+            _ => f64::INFINITY,
+        }
+    }
+
     /// One frame.
     pub fn note(&mut self, frame: u32, off_n: f64, flag: bool, measures: [f64; 4]) {
         if off_n > OFF_N {
