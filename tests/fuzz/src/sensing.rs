@@ -215,8 +215,8 @@ fn greatest(table: &SensorTable) -> [i64; 2] {
         let slopes = table.linear.slope[axis]
             .iter()
             .map(|slope| i64::from(*slope).abs());
-        let linear =
-            i64::from(table.linear.bias[axis]).abs() + (slopes.sum::<i64>() * limit >> SLOPE_BITS);
+        let linear = i64::from(table.linear.bias[axis]).abs()
+            + ((slopes.sum::<i64>() * limit) >> SLOPE_BITS);
         let pairs = table.pairs.iter().take(usize::from(table.used_pairs));
         let weights = pairs
             .flat_map(|pair| pair.weight[axis])
