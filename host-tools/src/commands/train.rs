@@ -98,7 +98,7 @@ pub struct Args {
     #[arg(long, value_name = "WEIGHT")]
     near_zero: Option<f64>,
     /// With --table: hours without a magnet in which the device may call one in vain, and as many with
-    /// magnets that pass; 0 leaves them out. Ten hours take half an hour.
+    /// magnets that pass; 0 leaves them out. Ten hours take some ten minutes.
     #[arg(long, value_name = "H", default_value_t = MAGNET_HOURS)]
     magnet_hours: f64,
     /// Seed of the first weights: the same seed, the same network.

@@ -25,7 +25,7 @@ pub fn sentences(tally: &Tally) -> String {
                 Some(ms) => format!("{ms:.0} ms"),
             };
             format!(
-                "noticed within {IN_TIME} ms of that {:.1} % ({least:.1} to {most:.1}, 95 %); half of them by {}, 99 % by {} (below zero: before a force was off so far). ",
+                "noticed within {IN_TIME} ms of that {:.2} % ({least:.2} to {most:.2}, 95 %); half of them by {}, 99 % by {} (below zero: before a force was off so far). ",
                 100.0 * share,
                 latency(0.5),
                 latency(0.99),

@@ -3,10 +3,13 @@
 //!
 //! The likelihood chose the weights by all of the held-out recording; the factors are chosen by every
 //! other block of five seconds of it, and the shares that are told are those of the blocks between. A
-//! recording that had no part in anything is judged by `magpie replay`.
+//! recording that had no part in anything is judged by `magpie replay`. A tare is as wrong as what
+//! friction held when it was taken, and sigma has to hold that as well: errors count after the tare of
+//! the held-out recording, or where it never rests, after that of every recording that was learned from.
 
 use model_export::gru::network::{Guard, Network, OUTPUTS};
 use model_export::gru::train::course::Course;
+use model_export::gru::train::judge::Told as Share;
 use model_export::gru::train::lesson::{Sequence, Track};
 use model_export::inverse::build::Built;
 use serde_json::{Value, json};
@@ -45,30 +48,38 @@ impl Sigma {
             guards: Vec::new(),
         };
         let (mut before, mut after) = (Vec::new(), Vec::new());
-        for (sensors, forces) in course.groups.iter().zip(course.told()?) {
+        let of_lessons = course.told_of_lessons()?;
+        for (network, (sensors, forces)) in course.groups.iter().zip(course.told()?).enumerate() {
             for (place, &sensor) in sensors.iter().enumerate() {
                 let mut factors = [1.0; 2];
                 let mut split_n = [0.0_f64; 2];
                 for (axis, chosen) in factors.iter_mut().enumerate() {
                     let scale_n = course.scaling.force_n[axis];
-                    let told = forces.get(2 * place + axis).into_iter().flatten();
-                    let told: Vec<Told> = told
-                        .map(|one| Told {
-                            time_s: one.row as f64 / ROWS_PER_S,
-                            error_n: scale_n * (one.mean - one.truth),
-                            sigma_n: scale_n * one.log_sigma.exp(),
-                        })
-                        .collect();
-                    let track = held_out.tracks.iter().find(|t| t.number == sensor);
+                    let output = 2 * place + axis;
+                    let told = in_newtons(&forces, output, scale_n);
+                    let track = held_out.track(sensor);
                     if let Some(track) = track {
                         split_n[axis] = SPLIT_MARGIN * greatest_split(track, axis, &told);
                     }
                     let held_n = held_n(&built.compensations, sensor);
-                    let tare = track.map_or(0.0, |track| tare(track, axis, &told, held_n));
-                    let told = tared(&told, tare);
+                    let tares = match track.and_then(|track| tare(track, axis, &told, held_n)) {
+                        Some(own) => vec![own],
+                        None => lessons
+                            .iter()
+                            .zip(&of_lessons)
+                            .filter_map(|(lesson, told)| {
+                                let told = in_newtons(&told[network], output, scale_n);
+                                tare(lesson.track(sensor)?, axis, &told, held_n)
+                            })
+                            .collect(),
+                    };
                     let of = |odd: usize| -> Vec<Told> {
                         let chosen = told.iter().filter(|one| one.block() % 2 == odd);
-                        chosen.copied().collect()
+                        let chosen: Vec<Told> = chosen.copied().collect();
+                        match tares.is_empty() {
+                            true => chosen,
+                            false => tares.iter().flat_map(|n| tared(&chosen, *n)).collect(),
+                        }
                     };
                     *chosen = factor(&of(0)).unwrap_or(1.0);
                     let judged = of(1);
@@ -165,14 +176,25 @@ fn newtons_per_g(built: &Built, sensor: u32) -> [f64; 2] {
     })
 }
 
-/// The tare of the network; zero where the forces never rest.
-fn tare(track: &Track, axis: usize, told: &[Told], held_n: [f64; 2]) -> f64 {
+/// What a network tells of one force, beside the truth.
+fn in_newtons(forces: &[Vec<Share>], output: usize, scale_n: f64) -> Vec<Told> {
+    let told = forces.get(output).into_iter().flatten();
+    let newtons = told.map(|one| Told {
+        time_s: one.row as f64 / ROWS_PER_S,
+        error_n: scale_n * (one.mean - one.truth),
+        sigma_n: scale_n * one.log_sigma.exp(),
+    });
+    newtons.collect()
+}
+
+/// The tare of the network; `None` where the forces never rest.
+fn tare(track: &Track, axis: usize, told: &[Told], held_n: [f64; 2]) -> Option<f64> {
     let mut rest = Rest::new(held_n);
     for ((_, truth), one) in track.truth_n.iter().zip(told) {
         let truth = truth.map(f64::from);
         rest.add(one.time_s, truth, truth.map(|n| n + one.error_n));
     }
-    rest.tare().map_or(0.0, |(tare, _)| tare[axis])
+    rest.tare().map(|(tare, _)| tare[axis])
 }
 
 /// How far network and ideal model were apart at most, in newtons.

@@ -38,7 +38,7 @@ pub fn section(tally: &Tally, of: &str) -> Section {
     entries.push((Swatch::Full, palette::INK, "the device's vote".to_owned()));
     let body = html! {
         p { (of) }
-        p { (sentences(tally)) }
+        p { (sentences(tally).replace('`', "")) }
         @if tally.judged() == 0 {
             p.empty { "No magnet moved a force by more than 20 N: there is nothing to draw." }
         } @else {
@@ -62,14 +62,21 @@ pub fn section(tally: &Tally, of: &str) -> Section {
 /// A measure, its colour, and its curve.
 type Curve = (&'static str, Role, Vec<Operating>);
 
-/// Where a rate stands: decades above the least that the time could show, one place to the right of
+/// Where a rate stands: decades above one alarm in the whole time, which is one place to the right of
 /// none at all.
 fn across(tally: &Tally, false_per_10h: f64) -> f64 {
-    let least = PER_S / tally.seconds;
-    match false_per_10h >= least {
-        true => 1.0 + (false_per_10h / least).log10(),
+    let alarms = false_per_10h * tally.seconds / PER_S;
+    match alarms > 0.5 {
+        true => 1.0 + alarms.log10(),
         false => 0.0,
     }
+}
+
+/// From where the shares are drawn, in percent: so that what is missing shows.
+fn from_percent(shares: impl Iterator<Item = f64>) -> f64 {
+    let least = 100.0 * shares.fold(1.0, f64::min);
+    let ends = [98.0, 95.0, 90.0, 80.0, 50.0];
+    ends.into_iter().find(|end| least > *end).unwrap_or(0.0)
 }
 
 fn plot(tally: &Tally, curves: &[Curve]) -> Markup {
@@ -84,9 +91,11 @@ fn draw(paper: &Paper, tally: &Tally, curves: &[Curve]) -> Result<(), Failure> {
         range: -0.3..most + 0.2,
         ..Along::things(1)
     };
+    let shares = curves.iter().flat_map(|(_, _, points)| points);
+    let from = from_percent(shares.map(|p| p.noticed).chain(tally.detected()));
     let upwards = Along {
         words: "noticed in time, %".to_owned(),
-        range: 0.0..104.0,
+        range: from..100.0 + 0.04 * (100.0 - from),
         labels: 6,
     };
     let mut chart = axes(paper, &along, &upwards)?;
@@ -104,16 +113,35 @@ fn draw(paper: &Paper, tally: &Tally, curves: &[Curve]) -> Result<(), Failure> {
         let corners = [(x - px(DOT), y - px(DOT)), (x + px(DOT), y + px(DOT))];
         paper.draw(&Rectangle::new(corners, palette::INK.light.filled()))?;
     }
-    let least = (PER_S / tally.seconds).log10();
-    let decades = (least.ceil() as i32)..=PER_S.log10().floor() as i32;
-    let labels = decades.map(|decade| {
+    let labels = (0..=PER_S.log10() as i32).map(|decade| {
         let rate = 10.0_f64.powi(decade);
         (across(tally, rate), format!("{rate:.0}"))
     });
+    let labels = labels.filter(|(at, _)| *at > 0.5);
     for (at, words) in std::iter::once((0.0, "none".to_owned())).chain(labels) {
-        let (x, y) = chart.backend_coord(&(at, 0.0));
+        let (x, y) = chart.backend_coord(&(at, from));
         let place = (x, y + px(14.0));
         paper.draw(&Text::new(words, place, centred(palette::INK, 1.0)))?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rates_stand_in_decades_beside_none_and_the_shares_fill_the_height() {
+        let mut tally = Tally::default();
+        tally.seconds = 3600.0;
+        // One in an hour is ten in ten hours.
+        assert_eq!(across(&tally, 0.0), 0.0);
+        assert!((across(&tally, 10.0) - 1.0).abs() < 1e-12);
+        assert!((across(&tally, 1000.0) - 3.0).abs() < 1e-12);
+        let from = |shares: &[f64]| from_percent(shares.iter().copied());
+        assert_eq!(
+            (from(&[1.0, 0.999]), from(&[0.96]), from(&[0.2, 1.0])),
+            (98.0, 95.0, 0.0)
+        );
+    }
 }

@@ -17,6 +17,10 @@ const SIZE: (u32, u32) = (660, 340);
 /// Radius of a dot, in pixels.
 const DOT: f64 = 4.0;
 
+/// Errors that are written at the side, in newtons, as far as they are on the plot: it is a logarithm,
+/// since a network of few seconds errs by tens of times as much as physics.
+const LABELLED_N: [f64; 9] = [0.03, 0.1, 0.2, 0.5, 1.0, 3.0, 10.0, 30.0, 100.0];
+
 /// How a way is drawn: networks of the field alone, with the ideal model, behind effects; broad lines
 /// are physics alone.
 fn role(variant: Variant) -> (Swatch, Role) {
@@ -101,9 +105,27 @@ fn draw(
 ) -> Result<(), Failure> {
     let heights = curves
         .iter()
-        .flat_map(|(_, points)| points.iter().map(|p| p.1));
-    let upwards = Along::bars("RMSE in N", heights);
+        .flat_map(|(_, points)| points.iter().map(|p| p.1.log10()));
+    let upwards = Along {
+        labels: 0,
+        ..Along::holding("RMSE in N", heights)
+    };
+    let range = upwards.range.clone();
     let mut chart = axes(paper, &Along::things(seconds.len()), &upwards)?;
+    for newtons in LABELLED_N
+        .into_iter()
+        .filter(|n| range.contains(&n.log10()))
+    {
+        let ends = [0.0, seconds.len() as f64].map(|x| (x, newtons.log10()));
+        chart.draw_series([PathElement::new(ends.to_vec(), stroke(palette::GRID, 1.0))])?;
+        let (x, y) = chart.backend_coord(&ends[0]);
+        let words = format!("{newtons}");
+        paper.draw(&Text::new(
+            words,
+            (x - px(16.0), y),
+            centred(palette::INK, 1.0),
+        ))?;
+    }
     for (variant, points) in curves {
         let (swatch, role) = role(*variant);
         let width = if matches!(swatch, Swatch::Broad) {
@@ -120,6 +142,7 @@ fn draw(
             color: role.light.mix(opacity),
             ..stroke(role, width)
         };
+        let points: Vec<(f64, f64)> = points.iter().map(|(x, y)| (*x, y.log10())).collect();
         chart.draw_series([PathElement::new(points.clone(), style)])?;
         let dots = points
             .iter()
@@ -127,7 +150,7 @@ fn draw(
         chart.draw_series(dots)?;
     }
     for (i, seconds) in seconds.iter().enumerate() {
-        let (x, y) = chart.backend_coord(&(i as f64 + 0.5, 0.0));
+        let (x, y) = chart.backend_coord(&(i as f64 + 0.5, range.start));
         let words = format!("{seconds:.0} s");
         paper.draw(&Text::new(
             words,

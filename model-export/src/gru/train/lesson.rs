@@ -96,7 +96,8 @@ impl Sequence {
         }
     }
 
-    fn track(&self, number: u32) -> Option<&Track> {
+    /// The track of a sensor.
+    pub fn track(&self, number: u32) -> Option<&Track> {
         self.tracks.iter().find(|track| track.number == number)
     }
 
