@@ -13,6 +13,11 @@ fn main() {
     }
     println!("cargo:rerun-if-env-changed=MAGPIE_TABLES");
     let root = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
+    // The linker finds it by itself; nobody else would notice that it has changed.
+    println!(
+        "cargo:rerun-if-changed={}",
+        root.join("../memory.x").display()
+    );
     let own = root.join("src/model/tables.rs");
     let stated = env::var_os("MAGPIE_TABLES").filter(|path| !path.is_empty());
     let chosen = match stated {
