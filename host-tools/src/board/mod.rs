@@ -4,7 +4,7 @@
 //! - [`world`]: what the sensors feel.
 //! - [`i2c`]: a bus with sensors, registers and levels.
 //! - [`can`]: a CAN bus.
-//! - [`line`]: a serial line.
+//! - [`line`](mod@line): a serial line.
 //! - [`flash`]: where parameters are kept.
 //! - [`recorded`], [`pressed`]: worlds.
 //!
