@@ -88,7 +88,9 @@ pub async fn command<F: NorFlash, R: FnMut() -> u16, B: FnMut(), C: Clock, M: Ra
                     Meant::Reply { reply, .. } => {
                         reply_with(Message::ServiceReply(reply), exchange)
                     }
-                    Meant::Other(Message::Service(service)) if service.op == op::TARE => {
+                    Meant::Other(Message::Service(service))
+                        if service.op == op::TARE && !session.is_open() =>
+                    {
                         taring = Some(service);
                         exchange.tare_wanted.signal(());
                     }
@@ -134,7 +136,7 @@ impl<F: NorFlash, R, B: FnMut()> Desk<F, R, B> {
             op::VERSION => Message::Version(self.version),
             // No fault is latched: each goes with its cause.
             op::CLEAR_FAULTS => reply(status::DONE),
-            op::SAVE | op::REBOOT if is_armed => reply(status::ARMED),
+            op::TARE | op::SAVE | op::REBOOT if is_armed => reply(status::ARMED),
             op::SAVE => match self.store.save(&exchange.parameters()).await {
                 Ok(()) => reply(status::DONE),
                 Err(_) => reply(status::FAILED),
