@@ -103,7 +103,14 @@ fn every_way_has_a_row_and_the_physics_s_are_those_of_a_replay() {
     assert_eq!(told["data_efficiency"].as_array().unwrap().len(), 3 * 5);
     assert_eq!(told["simulated"], true);
     let page = fs::read_to_string(desk.0.path().join("report.html")).unwrap();
-    for id in ["table", "time", "spread", "lengths", "foreign"] {
+    for id in [
+        "table",
+        "time",
+        "spread",
+        "calibration",
+        "lengths",
+        "foreign",
+    ] {
         assert!(page.contains(&format!("<section id=\"{id}\">")), "{id}");
     }
     assert!(!page.contains("could not be drawn"));

@@ -1,11 +1,13 @@
 //! The sections of a comparison of networks with physics, as the paper shows it.
 //!
 //! - [`figures`]: the table.
+//! - [`calibration`]: whether standard deviations mean what they say.
 //! - [`time`]: truth and estimates over time (the paper's Fig. 7).
 //! - [`spread`]: how often errors of each size occur (Fig. 8).
 //! - [`lengths`]: the error against the seconds that are learned from.
 //! - [`foreign`]: how surely a foreign magnet is noticed.
 
+pub mod calibration;
 pub mod figures;
 pub mod foreign;
 pub mod lengths;
@@ -41,6 +43,7 @@ pub fn sections(table: &Table) -> Vec<Section> {
         figures::section(table),
         time::section(table),
         spread::section(table),
+        calibration::section(table),
         lengths::section(table),
     ];
     let magnet = table.foreign.as_ref();
