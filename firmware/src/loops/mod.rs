@@ -4,7 +4,7 @@
 //! | loop | awaits | level | deadline | when it is missed |
 //! | --- | --- | --- | --- | --- |
 //! | [`sense`] | each millisecond | interrupt executor | [`SENSE_LIMIT_US`](crate::params::SENSE_LIMIT_US) after the tick began | the tick is skipped and counted |
-//! | [`estimate`] | what was sensed | interrupt executor | the next tick | the older frame is lost and counted |
+//! | [`estimate`] | what was sensed | interrupt executor | the next tick | the older frame is lost; the next tick's number shows it |
 //! | [`report`] | estimates, events, replies | thread | 1 ms from sample to frame | the bus sees the next estimate |
 //! | [`telemetry`] | estimates | thread | 1 ms | the line misses a tick, its time shows it |
 //! | [`listen`], [`listen_serial`] | frames, bytes | thread | three frames of the controller's memory, 141 us | the controller drops frames |
