@@ -6,7 +6,9 @@ use super::super::table::{CentrePair, EXP_ENTRIES};
 
 /// Sum over the centres of weight times exp(-gamma d^2), for both forces.
 pub fn sum(exp: &[u32; EXP_ENTRIES], pairs: &[CentrePair], at: [i16; 3]) -> [i32; 2] {
-    let [x, y, z] = at.map(|at| u32::from(at as u16));
+    // Word by word: built for size, a map over the array is a call of its own.
+    let [x, y, z] = at;
+    let (x, y, z) = (x as u16 as u32, y as u16 as u32, z as u16 as u32);
     let end = pairs.as_ptr_range().end;
     // SAFETY: the loop ends where the pairs end, and an index of the table is saturated to 9 bits.
     let both = unsafe { kernel(pairs.as_ptr(), end, exp, x | y << 16, z | z << 16) };
