@@ -16,6 +16,15 @@ pub trait Networks {
     fn apply(&mut self, estimates: &mut [Estimate; SENSORS]);
 }
 
+/// No networks, or some.
+impl<N: Networks> Networks for Option<N> {
+    fn apply(&mut self, estimates: &mut [Estimate; SENSORS]) {
+        if let Some(networks) = self {
+            networks.apply(estimates);
+        }
+    }
+}
+
 /// Networks of one size, and their runs.
 #[derive(Clone, Debug)]
 pub struct Running<

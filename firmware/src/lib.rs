@@ -5,6 +5,7 @@
 //! - [`params`]: every design constant with its unit and source, assumptions marked.
 //! - [`limits`]: where something counts as wrong.
 //! - [`fixed`]: integer arithmetic that saturates.
+//! - [`checksum`]: of what is kept.
 //! - [`units`]: fixed-point quantities.
 //! - [`clock`]: time as the loops see it.
 //! - [`bus_timing`]: the clock of an I2C bus.
@@ -19,9 +20,12 @@
 //! - [`foreign`]: a foreign magnet noticed.
 //! - [`estimator`]: a frame in, forces out.
 //! - [`balance`]: fingers that press alike.
+//! - [`tare`]: what is told without a load, taken off.
 //! - [`wire`]: the messages on the CAN bus and on the serial line.
 //! - [`session`]: who may move the gripper.
 //! - [`throttle`]: more frames than anybody may mean.
+//! - [`parameters`]: what a host may change at run time.
+//! - [`store`]: parameters in flash.
 //! - [`status`]: what is wrong, and where.
 //! - [`events`]: what happened, for those below.
 //! - [`loops`]: what runs, on the chip and in virtual time.
@@ -32,6 +36,7 @@
 #[cfg(test)]
 extern crate std;
 
+pub mod checksum;
 pub mod fixed;
 pub mod limits;
 pub mod params;
@@ -62,10 +67,16 @@ pub mod estimator;
 
 pub mod balance;
 
+pub mod tare;
+
 pub mod wire;
 
 pub mod session;
 pub mod throttle;
+
+pub mod parameters;
+
+pub mod store;
 
 pub mod status;
 

@@ -16,14 +16,14 @@ pub struct Limits {
     pub failed_transfers: u8,
     /// Ticks in a row with a line held low that are a fault.
     pub stuck_ticks: u8,
+    /// Ticks in a row in which a field is outside the model's box.
+    pub outside_ticks: u8,
     /// Difference of the fingers' forces in newtons, with a tenth of the force on top (control study).
     pub unbalanced_n: i32,
     /// Ticks in a row with that difference.
     pub unbalanced_ticks: u8,
     /// Frames of one source within 10 ms that are heard; ten times what a host may send.
     pub flood_frames: u8,
-    /// A host is silent without a command for so many milliseconds.
-    pub silent_ms: u32,
 }
 
 impl Limits {
@@ -33,9 +33,9 @@ impl Limits {
         frozen_axes: 9,
         failed_transfers: 3,
         stuck_ticks: 4,
+        outside_ticks: 3,
         unbalanced_n: 15,
         unbalanced_ticks: 3,
         flood_frames: 20,
-        silent_ms: 100,
     };
 }

@@ -106,6 +106,15 @@ pub const FORCE_RANGE: Constant = assumed(
     "N",
     "design box of the ideal model",
 );
+/// Frames that a tare is the mean of: a quarter of a second, and a sixteenth of a frame's noise.
+pub const TARE_FRAMES: Constant = assumed("frames of a tare", 256.0, "", "a quarter of a second");
+/// Standard deviation of a force above which a tare takes the load for moving.
+pub const TARE_SPREAD: Constant = assumed(
+    "greatest spread of a tare",
+    1.0,
+    "N",
+    "twice the noise of 0.5 N assumed",
+);
 
 /// Pole pairs of the motor.
 pub const POLE_PAIRS: Constant = assumed(
@@ -132,6 +141,8 @@ pub const CARD: &[Constant] = &[
     TEMPERATURE_SCALE,
     SENSE_RATE,
     REFERENCE_RATE,
+    TARE_FRAMES,
+    TARE_SPREAD,
     POLE_PAIRS,
 ];
 

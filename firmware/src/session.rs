@@ -6,7 +6,6 @@
 //! nothing. This is against accidents, not against an attacker with access to the bus: a random frame
 //! with the right identifier passes once in 2^19.
 
-use crate::limits::Limits;
 use crate::wire::layout::{Direction, Malformed};
 use crate::wire::messages::{Command, EStop, Message, Service, ServiceReply};
 use crate::wire::serial::CHECKSUM;
@@ -36,6 +35,8 @@ pub mod op {
     pub const REBOOT: u8 = 4;
     /// Arms, in two steps.
     pub const ARM: u8 = 5;
+    /// Asks for the version.
+    pub const VERSION: u8 = 6;
 }
 
 /// Answers to a service.
@@ -46,6 +47,14 @@ pub mod status {
     pub const SAY_BACK: u8 = 1;
     /// The nonce is wrong, or too late.
     pub const REFUSED: u8 = 2;
+    /// Nobody may arm: a fault forbids it.
+    pub const FAULTY: u8 = 3;
+    /// Not while somebody is armed.
+    pub const ARMED: u8 = 4;
+    /// It was tried and did not succeed; see the detail.
+    pub const FAILED: u8 = 5;
+    /// No such service.
+    pub const UNKNOWN: u8 = 6;
 }
 
 /// Frames that moved nothing, since boot.
@@ -96,6 +105,7 @@ pub enum Heard {
 pub struct Session {
     node: u16,
     silent_ms: u32,
+    may_arm: bool,
     offer: Option<Offer>,
     open: Option<Open>,
     dropped: Dropped,
@@ -117,11 +127,12 @@ struct Open {
 }
 
 impl Session {
-    /// Nobody has armed.
-    pub const fn new(node: u16, limits: &Limits) -> Self {
+    /// Nobody has armed; a host is silent after so many milliseconds without a command.
+    pub const fn new(node: u16, silent_ms: u32) -> Self {
         Self {
             node,
-            silent_ms: limits.silent_ms,
+            silent_ms,
+            may_arm: true,
             offer: None,
             open: None,
             dropped: Dropped {
@@ -158,11 +169,32 @@ impl Session {
         match message {
             Message::Command(command) => self.command(now_ms, command),
             Message::Service(service) if service.magic != MAGIC => self.malformed(now_ms),
+            Message::Service(service) if service.op == op::ARM && !self.may_arm => {
+                self.close();
+                let reply = answer(service, status::FAULTY, 0);
+                Heard::Reply {
+                    reply,
+                    armed: false,
+                }
+            }
             Message::Service(service) if service.op == op::ARM => self.arm(now_ms, service, random),
             other if other.layout().direction == Direction::In => Heard::Other(other),
             // Somebody speaks in this node's name.
             _ => self.malformed(now_ms),
         }
+    }
+
+    /// Says whether somebody may arm; where not, the session ends.
+    pub fn allow(&mut self, may_arm: bool) {
+        self.may_arm = may_arm;
+        if !may_arm {
+            self.close();
+        }
+    }
+
+    /// Another time after which a host counts as silent.
+    pub fn set_silent_ms(&mut self, silent_ms: u32) {
+        self.silent_ms = silent_ms;
     }
 
     /// Ends the session: a fault, a reset, or a host that asked for it. Only arming begins another.
@@ -201,10 +233,8 @@ impl Session {
 
     fn arm(&mut self, now_ms: u32, service: Service, random: u16) -> Heard {
         let reply = |status, nonce| ServiceReply {
-            op: service.op,
-            status,
             nonce,
-            detail: 0,
+            ..answer(service, status, 0)
         };
         if service.nonce == 0 {
             // Zero asks for a nonce, so it is none.
@@ -275,6 +305,16 @@ impl Session {
         self.latest.rotate_left(1);
         let [.., newest] = &mut self.latest;
         *newest = Some(now_ms);
+    }
+}
+
+/// The answer to a service.
+pub fn answer(service: Service, status: u8, detail: u32) -> ServiceReply {
+    ServiceReply {
+        op: service.op,
+        status,
+        nonce: 0,
+        detail,
     }
 }
 

@@ -17,6 +17,8 @@ pub enum Fault {
     SensorSaturated = 102,
     /// A line of a bus stays low. Source: the bus.
     BusStuck = 103,
+    /// A field is where no force brings it. Source: the sensor.
+    OutsideModel = 106,
     /// The fingers press with different forces. Detail: the difference in 1/1024 N.
     Unbalanced = 104,
     /// A foreign magnet is near.
@@ -41,11 +43,12 @@ pub enum Fault {
 
 impl Fault {
     /// All kinds, in the order of the heartbeat's bits.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 15] = [
         Self::SensorLost,
         Self::SensorFrozen,
         Self::SensorSaturated,
         Self::BusStuck,
+        Self::OutsideModel,
         Self::Unbalanced,
         Self::Disturbed,
         Self::TablesUnsound,

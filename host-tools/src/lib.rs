@@ -11,6 +11,7 @@
 //! - [`wiring`]: a recording's row as the device's readings.
 //! - [`lessons`]: recordings as a recurrent network on the device sees them.
 //! - [`networks`]: recurrent networks in a replay.
+//! - [`board`]: the gripper's board in virtual time.
 //! - [`tare`]: what is told where nothing loads.
 //! - [`coverage`]: whether standard deviations mean what they say.
 //! - [`replay`]: recorded data through the device's own code.
@@ -20,6 +21,7 @@
 //! - [`progress`]: what long work shows while it runs.
 
 pub mod bench;
+pub mod board;
 pub mod cli;
 pub mod commands;
 pub mod compare;

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
+use firmware::estimator;
 use firmware::force::{Estimate, Validity};
 use firmware::frame::SENSORS;
 use firmware::units::Field;
@@ -151,16 +152,18 @@ impl FloatForce {
     }
 }
 
-impl Underway<'_> {
+impl estimator::Networks for Underway<'_> {
     /// One step of the device's code over the estimates of one row.
-    pub fn apply(&mut self, frame: &mut [Estimate; SENSORS]) {
+    fn apply(&mut self, frame: &mut [Estimate; SENSORS]) {
         if std::mem::take(&mut self.unsettled) {
             self.settle(frame);
         }
         self.seen.push(*frame);
         pack::apply(&mut self.running, frame);
     }
+}
 
+impl Underway<'_> {
     /// Holds a frame until the slowest network has warmed up.
     fn settle(&mut self, frame: &[Estimate; SENSORS]) {
         let longest = self.floats.iter().map(|float| float.warm_up).max();

@@ -3,6 +3,7 @@
 use std::time::{Duration, Instant};
 
 use firmware::compensate::{Compensation, Memory};
+use firmware::estimator::Networks as _;
 use firmware::force::{Validity, estimate};
 use firmware::foreign::Detector;
 use firmware::hall::a31301;

@@ -1,57 +1,184 @@
-//! Answers hosts: arming, commands, services.
+//! Answers hosts: arming, commands, services, parameters.
 
 use core::sync::atomic::Ordering;
 
-use embassy_futures::select::{Either, select};
+use embassy_futures::select::{Either3, select3};
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embedded_can::Frame;
+use embedded_storage_async::nor_flash::NorFlash;
 
 use super::{Exchange, Finder};
 use crate::clock::Clock;
-use crate::session::{Heard as Meant, Session};
+use crate::parameters;
+use crate::session::{Heard as Meant, Session, answer, op, status};
 use crate::status::{Fault, Faults};
-use crate::wire::messages::Message;
+use crate::store::{Origin, Store};
+use crate::tare::Step;
+use crate::wire::messages::{Message, Service, ServiceReply, Version};
 
 /// How often a host's silence is looked for.
 const LOOK_US: u64 = 1000;
 
-/// Hears hosts and answers them, for ever. `random` gives a new number with every call; without sound
-/// tables (`may_arm`) nobody arms.
-pub async fn command<C: Clock, M: RawMutex>(
-    mut session: Session,
-    mut random: impl FnMut() -> u16,
+/// Brings the stored parameters to the loops, before any of them begins.
+pub async fn begin<F: NorFlash, M: RawMutex>(
+    store: &mut Store<F>,
+    exchange: &Exchange<M>,
+) -> Origin {
+    let loaded = store.load().await;
+    exchange.set_parameters(loaded.parameters);
+    if !loaded.is_settled {
+        // Where it fails, what was read still holds, and the next save tries again.
+        let _ = store.save(&loaded.parameters).await;
+    }
+    loaded.origin
+}
+
+/// What the loop needs of the board.
+pub struct Desk<F, R, B> {
+    /// What runs here.
+    pub version: Version,
+    /// Where parameters are kept.
+    pub store: Store<F>,
+    /// Where they came from ([`begin`]).
+    pub origin: Origin,
+    /// A new number with every call: nonces are made of it.
+    pub random: R,
+    /// Restarts.
+    pub reboot: B,
+}
+
+/// Hears hosts and answers them, for ever.
+pub async fn command<F: NorFlash, R: FnMut() -> u16, B: FnMut(), C: Clock, M: RawMutex>(
+    mut desk: Desk<F, R, B>,
     clock: &C,
     exchange: &Exchange<M>,
 ) -> ! {
+    let parameters = exchange.parameters();
+    let mut session = Session::new(parameters.node(), parameters.command_timeout_ms());
     let mut faults = Faults::default();
+    let stored = matches!(desk.origin, Origin::Stored | Origin::Older | Origin::Empty);
+    let unsound = (Fault::StoreUnsound, 0);
+    exchange.note(
+        Finder::Command,
+        &mut faults,
+        unsound,
+        !stored,
+        desk.origin.code(),
+    );
     let mut look_us = clock.now_us();
+    let mut taring = None;
     loop {
-        let heard = select(exchange.heard.receive(), clock.until(look_us)).await;
-        let now_us = clock.now_us();
-        let now_ms = (now_us / 1000) as u32;
-        match heard {
-            Either::First(heard) => {
+        let next = select3(
+            exchange.heard.receive(),
+            exchange.tare_ended.wait(),
+            clock.until(look_us),
+        );
+        match next.await {
+            Either3::First(heard) => {
+                let now_ms = (clock.now_us() / 1000) as u32;
+                session.allow(!exchange.is_active(Fault::TablesUnsound));
                 let frame = heard.frame;
-                let meant = session.hear(now_ms, frame.identifier(), frame.data(), random());
-                if let Meant::Reply { reply, .. } = meant {
-                    // A host that asks faster than the bus can answer asks again.
-                    let _ = exchange.replies.try_send(Message::ServiceReply(reply));
+                let random = (desk.random)();
+                match session.hear(now_ms, frame.identifier(), frame.data(), random) {
+                    Meant::Reply { reply, .. } => {
+                        reply_with(Message::ServiceReply(reply), exchange)
+                    }
+                    Meant::Other(Message::Service(service)) if service.op == op::TARE => {
+                        taring = Some(service);
+                        exchange.tare_wanted.signal(());
+                    }
+                    Meant::Other(Message::Service(service)) => {
+                        let reply = desk.serve(service, session.is_open(), exchange).await;
+                        reply_with(reply, exchange);
+                    }
+                    Meant::Other(Message::ParamRequest(request)) => {
+                        let mut parameters = exchange.parameters();
+                        let reply =
+                            parameters::answer(&mut parameters, &request, session.is_open());
+                        exchange.set_parameters(parameters);
+                        session.set_silent_ms(parameters.command_timeout_ms());
+                        reply_with(Message::ParamReply(reply), exchange);
+                    }
+                    Meant::Nothing | Meant::Stop | Meant::Command(_) | Meant::Other(_) => {}
                 }
             }
-            Either::Second(()) => look_us = now_us.saturating_add(LOOK_US),
+            Either3::Second(step) => {
+                if let Some(service) = taring.take() {
+                    reply_with(
+                        Message::ServiceReply(tared(service, step, exchange)),
+                        exchange,
+                    );
+                }
+            }
+            Either3::Third(()) => look_us = clock.now_us().saturating_add(LOOK_US),
         }
-        let alive = u32::from(session.is_alive(now_ms));
-        exchange
-            .counts
-            .command_alive
-            .store(alive, Ordering::Relaxed);
-        let dropped = session.dropped().all();
-        exchange.counts.dropped.store(dropped, Ordering::Relaxed);
-        for (fault, active, detail) in [
-            (Fault::HostSilent, session.is_silent(now_ms), 0),
-            (Fault::StrangeFrames, session.is_flooded(now_ms), dropped),
-        ] {
-            exchange.note(Finder::Command, &mut faults, (fault, 0), active, detail);
+        judge(&session, &mut faults, clock, exchange);
+    }
+}
+
+impl<F: NorFlash, R, B: FnMut()> Desk<F, R, B> {
+    /// Does a service that takes no time of sensing.
+    async fn serve<M: RawMutex>(
+        &mut self,
+        service: Service,
+        is_armed: bool,
+        exchange: &Exchange<M>,
+    ) -> Message {
+        let reply = |status| Message::ServiceReply(answer(service, status, 0));
+        match service.op {
+            op::VERSION => Message::Version(self.version),
+            // No fault is latched: each goes with its cause.
+            op::CLEAR_FAULTS => reply(status::DONE),
+            op::SAVE | op::REBOOT if is_armed => reply(status::ARMED),
+            op::SAVE => match self.store.save(&exchange.parameters()).await {
+                Ok(()) => reply(status::DONE),
+                Err(_) => reply(status::FAILED),
+            },
+            op::REBOOT => {
+                (self.reboot)();
+                reply(status::DONE)
+            }
+            _ => reply(status::UNKNOWN),
         }
+    }
+}
+
+/// Takes a tare that has ended, or says why there is none.
+fn tared<M: RawMutex>(service: Service, step: Step, exchange: &Exchange<M>) -> ServiceReply {
+    match step {
+        Step::Done(tare) => {
+            let mut parameters = exchange.parameters();
+            parameters.set_tare(&tare);
+            exchange.set_parameters(parameters);
+            answer(service, status::DONE, 0)
+        }
+        Step::Refused(refusal) => answer(service, status::FAILED, refusal.detail()),
+        Step::Gathering => answer(service, status::FAILED, 0),
+    }
+}
+
+fn reply_with<M: RawMutex>(reply: Message, exchange: &Exchange<M>) {
+    // A host that asks faster than the bus can answer asks again.
+    let _ = exchange.replies.try_send(reply);
+}
+
+/// Notes what the session says of hosts.
+fn judge<C: Clock, M: RawMutex>(
+    session: &Session,
+    faults: &mut Faults,
+    clock: &C,
+    exchange: &Exchange<M>,
+) {
+    let now_ms = (clock.now_us() / 1000) as u32;
+    let counts = &exchange.counts;
+    let alive = u32::from(session.is_alive(now_ms));
+    counts.command_alive.store(alive, Ordering::Relaxed);
+    let dropped = session.dropped().all();
+    counts.dropped.store(dropped, Ordering::Relaxed);
+    for (fault, active, detail) in [
+        (Fault::HostSilent, session.is_silent(now_ms), 0),
+        (Fault::StrangeFrames, session.is_flooded(now_ms), dropped),
+    ] {
+        exchange.note(Finder::Command, faults, (fault, 0), active, detail);
     }
 }

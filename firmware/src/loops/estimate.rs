@@ -16,6 +16,7 @@ use crate::limits::Limits;
 use crate::params::TICK_US;
 use crate::status::{Fault, Faults};
 use crate::surroundings::Surroundings;
+use crate::tare::{Step, Taring};
 use crate::wire::serial::Tick;
 
 /// What the loop tells of a tick.
@@ -40,14 +41,14 @@ pub async fn estimate<N: Networks, C: Clock, M: RawMutex>(
     clock: &C,
     exchange: &Exchange<M>,
 ) -> ! {
-    let mut faults = Faults::default();
-    let mut balance = Balance::new(limits);
+    let mut judge = Judge::new(limits);
+    let mut taring = None;
     let mut tick = 0_u32;
     let mut last_us = None;
     loop {
         let sensed = exchange.sensed.wait().await;
         let woken_us = clock.now_us();
-        let estimates = estimator.step(&sensed.frame, &around());
+        let mut estimates = estimator.step(&sensed.frame, &around());
         let done_us = clock.now_us();
         let counts = &exchange.counts;
         for (worst, spent_us) in [
@@ -64,13 +65,8 @@ pub async fn estimate<N: Networks, C: Clock, M: RawMutex>(
             (sensed.begun_us.saturating_sub(last_us) + TICK_US / 2) / TICK_US
         });
         tick = tick.wrapping_add(ticks as u32);
-        judge(
-            &sensed.watched,
-            &estimates,
-            &mut balance,
-            &mut faults,
-            exchange,
-        );
+        judge.note(&sensed.watched, &estimates, exchange);
+        tare(&mut taring, &mut estimates, exchange);
         exchange.ticks.signal(Tick::of(&sensed.frame, &estimates));
         exchange.told.signal(Told {
             tick,
@@ -81,46 +77,94 @@ pub async fn estimate<N: Networks, C: Clock, M: RawMutex>(
     }
 }
 
-/// Notes what is wrong with sensors and forces.
-fn judge<M: RawMutex>(
-    watched: &[Watched; SENSORS],
-    estimates: &[Estimate; SENSORS],
-    balance: &mut Balance,
-    faults: &mut Faults,
+/// Takes the tare off, and gathers another where a host wants one.
+fn tare<M: RawMutex>(
+    taring: &mut Option<Taring>,
+    estimates: &mut [Estimate; SENSORS],
     exchange: &Exchange<M>,
 ) {
-    let mut ok = 0;
-    for (sensor, (watched, estimate)) in (0_u8..).zip(watched.iter().zip(estimates)) {
-        let age = u32::from(watched.age);
-        let lost = watched.condition == Condition::Lost;
-        let frozen = watched.condition == Condition::Frozen;
-        let saturated = estimate.validity == Validity::Saturated;
-        ok |= u32::from(!lost && !frozen) << sensor;
-        for (fault, active) in [
-            (Fault::SensorLost, lost),
-            (Fault::SensorFrozen, frozen),
-            (Fault::SensorSaturated, saturated),
-        ] {
-            exchange.note(Finder::Estimate, faults, (fault, sensor), active, age);
+    if exchange.tare_wanted.try_take().is_some() {
+        *taring = Some(Taring::default());
+    }
+    if let Some(running) = taring {
+        let step = running.take(estimates);
+        if step != Step::Gathering {
+            *taring = None;
+            exchange.tare_ended.signal(step);
         }
     }
-    exchange.counts.sensors_ok.store(ok, Ordering::Relaxed);
-    let difference = balance.note(estimates);
-    let detail = difference.map_or(0, |force| force.0.unsigned_abs());
-    let unbalanced = (Fault::Unbalanced, 0);
-    exchange.note(
-        Finder::Estimate,
-        faults,
-        unbalanced,
-        difference.is_some(),
-        detail,
-    );
-    let disturbed = estimates.iter().any(|estimate| estimate.disturbed);
-    exchange.note(
-        Finder::Estimate,
-        faults,
-        (Fault::Disturbed, 0),
-        disturbed,
-        0,
-    );
+    exchange.parameters().tare().apply(estimates);
+}
+
+/// Notes what is wrong with sensors and forces.
+struct Judge {
+    faults: Faults,
+    balance: Balance,
+    /// Ticks in a row in which a field was outside its box, and how many are a fault.
+    outside: [u8; SENSORS],
+    outside_ticks: u8,
+}
+
+impl Judge {
+    fn new(limits: &Limits) -> Self {
+        Self {
+            faults: Faults::default(),
+            balance: Balance::new(limits),
+            outside: [0; SENSORS],
+            outside_ticks: limits.outside_ticks,
+        }
+    }
+
+    fn note<M: RawMutex>(
+        &mut self,
+        watched: &[Watched; SENSORS],
+        estimates: &[Estimate; SENSORS],
+        exchange: &Exchange<M>,
+    ) {
+        let mut ok = 0;
+        let sensors = watched.iter().zip(estimates).zip(&mut self.outside);
+        for (sensor, ((watched, estimate), outside)) in (0_u8..).zip(sensors) {
+            let age = u32::from(watched.age);
+            let lost = watched.condition == Condition::Lost;
+            let frozen = watched.condition == Condition::Frozen;
+            *outside = match estimate.validity {
+                Validity::OutsideModel => outside.saturating_add(1),
+                _ => 0,
+            };
+            ok |= u32::from(!lost && !frozen) << sensor;
+            for (fault, active) in [
+                (Fault::SensorLost, lost),
+                (Fault::SensorFrozen, frozen),
+                (
+                    Fault::SensorSaturated,
+                    estimate.validity == Validity::Saturated,
+                ),
+                (Fault::OutsideModel, *outside >= self.outside_ticks),
+            ] {
+                exchange.note(
+                    Finder::Estimate,
+                    &mut self.faults,
+                    (fault, sensor),
+                    active,
+                    age,
+                );
+            }
+        }
+        exchange.counts.sensors_ok.store(ok, Ordering::Relaxed);
+        let difference = self.balance.note(estimates);
+        let detail = difference.map_or(0, |force| force.0.unsigned_abs());
+        let disturbed = estimates.iter().any(|estimate| estimate.disturbed);
+        for (fault, active, detail) in [
+            (Fault::Unbalanced, difference.is_some(), detail),
+            (Fault::Disturbed, disturbed, 0),
+        ] {
+            exchange.note(
+                Finder::Estimate,
+                &mut self.faults,
+                (fault, 0),
+                active,
+                detail,
+            );
+        }
+    }
 }

@@ -6,7 +6,7 @@ use embassy_sync::blocking_mutex::raw::RawMutex;
 use embedded_io_async::Read;
 
 use super::{Exchange, Finder};
-use crate::clock::{Clock, pause};
+use crate::clock::{Clock, pause, within};
 use crate::limits::Limits;
 use crate::status::{Fault, Faults};
 use crate::throttle::Throttle;
@@ -21,6 +21,8 @@ pub const SERIAL: u8 = 1;
 /// A bus or line in trouble is asked again after this: it would answer at once with the same, and keep
 /// the other loops from their turn.
 const TROUBLE_US: u64 = 1000;
+/// Where nothing arrives, how often the end of a flood is looked for.
+const LOOK_US: u64 = 20_000;
 
 /// A frame of a host.
 #[derive(Clone, Copy, Debug)]
@@ -83,9 +85,10 @@ pub async fn listen<R: CanReceiver, C: Clock, M: RawMutex>(
 ) -> ! {
     let mut ear = Ear::new(CAN, limits, exchange);
     loop {
-        match can.receive().await {
-            Ok(frame) => ear.take(frame, clock.now_us()),
-            Err(error) => {
+        match within(clock, LOOK_US, can.receive()).await {
+            None => ear.judge(clock.now_us()),
+            Some(Ok(frame)) => ear.take(frame, clock.now_us()),
+            Some(Err(error)) => {
                 if error == CanError::BusOff {
                     exchange.bus_off.signal(());
                 }
@@ -107,10 +110,14 @@ pub async fn listen_serial<R: Read, C: Clock, M: RawMutex>(
     let mut receiver = Receiver::default();
     let mut bytes = [0; 32];
     loop {
-        let Ok(count) = line.read(&mut bytes).await else {
-            receiver.lost();
-            pause(clock, TROUBLE_US).await;
-            continue;
+        let count = match within(clock, LOOK_US, line.read(&mut bytes)).await {
+            None => 0,
+            Some(Ok(count)) => count,
+            Some(Err(_)) => {
+                receiver.lost();
+                pause(clock, TROUBLE_US).await;
+                0
+            }
         };
         for byte in bytes.iter().take(count) {
             if let Some(Packet::Message { copy, message }) = receiver.take(*byte) {

@@ -17,13 +17,15 @@ mod report;
 mod sense;
 mod telemetry;
 
+use core::cell::Cell;
 use core::sync::atomic::{AtomicU32, Ordering};
 
+use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_sync::channel::Channel;
 use embassy_sync::signal::Signal;
 
-pub use command::command;
+pub use command::{Desk, begin, command};
 pub use estimate::{Told, estimate};
 pub use listen::{CAN, Heard, SERIAL, listen, listen_serial};
 pub use report::report;
@@ -31,7 +33,9 @@ pub use sense::{FIRST_TICK_US, Sensed, sense};
 pub use telemetry::telemetry;
 
 use crate::events::{Event, Events};
+use crate::parameters::Parameters;
 use crate::status::{Fault, Faults};
+use crate::tare::Step;
 use crate::wire::messages::Message;
 use crate::wire::serial::{Packet, Tick};
 
@@ -67,6 +71,10 @@ pub struct Exchange<M: RawMutex> {
     pub heard: Channel<M, Heard, 8>,
     /// From [`command`] to [`report`].
     pub replies: Channel<M, Message, 8>,
+    /// From [`command`] to [`estimate`]: a tare is wanted.
+    pub tare_wanted: Signal<M, ()>,
+    /// From [`estimate`] to [`command`]: how it ended.
+    pub tare_ended: Signal<M, Step>,
     /// From [`listen`] to [`report`]: the controller has left the bus.
     pub bus_off: Signal<M, ()>,
     /// From [`report`] to [`telemetry`].
@@ -75,6 +83,8 @@ pub struct Exchange<M: RawMutex> {
     pub events: Events<M>,
     /// Figures that loops count and [`report`] tells.
     pub counts: Counts,
+    /// Written by [`command`] alone.
+    parameters: Mutex<M, Cell<Parameters>>,
     /// Active faults, each word written by its finder.
     faults: [AtomicU32; FINDERS],
 }
@@ -116,6 +126,8 @@ impl<M: RawMutex> Exchange<M> {
             ticks: Signal::new(),
             heard: Channel::new(),
             replies: Channel::new(),
+            tare_wanted: Signal::new(),
+            tare_ended: Signal::new(),
             bus_off: Signal::new(),
             lines: Channel::new(),
             events: Events::new(),
@@ -132,6 +144,7 @@ impl<M: RawMutex> Exchange<M> {
                 frames_unsent: AtomicU32::new(0),
                 packets_unsent: AtomicU32::new(0),
             },
+            parameters: Mutex::new(Cell::new(Parameters::DEFAULT)),
             faults: [const { AtomicU32::new(0) }; FINDERS],
         }
     }
@@ -151,6 +164,22 @@ impl<M: RawMutex> Exchange<M> {
                 word.store(faults.bits(), Ordering::Relaxed);
             }
         }
+    }
+
+    /// What hosts have set.
+    pub fn parameters(&self) -> Parameters {
+        self.parameters.lock(Cell::get)
+    }
+
+    /// Takes other parameters: at the start, then from [`command`] alone.
+    pub fn set_parameters(&self, parameters: Parameters) {
+        self.parameters.lock(|cell| cell.set(parameters));
+    }
+
+    /// Whether a fault is active, whoever found it.
+    pub fn is_active(&self, fault: Fault) -> bool {
+        let place = Fault::ALL.iter().position(|kind| *kind == fault);
+        place.is_some_and(|place| self.fault_bits() & (1 << place) != 0)
     }
 
     /// All active faults, one bit for each kind.

@@ -10,7 +10,7 @@ use crate::clock::{Clock, within};
 use crate::events::Event;
 use crate::status::{Fault, Faults};
 use crate::wire::can::{CanError, CanFrame, CanSender};
-use crate::wire::messages::{self, Heartbeat, Message, Timing};
+use crate::wire::messages::{self, HallRaw, Heartbeat, Message, Timing};
 use crate::wire::serial::Packet;
 use crate::wire::{self, PROTOCOL, identifier};
 
@@ -61,7 +61,9 @@ pub async fn report<S: CanSender, C: Clock, M: RawMutex>(
                 beat_us = beat_us.saturating_add(u64::from(Heartbeat::LAYOUT.period_ms) * 1000);
                 mouth.heartbeat(&mut counters).await;
             }
-            Either5::Fifth(()) => mouth.leave(),
+            // Told every millisecond while it is off.
+            Either5::Fifth(()) if mouth.off.is_none() => mouth.leave(),
+            Either5::Fifth(()) => {}
         }
     }
 }
@@ -88,8 +90,9 @@ struct Mouth<'x, S, C, M: RawMutex> {
 impl<S: CanSender, C: Clock, M: RawMutex> Mouth<'_, S, C, M> {
     /// The forces where they are due.
     async fn forces(&mut self, told: &Told, counters: &mut Counters) {
-        let period = u32::from(messages::Force::LAYOUT.period_ms) / TICK_MS;
-        if !told.tick.is_multiple_of(period) {
+        let parameters = self.exchange.parameters();
+        let period = 1000_u32.checked_div(parameters.force_rate_hz() * TICK_MS);
+        if !period.is_some_and(|period| told.tick.is_multiple_of(period)) {
             return;
         }
         for (sensor, estimate) in (0_u8..).zip(&told.estimates) {
@@ -97,6 +100,26 @@ impl<S: CanSender, C: Clock, M: RawMutex> Mouth<'_, S, C, M> {
             self.say(sensor, Message::Force(message)).await;
         }
         counters.force = counters.force.wrapping_add(1);
+        if parameters.raw() {
+            self.raw(told).await;
+        }
+    }
+
+    /// What the sensors read.
+    async fn raw(&mut self, told: &Told) {
+        for (sensor, reading) in (0_u8..).zip(told.readings) {
+            let Some(reading) = reading else { continue };
+            let [x, y, z] = reading.field;
+            let temperature = reading.temperature;
+            let raw = HallRaw {
+                sensor,
+                x,
+                y,
+                z,
+                temperature,
+            };
+            self.say(0, Message::HallRaw(raw)).await;
+        }
     }
 
     /// The heartbeat, and once a second how busy the gripper is.
@@ -161,12 +184,7 @@ impl<S: CanSender, C: Clock, M: RawMutex> Mouth<'_, S, C, M> {
     /// The controller has left the bus: it joins again after a while, longer each time.
     fn leave(&mut self) {
         let now_us = self.clock.now_us();
-        let times = match self.off {
-            // Told twice.
-            Some((until_us, _)) if now_us < until_us => return,
-            Some((_, times)) => times + 1,
-            None => 0,
-        };
+        let times = self.off.map_or(0, |(_, times)| times + 1);
         let [.., last] = REJOIN_US;
         let wait_us = REJOIN_US.get(times).copied().unwrap_or(last);
         let until_us = now_us.saturating_add(wait_us);

@@ -16,7 +16,8 @@ pub async fn telemetry<W: Write, M: RawMutex>(mut line: W, exchange: &Exchange<M
         let next = select(exchange.lines.receive(), exchange.ticks.wait()).await;
         let packet = match next {
             Either::First(packet) => packet,
-            Either::Second(tick) => Packet::Tick(tick),
+            Either::Second(tick) if exchange.parameters().telemetry() => Packet::Tick(tick),
+            Either::Second(_) => continue,
         };
         let sent = match encode(&packet, &mut buffer) {
             Some(bytes) => line.write_all(bytes).await.is_ok(),

@@ -26,7 +26,7 @@ fn command(nonce: u16, counter: u8) -> Command {
 }
 
 fn armed(at_ms: u32) -> Session {
-    let mut session = Session::new(DEFAULT_NODE, &Limits::GRIPPER);
+    let mut session = Session::new(DEFAULT_NODE, 100);
     session.hear(at_ms, SERVICE, &service(op::ARM, 0), NONCE);
     session.hear(at_ms, SERVICE, &service(op::ARM, NONCE), 0);
     assert!(session.is_open());
@@ -39,14 +39,14 @@ fn say(session: &mut Session, now_ms: u32, command: Command) -> bool {
 
 #[test]
 fn nothing_moves_before_somebody_has_armed() {
-    let mut session = Session::new(DEFAULT_NODE, &Limits::GRIPPER);
+    let mut session = Session::new(DEFAULT_NODE, 100);
     assert!(!say(&mut session, 0, command(0, 1)));
     assert_eq!(session.dropped().late, 1);
 }
 
 #[test]
 fn a_nonce_counts_for_half_a_second_and_once() {
-    let mut session = Session::new(DEFAULT_NODE, &Limits::GRIPPER);
+    let mut session = Session::new(DEFAULT_NODE, 100);
     let ask = service(op::ARM, 0);
     let echo = service(op::ARM, NONCE);
     session.hear(0, SERVICE, &ask, NONCE);
@@ -125,7 +125,7 @@ fn a_host_is_silent_after_a_tenth_of_a_second_also_when_the_clock_turns_over() {
 
 #[test]
 fn a_stop_is_heard_from_anybody_whatever_it_carries_and_other_nodes_are_not() {
-    let mut session = Session::new(DEFAULT_NODE, &Limits::GRIPPER);
+    let mut session = Session::new(DEFAULT_NODE, 100);
     let stop = identifier(DEFAULT_NODE, EStop::LAYOUT.number);
     for carried in [&[][..], &[0; 8], &[0xFF; 8], &[1, 2, 3], &[0; 64]] {
         assert_eq!(session.hear(0, STOP_ALL, carried, 0), Heard::Stop);
@@ -149,7 +149,7 @@ fn sixteen_dropped_frames_within_a_second_are_a_flood() {
 
 #[test]
 fn who_speaks_in_this_nodes_name_is_counted() {
-    let mut session = Session::new(DEFAULT_NODE, &Limits::GRIPPER);
+    let mut session = Session::new(DEFAULT_NODE, 100);
     let heartbeat = identifier(DEFAULT_NODE, 1);
     assert_eq!(session.hear(0, heartbeat, &[0; 8], 0), Heard::Nothing);
     assert_eq!(session.dropped().malformed, 1);

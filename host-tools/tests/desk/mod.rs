@@ -1,5 +1,7 @@
 //! A folder in which the tool runs.
 
+#![allow(dead_code)] // No test needs all of it.
+
 use std::process::{Command, Output};
 
 use serde_json::Value;

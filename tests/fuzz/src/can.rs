@@ -2,7 +2,6 @@
 
 use std::collections::VecDeque;
 
-use firmware::limits::Limits;
 use firmware::session::{Heard, MAGIC, Session, op, status};
 use firmware::wire::STOP_ALL;
 use firmware::wire::layout::Malformed;
@@ -41,7 +40,7 @@ pub fn hear(bytes: &[u8]) -> Tally {
     let mut bytes = Bytes::new(bytes);
     let mut now = u32::from_le_bytes(bytes.array());
     let node = 1 + u16::from(bytes.byte()) % 63;
-    let mut session = Session::new(node, &Limits::GRIPPER);
+    let mut session = Session::new(node, 100);
     let mut witness = Witness::new(node);
     let mut tally = Tally::default();
     while !bytes.is_empty() {

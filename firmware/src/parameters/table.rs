@@ -1,0 +1,169 @@
+//! The table of parameters.
+
+use crate::frame::SENSORS;
+use crate::hall::Part;
+use crate::hall::a31301::A31301;
+use crate::tare::GREATEST;
+use crate::wire::DEFAULT_NODE;
+
+/// One parameter.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Parameter {
+    /// Its identifier on the bus and in flash, for ever.
+    pub id: u16,
+    /// As it is called.
+    pub name: &'static str,
+    /// Unit of a count; empty for a plain number.
+    pub unit: &'static str,
+    /// Value if nobody gives another.
+    pub default: i32,
+    /// What it may be.
+    pub range: Range,
+    /// Whether motion depends on it: then it is not written while somebody is armed.
+    pub moves: bool,
+    /// What it is for.
+    pub words: &'static str,
+}
+
+/// What a parameter may be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Range {
+    /// Anything from the least to the greatest.
+    Between(i32, i32),
+    /// One of these.
+    OneOf(&'static [i32]),
+}
+
+impl Range {
+    /// Whether the value is in it.
+    pub fn holds(&self, value: i32) -> bool {
+        match self {
+            Self::Between(least, greatest) => (*least..=*greatest).contains(&value),
+            Self::OneOf(choices) => choices.contains(&value),
+        }
+    }
+}
+
+/// Identifiers; those of the sensors stand behind each other.
+pub mod id {
+    /// See [`super::super::Parameters::node`].
+    pub const NODE: u16 = 0x01;
+    /// See [`super::super::Parameters::command_timeout_ms`].
+    pub const COMMAND_TIMEOUT: u16 = 0x02;
+    /// See [`super::super::Parameters::screw`].
+    pub const SELF_LOCKING: u16 = 0x03;
+    /// See [`super::super::Parameters::force_rate_hz`].
+    pub const FORCE_RATE: u16 = 0x10;
+    /// See [`super::super::Parameters::raw`].
+    pub const RAW: u16 = 0x11;
+    /// See [`super::super::Parameters::foot`].
+    pub const FOOT: u16 = 0x12;
+    /// See [`super::super::Parameters::telemetry`].
+    pub const TELEMETRY: u16 = 0x13;
+    /// Of the first sensor; see [`super::super::Parameters::addresses`].
+    pub const ADDRESS: u16 = 0x20;
+    /// Of the first sensor's Fx, then Fz; see [`super::super::Parameters::tare`].
+    pub const TARE: u16 = 0x30;
+}
+
+/// How many parameters there are.
+pub const COUNT: usize = 7 + SENSORS + 2 * SENSORS;
+
+/// All parameters.
+pub const TABLE: [Parameter; COUNT] = {
+    let [address_0, address_1, address_2, address_3] = A31301::ADDRESSES;
+    [
+        Parameter {
+            id: id::NODE,
+            name: "node",
+            unit: "",
+            default: DEFAULT_NODE as i32,
+            // Node 0 would own the identifier of the stop for all.
+            range: Range::Between(1, 0x3F),
+            moves: true,
+            words: "number on the CAN bus; counts from the next start",
+        },
+        Parameter {
+            id: id::COMMAND_TIMEOUT,
+            name: "command_timeout",
+            unit: "ms",
+            default: 100,
+            range: Range::Between(20, 500),
+            moves: true,
+            words: "without a command for this time the gripper holds",
+        },
+        Parameter {
+            id: id::SELF_LOCKING,
+            name: "self_locking",
+            unit: "",
+            default: 0,
+            range: Range::Between(0, 2),
+            moves: true,
+            words: "whether the screw keeps its grip without current: 0 unknown, 1 yes, 2 no",
+        },
+        Parameter {
+            id: id::FORCE_RATE,
+            name: "force_rate",
+            unit: "Hz",
+            default: 100,
+            range: Range::OneOf(&[0, 100, 250, 500]),
+            moves: false,
+            words: "rate of the force messages; 0: off",
+        },
+        switch(id::RAW, "raw", "raw readings on the CAN bus"),
+        switch(id::FOOT, "foot", "messages of the foot on the CAN bus"),
+        Parameter {
+            default: 1,
+            ..switch(id::TELEMETRY, "telemetry", "every tick on the serial line")
+        },
+        address(0, "address_0", address_0),
+        address(1, "address_1", address_1),
+        address(2, "address_2", address_2),
+        address(3, "address_3", address_3),
+        tare(0, "tare_0_x"),
+        tare(1, "tare_0_z"),
+        tare(2, "tare_1_x"),
+        tare(3, "tare_1_z"),
+        tare(4, "tare_2_x"),
+        tare(5, "tare_2_z"),
+        tare(6, "tare_3_x"),
+        tare(7, "tare_3_z"),
+    ]
+};
+
+const fn switch(id: u16, name: &'static str, words: &'static str) -> Parameter {
+    Parameter {
+        id,
+        name,
+        unit: "",
+        default: 0,
+        range: Range::Between(0, 1),
+        moves: false,
+        words,
+    }
+}
+
+const fn address(sensor: u16, name: &'static str, default: u8) -> Parameter {
+    Parameter {
+        id: id::ADDRESS + sensor,
+        name,
+        unit: "",
+        default: default as i32,
+        // The bus keeps the addresses at both ends for itself.
+        range: Range::Between(0x08, 0x77),
+        moves: true,
+        words: "7-bit address of the sensor on its bus; counts from the next start",
+    }
+}
+
+const fn tare(place: u16, name: &'static str) -> Parameter {
+    Parameter {
+        id: id::TARE + place,
+        name,
+        unit: "1/1024 N",
+        default: 0,
+        range: Range::Between(-GREATEST.0, GREATEST.0),
+        moves: true,
+        words: "taken off the force",
+    }
+}

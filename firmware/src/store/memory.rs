@@ -1,0 +1,235 @@
+//! A flash like the STM32G474's whose power can go at any time: words of eight bytes that are written once
+//! after an erasure, pages of 2 KiB.
+
+use core::future::Future;
+use core::pin::pin;
+use core::task::{Context, Poll, Waker};
+
+use embedded_storage_async::nor_flash::{
+    ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,
+};
+use std::vec::Vec;
+
+pub const WORD: usize = 8;
+pub const PAGE: usize = 2048;
+pub const PAGES: usize = super::PAGES as usize;
+
+/// What a word that was being written or erased reads as afterwards.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Torn {
+    /// Erased.
+    Erased,
+    /// As it was meant, or was before.
+    Right,
+    /// A mixture of bits, always the same.
+    Mixed(u64),
+    /// Two errors at once: the memory says so.
+    Unreadable,
+    /// Every time another of these.
+    Wavering,
+}
+
+/// How far the operation comes in which the power goes.
+#[derive(Clone, Copy, Debug)]
+pub enum Cut {
+    /// It is not begun.
+    Before,
+    /// One word is torn, or all words of a page.
+    Torn(Torn),
+    /// A page is erased in its first half only, or in its second; a word is torn.
+    Half(bool),
+    /// It is done.
+    After,
+}
+
+#[derive(Clone, Copy)]
+enum Word {
+    Erased,
+    Written([u8; WORD]),
+    Torn(Torn, [u8; WORD]),
+}
+
+/// The memory.
+#[derive(Clone)]
+pub struct Memory {
+    words: Vec<Word>,
+    /// Erasures of each page.
+    pub erasures: [u32; PAGES],
+    /// Words written and pages erased, begun or done.
+    pub operations: u32,
+    /// The power goes in the operation of this number.
+    pub cut: Option<(u32, Cut)>,
+    /// Pages that cannot be erased any more.
+    pub worn: [bool; PAGES],
+    is_off: bool,
+    seed: u64,
+}
+
+/// It failed.
+#[derive(Debug)]
+pub struct Failed;
+
+impl NorFlashError for Failed {
+    fn kind(&self) -> NorFlashErrorKind {
+        NorFlashErrorKind::Other
+    }
+}
+
+impl Memory {
+    pub fn new(seed: u64) -> Self {
+        Self {
+            words: [Word::Erased].repeat(PAGES * PAGE / WORD),
+            erasures: [0; PAGES],
+            operations: 0,
+            cut: None,
+            worn: [false; PAGES],
+            is_off: false,
+            seed,
+        }
+    }
+
+    /// The power returns, and stays.
+    pub fn power_on(&mut self) {
+        (self.is_off, self.cut) = (false, None);
+    }
+
+    /// Turns a bit of what is written.
+    pub fn flip(&mut self, byte: usize, bit: usize) {
+        match &mut self.words[byte / WORD] {
+            Word::Written(bytes) => bytes[byte % WORD] ^= 1 << bit,
+            _ => panic!("nothing is written at {byte}"),
+        }
+    }
+
+    /// Splitmix64.
+    fn draw(&mut self) -> u64 {
+        self.seed = self.seed.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mixed = (self.seed ^ (self.seed >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        mixed ^ (mixed >> 31)
+    }
+
+    /// What stops the next operation on the way, if anything does.
+    fn begin(&mut self) -> Option<Cut> {
+        if self.is_off {
+            return Some(Cut::Before);
+        }
+        let cut = self.cut.filter(|(at, _)| *at == self.operations);
+        self.operations += 1;
+        self.is_off = cut.is_some();
+        cut.map(|(_, cut)| cut)
+    }
+
+    fn write_word(&mut self, place: usize, bytes: [u8; WORD]) -> Result<(), Failed> {
+        let cut = self.begin();
+        if matches!(cut, Some(Cut::Before)) {
+            return Err(Failed);
+        }
+        self.words[place] = match (self.words[place], cut) {
+            (Word::Erased, None | Some(Cut::After)) => Word::Written(bytes),
+            (Word::Erased, Some(Cut::Torn(torn))) => Word::Torn(torn, bytes),
+            (Word::Erased, Some(_)) => Word::Torn(Torn::Wavering, bytes),
+            (Word::Written(_), _) => panic!("word {place} is written twice"),
+            // Nobody can know that it was torn where it read erased: now it is anything, or refuses.
+            (Word::Torn(..), _) => match self.draw() % 2 {
+                0 => return Err(Failed),
+                _ => Word::Torn(Torn::Wavering, bytes),
+            },
+        };
+        cut.map_or(Ok(()), |_| Err(Failed))
+    }
+
+    fn read_word(&mut self, place: usize) -> Result<[u8; WORD], Failed> {
+        let (torn, bytes) = match self.words[place] {
+            Word::Erased => (Torn::Erased, [0; WORD]),
+            Word::Written(bytes) => (Torn::Right, bytes),
+            Word::Torn(Torn::Wavering, bytes) => {
+                let mix = self.draw();
+                let ways = [
+                    Torn::Erased,
+                    Torn::Right,
+                    Torn::Mixed(mix),
+                    Torn::Unreadable,
+                ];
+                (ways[(mix >> 62) as usize], bytes)
+            }
+            Word::Torn(torn, bytes) => (torn, bytes),
+        };
+        match torn {
+            Torn::Erased => Ok([0xFF; WORD]),
+            Torn::Right => Ok(bytes),
+            Torn::Mixed(mix) => Ok((u64::from_le_bytes(bytes) | mix).to_le_bytes()),
+            Torn::Unreadable | Torn::Wavering => Err(Failed),
+        }
+    }
+
+    fn erase_page(&mut self, page: usize) -> Result<(), Failed> {
+        let cut = self.begin();
+        if self.worn[page] || matches!(cut, Some(Cut::Before)) {
+            return Err(Failed);
+        }
+        self.erasures[page] += 1;
+        let words = PAGE / WORD;
+        for (number, word) in self.words[page * words..][..words].iter_mut().enumerate() {
+            let was = match *word {
+                Word::Erased => [0xFF; WORD],
+                Word::Written(bytes) | Word::Torn(_, bytes) => bytes,
+            };
+            match cut {
+                Some(Cut::Torn(torn)) => *word = Word::Torn(torn, was),
+                Some(Cut::Half(first)) if first != (number < words / 2) => {}
+                _ => *word = Word::Erased,
+            }
+        }
+        cut.map_or(Ok(()), |_| Err(Failed))
+    }
+}
+
+impl ErrorType for Memory {
+    type Error = Failed;
+}
+
+impl ReadNorFlash for Memory {
+    const READ_SIZE: usize = 1;
+
+    async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Failed> {
+        let offset = offset as usize;
+        if self.is_off || !offset.is_multiple_of(WORD) {
+            return Err(Failed);
+        }
+        for (place, bytes) in (offset / WORD..).zip(bytes.chunks_mut(WORD)) {
+            bytes.copy_from_slice(&self.read_word(place)?[..bytes.len()]);
+        }
+        Ok(())
+    }
+
+    fn capacity(&self) -> usize {
+        PAGES * PAGE
+    }
+}
+
+impl NorFlash for Memory {
+    const WRITE_SIZE: usize = WORD;
+    const ERASE_SIZE: usize = PAGE;
+
+    async fn erase(&mut self, from: u32, to: u32) -> Result<(), Failed> {
+        let (from, to) = (from as usize, to as usize);
+        assert!(from.is_multiple_of(PAGE) && to.is_multiple_of(PAGE));
+        (from / PAGE..to / PAGE).try_for_each(|page| self.erase_page(page))
+    }
+
+    async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Failed> {
+        let offset = offset as usize;
+        assert!(offset.is_multiple_of(WORD) && bytes.len().is_multiple_of(WORD));
+        let mut words = (offset / WORD..).zip(bytes.as_chunks::<WORD>().0);
+        words.try_for_each(|(place, bytes)| self.write_word(place, *bytes))
+    }
+}
+
+/// The end of a future that never waits.
+pub fn now<T>(future: impl Future<Output = T>) -> T {
+    match pin!(future).poll(&mut Context::from_waker(Waker::noop())) {
+        Poll::Ready(value) => value,
+        Poll::Pending => panic!("the memory lets nobody wait"),
+    }
+}

@@ -1,0 +1,226 @@
+//! The gripper's board in virtual time: the firmware's own loops over simulated buses.
+//!
+//! - [`time`]: virtual time.
+//! - [`world`]: what the sensors feel.
+//! - [`i2c`]: a bus with sensors, registers and levels.
+//! - [`can`]: a CAN bus.
+//! - [`line`]: a serial line.
+//! - [`flash`]: where parameters are kept.
+//! - [`recorded`], [`pressed`]: worlds.
+//!
+//! What this does not show: how long the chip computes (virtual time stands still meanwhile), interrupts
+//! and their levels, the chip's drivers, electrical behaviour.
+
+pub mod can;
+pub mod flash;
+pub mod i2c;
+pub mod line;
+pub mod pressed;
+pub mod recorded;
+pub mod time;
+pub mod world;
+
+use std::cell::RefCell;
+use std::rc::Rc;
+
+use embassy_sync::blocking_mutex::raw::NoopRawMutex;
+use firmware::clock::Clock;
+use firmware::estimator::Estimator;
+use firmware::events::Event;
+use firmware::hall::Part;
+use firmware::hall::a31301::A31301;
+use firmware::limits::Limits;
+use firmware::loops::{self, Desk, Exchange};
+use firmware::parameters::Parameters;
+use firmware::store::Store;
+use firmware::wire::messages::Version;
+use firmware::wire::{DEFAULT_NODE, PROTOCOL};
+use futures::executor::LocalPool;
+use futures::task::LocalSpawnExt;
+use model_export::inverse::compensation::OwnedCompensation;
+use model_export::inverse::quantise::TableSet;
+
+use can::CanBus;
+use flash::Flash;
+use i2c::{Sensor, SimulatedBus, Wires};
+use line::Line;
+use time::VirtualClock;
+use world::{Now, World};
+
+use crate::networks::Networks;
+
+/// This board in [`Version`].
+const HARDWARE: u8 = 0;
+
+/// What runs on the board.
+pub struct Program {
+    /// The tables.
+    pub tables: TableSet,
+    /// What is undone around them.
+    pub compensations: Vec<OwnedCompensation>,
+    /// Networks over them.
+    pub networks: Option<Networks>,
+    /// What hosts have set and saved.
+    pub parameters: Parameters,
+    /// Where something counts as wrong.
+    pub limits: Limits,
+}
+
+/// A board that runs.
+pub struct Board {
+    pool: LocalPool,
+    /// Its time.
+    pub clock: VirtualClock,
+    /// Its buses with two sensors each.
+    pub buses: [Rc<RefCell<Wires>>; 2],
+    /// Its CAN bus.
+    pub can: Rc<RefCell<CanBus>>,
+    /// Its serial line.
+    pub line: Rc<RefCell<Line>>,
+    /// What its sensors feel.
+    pub now: Rc<RefCell<Now>>,
+    /// What its loops hand to each other.
+    pub exchange: Rc<Exchange<NoopRawMutex>>,
+    /// What was told to its log, and when.
+    pub events: Rc<RefCell<Vec<(u64, Event)>>>,
+}
+
+impl Board {
+    /// Switches a board on in a world.
+    pub fn start(program: Program, world: Box<dyn World>) -> Self {
+        let clock = VirtualClock::default();
+        let sensors = |numbers: [usize; 2]| {
+            let sensor = |number| Sensor::new(number, A31301::ADDRESSES[number]);
+            Rc::new(RefCell::new(Wires::new(numbers.map(sensor).to_vec())))
+        };
+        let mut board = Self {
+            pool: LocalPool::new(),
+            clock,
+            buses: [sensors([0, 1]), sensors([2, 3])],
+            can: Rc::default(),
+            line: Rc::default(),
+            now: Rc::new(RefCell::new(Now::new(world))),
+            exchange: Rc::new(Exchange::new()),
+            events: Rc::default(),
+        };
+        board.unplug_absent();
+        board.spawn_loops(program);
+        board
+    }
+
+    /// Sensors that the world does not know are not on the buses.
+    fn unplug_absent(&self) {
+        let readings = self.now.borrow_mut().at(0).readings;
+        for bus in &self.buses {
+            for sensor in &mut bus.borrow_mut().sensors {
+                let present = readings.get(sensor.number).is_some_and(Option::is_some);
+                sensor.unplugged = !present;
+            }
+        }
+    }
+
+    fn spawn_loops(&mut self, program: Program) {
+        let limits = program.limits;
+        let tables_id = program.tables.id;
+        let parameters = program.parameters;
+        let addresses = parameters.addresses();
+        let shared = (self.clock.clone(), self.exchange.clone());
+        let parts = move || shared.clone();
+        let buses = self.buses.clone().map(|wires| SimulatedBus {
+            wires,
+            now: self.now.clone(),
+            clock: self.clock.clone(),
+        });
+        let (clock, exchange) = parts();
+        self.spawn(async move {
+            loops::sense::<A31301, _, _, _>(buses, addresses, &limits, &clock, &exchange).await;
+        });
+        let (clock, exchange) = parts();
+        let now = self.now.clone();
+        self.spawn(async move {
+            let compensations: Vec<_> = program
+                .compensations
+                .iter()
+                .map(OwnedCompensation::view)
+                .collect();
+            let tables = program.tables.tables(&compensations);
+            let networks = program.networks.as_ref().map(Networks::start);
+            let estimator = Estimator::new(&tables, networks);
+            let around = || now.borrow_mut().at(clock.now_us()).around;
+            loops::estimate(estimator, around, &limits, &clock, &exchange).await;
+        });
+        let (clock, exchange) = parts();
+        let sender = can::Sender {
+            bus: self.can.clone(),
+            clock: clock.clone(),
+        };
+        let events = self.events.clone();
+        self.spawn(async move {
+            let log = |event| events.borrow_mut().push((clock.now_us(), event));
+            let version = version(tables_id);
+            loops::report(sender, (DEFAULT_NODE, version), log, &clock, &exchange).await;
+        });
+        let (clock, exchange) = parts();
+        let out = line::Out {
+            line: self.line.clone(),
+            clock,
+        };
+        self.spawn(async move { loops::telemetry(out, &exchange).await });
+        let (clock, exchange) = parts();
+        let receiver = can::Receiver(self.can.clone());
+        self.spawn(async move { loops::listen(receiver, &limits, &clock, &exchange).await });
+        let (clock, exchange) = parts();
+        let into = line::Into(self.line.clone());
+        self.spawn(async move {
+            loops::listen_serial(into, DEFAULT_NODE, &limits, &clock, &exchange).await
+        });
+        let (clock, exchange) = parts();
+        self.spawn(async move {
+            let mut state = 1_u16;
+            // Any sequence that does not repeat soon: nonces need not be secret here.
+            let random = move || {
+                state = state.wrapping_mul(25_173).wrapping_add(13_849);
+                state
+            };
+            let mut store = Store::new(Flash::default(), 0);
+            // A new flash takes what it is given.
+            let _ = store.save(&parameters).await;
+            let origin = loops::begin(&mut store, &exchange).await;
+            let desk = Desk {
+                version: version(tables_id),
+                store,
+                origin,
+                random,
+                // Whoever restarts a simulated board starts another.
+                reboot: || {},
+            };
+            loops::command(desk, &clock, &exchange).await;
+        });
+        let passing = can::pass(self.can.clone(), self.clock.clone());
+        self.spawn(passing);
+    }
+
+    /// Lets somebody else act on the board's buses.
+    pub fn spawn(&mut self, actor: impl Future<Output = ()> + 'static) {
+        // The pool is there as long as its spawner.
+        let _ = self.pool.spawner().spawn_local(actor);
+    }
+
+    /// Goes on until this time.
+    pub fn run_until(&mut self, time_us: u64) {
+        self.pool.run_until_stalled();
+        while self.clock.leap(time_us) {
+            self.pool.run_until_stalled();
+        }
+    }
+}
+
+fn version(tables: u16) -> Version {
+    Version {
+        protocol_major: PROTOCOL.0,
+        protocol_minor: PROTOCOL.1,
+        hardware: HARDWARE,
+        tables,
+        ..Version::default()
+    }
+}

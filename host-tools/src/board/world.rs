@@ -1,0 +1,65 @@
+//! What the sensors of a simulated board feel, millisecond by millisecond.
+
+use firmware::frame::SENSORS;
+use firmware::hall::Reading;
+use firmware::loops::FIRST_TICK_US;
+use firmware::params::TICK_US;
+use firmware::surroundings::Surroundings;
+
+/// One millisecond of the world.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Moment {
+    /// What each sensor's registers hold; nothing where the gripper lacks it.
+    pub readings: [Option<Reading>; SENSORS],
+    /// What the board knows beside the fields.
+    pub around: Surroundings,
+}
+
+/// Something that goes on.
+pub trait World {
+    /// The next millisecond; nothing where it ends.
+    fn next(&mut self) -> Option<Moment>;
+}
+
+/// A world on the board's clock: its first millisecond is that of the first tick of sensing.
+pub struct Now {
+    world: Box<dyn World>,
+    moment: Moment,
+    /// Milliseconds taken so far.
+    taken: u64,
+    ended: bool,
+}
+
+impl Now {
+    /// Begins.
+    pub fn new(world: Box<dyn World>) -> Self {
+        let mut now = Self {
+            world,
+            moment: Moment::default(),
+            taken: 0,
+            ended: false,
+        };
+        now.at(0);
+        now
+    }
+
+    /// The world at this time; it stays at its end.
+    pub fn at(&mut self, time_us: u64) -> &Moment {
+        let place = time_us.saturating_sub(FIRST_TICK_US) / TICK_US;
+        while self.taken <= place && !self.ended {
+            match self.world.next() {
+                Some(moment) => {
+                    self.moment = moment;
+                    self.taken += 1;
+                }
+                None => self.ended = true,
+            }
+        }
+        &self.moment
+    }
+
+    /// Whether it has ended.
+    pub fn ended(&self) -> bool {
+        self.ended
+    }
+}
