@@ -30,7 +30,7 @@ fn no_story_on_the_can_bus_moves_the_gripper_against_the_rules() {
     }
     // The stories come where they should: else the rules were never asked.
     assert!(
-        armed > 10_000 && commands > 1_000 && dropped > 100_000,
+        armed > 5_000 && commands > 1_000 && dropped > 100_000,
         "{armed} {commands} {dropped}"
     );
 }
@@ -61,15 +61,17 @@ mod sensing {
     fn whatever_the_sensors_send_the_forces_stay_within_the_tables() {
         let new = Chain::new(&tables::TABLES, &tables::NETWORKS);
         let rested = new.clone().rested();
-        let (mut valid, mut doubtful, mut disturbed) = (0, 0, 0);
+        let (mut valid, mut doubtful, mut disturbed, mut told) = (0, 0, 0, 0);
         for (chain, seed) in [(new, 3), (rested, 4)] {
             for input in inputs(seed, 2_000, 400) {
                 let tally = chain.clone().sense(&input);
                 valid += tally.valid;
                 doubtful += tally.doubtful;
                 disturbed += tally.disturbed;
+                told += tally.told;
             }
         }
+        assert_eq!(told > 0, !tables::NETWORKS.is_empty());
         assert!(
             valid > 1000 && doubtful > 1000 && disturbed > 100,
             "{valid} {doubtful} {disturbed}"
