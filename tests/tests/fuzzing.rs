@@ -46,6 +46,21 @@ fn whatever_comes_on_the_serial_line_the_next_sound_packet_is_understood() {
     assert!(packets > 40_000 && broken > 20_000, "{packets} {broken}");
 }
 
+#[test]
+fn whatever_flash_holds_and_whenever_the_power_goes_the_old_or_the_new_parameters_are_found() {
+    let (mut found, mut cut, mut saved) = (0, 0, 0);
+    for input in inputs(5, 5_000, 400) {
+        let tally = fuzz::store::keep(&input);
+        found += tally.found;
+        cut += tally.cut;
+        saved += tally.saved;
+    }
+    assert!(
+        found > 500 && cut > 500 && saved > 500,
+        "{found} {cut} {saved}"
+    );
+}
+
 // The tables' file names a section of the image, which Apple's linker does not take.
 #[cfg(not(target_vendor = "apple"))]
 mod sensing {
