@@ -2,10 +2,12 @@
 
 use std::collections::VecDeque;
 
+use firmware::parameters::table::TABLE;
+use firmware::parameters::{Parameters, answer};
 use firmware::session::{Heard, MAGIC, Session, op, status};
 use firmware::wire::STOP_ALL;
 use firmware::wire::layout::Malformed;
-use firmware::wire::messages::{LAYOUTS, Message};
+use firmware::wire::messages::{LAYOUTS, Message, ParamRequest};
 
 use super::bytes::Bytes;
 use super::check::crc16;
@@ -42,6 +44,7 @@ pub fn hear(bytes: &[u8]) -> Tally {
     let node = 1 + u16::from(bytes.byte()) % 63;
     let mut session = Session::new(node, 100);
     let mut witness = Witness::new(node);
+    let mut parameters = Parameters::DEFAULT;
     let mut tally = Tally::default();
     while !bytes.is_empty() {
         let kind = bytes.byte();
@@ -51,10 +54,19 @@ pub fn hear(bytes: &[u8]) -> Tally {
             choice => WAITS[usize::from(choice & 0xF)],
         };
         now = now.wrapping_add(waited);
-        if kind & 7 == 7 && kind & 0x40 != 0 {
-            session.close();
-            witness.close();
-            continue;
+        // The gripper's own doing.
+        match kind {
+            0x47 => {
+                session.close();
+                witness.close();
+                continue;
+            }
+            0x87 | 0x8F => {
+                witness.allow(kind == 0x87);
+                session.allow(kind == 0x87);
+                continue;
+            }
+            _ => {}
         }
         let (id, data) = frame(kind, &mut bytes, &witness);
         let random = bytes.word();
@@ -66,6 +78,9 @@ pub fn hear(bytes: &[u8]) -> Tally {
         assert_eq!(session.is_alive(now), witness.is_alive(now));
         assert_eq!(session.is_silent(now), witness.is_silent(now));
         assert_eq!(session.is_flooded(now), witness.is_flooded(now));
+        if let Heard::Other(Message::ParamRequest(request)) = heard {
+            answered_rightly(&mut parameters, &request, session.is_open());
+        }
         match expected {
             Verdict::Armed(_) => tally.armed += 1,
             Verdict::Command => tally.commands += 1,
@@ -75,6 +90,26 @@ pub fn hear(bytes: &[u8]) -> Tally {
     tally.dropped = session.dropped().all();
     assert_eq!(tally.dropped, witness.dropped);
     tally
+}
+
+/// A host's request changes one parameter within its range, or none; and none that moves while somebody is
+/// armed.
+fn answered_rightly(parameters: &mut Parameters, request: &ParamRequest, is_armed: bool) {
+    let before = *parameters;
+    let reply = answer(parameters, request, is_armed);
+    assert_eq!((reply.op, reply.id), (request.op, request.id));
+    let now = parameters.get(request.id);
+    assert_eq!(reply.value, now.unwrap_or(0) as u32);
+    let mut expected = before;
+    let row = TABLE.iter().find(|row| row.id == request.id);
+    let may = row.is_some_and(|row| {
+        request.op == 1 && row.range.holds(request.value as i32) && !(row.moves && is_armed)
+    });
+    if may {
+        assert_eq!(expected.set(request.id, request.value as i32), Ok(()));
+    }
+    assert_eq!(*parameters, expected);
+    assert_eq!(reply.status == 0, may || (row.is_some() && request.op == 0));
 }
 
 /// The next frame of a story: any at all, or one of a host that knows what it was told.
@@ -99,6 +134,12 @@ fn frame(kind: u8, bytes: &mut Bytes, witness: &Witness) -> (u16, Vec<u8>) {
         }
         2 => service(op::ARM, 0),
         3 => service(op::ARM, offered),
+        4 if kind & 0x40 != 0 => {
+            let mut data = bytes.array::<8>();
+            let row = TABLE[usize::from(data[1]) % TABLE.len()];
+            data[1..3].copy_from_slice(&row.id.to_le_bytes());
+            (of(PARAM_REQUEST), data.to_vec())
+        }
         4 => service(bytes.byte() % 8, bytes.word()),
         5 | 6 => {
             let mut data = bytes.array::<8>();
@@ -162,6 +203,8 @@ enum Verdict {
     /// Say this number back.
     Offered(u16),
     Refused,
+    /// Nobody may arm now.
+    Faulty,
     Armed(u16),
     /// The command of these very bytes.
     Command,
@@ -186,6 +229,7 @@ impl Verdict {
                 match (reply.status, armed) {
                     (status::SAY_BACK, false) => Self::Offered(reply.nonce),
                     (status::REFUSED, false) => Self::Refused,
+                    (status::FAULTY, false) => Self::Faulty,
                     (status::DONE, true) => Self::Armed(reply.nonce),
                     other => panic!("a reply of no kind: {other:?}"),
                 }
@@ -197,6 +241,7 @@ impl Verdict {
 /// The rules of a session, told from its documentation.
 struct Witness {
     node: u16,
+    may_arm: bool,
     /// A nonce that was offered, and when.
     offer: Option<(u16, u32)>,
     /// The nonce of the session.
@@ -212,6 +257,7 @@ impl Witness {
     fn new(node: u16) -> Self {
         Self {
             node,
+            may_arm: true,
             offer: None,
             open: None,
             last: None,
@@ -222,6 +268,13 @@ impl Witness {
 
     fn close(&mut self) {
         (self.offer, self.open, self.last) = (None, None, None);
+    }
+
+    fn allow(&mut self, may_arm: bool) {
+        self.may_arm = may_arm;
+        if !may_arm {
+            self.close();
+        }
     }
 
     fn hear(&mut self, now: u32, id: u16, data: &[u8], random: u16) -> Verdict {
@@ -252,6 +305,10 @@ impl Witness {
         }
         if data[0] != 5 {
             return Verdict::Other;
+        }
+        if !self.may_arm {
+            self.close();
+            return Verdict::Faulty;
         }
         if nonce == 0 {
             self.close();

@@ -1,4 +1,4 @@
-//! Checksum and stuffing by their definitions, beside the tables of the gripper's libraries.
+//! Checksums and stuffing by their definitions, beside the tables of the gripper's libraries.
 
 /// CRC-16/IBM-3740: polynomial 0x1021 from all ones, bit by bit, the highest first.
 pub fn crc16(bytes: impl IntoIterator<Item = u8>) -> u16 {
@@ -8,6 +8,17 @@ pub fn crc16(bytes: impl IntoIterator<Item = u8>) -> u16 {
     };
     bytes.into_iter().fold(0xFFFF, |crc, byte| {
         (0..8).fold(crc ^ (u16::from(byte) << 8), |crc, _| bit(crc))
+    })
+}
+
+/// CRC-32/ISO-HDLC: polynomial 0x04C11DB7 from all ones, bit by bit, the lowest first, turned over.
+pub fn crc32(bytes: impl IntoIterator<Item = u8>) -> u32 {
+    let bit = |crc: u32| match crc & 1 {
+        0 => crc >> 1,
+        _ => (crc >> 1) ^ 0xEDB8_8320,
+    };
+    !bytes.into_iter().fold(u32::MAX, |crc, byte| {
+        (0..8).fold(crc ^ u32::from(byte), |crc, _| bit(crc))
     })
 }
 

@@ -4,11 +4,13 @@
 //! - [`can`]: frames on the CAN bus, with their times.
 //! - [`serial`]: bytes on the serial line.
 //! - [`sensing`]: bytes of the sensors, to forces.
+//! - [`store`]: pages of flash, and saves that are cut short.
 //! - [`bytes`]: how a story is read from bytes.
-//! - [`check`]: checksum and stuffing by their definitions, beside the tables of the gripper's libraries.
+//! - [`check`]: checksums and stuffing by their definitions, beside the tables of the gripper's libraries.
 
 pub mod bytes;
 pub mod can;
 pub mod check;
 pub mod sensing;
 pub mod serial;
+pub mod store;

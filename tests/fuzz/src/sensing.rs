@@ -222,7 +222,7 @@ fn greatest(table: &SensorTable) -> [i64; 2] {
             .flat_map(|pair| pair.weight[axis])
             .map(|weight| i64::from(weight).abs());
         // An exponential is one at the most, which is 2^15; two units for rounding.
-        linear + (weights.sum::<i64>() << 15 >> table.shift[axis]) + 2
+        linear + ((weights.sum::<i64>() << 15) >> table.shift[axis]) + 2
     })
 }
 
@@ -280,7 +280,8 @@ fn reported_rightly(estimate: &Estimate) {
     let message = wire::force(estimate, 0);
     assert_eq!(messages::Force::from_bytes(message.to_bytes()), Ok(message));
     for (sent, force) in [message.fx, message.fz].into_iter().zip(estimate.force) {
-        let exact = f64::from(force.0) / 1024.0 / 0.05;
+        // 20 units of 0.05 N in a newton of 1024.
+        let exact = f64::from(force.0) * 20.0 / 1024.0;
         let held = exact.clamp(i16::MIN.into(), i16::MAX.into());
         assert!((f64::from(sent) - held).abs() <= 0.5, "{sent} {exact}");
     }

@@ -34,6 +34,10 @@ pub fn receive(bytes: &[u8]) -> Tally {
             }
             2 => line.send(&[length as u8 | 1; 16]),
             3 => line.lose(),
+            4 if length & 1 == 1 => {
+                let sent = sent(&packet(&mut bytes));
+                line.lost_within(&sent, usize::from(bytes.byte()) % sent.len());
+            }
             4 => {
                 let packet = packet(&mut bytes);
                 line.understands(&packet);
@@ -141,6 +145,16 @@ impl Line {
 
     fn lose(&mut self) {
         self.receiver.lost();
+    }
+
+    /// A packet within which the line lost bytes is none, though all of its own came.
+    fn lost_within(&mut self, sent: &[u8], at: usize) {
+        self.end();
+        let before = self.packets;
+        self.send(&sent[..at]);
+        self.lose();
+        self.send(&sent[at..]);
+        assert_eq!(self.packets, before);
     }
 
     /// Ends whatever was begun.

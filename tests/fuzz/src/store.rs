@@ -1,0 +1,199 @@
+//! What flash holds, into the store of parameters: any bytes, and saves that the power cuts short.
+
+use std::collections::BTreeMap;
+
+use embedded_storage_async::nor_flash::NorFlash;
+use firmware::parameters::Parameters;
+use firmware::parameters::table::TABLE;
+use firmware::store::record::{BODY, END, SLOT, VERSION, encode};
+use firmware::store::{Loaded, Origin, PAGES, Store};
+
+use super::bytes::Bytes;
+use super::check::crc32;
+
+/// The flash of the store's own tests: its power goes at any operation, and what it leaves is anything.
+#[allow(dead_code)]
+#[path = "../../../firmware/src/store/memory.rs"]
+mod memory;
+
+use memory::{Cut, Memory, PAGE, Torn, WORD, now};
+
+const SLOTS: u32 = PAGES * (PAGE / SLOT) as u32;
+/// Most saves of a story.
+const SAVES: u32 = 16;
+/// Operations in which the power may go: those of a few saves.
+const OPERATIONS: u32 = 50;
+
+/// What a story came to.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Tally {
+    /// Starts that found parameters.
+    pub found: u32,
+    /// Saves that were cut short.
+    pub cut: u32,
+    /// Saves that were done.
+    pub saved: u32,
+}
+
+/// A flash that holds anything, then saves.
+pub fn keep(bytes: &[u8]) -> Tally {
+    let mut bytes = Bytes::new(bytes);
+    let mut memory = Memory::new(u64::from_le_bytes(bytes.array()));
+    let newest = fill(&mut memory, &mut bytes);
+    let mut tally = Tally::default();
+    let loaded = load(&mut memory);
+    found_rightly(&loaded, newest);
+    tally.found += u32::from(newest.is_some());
+    // Sequences do not come to their end in the life of a flash.
+    if newest.is_some_and(|(sequence, _)| sequence > u32::MAX / 2) {
+        return tally;
+    }
+    // What a start may find: what was there for sure, and what was begun.
+    let mut possible = [loaded.parameters; 2];
+    let mut loaded = loaded;
+    while tally.saved + tally.cut < SAVES && !bytes.is_empty() {
+        // What newer firmware wrote is left as it is, settled or not.
+        if loaded.is_settled && loaded.origin != Origin::Newer {
+            possible = [loaded.parameters; 2];
+        }
+        let is_saved = session(&mut memory, &mut bytes, &loaded, &mut possible, &mut tally);
+        loaded = load(&mut memory);
+        assert!(possible.contains(&loaded.parameters), "{loaded:?}");
+        assert!(!is_saved || loaded.origin == Origin::Stored);
+    }
+    tally
+}
+
+/// Saves without a start between them, until the power goes or the host has enough; tells whether the last
+/// was done.
+fn session(
+    memory: &mut Memory,
+    bytes: &mut Bytes,
+    loaded: &Loaded,
+    possible: &mut [Parameters; 2],
+    tally: &mut Tally,
+) -> bool {
+    let mut parameters = loaded.parameters;
+    memory.cut = cut(bytes, memory.operations);
+    let mut store = Store::new(&mut *memory, 0);
+    let mut is_saved = true;
+    for number in 0..=bytes.byte() % 4 {
+        // What is not settled is saved as it is.
+        if loaded.is_settled || number > 0 {
+            let row = TABLE[usize::from(bytes.byte()) % TABLE.len()];
+            // A value beyond its range changes nothing.
+            let _ = parameters.set(row.id, i32::from_le_bytes(bytes.array()));
+            possible[1] = parameters;
+        }
+        is_saved = now(store.save(&parameters)).is_ok();
+        if !is_saved {
+            tally.cut += 1;
+            break;
+        }
+        tally.saved += 1;
+        *possible = [parameters; 2];
+    }
+    memory.power_on();
+    is_saved
+}
+
+/// Writes what a story begins with; tells the newest right record's sequence and version.
+fn fill(memory: &mut Memory, bytes: &mut Bytes) -> Option<(u32, u16)> {
+    let mut slots = BTreeMap::new();
+    for _ in 0..bytes.byte() % 8 {
+        let kind = bytes.byte();
+        let sequence = match kind & 1 {
+            0 => u32::from(bytes.byte()),
+            _ => u32::from_le_bytes(bytes.array()),
+        };
+        let mut slot = [0xFF; SLOT];
+        match kind & 6 {
+            // Anything.
+            0 => {
+                let some = bytes.some(SLOT);
+                slot[..some.len()].copy_from_slice(some);
+            }
+            // Any pairs of any version, well checked.
+            2 => {
+                let some = bytes.some(BODY / 2);
+                let mut said = sequence.to_le_bytes().to_vec();
+                said.extend_from_slice(&(VERSION + u16::from(kind >> 6) - 1).to_le_bytes());
+                said.extend_from_slice(&(some.len() as u16).to_le_bytes());
+                said.extend_from_slice(some);
+                said.extend_from_slice(&crc32(said.iter().copied()).to_le_bytes());
+                slot[..said.len()].copy_from_slice(&said);
+            }
+            _ => slot[..BODY].copy_from_slice(&encode(sequence, &Parameters::DEFAULT).0),
+        }
+        if kind & 8 != 0 {
+            slot[BODY..].copy_from_slice(&END);
+        }
+        let place = match kind & 16 {
+            0 => sequence % SLOTS,
+            _ => u32::from(bytes.byte()) % SLOTS,
+        };
+        slots.entry(place).or_insert(slot);
+    }
+    for (place, slot) in &slots {
+        let words = slot.chunks(WORD).enumerate();
+        // A word that reads erased has not been written.
+        for (number, word) in words.filter(|(_, word)| word.iter().any(|byte| *byte != 0xFF)) {
+            let at = *place as usize * SLOT + number * WORD;
+            let _ = now(memory.write(at as u32, word));
+        }
+    }
+    let right = slots.iter().filter_map(|(place, slot)| {
+        let (sequence, version) = record(slot)?;
+        (sequence % SLOTS == *place).then_some((sequence, version))
+    });
+    right.max()
+}
+
+/// Sequence and version of the record in a slot, if its checksum is right.
+fn record(slot: &[u8; SLOT]) -> Option<(u32, u16)> {
+    let length = usize::from(u16::from_le_bytes([slot[6], slot[7]]));
+    let (said, behind) = slot[..BODY].split_at_checked(8 + length)?;
+    let check = u32::from_le_bytes(*behind.first_chunk()?);
+    let sequence = u32::from_le_bytes(*slot.first_chunk()?);
+    let version = u16::from_le_bytes([slot[4], slot[5]]);
+    (check == crc32(said.iter().copied())).then_some((sequence, version))
+}
+
+fn found_rightly(loaded: &Loaded, newest: Option<(u32, u16)>) {
+    match (newest, loaded.origin) {
+        (Some((_, VERSION)), Origin::Stored) => {}
+        (Some((_, version)), Origin::Older) => assert!(version < VERSION),
+        (Some((_, version)), Origin::Newer) => assert!(version > VERSION),
+        (None, Origin::Empty | Origin::Spoilt) => {}
+        other => panic!("found otherwise than written: {other:?}"),
+    }
+    if !matches!(loaded.origin, Origin::Stored | Origin::Older) {
+        assert_eq!(loaded.parameters, Parameters::DEFAULT);
+    }
+}
+
+/// A start. Whatever it finds is within its range.
+fn load(memory: &mut Memory) -> Loaded {
+    let loaded = now(Store::new(memory, 0).load());
+    for row in TABLE {
+        let value = loaded.parameters.get(row.id);
+        assert!(value.is_some_and(|value| row.range.holds(value)), "{row:?}");
+    }
+    loaded
+}
+
+/// When and how the power goes. Not so that a torn word reads erased, always or now and then
+/// ([`Torn::Erased`], [`Torn::Wavering`]): the store cannot tell, writes to it, and may lose what it wrote.
+fn cut(bytes: &mut Bytes, from: u32) -> Option<(u32, Cut)> {
+    let kind = bytes.byte();
+    let at = from + u32::from(bytes.byte()) % OPERATIONS;
+    let cut = match kind % 8 {
+        0 | 1 => return None,
+        2 => Cut::Before,
+        3 | 4 => Cut::Torn(Torn::Right),
+        5 => Cut::Torn(Torn::Mixed(u64::from_le_bytes(bytes.array()))),
+        6 => Cut::Torn(Torn::Unreadable),
+        _ => Cut::After,
+    };
+    Some((at, cut))
+}

@@ -1,0 +1,6 @@
+//! Pages of flash, and saves that are cut short.
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
+    fuzz::store::keep(bytes);
+});
