@@ -21,6 +21,7 @@
 //! - [`estimator`]: a frame in, forces out.
 //! - [`balance`]: fingers that press alike.
 //! - [`tare`]: what is told without a load, taken off.
+//! - [`motor`]: current, speed and place of the motor.
 //! - [`wire`]: the messages on the CAN bus and on the serial line.
 //! - [`session`]: who may move the gripper.
 //! - [`throttle`]: more frames than anybody may mean.
@@ -70,6 +71,8 @@ pub mod estimator;
 pub mod balance;
 
 pub mod tare;
+
+pub mod motor;
 
 pub mod wire;
 

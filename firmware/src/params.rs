@@ -124,6 +124,77 @@ pub const POLE_PAIRS: Constant = assumed(
     "the paper names no motor; common for its size",
 );
 
+/// Supply of the power stage.
+pub const BUS_VOLTAGE: Constant = assumed("bus voltage", 24.0, "V", "the paper names none");
+/// Capacitance between the supply and the power stage.
+pub const BUS_CAPACITANCE: Constant = assumed("bus capacitance", 470.0, "uF", "common for 24 V");
+/// Torque for one ampere of quadrature current (peak of the phase).
+pub const TORQUE_CONSTANT: Constant = assumed(
+    "torque constant",
+    0.100,
+    "N m/A",
+    "the paper names no motor; rated torque at 5.8 A",
+);
+/// Resistance of one phase.
+pub const PHASE_RESISTANCE: Constant = assumed("phase resistance", 0.40, "ohm", "no motor named");
+/// Inductance of one phase, the same on d and q.
+pub const PHASE_INDUCTANCE: Constant = assumed("phase inductance", 0.40, "mH", "no motor named");
+/// Inertia of rotor, screws and coupling.
+pub const ROTOR_INERTIA: Constant = assumed("inertia", 6e-5, "kg m^2", "rotor, screws, coupling");
+/// Torque of viscous friction.
+pub const VISCOUS_FRICTION: Constant =
+    assumed("viscous friction", 1e-4, "N m s/rad", "no motor named");
+/// Torque of dry friction without load.
+pub const DRY_FRICTION: Constant = assumed("dry friction", 0.02, "N m", "no motor named");
+/// Torque that the motor gives for ever.
+pub const RATED_TORQUE: Constant = stated("rated torque", 0.58, "N m", "paper V-D");
+/// Torque that the motor gives for seconds.
+pub const PEAK_TORQUE: Constant = stated("peak torque", 0.96, "N m", "paper V-D");
+/// Speed of the rotor at which the fingers close at [`CLOSING_SPEED`].
+pub const RATED_SPEED: Constant = stated("rated speed", 114.0, "rad/s", "paper V-D");
+/// Speed of the gripper's opening, nominal.
+pub const CLOSING_SPEED: Constant = stated("closing speed", 58.3, "mm/s", "paper V-D");
+/// Force of a grasp at rated torque.
+pub const GRASP_FORCE: Constant = stated("grasping force", 350.0, "N", "paper V-D");
+/// Lead of each screw if [`CLOSING_SPEED`] is that of the opening.
+pub const LEAD_A: Constant = assumed(
+    "lead of screw A",
+    1.607,
+    "mm/rev",
+    "58.3 mm/s at 114 rad/s, both fingers together",
+);
+/// Lead of each screw if [`CLOSING_SPEED`] is that of each finger.
+pub const LEAD_B: Constant = assumed(
+    "lead of screw B",
+    3.213,
+    "mm/rev",
+    "58.3 mm/s at 114 rad/s, each finger",
+);
+/// Share of the motor's work that screw A hands on at rated torque; below a half it locks itself.
+pub const EFFICIENCY_A: Constant =
+    assumed("efficiency of screw A", 0.309, "", "350 N at rated torque");
+/// Share of the motor's work that screw B hands on at rated torque.
+pub const EFFICIENCY_B: Constant =
+    assumed("efficiency of screw B", 0.617, "", "350 N at rated torque");
+/// Frequency of the pulses that drive the motor.
+pub const PWM_RATE: Constant = assumed("PWM rate", 20.0, "kHz", "inaudible; 50 electrical turns");
+/// Time for which both switches of a half bridge are off.
+pub const DEAD_TIME: Constant = assumed("dead time", 500.0, "ns", "common for MOSFETs of 24 V");
+/// Scale of the phase currents' converter; its middle is no current.
+pub const CURRENT_SCALE: Constant =
+    assumed("current scale", 12.5, "mA/LSB", "12 bits over +-25.6 A");
+/// Scale of the bus voltage's converter.
+pub const BUS_SCALE: Constant = assumed("bus voltage scale", 15.0, "mV/LSB", "12 bits over 61 V");
+/// Width of the rotor's angle, one turn.
+pub const ENCODER_BITS: Constant = assumed(
+    "rotor angle",
+    14.0,
+    "bit",
+    "the paper names no rotor sensor; absolute, magnetic",
+);
+/// Greatest width between the fingers.
+pub const STROKE: Constant = assumed("stroke", 80.0, "mm", "the paper states none");
+
 /// All constants, in the order of the data path: the parameter card.
 pub const CARD: &[Constant] = &[
     MAGNET_DIAMETER,
@@ -144,6 +215,29 @@ pub const CARD: &[Constant] = &[
     TARE_FRAMES,
     TARE_SPREAD,
     POLE_PAIRS,
+    BUS_VOLTAGE,
+    BUS_CAPACITANCE,
+    TORQUE_CONSTANT,
+    PHASE_RESISTANCE,
+    PHASE_INDUCTANCE,
+    ROTOR_INERTIA,
+    VISCOUS_FRICTION,
+    DRY_FRICTION,
+    RATED_TORQUE,
+    PEAK_TORQUE,
+    RATED_SPEED,
+    CLOSING_SPEED,
+    GRASP_FORCE,
+    LEAD_A,
+    LEAD_B,
+    EFFICIENCY_A,
+    EFFICIENCY_B,
+    PWM_RATE,
+    DEAD_TIME,
+    CURRENT_SCALE,
+    BUS_SCALE,
+    ENCODER_BITS,
+    STROKE,
 ];
 
 /// Time from one tick of sensing to the next.
