@@ -197,8 +197,8 @@ pub const MODULATION: Constant = assumed("modulation", 0.95, "", "2.5 us with al
 /// Crossover of the current loop.
 pub const CURRENT_BANDWIDTH: Constant = assumed(
     "current loop",
-    1.1,
-    "kHz",
+    1100.0,
+    "Hz",
     "a period's delay leaves 70 degrees",
 );
 /// Crossover of the speed loop.

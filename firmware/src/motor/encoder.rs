@@ -174,10 +174,10 @@ mod tests {
     fn an_angle_of_one_period_ago_leaves_no_lag() {
         let mut tracker = Tracker::default();
         for period in 0..20_000 {
-            let angle = f64::from(period - 1) * 114.0 * f64::from(PERIOD_S);
+            let angle = 1.0 + f64::from(period - 1) * 114.0 * f64::from(PERIOD_S);
             tracker.take(counts(angle), 1.0).unwrap();
         }
-        let angle = 19_999.0 * 114.0 * f64::from(PERIOD_S);
+        let angle = 1.0 + 19_999.0 * 114.0 * f64::from(PERIOD_S);
         assert!((f64::from(tracker.turned_since(Place(0))) - angle).abs() < 1e-3);
     }
 

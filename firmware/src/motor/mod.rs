@@ -1,6 +1,7 @@
 //! The motor: from what is sensed in a period of the pulses to what the switches do in the next.
 //!
 //! - [`stage`]: the border to what switches and senses.
+//! - [`as5047`]: a sensor of the rotor's angle.
 //! - [`number`]: arithmetic that hides nothing.
 //! - [`transform`]: phases and turning axes.
 //! - [`pi`]: controllers that know of limits.
@@ -17,6 +18,7 @@
 //! [`Motor::period`]. A set-point may come at any time; a grasp sets one each millisecond. Whatever is not a
 //! number ends with all switches off and [`Trip::NotANumber`].
 
+pub mod as5047;
 pub mod commission;
 pub mod current;
 pub mod encoder;
@@ -151,13 +153,16 @@ impl Motor {
     }
 
     /// Follows set-points once the currents' offsets are taken, 26 ms: [`State::Armed`] tells when. Nothing
-    /// where the motor is not disarmed.
+    /// where the motor is not disarmed; a trip where its settings are unsound.
     pub fn arm(&mut self) {
         if let State::Disarmed | State::Refused(_) = self.state {
             self.state = State::Arming;
             self.setpoint = Setpoint::Off;
             self.zeroing = Zeroing::default();
             self.commissioning = None;
+            if !self.settings.is_sound() {
+                self.trip(Trip::NotANumber);
+            }
         }
     }
 

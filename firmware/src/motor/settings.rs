@@ -79,4 +79,49 @@ impl Settings {
             angle_age_periods: 0.0,
         }
     }
+
+    /// Whether the control can work with it: everything is a number, and what must be positive is.
+    pub fn is_sound(&self) -> bool {
+        let (machine, screw, limits) = (&self.machine, &self.screw, &self.limits);
+        let positive = [
+            machine.resistance_ohm,
+            machine.inductance_h,
+            machine.torque_nm_a,
+            machine.inertia_kg_m2,
+            screw.ratio_mm,
+            screw.efficiency,
+            limits.rated_a,
+            limits.peak_a,
+            limits.peak_s,
+            limits.trip_a,
+            limits.power_w,
+            limits.speed,
+            limits.trip_speed,
+            limits.high_v,
+            limits.homing_mm_s,
+        ];
+        let not_negative = [
+            machine.dry_nm,
+            machine.viscous_nm_s,
+            screw.play_mm,
+            self.angle_age_periods,
+        ];
+        let rising = [
+            limits.motor_c,
+            limits.stage_c,
+            limits.low_v,
+            limits.burn_v,
+            limits.ends_mm,
+        ];
+        machine.pole_pairs > 0
+            && positive
+                .iter()
+                .all(|value| value.is_normal() && *value > 0.0)
+            && not_negative
+                .iter()
+                .all(|value| value.is_finite() && *value >= 0.0)
+            && rising
+                .iter()
+                .all(|[from, to]| from.is_finite() && to.is_finite() && from < to)
+    }
 }

@@ -84,7 +84,7 @@ pub enum State {
 /// Why the motor stopped by itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Trip {
-    /// Something is not a number.
+    /// Something is not a number, or settings with which nothing can be computed.
     NotANumber,
     /// A phase's current is beyond its bound, or beyond what is measured.
     OverCurrent,

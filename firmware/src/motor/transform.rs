@@ -94,7 +94,10 @@ mod tests {
         );
         // Into V, back through W.
         let two = AlphaBeta::of_phases([0.0, 3.0, -3.0]);
-        assert!((two.alpha, two.beta - 3.464_101_6) == (0.0, 0.0), "{two:?}");
+        assert!(
+            two.alpha == 0.0 && (two.beta - 3.464_101_6).abs() < 1e-6,
+            "{two:?}"
+        );
         // The rotor a quarter turn ahead of U: a current along U is against the torque.
         let seen = one.turning(Direction { sin: 1.0, cos: 0.0 });
         assert_eq!(seen, Dq { d: 0.0, q: -1.0 });
