@@ -118,7 +118,8 @@ fn image() -> Result<PathBuf, String> {
         .filter_map(|place| Some((modified(&place)?, place)));
     let (built, image) = built.max().ok_or("there is no image of the self-test")?;
     let package = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let newest = ["src/model", "examples/selftest"].map(|folder| newest(&package.join(folder)));
+    let newest =
+        ["src/model", "src/motor", "examples/selftest"].map(|folder| newest(&package.join(folder)));
     match newest.into_iter().flatten().max() {
         Some(changed) if changed > built => Err("the image is older than its sources".to_owned()),
         _ => Ok(image),

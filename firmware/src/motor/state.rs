@@ -1,0 +1,135 @@
+//! What the motor is asked to do, what it does, and why it does not.
+
+use super::commission::Refusal;
+use super::limits::Active;
+use super::stage::Drive;
+use super::transform::Dq;
+
+/// What is asked of the motor. Closing is positive; amperes are along q.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Setpoint {
+    /// All switches off: the rotor coasts, and a screw that locks itself holds.
+    #[default]
+    Off,
+    /// The windings shorted: the rotor brakes by itself, whatever the bus bears.
+    Brake,
+    /// A current, and so a torque.
+    Current {
+        /// In amperes.
+        closing_a: f32,
+    },
+    /// A speed, at once: what lies above shapes it.
+    Speed {
+        /// In mm/s of the opening, closing positive.
+        closing_mm_s: f32,
+        /// Greatest current in amperes.
+        most_a: f32,
+    },
+    /// A place, along a way bounded in speed, acceleration and jerk.
+    Position {
+        /// In millimetres between the fingers.
+        opening_mm: f32,
+        /// Greatest speed in mm/s.
+        speed_mm_s: f32,
+        /// Greatest current in amperes.
+        most_a: f32,
+    },
+}
+
+impl Setpoint {
+    /// Whether every number in it is one.
+    pub fn is_finite(&self) -> bool {
+        match *self {
+            Self::Off | Self::Brake => true,
+            Self::Current { closing_a } => closing_a.is_finite(),
+            Self::Speed {
+                closing_mm_s,
+                most_a,
+            } => closing_mm_s.is_finite() && most_a.is_finite(),
+            Self::Position {
+                opening_mm,
+                speed_mm_s,
+                most_a,
+            } => opening_mm.is_finite() && speed_mm_s.is_finite() && most_a.is_finite(),
+        }
+    }
+
+    /// Greatest current in amperes that it allows itself.
+    pub const fn most_a(&self) -> f32 {
+        match *self {
+            Self::Speed { most_a, .. } | Self::Position { most_a, .. } => most_a.max(0.0),
+            Self::Off | Self::Brake | Self::Current { .. } => f32::INFINITY,
+        }
+    }
+}
+
+/// What the motor does. From [`State::Tripped`] only [`super::Motor::disarm`] leads on.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum State {
+    /// Off; set-points move nothing.
+    #[default]
+    Disarmed,
+    /// The currents' offsets are being taken, 26 ms; then [`State::Armed`], or commissioning.
+    Arming,
+    /// Set-points are followed.
+    Armed,
+    /// Sensor, phases and windings are being measured, 3 s.
+    Commissioning,
+    /// Commissioning ended without a result; off.
+    Refused(Refusal),
+    /// Something is wrong; off, or shorted where the rotor may turn.
+    Tripped(Trip),
+}
+
+/// Why the motor stopped by itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Trip {
+    /// Something is not a number, or settings with which nothing can be computed.
+    NotANumber,
+    /// A phase's current is beyond its bound, or beyond what is measured.
+    OverCurrent,
+    /// The rotor turns too fast.
+    OverSpeed,
+    /// The rotor's angle is not known.
+    Encoder,
+    /// At no current the amplifiers told one.
+    CurrentSense,
+}
+
+impl Trip {
+    /// What the switches do: where numbers, currents or their measurement are wrong, nothing; where the rotor
+    /// is, the windings are shorted, which brakes without knowing its angle.
+    pub const fn drive(self) -> Drive {
+        match self {
+            Self::NotANumber | Self::OverCurrent | Self::CurrentSense => Drive::Off,
+            Self::OverSpeed | Self::Encoder => Drive::Brake,
+        }
+    }
+}
+
+/// What the motor tells of itself.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Telling {
+    /// What it does.
+    pub state: State,
+    /// Millimetres between the fingers, the screw's play counted; none before it is homed.
+    pub opening_mm: Option<f32>,
+    /// Millimetres that the position loop asks for now; none without a place as set-point.
+    pub asked_mm: Option<f32>,
+    /// Speed of the opening in mm/s, closing positive.
+    pub closing_mm_s: f32,
+    /// Radians of the rotor since it was first seen, closing positive.
+    pub turned_rad: f32,
+    /// Rotor's speed in rad/s.
+    pub speed: f32,
+    /// Currents in amperes.
+    pub current: Dq,
+    /// Currents asked for, in amperes.
+    pub asked: Dq,
+    /// Voltages in volts.
+    pub voltage: Dq,
+    /// Bus voltage in volts.
+    pub bus_v: f32,
+    /// Bounds that are active.
+    pub limits: Active,
+}
