@@ -6,21 +6,17 @@ use core::cell::UnsafeCell;
 
 use embassy_stm32::interrupt::{self, InterruptExt, Priority};
 use embassy_stm32::{Peri, peripherals};
-use heapless::spsc::{Consumer, Producer, Queue};
-use static_cell::StaticCell;
+use static_cell::ConstStaticCell;
 
 use super::phase_currents::{Inputs, PhaseCurrents};
 use super::power_stage::{self, Stage};
 use super::rotor_sensor::{self, AGE_PERIODS, RotorSensor};
+use super::slot::{Reader, Slot, Writer};
 use crate::motor::stage::{Encoder, Sensed};
 use crate::motor::state::{Order, Telling};
 use crate::motor::{Motor, Settings};
 use crate::params::PWM_RATE;
 
-/// Orders that wait for the next period.
-const ORDERS: usize = 8;
-/// Tellings that wait for a reader; what finds no place is dropped.
-const TELLINGS: usize = 4;
 /// Periods from one telling to the next: a millisecond.
 const TELLS: u8 = PWM_RATE.value as u8;
 
@@ -42,10 +38,10 @@ pub struct Parts {
 
 /// What those below hold of the drive: orders to it, and what it tells each millisecond.
 pub struct Line {
-    /// To the drive. An order that finds no place comes back.
-    pub orders: Producer<'static, Order>,
-    /// From the drive.
-    pub tellings: Consumer<'static, Telling>,
+    /// To the drive, one in a period.
+    pub orders: Writer<Order>,
+    /// From the drive; what is not taken within a millisecond stands in the way of the next.
+    pub tellings: Reader<Telling>,
 }
 
 /// What the interrupt owns.
@@ -54,8 +50,8 @@ struct Control {
     stage: Stage,
     currents: PhaseCurrents,
     sensor: RotorSensor,
-    orders: Consumer<'static, Order>,
-    tellings: Producer<'static, Telling>,
+    orders: Reader<Order>,
+    tellings: Writer<Telling>,
     periods: u8,
 }
 
@@ -68,10 +64,10 @@ static CONTROL: Owned = Owned(UnsafeCell::new(None));
 
 /// Starts the pulses, with all switches off, and the interrupt. Once.
 pub fn start(parts: Parts, settings: Settings) -> Line {
-    static TO_DRIVE: StaticCell<Queue<Order, ORDERS>> = StaticCell::new();
-    static FROM_DRIVE: StaticCell<Queue<Telling, TELLINGS>> = StaticCell::new();
-    let (orders, ordered) = TO_DRIVE.init(Queue::new()).split();
-    let (told, tellings) = FROM_DRIVE.init(Queue::new()).split();
+    static TO_DRIVE: ConstStaticCell<Slot<Order>> = ConstStaticCell::new(Slot::new());
+    static FROM_DRIVE: ConstStaticCell<Slot<Telling>> = ConstStaticCell::new(Slot::new());
+    let (orders, ordered) = TO_DRIVE.take().split();
+    let (told, tellings) = FROM_DRIVE.take().split();
     let settings = Settings {
         angle_age_periods: AGE_PERIODS,
         ..settings
@@ -98,7 +94,7 @@ impl Control {
         let angle = self.sensor.angle();
         let (phases, bus) = self.currents.take();
         self.sensor.select();
-        if let Some(order) = self.orders.dequeue() {
+        if let Some(order) = self.orders.take() {
             self.motor.obey(order);
         }
         if self.stage.is_broken() {
@@ -111,7 +107,7 @@ impl Control {
         if self.periods >= TELLS {
             self.periods = 0;
             // Without a reader it is dropped.
-            let _ = self.tellings.enqueue(self.motor.telling());
+            let _ = self.tellings.put(self.motor.telling());
         }
     }
 }

@@ -11,4 +11,5 @@ pub mod phase_currents;
 pub mod power_stage;
 pub mod rotor_sensor;
 pub mod sensor_bus;
+pub mod slot;
 pub mod watchdog;

@@ -109,7 +109,7 @@ async fn estimate(mut line: Line) {
     let estimator = Estimator::new(&TABLES, Running::start(&NETWORKS));
     let mut around = Surroundings::default();
     let around = move || {
-        while let Some(telling) = line.tellings.dequeue() {
+        if let Some(telling) = line.tellings.take() {
             around = telling.surroundings();
         }
         around
