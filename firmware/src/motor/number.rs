@@ -38,7 +38,7 @@ pub fn sqrt(value: f32) -> f32 {
 }
 
 /// An angle as sine and cosine; each is off by at most 0.0011, which ripples a torque by as much.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Direction {
     /// Sine.
     pub sin: f32,

@@ -432,6 +432,23 @@ fn a_current_beyond_its_bound_switches_everything_off() {
 }
 
 #[test]
+fn a_power_stage_that_switched_itself_off_is_a_trip_until_disarmed() {
+    let mut bench = Bench::new();
+    let mut motor = armed(&mut bench, Settings::assumed(Screw::A));
+    motor.obey(Order::Do(Setpoint::Brake));
+    bench.run(&mut motor, 5, |_, _| {});
+    assert_eq!(bench.drive, Drive::Brake);
+    motor.shut_off();
+    motor.obey(Order::Arm);
+    bench.run(&mut motor, 5, |_, _| {});
+    let tripped = State::Tripped(Trip::PowerStage);
+    assert_eq!((motor.telling().state, bench.drive), (tripped, Drive::Off));
+    motor.obey(Order::Disarm);
+    motor.obey(Order::Arm);
+    assert_eq!(motor.telling().state, State::Arming);
+}
+
+#[test]
 fn a_bus_that_is_lifted_from_outside_ends_on_the_shorted_windings_and_comes_back() {
     let mut bench = Bench::new();
     let mut motor = armed(&mut bench, Settings::assumed(Screw::A));

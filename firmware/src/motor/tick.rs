@@ -76,15 +76,14 @@ impl Motor {
         }
     }
 
-    /// The currents as seen from the rotor, and its direction.
-    fn see(&mut self, current: AlphaBeta) -> Direction {
-        let rotor = Direction::of(self.tracker.electrical(&self.settings));
-        self.measured = current.turning(rotor);
-        rotor
+    /// The currents as seen from the rotor.
+    fn see(&mut self, current: AlphaBeta) {
+        self.rotor = Direction::of(self.tracker.electrical(&self.settings));
+        self.measured = current.turning(self.rotor);
     }
 
     fn follow(&mut self, phases: [f32; 3], current: AlphaBeta) -> Drive {
-        let rotor = self.see(current);
+        self.see(current);
         let limits = &self.settings.limits;
         let [_, burns] = limits.burn_v;
         self.is_shorted = self.bus_v > limits.high_v || (self.is_shorted && self.bus_v > burns);
@@ -106,12 +105,12 @@ impl Motor {
                 Drive::Brake
             }
             Setpoint::Current { .. } | Setpoint::Speed { .. } | Setpoint::Position { .. } => {
-                self.control(phases, rotor)
+                self.control(phases)
             }
         }
     }
 
-    fn control(&mut self, phases: [f32; 3], rotor: Direction) -> Drive {
+    fn control(&mut self, phases: [f32; 3]) -> Drive {
         let speed = self.tracker.speed() * f32::from(self.settings.machine.pole_pairs);
         self.decided = self.currents.decide(
             &self.windings,
@@ -120,7 +119,10 @@ impl Motor {
             speed,
             svpwm::greatest_v(self.bus_v),
         );
-        let voltage = self.decided.voltage.fixed(rotor.turned(speed * DELAY_S));
+        let voltage = self
+            .decided
+            .voltage
+            .fixed(self.rotor.turned(speed * DELAY_S));
         self.switch(voltage, phases)
     }
 
