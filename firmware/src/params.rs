@@ -249,8 +249,6 @@ pub const COGGING: Constant = assumed("cogging torque", 0.003, "N m", "half a pe
 /// Periods of the cogging torque in a turn.
 pub const COGGING_PERIODS: Constant =
     assumed("cogging periods", 84.0, "1/rev", "12 slots, 14 poles");
-/// Play between screw and nut, as it shows in the opening.
-pub const BACKLASH: Constant = assumed("backlash", 0.03, "mm", "20 to 50 um are common");
 /// Stiffness of screws and nuts, as it shows in the opening.
 pub const SCREW_STIFFNESS: Constant =
     assumed("screw stiffness", 20.0, "kN/mm", "steel in bronze, both screws");
@@ -337,7 +335,6 @@ pub const CARD: &[Constant] = &[
     STRIBECK_SPEED,
     COGGING,
     COGGING_PERIODS,
-    BACKLASH,
     SCREW_STIFFNESS,
     FINGER_MASS,
     GUIDE_FRICTION,

@@ -130,7 +130,11 @@ impl Plant {
 
     fn sense(&mut self) -> Sensed {
         let [u, v, w] = self.motor.currents_a;
-        let currents_a = if self.parameters.swapped { [u, w, v] } else { [u, v, w] };
+        let currents_a = if self.parameters.swapped {
+            [u, w, v]
+        } else {
+            [u, v, w]
+        };
         let (bus_v, angle_rad) = (self.bus.voltage_v, self.train.angle_rad);
         let sensors = &self.parameters.sensors;
         sensors.look(&currents_a, bus_v, angle_rad, &mut self.rng)
@@ -169,7 +173,8 @@ impl Plant {
         let bus_v = self.bus.voltage_v;
         match inverter.terminals(drive, &self.motor.currents_a) {
             Terminals::Held(shares) => {
-                self.motor.held(windings, rotor, (&shares, bus_v), self.keep)
+                self.motor
+                    .held(windings, rotor, (&shares, bus_v), self.keep)
             }
             Terminals::Free => {
                 let voltages = (inverter.diode_v, bus_v);
