@@ -250,8 +250,12 @@ pub const COGGING: Constant = assumed("cogging torque", 0.003, "N m", "half a pe
 pub const COGGING_PERIODS: Constant =
     assumed("cogging periods", 84.0, "1/rev", "12 slots, 14 poles");
 /// Stiffness of screws and nuts, as it shows in the opening.
-pub const SCREW_STIFFNESS: Constant =
-    assumed("screw stiffness", 20.0, "kN/mm", "steel in bronze, both screws");
+pub const SCREW_STIFFNESS: Constant = assumed(
+    "screw stiffness",
+    20.0,
+    "kN/mm",
+    "steel in bronze, both screws",
+);
 /// Mass of one finger with its carriage.
 pub const FINGER_MASS: Constant = assumed("finger mass", 0.2, "kg", "the paper states none");
 /// Friction of one finger's guide.
@@ -271,8 +275,12 @@ pub const CURRENT_OFFSET: Constant =
 pub const ENCODER_NOISE: Constant =
     assumed("rotor angle noise", 0.02, "deg", "one count of 14 bits");
 /// Error of the rotor's angle once a turn.
-pub const ENCODER_ECCENTRICITY: Constant =
-    assumed("rotor angle error", 0.2, "deg", "magnet off centre by 0.1 mm");
+pub const ENCODER_ECCENTRICITY: Constant = assumed(
+    "rotor angle error",
+    0.2,
+    "deg",
+    "magnet off centre by 0.1 mm",
+);
 
 /// All constants, in the order of the data path: the parameter card.
 pub const CARD: &[Constant] = &[

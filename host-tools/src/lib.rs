@@ -13,6 +13,7 @@
 //! - [`networks`]: recurrent networks in a replay.
 //! - [`board`]: the gripper's board in virtual time.
 //! - [`plant`]: the gripper's drive as physics.
+//! - [`drive`]: the firmware's control of the motor on that plant.
 //! - [`tare`]: what is told where nothing loads.
 //! - [`coverage`]: whether standard deviations mean what they say.
 //! - [`foreign`]: how surely the device notices a foreign magnet.
@@ -29,6 +30,7 @@ pub mod commands;
 pub mod compare;
 pub mod coverage;
 pub mod diagnose;
+pub mod drive;
 pub mod findings;
 pub mod foreign;
 pub mod lessons;
