@@ -5,12 +5,14 @@
 //! - [`response`]: the current loop's answer to a step and to sines.
 //! - [`figures`]: what is asked of the drive beside what it reaches.
 //! - [`told`]: what is told of a run.
+//! - [`world`]: what the board's sensors feel meanwhile.
 
 pub mod figures;
 pub mod response;
 pub mod runs;
 pub mod told;
 pub mod trace;
+pub mod world;
 
 #[cfg(test)]
 mod tests;

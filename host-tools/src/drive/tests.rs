@@ -1,12 +1,20 @@
 //! The firmware's control on the plant.
 
+use std::cell::RefCell;
+use std::rc::Rc;
+
 use firmware::motor::{Setpoint, Settings, State};
 use firmware::params;
 
 use super::figures::{self, SCATTER};
 use super::response::{bandwidth_hz, step, sweep};
 use super::runs::{Case, at_speed, squeeze_n, to_place};
+use super::world::Driven;
 use super::{Rig, wiring};
+use crate::board::world::{Moment, World};
+use crate::plant::hall::Fingertips;
+use crate::plant::impact::Impact;
+use crate::plant::object::Object;
 use crate::plant::parameters::{Lead, Parameters};
 
 #[test]
@@ -102,4 +110,43 @@ fn a_tripped_drive_does_nothing() {
     assert!(matches!(rig.motor.telling().state, State::Tripped(_)));
     rig.under(Setpoint::Current { closing_a: 5.0 }, 0.05);
     assert_eq!(rig.plant.train.speed_rad_s, 0.0);
+}
+
+#[test]
+fn a_world_feels_what_the_drive_does() {
+    let rig = Rig::armed(Lead::B, Parameters::nominal(Lead::B), 40.0, 1);
+    let rig = Rc::new(RefCell::new(rig));
+    let tips = Fingertips::new(1, 0.0, &[]).unwrap();
+    let mut world = Driven::new(rig.clone(), tips, 1);
+    let before = world.next().unwrap();
+    rig.borrow_mut()
+        .plant
+        .hold(Some(&Object::new(0.038, 1000.0)));
+    rig.borrow_mut()
+        .motor
+        .command(Setpoint::Current { closing_a: 2.0 });
+    let start_s = rig.borrow().plant.time_s();
+    world.impacts.push(Impact {
+        start_s: start_s + 0.3,
+        lasts_s: 0.02,
+        peak_n: 40.0,
+    });
+    let moments: Vec<Moment> = (0..310).filter_map(|_| world.next()).collect();
+    let (held, landing) = (&moments[290], &moments[309]);
+    // 120 N and more, a half on each sensor of a finger: the fields of both fingers part.
+    let lateral = |moment: &Moment, sensor: usize| moment.readings[sensor].unwrap().field[0];
+    let moved = |sensor| i32::from(lateral(held, sensor)) - i32::from(lateral(&before, sensor));
+    assert!(
+        moved(0) > 200 && moved(2) < -200,
+        "{} {}",
+        moved(0),
+        moved(2)
+    );
+    // The foot's 40 N are 20 m/s^2 on top of gravity.
+    let felt = |moment: &Moment| moment.around.acceleration.unwrap()[2];
+    assert!((felt(held) - 9810).abs() < 100, "{}", felt(held));
+    assert!((felt(landing) - 29_500).abs() < 1000, "{}", felt(landing));
+    let opening_um = held.around.opening_um.unwrap();
+    assert!((37_000..38_100).contains(&opening_um), "{opening_um}");
+    assert!(held.around.motor.unwrap().iq_ma > 1900);
 }

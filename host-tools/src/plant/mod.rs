@@ -14,6 +14,8 @@
 //! - [`object`]: what is grasped; [`finger`]: guides, flexures, stops.
 //! - [`train`]: rotor and fingers in time.
 //! - [`sensing`]: currents, voltage, angle, in counts, with their errors.
+//! - [`hall`]: forces into what the Hall sensors read; [`impact`]: steps on the ground; [`imu`]: what is felt
+//!   of them.
 //! - [`energy`]: where the energy went.
 //!
 //! What this leaves out: the ripple of the pulses within a period, the fingers' and flexures' own
@@ -24,6 +26,9 @@ pub mod cogging;
 pub mod energy;
 pub mod finger;
 pub mod friction;
+pub mod hall;
+pub mod impact;
+pub mod imu;
 pub mod inverter;
 pub mod motor;
 pub mod object;
