@@ -7,7 +7,7 @@
 
 use core::f32::consts::TAU;
 
-use super::number::within;
+use super::number::{greater, within};
 use crate::params;
 
 /// A screw.
@@ -55,7 +55,7 @@ impl Screw {
     /// Force in newtons with which the fingers press at rest after a torque in newton metres that closed
     /// them; `dry_nm` is the rotor's dry friction.
     pub fn force_n(&self, torque_nm: f32, dry_nm: f32) -> f32 {
-        (torque_nm - dry_nm).max(0.0) / (self.ratio_mm * 1e-3 * (1.0 + self.friction))
+        greater(torque_nm - dry_nm, 0.0) / (self.ratio_mm * 1e-3 * (1.0 + self.friction))
     }
 
     /// Torque in newton metres that presses with a force in newtons.
@@ -66,7 +66,8 @@ impl Screw {
     /// Torque in newton metres that holds a force in newtons against turning back: nothing where friction
     /// is enough.
     pub fn holding_nm(&self, force_n: f32, dry_nm: f32) -> f32 {
-        (force_n * self.ratio_mm * 1e-3 * (1.0 - self.friction) - dry_nm).max(0.0)
+        let back_nm = force_n * self.ratio_mm * 1e-3 * (1.0 - self.friction);
+        greater(back_nm - dry_nm, 0.0)
     }
 }
 

@@ -50,7 +50,8 @@ impl Motor {
         if !(u + v + w + speed).is_finite() {
             return Err(Trip::NotANumber);
         }
-        if sensing::is_at_end(sensed) || u.abs().max(v.abs()).max(w.abs()) > limits.trip_a {
+        let greatest_a = greater(u.abs(), greater(v.abs(), w.abs()));
+        if sensing::is_at_end(sensed) || greatest_a > limits.trip_a {
             return Err(Trip::OverCurrent);
         }
         match speed.abs() > limits.trip_speed {
