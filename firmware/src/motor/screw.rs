@@ -122,7 +122,10 @@ mod tests {
 
     #[test]
     fn screw_a_holds_by_itself_and_screw_b_needs_an_eighth_of_a_newton_metre() {
-        assert!(Screw::A.self_locking && !Screw::B.self_locking);
+        assert_eq!(
+            [Screw::A, Screw::B].map(|screw| screw.self_locking),
+            [true, false]
+        );
         assert_eq!(Screw::A.holding_nm(350.0, 0.02), 0.0);
         // Friction: 0.9655 / 0.617 - 1 = 0.565; 350 N * 1.0227e-3 m * 0.435 - 0.02 N m.
         assert!((Screw::B.friction - 0.5649).abs() < 1e-3);
