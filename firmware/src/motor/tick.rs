@@ -34,9 +34,9 @@ impl Motor {
         }
     }
 
-    /// Phases V and W change places where they are wired so; twice is as before.
+    /// Phases V and W change places where they are wired so; twice is as before. Commissioning finds out anew.
     fn swapped(&self, [u, v, w]: [f32; 3]) -> [f32; 3] {
-        match self.settings.wiring.is_swapped {
+        match self.settings.wiring.is_swapped && self.state != State::Commissioning {
             true => [u, w, v],
             false => [u, v, w],
         }
