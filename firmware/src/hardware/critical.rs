@@ -4,7 +4,7 @@
 
 use core::sync::atomic::{Ordering, compiler_fence};
 
-use cortex_m::register::basepri;
+use cortex_m::register::{basepri, basepri_max};
 use critical_section::{Impl, RawRestoreState};
 
 /// Priority 1 in the upper four bits.
@@ -17,10 +17,8 @@ critical_section::set_impl!(BelowMotor);
 unsafe impl Impl for BelowMotor {
     unsafe fn acquire() -> RawRestoreState {
         let before = basepri::read();
-        if before == 0 || before > FIRST {
-            // SAFETY: it is given back by `release`.
-            unsafe { basepri::write(FIRST) };
-        }
+        // Never lets through what is held off already.
+        basepri_max::write(FIRST);
         compiler_fence(Ordering::SeqCst);
         before
     }

@@ -3,6 +3,7 @@
 #![allow(unsafe_code)] // What the interrupt owns.
 
 use core::cell::UnsafeCell;
+use core::mem::MaybeUninit;
 
 use embassy_stm32::interrupt::{self, InterruptExt, Priority};
 use embassy_stm32::{Peri, peripherals};
@@ -55,12 +56,12 @@ struct Control {
     periods: u8,
 }
 
-struct Owned(UnsafeCell<Option<Control>>);
+struct Owned(UnsafeCell<MaybeUninit<Control>>);
 
 // SAFETY: written by `start` before the interrupt is enabled, then used by the interrupt alone.
 unsafe impl Sync for Owned {}
 
-static CONTROL: Owned = Owned(UnsafeCell::new(None));
+static CONTROL: Owned = Owned(UnsafeCell::new(MaybeUninit::uninit()));
 
 /// Starts the pulses, with all switches off, and the interrupt. Once.
 pub fn start(parts: Parts, settings: Settings) -> Line {
@@ -82,7 +83,7 @@ pub fn start(parts: Parts, settings: Settings) -> Line {
         periods: 0,
     };
     // SAFETY: the interrupt is not enabled yet.
-    unsafe { *CONTROL.0.get() = Some(control) };
+    unsafe { (*CONTROL.0.get()).write(control) };
     interrupt::ADC1_2.set_priority(Priority::P0);
     // SAFETY: what the interrupt owns is there.
     unsafe { interrupt::ADC1_2.enable() };
@@ -114,8 +115,6 @@ impl Control {
 
 #[embassy_stm32::interrupt]
 fn ADC1_2() {
-    // SAFETY: nobody else uses it once the interrupt is enabled.
-    if let Some(control) = unsafe { &mut *CONTROL.0.get() } {
-        control.period();
-    }
+    // SAFETY: written before the interrupt is enabled; nobody else uses it from then on.
+    unsafe { (*CONTROL.0.get()).assume_init_mut() }.period();
 }

@@ -49,7 +49,7 @@ use commission::{Commissioning, Found, Next, Seen};
 use current::{CurrentLoop, Decided, Windings};
 use encoder::{Place, Tracker};
 use limits::{Active, Around, Bounds, Heat, Limit, Temperatures};
-use number::{Direction, within};
+use number::{Direction, greater, within};
 use position::PositionLoop;
 use screw::Play;
 use sensing::{Offsets, Zeroing};

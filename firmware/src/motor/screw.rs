@@ -7,7 +7,7 @@
 
 use core::f32::consts::TAU;
 
-use super::number::within;
+use super::number::{greater, within};
 use crate::params;
 
 /// A screw.
@@ -55,7 +55,7 @@ impl Screw {
     /// Force in newtons with which the fingers press at rest after a torque in newton metres that closed
     /// them; `dry_nm` is the rotor's dry friction.
     pub fn force_n(&self, torque_nm: f32, dry_nm: f32) -> f32 {
-        (torque_nm - dry_nm).max(0.0) / (self.ratio_mm * 1e-3 * (1.0 + self.friction))
+        greater(torque_nm - dry_nm, 0.0) / (self.ratio_mm * 1e-3 * (1.0 + self.friction))
     }
 
     /// Torque in newton metres that presses with a force in newtons.
@@ -66,7 +66,8 @@ impl Screw {
     /// Torque in newton metres that holds a force in newtons against turning back: nothing where friction
     /// is enough.
     pub fn holding_nm(&self, force_n: f32, dry_nm: f32) -> f32 {
-        (force_n * self.ratio_mm * 1e-3 * (1.0 - self.friction) - dry_nm).max(0.0)
+        let back_nm = force_n * self.ratio_mm * 1e-3 * (1.0 - self.friction);
+        greater(back_nm - dry_nm, 0.0)
     }
 }
 
@@ -121,7 +122,10 @@ mod tests {
 
     #[test]
     fn screw_a_holds_by_itself_and_screw_b_needs_an_eighth_of_a_newton_metre() {
-        assert!(Screw::A.self_locking && !Screw::B.self_locking);
+        assert_eq!(
+            [Screw::A, Screw::B].map(|screw| screw.self_locking),
+            [true, false]
+        );
         assert_eq!(Screw::A.holding_nm(350.0, 0.02), 0.0);
         // Friction: 0.9655 / 0.617 - 1 = 0.565; 350 N * 1.0227e-3 m * 0.435 - 0.02 N m.
         assert!((Screw::B.friction - 0.5649).abs() < 1e-3);

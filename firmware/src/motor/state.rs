@@ -2,7 +2,7 @@
 
 use super::commission::Refusal;
 use super::limits::{Active, Temperatures};
-use super::number::Direction;
+use super::number::{Direction, greater};
 use super::stage::Drive;
 use super::transform::Dq;
 use crate::surroundings::{self, Surroundings};
@@ -57,9 +57,9 @@ impl Setpoint {
     }
 
     /// Greatest current in amperes that it allows itself.
-    pub const fn most_a(&self) -> f32 {
+    pub fn most_a(&self) -> f32 {
         match *self {
-            Self::Speed { most_a, .. } | Self::Position { most_a, .. } => most_a.max(0.0),
+            Self::Speed { most_a, .. } | Self::Position { most_a, .. } => greater(most_a, 0.0),
             Self::Off | Self::Brake | Self::Current { .. } => f32::INFINITY,
         }
     }

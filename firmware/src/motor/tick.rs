@@ -34,9 +34,9 @@ impl Motor {
         }
     }
 
-    /// Phases V and W change places where they are wired so; twice is as before.
+    /// Phases V and W change places where they are wired so; twice is as before. Commissioning finds out anew.
     fn swapped(&self, [u, v, w]: [f32; 3]) -> [f32; 3] {
-        match self.settings.wiring.is_swapped {
+        match self.settings.wiring.is_swapped && self.state != State::Commissioning {
             true => [u, w, v],
             false => [u, v, w],
         }
@@ -50,7 +50,8 @@ impl Motor {
         if !(u + v + w + speed).is_finite() {
             return Err(Trip::NotANumber);
         }
-        if sensing::is_at_end(sensed) || u.abs().max(v.abs()).max(w.abs()) > limits.trip_a {
+        let greatest_a = greater(u.abs(), greater(v.abs(), w.abs()));
+        if sensing::is_at_end(sensed) || greatest_a > limits.trip_a {
             return Err(Trip::OverCurrent);
         }
         match speed.abs() > limits.trip_speed {

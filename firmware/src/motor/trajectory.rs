@@ -2,8 +2,8 @@
 //! it exactly.
 //!
 //! A generator in integers accelerates and brakes as hard as it may, so that it comes to rest on the target to
-//! the nanometre; the mean over [`WINDOW`] of its ticks bounds the jerk, and neither adds speed or
-//! acceleration nor misses the end. It comes [`WINDOW`] ticks later.
+//! the nanometre; the mean over a window of its ticks bounds the jerk, and neither adds speed or acceleration
+//! nor misses the end. It comes a window later.
 
 use super::MOTION_HZ;
 use super::number::sqrt;
