@@ -12,6 +12,7 @@
 //! - [`lessons`]: recordings as a recurrent network on the device sees them.
 //! - [`networks`]: recurrent networks in a replay.
 //! - [`board`]: the gripper's board in virtual time.
+//! - [`live`]: a gripper watched and recorded while it runs.
 //! - [`tare`]: what is told where nothing loads.
 //! - [`coverage`]: whether standard deviations mean what they say.
 //! - [`foreign`]: how surely the device notices a foreign magnet.
@@ -31,6 +32,7 @@ pub mod diagnose;
 pub mod findings;
 pub mod foreign;
 pub mod lessons;
+pub mod live;
 pub mod networks;
 pub mod progress;
 pub mod replay;
