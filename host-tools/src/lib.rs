@@ -9,6 +9,7 @@
 //! - [`diagnose`]: which effect a model lacks.
 //! - [`findings`]: what is wrong with a campaign's recordings.
 //! - [`wiring`]: a recording's row as the device's readings.
+//! - [`new_folder`]: folders that commands make.
 //! - [`lessons`]: recordings as a recurrent network on the device sees them.
 //! - [`networks`]: recurrent networks in a replay.
 //! - [`board`]: the gripper's board in virtual time.
@@ -34,6 +35,7 @@ pub mod foreign;
 pub mod lessons;
 pub mod live;
 pub mod networks;
+pub mod new_folder;
 pub mod progress;
 pub mod replay;
 pub mod report;

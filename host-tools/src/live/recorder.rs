@@ -13,6 +13,7 @@ use super::json::degrees;
 use super::paged::Paged;
 use super::rows::Row;
 use crate::bench::record::{force_columns, sensor_columns};
+use crate::new_folder::{check_free, draft};
 
 /// Which sensors there are is seen in the first of this time.
 const LOOK_US: u64 = 200_000;
@@ -162,7 +163,7 @@ impl Recorder {
             );
         }
         let unwritable = || format!("{} cannot be written", self.target.display());
-        let draft = draft(&self.target).with_context(unwritable)?;
+        let draft = draft(&self.target, ".magpie-record-")?;
         self.description.write(draft.path())?;
         let tables = Tables::create(draft.path(), &sensors).with_context(unwritable)?;
         self.tables = Some(tables);
@@ -256,38 +257,6 @@ impl Tables {
         act(&mut self.hall)?;
         act(&mut self.force)
     }
-}
-
-/// A folder beside the recording's, which takes its name when it can be read.
-fn draft(target: &Path) -> io::Result<tempfile::TempDir> {
-    let parent = match target.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    };
-    let mut draft = tempfile::Builder::new();
-    draft.prefix(".magpie-record-");
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt;
-        draft.permissions(fs::Permissions::from_mode(0o777));
-    }
-    fs::create_dir_all(parent)?;
-    draft.tempdir_in(parent)
-}
-
-/// Nothing is overwritten.
-fn check_free(target: &Path) -> Result<()> {
-    let is_empty = |folder: &Path| {
-        let entries = fs::read_dir(folder);
-        entries.is_ok_and(|mut entries| entries.next().is_none())
-    };
-    if target.symlink_metadata().is_ok() && !is_empty(target) {
-        bail!(
-            "{}: something else stands there; choose another name: it is not overwritten",
-            target.display()
-        );
-    }
-    Ok(())
 }
 
 #[cfg(test)]

@@ -154,7 +154,7 @@ impl State {
             if let Some(value) = sensor.reading() {
                 state.reading = Some(Told { value, at_s });
             }
-            state.history.push(at_s, state.force_n);
+            state.remember(at_s);
         }
     }
 
@@ -274,7 +274,14 @@ impl SensorState {
             _ => Validity::OutsideModel,
         };
         self.told_s = Some(at_s);
-        self.history.push(at_s, force_n);
+        self.remember(at_s);
+    }
+
+    /// What is missing is no force of nought.
+    fn remember(&mut self, at_s: f64) {
+        if self.validity != Validity::Missing {
+            self.history.push(at_s, self.force_n);
+        }
     }
 }
 

@@ -7,7 +7,7 @@ use ratatui::layout::{Alignment, Constraint, Layout, Rect};
 use ratatui::style::{Color, Style, Stylize};
 use ratatui::symbols::Marker;
 use ratatui::text::{Line, Span};
-use ratatui::widgets::{Axis, Block, Cell, Chart, Dataset, GraphType, Paragraph, Row, Table};
+use ratatui::widgets::{Axis, Block, Cell, Chart, Dataset, GraphType, Paragraph, Row, Table, Wrap};
 
 use super::history::SECONDS;
 use super::json::{degrees, validity};
@@ -49,7 +49,8 @@ fn heading(name: &str, state: &State, now_s: f64) -> Paragraph<'static> {
         }
         Some(_) => format!("{} ticks/s", state.ticks_hz).into(),
     };
-    let first = Line::from(vec![name.to_owned().bold(), "   ".into(), heard]);
+    let name = name.to_owned().bold();
+    let first = Line::from(vec![name, "   ".into(), heard, "   q: quit".dim()]);
     let mut about = match state.version {
         Some(version) => format!(
             "firmware {}.{}.{}, protocol {}.{}, board {}, tables {:04x}",
@@ -69,7 +70,6 @@ fn heading(name: &str, state: &State, now_s: f64) -> Paragraph<'static> {
     if state.heartbeat.is_some_and(|told| told.value.command_alive) {
         about += ", commanded";
     }
-    about += "   q: quit";
     Paragraph::new(vec![first, Line::from(about)])
 }
 
@@ -203,7 +203,9 @@ fn faults(state: &State, now_s: f64) -> Paragraph<'static> {
             None => Line::from("no heartbeat yet").yellow(),
         });
     }
-    Paragraph::new(lines).block(Block::bordered().title(" faults "))
+    Paragraph::new(lines)
+        .wrap(Wrap { trim: true })
+        .block(Block::bordered().title(" faults "))
 }
 
 fn load(state: &State) -> Paragraph<'static> {
@@ -211,8 +213,12 @@ fn load(state: &State) -> Paragraph<'static> {
         None => vec![Line::from("told once a second")],
         Some(told) => vec![
             Line::from(format!(
-                "tick {} us of {TICK_US} at the most, estimate {} us",
-                told.value.worst_loop, told.value.worst_inference
+                "tick {} us of {TICK_US} at the most",
+                told.value.worst_loop
+            )),
+            Line::from(format!(
+                "estimate {} us at the most",
+                told.value.worst_inference
             )),
             Line::from(format!(
                 "{} ticks missed, {} transfers failed",
@@ -229,7 +235,9 @@ fn load(state: &State) -> Paragraph<'static> {
         Some(lost) => Line::from(format!("lost: {lost}")).yellow(),
         None => Line::from("nothing lost"),
     });
-    Paragraph::new(lines).block(Block::bordered().title(" load "))
+    Paragraph::new(lines)
+        .wrap(Wrap { trim: true })
+        .block(Block::bordered().title(" load "))
 }
 
 #[cfg(test)]

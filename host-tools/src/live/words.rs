@@ -83,10 +83,8 @@ mod tests {
 
     #[test]
     fn a_line_tells_forces_marks_what_is_no_number_and_names_faults() {
-        let mut state = State {
-            heard_s: Some(2.0),
-            ..State::default()
-        };
+        let mut state = State::default();
+        state.heard_s = Some(2.0);
         state.sensors[0].force_n = [12.345, -3.0];
         state.sensors[0].validity = Validity::Valid;
         state.sensors[1].force_n = [200.0, 0.0];

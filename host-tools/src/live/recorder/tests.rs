@@ -7,10 +7,9 @@ use tempfile::TempDir;
 use super::*;
 
 fn description() -> Description {
-    Description {
-        gauss_per_lsb: Some(0.125),
-        ..Description::new("test", 0.0)
-    }
+    let mut description = Description::new("test", 0.0);
+    description.gauss_per_lsb = Some(0.125);
+    description
 }
 
 fn recorder(folder: &Path) -> Recorder {
@@ -60,7 +59,7 @@ fn at_every_moment_the_recording_reads_and_lacks_less_than_the_last_second() {
             assert!(
                 rows.iter()
                     .zip(0..)
-                    .all(|(row, i)| row.time_s == f64::from(i) * 1e-3)
+                    .all(|(row, i)| (1e3 * row.time_s).round() == f64::from(i))
             );
             Recording::read(&folder.path().join("1"), Alignment { delay_us: 0.0 }).unwrap();
         }
