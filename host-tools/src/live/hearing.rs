@@ -82,14 +82,16 @@ fn listen(source: &mut dyn Source, begun: Instant, stop: &AtomicBool, sender: &S
             packets,
             broken: source.broken(),
         };
-        // Where nobody takes the news, nobody wants to hear.
-        let mut wanted = sender.send(heard).is_ok();
-        wanted &= match more {
-            Ok(true) => wanted,
-            Ok(false) => sender.send(News::Ended).is_ok() && false,
-            Err(error) => sender.send(News::Failed(error)).is_ok() && false,
+        let last = match more {
+            Ok(true) => None,
+            Ok(false) => Some(News::Ended),
+            Err(error) => Some(News::Failed(error)),
         };
-        if !wanted {
+        // Where nobody takes the news, nobody wants to hear.
+        let goes_on = last.is_none();
+        let taken = [Some(heard), last].into_iter().flatten();
+        let wanted = taken.map(|news| sender.send(news)).all(|sent| sent.is_ok());
+        if !(goes_on && wanted) {
             return;
         }
     }

@@ -64,7 +64,13 @@ impl Rows {
     /// The board has started anew since the last row.
     pub fn take(&mut self, at_s: f64, packet: &Packet) -> Result<Option<Row>, Restarted> {
         let row = match (packet, &mut self.sets) {
-            (Packet::Message { message, .. }, _) if matches!(message, Message::Version(_)) => {
+            (
+                Packet::Message {
+                    message: Message::Version(_),
+                    ..
+                },
+                _,
+            ) => {
                 return if self.begun { Err(Restarted) } else { Ok(None) };
             }
             (Packet::Tick(tick), None) => Some(Row {

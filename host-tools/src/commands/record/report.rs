@@ -25,9 +25,14 @@ pub fn text(output: &Path, start_s: f64, tally: &Tally) -> String {
     match tally.gaps {
         0 => text += "No row was lost.\n",
         gaps => {
+            let gaps = if gaps == 1 {
+                "1 gap".to_owned()
+            } else {
+                format!("{gaps} gaps")
+            };
             let (longest_us, at_us) = tally.longest_us;
             text += &format!(
-                "Lost: {} rows in {gaps} gaps of t_us, the longest {:.1} ms at {:.3} s.\n",
+                "Lost: {} rows in {gaps} of t_us, the longest {:.1} ms at {:.3} s.\n",
                 tally.lost,
                 1e3 * seconds(longest_us),
                 seconds(at_us),
