@@ -153,10 +153,13 @@ impl<S: CanSender, C: Clock, M: RawMutex> Mouth<'_, S, C, M> {
         }
     }
 
-    /// Sends a message on both ways; a bus that is off does not keep it from the line.
+    /// Sends a message on both ways; a bus that is off does not keep it from the line. What every tick on
+    /// the line tells is not said there twice: both together are more than it carries.
     async fn say(&mut self, copy: u8, message: Message) {
         let packet = Packet::Message { copy, message };
-        if self.exchange.lines.try_send(packet).is_err() {
+        let raw = matches!(message, Message::HallRaw(_));
+        let in_ticks = raw && self.exchange.parameters().telemetry();
+        if !in_ticks && self.exchange.lines.try_send(packet).is_err() {
             let unsent = &self.exchange.counts.packets_unsent;
             unsent.fetch_add(1, Ordering::Relaxed);
         }
