@@ -363,7 +363,12 @@ fn over_a_can_bus_come_the_readings_of_the_serial_line() {
             compared += 1;
         }
     }
-    assert!(compared > on_bus.len() * 95 / 100, "{compared} of {} and {}", on_bus.len(), on_line.len());
+    assert!(
+        compared > on_bus.len() * 95 / 100,
+        "{compared} of {} and {}",
+        on_bus.len(),
+        on_line.len()
+    );
 }
 
 #[test]
