@@ -1,8 +1,8 @@
 //! Whether tables and weights are still those that were exported.
 //!
 //! The exporter writes the checksum of every field ([`sum`]) into the tables; the device computes it anew
-//! at the start ([`Checked::is_sound`]) and piece by piece while it runs ([`Scrub`]). What is checked is the
-//! copy in SRAM that the kernels read. Any single bit that turned is noticed, and any 32 in a row. Tables
+//! at the start ([`Checked::is_sound`]) and piece by piece while it runs ([`Scrub`]). What is checked is
+//! what the kernels read, in flash. Any single bit that turned is noticed, and any 32 in a row. Tables
 //! that are not sound must not arm.
 //!
 //! What is walked are the fields, one by one, each as a word of 32 bits: never the bytes between them.
