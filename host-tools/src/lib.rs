@@ -9,9 +9,11 @@
 //! - [`diagnose`]: which effect a model lacks.
 //! - [`findings`]: what is wrong with a campaign's recordings.
 //! - [`wiring`]: a recording's row as the device's readings.
+//! - [`new_folder`]: folders that commands make.
 //! - [`lessons`]: recordings as a recurrent network on the device sees them.
 //! - [`networks`]: recurrent networks in a replay.
 //! - [`board`]: the gripper's board in virtual time.
+//! - [`live`]: a gripper watched and recorded while it runs.
 //! - [`tare`]: what is told where nothing loads.
 //! - [`coverage`]: whether standard deviations mean what they say.
 //! - [`foreign`]: how surely the device notices a foreign magnet.
@@ -31,7 +33,9 @@ pub mod diagnose;
 pub mod findings;
 pub mod foreign;
 pub mod lessons;
+pub mod live;
 pub mod networks;
+pub mod new_folder;
 pub mod progress;
 pub mod replay;
 pub mod report;
