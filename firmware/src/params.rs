@@ -192,6 +192,51 @@ pub const ENCODER_BITS: Constant = assumed(
     "bit",
     "the paper names no rotor sensor; absolute, magnetic",
 );
+/// Greatest share of a period with a high side on; what is left is for the measurement of the currents.
+pub const MODULATION: Constant = assumed("modulation", 0.95, "", "2.5 us with all low sides on");
+/// Crossover of the current loop.
+pub const CURRENT_BANDWIDTH: Constant = assumed(
+    "current loop",
+    1100.0,
+    "Hz",
+    "a period's delay leaves 70 degrees",
+);
+/// Crossover of the speed loop.
+pub const SPEED_BANDWIDTH: Constant = assumed("speed loop", 150.0, "Hz", "control study");
+/// Crossover of the position loop.
+pub const POSITION_BANDWIDTH: Constant =
+    assumed("position loop", 25.0, "Hz", "a sixth of the speed loop");
+/// Natural frequency of the loop that follows the rotor's angle.
+pub const ENCODER_BANDWIDTH: Constant =
+    assumed("angle tracking", 600.0, "Hz", "four times the speed loop");
+/// Acceleration of the opening on its way to a place.
+pub const MOTION_ACCELERATION: Constant = assumed(
+    "acceleration of a way",
+    2000.0,
+    "mm/s^2",
+    "half the rated torque on screw A",
+);
+/// Jerk of the opening on its way to a place.
+pub const MOTION_JERK: Constant = assumed(
+    "jerk of a way",
+    500.0,
+    "m/s^3",
+    "the acceleration turns within 8 ms",
+);
+/// Play of the screws' flanks, as it shows in the opening.
+pub const PLAY: Constant = assumed("screw's play", 0.03, "mm", "20 to 50 um is common");
+/// Time for which the motor bears [`PEAK_TORQUE`] from cold.
+pub const PEAK_TIME: Constant = assumed("time at peak torque", 3.0, "s", "55 W of copper");
+/// Current of a phase at which the power stage is switched off.
+pub const CURRENT_TRIP: Constant = assumed("current trip", 19.2, "A", "twice the peak");
+/// Power that the supply gives.
+pub const POWER_GREATEST: Constant = assumed("supply's power", 150.0, "W", "6.25 A at 24 V");
+/// Bus voltage above which the windings are shorted.
+pub const BUS_GREATEST: Constant = assumed("greatest bus voltage", 32.0, "V", "parts of 40 V");
+/// Temperature of the motor at which no current is left.
+pub const MOTOR_HOT: Constant = assumed("hot motor", 100.0, "C", "insulation of class B");
+/// Temperature of the power stage at which no current is left.
+pub const STAGE_HOT: Constant = assumed("hot power stage", 110.0, "C", "MOSFETs of 150 C");
 /// Greatest width between the fingers.
 pub const STROKE: Constant = assumed("stroke", 80.0, "mm", "the paper states none");
 
@@ -237,6 +282,20 @@ pub const CARD: &[Constant] = &[
     CURRENT_SCALE,
     BUS_SCALE,
     ENCODER_BITS,
+    MODULATION,
+    CURRENT_BANDWIDTH,
+    SPEED_BANDWIDTH,
+    POSITION_BANDWIDTH,
+    ENCODER_BANDWIDTH,
+    MOTION_ACCELERATION,
+    MOTION_JERK,
+    PLAY,
+    PEAK_TIME,
+    CURRENT_TRIP,
+    POWER_GREATEST,
+    BUS_GREATEST,
+    MOTOR_HOT,
+    STAGE_HOT,
     STROKE,
 ];
 

@@ -10,6 +10,7 @@ use firmware::model::grbf;
 use firmware::model::gru;
 use firmware::model::network::{State, Weights};
 
+use crate::motor;
 use crate::vectors::{self, Random};
 
 /// Inputs that must all take the same number of instructions.
@@ -29,7 +30,7 @@ pub fn print(out: &mut impl Write) -> Result {
     for (name, pairs) in [("grbf_25", 13), ("grbf_50", 25), ("grbf_100", 50)] {
         basis_functions(name, pairs, &counter, out)?;
     }
-    Ok(())
+    motor::print(&counter, out)
 }
 
 /// A whole call of [`gru::step`].
@@ -96,7 +97,7 @@ impl Counts {
 }
 
 /// Ticks of the core's timer during [`PACE`] instructions.
-struct Counter {
+pub struct Counter {
     pace: u32,
     /// Ticks around nothing.
     nothing: u32,
@@ -134,7 +135,8 @@ impl Counter {
         before.wrapping_sub(after) & 0x00ff_ffff
     }
 
-    fn instructions(&self, work: impl FnOnce()) -> u32 {
+    /// Instructions of some work.
+    pub fn instructions(&self, work: impl FnOnce()) -> u32 {
         let ticks = Self::ticks(work).saturating_sub(self.nothing);
         let rounded = u64::from(ticks) * u64::from(PACE) + u64::from(self.pace / 2);
         (rounded / u64::from(self.pace)) as u32

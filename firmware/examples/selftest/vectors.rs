@@ -215,7 +215,8 @@ pub fn coordinates(random: &mut Random, extreme: bool) -> [i16; 3] {
 pub struct Random(pub u64);
 
 impl Random {
-    fn word(&mut self) -> i32 {
+    /// Any bits.
+    pub fn word(&mut self) -> i32 {
         self.0 ^= self.0 << 13;
         self.0 ^= self.0 >> 7;
         self.0 ^= self.0 << 17;

@@ -38,7 +38,7 @@ pub struct Told {
 /// the fields.
 pub async fn estimate<N: Networks, C: Clock, M: RawMutex>(
     mut estimator: Estimator<'_, N>,
-    around: impl Fn() -> Surroundings,
+    mut around: impl FnMut() -> Surroundings,
     limits: &Limits,
     clock: &C,
     exchange: &Exchange<M>,

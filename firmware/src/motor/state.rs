@@ -1,0 +1,207 @@
+//! What the motor is asked to do, what it does, and why it does not.
+
+use super::commission::Refusal;
+use super::limits::{Active, Temperatures};
+use super::number::{Direction, greater};
+use super::stage::Drive;
+use super::transform::Dq;
+use crate::surroundings::{self, Surroundings};
+
+/// What is asked of the motor. Closing is positive; amperes are along q.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Setpoint {
+    /// All switches off: the rotor coasts, and a screw that locks itself holds.
+    #[default]
+    Off,
+    /// The windings shorted: the rotor brakes by itself, whatever the bus bears.
+    Brake,
+    /// A current, and so a torque.
+    Current {
+        /// In amperes.
+        closing_a: f32,
+    },
+    /// A speed, at once: what lies above shapes it.
+    Speed {
+        /// In mm/s of the opening, closing positive.
+        closing_mm_s: f32,
+        /// Greatest current in amperes.
+        most_a: f32,
+    },
+    /// A place, along a way bounded in speed, acceleration and jerk.
+    Position {
+        /// In millimetres between the fingers.
+        opening_mm: f32,
+        /// Greatest speed in mm/s.
+        speed_mm_s: f32,
+        /// Greatest current in amperes.
+        most_a: f32,
+    },
+}
+
+impl Setpoint {
+    /// Whether every number in it is one.
+    pub fn is_finite(&self) -> bool {
+        match *self {
+            Self::Off | Self::Brake => true,
+            Self::Current { closing_a } => closing_a.is_finite(),
+            Self::Speed {
+                closing_mm_s,
+                most_a,
+            } => closing_mm_s.is_finite() && most_a.is_finite(),
+            Self::Position {
+                opening_mm,
+                speed_mm_s,
+                most_a,
+            } => opening_mm.is_finite() && speed_mm_s.is_finite() && most_a.is_finite(),
+        }
+    }
+
+    /// Greatest current in amperes that it allows itself.
+    pub fn most_a(&self) -> f32 {
+        match *self {
+            Self::Speed { most_a, .. } | Self::Position { most_a, .. } => greater(most_a, 0.0),
+            Self::Off | Self::Brake | Self::Current { .. } => f32::INFINITY,
+        }
+    }
+}
+
+/// What those above tell the motor to do, in one word for a queue.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Order {
+    /// [`super::Motor::arm`].
+    Arm,
+    /// [`super::Motor::commission`].
+    Commission,
+    /// [`super::Motor::disarm`].
+    Disarm,
+    /// [`super::Motor::command`].
+    Do(Setpoint),
+    /// [`super::Motor::set_opening`].
+    Opening {
+        /// Millimetres between the fingers.
+        opening_mm: f32,
+    },
+    /// [`super::Motor::set_temperatures`].
+    Temperatures(Temperatures),
+}
+
+/// What the motor does. From [`State::Tripped`] only [`super::Motor::disarm`] leads on.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum State {
+    /// Off; set-points move nothing.
+    #[default]
+    Disarmed,
+    /// The currents' offsets are being taken, 26 ms; then [`State::Armed`], or commissioning.
+    Arming,
+    /// Set-points are followed.
+    Armed,
+    /// Sensor, phases and windings are being measured, 3 s.
+    Commissioning,
+    /// Commissioning ended without a result; off.
+    Refused(Refusal),
+    /// Something is wrong; off, or shorted where the rotor may turn.
+    Tripped(Trip),
+}
+
+/// Why the motor stopped by itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Trip {
+    /// Something is not a number, or settings with which nothing can be computed.
+    NotANumber,
+    /// A phase's current is beyond its bound, or beyond what is measured.
+    OverCurrent,
+    /// The rotor turns too fast.
+    OverSpeed,
+    /// The rotor's angle is not known.
+    Encoder,
+    /// At no current the amplifiers told one.
+    CurrentSense,
+    /// The power stage has switched itself off.
+    PowerStage,
+}
+
+impl Trip {
+    /// What the switches do: where numbers, currents or their measurement are wrong, nothing; where the rotor
+    /// is, the windings are shorted, which brakes without knowing its angle.
+    pub const fn drive(self) -> Drive {
+        match self {
+            Self::NotANumber | Self::OverCurrent | Self::CurrentSense | Self::PowerStage => {
+                Drive::Off
+            }
+            Self::OverSpeed | Self::Encoder => Drive::Brake,
+        }
+    }
+}
+
+/// What the motor tells of itself.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Telling {
+    /// What it does.
+    pub state: State,
+    /// Millimetres between the fingers, the screw's play counted; none before it is homed.
+    pub opening_mm: Option<f32>,
+    /// Millimetres that the position loop asks for now; none without a place as set-point.
+    pub asked_mm: Option<f32>,
+    /// Speed of the opening in mm/s, closing positive.
+    pub closing_mm_s: f32,
+    /// Radians of the rotor since it was first seen, closing positive.
+    pub turned_rad: f32,
+    /// Rotor's speed in rad/s.
+    pub speed: f32,
+    /// The rotor's angle within a turn of its sensor, in radians, -pi to pi; none where it is not known.
+    pub angle_rad: Option<f32>,
+    /// The rotor's electrical angle.
+    pub electrical: Direction,
+    /// Currents in amperes.
+    pub current: Dq,
+    /// Currents asked for, in amperes.
+    pub asked: Dq,
+    /// Voltages in volts.
+    pub voltage: Dq,
+    /// Bus voltage in volts.
+    pub bus_v: f32,
+    /// Bounds that are active.
+    pub limits: Active,
+}
+
+impl Telling {
+    /// For those who undo what the motor does to the fields.
+    pub fn surroundings(&self) -> Surroundings {
+        const ONE: f32 = 32_768.0;
+        let Direction { sin, cos } = self.electrical;
+        Surroundings {
+            opening_um: self.opening_mm.map(|mm| (mm * 1e3) as i32),
+            motor: self.angle_rad.map(|angle_rad| surroundings::Motor {
+                iq_ma: (self.current.q * 1e3) as i32,
+                electrical: [(sin * ONE) as i32, (cos * ONE) as i32],
+                angle_urad: (angle_rad * 1e6) as i32,
+            }),
+            ..Surroundings::default()
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_surroundings_are_told_in_their_integers() {
+        let telling = Telling {
+            opening_mm: Some(12.5),
+            angle_rad: Some(-0.25),
+            electrical: Direction {
+                sin: -0.5,
+                cos: 0.75,
+            },
+            current: Dq { d: 1.0, q: -2.5 },
+            ..Telling::default()
+        };
+        let told = telling.surroundings();
+        let motor = told.motor.unwrap();
+        assert_eq!(told.opening_um, Some(12_500));
+        assert_eq!((motor.iq_ma, motor.angle_urad), (-2500, -250_000));
+        assert_eq!(motor.electrical, [-16_384, 24_576]);
+        assert_eq!(Telling::default().surroundings(), Surroundings::default());
+    }
+}
