@@ -239,6 +239,48 @@ pub const MOTOR_HOT: Constant = assumed("hot motor", 100.0, "C", "insulation of 
 pub const STAGE_HOT: Constant = assumed("hot power stage", 110.0, "C", "MOSFETs of 150 C");
 /// Greatest width between the fingers.
 pub const STROKE: Constant = assumed("stroke", 80.0, "mm", "the paper states none");
+/// Torque at which the rotor breaks loose without load; falls to [`DRY_FRICTION`] as it turns.
+pub const BREAKAWAY_FRICTION: Constant =
+    assumed("breakaway friction", 0.025, "N m", "no motor named");
+/// Speed at which half of the fall from [`BREAKAWAY_FRICTION`] is done (Stribeck).
+pub const STRIBECK_SPEED: Constant = assumed("Stribeck speed", 2.0, "rad/s", "no motor named");
+/// Amplitude of the cogging torque.
+pub const COGGING: Constant = assumed("cogging torque", 0.003, "N m", "half a percent of rated");
+/// Periods of the cogging torque in a turn.
+pub const COGGING_PERIODS: Constant =
+    assumed("cogging periods", 84.0, "1/rev", "12 slots, 14 poles");
+/// Stiffness of screws and nuts, as it shows in the opening.
+pub const SCREW_STIFFNESS: Constant = assumed(
+    "screw stiffness",
+    20.0,
+    "kN/mm",
+    "steel in bronze, both screws",
+);
+/// Mass of one finger with its carriage.
+pub const FINGER_MASS: Constant = assumed("finger mass", 0.2, "kg", "the paper states none");
+/// Friction of one finger's guide.
+pub const GUIDE_FRICTION: Constant = assumed("guide friction", 1.0, "N", "the paper states none");
+/// Resistance of supply and cable; nothing flows back into the supply.
+pub const SUPPLY_RESISTANCE: Constant =
+    assumed("supply resistance", 0.1, "ohm", "cable and connectors");
+/// Forward voltage of the switches' diodes.
+pub const DIODE_DROP: Constant = assumed("diode drop", 0.8, "V", "common for MOSFETs of 24 V");
+/// Noise of a phase current, root mean square.
+pub const CURRENT_NOISE: Constant =
+    assumed("current noise", 20.0, "mA", "1.6 counts, shunt amplifier");
+/// Offset of a phase current that is never exceeded.
+pub const CURRENT_OFFSET: Constant =
+    assumed("current offset", 0.25, "A", "20 counts, shunt amplifier");
+/// Noise of the rotor's angle, root mean square.
+pub const ENCODER_NOISE: Constant =
+    assumed("rotor angle noise", 0.02, "deg", "one count of 14 bits");
+/// Error of the rotor's angle once a turn.
+pub const ENCODER_ECCENTRICITY: Constant = assumed(
+    "rotor angle error",
+    0.2,
+    "deg",
+    "magnet off centre by 0.1 mm",
+);
 
 /// All constants, in the order of the data path: the parameter card.
 pub const CARD: &[Constant] = &[
@@ -297,6 +339,19 @@ pub const CARD: &[Constant] = &[
     MOTOR_HOT,
     STAGE_HOT,
     STROKE,
+    BREAKAWAY_FRICTION,
+    STRIBECK_SPEED,
+    COGGING,
+    COGGING_PERIODS,
+    SCREW_STIFFNESS,
+    FINGER_MASS,
+    GUIDE_FRICTION,
+    SUPPLY_RESISTANCE,
+    DIODE_DROP,
+    CURRENT_NOISE,
+    CURRENT_OFFSET,
+    ENCODER_NOISE,
+    ENCODER_ECCENTRICITY,
 ];
 
 /// Time from one tick of sensing to the next.

@@ -14,6 +14,8 @@
 //! - [`networks`]: recurrent networks in a replay.
 //! - [`board`]: the gripper's board in virtual time.
 //! - [`live`]: a gripper watched and recorded while it runs.
+//! - [`plant`]: the gripper's drive as physics.
+//! - [`drive`]: the firmware's control of the motor on that plant.
 //! - [`tare`]: what is told where nothing loads.
 //! - [`coverage`]: whether standard deviations mean what they say.
 //! - [`foreign`]: how surely the device notices a foreign magnet.
@@ -30,12 +32,14 @@ pub mod commands;
 pub mod compare;
 pub mod coverage;
 pub mod diagnose;
+pub mod drive;
 pub mod findings;
 pub mod foreign;
 pub mod lessons;
 pub mod live;
 pub mod networks;
 pub mod new_folder;
+pub mod plant;
 pub mod progress;
 pub mod replay;
 pub mod report;

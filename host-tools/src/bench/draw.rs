@@ -29,6 +29,10 @@ pub enum Purpose {
     FieldDrift,
     ForeignMagnet,
     Uncatalogued,
+    Drive,
+    DriveNoise,
+    Fingertips,
+    Inertial,
 }
 
 /// The stream of a purpose; `part` is the number of a sensor or recording, 0 for the whole campaign.
