@@ -28,19 +28,19 @@ pub const GREATEST: Force = Force((params::FORCE_RANGE.value * Force::PER_NEWTON
 const FOLLOWED: i64 = 1 << 20;
 
 /// Standard errors by which the mean of a rest may be off, and standard deviations by which a network may.
-const ERRORS: i32 = 3;
+const ERRORS: i64 = 3;
 const SIGMAS: i32 = 2;
 
-/// What is surely an offset of a rest's mean, known to the standard error `error`: what is beyond all that
-/// friction may hold, and nothing where the mean is within what a network that told `sigma` may be off by.
-pub fn offset(mean: Force, error: Force, held: Force, sigma: Force) -> Force {
+/// What is surely an offset of a rest's mean, known to the `variance` of its error in units of a force
+/// squared: what is beyond all that friction may hold, and nothing where the mean is within what a network
+/// that told `sigma` may be off by.
+pub fn offset(mean: Force, variance: i64, held: Force, sigma: Force) -> Force {
     let size = mean.0.saturating_abs();
     let held = held.0.max(0);
-    let unsure = match held {
-        0 => 0,
-        held => held.saturating_add(error.0.saturating_mul(ERRORS)),
-    };
-    if size <= unsure || size <= sigma.0.saturating_mul(SIGMAS) {
+    let beyond = i64::from(size.saturating_sub(held));
+    let unsure =
+        held > 0 && beyond.saturating_mul(beyond) <= variance.saturating_mul(ERRORS * ERRORS);
+    if beyond <= 0 || unsure || size <= sigma.0.saturating_mul(SIGMAS) {
         return Force(0);
     }
     Force(mean.0.saturating_sub(held.saturating_mul(mean.0.signum())))
@@ -183,7 +183,7 @@ impl Taring {
                 }
                 *tare = offset(
                     mean,
-                    sums.error(self.frames),
+                    sums.variance(self.frames),
                     *held,
                     sums.sigma(self.frames),
                 );
@@ -226,12 +226,10 @@ impl Sums {
         self.spread(frames) > limit.saturating_mul(limit)
     }
 
-    /// The mean's standard error, if frames err each on its own.
-    fn error(&self, frames: u32) -> Force {
-        let frames = u64::from(frames.max(1));
-        let spread = self.spread(frames as u32).max(0) as u64;
-        let error = spread.isqrt() / (frames * frames.isqrt().max(1)).max(1);
-        Force(crate::fixed::clamped(error as i64))
+    /// Variance of the mean, if frames err each on its own.
+    fn variance(&self, frames: u32) -> i64 {
+        let frames = i64::from(frames.max(1));
+        self.spread(frames as u32) / frames.saturating_mul(frames).saturating_mul(frames)
     }
 
     /// The mean of what a network told.

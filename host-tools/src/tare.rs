@@ -81,8 +81,9 @@ impl Rest {
             let tare = [0, 1].map(|axis| {
                 let (mean, sigma) = (self.sums[axis].mean(), self.sigmas[axis].mean());
                 let error = self.sums[axis].std() / self.sums[axis].rows().sqrt();
-                let [m, e, h, s] = [mean, error, self.held_n[axis], sigma].map(raw);
-                offset(m, e, h, s).newtons()
+                let variance = (error * Force::PER_NEWTON).powi(2).round() as i64;
+                let [mean, held, sigma] = [mean, self.held_n[axis], sigma].map(raw);
+                offset(mean, variance, held, sigma).newtons()
             });
             self.found = Some((tare, length_s));
         }

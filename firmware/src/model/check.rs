@@ -11,11 +11,9 @@ mod walk;
 
 use core::hint::black_box;
 
-use crc::Digest;
-
 use super::network::Network;
 use super::table::Tables;
-use crate::checksum::CRC32;
+use crate::checksum::{CRC32, Digest32};
 
 /// Fields one by one, as words of 32 bits.
 pub trait Walk {
@@ -36,7 +34,7 @@ pub fn sum(of: &impl Walk) -> u32 {
     digest.finalize()
 }
 
-fn take(digest: &mut Digest<'static, u32>, of: &impl Walk, from: usize, to: usize) {
+fn take(digest: &mut Digest32, of: &impl Walk, from: usize, to: usize) {
     for at in from..to {
         digest.update(&of.word(at).to_le_bytes());
     }
@@ -89,7 +87,7 @@ pub enum Found {
 #[derive(Clone, Default)]
 pub struct Scrub {
     at: usize,
-    digest: Option<Digest<'static, u32>>,
+    digest: Option<Digest32>,
 }
 
 impl Scrub {
