@@ -13,9 +13,9 @@
 //! - [`lessons`]: recordings as a recurrent network on the device sees them.
 //! - [`networks`]: recurrent networks in a replay.
 //! - [`board`]: the gripper's board in virtual time.
+//! - [`live`]: a gripper watched and recorded while it runs.
 //! - [`plant`]: the gripper's drive as physics.
 //! - [`drive`]: the firmware's control of the motor on that plant.
-//! - [`live`]: a gripper watched and recorded while it runs.
 //! - [`tare`]: what is told where nothing loads.
 //! - [`coverage`]: whether standard deviations mean what they say.
 //! - [`foreign`]: how surely the device notices a foreign magnet.

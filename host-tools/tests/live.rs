@@ -319,7 +319,7 @@ fn over_a_can_bus_come_the_readings_of_the_serial_line() {
     });
     let mut parameters = Parameters::DEFAULT;
     parameters.set(id::RAW, 1).unwrap();
-    parameters.set(id::FORCE_RATE, 500).unwrap();
+    parameters.set(id::FORCE_RATE, 250).unwrap();
     let program = Program {
         tables: built.chosen.tables.clone(),
         compensations: built.compensations.clone(),
@@ -339,7 +339,7 @@ fn over_a_can_bus_come_the_readings_of_the_serial_line() {
     let frames = can.heard.iter().filter_map(|(us, frame)| {
         packet(DEFAULT_NODE, frame.identifier(), frame.data()).map(|packet| (*us, packet))
     });
-    let on_bus = gathered(Rows::of_sets(2000), frames.collect());
+    let on_bus = gathered(Rows::of_sets(4000), frames.collect());
     let mut receiver = Receiver::default();
     let line = board.line.borrow();
     let packets = line.sent.iter().filter_map(|byte| receiver.take(*byte));
@@ -351,11 +351,24 @@ fn over_a_can_bus_come_the_readings_of_the_serial_line() {
         .iter()
         .position(|row| row.readings == on_bus[0].readings)
         .unwrap();
-    assert!(on_bus.len() > 740, "{}", on_bus.len());
-    for (row, tick) in on_bus.iter().zip(on_line[start..].iter().step_by(2)) {
-        assert_eq!(row.readings, tick.readings);
-        assert_eq!(row.time_us, tick.time_us - on_line[start].time_us);
+    assert!(on_bus.len() > 370, "{}", on_bus.len());
+    // The bus tells no time: that comes from its counters. Either may leave a tick out, and then no later
+    // one may be taken for it.
+    let begun_us = on_line[start].time_us;
+    let mut compared = 0;
+    for row in &on_bus {
+        let at_once = |tick: &&Row| tick.time_us - begun_us == row.time_us;
+        if let Some(tick) = on_line[start..].iter().find(at_once) {
+            assert_eq!(row.readings, tick.readings, "{} us", row.time_us);
+            compared += 1;
+        }
     }
+    assert!(
+        compared > on_bus.len() * 95 / 100,
+        "{compared} of {} and {}",
+        on_bus.len(),
+        on_line.len()
+    );
 }
 
 #[test]

@@ -167,7 +167,7 @@ fn decode(bytes: &mut [u8]) -> Option<Packet> {
 /// Whether a message has the copy that the packet names: another one would be a message of another number.
 const fn is_sound(packet: &Packet) -> bool {
     match packet {
-        Packet::Message { copy, message } => *copy < message.layout().copies,
+        Packet::Message { copy, message } => *copy < message.copies(),
         Packet::Tick(_) => true,
     }
 }
