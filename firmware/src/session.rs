@@ -109,8 +109,10 @@ pub struct Session {
     offer: Option<Offer>,
     open: Option<Open>,
     dropped: Dropped,
-    /// When the latest frames were dropped, newest last; `None` before there were so many.
+    /// When the latest frames were dropped, in a ring; `None` before there were so many.
     latest: [Option<u32>; FLOOD],
+    /// Where the oldest of them stands.
+    oldest: usize,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -142,6 +144,7 @@ impl Session {
                 late: 0,
             },
             latest: [None; FLOOD],
+            oldest: 0,
         }
     }
 
@@ -222,7 +225,7 @@ impl Session {
 
     /// Whether so many frames were dropped lately that the sender is broken or strange.
     pub fn is_flooded(&self, now_ms: u32) -> bool {
-        let [oldest, ..] = self.latest;
+        let oldest = self.latest.get(self.oldest).copied().flatten();
         oldest.is_some_and(|at_ms| now_ms.wrapping_sub(at_ms) <= FLOOD_MS)
     }
 
@@ -302,9 +305,10 @@ impl Session {
 
     /// Remembers when a frame was dropped.
     fn note(&mut self, now_ms: u32) {
-        self.latest.rotate_left(1);
-        let [.., newest] = &mut self.latest;
-        *newest = Some(now_ms);
+        if let Some(oldest) = self.latest.get_mut(self.oldest) {
+            *oldest = Some(now_ms);
+        }
+        self.oldest = (self.oldest + 1) % FLOOD;
     }
 }
 

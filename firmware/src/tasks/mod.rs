@@ -11,6 +11,7 @@ use embassy_stm32::usart::{RingBufferedUartRx, UartTx};
 use embassy_stm32::{interrupt, peripherals, rng};
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_time::{Duration, Ticker};
+use static_cell::StaticCell;
 
 use crate::estimator::{Estimator, Running};
 use crate::events::Event;
@@ -40,8 +41,10 @@ use crate::wire::messages::Version;
 const LIMITS: Limits = Limits::GRIPPER;
 /// The motor and screw that are assumed.
 const MOTOR: Settings = Settings::assumed(Screw::A);
-/// Between the loops; the writers stand beside each part.
-static EXCHANGE: Exchange<CriticalSectionRawMutex> = Exchange::new();
+/// Between the loops; the writers stand beside each part. Made at the start: as a constant it would lie in
+/// flash as well, two kilobytes of it.
+static EXCHANGE: StaticCell<Exchange<CriticalSectionRawMutex>> = StaticCell::new();
+type Shared = &'static Exchange<CriticalSectionRawMutex>;
 /// Sensing and estimating; its interrupt belongs to no peripheral in use.
 static UPPER: InterruptExecutor = InterruptExecutor::new();
 /// Below the interrupts of the buses, above thread mode.
@@ -59,6 +62,7 @@ fn FMAC() {
 
 /// Starts every task.
 pub async fn start(spawner: Spawner, board: Board) {
+    let exchange: Shared = EXCHANGE.init_with(Exchange::new);
     let (boot, crash) = crash::take();
     info!(
         "start {}, tables {:04x}, {} sensors",
@@ -69,7 +73,7 @@ pub async fn start(spawner: Spawner, board: Board) {
     if let Some(crash) = crash {
         let mut faults = Faults::default();
         let detail = (crash.kind.number() << 24) | (crash.pc.max(crash.line) & 0x00FF_FFFF);
-        EXCHANGE.note(
+        exchange.note(
             Finder::Crash,
             &mut faults,
             (Fault::Crashed, 0),
@@ -78,34 +82,38 @@ pub async fn start(spawner: Spawner, board: Board) {
         );
     }
     let mut store = board.store;
-    let loaded = loops::begin(&mut store, &EXCHANGE).await;
-    let parameters = EXCHANGE.parameters();
+    let loaded = loops::begin(&mut store, exchange).await;
+    let parameters = exchange.parameters();
     let (sender, receiver) = board.can;
     sender.listen_as(parameters.node());
     let (out, into) = board.line;
     let line = drive::start(board.drive, MOTOR);
     interrupt::FMAC.set_priority(LEVEL);
     let upper = UPPER.start(interrupt::FMAC);
-    upper.spawn(unwrap!(sense(board.sensor_buses, parameters.addresses())));
-    upper.spawn(unwrap!(estimate(line)));
+    upper.spawn(unwrap!(sense(
+        exchange,
+        board.sensor_buses,
+        parameters.addresses()
+    )));
+    upper.spawn(unwrap!(estimate(exchange, line)));
     let watchdog = Watchdog::start(board.watchdog);
-    spawner.spawn(unwrap!(feed(watchdog)));
-    spawner.spawn(unwrap!(scrub()));
-    spawner.spawn(unwrap!(report(sender, parameters.node())));
-    spawner.spawn(unwrap!(telemetry(out)));
-    spawner.spawn(unwrap!(listen(receiver)));
-    spawner.spawn(unwrap!(listen_serial(into, parameters.node())));
-    spawner.spawn(unwrap!(command(store, loaded, board.rng)));
+    spawner.spawn(unwrap!(feed(exchange, watchdog)));
+    spawner.spawn(unwrap!(scrub(exchange)));
+    spawner.spawn(unwrap!(report(exchange, sender, parameters.node())));
+    spawner.spawn(unwrap!(telemetry(exchange, out)));
+    spawner.spawn(unwrap!(listen(exchange, receiver)));
+    spawner.spawn(unwrap!(listen_serial(exchange, into, parameters.node())));
+    spawner.spawn(unwrap!(command(exchange, store, loaded, board.rng)));
 }
 
 #[embassy_executor::task]
-async fn sense(buses: [BoardBus; 2], addresses: [u8; SENSORS]) {
-    loops::sense::<A31301, _, _, _>(buses, addresses, &LIMITS, &BoardClock, &EXCHANGE).await;
+async fn sense(exchange: Shared, buses: [BoardBus; 2], addresses: [u8; SENSORS]) {
+    loops::sense::<A31301, _, _, _>(buses, addresses, &LIMITS, &BoardClock, exchange).await;
 }
 
 /// Nobody orders the drive yet: it stays disarmed, and what it tells is the rest of its line.
 #[embassy_executor::task]
-async fn estimate(mut line: Line) {
+async fn estimate(exchange: Shared, mut line: Line) {
     let estimator = Estimator::new(&TABLES, Running::start(&NETWORKS));
     let mut around = Surroundings::default();
     let around = move || {
@@ -114,45 +122,46 @@ async fn estimate(mut line: Line) {
         }
         around
     };
-    loops::estimate(estimator, around, &LIMITS, &BoardClock, &EXCHANGE).await;
+    loops::estimate(estimator, around, &LIMITS, &BoardClock, exchange).await;
 }
 
 #[embassy_executor::task]
-async fn feed(mut watchdog: Watchdog) {
+async fn feed(exchange: Shared, mut watchdog: Watchdog) {
     let mut ticker = Ticker::every(Duration::from_millis(FED_EVERY_MS.into()));
     loop {
         ticker.next().await;
-        watchdog.feed(&EXCHANGE.progress);
+        watchdog.feed(&exchange.progress);
     }
 }
 
 #[embassy_executor::task]
-async fn scrub() {
-    loops::scrub(&TABLES, &NETWORKS, &BoardClock, &EXCHANGE).await;
+async fn scrub(exchange: Shared) {
+    loops::scrub(&TABLES, &NETWORKS, &BoardClock, exchange).await;
 }
 
 #[embassy_executor::task]
-async fn report(can: Sender, node: u16) {
-    loops::report(can, (node, version()), log, &BoardClock, &EXCHANGE).await;
+async fn report(exchange: Shared, can: Sender, node: u16) {
+    loops::report(can, (node, version()), log, &BoardClock, exchange).await;
 }
 
 #[embassy_executor::task]
-async fn telemetry(line: UartTx<'static, Async>) {
-    loops::telemetry(line, &EXCHANGE).await;
+async fn telemetry(exchange: Shared, line: UartTx<'static, Async>) {
+    loops::telemetry(line, exchange).await;
 }
 
 #[embassy_executor::task]
-async fn listen(can: Receiver) {
-    loops::listen(can, &LIMITS, &BoardClock, &EXCHANGE).await;
+async fn listen(exchange: Shared, can: Receiver) {
+    loops::listen(can, &LIMITS, &BoardClock, exchange).await;
 }
 
 #[embassy_executor::task]
-async fn listen_serial(line: RingBufferedUartRx<'static>, node: u16) {
-    loops::listen_serial(line, node, &LIMITS, &BoardClock, &EXCHANGE).await;
+async fn listen_serial(exchange: Shared, line: RingBufferedUartRx<'static>, node: u16) {
+    loops::listen_serial(line, node, &LIMITS, &BoardClock, exchange).await;
 }
 
 #[embassy_executor::task]
 async fn command(
+    exchange: Shared,
     store: Store<Pages>,
     loaded: Loaded,
     mut rng: rng::Rng<'static, peripherals::RNG>,
@@ -164,7 +173,7 @@ async fn command(
         random: move || rng.next_u32() as u16,
         reboot: || cortex_m::peripheral::SCB::sys_reset(),
     };
-    loops::command(desk, &BoardClock, &EXCHANGE).await;
+    loops::command(desk, &BoardClock, exchange).await;
 }
 
 fn version() -> Version {
