@@ -3,8 +3,8 @@
 - The vector table stands at the start of flash and points into RAM and flash.
 - The stack lies at the start of RAM, below the statics; a fault of the core and the non-maskable interrupt
   end in the firmware's own handlers; the record of a crash is in memory that the start leaves alone.
-- From the model's entry no panic is reachable, and no call whose target is unknown; the stack of the
-  deepest way is printed.
+- From the models' entries and from the motor's interrupt no panic is reachable, and no call whose target is
+  unknown; the stack of the deepest way is printed.
 - The kernels lie in the memory beside the core; their code, with the tables of the activations, and
   their stack stay within bounds.
 
@@ -26,12 +26,14 @@ RAM = range(0x2000_4000, 0x2001_8000)
 CCM = range(0x1000_0000, 0x1000_8000)
 ENTRY = "firmware::force::estimate_all"
 DETECTOR = "firmware::foreign::Detector::watch"
+# The motor's interrupt, with the control's ticks in it.
+DRIVE = "ADC1_2"
 # Absent from an image without networks.
 NETWORKS = "firmware::recurrent::apply"
 TABLES = "firmware::model::activation::TABLES"
 RECORD = "firmware::hardware::crash::RECORD"
 # Most bytes: of a recurrent network's kernel with its tables, of a kernel's stack, and of the stack from
-# the model's entry down (a task's own stack and interrupts come on top; 16 KiB hold all).
+# an entry down (a task's own stack and interrupts come on top; 16 KiB hold all).
 CODE_LIMIT, KERNEL_STACK_LIMIT, STACK_LIMIT = 7 * 1024, 200, 1280
 
 
@@ -161,16 +163,16 @@ def check_kernels(elf, sections):
 def check_no_panic(elf):
     found = functions(elf)
     starts = sorted(found)
-    entries = [address for address, (name, _) in found.items() if name.startswith((ENTRY, DETECTOR, NETWORKS))]
+    entries = [address for address, (name, _) in found.items() if name.startswith((ENTRY, DETECTOR, NETWORKS, DRIVE))]
     waiting = list(entries)
-    for entry in (ENTRY, DETECTOR):
+    for entry in (ENTRY, DETECTOR, DRIVE):
         if not any(found[address][0].startswith(entry) for address in entries):
             sys.exit(f"{elf}: {entry} is not in the image")
     reached = set()
     while waiting:
         target = waiting.pop()
         if target is None:
-            sys.exit(f"{elf}: a call through a pointer is reachable from {ENTRY}: where it goes is not known")
+            sys.exit(f"{elf}: a call through a pointer is reachable from the entries: where it goes is not known")
         place = bisect.bisect_right(starts, target) - 1
         if place < 0:
             sys.exit(f"{elf}: a call to {target:#x} leads out of the image")
@@ -180,9 +182,9 @@ def check_no_panic(elf):
         reached.add(address)
         name, targets = found[address]
         if "panic" in name or "unwrap_failed" in name or "expect_failed" in name:
-            sys.exit(f"{elf}: {name} is reachable from {ENTRY}")
+            sys.exit(f"{elf}: {name} is reachable from the entries")
         waiting.extend(targets)
-    print(f"no panic among the {len(reached)} functions reachable from the models' entries")
+    print(f"no panic among the {len(reached)} functions reachable from the models' entries and the motor's interrupt")
     for entry in entries:
         name, stack = found[entry][0], deepest(entry, found, starts, stacks(elf), {})
         print(f"{stack} bytes of stack from {name} down")

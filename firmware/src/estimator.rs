@@ -1,6 +1,6 @@
 //! A frame in, forces out: the ideal model, the networks over it, and the watch for foreign magnets.
 
-use crate::compensate::Memory;
+use crate::compensate::{Compensation, Memory};
 use crate::force::{Estimate, estimate_all};
 use crate::foreign::Detector;
 use crate::frame::{Frame, SENSORS};
@@ -9,6 +9,7 @@ use crate::model::network::Network;
 use crate::model::table::Tables;
 use crate::recurrent;
 use crate::surroundings::Surroundings;
+use crate::units::Force;
 
 /// Recurrent networks with what they remember.
 pub trait Networks {
@@ -85,5 +86,25 @@ impl<'t, N: Networks> Estimator<'t, N> {
         self.networks.apply(&mut estimates);
         self.detector.watch(&ideal, &mut estimates);
         estimates
+    }
+
+    /// What friction may hold at rest at every sensor ([`crate::tare`]).
+    pub fn held(&self) -> [[Force; 2]; SENSORS] {
+        let mut number = 0;
+        [(); SENSORS].map(|()| {
+            let compensation = self.tables.compensation(number);
+            number += 1;
+            compensation.map_or([Force(0); 2], Compensation::held)
+        })
+    }
+
+    /// The networks with what they remember.
+    pub fn networks(&mut self) -> &mut N {
+        &mut self.networks
+    }
+
+    /// The watch for foreign magnets.
+    pub fn detector(&self) -> &Detector {
+        &self.detector
     }
 }

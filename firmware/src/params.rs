@@ -249,11 +249,13 @@ pub const COGGING: Constant = assumed("cogging torque", 0.003, "N m", "half a pe
 /// Periods of the cogging torque in a turn.
 pub const COGGING_PERIODS: Constant =
     assumed("cogging periods", 84.0, "1/rev", "12 slots, 14 poles");
-/// Play between screw and nut, as it shows in the opening.
-pub const BACKLASH: Constant = assumed("backlash", 0.03, "mm", "20 to 50 um are common");
 /// Stiffness of screws and nuts, as it shows in the opening.
-pub const SCREW_STIFFNESS: Constant =
-    assumed("screw stiffness", 20.0, "kN/mm", "steel in bronze, both screws");
+pub const SCREW_STIFFNESS: Constant = assumed(
+    "screw stiffness",
+    20.0,
+    "kN/mm",
+    "steel in bronze, both screws",
+);
 /// Mass of one finger with its carriage.
 pub const FINGER_MASS: Constant = assumed("finger mass", 0.2, "kg", "the paper states none");
 /// Friction of one finger's guide.
@@ -273,8 +275,12 @@ pub const CURRENT_OFFSET: Constant =
 pub const ENCODER_NOISE: Constant =
     assumed("rotor angle noise", 0.02, "deg", "one count of 14 bits");
 /// Error of the rotor's angle once a turn.
-pub const ENCODER_ECCENTRICITY: Constant =
-    assumed("rotor angle error", 0.2, "deg", "magnet off centre by 0.1 mm");
+pub const ENCODER_ECCENTRICITY: Constant = assumed(
+    "rotor angle error",
+    0.2,
+    "deg",
+    "magnet off centre by 0.1 mm",
+);
 /// Stiffness of the hardest contact: two flexures of 667 N/mm behind each other.
 pub const CONTACT_STIFFNESS: Constant =
     assumed("hardest contact", 333.0, "N/mm", "control study");
@@ -355,7 +361,6 @@ pub const CARD: &[Constant] = &[
     STRIBECK_SPEED,
     COGGING,
     COGGING_PERIODS,
-    BACKLASH,
     SCREW_STIFFNESS,
     FINGER_MASS,
     GUIDE_FRICTION,

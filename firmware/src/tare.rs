@@ -5,6 +5,11 @@
 //! foreign magnet near, and the load at rest ([`params::TARE_SPREAD`]). A load that rests looks like no
 //! load: that nothing is gripped is for the host to see to. A network's standard deviation stays as it was
 //! told: a tare of so many frames adds a sixteenth of a frame's noise.
+//!
+//! A gripper that was loaded before is not where it would be without friction: what it tells at rest is
+//! what friction holds, and no error of zero. Nor is what a network's own standard deviation allows for:
+//! its error at rest is another than under load. To take these off would put them into every estimate
+//! afterwards, so they are left alone ([`is_offset`]).
 
 use crate::force::{Estimate, Validity};
 use crate::frame::SENSORS;
@@ -21,6 +26,18 @@ pub const GREATEST: Force = Force((params::FORCE_RANGE.value * Force::PER_NEWTON
 /// A force is followed up to this far from the first frame's: a thousand newtons. The sums of so many
 /// squares then stay far below the end of 64 bits.
 const FOLLOWED: i64 = 1 << 20;
+
+/// Standard errors by which the mean of a rest may be off, and standard deviations by which a network may.
+const ERRORS: i32 = 3;
+const SIGMAS: i32 = 2;
+
+/// Whether the mean of a rest, known to the standard error `error`, is more than friction may hold and
+/// more than a network that told `sigma` may be off by.
+pub fn is_offset(mean: Force, error: Force, held: Force, sigma: Force) -> bool {
+    let size = mean.0.saturating_abs();
+    let surely = size.saturating_sub(error.0.saturating_mul(ERRORS));
+    (held.0 <= 0 || surely > held.0) && size > sigma.0.saturating_mul(SIGMAS)
+}
 
 /// What is taken off the forces, lateral and longitudinal at each sensor.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -104,11 +121,21 @@ pub enum Step {
 /// Gathers a tare, from a command to its end.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Taring {
+    /// What friction may hold at rest.
+    held: [[Force; 2]; SENSORS],
     frames: u32,
     sums: [[Sums; 2]; SENSORS],
 }
 
 impl Taring {
+    /// Where friction may hold so much.
+    pub fn new(held: [[Force; 2]; SENSORS]) -> Self {
+        Self {
+            held,
+            ..Self::default()
+        }
+    }
+
     /// Takes one frame's estimates, before any tare. After the end of a tare it is used up.
     pub fn take(&mut self, estimates: &[Estimate; SENSORS]) -> Step {
         for (sensor, estimate) in (0_u8..).zip(estimates) {
@@ -121,8 +148,11 @@ impl Taring {
             return Step::Refused(refusal);
         }
         for (sums, estimate) in self.sums.iter_mut().zip(estimates) {
-            for (sums, force) in sums.iter_mut().zip(estimate.force) {
-                sums.add(self.frames, force);
+            let sigmas = estimate.sigma.unwrap_or_default();
+            for (sums, (force, sigma)) in
+                sums.iter_mut().zip(estimate.force.into_iter().zip(sigmas))
+            {
+                sums.add(self.frames, force, sigma);
             }
         }
         self.frames = self.frames.saturating_add(1);
@@ -134,14 +164,23 @@ impl Taring {
 
     fn close(&self) -> Step {
         let mut tare = Tare::NONE;
-        for (sensor, (tare, sums)) in (0_u8..).zip(tare.0.iter_mut().zip(&self.sums)) {
-            for (tare, sums) in tare.iter_mut().zip(sums) {
+        let sensors = tare.0.iter_mut().zip(&self.sums).zip(&self.held);
+        for (sensor, ((tare, sums), held)) in (0_u8..).zip(sensors) {
+            for ((tare, sums), held) in tare.iter_mut().zip(sums).zip(held) {
                 if sums.is_spread(self.frames) {
                     return Step::Refused(Refusal::Moving { sensor });
                 }
-                *tare = sums.mean(self.frames);
-                if tare.0.saturating_abs() > GREATEST.0 {
+                let mean = sums.mean(self.frames);
+                if mean.0.saturating_abs() > GREATEST.0 {
                     return Step::Refused(Refusal::TooLarge { sensor });
+                }
+                if is_offset(
+                    mean,
+                    sums.error(self.frames),
+                    *held,
+                    sums.sigma(self.frames),
+                ) {
+                    *tare = mean;
                 }
             }
         }
@@ -155,27 +194,46 @@ struct Sums {
     first: Force,
     sum: i64,
     squares: i64,
+    sigmas: i64,
 }
 
 impl Sums {
-    fn add(&mut self, frames: u32, force: Force) {
+    fn add(&mut self, frames: u32, force: Force, sigma: Force) {
         if frames == 0 {
             self.first = force;
         }
         let apart = (i64::from(force.0) - i64::from(self.first.0)).clamp(-FOLLOWED, FOLLOWED);
         self.sum = self.sum.saturating_add(apart);
         self.squares = self.squares.saturating_add(apart * apart);
+        self.sigmas = self.sigmas.saturating_add(i64::from(sigma.0.max(0)));
     }
 
-    /// Whether the standard deviation is above [`SPREAD`]: n sum(x^2) - sum(x)^2 against n^2 limit^2, without a
-    /// root or a division.
-    fn is_spread(&self, frames: u32) -> bool {
-        let frames = i64::from(frames);
-        let limit = frames.saturating_mul(SPREAD.0.into());
-        let spread = frames
+    /// Square of the number of frames times the standard deviation: n sum(x^2) - sum(x)^2.
+    fn spread(&self, frames: u32) -> i64 {
+        i64::from(frames)
             .saturating_mul(self.squares)
-            .saturating_sub(self.sum.saturating_mul(self.sum));
-        spread > limit.saturating_mul(limit)
+            .saturating_sub(self.sum.saturating_mul(self.sum))
+    }
+
+    /// Whether the standard deviation is above [`SPREAD`].
+    fn is_spread(&self, frames: u32) -> bool {
+        let limit = i64::from(frames).saturating_mul(SPREAD.0.into());
+        self.spread(frames) > limit.saturating_mul(limit)
+    }
+
+    /// The mean's standard error, if frames err each on its own.
+    fn error(&self, frames: u32) -> Force {
+        let frames = u64::from(frames.max(1));
+        let spread = self.spread(frames as u32).max(0) as u64;
+        let error = spread.isqrt() / (frames * frames.isqrt().max(1)).max(1);
+        Force(crate::fixed::clamped(error as i64))
+    }
+
+    /// The mean of what a network told.
+    fn sigma(&self, frames: u32) -> Force {
+        Force(crate::fixed::clamped(
+            self.sigmas / i64::from(frames.max(1)),
+        ))
     }
 
     /// Rounded to the nearest, halves upwards.
@@ -234,6 +292,39 @@ mod tests {
         assert_eq!(loaded[0].force, [Force(98_974), Force(3)]);
         assert_eq!(loaded[3].force, [Force(96_928), Force(-5)]);
         assert_eq!(loaded[2], Estimate::MISSING);
+    }
+
+    /// The tare of a steady force at sensor 0 with noise of `noise` in turn, friction and sigma as given.
+    fn tare_of(force: i32, noise: i32, held: i32, sigma: Option<i32>) -> i32 {
+        let mut taring = Taring::new([[Force(held); 2]; SENSORS]);
+        for tick in 0..FRAMES {
+            let sign = if tick % 2 == 0 { 1 } else { -1 };
+            let mut estimates = frame(|_| [force + sign * noise; 2]);
+            estimates[0].sigma = sigma.map(|sigma| [Force(sigma); 2]);
+            if let Step::Done(tare) = taring.take(&estimates) {
+                return tare.0[0][0].0;
+            }
+        }
+        panic!("no tare");
+    }
+
+    #[test]
+    fn what_friction_may_hold_at_rest_is_left_alone_and_more_is_taken_off_whole() {
+        // Half a newton held, and half a newton of noise: three standard errors of it are 96.
+        assert_eq!(tare_of(512, 0, 512, None), 0);
+        assert_eq!(tare_of(-512, 0, 512, None), 0);
+        assert_eq!(tare_of(513, 0, 512, None), 513);
+        assert_eq!(tare_of(608, 512, 512, None), 0);
+        assert_eq!(tare_of(-609, 512, 512, None), -609);
+    }
+
+    #[test]
+    fn what_a_network_s_own_sigma_allows_for_is_left_alone() {
+        assert_eq!(tare_of(600, 0, 0, Some(300)), 0);
+        assert_eq!(tare_of(601, 0, 0, Some(300)), 601);
+        // Where it tells no sigma, or none worth the name, every offset counts.
+        assert_eq!(tare_of(1, 0, 0, None), 1);
+        assert_eq!(tare_of(1, 0, 0, Some(0)), 1);
     }
 
     #[test]

@@ -6,7 +6,8 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 use crate::commands::{
-    add, compare, dbc, demo, diagnose, drop, effects, export, fit, import, replay, simulate, train,
+    add, compare, dbc, demo, diagnose, drop, effects, export, fit, grip, import, replay, simulate,
+    train,
 };
 
 /// Turns four Hall sensors in a robot gripper into forces one can trust, and tells which piece of
@@ -33,6 +34,7 @@ enum Command {
     Simulate(simulate::Args),
     Train(train::Args),
     Dbc(dbc::Args),
+    Grip(grip::Args),
 }
 
 /// Runs one command; errors go to stderr as one sentence.
@@ -55,6 +57,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Simulate(args) => simulate::run(&args),
         Command::Train(args) => train::run(&args),
         Command::Dbc(args) => dbc::run(&args),
+        Command::Grip(args) => grip::run(&args),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

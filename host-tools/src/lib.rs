@@ -12,6 +12,8 @@
 //! - [`lessons`]: recordings as a recurrent network on the device sees them.
 //! - [`networks`]: recurrent networks in a replay.
 //! - [`board`]: the gripper's board in virtual time.
+//! - [`plant`]: the gripper's drive as physics.
+//! - [`drive`]: the firmware's control of the motor on that plant.
 //! - [`tare`]: what is told where nothing loads.
 //! - [`coverage`]: whether standard deviations mean what they say.
 //! - [`foreign`]: how surely the device notices a foreign magnet.
@@ -28,10 +30,12 @@ pub mod commands;
 pub mod compare;
 pub mod coverage;
 pub mod diagnose;
+pub mod drive;
 pub mod findings;
 pub mod foreign;
 pub mod lessons;
 pub mod networks;
+pub mod plant;
 pub mod progress;
 pub mod replay;
 pub mod report;

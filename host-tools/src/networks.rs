@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
-use firmware::estimator;
+use firmware::estimator::{self, Networks as _};
 use firmware::force::{Estimate, Validity};
 use firmware::frame::SENSORS;
 use firmware::units::Field;
@@ -93,6 +93,11 @@ impl Networks {
             .any(|recorded| !recorded.held_out && recorded.sha256 == sha256)
     }
 
+    /// All of them after a reset, without floating point beside.
+    pub fn run(&self) -> OnDevice<'_> {
+        OnDevice(self.packed.iter().map(|packed| packed.run()).collect())
+    }
+
     /// All of them after a reset.
     pub fn start(&self) -> Underway<'_> {
         let floats = self.file.networks.iter().map(|network| Float {
@@ -102,7 +107,7 @@ impl Networks {
             warm_up: warm_up::steps(network),
         });
         Underway {
-            running: self.packed.iter().map(|packed| packed.run()).collect(),
+            running: self.run(),
             floats: floats.collect(),
             seen: Vec::new(),
             gauss_per_lsb: self.gauss_per_lsb,
@@ -111,9 +116,18 @@ impl Networks {
     }
 }
 
+/// What runs on the device, with what it remembers.
+pub struct OnDevice<'a>(Vec<Box<dyn Running + 'a>>);
+
+impl estimator::Networks for OnDevice<'_> {
+    fn apply(&mut self, frame: &mut [Estimate; SENSORS]) {
+        pack::apply(&mut self.0, frame);
+    }
+}
+
 /// Networks on their way through a recording.
 pub struct Underway<'a> {
-    running: Vec<Box<dyn Running + 'a>>,
+    running: OnDevice<'a>,
     floats: Vec<Float<'a>>,
     /// What the networks saw since [`Underway::forget`], a frame for each row.
     seen: Vec<[Estimate; SENSORS]>,
@@ -159,7 +173,7 @@ impl estimator::Networks for Underway<'_> {
             self.settle(frame);
         }
         self.seen.push(*frame);
-        pack::apply(&mut self.running, frame);
+        self.running.apply(frame);
     }
 }
 
@@ -168,7 +182,7 @@ impl Underway<'_> {
     fn settle(&mut self, frame: &[Estimate; SENSORS]) {
         let longest = self.floats.iter().map(|float| float.warm_up).max();
         for _ in 0..longest.unwrap_or(0) {
-            pack::apply(&mut self.running, &mut frame.clone());
+            self.running.apply(&mut frame.clone());
             for float in &mut self.floats {
                 float.step(frame, self.gauss_per_lsb);
             }

@@ -3,10 +3,9 @@
 use std::time::{Duration, Instant};
 
 use firmware::compensate::{Compensation, Memory};
-use firmware::estimator::Networks as _;
+use firmware::estimator::Estimator;
 use firmware::force::{Validity, estimate};
-use firmware::foreign::Detector;
-use firmware::hall::a31301;
+use firmware::frame::Frame;
 use firmware::units::{Field, Force};
 use model_export::inverse::build::Built;
 use model_export::inverse::compensation::OwnedCompensation;
@@ -23,7 +22,7 @@ use crate::networks::{FloatForce, Networks, Underway};
 pub use crate::sums::Sums;
 use crate::surroundings::Covariates;
 use crate::tare::{Rest, held_n};
-use crate::wiring::{Wiring, frame, reading, unframe, wire};
+use crate::wiring::{Wiring, reading, readings, wire};
 
 /// Rows that are read and estimated at once; only these two are timed.
 const CHUNK: usize = 4096;
@@ -223,9 +222,9 @@ pub fn replay_watched(
         .iter()
         .any(OwnedCompensation::needs_temperature);
     let covariates = Covariates::find(stream.layout(), models.design);
+    let mut estimator = Estimator::new(&tables, models.networks.map(Networks::start));
+    // Of sensors that the board has no place for.
     let mut memories = vec![Memory::default(); wiring.len()];
-    let mut networks = models.networks.map(Networks::start);
-    let mut detector = Detector::default();
     let mut disturbances = Disturbances::default();
     let mut first_s = None;
     let mut rows = Vec::with_capacity(CHUNK);
@@ -233,31 +232,25 @@ pub fn replay_watched(
     loop {
         rows.clear();
         estimates.clear();
-        networks.iter_mut().for_each(Underway::forget);
+        estimator.networks().iter_mut().for_each(Underway::forget);
         let start = Instant::now();
         while rows.len() < CHUNK
             && let Some(row) = stream.next_row()?
         {
             let around = covariates.at(&row);
-            let first = estimates.len();
+            let sensed = Frame {
+                readings: readings(&row, &wiring, models.gauss_per_lsb),
+                ..Frame::default()
+            };
+            let told = estimator.step(&sensed, &around);
+            disturbances.note(row.time_s, estimator.detector().flag());
             for (wires, memory) in wiring.iter().zip(&mut memories) {
-                let bytes = a31301::encode(reading(&row, wires, models.gauss_per_lsb));
-                estimates.push(estimate(
-                    &tables,
-                    wires.number as usize,
-                    Some(a31301::decode(bytes)),
-                    &around,
-                    memory,
-                ));
+                let number = wires.number as usize;
+                estimates.push(told.get(number).copied().unwrap_or_else(|| {
+                    let reading = Some(reading(&row, wires, models.gauss_per_lsb));
+                    estimate(&tables, number, reading, &around, memory)
+                }));
             }
-            let ideal = frame(&wiring, &estimates[first..]);
-            let mut told = ideal;
-            if let Some(networks) = &mut networks {
-                networks.apply(&mut told);
-            }
-            let flag = detector.watch(&ideal, &mut told);
-            disturbances.note(row.time_s, flag);
-            unframe(&wiring, &told, &mut estimates[first..]);
             rows.push(row);
         }
         result.spent += start.elapsed();
@@ -267,6 +260,7 @@ pub fn replay_watched(
         result.span_s = last.time_s - *first_s.get_or_insert(first.time_s);
         result.rows += rows.len() as u64;
         let estimates = estimates.chunks(wiring.len().max(1));
+        let networks = estimator.networks();
         for (at, (row, estimates)) in rows.iter().zip(estimates).enumerate() {
             let floats = networks.as_mut().map(|networks| networks.float(at));
             for (i, (wires, estimate)) in wiring.iter().zip(estimates).enumerate() {
@@ -306,15 +300,16 @@ pub fn replay_watched(
                             result.told[i][axis].push(told);
                         }
                     }
+                    let sigma_n = estimate.sigma.map(|sigma| sigma.map(Force::newtons));
                     for (rest, told) in rests[i].iter_mut().zip([found, floats_n]) {
-                        rest.add(row.time_s, reference, told);
+                        rest.add(row.time_s, reference, told, sigma_n);
                     }
                     watch(Observed {
                         sensor: i,
                         time_s: row.time_s,
                         reference_n: reference,
                         found_n: found,
-                        sigma_n: estimate.sigma.map(|sigma| sigma.map(Force::newtons)),
+                        sigma_n,
                     });
                 }
             }

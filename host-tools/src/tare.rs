@@ -1,10 +1,11 @@
 //! The tare: what is told where nothing loads.
 //!
-//! A gripper that was loaded before is not where it would be without friction: its flexures are held
-//! off by up to the friction's force, and what is told at rest is that force, which is no error of
-//! zero. To take it off would put it into every estimate. So what the model's friction may hold is left
-//! alone, and only more than that is tared. On a gripper the same is done with the unloaded fingers.
+//! On a gripper the same is done with the unloaded fingers, by a command; which means are left alone
+//! since friction or the network itself accounts for them, the device's own rule says
+//! ([`firmware::tare::is_offset`]).
 
+use firmware::tare::is_offset;
+use firmware::units::Force;
 use model_export::inverse::compensation::OwnedCompensation;
 
 use crate::sums::Sums;
@@ -15,9 +16,6 @@ const UNLOADED_N: f64 = 1.0;
 const TARE_S: f64 = 1.0;
 /// Shorter stretches are no rest, only a load that passes zero.
 const SHORTEST_TARE_S: f64 = 0.2;
-
-/// Standard errors by which a mean may be off.
-const ERRORS: f64 = 3.0;
 
 /// Friction that may be held at rest, Fx and Fz of a sensor in newtons; zero where the model knows none.
 pub fn held_n(compensations: &[OwnedCompensation], sensor: u32) -> [f64; 2] {
@@ -31,6 +29,7 @@ pub struct Rest {
     since_s: Option<f64>,
     last_s: f64,
     sums: [Sums; 2],
+    sigmas: [Sums; 2],
     held_n: [f64; 2],
     found: Option<([f64; 2], f64)>,
 }
@@ -44,8 +43,14 @@ impl Rest {
         }
     }
 
-    /// A row: the reference, and what is told of it.
-    pub fn add(&mut self, time_s: f64, reference_n: [f64; 2], found_n: [f64; 2]) {
+    /// A row: the reference, what is told of it, and the standard deviations where a network tells them.
+    pub fn add(
+        &mut self,
+        time_s: f64,
+        reference_n: [f64; 2],
+        found_n: [f64; 2],
+        sigma_n: Option<[f64; 2]>,
+    ) {
         if self.found.is_some() {
             return;
         }
@@ -64,19 +69,27 @@ impl Rest {
             for (sums, found) in self.sums.iter_mut().zip(found_n) {
                 sums.add(found);
             }
+            for (sums, sigma) in self.sigmas.iter_mut().zip(sigma_n.unwrap_or_default()) {
+                sums.add(sigma);
+            }
         }
     }
 
     fn close(&mut self) {
         let length_s = self.last_s - self.since_s.unwrap_or(self.last_s);
         if length_s >= SHORTEST_TARE_S {
-            let tare = [0, 1].map(|axis| beyond(self.sums[axis], self.held_n[axis]));
+            let tare = [0, 1].map(|axis| {
+                let (mean, sigma) = (self.sums[axis].mean(), self.sigmas[axis].mean());
+                let error = self.sums[axis].std() / self.sums[axis].rows().sqrt();
+                let [m, e, h, s] = [mean, error, self.held_n[axis], sigma].map(raw);
+                if is_offset(m, e, h, s) { mean } else { 0.0 }
+            });
             self.found = Some((tare, length_s));
         }
     }
 
-    /// Mean of what was told over the stretch, zero where friction may hold as much, and the stretch's
-    /// length in seconds.
+    /// Mean of what was told over the stretch, zero where it is no offset, and the stretch's length in
+    /// seconds.
     pub fn tare(mut self) -> Option<([f64; 2], f64)> {
         if self.found.is_none() {
             self.close();
@@ -85,14 +98,9 @@ impl Rest {
     }
 }
 
-/// The mean; zero where friction may hold as much.
-fn beyond(sums: Sums, held_n: f64) -> f64 {
-    let mean = sums.mean();
-    let surely = mean.abs() - ERRORS * sums.std() / sums.rows().sqrt();
-    match held_n > 0.0 && surely <= held_n {
-        true => 0.0,
-        false => mean,
-    }
+/// In the device's unit.
+fn raw(newtons: f64) -> Force {
+    Force((newtons * Force::PER_NEWTON).round() as i32)
 }
 
 #[cfg(test)]
@@ -102,7 +110,7 @@ mod tests {
     fn rest_of(rows: impl IntoIterator<Item = (f64, f64, f64)>) -> Option<([f64; 2], f64)> {
         let mut rest = Rest::default();
         for (time_s, reference, found) in rows {
-            rest.add(time_s, [reference, 0.0], [found, 2.0 * found]);
+            rest.add(time_s, [reference, 0.0], [found, 2.0 * found], None);
         }
         rest.tare()
     }
@@ -128,7 +136,8 @@ mod tests {
             for ms in 0..1500 {
                 // Half a newton, told with noise.
                 let noise = if ms % 2 == 0 { 0.1 } else { -0.1 };
-                rest.add(f64::from(ms) * 1e-3, [0.0; 2], [0.5 + noise, -0.5 + noise]);
+                let told = [0.5 + noise, -0.5 + noise];
+                rest.add(f64::from(ms) * 1e-3, [0.0; 2], told, None);
             }
             rest.tare().unwrap().0.map(|n| (n * 1e6).round() / 1e6)
         };
@@ -136,6 +145,24 @@ mod tests {
         assert_eq!(tare([0.6, 0.4]), [0.0, -0.5]);
         // As much as the noise of the mean beyond it says nothing: 3 * 0.1 / sqrt(1000) is 0.0095.
         assert_eq!(tare([0.495, 0.48]), [0.0, -0.5]);
+    }
+
+    #[test]
+    fn what_a_network_allows_for_is_no_tare() {
+        let tare = |sigma_n: f64| {
+            let mut rest = Rest::default();
+            for ms in 0..1500 {
+                rest.add(
+                    f64::from(ms) * 1e-3,
+                    [0.0; 2],
+                    [0.5, 0.0],
+                    Some([sigma_n; 2]),
+                );
+            }
+            rest.tare().unwrap().0[0]
+        };
+        assert_eq!(tare(0.26), 0.0);
+        assert_eq!(tare(0.24), 0.5);
     }
 
     #[test]

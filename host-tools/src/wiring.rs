@@ -1,6 +1,5 @@
 //! A recording's row as the readings of the device's sensors.
 
-use firmware::force::Estimate;
 use firmware::frame::SENSORS;
 use firmware::hall::{Reading, a31301};
 use firmware::params;
@@ -48,26 +47,6 @@ pub fn wire(numbers: &[u32], stream: &RawStream) -> Vec<Wiring> {
     wires.collect()
 }
 
-/// The estimates of one row, in the order of the wiring, as the device's frame.
-pub fn frame(wiring: &[Wiring], estimates: &[Estimate]) -> [Estimate; SENSORS] {
-    let mut frame = [Estimate::MISSING; SENSORS];
-    for (wires, estimate) in wiring.iter().zip(estimates) {
-        if let Some(place) = frame.get_mut(wires.number as usize) {
-            *place = *estimate;
-        }
-    }
-    frame
-}
-
-/// A frame's estimates back in the order of the wiring.
-pub fn unframe(wiring: &[Wiring], frame: &[Estimate; SENSORS], estimates: &mut [Estimate]) {
-    for (wires, estimate) in wiring.iter().zip(estimates) {
-        if let Some(told) = frame.get(wires.number as usize) {
-            *estimate = *told;
-        }
-    }
-}
-
 /// The sensor's word of a field in gauss: one beyond the range stays at its end, as the sensor itself.
 pub fn counts(gauss: f64, gauss_per_lsb: f64) -> i16 {
     let (least, greatest) = a31301::FIELD_LIMITS;
@@ -92,6 +71,18 @@ pub fn reading(row: &RawRow, wires: &Wiring, gauss_per_lsb: f64) -> Reading {
             .map(|channel| counts(row.hall[channel], gauss_per_lsb)),
         temperature: temperature(row, wires),
     }
+}
+
+/// What the board reads of its own sensors in this row, from the bytes on their buses.
+pub fn readings(row: &RawRow, wiring: &[Wiring], gauss_per_lsb: f64) -> [Option<Reading>; SENSORS] {
+    let mut readings = [None; SENSORS];
+    for wires in wiring {
+        if let Some(place) = readings.get_mut(wires.number as usize) {
+            let bytes = a31301::encode(reading(row, wires, gauss_per_lsb));
+            *place = Some(a31301::decode(bytes));
+        }
+    }
+    readings
 }
 
 #[cfg(test)]

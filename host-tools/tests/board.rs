@@ -3,7 +3,7 @@
 mod desk;
 
 use std::collections::HashMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::atomic::Ordering::Relaxed;
 
 use desk::Desk;
@@ -19,23 +19,48 @@ use firmware::wire::serial::{Packet, Receiver, Tick};
 use firmware::wire::{DEFAULT_NODE, identifier};
 use host_tools::board::recorded::Recorded;
 use host_tools::board::{Board, Program};
+use host_tools::networks::Networks;
 use host_tools::replay::{Models, replay_watched};
 use model_export::inverse::build::{Built, Variant, build};
 use model_export::recordings::align::Alignment;
 use model_export::recordings::description::Description;
 use model_export::recordings::raw::RawStream;
+use tests::{data, recordings};
 
 const RECORDING_S: f64 = 12.0;
 
-fn data(campaign: &str) -> PathBuf {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data");
-    root.join(campaign)
+/// What runs, made on a desk from a campaign.
+struct Made {
+    built: Built,
+    networks: Option<Networks>,
 }
 
-fn built(desk: &Desk, campaign: &str) -> Built {
-    let folder = data(campaign);
-    desk.done(&format!("fit {} -o model.toml", folder.display()));
-    build(&desk.0.path().join("model.toml"), Variant::Fitted).unwrap()
+/// A plain fit.
+fn fitted(desk: &Desk, campaign: &Path) -> Made {
+    desk.done(&format!("fit {} -o model.toml", campaign.display()));
+    let built = build(&desk.0.path().join("model.toml"), Variant::Fitted).unwrap();
+    Made {
+        built,
+        networks: None,
+    }
+}
+
+/// With effects that the device undoes and networks behind them.
+fn taught(desk: &Desk, campaign: &Path) -> Made {
+    let campaign = campaign.display();
+    desk.done(&format!("fit {campaign} -o base.toml"));
+    desk.done(&format!(
+        "add base.toml {campaign} hysteresis magnet_temperature -o model.toml"
+    ));
+    desk.done(&format!(
+        "train model.toml {campaign} --epochs 2 --hidden 4 -o networks.safetensors"
+    ));
+    let built = build(&desk.0.path().join("model.toml"), Variant::Fitted).unwrap();
+    let networks = Networks::read(&desk.0.path().join("networks.safetensors"), &built).unwrap();
+    Made {
+        built,
+        networks: Some(networks),
+    }
 }
 
 fn stream(folder: &Path) -> RawStream {
@@ -53,15 +78,15 @@ struct Heard {
     unsent: u32,
 }
 
-fn run(built: &Built, folder: &Path, seconds: f64) -> Heard {
+fn run(made: Made, folder: &Path, seconds: f64) -> Heard {
+    let world = Recorded::new(stream(folder), &made.built);
     let program = Program {
-        tables: built.chosen.tables.clone(),
-        compensations: built.compensations.clone(),
-        networks: None,
+        tables: made.built.chosen.tables,
+        compensations: made.built.compensations,
+        networks: made.networks,
         parameters: Parameters::DEFAULT,
         limits: Limits::GRIPPER,
     };
-    let world = Recorded::new(stream(folder), built);
     let mut board = Board::start(program, Box::new(world));
     board.run_until(FIRST_TICK_US + (1e6 * seconds) as u64);
     let mut receiver = Receiver::default();
@@ -90,62 +115,111 @@ fn run(built: &Built, folder: &Path, seconds: f64) -> Heard {
     }
 }
 
-/// Raw forces of a replay: for each row of the recording those of each sensor, where they are valid.
-fn replayed(built: &Built, folder: &Path) -> Vec<[Option<[i32; 2]>; SENSORS]> {
+/// What a replay tells of a sensor in a row, where it is valid: forces and their standard deviations,
+/// raw.
+type Replayed = Option<([i32; 2], Option<[i32; 2]>)>;
+
+/// For each row of the recording what a replay tells of each sensor.
+fn replayed(made: &Made, folder: &Path) -> Vec<[Replayed; SENSORS]> {
     let mut rows = stream(folder);
     let mut places = HashMap::new();
     while let Some(row) = rows.next_row().unwrap() {
         places.insert(row.time_s.to_bits(), places.len());
     }
-    let mut forces = vec![[None; SENSORS]; places.len()];
+    let mut told = vec![[None; SENSORS]; places.len()];
+    let raw = |newtons: [f64; 2]| newtons.map(|n| (n * units::Force::PER_NEWTON) as i32);
+    let models = Models {
+        networks: made.networks.as_ref(),
+        ..Models::of(&made.built)
+    };
+    let numbers = &made.built.header.sensors;
     replay_watched(
-        Models::of(built),
+        models,
         "",
         stream(folder),
         |_| (),
         |seen| {
             let row = places[&seen.time_s.to_bits()];
-            let raw = seen.found_n.map(|n| (n * units::Force::PER_NEWTON) as i32);
-            forces[row][seen.sensor] = Some(raw);
+            told[row][numbers[seen.sensor] as usize] =
+                Some((raw(seen.found_n), seen.sigma_n.map(raw)));
         },
     )
     .unwrap();
-    forces
+    told
 }
+
+/// Lets a board feel a recording, and holds what it tells beside a replay of the same.
+fn equal_bit_for_bit(made: Made, folder: &Path, seconds: f64, sensors: usize) {
+    let expected = replayed(&made, folder);
+    let networks = made.networks.is_some();
+    let heard = run(made, folder, seconds);
+    let place = folder.display();
+    assert_eq!((heard.missed, heard.unsent), (0, 0));
+    let mut compared = 0;
+    for tick in &heard.ticks {
+        let row = (u64::from(tick.time_us) - FIRST_TICK_US) / TICK_US;
+        for (sensor, expected) in tick.sensors.iter().zip(&expected[row as usize]) {
+            if let Some((force, _)) = expected {
+                assert_eq!(sensor.force, *force, "{place}, row {row}");
+                compared += 1;
+            }
+        }
+    }
+    let rows = (seconds * 1000.0) as usize;
+    assert!(compared > sensors * rows * 95 / 100, "{place}: {compared}");
+    // On the bus in units of 0.05 N, rounded; standard deviations in 0.25 N, rounded up.
+    let units = |raw: i32| ((raw * 20 + 512) >> 10) as i16;
+    let quarters = |raw: i32| ((raw * 4 + 1023) >> 10).min(254) as u8;
+    let (mut on_bus, mut with_sigma) = (0, 0);
+    for (time_us, sensor, force) in &heard.forces {
+        let row = (time_us - FIRST_TICK_US) / TICK_US;
+        if let Some((expected, sigma)) = expected[row as usize][*sensor] {
+            assert_eq!(
+                [force.fx, force.fz],
+                expected.map(units),
+                "{place}, row {row}"
+            );
+            let sigma = sigma.map_or([u8::MAX; 2], |sigma| sigma.map(quarters));
+            assert_eq!([force.sigma_x, force.sigma_z], sigma, "{place}, row {row}");
+            on_bus += 1;
+            with_sigma += usize::from(sigma != [u8::MAX; 2]);
+        }
+    }
+    assert!(on_bus > sensors * rows / 10 * 95 / 100, "{place}: {on_bus}");
+    assert_eq!(with_sigma > on_bus / 2, networks, "{place}: {with_sigma}");
+}
+
+const NAMES: [&str; 3] = ["1", "2", "3"];
 
 #[test]
 fn over_the_serial_line_and_the_bus_go_the_forces_of_a_replay_bit_for_bit() {
     let desk = Desk::empty();
     for (campaign, sensors) in [("clean", 4), ("friction", 2)] {
-        let built = built(&desk, campaign);
-        for recording in ["1", "2", "3"] {
+        for recording in NAMES {
+            let made = fitted(&desk, &data(campaign));
             let folder = data(campaign).join(recording);
-            let expected = replayed(&built, &folder);
-            let heard = run(&built, &folder, RECORDING_S);
-            assert_eq!((heard.missed, heard.unsent), (0, 0));
-            let mut compared = 0;
-            for tick in &heard.ticks {
-                let row = (u64::from(tick.time_us) - FIRST_TICK_US) / TICK_US;
-                for (sensor, expected) in tick.sensors.iter().zip(&expected[row as usize]) {
-                    if let Some(expected) = expected {
-                        assert_eq!(sensor.force, *expected, "{campaign}/{recording} row {row}");
-                        compared += 1;
-                    }
-                }
-            }
-            let rows = (RECORDING_S * 1000.0) as usize;
-            assert!(compared > sensors * rows * 95 / 100, "{compared}");
-            // On the bus in units of 0.05 N, rounded.
-            let units = |raw: i32| ((raw * 20 + 512) >> 10) as i16;
-            let mut on_bus = 0;
-            for (time_us, sensor, force) in &heard.forces {
-                let row = (time_us - FIRST_TICK_US) / TICK_US;
-                if let Some(expected) = expected[row as usize][*sensor] {
-                    assert_eq!([force.fx, force.fz], expected.map(units), "row {row}");
-                    on_bus += 1;
-                }
-            }
-            assert!(on_bus > sensors * rows / 10 * 95 / 100, "{on_bus}");
+            equal_bit_for_bit(made, &folder, RECORDING_S, sensors);
+        }
+    }
+}
+
+#[test]
+fn with_effects_and_networks_they_are_equal_as_well_standard_deviations_included() {
+    let desk = Desk::empty();
+    let made = taught(&desk, &data("friction"));
+    equal_bit_for_bit(made, &data("friction").join("3"), RECORDING_S, 2);
+}
+
+#[test]
+fn over_every_second_of_the_separate_bench_s_campaigns_they_are_equal() {
+    let desk = Desk::empty();
+    for campaign in ["clean", "hidden-a", "hidden-b", "hidden-c", "hidden-d"] {
+        let Some(folder) = recordings(campaign) else {
+            return;
+        };
+        for recording in NAMES {
+            let made = fitted(&desk, &folder);
+            equal_bit_for_bit(made, &folder.join(recording), 29.9, 4);
         }
     }
 }
@@ -153,8 +227,7 @@ fn over_the_serial_line_and_the_bus_go_the_forces_of_a_replay_bit_for_bit() {
 #[test]
 fn the_frames_of_all_four_sensors_have_passed_within_a_millisecond_of_the_sample() {
     let desk = Desk::empty();
-    let built = built(&desk, "clean");
-    let heard = run(&built, &data("clean/1"), 1.0);
+    let heard = run(fitted(&desk, &data("clean")), &data("clean/1"), 1.0);
     let mut worst_us = 0;
     for (time_us, _, _) in &heard.forces {
         worst_us = worst_us.max((time_us - FIRST_TICK_US) % (10 * TICK_US));

@@ -23,8 +23,22 @@ pub fn data(name: &str) -> PathBuf {
 
 /// A folder of real measurements by others, if this machine has them; says so where it has not.
 pub fn real_data(name: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("MAGPIE_REAL_DATA").map_or_else(
-        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/real"),
+    elsewhere("real", "MAGPIE_REAL_DATA", name)
+}
+
+/// A whole campaign of the separate simulated bench that [`data`] has the beginnings of, likewise.
+pub fn recordings(name: &str) -> Option<PathBuf> {
+    elsewhere("recordings", "MAGPIE_RECORDINGS", name)
+}
+
+/// What is too large for the repository: where `variable` says, else beside the checkout.
+fn elsewhere(kind: &str, variable: &str, name: &str) -> Option<PathBuf> {
+    let root = std::env::var_os(variable).map_or_else(
+        || {
+            Path::new(env!("CARGO_MANIFEST_DIR"))
+                .join("../../shared")
+                .join(kind)
+        },
         PathBuf::from,
     );
     let folder = root.join(name);
@@ -32,7 +46,7 @@ pub fn real_data(name: &str) -> Option<PathBuf> {
         return Some(folder);
     }
     eprintln!(
-        "skipped: no real data at {} (set MAGPIE_REAL_DATA; tests/data/README.md names the originals)",
+        "skipped: nothing at {} (set {variable}; tests/data/README.md says what belongs there)",
         folder.display()
     );
     None

@@ -31,6 +31,13 @@ pub struct Slider {
     pub share: i32,
 }
 
+impl Slider {
+    /// What it holds where it slips.
+    pub fn force(&self) -> Force {
+        Force(share_of(self.reach, self.share, BITS))
+    }
+}
+
 /// The sliders of the lateral and of the longitudinal flexure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Table {

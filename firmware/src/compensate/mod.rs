@@ -98,6 +98,20 @@ pub struct Undone<T> {
 }
 
 impl Compensation<'_> {
+    /// Forces that friction may hold at rest, either sign: lateral and longitudinal.
+    pub fn held(&self) -> [Force; 2] {
+        let mut held = [Force(0); 2];
+        for effect in self.force.iter().flatten() {
+            if let OnForce::Hysteresis(table) = effect {
+                for (held, sliders) in held.iter_mut().zip(&table.sliders) {
+                    let force = sliders.iter().map(hysteresis::Slider::force);
+                    held.0 = force.fold(held.0, |sum, force| sum.saturating_add(force.0));
+                }
+            }
+        }
+        held
+    }
+
     /// Takes the effects on the field off.
     pub fn field(
         &self,

@@ -8,6 +8,9 @@
 //! | sensors 2 and 3 | I2C3: SCL PC8, SDA PC9 |
 //! | CAN | FDCAN1: RX PA11, TX PA12, to a transceiver |
 //! | serial line | USART2: TX PA2, RX PA3, to the debugger's virtual port |
+//! | half bridges | TIM1: high sides PA8, PA9, PA10, low sides PB13, PB14, PB15; break PB12, low |
+//! | phases' currents, bus | ADC1: PC0, PC1, PC2; PC3 |
+//! | rotor's angle | SPI1: clock PA5, out PA7, in PA6, select PA4 |
 //!
 //! The sensors' buses have pull-ups of 1 kOhm (assumed): 1 MHz needs rising edges within 120 ns.
 
@@ -15,6 +18,7 @@ use embassy_stm32::can::config::{FdCanConfig, NominalBitTiming};
 use embassy_stm32::can::{self, CanConfigurator};
 use embassy_stm32::gpio::Flex;
 use embassy_stm32::i2c::{self, I2c};
+use embassy_stm32::interrupt::Priority;
 use embassy_stm32::mode::Async;
 use embassy_stm32::rng::{self, Rng};
 use embassy_stm32::time::Hertz;
@@ -26,6 +30,7 @@ use static_cell::ConstStaticCell;
 use super::can::{Receiver, Sender};
 use super::flash::{self, Pages};
 use super::sensor_bus::{BoardBus, Driver};
+use super::{critical, drive, power_stage};
 use crate::bus_timing::{Edges, Mode, timing};
 use crate::params::TRANSFER_LIMIT_US;
 use crate::store::Store;
@@ -76,12 +81,15 @@ pub struct Board {
     pub rng: Rng<'static, peripherals::RNG>,
     /// Where parameters are kept.
     pub store: Store<Pages>,
+    /// The motor's power stage and sensors, not yet started.
+    pub drive: drive::Parts,
     /// The watchdog, not yet started.
     pub watchdog: Peri<'static, peripherals::IWDG>,
 }
 
 /// Starts clocks and buses.
 pub fn bring_up() -> Board {
+    critical::lower_all();
     let p = embassy_stm32::init(clocks());
     // Drivers of 20 mA for 1 MHz.
     pac::SYSCFG.cfgr1().modify(|w| {
@@ -114,6 +122,18 @@ pub fn bring_up() -> Board {
         line: (out, into.into_ring_buffered(LINE.take())),
         rng: Rng::new(p.RNG, Interrupts),
         store: flash::store(p.FLASH),
+        drive: drive::Parts {
+            timer: p.TIM1,
+            bridges: power_stage::Pins {
+                high: (p.PA8, p.PA9, p.PA10),
+                low: (p.PB13, p.PB14, p.PB15),
+                stop: p.PB12,
+            },
+            converter: p.ADC1,
+            inputs: (p.PC0, p.PC1, p.PC2, p.PC3),
+            port: p.SPI1,
+            sensor: (p.PA5, p.PA7, p.PA6, p.PA4),
+        },
         watchdog: p.IWDG,
     }
 }
@@ -189,6 +209,9 @@ fn clocks() -> embassy_stm32::Config {
     });
     config.rcc.sys = rcc::Sysclk::PLL1_R;
     config.rcc.boost = true;
+    config.rcc.mux.adc12sel = rcc::mux::Adcsel::SYS;
+    // Below the motor's interrupt, as all others are.
+    config.bdma_interrupt_priority = Priority::P1;
     config.rcc.mux.fdcansel = rcc::mux::Fdcansel::PLL1_Q;
     config.rcc.mux.i2c1sel = rcc::mux::I2csel::HSI;
     config.rcc.mux.i2c3sel = rcc::mux::I2csel::HSI;

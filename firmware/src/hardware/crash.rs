@@ -9,8 +9,7 @@
 //! | a loop hangs | [`note`] by [`super::watchdog`], then the watchdog resets |
 //!
 //! Outputs are safe with TIM1's main output off (MOE): then the pins of the power stage are at their idle
-//! levels, by default high impedance. There is no motor driver yet; the write is there first, so that none
-//! will ever run without it. Where the timer has no clock the write has no effect, and nothing is driven.
+//! levels, all switches off. Where the timer has no clock the write has no effect, and nothing is driven.
 //!
 //! None of this has run on hardware. On QEMU's Cortex-M4, where nothing lies below RAM either, a push across
 //! the stack's end ends in the handler of the fault, with the stack pointer below RAM.

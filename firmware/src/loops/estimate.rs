@@ -18,6 +18,7 @@ use crate::progress::Loop;
 use crate::status::{Fault, Faults};
 use crate::surroundings::Surroundings;
 use crate::tare::{Step, Taring};
+use crate::units::Force;
 use crate::wire::serial::Tick;
 
 /// What the loop tells of a tick.
@@ -37,13 +38,14 @@ pub struct Told {
 /// the fields.
 pub async fn estimate<N: Networks, C: Clock, M: RawMutex>(
     mut estimator: Estimator<'_, N>,
-    around: impl Fn() -> Surroundings,
+    mut around: impl FnMut() -> Surroundings,
     limits: &Limits,
     clock: &C,
     exchange: &Exchange<M>,
 ) -> ! {
     let mut judge = Judge::new(limits);
     let mut taring = None;
+    let held = estimator.held();
     let mut tick = 0_u32;
     let mut last_us = None;
     loop {
@@ -68,7 +70,7 @@ pub async fn estimate<N: Networks, C: Clock, M: RawMutex>(
         });
         tick = tick.wrapping_add(ticks as u32);
         judge.note(&sensed.watched, &estimates, exchange);
-        tare(&mut taring, &mut estimates, exchange);
+        tare(&mut taring, &held, &mut estimates, exchange);
         exchange.ticks.signal(Tick::of(&sensed.frame, &estimates));
         exchange.told.signal(Told {
             tick,
@@ -82,11 +84,12 @@ pub async fn estimate<N: Networks, C: Clock, M: RawMutex>(
 /// Takes the tare off, and gathers another where a host wants one.
 fn tare<M: RawMutex>(
     taring: &mut Option<Taring>,
+    held: &[[Force; 2]; SENSORS],
     estimates: &mut [Estimate; SENSORS],
     exchange: &Exchange<M>,
 ) {
     if exchange.tare_wanted.try_take().is_some() {
-        *taring = Some(Taring::default());
+        *taring = Some(Taring::new(*held));
     }
     if let Some(running) = taring {
         let step = running.take(estimates);

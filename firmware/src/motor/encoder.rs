@@ -100,6 +100,12 @@ impl Tracker {
         self.angle as u32
     }
 
+    /// The same in radians, -pi to pi; none where it is not known.
+    pub fn angle_rad(&self) -> Option<f32> {
+        let angle = self.angle as i32 as f32 * (TAU / TURN);
+        self.is_known().then_some(angle)
+    }
+
     /// The electrical angle in 2^-32 turns.
     pub fn electrical(&self, settings: &Settings) -> u32 {
         (self.angle as u32)

@@ -1,6 +1,6 @@
 //! Bounds of what the motor may do, and which of them are active. That one is active is no fault.
 
-use super::number::{share, within};
+use super::number::{greater, lesser, share, within};
 use super::settings::Settings;
 use crate::params;
 
@@ -180,19 +180,17 @@ impl Bounds {
         reasons.set(Limit::Heat, by_heat < limits.peak_a);
         let cool = coolness(limits, around.temperatures);
         reasons.set(Limit::Temperature, cool < 1.0);
-        let amplitude_a = by_heat.min(cool * limits.peak_a);
+        let amplitude_a = lesser(by_heat, cool * limits.peak_a);
         let drive = Self::drive_a(settings, around, amplitude_a, &mut reasons);
         // Against the motion it brakes; what drives it on is bounded more.
         let (mut low_a, mut high_a) = match around.speed >= 0.0 {
             true => (-amplitude_a, drive),
             false => (-drive, amplitude_a),
         };
-        high_a = high_a
-            .min(around.speed_gain * (limits.speed - around.speed))
-            .max(-amplitude_a);
-        low_a = low_a
-            .max(-around.speed_gain * (limits.speed + around.speed))
-            .min(amplitude_a);
+        let faster = around.speed_gain * (limits.speed - around.speed);
+        let slower = -around.speed_gain * (limits.speed + around.speed);
+        high_a = greater(lesser(high_a, faster), -amplitude_a);
+        low_a = lesser(greater(low_a, slower), amplitude_a);
         let near = around.speed_gain * (limits.speed - around.speed.abs());
         reasons.set(Limit::Speed, near < amplitude_a);
         Self {
@@ -219,7 +217,7 @@ impl Bounds {
             machine.torque_nm_a * around.speed.abs() + 1.5 * machine.resistance_ohm * amplitude_a;
         let by_power = limits.power_w / for_each;
         reasons.set(Limit::Power, by_power < amplitude_a);
-        by_power.min(bus * amplitude_a)
+        lesser(by_power, bus * amplitude_a)
     }
 }
 
@@ -230,5 +228,140 @@ fn coolness(limits: &Limits, temperatures: Temperatures) -> f32 {
         Some(degrees) if degrees < none => share(degrees, none, falls),
         Some(_) => 0.0,
     };
-    left(temperatures.motor, limits.motor_c).min(left(temperatures.stage, limits.stage_c))
+    lesser(
+        left(temperatures.motor, limits.motor_c),
+        left(temperatures.stage, limits.stage_c),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::motor::screw::Screw;
+
+    /// Nothing that draws a bound closer.
+    fn free() -> Around {
+        Around {
+            speed: 0.0,
+            bus_v: 24.0,
+            heat: Heat::default(),
+            temperatures: Temperatures::default(),
+            speed_gain: 0.565,
+        }
+    }
+
+    fn drawn(around: &Around) -> Bounds {
+        Bounds::draw(&Settings::assumed(Screw::A), around)
+    }
+
+    fn has(bounds: &Bounds, only: Limit) -> bool {
+        let mut expected = Active::default();
+        expected.set(only, true);
+        bounds.reasons == expected
+    }
+
+    #[test]
+    fn nothing_else_leaves_the_peak() {
+        let bounds = drawn(&free());
+        assert_eq!(
+            [bounds.low_a, bounds.high_a, bounds.amplitude_a],
+            [-9.6, 9.6, 9.6]
+        );
+        assert_eq!(bounds.reasons, Active::default());
+    }
+
+    #[test]
+    fn peak_current_falls_to_the_rated_one_after_its_seconds_and_comes_back_in_rest() {
+        let limits = Limits::GRIPPER;
+        let mut heat = Heat::default();
+        // Four fifths of three seconds at the peak, then the fall.
+        heat.add(&limits, limits.peak_a * limits.peak_a, 2.39);
+        assert_eq!(heat.allows_a(&limits), limits.peak_a);
+        for _ in 0..8000 {
+            let current = heat.allows_a(&limits);
+            heat.add(&limits, current * current, 0.001);
+        }
+        let bounds = drawn(&Around { heat, ..free() });
+        assert!(has(&bounds, Limit::Heat) && bounds.high_a < 5.82);
+        heat.add(&limits, limits.rated_a * limits.rated_a, 100.0);
+        assert!(heat.allows_a(&limits) < 5.82);
+        heat.add(&limits, 0.0, 10.0);
+        assert_eq!(heat.allows_a(&limits), limits.peak_a);
+    }
+
+    #[test]
+    fn a_warm_motor_or_stage_leaves_less_and_what_is_no_temperature_leaves_nothing() {
+        let at = |motor, stage| {
+            let temperatures = Temperatures { motor, stage };
+            let bounds = drawn(&Around {
+                temperatures,
+                ..free()
+            });
+            (bounds.high_a, has(&bounds, Limit::Temperature))
+        };
+        assert_eq!(at(Some(80.0), Some(90.0)), (9.6, false));
+        let (half, told) = at(Some(90.0), Some(20.0));
+        assert!((half - 4.8).abs() < 1e-4 && told);
+        let (half, _) = at(None, Some(100.0));
+        assert!((half - 4.8).abs() < 1e-4);
+        assert_eq!(at(Some(100.0), None).0, 0.0);
+        assert_eq!(at(Some(f32::NAN), None).0, 0.0);
+    }
+
+    #[test]
+    fn beyond_the_speed_the_motor_brakes_and_does_not_drive() {
+        let limit = Limits::GRIPPER.speed;
+        let fast = |speed| drawn(&Around { speed, ..free() });
+        let bounds = fast(limit);
+        assert!(bounds.high_a.abs() < 1e-3 && bounds.low_a == -9.6);
+        assert!(fast(limit + 4.0).high_a < -1.9);
+        let bounds = fast(-limit - 4.0);
+        assert!(bounds.low_a > 1.9 && bounds.high_a == 9.6);
+        assert!(bounds.reasons.has(Limit::Speed));
+    }
+
+    #[test]
+    fn the_supply_gives_its_power_and_no_more() {
+        let machine = Settings::assumed(Screw::A).machine;
+        for speed in [0.0_f32, 57.0, 114.0, -114.0] {
+            let bounds = drawn(&Around { speed, ..free() });
+            let amperes = if speed < 0.0 {
+                -bounds.low_a
+            } else {
+                bounds.high_a
+            };
+            let power = machine.torque_nm_a * amperes * speed.abs()
+                + 1.5 * machine.resistance_ohm * amperes * amperes;
+            assert!(power <= Limits::GRIPPER.power_w, "{speed}: {power} W");
+            // 350 N at full speed is asked for.
+            assert!(amperes > 5.8, "{speed}: {amperes} A");
+        }
+    }
+
+    #[test]
+    fn a_low_bus_drives_less_and_brakes_as_before() {
+        let low = drawn(&Around {
+            bus_v: 17.5,
+            speed: 1.0,
+            ..free()
+        });
+        assert!((low.high_a - 4.8).abs() < 1e-4 && low.low_a == -9.6);
+        assert!(has(&low, Limit::BusLow));
+        let none = drawn(&Around {
+            bus_v: 15.0,
+            ..free()
+        });
+        assert_eq!(none.high_a, 0.0);
+    }
+
+    #[test]
+    fn the_codes_of_limits_are_no_faults() {
+        assert_eq!(Limit::Current as u8, 1);
+        assert_eq!(Limit::NotHomed as u8, 10);
+        let mut active = Active::default();
+        active.set(Limit::EndStop, true);
+        active.set(Limit::Heat, true);
+        active.set(Limit::Heat, false);
+        assert_eq!(active, Active(1 << 9));
+    }
 }

@@ -43,13 +43,13 @@ pub mod trajectory;
 pub mod transform;
 
 pub use settings::Settings;
-pub use state::{Setpoint, State, Telling, Trip};
+pub use state::{Order, Setpoint, State, Telling, Trip};
 
 use commission::{Commissioning, Found, Next, Seen};
 use current::{CurrentLoop, Decided, Windings};
 use encoder::{Place, Tracker};
 use limits::{Active, Around, Bounds, Heat, Limit, Temperatures};
-use number::{Direction, within};
+use number::{Direction, greater, within};
 use position::PositionLoop;
 use screw::Play;
 use sensing::{Offsets, Zeroing};
@@ -99,6 +99,7 @@ pub struct Motor {
     heat: Heat,
     temperatures: Temperatures,
     bounds: Bounds,
+    rotor: Direction,
     measured: Dq,
     asked: Dq,
     decided: Decided,
@@ -131,6 +132,7 @@ impl Motor {
             heat: Heat::default(),
             temperatures: Temperatures::default(),
             bounds: Bounds::default(),
+            rotor: Direction::default(),
             measured: Dq::default(),
             asked: Dq::default(),
             decided: Decided::default(),
@@ -228,6 +230,25 @@ impl Motor {
         self.temperatures = temperatures;
     }
 
+    /// Does what an order says.
+    pub fn obey(&mut self, order: Order) {
+        match order {
+            Order::Arm => self.arm(),
+            Order::Commission => self.commission(),
+            Order::Disarm => self.disarm(),
+            Order::Do(setpoint) => self.command(setpoint),
+            Order::Opening { opening_mm } => self.set_opening(opening_mm),
+            Order::Temperatures(temperatures) => self.set_temperatures(temperatures),
+        }
+    }
+
+    /// The power stage has switched itself off, by its break input.
+    pub fn shut_off(&mut self) {
+        if !matches!(self.state, State::Tripped(_)) {
+            self.trip(Trip::PowerStage);
+        }
+    }
+
     /// What it is set to, commissioning's results in it.
     pub const fn settings(&self) -> &Settings {
         &self.settings
@@ -245,6 +266,8 @@ impl Motor {
             closing_mm_s: self.settings.screw.closing_mm_s(speed),
             turned_rad: self.tracker.turned_since(Place::default()),
             speed,
+            angle_rad: self.tracker.angle_rad(),
+            electrical: self.rotor,
             current: self.measured,
             asked: self.asked,
             voltage: self.decided.voltage,

@@ -31,8 +31,8 @@ impl Motor {
         };
         let mut bounds = Bounds::draw(&self.settings, &around);
         let most = self.setpoint.most_a();
-        bounds.low_a = bounds.low_a.max(-most);
-        bounds.high_a = bounds.high_a.min(most);
+        bounds.low_a = within(bounds.low_a, -most, most);
+        bounds.high_a = within(bounds.high_a, -most, most);
         self.bounds = bounds;
     }
 
@@ -67,7 +67,7 @@ impl Motor {
         let [closed, open] = limits.ends_mm;
         let [slowest, fastest, limit] = match rotor_mm {
             Some(mm) => {
-                let to_end = |way: f32| PositionLoop::GAIN * way.max(0.0);
+                let to_end = |way: f32| PositionLoop::GAIN * greater(way, 0.0);
                 [-to_end(open - mm), to_end(mm - closed), f32::INFINITY]
             }
             None => [-limits.homing_mm_s, limits.homing_mm_s, limits.homing_mm_s],

@@ -15,6 +15,16 @@ pub fn within(value: f32, low: f32, high: f32) -> f32 {
     }
 }
 
+/// The greater of two numbers; the library's own is a call and hides what is no number.
+pub fn greater(one: f32, other: f32) -> f32 {
+    if one > other { one } else { other }
+}
+
+/// The lesser of two numbers.
+pub fn lesser(one: f32, other: f32) -> f32 {
+    if one < other { one } else { other }
+}
+
 /// The share of the way from `start` to `end`, 0 before and 1 behind; `end` may lie on either side.
 pub fn share(value: f32, start: f32, end: f32) -> f32 {
     within((value - start) / (end - start), 0.0, 1.0)
@@ -38,7 +48,7 @@ pub fn sqrt(value: f32) -> f32 {
 }
 
 /// An angle as sine and cosine; each is off by at most 0.0011, which ripples a torque by as much.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Direction {
     /// Sine.
     pub sin: f32,

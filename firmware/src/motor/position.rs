@@ -45,10 +45,11 @@ impl PositionLoop {
         self.way.tick(target_mm, fastest);
         let off_mm = self.way.place_mm() - opening_mm;
         let opening_mm_s = self.way.speed_mm_s() + Self::GAIN * off_mm;
-        let along = screw.rotor_speed(-self.way.speed_mm_s());
-        let acceleration = screw.rotor_speed(-self.way.acceleration_mm_s2());
+        let radians = -screw.rotor_speed(1.0);
+        let along = radians * self.way.speed_mm_s();
+        let acceleration = radians * self.way.acceleration_mm_s2();
         Wanted {
-            speed: screw.rotor_speed(-opening_mm_s),
+            speed: radians * opening_mm_s,
             ahead_a: speed::ahead_a(&settings.machine, along, acceleration),
         }
     }

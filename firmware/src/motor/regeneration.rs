@@ -1,7 +1,7 @@
 //! Braking gives power back, and the supply takes none: above a bus voltage the windings burn it, by a current
 //! that makes no torque; what even that cannot burn is not braked.
 
-use super::number::{share, sqrt, within};
+use super::number::{greater, share, sqrt, within};
 use super::settings::Settings;
 use super::transform::Dq;
 
@@ -27,7 +27,7 @@ pub fn burning(
     let gives = settings.machine.torque_nm_a * speed.abs();
     let amplitude = amplitude_a * amplitude_a;
     let most = copper * amplitude / (MORE * gives);
-    let bound = most + (1.0 - burns) * (amplitude_a - most).max(0.0);
+    let bound = most + (1.0 - burns) * greater(amplitude_a - most, 0.0);
     let q = within(q, -bound, bound);
     let needed = within(MORE * gives * q.abs() / copper, 0.0, amplitude);
     let d = -sqrt(burns * (needed - q * q));

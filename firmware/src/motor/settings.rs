@@ -89,7 +89,6 @@ impl Settings {
             machine.torque_nm_a,
             machine.inertia_kg_m2,
             screw.ratio_mm,
-            screw.efficiency,
             limits.rated_a,
             limits.peak_a,
             limits.peak_s,
@@ -104,6 +103,7 @@ impl Settings {
             machine.dry_nm,
             machine.viscous_nm_s,
             screw.play_mm,
+            screw.friction,
             self.angle_age_periods,
         ];
         let rising = [

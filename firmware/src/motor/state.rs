@@ -1,9 +1,11 @@
 //! What the motor is asked to do, what it does, and why it does not.
 
 use super::commission::Refusal;
-use super::limits::Active;
+use super::limits::{Active, Temperatures};
+use super::number::{Direction, greater};
 use super::stage::Drive;
 use super::transform::Dq;
+use crate::surroundings::{self, Surroundings};
 
 /// What is asked of the motor. Closing is positive; amperes are along q.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -55,12 +57,32 @@ impl Setpoint {
     }
 
     /// Greatest current in amperes that it allows itself.
-    pub const fn most_a(&self) -> f32 {
+    pub fn most_a(&self) -> f32 {
         match *self {
-            Self::Speed { most_a, .. } | Self::Position { most_a, .. } => most_a.max(0.0),
+            Self::Speed { most_a, .. } | Self::Position { most_a, .. } => greater(most_a, 0.0),
             Self::Off | Self::Brake | Self::Current { .. } => f32::INFINITY,
         }
     }
+}
+
+/// What those above tell the motor to do, in one word for a queue.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Order {
+    /// [`super::Motor::arm`].
+    Arm,
+    /// [`super::Motor::commission`].
+    Commission,
+    /// [`super::Motor::disarm`].
+    Disarm,
+    /// [`super::Motor::command`].
+    Do(Setpoint),
+    /// [`super::Motor::set_opening`].
+    Opening {
+        /// Millimetres between the fingers.
+        opening_mm: f32,
+    },
+    /// [`super::Motor::set_temperatures`].
+    Temperatures(Temperatures),
 }
 
 /// What the motor does. From [`State::Tripped`] only [`super::Motor::disarm`] leads on.
@@ -94,6 +116,8 @@ pub enum Trip {
     Encoder,
     /// At no current the amplifiers told one.
     CurrentSense,
+    /// The power stage has switched itself off.
+    PowerStage,
 }
 
 impl Trip {
@@ -101,7 +125,9 @@ impl Trip {
     /// is, the windings are shorted, which brakes without knowing its angle.
     pub const fn drive(self) -> Drive {
         match self {
-            Self::NotANumber | Self::OverCurrent | Self::CurrentSense => Drive::Off,
+            Self::NotANumber | Self::OverCurrent | Self::CurrentSense | Self::PowerStage => {
+                Drive::Off
+            }
             Self::OverSpeed | Self::Encoder => Drive::Brake,
         }
     }
@@ -122,6 +148,10 @@ pub struct Telling {
     pub turned_rad: f32,
     /// Rotor's speed in rad/s.
     pub speed: f32,
+    /// The rotor's angle within a turn of its sensor, in radians, -pi to pi; none where it is not known.
+    pub angle_rad: Option<f32>,
+    /// The rotor's electrical angle.
+    pub electrical: Direction,
     /// Currents in amperes.
     pub current: Dq,
     /// Currents asked for, in amperes.
@@ -132,4 +162,46 @@ pub struct Telling {
     pub bus_v: f32,
     /// Bounds that are active.
     pub limits: Active,
+}
+
+impl Telling {
+    /// For those who undo what the motor does to the fields.
+    pub fn surroundings(&self) -> Surroundings {
+        const ONE: f32 = 32_768.0;
+        let Direction { sin, cos } = self.electrical;
+        Surroundings {
+            opening_um: self.opening_mm.map(|mm| (mm * 1e3) as i32),
+            motor: self.angle_rad.map(|angle_rad| surroundings::Motor {
+                iq_ma: (self.current.q * 1e3) as i32,
+                electrical: [(sin * ONE) as i32, (cos * ONE) as i32],
+                angle_urad: (angle_rad * 1e6) as i32,
+            }),
+            ..Surroundings::default()
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_surroundings_are_told_in_their_integers() {
+        let telling = Telling {
+            opening_mm: Some(12.5),
+            angle_rad: Some(-0.25),
+            electrical: Direction {
+                sin: -0.5,
+                cos: 0.75,
+            },
+            current: Dq { d: 1.0, q: -2.5 },
+            ..Telling::default()
+        };
+        let told = telling.surroundings();
+        let motor = told.motor.unwrap();
+        assert_eq!(told.opening_um, Some(12_500));
+        assert_eq!((motor.iq_ma, motor.angle_urad), (-2500, -250_000));
+        assert_eq!(motor.electrical, [-16_384, 24_576]);
+        assert_eq!(Telling::default().surroundings(), Surroundings::default());
+    }
 }

@@ -1,7 +1,7 @@
 //! A voltage as duties of three half bridges: space vectors by the middle of the three phases, the dead time
 //! given back.
 
-use super::number::within;
+use super::number::{greater, lesser, within};
 use super::transform::AlphaBeta;
 use crate::params;
 
@@ -25,7 +25,7 @@ pub fn greatest_v(bus_v: f32) -> f32 {
 /// voltage gives no numbers.
 pub fn duties(voltage: AlphaBeta, bus_v: f32) -> [f32; 3] {
     let [u, v, w] = voltage.phases();
-    let middle = 0.5 * (u.max(v).max(w) + u.min(v).min(w));
+    let middle = 0.5 * (greater(u, greater(v, w)) + lesser(u, lesser(v, w)));
     let scale = 1.0 / bus_v;
     [u, v, w].map(|phase| within(0.5 * MODULATION + scale * (phase - middle), 0.0, MODULATION))
 }

@@ -323,7 +323,10 @@ fn commissioning_finds_what_the_motor_is_and_how_it_is_wired() {
         bench.flux = 0.1 / (1.5 * pole_pairs);
         (bench.resistance, bench.inductance) = (0.5, 0.3e-3);
         bench.angle = 0.21;
-        let mut motor = Motor::new(Settings::assumed(Screw::A));
+        // What was found before does not matter.
+        let mut settings = Settings::assumed(Screw::A);
+        settings.wiring.is_swapped = sits > 0.3;
+        let mut motor = Motor::new(settings);
         motor.commission();
         bench.run(&mut motor, 60_000, |_, _| {});
         let found = motor
@@ -429,6 +432,70 @@ fn a_current_beyond_its_bound_switches_everything_off() {
     assert_eq!(motor.current_tick(&sensed), Drive::Off);
     assert_eq!(motor.telling().state, State::Tripped(Trip::OverCurrent));
     assert_eq!(motor.current_tick(&bench.sensed), Drive::Off);
+}
+
+#[test]
+fn fingers_slow_down_before_the_end_of_their_way_and_before_they_are_homed() {
+    let mut bench = Bench::new();
+    let mut motor = armed(&mut bench, Settings::assumed(Screw::A));
+    let open = Setpoint::Speed {
+        closing_mm_s: -58.0,
+        most_a: 9.6,
+    };
+    motor.command(open);
+    bench.run(&mut motor, 40_000, |_, _| {});
+    let opening = bench.opening(Screw::A);
+    assert!((79.5..80.02).contains(&opening), "{opening}");
+    assert!(motor.telling().limits.has(Limit::EndStop));
+    motor.set_opening(f32::NAN);
+    motor.command(open);
+    bench.run(&mut motor, 2_000, |_, _| {});
+    let told = motor.telling();
+    assert!((told.closing_mm_s + 5.0).abs() < 0.3, "{told:?}");
+    assert!(told.limits.has(Limit::NotHomed) && told.opening_mm.is_none());
+    motor.command(Setpoint::Position {
+        opening_mm: 20.0,
+        speed_mm_s: 50.0,
+        most_a: 9.6,
+    });
+    bench.run(&mut motor, 2_000, |_, _| {});
+    let told = motor.telling();
+    assert!(
+        told.speed.abs() < 0.5 && told.limits.has(Limit::NotHomed),
+        "{told:?}"
+    );
+}
+
+#[test]
+fn a_set_point_s_own_bound_of_the_current_holds() {
+    let mut bench = Bench::new();
+    let mut motor = armed(&mut bench, Settings::assumed(Screw::B));
+    bench.load = 0.4;
+    motor.command(Setpoint::Speed {
+        closing_mm_s: 30.0,
+        most_a: 3.0,
+    });
+    let mut most = 0_f64;
+    bench.run(&mut motor, 300, |bench, _| most = most.max(bench.q().abs()));
+    assert!((2.8..3.3).contains(&most), "{most}");
+    assert!(motor.telling().limits.has(Limit::Current));
+}
+
+#[test]
+fn a_power_stage_that_switched_itself_off_is_a_trip_until_disarmed() {
+    let mut bench = Bench::new();
+    let mut motor = armed(&mut bench, Settings::assumed(Screw::A));
+    motor.obey(Order::Do(Setpoint::Brake));
+    bench.run(&mut motor, 5, |_, _| {});
+    assert_eq!(bench.drive, Drive::Brake);
+    motor.shut_off();
+    motor.obey(Order::Arm);
+    bench.run(&mut motor, 5, |_, _| {});
+    let tripped = State::Tripped(Trip::PowerStage);
+    assert_eq!((motor.telling().state, bench.drive), (tripped, Drive::Off));
+    motor.obey(Order::Disarm);
+    motor.obey(Order::Arm);
+    assert_eq!(motor.telling().state, State::Arming);
 }
 
 #[test]

@@ -34,9 +34,9 @@ impl Motor {
         }
     }
 
-    /// Phases V and W change places where they are wired so; twice is as before.
+    /// Phases V and W change places where they are wired so; twice is as before. Commissioning finds out anew.
     fn swapped(&self, [u, v, w]: [f32; 3]) -> [f32; 3] {
-        match self.settings.wiring.is_swapped {
+        match self.settings.wiring.is_swapped && self.state != State::Commissioning {
             true => [u, w, v],
             false => [u, v, w],
         }
@@ -50,7 +50,8 @@ impl Motor {
         if !(u + v + w + speed).is_finite() {
             return Err(Trip::NotANumber);
         }
-        if sensing::is_at_end(sensed) || u.abs().max(v.abs()).max(w.abs()) > limits.trip_a {
+        let greatest_a = greater(u.abs(), greater(v.abs(), w.abs()));
+        if sensing::is_at_end(sensed) || greatest_a > limits.trip_a {
             return Err(Trip::OverCurrent);
         }
         match speed.abs() > limits.trip_speed {
@@ -76,15 +77,14 @@ impl Motor {
         }
     }
 
-    /// The currents as seen from the rotor, and its direction.
-    fn see(&mut self, current: AlphaBeta) -> Direction {
-        let rotor = Direction::of(self.tracker.electrical(&self.settings));
-        self.measured = current.turning(rotor);
-        rotor
+    /// The currents as seen from the rotor.
+    fn see(&mut self, current: AlphaBeta) {
+        self.rotor = Direction::of(self.tracker.electrical(&self.settings));
+        self.measured = current.turning(self.rotor);
     }
 
     fn follow(&mut self, phases: [f32; 3], current: AlphaBeta) -> Drive {
-        let rotor = self.see(current);
+        self.see(current);
         let limits = &self.settings.limits;
         let [_, burns] = limits.burn_v;
         self.is_shorted = self.bus_v > limits.high_v || (self.is_shorted && self.bus_v > burns);
@@ -106,12 +106,12 @@ impl Motor {
                 Drive::Brake
             }
             Setpoint::Current { .. } | Setpoint::Speed { .. } | Setpoint::Position { .. } => {
-                self.control(phases, rotor)
+                self.control(phases)
             }
         }
     }
 
-    fn control(&mut self, phases: [f32; 3], rotor: Direction) -> Drive {
+    fn control(&mut self, phases: [f32; 3]) -> Drive {
         let speed = self.tracker.speed() * f32::from(self.settings.machine.pole_pairs);
         self.decided = self.currents.decide(
             &self.windings,
@@ -120,7 +120,10 @@ impl Motor {
             speed,
             svpwm::greatest_v(self.bus_v),
         );
-        let voltage = self.decided.voltage.fixed(rotor.turned(speed * DELAY_S));
+        let voltage = self
+            .decided
+            .voltage
+            .fixed(self.rotor.turned(speed * DELAY_S));
         self.switch(voltage, phases)
     }
 

@@ -2,10 +2,11 @@
 //! it exactly.
 //!
 //! A generator in integers accelerates and brakes as hard as it may, so that it comes to rest on the target to
-//! the nanometre; the mean over [`WINDOW`] of its ticks bounds the jerk, and neither adds speed or
-//! acceleration nor misses the end. It comes [`WINDOW`] ticks later.
+//! the nanometre; the mean over a window of its ticks bounds the jerk, and neither adds speed or acceleration
+//! nor misses the end. It comes a window later.
 
 use super::MOTION_HZ;
+use super::number::sqrt;
 use crate::params;
 
 /// Acceleration in nanometres for each tick squared.
@@ -100,15 +101,21 @@ impl Trajectory {
 /// it takes, each slower by [`ACCELERATION`], the last one shorter.
 fn speed_to_stop(left: u32) -> i32 {
     const A: u32 = ACCELERATION as u32;
-    // The least n with n (n + 1) / 2 accelerations of way.
-    let halves = left.div_ceil(A);
-    let root = halves.saturating_mul(8).saturating_add(1).isqrt();
-    let floor = root.saturating_sub(1) / 2;
-    let enough = floor.saturating_mul(floor.saturating_add(1)) / 2 >= halves;
-    let ticks = floor.saturating_add(u32::from(!enough));
+    let ticks = ticks_to_stop(left.div_ceil(A));
     let slowing = ticks.saturating_mul(ticks.saturating_sub(1)) / 2;
     let way = left.saturating_add(A.saturating_mul(slowing));
     way.checked_div(ticks).unwrap_or(0) as i32
+}
+
+/// The least n with n (n + 1) / 2 of at least a number below 2^22: the root is right to a hundredth.
+fn ticks_to_stop(halves: u32) -> u32 {
+    let enough = |ticks: u32| ticks.saturating_mul(ticks.saturating_add(1)) / 2 >= halves;
+    let near = (0.5 * sqrt(8.0 * halves as f32 + 1.0)) as u32;
+    match near.saturating_sub(1) {
+        less if enough(less) => less,
+        _ if enough(near) => near,
+        _ => near.saturating_add(1),
+    }
 }
 
 #[cfg(test)]
@@ -118,6 +125,22 @@ mod tests {
     use super::*;
 
     const FASTEST: f32 = 58.3;
+
+    #[test]
+    fn the_ticks_to_stop_are_the_fewest() {
+        assert_eq!(
+            [0, 1, 2, 3, 4, 6, 7].map(ticks_to_stop),
+            [0, 1, 2, 2, 3, 3, 4]
+        );
+        for halves in 0..1 << 20 {
+            let ticks = u64::from(ticks_to_stop(halves));
+            assert!(ticks * (ticks + 1) / 2 >= halves.into(), "{halves}");
+            assert!(
+                ticks == 0 || ticks * (ticks - 1) / 2 < halves.into(),
+                "{halves}"
+            );
+        }
+    }
 
     #[test]
     fn from_rest_to_rest_it_takes_as_long_as_it_must_and_ends_exactly() {

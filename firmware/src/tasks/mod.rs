@@ -20,12 +20,15 @@ use crate::hardware::board::{Board, HARDWARE};
 use crate::hardware::can::{Receiver, Sender};
 use crate::hardware::clock::BoardClock;
 use crate::hardware::crash;
+use crate::hardware::drive::{self, Line};
 use crate::hardware::flash::Pages;
 use crate::hardware::sensor_bus::BoardBus;
 use crate::hardware::watchdog::Watchdog;
 use crate::limits::Limits;
 use crate::loops::{self, Desk, Exchange, Finder};
 use crate::model::tables::{NETWORKS, TABLES};
+use crate::motor::Settings;
+use crate::motor::screw::Screw;
 use crate::progress::FED_EVERY_MS;
 use crate::status::{Fault, Faults};
 use crate::store::{Origin, Store};
@@ -35,6 +38,8 @@ use crate::wire::messages::Version;
 
 /// Where something counts as wrong.
 const LIMITS: Limits = Limits::GRIPPER;
+/// The motor and screw that are assumed.
+const MOTOR: Settings = Settings::assumed(Screw::A);
 /// Between the loops; the writers stand beside each part.
 static EXCHANGE: Exchange<CriticalSectionRawMutex> = Exchange::new();
 /// Sensing and estimating; its interrupt belongs to no peripheral in use.
@@ -78,10 +83,11 @@ pub async fn start(spawner: Spawner, board: Board) {
     let (sender, receiver) = board.can;
     sender.listen_as(parameters.node());
     let (out, into) = board.line;
+    let line = drive::start(board.drive, MOTOR);
     interrupt::FMAC.set_priority(LEVEL);
     let upper = UPPER.start(interrupt::FMAC);
     upper.spawn(unwrap!(sense(board.sensor_buses, parameters.addresses())));
-    upper.spawn(unwrap!(estimate()));
+    upper.spawn(unwrap!(estimate(line)));
     let watchdog = Watchdog::start(board.watchdog);
     spawner.spawn(unwrap!(feed(watchdog)));
     spawner.spawn(unwrap!(scrub()));
@@ -97,11 +103,17 @@ async fn sense(buses: [BoardBus; 2], addresses: [u8; SENSORS]) {
     loops::sense::<A31301, _, _, _>(buses, addresses, &LIMITS, &BoardClock, &EXCHANGE).await;
 }
 
+/// Nobody orders the drive yet: it stays disarmed, and what it tells is the rest of its line.
 #[embassy_executor::task]
-async fn estimate() {
+async fn estimate(mut line: Line) {
     let estimator = Estimator::new(&TABLES, Running::start(&NETWORKS));
-    // Nothing on this board measures them yet: what needs them stays off, and the estimates say so.
-    let around = Surroundings::default;
+    let mut around = Surroundings::default();
+    let around = move || {
+        if let Some(telling) = line.tellings.take() {
+            around = telling.surroundings();
+        }
+        around
+    };
     loops::estimate(estimator, around, &LIMITS, &BoardClock, &EXCHANGE).await;
 }
 

@@ -146,7 +146,7 @@ impl Board {
                 .map(OwnedCompensation::view)
                 .collect();
             let tables = program.tables.tables(&compensations);
-            let networks = program.networks.as_ref().map(Networks::start);
+            let networks = program.networks.as_ref().map(Networks::run);
             let estimator = Estimator::new(&tables, networks);
             let around = || now.borrow_mut().at(clock.now_us()).around;
             let scrub = loops::scrub::<_, Tables, 0, _, _>(&tables, &[], &clock, &exchange);

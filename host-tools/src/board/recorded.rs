@@ -6,7 +6,7 @@ use model_export::recordings::raw::RawStream;
 
 use super::world::{Moment, World};
 use crate::surroundings::Covariates;
-use crate::wiring::{Wiring, reading, wire};
+use crate::wiring::{Wiring, readings, wire};
 
 /// A recording that goes on at the board's rate, whatever its clock says.
 pub struct Recorded {
@@ -40,15 +40,9 @@ impl World for Recorded {
                 return None;
             }
         };
-        let mut moment = Moment {
+        Some(Moment {
+            readings: readings(&row, &self.wiring, self.gauss_per_lsb),
             around: self.covariates.at(&row),
-            ..Moment::default()
-        };
-        for wires in &self.wiring {
-            if let Some(place) = moment.readings.get_mut(wires.number as usize) {
-                *place = Some(reading(&row, wires, self.gauss_per_lsb));
-            }
-        }
-        Some(moment)
+        })
     }
 }

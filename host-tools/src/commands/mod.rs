@@ -13,6 +13,7 @@ pub mod effects;
 pub mod export;
 pub mod fit;
 pub mod formulas;
+pub mod grip;
 pub mod import;
 pub mod replay;
 pub mod simulate;

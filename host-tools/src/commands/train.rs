@@ -101,6 +101,10 @@ pub struct Args {
     /// magnets that pass; 0 leaves them out. Ten hours take some ten minutes.
     #[arg(long, value_name = "H", default_value_t = MAGNET_HOURS)]
     magnet_hours: f64,
+    /// With --table: leave out how the error falls with the seconds that are learned from, which takes as
+    /// long as the table again.
+    #[arg(long, requires = "table")]
+    without_curve: bool,
     /// Seed of the first weights: the same seed, the same network.
     #[arg(long, default_value_t = 1)]
     seed: u64,

@@ -1,14 +1,11 @@
 //! Rows through the device's code, twice: as they are, and with magnets that pass.
 
 use anyhow::Result;
-use firmware::compensate::{Compensation, Memory};
-use firmware::force::{Estimate, estimate_all};
+use firmware::compensate::Compensation;
+use firmware::estimator::Estimator;
+use firmware::force::Estimate;
 use firmware::foreign::Detector;
 use firmware::frame::{Frame, SENSORS};
-use firmware::hall::Reading;
-use firmware::model::table::Tables;
-use firmware::surroundings::Surroundings;
-use model_export::gru::pack::{self, Running};
 use model_export::inverse::build::Built;
 use model_export::inverse::compensation::OwnedCompensation;
 use nalgebra::Vector3;
@@ -27,52 +24,16 @@ pub struct Device<'a> {
     pub networks: Option<&'a Networks>,
 }
 
-/// The device with all that it remembers.
-struct Board<'a> {
-    tables: &'a Tables<'a>,
-    memories: [Memory; SENSORS],
-    running: Vec<Box<dyn Running + 'a>>,
-    detector: Detector,
-}
-
-impl<'a> Board<'a> {
-    fn new(tables: &'a Tables<'a>, networks: Option<&'a Networks>) -> Self {
-        let packed = networks.into_iter().flat_map(|networks| &networks.packed);
-        Self {
-            tables,
-            memories: [Memory::default(); SENSORS],
-            running: packed.map(|packed| packed.run()).collect(),
-            detector: Detector::default(),
-        }
-    }
-
-    fn frame(
-        &mut self,
-        readings: [Option<Reading>; SENSORS],
-        around: &Surroundings,
-    ) -> [Estimate; SENSORS] {
-        let frame = Frame {
-            time_us: 0,
-            readings,
-        };
-        let ideal = estimate_all(self.tables, &frame, around, &mut self.memories);
-        let mut told = ideal;
-        pack::apply(&mut self.running, &mut told);
-        self.detector.watch(&ideal, &mut told);
-        told
-    }
-
-    /// Parity and common mode as squares, sigma and split in newtons.
-    fn measures(&self) -> [f64; 4] {
-        let measures = self.detector.measures;
-        let square = |square: i32| f64::from(square) / f64::from(1_u32 << 16);
-        [
-            square(measures.parity),
-            square(measures.common),
-            measures.sigma.newtons(),
-            measures.split.newtons(),
-        ]
-    }
+/// Parity and common mode as squares, sigma and split in newtons.
+fn measures(detector: &Detector) -> [f64; 4] {
+    let measures = detector.measures;
+    let square = |square: i32| f64::from(square) / f64::from(1_u32 << 16);
+    [
+        square(measures.parity),
+        square(measures.common),
+        measures.sigma.newtons(),
+        measures.split.newtons(),
+    ]
 }
 
 /// The greatest difference of a force between two frames, in newtons.
@@ -89,7 +50,8 @@ pub fn run(device: &Device, world: &World, number: u32) -> Result<Tally> {
     let compensations: Vec<Compensation> = owned.iter().map(OwnedCompensation::view).collect();
     let tables = device.built.chosen.tables.tables(&compensations);
     let gauss_per_lsb = device.built.model.sensor_scale.gauss_per_lsb;
-    let [mut clean, mut passed] = [(); 2].map(|()| Board::new(&tables, device.networks));
+    let [mut clean, mut passed] =
+        [(); 2].map(|()| Estimator::new(&tables, device.networks.map(Networks::run)));
     let mut rows = world.rows(number)?;
     let sensors = device.built.header.sensors.len().min(SENSORS) as u32;
     let mut passages = Passages::new(world.seed(), number, world.seconds(), sensors);
@@ -98,17 +60,19 @@ pub fn run(device: &Device, world: &World, number: u32) -> Result<Tally> {
     let fresh = world.is_fresh(number);
     let (mut frame, mut was_up) = (0, false);
     while let Some(row) = rows.next_row()? {
-        let own = clean.frame(
-            row.readings(gauss_per_lsb, |_| Vector3::zeros()),
-            &row.around,
-        );
-        let up = clean.detector.flag();
+        let sensed = |readings| Frame {
+            readings,
+            ..Frame::default()
+        };
+        let own = row.readings(gauss_per_lsb, |_| Vector3::zeros());
+        let own = clean.step(&sensed(own), &row.around);
+        let up = clean.detector().flag();
         if fresh {
-            tally.frame(frame, clean.measures(), up && !was_up);
+            tally.frame(frame, measures(clean.detector()), up && !was_up);
             tally.seconds = row.time_s;
         }
         was_up = up;
-        if passages.at(row.time_s, passed.detector.flag()) {
+        if passages.at(row.time_s, passed.detector().flag()) {
             tally.passages.extend(passage.take());
             passage = Some(Passage::default());
         } else if passages.magnet.is_none() {
@@ -118,10 +82,16 @@ pub fn run(device: &Device, world: &World, number: u32) -> Result<Tally> {
             let field_g = passages.field(sensor as u32, row.time_s);
             rows.felt(sensor, field_g)
         };
-        let other = passed.frame(row.readings(gauss_per_lsb, foreign), &row.around);
+        let other = row.readings(gauss_per_lsb, foreign);
+        let other = passed.step(&sensed(other), &row.around);
         if let Some(passage) = &mut passage {
-            let up = passed.detector.flag();
-            passage.note(frame, apart_n(&own, &other), up, passed.measures());
+            let up = passed.detector().flag();
+            passage.note(
+                frame,
+                apart_n(&own, &other),
+                up,
+                measures(passed.detector()),
+            );
         }
         frame += 1;
     }

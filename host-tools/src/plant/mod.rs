@@ -14,6 +14,8 @@
 //! - [`object`]: what is grasped; [`finger`]: guides, flexures, stops.
 //! - [`train`]: rotor and fingers in time.
 //! - [`sensing`]: currents, voltage, angle, in counts, with their errors.
+//! - [`hall`]: forces into what the Hall sensors read; [`impact`]: steps on the ground; [`imu`]: what is felt
+//!   of them.
 //! - [`energy`]: where the energy went.
 //!
 //! What this leaves out: the ripple of the pulses within a period, the fingers' and flexures' own
@@ -24,6 +26,9 @@ pub mod cogging;
 pub mod energy;
 pub mod finger;
 pub mod friction;
+pub mod hall;
+pub mod impact;
+pub mod imu;
 pub mod inverter;
 pub mod motor;
 pub mod object;
@@ -130,7 +135,11 @@ impl Plant {
 
     fn sense(&mut self) -> Sensed {
         let [u, v, w] = self.motor.currents_a;
-        let currents_a = if self.parameters.swapped { [u, w, v] } else { [u, v, w] };
+        let currents_a = if self.parameters.swapped {
+            [u, w, v]
+        } else {
+            [u, v, w]
+        };
         let (bus_v, angle_rad) = (self.bus.voltage_v, self.train.angle_rad);
         let sensors = &self.parameters.sensors;
         sensors.look(&currents_a, bus_v, angle_rad, &mut self.rng)
@@ -169,7 +178,8 @@ impl Plant {
         let bus_v = self.bus.voltage_v;
         match inverter.terminals(drive, &self.motor.currents_a) {
             Terminals::Held(shares) => {
-                self.motor.held(windings, rotor, (&shares, bus_v), self.keep)
+                self.motor
+                    .held(windings, rotor, (&shares, bus_v), self.keep)
             }
             Terminals::Free => {
                 let voltages = (inverter.diode_v, bus_v);

@@ -17,8 +17,7 @@ use super::train::Rotor;
 use crate::bench::draw::{Purpose, between, stream};
 
 /// The two readings of the paper's closing speed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum, serde::Serialize)]
-#[serde(rename_all = "lowercase")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Lead {
     /// 58.3 mm/s of the opening: a fine screw that locks itself.
     A,
@@ -125,9 +124,11 @@ impl Parameters {
             screw: Screw {
                 travel_m_per_rad: lead.travel_m_per_rad(),
                 friction: lead.friction(),
-                play_m: 1e-3 * params::BACKLASH.value,
+                play_m: 1e-3 * params::PLAY.value,
                 stiffness_n_per_m,
-                damping_ns_per_m: 2.0 * FLANK_DAMPING * (stiffness_n_per_m * fingers.mass_kg).sqrt(),
+                damping_ns_per_m: 2.0
+                    * FLANK_DAMPING
+                    * (stiffness_n_per_m * fingers.mass_kg).sqrt(),
             },
             fingers,
             sensors: Sensors::nominal(),
@@ -207,7 +208,10 @@ mod tests {
         // The opening's speed for A, each finger's for B.
         let opening_mm_s = Lead::BOTH.map(|lead| 1e3 * lead.travel_m_per_rad() * 114.0);
         assert!((opening_mm_s[0] - 58.3).abs() < 0.05, "{opening_mm_s:?}");
-        assert!((opening_mm_s[1] / 2.0 - 58.3).abs() < 0.05, "{opening_mm_s:?}");
+        assert!(
+            (opening_mm_s[1] / 2.0 - 58.3).abs() < 0.05,
+            "{opening_mm_s:?}"
+        );
     }
 
     #[test]

@@ -30,6 +30,8 @@ pub struct Data {
     pub simulated: bool,
     /// Seed of networks and fits.
     pub seed: u64,
+    /// Whether shorter trainings are wanted beside that on everything.
+    pub curve: bool,
     /// What a person should know.
     pub notes: Vec<String>,
 }
@@ -42,6 +44,7 @@ impl Data {
         hold_out: Option<usize>,
         alignment: Alignment,
         seed: u64,
+        curve: bool,
     ) -> Result<Self> {
         let model = ModelFile::read(model_path)?;
         if model.base == Base::Polynomial {
@@ -74,6 +77,7 @@ impl Data {
             effects,
             simulated,
             seed,
+            curve,
             notes,
         })
     }

@@ -46,10 +46,12 @@ impl Point {
     }
 }
 
-/// Lengths below all that there is.
+/// Lengths below all that there is, where they are wanted.
 pub fn shorter(data: &Data) -> Vec<f64> {
     let all = data.training_s();
-    let short = SECONDS.into_iter().filter(|s| *s < NEARLY_ALL * all);
+    let short = SECONDS
+        .into_iter()
+        .filter(|s| data.curve && *s < NEARLY_ALL * all);
     short.collect()
 }
 

@@ -3,7 +3,7 @@
 
 mod effects;
 
-use firmware::compensate::{Compensation, MOST, OnField, OnForce, hysteresis, neighbour_magnet};
+use firmware::compensate::{Compensation, MOST, OnField, OnForce, neighbour_magnet};
 use firmware::params;
 use firmware::units::{Field, Force};
 use nalgebra::{Matrix3, Vector3};
@@ -119,19 +119,7 @@ impl OwnedCompensation {
 
     /// Friction beside the flexures, Fx and Fz in newtons: what may be held where nothing pushes.
     pub fn friction_n(&self) -> [f64; 2] {
-        let force = |slider: &hysteresis::Slider| {
-            let share = f64::from(slider.share) / f64::from(1_u32 << hysteresis::BITS);
-            share * Force(slider.reach).newtons()
-        };
-        let mut friction_n = [0.0; 2];
-        for effect in &self.force {
-            if let OwnedOnForce::Plain(OnForce::Hysteresis(table)) = effect {
-                for (friction_n, sliders) in friction_n.iter_mut().zip(&table.sliders) {
-                    *friction_n += sliders.iter().map(force).sum::<f64>();
-                }
-            }
-        }
-        friction_n
+        self.view().held().map(Force::newtons)
     }
 
     /// As the device sees it.

@@ -1,11 +1,11 @@
-//! Standard deviations that mean something: calibrated on stretches of the held-out recording, judged on
-//! the others, and guarded where training has never been.
+//! Standard deviations that mean something: calibrated on the held-out recording, and guarded where
+//! training has never been.
 //!
-//! The likelihood chose the weights by all of the held-out recording; the factors are chosen by every
-//! other block of five seconds of it, and the shares that are told are those of the blocks between. A
-//! recording that had no part in anything is judged by `magpie replay`. A tare is as wrong as what
-//! friction held when it was taken, and sigma has to hold that as well: errors count after the tare of
-//! the held-out recording, or where it never rests, after that of every recording that was learned from.
+//! The likelihood chose the weights by all of the held-out recording, and a factor on each standard
+//! deviation is chosen by it too. The shares that are told are of blocks of five seconds that had no part
+//! in the factor they are judged with: every other block with that which the others ask for, and these in
+//! turn. A recording that had no part in anything is judged by `magpie replay`. Errors count after the
+//! tare that the device would take, which leaves alone what sigma itself allows for.
 
 use model_export::gru::network::{Guard, Network, OUTPUTS};
 use model_export::gru::train::course::Course;
@@ -26,9 +26,9 @@ const SPLIT_MARGIN: f64 = 1.25;
 pub struct Sigma {
     /// Of each force, in the order of the networks' heads: Fx and Fz.
     pub factors: Vec<(u32, [f64; 2])>,
-    /// On the blocks that calibrated nothing, after the tare: as the networks told them.
+    /// After the tare: as the networks told them.
     pub before: Option<Coverage>,
-    /// The same with the factors.
+    /// The same, each block with the factors that the others ask for.
     pub after: Option<Coverage>,
     guards: Vec<(u32, Guard)>,
 }
@@ -48,47 +48,28 @@ impl Sigma {
             guards: Vec::new(),
         };
         let (mut before, mut after) = (Vec::new(), Vec::new());
-        let of_lessons = course.told_of_lessons()?;
-        for (network, (sensors, forces)) in course.groups.iter().zip(course.told()?).enumerate() {
+        for (sensors, forces) in course.groups.iter().zip(course.told()?) {
             for (place, &sensor) in sensors.iter().enumerate() {
                 let mut factors = [1.0; 2];
                 let mut split_n = [0.0_f64; 2];
                 for (axis, chosen) in factors.iter_mut().enumerate() {
                     let scale_n = course.scaling.force_n[axis];
-                    let output = 2 * place + axis;
-                    let told = in_newtons(&forces, output, scale_n);
+                    let told = in_newtons(&forces, 2 * place + axis, scale_n);
                     let track = held_out.track(sensor);
                     if let Some(track) = track {
                         split_n[axis] = SPLIT_MARGIN * greatest_split(track, axis, &told);
                     }
                     let held_n = held_n(&built.compensations, sensor);
-                    let tares = match track.and_then(|track| tare(track, axis, &told, held_n)) {
-                        Some(own) => vec![own],
-                        None => lessons
-                            .iter()
-                            .zip(&of_lessons)
-                            .filter_map(|(lesson, told)| {
-                                let told = in_newtons(&told[network], output, scale_n);
-                                tare(lesson.track(sensor)?, axis, &told, held_n)
-                            })
-                            .collect(),
+                    let tare = |sigma: f64| {
+                        let tare = track.and_then(|track| tare(track, axis, &told, held_n, sigma));
+                        tared(&told, tare.unwrap_or(0.0))
                     };
-                    let of = |odd: usize| -> Vec<Told> {
-                        let chosen = told.iter().filter(|one| one.block() % 2 == odd);
-                        let chosen: Vec<Told> = chosen.copied().collect();
-                        match tares.is_empty() {
-                            true => chosen,
-                            false => tares.iter().flat_map(|n| tared(&chosen, *n)).collect(),
-                        }
-                    };
-                    *chosen = factor(&of(0)).unwrap_or(1.0);
-                    let judged = of(1);
-                    let widened = judged.iter().map(|one| Told {
-                        sigma_n: *chosen * one.sigma_n,
-                        ..*one
-                    });
-                    after.push(widened.collect::<Vec<Told>>());
-                    before.push(judged);
+                    // What is tared hangs on sigma, and sigma on what is tared: each a second time.
+                    let first = factor(&tare(1.0)).unwrap_or(1.0);
+                    let errors = tare(first);
+                    *chosen = factor(&errors).unwrap_or(first);
+                    after.push(judged_by_others(&errors));
+                    before.push(errors);
                 }
                 own.factors.push((sensor, factors));
                 own.guards.push((
@@ -141,9 +122,10 @@ impl Sigma {
         let (least, most) =
             factors.fold((f64::INFINITY, 0.0_f64), |(a, b), f| (a.min(*f), b.max(*f)));
         format!(
-            "Sigma was multiplied by {least:.2} to {most:.2}, as every other 5 s of that recording ask for. On the \
-             5 s between, after the tare, over all forces, within 1, 2 and 3 of it: {}, {}, {} (a \
-             Gaussian: 68.3, 95.4, 99.7 %; blocks drawn 1000 times, 95 %); without the factors {}, {}. ",
+            "Sigma was multiplied by {least:.2} to {most:.2}, as that recording asks for. Each 5 s of it \
+             with the factors that the others ask for, after the tare, over all forces, within 1, 2 \
+             and 3 of sigma: {}, {}, {} (a Gaussian: 68.3, 95.4, 99.7 %; blocks drawn 1000 times, \
+             95 %); without factors {}, {}. ",
             after.words(0),
             after.words(1),
             after.words(2),
@@ -187,14 +169,32 @@ fn in_newtons(forces: &[Vec<Share>], output: usize, scale_n: f64) -> Vec<Told> {
     newtons.collect()
 }
 
-/// The tare of the network; `None` where the forces never rest.
-fn tare(track: &Track, axis: usize, told: &[Told], held_n: [f64; 2]) -> Option<f64> {
+/// The tare of the network with its sigma times a factor; `None` where the forces never rest.
+fn tare(track: &Track, axis: usize, told: &[Told], held_n: [f64; 2], factor: f64) -> Option<f64> {
     let mut rest = Rest::new(held_n);
     for ((_, truth), one) in track.truth_n.iter().zip(told) {
         let truth = truth.map(f64::from);
-        rest.add(one.time_s, truth, truth.map(|n| n + one.error_n));
+        let found = truth.map(|n| n + one.error_n);
+        rest.add(one.time_s, truth, found, Some([factor * one.sigma_n; 2]));
     }
     rest.tare().map(|(tare, _)| tare[axis])
+}
+
+/// Every other block with the factor that the blocks between ask for.
+fn judged_by_others(errors: &[Told]) -> Vec<Told> {
+    let of = |odd: usize| -> Vec<Told> {
+        let chosen = errors.iter().filter(|one| one.block() % 2 == odd);
+        chosen.copied().collect()
+    };
+    let halves = [of(0), of(1)];
+    let factors = [&halves[1], &halves[0]].map(|others| factor(others).unwrap_or(1.0));
+    let widened = halves.iter().zip(factors).flat_map(|(half, factor)| {
+        half.iter().map(move |one| Told {
+            sigma_n: factor * one.sigma_n,
+            ..*one
+        })
+    });
+    widened.collect()
 }
 
 /// How far network and ideal model were apart at most, in newtons.

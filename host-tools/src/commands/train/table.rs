@@ -27,6 +27,7 @@ pub fn run(args: &Args) -> Result<()> {
         args.hold_out,
         alignment,
         args.seed,
+        !args.without_curve,
     )?;
     let settings = model_export::gru::train::course::Settings {
         near_zero: 1.0,

@@ -26,7 +26,10 @@ fn a_grasp_a_brake_and_a_release_balance_within_a_percent() {
         hold(&mut plant, Drive::Off, 0.05);
         let (supplied_j, missing_j) = books(&plant, stored_j);
         assert!(supplied_j > 0.3, "{lead:?}: {supplied_j}");
-        assert!(missing_j.abs() < 0.01 * supplied_j, "{lead:?}: {missing_j} of {supplied_j}");
+        assert!(
+            missing_j.abs() < 0.01 * supplied_j,
+            "{lead:?}: {missing_j} of {supplied_j}"
+        );
     }
 }
 
@@ -38,7 +41,10 @@ fn a_braked_rotor_s_energy_becomes_heat_in_the_windings_and_friction() {
     hold(&mut plant, Drive::Brake, 0.1);
     let (copper_j, friction_j) = (plant.ledger.copper_j, plant.ledger.friction_j);
     // 1/2 J w^2 = 0.390 J.
-    assert!((copper_j + friction_j - 0.390).abs() < 0.004, "{copper_j} + {friction_j}");
+    assert!(
+        (copper_j + friction_j - 0.390).abs() < 0.004,
+        "{copper_j} + {friction_j}"
+    );
     assert!(copper_j > 0.9 * (copper_j + friction_j));
     assert!(plant.bus.voltage_v < 24.01);
 }

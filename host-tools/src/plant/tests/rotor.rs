@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use firmware::motor::stage::Drive;
 use firmware::params;
 
-use super::source::{current, drive_until, hold, voltage};
+use super::source::{current, hold, voltage};
 use crate::plant::parameters::{Lead, Parameters};
 use crate::plant::{PERIOD_S, Plant};
 
@@ -20,6 +20,12 @@ fn spinning(lead: Lead, speed_rad_s: f64) -> Plant {
     plant.train.speed_rad_s = speed_rad_s;
     plant.train.travel_m_s = speed_rad_s * lead.travel_m_per_rad();
     plant
+}
+
+/// Currents of the phases for a quadrature current.
+fn phases_of(plant: &Plant, quadrature_a: f64) -> [f64; 3] {
+    let electrical_rad = plant.parameters().windings.pole_pairs * plant.train.angle_rad;
+    [0.0, 1.0, 2.0].map(|phase: f64| -quadrature_a * (electrical_rad - phase * TAU / 3.0).sin())
 }
 
 #[test]
@@ -46,7 +52,10 @@ fn a_rotor_left_alone_coasts_14_3_rad() {
     let coasted_rad = plant.train.angle_rad - start_rad;
     assert_eq!(plant.train.speed_rad_s, 0.0);
     let expected_rad = 0.6 * (114.0 - 200.0 * 1.57_f64.ln());
-    assert!((coasted_rad / expected_rad - 1.0).abs() < 2e-3, "{coasted_rad}");
+    assert!(
+        (coasted_rad / expected_rad - 1.0).abs() < 2e-3,
+        "{coasted_rad}"
+    );
 }
 
 #[test]
@@ -66,23 +75,37 @@ fn a_braked_rotor_s_current_peaks_at_11_6_a() {
 #[test]
 fn braking_at_9_6_a_returns_95_mj_and_raises_the_bus_to_31_3_v() {
     let mut plant = spinning(Lead::A, RATED_RAD_S);
-    let start_s = plant.time_s();
-    let stopped = drive_until(&mut plant, |_| -9.6, |plant| plant.train.speed_rad_s < 1.0);
-    assert!(stopped);
-    let took_s = plant.time_s() - start_s;
-    assert!((took_s - 7.1e-3).abs() < 0.5e-3, "{took_s}");
-    let bus_v = plant.bus.voltage_v;
-    assert!((bus_v - 31.3).abs() < 0.7, "{bus_v}");
+    // The current flows already: what its inductance takes is not in the case.
+    plant.motor.currents_a = phases_of(&plant, -9.6);
+    let mut peak_v = 0.0_f64;
+    while plant.train.speed_rad_s > 1.0 && plant.time_s() < 0.1 {
+        let drive = current(&plant, -9.6);
+        plant.step(drive);
+        peak_v = peak_v.max(plant.bus.voltage_v);
+    }
+    // The windings take 55 W: what is left of 109 W is returned until half the speed is gone, and drawn
+    // again after that.
+    assert!(
+        (plant.time_s() - 7.1e-3).abs() < 0.5e-3,
+        "{}",
+        plant.time_s()
+    );
+    assert!((peak_v - 31.3).abs() < 0.3, "{peak_v}");
 }
 
 #[test]
-fn a_current_of_10_a_dies_out_through_the_diodes_in_a_quarter_of_a_millisecond() {
+fn a_current_of_10_a_dies_out_through_the_diodes_within_a_quarter_of_a_millisecond() {
     let mut plant = open(Lead::A);
-    // Phase U ahead of the star by (24.8 + 0.8) * 2/3 = 17.1 V: 10 A / (17.1 V / 0.4 mH) = 0.23 ms.
+    // Phase U ahead of the star by (24.8 + 0.8) * 2/3 = 17.1 V: 10 A / (17.1 V / 0.4 mH) = 0.23 ms
+    // at the most, since the resistance helps.
     plant.motor.currents_a = [10.0, -5.0, -5.0];
-    hold(&mut plant, Drive::Off, 0.2e-3);
-    assert!(plant.motor.currents_a[0] > 0.5, "{:?}", plant.motor.currents_a);
-    hold(&mut plant, Drive::Off, 0.05e-3);
+    hold(&mut plant, Drive::Off, 0.15e-3);
+    assert!(
+        plant.motor.currents_a[0] > 1.0,
+        "{:?}",
+        plant.motor.currents_a
+    );
+    hold(&mut plant, Drive::Off, 0.1e-3);
     assert_eq!(plant.motor.currents_a, [0.0; 3]);
     assert!(plant.bus.voltage_v > 24.0);
 }
@@ -92,11 +115,18 @@ fn with_all_switches_off_only_a_rotor_faster_than_the_bus_charges_it() {
     // From line to line 34.6 V at 300 rad/s, 23.1 V at 200.
     let mut slow = spinning(Lead::A, 200.0);
     hold(&mut slow, Drive::Off, 1e-3);
-    assert_eq!((slow.motor.currents_a, slow.bus.voltage_v), ([0.0; 3], 24.0));
+    assert_eq!(
+        (slow.motor.currents_a, slow.bus.voltage_v),
+        ([0.0; 3], 24.0)
+    );
     let mut fast = spinning(Lead::A, 300.0);
     hold(&mut fast, Drive::Off, 5e-3);
     let sum: f64 = fast.motor.currents_a.iter().sum();
-    assert!(fast.bus.voltage_v > 26.0 && sum.abs() < 1e-9, "{}", fast.bus.voltage_v);
+    assert!(
+        fast.bus.voltage_v > 26.0 && sum.abs() < 1e-9,
+        "{}",
+        fast.bus.voltage_v
+    );
 }
 
 #[test]
@@ -113,7 +143,10 @@ fn an_ampere_of_quadrature_current_is_a_tenth_of_a_newton_metre() {
         plant.step(drive);
     }
     let [direct, quadrature] = plant.direct_quadrature_a();
-    assert!(direct.abs() < 0.05 && (quadrature - 4.0).abs() < 0.05, "{direct} {quadrature}");
+    assert!(
+        direct.abs() < 0.05 && (quadrature - 4.0).abs() < 0.05,
+        "{direct} {quadrature}"
+    );
     assert!((parameters.windings.torque_constant() - 0.1).abs() < 1e-12);
 }
 
@@ -126,7 +159,10 @@ fn a_step_of_voltage_brings_current_by_its_time_constant() {
     hold(&mut plant, drive, 1e-3);
     // 5 A (1 - 1/e) after L/R = 1 ms; half a per cent is what the bus gives way.
     let [direct, _] = plant.direct_quadrature_a();
-    assert!((direct / (5.0 * (1.0 - (-1.0_f64).exp())) - 1.0).abs() < 0.01, "{direct}");
+    assert!(
+        (direct / (5.0 * (1.0 - (-1.0_f64).exp())) - 1.0).abs() < 0.01,
+        "{direct}"
+    );
 }
 
 #[test]
@@ -141,9 +177,8 @@ fn swapped_phases_turn_the_other_way() {
         // A field that turns slowly pulls the rotor along.
         for period in 0..20_000 {
             let angle = TAU * 5.0 * f64::from(period) * PERIOD_S;
-            let duties = [0.0, 1.0, 2.0].map(|phase: f64| {
-                (0.5 + 0.1 * (angle - phase * TAU / 3.0).cos()) as f32
-            });
+            let duties = [0.0, 1.0, 2.0]
+                .map(|phase: f64| (0.5 + 0.1 * (angle - phase * TAU / 3.0).cos()) as f32);
             plant.step(Drive::Duty(duties));
         }
         plant.train.angle_rad - start_rad
@@ -151,5 +186,8 @@ fn swapped_phases_turn_the_other_way() {
     // Five electrical turns are five sevenths of one, give or take where it began.
     let (right, wrong) = (turned(false), turned(true));
     let turn = TAU * 5.0 / 7.0;
-    assert!((right - turn).abs() < 0.5 && (wrong + turn).abs() < 0.5, "{right} {wrong}");
+    assert!(
+        (right - turn).abs() < 0.5 && (wrong + turn).abs() < 0.5,
+        "{right} {wrong}"
+    );
 }

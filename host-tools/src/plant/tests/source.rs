@@ -34,7 +34,7 @@ pub fn current(plant: &Plant, quadrature_a: f64) -> Drive {
     voltage(plant, direct_v, quadrature_v)
 }
 
-/// Goes on under a source of current until `done`; false if a tenth of a second was not enough.
+/// Goes on under a source of current until `done`; false if two seconds were not enough.
 pub fn drive_until(
     plant: &mut Plant,
     current_a: impl Fn(f64) -> f64,

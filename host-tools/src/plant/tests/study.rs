@@ -41,6 +41,9 @@ fn steps_half_as_long_change_the_peak_by_less_than_a_thousandth() {
     for drive in [Drive::Off, Drive::Brake] {
         let (coarse, fine) = (peak_n(Lead::B, drive, 1), peak_n(Lead::B, drive, 2));
         println!("{drive:?}: {coarse} {fine}");
-        assert!((coarse / fine - 1.0).abs() < 1e-3, "{drive:?}: {coarse} {fine}");
+        assert!(
+            (coarse / fine - 1.0).abs() < 1e-3,
+            "{drive:?}: {coarse} {fine}"
+        );
     }
 }

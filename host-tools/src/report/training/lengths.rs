@@ -33,10 +33,13 @@ fn role(variant: Variant) -> (Swatch, Role) {
     }
 }
 
-/// Plot and table.
-pub fn section(table: &Table) -> Section {
+/// Plot and table; `None` where there is one length only.
+pub fn section(table: &Table) -> Option<Section> {
     let mut seconds: Vec<f64> = table.lengths.iter().map(|point| point.seconds).collect();
     seconds.dedup();
+    if seconds.len() < 2 {
+        return None;
+    }
     let ways: Vec<Variant> = FOLLOWED
         .into_iter()
         .filter(|way| table.lengths.iter().any(|point| point.variant == *way))
@@ -72,11 +75,11 @@ pub fn section(table: &Table) -> Section {
         p.note { "Physics is fitted to all of these seconds; networks keep the last fifth to tell when to stop, and "
             "stand behind the physics fitted to the same seconds. Shorter trainings take up to three times as many epochs." }
     };
-    Section {
+    Some(Section {
         id: "lengths",
         heading: "What physics buys".to_owned(),
         body,
-    }
+    })
 }
 
 fn at(table: &Table, variant: Variant, seconds: f64) -> Option<f64> {

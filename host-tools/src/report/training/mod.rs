@@ -44,8 +44,8 @@ pub fn sections(table: &Table) -> Vec<Section> {
         time::section(table),
         spread::section(table),
         calibration::section(table),
-        lengths::section(table),
     ];
+    sections.extend(lengths::section(table));
     let magnet = table.foreign.as_ref();
     sections.extend(magnet.map(|magnet| foreign::section(&magnet.tally, &magnet.of)));
     sections

@@ -231,14 +231,6 @@ impl Course {
         Ok(tell(&self.best, &self.held_out)?)
     }
 
-    /// The same of each recording that was learned from: `[recording][network][force]`.
-    pub fn told_of_lessons(&self) -> Result<Vec<Vec<Vec<Vec<Told>>>>, Problem> {
-        let lessons = self.lessons.iter();
-        lessons
-            .map(|lesson| Ok(tell(&self.best, lesson)?))
-            .collect()
-    }
-
     /// The best networks so far.
     pub fn networks(&self) -> Vec<Network> {
         let network = |(i, sensors): (usize, &Vec<u32>)| {

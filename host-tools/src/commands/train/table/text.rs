@@ -104,6 +104,9 @@ fn below(table: &Table, plan: &Plan) -> String {
 fn lengths(table: &Table) -> String {
     let mut seconds: Vec<f64> = table.lengths.iter().map(|point| point.seconds).collect();
     seconds.dedup();
+    if seconds.len() < 2 {
+        return String::new();
+    }
     let heads = seconds.iter().map(|seconds| format!("{seconds:.0} s"));
     let mut shown = show::table(std::iter::once("by".to_owned()).chain(heads));
     for variant in FOLLOWED {

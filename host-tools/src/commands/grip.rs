@@ -1,0 +1,195 @@
+//! `magpie grip`: the firmware's control of the motor on a simulated gripper.
+
+use std::path::PathBuf;
+
+use anyhow::{Result, bail};
+use firmware::params;
+use serde_json::{Value, json};
+
+use crate::drive::runs::Case;
+use crate::drive::told::{Asked, Told};
+use crate::plant::parameters::Lead;
+use crate::report::{self, drive};
+use crate::{progress, show};
+
+/// Move the fingers of a simulated gripper by the firmware's own control: place, speed, current and voltage.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  cargo magpie grip --position 20 -o grip.html
+  cargo magpie grip --speed 58.3 --screw b --json
+  cargo magpie grip --position 60 --speed 10 --from 20 --scatter 0.2 --seed 7")]
+#[command(group = clap::ArgGroup::new("asked").required(true).multiple(true).args(["position", "speed"]))]
+pub struct Args {
+    /// Opening to go to.
+    #[arg(long, value_name = "MM")]
+    position: Option<f64>,
+    /// Greatest speed on the way to a place; without one, speed of closing (below zero opens), then the brake.
+    #[arg(long, value_name = "MM_S", allow_negative_numbers = true)]
+    speed: Option<f64>,
+    /// Opening at the beginning.
+    #[arg(long, value_name = "MM", default_value_t = 40.0)]
+    from: f64,
+    /// Lead screw: a locks itself, b is driven back.
+    #[arg(long, value_enum, default_value = "a")]
+    screw: Screw,
+    /// Everything uncertain is off the card by up to this share, as the seed draws it.
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
+    scatter: f64,
+    /// Seed of noise and scatter: the same seed, the same run.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Where the report goes.
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+    /// Print one JSON object on stdout and nothing else there.
+    #[arg(long)]
+    json: bool,
+}
+
+/// The screws by their letters.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum Screw {
+    A,
+    B,
+}
+
+/// A run at a speed lasts this long, or as long as the way is.
+const RUN_S: f64 = 0.5;
+/// Room that is left to the ends of the travel, in mm.
+const ROOM_MM: f64 = 2.0;
+/// Most of what is uncertain.
+const MOST_SCATTER: f64 = 0.5;
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<()> {
+    let lead = match args.screw {
+        Screw::A => Lead::A,
+        Screw::B => Lead::B,
+    };
+    let asked = asked(args, lead)?;
+    let case = match args.scatter {
+        0.0 => Case::nominal(lead, args.seed),
+        share if share > 0.0 && share <= MOST_SCATTER => Case::scattered(lead, share, args.seed),
+        share => bail!("--scatter {share} is not possible here; give 0 to {MOST_SCATTER}"),
+    };
+    let bar = progress::bar("simulating the drive", Told::PARTS);
+    let told = Told::of(case, args.from, asked, || bar.inc(1));
+    bar.finish_and_clear();
+    if let Some(path) = &args.output {
+        report::write_sections(path, &drive::title(&told), &drive::sections(&told))?;
+    }
+    let page = match args.json {
+        true => format!("{}\n", report_json(args, &told)),
+        false => text(args, &told),
+    };
+    show::page(&page)?;
+    Ok(())
+}
+
+/// What is asked, within what the drive can.
+fn asked(args: &Args, lead: Lead) -> Result<Asked> {
+    let stroke_mm = params::STROKE.value;
+    let places = ROOM_MM..=stroke_mm - ROOM_MM;
+    for (option, mm) in [("--from", Some(args.from)), ("--position", args.position)] {
+        if let Some(mm) = mm.filter(|mm| !places.contains(mm)) {
+            bail!(
+                "{option} {mm} is not possible here; give {ROOM_MM} to {} mm",
+                stroke_mm - ROOM_MM
+            );
+        }
+    }
+    let full_mm_s = lead.closing_mm_s();
+    if let Some(speed) = args
+        .speed
+        .filter(|mm_s| !(0.1..=full_mm_s).contains(&mm_s.abs()))
+    {
+        bail!("--speed {speed} is not possible here; give 0.1 to {full_mm_s} mm/s with this screw");
+    }
+    match (args.position, args.speed) {
+        (Some(_), Some(speed)) if speed < 0.0 => {
+            bail!("--speed {speed} on the way to a place is its size; leave the sign out")
+        }
+        (Some(opening_mm), speed) => Ok(Asked::Place {
+            opening_mm,
+            speed_mm_s: speed.unwrap_or(full_mm_s),
+        }),
+        (None, Some(closing_mm_s)) => {
+            let room_mm = match closing_mm_s > 0.0 {
+                true => args.from - ROOM_MM,
+                false => stroke_mm - ROOM_MM - args.from,
+            };
+            let seconds = (room_mm / closing_mm_s.abs()).min(RUN_S);
+            Ok(Asked::Speed {
+                closing_mm_s,
+                // Whole milliseconds.
+                seconds: (1e3 * seconds).floor().max(1.0) / 1e3,
+            })
+        }
+        (None, None) => bail!("give --position, --speed, or both"),
+    }
+}
+
+fn text(args: &Args, told: &Told) -> String {
+    let mut table = show::table(["figure", "", "unit"]);
+    for (name, value, unit) in told.figures() {
+        table.add_row([name, &show::plain(value, 3), unit]);
+    }
+    show::right_align(&mut table, 1);
+    let assumed: Vec<String> = told
+        .assumed()
+        .iter()
+        .map(|constant| {
+            let value = show::plain(constant.value, 6);
+            format!("{} {value} {}", constant.name, constant.unit)
+                .trim_end()
+                .to_owned()
+        })
+        .collect();
+    let mut page = show::paragraph(&told.sentence());
+    page += &format!("{table}\n");
+    page += &show::paragraph(&format!("Simulated. Assumed: {}.", assumed.join(", ")));
+    if let Some(path) = &args.output {
+        page += &format!("Report: {}\n", path.display());
+    }
+    page
+}
+
+fn report_json(args: &Args, told: &Told) -> Value {
+    let points = told.run.points.iter().step_by(20).map(|point| {
+        json!({
+            "time_s": point.time_s,
+            "opening_mm": point.opening_mm,
+            "asked_mm": point.asked_mm,
+            "closing_mm_s": point.closing_mm_s,
+            "current_d_a": point.current_a[0],
+            "current_q_a": point.current_a[1],
+            "voltage_d_v": point.voltage_v[0],
+            "voltage_q_v": point.voltage_v[1],
+            "bus_v": point.bus_v,
+        })
+    });
+    let figures = told
+        .figures()
+        .into_iter()
+        .map(|(name, value, unit)| json!({ "name": name, "value": value, "unit": unit }));
+    let sweep = told.sweep.iter().map(|tone| {
+        json!({ "frequency_hz": tone.frequency_hz, "gain": tone.gain, "lag_deg": tone.lag_deg })
+    });
+    let assumed = told.assumed().into_iter().map(
+        |constant| json!({ "name": constant.name, "value": constant.value, "unit": constant.unit }),
+    );
+    json!({
+        "simulated": true,
+        "screw": format!("{:?}", told.case.lead).to_lowercase(),
+        "seed": args.seed,
+        "scatter": args.scatter,
+        "from_mm": args.from,
+        "report": args.output,
+        "figures": figures.collect::<Vec<_>>(),
+        "points": points.collect::<Vec<_>>(),
+        "current_step": told.step.points,
+        "current_sweep": sweep.collect::<Vec<_>>(),
+        "assumed": assumed.collect::<Vec<_>>(),
+    })
+}

@@ -1,0 +1,139 @@
+//! The drive: the firmware's own control of the motor on the plant, and what the two come to.
+//!
+//! - [`trace`]: what is noted over time.
+//! - [`runs`]: a way to a place, a speed, a brake, a squeeze.
+//! - [`response`]: the current loop's answer to a step and to sines.
+//! - [`figures`]: what is asked of the drive beside what it reaches.
+//! - [`told`]: what is told of a run.
+//! - [`world`]: what the board's sensors feel meanwhile.
+
+pub mod figures;
+pub mod response;
+pub mod runs;
+pub mod told;
+pub mod trace;
+pub mod world;
+
+#[cfg(test)]
+mod tests;
+
+use std::f64::consts::TAU;
+
+use firmware::motor::screw::Screw;
+use firmware::motor::settings::Wiring;
+use firmware::motor::stage::{Drive, PowerStage};
+use firmware::motor::{Motor, Setpoint, Settings, State, Telling};
+use firmware::params;
+
+use crate::plant::parameters::{Lead, Parameters};
+use crate::plant::{PERIOD_S, Plant};
+
+/// Arming is given up after this.
+const ARMING_S: f64 = 0.1;
+
+/// The control on a plant.
+pub struct Rig {
+    /// What is driven.
+    pub plant: Plant,
+    /// The firmware's control.
+    pub motor: Motor,
+    drive: Drive,
+}
+
+/// Takes over what the control decides.
+struct Switches<'a>(&'a mut Drive);
+
+impl PowerStage for Switches<'_> {
+    fn drive(&mut self, drive: Drive) {
+        *self.0 = drive;
+    }
+}
+
+impl Rig {
+    /// Switched on with the fingers this far apart; disarmed. The control is set to the card's motor, whatever
+    /// this plant's is, and to how its sensor sits and its phases are wired.
+    pub fn new(lead: Lead, parameters: Parameters, opening_mm: f64, seed: u64) -> Self {
+        let settings = Settings {
+            wiring: wiring(&parameters),
+            ..Settings::assumed(lead.screw())
+        };
+        Self::set(settings, parameters, opening_mm, seed)
+    }
+
+    /// The same with the control set to something else.
+    pub fn set(settings: Settings, parameters: Parameters, opening_mm: f64, seed: u64) -> Self {
+        Self {
+            plant: Plant::new(parameters, 1e-3 * opening_mm, seed),
+            motor: Motor::new(settings),
+            drive: Drive::Off,
+        }
+    }
+
+    /// The same, armed and told where the fingers are.
+    pub fn armed(lead: Lead, parameters: Parameters, opening_mm: f64, seed: u64) -> Self {
+        let mut rig = Self::new(lead, parameters, opening_mm, seed);
+        rig.motor.arm();
+        rig.run_while(ARMING_S, |telling| telling.state == State::Arming);
+        rig.motor.set_opening(opening_mm as f32);
+        rig
+    }
+
+    /// One period of the pulses.
+    pub fn period(&mut self) {
+        let sensed = self.plant.step(self.drive);
+        self.motor.period(&sensed, &mut Switches(&mut self.drive));
+    }
+
+    /// Goes on so long.
+    pub fn run(&mut self, seconds: f64) {
+        self.run_while(seconds, |_| true);
+    }
+
+    /// Goes on while something holds, but no longer than this.
+    pub fn run_while(&mut self, seconds: f64, holds: impl Fn(&Telling) -> bool) {
+        for _ in 0..periods(seconds) {
+            if !holds(&self.motor.telling()) {
+                break;
+            }
+            self.period();
+        }
+    }
+
+    /// Commands and goes on so long.
+    pub fn under(&mut self, setpoint: Setpoint, seconds: f64) {
+        self.motor.command(setpoint);
+        self.run(seconds);
+    }
+}
+
+/// Periods of the pulses in a time.
+pub fn periods(seconds: f64) -> u32 {
+    (seconds / PERIOD_S).round() as u32
+}
+
+/// What commissioning finds of a plant whose sensor sits like this.
+fn wiring(parameters: &Parameters) -> Wiring {
+    let turns = -parameters.zero_rad * parameters.windings.pole_pairs / TAU;
+    Wiring {
+        offset: (turns.rem_euclid(1.0) * 4_294_967_296.0) as u32,
+        is_swapped: parameters.swapped,
+    }
+}
+
+impl Lead {
+    /// What the control knows of it.
+    pub fn screw(self) -> Screw {
+        match self {
+            Self::A => Screw::A,
+            Self::B => Screw::B,
+        }
+    }
+
+    /// Speed of the opening in mm/s that is the paper's closing speed.
+    pub fn closing_mm_s(self) -> f64 {
+        match self {
+            Self::A => params::CLOSING_SPEED.value,
+            Self::B => 2.0 * params::CLOSING_SPEED.value,
+        }
+    }
+}

@@ -1,0 +1,90 @@
+//! `magpie grip` as a user meets it.
+
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+fn grip(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_magpie"))
+        .arg("grip")
+        .args(arguments)
+        .output()
+        .expect("the command runs")
+}
+
+fn json_of(arguments: &[&str]) -> Value {
+    let output = grip(&[arguments, &["--json"]].concat());
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{said}");
+    serde_json::from_slice(&output.stdout).expect("one JSON object on stdout and nothing else")
+}
+
+fn figure(json: &Value, name: &str) -> f64 {
+    let figures = json["figures"].as_array().unwrap();
+    let found = figures.iter().find(|figure| figure["name"] == name);
+    found.and_then(|figure| figure["value"].as_f64()).unwrap()
+}
+
+#[test]
+fn a_place_is_reached_and_the_page_shows_place_speed_current_and_voltage() {
+    let folder = tempfile::tempdir().unwrap();
+    let page = folder.path().join("grip.html");
+    let path = page.to_str().unwrap();
+    let json = json_of(&["--position", "20", "-o", path]);
+    assert!((figure(&json, "opening at the end") - 20.0).abs() < 0.05);
+    assert!(figure(&json, "current loop, 3 dB") >= 1000.0);
+    assert_eq!(json["simulated"], true);
+    let page = std::fs::read_to_string(page).unwrap();
+    for words in [
+        "opening, mm",
+        "closing, mm/s",
+        "current, A",
+        "bus, V",
+        "gain, dB",
+        "Assumed",
+    ] {
+        assert!(page.contains(words), "{words}");
+    }
+    assert!(!page.contains("http://") && !page.contains("https://"));
+}
+
+#[test]
+fn a_speed_is_run_and_braked_from() {
+    let json = json_of(&["--speed", "-30", "--screw", "b"]);
+    assert!((figure(&json, "greatest speed") - 30.0).abs() < 3.0);
+    assert!(figure(&json, "way after the brake") < 0.5);
+    assert!(figure(&json, "opening at the end") > 50.0);
+}
+
+#[test]
+fn the_same_seed_prints_the_same_bytes_and_the_terminal_names_what_is_assumed() {
+    let page = |seed| grip(&["--speed", "20", "--scatter", "0.2", "--seed", seed]).stdout;
+    assert_eq!(page("3"), page("3"));
+    assert_ne!(page("3"), page("4"));
+    let text = String::from_utf8(page("3")).unwrap();
+    assert!(
+        text.contains("Assumed:") && text.contains("torque constant 0.1 N m/A"),
+        "{text}"
+    );
+}
+
+#[test]
+fn what_the_drive_cannot_do_is_said_and_not_done() {
+    for (arguments, words) in [
+        (vec!["--position", "90"], "give 2 to 78 mm"),
+        (vec!["--speed", "100"], "give 0.1 to 58.3 mm/s"),
+        (
+            vec!["--position", "20", "--speed", "-5"],
+            "leave the sign out",
+        ),
+        (vec!["--speed", "5", "--scatter", "2"], "give 0 to 0.5"),
+        (vec![], "--position"),
+    ] {
+        let output = grip(&arguments);
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(
+            !output.status.success() && said.contains(words),
+            "{arguments:?}: {said}"
+        );
+    }
+}
