@@ -282,18 +282,25 @@ pub const ENCODER_ECCENTRICITY: Constant = assumed(
     "magnet off centre by 0.1 mm",
 );
 /// Stiffness of the hardest contact: two flexures of 667 N/mm behind each other.
-pub const CONTACT_STIFFNESS: Constant =
-    assumed("hardest contact", 333.0, "N/mm", "control study");
+pub const CONTACT_STIFFNESS: Constant = assumed("hardest contact", 333.0, "N/mm", "control study");
 /// Time from a contact to the speed that answers it.
 pub const STOPPING_TIME: Constant = assumed("answer to a contact", 2.5, "ms", "control study");
 /// Crossover of the force loop.
 pub const FORCE_BANDWIDTH: Constant = assumed("force loop", 24.0, "Hz", "control study");
 /// Friction between fingertip and object.
-pub const OBJECT_FRICTION: Constant =
-    assumed("fingertip's friction", 0.5, "", "rubber on most things; nobody measured it");
+pub const OBJECT_FRICTION: Constant = assumed(
+    "fingertip's friction",
+    0.5,
+    "",
+    "rubber on most things; nobody measured it",
+);
 /// Distance of the two sensors along a finger.
-pub const SENSOR_DISTANCE: Constant =
-    assumed("sensors along a finger", 60.0, "mm", "the paper states none");
+pub const SENSOR_DISTANCE: Constant = assumed(
+    "sensors along a finger",
+    60.0,
+    "mm",
+    "the paper states none",
+);
 /// Mass of the fingertip on each sensor's flexures.
 pub const FINGERTIP_MASS: Constant =
     assumed("fingertip on a sensor", 0.05, "kg", "the paper states none");

@@ -12,6 +12,8 @@ use crate::params;
 /// The law takes no contact for softer than this, in newtons to the millimetre: the noise of the force would
 /// shake the fingers.
 const SOFTEST: f32 = 20.0;
+/// A force that is right is kept by the mean of the last forces, and the loop is slower by this factor.
+const CALM: f32 = 4.0;
 /// Speed in mm/s at which a place is taken up again.
 const PLACE_MM_S: f32 = 5.0;
 /// Milliseconds of a force that is right after which a hold's current falls.
@@ -22,8 +24,6 @@ const RELAXES: f32 = 0.99;
 const MARGIN: f32 = 1.4;
 /// What the margin grows by where it was too small.
 const MARGIN_GROWS: f32 = 1.25;
-/// Current in amperes of the dry friction.
-const DRY_A: f32 = (params::DRY_FRICTION.value / params::TORQUE_CONSTANT.value) as f32;
 
 /// The current of a hold: friction helps it, so that it takes less than the grip did.
 #[derive(Clone, Copy, Debug)]
@@ -144,12 +144,20 @@ impl Grip {
 
     fn hold_active(&mut self, motor: &Telling) -> Setpoint {
         let dead_n = self.limits.dead_n.max(self.limits.dead * self.set_n);
-        let missing_n = self.set_n - self.force_n;
+        let right_n = self.limits.right_n.max(self.limits.right * self.set_n);
+        let raw_n = self.set_n - self.force_n;
+        let missing_n = match raw_n.abs() < right_n {
+            true => self.set_n - self.mean_n,
+            false => raw_n,
+        };
         let beyond_n = missing_n - within(missing_n, -dead_n, dead_n);
-        let stiffness = self.stiffness.told().max(SOFTEST);
+        let slower = if raw_n.abs() < right_n { CALM } else { 1.0 };
+        let stiffness = self.stiffness.told().max(SOFTEST) * slower;
         let most_mm_s = law::approach_mm_s(self.set_n).min(self.grip.most_mm_s);
         let flows_a = motor.asked.q.abs();
-        let most_a = self.hold.most_a(beyond_n.abs() < dead_n, self.needed_a(), flows_a);
+        let most_a = self
+            .hold
+            .most_a(beyond_n.abs() < dead_n, self.needed_a(), flows_a);
         self.hold_a = flows_a;
         Setpoint::Speed {
             closing_mm_s: law::closing_mm_s(beyond_n, stiffness, most_mm_s),
@@ -191,10 +199,10 @@ impl Grip {
         }
     }
 
-    /// Amperes that hold the force against turning back.
+    /// Amperes that hold the force against turning back, dry friction not counted on.
     fn needed_a(&self) -> f32 {
         const TORQUE_NM_A: f32 = params::TORQUE_CONSTANT.value as f32;
-        self.screw.holding_nm(self.force_n) / TORQUE_NM_A + DRY_A
+        self.screw.holding_nm(self.force_n, 0.0) / TORQUE_NM_A
     }
 }
 

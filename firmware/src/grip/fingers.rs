@@ -106,7 +106,10 @@ mod tests {
         let mut estimates = pressed([50.0, 50.0, 10.0, 10.0], [0.0; 4]);
         estimates[1].validity = Validity::Saturated;
         let fingers = Fingers::of(&estimates);
-        assert_eq!((fingers.greatest_n(), fingers.sum_n()), (Some(20.0), Some(40.0)));
+        assert_eq!(
+            (fingers.greatest_n(), fingers.sum_n()),
+            (Some(20.0), Some(40.0))
+        );
         estimates[2].disturbed = true;
         let fingers = Fingers::of(&estimates);
         assert_eq!((fingers.greatest_n(), fingers.are_lost()), (None, false));

@@ -103,18 +103,27 @@ impl Feeling {
                 continue;
             };
             let force_n = newtons(force) - own_n;
-            let limit_n = if *stands { limits.foot_off_n } else { limits.foot_on_n };
+            let limit_n = if *stands {
+                limits.foot_off_n
+            } else {
+                limits.foot_on_n
+            };
             *stands = force_n > limit_n;
             standing.contacts |= u8::from(*stands) << sensor;
             standing.is_unloaded &= force_n.abs() < limits.unloaded_n;
             standing.total_n += force_n;
-            standing.peak_n = standing.peak_n.max(peak.note(force_n.abs(), limits.peak_ms));
+            standing.peak_n = standing
+                .peak_n
+                .max(peak.note(force_n.abs(), limits.peak_ms));
             along += force_n * place;
             across += force_n * side;
-            standing.sigma_n = standing.sigma_n.zip(estimate.sigma).map(|(sum, [_, sigma])| {
-                let sigma_n = newtons(sigma);
-                sum + sigma_n * sigma_n
-            });
+            standing.sigma_n = standing
+                .sigma_n
+                .zip(estimate.sigma)
+                .map(|(sum, [_, sigma])| {
+                    let sigma_n = newtons(sigma);
+                    sum + sigma_n * sigma_n
+                });
         }
         standing.sigma_n = standing.sigma_n.map(sqrt);
         if standing.contacts != 0 && standing.total_n > limits.foot_off_n {
@@ -185,7 +194,8 @@ mod tests {
     fn nothing_stands_below_15_n_and_what_stands_does_so_down_to_7_n() {
         let mut feeling = Feeling::default();
         let mut at = |n| {
-            let standing = feeling.note(&pressed([0.0; 4], [n, 0.0, 0.0, 0.0]), None, None, &LIMITS);
+            let standing =
+                feeling.note(&pressed([0.0; 4], [n, 0.0, 0.0, 0.0]), None, None, &LIMITS);
             (standing.contacts, standing.along_mm != 0.0)
         };
         assert_eq!(at(14.9), (0, false));
@@ -200,7 +210,9 @@ mod tests {
         // 50 g at 400 m/s^2 are 20 N.
         let swung = pressed([0.0; 4], [20.0; 4]);
         let feel = |acceleration| {
-            Feeling::default().note(&swung, acceleration, None, &LIMITS).contacts
+            Feeling::default()
+                .note(&swung, acceleration, None, &LIMITS)
+                .contacts
         };
         assert_eq!((feel(None), feel(Some([0, 0, 400_000]))), (0b1111, 0));
     }
@@ -214,14 +226,23 @@ mod tests {
                 let mut read = [0.0_f32; 40];
                 for (tick, read) in read.iter_mut().enumerate() {
                     let share = (tick as f64 + phase) / length_ms;
-                    let force = if share < 1.0 { (share * std::f64::consts::PI).sin() } else { 0.0 };
+                    let force = if share < 1.0 {
+                        (share * std::f64::consts::PI).sin()
+                    } else {
+                        0.0
+                    };
                     *read = peak.note(1000.0 * force as f32, LIMITS.peak_ms);
                 }
                 read
             };
             let greatest = |phase| read(phase).into_iter().fold(0.0, f32::max);
-            let worst = (0..100).map(|i| greatest(f64::from(i) / 100.0)).fold(1e9, f32::min);
-            assert!((f64::from(worst) / 1000.0 - (1.0 - low)).abs() < 0.003, "{length_ms}: {worst}");
+            let worst = (0..100)
+                .map(|i| greatest(f64::from(i) / 100.0))
+                .fold(1e9, f32::min);
+            assert!(
+                (f64::from(worst) / 1000.0 - (1.0 - low)).abs() < 0.003,
+                "{length_ms}: {worst}"
+            );
             // Kept, then let go.
             let samples = read(0.5);
             let peak = samples.into_iter().fold(0.0, f32::max);

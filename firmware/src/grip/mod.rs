@@ -67,6 +67,8 @@ use stiffness::Stiffness;
 
 /// Greatest current in amperes.
 const PEAK_A: f32 = (params::PEAK_TORQUE.value / params::TORQUE_CONSTANT.value) as f32;
+/// Forces of which a hold's force is the mean.
+const MEAN_TICKS: f32 = 16.0;
 /// Events of a millisecond that are told at the most; there are as many kinds of own faults.
 const EVENTS: usize = 16;
 
@@ -175,6 +177,8 @@ pub struct Grip {
     fingers: Fingers,
     /// The last that was believed.
     force_n: f32,
+    /// Mean of the last sixteen or so, in newtons.
+    mean_n: f32,
     unbelieved_ticks: u8,
     lost_ticks: u8,
     believed_ms: u16,
@@ -241,6 +245,7 @@ impl Grip {
             set_n: 0.0,
             fingers: Fingers::of(&[Estimate::MISSING; SENSORS]),
             force_n: 0.0,
+            mean_n: 0.0,
             unbelieved_ticks: 0,
             lost_ticks: 0,
             believed_ms: 0,
@@ -354,6 +359,7 @@ impl Grip {
         let motor = &inputs.motor;
         if let Some(force_n) = told {
             self.force_n = force_n;
+            self.mean_n += (force_n - self.mean_n) / MEAN_TICKS;
             self.contact.note(force_n, &self.limits);
             let loads = matches!(self.task, Task::Approach | Task::Force);
             // A force is a millisecond old.

@@ -115,7 +115,10 @@ mod tests {
     #[test]
     fn less_than_three_newtons_for_three_milliseconds_is_nothing() {
         let force = |tick| if tick < 10 { 100.0 } else { 2.9 };
-        let at = first(Seen::Gone, (0..20).map(|tick| (held(force(tick), 0.0), 0.0)));
+        let at = first(
+            Seen::Gone,
+            (0..20).map(|tick| (held(force(tick), 0.0), 0.0)),
+        );
         assert_eq!(at, Some(12));
         let blinks = (0..1000).map(|tick| (held([2.9, 2.9, 3.1][tick % 3], 0.0), 0.0));
         assert_eq!(first(Seen::Gone, blinks), None);
@@ -139,7 +142,10 @@ mod tests {
     fn a_drag_that_falls_under_load_is_a_slip_and_a_weight_that_is_put_down_is_none() {
         let falling = |from: f32, to: f32| {
             let drag = move |tick: usize| if tick < 400 { from } else { to };
-            first(Seen::Slipping, (0..600).map(move |tick| (held(100.0, drag(tick)), 0.0)))
+            first(
+                Seen::Slipping,
+                (0..600).map(move |tick| (held(100.0, drag(tick)), 0.0)),
+            )
         };
         // Told within five milliseconds.
         let told = falling(80.0, 60.0).unwrap();

@@ -242,8 +242,14 @@ mod tests {
             };
             Order::of(&command, &LIMITS).err()
         };
-        assert_eq!([of(3, 1600, 1), of(3, 1601, 1)], [None, Some(Reason::OutOfRange)]);
+        assert_eq!(
+            [of(3, 1600, 1), of(3, 1601, 1)],
+            [None, Some(Reason::OutOfRange)]
+        );
         assert_eq!(of(5, 800, 0), Some(Reason::OutOfRange));
-        assert_eq!([of(8, 0, 0), of(9, 0, 0)], [None, Some(Reason::UnknownMode)]);
+        assert_eq!(
+            [of(8, 0, 0), of(9, 0, 0)],
+            [None, Some(Reason::UnknownMode)]
+        );
     }
 }

@@ -57,19 +57,18 @@ impl Grip {
             self.happens(PowerEvent::QuickStop);
         }
         self.advance(inputs);
-        let strange = is_active(bits, Fault::StrangeFrames) && !self.is_gripped && !self.task.moves();
+        let is_busy = self.is_gripped || self.task.moves() || self.task == Task::Foot;
+        let strange = is_active(bits, Fault::StrangeFrames) && !is_busy;
         if strange {
             self.happens(PowerEvent::Disable);
         }
         let is_off = matches!(self.power, Power::FaultReaction | Power::Fault);
         let forbids = strongest(bits, Phase::Moving, self.locks)
             .is_some_and(|(reaction, _)| reaction > Reaction::QuickStop);
-        outputs.may_arm = !is_off
-            && !forbids
-            && !(strange && self.power == Power::Armed)
-            && !is_active(bits, Fault::TablesUnsound)
-            && inputs.is_sound == Some(true)
-            && !inputs.is_calibrating;
+        let ends = strange && self.power == Power::Armed;
+        let is_unsound = is_active(bits, Fault::TablesUnsound) || inputs.is_sound != Some(true);
+        let is_kept = is_off || forbids || ends || is_unsound || inputs.is_calibrating;
+        outputs.may_arm = !is_kept;
         outputs.arming = match (self.power, inputs.motor.state) {
             (Power::Armed, State::Disarmed) => Some(Arming::Arm),
             (Power::Safe | Power::Fault, State::Arming | State::Armed | State::Tripped(_)) => {
@@ -118,9 +117,7 @@ impl Grip {
                 false => PowerEvent::Failed,
             }),
             Power::Safe if inputs.is_calibrating => Some(PowerEvent::CalibrationBegan),
-            Power::Calibrating => {
-                (!inputs.is_calibrating).then_some(PowerEvent::CalibrationEnded)
-            }
+            Power::Calibrating => (!inputs.is_calibrating).then_some(PowerEvent::CalibrationEnded),
             Power::Safe => (host.is_offered || host.is_open).then_some(PowerEvent::NonceOffered),
             Power::ArmPending if host.is_open => Some(PowerEvent::SessionOpened),
             Power::ArmPending => (!host.is_offered).then_some(PowerEvent::NonceExpired),

@@ -46,7 +46,12 @@ const fn row(fault: Fault, moving: Reaction, holding: [Reaction; 2], foot: React
 
 /// A sensor's trouble: the other finger holds.
 const fn sensing(fault: Fault) -> Row {
-    row(fault, Reaction::QuickStop, [Reaction::Hold; 2], Reaction::Warn)
+    row(
+        fault,
+        Reaction::QuickStop,
+        [Reaction::Hold; 2],
+        Reaction::Warn,
+    )
 }
 
 const fn told(fault: Fault) -> Row {

@@ -75,7 +75,9 @@ impl Grip {
         }
         match self.task {
             task if task.moves() || task.holds() => Err(Reason::of(task)),
-            task @ (Task::GripFailed | Task::Stopping | Task::ContactStop) => Err(Reason::of(task)),
+            task @ (Task::GripFailed | Task::Stopping | Task::ContactStop | Task::Foot) => {
+                Err(Reason::of(task))
+            }
             _ => {
                 self.happens(PowerEvent::Disable);
                 Ok(())
@@ -230,7 +232,9 @@ impl Grip {
     fn home(&mut self, inputs: &Inputs, outputs: &mut Outputs) -> Option<TaskEvent> {
         let presses = self.contact.is_believed();
         let limits = self.limits;
-        self.home_step = self.homing.tick(&inputs.motor, self.force_n, presses, &limits);
+        self.home_step = self
+            .homing
+            .tick(&inputs.motor, self.force_n, presses, &limits);
         match self.home_step {
             Step::Drive(_) => None,
             Step::Closed(opening_mm) => {
@@ -266,8 +270,7 @@ impl Grip {
 
     fn has_arrived(&self, motor: &Telling) -> bool {
         let reached_mm = self.limits.reached_mm;
-        let is_there =
-            |mm: f32| (mm - self.way.opening_mm).abs() <= reached_mm;
+        let is_there = |mm: f32| (mm - self.way.opening_mm).abs() <= reached_mm;
         motor.opening_mm.is_some_and(is_there) && self.rests()
     }
 
@@ -373,7 +376,8 @@ impl Grip {
     /// Whether the screw may hold alone: it is known to, and has not failed too often lately.
     fn may_lock(&self) -> bool {
         let lately = self.regrips.iter().flatten();
-        let lately = lately.filter(|at_ms| self.now_ms.wrapping_sub(**at_ms) < self.limits.regrip_ms);
+        let lately =
+            lately.filter(|at_ms| self.now_ms.wrapping_sub(**at_ms) < self.limits.regrip_ms);
         let is_spent = lately.count() >= usize::from(self.limits.regrips);
         self.locks && !is_spent && self.task_ms >= self.limits.lock_ms && self.right_ms > 0
     }
