@@ -113,6 +113,8 @@ pub struct Grasp {
     pub home_a: f32,
     /// Homing: milliseconds at the most.
     pub home_ms: u32,
+    /// Homing: speed in mm/s below which the far end is reached: the rotor's noise is more on a steep screw.
+    pub end_mm_s: f32,
     /// Homing: milliseconds of rest that are an end.
     pub end_ms: u16,
     /// Homing: the way is the stroke within so many millimetres.
@@ -178,6 +180,7 @@ impl Grasp {
         home_mm_s: 5.0,
         home_a: 1.5,
         home_ms: 30_000,
+        end_mm_s: 1.0,
         end_ms: 50,
         stroke_mm: 1.0,
         jam_a: 1.2,

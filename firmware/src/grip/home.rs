@@ -70,7 +70,7 @@ impl Homing {
     }
 
     fn open(&mut self, motor: &Telling, since_ms: u32, limits: &Grasp) -> Step {
-        let rests = since_ms > TURN_MS && motor.closing_mm_s.abs() < limits.resting_mm_s;
+        let rests = since_ms > TURN_MS && motor.closing_mm_s.abs() < limits.end_mm_s;
         self.resting_ms = match rests {
             true => self.resting_ms.saturating_add(1),
             false => 0,

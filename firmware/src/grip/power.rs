@@ -127,7 +127,7 @@ impl Grip {
             Power::Enabled => None,
             Power::QuickStop => self.has_stopped().then_some(PowerEvent::Stopped),
             Power::FaultReaction => {
-                let is_over = self.rests() || self.power_ms >= self.limits.stop_ms;
+                let is_over = self.has_rested() || self.power_ms >= self.limits.stop_ms;
                 is_over.then_some(PowerEvent::Reacted)
             }
             Power::Fault => {
@@ -140,9 +140,14 @@ impl Grip {
         }
     }
 
+    /// Whether the fingers rest, and have since it was seen to.
+    fn has_rested(&self) -> bool {
+        self.rests() && self.power_ms >= u32::from(self.limits.resting_ms)
+    }
+
     fn has_stopped(&self) -> bool {
         let has_backed_off = !self.backs_off || self.force_n < 1.2 * self.limits.backed_off_n;
-        (self.rests() && has_backed_off) || self.power_ms >= self.limits.stop_ms
+        (self.has_rested() && has_backed_off) || self.power_ms >= self.limits.stop_ms
     }
 
     /// Takes an event of the power layer; whether anything followed.
