@@ -7,6 +7,7 @@
   unknown; the stack of the deepest way is printed.
 - The kernels lie in the memory beside the core; their code, with the tables of the activations, and
   their stack stay within bounds.
+- The image takes no more flash and RAM than was asked for.
 
 `check_image.py --kernels ELF` looks at the kernels alone, wherever they lie.
 
@@ -21,8 +22,8 @@ import sys
 
 # Behind the image four pages keep parameters.
 FLASH = range(0x0800_0000, 0x0807_E000)
-STACK = range(0x2000_0000, 0x2000_4000)
-RAM = range(0x2000_4000, 0x2001_8000)
+STACK = range(0x2000_0000, 0x2000_3800)
+RAM = range(0x2000_3800, 0x2001_8000)
 CCM = range(0x1000_0000, 0x1000_8000)
 ENTRY = "firmware::force::estimate_all"
 DETECTOR = "firmware::foreign::Detector::watch"
@@ -33,8 +34,10 @@ NETWORKS = "firmware::recurrent::apply"
 TABLES = "firmware::model::activation::TABLES"
 RECORD = "firmware::hardware::crash::RECORD"
 # Most bytes: of a recurrent network's kernel with its tables, of a kernel's stack, and of the stack from
-# an entry down (a task's own stack and interrupts come on top; 16 KiB hold all).
+# an entry down (a task's own stack and interrupts come on top; 14 KiB hold all).
 CODE_LIMIT, KERNEL_STACK_LIMIT, STACK_LIMIT = 7 * 1024, 200, 1280
+# Most bytes of the image: of flash, and of RAM with the stack.
+FLASH_LIMIT, RAM_LIMIT = 128 * 1024, 32 * 1024
 
 
 def objdump(*arguments):
@@ -75,38 +78,64 @@ def functions(elf):
     """Address of each function to its name and the addresses that it calls or jumps to.
 
     Names with templates in them cannot be told apart in the text of a branch, addresses can. None
-    stands for an unknown target. A jump from flash to the memory beside the core is too long for a
-    branch: the linker puts the target into ip, half by half, and jumps there at once.
+    stands for an unknown target. A jump to the memory beside the core is too long for a branch, and where
+    a function is called often its address waits in a register: what a register holds is followed line by
+    line.
     """
-    found, address, high, low = {}, None, None, None
+    found, address, held = {}, None, {}
     head = re.compile(r"^([0-9a-f]+) <(.+)>:$")
     condition = "eq|ne|cs|cc|hs|lo|mi|pl|vs|vc|hi|ls|ge|lt|gt|le"
     branch = re.compile(rf"\t(?:bl|blx|bx|cbn?z|b(?:{condition})?)(?:\.[nw])?\t(.*)$")
-    indirect = re.compile(r"\t(?:mov|ldr|pop)(?:\.[nw])?\t(?:pc, |.*\bpc\b.*\})")
-    half = re.compile(r"\tmov(w|t)\tip, #(\d+)")
+    indirect = re.compile(r"\t(?:mov|ldr|pop)(?:\.[nw])?\t(?:pc, |[^@]*\bpc\b[^@]*\})")
     # Between functions the linker fills up with a word that reads like a branch.
     filling = re.compile(r":\td4d4\s")
-    for line in objdump("-d", "--demangle", elf).splitlines():
+    lines = objdump("-d", "--demangle", elf).splitlines()
+    word = re.compile(r"^\s*([0-9a-f]+):\t[0-9a-f]{8} \t\.word\t0x([0-9a-f]{8})")
+    words = {int(m[1], 16): int(m[2], 16) for m in map(word.match, lines) if m}
+    for line in lines:
         if filling.search(line):
             continue
-        if match := half.search(line):
-            low, high = (int(match[2]), None) if match[1] == "w" else (low, int(match[2]))
-            continue
-        if address and line.endswith("\tbx\tip") and None not in (low, high):
-            found[address][1].add((high << 16 | low) & ~1)
-        elif match := head.match(line):
-            address = int(match[1], 16)
+        if match := head.match(line):
+            address, held = int(match[1], 16), {}
             found[address] = (match[2], set())
         elif address and (match := branch.search(line)):
             target = re.search(r"(?:^|, )([0-9a-f]{6,8}) <", match[1])
             if target:
                 found[address][1].add(int(target[1], 16))
+            elif match[1] in held:
+                found[address][1].add(held[match[1]] & ~1)
             elif not match[1].startswith("lr"):
                 found[address][1].add(None)
         elif address and indirect.search(line) and "\tpop" not in line and "sp!" not in line:
             found[address][1].add(None)
-        low = high = None
+        held = held_after(line, held, words)
     return found
+
+
+def held_after(line, held, words):
+    """What registers hold after an instruction, where it is known: a register that another one names is
+    not, unless that only reads it."""
+    match = re.search(r"\t([a-z][\w.]*)\t(.*)$", line)
+    if not match:
+        return held
+    name, operands = match[1].split(".")[0], match[2]
+    if loaded := re.match(r"(\w+), \[pc, #\d+\]\s@ \(?([0-9a-f]+) <", operands):
+        if name == "ldr" and int(loaded[2], 16) in words:
+            return held | {loaded[1]: words[int(loaded[2], 16)]}
+    if half := re.match(r"(\w+), #(\d+)", operands):
+        if name == "movw":
+            return held | {half[1]: int(half[2])}
+        if name == "movt" and half[1] in held:
+            return held | {half[1]: int(half[2]) << 16 | held[half[1]] & 0xFFFF}
+    if name in ("bl", "blx"):
+        gone = {"r0", "r1", "r2", "r3", "ip", "lr"}
+    elif name.startswith(("str", "cmp", "tst", "cb", "push")):
+        gone = set()
+    elif "{" in operands:
+        gone = set(held)
+    else:
+        gone = set(re.findall(r"\w+", operands))
+    return {register: value for register, value in held.items() if register not in gone}
 
 
 def stacks(elf):
@@ -217,6 +246,10 @@ def main(elf):
         f"flash {flash} of {len(FLASH)} bytes, RAM {ram} of {len(RAM)} bytes and {len(STACK)} of stack, "
         f"{ccm} of {len(CCM)} bytes beside the core"
     )
+    if flash > FLASH_LIMIT:
+        sys.exit(f"{elf}: {flash} bytes of flash are more than {FLASH_LIMIT}")
+    if ram + len(STACK) > RAM_LIMIT:
+        sys.exit(f"{elf}: {ram} bytes of RAM and {len(STACK)} of stack are more than {RAM_LIMIT}")
 
 
 if sys.argv[1] == "--kernels":

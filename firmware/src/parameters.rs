@@ -12,7 +12,7 @@ use crate::hall::a31301::A31301;
 use crate::tare::{GREATEST, Tare};
 use crate::units::Force;
 use crate::wire::messages::{ParamReply, ParamRequest};
-use table::{COUNT, Parameter, TABLE, id};
+use table::{COUNT, Parameter, RULES, TABLE, id};
 
 /// What a request asks for.
 pub mod op {
@@ -70,7 +70,7 @@ impl Parameters {
 
     /// Every identifier with its value.
     pub fn all(&self) -> impl Iterator<Item = (u16, i32)> {
-        TABLE.iter().map(|parameter| parameter.id).zip(self.values)
+        RULES.iter().map(|rule| rule.id).zip(self.values)
     }
 
     /// The value of the parameter with this identifier, if there is one.
@@ -84,11 +84,11 @@ impl Parameters {
     /// # Errors
     /// [`status::UNKNOWN`] or [`status::OUT_OF_RANGE`]; then nothing has changed.
     pub fn set(&mut self, id: u16, value: i32) -> Result<(), u8> {
-        let mut rows = TABLE.iter().zip(&mut self.values);
-        let (parameter, place) = rows
-            .find(|(parameter, _)| parameter.id == id)
+        let mut rows = RULES.iter().zip(&mut self.values);
+        let (rule, place) = rows
+            .find(|(rule, _)| rule.id == id)
             .ok_or(status::UNKNOWN)?;
-        if !parameter.range.holds(value) {
+        if !rule.range.holds(value) {
             return Err(status::OUT_OF_RANGE);
         }
         *place = value;
@@ -163,11 +163,11 @@ impl Parameters {
 /// ([`crate::session::Session::is_open`]). A write counts at once and is lost at the next start unless the
 /// host asks to save.
 pub fn answer(parameters: &mut Parameters, request: &ParamRequest, is_armed: bool) -> ParamReply {
-    let row = TABLE.iter().find(|parameter| parameter.id == request.id);
-    let status = match (row, request.op) {
+    let rule = RULES.iter().find(|rule| rule.id == request.id);
+    let status = match (rule, request.op) {
         (None, _) => status::UNKNOWN,
         (_, op::READ) => status::DONE,
-        (Some(row), op::WRITE) if row.moves && is_armed => status::ARMED,
+        (Some(rule), op::WRITE) if rule.moves && is_armed => status::ARMED,
         (_, op::WRITE) => match parameters.set(request.id, request.value as i32) {
             Ok(()) => status::DONE,
             Err(status) => status,

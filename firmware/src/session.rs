@@ -156,7 +156,7 @@ impl Session {
             return Heard::Nothing;
         }
         let number = (id & 0x1F) as u8;
-        if EStop::LAYOUT.numbers().contains(&number) {
+        if const { EStop::LAYOUT.numbers() }.contains(&number) {
             // Whatever it carries: a stop that is written badly is meant all the same.
             return Heard::Stop;
         }
@@ -180,7 +180,7 @@ impl Session {
                 }
             }
             Message::Service(service) if service.op == op::ARM => self.arm(now_ms, service, random),
-            other if other.layout().direction == Direction::In => Heard::Other(other),
+            other if other.direction() == Direction::In => Heard::Other(other),
             // Somebody speaks in this node's name.
             _ => self.malformed(now_ms),
         }
@@ -280,7 +280,7 @@ impl Session {
     }
 
     fn command(&mut self, now_ms: u32, command: Command) -> Heard {
-        let id = identifier(self.node, Command::LAYOUT.number);
+        let id = identifier(self.node, const { Command::LAYOUT.number });
         let Some(open) = &mut self.open else {
             self.dropped.late = self.dropped.late.saturating_add(1);
             self.note(now_ms);

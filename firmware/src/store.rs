@@ -1,19 +1,23 @@
 //! Parameters in flash: old or new, whenever the power goes, and never a mixture.
 //!
 //! All parameters are one record ([`record`]) of its own sequence and checksum. Records follow each other
-//! through the slots of [`PAGES`] pages, round and round: the newest right one counts. A page is erased
-//! before its first slot is written, so never the page with the newest record, and no word is written
-//! twice. 10,000 saves erase each of four pages with 2 KiB 313 times; the chip is good for 10,000 times.
+//! through the slots of [`PAGES`] pages, round and round. 10,000 saves without a start between them erase
+//! each of four pages with 2 KiB 313 times; the first save after a start erases one page more. The chip is
+//! good for 10,000 times, and so for 40,000 starts with saves.
 //!
 //! What a cut leaves behind is not defined: a word may read as anything, as an error of the memory, and
-//! differently every time. So:
+//! differently every time. It may read erased, take another write, read right, and be something else at the
+//! next start. So nothing rests on a word that was begun before the start:
 //!
-//! - a slot that cannot be read is skipped, and one is written only where all of it reads erased;
-//! - what was written is read back, then an end mark is written behind it. At the start [`Store::load`] says
-//!   whether the newest record lacks its mark, or something that was begun lies behind it: then the caller
-//!   saves again, and what was read once stays so;
-//! - a record's sequence says its slot. One that was torn and reads right years later is older than what was
-//!   written behind it.
+//! - the first save after a start goes to a page that it erases itself, so do all that begin a page, and no
+//!   slot is written twice. Words are written only where this start has seen them erased to the end;
+//! - the body is written and read back, then a first mark, then a second. What has its first mark counts:
+//!   all of its body was done before that was begun. What has its second mark counts for ever: the first was
+//!   done. A cut in the first leaves what counts today and not tomorrow: then [`Store::load`] says that it is
+//!   not settled, the caller saves again, and what was read once stays so;
+//! - neither the page of the newest record that counts nor that of the newest with both marks is erased;
+//! - a record's sequence says its slot, and is greater than that of every record whose body is right,
+//!   whether it counts or not: one that reads right years later is older than what was written after it.
 //!
 //! The well-kept library for this, `sequential-storage` (8.0.2), was run against the same cuts and is not
 //! used: after an erasure that stopped halfway it found an older value, where a torn word read erased it
@@ -24,7 +28,7 @@ pub mod record;
 use embedded_storage_async::nor_flash::NorFlash;
 
 use crate::parameters::Parameters;
-use record::{BODY, END, ERASED, SLOT, VERSION};
+use record::{BODY, END, ERASED, SLOT, VERSION, WRITTEN};
 
 /// Pages that the store goes round.
 pub const PAGES: u32 = 4;
@@ -79,60 +83,98 @@ pub struct Store<F> {
     flash: F,
     /// Of the first page.
     start: u32,
+    /// Sequence of the next record, where its page was erased since the start.
+    next: Option<u32>,
 }
 
-/// The newest record, without its bytes.
+/// How far the writing of a record came.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Stage {
+    /// Its body reads right; nobody knows for how long.
+    Begun,
+    /// It has its first mark, or its second alone.
+    Written,
+    /// It has its second.
+    Finished,
+}
+
+/// A right record, without its bytes.
 #[derive(Clone, Copy)]
-struct Newest {
+struct Kept {
     sequence: u32,
     version: u16,
     parameters: Parameters,
-    is_finished: bool,
+    stage: Stage,
 }
 
 /// What a slot reads as.
 enum Slot {
     Erased,
-    Record(Newest),
-    Spoilt,
+    Record(Kept),
+    /// Nothing right, and how far its marks say that it came.
+    Spoilt(Stage),
+}
+
+/// What all slots hold.
+#[derive(Default)]
+struct Found {
+    /// The newest record that counts.
+    newest: Option<Kept>,
+    /// Sequence of the newest that is finished.
+    finished: Option<u32>,
+    /// Sequence of the newest of all, begun or more.
+    last: Option<u32>,
+    /// Some slot holds what does not count.
+    is_spoilt: bool,
 }
 
 impl<F: NorFlash> Store<F> {
     const SLOTS_OF_PAGE: u32 = {
         assert!(F::ERASE_SIZE.is_multiple_of(SLOT) && F::ERASE_SIZE >= SLOT);
-        assert!(END.len().is_multiple_of(F::WRITE_SIZE) && SLOT.is_multiple_of(F::READ_SIZE));
+        assert!(WRITTEN.len().is_multiple_of(F::WRITE_SIZE) && END.len() == WRITTEN.len());
+        assert!(SLOT.is_multiple_of(F::READ_SIZE));
         (F::ERASE_SIZE / SLOT) as u32
     };
     const SLOTS: u32 = PAGES * Self::SLOTS_OF_PAGE;
 
     /// The store whose first page begins at `start`, on a page's border.
     pub const fn new(flash: F, start: u32) -> Self {
-        Self { flash, start }
+        Self {
+            flash,
+            start,
+            next: None,
+        }
     }
 
     /// The newest parameters.
     pub async fn load(&mut self) -> Loaded {
-        let (newest, is_spoilt) = self.newest().await;
-        let next = newest.map_or(0, |newest| newest.sequence.wrapping_add(1));
-        let is_clean = match self.slot(next % Self::SLOTS).await {
-            Slot::Erased => true,
-            // From the round before; the next itself was torn and reads right only now.
-            Slot::Record(record) => record.sequence < next,
-            Slot::Spoilt => false,
-        };
-        let (parameters, origin) = match newest {
+        let found = self.scan().await;
+        let mut is_settled = found.last == found.finished;
+        // Where the one after it would be.
+        let following = found.last.map_or(0, |last| last.wrapping_add(1));
+        for next in [following, Self::page_behind(found.last)] {
+            is_settled &= match self.slot(next % Self::SLOTS).await {
+                Slot::Erased => true,
+                // From the round before.
+                Slot::Record(record) => record.sequence < next,
+                // Its save was never done.
+                Slot::Spoilt(Stage::Begun) => true,
+                // It was done, or nearly, and may read right again.
+                Slot::Spoilt(_) => false,
+            };
+        }
+        let (parameters, origin) = match found.newest {
             Some(newest) if newest.version == VERSION => (newest.parameters, Origin::Stored),
             Some(newest) if newest.version < VERSION => (newest.parameters, Origin::Older),
             Some(_) => (Parameters::DEFAULT, Origin::Newer),
-            None if is_spoilt => (Parameters::DEFAULT, Origin::Spoilt),
+            None if found.is_spoilt => (Parameters::DEFAULT, Origin::Spoilt),
             None => (Parameters::DEFAULT, Origin::Empty),
         };
-        let is_settled = is_clean && newest.is_none_or(|newest| newest.is_finished);
         Loaded {
             parameters,
             origin,
             // What newer firmware has written stays for it until the host asks to save.
-            is_settled: is_settled || origin == Origin::Newer,
+            is_settled: is_settled && origin != Origin::Spoilt || origin == Origin::Newer,
         }
     }
 
@@ -141,22 +183,29 @@ impl<F: NorFlash> Store<F> {
     /// # Errors
     /// No slot took the record; what was saved before still counts.
     pub async fn save(&mut self, parameters: &Parameters) -> Result<(), NotSaved> {
-        let newest = self.newest().await.0.map(|newest| newest.sequence);
-        let kept = newest.map(|newest| newest % Self::SLOTS / Self::SLOTS_OF_PAGE);
+        let found = self.scan().await;
+        let newest = found.newest.map(|newest| newest.sequence);
+        let kept = [newest, found.finished].map(|sequence| sequence.map(Self::page));
         // As many saves as a sequence has numbers are far beyond the life of the flash.
-        let first = newest.map_or(0, |newest| newest.wrapping_add(1));
-        for sequence in (0..Self::SLOTS).map(|step| first.wrapping_add(step)) {
-            let place = sequence % Self::SLOTS;
-            if place.is_multiple_of(Self::SLOTS_OF_PAGE) {
-                let page = place / Self::SLOTS_OF_PAGE;
-                if Some(page) == kept {
-                    break;
+        let first = self.next.take();
+        let mut sequence = first.unwrap_or_else(|| Self::page_behind(found.last));
+        for _ in 0..Self::SLOTS {
+            if sequence.is_multiple_of(Self::SLOTS_OF_PAGE) {
+                let page = Self::page(sequence);
+                if kept.contains(&Some(page)) || self.erase(page).await.is_err() {
+                    sequence = sequence.wrapping_add(Self::SLOTS_OF_PAGE);
+                    continue;
                 }
-                // Where it fails the slots are not erased.
-                let _ = self.erase(page).await;
             }
+            let place = sequence % Self::SLOTS;
+            // Whatever comes of this slot, it is used up.
+            sequence = sequence.wrapping_add(1);
+            self.next = Some(sequence);
             if matches!(self.slot(place).await, Slot::Erased)
-                && self.write(place, sequence, parameters).await.is_some()
+                && self
+                    .write(place, sequence.wrapping_sub(1), parameters)
+                    .await
+                    .is_some()
             {
                 return Ok(());
             }
@@ -164,43 +213,72 @@ impl<F: NorFlash> Store<F> {
         Err(NotSaved)
     }
 
-    /// The newest right record, and whether any slot holds what is none.
-    async fn newest(&mut self) -> (Option<Newest>, bool) {
-        let (mut found, mut is_spoilt) = (None::<Newest>, false);
+    async fn scan(&mut self) -> Found {
+        let mut found = Found::default();
         for place in 0..Self::SLOTS {
-            match self.slot(place).await {
-                Slot::Erased => {}
-                Slot::Spoilt => is_spoilt = true,
-                Slot::Record(record) if found.is_none_or(|f| f.sequence < record.sequence) => {
-                    found = Some(record);
+            let record = match self.slot(place).await {
+                Slot::Erased => continue,
+                Slot::Spoilt(_) => {
+                    found.is_spoilt = true;
+                    continue;
                 }
-                Slot::Record(_) => {}
+                Slot::Record(record) => record,
+            };
+            found.last = found.last.max(Some(record.sequence));
+            match record.stage {
+                Stage::Begun => {
+                    found.is_spoilt = true;
+                    continue;
+                }
+                Stage::Written => {}
+                Stage::Finished => found.finished = found.finished.max(Some(record.sequence)),
+            }
+            if found
+                .newest
+                .is_none_or(|newest| newest.sequence < record.sequence)
+            {
+                found.newest = Some(record);
             }
         }
-        (found, is_spoilt)
+        found
     }
 
     async fn slot(&mut self, place: u32) -> Slot {
         let mut body = [0; BODY];
-        let mut end = [0; END.len()];
         let at = self.address(place);
-        if self.flash.read(at, &mut body).await.is_err() {
-            return Slot::Spoilt;
+        let is_read = self.flash.read(at, &mut body).await.is_ok();
+        let marks = [
+            self.mark(at + BODY as u32).await,
+            self.mark(at + (BODY + WRITTEN.len()) as u32).await,
+        ];
+        let stage = match marks {
+            [_, Some(END)] => Stage::Finished,
+            [Some(WRITTEN), _] => Stage::Written,
+            _ => Stage::Begun,
+        };
+        if !is_read {
+            return Slot::Spoilt(stage);
         }
-        // An end that cannot be read is one that is absent.
-        let end_read = self.flash.read(at + BODY as u32, &mut end).await.is_ok();
-        if end_read && body.iter().chain(&end).all(|byte| *byte == ERASED) {
+        const BLANK: Option<[u8; WRITTEN.len()]> = Some([ERASED; WRITTEN.len()]);
+        if marks == [BLANK; 2] && body.iter().all(|byte| *byte == ERASED) {
             return Slot::Erased;
         }
         match record::decode(&body) {
-            Some(record) if record.sequence % Self::SLOTS == place => Slot::Record(Newest {
+            Some(record) if record.sequence % Self::SLOTS == place => Slot::Record(Kept {
                 sequence: record.sequence,
                 version: record.version,
                 parameters: record.parameters(),
-                is_finished: end_read && end == END,
+                stage,
             }),
-            _ => Slot::Spoilt,
+            _ => Slot::Spoilt(stage),
         }
+    }
+
+    /// What stands where a mark may stand; nothing where it cannot be read.
+    async fn mark(&mut self, at: u32) -> Option<[u8; WRITTEN.len()]> {
+        let mut mark = [0; WRITTEN.len()];
+        self.flash.read(at, &mut mark).await.ok()?;
+        Some(mark)
     }
 
     async fn erase(&mut self, page: u32) -> Result<(), F::Error> {
@@ -208,21 +286,38 @@ impl<F: NorFlash> Store<F> {
         self.flash.erase(from, from + F::ERASE_SIZE as u32).await
     }
 
-    /// Writes a record and reads it back; then its end, and reads that.
+    /// Writes a record, then its marks; reads each back before the next.
     async fn write(&mut self, place: u32, sequence: u32, parameters: &Parameters) -> Option<()> {
         let (body, used) = record::encode(sequence, parameters);
         let words = body.get(..used.next_multiple_of(F::WRITE_SIZE))?;
-        let at = self.address(place);
+        let mut at = self.address(place);
         self.flash.write(at, words).await.ok()?;
         let mut read = [0; BODY];
         self.flash.read(at, &mut read).await.ok()?;
         if read != body {
             return None;
         }
-        let (at, mut read) = (at + BODY as u32, [0; END.len()]);
-        self.flash.write(at, &END).await.ok()?;
-        self.flash.read(at, &mut read).await.ok()?;
-        (read == END).then_some(())
+        at += BODY as u32;
+        for mark in [WRITTEN, END] {
+            self.flash.write(at, &mark).await.ok()?;
+            if self.mark(at).await? != mark {
+                return None;
+            }
+            at += mark.len() as u32;
+        }
+        Some(())
+    }
+
+    /// First sequence of the page behind that of the newest record.
+    fn page_behind(last: Option<u32>) -> u32 {
+        last.map_or(0, |last| {
+            (last - last % Self::SLOTS_OF_PAGE).wrapping_add(Self::SLOTS_OF_PAGE)
+        })
+    }
+
+    /// The page that a sequence lies in.
+    fn page(sequence: u32) -> u32 {
+        sequence % Self::SLOTS / Self::SLOTS_OF_PAGE
     }
 
     fn address(&self, place: u32) -> u32 {

@@ -9,7 +9,7 @@
 //! A gripper that was loaded before is not where it would be without friction: what it tells at rest is
 //! what friction holds, and no error of zero. Nor is what a network's own standard deviation allows for:
 //! its error at rest is another than under load. To take these off would put them into every estimate
-//! afterwards, so they are left alone ([`is_offset`]).
+//! afterwards, so they are left alone ([`offset`]).
 
 use crate::force::{Estimate, Validity};
 use crate::frame::SENSORS;
@@ -28,15 +28,22 @@ pub const GREATEST: Force = Force((params::FORCE_RANGE.value * Force::PER_NEWTON
 const FOLLOWED: i64 = 1 << 20;
 
 /// Standard errors by which the mean of a rest may be off, and standard deviations by which a network may.
-const ERRORS: i32 = 3;
+const ERRORS: i64 = 3;
 const SIGMAS: i32 = 2;
 
-/// Whether the mean of a rest, known to the standard error `error`, is more than friction may hold and
-/// more than a network that told `sigma` may be off by.
-pub fn is_offset(mean: Force, error: Force, held: Force, sigma: Force) -> bool {
+/// What is surely an offset of a rest's mean, known to the `variance` of its error in units of a force
+/// squared: what is beyond all that friction may hold, and nothing where the mean is within what a network
+/// that told `sigma` may be off by.
+pub fn offset(mean: Force, variance: i64, held: Force, sigma: Force) -> Force {
     let size = mean.0.saturating_abs();
-    let surely = size.saturating_sub(error.0.saturating_mul(ERRORS));
-    (held.0 <= 0 || surely > held.0) && size > sigma.0.saturating_mul(SIGMAS)
+    let held = held.0.max(0);
+    let beyond = i64::from(size.saturating_sub(held));
+    let unsure =
+        held > 0 && beyond.saturating_mul(beyond) <= variance.saturating_mul(ERRORS * ERRORS);
+    if beyond <= 0 || unsure || size <= sigma.0.saturating_mul(SIGMAS) {
+        return Force(0);
+    }
+    Force(mean.0.saturating_sub(held.saturating_mul(mean.0.signum())))
 }
 
 /// What is taken off the forces, lateral and longitudinal at each sensor.
@@ -174,14 +181,12 @@ impl Taring {
                 if mean.0.saturating_abs() > GREATEST.0 {
                     return Step::Refused(Refusal::TooLarge { sensor });
                 }
-                if is_offset(
+                *tare = offset(
                     mean,
-                    sums.error(self.frames),
+                    sums.variance(self.frames),
                     *held,
                     sums.sigma(self.frames),
-                ) {
-                    *tare = mean;
-                }
+                );
             }
         }
         Step::Done(tare)
@@ -221,12 +226,10 @@ impl Sums {
         self.spread(frames) > limit.saturating_mul(limit)
     }
 
-    /// The mean's standard error, if frames err each on its own.
-    fn error(&self, frames: u32) -> Force {
-        let frames = u64::from(frames.max(1));
-        let spread = self.spread(frames as u32).max(0) as u64;
-        let error = spread.isqrt() / (frames * frames.isqrt().max(1)).max(1);
-        Force(crate::fixed::clamped(error as i64))
+    /// Variance of the mean, if frames err each on its own.
+    fn variance(&self, frames: u32) -> i64 {
+        let frames = i64::from(frames.max(1));
+        self.spread(frames as u32) / frames.saturating_mul(frames).saturating_mul(frames)
     }
 
     /// The mean of what a network told.
@@ -309,13 +312,13 @@ mod tests {
     }
 
     #[test]
-    fn what_friction_may_hold_at_rest_is_left_alone_and_more_is_taken_off_whole() {
+    fn what_friction_may_hold_at_rest_is_left_alone_and_only_more_is_taken_off() {
         // Half a newton held, and half a newton of noise: three standard errors of it are 96.
         assert_eq!(tare_of(512, 0, 512, None), 0);
         assert_eq!(tare_of(-512, 0, 512, None), 0);
-        assert_eq!(tare_of(513, 0, 512, None), 513);
+        assert_eq!(tare_of(513, 0, 512, None), 1);
         assert_eq!(tare_of(608, 512, 512, None), 0);
-        assert_eq!(tare_of(-609, 512, 512, None), -609);
+        assert_eq!(tare_of(-609, 512, 512, None), -97);
     }
 
     #[test]

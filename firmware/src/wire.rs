@@ -59,6 +59,15 @@ fn rounded_up(sigma: Force) -> u8 {
     up.min(i64::from(SIGMA_UNKNOWN) - 1) as u8
 }
 
+/// Forces and standard deviations of a message in newtons, for the host; a standard deviation that is not
+/// known is none.
+pub fn newtons(message: &messages::Force) -> ([f64; 2], [Option<f64>; 2]) {
+    let force = [message.fx, message.fz].map(|units| f64::from(units) / PER_NEWTON.0 as f64);
+    let sigma = [message.sigma_x, message.sigma_z]
+        .map(|units| (units != SIGMA_UNKNOWN).then_some(f64::from(units) / PER_NEWTON.1 as f64));
+    (force, sigma)
+}
+
 /// Identifier of a message of a node.
 pub const fn identifier(node: u16, number: u8) -> u16 {
     ((node << 5) | (number as u16 & 0x1F)) & 0x7FF
@@ -90,6 +99,18 @@ mod tests {
             0x20A
         );
         assert_eq!(bytes, [0xD0, 0x07, 0x18, 0xFC, 0x0C, 0xFE, 0b1_0001, 0x07]);
+    }
+
+    #[test]
+    fn a_host_reads_newtons_out_of_it_and_no_sigma_where_there_is_none() {
+        let message = messages::Force {
+            fx: 2000,
+            fz: -1000,
+            sigma_x: 12,
+            sigma_z: SIGMA_UNKNOWN,
+            ..messages::Force::default()
+        };
+        assert_eq!(newtons(&message), ([100.0, -50.0], [Some(3.0), None]));
     }
 
     #[test]

@@ -6,8 +6,8 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 use crate::commands::{
-    add, compare, dbc, demo, diagnose, drop, effects, export, fit, grip, import, replay, simulate,
-    train,
+    add, compare, dbc, demo, diagnose, drop, effects, export, fit, grip, import, monitor, record,
+    replay, simulate, train,
 };
 
 /// Turns four Hall sensors in a robot gripper into forces one can trust, and tells which piece of
@@ -33,6 +33,8 @@ enum Command {
     Replay(replay::Args),
     Simulate(simulate::Args),
     Train(train::Args),
+    Monitor(monitor::Args),
+    Record(record::Args),
     Dbc(dbc::Args),
     Grip(grip::Args),
 }
@@ -56,6 +58,8 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Replay(args) => replay::run(&args),
         Command::Simulate(args) => simulate::run(&args),
         Command::Train(args) => train::run(&args),
+        Command::Monitor(args) => monitor::run(&args),
+        Command::Record(args) => record::run(&args),
         Command::Dbc(args) => dbc::run(&args),
         Command::Grip(args) => grip::run(&args),
     };

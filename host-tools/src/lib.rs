@@ -9,9 +9,11 @@
 //! - [`diagnose`]: which effect a model lacks.
 //! - [`findings`]: what is wrong with a campaign's recordings.
 //! - [`wiring`]: a recording's row as the device's readings.
+//! - [`new_folder`]: folders that commands make.
 //! - [`lessons`]: recordings as a recurrent network on the device sees them.
 //! - [`networks`]: recurrent networks in a replay.
 //! - [`board`]: the gripper's board in virtual time.
+//! - [`live`]: a gripper watched and recorded while it runs.
 //! - [`plant`]: the gripper's drive as physics.
 //! - [`drive`]: the firmware's control of the motor on that plant.
 //! - [`tare`]: what is told where nothing loads.
@@ -34,7 +36,9 @@ pub mod drive;
 pub mod findings;
 pub mod foreign;
 pub mod lessons;
+pub mod live;
 pub mod networks;
+pub mod new_folder;
 pub mod plant;
 pub mod progress;
 pub mod replay;

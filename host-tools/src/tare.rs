@@ -2,9 +2,9 @@
 //!
 //! On a gripper the same is done with the unloaded fingers, by a command; which means are left alone
 //! since friction or the network itself accounts for them, the device's own rule says
-//! ([`firmware::tare::is_offset`]).
+//! ([`firmware::tare::offset`]).
 
-use firmware::tare::is_offset;
+use firmware::tare::offset;
 use firmware::units::Force;
 use model_export::inverse::compensation::OwnedCompensation;
 
@@ -81,8 +81,9 @@ impl Rest {
             let tare = [0, 1].map(|axis| {
                 let (mean, sigma) = (self.sums[axis].mean(), self.sigmas[axis].mean());
                 let error = self.sums[axis].std() / self.sums[axis].rows().sqrt();
-                let [m, e, h, s] = [mean, error, self.held_n[axis], sigma].map(raw);
-                if is_offset(m, e, h, s) { mean } else { 0.0 }
+                let variance = (error * Force::PER_NEWTON).powi(2).round() as i64;
+                let [mean, held, sigma] = [mean, self.held_n[axis], sigma].map(raw);
+                offset(mean, variance, held, sigma).newtons()
             });
             self.found = Some((tare, length_s));
         }
@@ -130,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn what_friction_may_hold_at_rest_is_no_tare_and_more_is_one() {
+    fn what_friction_may_hold_at_rest_is_no_tare_and_only_more_is_one() {
         let tare = |held_n: [f64; 2]| {
             let mut rest = Rest::new(held_n);
             for ms in 0..1500 {
@@ -139,12 +140,12 @@ mod tests {
                 let told = [0.5 + noise, -0.5 + noise];
                 rest.add(f64::from(ms) * 1e-3, [0.0; 2], told, None);
             }
-            rest.tare().unwrap().0.map(|n| (n * 1e6).round() / 1e6)
+            rest.tare().unwrap().0.map(|n| (n * 1e3).round() / 1e3)
         };
         assert_eq!(tare([0.0, 0.0]), [0.5, -0.5]);
-        assert_eq!(tare([0.6, 0.4]), [0.0, -0.5]);
+        assert_eq!(tare([0.6, 0.4]), [0.0, -0.1]);
         // As much as the noise of the mean beyond it says nothing: 3 * 0.1 / sqrt(1000) is 0.0095.
-        assert_eq!(tare([0.495, 0.48]), [0.0, -0.5]);
+        assert_eq!(tare([0.495, 0.48]), [0.0, -0.02]);
     }
 
     #[test]

@@ -77,6 +77,10 @@ fn what_the_drive_cannot_do_is_said_and_not_done() {
             vec!["--position", "20", "--speed", "-5"],
             "leave the sign out",
         ),
+        (
+            vec!["--position", "20", "--speed", "0.1"],
+            "greater --speed",
+        ),
         (vec!["--speed", "5", "--scatter", "2"], "give 0 to 0.5"),
         (vec![], "--position"),
     ] {

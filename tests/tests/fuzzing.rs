@@ -61,13 +61,11 @@ fn whatever_flash_holds_and_whenever_the_power_goes_the_old_or_the_new_parameter
     );
 }
 
-// The tables' file names a section of the image, which Apple's linker does not take.
-#[cfg(not(target_vendor = "apple"))]
 mod sensing {
     use super::fuzz::sensing::Chain;
     use super::inputs;
 
-    #[allow(missing_docs, unsafe_code, unused_imports, clippy::all)]
+    #[allow(missing_docs, unused_imports, clippy::all)]
     mod tables {
         include!("../../firmware/src/model/tables.rs");
     }

@@ -34,6 +34,7 @@ use super::{critical, drive, power_stage};
 use crate::bus_timing::{Edges, Mode, timing};
 use crate::params::TRANSFER_LIMIT_US;
 use crate::store::Store;
+use crate::wire::serial::BAUD;
 
 /// Clock of the I2C peripherals: the oscillator of 16 MHz. The driver's own calculation overflows above
 /// 40 MHz.
@@ -45,8 +46,6 @@ const TIMING: u32 = match timing(I2C_HZ, Mode::FastPlus, EDGES) {
     Some(timing) => timing.word(),
     None => panic!("no timing for these edges"),
 };
-/// Baud of the serial line.
-const BAUD: u32 = 1_000_000;
 /// Bytes that wait between two looks at the serial line: 2.5 ms of them.
 const LINE_BYTES: usize = 256;
 /// This board in [`crate::wire::messages::Version`].

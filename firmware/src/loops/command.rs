@@ -13,7 +13,7 @@ use crate::parameters;
 use crate::progress::Loop;
 use crate::session::{Heard as Meant, Session, answer, op, status};
 use crate::status::{Fault, Faults};
-use crate::store::{Origin, Store};
+use crate::store::{Loaded, Origin, Store};
 use crate::tare::Step;
 use crate::wire::messages::{Message, Service, ServiceReply, Version};
 
@@ -24,14 +24,10 @@ const LOOK_US: u64 = 1000;
 pub async fn begin<F: NorFlash, M: RawMutex>(
     store: &mut Store<F>,
     exchange: &Exchange<M>,
-) -> Origin {
+) -> Loaded {
     let loaded = store.load().await;
     exchange.set_parameters(loaded.parameters);
-    if !loaded.is_settled {
-        // Where it fails, what was read still holds, and the next save tries again.
-        let _ = store.save(&loaded.parameters).await;
-    }
-    loaded.origin
+    loaded
 }
 
 /// What the loop needs of the board.
@@ -40,8 +36,8 @@ pub struct Desk<F, R, B> {
     pub version: Version,
     /// Where parameters are kept.
     pub store: Store<F>,
-    /// Where they came from ([`begin`]).
-    pub origin: Origin,
+    /// What was there ([`begin`]).
+    pub loaded: Loaded,
     /// A new number with every call: nonces are made of it.
     pub random: R,
     /// Restarts.
@@ -57,14 +53,22 @@ pub async fn command<F: NorFlash, R: FnMut() -> u16, B: FnMut(), C: Clock, M: Ra
     let parameters = exchange.parameters();
     let mut session = Session::new(parameters.node(), parameters.command_timeout_ms());
     let mut faults = Faults::default();
-    let stored = matches!(desk.origin, Origin::Stored | Origin::Older | Origin::Empty);
+    let loaded = desk.loaded;
+    if !loaded.is_settled {
+        // Where it fails, what was read still holds, and the next save tries again.
+        let _ = desk.store.save(&loaded.parameters).await;
+    }
+    let stored = matches!(
+        loaded.origin,
+        Origin::Stored | Origin::Older | Origin::Empty
+    );
     let unsound = (Fault::StoreUnsound, 0);
     exchange.note(
         Finder::Command,
         &mut faults,
         unsound,
         !stored,
-        desk.origin.code(),
+        loaded.origin.code(),
     );
     // Nobody is heard, and so nobody arms, before the tables have been looked at.
     exchange.checked.wait().await;

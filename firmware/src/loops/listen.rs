@@ -121,7 +121,7 @@ pub async fn listen_serial<R: Read, C: Clock, M: RawMutex>(
         };
         for byte in bytes.iter().take(count) {
             if let Some(Packet::Message { copy, message }) = receiver.take(*byte) {
-                let number = message.layout().number.saturating_add(copy);
+                let number = message.number().saturating_add(copy);
                 let frame = CanFrame::of(identifier(node, number), message.to_bytes());
                 ear.take(frame, clock.now_us());
             }

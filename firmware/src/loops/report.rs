@@ -19,6 +19,10 @@ use crate::wire::{self, PROTOCOL, identifier};
 const PATIENCE_US: u64 = 2000;
 /// Waits before the controller joins the bus again, the last one for ever.
 const REJOIN_US: [u64; 3] = [10_000, 100_000, 1_000_000];
+/// Between two heartbeats.
+const BEAT_US: u64 = Heartbeat::LAYOUT.period_ms as u64 * 1000;
+/// Heartbeats to each message of times.
+const BEATS: u16 = Timing::LAYOUT.period_ms / Heartbeat::LAYOUT.period_ms;
 /// Milliseconds in a tick of sensing.
 const TICK_MS: u32 = (crate::params::TICK_US / 1000) as u32;
 
@@ -61,7 +65,7 @@ pub async fn report<S: CanSender, C: Clock, M: RawMutex>(
                 }
             }
             Either5::Fourth(()) => {
-                beat_us = beat_us.saturating_add(u64::from(Heartbeat::LAYOUT.period_ms) * 1000);
+                beat_us = beat_us.saturating_add(BEAT_US);
                 mouth.heartbeat(&mut counters).await;
             }
             // Told every millisecond while it is off.
@@ -138,8 +142,7 @@ impl<S: CanSender, C: Clock, M: RawMutex> Mouth<'_, S, C, M> {
         };
         self.say(0, Message::Heartbeat(beat)).await;
         counters.heartbeat = counters.heartbeat.wrapping_add(1);
-        let beats = Timing::LAYOUT.period_ms / Heartbeat::LAYOUT.period_ms;
-        if u16::from(counters.heartbeat).is_multiple_of(beats) {
+        if u16::from(counters.heartbeat).is_multiple_of(BEATS) {
             let word = |count: u32| count.min(u16::MAX.into()) as u16;
             let timing = Timing {
                 worst_loop: word(counts.worst_tick_us.swap(0, Ordering::Relaxed)),
@@ -153,10 +156,13 @@ impl<S: CanSender, C: Clock, M: RawMutex> Mouth<'_, S, C, M> {
         }
     }
 
-    /// Sends a message on both ways; a bus that is off does not keep it from the line.
+    /// Sends a message on both ways; a bus that is off does not keep it from the line. What every tick on
+    /// the line tells is not said there twice: both together are more than it carries.
     async fn say(&mut self, copy: u8, message: Message) {
         let packet = Packet::Message { copy, message };
-        if self.exchange.lines.try_send(packet).is_err() {
+        let raw = matches!(message, Message::HallRaw(_));
+        let in_ticks = raw && self.exchange.parameters().telemetry();
+        if !in_ticks && self.exchange.lines.try_send(packet).is_err() {
             let unsent = &self.exchange.counts.packets_unsent;
             unsent.fetch_add(1, Ordering::Relaxed);
         }
@@ -168,7 +174,7 @@ impl<S: CanSender, C: Clock, M: RawMutex> Mouth<'_, S, C, M> {
         if self.off.is_some() {
             self.can.rejoin();
         }
-        let number = message.layout().number.saturating_add(copy);
+        let number = message.number().saturating_add(copy);
         let frame = CanFrame::of(identifier(self.node, number), message.to_bytes());
         match within(self.clock, PATIENCE_US, self.can.send(&frame)).await {
             Some(Ok(())) => self.off = None,

@@ -38,12 +38,7 @@ pub struct Tables {
     pub tanh: [u32; ENTRIES],
 }
 
-/// On the chip they lie in SRAM: reading from flash waits for up to four cycles.
-#[cfg_attr(
-    target_os = "none",
-    allow(unsafe_code),
-    unsafe(link_section = ".data.activation")
-)]
+/// Both, for every kernel.
 pub static TABLES: Tables = Tables {
     sigmoid: table(Curve::Sigmoid),
     tanh: table(Curve::Tanh),

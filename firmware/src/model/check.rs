@@ -1,8 +1,8 @@
 //! Whether tables and weights are still those that were exported.
 //!
 //! The exporter writes the checksum of every field ([`sum`]) into the tables; the device computes it anew
-//! at the start ([`Checked::is_sound`]) and piece by piece while it runs ([`Scrub`]). What is checked is the
-//! copy in SRAM that the kernels read. Any single bit that turned is noticed, and any 32 in a row. Tables
+//! at the start ([`Checked::is_sound`]) and piece by piece while it runs ([`Scrub`]). What is checked is
+//! what the kernels read, in flash. Any single bit that turned is noticed, and any 32 in a row. Tables
 //! that are not sound must not arm.
 //!
 //! What is walked are the fields, one by one, each as a word of 32 bits: never the bytes between them.
@@ -11,11 +11,9 @@ mod walk;
 
 use core::hint::black_box;
 
-use crc::Digest;
-
 use super::network::Network;
 use super::table::Tables;
-use crate::checksum::CRC32;
+use crate::checksum::{CRC32, Digest32};
 
 /// Fields one by one, as words of 32 bits.
 pub trait Walk {
@@ -36,7 +34,7 @@ pub fn sum(of: &impl Walk) -> u32 {
     digest.finalize()
 }
 
-fn take(digest: &mut Digest<'static, u32>, of: &impl Walk, from: usize, to: usize) {
+fn take(digest: &mut Digest32, of: &impl Walk, from: usize, to: usize) {
     for at in from..to {
         digest.update(&of.word(at).to_le_bytes());
     }
@@ -89,7 +87,7 @@ pub enum Found {
 #[derive(Clone, Default)]
 pub struct Scrub {
     at: usize,
-    digest: Option<Digest<'static, u32>>,
+    digest: Option<Digest32>,
 }
 
 impl Scrub {

@@ -16,6 +16,7 @@ pub const ENTRY_STEP: u32 = 1 << (ENTRY_BITS + DISTANCE_SHIFT);
 ///
 /// The exponential has 15 bits, a weight 16. Sums wrap: the exporter has proved that they do not
 /// overflow for any input.
+#[inline(always)]
 pub fn sum(exp: &[u32; EXP_ENTRIES], pairs: &[CentrePair], at: [i16; 3]) -> [i32; 2] {
     #[cfg(target_os = "none")]
     return super::kernel::grbf::sum(exp, pairs, at);

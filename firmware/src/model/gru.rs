@@ -29,6 +29,7 @@ pub mod scale;
 use super::network::{Network, Source, State, Told, Weights};
 
 /// One step over the inputs in `state`: changes the states, leaves the outputs there.
+#[inline(always)]
 pub fn step<const INPUTS: usize, const HIDDEN: usize, const SENSORS: usize>(
     weights: &Weights<INPUTS, HIDDEN, SENSORS>,
     state: &mut State<INPUTS, HIDDEN, SENSORS>,

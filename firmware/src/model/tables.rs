@@ -24,7 +24,6 @@ pub static TABLES: Tables<'static> = Tables {
     check: 0x33fe0c32,
 };
 
-#[unsafe(link_section = ".data.tables")]
 static EXP: [u32; EXP_ENTRIES] = [
     0x7ffefcd5, 0x7cd9fcdf, 0x7cd9fce9, 0x79c6fcf2, 0x79c7fcfc, 0x76c7fd06, 0x76c7fd0f, 0x73dbfd18,
     0x73dbfd22, 0x7101fd2b, 0x7101fd34, 0x6e3afd3d, 0x6e3afd45, 0x6b83fd4e, 0x6b83fd57, 0x68defd5f,
@@ -92,7 +91,6 @@ static EXP: [u32; EXP_ENTRIES] = [
     0x003dfffe, 0x003bfffe, 0x003bffff, 0x003affff, 0x003affff, 0x0039ffff, 0x0039ffff, 0x0037ffff,
 ];
 
-#[unsafe(link_section = ".data.tables")]
 static SENSORS: [SensorTable; 4] = [
     // Sensor 0.
     SensorTable {

@@ -17,8 +17,8 @@ const fn with_parity(word: u16) -> u16 {
     word | ((word.count_ones() as u16 & 1) << 15)
 }
 
-/// The angle in an answer. A line that is stuck, high or low, is a sensor that does not answer: neither is a
-/// frame that it sends, but for the angle zero without motion, which looks like the latter.
+/// The angle in an answer. A line that stays high is a sensor that does not answer; one that stays low cannot
+/// be told from the angle zero, and is found as a rotor that jumps there ([`super::encoder`]) or rests.
 pub const fn angle(answer: u16) -> Result<u16, EncoderError> {
     if answer == u16::MAX {
         Err(EncoderError::Silent)

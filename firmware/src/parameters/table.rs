@@ -44,6 +44,39 @@ impl Range {
     }
 }
 
+/// What the device asks of a parameter: its texts stay out of the image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Rule {
+    /// See [`Parameter::id`].
+    pub id: u16,
+    /// See [`Parameter::range`].
+    pub range: Range,
+    /// See [`Parameter::moves`].
+    pub moves: bool,
+}
+
+/// Those of [`TABLE`], in its order.
+pub static RULES: [Rule; COUNT] = {
+    let none = Rule {
+        id: 0,
+        range: Range::OneOf(&[]),
+        moves: false,
+    };
+    let mut rules = [none; COUNT];
+    let (mut to, mut from): (&mut [Rule], &[Parameter]) = (&mut rules, &TABLE);
+    while let (Some((rule, rules)), Some((row, others))) =
+        (to.split_first_mut(), from.split_first())
+    {
+        *rule = Rule {
+            id: row.id,
+            range: row.range,
+            moves: row.moves,
+        };
+        (to, from) = (rules, others);
+    }
+    rules
+};
+
 /// Identifiers; those of the sensors stand behind each other.
 pub mod id {
     /// See [`super::super::Parameters::node`].

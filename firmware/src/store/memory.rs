@@ -47,6 +47,8 @@ enum Word {
     Erased,
     Written([u8; WORD]),
     Torn(Torn, [u8; WORD]),
+    /// Torn, then written again: it holds until the power goes, and is anything then.
+    Weak([u8; WORD]),
 }
 
 /// The memory.
@@ -57,6 +59,8 @@ pub struct Memory {
     pub erasures: [u32; PAGES],
     /// Words written and pages erased, begun or done.
     pub operations: u32,
+    /// Words written that had been torn.
+    pub rewritten: u32,
     /// The power goes in the operation of this number.
     pub cut: Option<(u32, Cut)>,
     /// Pages that cannot be erased any more.
@@ -81,6 +85,7 @@ impl Memory {
             words: [Word::Erased].repeat(PAGES * PAGE / WORD),
             erasures: [0; PAGES],
             operations: 0,
+            rewritten: 0,
             cut: None,
             worn: [false; PAGES],
             is_off: false,
@@ -88,9 +93,19 @@ impl Memory {
         }
     }
 
-    /// The power returns, and stays.
+    /// The power returns, and stays. Words that only held so far do so no more.
     pub fn power_on(&mut self) {
         (self.is_off, self.cut) = (false, None);
+        for word in &mut self.words {
+            if let Word::Weak(bytes) = *word {
+                *word = Word::Torn(Torn::Wavering, bytes);
+            }
+        }
+    }
+
+    /// Whether the power has gone.
+    pub fn is_off(&self) -> bool {
+        self.is_off
     }
 
     /// Turns a bit of what is written.
@@ -125,16 +140,16 @@ impl Memory {
         if matches!(cut, Some(Cut::Before)) {
             return Err(Failed);
         }
-        self.words[place] = match (self.words[place], cut) {
+        let was = self.words[place];
+        self.rewritten += u32::from(matches!(was, Word::Torn(..) | Word::Weak(_)));
+        self.words[place] = match (was, cut) {
             (Word::Erased, None | Some(Cut::After)) => Word::Written(bytes),
             (Word::Erased, Some(Cut::Torn(torn))) => Word::Torn(torn, bytes),
             (Word::Erased, Some(_)) => Word::Torn(Torn::Wavering, bytes),
             (Word::Written(_), _) => panic!("word {place} is written twice"),
-            // Nobody can know that it was torn where it read erased: now it is anything, or refuses.
-            (Word::Torn(..), _) => match self.draw() % 2 {
-                0 => return Err(Failed),
-                _ => Word::Torn(Torn::Wavering, bytes),
-            },
+            // Nobody can know that it was torn where it read erased.
+            (Word::Torn(..) | Word::Weak(_), None | Some(Cut::After)) => Word::Weak(bytes),
+            (Word::Torn(..) | Word::Weak(_), Some(_)) => Word::Torn(Torn::Wavering, bytes),
         };
         cut.map_or(Ok(()), |_| Err(Failed))
     }
@@ -142,7 +157,7 @@ impl Memory {
     fn read_word(&mut self, place: usize) -> Result<[u8; WORD], Failed> {
         let (torn, bytes) = match self.words[place] {
             Word::Erased => (Torn::Erased, [0; WORD]),
-            Word::Written(bytes) => (Torn::Right, bytes),
+            Word::Written(bytes) | Word::Weak(bytes) => (Torn::Right, bytes),
             Word::Torn(Torn::Wavering, bytes) => {
                 let mix = self.draw();
                 let ways = [
@@ -173,7 +188,7 @@ impl Memory {
         for (number, word) in self.words[page * words..][..words].iter_mut().enumerate() {
             let was = match *word {
                 Word::Erased => [0xFF; WORD],
-                Word::Written(bytes) | Word::Torn(_, bytes) => bytes,
+                Word::Written(bytes) | Word::Torn(_, bytes) | Word::Weak(bytes) => bytes,
             };
             match cut {
                 Some(Cut::Torn(torn)) => *word = Word::Torn(torn, was),

@@ -7,6 +7,7 @@
 //! | 6..8 | length of the pairs |
 //! | 8.. | pairs of identifier and value, postcard |
 //! | behind | CRC-32 over all before |
+//! | 240..248 | [`WRITTEN`] |
 //! | 248..256 | [`END`] |
 //!
 //! Numbers are little-endian; what is between stays erased.
@@ -19,10 +20,11 @@ use crate::parameters::table::COUNT;
 pub const VERSION: u16 = 1;
 /// Bytes of a slot.
 pub const SLOT: usize = 256;
-/// Bytes of a slot before its end mark.
-pub const BODY: usize = SLOT - END.len();
-/// Written and read back last. Where it is absent the record may be right all the same, but nobody has
-/// read it back.
+/// Bytes of a slot before its marks.
+pub const BODY: usize = SLOT - WRITTEN.len() - END.len();
+/// Written once the record was read back, and read back itself: without it the record does not count.
+pub const WRITTEN: [u8; 8] = *b"written.";
+/// Written and read back last: without it nobody knows whether [`WRITTEN`] will read so again.
 pub const END: [u8; 8] = *b"the end.";
 /// A byte of an erased slot.
 pub const ERASED: u8 = 0xFF;

@@ -1,3 +1,5 @@
+use std::vec::Vec;
+
 use super::memory::{Cut, Memory, PAGES, Torn, now};
 use super::record::{decode, encode, encode_as};
 use super::*;
@@ -17,7 +19,9 @@ fn parameters(number: u32) -> Parameters {
     all
 }
 
+/// A start.
 fn store(memory: &mut Memory) -> Store<&mut Memory> {
+    memory.power_on();
     Store::new(memory, 0)
 }
 
@@ -25,16 +29,26 @@ fn load(memory: &mut Memory) -> Loaded {
     now(store(memory).load())
 }
 
+/// The first save after a start.
 fn save(memory: &mut Memory, parameters: &Parameters) -> Result<(), NotSaved> {
     now(store(memory).save(parameters))
 }
 
-/// A memory after so many saves, numbered from one.
-fn saved(saves: u32) -> Memory {
-    let mut memory = Memory::new(u64::from(saves));
-    for number in 1..=saves {
-        save(&mut memory, &parameters(number)).unwrap();
+/// Saves these without a start between them.
+fn saves(memory: &mut Memory, all: &[Parameters]) {
+    let mut store = store(memory);
+    for next in all {
+        now(store.save(next)).unwrap();
     }
+}
+
+/// A memory after so many saves without a start between them, numbered from one.
+fn saved(count: u32) -> Memory {
+    let mut memory = Memory::new(u64::from(count));
+    saves(
+        &mut memory,
+        &(1..=count).map(parameters).collect::<Vec<_>>(),
+    );
     memory
 }
 
@@ -52,26 +66,29 @@ const CUTS: [Cut; 10] = [
     Cut::Torn(Torn::Wavering),
 ];
 
-/// Operations of one save.
-fn operations(memory: &Memory, next: &Parameters) -> u32 {
+/// Operations of some work.
+fn operations(memory: &Memory, work: impl Fn(&mut Memory)) -> u32 {
     let mut memory = memory.clone();
     let before = memory.operations;
-    save(&mut memory, next).unwrap();
+    work(&mut memory);
     memory.operations - before
 }
 
-/// Saves with a cut in the operation of this number; the power is back afterwards.
-fn cut_short(memory: &mut Memory, next: &Parameters, operation: u32, cut: Cut) {
-    memory.cut = Some((memory.operations + operation, cut));
-    assert_eq!(save(memory, next), Err(NotSaved));
-    memory.power_on();
+/// Saves these one behind the other; whether the power went in the operation of this number.
+fn cut_short(memory: &mut Memory, (operation, cut): (u32, Cut), all: &[Parameters]) -> bool {
+    let mut store = store(memory);
+    store.flash.cut = Some((store.flash.operations + operation, cut));
+    let is_saved = all.iter().all(|next| now(store.save(next)).is_ok());
+    assert_eq!(is_saved, !memory.is_off());
+    !is_saved
 }
 
-/// A start: old or new, the same at every start that follows, and the next save counts.
-fn starts_with_either(memory: &mut Memory, [old, new]: [Parameters; 2], case: &str) {
+/// A start, what is not settled saved again, and four more: found is what may be found, it stays, and the
+/// next save counts.
+fn starts_with_one_of(memory: &mut Memory, possible: &[Parameters], case: &str) {
     let loaded = load(memory);
     let found = loaded.parameters;
-    assert!(found == old || found == new, "{case}: a third state");
+    assert!(possible.contains(&found), "{case}: a third state");
     if !loaded.is_settled {
         assert_eq!(save(memory, &found), Ok(()), "{case}");
     }
@@ -79,68 +96,99 @@ fn starts_with_either(memory: &mut Memory, [old, new]: [Parameters; 2], case: &s
         let again = load(memory);
         assert_eq!(again.parameters, found, "{case}: it did not stay");
     }
-    let next = parameters(999);
+    let next = parameters(399);
     assert_eq!(save(memory, &next), Ok(()), "{case}");
-    let last = load(memory);
-    assert_eq!(last.parameters, next, "{case}");
-    assert!(last.is_settled, "{case}");
+    for _ in 0..4 {
+        let last = load(memory);
+        assert_eq!(last.parameters, next, "{case}: a save was lost");
+        assert!(last.is_settled, "{case}");
+    }
+    let rewritten = memory.rewritten;
+    assert_eq!(
+        rewritten, 0,
+        "{case}: nobody knows whether these words hold"
+    );
 }
 
 #[test]
 fn a_cut_at_every_write_and_erasure_leaves_old_or_new_and_never_a_third() {
     let mut cases = 0;
     // The first page, its end, and the round after, where pages hold older records.
-    for saves in (0..3).chain(6..10).chain(30..42) {
-        let memory = saved(saves);
-        let old = load(&mut memory.clone()).parameters;
-        let new = parameters(saves + 1);
-        for operation in 0..operations(&memory, &new) {
-            for cut in CUTS {
-                let mut memory = memory.clone();
-                cut_short(&mut memory, &new, operation, cut);
-                let case = std::format!("after {saves} saves, operation {operation}, {cut:?}");
-                starts_with_either(&mut memory, [old, new], &case);
-                cases += 1;
+    for count in (0..3).chain(6..10).chain(30..42) {
+        let old = load(&mut saved(count)).parameters;
+        let new = parameters(count + 1);
+        // The first save after a start, and one that follows others.
+        for before in [0, count] {
+            let memory = saved(count - before);
+            let all: Vec<_> = (count - before + 1..=count + 1).map(parameters).collect();
+            let others = operations(&memory, |memory| saves(memory, &all[..all.len() - 1]));
+            let end = operations(&memory, |memory| saves(memory, &all));
+            for operation in others..end {
+                for cut in CUTS {
+                    let mut memory = memory.clone();
+                    assert!(cut_short(&mut memory, (operation, cut), &all));
+                    let case = std::format!("{before} and {count}, operation {operation}, {cut:?}");
+                    starts_with_one_of(&mut memory, &[old, new], &case);
+                    cases += 1;
+                }
             }
         }
     }
-    assert!(cases > 1500, "{cases}");
+    assert!(cases > 4000, "{cases}");
 }
 
 #[test]
-fn a_second_cut_while_the_first_is_mended_leaves_old_or_new_too() {
-    for saves in [5, 7, 8, 39, 40] {
-        let memory = saved(saves);
-        let (old, new) = (parameters(saves), parameters(saves + 1));
-        for operation in 0..operations(&memory, &new) {
-            for first in [Cut::Half(false), Cut::Torn(Torn::Wavering)] {
-                let mut torn = memory.clone();
-                cut_short(&mut torn, &new, operation, first);
-                let loaded = load(&mut torn);
-                if loaded.is_settled {
+fn a_second_cut_leaves_what_was_there_or_was_begun_whatever_is_saved_after_the_first() {
+    let (mut cases, other) = (0, parameters(398));
+    for count in [0, 7, 39] {
+        let memory = saved(count);
+        let (old, new) = (load(&mut memory.clone()).parameters, parameters(count + 1));
+        let all = operations(&memory, |memory| save(memory, &new).unwrap());
+        for (operation, first) in (0..all).flat_map(|at| CUTS.map(|cut| (at, cut))) {
+            let mut torn = memory.clone();
+            assert!(cut_short(&mut torn, (operation, first), &[new]));
+            let loaded = load(&mut torn);
+            let found = loaded.parameters;
+            let mut mended = torn.clone();
+            if !loaded.is_settled {
+                save(&mut mended, &found).unwrap();
+            }
+            // What is not settled is saved as it is: the power goes meanwhile, or in the save after it.
+            for (memory, next, known) in
+                [(torn, found, [old, new]), (mended, other, [found, other])]
+            {
+                if loaded.is_settled && next == found {
                     continue;
                 }
-                for second in 0..operations(&torn, &loaded.parameters) {
-                    for cut in CUTS {
-                        let mut torn = torn.clone();
-                        torn.cut = Some((torn.operations + second, cut));
-                        // A word that wavers may have let the save take another way, past the cut.
-                        let _ = save(&mut torn, &loaded.parameters);
-                        torn.power_on();
-                        let case = std::format!("{saves}: {operation} {first:?}, {second} {cut:?}");
-                        starts_with_either(&mut torn, [old, new], &case);
-                    }
+                for second in (0..all).flat_map(|at| CUTS.map(|cut| (at, cut))) {
+                    let mut memory = memory.clone();
+                    let is_off = cut_short(&mut memory, second, &[next]);
+                    let known = if is_off { &known[..] } else { &[next] };
+                    let case = std::format!("{count}: {operation} {first:?}, {second:?}");
+                    starts_with_one_of(&mut memory, known, &case);
+                    cases += 1;
                 }
             }
         }
     }
+    assert!(cases > 50_000, "{cases}");
 }
 
 #[test]
 fn ten_thousand_saves_erase_no_page_more_than_313_times() {
-    let memory = saved(10_000);
+    let mut memory = saved(10_000);
     assert_eq!(memory.erasures, [313, 313, 312, 312]);
-    assert_eq!(load(&mut memory.clone()).parameters, parameters(10_000));
+    assert_eq!(load(&mut memory).parameters, parameters(10_000));
+}
+
+#[test]
+fn ten_thousand_starts_with_a_save_each_erase_no_page_more_than_2500_times() {
+    let mut memory = Memory::new(0);
+    for number in 1..=10_000 {
+        save(&mut memory, &parameters(number)).unwrap();
+    }
+    assert_eq!(memory.erasures, [2500; PAGES]);
+    assert_eq!(load(&mut memory).parameters, parameters(10_000));
 }
 
 #[test]
@@ -179,7 +227,8 @@ fn an_older_record_keeps_what_it_knows_and_a_newer_one_is_refused() {
         let mut memory = saved(3);
         let (body, _) = encode_as(version, 3, pairs.iter().copied());
         now(memory.write(3 * SLOT as u32, &body)).unwrap();
-        now(memory.write((3 * SLOT + BODY) as u32, &END)).unwrap();
+        let marks = [WRITTEN, END].concat();
+        now(memory.write((3 * SLOT + BODY) as u32, &marks)).unwrap();
         load(&mut memory)
     };
     // Known, out of its range of today, and known no more.
@@ -236,8 +285,6 @@ fn where_no_other_page_can_be_erased_the_newest_record_stays_and_nothing_is_save
 #[test]
 fn a_memory_that_refuses_keeps_what_was_saved_before() {
     let mut memory = saved(8);
-    memory.cut = Some((memory.operations, Cut::Before));
-    assert_eq!(save(&mut memory, &parameters(9)), Err(NotSaved));
-    memory.power_on();
+    assert!(cut_short(&mut memory, (0, Cut::Before), &[parameters(9)]));
     assert_eq!(load(&mut memory).parameters, parameters(8));
 }

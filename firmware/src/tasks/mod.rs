@@ -31,7 +31,7 @@ use crate::motor::Settings;
 use crate::motor::screw::Screw;
 use crate::progress::FED_EVERY_MS;
 use crate::status::{Fault, Faults};
-use crate::store::{Origin, Store};
+use crate::store::{Loaded, Store};
 use crate::surroundings::Surroundings;
 use crate::wire::PROTOCOL;
 use crate::wire::messages::Version;
@@ -78,7 +78,7 @@ pub async fn start(spawner: Spawner, board: Board) {
         );
     }
     let mut store = board.store;
-    let origin = loops::begin(&mut store, &EXCHANGE).await;
+    let loaded = loops::begin(&mut store, &EXCHANGE).await;
     let parameters = EXCHANGE.parameters();
     let (sender, receiver) = board.can;
     sender.listen_as(parameters.node());
@@ -95,7 +95,7 @@ pub async fn start(spawner: Spawner, board: Board) {
     spawner.spawn(unwrap!(telemetry(out)));
     spawner.spawn(unwrap!(listen(receiver)));
     spawner.spawn(unwrap!(listen_serial(into, parameters.node())));
-    spawner.spawn(unwrap!(command(store, origin, board.rng)));
+    spawner.spawn(unwrap!(command(store, loaded, board.rng)));
 }
 
 #[embassy_executor::task]
@@ -154,13 +154,13 @@ async fn listen_serial(line: RingBufferedUartRx<'static>, node: u16) {
 #[embassy_executor::task]
 async fn command(
     store: Store<Pages>,
-    origin: Origin,
+    loaded: Loaded,
     mut rng: rng::Rng<'static, peripherals::RNG>,
 ) {
     let desk = Desk {
         version: version(),
         store,
-        origin,
+        loaded,
         random: move || rng.next_u32() as u16,
         reboot: || cortex_m::peripheral::SCB::sys_reset(),
     };

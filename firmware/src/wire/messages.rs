@@ -12,7 +12,7 @@ pub const BYTES: usize = 8;
 /// On the serial line: the number and the same eight bytes as on the bus.
 impl Serialize for Message {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        (self.layout().number, self.to_bytes()).serialize(serializer)
+        (self.number(), self.to_bytes()).serialize(serializer)
     }
 }
 
@@ -76,7 +76,7 @@ macro_rules! messages {
                 /// A bit is set that no field owns.
                 pub fn from_bytes(bytes: [u8; BYTES]) -> Result<Self, Malformed> {
                     let frame = u64::from_le_bytes(bytes);
-                    match frame & !Self::LAYOUT.used() {
+                    match frame & !const { Self::LAYOUT.used() } {
                         0 => Ok(Self { $($field: take(frame, $first..$end),)* }),
                         _ => Err(Malformed::Reserved),
                     }
@@ -103,6 +103,28 @@ macro_rules! messages {
                 }
             }
 
+            /// The number of its layout. Of what the layout says, the image holds no more than it asks
+            /// for: here, in the two that follow, and in constants.
+            pub const fn number(&self) -> u8 {
+                match self {
+                    $(Self::$name(_) => const { $name::LAYOUT.number },)*
+                }
+            }
+
+            /// How many copies its layout has.
+            pub const fn copies(&self) -> u8 {
+                match self {
+                    $(Self::$name(_) => const { $name::LAYOUT.copies },)*
+                }
+            }
+
+            /// Who sends it.
+            pub const fn direction(&self) -> Direction {
+                match self {
+                    $(Self::$name(_) => const { $name::LAYOUT.direction },)*
+                }
+            }
+
             /// Its eight bytes.
             pub fn to_bytes(&self) -> [u8; BYTES] {
                 match self {
@@ -117,7 +139,7 @@ macro_rules! messages {
             pub fn from_frame(number: u8, bytes: &[u8]) -> Result<Self, Malformed> {
                 let bytes: [u8; BYTES] = bytes.try_into().map_err(|_| Malformed::Length)?;
                 $(
-                    if $name::LAYOUT.numbers().contains(&number) {
+                    if const { $name::LAYOUT.numbers() }.contains(&number) {
                         return $name::from_bytes(bytes).map(Self::$name);
                     }
                 )*

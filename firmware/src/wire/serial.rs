@@ -14,6 +14,8 @@ use crate::hall::Reading;
 
 /// The checksum of packets and of commands: polynomial 0x1021, from all ones.
 pub static CHECKSUM: Crc<u16> = Crc::<u16>::new(&CRC_16_IBM_3740);
+/// Bits per second on the line: 8N1.
+pub const BAUD: u32 = 1_000_000;
 /// Greatest length of a packet on the line, its zero included: that of [`Tick`] where every number takes
 /// the most bytes.
 pub const LONGEST: usize = 102;
@@ -50,9 +52,17 @@ pub struct Sensor {
     pub temperature: i16,
     /// The forces in 1/1024 N, lateral and longitudinal.
     pub force: [i32; 2],
-    /// Whether they may be used: 0 valid, 1 saturated, 2 outside the model, 3 missing.
+    /// Whether they may be used, as a place in [`VALIDITIES`].
     pub validity: u8,
 }
+
+/// What a sensor's validity on the line means.
+pub const VALIDITIES: [Validity; 4] = [
+    Validity::Valid,
+    Validity::Saturated,
+    Validity::OutsideModel,
+    Validity::Missing,
+];
 
 impl Tick {
     /// The tick of a frame and of what was estimated from it.
@@ -74,13 +84,27 @@ impl Sensor {
             field: reading.field,
             temperature: reading.temperature,
             force: estimate.force.map(|force| force.0),
-            validity: match estimate.validity {
-                Validity::Valid => 0,
-                Validity::Saturated => 1,
-                Validity::OutsideModel => 2,
-                Validity::Missing => 3,
-            },
+            validity: VALIDITIES
+                .iter()
+                .position(|validity| *validity == estimate.validity)
+                .unwrap_or(VALIDITIES.len()) as u8,
         }
+    }
+
+    /// Whether the forces may be used; a number that means nothing is no permission.
+    pub fn validity(&self) -> Validity {
+        let known = VALIDITIES.get(usize::from(self.validity));
+        known.copied().unwrap_or(Validity::Missing)
+    }
+
+    /// What it read, for the host. All words zero say that it did not answer: a sensor that works dithers
+    /// about a magnet's field.
+    pub fn reading(&self) -> Option<Reading> {
+        let reading = Reading {
+            field: self.field,
+            temperature: self.temperature,
+        };
+        (reading != Reading::default()).then_some(reading)
     }
 }
 
@@ -143,7 +167,7 @@ fn decode(bytes: &mut [u8]) -> Option<Packet> {
 /// Whether a message has the copy that the packet names: another one would be a message of another number.
 const fn is_sound(packet: &Packet) -> bool {
     match packet {
-        Packet::Message { copy, message } => *copy < message.layout().copies,
+        Packet::Message { copy, message } => *copy < message.copies(),
         Packet::Tick(_) => true,
     }
 }
@@ -201,6 +225,32 @@ mod tests {
         // A tag, 5 for the time, 4 times (4 * 3 + 2 * 5 + 1), 2 of checksum, 1 of stuffing, and the zero.
         assert_eq!(bytes.len(), LONGEST);
         assert_eq!(received(&mut Receiver::default(), &bytes), [tick]);
+    }
+
+    #[test]
+    fn a_tick_says_which_sensor_answered_and_what_its_forces_are_worth() {
+        let reading = Reading {
+            field: [1, -2, 3],
+            temperature: 4,
+        };
+        for validity in VALIDITIES {
+            let estimate = Estimate {
+                validity,
+                ..Estimate::MISSING
+            };
+            let told = Sensor::of(Some(reading), &estimate);
+            assert_eq!((told.validity(), told.reading()), (validity, Some(reading)));
+        }
+        let silent = Sensor::of(None, &Estimate::MISSING);
+        assert_eq!(
+            (silent.validity(), silent.reading()),
+            (Validity::Missing, None)
+        );
+        let strange = Sensor {
+            validity: 4,
+            ..silent
+        };
+        assert_eq!(strange.validity(), Validity::Missing);
     }
 
     #[test]

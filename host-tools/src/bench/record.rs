@@ -127,7 +127,7 @@ impl Recorder<'_> {
 
     fn force(&self, folder: &Path) -> Result<()> {
         let mut table = create(folder, "force.csv.gz")?;
-        table.write_record(force_columns(self.settings.sensors))?;
+        table.write_record(force_columns(0..self.settings.sensors))?;
         let start_s = start_s(self.settings.seconds, self.recording);
         let mut rng = stream(self.settings.seed, Purpose::ReferenceNoise, self.recording);
         let mut references = vec![Reference::new(self.effects); self.settings.sensors as usize];
@@ -169,17 +169,21 @@ pub fn covariates(
 
 fn hall_columns(sensors: u32) -> Vec<String> {
     let mut columns = vec!["t_us".to_owned()];
-    for sensor in 0..sensors {
-        columns.extend(Axis::ALL.map(|axis| format!("s{sensor}_{}_lsb", axis.letter())));
-        columns.push(format!("s{sensor}_temp_c"));
-    }
+    columns.extend((0..sensors).flat_map(sensor_columns));
     columns.extend(COVARIATES.iter().map(|name| (*name).to_owned()));
     columns
 }
 
-fn force_columns(sensors: u32) -> Vec<String> {
+/// Columns of a sensor in `hall.csv`: its raw counts and its temperature.
+pub fn sensor_columns(sensor: u32) -> [String; 4] {
+    let [x, y, z] = Axis::ALL.map(|axis| format!("s{sensor}_{}_lsb", axis.letter()));
+    [x, y, z, format!("s{sensor}_temp_c")]
+}
+
+/// Columns of `force.csv` for these sensors.
+pub fn force_columns(sensors: impl IntoIterator<Item = u32>) -> Vec<String> {
     let mut columns = vec!["t_us".to_owned()];
-    for sensor in 0..sensors {
+    for sensor in sensors {
         columns.extend([format!("f{sensor}_x_n"), format!("f{sensor}_z_n")]);
     }
     columns

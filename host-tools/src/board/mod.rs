@@ -189,11 +189,11 @@ impl Board {
             let mut store = Store::new(Flash::default(), 0);
             // A new flash takes what it is given.
             let _ = store.save(&parameters).await;
-            let origin = loops::begin(&mut store, &exchange).await;
+            let loaded = loops::begin(&mut store, &exchange).await;
             let desk = Desk {
                 version: version(tables_id),
                 store,
-                origin,
+                loaded,
                 random,
                 // Whoever restarts a simulated board starts another.
                 reboot: || {},

@@ -34,7 +34,7 @@ pub struct Args {
 }
 
 /// The campaign of the demo, in the checkout that this tool was built from.
-const CAMPAIGN: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/data/demo");
+pub(super) const CAMPAIGN: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/data/demo");
 
 /// The story takes the two clocks to agree.
 const ALIGNMENT: Alignment = Alignment { delay_us: 0.0 };

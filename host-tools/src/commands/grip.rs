@@ -56,6 +56,8 @@ enum Screw {
 
 /// A run at a speed lasts this long, or as long as the way is.
 const RUN_S: f64 = 0.5;
+/// No way to a place takes longer.
+const MOST_WAY_S: f64 = 15.0;
 /// Room that is left to the ends of the travel, in mm.
 const ROOM_MM: f64 = 2.0;
 /// Most of what is uncertain.
@@ -110,10 +112,18 @@ fn asked(args: &Args, lead: Lead) -> Result<Asked> {
         (Some(_), Some(speed)) if speed < 0.0 => {
             bail!("--speed {speed} on the way to a place is its size; leave the sign out")
         }
-        (Some(opening_mm), speed) => Ok(Asked::Place {
-            opening_mm,
-            speed_mm_s: speed.unwrap_or(full_mm_s),
-        }),
+        (Some(opening_mm), speed) => {
+            let (way_mm, speed_mm_s) = ((opening_mm - args.from).abs(), speed.unwrap_or(full_mm_s));
+            if way_mm > MOST_WAY_S * speed_mm_s {
+                bail!(
+                    "{way_mm} mm at {speed_mm_s} mm/s take longer than {MOST_WAY_S} s; give a greater --speed"
+                )
+            }
+            Ok(Asked::Place {
+                opening_mm,
+                speed_mm_s,
+            })
+        }
         (None, Some(closing_mm_s)) => {
             let room_mm = match closing_mm_s > 0.0 {
                 true => args.from - ROOM_MM,

@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use model_export::output::write_output;
 use serde_json::{Value, json};
-use tempfile::TempDir;
 
 use crate::bench::effects::{Effect, hide};
 use crate::bench::element::NoiseKind;
@@ -13,7 +12,7 @@ use crate::bench::programme::Programme;
 use crate::bench::sizes::SIZES;
 use crate::bench::truth::{self, Truth};
 use crate::bench::{self, Settings};
-use crate::{progress, show};
+use crate::{new_folder, progress, show};
 
 /// Write a campaign of a simulated gripper with physical effects of your choice, or hidden ones.
 #[derive(Debug, clap::Args)]
@@ -113,7 +112,7 @@ pub fn run(args: &Args) -> Result<()> {
     };
     truth::check_outside(&truth_path, &args.output)?;
     check_free(&args.output, &truth_path)?;
-    let draft = draft(&args.output)?;
+    let draft = new_folder::draft(&args.output, ".magpie-simulate-")?;
     let bar = progress::bar("simulating recordings", settings.recordings as usize);
     let truth = bench::simulate(&settings, draft.path(), || bar.inc(1))?;
     bar.finish_and_clear();
@@ -192,47 +191,11 @@ const MOST_WARMER_K: f64 = 60.0;
 /// Five standard deviations of the stiffness at this scatter are its whole.
 const MOST_SCATTER: f64 = 4.0;
 
-/// A folder beside the campaign's that takes its name when it is complete.
-fn draft(campaign: &Path) -> Result<TempDir> {
-    let parent = match campaign.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    };
-    let mut draft = tempfile::Builder::new();
-    draft.prefix(".magpie-simulate-");
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt;
-        draft.permissions(std::fs::Permissions::from_mode(0o777));
-    }
-    std::fs::create_dir_all(parent)
-        .and_then(|()| draft.tempdir_in(parent))
-        .with_context(|| format!("{} cannot be written", campaign.display()))
-}
-
 /// Nothing is overwritten.
 fn check_free(campaign: &Path, truth: &Path) -> Result<()> {
-    let occupied = |path: &Path| {
-        bail!(
-            "{}: something else stands there; choose another name: it is not overwritten",
-            path.display()
-        )
-    };
-    if campaign.symlink_metadata().is_ok() {
-        let mut entries = match std::fs::read_dir(campaign) {
-            Ok(entries) => entries,
-            Err(_) if !campaign.is_dir() => return occupied(campaign),
-            Err(error) => {
-                return Err(error)
-                    .with_context(|| format!("{} cannot be read", campaign.display()));
-            }
-        };
-        if entries.next().is_some() {
-            return occupied(campaign);
-        }
-    }
+    new_folder::check_free(campaign)?;
     match truth.symlink_metadata() {
-        Ok(_) => occupied(truth),
+        Ok(_) => new_folder::occupied(truth),
         Err(_) => Ok(()),
     }
 }

@@ -7,20 +7,45 @@ use super::response::{self, Step, Tone};
 use super::runs::{self, Case};
 use super::trace::Trace;
 
-/// Names of constants that a drive does not rest on, by what they are of: sensing and its tables.
-const OTHERS: [Constant; 12] = [
-    params::MAGNET_DIAMETER,
-    params::STIFFNESS_Z,
-    params::FORCE_RANGE,
-    params::SENSOR_SCALE,
-    params::TEMPERATURE_SCALE,
-    params::TARE_FRAMES,
-    params::TARE_SPREAD,
-    params::PEAK_TIME,
-    params::CURRENT_TRIP,
-    params::MOTOR_HOT,
-    params::STAGE_HOT,
-    params::BEAM_LENGTH,
+/// What a run rests on beside its screw's lead and efficiency: of the plant, then of the control.
+const RESTS_ON: [Constant; 37] = [
+    params::BUS_VOLTAGE,
+    params::BUS_CAPACITANCE,
+    params::SUPPLY_RESISTANCE,
+    params::DEAD_TIME,
+    params::DIODE_DROP,
+    params::POLE_PAIRS,
+    params::TORQUE_CONSTANT,
+    params::PHASE_RESISTANCE,
+    params::PHASE_INDUCTANCE,
+    params::ROTOR_INERTIA,
+    params::VISCOUS_FRICTION,
+    params::DRY_FRICTION,
+    params::BREAKAWAY_FRICTION,
+    params::STRIBECK_SPEED,
+    params::COGGING,
+    params::COGGING_PERIODS,
+    params::PLAY,
+    params::SCREW_STIFFNESS,
+    params::FINGER_MASS,
+    params::GUIDE_FRICTION,
+    params::STIFFNESS_X,
+    params::STROKE,
+    params::CURRENT_SCALE,
+    params::CURRENT_NOISE,
+    params::CURRENT_OFFSET,
+    params::BUS_SCALE,
+    params::ENCODER_BITS,
+    params::ENCODER_NOISE,
+    params::ENCODER_ECCENTRICITY,
+    params::PWM_RATE,
+    params::MODULATION,
+    params::CURRENT_BANDWIDTH,
+    params::SPEED_BANDWIDTH,
+    params::POSITION_BANDWIDTH,
+    params::ENCODER_BANDWIDTH,
+    params::MOTION_ACCELERATION,
+    params::MOTION_JERK,
 ];
 
 /// What is asked of the run.
@@ -165,14 +190,8 @@ impl Told {
 
     /// The assumed constants that it rests on.
     pub fn assumed(&self) -> Vec<Constant> {
-        let other = match self.case.lead {
-            crate::plant::parameters::Lead::A => [params::LEAD_B, params::EFFICIENCY_B],
-            crate::plant::parameters::Lead::B => [params::LEAD_A, params::EFFICIENCY_A],
-        };
-        let rests = |constant: &&Constant| {
-            let is = |other: &Constant| other.name == constant.name;
-            constant.assumed && !OTHERS.iter().any(is) && !other.iter().any(is)
-        };
-        params::CARD.iter().filter(rests).copied().collect()
+        let screw = self.case.lead.constants();
+        let all = screw.into_iter().chain(RESTS_ON);
+        all.filter(|constant| constant.assumed).collect()
     }
 }

@@ -39,7 +39,6 @@ pub fn source(networks: &[Box<dyn Packed>]) -> Result<String, SeveralSizes> {
         OUTPUTS * sensors,
     );
     text += "#[rustfmt::skip]\n";
-    text += crate::inverse::emit::IN_SRAM;
     text += &format!(
         "pub static NETWORKS: [Network<{inputs}, {hidden}, {sensors}>; {}] = [\n",
         networks.len()

@@ -14,9 +14,6 @@ use crate::gru::{self, pack::Packed};
 /// How every file of tables begins.
 pub const MARK: &str = "// Written by `magpie export`.";
 
-/// Before a static that the kernels read: flash would let them wait for up to four cycles a word.
-pub const IN_SRAM: &str = "#[unsafe(link_section = \".data.tables\")]\n";
-
 /// The source of a file that declares `TABLES`, and `NETWORKS` without any.
 pub fn source(built: &Built) -> String {
     tables(built) + gru::emit::NO_NETWORKS
@@ -53,12 +50,10 @@ fn tables(built: &Built) -> String {
         },
         tables.tables(&views).check,
     );
-    text += IN_SRAM;
     text += &format!(
         "static EXP: [u32; EXP_ENTRIES] = [\n{}];\n\n",
         exponential(tables)
     );
-    text += IN_SRAM;
     text += &format!(
         "static SENSORS: [SensorTable; {}] = [\n",
         tables.sensors.len()

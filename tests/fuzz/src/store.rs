@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use embedded_storage_async::nor_flash::NorFlash;
 use firmware::parameters::Parameters;
 use firmware::parameters::table::TABLE;
-use firmware::store::record::{BODY, END, SLOT, VERSION, encode};
+use firmware::store::record::{BODY, END, SLOT, VERSION, WRITTEN, encode};
 use firmware::store::{Loaded, Origin, PAGES, Store};
 
 use super::bytes::Bytes;
@@ -39,13 +39,13 @@ pub struct Tally {
 pub fn keep(bytes: &[u8]) -> Tally {
     let mut bytes = Bytes::new(bytes);
     let mut memory = Memory::new(u64::from_le_bytes(bytes.array()));
-    let newest = fill(&mut memory, &mut bytes);
+    let (newest, last) = fill(&mut memory, &mut bytes);
     let mut tally = Tally::default();
     let loaded = load(&mut memory);
     found_rightly(&loaded, newest);
     tally.found += u32::from(newest.is_some());
     // Sequences do not come to their end in the life of a flash.
-    if newest.is_some_and(|(sequence, _)| sequence > u32::MAX / 2) {
+    if last.is_some_and(|sequence| sequence > u32::MAX / 2) {
         return tally;
     }
     // What a start may find: what was there for sure, and what was begun.
@@ -60,6 +60,7 @@ pub fn keep(bytes: &[u8]) -> Tally {
         loaded = load(&mut memory);
         assert!(possible.contains(&loaded.parameters), "{loaded:?}");
         assert!(!is_saved || loaded.origin == Origin::Stored);
+        assert_eq!(memory.rewritten, 0, "nobody knows whether these words hold");
     }
     tally
 }
@@ -97,8 +98,9 @@ fn session(
     is_saved
 }
 
-/// Writes what a story begins with; tells the newest right record's sequence and version.
-fn fill(memory: &mut Memory, bytes: &mut Bytes) -> Option<(u32, u16)> {
+/// Writes what a story begins with; tells sequence and version of the newest record that counts, and the
+/// newest sequence of all.
+fn fill(memory: &mut Memory, bytes: &mut Bytes) -> (Option<(u32, u16)>, Option<u32>) {
     let mut slots = BTreeMap::new();
     for _ in 0..bytes.byte() % 8 {
         let kind = bytes.byte();
@@ -125,8 +127,12 @@ fn fill(memory: &mut Memory, bytes: &mut Bytes) -> Option<(u32, u16)> {
             }
             _ => slot[..BODY].copy_from_slice(&encode(sequence, &Parameters::DEFAULT).0),
         }
+        let marks = &mut slot[BODY..];
+        if kind & 32 == 0 {
+            marks[..WRITTEN.len()].copy_from_slice(&WRITTEN);
+        }
         if kind & 8 != 0 {
-            slot[BODY..].copy_from_slice(&END);
+            marks[WRITTEN.len()..].copy_from_slice(&END);
         }
         let place = match kind & 16 {
             0 => sequence % SLOTS,
@@ -144,9 +150,17 @@ fn fill(memory: &mut Memory, bytes: &mut Bytes) -> Option<(u32, u16)> {
     }
     let right = slots.iter().filter_map(|(place, slot)| {
         let (sequence, version) = record(slot)?;
-        (sequence % SLOTS == *place).then_some((sequence, version))
+        let (written, end) = slot[BODY..].split_at(WRITTEN.len());
+        let counts = written == WRITTEN || end == END;
+        (sequence % SLOTS == *place).then_some((sequence, version, counts))
     });
-    right.max()
+    let right: Vec<_> = right.collect();
+    let newest = right.iter().filter(|(.., counts)| *counts).max();
+    let last = right.iter().map(|(sequence, ..)| *sequence).max();
+    (
+        newest.map(|(sequence, version, _)| (*sequence, *version)),
+        last,
+    )
 }
 
 /// Sequence and version of the record in a slot, if its checksum is right.
@@ -182,17 +196,19 @@ fn load(memory: &mut Memory) -> Loaded {
     loaded
 }
 
-/// When and how the power goes. Not so that a torn word reads erased, always or now and then
-/// ([`Torn::Erased`], [`Torn::Wavering`]): the store cannot tell, writes to it, and may lose what it wrote.
+/// When and how the power goes.
 fn cut(bytes: &mut Bytes, from: u32) -> Option<(u32, Cut)> {
     let kind = bytes.byte();
     let at = from + u32::from(bytes.byte()) % OPERATIONS;
-    let cut = match kind % 8 {
+    let cut = match kind % 11 {
         0 | 1 => return None,
         2 => Cut::Before,
-        3 | 4 => Cut::Torn(Torn::Right),
-        5 => Cut::Torn(Torn::Mixed(u64::from_le_bytes(bytes.array()))),
-        6 => Cut::Torn(Torn::Unreadable),
+        3 => Cut::Half(kind > 127),
+        4 => Cut::Torn(Torn::Erased),
+        5 => Cut::Torn(Torn::Right),
+        6 => Cut::Torn(Torn::Mixed(u64::from_le_bytes(bytes.array()))),
+        7 => Cut::Torn(Torn::Unreadable),
+        8 | 9 => Cut::Torn(Torn::Wavering),
         _ => Cut::After,
     };
     Some((at, cut))

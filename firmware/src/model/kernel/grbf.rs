@@ -5,6 +5,7 @@ use core::arch::naked_asm;
 use super::super::table::{CentrePair, EXP_ENTRIES};
 
 /// Sum over the centres of weight times exp(-gamma d^2), for both forces.
+#[inline(always)]
 pub fn sum(exp: &[u32; EXP_ENTRIES], pairs: &[CentrePair], at: [i16; 3]) -> [i32; 2] {
     // Word by word: built for size, a map over the array is a call of its own.
     let [x, y, z] = at;

@@ -24,6 +24,7 @@ const fn unrolled(hidden: usize) -> usize {
 }
 
 /// One step over the inputs in `state`.
+#[inline(always)]
 pub fn step<const INPUTS: usize, const HIDDEN: usize, const SENSORS: usize>(
     weights: &Weights<INPUTS, HIDDEN, SENSORS>,
     state: &mut State<INPUTS, HIDDEN, SENSORS>,

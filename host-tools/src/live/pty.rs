@@ -1,0 +1,130 @@
+//! A pseudo terminal: a serial line between two programs.
+
+use std::fs::File;
+use std::io::{self, ErrorKind, Read, Write};
+use std::os::fd::OwnedFd;
+use std::path::PathBuf;
+
+use rustix::fs::{Mode, OFlags, open};
+use rustix::io::ioctl_fionbio;
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use rustix::termios::{OptionalActions, QueueSelector, tcflush, tcgetattr, tcsetattr};
+
+/// This end; other programs open the other by its path.
+pub struct Pty {
+    master: File,
+    /// Kept open: the line stays where its readers come and go.
+    slave: OwnedFd,
+    /// Path of the other end.
+    pub path: PathBuf,
+}
+
+impl Pty {
+    /// A new one that carries all bytes as they are.
+    ///
+    /// # Errors
+    /// The system's: it has no more, or none at all.
+    pub fn open() -> io::Result<Self> {
+        let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY)?;
+        grantpt(&master)?;
+        unlockpt(&master)?;
+        let path = ptsname(&master, Vec::new())?;
+        let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC;
+        let slave = open(path.as_c_str(), flags, Mode::empty())?;
+        let mut settings = tcgetattr(&slave)?;
+        settings.make_raw();
+        tcsetattr(&slave, OptionalActions::Now, &settings)?;
+        ioctl_fionbio(&master, true)?;
+        Ok(Self {
+            master: File::from(master),
+            slave,
+            path: PathBuf::from(path.to_string_lossy().into_owned()),
+        })
+    }
+
+    /// Gives bytes to whoever reads; how many found place.
+    ///
+    /// # Errors
+    /// The system's.
+    pub fn offer(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        taken(self.master.write(bytes))
+    }
+
+    /// Drops the oldest of what nobody has read, as a line does that nobody listens to.
+    pub fn forget(&self) {
+        // What is not dropped is read later.
+        let _ = tcflush(&self.slave, QueueSelector::IFlush);
+    }
+
+    /// What the other end has written; how many bytes.
+    ///
+    /// # Errors
+    /// The system's.
+    pub fn take(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        taken(self.master.read(bytes))
+    }
+}
+
+/// Nothing is no error.
+fn taken(result: io::Result<usize>) -> io::Result<usize> {
+    match result {
+        Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) => {
+            Ok(0)
+        }
+        result => result,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn all_bytes_pass_as_they_are_both_ways() {
+        let mut pty = Pty::open().unwrap();
+        let mut other = File::options()
+            .read(true)
+            .write(true)
+            .open(&pty.path)
+            .unwrap();
+        let all: Vec<u8> = (0..=255).collect();
+        assert_eq!(pty.offer(&all).unwrap(), all.len());
+        let mut read = vec![0; all.len()];
+        other.read_exact(&mut read).unwrap();
+        assert_eq!(read, all);
+        other.write_all(&all).unwrap();
+        let mut back = Vec::new();
+        while back.len() < all.len() {
+            let mut bytes = [0; 64];
+            let count = pty.take(&mut bytes).unwrap();
+            back.extend_from_slice(&bytes[..count]);
+        }
+        assert_eq!(back, all);
+    }
+
+    #[test]
+    fn where_nobody_reads_the_writer_does_not_wait_and_what_is_oldest_goes() {
+        let mut pty = Pty::open().unwrap();
+        let mut written = 0;
+        loop {
+            match pty.offer(&[1; 1000]).unwrap() {
+                0 => break,
+                count => written += count,
+            }
+            assert!(written < 1 << 24, "it takes without end");
+        }
+        // The system makes room in a thread of its own.
+        while pty.offer(&[2]).unwrap() == 0 {
+            pty.forget();
+            std::thread::yield_now();
+        }
+        let mut other = File::open(&pty.path).unwrap();
+        let mut old = 0;
+        let mut byte = [0];
+        while byte != [2] {
+            other.read_exact(&mut byte).unwrap();
+            old += 1;
+        }
+        assert!(old <= written, "nothing was dropped of {written} bytes");
+    }
+}
