@@ -30,6 +30,7 @@
 //! - [`crash`]: what is left of a crash.
 //! - [`progress`]: whether every loop moves on.
 //! - [`status`]: what is wrong, and where.
+//! - [`grip`]: the grasp, and the gripper as a foot.
 //! - [`events`]: what happened, for those below.
 //! - [`loops`]: what runs, on the chip and in virtual time.
 //! - `hardware`: only on the chip: the board.
@@ -88,6 +89,8 @@ pub mod crash;
 pub mod progress;
 
 pub mod status;
+
+pub mod grip;
 
 pub mod events;
 

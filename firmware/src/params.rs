@@ -281,6 +281,31 @@ pub const ENCODER_ECCENTRICITY: Constant = assumed(
     "deg",
     "magnet off centre by 0.1 mm",
 );
+/// Stiffness of the hardest contact: two flexures of 667 N/mm behind each other.
+pub const CONTACT_STIFFNESS: Constant = assumed("hardest contact", 333.0, "N/mm", "control study");
+/// Time from a contact to the speed that answers it.
+pub const STOPPING_TIME: Constant = assumed("answer to a contact", 2.5, "ms", "control study");
+/// Crossover of the force loop.
+pub const FORCE_BANDWIDTH: Constant = assumed("force loop", 24.0, "Hz", "control study");
+/// Friction between fingertip and object.
+pub const OBJECT_FRICTION: Constant = assumed(
+    "fingertip's friction",
+    0.5,
+    "",
+    "rubber on most things; nobody measured it",
+);
+/// Distance of the two sensors along a finger.
+pub const SENSOR_DISTANCE: Constant = assumed(
+    "sensors along a finger",
+    60.0,
+    "mm",
+    "the paper states none",
+);
+/// Mass of the fingertip on each sensor's flexures.
+pub const FINGERTIP_MASS: Constant =
+    assumed("fingertip on a sensor", 0.05, "kg", "the paper states none");
+/// Opening of the gripper as a foot on a line.
+pub const LINE_FOOT: Constant = assumed("opening of a line foot", 40.0, "mm", "half the stroke");
 
 /// All constants, in the order of the data path: the parameter card.
 pub const CARD: &[Constant] = &[
@@ -352,6 +377,13 @@ pub const CARD: &[Constant] = &[
     CURRENT_OFFSET,
     ENCODER_NOISE,
     ENCODER_ECCENTRICITY,
+    CONTACT_STIFFNESS,
+    STOPPING_TIME,
+    FORCE_BANDWIDTH,
+    OBJECT_FRICTION,
+    SENSOR_DISTANCE,
+    FINGERTIP_MASS,
+    LINE_FOOT,
 ];
 
 /// Time from one tick of sensing to the next.

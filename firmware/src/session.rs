@@ -37,6 +37,8 @@ pub mod op {
     pub const ARM: u8 = 5;
     /// Asks for the version.
     pub const VERSION: u8 = 6;
+    /// No service: the answer to a command that is not done carries it ([`crate::grip::Refused`]).
+    pub const COMMAND: u8 = 7;
 }
 
 /// Answers to a service.
@@ -209,6 +211,12 @@ impl Session {
     /// Whether somebody has armed.
     pub const fn is_open(&self) -> bool {
         self.open.is_some()
+    }
+
+    /// Whether a nonce is offered and may still be said back.
+    pub fn is_offered(&self, now_ms: u32) -> bool {
+        self.offer
+            .is_some_and(|offer| now_ms.wrapping_sub(offer.at_ms) <= ECHO_MS)
     }
 
     /// Whether commands arrive in time.

@@ -1,7 +1,7 @@
 //! Faults: what is wrong, where, since when.
 //!
-//! Codes stand in ranges: 100 sensing, 200 what is stored, 300 the program, 400 the buses to the host. A
-//! fault has a source (a sensor, a bus, a loop); the heartbeat has one bit for each kind.
+//! Codes stand in ranges: 100 sensing, 200 what is stored, 300 the program, 400 the buses to the host, 500 the
+//! motor, 600 the grasp. A fault has a source (a sensor, a bus, a loop); the heartbeat has one bit for each kind.
 
 use crate::wire::messages::FaultEvent;
 
@@ -39,11 +39,35 @@ pub enum Fault {
     Flooded = 402,
     /// Frames are dropped that are malformed, late or repeated. Detail: how many since boot.
     StrangeFrames = 403,
+    /// A phase's current was beyond its bound.
+    OverCurrent = 500,
+    /// The rotor turned too fast.
+    OverSpeed = 501,
+    /// The rotor's angle is not known.
+    RotorSensor = 502,
+    /// At no current the amplifiers told one.
+    CurrentSense = 503,
+    /// Something in the motor's control is not a number.
+    NotANumber = 504,
+    /// No finger's force is told.
+    Blind = 600,
+    /// The fingers press too hard. Detail: the force in 1/1024 N.
+    OverForce = 601,
+    /// Current flows, nothing moves, nothing presses. Detail: the current in milliamperes.
+    Jammed = 602,
+    /// Homing took too long, or the way between the ends is not the stroke. Detail: the way in micrometres.
+    StrokeWrong = 603,
+    /// What was held is gone.
+    ObjectLost = 604,
+    /// What is held slips. Detail: the force in 1/1024 N that is asked for since.
+    Slipping = 605,
+    /// A fingertip of the foot bears too much. Detail: the peak in 1/1024 N.
+    FootOverload = 606,
 }
 
 impl Fault {
     /// All kinds, in the order of the heartbeat's bits.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 27] = [
         Self::SensorLost,
         Self::SensorFrozen,
         Self::SensorSaturated,
@@ -59,6 +83,18 @@ impl Fault {
         Self::HostSilent,
         Self::Flooded,
         Self::StrangeFrames,
+        Self::OverCurrent,
+        Self::OverSpeed,
+        Self::RotorSensor,
+        Self::CurrentSense,
+        Self::NotANumber,
+        Self::Blind,
+        Self::OverForce,
+        Self::Jammed,
+        Self::StrokeWrong,
+        Self::ObjectLost,
+        Self::Slipping,
+        Self::FootOverload,
     ];
 
     /// The kind with this code.

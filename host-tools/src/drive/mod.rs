@@ -3,11 +3,13 @@
 //! - [`trace`]: what is noted over time.
 //! - [`runs`]: a way to a place, a speed, a brake, a squeeze.
 //! - [`response`]: the current loop's answer to a step and to sines.
+//! - [`grasp`]: the grasp on top of it, and how one went.
 //! - [`figures`]: what is asked of the drive beside what it reaches.
 //! - [`told`]: what is told of a run.
 //! - [`world`]: what the board's sensors feel meanwhile.
 
 pub mod figures;
+pub mod grasp;
 pub mod response;
 pub mod runs;
 pub mod told;

@@ -1,0 +1,191 @@
+//! What each fault does: the matrix of faults as a table.
+//!
+//! A fault that the motor trips on is answered there within a period of its pulses ([`crate::motor::Trip`]);
+//! the rows here follow it. What hardware answers alone (a short at the comparators, a locked-up core, a
+//! watchdog) has no row: the pins are then without a driver.
+
+use super::states::Phase;
+use crate::status::Fault;
+
+/// What is done, the milder first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Reaction {
+    /// R0: tells.
+    Warn,
+    /// R1: keeps the force by itself, on the finger that is left, or the rotor's place where none is.
+    Hold,
+    /// R2: stops, then keeps its place.
+    QuickStop,
+    /// R3: shorts the windings until the rotor rests.
+    Brake,
+    /// R4: all switches off; a screw that locks itself keeps its grip.
+    Off,
+}
+
+/// What one fault does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Row {
+    /// The fault.
+    pub fault: Fault,
+    /// While nothing is gripped.
+    pub moving: Reaction,
+    /// While something is: on a screw that locks itself, on one that is driven back.
+    pub holding: [Reaction; 2],
+    /// As a foot.
+    pub foot: Reaction,
+}
+
+const fn row(fault: Fault, moving: Reaction, holding: [Reaction; 2], foot: Reaction) -> Row {
+    Row {
+        fault,
+        moving,
+        holding,
+        foot,
+    }
+}
+
+/// A sensor's trouble: the other finger holds.
+const fn sensing(fault: Fault) -> Row {
+    row(
+        fault,
+        Reaction::QuickStop,
+        [Reaction::Hold; 2],
+        Reaction::Warn,
+    )
+}
+
+const fn told(fault: Fault) -> Row {
+    row(fault, Reaction::Warn, [Reaction::Warn; 2], Reaction::Warn)
+}
+
+const fn everywhere(fault: Fault, reaction: Reaction) -> Row {
+    row(fault, reaction, [reaction; 2], reaction)
+}
+
+/// All faults.
+pub const TABLE: [Row; Fault::ALL.len()] = [
+    sensing(Fault::SensorLost),
+    sensing(Fault::SensorFrozen),
+    sensing(Fault::SensorSaturated),
+    sensing(Fault::BusStuck),
+    sensing(Fault::OutsideModel),
+    sensing(Fault::Unbalanced),
+    sensing(Fault::Disturbed),
+    everywhere(Fault::TablesUnsound, Reaction::QuickStop),
+    told(Fault::StoreUnsound),
+    told(Fault::TicksMissed),
+    told(Fault::Crashed),
+    // The session's silence stops what moves; a hold goes on.
+    told(Fault::BusOff),
+    told(Fault::HostSilent),
+    told(Fault::Flooded),
+    told(Fault::StrangeFrames),
+    everywhere(Fault::OverCurrent, Reaction::Off),
+    everywhere(Fault::OverSpeed, Reaction::Brake),
+    // Without its angle the rotor of a screw that is driven back cannot be held; shorted it gives way slowly.
+    row(
+        Fault::RotorSensor,
+        Reaction::Brake,
+        [Reaction::Off, Reaction::Brake],
+        Reaction::Off,
+    ),
+    everywhere(Fault::CurrentSense, Reaction::Off),
+    everywhere(Fault::NotANumber, Reaction::Off),
+    row(
+        Fault::Blind,
+        Reaction::QuickStop,
+        [Reaction::Off, Reaction::QuickStop],
+        Reaction::Warn,
+    ),
+    row(
+        Fault::OverForce,
+        Reaction::QuickStop,
+        [Reaction::QuickStop; 2],
+        Reaction::Warn,
+    ),
+    row(
+        Fault::Jammed,
+        Reaction::QuickStop,
+        [Reaction::QuickStop; 2],
+        Reaction::Warn,
+    ),
+    row(
+        Fault::StrokeWrong,
+        Reaction::QuickStop,
+        [Reaction::QuickStop; 2],
+        Reaction::Warn,
+    ),
+    told(Fault::ObjectLost),
+    told(Fault::Slipping),
+    told(Fault::FootOverload),
+];
+
+impl Row {
+    /// What is done in a phase; `locks` is whether the screw is known to lock itself.
+    pub const fn reaction(&self, phase: Phase, locks: bool) -> Reaction {
+        let [locked, driven_back] = self.holding;
+        match (phase, locks) {
+            (Phase::Moving, _) => self.moving,
+            (Phase::Holding, true) => locked,
+            (Phase::Holding, false) => driven_back,
+            (Phase::Foot, _) => self.foot,
+        }
+    }
+}
+
+/// What is done about a fault.
+pub fn reaction(fault: Fault, phase: Phase, locks: bool) -> Reaction {
+    let mut rows = TABLE.iter().filter(|row| row.fault == fault);
+    rows.next()
+        .map_or(Reaction::Off, |row| row.reaction(phase, locks))
+}
+
+/// The strongest reaction to the faults in the heartbeat's bits, and to which of them; none without a fault.
+pub fn strongest(bits: u32, phase: Phase, locks: bool) -> Option<(Reaction, Fault)> {
+    let kinds = (0_u32..).zip(Fault::ALL);
+    let active = kinds.filter(|(bit, _)| (bits >> bit) & 1 != 0);
+    let reactions = active.map(|(_, fault)| (reaction(fault, phase, locks), fault));
+    // The first of those that are equally strong: the nearest to the cause.
+    reactions.fold(None, |strongest, next| match strongest {
+        Some((reaction, _)) if reaction >= next.0 => strongest,
+        _ => Some(next),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_fault_has_one_row() {
+        for fault in Fault::ALL {
+            assert_eq!(TABLE.iter().filter(|row| row.fault == fault).count(), 1);
+        }
+    }
+
+    #[test]
+    fn no_fault_that_is_survived_drops_what_is_held() {
+        for fault in [
+            Fault::SensorLost,
+            Fault::SensorFrozen,
+            Fault::Unbalanced,
+            Fault::Disturbed,
+            Fault::BusOff,
+            Fault::HostSilent,
+            Fault::Flooded,
+        ] {
+            for locks in [false, true] {
+                assert!(reaction(fault, Phase::Holding, locks) <= Reaction::Hold);
+            }
+        }
+    }
+
+    #[test]
+    fn of_several_faults_the_strongest_reaction_counts() {
+        let bit = |fault| 1 << Fault::ALL.iter().position(|kind| *kind == fault).unwrap();
+        let bits = bit(Fault::SensorLost) | bit(Fault::OverSpeed) | bit(Fault::HostSilent);
+        let told = strongest(bits, Phase::Moving, true);
+        assert_eq!(told, Some((Reaction::Brake, Fault::OverSpeed)));
+        assert_eq!(strongest(0, Phase::Moving, true), None);
+    }
+}
