@@ -93,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn a_contact_is_known_within_a_fifth_before_half_of_the_force_is_there() {
+    fn a_contact_is_known_within_a_third_before_half_of_the_force_is_there() {
         for stiffness in [5.0, 50.0, 333.0] {
             for (set_n, speed) in [(50.0, 8.4), (100.0, 14.4), (350.0, 44.4)] {
                 let told = told(stiffness, speed, 0.5 * set_n);
