@@ -11,6 +11,15 @@ use crate::units::Force;
 /// One over the share of the greater force that is no difference.
 const SHARE: i32 = 10;
 
+/// What a finger presses with, whichever way, from its two sensors.
+pub fn pressing(pair: [&Estimate; 2]) -> Force {
+    let [first, second] = pair.map(|estimate| {
+        let [lateral, _] = estimate.force;
+        lateral.0
+    });
+    Force(first.saturating_add(second).saturating_abs())
+}
+
 /// The watch over both fingers.
 #[derive(Clone, Copy, Debug)]
 pub struct Balance {
@@ -33,12 +42,8 @@ impl Balance {
     /// be judged, because a force is not valid, is no difference.
     pub fn note(&mut self, estimates: &[Estimate; SENSORS]) -> Option<Force> {
         let valid = estimates.iter().all(|e| e.validity == Validity::Valid);
-        let [a, b, c, d] = estimates.map(|estimate| {
-            let [x, _] = estimate.force;
-            x.0
-        });
-        let left = a.saturating_add(b).saturating_abs();
-        let right = c.saturating_add(d).saturating_abs();
+        let [a, b, c, d] = estimates;
+        let [left, right] = [[a, b], [c, d]].map(|pair| pressing(pair).0);
         let difference = left.saturating_sub(right).saturating_abs();
         let share = left.max(right) / SHARE;
         self.unbalanced = match valid && difference > self.limit.0.saturating_add(share) {

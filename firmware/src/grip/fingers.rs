@@ -3,6 +3,7 @@
 //!
 //! The greater one counts: a finger that reads low then changes nothing, and one that reads high grips less.
 
+use crate::balance::pressing;
 use crate::force::{Estimate, Validity};
 use crate::frame::SENSORS;
 use crate::units::Force;
@@ -81,11 +82,7 @@ fn finger(pair: [&Estimate; 2]) -> Finger {
     if pair.iter().any(|e| e.disturbed) {
         return Finger::Disturbed;
     }
-    let [x, y] = pair.map(|e| {
-        let [lateral, _] = e.force;
-        lateral.0
-    });
-    Finger::Told(newtons(Force(x.saturating_add(y).saturating_abs())))
+    Finger::Told(newtons(pressing(pair)))
 }
 
 #[cfg(test)]

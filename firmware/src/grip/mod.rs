@@ -51,7 +51,7 @@ use crate::motor::screw::Screw;
 use crate::motor::{Setpoint, Telling};
 use crate::params;
 use crate::status::{Fault, Faults};
-use crate::wire::messages::{Command, FaultEvent, Foot, GripStatus, ServiceReply};
+use crate::wire::messages::{Command, FaultEvent, Foot, GripStatus};
 use contact::Contact;
 use fingers::Fingers;
 use foot::{Feeling, Standing};
@@ -61,7 +61,7 @@ use latch::{Cause, Latch};
 use object::Watch;
 use order::{Order, Way};
 use react::Reaction;
-use reason::Reason;
+use reason::Refused;
 use states::{Power, Task};
 use stiffness::Stiffness;
 
@@ -116,17 +116,6 @@ pub enum Arming {
     Arm,
     /// [`crate::motor::Motor::disarm`].
     Disarm,
-}
-
-/// A command that is not done.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Refused {
-    /// Mode asked for.
-    pub mode: u8,
-    /// Why not.
-    pub reason: Reason,
-    /// State in which it was asked for, as in the heartbeat.
-    pub state: u8,
 }
 
 /// What is to be done and told.
@@ -403,19 +392,6 @@ impl Grip {
         if let Some(event) = self.faults.note(fault, 0, active, detail) {
             // There is room for every kind; what finds none is in the heartbeat's bits all the same.
             let _ = outputs.events.push(event);
-        }
-    }
-}
-
-impl Refused {
-    /// The answer to the host: reason in the lowest byte of the detail, then the state, then the mode.
-    pub fn reply(&self) -> ServiceReply {
-        let [mode, state, reason] = [self.mode, self.state, self.reason as u8].map(u32::from);
-        ServiceReply {
-            op: crate::session::op::COMMAND,
-            status: crate::session::status::REFUSED,
-            nonce: 0,
-            detail: mode << 16 | state << 8 | reason,
         }
     }
 }

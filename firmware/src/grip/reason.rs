@@ -1,6 +1,8 @@
 //! Why something that a host asked for is not done.
 
 use super::states::Task;
+use crate::session::{op, status};
+use crate::wire::messages::ServiceReply;
 
 /// A reason; the number goes on the wire.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -54,6 +56,30 @@ impl Reason {
             | Task::GripFailed => Self::Gripping,
             Task::Foot => Self::IsFoot,
             Task::Idle | Task::NoObject | Task::Lost | Task::TimeoutHold => Self::Senseless,
+        }
+    }
+}
+
+/// A command that is not done.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Refused {
+    /// Mode asked for.
+    pub mode: u8,
+    /// Why not.
+    pub reason: Reason,
+    /// State in which it was asked for, as in the heartbeat.
+    pub state: u8,
+}
+
+impl Refused {
+    /// The answer to the host: reason in the lowest byte of the detail, then the state, then the mode.
+    pub fn reply(&self) -> ServiceReply {
+        let [mode, state, reason] = [self.mode, self.state, self.reason as u8].map(u32::from);
+        ServiceReply {
+            op: op::COMMAND,
+            status: status::REFUSED,
+            nonce: 0,
+            detail: mode << 16 | state << 8 | reason,
         }
     }
 }

@@ -12,9 +12,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
 
 use super::world::{Moment, World};
-
-/// Noise of the A31301 at full rate, in gauss, root mean square (measured by others; `hall::watch`).
-const NOISE_G: f64 = 0.35;
+use crate::bench::element::NOISE_G;
 
 /// Forces at each sensor, lateral and longitudinal, in newtons.
 pub type Forces = [[f64; 2]; SENSORS];

@@ -32,7 +32,7 @@ pub struct Args {
     from: f64,
     /// Lead screw: a locks itself, b is driven back.
     #[arg(long, value_enum, default_value = "a")]
-    screw: Screw,
+    screw: Lead,
     /// Everything uncertain is off the card by up to this share, as the seed draws it.
     #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
     scatter: f64,
@@ -47,13 +47,6 @@ pub struct Args {
     json: bool,
 }
 
-/// The screws by their letters.
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum Screw {
-    A,
-    B,
-}
-
 /// A run at a speed lasts this long, or as long as the way is.
 const RUN_S: f64 = 0.5;
 /// No way to a place takes longer.
@@ -65,10 +58,7 @@ const MOST_SCATTER: f64 = 0.5;
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
-    let lead = match args.screw {
-        Screw::A => Lead::A,
-        Screw::B => Lead::B,
-    };
+    let lead = args.screw;
     let asked = asked(args, lead)?;
     let case = match args.scatter {
         0.0 => Case::nominal(lead, args.seed),

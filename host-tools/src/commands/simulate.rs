@@ -7,7 +7,7 @@ use model_export::output::write_output;
 use serde_json::{Value, json};
 
 use crate::bench::effects::{Effect, hide};
-use crate::bench::element::NoiseKind;
+use crate::bench::element::{NOISE_G, NoiseKind};
 use crate::bench::programme::Programme;
 use crate::bench::sizes::SIZES;
 use crate::bench::truth::{self, Truth};
@@ -60,7 +60,7 @@ pub struct Args {
     #[arg(long, value_enum, default_value = "white")]
     noise: NoiseKind,
     /// White noise of one field sample.
-    #[arg(long, value_name = "G", default_value_t = 0.35)]
+    #[arg(long, value_name = "G", default_value_t = NOISE_G)]
     field_noise: f64,
     /// White noise of the reference.
     #[arg(long, value_name = "N", default_value_t = 0.15)]

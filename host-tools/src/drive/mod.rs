@@ -21,11 +21,9 @@ mod tests;
 
 use std::f64::consts::TAU;
 
-use firmware::motor::screw::Screw;
 use firmware::motor::settings::Wiring;
 use firmware::motor::stage::{Drive, PowerStage};
 use firmware::motor::{Motor, Setpoint, Settings, State, Telling};
-use firmware::params;
 
 use crate::plant::parameters::{Lead, Parameters};
 use crate::plant::{PERIOD_S, Plant};
@@ -119,23 +117,5 @@ fn wiring(parameters: &Parameters) -> Wiring {
     Wiring {
         offset: (turns.rem_euclid(1.0) * 4_294_967_296.0) as u32,
         is_swapped: parameters.swapped,
-    }
-}
-
-impl Lead {
-    /// What the control knows of it.
-    pub fn screw(self) -> Screw {
-        match self {
-            Self::A => Screw::A,
-            Self::B => Screw::B,
-        }
-    }
-
-    /// Speed of the opening in mm/s that is the paper's closing speed.
-    pub fn closing_mm_s(self) -> f64 {
-        match self {
-            Self::A => params::CLOSING_SPEED.value,
-            Self::B => 2.0 * params::CLOSING_SPEED.value,
-        }
     }
 }

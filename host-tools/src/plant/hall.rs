@@ -10,18 +10,13 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::bench::draw::{Purpose, normals, stream};
 use crate::bench::effects::{Effect, Effects};
-use crate::bench::element::{Element, counts};
+use crate::bench::element::{Element, NOISE_G, counts};
 use crate::bench::finger::Finger;
 use crate::bench::scatter::Made;
 use crate::bench::stroke::{Drive, LEAD_MM};
 use crate::bench::surroundings::{Neighbour, currents, leakage};
+use crate::board::pressed::Forces;
 use rand_chacha::ChaCha8Rng;
-
-/// Noise of the A31301 at full rate, in gauss, root mean square (measured by others).
-const NOISE_G: f64 = 0.35;
-
-/// Forces at each sensor, lateral and longitudinal, in newtons.
-pub type Forces = [[f64; 2]; SENSORS];
 
 /// Forces at the sensors of a grip, met this share of half the sensors' distance from the middle towards the
 /// first of each finger, and of a force from the ground. Two sensors carry a finger; fingers are pushed apart.

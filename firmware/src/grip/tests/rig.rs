@@ -4,8 +4,9 @@ use std::vec::Vec;
 
 use super::super::fixture::pressed;
 use super::super::order::mode;
+use super::super::reason::Reason;
 use super::super::states::{Power, Task};
-use super::super::{Arming, Grip, Host, Inputs, Outputs, Reason};
+use super::super::{Arming, Grip, Host, Inputs, Outputs};
 use crate::force::Estimate;
 use crate::limits::Grasp;
 use crate::motor::screw::Screw;
