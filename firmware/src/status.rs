@@ -49,6 +49,10 @@ pub enum Fault {
     CurrentSense = 503,
     /// Something in the motor's control is not a number.
     NotANumber = 504,
+    /// The power stage switched itself off.
+    PowerStage = 505,
+    /// The motor's outer tick has missed its turns.
+    MotorUnled = 506,
     /// No finger's force is told.
     Blind = 600,
     /// The fingers press too hard. Detail: the force in 1/1024 N.
@@ -67,7 +71,7 @@ pub enum Fault {
 
 impl Fault {
     /// All kinds, in the order of the heartbeat's bits.
-    pub const ALL: [Self; 27] = [
+    pub const ALL: [Self; 29] = [
         Self::SensorLost,
         Self::SensorFrozen,
         Self::SensorSaturated,
@@ -88,6 +92,8 @@ impl Fault {
         Self::RotorSensor,
         Self::CurrentSense,
         Self::NotANumber,
+        Self::PowerStage,
+        Self::MotorUnled,
         Self::Blind,
         Self::OverForce,
         Self::Jammed,

@@ -25,8 +25,8 @@ const BUDGETS: [(&str, u32); 9] = [
     ("grbf_50", 585),
     ("grbf_100", 1110),
     // The motor's control is compiled and branches: the most that was met, 1.6 cycles each by ARM's timings.
-    ("current_tick", 740),
-    ("motion_tick", 800),
+    ("motor_inner", 850),
+    ("motor_outer", 1000),
 ];
 
 /// Of every bit of every step: changes only with the definition.

@@ -3,6 +3,7 @@
 
 use firmware::grip::order::mode;
 use firmware::grip::states::{Power, Task};
+use firmware::motor::Order;
 use firmware::wire::messages::Command;
 use host_tools::drive::Rig;
 use host_tools::drive::grasp::{Bench, grasp, grip_command, object};
@@ -154,7 +155,9 @@ fn what_is_gripped_is_released() {
 fn homing_finds_the_opening_to_a_tenth_of_a_millimetre() {
     for lead in Lead::BOTH {
         let mut rig = Rig::armed(lead, Parameters::nominal(lead), 6.0, 1);
-        rig.motor.set_opening(f32::NAN);
+        rig.motor.obey(Order::Opening {
+            opening_mm: f32::NAN,
+        });
         let mut bench = Bench::of(lead, rig, 1);
         bench.run(0.01);
         assert_eq!(bench.grip.task(), Task::Unhomed);

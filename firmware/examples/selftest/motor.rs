@@ -5,7 +5,7 @@ use core::hint::black_box;
 
 use firmware::motor::screw::Screw;
 use firmware::motor::stage::Sensed;
-use firmware::motor::{MOTION_PERIODS, Motor, Setpoint, Settings, State};
+use firmware::motor::{Inner, MOTION_PERIODS, Order, Outer, Setpoint, Settings, State};
 
 use crate::counts::Counter;
 use crate::vectors::Random;
@@ -19,7 +19,6 @@ const ARMS: u32 = 600;
 pub fn print(counter: &Counter, out: &mut impl Write) -> Result {
     let mut random = Random(17);
     let mut greatest = [0; 2];
-    let mut motor = Motor::new(Settings::assumed(Screw::A));
     for setpoint in [
         Setpoint::Current { closing_a: -9.0 },
         Setpoint::Speed {
@@ -37,41 +36,74 @@ pub fn print(counter: &Counter, out: &mut impl Write) -> Result {
             most_a: 9.6,
         },
     ] {
-        motor.disarm();
-        motor.arm();
-        for _ in 0..ARMS {
-            motor.current_tick(&sensed(0, &mut random, 0));
-        }
-        motor.set_opening(40.0);
-        motor.command(setpoint);
-        let counts = count(&mut motor, counter, &mut random).ok_or(Error)?;
+        let mut ticks = Ticks::armed(&mut random);
+        let opening_mm = 40.0;
+        ticks.order(Order::Opening { opening_mm });
+        ticks.order(Order::Do(setpoint));
+        let counts = ticks.count(counter, &mut random).ok_or(Error)?;
         for (greatest, count) in greatest.iter_mut().zip(counts) {
             *greatest = count.max(*greatest);
         }
     }
-    let [current, motion] = greatest;
-    writeln!(out, "current_tick {current}")?;
-    writeln!(out, "motion_tick {motion}")
+    let [inner, outer] = greatest;
+    writeln!(out, "motor_inner {inner}")?;
+    writeln!(out, "motor_outer {outer}")
 }
 
-/// The most instructions of both ticks; none where the motor did not stay armed, and little was counted.
-fn count(motor: &mut Motor, counter: &Counter, random: &mut Random) -> Option<[u32; 2]> {
-    let mut greatest = [0; 2];
-    for period in 0..PERIODS {
-        let sensed = sensed(period, random, 700);
-        let current = counter.instructions(|| {
-            black_box(motor.current_tick(black_box(&sensed)));
-        });
-        let motion = match period % u32::from(MOTION_PERIODS) {
-            0 => counter.instructions(|| motor.motion_tick()),
-            _ => 0,
+/// Both ticks, as the board's interrupts call them.
+struct Ticks {
+    inner: Inner,
+    outer: Outer,
+}
+
+impl Ticks {
+    fn armed(random: &mut Random) -> Self {
+        let settings = Settings::assumed(Screw::A);
+        let mut ticks = Self {
+            inner: Inner::new(settings),
+            outer: Outer::new(settings),
         };
-        // The first run of a piece of code does not count: the emulator translates it meanwhile.
-        if period > 20 {
-            greatest = [greatest[0].max(current), greatest[1].max(motion)];
+        ticks.order(Order::Arm);
+        for _ in 0..ARMS {
+            ticks.inner.tick(&sensed(0, random, 0));
+            let ask = ticks.outer.tick(ticks.inner.felt());
+            ticks.inner.hear(ask);
+        }
+        ticks
+    }
+
+    fn order(&mut self, order: Order) {
+        if let Some(ask) = self.outer.obey(order) {
+            self.inner.hear(ask);
         }
     }
-    (motor.telling().state == State::Armed).then_some(greatest)
+
+    /// The most instructions of each; none where the motor did not stay armed, and little was counted.
+    fn count(mut self, counter: &Counter, random: &mut Random) -> Option<[u32; 2]> {
+        let mut greatest = [0; 2];
+        let mut felt = self.inner.felt();
+        for period in 0..PERIODS {
+            let sensed = sensed(period, random, 700);
+            let ask = self.outer.tick(felt);
+            // All that the interrupt does at most in one period.
+            let inner = counter.instructions(|| {
+                self.inner.hear(black_box(ask));
+                black_box(self.inner.tick(black_box(&sensed)));
+                felt = self.inner.felt();
+            });
+            let outer = match period % u32::from(MOTION_PERIODS) {
+                0 => counter.instructions(|| {
+                    black_box(self.outer.tick(black_box(felt)));
+                }),
+                _ => 0,
+            };
+            // The first run of a piece of code does not count: the emulator translates it meanwhile.
+            if period > 20 {
+                greatest = [greatest[0].max(inner), greatest[1].max(outer)];
+            }
+        }
+        (self.outer.telling().state == State::Armed).then_some(greatest)
+    }
 }
 
 /// Currents of a width in counts, a bus between braking and too little, a rotor that turns at 100 rad/s.

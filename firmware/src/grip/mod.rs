@@ -112,20 +112,20 @@ pub struct Inputs<'a> {
 /// Whether the motor is to follow set-points.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Arming {
-    /// [`crate::motor::Motor::arm`].
+    /// [`crate::motor::Order::Arm`].
     Arm,
-    /// [`crate::motor::Motor::disarm`].
+    /// [`crate::motor::Order::Disarm`].
     Disarm,
 }
 
 /// What is to be done and told.
 #[derive(Clone, Debug)]
 pub struct Outputs {
-    /// For [`crate::motor::Motor::command`].
+    /// For [`crate::motor::Order::Do`].
     pub setpoint: Setpoint,
     /// Before the set-point.
     pub arming: Option<Arming>,
-    /// For [`crate::motor::Motor::set_opening`], before the set-point; what is not a number: not known any more.
+    /// For [`crate::motor::Order::Opening`], before the set-point; what is not a number: not known any more.
     pub opening_mm: Option<f32>,
     /// For [`crate::session::Session::allow`].
     pub may_arm: bool,

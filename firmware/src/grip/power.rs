@@ -10,12 +10,14 @@ use crate::status::Fault;
 use crate::units::Force;
 
 /// Faults that the motor trips on.
-const TRIPS: [(Trip, Fault); 5] = [
+const TRIPS: [(Trip, Fault); 7] = [
     (Trip::OverCurrent, Fault::OverCurrent),
     (Trip::OverSpeed, Fault::OverSpeed),
     (Trip::Encoder, Fault::RotorSensor),
     (Trip::CurrentSense, Fault::CurrentSense),
     (Trip::NotANumber, Fault::NotANumber),
+    (Trip::PowerStage, Fault::PowerStage),
+    (Trip::Unled, Fault::MotorUnled),
 ];
 
 impl Grip {

@@ -91,6 +91,8 @@ pub const TABLE: [Row; Fault::ALL.len()] = [
     ),
     everywhere(Fault::CurrentSense, Reaction::Off),
     everywhere(Fault::NotANumber, Reaction::Off),
+    everywhere(Fault::PowerStage, Reaction::Off),
+    everywhere(Fault::MotorUnled, Reaction::Brake),
     row(
         Fault::Blind,
         Reaction::QuickStop,

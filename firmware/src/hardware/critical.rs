@@ -1,5 +1,5 @@
 //! Critical sections that leave the motor's interrupt alone: they hold off what has priority 1 or less urgent.
-//! Code at priority 0 must not rely on them, and does not: it shares what needs none ([`super::slot`]).
+//! Code at priority 0 must not rely on them, and does not: it shares by queues that need none ([`super::queue`]).
 #![allow(unsafe_code)] // Priorities, and the promise that nothing at priority 0 enters a critical section.
 
 use core::sync::atomic::{Ordering, compiler_fence};

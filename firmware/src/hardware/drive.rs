@@ -1,6 +1,7 @@
-//! The motor's interrupt: at the end of the currents' conversions, 20 kHz, priority 0. It waits for nothing,
-//! and nothing holds it off.
-#![allow(unsafe_code)] // What the interrupt owns.
+//! The motor's two interrupts. The inner tick runs at the end of the currents' conversions, 20 kHz, priority 0:
+//! it waits for nothing, and nothing holds it off. The outer one, 4 kHz, is raised by it and by whoever orders;
+//! it has priority 1 and only critical sections hold it off.
+#![allow(unsafe_code)] // What the interrupts own.
 
 use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
@@ -11,15 +12,21 @@ use static_cell::ConstStaticCell;
 
 use super::phase_currents::{Inputs, PhaseCurrents};
 use super::power_stage::{self, Stage};
+use super::queue::{Queue, Reader, Writer};
 use super::rotor_sensor::{self, AGE_PERIODS, RotorSensor};
-use super::slot::{Reader, Slot, Writer};
-use crate::motor::stage::{Encoder, Sensed};
+use crate::motor::commission::Found;
+use crate::motor::handed::{Ask, Felt};
+use crate::motor::stage::{Encoder, PowerStage, Sensed};
 use crate::motor::state::{Order, Telling};
-use crate::motor::{Motor, Settings};
-use crate::params::PWM_RATE;
+use crate::motor::{Inner, MOTION_HZ, MOTION_PERIODS, Outer, Settings};
 
-/// Periods from one telling to the next: a millisecond.
-const TELLS: u8 = PWM_RATE.value as u8;
+/// Outer ticks from one telling to the next: a millisecond.
+const TELLS: u8 = (MOTION_HZ * 1e-3) as u8;
+/// Orders that may wait: a millisecond's arming, opening and set-point.
+const ORDERS: usize = 3;
+/// What may wait for the inner tick, which takes all in its next period: an answer to each order, and the outer
+/// tick's own.
+const ASKS: usize = ORDERS + 1;
 
 /// What the drive needs of the board.
 pub struct Parts {
@@ -39,82 +46,166 @@ pub struct Parts {
 
 /// What those below hold of the drive: orders to it, and what it tells each millisecond.
 pub struct Line {
-    /// To the drive, one in a period.
-    pub orders: Writer<Order>,
-    /// From the drive; what is not taken within a millisecond stands in the way of the next.
-    pub tellings: Reader<Telling>,
+    orders: Writer<Order, ORDERS>,
+    tellings: Reader<Telling, 1>,
 }
 
-/// What the interrupt owns.
-struct Control {
-    motor: Motor,
+impl Line {
+    /// Orders something; it comes back where too much waits.
+    pub fn order(&mut self, order: Order) -> Result<(), Order> {
+        let ordered = self.orders.put(order);
+        interrupt::CORDIC.pend();
+        ordered
+    }
+
+    /// What the drive told, if it is news; what is not taken within a millisecond stands in the way of the next.
+    pub fn told(&mut self) -> Option<Telling> {
+        self.tellings.take()
+    }
+}
+
+/// What the inner tick's interrupt owns.
+struct InnerSide {
+    inner: Inner,
     stage: Stage,
     currents: PhaseCurrents,
     sensor: RotorSensor,
-    orders: Reader<Order>,
-    tellings: Writer<Telling>,
+    asks: Reader<Ask, ASKS>,
+    felt: Writer<Felt, 1>,
+    found: Writer<Found, 1>,
     periods: u8,
 }
 
-struct Owned(UnsafeCell<MaybeUninit<Control>>);
+/// What the outer tick's interrupt owns.
+struct OuterSide {
+    outer: Outer,
+    orders: Reader<Order, ORDERS>,
+    felt: Reader<Felt, 1>,
+    found: Reader<Found, 1>,
+    asks: Writer<Ask, ASKS>,
+    tellings: Writer<Telling, 1>,
+    ticks: u8,
+}
 
-// SAFETY: written by `start` before the interrupt is enabled, then used by the interrupt alone.
-unsafe impl Sync for Owned {}
+struct Owned<T>(UnsafeCell<MaybeUninit<T>>);
 
-static CONTROL: Owned = Owned(UnsafeCell::new(MaybeUninit::uninit()));
+// SAFETY: written by `start` before its interrupt is enabled, then used by that interrupt alone.
+unsafe impl<T> Sync for Owned<T> {}
 
-/// Starts the pulses, with all switches off, and the interrupt. Once.
+static INNER: Owned<InnerSide> = Owned(UnsafeCell::new(MaybeUninit::uninit()));
+static OUTER: Owned<OuterSide> = Owned(UnsafeCell::new(MaybeUninit::uninit()));
+
+/// Starts the pulses, with all switches off, and the interrupts. Once.
 pub fn start(parts: Parts, settings: Settings) -> Line {
-    static TO_DRIVE: ConstStaticCell<Slot<Order>> = ConstStaticCell::new(Slot::new());
-    static FROM_DRIVE: ConstStaticCell<Slot<Telling>> = ConstStaticCell::new(Slot::new());
-    let (orders, ordered) = TO_DRIVE.take().split();
-    let (told, tellings) = FROM_DRIVE.take().split();
+    static ORDERED: ConstStaticCell<Queue<Order, ORDERS>> = ConstStaticCell::new(Queue::new());
+    static TOLD: ConstStaticCell<Queue<Telling, 1>> = ConstStaticCell::new(Queue::new());
+    static FELT: ConstStaticCell<Queue<Felt, 1>> = ConstStaticCell::new(Queue::new());
+    static FOUND: ConstStaticCell<Queue<Found, 1>> = ConstStaticCell::new(Queue::new());
+    static ASKED: ConstStaticCell<Queue<Ask, ASKS>> = ConstStaticCell::new(Queue::new());
+    let (orders, ordered) = ORDERED.take().split();
+    let (telling, tellings) = TOLD.take().split();
+    let (felt, feelings) = FELT.take().split();
+    let (found, findings) = FOUND.take().split();
+    let (asking, asks) = ASKED.take().split();
     let settings = Settings {
         angle_age_periods: AGE_PERIODS,
         ..settings
     };
-    let control = Control {
-        motor: Motor::new(settings),
+    let inner = InnerSide {
+        inner: Inner::new(settings),
         currents: PhaseCurrents::start(parts.converter, parts.inputs),
         sensor: RotorSensor::new(parts.port, parts.sensor),
         stage: Stage::start(parts.timer, parts.bridges),
-        orders: ordered,
-        tellings: told,
+        asks,
+        felt,
+        found,
         periods: 0,
     };
-    // SAFETY: the interrupt is not enabled yet.
-    unsafe { (*CONTROL.0.get()).write(control) };
+    let outer = OuterSide {
+        outer: Outer::new(settings),
+        orders: ordered,
+        felt: feelings,
+        found: findings,
+        asks: asking,
+        tellings: telling,
+        ticks: 0,
+    };
+    // SAFETY: the interrupts are not enabled yet.
+    unsafe {
+        (*INNER.0.get()).write(inner);
+        (*OUTER.0.get()).write(outer);
+    }
     interrupt::ADC1_2.set_priority(Priority::P0);
-    // SAFETY: what the interrupt owns is there.
-    unsafe { interrupt::ADC1_2.enable() };
+    interrupt::CORDIC.set_priority(Priority::P1);
+    // SAFETY: what the interrupts own is there.
+    unsafe {
+        interrupt::CORDIC.enable();
+        interrupt::ADC1_2.enable();
+    }
     Line { orders, tellings }
 }
 
-impl Control {
+impl InnerSide {
     fn period(&mut self) {
         let angle = self.sensor.angle();
         let (phases, bus) = self.currents.take();
         self.sensor.select();
-        if let Some(order) = self.orders.take() {
-            self.motor.obey(order);
+        while let Some(ask) = self.asks.take() {
+            self.inner.hear(ask);
         }
         if self.stage.is_broken() {
-            self.motor.shut_off();
+            self.inner.shut_off();
         }
         let sensed = Sensed { phases, bus, angle };
-        self.motor.period(&sensed, &mut self.stage);
+        self.stage.drive(self.inner.tick(&sensed));
         self.sensor.ask();
         self.periods = self.periods.saturating_add(1);
-        if self.periods >= TELLS {
+        if self.periods >= MOTION_PERIODS {
             self.periods = 0;
-            // Without a reader it is dropped.
-            let _ = self.tellings.put(self.motor.telling());
+            if let Some(found) = self.inner.take_found() {
+                let _ = self.found.put(found);
+            }
+            // Where the outer tick has missed its turns there is no room; the motor trips by itself then.
+            let _ = self.felt.put(self.inner.felt());
+            interrupt::CORDIC.pend();
         }
     }
 }
 
+impl OuterSide {
+    fn tick(&mut self) {
+        while let Some(order) = self.orders.take() {
+            if let Some(urgent) = self.outer.obey(order) {
+                let _ = self.asks.put(urgent);
+            }
+        }
+        if let Some(found) = self.found.take() {
+            self.outer.adopt(found);
+        }
+        let Some(felt) = self.felt.take() else {
+            return;
+        };
+        // The inner tick takes all that waits in its next period.
+        let _ = self.asks.put(self.outer.tick(felt));
+        self.ticks = self.ticks.saturating_add(1);
+        if self.ticks >= TELLS {
+            self.ticks = 0;
+            // Without a reader it is dropped.
+            let _ = self.tellings.put(self.outer.telling());
+        }
+    }
+}
+
+/// Raised by the converter.
 #[embassy_stm32::interrupt]
 fn ADC1_2() {
     // SAFETY: written before the interrupt is enabled; nobody else uses it from then on.
-    unsafe { (*CONTROL.0.get()).assume_init_mut() }.period();
+    unsafe { (*INNER.0.get()).assume_init_mut() }.period();
+}
+
+/// Raised by the inner tick and by whoever orders; its peripheral is not in use.
+#[embassy_stm32::interrupt]
+fn CORDIC() {
+    // SAFETY: written before the interrupt is enabled; nobody else uses it from then on.
+    unsafe { (*OUTER.0.get()).assume_init_mut() }.tick();
 }

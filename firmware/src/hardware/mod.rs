@@ -9,7 +9,7 @@ pub mod drive;
 pub mod flash;
 pub mod phase_currents;
 pub mod power_stage;
+pub mod queue;
 pub mod rotor_sensor;
 pub mod sensor_bus;
-pub mod slot;
 pub mod watchdog;

@@ -80,11 +80,6 @@ impl Tracker {
         self.speed * (TAU / TURN / PERIOD_S)
     }
 
-    /// How far the rotor has turned since `from`, in radians; further than 2000 turns it is not told apart.
-    pub fn turned_since(&self, from: Place) -> f32 {
-        (self.angle.wrapping_sub(from.0) >> 12) as i32 as f32 * (TAU / 1_048_576.0)
-    }
-
     /// Where the rotor is, to be counted from.
     pub fn place(&self) -> Place {
         Place(self.angle)
@@ -120,6 +115,14 @@ const STRANGE: f32 = STRANGE_RAD / TAU * TURN;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Place(i64);
 
+impl Place {
+    /// How far the rotor has turned from `from` to here, in radians; further than 2000 turns it is not told
+    /// apart.
+    pub fn since(self, from: Self) -> f32 {
+        (self.0.wrapping_sub(from.0) >> 12) as i32 as f32 * (TAU / 1_048_576.0)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -150,7 +153,7 @@ mod tests {
                 "{}",
                 tracker.speed()
             );
-            let turned = f64::from(tracker.turned_since(Place(0)));
+            let turned = f64::from(tracker.place().since(Place(0)));
             assert!((turned - angle).abs() < 1e-3, "{turned} {angle}");
         }
     }
@@ -158,11 +161,11 @@ mod tests {
     #[test]
     fn half_a_millisecond_without_an_angle_is_bridged_and_no_longer() {
         let (mut tracker, _) = tracked(100.0, 2000);
-        let before = tracker.turned_since(Place(0));
+        let before = tracker.place().since(Place(0));
         for _ in 0..BRIDGED {
             assert_eq!(tracker.take(Err(EncoderError::Checksum), 0.0), Ok(()));
         }
-        let turned = tracker.turned_since(Place(0)) - before;
+        let turned = tracker.place().since(Place(0)) - before;
         assert!((turned - 100.0 * PERIOD_S * f32::from(BRIDGED)).abs() < 1e-3);
         assert_eq!(tracker.take(Err(EncoderError::Silent), 0.0), Err(Lost));
     }
@@ -171,7 +174,7 @@ mod tests {
     fn a_jump_that_no_rotor_makes_is_not_followed() {
         let (mut tracker, _) = tracked(0.0, 100);
         assert_eq!(tracker.take(counts(1.0), 0.0), Ok(()));
-        assert!(tracker.speed().abs() < 0.1 && tracker.turned_since(Place(0)).abs() < 1e-3);
+        assert!(tracker.speed().abs() < 0.1 && tracker.place().since(Place(0)).abs() < 1e-3);
         let held = (0..20).all(|_| tracker.take(counts(1.0), 0.0).is_ok());
         assert!(!held);
     }
@@ -184,7 +187,7 @@ mod tests {
             tracker.take(counts(angle), 1.0).unwrap();
         }
         let angle = 1.0 + 19_999.0 * 114.0 * f64::from(PERIOD_S);
-        assert!((f64::from(tracker.turned_since(Place(0))) - angle).abs() < 1e-3);
+        assert!((f64::from(tracker.place().since(Place(0))) - angle).abs() < 1e-3);
     }
 
     #[test]

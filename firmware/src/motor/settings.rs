@@ -1,5 +1,6 @@
 //! What the control knows of motor, screw and board. Gains are derived from it, nowhere typed in.
 
+use super::commission::Found;
 use super::limits::Limits;
 use super::screw::Screw;
 use crate::params;
@@ -78,6 +79,14 @@ impl Settings {
             limits: Limits::GRIPPER,
             angle_age_periods: 0.0,
         }
+    }
+
+    /// Takes over what commissioning found.
+    pub fn adopt(&mut self, found: &Found) {
+        self.machine.resistance_ohm = found.resistance_ohm;
+        self.machine.inductance_h = found.inductance_h;
+        self.machine.pole_pairs = found.pole_pairs;
+        self.wiring = found.wiring;
     }
 
     /// Whether the control can work with it: everything is a number, and what must be positive is.

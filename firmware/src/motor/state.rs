@@ -68,24 +68,27 @@ impl Setpoint {
 /// What those above tell the motor to do, in one word for a queue.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Order {
-    /// [`super::Motor::arm`].
+    /// Follow set-points once the currents' offsets are taken, 26 ms: [`State::Armed`] tells when. Nothing where
+    /// the motor is not disarmed; a trip where its settings are unsound.
     Arm,
-    /// [`super::Motor::commission`].
+    /// Measure windings, phases and sensor, 3 s; nothing may be gripped. Ends disarmed, and what was found holds
+    /// from then on, or in [`State::Refused`].
     Commission,
-    /// [`super::Motor::disarm`].
+    /// Everything off; the only way out of a trip.
     Disarm,
-    /// [`super::Motor::command`].
+    /// A set-point; nothing while not armed.
     Do(Setpoint),
-    /// [`super::Motor::set_opening`].
+    /// The fingers are this far apart now, the flanks of the screws that close touching: from a homing, or from
+    /// what was stored. What is not a number: it is not known any more.
     Opening {
         /// Millimetres between the fingers.
         opening_mm: f32,
     },
-    /// [`super::Motor::set_temperatures`].
+    /// Temperatures, as often as they are measured.
     Temperatures(Temperatures),
 }
 
-/// What the motor does. From [`State::Tripped`] only [`super::Motor::disarm`] leads on.
+/// What the motor does. From [`State::Tripped`] only [`Order::Disarm`] leads on.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum State {
     /// Off; set-points move nothing.
@@ -118,17 +121,19 @@ pub enum Trip {
     CurrentSense,
     /// The power stage has switched itself off.
     PowerStage,
+    /// The outer tick has missed its turn three times.
+    Unled,
 }
 
 impl Trip {
     /// What the switches do: where numbers, currents or their measurement are wrong, nothing; where the rotor
-    /// is, the windings are shorted, which brakes without knowing its angle.
+    /// is, or those who lead it, the windings are shorted, which brakes without knowing its angle.
     pub const fn drive(self) -> Drive {
         match self {
             Self::NotANumber | Self::OverCurrent | Self::CurrentSense | Self::PowerStage => {
                 Drive::Off
             }
-            Self::OverSpeed | Self::Encoder => Drive::Brake,
+            Self::OverSpeed | Self::Encoder | Self::Unled => Drive::Brake,
         }
     }
 }

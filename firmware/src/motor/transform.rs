@@ -27,8 +27,8 @@ impl AlphaBeta {
     /// Of the phases U, V, W; what is common to them falls out.
     pub fn of_phases([u, v, w]: [f32; 3]) -> Self {
         Self {
-            alpha: (2.0 * u - v - w) / 3.0,
-            beta: (v - w) / SQRT_3,
+            alpha: (2.0 * u - v - w) * (1.0 / 3.0),
+            beta: (v - w) * (1.0 / SQRT_3),
         }
     }
 

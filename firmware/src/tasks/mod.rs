@@ -117,7 +117,7 @@ async fn estimate(exchange: Shared, mut line: Line) {
     let estimator = Estimator::new(&TABLES, Running::start(&NETWORKS));
     let mut around = Surroundings::default();
     let around = move || {
-        if let Some(telling) = line.tellings.take() {
+        if let Some(telling) = line.told() {
             around = telling.surroundings();
         }
         around

@@ -7,7 +7,7 @@ use firmware::grip::order::{flag, mode};
 use firmware::grip::states::{Power, Task};
 use firmware::grip::{Arming, Grip, Host, Inputs, Outputs};
 use firmware::limits::Grasp;
-use firmware::motor::State;
+use firmware::motor::{Order, State};
 use firmware::units::Force;
 use firmware::wire::messages::Command;
 use rand_chacha::ChaCha8Rng;
@@ -105,15 +105,15 @@ impl Bench {
             acceleration: None,
         });
         match said.arming {
-            Some(Arming::Arm) => self.rig.motor.arm(),
-            Some(Arming::Disarm) => self.rig.motor.disarm(),
+            Some(Arming::Arm) => self.rig.motor.obey(Order::Arm),
+            Some(Arming::Disarm) => self.rig.motor.obey(Order::Disarm),
             None => {}
         }
         if let Some(opening_mm) = said.opening_mm {
-            self.rig.motor.set_opening(opening_mm);
+            self.rig.motor.obey(Order::Opening { opening_mm });
         }
         if self.rig.motor.telling().state == State::Armed {
-            self.rig.motor.command(said.setpoint);
+            self.rig.motor.obey(Order::Do(said.setpoint));
         }
         self.said = Some(said);
         for _ in 0..periods(TICK_S) {

@@ -23,7 +23,7 @@ use std::f64::consts::TAU;
 
 use firmware::motor::settings::Wiring;
 use firmware::motor::stage::{Drive, PowerStage};
-use firmware::motor::{Motor, Setpoint, Settings, State, Telling};
+use firmware::motor::{Motor, Order, Setpoint, Settings, State, Telling};
 
 use crate::plant::parameters::{Lead, Parameters};
 use crate::plant::{PERIOD_S, Plant};
@@ -72,9 +72,11 @@ impl Rig {
     /// The same, armed and told where the fingers are.
     pub fn armed(lead: Lead, parameters: Parameters, opening_mm: f64, seed: u64) -> Self {
         let mut rig = Self::new(lead, parameters, opening_mm, seed);
-        rig.motor.arm();
-        rig.run_while(ARMING_S, |telling| telling.state == State::Arming);
-        rig.motor.set_opening(opening_mm as f32);
+        rig.motor.obey(Order::Arm);
+        rig.run_while(ARMING_S, |telling| telling.state != State::Armed);
+        let opening_mm = opening_mm as f32;
+        rig.motor.obey(Order::Opening { opening_mm });
+        rig.run_while(ARMING_S, |telling| telling.opening_mm.is_none());
         rig
     }
 
@@ -101,7 +103,7 @@ impl Rig {
 
     /// Commands and goes on so long.
     pub fn under(&mut self, setpoint: Setpoint, seconds: f64) {
-        self.motor.command(setpoint);
+        self.motor.obey(Order::Do(setpoint));
         self.run(seconds);
     }
 }

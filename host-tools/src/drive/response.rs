@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use firmware::motor::Setpoint;
+use firmware::motor::{Order, Setpoint};
 
 use super::runs::Case;
 use super::{Rig, periods};
@@ -56,7 +56,7 @@ fn held(case: &Case, seed: u64) -> Rig {
 
 fn current(rig: &mut Rig, closing_a: f64) {
     let closing_a = closing_a as f32;
-    rig.motor.command(Setpoint::Current { closing_a });
+    rig.motor.obey(Order::Do(Setpoint::Current { closing_a }));
 }
 
 /// The answer to a step.

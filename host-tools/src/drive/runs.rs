@@ -2,7 +2,7 @@
 
 use std::f64::consts::FRAC_PI_2;
 
-use firmware::motor::Setpoint;
+use firmware::motor::{Order, Setpoint};
 use firmware::params;
 
 use super::Rig;
@@ -59,11 +59,11 @@ impl Case {
 /// A way from one opening to another.
 pub fn to_place(case: &Case, [from_mm, to_mm]: [f64; 2], speed_mm_s: f64) -> Trace {
     let mut rig = case.rig(from_mm);
-    rig.motor.command(Setpoint::Position {
+    rig.motor.obey(Order::Do(Setpoint::Position {
         opening_mm: to_mm as f32,
         speed_mm_s: speed_mm_s as f32,
         most_a: MOST_A as f32,
-    });
+    }));
     let start_s = rig.plant.time_s();
     let mut trace = Trace::default();
     // The way's own end: what is asked is the place.
@@ -81,15 +81,15 @@ pub fn to_place(case: &Case, [from_mm, to_mm]: [f64; 2], speed_mm_s: f64) -> Tra
 /// A speed of closing for a time, and the brake.
 pub fn at_speed(case: &Case, from_mm: f64, closing_mm_s: f64, seconds: f64) -> Braked {
     let mut rig = case.rig(from_mm);
-    rig.motor.command(Setpoint::Speed {
+    rig.motor.obey(Order::Do(Setpoint::Speed {
         closing_mm_s: closing_mm_s as f32,
         most_a: MOST_A as f32,
-    });
+    }));
     let start_s = rig.plant.time_s();
     let mut trace = Trace::default();
     trace.record(&mut rig, start_s, seconds);
     let (mean_mm_s, braked_at) = (trace.last(0.02, |p| p.closing_mm_s), trace.points.len());
-    rig.motor.command(Setpoint::Brake);
+    rig.motor.obey(Order::Do(Setpoint::Brake));
     trace.record(&mut rig, start_s, 0.05);
     let distance = |index: usize| trace.points.get(index).map_or(0.0, |p| p.opening_mm);
     let way_mm = (distance(braked_at.saturating_sub(1)) - distance(trace.points.len() - 1)).abs();

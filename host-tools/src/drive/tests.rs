@@ -3,7 +3,7 @@
 use std::cell::RefCell;
 use std::rc::Rc;
 
-use firmware::motor::{Setpoint, Settings, State};
+use firmware::motor::{Order, Setpoint, Settings, State};
 use firmware::params;
 
 use super::figures::{self, SCATTER};
@@ -50,9 +50,11 @@ fn commissioning_finds_the_plant_that_is_there() {
         let mut parameters = Parameters::scattered(Lead::A, SCATTER, seed);
         parameters.swapped = seed == 2;
         let mut rig = Rig::set(Settings::assumed(Lead::A.screw()), parameters, 40.0, seed);
-        rig.motor.commission();
+        rig.motor.obey(Order::Commission);
+        rig.run(1e-3);
         let under_way = |state| matches!(state, State::Arming | State::Commissioning);
         rig.run_while(10.0, |telling| under_way(telling.state));
+        rig.run(1e-3);
         let found = rig.motor.found();
         let found = found.unwrap_or_else(|| panic!("{:?}", rig.motor.telling().state));
         let near = |found: f32, is: f64, share: f64| (f64::from(found) / is - 1.0).abs() < share;
@@ -124,7 +126,7 @@ fn a_world_feels_what_the_drive_does() {
         .hold(Some(&Object::new(0.038, 1000.0)));
     rig.borrow_mut()
         .motor
-        .command(Setpoint::Current { closing_a: 2.0 });
+        .obey(Order::Do(Setpoint::Current { closing_a: 2.0 }));
     let start_s = rig.borrow().plant.time_s();
     world.impacts.push(Impact {
         start_s: start_s + 0.3,

@@ -4,6 +4,7 @@ use core::f64::consts::TAU;
 
 use super::super::*;
 use crate::motor::screw::Screw;
+use crate::motor::stage::Drive;
 
 /// Sub-steps of a period.
 const STEPS: u32 = 10;
@@ -159,9 +160,19 @@ impl PowerStage for Bench {
 
 pub fn armed(bench: &mut Bench, settings: Settings) -> Motor {
     let mut motor = Motor::new(settings);
-    motor.arm();
+    motor.obey(Order::Arm);
     bench.run(&mut motor, 600, |_, _| {});
     assert_eq!(motor.telling().state, State::Armed);
-    motor.set_opening(40.0);
+    motor.obey(Order::Opening { opening_mm: 40.0 });
     motor
+}
+
+/// A period with the outer tick in it.
+pub fn both(motor: &mut Motor, sensed: &Sensed) -> Drive {
+    if let Some(ask) = motor.ask.take() {
+        motor.inner.hear(ask);
+    }
+    let drive = motor.inner.tick(sensed);
+    motor.ask = Some(motor.outer.tick(motor.inner.felt()));
+    drive
 }

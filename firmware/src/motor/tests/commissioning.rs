@@ -3,6 +3,7 @@
 use super::super::*;
 use super::bench::Bench;
 use crate::motor::screw::Screw;
+use crate::motor::stage::Drive;
 
 #[test]
 fn commissioning_finds_what_the_motor_is_and_how_it_is_wired() {
@@ -17,7 +18,7 @@ fn commissioning_finds_what_the_motor_is_and_how_it_is_wired() {
         let mut settings = Settings::assumed(Screw::A);
         settings.wiring.is_swapped = sits > 0.3;
         let mut motor = Motor::new(settings);
-        motor.commission();
+        motor.obey(Order::Commission);
         bench.run(&mut motor, 60_000, |_, _| {});
         let found = motor
             .found()
@@ -33,10 +34,10 @@ fn commissioning_finds_what_the_motor_is_and_how_it_is_wired() {
             "{found:?}"
         );
         // With what was found the motor closes when asked to, with the torque that is asked.
-        motor.arm();
+        motor.obey(Order::Arm);
         bench.run(&mut motor, 600, |_, _| {});
         bench.turned = Some(0.0);
-        motor.command(Setpoint::Current { closing_a: 3.0 });
+        motor.obey(Order::Do(Setpoint::Current { closing_a: 3.0 }));
         bench.run(&mut motor, 400, |_, _| {});
         assert!((bench.q() - 3.0).abs() < 0.05, "{}", bench.q());
     }
@@ -49,7 +50,7 @@ fn commissioning_says_what_is_wrong() {
         let mut bench = Bench::new();
         spoil(&mut bench);
         let mut motor = Motor::new(Settings::assumed(Screw::A));
-        motor.commission();
+        motor.obey(Order::Commission);
         bench.run(&mut motor, 60_000, |_, _| {});
         assert_eq!(bench.drive, Drive::Off);
         match motor.telling().state {
@@ -75,19 +76,23 @@ fn commissioning_says_what_is_wrong() {
 #[test]
 fn amplifiers_that_are_far_off_do_not_arm() {
     let mut motor = Motor::new(Settings::assumed(Screw::A));
-    motor.arm();
+    let mut bench = Bench::new();
     let sensed = Sensed {
         phases: [2048, 2300, 2048],
         bus: 1600,
         angle: Ok(0),
     };
-    for _ in 0..600 {
-        assert_eq!(motor.current_tick(&sensed), Drive::Off);
-    }
-    assert_eq!(motor.telling().state, State::Tripped(Trip::CurrentSense));
-    motor.arm();
-    assert_eq!(motor.telling().state, State::Tripped(Trip::CurrentSense));
-    motor.disarm();
-    motor.arm();
-    assert_eq!(motor.telling().state, State::Arming);
+    let mut told = |motor: &mut Motor, order, periods| {
+        motor.obey(order);
+        for _ in 0..periods {
+            motor.period(&sensed, &mut bench);
+        }
+        motor.telling().state
+    };
+    let tripped = State::Tripped(Trip::CurrentSense);
+    assert_eq!(told(&mut motor, Order::Arm, 600), tripped);
+    assert_eq!(told(&mut motor, Order::Arm, 600), tripped);
+    assert_eq!(told(&mut motor, Order::Disarm, 10), State::Disarmed);
+    assert_eq!(told(&mut motor, Order::Arm, 10), State::Arming);
+    assert_eq!(bench.drive, Drive::Off);
 }

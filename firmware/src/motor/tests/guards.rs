@@ -3,40 +3,47 @@
 use proptest::prelude::*;
 
 use super::super::*;
-use super::bench::{Bench, armed};
+use super::bench::{Bench, armed, both};
+use crate::motor::current::Windings;
+use crate::motor::handed::Action;
+use crate::motor::limits::Limit;
 use crate::motor::screw::Screw;
-use crate::motor::stage::EncoderError;
+use crate::motor::speed::SpeedLoop;
+use crate::motor::stage::{Drive, EncoderError};
+use crate::motor::svpwm;
+use crate::motor::transform::Dq;
 
 #[test]
 fn without_its_angle_the_rotor_is_braked_within_a_millisecond() {
     let mut bench = Bench::new();
     let mut motor = armed(&mut bench, Settings::assumed(Screw::A));
-    motor.command(Setpoint::Speed {
+    motor.obey(Order::Do(Setpoint::Speed {
         closing_mm_s: 50.0,
         most_a: 9.6,
-    });
+    }));
     bench.run(&mut motor, 2000, |_, _| {});
     let blind = Sensed {
         angle: Err(EncoderError::Field),
         ..bench.sensed
     };
-    let braked = (0..20).position(|_| motor.current_tick(&blind) == Drive::Brake);
+    let braked = (0..20).position(|_| both(&mut motor, &blind) == Drive::Brake);
     assert!(braked.is_some_and(|periods| periods < 20), "{braked:?}");
     assert_eq!(motor.telling().state, State::Tripped(Trip::Encoder));
-    assert_eq!(motor.rotor_mm(), None);
+    both(&mut motor, &blind);
+    assert_eq!(motor.outer.rotor_mm(), None);
 }
 
 #[test]
 fn a_current_beyond_its_bound_switches_everything_off() {
     let mut bench = Bench::new();
     let mut motor = armed(&mut bench, Settings::assumed(Screw::A));
-    motor.command(Setpoint::Current { closing_a: 1.0 });
+    motor.obey(Order::Do(Setpoint::Current { closing_a: 1.0 }));
     bench.run(&mut motor, 100, |_, _| {});
     let mut sensed = bench.sensed;
     sensed.phases[1] = 2048 + 1600;
-    assert_eq!(motor.current_tick(&sensed), Drive::Off);
+    assert_eq!(both(&mut motor, &sensed), Drive::Off);
     assert_eq!(motor.telling().state, State::Tripped(Trip::OverCurrent));
-    assert_eq!(motor.current_tick(&bench.sensed), Drive::Off);
+    assert_eq!(both(&mut motor, &bench.sensed), Drive::Off);
 }
 
 #[test]
@@ -47,22 +54,24 @@ fn fingers_slow_down_before_the_end_of_their_way_and_before_they_are_homed() {
         closing_mm_s: -58.0,
         most_a: 9.6,
     };
-    motor.command(open);
+    motor.obey(Order::Do(open));
     bench.run(&mut motor, 40_000, |_, _| {});
     let opening = bench.opening(Screw::A);
     assert!((79.5..80.02).contains(&opening), "{opening}");
     assert!(motor.telling().limits.has(Limit::EndStop));
-    motor.set_opening(f32::NAN);
-    motor.command(open);
+    motor.obey(Order::Opening {
+        opening_mm: f32::NAN,
+    });
+    motor.obey(Order::Do(open));
     bench.run(&mut motor, 2_000, |_, _| {});
     let told = motor.telling();
     assert!((told.closing_mm_s + 5.0).abs() < 0.3, "{told:?}");
     assert!(told.limits.has(Limit::NotHomed) && told.opening_mm.is_none());
-    motor.command(Setpoint::Position {
+    motor.obey(Order::Do(Setpoint::Position {
         opening_mm: 20.0,
         speed_mm_s: 50.0,
         most_a: 9.6,
-    });
+    }));
     bench.run(&mut motor, 2_000, |_, _| {});
     let told = motor.telling();
     assert!(
@@ -76,10 +85,10 @@ fn a_set_point_s_own_bound_of_the_current_holds() {
     let mut bench = Bench::new();
     let mut motor = armed(&mut bench, Settings::assumed(Screw::B));
     bench.load = 0.4;
-    motor.command(Setpoint::Speed {
+    motor.obey(Order::Do(Setpoint::Speed {
         closing_mm_s: 30.0,
         most_a: 3.0,
-    });
+    }));
     let mut most = 0_f64;
     bench.run(&mut motor, 300, |bench, _| most = most.max(bench.q().abs()));
     assert!((2.8..3.3).contains(&most), "{most}");
@@ -91,31 +100,49 @@ fn a_power_stage_that_switched_itself_off_is_a_trip_until_disarmed() {
     let mut bench = Bench::new();
     let mut motor = armed(&mut bench, Settings::assumed(Screw::A));
     motor.obey(Order::Do(Setpoint::Brake));
-    bench.run(&mut motor, 5, |_, _| {});
+    bench.run(&mut motor, 6, |_, _| {});
     assert_eq!(bench.drive, Drive::Brake);
     motor.shut_off();
     motor.obey(Order::Arm);
-    bench.run(&mut motor, 5, |_, _| {});
+    bench.run(&mut motor, 10, |_, _| {});
     let tripped = State::Tripped(Trip::PowerStage);
     assert_eq!((motor.telling().state, bench.drive), (tripped, Drive::Off));
     motor.obey(Order::Disarm);
+    bench.run(&mut motor, 10, |_, _| {});
     motor.obey(Order::Arm);
+    bench.run(&mut motor, 10, |_, _| {});
     assert_eq!(motor.telling().state, State::Arming);
+}
+
+#[test]
+fn without_its_outer_tick_an_armed_motor_is_braked_within_a_millisecond() {
+    let mut bench = Bench::new();
+    let mut motor = armed(&mut bench, Settings::assumed(Screw::A));
+    motor.obey(Order::Do(Setpoint::Current { closing_a: 2.0 }));
+    bench.run(&mut motor, 100, |_, _| {});
+    let drives = [(); 20].map(|()| motor.inner.tick(&bench.sensed));
+    let braked = drives.iter().position(|drive| *drive == Drive::Brake);
+    // It was heard last in the period before these, or up to four earlier; three turns are fifteen.
+    assert!(
+        braked.is_some_and(|periods| (10..=15).contains(&periods)),
+        "{braked:?}"
+    );
+    assert_eq!(motor.telling().state, State::Tripped(Trip::Unled));
 }
 
 #[test]
 fn a_bus_that_is_lifted_from_outside_ends_on_the_shorted_windings_and_comes_back() {
     let mut bench = Bench::new();
     let mut motor = armed(&mut bench, Settings::assumed(Screw::A));
-    motor.command(Setpoint::Current { closing_a: 1.0 });
+    motor.obey(Order::Do(Setpoint::Current { closing_a: 1.0 }));
     bench.run(&mut motor, 20, |_, _| {});
     let mut drive_at = |volts: f64| {
         let bus = (volts / 0.015) as u16;
-        let drive = motor.current_tick(&Sensed {
+        let sensed = Sensed {
             bus,
             ..bench.sensed
-        });
-        motor.motion_tick();
+        };
+        let drive = both(&mut motor, &sensed);
         (drive, motor.telling().limits.has(Limit::Regeneration))
     };
     assert_eq!(drive_at(32.1), (Drive::Brake, true));
@@ -143,53 +170,59 @@ fn settings_with_which_nothing_can_be_computed_do_not_arm() {
         assert!(settings.is_sound());
         spoil(&mut settings);
         let mut motor = Motor::new(settings);
-        motor.arm();
+        motor.obey(Order::Arm);
+        let mut bench = Bench::new();
+        bench.run(&mut motor, 10, |_, _| {});
         let state = motor.telling().state;
         assert_eq!(state, State::Tripped(Trip::NotANumber), "{number}");
     }
 }
 
+/// Has the inner tick follow currents that the outer one never asked for.
+fn ask(motor: &mut Motor, d: f32, q: f32) {
+    motor.ask = Some(Ask {
+        change: None,
+        action: Action::Follow(Dq { d, q }),
+    });
+}
+
 #[test]
 fn what_is_not_a_number_inside_or_asked_for_switches_off_and_is_told() {
     let spoils: [fn(&mut Motor); 7] = [
-        |motor| motor.asked.d = f32::INFINITY,
-        |motor| motor.asked.q = f32::NAN,
-        |motor| motor.speed = SpeedLoop::start(f32::NAN),
+        |motor| ask(motor, f32::INFINITY, 0.0),
+        |motor| ask(motor, 0.0, f32::NAN),
+        |motor| motor.outer.speed = SpeedLoop::start(f32::NAN),
         |motor| {
-            motor.windings = Windings::of(&settings::Machine {
+            motor.inner.windings = Windings::of(&settings::Machine {
                 inductance_h: f32::NAN,
-                ..motor.settings.machine
+                ..motor.inner.settings.machine
             })
         },
         |motor| {
-            motor.command(Setpoint::Current {
+            motor.obey(Order::Do(Setpoint::Current {
                 closing_a: f32::NAN,
-            })
+            }))
         },
         |motor| {
-            motor.command(Setpoint::Position {
+            motor.obey(Order::Do(Setpoint::Position {
                 opening_mm: f32::NAN,
                 speed_mm_s: 1.0,
                 most_a: 1.0,
-            })
+            }))
         },
-        |motor| motor.settings.machine.torque_nm_a = f32::NAN,
+        |motor| motor.outer.settings.machine.torque_nm_a = f32::NAN,
     ];
     for (number, spoil) in spoils.into_iter().enumerate() {
         let mut bench = Bench::new();
         let mut motor = armed(&mut bench, Settings::assumed(Screw::A));
-        motor.command(Setpoint::Speed {
+        motor.obey(Order::Do(Setpoint::Speed {
             closing_mm_s: 20.0,
             most_a: 9.6,
-        });
+        }));
         bench.run(&mut motor, 100, |_, _| {});
         spoil(&mut motor);
         let sensed = bench.sensed;
-        let drives = [(); 12].map(|()| {
-            let drive = motor.current_tick(&sensed);
-            motor.motion_tick();
-            drive
-        });
+        let drives = [(); 12].map(|()| both(&mut motor, &sensed));
         let state = motor.telling().state;
         std::println!("{number} {state:?} {drives:?}");
         assert_eq!(state, State::Tripped(Trip::NotANumber), "{number}");
@@ -212,23 +245,25 @@ proptest! {
         let mut motor = armed(&mut bench, Settings::assumed(Screw::B));
         for (at, ([a, b, c, bus], angle, kind)) in sensed.iter().copied().enumerate() {
             if at % 20 == 0 {
-                motor.disarm();
-                motor.state = State::Armed;
+                motor.obey(Order::Disarm);
+                both(&mut motor, &bench.sensed);
+                both(&mut motor, &bench.sensed);
+                motor.inner.state = State::Armed;
+                both(&mut motor, &bench.sensed);
                 let (kind, value) = setpoints[at / 20 % setpoints.len()];
-                motor.command(match kind {
+                motor.obey(Order::Do(match kind {
                     0 => Setpoint::Off,
                     1 => Setpoint::Brake,
                     2 => Setpoint::Current { closing_a: value },
                     3 => Setpoint::Speed { closing_mm_s: value, most_a: value },
                     _ => Setpoint::Position { opening_mm: value, speed_mm_s: value, most_a: 5.0 },
-                });
+                }));
             }
             let angle = match kind {
                 0 => Err(EncoderError::Silent),
                 _ => Ok(angle),
             };
-            let drive = motor.current_tick(&Sensed { phases: [a, b, c], bus, angle });
-            motor.motion_tick();
+            let drive = both(&mut motor, &Sensed { phases: [a, b, c], bus, angle });
             if let Drive::Duty(duties) = drive {
                 for duty in duties {
                     prop_assert!((0.0..=svpwm::MODULATION).contains(&duty));

@@ -4,14 +4,17 @@ use core::f64::consts::TAU;
 
 use super::super::*;
 use super::bench::{Bench, armed};
+use crate::motor::handed::Action;
+use crate::motor::limits::Active;
 use crate::motor::screw::Screw;
+use crate::motor::transform::Dq;
 
 /// Overshoot of a current step from one ampere to four, in shares of the step.
 fn overshoot(bench: &mut Bench) -> f64 {
     let mut motor = armed(bench, Settings::assumed(Screw::A));
-    motor.command(Setpoint::Current { closing_a: 1.0 });
+    motor.obey(Order::Do(Setpoint::Current { closing_a: 1.0 }));
     bench.run(&mut motor, 400, |_, _| {});
-    motor.command(Setpoint::Current { closing_a: 4.0 });
+    motor.obey(Order::Do(Setpoint::Current { closing_a: 4.0 }));
     let (mut greatest, mut last) = (0_f64, 0.0);
     bench.run(&mut motor, 200, |bench, _| {
         last = bench.q();
@@ -41,15 +44,22 @@ fn a_current_step_overshoots_by_less_than_a_tenth_whatever_the_motor() {
 fn gain(bench: &mut Bench, hertz: f64) -> f64 {
     bench.turned = Some(0.0);
     let mut motor = armed(bench, Settings::assumed(Screw::A));
-    motor.command(Setpoint::Current { closing_a: 4.0 });
+    motor.obey(Order::Do(Setpoint::Current { closing_a: 4.0 }));
     bench.run(&mut motor, 200, |_, _| {});
     let (mut sums, periods) = ([0.0; 2], 4000);
     for period in 0..periods + 1000 {
         let (sin, cos) = (TAU * hertz * f64::from(period) * f64::from(PERIOD_S)).sin_cos();
-        // The innermost loop alone: its input is what the outer tick leaves.
-        motor.asked.q = 4.0 + sin as f32;
+        // The inner tick alone: its input is what the outer one asks.
+        let asked = Dq {
+            d: 0.0,
+            q: 4.0 + sin as f32,
+        };
+        motor.inner.hear(Ask {
+            change: None,
+            action: Action::Follow(asked),
+        });
         bench.period();
-        bench.drive = motor.current_tick(&bench.sensed);
+        bench.drive = motor.inner.tick(&bench.sensed);
         if period >= 1000 {
             sums[0] += (bench.q() - 4.0) * sin;
             sums[1] += (bench.q() - 4.0) * cos;
@@ -82,11 +92,11 @@ fn ten_millimetres_end_where_they_should_on_either_screw() {
             let mut motor = armed(&mut bench, Settings::assumed(screw));
             bench.load = load;
             let start = bench.opening(screw);
-            motor.command(Setpoint::Position {
+            motor.obey(Order::Do(Setpoint::Position {
                 opening_mm: target,
                 speed_mm_s: 58.3,
                 most_a: 9.6,
-            });
+            }));
             let (mut beyond, ahead) = (0_f64, (f64::from(target) - start).signum());
             bench.run(&mut motor, 12_000, |bench, _| {
                 beyond = beyond.max(ahead * (bench.opening(screw) - f64::from(target)));
@@ -129,14 +139,14 @@ fn stopping_from_full_speed_takes_less_than_half_a_millimetre_and_the_bus_stays_
         let mut bench = Bench::new();
         bench.capacitance = 470e-6;
         let mut motor = armed(&mut bench, Settings::assumed(screw));
-        motor.command(Setpoint::Speed {
+        motor.obey(Order::Do(Setpoint::Speed {
             closing_mm_s: 114.0 * screw.ratio_mm,
             most_a: 9.6,
-        });
+        }));
         bench.run(&mut motor, 4000, |_, _| {});
         assert!((bench.speed - 114.0).abs() < 1.0, "{}", bench.speed);
         let from = bench.angle;
-        motor.command(stop);
+        motor.obey(Order::Do(stop));
         let mut highest = 0_f64;
         bench.run(&mut motor, 1000, |bench, _| {
             highest = highest.max(bench.bus)
