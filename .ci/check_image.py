@@ -3,7 +3,7 @@
 - The vector table stands at the start of flash and points into RAM and flash.
 - The stack lies at the start of RAM, below the statics; a fault of the core and the non-maskable interrupt
   end in the firmware's own handlers; the record of a crash is in memory that the start leaves alone.
-- From the models' entries and from the motor's interrupt no panic is reachable, and no call whose target is
+- From the models' entries and from the motor's interrupts no panic is reachable, and no call whose target is
   unknown; the stack of the deepest way is printed.
 - The kernels lie in the memory beside the core; their code, with the tables of the activations, and
   their stack stay within bounds.
@@ -27,8 +27,8 @@ RAM = range(0x2000_3800, 0x2001_8000)
 CCM = range(0x1000_0000, 0x1000_8000)
 ENTRY = "firmware::force::estimate_all"
 DETECTOR = "firmware::foreign::Detector::watch"
-# The motor's interrupt, with the control's ticks in it.
-DRIVE = "ADC1_2"
+# The motor's interrupts: the control's inner tick, and its outer one.
+DRIVE = ("ADC1_2", "CORDIC")
 # Absent from an image without networks.
 NETWORKS = "firmware::recurrent::apply"
 TABLES = "firmware::model::activation::TABLES"
@@ -192,9 +192,9 @@ def check_kernels(elf, sections):
 def check_no_panic(elf):
     found = functions(elf)
     starts = sorted(found)
-    entries = [address for address, (name, _) in found.items() if name.startswith((ENTRY, DETECTOR, NETWORKS, DRIVE))]
+    entries = [address for address, (name, _) in found.items() if name.startswith((ENTRY, DETECTOR, NETWORKS, *DRIVE))]
     waiting = list(entries)
-    for entry in (ENTRY, DETECTOR, DRIVE):
+    for entry in (ENTRY, DETECTOR, *DRIVE):
         if not any(found[address][0].startswith(entry) for address in entries):
             sys.exit(f"{elf}: {entry} is not in the image")
     reached = set()
@@ -213,7 +213,7 @@ def check_no_panic(elf):
         if "panic" in name or "unwrap_failed" in name or "expect_failed" in name:
             sys.exit(f"{elf}: {name} is reachable from the entries")
         waiting.extend(targets)
-    print(f"no panic among the {len(reached)} functions reachable from the models' entries and the motor's interrupt")
+    print(f"no panic among the {len(reached)} functions reachable from the models' entries and the motor's interrupts")
     for entry in entries:
         name, stack = found[entry][0], deepest(entry, found, starts, stacks(elf), {})
         print(f"{stack} bytes of stack from {name} down")
