@@ -8,6 +8,7 @@ use core::task::{Context, Poll, Waker};
 use embedded_storage_async::nor_flash::{
     ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,
 };
+use std::collections::BTreeSet;
 use std::vec::Vec;
 
 pub const WORD: usize = 8;
@@ -55,6 +56,10 @@ enum Word {
 #[derive(Clone)]
 pub struct Memory {
     words: Vec<Word>,
+    /// What they read as where that is sure, so that reading them all is a copy.
+    image: Vec<u8>,
+    /// Words of which it is not sure.
+    odd: BTreeSet<usize>,
     /// Erasures of each page.
     pub erasures: [u32; PAGES],
     /// Words written and pages erased, begun or done.
@@ -83,6 +88,8 @@ impl Memory {
     pub fn new(seed: u64) -> Self {
         Self {
             words: [Word::Erased].repeat(PAGES * PAGE / WORD),
+            image: [0xFF].repeat(PAGES * PAGE),
+            odd: BTreeSet::new(),
             erasures: [0; PAGES],
             operations: 0,
             rewritten: 0,
@@ -96,9 +103,9 @@ impl Memory {
     /// The power returns, and stays. Words that only held so far do so no more.
     pub fn power_on(&mut self) {
         (self.is_off, self.cut) = (false, None);
-        for word in &mut self.words {
-            if let Word::Weak(bytes) = *word {
-                *word = Word::Torn(Torn::Wavering, bytes);
+        for place in &self.odd {
+            if let Word::Weak(bytes) = self.words[*place] {
+                self.words[*place] = Word::Torn(Torn::Wavering, bytes);
             }
         }
     }
@@ -114,6 +121,20 @@ impl Memory {
             Word::Written(bytes) => bytes[byte % WORD] ^= 1 << bit,
             _ => panic!("nothing is written at {byte}"),
         }
+        self.image[byte] ^= 1 << bit;
+    }
+
+    fn set(&mut self, place: usize, word: Word) {
+        self.words[place] = word;
+        let said = match word {
+            Word::Erased => [0xFF; WORD],
+            Word::Written(bytes) | Word::Torn(_, bytes) | Word::Weak(bytes) => bytes,
+        };
+        self.image[place * WORD..][..WORD].copy_from_slice(&said);
+        match word {
+            Word::Erased | Word::Written(_) => self.odd.remove(&place),
+            Word::Torn(..) | Word::Weak(_) => self.odd.insert(place),
+        };
     }
 
     /// Splitmix64.
@@ -142,7 +163,7 @@ impl Memory {
         }
         let was = self.words[place];
         self.rewritten += u32::from(matches!(was, Word::Torn(..) | Word::Weak(_)));
-        self.words[place] = match (was, cut) {
+        let is = match (was, cut) {
             (Word::Erased, None | Some(Cut::After)) => Word::Written(bytes),
             (Word::Erased, Some(Cut::Torn(torn))) => Word::Torn(torn, bytes),
             (Word::Erased, Some(_)) => Word::Torn(Torn::Wavering, bytes),
@@ -151,6 +172,7 @@ impl Memory {
             (Word::Torn(..) | Word::Weak(_), None | Some(Cut::After)) => Word::Weak(bytes),
             (Word::Torn(..) | Word::Weak(_), Some(_)) => Word::Torn(Torn::Wavering, bytes),
         };
+        self.set(place, is);
         cut.map_or(Ok(()), |_| Err(Failed))
     }
 
@@ -185,15 +207,15 @@ impl Memory {
         }
         self.erasures[page] += 1;
         let words = PAGE / WORD;
-        for (number, word) in self.words[page * words..][..words].iter_mut().enumerate() {
-            let was = match *word {
+        for (number, place) in (page * words..).take(words).enumerate() {
+            let was = match self.words[place] {
                 Word::Erased => [0xFF; WORD],
                 Word::Written(bytes) | Word::Torn(_, bytes) | Word::Weak(bytes) => bytes,
             };
             match cut {
-                Some(Cut::Torn(torn)) => *word = Word::Torn(torn, was),
+                Some(Cut::Torn(torn)) => self.set(place, Word::Torn(torn, was)),
                 Some(Cut::Half(first)) if first != (number < words / 2) => {}
-                _ => *word = Word::Erased,
+                _ => self.set(place, Word::Erased),
             }
         }
         cut.map_or(Ok(()), |_| Err(Failed))
@@ -212,8 +234,18 @@ impl ReadNorFlash for Memory {
         if self.is_off || !offset.is_multiple_of(WORD) {
             return Err(Failed);
         }
-        for (place, bytes) in (offset / WORD..).zip(bytes.chunks_mut(WORD)) {
-            bytes.copy_from_slice(&self.read_word(place)?[..bytes.len()]);
+        let end = offset + bytes.len();
+        bytes.copy_from_slice(&self.image[offset..end]);
+        let odd: Vec<usize> = self
+            .odd
+            .range(offset / WORD..end.div_ceil(WORD))
+            .copied()
+            .collect();
+        for place in odd {
+            let word = self.read_word(place)?;
+            let rest = &mut bytes[place * WORD - offset..];
+            let length = rest.len().min(WORD);
+            rest[..length].copy_from_slice(&word[..length]);
         }
         Ok(())
     }
