@@ -15,6 +15,8 @@
 //!   all of its body was done before that was begun. What has its second mark counts for ever: the first was
 //!   done. A cut in the first leaves what counts today and not tomorrow: then [`Store::load`] says that it is
 //!   not settled, the caller saves again, and what was read once stays so;
+//! - over what newer firmware has written nothing is saved again unasked: there a save that was cut in its
+//!   first mark may begin to count at a later start. It is one that a host had asked for, whole;
 //! - neither the page of the newest record that counts nor that of the newest with both marks is erased;
 //! - a record's sequence says its slot, and is greater than that of every record whose body is right,
 //!   whether it counts or not: one that reads right years later is older than what was written after it.

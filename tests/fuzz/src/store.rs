@@ -48,13 +48,13 @@ pub fn keep(bytes: &[u8]) -> Tally {
     if last.is_some_and(|sequence| sequence > u32::MAX / 2) {
         return tally;
     }
-    // What a start may find: what was there for sure, and what was begun.
-    let mut possible = [loaded.parameters; 2];
+    // What a start may find: what was there for sure, and what was begun since.
+    let mut possible = vec![loaded.parameters];
     let mut loaded = loaded;
     while tally.saved + tally.cut < SAVES && !bytes.is_empty() {
-        // What newer firmware wrote is left as it is, settled or not.
+        // What newer firmware wrote is left as it is: a save over it that was cut short may count later.
         if loaded.is_settled && loaded.origin != Origin::Newer {
-            possible = [loaded.parameters; 2];
+            possible = vec![loaded.parameters];
         }
         let is_saved = session(&mut memory, &mut bytes, &loaded, &mut possible, &mut tally);
         loaded = load(&mut memory);
@@ -71,7 +71,7 @@ fn session(
     memory: &mut Memory,
     bytes: &mut Bytes,
     loaded: &Loaded,
-    possible: &mut [Parameters; 2],
+    possible: &mut Vec<Parameters>,
     tally: &mut Tally,
 ) -> bool {
     let mut parameters = loaded.parameters;
@@ -84,7 +84,7 @@ fn session(
             let row = TABLE[usize::from(bytes.byte()) % TABLE.len()];
             // A value beyond its range changes nothing.
             let _ = parameters.set(row.id, i32::from_le_bytes(bytes.array()));
-            possible[1] = parameters;
+            possible.push(parameters);
         }
         is_saved = now(store.save(&parameters)).is_ok();
         if !is_saved {
@@ -92,7 +92,7 @@ fn session(
             break;
         }
         tally.saved += 1;
-        *possible = [parameters; 2];
+        *possible = vec![parameters];
     }
     memory.power_on();
     is_saved
