@@ -74,7 +74,7 @@ pub async fn start(spawner: Spawner, board: Board) {
     );
     if let Some(crash) = crash {
         let mut faults = Faults::default();
-        let detail = (crash.kind.number() << 24) | (crash.pc.max(crash.line) & 0x00FF_FFFF);
+        let detail = (crash.kind.number() << 24) | (crash.pc & 0x00FF_FFFF);
         exchange.note(
             Finder::Crash,
             &mut faults,
