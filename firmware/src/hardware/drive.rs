@@ -44,23 +44,26 @@ pub struct Parts {
     pub sensor: rotor_sensor::Pins,
 }
 
-/// What those below hold of the drive: orders to it, and what it tells each millisecond.
+/// What those below hold of the drive.
 pub struct Line {
-    orders: Writer<Order, ORDERS>,
-    tellings: Reader<Telling, 1>,
+    /// Orders to it.
+    pub orders: Orders,
+    /// What it tells each millisecond; what is not taken by then stands in the way of the next.
+    pub tellings: Tellings,
 }
 
-impl Line {
+/// From the drive.
+pub type Tellings = Reader<Telling, 1>;
+
+/// To the drive.
+pub struct Orders(Writer<Order, ORDERS>);
+
+impl Orders {
     /// Orders something; it comes back where too much waits.
     pub fn order(&mut self, order: Order) -> Result<(), Order> {
-        let ordered = self.orders.put(order);
+        let ordered = self.0.put(order);
         interrupt::CORDIC.pend();
         ordered
-    }
-
-    /// What the drive told, if it is news; what is not taken within a millisecond stands in the way of the next.
-    pub fn told(&mut self) -> Option<Telling> {
-        self.tellings.take()
     }
 }
 
@@ -142,7 +145,10 @@ pub fn start(parts: Parts, settings: Settings) -> Line {
         interrupt::CORDIC.enable();
         interrupt::ADC1_2.enable();
     }
-    Line { orders, tellings }
+    Line {
+        orders: Orders(orders),
+        tellings,
+    }
 }
 
 impl InnerSide {
