@@ -118,6 +118,22 @@ pub const TABLE: [Row; Fault::ALL.len()] = [
     told(Fault::ObjectLost),
     told(Fault::Slipping),
     told(Fault::FootOverload),
+    // The ideal model's forces count: nothing is lost but what the network knew better.
+    told(Fault::NetworkAstray),
+    row(
+        Fault::Supply,
+        Reaction::Brake,
+        [Reaction::Hold; 2],
+        Reaction::Warn,
+    ),
+    row(
+        Fault::Hot,
+        Reaction::QuickStop,
+        [Reaction::Hold; 2],
+        Reaction::Warn,
+    ),
+    everywhere(Fault::Runaway, Reaction::Brake),
+    everywhere(Fault::PowerStage, Reaction::Off),
 ];
 
 impl Row {

@@ -10,6 +10,7 @@
 //! - [`limits`], [`screw`], [`settings`]: what is known and allowed.
 //! - [`encoder`]: place and speed of the rotor.
 //! - [`current`], [`speed`], [`position`] with [`trajectory`]: the loops, each on top of the one before.
+//! - [`plausible`]: whether what is sensed fits together.
 //! - [`regeneration`]: what comes back while braking.
 //! - [`commission`], [`selflock`]: what the device measures of itself.
 //! - [`state`]: what is asked, done and told.
@@ -26,6 +27,7 @@ pub mod limits;
 mod motion;
 pub mod number;
 pub mod pi;
+pub mod plausible;
 pub mod position;
 pub mod regeneration;
 pub mod screw;
@@ -50,6 +52,7 @@ use current::{CurrentLoop, Decided, Windings};
 use encoder::{Place, Tracker};
 use limits::{Active, Around, Bounds, Heat, Limit, Temperatures};
 use number::{Direction, greater, within};
+use plausible::{Runaway, Seen as Driven, SupplyWatch, Watch};
 use position::PositionLoop;
 use screw::Play;
 use sensing::{Offsets, Zeroing};
@@ -108,6 +111,9 @@ pub struct Motor {
     /// The bus is too high: the windings are shorted until it has fallen.
     is_shorted: bool,
     held_by: Active,
+    watch: Watch,
+    runaway: Runaway,
+    supply: SupplyWatch,
     periods: u8,
 }
 
@@ -140,6 +146,9 @@ impl Motor {
             opening_mm: None,
             is_shorted: false,
             held_by: Active::default(),
+            watch: Watch::default(),
+            runaway: Runaway::default(),
+            supply: SupplyWatch::default(),
             periods: 0,
         }
     }
@@ -272,6 +281,8 @@ impl Motor {
             asked: self.asked,
             voltage: self.decided.voltage,
             bus_v: self.bus_v,
+            supply: self.supply.told(),
+            is_hot: self.bounds.is_hot,
             limits,
         }
     }
@@ -291,6 +302,8 @@ impl Motor {
 
     /// Forgets what the loops have gathered.
     fn rest(&mut self) {
+        self.watch.rest();
+        self.runaway = Runaway::default();
         self.currents = CurrentLoop::default();
         self.speed = SpeedLoop::default();
         self.asked = Dq::default();

@@ -81,8 +81,7 @@ impl Motor {
         let screw = &self.settings.screw;
         let asked = within(screw.rotor_speed(given), -limits.speed, limits.speed);
         let ahead_a = speed::ahead_a(&self.settings.machine, asked, 0.0);
-        self.speed
-            .decide(&self.speed_gains, [asked, speed], ahead_a, &self.bounds)
+        self.follow_speed([asked, speed], ahead_a)
     }
 
     /// A place on the way between the ends; where the opening is not known, the rotor is held still.
@@ -95,9 +94,7 @@ impl Motor {
     ) -> (f32, bool) {
         let (Some(position), Some(rotor_mm)) = (&mut self.position, rotor_mm) else {
             self.held_by.set(Limit::NotHomed, true);
-            return self
-                .speed
-                .decide(&self.speed_gains, [0.0, speed], 0.0, &self.bounds);
+            return self.follow_speed([0.0, speed], 0.0);
         };
         let [_, open] = self.settings.limits.ends_mm;
         let target = within(opening_mm, 0.0, open);
@@ -105,11 +102,17 @@ impl Motor {
         let wanted = position.tick(&self.settings, target, speed_mm_s, rotor_mm);
         let limit = self.settings.limits.speed;
         let asked = within(wanted.speed, -limit, limit);
-        self.speed.decide(
-            &self.speed_gains,
-            [asked, speed],
-            wanted.ahead_a,
-            &self.bounds,
-        )
+        self.follow_speed([asked, speed], wanted.ahead_a)
+    }
+
+    /// The current for a speed asked for and the one that is, unless the rotor runs away from it.
+    fn follow_speed(&mut self, speeds: [f32; 2], ahead_a: f32) -> (f32, bool) {
+        let limits = &self.settings.limits;
+        if let Err(trip) = self.runaway.note(speeds, self.asked.q, limits) {
+            self.trip(trip);
+            return (0.0, false);
+        }
+        self.speed
+            .decide(&self.speed_gains, speeds, ahead_a, &self.bounds)
     }
 }

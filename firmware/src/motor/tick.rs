@@ -20,7 +20,8 @@ impl Motor {
             State::Disarmed | State::Refused(_) => Ok(()),
             State::Armed | State::Commissioning => tracked
                 .map_err(|_| Trip::Encoder)
-                .and(self.check(sensed, phases)),
+                .and(self.check(sensed, phases))
+                .and(self.fits(sensed, phases)),
         };
         let current = AlphaBeta::of_phases(phases);
         match (known, self.state) {
@@ -60,6 +61,14 @@ impl Motor {
         }
     }
 
+    /// What must fit together once the sensors' offsets are known; commissioning looks for itself.
+    fn fits(&mut self, sensed: &Sensed, phases: [f32; 3]) -> Result<(), Trip> {
+        match self.state {
+            State::Armed => self.watch.note(sensed, phases, &self.settings.limits),
+            _ => Ok(()),
+        }
+    }
+
     fn take_offsets(&mut self, sensed: &Sensed) -> Drive {
         match self.zeroing.take(sensed) {
             None => Drive::Off,
@@ -86,6 +95,7 @@ impl Motor {
     fn follow(&mut self, phases: [f32; 3], current: AlphaBeta) -> Drive {
         self.see(current);
         let limits = &self.settings.limits;
+        self.supply.note(self.bus_v, limits);
         let [_, burns] = limits.burn_v;
         self.is_shorted = self.bus_v > limits.high_v || (self.is_shorted && self.bus_v > burns);
         match self.setpoint {
@@ -112,7 +122,18 @@ impl Motor {
     }
 
     fn control(&mut self, phases: [f32; 3]) -> Drive {
-        let speed = self.tracker.speed() * f32::from(self.settings.machine.pole_pairs);
+        let machine = &self.settings.machine;
+        let speed = self.tracker.speed() * f32::from(machine.pole_pairs);
+        let driven = Driven {
+            measured: self.measured,
+            asked: self.asked,
+            voltage: self.decided.voltage,
+            greatest_v: svpwm::greatest_v(self.bus_v),
+            speed,
+        };
+        if let Err(trip) = self.watch.judge(&driven, machine, &self.settings.limits) {
+            return self.trip(trip);
+        }
         self.decided = self.currents.decide(
             &self.windings,
             self.asked,

@@ -12,15 +12,13 @@ use crate::bench::stroke::Drive;
 use crate::board::world::{Moment, World};
 use crate::plant::PERIOD_S;
 use crate::plant::hall::{Fingertips, shared};
-use crate::plant::impact::Impact;
+use crate::plant::impact::{FOOT_KG, Impact};
 use crate::plant::imu::Inertial;
 
 /// Periods of the pulses in one tick of sensing.
 const PERIODS: usize = (1e3 * PWM_RATE.value / SENSE_RATE.value) as usize;
 /// Periods from one step of the fingertips to the next.
 const FINE: usize = 5;
-/// What lands with the gripper on the ground, in kg (assumed).
-const FOOT_KG: f64 = 2.0;
 
 /// The world. Whoever shares its rig commands the motor and puts objects between the fingers.
 pub struct Driven {
