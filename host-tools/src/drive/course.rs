@@ -89,6 +89,11 @@ impl Asked {
         }
     }
 
+    /// Whether the fingers open as far as it takes.
+    pub fn is_possible(&self) -> bool {
+        self.opening_mm() <= params::STROKE.value
+    }
+
     /// Wide enough to give way as far as it must.
     fn width_mm(&self) -> f64 {
         WIDTH_MM.max(self.set_n / self.contact_n_per_mm + LEFT_MM)

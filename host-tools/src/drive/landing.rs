@@ -6,14 +6,15 @@ use std::f64::consts::PI;
 use firmware::frame::SENSORS;
 use firmware::grip::order::mode;
 use firmware::grip::states::Task;
-use firmware::params;
+use firmware::params::{self, Constant};
 use firmware::wire::messages::{Command, Foot};
 
 use super::grasp::Bench;
+use super::runs::Case;
+use super::told;
 use crate::bench::attitude::GRAVITY;
 use crate::plant::impact::{FOOT_KG, Impact};
 use crate::plant::imu::Inertial;
-use crate::plant::parameters::{Lead, Parameters};
 
 /// Opening of the closed fingers, in mm.
 const FLAT_MM: f64 = 0.5;
@@ -65,6 +66,8 @@ pub struct Point {
 /// What became of it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Landed {
+    /// The gripper.
+    pub case: Case,
     /// What was done.
     pub landing: Landing,
     /// One for each millisecond, at the time of its sample.
@@ -88,19 +91,14 @@ impl Landing {
     }
 
     /// Lands on closed fingers.
-    pub fn run(self, lead: Lead, seed: u64) -> Landed {
-        let mut bench = Bench::new(lead, Parameters::nominal(lead), FLAT_MM, seed);
+    pub fn run(self, case: &Case) -> Landed {
+        let mut bench = Bench::new(case.lead, case.parameters, FLAT_MM, case.seed);
         bench.order(Command {
             mode: mode::FOOT,
             ..Command::default()
         });
         bench.until(1.0, |bench| bench.grip.task() == Task::Foot);
-        self.on(&mut bench, seed)
-    }
-
-    /// The same on a gripper that is a foot already.
-    pub fn on(self, bench: &mut Bench, seed: u64) -> Landed {
-        let mut inertial = Inertial::new(seed);
+        let mut inertial = Inertial::new(case.seed);
         let from_s = bench.rig.plant.time_s();
         let impact = Impact {
             start_s: BEFORE_S + STEP_S * self.phase,
@@ -109,6 +107,7 @@ impl Landing {
         };
         let parked_mm = 1e3 * bench.rig.plant.opening_m();
         let mut landed = Landed {
+            case: *case,
             landing: self,
             points: Vec::new(),
             moved_mm: 0.0,
@@ -124,7 +123,7 @@ impl Landing {
             bench.tick();
             // What is told now was sampled in the tick before; so was the acceleration.
             if !sampled_s.is_nan() {
-                landed.note(bench, sampled_s, &impact);
+                landed.note(&bench, sampled_s, &impact);
             }
             sampled_s = now_s;
             let motion = inertial.look([0.0, 0.0, felt], [0.0; 3]);
@@ -176,5 +175,59 @@ impl Landed {
             .iter()
             .max_by(|a, b| a.told_n.total_cmp(&b.told_n));
         hardest.map(|point| point.along_mm)
+    }
+
+    /// Figures: name, as told and as it is, unit. What is no number is not told.
+    pub fn figures(&self) -> Vec<(&'static str, [f64; 2], &'static str)> {
+        let told_n = self.points.iter().map(|point| point.told_n);
+        let told_n = told_n.fold(0.0, f64::max);
+        let contact_ms = 1e3 * self.contact_s().unwrap_or(f64::NAN);
+        let along_mm = self.along_mm().unwrap_or(f64::NAN);
+        vec![
+            (
+                "the touch is told in the sample after",
+                [contact_ms, 0.0],
+                "ms",
+            ),
+            (
+                "greatest force of the ground",
+                [told_n, self.landing.peak_n],
+                "N",
+            ),
+            (
+                "peak on one fingertip, kept for 10 ms",
+                [self.held_n(), self.peak_n()],
+                "N",
+            ),
+            (
+                "centre of pressure, along the fingers",
+                [along_mm, self.landing.along_mm],
+                "mm",
+            ),
+            ("the fingers have moved by", [self.moved_mm, 0.0], "mm"),
+        ]
+    }
+
+    /// The landing in a sentence.
+    pub fn sentence(&self) -> String {
+        let Landing {
+            peak_n, lasts_s, ..
+        } = self.landing;
+        format!(
+            "A gripper with screw {:?} stands flat on closed fingers; the ground pushes for {} ms with up to {peak_n} \
+             N, a half sine, on {FOOT_KG} kg; seed {}. Forces are sensed each millisecond with noise; the fingertips' \
+             own mass is taken off by the acceleration, which its sensor tells up to 4 g.",
+            self.case.lead,
+            1e3 * lasts_s,
+            self.case.seed
+        )
+    }
+
+    /// The assumed constants that it rests on.
+    pub fn assumed(&self) -> Vec<Constant> {
+        told::assumed(
+            self.case.lead,
+            &[params::SENSOR_DISTANCE, params::FINGERTIP_MASS],
+        )
     }
 }
