@@ -1,9 +1,11 @@
 //! A frame in, forces out: the ideal model, the networks over it, and the watch for foreign magnets.
 
+use crate::astray::Astray;
 use crate::compensate::{Compensation, Memory};
 use crate::force::{Estimate, estimate_all};
 use crate::foreign::Detector;
 use crate::frame::{Frame, SENSORS};
+use crate::limits::Limits;
 use crate::model::gru::Run;
 use crate::model::network::Network;
 use crate::model::table::Tables;
@@ -66,6 +68,7 @@ pub struct Estimator<'t, N> {
     memories: [Memory; SENSORS],
     networks: N,
     detector: Detector,
+    astray: Astray,
 }
 
 impl<'t, N: Networks> Estimator<'t, N> {
@@ -76,7 +79,14 @@ impl<'t, N: Networks> Estimator<'t, N> {
             memories: [Memory::default(); SENSORS],
             networks,
             detector: Detector::default(),
+            astray: Astray::new(&Limits::GRIPPER),
         }
+    }
+
+    /// The same within other limits.
+    pub const fn within(mut self, limits: &Limits) -> Self {
+        self.astray = Astray::new(limits);
+        self
     }
 
     /// The forces of the next frame.
@@ -85,6 +95,7 @@ impl<'t, N: Networks> Estimator<'t, N> {
         let ideal = estimates;
         self.networks.apply(&mut estimates);
         self.detector.watch(&ideal, &mut estimates);
+        self.astray.watch(&ideal, &mut estimates);
         estimates
     }
 
@@ -107,6 +118,11 @@ impl<'t, N: Networks> Estimator<'t, N> {
     /// The networks with what they remember.
     pub fn networks(&mut self) -> &mut N {
         &mut self.networks
+    }
+
+    /// Whether a sensor's network is not believed.
+    pub fn is_astray(&self, sensor: usize) -> bool {
+        self.astray.is_astray(sensor)
     }
 
     /// The watch for foreign magnets.

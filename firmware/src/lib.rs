@@ -19,6 +19,7 @@
 //! - [`recurrent`]: networks over the estimates.
 //! - [`foreign`]: a foreign magnet noticed.
 //! - [`estimator`]: a frame in, forces out.
+//! - [`astray`]: networks that say something else than the physics.
 //! - [`balance`]: fingers that press alike.
 //! - [`tare`]: what is told without a load, taken off.
 //! - [`motor`]: current, speed and place of the motor.
@@ -69,6 +70,7 @@ pub mod foreign;
 
 pub mod estimator;
 
+pub mod astray;
 pub mod balance;
 
 pub mod tare;

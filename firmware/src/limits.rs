@@ -24,6 +24,11 @@ pub struct Limits {
     pub unbalanced_n: i32,
     /// Ticks in a row with that difference.
     pub unbalanced_ticks: u8,
+    /// Newtons by which a network is away from the ideal model, with a fifth of the force on top, at which it is
+    /// not believed.
+    pub astray_n: i32,
+    /// Ticks in a row with that difference.
+    pub astray_ticks: u8,
     /// Frames of one source within 10 ms that are heard; ten times what a host may send.
     pub flood_frames: u8,
 }
@@ -38,6 +43,8 @@ impl Limits {
         outside_ticks: 3,
         unbalanced_n: 15,
         unbalanced_ticks: 3,
+        astray_n: 40,
+        astray_ticks: 2,
         flood_frames: 20,
     };
 }
@@ -95,8 +102,10 @@ pub struct Grasp {
     pub slip_pause_ms: u16,
     /// What a slip raises the force by.
     pub slip_factor: f32,
-    /// Milliseconds within which a grip comes about.
+    /// Milliseconds within which a grip comes about once something is touched.
     pub grip_ms: u32,
+    /// Milliseconds of an approach: the slowest one, over the whole stroke.
+    pub approach_ms: u32,
     /// Opening in millimetres at which the fingers meet.
     pub met_mm: f32,
     /// Ticks without a force that is believed, after which there is none.
@@ -119,6 +128,10 @@ pub struct Grasp {
     pub end_ms: u16,
     /// Homing: the way is the stroke within so many millimetres.
     pub stroke_mm: f32,
+    /// Millimetres beyond its ends at which an opening is not to be believed.
+    pub stray_mm: f32,
+    /// Milliseconds of it.
+    pub stray_ms: u16,
     /// Current in amperes of a rotor that is jammed.
     pub jam_a: f32,
     /// Milliseconds of it.
@@ -172,6 +185,7 @@ impl Grasp {
         slip_pause_ms: 200,
         slip_factor: 1.2,
         grip_ms: 5_000,
+        approach_ms: 60_000,
         met_mm: 0.2,
         blind_ticks: 3,
         sighted_ms: 20,
@@ -183,6 +197,8 @@ impl Grasp {
         end_mm_s: 1.0,
         end_ms: 50,
         stroke_mm: 1.0,
+        stray_mm: 0.8,
+        stray_ms: 3,
         jam_a: 1.2,
         jam_ms: 50,
         unloaded_n: 20.0,

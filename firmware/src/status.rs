@@ -23,6 +23,8 @@ pub enum Fault {
     Unbalanced = 104,
     /// A foreign magnet is near.
     Disturbed = 105,
+    /// A network is far from the ideal model, whose forces count meanwhile. Source: the sensor.
+    NetworkAstray = 107,
     /// The tables are not what was exported.
     TablesUnsound = 200,
     /// What was stored cannot be read; defaults hold. Detail: why.
@@ -45,21 +47,26 @@ pub enum Fault {
     OverSpeed = 501,
     /// The rotor's angle is not known.
     RotorSensor = 502,
-    /// At no current the amplifiers told one.
+    /// At no current the amplifiers told one, the currents do not sum to nothing, or they do not follow.
     CurrentSense = 503,
     /// Something in the motor's control is not a number.
     NotANumber = 504,
-    /// The power stage switched itself off.
-    PowerStage = 505,
-    /// The motor's outer tick has missed its turns.
-    MotorUnled = 506,
+    /// The bus voltage is beyond its bounds. Detail: in millivolts.
+    Supply = 505,
+    /// Motor or power stage is too hot for any current.
+    Hot = 506,
+    /// The current that should brake the rotor does not, or the control's outer tick has missed its turns.
+    Runaway = 507,
+    /// The power stage has switched itself off.
+    PowerStage = 508,
     /// No finger's force is told.
     Blind = 600,
     /// The fingers press too hard. Detail: the force in 1/1024 N.
     OverForce = 601,
     /// Current flows, nothing moves, nothing presses. Detail: the current in milliamperes.
     Jammed = 602,
-    /// Homing took too long, or the way between the ends is not the stroke. Detail: the way in micrometres.
+    /// Homing took too long, the way between the ends is not the stroke, or the opening is beyond its ends.
+    /// Detail: in micrometres.
     StrokeWrong = 603,
     /// What was held is gone.
     ObjectLost = 604,
@@ -71,7 +78,7 @@ pub enum Fault {
 
 impl Fault {
     /// All kinds, in the order of the heartbeat's bits.
-    pub const ALL: [Self; 29] = [
+    pub const ALL: [Self; 32] = [
         Self::SensorLost,
         Self::SensorFrozen,
         Self::SensorSaturated,
@@ -92,8 +99,6 @@ impl Fault {
         Self::RotorSensor,
         Self::CurrentSense,
         Self::NotANumber,
-        Self::PowerStage,
-        Self::MotorUnled,
         Self::Blind,
         Self::OverForce,
         Self::Jammed,
@@ -101,6 +106,11 @@ impl Fault {
         Self::ObjectLost,
         Self::Slipping,
         Self::FootOverload,
+        Self::NetworkAstray,
+        Self::Supply,
+        Self::Hot,
+        Self::Runaway,
+        Self::PowerStage,
     ];
 
     /// The kind with this code.
@@ -181,7 +191,7 @@ mod tests {
         let mut faults = Faults::default();
         for (bit, fault) in Fault::ALL.into_iter().enumerate() {
             faults.note(fault, 0, true, 0);
-            assert_eq!(faults.bits(), (2 << bit) - 1);
+            assert_eq!(faults.bits(), u32::MAX >> (31 - bit));
             assert_eq!(Fault::of_code(fault as u16), Some(fault));
         }
         assert_eq!(Fault::of_code(99), None);

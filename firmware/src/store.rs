@@ -17,7 +17,9 @@
 //!   not settled, the caller saves again, and what was read once stays so;
 //! - over what newer firmware has written nothing is saved again unasked: there a save that was cut in its
 //!   first mark may begin to count at a later start. It is one that a host had asked for, whole;
-//! - neither the page of the newest record that counts nor that of the newest with both marks is erased;
+//! - what has its first mark for sure always shows it, but what shows it may not have it for sure. So no page
+//!   is erased with a record that shows it and is not older than the newest that shows its second. After as many
+//!   cuts in first marks as there are pages nothing may be left to erase: then nothing is saved, nor lost;
 //! - a record's sequence says its slot, and is greater than that of every record whose body is right,
 //!   whether it counts or not: one that reads right years later is older than what was written after it.
 //!
@@ -124,6 +126,8 @@ struct Found {
     newest: Option<Kept>,
     /// Sequence of the newest that is finished.
     finished: Option<u32>,
+    /// In each page the newest that has its first mark.
+    written: [Option<u32>; PAGES as usize],
     /// Sequence of the newest of all, begun or more.
     last: Option<u32>,
     /// Some slot holds what does not count.
@@ -186,15 +190,17 @@ impl<F: NorFlash> Store<F> {
     /// No slot took the record; what was saved before still counts.
     pub async fn save(&mut self, parameters: &Parameters) -> Result<(), NotSaved> {
         let found = self.scan().await;
-        let newest = found.newest.map(|newest| newest.sequence);
-        let kept = [newest, found.finished].map(|sequence| sequence.map(Self::page));
+        // What is sure to count is one of these.
+        let may_count = |sequence: Option<u32>| sequence.is_some() && sequence >= found.finished;
+        let kept = found.written.map(may_count);
         // As many saves as a sequence has numbers are far beyond the life of the flash.
         let first = self.next.take();
         let mut sequence = first.unwrap_or_else(|| Self::page_behind(found.last));
         for _ in 0..Self::SLOTS {
             if sequence.is_multiple_of(Self::SLOTS_OF_PAGE) {
                 let page = Self::page(sequence);
-                if kept.contains(&Some(page)) || self.erase(page).await.is_err() {
+                let is_kept = kept.get(page as usize).copied().unwrap_or(true);
+                if is_kept || self.erase(page).await.is_err() {
                     sequence = sequence.wrapping_add(Self::SLOTS_OF_PAGE);
                     continue;
                 }
@@ -234,6 +240,9 @@ impl<F: NorFlash> Store<F> {
                 }
                 Stage::Written => {}
                 Stage::Finished => found.finished = found.finished.max(Some(record.sequence)),
+            }
+            if let Some(newest) = found.written.get_mut(Self::page(record.sequence) as usize) {
+                *newest = (*newest).max(Some(record.sequence));
             }
             if found
                 .newest

@@ -58,7 +58,11 @@ struct Ticks {
 
 impl Ticks {
     fn armed(random: &mut Random) -> Self {
-        let settings = Settings::assumed(Screw::A);
+        let mut settings = Settings::assumed(Screw::A);
+        // What is sensed here fits nothing.
+        let limits = &mut settings.limits;
+        (limits.sum_a, limits.beside_v) = (f32::MAX, f32::MAX);
+        (limits.unfollowed_a, limits.runaway) = (f32::MAX, f32::MAX);
         let mut ticks = Self {
             inner: Inner::new(settings),
             outer: Outer::new(settings),

@@ -20,6 +20,9 @@ const PLACE_MM_S: f32 = 5.0;
 const RELAX_MS: u32 = 100;
 /// What is left of the difference with each millisecond.
 const RELAXES: f32 = 0.99;
+/// A hold's current falls, and a screw that locks itself holds alone, once the mean force is off by less than so
+/// many times what moves nothing.
+pub(super) const RELAXED: f32 = 1.5;
 /// Current of a hold over what it takes by the screw's friction as it is assumed.
 const MARGIN: f32 = 1.4;
 /// What the margin grows by where it was too small.
@@ -157,7 +160,7 @@ impl Grip {
         let flows_a = motor.asked.q.abs();
         let most_a = self
             .hold
-            .most_a(beyond_n.abs() < dead_n, self.needed_a(), flows_a);
+            .most_a(missing_n.abs() < RELAXED * dead_n, self.needed_a(), flows_a);
         self.hold_a = flows_a;
         Setpoint::Speed {
             closing_mm_s: law::closing_mm_s(beyond_n, stiffness, most_mm_s),

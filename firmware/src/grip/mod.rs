@@ -53,7 +53,7 @@ use crate::params;
 use crate::status::{Fault, Faults};
 use crate::wire::messages::{Command, FaultEvent, Foot, GripStatus};
 use contact::Contact;
-use fingers::Fingers;
+use fingers::{Finger, Fingers};
 use foot::{Feeling, Standing};
 use home::Homing;
 use jam::Jam;
@@ -70,7 +70,7 @@ const PEAK_A: f32 = (params::PEAK_TORQUE.value / params::TORQUE_CONSTANT.value) 
 /// Forces of which a hold's force is the mean.
 const MEAN_TICKS: f32 = 16.0;
 /// Events of a millisecond that are told at the most; there are as many kinds of own faults.
-const EVENTS: usize = 16;
+const EVENTS: usize = 24;
 
 /// What hosts have to do with it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -166,7 +166,9 @@ pub struct Grip {
     fingers: Fingers,
     /// The last that was believed.
     force_n: f32,
-    /// Mean of the last sixteen or so, in newtons.
+    /// Means of each finger's last sixteen or so, in newtons; none while it is not believed.
+    means_n: [Option<f32>; 2],
+    /// The greater of both: the greater of two that are noisy would be too much.
     mean_n: f32,
     unbelieved_ticks: u8,
     lost_ticks: u8,
@@ -202,6 +204,7 @@ pub struct Grip {
     /// The fingers give way after too much force.
     backs_off: bool,
     slipping_ms: u16,
+    stray_ms: u16,
     counters: [u8; 2],
 }
 
@@ -234,6 +237,7 @@ impl Grip {
             set_n: 0.0,
             fingers: Fingers::of(&[Estimate::MISSING; SENSORS]),
             force_n: 0.0,
+            means_n: [None; 2],
             mean_n: 0.0,
             unbelieved_ticks: 0,
             lost_ticks: 0,
@@ -262,6 +266,7 @@ impl Grip {
             reaction: Reaction::Warn,
             backs_off: false,
             slipping_ms: 0,
+            stray_ms: 0,
             counters: [0; 2],
         }
     }
@@ -342,6 +347,16 @@ impl Grip {
         self.faults.bits()
     }
 
+    /// The greater force of the fingers in newtons, as it was believed last.
+    pub const fn force_n(&self) -> f32 {
+        self.force_n
+    }
+
+    /// What the foot feels.
+    pub const fn standing(&self) -> &Standing {
+        &self.standing
+    }
+
     /// The contact's stiffness as it is estimated, in newtons to the millimetre.
     pub const fn stiffness(&self) -> f32 {
         self.stiffness.told()
@@ -363,7 +378,7 @@ impl Grip {
         let motor = &inputs.motor;
         if let Some(force_n) = told {
             self.force_n = force_n;
-            self.mean_n += (force_n - self.mean_n) / MEAN_TICKS;
+            self.average();
             self.contact.note(force_n, &self.limits);
             let loads = matches!(self.task, Task::Approach | Task::Force);
             // A force is a millisecond old.
@@ -390,6 +405,20 @@ impl Grip {
             false => 0,
         };
         self.standing = standing;
+    }
+
+    /// Goes on with the fingers' means.
+    fn average(&mut self) {
+        let fingers = [self.fingers.left, self.fingers.right];
+        for (mean_n, finger) in self.means_n.iter_mut().zip(fingers) {
+            *mean_n = match (finger, *mean_n) {
+                (Finger::Told(now_n), Some(mean_n)) => Some(mean_n + (now_n - mean_n) / MEAN_TICKS),
+                (Finger::Told(now_n), None) => Some(now_n),
+                _ => None,
+            };
+        }
+        let means_n = self.means_n.into_iter().flatten();
+        self.mean_n = means_n.reduce(f32::max).unwrap_or(self.force_n);
     }
 
     /// Whether the fingers have come to rest.

@@ -5,28 +5,39 @@ use super::react::{Reaction, strongest};
 use super::states::{Phase, Power, Task};
 use super::table::{self, PowerEvent};
 use super::{Arming, Cause, Grip, Inputs, Outputs};
+use crate::motor::plausible::Supply;
 use crate::motor::{State, Trip};
+use crate::params;
 use crate::status::Fault;
 use crate::units::Force;
 
 /// Faults that the motor trips on.
-const TRIPS: [(Trip, Fault); 7] = [
+const TRIPS: [(Trip, Fault); 8] = [
     (Trip::OverCurrent, Fault::OverCurrent),
     (Trip::OverSpeed, Fault::OverSpeed),
     (Trip::Encoder, Fault::RotorSensor),
     (Trip::CurrentSense, Fault::CurrentSense),
     (Trip::NotANumber, Fault::NotANumber),
+    (Trip::Runaway, Fault::Runaway),
+    (Trip::Unled, Fault::Runaway),
     (Trip::PowerStage, Fault::PowerStage),
-    (Trip::Unled, Fault::MotorUnled),
 ];
 
 impl Grip {
     /// Notes the faults that this layer can see.
     pub(super) fn find_faults(&mut self, inputs: &Inputs, outputs: &mut Outputs) {
-        for (trip, fault) in TRIPS {
-            let has_tripped = inputs.motor.state == State::Tripped(trip);
-            self.note(fault, has_tripped, 0, outputs);
+        let mut trips = TRIPS.iter();
+        let tripped = trips.find(|(trip, _)| inputs.motor.state == State::Tripped(*trip));
+        let tripped = tripped.map(|(_, fault)| *fault);
+        for (_, fault) in TRIPS {
+            self.note(fault, tripped == Some(fault), 0, outputs);
         }
+        let is_armed = inputs.motor.state == State::Armed;
+        let is_out = is_armed && inputs.motor.supply != Supply::Sound;
+        let detail = (inputs.motor.bus_v * 1e3) as u32;
+        self.note(Fault::Supply, is_out, detail, outputs);
+        self.note(Fault::Hot, is_armed && inputs.motor.is_hot, 0, outputs);
+        self.find_stray(inputs, outputs);
         let is_lost = self.lost_ticks >= self.limits.blind_ticks;
         self.note(Fault::Blind, is_lost, 0, outputs);
         let is_over = self.unbelieved_ticks == 0 && self.force_n > TRIP_N;
@@ -45,6 +56,30 @@ impl Grip {
             // Of the moment in which they were found.
             self.note(Fault::Jammed, false, 0, outputs);
             self.note(Fault::StrokeWrong, false, 0, outputs);
+        }
+    }
+
+    /// Whether the opening can be what it is told to be: between its ends, and where the fingers would have met
+    /// they press. Else it is forgotten.
+    fn find_stray(&mut self, inputs: &Inputs, outputs: &mut Outputs) {
+        let limits = &self.limits;
+        let opening_mm = inputs
+            .motor
+            .opening_mm
+            .filter(|_| self.task != Task::Homing);
+        let is_stray = opening_mm.is_some_and(|mm| {
+            let is_met = mm < -limits.stray_mm && self.force_n < limits.contact_n;
+            is_met || mm > params::STROKE.value as f32 + limits.stray_mm
+        });
+        self.stray_ms = match is_stray {
+            true => self.stray_ms.saturating_add(1),
+            false => 0,
+        };
+        if self.stray_ms >= limits.stray_ms {
+            let detail = (opening_mm.unwrap_or_default().abs() * 1e3) as u32;
+            self.note(Fault::StrokeWrong, true, detail, outputs);
+            outputs.opening_mm = Some(f32::NAN);
+            self.stray_ms = 0;
         }
     }
 

@@ -91,8 +91,6 @@ pub const TABLE: [Row; Fault::ALL.len()] = [
     ),
     everywhere(Fault::CurrentSense, Reaction::Off),
     everywhere(Fault::NotANumber, Reaction::Off),
-    everywhere(Fault::PowerStage, Reaction::Off),
-    everywhere(Fault::MotorUnled, Reaction::Brake),
     row(
         Fault::Blind,
         Reaction::QuickStop,
@@ -120,6 +118,22 @@ pub const TABLE: [Row; Fault::ALL.len()] = [
     told(Fault::ObjectLost),
     told(Fault::Slipping),
     told(Fault::FootOverload),
+    // The ideal model's forces count: nothing is lost but what the network knew better.
+    told(Fault::NetworkAstray),
+    row(
+        Fault::Supply,
+        Reaction::Brake,
+        [Reaction::Hold; 2],
+        Reaction::Warn,
+    ),
+    row(
+        Fault::Hot,
+        Reaction::QuickStop,
+        [Reaction::Hold; 2],
+        Reaction::Warn,
+    ),
+    everywhere(Fault::Runaway, Reaction::Brake),
+    everywhere(Fault::PowerStage, Reaction::Off),
 ];
 
 impl Row {

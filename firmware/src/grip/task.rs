@@ -1,5 +1,6 @@
 //! A millisecond of the task layer: orders heard, events found.
 
+use super::drive::RELAXED;
 use super::home::{Homing, Step};
 use super::jam::Jam;
 use super::object::{Seen, Watch};
@@ -17,6 +18,9 @@ use crate::wire::messages::Command;
 
 /// Seconds in which the fingers stop: how far ahead an opening is looked for.
 const AHEAD_S: f32 = 0.004;
+/// A screw that locks itself holds alone after so many times [`crate::limits::Grasp::lock_ms`], however near the
+/// force is.
+const LATE: u32 = 5;
 /// Millimetres before the window at which a fast approach slows down.
 const SLOW_DOWN_MM: f32 = 2.0;
 
@@ -303,7 +307,7 @@ impl Grip {
         if opening_mm - AHEAD_S * motor.closing_mm_s <= nothing_mm {
             return Some(TaskEvent::NothingThere);
         }
-        match self.task_ms >= self.limits.grip_ms + 60_000 {
+        match self.task_ms >= self.limits.approach_ms {
             true => Some(TaskEvent::Failed),
             false => self.jams(inputs, outputs),
         }
@@ -379,6 +383,11 @@ impl Grip {
         let lately =
             lately.filter(|at_ms| self.now_ms.wrapping_sub(**at_ms) < self.limits.regrip_ms);
         let is_spent = lately.count() >= usize::from(self.limits.regrips);
-        self.locks && !is_spent && self.task_ms >= self.limits.lock_ms && self.right_ms > 0
+        let dead_n = self.limits.dead_n.max(self.limits.dead * self.set_n);
+        let is_near = (self.set_n - self.mean_n).abs() < RELAXED * dead_n;
+        // A force that comes no nearer is kept as it is.
+        let is_late = self.task_ms >= LATE * self.limits.lock_ms;
+        let is_due = self.task_ms >= self.limits.lock_ms && (is_near || is_late);
+        self.locks && !is_spent && is_due && self.right_ms > 0
     }
 }

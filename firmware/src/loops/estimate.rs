@@ -85,6 +85,8 @@ pub async fn estimate<N: Networks, C: Clock, M: RawMutex>(
         });
         tick = tick.wrapping_add(ticks as u32);
         judge.note(&sensed.watched, &estimates, exchange);
+        let astray = [0, 1, 2, 3].map(|sensor| estimator.is_astray(sensor));
+        judge.note_networks(astray, exchange);
         tare(&mut taring, &held, &mut estimates, exchange);
         exchange.felt.signal(Felt {
             estimates,
@@ -137,6 +139,13 @@ impl Judge {
             balance: Balance::new(limits),
             outside: [0; SENSORS],
             outside_ticks: limits.outside_ticks,
+        }
+    }
+
+    fn note_networks<M: RawMutex>(&mut self, astray: [bool; SENSORS], exchange: &Exchange<M>) {
+        for (sensor, is_astray) in (0_u8..).zip(astray) {
+            let fault = (Fault::NetworkAstray, sensor);
+            exchange.note(Finder::Estimate, &mut self.faults, fault, is_astray, 0);
         }
     }
 

@@ -14,7 +14,9 @@ pub struct Felt {
     pub rotor: Tracker,
     /// Currents in amperes.
     pub current: Dq,
-    /// Voltages in volts.
+    /// What they were a period before.
+    pub before: Dq,
+    /// The voltages in volts that acted between.
     pub voltage: Dq,
     /// The circle of the voltage is too small for what is wanted.
     pub is_limited: bool,

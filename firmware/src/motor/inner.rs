@@ -5,6 +5,7 @@ use super::current::{CurrentLoop, Decided, Windings};
 use super::encoder::Tracker;
 use super::handed::{Action, Ask, Change, Felt};
 use super::number::{Direction, greater};
+use super::plausible::Watch;
 use super::sensing::{self, Offsets, Zeroing};
 use super::settings::Settings;
 use super::stage::{Drive, Sensed};
@@ -36,7 +37,12 @@ pub struct Inner {
     currents: CurrentLoop,
     rotor: Direction,
     measured: Dq,
+    /// What was measured a period before.
+    before: Dq,
     decided: Decided,
+    /// The voltage that acted between.
+    acted: Dq,
+    watch: Watch,
     bus_v: f32,
     is_shorted: bool,
     is_let_go: bool,
@@ -61,7 +67,10 @@ impl Inner {
             currents: CurrentLoop::default(),
             rotor: Direction::default(),
             measured: Dq::default(),
+            before: Dq::default(),
             decided: Decided::default(),
+            acted: Dq::default(),
+            watch: Watch::default(),
             bus_v: 0.0,
             is_shorted: false,
             is_let_go: false,
@@ -102,7 +111,8 @@ impl Inner {
             state: self.state,
             rotor: self.tracker,
             current: self.measured,
-            voltage: self.decided.voltage,
+            before: self.before,
+            voltage: self.acted,
             is_limited: self.decided.is_limited,
             bus_v: self.bus_v,
             is_shorted: self.is_shorted,
@@ -139,7 +149,8 @@ impl Inner {
             State::Disarmed | State::Refused(_) => Ok(()),
             State::Armed | State::Commissioning => tracked
                 .map_err(|_| Trip::Encoder)
-                .and(self.check(sensed, phases)),
+                .and(self.check(sensed, phases))
+                .and(self.fits(sensed, phases)),
         };
         let current = AlphaBeta::of_phases(phases);
         match (known, self.state) {
@@ -214,6 +225,14 @@ impl Inner {
         }
     }
 
+    /// What must fit together once the currents' offsets are known; commissioning looks for itself.
+    fn fits(&mut self, sensed: &Sensed, phases: [f32; 3]) -> Result<(), Trip> {
+        match self.state {
+            State::Armed => self.watch.note(sensed, phases, &self.settings.limits),
+            _ => Ok(()),
+        }
+    }
+
     fn take_offsets(&mut self, sensed: &Sensed) -> Drive {
         match self.zeroing.take(sensed) {
             None => Drive::Off,
@@ -235,7 +254,9 @@ impl Inner {
     #[inline(always)] // A call costs as much as it saves.
     fn see(&mut self, current: AlphaBeta) {
         self.rotor = Direction::of(self.tracker.electrical(&self.settings));
+        self.before = self.measured;
         self.measured = current.turning(self.rotor);
+        self.acted = self.decided.voltage;
     }
 
     fn act(&mut self, phases: [f32; 3], current: AlphaBeta) -> Drive {

@@ -79,6 +79,29 @@ pub struct Limits {
     pub burn_v: [f32; 2],
     /// Bus voltage in volts at which braking ends on the shorted windings, whatever is asked.
     pub high_v: f32,
+    /// Sum of the phases' currents in amperes that is not to be believed, and for how many periods.
+    pub sum_a: f32,
+    /// See [`Self::sum_a`].
+    pub sum_periods: u16,
+    /// Periods in a row in which the rotor's counts repeat. A living sensor's flicker: with noise of 0.9 counts
+    /// they repeat three times in ten, 36 times in a row once in 10^19.
+    pub stuck_periods: u16,
+    /// Volts that neither resistance nor inductance nor magnets explain, this share of the magnets' on top.
+    pub beside_v: f32,
+    /// See [`Self::beside_v`].
+    pub beside: f32,
+    /// Periods of it.
+    pub beside_periods: u16,
+    /// Amperes by which a current does not follow, and for how many periods.
+    pub unfollowed_a: f32,
+    /// See [`Self::unfollowed_a`].
+    pub unfollowed_periods: u16,
+    /// Speed in rad/s beyond the one that is asked for, at which a current of [`Self::runaway_a`] should brake.
+    pub runaway: f32,
+    /// In amperes: more torque than any load has.
+    pub runaway_a: f32,
+    /// Periods in which it becomes no slower.
+    pub runaway_periods: u16,
     /// The opening's ends in millimetres: a little beyond closed, for flexures that give way, and open.
     pub ends_mm: [f32; 2],
     /// Speed of the fingers in mm/s while the opening is not known.
@@ -100,6 +123,17 @@ impl Limits {
         low_v: [16.0, 19.0],
         burn_v: [26.5, 28.5],
         high_v: params::BUS_GREATEST.value as f32,
+        sum_a: 0.8,
+        sum_periods: 10,
+        stuck_periods: 36,
+        beside_v: 2.5,
+        beside: 0.25,
+        beside_periods: 20,
+        unfollowed_a: 1.5,
+        unfollowed_periods: 90,
+        runaway: 20.0,
+        runaway_a: 5.0,
+        runaway_periods: 36,
         ends_mm: [-2.0, params::STROKE.value as f32],
         homing_mm_s: 5.0,
     };
@@ -169,6 +203,8 @@ pub struct Bounds {
     pub amplitude_a: f32,
     /// What draws them closer than the motor's peak.
     pub reasons: Active,
+    /// Motor or power stage is too hot for any current.
+    pub is_hot: bool,
 }
 
 impl Bounds {
@@ -198,6 +234,7 @@ impl Bounds {
             high_a,
             amplitude_a,
             reasons,
+            is_hot: cool <= 0.0,
         }
     }
 
@@ -221,7 +258,7 @@ impl Bounds {
     }
 }
 
-/// Share of the current that the warmer of motor and power stage leaves. What is no number is too warm.
+/// Share of the current that the warmer of motor and power stage leaves; none of it is too hot. What is no number is too warm.
 fn coolness(limits: &Limits, temperatures: Temperatures) -> f32 {
     let left = |told: Option<f32>, [falls, none]: [f32; 2]| match told {
         None => 1.0,

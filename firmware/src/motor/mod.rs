@@ -10,6 +10,7 @@
 //! - [`limits`], [`screw`], [`settings`]: what is known and allowed.
 //! - [`encoder`]: place and speed of the rotor.
 //! - [`current`], [`speed`], [`position`] with [`trajectory`]: the loops, each on top of the one before.
+//! - [`plausible`]: whether what is sensed fits together.
 //! - [`regeneration`]: what comes back while braking.
 //! - [`commission`], [`selflock`]: what the device measures of itself.
 //! - [`state`]: what is asked, done and told.
@@ -30,6 +31,7 @@ pub mod limits;
 pub mod number;
 mod outer;
 pub mod pi;
+pub mod plausible;
 pub mod position;
 pub mod regeneration;
 pub mod screw;

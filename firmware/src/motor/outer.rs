@@ -5,12 +5,14 @@ use super::encoder::Place;
 use super::handed::{Action, Ask, Change, Felt};
 use super::limits::{Active, Around, Bounds, Heat, Limit, Temperatures};
 use super::number::{Direction, greater, within};
+use super::plausible::{Fit, Runaway, Seen, SupplyWatch};
 use super::position::PositionLoop;
 use super::regeneration;
 use super::screw::Play;
 use super::settings::Settings;
 use super::speed::{self, SpeedLoop};
 use super::state::{Order, Setpoint, State, Telling, Trip};
+use super::svpwm;
 use super::transform::Dq;
 use super::{MOTION_HZ, pi};
 
@@ -39,6 +41,9 @@ pub struct Outer {
     opening_mm: Option<f32>,
     held_by: Active,
     found: Option<Found>,
+    fit: Fit,
+    runaway: Runaway,
+    supply: SupplyWatch,
 }
 
 impl Outer {
@@ -59,6 +64,9 @@ impl Outer {
             opening_mm: None,
             held_by: Active::default(),
             found: None,
+            fit: Fit::default(),
+            runaway: Runaway::default(),
+            supply: SupplyWatch::default(),
         }
     }
 
@@ -106,13 +114,19 @@ impl Outer {
             Some(home.play.opening_mm(screw, rotor_mm))
         });
         self.held_by = Active::default();
-        let action = match felt.state {
-            State::Armed => self.act(rotor_mm),
-            _ => Action::Off,
+        let acted = match felt.state {
+            State::Armed => self.judge().and_then(|()| self.act(rotor_mm)),
+            _ => Ok(Action::Off),
         };
-        Ask {
-            change: None,
-            action,
+        match acted {
+            Ok(action) => Ask {
+                change: None,
+                action,
+            },
+            Err(trip) => Ask {
+                change: Some(Change::Trip(trip)),
+                action: Action::Off,
+            },
         }
     }
 
@@ -149,6 +163,8 @@ impl Outer {
             asked: self.asked,
             voltage: felt.voltage,
             bus_v: felt.bus_v,
+            supply: self.supply.told(),
+            is_hot: self.bounds.is_hot,
             limits,
         }
     }
@@ -161,6 +177,8 @@ impl Outer {
         if felt.is_let_go {
             self.speed = SpeedLoop::default();
             self.asked = Dq::default();
+            self.fit = Fit::default();
+            self.runaway = Runaway::default();
         }
         if felt.state != State::Armed {
             self.setpoint = Setpoint::Off;
@@ -216,6 +234,24 @@ impl Outer {
         self.position = self.rotor_mm().map(start);
     }
 
+    /// Whether what the inner tick felt fits together.
+    fn judge(&mut self) -> Result<(), Trip> {
+        let (felt, machine, limits) = (&self.felt, &self.settings.machine, &self.settings.limits);
+        self.supply.note(felt.bus_v, limits);
+        if felt.is_let_go {
+            return Ok(());
+        }
+        let seen = Seen {
+            measured: felt.current,
+            before: felt.before,
+            asked: self.asked,
+            voltage: felt.voltage,
+            greatest_v: svpwm::greatest_v(felt.bus_v),
+            speed: felt.rotor.speed() * f32::from(machine.pole_pairs),
+        };
+        self.fit.judge(&seen, machine, limits)
+    }
+
     fn draw_bounds(&mut self) {
         let around = Around {
             speed: self.felt.rotor.speed(),
@@ -231,22 +267,24 @@ impl Outer {
         self.bounds = bounds;
     }
 
-    fn act(&mut self, rotor_mm: Option<f32>) -> Action {
+    fn act(&mut self, rotor_mm: Option<f32>) -> Result<Action, Trip> {
         self.draw_bounds();
         let speed = self.felt.rotor.speed();
         let (q, is_held) = match self.setpoint {
-            Setpoint::Off => return Action::Off,
-            Setpoint::Brake => return Action::Brake,
+            Setpoint::Off => return Ok(Action::Off),
+            Setpoint::Brake => return Ok(Action::Brake),
             Setpoint::Current { closing_a } => {
                 let given = within(closing_a, self.bounds.low_a, self.bounds.high_a);
                 (given, given != closing_a)
             }
-            Setpoint::Speed { closing_mm_s, .. } => self.ask_speed(closing_mm_s, rotor_mm, speed),
+            Setpoint::Speed { closing_mm_s, .. } => {
+                self.ask_speed(closing_mm_s, rotor_mm, speed)?
+            }
             Setpoint::Position {
                 opening_mm,
                 speed_mm_s,
                 ..
-            } => self.ask_place(opening_mm, speed_mm_s, rotor_mm, speed),
+            } => self.ask_place(opening_mm, speed_mm_s, rotor_mm, speed)?,
         };
         self.held_by.set(Limit::Current, is_held);
         let (bus_v, amplitude_a) = (self.felt.bus_v, self.bounds.amplitude_a);
@@ -255,11 +293,16 @@ impl Outer {
             .set(Limit::Regeneration, burns || self.felt.is_shorted);
         // Said to be no number by the inner tick.
         self.asked = asked;
-        Action::Follow(asked)
+        Ok(Action::Follow(asked))
     }
 
     /// A speed, slower where the way ends or is not known.
-    fn ask_speed(&mut self, closing_mm_s: f32, rotor_mm: Option<f32>, speed: f32) -> (f32, bool) {
+    fn ask_speed(
+        &mut self,
+        closing_mm_s: f32,
+        rotor_mm: Option<f32>,
+        speed: f32,
+    ) -> Result<(f32, bool), Trip> {
         let limits = &self.settings.limits;
         let [closed, open] = limits.ends_mm;
         let [slowest, fastest, limit] = match rotor_mm {
@@ -278,8 +321,7 @@ impl Outer {
         let screw = &self.settings.screw;
         let asked = within(screw.rotor_speed(given), -limits.speed, limits.speed);
         let ahead_a = speed::ahead_a(&self.settings.machine, asked, 0.0);
-        self.speed
-            .decide(&self.speed_gains, [asked, speed], ahead_a, &self.bounds)
+        self.follow_speed([asked, speed], ahead_a)
     }
 
     /// A place on the way between the ends; where the opening is not known, the rotor is held still.
@@ -289,12 +331,10 @@ impl Outer {
         speed_mm_s: f32,
         rotor_mm: Option<f32>,
         speed: f32,
-    ) -> (f32, bool) {
+    ) -> Result<(f32, bool), Trip> {
         let (Some(position), Some(rotor_mm)) = (&mut self.position, rotor_mm) else {
             self.held_by.set(Limit::NotHomed, true);
-            return self
-                .speed
-                .decide(&self.speed_gains, [0.0, speed], 0.0, &self.bounds);
+            return self.follow_speed([0.0, speed], 0.0);
         };
         let [_, open] = self.settings.limits.ends_mm;
         let target = within(opening_mm, 0.0, open);
@@ -302,11 +342,15 @@ impl Outer {
         let wanted = position.tick(&self.settings, target, speed_mm_s, rotor_mm);
         let limit = self.settings.limits.speed;
         let asked = within(wanted.speed, -limit, limit);
-        self.speed.decide(
-            &self.speed_gains,
-            [asked, speed],
-            wanted.ahead_a,
-            &self.bounds,
-        )
+        self.follow_speed([asked, speed], wanted.ahead_a)
+    }
+
+    /// The current for a speed asked for and the one that is, unless the rotor runs away from it.
+    fn follow_speed(&mut self, speeds: [f32; 2], ahead_a: f32) -> Result<(f32, bool), Trip> {
+        let limits = &self.settings.limits;
+        self.runaway.note(speeds, self.asked.q, limits)?;
+        Ok(self
+            .speed
+            .decide(&self.speed_gains, speeds, ahead_a, &self.bounds))
     }
 }

@@ -107,6 +107,12 @@ impl Settings {
             limits.trip_speed,
             limits.high_v,
             limits.homing_mm_s,
+            limits.sum_a,
+            limits.beside_v,
+            limits.beside,
+            limits.unfollowed_a,
+            limits.runaway,
+            limits.runaway_a,
         ];
         let not_negative = [
             machine.dry_nm,

@@ -3,6 +3,7 @@
 use super::commission::Refusal;
 use super::limits::{Active, Temperatures};
 use super::number::{Direction, greater};
+use super::plausible::Supply;
 use super::stage::Drive;
 use super::transform::Dq;
 use crate::surroundings::{self, Surroundings};
@@ -117,8 +118,10 @@ pub enum Trip {
     OverSpeed,
     /// The rotor's angle is not known.
     Encoder,
-    /// At no current the amplifiers told one.
+    /// At no current the amplifiers told one, the phases' currents do not sum to nothing, or they do not follow.
     CurrentSense,
+    /// The current that should brake the rotor does not.
+    Runaway,
     /// The power stage has switched itself off.
     PowerStage,
     /// The outer tick has missed its turn three times.
@@ -133,7 +136,7 @@ impl Trip {
             Self::NotANumber | Self::OverCurrent | Self::CurrentSense | Self::PowerStage => {
                 Drive::Off
             }
-            Self::OverSpeed | Self::Encoder | Self::Unled => Drive::Brake,
+            Self::OverSpeed | Self::Encoder | Self::Runaway | Self::Unled => Drive::Brake,
         }
     }
 }
@@ -165,6 +168,10 @@ pub struct Telling {
     pub voltage: Dq,
     /// Bus voltage in volts.
     pub bus_v: f32,
+    /// The same as a verdict, or one of the last 3 ms.
+    pub supply: Supply,
+    /// Motor or power stage is too hot for any current.
+    pub is_hot: bool,
     /// Bounds that are active.
     pub limits: Active,
 }

@@ -1,9 +1,15 @@
-//! `magpie grip`: the firmware's control of the motor on a simulated gripper.
+//! `magpie grip`: the firmware's control of motor and grasp on a simulated gripper.
+//!
+//! - here: a way to a place, a speed.
+//! - [`force`]: a grasp; [`foot`]: a landing.
+
+mod foot;
+mod force;
 
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
-use firmware::params;
+use firmware::params::{self, Constant};
 use serde_json::{Value, json};
 
 use crate::drive::runs::Case;
@@ -12,14 +18,18 @@ use crate::plant::parameters::Lead;
 use crate::report::{self, drive};
 use crate::{progress, show};
 
-/// Move the fingers of a simulated gripper by the firmware's own control: place, speed, current and voltage.
+/// Move, grip or land with a simulated gripper under the firmware's own control.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   cargo magpie grip --position 20 -o grip.html
   cargo magpie grip --speed 58.3 --screw b --json
-  cargo magpie grip --position 60 --speed 10 --from 20 --scatter 0.2 --seed 7")]
-#[command(group = clap::ArgGroup::new("asked").required(true).multiple(true).args(["position", "speed"]))]
+  cargo magpie grip --position 60 --speed 10 --from 20 --scatter 0.2 --seed 7
+  cargo magpie grip --force 100 --object rigid -o grip.html
+  cargo magpie grip --force 50 --compare current-limit
+  cargo magpie grip --foot 150 --lasts 10 -o landing.html")]
+#[command(group = clap::ArgGroup::new("asked").required(true).multiple(true)
+    .args(["position", "speed", "force", "foot"]))]
 pub struct Args {
     /// Opening to go to.
     #[arg(long, value_name = "MM")]
@@ -27,6 +37,21 @@ pub struct Args {
     /// Greatest speed on the way to a place; without one, speed of closing (below zero opens), then the brake.
     #[arg(long, value_name = "MM_S", allow_negative_numbers = true)]
     speed: Option<f64>,
+    /// Grip with this force.
+    #[arg(long, value_name = "N", conflicts_with_all = ["position", "speed", "from", "foot"])]
+    force: Option<f64>,
+    /// What is gripped.
+    #[arg(long, value_enum, default_value = "rigid", requires = "force")]
+    object: Stuff,
+    /// The same grasp beside it, otherwise controlled.
+    #[arg(long, value_enum, requires = "force")]
+    compare: Option<Other>,
+    /// Land as a foot: the ground pushes with this force at the most.
+    #[arg(long, value_name = "N", conflicts_with_all = ["position", "speed", "from"])]
+    foot: Option<f64>,
+    /// Time from touching the ground to leaving it.
+    #[arg(long, value_name = "MS", default_value_t = 10.0, requires = "foot")]
+    lasts: f64,
     /// Opening at the beginning.
     #[arg(long, value_name = "MM", default_value_t = 40.0)]
     from: f64,
@@ -47,6 +72,24 @@ pub struct Args {
     json: bool,
 }
 
+/// What is gripped, by the stiffness of its contact, flexures included.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Stuff {
+    /// 333 N/mm: steel between the flexures.
+    Rigid,
+    /// 50 N/mm: rubber.
+    Medium,
+    /// 5 N/mm: foam.
+    Soft,
+}
+
+/// How else a grasp may be controlled.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Other {
+    /// By nothing but a bound of the motor's current: that which presses with the force at rest.
+    CurrentLimit,
+}
+
 /// A run at a speed lasts this long, or as long as the way is.
 const RUN_S: f64 = 0.5;
 /// No way to a place takes longer.
@@ -59,12 +102,18 @@ const MOST_SCATTER: f64 = 0.5;
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     let lead = args.screw;
-    let asked = asked(args, lead)?;
     let case = match args.scatter {
         0.0 => Case::nominal(lead, args.seed),
         share if share > 0.0 && share <= MOST_SCATTER => Case::scattered(lead, share, args.seed),
         share => bail!("--scatter {share} is not possible here; give 0 to {MOST_SCATTER}"),
     };
+    if let Some(set_n) = args.force {
+        return force::run(args, case, set_n);
+    }
+    if let Some(peak_n) = args.foot {
+        return foot::run(args, case, peak_n);
+    }
+    let asked = asked(args, lead)?;
     let bar = progress::bar("simulating the drive", Told::PARTS);
     let told = Told::of(case, args.from, asked, || bar.inc(1));
     bar.finish_and_clear();
@@ -136,8 +185,15 @@ fn text(args: &Args, told: &Told) -> String {
         table.add_row([name, &show::plain(value, 3), unit]);
     }
     show::right_align(&mut table, 1);
-    let assumed: Vec<String> = told
-        .assumed()
+    let mut page = show::paragraph(&told.sentence());
+    page += &format!("{table}\n");
+    page += &ends(args, &told.assumed());
+    page
+}
+
+/// What every page in the terminal ends with: what is assumed, and where the report is.
+fn ends(args: &Args, assumed: &[Constant]) -> String {
+    let assumed: Vec<String> = assumed
         .iter()
         .map(|constant| {
             let value = show::plain(constant.value, 6);
@@ -146,13 +202,23 @@ fn text(args: &Args, told: &Told) -> String {
                 .to_owned()
         })
         .collect();
-    let mut page = show::paragraph(&told.sentence());
-    page += &format!("{table}\n");
-    page += &show::paragraph(&format!("Simulated. Assumed: {}.", assumed.join(", ")));
+    let mut page = show::paragraph(&format!("Simulated. Assumed: {}.", assumed.join(", ")));
     if let Some(path) = &args.output {
         page += &format!("Report: {}\n", path.display());
     }
     page
+}
+
+/// The same constants in JSON.
+fn assumed_json(assumed: &[Constant]) -> Vec<Value> {
+    let json = |constant: &Constant| json!({ "name": constant.name, "value": constant.value, "unit": constant.unit });
+    assumed.iter().map(json).collect()
+}
+
+/// Figures in JSON: name, value, unit.
+fn figures_json(figures: &[(&'static str, f64, &'static str)]) -> Vec<Value> {
+    let json = |(name, value, unit): &(&str, f64, &str)| json!({ "name": name, "value": value, "unit": unit });
+    figures.iter().map(json).collect()
 }
 
 fn report_json(args: &Args, told: &Told) -> Value {
@@ -169,16 +235,9 @@ fn report_json(args: &Args, told: &Told) -> Value {
             "bus_v": point.bus_v,
         })
     });
-    let figures = told
-        .figures()
-        .into_iter()
-        .map(|(name, value, unit)| json!({ "name": name, "value": value, "unit": unit }));
     let sweep = told.sweep.iter().map(|tone| {
         json!({ "frequency_hz": tone.frequency_hz, "gain": tone.gain, "lag_deg": tone.lag_deg })
     });
-    let assumed = told.assumed().into_iter().map(
-        |constant| json!({ "name": constant.name, "value": constant.value, "unit": constant.unit }),
-    );
     json!({
         "simulated": true,
         "screw": format!("{:?}", told.case.lead).to_lowercase(),
@@ -186,10 +245,10 @@ fn report_json(args: &Args, told: &Told) -> Value {
         "scatter": args.scatter,
         "from_mm": args.from,
         "report": args.output,
-        "figures": figures.collect::<Vec<_>>(),
+        "figures": figures_json(&told.figures()),
         "points": points.collect::<Vec<_>>(),
         "current_step": told.step.points,
         "current_sweep": sweep.collect::<Vec<_>>(),
-        "assumed": assumed.collect::<Vec<_>>(),
+        "assumed": assumed_json(&told.assumed()),
     })
 }

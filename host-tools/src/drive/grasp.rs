@@ -4,7 +4,7 @@
 use firmware::force::{Estimate, Validity};
 use firmware::frame::SENSORS;
 use firmware::grip::order::{flag, mode};
-use firmware::grip::states::{Power, Task};
+use firmware::grip::states::Power;
 use firmware::grip::{Arming, Grip, Host, Inputs, Outputs};
 use firmware::limits::Grasp;
 use firmware::motor::{Order, State};
@@ -16,6 +16,7 @@ use super::{Rig, periods};
 use crate::bench::draw::{Purpose, normal, stream};
 use crate::plant::object::Object;
 use crate::plant::parameters::{Lead, Parameters};
+use crate::plant::pulled::Pulled;
 
 /// Noise of a finger's force in newtons, root mean square (assumed).
 pub const NOISE_N: f64 = 0.5;
@@ -36,10 +37,23 @@ pub struct Bench {
     pub lost: [bool; SENSORS],
     /// Active faults that others found.
     pub faults: u32,
+    /// What is held is pulled along the fingers.
+    pub pulled: Option<Pulled>,
+    /// What the ground pushes each fingertip with, in newtons.
+    pub ground_n: [f64; SENSORS],
+    /// Of the fingertips in mm/s^2, gravity included, where the board knows it.
+    pub acceleration: Option<[i32; 3]>,
     command: Option<Command>,
-    /// What the next tick sees.
-    force_n: f64,
+    /// What the next tick sees: the grip, and what pushes each fingertip along.
+    sensed: Sensed,
     rng: ChaCha8Rng,
+}
+
+/// Forces of a millisecond, in newtons.
+#[derive(Clone, Copy, Debug, Default)]
+struct Sensed {
+    grip_n: f64,
+    along_n: [f64; SENSORS],
 }
 
 impl Bench {
@@ -51,16 +65,24 @@ impl Bench {
 
     /// The same with a rig that is armed, its opening known or not.
     pub fn of(lead: Lead, rig: Rig, seed: u64) -> Self {
+        Self::within(Grasp::GRIPPER, lead, rig, seed)
+    }
+
+    /// The same with other limits.
+    pub fn within(limits: Grasp, lead: Lead, rig: Rig, seed: u64) -> Self {
         let screw = lead.screw();
         let mut bench = Self {
             rig,
-            grip: Grip::new(Grasp::GRIPPER, screw, screw.self_locking),
+            grip: Grip::new(limits, screw, screw.self_locking),
             said: None,
             host: Host::default(),
             lost: [false; SENSORS],
             faults: 0,
+            pulled: None,
+            ground_n: [0.0; SENSORS],
+            acceleration: None,
             command: None,
-            force_n: 0.0,
+            sensed: Sensed::default(),
             rng: stream(seed, Purpose::Fingertips, 1),
         };
         bench.host = Host {
@@ -89,9 +111,7 @@ impl Bench {
 
     /// A millisecond.
     pub fn tick(&mut self) {
-        let told_n = self.force_n;
-        self.force_n = self.rig.plant.grip_n();
-        let estimates = self.estimates(told_n);
+        let estimates = self.estimates();
         let said = self.grip.tick(&Inputs {
             estimates: &estimates,
             motor: self.rig.motor.telling(),
@@ -102,7 +122,7 @@ impl Bench {
             faults: self.faults,
             is_sound: Some(true),
             is_calibrating: false,
-            acceleration: None,
+            acceleration: self.acceleration,
         });
         match said.arming {
             Some(Arming::Arm) => self.rig.motor.obey(Order::Arm),
@@ -139,17 +159,35 @@ impl Bench {
         self.until(seconds, |_| false);
     }
 
-    fn estimates(&mut self, told_n: f64) -> [Estimate; SENSORS] {
+    /// Forces as they were a millisecond ago, with noise.
+    fn estimates(&mut self) -> [Estimate; SENSORS] {
+        let now = self.sense();
+        let told = std::mem::replace(&mut self.sensed, now);
         let mut estimates = [Estimate::MISSING; SENSORS];
-        for (estimate, is_lost) in estimates.iter_mut().zip(self.lost) {
-            let noise_n = NOISE_N / 2_f64.sqrt() * normal(&mut self.rng);
+        let sensors = estimates.iter_mut().zip(self.lost).zip(told.along_n);
+        for ((estimate, is_lost), along_n) in sensors {
+            let [lateral, along] = [0, 1].map(|_| NOISE_N / 2_f64.sqrt() * normal(&mut self.rng));
             if !is_lost {
-                let lateral_n = 0.5 * told_n + noise_n;
-                estimate.force = [Force((lateral_n * Force::PER_NEWTON) as i32), Force(0)];
+                let newtons = [0.5 * told.grip_n + lateral, along_n + along];
+                estimate.force = newtons.map(|newtons| Force((newtons * Force::PER_NEWTON) as i32));
                 estimate.validity = Validity::Valid;
             }
         }
         estimates
+    }
+
+    fn sense(&mut self) -> Sensed {
+        let grip_n = self.rig.plant.grip_n();
+        let drag_n = match &mut self.pulled {
+            Some(pulled) => pulled.step(grip_n, TICK_S),
+            None => 0.0,
+        };
+        Sensed {
+            grip_n,
+            along_n: self
+                .ground_n
+                .map(|ground_n| ground_n + drag_n / SENSORS as f64),
+        }
     }
 }
 
@@ -164,85 +202,9 @@ pub fn grip_command(set_n: f64) -> Command {
     }
 }
 
-/// How a grasp went.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Course {
-    /// Greatest true force in newtons until it was held, and a while after.
-    pub peak_n: f64,
-    /// Seconds from the contact to 95 % of the force; none where it did not get there.
-    pub rise_s: Option<f64>,
-    /// Seconds from the contact to the hold; none where there was none.
-    pub hold_s: Option<f64>,
-    /// Mean force in newtons of the last tenth of a second.
-    pub end_n: f64,
-    /// Root mean square of its error in newtons.
-    pub error_n: f64,
-    /// Mean current in amperes meanwhile.
-    pub current_a: f64,
-    /// State at the end.
-    pub task: Task,
-}
-
 /// The object that makes a contact of so many newtons to the millimetre with these flexures behind it.
 pub fn object(parameters: &Parameters, width_mm: f64, contact_n_per_mm: f64) -> Object {
     let flexures = 1e-3 * parameters.fingers.flexures_n_per_m;
     let own = contact_n_per_mm * flexures / (flexures - contact_n_per_mm);
     Object::new(1e-3 * width_mm, own)
-}
-
-/// Grips an object from 2 mm before it, and holds it for so long. It is 40 mm wide, or as much wider as it gives
-/// way.
-pub fn grasp(
-    lead: Lead,
-    parameters: Parameters,
-    (contact_n_per_mm, set_n): (f64, f64),
-    hold_s: f64,
-    seed: u64,
-) -> Course {
-    let width_mm = f64::max(40.0, set_n / contact_n_per_mm + 5.0);
-    let mut bench = Bench::new(lead, parameters, width_mm + 2.0, seed);
-    let object = object(&parameters, width_mm, contact_n_per_mm);
-    bench.rig.plant.hold(Some(&object));
-    bench.order(grip_command(set_n));
-    bench.until(10.0, |bench| bench.rig.plant.grip_n() > 0.5);
-    let contact_s = bench.rig.plant.time_s();
-    let (mut peak_n, mut rise_s, mut held_s) = (0.0_f64, None, None);
-    let (mut sum, mut squares, mut current_a, mut counted) = (0.0, 0.0, 0.0, 0.0);
-    let mut left = (hold_s / TICK_S) as u32;
-    let mut waits = 10_000_u32;
-    while left > 0 && waits > 0 {
-        bench.tick();
-        let (force_n, now_s) = (
-            bench.rig.plant.grip_n(),
-            bench.rig.plant.time_s() - contact_s,
-        );
-        peak_n = peak_n.max(force_n);
-        if force_n >= 0.95 * set_n {
-            rise_s = rise_s.or(Some(now_s));
-        }
-        let task = bench.grip.task();
-        let is_held = matches!(task, Task::HoldActive | Task::HoldLatched);
-        if is_held {
-            held_s = held_s.or(Some(now_s));
-        }
-        match held_s {
-            Some(_) => left -= 1,
-            None => waits -= 1,
-        }
-        if held_s.is_some() && left < 100 {
-            sum += force_n;
-            squares += (force_n - set_n).powi(2);
-            current_a += f64::from(bench.rig.motor.telling().current.q);
-            counted += 1.0;
-        }
-    }
-    Course {
-        peak_n,
-        rise_s,
-        hold_s: held_s,
-        end_n: sum / counted,
-        error_n: (squares / counted).sqrt(),
-        current_a: current_a / counted,
-        task: bench.grip.task(),
-    }
 }

@@ -3,14 +3,17 @@
 //! - [`trace`]: what is noted over time.
 //! - [`runs`]: a way to a place, a speed, a brake, a squeeze.
 //! - [`response`]: the current loop's answer to a step and to sines.
-//! - [`grasp`]: the grasp on top of it, and how one went.
+//! - [`grasp`]: the grasp on top of it; [`course`]: how one went; [`gripped`]: what is told of it; [`landing`]: the gripper as a foot.
 //! - [`figures`]: what is asked of the drive beside what it reaches.
 //! - [`told`]: what is told of a run.
 //! - [`world`]: the gripper at a board's lines.
 //! - [`workcell`]: with board and host; [`tables`] for it.
 
+pub mod course;
 pub mod figures;
 pub mod grasp;
+pub mod gripped;
+pub mod landing;
 pub mod response;
 pub mod runs;
 pub mod tables;

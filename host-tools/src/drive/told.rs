@@ -6,6 +6,7 @@ use super::figures::STEP_MM;
 use super::response::{self, Step, Tone};
 use super::runs::{self, Case};
 use super::trace::Trace;
+use crate::plant::parameters::Lead;
 
 /// What a run rests on beside its screw's lead and efficiency: of the plant, then of the control.
 const RESTS_ON: [Constant; 37] = [
@@ -190,8 +191,16 @@ impl Told {
 
     /// The assumed constants that it rests on.
     pub fn assumed(&self) -> Vec<Constant> {
-        let screw = self.case.lead.constants();
-        let all = screw.into_iter().chain(RESTS_ON);
-        all.filter(|constant| constant.assumed).collect()
+        assumed(self.case.lead, &[])
     }
+}
+
+/// The assumed constants that every run with a screw rests on, and more.
+pub fn assumed(lead: Lead, more: &[Constant]) -> Vec<Constant> {
+    let screw = lead.constants();
+    let all = screw
+        .into_iter()
+        .chain(RESTS_ON)
+        .chain(more.iter().copied());
+    all.filter(|constant| constant.assumed).collect()
 }

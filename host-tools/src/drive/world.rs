@@ -16,7 +16,7 @@ use crate::bench::stroke::Drive;
 use crate::board::world::{Moment, Motor, World};
 use crate::plant::PERIOD_S;
 use crate::plant::hall::{Fingertips, shared};
-use crate::plant::impact::Impact;
+use crate::plant::impact::{FOOT_KG, Impact};
 use crate::plant::imu::Inertial;
 
 /// A period of the pulses in microseconds.
@@ -25,8 +25,6 @@ const PERIOD_US: u64 = (1e3 / PWM_RATE.value) as u64;
 const TELLS: u64 = TICK_US / PERIOD_US;
 /// Periods from one step of the fingertips to the next.
 const FINE: u64 = 5;
-/// What lands with the gripper on the ground, in kg (assumed).
-const FOOT_KG: f64 = 2.0;
 
 /// What goes wrong where the motor's interrupt senses.
 #[derive(Default)]

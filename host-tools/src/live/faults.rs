@@ -19,9 +19,11 @@ pub fn name(fault: Fault) -> String {
 /// Where it is; empty where there is one place only.
 pub fn place(fault: Fault, source: u8) -> String {
     match fault {
-        Fault::SensorLost | Fault::SensorFrozen | Fault::SensorSaturated | Fault::OutsideModel => {
-            format!("sensor {source}")
-        }
+        Fault::SensorLost
+        | Fault::SensorFrozen
+        | Fault::SensorSaturated
+        | Fault::OutsideModel
+        | Fault::NetworkAstray => format!("sensor {source}"),
         Fault::BusStuck => format!("sensors' bus {source}"),
         Fault::Flooded if source == SERIAL => "serial line".to_owned(),
         Fault::Flooded => "CAN bus".to_owned(),

@@ -2,6 +2,9 @@
 
 use std::f64::consts::PI;
 
+/// What lands with the gripper on the ground, in kg (assumed).
+pub const FOOT_KG: f64 = 2.0;
+
 /// A half sine of ground force.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Impact {

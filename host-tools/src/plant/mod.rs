@@ -11,7 +11,7 @@
 //! - [`motor`]: three phases, diodes when the switches are off.
 //! - [`cogging`]: the pull of the teeth.
 //! - [`screw`]: travel, play, friction that grows with the load.
-//! - [`object`]: what is grasped; [`finger`]: guides, flexures, stops.
+//! - [`object`]: what is grasped; [`pulled`]: what drags at it; [`finger`]: guides, flexures, stops.
 //! - [`train`]: rotor and fingers in time.
 //! - [`sensing`]: currents, voltage, angle, in counts, with their errors.
 //! - [`hall`]: forces into what the Hall sensors read; [`impact`]: steps on the ground; [`imu`]: what is felt
@@ -34,6 +34,7 @@ pub mod motor;
 pub mod object;
 pub mod parameters;
 pub mod phasor;
+pub mod pulled;
 pub mod screw;
 pub mod sensing;
 pub mod train;

@@ -8,7 +8,7 @@
 //! - [`overlay`]: measured and modelled over time; [`pack`]: its curves for the page's script.
 //! - [`located`], [`map`], [`worst`]: where the error lies.
 //! - [`diagnosis`]: the sections of a diagnosis.
-//! - [`drive`]: the sections of a run of the drive.
+//! - [`drive`]: the sections of a run of the drive; [`grasp`]: of a grasp, and of a landing.
 //! - [`training`]: the sections of a comparison of networks.
 //! - [`origin`]: where all this comes from.
 //!
@@ -20,6 +20,7 @@ pub mod errors;
 pub mod findings;
 #[cfg(test)]
 mod fixture;
+pub mod grasp;
 pub mod histograms;
 pub mod located;
 pub mod map;

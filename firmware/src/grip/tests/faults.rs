@@ -12,7 +12,7 @@ use Reaction::{Brake, Hold, Off, QuickStop, Warn};
 
 /// The rows of the matrix of faults: moving; holding on a screw that locks itself, on one that is driven back;
 /// as a foot.
-const MATRIX: [(Fault, [Reaction; 4]); 27] = [
+const MATRIX: [(Fault, [Reaction; 4]); 32] = [
     (Fault::SensorLost, [QuickStop, Hold, Hold, Warn]),
     (Fault::SensorFrozen, [QuickStop, Hold, Hold, Warn]),
     (Fault::SensorSaturated, [QuickStop, Hold, Hold, Warn]),
@@ -40,6 +40,11 @@ const MATRIX: [(Fault, [Reaction; 4]); 27] = [
     (Fault::ObjectLost, [Warn; 4]),
     (Fault::Slipping, [Warn; 4]),
     (Fault::FootOverload, [Warn; 4]),
+    (Fault::NetworkAstray, [Warn; 4]),
+    (Fault::Supply, [Brake, Hold, Hold, Warn]),
+    (Fault::Hot, [QuickStop, Hold, Hold, Warn]),
+    (Fault::Runaway, [Brake; 4]),
+    (Fault::PowerStage, [Off; 4]),
 ];
 
 #[test]

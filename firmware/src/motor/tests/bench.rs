@@ -32,6 +32,7 @@ pub struct Bench {
     pub angle: f64,
     pub drive: Drive,
     pub sensed: Sensed,
+    flickers: bool,
 }
 
 impl Bench {
@@ -59,6 +60,7 @@ impl Bench {
                 bus: 1600,
                 angle: Ok(0),
             },
+            flickers: false,
         }
     }
 
@@ -123,7 +125,10 @@ impl Bench {
         let [alpha, beta] = self.current;
         let side = 3_f64.sqrt() / 2.0 * beta;
         let phases = self.swap([alpha, side - 0.5 * alpha, -side - 0.5 * alpha]);
-        let turns = self.angle / TAU + self.sits;
+        // A living sensor flickers by a count.
+        self.flickers = !self.flickers;
+        let flicker = f64::from(u8::from(self.flickers)) / 16384.0;
+        let turns = self.angle / TAU + self.sits + flicker;
         self.sensed = Sensed {
             phases: phases
                 .map(|current| (2048.0 + current / 0.0125).round().clamp(0.0, 4095.0) as u16),

@@ -1,15 +1,15 @@
 //! The constants that a simulated drive rests on.
 
+use firmware::params::Constant;
 use maud::html;
 
-use crate::drive::told::Told;
 use crate::report::Section;
 use crate::report::tables::table;
 use crate::show;
 
 /// A table of them.
-pub fn section(told: &Told) -> Section {
-    let rows = told.assumed().into_iter().map(|constant| {
+pub fn section(assumed: &[Constant]) -> Section {
+    let rows = assumed.iter().map(|constant| {
         vec![
             html! { (constant.name) },
             html! { (show::plain(constant.value, 6)) },

@@ -27,18 +27,18 @@ pub fn sections(told: &Told) -> Vec<Section> {
         over_time::section(told),
         answers::current(told),
         answers::place(told),
-        assumed::section(told),
+        assumed::section(&told.assumed()),
     ]
 }
 
 /// A curve: its colour, and its points.
-type Curve = (Role, Vec<(f64, f64)>);
+pub(super) type Curve = (Role, Vec<(f64, f64)>);
 
 /// Points of a curve at most; about one for each pixel.
 const POINTS: usize = 900;
 
 /// Curves over one axis.
-fn curves(
+pub(super) fn curves(
     size: (u32, u32),
     says: &str,
     (across, upwards): (&str, &str),
