@@ -68,8 +68,8 @@ impl Ticks {
             outer: Outer::new(settings),
         };
         ticks.order(Order::Arm);
-        for _ in 0..ARMS {
-            ticks.inner.tick(&sensed(0, random, 0));
+        for period in 0..ARMS {
+            ticks.inner.tick(&sensed(period, random, 0));
             let ask = ticks.outer.tick(ticks.inner.felt());
             ticks.inner.hear(ask);
         }
@@ -87,7 +87,7 @@ impl Ticks {
         let mut greatest = [0; 2];
         let mut felt = self.inner.felt();
         for period in 0..PERIODS {
-            let sensed = sensed(period, random, 700);
+            let sensed = sensed(ARMS + period, random, 700);
             let ask = self.outer.tick(felt);
             // All that the interrupt does at most in one period.
             let inner = counter.instructions(|| {

@@ -25,7 +25,9 @@ pub fn bus_v(sensed: &Sensed) -> f32 {
 
 /// Whether a current is beyond what its converter can tell.
 pub fn is_at_end(sensed: &Sensed) -> bool {
-    sensed.phases.iter().any(|count| !(1..FULL).contains(count))
+    let [u, v, w] = sensed.phases;
+    let is_at_end = |count: u16| count == 0 || count >= FULL;
+    is_at_end(u) || is_at_end(v) || is_at_end(w)
 }
 
 /// Counts of no current, each phase.
@@ -40,7 +42,8 @@ impl Offsets {
     pub fn amperes(&self, sensed: &Sensed) -> [f32; 3] {
         let [a, b, c] = sensed.phases;
         let [x, y, z] = self.0;
-        [(a, x), (b, y), (c, z)].map(|(count, offset)| (f32::from(count) - offset) * AMPERES)
+        let amperes = |count: u16, offset: f32| (f32::from(count) - offset) * AMPERES;
+        [amperes(a, x), amperes(b, y), amperes(c, z)]
     }
 }
 

@@ -27,7 +27,8 @@ pub fn duties(voltage: AlphaBeta, bus_v: f32) -> [f32; 3] {
     let [u, v, w] = voltage.phases();
     let middle = 0.5 * (greater(u, greater(v, w)) + lesser(u, lesser(v, w)));
     let scale = 1.0 / bus_v;
-    [u, v, w].map(|phase| within(0.5 * MODULATION + scale * (phase - middle), 0.0, MODULATION))
+    let duty = |phase| within(0.5 * MODULATION + scale * (phase - middle), 0.0, MODULATION);
+    [duty(u), duty(v), duty(w)]
 }
 
 /// Gives back what the dead time takes: while both switches of a half bridge are off, its current chooses the
@@ -35,10 +36,11 @@ pub fn duties(voltage: AlphaBeta, bus_v: f32) -> [f32; 3] {
 pub fn with_dead_time(duties: [f32; 3], currents: [f32; 3]) -> [f32; 3] {
     let [a, b, c] = duties;
     let [i, j, k] = currents;
-    [(a, i), (b, j), (c, k)].map(|(duty, current)| {
+    let given = |duty: f32, current: f32| {
         let sign = within(current * (1.0 / SIGN_A), -1.0, 1.0);
         within(duty + DEAD * sign, 0.0, MODULATION)
-    })
+    };
+    [given(a, i), given(b, j), given(c, k)]
 }
 
 #[cfg(test)]
