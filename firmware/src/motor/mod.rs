@@ -11,7 +11,7 @@
 //! - [`encoder`]: place and speed of the rotor.
 //! - [`current`], [`speed`], [`position`] with [`trajectory`]: the loops, each on top of the one before.
 //! - [`regeneration`]: what comes back while braking.
-//! - [`commission`], [`selflock`]: what the device measures of itself.
+//! - [`commission`], [`selflock`], [`calibration`]: what the device measures of itself.
 //! - [`state`]: what is asked, done and told.
 //!
 //! [`Motor::current_tick`] runs at 20 kHz, [`Motor::motion_tick`] at 4 kHz once the switches are set: together
@@ -19,6 +19,7 @@
 //! number ends with all switches off and [`Trip::NotANumber`].
 
 pub mod as5047;
+pub mod calibration;
 pub mod commission;
 pub mod current;
 pub mod encoder;
@@ -273,6 +274,7 @@ impl Motor {
             voltage: self.decided.voltage,
             bus_v: self.bus_v,
             limits,
+            found: self.found,
         }
     }
 
