@@ -12,7 +12,7 @@
 //! - [`current`], [`speed`], [`position`] with [`trajectory`]: the loops, each on top of the one before.
 //! - [`plausible`]: whether what is sensed fits together.
 //! - [`regeneration`]: what comes back while braking.
-//! - [`commission`], [`selflock`]: what the device measures of itself.
+//! - [`commission`], [`selflock`], [`calibration`]: what the device measures of itself.
 //! - [`state`]: what is asked, done and told.
 //!
 //! - [`Inner`], [`Outer`]: the two ticks, 20 kHz and 4 kHz, with [`handed`] between them.
@@ -22,6 +22,7 @@
 //! number ends with all switches off and [`Trip::NotANumber`].
 
 pub mod as5047;
+pub mod calibration;
 pub mod commission;
 pub mod current;
 pub mod encoder;

@@ -166,6 +166,7 @@ impl Outer {
             supply: self.supply.told(),
             is_hot: self.bounds.is_hot,
             limits,
+            found: self.found,
         }
     }
 
