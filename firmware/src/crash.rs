@@ -7,14 +7,14 @@
 use crate::checksum::CRC32;
 
 /// Words of a record.
-pub const WORDS: usize = 10;
+pub const WORDS: usize = 11;
 /// A record in memory.
 pub type Memory = [u32; WORDS];
 /// Nothing is recorded.
 pub const NOTHING: Memory = [0; WORDS];
 
 /// First word of a record: "DEAD" on a hexadecimal page, then the version of the layout.
-const MAGIC: u32 = 0xDEAD_0001;
+const MAGIC: u32 = 0xDEAD_0002;
 
 /// What happened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -60,20 +60,21 @@ impl Kind {
 pub struct Crash {
     /// What happened.
     pub kind: Kind,
-    /// Address of the instruction.
+    /// Address of the instruction; of a panic the innermost that something would have returned to, in the
+    /// panic's own code. The image with its debug information tells file and line of each.
     pub pc: u32,
     /// Where its function would have returned to.
     pub lr: u32,
+    /// Of a panic: where that one would have, and the one that called it.
+    pub callers: [u32; 2],
     /// The core's configurable fault status register (CFSR).
     pub status: u32,
     /// Milliseconds since the start.
     pub tick_ms: u32,
     /// Starts since the power came, this one included.
     pub boot: u32,
-    /// Of a panic: [`hash`] of its source file. Of the watchdog: which loop.
+    /// Of the watchdog: which loop.
     pub place: u32,
-    /// Of a panic: its line.
-    pub line: u32,
 }
 
 impl Crash {
@@ -83,16 +84,17 @@ impl Crash {
             kind,
             pc: 0,
             lr: 0,
+            callers: [0; 2],
             status: 0,
             tick_ms: 0,
             boot: 0,
             place: 0,
-            line: 0,
         }
     }
 
     /// The record.
     pub fn to_memory(&self) -> Memory {
+        let [third, fourth] = self.callers;
         let fields = [
             MAGIC,
             self.kind.number(),
@@ -102,17 +104,21 @@ impl Crash {
             self.tick_ms,
             self.boot,
             self.place,
-            self.line,
+            third,
+            fourth,
         ];
         let check = checksum(&fields);
-        let [magic, kind, pc, lr, status, tick, boot, place, line] = fields;
-        [magic, kind, pc, lr, status, tick, boot, place, line, check]
+        let mut memory = NOTHING;
+        for (place, word) in memory.iter_mut().zip(fields.into_iter().chain([check])) {
+            *place = word;
+        }
+        memory
     }
 
     /// The crash in a record, if it is one.
     pub fn of_memory(memory: &Memory) -> Option<Self> {
         let [fields @ .., check] = memory;
-        let [magic, kind, pc, lr, status, tick_ms, boot, place, line] = *fields;
+        let [magic, kind, pc, lr, status, tick_ms, boot, place, third, fourth] = *fields;
         if magic != MAGIC || checksum(fields) != *check {
             return None;
         }
@@ -120,11 +126,11 @@ impl Crash {
             kind: Kind::of(kind)?,
             pc,
             lr,
+            callers: [third, fourth],
             status,
             tick_ms,
             boot,
             place,
-            line,
         })
     }
 }
@@ -134,11 +140,6 @@ pub fn take(memory: &mut Memory) -> Option<Crash> {
     let crash = Crash::of_memory(memory);
     *memory = NOTHING;
     crash
-}
-
-/// Of a source file's path.
-pub fn hash(path: &str) -> u32 {
-    CRC32.checksum(path.as_bytes())
 }
 
 fn checksum(fields: &[u32]) -> u32 {
@@ -171,11 +172,11 @@ mod tests {
         kind: Kind::HardFault,
         pc: 0x0800_1234,
         lr: 0x0800_4321,
+        callers: [0x0801_0203, 0x0801_0405],
         status: 0x0000_8200,
         tick_ms: 123_456,
         boot: 3,
         place: 0xCAFE_F00D,
-        line: 77,
     };
 
     #[test]
@@ -251,11 +252,5 @@ mod tests {
         assert_eq!(counted, [1, 2, 3]);
         assert_eq!(count_start(&mut [0, 0]), 1);
         assert_eq!(count_start(&mut [u32::MAX, 0]), u32::MAX);
-    }
-
-    #[test]
-    fn a_file_is_known_by_its_hash() {
-        // Python: zlib.crc32(b"src/main.rs").
-        assert_eq!(hash("src/main.rs"), 0x3B87_29EE);
     }
 }

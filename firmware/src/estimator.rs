@@ -109,6 +109,12 @@ impl<'t, N: Networks> Estimator<'t, N> {
         })
     }
 
+    /// Whether the fingertips' own weight and inertia are taken off the forces.
+    pub fn is_without_mass(&self) -> bool {
+        let mut compensations = self.tables.compensations.iter();
+        compensations.any(Compensation::is_without_mass)
+    }
+
     /// The networks with what they remember.
     pub fn networks(&mut self) -> &mut N {
         &mut self.networks

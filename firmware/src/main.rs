@@ -7,8 +7,8 @@ use defmt_rtt as _;
 
 #[cfg(target_os = "none")]
 #[panic_handler]
-fn panic(info: &core::panic::PanicInfo) -> ! {
-    firmware::hardware::crash::panicked(info)
+fn panic(_: &core::panic::PanicInfo) -> ! {
+    firmware::hardware::crash::panicked()
 }
 
 #[cfg(target_os = "none")]

@@ -24,6 +24,8 @@ pub enum Loop {
     Sense,
     /// Computes the forces, 1 kHz.
     Estimate,
+    /// Grasps, 1 kHz.
+    Grip,
     /// Sends messages; the slowest that always runs is the heartbeat, 10 Hz.
     Report,
     /// Hears messages; checks in while nobody speaks too.
@@ -31,16 +33,22 @@ pub enum Loop {
 }
 
 /// Loops.
-pub const LOOPS: usize = 4;
+pub const LOOPS: usize = 5;
 
 impl Loop {
     /// All of them.
-    pub const ALL: [Self; LOOPS] = [Self::Sense, Self::Estimate, Self::Report, Self::Command];
+    pub const ALL: [Self; LOOPS] = [
+        Self::Sense,
+        Self::Estimate,
+        Self::Grip,
+        Self::Report,
+        Self::Command,
+    ];
 
     /// A loop that has not checked in for longer hangs. Assumed: ten ticks at 1 kHz, and three heartbeats.
     pub const fn patience_ms(self) -> u32 {
         match self {
-            Self::Sense | Self::Estimate => 10,
+            Self::Sense | Self::Estimate | Self::Grip => 10,
             Self::Report | Self::Command => 300,
         }
     }
@@ -114,7 +122,7 @@ mod tests {
     use super::*;
 
     /// How often each loop checks in, in milliseconds.
-    const EVERY_MS: [u32; LOOPS] = [1, 1, 100, 100];
+    const EVERY_MS: [u32; LOOPS] = [1, 1, 1, 100, 100];
 
     /// Runs the loops, `which` only for the first `until_ms`. Tells who hangs, and when the last food came.
     fn run(start_ms: u32, which: Loop, until_ms: u32) -> (Option<Loop>, u32) {

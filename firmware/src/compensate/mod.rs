@@ -112,6 +112,12 @@ impl Compensation<'_> {
         held
     }
 
+    /// Whether the fingertip's own weight and inertia are among it.
+    pub fn is_without_mass(&self) -> bool {
+        let mut effects = self.force.iter().flatten();
+        effects.any(|effect| matches!(effect, OnForce::FingertipMass(_)))
+    }
+
     /// Takes the effects on the field off.
     pub fn field(
         &self,

@@ -307,6 +307,21 @@ impl Grip {
         outputs
     }
 
+    /// Another word on whether the screw holds its load without current; it counts while nothing is driven.
+    pub const fn set_locks(&mut self, locks: bool) {
+        if matches!(self.power, Power::Safe) {
+            self.locks = locks;
+        }
+    }
+
+    /// Whether the motor is driven, or may be.
+    pub const fn is_driven(&self) -> bool {
+        matches!(
+            self.power,
+            Power::Armed | Power::Enabled | Power::QuickStop | Power::FaultReaction
+        )
+    }
+
     /// As in the heartbeat.
     pub const fn state(&self) -> u8 {
         states::code(self.power, self.task)

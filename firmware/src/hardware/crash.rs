@@ -15,10 +15,9 @@
 //! the stack's end ends in the handler of the fault, with the stack pointer below RAM.
 #![allow(unsafe_code)] // Memory that a reset does not touch, a fault's stack frame, handlers.
 
-use core::arch::naked_asm;
+use core::arch::{asm, naked_asm};
 use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
-use core::panic::PanicInfo;
 use core::sync::atomic::{AtomicBool, Ordering};
 
 use cortex_m::peripheral::SCB;
@@ -104,25 +103,48 @@ pub fn note(crash: Crash) {
     RECORD.write(dated.to_memory());
 }
 
-/// The end of a panic, for the binary's panic handler.
-pub fn panicked(info: &PanicInfo) -> ! {
+/// The end of a panic, for the binary's panic handler. Its words and the names of source files are not asked
+/// for, and so the image holds none of them: addresses tell the same.
+pub fn panicked() -> ! {
     static PANICKED: AtomicBool = AtomicBool::new(false);
     cortex_m::interrupt::disable();
     outputs_off();
     // A panic while one is told: the first counts.
     if !PANICKED.swap(true, Ordering::Relaxed) {
-        let (file, line) = info
-            .location()
-            .map_or(("", 0), |location| (location.file(), location.line()));
+        let [pc, lr, third, fourth] = callers();
         note(Crash {
-            place: crash::hash(file),
-            line,
+            pc,
+            lr,
+            callers: [third, fourth],
             ..Crash::new(Kind::Panic)
         });
-        // Enough to find it; its words would need a formatter.
-        defmt::error!("panic at {=str}:{=u32}", file, line);
+        defmt::error!(
+            "panic under {=u32:08x} {=u32:08x} {=u32:08x} {=u32:08x}",
+            pc,
+            lr,
+            third,
+            fourth
+        );
     }
     SCB::sys_reset()
+}
+
+/// Where the functions on the stack would have returned to, the innermost first: each keeps in r7 where its
+/// caller's r7 and its way back lie.
+fn callers() -> [u32; 4] {
+    let mut frame: *const u32;
+    // SAFETY: a register that is only read.
+    unsafe { asm!("mov {}, r7", out(reg) frame, options(nomem, nostack, preserves_flags)) };
+    let (end, start) = (&raw const _stack_end, &raw const _stack_start);
+    [(); 4].map(|()| {
+        if !frame.is_aligned() || frame < end || frame.wrapping_add(2) > start {
+            return 0;
+        }
+        // SAFETY: two words within the stack.
+        let [next, back] = unsafe { frame.cast::<[u32; 2]>().read_volatile() };
+        frame = next as *const u32;
+        back
+    })
 }
 
 /// Switches the power stage off.

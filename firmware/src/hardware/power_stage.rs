@@ -68,12 +68,13 @@ impl Stage {
         self.is_on && !TIMER.bdtr().read().moe()
     }
 
-    fn set_duties(&mut self, duties: [f32; 3]) {
-        for (channel, duty) in duties.into_iter().enumerate() {
-            // Saturates; what is no number is zero.
-            let counts = ((duty * f32::from(HALF)) as u16).min(HALF);
-            TIMER.ccr(channel).write(|w| w.set_ccr(counts));
-        }
+    fn set_duties(&mut self, [u, v, w]: [f32; 3]) {
+        // Saturates; what is no number is zero.
+        let counts = |duty: f32| ((duty * f32::from(HALF)) as u16).min(HALF);
+        // One by one: no channel's number is left to be checked at run time.
+        TIMER.ccr(0).write(|to| to.set_ccr(counts(u)));
+        TIMER.ccr(1).write(|to| to.set_ccr(counts(v)));
+        TIMER.ccr(2).write(|to| to.set_ccr(counts(w)));
     }
 
     fn switch(&mut self, on: bool) {

@@ -7,8 +7,9 @@ use embassy_sync::blocking_mutex::raw::RawMutex;
 use embedded_can::Frame;
 use embedded_storage_async::nor_flash::NorFlash;
 
-use super::{Exchange, Finder};
+use super::{Exchange, Finder, Hosts};
 use crate::clock::Clock;
+use crate::grip::Host;
 use crate::parameters;
 use crate::progress::Loop;
 use crate::session::{Heard as Meant, Session, answer, op, status};
@@ -85,32 +86,37 @@ pub async fn command<F: NorFlash, R: FnMut() -> u16, B: FnMut(), C: Clock, M: Ra
         match next {
             Either3::First(heard) => {
                 let now_ms = (clock.now_us() / 1000) as u32;
-                session.allow(!exchange.is_active(Fault::TablesUnsound));
+                let stands = exchange.stands.get();
+                session.allow(stands.may_arm);
                 let frame = heard.frame;
                 let random = (desk.random)();
-                match session.hear(now_ms, frame.identifier(), frame.data(), random) {
+                let meant = session.hear(now_ms, frame.identifier(), frame.data(), random);
+                show(&session, taring.is_some(), now_ms, exchange);
+                let is_armed = session.is_open() || stands.is_driven;
+                match meant {
                     Meant::Reply { reply, .. } => {
                         reply_with(Message::ServiceReply(reply), exchange)
                     }
                     Meant::Other(Message::Service(service))
-                        if service.op == op::TARE && !session.is_open() =>
+                        if service.op == op::TARE && !is_armed =>
                     {
                         taring = Some(service);
                         exchange.tare_wanted.signal(());
                     }
                     Meant::Other(Message::Service(service)) => {
-                        let reply = desk.serve(service, session.is_open(), exchange).await;
+                        let reply = desk.serve(service, is_armed, exchange).await;
                         reply_with(reply, exchange);
                     }
                     Meant::Other(Message::ParamRequest(request)) => {
                         let mut parameters = exchange.parameters();
-                        let reply =
-                            parameters::answer(&mut parameters, &request, session.is_open());
+                        let reply = parameters::answer(&mut parameters, &request, is_armed);
                         exchange.set_parameters(parameters);
                         session.set_silent_ms(parameters.command_timeout_ms());
                         reply_with(Message::ParamReply(reply), exchange);
                     }
-                    Meant::Nothing | Meant::Stop | Meant::Command(_) | Meant::Other(_) => {}
+                    Meant::Command(command) => exchange.commanded.signal(command),
+                    Meant::Stop => exchange.stopped.signal(()),
+                    Meant::Nothing | Meant::Other(_) => {}
                 }
             }
             Either3::Second(step) => {
@@ -123,12 +129,15 @@ pub async fn command<F: NorFlash, R: FnMut() -> u16, B: FnMut(), C: Clock, M: Ra
             }
             Either3::Third(()) => look_us = clock.now_us().saturating_add(LOOK_US),
         }
-        judge(&session, &mut faults, clock, exchange);
+        let now_ms = (clock.now_us() / 1000) as u32;
+        session.allow(exchange.stands.get().may_arm);
+        show(&session, taring.is_some(), now_ms, exchange);
+        judge(&session, &mut faults, now_ms, exchange);
     }
 }
 
 impl<F: NorFlash, R, B: FnMut()> Desk<F, R, B> {
-    /// Does a service that takes no time of sensing.
+    /// Does a service that takes no time of sensing. `is_armed`: a session is open, or the motor is driven.
     async fn serve<M: RawMutex>(
         &mut self,
         service: Service,
@@ -138,8 +147,11 @@ impl<F: NorFlash, R, B: FnMut()> Desk<F, R, B> {
         let reply = |status| Message::ServiceReply(answer(service, status, 0));
         match service.op {
             op::VERSION => Message::Version(self.version),
-            // No fault is latched: each goes with its cause.
-            op::CLEAR_FAULTS => reply(status::DONE),
+            // Whether the cause is gone the next heartbeat tells.
+            op::CLEAR_FAULTS => {
+                exchange.cleared.signal(());
+                reply(status::DONE)
+            }
             op::TARE | op::SAVE | op::REBOOT if is_armed => reply(status::ARMED),
             op::SAVE => match self.store.save(&exchange.parameters()).await {
                 Ok(()) => reply(status::DONE),
@@ -173,14 +185,21 @@ fn reply_with<M: RawMutex>(reply: Message, exchange: &Exchange<M>) {
     let _ = exchange.replies.try_send(reply);
 }
 
+/// Shows the grasp what is known of hosts.
+fn show<M: RawMutex>(session: &Session, is_taring: bool, now_ms: u32, exchange: &Exchange<M>) {
+    exchange.hosts.set(Hosts {
+        host: Host {
+            is_offered: session.is_offered(now_ms),
+            is_open: session.is_open(),
+            is_alive: session.is_alive(now_ms),
+        },
+        is_checked: true,
+        is_taring,
+    });
+}
+
 /// Notes what the session says of hosts.
-fn judge<C: Clock, M: RawMutex>(
-    session: &Session,
-    faults: &mut Faults,
-    clock: &C,
-    exchange: &Exchange<M>,
-) {
-    let now_ms = (clock.now_us() / 1000) as u32;
+fn judge<M: RawMutex>(session: &Session, faults: &mut Faults, now_ms: u32, exchange: &Exchange<M>) {
     let counts = &exchange.counts;
     let alive = u32::from(session.is_alive(now_ms));
     counts.command_alive.store(alive, Ordering::Relaxed);

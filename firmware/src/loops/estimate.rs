@@ -4,7 +4,7 @@ use core::sync::atomic::Ordering;
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
 
-use super::{Exchange, Finder};
+use super::{Exchange, Felt, Finder};
 use crate::balance::Balance;
 use crate::clock::Clock;
 use crate::estimator::{Estimator, Networks};
@@ -13,6 +13,7 @@ use crate::frame::SENSORS;
 use crate::hall::Reading;
 use crate::hall::watch::{Condition, Watched};
 use crate::limits::Limits;
+use crate::motor::Telling;
 use crate::params::TICK_US;
 use crate::progress::Loop;
 use crate::status::{Fault, Faults};
@@ -20,6 +21,15 @@ use crate::surroundings::Surroundings;
 use crate::tare::{Step, Taring};
 use crate::units::Force;
 use crate::wire::serial::Tick;
+
+/// What the board knows in a tick beside the fields.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Around {
+    /// For those who undo it.
+    pub surroundings: Surroundings,
+    /// The motor.
+    pub motor: Telling,
+}
 
 /// What the loop tells of a tick.
 #[derive(Clone, Copy, Debug)]
@@ -38,7 +48,7 @@ pub struct Told {
 /// the fields.
 pub async fn estimate<N: Networks, C: Clock, M: RawMutex>(
     mut estimator: Estimator<'_, N>,
-    mut around: impl FnMut() -> Surroundings,
+    mut around: impl FnMut() -> Around,
     limits: &Limits,
     clock: &C,
     exchange: &Exchange<M>,
@@ -46,13 +56,18 @@ pub async fn estimate<N: Networks, C: Clock, M: RawMutex>(
     let mut judge = Judge::new(limits);
     let mut taring = None;
     let held = estimator.held();
+    let bears_mass = !estimator.is_without_mass();
     let mut tick = 0_u32;
     let mut last_us = None;
     loop {
         let sensed = exchange.sensed.wait().await;
         exchange.progress.check_in(Loop::Estimate);
         let woken_us = clock.now_us();
-        let mut estimates = estimator.step(&sensed.frame, &around());
+        let Around {
+            surroundings,
+            motor,
+        } = around();
+        let mut estimates = estimator.step(&sensed.frame, &surroundings);
         let done_us = clock.now_us();
         let counts = &exchange.counts;
         for (worst, spent_us) in [
@@ -73,6 +88,11 @@ pub async fn estimate<N: Networks, C: Clock, M: RawMutex>(
         let astray = [0, 1, 2, 3].map(|sensor| estimator.is_astray(sensor));
         judge.note_networks(astray, exchange);
         tare(&mut taring, &held, &mut estimates, exchange);
+        exchange.felt.signal(Felt {
+            estimates,
+            motor,
+            acceleration: surroundings.acceleration.filter(|_| bears_mass),
+        });
         exchange.ticks.signal(Tick::of(&sensed.frame, &estimates));
         exchange.told.signal(Told {
             tick,

@@ -5,7 +5,8 @@
 //! | --- | --- | --- | --- | --- |
 //! | [`sense`] | each millisecond | interrupt executor | [`SENSE_LIMIT_US`](crate::params::SENSE_LIMIT_US) after the tick began | the tick is skipped and counted |
 //! | [`estimate`] | what was sensed | interrupt executor | the next tick | the older frame is lost; the next tick's number shows it |
-//! | [`report`] | estimates, events, replies | thread | 1 ms from sample to frame | the bus sees the next estimate |
+//! | [`grip`](fn@grip) | estimates | interrupt executor | the next tick; from sample to set-point within 1 ms | the older forces are lost; the motor keeps its set-point until the watchdog resets |
+//! | [`report`] | estimates, the grasp, events, replies | thread | 1 ms from sample to frame | the bus sees the next estimate |
 //! | [`telemetry`] | estimates | thread | 1 ms | the line misses a tick, its time shows it |
 //! | [`listen`], [`listen_serial`] | frames, bytes | thread | three frames of the controller's memory, 141 us | the controller drops frames |
 //! | [`command`] | what was heard | thread | 1 ms | as a silent host |
@@ -13,6 +14,7 @@
 
 mod command;
 mod estimate;
+mod grip;
 mod listen;
 mod report;
 mod scrub;
@@ -28,7 +30,8 @@ use embassy_sync::channel::Channel;
 use embassy_sync::signal::Signal;
 
 pub use command::{Desk, begin, command};
-pub use estimate::{Told, estimate};
+pub use estimate::{Around, Told, estimate};
+pub use grip::{Felt, Hosts, Reins, Stands, grip};
 pub use listen::{CAN, Heard, SERIAL, listen, listen_serial};
 pub use report::report;
 pub use scrub::scrub;
@@ -40,7 +43,7 @@ use crate::parameters::Parameters;
 use crate::progress::Progress;
 use crate::status::{Fault, Faults};
 use crate::tare::Step;
-use crate::wire::messages::Message;
+use crate::wire::messages::{Command, FaultEvent, Message};
 use crate::wire::serial::{Packet, Tick};
 
 /// Loops that find faults.
@@ -63,9 +66,30 @@ pub enum Finder {
     Scrub,
     /// The start, of what was before it.
     Crash,
+    /// [`grip`](fn@grip), of grasp and motor.
+    Grip,
 }
 
-const FINDERS: usize = 8;
+const FINDERS: usize = 9;
+
+/// A value that one loop sets and others look at.
+pub struct Shown<M: RawMutex, T>(Mutex<M, Cell<T>>);
+
+impl<M: RawMutex, T: Copy> Shown<M, T> {
+    const fn new(value: T) -> Self {
+        Self(Mutex::new(Cell::new(value)))
+    }
+
+    /// The value now.
+    pub fn get(&self) -> T {
+        self.0.lock(Cell::get)
+    }
+
+    /// Another one.
+    pub fn set(&self, value: T) {
+        self.0.lock(|cell| cell.set(value));
+    }
+}
 
 /// What the loops hand to each other. Each part has one writer and one reader, named beside it.
 pub struct Exchange<M: RawMutex> {
@@ -75,6 +99,20 @@ pub struct Exchange<M: RawMutex> {
     pub told: Signal<M, Told>,
     /// From [`estimate`] to [`telemetry`].
     pub ticks: Signal<M, Tick>,
+    /// From [`estimate`] to [`grip`](fn@grip).
+    pub felt: Signal<M, Felt>,
+    /// From [`command`] to [`grip`](fn@grip): hosts, always up to date when one of the next three comes.
+    pub hosts: Shown<M, Hosts>,
+    /// From [`command`] to [`grip`](fn@grip): a command that counts; of two in a tick the newer.
+    pub commanded: Signal<M, Command>,
+    /// From [`command`] to [`grip`](fn@grip): somebody says stop.
+    pub stopped: Signal<M, ()>,
+    /// From [`command`] to [`grip`](fn@grip): a host clears faults.
+    pub cleared: Signal<M, ()>,
+    /// From [`grip`](fn@grip) to [`command`] and [`report`].
+    pub stands: Shown<M, Stands>,
+    /// From [`grip`](fn@grip) to [`report`]: the grip, the foot, commands that are refused.
+    pub grasp: Channel<M, Message, 4>,
     /// From [`listen`] and [`listen_serial`] to [`command`].
     pub heard: Channel<M, Heard, 8>,
     /// From [`command`] to [`report`].
@@ -96,7 +134,7 @@ pub struct Exchange<M: RawMutex> {
     /// Figures that loops count and [`report`] tells.
     pub counts: Counts,
     /// Written by [`command`] alone.
-    parameters: Mutex<M, Cell<Parameters>>,
+    parameters: Shown<M, Parameters>,
     /// Active faults, each word written by its finder.
     faults: [AtomicU32; FINDERS],
 }
@@ -136,6 +174,13 @@ impl<M: RawMutex> Exchange<M> {
             sensed: Signal::new(),
             told: Signal::new(),
             ticks: Signal::new(),
+            felt: Signal::new(),
+            hosts: Shown::new(Hosts::NONE),
+            commanded: Signal::new(),
+            stopped: Signal::new(),
+            cleared: Signal::new(),
+            stands: Shown::new(Stands::NOWHERE),
+            grasp: Channel::new(),
             heard: Channel::new(),
             replies: Channel::new(),
             tare_wanted: Signal::new(),
@@ -158,7 +203,7 @@ impl<M: RawMutex> Exchange<M> {
                 frames_unsent: AtomicU32::new(0),
                 packets_unsent: AtomicU32::new(0),
             },
-            parameters: Mutex::new(Cell::new(Parameters::DEFAULT)),
+            parameters: Shown::new(Parameters::DEFAULT),
             faults: [const { AtomicU32::new(0) }; FINDERS],
         }
     }
@@ -174,20 +219,32 @@ impl<M: RawMutex> Exchange<M> {
     ) {
         if let Some(event) = faults.note(fault, source, active, detail) {
             self.events.post(Event::Fault(event));
-            if let Some(word) = self.faults.get(finder as usize) {
-                word.store(faults.bits(), Ordering::Relaxed);
-            }
+            self.set_faults(finder, faults.bits());
+        }
+    }
+
+    /// Takes over the faults of a finder that keeps them itself, and posts the news.
+    pub fn tell(&self, finder: Finder, bits: u32, news: &[FaultEvent]) {
+        self.set_faults(finder, bits);
+        for event in news {
+            self.events.post(Event::Fault(*event));
+        }
+    }
+
+    fn set_faults(&self, finder: Finder, bits: u32) {
+        if let Some(word) = self.faults.get(finder as usize) {
+            word.store(bits, Ordering::Relaxed);
         }
     }
 
     /// What hosts have set.
     pub fn parameters(&self) -> Parameters {
-        self.parameters.lock(Cell::get)
+        self.parameters.get()
     }
 
     /// Takes other parameters: at the start, then from [`command`] alone.
     pub fn set_parameters(&self, parameters: Parameters) {
-        self.parameters.lock(|cell| cell.set(parameters));
+        self.parameters.set(parameters);
     }
 
     /// Whether a fault is active, whoever found it.
@@ -200,6 +257,13 @@ impl<M: RawMutex> Exchange<M> {
     pub fn fault_bits(&self) -> u32 {
         let words = self.faults.iter();
         words.fold(0, |all, word| all | word.load(Ordering::Relaxed))
+    }
+
+    /// Those that others than this one found.
+    pub fn fault_bits_beside(&self, finder: Finder) -> u32 {
+        let words = self.faults.iter().enumerate();
+        let others = words.filter(|(place, _)| *place != finder as usize);
+        others.fold(0, |all, (_, word)| all | word.load(Ordering::Relaxed))
     }
 }
 

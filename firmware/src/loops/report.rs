@@ -1,8 +1,8 @@
-//! Tells forces, faults, and answers on the CAN bus, and hands them on to the serial line.
+//! Tells forces, the grasp, faults, and answers on the CAN bus, and hands them on to the serial line.
 
 use core::sync::atomic::Ordering;
 
-use embassy_futures::select::{Either5, select5};
+use embassy_futures::select::{Either6, select6};
 use embassy_sync::blocking_mutex::raw::RawMutex;
 
 use super::{Exchange, Finder, Told};
@@ -46,8 +46,9 @@ pub async fn report<S: CanSender, C: Clock, M: RawMutex>(
     let mut beat_us = clock.now_us();
     mouth.say(0, Message::Version(version)).await;
     loop {
-        let next = select5(
+        let next = select6(
             exchange.replies.receive(),
+            exchange.grasp.receive(),
             exchange.told.wait(),
             exchange.events.next(),
             clock.until(beat_us),
@@ -56,21 +57,21 @@ pub async fn report<S: CanSender, C: Clock, M: RawMutex>(
         let next = next.await;
         exchange.progress.check_in(Loop::Report);
         match next {
-            Either5::First(reply) => mouth.say(0, reply).await,
-            Either5::Second(told) => mouth.forces(&told, &mut counters).await,
-            Either5::Third(event) => {
+            Either6::First(message) | Either6::Second(message) => mouth.say(0, message).await,
+            Either6::Third(told) => mouth.forces(&told, &mut counters).await,
+            Either6::Fourth(event) => {
                 log(event);
                 if let Event::Fault(fault) = event {
                     mouth.say(0, Message::FaultEvent(fault)).await;
                 }
             }
-            Either5::Fourth(()) => {
+            Either6::Fifth(()) => {
                 beat_us = beat_us.saturating_add(BEAT_US);
                 mouth.heartbeat(&mut counters).await;
             }
             // Told every millisecond while it is off.
-            Either5::Fifth(()) if mouth.off.is_none() => mouth.leave(),
-            Either5::Fifth(()) => {}
+            Either6::Sixth(()) if mouth.off.is_none() => mouth.leave(),
+            Either6::Sixth(()) => {}
         }
     }
 }
@@ -132,13 +133,15 @@ impl<S: CanSender, C: Clock, M: RawMutex> Mouth<'_, S, C, M> {
     /// The heartbeat, and once a second how busy the gripper is.
     async fn heartbeat(&mut self, counters: &mut Counters) {
         let counts = &self.exchange.counts;
+        let stands = self.exchange.stands.get();
         let beat = Heartbeat {
+            state: stands.state,
+            object: stands.object,
             faults: self.exchange.fault_bits(),
             command_alive: counts.command_alive.load(Ordering::Relaxed) != 0,
             sensors_ok: counts.sensors_ok.load(Ordering::Relaxed) as u8,
             protocol_major: PROTOCOL.0,
             counter: counters.heartbeat,
-            ..Heartbeat::default()
         };
         self.say(0, Message::Heartbeat(beat)).await;
         counters.heartbeat = counters.heartbeat.wrapping_add(1);

@@ -31,6 +31,11 @@ pub const fn angle(answer: u16) -> Result<u16, EncoderError> {
     }
 }
 
+/// The answer of a sensor in health, for simulations.
+pub const fn answer(angle: u16) -> u16 {
+    with_parity(angle & ANGLE)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -42,6 +47,13 @@ mod tests {
         assert_eq!(with_parity(0), 0);
         assert_eq!(with_parity(1 << 14 | 1), 0x4001);
         assert_eq!(with_parity(1 << 14), 0xC000);
+    }
+
+    #[test]
+    fn an_answer_in_health_is_its_angle() {
+        for counts in 0..=ANGLE {
+            assert_eq!(angle(answer(counts)), Ok(counts));
+        }
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! The [`loops`] on the chip: each as a task on its level, and every static with its one writer.
 //!
-//! Sensing and estimating run on an interrupt of their own ([`LEVEL`]) and so interrupt the rest, which
+//! Sensing, estimating and grasping run on an interrupt of their own ([`LEVEL`]) and so interrupt the rest, which
 //! runs in thread mode. Nothing above thread mode writes to the log.
 
 use defmt::{info, unwrap};
@@ -16,24 +16,26 @@ use static_cell::StaticCell;
 use crate::estimator::{Estimator, Running};
 use crate::events::Event;
 use crate::frame::SENSORS;
+use crate::grip::Grip;
 use crate::hall::a31301::A31301;
 use crate::hardware::board::{Board, HARDWARE};
 use crate::hardware::can::{Receiver, Sender};
 use crate::hardware::clock::BoardClock;
 use crate::hardware::crash;
-use crate::hardware::drive::{self, Line};
+use crate::hardware::drive;
 use crate::hardware::flash::Pages;
 use crate::hardware::sensor_bus::BoardBus;
+use crate::hardware::slot::{Reader, Writer};
 use crate::hardware::watchdog::Watchdog;
-use crate::limits::Limits;
-use crate::loops::{self, Desk, Exchange, Finder};
+use crate::limits::{Grasp, Limits};
+use crate::loops::{self, Around, Desk, Exchange, Finder, Reins};
 use crate::model::tables::{NETWORKS, TABLES};
-use crate::motor::Settings;
 use crate::motor::screw::Screw;
+use crate::motor::{Order, Settings, Telling};
+use crate::parameters;
 use crate::progress::FED_EVERY_MS;
 use crate::status::{Fault, Faults};
 use crate::store::{Loaded, Store};
-use crate::surroundings::Surroundings;
 use crate::wire::PROTOCOL;
 use crate::wire::messages::Version;
 
@@ -45,7 +47,7 @@ const MOTOR: Settings = Settings::assumed(Screw::A);
 /// flash as well, two kilobytes of it.
 static EXCHANGE: StaticCell<Exchange<CriticalSectionRawMutex>> = StaticCell::new();
 type Shared = &'static Exchange<CriticalSectionRawMutex>;
-/// Sensing and estimating; its interrupt belongs to no peripheral in use.
+/// Sensing, estimating, grasping; its interrupt belongs to no peripheral in use.
 static UPPER: InterruptExecutor = InterruptExecutor::new();
 /// Below the interrupts of the buses, above thread mode.
 const LEVEL: Priority = Priority::P6;
@@ -72,7 +74,7 @@ pub async fn start(spawner: Spawner, board: Board) {
     );
     if let Some(crash) = crash {
         let mut faults = Faults::default();
-        let detail = (crash.kind.number() << 24) | (crash.pc.max(crash.line) & 0x00FF_FFFF);
+        let detail = (crash.kind.number() << 24) | (crash.pc & 0x00FF_FFFF);
         exchange.note(
             Finder::Crash,
             &mut faults,
@@ -95,7 +97,10 @@ pub async fn start(spawner: Spawner, board: Board) {
         board.sensor_buses,
         parameters.addresses()
     )));
-    upper.spawn(unwrap!(estimate(exchange, line)));
+    upper.spawn(unwrap!(estimate(exchange, line.tellings)));
+    let locks = parameters.screw() == parameters::Screw::SelfLocking;
+    let grasp = Grip::new(Grasp::GRIPPER, MOTOR.screw, locks);
+    upper.spawn(unwrap!(grip(exchange, grasp, Orders(line.orders))));
     let watchdog = Watchdog::start(board.watchdog);
     spawner.spawn(unwrap!(feed(exchange, watchdog)));
     spawner.spawn(unwrap!(scrub(exchange)));
@@ -111,18 +116,34 @@ async fn sense(exchange: Shared, buses: [BoardBus; 2], addresses: [u8; SENSORS])
     loops::sense::<A31301, _, _, _>(buses, addresses, &LIMITS, &BoardClock, exchange).await;
 }
 
-/// Nobody orders the drive yet: it stays disarmed, and what it tells is the rest of its line.
 #[embassy_executor::task]
-async fn estimate(exchange: Shared, mut line: Line) {
+async fn estimate(exchange: Shared, mut tellings: Reader<Telling>) {
     let estimator = Estimator::new(&TABLES, Running::start(&NETWORKS));
-    let mut around = Surroundings::default();
+    let mut around = Around::default();
     let around = move || {
-        if let Some(telling) = line.tellings.take() {
-            around = telling.surroundings();
+        if let Some(motor) = tellings.take() {
+            around = Around {
+                surroundings: motor.surroundings(),
+                motor,
+            };
         }
         around
     };
     loops::estimate(estimator, around, &LIMITS, &BoardClock, exchange).await;
+}
+
+/// The way to the drive.
+struct Orders(Writer<Order>);
+
+impl Reins for Orders {
+    fn order(&mut self, order: Order) -> Result<(), Order> {
+        self.0.put(order)
+    }
+}
+
+#[embassy_executor::task]
+async fn grip(exchange: Shared, grip: Grip, orders: Orders) {
+    loops::grip(grip, orders, exchange).await;
 }
 
 #[embassy_executor::task]

@@ -5,6 +5,7 @@
 //! - [`i2c`]: a bus with sensors, registers and levels.
 //! - [`can`]: a CAN bus.
 //! - [`line`](mod@line): a serial line.
+//! - [`host`]: a host on it.
 //! - [`flash`]: where parameters are kept.
 //! - [`recorded`], [`pressed`]: worlds.
 //!
@@ -13,6 +14,7 @@
 
 pub mod can;
 pub mod flash;
+pub mod host;
 pub mod i2c;
 pub mod line;
 pub mod pressed;
@@ -28,12 +30,15 @@ use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use firmware::clock::Clock;
 use firmware::estimator::Estimator;
 use firmware::events::Event;
+use firmware::grip::Grip;
 use firmware::hall::Part;
 use firmware::hall::a31301::A31301;
-use firmware::limits::Limits;
-use firmware::loops::{self, Desk, Exchange};
+use firmware::limits::{Grasp, Limits};
+use firmware::loops::{self, Around, Desk, Exchange, Reins};
 use firmware::model::table::Tables;
-use firmware::parameters::Parameters;
+use firmware::motor::Order;
+use firmware::motor::screw::Screw;
+use firmware::parameters::{self, Parameters};
 use firmware::store::Store;
 use firmware::wire::messages::Version;
 use firmware::wire::{DEFAULT_NODE, PROTOCOL};
@@ -47,12 +52,46 @@ use flash::Flash;
 use i2c::{Sensor, SimulatedBus, Wires};
 use line::Line;
 use time::VirtualClock;
-use world::{Now, World};
+use world::{Motor, NoMotor, Now, World};
 
 use crate::networks::Networks;
 
 /// This board in [`Version`].
 const HARDWARE: u8 = 0;
+
+/// What the board drives.
+pub struct Driven {
+    /// The motor.
+    pub motor: Box<dyn Motor>,
+    /// The screw behind it, as the firmware knows it.
+    pub screw: Screw,
+    /// Where something counts as wrong in the grasp.
+    pub grasp: Grasp,
+}
+
+impl Driven {
+    /// Nothing.
+    pub fn nothing() -> Self {
+        Self {
+            motor: Box::new(NoMotor),
+            screw: Screw::A,
+            grasp: Grasp::GRIPPER,
+        }
+    }
+}
+
+/// The way to the motor.
+struct Orders {
+    motor: Rc<RefCell<Box<dyn Motor>>>,
+    clock: VirtualClock,
+}
+
+impl Reins for Orders {
+    fn order(&mut self, order: Order) -> Result<(), Order> {
+        let time_us = self.clock.now_us();
+        self.motor.borrow_mut().order(time_us, order)
+    }
+}
 
 /// What runs on the board.
 pub struct Program {
@@ -88,8 +127,13 @@ pub struct Board {
 }
 
 impl Board {
-    /// Switches a board on in a world.
+    /// Switches a board without a motor on in a world.
     pub fn start(program: Program, world: Box<dyn World>) -> Self {
+        Self::start_with(program, world, Driven::nothing())
+    }
+
+    /// Switches a board on in a world.
+    pub fn start_with(program: Program, world: Box<dyn World>, driven: Driven) -> Self {
         let clock = VirtualClock::default();
         let sensors = |numbers: [usize; 2]| {
             let sensor = |number| Sensor::new(number, A31301::ADDRESSES[number]);
@@ -106,7 +150,7 @@ impl Board {
             events: Rc::default(),
         };
         board.unplug_absent();
-        board.spawn_loops(program);
+        board.spawn_loops(program, driven);
         board
     }
 
@@ -121,7 +165,7 @@ impl Board {
         }
     }
 
-    fn spawn_loops(&mut self, program: Program) {
+    fn spawn_loops(&mut self, program: Program, driven: Driven) {
         let limits = program.limits;
         let tables_id = program.tables.id;
         let parameters = program.parameters;
@@ -137,8 +181,10 @@ impl Board {
         self.spawn(async move {
             loops::sense::<A31301, _, _, _>(buses, addresses, &limits, &clock, &exchange).await;
         });
+        let motor = Rc::new(RefCell::new(driven.motor));
         let (clock, exchange) = parts();
         let now = self.now.clone();
+        let tells = motor.clone();
         self.spawn(async move {
             let compensations: Vec<_> = program
                 .compensations
@@ -148,11 +194,21 @@ impl Board {
             let tables = program.tables.tables(&compensations);
             let networks = program.networks.as_ref().map(Networks::run);
             let estimator = Estimator::new(&tables, networks);
-            let around = || now.borrow_mut().at(clock.now_us()).around;
+            let around = || {
+                let time_us = clock.now_us();
+                Around {
+                    surroundings: now.borrow_mut().at(time_us).around,
+                    motor: tells.borrow_mut().telling(time_us),
+                }
+            };
             let scrub = loops::scrub::<_, Tables, 0, _, _>(&tables, &[], &clock, &exchange);
             let estimate = loops::estimate(estimator, around, &limits, &clock, &exchange);
             join(scrub, estimate).await;
         });
+        let (clock, exchange) = parts();
+        let locks = parameters.screw() == parameters::Screw::SelfLocking;
+        let grip = Grip::new(driven.grasp, driven.screw, locks);
+        self.spawn(async move { loops::grip(grip, Orders { motor, clock }, &exchange).await });
         let (clock, exchange) = parts();
         let sender = can::Sender {
             bus: self.can.clone(),

@@ -1,8 +1,9 @@
-//! What the sensors of a simulated board feel, millisecond by millisecond.
+//! What the sensors of a simulated board feel, millisecond by millisecond, and the motor at its lines.
 
 use firmware::frame::SENSORS;
 use firmware::hall::Reading;
 use firmware::loops::FIRST_TICK_US;
+use firmware::motor::{Order, Telling};
 use firmware::params::TICK_US;
 use firmware::surroundings::Surroundings;
 
@@ -19,6 +20,31 @@ pub struct Moment {
 pub trait World {
     /// The next millisecond; nothing where it ends.
     fn next(&mut self) -> Option<Moment>;
+}
+
+/// The motor's interrupt, with all that it drives.
+pub trait Motor {
+    /// What it told last at this time.
+    fn telling(&mut self, time_us: u64) -> Telling;
+
+    /// Takes an order at this time; gives it back where the one before still waits.
+    ///
+    /// # Errors
+    /// The order.
+    fn order(&mut self, time_us: u64, order: Order) -> Result<(), Order>;
+}
+
+/// No motor: nothing is told, whatever is ordered.
+pub struct NoMotor;
+
+impl Motor for NoMotor {
+    fn telling(&mut self, _: u64) -> Telling {
+        Telling::default()
+    }
+
+    fn order(&mut self, _: u64, _: Order) -> Result<(), Order> {
+        Ok(())
+    }
 }
 
 /// A world on the board's clock: its first millisecond is that of the first tick of sensing.

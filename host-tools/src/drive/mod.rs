@@ -6,7 +6,8 @@
 //! - [`grasp`]: the grasp on top of it; [`course`]: how one went; [`gripped`]: what is told of it; [`landing`]: the gripper as a foot.
 //! - [`figures`]: what is asked of the drive beside what it reaches.
 //! - [`told`]: what is told of a run.
-//! - [`world`]: what the board's sensors feel meanwhile.
+//! - [`world`]: the gripper at a board's lines.
+//! - [`workcell`]: with board and host; [`tables`] for it.
 
 pub mod course;
 pub mod figures;
@@ -15,8 +16,10 @@ pub mod gripped;
 pub mod landing;
 pub mod response;
 pub mod runs;
+pub mod tables;
 pub mod told;
 pub mod trace;
+pub mod workcell;
 pub mod world;
 
 #[cfg(test)]
@@ -25,7 +28,7 @@ mod tests;
 use std::f64::consts::TAU;
 
 use firmware::motor::settings::Wiring;
-use firmware::motor::stage::{Drive, PowerStage};
+use firmware::motor::stage::{Drive, PowerStage, Sensed};
 use firmware::motor::{Motor, Setpoint, Settings, State, Telling};
 
 use crate::plant::parameters::{Lead, Parameters};
@@ -83,7 +86,13 @@ impl Rig {
 
     /// One period of the pulses.
     pub fn period(&mut self) {
-        let sensed = self.plant.step(self.drive);
+        self.period_with(|_| {});
+    }
+
+    /// The same with something done to what is sensed.
+    pub fn period_with(&mut self, spoil: impl FnOnce(&mut Sensed)) {
+        let mut sensed = self.plant.step(self.drive);
+        spoil(&mut sensed);
         self.motor.period(&sensed, &mut Switches(&mut self.drive));
     }
 

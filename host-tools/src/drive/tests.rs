@@ -9,7 +9,7 @@ use firmware::params;
 use super::figures::{self, SCATTER};
 use super::response::{bandwidth_hz, step, sweep};
 use super::runs::{Case, at_speed, squeeze_n, to_place};
-use super::world::Driven;
+use super::world::{Gripper, Senses};
 use super::{Rig, wiring};
 use crate::board::world::{Moment, World};
 use crate::plant::hall::Fingertips;
@@ -115,22 +115,21 @@ fn a_tripped_drive_does_nothing() {
 #[test]
 fn a_world_feels_what_the_drive_does() {
     let rig = Rig::armed(Lead::B, Parameters::nominal(Lead::B), 40.0, 1);
-    let rig = Rc::new(RefCell::new(rig));
     let tips = Fingertips::new(1, 0.0, &[]).unwrap();
-    let mut world = Driven::new(rig.clone(), tips, 1);
+    let gripper = Rc::new(RefCell::new(Gripper::new(rig, tips, 1)));
+    let mut world = Senses(gripper.clone());
     let before = world.next().unwrap();
-    rig.borrow_mut()
-        .plant
-        .hold(Some(&Object::new(0.038, 1000.0)));
-    rig.borrow_mut()
-        .motor
-        .command(Setpoint::Current { closing_a: 2.0 });
-    let start_s = rig.borrow().plant.time_s();
-    world.impacts.push(Impact {
-        start_s: start_s + 0.3,
-        lasts_s: 0.02,
-        peak_n: 40.0,
-    });
+    {
+        let gripper = &mut *gripper.borrow_mut();
+        let rig = &mut gripper.rig;
+        rig.plant.hold(Some(&Object::new(0.038, 1000.0)));
+        rig.motor.command(Setpoint::Current { closing_a: 2.0 });
+        gripper.impacts.push(Impact {
+            start_s: rig.plant.time_s() + 0.3,
+            lasts_s: 0.02,
+            peak_n: 40.0,
+        });
+    }
     let moments: Vec<Moment> = (0..310).filter_map(|_| world.next()).collect();
     let (held, landing) = (&moments[290], &moments[309]);
     // 120 N and more, a half on each sensor of a finger: the fields of both fingers part.

@@ -1,45 +1,125 @@
-//! A world in which the drive closes the fingers: what the board's sensors feel meanwhile.
+//! The gripper at a board's lines: motor, fingers, inertial sensor, in the board's virtual time. What goes wrong
+//! is done to what is sensed, never told to the firmware.
 
 use std::cell::RefCell;
 use std::rc::Rc;
 
-use firmware::params::{PWM_RATE, SENSE_RATE};
+use firmware::loops::FIRST_TICK_US;
+use firmware::motor::stage::Sensed;
+use firmware::motor::{Order, Telling, as5047};
+use firmware::params::{PWM_RATE, TICK_US};
 use nalgebra::Vector3;
 
 use super::Rig;
 use crate::bench::attitude::GRAVITY;
 use crate::bench::stroke::Drive;
-use crate::board::world::{Moment, World};
+use crate::board::world::{Moment, Motor, World};
 use crate::plant::PERIOD_S;
 use crate::plant::hall::{Fingertips, shared};
 use crate::plant::impact::{FOOT_KG, Impact};
 use crate::plant::imu::Inertial;
 
-/// Periods of the pulses in one tick of sensing.
-const PERIODS: usize = (1e3 * PWM_RATE.value / SENSE_RATE.value) as usize;
+/// A period of the pulses in microseconds.
+const PERIOD_US: u64 = (1e3 / PWM_RATE.value) as u64;
+/// Periods from one telling of the motor to the next, as on the board.
+const TELLS: u64 = TICK_US / PERIOD_US;
 /// Periods from one step of the fingertips to the next.
-const FINE: usize = 5;
+const FINE: u64 = 5;
 
-/// The world. Whoever shares its rig commands the motor and puts objects between the fingers.
-pub struct Driven {
-    rig: Rc<RefCell<Rig>>,
-    tips: Fingertips,
-    inertial: Inertial,
-    /// Where an object is met: a share of half the distance of a finger's sensors, towards the first.
-    pub towards_first: f64,
-    /// Steps on the ground, on the rig's time.
-    pub impacts: Vec<Impact>,
+/// What goes wrong where the motor's interrupt senses.
+#[derive(Default)]
+pub struct Wrong {
+    /// Done to each answer of the rotor's sensor on its way.
+    pub frame: Option<Box<dyn FnMut(u16) -> u16>>,
+    /// Done to the converters' counts: phases U, V, W, then the bus.
+    pub counts: Option<Box<dyn FnMut([u16; 4]) -> [u16; 4]>>,
 }
 
-impl Driven {
-    /// A level gripper at rest.
-    pub fn new(rig: Rc<RefCell<Rig>>, tips: Fingertips, seed: u64) -> Self {
+impl Wrong {
+    fn spoil(&mut self, sensed: &mut Sensed) {
+        if let (Some(frame), Ok(angle)) = (&mut self.frame, sensed.angle) {
+            sensed.angle = as5047::angle(frame(as5047::answer(angle)));
+        }
+        if let Some(counts) = &mut self.counts {
+            let [u, v, w] = sensed.phases;
+            let [u, v, w, bus] = counts([u, v, w, sensed.bus]);
+            (sensed.phases, sensed.bus) = ([u, v, w], bus);
+        }
+    }
+}
+
+/// The gripper. Whoever shares it puts objects between the fingers and lets things go wrong.
+pub struct Gripper {
+    /// Plant and motor.
+    pub rig: Rig,
+    /// What goes wrong.
+    pub wrong: Wrong,
+    /// Where an object is met: a share of half the distance of a finger's sensors, towards the first.
+    pub towards_first: f64,
+    /// Steps on the ground, on the plant's time.
+    pub impacts: Vec<Impact>,
+    /// Greatest true force between the fingertips in newtons, since somebody set it back.
+    pub peak_n: f64,
+    /// When the motor did what it was ordered last, in microseconds.
+    pub obeyed_us: u64,
+    tips: Fingertips,
+    inertial: Inertial,
+    felt: Vector3<f64>,
+    periods: u64,
+    /// Periods after a whole millisecond at which the motor tells: its clock is not that of sensing.
+    tells_at: u64,
+    ordered: Option<Order>,
+    told: Telling,
+    moments: u64,
+}
+
+impl Gripper {
+    /// A level gripper at rest; the seed is that of its noise.
+    pub fn new(rig: Rig, tips: Fingertips, seed: u64) -> Self {
         Self {
             rig,
-            tips,
-            inertial: Inertial::new(seed),
+            wrong: Wrong::default(),
             towards_first: 0.0,
             impacts: Vec::new(),
+            peak_n: 0.0,
+            obeyed_us: 0,
+            tips,
+            inertial: Inertial::new(seed),
+            felt: Vector3::new(0.0, 0.0, GRAVITY),
+            periods: 0,
+            tells_at: seed % TELLS,
+            ordered: None,
+            told: Telling::default(),
+            moments: 0,
+        }
+    }
+
+    /// Goes on until this time.
+    pub fn advance(&mut self, time_us: u64) {
+        while (self.periods + 1) * PERIOD_US <= time_us {
+            self.period();
+        }
+    }
+
+    fn period(&mut self) {
+        self.periods += 1;
+        if let Some(order) = self.ordered.take() {
+            self.rig.motor.obey(order);
+            self.obeyed_us = self.periods * PERIOD_US;
+        }
+        let wrong = &mut self.wrong;
+        self.rig.period_with(|sensed| wrong.spoil(sensed));
+        if self.periods % TELLS == self.tells_at {
+            self.told = self.rig.motor.telling();
+        }
+        let grip_n = self.rig.plant.grip_n();
+        self.peak_n = self.peak_n.max(grip_n);
+        if self.periods.is_multiple_of(FINE) {
+            let ground_n = self.ground_n(self.rig.plant.time_s());
+            self.felt.z = GRAVITY + ground_n / FOOT_KG;
+            let forces_n = shared(grip_n, self.towards_first, ground_n);
+            self.tips
+                .press(&forces_n, self.felt, FINE as f64 * PERIOD_S);
         }
     }
 
@@ -49,29 +129,57 @@ impl Driven {
             .map(|impact| impact.force_n(time_s))
             .sum()
     }
+
+    fn look(&mut self) -> Moment {
+        let plant = &self.rig.plant;
+        let drive = Drive {
+            opening_mm: 1e3 * plant.opening_m(),
+            angle_rad: plant.train.angle_rad,
+            current_a: plant.direct_quadrature_a()[1],
+        };
+        let readings = self.tips.look(&drive, plant.time_s());
+        let motion = self.inertial.look(self.felt.into(), [0.0; 3]);
+        let mut around = self.told.surroundings();
+        around.acceleration = Some(motion.acceleration);
+        Moment { readings, around }
+    }
 }
 
-impl World for Driven {
+/// A gripper that is shared.
+pub type Shared = Rc<RefCell<Gripper>>;
+
+/// What a board's sensors feel of it, once in each tick, at its beginning.
+pub struct Senses(pub Shared);
+
+impl World for Senses {
     fn next(&mut self) -> Option<Moment> {
-        let rig = self.rig.clone();
-        let mut rig = rig.borrow_mut();
-        let mut felt = Vector3::new(0.0, 0.0, GRAVITY);
-        for _ in 0..PERIODS / FINE {
-            (0..FINE).for_each(|_| rig.period());
-            let ground_n = self.ground_n(rig.plant.time_s());
-            felt.z = GRAVITY + ground_n / FOOT_KG;
-            let forces_n = shared(rig.plant.grip_n(), self.towards_first, ground_n);
-            self.tips.press(&forces_n, felt, FINE as f64 * PERIOD_S);
+        let mut gripper = self.0.borrow_mut();
+        let begins_us = FIRST_TICK_US + gripper.moments * TICK_US;
+        gripper.moments += 1;
+        gripper.advance(begins_us);
+        Some(gripper.look())
+    }
+}
+
+/// Its motor at the board's lines.
+pub struct Coupled(pub Shared);
+
+impl Motor for Coupled {
+    fn telling(&mut self, time_us: u64) -> Telling {
+        let mut gripper = self.0.borrow_mut();
+        gripper.advance(time_us);
+        gripper.told
+    }
+
+    fn order(&mut self, time_us: u64, order: Order) -> Result<(), Order> {
+        let mut gripper = self.0.borrow_mut();
+        gripper.advance(time_us);
+        match gripper.ordered {
+            Some(_) => Err(order),
+            None => {
+                gripper.ordered = Some(order);
+                Ok(())
+            }
         }
-        let drive = Drive {
-            opening_mm: 1e3 * rig.plant.opening_m(),
-            angle_rad: rig.plant.train.angle_rad,
-            current_a: rig.plant.direct_quadrature_a()[1],
-        };
-        let readings = self.tips.look(&drive, rig.plant.time_s());
-        let motion = self.inertial.look(felt.into(), [0.0; 3]);
-        let mut around = rig.motor.telling().surroundings();
-        around.acceleration = Some(motion.acceleration);
-        Some(Moment { readings, around })
     }
 }

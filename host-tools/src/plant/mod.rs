@@ -205,6 +205,11 @@ impl Plant {
         Phasor::at(self.parameters.windings.pole_pairs * from_rad)
     }
 
+    /// The supply gives another voltage from now on, in V.
+    pub fn feed(&mut self, voltage_v: f64) {
+        self.parameters.supply.voltage_v = voltage_v;
+    }
+
     /// What it is made of.
     pub fn parameters(&self) -> &Parameters {
         &self.parameters
