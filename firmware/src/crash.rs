@@ -118,7 +118,18 @@ impl Crash {
     /// The crash in a record, if it is one.
     pub fn of_memory(memory: &Memory) -> Option<Self> {
         let [fields @ .., check] = memory;
-        let [magic, kind, pc, lr, status, tick_ms, boot, place, third, fourth] = *fields;
+        let [
+            magic,
+            kind,
+            pc,
+            lr,
+            status,
+            tick_ms,
+            boot,
+            place,
+            third,
+            fourth,
+        ] = *fields;
         if magic != MAGIC || checksum(fields) != *check {
             return None;
         }

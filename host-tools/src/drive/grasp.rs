@@ -4,7 +4,7 @@
 use firmware::force::{Estimate, Validity};
 use firmware::frame::SENSORS;
 use firmware::grip::order::{flag, mode};
-use firmware::grip::states::{Power, Task};
+use firmware::grip::states::Power;
 use firmware::grip::{Arming, Grip, Host, Inputs, Outputs};
 use firmware::limits::Grasp;
 use firmware::motor::State;
