@@ -286,7 +286,8 @@ pub const CONTACT_STIFFNESS: Constant = assumed("hardest contact", 333.0, "N/mm"
 /// Time from a contact to the speed that answers it.
 pub const STOPPING_TIME: Constant = assumed("answer to a contact", 2.5, "ms", "control study");
 /// Crossover of the force loop.
-pub const FORCE_BANDWIDTH: Constant = assumed("force loop", 24.0, "Hz", "control study");
+pub const FORCE_BANDWIDTH: Constant =
+    assumed("force loop", 32.0, "Hz", "control study: 24 to 48 Hz");
 /// Friction between fingertip and object.
 pub const OBJECT_FRICTION: Constant = assumed(
     "fingertip's friction",

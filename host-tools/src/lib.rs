@@ -7,6 +7,7 @@
 //! - [`sums`]: statistics of many rows.
 //! - [`compare`]: a model beside a measurement.
 //! - [`diagnose`]: which effect a model lacks.
+//! - [`faults`]: faults thrown at a simulated gripper, and what becomes of it.
 //! - [`findings`]: what is wrong with a campaign's recordings.
 //! - [`wiring`]: a recording's row as the device's readings.
 //! - [`new_folder`]: folders that commands make.
@@ -33,6 +34,7 @@ pub mod compare;
 pub mod coverage;
 pub mod diagnose;
 pub mod drive;
+pub mod faults;
 pub mod findings;
 pub mod foreign;
 pub mod lessons;

@@ -54,9 +54,9 @@ mod tests {
 
     #[test]
     fn what_is_missing_closes_and_what_is_too_much_opens() {
-        // 24 Hz: 150.8 / 333 * 10 N = 4.53 mm/s.
-        assert!((closing_mm_s(10.0, 333.0, 14.4) - 4.53).abs() < 0.01);
-        assert!((closing_mm_s(-10.0, 333.0, 14.4) + 4.53).abs() < 0.01);
+        // 32 Hz: 201.1 / 333 * 10 N = 6.04 mm/s.
+        assert!((closing_mm_s(10.0, 333.0, 14.4) - 6.04).abs() < 0.01);
+        assert!((closing_mm_s(-10.0, 333.0, 14.4) + 6.04).abs() < 0.01);
         assert_eq!(closing_mm_s(100.0, 333.0, 14.4), 14.4);
         assert_eq!(closing_mm_s(-400.0, 5.0, 14.4), -58.3);
     }

@@ -36,6 +36,8 @@ pub struct Sensor {
     pub frozen: bool,
     /// What its element makes of the field; one in health.
     pub gain: f64,
+    /// A field of somebody else at its element, in counts.
+    pub beside: [f64; 3],
     /// In the next transfer it misses a clock and holds the data line for so many clocks.
     pub slips: Option<u32>,
     /// What stands in its registers.
@@ -52,6 +54,7 @@ impl Sensor {
             refuses: 0,
             frozen: false,
             gain: 1.0,
+            beside: [0.0; 3],
             slips: None,
             registers: [0; READING_BYTES],
         }
@@ -63,11 +66,13 @@ impl Sensor {
             return;
         }
         let (least, greatest) = a31301::FIELD_LIMITS;
-        let seen = |counts: i16| {
-            let scaled = (f64::from(counts) * self.gain).round();
+        let seen = |counts: i16, beside: f64| {
+            let scaled = (f64::from(counts) * self.gain + beside).round();
             scaled.clamp(f64::from(least), f64::from(greatest)) as i16
         };
-        let field = reading.field.map(seen);
+        let [x, y, z] = reading.field;
+        let [dx, dy, dz] = self.beside;
+        let field = [seen(x, dx), seen(y, dy), seen(z, dz)];
         self.registers = a31301::encode(Reading { field, ..reading });
     }
 

@@ -11,6 +11,7 @@ pub mod diagnose;
 pub mod drop;
 pub mod effects;
 pub mod export;
+pub mod faults;
 pub mod fit;
 pub mod formulas;
 pub mod grip;

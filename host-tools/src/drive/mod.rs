@@ -4,7 +4,7 @@
 //! - [`runs`]: a way to a place, a speed, a brake, a squeeze.
 //! - [`response`]: the current loop's answer to a step and to sines.
 //! - [`grasp`]: the grasp on top of it; [`course`]: how one went; [`gripped`]: what is told of it; [`landing`]: the gripper as a foot.
-//! - [`figures`]: what is asked of the drive beside what it reaches.
+//! - [`figures`], [`grasp_figures`]: what is asked of drive and grasp beside what they reach.
 //! - [`told`]: what is told of a run.
 //! - [`world`]: the gripper at a board's lines.
 //! - [`workcell`]: with board and host; [`tables`] for it.
@@ -12,6 +12,7 @@
 pub mod course;
 pub mod figures;
 pub mod grasp;
+pub mod grasp_figures;
 pub mod gripped;
 pub mod landing;
 pub mod response;
@@ -27,6 +28,7 @@ mod tests;
 
 use std::f64::consts::TAU;
 
+use firmware::motor::limits::Limits;
 use firmware::motor::settings::Wiring;
 use firmware::motor::stage::{Drive, PowerStage, Sensed};
 use firmware::motor::{Motor, Order, Setpoint, Settings, State, Telling};
@@ -59,8 +61,20 @@ impl Rig {
     /// Switched on with the fingers this far apart; disarmed. The control is set to the card's motor, whatever
     /// this plant's is, and to how its sensor sits and its phases are wired.
     pub fn new(lead: Lead, parameters: Parameters, opening_mm: f64, seed: u64) -> Self {
+        Self::within(Limits::GRIPPER, lead, parameters, opening_mm, seed)
+    }
+
+    /// The same with other bounds of the motor.
+    pub fn within(
+        limits: Limits,
+        lead: Lead,
+        parameters: Parameters,
+        opening_mm: f64,
+        seed: u64,
+    ) -> Self {
         let settings = Settings {
             wiring: wiring(&parameters),
+            limits,
             ..Settings::assumed(lead.screw())
         };
         Self::set(settings, parameters, opening_mm, seed)

@@ -7,7 +7,7 @@ use std::rc::Rc;
 use firmware::grip::order::mode;
 use firmware::grip::states::{Power, Task, code};
 use firmware::limits::{Grasp, Limits};
-use firmware::motor::Order;
+use firmware::motor::{self, Order};
 use firmware::parameters::Parameters;
 use firmware::parameters::table::id;
 use firmware::wire::messages::Command;
@@ -38,6 +38,8 @@ pub struct Plan {
     pub limits: Limits,
     /// Thresholds of the grasp.
     pub grasp: Grasp,
+    /// Thresholds of the motor.
+    pub motor: motor::limits::Limits,
     /// Of all noise.
     pub seed: u64,
 }
@@ -52,6 +54,7 @@ impl Plan {
             is_homed: true,
             limits: Limits::GRIPPER,
             grasp: Grasp::GRIPPER,
+            motor: motor::limits::Limits::GRIPPER,
             seed,
         }
     }
@@ -72,7 +75,13 @@ impl Workcell {
     /// Switches everything on. The fingertips are as drawn, and so are the tables ([`super::tables`]); the
     /// screw is commissioned: it is known whether it locks.
     pub fn new(plan: &Plan, tables: &TableSet) -> Self {
-        let mut rig = Rig::new(plan.lead, plan.plant, plan.opening_mm, plan.seed);
+        let mut rig = Rig::within(
+            plan.motor,
+            plan.lead,
+            plan.plant,
+            plan.opening_mm,
+            plan.seed,
+        );
         if plan.is_homed {
             // The rotor is seen before its place means an opening.
             rig.run(1e-3);
@@ -116,6 +125,12 @@ impl Workcell {
         // Nobody reads the line, and its memory would grow.
         self.board.line.borrow_mut().sent.clear();
         self.gripper.borrow_mut().advance(self.time_us);
+    }
+
+    /// Goes on so many microseconds without a word of the host, within a millisecond.
+    pub fn creep(&mut self, us: u64) {
+        self.board.run_until(self.time_us + us);
+        self.gripper.borrow_mut().advance(self.time_us + us);
     }
 
     /// Goes on until something is so; the seconds that it took, none where it was not within the time.

@@ -5,8 +5,9 @@ use std::cell::RefCell;
 use std::rc::Rc;
 
 use firmware::loops::FIRST_TICK_US;
+use firmware::motor::plausible::Supply;
 use firmware::motor::stage::Sensed;
-use firmware::motor::{Order, Telling, as5047};
+use firmware::motor::{Order, State, Telling, as5047};
 use firmware::params::{PWM_RATE, TICK_US};
 use nalgebra::Vector3;
 
@@ -33,6 +34,8 @@ pub struct Wrong {
     pub frame: Option<Box<dyn FnMut(u16) -> u16>>,
     /// Done to the converters' counts: phases U, V, W, then the bus.
     pub counts: Option<Box<dyn FnMut([u16; 4]) -> [u16; 4]>>,
+    /// The rotor is held, whatever the torque.
+    pub is_jammed: bool,
 }
 
 impl Wrong {
@@ -62,6 +65,8 @@ pub struct Gripper {
     pub peak_n: f64,
     /// When the motor did what it was ordered last, in microseconds.
     pub obeyed_us: u64,
+    /// When the motor itself first found something wrong, in microseconds.
+    pub noticed_us: Option<u64>,
     tips: Fingertips,
     inertial: Inertial,
     felt: Vector3<f64>,
@@ -83,6 +88,7 @@ impl Gripper {
             impacts: Vec::new(),
             peak_n: 0.0,
             obeyed_us: 0,
+            noticed_us: None,
             tips,
             inertial: Inertial::new(seed),
             felt: Vector3::new(0.0, 0.0, GRAVITY),
@@ -109,6 +115,11 @@ impl Gripper {
         }
         let wrong = &mut self.wrong;
         self.rig.period_with(|sensed| wrong.spoil(sensed));
+        if wrong.is_jammed {
+            let train = &mut self.rig.plant.train;
+            (train.speed_rad_s, train.travel_m_s) = (0.0, 0.0);
+        }
+        self.notice();
         if self.periods % TELLS == self.tells_at {
             self.told = self.rig.motor.telling();
         }
@@ -120,6 +131,16 @@ impl Gripper {
             let forces_n = shared(grip_n, self.towards_first, ground_n);
             self.tips
                 .press(&forces_n, self.felt, FINE as f64 * PERIOD_S);
+        }
+    }
+
+    /// Notes when the motor found something by itself, to a period of the pulses.
+    fn notice(&mut self) {
+        let telling = self.rig.motor.telling();
+        let has_tripped = matches!(telling.state, State::Tripped(_));
+        let is_out = telling.state == State::Armed && telling.supply != Supply::Sound;
+        if self.noticed_us.is_none() && (has_tripped || is_out) {
+            self.noticed_us = Some(self.periods * PERIOD_US);
         }
     }
 

@@ -8,7 +8,8 @@
 //! - [`overlay`]: measured and modelled over time; [`pack`]: its curves for the page's script.
 //! - [`located`], [`map`], [`worst`]: where the error lies.
 //! - [`diagnosis`]: the sections of a diagnosis.
-//! - [`drive`]: the sections of a run of the drive; [`grasp`]: of a grasp, and of a landing.
+//! - [`drive`]: the sections of a run of the drive; [`grasp`]: of a grasp, and of a landing; [`faults`]: of a
+//!   campaign of faults.
 //! - [`training`]: the sections of a comparison of networks.
 //! - [`origin`]: where all this comes from.
 //!
@@ -17,6 +18,7 @@
 pub mod diagnosis;
 pub mod drive;
 pub mod errors;
+pub mod faults;
 pub mod findings;
 #[cfg(test)]
 mod fixture;

@@ -1,0 +1,455 @@
+//! The rows of the matrix of faults: what is done to the gripper, what should be found, and within what time.
+
+use firmware::grip::react::{Reaction, reaction};
+use firmware::hall::a31301::FIELD_LIMITS;
+use firmware::motor::limits::Temperatures;
+use firmware::motor::{Order, as5047};
+use firmware::params;
+use firmware::status::Fault;
+
+use super::situation::Situation;
+use crate::board::i2c::Sensor;
+use crate::drive::workcell::{Plan, Workcell};
+use crate::plant::impact::Impact;
+use crate::plant::object::Object;
+
+/// Rows that only hardware or the image can show. They are looked at there, register by register, and no run
+/// counts for them.
+pub const ELSEWHERE: [(u8, &str); 5] = [
+    (1, "phase over-current, at the comparators"),
+    (2, "locked-up core, clock, memory parity, flash errors"),
+    (4, "the motor's interrupt late or gone"),
+    (5, "the force loop gone: watchdog"),
+    (6, "a clock that is wrong"),
+];
+
+/// Rows that other tests show and no run here.
+pub const BESIDE: [(u8, &str); 9] = [
+    (3, "panics: firmware/src/crash.rs"),
+    (13, "the stroke: firmware/src/grip/tests/layers.rs"),
+    (19, "a sensor's configuration is not read back"),
+    (22, "a network astray: firmware/src/astray.rs"),
+    (23, "tables: firmware/src/loops/scrub.rs"),
+    (24, "copies of words in memory are not kept"),
+    (28, "strange frames: tests/scenarios"),
+    (29, "a save that is cut off: firmware/src/store"),
+    (32, "commands for another state: firmware/src/grip/tests"),
+];
+
+/// What is done.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[allow(missing_docs)] // The words of each row say it.
+pub enum Row {
+    BusHigh,
+    BusLow,
+    CurrentOffset,
+    EncoderChecksum,
+    EncoderStuck,
+    EncoderJump,
+    OverSpeed,
+    Hot,
+    Jam,
+    OverForce,
+    SensorGone,
+    SensorFrozen,
+    HalfGain,
+    LineLow,
+    Saturated,
+    Magnet,
+    BusOff,
+    HostSilent,
+    Flood,
+    ObjectGone,
+    FootOverload,
+}
+
+/// What is known of a row.
+pub struct Facts {
+    /// Its number in the matrix.
+    pub number: u8,
+    /// In words.
+    pub words: &'static str,
+    /// The fault that should be told.
+    pub fault: Fault,
+    /// Milliseconds within which it should be found.
+    pub within_ms: f64,
+    /// Situations in which it shows.
+    pub shows: &'static [Situation],
+    /// Raises its detector out of reach; none where its threshold is no limit.
+    pub off: Option<fn(&mut Plan)>,
+}
+
+const EVERYWHERE: &[Situation] = &Situation::ALL;
+const CLOSING: &[Situation] = &[Situation::Approach];
+const GRIPPED: &[Situation] = &[Situation::Force, Situation::Hold];
+const FREE: &[Situation] = &[Situation::Approach, Situation::Idle];
+const HELD: &[Situation] = &[Situation::Hold];
+const STANDING: &[Situation] = &[Situation::Foot];
+
+/// Counts of the bus voltage.
+fn bus_counts(volts: f64) -> u16 {
+    (1e3 * volts / params::BUS_SCALE.value) as u16
+}
+
+impl Row {
+    /// All.
+    pub const ALL: [Self; 21] = [
+        Self::BusHigh,
+        Self::BusLow,
+        Self::CurrentOffset,
+        Self::EncoderChecksum,
+        Self::EncoderStuck,
+        Self::EncoderJump,
+        Self::OverSpeed,
+        Self::Hot,
+        Self::Jam,
+        Self::OverForce,
+        Self::SensorGone,
+        Self::SensorFrozen,
+        Self::HalfGain,
+        Self::LineLow,
+        Self::Saturated,
+        Self::Magnet,
+        Self::BusOff,
+        Self::HostSilent,
+        Self::Flood,
+        Self::ObjectGone,
+        Self::FootOverload,
+    ];
+
+    /// What is known of it.
+    pub fn facts(self) -> Facts {
+        let facts = |number, words, fault, within_ms, shows, off| Facts {
+            number,
+            words,
+            fault,
+            within_ms,
+            shows,
+            off,
+        };
+        match self {
+            Self::BusHigh => facts(
+                7,
+                "bus at 34 V",
+                Fault::Supply,
+                0.1,
+                EVERYWHERE,
+                Some(|plan| {
+                    plan.motor.high_v = 1e3;
+                    plan.motor.burn_v = [1e3, 1e3 + 1.0];
+                }),
+            ),
+            Self::BusLow => facts(
+                7,
+                "bus at 14 V",
+                Fault::Supply,
+                0.1,
+                EVERYWHERE,
+                Some(|plan| {
+                    plan.motor.low_v = [1.0, 2.0];
+                }),
+            ),
+            Self::CurrentOffset => facts(
+                8,
+                "a current off by 2 A",
+                Fault::CurrentSense,
+                5.0,
+                EVERYWHERE,
+                Some(|plan| {
+                    plan.motor.sum_periods = u16::MAX;
+                    plan.motor.unfollowed_periods = u16::MAX;
+                }),
+            ),
+            Self::EncoderChecksum => facts(
+                9,
+                "rotor's sensor: parity",
+                Fault::RotorSensor,
+                2.0,
+                EVERYWHERE,
+                None,
+            ),
+            Self::EncoderStuck => facts(
+                9,
+                "rotor's sensor: stuck",
+                Fault::RotorSensor,
+                2.0,
+                EVERYWHERE,
+                Some(|plan| {
+                    plan.motor.stuck_periods = u16::MAX;
+                    plan.motor.beside_periods = u16::MAX;
+                }),
+            ),
+            Self::EncoderJump => facts(
+                9,
+                "rotor's sensor: jump",
+                Fault::RotorSensor,
+                2.0,
+                EVERYWHERE,
+                None,
+            ),
+            Self::OverSpeed => facts(
+                10,
+                "rotor at 180 rad/s",
+                Fault::OverSpeed,
+                2.0,
+                FREE,
+                Some(|plan| {
+                    plan.motor.trip_speed = 1e6;
+                }),
+            ),
+            Self::Hot => facts(
+                11,
+                "power stage at 115 C",
+                Fault::Hot,
+                100.0,
+                EVERYWHERE,
+                Some(|plan| {
+                    plan.motor.stage_c = [1e3, 1e3 + 1.0];
+                }),
+            ),
+            Self::Jam => facts(
+                12,
+                "rotor held",
+                Fault::Jammed,
+                60.0,
+                CLOSING,
+                Some(|plan| {
+                    plan.grasp.jam_ms = u16::MAX;
+                }),
+            ),
+            Self::OverForce => facts(
+                14,
+                "pressed beyond 450 N",
+                Fault::OverForce,
+                2.0,
+                GRIPPED,
+                None,
+            ),
+            Self::SensorGone => facts(
+                15,
+                "a sensor unplugged",
+                Fault::SensorLost,
+                2.2,
+                EVERYWHERE,
+                Some(|plan| {
+                    plan.limits.lost_ticks = u8::MAX;
+                }),
+            ),
+            Self::SensorFrozen => facts(
+                16,
+                "a sensor frozen",
+                Fault::SensorFrozen,
+                3.2,
+                EVERYWHERE,
+                Some(|plan| {
+                    plan.limits.frozen_axes = u8::MAX;
+                }),
+            ),
+            Self::HalfGain => facts(
+                17,
+                "a sensor of half gain",
+                Fault::OutsideModel,
+                12.0,
+                EVERYWHERE,
+                Some(|plan| {
+                    plan.limits.outside_ticks = u8::MAX;
+                }),
+            ),
+            Self::LineLow => facts(
+                18,
+                "a sensors' bus shorted",
+                Fault::BusStuck,
+                5.0,
+                EVERYWHERE,
+                Some(|plan| {
+                    plan.limits.stuck_ticks = u8::MAX;
+                }),
+            ),
+            Self::Saturated => facts(
+                20,
+                "a sensor saturated",
+                Fault::SensorSaturated,
+                1.0,
+                EVERYWHERE,
+                None,
+            ),
+            Self::Magnet => facts(
+                21,
+                "a magnet of 40 G",
+                Fault::Disturbed,
+                20.0,
+                EVERYWHERE,
+                None,
+            ),
+            Self::BusOff => facts(25, "CAN disturbed", Fault::BusOff, 101.0, EVERYWHERE, None),
+            Self::HostSilent => facts(
+                26,
+                "host silent",
+                Fault::HostSilent,
+                101.0,
+                EVERYWHERE,
+                None,
+            ),
+            Self::Flood => facts(
+                27,
+                "20,000 frames a second",
+                Fault::Flooded,
+                10.0,
+                EVERYWHERE,
+                Some(|plan| {
+                    plan.limits.flood_frames = u8::MAX;
+                }),
+            ),
+            Self::ObjectGone => facts(
+                30,
+                "the object pulled out",
+                Fault::ObjectLost,
+                5.0,
+                HELD,
+                Some(|plan| {
+                    plan.grasp.gone_ms = u16::MAX;
+                }),
+            ),
+            Self::FootOverload => facts(
+                31,
+                "250 N on a fingertip",
+                Fault::FootOverload,
+                1.0,
+                STANDING,
+                Some(|plan| {
+                    plan.grasp.overload_n = 1e6;
+                }),
+            ),
+        }
+    }
+
+    /// Whether the motor finds it by itself, within a few periods of its pulses.
+    pub const fn is_found_by_motor(self) -> bool {
+        matches!(
+            self,
+            Self::BusHigh
+                | Self::BusLow
+                | Self::CurrentOffset
+                | Self::EncoderChecksum
+                | Self::EncoderStuck
+                | Self::EncoderJump
+                | Self::OverSpeed
+        )
+    }
+
+    /// Whether it is a fault of one sensor of force, after which a grip of 100 N is to stay below 110 N.
+    pub const fn is_of_sensor(self) -> bool {
+        matches!(
+            self,
+            Self::SensorGone
+                | Self::SensorFrozen
+                | Self::HalfGain
+                | Self::LineLow
+                | Self::Saturated
+        )
+    }
+
+    /// What should be done about it.
+    pub fn reaction(self, situation: Situation, locks: bool) -> Reaction {
+        reaction(self.facts().fault, situation.phase(), locks)
+    }
+
+    /// Lets it happen; `pick` chooses the sensor.
+    pub fn inject(self, cell: &mut Workcell, pick: usize) {
+        match self {
+            Self::BusHigh | Self::BusLow => {
+                let bus = bus_counts(if self == Self::BusHigh { 34.0 } else { 14.0 });
+                counts(cell, move |[u, v, w, _]| [u, v, w, bus]);
+            }
+            Self::CurrentOffset => {
+                let off = (2e3 / params::CURRENT_SCALE.value) as u16;
+                counts(cell, move |mut counts| {
+                    let phase = &mut counts[pick % 3];
+                    *phase = phase.saturating_add(off);
+                    counts
+                });
+            }
+            Self::EncoderChecksum => frames(cell, |frame| frame ^ 1),
+            Self::EncoderStuck => {
+                let mut first = None;
+                frames(cell, move |frame| *first.get_or_insert(frame));
+            }
+            Self::EncoderJump => frames(cell, |frame| {
+                let angle = as5047::angle(frame).unwrap_or_default();
+                as5047::answer(angle.wrapping_add(JUMP))
+            }),
+            Self::OverSpeed => {
+                let mut gripper = cell.gripper.borrow_mut();
+                let ratio = gripper.rig.plant.parameters().screw.travel_m_per_rad;
+                let train = &mut gripper.rig.plant.train;
+                (train.speed_rad_s, train.travel_m_s) = (-FAST, -FAST * ratio);
+            }
+            Self::Hot => {
+                let mut gripper = cell.gripper.borrow_mut();
+                gripper.rig.motor.obey(Order::Temperatures(Temperatures {
+                    motor: None,
+                    stage: Some(115.0),
+                }));
+            }
+            Self::Jam => cell.gripper.borrow_mut().wrong.is_jammed = true,
+            Self::OverForce => {
+                let mut gripper = cell.gripper.borrow_mut();
+                let plant = &mut gripper.rig.plant;
+                // As if the thing swelled: rigid, and 1.5 mm into the fingertips.
+                let object = Object::new(plant.opening_m() + 1.5e-3, 1000.0);
+                plant.hold(Some(&object));
+            }
+            Self::SensorGone => sensor(cell, pick, |sensor| sensor.unplugged = true),
+            Self::SensorFrozen => sensor(cell, pick, |sensor| sensor.frozen = true),
+            Self::HalfGain => sensor(cell, pick, |sensor| sensor.gain = 0.5),
+            Self::LineLow => cell.board.buses[pick % 2].borrow_mut().held = u32::MAX,
+            Self::Saturated => {
+                let (_, end) = FIELD_LIMITS;
+                sensor(cell, pick, |sensor| {
+                    sensor.beside = [2.0 * f64::from(end); 3]
+                });
+            }
+            Self::Magnet => {
+                let counts = 40.0 / params::SENSOR_SCALE.value;
+                for number in 0..4 {
+                    sensor(cell, number, |sensor| sensor.beside = [0.0, counts, 0.0]);
+                }
+            }
+            Self::BusOff => cell.board.can.borrow_mut().disturbed = true,
+            Self::HostSilent => cell.host.is_silent = true,
+            // Frame by frame, in the run.
+            Self::Flood => {}
+            Self::ObjectGone => cell.gripper.borrow_mut().rig.plant.hold(None),
+            Self::FootOverload => {
+                let mut gripper = cell.gripper.borrow_mut();
+                let start_s = gripper.rig.plant.time_s();
+                gripper.impacts.push(Impact {
+                    start_s,
+                    lasts_s: 0.04,
+                    peak_n: 1000.0,
+                });
+            }
+        }
+    }
+}
+
+/// Counts by which the rotor's angle jumps: 0.5 rad.
+const JUMP: u16 = 1304;
+/// Rotor's speed in rad/s that is too fast.
+const FAST: f64 = 180.0;
+
+fn counts(cell: &mut Workcell, change: impl FnMut([u16; 4]) -> [u16; 4] + 'static) {
+    cell.gripper.borrow_mut().wrong.counts = Some(Box::new(change));
+}
+
+fn frames(cell: &mut Workcell, change: impl FnMut(u16) -> u16 + 'static) {
+    cell.gripper.borrow_mut().wrong.frame = Some(Box::new(change));
+}
+
+fn sensor(cell: &Workcell, number: usize, change: impl Fn(&mut Sensor)) {
+    for bus in &cell.board.buses {
+        let sensors = &mut bus.borrow_mut().sensors;
+        let of_number = sensors.iter_mut().filter(|s| s.number == number % 4);
+        of_number.for_each(&change);
+    }
+}
