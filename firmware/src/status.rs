@@ -55,7 +55,7 @@ pub enum Fault {
     Supply = 505,
     /// Motor or power stage is too hot for any current.
     Hot = 506,
-    /// The current that should brake the rotor does not, or the control's outer tick has missed its turns.
+    /// The current that should brake the rotor does not, or those who lead the control have missed their turns.
     Runaway = 507,
     /// The power stage has switched itself off.
     PowerStage = 508,

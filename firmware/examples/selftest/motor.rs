@@ -12,6 +12,8 @@ use crate::vectors::Random;
 
 /// Periods that are counted for each set-point.
 const PERIODS: u32 = 600;
+/// Periods from one set-point to the next: here the outer tick runs in each.
+const ORDERED: u32 = 10;
 /// Periods in which it arms.
 const ARMS: u32 = 600;
 
@@ -39,8 +41,7 @@ pub fn print(counter: &Counter, out: &mut impl Write) -> Result {
         let mut ticks = Ticks::armed(&mut random);
         let opening_mm = 40.0;
         ticks.order(Order::Opening { opening_mm });
-        ticks.order(Order::Do(setpoint));
-        let counts = ticks.count(counter, &mut random).ok_or(Error)?;
+        let counts = ticks.count(setpoint, counter, &mut random).ok_or(Error)?;
         for (greatest, count) in greatest.iter_mut().zip(counts) {
             *greatest = count.max(*greatest);
         }
@@ -83,10 +84,18 @@ impl Ticks {
     }
 
     /// The most instructions of each; none where the motor did not stay armed, and little was counted.
-    fn count(mut self, counter: &Counter, random: &mut Random) -> Option<[u32; 2]> {
+    fn count(
+        mut self,
+        setpoint: Setpoint,
+        counter: &Counter,
+        random: &mut Random,
+    ) -> Option<[u32; 2]> {
         let mut greatest = [0; 2];
         let mut felt = self.inner.felt();
         for period in 0..PERIODS {
+            if period % ORDERED == 0 {
+                self.order(Order::Do(setpoint));
+            }
             let sensed = sensed(ARMS + period, random, 700);
             let ask = self.outer.tick(felt);
             // All that the interrupt does at most in one period.

@@ -66,14 +66,20 @@ pub const MOTION_PERIODS: u8 = 5;
 /// Rate of the outer loops.
 pub const MOTION_HZ: f64 = params::PWM_RATE.value * 1e3 / MOTION_PERIODS as f64;
 
-/// Both ticks of the motor's control, one after the other. A simulation calls [`Motor::period`].
+/// Periods from one repetition of an order to the next: a millisecond.
+const REPEATED_PERIODS: u8 = (1e-3 * params::PWM_RATE.value * 1e3) as u8;
+
+/// Both ticks of the motor's control, one after the other, and somebody who gives the last set-point again each
+/// millisecond, as a grasp does. A simulation calls [`Motor::period`].
 #[derive(Clone, Copy, Debug)]
 pub struct Motor {
     inner: Inner,
     outer: Outer,
     /// What the outer tick said, to be heard in the next period.
     ask: Option<Ask>,
+    setpoint: Option<Setpoint>,
     periods: u8,
+    since_order: u8,
 }
 
 impl Motor {
@@ -83,12 +89,20 @@ impl Motor {
             inner: Inner::new(settings),
             outer: Outer::new(settings),
             ask: None,
+            setpoint: None,
             periods: 0,
+            since_order: 0,
         }
     }
 
     /// One period: sets the switches, and every [`MOTION_PERIODS`] calls goes on with the outer loops.
     pub fn period(&mut self, sensed: &Sensed, stage: &mut impl PowerStage) {
+        self.since_order = self.since_order.saturating_add(1);
+        if self.since_order >= REPEATED_PERIODS
+            && let Some(setpoint) = self.setpoint
+        {
+            self.obey(Order::Do(setpoint));
+        }
         if let Some(ask) = self.ask.take() {
             self.inner.hear(ask);
         }
@@ -105,6 +119,11 @@ impl Motor {
 
     /// Does what an order says: [`Outer::obey`].
     pub fn obey(&mut self, order: Order) {
+        match order {
+            Order::Do(setpoint) => (self.setpoint, self.since_order) = (Some(setpoint), 0),
+            Order::Disarm => self.setpoint = None,
+            Order::Arm | Order::Commission | Order::Opening { .. } | Order::Temperatures(_) => {}
+        }
         let Some(urgent) = self.outer.obey(order) else {
             return;
         };

@@ -16,6 +16,10 @@ use super::svpwm;
 use super::transform::Dq;
 use super::{MOTION_HZ, pi};
 
+/// Ticks for which a current or a speed is followed without being asked for again, 5 ms: the grasp does it each
+/// millisecond. A place is where the way ends by itself.
+const UNASKED: u8 = 20;
+
 /// Where the fingers are.
 #[derive(Clone, Copy, Debug)]
 struct Home {
@@ -31,6 +35,8 @@ pub struct Outer {
     speed_gains: pi::Gains,
     felt: Felt,
     setpoint: Setpoint,
+    /// Ticks since it was given.
+    unasked: u8,
     home: Option<Home>,
     pub(super) speed: SpeedLoop,
     position: Option<PositionLoop>,
@@ -54,6 +60,7 @@ impl Outer {
             settings,
             felt: Felt::default(),
             setpoint: Setpoint::Off,
+            unasked: 0,
             home: None,
             speed: SpeedLoop::default(),
             position: None,
@@ -206,6 +213,7 @@ impl Outer {
             _ => self.position = None,
         }
         self.setpoint = setpoint;
+        self.unasked = 0;
         Ok(())
     }
 
@@ -270,6 +278,12 @@ impl Outer {
 
     fn act(&mut self, rotor_mm: Option<f32>) -> Result<Action, Trip> {
         self.draw_bounds();
+        self.unasked = self.unasked.saturating_add(1);
+        if let Setpoint::Current { .. } | Setpoint::Speed { .. } = self.setpoint
+            && self.unasked > UNASKED
+        {
+            return Err(Trip::Unled);
+        }
         let speed = self.felt.rotor.speed();
         let (q, is_held) = match self.setpoint {
             Setpoint::Off => return Ok(Action::Off),

@@ -124,7 +124,7 @@ pub enum Trip {
     Runaway,
     /// The power stage has switched itself off.
     PowerStage,
-    /// The outer tick has missed its turn three times.
+    /// The outer tick has missed its turn three times, or whoever gives it set-points five times.
     Unled,
 }
 

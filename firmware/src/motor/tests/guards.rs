@@ -131,6 +131,37 @@ fn without_its_outer_tick_an_armed_motor_is_braked_within_a_millisecond() {
 }
 
 #[test]
+fn a_speed_that_nobody_asks_for_again_ends_on_the_brake_within_six_milliseconds_and_a_place_does_not()
+ {
+    let moving = Setpoint::Speed {
+        closing_mm_s: 20.0,
+        most_a: 9.6,
+    };
+    let place = Setpoint::Position {
+        opening_mm: 30.0,
+        speed_mm_s: 20.0,
+        most_a: 9.6,
+    };
+    for (setpoint, expected) in [(moving, Some(105)), (place, None)] {
+        let mut bench = Bench::new();
+        let mut motor = armed(&mut bench, Settings::assumed(Screw::A));
+        motor.obey(Order::Do(setpoint));
+        // Whoever asked falls silent at once.
+        motor.setpoint = None;
+        let mut braked = None;
+        for period in 0..400 {
+            bench.run(&mut motor, 1, |_, _| {});
+            if bench.drive == Drive::Brake {
+                braked = braked.or(Some(period));
+            }
+        }
+        assert_eq!(braked, expected);
+        let is_tripped = motor.telling().state == State::Tripped(Trip::Unled);
+        assert_eq!(is_tripped, expected.is_some());
+    }
+}
+
+#[test]
 fn a_bus_that_is_lifted_from_outside_ends_on_the_shorted_windings_and_comes_back() {
     let mut bench = Bench::new();
     let mut motor = armed(&mut bench, Settings::assumed(Screw::A));
