@@ -271,7 +271,7 @@ impl<F: NorFlash> Store<F> {
             return Slot::Spoilt(stage);
         }
         const BLANK: Option<[u8; WRITTEN.len()]> = Some([ERASED; WRITTEN.len()]);
-        if marks == [BLANK; 2] && body.iter().all(|byte| *byte == ERASED) {
+        if marks == [BLANK; 2] && is_erased(&body) {
             return Slot::Erased;
         }
         match record::decode(&body) {
@@ -334,6 +334,12 @@ impl<F: NorFlash> Store<F> {
     fn address(&self, place: u32) -> u32 {
         self.start + place * SLOT as u32
     }
+}
+
+/// Sixteen bytes at once: all slots are looked at in each save.
+fn is_erased(body: &[u8; BODY]) -> bool {
+    let (chunks, rest) = body.as_chunks::<16>();
+    chunks.iter().all(|chunk| *chunk == [ERASED; 16]) && rest.iter().all(|byte| *byte == ERASED)
 }
 
 #[cfg(test)]
