@@ -198,7 +198,7 @@ mod tests {
 
     #[test]
     fn of_several_faults_the_strongest_reaction_counts() {
-        let bit = |fault| 1 << Fault::ALL.iter().position(|kind| *kind == fault).unwrap();
+        let bit = |fault: Fault| 1 << fault.place();
         let bits = bit(Fault::SensorLost) | bit(Fault::OverSpeed) | bit(Fault::HostSilent);
         let told = strongest(bits, Phase::Moving, true);
         assert_eq!(told, Some((Reaction::Brake, Fault::OverSpeed)));

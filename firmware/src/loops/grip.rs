@@ -87,13 +87,11 @@ impl Stands {
 
 /// Grasps, for ever.
 pub async fn grip<R: Reins, M: RawMutex>(
-    mut grip: Grip,
+    grip: &mut Grip,
     mut reins: R,
     exchange: &Exchange<M>,
 ) -> ! {
-    // An opening that the motor was not told yet.
-    let mut opening_mm = None;
-    let mut calibration = None;
+    let mut pending = Pending::default();
     let mut ticks = 0_u16;
     loop {
         let felt = exchange.felt.wait().await;
@@ -101,33 +99,18 @@ pub async fn grip<R: Reins, M: RawMutex>(
         let parameters = exchange.parameters();
         grip.set_locks(parameters.screw() == Screw::SelfLocking);
         if let Some(measure) = exchange.measure_wanted.try_take() {
-            calibration = Some(Calibration::new(measure));
+            pending.calibration = Some(Calibration::new(measure));
         }
         let stop = exchange.stopped.try_take().is_some();
-        let is_busy = [calibration.is_some(), stop];
-        let outputs = tick(&mut grip, &felt, is_busy, exchange);
-        opening_mm = outputs.opening_mm.or(opening_mm);
-        let order = match &mut calibration {
-            None => Some(order(&outputs, opening_mm)),
-            Some(running) => {
-                let step = match (grip.power(), stop) {
-                    (Power::Calibrating, false) => running.tick(&felt.motor),
-                    (Power::Calibrating, true) => Err(Outcome::Failed(Failure::Stopped)),
-                    _ => Err(Outcome::Failed(Failure::NotNow)),
-                };
-                step.unwrap_or_else(|outcome| {
-                    calibration = None;
-                    exchange.measured.signal(outcome);
-                    // What the grasp asks for in the next tick, if it was no calibration.
-                    matches!(grip.power(), Power::Calibrating).then_some(Order::Disarm)
-                })
-            }
+        let is_busy = pending.calibration.is_some();
+        let outputs = tick(grip, &felt, [is_busy, stop], exchange);
+        let order = match is_busy {
+            true => pending.measure(grip.power(), stop, &felt.motor, exchange),
+            false => Some(pending.order(&outputs)),
         };
-        if let Some(order) = order
-            && reins.order(order).is_ok()
-            && matches!(order, Order::Opening { .. })
-        {
-            opening_mm = None;
+        if let Some(order) = order {
+            let is_taken = reins.order(order).is_ok();
+            pending.was_given(&order, is_taken);
         }
         ticks = (ticks + 1) % STATUS_TICKS;
         tell(&outputs, &parameters, ticks == 0, exchange);
@@ -138,6 +121,54 @@ pub async fn grip<R: Reins, M: RawMutex>(
             is_driven: grip.is_driven(),
         });
         exchange.tell(Finder::Grip, grip.fault_bits(), &outputs.events);
+    }
+}
+
+/// What the motor is still to be told or asked.
+#[derive(Default)]
+struct Pending {
+    /// What is not a number: the opening is not known any more.
+    opening_mm: Option<f32>,
+    calibration: Option<Calibration>,
+}
+
+impl Pending {
+    /// One order in a tick: what is left waits for the next, where a set-point is a newer one.
+    fn order(&mut self, outputs: &Outputs) -> Order {
+        self.opening_mm = outputs.opening_mm.or(self.opening_mm);
+        match (outputs.arming, self.opening_mm) {
+            (Some(Arming::Arm), _) => Order::Arm,
+            (Some(Arming::Disarm), _) => Order::Disarm,
+            (None, Some(opening_mm)) => Order::Opening { opening_mm },
+            (None, None) => Order::Do(outputs.setpoint),
+        }
+    }
+
+    fn was_given(&mut self, order: &Order, is_taken: bool) {
+        if is_taken && matches!(order, Order::Opening { .. }) {
+            self.opening_mm = None;
+        }
+    }
+
+    /// A millisecond of a calibration; its end is told.
+    fn measure<M: RawMutex>(
+        &mut self,
+        power: Power,
+        stop: bool,
+        motor: &Telling,
+        exchange: &Exchange<M>,
+    ) -> Option<Order> {
+        let step = match (&mut self.calibration, power) {
+            (Some(running), Power::Calibrating) if !stop => running.tick(motor),
+            (_, Power::Calibrating) => Err(Outcome::Failed(Failure::Stopped)),
+            _ => Err(Outcome::Failed(Failure::NotNow)),
+        };
+        step.unwrap_or_else(|outcome| {
+            self.calibration = None;
+            exchange.measured.signal(outcome);
+            // Where it never began, the motor is the grasp's.
+            (power == Power::Calibrating).then_some(Order::Disarm)
+        })
     }
 }
 
@@ -161,16 +192,6 @@ fn tick<M: RawMutex>(
         is_calibrating: is_calibrating || hosts.is_taring,
         acceleration: felt.acceleration,
     })
-}
-
-/// One order in a tick: what is left waits for the next, where a set-point is a newer one.
-fn order(outputs: &Outputs, opening_mm: Option<f32>) -> Order {
-    match (outputs.arming, opening_mm) {
-        (Some(Arming::Arm), _) => Order::Arm,
-        (Some(Arming::Disarm), _) => Order::Disarm,
-        (None, Some(opening_mm)) => Order::Opening { opening_mm },
-        (None, None) => Order::Do(outputs.setpoint),
-    }
 }
 
 /// A bus or line that is full loses a status; the next tick tells a newer one.

@@ -256,8 +256,7 @@ impl<M: RawMutex> Exchange<M> {
 
     /// Whether a fault is active, whoever found it.
     pub fn is_active(&self, fault: Fault) -> bool {
-        let place = Fault::ALL.iter().position(|kind| *kind == fault);
-        place.is_some_and(|place| self.fault_bits() & (1 << place) != 0)
+        self.fault_bits() & (1 << fault.place()) != 0
     }
 
     /// All active faults, one bit for each kind.
