@@ -60,12 +60,12 @@ impl Kind {
 pub struct Crash {
     /// What happened.
     pub kind: Kind,
-    /// Address of the instruction; of a panic the innermost that something would have returned to, in the
-    /// panic's own code. The image with its debug information tells file and line of each.
+    /// Address of the instruction; of a panic in the library's function for its kind. The image's debug
+    /// information tells file and line of this and the next.
     pub pc: u32,
     /// Where its function would have returned to.
     pub lr: u32,
-    /// Of a panic: where that one would have, and the one that called it.
+    /// Of a panic: where that one would have, and its caller.
     pub callers: [u32; 2],
     /// The core's configurable fault status register (CFSR).
     pub status: u32,
@@ -89,6 +89,14 @@ impl Crash {
             tick_ms: 0,
             boot: 0,
             place: 0,
+        }
+    }
+
+    /// Where to look first.
+    pub const fn address(&self) -> u32 {
+        match self.kind {
+            Kind::Panic => self.lr,
+            _ => self.pc,
         }
     }
 

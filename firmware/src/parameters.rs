@@ -9,10 +9,20 @@ pub mod table;
 use crate::frame::SENSORS;
 use crate::hall::Part;
 use crate::hall::a31301::A31301;
+use crate::motor;
+use crate::motor::calibration::Outcome;
+use crate::motor::settings::{Settings, Wiring};
 use crate::tare::{GREATEST, Tare};
 use crate::units::Force;
 use crate::wire::messages::{ParamReply, ParamRequest};
 use table::{COUNT, Parameter, RULES, TABLE, id};
+
+/// Microohms in an ohm.
+const UOHM: f32 = 1e6;
+/// From 2^-32 turns to the parameter's 2^-16: five thousandths of a degree.
+const OFFSET_SHIFT: u32 = 16;
+/// Nanohenries in a henry.
+const NH: f32 = 1e9;
 
 /// What a request asks for.
 pub mod op {
@@ -123,6 +133,49 @@ impl Parameters {
     /// Whether every tick is sent on the serial line.
     pub fn telemetry(&self) -> bool {
         self.get(id::TELEMETRY) == Some(1)
+    }
+
+    /// What the motor's control is set to.
+    pub fn settings(&self) -> Settings {
+        let value = |id| self.get(id).unwrap_or_default();
+        let mut settings = Settings::assumed(match value(id::LEAD) {
+            1 => motor::screw::Screw::B,
+            _ => motor::screw::Screw::A,
+        });
+        let machine = &mut settings.machine;
+        machine.pole_pairs = value(id::POLE_PAIRS) as u8;
+        machine.resistance_ohm = value(id::RESISTANCE) as f32 / UOHM;
+        machine.inductance_h = value(id::INDUCTANCE) as f32 / NH;
+        settings.wiring = Wiring {
+            offset: (value(id::ROTOR_OFFSET) as u32) << OFFSET_SHIFT,
+            is_swapped: value(id::SWAPPED) == 1,
+        };
+        settings
+    }
+
+    /// Takes what the device has measured of its motor, or of its screw; what is beyond a range is not taken.
+    pub fn set_measured(&mut self, outcome: &Outcome) {
+        match *outcome {
+            Outcome::Motor(found) => {
+                for (id, value) in [
+                    (id::POLE_PAIRS, i32::from(found.pole_pairs)),
+                    (id::RESISTANCE, (found.resistance_ohm * UOHM) as i32),
+                    (id::INDUCTANCE, (found.inductance_h * NH) as i32),
+                    (
+                        id::ROTOR_OFFSET,
+                        (found.wiring.offset >> OFFSET_SHIFT) as i32,
+                    ),
+                    (id::SWAPPED, i32::from(found.wiring.is_swapped)),
+                ] {
+                    // Plausible values are in their ranges.
+                    let _ = self.set(id, value);
+                }
+            }
+            Outcome::Screw { locks } => {
+                let _ = self.set(id::SELF_LOCKING, if locks { 1 } else { 2 });
+            }
+            Outcome::Failed(_) => {}
+        }
     }
 
     /// Whether the screw holds its load without current.

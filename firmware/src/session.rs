@@ -39,6 +39,9 @@ pub mod op {
     pub const VERSION: u8 = 6;
     /// No service: the answer to a command that is not done carries it ([`crate::grip::Refused`]).
     pub const COMMAND: u8 = 7;
+    /// Measures of itself, while nobody is armed; the argument says what
+    /// ([`crate::motor::calibration::Measure`]). What it finds counts at once, and is kept by [`SAVE`].
+    pub const MEASURE: u8 = 8;
 }
 
 /// Answers to a service.

@@ -4,9 +4,11 @@
 use std::sync::LazyLock;
 
 use firmware::grip::order::mode;
-use firmware::grip::states::Task;
+use firmware::grip::states::{Power, Task};
 use firmware::loops::FIRST_TICK_US;
+use firmware::parameters::Screw;
 use firmware::params::TICK_US;
+use firmware::session::{op, status};
 use firmware::status::Fault;
 use firmware::wire;
 use firmware::wire::messages::Command;
@@ -149,4 +151,90 @@ fn a_hold_survives_the_sensors_of_a_finger_a_silent_host_and_a_dead_bus() {
             );
         }
     }
+}
+
+/// The answer to a service that takes its time.
+fn answered(cell: &mut Workcell, op: u8, argument: u32) -> Option<(u8, u32)> {
+    let before = cell.host.told.replies.len();
+    cell.host.service(op, argument);
+    cell.until(15.0, |cell| cell.host.told.replies.len() > before)?;
+    let (_, reply) = cell.host.told.replies.last()?;
+    (reply.op == op).then_some((reply.status, reply.detail))
+}
+
+#[test]
+fn the_device_measures_its_motor_and_its_screw_when_a_host_asks() {
+    for lead in Lead::BOTH {
+        let plan = Plan::nominal(lead, 42.0, 1);
+        let cell = &mut Workcell::new(&plan, &TABLES);
+        cell.run(0.05);
+        assert_eq!(answered(cell, op::MEASURE, 0), Some((status::DONE, 0)));
+        let found = cell.board.exchange.parameters().settings();
+        let off =
+            f64::from(found.machine.resistance_ohm) / plan.plant.windings.resistance_ohm - 1.0;
+        assert!(off.abs() < 0.05, "{off}");
+        let object = object(&plan.plant, 40.0, 333.0);
+        cell.gripper.borrow_mut().rig.plant.hold(Some(&object));
+        cell.gripper.borrow_mut().peak_n = 0.0;
+        let locks = u32::from(lead == Lead::A);
+        assert_eq!(answered(cell, op::MEASURE, 1), Some((status::DONE, locks)));
+        let peak_n = cell.gripper.borrow().peak_n;
+        println!("{lead:?}: gripped with {peak_n:.0} N for the test");
+        assert!((60.0..200.0).contains(&peak_n), "{peak_n}");
+        assert_eq!(cell.force_n(), 0.0);
+        let told = cell.board.exchange.parameters().screw();
+        let expected = [Screw::BackDriven, Screw::SelfLocking][locks as usize];
+        assert_eq!(told, expected);
+        // Not while somebody is armed.
+        assert!(cell.enable());
+        assert_eq!(answered(cell, op::MEASURE, 0), Some((status::ARMED, 0)));
+    }
+}
+
+#[test]
+fn a_fault_is_kept_until_a_host_clears_it_and_arms_anew() {
+    let mut cell = before_object(Lead::A);
+    cell.host.order(grip_command(SET_N));
+    cell.run(0.05);
+    assert!(cell.is_in(Task::Approach));
+    // A wire that is loose: the parity of each answer is wrong.
+    cell.gripper.borrow_mut().wrong.frame = Some(Box::new(|frame| frame ^ 1));
+    cell.run(0.3);
+    assert_eq!(cell.state(), Power::Fault as u8);
+    assert!(cell.board.exchange.is_active(Fault::RotorSensor));
+    cell.gripper.borrow_mut().wrong.frame = None;
+    cell.run(0.3);
+    assert_eq!(cell.state(), Power::Fault as u8);
+    assert_eq!(
+        answered(&mut cell, op::CLEAR_FAULTS, 0),
+        Some((status::DONE, 0))
+    );
+    cell.run(0.3);
+    // The host's old commands go on and move nothing.
+    assert_eq!(cell.state(), Power::Safe as u8);
+    assert!(cell.enable());
+    // The place was lost with the angle.
+    assert!(cell.is_in(Task::Unhomed), "{}", cell.state());
+}
+
+#[test]
+fn a_stop_of_anybody_stops_a_motion_and_a_refused_command_is_told() {
+    let mut cell = before_object(Lead::A);
+    let away = Command {
+        mode: mode::MOVE,
+        position: 1400,
+        speed: 80,
+        ..Command::default()
+    };
+    cell.host.order(away);
+    cell.run(0.3);
+    assert!(cell.is_in(Task::Moving));
+    cell.host.stop();
+    cell.run(0.1);
+    assert_eq!(cell.state(), Power::Armed as u8);
+    let opening_m = cell.gripper.borrow().rig.plant.opening_m();
+    cell.run(0.3);
+    assert!((cell.gripper.borrow().rig.plant.opening_m() - opening_m).abs() < 0.1e-3);
+    let refused = cell.host.told.replies.last().unwrap().1;
+    assert_eq!((refused.op, refused.status), (op::COMMAND, status::REFUSED));
 }

@@ -1,5 +1,7 @@
 //! What becomes of the object that is held: it is there, it slips, it is gone.
 
+use core::mem;
+
 use super::fingers::Fingers;
 use crate::limits::Grasp;
 use crate::params;
@@ -69,9 +71,11 @@ impl Watch {
     }
 
     fn remember(&mut self, drag_n: f32) {
-        self.drags.rotate_right(1);
-        let [newest, ..] = &mut self.drags;
-        *newest = drag_n;
+        // One by one: the library's move of any length takes more flash than all of this.
+        let mut newer = drag_n;
+        for drag_n in &mut self.drags {
+            newer = mem::replace(drag_n, newer);
+        }
         self.remembered = self.remembered.saturating_add(1).min(REMEMBERED);
     }
 

@@ -194,9 +194,8 @@ impl Grip {
                 self.slipping_ms = self.limits.slip_pause_ms;
             }
             TaskEvent::Weak => {
-                self.regrips.rotate_right(1);
-                let [newest, ..] = &mut self.regrips;
-                *newest = Some(self.now_ms);
+                let [newest, second, _] = self.regrips;
+                self.regrips = [Some(self.now_ms), newest, second];
             }
             _ => {}
         }

@@ -129,14 +129,14 @@ pub fn panicked() -> ! {
     SCB::sys_reset()
 }
 
-/// Where the functions on the stack would have returned to, the innermost first: each keeps in r7 where its
+/// Where the functions on the stack would have returned to, that of a kind of panic first: each keeps in r7 where its
 /// caller's r7 and its way back lie.
 fn callers() -> [u32; 4] {
     let mut frame: *const u32;
     // SAFETY: a register that is only read.
     unsafe { asm!("mov {}, r7", out(reg) frame, options(nomem, nostack, preserves_flags)) };
     let (end, start) = (&raw const _stack_end, &raw const _stack_start);
-    [(); 4].map(|()| {
+    let mut up = || {
         if !frame.is_aligned() || frame < end || frame.wrapping_add(2) > start {
             return 0;
         }
@@ -144,7 +144,10 @@ fn callers() -> [u32; 4] {
         let [next, back] = unsafe { frame.cast::<[u32; 2]>().read_volatile() };
         frame = next as *const u32;
         back
-    })
+    };
+    // The handler's own, and the library's.
+    (up(), up());
+    [(); 4].map(|()| up())
 }
 
 /// Switches the power stage off.

@@ -2,7 +2,7 @@
 
 use core::sync::atomic::Ordering;
 
-use embassy_futures::select::{Either3, select3};
+use embassy_futures::select::{Either4, select4};
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embedded_can::Frame;
 use embedded_storage_async::nor_flash::NorFlash;
@@ -10,6 +10,7 @@ use embedded_storage_async::nor_flash::NorFlash;
 use super::{Exchange, Finder, Hosts};
 use crate::clock::Clock;
 use crate::grip::Host;
+use crate::motor::calibration::{Measure, Outcome};
 use crate::parameters;
 use crate::progress::Loop;
 use crate::session::{Heard as Meant, Session, answer, op, status};
@@ -74,34 +75,51 @@ pub async fn command<F: NorFlash, R: FnMut() -> u16, B: FnMut(), C: Clock, M: Ra
     // Nobody is heard, and so nobody arms, before the tables have been looked at.
     exchange.checked.wait().await;
     let mut look_us = clock.now_us();
-    let mut taring = None;
+    // The service that takes its time.
+    let mut waiting = None;
+    let mut is_taring = false;
     loop {
-        let next = select3(
+        let next = select4(
             exchange.heard.receive(),
             exchange.tare_ended.wait(),
+            exchange.measured.wait(),
             clock.until(look_us),
         );
         let next = next.await;
         exchange.progress.check_in(Loop::Command);
         match next {
-            Either3::First(heard) => {
+            Either4::First(heard) => {
                 let now_ms = (clock.now_us() / 1000) as u32;
                 let stands = exchange.stands.get();
                 session.allow(stands.may_arm);
                 let frame = heard.frame;
                 let random = (desk.random)();
                 let meant = session.hear(now_ms, frame.identifier(), frame.data(), random);
-                show(&session, taring.is_some(), now_ms, exchange);
+                show(&session, is_taring, now_ms, exchange);
                 let is_armed = session.is_open() || stands.is_driven;
                 match meant {
                     Meant::Reply { reply, .. } => {
                         reply_with(Message::ServiceReply(reply), exchange)
                     }
                     Meant::Other(Message::Service(service))
-                        if service.op == op::TARE && !is_armed =>
+                        if service.op == op::TARE && !is_armed && waiting.is_none() =>
                     {
-                        taring = Some(service);
+                        (waiting, is_taring) = (Some(service), true);
                         exchange.tare_wanted.signal(());
+                    }
+                    Meant::Other(Message::Service(service))
+                        if service.op == op::MEASURE && !is_armed && waiting.is_none() =>
+                    {
+                        match Measure::of(service.argument) {
+                            Some(measure) => {
+                                waiting = Some(service);
+                                exchange.measure_wanted.signal(measure);
+                            }
+                            None => {
+                                let reply = answer(service, status::UNKNOWN, 0);
+                                reply_with(Message::ServiceReply(reply), exchange);
+                            }
+                        }
                     }
                     Meant::Other(Message::Service(service)) => {
                         let reply = desk.serve(service, is_armed, exchange).await;
@@ -119,19 +137,24 @@ pub async fn command<F: NorFlash, R: FnMut() -> u16, B: FnMut(), C: Clock, M: Ra
                     Meant::Nothing | Meant::Other(_) => {}
                 }
             }
-            Either3::Second(step) => {
-                if let Some(service) = taring.take() {
-                    reply_with(
-                        Message::ServiceReply(tared(service, step, exchange)),
-                        exchange,
-                    );
+            Either4::Second(step) => {
+                is_taring = false;
+                if let Some(service) = waiting.take() {
+                    let reply = tared(service, step, exchange);
+                    reply_with(Message::ServiceReply(reply), exchange);
                 }
             }
-            Either3::Third(()) => look_us = clock.now_us().saturating_add(LOOK_US),
+            Either4::Third(outcome) => {
+                if let Some(service) = waiting.take() {
+                    let reply = measured(service, &outcome, exchange);
+                    reply_with(Message::ServiceReply(reply), exchange);
+                }
+            }
+            Either4::Fourth(()) => look_us = clock.now_us().saturating_add(LOOK_US),
         }
         let now_ms = (clock.now_us() / 1000) as u32;
         session.allow(exchange.stands.get().may_arm);
-        show(&session, taring.is_some(), now_ms, exchange);
+        show(&session, is_taring, now_ms, exchange);
         judge(&session, &mut faults, now_ms, exchange);
     }
 }
@@ -152,7 +175,9 @@ impl<F: NorFlash, R, B: FnMut()> Desk<F, R, B> {
                 exchange.cleared.signal(());
                 reply(status::DONE)
             }
-            op::TARE | op::SAVE | op::REBOOT if is_armed => reply(status::ARMED),
+            op::TARE | op::SAVE | op::REBOOT | op::MEASURE if is_armed => reply(status::ARMED),
+            // Another one is under way.
+            op::TARE | op::MEASURE => reply(status::FAILED),
             op::SAVE => match self.store.save(&exchange.parameters()).await {
                 Ok(()) => reply(status::DONE),
                 Err(_) => reply(status::FAILED),
@@ -177,6 +202,22 @@ fn tared<M: RawMutex>(service: Service, step: Step, exchange: &Exchange<M>) -> S
         }
         Step::Refused(refusal) => answer(service, status::FAILED, refusal.detail()),
         Step::Gathering => answer(service, status::FAILED, 0),
+    }
+}
+
+/// Takes what was measured, or says why nothing was.
+fn measured<M: RawMutex>(
+    service: Service,
+    outcome: &Outcome,
+    exchange: &Exchange<M>,
+) -> ServiceReply {
+    let mut parameters = exchange.parameters();
+    parameters.set_measured(outcome);
+    exchange.set_parameters(parameters);
+    match outcome {
+        Outcome::Failed(failure) => answer(service, status::FAILED, *failure as u32),
+        Outcome::Motor(_) => answer(service, status::DONE, 0),
+        Outcome::Screw { locks } => answer(service, status::DONE, u32::from(*locks)),
     }
 }
 

@@ -5,7 +5,9 @@ use embassy_sync::blocking_mutex::raw::RawMutex;
 use super::{Exchange, Finder};
 use crate::force::Estimate;
 use crate::frame::SENSORS;
+use crate::grip::states::Power;
 use crate::grip::{Arming, Grip, Host, Inputs, Outputs};
+use crate::motor::calibration::{Calibration, Failure, Outcome};
 use crate::motor::{Order, Telling};
 use crate::parameters::{Parameters, Screw};
 use crate::progress::Loop;
@@ -91,17 +93,40 @@ pub async fn grip<R: Reins, M: RawMutex>(
 ) -> ! {
     // An opening that the motor was not told yet.
     let mut opening_mm = None;
+    let mut calibration = None;
     let mut ticks = 0_u16;
     loop {
         let felt = exchange.felt.wait().await;
         exchange.progress.check_in(Loop::Grip);
         let parameters = exchange.parameters();
         grip.set_locks(parameters.screw() == Screw::SelfLocking);
-        let outputs = tick(&mut grip, &felt, exchange);
+        if let Some(measure) = exchange.measure_wanted.try_take() {
+            calibration = Some(Calibration::new(measure));
+        }
+        let stop = exchange.stopped.try_take().is_some();
+        let is_busy = [calibration.is_some(), stop];
+        let outputs = tick(&mut grip, &felt, is_busy, exchange);
         opening_mm = outputs.opening_mm.or(opening_mm);
-        let order = order(&outputs, opening_mm);
-        let is_taken = reins.order(order).is_ok();
-        if is_taken && matches!(order, Order::Opening { .. }) {
+        let order = match &mut calibration {
+            None => Some(order(&outputs, opening_mm)),
+            Some(running) => {
+                let step = match (grip.power(), stop) {
+                    (Power::Calibrating, false) => running.tick(&felt.motor),
+                    (Power::Calibrating, true) => Err(Outcome::Failed(Failure::Stopped)),
+                    _ => Err(Outcome::Failed(Failure::NotNow)),
+                };
+                step.unwrap_or_else(|outcome| {
+                    calibration = None;
+                    exchange.measured.signal(outcome);
+                    // What the grasp asks for in the next tick, if it was no calibration.
+                    matches!(grip.power(), Power::Calibrating).then_some(Order::Disarm)
+                })
+            }
+        };
+        if let Some(order) = order
+            && reins.order(order).is_ok()
+            && matches!(order, Order::Opening { .. })
+        {
             opening_mm = None;
         }
         ticks = (ticks + 1) % STATUS_TICKS;
@@ -116,7 +141,12 @@ pub async fn grip<R: Reins, M: RawMutex>(
     }
 }
 
-fn tick<M: RawMutex>(grip: &mut Grip, felt: &Felt, exchange: &Exchange<M>) -> Outputs {
+fn tick<M: RawMutex>(
+    grip: &mut Grip,
+    felt: &Felt,
+    [is_calibrating, stop]: [bool; 2],
+    exchange: &Exchange<M>,
+) -> Outputs {
     let hosts = exchange.hosts.get();
     let is_sound = !exchange.is_active(Fault::TablesUnsound);
     grip.tick(&Inputs {
@@ -124,11 +154,11 @@ fn tick<M: RawMutex>(grip: &mut Grip, felt: &Felt, exchange: &Exchange<M>) -> Ou
         motor: felt.motor,
         host: hosts.host,
         command: exchange.commanded.try_take(),
-        stop: exchange.stopped.try_take().is_some(),
+        stop,
         clear: exchange.cleared.try_take().is_some(),
         faults: exchange.fault_bits_beside(Finder::Grip),
         is_sound: hosts.is_checked.then_some(is_sound),
-        is_calibrating: hosts.is_taring,
+        is_calibrating: is_calibrating || hosts.is_taring,
         acceleration: felt.acceleration,
     })
 }

@@ -39,6 +39,7 @@ pub use sense::{FIRST_TICK_US, Sensed, sense};
 pub use telemetry::telemetry;
 
 use crate::events::{Event, Events};
+use crate::motor::calibration::{Measure, Outcome};
 use crate::parameters::Parameters;
 use crate::progress::Progress;
 use crate::status::{Fault, Faults};
@@ -121,6 +122,10 @@ pub struct Exchange<M: RawMutex> {
     pub tare_wanted: Signal<M, ()>,
     /// From [`estimate`] to [`command`]: how it ended.
     pub tare_ended: Signal<M, Step>,
+    /// From [`command`] to [`grip`](fn@grip): something is to be measured.
+    pub measure_wanted: Signal<M, Measure>,
+    /// From [`grip`](fn@grip) to [`command`]: how it ended.
+    pub measured: Signal<M, Outcome>,
     /// From [`scrub`] to [`command`]: tables and networks were looked at.
     pub checked: Signal<M, ()>,
     /// From [`listen`] to [`report`]: the controller has left the bus.
@@ -185,6 +190,8 @@ impl<M: RawMutex> Exchange<M> {
             replies: Channel::new(),
             tare_wanted: Signal::new(),
             tare_ended: Signal::new(),
+            measure_wanted: Signal::new(),
+            measured: Signal::new(),
             checked: Signal::new(),
             bus_off: Signal::new(),
             lines: Channel::new(),

@@ -12,7 +12,7 @@
 //! - [`current`], [`speed`], [`position`] with [`trajectory`]: the loops, each on top of the one before.
 //! - [`plausible`]: whether what is sensed fits together.
 //! - [`regeneration`]: what comes back while braking.
-//! - [`commission`], [`selflock`]: what the device measures of itself.
+//! - [`commission`], [`selflock`], [`calibration`]: what the device measures of itself.
 //! - [`state`]: what is asked, done and told.
 //!
 //! [`Motor::current_tick`] runs at 20 kHz, [`Motor::motion_tick`] at 4 kHz once the switches are set: together
@@ -20,6 +20,7 @@
 //! number ends with all switches off and [`Trip::NotANumber`].
 
 pub mod as5047;
+pub mod calibration;
 pub mod commission;
 pub mod current;
 pub mod encoder;
@@ -284,6 +285,7 @@ impl Motor {
             supply: self.supply.told(),
             is_hot: self.bounds.is_hot,
             limits,
+            found: self.found,
         }
     }
 

@@ -1,4 +1,4 @@
-//! Whether the screw locks itself, tested by the device: it grips, ramps the current to zero, and watches
+//! Whether the screw locks itself, tested by the device: it grips slowly, ramps the current to zero, and watches
 //! whether the rotor turns back.
 
 use super::state::Setpoint;
@@ -7,6 +7,8 @@ use super::state::Setpoint;
 const REST_MS: u32 = 100;
 /// Below this speed in rad/s, either way, the rotor rests.
 const REST_SPEED: f32 = 0.5;
+/// Speed of closing in mm/s until something is gripped.
+const CLOSING_MM_S: f32 = 5.0;
 /// Milliseconds within which something must be gripped.
 const GRIP_MS: u32 = 5_000;
 /// Milliseconds in which the current falls to zero.
@@ -101,8 +103,10 @@ impl SelfLockTest {
         } else if self.elapsed_ms >= GRIP_MS {
             return Step::Ended(Verdict::NothingGripped);
         }
-        Step::Drive(Setpoint::Current {
-            closing_a: self.grip_a,
+        // Against what it grips the speed is missing, and the current is all of this.
+        Step::Drive(Setpoint::Speed {
+            closing_mm_s: CLOSING_MM_S,
+            most_a: self.grip_a,
         })
     }
 
@@ -123,7 +127,12 @@ mod tests {
         for tick in 0..20_000 {
             let (angle, speed) = rotor(current);
             match test.tick(angle, speed) {
-                Step::Drive(Setpoint::Current { closing_a }) => current = closing_a,
+                Step::Drive(
+                    Setpoint::Current { closing_a: amperes }
+                    | Setpoint::Speed {
+                        most_a: amperes, ..
+                    },
+                ) => current = amperes,
                 Step::Drive(_) => current = 0.0,
                 Step::Ended(verdict) => return (verdict, tick),
             }

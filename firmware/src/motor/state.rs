@@ -1,6 +1,6 @@
 //! What the motor is asked to do, what it does, and why it does not.
 
-use super::commission::Refusal;
+use super::commission::{Found, Refusal};
 use super::limits::{Active, Temperatures};
 use super::number::{Direction, greater};
 use super::plausible::Supply;
@@ -169,6 +169,8 @@ pub struct Telling {
     pub is_hot: bool,
     /// Bounds that are active.
     pub limits: Active,
+    /// What commissioning found last.
+    pub found: Option<Found>,
 }
 
 impl Telling {

@@ -3,6 +3,7 @@
 use crate::frame::SENSORS;
 use crate::hall::Part;
 use crate::hall::a31301::A31301;
+use crate::params;
 use crate::tare::GREATEST;
 use crate::wire::DEFAULT_NODE;
 
@@ -93,6 +94,18 @@ pub mod id {
     pub const FOOT: u16 = 0x12;
     /// See [`super::super::Parameters::telemetry`].
     pub const TELEMETRY: u16 = 0x13;
+    /// See [`super::super::Parameters::settings`].
+    pub const LEAD: u16 = 0x18;
+    /// Likewise.
+    pub const POLE_PAIRS: u16 = 0x19;
+    /// Likewise.
+    pub const RESISTANCE: u16 = 0x1A;
+    /// Likewise.
+    pub const INDUCTANCE: u16 = 0x1B;
+    /// Likewise.
+    pub const ROTOR_OFFSET: u16 = 0x1C;
+    /// Likewise.
+    pub const SWAPPED: u16 = 0x1D;
     /// Of the first sensor; see [`super::super::Parameters::addresses`].
     pub const ADDRESS: u16 = 0x20;
     /// Of the first sensor's Fx, then Fz; see [`super::super::Parameters::tare`].
@@ -100,7 +113,7 @@ pub mod id {
 }
 
 /// How many parameters there are.
-pub const COUNT: usize = 7 + SENSORS + 2 * SENSORS;
+pub const COUNT: usize = 13 + SENSORS + 2 * SENSORS;
 
 /// All parameters.
 pub const TABLE: [Parameter; COUNT] = {
@@ -148,6 +161,57 @@ pub const TABLE: [Parameter; COUNT] = {
         Parameter {
             default: 1,
             ..switch(id::TELEMETRY, "telemetry", "every tick on the serial line")
+        },
+        Parameter {
+            id: id::LEAD,
+            name: "lead",
+            unit: "",
+            default: 0,
+            range: Range::Between(0, 1),
+            moves: true,
+            words: "the screws: 0 fine (58.3 mm/s of the opening), 1 coarse (of each finger); counts from the next start",
+        },
+        Parameter {
+            id: id::POLE_PAIRS,
+            name: "pole_pairs",
+            unit: "",
+            default: params::POLE_PAIRS.value as i32,
+            range: Range::Between(1, 30),
+            moves: true,
+            words: "of the motor; measured by the device, counts from the next start",
+        },
+        Parameter {
+            id: id::RESISTANCE,
+            name: "resistance",
+            unit: "uohm",
+            default: (params::PHASE_RESISTANCE.value * 1e6) as i32,
+            range: Range::Between(10_000, 10_000_000),
+            moves: true,
+            words: "of a phase; measured by the device, counts from the next start",
+        },
+        Parameter {
+            id: id::INDUCTANCE,
+            name: "inductance",
+            unit: "nH",
+            default: (params::PHASE_INDUCTANCE.value * 1e6) as i32,
+            range: Range::Between(10_000, 10_000_000),
+            moves: true,
+            words: "of a phase; measured by the device, counts from the next start",
+        },
+        Parameter {
+            id: id::ROTOR_OFFSET,
+            name: "rotor_offset",
+            unit: "2^-16 turns",
+            default: 0,
+            range: Range::Between(0, 0xFFFF),
+            moves: true,
+            words: "how the rotor's sensor sits, electrical; measured by the device, counts from the next start",
+        },
+        Parameter {
+            id: id::SWAPPED,
+            words: "phases V and W are swapped; measured by the device, counts from the next start",
+            moves: true,
+            ..switch(id::SWAPPED, "swapped", "")
         },
         address(0, "address_0", address_0),
         address(1, "address_1", address_1),

@@ -125,3 +125,49 @@ fn a_tare_is_eight_parameters_and_stays_in_their_range() {
     assert_eq!(all.get(id::TARE + 5), Some(250 << 10));
     assert_eq!(all.tare().0[2], [Force(-5), Force(250 << 10)]);
 }
+
+#[test]
+fn without_a_measurement_the_motor_is_the_assumed_one() {
+    use crate::motor::{Settings, screw::Screw as Known};
+    let settings = Parameters::DEFAULT.settings();
+    let assumed = Settings::assumed(Known::A);
+    let near = |a: f32, b: f32| (a / b - 1.0).abs() < 1e-6;
+    assert!(near(
+        settings.machine.resistance_ohm,
+        assumed.machine.resistance_ohm
+    ));
+    assert!(near(
+        settings.machine.inductance_h,
+        assumed.machine.inductance_h
+    ));
+    let mut coarse = Parameters::DEFAULT;
+    coarse.set(id::LEAD, 1).unwrap();
+    assert_eq!(coarse.settings().screw, Known::B);
+    assert_eq!(settings.screw, Known::A);
+}
+
+#[test]
+fn what_was_measured_of_motor_and_screw_comes_back_at_the_next_start() {
+    use crate::motor::calibration::Outcome;
+    use crate::motor::commission::Found;
+    use crate::motor::settings::Wiring;
+    let mut parameters = Parameters::DEFAULT;
+    let wiring = Wiring {
+        offset: 0xF001_0000,
+        is_swapped: true,
+    };
+    parameters.set_measured(&Outcome::Motor(Found {
+        resistance_ohm: 0.375,
+        inductance_h: 0.000_5,
+        pole_pairs: 11,
+        wiring,
+    }));
+    let settings = parameters.settings();
+    assert_eq!((settings.wiring, settings.machine.pole_pairs), (wiring, 11));
+    assert_eq!(settings.machine.resistance_ohm, 0.375);
+    assert!((settings.machine.inductance_h - 0.000_5).abs() < 1e-9);
+    for (locks, screw) in [(true, Screw::SelfLocking), (false, Screw::BackDriven)] {
+        parameters.set_measured(&Outcome::Screw { locks });
+        assert_eq!(parameters.screw(), screw);
+    }
+}

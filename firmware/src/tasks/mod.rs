@@ -3,8 +3,8 @@
 //! Sensing, estimating and grasping run on an interrupt of their own ([`LEVEL`]) and so interrupt the rest, which
 //! runs in thread mode. Nothing above thread mode writes to the log.
 
-use defmt::{info, unwrap};
-use embassy_executor::{InterruptExecutor, Spawner};
+use defmt::info;
+use embassy_executor::{InterruptExecutor, SpawnError, SpawnToken, Spawner};
 use embassy_stm32::interrupt::{InterruptExt, Priority};
 use embassy_stm32::mode::Async;
 use embassy_stm32::usart::{RingBufferedUartRx, UartTx};
@@ -30,8 +30,7 @@ use crate::hardware::watchdog::Watchdog;
 use crate::limits::{Grasp, Limits};
 use crate::loops::{self, Around, Desk, Exchange, Finder, Reins};
 use crate::model::tables::{NETWORKS, TABLES};
-use crate::motor::screw::Screw;
-use crate::motor::{Order, Settings, Telling};
+use crate::motor::{Order, Telling};
 use crate::parameters;
 use crate::progress::FED_EVERY_MS;
 use crate::status::{Fault, Faults};
@@ -41,8 +40,6 @@ use crate::wire::messages::Version;
 
 /// Where something counts as wrong.
 const LIMITS: Limits = Limits::GRIPPER;
-/// The motor and screw that are assumed.
-const MOTOR: Settings = Settings::assumed(Screw::A);
 /// Between the loops; the writers stand beside each part. Made at the start: as a constant it would lie in
 /// flash as well, two kilobytes of it.
 static EXCHANGE: StaticCell<Exchange<CriticalSectionRawMutex>> = StaticCell::new();
@@ -62,6 +59,18 @@ fn FMAC() {
     }
 }
 
+/// A task that is begun for the first time, as each of them is.
+fn first<S>(token: Result<SpawnToken<S>, SpawnError>) -> SpawnToken<S> {
+    // One place for all: the words of a panic at each are not worth their flash.
+    token.unwrap_or_else(|_| twice())
+}
+
+#[cold]
+#[inline(never)]
+fn twice() -> ! {
+    defmt::panic!("a task is begun twice")
+}
+
 /// Starts every task.
 pub async fn start(spawner: Spawner, board: Board) {
     let exchange: Shared = EXCHANGE.init_with(Exchange::new);
@@ -74,7 +83,7 @@ pub async fn start(spawner: Spawner, board: Board) {
     );
     if let Some(crash) = crash {
         let mut faults = Faults::default();
-        let detail = (crash.kind.number() << 24) | (crash.pc & 0x00FF_FFFF);
+        let detail = (crash.kind.number() << 24) | (crash.address() & 0x00FF_FFFF);
         exchange.note(
             Finder::Crash,
             &mut faults,
@@ -86,29 +95,30 @@ pub async fn start(spawner: Spawner, board: Board) {
     let mut store = board.store;
     let loaded = loops::begin(&mut store, exchange).await;
     let parameters = exchange.parameters();
+    let settings = parameters.settings();
     let (sender, receiver) = board.can;
     sender.listen_as(parameters.node());
     let (out, into) = board.line;
-    let line = drive::start(board.drive, MOTOR);
+    let line = drive::start(board.drive, settings);
     interrupt::FMAC.set_priority(LEVEL);
     let upper = UPPER.start(interrupt::FMAC);
-    upper.spawn(unwrap!(sense(
+    upper.spawn(first(sense(
         exchange,
         board.sensor_buses,
-        parameters.addresses()
+        parameters.addresses(),
     )));
-    upper.spawn(unwrap!(estimate(exchange, line.tellings)));
+    upper.spawn(first(estimate(exchange, line.tellings)));
     let locks = parameters.screw() == parameters::Screw::SelfLocking;
-    let grasp = Grip::new(Grasp::GRIPPER, MOTOR.screw, locks);
-    upper.spawn(unwrap!(grip(exchange, grasp, Orders(line.orders))));
+    let grasp = Grip::new(Grasp::GRIPPER, settings.screw, locks);
+    upper.spawn(first(grip(exchange, grasp, Orders(line.orders))));
     let watchdog = Watchdog::start(board.watchdog);
-    spawner.spawn(unwrap!(feed(exchange, watchdog)));
-    spawner.spawn(unwrap!(scrub(exchange)));
-    spawner.spawn(unwrap!(report(exchange, sender, parameters.node())));
-    spawner.spawn(unwrap!(telemetry(exchange, out)));
-    spawner.spawn(unwrap!(listen(exchange, receiver)));
-    spawner.spawn(unwrap!(listen_serial(exchange, into, parameters.node())));
-    spawner.spawn(unwrap!(command(exchange, store, loaded, board.rng)));
+    spawner.spawn(first(feed(exchange, watchdog)));
+    spawner.spawn(first(scrub(exchange)));
+    spawner.spawn(first(report(exchange, sender, parameters.node())));
+    spawner.spawn(first(telemetry(exchange, out)));
+    spawner.spawn(first(listen(exchange, receiver)));
+    spawner.spawn(first(listen_serial(exchange, into, parameters.node())));
+    spawner.spawn(first(command(exchange, store, loaded, board.rng)));
 }
 
 #[embassy_executor::task]
