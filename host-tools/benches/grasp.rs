@@ -64,7 +64,7 @@ fn main() {
             bandwidth_hz(&tones).unwrap_or(f64::NAN)
         );
     }
-    for rates in [[50e3, 100e3], [100e3, 400e3]] {
+    for rates in [[50e3, 200e3], [100e3, 400e3]] {
         let found = landings(rates, FIRST..FIRST + seeds);
         println!(
             "landings, {:.0} to {:.0} kN/s on a fingertip: told {:.2} ms after the touch (p50), {:.2} (p99), {:.2} (most); \

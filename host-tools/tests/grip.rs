@@ -59,6 +59,42 @@ fn a_speed_is_run_and_braked_from() {
 }
 
 #[test]
+fn a_grasp_and_the_same_by_current_alone_stand_side_by_side() {
+    let folder = tempfile::tempdir().unwrap();
+    let page = folder.path().join("grip.html");
+    let path = page.to_str().unwrap();
+    let json = json_of(&["--force", "50", "--compare", "current-limit", "-o", path]);
+    assert!((figure(&json, "greatest force") - 50.0).abs() < 2.0);
+    assert!(figure(&json["current_limit"], "greatest force") > 300.0);
+    let states = json["points"].as_array().unwrap().iter();
+    assert!(states.clone().any(|point| point["state"] == "hold latched"));
+    let page = std::fs::read_to_string(page).unwrap();
+    for words in [
+        "force, N",
+        "opening, mm",
+        "current, A",
+        "state",
+        "hold latched",
+        "Assumed",
+    ] {
+        assert!(page.contains(words), "{words}");
+    }
+}
+
+#[test]
+fn a_landing_is_told_with_its_touch_peak_and_centre() {
+    let folder = tempfile::tempdir().unwrap();
+    let page = folder.path().join("landing.html");
+    let path = page.to_str().unwrap();
+    let json = json_of(&["--foot", "150", "-o", path]);
+    let touch_ms = figure(&json, "the touch is told in the sample after");
+    assert!((0.1..2.0).contains(&touch_ms), "{touch_ms}");
+    assert_eq!(figure(&json, "the fingers have moved by"), 0.0);
+    let page = std::fs::read_to_string(page).unwrap();
+    assert!(page.contains("along the fingers, mm") && page.contains("fingertips that stand"));
+}
+
+#[test]
 fn the_same_seed_prints_the_same_bytes_and_the_terminal_names_what_is_assumed() {
     let page = |seed| grip(&["--speed", "20", "--scatter", "0.2", "--seed", seed]).stdout;
     assert_eq!(page("3"), page("3"));
@@ -86,6 +122,9 @@ fn what_the_drive_cannot_do_is_said_and_not_done() {
             "greater --speed",
         ),
         (vec!["--speed", "5", "--scatter", "2"], "give 0 to 0.5"),
+        (vec!["--force", "400"], "give 5 to 350 N"),
+        (vec!["--force", "350", "--object", "soft"], "give less"),
+        (vec!["--foot", "5"], "give 20 to 1000"),
         (vec![], "--position"),
     ] {
         let output = grip(&arguments);

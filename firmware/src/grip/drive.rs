@@ -74,8 +74,11 @@ impl Grip {
             | Power::SelfTest
             | Power::Safe
             | Power::ArmPending
-            | Power::Fault
             | Power::Calibrating => Setpoint::Off,
+            Power::Fault => match self.reaction {
+                Reaction::Brake => Setpoint::Brake,
+                _ => Setpoint::Off,
+            },
             Power::Armed => match self.is_gripped && !self.locks {
                 true => self.keep(motor, self.hold_a.max(self.needed_a() * MARGIN)),
                 false => Setpoint::Off,

@@ -205,6 +205,7 @@ pub struct Grip {
     backs_off: bool,
     slipping_ms: u16,
     stray_ms: u16,
+    clearing_ms: u8,
     counters: [u8; 2],
 }
 
@@ -267,6 +268,7 @@ impl Grip {
             backs_off: false,
             slipping_ms: 0,
             stray_ms: 0,
+            clearing_ms: 0,
             counters: [0; 2],
         }
     }

@@ -11,6 +11,8 @@ use crate::params;
 use crate::status::Fault;
 use crate::units::Force;
 
+/// Milliseconds for which a host's clear counts.
+const CLEARS_MS: u8 = 5;
 /// Faults that the motor trips on.
 const TRIPS: [(Trip, Fault); 8] = [
     (Trip::OverCurrent, Fault::OverCurrent),
@@ -86,7 +88,11 @@ impl Grip {
     /// Reacts to faults, hosts and what has ended.
     pub(super) fn follow_power(&mut self, inputs: &Inputs, outputs: &mut Outputs) {
         let bits = inputs.faults | self.faults.bits();
-        if inputs.clear {
+        self.clearing_ms = match inputs.clear {
+            true => CLEARS_MS,
+            false => self.clearing_ms.saturating_sub(1),
+        };
+        if self.clears() {
             self.latch.clear(|fault| is_active(bits, fault));
         }
         self.react(bits);
@@ -108,11 +114,18 @@ impl Grip {
         outputs.may_arm = !is_kept;
         outputs.arming = match (self.power, inputs.motor.state) {
             (Power::Armed, State::Disarmed) => Some(Arming::Arm),
+            // What hangs on a screw that is driven back gives way slowly while the windings are shorted.
+            (Power::Fault, _) if self.reaction == Reaction::Brake && !self.clears() => None,
             (Power::Safe | Power::Fault, State::Arming | State::Armed | State::Tripped(_)) => {
                 Some(Arming::Disarm)
             }
             _ => None,
         };
+    }
+
+    /// A host clears, or did so a moment ago: what the motor tripped on goes once it is disarmed.
+    const fn clears(&self) -> bool {
+        self.clearing_ms > 0
     }
 
     /// Does what the strongest active fault asks for; the first is kept.
@@ -169,7 +182,7 @@ impl Grip {
             }
             Power::Fault => {
                 let is_gone = self.latch.cause().is_none() && inputs.is_sound == Some(true);
-                (inputs.clear && is_gone).then_some(PowerEvent::Cleared)
+                (self.clears() && is_gone).then_some(PowerEvent::Cleared)
             }
         };
         if let Some(event) = event {

@@ -67,7 +67,7 @@ states! {
         QuickStop = 6, from [Enabled], to [Armed FaultReaction];
         /// The windings are shorted, or the switches are off, until the rotor rests.
         FaultReaction = 7, from [Armed Enabled QuickStop], to [Fault];
-        /// Off, and the first cause is kept. A host clears it once the cause is gone, and has to arm anew.
+        /// Off, or the windings shorted still, and the first cause is kept. A host clears it once the cause is gone, and has to arm anew.
         Fault = 8, from [FaultReaction SelfTest], to [Safe];
         /// A tare or the motor's commissioning is under way: no one may arm.
         Calibrating = 9, from [Safe], to [Safe];

@@ -1,7 +1,10 @@
 //! The rows of the matrix of faults: what is done to the gripper, what should be found, and within what time.
 
+use std::f64::consts::PI;
+
 use firmware::grip::react::{Reaction, reaction};
 use firmware::hall::a31301::FIELD_LIMITS;
+use firmware::limits::Grasp;
 use firmware::motor::limits::Temperatures;
 use firmware::motor::{Order, as5047};
 use firmware::params;
@@ -9,9 +12,9 @@ use firmware::status::Fault;
 
 use super::situation::Situation;
 use crate::board::i2c::Sensor;
+use crate::drive::grasp::object;
 use crate::drive::workcell::{Plan, Workcell};
 use crate::plant::impact::Impact;
-use crate::plant::object::Object;
 
 /// Rows that only hardware or the image can show. They are looked at there, register by register, and no run
 /// counts for them.
@@ -189,7 +192,7 @@ impl Row {
             ),
             Self::OverSpeed => facts(
                 10,
-                "rotor at 180 rad/s",
+                "rotor at 220 rad/s",
                 Fault::OverSpeed,
                 2.0,
                 FREE,
@@ -275,13 +278,13 @@ impl Row {
             ),
             Self::Magnet => facts(
                 21,
-                "a magnet of 40 G",
+                "a magnet of 15 G",
                 Fault::Disturbed,
                 20.0,
                 EVERYWHERE,
                 None,
             ),
-            Self::BusOff => facts(25, "CAN disturbed", Fault::BusOff, 101.0, EVERYWHERE, None),
+            Self::BusOff => facts(25, "CAN disturbed", Fault::BusOff, 1.0, EVERYWHERE, None),
             Self::HostSilent => facts(
                 26,
                 "host silent",
@@ -312,7 +315,7 @@ impl Row {
             ),
             Self::FootOverload => facts(
                 31,
-                "250 N on a fingertip",
+                "225 N on a fingertip",
                 Fault::FootOverload,
                 1.0,
                 STANDING,
@@ -335,6 +338,27 @@ impl Row {
                 | Self::EncoderJump
                 | Self::OverSpeed
         )
+    }
+
+    /// When it can be seen at the earliest, in microseconds: done at `at_us`, the next tick of sensing begins at
+    /// `tick_us`.
+    pub fn shows_us(self, at_us: u64, tick_us: u64) -> u64 {
+        match self {
+            Self::FootOverload => {
+                let (peak_n, lasts_s) = GROUND;
+                let share = 4.0 * f64::from(Grasp::GRIPPER.overload_n) / peak_n;
+                at_us + (1e6 * lasts_s * share.asin() / PI) as u64
+            }
+            Self::SensorGone
+            | Self::SensorFrozen
+            | Self::HalfGain
+            | Self::LineLow
+            | Self::Saturated
+            | Self::Magnet
+            | Self::OverForce
+            | Self::ObjectGone => tick_us,
+            _ => at_us,
+        }
     }
 
     /// Whether it is a fault of one sensor of force, after which a grip of 100 N is to stay below 110 N.
@@ -395,8 +419,9 @@ impl Row {
             Self::OverForce => {
                 let mut gripper = cell.gripper.borrow_mut();
                 let plant = &mut gripper.rig.plant;
-                // As if the thing swelled: rigid, and 1.5 mm into the fingertips.
-                let object = Object::new(plant.opening_m() + 1.5e-3, 1000.0);
+                // As if the thing swelled into the fingertips: 470 N.
+                let width_mm = 1e3 * plant.opening_m() + SWELLS_N / RIGID;
+                let object = object(plant.parameters(), width_mm, RIGID);
                 plant.hold(Some(&object));
             }
             Self::SensorGone => sensor(cell, pick, |sensor| sensor.unplugged = true),
@@ -410,7 +435,7 @@ impl Row {
                 });
             }
             Self::Magnet => {
-                let counts = 40.0 / params::SENSOR_SCALE.value;
+                let counts = MAGNET_G / params::SENSOR_SCALE.value;
                 for number in 0..4 {
                     sensor(cell, number, |sensor| sensor.beside = [0.0, counts, 0.0]);
                 }
@@ -423,10 +448,11 @@ impl Row {
             Self::FootOverload => {
                 let mut gripper = cell.gripper.borrow_mut();
                 let start_s = gripper.rig.plant.time_s();
+                let (peak_n, lasts_s) = GROUND;
                 gripper.impacts.push(Impact {
                     start_s,
-                    lasts_s: 0.04,
-                    peak_n: 1000.0,
+                    lasts_s,
+                    peak_n,
                 });
             }
         }
@@ -435,8 +461,15 @@ impl Row {
 
 /// Counts by which the rotor's angle jumps: 0.5 rad.
 const JUMP: u16 = 1304;
+/// Force in N of something that swells, and newtons to the millimetre of its contact.
+const SWELLS_N: f64 = 470.0;
+const RIGID: f64 = params::CONTACT_STIFFNESS.value;
+/// A magnet's field at every sensor, in gauss.
+const MAGNET_G: f64 = 15.0;
+/// The ground's force on all fingertips, in N, and for how long it pushes, in s.
+const GROUND: (f64, f64) = (900.0, 0.04);
 /// Rotor's speed in rad/s that is too fast.
-const FAST: f64 = 180.0;
+const FAST: f64 = 220.0;
 
 fn counts(cell: &mut Workcell, change: impl FnMut([u16; 4]) -> [u16; 4] + 'static) {
     cell.gripper.borrow_mut().wrong.counts = Some(Box::new(change));

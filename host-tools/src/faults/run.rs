@@ -4,6 +4,7 @@ use embedded_can::{Frame, StandardId};
 use firmware::events::Event;
 use firmware::grip::react::Reaction;
 use firmware::grip::states::{Power, TASK_CODE, Task, code};
+use firmware::params::TICK_US;
 use firmware::wire::can::CanFrame;
 use firmware::wire::{DEFAULT_NODE, identifier};
 use model_export::inverse::quantise::TableSet;
@@ -89,6 +90,7 @@ impl Case {
         let (phase_us, pick) = (rng.random_range(0..1000_u64), rng.random_range(0..12_usize));
         cell.creep(phase_us);
         let at_us = cell.time_us() + phase_us;
+        let mut shows_us = self.row.shows_us(at_us, cell.time_us() + TICK_US);
         cell.board.events.borrow_mut().clear();
         let opening_mm = {
             let gripper = &mut *cell.gripper.borrow_mut();
@@ -96,12 +98,15 @@ impl Case {
             1e3 * gripper.rig.plant.opening_m()
         };
         self.row.inject(&mut cell, pick);
-        let forbidden = self.watch(&mut cell, opening_mm);
+        let (forbidden, left_us) = self.watch(&mut cell, opening_mm);
+        if let (Row::BusOff, Some(left_us)) = (self.row, left_us) {
+            shows_us = left_us;
+        }
         let found_us = self.found_us(&cell);
         let gripper = cell.gripper.borrow();
         Outcome {
             was_reached: true,
-            found_ms: found_us.map(|us| 1e-3 * us.saturating_sub(at_us) as f64),
+            found_ms: found_us.map(|us| 1e-3 * us.saturating_sub(shows_us) as f64),
             peak_n: gripper.peak_n,
             end_n: gripper.rig.plant.grip_n(),
             end: cell.state(),
@@ -110,15 +115,18 @@ impl Case {
         }
     }
 
-    /// Looks on; what happened that may not.
-    fn watch(&self, cell: &mut Workcell, opening_mm: f64) -> u32 {
-        let mut forbidden = 0;
+    /// Looks on; what happened that may not, and when the controller left the CAN bus, to a millisecond.
+    fn watch(&self, cell: &mut Workcell, opening_mm: f64) -> (u32, Option<u64>) {
+        let (mut forbidden, mut left_us) = (0, None);
         let (mut last, mut was_off, mut has_moved) = (cell.state(), false, false);
         for _ in 0..(1e3 * AFTER_S) as u32 {
             if self.row == Row::Flood {
                 flood(cell);
             }
             cell.tick();
+            if left_us.is_none() && cell.board.can.borrow().is_off() {
+                left_us = Some(cell.time_us() - TICK_US);
+            }
             let state = cell.state();
             forbidden += u32::from(!may_follow(last, state));
             // The host repeats its order for ever: nothing of it may begin again.
@@ -128,7 +136,8 @@ impl Case {
             has_moved |= (now_mm - opening_mm).abs() > MOVED_MM;
             last = state;
         }
-        forbidden + u32::from(self.situation == Situation::Foot && has_moved)
+        forbidden += u32::from(self.situation == Situation::Foot && has_moved);
+        (forbidden, left_us)
     }
 
     fn found_us(&self, cell: &Workcell) -> Option<u64> {
@@ -158,7 +167,7 @@ impl Case {
         };
         let stopped = state == Power::Armed as u8;
         match (self.row, self.situation) {
-            (Row::HostSilent | Row::BusOff, Situation::Approach) => {
+            (Row::HostSilent | Row::BusOff | Row::Flood, Situation::Approach) => {
                 is(Task::TimeoutHold) || goes_on
             }
             (Row::ObjectGone, _) => is(Task::Lost),

@@ -33,7 +33,8 @@ pub fn section(sentence: &str, tallies: &[Tally]) -> Section {
     let body = html! {
         p { (sentence) }
         (table("What became of each fault", &heads, rows))
-        p.note { "Latency counts from the moment in which the fault is done to the bytes, counts or frames. Peak is the \
+        p.note { "Latency counts from the moment in which the fault can be seen: at the sensors of force from the next tick \
+            of sensing, at the CAN bus from the controller's leaving it, else from the moment in which it is done. Peak is the \
             greatest true force between the fingers after it. Simulated; motor constants are assumed." }
         p { "Reviewed at register level, never counted:" }
         (listed(&ELSEWHERE))

@@ -4,4 +4,5 @@ mod faults;
 mod foot;
 mod holding;
 mod layers;
+mod paths;
 mod rig;
