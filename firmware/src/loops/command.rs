@@ -113,11 +113,11 @@ pub async fn command<F: NorFlash, R: FnMut() -> u16, B: FnMut(), C: Clock, M: Ra
                         Some(Message::ParamReply(reply))
                     }
                     Meant::Command(command) => {
-                        exchange.commanded.signal(command);
+                        exchange.asked.change(|asked| asked.command = Some(command));
                         None
                     }
                     Meant::Stop => {
-                        exchange.stopped.signal(());
+                        exchange.asked.change(|asked| asked.stop = true);
                         None
                     }
                     Meant::Nothing | Meant::Other(_) => None,
@@ -156,7 +156,9 @@ fn begins<M: RawMutex>(
     }
     match (service.op, Measure::of(service.argument)) {
         (op::TARE, _) => exchange.tare_wanted.signal(()),
-        (op::MEASURE, Some(measure)) => exchange.measure_wanted.signal(measure),
+        (op::MEASURE, Some(measure)) => {
+            exchange.asked.change(|asked| asked.measure = Some(measure))
+        }
         _ => return false,
     }
     *waiting = Some(service);
@@ -176,7 +178,7 @@ impl<F: NorFlash, R, B: FnMut()> Desk<F, R, B> {
             op::VERSION => Message::Version(self.version),
             // Whether the cause is gone the next heartbeat tells.
             op::CLEAR_FAULTS => {
-                exchange.cleared.signal(());
+                exchange.asked.change(|asked| asked.clear = true);
                 reply(status::DONE)
             }
             op::TARE | op::SAVE | op::REBOOT | op::MEASURE if is_armed => reply(status::ARMED),

@@ -7,12 +7,12 @@ use crate::force::Estimate;
 use crate::frame::SENSORS;
 use crate::grip::states::Power;
 use crate::grip::{Arming, Grip, Host, Inputs, Outputs};
-use crate::motor::calibration::{Calibration, Failure, Outcome};
+use crate::motor::calibration::{Calibration, Failure, Measure, Outcome};
 use crate::motor::{Order, Telling};
 use crate::parameters::{Parameters, Screw};
 use crate::progress::Loop;
 use crate::status::Fault;
-use crate::wire::messages::{GripStatus, Message};
+use crate::wire::messages::{Command, GripStatus, Message};
 
 /// Ticks from one [`GripStatus`] to the next.
 const STATUS_TICKS: u16 = GripStatus::LAYOUT.period_ms;
@@ -36,6 +36,29 @@ pub struct Felt {
     pub motor: Telling,
     /// Of the fingertips ([`Inputs::acceleration`]).
     pub acceleration: Option<[i32; 3]>,
+}
+
+/// What hosts have asked for since the last tick.
+#[derive(Clone, Copy, Debug)]
+pub struct Asked {
+    /// A command that counts; of two the newer.
+    pub command: Option<Command>,
+    /// Somebody says stop.
+    pub stop: bool,
+    /// A host clears faults.
+    pub clear: bool,
+    /// Something is to be measured.
+    pub measure: Option<Measure>,
+}
+
+impl Asked {
+    /// Nothing.
+    pub const NOTHING: Self = Self {
+        command: None,
+        stop: false,
+        clear: false,
+        measure: None,
+    };
 }
 
 /// What is known of hosts and of the start.
@@ -98,14 +121,14 @@ pub async fn grip<R: Reins, M: RawMutex>(
         exchange.progress.check_in(Loop::Grip);
         let parameters = exchange.parameters();
         grip.set_locks(parameters.screw() == Screw::SelfLocking);
-        if let Some(measure) = exchange.measure_wanted.try_take() {
+        let asked = exchange.asked.set(Asked::NOTHING);
+        if let Some(measure) = asked.measure {
             pending.calibration = Some(Calibration::new(measure));
         }
-        let stop = exchange.stopped.try_take().is_some();
         let is_busy = pending.calibration.is_some();
-        let outputs = tick(grip, &felt, [is_busy, stop], exchange);
+        let outputs = tick(grip, &felt, (&asked, is_busy), exchange);
         let order = match is_busy {
-            true => pending.measure(grip.power(), stop, &felt.motor, exchange),
+            true => pending.measure(grip.power(), asked.stop, &felt.motor, exchange),
             false => Some(pending.order(&outputs)),
         };
         if let Some(order) = order {
@@ -175,7 +198,7 @@ impl Pending {
 fn tick<M: RawMutex>(
     grip: &mut Grip,
     felt: &Felt,
-    [is_calibrating, stop]: [bool; 2],
+    (asked, is_calibrating): (&Asked, bool),
     exchange: &Exchange<M>,
 ) -> Outputs {
     let hosts = exchange.hosts.get();
@@ -184,9 +207,9 @@ fn tick<M: RawMutex>(
         estimates: &felt.estimates,
         motor: felt.motor,
         host: hosts.host,
-        command: exchange.commanded.try_take(),
-        stop,
-        clear: exchange.cleared.try_take().is_some(),
+        command: asked.command,
+        stop: asked.stop,
+        clear: asked.clear,
         faults: exchange.fault_bits_beside(Finder::Grip),
         is_sound: hosts.is_checked.then_some(is_sound),
         is_calibrating: is_calibrating || hosts.is_taring,
