@@ -81,10 +81,6 @@ impl CanBus {
         self.wakers.drain(..).for_each(Waker::wake);
     }
 
-    fn is_off(&self) -> bool {
-        self.errors > OFF
-    }
-
     /// The filters of the board.
     fn receive(&mut self, frame: CanFrame) {
         let id = frame.identifier();
