@@ -170,7 +170,7 @@ impl Outer {
             asked: self.asked,
             voltage: felt.voltage,
             bus_v: felt.bus_v,
-            supply: self.supply.told(),
+            supply: self.supply.told_with(felt.bus_v, &self.settings.limits),
             is_hot: self.bounds.is_hot,
             limits,
             found: self.found,

@@ -195,6 +195,17 @@ pub enum Supply {
     High,
 }
 
+impl Supply {
+    fn of(bus_v: f32, limits: &Limits) -> Self {
+        let [low_v, _] = limits.low_v;
+        match () {
+            () if bus_v > limits.high_v => Self::High,
+            () if bus_v < low_v => Self::Low,
+            () => Self::Sound,
+        }
+    }
+}
+
 /// Keeps what the bus was for so long that those who look each millisecond see it.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct SupplyWatch {
@@ -208,12 +219,7 @@ impl SupplyWatch {
 
     /// Takes a tick's voltage.
     pub fn note(&mut self, bus_v: f32, limits: &Limits) {
-        let [low_v, _] = limits.low_v;
-        let now = match () {
-            () if bus_v > limits.high_v => Supply::High,
-            () if bus_v < low_v => Supply::Low,
-            () => Supply::Sound,
-        };
+        let now = Supply::of(bus_v, limits);
         match now {
             Supply::Sound => {
                 self.ticks = self.ticks.saturating_sub(1);
@@ -225,9 +231,12 @@ impl SupplyWatch {
         }
     }
 
-    /// What it is, or was lately.
-    pub const fn told(&self) -> Supply {
-        self.told
+    /// What it is at this voltage, or was lately.
+    pub fn told_with(&self, bus_v: f32, limits: &Limits) -> Supply {
+        match Supply::of(bus_v, limits) {
+            Supply::Sound => self.told,
+            now => now,
+        }
     }
 }
 
@@ -349,11 +358,12 @@ mod tests {
             (32.1, Supply::High),
         ] {
             watch.note(volts, &LIMITS);
-            assert_eq!(watch.told(), expected, "{volts}");
+            assert_eq!(watch.told_with(24.0, &LIMITS), expected, "{volts}");
         }
         (0..11).for_each(|_| watch.note(24.0, &LIMITS));
-        assert_eq!(watch.told(), Supply::High);
+        assert_eq!(watch.told_with(24.0, &LIMITS), Supply::High);
         watch.note(24.0, &LIMITS);
-        assert_eq!(watch.told(), Supply::Sound);
+        assert_eq!(watch.told_with(24.0, &LIMITS), Supply::Sound);
+        assert_eq!(watch.told_with(15.9, &LIMITS), Supply::Low);
     }
 }

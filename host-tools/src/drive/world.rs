@@ -65,8 +65,10 @@ pub struct Gripper {
     pub peak_n: f64,
     /// When the motor did what it was ordered last, in microseconds.
     pub obeyed_us: u64,
-    /// When the motor itself first found something wrong, in microseconds.
-    pub noticed_us: Option<u64>,
+    /// When the motor first tripped, in microseconds.
+    pub tripped_us: Option<u64>,
+    /// When it first found its supply out of bounds.
+    pub out_us: Option<u64>,
     tips: Fingertips,
     inertial: Inertial,
     felt: Vector3<f64>,
@@ -88,7 +90,8 @@ impl Gripper {
             impacts: Vec::new(),
             peak_n: 0.0,
             obeyed_us: 0,
-            noticed_us: None,
+            tripped_us: None,
+            out_us: None,
             tips,
             inertial: Inertial::new(seed),
             felt: Vector3::new(0.0, 0.0, GRAVITY),
@@ -137,10 +140,12 @@ impl Gripper {
     /// Notes when the motor found something by itself, to a period of the pulses.
     fn notice(&mut self) {
         let telling = self.rig.motor.telling();
-        let has_tripped = matches!(telling.state, State::Tripped(_));
-        let is_out = telling.state == State::Armed && telling.supply != Supply::Sound;
-        if self.noticed_us.is_none() && (has_tripped || is_out) {
-            self.noticed_us = Some(self.periods * PERIOD_US);
+        let now_us = self.periods * PERIOD_US;
+        if matches!(telling.state, State::Tripped(_)) {
+            self.tripped_us = self.tripped_us.or(Some(now_us));
+        }
+        if telling.state == State::Armed && telling.supply != Supply::Sound {
+            self.out_us = self.out_us.or(Some(now_us));
         }
     }
 

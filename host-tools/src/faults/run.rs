@@ -5,6 +5,7 @@ use firmware::events::Event;
 use firmware::grip::react::Reaction;
 use firmware::grip::states::{Power, TASK_CODE, Task, code};
 use firmware::params::TICK_US;
+use firmware::status::Fault;
 use firmware::wire::can::CanFrame;
 use firmware::wire::{DEFAULT_NODE, identifier};
 use model_export::inverse::quantise::TableSet;
@@ -94,7 +95,8 @@ impl Case {
         cell.board.events.borrow_mut().clear();
         let opening_mm = {
             let gripper = &mut *cell.gripper.borrow_mut();
-            (gripper.peak_n, gripper.noticed_us) = (gripper.rig.plant.grip_n(), None);
+            gripper.peak_n = gripper.rig.plant.grip_n();
+            (gripper.tripped_us, gripper.out_us) = (None, None);
             1e3 * gripper.rig.plant.opening_m()
         };
         self.row.inject(&mut cell, pick);
@@ -142,7 +144,11 @@ impl Case {
 
     fn found_us(&self, cell: &Workcell) -> Option<u64> {
         if self.row.is_found_by_motor() {
-            return cell.gripper.borrow().noticed_us;
+            let gripper = cell.gripper.borrow();
+            return match self.row.facts().fault {
+                Fault::Supply => gripper.out_us,
+                _ => gripper.tripped_us,
+            };
         }
         let fault = self.row.facts().fault as u16;
         let events = cell.board.events.borrow();
