@@ -15,7 +15,7 @@ fn panic(_: &core::panic::PanicInfo) -> ! {
 #[embassy_executor::main]
 async fn main(spawner: embassy_executor::Spawner) {
     let board = firmware::hardware::board::bring_up();
-    firmware::tasks::start(spawner, board).await;
+    firmware::tasks::start(spawner, board);
 }
 
 #[cfg(not(target_os = "none"))]

@@ -74,7 +74,13 @@ fn twice() -> ! {
 }
 
 /// Starts every task.
-pub async fn start(spawner: Spawner, board: Board) {
+pub fn start(spawner: Spawner, board: Board) {
+    // As a task of this crate: what it shares with the others is then there once.
+    spawner.spawn(first(begin(spawner, board)));
+}
+
+#[embassy_executor::task]
+async fn begin(spawner: Spawner, board: Board) {
     let exchange: Shared = EXCHANGE.init_with(Exchange::new);
     let (boot, crash) = crash::take();
     info!(
@@ -206,14 +212,20 @@ async fn command(
     loops::command(desk, &BoardClock, exchange).await;
 }
 
+const fn number(text: &str) -> u8 {
+    match u8::from_str_radix(text, 10) {
+        Ok(number) => number,
+        Err(_) => u8::MAX,
+    }
+}
+
 fn version() -> Version {
-    let number = |text: &str| text.parse().unwrap_or(u8::MAX);
     Version {
         protocol_major: PROTOCOL.0,
         protocol_minor: PROTOCOL.1,
-        firmware_major: number(env!("CARGO_PKG_VERSION_MAJOR")),
-        firmware_minor: number(env!("CARGO_PKG_VERSION_MINOR")),
-        firmware_patch: number(env!("CARGO_PKG_VERSION_PATCH")),
+        firmware_major: const { number(env!("CARGO_PKG_VERSION_MAJOR")) },
+        firmware_minor: const { number(env!("CARGO_PKG_VERSION_MINOR")) },
+        firmware_patch: const { number(env!("CARGO_PKG_VERSION_PATCH")) },
         hardware: HARDWARE,
         tables: TABLES.id,
     }
