@@ -10,6 +10,7 @@ use firmware::model::grbf;
 use firmware::model::gru;
 use firmware::model::network::{State, Weights};
 
+use crate::grip;
 use crate::motor;
 use crate::vectors::{self, Random};
 
@@ -30,7 +31,8 @@ pub fn print(out: &mut impl Write) -> Result {
     for (name, pairs) in [("grbf_25", 13), ("grbf_50", 25), ("grbf_100", 50)] {
         basis_functions(name, pairs, &counter, out)?;
     }
-    motor::print(&counter, out)
+    motor::print(&counter, out)?;
+    grip::print(&counter, out)
 }
 
 /// A whole call of [`gru::step`].

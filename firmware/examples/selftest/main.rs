@@ -9,6 +9,8 @@ mod chip;
 #[cfg(target_os = "none")]
 mod counts;
 #[cfg(target_os = "none")]
+mod grip;
+#[cfg(target_os = "none")]
 mod motor;
 #[cfg(target_os = "none")]
 mod vectors;

@@ -105,7 +105,10 @@ pub fn bring_up() -> Board {
         p.USART2, p.PA3, p.PA2, p.DMA1_CH5, p.DMA1_CH6, Interrupts, config,
     );
     // Pins and channels belong to this file, and this configuration is one that exists.
-    let (out, into) = defmt::unwrap!(line).split();
+    let Ok(line) = line else {
+        defmt::panic!("no such serial line")
+    };
+    let (out, into) = line.split();
     Board {
         sensor_buses: [
             BoardBus::new(open_first, first_pins),

@@ -75,9 +75,7 @@ pub async fn command<F: NorFlash, R: FnMut() -> u16, B: FnMut(), C: Clock, M: Ra
     // Nobody is heard, and so nobody arms, before the tables have been looked at.
     exchange.checked.wait().await;
     let mut look_us = clock.now_us();
-    // The service that takes its time.
     let mut waiting = None;
-    let mut is_taring = false;
     loop {
         let next = select4(
             exchange.heard.receive(),
@@ -87,76 +85,84 @@ pub async fn command<F: NorFlash, R: FnMut() -> u16, B: FnMut(), C: Clock, M: Ra
         );
         let next = next.await;
         exchange.progress.check_in(Loop::Command);
-        match next {
+        let now_ms = (clock.now_us() / 1000) as u32;
+        let stands = exchange.stands.get();
+        session.allow(stands.may_arm);
+        let reply = match next {
             Either4::First(heard) => {
-                let now_ms = (clock.now_us() / 1000) as u32;
-                let stands = exchange.stands.get();
-                session.allow(stands.may_arm);
                 let frame = heard.frame;
                 let random = (desk.random)();
                 let meant = session.hear(now_ms, frame.identifier(), frame.data(), random);
-                show(&session, is_taring, now_ms, exchange);
+                show(&session, &waiting, now_ms, exchange);
                 let is_armed = session.is_open() || stands.is_driven;
                 match meant {
-                    Meant::Reply { reply, .. } => {
-                        reply_with(Message::ServiceReply(reply), exchange)
-                    }
+                    Meant::Reply { reply, .. } => Some(Message::ServiceReply(reply)),
                     Meant::Other(Message::Service(service))
-                        if service.op == op::TARE && !is_armed && waiting.is_none() =>
+                        if !is_armed && begins(service, &mut waiting, exchange) =>
                     {
-                        (waiting, is_taring) = (Some(service), true);
-                        exchange.tare_wanted.signal(());
-                    }
-                    Meant::Other(Message::Service(service))
-                        if service.op == op::MEASURE && !is_armed && waiting.is_none() =>
-                    {
-                        match Measure::of(service.argument) {
-                            Some(measure) => {
-                                waiting = Some(service);
-                                exchange.measure_wanted.signal(measure);
-                            }
-                            None => {
-                                let reply = answer(service, status::UNKNOWN, 0);
-                                reply_with(Message::ServiceReply(reply), exchange);
-                            }
-                        }
+                        None
                     }
                     Meant::Other(Message::Service(service)) => {
-                        let reply = desk.serve(service, is_armed, exchange).await;
-                        reply_with(reply, exchange);
+                        Some(desk.serve(service, is_armed, exchange).await)
                     }
                     Meant::Other(Message::ParamRequest(request)) => {
                         let mut parameters = exchange.parameters();
                         let reply = parameters::answer(&mut parameters, &request, is_armed);
                         exchange.set_parameters(parameters);
                         session.set_silent_ms(parameters.command_timeout_ms());
-                        reply_with(Message::ParamReply(reply), exchange);
+                        Some(Message::ParamReply(reply))
                     }
-                    Meant::Command(command) => exchange.commanded.signal(command),
-                    Meant::Stop => exchange.stopped.signal(()),
-                    Meant::Nothing | Meant::Other(_) => {}
+                    Meant::Command(command) => {
+                        exchange.asked.change(|asked| asked.command = Some(command));
+                        None
+                    }
+                    Meant::Stop => {
+                        exchange.asked.change(|asked| asked.stop = true);
+                        None
+                    }
+                    Meant::Nothing | Meant::Other(_) => None,
                 }
             }
             Either4::Second(step) => {
-                is_taring = false;
-                if let Some(service) = waiting.take() {
-                    let reply = tared(service, step, exchange);
-                    reply_with(Message::ServiceReply(reply), exchange);
-                }
+                let service = waiting.take();
+                service.map(|service| Message::ServiceReply(tared(service, step, exchange)))
             }
             Either4::Third(outcome) => {
-                if let Some(service) = waiting.take() {
-                    let reply = measured(service, &outcome, exchange);
-                    reply_with(Message::ServiceReply(reply), exchange);
-                }
+                let service = waiting.take();
+                service.map(|service| Message::ServiceReply(measured(service, &outcome, exchange)))
             }
-            Either4::Fourth(()) => look_us = clock.now_us().saturating_add(LOOK_US),
+            Either4::Fourth(()) => {
+                look_us = clock.now_us().saturating_add(LOOK_US);
+                None
+            }
+        };
+        if let Some(reply) = reply {
+            // A host that asks faster than the bus can answer asks again.
+            let _ = exchange.replies.try_send(reply);
         }
-        let now_ms = (clock.now_us() / 1000) as u32;
-        session.allow(exchange.stands.get().may_arm);
-        show(&session, is_taring, now_ms, exchange);
+        show(&session, &waiting, now_ms, exchange);
         judge(&session, &mut faults, now_ms, exchange);
     }
+}
+
+/// Begins a service that takes its time; whether it is one, and none is under way.
+fn begins<M: RawMutex>(
+    service: Service,
+    waiting: &mut Option<Service>,
+    exchange: &Exchange<M>,
+) -> bool {
+    if waiting.is_some() {
+        return false;
+    }
+    match (service.op, Measure::of(service.argument)) {
+        (op::TARE, _) => exchange.tare_wanted.signal(()),
+        (op::MEASURE, Some(measure)) => {
+            exchange.asked.change(|asked| asked.measure = Some(measure))
+        }
+        _ => return false,
+    }
+    *waiting = Some(service);
+    true
 }
 
 impl<F: NorFlash, R, B: FnMut()> Desk<F, R, B> {
@@ -172,11 +178,11 @@ impl<F: NorFlash, R, B: FnMut()> Desk<F, R, B> {
             op::VERSION => Message::Version(self.version),
             // Whether the cause is gone the next heartbeat tells.
             op::CLEAR_FAULTS => {
-                exchange.cleared.signal(());
+                exchange.asked.change(|asked| asked.clear = true);
                 reply(status::DONE)
             }
             op::TARE | op::SAVE | op::REBOOT | op::MEASURE if is_armed => reply(status::ARMED),
-            // Another one is under way.
+            // Another one is under way, or the argument means nothing.
             op::TARE | op::MEASURE => reply(status::FAILED),
             op::SAVE => match self.store.save(&exchange.parameters()).await {
                 Ok(()) => reply(status::DONE),
@@ -221,13 +227,14 @@ fn measured<M: RawMutex>(
     }
 }
 
-fn reply_with<M: RawMutex>(reply: Message, exchange: &Exchange<M>) {
-    // A host that asks faster than the bus can answer asks again.
-    let _ = exchange.replies.try_send(reply);
-}
-
 /// Shows the grasp what is known of hosts.
-fn show<M: RawMutex>(session: &Session, is_taring: bool, now_ms: u32, exchange: &Exchange<M>) {
+#[inline(never)]
+fn show<M: RawMutex>(
+    session: &Session,
+    waiting: &Option<Service>,
+    now_ms: u32,
+    exchange: &Exchange<M>,
+) {
     exchange.hosts.set(Hosts {
         host: Host {
             is_offered: session.is_offered(now_ms),
@@ -235,7 +242,7 @@ fn show<M: RawMutex>(session: &Session, is_taring: bool, now_ms: u32, exchange: 
             is_alive: session.is_alive(now_ms),
         },
         is_checked: true,
-        is_taring,
+        is_taring: waiting.is_some_and(|service| service.op == op::TARE),
     });
 }
 

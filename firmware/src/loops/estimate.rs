@@ -47,7 +47,7 @@ pub struct Told {
 /// Estimates the forces of every frame that is sensed, for ever. `around` tells what the board knows beside
 /// the fields.
 pub async fn estimate<N: Networks, C: Clock, M: RawMutex>(
-    mut estimator: Estimator<'_, N>,
+    estimator: &mut Estimator<'_, N>,
     mut around: impl FnMut() -> Around,
     limits: &Limits,
     clock: &C,

@@ -7,12 +7,12 @@ use crate::force::Estimate;
 use crate::frame::SENSORS;
 use crate::grip::states::Power;
 use crate::grip::{Arming, Grip, Host, Inputs, Outputs};
-use crate::motor::calibration::{Calibration, Failure, Outcome};
+use crate::motor::calibration::{Calibration, Failure, Measure, Outcome};
 use crate::motor::{Order, Telling};
 use crate::parameters::{Parameters, Screw};
 use crate::progress::Loop;
 use crate::status::Fault;
-use crate::wire::messages::{GripStatus, Message};
+use crate::wire::messages::{Command, GripStatus, Message};
 
 /// Ticks from one [`GripStatus`] to the next.
 const STATUS_TICKS: u16 = GripStatus::LAYOUT.period_ms;
@@ -36,6 +36,29 @@ pub struct Felt {
     pub motor: Telling,
     /// Of the fingertips ([`Inputs::acceleration`]).
     pub acceleration: Option<[i32; 3]>,
+}
+
+/// What hosts have asked for since the last tick.
+#[derive(Clone, Copy, Debug)]
+pub struct Asked {
+    /// A command that counts; of two the newer.
+    pub command: Option<Command>,
+    /// Somebody says stop.
+    pub stop: bool,
+    /// A host clears faults.
+    pub clear: bool,
+    /// Something is to be measured.
+    pub measure: Option<Measure>,
+}
+
+impl Asked {
+    /// Nothing.
+    pub const NOTHING: Self = Self {
+        command: None,
+        stop: false,
+        clear: false,
+        measure: None,
+    };
 }
 
 /// What is known of hosts and of the start.
@@ -87,47 +110,30 @@ impl Stands {
 
 /// Grasps, for ever.
 pub async fn grip<R: Reins, M: RawMutex>(
-    mut grip: Grip,
+    grip: &mut Grip,
     mut reins: R,
     exchange: &Exchange<M>,
 ) -> ! {
-    // An opening that the motor was not told yet.
-    let mut opening_mm = None;
-    let mut calibration = None;
+    let mut pending = Pending::default();
     let mut ticks = 0_u16;
     loop {
         let felt = exchange.felt.wait().await;
         exchange.progress.check_in(Loop::Grip);
         let parameters = exchange.parameters();
         grip.set_locks(parameters.screw() == Screw::SelfLocking);
-        if let Some(measure) = exchange.measure_wanted.try_take() {
-            calibration = Some(Calibration::new(measure));
+        let asked = exchange.asked.set(Asked::NOTHING);
+        if let Some(measure) = asked.measure {
+            pending.calibration = Some(Calibration::new(measure));
         }
-        let stop = exchange.stopped.try_take().is_some();
-        let is_busy = [calibration.is_some(), stop];
-        let outputs = tick(&mut grip, &felt, is_busy, exchange);
-        opening_mm = outputs.opening_mm.or(opening_mm);
-        let order = match &mut calibration {
-            None => Some(order(&outputs, opening_mm)),
-            Some(running) => {
-                let step = match (grip.power(), stop) {
-                    (Power::Calibrating, false) => running.tick(&felt.motor),
-                    (Power::Calibrating, true) => Err(Outcome::Failed(Failure::Stopped)),
-                    _ => Err(Outcome::Failed(Failure::NotNow)),
-                };
-                step.unwrap_or_else(|outcome| {
-                    calibration = None;
-                    exchange.measured.signal(outcome);
-                    // What the grasp asks for in the next tick, if it was no calibration.
-                    matches!(grip.power(), Power::Calibrating).then_some(Order::Disarm)
-                })
-            }
+        let is_busy = pending.calibration.is_some();
+        let outputs = tick(grip, &felt, (&asked, is_busy), exchange);
+        let order = match is_busy {
+            true => pending.measure(grip.power(), asked.stop, &felt.motor, exchange),
+            false => Some(pending.order(&outputs)),
         };
-        if let Some(order) = order
-            && reins.order(order).is_ok()
-            && matches!(order, Order::Opening { .. })
-        {
-            opening_mm = None;
+        if let Some(order) = order {
+            let is_taken = reins.order(order).is_ok();
+            pending.was_given(&order, is_taken);
         }
         ticks = (ticks + 1) % STATUS_TICKS;
         tell(&outputs, &parameters, ticks == 0, exchange);
@@ -141,10 +147,58 @@ pub async fn grip<R: Reins, M: RawMutex>(
     }
 }
 
+/// What the motor is still to be told or asked.
+#[derive(Default)]
+struct Pending {
+    /// What is not a number: the opening is not known any more.
+    opening_mm: Option<f32>,
+    calibration: Option<Calibration>,
+}
+
+impl Pending {
+    /// One order in a tick: what is left waits for the next, where a set-point is a newer one.
+    fn order(&mut self, outputs: &Outputs) -> Order {
+        self.opening_mm = outputs.opening_mm.or(self.opening_mm);
+        match (outputs.arming, self.opening_mm) {
+            (Some(Arming::Arm), _) => Order::Arm,
+            (Some(Arming::Disarm), _) => Order::Disarm,
+            (None, Some(opening_mm)) => Order::Opening { opening_mm },
+            (None, None) => Order::Do(outputs.setpoint),
+        }
+    }
+
+    fn was_given(&mut self, order: &Order, is_taken: bool) {
+        if is_taken && matches!(order, Order::Opening { .. }) {
+            self.opening_mm = None;
+        }
+    }
+
+    /// A millisecond of a calibration; its end is told.
+    fn measure<M: RawMutex>(
+        &mut self,
+        power: Power,
+        stop: bool,
+        motor: &Telling,
+        exchange: &Exchange<M>,
+    ) -> Option<Order> {
+        let step = match (&mut self.calibration, power) {
+            (Some(running), Power::Calibrating) if !stop => running.tick(motor),
+            (_, Power::Calibrating) => Err(Outcome::Failed(Failure::Stopped)),
+            _ => Err(Outcome::Failed(Failure::NotNow)),
+        };
+        step.unwrap_or_else(|outcome| {
+            self.calibration = None;
+            exchange.measured.signal(outcome);
+            // Where it never began, the motor is the grasp's.
+            (power == Power::Calibrating).then_some(Order::Disarm)
+        })
+    }
+}
+
 fn tick<M: RawMutex>(
     grip: &mut Grip,
     felt: &Felt,
-    [is_calibrating, stop]: [bool; 2],
+    (asked, is_calibrating): (&Asked, bool),
     exchange: &Exchange<M>,
 ) -> Outputs {
     let hosts = exchange.hosts.get();
@@ -153,24 +207,14 @@ fn tick<M: RawMutex>(
         estimates: &felt.estimates,
         motor: felt.motor,
         host: hosts.host,
-        command: exchange.commanded.try_take(),
-        stop,
-        clear: exchange.cleared.try_take().is_some(),
+        command: asked.command,
+        stop: asked.stop,
+        clear: asked.clear,
         faults: exchange.fault_bits_beside(Finder::Grip),
         is_sound: hosts.is_checked.then_some(is_sound),
         is_calibrating: is_calibrating || hosts.is_taring,
         acceleration: felt.acceleration,
     })
-}
-
-/// One order in a tick: what is left waits for the next, where a set-point is a newer one.
-fn order(outputs: &Outputs, opening_mm: Option<f32>) -> Order {
-    match (outputs.arming, opening_mm) {
-        (Some(Arming::Arm), _) => Order::Arm,
-        (Some(Arming::Disarm), _) => Order::Disarm,
-        (None, Some(opening_mm)) => Order::Opening { opening_mm },
-        (None, None) => Order::Do(outputs.setpoint),
-    }
 }
 
 /// A bus or line that is full loses a status; the next tick tells a newer one.

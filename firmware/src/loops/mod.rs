@@ -31,7 +31,7 @@ use embassy_sync::signal::Signal;
 
 pub use command::{Desk, begin, command};
 pub use estimate::{Around, Told, estimate};
-pub use grip::{Felt, Hosts, Reins, Stands, grip};
+pub use grip::{Asked, Felt, Hosts, Reins, Stands, grip};
 pub use listen::{CAN, Heard, SERIAL, listen, listen_serial};
 pub use report::report;
 pub use scrub::scrub;
@@ -39,12 +39,12 @@ pub use sense::{FIRST_TICK_US, Sensed, sense};
 pub use telemetry::telemetry;
 
 use crate::events::{Event, Events};
-use crate::motor::calibration::{Measure, Outcome};
+use crate::motor::calibration::Outcome;
 use crate::parameters::Parameters;
 use crate::progress::Progress;
 use crate::status::{Fault, Faults};
 use crate::tare::Step;
-use crate::wire::messages::{Command, FaultEvent, Message};
+use crate::wire::messages::{FaultEvent, Message};
 use crate::wire::serial::{Packet, Tick};
 
 /// Loops that find faults.
@@ -86,9 +86,18 @@ impl<M: RawMutex, T: Copy> Shown<M, T> {
         self.0.lock(Cell::get)
     }
 
-    /// Another one.
-    pub fn set(&self, value: T) {
-        self.0.lock(|cell| cell.set(value));
+    /// Another one; what was there before.
+    pub fn set(&self, value: T) -> T {
+        self.0.lock(|cell| cell.replace(value))
+    }
+
+    /// Changes it in place.
+    pub fn change(&self, change: impl FnOnce(&mut T)) {
+        self.0.lock(|cell| {
+            let mut value = cell.get();
+            change(&mut value);
+            cell.set(value);
+        });
     }
 }
 
@@ -102,14 +111,10 @@ pub struct Exchange<M: RawMutex> {
     pub ticks: Signal<M, Tick>,
     /// From [`estimate`] to [`grip`](fn@grip).
     pub felt: Signal<M, Felt>,
-    /// From [`command`] to [`grip`](fn@grip): hosts, always up to date when one of the next three comes.
+    /// From [`command`] to [`grip`](fn@grip): hosts, always up to date when one of them asks for something.
     pub hosts: Shown<M, Hosts>,
-    /// From [`command`] to [`grip`](fn@grip): a command that counts; of two in a tick the newer.
-    pub commanded: Signal<M, Command>,
-    /// From [`command`] to [`grip`](fn@grip): somebody says stop.
-    pub stopped: Signal<M, ()>,
-    /// From [`command`] to [`grip`](fn@grip): a host clears faults.
-    pub cleared: Signal<M, ()>,
+    /// From [`command`] to [`grip`](fn@grip), which takes it in each tick.
+    pub asked: Shown<M, Asked>,
     /// From [`grip`](fn@grip) to [`command`] and [`report`].
     pub stands: Shown<M, Stands>,
     /// From [`grip`](fn@grip) to [`report`]: the grip, the foot, commands that are refused.
@@ -122,8 +127,6 @@ pub struct Exchange<M: RawMutex> {
     pub tare_wanted: Signal<M, ()>,
     /// From [`estimate`] to [`command`]: how it ended.
     pub tare_ended: Signal<M, Step>,
-    /// From [`command`] to [`grip`](fn@grip): something is to be measured.
-    pub measure_wanted: Signal<M, Measure>,
     /// From [`grip`](fn@grip) to [`command`]: how it ended.
     pub measured: Signal<M, Outcome>,
     /// From [`scrub`] to [`command`]: tables and networks were looked at.
@@ -181,16 +184,13 @@ impl<M: RawMutex> Exchange<M> {
             ticks: Signal::new(),
             felt: Signal::new(),
             hosts: Shown::new(Hosts::NONE),
-            commanded: Signal::new(),
-            stopped: Signal::new(),
-            cleared: Signal::new(),
+            asked: Shown::new(Asked::NOTHING),
             stands: Shown::new(Stands::NOWHERE),
             grasp: Channel::new(),
             heard: Channel::new(),
             replies: Channel::new(),
             tare_wanted: Signal::new(),
             tare_ended: Signal::new(),
-            measure_wanted: Signal::new(),
             measured: Signal::new(),
             checked: Signal::new(),
             bus_off: Signal::new(),

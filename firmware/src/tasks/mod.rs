@@ -30,6 +30,7 @@ use crate::hardware::watchdog::Watchdog;
 use crate::limits::{Grasp, Limits};
 use crate::loops::{self, Around, Desk, Exchange, Finder, Reins};
 use crate::model::tables::{NETWORKS, TABLES};
+use crate::motor::screw::Screw;
 use crate::motor::{Order, Telling};
 use crate::parameters;
 use crate::progress::FED_EVERY_MS;
@@ -37,6 +38,8 @@ use crate::status::{Fault, Faults};
 use crate::store::{Loaded, Store};
 use crate::wire::PROTOCOL;
 use crate::wire::messages::Version;
+
+defmt::timestamp!("{=u64:us}", embassy_time::Instant::now().as_micros());
 
 /// Where something counts as wrong.
 const LIMITS: Limits = Limits::GRIPPER;
@@ -108,9 +111,7 @@ pub async fn start(spawner: Spawner, board: Board) {
         parameters.addresses(),
     )));
     upper.spawn(first(estimate(exchange, line.tellings)));
-    let locks = parameters.screw() == parameters::Screw::SelfLocking;
-    let grasp = Grip::new(Grasp::GRIPPER, settings.screw, locks);
-    upper.spawn(first(grip(exchange, grasp, Orders(line.orders))));
+    upper.spawn(first(grip(exchange, settings.screw, Orders(line.orders))));
     let watchdog = Watchdog::start(board.watchdog);
     spawner.spawn(first(feed(exchange, watchdog)));
     spawner.spawn(first(scrub(exchange)));
@@ -128,7 +129,7 @@ async fn sense(exchange: Shared, buses: [BoardBus; 2], addresses: [u8; SENSORS])
 
 #[embassy_executor::task]
 async fn estimate(exchange: Shared, mut tellings: Reader<Telling>) {
-    let estimator = Estimator::new(&TABLES, Running::start(&NETWORKS));
+    let mut estimator = Estimator::new(&TABLES, Running::start(&NETWORKS));
     let mut around = Around::default();
     let around = move || {
         if let Some(motor) = tellings.take() {
@@ -139,7 +140,7 @@ async fn estimate(exchange: Shared, mut tellings: Reader<Telling>) {
         }
         around
     };
-    loops::estimate(estimator, around, &LIMITS, &BoardClock, exchange).await;
+    loops::estimate(&mut estimator, around, &LIMITS, &BoardClock, exchange).await;
 }
 
 /// The way to the drive.
@@ -152,8 +153,10 @@ impl Reins for Orders {
 }
 
 #[embassy_executor::task]
-async fn grip(exchange: Shared, grip: Grip, orders: Orders) {
-    loops::grip(grip, orders, exchange).await;
+async fn grip(exchange: Shared, screw: Screw, orders: Orders) {
+    let locks = exchange.parameters().screw() == parameters::Screw::SelfLocking;
+    let mut grip = Grip::new(Grasp::GRIPPER, screw, locks);
+    loops::grip(&mut grip, orders, exchange).await;
 }
 
 #[embassy_executor::task]

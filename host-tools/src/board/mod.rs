@@ -193,7 +193,7 @@ impl Board {
                 .collect();
             let tables = program.tables.tables(&compensations);
             let networks = program.networks.as_ref().map(Networks::run);
-            let estimator = Estimator::new(&tables, networks);
+            let mut estimator = Estimator::new(&tables, networks);
             let around = || {
                 let time_us = clock.now_us();
                 Around {
@@ -202,13 +202,15 @@ impl Board {
                 }
             };
             let scrub = loops::scrub::<_, Tables, 0, _, _>(&tables, &[], &clock, &exchange);
-            let estimate = loops::estimate(estimator, around, &limits, &clock, &exchange);
+            let estimate = loops::estimate(&mut estimator, around, &limits, &clock, &exchange);
             join(scrub, estimate).await;
         });
         let (clock, exchange) = parts();
         let locks = parameters.screw() == parameters::Screw::SelfLocking;
-        let grip = Grip::new(driven.grasp, driven.screw, locks);
-        self.spawn(async move { loops::grip(grip, Orders { motor, clock }, &exchange).await });
+        let mut grip = Grip::new(driven.grasp, driven.screw, locks);
+        self.spawn(async move {
+            loops::grip(&mut grip, Orders { motor, clock }, &exchange).await;
+        });
         let (clock, exchange) = parts();
         let sender = can::Sender {
             bus: self.can.clone(),
