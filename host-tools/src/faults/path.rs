@@ -71,6 +71,6 @@ mod tests {
         assert!(!may_follow(Power::Fault as u8, task(Task::Idle)));
         assert!(!may_follow(Power::Safe as u8, task(Task::Idle)));
         assert!(!may_follow(task(Task::Foot), task(Task::Force)));
-        assert!(!may_follow(task(Task::HoldActive), task(Task::Moving)));
+        assert!(!may_follow(task(Task::Idle), task(Task::HoldActive)));
     }
 }
