@@ -3,7 +3,9 @@
 
 use firmware::motor::Setpoint;
 use host_tools::drive::figures::{self, SCATTER};
-use host_tools::drive::{Rig, runs};
+use host_tools::drive::grasp::{grip_command, object};
+use host_tools::drive::workcell::{Plan, Workcell};
+use host_tools::drive::{Rig, runs, tables};
 use host_tools::plant::parameters::{Lead, Parameters};
 
 /// Time of the drive that is simulated to see how long that takes.
@@ -25,7 +27,25 @@ fn main() {
             "screw {lead:?}: {:.1} times real time on one core",
             speed(lead)
         );
+        println!(
+            "screw {lead:?} with sensors, board and host: {:.1} times real time on one core",
+            whole_speed(lead)
+        );
     }
+}
+
+/// The same of a whole gripper that grips over the bus and holds.
+fn whole_speed(lead: Lead) -> f64 {
+    let plan = Plan::nominal(lead, 42.0, 1);
+    let tables = tables::as_drawn().expect("tables of the design");
+    let mut cell = Workcell::new(&plan, &tables);
+    let object = object(&plan.plant, 40.0, 333.0);
+    cell.gripper.borrow_mut().rig.plant.hold(Some(&object));
+    assert!(cell.enable());
+    cell.host.order(grip_command(100.0));
+    let start_s = on_cpu_s();
+    cell.run(SECONDS);
+    SECONDS / (on_cpu_s() - start_s)
 }
 
 /// How many times as fast as real time a drive that goes to and fro is simulated.

@@ -11,7 +11,7 @@ use firmware::params::TICK_US;
 use firmware::session::{op, status};
 use firmware::status::Fault;
 use firmware::wire;
-use firmware::wire::messages::Command;
+use firmware::wire::messages::{Command, FaultEvent};
 use host_tools::drive::grasp::{grip_command, object};
 use host_tools::drive::tables;
 use host_tools::drive::workcell::{Plan, Workcell};
@@ -201,7 +201,8 @@ fn a_fault_is_kept_until_a_host_clears_it_and_arms_anew() {
     cell.gripper.borrow_mut().wrong.frame = Some(Box::new(|frame| frame ^ 1));
     cell.run(0.3);
     assert_eq!(cell.state(), Power::Fault as u8);
-    assert!(cell.board.exchange.is_active(Fault::RotorSensor));
+    let came = |event: &FaultEvent| event.code == Fault::RotorSensor as u16 && event.active == 1;
+    assert!(cell.host.told.faults.iter().any(|(_, event)| came(event)));
     cell.gripper.borrow_mut().wrong.frame = None;
     cell.run(0.3);
     assert_eq!(cell.state(), Power::Fault as u8);

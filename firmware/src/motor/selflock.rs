@@ -5,8 +5,9 @@ use super::state::Setpoint;
 
 /// Milliseconds of gripping at rest before the current falls.
 const REST_MS: u32 = 100;
-/// Below this speed in rad/s, either way, the rotor rests.
-const REST_SPEED: f32 = 0.5;
+/// Below this speed in rad/s, either way, the rotor rests: its noise is up to half of it, closing
+/// more than twice.
+const REST_SPEED: f32 = 2.0;
 /// Speed of closing in mm/s until something is gripped.
 const CLOSING_MM_S: f32 = 5.0;
 /// Milliseconds within which something must be gripped.
