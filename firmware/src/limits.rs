@@ -134,6 +134,8 @@ pub struct Grasp {
     pub stray_ms: u16,
     /// Current in amperes of a rotor that is jammed.
     pub jam_a: f32,
+    /// Mean speed in mm/s below which it is; the slowest approach is at 2 mm/s.
+    pub jam_mm_s: f32,
     /// Milliseconds of it.
     pub jam_ms: u16,
     /// Greatest force in newtons at each sensor before a foot, and at its end.
@@ -200,7 +202,8 @@ impl Grasp {
         stray_mm: 0.8,
         stray_ms: 3,
         jam_a: 1.2,
-        jam_ms: 50,
+        jam_mm_s: 0.8,
+        jam_ms: 40,
         unloaded_n: 20.0,
         unloaded_ms: 50,
         flat_mm: 1.0,

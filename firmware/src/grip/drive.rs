@@ -11,7 +11,7 @@ use crate::params;
 
 /// The law takes no contact for softer than this, in newtons to the millimetre: the noise of the force would
 /// shake the fingers.
-const SOFTEST: f32 = 20.0;
+const SOFTEST: f32 = 50.0;
 /// A force that is right is kept by the mean of the last forces, and the loop is slower by this factor.
 const CALM: f32 = 4.0;
 /// Speed in mm/s at which a place is taken up again.

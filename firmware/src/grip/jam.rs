@@ -3,16 +3,22 @@
 use crate::limits::Grasp;
 use crate::motor::Telling;
 
+/// Milliseconds of which a speed is the mean.
+const MEAN_MS: f32 = 4.0;
+
 /// Watches for it.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Jam {
+    /// Mean speed of the last milliseconds in mm/s: the rotor's noise is more on a steep screw.
+    mean_mm_s: f32,
     stands_ms: u16,
 }
 
 impl Jam {
     /// Takes a millisecond in which the fingers are meant to move; whether they are jammed.
     pub fn note(&mut self, motor: &Telling, force_n: f32, limits: &Grasp) -> bool {
-        let stands = motor.closing_mm_s.abs() < limits.resting_mm_s;
+        self.mean_mm_s += (motor.closing_mm_s - self.mean_mm_s) / MEAN_MS;
+        let stands = self.mean_mm_s.abs() < limits.jam_mm_s;
         let pushes = motor.current.q.abs() > limits.jam_a;
         self.stands_ms = match stands && pushes && force_n < limits.contact_n {
             true => self.stands_ms.saturating_add(1),
@@ -41,9 +47,9 @@ mod tests {
     }
 
     #[test]
-    fn current_without_motion_and_without_force_is_a_jam_after_50_ms() {
-        assert!(after(50, 1.3, 0.1, 1.0) && !after(49, 1.3, 0.1, 1.0));
-        assert!(after(50, -1.3, -0.1, 1.0));
+    fn current_without_motion_and_without_force_is_a_jam_after_40_ms() {
+        assert!(after(40, 1.3, 0.1, 1.0) && !after(39, 1.3, 0.1, 1.0));
+        assert!(after(40, -1.3, -0.1, 1.0));
         assert!(!after(500, 1.1, 0.1, 1.0));
         assert!(!after(500, 5.0, 1.0, 1.0));
         assert!(!after(500, 5.0, 0.0, 6.0));

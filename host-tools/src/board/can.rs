@@ -54,11 +54,6 @@ pub struct CanBus {
 }
 
 impl CanBus {
-    /// Whether the board's controller has left the bus.
-    pub fn is_off(&self) -> bool {
-        self.errors > OFF
-    }
-
     /// A frame of somebody else.
     pub fn put(&mut self, frame: CanFrame) {
         self.others.push_back(frame);
