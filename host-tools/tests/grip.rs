@@ -123,7 +123,6 @@ fn what_the_drive_cannot_do_is_said_and_not_done() {
         ),
         (vec!["--speed", "5", "--scatter", "2"], "give 0 to 0.5"),
         (vec!["--force", "400"], "give 5 to 350 N"),
-        (vec!["--force", "350", "--object", "soft"], "give less"),
         (vec!["--foot", "5"], "give 20 to 1000"),
         (vec![], "--position"),
     ] {

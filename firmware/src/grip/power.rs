@@ -1,7 +1,7 @@
 //! A millisecond of the power layer: faults found, reacted to, latched, cleared; the session followed.
 
 use super::profile::TRIP_N;
-use super::react::{Reaction, strongest};
+use super::react::{Reaction, TRIPPED, fault_of, strongest};
 use super::states::{Phase, Power, Task};
 use super::table::{self, PowerEvent};
 use super::{Arming, Cause, Grip, Inputs, Outputs};
@@ -13,25 +13,14 @@ use crate::units::Force;
 
 /// Milliseconds for which a host's clear counts.
 const CLEARS_MS: u8 = 5;
-/// Faults that the motor trips on.
-const TRIPS: [(Trip, Fault); 8] = [
-    (Trip::OverCurrent, Fault::OverCurrent),
-    (Trip::OverSpeed, Fault::OverSpeed),
-    (Trip::Encoder, Fault::RotorSensor),
-    (Trip::CurrentSense, Fault::CurrentSense),
-    (Trip::NotANumber, Fault::NotANumber),
-    (Trip::Runaway, Fault::Runaway),
-    (Trip::Unled, Fault::Runaway),
-    (Trip::PowerStage, Fault::PowerStage),
-];
-
 impl Grip {
     /// Notes the faults that this layer can see.
     pub(super) fn find_faults(&mut self, inputs: &Inputs, outputs: &mut Outputs) {
-        let mut trips = TRIPS.iter();
-        let tripped = trips.find(|(trip, _)| inputs.motor.state == State::Tripped(*trip));
-        let tripped = tripped.map(|(_, fault)| *fault);
-        for (_, fault) in TRIPS {
+        let tripped = match inputs.motor.state {
+            State::Tripped(trip) => Some(fault_of(trip)),
+            _ => None,
+        };
+        for fault in TRIPPED {
             self.note(fault, tripped == Some(fault), 0, outputs);
         }
         let is_armed = inputs.motor.state == State::Armed;

@@ -5,6 +5,7 @@
 //! watchdog) has no row: the pins are then without a driver.
 
 use super::states::Phase;
+use crate::motor::Trip;
 use crate::status::Fault;
 
 /// What is done, the milder first.
@@ -146,6 +147,30 @@ impl Row {
             (Phase::Holding, false) => driven_back,
             (Phase::Foot, _) => self.foot,
         }
+    }
+}
+
+/// Faults that a motor's trips are told as.
+pub const TRIPPED: [Fault; 7] = [
+    Fault::OverCurrent,
+    Fault::OverSpeed,
+    Fault::RotorSensor,
+    Fault::CurrentSense,
+    Fault::NotANumber,
+    Fault::Runaway,
+    Fault::PowerStage,
+];
+
+/// The fault that a trip is told as, one of [`TRIPPED`].
+pub const fn fault_of(trip: Trip) -> Fault {
+    match trip {
+        Trip::OverCurrent => Fault::OverCurrent,
+        Trip::OverSpeed => Fault::OverSpeed,
+        Trip::Encoder => Fault::RotorSensor,
+        Trip::CurrentSense => Fault::CurrentSense,
+        Trip::NotANumber => Fault::NotANumber,
+        Trip::Runaway | Trip::Unled => Fault::Runaway,
+        Trip::PowerStage => Fault::PowerStage,
     }
 }
 

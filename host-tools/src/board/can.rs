@@ -76,6 +76,11 @@ impl CanBus {
         self.wakers.drain(..).for_each(Waker::wake);
     }
 
+    /// Whether the board's controller has left the bus.
+    pub fn is_off(&self) -> bool {
+        self.errors > OFF
+    }
+
     /// The filters of the board.
     fn receive(&mut self, frame: CanFrame) {
         let id = frame.identifier();

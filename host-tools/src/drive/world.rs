@@ -65,8 +65,8 @@ pub struct Gripper {
     pub peak_n: f64,
     /// When the motor did what it was ordered last, in microseconds.
     pub obeyed_us: u64,
-    /// When the motor first tripped, in microseconds.
-    pub tripped_us: Option<u64>,
+    /// When the motor first tripped, in microseconds, and on what.
+    pub tripped: Option<(u64, Trip)>,
     /// When it first found its supply out of bounds.
     pub out_us: Option<u64>,
     tips: Fingertips,
@@ -90,7 +90,7 @@ impl Gripper {
             impacts: Vec::new(),
             peak_n: 0.0,
             obeyed_us: 0,
-            tripped_us: None,
+            tripped: None,
             out_us: None,
             tips,
             inertial: Inertial::new(seed),
@@ -141,8 +141,8 @@ impl Gripper {
     fn notice(&mut self) {
         let telling = self.rig.motor.telling();
         let now_us = self.periods * PERIOD_US;
-        if matches!(telling.state, State::Tripped(_)) {
-            self.tripped_us = self.tripped_us.or(Some(now_us));
+        if let State::Tripped(trip) = telling.state {
+            self.tripped = self.tripped.or(Some((now_us, trip)));
         }
         if telling.state == State::Armed && telling.supply != Supply::Sound {
             self.out_us = self.out_us.or(Some(now_us));

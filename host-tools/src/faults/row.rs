@@ -7,7 +7,7 @@ use firmware::hall::a31301::FIELD_LIMITS;
 use firmware::limits::Grasp;
 use firmware::motor::limits::Temperatures;
 use firmware::motor::{Order, as5047};
-use firmware::params;
+use firmware::params::{self, TICK_US};
 use firmware::status::Fault;
 
 use super::situation::Situation;
@@ -347,7 +347,9 @@ impl Row {
             Self::FootOverload => {
                 let (peak_n, lasts_s) = GROUND;
                 let share = 4.0 * f64::from(Grasp::GRIPPER.overload_n) / peak_n;
-                at_us + (1e6 * lasts_s * share.asin() / PI) as u64
+                let crosses_us = at_us + (1e6 * lasts_s * share.asin() / PI) as u64;
+                // The first sample after it.
+                tick_us + TICK_US * crosses_us.saturating_sub(tick_us).div_ceil(TICK_US)
             }
             Self::SensorGone
             | Self::SensorFrozen

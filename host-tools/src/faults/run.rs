@@ -2,7 +2,7 @@
 
 use embedded_can::{Frame, StandardId};
 use firmware::events::Event;
-use firmware::grip::react::Reaction;
+use firmware::grip::react::{Reaction, fault_of};
 use firmware::grip::states::{Power, TASK_CODE, Task, code};
 use firmware::params::TICK_US;
 use firmware::status::Fault;
@@ -96,7 +96,7 @@ impl Case {
         let opening_mm = {
             let gripper = &mut *cell.gripper.borrow_mut();
             gripper.peak_n = gripper.rig.plant.grip_n();
-            (gripper.tripped_us, gripper.out_us) = (None, None);
+            (gripper.tripped, gripper.out_us) = (None, None);
             1e3 * gripper.rig.plant.opening_m()
         };
         self.row.inject(&mut cell, pick);
@@ -147,7 +147,10 @@ impl Case {
             let gripper = cell.gripper.borrow();
             return match self.row.facts().fault {
                 Fault::Supply => gripper.out_us,
-                _ => gripper.tripped_us,
+                fault => gripper
+                    .tripped
+                    .filter(|(_, trip)| fault_of(*trip) == fault)
+                    .map(|(at_us, _)| at_us),
             };
         }
         let fault = self.row.facts().fault as u16;
