@@ -20,7 +20,8 @@ pub struct Constant {
     pub assumed: bool,
 }
 
-const fn stated(
+/// A constant that somebody has stated.
+pub const fn stated(
     name: &'static str,
     value: f64,
     unit: &'static str,
@@ -35,7 +36,8 @@ const fn stated(
     }
 }
 
-const fn assumed(
+/// A constant that nobody has stated or measured.
+pub const fn assumed(
     name: &'static str,
     value: f64,
     unit: &'static str,
