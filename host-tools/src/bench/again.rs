@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
+use model_export::recordings::description::Design;
 use serde::Deserialize;
 
 use super::Settings;
@@ -26,6 +27,9 @@ struct Asked {
     field_noise_g: f64,
     reference_noise_n: f64,
     hidden: bool,
+    /// A truth of former versions has none: it was the gripper's own.
+    #[serde(default = "Design::magpie")]
+    design: Design,
     #[serde(default)]
     effect: Vec<AskedEffect>,
 }
@@ -72,6 +76,7 @@ pub fn settings(truth: &Path) -> Result<Settings> {
         reference_noise_n: asked.reference_noise_n,
         effects: effects.map(effect).collect::<Result<_>>()?,
         hidden: asked.hidden,
+        design: asked.design,
     })
 }
 
@@ -98,6 +103,10 @@ mod tests {
             reference_noise_n: 0.1,
             effects: wanted.iter().map(|text| text.parse().unwrap()).collect(),
             hidden: true,
+            design: Design {
+                force_range_n: Some(90.0),
+                ..Design::magpie()
+            },
         };
         let truth = simulate(&settings_then, &folder.path().join("then"), || ()).unwrap();
         let path = folder.path().join("truth.toml");

@@ -11,7 +11,7 @@ use super::effects::Effects;
 use super::scatter::Made;
 
 /// Noise of the A31301 at full rate, in gauss, root mean square (measured by others; `hall::watch`).
-pub const NOISE_G: f64 = 0.35;
+pub const NOISE_G: f64 = params::SENSOR_NOISE.value;
 
 /// Field at which compression is stated, in gauss: about that of the magnet at rest.
 const STATED_G: f64 = 1300.0;

@@ -11,7 +11,7 @@ use firmware::params;
 use flate2::Compression;
 use flate2::write::GzEncoder;
 use model_export::recordings::columns::{Axis, COVARIATES};
-use model_export::recordings::description::{Description, Design};
+use model_export::recordings::description::Description;
 use rand_chacha::ChaCha8Rng;
 
 use super::clocks::Clock;
@@ -65,10 +65,7 @@ impl Recorder<'_> {
 
     /// The same words whatever is hidden in the recording.
     fn description(&self) -> Description {
-        let mut design = Design::magpie();
-        design
-            .more
-            .insert("beam_length_mm".into(), params::BEAM_LENGTH.value.into());
+        let mut design = self.settings.design.clone();
         design
             .more
             .insert("motor_pole_pairs".into(), (POLE_PAIRS as i64).into());

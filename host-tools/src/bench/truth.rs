@@ -4,6 +4,7 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
+use model_export::recordings::description::Design;
 use serde::Serialize;
 use toml::{Table, Value};
 
@@ -33,6 +34,8 @@ pub struct Truth {
     field_noise_g: f64,
     reference_noise_n: f64,
     hidden: bool,
+    /// What the gripper departs from.
+    design: Design,
     /// The effects; empty where the campaign has none.
     pub effect: Vec<EffectTruth>,
     sensor: Vec<Made>,
@@ -84,6 +87,7 @@ impl Truth {
             field_noise_g: settings.field_noise_g,
             reference_noise_n: settings.reference_noise_n,
             hidden: settings.hidden,
+            design: settings.design.clone(),
             effect: effects
                 .chosen
                 .iter()

@@ -3,7 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
+use firmware::params;
 use model_export::output::write_output;
+use model_export::physics::ForwardModel;
+use model_export::recordings::description::Design;
 use serde_json::{Value, json};
 
 use crate::bench::effects::{Effect, hide};
@@ -39,9 +42,12 @@ pub struct Args {
     /// Length of each recording.
     #[arg(long, value_name = "S", default_value_t = 30.0)]
     seconds: f64,
-    /// Number of sensors.
-    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=8))]
-    sensors: u32,
+    /// The nominal design that the gripper is made to; otherwise MAGPIE's own.
+    #[arg(long, value_name = "PATH")]
+    design: Option<PathBuf>,
+    /// Number of sensors; otherwise the design's.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(MOST_SENSORS)))]
+    sensors: Option<u32>,
     /// Multiplies the scatter of manufacture; 0 makes a perfect gripper.
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     scatter: f64,
@@ -86,6 +92,7 @@ Examples:
   cargo magpie simulate -o stuck --effect hysteresis=2.5:both --programme isothermal
   cargo magpie simulate -o passed --effect external_magnet=60   # passed-truth.toml says when
   cargo magpie simulate -o hard --load 1.3 --warmer 15    # the same gripper, beyond what it knew
+  cargo magpie simulate -o other --design design.toml     # another magnet, other stiffness, other sensors
   cargo magpie simulate -o riddle --hide 2 --seed 7    # riddle-truth.toml has the answer
 
 Effects, each with its typical size (friction takes :lateral, :longitudinal or :both after it):
@@ -161,12 +168,22 @@ fn settings(args: &Args) -> Result<Settings> {
             SECONDS[1]
         );
     }
+    let design = match &args.design {
+        Some(path) => Design::read(path)?,
+        None => Design::magpie(),
+    };
+    let sensors = args.sensors.unwrap_or(design.sensors());
+    if !(1..=MOST_SENSORS).contains(&sensors) {
+        bail!("sensors = {sensors} is not possible here; give 1 to {MOST_SENSORS}");
+    }
+    check_range(&design)?;
     Ok(Settings {
         seed: args.seed,
         programme: args.programme,
         recordings: args.recordings,
         seconds: args.seconds,
-        sensors: args.sensors,
+        sensors,
+        design,
         scatter: args.scatter,
         noise: args.noise,
         harder: args.load,
@@ -179,6 +196,21 @@ fn settings(args: &Args) -> Result<Settings> {
         },
         hidden: args.hide.is_some(),
     })
+}
+
+/// Sensors of a bench; the board reads four.
+const MOST_SENSORS: u32 = 8;
+
+/// Refuses a design whose field at rest the sensor cannot read.
+fn check_range(design: &Design) -> Result<()> {
+    let rest_g = ForwardModel::nominal(design).field([0.0; 2]).amax();
+    let range_g = params::SENSOR_RANGE.value;
+    if rest_g >= range_g {
+        bail!(
+            "the design's magnet gives {rest_g:.0} G at rest, beyond the sensor's {range_g:.0} G; take a weaker one or a wider gap"
+        );
+    }
+    Ok(())
 }
 
 /// Lengths of a recording: long enough for the load to come up, short enough for its clocks.
@@ -212,7 +244,7 @@ fn told(settings: &Settings, truth: &Truth) -> String {
         return format!("{count} {what} hidden in it.\n");
     }
     if truth.effect.is_empty() {
-        return "It has no effects beyond the cylinder magnet on two flexures.\n".to_owned();
+        return "It has no effects beyond the magnet on two flexures.\n".to_owned();
     }
     let mut table = show::table(["effect", "unit", "size"]);
     for effect in &truth.effect {

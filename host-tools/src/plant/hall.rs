@@ -81,7 +81,7 @@ impl Fingertips {
         let currents_a = currents(drive);
         for (place, tip) in readings.iter_mut().zip(&self.tips) {
             let pose = tip.finger.magnet(0.0, drive.opening_mm / LEAD_MM);
-            let own_g = pose.unit_field(&tip.made.cylinder()) * tip.made.remanence_t;
+            let own_g = pose.unit_field(&tip.made.magnet) * tip.made.remanence_t;
             let outside_g = tip.neighbour.field(drive.opening_mm) + tip.leakage * currents_a;
             let seen_g = tip.element.reading(own_g + outside_g, 0.0, time_s);
             let noisy_g = seen_g + normals(&mut self.rng) * NOISE_G;
