@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 use crate::commands::{
-    add, compare, dbc, demo, diagnose, drop, effects, export, fit, grip, import, monitor, record,
+    add, compare, dbc, demo, design, diagnose, drop, effects, export, fit, grip, import, monitor, record,
     replay, simulate, train,
 };
 
@@ -37,6 +37,7 @@ enum Command {
     Record(record::Args),
     Dbc(dbc::Args),
     Grip(grip::Args),
+    Design(design::Args),
 }
 
 /// Runs one command; errors go to stderr as one sentence.
@@ -62,6 +63,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Record(args) => record::run(&args),
         Command::Dbc(args) => dbc::run(&args),
         Command::Grip(args) => grip::run(&args),
+        Command::Design(args) => design::run(&args),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
