@@ -6,8 +6,8 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 use crate::commands::{
-    add, compare, dbc, demo, design, diagnose, drop, effects, export, fit, grip, import, monitor, record,
-    replay, simulate, train,
+    add, compare, dbc, demo, design, diagnose, drop, effects, export, fit, grip, import, monitor,
+    record, replay, simulate, train,
 };
 
 /// Turns four Hall sensors in a robot gripper into forces one can trust, and tells which piece of

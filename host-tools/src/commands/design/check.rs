@@ -7,8 +7,8 @@ use model_export::design::interference::{DRAWS, Surroundings};
 use model_export::design::{Design, Judged, sweep};
 
 use super::words;
-use crate::report::design as pages;
 use crate::report;
+use crate::report::design as pages;
 use crate::report::numbers::number;
 use crate::show;
 

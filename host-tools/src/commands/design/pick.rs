@@ -47,7 +47,9 @@ pub fn run(args: &Args) -> Result<()> {
     let space = args.space.space(&base)?;
     let around = args.space.around();
     let bar = progress::bar("judging designs", args.space.count as usize);
-    let found = pick(&base, &space, force_n, args.space.count, &around, || bar.inc(1));
+    let found = pick(&base, &space, force_n, args.space.count, &around, || {
+        bar.inc(1)
+    });
     bar.finish_and_clear();
     let Some(picked) = found else {
         bail!(
@@ -68,7 +70,8 @@ pub fn run(args: &Args) -> Result<()> {
         show::page(&format!("{told}\n"))?;
         return Ok(());
     }
-    let mut page = words::described(&picked.design) + "\n" + &words::tables(&picked.judged, &shifts);
+    let mut page =
+        words::described(&picked.design) + "\n" + &words::tables(&picked.judged, &shifts);
     page += &check::verdict(&picked.design, &picked.judged);
     page += &words::binding(&picked.judged);
     page += &why(&picked);

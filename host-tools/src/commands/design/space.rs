@@ -3,11 +3,11 @@
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
+use model_export::design::Design;
 use model_export::design::beam::Support;
 use model_export::design::interference::{DRAWS, Surroundings};
 use model_export::design::material::{MATERIALS, Material};
 use model_export::design::sweep::{COUNT, SIZES, Space};
-use model_export::design::Design;
 
 /// Options of a sweep.
 #[derive(Debug, clap::Args)]

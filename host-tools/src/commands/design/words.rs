@@ -170,7 +170,12 @@ pub fn binding(judged: &Judged) -> String {
 pub fn assumed(design: &Design) -> String {
     let mut constants: Vec<(String, Constant)> = Vec::new();
     let named = |constant: Constant| (constant.name.to_owned(), constant);
-    constants.extend([params::SENSOR_NOISE].into_iter().chain(assumed::ALL).map(named));
+    constants.extend(
+        [params::SENSOR_NOISE]
+            .into_iter()
+            .chain(assumed::ALL)
+            .map(named),
+    );
     for axis in [0, 1] {
         let name = &design.flexure(axis).material;
         if axis == 1 && *name == design.flexure(0).material {
@@ -186,10 +191,15 @@ pub fn assumed(design: &Design) -> String {
         .filter(|(_, constant)| constant.assumed)
         .map(|(name, constant)| {
             let value = show::plain(constant.value, 4);
-            format!("{name} {value} {}", constant.unit).trim_end().to_owned()
+            format!("{name} {value} {}", constant.unit)
+                .trim_end()
+                .to_owned()
         })
         .collect();
-    show::paragraph(&format!("Assumed unless the design says otherwise: {}.", words.join(", ")))
+    show::paragraph(&format!(
+        "Assumed unless the design says otherwise: {}.",
+        words.join(", ")
+    ))
 }
 
 /// A judged design.
