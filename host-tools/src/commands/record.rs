@@ -48,6 +48,9 @@ pub struct Args {
     /// Seconds since the campaign began; without it, by the dates of the recordings beside this one.
     #[arg(long, value_name = "S")]
     start_s: Option<f64>,
+    /// The gripper's nominal design; otherwise MAGPIE's own.
+    #[arg(long, value_name = "PATH")]
+    design: Option<PathBuf>,
     /// Rows a second over a CAN bus: 100, 250 or 500.
     #[arg(long, value_name = "HZ", default_value_t = 100, requires = "can", value_parser = parse_rate)]
     rate: u32,
@@ -96,7 +99,10 @@ fn description(args: &Args) -> Result<Description> {
     description.recorded = Some(humantime::format_rfc3339_seconds(now).to_string());
     description.gauss_per_lsb = Some(params::SENSOR_SCALE.value);
     description.range_gauss = Some(params::SENSOR_RANGE.value);
-    description.design = Some(Design::magpie());
+    description.design = Some(match &args.design {
+        Some(path) => Design::read(path)?,
+        None => Design::magpie(),
+    });
     Ok(description)
 }
 

@@ -11,6 +11,7 @@
 //! - [`sobol`]: points that fill a box evenly; [`pareto`]: what no other beats.
 //! - [`sweep`]: many designs at once; [`pick`]: one for a force.
 //! - [`paper`]: what the paper says of designs, computed.
+//! - [`interference`]: what moves the field beside the forces.
 
 pub mod assumed;
 pub mod axis;

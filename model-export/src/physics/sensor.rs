@@ -11,6 +11,10 @@ use super::response::{Response, read};
 use super::state::State;
 use crate::recordings::description::{Design, MagnetAxis};
 
+/// Weight of the gap axis where a field is turned into forces, against 1 for each axis in the plane of
+/// motion: temperature, a changed gap and a neighbour's magnet show there first.
+pub const GAP_WEIGHT: f64 = 0.01;
+
 /// The forward model of one sensor, geometry and flexures.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ForwardModel {

@@ -131,7 +131,7 @@ fn the_tube_lacks_what_its_hole_would_hold() {
 fn from_afar_only_volume_and_remanence_count() {
     for magnet in magnets() {
         let at = Vector3::new(30.0, -20.0, 25.0);
-        let r = at.norm();
+        let r: f64 = at.norm();
         let moment = magnet.direction() * (magnet.volume_mm3() * GAUSS_PER_TESLA);
         let outward = at / r;
         let dipole = (outward * (3.0 * moment.dot(&outward)) - moment)
