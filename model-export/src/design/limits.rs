@@ -186,3 +186,96 @@ fn begins(most_n: f64, holds: &dyn Fn(f64) -> bool) -> f64 {
     }
     f64::INFINITY
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::design::beam::Support;
+    use crate::recordings::description::Shape;
+
+    fn limits(design: &Design, axis: usize) -> Limits {
+        let model = ForwardModel::nominal(&design.nominal());
+        Limits::of(design, &model, &Axis::of(design, axis))
+    }
+
+    fn of(limits: &Limits, cause: Cause) -> f64 {
+        let place = Cause::ALL.iter().position(|one| *one == cause).unwrap();
+        limits.force_n[place]
+    }
+
+    fn near(found: f64, expected: f64) {
+        assert!((found / expected - 1.0).abs() < 1e-3, "{found} {expected}");
+    }
+
+    #[test]
+    fn the_gripper_s_own_limits_are_those_worked_by_hand() {
+        let design = Design::magpie();
+        let [lateral, longitudinal] = [0, 1].map(|axis| limits(&design, axis));
+        // 0.5 mm at 500 and at 800 N/mm.
+        near(of(&lateral, Cause::Stroke), 250.0);
+        near(of(&longitudinal, Cause::Stroke), 400.0);
+        // b t^2 / 6 L = 2.083 mm^2: of 1170 MPa, and of 2070 (2 10^7)^-0.074 = 597, by 1.5.
+        near(of(&lateral, Cause::Yield), 1625.0);
+        near(of(&lateral, Cause::Fatigue), 828.9);
+        // 0.6 w^2 / L + 1.5 mm * 1.5 w / L = 1 mm where the beam bends by 5.44 mm, at 3403 N/mm.
+        near(of(&lateral, Cause::Collision), 18_514.0);
+        assert_eq!(of(&lateral, Cause::SensorRange), f64::INFINITY);
+        assert_eq!(of(&lateral, Cause::Fold), f64::INFINITY);
+        assert_eq!(lateral.binding().1, Cause::Stroke);
+    }
+
+    #[test]
+    fn a_magnet_that_may_saturate_the_sensor_at_rest_leaves_no_range() {
+        // 2000 G are at 1.02 mm: the tolerance may close 1.05 mm to 0.95.
+        let mut design = Design::magpie();
+        design.gap_mm = 1.05;
+        assert_eq!(limits(&design, 0).binding(), (0.0, Cause::SensorRange));
+        design.gap_mm = 1.3;
+        assert_eq!(of(&limits(&design, 0), Cause::SensorRange), f64::INFINITY);
+    }
+
+    #[test]
+    fn a_small_magnet_that_moves_far_folds_before_its_stroke_ends() {
+        let mut design = Design::magpie();
+        design.magnet.shape = Shape::Cylinder {
+            diameter_mm: 2.0,
+            length_mm: 2.0,
+        };
+        design.limits.stroke_mm = 2.0;
+        design.stiffness_x_n_per_mm = Some(50.0);
+        let limits = limits(&design, 0);
+        let fold_mm = of(&limits, Cause::Fold) / 50.0;
+        // A dipole's field beside its axis turns back at half the distance: about 1.2 mm of 2.4.
+        assert!((0.9..1.5).contains(&fold_mm), "{fold_mm}");
+        assert_eq!(limits.binding().1, Cause::Fold);
+    }
+
+    #[test]
+    fn a_closed_gap_collides_at_once() {
+        let mut design = Design::magpie();
+        design.gap_mm = 0.5;
+        assert_eq!(of(&limits(&design, 0), Cause::Collision), 0.0);
+    }
+
+    #[test]
+    fn a_held_beam_neither_closes_the_gap_nor_bears_less_than_a_free_one() {
+        let mut design = Design::magpie();
+        design.stiffness_x_n_per_mm = None;
+        let free = limits(&design, 0);
+        design.flexure_x.support = Support::ClampedClamped;
+        let held = limits(&design, 0);
+        assert_eq!(of(&held, Cause::Collision), f64::INFINITY);
+        // The moment at its clamps is an eighth of F L.
+        let gain = of(&held, Cause::Yield) / of(&free, Cause::Yield);
+        assert!((7.0..8.2).contains(&gain), "{gain}");
+    }
+
+    #[test]
+    fn what_is_close_behind_is_told_in_order() {
+        let limits = Limits {
+            force_n: [105.0, 100.0, 109.0, 300.0, f64::INFINITY, 120.0],
+        };
+        let causes: Vec<Cause> = limits.near(0.1).iter().map(|(_, cause)| *cause).collect();
+        assert_eq!(causes, [Cause::Fatigue, Cause::Yield, Cause::Stroke]);
+    }
+}

@@ -44,3 +44,36 @@ impl Sensitivity {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::design::Design;
+    use crate::recordings::description::MagnetAxis;
+
+    fn over(design: &Design, stroke_mm: f64) -> Sensitivity {
+        let model = ForwardModel::nominal(&design.nominal());
+        Sensitivity::over(&model, &Axis::of(design, 0), stroke_mm)
+    }
+
+    #[test]
+    fn the_gripper_s_own_magnet_has_585_gauss_per_millimetre_and_loses_a_tenth_of_it() {
+        // Bx = 584.95 d - 79.99 d^3: 60 of 585 at 0.5 mm.
+        let found = over(&Design::magpie(), 0.5);
+        assert_eq!(found.component, 0);
+        assert!((found.rest_g_per_mm - 585.0).abs() < 0.5);
+        assert!((found.constancy - (1.0 - 60.0 / 585.0)).abs() < 2e-3);
+    }
+
+    #[test]
+    fn a_lying_magnet_is_told_by_the_axis_across_the_gap() {
+        let mut design = Design::magpie();
+        design.magnet.axis = MagnetAxis::X;
+        assert_eq!(over(&design, 0.5).component, 1);
+    }
+
+    #[test]
+    fn a_field_that_turns_back_has_no_constancy_above_zero() {
+        assert!(over(&Design::magpie(), 2.5).constancy < 0.0);
+    }
+}

@@ -22,7 +22,7 @@ Examples:
   cargo magpie simulate --design design.toml -o CAMPAIGN   # then fit, export, replay")]
 pub struct Args {
     /// Force that each axis must measure, either sign.
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
     range: f64,
     #[command(flatten)]
     space: SpaceArgs,
