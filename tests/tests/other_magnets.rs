@@ -46,7 +46,7 @@ fn cube_sphere_and_lying_tube_are_inverted_to_below_the_noise_of_a_reading_at_8_
         for (axis, noise_n) in noise_n.into_iter().enumerate() {
             let (inverse, fixed) = (errors.model.0[axis], errors.fixed.0[axis]);
             assert!(inverse < 0.5 * noise_n, "{inverse} {noise_n} {design:?}");
-            assert!(fixed < 0.1 * noise_n, "{fixed} {noise_n} {design:?}");
+            assert!(fixed < 0.2 * noise_n, "{fixed} {noise_n} {design:?}");
             // Where no model were needed, none would be tested.
             assert!(errors.linear.0[axis] > 2.0 * inverse, "{errors:?}");
         }

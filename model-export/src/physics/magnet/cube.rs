@@ -40,7 +40,7 @@ fn axial(side_mm: f64, at_mm: Vector3<f64>) -> Matrix3<f64> {
     let half = 0.5 * side_mm;
     let (mut xx, mut xy, mut xz, mut yy, mut yz) = (0.0, 0.0, 0.0, 0.0, 0.0);
     for corner in 0..8 {
-        let [sx, sy, sz] = [0, 1, 2].map(|bit| if corner >> bit & 1 == 0 { 1.0 } else { -1.0 });
+        let [sx, sy, sz] = [0, 1, 2].map(|bit| if (corner >> bit) & 1 == 0 { 1.0 } else { -1.0 });
         let to = at - half * Vector3::new(sx, sy, sz);
         let r = to.norm();
         let share = sx * sy * sz / r;
