@@ -330,7 +330,11 @@ impl Design {
             let known: Vec<&str> = known
                 .chain(self.material.keys().map(String::as_str))
                 .collect();
-            let meant = closest(name, known.iter().copied());
+            let alike = known
+                .iter()
+                .copied()
+                .find(|one| one.eq_ignore_ascii_case(name));
+            let meant = alike.or_else(|| closest(name, known.iter().copied()));
             let advice = match meant {
                 Some(meant) => format!("did you mean {meant:?}?"),
                 None => format!(

@@ -268,7 +268,9 @@ fn alike(plastic: &[Candidate], metal: &[Candidate]) -> Claim {
     Claim {
         says: "metal and plastic alike reach 10 G/N below 100 N",
         place: "V-B",
-        found: format!("up to {plastic:.0} G/N of ABS and {metal:.0} G/N of steel, below 100 N"),
+        found: format!(
+            "of designs for 20 to 100 N, up to {plastic:.0} G/N of ABS and {metal:.0} G/N of steel"
+        ),
         verdict: Verdict::if_so(plastic >= 10.0 && metal >= 10.0),
     }
 }
