@@ -261,7 +261,7 @@ fn alike(plastic: &[Candidate], metal: &[Candidate]) -> Claim {
     let low = |designs: &[Candidate]| {
         let inside = designs
             .iter()
-            .filter(|one| one.works() && one.range_n <= 100.0);
+            .filter(|one| one.works() && (20.0..100.0).contains(&one.range_n));
         inside.map(|one| one.g_per_n).fold(0.0, f64::max)
     };
     let [plastic, metal] = [low(plastic), low(metal)];
