@@ -8,7 +8,7 @@ use serde::Deserialize;
 
 use super::Settings;
 use super::effects::{Effect, Flexures};
-use super::element::NoiseKind;
+use super::element::{NoiseKind, Part};
 use super::programme::Programme;
 use super::truth::MARK;
 
@@ -30,6 +30,8 @@ struct Asked {
     /// A truth of former versions has none: it was the gripper's own.
     #[serde(default = "Design::magpie")]
     design: Design,
+    #[serde(default = "Part::a31301")]
+    part: Part,
     #[serde(default)]
     effect: Vec<AskedEffect>,
 }
@@ -77,6 +79,7 @@ pub fn settings(truth: &Path) -> Result<Settings> {
         effects: effects.map(effect).collect::<Result<_>>()?,
         hidden: asked.hidden,
         design: asked.design,
+        part: asked.part,
     })
 }
 
@@ -106,6 +109,10 @@ mod tests {
             design: Design {
                 force_range_n: Some(90.0),
                 ..Design::magpie()
+            },
+            part: Part {
+                gauss_per_lsb: 0.25,
+                range_gauss: 4000.0,
             },
         };
         let truth = simulate(&settings_then, &folder.path().join("then"), || ()).unwrap();

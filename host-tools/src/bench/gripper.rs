@@ -170,7 +170,7 @@ fn losses(recordings: u32) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bench::element::NoiseKind;
+    use crate::bench::element::{NoiseKind, Part};
     use crate::bench::programme::Programme;
     use model_export::recordings::description::Design;
 
@@ -181,6 +181,7 @@ mod tests {
             recordings: 3,
             seconds: 5.0,
             design: Design::magpie(),
+            part: Part::a31301(),
             sensors: 1,
             scatter: 0.0,
             noise: NoiseKind::White,

@@ -54,7 +54,7 @@ use model_export::recordings::description::Design;
 
 use clocks::Clock;
 use effects::{Effect, Effects};
-use element::{Noise, NoiseKind};
+use element::{Noise, NoiseKind, Part};
 use gripper::Gripper;
 use programme::{Excitation, Programme};
 use record::Recorder;
@@ -76,6 +76,8 @@ pub struct Settings {
     pub seconds: f64,
     /// What every sensor departs from.
     pub design: Design,
+    /// The Hall sensors.
+    pub part: Part,
     /// Number of sensors.
     pub sensors: u32,
     /// Multiplies all scatter of manufacture.

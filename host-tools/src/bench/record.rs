@@ -7,7 +7,6 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use csv::Writer;
-use firmware::params;
 use flate2::Compression;
 use flate2::write::GzEncoder;
 use model_export::recordings::columns::{Axis, COVARIATES};
@@ -17,7 +16,7 @@ use rand_chacha::ChaCha8Rng;
 use super::clocks::Clock;
 use super::draw::{Purpose, normal, stream};
 use super::effects::Effects;
-use super::element::{Noise, counts};
+use super::element::Noise;
 use super::gripper::{Gripper, Moment};
 use super::programme::Excitation;
 use super::reference::Reference;
@@ -78,8 +77,8 @@ impl Recorder<'_> {
             self.settings.sensors
         );
         let mut description = Description::new(words, start_s);
-        description.gauss_per_lsb = Some(params::SENSOR_SCALE.value);
-        description.range_gauss = Some(params::SENSOR_RANGE.value);
+        description.gauss_per_lsb = Some(self.settings.part.gauss_per_lsb);
+        description.range_gauss = Some(self.settings.part.range_gauss);
         description.design = Some(design);
         description
     }
@@ -110,7 +109,8 @@ impl Recorder<'_> {
             let fields = gripper.go_on(self.settings, self.excitation, moment);
             let mut row = vec![stamp_us.to_string()];
             for (sensor, (field, noise)) in fields.iter().zip(&mut noises).enumerate() {
-                row.extend(counts(field + noise.next(since_s)).map(|count| count.to_string()));
+                let counts = self.settings.part.counts(field + noise.next(since_s));
+                row.extend(counts.map(|count| count.to_string()));
                 let warmth = self.excitation.temperature_c(sensor, time_s);
                 row.push(format!("{:.2}", warmth + TEMPERATURE_C * normal(&mut rng)));
             }

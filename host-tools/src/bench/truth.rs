@@ -11,7 +11,7 @@ use toml::{Table, Value};
 use super::Settings;
 use super::clocks::Clock;
 use super::effects::{Chosen, Effects};
-use super::element::{DRIFT_S, NoiseKind};
+use super::element::{DRIFT_S, NoiseKind, Part};
 use super::gripper::Gripper;
 use super::programme::Programme;
 use super::scatter::Made;
@@ -36,6 +36,7 @@ pub struct Truth {
     hidden: bool,
     /// What the gripper departs from.
     design: Design,
+    part: Part,
     /// The effects; empty where the campaign has none.
     pub effect: Vec<EffectTruth>,
     sensor: Vec<Made>,
@@ -88,6 +89,7 @@ impl Truth {
             reference_noise_n: settings.reference_noise_n,
             hidden: settings.hidden,
             design: settings.design.clone(),
+            part: settings.part,
             effect: effects
                 .chosen
                 .iter()

@@ -12,7 +12,8 @@ use anyhow::{Result, anyhow};
 use firmware::parameters::table::id;
 use firmware::params;
 use indicatif::ProgressBar;
-use model_export::recordings::description::{Description, Design};
+use model_export::design::Design;
+use model_export::recordings::description::Description;
 
 use super::live::{Gripper, interrupted, parse_seconds};
 use crate::live::asking;
@@ -97,12 +98,14 @@ fn description(args: &Args) -> Result<Description> {
     };
     let mut description = Description::new(args.note.clone(), start_s);
     description.recorded = Some(humantime::format_rfc3339_seconds(now).to_string());
-    description.gauss_per_lsb = Some(params::SENSOR_SCALE.value);
-    description.range_gauss = Some(params::SENSOR_RANGE.value);
-    description.design = Some(match &args.design {
+    let design = match &args.design {
         Some(path) => Design::read(path)?,
         None => Design::magpie(),
-    });
+    };
+    // The board's own part, whatever a design may wish.
+    description.gauss_per_lsb = Some(params::SENSOR_SCALE.value);
+    description.range_gauss = Some(params::SENSOR_RANGE.value);
+    description.design = Some(design.nominal());
     Ok(description)
 }
 

@@ -3,14 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use firmware::params;
+use model_export::design::Design;
 use model_export::output::write_output;
 use model_export::physics::ForwardModel;
-use model_export::recordings::description::Design;
 use serde_json::{Value, json};
 
 use crate::bench::effects::{Effect, hide};
-use crate::bench::element::{NOISE_G, NoiseKind};
+use crate::bench::element::{NoiseKind, Part};
 use crate::bench::programme::Programme;
 use crate::bench::sizes::SIZES;
 use crate::bench::truth::{self, Truth};
@@ -65,9 +64,9 @@ pub struct Args {
     /// Noise of the field beside white noise.
     #[arg(long, value_enum, default_value = "white")]
     noise: NoiseKind,
-    /// White noise of one field sample.
-    #[arg(long, value_name = "G", default_value_t = NOISE_G)]
-    field_noise: f64,
+    /// White noise of one field sample; otherwise that of the design's sensor.
+    #[arg(long, value_name = "G")]
+    field_noise: Option<f64>,
     /// White noise of the reference.
     #[arg(long, value_name = "N", default_value_t = 0.15)]
     reference_noise: f64,
@@ -139,7 +138,7 @@ fn settings(args: &Args) -> Result<Settings> {
         ("--strength", args.strength),
         ("--scatter", args.scatter),
         ("--load", args.load),
-        ("--field-noise", args.field_noise),
+        ("--field-noise", args.field_noise.unwrap_or_default()),
         ("--reference-noise", args.reference_noise),
     ];
     for (option, value) in at_least_zero {
@@ -172,7 +171,7 @@ fn settings(args: &Args) -> Result<Settings> {
         Some(path) => Design::read(path)?,
         None => Design::magpie(),
     };
-    let sensors = args.sensors.unwrap_or(design.sensors());
+    let sensors = args.sensors.unwrap_or(design.sensors);
     if !(1..=MOST_SENSORS).contains(&sensors) {
         bail!("sensors = {sensors} is not possible here; give 1 to {MOST_SENSORS}");
     }
@@ -183,12 +182,16 @@ fn settings(args: &Args) -> Result<Settings> {
         recordings: args.recordings,
         seconds: args.seconds,
         sensors,
-        design,
+        design: design.nominal(),
+        part: Part {
+            gauss_per_lsb: design.sensor.gauss_per_lsb,
+            range_gauss: design.sensor.range_gauss,
+        },
         scatter: args.scatter,
         noise: args.noise,
         harder: args.load,
         warmer_k: args.warmer,
-        field_noise_g: args.field_noise,
+        field_noise_g: args.field_noise.unwrap_or(design.sensor.noise_gauss),
         reference_noise_n: args.reference_noise,
         effects: match args.hide {
             Some(count) => hide(args.seed, count, args.strength)?,
@@ -203,8 +206,10 @@ const MOST_SENSORS: u32 = 8;
 
 /// Refuses a design whose field at rest the sensor cannot read.
 fn check_range(design: &Design) -> Result<()> {
-    let rest_g = ForwardModel::nominal(design).field([0.0; 2]).amax();
-    let range_g = params::SENSOR_RANGE.value;
+    let rest_g = ForwardModel::nominal(&design.nominal())
+        .field([0.0; 2])
+        .amax();
+    let range_g = design.sensor.range_gauss;
     if rest_g >= range_g {
         bail!(
             "the design's magnet gives {rest_g:.0} G at rest, beyond the sensor's {range_g:.0} G; take a weaker one or a wider gap"

@@ -10,7 +10,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::bench::draw::{Purpose, normals, stream};
 use crate::bench::effects::{Effect, Effects};
-use crate::bench::element::{Element, NOISE_G, counts};
+use crate::bench::element::{Element, NOISE_G, Part};
 use crate::bench::finger::Finger;
 use crate::bench::scatter::Made;
 use crate::bench::stroke::{Drive, LEAD_MM};
@@ -87,7 +87,7 @@ impl Fingertips {
             let noisy_g = seen_g + normals(&mut self.rng) * NOISE_G;
             *place = Some(Reading {
                 // Within the range of the sensor's word.
-                field: counts(noisy_g).map(|count| count as i16),
+                field: Part::a31301().counts(noisy_g).map(|count| count as i16),
                 temperature: 0,
             });
         }

@@ -153,18 +153,6 @@ impl Design {
         }
     }
 
-    /// Reads and checks the file of a design: the keys of `[design]`, at the top of the file.
-    ///
-    /// # Errors
-    /// It cannot be read, a key is missing, or a size is not possible.
-    pub fn read(path: &Path) -> Result<Self, Problem> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|error| Fault::Unreadable(error).at(Place::file(path)))?;
-        let design: Self = parse_toml(path, &text)?;
-        check_sizes(path, design.sizes())?;
-        Ok(design)
-    }
-
     /// Force that each axis is designed for, either way, in newtons.
     pub fn force_range_n(&self) -> f64 {
         self.force_range_n.unwrap_or(params::FORCE_RANGE.value)
@@ -309,7 +297,15 @@ impl Description {
         let stated = scale
             .into_iter()
             .filter_map(|(key, value)| Some((key, value?)));
-        check_sizes(path, stated.chain(design))?;
+        for (key, value) in stated.chain(design) {
+            if !(value.is_finite() && value > 0.0) {
+                return bad(
+                    key,
+                    value.to_string(),
+                    "give a number above zero".to_owned(),
+                );
+            }
+        }
         for name in &self.covariates {
             if column_unit(name).is_none() {
                 let units = column_units().join(", ");
@@ -329,20 +325,6 @@ impl Description {
             })
             .collect()
     }
-}
-
-/// Refuses a size that is not above zero.
-fn check_sizes(
-    path: &Path,
-    sizes: impl IntoIterator<Item = (&'static str, f64)>,
-) -> Result<(), Problem> {
-    for (key, value) in sizes {
-        if !(value.is_finite() && value > 0.0) {
-            let (found, advice) = (value.to_string(), "give a number above zero".to_owned());
-            return Err(Fault::BadValue { found, advice }.at(Place::file(path).column(key)));
-        }
-    }
-    Ok(())
 }
 
 /// Parses TOML; an error names the line.

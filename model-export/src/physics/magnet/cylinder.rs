@@ -33,6 +33,7 @@ impl Cylinder {
         0.25 * std::f64::consts::PI * self.diameter_mm.powi(2) * self.length_mm
     }
 
+    #[inline]
     fn magnetised_along(&self, direction: Vector3<f64>, at_mm: Vector3<f64>) -> Vector3<f64> {
         // Lengths only enter as ratios, so millimetres do as well as metres.
         let unit_field_t = cylinder_B(
