@@ -90,10 +90,10 @@ pub fn row(one: &Candidate) -> [String; 8] {
         one.cause.name().to_owned(),
         beam.material.clone(),
         format!(
-            "{} x {} x {}",
-            mm(beam.length_mm),
-            mm(beam.width_mm),
-            show::plain(beam.thickness_mm, 2)
+            "{:.0} x {:.0} x {}",
+            beam.length_mm,
+            beam.width_mm,
+            mm(beam.thickness_mm)
         ),
         magnet,
         show::plain(one.design.gap_mm, 2),

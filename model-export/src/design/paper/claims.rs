@@ -233,7 +233,7 @@ fn plastic_range(designs: &[Candidate]) -> Claim {
             "{range_n:.0} N, ended by {why}, with beams of up to 20 by 8 mm and a safety of 1.5 at 10^7 cycles; \
              the paper does not say what it swept, and the range grows with the section"
         ),
-        verdict: Verdict::if_so((100.0..400.0).contains(&range_n)),
+        verdict: Verdict::if_so((150.0..250.0).contains(&range_n)),
     }
 }
 
