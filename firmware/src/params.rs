@@ -86,8 +86,7 @@ pub const SENSOR_SCALE: Constant = assumed(
 /// Range of each axis of the Hall sensor.
 pub const SENSOR_RANGE: Constant = stated("Hall sensor range", 2000.0, "G", "paper V-B");
 /// White noise of one reading of each axis of the Hall sensor, root mean square.
-pub const SENSOR_NOISE: Constant =
-    assumed("Hall sensor noise", 0.35, "G", "A31301 at full rate");
+pub const SENSOR_NOISE: Constant = assumed("Hall sensor noise", 0.35, "G", "A31301 at full rate");
 /// Width of the Hall sensor's field word, two's complement.
 pub const SENSOR_BITS: Constant = stated("Hall sensor word", 15.0, "bit", "A31301");
 /// Scale of the Hall sensor's temperature word. Only ratios to a calibration enter: counts are turned

@@ -71,7 +71,7 @@ pub fn pick(
         force_n,
         around,
     };
-    let ends = bearing.iter().take(STARTS).map(|one| search.from(one));
+    let ends = bearing.iter().take(STARTS).map(|one| search.downhill(one));
     let (sizes, material, error_n) = ends.flatten().min_by(|(.., a), (.., b)| a.total_cmp(b))?;
     let mut design = space.sized(&base, sizes, &material);
     // The file says what the axes have, for the fit that reads it.
@@ -103,7 +103,7 @@ impl Search<'_> {
     }
 
     /// Downhill from a candidate, one size at a time; `None` where rounding its sizes lost it.
-    fn from(&self, start: &Candidate) -> Option<Found> {
+    fn downhill(&self, start: &Candidate) -> Option<Found> {
         let beam = &start.design.flexure_x;
         let Shape::Cylinder {
             diameter_mm,

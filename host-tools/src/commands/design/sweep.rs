@@ -6,6 +6,7 @@ use std::time::Instant;
 use anyhow::Result;
 use model_export::design::limits::Cause;
 use model_export::design::sweep::{Candidate, front, sweep};
+use model_export::recordings::description::Shape;
 use serde_json::{Value, json};
 
 use super::space::SpaceArgs;
@@ -60,36 +61,41 @@ pub fn run(args: &Args) -> Result<()> {
 }
 
 /// Heads of [`row`].
-pub const HEADS: [&str; 9] = [
+pub const HEADS: [&str; 8] = [
     "range, N",
     "G/N",
-    "interference, N",
-    "noise, N",
+    "disturbed, N",
     "ended by",
     "material",
     "beam, mm",
-    "magnet",
+    "magnet, mm",
     "gap, mm",
 ];
 
-/// A candidate as a row.
-pub fn row(one: &Candidate) -> [String; 9] {
+/// A candidate as a row; beam: length, width, thickness; magnet: diameter and length.
+pub fn row(one: &Candidate) -> [String; 8] {
     let beam = &one.design.flexure_x;
     let mm = |size: f64| show::plain(size, 1);
+    let magnet = match one.design.magnet.shape {
+        Shape::Cylinder {
+            diameter_mm,
+            length_mm,
+        } => format!("{} x {}", mm(diameter_mm), mm(length_mm)),
+        other => words::magnet(&other),
+    };
     [
         number(one.range_n),
         number(one.g_per_n),
         number(one.interference_n),
-        number(one.noise_n),
         one.cause.name().to_owned(),
         beam.material.clone(),
         format!(
-            "{} x {} x {}",
-            mm(beam.length_mm),
-            mm(beam.width_mm),
-            show::plain(beam.thickness_mm, 2)
+            "{:.0} x {:.0} x {}",
+            beam.length_mm,
+            beam.width_mm,
+            mm(beam.thickness_mm)
         ),
-        words::magnet(&one.design.magnet.shape),
+        magnet,
         show::plain(one.design.gap_mm, 2),
     ]
 }

@@ -1,7 +1,7 @@
 //! A judged design in tables, sentences and JSON.
 
 use firmware::params::{self, Constant};
-use model_export::design::interference::{self, Shift};
+use model_export::design::interference::{self, Shift, misalignment};
 use model_export::design::judge::{Judged, JudgedAxis};
 use model_export::design::limits::Cause;
 use model_export::design::material::Material;
@@ -185,7 +185,15 @@ pub fn assumed(design: &Design) -> String {
         let named = |constant: Constant| (format!("{name}, {}", constant.name), constant);
         constants.extend(of.into_iter().flatten().map(named));
     }
-    constants.extend(interference::ASSUMED.map(named));
+    // How a magnet is mounted is the design's own to say.
+    let mounted = [
+        misalignment::OFFSET,
+        misalignment::GAP,
+        misalignment::TILT,
+        misalignment::REMANENCE,
+    ];
+    let around = interference::ASSUMED.into_iter();
+    constants.extend(around.filter(|one| !mounted.contains(one)).map(named));
     let words: Vec<String> = constants
         .iter()
         .filter(|(_, constant)| constant.assumed)
@@ -196,8 +204,14 @@ pub fn assumed(design: &Design) -> String {
                 .to_owned()
         })
         .collect();
+    let made = design.tolerances;
     show::paragraph(&format!(
-        "Assumed unless the design says otherwise: {}.",
+        "Made within {} mm of place, {} mm of gap, {} degrees of tilt and {} % of remanence, two standard deviations. \
+         Assumed unless the design says otherwise: {}.",
+        show::plain(made.offset_mm, 3),
+        show::plain(made.gap_mm, 3),
+        show::plain(made.tilt_deg, 2),
+        show::plain(100.0 * made.remanence, 2),
         words.join(", ")
     ))
 }

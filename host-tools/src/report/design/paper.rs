@@ -10,7 +10,6 @@ use super::{clouds, curves};
 use crate::report::Section;
 use crate::report::palette;
 use crate::report::plot::Along;
-use crate::report::tables::table;
 
 /// Statements first, then figure by figure.
 pub fn sections(paper: &Paper) -> Vec<Section> {
@@ -58,18 +57,12 @@ pub fn sections(paper: &Paper) -> Vec<Section> {
 }
 
 fn claims(paper: &Paper) -> Section {
-    let rows = paper.claims.iter().map(|claim| {
-        vec![
-            html! { (claim.says) },
-            html! { (claim.place) },
-            html! { (claim.found) },
-            mark(claim.verdict),
-        ]
-    });
     let body = html! {
         p { "Each statement of the paper on magnets, sensitivity and materials, computed with the exact fields and \
             the beams of this tool." }
-        (table("Statements", &["the paper says", "where", "found", "verdict"], rows))
+        @for claim in &paper.claims {
+            p { (mark(claim.verdict)) ": " (claim.says) " (" (claim.place) "). " span.note { "Found: " (claim.found) "." } }
+        }
     };
     Section {
         id: "statements",
@@ -159,7 +152,7 @@ fn materials(paper: &Paper) -> Section {
     });
     let body = html! {
         p { (paper.designs[0].len()) " designs of each material: beams of 10 to 60 mm, 5 to 20 mm wide and 1 to 8 mm thick, \
-            magnets of 1 to 8 mm, gaps of 1 to 4 mm; stroke 0.5 mm, 10^7 cycles, safety 1.5." }
+            magnets of 1 to 8 mm, gaps of 1 to 4 mm; stroke 0.5 mm, 10⁷ cycles, safety 1.5." }
         (clouds("Sensitivity over the force range, of a metal and of a plastic.", ("force range, N", "G/N"),
             &all.collect::<Vec<_>>()))
     };

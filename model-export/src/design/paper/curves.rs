@@ -9,7 +9,7 @@ use crate::physics::ForwardModel;
 use crate::recordings::description::{Design, Shape};
 
 /// Points of a curve.
-const POINTS: u32 = 120;
+const POINTS: u32 = 80;
 
 /// Diameters of the curves in mm.
 const DIAMETERS_MM: [f64; 4] = [2.0, 3.0, 5.0, 8.0];
