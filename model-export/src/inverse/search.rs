@@ -4,6 +4,7 @@
 //! device has. A shape that the device cannot represent is not a candidate.
 
 use firmware::params;
+use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::at_rest::AtRest;
@@ -202,14 +203,15 @@ pub fn choose(
     })
 }
 
-/// What the noise of one reading is over both forces, in newtons, at the sensor that has least of it.
+/// What the noise of one reading is over both forces, in newtons, root mean square over the sensors.
 fn noise_n(models: &[AtRest]) -> f64 {
-    let of = |model: &AtRest| {
-        let per_newton = model.per_newton([0.0; 2]);
-        let [x, z] = per_newton.map(|answer| params::SENSOR_NOISE.value / answer.norm());
-        x.hypot(z)
+    let square = |model: &AtRest| {
+        let noise_n = |answer: Vector3<f64>| params::SENSOR_NOISE.value / answer.norm();
+        let squares = model.per_newton([0.0; 2]).map(|one| noise_n(one).powi(2));
+        squares.iter().sum::<f64>()
     };
-    models.iter().map(of).fold(f64::INFINITY, f64::min)
+    let sum: f64 = models.iter().map(square).sum();
+    (sum / models.len().max(1) as f64).sqrt()
 }
 
 /// The same fields with the forces that the model in floating point gives.
