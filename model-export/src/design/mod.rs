@@ -3,7 +3,7 @@
 //! - [`beam`]: a flexure under large deflections.
 //! - [`material`]: what flexures are made of.
 //! - [`assumed`]: what a design rests on where its file does not say otherwise.
-//! - [`design`]: `design.toml`.
+//! - [`design`](mod@design): `design.toml`.
 //! - [`axis`]: what a force does to an axis.
 //! - [`sensitivity`]: how the field answers to a motion.
 //! - [`limits`]: what ends the range of forces.
