@@ -20,7 +20,8 @@ pub struct Constant {
     pub assumed: bool,
 }
 
-const fn stated(
+/// A constant that somebody has stated.
+pub const fn stated(
     name: &'static str,
     value: f64,
     unit: &'static str,
@@ -35,7 +36,8 @@ const fn stated(
     }
 }
 
-const fn assumed(
+/// A constant that nobody has stated or measured.
+pub const fn assumed(
     name: &'static str,
     value: f64,
     unit: &'static str,
@@ -83,6 +85,8 @@ pub const SENSOR_SCALE: Constant = assumed(
 );
 /// Range of each axis of the Hall sensor.
 pub const SENSOR_RANGE: Constant = stated("Hall sensor range", 2000.0, "G", "paper V-B");
+/// White noise of one reading of each axis of the Hall sensor, root mean square.
+pub const SENSOR_NOISE: Constant = assumed("Hall sensor noise", 0.35, "G", "A31301 at full rate");
 /// Width of the Hall sensor's field word, two's complement.
 pub const SENSOR_BITS: Constant = stated("Hall sensor word", 15.0, "bit", "A31301");
 /// Scale of the Hall sensor's temperature word. Only ratios to a calibration enter: counts are turned
@@ -321,6 +325,7 @@ pub const CARD: &[Constant] = &[
     SENSORS,
     SENSOR_SCALE,
     SENSOR_RANGE,
+    SENSOR_NOISE,
     SENSOR_BITS,
     TEMPERATURE_SCALE,
     SENSE_RATE,

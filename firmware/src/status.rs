@@ -115,6 +115,7 @@ impl Fault {
 
     /// Its place in [`Self::ALL`]. Looked up, for it is asked some thirty times a millisecond.
     pub fn place(self) -> usize {
+        #[allow(clippy::indexing_slicing)] // Beyond its end it would not compile.
         const PLACES: [[u8; 10]; 7] = {
             let mut places = [[0; 10]; 7];
             let mut place = 0;

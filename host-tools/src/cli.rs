@@ -6,8 +6,8 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 use crate::commands::{
-    add, compare, dbc, demo, diagnose, drop, effects, export, faults, fit, grip, import, monitor,
-    record, replay, simulate, train,
+    add, compare, dbc, demo, design, diagnose, drop, effects, export, faults, fit, grip, import,
+    monitor, record, replay, simulate, train,
 };
 
 /// Turns four Hall sensors in a robot gripper into forces one can trust, and tells which piece of
@@ -37,6 +37,7 @@ enum Command {
     Record(record::Args),
     Dbc(dbc::Args),
     Grip(grip::Args),
+    Design(design::Args),
     Faults(faults::Args),
 }
 
@@ -63,6 +64,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Record(args) => record::run(&args),
         Command::Dbc(args) => dbc::run(&args),
         Command::Grip(args) => grip::run(&args),
+        Command::Design(args) => design::run(&args),
         Command::Faults(args) => faults::run(&args),
     };
     match result {

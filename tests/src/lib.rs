@@ -1,5 +1,6 @@
 //! What the integration tests share: where data are, and a small bench that writes recordings.
 
+pub mod points;
 pub mod spoilt;
 
 use std::fs::{self, File};

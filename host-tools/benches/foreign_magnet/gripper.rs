@@ -55,7 +55,7 @@ impl Gripper {
         let settings = again::settings(&truth).expect("the truth beside the campaign");
         let world = Simulated::again(settings).expect("effects of the bench");
         Self {
-            world: World::Simulated(world),
+            world: World::Simulated(Box::new(world)),
             built,
             networks,
         }

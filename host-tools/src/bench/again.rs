@@ -3,11 +3,12 @@
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
+use model_export::recordings::description::Design;
 use serde::Deserialize;
 
 use super::Settings;
 use super::effects::{Effect, Flexures};
-use super::element::NoiseKind;
+use super::element::{NoiseKind, Part};
 use super::programme::Programme;
 use super::truth::MARK;
 
@@ -26,6 +27,11 @@ struct Asked {
     field_noise_g: f64,
     reference_noise_n: f64,
     hidden: bool,
+    /// A truth of former versions has none: it was the gripper's own.
+    #[serde(default = "Design::magpie")]
+    design: Design,
+    #[serde(default = "Part::a31301")]
+    part: Part,
     #[serde(default)]
     effect: Vec<AskedEffect>,
 }
@@ -72,6 +78,8 @@ pub fn settings(truth: &Path) -> Result<Settings> {
         reference_noise_n: asked.reference_noise_n,
         effects: effects.map(effect).collect::<Result<_>>()?,
         hidden: asked.hidden,
+        design: asked.design,
+        part: asked.part,
     })
 }
 
@@ -98,6 +106,14 @@ mod tests {
             reference_noise_n: 0.1,
             effects: wanted.iter().map(|text| text.parse().unwrap()).collect(),
             hidden: true,
+            design: Design {
+                force_range_n: Some(90.0),
+                ..Design::magpie()
+            },
+            part: Part {
+                gauss_per_lsb: 0.25,
+                range_gauss: 4000.0,
+            },
         };
         let truth = simulate(&settings_then, &folder.path().join("then"), || ()).unwrap();
         let path = folder.path().join("truth.toml");

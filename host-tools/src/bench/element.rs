@@ -11,7 +11,7 @@ use super::effects::Effects;
 use super::scatter::Made;
 
 /// Noise of the A31301 at full rate, in gauss, root mean square (measured by others; `hall::watch`).
-pub const NOISE_G: f64 = 0.35;
+pub const NOISE_G: f64 = params::SENSOR_NOISE.value;
 
 /// Field at which compression is stated, in gauss: about that of the magnet at rest.
 const STATED_G: f64 = 1300.0;
@@ -125,13 +125,32 @@ impl Noise {
     }
 }
 
-/// Counts of a field, at the end of the range where it goes beyond.
-pub fn counts(field_g: Vector3<f64>) -> [i32; 3] {
-    let scale = params::SENSOR_SCALE.value;
-    let most = params::SENSOR_RANGE.value / scale;
-    field_g
-        .map(|gauss| (gauss / scale).round().clamp(-most, most) as i32)
-        .into()
+/// What a Hall sensor makes of a field.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Part {
+    /// One count in gauss.
+    pub gauss_per_lsb: f64,
+    /// Range of each axis, either way, in gauss.
+    pub range_gauss: f64,
+}
+
+impl Part {
+    /// The gripper's own.
+    pub fn a31301() -> Self {
+        Self {
+            gauss_per_lsb: params::SENSOR_SCALE.value,
+            range_gauss: params::SENSOR_RANGE.value,
+        }
+    }
+
+    /// Counts of a field, at the end of the range where it goes beyond.
+    pub fn counts(&self, field_g: Vector3<f64>) -> [i32; 3] {
+        let scale = self.gauss_per_lsb;
+        let most = self.range_gauss / scale;
+        field_g
+            .map(|gauss| (gauss / scale).round().clamp(-most, most) as i32)
+            .into()
+    }
 }
 
 #[cfg(test)]
@@ -176,6 +195,6 @@ mod tests {
     #[test]
     fn counts_are_eighths_of_a_gauss_and_stop_at_the_range() {
         let field = Vector3::new(1.0, 2500.0, -0.07);
-        assert_eq!(counts(field), [8, 16_000, -1]);
+        assert_eq!(Part::a31301().counts(field), [8, 16_000, -1]);
     }
 }

@@ -1,6 +1,6 @@
 //! One finger in time: from loads to where its magnet is and how it leans.
 
-use model_export::physics::magnet::Cylinder;
+use model_export::physics::Magnet;
 use nalgebra::{Rotation3, Vector3};
 
 use super::effects::Effects;
@@ -35,28 +35,15 @@ pub struct Finger {
 pub struct Pose {
     /// Its centre as seen from the Hall element, gripper's axes, in mm.
     pub centre_mm: Vector3<f64>,
-    /// From the magnet's frame (its axis is z) to the gripper's.
+    /// From the magnet's frame (its body's axis is z) to the gripper's.
     pub turn: Rotation3<f64>,
 }
 
 impl Pose {
-    /// A magnet whose axis is the gripper's y.
-    pub fn upright(centre_mm: Vector3<f64>) -> Self {
-        Self {
-            centre_mm,
-            turn: upright(),
-        }
-    }
-
     /// Field at the Hall element for each tesla of remanence, gripper's axes, in gauss.
-    pub fn unit_field(&self, magnet: &Cylinder) -> Vector3<f64> {
+    pub fn unit_field(&self, magnet: &Magnet) -> Vector3<f64> {
         self.turn * magnet.unit_field(self.turn.inverse() * -self.centre_mm)
     }
-}
-
-/// From z to the gripper's y.
-fn upright() -> Rotation3<f64> {
-    Rotation3::from_axis_angle(&Vector3::x_axis(), -std::f64::consts::FRAC_PI_2)
 }
 
 impl Finger {
@@ -124,12 +111,12 @@ impl Finger {
         Pose {
             centre_mm: Vector3::new(
                 offset_x + x,
-                gap + 0.5 * self.made.length_mm,
+                gap + self.made.reach_mm,
                 offset_z + z + ripple,
             ),
             turn: self.lean(x, z)
                 * Rotation3::from_scaled_axis(Vector3::new(tilt_x, 0.0, tilt_z))
-                * upright(),
+                * self.made.upright,
         }
     }
 
@@ -167,7 +154,7 @@ mod tests {
         };
         for load in [[0.0, 0.0], [150.0, -80.0], [-200.0, 190.0]] {
             finger.step(load, Vector3::zeros(), 1e-3);
-            let own = finger.magnet(0.0, 0.0).unit_field(&made.cylinder()) * 1.2;
+            let own = finger.magnet(0.0, 0.0).unit_field(&made.magnet) * 1.2;
             assert!((own - model.field(load)).amax() < 1e-6, "{own}");
         }
     }

@@ -1,6 +1,6 @@
 //! A foreign magnet that passes the gripper once.
 
-use model_export::physics::magnet::Cylinder;
+use model_export::physics::{Body, Cylinder, Magnet, Magnetised};
 use nalgebra::{Rotation3, Vector3};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
@@ -9,9 +9,12 @@ use super::draw::{Purpose, between, direction, stream};
 use super::finger::Pose;
 
 /// A magnet of a tool or a holder, in mm.
-const MAGNET: Cylinder = Cylinder {
-    diameter_mm: 10.0,
-    length_mm: 10.0,
+const MAGNET: Magnet = Magnet {
+    body: Body::Cylinder(Cylinder {
+        diameter_mm: 10.0,
+        length_mm: 10.0,
+    }),
+    magnetised: Magnetised::Axial,
 };
 
 /// Closest approach to the gripper's middle in mm, and duration of the pass in seconds.

@@ -1,6 +1,5 @@
 //! The whole gripper with everything that it remembers from one recording to the next.
 
-use model_export::recordings::description::Design;
 use nalgebra::{Matrix3, Vector3};
 
 use super::effects::Effects;
@@ -65,9 +64,8 @@ impl Gripper {
     /// A new gripper, before its first recording.
     pub fn new(settings: &Settings, effects: &Effects, excitations: &[Excitation]) -> Self {
         let (seed, scatter) = (settings.seed, settings.scatter);
-        let design = Design::magpie();
         let sensor = |number: u32| {
-            let made = Made::draw(&design, number, seed, scatter);
+            let made = Made::draw(&settings.design, number, seed, scatter);
             let greatest = excitations.iter().fold([0.0_f64; 2], |[x, z], excitation| {
                 let [other_x, other_z] = excitation.greatest_load(number as usize);
                 [x.max(other_x), z.max(other_z)]
@@ -158,7 +156,7 @@ impl Sensor {
         let remanence =
             self.made.remanence_t * (1.0 + self.per_kelvin * warm_k) * (1.0 - self.loss * lost);
         let pose = self.finger.magnet(warm_k, turns);
-        pose.unit_field(&self.made.cylinder()) * remanence
+        pose.unit_field(&self.made.magnet) * remanence
     }
 }
 
@@ -172,8 +170,9 @@ fn losses(recordings: u32) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bench::element::NoiseKind;
+    use crate::bench::element::{NoiseKind, Part};
     use crate::bench::programme::Programme;
+    use model_export::recordings::description::Design;
 
     fn gripper(wanted: &[&str]) -> Gripper {
         let settings = Settings {
@@ -181,6 +180,8 @@ mod tests {
             programme: Programme::Bench,
             recordings: 3,
             seconds: 5.0,
+            design: Design::magpie(),
+            part: Part::a31301(),
             sensors: 1,
             scatter: 0.0,
             noise: NoiseKind::White,

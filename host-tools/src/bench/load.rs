@@ -15,7 +15,7 @@ const LOADED_S: f64 = 1.5;
 /// Frequencies of the sines.
 const FREQUENCIES_HZ: [f64; 2] = [0.2, 1.2];
 
-/// Greatest load of a recording lies between these.
+/// Greatest load of a recording lies between these, with the gripper's own force range.
 const PEAK_N: [f64; 2] = [180.0, 205.0];
 
 /// Slowly modulated sines.

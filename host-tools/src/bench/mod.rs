@@ -1,8 +1,8 @@
 //! A simulated bench: campaigns of a gripper whose physics are known.
 //!
-//! It exists to judge the fit, so it must not repeat it. The two share the closed-form field of a
-//! cylinder magnet (checked against MagpyLib), the format of recordings and the nominal design
-//! constants, and nothing else. Everything mechanical is the bench's own and runs in time: springs
+//! It exists to judge the fit, so it must not repeat it. The two share the closed-form fields of
+//! magnets (checked against MagpyLib), the format of recordings and the nominal design with how it
+//! mounts its magnet, and nothing else. Everything mechanical is the bench's own and runs in time: springs
 //! that stiffen, sliders that stick, dampers and creeping elements as differential equations, loads
 //! that are counted, magnets that really move, clocks that tick apart. No effect is written as a
 //! term that a fit would look for.
@@ -50,10 +50,11 @@ use std::path::Path;
 
 use anyhow::Result;
 use firmware::params;
+use model_export::recordings::description::Design;
 
 use clocks::Clock;
 use effects::{Effect, Effects};
-use element::{Noise, NoiseKind};
+use element::{Noise, NoiseKind, Part};
 use gripper::Gripper;
 use programme::{Excitation, Programme};
 use record::Recorder;
@@ -73,6 +74,10 @@ pub struct Settings {
     pub recordings: u32,
     /// Length of each in seconds.
     pub seconds: f64,
+    /// What every sensor departs from.
+    pub design: Design,
+    /// The Hall sensors.
+    pub part: Part,
     /// Number of sensors.
     pub sensors: u32,
     /// Multiplies all scatter of manufacture.
@@ -109,8 +114,9 @@ impl Settings {
     /// What is done to the gripper in a recording, counted from 1.
     pub fn excitation(&self, recording: u32) -> Excitation {
         let (seed, sensors) = (self.seed, self.sensors);
+        let range = self.design.force_range_n() / params::FORCE_RANGE.value;
         Excitation::draw(self.programme, seed, recording, sensors, self.seconds)
-            .beyond(self.harder, self.warmer_k)
+            .beyond(self.harder * range, self.warmer_k)
     }
 
     /// Noise of a sensor in a recording.

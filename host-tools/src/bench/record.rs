@@ -7,17 +7,16 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use csv::Writer;
-use firmware::params;
 use flate2::Compression;
 use flate2::write::GzEncoder;
 use model_export::recordings::columns::{Axis, COVARIATES};
-use model_export::recordings::description::{Description, Design};
+use model_export::recordings::description::Description;
 use rand_chacha::ChaCha8Rng;
 
 use super::clocks::Clock;
 use super::draw::{Purpose, normal, stream};
 use super::effects::Effects;
-use super::element::{Noise, counts};
+use super::element::Noise;
 use super::gripper::{Gripper, Moment};
 use super::programme::Excitation;
 use super::reference::Reference;
@@ -65,10 +64,7 @@ impl Recorder<'_> {
 
     /// The same words whatever is hidden in the recording.
     fn description(&self) -> Description {
-        let mut design = Design::magpie();
-        design
-            .more
-            .insert("beam_length_mm".into(), params::BEAM_LENGTH.value.into());
+        let mut design = self.settings.design.clone();
         design
             .more
             .insert("motor_pole_pairs".into(), (POLE_PAIRS as i64).into());
@@ -81,8 +77,8 @@ impl Recorder<'_> {
             self.settings.sensors
         );
         let mut description = Description::new(words, start_s);
-        description.gauss_per_lsb = Some(params::SENSOR_SCALE.value);
-        description.range_gauss = Some(params::SENSOR_RANGE.value);
+        description.gauss_per_lsb = Some(self.settings.part.gauss_per_lsb);
+        description.range_gauss = Some(self.settings.part.range_gauss);
         description.design = Some(design);
         description
     }
@@ -113,7 +109,8 @@ impl Recorder<'_> {
             let fields = gripper.go_on(self.settings, self.excitation, moment);
             let mut row = vec![stamp_us.to_string()];
             for (sensor, (field, noise)) in fields.iter().zip(&mut noises).enumerate() {
-                row.extend(counts(field + noise.next(since_s)).map(|count| count.to_string()));
+                let counts = self.settings.part.counts(field + noise.next(since_s));
+                row.extend(counts.map(|count| count.to_string()));
                 let warmth = self.excitation.temperature_c(sensor, time_s);
                 row.push(format!("{:.2}", warmth + TEMPERATURE_C * normal(&mut rng)));
             }

@@ -1,8 +1,9 @@
 //! How a gripper is made: every sensor departs a little from the nominal design.
 
-use model_export::physics::magnet::Cylinder;
+use model_export::physics::Magnet;
+use model_export::physics::sensor::{reach_mm, upright};
 use model_export::recordings::description::Design;
-use nalgebra::Vector3;
+use nalgebra::{Rotation3, Vector3};
 use serde::Serialize;
 
 use super::draw::{Purpose, normal, normals, stream};
@@ -35,18 +36,23 @@ pub struct Made {
     pub rotation_rad: [f64; 3],
     /// The element's own offset, in its axes.
     pub bias_g: [f64; 3],
-    /// Size of the magnet, which is always nominal.
+    /// Shape and size of the magnet, which are always nominal.
     #[serde(skip)]
-    pub diameter_mm: f64,
-    /// Its length.
+    pub magnet: Magnet,
+    /// From the magnet's own frame to the gripper's, before it is tilted.
     #[serde(skip)]
-    pub length_mm: f64,
+    pub upright: Rotation3<f64>,
+    /// From its centre to its face, in mm.
+    #[serde(skip)]
+    pub reach_mm: f64,
 }
 
 impl Made {
     /// Draws a sensor; `scatter` multiplies all departures, 0 makes it perfect.
     pub fn draw(design: &Design, number: u32, seed: u64, scatter: f64) -> Self {
         let mut rng = stream(seed, Purpose::Scatter, number);
+        let (magnet, axis) = (Magnet::of(&design.magnet), design.magnet.axis);
+        let body_axis = design.magnet.body_axis.unwrap_or(axis);
         let mut depart = |deviation: f64| scatter * deviation * normal(&mut rng);
         Self {
             number,
@@ -60,16 +66,9 @@ impl Made {
             tilt_rad: [depart(TILT_DEG), depart(TILT_DEG)].map(f64::to_radians),
             rotation_rad: (normals(&mut rng) * (scatter * ROTATION_DEG).to_radians()).into(),
             bias_g: (normals(&mut rng) * scatter * BIAS_G).into(),
-            diameter_mm: design.magnet.diameter_mm,
-            length_mm: design.magnet.length_mm,
-        }
-    }
-
-    /// The magnet's shape.
-    pub fn cylinder(&self) -> Cylinder {
-        Cylinder {
-            diameter_mm: self.diameter_mm,
-            length_mm: self.length_mm,
+            upright: upright(&magnet, axis, body_axis),
+            reach_mm: reach_mm(&magnet, axis, body_axis),
+            magnet,
         }
     }
 

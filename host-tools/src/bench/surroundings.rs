@@ -1,7 +1,7 @@
 //! Fields from outside the finger: the opposite finger's magnet, the motor, the Earth.
 
-use model_export::physics::magnet::Cylinder;
-use nalgebra::{Matrix3, Vector3};
+use model_export::physics::Magnet;
+use nalgebra::{Matrix3, Rotation3, Vector3};
 
 use super::attitude::Standing;
 use super::draw::{Purpose, between, normal, stream};
@@ -26,7 +26,8 @@ const DIP_DEG: f64 = 60.0;
 /// The magnet of the opposite finger.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Neighbour {
-    magnet: Cylinder,
+    magnet: Magnet,
+    turn: Rotation3<f64>,
     remanence_t: f64,
     /// Towards which side the opposite finger is.
     side: f64,
@@ -39,9 +40,10 @@ impl Neighbour {
     pub fn draw(made: &Made, seed: u64, scatter: f64, stated_g: f64) -> Self {
         let mut rng = stream(seed, Purpose::Neighbour, made.number);
         let mut out = || scatter * OUT_OF_LINE_MM * normal(&mut rng);
-        let (y, z) = (made.gap_mm + 0.5 * made.length_mm + out(), out());
+        let (y, z) = (made.gap_mm + made.reach_mm + out(), out());
         let mut neighbour = Self {
-            magnet: made.cylinder(),
+            magnet: made.magnet,
+            turn: made.upright,
             remanence_t: 1.0,
             side: if made.number.is_multiple_of(2) {
                 1.0
@@ -60,8 +62,11 @@ impl Neighbour {
             return Vector3::zeros();
         }
         let distance = self.closed_mm + Vector3::new(opening_mm, 0.0, 0.0);
-        let centre = Vector3::new(self.side * distance.x, distance.y, distance.z);
-        Pose::upright(centre).unit_field(&self.magnet) * self.remanence_t
+        let pose = Pose {
+            centre_mm: Vector3::new(self.side * distance.x, distance.y, distance.z),
+            turn: self.turn,
+        };
+        pose.unit_field(&self.magnet) * self.remanence_t
     }
 }
 

@@ -4,13 +4,14 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
+use model_export::recordings::description::Design;
 use serde::Serialize;
 use toml::{Table, Value};
 
 use super::Settings;
 use super::clocks::Clock;
 use super::effects::{Chosen, Effects};
-use super::element::{DRIFT_S, NoiseKind};
+use super::element::{DRIFT_S, NoiseKind, Part};
 use super::gripper::Gripper;
 use super::programme::Programme;
 use super::scatter::Made;
@@ -33,6 +34,9 @@ pub struct Truth {
     field_noise_g: f64,
     reference_noise_n: f64,
     hidden: bool,
+    /// What the gripper departs from.
+    design: Design,
+    part: Part,
     /// The effects; empty where the campaign has none.
     pub effect: Vec<EffectTruth>,
     sensor: Vec<Made>,
@@ -84,6 +88,8 @@ impl Truth {
             field_noise_g: settings.field_noise_g,
             reference_noise_n: settings.reference_noise_n,
             hidden: settings.hidden,
+            design: settings.design.clone(),
+            part: settings.part,
             effect: effects
                 .chosen
                 .iter()

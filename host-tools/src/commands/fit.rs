@@ -50,7 +50,7 @@ pub struct Args {
 /// What the field is computed from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum BaseChoice {
-    /// Exact cylinder magnet on two flexures; needs the nominal design.
+    /// Exact field of the design's magnet, a cylinder or another, on two flexures.
     Cylinder,
     /// Polynomial of the forces, where no geometry is known.
     Polynomial,

@@ -7,6 +7,7 @@ pub mod clocks;
 pub mod compare;
 pub mod dbc;
 pub mod demo;
+pub mod design;
 pub mod diagnose;
 pub mod drop;
 pub mod effects;

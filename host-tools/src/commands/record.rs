@@ -12,7 +12,8 @@ use anyhow::{Result, anyhow};
 use firmware::parameters::table::id;
 use firmware::params;
 use indicatif::ProgressBar;
-use model_export::recordings::description::{Description, Design};
+use model_export::design::Design;
+use model_export::recordings::description::Description;
 
 use super::live::{Gripper, interrupted, parse_seconds};
 use crate::live::asking;
@@ -48,6 +49,9 @@ pub struct Args {
     /// Seconds since the campaign began; without it, by the dates of the recordings beside this one.
     #[arg(long, value_name = "S")]
     start_s: Option<f64>,
+    /// The gripper's nominal design; otherwise MAGPIE's own.
+    #[arg(long, value_name = "PATH")]
+    design: Option<PathBuf>,
     /// Rows a second over a CAN bus: 100, 250 or 500.
     #[arg(long, value_name = "HZ", default_value_t = 100, requires = "can", value_parser = parse_rate)]
     rate: u32,
@@ -94,9 +98,14 @@ fn description(args: &Args) -> Result<Description> {
     };
     let mut description = Description::new(args.note.clone(), start_s);
     description.recorded = Some(humantime::format_rfc3339_seconds(now).to_string());
+    let design = match &args.design {
+        Some(path) => Design::read(path)?,
+        None => Design::magpie(),
+    };
+    // The board's own part, whatever a design may wish.
     description.gauss_per_lsb = Some(params::SENSOR_SCALE.value);
     description.range_gauss = Some(params::SENSOR_RANGE.value);
-    description.design = Some(Design::magpie());
+    description.design = Some(design.nominal());
     Ok(description)
 }
 

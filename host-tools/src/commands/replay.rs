@@ -6,6 +6,7 @@ pub mod report;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
+use firmware::params;
 use model_export::inverse::build::{Built, Variant, build};
 use model_export::inverse::compensation::OwnedCompensation;
 use model_export::inverse::grbf::Grbf;
@@ -13,7 +14,7 @@ use model_export::inverse::quantise::TableSet;
 use model_export::model_file::ModelFile;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::campaign::{fingerprint, name_of, recording_folders};
-use model_export::recordings::description::Description;
+use model_export::recordings::description::{Description, Design};
 use model_export::recordings::raw::RawStream;
 
 use super::clocks::Clocks;
@@ -73,6 +74,8 @@ pub struct Outcome {
     pub alone: Option<Vec<RecordingReplay>>,
     /// Names of recordings that the model was fitted to, or a network learned from.
     pub seen: Vec<String>,
+    /// Force that each axis is designed for, either way, in newtons.
+    pub force_range_n: f64,
     /// What a person should know.
     pub notes: Vec<String>,
 }
@@ -176,6 +179,10 @@ pub fn outcome(
         },
         fitted: replayed,
         seen: seen(&folders, &file, networks.as_ref())?,
+        force_range_n: file
+            .design
+            .as_ref()
+            .map_or(params::FORCE_RANGE.value, Design::force_range_n),
         notes,
     })
 }

@@ -3,11 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
+use model_export::design::Design;
 use model_export::output::write_output;
+use model_export::physics::ForwardModel;
 use serde_json::{Value, json};
 
 use crate::bench::effects::{Effect, hide};
-use crate::bench::element::{NOISE_G, NoiseKind};
+use crate::bench::element::{NoiseKind, Part};
 use crate::bench::programme::Programme;
 use crate::bench::sizes::SIZES;
 use crate::bench::truth::{self, Truth};
@@ -39,9 +41,12 @@ pub struct Args {
     /// Length of each recording.
     #[arg(long, value_name = "S", default_value_t = 30.0)]
     seconds: f64,
-    /// Number of sensors.
-    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=8))]
-    sensors: u32,
+    /// The nominal design that the gripper is made to; otherwise MAGPIE's own.
+    #[arg(long, value_name = "PATH")]
+    design: Option<PathBuf>,
+    /// Number of sensors; otherwise the design's.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(MOST_SENSORS)))]
+    sensors: Option<u32>,
     /// Multiplies the scatter of manufacture; 0 makes a perfect gripper.
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     scatter: f64,
@@ -59,9 +64,9 @@ pub struct Args {
     /// Noise of the field beside white noise.
     #[arg(long, value_enum, default_value = "white")]
     noise: NoiseKind,
-    /// White noise of one field sample.
-    #[arg(long, value_name = "G", default_value_t = NOISE_G)]
-    field_noise: f64,
+    /// White noise of one field sample; otherwise that of the design's sensor.
+    #[arg(long, value_name = "G")]
+    field_noise: Option<f64>,
     /// White noise of the reference.
     #[arg(long, value_name = "N", default_value_t = 0.15)]
     reference_noise: f64,
@@ -86,6 +91,7 @@ Examples:
   cargo magpie simulate -o stuck --effect hysteresis=2.5:both --programme isothermal
   cargo magpie simulate -o passed --effect external_magnet=60   # passed-truth.toml says when
   cargo magpie simulate -o hard --load 1.3 --warmer 15    # the same gripper, beyond what it knew
+  cargo magpie simulate -o other --design design.toml     # another magnet, other stiffness, other sensors
   cargo magpie simulate -o riddle --hide 2 --seed 7    # riddle-truth.toml has the answer
 
 Effects, each with its typical size (friction takes :lateral, :longitudinal or :both after it):
@@ -132,7 +138,7 @@ fn settings(args: &Args) -> Result<Settings> {
         ("--strength", args.strength),
         ("--scatter", args.scatter),
         ("--load", args.load),
-        ("--field-noise", args.field_noise),
+        ("--field-noise", args.field_noise.unwrap_or_default()),
         ("--reference-noise", args.reference_noise),
     ];
     for (option, value) in at_least_zero {
@@ -161,17 +167,31 @@ fn settings(args: &Args) -> Result<Settings> {
             SECONDS[1]
         );
     }
+    let design = match &args.design {
+        Some(path) => Design::read(path)?,
+        None => Design::magpie(),
+    };
+    let sensors = args.sensors.unwrap_or(design.sensors);
+    if !(1..=MOST_SENSORS).contains(&sensors) {
+        bail!("sensors = {sensors} is not possible here; give 1 to {MOST_SENSORS}");
+    }
+    check_range(&design)?;
     Ok(Settings {
         seed: args.seed,
         programme: args.programme,
         recordings: args.recordings,
         seconds: args.seconds,
-        sensors: args.sensors,
+        sensors,
+        design: design.nominal(),
+        part: Part {
+            gauss_per_lsb: design.sensor.gauss_per_lsb,
+            range_gauss: design.sensor.range_gauss,
+        },
         scatter: args.scatter,
         noise: args.noise,
         harder: args.load,
         warmer_k: args.warmer,
-        field_noise_g: args.field_noise,
+        field_noise_g: args.field_noise.unwrap_or(design.sensor.noise_gauss),
         reference_noise_n: args.reference_noise,
         effects: match args.hide {
             Some(count) => hide(args.seed, count, args.strength)?,
@@ -179,6 +199,23 @@ fn settings(args: &Args) -> Result<Settings> {
         },
         hidden: args.hide.is_some(),
     })
+}
+
+/// Sensors of a bench; the board reads four.
+const MOST_SENSORS: u32 = 8;
+
+/// Refuses a design whose field at rest the sensor cannot read.
+fn check_range(design: &Design) -> Result<()> {
+    let rest_g = ForwardModel::nominal(&design.nominal())
+        .field([0.0; 2])
+        .amax();
+    let range_g = design.sensor.range_gauss;
+    if rest_g >= range_g {
+        bail!(
+            "the design's magnet gives {rest_g:.0} G at rest, beyond the sensor's {range_g:.0} G; take a weaker one or a wider gap"
+        );
+    }
+    Ok(())
 }
 
 /// Lengths of a recording: long enough for the load to come up, short enough for its clocks.
@@ -212,7 +249,7 @@ fn told(settings: &Settings, truth: &Truth) -> String {
         return format!("{count} {what} hidden in it.\n");
     }
     if truth.effect.is_empty() {
-        return "It has no effects beyond the cylinder magnet on two flexures.\n".to_owned();
+        return "It has no effects beyond the magnet on two flexures.\n".to_owned();
     }
     let mut table = show::table(["effect", "unit", "size"]);
     for effect in &truth.effect {

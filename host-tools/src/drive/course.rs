@@ -134,7 +134,7 @@ pub fn grasp(lead: Lead, parameters: Parameters, asked: Asked, seed: u64) -> Cou
             break;
         }
     }
-    course.from_contact()
+    course.since_contact()
 }
 
 /// The same at the paper's closing speed with nothing but a bound of the current: that which presses with the
@@ -160,7 +160,7 @@ pub fn current_limited(lead: Lead, parameters: Parameters, asked: Asked, seed: u
             touched_s += STEP_S;
         }
     }
-    course.from_contact()
+    course.since_contact()
 }
 
 fn is_held(task: Task) -> bool {
@@ -182,7 +182,7 @@ impl Course {
     }
 
     /// Counts the time from the contact.
-    fn from_contact(mut self) -> Self {
+    fn since_contact(mut self) -> Self {
         let touches = self.points.iter().find(|point| point.true_n > TOUCH_N);
         let contact_s = touches.map_or(0.0, |point| point.time_s);
         for point in &mut self.points {

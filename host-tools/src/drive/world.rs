@@ -7,7 +7,7 @@ use std::rc::Rc;
 use firmware::loops::FIRST_TICK_US;
 use firmware::motor::plausible::Supply;
 use firmware::motor::stage::Sensed;
-use firmware::motor::{Order, State, Telling, as5047};
+use firmware::motor::{Order, State, Telling, Trip, as5047};
 use firmware::params::{PWM_RATE, TICK_US};
 use nalgebra::Vector3;
 
@@ -33,10 +33,13 @@ pub struct Wrong {
     /// Done to each answer of the rotor's sensor on its way.
     pub frame: Option<Box<dyn FnMut(u16) -> u16>>,
     /// Done to the converters' counts: phases U, V, W, then the bus.
-    pub counts: Option<Box<dyn FnMut([u16; 4]) -> [u16; 4]>>,
+    pub counts: Option<Counts>,
     /// The rotor is held, whatever the torque.
     pub is_jammed: bool,
 }
+
+/// Makes other counts of counts.
+pub type Counts = Box<dyn FnMut([u16; 4]) -> [u16; 4]>;
 
 impl Wrong {
     fn spoil(&mut self, sensed: &mut Sensed) {

@@ -57,7 +57,7 @@ pub enum World {
     /// One recording: the same rows in every run, with other magnets.
     Recorded(Recorded),
     /// Fresh recordings of a simulated gripper, another in every run.
-    Simulated(Simulated),
+    Simulated(Box<Simulated>),
 }
 
 impl World {

@@ -10,7 +10,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::bench::draw::{Purpose, normals, stream};
 use crate::bench::effects::{Effect, Effects};
-use crate::bench::element::{Element, NOISE_G, counts};
+use crate::bench::element::{Element, NOISE_G, Part};
 use crate::bench::finger::Finger;
 use crate::bench::scatter::Made;
 use crate::bench::stroke::{Drive, LEAD_MM};
@@ -81,13 +81,13 @@ impl Fingertips {
         let currents_a = currents(drive);
         for (place, tip) in readings.iter_mut().zip(&self.tips) {
             let pose = tip.finger.magnet(0.0, drive.opening_mm / LEAD_MM);
-            let own_g = pose.unit_field(&tip.made.cylinder()) * tip.made.remanence_t;
+            let own_g = pose.unit_field(&tip.made.magnet) * tip.made.remanence_t;
             let outside_g = tip.neighbour.field(drive.opening_mm) + tip.leakage * currents_a;
             let seen_g = tip.element.reading(own_g + outside_g, 0.0, time_s);
             let noisy_g = seen_g + normals(&mut self.rng) * NOISE_G;
             *place = Some(Reading {
                 // Within the range of the sensor's word.
-                field: counts(noisy_g).map(|count| count as i16),
+                field: Part::a31301().counts(noisy_g).map(|count| count as i16),
                 temperature: 0,
             });
         }

@@ -129,6 +129,7 @@ fn plot(located: &Located, sensor_at: usize, sensor: u32, scale: &Range<f64>) ->
         words: "G".to_owned(),
         range: scale.clone(),
         labels: 4,
+        powers: false,
     };
     let says = format!(
         "Mean residual of sensor {sensor} in gauss over {words}: x, y and z with 95 % bands."

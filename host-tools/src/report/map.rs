@@ -116,6 +116,7 @@ fn grid(
             words: words.clone(),
             range: from..to,
             labels: 6,
+            powers: false,
         }
     };
     let [across, upwards] = &map.axes;

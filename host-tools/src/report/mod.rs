@@ -8,6 +8,7 @@
 //! - [`overlay`]: measured and modelled over time; [`pack`]: its curves for the page's script.
 //! - [`located`], [`map`], [`worst`]: where the error lies.
 //! - [`diagnosis`]: the sections of a diagnosis.
+//! - [`design`]: the sections of designs.
 //! - [`drive`]: the sections of a run of the drive; [`grasp`]: of a grasp, and of a landing; [`faults`]: of a
 //!   campaign of faults.
 //! - [`training`]: the sections of a comparison of networks.
@@ -15,6 +16,7 @@
 //!
 //! The plots are drawn here and stand in the page as SVG; its script only zooms and switches.
 
+pub mod design;
 pub mod diagnosis;
 pub mod drive;
 pub mod errors;

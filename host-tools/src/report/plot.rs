@@ -8,6 +8,7 @@ use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
+use super::numbers::number;
 use super::palette::{self, Role};
 use crate::show::{decimals_for, plain};
 
@@ -67,6 +68,8 @@ pub struct Along {
     pub range: Range<f64>,
     /// Number of labels, roughly; none for an axis that names things.
     pub labels: usize,
+    /// The range is that of decimal logarithms; labels show what they are of.
+    pub powers: bool,
 }
 
 impl Along {
@@ -81,6 +84,7 @@ impl Along {
             words: words.into(),
             range: least - margin..greatest + margin,
             labels: 5,
+            powers: false,
         }
     }
 
@@ -91,6 +95,15 @@ impl Along {
             words: words.into(),
             range: 0.0..if greatest > 0.0 { 1.08 * greatest } else { 1.0 },
             labels: 5,
+            powers: false,
+        }
+    }
+
+    /// A logarithmic axis that holds these decimal logarithms.
+    pub fn powers(words: impl Into<String>, values: impl IntoIterator<Item = f64>) -> Self {
+        Self {
+            powers: true,
+            ..Self::holding(words, values)
         }
     }
 
@@ -100,10 +113,14 @@ impl Along {
             words: String::new(),
             range: 0.0..count.max(1) as f64,
             labels: 0,
+            powers: false,
         }
     }
 
     fn label(&self, value: f64) -> String {
+        if self.powers {
+            return number(10.0_f64.powf(value));
+        }
         let step = (self.range.end - self.range.start) / self.labels.max(1) as f64;
         let text = plain(value, decimals_for(step));
         match text.as_str() {

@@ -68,7 +68,7 @@ pub fn count(
     };
     let (world, whose) = match simulated(data) {
         Some(world) => (
-            World::Simulated(world),
+            World::Simulated(Box::new(world)),
             "on fresh recordings of the same simulated gripper".to_owned(),
         ),
         None => (

@@ -72,6 +72,12 @@ pub const PARAMETERS: [Parameter; COUNT] = [
     absolute("bias_z", "G", 5.0),
 ];
 
+/// Tolerance of the parameter of that name, as it stands in [`PARAMETERS`]; none of others.
+pub fn tolerance(name: &str) -> f64 {
+    let parameter = PARAMETERS.iter().find(|parameter| parameter.name == name);
+    parameter.map_or(0.0, |parameter| parameter.tolerance)
+}
+
 /// A model's parameters in their units, in the order of [`PARAMETERS`].
 pub fn values(model: &ForwardModel) -> [f64; COUNT] {
     let rotation = model.rotation_rad.map(f64::to_degrees);

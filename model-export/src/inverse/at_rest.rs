@@ -10,8 +10,8 @@ use crate::physics::{ForwardModel, Frames, State};
 /// Load cycles and seconds after which whatever settles has settled.
 const SETTLED: f64 = 1e9;
 
-/// Half the step of the differences in newtons.
-const STEP_N: f64 = 0.5;
+/// Half the step of the differences, as a share of the force range.
+const STEP: f64 = 0.002;
 
 /// The forward model of one sensor at rest.
 #[derive(Clone, Debug)]
@@ -60,13 +60,14 @@ impl AtRest {
 
     /// `[dB/dFx, dB/dFz]` in G/N.
     pub fn per_newton(&self, force_n: [f64; 2]) -> [Vector3<f64>; 2] {
+        let step_n = STEP * self.model.force_range_n;
         [0, 1].map(|axis| {
             let at = |by: f64| {
                 let mut moved = force_n;
                 moved[axis] += by;
                 self.field(moved)
             };
-            (at(STEP_N) - at(-STEP_N)) / (2.0 * STEP_N)
+            (at(step_n) - at(-step_n)) / (2.0 * step_n)
         })
     }
 

@@ -1,7 +1,6 @@
 //! The loads that a model is built for, and where their fields lie.
 
 use firmware::model::table::COORDINATE_LIMIT;
-use firmware::params;
 use firmware::units::Field;
 use nalgebra::Vector3;
 
@@ -10,9 +9,10 @@ use super::at_rest::AtRest;
 /// Room around the fields of the box in the plane of motion, as a share of their span: what bias
 /// and drift may add before the device calls the field foreign to the model.
 const MARGIN: f64 = 0.10;
-/// Room along the gap in gauss: a quarter of a millimetre of gap or of the magnet stays inside. The load
-/// hardly moves this axis, and a wide box keeps it from counting much in the distances.
-const GAP_MARGIN_G: f64 = 300.0;
+/// Room along the gap, as a share of the field at rest and at most so many gauss: a quarter of a
+/// millimetre of gap or of the magnet stays inside. The load hardly moves this axis, and a wide box keeps
+/// it from counting much in the distances.
+const GAP_MARGIN: (f64, f64) = (0.25, 300.0);
 
 /// Loads of up to `force_n` either way on both axes, and the fields that they give.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,23 +27,25 @@ pub struct DesignBox {
 
 impl DesignBox {
     /// The box of the design's force range around the fields of `model`.
-    pub fn of(model: &AtRest) -> Self {
-        let force_n = [params::FORCE_RANGE.value; 2];
+    pub fn of(at_rest: &AtRest) -> Self {
+        let force_n = [at_rest.model.force_range_n; 2];
         let (mut low, mut high) = (
             Vector3::repeat(f64::INFINITY),
             Vector3::repeat(f64::NEG_INFINITY),
         );
         for force in lattice(force_n, 21) {
-            let field = model.field(force);
+            let field = at_rest.field(force);
             (low, high) = (low.inf(&field), high.sup(&field));
         }
         let half = 0.5 * (high - low);
+        let (share, most_g) = GAP_MARGIN;
+        let gap_g = (share * at_rest.field([0.0; 2]).norm()).min(most_g);
         Self {
             force_n,
             middle_g: 0.5 * (high + low),
             half_g: Vector3::new(
                 half.x * (1.0 + 2.0 * MARGIN),
-                half.y + GAP_MARGIN_G,
+                half.y + gap_g,
                 half.z * (1.0 + 2.0 * MARGIN),
             ),
         }

@@ -12,9 +12,8 @@ use rand_chacha::ChaCha8Rng;
 
 use super::at_rest::AtRest;
 use super::design_box::{DesignBox, lattice};
+use crate::physics::sensor::GAP_WEIGHT;
 
-/// Weight of the gap axis in the distance, against 1 for each axis in the plane of motion.
-const GAP_WEIGHT: f64 = 0.01;
 /// How far beside the surface samples lie, in gauss.
 const BESIDE_G: f64 = 15.0;
 /// Fitted loads go this far beyond the box, so that its edge is not the edge of what was seen.

@@ -3,6 +3,8 @@
 //! All sensors share one shape, since they share the table of the exponential and the time that the
 //! device has. A shape that the device cannot represent is not a candidate.
 
+use firmware::params;
+use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::at_rest::AtRest;
@@ -19,13 +21,13 @@ const JUDGING_SEED: u64 = 12;
 /// Samples of each.
 const SAMPLES: usize = 1500;
 
-/// Error over both forces that counts as good enough, in newtons: a third of the noise of one
-/// reading (0.35 G through 1.17 and 0.73 G/N). Beyond it fewer centres are preferred.
-const GOOD_ENOUGH_N: f64 = 0.19;
+/// Error over both forces that counts as good enough, in shares of the noise of one reading. Beyond it
+/// fewer centres are preferred.
+const GOOD_ENOUGH: f64 = 1.0 / 3.0;
 
-/// Error by rounding to the device's integers, each force, root mean square, that is put up with in
-/// newtons: a tenth of the noise of one reading.
-const MOST_ROUNDING_N: f64 = 0.04;
+/// Error by rounding to the device's integers, the greater of both forces, root mean square, that is put
+/// up with, in shares of the noise of one reading.
+const MOST_ROUNDING: f64 = 0.07;
 
 /// Centres along each axis that are tried, the fewest first.
 const CENTRES_ACROSS: [usize; 5] = [4, 5, 6, 7, 8];
@@ -95,6 +97,7 @@ pub fn choose(
         let fit = |s: &Sensor| Grbf::fit(s.model, &s.design, shape, &s.training, representable);
         sensors.iter().map(fit).collect()
     };
+    let noise_n = noise_n(models);
     let build = |models: &[Grbf]| TableSet::build(id, models, numbers, gauss_per_lsb, range_gauss);
     // The error of one candidate on all sensors; `None` where the device cannot represent it.
     let judge = |models: &[Grbf]| -> Option<f64> {
@@ -104,7 +107,7 @@ pub fn choose(
             let fixed = |field: &_| tables.force(i, field, gauss_per_lsb);
             let float = in_float(model, &sensor.choosing[..SAMPLES / 5]);
             let (rounding, _) = errors(&float, fixed);
-            if rounding.iter().any(|rms| *rms > MOST_ROUNDING_N) {
+            if rounding.iter().any(|rms| *rms > MOST_ROUNDING * noise_n) {
                 return None;
             }
             let (rms, _) = errors(&sensor.choosing, fixed);
@@ -145,12 +148,17 @@ pub fn choose(
                 .flat_map_iter(of_width),
         );
         // More centres would not be taken.
-        if tried.iter().any(|(_, error)| *error <= GOOD_ENOUGH_N) {
+        if tried
+            .iter()
+            .any(|(_, error)| *error <= GOOD_ENOUGH * noise_n)
+        {
             break;
         }
     }
     let best = tried.iter().min_by(|a, b| a.1.total_cmp(&b.1)).copied();
-    let enough = tried.iter().filter(|(_, error)| *error <= GOOD_ENOUGH_N);
+    let enough = tried
+        .iter()
+        .filter(|(_, error)| *error <= GOOD_ENOUGH * noise_n);
     let fewest = enough.min_by(|a, b| {
         (a.0.centres_across, a.1)
             .partial_cmp(&(b.0.centres_across, b.1))
@@ -193,6 +201,17 @@ pub fn choose(
         tables,
         linear,
     })
+}
+
+/// What the noise of one reading is over both forces, in newtons, root mean square over the sensors.
+fn noise_n(models: &[AtRest]) -> f64 {
+    let square = |model: &AtRest| {
+        let noise_n = |answer: Vector3<f64>| params::SENSOR_NOISE.value / answer.norm();
+        let squares = model.per_newton([0.0; 2]).map(|one| noise_n(one).powi(2));
+        squares.iter().sum::<f64>()
+    };
+    let sum: f64 = models.iter().map(square).sum();
+    (sum / models.len().max(1) as f64).sqrt()
 }
 
 /// The same fields with the forces that the model in floating point gives.

@@ -6,18 +6,24 @@
 
 use nalgebra::{Rotation3, Vector3};
 
-use super::magnet::Cylinder;
+use super::magnet::{Magnet, Magnetised};
 use super::response::{Response, read};
 use super::state::State;
 use crate::recordings::description::{Design, MagnetAxis};
+
+/// Weight of the gap axis where a field is turned into forces, against 1 for each axis in the plane of
+/// motion: temperature, a changed gap and a neighbour's magnet show there first.
+pub const GAP_WEIGHT: f64 = 0.01;
 
 /// The forward model of one sensor, geometry and flexures.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ForwardModel {
     /// The magnet.
-    pub magnet: Cylinder,
-    /// The sensor's axis along which the magnet's axis lies.
+    pub magnet: Magnet,
+    /// The sensor's axis along which the magnet is magnetised.
     pub axis: MagnetAxis,
+    /// Where the axis of its body lies; asked only of a magnet that is magnetised across it.
+    pub body_axis: MagnetAxis,
     /// Remanence in T; negative where the magnet is mounted the other way round.
     pub remanence_t: f64,
     /// Face of the magnet to the Hall element at rest, in mm.
@@ -33,12 +39,14 @@ pub struct ForwardModel {
     pub rotation_rad: Vector3<f64>,
     /// Constant field in gauss, sensor's axes: its own offset and whatever stands outside.
     pub bias_g: Vector3<f64>,
+    /// Force that each axis is designed for, either way, in newtons: what an inverse covers.
+    pub force_range_n: f64,
 }
 
 /// The rotations of a [`ForwardModel`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Frames {
-    /// From the magnet's frame (its axis is z) to the gripper's.
+    /// From the magnet's frame (its body's axis is z) to the gripper's.
     pub magnet: Rotation3<f64>,
     /// From the gripper's frame to the sensor's.
     pub element: Rotation3<f64>,
@@ -50,11 +58,9 @@ impl ForwardModel {
     /// The nominal design, perfectly made.
     pub fn nominal(design: &Design) -> Self {
         Self {
-            magnet: Cylinder {
-                diameter_mm: design.magnet.diameter_mm,
-                length_mm: design.magnet.length_mm,
-            },
+            magnet: Magnet::of(&design.magnet),
             axis: design.magnet.axis,
+            body_axis: design.magnet.body_axis.unwrap_or(design.magnet.axis),
             remanence_t: design.magnet.remanence_t,
             gap_mm: design.gap_mm,
             stiffness_n_per_mm: [design.stiffness_x_n_per_mm, design.stiffness_z_n_per_mm],
@@ -62,6 +68,7 @@ impl ForwardModel {
             tilt_rad: [0.0; 2],
             rotation_rad: Vector3::zeros(),
             bias_g: Vector3::zeros(),
+            force_range_n: design.force_range_n(),
         }
     }
 
@@ -146,10 +153,7 @@ impl ForwardModel {
 
     /// The Hall element as seen from the magnet's centre, gripper's axes, in mm.
     fn element(&self, state: &State) -> Vector3<f64> {
-        let reach = match self.axis {
-            MagnetAxis::Y => 0.5 * self.magnet.length_mm,
-            MagnetAxis::X | MagnetAxis::Z => 0.5 * self.magnet.diameter_mm,
-        };
+        let reach = reach_mm(&self.magnet, self.axis, self.body_axis);
         let [x, z] = self.offset_mm;
         -(state.displacement_mm + Vector3::new(x, self.gap_mm + reach, z))
     }
@@ -166,14 +170,40 @@ impl ForwardModel {
     }
 
     fn magnet_frame(&self, lean_rad: [f64; 2]) -> Rotation3<f64> {
-        let quarter = std::f64::consts::FRAC_PI_2;
-        let upright = match self.axis {
-            MagnetAxis::X => Rotation3::from_axis_angle(&Vector3::y_axis(), quarter),
-            MagnetAxis::Y => Rotation3::from_axis_angle(&Vector3::x_axis(), -quarter),
-            MagnetAxis::Z => Rotation3::identity(),
-        };
+        let upright = upright(&self.magnet, self.axis, self.body_axis);
         let [x, z] = [0, 1].map(|i| self.tilt_rad[i] + lean_rad[i]);
         Rotation3::from_scaled_axis(Vector3::new(x, 0.0, z)) * upright
+    }
+}
+
+/// From a magnet's own frame to the gripper's: magnetised along `axis`, and where that is across its
+/// body, with the body along `body_axis`.
+pub fn upright(magnet: &Magnet, axis: MagnetAxis, body_axis: MagnetAxis) -> Rotation3<f64> {
+    let quarter = std::f64::consts::FRAC_PI_2;
+    match (magnet.magnetised, axis) {
+        (Magnetised::Axial, MagnetAxis::X) => {
+            Rotation3::from_axis_angle(&Vector3::y_axis(), quarter)
+        }
+        (Magnetised::Axial, MagnetAxis::Y) => {
+            Rotation3::from_axis_angle(&Vector3::x_axis(), -quarter)
+        }
+        (Magnetised::Axial, MagnetAxis::Z) => Rotation3::identity(),
+        (Magnetised::Diametric, _) => {
+            let (x, z) = (axis.unit(), body_axis.unit());
+            Rotation3::from_basis_unchecked(&[x, z.cross(&x), z])
+        }
+    }
+}
+
+/// From a magnet's centre to its surface along the gap, in mm.
+pub fn reach_mm(magnet: &Magnet, axis: MagnetAxis, body_axis: MagnetAxis) -> f64 {
+    let body = match magnet.magnetised {
+        Magnetised::Axial => axis,
+        Magnetised::Diametric => body_axis,
+    };
+    match body {
+        MagnetAxis::Y => magnet.half_length_mm(),
+        MagnetAxis::X | MagnetAxis::Z => magnet.half_width_mm(),
     }
 }
 
@@ -196,6 +226,7 @@ pub(crate) fn spin(at: Vector3<f64>, axis: Vector3<f64>) -> Vector3<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::physics::{Body, Cylinder};
     use approx::assert_abs_diff_eq;
     use firmware::params;
     use nalgebra::Matrix3;
@@ -260,9 +291,12 @@ mod tests {
             (2.5, 2.5, 1118.0, 566.0),
         ];
         for (diameter_mm, length_mm, field, slope) in known {
-            let magnet = Cylinder {
-                diameter_mm,
-                length_mm,
+            let magnet = Magnet {
+                body: Body::Cylinder(Cylinder {
+                    diameter_mm,
+                    length_mm,
+                }),
+                magnetised: Magnetised::Axial,
             };
             let response = ForwardModel {
                 magnet,

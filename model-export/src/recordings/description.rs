@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use firmware::params;
+use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::problem::{Fault, Notice, Place, Problem};
@@ -55,6 +56,13 @@ pub struct Design {
     pub stiffness_x_n_per_mm: f64,
     /// Longitudinal flexure.
     pub stiffness_z_n_per_mm: f64,
+    /// Force that each axis of each sensor is designed for, either way; the gripper's own where it is
+    /// not given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub force_range_n: Option<f64>,
+    /// Number of sensors; the gripper's own where it is not given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sensors: Option<u32>,
     /// What the file says beyond this (beam, motor, screw), kept for the effects that need it.
     #[serde(flatten)]
     pub more: toml::Table,
@@ -63,27 +71,52 @@ pub struct Design {
 /// A permanent magnet.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Magnet {
-    /// Only cylinders for now.
+    /// Shape and size.
+    #[serde(flatten)]
     pub shape: Shape,
-    /// Diameter.
-    pub diameter_mm: f64,
-    /// Length along its axis.
-    pub length_mm: f64,
     /// Remanence; negative where the magnet is mounted the other way round.
     pub remanence_t: f64,
-    /// The sensor's axis along which the magnet's axis lies.
+    /// The sensor's axis along which the magnet is magnetised.
     pub axis: MagnetAxis,
+    /// Where the axis of the body lies, of a cylinder or tube that is magnetised across it
+    /// (diametrically); otherwise they are one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub body_axis: Option<MagnetAxis>,
 }
 
-/// Shapes whose field is known in closed form here.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+/// Shapes whose field is known in closed form here, in millimetres.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "shape", rename_all = "snake_case")]
 pub enum Shape {
-    /// Magnetised along its axis.
-    Cylinder,
+    /// Full, round.
+    Cylinder {
+        /// Diameter.
+        diameter_mm: f64,
+        /// Length along the body's axis.
+        length_mm: f64,
+    },
+    /// With a round hole all along its axis.
+    Tube {
+        /// Diameter.
+        diameter_mm: f64,
+        /// Diameter of the hole.
+        hole_mm: f64,
+        /// Length along the body's axis.
+        length_mm: f64,
+    },
+    /// Edges along the sensor's axes.
+    Cube {
+        /// Length of an edge.
+        side_mm: f64,
+    },
+    /// A ball.
+    Sphere {
+        /// Diameter.
+        diameter_mm: f64,
+    },
 }
 
-/// The sensor's axis along which the magnet's axis lies.
+/// One of the sensor's axes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MagnetAxis {
@@ -100,17 +133,34 @@ impl Design {
     pub fn magpie() -> Self {
         Self {
             magnet: Magnet {
-                shape: Shape::Cylinder,
-                diameter_mm: params::MAGNET_DIAMETER.value,
-                length_mm: params::MAGNET_LENGTH.value,
+                shape: Shape::Cylinder {
+                    diameter_mm: params::MAGNET_DIAMETER.value,
+                    length_mm: params::MAGNET_LENGTH.value,
+                },
                 remanence_t: params::REMANENCE.value,
                 axis: MagnetAxis::Y,
+                body_axis: None,
             },
             gap_mm: params::GAP.value,
             stiffness_x_n_per_mm: params::STIFFNESS_X.value,
             stiffness_z_n_per_mm: params::STIFFNESS_Z.value,
-            more: toml::Table::new(),
+            force_range_n: None,
+            sensors: None,
+            more: toml::Table::from_iter([(
+                "beam_length_mm".to_owned(),
+                params::BEAM_LENGTH.value.into(),
+            )]),
         }
+    }
+
+    /// Force that each axis is designed for, either way, in newtons.
+    pub fn force_range_n(&self) -> f64 {
+        self.force_range_n.unwrap_or(params::FORCE_RANGE.value)
+    }
+
+    /// Number of sensors.
+    pub fn sensors(&self) -> u32 {
+        self.sensors.unwrap_or(params::SENSORS.value as u32)
     }
 
     /// A number among what the file says beyond this.
@@ -123,14 +173,56 @@ impl Design {
 
     /// Everything that must be above zero, by its key.
     pub(crate) fn sizes(&self) -> Vec<(&'static str, f64)> {
-        vec![
+        let mut sizes = vec![
             ("design.gap_mm", self.gap_mm),
             ("design.stiffness_x_n_per_mm", self.stiffness_x_n_per_mm),
             ("design.stiffness_z_n_per_mm", self.stiffness_z_n_per_mm),
-            ("design.magnet.diameter_mm", self.magnet.diameter_mm),
-            ("design.magnet.length_mm", self.magnet.length_mm),
             ("design.magnet.remanence_t", self.magnet.remanence_t.abs()),
-        ]
+            ("design.force_range_n", self.force_range_n()),
+            ("design.sensors", f64::from(self.sensors())),
+        ];
+        sizes.extend(self.magnet.shape.sizes());
+        sizes
+    }
+}
+
+impl Shape {
+    /// Everything that must be above zero, by its key. Of a tube also its wall.
+    fn sizes(self) -> Vec<(&'static str, f64)> {
+        const DIAMETER: &str = "design.magnet.diameter_mm";
+        const LENGTH: &str = "design.magnet.length_mm";
+        match self {
+            Self::Cylinder {
+                diameter_mm,
+                length_mm,
+            } => vec![(DIAMETER, diameter_mm), (LENGTH, length_mm)],
+            Self::Tube {
+                diameter_mm,
+                hole_mm,
+                length_mm,
+            } => vec![
+                (DIAMETER, diameter_mm),
+                ("design.magnet.hole_mm", hole_mm),
+                (
+                    "design.magnet.diameter_mm less its hole",
+                    diameter_mm - hole_mm,
+                ),
+                (LENGTH, length_mm),
+            ],
+            Self::Cube { side_mm } => vec![("design.magnet.side_mm", side_mm)],
+            Self::Sphere { diameter_mm } => vec![(DIAMETER, diameter_mm)],
+        }
+    }
+}
+
+impl MagnetAxis {
+    /// The unit vector along it.
+    pub fn unit(self) -> Vector3<f64> {
+        match self {
+            Self::X => Vector3::x(),
+            Self::Y => Vector3::y(),
+            Self::Z => Vector3::z(),
+        }
     }
 }
 

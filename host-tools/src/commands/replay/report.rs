@@ -1,6 +1,5 @@
 //! What `magpie replay` shows.
 
-use firmware::params;
 use serde_json::{Value, json};
 
 use super::{Outcome, networks};
@@ -251,7 +250,7 @@ fn tare_harms(outcome: &Outcome) -> Option<String> {
 
 /// Errors of a tenth of the range are no model's error but a mistake.
 fn far_off(outcome: &Outcome) -> Option<String> {
-    let limit = 0.1 * params::FORCE_RANGE.value;
+    let limit = 0.1 * outcome.force_range_n;
     let worst = pooled(outcome.alone.as_ref().unwrap_or(&outcome.fitted))
         .iter()
         .map(|p| p.sum(|t| t.error).std())

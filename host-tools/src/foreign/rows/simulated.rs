@@ -5,7 +5,6 @@ use anyhow::Result;
 use firmware::frame::SENSORS;
 use firmware::params;
 use model_export::recordings::columns::{COVARIATES, HallColumn};
-use model_export::recordings::description::Design;
 use model_export::recordings::layout::Layout;
 use model_export::recordings::raw::RawRow;
 use nalgebra::Vector3;
@@ -87,7 +86,7 @@ impl Simulated {
                 .map(|sensor| settings.noise_of(recording, sensor))
                 .collect(),
             rng: stream(settings.seed, Purpose::Covariates, recording),
-            covariates: Covariates::find(&layout, Some(&Design::magpie())),
+            covariates: Covariates::find(&layout, Some(&settings.design)),
             frame: 0,
         }
     }

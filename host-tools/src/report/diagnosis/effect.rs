@@ -112,6 +112,7 @@ fn plot(shape: &Shape, of: (usize, usize), size: (u32, u32), scale: &Range<f64>)
         words: "G".to_owned(),
         range: scale.clone(),
         labels: 4,
+        powers: false,
     };
     let points = points(shape, of);
     figure(size, &says, |paper| draw(paper, &points, &across, &upwards))

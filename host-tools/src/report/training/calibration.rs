@@ -64,6 +64,7 @@ fn draw(paper: &Paper, curves: &[(Variant, Role, &Coverage)]) -> Result<(), Fail
         words: words.to_owned(),
         range: 0.0..100.0,
         labels: 6,
+        powers: false,
     };
     let (across, upwards) = (share("share of a Gaussian, %"), share("share found, %"));
     let mut chart = axes(paper, &across, &upwards)?;

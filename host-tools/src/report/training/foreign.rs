@@ -97,6 +97,7 @@ fn draw(paper: &Paper, tally: &Tally, curves: &[Curve]) -> Result<(), Failure> {
         words: "noticed in time, %".to_owned(),
         range: from..100.0 + 0.04 * (100.0 - from),
         labels: 6,
+        powers: false,
     };
     let mut chart = axes(paper, &along, &upwards)?;
     for (_, role, points) in curves {

@@ -111,7 +111,7 @@ impl Sensor<'_> {
         let at = self.at_rest.field([0.0; 2]) * self.units;
         let mut normal = nalgebra::Matrix4::<f64>::zeros();
         let mut right = nalgebra::Matrix4x3::<f64>::zeros();
-        for force in lattice([params::FORCE_RANGE.value; 2], 15) {
+        for force in lattice([self.at_rest.model.force_range_n; 2], 15) {
             let away = self.at_rest.field(force) * self.units - at;
             let regressor = nalgebra::Vector4::new(1.0, away.x, away.y, away.z);
             let answer = self.at_rest.per_mm(force).column(1) * (mm_per_count * self.units);

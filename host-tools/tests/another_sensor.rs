@@ -1,0 +1,45 @@
+//! The README's way to another sensor, command by command: another magnet, other stiffnesses, three
+//! sensors.
+
+mod desk;
+
+use desk::Desk;
+
+/// The README's section of this name, up to the next.
+fn section(name: &str) -> &'static str {
+    let readme = include_str!("../../README.md");
+    let (_, from) = readme.split_once(&format!("\n## {name}\n")).unwrap();
+    from.split_once("\n## ")
+        .map_or(from, |(section, _)| section)
+}
+
+/// The text of a block of this kind.
+fn block<'a>(section: &'a str, kind: &str) -> &'a str {
+    let (_, from) = section.split_once(&format!("```{kind}\n")).unwrap();
+    from.split_once("```").unwrap().0
+}
+
+#[test]
+fn the_readme_s_four_commands_make_tables_by_which_the_device_tells_another_sensor_s_forces() {
+    let (desk, section) = (Desk::empty(), section("Another sensor"));
+    std::fs::write(desk.0.path().join("tube.toml"), block(section, "toml")).unwrap();
+    let lines = block(section, "console").lines();
+    let commands: Vec<&str> = lines
+        .filter_map(|line| line.strip_prefix("cargo magpie "))
+        .map(|line| line.split('#').next().unwrap_or(line))
+        .collect();
+    assert_eq!(commands.len(), 4, "{commands:?}");
+    for command in &commands {
+        desk.done(command);
+    }
+    let tables = std::fs::read_to_string(desk.0.path().join("tube-tables.rs")).unwrap();
+    assert!(tables.contains("static SENSORS: [SensorTable; 3]"));
+
+    let replayed = desk.told("replay tube-model.toml tube --json");
+    let axes = replayed["sensors"].as_array().unwrap();
+    assert_eq!(axes.len(), 6, "{replayed}");
+    for axis in axes {
+        let [error_n, noise_n] = ["rmse_n", "noise_n"].map(|key| axis[key].as_f64().unwrap());
+        assert!((0.8..1.3).contains(&(error_n / noise_n)), "{axis}");
+    }
+}

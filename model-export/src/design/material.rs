@@ -1,0 +1,220 @@
+//! What flexures are made of: stiffness, yield, and how many cycles they bear.
+//!
+//! S-N curves are Basquin's, `amplitude = coefficient (2 cycles)^exponent`, fully reversed, smooth
+//! specimens, half of which fail: a flexure with notches, rough from the wire or the printer, bears less,
+//! and the safety factor of a design has to cover it.
+
+use firmware::params::{Constant, assumed, stated};
+
+/// A material of the table.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Material {
+    /// As in a file.
+    pub name: &'static str,
+    /// Whether it is a metal; else a plastic.
+    pub metal: bool,
+    /// Young's modulus in GPa.
+    pub modulus: Constant,
+    /// Stress at 0.2 % of permanent strain, or at the yield point of a plastic, in MPa.
+    pub yields: Constant,
+    /// Basquin's coefficient in MPa.
+    pub fatigue_coefficient: Constant,
+    /// Basquin's exponent.
+    pub fatigue_exponent: Constant,
+}
+
+/// The numbers of a material, of the table or a user's own.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Strength {
+    /// Young's modulus in Pa.
+    pub modulus_pa: f64,
+    /// Yield stress in Pa.
+    pub yield_pa: f64,
+    /// Basquin's coefficient in Pa.
+    pub fatigue_coefficient_pa: f64,
+    /// Basquin's exponent, below zero.
+    pub fatigue_exponent: f64,
+}
+
+impl Strength {
+    /// Amplitude in Pa of the reversed stress that is borne for so many cycles; never above yield.
+    pub fn fatigue_pa(&self, cycles: f64) -> f64 {
+        let basquin_pa = self.fatigue_coefficient_pa * (2.0 * cycles).powf(self.fatigue_exponent);
+        basquin_pa.min(self.yield_pa)
+    }
+}
+
+impl Material {
+    /// The material of that name.
+    pub fn named(name: &str) -> Option<&'static Self> {
+        MATERIALS.iter().find(|material| material.name == name)
+    }
+
+    /// Its numbers.
+    pub fn strength(&self) -> Strength {
+        Strength {
+            modulus_pa: 1e9 * self.modulus.value,
+            yield_pa: 1e6 * self.yields.value,
+            fatigue_coefficient_pa: 1e6 * self.fatigue_coefficient.value,
+            fatigue_exponent: self.fatigue_exponent.value,
+        }
+    }
+
+    /// All its constants, with their sources.
+    pub fn constants(&self) -> [Constant; 4] {
+        [
+            self.modulus,
+            self.yields,
+            self.fatigue_coefficient,
+            self.fatigue_exponent,
+        ]
+    }
+}
+
+const fn modulus(value: f64, source: &'static str) -> Constant {
+    stated("Young's modulus", value, "GPa", source)
+}
+
+const fn yields(value: f64, source: &'static str) -> Constant {
+    stated("yield", value, "MPa", source)
+}
+
+const fn coefficient(value: f64, source: &'static str) -> Constant {
+    stated("fatigue coefficient", value, "MPa", source)
+}
+
+const fn exponent(value: f64, source: &'static str) -> Constant {
+    stated("fatigue exponent", value, "", source)
+}
+
+const fn assumed_coefficient(value: f64, source: &'static str) -> Constant {
+    assumed("fatigue coefficient", value, "MPa", source)
+}
+
+const fn assumed_exponent(value: f64, source: &'static str) -> Constant {
+    assumed("fatigue exponent", value, "", source)
+}
+
+/// Every material, metals first.
+pub const MATERIALS: [Material; 6] = [
+    Material {
+        name: "17-4PH",
+        metal: true,
+        modulus: modulus(196.0, "AK Steel, 17-4 PH data bulletin"),
+        yields: yields(1170.0, "ASTM A564, condition H900, least"),
+        fatigue_coefficient: assumed_coefficient(
+            2070.0,
+            "through 0.9 of 1310 MPa at 10^3 cycles (Shigley's rule) and 670 MPa at 2 10^6, which is \
+             450 MPa at R = 0.1, wrought, as quoted by Spiller et al., Fract. Struct. Integr. 77 (2026)",
+        ),
+        fatigue_exponent: assumed_exponent(-0.074, "the same two points"),
+    },
+    Material {
+        name: "Al 7075-T6",
+        metal: true,
+        modulus: modulus(71.7, "ASM Handbook 2, 7075"),
+        yields: yields(462.0, "ASTM B209, plate of 6 to 12 mm, least"),
+        fatigue_coefficient: coefficient(
+            1466.0,
+            "Dowling, Mechanical Behavior of Materials, table of strain-life constants",
+        ),
+        fatigue_exponent: exponent(-0.143, "the same"),
+    },
+    Material {
+        name: "Ti-6Al-4V",
+        metal: true,
+        modulus: modulus(113.8, "ASM Handbook 2, annealed"),
+        yields: yields(828.0, "ASTM B265 grade 5, annealed, least"),
+        fatigue_coefficient: assumed_coefficient(
+            2030.0,
+            "Dowling, Mechanical Behavior of Materials, table of S-N constants; a stronger temper",
+        ),
+        fatigue_exponent: assumed_exponent(-0.104, "the same"),
+    },
+    Material {
+        name: "ABS",
+        metal: false,
+        modulus: modulus(2.3, "INEOS, Terluran GP-22, ISO 527, moulded"),
+        yields: yields(45.0, "INEOS, Terluran GP-22, ISO 527, moulded"),
+        fatigue_coefficient: assumed_coefficient(
+            61.0,
+            "0.6 of yield at 10^3 cycles, 10 MPa at 10^7: a fifth to a quarter of the strength",
+        ),
+        fatigue_exponent: assumed_exponent(-0.108, "the same two points"),
+    },
+    Material {
+        name: "PLA",
+        metal: false,
+        modulus: modulus(3.5, "Farah et al., Adv. Drug Deliv. Rev. 107 (2016)"),
+        yields: assumed("yield", 45.0, "MPa", "printed, along its lines"),
+        fatigue_coefficient: assumed_coefficient(
+            72.0,
+            "a tenth of the strength at 2 10^6 cycles: after Ezeh and Susmel, Int. J. Fatigue 126 (2019)",
+        ),
+        fatigue_exponent: assumed_exponent(-0.182, "slope 5.5: the same"),
+    },
+    Material {
+        name: "POM",
+        metal: false,
+        modulus: modulus(3.1, "DuPont, Delrin 500P, ISO 527"),
+        yields: yields(70.0, "DuPont, Delrin 500P, ISO 527"),
+        fatigue_coefficient: assumed_coefficient(
+            81.0,
+            "0.7 of yield at 10^3 cycles, 31 MPa at 10^6 (DuPont, Delrin design guide, flexural)",
+        ),
+        fatigue_exponent: assumed_exponent(-0.066, "the same two points"),
+    },
+];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_material_is_weaker_the_longer_it_must_last_and_never_above_yield() {
+        for material in &MATERIALS {
+            let strength = material.strength();
+            let lives = [1.0, 1e3, 1e5, 1e7, 1e9].map(|cycles| strength.fatigue_pa(cycles));
+            assert!(lives.windows(2).all(|pair| pair[1] <= pair[0]), "{lives:?}");
+            assert!(lives[0] <= strength.yield_pa);
+            // From a few percent (printed plastic) to a half of yield (hard steel).
+            let share = lives[3] / strength.yield_pa;
+            assert!(share > 0.05 && share < 0.55, "{}: {share}", material.name);
+        }
+    }
+
+    #[test]
+    fn curves_through_two_points_go_through_them() {
+        for (name, cycles, stress_pa) in [
+            ("17-4PH", 1e3, 0.9 * 1310e6),
+            ("17-4PH", 2e6, 670e6),
+            ("ABS", 1e3, 0.6 * 45e6),
+            ("ABS", 1e7, 10e6),
+            ("PLA", 2e6, 4.5e6),
+            ("POM", 1e3, 0.7 * 70e6),
+            ("POM", 1e6, 31e6),
+        ] {
+            let found = Material::named(name).unwrap().strength().fatigue_pa(cycles);
+            assert!(
+                (found / stress_pa - 1.0).abs() < 0.02,
+                "{name} {cycles}: {found}"
+            );
+        }
+    }
+
+    #[test]
+    fn names_are_unique_and_every_number_has_a_source() {
+        for (i, material) in MATERIALS.iter().enumerate() {
+            assert!(
+                MATERIALS[..i]
+                    .iter()
+                    .all(|other| other.name != material.name)
+            );
+            assert_eq!(Material::named(material.name), Some(material));
+            for constant in material.constants() {
+                assert!(!constant.source.is_empty() && constant.value.is_finite());
+            }
+        }
+        assert_eq!(Material::named("cheese"), None);
+    }
+}
