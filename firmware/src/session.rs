@@ -37,7 +37,7 @@ pub mod op {
     pub const ARM: u8 = 5;
     /// Asks for the version.
     pub const VERSION: u8 = 6;
-    /// No service: the answer to a command that is not done carries it ([`crate::grip::Refused`]).
+    /// No service: the answer to a command that is not done carries it ([`crate::grip::reason::Refused`]).
     pub const COMMAND: u8 = 7;
     /// Measures of itself, while nobody is armed; the argument says what
     /// ([`crate::motor::calibration::Measure`]). What it finds counts at once, and is kept by [`SAVE`].

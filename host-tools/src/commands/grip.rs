@@ -1,7 +1,7 @@
 //! `magpie grip`: the firmware's control of motor and grasp on a simulated gripper.
 //!
 //! - here: a way to a place, a speed.
-//! - [`force`]: a grasp; [`foot`]: a landing.
+//! - `force`: a grasp; `foot`: a landing.
 
 mod foot;
 mod force;

@@ -2,7 +2,7 @@
 //!
 //! Von Karman's equations, with the dimensions that they must have: `N = EA (u' + w'^2/2)`, `N' = 0`,
 //! `EI w'''' = N w''` between the loads. With both ends held, `N` grows with the square of the deflection
-//! ([`stretching`]). With a free end there is none: the deflection is that of the linear beam, and what is
+//! (`stretching`). With a free end there is none: the deflection is that of the linear beam, and what is
 //! left of the second order is that the tip comes down and leans.
 //!
 //! Von Karman's rotations are moderate: against the exact curve of an inextensible cantilever (Bisshopp and
