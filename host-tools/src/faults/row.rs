@@ -346,7 +346,8 @@ impl Row {
         match self {
             Self::FootOverload => {
                 let (peak_n, lasts_s) = GROUND;
-                let share = 4.0 * f64::from(Grasp::GRIPPER.overload_n) / peak_n;
+                // Beyond what the sensors' own error may hide.
+                let share = 1.02 * 4.0 * f64::from(Grasp::GRIPPER.overload_n) / peak_n;
                 let crosses_us = at_us + (1e6 * lasts_s * share.asin() / PI) as u64;
                 // The first sample after it.
                 tick_us + TICK_US * crosses_us.saturating_sub(tick_us).div_ceil(TICK_US)
