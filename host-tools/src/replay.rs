@@ -84,6 +84,9 @@ pub struct SensorReplay {
     pub invalid: u64,
     /// Rows in which an effect could not be undone since its input was not recorded.
     pub lacking: u64,
+    /// Rows in which the device did not believe the sensor's network ([`firmware::astray`]), and told
+    /// the ideal model's forces.
+    pub astray: u64,
 }
 
 /// One recording.
@@ -229,9 +232,11 @@ pub fn replay_watched(
     let mut first_s = None;
     let mut rows = Vec::with_capacity(CHUNK);
     let mut estimates = Vec::with_capacity(CHUNK * wiring.len());
+    let mut believed = Vec::with_capacity(CHUNK * wiring.len());
     loop {
         rows.clear();
         estimates.clear();
+        believed.clear();
         estimator.networks().iter_mut().for_each(Underway::forget);
         let start = Instant::now();
         while rows.len() < CHUNK
@@ -246,6 +251,7 @@ pub fn replay_watched(
             disturbances.note(row.time_s, estimator.detector().flag());
             for (wires, memory) in wiring.iter().zip(&mut memories) {
                 let number = wires.number as usize;
+                believed.push(!estimator.is_astray(number));
                 estimates.push(told.get(number).copied().unwrap_or_else(|| {
                     let reading = Some(reading(&row, wires, models.gauss_per_lsb));
                     estimate(&tables, number, reading, &around, memory)
@@ -260,6 +266,7 @@ pub fn replay_watched(
         result.span_s = last.time_s - *first_s.get_or_insert(first.time_s);
         result.rows += rows.len() as u64;
         let estimates = estimates.chunks(wiring.len().max(1));
+        let mut believed = believed.iter().copied();
         let networks = estimator.networks();
         for (at, (row, estimates)) in rows.iter().zip(estimates).enumerate() {
             let floats = networks.as_mut().map(|networks| networks.float(at));
@@ -267,6 +274,8 @@ pub fn replay_watched(
                 let sensor = &mut result.sensors[i];
                 let reference = wires.forces.map(|force| row.forces[force]);
                 let cold = needs_temperature && wires.temperature.is_none();
+                let is_believed = believed.next().unwrap_or(true);
+                sensor.astray += u64::from(!is_believed);
                 sensor.lacking += u64::from(estimate.lacking || cold);
                 if estimate.validity != Validity::Valid {
                     sensor.invalid += 1;
@@ -278,7 +287,10 @@ pub fn replay_watched(
                     let seen = networks.as_ref().and_then(|networks| networks.saw(at));
                     let number = wires.number as usize;
                     let ideal = seen.and_then(|seen| seen.get(number)).unwrap_or(estimate);
-                    let network = floats.and_then(|floats| *floats.get(number)?);
+                    // Which network is believed the device decides: what is compared is the arithmetic.
+                    let network = floats
+                        .filter(|_| is_believed)
+                        .and_then(|floats| *floats.get(number)?);
                     let mut floats_n = [0.0; 2];
                     for axis in 0..2 {
                         // What is undone on the forces is integer arithmetic alone.

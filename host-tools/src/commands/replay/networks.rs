@@ -61,6 +61,37 @@ fn coverage_line(recordings: &[RecordingReplay]) -> String {
     })
 }
 
+/// Share of a sensor's rows in which the device did not believe its network.
+fn not_believed(recordings: &[RecordingReplay], number: u32) -> f64 {
+    let (mut astray, mut rows) = (0, 0);
+    for recording in recordings {
+        for sensor in recording.sensors.iter().filter(|s| s.number == number) {
+            astray += sensor.astray;
+            rows += recording.rows;
+        }
+    }
+    astray as f64 / rows.max(1) as f64
+}
+
+fn belief_line(recordings: &[RecordingReplay]) -> String {
+    let mut numbers: Vec<u32> = pooled(recordings).iter().map(|p| p.sensor).collect();
+    numbers.dedup();
+    let said: Vec<String> = numbers
+        .into_iter()
+        .map(|number| (number, not_believed(recordings, number)))
+        .filter(|(_, share)| *share > 0.0)
+        .map(|(number, share)| format!("{:.2} % of the time at sensor {number}", 100.0 * share))
+        .collect();
+    if said.is_empty() {
+        return String::new();
+    }
+    show::paragraph(&format!(
+        "Far from the ideal model for {}: the device tells the ideal model's forces then, and no \
+         standard deviation; both columns \"with\" and \"float\" have these.",
+        said.join(", ")
+    ))
+}
+
 /// The table, where there are networks.
 pub fn text(outcome: &Outcome) -> Option<String> {
     let sides = Sides::of(outcome)?;
@@ -100,7 +131,7 @@ pub fn text(outcome: &Outcome) -> Option<String> {
          on {}:\n\
          RMSE without and with them, the same networks in floating point, the standard deviation that\n\
          they tell and the share of errors within one and two of it (a Gaussian has 68.3 and 95.4 %).\n{table}\n\
-         Over all forces there: RMSE {:.3} N without, {:.3} N with. {}\n{}\n",
+         Over all forces there: RMSE {:.3} N without, {:.3} N with. {}\n{}{}\n",
         match sides.held_out {
             true => "recordings that neither has seen",
             false => "recordings that they were fitted to or learned from",
@@ -108,6 +139,7 @@ pub fn text(outcome: &Outcome) -> Option<String> {
         rmse_n(&sides.without),
         rmse_n(&sides.with),
         verdict(rmse_n(&sides.without), rmse_n(&sides.with)),
+        belief_line(&sides.with),
         coverage_line(&sides.with),
     ))
 }
@@ -140,6 +172,7 @@ pub fn json(outcome: &Outcome) -> Value {
                 "float_rmse_n": with.sum(|track| track.float).rms(),
                 "fixed_minus_float_rms_n": with.sum(|track| track.fixed_minus_float).rms(),
                 "sigma_n": with.sum(|track| track.sigma).rms(),
+                "not_believed": not_believed(&sides.with, with.sensor),
                 "within_1_sigma": one, "within_2_sigma": two,
             })
         })
