@@ -31,7 +31,7 @@ DETECTOR = "firmware::foreign::Detector::watch"
 DRIVE = ("ADC1_2", "CORDIC")
 # Absent from an image without networks.
 NETWORKS = "firmware::recurrent::apply"
-TABLES = "firmware::model::activation::TABLES"
+TABLE = "firmware::model::activation::TABLE"
 RECORD = "firmware::hardware::crash::RECORD"
 # Most bytes: of a recurrent network's kernel with its tables, of a kernel's stack, and of the stack from
 # an entry down (a task's own stack and interrupts come on top; 14 KiB hold all).
@@ -176,7 +176,7 @@ def check_kernels(elf, sections):
     places = {name: address for name, address, _ in symbols(elf)}
     if places.get("__pre_init") in (None, places.get("DefaultPreInit")):
         sys.exit(f"{elf}: nobody copies the kernels out of flash")
-    table = next((size for name, _, size in symbols(elf) if name.startswith(TABLES)), 0)
+    table = next((size for name, _, size in symbols(elf) if name.startswith(TABLE)), 0)
     stack = stacks(elf)
     ends = sorted(address for address in functions(elf) if start <= address < start + size) + [start + size]
     names = {address: name for address, (name, _) in functions(elf).items()}

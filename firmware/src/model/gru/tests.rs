@@ -102,8 +102,11 @@ fn every_unit_sees_the_layer_as_it_was_before_the_step() {
         pair.state[0] = [[[0; 2], [0; 2], [8192, 0]]; 2];
     }
     let mut state = State::RESET;
-    state.full[0][0][0] = ONE / 2;
-    state.upper[0][0][0] = 8192;
+    // The last unit stands where the first does: a closed update gate keeps 3e-5 of it.
+    for (pair, unit) in [(0, 0), (3, 1)] {
+        state.full[0][pair][unit] = ONE / 2;
+        state.upper[0][pair][unit] = 8192;
+    }
     step(&network, &mut state, [[0; 2]]);
     let [first, last] = [state.full[0][0][0], state.full[0][3][1]];
     assert_eq!(first, last, "the first unit's new state was seen");

@@ -7,7 +7,7 @@
 //!
 //! ```text
 //! sp + 0   the two candidates' accumulators, put aside during the recurrent products
-//! sp + 8   middle of the table of the sigmoid, then of tanh
+//! sp + 8   middle of the table of the sigmoid; how far it is above tanh's
 //! sp + 16  the layer's states: its last pair, then the pair before the next
 //! ```
 //!
@@ -34,13 +34,11 @@ pub fn step<const INPUTS: usize, const HIDDEN: usize, const SENSORS: usize>(
         assert!(INPUTS >= 1 && INPUTS + HIDDEN <= 32);
         assert!(SENSORS >= 1 && SENSORS <= 8);
     }
-    let tables = &activation::TABLES;
     // SAFETY: both are as large as the loops count, the assertions above are what the registers and
-    // the offsets allow, and an index of a table is saturated to 9 bits around its middle.
+    // the offsets allow, and an index of the table is saturated to 9 bits around its middle.
     unsafe {
-        let sigmoid = tables.sigmoid.as_ptr().add(MIDDLE);
-        let tanh = tables.tanh.as_ptr().add(MIDDLE);
-        kernel::<INPUTS, HIDDEN, SENSORS>(weights, state, sigmoid, tanh);
+        let sigmoid = activation::TABLE.as_ptr().add(MIDDLE);
+        kernel::<INPUTS, HIDDEN, SENSORS>(weights, state, sigmoid, activation::TANH_ONE);
     }
 }
 
@@ -102,13 +100,15 @@ macro_rules! layer {
             "asr r7, r9, #15\n",
             "ldr r0, [r2, r0, lsl #2]\n",
             "ldr r1, [r2, r1, lsl #2]\n",
-            "ldr r4, [r3, r4, lsl #2]\n",
-            "ldr r7, [r3, r7, lsl #2]\n",
-            "ldrd r2, r3, [r12, #8*\\k]\n", // old states
+            "ldr r4, [r2, r4, lsl #2]\n",
+            "ldr r7, [r2, r7, lsl #2]\n",
             "smlabb r5, r0, r5, r0\n",
             "smlabb r8, r1, r8, r1\n",
             "smlabb r6, r4, r6, r4\n",
             "smlabb r9, r7, r9, r7\n",
+            "sub r6, r6, r3\n",
+            "sub r9, r9, r3\n",
+            "ldrd r2, r3, [r12, #8*\\k]\n", // old states
             // candidate + update * (old - candidate)
             "sub r2, r2, r6\n",
             "sub r3, r3, r9\n",
@@ -147,15 +147,15 @@ macro_rules! upper_halves {
 }
 
 /// # Safety
-/// The first two point to a network's weights and state of these sizes, the others to the middles of
-/// the two tables of [`activation`].
+/// The first two point to a network's weights and state of these sizes, the third to the middle of the table
+/// of [`activation`]; the last is [`activation::TANH_ONE`].
 #[unsafe(naked)]
 #[unsafe(link_section = ".ccm.gru")]
 unsafe extern "C" fn kernel<const INPUTS: usize, const HIDDEN: usize, const SENSORS: usize>(
     _weights: *const Weights<INPUTS, HIDDEN, SENSORS>,
     _state: *mut State<INPUTS, HIDDEN, SENSORS>,
     _sigmoid: *const u32,
-    _tanh: *const u32,
+    _above_tanh: i32,
 ) {
     naked_asm!(
         ".fpu fpv4-sp-d16", // What the target has; the assembler is not always told.
