@@ -18,8 +18,8 @@ use firmware::model::{grbf, gru};
 /// Most instructions of one call.
 const BUDGETS: [(&str, u32); 10] = [
     ("gru_3_8", 850),
-    ("gru_3_16", 2400),
-    ("gru_12_32", 8400),
+    ("gru_3_16", 2440),
+    ("gru_12_32", 8500),
     ("gru_12_32_16", 8850),
     ("grbf_25", 320),
     ("grbf_50", 585),
@@ -27,11 +27,11 @@ const BUDGETS: [(&str, u32); 10] = [
     // The motor's control is compiled and branches: the most that was met, 1.6 cycles each by ARM's timings.
     ("motor_inner", 850),
     ("motor_outer", 1200),
-    ("grip_tick", 5500),
+    ("grip_tick", 5000),
 ];
 
 /// Of every bit of every step: changes only with the definition.
-const DIGEST: u64 = 0xfac2_dbba_098c_5c67;
+const DIGEST: u64 = 0xcfbf_4016_8ac7_b15a;
 
 /// The definition alone.
 struct Portable;
