@@ -11,6 +11,7 @@ use crate::limits::Limits;
 use crate::status::{Fault, Faults};
 use crate::throttle::Throttle;
 use crate::wire::can::{CanError, CanFrame, CanReceiver};
+use crate::wire::messages::is_from_host;
 use crate::wire::serial::{Packet, Receiver};
 use crate::wire::{STOP_ALL, identifier};
 
@@ -36,7 +37,8 @@ pub struct Heard {
 /// What both listeners share.
 struct Ear<'x, M: RawMutex> {
     source: u8,
-    throttle: Throttle,
+    /// Of a host's messages, and of anything else: what nobody understands takes no host's place.
+    throttles: [Throttle; 2],
     faults: Faults,
     exchange: &'x Exchange<M>,
 }
@@ -45,15 +47,20 @@ impl<'x, M: RawMutex> Ear<'x, M> {
     fn new(source: u8, limits: &Limits, exchange: &'x Exchange<M>) -> Self {
         Self {
             source,
-            throttle: Throttle::new(limits),
+            throttles: [Throttle::new(limits); 2],
             faults: Faults::default(),
             exchange,
         }
     }
 
     fn take(&mut self, frame: CanFrame, now_us: u64) {
+        let [of_host, of_others] = &mut self.throttles;
+        let throttle = match is_from_host((frame.identifier() & 0x1F) as u8) {
+            true => of_host,
+            false => of_others,
+        };
         // A stop is heard in any flood.
-        if self.throttle.admit(now_us) || frame.identifier() == STOP_ALL {
+        if throttle.admit(now_us) || frame.identifier() == STOP_ALL {
             let source = self.source;
             let full = self.exchange.heard.try_send(Heard { source, frame });
             if full.is_err() {
@@ -65,12 +72,17 @@ impl<'x, M: RawMutex> Ear<'x, M> {
     }
 
     fn judge(&mut self, now_us: u64) {
-        let flooded = self.throttle.is_flooded(now_us);
+        let flooded = self
+            .throttles
+            .each_mut()
+            .map(|throttle| throttle.is_flooded(now_us))
+            != [false; 2];
         let (finder, fault) = match self.source {
             CAN => (Finder::Listen, (Fault::Flooded, CAN)),
             _ => (Finder::ListenSerial, (Fault::Flooded, SERIAL)),
         };
-        let dropped = self.throttle.dropped();
+        let [of_host, of_others] = &self.throttles;
+        let dropped = of_host.dropped().saturating_add(of_others.dropped());
         self.exchange
             .note(finder, &mut self.faults, fault, flooded, dropped);
     }

@@ -70,6 +70,14 @@ pub enum Malformed {
 }
 
 impl Layout {
+    /// A bit for each of its numbers, if a host sends it.
+    pub const fn from_host(&self) -> u32 {
+        match self.direction {
+            Direction::In => ((1 << self.copies) - 1) << self.number,
+            Direction::Out => 0,
+        }
+    }
+
     /// The bits that fields own.
     pub const fn used(&self) -> u64 {
         let (mut used, mut rest) = (0, self.fields);

@@ -137,9 +137,11 @@ macro_rules! messages {
             /// # Errors
             /// Nobody knows the number, a frame that is not eight bytes, or a bit that no field owns.
             pub fn from_frame(number: u8, bytes: &[u8]) -> Result<Self, Malformed> {
-                let bytes: [u8; BYTES] = bytes.try_into().map_err(|_| Malformed::Length)?;
+                let whole = bytes.try_into();
+                let bytes: [u8; BYTES] = whole.unwrap_or_default();
                 $(
                     if const { $name::LAYOUT.numbers() }.contains(&number) {
+                        whole.map_err(|_| Malformed::Length)?;
                         return $name::from_bytes(bytes).map(Self::$name);
                     }
                 )*
@@ -149,6 +151,14 @@ macro_rules! messages {
 
         /// All messages, by number.
         pub const LAYOUTS: &[Layout] = &[$($name::LAYOUT,)*];
+
+        /// The numbers of a host's messages, a bit each.
+        const FROM_HOST: u32 = 0 $(| $name::LAYOUT.from_host())*;
+
+        /// Whether a host sends messages with this number.
+        pub const fn is_from_host(number: u8) -> bool {
+            number < 32 && FROM_HOST & 1 << number != 0
+        }
     };
 }
 

@@ -175,14 +175,11 @@ impl Case {
             Situation::Idle => is(Task::Idle),
         };
         let stopped = state == Power::Armed as u8;
-        let (safe, off) = (state == Power::Safe as u8, state == Power::Fault as u8);
+        let off = state == Power::Fault as u8;
         match (self.row, self.situation) {
             (Row::HostSilent | Row::BusOff, Situation::Approach) => {
                 is(Task::TimeoutHold) || goes_on
             }
-            // Frames that mean nothing are strange as well: they disarm what is idle, and drown the host.
-            (Row::Flood, Situation::Approach) => is(Task::TimeoutHold) || goes_on || safe,
-            (Row::Flood, Situation::Idle) => goes_on || safe || stopped,
             // Without current, or with windings shorted, a load drives the screw back.
             (Row::Hot | Row::BusHigh | Row::BusLow, Situation::Hold) if self.lead == Lead::B => {
                 goes_on || stopped || off
