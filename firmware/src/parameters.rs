@@ -15,7 +15,7 @@ use crate::motor::settings::{Settings, Wiring};
 use crate::tare::{GREATEST, Tare};
 use crate::units::Force;
 use crate::wire::messages::{ParamReply, ParamRequest};
-use table::{COUNT, Parameter, RULES, TABLE, id};
+use table::{COUNT, Parameter, RULES, TABLE, id, place_of};
 
 /// Microohms in an ohm.
 const UOHM: f32 = 1e6;
@@ -89,6 +89,12 @@ impl Parameters {
             .find_map(|(known, value)| (known == id).then_some(value))
     }
 
+    /// The value of a parameter of the table.
+    fn value<const ID: u16>(&self) -> i32 {
+        let value = self.values.get(const { place_of(ID) });
+        value.copied().unwrap_or_default()
+    }
+
     /// Takes a value.
     ///
     /// # Errors
@@ -107,48 +113,47 @@ impl Parameters {
 
     /// Number on the CAN bus, for [`crate::wire::identifier`] and [`crate::session::Session::new`].
     pub fn node(&self) -> u16 {
-        self.get(id::NODE).unwrap_or_default() as u16
+        self.value::<{ id::NODE }>() as u16
     }
 
     /// Without a command for this time the gripper holds.
     pub fn command_timeout_ms(&self) -> u32 {
-        self.get(id::COMMAND_TIMEOUT).unwrap_or_default() as u32
+        self.value::<{ id::COMMAND_TIMEOUT }>() as u32
     }
 
     /// Rate of the force messages; 0: off.
     pub fn force_rate_hz(&self) -> u32 {
-        self.get(id::FORCE_RATE).unwrap_or_default() as u32
+        self.value::<{ id::FORCE_RATE }>() as u32
     }
 
     /// Whether raw readings are sent on the CAN bus.
     pub fn raw(&self) -> bool {
-        self.get(id::RAW) == Some(1)
+        self.value::<{ id::RAW }>() == 1
     }
 
     /// Whether the foot's messages are sent.
     pub fn foot(&self) -> bool {
-        self.get(id::FOOT) == Some(1)
+        self.value::<{ id::FOOT }>() == 1
     }
 
     /// Whether every tick is sent on the serial line.
     pub fn telemetry(&self) -> bool {
-        self.get(id::TELEMETRY) == Some(1)
+        self.value::<{ id::TELEMETRY }>() == 1
     }
 
     /// What the motor's control is set to.
     pub fn settings(&self) -> Settings {
-        let value = |id| self.get(id).unwrap_or_default();
-        let mut settings = Settings::assumed(match value(id::LEAD) {
+        let mut settings = Settings::assumed(match self.value::<{ id::LEAD }>() {
             1 => motor::screw::Screw::B,
             _ => motor::screw::Screw::A,
         });
         let machine = &mut settings.machine;
-        machine.pole_pairs = value(id::POLE_PAIRS) as u8;
-        machine.resistance_ohm = value(id::RESISTANCE) as f32 / UOHM;
-        machine.inductance_h = value(id::INDUCTANCE) as f32 / NH;
+        machine.pole_pairs = self.value::<{ id::POLE_PAIRS }>() as u8;
+        machine.resistance_ohm = self.value::<{ id::RESISTANCE }>() as f32 / UOHM;
+        machine.inductance_h = self.value::<{ id::INDUCTANCE }>() as f32 / NH;
         settings.wiring = Wiring {
-            offset: (value(id::ROTOR_OFFSET) as u32) << OFFSET_SHIFT,
-            is_swapped: value(id::SWAPPED) == 1,
+            offset: (self.value::<{ id::ROTOR_OFFSET }>() as u32) << OFFSET_SHIFT,
+            is_swapped: self.value::<{ id::SWAPPED }>() == 1,
         };
         settings
     }
@@ -180,9 +185,9 @@ impl Parameters {
 
     /// Whether the screw holds its load without current.
     pub fn screw(&self) -> Screw {
-        match self.get(id::SELF_LOCKING) {
-            Some(1) => Screw::SelfLocking,
-            Some(2) => Screw::BackDriven,
+        match self.value::<{ id::SELF_LOCKING }>() {
+            1 => Screw::SelfLocking,
+            2 => Screw::BackDriven,
             _ => Screw::Unknown,
         }
     }
@@ -198,9 +203,12 @@ impl Parameters {
 
     /// What is taken off the forces.
     pub fn tare(&self) -> Tare {
-        let mut id = id::TARE..;
-        let mut next = || id.next().and_then(|id| self.get(id)).unwrap_or_default();
-        Tare([[(); 2]; SENSORS].map(|forces| forces.map(|()| Force(next()))))
+        let tare = self.values.get(const { place_of(id::TARE) }..);
+        let mut values = tare.unwrap_or_default().iter().copied();
+        Tare(
+            [[(); 2]; SENSORS]
+                .map(|forces| forces.map(|()| Force(values.next().unwrap_or_default()))),
+        )
     }
 
     /// Takes a tare; what is beyond the range stays at its end.

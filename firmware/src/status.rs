@@ -143,6 +143,8 @@ impl Fault {
 pub struct Faults {
     /// For each kind one bit for each source.
     sources: [u8; Fault::ALL.len()],
+    /// One bit for each kind that has one.
+    bits: u32,
 }
 
 impl Faults {
@@ -160,6 +162,8 @@ impl Faults {
             return None;
         }
         *sources ^= bit;
+        let kind = 1 << fault.place();
+        self.bits = (self.bits & !kind) | if *sources != 0 { kind } else { 0 };
         Some(FaultEvent {
             code: fault as u16,
             source,
@@ -170,17 +174,12 @@ impl Faults {
 
     /// Whether a fault is there, from whatever source.
     pub fn is_active(&self, fault: Fault) -> bool {
-        self.sources
-            .get(fault.place())
-            .is_some_and(|sources| *sources != 0)
+        self.bits & (1 << fault.place()) != 0
     }
 
     /// One bit for each kind that is active.
-    pub fn bits(&self) -> u32 {
-        let bits = (0_u32..).zip(&self.sources);
-        bits.fold(0, |all, (bit, sources)| {
-            all | (u32::from(*sources != 0) << bit)
-        })
+    pub const fn bits(&self) -> u32 {
+        self.bits
     }
 }
 

@@ -11,6 +11,7 @@ use firmware::model::gru;
 use firmware::model::network::{State, Weights};
 
 use crate::grip;
+use crate::loops;
 use crate::motor;
 use crate::vectors::{self, Random};
 
@@ -32,7 +33,8 @@ pub fn print(out: &mut impl Write) -> Result {
         basis_functions(name, pairs, &counter, out)?;
     }
     motor::print(&counter, out)?;
-    grip::print(&counter, out)
+    grip::print(&counter, out)?;
+    loops::print(&counter, out)
 }
 
 /// A whole call of [`gru::step`].

@@ -11,6 +11,8 @@ mod counts;
 #[cfg(target_os = "none")]
 mod grip;
 #[cfg(target_os = "none")]
+mod loops;
+#[cfg(target_os = "none")]
 mod motor;
 #[cfg(target_os = "none")]
 mod vectors;

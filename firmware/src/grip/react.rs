@@ -63,7 +63,7 @@ const fn everywhere(fault: Fault, reaction: Reaction) -> Row {
     row(fault, reaction, [reaction; 2], reaction)
 }
 
-/// All faults.
+/// All faults, in the order of [`Fault::ALL`].
 pub const TABLE: [Row; Fault::ALL.len()] = [
     sensing(Fault::SensorLost),
     sensing(Fault::SensorFrozen),
@@ -176,21 +176,24 @@ pub const fn fault_of(trip: Trip) -> Fault {
 
 /// What is done about a fault.
 pub fn reaction(fault: Fault, phase: Phase, locks: bool) -> Reaction {
-    let mut rows = TABLE.iter().filter(|row| row.fault == fault);
-    rows.next()
+    TABLE
+        .get(fault.place())
         .map_or(Reaction::Off, |row| row.reaction(phase, locks))
 }
 
 /// The strongest reaction to the faults in the heartbeat's bits, and to which of them; none without a fault.
 pub fn strongest(bits: u32, phase: Phase, locks: bool) -> Option<(Reaction, Fault)> {
-    let kinds = (0_u32..).zip(Fault::ALL);
-    let active = kinds.filter(|(bit, _)| (bits >> bit) & 1 != 0);
-    let reactions = active.map(|(_, fault)| (reaction(fault, phase, locks), fault));
+    let mut left = bits;
+    let mut strongest = None;
     // The first of those that are equally strong: the nearest to the cause.
-    reactions.fold(None, |strongest, next| match strongest {
-        Some((reaction, _)) if reaction >= next.0 => strongest,
-        _ => Some(next),
-    })
+    while let Some(row) = TABLE.get(left.trailing_zeros() as usize) {
+        let reaction = row.reaction(phase, locks);
+        if strongest.is_none_or(|(other, _)| reaction > other) {
+            strongest = Some((reaction, row.fault));
+        }
+        left &= left - 1;
+    }
+    strongest
 }
 
 #[cfg(test)]
@@ -198,9 +201,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_fault_has_one_row() {
-        for fault in Fault::ALL {
-            assert_eq!(TABLE.iter().filter(|row| row.fault == fault).count(), 1);
+    fn every_fault_has_its_row_at_its_place() {
+        for (row, fault) in TABLE.iter().zip(Fault::ALL) {
+            assert_eq!(row.fault, fault);
         }
     }
 

@@ -3,6 +3,7 @@
 pub mod board;
 pub mod can;
 pub mod clock;
+pub mod copy;
 pub mod crash;
 pub mod critical;
 pub mod drive;

@@ -78,6 +78,18 @@ pub static RULES: [Rule; COUNT] = {
     rules
 };
 
+/// Where the parameter with this identifier stands. One that is none does not compile, in a constant.
+pub const fn place_of(id: u16) -> usize {
+    let (mut place, mut rest): (usize, &[Parameter]) = (0, &TABLE);
+    while let Some((row, others)) = rest.split_first() {
+        if row.id == id {
+            return place;
+        }
+        (place, rest) = (place + 1, others);
+    }
+    panic!("no such parameter")
+}
+
 /// Identifiers; those of the sensors stand behind each other.
 pub mod id {
     /// See [`super::super::Parameters::node`].
