@@ -12,12 +12,14 @@ pub const fn clamped(value: i64) -> i32 {
     }
 }
 
-/// `value * share`, where `share` has `bits` fractional bits (62 at the most), rounded to the nearest.
-#[inline(never)]
+/// `value * share`, where `share` has `bits` fractional bits (62 at the most), rounded to the nearest. The bits are
+/// a constant wherever it is called: inlined, the shift is three instructions and no call.
+#[inline(always)]
 pub const fn share_of(value: i32, share: i32, bits: u32) -> i32 {
     let bits = if bits < 62 { bits } else { 62 };
     let half = (1_i64 << bits) >> 1;
-    clamped((value as i64 * share as i64).saturating_add(half) >> bits)
+    // 2^62 and 2^61 at the most.
+    clamped((value as i64 * share as i64).wrapping_add(half) >> bits)
 }
 
 #[cfg(test)]

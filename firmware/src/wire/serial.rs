@@ -20,6 +20,11 @@ pub const BAUD: u32 = 1_000_000;
 /// the most bytes.
 pub const LONGEST: usize = 102;
 
+/// Bytes of the checksum, the lower first.
+const CHECK_BYTES: usize = 2;
+/// Greatest length before stuffing, which adds a byte, and the zero another.
+const PLAIN: usize = LONGEST - 2;
+
 /// What travels on the line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Packet {
@@ -110,12 +115,18 @@ impl Sensor {
 
 /// The bytes of a packet with its zero; `None` where they do not fit, which no packet does.
 pub fn encode<'b>(packet: &Packet, buffer: &'b mut [u8; LONGEST]) -> Option<&'b [u8]> {
-    use postcard::ser_flavors::{Cobs, Slice, crc::CrcModifier};
-    let stuffed = Cobs::try_new(Slice::new(buffer)).ok()?;
-    let flavor = CrcModifier::new(stuffed, CHECKSUM.digest());
-    postcard::serialize_with_flavor(packet, flavor)
-        .ok()
-        .map(|bytes: &mut [u8]| &*bytes)
+    // One after the other, each over all bytes: byte by byte through all three takes twice as long.
+    let mut plain = [0; PLAIN];
+    let length = postcard::to_slice(packet, &mut plain).ok()?.len();
+    let check = CHECKSUM.checksum(plain.get(..length)?);
+    let end = length.saturating_add(CHECK_BYTES);
+    plain
+        .get_mut(length..end)?
+        .copy_from_slice(&check.to_le_bytes());
+    let [into @ .., _] = buffer;
+    let stuffed = cobs::try_encode(plain.get(..end)?, into).ok()?;
+    *buffer.get_mut(stuffed)? = 0;
+    buffer.get(..=stuffed)
 }
 
 /// Gathers packets out of bytes.
