@@ -7,6 +7,8 @@
 #[cfg(target_os = "none")]
 mod chip;
 #[cfg(target_os = "none")]
+mod copies;
+#[cfg(target_os = "none")]
 mod counts;
 #[cfg(target_os = "none")]
 mod grip;
