@@ -214,6 +214,27 @@ mod tests {
     }
 
     #[test]
+    fn each_mode_is_an_order() {
+        let of = |mode| {
+            let command = Command {
+                mode,
+                ..Command::default()
+            };
+            Order::of(&command, &LIMITS)
+        };
+        for (mode, order) in [
+            (mode::DISABLE, Order::Disable),
+            (mode::ENABLE, Order::Enable),
+            (mode::HOME, Order::Home),
+            (mode::STOP, Order::Stop),
+            (mode::FOOT, Order::Foot { on_line: false }),
+            (mode::LEAVE, Order::Leave),
+        ] {
+            assert_eq!(of(mode), Ok(order));
+        }
+    }
+
+    #[test]
     fn a_force_beyond_its_profile_and_below_a_contact_are_refused() {
         let of = |force, flags| {
             let command = Command {

@@ -327,6 +327,19 @@ mod tests {
     }
 
     #[test]
+    fn half_way_through_the_fall_half_the_surplus_is_left() {
+        let limits = Limits::GRIPPER;
+        let mut heat = Heat::default();
+        // Nine tenths of three seconds at 9.6 A: (9.6 + 5.8) / 2.
+        heat.add(&limits, 9.6 * 9.6, 2.7);
+        assert!((heat.allows_a(&limits) - 7.7).abs() < 1e-3);
+        // As much heat by 7 A takes (92.16 - 33.64) / (49 - 33.64) times as long.
+        let mut heat = Heat::default();
+        heat.add(&limits, 7.0 * 7.0, 2.7 * 3.809_9);
+        assert!((heat.allows_a(&limits) - 7.7).abs() < 1e-3);
+    }
+
+    #[test]
     fn a_warm_motor_or_stage_leaves_less_and_what_is_no_temperature_leaves_nothing() {
         let at = |motor, stage| {
             let temperatures = Temperatures { motor, stage };
@@ -342,6 +355,18 @@ mod tests {
         let (half, _) = at(None, Some(100.0));
         assert!((half - 4.8).abs() < 1e-4);
         assert_eq!(at(Some(100.0), None).0, 0.0);
+        let hot = |degrees| {
+            let temperatures = Temperatures {
+                motor: Some(degrees),
+                stage: None,
+            };
+            drawn(&Around {
+                temperatures,
+                ..free()
+            })
+            .is_hot
+        };
+        assert_eq!([99.9, 100.0, f32::NAN].map(hot), [false, true, true]);
         assert_eq!(at(Some(f32::NAN), None).0, 0.0);
     }
 
@@ -355,6 +380,32 @@ mod tests {
         let bounds = fast(-limit - 4.0);
         assert!(bounds.low_a > 1.9 && bounds.high_a == 9.6);
         assert!(bounds.reasons.has(Limit::Speed));
+    }
+
+    #[test]
+    fn the_speed_s_bound_is_told_from_where_it_takes_current() {
+        // 125.4 rad/s less 9.6 A over 0.565 A s: 108.4 rad/s.
+        let told = |speed| drawn(&Around { speed, ..free() }).reasons.has(Limit::Speed);
+        assert_eq!(
+            [108.0, 109.0, -108.0, -109.0].map(told),
+            [false, true, false, true]
+        );
+    }
+
+    #[test]
+    fn the_supply_s_power_leaves_what_copper_and_motion_take() {
+        // 150 W over 0.1 N m/A times 100 rad/s and 1.5 times 0.4 ohm times 9.6 A.
+        let bounds = drawn(&Around {
+            speed: 100.0,
+            ..free()
+        });
+        assert!((bounds.high_a - 9.517_8).abs() < 1e-3, "{}", bounds.high_a);
+        assert!(has(&bounds, Limit::Power));
+    }
+
+    #[test]
+    fn closed_fingers_may_go_on_for_two_millimetres() {
+        assert_eq!(Limits::GRIPPER.ends_mm, [-2.0, 80.0]);
     }
 
     #[test]
@@ -400,5 +451,6 @@ mod tests {
         active.set(Limit::Heat, true);
         active.set(Limit::Heat, false);
         assert_eq!(active, Active(1 << 9));
+        assert_eq!(Active(0b110).and(Active(0b011)), Active(0b111));
     }
 }

@@ -200,6 +200,30 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_set_point_with_a_number_that_is_none_is_known() {
+        let nan = f32::NAN;
+        for (closing_mm_s, most_a) in [(nan, 1.0), (1.0, nan)] {
+            let setpoint = Setpoint::Speed {
+                closing_mm_s,
+                most_a,
+            };
+            assert!(!setpoint.is_finite());
+        }
+        for place in 0..3 {
+            let mut numbers = [1.0; 3];
+            numbers[place] = nan;
+            let [opening_mm, speed_mm_s, most_a] = numbers;
+            let setpoint = Setpoint::Position {
+                opening_mm,
+                speed_mm_s,
+                most_a,
+            };
+            assert!(!setpoint.is_finite());
+        }
+        assert!(!Setpoint::Current { closing_a: nan }.is_finite());
+    }
+
+    #[test]
     fn the_surroundings_are_told_in_their_integers() {
         let telling = Telling {
             opening_mm: Some(12.5),

@@ -5,4 +5,5 @@ mod foot;
 mod holding;
 mod layers;
 mod paths;
+mod power;
 mod rig;
