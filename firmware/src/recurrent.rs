@@ -24,14 +24,11 @@ pub fn apply<const INPUTS: usize, const HIDDEN: usize, const TOLD: usize, const 
     // Every network sees the ideal model alone, not what another one made of it.
     let seen = *estimates;
     for (network, run) in networks.iter().zip(runs) {
-        let mut inputs = network.inputs.iter().flatten();
-        if inputs.any(|input| value(&seen, input.source).is_none()) {
-            *run = Run::RESET;
+        let Some(told) = run.step(network, |source| value(&seen, source)) else {
             continue;
-        }
-        let told = run.step(network, |source| value(&seen, source).unwrap_or(0));
+        };
         let heads = network.sensors.iter().zip(&network.guards);
-        for ((&sensor, guard), told) in heads.zip(told.iter().flatten()) {
+        for ((&sensor, guard), told) in heads.zip(&told) {
             if let Some(estimate) = estimates.get_mut(usize::from(sensor)) {
                 correct(estimate, network.target, guard, told);
             }

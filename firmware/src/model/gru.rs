@@ -57,14 +57,23 @@ impl<const INPUTS: usize, const HIDDEN: usize, const SENSORS: usize> Run<INPUTS,
     };
 
     /// One step over `value`, which tells what a source says, in the source's unit. Nothing until the
-    /// start is forgotten.
+    /// start is forgotten; where a source says nothing, the run begins anew: it has lost time.
     pub fn step(
         &mut self,
         network: &Network<INPUTS, HIDDEN, SENSORS>,
-        value: impl Fn(Source) -> i32,
+        value: impl Fn(Source) -> Option<i32>,
     ) -> Option<[Told; SENSORS]> {
+        let mut is_whole = true;
         for (scaled, pair) in self.state.input.iter_mut().zip(&network.inputs) {
-            *scaled = pair.map(|input| scale::input(input, value(input.source)));
+            *scaled = pair.map(|input| {
+                let value = value(input.source);
+                is_whole &= value.is_some();
+                scale::input(input, value.unwrap_or_default())
+            });
+        }
+        if !is_whole {
+            *self = Self::RESET;
+            return None;
         }
         step(&network.weights, &mut self.state);
         self.steps = self.steps.saturating_add(1);

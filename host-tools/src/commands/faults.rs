@@ -97,11 +97,13 @@ fn sentence(args: &Args, told: &Told) -> String {
     let forbidden: u32 = told.tallies.iter().map(|tally| tally.forbidden).sum();
     let met = told.tallies.iter().filter(|tally| tally.is_met()).count();
     let mut words = format!(
-        "{} runs, seeds {} to {last}, both screws, contacts of {:?} N/mm, all that is uncertain off by up to 20 %. {met} of \
+        "{} runs, seeds {} to {last}, both screws, contacts of {} N/mm, all that is uncertain off by up to 20 %. {met} of \
          {} rows and situations are as specified; {forbidden} forbidden steps.",
         told.runs,
         args.from_seed,
-        campaign::CONTACTS,
+        campaign::CONTACTS
+            .map(|stiffness| stiffness.to_string())
+            .join(", "),
         told.tallies.len(),
     );
     if told.unreached > 0 {

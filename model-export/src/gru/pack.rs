@@ -273,7 +273,8 @@ impl<const INPUTS: usize, const HIDDEN: usize, const TOLD: usize> Running
 
     fn step(&mut self, value: &dyn Fn(Source) -> i32) -> Option<Vec<Told>> {
         let (network, run) = self;
-        run.step(network, value).map(Vec::from)
+        run.step(network, |source| Some(value(source)))
+            .map(Vec::from)
     }
 
     fn states(&self) -> [Vec<i32>; 2] {

@@ -157,8 +157,8 @@ fn outputs_are_the_head_over_the_second_layer() {
 fn an_estimate_counts_only_after_the_warm_up() {
     let network = nothing();
     let mut run = Run::RESET;
-    let told: [bool; 4] = core::array::from_fn(|_| run.step(&network, |_| 0).is_some());
+    let told: [bool; 4] = core::array::from_fn(|_| run.step(&network, |_| Some(0)).is_some());
     assert_eq!(told, [false, false, true, true]);
     run = Run::RESET;
-    assert_eq!(run.step(&network, |_| 0), None);
+    assert_eq!(run.step(&network, |_| Some(0)), None);
 }
