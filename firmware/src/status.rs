@@ -113,7 +113,8 @@ impl Fault {
         Self::PowerStage,
     ];
 
-    /// Its place in [`Self::ALL`]. Looked up, for it is asked some thirty times a millisecond.
+    /// Its place in [`Self::ALL`]. Looked up, for it is asked some thirty times a millisecond; of a constant it is one.
+    #[inline(always)]
     pub fn place(self) -> usize {
         #[allow(clippy::indexing_slicing)] // Beyond its end it would not compile.
         const PLACES: [[u8; 10]; 7] = {
@@ -170,6 +171,13 @@ impl Faults {
             active: u8::from(active),
             detail,
         })
+    }
+
+    /// Whether a fault is there, from this source.
+    #[inline(always)]
+    pub fn has(&self, fault: Fault, source: u8) -> bool {
+        let sources = self.sources.get(fault.place());
+        sources.is_some_and(|sources| sources & (1 << (source & 7)) != 0)
     }
 
     /// Whether a fault is there, from whatever source.

@@ -435,6 +435,9 @@ impl Grip {
 
     /// Notes a fault of its own.
     fn note(&mut self, fault: Fault, active: bool, detail: u32, outputs: &mut Outputs) {
+        if self.faults.has(fault, 0) == active {
+            return;
+        }
         if let Some(event) = self.faults.note(fault, 0, active, detail) {
             // There is room for every kind; what finds none is in the heartbeat's bits all the same.
             let _ = outputs.events.push(event);

@@ -216,7 +216,22 @@ impl<M: RawMutex> Exchange<M> {
     }
 
     /// Notes a fault in its finder's own list, and posts it where it is news.
+    #[inline(always)] // Mostly there is no news: a few instructions then.
     pub fn note(
+        &self,
+        finder: Finder,
+        faults: &mut Faults,
+        (fault, source): (Fault, u8),
+        active: bool,
+        detail: u32,
+    ) {
+        if faults.has(fault, source) != active {
+            self.note_news(finder, faults, (fault, source), active, detail);
+        }
+    }
+
+    #[cold]
+    fn note_news(
         &self,
         finder: Finder,
         faults: &mut Faults,
