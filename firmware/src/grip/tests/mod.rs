@@ -5,4 +5,4 @@ mod foot;
 mod holding;
 mod layers;
 mod paths;
-mod rig;
+pub(super) mod rig;
