@@ -29,6 +29,8 @@ pub enum Kind {
     Watchdog,
     /// An error of memory, or the crystal failed.
     NonMaskable,
+    /// A word of the grasp's memory is not what it was ([`crate::grip::kept`]).
+    Corruption,
 }
 
 impl Kind {
@@ -40,6 +42,7 @@ impl Kind {
             Self::StackOverflow => 3,
             Self::Watchdog => 4,
             Self::NonMaskable => 5,
+            Self::Corruption => 6,
         }
     }
 
@@ -50,6 +53,7 @@ impl Kind {
             3 => Some(Self::StackOverflow),
             4 => Some(Self::Watchdog),
             5 => Some(Self::NonMaskable),
+            6 => Some(Self::Corruption),
             _ => None,
         }
     }
@@ -90,6 +94,11 @@ impl Crash {
             boot: 0,
             place: 0,
         }
+    }
+
+    /// For [`crate::wire::messages::FaultEvent`]: what happened, and where to look first.
+    pub const fn detail(&self) -> u32 {
+        (self.kind.number() << 24) | (self.address() & 0x00FF_FFFF)
     }
 
     /// Where to look first.
@@ -215,9 +224,9 @@ mod tests {
             assert_eq!(Crash::of_memory(&crash.to_memory()), Some(crash));
             count += 1;
         }
-        assert_eq!(count, 5);
+        assert_eq!(count, 6);
         let mut memory = CRASH.to_memory();
-        memory[1] = 6;
+        memory[1] = 7;
         memory[WORDS - 1] = checksum(&memory[..WORDS - 1]);
         assert_eq!(Crash::of_memory(&memory), None);
     }

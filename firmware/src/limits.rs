@@ -14,6 +14,8 @@ pub struct Limits {
     /// frozen: three readings after the last that moved. Four equal words in a row are, for Gaussian noise
     /// of s counts, 1 in 2 (2 pi)^(3/2) s^3 an axis: 3 in 10^9 of all readings for three, one tick a day.
     pub frozen_axes: u8,
+    /// Looks in a row at which a sensor's configuration is not what it was, and the sensor is lost.
+    pub strange_looks: u8,
     /// Transfers in a row that fail before a bus is cleared.
     pub failed_transfers: u8,
     /// Ticks in a row with a line held low that are a fault.
@@ -38,6 +40,7 @@ impl Limits {
     pub const GRIPPER: Self = Self {
         lost_ticks: 2,
         frozen_axes: 9,
+        strange_looks: 2,
         failed_transfers: 3,
         stuck_ticks: 4,
         outside_ticks: 3,

@@ -3,7 +3,14 @@
 
 use std::sync::LazyLock;
 
+use firmware::crash::Kind;
+use firmware::events::Event;
+use firmware::grip::states::Power;
+use firmware::motor::State;
+use firmware::status::Fault;
+use host_tools::board::i2c::Sensor;
 use host_tools::drive::tables;
+use host_tools::drive::workcell::{Plan, Workcell};
 use host_tools::faults::row::Row;
 use host_tools::faults::run::{Case, Outcome};
 use host_tools::faults::situation::Situation;
@@ -63,4 +70,52 @@ fn with_its_detector_out_of_reach_a_fault_is_missed() {
         assert!(outcome.was_reached, "{row:?}");
         assert!(!is_met(&case, &outcome), "{row:?}: {outcome:?}");
     });
+}
+
+/// Of a nominal gripper on a screw that locks itself.
+fn reached(situation: Situation) -> Workcell {
+    let plan = Plan::nominal(Lead::A, 0.0, 7);
+    situation.reach(&plan, RIGID, &TABLES).unwrap()
+}
+
+#[test]
+fn a_sensor_without_its_configuration_counts_again_once_it_is_back() {
+    let mut cell = reached(Situation::Idle);
+    let change = |cell: &Workcell, change: fn(&mut Sensor)| {
+        change(&mut cell.board.buses[1].borrow_mut().sensors[0]);
+    };
+    let is_lost = |cell: &Workcell| cell.board.exchange.is_active(Fault::SensorLost);
+    assert!(!is_lost(&cell));
+    change(&cell, Sensor::brown_out);
+    cell.run(0.1);
+    assert!(is_lost(&cell));
+    cell.run(0.5);
+    assert!(is_lost(&cell));
+    change(&cell, Sensor::power_up);
+    cell.run(0.1);
+    assert!(!is_lost(&cell));
+}
+
+#[test]
+fn a_bit_that_turns_in_the_grasp_s_memory_ends_in_a_restart_that_tells_it_and_a_screw_that_locks_keeps_its_load()
+ {
+    let mut cell = reached(Situation::Hold);
+    // The exponent of the force that is asked for.
+    cell.board.grip.borrow_mut().spoil(32 + 26);
+    cell.tick();
+    let motor = |cell: &Workcell| cell.gripper.borrow().rig.motor.telling();
+    assert_eq!(motor(&cell).state, State::Disarmed);
+    cell.run(0.3);
+    assert_eq!(cell.state(), Power::Safe as u8);
+    assert_eq!(
+        (motor(&cell).state, motor(&cell).opening_mm),
+        (State::Disarmed, None)
+    );
+    assert!(cell.force_n() > 90.0, "{}", cell.force_n());
+    let events = cell.board.events.borrow();
+    let told = events.iter().find_map(|(_, event)| match event {
+        Event::Fault(told) if told.code == Fault::Crashed as u16 => Some(told.detail),
+        _ => None,
+    });
+    assert_eq!(told, Some(Kind::Corruption.number() << 24));
 }

@@ -268,4 +268,6 @@ impl Reins for Nobody {
     fn order(&mut self, _: Order) -> Result<(), Order> {
         Ok(())
     }
+
+    fn give_up(&mut self) {}
 }

@@ -11,6 +11,7 @@
 //! - [`home`]: both ends found by force.
 //! - [`foot`]: which fingertips stand, and where the ground pushes.
 //! - [`react`], [`latch`]: what faults do, and which came first.
+//! - [`kept`]: copies of what would be dangerous if memory lost it.
 //! - `power`, `task`, `drive`, `tell`: a millisecond of each layer, the set-point, the messages.
 //!
 //! | word | meaning |
@@ -28,6 +29,7 @@ mod fixture;
 pub mod foot;
 pub mod home;
 pub mod jam;
+pub mod kept;
 pub mod latch;
 pub mod law;
 pub mod object;
@@ -207,12 +209,13 @@ pub struct Grip {
     stray_ms: u16,
     clearing_ms: u8,
     counters: [u8; 2],
+    copies: [u32; kept::WORDS],
 }
 
 impl Grip {
     /// Just begun; `locks` is whether the screw is known to hold its load without current.
     pub fn new(limits: Grasp, screw: Screw, locks: bool) -> Self {
-        Self {
+        let mut grip = Self {
             limits,
             screw,
             locks,
@@ -270,10 +273,13 @@ impl Grip {
             stray_ms: 0,
             clearing_ms: 0,
             counters: [0; 2],
-        }
+            copies: [0; kept::WORDS],
+        };
+        grip.copy();
+        grip
     }
 
-    /// One millisecond.
+    /// One millisecond. Between two of them nothing may change ([`Grip::is_intact`]) but by [`Grip::set_locks`].
     pub fn tick(&mut self, inputs: &Inputs) -> Outputs {
         self.now_ms = self.now_ms.wrapping_add(1);
         self.power_ms = self.power_ms.saturating_add(1);
@@ -306,6 +312,7 @@ impl Grip {
         }
         outputs.setpoint = self.drive(&inputs.motor);
         self.tell(inputs, &mut outputs);
+        self.copy();
         outputs
     }
 

@@ -1,9 +1,7 @@
 //! Allegro A31301: three axes over I2C, +-2000 G.
 
-use embedded_hal_async::i2c::I2c;
-
 use super::registers::a31301::{
-    ADDRESSES, FIELD_SPARE_BITS, READING_BYTES, TEMPERATURE, TEMPERATURE_SPARE_BITS,
+    ADDRESSES, CONFIGURATION, FIELD_SPARE_BITS, READING_BYTES, TEMPERATURE, TEMPERATURE_SPARE_BITS,
 };
 use super::{Part, Reading, Sample};
 
@@ -14,11 +12,12 @@ pub struct A31301;
 impl Part for A31301 {
     const ADDRESSES: [u8; 4] = ADDRESSES;
 
-    async fn read<B: I2c>(bus: &mut B, address: u8) -> Result<Sample, B::Error> {
-        let mut bytes = [0; READING_BYTES];
-        // One transfer: no other call of the bus driver ends when the sensor holds the clock.
-        bus.write_read(address, &[TEMPERATURE], &mut bytes).await?;
-        Ok(Sample::New(decode(bytes)))
+    const READING: u8 = TEMPERATURE;
+
+    const CONFIGURATION: u8 = CONFIGURATION;
+
+    fn decode(bytes: [u8; READING_BYTES]) -> Sample {
+        Sample::New(decode(bytes))
     }
 }
 

@@ -2,10 +2,8 @@
 //! `als31300.c`). A relative of the gripper's own sensor that is documented: the data path does not
 //! hang on one part.
 
-use embedded_hal_async::i2c::I2c;
-
 use super::registers::als31300::{
-    ADDRESSES, NEW_DATA, READING_BYTES, TEMPERATURE_SPAN_K, TEMPERATURE_ZERO, UPPER,
+    ADDRESSES, CONFIGURATION, NEW_DATA, READING_BYTES, TEMPERATURE_SPAN_K, TEMPERATURE_ZERO, UPPER,
 };
 use super::{Part, Reading, Sample};
 use crate::params;
@@ -23,10 +21,12 @@ pub struct Als31300;
 impl Part for Als31300 {
     const ADDRESSES: [u8; 4] = ADDRESSES;
 
-    async fn read<B: I2c>(bus: &mut B, address: u8) -> Result<Sample, B::Error> {
-        let mut bytes = [0; READING_BYTES];
-        bus.write_read(address, &[UPPER], &mut bytes).await?;
-        Ok(decode(bytes))
+    const READING: u8 = UPPER;
+
+    const CONFIGURATION: u8 = CONFIGURATION;
+
+    fn decode(bytes: [u8; READING_BYTES]) -> Sample {
+        decode(bytes)
     }
 }
 

@@ -3,10 +3,9 @@
 pub mod a31301;
 pub mod als31300;
 pub mod bus;
+pub mod read_back;
 pub mod registers;
 pub mod watch;
-
-use embedded_hal_async::i2c::I2c;
 
 /// One reading of one sensor, in the units of the model's tables whatever the part.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -31,9 +30,15 @@ pub trait Part {
     /// Addresses that its straps can give, in the order of the gripper's sensors.
     const ADDRESSES: [u8; 4];
 
-    /// Reads one sensor in one transfer.
-    ///
-    /// # Errors
-    /// Those of the bus: no answer, or a transfer that broke off.
-    fn read<B: I2c>(bus: &mut B, address: u8) -> impl Future<Output = Result<Sample, B::Error>>;
+    /// First register of a reading.
+    const READING: u8;
+
+    /// First register of what the part is configured as ([`read_back`]).
+    const CONFIGURATION: u8;
+
+    /// The reading in the bytes of one transfer.
+    fn decode(bytes: [u8; TRANSFER_BYTES]) -> Sample;
 }
+
+/// Bytes of a transfer, the same for every part.
+pub const TRANSFER_BYTES: usize = 8;

@@ -9,6 +9,9 @@ pub mod a31301 {
     pub const TEMPERATURE: u8 = 0x1C;
     /// Bytes of a reading.
     pub const READING_BYTES: usize = 8;
+    /// A word of what the sensor is configured as. *Unverified*: that it stands here, as in the relative ALS31300, and
+    /// that it stands still. Only whether it is what it was at the start counts, and it is never written.
+    pub const CONFIGURATION: u8 = 0x02;
     /// 7-bit addresses by the straps SA0 and SA1. *Unverified*: public sources state 0x60 (both low) and 0x6F
     /// (from the factory's EEPROM, both high); 0x63 was seen; 0x6C is inferred.
     pub const ADDRESSES: [u8; 4] = [0x60, 0x63, 0x6C, 0x6F];
@@ -24,6 +27,8 @@ pub mod als31300 {
     pub const UPPER: u8 = 0x28;
     /// Bytes of a reading: both words.
     pub const READING_BYTES: usize = 8;
+    /// Sensing mode, bandwidth and checksums, in the upper half of the word.
+    pub const CONFIGURATION: u8 = 0x02;
     /// 7-bit addresses by the strap.
     pub const ADDRESSES: [u8; 4] = [0x60, 0x61, 0x62, 0x63];
     /// In the upper word: set where the reading was not read before.

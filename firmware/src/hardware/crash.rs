@@ -6,6 +6,7 @@
 //! | a fault of the core, whichever: none is handled apart | `HardFault` |
 //! | the stack's end is crossed | `HardFault`: the stack lies below the statics, at the very start of RAM (`memory.x`), and below that there is no memory to write to |
 //! | two wrong bits in flash outside [`super::flash`], the crystal fails | `NonMaskableInt` |
+//! | a word of the grasp's memory is not what it was | [`end`], by the grasp's loop |
 //! | a loop hangs | [`note`] by [`super::watchdog`], then the watchdog resets |
 //!
 //! Outputs are safe with TIM1's main output off (MOE): then the pins of the power stage are at their idle
@@ -203,7 +204,14 @@ unsafe fn NonMaskableInt() {
     if super::flash::was_unreadable() {
         return;
     }
+    end(Kind::NonMaskable)
+}
+
+/// Outputs off, a record of which nothing is known but what happened, a reset.
+pub fn end(kind: Kind) -> ! {
+    // The motor's interrupt would switch on again.
+    cortex_m::interrupt::disable();
     outputs_off();
-    note(Crash::new(Kind::NonMaskable));
+    note(Crash::new(kind));
     SCB::sys_reset()
 }

@@ -81,9 +81,9 @@ pub async fn estimate<N: Networks, C: Clock, M: RawMutex>(
         }
         // The tick's number goes on in time also where frames were lost on the way here.
         let ticks = last_us.replace(sensed.begun_us).map_or(0, |last_us| {
-            (sensed.begun_us.saturating_sub(last_us) + TICK_US / 2) / TICK_US
+            (sensed.begun_us.saturating_sub(last_us) + TICK_US / 2) as u32 / TICK_US as u32
         });
-        tick = tick.wrapping_add(ticks as u32);
+        tick = tick.wrapping_add(ticks);
         judge.note(&sensed.watched, &estimates, exchange);
         let astray = [0, 1, 2, 3].map(|sensor| estimator.is_astray(sensor));
         judge.note_networks(astray, exchange);

@@ -25,6 +25,10 @@ pub trait Reins {
     /// # Errors
     /// The order.
     fn order(&mut self, order: Order) -> Result<(), Order>;
+
+    /// Switches the power stage off and restarts: the grasp's memory is not what it was. On the chip it does not
+    /// return.
+    fn give_up(&mut self);
 }
 
 /// What is felt in a tick.
@@ -114,11 +118,35 @@ pub async fn grip<R: Reins, M: RawMutex>(
     mut reins: R,
     exchange: &Exchange<M>,
 ) -> ! {
-    let mut pending = Pending::default();
-    let mut ticks = 0_u16;
+    let mut turns = Turns::default();
     loop {
         let felt = exchange.felt.wait().await;
+        turns.take(grip, &felt, &mut reins, exchange);
+    }
+}
+
+/// What the loop keeps from one millisecond to the next.
+#[derive(Default)]
+pub struct Turns {
+    pending: Pending,
+    ticks: u16,
+}
+
+impl Turns {
+    /// A millisecond.
+    pub fn take<R: Reins, M: RawMutex>(
+        &mut self,
+        grip: &mut Grip,
+        felt: &Felt,
+        reins: &mut R,
+        exchange: &Exchange<M>,
+    ) {
         exchange.progress.check_in(Loop::Grip);
+        if !grip.is_intact() {
+            reins.give_up();
+            return;
+        }
+        let pending = &mut self.pending;
         let parameters = exchange.parameters();
         grip.set_locks(parameters.screw() == Screw::SelfLocking);
         let asked = exchange.asked.set(Asked::NOTHING);
@@ -126,7 +154,7 @@ pub async fn grip<R: Reins, M: RawMutex>(
             pending.calibration = Some(Calibration::new(measure));
         }
         let is_busy = pending.calibration.is_some();
-        let outputs = tick(grip, &felt, (&asked, is_busy), exchange);
+        let outputs = tick(grip, felt, (&asked, is_busy), exchange);
         let order = match is_busy {
             true => pending.measure(grip.power(), asked.stop, &felt.motor, exchange),
             false => Some(pending.order(&outputs)),
@@ -135,8 +163,8 @@ pub async fn grip<R: Reins, M: RawMutex>(
             let is_taken = reins.order(order).is_ok();
             pending.was_given(&order, is_taken);
         }
-        ticks = (ticks + 1) % STATUS_TICKS;
-        tell(&outputs, &parameters, ticks == 0, exchange);
+        self.ticks = (self.ticks + 1) % STATUS_TICKS;
+        tell(&outputs, &parameters, self.ticks == 0, exchange);
         exchange.stands.set(Stands {
             state: outputs.state,
             object: outputs.status.object,

@@ -31,13 +31,14 @@ use embassy_sync::signal::Signal;
 
 pub use command::{Desk, begin, command};
 pub use estimate::{Around, Told, estimate};
-pub use grip::{Asked, Felt, Hosts, Reins, Stands, grip};
+pub use grip::{Asked, Felt, Hosts, Reins, Stands, Turns, grip};
 pub use listen::{CAN, Heard, SERIAL, listen, listen_serial};
 pub use report::report;
 pub use scrub::scrub;
 pub use sense::{FIRST_TICK_US, Sensed, sense};
 pub use telemetry::telemetry;
 
+use crate::crash::Crash;
 use crate::events::{Event, Events};
 use crate::motor::calibration::Outcome;
 use crate::parameters::Parameters;
@@ -243,6 +244,13 @@ impl<M: RawMutex> Exchange<M> {
             self.events.post(Event::Fault(event));
             self.set_faults(finder, faults.bits());
         }
+    }
+
+    /// Tells what ended the last start.
+    pub fn note_crash(&self, crash: &Crash) {
+        let crashed = (Fault::Crashed, 0);
+        let mut faults = Faults::default();
+        self.note(Finder::Crash, &mut faults, crashed, true, crash.detail());
     }
 
     /// Takes over the faults of a finder that keeps them itself, and posts the news.

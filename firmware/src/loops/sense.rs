@@ -10,8 +10,9 @@ use crate::clock::{Clock, within};
 use crate::events::Event;
 use crate::frame::{Frame, SENSORS};
 use crate::hall::bus::SensorBus;
+use crate::hall::read_back::ReadBack;
 use crate::hall::watch::{Watch, Watched};
-use crate::hall::{Part, Sample};
+use crate::hall::{Part, Sample, TRANSFER_BYTES};
 use crate::limits::Limits;
 use crate::params::{SENSE_LIMIT_US, TICK_US, TRANSFER_LIMIT_US};
 use crate::progress::Loop;
@@ -38,7 +39,8 @@ pub struct Sensed {
 /// Probes both buses and then reads the sensors at `addresses`, the first two on the first bus, for ever.
 ///
 /// Within a tick a bus repeats one transfer at the most, and only where the others still find their time.
-/// After three failed ones in a row it is cleared; the other bus goes on meanwhile.
+/// After three failed ones in a row it is cleared; the other bus goes on meanwhile. Once the readings are handed over,
+/// a sensor's configuration is read back, in its turn.
 pub async fn sense<P: Part, B: SensorBus, C: Clock, M: RawMutex>(
     [first, second]: [B; 2],
     addresses: [u8; SENSORS],
@@ -56,6 +58,7 @@ pub async fn sense<P: Part, B: SensorBus, C: Clock, M: RawMutex>(
     )
     .await;
     let mut watches = [Watch::new(limits); SENSORS];
+    let mut read_back = ReadBack::new(limits);
     let mut faults = Faults::default();
     let mut missed = 0_u32;
     loop {
@@ -63,9 +66,9 @@ pub async fn sense<P: Part, B: SensorBus, C: Clock, M: RawMutex>(
         let now_us = clock.now_us();
         let late_us = now_us.saturating_sub(begin_us);
         if late_us > LATE_US {
-            let ticks = late_us.div_ceil(TICK_US);
-            begin_us = begin_us.saturating_add(ticks * TICK_US);
-            missed = missed.saturating_add(ticks as u32);
+            let ticks = (late_us as u32).div_ceil(TICK_US as u32);
+            begin_us = begin_us.saturating_add(u64::from(ticks) * TICK_US);
+            missed = missed.saturating_add(ticks);
             exchange
                 .counts
                 .ticks_missed
@@ -91,7 +94,10 @@ pub async fn sense<P: Part, B: SensorBus, C: Clock, M: RawMutex>(
                 0,
             );
         }
-        let mut samples = [r0, r1, r2, r3].into_iter();
+        let mut samples = [r0, r1, r2, r3];
+        let answer = samples.map(|sample| sample.is_some());
+        read_back.sift(&mut samples);
+        let mut samples = samples.into_iter();
         let watched = watches
             .each_mut()
             .map(|watch| watch.note(samples.next().flatten()));
@@ -103,6 +109,23 @@ pub async fn sense<P: Part, B: SensorBus, C: Clock, M: RawMutex>(
             watched,
             begun_us: now_us,
         });
+        if let Some(sensor) = read_back.turn()
+            && clock.now_us() <= now_us.saturating_add(SENSE_LIMIT_US - TRANSFER_LIMIT_US)
+        {
+            let line = if sensor < 2 { &mut first } else { &mut second };
+            let at = addresses
+                .get(sensor)
+                .filter(|_| answer.get(sensor) == Some(&true));
+            let is_read = match at {
+                Some(address) => {
+                    line.transfer(*address, P::CONFIGURATION, clock, exchange)
+                        .await
+                }
+                None => false,
+            };
+            let [upper, lower, ..] = line.bytes;
+            read_back.note(is_read.then_some([upper, lower]));
+        }
         begin_us = begin_us.saturating_add(TICK_US);
     }
 }
@@ -111,6 +134,8 @@ pub async fn sense<P: Part, B: SensorBus, C: Clock, M: RawMutex>(
 struct Line<B> {
     bus: B,
     number: u8,
+    /// What the last transfer read.
+    bytes: [u8; TRANSFER_BYTES],
     /// Transfers in a row that fail before it is cleared.
     limit: u8,
     /// Transfers in a row that failed.
@@ -129,6 +154,7 @@ impl<B: SensorBus> Line<B> {
             limit: limits.failed_transfers,
             bus,
             number,
+            bytes: [0; TRANSFER_BYTES],
             failed: 0,
             free: true,
             stuck: 0,
@@ -140,9 +166,8 @@ impl<B: SensorBus> Line<B> {
     async fn probe<P: Part, C: Clock, M: RawMutex>(&mut self, clock: &C, exchange: &Exchange<M>) {
         let mut answers = 0;
         for (bit, address) in P::ADDRESSES.into_iter().enumerate() {
-            let transfer = P::read(&mut self.bus, address);
-            let answer = within(clock, TRANSFER_LIMIT_US, transfer).await;
-            answers |= u8::from(matches!(answer, Some(Ok(_)))) << bit;
+            let answer = self.attempt(address, P::READING, clock).await;
+            answers |= u8::from(answer) << bit;
         }
         let bus = self.number;
         exchange.events.post(Event::Found { bus, answers });
@@ -170,12 +195,13 @@ impl<B: SensorBus> Line<B> {
         let mut reserved_us = addresses.len() as u64 * TRANSFER_LIMIT_US;
         for (sample, address) in samples.iter_mut().zip(addresses) {
             reserved_us = reserved_us.saturating_sub(TRANSFER_LIMIT_US);
-            *sample = self.transfer::<P, C, M>(address, clock, exchange).await;
+            let mut is_read = self.transfer(address, P::READING, clock, exchange).await;
             let done_us = clock.now_us().saturating_add(TRANSFER_LIMIT_US);
-            if sample.is_none() && may_repeat && done_us.saturating_add(reserved_us) <= end_us {
+            if !is_read && may_repeat && done_us.saturating_add(reserved_us) <= end_us {
                 may_repeat = false;
-                *sample = self.transfer::<P, C, M>(address, clock, exchange).await;
+                is_read = self.transfer(address, P::READING, clock, exchange).await;
             }
+            *sample = is_read.then(|| P::decode(self.bytes));
         }
         if self.failed >= self.limit && self.patience == 0 {
             self.patience = PATIENCE;
@@ -184,22 +210,32 @@ impl<B: SensorBus> Line<B> {
         samples
     }
 
-    async fn transfer<P: Part, C: Clock, M: RawMutex>(
+    /// Reads registers from this one on; false where the sensor does not answer in time.
+    async fn attempt<C: Clock>(&mut self, address: u8, register: u8, clock: &C) -> bool {
+        // One transfer: no other call of the bus driver ends when the sensor holds the clock.
+        let register = [register];
+        let transfer = self.bus.write_read(address, &register, &mut self.bytes);
+        let ended = within(clock, TRANSFER_LIMIT_US, transfer).await;
+        matches!(ended, Some(Ok(())))
+    }
+
+    /// As [`Self::attempt`], and remembers how it went.
+    async fn transfer<C: Clock, M: RawMutex>(
         &mut self,
         address: u8,
+        register: u8,
         clock: &C,
         exchange: &Exchange<M>,
-    ) -> Option<Sample> {
-        let transfer = P::read(&mut self.bus, address);
-        if let Some(Ok(sample)) = within(clock, TRANSFER_LIMIT_US, transfer).await {
+    ) -> bool {
+        if self.attempt(address, register, clock).await {
             self.failed = 0;
             self.patience = 0;
-            return Some(sample);
+            return true;
         }
         self.failed = self.failed.saturating_add(1);
         let failed = &exchange.counts.transfers_failed;
         failed.fetch_add(1, Ordering::Relaxed);
-        None
+        false
     }
 
     async fn clear<M: RawMutex>(&mut self, exchange: &Exchange<M>) {

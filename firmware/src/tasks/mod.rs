@@ -13,6 +13,7 @@ use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_time::{Duration, Ticker};
 use static_cell::StaticCell;
 
+use crate::crash::Kind;
 use crate::estimator::{Estimator, Running};
 use crate::events::Event;
 use crate::frame::SENSORS;
@@ -27,13 +28,12 @@ use crate::hardware::flash::Pages;
 use crate::hardware::sensor_bus::BoardBus;
 use crate::hardware::watchdog::Watchdog;
 use crate::limits::{Grasp, Limits};
-use crate::loops::{self, Around, Desk, Exchange, Finder, Reins};
+use crate::loops::{self, Around, Desk, Exchange, Reins};
 use crate::model::tables::{NETWORKS, TABLES};
 use crate::motor::Order;
 use crate::motor::screw::Screw;
 use crate::parameters;
 use crate::progress::FED_EVERY_MS;
-use crate::status::{Fault, Faults};
 use crate::store::{Loaded, Store};
 use crate::wire::PROTOCOL;
 use crate::wire::messages::Version;
@@ -89,16 +89,8 @@ async fn begin(spawner: Spawner, board: Board) {
         TABLES.id,
         TABLES.sensors.len()
     );
-    if let Some(crash) = crash {
-        let mut faults = Faults::default();
-        let detail = (crash.kind.number() << 24) | (crash.address() & 0x00FF_FFFF);
-        exchange.note(
-            Finder::Crash,
-            &mut faults,
-            (Fault::Crashed, 0),
-            true,
-            detail,
-        );
+    if let Some(crash) = &crash {
+        exchange.note_crash(crash);
     }
     let mut store = board.store;
     let loaded = loops::begin(&mut store, exchange).await;
@@ -151,6 +143,10 @@ async fn estimate(exchange: Shared, mut tellings: Tellings) {
 impl Reins for Orders {
     fn order(&mut self, order: Order) -> Result<(), Order> {
         Self::order(self, order)
+    }
+
+    fn give_up(&mut self) {
+        crash::end(Kind::Corruption)
     }
 }
 

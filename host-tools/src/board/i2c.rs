@@ -10,7 +10,7 @@ use embedded_hal_async::i2c::{
 };
 use firmware::clock::{Clock, pause};
 use firmware::hall::bus::{Lines, SensorBus, clear};
-use firmware::hall::registers::a31301::{READING_BYTES, TEMPERATURE};
+use firmware::hall::registers::a31301::{CONFIGURATION, READING_BYTES, TEMPERATURE};
 use firmware::hall::{Reading, a31301};
 
 use super::time::VirtualClock;
@@ -20,6 +20,9 @@ use super::world::Now;
 const BIT_US: u64 = 1;
 /// Bits of a byte with its acknowledgement.
 const BYTE_BITS: u64 = 9;
+
+/// What a sensor's configuration is as its power comes, from its own memory; the number is assumed.
+const CONFIGURED: u16 = 0x0140;
 
 /// A sensor on a bus.
 #[derive(Clone, Debug)]
@@ -40,6 +43,8 @@ pub struct Sensor {
     pub beside: [f64; 3],
     /// In the next transfer it misses a clock and holds the data line for so many clocks.
     pub slips: Option<u32>,
+    /// What it is configured as.
+    configuration: u16,
     /// What stands in its registers.
     registers: [u8; READING_BYTES],
 }
@@ -56,8 +61,20 @@ impl Sensor {
             gain: 1.0,
             beside: [0.0; 3],
             slips: None,
+            configuration: CONFIGURED,
             registers: [0; READING_BYTES],
         }
+    }
+
+    /// Takes its voltage away and gives too little of it back for its memory: it wakes with its registers' defaults,
+    /// of which one is assumed to be twice the range.
+    pub const fn brown_out(&mut self) {
+        self.configuration = 0;
+    }
+
+    /// Takes its voltage away and gives it back.
+    pub const fn power_up(&mut self) {
+        self.configuration = CONFIGURED;
     }
 
     /// Brings the registers up to date.
@@ -66,8 +83,13 @@ impl Sensor {
             return;
         }
         let (least, greatest) = a31301::FIELD_LIMITS;
+        let range = if self.configuration == CONFIGURED {
+            1.0
+        } else {
+            2.0
+        };
         let seen = |counts: i16, beside: f64| {
-            let scaled = (f64::from(counts) * self.gain + beside).round();
+            let scaled = ((f64::from(counts) * self.gain + beside) / range).round();
             scaled.clamp(f64::from(least), f64::from(greatest)) as i16
         };
         let [x, y, z] = reading.field;
@@ -77,8 +99,13 @@ impl Sensor {
     }
 
     fn register(&self, address: u8) -> u8 {
+        let [upper, lower] = self.configuration.to_be_bytes();
         let place = usize::from(address.wrapping_sub(TEMPERATURE));
-        self.registers.get(place).copied().unwrap_or(0)
+        match address.wrapping_sub(CONFIGURATION) {
+            0 => upper,
+            1 => lower,
+            _ => self.registers.get(place).copied().unwrap_or(0),
+        }
     }
 }
 

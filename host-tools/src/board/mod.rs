@@ -22,19 +22,20 @@ pub mod recorded;
 pub mod time;
 pub mod world;
 
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 
 use embassy_futures::join::join;
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use firmware::clock::Clock;
+use firmware::crash::{Crash, Kind};
 use firmware::estimator::Estimator;
 use firmware::events::Event;
 use firmware::grip::Grip;
 use firmware::hall::Part;
 use firmware::hall::a31301::A31301;
 use firmware::limits::{Grasp, Limits};
-use firmware::loops::{self, Around, Desk, Exchange, Reins};
+use firmware::loops::{self, Around, Desk, Exchange, Reins, Turns};
 use firmware::model::table::Tables;
 use firmware::motor::Order;
 use firmware::motor::screw::Screw;
@@ -84,12 +85,18 @@ impl Driven {
 struct Orders {
     motor: Rc<RefCell<Box<dyn Motor>>>,
     clock: VirtualClock,
+    crashed: Rc<Cell<Option<Crash>>>,
 }
 
 impl Reins for Orders {
     fn order(&mut self, order: Order) -> Result<(), Order> {
         let time_us = self.clock.now_us();
         self.motor.borrow_mut().order(time_us, order)
+    }
+
+    fn give_up(&mut self) {
+        self.motor.borrow_mut().restart(self.clock.now_us());
+        self.crashed.set(Some(Crash::new(Kind::Corruption)));
     }
 }
 
@@ -124,6 +131,14 @@ pub struct Board {
     pub exchange: Rc<Exchange<NoopRawMutex>>,
     /// What was told to its log, and when.
     pub events: Rc<RefCell<Vec<(u64, Event)>>>,
+    /// Its grasp. What is done to its memory goes wrong.
+    pub grip: Rc<RefCell<Grip>>,
+    program: Rc<Program>,
+    motor: Rc<RefCell<Box<dyn Motor>>>,
+    screw: Screw,
+    grasp: Grasp,
+    /// What ended the program, until it is started again.
+    crashed: Rc<Cell<Option<Crash>>>,
 }
 
 impl Board {
@@ -139,6 +154,7 @@ impl Board {
             let sensor = |number| Sensor::new(number, A31301::ADDRESSES[number]);
             Rc::new(RefCell::new(Wires::new(numbers.map(sensor).to_vec())))
         };
+        let grip = grasp(&program, driven.screw, driven.grasp);
         let mut board = Self {
             pool: LocalPool::new(),
             clock,
@@ -148,9 +164,15 @@ impl Board {
             now: Rc::new(RefCell::new(Now::new(world))),
             exchange: Rc::new(Exchange::new()),
             events: Rc::default(),
+            grip: Rc::new(RefCell::new(grip)),
+            program: Rc::new(program),
+            motor: Rc::new(RefCell::new(driven.motor)),
+            screw: driven.screw,
+            grasp: driven.grasp,
+            crashed: Rc::default(),
         };
         board.unplug_absent();
-        board.spawn_loops(program, driven);
+        board.spawn_loops();
         board
     }
 
@@ -165,7 +187,18 @@ impl Board {
         }
     }
 
-    fn spawn_loops(&mut self, program: Program, driven: Driven) {
+    /// Starts the program that crashed, which takes no time here. Actors of others are gone, and so is what hosts
+    /// have set and not saved.
+    fn restart(&mut self, crash: Crash) {
+        self.pool = LocalPool::new();
+        self.exchange = Rc::new(Exchange::new());
+        self.grip = Rc::new(RefCell::new(grasp(&self.program, self.screw, self.grasp)));
+        self.exchange.note_crash(&crash);
+        self.spawn_loops();
+    }
+
+    fn spawn_loops(&mut self) {
+        let program = self.program.clone();
         let limits = program.limits;
         let tables_id = program.tables.id;
         let parameters = program.parameters;
@@ -181,10 +214,9 @@ impl Board {
         self.spawn(async move {
             loops::sense::<A31301, _, _, _>(buses, addresses, &limits, &clock, &exchange).await;
         });
-        let motor = Rc::new(RefCell::new(driven.motor));
         let (clock, exchange) = parts();
         let now = self.now.clone();
-        let tells = motor.clone();
+        let tells = self.motor.clone();
         self.spawn(async move {
             let compensations: Vec<_> = program
                 .compensations
@@ -206,10 +238,19 @@ impl Board {
             join(scrub, estimate).await;
         });
         let (clock, exchange) = parts();
-        let locks = parameters.screw() == parameters::Screw::SelfLocking;
-        let mut grip = Grip::new(driven.grasp, driven.screw, locks);
+        let grip = self.grip.clone();
+        let mut orders = Orders {
+            motor: self.motor.clone(),
+            clock,
+            crashed: self.crashed.clone(),
+        };
         self.spawn(async move {
-            loops::grip(&mut grip, Orders { motor, clock }, &exchange).await;
+            // As `loops::grip`, but for the grasp that others may spoil between two turns.
+            let mut turns = Turns::default();
+            loop {
+                let felt = exchange.felt.wait().await;
+                turns.take(&mut grip.borrow_mut(), &felt, &mut orders, &exchange);
+            }
         });
         let (clock, exchange) = parts();
         let sender = can::Sender {
@@ -270,11 +311,24 @@ impl Board {
 
     /// Goes on until this time.
     pub fn run_until(&mut self, time_us: u64) {
-        self.pool.run_until_stalled();
+        self.go_on();
         while self.clock.leap(time_us) {
+            self.go_on();
+        }
+    }
+
+    fn go_on(&mut self) {
+        self.pool.run_until_stalled();
+        if let Some(crash) = self.crashed.take() {
+            self.restart(crash);
             self.pool.run_until_stalled();
         }
     }
+}
+
+fn grasp(program: &Program, screw: Screw, limits: Grasp) -> Grip {
+    let locks = program.parameters.screw() == parameters::Screw::SelfLocking;
+    Grip::new(limits, screw, locks)
 }
 
 fn version(tables: u16) -> Version {

@@ -32,6 +32,9 @@ pub trait Motor {
     /// # Errors
     /// The order.
     fn order(&mut self, time_us: u64, order: Order) -> Result<(), Order>;
+
+    /// Its outputs go off at this time, and it starts anew.
+    fn restart(&mut self, time_us: u64);
 }
 
 /// No motor: nothing is told, whatever is ordered.
@@ -45,6 +48,8 @@ impl Motor for NoMotor {
     fn order(&mut self, _: u64, _: Order) -> Result<(), Order> {
         Ok(())
     }
+
+    fn restart(&mut self, _: u64) {}
 }
 
 /// A world on the board's clock: its first millisecond is that of the first tick of sensing.

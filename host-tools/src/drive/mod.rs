@@ -46,6 +46,7 @@ pub struct Rig {
     /// The firmware's control.
     pub motor: Motor,
     drive: Drive,
+    settings: Settings,
 }
 
 /// Takes over what the control decides.
@@ -86,6 +87,7 @@ impl Rig {
             plant: Plant::new(parameters, 1e-3 * opening_mm, seed),
             motor: Motor::new(settings),
             drive: Drive::Off,
+            settings,
         }
     }
 
@@ -98,6 +100,12 @@ impl Rig {
         rig.motor.obey(Order::Opening { opening_mm });
         rig.run_while(ARMING_S, |telling| telling.opening_mm.is_none());
         rig
+    }
+
+    /// Switches off and starts the control anew: it knows no opening.
+    pub fn restart(&mut self) {
+        self.motor = Motor::new(self.settings);
+        self.drive = Drive::Off;
     }
 
     /// One period of the pulses.

@@ -211,4 +211,11 @@ impl Motor for Coupled {
             }
         }
     }
+
+    fn restart(&mut self, time_us: u64) {
+        let mut gripper = self.0.borrow_mut();
+        gripper.advance(time_us);
+        gripper.rig.restart();
+        (gripper.ordered, gripper.told) = (None, Telling::default());
+    }
 }

@@ -2,6 +2,7 @@
 
 use std::f64::consts::PI;
 
+use firmware::grip::kept::WORDS;
 use firmware::grip::react::{Reaction, reaction};
 use firmware::hall::a31301::FIELD_LIMITS;
 use firmware::limits::Grasp;
@@ -27,13 +28,11 @@ pub const ELSEWHERE: [(u8, &str); 5] = [
 ];
 
 /// Rows that other tests show and no run here.
-pub const BESIDE: [(u8, &str); 9] = [
+pub const BESIDE: [(u8, &str); 7] = [
     (3, "panics: firmware/src/crash.rs"),
     (13, "the stroke: firmware/src/grip/tests/layers.rs"),
-    (19, "a sensor's configuration is not read back"),
     (22, "a network astray: firmware/src/astray.rs"),
     (23, "tables: firmware/src/loops/scrub.rs"),
-    (24, "copies of words in memory are not kept"),
     (28, "strange frames: tests/scenarios"),
     (29, "a save that is cut off: firmware/src/store"),
     (32, "commands for another state: firmware/src/grip/tests"),
@@ -57,8 +56,10 @@ pub enum Row {
     SensorFrozen,
     HalfGain,
     LineLow,
+    BrownOut,
     Saturated,
     Magnet,
+    Corrupted,
     BusOff,
     HostSilent,
     Flood,
@@ -96,7 +97,7 @@ fn bus_counts(volts: f64) -> u16 {
 
 impl Row {
     /// All.
-    pub const ALL: [Self; 21] = [
+    pub const ALL: [Self; 23] = [
         Self::BusHigh,
         Self::BusLow,
         Self::CurrentOffset,
@@ -111,8 +112,10 @@ impl Row {
         Self::SensorFrozen,
         Self::HalfGain,
         Self::LineLow,
+        Self::BrownOut,
         Self::Saturated,
         Self::Magnet,
+        Self::Corrupted,
         Self::BusOff,
         Self::HostSilent,
         Self::Flood,
@@ -268,6 +271,16 @@ impl Row {
                     plan.limits.stuck_ticks = u8::MAX;
                 }),
             ),
+            Self::BrownOut => facts(
+                19,
+                "a sensor's configuration lost",
+                Fault::SensorLost,
+                100.0,
+                EVERYWHERE,
+                Some(|plan| {
+                    plan.limits.strange_looks = u8::MAX;
+                }),
+            ),
             Self::Saturated => facts(
                 20,
                 "a sensor saturated",
@@ -281,6 +294,14 @@ impl Row {
                 "a magnet of 15 G",
                 Fault::Disturbed,
                 20.0,
+                EVERYWHERE,
+                None,
+            ),
+            Self::Corrupted => facts(
+                24,
+                "a bit turned in memory",
+                Fault::Crashed,
+                1.0,
                 EVERYWHERE,
                 None,
             ),
@@ -356,8 +377,10 @@ impl Row {
             | Self::SensorFrozen
             | Self::HalfGain
             | Self::LineLow
+            | Self::BrownOut
             | Self::Saturated
             | Self::Magnet
+            | Self::Corrupted
             | Self::OverForce
             | Self::ObjectGone => tick_us,
             _ => at_us,
@@ -372,6 +395,7 @@ impl Row {
                 | Self::SensorFrozen
                 | Self::HalfGain
                 | Self::LineLow
+                | Self::BrownOut
                 | Self::Saturated
         )
     }
@@ -430,6 +454,7 @@ impl Row {
             Self::SensorGone => sensor(cell, pick, |sensor| sensor.unplugged = true),
             Self::SensorFrozen => sensor(cell, pick, |sensor| sensor.frozen = true),
             Self::HalfGain => sensor(cell, pick, |sensor| sensor.gain = 0.5),
+            Self::BrownOut => sensor(cell, pick, Sensor::brown_out),
             Self::LineLow => cell.board.buses[pick % 2].borrow_mut().held = u32::MAX,
             Self::Saturated => {
                 let (_, end) = FIELD_LIMITS;
@@ -442,6 +467,10 @@ impl Row {
                 for number in 0..4 {
                     sensor(cell, number, |sensor| sensor.beside = [0.0, counts, 0.0]);
                 }
+            }
+            Self::Corrupted => {
+                let bit = BITS * pick as u32 % (32 * WORDS as u32);
+                cell.board.grip.borrow_mut().spoil(bit);
             }
             Self::BusOff => cell.board.can.borrow_mut().disturbed = true,
             Self::HostSilent => cell.host.is_silent = true,
@@ -462,6 +491,8 @@ impl Row {
     }
 }
 
+/// Bits from one that may be turned to the next; twelve of them are in all words.
+const BITS: u32 = 45;
 /// Counts by which the rotor's angle jumps: 0.5 rad.
 const JUMP: u16 = 1304;
 /// Force in N of something that swells, and newtons to the millimetre of its contact.

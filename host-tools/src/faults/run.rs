@@ -130,7 +130,9 @@ impl Case {
                 left_us = Some(cell.time_us() - TICK_US);
             }
             let state = cell.state();
-            forbidden += u32::from(!may_follow(last, state));
+            // A restart leads from wherever it was to where nothing is driven.
+            let restarts = self.row == Row::Corrupted && state <= Power::Safe as u8;
+            forbidden += u32::from(!may_follow(last, state) && !restarts);
             // The host repeats its order for ever: nothing of it may begin again.
             was_off |= state < TASK_CODE;
             forbidden += u32::from(was_off && state >= TASK_CODE && last < TASK_CODE);
@@ -185,6 +187,7 @@ impl Case {
                 goes_on || stopped || off
             }
             (Row::ObjectGone, _) => is(Task::Lost),
+            (Row::Corrupted, _) => state == Power::Safe as u8,
             _ => match self.row.reaction(self.situation, self.lead == Lead::A) {
                 Reaction::Warn | Reaction::Hold => goes_on || is(Task::Approach),
                 Reaction::QuickStop => stopped,

@@ -6,4 +6,4 @@ mod holding;
 mod layers;
 mod paths;
 mod power;
-mod rig;
+pub(super) mod rig;

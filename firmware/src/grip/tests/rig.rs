@@ -129,6 +129,7 @@ impl Rig {
         if let Some(spoil) = self.spoil {
             spoil(&mut estimates);
         }
+        assert!(self.grip.is_intact());
         let said = self.grip.tick(&Inputs {
             estimates: &estimates,
             motor: self.motor,
