@@ -8,7 +8,7 @@ use embedded_hal_async::i2c::ErrorKind;
 use embedded_hal_mock::eh1::i2c::{Mock, Transaction};
 use firmware::hall::a31301::A31301;
 use firmware::hall::als31300::Als31300;
-use firmware::hall::{Part, Reading, Sample};
+use firmware::hall::{self, Part, Reading, Sample, TRANSFER_BYTES};
 use firmware::imu::lsm6ds3::{self, Lsm6ds3};
 use firmware::imu::{Imu, Motion, Trouble};
 
@@ -41,9 +41,10 @@ fn at_once<T>(driver: impl Future<Output = T>) -> T {
 /// Reads a part once over a bus on which this transfer happens and no other.
 fn read<P: Part>(address: u8, transfer: Transaction) -> Result<Sample, ErrorKind> {
     let mut bus = Mock::new(&[transfer]);
-    let sample = at_once(P::read(&mut bus, address));
+    let mut bytes = [0; TRANSFER_BYTES];
+    let read = at_once(hall::read(&mut bus, address, P::READING, &mut bytes));
     bus.done();
-    sample
+    read.map(|()| P::decode(bytes))
 }
 
 #[test]

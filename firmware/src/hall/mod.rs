@@ -7,6 +7,8 @@ pub mod read_back;
 pub mod registers;
 pub mod watch;
 
+use embedded_hal_async::i2c::I2c;
+
 /// One reading of one sensor, in the units of the model's tables whatever the part.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Reading {
@@ -38,6 +40,20 @@ pub trait Part {
 
     /// The reading in the bytes of one transfer.
     fn decode(bytes: [u8; TRANSFER_BYTES]) -> Sample;
+}
+
+/// Reads registers from this one on, in one transfer: no other call of a bus driver ends when a sensor holds the
+/// clock.
+///
+/// # Errors
+/// The bus's.
+pub async fn read<B: I2c>(
+    bus: &mut B,
+    address: u8,
+    register: u8,
+    bytes: &mut [u8; TRANSFER_BYTES],
+) -> Result<(), B::Error> {
+    bus.write_read(address, &[register], bytes).await
 }
 
 /// Bytes of a transfer, the same for every part.

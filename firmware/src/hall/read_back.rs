@@ -4,6 +4,9 @@
 //! gives no public source tells, so what counts is the first word that was read, and a sensor whose word is another
 //! is lost: after too little voltage it may have come back with its defaults, and its counts mean other fields.
 //!
+//! The A31301's place of the word is unverified. So the word must have stood still for the first [`SETTLES`] looks
+//! before it counts: where a reading stands instead, which dithers, nothing is judged until the next start.
+//!
 //! It is lost until the word is the first again, as after a power-up of its own that goes well. Nothing is written
 //! to bring that about: the word's place is unverified, and what is written to a wrong one may end in the sensor's
 //! memory for ever. A sensor that was exchanged for one of another kind is taken up at the next start, which hosts
@@ -15,6 +18,9 @@ use crate::limits::Limits;
 
 /// Ticks from one sensor's turn to the next: each has its turn every 80 ms.
 pub const TURN_TICKS: u8 = 20;
+
+/// Looks at which the word must be the first before it counts: 0.8 s.
+pub const SETTLES: u8 = 10;
 
 /// A word of a configuration.
 pub type Word = [u8; 2];
@@ -30,9 +36,11 @@ pub struct ReadBack {
 }
 
 /// What is known of one.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 struct Seen {
     first: Option<Word>,
+    /// Looks at which it was the first, until it counts; none where it never will.
+    settled: Option<u8>,
     /// Looks in a row at which it was another.
     strange: u8,
 }
@@ -42,6 +50,7 @@ impl ReadBack {
     pub const fn new(limits: &Limits) -> Self {
         let nothing = Seen {
             first: None,
+            settled: Some(0),
             strange: 0,
         };
         Self {
@@ -64,9 +73,17 @@ impl ReadBack {
     /// Takes the word of the sensor whose turn it was; none where it was not read.
     pub fn note(&mut self, word: Option<Word>) {
         if let (Some(word), Some(seen)) = (word, self.sensors.get_mut(self.turn)) {
-            seen.strange = match *seen.first.get_or_insert(word) == word {
-                true => 0,
-                false => seen.strange.saturating_add(1),
+            let is_first = *seen.first.get_or_insert(word) == word;
+            seen.strange = match (is_first, seen.settled) {
+                (false, Some(SETTLES..)) => seen.strange.saturating_add(1),
+                (false, _) => {
+                    seen.settled = None;
+                    0
+                }
+                (true, settled) => {
+                    seen.settled = settled.map(|looks| looks.saturating_add(1));
+                    0
+                }
             };
             if seen.strange == 1 {
                 // A byte may have been disturbed on its way: the next tick looks again.
@@ -118,11 +135,23 @@ mod tests {
 
     fn begun() -> ReadBack {
         let mut read_back = ReadBack::new(&Limits::GRIPPER);
-        for sensor in 0..SENSORS {
+        for sensor in (0..SENSORS).cycle().take(SENSORS * usize::from(SETTLES)) {
             wait(&mut read_back, sensor);
             read_back.note(Some([0x12, 0x34]));
         }
         read_back
+    }
+
+    #[test]
+    fn a_word_that_does_not_stand_still_at_first_is_never_judged() {
+        let mut read_back = ReadBack::new(&Limits::GRIPPER);
+        // A reading: it dithers, then a magnet moves.
+        for look in 0..200_u16 {
+            wait(&mut read_back, 1);
+            let word = if look < 8 { 7 } else { 7 + look % 3 };
+            read_back.note(Some(word.to_be_bytes()));
+            assert_eq!(kept(&read_back), [true; 4]);
+        }
     }
 
     #[test]

@@ -12,7 +12,7 @@ use crate::frame::{Frame, SENSORS};
 use crate::hall::bus::SensorBus;
 use crate::hall::read_back::ReadBack;
 use crate::hall::watch::{Watch, Watched};
-use crate::hall::{Part, Sample, TRANSFER_BYTES};
+use crate::hall::{self, Part, Sample, TRANSFER_BYTES};
 use crate::limits::Limits;
 use crate::params::{SENSE_LIMIT_US, TICK_US, TRANSFER_LIMIT_US};
 use crate::progress::Loop;
@@ -212,9 +212,7 @@ impl<B: SensorBus> Line<B> {
 
     /// Reads registers from this one on; false where the sensor does not answer in time.
     async fn attempt<C: Clock>(&mut self, address: u8, register: u8, clock: &C) -> bool {
-        // One transfer: no other call of the bus driver ends when the sensor holds the clock.
-        let register = [register];
-        let transfer = self.bus.write_read(address, &register, &mut self.bytes);
+        let transfer = hall::read(&mut self.bus, address, register, &mut self.bytes);
         let ended = within(clock, TRANSFER_LIMIT_US, transfer).await;
         matches!(ended, Some(Ok(())))
     }

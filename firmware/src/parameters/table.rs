@@ -78,7 +78,7 @@ pub static RULES: [Rule; COUNT] = {
     rules
 };
 
-/// Where the parameter with this identifier stands. One that is none does not compile, in a constant.
+/// Where the parameter with this identifier stands; one that is none does not compile, in a constant.
 pub const fn place_of(id: u16) -> usize {
     let (mut place, mut rest): (usize, &[Parameter]) = (0, &TABLE);
     while let Some((row, others)) = rest.split_first() {
@@ -87,7 +87,8 @@ pub const fn place_of(id: u16) -> usize {
         }
         (place, rest) = (place + 1, others);
     }
-    panic!("no such parameter")
+    assert!(place < COUNT, "no such parameter");
+    place
 }
 
 /// Identifiers; those of the sensors stand behind each other.
