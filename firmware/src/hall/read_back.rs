@@ -19,7 +19,7 @@ use crate::limits::Limits;
 /// Ticks from one sensor's turn to the next: each has its turn every 80 ms.
 pub const TURN_TICKS: u8 = 20;
 
-/// Looks at which the word must be the first before it counts: 0.8 s.
+/// Looks at which the word must be the first before it counts: one a tick, 40 ms for all sensors.
 pub const SETTLES: u8 = 10;
 
 /// A word of a configuration.
@@ -72,6 +72,7 @@ impl ReadBack {
 
     /// Takes the word of the sensor whose turn it was; none where it was not read.
     pub fn note(&mut self, word: Option<Word>) {
+        self.wait = TURN_TICKS;
         if let (Some(word), Some(seen)) = (word, self.sensors.get_mut(self.turn)) {
             let is_first = *seen.first.get_or_insert(word) == word;
             seen.strange = match (is_first, seen.settled) {
@@ -87,10 +88,13 @@ impl ReadBack {
             };
             if seen.strange == 1 {
                 // A byte may have been disturbed on its way: the next tick looks again.
+                self.wait = 0;
                 return;
             }
+            if seen.settled.is_some_and(|looks| looks < SETTLES) {
+                self.wait = 0;
+            }
         }
-        self.wait = TURN_TICKS;
         self.turn = (self.turn + 1) % SENSORS;
     }
 
