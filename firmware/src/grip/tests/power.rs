@@ -2,7 +2,8 @@
 
 use super::super::fixture::pressed;
 use super::super::order::mode;
-use super::super::states::{Power, Task};
+use super::super::reason::{Reason, Refused};
+use super::super::states::{Phase, Power, Task};
 use super::rig::Rig;
 use crate::limits::Grasp;
 use crate::motor::plausible::Supply;
@@ -10,6 +11,7 @@ use crate::motor::{Setpoint, State, Trip};
 use crate::params;
 use crate::status::Fault;
 use crate::units::Force;
+use crate::wire::messages::ServiceReply;
 
 const LIMITS: Grasp = Grasp::GRIPPER;
 
@@ -149,4 +151,51 @@ fn who_may_arm_is_kept_from_it_by_what_would_brake_or_has_and_by_nothing_less() 
     rig.fault(Fault::OverSpeed, false);
     rig.run(5);
     assert_eq!((rig.grip.power(), may_arm(&rig)), (Power::Fault, false));
+}
+
+#[test]
+fn a_refusal_names_reason_state_and_mode_a_byte_each() {
+    let refused = Refused {
+        mode: mode::GRIP,
+        reason: Reason::NotEnabled,
+        state: 0x13,
+    };
+    let detail = 0x0004_1300 | Reason::NotEnabled as u32;
+    let reply = refused.reply();
+    assert_eq!((mode::GRIP, reply.detail, reply.nonce), (4, detail, 0));
+    assert_ne!(reply, ServiceReply::default());
+    assert_ne!(Reason::NotEnabled as u32, 0);
+}
+
+#[test]
+fn a_force_that_was_once_reached_is_a_hold_and_one_that_rises_is_not() {
+    assert_eq!(Task::Force.phase(true), Phase::Holding);
+    assert_eq!(Task::Force.phase(false), Phase::Moving);
+    assert_eq!(Task::Approach.phase(true), Phase::Moving);
+}
+
+#[test]
+fn what_hangs_on_a_screw_that_is_driven_back_is_held_without_a_host_and_else_the_session_ends() {
+    for (locks, is_held) in [(true, false), (false, true)] {
+        let mut rig = Rig::holding(locks);
+        // Stopped while it holds: armed, and the load hangs on.
+        rig.fault(Fault::TablesUnsound, true);
+        rig.run(300);
+        assert_eq!(rig.grip.power(), Power::Armed);
+        rig.host.is_open = false;
+        rig.run(5);
+        assert_eq!(rig.grip.power() == Power::Armed, is_held, "{locks}");
+    }
+}
+
+#[test]
+fn a_session_that_closes_leaves_an_armed_gripper_safe_and_one_that_is_open_does_not() {
+    let mut rig = Rig::new(true);
+    rig.run(5);
+    rig.arm();
+    rig.run(50);
+    assert_eq!(rig.grip.power(), Power::Armed);
+    rig.host.is_open = false;
+    rig.run(2);
+    assert_eq!(rig.grip.power(), Power::Safe);
 }
