@@ -19,6 +19,8 @@ DRAWN = ["#scale", "#errors", "#overlay", "#histograms", "#located", "#map"]
 # The sections of a diagnosis, where the page holds one; those of DIAGNOSIS_DRAWN where they are there.
 DIAGNOSIS = ["#diagnosis", "#staircase"]
 DIAGNOSIS_DRAWN = ["#staircase", "#found"]
+# A page that shows no recordings has none of these panels: its own sections count, and all of its plots.
+RECORDINGS = "#overlay"
 SHAPES = "path, polyline, polygon, rect, circle, line"
 # A page that is shown in less time than a person waits, in milliseconds.
 LOADED_MS = 3000
@@ -53,6 +55,9 @@ class Page:
         if not good:
             self.wrong.append(what)
 
+    def has_recordings(self):
+        return self.page.locator(RECORDINGS).count() > 0
+
     def drawn(self):
         """Waits until what was asked for is drawn."""
         self.page.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
@@ -72,13 +77,21 @@ class Page:
 def panels(opened):
     page = opened.page
     diagnosed = page.locator("#diagnosis").count() > 0
-    for panel in PANELS + DIAGNOSIS * diagnosed:
+    wanted, drawn = PANELS + DIAGNOSIS * diagnosed, DRAWN + DIAGNOSIS_DRAWN * diagnosed
+    if not opened.has_recordings():
+        ids = page.locator("section").evaluate_all("sections => sections.map(one => '#' + one.id)")
+        opened.check(ids, "a page without sections")
+        wanted, drawn = ["h1"] + ids, [one for one in ids if page.locator(f"{one} figure").count()]
+        opened.check(drawn, "a page without plots")
+    for panel in wanted:
         there = page.locator(panel)
         box = there.bounding_box() if there.count() else None
         opened.check(box and box["width"] > 100 and box["height"] > 15, f"{panel} has no size")
-    for panel in DRAWN + [panel for panel in DIAGNOSIS_DRAWN if page.locator(panel).count()]:
-        drawn = page.locator(f"{panel} svg[role=img]")
-        shapes = drawn.first.locator(SHAPES).count() if drawn.count() else 0
+    for panel in drawn:
+        if panel in DIAGNOSIS_DRAWN and not page.locator(panel).count():
+            continue
+        plots = page.locator(f"{panel} svg[role=img]")
+        shapes = plots.first.locator(SHAPES).count() if plots.count() else 0
         opened.check(shapes > 3, f"{panel} draws nothing")
     for svg in page.locator("svg[role=img]").all():
         opened.check(svg.get_attribute("aria-label"), "a plot without words")
@@ -92,6 +105,18 @@ def small_letters(opened):
         .filter(t => t.getClientRects().length && t.ownerSVGElement.getScreenCTM())
         .map(t => parseFloat(getComputedStyle(t).fontSize) * t.ownerSVGElement.getScreenCTM().a))""")
     opened.check(smallest >= 8.5, f"letters of {smallest:.1f} pixels")
+
+
+def cut_letters(opened):
+    """No label is cut off at the edge of its plot, or of the page."""
+    cut = opened.page.evaluate("""() => [...document.querySelectorAll('svg[role=img]')].flatMap(svg => {
+        const box = svg.getBoundingClientRect();
+        return [...svg.querySelectorAll('text')].filter(t => {
+            const own = t.getBoundingClientRect();
+            return own.width && (own.left < box.left - 1 || own.right > box.right + 1);
+        }).map(t => t.textContent);
+    })""")
+    opened.check(not cut, f"labels are cut off: {cut}")
 
 
 def zooms(opened):
@@ -187,6 +212,13 @@ def switches(opened):
         opened.check(page.input_value("#sensor") == button.get_attribute("data-sensor"), "another sensor")
 
 
+def controls(opened, screen):
+    zooms(opened)
+    if screen == "telephone":
+        pinches(opened)
+    switches(opened)
+
+
 def main():
     path, folder = Path(sys.argv[1]).resolve(), Path(sys.argv[2])
     folder.mkdir(parents=True, exist_ok=True)
@@ -206,12 +238,11 @@ def main():
                 loaded = page.evaluate("performance.getEntriesByType('navigation')[0].loadEventEnd")
                 opened.check(loaded < LOADED_MS, f"loaded in {loaded:.0f} ms")
                 small_letters(opened)
-                zooms(opened)
-                if screen == "telephone":
-                    pinches(opened)
-                switches(opened)
-                page.screenshot(path=folder / f"{name}-zoomed.png")
-                panels(opened)
+                cut_letters(opened)
+                if opened.has_recordings():
+                    controls(opened, screen)
+                    page.screenshot(path=folder / f"{name}-zoomed.png")
+                    panels(opened)
             for wrong in dict.fromkeys(opened.wrong):
                 print(f"{name}: {wrong}")
             failed |= bool(opened.wrong)

@@ -6,6 +6,7 @@ use firmware::compensate::{Compensation, Memory};
 use firmware::estimator::Estimator;
 use firmware::force::{Validity, estimate};
 use firmware::frame::Frame;
+use firmware::params;
 use firmware::units::{Field, Force};
 use model_export::inverse::build::Built;
 use model_export::inverse::compensation::OwnedCompensation;
@@ -212,7 +213,10 @@ pub fn replay_watched(
     };
     let mut noises = vec![[WhiteNoise::default(), WhiteNoise::default()]; wiring.len()];
     // Of the device, and of floating point.
-    let rest = |wires: &Wiring| Rest::new(held_n(models.compensations, wires.number));
+    let range_n = models
+        .design
+        .map_or(params::FORCE_RANGE.value, Design::force_range_n);
+    let rest = |wires: &Wiring| Rest::new(range_n, held_n(models.compensations, wires.number));
     let mut rests: Vec<[Rest; 2]> = wiring.iter().map(|wires| [rest(wires); 2]).collect();
     let compensations: Vec<Compensation> = models
         .compensations

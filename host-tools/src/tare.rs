@@ -10,8 +10,10 @@ use model_export::inverse::compensation::OwnedCompensation;
 
 use crate::sums::Sums;
 
-/// The load counts as none below this, both axes, in newtons.
-const UNLOADED_N: f64 = 1.0;
+/// The load counts as none below this share of the range, both axes: 1 N of MAGPIE's 250 N.
+const UNLOADED: f64 = 1.0 / 250.0;
+/// Nor below this, in newtons: the noise of a reference, four standard deviations of 0.15 N, is no load.
+const REFERENCE_N: f64 = 0.6;
 /// A tare is the mean over up to this long an unloaded stretch, in seconds.
 const TARE_S: f64 = 1.0;
 /// Shorter stretches are no rest, only a load that passes zero.
@@ -24,8 +26,9 @@ pub fn held_n(compensations: &[OwnedCompensation], sensor: u32) -> [f64; 2] {
 }
 
 /// Looks for the first stretch without load.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub struct Rest {
+    unloaded_n: f64,
     since_s: Option<f64>,
     last_s: f64,
     sums: [Sums; 2],
@@ -35,11 +38,16 @@ pub struct Rest {
 }
 
 impl Rest {
-    /// Where friction may hold so much.
-    pub fn new(held_n: [f64; 2]) -> Self {
+    /// Of a sensor for forces up to `range_n` in newtons, either way, where friction may hold `held_n`.
+    pub fn new(range_n: f64, held_n: [f64; 2]) -> Self {
         Self {
+            unloaded_n: (UNLOADED * range_n).max(REFERENCE_N),
+            since_s: None,
+            last_s: 0.0,
+            sums: Default::default(),
+            sigmas: Default::default(),
             held_n,
-            ..Self::default()
+            found: None,
         }
     }
 
@@ -54,14 +62,13 @@ impl Rest {
         if self.found.is_some() {
             return;
         }
-        let loaded = reference_n.iter().any(|n| n.abs() > UNLOADED_N);
+        let loaded = reference_n.iter().any(|n| n.abs() > self.unloaded_n);
         let since_s = *self.since_s.get_or_insert(time_s);
         if loaded || time_s - since_s >= TARE_S {
             self.close();
-            *self = Self {
-                found: self.found,
-                ..Self::new(self.held_n)
-            };
+            self.since_s = None;
+            self.last_s = 0.0;
+            (self.sums, self.sigmas) = Default::default();
         }
         if !loaded && self.found.is_none() {
             self.since_s.get_or_insert(time_s);
@@ -108,8 +115,11 @@ fn raw(newtons: f64) -> Force {
 mod tests {
     use super::*;
 
-    fn rest_of(rows: impl IntoIterator<Item = (f64, f64, f64)>) -> Option<([f64; 2], f64)> {
-        let mut rest = Rest::default();
+    fn rest_of(
+        range_n: f64,
+        rows: impl IntoIterator<Item = (f64, f64, f64)>,
+    ) -> Option<([f64; 2], f64)> {
+        let mut rest = Rest::new(range_n, [0.0; 2]);
         for (time_s, reference, found) in rows {
             rest.add(time_s, [reference, 0.0], [found, 2.0 * found], None);
         }
@@ -125,15 +135,33 @@ mod tests {
                 if ms < 1000 { 5.0 } else { 50.0 },
             )
         });
-        let (tare, length_s) = rest_of(rows).unwrap();
+        let (tare, length_s) = rest_of(250.0, rows).unwrap();
         assert_eq!(tare, [5.0, 10.0]);
         assert!((length_s - 0.999).abs() < 1e-9);
     }
 
     #[test]
+    fn what_is_no_load_to_a_strong_sensor_is_one_to_a_weak_sensor() {
+        // A load for a second, then nothing: 0.75 N are 15 % of 5 N and 0.3 % of 250 N.
+        let rows = |loaded_n: f64| {
+            (0..2000).map(move |ms| {
+                let reference = if ms < 1000 { loaded_n } else { 0.0 };
+                (f64::from(ms) * 1e-3, reference, reference + 0.25)
+            })
+        };
+        let tare = |range_n, loaded_n| rest_of(range_n, rows(loaded_n)).unwrap().0[0];
+        assert_eq!(tare(5.0, 0.75), 0.25);
+        assert_eq!(tare(250.0, 0.75), 1.0);
+        assert_eq!(tare(250.0, 5.0), 0.25);
+        assert_eq!(tare(2000.0, 5.0), 5.25);
+        // Noise of the reference ends no rest, however weak the sensor.
+        assert_eq!(tare(5.0, 0.25), 0.5);
+    }
+
+    #[test]
     fn what_friction_may_hold_at_rest_is_no_tare_and_only_more_is_one() {
         let tare = |held_n: [f64; 2]| {
-            let mut rest = Rest::new(held_n);
+            let mut rest = Rest::new(250.0, held_n);
             for ms in 0..1500 {
                 // Half a newton, told with noise.
                 let noise = if ms % 2 == 0 { 0.1 } else { -0.1 };
@@ -151,7 +179,7 @@ mod tests {
     #[test]
     fn what_a_network_allows_for_is_no_tare() {
         let tare = |sigma_n: f64| {
-            let mut rest = Rest::default();
+            let mut rest = Rest::new(250.0, [0.0; 2]);
             for ms in 0..1500 {
                 rest.add(
                     f64::from(ms) * 1e-3,
@@ -175,6 +203,6 @@ mod tests {
                 1.0,
             )
         });
-        assert_eq!(rest_of(rows), None);
+        assert_eq!(rest_of(250.0, rows), None);
     }
 }

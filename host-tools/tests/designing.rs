@@ -90,6 +90,35 @@ fn a_sweep_leaves_a_page_and_a_front_on_which_more_force_is_told_less_well() {
 }
 
 #[test]
+fn a_grid_of_designs_takes_every_value_with_every_other() {
+    let folder = tempfile::tempdir().unwrap();
+    let fixed = ["length=30", "width=15", "gap=1.5", "height=2"].map(|size| ["--size", size]);
+    let asked = [
+        "sweep",
+        "--sample",
+        "grid",
+        "--count",
+        "50",
+        "--material",
+        "17-4PH",
+    ];
+    let told = json(folder.path(), &[&asked[..], &fixed.concat()].concat());
+    // Seven thicknesses and seven diameters come nearest to 50.
+    assert_eq!(
+        (&told["designs"], &told["sample"]),
+        (&49.into(), &"grid".into())
+    );
+    let front = told["front"].as_array().unwrap();
+    for one in front {
+        assert_eq!(one["design"]["gap_mm"], 1.5);
+        // One of seven values between 1 and 8 mm, evenly by their logarithm.
+        let thickness_mm = one["design"]["flexure_x"]["thickness_mm"].as_f64().unwrap();
+        let place = 6.0 * thickness_mm.ln() / 8.0_f64.ln();
+        assert!((place - place.round()).abs() < 1e-9, "{thickness_mm}");
+    }
+}
+
+#[test]
 fn what_cannot_be_is_said_in_one_sentence() {
     let folder = tempfile::tempdir().unwrap();
     for (arguments, words) in [
@@ -101,6 +130,7 @@ fn what_cannot_be_is_said_in_one_sentence() {
         ),
         (&["sweep", "--material", "cheese"], "17-4PH"),
         (&["sweep", "--size", "hole=1..2"], "length, width"),
+        (&["sweep", "--sample", "random"], "sobol, grid"),
     ] {
         let output = design(folder.path(), arguments);
         assert!(!output.status.success());

@@ -10,6 +10,7 @@ mod sensor;
 
 use std::path::Path;
 
+use firmware::params::FORCE_RANGE;
 use serde::{Deserialize, Serialize};
 
 use crate::effects::Addition;
@@ -68,6 +69,12 @@ pub enum Base {
 }
 
 impl ModelFile {
+    /// Force that each axis is designed for, either way, in newtons; MAGPIE's where no design is told.
+    pub fn force_range_n(&self) -> f64 {
+        let design = self.design.as_ref();
+        design.map_or(FORCE_RANGE.value, Design::force_range_n)
+    }
+
     /// The file of a fit of the base alone.
     pub fn of(campaign: &Campaign, fits: &Fits, provenance: Provenance) -> Self {
         let (base, design, sensors) = match fits {

@@ -180,7 +180,7 @@ pub fn run(args: &Args) -> Result<()> {
     let start = Instant::now();
     let campaign = Campaign::read(args)?;
     let mut course = Course::new(
-        args.settings(),
+        args.settings(campaign.built.model.force_range_n()),
         args.topology(),
         &campaign.lessons,
         &campaign.held_out,
@@ -222,13 +222,15 @@ pub fn run(args: &Args) -> Result<()> {
 }
 
 impl Args {
-    fn settings(&self) -> Settings {
+    /// For a sensor that measures up to `force_range_n`.
+    fn settings(&self, force_range_n: f64) -> Settings {
         Settings {
             seed: self.seed,
             epochs: self.epochs,
             patience: self.patience,
             rate: self.rate,
             near_zero: self.near_zero.unwrap_or(1.0),
+            force_range_n,
         }
     }
 

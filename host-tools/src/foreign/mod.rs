@@ -2,8 +2,8 @@
 //!
 //! Rows of a gripper go through the device's code twice, with the same noise: as they are, which counts
 //! false alarms, and with magnets that pass at random distances, directions and speeds, which counts those
-//! that move a force by more than 20 N and are noticed within 20 ms of that. Fields add up, so that a
-//! magnet can pass a recording that was made without one.
+//! that move a force by more than 8 % of its range (20 N of 250) and are noticed within 20 ms of that. Fields
+//! add up, so that a magnet can pass a recording that was made without one.
 //!
 //! - [`rows`]: what the device reads: of a recording, or of a simulated gripper as long as it is wanted.
 //! - [`passage`]: the magnets, and what became of each.

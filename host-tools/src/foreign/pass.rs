@@ -10,7 +10,7 @@ use model_export::inverse::build::Built;
 use model_export::inverse::compensation::OwnedCompensation;
 use nalgebra::Vector3;
 
-use super::passage::{Passage, Passages};
+use super::passage::{self, Passage, Passages};
 use super::rows::World;
 use super::tally::Tally;
 use crate::networks::Networks;
@@ -56,7 +56,8 @@ pub fn run(device: &Device, world: &World, number: u32) -> Result<Tally> {
     let sensors = device.built.header.sensors.len().min(SENSORS) as u32;
     let mut passages = Passages::new(world.seed(), number, world.seconds(), sensors);
     let mut passage: Option<Passage> = None;
-    let mut tally = Tally::default();
+    let worth_n = passage::worth_n(device.built.model.force_range_n());
+    let mut tally = Tally::new(worth_n);
     let fresh = world.is_fresh(number);
     let (mut frame, mut was_up) = (0, false);
     while let Some(row) = rows.next_row()? {
@@ -88,7 +89,7 @@ pub fn run(device: &Device, world: &World, number: u32) -> Result<Tally> {
             let up = passed.detector().flag();
             passage.note(
                 frame,
-                apart_n(&own, &other),
+                apart_n(&own, &other) > worth_n,
                 up,
                 measures(passed.detector()),
             );

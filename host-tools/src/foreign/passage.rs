@@ -15,8 +15,8 @@ const GREATEST_G: [f64; 2] = [15.0, 300.0];
 const APART_S: f64 = 1.5;
 /// The first may come after this.
 const FIRST_S: f64 = 3.0;
-/// A force that is off by more is worth an alarm, in newtons.
-pub const OFF_N: f64 = 20.0;
+/// A force that is off by more of its range is worth an alarm: 20 N of MAGPIE's 250 N.
+const OFF: f64 = 20.0 / 250.0;
 /// Frames within which it has to come.
 pub const IN_TIME: u32 = 20;
 
@@ -32,10 +32,15 @@ pub struct Passages {
     next_s: f64,
 }
 
+/// Error in newtons that is worth an alarm, of a sensor for forces up to `range_n`.
+pub fn worth_n(range_n: f64) -> f64 {
+    OFF * range_n
+}
+
 /// What became of one magnet.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Passage {
-    /// Frame in which a force was off by more than 20 N first.
+    /// Frame in which a force was off by more than [`worth_n`] first.
     pub off_at: Option<u32>,
     /// Frame in which the flag rose first while its field was there.
     pub flag_at: Option<u32>,
@@ -114,9 +119,9 @@ impl Passage {
         }
     }
 
-    /// One frame.
-    pub fn note(&mut self, frame: u32, off_n: f64, flag: bool, measures: [f64; 4]) {
-        if off_n > OFF_N {
+    /// One frame; `off` tells whether a force is off by more than [`worth_n`].
+    pub fn note(&mut self, frame: u32, off: bool, flag: bool, measures: [f64; 4]) {
+        if off {
             self.off_at.get_or_insert(frame);
         }
         if flag {
@@ -127,5 +132,16 @@ impl Passage {
                 *greatest = greatest.max(now);
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_worth_an_alarm_is_the_same_share_of_every_range() {
+        assert_eq!(worth_n(250.0), 20.0);
+        assert!((worth_n(5.0) - 0.4).abs() < 1e-12);
     }
 }

@@ -22,6 +22,8 @@ const PER_DECADE: f64 = 8.0;
 /// What was counted.
 #[derive(Clone, Debug, Default)]
 pub struct Tally {
+    /// Error of a force that is worth an alarm, in newtons.
+    pub worth_n: f64,
     /// Time without a magnet.
     pub seconds: f64,
     /// Times that the flag rose in it.
@@ -44,6 +46,14 @@ pub struct Operating {
 }
 
 impl Tally {
+    /// Nothing yet; an error of `worth_n` newtons is worth an alarm.
+    pub fn new(worth_n: f64) -> Self {
+        Self {
+            worth_n,
+            ..Self::default()
+        }
+    }
+
     /// One frame without a magnet.
     pub fn frame(&mut self, frame: u32, measures: [f64; 4], rose: bool) {
         self.false_alarms += usize::from(rose);
@@ -59,6 +69,7 @@ impl Tally {
 
     /// Both.
     pub fn with(mut self, mut other: Self) -> Self {
+        self.worth_n = self.worth_n.max(other.worth_n);
         self.seconds += other.seconds;
         self.false_alarms += other.false_alarms;
         self.passages.append(&mut other.passages);
@@ -71,12 +82,12 @@ impl Tally {
         self.seconds / 3600.0
     }
 
-    /// Those that moved a force by more than 20 N.
+    /// Those that moved a force by more than that.
     fn worth(&self) -> impl Iterator<Item = &Passage> {
         self.passages.iter().filter(|p| p.off_at.is_some())
     }
 
-    /// How many magnets moved a force by more than 20 N.
+    /// How many magnets moved a force by more than that.
     pub fn judged(&self) -> usize {
         self.worth().count()
     }

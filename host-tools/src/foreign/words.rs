@@ -38,8 +38,9 @@ pub fn sentences(tally: &Tally) -> String {
         }
         false => "",
     };
+    let worth = show::plain(tally.worth_n, 2);
     format!(
-        "{} magnets passed, {judged} moved a force by more than 20 N: {noticed}{:.2} h without a magnet: {} false alarms, \
+        "{} magnets passed, {judged} moved a force by more than {worth} N: {noticed}{:.2} h without a magnet: {} false alarms, \
          with 95 % fewer than {:.2} in 10 h{few}.",
         tally.passages.len(),
         tally.hours(),

@@ -119,7 +119,7 @@ impl Along {
 
     fn label(&self, value: f64) -> String {
         if self.powers {
-            return number(10.0_f64.powf(value));
+            return power(value);
         }
         let step = (self.range.end - self.range.start) / self.labels.max(1) as f64;
         let text = plain(value, decimals_for(step));
@@ -127,6 +127,30 @@ impl Along {
             "-0" => "0".to_owned(),
             _ => text.replace('-', "\u{2212}"),
         }
+    }
+}
+
+/// A label of a logarithmic axis. Most of them are powers of ten, whose digits after the first say nothing;
+/// many zeros are written as a power, which also stays within the margin at an end of the axis.
+fn power(logarithm: f64) -> String {
+    let whole = logarithm.round();
+    match (logarithm - whole).abs() < 1e-9 {
+        true if (-3.0..=3.0).contains(&whole) => plain(10.0_f64.powf(whole), 3),
+        true => {
+            let digits = format!("{whole}").chars().map(raised).collect::<String>();
+            format!("10{digits}")
+        }
+        false => number(10.0_f64.powf(logarithm)),
+    }
+}
+
+fn raised(digit: char) -> char {
+    match digit {
+        '-' => '\u{207b}',
+        '1' => '\u{b9}',
+        '2' => '\u{b2}',
+        '3' => '\u{b3}',
+        digit => char::from_u32(0x2070 + digit.to_digit(10).unwrap_or(0)).unwrap_or(digit),
     }
 }
 
@@ -267,6 +291,21 @@ mod tests {
             lines(&points),
             [vec![(0.0, 1.0)], vec![(2.0, 3.0), (3.0, 4.0)]]
         );
+    }
+
+    #[test]
+    fn powers_of_ten_are_labelled_without_digits_that_say_nothing() {
+        let labels = [-4.0, -2.0, 0.0, 3.0, 4.0, 12.0, 0.5].map(power);
+        let known = [
+            "10\u{207b}\u{2074}",
+            "0.01",
+            "1",
+            "1000",
+            "10\u{2074}",
+            "10\u{b9}\u{b2}",
+            "3.16",
+        ];
+        assert_eq!(labels, known);
     }
 
     #[test]

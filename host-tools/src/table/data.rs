@@ -3,11 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
+use firmware::params;
 use model_export::effects::Addition;
 use model_export::model_file::{Base, ModelFile};
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::campaign::{fingerprint, name_of, recording_folders};
+use model_export::recordings::description::Design;
 
 use crate::commands::fit::read_campaign;
 use crate::commands::replay::same_scale;
@@ -37,6 +39,15 @@ pub struct Data {
 }
 
 impl Data {
+    /// Force that each axis is designed for, either way, in newtons; MAGPIE's where no recording tells it.
+    pub fn force_range_n(&self) -> f64 {
+        let recordings = self.campaign.recordings.iter();
+        let mut designs = recordings.filter_map(|recording| recording.description.design.as_ref());
+        designs
+            .next()
+            .map_or(params::FORCE_RANGE.value, Design::force_range_n)
+    }
+
     /// Reads the campaign; of the model only its effects are taken, everything is fitted anew.
     pub fn read(
         model_path: &Path,

@@ -8,7 +8,7 @@
 //! - [`sensitivity`]: how the field answers to a motion.
 //! - [`limits`]: what ends the range of forces.
 //! - [`judge`]: all of it, of one design.
-//! - [`sobol`]: points that fill a box evenly; [`pareto`]: what no other beats.
+//! - [`points`]: where a sweep looks, evenly by [`sobol`] or on a grid; [`pareto`]: what no other beats.
 //! - [`sweep`]: many designs at once; [`pick`]: one for a force.
 //! - [`paper`]: what the paper says of designs, computed.
 //! - [`interference`]: what moves the field beside the forces.
@@ -25,6 +25,7 @@ pub mod material;
 pub mod paper;
 pub mod pareto;
 pub mod pick;
+pub mod points;
 pub mod sensitivity;
 pub mod sobol;
 pub mod sweep;

@@ -1,4 +1,4 @@
-//! Many designs at once: a space of beams, magnets, gaps and materials, sampled evenly and judged.
+//! Many designs at once: a space of beams, magnets, gaps and materials, sampled evenly or on a grid, and judged.
 
 use rayon::prelude::*;
 
@@ -8,6 +8,7 @@ use super::interference::{self, Scatter, Sensed, Shift, Surroundings};
 use super::judge::Judged;
 use super::limits::Cause;
 use super::material::MATERIALS;
+use super::points::{Points, Sample};
 use super::{pareto, sobol};
 use crate::physics::ForwardModel;
 use crate::recordings::description::Shape;
@@ -31,6 +32,8 @@ pub struct Space {
     pub materials: Vec<String>,
     /// How both beams are held.
     pub support: Support,
+    /// Which of its designs are looked at.
+    pub sample: Sample,
 }
 
 impl Default for Space {
@@ -47,11 +50,23 @@ impl Default for Space {
             ],
             materials: MATERIALS.map(|material| material.name.to_owned()).to_vec(),
             support: Support::ClampedFree,
+            sample: Sample::Sobol,
         }
     }
 }
 
 impl Space {
+    /// Where a sweep of `count` designs looks; on a grid there are about so many.
+    pub fn points(&self, count: u32) -> Points {
+        // Coordinates that the space does not use.
+        let mut fixed = [Some(1); sobol::DIMENSIONS];
+        for (fixed, [least, most]) in fixed.iter_mut().zip(self.sizes_mm) {
+            *fixed = (least == most).then_some(1);
+        }
+        fixed[SIZES.len()] = Some(self.materials.len() as u32);
+        Points::of(self.sample, count, fixed)
+    }
+
     /// The design of a point in the unit box; what the space does not hold is that of `base`. Both axes
     /// have the same beam, and no mount but the beam is soft.
     pub fn design(&self, base: &Design, point: &[f64; sobol::DIMENSIONS]) -> Design {
@@ -170,7 +185,7 @@ pub fn interfering_n(shifts: &[Shift]) -> f64 {
         .sqrt()
 }
 
-/// Judges `count` designs of a space, in parallel; `done` is called after each.
+/// Judges `count` designs of a space ([`Space::points`]), in parallel; `done` is called after each.
 pub fn sweep(
     base: &Design,
     space: &Space,
@@ -178,12 +193,13 @@ pub fn sweep(
     around: &Surroundings,
     done: impl Fn() + Sync,
 ) -> Vec<Candidate> {
+    let points = space.points(count);
     let judge = |number: u32| {
-        let candidate = Candidate::of(space.design(base, &sobol::point(number)), around);
+        let candidate = Candidate::of(space.design(base, &points.at(number)), around);
         done();
         candidate
     };
-    (0..count).into_par_iter().map(judge).collect()
+    (0..points.count()).into_par_iter().map(judge).collect()
 }
 
 /// Places of those that no other beats in range, sensitivity and interference, the greatest range first.
@@ -235,6 +251,28 @@ mod tests {
         for ([low, high], [least, most]) in seen.into_iter().zip(space.sizes_mm) {
             assert!(low >= least && low < 1.01 * least, "{low} {least}");
             assert!(high <= most && high > 0.99 * most, "{high} {most}");
+        }
+    }
+
+    #[test]
+    fn a_grid_takes_every_material_with_every_size_and_leaves_alone_what_is_fixed() {
+        let mut space = Space {
+            sample: Sample::Grid,
+            ..Space::default()
+        };
+        space.sizes_mm[3] = [1.5, 1.5];
+        let designs = sweep(&Design::magpie(), &space, 384, &around(), || {});
+        // Three values of two sizes, two of three others, six materials.
+        assert_eq!(designs.len(), 3 * 3 * 2 * 2 * 2 * 6);
+        assert!(designs.iter().all(|one| one.design.gap_mm == 1.5));
+        for material in &space.materials {
+            let of = designs
+                .iter()
+                .filter(|one| one.design.flexure_x.material == *material);
+            let mut lengths: Vec<f64> = of.map(|one| one.design.flexure_x.length_mm).collect();
+            assert_eq!(lengths.len(), 72, "{material}");
+            lengths.sort_by(f64::total_cmp);
+            assert!((lengths[0] - 10.0).abs() < 1e-9 && (lengths[71] - 60.0).abs() < 1e-9);
         }
     }
 

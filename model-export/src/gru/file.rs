@@ -257,6 +257,7 @@ mod tests {
                     patience: 3,
                     rate: 0.1,
                     near_zero: 1.0,
+                    force_range_n: 250.0,
                 },
                 found: Vec::new(),
             },

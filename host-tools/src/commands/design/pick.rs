@@ -46,15 +46,15 @@ pub fn run(args: &Args) -> Result<()> {
     let base = args.space.base()?;
     let space = args.space.space(&base)?;
     let around = args.space.around();
-    let bar = progress::bar("judging designs", args.space.count as usize);
+    let designs = space.points(args.space.count).count();
+    let bar = progress::bar("judging designs", designs as usize);
     let found = pick(&base, &space, force_n, args.space.count, &around, || {
         bar.inc(1)
     });
     bar.finish_and_clear();
     let Some(picked) = found else {
         bail!(
-            "none of {} designs bears {force_n} N; allow a longer --stroke, less --safety or --life, or greater sizes (--size thickness=1..12)",
-            args.space.count
+            "none of {designs} designs bears {force_n} N; allow a longer --stroke, less --safety or --life, or greater sizes (--size thickness=1..12)"
         );
     };
     if let Some(path) = &args.output {

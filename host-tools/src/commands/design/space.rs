@@ -7,6 +7,7 @@ use model_export::design::Design;
 use model_export::design::beam::Support;
 use model_export::design::interference::{DRAWS, Surroundings};
 use model_export::design::material::{MATERIALS, Material};
+use model_export::design::points::Sample;
 use model_export::design::sweep::{COUNT, SIZES, Space};
 
 /// Options of a sweep.
@@ -15,9 +16,12 @@ pub struct SpaceArgs {
     /// Sensor, limits, tolerances and own materials are those of this design; otherwise MAGPIE's.
     #[arg(long, value_name = "DESIGN")]
     pub base: Option<PathBuf>,
-    /// Designs that are judged, spread evenly.
+    /// Designs that are judged; on a grid about so many.
     #[arg(long, value_name = "N", default_value_t = COUNT, value_parser = clap::value_parser!(u32).range(16..=1_000_000))]
     pub count: u32,
+    /// Which designs: sobol spreads them evenly, grid takes every combination of a few values of each size.
+    #[arg(long, value_name = "SAMPLE", value_parser = parse_sample, default_value = "sobol")]
+    pub sample: Sample,
     /// Another range of a size in mm: length, width and thickness of the beam, gap, diameter and height of
     /// the magnet; may be given several times.
     #[arg(long = "size", value_name = "NAME=MM..MM", value_parser = parse_size)]
@@ -77,6 +81,7 @@ impl SpaceArgs {
     pub fn space(&self, base: &Design) -> Result<Space> {
         let mut space = Space {
             support: self.support,
+            sample: self.sample,
             ..Space::default()
         };
         for size in &self.sizes {
@@ -135,9 +140,28 @@ fn parse_support(text: &str) -> Result<Support, String> {
     })
 }
 
+fn parse_sample(text: &str) -> Result<Sample, String> {
+    let found = Sample::ALL.into_iter().find(|one| one.name() == text);
+    found.ok_or_else(|| {
+        let names = Sample::ALL.map(Sample::name).join(", ");
+        format!("take one of {names}")
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_sample_is_known_by_its_name() {
+        for sample in Sample::ALL {
+            assert_eq!(parse_sample(sample.name()), Ok(sample));
+        }
+        assert_eq!(
+            parse_sample("random").unwrap_err(),
+            "take one of sobol, grid"
+        );
+    }
 
     #[test]
     fn a_size_is_a_range_or_one_number() {

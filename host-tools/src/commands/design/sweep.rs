@@ -24,6 +24,7 @@ const ROWS: usize = 12;
 #[command(after_help = "\
 Examples:
   cargo magpie design sweep -o sweep.html
+  cargo magpie design sweep --sample grid --size gap=1.5 --size width=15
   cargo magpie design sweep --material ABS --size thickness=2..10 --stroke 0.3
   cargo magpie design sweep --support clamped-clamped --count 100000 --json")]
 pub struct Args {
@@ -42,14 +43,15 @@ pub fn run(args: &Args) -> Result<()> {
     let base = args.space.base()?;
     let space = args.space.space(&base)?;
     let around = args.space.around();
-    let bar = progress::bar("judging designs", args.space.count as usize);
+    let designs = space.points(args.space.count).count();
+    let bar = progress::bar("judging designs", designs as usize);
     let begun = Instant::now();
     let candidates = sweep(&base, &space, args.space.count, &around, || bar.inc(1));
     let front = front(&candidates);
     let seconds = begun.elapsed().as_secs_f64();
     bar.finish_and_clear();
     if let Some(path) = &args.output {
-        let sections = pages::of_sweep(&candidates, &front);
+        let sections = pages::of_sweep(&candidates, &front, args.space.sample);
         report::write_sections(path, "magpie: a sweep of designs", &sections)?;
     }
     let page = match args.json {
@@ -125,9 +127,10 @@ fn text(args: &Args, candidates: &[Candidate], front: &[usize], seconds: f64) ->
         .map(|(cause, count)| format!("{} {count}", cause.name()))
         .collect();
     let mut page = show::paragraph(&format!(
-        "{} designs in {seconds:.1} s, {} of which measure something; {} are beaten by none in range, sensitivity \
-         and interference (seed {} of the misalignment). Ended by: {}.",
+        "{} designs ({}) in {seconds:.1} s, {} of which measure something; {} are beaten by none in range, \
+         sensitivity and interference (seed {} of the misalignment). Ended by: {}.",
         candidates.len(),
+        args.space.sample.name(),
         candidates.iter().filter(|one| one.works()).count(),
         front.len(),
         args.space.seed,
@@ -164,6 +167,7 @@ fn report_json(args: &Args, candidates: &[Candidate], front: &[usize]) -> Value 
         "designs": candidates.len(),
         "working": candidates.iter().filter(|one| one.works()).count(),
         "seed": args.space.seed,
+        "sample": args.space.sample.name(),
         "ended_by": causes.collect::<serde_json::Map<_, _>>(),
         "front": front.iter().map(|place| one(&candidates[*place])).collect::<Vec<_>>(),
         "report": args.output,

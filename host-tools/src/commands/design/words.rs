@@ -198,7 +198,10 @@ pub fn assumed(design: &Design) -> String {
         .iter()
         .filter(|(_, constant)| constant.assumed)
         .map(|(name, constant)| {
-            let value = show::plain(constant.value, 4);
+            let value = match constant.value.abs() {
+                size if size >= 1e6 => format!("{:e}", constant.value),
+                _ => show::plain(constant.value, 4),
+            };
             format!("{name} {value} {}", constant.unit)
                 .trim_end()
                 .to_owned()

@@ -61,7 +61,10 @@ impl Sigma {
                     }
                     let held_n = held_n(&built.compensations, sensor);
                     let tare = |sigma: f64| {
-                        let tare = track.and_then(|track| tare(track, axis, &told, held_n, sigma));
+                        let tare = track.and_then(|track| {
+                            let rest = Rest::new(built.model.force_range_n(), held_n);
+                            tare(track, axis, &told, rest, sigma)
+                        });
                         tared(&told, tare.unwrap_or(0.0))
                     };
                     // What is tared hangs on sigma, and sigma on what is tared: each a second time.
@@ -170,8 +173,7 @@ fn in_newtons(forces: &[Vec<Share>], output: usize, scale_n: f64) -> Vec<Told> {
 }
 
 /// The tare of the network with its sigma times a factor; `None` where the forces never rest.
-fn tare(track: &Track, axis: usize, told: &[Told], held_n: [f64; 2], factor: f64) -> Option<f64> {
-    let mut rest = Rest::new(held_n);
+fn tare(track: &Track, axis: usize, told: &[Told], mut rest: Rest, factor: f64) -> Option<f64> {
     for ((_, truth), one) in track.truth_n.iter().zip(told) {
         let truth = truth.map(f64::from);
         let found = truth.map(|n| n + one.error_n);

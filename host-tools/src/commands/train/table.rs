@@ -31,7 +31,7 @@ pub fn run(args: &Args) -> Result<()> {
     )?;
     let settings = model_export::gru::train::course::Settings {
         near_zero: 1.0,
-        ..args.settings()
+        ..args.settings(data.force_range_n())
     };
     let plan = Plan::new(
         settings,

@@ -26,11 +26,12 @@ const ROLES: [Role; 4] = [
     palette::INK,
 ];
 
-/// Size of a plot in pixels.
-const SIZE: (u32, u32) = (660, 320);
+/// Size of a plot in pixels: its letters stay readable on a telephone.
+const SIZE: (u32, u32) = (440, 260);
 
-/// Points of a plot at most: more would only cover each other.
-const POINTS: usize = 2500;
+/// Points of a plot at most: more would only cover each other. A prime, so that leaving points out takes no
+/// step that is one of a grid's, and with it all of one value.
+const POINTS: usize = 2503;
 
 /// Named curves over one axis, with their key.
 fn curves(
@@ -58,8 +59,8 @@ type Cloud = (Role, String, Vec<(f64, f64)>);
 /// Clouds of points on logarithmic axes, with their key.
 fn clouds(says: &str, (across, upwards): (&str, &str), clouds: &[Cloud]) -> Markup {
     let positive = |points: &[(f64, f64)]| -> Vec<(f64, f64)> {
-        let every = points.len().div_ceil(POINTS).max(1);
-        let points = points.iter().step_by(every);
+        let shown = points.len().min(POINTS);
+        let points = (0..shown).map(|i| &points[i * points.len() / shown]);
         points
             .filter(|(x, y)| *x > 0.0 && *y > 0.0 && (x * y).is_finite())
             .map(|(x, y)| (x.log10(), y.log10()))

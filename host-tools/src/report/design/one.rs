@@ -3,6 +3,7 @@
 use maud::html;
 use model_export::design::axis::Axis;
 use model_export::design::interference::Shift;
+use model_export::design::material::Material;
 use model_export::design::sensitivity::slope;
 use model_export::design::{Design, Judged};
 use model_export::physics::ForwardModel;
@@ -13,16 +14,19 @@ use crate::report::Section;
 use crate::report::numbers::number;
 use crate::report::plot::Along;
 use crate::report::tables::table;
+use crate::show;
 
 /// Points of a curve.
 const POINTS: u32 = 100;
 
-/// What it measures, what ends its range, how it answers, what interferes, what is assumed.
+/// What it measures, what ends its range, how it answers, what interferes, where its materials' numbers come
+/// from.
 pub fn sections(design: &Design, judged: &Judged, shifts: &[Shift]) -> Vec<Section> {
     vec![
         judged_section(design, judged),
         answers(design),
         interference(shifts),
+        sources(design),
     ]
 }
 
@@ -65,7 +69,12 @@ fn answers(design: &Design) -> Section {
         let at = |mm: f64| (mm, slope(&model, direction, mm)[component].abs());
         (name.to_owned(), steps().map(at).collect::<Vec<_>>())
     };
-    let lines = [of(0, "lateral"), of(1, "longitudinal")];
+    let mut lines = vec![of(0, "lateral"), of(1, "longitudinal")];
+    // Around a magnet that is round both axes answer alike: one curve, not one hidden by another.
+    if alike(&lines[0].1, &lines[1].1) {
+        lines.truncate(1);
+        lines[0].0 = "both axes".to_owned();
+    }
     let all = lines.iter().flat_map(|(_, points)| points);
     let upwards = Along::bars("S, G/mm", all.map(|point| point.1));
     let across = Along::holding("motion, mm", [-stroke_mm, stroke_mm]);
@@ -76,6 +85,43 @@ fn answers(design: &Design) -> Section {
     Section {
         id: "sensitivity",
         heading: "Sensitivity over the stroke".to_owned(),
+        body,
+    }
+}
+
+/// Whether no eye parts two curves.
+fn alike(one: &[(f64, f64)], other: &[(f64, f64)]) -> bool {
+    let greatest = one.iter().map(|(_, y)| y.abs()).fold(0.0, f64::max);
+    let mut pairs = one.iter().zip(other);
+    pairs.all(|((_, a), (_, b))| (a - b).abs() < 2e-3 * greatest)
+}
+
+/// Numbers of the table's materials that the design is of; those of its own file need no source here.
+fn sources(design: &Design) -> Section {
+    let mut names = [0, 1]
+        .map(|axis| design.flexure(axis).material.as_str())
+        .to_vec();
+    names.dedup();
+    let materials = names.into_iter().filter_map(Material::named);
+    let rows = materials.flat_map(|material| {
+        material.constants().map(|constant| {
+            let value = format!("{} {}", show::plain(constant.value, 3), constant.unit);
+            vec![
+                html! { (material.name) ": " (constant.name) },
+                html! { (value) },
+                html! { @if constant.assumed { "assumed" } @else { "stated" } },
+                html! { (constant.source) },
+            ]
+        })
+    });
+    let body = html! {
+        p { "The S-N curve is Basquin's: amplitude = coefficient (2 cycles)^exponent, fully reversed, of smooth \
+            specimens, half of which fail." }
+        (table("Numbers of the materials, and who says so", &["number", "value", "", "source"], rows))
+    };
+    Section {
+        id: "sources",
+        heading: "Materials".to_owned(),
         body,
     }
 }

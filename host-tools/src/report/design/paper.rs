@@ -26,7 +26,7 @@ pub fn sections(paper: &Paper) -> Vec<Section> {
         section(
             "motion",
             "Sensitivity over the motion",
-            "S = dBx/dx of cylinders of 2 mm at 1.5 mm.",
+            "S = dBx/dx of cylinders 2 mm long at a gap of 1.5 mm.",
             ("motion, mm", "S, G/mm"),
             &paper.motion,
         ),
@@ -40,14 +40,14 @@ pub fn sections(paper: &Paper) -> Vec<Section> {
         section(
             "diameter",
             "Sensitivity over the diameter",
-            "The same over the diameter.",
+            "Greatest S over a motion of 3 mm, at a gap of 1.5 mm, over the magnet's diameter.",
             ("diameter of the magnet, mm", "greatest S, G/mm"),
             &paper.diameter,
         ),
         section(
             "gap",
             "Sensitivity over the gap",
-            "The same over the gap, of cylinders of 2 mm.",
+            "Greatest S over a motion of 3 mm, of cylinders 2 mm long.",
             ("gap, mm", "greatest S, G/mm"),
             &paper.gap,
         ),
@@ -153,7 +153,7 @@ fn materials(paper: &Paper) -> Section {
     let body = html! {
         p { (paper.designs[0].len()) " designs of each material: beams of 10 to 60 mm, 5 to 20 mm wide and 1 to 8 mm thick, \
             magnets of 1 to 8 mm, gaps of 1 to 4 mm; stroke 0.5 mm, 10⁷ cycles, safety 1.5." }
-        (clouds("Sensitivity over the force range, of a metal and of a plastic.", ("force range, N", "G/N"),
+        (clouds("Sensitivity over the force range, of a metal and of a plastic.", ("force range, N", "sensitivity, G/N"),
             &all.collect::<Vec<_>>()))
     };
     Section {

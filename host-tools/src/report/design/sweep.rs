@@ -1,6 +1,7 @@
 //! Many designs, and those that no other beats.
 
 use maud::{Markup, html};
+use model_export::design::points::Sample;
 use model_export::design::sweep::Candidate;
 
 use super::clouds;
@@ -13,11 +14,18 @@ use crate::report::tables::table;
 const ROWS: usize = 200;
 
 /// Range against sensitivity and interference; the front; what ends the ranges.
-pub fn sections(candidates: &[Candidate], front: &[usize]) -> Vec<Section> {
-    vec![overview(candidates, front), unbeaten(candidates, front)]
+pub fn sections(candidates: &[Candidate], front: &[usize], sample: Sample) -> Vec<Section> {
+    vec![
+        overview(candidates, front, sample),
+        unbeaten(candidates, front),
+    ]
 }
 
-fn overview(candidates: &[Candidate], front: &[usize]) -> Section {
+fn overview(candidates: &[Candidate], front: &[usize], sample: Sample) -> Section {
+    let how = match sample {
+        Sample::Sobol => "spread evenly",
+        Sample::Grid => "every combination of a few values of each size",
+    };
     let best = || front.iter().map(|place| &candidates[*place]);
     let all = |of: fn(&Candidate) -> f64| points(candidates.iter(), of);
     let cloud = |of: fn(&Candidate) -> f64| {
@@ -37,9 +45,9 @@ fn overview(candidates: &[Candidate], front: &[usize]) -> Section {
     });
     let axis = "force range, N";
     let body = html! {
-        p { (candidates.len()) " designs, spread evenly; " (front.len())
+        p { (candidates.len()) " designs, " (how) "; " (front.len())
             " are beaten by none in force range, sensitivity and interference together." }
-        (clouds("Sensitivity over the force range of every design.", (axis, "G/N"), &cloud(|one| one.g_per_n)))
+        (clouds("Sensitivity over the force range of every design.", (axis, "sensitivity, G/N"), &cloud(|one| one.g_per_n)))
         (clouds("Interference over the force range of every design.", (axis, "interference, N"), &cloud(|one| one.interference_n)))
         (table("What ends the range, and of how many designs", &["by", "designs"], ended))
     };

@@ -1,5 +1,6 @@
 use model_export::design::interference::Surroundings;
 use model_export::design::paper::Paper;
+use model_export::design::points::Sample;
 use model_export::design::sweep::{Space, front, shifts, sweep};
 use model_export::design::{Design, Judged};
 
@@ -15,7 +16,14 @@ fn the_page_of_a_design_shows_its_range_and_what_ends_it() {
     let design = Design::magpie();
     let shifts = shifts(&design, 250.0, &around());
     let page = page_of("design", &of_one(&design, &Judged::of(&design), &shifts));
-    for words in ["Lateral: 250 N, ended by stroke", "17-4PH", "Earth", "<svg"] {
+    for words in [
+        "Lateral: 250 N, ended by stroke",
+        "17-4PH",
+        "Earth",
+        "<svg",
+        "ASTM A564",
+        "Shigley",
+    ] {
         assert!(page.contains(words), "{words}");
     }
 }
@@ -24,7 +32,7 @@ fn the_page_of_a_design_shows_its_range_and_what_ends_it() {
 fn the_page_of_a_sweep_draws_its_designs_and_lists_the_best() {
     let candidates = sweep(&Design::magpie(), &Space::default(), 64, &around(), || {});
     let front = front(&candidates);
-    let page = page_of("sweep", &of_sweep(&candidates, &front));
+    let page = page_of("sweep", &of_sweep(&candidates, &front, Sample::Sobol));
     assert!(page.matches("<circle").count() > 64);
     assert!(page.contains("Designs that no other beats") && page.contains("fatigue"));
 }

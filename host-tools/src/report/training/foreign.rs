@@ -9,6 +9,7 @@ use crate::foreign::words::sentences;
 use crate::report::Section;
 use crate::report::palette::{self, Role};
 use crate::report::plot::{Along, Failure, Paper, Swatch, axes, centred, figure, key, px, stroke};
+use crate::show::plain;
 
 /// Size of the plot, in pixels.
 const SIZE: (u32, u32) = (660, 340);
@@ -40,10 +41,10 @@ pub fn section(tally: &Tally, of: &str) -> Section {
         p { (of) }
         p { (sentences(tally).replace('`', "")) }
         @if tally.judged() == 0 {
-            p.empty { "No magnet moved a force by more than 20 N: there is nothing to draw." }
+            p.empty { "No magnet moved a force by more than " (plain(tally.worth_n, 2)) " N: there is nothing to draw." }
         } @else {
             figure {
-                figcaption { "Share of the magnets noticed within " (IN_TIME) " ms of a force that is off by 20 N, against "
+                figcaption { "Share of the magnets noticed within " (IN_TIME) " ms of a force that is off by " (plain(tally.worth_n, 2)) " N, against "
                     "false alarms in ten hours, as the threshold of one measure falls" }
                 (plot(tally, &curves))
                 (key(&entries))

@@ -1,10 +1,12 @@
 //! The training itself, from epoch to epoch.
 
+use firmware::params::FORCE_RANGE;
+
 use super::Problem;
 use super::adam::{Adam, clip};
 use super::forward::{State, Weights, losses};
 use super::judge::{Told, mean_losses, tell};
-use super::lesson::{Scaled, Scaling, Sequence, Topology};
+use super::lesson::{Scaled, Scaling, Sequence, Topology, weight_near_zero};
 use super::parameters::{Parameters, Size};
 use super::streams::Streams;
 use crate::gru::network::{Network, OUTPUTS};
@@ -29,6 +31,19 @@ pub struct Settings {
     /// [`weight_near_zero`]: super::lesson::weight_near_zero
     #[serde(default = "even", skip_serializing_if = "is_even")]
     pub near_zero: f64,
+    /// Force that each axis is designed for, either way, in newtons: what is near to zero is a share of it.
+    #[serde(default = "usual_range", skip_serializing_if = "is_usual_range")]
+    pub force_range_n: f64,
+}
+
+/// MAGPIE's, which files of networks leave out.
+fn usual_range() -> f64 {
+    FORCE_RANGE.value
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref)] // The serialiser's signature.
+fn is_usual_range(force_range_n: &f64) -> bool {
+    *force_range_n == usual_range()
 }
 
 /// Weight of a row without force where all count the same.
@@ -116,8 +131,10 @@ impl Course {
         };
         let keys: Vec<u32> = groups.iter().map(|sensors| sensors[0]).collect();
         let parameters = Parameters::random(size, settings.seed, &keys);
+        let range_n = settings.force_range_n;
         let scaled = |sequence, near_zero| {
-            Scaled::of(sequence, &scaling, &groups, topology.target, near_zero)
+            let counts = |n| weight_near_zero(n, range_n, near_zero);
+            Scaled::of(sequence, &scaling, &groups, topology.target, counts)
         };
         let nowhere = Best {
             epoch: 0,

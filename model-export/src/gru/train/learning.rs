@@ -59,6 +59,7 @@ fn course(epochs: u32, seed: u64, sensors: &[u32], shared: bool) -> Course {
         patience: epochs,
         rate: 0.02,
         near_zero: 1.0,
+        force_range_n: 250.0,
     };
     let lessons = [1, 2].map(|i| lagging("lesson", 4000, 60.0, i, sensors));
     let held_out = lagging("held out", 3000, 60.0, 3, sensors);

@@ -132,14 +132,15 @@ impl Track {
     }
 }
 
-/// How far from zero force rows still count as near, in newtons: a tenth of the range, below which
-/// the paper finds its networks less sure than the ideal model.
-pub const NEAR_ZERO_N: f64 = 25.0;
+/// How far from zero force rows still count as near, as a share of the range: below it the paper finds its
+/// networks less sure than the ideal model (25 N of 250).
+pub const NEAR_ZERO: f64 = 0.1;
 
 /// What the likelihood of a row with the true force `truth_n` counts: `1 + (at_zero - 1) exp(-u^2/2)`,
-/// where `u` is the force in [`NEAR_ZERO_N`]. `at_zero` is the weight at no force; one weights evenly.
-pub fn weight_near_zero(truth_n: f64, at_zero: f64) -> f64 {
-    let u = truth_n / NEAR_ZERO_N;
+/// where `u` is the force by [`NEAR_ZERO`] of the range. `at_zero` is the weight at no force; one weights
+/// evenly.
+pub fn weight_near_zero(truth_n: f64, range_n: f64, at_zero: f64) -> f64 {
+    let u = truth_n / (NEAR_ZERO * range_n);
     1.0 + (at_zero - 1.0) * libm::exp(-0.5 * u * u)
 }
 
@@ -211,14 +212,14 @@ pub struct Scaled {
 }
 
 impl Scaled {
-    /// Scales a recording; `near_zero` is what a row without force counts beside one with much, see
+    /// Scales a recording; `counts` is what a force counts by its size in newtons, see
     /// [`weight_near_zero`].
     pub fn of(
         sequence: &Sequence,
         scaling: &Scaling,
         groups: &[Vec<u32>],
         target: Target,
-        near_zero: f64,
+        counts: impl Fn(f64) -> f64,
     ) -> Self {
         let (rows, inputs) = (sequence.rows, scaling.inputs[0].len());
         let forces = 2 * groups[0].len();
@@ -239,7 +240,7 @@ impl Scaled {
                     for axis in 0..2 {
                         let at = (network * rows + row) * forces + 2 * place + axis;
                         y[at] = (target[axis] / scaling.force_n[axis]) as f32;
-                        weight[at] = weight_near_zero(f64::from(truth_n[axis]), near_zero) as f32;
+                        weight[at] = counts(f64::from(truth_n[axis])) as f32;
                     }
                 }
             }

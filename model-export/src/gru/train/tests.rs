@@ -382,11 +382,17 @@ fn a_part_of_a_recording_begins_and_ends_where_it_was_cut_and_knows_no_earlier_t
 
 #[test]
 fn rows_near_zero_force_count_more_by_the_documented_form() {
-    assert_eq!(weight_near_zero(0.0, 4.0), 4.0);
+    assert_eq!(weight_near_zero(0.0, 250.0, 4.0), 4.0);
     // exp(-1/2) = 0.60653 at 25 N.
-    assert!((weight_near_zero(-25.0, 4.0) - 2.819_59).abs() < 1e-5);
-    assert!((weight_near_zero(200.0, 4.0) - 1.0).abs() < 1e-12);
-    assert_eq!(weight_near_zero(17.0, 1.0), 1.0);
+    assert!((weight_near_zero(-25.0, 250.0, 4.0) - 2.819_59).abs() < 1e-5);
+    assert!((weight_near_zero(200.0, 250.0, 4.0) - 1.0).abs() < 1e-12);
+    assert_eq!(weight_near_zero(17.0, 250.0, 1.0), 1.0);
+    // Half a newton is to 5 N what 25 N are to 250; 2 N are far from nothing there.
+    assert_eq!(
+        weight_near_zero(0.5, 5.0, 4.0),
+        weight_near_zero(25.0, 250.0, 4.0)
+    );
+    assert!(weight_near_zero(2.0, 5.0, 4.0) < 1.01);
     let lesson = Sequence {
         name: String::new(),
         rows: 2,
@@ -409,7 +415,10 @@ fn rows_near_zero_force_count_more_by_the_documented_form() {
     let groups = topology.groups(&[0]);
     let lessons = [lesson];
     let scaling = Scaling::of(&lessons, &topology, &groups).unwrap();
-    let of = |near_zero| Scaled::of(&lessons[0], &scaling, &groups, Target::Rest, near_zero).weight;
+    let of = |near_zero| {
+        let counts = |n| weight_near_zero(n, 250.0, near_zero);
+        Scaled::of(&lessons[0], &scaling, &groups, Target::Rest, counts).weight
+    };
     assert_eq!(of(1.0), [1.0; 4]);
     let known = [2.819_59, 4.0, 1.0, 2.819_59];
     for (weight, known) in of(4.0).into_iter().zip(known) {
