@@ -65,10 +65,13 @@ pub fn print(counter: &Counter, out: &mut impl Write) -> Result {
         };
         let mut arming = None;
         let mut setpoint = Setpoint::Off;
+        let mut is_intact = false;
         let count = counter.instructions(|| {
+            is_intact = black_box(&grip).is_intact();
             let outputs = black_box(grip.tick(black_box(&inputs)));
             (arming, setpoint) = (outputs.arming, outputs.setpoint);
         });
+        is_intact.then_some(()).ok_or(Error)?;
         // The first run of a piece of code does not count: the emulator translates it meanwhile.
         if tick > 20 {
             greatest = count.max(greatest);
