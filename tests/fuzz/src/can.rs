@@ -182,8 +182,8 @@ fn message(id: u16, data: &[u8]) {
     let whole: Option<[u8; 8]> = data.try_into().ok();
     let spare = |bytes, layout| u64::from_le_bytes(bytes) & !own(layout);
     let expected = match (whole, layout) {
-        (None, _) => Err(Malformed::Length),
         (_, None) => Err(Malformed::Unknown),
+        (None, Some(_)) => Err(Malformed::Length),
         (Some(bytes), Some(layout)) if spare(bytes, layout) != 0 => Err(Malformed::Reserved),
         (Some(bytes), Some(layout)) => Ok((bytes, layout)),
     };
@@ -284,14 +284,15 @@ impl Witness {
             (false, _) => Verdict::Nothing,
             // Whatever it carries.
             _ if number == STOP => Verdict::Stop,
+            // What is no message takes nobody's place, however long it is.
+            _ if number >= MESSAGES => {
+                self.dropped += 1;
+                Verdict::Nothing
+            }
             (true, 8) => match number {
                 COMMAND => self.command(now, id, data),
                 SERVICE => self.service(now, data, random),
                 PARAM_REQUEST => Verdict::Other,
-                MESSAGES.. => {
-                    self.dropped += 1;
-                    Verdict::Nothing
-                }
                 _ => self.drop(now),
             },
             _ => self.drop(now),
