@@ -117,7 +117,7 @@ pub fn estimate(
         shown: inverse.force,
         lacking: field.lacking || force.lacking,
         parity: Beside {
-            departure: parity::departure(table, field.left),
+            departure: parity::departure(table, field.left, inverse.at),
             spread: table.parity.spread,
         },
         disturbed: false,

@@ -11,7 +11,8 @@ const CALM: u8 = 10;
 #[derive(Clone, Copy, Debug)]
 pub struct Throttle {
     limit: u8,
-    window: u64,
+    /// When the window ends.
+    ends_us: u64,
     heard: u8,
     /// Windows since one with a drop; at its end where there was none.
     calm: u8,
@@ -24,7 +25,7 @@ impl Throttle {
     pub const fn new(limits: &Limits) -> Self {
         Self {
             limit: limits.flood_frames,
-            window: 0,
+            ends_us: WINDOW_US,
             heard: 0,
             calm: CALM,
             flooded: false,
@@ -57,14 +58,16 @@ impl Throttle {
     }
 
     fn turn(&mut self, now_us: u64) {
-        let window = now_us / WINDOW_US;
-        let passed = window.saturating_sub(self.window);
-        if passed > 0 {
-            self.window = window;
-            self.heard = 0;
-            self.calm = self.calm.saturating_add(passed.min(255) as u8);
-            self.flooded &= self.calm < CALM;
-        }
+        let Some(beyond_us) = now_us.checked_sub(self.ends_us) else {
+            return;
+        };
+        // Only here is divided: a flood asks many times in a window.
+        let passed = (beyond_us / WINDOW_US).saturating_add(1);
+        let passed_us = passed.saturating_mul(WINDOW_US);
+        self.ends_us = self.ends_us.saturating_add(passed_us);
+        self.heard = 0;
+        self.calm = self.calm.saturating_add(passed.min(255) as u8);
+        self.flooded &= self.calm < CALM;
     }
 }
 

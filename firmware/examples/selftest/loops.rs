@@ -196,7 +196,7 @@ impl I2c<SevenBitAddress> for Bus<'_> {
         address: u8,
         operations: &mut [Operation<'_>],
     ) -> Result<(), Infallible> {
-        let flicker = (self.0.now_us() / 1000 % 7) as i16;
+        let flicker = (self.0.now_us() as u32 / 1000 % 7) as i16;
         let bytes = encode(Reading {
             field: [i16::from(address), flicker, 4000 + flicker],
             temperature: 100,

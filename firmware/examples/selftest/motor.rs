@@ -1,4 +1,4 @@
-//! The motor's control: the most instructions of its ticks over much that may be sensed.
+//! The motor's control: the most instructions of its ticks over much that may be sensed, and of a whole millisecond.
 
 use core::fmt::{Error, Result, Write};
 use core::hint::black_box;
@@ -14,13 +14,15 @@ use crate::vectors::Random;
 const PERIODS: u32 = 600;
 /// Periods from one set-point to the next: here the outer tick runs in each.
 const ORDERED: u32 = 10;
+/// Periods in a millisecond.
+const PERIODS_MS: u32 = 20;
 /// Periods in which it arms.
 const ARMS: u32 = 600;
 
 /// A line for each tick.
 pub fn print(counter: &Counter, out: &mut impl Write) -> Result {
     let mut random = Random(17);
-    let mut greatest = [0; 2];
+    let mut greatest = [0; 3];
     for setpoint in [
         Setpoint::Current { closing_a: -9.0 },
         Setpoint::Speed {
@@ -41,14 +43,18 @@ pub fn print(counter: &Counter, out: &mut impl Write) -> Result {
         let mut ticks = Ticks::armed(&mut random);
         let opening_mm = 40.0;
         ticks.order(Order::Opening { opening_mm });
-        let counts = ticks.count(setpoint, counter, &mut random).ok_or(Error)?;
-        for (greatest, count) in greatest.iter_mut().zip(counts) {
+        let [inner, outer] = ticks.count(setpoint, counter, &mut random).ok_or(Error)?;
+        let millisecond = ticks
+            .millisecond(setpoint, counter, &mut random)
+            .ok_or(Error)?;
+        for (greatest, count) in greatest.iter_mut().zip([inner, outer, millisecond]) {
             *greatest = count.max(*greatest);
         }
     }
-    let [inner, outer] = greatest;
+    let [inner, outer, millisecond] = greatest;
     writeln!(out, "motor_inner {inner}")?;
-    writeln!(out, "motor_outer {outer}")
+    writeln!(out, "motor_outer {outer}")?;
+    writeln!(out, "motor_millisecond {millisecond}")
 }
 
 /// Both ticks, as the board's interrupts call them.
@@ -85,7 +91,7 @@ impl Ticks {
 
     /// The most instructions of each; none where the motor did not stay armed, and little was counted.
     fn count(
-        mut self,
+        &mut self,
         setpoint: Setpoint,
         counter: &Counter,
         random: &mut Random,
@@ -115,7 +121,46 @@ impl Ticks {
                 greatest = [greatest[0].max(inner), greatest[1].max(outer)];
             }
         }
-        (self.outer.telling().state == State::Armed).then_some(greatest)
+        self.is_armed().then_some(greatest)
+    }
+
+    /// The most instructions of a millisecond: the outer tick runs, hears and is heard in one period of five, and is
+    /// ordered in one of twenty, as the board's interrupts have it. None where the motor did not stay armed.
+    fn millisecond(
+        &mut self,
+        setpoint: Setpoint,
+        counter: &Counter,
+        random: &mut Random,
+    ) -> Option<u32> {
+        let (mut greatest, mut count) = (0, 0);
+        let mut ask = None;
+        for period in 1..=PERIODS {
+            let sensed = sensed(ARMS + PERIODS + period, random, 700);
+            count += counter.instructions(|| {
+                if period % PERIODS_MS == 1 {
+                    ask = ask
+                        .take()
+                        .or(self.outer.obey(Order::Do(black_box(setpoint))));
+                }
+                if let Some(ask) = ask.take() {
+                    self.inner.hear(black_box(ask));
+                }
+                black_box(self.inner.tick(black_box(&sensed)));
+                if period.is_multiple_of(MOTION_PERIODS.into()) {
+                    ask = Some(self.outer.tick(self.inner.felt()));
+                }
+            });
+            if period.is_multiple_of(PERIODS_MS) {
+                // As above, not the first.
+                greatest = greatest.max(if period > PERIODS_MS { count } else { 0 });
+                count = 0;
+            }
+        }
+        self.is_armed().then_some(greatest)
+    }
+
+    fn is_armed(&self) -> bool {
+        self.outer.telling().state == State::Armed
     }
 }
 

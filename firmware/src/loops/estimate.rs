@@ -14,6 +14,7 @@ use crate::hall::Reading;
 use crate::hall::watch::{Condition, Watched};
 use crate::limits::Limits;
 use crate::motor::Telling;
+use crate::parameters::Parameters;
 use crate::params::TICK_US;
 use crate::progress::Loop;
 use crate::status::{Fault, Faults};
@@ -120,7 +121,7 @@ fn tare<M: RawMutex>(
             exchange.tare_ended.signal(step);
         }
     }
-    exchange.parameters().tare().apply(estimates);
+    exchange.parameter(Parameters::tare).apply(estimates);
 }
 
 /// Notes what is wrong with sensors and forces.

@@ -147,8 +147,7 @@ impl Turns {
             return;
         }
         let pending = &mut self.pending;
-        let parameters = exchange.parameters();
-        grip.set_locks(parameters.screw() == Screw::SelfLocking);
+        grip.set_locks(exchange.parameter(Parameters::screw) == Screw::SelfLocking);
         let asked = exchange.asked.set(Asked::NOTHING);
         if let Some(measure) = asked.measure {
             pending.calibration = Some(Calibration::new(measure));
@@ -164,7 +163,7 @@ impl Turns {
             pending.was_given(&order, is_taken);
         }
         self.ticks = (self.ticks + 1) % STATUS_TICKS;
-        tell(&outputs, &parameters, self.ticks == 0, exchange);
+        tell(&outputs, self.ticks == 0, exchange);
         exchange.stands.set(Stands {
             state: outputs.state,
             object: outputs.status.object,
@@ -246,14 +245,11 @@ fn tick<M: RawMutex>(
 }
 
 /// A bus or line that is full loses a status; the next tick tells a newer one.
-fn tell<M: RawMutex>(
-    outputs: &Outputs,
-    parameters: &Parameters,
-    is_due: bool,
-    exchange: &Exchange<M>,
-) {
+fn tell<M: RawMutex>(outputs: &Outputs, is_due: bool, exchange: &Exchange<M>) {
     let refused = outputs.refused.map(|refused| refused.reply());
-    let foot = outputs.foot.filter(|_| parameters.foot());
+    let foot = outputs
+        .foot
+        .filter(|_| exchange.parameter(Parameters::foot));
     let status = is_due.then_some(outputs.status);
     let messages = [
         refused.map(Message::ServiceReply),

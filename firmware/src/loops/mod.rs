@@ -87,6 +87,12 @@ impl<M: RawMutex, T: Copy> Shown<M, T> {
         self.0.lock(Cell::get)
     }
 
+    /// What a look at it tells: no copy is made of what nobody asks for.
+    #[inline(always)]
+    pub fn look<R>(&self, look: impl FnOnce(&T) -> R) -> R {
+        self.0.lock(|cell| look(&cell.get()))
+    }
+
     /// Another one; what was there before.
     pub fn set(&self, value: T) -> T {
         self.0.lock(|cell| cell.replace(value))
@@ -270,6 +276,12 @@ impl<M: RawMutex> Exchange<M> {
     /// What hosts have set.
     pub fn parameters(&self) -> Parameters {
         self.parameters.get()
+    }
+
+    /// A part of what hosts have set.
+    #[inline(always)]
+    pub fn parameter<R>(&self, look: impl FnOnce(&Parameters) -> R) -> R {
+        self.parameters.look(look)
     }
 
     /// Takes other parameters: at the start, then from [`command`] alone.

@@ -8,6 +8,7 @@ use embassy_sync::blocking_mutex::raw::RawMutex;
 use super::{Exchange, Finder, Told};
 use crate::clock::{Clock, within};
 use crate::events::Event;
+use crate::parameters::Parameters;
 use crate::progress::Loop;
 use crate::status::{Fault, Faults};
 use crate::wire::can::{CanError, CanFrame, CanSender};
@@ -98,8 +99,8 @@ struct Mouth<'x, S, C, M: RawMutex> {
 impl<S: CanSender, C: Clock, M: RawMutex> Mouth<'_, S, C, M> {
     /// The forces where they are due.
     async fn forces(&mut self, told: &Told, counters: &mut Counters) {
-        let parameters = self.exchange.parameters();
-        let period = 1000_u32.checked_div(parameters.force_rate_hz() * TICK_MS);
+        let rate_hz = self.exchange.parameter(Parameters::force_rate_hz);
+        let period = 1000_u32.checked_div(rate_hz * TICK_MS);
         if !period.is_some_and(|period| told.tick.is_multiple_of(period)) {
             return;
         }
@@ -108,7 +109,7 @@ impl<S: CanSender, C: Clock, M: RawMutex> Mouth<'_, S, C, M> {
             self.say(sensor, Message::Force(message)).await;
         }
         counters.force = counters.force.wrapping_add(1);
-        if parameters.raw() {
+        if self.exchange.parameter(Parameters::raw) {
             self.raw(told).await;
         }
     }
@@ -164,7 +165,7 @@ impl<S: CanSender, C: Clock, M: RawMutex> Mouth<'_, S, C, M> {
     async fn say(&mut self, copy: u8, message: Message) {
         let packet = Packet::Message { copy, message };
         let raw = matches!(message, Message::HallRaw(_));
-        let in_ticks = raw && self.exchange.parameters().telemetry();
+        let in_ticks = raw && self.exchange.parameter(Parameters::telemetry);
         if !in_ticks && self.exchange.lines.try_send(packet).is_err() {
             let unsent = &self.exchange.counts.packets_unsent;
             unsent.fetch_add(1, Ordering::Relaxed);

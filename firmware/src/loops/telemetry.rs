@@ -7,6 +7,7 @@ use embassy_sync::blocking_mutex::raw::RawMutex;
 use embedded_io_async::Write;
 
 use super::Exchange;
+use crate::parameters::Parameters;
 use crate::wire::serial::{LONGEST, Packet, encode};
 
 /// Sends what there is, for ever. While a packet is under way the newest tick waits; an older one is lost.
@@ -16,7 +17,7 @@ pub async fn telemetry<W: Write, M: RawMutex>(mut line: W, exchange: &Exchange<M
         let next = select(exchange.lines.receive(), exchange.ticks.wait()).await;
         let packet = match next {
             Either::First(packet) => packet,
-            Either::Second(tick) if exchange.parameters().telemetry() => Packet::Tick(tick),
+            Either::Second(tick) if exchange.parameter(Parameters::telemetry) => Packet::Tick(tick),
             Either::Second(_) => continue,
         };
         let sent = match encode(&packet, &mut buffer) {

@@ -13,6 +13,8 @@ pub struct Inverse {
     pub force: [Force; 2],
     /// False where a coordinate was clamped to the box's edge: the forces are then a bound only.
     pub inside: bool,
+    /// The scaled coordinates.
+    pub at: [i16; 3],
 }
 
 /// Evaluates the model of one sensor.
@@ -36,11 +38,12 @@ pub fn evaluate(tables: &Tables, sensor: &SensorTable, field: [Field; 3]) -> Inv
             Force(linear_z.saturating_add(rounded_shift(sum_z, shift_z))),
         ],
         inside: x_inside && y_inside && z_inside,
+        at,
     }
 }
 
 /// The scaled coordinate, clamped to the box, and whether it lay inside.
-pub(super) fn coordinate(scale: AxisScale, field: Field) -> (i16, bool) {
+fn coordinate(scale: AxisScale, field: Field) -> (i16, bool) {
     let from_middle = i64::from(field.0) - i64::from(scale.offset);
     let half = 1 << (GAIN_BITS - 1);
     let scaled = (from_middle
@@ -67,9 +70,12 @@ fn linear(linear: &Linear, at: [i16; 3]) -> [i32; 2] {
     })
 }
 
-/// Arithmetic shift that rounds to the nearest; shifts beyond the word give zero.
+/// Arithmetic shift that rounds to the nearest, a half up; shifts beyond the word give zero.
 fn rounded_shift(value: i32, shift: u8) -> i32 {
-    let shift = u32::from(shift.min(62));
-    let half = (1_i64 << shift) >> 1;
-    ((i64::from(value) + half) >> shift) as i32
+    let Some(before) = shift.checked_sub(1) else {
+        return value;
+    };
+    // Twice the result, and its last bit rounds up.
+    let twice = value >> before.min(31);
+    (twice >> 1).saturating_add(twice & 1)
 }

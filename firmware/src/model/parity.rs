@@ -5,9 +5,7 @@
 //! that the exporter fits to that surface; what is measured beside it is a field from elsewhere, heat,
 //! or noise. A field that lies in the surface is not seen: it is a force as far as the sensor can tell.
 
-use super::ideal::coordinate;
-use super::table::SensorTable;
-use crate::fixed::clamped;
+use super::table::{COORDINATE_LIMIT, SensorTable};
 use crate::units::Field;
 
 /// Greatest sum of a term's powers.
@@ -41,32 +39,44 @@ impl Parity {
     };
 }
 
-/// How far a field lies beside the surface of its sensor, along the axis that is foretold.
-pub fn departure(sensor: &SensorTable, field: [Field; 3]) -> Field {
+/// How far a field, whose scaled coordinates are `at`, lies beside the surface of its sensor, along the axis that
+/// is foretold.
+pub fn departure(sensor: &SensorTable, field: [Field; 3], at: [i16; 3]) -> Field {
     let parity = &sensor.parity;
-    let [x, y, z] = field;
-    let [sx, sy, sz] = sensor.scale;
-    let (measured, (su, u), (sv, v)) = match parity.axis {
-        0 => (x, (sy, y), (sz, z)),
-        1 => (y, (sx, x), (sz, z)),
-        _ => (z, (sx, x), (sy, y)),
+    let [Field(bx), Field(by), Field(bz)] = field;
+    let [x, y, z] = at;
+    let (measured, u, v) = match parity.axis {
+        0 => (bx, y, z),
+        1 => (by, x, z),
+        _ => (bz, x, y),
     };
-    let [u, v] = [coordinate(su, u).0, coordinate(sv, v).0].map(i64::from);
     let foretold = polynomial(&parity.terms, u, v);
-    Field(clamped(i64::from(measured.0) - foretold))
+    Field(measured.saturating_sub(foretold))
 }
 
-/// The polynomial by Horner's rule, in the unit of [`Field`]. Arguments stay below 1.42: 28 terms of 32
-/// bits, multiplied by that at most twelve times, stay below 2^43, and a product below 2^57.
-fn polynomial(terms: &[i32; TERMS], u: i64, v: i64) -> i64 {
-    let mut terms = terms.iter().map(|&term| i64::from(term));
+/// The polynomial by Horner's rule, in the unit of [`Field`]. The exporter sees to it that no sum leaves 32 bits
+/// ([`greatest_sum`]); of a table that is not its own, sums wrap.
+fn polynomial(terms: &[i32; TERMS], u: i16, v: i16) -> i32 {
+    let times = |sum: i32, by: i16| ((i64::from(sum) * i64::from(by)) >> ARGUMENT_BITS) as i32;
+    let mut terms = terms.iter();
     let mut sum = 0;
     for most in 0..=DEGREE {
         let row = terms.by_ref().take(most + 1);
-        let row = row.fold(0, |row, term| ((row * v) >> ARGUMENT_BITS) + term);
-        sum = ((sum * u) >> ARGUMENT_BITS) + row;
+        let row = row.fold(0, |row, term| times(row, v).wrapping_add(*term));
+        sum = times(sum, u).wrapping_add(row);
     }
-    (sum + (1 << (TERM_BITS - 1))) >> TERM_BITS
+    sum.wrapping_add(1 << (TERM_BITS - 1)) >> TERM_BITS
+}
+
+/// A bound of all sums in the polynomial: that of the terms' sizes at the greatest arguments, and what rounding adds.
+pub fn greatest_sum(terms: &[i32; TERMS]) -> f64 {
+    let greatest = f64::from(COORDINATE_LIMIT) / f64::from(1_u32 << ARGUMENT_BITS);
+    let mut terms = terms.iter().map(|term| f64::from(*term).abs());
+    let rounded = f64::from(1_u32 << TERM_BITS);
+    (0..=DEGREE).fold(rounded, |sum, most| {
+        let row = terms.by_ref().take(most + 1);
+        sum * greatest + row.fold(0.0, |row, term| row * greatest + term)
+    })
 }
 
 #[cfg(test)]
@@ -91,11 +101,26 @@ mod tests {
     }
 
     #[test]
-    fn the_greatest_terms_at_the_greatest_arguments_do_not_overflow() {
-        let most = i64::from(super::super::table::COORDINATE_LIMIT);
+    fn terms_within_the_bound_do_not_wrap_at_the_greatest_arguments() {
+        let most = i64::from(COORDINATE_LIMIT);
+        // 1 + 2 s + 3 s^2 .. 7 s^6 at s = sqrt 2 is 131.1.
+        let size = (f64::from(i32::MAX) / 131.2) as i32;
+        let signs = |u: i64, v: i64| {
+            let powers =
+                (0..=DEGREE).flat_map(|row| (0..=row).map(move |j| (DEGREE - row, row - j)));
+            let sign = |(i, j)| u.signum().pow(i as u32) * v.signum().pow(j as u32);
+            let mut terms = powers.map(|powers| size * sign(powers) as i32);
+            [(); TERMS].map(|()| terms.next().unwrap())
+        };
         for (u, v) in [(most, most), (-most, most), (-most, -most)] {
-            let sum = polynomial(&[i32::MIN; TERMS], u, v);
-            assert!(sum.unsigned_abs() < 1 << 35, "{sum}");
+            let terms = signs(u, v);
+            let bound = greatest_sum(&terms);
+            assert!(
+                bound < f64::from(i32::MAX) && bound > 0.99 * f64::from(i32::MAX),
+                "{bound}"
+            );
+            let sum = f64::from(polynomial(&terms, u as i16, v as i16) << TERM_BITS);
+            assert!((sum / bound - 1.0).abs() < 1e-3, "{sum} {bound}");
         }
     }
 }

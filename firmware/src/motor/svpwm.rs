@@ -21,13 +21,13 @@ pub fn greatest_v(bus_v: f32) -> f32 {
     MODULATION * INVERSE_SQRT_3 * bus_v
 }
 
-/// Duties of U, V, W for a voltage in volts. What lies outside the hexagon is cut at its sides. A bus without
-/// voltage gives no numbers.
+/// Duties of U, V, W for a voltage in volts. What lies outside the hexagon leaves their range, and
+/// [`with_dead_time`] cuts it there. A bus without voltage gives no numbers.
 pub fn duties(voltage: AlphaBeta, bus_v: f32) -> [f32; 3] {
     let [u, v, w] = voltage.phases();
     let middle = 0.5 * (greater(u, greater(v, w)) + lesser(u, lesser(v, w)));
     let scale = 1.0 / bus_v;
-    let duty = |phase| within(0.5 * MODULATION + scale * (phase - middle), 0.0, MODULATION);
+    let duty = |phase| 0.5 * MODULATION + scale * (phase - middle);
     [duty(u), duty(v), duty(w)]
 }
 

@@ -1,6 +1,8 @@
 //! The surface on which a sensor's fields lie, as the device's polynomial ([`firmware::model::parity`]).
 
-use firmware::model::parity::{ARGUMENT_BITS, DEGREE, Parity, SPREAD_BITS, TERM_BITS, TERMS};
+use firmware::model::parity::{
+    ARGUMENT_BITS, DEGREE, Parity, SPREAD_BITS, TERM_BITS, TERMS, greatest_sum,
+};
 use firmware::model::table::COORDINATE_LIMIT;
 use firmware::units::Field;
 use nalgebra::{DMatrix, DVector, Vector3};
@@ -93,11 +95,11 @@ impl Surface {
         gauss_per_lsb: f64,
     ) -> Result<Parity, Overflow> {
         let units = f64::from(1_u32 << Field::BITS) / gauss_per_lsb;
-        let fit = |row: String, value: f64| match value.round().abs() <= f64::from(i32::MAX) {
+        let fit = |row: &str, value: f64| match value.round().abs() <= f64::from(i32::MAX) {
             true => Ok(value.round() as i32),
             false => Err(Overflow {
                 sensor,
-                row,
+                row: row.to_owned(),
                 value,
                 format: "32 bits".to_owned(),
                 advice: "the fields of this model lie on no smooth surface: check its parameters",
@@ -112,14 +114,15 @@ impl Surface {
         let mut terms = [0; TERMS];
         for ((place, term), power) in terms.iter_mut().zip(self.terms_g).zip(powers) {
             let value = term * one * scale.powi(power as i32);
-            *place = fit("a term of the parity".to_owned(), value)?;
+            *place = fit("a term of the parity", value)?;
         }
+        fit("the parity's polynomial", greatest_sum(&terms))?;
         let spread_g = spread_g.hypot(self.left_g).max(LEAST_SPREAD_G);
         let spread = spread_g * units * f64::from(1_u32 << SPREAD_BITS);
         Ok(Parity {
             axis: self.axis as u8,
             terms,
-            spread: fit("spread of the parity".to_owned(), spread)?,
+            spread: fit("spread of the parity", spread)?,
         })
     }
 }

@@ -28,8 +28,8 @@ pub fn told(force: [i32; 2], [x, z, log_x, log_z]: [i32; OUTPUTS]) -> Told {
 /// log2(e) with 30 fractional bits.
 const LOG2_E: i64 = 1_549_082_005;
 /// Coefficients of the cubic that goes through 2^x for x from 0 to 1 with the least relative error,
-/// 30 fractional bits, from the constant up.
-const CUBIC: [i64; 4] = [1_073_661_528, 747_145_574, 242_737_764, 83_778_190];
+/// 30 fractional bits, from the constant up. Their sum stays below 2^31.
+const CUBIC: [i32; 4] = [1_073_661_528, 747_145_574, 242_737_764, 83_778_190];
 /// Fractional bits of both.
 const CUBIC_BITS: u32 = 30;
 
@@ -38,12 +38,14 @@ const CUBIC_BITS: u32 = 30;
 fn times_exponential(force: i32, output: i32) -> i32 {
     let power = (i64::from(output) * LOG2_E) >> CUBIC_BITS;
     let whole = power >> OUTPUT_BITS;
-    let below = (power - (whole << OUTPUT_BITS)) << (CUBIC_BITS - OUTPUT_BITS);
-    let two_to_below = CUBIC.iter().rev().fold(0, |sum, coefficient| {
-        ((sum * below) >> CUBIC_BITS) + coefficient
+    let below = (power as i32 & ((1 << OUTPUT_BITS) - 1)) << (CUBIC_BITS - OUTPUT_BITS);
+    let times_below = |sum: i32| ((i64::from(sum) * i64::from(below)) >> CUBIC_BITS) as i32;
+    let cubic = CUBIC.iter().rev();
+    let two_to_below = cubic.fold(0_i32, |sum, coefficient| {
+        times_below(sum).wrapping_add(*coefficient)
     });
     // At most 2^31 times 2^31.
-    let product = i64::from(force) * two_to_below;
+    let product = i64::from(force) * i64::from(two_to_below);
     let shift = i64::from(FORCE_BITS + CUBIC_BITS) - whole;
     match u32::try_from(shift) {
         Ok(0) | Err(_) => i32::MAX,
