@@ -12,6 +12,7 @@
 //! - [`foot`]: which fingertips stand, and where the ground pushes.
 //! - [`react`], [`latch`]: what faults do, and which came first.
 //! - [`kept`]: copies of what would be dangerous if memory lost it.
+//! - [`Inputs`], [`Outputs`]: what it is told, and what it tells.
 //! - `power`, `task`, `drive`, `tell`: a millisecond of each layer, the set-point, the messages.
 //!
 //! | word | meaning |
@@ -23,6 +24,7 @@
 
 pub mod contact;
 mod drive;
+mod exchange;
 pub mod fingers;
 #[cfg(test)]
 mod fixture;
@@ -49,11 +51,11 @@ mod tests;
 use crate::force::Estimate;
 use crate::frame::SENSORS;
 use crate::limits::Grasp;
+use crate::motor::Setpoint;
 use crate::motor::screw::Screw;
-use crate::motor::{Setpoint, Telling};
 use crate::params;
 use crate::status::{Fault, Faults};
-use crate::wire::messages::{Command, FaultEvent, Foot, GripStatus};
+use crate::wire::messages::GripStatus;
 use contact::Contact;
 use fingers::{Finger, Fingers};
 use foot::{Feeling, Standing};
@@ -67,81 +69,12 @@ use reason::Refused;
 use states::{Power, Task};
 use stiffness::Stiffness;
 
+pub use exchange::{Arming, Host, Inputs, Outputs};
+
 /// Greatest current in amperes.
 const PEAK_A: f32 = (params::PEAK_TORQUE.value / params::TORQUE_CONSTANT.value) as f32;
 /// Forces of which a hold's force is the mean.
 const MEAN_TICKS: f32 = 16.0;
-/// Events of a millisecond that are told at the most; there are as many kinds of own faults.
-const EVENTS: usize = 24;
-
-/// What hosts have to do with it.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Host {
-    /// A nonce is offered ([`crate::session::Session::is_offered`]).
-    pub is_offered: bool,
-    /// A session is open ([`crate::session::Session::is_open`]).
-    pub is_open: bool,
-    /// Commands arrive in time ([`crate::session::Session::is_alive`]).
-    pub is_alive: bool,
-}
-
-/// What is known in a millisecond.
-#[derive(Clone, Copy, Debug)]
-pub struct Inputs<'a> {
-    /// Forces, tare taken off.
-    pub estimates: &'a [Estimate; SENSORS],
-    /// The motor.
-    pub motor: Telling,
-    /// Hosts.
-    pub host: Host,
-    /// A command that counts ([`crate::session::Heard::Command`]).
-    pub command: Option<Command>,
-    /// Somebody says stop ([`crate::session::Heard::Stop`]).
-    pub stop: bool,
-    /// A host clears faults ([`crate::session::op::CLEAR_FAULTS`]).
-    pub clear: bool,
-    /// Active faults that others found, in the heartbeat's bits ([`Faults::bits`]).
-    pub faults: u32,
-    /// What the self-test found; none while it runs.
-    pub is_sound: Option<bool>,
-    /// A tare or the motor's commissioning is under way.
-    pub is_calibrating: bool,
-    /// Of the fingertips in mm/s^2, gripper's axes, gravity included; none where it is not known, or the
-    /// estimates are without it already.
-    pub acceleration: Option<[i32; 3]>,
-}
-
-/// Whether the motor is to follow set-points.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Arming {
-    /// [`crate::motor::Order::Arm`].
-    Arm,
-    /// [`crate::motor::Order::Disarm`].
-    Disarm,
-}
-
-/// What is to be done and told.
-#[derive(Clone, Debug)]
-pub struct Outputs {
-    /// For [`crate::motor::Order::Do`].
-    pub setpoint: Setpoint,
-    /// Before the set-point.
-    pub arming: Option<Arming>,
-    /// For [`crate::motor::Order::Opening`], before the set-point; what is not a number: not known any more.
-    pub opening_mm: Option<f32>,
-    /// For [`crate::session::Session::allow`].
-    pub may_arm: bool,
-    /// For the heartbeat.
-    pub state: u8,
-    /// The grip.
-    pub status: GripStatus,
-    /// The foot, while it is one.
-    pub foot: Option<Foot>,
-    /// A command that is not done.
-    pub refused: Option<Refused>,
-    /// Faults of the motor and the grasp that came or went.
-    pub events: heapless::Vec<FaultEvent, EVENTS>,
-}
 
 /// The grasp. [`Grip::tick`] runs once a millisecond.
 #[derive(Clone, Debug)]
