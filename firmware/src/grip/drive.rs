@@ -84,7 +84,10 @@ impl Grip {
                 false => Setpoint::Off,
             },
             Power::QuickStop if self.task == Task::Foot => self.stand(motor),
-            Power::QuickStop if self.backs_off => self.press(self.limits.backed_off_n),
+            // What presses so much may be harder than what was gripped.
+            Power::QuickStop if self.backs_off => {
+                self.press(self.limits.backed_off_n, law::HARDEST)
+            }
             Power::QuickStop => STILL,
             Power::FaultReaction => match self.reaction {
                 Reaction::Brake => Setpoint::Brake,
@@ -107,7 +110,7 @@ impl Grip {
                 most_a: PEAK_A,
             },
             Task::Approach => self.approach(motor),
-            Task::Force => self.press(self.set_n),
+            Task::Force => self.press(self.set_n, self.stiffness.told().max(SOFTEST)),
             Task::HoldActive => self.hold_active(motor),
             Task::HoldLatched => self.let_go(),
             Task::HoldFrozen => match self.locks {
@@ -138,10 +141,9 @@ impl Grip {
         }
     }
 
-    /// Towards a force in newtons.
-    fn press(&self, set_n: f32) -> Setpoint {
+    /// Towards a force in newtons, at a contact of some newtons to the millimetre.
+    fn press(&self, set_n: f32, stiffness: f32) -> Setpoint {
         let most_mm_s = law::approach_mm_s(set_n).min(self.grip.most_mm_s);
-        let stiffness = self.stiffness.told().max(SOFTEST);
         Setpoint::Speed {
             closing_mm_s: law::closing_mm_s(set_n - self.force_n, stiffness, most_mm_s),
             most_a: PEAK_A,

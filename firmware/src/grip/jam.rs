@@ -1,24 +1,20 @@
 //! A jam: current flows, nothing moves, and nothing presses.
 
+use super::pace::Pace;
 use crate::limits::Grasp;
 use crate::motor::Telling;
-
-/// Milliseconds of which a speed is the mean.
-const MEAN_MS: f32 = 4.0;
 
 /// Watches for it.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Jam {
-    /// Mean speed of the last milliseconds in mm/s: the rotor's noise is more on a steep screw.
-    mean_mm_s: f32,
+    pace: Pace,
     stands_ms: u16,
 }
 
 impl Jam {
     /// Takes a millisecond in which the fingers are meant to move; whether they are jammed.
     pub fn note(&mut self, motor: &Telling, force_n: f32, limits: &Grasp) -> bool {
-        self.mean_mm_s += (motor.closing_mm_s - self.mean_mm_s) / MEAN_MS;
-        let stands = self.mean_mm_s.abs() < limits.jam_mm_s;
+        let stands = self.pace.note(motor.closing_mm_s).abs() < limits.jam_mm_s;
         let pushes = motor.current.q.abs() > limits.jam_a;
         self.stands_ms = match stands && pushes && force_n < limits.contact_n {
             true => self.stands_ms.saturating_add(1),

@@ -6,7 +6,7 @@
 //!
 //! - [`states`], [`table`], [`reason`]: what may follow what.
 //! - [`order`], [`profile`]: what hosts ask for.
-//! - [`fingers`], [`contact`], [`stiffness`], [`object`], [`jam`]: what is felt.
+//! - [`fingers`], [`contact`], [`stiffness`], [`object`], [`pace`], [`jam`]: what is felt.
 //! - [`law`]: from the force that is missing to a speed.
 //! - [`home`]: both ends found by force.
 //! - [`foot`]: which fingertips stand, and where the ground pushes.
@@ -36,6 +36,7 @@ pub mod latch;
 pub mod law;
 pub mod object;
 pub mod order;
+pub mod pace;
 mod power;
 pub mod profile;
 pub mod react;
@@ -64,6 +65,7 @@ use jam::Jam;
 use latch::{Cause, Latch};
 use object::Watch;
 use order::{Order, Way};
+use pace::Pace;
 use react::Reaction;
 use reason::Refused;
 use states::{Power, Task};
@@ -118,6 +120,7 @@ pub struct Grip {
     feeling: Feeling,
     standing: Standing,
     unloaded_ms: u16,
+    pace: Pace,
     resting_ms: u16,
     right_ms: u16,
     weak_ms: u16,
@@ -189,6 +192,7 @@ impl Grip {
             feeling: Feeling::default(),
             standing: Standing::default(),
             unloaded_ms: 0,
+            pace: Pace::default(),
             resting_ms: 0,
             right_ms: 0,
             weak_ms: 0,
@@ -332,7 +336,8 @@ impl Grip {
             }
         }
         self.last_mm = motor.opening_mm;
-        self.resting_ms = match motor.closing_mm_s.abs() < self.limits.resting_mm_s {
+        let pace_mm_s = self.pace.note(motor.closing_mm_s);
+        self.resting_ms = match pace_mm_s.abs() < self.limits.resting_mm_s {
             true => self.resting_ms.saturating_add(1),
             false => 0,
         };

@@ -153,7 +153,7 @@ fn count(periods: &mut u16, counts: bool, more: u16) {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Runaway {
     ticks: u8,
-    /// Beyond the speed that is asked for, in rad/s, as it began.
+    /// Its speed as it began, in rad/s.
     began: f32,
 }
 
@@ -172,11 +172,11 @@ impl Runaway {
             return Ok(());
         }
         if self.ticks == 0 {
-            self.began = beyond.abs();
+            self.began = speed.abs();
         }
         self.ticks = self.ticks.saturating_add(1);
         let is_due = u16::from(self.ticks) * u16::from(MOTION_PERIODS) > limits.runaway_periods;
-        match is_due && beyond.abs() >= self.began {
+        match is_due && speed.abs() >= self.began {
             true => Err(Trip::Runaway),
             false => Ok(()),
         }
@@ -345,6 +345,12 @@ mod tests {
         assert_eq!(ends(0.0, -9.6), Some(7));
         assert_eq!(ends(-3.0, -9.6), Some(7));
         assert_eq!(ends(0.5, -9.6), None);
+        // It brakes while what is asked falls faster.
+        let mut runaway = Runaway::default();
+        assert!((0..20_u16).map(f32::from).all(|tick| {
+            let speeds = [50.0 - 4.0 * tick, 62.0 - 0.5 * tick];
+            runaway.note(speeds, -9.6, &LIMITS).is_ok()
+        }));
         // Driven on, or hardly braked.
         assert_eq!((ends(0.0, 9.6), ends(0.0, -4.9)), (None, None));
     }

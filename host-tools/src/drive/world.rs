@@ -19,6 +19,7 @@ use crate::plant::PERIOD_S;
 use crate::plant::hall::{Fingertips, shared};
 use crate::plant::impact::{FOOT_KG, Impact};
 use crate::plant::imu::Inertial;
+use crate::plant::train::Train;
 
 /// A period of the pulses in microseconds.
 const PERIOD_US: u64 = (1e3 / PWM_RATE.value) as u64;
@@ -120,10 +121,14 @@ impl Gripper {
             self.obeyed_us = self.periods * PERIOD_US;
         }
         let wrong = &mut self.wrong;
+        let before = self.rig.plant.train;
         self.rig.period_with(|sensed| wrong.spoil(sensed));
         if wrong.is_jammed {
-            let train = &mut self.rig.plant.train;
-            (train.speed_rad_s, train.travel_m_s) = (0.0, 0.0);
+            self.rig.plant.train = Train {
+                speed_rad_s: 0.0,
+                travel_m_s: 0.0,
+                ..before
+            };
         }
         self.notice();
         if self.periods % TELLS == self.tells_at {

@@ -58,7 +58,9 @@ impl Row {
                 let mut gripper = cell.gripper.borrow_mut();
                 let ratio = gripper.rig.plant.parameters().screw.travel_m_per_rad;
                 let train = &mut gripper.rig.plant.train;
-                (train.speed_rad_s, train.travel_m_s) = (-FAST, -FAST * ratio);
+                // The way it goes: a rotor that turns back from one period to the next is another fault.
+                let way = if train.speed_rad_s > 1.0 { FAST } else { -FAST };
+                (train.speed_rad_s, train.travel_m_s) = (way, way * ratio);
             }
             Self::Hot => {
                 let mut gripper = cell.gripper.borrow_mut();

@@ -20,8 +20,10 @@ use crate::plant::parameters::{Lead, Parameters};
 
 /// What is uncertain is off by up to this share.
 const SCATTER: f64 = 0.2;
-/// Seconds after the fault: a stop lasts 0.2 s at the most, a host is missed after 0.1 s.
+/// Seconds after the fault: a host is missed after 0.1 s, and then a stop takes its time.
 const AFTER_S: f64 = 0.4;
+/// Seconds that a stop lasts at the most.
+const STOP_S: f64 = 0.2;
 /// Movement of a foot's fingers that is one, in mm.
 const MOVED_MM: f64 = 0.1;
 /// A flood's frames in a millisecond, and how many of them wait at the most.
@@ -121,7 +123,12 @@ impl Case {
     fn watch(&self, cell: &mut Workcell, opening_mm: f64) -> (u32, Option<u64>) {
         let (mut forbidden, mut left_us) = (0, None);
         let (mut last, mut was_off, mut has_moved) = (cell.state(), false, false);
-        for _ in 0..(1e3 * AFTER_S) as u32 {
+        let (lasts_ms, most_ms) = (1e3 * AFTER_S, 1e3 * (AFTER_S + STOP_S));
+        for ms in 0..most_ms as u32 {
+            // What is stopping comes to where it stops.
+            if f64::from(ms) >= lasts_ms && last != Power::QuickStop as u8 {
+                break;
+            }
             if self.row == Row::Flood {
                 flood(cell);
             }
