@@ -96,7 +96,8 @@ pub struct Limits {
     pub unfollowed_a: f32,
     /// See [`Self::unfollowed_a`].
     pub unfollowed_periods: u16,
-    /// Speed in rad/s beyond the one that is asked for, at which a current of [`Self::runaway_a`] should brake.
+    /// Speed in rad/s, and so much beyond the one that is asked for, at which a current of [`Self::runaway_a`] should
+    /// brake.
     pub runaway: f32,
     /// In amperes: more torque than any load has.
     pub runaway_a: f32,

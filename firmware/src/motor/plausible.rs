@@ -165,8 +165,9 @@ impl Runaway {
     pub fn note(&mut self, [asked, speed]: [f32; 2], q: f32, limits: &Limits) -> Result<(), Trip> {
         let beyond = speed - asked;
         let is_braked = beyond * q < 0.0 && q.abs() > limits.runaway_a;
-        // Slower than asked for is late, not away.
-        let is_away = beyond.abs() > limits.runaway && beyond * speed > 0.0;
+        // Slower than asked for is late, not away; and at rest the speed's sign is noise.
+        let is_fast = beyond.abs() > limits.runaway && speed.abs() > limits.runaway;
+        let is_away = is_fast && beyond * speed > 0.0;
         if !(is_braked && is_away) {
             self.ticks = 0;
             return Ok(());
@@ -351,6 +352,9 @@ mod tests {
             let speeds = [50.0 - 4.0 * tick, 62.0 - 0.5 * tick];
             runaway.note(speeds, -9.6, &LIMITS).is_ok()
         }));
+        // It is held, and its noise would have it turn back.
+        let mut runaway = Runaway::default();
+        assert!((0..20).all(|_| runaway.note([29.0, -0.4], 9.6, &LIMITS).is_ok()));
         // Driven on, or hardly braked.
         assert_eq!((ends(0.0, 9.6), ends(0.0, -4.9)), (None, None));
     }
