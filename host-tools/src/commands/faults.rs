@@ -94,13 +94,16 @@ struct Told {
 
 fn sentence(args: &Args, told: &Told) -> String {
     let last = args.from_seed + args.seeds - 1;
+    let seeds = match args.seeds {
+        1 => format!("seed {last}"),
+        _ => format!("seeds {} to {last}", args.from_seed),
+    };
     let forbidden: u32 = told.tallies.iter().map(|tally| tally.forbidden).sum();
     let met = told.tallies.iter().filter(|tally| tally.is_met()).count();
     let mut words = format!(
-        "{} runs, seeds {} to {last}, both screws, contacts of {} N/mm, all that is uncertain off by up to 20 %. {met} of \
+        "{} runs, {seeds}, both screws, contacts of {} N/mm, all that is uncertain off by up to 20 %. {met} of \
          {} rows and situations are as specified; {forbidden} forbidden steps.",
         told.runs,
-        args.from_seed,
         campaign::CONTACTS
             .map(|stiffness| stiffness.to_string())
             .join(", "),

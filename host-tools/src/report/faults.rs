@@ -2,11 +2,18 @@
 
 use maud::{Markup, html};
 
+use plotters::prelude::*;
+
 use super::Section;
 use super::numbers::number;
+use super::palette;
+use super::plot::{Along, Swatch, axes, figure, key, px, stroke};
 use super::tables::table;
 use crate::faults::campaign::Tally;
 use crate::faults::row::{BESIDE, ELSEWHERE};
+
+/// Size of the plot in pixels: its letters stay readable on a telephone.
+const SIZE: (u32, u32) = (440, 260);
 
 /// All of it.
 pub fn section(sentence: &str, tallies: &[Tally]) -> Section {
@@ -32,6 +39,11 @@ pub fn section(sentence: &str, tallies: &[Tally]) -> Section {
     };
     let body = html! {
         p { (sentence) }
+        (key(&[
+            (Swatch::Full, palette::FIRST, "p99 of the latency, a dot for each state".to_owned()),
+            (Swatch::Line, palette::SECOND, "what is asked".to_owned()),
+        ]))
+        (latencies(tallies))
         (table("What became of each fault", &heads, rows))
         p.note { "Latency counts from the moment in which the fault can be seen: at the sensors of force from the next tick \
             of sensing, at the CAN bus from the controller's leaving it, else from the moment in which it is done. Peak is the \
@@ -46,6 +58,30 @@ pub fn section(sentence: &str, tallies: &[Tally]) -> Section {
         heading: "Faults".to_owned(),
         body,
     }
+}
+
+/// The latency of each row and state as a share of what is asked.
+fn latencies(tallies: &[Tally]) -> Markup {
+    let dots = tallies.iter().map(|tally| {
+        let facts = tally.row.facts();
+        let [_, most, _] = tally.latency_ms;
+        (f64::from(facts.number), most / facts.within_ms)
+    });
+    let dots: Vec<(f64, f64)> = dots.filter(|(_, share)| share.is_finite()).collect();
+    let rows = dots.iter().map(|dot| dot.0);
+    let across = Along::holding("row of the matrix", rows);
+    let shares = dots.iter().map(|dot| dot.1).chain([0.0, 1.1]);
+    let upwards = Along::holding("latency, share of what is asked", shares);
+    let says = "For each row of the matrix the latency as a share of what is asked.";
+    let drawn = figure(SIZE, says, |paper| {
+        let mut chart = axes(paper, &across, &upwards)?;
+        let asked = [(across.range.start, 1.0), (across.range.end, 1.0)];
+        chart.draw_series([PathElement::new(asked, stroke(palette::SECOND, 1.5))])?;
+        let dot = palette::FIRST.light.filled();
+        chart.draw_series(dots.iter().map(|at| Circle::new(*at, px(2.5), dot)))?;
+        Ok(())
+    });
+    html! { div.pair { figure { (drawn) } } }
 }
 
 fn row(tally: &Tally) -> Vec<Markup> {

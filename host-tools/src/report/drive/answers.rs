@@ -10,9 +10,6 @@ use crate::report::numbers::{maybe, number, percent};
 use crate::report::palette;
 use crate::report::plot::{Swatch, key};
 
-/// Size of each plot, in pixels.
-const SIZE: (u32, u32) = (660, 260);
-
 /// Step and frequency response of the current loop.
 pub fn current(told: &Told) -> Section {
     let step = told.step.points.iter();
@@ -27,11 +24,13 @@ pub fn current(told: &Told) -> Section {
         p { "With the rotor held: from 10 to 90 % in " (number(1e3 * told.step.rise_s())) " ms, "
             (percent(told.step.overshoot())) " beyond; the gain has fallen by 3 dB at "
             (maybe(told.bandwidth_hz())) " Hz. At least 1000 Hz and at most 10 % are asked." }
-        (curves(SIZE, "The current's answer to a step.", ("time in ms", "share of the step"), &[(palette::FIRST, step)]))
-        (curves(SIZE, "The current's gain over frequency.", ("frequency in kHz", "gain, dB"),
-            &[(palette::FIRST, khz(|tone| 20.0 * tone.gain.log10()))]))
-        (curves(SIZE, "The current's lag over frequency.", ("frequency in kHz", "lag, degrees"),
-            &[(palette::FIRST, khz(|tone| tone.lag_deg))]))
+        div.pair {
+            (curves("The current's answer to a step.", ("time in ms", "share of the step"), &[(palette::FIRST, step)]))
+            (curves("The current's gain over frequency.", ("frequency in kHz", "gain, dB"),
+                &[(palette::FIRST, khz(|tone| 20.0 * tone.gain.log10()))]))
+            (curves("The current's lag over frequency.", ("frequency in kHz", "lag, degrees"),
+                &[(palette::FIRST, khz(|tone| tone.lag_deg))]))
+        }
         p.note { "The step goes from 1 to 4 A and is the mean of 16 with noise of their own; each frequency is a sine of "
             "1 A about 2.5 A, against what the control follows." }
     };
@@ -55,10 +54,12 @@ pub fn place(told: &Told) -> Section {
     let body = html! {
         p { "From " (number(from_mm)) " to " (number(to_mm)) " mm at the greatest speed, on a way bounded in speed, "
             "acceleration and jerk." }
-        (curves(SIZE, "The opening after a step of its set-point.", ("time in s", "opening, mm"),
-            &[(palette::SECOND, asked.collect()), (palette::FIRST, reached)]))
         (key(&[curve(palette::FIRST, "reached"), curve(palette::SECOND, "asked")]))
-        (curves(SIZE, "The opening minus what is asked.", ("time in s", "off, um"), &[(palette::FIRST, off.collect())]))
+        div.pair {
+            (curves("The opening after a step of its set-point.", ("time in s", "opening, mm"),
+                &[(palette::SECOND, asked.collect()), (palette::FIRST, reached)]))
+            (curves("The opening minus what is asked.", ("time in s", "off, um"), &[(palette::FIRST, off.collect())]))
+        }
     };
     Section {
         id: "place",

@@ -34,23 +34,20 @@ pub fn sections(told: &Told) -> Vec<Section> {
 /// A curve: its colour, and its points.
 pub(super) type Curve = (Role, Vec<(f64, f64)>);
 
-/// Points of a curve at most; about one for each pixel.
+/// Size of a plot in pixels: two stand side by side, and the letters stay readable on a telephone.
+const SIZE: (u32, u32) = (440, 230);
+/// Points of a curve at most; about two for each pixel.
 const POINTS: usize = 900;
 
 /// Curves over one axis.
-pub(super) fn curves(
-    size: (u32, u32),
-    says: &str,
-    (across, upwards): (&str, &str),
-    curves: &[Curve],
-) -> Markup {
+pub(super) fn curves(says: &str, (across, upwards): (&str, &str), curves: &[Curve]) -> Markup {
     let all = || curves.iter().flat_map(|(_, points)| points);
     let across = Along {
-        labels: 8,
+        labels: 5,
         ..Along::holding(across, all().map(|point| point.0))
     };
     let upwards = Along::holding(upwards, all().map(|point| point.1));
-    let drawn = figure(size, says, |paper| {
+    let drawn = figure(SIZE, says, |paper| {
         let mut chart = axes(paper, &across, &upwards)?;
         for (role, points) in curves {
             let every = points.len().div_ceil(POINTS).max(1);

@@ -11,9 +11,6 @@ use crate::report::palette::{self, Role};
 use crate::report::plot::{Swatch, key};
 use crate::report::tables::table;
 
-/// Size of each plot, in pixels.
-const SIZE: (u32, u32) = (880, 220);
-
 /// One plot for each quantity, and the run's figures.
 pub fn section(told: &Told) -> Section {
     let curve = |role: Role, of: &dyn Fn(&Point) -> f64| -> Curve {
@@ -44,21 +41,27 @@ pub fn section(told: &Told) -> Section {
     let time = "time in s";
     let body = html! {
         p { (told.sentence()) }
-        (curves(SIZE, "The opening over time, asked and reached.", (time, "opening, mm"), &places))
-        (key(&[entry(palette::FIRST, "reached"), entry(palette::SECOND, "asked, on the way to a place")]))
-        (curves(SIZE, "The speed of closing over time.", (time, "closing, mm/s"),
-            &[curve(palette::FIRST, &|point| point.closing_mm_s)]))
-        (curves(SIZE, "The motor's currents over time.", (time, "current, A"), &[
-            curve(palette::SECOND, &|point| point.current_a[0]),
-            curve(palette::FIRST, &|point| point.current_a[1]),
-        ]))
-        (curves(SIZE, "The motor's voltages over time.", (time, "voltage, V"), &[
-            curve(palette::SECOND, &|point| point.voltage_v[0]),
-            curve(palette::FIRST, &|point| point.voltage_v[1]),
-        ]))
-        (key(&[entry(palette::FIRST, "quadrature: makes torque"), entry(palette::SECOND, "direct: makes none")]))
-        (curves(SIZE, "The bus voltage over time.", (time, "bus, V"),
-            &[curve(palette::FIRST, &|point| point.bus_v)]))
+        div.pair {
+            div {
+                (curves("The opening over time, asked and reached.", (time, "opening, mm"), &places))
+                (key(&[entry(palette::FIRST, "reached"), entry(palette::SECOND, "asked, on the way to a place")]))
+            }
+            (curves("The speed of closing over time.", (time, "closing, mm/s"),
+                &[curve(palette::FIRST, &|point| point.closing_mm_s)]))
+            (curves("The motor's currents over time.", (time, "current, A"), &[
+                curve(palette::SECOND, &|point| point.current_a[0]),
+                curve(palette::FIRST, &|point| point.current_a[1]),
+            ]))
+            div {
+                (curves("The motor's voltages over time.", (time, "voltage, V"), &[
+                    curve(palette::SECOND, &|point| point.voltage_v[0]),
+                    curve(palette::FIRST, &|point| point.voltage_v[1]),
+                ]))
+                (key(&[entry(palette::FIRST, "quadrature: makes torque"), entry(palette::SECOND, "direct: makes none")]))
+            }
+            (curves("The bus voltage over time.", (time, "bus, V"),
+                &[curve(palette::FIRST, &|point| point.bus_v)]))
+        }
         (table("This run", &["figure", "", "unit"], rows))
         p.note { "Currents, speed and place are those of the simulated motor, not as it is sensed; voltages are what "
             "the control decided." }

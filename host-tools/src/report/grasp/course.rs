@@ -11,8 +11,6 @@ use crate::report::palette::{self, Role};
 use crate::report::plot::{Swatch, key};
 use crate::report::tables::table;
 
-/// Size of each plot, in pixels.
-const SIZE: (u32, u32) = (880, 240);
 /// What is shown before the contact, and after it, in s.
 const SHOWN_S: [f64; 2] = [-0.1, 0.7];
 
@@ -54,11 +52,13 @@ pub fn section(gripped: &Gripped) -> Section {
     let across = "time since the contact in ms";
     let body = html! {
         p { (gripped.sentence()) }
-        (curves(SIZE, "The force over time.", (across, "force, N"), &forces))
         (key(&names))
-        (curves(SIZE, "The opening over time.", (across, "opening, mm"), &widths))
-        (curves(SIZE, "The motor's current over time.", (across, "current, A"), &currents))
-        (curves(SIZE, "The state over time, as a number.", (across, "state"), &[state(own)]))
+        div.pair {
+            (curves("The force over time.", (across, "force, N"), &forces))
+            (curves("The opening over time.", (across, "opening, mm"), &widths))
+            (curves("The motor's current over time.", (across, "current, A"), &currents))
+            (curves("The state over time, as a number.", (across, "state"), &[state(own)]))
+        }
         (table("States of the firmware", &["number", "state", "from, ms"], states(gripped)))
         (figures(gripped))
         @if gripped.other.is_some() {

@@ -10,9 +10,6 @@ use crate::report::palette::{self, Role};
 use crate::report::plot::{Swatch, key};
 use crate::report::tables::table;
 
-/// Size of each plot, in pixels.
-const SIZE: (u32, u32) = (880, 240);
-
 /// Forces, contacts and the centre of pressure.
 pub fn section(landed: &Landed) -> Section {
     let curve = |role: Role, of: &dyn Fn(&Point) -> Option<f64>| -> Curve {
@@ -35,20 +32,22 @@ pub fn section(landed: &Landed) -> Section {
     let across = "time since the touch in ms";
     let body = html! {
         p { (landed.sentence()) }
-        (curves(SIZE, "The ground's force over time.", (across, "force, N"), &[
-            curve(palette::THIRD, &|point| Some(point.held_n)),
-            curve(palette::SECOND, &|point| Some(point.told_n)),
-            curve(palette::FIRST, &|point| Some(point.true_n)),
-        ]))
         (key(&[
             entry(palette::FIRST, "of the ground"),
             entry(palette::SECOND, "as it is told"),
             entry(palette::THIRD, "on one fingertip, the peak of the last 10 ms"),
         ]))
-        (curves(SIZE, "Where the ground pushes, over time.", (across, "along the fingers, mm"),
-            &[curve(palette::SECOND, &|point| (point.contacts != 0).then_some(point.along_mm))]))
-        (curves(SIZE, "Fingertips that stand, over time.", (across, "fingertips that stand"),
-            &[curve(palette::FIRST, &|point| Some(f64::from(point.contacts.count_ones())))]))
+        div.pair {
+            (curves("The ground's force over time.", (across, "force, N"), &[
+                curve(palette::THIRD, &|point| Some(point.held_n)),
+                curve(palette::SECOND, &|point| Some(point.told_n)),
+                curve(palette::FIRST, &|point| Some(point.true_n)),
+            ]))
+            (curves("Where the ground pushes, over time.", (across, "along the fingers, mm"),
+                &[curve(palette::SECOND, &|point| (point.contacts != 0).then_some(point.along_mm))]))
+            (curves("Fingertips that stand, over time.", (across, "fingertips that stand"),
+                &[curve(palette::FIRST, &|point| Some(f64::from(point.contacts.count_ones())))]))
+        }
         (table("This landing", &["figure", "told", "true", "unit"], rows))
         p.note { "Each point stands at the time of its sample: between two samples a short impact is higher than \
             either. Where the landing is harder than the acceleration's sensor tells, the fingertips' own inertia is \
