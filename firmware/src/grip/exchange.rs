@@ -35,7 +35,7 @@ pub struct Inputs<'a> {
     pub stop: bool,
     /// A host clears faults ([`crate::session::op::CLEAR_FAULTS`]).
     pub clear: bool,
-    /// Active faults that others found, in the heartbeat's bits ([`Faults::bits`]).
+    /// Active faults that others found, in the heartbeat's bits ([`crate::status::Faults::bits`]).
     pub faults: u32,
     /// What the self-test found; none while it runs.
     pub is_sound: Option<bool>,
