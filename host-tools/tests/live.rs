@@ -117,6 +117,8 @@ fn a_pressed_force_is_told_within_its_noise_until_nobody_reads_any_more() {
     let last = &told[told.len() - 1];
     assert_eq!(last["faults"], Value::Array(Vec::new()));
     assert_eq!(last["lost"]["broken_packets"], 0);
+    // A busy machine may lose one; what is counted but not sent would be a thousand a second.
+    assert!(last["lost"]["messages"].as_u64() < Some(20), "{last}");
     assert_eq!(last["version"]["protocol"][0], 1);
     assert_eq!(last["heartbeat"]["sensors_ok"], 0b1111);
     assert!(last["load"]["worst_tick_us"].as_u64() > Some(200));

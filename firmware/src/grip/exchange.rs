@@ -68,9 +68,9 @@ pub struct Outputs {
     pub may_arm: bool,
     /// For the heartbeat.
     pub state: u8,
-    /// The grip.
+    /// The grip. Whoever sends it counts it.
     pub status: GripStatus,
-    /// The foot, while it is one.
+    /// The foot, while it is one; likewise.
     pub foot: Option<Foot>,
     /// A command that is not done.
     pub refused: Option<Refused>,

@@ -145,8 +145,8 @@ const PER_UNIT: [f32; 3] = match messages::Foot::LAYOUT.fields {
 };
 
 impl Standing {
-    /// The message; what does not fit stays at the end of its field.
-    pub fn message(&self, counter: u8) -> messages::Foot {
+    /// The message, not counted yet; what does not fit stays at the end of its field.
+    pub fn message(&self) -> messages::Foot {
         let [per_n, per_mm, per_sigma] = PER_UNIT;
         messages::Foot {
             contacts: self.contacts,
@@ -156,7 +156,7 @@ impl Standing {
                 // Never better than it is, nor the number that says "unknown".
                 within(sigma_n * per_sigma + 1.0, 0.0, 254.0) as u8
             }),
-            counter,
+            counter: 0,
         }
     }
 
@@ -185,9 +185,9 @@ mod tests {
         assert_eq!((standing.contacts, standing.total_n), (0b1111, 200.0));
         assert!((standing.along_mm - 18.0).abs() < 1e-4, "{standing:?}");
         assert!((standing.across_mm - 2.0).abs() < 1e-4, "{standing:?}");
-        let message = standing.message(7);
+        let message = standing.message();
         assert_eq!((message.total_fz, message.centre), (2000, 1800));
-        assert_eq!((message.sigma, message.counter), (255, 7));
+        assert_eq!(message.sigma, 255);
     }
 
     #[test]

@@ -144,7 +144,6 @@ pub struct Grip {
     slipping_ms: u16,
     stray_ms: u16,
     clearing_ms: u8,
-    counters: [u8; 2],
     copies: [u32; kept::WORDS],
 }
 
@@ -209,7 +208,6 @@ impl Grip {
             slipping_ms: 0,
             stray_ms: 0,
             clearing_ms: 0,
-            counters: [0; 2],
             copies: [0; kept::WORDS],
         };
         grip.copy();

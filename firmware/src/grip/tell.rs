@@ -29,9 +29,6 @@ const PER_UNIT: [f32; 4] = match GripStatus::LAYOUT.fields {
 
 impl Grip {
     pub(super) fn tell(&mut self, inputs: &Inputs, outputs: &mut Outputs) {
-        let [status, foot] = &mut self.counters;
-        (*status, *foot) = (status.wrapping_add(1), foot.wrapping_add(1));
-        let (status, foot) = (*status, *foot);
         outputs.state = self.state();
         let motor = &inputs.motor;
         let [per_mm, per_mm_s, per_n, per_a] = PER_UNIT;
@@ -41,10 +38,10 @@ impl Grip {
             force: (self.force_n * per_n) as i16,
             current: (motor.current.q * per_a) as i16,
             object: self.object(),
-            counter: status & 0xF,
+            ..GripStatus::default()
         };
         let is_foot = self.power == Power::Enabled && self.task == Task::Foot;
-        outputs.foot = is_foot.then(|| self.standing.message(foot));
+        outputs.foot = is_foot.then(|| self.standing.message());
     }
 
     fn object(&self) -> u8 {

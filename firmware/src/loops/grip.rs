@@ -12,7 +12,7 @@ use crate::motor::{Order, Telling};
 use crate::parameters::{Parameters, Screw};
 use crate::progress::Loop;
 use crate::status::Fault;
-use crate::wire::messages::{Command, GripStatus, Message};
+use crate::wire::messages::{Command, Foot, GripStatus, Message};
 
 /// Ticks from one [`GripStatus`] to the next.
 const STATUS_TICKS: u16 = GripStatus::LAYOUT.period_ms;
@@ -130,6 +130,14 @@ pub async fn grip<R: Reins, M: RawMutex>(
 pub struct Turns {
     pending: Pending,
     ticks: u16,
+    counters: Counters,
+}
+
+/// Counters of messages: by them a host sees what it has missed, and so they count what is sent.
+#[derive(Clone, Copy, Debug, Default)]
+struct Counters {
+    status: u8,
+    foot: u8,
 }
 
 impl Turns {
@@ -163,7 +171,7 @@ impl Turns {
             pending.was_given(&order, is_taken);
         }
         self.ticks = (self.ticks + 1) % STATUS_TICKS;
-        tell(&outputs, self.ticks == 0, exchange);
+        tell(&outputs, self.ticks == 0, &mut self.counters, exchange);
         exchange.stands.set(Stands {
             state: outputs.state,
             object: outputs.status.object,
@@ -245,17 +253,30 @@ fn tick<M: RawMutex>(
 }
 
 /// A bus or line that is full loses a status; the next tick tells a newer one.
-fn tell<M: RawMutex>(outputs: &Outputs, is_due: bool, exchange: &Exchange<M>) {
+fn tell<M: RawMutex>(
+    outputs: &Outputs,
+    is_due: bool,
+    counters: &mut Counters,
+    exchange: &Exchange<M>,
+) {
     let refused = outputs.refused.map(|refused| refused.reply());
     let foot = outputs
         .foot
         .filter(|_| exchange.parameter(Parameters::foot));
-    let status = is_due.then_some(outputs.status);
-    let messages = [
-        refused.map(Message::ServiceReply),
-        foot.map(Message::Foot),
-        status.map(Message::GripStatus),
-    ];
+    let foot = foot.map(|foot| {
+        counters.foot = counters.foot.wrapping_add(1);
+        let counter = counters.foot;
+        Message::Foot(Foot { counter, ..foot })
+    });
+    let status = is_due.then(|| {
+        counters.status = counters.status.wrapping_add(1) & 0xF;
+        let counter = counters.status;
+        Message::GripStatus(GripStatus {
+            counter,
+            ..outputs.status
+        })
+    });
+    let messages = [refused.map(Message::ServiceReply), foot, status];
     for message in messages.into_iter().flatten() {
         let _ = exchange.grasp.try_send(message);
     }

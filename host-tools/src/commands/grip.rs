@@ -20,14 +20,17 @@ use crate::{progress, show};
 
 /// Move, grip or land with a simulated gripper under the firmware's own control.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "\
+#[command(
+    allow_negative_numbers = true,
+    after_help = "\
 Examples:
   cargo magpie grip --position 20 -o grip.html
   cargo magpie grip --speed 58.3 --screw b --json
   cargo magpie grip --position 60 --speed 10 --from 20 --scatter 0.2 --seed 7
   cargo magpie grip --force 100 --object rigid -o grip.html
   cargo magpie grip --force 50 --compare current-limit
-  cargo magpie grip --foot 150 --lasts 10 -o landing.html")]
+  cargo magpie grip --foot 150 --lasts 10 -o landing.html"
+)]
 #[command(group = clap::ArgGroup::new("asked").required(true).multiple(true)
     .args(["position", "speed", "force", "foot"]))]
 pub struct Args {
