@@ -79,3 +79,21 @@ fn rounded_shift(value: i32, shift: u8) -> i32 {
     let twice = value >> before.min(31);
     (twice >> 1).saturating_add(twice & 1)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_shift_rounds_to_the_nearest_and_a_half_up() {
+        let values = [i32::MIN, i32::MIN + 1, -8, -7, -3, -1, 0, 1, 5, 6, i32::MAX];
+        for (value, shift) in values.iter().flat_map(|v| (0..=62).map(move |s| (*v, s))) {
+            // In 64 bits, where nothing is near the end.
+            let half = (1_i64 << shift) >> 1;
+            let expected = (i64::from(value) + half) >> shift;
+            let told = rounded_shift(value, shift);
+            assert_eq!(i64::from(told), expected, "{value} {shift}");
+        }
+        assert_eq!([5, 6, -6].map(|value| rounded_shift(value, 2)), [1, 2, -1]);
+    }
+}
