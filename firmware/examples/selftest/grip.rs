@@ -96,11 +96,7 @@ fn nothing(estimates: &[Estimate; SENSORS]) -> Inputs<'_> {
     Inputs {
         estimates,
         motor: Telling::default(),
-        host: Host {
-            is_offered: false,
-            is_open: false,
-            is_alive: false,
-        },
+        host: Host::default(),
         command: None,
         stop: false,
         clear: false,

@@ -6,6 +6,7 @@ use core::hint::black_box;
 use firmware::motor::screw::Screw;
 use firmware::motor::stage::Sensed;
 use firmware::motor::{Inner, MOTION_PERIODS, Order, Outer, Setpoint, Settings, State};
+use firmware::params;
 
 use crate::counts::Counter;
 use crate::vectors::Random;
@@ -15,7 +16,7 @@ const PERIODS: u32 = 600;
 /// Periods from one set-point to the next: here the outer tick runs in each.
 const ORDERED: u32 = 10;
 /// Periods in a millisecond.
-const PERIODS_MS: u32 = 20;
+const PERIODS_MS: u32 = params::PWM_RATE.value as u32;
 /// Periods in which it arms.
 const ARMS: u32 = 600;
 

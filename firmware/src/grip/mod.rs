@@ -24,12 +24,12 @@
 
 pub mod contact;
 mod drive;
-mod exchange;
 pub mod fingers;
 #[cfg(test)]
 mod fixture;
 pub mod foot;
 pub mod home;
+mod interface;
 pub mod jam;
 pub mod kept;
 pub mod latch;
@@ -71,7 +71,7 @@ use reason::Refused;
 use states::{Power, Task};
 use stiffness::Stiffness;
 
-pub use exchange::{Arming, Host, Inputs, Outputs};
+pub use interface::{Arming, Host, Inputs, Outputs};
 
 /// Greatest current in amperes.
 const PEAK_A: f32 = (params::PEAK_TORQUE.value / params::TORQUE_CONSTANT.value) as f32;

@@ -87,12 +87,6 @@ impl<M: RawMutex, T: Copy> Shown<M, T> {
         self.0.lock(Cell::get)
     }
 
-    /// What a look at it tells: no copy is made of what nobody asks for.
-    #[inline(always)]
-    pub fn look<R>(&self, look: impl FnOnce(&T) -> R) -> R {
-        self.0.lock(|cell| look(&cell.get()))
-    }
-
     /// Another one; what was there before.
     pub fn set(&self, value: T) -> T {
         self.0.lock(|cell| cell.replace(value))
@@ -279,9 +273,9 @@ impl<M: RawMutex> Exchange<M> {
     }
 
     /// A part of what hosts have set.
-    #[inline(always)]
+    #[inline(always)] // The rest of it is not copied then.
     pub fn parameter<R>(&self, look: impl FnOnce(&Parameters) -> R) -> R {
-        self.parameters.look(look)
+        self.parameters.0.lock(|cell| look(&cell.get()))
     }
 
     /// Takes other parameters: at the start, then from [`command`] alone.
