@@ -1,19 +1,15 @@
 //! The table of a campaign of faults.
 
 use maud::{Markup, html};
-
 use plotters::prelude::*;
 
 use super::Section;
 use super::numbers::number;
 use super::palette;
-use super::plot::{Along, Swatch, axes, figure, key, px, stroke};
+use super::plot::{Along, HALF, Swatch, axes, figure, key, px, stroke};
 use super::tables::table;
 use crate::faults::campaign::Tally;
 use crate::faults::row::{BESIDE, ELSEWHERE};
-
-/// Size of the plot in pixels: its letters stay readable on a telephone.
-const SIZE: (u32, u32) = (440, 260);
 
 /// All of it.
 pub fn section(sentence: &str, tallies: &[Tally]) -> Section {
@@ -73,7 +69,7 @@ fn latencies(tallies: &[Tally]) -> Markup {
     let shares = dots.iter().map(|dot| dot.1).chain([0.0, 1.1]);
     let upwards = Along::holding("latency, share of what is asked", shares);
     let says = "For each row of the matrix the latency as a share of what is asked.";
-    let drawn = figure(SIZE, says, |paper| {
+    let drawn = figure(HALF, says, |paper| {
         let mut chart = axes(paper, &across, &upwards)?;
         let asked = [(across.range.start, 1.0), (across.range.end, 1.0)];
         chart.draw_series([PathElement::new(asked, stroke(palette::SECOND, 1.5))])?;

@@ -5,11 +5,8 @@ use plotters::prelude::*;
 
 use super::both;
 use super::palette::{self, Role};
-use super::plot::{Along, Failure, Paper, Swatch, axes, figure, key, stroke};
+use super::plot::{Along, Failure, HALF, Paper, Swatch, axes, figure, key, stroke};
 use crate::compare::{Comparison, Histogram};
-
-/// Size of a histogram, in pixels.
-const SIZE: (u32, u32) = (440, 260);
 
 /// A histogram for each kind of force.
 pub fn section(comparison: &Comparison) -> Markup {
@@ -55,7 +52,7 @@ fn plot(comparison: &Comparison, histogram: &Histogram) -> Markup {
         "Histogram: {}, in percent of the rows for each newton.",
         histogram.of
     );
-    let drawn = figure(SIZE, &says, |paper| draw(paper, &across, &upwards, &models));
+    let drawn = figure(HALF, &says, |paper| draw(paper, &across, &upwards, &models));
     let entries = models.iter().enumerate().map(|(m, (role, _))| match m {
         0 => (Swatch::Full, *role, format!("A: {}", comparison.model)),
         _ => {

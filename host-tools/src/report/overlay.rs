@@ -5,11 +5,9 @@ use plotters::prelude::*;
 
 use super::pack::{Channel, channels, pack, same};
 use super::palette::{self, Role};
-use super::plot::{Along, Chart, Failure, Swatch, axes, bounds, figure, key, lines, stroke};
+use super::plot::{Along, Chart, Failure, HALF, Swatch, axes, bounds, figure, key, lines, stroke};
 use crate::compare::{Comparison, Curve, Trace};
 
-/// Size of a plot that stands still, in pixels.
-const SIZE: (u32, u32) = (440, 260);
 /// Share of its height that the residual takes, in pixels.
 const STRIP: f64 = 96.0;
 /// Traces that are drawn for readers without a script; all would make the page too large.
@@ -137,8 +135,8 @@ fn plot(channel: Channel, other: Option<&Trace>) -> Markup {
     let (name, unit) = (channel.name, channel.unit);
     let says =
         format!("{name} in {unit} over time, measured and modelled, and their difference below.");
-    let drawn = figure(SIZE, &says, |paper| {
-        let height = f64::from(SIZE.1) - STRIP;
+    let drawn = figure(HALF, &says, |paper| {
+        let height = f64::from(HALF.1) - STRIP;
         let (above, below) = paper.split_vertically(super::plot::px(height));
         let curves = || modelled.iter().map(|(_, curve)| curve).chain([&measured]);
         let mut chart = axes(&above, &bare, &Along::holding(unit, numbers(curves())))?;

@@ -17,6 +17,8 @@ const PX: u32 = 4;
 /// Size of a line of letters in pixels, of which the letters take 1/1.24: a plot drawn 440 pixels wide
 /// is shown at 358 on a telephone.
 const LETTERS: u32 = 16;
+/// Size in pixels of a plot of which two stand side by side; its letters stay readable on a telephone.
+pub const HALF: (u32, u32) = (440, 260);
 
 /// What the backend may say.
 pub type Failure = DrawingAreaErrorKind<std::io::Error>;

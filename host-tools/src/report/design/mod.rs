@@ -16,7 +16,7 @@ use maud::{Markup, html};
 use plotters::prelude::*;
 
 use super::palette::{self, Role};
-use super::plot::{Along, Swatch, axes, figure, key, px, stroke};
+use super::plot::{Along, HALF, Swatch, axes, figure, key, px, stroke};
 
 /// Colours of up to four things in one plot.
 const ROLES: [Role; 4] = [
@@ -25,9 +25,6 @@ const ROLES: [Role; 4] = [
     palette::THIRD,
     palette::INK,
 ];
-
-/// Size of a plot in pixels: its letters stay readable on a telephone.
-const SIZE: (u32, u32) = (440, 260);
 
 /// Points of a plot at most: more would only cover each other. A prime, so that leaving points out takes no
 /// step that is one of a grid's, and with it all of one value.
@@ -39,7 +36,7 @@ fn curves(
     (across, upwards): (Along, Along),
     curves: &[(String, Vec<(f64, f64)>)],
 ) -> Markup {
-    let drawn = figure(SIZE, says, |paper| {
+    let drawn = figure(HALF, says, |paper| {
         let mut chart = axes(paper, &across, &upwards)?;
         for ((_, points), role) in curves.iter().zip(ROLES) {
             chart.draw_series([PathElement::new(points.clone(), stroke(role, 1.8))])?;
@@ -73,7 +70,7 @@ fn clouds(says: &str, (across, upwards): (&str, &str), clouds: &[Cloud]) -> Mark
     let all = || kept.iter().flat_map(|(_, points)| points);
     let across = Along::powers(across, all().map(|point| point.0));
     let upwards = Along::powers(upwards, all().map(|point| point.1));
-    let drawn = figure(SIZE, says, |paper| {
+    let drawn = figure(HALF, says, |paper| {
         let mut chart = axes(paper, &across, &upwards)?;
         for (role, points) in &kept {
             let dots = points

@@ -13,7 +13,7 @@ use plotters::prelude::*;
 
 use super::Section;
 use super::palette::Role;
-use super::plot::{Along, axes, figure, stroke};
+use super::plot::{Along, HALF, axes, figure, stroke};
 use crate::drive::told::Told;
 
 /// The page's heading.
@@ -34,8 +34,6 @@ pub fn sections(told: &Told) -> Vec<Section> {
 /// A curve: its colour, and its points.
 pub(super) type Curve = (Role, Vec<(f64, f64)>);
 
-/// Size of a plot in pixels: two stand side by side, and the letters stay readable on a telephone.
-const SIZE: (u32, u32) = (440, 230);
 /// Points of a curve at most; about two for each pixel.
 const POINTS: usize = 900;
 
@@ -47,7 +45,7 @@ pub(super) fn curves(says: &str, (across, upwards): (&str, &str), curves: &[Curv
         ..Along::holding(across, all().map(|point| point.0))
     };
     let upwards = Along::holding(upwards, all().map(|point| point.1));
-    let drawn = figure(SIZE, says, |paper| {
+    let drawn = figure(HALF, says, |paper| {
         let mut chart = axes(paper, &across, &upwards)?;
         for (role, points) in curves {
             let every = points.len().div_ceil(POINTS).max(1);

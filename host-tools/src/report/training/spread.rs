@@ -6,11 +6,9 @@ use plotters::prelude::*;
 use super::{DRAWN, FORCES};
 use crate::report::Section;
 use crate::report::palette::Role;
-use crate::report::plot::{Along, Failure, Paper, Swatch, axes, figure, key, stroke};
+use crate::report::plot::{Along, Failure, HALF, Paper, Swatch, axes, figure, key, stroke};
 use crate::table::Table;
 
-/// Size of a plot, in pixels.
-const SIZE: (u32, u32) = (440, 260);
 /// Bins.
 const BINS: usize = 60;
 /// The bins end where the widest errors lie beyond by this share on each side.
@@ -78,7 +76,7 @@ fn plot(table: &Table, axis: usize, name: &str) -> Markup {
     let upwards = Along::bars("% of the rows for each N", heights);
     let says =
         format!("Histograms of the errors of {name}, in percent of the rows for each newton.");
-    figure(SIZE, &says, |paper| draw(paper, &across, &upwards, &all))
+    figure(HALF, &says, |paper| draw(paper, &across, &upwards, &all))
 }
 
 fn draw(
