@@ -43,12 +43,12 @@ fn is_met(case: &Case, outcome: &Outcome) -> bool {
 #[test]
 fn every_fault_is_found_in_time_and_leads_where_the_matrix_says() {
     // Grippers of which the last two are noisier at rest, and quicker away from what presses, than most.
-    let both = [(7, Lead::A), (10, Lead::B), (1, Lead::A)];
+    let grippers = [(7, Lead::A), (10, Lead::B), (1, Lead::A)];
     let cases: Vec<Case> = Row::ALL
         .iter()
         .flat_map(|row| row.facts().shows.iter().map(move |shows| (*row, *shows)))
         .flat_map(|(row, situation)| {
-            both.map(|(seed, lead)| Case {
+            grippers.map(|(seed, lead)| Case {
                 seed,
                 ..case(row, situation, lead)
             })

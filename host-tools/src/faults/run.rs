@@ -4,6 +4,7 @@ use embedded_can::{Frame, StandardId};
 use firmware::events::Event;
 use firmware::grip::react::{Reaction, fault_of};
 use firmware::grip::states::{Power, TASK_CODE, Task, code};
+use firmware::limits::Grasp;
 use firmware::params::TICK_US;
 use firmware::status::Fault;
 use firmware::wire::can::CanFrame;
@@ -20,10 +21,8 @@ use crate::plant::parameters::{Lead, Parameters};
 
 /// What is uncertain is off by up to this share.
 const SCATTER: f64 = 0.2;
-/// Seconds after the fault: a host is missed after 0.1 s, and then a stop takes its time.
-const AFTER_S: f64 = 0.4;
-/// Seconds that a stop lasts at the most.
-const STOP_S: f64 = 0.2;
+/// Milliseconds after the fault: a host is missed after 100, and then a stop takes its time.
+const AFTER_MS: u32 = 400;
 /// Movement of a foot's fingers that is one, in mm.
 const MOVED_MM: f64 = 0.1;
 /// A flood's frames in a millisecond, and how many of them wait at the most.
@@ -123,10 +122,9 @@ impl Case {
     fn watch(&self, cell: &mut Workcell, opening_mm: f64) -> (u32, Option<u64>) {
         let (mut forbidden, mut left_us) = (0, None);
         let (mut last, mut was_off, mut has_moved) = (cell.state(), false, false);
-        let (lasts_ms, most_ms) = (1e3 * AFTER_S, 1e3 * (AFTER_S + STOP_S));
-        for ms in 0..most_ms as u32 {
+        for ms in 0..AFTER_MS + Grasp::GRIPPER.stop_ms {
             // What is stopping comes to where it stops.
-            if f64::from(ms) >= lasts_ms && last != Power::QuickStop as u8 {
+            if ms >= AFTER_MS && last != Power::QuickStop as u8 {
                 break;
             }
             if self.row == Row::Flood {
