@@ -98,7 +98,7 @@ def functions(elf):
             continue
         if match := head.match(line):
             address, held = int(match[1], 16), {}
-            found[address] = (match[2], set())
+            found[address] = (plain(match[2]), set())
         elif address and (match := branch.search(line)):
             target = re.search(r"(?:^|, )([0-9a-f]{6,8}) <", match[1])
             if target:
@@ -111,6 +111,11 @@ def functions(elf):
             found[address][1].add(None)
         held = held_after(line, held, words)
     return found
+
+
+def plain(name):
+    """A function's name in either mangling of Rust's: legacy gives `a::Type::f::h0123456789abcdef`, v0 `<a::Type>::f`."""
+    return re.sub(r"^<([\w:]+)>", r"\1", re.sub(r"::h[0-9a-f]{16}$", "", name))
 
 
 def held_after(line, held, words):

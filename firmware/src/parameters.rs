@@ -44,6 +44,8 @@ pub mod status {
     pub const ARMED: u8 = 3;
     /// Neither reads nor writes.
     pub const NO_SUCH_OP: u8 = 4;
+    /// It is a counter, which is read only.
+    pub const READ_ONLY: u8 = 5;
 }
 
 /// Whether the screw holds its load without current.
@@ -240,6 +242,21 @@ pub fn answer(parameters: &mut Parameters, request: &ParamRequest, is_armed: boo
         id: request.id,
         status,
         value: parameters.get(request.id).unwrap_or_default() as u32,
+    }
+}
+
+/// The answer to a host that asks for a counter ([`table::counter`]).
+pub const fn answer_counter(count: u32, request: &ParamRequest) -> ParamReply {
+    let status = match request.op {
+        op::READ => status::DONE,
+        op::WRITE => status::READ_ONLY,
+        _ => status::NO_SUCH_OP,
+    };
+    ParamReply {
+        op: request.op,
+        id: request.id,
+        status,
+        value: count,
     }
 }
 

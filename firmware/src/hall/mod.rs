@@ -51,10 +51,12 @@ pub async fn read<B: I2c>(
     bus: &mut B,
     address: u8,
     register: u8,
-    bytes: &mut [u8; TRANSFER_BYTES],
+    bytes: &mut [u8],
 ) -> Result<(), B::Error> {
     bus.write_read(address, &[register], bytes).await
 }
 
-/// Bytes of a transfer, the same for every part.
+/// Bytes of a reading, the same for every part.
 pub const TRANSFER_BYTES: usize = 8;
+/// Bytes of the word that is read back ([`read_back`]).
+pub const WORD_BYTES: usize = 2;

@@ -1,4 +1,9 @@
-//! Whether sensors are still configured as they were: a word of each one's configuration is read back in turn.
+//! A word of known content is read from one sensor in each tick: the word of its configuration. It shows whether the sensor
+//! is still configured as it was, and whether the bytes of the bus are those that the sensors send.
+//!
+//! A reading of the A31301 has nothing by which a shifted byte could be noticed: no status, no counter, no checksum that is
+//! known. Where a bus shifts all bytes by one, the first word that is read from it afterwards is another: on either bus
+//! within two ticks ([`TURNS`]), and then the bus is initialised anew.
 //!
 //! The firmware configures none of them: each takes what its own memory says as its power comes. Which range that
 //! gives no public source tells, so what counts is the first word that was read, and a sensor whose word is another
@@ -16,29 +21,34 @@ use super::Sample;
 use crate::frame::SENSORS;
 use crate::limits::Limits;
 
-/// Ticks from one sensor's turn to the next: each has its turn every 80 ms.
-pub const TURN_TICKS: u8 = 20;
+/// Whose turn it is in successive ticks: the buses take turns, two sensors on each.
+pub const TURNS: [usize; SENSORS] = [0, 2, 1, 3];
 
-/// Looks at which the word must be the first before it counts: one a tick, 40 ms for all sensors.
+/// Readings at which the word must be the first before it counts: 40 ms for all sensors.
 pub const SETTLES: u8 = 10;
-
-/// A word of a configuration.
-pub type Word = [u8; 2];
 
 /// What is known of all sensors' configurations.
 #[derive(Clone, Copy, Debug)]
 pub struct ReadBack {
     strange_looks: u8,
     sensors: [Seen; SENSORS],
+    /// Place in [`TURNS`].
     turn: usize,
-    /// Ticks until it.
-    wait: u8,
+}
+
+/// What a word that was read back says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Word {
+    /// It is the first, or none was read, or nothing is known of this sensor's word.
+    Expected,
+    /// It is another: the sensor or its bus is not in the state in which it was.
+    Unexpected,
 }
 
 /// What is known of one.
 #[derive(Clone, Copy, Debug)]
 struct Seen {
-    first: Option<Word>,
+    first: Option<[u8; 2]>,
     /// Looks at which it was the first, until it counts; none where it never will.
     settled: Option<u8>,
     /// Looks in a row at which it was another.
@@ -57,23 +67,19 @@ impl ReadBack {
             strange_looks: limits.strange_looks,
             sensors: [nothing; SENSORS],
             turn: 0,
-            wait: 0,
         }
     }
 
-    /// A tick: the sensor whose turn it is, in this tick and the next ones until [`Self::note`].
-    pub const fn turn(&mut self) -> Option<usize> {
-        self.wait = self.wait.saturating_sub(1);
-        match self.wait {
-            0 => Some(self.turn),
-            _ => None,
-        }
+    /// The sensor whose turn it is, until [`Self::update`].
+    pub fn turn(&self) -> usize {
+        TURNS.get(self.turn).copied().unwrap_or(0)
     }
 
-    /// Takes the word of the sensor whose turn it was; none where it was not read.
-    pub fn note(&mut self, word: Option<Word>) {
-        self.wait = TURN_TICKS;
-        if let (Some(word), Some(seen)) = (word, self.sensors.get_mut(self.turn)) {
+    /// Takes the word of the sensor whose turn it is; none where it was not read. After an unexpected one it has the next
+    /// turn as well: a byte may have been disturbed on its way.
+    pub fn update(&mut self, word: Option<[u8; 2]>) -> Word {
+        let turn = self.turn();
+        if let (Some(word), Some(seen)) = (word, self.sensors.get_mut(turn)) {
             let is_first = *seen.first.get_or_insert(word) == word;
             seen.strange = match (is_first, seen.settled) {
                 (false, Some(SETTLES..)) => seen.strange.saturating_add(1),
@@ -87,15 +93,11 @@ impl ReadBack {
                 }
             };
             if seen.strange == 1 {
-                // A byte may have been disturbed on its way: the next tick looks again.
-                self.wait = 0;
-                return;
-            }
-            if seen.settled.is_some_and(|looks| looks < SETTLES) {
-                self.wait = 0;
+                return Word::Unexpected;
             }
         }
         self.turn = (self.turn + 1) % SENSORS;
+        Word::Expected
     }
 
     /// Takes the samples away that are of sensors whose configuration is lost.
@@ -120,15 +122,12 @@ mod tests {
 
     /// Ticks until it is this sensor's turn; others' words are what they were.
     fn wait(read_back: &mut ReadBack, sensor: usize) -> u32 {
-        let mut ticks = 0;
-        loop {
+        let mut ticks = 1;
+        while read_back.turn() != sensor {
+            read_back.update(Some([0x12, 0x34]));
             ticks += 1;
-            match read_back.turn() {
-                Some(turn) if turn == sensor => return ticks,
-                Some(_) => read_back.note(Some([0x12, 0x34])),
-                None => {}
-            }
         }
+        ticks
     }
 
     fn kept(read_back: &ReadBack) -> [bool; SENSORS] {
@@ -139,9 +138,8 @@ mod tests {
 
     fn begun() -> ReadBack {
         let mut read_back = ReadBack::new(&Limits::GRIPPER);
-        for sensor in (0..SENSORS).cycle().take(SENSORS * usize::from(SETTLES)) {
-            wait(&mut read_back, sensor);
-            read_back.note(Some([0x12, 0x34]));
+        for _ in 0..SENSORS * usize::from(SETTLES) {
+            read_back.update(Some([0x12, 0x34]));
         }
         read_back
     }
@@ -153,56 +151,57 @@ mod tests {
         for look in 0..200_u16 {
             wait(&mut read_back, 1);
             let word = if look < 8 { 7 } else { 7 + look % 3 };
-            read_back.note(Some(word.to_be_bytes()));
+            assert_eq!(read_back.update(Some(word.to_be_bytes())), Word::Expected);
             assert_eq!(kept(&read_back), [true; 4]);
         }
     }
 
     #[test]
-    fn every_sensor_has_its_turn_once_in_80_ms() {
+    fn each_bus_has_its_turn_every_2_ms_and_each_sensor_every_4_ms() {
         let mut read_back = begun();
-        let waits: [u32; 8] = core::array::from_fn(|turn| {
-            let ticks = wait(&mut read_back, turn % SENSORS);
-            read_back.note(Some([0x12, 0x34]));
-            ticks
+        let turns = [(); 8].map(|()| {
+            let turn = read_back.turn();
+            read_back.update(Some([0x12, 0x34]));
+            turn
         });
-        assert_eq!(waits, [20; 8]);
+        assert_eq!(turns, [0, 2, 1, 3, 0, 2, 1, 3]);
     }
 
     #[test]
-    fn a_turn_for_which_a_tick_has_no_time_comes_in_the_next() {
+    fn an_unexpected_word_twice_takes_its_sensor_and_no_other_until_it_is_back() {
         let mut read_back = begun();
         wait(&mut read_back, 2);
-        assert_eq!([(); 3].map(|()| read_back.turn()), [Some(2); 3]);
-    }
-
-    #[test]
-    fn a_word_that_is_another_twice_takes_its_sensor_and_no_other_until_it_is_back() {
-        let mut read_back = begun();
-        wait(&mut read_back, 2);
-        read_back.note(Some([0, 0]));
+        assert_eq!(read_back.update(Some([0, 0])), Word::Unexpected);
         assert_eq!(kept(&read_back), [true; 4]);
+        // It is read again at once; the bus has been initialised anew by then, and that has not helped.
         assert_eq!(wait(&mut read_back, 2), 1);
-        read_back.note(Some([0, 0]));
+        assert_eq!(read_back.update(Some([0, 0])), Word::Expected);
         assert_eq!(kept(&read_back), [true, true, false, true]);
         // One that does not answer is no better.
-        assert_eq!(wait(&mut read_back, 2), 80);
-        read_back.note(None);
+        assert_eq!(wait(&mut read_back, 2), 4);
+        read_back.update(None);
         assert_eq!(kept(&read_back), [true, true, false, true]);
-        assert_eq!(wait(&mut read_back, 2), 80);
-        read_back.note(Some([0x12, 0x34]));
+        assert_eq!(wait(&mut read_back, 2), 4);
+        read_back.update(Some([0x12, 0x34]));
         assert_eq!(kept(&read_back), [true; 4]);
+    }
+
+    #[test]
+    fn bytes_shifted_by_one_are_an_unexpected_word_whatever_the_byte_before() {
+        for before in 0..=255 {
+            let mut read_back = begun();
+            assert_eq!(read_back.update(Some([before, 0x12])), Word::Unexpected);
+        }
     }
 
     #[test]
     fn a_word_that_was_disturbed_once_takes_nothing() {
         let mut read_back = begun();
         wait(&mut read_back, 1);
-        read_back.note(Some([0x12, 0x35]));
+        assert_eq!(read_back.update(Some([0x12, 0x35])), Word::Unexpected);
         wait(&mut read_back, 1);
-        read_back.note(Some([0x12, 0x34]));
+        assert_eq!(read_back.update(Some([0x12, 0x34])), Word::Expected);
         assert_eq!(kept(&read_back), [true; 4]);
-        assert_eq!(wait(&mut read_back, 1), 80);
     }
 
     #[test]
@@ -211,7 +210,7 @@ mod tests {
             let mut read_back = begun();
             for _ in 0..2 {
                 wait(&mut read_back, 3);
-                read_back.note(Some((0x1234_u16 ^ (1 << bit)).to_be_bytes()));
+                read_back.update(Some((0x1234_u16 ^ (1 << bit)).to_be_bytes()));
             }
             assert_eq!(kept(&read_back), [true, true, true, false], "{bit}");
         }

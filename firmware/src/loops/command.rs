@@ -105,6 +105,12 @@ pub async fn command<F: NorFlash, R: FnMut() -> u16, B: FnMut(), C: Clock, M: Ra
                     Meant::Other(Message::Service(service)) => {
                         Some(desk.serve(service, is_armed, exchange).await)
                     }
+                    Meant::Other(Message::ParamRequest(request))
+                        if let Some(count) = exchange.counts.counter(request.id) =>
+                    {
+                        let reply = parameters::answer_counter(count, &request);
+                        Some(Message::ParamReply(reply))
+                    }
                     Meant::Other(Message::ParamRequest(request)) => {
                         let mut parameters = exchange.parameters();
                         let reply = parameters::answer(&mut parameters, &request, is_armed);

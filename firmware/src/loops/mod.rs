@@ -3,7 +3,7 @@
 //!
 //! | loop | awaits | level | deadline | when it is missed |
 //! | --- | --- | --- | --- | --- |
-//! | [`sense`] | each millisecond | interrupt executor | [`SENSE_LIMIT_US`](crate::params::SENSE_LIMIT_US) after the tick began | the tick is skipped and counted |
+//! | [`sense`] | each millisecond | interrupt executor, above the next two | [`SENSE_LIMIT_US`](crate::params::SENSE_LIMIT_US) after the tick began | the tick is skipped and counted |
 //! | [`estimate`] | what was sensed | interrupt executor | the next tick | the older frame is lost; the next tick's number shows it |
 //! | [`grip`](fn@grip) | estimates | interrupt executor | the next tick; from sample to set-point within 1 ms | the older forces are lost; the motor keeps its set-point until the watchdog resets |
 //! | [`report`] | estimates, the grasp, events, replies | thread | 1 ms from sample to frame | the bus sees the next estimate |
@@ -42,6 +42,7 @@ use crate::crash::Crash;
 use crate::events::{Event, Events};
 use crate::motor::calibration::Outcome;
 use crate::parameters::Parameters;
+use crate::parameters::table::counter;
 use crate::progress::Progress;
 use crate::status::{Fault, Faults};
 use crate::tare::Step;
@@ -174,6 +175,23 @@ pub struct Counts {
     pub frames_unsent: AtomicU32,
     /// Packets that found no place or no line ([`report`], [`telemetry`]).
     pub packets_unsent: AtomicU32,
+}
+
+impl Counts {
+    /// The counter with this identifier, if there is one.
+    pub fn counter(&self, id: u16) -> Option<u32> {
+        let count = match id {
+            counter::TRANSFERS_FAILED => &self.transfers_failed,
+            counter::TICKS_MISSED => &self.ticks_missed,
+            counter::FRAMES_REFUSED => &self.dropped,
+            counter::PACKETS_BROKEN => &self.packets_broken,
+            counter::RECEIVE_OVERRUN => &self.unheard,
+            counter::FRAMES_UNSENT => &self.frames_unsent,
+            counter::PACKETS_UNSENT => &self.packets_unsent,
+            _ => return None,
+        };
+        Some(count.load(Ordering::Relaxed))
+    }
 }
 
 impl<M: RawMutex> Exchange<M> {

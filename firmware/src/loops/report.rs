@@ -20,6 +20,9 @@ use crate::wire::{self, PROTOCOL, identifier};
 const PATIENCE_US: u64 = 2000;
 /// Waits before the controller joins the bus again, the last one for ever.
 const REJOIN_US: [u64; 3] = [10_000, 100_000, 1_000_000];
+/// A controller that joins again waits for 128 times eleven recessive bits (ISO 11898-1, 12.1.4.4), 1.41 ms at 1 Mbit/s:
+/// it sends nothing before, and a busy bus makes it wait longer.
+const RECOVERY_US: u64 = 3000;
 /// Between two heartbeats.
 const BEAT_US: u64 = Heartbeat::LAYOUT.period_ms as u64 * 1000;
 /// Heartbeats to each message of times.
@@ -39,6 +42,7 @@ pub async fn report<S: CanSender, C: Clock, M: RawMutex>(
         can,
         node,
         off: None,
+        recovers_us: None,
         faults: Faults::default(),
         clock,
         exchange,
@@ -91,6 +95,8 @@ struct Mouth<'x, S, C, M: RawMutex> {
     node: u16,
     /// The controller has left the bus: until when to wait, and how often it has in a row.
     off: Option<(u64, usize)>,
+    /// The controller is joining again: until when it gets its time.
+    recovers_us: Option<u64>,
     faults: Faults,
     clock: &'x C,
     exchange: &'x Exchange<M>,
@@ -170,18 +176,13 @@ impl<S: CanSender, C: Clock, M: RawMutex> Mouth<'_, S, C, M> {
             let unsent = &self.exchange.counts.packets_unsent;
             unsent.fetch_add(1, Ordering::Relaxed);
         }
-        if let Some((until_us, _)) = self.off
-            && self.clock.now_us() < until_us
-        {
+        if !self.may_send() {
             return;
-        }
-        if self.off.is_some() {
-            self.can.rejoin();
         }
         let number = message.number().saturating_add(copy);
         let frame = CanFrame::of(identifier(self.node, number), message.to_bytes());
         match within(self.clock, PATIENCE_US, self.can.send(&frame)).await {
-            Some(Ok(())) => self.off = None,
+            Some(Ok(())) => (self.off, self.recovers_us) = (None, None),
             Some(Err(CanError::BusOff)) => {
                 self.leave();
                 return;
@@ -194,6 +195,22 @@ impl<S: CanSender, C: Clock, M: RawMutex> Mouth<'_, S, C, M> {
         self.note();
     }
 
+    /// Whether the controller is on the bus, as far as is known. Off it, it joins again once it has waited, and may send
+    /// after the time of its recovery.
+    fn may_send(&mut self) -> bool {
+        let now_us = self.clock.now_us();
+        match (self.off, self.recovers_us) {
+            (None, _) => true,
+            (Some((until_us, _)), None) if now_us < until_us => false,
+            (Some(_), None) => {
+                self.can.rejoin();
+                self.recovers_us = Some(now_us.saturating_add(RECOVERY_US));
+                false
+            }
+            (Some(_), Some(recovers_us)) => now_us >= recovers_us,
+        }
+    }
+
     /// The controller has left the bus: it joins again after a while, longer each time.
     fn leave(&mut self) {
         let now_us = self.clock.now_us();
@@ -202,6 +219,7 @@ impl<S: CanSender, C: Clock, M: RawMutex> Mouth<'_, S, C, M> {
         let wait_us = REJOIN_US.get(times).copied().unwrap_or(last);
         let until_us = now_us.saturating_add(wait_us);
         self.off = Some((until_us, times.min(REJOIN_US.len())));
+        self.recovers_us = None;
         self.note();
     }
 

@@ -1,5 +1,6 @@
 //! Reads every sensor each millisecond: two buses side by side, two sensors on each.
 
+use core::pin::pin;
 use core::sync::atomic::Ordering;
 
 use embassy_futures::join::join;
@@ -10,9 +11,9 @@ use crate::clock::{Clock, within};
 use crate::events::Event;
 use crate::frame::{Frame, SENSORS};
 use crate::hall::bus::SensorBus;
-use crate::hall::read_back::ReadBack;
+use crate::hall::read_back::{ReadBack, Word};
 use crate::hall::watch::{Watch, Watched};
-use crate::hall::{self, Part, Sample, TRANSFER_BYTES};
+use crate::hall::{self, Part, Sample, TRANSFER_BYTES, WORD_BYTES};
 use crate::limits::Limits;
 use crate::params::{SENSE_LIMIT_US, TICK_US, TRANSFER_LIMIT_US};
 use crate::progress::Loop;
@@ -40,7 +41,7 @@ pub struct Sensed {
 ///
 /// Within a tick a bus repeats one transfer at the most, and only where the others still find their time.
 /// After three failed ones in a row it is cleared; the other bus goes on meanwhile. Once the readings are handed over,
-/// a sensor's configuration is read back, in its turn.
+/// a sensor's configuration is read back, in its turn; a bus from which an unexpected word comes is cleared as well.
 pub async fn sense<P: Part, B: SensorBus, C: Clock, M: RawMutex>(
     [first, second]: [B; 2],
     addresses: [u8; SENSORS],
@@ -109,25 +110,34 @@ pub async fn sense<P: Part, B: SensorBus, C: Clock, M: RawMutex>(
             watched,
             begun_us: now_us,
         });
-        if let Some(sensor) = read_back.turn()
-            && clock.now_us() <= now_us.saturating_add(SENSE_LIMIT_US - TRANSFER_LIMIT_US)
-        {
+        let sensor = read_back.turn();
+        if clock.now_us() <= now_us.saturating_add(SENSE_LIMIT_US - TRANSFER_LIMIT_US) {
             let line = if sensor < 2 { &mut first } else { &mut second };
             let at = addresses
                 .get(sensor)
                 .filter(|_| answer.get(sensor) == Some(&true));
             let is_read = match at {
                 Some(address) => {
-                    line.transfer(*address, P::CONFIGURATION, clock, exchange)
-                        .await
+                    let word = (P::CONFIGURATION, WORD_BYTES);
+                    line.transfer(*address, word, clock, exchange).await
                 }
                 None => false,
             };
             let [upper, lower, ..] = line.bytes;
-            read_back.note(is_read.then_some([upper, lower]));
+            if read_back.update(is_read.then_some([upper, lower])) == Word::Unexpected {
+                // Bytes may be shifted; a sensor that has changed is found at the next look.
+                line.clear(exchange).await;
+            }
         }
         begin_us = begin_us.saturating_add(TICK_US);
     }
+}
+
+/// The first of some registers, and how many bytes of them.
+type Registers = (u8, usize);
+
+const fn reading<P: Part>() -> Registers {
+    (P::READING, TRANSFER_BYTES)
 }
 
 /// A bus and how it has behaved.
@@ -166,7 +176,7 @@ impl<B: SensorBus> Line<B> {
     async fn probe<P: Part, C: Clock, M: RawMutex>(&mut self, clock: &C, exchange: &Exchange<M>) {
         let mut answers = 0;
         for (bit, address) in P::ADDRESSES.into_iter().enumerate() {
-            let answer = self.attempt(address, P::READING, clock).await;
+            let answer = self.attempt(address, reading::<P>(), clock).await;
             answers |= u8::from(answer) << bit;
         }
         let bus = self.number;
@@ -195,11 +205,15 @@ impl<B: SensorBus> Line<B> {
         let mut reserved_us = addresses.len() as u64 * TRANSFER_LIMIT_US;
         for (sample, address) in samples.iter_mut().zip(addresses) {
             reserved_us = reserved_us.saturating_sub(TRANSFER_LIMIT_US);
-            let mut is_read = self.transfer(address, P::READING, clock, exchange).await;
+            let mut is_read = self
+                .transfer(address, reading::<P>(), clock, exchange)
+                .await;
             let done_us = clock.now_us().saturating_add(TRANSFER_LIMIT_US);
             if !is_read && may_repeat && done_us.saturating_add(reserved_us) <= end_us {
                 may_repeat = false;
-                is_read = self.transfer(address, P::READING, clock, exchange).await;
+                is_read = self
+                    .transfer(address, reading::<P>(), clock, exchange)
+                    .await;
             }
             *sample = is_read.then(|| P::decode(self.bytes));
         }
@@ -210,9 +224,16 @@ impl<B: SensorBus> Line<B> {
         samples
     }
 
-    /// Reads registers from this one on; false where the sensor does not answer in time.
-    async fn attempt<C: Clock>(&mut self, address: u8, register: u8, clock: &C) -> bool {
-        let transfer = hall::read(&mut self.bus, address, register, &mut self.bytes);
+    /// Reads so many bytes of registers from this one on; false where the sensor does not answer in time.
+    async fn attempt<C: Clock>(
+        &mut self,
+        address: u8,
+        (register, length): Registers,
+        clock: &C,
+    ) -> bool {
+        let bytes = self.bytes.get_mut(..length).unwrap_or_default();
+        // In its place: moved, its few hundred bytes would be copied once more.
+        let transfer = pin!(hall::read(&mut self.bus, address, register, bytes));
         let ended = within(clock, TRANSFER_LIMIT_US, transfer).await;
         matches!(ended, Some(Ok(())))
     }
@@ -221,11 +242,11 @@ impl<B: SensorBus> Line<B> {
     async fn transfer<C: Clock, M: RawMutex>(
         &mut self,
         address: u8,
-        register: u8,
+        registers: Registers,
         clock: &C,
         exchange: &Exchange<M>,
     ) -> bool {
-        if self.attempt(address, register, clock).await {
+        if self.attempt(address, registers, clock).await {
             self.failed = 0;
             self.patience = 0;
             return true;

@@ -91,6 +91,24 @@ pub const fn place_of(id: u16) -> usize {
     place
 }
 
+/// Identifiers of counters since boot, which are read like parameters and cannot be written.
+pub mod counter {
+    /// Transfers from sensors that failed.
+    pub const TRANSFERS_FAILED: u16 = 0x200;
+    /// Ticks that were skipped.
+    pub const TICKS_MISSED: u16 = 0x201;
+    /// Frames and packets for this node that were refused: wrong tag, replayed, unknown.
+    pub const FRAMES_REFUSED: u16 = 0x202;
+    /// Packets on the serial line that could not be decoded.
+    pub const PACKETS_BROKEN: u16 = 0x203;
+    /// Frames and packets for which there was no time.
+    pub const RECEIVE_OVERRUN: u16 = 0x204;
+    /// Frames that no node acknowledged.
+    pub const FRAMES_UNSENT: u16 = 0x205;
+    /// Packets for which the serial line had no place.
+    pub const PACKETS_UNSENT: u16 = 0x206;
+}
+
 /// Identifiers; those of the sensors stand behind each other.
 pub mod id {
     /// See [`super::super::Parameters::node`].

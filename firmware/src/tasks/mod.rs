@@ -1,7 +1,15 @@
 //! The [`loops`] on the chip: each as a task on its level, and every static with its one writer.
 //!
-//! Sensing, estimating and grasping run on an interrupt of their own ([`LEVEL`]) and so interrupt the rest, which
-//! runs in thread mode. Nothing above thread mode writes to the log.
+//! Each level preempts those below it:
+//!
+//! | level | what | why |
+//! | --- | --- | --- |
+//! | priority 0 and 1 | the motor's interrupts, drivers | [`crate::hardware::drive`] |
+//! | [`SENSING_PRIORITY`] | reading the sensors | a transfer that waits for its continuation holds the bus and runs into its time-out |
+//! | [`CONTROL_PRIORITY`] | estimating, grasping | the next tick |
+//! | thread mode | all else | |
+//!
+//! Nothing above thread mode writes to the log.
 
 use defmt::info;
 use embassy_executor::{InterruptExecutor, SpawnError, SpawnToken, Spawner};
@@ -46,18 +54,32 @@ const LIMITS: Limits = Limits::GRIPPER;
 /// flash as well, two kilobytes of it.
 static EXCHANGE: StaticCell<Exchange<CriticalSectionRawMutex>> = StaticCell::new();
 type Shared = &'static Exchange<CriticalSectionRawMutex>;
-/// Sensing, estimating, grasping; its interrupt belongs to no peripheral in use.
-static UPPER: InterruptExecutor = InterruptExecutor::new();
-/// Below the interrupts of the buses, above thread mode.
-const LEVEL: Priority = Priority::P6;
+/// Reads the sensors. The interrupts of the executors belong to peripherals that are not in use.
+static SENSING: InterruptExecutor = InterruptExecutor::new();
+/// Below the interrupts of the buses.
+const SENSING_PRIORITY: Priority = Priority::P5;
+/// Estimates and grasps.
+static CONTROL: InterruptExecutor = InterruptExecutor::new();
+/// Above thread mode.
+const CONTROL_PRIORITY: Priority = Priority::P6;
 
-/// The interrupt of [`UPPER`].
+/// The interrupt of [`SENSING`].
 #[embassy_stm32::interrupt]
-fn FMAC() {
+fn SAI1() {
     // The executor's own interrupt, which nothing else raises.
     #[allow(unsafe_code)]
     unsafe {
-        UPPER.on_interrupt();
+        SENSING.on_interrupt();
+    }
+}
+
+/// The interrupt of [`CONTROL`].
+#[embassy_stm32::interrupt]
+fn FMAC() {
+    // As above.
+    #[allow(unsafe_code)]
+    unsafe {
+        CONTROL.on_interrupt();
     }
 }
 
@@ -100,15 +122,17 @@ async fn begin(spawner: Spawner, board: Board) {
     sender.listen_as(parameters.node());
     let (out, into) = board.line;
     let line = drive::start(board.drive, settings);
-    interrupt::FMAC.set_priority(LEVEL);
-    let upper = UPPER.start(interrupt::FMAC);
-    upper.spawn(first(sense(
+    interrupt::FMAC.set_priority(CONTROL_PRIORITY);
+    let control = CONTROL.start(interrupt::FMAC);
+    control.spawn(first(estimate(exchange, line.tellings)));
+    control.spawn(first(grip(exchange, settings.screw, line.orders)));
+    interrupt::SAI1.set_priority(SENSING_PRIORITY);
+    let sensing = SENSING.start(interrupt::SAI1);
+    sensing.spawn(first(sense(
         exchange,
         board.sensor_buses,
         parameters.addresses(),
     )));
-    upper.spawn(first(estimate(exchange, line.tellings)));
-    upper.spawn(first(grip(exchange, settings.screw, line.orders)));
     let watchdog = Watchdog::start(board.watchdog);
     spawner.spawn(first(feed(exchange, watchdog)));
     spawner.spawn(first(scrub(exchange)));
@@ -161,8 +185,8 @@ async fn grip(exchange: Shared, screw: Screw, orders: Orders) {
 async fn feed(exchange: Shared, mut watchdog: Watchdog) {
     let mut ticker = Ticker::every(Duration::from_millis(FED_EVERY_MS.into()));
     loop {
-        ticker.next().await;
         watchdog.feed(&exchange.progress);
+        ticker.next().await;
     }
 }
 

@@ -14,8 +14,10 @@ use crate::hall::Reading;
 
 /// The checksum of packets and of commands: polynomial 0x1021, from all ones.
 pub static CHECKSUM: Crc<u16> = Crc::<u16>::new(&CRC_16_IBM_3740);
-/// Bits per second on the line: 8N1.
-pub const BAUD: u32 = 1_000_000;
+/// Bits per second on the line: 8N1, 200 bytes in a millisecond. A tick takes at most [`LONGEST`] of them, so that every
+/// tick arrives and 98 bytes are left for messages: the CAN bus brings eight at the most in that time, of 10 to 15 bytes
+/// each. What has no place is dropped and counted, messages first (`loops/telemetry.rs`).
+pub const BAUD: u32 = 2_000_000;
 /// Greatest length of a packet on the line, its zero included: that of [`Tick`] where every number takes
 /// the most bytes.
 pub const LONGEST: usize = 102;

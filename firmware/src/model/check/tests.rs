@@ -160,11 +160,8 @@ fn a_scrub_of_little_takes_a_word_at_a_call() {
     struct Little;
     impl Walk for Little {
         const FIXED: usize = 3;
-        fn words(&self) -> usize {
-            3
-        }
-        fn word(&self, at: usize) -> u32 {
-            at as u32
+        fn visit(&self, window: &mut Window) {
+            [0_u32, 1, 2].visit(window);
         }
     }
     impl Checked for Little {
@@ -205,14 +202,43 @@ fn the_checksum_is_that_of_zip_over_the_words() {
 fn a_sensor_has_549_words_and_a_walk_ends_behind_them() {
     // Number 1, scale 6, limit 1, linear 8, pairs 50 * 10, used 1, shift 2, parity 1 + 28 + 1.
     let sensor = sensor(3);
-    assert_eq!((sensor.words(), SensorTable::FIXED), (549, 549));
+    assert_eq!((words(&sensor), SensorTable::FIXED), (549, 549));
+    // Windows of a word at either end, and behind it.
+    let at = |skip| {
+        let mut window = Window::new(skip, 1, CRC32.digest());
+        walk(&sensor, &mut window);
+        window.digest.finalize()
+    };
+    let [number, offset, spread] = [
+        3,
+        sensor.scale[0].offset as u32,
+        sensor.parity.spread as u32,
+    ]
+    .map(|word| sum(&word));
     assert_eq!(
-        [0, 1, 548, 549].map(|at| sensor.word(at)),
-        [
-            3,
-            sensor.scale[0].offset as u32,
-            sensor.parity.spread as u32,
-            0
-        ]
+        [0, 1, 548, 549].map(at),
+        [number, offset, spread, CRC32.digest().finalize()]
     );
+}
+
+/// Windows side by side give the checksum of the whole, wherever they meet.
+#[test]
+fn a_walk_in_parts_takes_every_word_once() {
+    let owned = Owned::new();
+    let compensations = compensations(&owned.knots, &owned.values);
+    let tables = owned.tables(&compensations, 0);
+    let all = words(&tables);
+    for count in [1, 7, 549, 1000, all] {
+        let mut digest = CRC32.digest();
+        for from in (0..all).step_by(count) {
+            let mut window = Window::new(from, count, digest);
+            walk(&tables, &mut window);
+            assert_eq!(
+                (window.skip, window.left),
+                (0, (from + count).saturating_sub(all))
+            );
+            digest = window.digest;
+        }
+        assert_eq!(digest.finalize(), sum(&tables), "{count} words at a time");
+    }
 }

@@ -1,6 +1,6 @@
 //! The words of every type in the tables.
 
-use super::Walk;
+use super::{Walk, Window, walk};
 use crate::compensate::map::{self, Covariate, Side};
 use crate::compensate::{
     Compensation, MOST, OnField, OnForce, creep, earth_field, fingertip_mass, hard_stop,
@@ -33,12 +33,8 @@ macro_rules! number {
         impl Walk for $type {
             const FIXED: usize = 1;
 
-            fn words(&self) -> usize {
-                1
-            }
-
-            fn word(&self, at: usize) -> u32 {
-                if at == 0 { *self as u32 } else { 0 }
+            fn visit(&self, window: &mut Window) {
+                window.word(*self as u32);
             }
         }
     )*};
@@ -51,23 +47,9 @@ macro_rules! fields {
         impl<$($generic)*> Walk for $type {
             const FIXED: usize = fixed(&[$(<$part as Walk>::FIXED),*]);
 
-            fn words(&self) -> usize {
+            fn visit(&self, window: &mut Window) {
                 let Self { $($field,)* $($left: _)? } = self;
-                0 $(+ $field.words())*
-            }
-
-            fn word(&self, at: usize) -> u32 {
-                let Self { $($field,)* $($left: _)? } = self;
-                let mut at = at;
-                $(
-                    let words = $field.words();
-                    if at < words {
-                        return $field.word(at);
-                    }
-                    at -= words;
-                )*
-                let _ = at;
-                0
+                $(walk($field, window);)*
             }
         }
     };
@@ -76,46 +58,30 @@ macro_rules! fields {
 impl<T: Walk> Walk for &T {
     const FIXED: usize = T::FIXED;
 
-    fn words(&self) -> usize {
-        T::words(self)
-    }
-
-    fn word(&self, at: usize) -> u32 {
-        T::word(self, at)
+    fn visit(&self, window: &mut Window) {
+        T::visit(self, window);
     }
 }
 
-/// Words of items one behind the other.
-fn words_of<T: Walk>(items: &[T]) -> usize {
-    match T::FIXED {
-        0 => items.iter().map(Walk::words).sum(),
-        each => items.len().saturating_mul(each),
-    }
-}
-
-fn word_of<T: Walk>(items: &[T], mut at: usize) -> u32 {
-    if let (Some(item), Some(rest)) = (at.checked_div(T::FIXED), at.checked_rem(T::FIXED)) {
-        return items.get(item).map_or(0, |item| item.word(rest));
-    }
-    for item in items {
-        let words = item.words();
-        if at < words {
-            return item.word(at);
+/// Items one behind the other.
+fn walk_items<T: Walk>(items: &[T], window: &mut Window) {
+    let before = match T::FIXED {
+        0 => 0,
+        each => window.skip_items(items.len(), each),
+    };
+    for item in items.get(before..).unwrap_or_default() {
+        if window.left == 0 {
+            return;
         }
-        at -= words;
+        walk(item, window);
     }
-    0
 }
 
 impl<T: Walk, const N: usize> Walk for [T; N] {
     const FIXED: usize = N * T::FIXED;
 
-    fn words(&self) -> usize {
-        words_of(self)
-    }
-
-    fn word(&self, at: usize) -> u32 {
-        word_of(self, at)
+    fn visit(&self, window: &mut Window) {
+        walk_items(self, window);
     }
 }
 
@@ -123,15 +89,9 @@ impl<T: Walk, const N: usize> Walk for [T; N] {
 impl<T: Walk> Walk for &[T] {
     const FIXED: usize = 0;
 
-    fn words(&self) -> usize {
-        words_of(self).saturating_add(1)
-    }
-
-    fn word(&self, at: usize) -> u32 {
-        match at.checked_sub(1) {
-            None => self.len() as u32,
-            Some(at) => word_of(self, at),
-        }
+    fn visit(&self, window: &mut Window) {
+        window.word(self.len() as u32);
+        walk_items(self, window);
     }
 }
 
@@ -139,15 +99,10 @@ impl<T: Walk> Walk for &[T] {
 impl<T: Walk> Walk for Option<T> {
     const FIXED: usize = 0;
 
-    fn words(&self) -> usize {
-        self.as_ref().map_or(0, Walk::words).saturating_add(1)
-    }
-
-    fn word(&self, at: usize) -> u32 {
-        match (at.checked_sub(1), self) {
-            (None, inside) => u32::from(inside.is_some()),
-            (Some(at), Some(inside)) => inside.word(at),
-            (Some(_), None) => 0,
+    fn visit(&self, window: &mut Window) {
+        window.word(u32::from(self.is_some()));
+        if let Some(inside) = self {
+            walk(inside, window);
         }
     }
 }
@@ -158,19 +113,12 @@ macro_rules! kinds {
         impl Walk for $type {
             const FIXED: usize = 0;
 
-            fn words(&self) -> usize {
-                let inside = match self {
-                    $(Self::$kind(inside) => inside.words(),)*
-                };
-                inside.saturating_add(1)
-            }
-
-            fn word(&self, at: usize) -> u32 {
-                match (at.checked_sub(1), self) {
-                    $(
-                        (None, Self::$kind(_)) => $number,
-                        (Some(at), Self::$kind(inside)) => inside.word(at),
-                    )*
+            fn visit(&self, window: &mut Window) {
+                match self {
+                    $(Self::$kind(inside) => {
+                        window.word($number);
+                        walk(inside, window);
+                    })*
                 }
             }
         }
@@ -183,15 +131,11 @@ macro_rules! plain_kinds {
         impl Walk for $type {
             const FIXED: usize = $words;
 
-            fn words(&self) -> usize {
-                $words
-            }
-
-            fn word(&self, at: usize) -> u32 {
+            fn visit(&self, window: &mut Window) {
                 let words: [u32; $words] = match *self {
                     $($kind => $list,)*
                 };
-                words.get(at).copied().unwrap_or(0)
+                words.visit(window);
             }
         }
     };
@@ -200,24 +144,16 @@ macro_rules! plain_kinds {
 impl Walk for Field {
     const FIXED: usize = 1;
 
-    fn words(&self) -> usize {
-        1
-    }
-
-    fn word(&self, at: usize) -> u32 {
-        self.0.word(at)
+    fn visit(&self, window: &mut Window) {
+        self.0.visit(window);
     }
 }
 
 impl Walk for Force {
     const FIXED: usize = 1;
 
-    fn words(&self) -> usize {
-        1
-    }
-
-    fn word(&self, at: usize) -> u32 {
-        self.0.word(at)
+    fn visit(&self, window: &mut Window) {
+        self.0.visit(window);
     }
 }
 
