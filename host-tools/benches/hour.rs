@@ -62,17 +62,21 @@ fn main() {
     let start = Instant::now();
     let (mut frames, mut bytes) = (0_u64, 0_u64);
     for ms in 1..=(60_000.0 * minutes) as u64 {
-        while board.can.borrow().waiting() < WAITING {
-            board.can.borrow_mut().put(strange);
+        while board.connections.can.borrow().waiting() < WAITING {
+            board.connections.can.borrow_mut().put(strange);
             frames += 1;
         }
         for _ in 0..GARBAGE {
-            board.line.borrow_mut().put(rng.next_u32() as u8);
+            board
+                .connections
+                .line
+                .borrow_mut()
+                .put(rng.next_u32() as u8);
             bytes += 1;
         }
         board.run_until(1000 * ms);
-        board.can.borrow_mut().heard.clear();
-        board.line.borrow_mut().sent.clear();
+        board.connections.can.borrow_mut().heard.clear();
+        board.connections.line.borrow_mut().sent.clear();
         board.events.borrow_mut().clear();
     }
     let counts = &board.exchange.counts;

@@ -90,14 +90,14 @@ fn run(made: Made, folder: &Path, seconds: f64) -> Heard {
     let mut board = Board::start(program, Box::new(world));
     board.run_until(FIRST_TICK_US + (1e6 * seconds) as u64);
     let mut receiver = Receiver::default();
-    let bytes = std::mem::take(&mut board.line.borrow_mut().sent);
+    let bytes = std::mem::take(&mut board.connections.line.borrow_mut().sent);
     let packets = bytes.iter().filter_map(|byte| receiver.take(*byte));
     let ticks = packets.filter_map(|packet| match packet {
         Packet::Tick(tick) => Some(tick),
         Packet::Message { .. } => None,
     });
     let first = identifier(DEFAULT_NODE, Force::LAYOUT.number);
-    let can = board.can.borrow();
+    let can = board.connections.can.borrow();
     let forces = can.heard.iter().filter_map(|(time_us, frame)| {
         let number = (frame.identifier() & 0x1F) as u8;
         let sensor = usize::from(frame.identifier().checked_sub(first)?);

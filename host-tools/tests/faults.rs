@@ -101,7 +101,7 @@ fn reached(situation: Situation) -> Workcell {
 fn a_sensor_without_its_configuration_counts_again_once_it_is_back() {
     let mut cell = reached(Situation::Idle);
     let change = |cell: &Workcell, change: fn(&mut Sensor)| {
-        change(&mut cell.board.buses[1].borrow_mut().sensors[0]);
+        change(&mut cell.board.connections.buses[1].borrow_mut().sensors[0]);
     };
     let is_lost = |cell: &Workcell| cell.board.exchange.is_active(Fault::SensorLost);
     assert!(!is_lost(&cell));

@@ -337,13 +337,13 @@ fn over_a_can_bus_come_the_readings_of_the_serial_line() {
             .filter_map(|(us, packet)| rows.take(*us as f64 * 1e-6, packet).unwrap());
         rows.collect()
     };
-    let can = board.can.borrow();
+    let can = board.connections.can.borrow();
     let frames = can.heard.iter().filter_map(|(us, frame)| {
         packet(DEFAULT_NODE, frame.identifier(), frame.data()).map(|packet| (*us, packet))
     });
     let on_bus = gathered(Rows::of_sets(4000), frames.collect());
     let mut receiver = Receiver::default();
-    let line = board.line.borrow();
+    let line = board.connections.line.borrow();
     let packets = line.sent.iter().filter_map(|byte| receiver.take(*byte));
     let on_line = gathered(
         Rows::of_ticks(),

@@ -47,7 +47,7 @@ fn run_to(board: &mut Board, ms: u64) {
 fn ask(board: &Board, message: &Message) {
     let id = identifier(DEFAULT_NODE, message.layout().number);
     let frame = CanFrame::of(id, message.to_bytes());
-    board.can.borrow_mut().put(frame);
+    board.connections.can.borrow_mut().put(frame);
 }
 
 fn service(op: u8, nonce: u16) -> Message {
@@ -61,7 +61,7 @@ fn service(op: u8, nonce: u16) -> Message {
 
 /// What the board has said on the CAN bus since the last look.
 fn said(board: &Board) -> Vec<Message> {
-    let heard = std::mem::take(&mut board.can.borrow_mut().heard);
+    let heard = std::mem::take(&mut board.connections.can.borrow_mut().heard);
     let messages = heard.iter().map(|(_, frame)| {
         let number = (frame.identifier() & 0x1F) as u8;
         Message::from_frame(number, frame.data()).unwrap()
@@ -80,7 +80,7 @@ fn replies(board: &Board) -> Vec<ServiceReply> {
 /// Mean of Fz at the first sensor over the ticks since the last look, in newtons.
 fn fz_n(board: &Board) -> f64 {
     let mut receiver = Receiver::default();
-    let bytes = std::mem::take(&mut board.line.borrow_mut().sent);
+    let bytes = std::mem::take(&mut board.connections.line.borrow_mut().sent);
     let packets = bytes.iter().filter_map(|byte| receiver.take(*byte));
     let ticks: Vec<Tick> = packets
         .filter_map(|packet| match packet {

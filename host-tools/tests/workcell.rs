@@ -123,11 +123,11 @@ fn a_hold_survives_the_sensors_of_a_finger_a_silent_host_and_a_dead_bus() {
             let cell = &mut holding(lead);
             match trouble {
                 "sensors" => {
-                    let wires = &mut cell.board.buses[0].borrow_mut();
+                    let wires = &mut cell.board.connections.buses[0].borrow_mut();
                     wires.sensors.iter_mut().for_each(|s| s.unplugged = true);
                 }
                 "host" => cell.host.is_silent = true,
-                _ => cell.board.can.borrow_mut().disturbed = true,
+                _ => cell.board.connections.can.borrow_mut().disturbed = true,
             }
             cell.gripper.borrow_mut().peak_n = 0.0;
             cell.run(0.5);

@@ -1,7 +1,8 @@
-//! A simulated bus with sensors: registers, levels, and time. What goes wrong is done to the sensors and
-//! to the lines, never told to the firmware.
+//! The sensor buses: sensors with registers, lines with levels. The emulated chip reaches them by its pins, the firmware's
+//! loops in virtual time by [`SimulatedBus`], which is a controller of its own. What goes wrong is done to sensors and
+//! lines, never reported to the firmware.
 
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::future::pending;
 use std::rc::Rc;
 
@@ -12,6 +13,8 @@ use firmware::clock::{Clock, pause};
 use firmware::hall::bus::{Lines, SensorBus, clear};
 use firmware::hall::registers::a31301::{CONFIGURATION, READING_BYTES, TEMPERATURE};
 use firmware::hall::{Reading, a31301};
+use sim_board::Time;
+use sim_board::devices::I2cBus;
 
 use super::time::VirtualClock;
 use super::world::Now;
@@ -45,8 +48,10 @@ pub struct Sensor {
     pub slips: Option<u32>,
     /// What it is configured as.
     configuration: u16,
-    /// What stands in its registers.
+    /// Contents of its registers.
     registers: [u8; READING_BYTES],
+    /// Address of the next byte; none while it is awaited.
+    pointer: Option<u8>,
 }
 
 impl Sensor {
@@ -63,6 +68,7 @@ impl Sensor {
             slips: None,
             configuration: CONFIGURED,
             registers: [0; READING_BYTES],
+            pointer: None,
         }
     }
 
@@ -109,7 +115,7 @@ impl Sensor {
     }
 }
 
-/// The lines and who is on them.
+/// The lines and the sensors on them.
 pub struct Wires {
     /// The sensors.
     pub sensors: Vec<Sensor>,
@@ -118,35 +124,98 @@ pub struct Wires {
     clock_high: bool,
     /// Transfers that were begun.
     pub transfers: u64,
+    /// Place of the sensor that was addressed.
+    addressed: Option<usize>,
+    now: Rc<RefCell<Now>>,
 }
 
 impl Wires {
-    /// A bus at rest.
-    pub fn new(sensors: Vec<Sensor>) -> Self {
+    /// A bus at rest, with sensors in this world.
+    pub fn new(sensors: Vec<Sensor>, now: Rc<RefCell<Now>>) -> Self {
         Self {
             sensors,
             held: 0,
             clock_high: true,
             transfers: 0,
+            addressed: None,
+            now,
         }
     }
 
-    /// Clocks that pass on the line.
-    fn clocks(&mut self, count: u32) {
+    fn sensor(&mut self) -> Option<&mut Sensor> {
+        self.sensors.get_mut(self.addressed?)
+    }
+}
+
+impl I2cBus for Wires {
+    fn address(&mut self, time: Time, address: u8, is_read: bool) -> bool {
+        self.transfers += 1;
+        self.addressed = None;
+        let readings = self.now.borrow_mut().at_transfer(time.us()).readings;
+        let mut sensors = self.sensors.iter_mut().enumerate();
+        let found = sensors.find(|(_, sensor)| sensor.address == address && !sensor.unplugged);
+        let Some((place, sensor)) = found else {
+            return false;
+        };
+        if sensor.refuses > 0 {
+            sensor.refuses -= 1;
+            return false;
+        }
+        if let Some(clocks) = sensor.slips.take() {
+            // It has lost count: it acknowledges, and then sends a low bit that nobody clocks.
+            self.held = clocks;
+            return true;
+        }
+        if let Some(reading) = readings.get(sensor.number).copied().flatten() {
+            sensor.measure(reading);
+        }
+        if !is_read {
+            sensor.pointer = None;
+        }
+        self.addressed = Some(place);
+        true
+    }
+
+    fn write(&mut self, byte: u8) -> bool {
+        if let Some(sensor) = self.sensor() {
+            // Further bytes would be written to registers, which the firmware never does.
+            sensor.pointer.get_or_insert(byte);
+        }
+        true
+    }
+
+    fn read(&mut self) -> u8 {
+        let Some(sensor) = self.sensor() else {
+            return 0xFF;
+        };
+        let pointer = sensor.pointer.unwrap_or_default();
+        sensor.pointer = Some(pointer.wrapping_add(1));
+        sensor.register(pointer)
+    }
+
+    fn stop(&mut self) {
+        self.addressed = None;
+    }
+
+    fn released(&self) -> [bool; 2] {
+        [true, self.held == 0]
+    }
+
+    fn pulse(&mut self) {
         if self.held != u32::MAX {
-            self.held = self.held.saturating_sub(count);
+            self.held = self.held.saturating_sub(1);
         }
     }
 }
 
-/// The board's end of a bus.
+/// The controller of a bus in virtual time.
 pub struct SimulatedBus {
     /// The lines.
     pub wires: Rc<RefCell<Wires>>,
-    /// What the sensors feel.
-    pub now: Rc<RefCell<Now>>,
     /// Time.
     pub clock: VirtualClock,
+    /// A byte that an aborted transfer has left in the data register: it is the first that each transfer reads.
+    pub residue: Rc<Cell<Option<u8>>>,
 }
 
 /// A transfer that did not end as it should.
@@ -168,55 +237,27 @@ impl SimulatedBus {
         pause(&self.clock, BIT_US * BYTE_BITS * count as u64).await;
     }
 
-    /// Start and address; the sensor's place on the bus.
-    async fn begin(&mut self, address: u8) -> Result<usize, NotAcknowledged> {
-        if self.wires.borrow().held > 0 {
-            // No start is possible: the peripheral waits for a line that does not rise.
-            return pending().await;
-        }
-        self.wires.borrow_mut().transfers += 1;
+    /// Start and address.
+    async fn begin(&mut self, address: u8, is_read: bool) -> Result<(), NotAcknowledged> {
+        self.released().await;
         pause(&self.clock, BIT_US).await;
         self.bytes(1).await;
-        match self.answer(address) {
-            Answer::Place(place) => Ok(place),
-            Answer::None => Err(NotAcknowledged),
-            Answer::Slipped => pending().await,
+        let time = Time::from_us(self.clock.now_us());
+        let is_acknowledged = self.wires.borrow_mut().address(time, address, is_read);
+        if !is_acknowledged {
+            return Err(NotAcknowledged);
         }
+        self.released().await;
+        Ok(())
     }
 
-    /// What becomes of an address on the bus.
-    fn answer(&mut self, address: u8) -> Answer {
-        let time_us = self.clock.now_us();
-        let readings = self.now.borrow_mut().at(time_us).readings;
-        let wires = &mut *self.wires.borrow_mut();
-        let mut sensors = wires.sensors.iter_mut().enumerate();
-        let found = sensors.find(|(_, sensor)| sensor.address == address && !sensor.unplugged);
-        let Some((place, sensor)) = found else {
-            return Answer::None;
-        };
-        if sensor.refuses > 0 {
-            sensor.refuses -= 1;
-            return Answer::None;
+    /// Waits for a line that a sensor holds: for ever, since nobody else clocks it.
+    async fn released(&self) {
+        let is_held = self.wires.borrow().held > 0;
+        if is_held {
+            pending::<()>().await;
         }
-        if let Some(clocks) = sensor.slips.take() {
-            wires.held = clocks;
-            return Answer::Slipped;
-        }
-        if let Some(reading) = readings.get(sensor.number).copied().flatten() {
-            sensor.measure(reading);
-        }
-        Answer::Place(place)
     }
-}
-
-/// What becomes of an address.
-enum Answer {
-    /// The sensor at this place acknowledges.
-    Place(usize),
-    /// Nobody does.
-    None,
-    /// The sensor has lost count and holds the data line.
-    Slipped,
 }
 
 impl I2c<SevenBitAddress> for SimulatedBus {
@@ -225,25 +266,34 @@ impl I2c<SevenBitAddress> for SimulatedBus {
         address: u8,
         operations: &mut [Operation<'_>],
     ) -> Result<(), Self::Error> {
-        let mut pointer = 0_u8;
         for operation in operations {
-            let place = self.begin(address).await?;
+            let is_read = matches!(operation, Operation::Read(_));
+            self.begin(address, is_read).await?;
             match operation {
                 Operation::Write(bytes) => {
                     self.bytes(bytes.len()).await;
-                    pointer = bytes.first().copied().unwrap_or(pointer);
+                    let mut wires = self.wires.borrow_mut();
+                    bytes.iter().for_each(|byte| {
+                        wires.write(*byte);
+                    });
                 }
                 Operation::Read(bytes) => {
                     self.bytes(bytes.len()).await;
-                    let wires = self.wires.borrow();
+                    let mut wires = self.wires.borrow_mut();
                     for byte in bytes.iter_mut() {
-                        *byte = wires.sensors[place].register(pointer);
-                        pointer = pointer.wrapping_add(1);
+                        let received = wires.read();
+                        *byte = match self.residue.get() {
+                            Some(before) => {
+                                self.residue.set(Some(received));
+                                before
+                            }
+                            None => received,
+                        };
                     }
                 }
             }
         }
-        // The stop.
+        self.wires.borrow_mut().stop();
         pause(&self.clock, BIT_US).await;
         Ok(())
     }
@@ -252,6 +302,8 @@ impl I2c<SevenBitAddress> for SimulatedBus {
 impl SensorBus for SimulatedBus {
     async fn recover(&mut self) -> bool {
         let clock = self.clock.clone();
+        // The peripheral is initialised anew.
+        self.residue.set(None);
         clear(&mut Pins(self.wires.clone()), &clock).await
     }
 }
@@ -262,16 +314,17 @@ struct Pins(Rc<RefCell<Wires>>);
 impl Lines for Pins {
     fn set_clock(&mut self, high: bool) {
         let mut wires = self.0.borrow_mut();
-        if high && !std::mem::replace(&mut wires.clock_high, high) {
-            wires.clocks(1);
+        let was_high = std::mem::replace(&mut wires.clock_high, high);
+        if high && !was_high {
+            wires.pulse();
         }
-        wires.clock_high = high;
     }
 
     fn set_data(&mut self, _: bool) {}
 
     fn levels(&mut self) -> [bool; 2] {
         let wires = self.0.borrow();
-        [wires.clock_high, wires.held == 0]
+        let [_, data] = wires.released();
+        [wires.clock_high, data]
     }
 }

@@ -1,4 +1,5 @@
-//! A simulated serial line at 1 Mbaud.
+//! A simulated serial line: the emulated chip's port is at one end of it, or the firmware's loops in virtual time by [`Out`]
+//! and [`Into`], which stand for a port of their own.
 
 use std::cell::RefCell;
 use std::collections::VecDeque;
@@ -9,34 +10,59 @@ use std::task::{Poll, Waker};
 
 use embedded_io_async::{ErrorKind, ErrorType, Read, Write};
 use firmware::clock::pause;
+use firmware::wire::serial::BAUD;
+use sim_board::Time;
+use sim_board::devices::SerialLine;
 
 use super::time::VirtualClock;
 
 /// A byte with its start and stop bit.
-pub const BYTE_US: u64 = 10;
-/// Bytes that the board keeps.
-const KEPT: usize = 256;
+pub const BYTE_US: u64 = 10 * 1_000_000 / BAUD as u64;
+/// Bytes that the port in virtual time keeps until they are read.
+const KEPT: usize = 512;
 
 /// Both directions.
 #[derive(Default)]
 pub struct Line {
     /// What the board has sent.
     pub sent: Vec<u8>,
+    /// When each of the zeros in it had passed, which end packets; of an emulated port only.
+    pub ended: Vec<Time>,
     received: VecDeque<u8>,
-    overrun: bool,
     waker: Option<Waker>,
 }
 
 impl Line {
-    /// A byte arrives at the board.
+    /// A byte for the board.
     pub fn put(&mut self, byte: u8) {
-        match self.received.len() < KEPT {
-            true => self.received.push_back(byte),
-            false => self.overrun = true,
-        }
+        self.received.push_back(byte);
         if let Some(waker) = self.waker.take() {
             waker.wake();
         }
+    }
+}
+
+impl SerialLine for Line {
+    fn receive(&mut self, time: Time, byte: u8) {
+        if byte == 0 {
+            self.ended.push(time);
+        }
+        self.sent.push(byte);
+    }
+
+    fn next_byte(&self) -> Time {
+        match self.received.is_empty() {
+            true => Time::NEVER,
+            false => Time::ZERO,
+        }
+    }
+
+    fn transmit(&mut self, _: Time) -> Option<u8> {
+        self.received.pop_front()
+    }
+
+    fn baud_rate(&self) -> u32 {
+        BAUD
     }
 }
 
@@ -75,7 +101,7 @@ impl Read for Into {
     async fn read(&mut self, bytes: &mut [u8]) -> Result<usize, ErrorKind> {
         poll_fn(|context| {
             let mut line = self.0.borrow_mut();
-            if std::mem::take(&mut line.overrun) {
+            if line.received.len() > KEPT {
                 line.received.clear();
                 return Poll::Ready(Err(ErrorKind::Other));
             }

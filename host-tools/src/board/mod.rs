@@ -1,4 +1,5 @@
-//! The gripper's board in virtual time: the firmware's own loops over simulated buses.
+//! The gripper's board without hardware, in two layers with the same surroundings ([`Connections`]): the firmware's loops
+//! in virtual time ([`Board`]), fast; and the image in an emulated chip ([`emulated::EmulatedBoard`]), complete.
 //!
 //! - [`time`]: virtual time.
 //! - [`world`]: what the sensors feel.
@@ -8,11 +9,13 @@
 //! - [`host`]: a host on it.
 //! - [`flash`]: where parameters are kept.
 //! - [`recorded`], [`pressed`]: worlds.
+//! - [`emulated`]: the image in an emulated chip.
 //!
-//! What this does not show: how long the chip computes (virtual time stands still meanwhile), interrupts
+//! What the loops in virtual time do not show: how long the chip computes (virtual time stands still meanwhile), interrupts
 //! and their levels, the chip's drivers, electrical behaviour.
 
 pub mod can;
+pub mod emulated;
 pub mod flash;
 pub mod host;
 pub mod i2c;
@@ -48,7 +51,7 @@ use futures::task::LocalSpawnExt;
 use model_export::inverse::compensation::OwnedCompensation;
 use model_export::inverse::quantise::TableSet;
 
-use can::CanBus;
+use can::{CanBus, Controller};
 use flash::Flash;
 use i2c::{Sensor, SimulatedBus, Wires};
 use line::Line;
@@ -114,19 +117,78 @@ pub struct Program {
     pub limits: Limits,
 }
 
-/// A board that runs.
-pub struct Board {
-    pool: LocalPool,
-    /// Its time.
-    pub clock: VirtualClock,
+/// What is around a board, whichever way its program runs.
+#[derive(Clone)]
+pub struct Connections {
     /// Its buses with two sensors each.
     pub buses: [Rc<RefCell<Wires>>; 2],
     /// Its CAN bus.
     pub can: Rc<RefCell<CanBus>>,
     /// Its serial line.
     pub line: Rc<RefCell<Line>>,
-    /// What its sensors feel.
+    /// What its sensors measure.
     pub now: Rc<RefCell<Now>>,
+}
+
+impl Connections {
+    /// Four sensors in a world; those that the world does not know are not on the buses.
+    pub fn new(world: Box<dyn World>) -> Self {
+        let now = Rc::new(RefCell::new(Now::new(world)));
+        let readings = now.borrow_mut().at(0).readings;
+        let buses = [[0, 1], [2, 3]].map(|numbers| {
+            let sensors = numbers.map(|number| {
+                let mut sensor = Sensor::new(number, A31301::ADDRESSES[number]);
+                sensor.unplugged = readings[number].is_none();
+                sensor
+            });
+            Rc::new(RefCell::new(Wires::new(sensors.to_vec(), now.clone())))
+        });
+        Self {
+            buses,
+            can: Rc::default(),
+            line: Rc::default(),
+            now,
+        }
+    }
+
+    /// Does something to a sensor, by its number on the gripper.
+    pub fn change_sensor(&self, number: usize, change: impl Fn(&mut Sensor)) {
+        for bus in &self.buses {
+            let sensors = &mut bus.borrow_mut().sensors;
+            let chosen = sensors.iter_mut().filter(|sensor| sensor.number == number);
+            chosen.for_each(&change);
+        }
+    }
+}
+
+/// A board without hardware, whichever way its program runs.
+pub trait SimulatedBoard {
+    /// Goes on until this time, in microseconds since it was switched on.
+    ///
+    /// # Errors
+    /// The program cannot go on.
+    fn run_until(&mut self, time_us: u64) -> anyhow::Result<()>;
+
+    /// What is around it.
+    fn connections(&self) -> &Connections;
+
+    /// Where the grasp stands, as in the heartbeat; none where only the heartbeat says it.
+    fn state(&self) -> Option<u8> {
+        None
+    }
+}
+
+/// The firmware's loops in virtual time.
+pub struct Board {
+    pool: LocalPool,
+    /// Its time.
+    pub clock: VirtualClock,
+    /// What is around it.
+    pub connections: Connections,
+    /// Its CAN controller.
+    pub controller: Rc<Controller>,
+    /// What aborted transfers have left in the controllers of its buses.
+    pub residues: [Rc<Cell<Option<u8>>>; 2],
     /// What its loops hand to each other.
     pub exchange: Rc<Exchange<NoopRawMutex>>,
     /// What was told to its log, and when.
@@ -150,18 +212,15 @@ impl Board {
     /// Switches a board on in a world.
     pub fn start_with(program: Program, world: Box<dyn World>, driven: Driven) -> Self {
         let clock = VirtualClock::default();
-        let sensors = |numbers: [usize; 2]| {
-            let sensor = |number| Sensor::new(number, A31301::ADDRESSES[number]);
-            Rc::new(RefCell::new(Wires::new(numbers.map(sensor).to_vec())))
-        };
+        let connections = Connections::new(world);
+        let controller = Controller::new(connections.can.clone(), clock.clone());
         let grip = grasp(&program, driven.screw, driven.grasp);
         let mut board = Self {
             pool: LocalPool::new(),
             clock,
-            buses: [sensors([0, 1]), sensors([2, 3])],
-            can: Rc::default(),
-            line: Rc::default(),
-            now: Rc::new(RefCell::new(Now::new(world))),
+            connections,
+            controller,
+            residues: Default::default(),
             exchange: Rc::new(Exchange::new()),
             events: Rc::default(),
             grip: Rc::new(RefCell::new(grip)),
@@ -171,20 +230,8 @@ impl Board {
             grasp: driven.grasp,
             crashed: Rc::default(),
         };
-        board.unplug_absent();
         board.spawn_loops();
         board
-    }
-
-    /// Sensors that the world does not know are not on the buses.
-    fn unplug_absent(&self) {
-        let readings = self.now.borrow_mut().at(0).readings;
-        for bus in &self.buses {
-            for sensor in &mut bus.borrow_mut().sensors {
-                let present = readings.get(sensor.number).is_some_and(Option::is_some);
-                sensor.unplugged = !present;
-            }
-        }
     }
 
     /// Starts the program that crashed, which takes no time here. Actors of others are gone, and so is what hosts
@@ -205,17 +252,17 @@ impl Board {
         let addresses = parameters.addresses();
         let shared = (self.clock.clone(), self.exchange.clone());
         let parts = move || shared.clone();
-        let buses = self.buses.clone().map(|wires| SimulatedBus {
-            wires,
-            now: self.now.clone(),
+        let buses = [0, 1].map(|bus| SimulatedBus {
+            wires: self.connections.buses[bus].clone(),
             clock: self.clock.clone(),
+            residue: self.residues[bus].clone(),
         });
         let (clock, exchange) = parts();
         self.spawn(async move {
             loops::sense::<A31301, _, _, _>(buses, addresses, &limits, &clock, &exchange).await;
         });
         let (clock, exchange) = parts();
-        let now = self.now.clone();
+        let now = self.connections.now.clone();
         let tells = self.motor.clone();
         self.spawn(async move {
             let compensations: Vec<_> = program
@@ -253,10 +300,7 @@ impl Board {
             }
         });
         let (clock, exchange) = parts();
-        let sender = can::Sender {
-            bus: self.can.clone(),
-            clock: clock.clone(),
-        };
+        let sender = can::Sender(self.controller.clone());
         let events = self.events.clone();
         self.spawn(async move {
             let log = |event| events.borrow_mut().push((clock.now_us(), event));
@@ -265,15 +309,15 @@ impl Board {
         });
         let (clock, exchange) = parts();
         let out = line::Out {
-            line: self.line.clone(),
+            line: self.connections.line.clone(),
             clock,
         };
         self.spawn(async move { loops::telemetry(out, &exchange).await });
         let (clock, exchange) = parts();
-        let receiver = can::Receiver(self.can.clone());
+        let receiver = can::Receiver(self.controller.clone());
         self.spawn(async move { loops::listen(receiver, &limits, &clock, &exchange).await });
         let (clock, exchange) = parts();
-        let into = line::Into(self.line.clone());
+        let into = line::Into(self.connections.line.clone());
         self.spawn(async move {
             loops::listen_serial(into, DEFAULT_NODE, &limits, &clock, &exchange).await
         });
@@ -299,7 +343,7 @@ impl Board {
             };
             loops::command(desk, &clock, &exchange).await;
         });
-        let passing = can::pass(self.can.clone(), self.clock.clone());
+        let passing = self.controller.clone().run();
         self.spawn(passing);
     }
 
@@ -323,6 +367,17 @@ impl Board {
             self.restart(crash);
             self.pool.run_until_stalled();
         }
+    }
+}
+
+impl SimulatedBoard for Board {
+    fn run_until(&mut self, time_us: u64) -> anyhow::Result<()> {
+        Self::run_until(self, time_us);
+        Ok(())
+    }
+
+    fn connections(&self) -> &Connections {
+        &self.connections
     }
 }
 

@@ -7,6 +7,7 @@ use firmware::hall::a31301::FIELD_LIMITS;
 use firmware::params::SENSE_RATE;
 use model_export::model_file::ModelFile;
 use model_export::physics::ForwardModel;
+use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
@@ -55,8 +56,10 @@ impl World for Pressed {
         let mut moment = Moment::default();
         let places = moment.readings.iter_mut().zip(&self.forward).zip(forces_n);
         for ((place, forward), force_n) in places {
-            let Some(forward) = forward else { continue };
-            let field_g = forward.field(force_n);
+            // A sensor that the model leaves out is on its bus all the same.
+            let field_g = forward
+                .as_ref()
+                .map_or_else(Vector3::zeros, |forward| forward.field(force_n));
             let (least, greatest) = FIELD_LIMITS;
             let field = [0, 1, 2].map(|axis| {
                 let seen_g = field_g[axis] + self.noise.sample(&mut self.rng);

@@ -52,10 +52,16 @@ impl Motor for NoMotor {
     fn restart(&mut self, _: u64) {}
 }
 
-/// A world on the board's clock: its first millisecond is that of the first tick of sensing.
+/// The first millisecond begins so long before the first tick of sensing, so that no tick is near the end of one.
+const MARGIN_US: u64 = 100;
+
+/// A world on the board's clock: its first millisecond is that of the first tick of sensing, which comes
+/// [`FIRST_TICK_US`] after the first transfer on a sensor bus.
 pub struct Now {
     world: Box<dyn World>,
     moment: Moment,
+    /// When the first millisecond begins, once that is known.
+    begins_us: Option<u64>,
     /// Milliseconds taken so far.
     taken: u64,
     ended: bool,
@@ -67,6 +73,7 @@ impl Now {
         let mut now = Self {
             world,
             moment: Moment::default(),
+            begins_us: None,
             taken: 0,
             ended: false,
         };
@@ -74,9 +81,17 @@ impl Now {
         now
     }
 
+    /// The world at the time of a transfer from a sensor.
+    pub fn at_transfer(&mut self, time_us: u64) -> &Moment {
+        self.begins_us
+            .get_or_insert(time_us + FIRST_TICK_US - MARGIN_US);
+        self.at(time_us)
+    }
+
     /// The world at this time; it stays at its end.
     pub fn at(&mut self, time_us: u64) -> &Moment {
-        let place = time_us.saturating_sub(FIRST_TICK_US) / TICK_US;
+        let begins_us = self.begins_us.unwrap_or(u64::MAX);
+        let place = time_us.saturating_sub(begins_us) / TICK_US;
         while self.taken <= place && !self.ended {
             match self.world.next() {
                 Some(moment) => {
@@ -87,6 +102,11 @@ impl Now {
             }
         }
         &self.moment
+    }
+
+    /// When its first millisecond began; none before the first transfer.
+    pub fn begins_us(&self) -> Option<u64> {
+        self.begins_us
     }
 
     /// Whether it has ended.

@@ -108,7 +108,7 @@ impl Workcell {
             grasp: plan.grasp,
         };
         let board = Board::start_with(program, Box::new(Senses(gripper.clone())), driven);
-        let host = Host::new(board.can.clone());
+        let host = Host::new(board.connections.can.clone());
         Self {
             board,
             gripper,
@@ -123,7 +123,7 @@ impl Workcell {
         self.time_us += TICK_US;
         self.board.run_until(self.time_us);
         // Nobody reads the line, and its memory would grow.
-        self.board.line.borrow_mut().sent.clear();
+        self.board.connections.line.borrow_mut().sent.clear();
         self.gripper.borrow_mut().advance(self.time_us);
     }
 

@@ -6,14 +6,16 @@ use std::rc::Rc;
 
 use firmware::loops::FIRST_TICK_US;
 use firmware::motor::plausible::Supply;
-use firmware::motor::stage::Sensed;
+use firmware::motor::stage::{Drive, Sensed};
 use firmware::motor::{Order, State, Telling, Trip, as5047};
 use firmware::params::{PWM_RATE, TICK_US};
 use nalgebra::Vector3;
+use sim_board::Time;
+use sim_board::devices::{Drivetrain, SpiDevice};
 
 use super::Rig;
 use crate::bench::attitude::GRAVITY;
-use crate::bench::stroke::Drive;
+use crate::bench::stroke;
 use crate::board::world::{Moment, Motor, World};
 use crate::plant::PERIOD_S;
 use crate::plant::hall::{Fingertips, shared};
@@ -77,6 +79,8 @@ pub struct Gripper {
     inertial: Inertial,
     felt: Vector3<f64>,
     periods: u64,
+    /// The half period that comes next is the second of its period.
+    is_second_half: bool,
     /// Periods after a whole millisecond at which the motor tells: its clock is not that of sensing.
     tells_at: u64,
     ordered: Option<Order>,
@@ -100,6 +104,7 @@ impl Gripper {
             inertial: Inertial::new(seed),
             felt: Vector3::new(0.0, 0.0, GRAVITY),
             periods: 0,
+            is_second_half: false,
             tells_at: seed % TELLS,
             ordered: None,
             told: Telling::default(),
@@ -134,6 +139,11 @@ impl Gripper {
         if self.periods % TELLS == self.tells_at {
             self.told = self.rig.motor.telling();
         }
+        self.press();
+    }
+
+    /// What the fingertips feel at the end of a period.
+    fn press(&mut self) {
         let grip_n = self.rig.plant.grip_n();
         self.peak_n = self.peak_n.max(grip_n);
         if self.periods.is_multiple_of(FINE) {
@@ -142,6 +152,43 @@ impl Gripper {
             let forces_n = shared(grip_n, self.towards_first, ground_n);
             self.tips
                 .press(&forces_n, self.felt, FINE as f64 * PERIOD_S);
+        }
+    }
+
+    /// Half a period of the pulses under the drive of somebody else than this rig: the emulated chip.
+    pub fn half_period(&mut self, drive: Drive) {
+        let before = self.rig.plant.train;
+        self.rig.plant.half_period(drive);
+        if self.wrong.is_jammed {
+            self.rig.plant.train = Train {
+                speed_rad_s: 0.0,
+                travel_m_s: 0.0,
+                ..before
+            };
+        }
+        self.is_second_half = !self.is_second_half;
+        if !self.is_second_half {
+            self.periods += 1;
+            self.press();
+        }
+    }
+
+    /// Counts of the converters: phases U, V, W, bus voltage.
+    pub fn convert(&mut self) -> [u16; 4] {
+        let ([u, v, w], bus) = self.rig.plant.convert();
+        let converted = [u, v, w, bus];
+        match &mut self.wrong.counts {
+            Some(counts) => counts(converted),
+            None => converted,
+        }
+    }
+
+    /// The rotor sensor's answer.
+    pub fn answer(&mut self) -> u16 {
+        let answer = as5047::answer(self.rig.plant.angle());
+        match &mut self.wrong.frame {
+            Some(frame) => frame(answer),
+            None => answer,
         }
     }
 
@@ -166,7 +213,7 @@ impl Gripper {
 
     fn look(&mut self) -> Moment {
         let plant = &self.rig.plant;
-        let drive = Drive {
+        let drive = stroke::Drive {
             opening_mm: 1e3 * plant.opening_m(),
             angle_rad: plant.train.angle_rad,
             current_a: plant.direct_quadrature_a()[1],
@@ -192,6 +239,64 @@ impl World for Senses {
         gripper.moments += 1;
         gripper.advance(begins_us);
         Some(gripper.look())
+    }
+}
+
+/// What an emulated board's sensors measure of it, whose chip drives it and so moves it on.
+pub struct Measured(pub Shared);
+
+impl World for Measured {
+    fn next(&mut self) -> Option<Moment> {
+        Some(self.0.borrow_mut().look())
+    }
+}
+
+/// Its half bridges and converters at the pins of an emulated chip.
+pub struct Bridges(pub Shared);
+
+impl Drivetrain for Bridges {
+    fn half_period(&mut self, _: Time, duties: Option<[f64; 3]>) {
+        let drive = match duties {
+            None => Drive::Off,
+            Some([0.0, 0.0, 0.0]) => Drive::Brake,
+            Some(duties) => Drive::Duty(duties.map(|duty| duty as f32)),
+        };
+        self.0.borrow_mut().half_period(drive);
+    }
+
+    fn sample(&mut self) -> [u16; 4] {
+        self.0.borrow_mut().convert()
+    }
+}
+
+/// Its rotor sensor, an AS5047P: a frame holds the answer to the frame before, measured as that ended.
+pub struct RotorSensor {
+    gripper: Shared,
+    command: u16,
+    answer: u16,
+}
+
+impl RotorSensor {
+    /// No frame has come yet.
+    pub fn new(gripper: Shared) -> Self {
+        Self {
+            gripper,
+            command: 0,
+            answer: 0,
+        }
+    }
+}
+
+impl SpiDevice for RotorSensor {
+    fn select(&mut self, _: Time, is_selected: bool) {
+        if !is_selected && self.command == as5047::READ_ANGLE {
+            self.answer = self.gripper.borrow_mut().answer();
+        }
+    }
+
+    fn transfer(&mut self, _: Time, frame: u16) -> u16 {
+        self.command = frame;
+        self.answer
     }
 }
 

@@ -82,7 +82,7 @@ impl Row {
             Self::SensorFrozen => sensor(cell, pick, |sensor| sensor.frozen = true),
             Self::HalfGain => sensor(cell, pick, |sensor| sensor.gain = 0.5),
             Self::BrownOut => sensor(cell, pick, Sensor::brown_out),
-            Self::LineLow => cell.board.buses[pick % 2].borrow_mut().held = u32::MAX,
+            Self::LineLow => cell.board.connections.buses[pick % 2].borrow_mut().held = u32::MAX,
             Self::Saturated => {
                 let (_, end) = FIELD_LIMITS;
                 sensor(cell, pick, |sensor| {
@@ -99,7 +99,7 @@ impl Row {
                 let bit = BITS * pick as u32 % (32 * WORDS as u32);
                 cell.board.grip.borrow_mut().spoil(bit);
             }
-            Self::BusOff => cell.board.can.borrow_mut().disturbed = true,
+            Self::BusOff => cell.board.connections.can.borrow_mut().disturbed = true,
             Self::HostSilent => cell.host.is_silent = true,
             // Frame by frame, in the run.
             Self::Flood => {}
@@ -127,7 +127,7 @@ fn frames(cell: &mut Workcell, change: impl FnMut(u16) -> u16 + 'static) {
 }
 
 fn sensor(cell: &Workcell, number: usize, change: impl Fn(&mut Sensor)) {
-    for bus in &cell.board.buses {
+    for bus in &cell.board.connections.buses {
         let sensors = &mut bus.borrow_mut().sensors;
         let of_number = sensors.iter_mut().filter(|s| s.number == number % 4);
         of_number.for_each(&change);

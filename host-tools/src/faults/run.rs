@@ -131,7 +131,7 @@ impl Case {
                 flood(cell);
             }
             cell.tick();
-            if left_us.is_none() && cell.board.can.borrow().is_off() {
+            if left_us.is_none() && cell.board.controller.is_off() {
                 left_us = Some(cell.time_us() - TICK_US);
             }
             let state = cell.state();
@@ -210,7 +210,7 @@ impl Case {
 /// Frames of a millisecond that mean nothing.
 fn flood(cell: &Workcell) {
     let (frames, waiting) = FLOOD;
-    let mut can = cell.board.can.borrow_mut();
+    let mut can = cell.board.connections.can.borrow_mut();
     for _ in 0..frames {
         let id = StandardId::new(identifier(DEFAULT_NODE, 0x1F));
         let frame = id.and_then(|id| CanFrame::new(id, &[]));

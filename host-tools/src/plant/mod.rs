@@ -78,7 +78,8 @@ pub struct Plant {
     half_steps: u32,
     dt_s: f64,
     keep: f64,
-    periods: u64,
+    /// Half periods since the beginning.
+    halves: u64,
 }
 
 impl Plant {
@@ -95,7 +96,7 @@ impl Plant {
             half_steps: 0,
             dt_s: 0.0,
             keep: 0.0,
-            periods: 0,
+            halves: 0,
             parameters,
         };
         plant.refine(1);
@@ -122,28 +123,39 @@ impl Plant {
 
     /// One period of the pulses under this drive; what is sensed in its middle.
     pub fn step(&mut self, drive: Drive) -> Sensed {
-        let wired = |[u, v, w]: [f32; 3]| [u, w, v];
-        let drive = match drive {
-            Drive::Duty(duties) if self.parameters.swapped => Drive::Duty(wired(duties)),
-            drive => drive,
-        };
-        self.half(drive);
-        let sensed = self.sense();
-        self.half(drive);
-        self.periods += 1;
-        sensed
+        self.half_period(drive);
+        let (phases, bus) = self.convert();
+        let angle = Ok(self.angle());
+        self.half_period(drive);
+        Sensed { phases, bus, angle }
     }
 
-    fn sense(&mut self) -> Sensed {
+    /// Half a period of the pulses under this drive.
+    pub fn half_period(&mut self, drive: Drive) {
+        let wired = |[u, v, w]: [f32; 3]| [u, w, v];
+        self.half(match drive {
+            Drive::Duty(duties) if self.parameters.swapped => Drive::Duty(wired(duties)),
+            drive => drive,
+        });
+        self.halves += 1;
+    }
+
+    /// Counts of the converters now: phases' currents, bus voltage.
+    pub fn convert(&mut self) -> ([u16; 3], u16) {
         let [u, v, w] = self.motor.currents_a;
         let currents_a = if self.parameters.swapped {
             [u, w, v]
         } else {
             [u, v, w]
         };
-        let (bus_v, angle_rad) = (self.bus.voltage_v, self.train.angle_rad);
         let sensors = &self.parameters.sensors;
-        sensors.look(&currents_a, bus_v, angle_rad, &mut self.rng)
+        sensors.convert(&currents_a, self.bus.voltage_v, &mut self.rng)
+    }
+
+    /// Counts of the rotor's angle now.
+    pub fn angle(&mut self) -> u16 {
+        let sensors = &self.parameters.sensors;
+        sensors.angle(self.train.angle_rad, &mut self.rng)
     }
 
     fn half(&mut self, drive: Drive) {
@@ -217,7 +229,7 @@ impl Plant {
 
     /// Time since the beginning, in seconds.
     pub fn time_s(&self) -> f64 {
-        self.periods as f64 * PERIOD_S
+        self.halves as f64 * (0.5 * PERIOD_S)
     }
 
     /// Between the fingertips, in m.

@@ -16,6 +16,19 @@ impl Desk {
         Self(TempDir::new().unwrap())
     }
 
+    /// What a command prints that must succeed, its words given one by one.
+    pub fn call(&self, words: &[&str]) -> Vec<u8> {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_magpie"));
+        let output = command
+            .args(words)
+            .current_dir(self.0.path())
+            .output()
+            .unwrap();
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{words:?}: {said}");
+        output.stdout
+    }
+
     /// What a command, given without the program's name, does here.
     pub fn run(&self, line: &str) -> Output {
         Command::new(env!("CARGO_BIN_EXE_magpie"))

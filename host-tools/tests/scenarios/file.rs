@@ -59,6 +59,7 @@ pub enum Act {
     Slip { sensor: usize, clocks: u32 },
     Short { bus: usize },
     Open { bus: usize },
+    Residue { bus: usize },
     DisturbCan,
     CalmCan,
     LeaveAlone,
@@ -79,6 +80,12 @@ pub enum Expect {
     Comes(Moment),
     /// A fault goes.
     Goes(Moment),
+    /// A fault may come and go, or not.
+    May {
+        fault: String,
+        #[serde(default)]
+        source: u8,
+    },
     /// The forces at sensors may be used in every tick of a stretch.
     Valid {
         sensors: Vec<usize>,
@@ -88,6 +95,14 @@ pub enum Expect {
     /// They may be used in none.
     NotValid {
         sensors: Vec<usize>,
+        from_ms: f64,
+        to_ms: f64,
+    },
+    /// The lateral forces at sensors are this in every tick of a stretch, whichever way they point.
+    Force {
+        sensors: Vec<usize>,
+        newtons: f64,
+        within_n: f64,
         from_ms: f64,
         to_ms: f64,
     },

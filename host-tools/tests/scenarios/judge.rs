@@ -1,8 +1,9 @@
 //! Whether what was seen is what a scenario expects, and nothing else.
 
-use firmware::loops::FIRST_TICK_US;
 use firmware::status::Fault;
+use firmware::units::Force;
 use firmware::wire::messages::FaultEvent;
+use firmware::wire::serial::Tick;
 
 use super::bench::Seen;
 use super::file::{Expect, Moment, Scenario};
@@ -34,6 +35,11 @@ pub fn judge(scenario: &Scenario, seen: &Seen) -> (Vec<String>, Vec<(String, f64
                     None => wrong.push(format!("{moment:?}: not told")),
                 }
             }
+            Expect::May { fault, source } => {
+                for ((_, event), explained) in seen.faults.iter().zip(&mut explained) {
+                    *explained |= is_of(event, fault, *source);
+                }
+            }
             Expect::Valid {
                 sensors,
                 from_ms,
@@ -44,6 +50,18 @@ pub fn judge(scenario: &Scenario, seen: &Seen) -> (Vec<String>, Vec<(String, f64
                 from_ms,
                 to_ms,
             } => wrong.extend(validity(seen, sensors, *from_ms, *to_ms, false)),
+            Expect::Force {
+                sensors,
+                newtons,
+                within_n,
+                from_ms,
+                to_ms,
+            } => wrong.extend(forces(
+                seen,
+                sensors,
+                [*newtons, *within_n],
+                [*from_ms, *to_ms],
+            )),
             Expect::Missed { ticks } if seen.missed > *ticks => {
                 wrong.push(format!("{} ticks were missed", seen.missed));
             }
@@ -65,32 +83,56 @@ pub fn judge(scenario: &Scenario, seen: &Seen) -> (Vec<String>, Vec<(String, f64
 }
 
 fn is(fault: &FaultEvent, moment: &Moment, active: bool) -> bool {
-    let name = Fault::of_code(fault.code).map(|kind| format!("{kind:?}"));
-    name.as_deref() == Some(&moment.fault)
-        && fault.source == moment.source
-        && (fault.active == 1) == active
+    is_of(fault, &moment.fault, moment.source) && (fault.active == 1) == active
+}
+
+fn is_of(event: &FaultEvent, fault: &str, source: u8) -> bool {
+    let name = Fault::of_code(event.code).map(|kind| format!("{kind:?}"));
+    name.as_deref() == Some(fault) && event.source == source
+}
+
+/// Milliseconds from the first tick.
+fn tick_ms(seen: &Seen, tick: &Tick) -> f64 {
+    f64::from(tick.time_us.wrapping_sub(seen.origin_us)) / 1000.0
+}
+
+fn stretch(seen: &Seen, [from_ms, to_ms]: [f64; 2]) -> impl Iterator<Item = (f64, &Tick)> {
+    let ticks = seen.ticks.iter().map(|tick| (tick_ms(seen, tick), tick));
+    ticks.filter(move |(ms, _)| *ms >= from_ms && *ms < to_ms)
+}
+
+fn forces(
+    seen: &Seen,
+    sensors: &[usize],
+    [newtons, within_n]: [f64; 2],
+    from_to_ms: [f64; 2],
+) -> Vec<String> {
+    let mut wrong = Vec::new();
+    for (ms, tick) in stretch(seen, from_to_ms) {
+        for &sensor in sensors {
+            let force_n = f64::from(tick.sensors[sensor].force[0]) / Force::PER_NEWTON;
+            if (force_n.abs() - newtons).abs() > within_n {
+                wrong.push(format!("sensor {sensor} at {ms} ms: {force_n:.1} N"));
+            }
+        }
+    }
+    wrong
 }
 
 fn validity(seen: &Seen, sensors: &[usize], from_ms: f64, to_ms: f64, wanted: bool) -> Vec<String> {
-    let ms = |time_us: u32| (f64::from(time_us) - FIRST_TICK_US as f64) / 1000.0;
-    let stretch = seen.ticks.iter().filter(|tick| {
-        let ms = ms(tick.time_us);
-        ms >= from_ms && ms < to_ms
-    });
     let mut wrong = Vec::new();
     let mut ticks = 0;
-    for tick in stretch {
+    for (ms, tick) in stretch(seen, [from_ms, to_ms]) {
         ticks += 1;
         for &sensor in sensors {
             let valid = tick.sensors[sensor].validity == 0;
             if valid != wanted {
-                let ms = ms(tick.time_us);
                 wrong.push(format!("sensor {sensor} at {ms} ms: valid {valid}"));
             }
         }
     }
-    // The line has room for every tick where nothing else is told.
-    if f64::from(ticks) < 0.9 * (to_ms - from_ms).floor() {
+    // Every tick arrives.
+    if f64::from(ticks) < (to_ms - from_ms).floor() {
         wrong.push(format!(
             "only {ticks} ticks between {from_ms} and {to_ms} ms"
         ));

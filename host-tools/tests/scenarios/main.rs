@@ -7,7 +7,7 @@ mod judge;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use bench::Bench;
+use bench::{Bench, Layer};
 use file::{Detector, Scenario};
 use firmware::limits::Limits;
 use firmware::parameters::Parameters;
@@ -87,7 +87,9 @@ fn play(built: &Built, scenario: &Scenario, off: Option<Detector>) -> bench::See
     let world = Pressed::new(&built.model, SEED, move |_| {
         [left_n, left_n, -right_n, -right_n].map(|n| [n, 0.0])
     });
-    Bench::new(Board::start(program, Box::new(world))).play(scenario)
+    let board = Board::start(program, Box::new(world));
+    let (seen, _) = Bench::new(Layer::Loops(Box::new(board))).play(scenario);
+    seen
 }
 
 #[test]

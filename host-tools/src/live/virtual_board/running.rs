@@ -155,7 +155,7 @@ impl Work {
             time_us = end_us;
             board.run_until(time_us);
             self.exchange(&board)?;
-            if board.now.borrow().ended() {
+            if board.connections.now.borrow().ended() {
                 self.ended.store(true, Relaxed);
                 while !self.stop.load(Relaxed) {
                     thread::sleep(LOOK);
@@ -178,9 +178,9 @@ impl Work {
     /// Carries bytes between the board's line and the pseudo terminals.
     fn exchange(&mut self, board: &Board) -> Result<()> {
         // Nobody looks at the bus, and its memory would grow.
-        board.can.borrow_mut().heard.clear();
+        board.connections.can.borrow_mut().heard.clear();
         board.events.borrow_mut().clear();
-        let mut line = board.line.borrow_mut();
+        let mut line = board.connections.line.borrow_mut();
         let sent = std::mem::take(&mut line.sent);
         let [inside, outside] = &mut self.ptys;
         let mut given = 0;
@@ -205,7 +205,7 @@ impl Work {
 }
 
 fn unplugged(board: &Board, number: usize) {
-    for bus in &board.buses {
+    for bus in &board.connections.buses {
         let sensors = &mut bus.borrow_mut().sensors;
         let known = sensors.iter_mut().filter(|sensor| sensor.number == number);
         known.for_each(|sensor| sensor.unplugged = true);

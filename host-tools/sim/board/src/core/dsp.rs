@@ -1,0 +1,328 @@
+//! DSP extension and the other multiplications with 64-bit intermediate results (DDI0403E A4.4.3 to
+//! A4.4.7).
+
+use super::arithmetic::{SATURATED, saturate_signed, saturate_unsigned};
+use super::instruction::{
+    DspMultiply, Extension, LongMultiply, ParallelFormat, ParallelOperation, Register,
+};
+use super::state::{GE, State};
+
+/// Low or high halfword with its sign.
+#[inline(always)]
+const fn half(value: u32, top: bool) -> i64 {
+    (if top { value >> 16 } else { value }) as i16 as i64
+}
+
+/// A word with its sign.
+#[inline(always)]
+const fn word(value: u32) -> i64 {
+    value as i32 as i64
+}
+
+/// Products of the low and of the high halfwords, with the second operand's halves exchanged on
+/// demand.
+#[inline(always)]
+const fn dual_products(n: u32, m: u32, exchange: bool) -> (i64, i64) {
+    let m = if exchange { m.rotate_right(16) } else { m };
+    (
+        half(n, false) * half(m, false),
+        half(n, true) * half(m, true),
+    )
+}
+
+/// A result with the GE flags of the modulo formats, in bits 3 to 0.
+struct Lanes {
+    result: u32,
+    greater_equal: u32,
+}
+
+impl Lanes {
+    /// Appends a lane of `width` bits from bit `low` up. `carry` is the GE condition of the lane: no
+    /// borrow of a difference, a carry of an unsigned sum, a signed result that is not negative.
+    #[inline(always)]
+    fn set(&mut self, low: u32, width: u32, value: i32, format: ParallelFormat, carry: bool) {
+        let limited = match format {
+            ParallelFormat::Signed | ParallelFormat::Unsigned => value,
+            ParallelFormat::SignedHalving | ParallelFormat::UnsignedHalving => value >> 1,
+            ParallelFormat::SignedSaturating => saturate_signed(value as i64, width).0,
+            ParallelFormat::UnsignedSaturating => saturate_unsigned(value as i64, width).0 as i32,
+        };
+        let mask = (1 << width) - 1;
+        self.result |= (limited as u32 & mask) << low;
+        if carry {
+            // One flag for each byte of the lane.
+            self.greater_equal |= ((1 << (width / 8)) - 1) << (low / 8);
+        }
+    }
+}
+
+const fn is_unsigned(format: ParallelFormat) -> bool {
+    matches!(
+        format,
+        ParallelFormat::Unsigned
+            | ParallelFormat::UnsignedSaturating
+            | ParallelFormat::UnsignedHalving
+    )
+}
+
+/// The lane of `width` bits from bit `low` up.
+#[inline(always)]
+const fn lane(value: u32, low: u32, width: u32, unsigned: bool) -> i32 {
+    let raw = value << (32 - width - low);
+    if unsigned {
+        (raw >> (32 - width)) as i32
+    } else {
+        raw as i32 >> (32 - width)
+    }
+}
+
+impl State {
+    fn set_saturated(&mut self, saturated: bool) {
+        if saturated {
+            self.apsr |= SATURATED;
+        }
+    }
+
+    /// Multiplications with a 32-bit result. An overflow of the final addition sets Q and wraps.
+    #[inline]
+    pub(super) fn dsp_multiply(
+        &mut self,
+        operation: DspMultiply,
+        d: Register,
+        n: u32,
+        m: u32,
+        a: Register,
+    ) {
+        let accumulator = if a == Register::PC { 0 } else { self.read(a) };
+        let sum = match operation {
+            DspMultiply::Half { n_top, m_top } => {
+                half(n, n_top) * half(m, m_top) + word(accumulator)
+            }
+            DspMultiply::WordByHalf { m_top } => {
+                ((word(n) * half(m, m_top)) >> 16) + word(accumulator)
+            }
+            DspMultiply::DualAdd { exchange } => {
+                let (low, high) = dual_products(n, m, exchange);
+                low + high + word(accumulator)
+            }
+            DspMultiply::DualSubtract { exchange } => {
+                let (low, high) = dual_products(n, m, exchange);
+                low - high + word(accumulator)
+            }
+            DspMultiply::MostSignificant { round } => {
+                let product = word(n) * word(m);
+                return self.most_significant(d, accumulator, product, round);
+            }
+            DspMultiply::MostSignificantSubtract { round } => {
+                let product = word(n) * word(m);
+                return self.most_significant(d, accumulator, product.wrapping_neg(), round);
+            }
+            DspMultiply::SumOfDifferences => {
+                let sum: u32 = n
+                    .to_le_bytes()
+                    .into_iter()
+                    .zip(m.to_le_bytes())
+                    .map(|(n, m)| n.abs_diff(m) as u32)
+                    .sum();
+                return self.write(d, accumulator.wrapping_add(sum));
+            }
+        };
+        self.write(d, sum as u32);
+        self.set_saturated(sum != sum as i32 as i64);
+    }
+
+    /// High word of the accumulator, extended by a word of zeros, plus the product.
+    #[inline]
+    fn most_significant(&mut self, d: Register, accumulator: u32, product: i64, round: bool) {
+        let rounding = if round { 0x8000_0000 } else { 0 };
+        let sum = ((accumulator as i64) << 32)
+            .wrapping_add(product)
+            .wrapping_add(rounding);
+        self.write(d, (sum >> 32) as u32);
+    }
+
+    /// Multiplications with a 64-bit result, which wraps.
+    #[inline]
+    pub(super) fn long_multiply(
+        &mut self,
+        operation: LongMultiply,
+        low: Register,
+        high: Register,
+        n: u32,
+        m: u32,
+    ) {
+        let (first, second) = (self.read(low) as u64, self.read(high) as u64);
+        let accumulator = (second << 32 | first) as i64;
+        let unsigned = n as u64 * m as u64;
+        let signed = word(n) * word(m);
+        let result = match operation {
+            LongMultiply::Signed => signed as u64,
+            LongMultiply::Unsigned => unsigned,
+            LongMultiply::SignedAccumulate => accumulator.wrapping_add(signed) as u64,
+            LongMultiply::UnsignedAccumulate => (accumulator as u64).wrapping_add(unsigned),
+            LongMultiply::UnsignedAccumulateTwo => unsigned + first + second,
+            LongMultiply::HalfAccumulate { n_top, m_top } => {
+                accumulator.wrapping_add(half(n, n_top) * half(m, m_top)) as u64
+            }
+            LongMultiply::DualAddAccumulate { exchange } => {
+                let (low, high) = dual_products(n, m, exchange);
+                accumulator.wrapping_add(low + high) as u64
+            }
+            LongMultiply::DualSubtractAccumulate { exchange } => {
+                let (low, high) = dual_products(n, m, exchange);
+                accumulator.wrapping_add(low - high) as u64
+            }
+        };
+        self.write(low, result as u32);
+        self.write(high, (result >> 32) as u32);
+    }
+
+    /// Parallel additions and subtractions of bytes or halfwords.
+    #[inline]
+    pub(super) fn parallel(
+        &mut self,
+        operation: ParallelOperation,
+        format: ParallelFormat,
+        d: Register,
+        n: u32,
+        m: u32,
+    ) {
+        use ParallelOperation as P;
+        let width = if matches!(operation, P::Add8 | P::Subtract8) {
+            8
+        } else {
+            16
+        };
+        let exchange = matches!(operation, P::AddSubtractExchange | P::SubtractAddExchange);
+        let m = if exchange { m.rotate_right(16) } else { m };
+        let unsigned = is_unsigned(format);
+        let mut lanes = Lanes {
+            result: 0,
+            greater_equal: 0,
+        };
+        for low in (0..32).step_by(width as usize) {
+            let subtract = match operation {
+                P::Add16 | P::Add8 => false,
+                P::Subtract16 | P::Subtract8 => true,
+                P::AddSubtractExchange => low == 0,
+                P::SubtractAddExchange => low != 0,
+            };
+            let (first, second) = (lane(n, low, width, unsigned), lane(m, low, width, unsigned));
+            let value = if subtract {
+                first - second
+            } else {
+                first + second
+            };
+            let carry = if unsigned && !subtract {
+                value >> width != 0
+            } else {
+                value >= 0
+            };
+            lanes.set(low, width, value, format, carry);
+        }
+        self.write(d, lanes.result);
+        if matches!(format, ParallelFormat::Signed | ParallelFormat::Unsigned) {
+            self.apsr = self.apsr & !GE | lanes.greater_equal << 16;
+        }
+    }
+
+    /// QADD, QSUB, QDADD, QDSUB: the doubling saturates for itself.
+    #[inline]
+    pub(super) fn saturating_add(
+        &mut self,
+        d: Register,
+        n: u32,
+        m: u32,
+        subtract: bool,
+        double: bool,
+    ) {
+        let (operand, doubling) = if double {
+            saturate_signed(word(n) * 2, 32)
+        } else {
+            (n as i32, false)
+        };
+        let operand = operand as i64;
+        let sum = if subtract {
+            word(m) - operand
+        } else {
+            word(m) + operand
+        };
+        let (result, saturated) = saturate_signed(sum, 32);
+        self.write(d, result as u32);
+        self.set_saturated(doubling || saturated);
+    }
+
+    /// SEL: each byte from the first operand where its GE flag is set, else from the second.
+    #[inline]
+    pub(super) fn select_bytes(&mut self, d: Register, n: u32, m: u32) {
+        let flags = self.apsr >> 16;
+        let mask: u32 = (0..4)
+            .map(|byte| (flags >> byte & 1) * (0xFF << (8 * byte)))
+            .sum();
+        self.write(d, n & mask | m & !mask);
+    }
+
+    /// PKHBT and, with the high halfword of the first operand, PKHTB.
+    #[inline]
+    pub(super) fn pack_halfwords(&mut self, d: Register, n: u32, operand: u32, top: bool) {
+        let low = if top { operand } else { n };
+        let high = if top { n } else { operand };
+        self.write(d, high & 0xFFFF_0000 | low & 0xFFFF);
+    }
+
+    #[inline]
+    pub(super) fn saturate_signed(&mut self, d: Register, operand: u32, bits: u32) {
+        let (result, saturated) = saturate_signed(word(operand), bits);
+        self.write(d, result as u32);
+        self.set_saturated(saturated);
+    }
+
+    #[inline]
+    pub(super) fn saturate_unsigned(&mut self, d: Register, operand: u32, bits: u32) {
+        let (result, saturated) = saturate_unsigned(word(operand), bits);
+        self.write(d, result);
+        self.set_saturated(saturated);
+    }
+
+    /// SSAT16 and USAT16.
+    #[inline]
+    pub(super) fn saturate_halves(&mut self, d: Register, n: u32, bits: u32, unsigned: bool) {
+        let limit = |value| {
+            if unsigned {
+                saturate_unsigned(value, bits)
+            } else {
+                let (result, saturated) = saturate_signed(value, bits);
+                (result as u32, saturated)
+            }
+        };
+        let (low, low_saturated) = limit(half(n, false));
+        let (high, high_saturated) = limit(half(n, true));
+        self.write(d, high << 16 | low & 0xFFFF);
+        self.set_saturated(low_saturated || high_saturated);
+    }
+
+    /// SXTAB and the like; without addition `n` is the PC. `operand` is rotated already.
+    #[inline]
+    pub(super) fn extend_add(
+        &mut self,
+        extension: Extension,
+        d: Register,
+        n: Register,
+        operand: u32,
+    ) {
+        let first = if n == Register::PC { 0 } else { self.read(n) };
+        let pair = |low: u32, high: u32| {
+            let low = first.wrapping_add(low) & 0xFFFF;
+            (first >> 16).wrapping_add(high) << 16 | low
+        };
+        let result = match extension {
+            Extension::SignedByte => first.wrapping_add(operand as i8 as u32),
+            Extension::SignedHalf => first.wrapping_add(operand as i16 as u32),
+            Extension::UnsignedByte => first.wrapping_add(operand & 0xFF),
+            Extension::UnsignedHalf => first.wrapping_add(operand & 0xFFFF),
+            Extension::SignedBytePair => pair(operand as i8 as u32, (operand >> 16) as i8 as u32),
+            Extension::UnsignedBytePair => pair(operand & 0xFF, operand >> 16 & 0xFF),
+        };
+        self.write(d, result);
+    }
+}

@@ -1,0 +1,503 @@
+//! Decoded instructions: 8 bytes each, with everything that does not depend on the state computed.
+
+use super::Width;
+use super::arithmetic::{Condition, Shift};
+
+/// Number of a core register, 0 to 15.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Register(u8);
+
+impl Register {
+    pub(super) const SP: Self = Self(13);
+    pub(super) const PC: Self = Self(15);
+
+    /// The register of the four bits of `encoding` from bit `low` up.
+    #[inline]
+    pub(super) const fn field(encoding: u32, low: u32) -> Self {
+        Self((encoding >> low & 15) as u8)
+    }
+
+    /// The register r0 to r7 of the three bits of `encoding` from bit `low` up.
+    #[inline]
+    pub(super) const fn low_field(encoding: u32, low: u32) -> Self {
+        Self((encoding >> low & 7) as u8)
+    }
+
+    /// Index into the register file. With the mask the compiler omits the check of the
+    /// range.
+    #[inline(always)]
+    pub(super) const fn index(self) -> usize {
+        (self.0 & 15) as usize
+    }
+
+    /// Bit of the register in the list of a multiple transfer.
+    #[inline(always)]
+    pub(super) const fn list_bit(self) -> u16 {
+        1 << self.index()
+    }
+}
+
+/// Number of a single-precision register, 0 to 31.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct FloatRegister(u8);
+
+impl FloatRegister {
+    #[inline]
+    pub(super) const fn new(number: u32) -> Self {
+        Self((number & 31) as u8)
+    }
+
+    #[inline(always)]
+    pub(super) const fn index(self) -> usize {
+        (self.0 & 31) as usize
+    }
+}
+
+/// Flags that a logical instruction with a constant operand sets: its carry out is determined when it
+/// is decoded. Packed into a byte, so that an instruction takes 8.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct LogicalFlags(u8);
+
+impl LogicalFlags {
+    const NZ: u8 = 1;
+    const CARRY_KNOWN: u8 = 2;
+    const CARRY: u8 = 4;
+
+    pub(super) const UNCHANGED: Self = Self(0);
+
+    /// N and Z from the result, and C where the encoding has a carry out.
+    pub(super) const fn nz_and(carry: Option<bool>) -> Self {
+        match carry {
+            None => Self(Self::NZ),
+            Some(false) => Self(Self::NZ | Self::CARRY_KNOWN),
+            Some(true) => Self(Self::NZ | Self::CARRY_KNOWN | Self::CARRY),
+        }
+    }
+
+    /// Whether N and Z are set; else no flag is.
+    #[inline(always)]
+    pub(super) const fn sets_nz(self) -> bool {
+        self.0 & Self::NZ != 0
+    }
+
+    #[inline(always)]
+    pub(super) const fn carry(self) -> Option<bool> {
+        if self.0 & Self::CARRY_KNOWN != 0 {
+            Some(self.0 & Self::CARRY != 0)
+        } else {
+            None
+        }
+    }
+}
+
+/// Data-processing operations with a shifted register.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum DataOperation {
+    And,
+    BitClear,
+    Or,
+    OrNot,
+    ExclusiveOr,
+    Add,
+    AddCarry,
+    Subtract,
+    SubtractCarry,
+    ReverseSubtract,
+    Move,
+    MoveNot,
+    Test,
+    TestEquivalence,
+    Compare,
+    CompareNegative,
+}
+
+/// What a load puts into its register.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum LoadKind {
+    Word,
+    Half,
+    Byte,
+    SignedHalf,
+    SignedByte,
+}
+
+/// How a load or store uses its offset and its base register.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum IndexMode {
+    /// Address base + offset; the base is unchanged.
+    Offset,
+    /// Address base + offset, which is written back.
+    PreIndexed,
+    /// Address base; base + offset is written back.
+    PostIndexed,
+}
+
+/// Order of a multiple transfer and write-back of its base.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct MultipleMode {
+    /// The block ends below the base instead of starting at it.
+    pub(super) decrement: bool,
+    /// The base register receives the other end of the block.
+    pub(super) write_back: bool,
+}
+
+/// Lanes and operation of the parallel additions and subtractions.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum ParallelOperation {
+    Add16,
+    /// Exchange, add the high and subtract the low halfword.
+    AddSubtractExchange,
+    /// Exchange, subtract the high and add the low halfword.
+    SubtractAddExchange,
+    Subtract16,
+    Add8,
+    Subtract8,
+}
+
+/// Number format of the parallel additions and subtractions.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum ParallelFormat {
+    /// Modulo arithmetic; sets the GE flags.
+    Signed,
+    SignedSaturating,
+    SignedHalving,
+    /// Modulo arithmetic; sets the GE flags.
+    Unsigned,
+    UnsignedSaturating,
+    UnsignedHalving,
+}
+
+/// Widths of the extending additions.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Extension {
+    SignedByte,
+    SignedHalf,
+    SignedBytePair,
+    UnsignedByte,
+    UnsignedHalf,
+    UnsignedBytePair,
+}
+
+/// Multiplications of the DSP extension with a 32-bit result. Without accumulation the accumulator
+/// register is the PC.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum DspMultiply {
+    /// SMLAxy, SMULxy.
+    Half { n_top: bool, m_top: bool },
+    /// SMLAWy, SMULWy.
+    WordByHalf { m_top: bool },
+    /// SMLAD, SMUAD, with X: exchanged.
+    DualAdd { exchange: bool },
+    /// SMLSD, SMUSD, with X: exchanged.
+    DualSubtract { exchange: bool },
+    /// SMMLA, SMMUL, with R: rounded.
+    MostSignificant { round: bool },
+    /// SMMLS, with R: rounded.
+    MostSignificantSubtract { round: bool },
+    /// USAD8, USADA8.
+    SumOfDifferences,
+}
+
+/// Multiplications with a 64-bit result.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum LongMultiply {
+    Signed,
+    Unsigned,
+    SignedAccumulate,
+    UnsignedAccumulate,
+    /// UMAAL: both result registers are added separately.
+    UnsignedAccumulateTwo,
+    /// SMLALxy.
+    HalfAccumulate {
+        n_top: bool,
+        m_top: bool,
+    },
+    /// SMLALD, with X: exchanged.
+    DualAddAccumulate {
+        exchange: bool,
+    },
+    /// SMLSLD, with X: exchanged.
+    DualSubtractAccumulate {
+        exchange: bool,
+    },
+}
+
+/// Hints with an effect on the core.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Hint {
+    WaitForEvent,
+    WaitForInterrupt,
+    SendEvent,
+}
+
+/// Multiply-and-add instructions of the floating-point unit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum MultiplyAdd {
+    /// VNMLA: `-d - n * m`, rounded twice.
+    NegatedAdd,
+    /// VNMLS: `-d + n * m`, rounded twice.
+    NegatedSubtract,
+    /// VFMA: `d + n * m`, rounded once.
+    FusedAdd,
+    /// VFMS: `d - n * m`, rounded once.
+    FusedSubtract,
+    /// VFNMA: `-d - n * m`, rounded once.
+    FusedNegatedAdd,
+    /// VFNMS: `-d + n * m`, rounded once.
+    FusedNegatedSubtract,
+}
+
+/// Fixed-point format of a conversion.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct FixedFormat {
+    /// 16 bits instead of 32.
+    pub(super) half: bool,
+    pub(super) unsigned: bool,
+    /// Bits behind the binary point.
+    pub(super) fraction_bits: u8,
+}
+
+/// Whether an instruction sets condition flags.
+pub(super) type SetFlags = bool;
+/// Distance of a shift or rotation in bits; 0 to 32.
+pub(super) type Amount = u8;
+/// Distance in bytes from a base register or from the PC.
+pub(super) type Offset = i32;
+/// Registers of a multiple transfer, a bit for each.
+pub(super) type RegisterList = u16;
+
+/// An instruction with its operands, in the order of the assembly language: destination d (or
+/// transferred register t), operands n and m, accumulator a, constant, shift; and at the end whether
+/// flags are set.
+///
+/// Offsets of branches and literals are relative to the PC, the address of the instruction plus 4.
+/// Instructions that are frequent in compiled code have their own variant so that one dispatch reaches
+/// them; the others share one by form.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Instruction {
+    Nop,
+
+    // Data processing with a constant.
+    MoveImmediate(Register, u32, LogicalFlags),
+    AndImmediate(Register, Register, u32, LogicalFlags),
+    OrImmediate(Register, Register, u32, LogicalFlags),
+    ExclusiveOrImmediate(Register, Register, u32, LogicalFlags),
+    TestImmediate(Register, u32, LogicalFlags),
+    TestEquivalenceImmediate(Register, u32, LogicalFlags),
+    AddImmediate(Register, Register, u32, SetFlags),
+    SubtractImmediate(Register, Register, u32, SetFlags),
+    ReverseSubtractImmediate(Register, Register, u32, SetFlags),
+    /// Also SBC, with the inverted constant.
+    AddCarryImmediate(Register, Register, u32, SetFlags),
+    CompareImmediate(Register, u32),
+    CompareNegativeImmediate(Register, u32),
+    /// MOVT.
+    MoveTop(Register, u16),
+    /// ADR: the PC, aligned to a word, plus the offset.
+    AddToPc(Register, Offset),
+
+    // Data processing with registers.
+    MoveRegister(Register, Register, SetFlags),
+    AddRegister(Register, Register, Register, SetFlags),
+    SubtractRegister(Register, Register, Register, SetFlags),
+    AddCarryRegister(Register, Register, Register, SetFlags),
+    SubtractCarryRegister(Register, Register, Register, SetFlags),
+    AndRegister(Register, Register, Register, SetFlags),
+    OrRegister(Register, Register, Register, SetFlags),
+    ExclusiveOrRegister(Register, Register, Register, SetFlags),
+    BitClearRegister(Register, Register, Register, SetFlags),
+    MoveNotRegister(Register, Register, SetFlags),
+    CompareRegister(Register, Register),
+    TestRegister(Register, Register),
+    AddShiftedLeft(Register, Register, Register, Amount, SetFlags),
+    Shifted(
+        DataOperation,
+        Register,
+        Register,
+        Register,
+        Shift,
+        Amount,
+        SetFlags,
+    ),
+    ShiftLeft(Register, Register, Amount, SetFlags),
+    ShiftLogicalRight(Register, Register, Amount, SetFlags),
+    ShiftArithmeticRight(Register, Register, Amount, SetFlags),
+    ShiftByRegister(Shift, Register, Register, Register, SetFlags),
+
+    // Bit fields (lowest bit, width), extension (rotation), reversal.
+    SignedBitField(Register, Register, u8, u8),
+    UnsignedBitField(Register, Register, u8, u8),
+    BitFieldInsert(Register, Register, u8, u8),
+    ExtendSignedByte(Register, Register, Amount),
+    ExtendSignedHalf(Register, Register, Amount),
+    ExtendUnsignedByte(Register, Register, Amount),
+    ExtendUnsignedHalf(Register, Register, Amount),
+    /// The extending additions and the extensions of two bytes; without addition n is the PC.
+    ExtendAdd(Extension, Register, Register, Register, Amount),
+    ReverseBytes(Register, Register),
+    ReverseHalfwords(Register, Register),
+    ReverseSignedHalf(Register, Register),
+    ReverseBits(Register, Register),
+    CountLeadingZeros(Register, Register),
+
+    // Multiplication and division.
+    Multiply(Register, Register, Register, SetFlags),
+    MultiplyAccumulate(Register, Register, Register, Register),
+    MultiplySubtract(Register, Register, Register, Register),
+    /// Low and high word of the result, n, m.
+    LongMultiply(LongMultiply, Register, Register, Register, Register),
+    DivideSigned(Register, Register, Register),
+    DivideUnsigned(Register, Register, Register),
+
+    // DSP extension.
+    Dsp(DspMultiply, Register, Register, Register, Register),
+    Parallel(
+        ParallelOperation,
+        ParallelFormat,
+        Register,
+        Register,
+        Register,
+    ),
+    /// QADD, QDADD, QSUB, QDSUB: d, n, m; m - n instead of m + n; n doubled first.
+    SaturatingAdd(Register, Register, Register, bool, bool),
+    SelectBytes(Register, Register, Register),
+    /// PKHBT or, with the high halfword of n, PKHTB.
+    PackHalfwords(Register, Register, Register, bool, Shift, Amount),
+    /// SSAT: d, n, number of bits, shift of n.
+    SaturateSigned(Register, Register, u8, Shift, Amount),
+    /// USAT: d, n, number of bits, shift of n.
+    SaturateUnsigned(Register, Register, u8, Shift, Amount),
+    /// SSAT16 or USAT16: d, n, number of bits, unsigned.
+    SaturateHalves(Register, Register, u8, bool),
+
+    // Branches.
+    Branch(Offset),
+    BranchIf(Condition, Offset),
+    BranchLink(Offset),
+    /// BX, which may be the return from an exception.
+    BranchExchange(Register),
+    BranchLinkExchange(Register),
+    /// CBZ or, where not zero, CBNZ.
+    CompareBranch(Register, bool, Offset),
+    /// TBB or, with halfwords, TBH.
+    TableBranch(Register, Register, bool),
+    /// MOV PC, Rm.
+    MoveToPc(Register),
+    /// ADD PC, PC, Rm.
+    AddRegisterToPc(Register),
+
+    // Loads and stores of one register: constant offset,
+    LoadWord(Register, Register, Offset),
+    LoadHalf(Register, Register, Offset),
+    LoadByte(Register, Register, Offset),
+    LoadSignedHalf(Register, Register, Offset),
+    LoadSignedByte(Register, Register, Offset),
+    StoreWord(Register, Register, Offset),
+    StoreHalf(Register, Register, Offset),
+    StoreByte(Register, Register, Offset),
+    // register offset, shifted left,
+    LoadWordIndexed(Register, Register, Register, Amount),
+    LoadHalfIndexed(Register, Register, Register, Amount),
+    LoadByteIndexed(Register, Register, Register, Amount),
+    LoadSignedHalfIndexed(Register, Register, Register, Amount),
+    LoadSignedByteIndexed(Register, Register, Register, Amount),
+    StoreWordIndexed(Register, Register, Register, Amount),
+    StoreHalfIndexed(Register, Register, Register, Amount),
+    StoreByteIndexed(Register, Register, Register, Amount),
+    // base register written back,
+    LoadWriteBack(LoadKind, Register, Register, IndexMode, i16),
+    StoreWriteBack(Width, Register, Register, IndexMode, i16),
+    // relative to the PC, aligned to a word,
+    LoadLiteral(Register, Offset),
+    LoadLiteralPart(LoadKind, Register, Offset),
+    // a word loaded into the PC.
+    LoadToPc(Register, Offset),
+    LoadToPcIndexed(Register, Register, Amount),
+    LoadToPcLiteral(Offset),
+
+    // Loads and stores of several registers.
+    LoadDual(Register, Register, Register, IndexMode, i16),
+    StoreDual(Register, Register, Register, IndexMode, i16),
+    LoadDualLiteral(Register, Register, i16),
+    LoadMultiple(Register, MultipleMode, RegisterList),
+    StoreMultiple(Register, MultipleMode, RegisterList),
+    Push(RegisterList),
+    Pop(RegisterList),
+
+    // Exclusive accesses.
+    LoadExclusive(Width, Register, Register, u16),
+    /// Width, status, t, n, offset.
+    StoreExclusive(Width, Register, Register, Register, u16),
+    ClearExclusive,
+
+    // System.
+    /// IT, with the ITSTATE that it sets.
+    IfThen(u8),
+    Hint(Hint),
+    /// DSB and DMB.
+    DataBarrier,
+    /// ISB.
+    SynchronisationBarrier,
+    /// CPSIE or CPSID: disable, PRIMASK, FAULTMASK.
+    ChangeState(bool, bool, bool),
+    /// MRS: d, number of the special register.
+    ReadSpecial(Register, u8),
+    /// MSR: n, parts of the APSR, number of the special register.
+    WriteSpecial(Register, u8, u8),
+    SupervisorCall,
+    Breakpoint(u8),
+    /// UDF and the encodings that the architecture defines as undefined.
+    Undefined,
+    /// An instruction for a coprocessor that the chip has not.
+    NoCoprocessor,
+    /// Encodings that the architecture leaves unpredictable.
+    Unsupported,
+
+    // Floating point.
+    FloatAdd(FloatRegister, FloatRegister, FloatRegister),
+    FloatSubtract(FloatRegister, FloatRegister, FloatRegister),
+    FloatMultiply(FloatRegister, FloatRegister, FloatRegister),
+    FloatNegatedMultiply(FloatRegister, FloatRegister, FloatRegister),
+    FloatDivide(FloatRegister, FloatRegister, FloatRegister),
+    /// VMLA: `d + n * m`, rounded twice.
+    FloatMultiplyAdd(FloatRegister, FloatRegister, FloatRegister),
+    /// VMLS: `d - n * m`, rounded twice.
+    FloatMultiplySubtract(FloatRegister, FloatRegister, FloatRegister),
+    FloatMultiplyAddOther(MultiplyAdd, FloatRegister, FloatRegister, FloatRegister),
+    FloatSquareRoot(FloatRegister, FloatRegister),
+    FloatAbsolute(FloatRegister, FloatRegister),
+    FloatNegate(FloatRegister, FloatRegister),
+    FloatMove(FloatRegister, FloatRegister),
+    FloatMoveImmediate(FloatRegister, u32),
+    /// VCMP or, with an exception for a quiet NaN, VCMPE.
+    FloatCompare(FloatRegister, FloatRegister, bool),
+    FloatCompareZero(FloatRegister, bool),
+    /// VCVT from an integer, which may be unsigned.
+    FloatFromInteger(FloatRegister, FloatRegister, bool),
+    /// VCVT or VCVTR to an integer: d, m, unsigned, rounded toward zero.
+    FloatToInteger(FloatRegister, FloatRegister, bool, bool),
+    FloatFromFixed(FloatRegister, FixedFormat),
+    FloatToFixed(FloatRegister, FixedFormat),
+    /// VCVTB or, with the high halfword, VCVTT.
+    FloatFromHalf(FloatRegister, FloatRegister, bool),
+    FloatToHalf(FloatRegister, FloatRegister, bool),
+    /// VLDR: d, n, double word, offset.
+    FloatLoad(FloatRegister, Register, bool, i16),
+    /// VSTR: d, n, double word, offset.
+    FloatStore(FloatRegister, Register, bool, i16),
+    /// VLDM: first register, words, n, mode, bytes that the base moves.
+    FloatLoadMultiple(FloatRegister, u8, Register, MultipleMode, i16),
+    /// VSTM: first register, words, n, mode, bytes that the base moves.
+    FloatStoreMultiple(FloatRegister, u8, Register, MultipleMode, i16),
+    FloatFromCore(FloatRegister, Register),
+    FloatToCore(Register, FloatRegister),
+    /// Two consecutive single-precision registers from two core registers.
+    FloatPairFromCore(FloatRegister, Register, Register),
+    FloatPairToCore(Register, Register, FloatRegister),
+    ReadFloatStatus(Register),
+    /// VMRS APSR_nzcv, FPSCR.
+    ReadFloatFlags,
+    WriteFloatStatus(Register),
+}
+
+const _: () = assert!(size_of::<Instruction>() == 8);

@@ -1,0 +1,511 @@
+//! The Cortex-M4F core: ARMv7E-M with the floating-point extension FPv4-SP.
+//!
+//! [`Core`] executes the program that a [`Bus`] contains, [`SystemControl`] is the interrupt controller
+//! and the system control block, [`CycleModel`] the execution time.
+//!
+//! - [`bus`]: the interface to memories, peripherals and time.
+//! - `instruction`, `decode`, `code_cache`: instructions, decoded once.
+//! - `execute`, `arithmetic`, `dsp`, `float`, `ieee754`: their execution.
+//! - `exceptions`: entry, return, faults, lazy floating-point state.
+//! - [`system_control`]: registers of the system control space, pending and active exceptions.
+//! - [`cycles`], [`statistics`]: execution time and where it goes.
+//!
+//! Sources: ARMv7-M Architecture Reference Manual (DDI0403E), Cortex-M4 Technical Reference Manual
+//! (DDI0439), STM32 Cortex-M4 programming manual (PM0214).
+//!
+//! # Not modelled
+//!
+//! - SysTick's timer and the memory protection unit: their registers are absent.
+//! - The write buffer: a refused store is a precise fault at its instruction, where the chip mostly
+//!   reports an imprecise one a few instructions later.
+//! - The prefetch of instructions: a store into executed memory has its effect at once, other changes
+//!   with [`Bus::take_modified_code`].
+//! - Interruption in the middle of load and store multiple (the ICI bits are always zero).
+//! - Bit-band aliases, which the [`Bus`] may provide, the debugger, and BKPT as a fault: it stops the core
+//!   with [`Stop::Breakpoint`].
+//! - Instructions whose behaviour the architecture leaves unpredictable: they stop the core with
+//!   [`Stop::Unsupported`].
+
+pub mod bus;
+pub mod cycles;
+pub mod statistics;
+pub mod system_control;
+
+mod arithmetic;
+mod code_cache;
+mod decode;
+mod dsp;
+mod exceptions;
+mod execute;
+mod float;
+mod ieee754;
+mod instruction;
+mod state;
+#[cfg(test)]
+mod tests;
+
+pub use bus::{Bus, BusError, Width};
+pub use cycles::CycleModel;
+pub use statistics::{ExceptionStatistics, Statistics};
+pub use system_control::{EXCEPTIONS, INTERRUPTS, SystemControl};
+
+use code_cache::{CodeCache, Context, is_cached_ram};
+use cycles::Timing;
+use instruction::Instruction;
+use state::{Fault, PC, SP, Sleep, State, Trap, executed_index};
+use statistics::HISTORY;
+
+/// Bytes of the longest instruction.
+const LONGEST: u32 = 4;
+
+/// Why [`Core::run`] returned without an error.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Pause {
+    /// [`Bus::event_due`]: the caller handles the event and calls again.
+    EventDue,
+    /// The core sleeps (WFE, WFI, SLEEPONEXIT): the caller advances the time to the next event, handles
+    /// it and calls again.
+    Asleep,
+}
+
+/// Why the core cannot continue.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum Stop {
+    /// A fault at a priority at which no fault can be taken: within HardFault or NMI, with FAULTMASK,
+    /// or where the vector table cannot be read. The fault status registers contain the cause.
+    #[error("lock-up at {address:#010x}: a fault occurred where none can be handled")]
+    LockUp {
+        /// Address of the instruction.
+        address: u32,
+    },
+    /// BKPT. The program counter is behind it: [`Core::run`] continues the program.
+    #[error("breakpoint {immediate:#04x} at {address:#010x}")]
+    Breakpoint {
+        /// Address of the instruction.
+        address: u32,
+        /// Number in the instruction; 0xAB is a semihosting call.
+        immediate: u8,
+    },
+    /// An instruction whose behaviour the architecture leaves unpredictable: by its encoding, or a
+    /// branch inside an IT block. It was not executed.
+    #[error(
+        "unpredictable instruction {:#06x} {:#06x} at {address:#010x}",
+        halfwords[0],
+        halfwords[1]
+    )]
+    Unsupported {
+        /// Address of the instruction.
+        address: u32,
+        /// The instruction; the second halfword is zero after one of 16 bits.
+        halfwords: [u16; 2],
+    },
+    /// The program requested a reset (AIRCR.SYSRESETREQ). The caller resets the chip and calls
+    /// [`Core::reset`].
+    #[error("system reset requested")]
+    ResetRequested,
+}
+
+/// A Cortex-M4F core.
+///
+/// The registers, the decoded instructions and the statistics; the memories and [`SystemControl`]
+/// are parts of the [`Bus`] that is passed to each call. The same bus must be passed every time.
+#[derive(Debug, Clone)]
+pub struct Core {
+    state: State,
+    code: CodeCache,
+    /// Timing of the last instruction.
+    previous: Timing,
+}
+
+impl Core {
+    /// A core before its first [`Core::reset`], with the execution times of a model.
+    pub fn new(model: CycleModel) -> Self {
+        Self {
+            state: State::new(model),
+            code: CodeCache::new(&model),
+            previous: Timing::NONE,
+        }
+    }
+
+    /// Reset (`TakeReset`, B1.5.5): resets the [`SystemControl`] of the bus and loads the main stack
+    /// pointer and the program counter from the vector table at address 0, where the bus maps the
+    /// boot memory. Statistics remain.
+    ///
+    /// # Errors
+    /// [`Stop::LockUp`] where the vector table cannot be read.
+    pub fn reset<B: Bus>(&mut self, bus: &mut B) -> Result<(), Stop> {
+        bus.system().reset();
+        self.state.reset();
+        self.previous = Timing::NONE;
+        let vectors = bus.system().vector_table();
+        let read = |bus: &mut B, address| {
+            bus.read(address, Width::Word)
+                .map_err(|BusError| Stop::LockUp { address })
+        };
+        let sp = read(bus, vectors)?;
+        let entry = read(bus, vectors + 4)?;
+        self.state.r[SP] = sp & !3;
+        self.state.pc = entry & !1;
+        self.state.thumb = entry & 1 != 0;
+        Ok(())
+    }
+
+    /// Executes instructions until [`Bus::event_due`], or until the core sleeps. Pending exceptions are
+    /// taken before an instruction.
+    ///
+    /// Returns at once while an event is due.
+    ///
+    /// # Errors
+    /// [`Stop`] where the program cannot continue.
+    pub fn run<B: Bus>(&mut self, bus: &mut B) -> Result<Pause, Stop> {
+        self.drop_modified_code(bus);
+        let result = self.run_loop(bus);
+        bus.system().synchronise(self.state.cycles);
+        result
+    }
+
+    #[inline(always)]
+    fn run_loop<B: Bus>(&mut self, bus: &mut B) -> Result<Pause, Stop> {
+        // In a local variable because each instruction depends on it; the state has it while anything
+        // else needs it.
+        let mut pc = self.state.pc;
+        loop {
+            if bus.event_due() {
+                self.state.pc = pc;
+                return Ok(Pause::EventDue);
+            }
+            if bus.system().recheck_requested() {
+                self.state.pc = pc;
+                if let Some(pause) = self.check_state(bus)? {
+                    return Ok(pause);
+                }
+                pc = self.state.pc;
+            }
+            pc = self.execute_at(bus, pc)?;
+        }
+    }
+
+    /// Executes one instruction, after taking a pending exception. Gives [`Pause::Asleep`] where the
+    /// core sleeps instead. Ignores [`Bus::event_due`].
+    ///
+    /// # Errors
+    /// [`Stop`] where the program cannot continue.
+    pub fn step<B: Bus>(&mut self, bus: &mut B) -> Result<Option<Pause>, Stop> {
+        self.drop_modified_code(bus);
+        let result = match self.check_state(bus) {
+            Ok(None) => self.execute_at(bus, self.state.pc).map(|pc| {
+                self.state.pc = pc;
+                None
+            }),
+            paused => paused,
+        };
+        bus.system().synchronise(self.state.cycles);
+        result
+    }
+
+    /// What may change the flow between two instructions: reset, exceptions, sleep, modified code.
+    #[cold]
+    fn check_state<B: Bus>(&mut self, bus: &mut B) -> Result<Option<Pause>, Stop> {
+        if bus.system().reset_requested() {
+            return Err(Stop::ResetRequested);
+        }
+        self.state.float_ready = false;
+        if let Some(stored) = self.state.stored_code.take() {
+            self.code.invalidate(stored.range());
+        }
+        if std::mem::take(&mut self.state.barrier) {
+            self.drop_modified_code(bus);
+        }
+        if let Some(exception) = self.state.preempting(bus.system()) {
+            self.state.enter_exception(bus, exception)?;
+            self.previous = Timing::NONE;
+        }
+        let awake = match self.state.sleep {
+            Sleep::Awake => true,
+            Sleep::Event => bus.system().take_event(),
+            Sleep::Interrupt => self.state.wakes(bus.system()),
+        };
+        if !awake {
+            return Ok(Some(Pause::Asleep));
+        }
+        self.state.sleep = Sleep::Awake;
+        bus.system().clear_recheck();
+        if !self.state.thumb {
+            self.state.take_fault(bus, Fault::InvalidState)?;
+        }
+        Ok(None)
+    }
+
+    fn drop_modified_code<B: Bus>(&mut self, bus: &mut B) {
+        if let Some(range) = bus.take_modified_code() {
+            self.code.invalidate(range);
+        }
+    }
+
+    /// Executes the instruction at `pc` and gives the address of the next one. On an error the state
+    /// contains the address.
+    #[inline(always)]
+    fn execute_at<B: Bus>(&mut self, bus: &mut B, pc: u32) -> Result<u32, Stop> {
+        let itstate = self.state.itstate;
+        let mut slot = self.code.slot(pc);
+        if !slot.context.is_plain(itstate) {
+            match self.prepare(bus, pc) {
+                Ok(index) => slot = self.code.at(index),
+                Err(fault) => return self.handle_trap(bus, Trap::Fault(fault), itstate, pc, pc),
+            }
+        }
+        let state = &mut self.state;
+        state.history[state.instructions as usize % HISTORY] = pc;
+        state.instructions += 1;
+        state.r[PC] = pc.wrapping_add(4);
+        let next = pc.wrapping_add(slot.size as u32);
+        let cycles = slot.timing.cycles_after(self.previous);
+        self.previous = slot.timing;
+        state.elapse(bus, cycles);
+        match state.execute(bus, &slot.instruction, next) {
+            Ok(next) => {
+                if state.r[SP] < state.lowest_sp {
+                    state.lowest_sp = state.r[SP];
+                }
+                Ok(next)
+            }
+            Err(trap) => self.handle_trap(bus, trap, itstate, pc, next),
+        }
+    }
+
+    /// Decodes the next instruction and, in an IT block, evaluates its condition and advances ITSTATE.
+    /// Gives the index of the slot to execute.
+    #[inline(never)]
+    fn prepare<B: Bus>(&mut self, bus: &mut B, pc: u32) -> Result<usize, Fault> {
+        let state = &mut self.state;
+        let itstate = state.itstate;
+        let context = Context::of(itstate);
+        let index = match self.code.find(pc, context) {
+            Some(index) => index,
+            None => {
+                if is_cached_ram(pc) {
+                    let executed = &mut state.executed[executed_index(pc)];
+                    *executed = executed.extended(pc, LONGEST);
+                }
+                self.code.decode(bus, pc, context, &state.model)?
+            }
+        };
+        if itstate == 0 {
+            return Ok(index);
+        }
+        state.itstate = if itstate & 7 == 0 {
+            0
+        } else {
+            itstate & 0xE0 | itstate << 1 & 0x1F
+        };
+        let slot = self.code.at(index);
+        let condition = arithmetic::Condition::new((itstate >> 4) as u32);
+        // BKPT is executed whatever the condition (A7.7.17).
+        if condition.is_met(state.apsr) || matches!(slot.instruction, Instruction::Breakpoint(_)) {
+            Ok(index)
+        } else {
+            Ok(self.code.skipped(slot.size))
+        }
+    }
+
+    /// An instruction at `pc` that does not end with the next one; `itstate` is the state before it.
+    /// Gives the address to continue at.
+    #[cold]
+    #[inline(never)]
+    fn handle_trap<B: Bus>(
+        &mut self,
+        bus: &mut B,
+        trap: Trap,
+        itstate: u8,
+        pc: u32,
+        next: u32,
+    ) -> Result<u32, Stop> {
+        self.previous = Timing::NONE;
+        let state = &mut self.state;
+        state.pc = pc;
+        match trap {
+            Trap::ExceptionReturn => state.return_from_exception(bus)?,
+            Trap::SupervisorCall => {
+                state.pc = next;
+                state.take_synchronous(bus, system_control::SV_CALL)?;
+            }
+            Trap::Breakpoint(immediate) => {
+                state.pc = next;
+                return Err(Stop::Breakpoint {
+                    address: pc,
+                    immediate,
+                });
+            }
+            Trap::Fault(fault) => {
+                state.itstate = itstate;
+                state.take_fault(bus, fault)?;
+            }
+            Trap::Retry => state.itstate = itstate,
+            Trap::Unsupported => {
+                state.itstate = itstate;
+                let first = bus.fetch(pc).unwrap_or(0);
+                let second = if decode::is_wide(first) {
+                    bus.fetch(pc + 2).unwrap_or(0)
+                } else {
+                    0
+                };
+                return Err(Stop::Unsupported {
+                    address: pc,
+                    halfwords: [first, second],
+                });
+            }
+        }
+        Ok(self.state.pc)
+    }
+
+    /// Drops all decoded instructions; for changes of memory that the bus does not report.
+    pub fn invalidate_code(&mut self) {
+        self.code.clear();
+    }
+
+    /// Address of the next instruction.
+    pub fn pc(&self) -> u32 {
+        self.state.pc
+    }
+
+    /// Continues at another address; bit 0 is ignored. An IT block ends.
+    pub fn set_pc(&mut self, address: u32) {
+        self.state.pc = address & !1;
+        self.state.itstate = 0;
+    }
+
+    /// Core register 0 to 15; 13 is the stack pointer in use, 15 the address of the next instruction.
+    ///
+    /// # Panics
+    /// If the number is above 15.
+    pub fn register(&self, number: usize) -> u32 {
+        if number == PC {
+            self.pc()
+        } else {
+            self.state.r[number]
+        }
+    }
+
+    /// Writes a core register, numbered as in [`Core::register`].
+    ///
+    /// # Panics
+    /// If the number is above 15.
+    pub fn set_register(&mut self, number: usize, value: u32) {
+        match number {
+            PC => self.set_pc(value),
+            SP => self.state.r[SP] = value & !3,
+            _ => self.state.r[number] = value,
+        }
+    }
+
+    /// Bit pattern of the single-precision register S0 to S31.
+    ///
+    /// # Panics
+    /// If the number is above 31.
+    pub fn float_register(&self, number: usize) -> u32 {
+        self.state.s[number]
+    }
+
+    /// Writes a single-precision register.
+    ///
+    /// # Panics
+    /// If the number is above 31.
+    pub fn set_float_register(&mut self, number: usize, bits: u32) {
+        self.state.s[number] = bits;
+    }
+
+    /// Floating-point status and control register.
+    pub fn fpscr(&self) -> u32 {
+        self.state.fpscr
+    }
+
+    /// Writes the bits of the FPSCR that exist.
+    pub fn set_fpscr(&mut self, value: u32) {
+        self.state.fpscr = value & state::FPSCR;
+    }
+
+    /// Program status register: flags, GE, ITSTATE, Thumb bit, exception number.
+    pub fn xpsr(&self) -> u32 {
+        self.state.xpsr()
+    }
+
+    /// Writes flags, GE and ITSTATE. The Thumb bit and the exception number do not change.
+    pub fn set_xpsr(&mut self, value: u32) {
+        let (thumb, exception) = (self.state.thumb, self.state.exception);
+        self.state.set_xpsr(value);
+        self.state.thumb = thumb;
+        self.state.exception = exception;
+    }
+
+    /// Number of the exception whose handler executes, 0 in thread mode.
+    pub fn current_exception(&self) -> u16 {
+        self.state.exception
+    }
+
+    /// Main stack pointer.
+    pub fn main_stack_pointer(&self) -> u32 {
+        self.state.main_sp()
+    }
+
+    /// Process stack pointer.
+    pub fn process_stack_pointer(&self) -> u32 {
+        self.state.process_sp()
+    }
+
+    /// CONTROL: bit 0 unprivileged thread mode, bit 1 process stack in use, bit 2 floating-point
+    /// context active.
+    pub fn control(&self) -> u32 {
+        self.state.control()
+    }
+
+    /// PRIMASK, FAULTMASK and BASEPRI.
+    pub fn masks(&self) -> (bool, bool, u8) {
+        (self.state.primask, self.state.faultmask, self.state.basepri)
+    }
+
+    /// Whether the core sleeps.
+    pub fn is_asleep(&self) -> bool {
+        self.state.sleep != Sleep::Awake
+    }
+
+    /// Cycles that the core was awake since its creation.
+    pub fn cycles(&self) -> u64 {
+        self.state.cycles
+    }
+
+    /// Instructions executed since the creation; those whose condition failed included.
+    pub fn instructions(&self) -> u64 {
+        self.state.instructions
+    }
+
+    /// Addresses of the last instructions, at most 64, the oldest first.
+    pub fn history(&self) -> Vec<u32> {
+        let count = self.state.instructions;
+        let first = count.saturating_sub(HISTORY as u64);
+        (first..count)
+            .map(|k| self.state.history[k as usize % HISTORY])
+            .collect()
+    }
+
+    /// Statistics up to now.
+    pub fn statistics(&mut self) -> &Statistics {
+        let state = &mut self.state;
+        state
+            .recorder
+            .attribute(state.exception, state.instructions, state.cycles);
+        let (msp, psp) = if state.process_stack {
+            (state.lowest_inactive_sp, state.lowest_sp)
+        } else {
+            (state.lowest_sp, state.lowest_inactive_sp)
+        };
+        state.recorder.statistics(msp, psp)
+    }
+
+    /// Starts the statistics again.
+    pub fn clear_statistics(&mut self) {
+        self.statistics();
+        self.state.recorder.clear();
+        self.state.lowest_sp = u32::MAX;
+        self.state.lowest_inactive_sp = u32::MAX;
+    }
+}

@@ -1,0 +1,108 @@
+//! System configuration controller, RM0440 section 10, and the debug unit's control register (section 47).
+
+use super::{Context, bit};
+use crate::registers::registers;
+use crate::violations::Kind;
+
+registers! { "SYSCFG":
+    MEMRMP = 0x00, CFGR1 = 0x04, EXTICR0 = 0x08, EXTICR3 = 0x14, SCSR = 0x18, CFGR2 = 0x1C, SWPR = 0x20, SKR = 0x24,
+}
+
+/// Internal sources of the timers' break (10.2.8), as bits of CFGR2.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BreakSource {
+    /// The core has locked up.
+    LockUp = 0,
+    /// A parity error in SRAM.
+    Parity = 1,
+    /// The supply is below the detector's threshold.
+    Supply = 2,
+    /// Two wrong bits in flash.
+    FlashEcc = 3,
+}
+
+/// The peripheral.
+#[derive(Default)]
+pub struct Syscfg {
+    words: [u32; 10],
+}
+
+impl Syscfg {
+    /// Whether an internal source switches the timers' outputs off. Once set, it stays until a reset.
+    pub(crate) fn breaks_on(&self, source: BreakSource) -> bool {
+        bit(self.words[CFGR2 as usize / 4], source as u32)
+    }
+
+    /// Pads of an I2C peripheral (1 to 3) drive 20 mA, as 1 MHz needs.
+    pub(crate) fn fast_mode_plus(&self, number: u32) -> bool {
+        bit(self.words[CFGR1 as usize / 4], 19 + number)
+    }
+
+    /// Port (A is 0) whose pin drives an external interrupt line.
+    pub(crate) fn exti_port(&self, line: usize) -> usize {
+        let word = self.words[EXTICR0 as usize / 4 + line / 4];
+        (word >> (4 * (line % 4)) & 0xF) as usize
+    }
+
+    pub(crate) fn read(&mut self, offset: u32, context: &mut Context) -> u32 {
+        match offset {
+            MEMRMP..=SKR if offset.is_multiple_of(4) => self.words[offset as usize / 4],
+            _ => context.unmodelled(offset),
+        }
+    }
+
+    pub(crate) fn write(&mut self, offset: u32, value: u32, context: &mut Context) {
+        let word = match offset {
+            MEMRMP..=SKR if offset.is_multiple_of(4) => &mut self.words[offset as usize / 4],
+            _ => {
+                context.unmodelled(offset);
+                return;
+            }
+        };
+        match offset {
+            // Lock bits are set once.
+            CFGR2 => *word |= value & 0xF,
+            MEMRMP if value & 0x107 != 0 => {
+                context.report(
+                    Kind::UnmodelledSetting,
+                    offset,
+                    "another memory or bank at address 0",
+                );
+            }
+            CFGR1 | EXTICR0..=EXTICR3 => *word = value,
+            SCSR | SWPR | SKR => {
+                context.report(Kind::UnmodelledSetting, offset, "erasing or protecting CCM")
+            }
+            _ => {}
+        }
+    }
+}
+
+/// The debug unit's registers.
+#[derive(Default)]
+pub struct Dbgmcu {
+    control: u32,
+}
+
+impl Dbgmcu {
+    /// STM32G474, revision 2.
+    const IDCODE: u32 = 0x2003_6469;
+
+    pub(crate) fn read(&mut self, offset: u32, context: &mut Context) -> u32 {
+        match offset {
+            0 => Self::IDCODE,
+            4 => self.control,
+            _ => context.unmodelled(offset),
+        }
+    }
+
+    pub(crate) fn write(&mut self, offset: u32, value: u32, context: &mut Context) {
+        match offset {
+            // Clocks that go on while the core sleeps, for a debugger.
+            4 => self.control = value,
+            _ => {
+                context.unmodelled(offset);
+            }
+        }
+    }
+}

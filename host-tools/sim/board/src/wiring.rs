@@ -1,0 +1,96 @@
+//! The printed circuit board: which connection is at which pin of the chip. The emulator connects a peripheral to it
+//! only where the program has given it that pin.
+
+use crate::peripherals::gpio::Pin;
+use crate::registers::{alternate_function, peripheral};
+use crate::time::Frequency;
+
+/// Pins of each connection.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Wiring {
+    /// Clock and data of both sensor buses, with pull-ups.
+    pub sensor_buses: [[Pin; 2]; 2],
+    /// From and to the CAN transceiver.
+    pub can: [Pin; 2],
+    /// Serial line: into the chip, out of it.
+    pub serial: [Pin; 2],
+    /// Rotor sensor: clock, into the sensor, out of it, select.
+    pub encoder: [Pin; 4],
+    /// High sides and low sides of the half bridges U, V, W.
+    pub bridges: [[Pin; 3]; 2],
+    /// From the gate drivers: low where they have found something wrong.
+    pub gate_fault: Pin,
+    /// Phase currents U, V, W, and bus voltage.
+    pub analog: [Pin; 4],
+    /// Crystal.
+    pub crystal: Frequency,
+}
+
+impl Wiring {
+    /// The reference board, a NUCLEO-G474RE, as the firmware's board support describes it (pins assumed: the paper's own
+    /// board is not public).
+    pub const NUCLEO_G474: Self = Self {
+        sensor_buses: [
+            [Pin::named("PA15"), Pin::named("PB9")],
+            [Pin::named("PC8"), Pin::named("PC9")],
+        ],
+        can: [Pin::named("PA11"), Pin::named("PA12")],
+        serial: [Pin::named("PA3"), Pin::named("PA2")],
+        encoder: [
+            Pin::named("PA5"),
+            Pin::named("PA7"),
+            Pin::named("PA6"),
+            Pin::named("PA4"),
+        ],
+        bridges: [
+            [Pin::named("PA8"), Pin::named("PA9"), Pin::named("PA10")],
+            [Pin::named("PB13"), Pin::named("PB14"), Pin::named("PB15")],
+        ],
+        gate_fault: Pin::named("PB12"),
+        analog: [
+            Pin::named("PC0"),
+            Pin::named("PC1"),
+            Pin::named("PC2"),
+            Pin::named("PC3"),
+        ],
+        crystal: Frequency(24_000_000),
+    };
+
+    /// The pin that is BOOT0 during a reset.
+    pub const BOOT0: Pin = Pin::named("PB8");
+
+    /// Whether something outside pulls a pin high.
+    pub fn is_pulled_up(&self, pin: Pin) -> bool {
+        self.sensor_buses.as_flattened().contains(&pin)
+    }
+
+    /// Channels of ADC1 at the analog pins.
+    ///
+    /// # Panics
+    /// A pin is no input of ADC1.
+    pub(crate) fn adc_channels(&self) -> [u32; 4] {
+        self.analog.map(|pin| {
+            let name = pin.name();
+            let mut pins = peripheral("ADC1")
+                .pins
+                .iter()
+                .filter(|candidate| candidate.pin == name);
+            let channel =
+                pins.find_map(|candidate| candidate.signal.strip_prefix("IN")?.parse().ok());
+            channel.unwrap_or_else(|| panic!("{name} is no input of ADC1"))
+        })
+    }
+
+    /// Alternate functions by which these pins are these signals of a peripheral; none where one is not.
+    pub(crate) fn functions<const N: usize>(
+        name: &str,
+        signals: [&str; N],
+        pins: [Pin; N],
+    ) -> Option<[u8; N]> {
+        let mut functions = [0; N];
+        for ((function, signal), pin) in functions.iter_mut().zip(signals).zip(pins) {
+            *function = alternate_function(name, signal, &pin.name())?;
+        }
+        Some(functions)
+    }
+}

@@ -1,0 +1,132 @@
+//! Every image starts, feeds its watchdog, and keeps its deadlines, with every model of time.
+
+use firmware::params::TICK_US;
+use firmware::wire::messages::Message;
+use firmware::wire::serial::{Packet, Receiver};
+use host_tools::board::SimulatedBoard;
+use libtest_mimic::{Failed, Trial};
+use sim_board::{CycleModel, Time};
+
+use crate::Effort;
+use crate::boards::{CONDITIONS, board, image, pressed, violations};
+use crate::images::Variant;
+use host_tools::board::emulated::Conditions;
+
+/// From the watchdog's start to its first feed.
+const FIRST_FEED: Time = Time::from_ms(5);
+/// Longest time between feeds: the period and what is more urgent.
+const FEED_GAP: Time = Time::from_ms(7);
+/// Longest tick of sensing and estimating.
+const WORST_TICK_US: u16 = 700;
+/// Greatest share of the core's time.
+const LOAD: f64 = 0.7;
+/// The same where no access to flash is ever served by a cache: then the deadlines hold only just.
+const LOAD_WITHOUT_CACHES: f64 = 0.9;
+/// Greatest share of the stack.
+const STACK: f64 = 0.75;
+
+pub fn trials(effort: Effort) -> Vec<Trial> {
+    let mut trials = Vec::new();
+    for variant in Variant::ALL {
+        for (name, conditions) in CONDITIONS {
+            trials.push(Trial::test(
+                format!("boot_{}_{name}", variant.name()),
+                move || boots(variant, conditions, effort),
+            ));
+        }
+    }
+    trials
+}
+
+fn boots(variant: Variant, conditions: Conditions, effort: Effort) -> Result<(), Failed> {
+    let made = image(variant)?;
+    let seconds = if effort == Effort::Acceptance { 60 } else { 1 };
+    let mut board = board(&made, conditions, pressed(&made.built));
+    let (mut receiver, mut ticks, mut worst_us, mut worst_estimate_us) =
+        (Receiver::default(), 0, 0, 0);
+    for step in 1..=10 * seconds {
+        board.run_until(100_000 * step)?;
+        for (_, packet) in board.take_packets(&mut receiver) {
+            match packet {
+                Packet::Tick(_) => ticks += 1,
+                Packet::Message {
+                    message: Message::Timing(timing),
+                    ..
+                } => {
+                    worst_us = timing.worst_loop.max(worst_us);
+                    worst_estimate_us = timing.worst_inference.max(worst_estimate_us);
+                    assert_eq!((timing.missed_ticks, timing.i2c_errors), (0, 0));
+                }
+                Packet::Message { .. } => {}
+            }
+        }
+    }
+    let feeds = *board.chip.feeds();
+    let profile = board.chip.profile();
+    println!(
+        "{} {profile}worst tick {worst_us} us, worst estimate {worst_estimate_us} us, {ticks} ticks, first fed after {:?}",
+        variant.name(),
+        feeds.first_after.map(|time| time.as_ms())
+    );
+    let mut wrong = violations(&board);
+    let mut check = |is_right: bool, what: String| {
+        if !is_right {
+            wrong.push(what);
+        }
+    };
+    check(
+        board.chip.resets.is_empty(),
+        format!("resets: {:?}", board.chip.resets),
+    );
+    check(
+        feeds.first_after.is_some_and(|time| time <= FIRST_FEED),
+        format!("first fed {:?}", feeds.first_after),
+    );
+    check(
+        feeds.longest_gap <= FEED_GAP,
+        format!("not fed for {:?}", feeds.longest_gap),
+    );
+    let has_caches = conditions.model != CycleModel::SLOW;
+    let most_us = if has_caches {
+        WORST_TICK_US
+    } else {
+        TICK_US as u16
+    };
+    check(
+        (1..=most_us).contains(&worst_us),
+        format!("worst tick {worst_us} us"),
+    );
+    let most = if has_caches {
+        LOAD
+    } else {
+        LOAD_WITHOUT_CACHES
+    };
+    check(
+        1.0 - profile.idle <= most,
+        format!("core {:.1} % busy", 100.0 * (1.0 - profile.idle)),
+    );
+    let stack = profile
+        .stack
+        .map(|[used, available]| f64::from(used) / f64::from(available));
+    check(
+        stack.is_some_and(|share| share <= STACK),
+        format!("stack {stack:?}"),
+    );
+    // The first 10 ms are the start.
+    check(
+        ticks >= 1000 * seconds - 11,
+        format!("{ticks} ticks on the serial line"),
+    );
+    let faults: Vec<_> = board
+        .chip
+        .log()
+        .iter()
+        .filter(|line| line.text.contains("fault"))
+        .map(|line| &line.text)
+        .collect();
+    check(faults.is_empty(), format!("faults: {faults:?}"));
+    match wrong.is_empty() {
+        true => Ok(()),
+        false => Err(wrong.join("\n").into()),
+    }
+}

@@ -1,0 +1,244 @@
+//! The images that the tests run: built with the compiler of this machine, once for each set of sources and tables.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::{Mutex, OnceLock};
+
+use host_tools::networks::Networks;
+use model_export::inverse::build::{Built, Variant as Fit, build};
+use sha2::{Digest, Sha256};
+use sim_board::Image;
+use tests::data;
+
+use crate::desk::Desk;
+
+/// An image, by the tables that it is linked with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Variant {
+    /// The committed tables: a plain fit of the demo's campaign.
+    Default,
+    /// A plain fit of another gripper.
+    Clean,
+    /// The same with every effect that the device compensates.
+    Effects,
+    /// Two of four sensors, with effects and networks behind them.
+    Friction,
+    /// A formula of one's own, over the opening.
+    Ripple,
+    /// A plain fit with a network for each sensor.
+    Networks,
+}
+
+impl Variant {
+    pub const ALL: [Self; 6] = [
+        Self::Default,
+        Self::Clean,
+        Self::Effects,
+        Self::Friction,
+        Self::Ripple,
+        Self::Networks,
+    ];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Default => "default",
+            Self::Clean => "clean",
+            Self::Effects => "effects",
+            Self::Friction => "friction",
+            Self::Ripple => "ripple",
+            Self::Networks => "networks",
+        }
+    }
+
+    /// Campaign that its model is fitted to.
+    pub fn campaign(self) -> PathBuf {
+        data(match self {
+            Self::Default | Self::Networks => "demo",
+            Self::Clean | Self::Effects => "clean",
+            Self::Friction => "friction",
+            Self::Ripple => "ripple",
+        })
+    }
+
+    fn effects(self) -> &'static [&'static str] {
+        const ALL: [&str; 12] = [
+            "sensor_temperature",
+            "motor_leakage",
+            "earth_field",
+            "neighbour_magnet",
+            "magnet_temperature",
+            "thermal_gap",
+            "viscous_lag",
+            "creep",
+            "hysteresis",
+            "hard_stop",
+            "fingertip_mass",
+            "--expr=own: bx_g = a*opening_mm*motor_iq_a",
+        ];
+        match self {
+            Self::Default | Self::Clean | Self::Networks => &[],
+            Self::Effects => &ALL,
+            Self::Friction => &["hysteresis", "magnet_temperature"],
+            Self::Ripple => &[
+                "--expr=ripple: dz_um = a*sin(2*pi*opening_mm/p) + b*cos(2*pi*opening_mm/p)",
+                "--range=p=2..5",
+            ],
+        }
+    }
+
+    fn training(self) -> Option<&'static str> {
+        match self {
+            Self::Friction => Some("--epochs 2 --hidden 4"),
+            Self::Networks => Some("--epochs 1"),
+            _ => None,
+        }
+    }
+}
+
+/// What an image is made of.
+pub struct Made {
+    pub image: Image,
+    pub built: Built,
+    pub networks: Option<Networks>,
+    pub campaign: PathBuf,
+}
+
+/// An image with the model that its tables come from. Built on first use; others wait meanwhile.
+///
+/// # Errors
+/// This machine has no compiler for the chip, or the image does not build: what the tools print.
+pub fn get(variant: Variant) -> Result<Made, String> {
+    static BUILDING: Mutex<()> = Mutex::new(());
+    static DESKS: OnceLock<Mutex<Vec<(Variant, Desk)>>> = OnceLock::new();
+    let _building = BUILDING
+        .lock()
+        .unwrap_or_else(|poisoned| poisoned.into_inner());
+    let mut desks = DESKS.get_or_init(Mutex::default).lock().unwrap();
+    if !desks.iter().any(|(known, _)| *known == variant) {
+        let desk = Desk::empty();
+        model(&desk, variant);
+        desks.push((variant, desk));
+    }
+    let (_, desk) = desks.iter().find(|(known, _)| *known == variant).unwrap();
+    let file = |name: &str| desk.0.path().join(name);
+    let built = build(&file("model.toml"), Fit::Fitted).map_err(|error| format!("{error:#}"))?;
+    let networks = variant
+        .training()
+        .map(|_| Networks::read(&file("networks.safetensors"), &built).unwrap());
+    let tables = (variant != Variant::Default).then(|| file("tables.rs"));
+    let path = compile(variant.name(), tables.as_deref())?;
+    let image = Image::read(&path).map_err(|error| error.to_string())?;
+    Ok(Made {
+        image,
+        built,
+        networks,
+        campaign: variant.campaign(),
+    })
+}
+
+/// Fits, adds, trains and exports on a desk.
+fn model(desk: &Desk, variant: Variant) {
+    let campaign = variant.campaign();
+    let campaign = campaign.to_str().unwrap();
+    match variant.effects() {
+        [] => {
+            desk.call(&["fit", campaign, "-o", "model.toml"]);
+        }
+        effects => {
+            desk.call(&["fit", campaign, "-o", "base.toml"]);
+            desk.call(&[&["add", "base.toml", campaign, "-o", "model.toml"], effects].concat());
+        }
+    }
+    let mut export = vec!["export", "model.toml", "-o", "tables.rs"];
+    if let Some(training) = variant.training() {
+        let mut train = vec![
+            "train",
+            "model.toml",
+            campaign,
+            "-o",
+            "networks.safetensors",
+        ];
+        train.extend(training.split_whitespace());
+        desk.call(&train);
+        export.extend(["--network", "networks.safetensors"]);
+    }
+    desk.call(&export);
+}
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+/// Builds an image with tables, or takes the one that was built from the same sources; its path.
+fn compile(name: &str, tables: Option<&Path>) -> Result<PathBuf, String> {
+    let folder = root().join("target/images");
+    let (image, stamp) = (
+        folder.join(format!("{name}.elf")),
+        folder.join(format!("{name}.sha256")),
+    );
+    let sources = sources(tables);
+    if image.is_file() && std::fs::read_to_string(&stamp).is_ok_and(|known| known == sources) {
+        return Ok(image);
+    }
+    std::fs::create_dir_all(&folder).map_err(|error| error.to_string())?;
+    let script = r#". .ci/target.sh; for_target image; cp "$folder/firmware" "$1""#;
+    let mut command = Command::new("bash");
+    command
+        .args(["-euc", script, "image"])
+        .arg(&image)
+        .current_dir(root());
+    command
+        .env_remove("MAGPIE_TABLES")
+        .envs(tables.map(|tables| ("MAGPIE_TABLES", tables)));
+    // What cargo sets for the tests is not meant for another build.
+    for (variable, _) in std::env::vars_os() {
+        let is_of_cargo = variable.to_string_lossy().starts_with("CARGO_");
+        if is_of_cargo && variable != "CARGO_HOME" {
+            command.env_remove(variable);
+        }
+    }
+    let output = command.output().map_err(|error| format!("bash: {error}"))?;
+    if !output.status.success() {
+        let said = String::from_utf8_lossy(&output.stderr);
+        let last: Vec<_> = said.lines().rev().take(12).collect();
+        return Err(last.into_iter().rev().collect::<Vec<_>>().join("\n"));
+    }
+    std::fs::write(stamp, sources).map_err(|error| error.to_string())?;
+    Ok(image)
+}
+
+/// A digest of everything that an image is built from.
+fn sources(tables: Option<&Path>) -> String {
+    let mut files = Vec::new();
+    collect(&root().join("firmware/src"), &mut files);
+    for file in [
+        "firmware/Cargo.toml",
+        "firmware/build.rs",
+        "Cargo.toml",
+        "Cargo.lock",
+        "memory.x",
+        ".cargo/config.toml",
+    ] {
+        files.push(root().join(file));
+    }
+    files.extend(tables.map(Path::to_owned));
+    files.sort();
+    let mut digest = Sha256::new();
+    for file in files {
+        digest.update(std::fs::read(file).unwrap_or_default());
+    }
+    digest
+        .finalize()
+        .iter()
+        .map(|byte| format!("{byte:02x}"))
+        .collect()
+}
+
+fn collect(folder: &Path, files: &mut Vec<PathBuf>) {
+    for entry in std::fs::read_dir(folder).unwrap().flatten() {
+        match entry.path() {
+            path if path.is_dir() => collect(&path, files),
+            path => files.push(path),
+        }
+    }
+}

@@ -1,0 +1,61 @@
+//! The image in an emulated chip. Where this machine has no compiler for the chip every test is listed as ignored, and a
+//! line says how to get one; `EMULATION=required` makes that a failure. `EMULATION=acceptance` runs for longer.
+
+#[allow(dead_code)] // The other layer is another test's.
+#[path = "../scenarios/bench.rs"]
+mod bench;
+mod boards;
+mod boot;
+#[path = "../desk/mod.rs"]
+mod desk;
+#[allow(dead_code)] // So are detectors that are switched off.
+#[path = "../scenarios/file.rs"]
+mod file;
+mod images;
+#[path = "../scenarios/judge.rs"]
+mod judge;
+mod replay;
+mod scenarios;
+
+use std::process::ExitCode;
+
+use images::Variant;
+use libtest_mimic::{Arguments, Trial};
+
+/// How thorough the tests are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Effort {
+    /// For every change.
+    Usual,
+    /// Before a release, and each night.
+    Acceptance,
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::from_args();
+    let word = std::env::var("EMULATION").unwrap_or_default();
+    let effort = if word == "acceptance" {
+        Effort::Acceptance
+    } else {
+        Effort::Usual
+    };
+    let absent = match arguments.list {
+        true => None,
+        false => images::get(Variant::Default).err(),
+    };
+    if let Some(reason) = &absent {
+        println!("no image for the emulated chip, its tests are not run:\n{reason}");
+        if !word.is_empty() {
+            return ExitCode::FAILURE;
+        }
+    }
+    let mut trials: Vec<Trial> = Vec::new();
+    trials.extend(boot::trials(effort));
+    trials.extend(replay::trials(effort));
+    trials.extend(scenarios::trials());
+    let trials = trials
+        .into_iter()
+        .map(|trial| trial.with_ignored_flag(absent.is_some()))
+        .collect();
+    libtest_mimic::run(&arguments, trials).exit_code()
+}

@@ -1,0 +1,137 @@
+//! A recording at the sensors of the image: fields and forces of every tick on the serial line, and of every message on the
+//! CAN bus, are those of a replay, bit for bit.
+
+use std::path::Path;
+
+use firmware::limits::Limits;
+use firmware::parameters::Parameters;
+use firmware::surroundings::Surroundings;
+use firmware::wire::messages::{Force, Message};
+use firmware::wire::serial::{Packet, Receiver, Tick};
+use host_tools::board::emulated::Conditions;
+use host_tools::board::recorded::Recorded;
+use host_tools::board::world::{Moment, World};
+use host_tools::board::{Board, Program, SimulatedBoard};
+use libtest_mimic::{Failed, Trial};
+use model_export::recordings::align::Alignment;
+use model_export::recordings::description::Description;
+use model_export::recordings::raw::RawStream;
+
+use crate::Effort;
+use crate::boards::{CONDITIONS, board, image, violations};
+use crate::images::{Made, Variant};
+
+/// As much of a recording as the repository has of the shortest.
+const SECONDS: u64 = 12;
+
+pub fn trials(_: Effort) -> Vec<Trial> {
+    let of = |variant: Variant, name: &str, conditions: Conditions| {
+        let test = move || replays(variant, conditions);
+        Trial::test(format!("replay_{}_{name}", variant.name()), test)
+    };
+    let [fast, typical, slow] = CONDITIONS;
+    let mut trials: Vec<_> = Variant::ALL
+        .map(|variant| of(variant, slow.0, slow.1))
+        .into();
+    trials.extend([fast, typical].map(|(name, conditions)| of(Variant::Clean, name, conditions)));
+    trials
+}
+
+/// A recording without what the board does not know: opening, orientation, motor.
+struct FieldsOnly(Recorded);
+
+impl World for FieldsOnly {
+    fn next(&mut self) -> Option<Moment> {
+        let moment = self.0.next()?;
+        let around = Surroundings::default();
+        Some(Moment { around, ..moment })
+    }
+}
+
+fn world(made: &Made) -> Box<dyn World> {
+    let folder = made.campaign.join("1");
+    Box::new(FieldsOnly(Recorded::new(stream(&folder), &made.built)))
+}
+
+fn replays(variant: Variant, conditions: Conditions) -> Result<(), Failed> {
+    let made = image(variant)?;
+    let mut board = board(&made, conditions, world(&made));
+    let mut receiver = Receiver::default();
+    let mut packets = Vec::new();
+    for step in 1..=SECONDS {
+        board.run_until(1_000_000 * step)?;
+        packets.extend(
+            board
+                .take_packets(&mut receiver)
+                .into_iter()
+                .map(|(_, packet)| packet),
+        );
+    }
+    let reported = reported(packets.into_iter());
+    let expected = in_virtual_time(made);
+    // The image starts a few milliseconds later.
+    let compared = reported.ticks.len();
+    assert!(compared as u64 > 1000 * SECONDS - 10, "{compared} ticks");
+    for (number, (tick, expected)) in reported.ticks.iter().zip(&expected.ticks).enumerate() {
+        assert_eq!(tick.sensors, expected.sensors, "tick {number}");
+    }
+    let forces = reported.forces.len();
+    assert!(forces as u64 > 4 * (100 * SECONDS - 2), "{forces} messages");
+    for (number, (force, expected)) in reported.forces.iter().zip(&expected.forces).enumerate() {
+        assert_eq!(force, expected, "message {number}");
+    }
+    let violations = violations(&board);
+    assert!(
+        violations.is_empty() && board.chip.resets.is_empty(),
+        "{violations:?} {:?}",
+        board.chip.resets
+    );
+    println!("{compared} ticks and {forces} messages are equal");
+    Ok(())
+}
+
+fn stream(folder: &Path) -> RawStream {
+    let (description, _) = Description::read(folder).unwrap();
+    RawStream::open(folder, &description, Alignment { delay_us: 0.0 }).unwrap()
+}
+
+/// What a board reports while its sensors measure a recording: every tick, and every force message with its sensor.
+struct Reported {
+    ticks: Vec<Tick>,
+    forces: Vec<(usize, Force)>,
+}
+
+/// The same by the firmware's loops in virtual time, which `host-tools/tests/board.rs` compares with `replay`.
+fn in_virtual_time(made: Made) -> Reported {
+    let world = world(&made);
+    let program = Program {
+        tables: made.built.chosen.tables,
+        compensations: made.built.compensations,
+        networks: made.networks,
+        parameters: Parameters::DEFAULT,
+        limits: Limits::GRIPPER,
+    };
+    let mut board = Board::start(program, world);
+    board.run_until(1_000_000 * SECONDS);
+    let mut receiver = Receiver::default();
+    let bytes = std::mem::take(&mut board.connections.line.borrow_mut().sent);
+    reported(bytes.iter().filter_map(|byte| receiver.take(*byte)))
+}
+
+fn reported(packets: impl Iterator<Item = Packet>) -> Reported {
+    let mut reported = Reported {
+        ticks: Vec::new(),
+        forces: Vec::new(),
+    };
+    for packet in packets {
+        match packet {
+            Packet::Tick(tick) => reported.ticks.push(tick),
+            Packet::Message {
+                copy,
+                message: Message::Force(force),
+            } => reported.forces.push((copy.into(), force)),
+            Packet::Message { .. } => {}
+        }
+    }
+    reported
+}

@@ -1,0 +1,54 @@
+//! The scenario files of `tests/scenarios` on the image.
+
+use std::path::Path;
+
+use host_tools::board::emulated::Conditions;
+use host_tools::board::pressed::Pressed;
+use libtest_mimic::{Failed, Trial};
+
+use crate::bench::{Bench, Layer};
+use crate::boards::{board, image, violations};
+use crate::file::Scenario;
+use crate::images::Variant;
+use crate::judge::judge;
+
+pub fn trials() -> Vec<Trial> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/scenarios");
+    let paths = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path());
+    let files = paths.filter(|path| path.extension().is_some_and(|end| end == "toml"));
+    let mut trials: Vec<_> = files
+        .map(|path| {
+            let name = path.file_stem().unwrap().to_string_lossy().into_owned();
+            let text = std::fs::read_to_string(&path).unwrap();
+            let scenario: Scenario =
+                toml::from_str(&text).unwrap_or_else(|error| panic!("{name}: {error}"));
+            Trial::test(format!("scenario_{name}"), move || play(&scenario))
+        })
+        .collect();
+    trials.sort_by(|a, b| a.name().cmp(b.name()));
+    trials
+}
+
+fn play(scenario: &Scenario) -> Result<(), Failed> {
+    let made = image(Variant::Default)?;
+    let left_n = scenario.grip_n / 2.0;
+    let right_n = scenario.right_n.unwrap_or(scenario.grip_n) / 2.0;
+    let forces = [left_n, left_n, -right_n, -right_n].map(|newtons| [newtons, 0.0]);
+    let world = Pressed::new(&made.built.model, 1, move |_| forces);
+    let board = board(&made, Conditions::SLOW, Box::new(world));
+    let (seen, layer) = Bench::new(Layer::Image(Box::new(board))).play(scenario);
+    let (mut wrong, latencies) = judge(scenario, &seen);
+    for (fault, ms) in latencies {
+        println!("{fault} after {ms:.2} ms ({})", scenario.shows);
+    }
+    if let Layer::Image(board) = layer {
+        wrong.extend(violations(&board));
+        wrong.extend(board.chip.resets.iter().map(|reset| format!("{reset:?}")));
+    }
+    match wrong.is_empty() {
+        true => Ok(()),
+        false => Err(wrong.join("\n").into()),
+    }
+}
