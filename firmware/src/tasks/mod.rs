@@ -5,7 +5,7 @@
 //! | level | what | why |
 //! | --- | --- | --- |
 //! | priority 0 and 1 | the motor's interrupts, drivers | [`crate::hardware::drive`] |
-//! | [`SENSING_PRIORITY`] | reading the sensors | a transfer that waits for its continuation holds the bus and runs into its time-out |
+//! | [`SENSING_PRIORITY`] | reading the sensors, taking CAN frames | a bus waits for its next transfer; the controller holds three frames |
 //! | [`CONTROL_PRIORITY`] | estimating, grasping | the next tick |
 //! | thread mode | all else | |
 //!
@@ -54,7 +54,7 @@ const LIMITS: Limits = Limits::GRIPPER;
 /// flash as well, two kilobytes of it.
 static EXCHANGE: StaticCell<Exchange<CriticalSectionRawMutex>> = StaticCell::new();
 type Shared = &'static Exchange<CriticalSectionRawMutex>;
-/// Reads the sensors. The interrupts of the executors belong to peripherals that are not in use.
+/// Reads the sensors and takes CAN frames. The interrupts of the executors belong to peripherals that are not in use.
 static SENSING: InterruptExecutor = InterruptExecutor::new();
 /// Below the interrupts of the buses.
 const SENSING_PRIORITY: Priority = Priority::P5;
@@ -133,12 +133,12 @@ async fn begin(spawner: Spawner, board: Board) {
         board.sensor_buses,
         parameters.addresses(),
     )));
+    sensing.spawn(first(listen(exchange, receiver)));
     let watchdog = Watchdog::start(board.watchdog);
     spawner.spawn(first(feed(exchange, watchdog)));
     spawner.spawn(first(scrub(exchange)));
     spawner.spawn(first(report(exchange, sender, parameters.node())));
     spawner.spawn(first(telemetry(exchange, out)));
-    spawner.spawn(first(listen(exchange, receiver)));
     spawner.spawn(first(listen_serial(exchange, into, parameters.node())));
     spawner.spawn(first(command(exchange, store, loaded, board.rng)));
 }

@@ -140,6 +140,10 @@ impl devices::CanBus for CanBus {
         }
     }
 
+    fn is_sending(&self) -> bool {
+        self.passage.as_ref().is_some_and(|passage| passage.is_own)
+    }
+
     fn next_event(&self) -> Time {
         match &self.passage {
             _ if !self.events.is_empty() => Time::ZERO,

@@ -2,6 +2,8 @@
 //! have: boot, drivers, interrupts, DMA, execution times and stack are those of the image.
 
 use anyhow::{Context, Result};
+use firmware::events::Event;
+use firmware::wire::messages::FaultEvent;
 use firmware::wire::serial::{Packet, Receiver};
 use sim_board::{Chip, CycleModel, Devices, Frequency, Image, Options, Time};
 
@@ -67,6 +69,7 @@ impl EmulatedBoard {
         world: Box<dyn World>,
         gripper: Shared,
     ) -> Result<Self> {
+        gripper.borrow_mut().connect_chip();
         let connections = Connections::new(world);
         let [first, second] = connections.buses.clone();
         let devices = Devices {
@@ -110,5 +113,34 @@ impl SimulatedBoard for EmulatedBoard {
 
     fn connections(&self) -> &Connections {
         &self.connections
+    }
+
+    fn take_events(&mut self) -> Vec<(u64, Event)> {
+        let lines = self.chip.take_log().into_iter();
+        lines
+            .filter_map(|line| {
+                let time_us = 1e6 * line.stamp?.parse::<f64>().ok()?;
+                Some((time_us as u64, event(&line.text)?))
+            })
+            .collect()
+    }
+}
+
+/// The event that a line of the image's log reports.
+fn event(line: &str) -> Option<Event> {
+    let words = line.split([' ', ',', ':']);
+    let words: Vec<_> = words.filter(|word| !word.is_empty()).collect();
+    match words[..] {
+        ["info", "fault", code, "of", source, active, detail] => Some(Event::Fault(FaultEvent {
+            code: code.parse().ok()?,
+            source: source.parse().ok()?,
+            active: active.parse().ok()?,
+            detail: detail.parse().ok()?,
+        })),
+        ["info", "bus", bus, "cleared", "free", free] => Some(Event::Cleared {
+            bus: bus.parse().ok()?,
+            free: free.parse().ok()?,
+        }),
+        _ => None,
     }
 }

@@ -172,10 +172,13 @@ pub trait SimulatedBoard {
     /// What is around it.
     fn connections(&self) -> &Connections;
 
-    /// Where the grasp stands, as in the heartbeat; none where only the heartbeat says it.
-    fn state(&self) -> Option<u8> {
+    /// Where the grasp stands; none where only its messages say so.
+    fn stands(&self) -> Option<loops::Stands> {
         None
     }
+
+    /// Faults and clearings of buses since the last call, with the board's own time in microseconds.
+    fn take_events(&mut self) -> Vec<(u64, Event)>;
 }
 
 /// The firmware's loops in virtual time.
@@ -378,6 +381,14 @@ impl SimulatedBoard for Board {
 
     fn connections(&self) -> &Connections {
         &self.connections
+    }
+
+    fn stands(&self) -> Option<loops::Stands> {
+        Some(self.exchange.stands.get())
+    }
+
+    fn take_events(&mut self) -> Vec<(u64, Event)> {
+        std::mem::take(&mut self.events.borrow_mut())
     }
 }
 

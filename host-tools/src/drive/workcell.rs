@@ -16,12 +16,14 @@ use model_export::inverse::quantise::TableSet;
 use super::Rig;
 use super::world::{Coupled, Gripper, Senses, Shared};
 use crate::board::host::Host;
-use crate::board::{Board, Driven, Program};
+use crate::board::{Board, Driven, Program, SimulatedBoard};
 use crate::plant::hall::Fingertips;
 use crate::plant::parameters::{self, Lead};
 
 /// A host's tick.
 const TICK_US: u64 = 1000;
+/// When a board that does not show whether it may be armed has checked its tables.
+const READY_US: u64 = 300_000;
 
 /// What is built up.
 #[derive(Clone)]
@@ -61,9 +63,9 @@ impl Plan {
 }
 
 /// All of it.
-pub struct Workcell {
+pub struct Workcell<B = Board> {
     /// The board.
-    pub board: Board,
+    pub board: B,
     /// What hangs on it.
     pub gripper: Shared,
     /// Whoever commands.
@@ -108,7 +110,14 @@ impl Workcell {
             grasp: plan.grasp,
         };
         let board = Board::start_with(program, Box::new(Senses(gripper.clone())), driven);
-        let host = Host::new(board.connections.can.clone());
+        Self::around(board, gripper)
+    }
+}
+
+impl<B: SimulatedBoard> Workcell<B> {
+    /// A board that has been switched on, with its gripper.
+    pub fn around(board: B, gripper: Shared) -> Self {
+        let host = Host::new(board.connections().can.clone());
         Self {
             board,
             gripper,
@@ -121,16 +130,24 @@ impl Workcell {
     pub fn tick(&mut self) {
         self.host.tick();
         self.time_us += TICK_US;
-        self.board.run_until(self.time_us);
+        self.run_board(self.time_us);
         // Nobody reads the line, and its memory would grow.
-        self.board.connections.line.borrow_mut().sent.clear();
+        let mut line = self.board.connections().line.borrow_mut();
+        line.sent.clear();
+        line.ended.clear();
+        drop(line);
         self.gripper.borrow_mut().advance(self.time_us);
     }
 
     /// Goes on so many microseconds without a word of the host, within a millisecond.
     pub fn creep(&mut self, us: u64) {
-        self.board.run_until(self.time_us + us);
+        self.run_board(self.time_us + us);
         self.gripper.borrow_mut().advance(self.time_us + us);
+    }
+
+    fn run_board(&mut self, time_us: u64) {
+        let result = self.board.run_until(time_us);
+        result.unwrap_or_else(|error| panic!("at {} us: {error:#}", self.time_us));
     }
 
     /// Goes on until something is so; the seconds that it took, none where it was not within the time.
@@ -153,8 +170,11 @@ impl Workcell {
 
     /// Arms and enables over the bus; whether it came to that.
     pub fn enable(&mut self) -> bool {
-        let ready = |cell: &Self| cell.board.exchange.stands.get().may_arm;
-        if self.until(0.1, ready).is_none() {
+        let is_ready = |cell: &Self| match cell.board.stands() {
+            Some(stands) => stands.may_arm,
+            None => cell.time_us > READY_US,
+        };
+        if self.until(1.0, is_ready).is_none() {
             return false;
         }
         self.host.arm();
@@ -163,12 +183,16 @@ impl Workcell {
             ..Command::default()
         });
         let is_enabled = |cell: &Self| cell.state() >= code(Power::Enabled, Task::Unhomed);
-        self.until(0.3, is_enabled).is_some()
+        self.until(0.5, is_enabled).is_some()
     }
 
-    /// Where the grasp stands, as in the heartbeat, without its delay.
+    /// Where the grasp stands, as in the heartbeat, without its delay where the board allows to look.
     pub fn state(&self) -> u8 {
-        self.board.exchange.stands.get().state
+        match (self.board.stands(), &self.host.told.heartbeat) {
+            (Some(stands), _) => stands.state,
+            (None, Some((_, beat))) => beat.state,
+            (None, None) => 0,
+        }
     }
 
     /// Whether it is enabled, and in this state.

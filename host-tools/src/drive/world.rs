@@ -86,6 +86,8 @@ pub struct Gripper {
     ordered: Option<Order>,
     told: Telling,
     moments: u64,
+    /// The emulated chip's timer moves it on, not its own rig.
+    is_driven_by_chip: bool,
 }
 
 impl Gripper {
@@ -109,11 +111,20 @@ impl Gripper {
             ordered: None,
             told: Telling::default(),
             moments: 0,
+            is_driven_by_chip: false,
         }
     }
 
-    /// Goes on until this time.
+    /// From now on an emulated chip drives it: [`Self::half_period`] alone moves it on.
+    pub fn connect_chip(&mut self) {
+        self.is_driven_by_chip = true;
+    }
+
+    /// Goes on until this time under its own rig's drive.
     pub fn advance(&mut self, time_us: u64) {
+        if self.is_driven_by_chip {
+            return;
+        }
         while (self.periods + 1) * PERIOD_US <= time_us {
             self.period();
         }
@@ -239,15 +250,6 @@ impl World for Senses {
         gripper.moments += 1;
         gripper.advance(begins_us);
         Some(gripper.look())
-    }
-}
-
-/// What an emulated board's sensors measure of it, whose chip drives it and so moves it on.
-pub struct Measured(pub Shared);
-
-impl World for Measured {
-    fn next(&mut self) -> Option<Moment> {
-        Some(self.0.borrow_mut().look())
     }
 }
 

@@ -23,16 +23,20 @@ pub const CONDITIONS: [(&str, Conditions); 3] = [
     ("slow", Conditions::SLOW),
 ];
 
-/// A gripper at rest with open fingers, whose currents and angle are measured without noise: what the image knows of its
-/// motor is then that nothing flows.
-pub fn gripper(seed: u64) -> Shared {
+/// A gripper at rest with fingers this far apart.
+pub fn gripper(parameters: Parameters, opening_mm: f64, seed: u64) -> Shared {
+    let rig = Rig::new(Lead::A, parameters, opening_mm, seed);
+    let tips = Fingertips::new(seed, 0.0, &[]).unwrap();
+    Rc::new(RefCell::new(Gripper::new(rig, tips, seed)))
+}
+
+/// Currents and angle are measured without noise: what the image knows of its motor is then that nothing flows.
+pub fn at_rest(seed: u64) -> Shared {
     let parameters = Parameters {
         sensors: Sensors::ideal(),
         ..Parameters::nominal(Lead::A)
     };
-    let rig = Rig::new(Lead::A, parameters, 40.0, seed);
-    let tips = Fingertips::new(seed, 0.0, &[]).unwrap();
-    Rc::new(RefCell::new(Gripper::new(rig, tips, seed)))
+    gripper(parameters, 40.0, seed)
 }
 
 /// Fingers that press with 100 N.
@@ -47,7 +51,7 @@ pub fn board(made: &Made, conditions: Conditions, world: Box<dyn World>) -> Emul
         made.image.clone(),
         conditions,
         world,
-        gripper(conditions.seed),
+        at_rest(conditions.seed),
     )
     .unwrap()
 }

@@ -27,9 +27,12 @@ pub enum Variant {
     Ripple,
     /// A plain fit with a network for each sensor.
     Networks,
+    /// The nominal design: what fits the fingertips of a simulated gripper.
+    Nominal,
 }
 
 impl Variant {
+    /// Those that are fitted to a campaign.
     pub const ALL: [Self; 6] = [
         Self::Default,
         Self::Clean,
@@ -47,13 +50,14 @@ impl Variant {
             Self::Friction => "friction",
             Self::Ripple => "ripple",
             Self::Networks => "networks",
+            Self::Nominal => "nominal",
         }
     }
 
     /// Campaign that its model is fitted to.
     pub fn campaign(self) -> PathBuf {
         data(match self {
-            Self::Default | Self::Networks => "demo",
+            Self::Default | Self::Networks | Self::Nominal => "demo",
             Self::Clean | Self::Effects => "clean",
             Self::Friction => "friction",
             Self::Ripple => "ripple",
@@ -76,7 +80,7 @@ impl Variant {
             "--expr=own: bx_g = a*opening_mm*motor_iq_a",
         ];
         match self {
-            Self::Default | Self::Clean | Self::Networks => &[],
+            Self::Default | Self::Clean | Self::Networks | Self::Nominal => &[],
             Self::Effects => &ALL,
             Self::Friction => &["hysteresis", "magnet_temperature"],
             Self::Ripple => &[
@@ -121,7 +125,12 @@ pub fn get(variant: Variant) -> Result<Made, String> {
     }
     let (_, desk) = desks.iter().find(|(known, _)| *known == variant).unwrap();
     let file = |name: &str| desk.0.path().join(name);
-    let built = build(&file("model.toml"), Fit::Fitted).map_err(|error| format!("{error:#}"))?;
+    let fit = if variant == Variant::Nominal {
+        Fit::Nominal
+    } else {
+        Fit::Fitted
+    };
+    let built = build(&file("model.toml"), fit).map_err(|error| format!("{error:#}"))?;
     let networks = variant
         .training()
         .map(|_| Networks::read(&file("networks.safetensors"), &built).unwrap());
@@ -161,6 +170,9 @@ fn model(desk: &Desk, variant: Variant) {
         train.extend(training.split_whitespace());
         desk.call(&train);
         export.extend(["--network", "networks.safetensors"]);
+    }
+    if variant == Variant::Nominal {
+        export.push("--nominal");
     }
     desk.call(&export);
 }

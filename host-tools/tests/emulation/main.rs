@@ -14,6 +14,7 @@ mod file;
 mod images;
 #[path = "../scenarios/judge.rs"]
 mod judge;
+mod motion;
 mod replay;
 mod scenarios;
 
@@ -53,6 +54,7 @@ fn main() -> ExitCode {
     trials.extend(boot::trials(effort));
     trials.extend(replay::trials(effort));
     trials.extend(scenarios::trials());
+    trials.extend(motion::trials(effort));
     let trials = trials
         .into_iter()
         .map(|trial| trial.with_ignored_flag(absent.is_some()))

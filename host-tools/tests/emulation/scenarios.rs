@@ -2,15 +2,19 @@
 
 use std::path::Path;
 
-use host_tools::board::emulated::Conditions;
+use host_tools::board::emulated::{Conditions, EmulatedBoard};
 use host_tools::board::pressed::Pressed;
+use host_tools::plant::parameters::{Lead, Parameters};
 use libtest_mimic::{Failed, Trial};
 
 use crate::bench::{Bench, Layer};
-use crate::boards::{board, image, violations};
+use crate::boards::{gripper, image, violations};
 use crate::file::Scenario;
 use crate::images::Variant;
 use crate::judge::judge;
+
+/// Longest estimate, and whatever is more urgent meanwhile.
+const EXECUTION_MS: f64 = 0.3;
 
 pub fn trials() -> Vec<Trial> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/scenarios");
@@ -37,9 +41,11 @@ fn play(scenario: &Scenario) -> Result<(), Failed> {
     let right_n = scenario.right_n.unwrap_or(scenario.grip_n) / 2.0;
     let forces = [left_n, left_n, -right_n, -right_n].map(|newtons| [newtons, 0.0]);
     let world = Pressed::new(&made.built.model, 1, move |_| forces);
-    let board = board(&made, Conditions::SLOW, Box::new(world));
+    // The motor is armed: a rotor sensor without noise would be one that is stuck.
+    let gripper = gripper(Parameters::nominal(Lead::A), 40.0, 1);
+    let board = EmulatedBoard::start(made.image, Conditions::SLOW, Box::new(world), gripper)?;
     let (seen, layer) = Bench::new(Layer::Image(Box::new(board))).play(scenario);
-    let (mut wrong, latencies) = judge(scenario, &seen);
+    let (mut wrong, latencies) = judge(scenario, &seen, EXECUTION_MS);
     for (fault, ms) in latencies {
         println!("{fault} after {ms:.2} ms ({})", scenario.shows);
     }

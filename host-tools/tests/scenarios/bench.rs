@@ -64,28 +64,6 @@ impl Layer {
         panic!("the image addresses no sensor within 20 ms");
     }
 
-    /// Faults and clearings of buses that were logged since the last call, with the board's own time in milliseconds.
-    fn events(&mut self) -> Vec<(f64, Event)> {
-        match self {
-            Self::Loops(board) => {
-                let mut events = board.events.borrow_mut();
-                events
-                    .drain(..)
-                    .map(|(time_us, event)| (time_us as f64 / 1000.0, event))
-                    .collect()
-            }
-            Self::Image(board) => board
-                .chip
-                .take_log()
-                .into_iter()
-                .filter_map(|line| {
-                    let seconds: f64 = line.stamp?.parse().unwrap();
-                    Some((1000.0 * seconds, logged(&line.text)?))
-                })
-                .collect(),
-        }
-    }
-
     /// Leaves a byte in the controller of a sensor bus.
     fn leave_byte(&mut self, bus: usize) {
         const BYTE: u8 = 0x5A;
@@ -93,27 +71,6 @@ impl Layer {
             Self::Loops(board) => board.residues[bus].set(Some(BYTE)),
             Self::Image(board) => assert!(board.chip.soc.leave_received_byte(bus, BYTE)),
         }
-    }
-}
-
-/// The event that a line of the image's log reports.
-fn logged(line: &str) -> Option<Event> {
-    let words: Vec<_> = line
-        .split([' ', ',', ':'])
-        .filter(|word| !word.is_empty())
-        .collect();
-    match words[..] {
-        ["info", "fault", code, "of", source, active, detail] => Some(Event::Fault(FaultEvent {
-            code: code.parse().ok()?,
-            source: source.parse().ok()?,
-            active: active.parse().ok()?,
-            detail: detail.parse().ok()?,
-        })),
-        ["info", "bus", bus, "cleared", "free", free] => Some(Event::Cleared {
-            bus: bus.parse().ok()?,
-            free: free.parse().ok()?,
-        }),
-        _ => None,
     }
 }
 
@@ -255,7 +212,8 @@ impl Bench {
         let Some(origin_us) = self.board_origin_us else {
             return;
         };
-        for (ms, event) in self.layer.events() {
+        for (time_us, event) in self.layer.board().take_events() {
+            let ms = time_us as f64 / 1000.0;
             match event {
                 Event::Fault(fault) => self
                     .seen

@@ -100,14 +100,14 @@ fn every_scenario_goes_as_its_file_says_and_not_without_its_detector() {
     let mut wrong = Vec::new();
     for (name, scenario) in &scenarios {
         let seen = play(&built, scenario, None);
-        let (differences, latencies) = judge::judge(scenario, &seen);
+        let (differences, latencies) = judge::judge(scenario, &seen, 0.0);
         for (fault, ms) in latencies {
             println!("{name}: {fault} after {ms:.2} ms ({})", scenario.shows);
         }
         wrong.extend(differences.iter().map(|words| format!("{name}: {words}")));
         if let Some(detector) = scenario.detector {
             let seen = play(&built, scenario, Some(detector));
-            let (differences, _) = judge::judge(scenario, &seen);
+            let (differences, _) = judge::judge(scenario, &seen, 0.0);
             if differences.is_empty() {
                 wrong.push(format!("{name}: goes the same without {detector:?}"));
             }

@@ -143,6 +143,9 @@ pub trait CanBus {
     /// change with each call; a frame that is under way ends all the same.
     fn offer(&mut self, time: Time, frame: Option<CanFrame>);
 
+    /// A frame of the controller is under way: it ends before it can be cancelled.
+    fn is_sending(&self) -> bool;
+
     /// When something happens next; [`Time::NEVER`] where nothing is under way.
     fn next_event(&self) -> Time;
 
@@ -197,6 +200,10 @@ impl<T: I2cBus> I2cBus for Rc<RefCell<T>> {
 impl<T: CanBus> CanBus for Rc<RefCell<T>> {
     fn offer(&mut self, time: Time, frame: Option<CanFrame>) {
         self.borrow_mut().offer(time, frame);
+    }
+
+    fn is_sending(&self) -> bool {
+        self.borrow().is_sending()
     }
 
     fn next_event(&self) -> Time {

@@ -38,7 +38,7 @@ pub use chip::{Chip, Halt, Load, Profile, ResetRecord};
 pub use core::CycleModel;
 pub use image::{Image, ImageError};
 pub use peripherals::clocks::ResetCause;
-pub use soc::{Devices, Options, Soc};
+pub use soc::{Devices, Options, Soc, UnseenFrames};
 pub use time::{Frequency, Time};
 pub use violations::{Kind, Violation};
 pub use wiring::Wiring;

@@ -163,6 +163,15 @@ impl Default for Options {
     }
 }
 
+/// Frames on the CAN bus that a program has not seen.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct UnseenFrames {
+    /// No filter lets them in.
+    pub refused: u64,
+    /// Their FIFO was full.
+    pub lost: u64,
+}
+
 /// The chip without its core.
 pub struct Soc {
     /// Time since power-on.
@@ -452,6 +461,14 @@ impl Soc {
     pub(crate) fn lock_up(&mut self) {
         if self.syscfg.breaks_on(BreakSource::LockUp) {
             self.tim1.system_break(Some(BreakSource::LockUp), self.now);
+        }
+    }
+
+    /// Frames on the CAN bus that the program has not seen since the last reset.
+    pub fn unseen_frames(&self) -> UnseenFrames {
+        UnseenFrames {
+            refused: self.fdcan.refused,
+            lost: self.fdcan.lost,
         }
     }
 
@@ -872,7 +889,9 @@ impl Soc {
             Block::Exti => self.exti.write(offset, value, context),
             Block::Fdcan => {
                 let has_pins = has(&functions.can);
-                self.fdcan.write(offset, value, has_pins, context);
+                let is_sending = self.devices.can.is_sending();
+                self.fdcan
+                    .write(offset, value, [has_pins, is_sending], context);
                 self.fdcan.check_timing(&*self.devices.can, context);
                 self.fdcan.offer(&mut *self.devices.can, self.now);
             }

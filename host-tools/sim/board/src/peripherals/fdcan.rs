@@ -429,7 +429,14 @@ impl Fdcan {
         }
     }
 
-    pub(crate) fn write(&mut self, offset: u32, value: u32, has_pins: bool, context: &mut Context) {
+    /// `has_pins`: connected to a transceiver. `is_sending`: the bus carries the frame that it was offered last.
+    pub(crate) fn write(
+        &mut self,
+        offset: u32,
+        value: u32,
+        [has_pins, is_sending]: [bool; 2],
+        context: &mut Context,
+    ) {
         let is_open = self.cccr.init() && self.cccr.cce();
         match offset {
             CCCR => self.write_cccr(value, has_pins, context),
@@ -458,7 +465,7 @@ impl Fdcan {
             TXBCR => {
                 for buffer in (0..DEPTH).filter(|buffer| bit(value, *buffer as u32)) {
                     // What the bus carries already ends first.
-                    match self.offered == Some(buffer) && self.is_on() {
+                    match is_sending && self.offered == Some(buffer) && self.is_on() {
                         true => self.cancels |= 1 << buffer,
                         false => {
                             self.cancels |= 1 << buffer;

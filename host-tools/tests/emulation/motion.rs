@@ -1,0 +1,143 @@
+//! The image drives a simulated gripper: it is armed over the CAN bus, homes, moves, grips, stands and releases.
+
+use firmware::grip::order::mode;
+use firmware::grip::states::{Power, Task, code};
+use firmware::wire;
+use firmware::wire::messages::Command;
+use host_tools::board::emulated::{Conditions, EmulatedBoard};
+use host_tools::drive::grasp::{grip_command, object};
+use host_tools::drive::workcell::Workcell;
+use host_tools::drive::world::Senses;
+use host_tools::plant::parameters::{Lead, Parameters};
+use libtest_mimic::{Failed, Trial};
+
+use crate::Effort;
+use crate::boards::{gripper, image, violations};
+use crate::images::Variant;
+
+/// A workcell whose board runs the image.
+pub type Cell = Workcell<EmulatedBoard>;
+
+/// Newtons of the grips.
+pub const SET_N: f64 = 100.0;
+/// The slowest buses with typical execution times.
+pub const CONDITIONS: Conditions = Conditions {
+    i2c_synchronisation: Conditions::SLOW.i2c_synchronisation,
+    ..Conditions::TYPICAL
+};
+
+pub fn trials(_: Effort) -> Vec<Trial> {
+    vec![Trial::test("motion_home_move_grip_foot_release", || {
+        whole_course()
+    })]
+}
+
+/// A gripper that is switched on with its fingers this far apart.
+pub fn cell(opening_mm: f64) -> Result<Cell, Failed> {
+    let made = image(Variant::Nominal)?;
+    let gripper = gripper(Parameters::nominal(Lead::A), opening_mm, 1);
+    let world = Box::new(Senses(gripper.clone()));
+    let board = EmulatedBoard::start(made.image, CONDITIONS, world, gripper.clone())?;
+    Ok(Workcell::around(board, gripper))
+}
+
+/// The same, armed and homed.
+pub fn homed() -> Result<Cell, Failed> {
+    let mut cell = cell(3.0)?;
+    assert!(
+        cell.enable(),
+        "{}: {:?} {:?}",
+        cell.state(),
+        cell.host.told.faults,
+        cell.host.told.replies
+    );
+    assert!(cell.is_in(Task::Unhomed), "{}", cell.state());
+    cell.host.order(Command {
+        mode: mode::HOME,
+        ..Command::default()
+    });
+    let took_s = cell.until(20.0, |cell| cell.is_in(Task::Idle));
+    assert!(
+        took_s.is_some(),
+        "{}: {:?}",
+        cell.state(),
+        cell.host.told.faults
+    );
+    Ok(cell)
+}
+
+/// In hundredths of a millimetre and tenths of a millimetre in a second.
+pub fn move_to(cell: &mut Cell, opening_mm: f64) {
+    let position = (20.0 * opening_mm) as u16;
+    cell.host.order(Command {
+        mode: mode::MOVE,
+        position,
+        speed: 160,
+        ..Command::default()
+    });
+    let is_there =
+        |cell: &Cell| (1e3 * cell.gripper.borrow().rig.plant.opening_m() - opening_mm).abs() < 0.1;
+    assert!(cell.until(5.0, is_there).is_some(), "{}", cell.state());
+    cell.run(0.2);
+}
+
+fn whole_course() -> Result<(), Failed> {
+    let mut cell = homed()?;
+    println!("homed at {} us", cell.time_us());
+    for opening_mm in [20.0, 45.0] {
+        move_to(&mut cell, opening_mm);
+        let true_mm = 1e3 * cell.gripper.borrow().rig.plant.opening_m();
+        assert!(
+            (true_mm - opening_mm).abs() < 0.1,
+            "{true_mm} mm, {opening_mm} mm asked for"
+        );
+    }
+    let thing = object(cell.gripper.borrow().rig.plant.parameters(), 40.0, 333.0);
+    cell.gripper.borrow_mut().rig.plant.hold(Some(&thing));
+    cell.gripper.borrow_mut().peak_n = 0.0;
+    cell.host.order(grip_command(SET_N));
+    assert!(
+        cell.until(3.0, |cell| cell.is_in(Task::HoldActive))
+            .is_some(),
+        "{}",
+        cell.state()
+    );
+    cell.run(0.4);
+    let reported_n: f64 = [0, 1]
+        .iter()
+        .map(|&sensor: &usize| wire::newtons(&cell.host.told.forces[sensor].unwrap().1).0[0])
+        .sum();
+    let (true_n, peak_n) = (cell.force_n(), cell.gripper.borrow().peak_n);
+    println!("peak {peak_n:.2} N, true {true_n:.2} N, reported {reported_n:.2} N");
+    assert!(
+        peak_n <= SET_N + 2.0 && (true_n - SET_N).abs() < 2.0,
+        "{peak_n} {true_n}"
+    );
+    assert!((reported_n - true_n).abs() < 2.0, "{reported_n} {true_n}");
+    cell.host.order(Command {
+        mode: mode::RELEASE,
+        position: 1200,
+        speed: 160,
+        ..Command::default()
+    });
+    assert!(
+        cell.until(3.0, |cell| cell.is_in(Task::Idle)).is_some(),
+        "{}",
+        cell.state()
+    );
+    assert_eq!(cell.force_n(), 0.0);
+    cell.gripper.borrow_mut().rig.plant.hold(None);
+    cell.host.stop();
+    assert!(
+        cell.until(0.5, |cell| cell.state()
+            < code(Power::Enabled, Task::Unhomed))
+            .is_some(),
+        "{}",
+        cell.state()
+    );
+    println!("{}", cell.board.chip.profile());
+    let faults = &cell.host.told.faults;
+    assert!(faults.is_empty(), "{faults:?}");
+    assert_eq!(violations(&cell.board), [""; 0]);
+    Ok(())
+}
