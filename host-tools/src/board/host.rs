@@ -7,7 +7,8 @@ use embedded_can::Frame;
 use firmware::session::{MAGIC, op, sealed, status};
 use firmware::wire::can::CanFrame;
 use firmware::wire::messages::{
-    Command, EStop, FaultEvent, Foot, Force, GripStatus, Heartbeat, Message, Service, ServiceReply,
+    Command, EStop, FaultEvent, Foot, Force, GripStatus, Heartbeat, Message, ParamReply,
+    ParamRequest, Service, ServiceReply,
 };
 use firmware::wire::{DEFAULT_NODE, identifier};
 
@@ -15,6 +16,7 @@ use super::can::CanBus;
 
 const COMMAND: u16 = identifier(DEFAULT_NODE, Command::LAYOUT.number);
 const SERVICE: u16 = identifier(DEFAULT_NODE, Service::LAYOUT.number);
+const PARAMETER: u16 = identifier(DEFAULT_NODE, ParamRequest::LAYOUT.number);
 const STOP: u16 = identifier(DEFAULT_NODE, EStop::LAYOUT.number);
 /// Milliseconds from one command to the next.
 const EVERY_MS: u32 = Command::LAYOUT.period_ms as u32;
@@ -34,6 +36,8 @@ pub struct Told {
     pub faults: Vec<(u64, FaultEvent)>,
     /// Every answer to a service, refused commands among them.
     pub replies: Vec<(u64, ServiceReply)>,
+    /// Every answer to [`Host::ask_parameter`].
+    pub parameters: Vec<(u64, ParamReply)>,
 }
 
 /// The host.
@@ -77,6 +81,11 @@ impl Host {
             nonce: 0,
             argument,
         });
+    }
+
+    /// Reads or writes a parameter.
+    pub fn ask_parameter(&mut self, request: ParamRequest) {
+        self.put(CanFrame::of(PARAMETER, request.to_bytes()));
     }
 
     /// Commands from now on, again and again, at once for the first time.
@@ -128,6 +137,7 @@ impl Host {
                     self.told.forces[sensor] = Some((time_us, force));
                 }
                 Message::FaultEvent(event) => self.told.faults.push((time_us, event)),
+                Message::ParamReply(reply) => self.told.parameters.push((time_us, reply)),
                 Message::ServiceReply(reply) => self.answer(time_us, reply),
                 _ => {}
             }
