@@ -20,8 +20,12 @@ use embassy_sync::waitqueue::AtomicWaker;
 use embedded_hal_async::i2c::{ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation};
 
 use super::clock::BoardClock;
+use crate::clock::pause;
 use crate::hall::bus::{Lines, SensorBus, clear};
 
+/// A busy bus is looked at this often, and given up after so many looks: 100 us.
+const BUSY_US: u64 = 10;
+const BUSY_LOOKS: u32 = 10;
 /// Bytes that a transfer reads at the most.
 const MOST_BYTES: usize = 16;
 
@@ -203,6 +207,19 @@ impl BoardBus {
     }
 }
 
+impl BoardBus {
+    /// Waits for the bus: a sensor that holds a line after a transfer was cut may let it go in time.
+    async fn idle(&self) -> Result<(), Error> {
+        for _ in 0..BUSY_LOOKS {
+            if !self.controller.registers.isr().read().busy() {
+                return Ok(());
+            }
+            pause(&BoardClock, BUSY_US).await;
+        }
+        Err(Error::Bus)
+    }
+}
+
 impl ErrorType for BoardBus {
     type Error = Error;
 }
@@ -218,7 +235,8 @@ impl I2c for BoardBus {
             [Operation::Write([register]), Operation::Read(bytes)]
                 if (1..=MOST_BYTES).contains(&bytes.len()) =>
             {
-                let transfer = Transfer::begin(self.controller, address, *register, bytes.len())?;
+                self.idle().await?;
+                let transfer = Transfer::begin(self.controller, address, *register, bytes.len());
                 poll_fn(|context| {
                     self.controller.waker.register(context.waker());
                     match has_ended(self.controller.registers.isr().read()) {
@@ -242,21 +260,12 @@ struct Transfer {
 
 impl Transfer {
     /// Asks for so many bytes from a register on.
-    fn begin(
-        controller: &'static Controller,
-        address: u8,
-        register: u8,
-        length: usize,
-    ) -> Result<Self, Error> {
+    fn begin(controller: &'static Controller, address: u8, register: u8, length: usize) -> Self {
         let transfer = Self {
             controller,
             has_ended_well: false,
         };
         let registers = controller.registers;
-        if registers.isr().read().busy() {
-            // Dropped, the transfer resets the peripheral.
-            return Err(Error::Bus);
-        }
         let channel = controller.dma();
         channel.ndtr().write(|w| w.set_ndt(length as u16));
         channel.cr().write(|w| {
@@ -291,7 +300,7 @@ impl Transfer {
         // What is written before stays before.
         fence(Ordering::SeqCst);
         registers.cr2().write_value(phase);
-        Ok(transfer)
+        transfer
     }
 
     /// What has come, once the transfer has ended.

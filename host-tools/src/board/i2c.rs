@@ -44,6 +44,8 @@ pub struct Sensor {
     pub gain: f64,
     /// A field of somebody else at its element, in counts.
     pub beside: [f64; 3],
+    /// In the next transfer it holds the clock line low for so long.
+    pub stretches: Option<Time>,
     /// In the next transfer it misses a clock and holds the data line for so many clocks.
     pub slips: Option<u32>,
     /// What it is configured as.
@@ -66,6 +68,7 @@ impl Sensor {
             gain: 1.0,
             beside: [0.0; 3],
             slips: None,
+            stretches: None,
             configuration: CONFIGURED,
             registers: [0; READING_BYTES],
             pointer: None,
@@ -122,6 +125,8 @@ pub struct Wires {
     /// Clocks until whoever holds the data line lets go; [`u32::MAX`]: it is shorted to ground.
     pub held: u32,
     clock_high: bool,
+    /// A sensor holds the clock line low until then.
+    stretched_until: Time,
     /// Transfers that were begun.
     pub transfers: u64,
     /// Place of the sensor that was addressed.
@@ -136,6 +141,7 @@ impl Wires {
             sensors,
             held: 0,
             clock_high: true,
+            stretched_until: Time::ZERO,
             transfers: 0,
             addressed: None,
             now,
@@ -160,6 +166,9 @@ impl I2cBus for Wires {
         if sensor.refuses > 0 {
             sensor.refuses -= 1;
             return false;
+        }
+        if let Some(length) = sensor.stretches.take() {
+            self.stretched_until = time + length;
         }
         if let Some(clocks) = sensor.slips.take() {
             // It has lost count: it acknowledges, and then sends a low bit that nobody clocks.
@@ -197,8 +206,8 @@ impl I2cBus for Wires {
         self.addressed = None;
     }
 
-    fn released(&self) -> [bool; 2] {
-        [true, self.held == 0]
+    fn released(&self, time: Time) -> [bool; 2] {
+        [time >= self.stretched_until, self.held == 0]
     }
 
     fn pulse(&mut self) {
@@ -253,10 +262,14 @@ impl SimulatedBus {
 
     /// Waits for a line that a sensor holds: for ever, since nobody else clocks it.
     async fn released(&self) {
-        let is_held = self.wires.borrow().held > 0;
+        let (is_held, stretched_until) = {
+            let wires = self.wires.borrow();
+            (wires.held > 0, wires.stretched_until)
+        };
         if is_held {
             pending::<()>().await;
         }
+        self.clock.until(stretched_until.us()).await;
     }
 }
 
@@ -304,12 +317,12 @@ impl SensorBus for SimulatedBus {
         let clock = self.clock.clone();
         // The peripheral is initialised anew.
         self.residue.set(None);
-        clear(&mut Pins(self.wires.clone()), &clock).await
+        clear(&mut Pins(self.wires.clone(), clock.clone()), &clock).await
     }
 }
 
 /// The lines as pins.
-struct Pins(Rc<RefCell<Wires>>);
+struct Pins(Rc<RefCell<Wires>>, VirtualClock);
 
 impl Lines for Pins {
     fn set_clock(&mut self, high: bool) {
@@ -324,7 +337,7 @@ impl Lines for Pins {
 
     fn levels(&mut self) -> [bool; 2] {
         let wires = self.0.borrow();
-        let [_, data] = wires.released();
-        [wires.clock_high, data]
+        let [clock, data] = wires.released(Time::from_us(self.1.now_us()));
+        [wires.clock_high && clock, data]
     }
 }

@@ -248,6 +248,9 @@ impl Bench {
             Act::Gain { sensor, factor } => {
                 connections.change_sensor(sensor, |sensor| sensor.gain = factor)
             }
+            Act::Stretch { sensor, us } => connections.change_sensor(sensor, |sensor| {
+                sensor.stretches = Some(sim_board::Time::from_us(us));
+            }),
             Act::Slip { sensor, clocks } => {
                 connections.change_sensor(sensor, |sensor| sensor.slips = Some(clocks));
             }

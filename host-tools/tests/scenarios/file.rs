@@ -57,6 +57,7 @@ pub enum Act {
     Thaw { sensor: usize },
     Gain { sensor: usize, factor: f64 },
     Slip { sensor: usize, clocks: u32 },
+    Stretch { sensor: usize, us: u64 },
     Short { bus: usize },
     Open { bus: usize },
     Residue { bus: usize },

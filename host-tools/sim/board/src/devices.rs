@@ -20,8 +20,9 @@ pub trait I2cBus {
     /// A stop condition.
     fn stop(&mut self);
 
-    /// Whether the devices let clock and data lines go; a device that has lost count holds the data line low.
-    fn released(&self) -> [bool; 2];
+    /// Whether the devices let clock and data lines go at this time; a device that stretches the clock holds that line low,
+    /// one that has lost count the data line.
+    fn released(&self, time: Time) -> [bool; 2];
 
     /// A rising edge of the clock line while no transfer is under way: bus clear by hand.
     fn pulse(&mut self);
@@ -45,7 +46,7 @@ impl I2cBus for EmptyI2cBus {
 
     fn stop(&mut self) {}
 
-    fn released(&self) -> [bool; 2] {
+    fn released(&self, _: Time) -> [bool; 2] {
         [true; 2]
     }
 
@@ -188,8 +189,8 @@ impl<T: I2cBus> I2cBus for Rc<RefCell<T>> {
         self.borrow_mut().stop();
     }
 
-    fn released(&self) -> [bool; 2] {
-        self.borrow().released()
+    fn released(&self, time: Time) -> [bool; 2] {
+        self.borrow().released(time)
     }
 
     fn pulse(&mut self) {

@@ -843,7 +843,7 @@ impl Soc {
                     .iter()
                     .zip(self.options.wiring.sensor_buses)
                 {
-                    for (pin, is_released) in pins.into_iter().zip(bus.released()) {
+                    for (pin, is_released) in pins.into_iter().zip(bus.released(self.now)) {
                         self.gpio[pin.port].drive_externally(pin.number, Some(is_released));
                     }
                 }

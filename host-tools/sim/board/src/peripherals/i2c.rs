@@ -109,8 +109,8 @@ impl I2c {
     }
 
     /// The lines are held by a device: nothing goes on until it lets them go.
-    fn is_blocked(bus: &dyn I2cBus) -> bool {
-        bus.released() != [true; 2]
+    fn is_blocked(bus: &dyn I2cBus, now: Time) -> bool {
+        bus.released(now) != [true; 2]
     }
 
     /// What is due has happened. `synchronisation` is what a bit takes beyond the register's times.
@@ -119,7 +119,7 @@ impl I2c {
             return;
         }
         self.due = Time::NEVER;
-        if Self::is_blocked(bus) {
+        if Self::is_blocked(bus, now) {
             self.due = now + BLOCKED;
             return;
         }
@@ -272,7 +272,9 @@ impl I2c {
             TIMINGR => self.timing,
             TIMEOUTR => self.timeout,
             // A line that a device holds low looks like a transfer of somebody else.
-            ISR => self.isr.0 | u32::from(self.cr1.pe() && Self::is_blocked(bus)) << 15,
+            ISR => {
+                self.isr.0 | u32::from(self.cr1.pe() && Self::is_blocked(bus, context.now)) << 15
+            }
             ICR | PECR => 0,
             RXDR => {
                 self.isr.set_rxne(false);
