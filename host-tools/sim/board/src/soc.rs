@@ -403,6 +403,11 @@ impl Soc {
         self.now
     }
 
+    /// Counter of TIM5, the firmware's time base: microseconds since the firmware started it, modulo 2^32.
+    pub fn time_base(&self) -> u32 {
+        self.tim5.counter(self.now())
+    }
+
     /// The core's clock.
     pub fn core_clock(&self) -> Frequency {
         self.rcc.clocks().core

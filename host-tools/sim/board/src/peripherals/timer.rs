@@ -65,6 +65,11 @@ impl Timer {
         }
     }
 
+    /// The counter, without the effects that a read by the program has.
+    pub(crate) fn counter(&self, now: Time) -> u32 {
+        (self.count(now) % self.period()) as u32
+    }
+
     /// Sets the flags of what has happened by now.
     fn catch_up(&mut self, now: Time) {
         let count = self.count(now);
@@ -137,7 +142,7 @@ impl Timer {
     pub(crate) fn read(&mut self, offset: u32, context: &mut Context) -> u32 {
         self.catch_up(context.now);
         match offset {
-            CNT => (self.count(context.now) % self.period()) as u32,
+            CNT => self.counter(context.now),
             EGR => 0,
             CR1..=ARR | CCR0..=CCR3 => self.word(offset),
             _ => context.unmodelled(offset),
