@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use anyhow::{Context, Result};
-use firmware::wire::DEFAULT_NODE;
+use anyhow::{Context, Result, bail};
+use firmware::wire::{DEFAULT_NODE, PROTOCOL};
 use model_export::fit::Options;
 use model_export::inverse::build::{Built, Variant, build};
 use model_export::model_file::{ModelFile, Provenance};
@@ -17,6 +17,7 @@ use crate::live::serial_port::SerialLine;
 use crate::live::socket_can::CanBus;
 use crate::live::socketcand::client::RemoteBus;
 use crate::live::source::Source;
+use crate::live::state::State;
 use crate::live::virtual_board::Unplug;
 use crate::live::virtual_board::world::Doing;
 use crate::networks::Networks;
@@ -47,6 +48,11 @@ impl Line {
             (None, Some(interface)) => Some(Box::new(CanBus::open(interface, self.node)?)),
             (None, None) => None,
         })
+    }
+
+    /// Whether port or bus is given.
+    pub const fn is_given(&self) -> bool {
+        self.port.is_some() || self.can.is_some()
     }
 
     /// Number of the gripper: on a serial line, too, its commands are sealed for it.
@@ -119,7 +125,7 @@ impl Gripper {
 
     #[cfg(not(unix))]
     fn virtual_board(&self) -> Result<Box<dyn Source>> {
-        anyhow::bail!("--virtual needs pseudo terminals, which this system has not; use --port")
+        bail!("--virtual needs pseudo terminals, which this system has not; use --port")
     }
 
     #[cfg(unix)]
@@ -146,6 +152,19 @@ fn of_demo() -> Result<Built> {
     let path = folder.path().join("model.toml");
     ModelFile::of(&campaign, &fits, provenance).write(&path)?;
     Ok(build(&path, Variant::Fitted)?)
+}
+
+/// Another major number is another language: what was heard means something else.
+pub fn check_language(state: &State) -> Result<()> {
+    let told = state.version.map(|version| version.protocol_major);
+    match told.or(state.heartbeat.map(|told| told.value.protocol_major)) {
+        Some(major) if major != PROTOCOL.0 => bail!(
+            "the gripper speaks version {major} of the messages, this tool {}: use the tool that its firmware was \
+             built with",
+            PROTOCOL.0
+        ),
+        _ => Ok(()),
+    }
 }
 
 /// Set as somebody wants the command to end: Ctrl-C, or a request of the system.

@@ -5,7 +5,8 @@
 //! - [`pty`]: a pseudo terminal.
 //! - [`virtual_board`]: the board in virtual time that keeps to the wall's clock, behind pseudo terminals.
 //! - [`emulation`]: the image in the emulated chip, with its serial line and CAN bus as ports of this machine.
-//! - [`session`]: arming and sealed commands.
+//! - [`session`]: arming and sealed commands; [`client`]: a host that commands a gripper; [`answers`]: its states and
+//!   refusals in words.
 //! - [`hearing`]: a source heard in a thread of its own.
 //! - [`asking`]: parameters of a gripper, read and written.
 //! - [`board_clock`]: the board's clock over its turns.
@@ -17,8 +18,10 @@
 //! - [`paged`]: a table that is whole whenever its writer is killed.
 //! - [`recorder`]: rows into a recording.
 
+pub mod answers;
 pub mod asking;
 pub mod board_clock;
+pub mod client;
 #[cfg(unix)]
 pub mod emulation;
 pub mod faults;

@@ -6,6 +6,7 @@ pub use linux::{Bridge, CanBus};
 #[cfg(target_os = "linux")]
 mod linux {
     use std::io::{self, ErrorKind};
+    use std::time::{Duration, Instant};
 
     use anyhow::{Result, anyhow, bail};
     use embedded_can::{Frame, Id, StandardId};
@@ -20,6 +21,9 @@ mod linux {
     const BATCH: usize = 64;
     /// The system's number for a full queue.
     const ENOBUFS: i32 = rustix::io::Errno::NOBUFS.raw_os_error();
+
+    /// Time for a batch: frames that come one by one would keep a command of this host waiting.
+    const BATCH_TIME: Duration = Duration::from_millis(5);
 
     /// The bus and the node on it.
     pub struct CanBus {
@@ -71,7 +75,11 @@ mod linux {
 
     impl Source for CanBus {
         fn hear(&mut self, packets: &mut Vec<Packet>) -> Result<bool> {
-            for _ in 0..BATCH {
+            let begun = Instant::now();
+            for number in 0..BATCH {
+                if number > 0 && begun.elapsed() > BATCH_TIME {
+                    break;
+                }
                 let frame = match self.socket.read_frame() {
                     Ok(frame) => frame,
                     Err(error) if is_pending(&error) => break,
