@@ -17,8 +17,8 @@ use super::live::parse_seconds;
 Examples:
   cargo magpie emulate                               # until Ctrl-C; prints where its serial line and CAN bus are
   cargo magpie monitor --port /dev/pts/3             # in another terminal, with the path that it has printed
-  cargo magpie grip --can 127.0.0.1:29536 --home --force 80
-  cargo magpie emulate --opening 3 --object 40 --can-port 29536 --log
+  cargo magpie emulate --object 40 --can-port 29536 --log
+  cargo magpie grip --can 127.0.0.1:29536 --home --force 80    # in another terminal
   cargo magpie emulate --can vcan0                   # a virtual CAN interface of Linux: candump, SavvyCAN, ...
   cargo magpie emulate --seconds 10 --speed max --json > profile.json
   cargo magpie emulate --replay tests/data/clean/1 --model model.toml --speed 0.2

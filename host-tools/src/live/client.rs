@@ -65,6 +65,16 @@ impl Client {
         self.source.say(request)
     }
 
+    /// Ends the session.
+    ///
+    /// # Errors
+    /// The line or bus is gone.
+    pub fn end_session(&mut self) -> Result<()> {
+        self.command = None;
+        let request = self.session.end();
+        self.source.say(request)
+    }
+
     /// Whether the gripper has confirmed the session.
     pub const fn is_armed(&self) -> bool {
         self.session.is_armed()

@@ -10,6 +10,8 @@ pub struct HostSession {
     node: u16,
     nonce: Option<u16>,
     counter: u8,
+    /// A nonce that comes is not confirmed.
+    is_ending: bool,
 }
 
 impl HostSession {
@@ -19,19 +21,27 @@ impl HostSession {
             node,
             nonce: None,
             counter: 0,
+            is_ending: false,
         }
     }
 
     /// The request to arm; an earlier session ends.
     pub fn arm(&mut self) -> Message {
-        self.nonce = None;
+        (self.nonce, self.is_ending) = (None, false);
+        service(op::ARM, 0)
+    }
+
+    /// The request that ends the session, so that the gripper waits for no further command: one for a nonce, which is not
+    /// confirmed.
+    pub fn end(&mut self) -> Message {
+        (self.nonce, self.is_ending) = (None, true);
         service(op::ARM, 0)
     }
 
     /// Evaluates a reply of the gripper; the message that answers it, where the protocol asks for one.
     pub fn receive(&mut self, reply: &ServiceReply) -> Option<Message> {
         match (reply.op, reply.status) {
-            (op::ARM, status::SAY_BACK) => Some(Message::Service(Service {
+            (op::ARM, status::SAY_BACK) if !self.is_ending => Some(Message::Service(Service {
                 op: op::ARM,
                 magic: MAGIC,
                 nonce: reply.nonce,
@@ -98,5 +108,12 @@ mod tests {
             let heard = firmware.hear(0, id(&command), &command.to_bytes(), 77);
             assert!(matches!(heard, Heard::Command(_)), "{heard:?}");
         }
+        let request = host.end();
+        let Heard::Reply { reply, .. } = firmware.hear(0, id(&request), &request.to_bytes(), 78)
+        else {
+            panic!("no reply");
+        };
+        assert_eq!(host.receive(&reply), None);
+        assert!(!firmware.is_open() && !host.is_armed());
     }
 }

@@ -11,6 +11,7 @@ mod desk;
 #[allow(dead_code)] // So are detectors that are switched off.
 #[path = "../scenarios/file.rs"]
 mod file;
+#[allow(dead_code)] // The path is another test's.
 mod images;
 #[path = "../scenarios/judge.rs"]
 mod judge;

@@ -403,9 +403,10 @@ impl Soc {
         self.now
     }
 
-    /// Counter of TIM5, the firmware's time base: microseconds since the firmware started it, modulo 2^32.
-    pub fn time_base(&self) -> u32 {
-        self.tim5.counter(self.now())
+    /// Counter of TIM5, the firmware's time base, and the period after which it starts at zero again: microseconds since
+    /// the firmware started it, modulo that period.
+    pub fn time_base(&self) -> (u64, u64) {
+        (u64::from(self.tim5.counter(self.now())), self.tim5.period())
     }
 
     /// The core's clock.

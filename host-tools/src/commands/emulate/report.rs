@@ -58,7 +58,14 @@ fn deadlines(deadlines: &Deadlines) -> String {
     if most == 0 {
         return page + "no tick came\n";
     }
+    let mut next_us = None;
     for (from_us, ticks) in bins {
+        if next_us
+            .replace(from_us + BIN_US)
+            .is_some_and(|next_us| next_us < from_us)
+        {
+            page += &format!("{:>12}\n", "...");
+        }
         let length = (BAR as u64 * ticks).div_ceil(most) as usize;
         let range = match Deadlines::is_last_bin(from_us) {
             true => format!("{from_us}.."),

@@ -26,6 +26,9 @@ const ENABLE_S: f64 = 10.0;
 const HOME_S: f64 = 180.0;
 const RELEASE_S: f64 = 60.0;
 const DISABLE_S: f64 = 10.0;
+const CLOSE_S: f64 = 2.0;
+/// Limit of the way to the request, and then of nothing but Ctrl-C.
+const REACH_S: f64 = 120.0;
 /// Between two requests to arm.
 const ARM_AGAIN_S: f64 = 1.0;
 /// Speed of motions where none is given, and of a release, in mm/s.
@@ -161,26 +164,21 @@ pub(super) fn run(args: &Args) -> Result<()> {
     );
     let result = session.perform(args, request);
     let let_go = session.let_go(request);
-    let page = match args.json {
-        true => format!(
-            "{}\n",
-            session
+    let page = match (args.json, &result) {
+        (true, _) => {
+            let json = session
                 .course
-                .json(&session.client, result.as_ref(), let_go.is_ok())
-        ),
-        false => session
-            .course
-            .text(result.as_ref().is_ok_and(|reached| *reached)),
+                .json(&session.client, result.as_ref(), let_go.is_ok());
+            format!("{json}\n")
+        }
+        (false, Ok(is_reached)) => session.course.text(*is_reached),
+        (false, Err(_)) => String::new(),
     };
     show::page(&page)?;
     match (result, let_go) {
         (Err(error), Err(then)) => Err(error.context(format!("{then:#}"))),
         (Err(error), Ok(())) | (Ok(_), Err(error)) => Err(error),
-        (Ok(true), Ok(())) => Ok(()),
-        (Ok(false), Ok(())) if session.interrupted.load(Relaxed) => Ok(()),
-        (Ok(false), Ok(())) => {
-            bail!("the time was over before the gripper was there: give a longer --seconds")
-        }
+        (Ok(_), Ok(())) => Ok(()),
     }
 }
 
@@ -217,25 +215,35 @@ impl Session {
             }
         }
         self.client.command(request.command());
-        let start_s = self.client.elapsed_s();
-        let end_s = args
-            .seconds
-            .map_or(f64::INFINITY, |seconds| start_s + seconds);
-        let ends_there = args.seconds.is_none() && matches!(request, Request::Position { .. });
-        let mut is_reached = false;
         let mut failure = None;
-        self.wait(end_s - start_s, |session| {
+        let reached = self.wait(REACH_S, |session| {
             let task = session.task();
-            let opening_mm = session.opening_mm();
-            is_reached |= task
-                .zip(opening_mm)
-                .is_some_and(|(task, opening_mm)| request.is_reached(task, opening_mm));
             failure = task.and_then(|task| request.failure(task));
-            is_reached && ends_there || failure.is_some()
+            let there = task
+                .zip(session.opening_mm())
+                .is_some_and(|(task, opening_mm)| request.is_reached(task, opening_mm));
+            there || failure.is_some()
+        })?;
+        if let Some(failure) = failure {
+            bail!("{failure}");
+        }
+        match reached {
+            Waited::Done => {}
+            Waited::Interrupted => return Ok(false),
+            Waited::Over => bail!("it was not there after {REACH_S} s{}", self.faults()),
+        }
+        let hold_s = match (args.seconds, request) {
+            (Some(seconds), _) => seconds,
+            (None, Request::Position { .. }) => 0.0,
+            (None, _) => f64::INFINITY,
+        };
+        self.wait(hold_s, |session| {
+            failure = session.task().and_then(|task| request.failure(task));
+            failure.is_some()
         })?;
         match failure {
             Some(failure) => bail!("{failure}"),
-            None => Ok(is_reached),
+            None => Ok(true),
         }
     }
 
@@ -378,7 +386,12 @@ impl Session {
         }
         self.client.command(of_mode(mode::DISABLE));
         let is_off = |session: &Self| session.code().is_some_and(|code| code < TASK_CODE);
-        self.finish(DISABLE_S, is_off, "the drive was not disabled in time")
+        self.finish(DISABLE_S, is_off, "the drive was not disabled in time")?;
+        self.client.end_session()?;
+        let is_closed =
+            |session: &Self| session.code().is_some_and(|code| code < Power::Armed as u8);
+        // The gripper reports it with the next heartbeat. A fault that is latched stays its state.
+        self.wait(CLOSE_S, is_closed).map(|_| ())
     }
 
     /// Waits for a step of the end; where it does not come about, or with Ctrl-C, it is an emergency stop.

@@ -78,7 +78,7 @@ impl Course {
         let state = self.state.map_or("unknown".to_owned(), answers::state);
         match is_reached {
             true => format!("Done. The gripper is in state {state}.\n"),
-            false => format!("Ended before it was there. The gripper is in state {state}.\n"),
+            false => format!("Stopped before it was there. The gripper is in state {state}.\n"),
         }
     }
 

@@ -13,14 +13,17 @@ const BINS: usize = (4 * TICK_US / BIN_US) as usize + 1;
 pub struct Clocks {
     /// Of the emulation.
     pub now: Time,
-    /// Of the firmware, in microseconds since it started it, modulo 2^32.
-    pub firmware_us: u32,
+    /// Of the firmware, in microseconds since it started it, and the period after which it begins again at zero.
+    pub firmware_us: (u64, u64),
 }
 
 impl Clocks {
-    /// When something was that the firmware's clock showed as this; it was before both clocks were read.
+    /// When something was that the firmware's clock showed as this; it was less than a period before both clocks were
+    /// read.
     fn time(&self, firmware_us: u32) -> Time {
-        self.now - Time::from_us(self.firmware_us.wrapping_sub(firmware_us).into())
+        let (now_us, period_us) = self.firmware_us;
+        let age_us = (now_us + period_us - u64::from(firmware_us) % period_us) % period_us;
+        self.now - Time::from_us(age_us)
     }
 }
 
@@ -74,16 +77,10 @@ impl Deadlines {
         self.before_us = None;
     }
 
-    /// First microsecond of each bin and its ticks, from the first that has any to the last.
+    /// First microsecond of each bin that has ticks, and how many.
     pub fn bins(&self) -> Vec<(u64, u64)> {
-        let bins: Vec<_> = (0..).step_by(BIN_US as usize).zip(self.bins).collect();
-        let has_ticks = |(_, ticks): &(u64, u64)| *ticks > 0;
-        let first = bins.iter().position(has_ticks);
-        let last = bins.iter().rposition(has_ticks);
-        let found = first
-            .zip(last)
-            .and_then(|(first, last)| bins.get(first..=last));
-        found.unwrap_or_default().to_vec()
+        let bins = (0..).step_by(BIN_US as usize).zip(self.bins);
+        bins.filter(|(_, ticks)| *ticks > 0).collect()
     }
 
     /// The end of the bin below which lies this share of the ticks, in microseconds.
@@ -111,21 +108,21 @@ mod tests {
     fn delays_are_counted_on_the_emulation_s_clock() {
         let mut deadlines = Deadlines::default();
         // The firmware's clock started 2.5 ms after power-on.
-        for tick in 0..10 {
-            let (tick_us, delay_us) = (1000 * tick, 610 + u64::from(tick));
+        for tick in 14..17 {
+            let (tick_us, delay_us) = (1000 * tick, 600 + u64::from(tick));
             let ended = Time::from_us(2500 + u64::from(tick_us) + delay_us);
             let clocks = Clocks {
                 now: Time::from_us(20_000),
-                firmware_us: 17_500,
+                firmware_us: (17_500 % 4096, 4096),
             };
             deadlines.push(tick_us, ended, clocks);
         }
-        assert_eq!(deadlines.bins(), [(600, 10)]);
+        assert_eq!(deadlines.bins(), [(600, 3)]);
         assert_eq!(
             (deadlines.ticks, deadlines.missed, deadlines.late),
-            (10, 0, 0)
+            (3, 0, 0)
         );
-        assert_eq!(deadlines.longest, Time::from_us(619));
+        assert_eq!(deadlines.longest, Time::from_us(616));
         assert_eq!(deadlines.quantile_us(0.5), Some(625));
     }
 
@@ -135,7 +132,7 @@ mod tests {
         let mut push = |tick_us: u32, delay_us: u64| {
             let clocks = Clocks {
                 now: Time::from_ms(100),
-                firmware_us: tick_us,
+                firmware_us: (tick_us.into(), 1 << 32),
             };
             deadlines.push(tick_us, Time::from_us(100_000 + delay_us), clocks);
         };
@@ -152,7 +149,7 @@ mod tests {
             Time::from_ms(1),
             Clocks {
                 now: Time::from_ms(1),
-                firmware_us: 1000,
+                firmware_us: (1000, 1 << 32),
             },
         );
         assert_eq!(deadlines.missed, 2);

@@ -53,7 +53,7 @@ impl Timer {
         self.clock.cycles(u64::from(self.prescaler) + 1)
     }
 
-    fn period(&self) -> u64 {
+    pub(crate) fn period(&self) -> u64 {
         u64::from(self.word(ARR)) + 1
     }
 
