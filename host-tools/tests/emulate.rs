@@ -47,7 +47,7 @@ mod unix {
         }
         let trials = [
             Trial::test("a_profile_has_load_deadlines_and_stack", profile),
-            Trial::test("record_hears_every_tick_on_the_serial_line", record),
+            Trial::test("record_receives_every_tick_on_the_serial_line", record),
             Trial::test(
                 "a_socketcand_client_receives_heartbeats_until_ctrl_c",
                 socketcand,
@@ -236,7 +236,7 @@ mod unix {
         );
         let gripped = desk.told(&line);
         assert_eq!(
-            (&gripped["reached"], &gripped["let_go"]),
+            (&gripped["reached"], &gripped["disabled"]),
             (&true.into(), &true.into())
         );
         let states: Vec<_> = gripped["states"]
@@ -272,6 +272,11 @@ mod unix {
         std::fs::write(desk.0.path().join("text.elf"), "no image")?;
         let said = desk.refused("emulate text.elf");
         assert!(said.contains("not an ELF file"), "{said}");
+        if cfg!(target_os = "linux") {
+            let image = path(Variant::Default)?;
+            let said = desk.refused(&format!("emulate {image} --can nowhere0"));
+            assert!(said.contains("there is no such CAN bus"), "{said}");
+        }
         Ok(())
     }
 }

@@ -54,7 +54,7 @@ pub struct Args {
     /// Clear latched faults first.
     #[arg(long, requires = "commanded")]
     clear_faults: bool,
-    /// Time for which the force, opening or foot is kept once it is there; without it, until Ctrl-C, and an opening not at all.
+    /// Time for which force, foot or position is kept once it is reached; without it, until Ctrl-C, a position not at all.
     #[arg(long, value_name = "S", requires = "commanded", value_parser = parse_seconds)]
     seconds: Option<f64>,
     /// Opening to go to.

@@ -183,9 +183,10 @@ mod tests {
         let reader = thread::spawn(move || {
             let mut read = Vec::new();
             let mut bytes = [0; 4096];
+            let mut is_late = false;
             while read.len() < COUNT {
-                // Late once it is known to read.
-                if (3 * KEPT..3 * KEPT + 4096).contains(&read.len()) {
+                // Late once, when it is known to read.
+                if read.len() > 2 * KEPT && !std::mem::replace(&mut is_late, true) {
                     thread::sleep(STALLED / 3);
                 }
                 let count = other.read(&mut bytes).unwrap();
@@ -195,11 +196,12 @@ mod tests {
         });
         let sent: Vec<u8> = (0..COUNT).map(|place| (place % 251) as u8).collect();
         for bytes in sent.chunks(1000) {
-            // What the reader has not taken yet is less than the system keeps.
-            while pty.taken <= KEPT && pty.unread() > 2000 {
+            // At first the reader takes each before the next comes.
+            while pty.taken <= KEPT && pty.unread() > 0 {
                 thread::yield_now();
             }
             pty.send_latest(bytes).unwrap();
+            assert!(pty.taken > 0, "bytes were dropped");
         }
         assert!(reader.join().unwrap() == sent);
     }

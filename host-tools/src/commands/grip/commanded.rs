@@ -1,4 +1,4 @@
-//! A gripper on a serial line or CAN bus: armed, homed where that is allowed, commanded, and let go at the end.
+//! A gripper on a serial line or CAN bus: armed, homed where that is allowed, commanded, and disabled at the end.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
@@ -163,19 +163,19 @@ pub(super) fn run(args: &Args) -> Result<()> {
         session.client.name()
     );
     let result = session.perform(args, request);
-    let let_go = session.let_go(request);
+    let shut_down = session.shut_down(request);
     let page = match (args.json, &result) {
         (true, _) => {
             let json = session
                 .course
-                .json(&session.client, result.as_ref(), let_go.is_ok());
+                .json(&session.client, result.as_ref(), shut_down.is_ok());
             format!("{json}\n")
         }
         (false, Ok(is_reached)) => session.course.text(*is_reached),
         (false, Err(_)) => String::new(),
     };
     show::page(&page)?;
-    match (result, let_go) {
+    match (result, shut_down) {
         (Err(error), Err(then)) => Err(error.context(format!("{then:#}"))),
         (Err(error), Ok(())) | (Ok(_), Err(error)) => Err(error),
         (Ok(_), Ok(())) => Ok(()),
@@ -216,21 +216,21 @@ impl Session {
         }
         self.client.command(request.command());
         let mut failure = None;
-        let reached = self.wait(REACH_S, |session| {
+        let waited = self.wait(REACH_S, |session| {
             let task = session.task();
             failure = task.and_then(|task| request.failure(task));
-            let there = task
+            let is_reached = task
                 .zip(session.opening_mm())
                 .is_some_and(|(task, opening_mm)| request.is_reached(task, opening_mm));
-            there || failure.is_some()
+            is_reached || failure.is_some()
         })?;
         if let Some(failure) = failure {
             bail!("{failure}");
         }
-        match reached {
+        match waited {
             Waited::Done => {}
             Waited::Interrupted => return Ok(false),
-            Waited::Over => bail!("it was not there after {REACH_S} s{}", self.faults()),
+            Waited::Over => bail!("it was not reached within {REACH_S} s{}", self.faults()),
         }
         let hold_s = match (args.seconds, request) {
             (Some(seconds), _) => seconds,
@@ -354,7 +354,7 @@ impl Session {
     }
 
     /// Stops what was asked for and disables the drive.
-    fn let_go(&mut self, request: Request) -> Result<()> {
+    fn shut_down(&mut self, request: Request) -> Result<()> {
         // From here on Ctrl-C is the second one.
         let was_interrupted = self.interrupted.swap(false, Relaxed);
         let result = self.release(request);
@@ -382,7 +382,7 @@ impl Session {
             self.client.command(command);
             let rests =
                 |session: &Self| matches!(session.task(), None | Some(Task::Idle | Task::Unhomed));
-            self.finish(RELEASE_S, rests, "it did not let go in time")?;
+            self.finish(RELEASE_S, rests, "it did not release in time")?;
         }
         self.client.command(of_mode(mode::DISABLE));
         let is_off = |session: &Self| session.code().is_some_and(|code| code < TASK_CODE);

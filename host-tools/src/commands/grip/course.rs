@@ -78,7 +78,7 @@ impl Course {
         let state = self.state.map_or("unknown".to_owned(), answers::state);
         match is_reached {
             true => format!("Done. The gripper is in state {state}.\n"),
-            false => format!("Stopped before it was there. The gripper is in state {state}.\n"),
+            false => format!("Stopped before it was reached. The gripper is in state {state}.\n"),
         }
     }
 
@@ -94,7 +94,7 @@ impl Course {
             "gripper": client.name(),
             "reached": result.is_ok_and(|reached| *reached),
             "error": result.err().map(|error| format!("{error:#}")),
-            "let_go": is_off,
+            "disabled": is_off,
             "states": self.states,
             "points": self.points,
             "faults": client.state.faults.iter().map(live_json::fault).collect::<Vec<_>>(),
