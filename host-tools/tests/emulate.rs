@@ -252,10 +252,12 @@ mod unix {
             );
         }
         let points = gripped["points"].as_array().unwrap();
-        let held = points
+        // State and figures come in messages of their own: what is held is the middle of it.
+        let held: Vec<_> = points
             .iter()
-            .rfind(|point| point["state"] == "hold active")
-            .unwrap();
+            .filter(|point| point["state"] == "hold active")
+            .collect();
+        let held = held[held.len() / 2];
         assert!((number(&held["force_n"]) - 80.0).abs() < 4.0, "{held}");
         assert!((number(&held["opening_mm"]) - 40.0).abs() < 1.0, "{held}");
         let line = format!("grip --port {} --position 60 --json", emulation.serial);

@@ -121,12 +121,13 @@ fn point(client: &Client, now_s: f64) -> Option<Value> {
     Some(json!({
         "time_s": rounded(now_s),
         "state": state,
-        "force_n": force_n,
-        "opening_mm": opening_mm,
-        "current_a": current_a,
+        "force_n": rounded(force_n),
+        "opening_mm": rounded(opening_mm),
+        "current_a": rounded(current_a),
     }))
 }
 
-fn rounded(seconds: f64) -> f64 {
-    (1e3 * seconds).round() / 1e3
+/// To thousandths: messages are no finer.
+fn rounded(value: f64) -> f64 {
+    (1e3 * value).round() / 1e3
 }
