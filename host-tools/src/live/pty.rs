@@ -115,14 +115,9 @@ fn taken(result: io::Result<usize>) -> io::Result<usize> {
 }
 
 #[cfg(test)]
-impl Pty {
-    fn unread(&self) -> u64 {
-        rustix::io::ioctl_fionread(&self.slave).unwrap()
-    }
-}
-
-#[cfg(test)]
 mod tests {
+    use std::sync::mpsc;
+
     use super::*;
 
     #[test]
@@ -180,6 +175,7 @@ mod tests {
         const COUNT: usize = 4 * KEPT;
         let mut pty = Pty::open().unwrap();
         let mut other = File::open(&pty.path).unwrap();
+        let (count, counted) = mpsc::channel();
         let reader = thread::spawn(move || {
             let mut read = Vec::new();
             let mut bytes = [0; 4096];
@@ -189,17 +185,18 @@ mod tests {
                 if read.len() > 2 * KEPT && !std::mem::replace(&mut is_late, true) {
                     thread::sleep(STALLED / 3);
                 }
-                let count = other.read(&mut bytes).unwrap();
-                read.extend_from_slice(&bytes[..count]);
+                let length = other.read(&mut bytes).unwrap();
+                read.extend_from_slice(&bytes[..length]);
+                count.send(read.len()).unwrap();
             }
             read
         });
         let sent: Vec<u8> = (0..COUNT).map(|place| (place % 251) as u8).collect();
+        let mut given = 0;
         for bytes in sent.chunks(1000) {
             // At first the reader takes each before the next comes.
-            while pty.taken <= KEPT && pty.unread() > 0 {
-                thread::yield_now();
-            }
+            while pty.taken <= KEPT && given > 0 && counted.recv().unwrap() < given {}
+            given += bytes.len();
             pty.send_latest(bytes).unwrap();
             assert!(pty.taken > 0, "bytes were dropped");
         }

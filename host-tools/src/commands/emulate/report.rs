@@ -12,6 +12,8 @@ use crate::show;
 
 /// Characters of the longest bar of the histogram.
 const BAR: usize = 40;
+/// Lines of each list of problems; JSON has all of them.
+const LINES: usize = 20;
 /// Functions in JSON.
 const FUNCTIONS: usize = 50;
 
@@ -100,7 +102,7 @@ fn problems(emulation: &Emulation) -> String {
         .map(|(time_us, event)| {
             format!(
                 "{:>12.6} {}",
-                1e-6 * *time_us as f64,
+                *time_us as f64 / 1e6,
                 fault_words(event, emulation)
             )
         })
@@ -116,9 +118,12 @@ fn problems(emulation: &Emulation) -> String {
             false => {
                 let (first, rest) = what.split_at(1);
                 page += &format!("{}{rest}:\n", first.to_uppercase());
-                lines
-                    .iter()
-                    .for_each(|line| page += &show::paragraph(&format!("  {}", line.trim_start())));
+                for line in lines.iter().take(LINES) {
+                    page += &show::paragraph(&format!("  {}", line.trim_start()));
+                }
+                if let Some(more @ 1..) = lines.len().checked_sub(LINES) {
+                    page += &format!("  and {more} more\n");
+                }
             }
         }
     }
@@ -173,7 +178,7 @@ pub fn json(
     });
     let faults = emulation.faults.iter().map(|(time_us, event)| {
         json!({
-            "time_s": 1e-6 * *time_us as f64,
+            "time_s": *time_us as f64 / 1e6,
             "code": event.code,
             "source": event.source,
             "active": event.active != 0,
