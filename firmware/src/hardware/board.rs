@@ -86,6 +86,8 @@ pub fn bring_up() -> Board {
     // The driver library resets PWR and knows nothing of the right bit: its clocks come after.
     boost();
     rcc::reinit(clocks(), &mut p.RCC);
+    // A crystal that fails breaks the motor's outputs and raises the NMI; the driver library has no option for it.
+    pac::RCC.cr().modify(|w| w.set_csson(true));
     // Drivers of 20 mA for 1 MHz.
     pac::SYSCFG.cfgr1().modify(|w| {
         w.set_i2c1_fmp(true);

@@ -3,8 +3,11 @@
 
 use anyhow::{Context, Result};
 use firmware::events::Event;
+use firmware::grip::kept::WORDS;
 use firmware::wire::messages::FaultEvent;
 use firmware::wire::serial::{Packet, Receiver};
+use sim_board::log::LogLine;
+use sim_board::wiring::Wiring;
 use sim_board::{Chip, CycleModel, Devices, Frequency, Image, Options, Time};
 
 use super::world::World;
@@ -69,6 +72,20 @@ impl EmulatedBoard {
         world: Box<dyn World>,
         gripper: Shared,
     ) -> Result<Self> {
+        Self::wired(image, conditions, Wiring::NUCLEO_G474, world, gripper)
+    }
+
+    /// The same on another circuit board.
+    ///
+    /// # Errors
+    /// As [`Self::start`].
+    pub fn wired(
+        image: Image,
+        conditions: Conditions,
+        wiring: Wiring,
+        world: Box<dyn World>,
+        gripper: Shared,
+    ) -> Result<Self> {
         gripper.borrow_mut().connect_chip();
         let connections = Connections::new(world);
         let [first, second] = connections.buses.clone();
@@ -80,10 +97,10 @@ impl EmulatedBoard {
             serial: Box::new(connections.line.clone()),
         };
         let options = Options {
+            wiring,
             i2c_synchronisation: conditions.i2c_synchronisation,
             lsi: conditions.lsi,
             seed: conditions.seed,
-            ..Options::default()
         };
         let chip = Chip::new(image, conditions.model, options, devices)
             .context("the image does not start")?;
@@ -128,6 +145,45 @@ impl Sent {
     }
 }
 
+impl EmulatedBoard {
+    /// As [`SimulatedBoard::take_events`], with the time since the board was switched on, to 100 us: its own clock begins
+    /// with its program.
+    pub fn take_dated_events(&mut self) -> Vec<(Time, Event)> {
+        let logged = self.take_logged().into_iter();
+        logged.map(|(line, event)| (line.time, event)).collect()
+    }
+
+    fn take_logged(&mut self) -> Vec<(LogLine, Event)> {
+        let lines = self.chip.take_log().into_iter();
+        lines
+            .filter_map(|line| event(&line.text).map(|event| (line, event)))
+            .collect()
+    }
+
+    /// Address of the copies of [`firmware::grip::kept`]: complements of single-precision numbers close to each other.
+    fn copies_of_grasp(&self) -> Option<u32> {
+        let pool = self
+            .chip
+            .image()
+            .symbols_named("tasks::grip::POOL")
+            .next()?;
+        let memory = self.chip.soc.memory(pool.address, pool.length as usize)?;
+        let words: Vec<u32> = memory
+            .chunks_exact(4)
+            .map(|bytes| u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]))
+            .collect();
+        // The first word are states, the sixth is of two numbers.
+        let has_originals = |copies: &[u32]| {
+            [1, 2, 3, 4, 6]
+                .iter()
+                .all(|&place| words.contains(&!copies[place]))
+                && f32::from_bits(!copies[1]) > 0.0
+        };
+        let place = words.windows(WORDS).position(has_originals)?;
+        Some(pool.address + 4 * place as u32)
+    }
+}
+
 impl SimulatedBoard for EmulatedBoard {
     fn run_until(&mut self, time_us: u64) -> Result<()> {
         self.chip.run_until(Time::from_us(time_us))?;
@@ -138,12 +194,28 @@ impl SimulatedBoard for EmulatedBoard {
         &self.connections
     }
 
+    /// The copies lie in the memory of the grasp's task, beside what they are the complement of.
+    ///
+    /// # Panics
+    /// The image has no such task.
+    fn spoil_grasp(&mut self, bit: u32) {
+        let found = self.copies_of_grasp();
+        let copies = found.unwrap_or_else(|| panic!("no task that grasps in this image"));
+        let address = copies + bit / 32 * 4;
+        let memory = self.chip.soc.memory(address, 4).unwrap_or_default();
+        let mut bytes: Vec<u8> = memory.to_vec();
+        if let Some(byte) = bytes.get_mut((bit % 32 / 8) as usize) {
+            *byte ^= 1 << (bit % 8);
+        }
+        self.chip.soc.write_memory(address, &bytes);
+    }
+
     fn take_events(&mut self) -> Vec<(u64, Event)> {
-        let lines = self.chip.take_log().into_iter();
-        lines
-            .filter_map(|line| {
+        let logged = self.take_logged().into_iter();
+        logged
+            .filter_map(|(line, event)| {
                 let time_us = 1e6 * line.stamp?.parse::<f64>().ok()?;
-                Some((time_us as u64, event(&line.text)?))
+                Some((time_us as u64, event))
             })
             .collect()
     }

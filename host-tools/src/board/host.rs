@@ -6,7 +6,8 @@ use std::rc::Rc;
 use embedded_can::Frame;
 use firmware::wire::can::CanFrame;
 use firmware::wire::messages::{
-    Command, EStop, FaultEvent, Foot, Force, GripStatus, Heartbeat, Message, ServiceReply,
+    Command, EStop, FaultEvent, Foot, Force, GripStatus, Heartbeat, Message, ParamReply,
+    ParamRequest, ServiceReply,
 };
 use firmware::wire::{DEFAULT_NODE, identifier};
 
@@ -31,6 +32,8 @@ pub struct Told {
     pub faults: Vec<(u64, FaultEvent)>,
     /// Every answer to a service, refused commands among them.
     pub replies: Vec<(u64, ServiceReply)>,
+    /// Every answer to [`Host::ask_parameter`].
+    pub parameters: Vec<(u64, ParamReply)>,
 }
 
 /// The host.
@@ -67,6 +70,11 @@ impl Host {
     /// Asks for a service.
     pub fn service(&mut self, op: u8, argument: u32) {
         self.put(service(op, argument));
+    }
+
+    /// Reads or writes a parameter.
+    pub fn ask_parameter(&mut self, request: ParamRequest) {
+        self.put(Message::ParamRequest(request));
     }
 
     /// Commands from now on, again and again, at once for the first time.
@@ -112,6 +120,7 @@ impl Host {
                     self.told.forces[sensor] = Some((time_us, force));
                 }
                 Message::FaultEvent(event) => self.told.faults.push((time_us, event)),
+                Message::ParamReply(reply) => self.told.parameters.push((time_us, reply)),
                 Message::ServiceReply(reply) => self.answer(time_us, reply),
                 _ => {}
             }

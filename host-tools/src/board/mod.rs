@@ -177,6 +177,9 @@ pub trait SimulatedBoard {
         None
     }
 
+    /// Turns a bit of what the grasp keeps ([`firmware::grip::kept`]) in the program's memory.
+    fn spoil_grasp(&mut self, bit: u32);
+
     /// Faults and clearings of buses since the last call, with the board's own time in microseconds.
     fn take_events(&mut self) -> Vec<(u64, Event)>;
 }
@@ -385,6 +388,10 @@ impl SimulatedBoard for Board {
 
     fn stands(&self) -> Option<loops::Stands> {
         Some(self.exchange.stands.get())
+    }
+
+    fn spoil_grasp(&mut self, bit: u32) {
+        self.grip.borrow_mut().spoil(bit);
     }
 
     fn take_events(&mut self) -> Vec<(u64, Event)> {

@@ -128,26 +128,33 @@ impl<B: SimulatedBoard> Workcell<B> {
 
     /// A millisecond.
     pub fn tick(&mut self) {
+        let result = self.try_tick();
+        result.unwrap_or_else(|error| panic!("at {} us: {error:#}", self.time_us));
+    }
+
+    /// The same, where the board may come to an end.
+    ///
+    /// # Errors
+    /// The board's.
+    pub fn try_tick(&mut self) -> anyhow::Result<()> {
         self.host.tick();
         self.time_us += TICK_US;
-        self.run_board(self.time_us);
+        self.board.run_until(self.time_us)?;
         // Nobody reads the line, and its memory would grow.
         let mut line = self.board.connections().line.borrow_mut();
         line.sent.clear();
         line.ended.clear();
         drop(line);
         self.gripper.borrow_mut().advance(self.time_us);
+        Ok(())
     }
 
     /// Goes on so many microseconds without a word of the host, within a millisecond.
     pub fn creep(&mut self, us: u64) {
-        self.run_board(self.time_us + us);
-        self.gripper.borrow_mut().advance(self.time_us + us);
-    }
-
-    fn run_board(&mut self, time_us: u64) {
+        let time_us = self.time_us + us;
         let result = self.board.run_until(time_us);
-        result.unwrap_or_else(|error| panic!("at {} us: {error:#}", self.time_us));
+        result.unwrap_or_else(|error| panic!("at {time_us} us: {error:#}"));
+        self.gripper.borrow_mut().advance(time_us);
     }
 
     /// Goes on until something is so; the seconds that it took, none where it was not within the time.

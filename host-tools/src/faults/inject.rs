@@ -7,6 +7,7 @@ use firmware::motor::{Order, as5047};
 use firmware::params;
 
 use super::row::{GROUND, Row};
+use crate::board::SimulatedBoard;
 use crate::board::i2c::Sensor;
 use crate::drive::grasp::object;
 use crate::drive::workcell::Workcell;
@@ -31,7 +32,7 @@ fn bus_counts(volts: f64) -> u16 {
 
 impl Row {
     /// Lets it happen; `pick` chooses the sensor.
-    pub fn inject(self, cell: &mut Workcell, pick: usize) {
+    pub fn inject<B: SimulatedBoard>(self, cell: &mut Workcell<B>, pick: usize) {
         match self {
             Self::BusHigh | Self::BusLow => {
                 let bus = bus_counts(if self == Self::BusHigh { 34.0 } else { 14.0 });
@@ -82,7 +83,7 @@ impl Row {
             Self::SensorFrozen => sensor(cell, pick, |sensor| sensor.frozen = true),
             Self::HalfGain => sensor(cell, pick, |sensor| sensor.gain = 0.5),
             Self::BrownOut => sensor(cell, pick, Sensor::brown_out),
-            Self::LineLow => cell.board.connections.buses[pick % 2].borrow_mut().held = u32::MAX,
+            Self::LineLow => cell.board.connections().buses[pick % 2].borrow_mut().held = u32::MAX,
             Self::Saturated => {
                 let (_, end) = FIELD_LIMITS;
                 sensor(cell, pick, |sensor| {
@@ -97,9 +98,9 @@ impl Row {
             }
             Self::Corrupted => {
                 let bit = BITS * pick as u32 % (32 * WORDS as u32);
-                cell.board.grip.borrow_mut().spoil(bit);
+                cell.board.spoil_grasp(bit);
             }
-            Self::BusOff => cell.board.connections.can.borrow_mut().disturbed = true,
+            Self::BusOff => cell.board.connections().can.borrow_mut().disturbed = true,
             Self::HostSilent => cell.host.is_silent = true,
             // Frame by frame, in the run.
             Self::Flood => {}
@@ -118,16 +119,16 @@ impl Row {
     }
 }
 
-fn counts(cell: &mut Workcell, change: impl FnMut([u16; 4]) -> [u16; 4] + 'static) {
+fn counts<B>(cell: &mut Workcell<B>, change: impl FnMut([u16; 4]) -> [u16; 4] + 'static) {
     cell.gripper.borrow_mut().wrong.counts = Some(Box::new(change));
 }
 
-fn frames(cell: &mut Workcell, change: impl FnMut(u16) -> u16 + 'static) {
+fn frames<B>(cell: &mut Workcell<B>, change: impl FnMut(u16) -> u16 + 'static) {
     cell.gripper.borrow_mut().wrong.frame = Some(Box::new(change));
 }
 
-fn sensor(cell: &Workcell, number: usize, change: impl Fn(&mut Sensor)) {
-    for bus in &cell.board.connections.buses {
+fn sensor<B: SimulatedBoard>(cell: &Workcell<B>, number: usize, change: impl Fn(&mut Sensor)) {
+    for bus in &cell.board.connections().buses {
         let sensors = &mut bus.borrow_mut().sensors;
         let of_number = sensors.iter_mut().filter(|s| s.number == number % 4);
         of_number.for_each(&change);

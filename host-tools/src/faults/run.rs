@@ -169,7 +169,7 @@ impl Case {
     }
 
     /// Whether a state is where the reaction ends.
-    fn is_specified(&self, state: u8) -> bool {
+    pub fn is_specified(&self, state: u8) -> bool {
         let is = |task| state == code(Power::Enabled, task);
         let goes_on = match self.situation {
             Situation::Approach | Situation::Force | Situation::Hold => {

@@ -6,8 +6,10 @@
 mod bench;
 mod boards;
 mod boot;
+mod buses;
 #[path = "../desk/mod.rs"]
 mod desk;
+mod faults;
 #[allow(dead_code)] // So are detectors that are switched off.
 #[path = "../scenarios/file.rs"]
 mod file;
@@ -18,6 +20,7 @@ mod judge;
 mod motion;
 mod replay;
 mod scenarios;
+mod storage;
 
 use std::process::ExitCode;
 
@@ -56,6 +59,9 @@ fn main() -> ExitCode {
     trials.extend(replay::trials(effort));
     trials.extend(scenarios::trials());
     trials.extend(motion::trials(effort));
+    trials.extend(buses::trials(effort));
+    trials.extend(faults::trials());
+    trials.extend(storage::trials());
     let trials = trials
         .into_iter()
         .map(|trial| trial.with_ignored_flag(absent.is_some()))

@@ -14,7 +14,7 @@ use crate::soc::{Devices, Options, Soc};
 use crate::time::{Frequency, Time};
 
 /// How often the log is read: its buffer in the chip holds a kilobyte.
-const LOG_PERIOD: Time = Time::from_ms(1);
+const LOG_PERIOD: Time = Time::from_us(100);
 
 /// Why a chip goes no further.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]

@@ -71,8 +71,12 @@ impl Log {
         else {
             return;
         };
+        // The program may be about to initialise it: then the rest is what memory holds at power-on.
+        if read >= size || write >= size {
+            return;
+        }
         let mut bytes = Vec::new();
-        while read != write && size > 0 {
+        while read != write {
             bytes.extend_from_slice(soc.memory(buffer + read, 1).unwrap_or_default());
             read = (read + 1) % size;
         }

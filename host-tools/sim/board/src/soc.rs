@@ -11,7 +11,7 @@ use crate::peripherals::clocks::{Rcc, ResetCause};
 use crate::peripherals::dma::{Dma, Transfer};
 use crate::peripherals::exti::Exti;
 use crate::peripherals::fdcan::{self, Fdcan};
-use crate::peripherals::flash::{self, Flash};
+use crate::peripherals::flash::{self, Flash, PowerCut};
 use crate::peripherals::gpio::{Gpio, Mode, Pin};
 use crate::peripherals::i2c::I2c;
 use crate::peripherals::motor_timer::{Moment, MotorTimer};
@@ -463,11 +463,28 @@ impl Soc {
         self.plan();
     }
 
+    /// It oscillates again.
+    pub fn restore_crystal(&mut self) {
+        self.rcc.restore_crystal(self.options.wiring.crystal);
+        self.update_clocks();
+        self.plan();
+    }
+
     /// The core has locked up: a break of the outputs where the program has enabled it.
     pub(crate) fn lock_up(&mut self) {
         if self.syscfg.breaks_on(BreakSource::LockUp) {
             self.tim1.system_break(Some(BreakSource::LockUp), self.now);
         }
+    }
+
+    /// Takes the supply away in the middle of an operation of the flash memory: [`crate::chip::Halt::PowerLost`].
+    pub fn cut_power(&mut self, cut: PowerCut) {
+        self.flash.cut_power(cut);
+    }
+
+    /// Turns two bits of a double word in flash, at an offset from its beginning: more than ECC corrects.
+    pub fn spoil_flash(&mut self, offset: usize) {
+        self.flash.spoil(offset);
     }
 
     /// Frames on the CAN bus that the program has not seen since the last reset.

@@ -184,6 +184,12 @@ impl Rcc {
         self.ready[4] = self.ready[4].min(now + LSI_START);
     }
 
+    /// The crystal oscillates again where it is switched on.
+    pub(crate) fn restore_crystal(&mut self, crystal: Frequency) {
+        self.crystal = crystal;
+        self.derive();
+    }
+
     /// The crystal stops. With the clock security system on, the core goes on with HSI and the non-maskable interrupt
     /// is raised (7.2.9), once in this model; without it, a core that runs on it stops: true for the former.
     pub(crate) fn fail_crystal(&mut self) -> bool {

@@ -117,7 +117,9 @@ impl Flash {
     /// # Panics
     /// The bytes do not fit.
     pub fn load(&mut self, offset: usize, bytes: &[u8]) {
-        self.bytes[offset..offset + bytes.len()].copy_from_slice(bytes);
+        let range = offset..offset + bytes.len();
+        self.unreadable.retain(|word| !range.contains(word));
+        self.bytes[range].copy_from_slice(bytes);
     }
 
     /// The option bytes (OPTR).

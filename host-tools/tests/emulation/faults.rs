@@ -1,0 +1,269 @@
+//! Faults that concern the chip, while the gripper holds an object with 100 N; and every kind of crash, with its record
+//! after the reset.
+
+use firmware::crash::Kind;
+use firmware::events::Event;
+use firmware::grip::states::{Power, TASK_CODE, Task};
+use firmware::status::Fault;
+use firmware::wire::messages::FaultEvent;
+use host_tools::board::SimulatedBoard;
+use host_tools::drive::grasp::{grip_command, object};
+use host_tools::faults::row::Row;
+use host_tools::faults::run::Case;
+use host_tools::faults::situation::{SET_N, Situation};
+use host_tools::plant::parameters::Lead;
+use libtest_mimic::{Failed, Trial};
+use sim_board::Time;
+use sim_board::peripherals::clocks::ResetCause;
+
+use crate::motion::{Cell, cell, homed, move_to};
+
+/// Newtons to the millimetre of what is held.
+const CONTACT: f64 = 333.0;
+/// What the emulator's reading of the log, and the image's own time, add to the time within which a fault is found.
+const REPORT_MS: f64 = 1.5;
+/// Milliseconds after a fault.
+const AFTER_MS: u32 = 500;
+
+pub fn trials() -> Vec<Trial> {
+    let rows = [
+        Row::BusHigh,
+        Row::EncoderChecksum,
+        Row::EncoderStuck,
+        Row::LineLow,
+        Row::Corrupted,
+    ];
+    let of_rows = rows
+        .into_iter()
+        .map(|row| Trial::test(format!("fault_{row:?}"), move || during_hold(row)));
+    let crashes: [(&str, fn() -> Result<(), Failed>); 6] = [
+        ("panic", || {
+            crashes(Kind::Panic, ResetCause::Software, panic)
+        }),
+        ("hard_fault", || {
+            crashes(Kind::HardFault, ResetCause::Software, hard_fault)
+        }),
+        ("stack_overflow", || {
+            crashes(Kind::StackOverflow, ResetCause::Software, recurse)
+        }),
+        ("unreadable_flash", || {
+            crashes(Kind::NonMaskable, ResetCause::Software, unreadable_flash)
+        }),
+        ("crystal", || {
+            crashes(Kind::NonMaskable, ResetCause::Software, crystal)
+        }),
+        ("hang", || {
+            crashes(Kind::Watchdog, ResetCause::Watchdog, hang)
+        }),
+    ];
+    let of_crashes = crashes
+        .into_iter()
+        .map(|(name, test)| Trial::test(format!("crash_{name}"), test));
+    let gate = Trial::test("fault_gate_driver", gate_driver);
+    let silent = Trial::test("fault_encoder_silent", encoder_silent);
+    of_rows.chain(of_crashes).chain([gate, silent]).collect()
+}
+
+/// A gripper that holds an object of 40 mm.
+fn holding() -> Result<Cell, Failed> {
+    let mut cell = homed()?;
+    move_to(&mut cell, 42.0);
+    let thing = object(cell.gripper.borrow().rig.plant.parameters(), 40.0, CONTACT);
+    cell.gripper.borrow_mut().rig.plant.hold(Some(&thing));
+    cell.host.order(grip_command(SET_N));
+    let held = cell.until(4.0, |cell| cell.is_in(Task::HoldActive));
+    assert!(held.is_some(), "{}", cell.state());
+    cell.run(0.4);
+    cell.board.take_events();
+    Ok(cell)
+}
+
+/// When a fault came, in milliseconds since the board was switched on.
+fn came(cell: &mut Cell, fault: Fault) -> Option<(f64, FaultEvent)> {
+    let events = cell.board.take_dated_events().into_iter();
+    events.into_iter().find_map(|(time, event)| match event {
+        Event::Fault(event) if event.code == fault as u16 && event.active != 0 => {
+            Some((time.as_ms(), event))
+        }
+        _ => None,
+    })
+}
+
+fn during_hold(row: Row) -> Result<(), Failed> {
+    let mut cell = holding()?;
+    let at_us = cell.time_us();
+    row.inject(&mut cell, 1);
+    for _ in 0..AFTER_MS {
+        cell.tick();
+    }
+    let case = Case {
+        row,
+        situation: Situation::Hold,
+        lead: Lead::A,
+        contact_n_per_mm: CONTACT,
+        seed: 1,
+    };
+    let state = cell.state();
+    assert!(case.is_specified(state), "{row:?}: {state:#x}");
+    let facts = row.facts();
+    let Some((time_ms, event)) = came(&mut cell, facts.fault) else {
+        return Err(format!("{row:?}: {:?} is not reported", facts.fault).into());
+    };
+    if row != Row::Corrupted {
+        let found_ms = time_ms - 1e-3 * at_us as f64;
+        println!("{row:?} reported after {found_ms:.2} ms");
+        assert!(
+            found_ms <= facts.within_ms + REPORT_MS,
+            "{row:?}: {found_ms:.2} ms"
+        );
+        assert_eq!(cell.board.chip.resets, []);
+    } else {
+        assert_eq!(event.detail, Kind::Corruption.number() << 24);
+        assert_eq!(cell.board.chip.resets.len(), 1);
+    }
+    // The screw locks itself.
+    let force_n = cell.force_n();
+    assert!(force_n > 0.85 * SET_N, "{row:?}: {force_n} N");
+    Ok(())
+}
+
+/// The gate drivers' output breaks the pulses in hardware.
+fn gate_driver() -> Result<(), Failed> {
+    let mut cell = holding()?;
+    cell.board.chip.soc.set_gate_fault(true);
+    cell.run(0.3);
+    assert_eq!(cell.state(), Power::Fault as u8);
+    assert!(
+        came(&mut cell, Fault::PowerStage).is_some(),
+        "{:?}",
+        cell.host.told.faults
+    );
+    assert!(cell.force_n() > 0.85 * SET_N);
+    assert_eq!(cell.board.chip.resets, []);
+    Ok(())
+}
+
+/// Its line stays high.
+fn encoder_silent() -> Result<(), Failed> {
+    let mut cell = holding()?;
+    let at_us = cell.time_us();
+    cell.gripper.borrow_mut().wrong.frame = Some(Box::new(|_| u16::MAX));
+    cell.run(0.3);
+    assert_eq!(cell.state(), Power::Fault as u8);
+    let (time_ms, _) = came(&mut cell, Fault::RotorSensor).ok_or("not reported")?;
+    let found_ms = time_ms - 1e-3 * at_us as f64;
+    assert!(
+        found_ms <= Row::EncoderStuck.facts().within_ms + REPORT_MS,
+        "{found_ms:.2} ms"
+    );
+    Ok(())
+}
+
+/// The board crashes while it is armed; outputs are off with the crash, and after the reset the record is reported and
+/// nothing moves before a host arms again.
+fn crashes(kind: Kind, cause: ResetCause, crash: fn(&mut Cell)) -> Result<(), Failed> {
+    let mut cell = cell(40.0)?;
+    assert!(cell.enable(), "{}", cell.state());
+    cell.run(0.2);
+    cell.board.take_events();
+    let at_us = cell.time_us();
+    crash(&mut cell);
+    cell.host.told.heartbeat = None;
+    let lasts_us = 20_000_000;
+    let is_reset =
+        |cell: &Cell| !cell.board.chip.resets.is_empty() || cell.time_us() > at_us + lasts_us;
+    cell.until(21.0, is_reset);
+    let [reset] = cell.board.chip.resets[..] else {
+        return Err(format!("{:?}", cell.board.chip.resets).into());
+    };
+    assert_eq!(reset.cause, cause);
+    println!(
+        "{kind:?}: reset after {:.2} ms",
+        reset.time.as_ms() - 1e-3 * at_us as f64
+    );
+    cell.run(0.5);
+    let (_, event) =
+        came(&mut cell, Fault::Crashed).ok_or("no crash is reported after the reset")?;
+    assert_eq!(event.detail >> 24, kind.number(), "{event:?}");
+    assert!(
+        cell.state() < TASK_CODE && cell.state() != 0,
+        "{}",
+        cell.state()
+    );
+    assert_eq!(
+        cell.board.chip.resets.len(),
+        1,
+        "{:?}",
+        cell.board.chip.resets
+    );
+    Ok(())
+}
+
+/// Goes on in thread mode.
+fn go_to(cell: &mut Cell, address: u32) {
+    while cell.board.chip.core().current_exception() != 0 {
+        let next = cell.board.chip.now() + Time::from_us(1);
+        cell.board.chip.run_until(next).expect("the chip runs");
+    }
+    cell.board.chip.core_mut().set_pc(address);
+}
+
+/// Runs instructions that are put at the end of RAM, where nothing lies.
+fn run_code(cell: &mut Cell, halfwords: &[u16]) {
+    const ADDRESS: u32 = 0x2001_7F00;
+    let bytes: Vec<u8> = halfwords
+        .iter()
+        .flat_map(|halfword| halfword.to_le_bytes())
+        .collect();
+    assert!(cell.board.chip.soc.write_memory(ADDRESS, &bytes));
+    cell.board.chip.core_mut().invalidate_code();
+    go_to(cell, ADDRESS);
+}
+
+fn panic(cell: &mut Cell) {
+    let function = cell.board.chip.image().symbols_named("tasks::twice").next();
+    let address = function
+        .expect("the image has a function that panics")
+        .address;
+    go_to(cell, address);
+}
+
+/// No memory is there.
+fn hard_fault(cell: &mut Cell) {
+    go_to(cell, 0x6000_0000);
+}
+
+/// It stops, and oscillates again by the reset: without it the board does not start.
+fn crystal(cell: &mut Cell) {
+    cell.board.chip.soc.fail_crystal();
+    cell.until(1.0, |cell| !cell.board.chip.resets.is_empty());
+    cell.board.chip.soc.restore_crystal();
+}
+
+/// PUSH {R4-R7, LR}; BL to itself.
+fn recurse(cell: &mut Cell) {
+    run_code(cell, &[0xB5F0, 0xF7FF, 0xFFFD]);
+}
+
+/// B to itself.
+fn hang(cell: &mut Cell) {
+    run_code(cell, &[0xE7FE]);
+}
+
+/// Two bits of the tables of the ideal model, which every estimate reads; after the first reset they are right again, else
+/// it would be reset for ever.
+fn unreadable_flash(cell: &mut Cell) {
+    let tables = cell
+        .board
+        .chip
+        .image()
+        .symbols_named("model::tables::SENSORS")
+        .next();
+    let address = (tables.expect("the image has tables").address + 64) & !7;
+    let soc = &mut cell.board.chip.soc;
+    let before = soc.memory(address, 8).expect("flash").to_vec();
+    let offset = (address - 0x0800_0000) as usize;
+    soc.spoil_flash(offset);
+    cell.until(1.0, |cell| !cell.board.chip.resets.is_empty());
+    cell.board.chip.soc.load_flash(offset, &before);
+}
