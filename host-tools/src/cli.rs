@@ -6,8 +6,8 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 use crate::commands::{
-    add, compare, dbc, demo, design, diagnose, drop, effects, export, faults, fit, grip, import,
-    monitor, record, replay, simulate, train,
+    add, compare, dbc, demo, design, diagnose, drop, effects, emulate, export, faults, fit, grip,
+    import, monitor, record, replay, simulate, train,
 };
 
 /// Turns four Hall sensors in a robot gripper into forces one can trust, and tells which piece of
@@ -35,6 +35,7 @@ enum Command {
     Train(train::Args),
     Monitor(monitor::Args),
     Record(record::Args),
+    Emulate(emulate::Args),
     Dbc(dbc::Args),
     Grip(grip::Args),
     Design(design::Args),
@@ -62,6 +63,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Train(args) => train::run(&args),
         Command::Monitor(args) => monitor::run(&args),
         Command::Record(args) => record::run(&args),
+        Command::Emulate(args) => emulate::run(&args),
         Command::Dbc(args) => dbc::run(&args),
         Command::Grip(args) => grip::run(&args),
         Command::Design(args) => design::run(&args),

@@ -28,6 +28,17 @@ pub fn rows(what: &'static str) -> ProgressBar {
     spinner
 }
 
+/// A line whose text says how far something is that may have no end.
+pub fn message(what: &'static str) -> ProgressBar {
+    let spinner = ProgressBar::new_spinner();
+    if let Ok(style) = ProgressStyle::with_template("{msg} {spinner}") {
+        spinner.set_style(style);
+    }
+    spinner.set_message(what);
+    spinner.enable_steady_tick(Duration::from_millis(100));
+    spinner
+}
+
 /// A bar of epochs, of which some are done, with the time that is left at the most.
 pub fn epochs(what: &'static str, epochs: u32, done: u32) -> ProgressBar {
     let bar = ProgressBar::new(u64::from(epochs)).with_position(u64::from(done));

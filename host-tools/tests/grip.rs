@@ -134,3 +134,39 @@ fn what_the_drive_cannot_do_is_said_and_not_done() {
         );
     }
 }
+
+#[test]
+fn options_of_the_simulation_are_refused_with_a_real_gripper() {
+    for option in [
+        "--object soft",
+        "--compare current-limit",
+        "--from 20",
+        "--screw b",
+        "--seed 7",
+        "--scatter 0.1",
+    ] {
+        let mut arguments = vec!["--port", "/dev/nowhere", "--force", "80"];
+        arguments.extend(option.split(' '));
+        let output = grip(&arguments);
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(
+            !output.status.success() && said.contains("cannot be used with"),
+            "{option}: {said}"
+        );
+    }
+    for (arguments, expected) in [
+        ("--force 80 --home", "--port <PATH>|--can <BUS>"),
+        ("--port /dev/nowhere --force 80", "there is no such port"),
+        ("--can 127.0.0.1:1 --foot", "no connection"),
+        ("--can 127.0.0.1:1 --foot 150", "takes no force"),
+        ("--can 127.0.0.1:1 --speed 20", "give --position, too"),
+        ("--foot", "--foot 150"),
+    ] {
+        let output = grip(&arguments.split(' ').collect::<Vec<_>>());
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(
+            !output.status.success() && said.contains(expected),
+            "{arguments}: {said}"
+        );
+    }
+}

@@ -2,11 +2,12 @@
 #![cfg(unix)]
 
 mod desk;
+#[path = "desk/running.rs"]
+mod running;
 
 use std::fs::File;
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStderr, Command, Stdio};
 use std::time::Duration;
 
 use desk::Desk;
@@ -27,7 +28,8 @@ use model_export::recordings::Recording;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::description::Description;
 use model_export::recordings::raw::RawStream;
-use rustix::process::{Pid, Signal, kill_process};
+use running::Running;
+use rustix::process::Signal;
 use serde_json::Value;
 
 /// A desk with a model of a gripper without any effect.
@@ -42,48 +44,6 @@ fn data(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("../tests/data")
         .join(name)
-}
-
-/// A command that runs; it is killed where the test ends before it.
-struct Running(Child);
-
-impl Running {
-    fn start(desk: &Desk, line: &str) -> Self {
-        let child = Command::new(env!("CARGO_BIN_EXE_magpie"))
-            .args(line.split_whitespace())
-            .current_dir(desk.0.path())
-            .stdin(Stdio::null())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn();
-        Self(child.unwrap())
-    }
-
-    /// Objects that it prints, each on a line.
-    fn objects(&mut self) -> impl Iterator<Item = Value> + use<> {
-        let lines = BufReader::new(self.0.stdout.take().unwrap()).lines();
-        lines.map(|line| serde_json::from_str(&line.unwrap()).unwrap())
-    }
-
-    /// Where others find the virtual board's line.
-    fn line(&mut self) -> (PathBuf, BufReader<ChildStderr>) {
-        let mut said = BufReader::new(self.0.stderr.take().unwrap());
-        let mut first = String::new();
-        said.read_line(&mut first).unwrap();
-        let path = first.trim().rsplit(' ').next().unwrap();
-        (PathBuf::from(path), said)
-    }
-
-    fn signal(&self, signal: Signal) {
-        kill_process(Pid::from_child(&self.0), signal).unwrap();
-    }
-}
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
 }
 
 fn board_s(object: &Value) -> f64 {

@@ -107,15 +107,38 @@ impl EmulatedBoard {
         Ok(Self { chip, connections })
     }
 
+    /// What passed on the serial line since the last call.
+    pub fn take_sent(&self) -> Sent {
+        let mut line = self.connections.line.borrow_mut();
+        Sent {
+            bytes: std::mem::take(&mut line.sent),
+            ended: std::mem::take(&mut line.ended),
+        }
+    }
+
     /// Packets on the serial line since the last call, with the time at which each had passed.
     pub fn take_packets(&self, receiver: &mut Receiver) -> Vec<(Time, Packet)> {
-        let mut line = self.connections.line.borrow_mut();
-        let mut ended = std::mem::take(&mut line.ended).into_iter();
+        self.take_sent().packets(receiver)
+    }
+}
+
+/// Bytes of the serial line.
+pub struct Sent {
+    /// All of them.
+    pub bytes: Vec<u8>,
+    /// When each of the zeros among them had passed.
+    ended: Vec<Time>,
+}
+
+impl Sent {
+    /// Its packets, with the time at which each had passed.
+    pub fn packets(&self, receiver: &mut Receiver) -> Vec<(Time, Packet)> {
+        let mut ended = self.ended.iter();
         let mut packets = Vec::new();
-        for byte in std::mem::take(&mut line.sent) {
+        for &byte in &self.bytes {
             let time = if byte == 0 { ended.next() } else { None };
-            if let Some((time, packet)) = time.zip(receiver.take(byte)) {
-                packets.push((time, packet));
+            if let (Some(packet), Some(time)) = (receiver.take(byte), time) {
+                packets.push((*time, packet));
             }
         }
         packets

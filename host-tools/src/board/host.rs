@@ -4,20 +4,16 @@ use std::cell::RefCell;
 use std::rc::Rc;
 
 use embedded_can::Frame;
-use firmware::session::{MAGIC, op, sealed, status};
 use firmware::wire::can::CanFrame;
 use firmware::wire::messages::{
     Command, EStop, FaultEvent, Foot, Force, GripStatus, Heartbeat, Message, ParamReply,
-    ParamRequest, Service, ServiceReply,
+    ParamRequest, ServiceReply,
 };
 use firmware::wire::{DEFAULT_NODE, identifier};
 
 use super::can::CanBus;
+use crate::live::session::{HostSession, service};
 
-const COMMAND: u16 = identifier(DEFAULT_NODE, Command::LAYOUT.number);
-const SERVICE: u16 = identifier(DEFAULT_NODE, Service::LAYOUT.number);
-const PARAMETER: u16 = identifier(DEFAULT_NODE, ParamRequest::LAYOUT.number);
-const STOP: u16 = identifier(DEFAULT_NODE, EStop::LAYOUT.number);
 /// Milliseconds from one command to the next.
 const EVERY_MS: u32 = Command::LAYOUT.period_ms as u32;
 
@@ -43,8 +39,7 @@ pub struct Told {
 /// The host.
 pub struct Host {
     bus: Rc<RefCell<CanBus>>,
-    nonce: Option<u16>,
-    counter: u8,
+    session: HostSession,
     command: Option<Command>,
     waits_ms: u32,
     /// It says nothing more.
@@ -58,8 +53,7 @@ impl Host {
     pub fn new(bus: Rc<RefCell<CanBus>>) -> Self {
         Self {
             bus,
-            nonce: None,
-            counter: 0,
+            session: HostSession::new(DEFAULT_NODE),
             command: None,
             waits_ms: 0,
             is_silent: false,
@@ -69,23 +63,18 @@ impl Host {
 
     /// Asks for a nonce, and says it back once it comes.
     pub fn arm(&mut self) {
-        self.nonce = None;
-        self.service(op::ARM, 0);
+        let request = self.session.arm();
+        self.put(request);
     }
 
     /// Asks for a service.
     pub fn service(&mut self, op: u8, argument: u32) {
-        self.ask(Service {
-            op,
-            magic: MAGIC,
-            nonce: 0,
-            argument,
-        });
+        self.put(service(op, argument));
     }
 
     /// Reads or writes a parameter.
     pub fn ask_parameter(&mut self, request: ParamRequest) {
-        self.put(CanFrame::of(PARAMETER, request.to_bytes()));
+        self.put(Message::ParamRequest(request));
     }
 
     /// Commands from now on, again and again, at once for the first time.
@@ -96,13 +85,13 @@ impl Host {
 
     /// Says stop.
     pub fn stop(&mut self) {
-        self.put(CanFrame::of(STOP, EStop::default().to_bytes()));
+        self.put(Message::EStop(EStop::default()));
     }
 
     /// A millisecond: hears what has passed, then speaks.
     pub fn tick(&mut self) {
         self.hear();
-        let Some((nonce, command)) = self.nonce.zip(self.command) else {
+        let Some(command) = self.command.filter(|_| self.session.is_armed()) else {
             return;
         };
         if self.waits_ms > 0 {
@@ -110,15 +99,9 @@ impl Host {
             return;
         }
         self.waits_ms = EVERY_MS - 1;
-        self.counter = (self.counter + 1) & 0xF;
-        let command = Command {
-            counter: self.counter,
-            ..command
-        };
-        self.put(CanFrame::of(
-            COMMAND,
-            sealed(nonce, COMMAND, command).to_bytes(),
-        ));
+        if let Some(message) = self.session.seal(command) {
+            self.put(message);
+        }
     }
 
     fn hear(&mut self) {
@@ -145,32 +128,23 @@ impl Host {
     }
 
     fn answer(&mut self, time_us: u64, reply: ServiceReply) {
-        if reply.op == op::ARM && reply.status == status::SAY_BACK {
-            self.ask(Service {
-                op: op::ARM,
-                magic: MAGIC,
-                nonce: reply.nonce,
-                argument: 0,
-            });
-        }
-        if reply.op == op::ARM && reply.status == status::DONE {
-            self.nonce = Some(reply.nonce);
+        if let Some(message) = self.session.receive(&reply) {
+            self.put(message);
         }
         self.told.replies.push((time_us, reply));
     }
 
     /// Whether it has a session, as far as it knows.
     pub fn is_armed(&self) -> bool {
-        self.nonce.is_some()
+        self.session.is_armed()
     }
 
-    fn ask(&self, service: Service) {
-        self.put(CanFrame::of(SERVICE, service.to_bytes()));
-    }
-
-    fn put(&self, frame: CanFrame) {
+    fn put(&self, message: Message) {
         if !self.is_silent {
-            self.bus.borrow_mut().put(frame);
+            let id = identifier(DEFAULT_NODE, message.number());
+            self.bus
+                .borrow_mut()
+                .put(CanFrame::of(id, message.to_bytes()));
         }
     }
 }

@@ -1,8 +1,11 @@
-//! `magpie grip`: the firmware's control of motor and grasp on a simulated gripper.
+//! `magpie grip`: the firmware's control of motor and grasp on a simulated gripper, or commands to a real or emulated one.
 //!
 //! - here: a way to a place, a speed.
 //! - `force`: a grasp; `foot`: a landing.
+//! - `commanded`: a gripper on a serial line or CAN bus; `course`: what it reported meanwhile.
 
+mod commanded;
+mod course;
 mod foot;
 mod force;
 
@@ -12,13 +15,14 @@ use anyhow::{Result, bail};
 use firmware::params::{self, Constant};
 use serde_json::{Value, json};
 
+use super::live::{Line, parse_seconds};
 use crate::drive::runs::Case;
 use crate::drive::told::{Asked, Told};
 use crate::plant::parameters::Lead;
 use crate::report::{self, drive};
 use crate::{progress, show};
 
-/// Move, grip or land with a simulated gripper under the firmware's own control.
+/// Move, grip or land: a simulated gripper under the firmware's own control, or a real or emulated one (--port, --can).
 #[derive(Debug, clap::Args)]
 #[command(
     allow_negative_numbers = true,
@@ -29,11 +33,30 @@ Examples:
   cargo magpie grip --position 60 --speed 10 --from 20 --scatter 0.2 --seed 7
   cargo magpie grip --force 100 --object rigid -o grip.html
   cargo magpie grip --force 50 --compare current-limit
-  cargo magpie grip --foot 150 --lasts 10 -o landing.html"
+  cargo magpie grip --foot 150 --lasts 10 -o landing.html
+  cargo magpie grip --port /dev/ttyACM0 --home --position 40    # moves a real gripper
+  cargo magpie grip --can can0 --force 80 --seconds 10
+  cargo magpie grip --can 127.0.0.1:29536 --home --force 80     # one that `magpie emulate` runs
+
+With --port or --can it arms the gripper, enables it, homes it (only with --home), commands it and prints state, force and
+opening as they come. Ctrl-C, and the end of --seconds, stop it: a grip is released, a foot is left, and the drive is
+disabled. Ctrl-C again is an emergency stop."
 )]
 #[command(group = clap::ArgGroup::new("asked").required(true).multiple(true)
     .args(["position", "speed", "force", "foot"]))]
+#[command(group = clap::ArgGroup::new("commanded").args(["port", "can"]))]
 pub struct Args {
+    #[command(flatten)]
+    line: Line,
+    /// Home the gripper where its opening is not known: the fingers close until they press, then open fully.
+    #[arg(long, requires = "commanded")]
+    home: bool,
+    /// Clear latched faults first.
+    #[arg(long, requires = "commanded")]
+    clear_faults: bool,
+    /// Time for which force, foot or position is kept once it is reached; without it, until Ctrl-C, a position not at all.
+    #[arg(long, value_name = "S", requires = "commanded", value_parser = parse_seconds)]
+    seconds: Option<f64>,
     /// Opening to go to.
     #[arg(long, value_name = "MM")]
     position: Option<f64>,
@@ -44,31 +67,53 @@ pub struct Args {
     #[arg(long, value_name = "N", conflicts_with_all = ["position", "speed", "from", "foot"])]
     force: Option<f64>,
     /// What is gripped.
-    #[arg(long, value_enum, default_value = "rigid", requires = "force")]
+    #[arg(
+        long,
+        value_enum,
+        default_value = "rigid",
+        requires = "force",
+        conflicts_with = "commanded"
+    )]
     object: Stuff,
     /// The same grasp beside it, otherwise controlled.
-    #[arg(long, value_enum, requires = "force")]
+    #[arg(long, value_enum, requires = "force", conflicts_with = "commanded")]
     compare: Option<Other>,
-    /// Land as a foot: the ground pushes with this force at the most.
+    /// Land as a foot: in the simulation, the ground pushes with this force at the most.
     #[arg(long, value_name = "N", conflicts_with_all = ["position", "speed", "from"])]
-    foot: Option<f64>,
+    foot: Option<Option<f64>>,
     /// Time from touching the ground to leaving it.
-    #[arg(long, value_name = "MS", default_value_t = 10.0, requires = "foot")]
+    #[arg(
+        long,
+        value_name = "MS",
+        default_value_t = 10.0,
+        requires = "foot",
+        conflicts_with = "commanded"
+    )]
     lasts: f64,
     /// Opening at the beginning.
-    #[arg(long, value_name = "MM", default_value_t = 40.0)]
+    #[arg(
+        long,
+        value_name = "MM",
+        default_value_t = 40.0,
+        conflicts_with = "commanded"
+    )]
     from: f64,
     /// Lead screw: a locks itself, b is driven back.
-    #[arg(long, value_enum, default_value = "a")]
+    #[arg(long, value_enum, default_value = "a", conflicts_with = "commanded")]
     screw: Lead,
     /// Everything uncertain is off the card by up to this share, as the seed draws it.
-    #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
+    #[arg(
+        long,
+        value_name = "SHARE",
+        default_value_t = 0.0,
+        conflicts_with = "commanded"
+    )]
     scatter: f64,
     /// Seed of noise and scatter: the same seed, the same run.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, conflicts_with = "commanded")]
     seed: u64,
     /// Where the report goes.
-    #[arg(short, long, value_name = "FILE")]
+    #[arg(short, long, value_name = "FILE", conflicts_with = "commanded")]
     output: Option<PathBuf>,
     /// Print one JSON object on stdout and nothing else there.
     #[arg(long)]
@@ -104,6 +149,9 @@ const MOST_SCATTER: f64 = 0.5;
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
+    if args.line.is_given() {
+        return commanded::run(args);
+    }
     let lead = args.screw;
     let case = match args.scatter {
         0.0 => Case::nominal(lead, args.seed),
@@ -114,6 +162,9 @@ pub fn run(args: &Args) -> Result<()> {
         return force::run(args, case, set_n);
     }
     if let Some(peak_n) = args.foot {
+        let Some(peak_n) = peak_n else {
+            bail!("--foot needs the ground's greatest force in newtons, as --foot 150");
+        };
         return foot::run(args, case, peak_n);
     }
     let asked = asked(args, lead)?;
@@ -131,18 +182,22 @@ pub fn run(args: &Args) -> Result<()> {
     Ok(())
 }
 
+/// Checks that an opening is within the travel.
+fn check_place(option: &str, mm: f64) -> Result<()> {
+    let most_mm = params::STROKE.value - ROOM_MM;
+    if !(ROOM_MM..=most_mm).contains(&mm) {
+        bail!("{option} {mm} is not possible here; give {ROOM_MM} to {most_mm} mm");
+    }
+    Ok(())
+}
+
 /// What is asked, within what the drive can.
 fn asked(args: &Args, lead: Lead) -> Result<Asked> {
-    let stroke_mm = params::STROKE.value;
-    let places = ROOM_MM..=stroke_mm - ROOM_MM;
-    for (option, mm) in [("--from", Some(args.from)), ("--position", args.position)] {
-        if let Some(mm) = mm.filter(|mm| !places.contains(mm)) {
-            bail!(
-                "{option} {mm} is not possible here; give {ROOM_MM} to {} mm",
-                stroke_mm - ROOM_MM
-            );
-        }
+    check_place("--from", args.from)?;
+    if let Some(opening_mm) = args.position {
+        check_place("--position", opening_mm)?;
     }
+    let stroke_mm = params::STROKE.value;
     let full_mm_s = lead.closing_mm_s();
     if let Some(speed) = args
         .speed

@@ -1,11 +1,11 @@
-//! Which gripper `monitor` and `record` hear.
+//! Which gripper `monitor`, `record` and `grip` talk to.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use anyhow::{Context, Result};
-use firmware::wire::DEFAULT_NODE;
+use anyhow::{Context, Result, bail};
+use firmware::wire::{DEFAULT_NODE, PROTOCOL};
 use model_export::fit::Options;
 use model_export::inverse::build::{Built, Variant, build};
 use model_export::model_file::{ModelFile, Provenance};
@@ -15,20 +15,61 @@ use super::demo::CAMPAIGN;
 use super::fit::{BaseChoice, fit_campaign, read_campaign};
 use crate::live::serial_port::SerialLine;
 use crate::live::socket_can::CanBus;
+use crate::live::socketcand::client::RemoteBus;
 use crate::live::source::Source;
+use crate::live::state::State;
 use crate::live::virtual_board::Unplug;
 use crate::live::virtual_board::world::Doing;
 use crate::networks::Networks;
 use crate::progress;
 
-/// Which gripper.
+/// Serial line or CAN bus of a gripper.
 #[derive(Debug, clap::Args)]
-pub struct Gripper {
-    #[command(flatten)]
-    which: Which,
+pub struct Line {
+    /// Serial port of a gripper, such as /dev/ttyACM0.
+    #[arg(long, value_name = "PATH", conflicts_with = "can")]
+    port: Option<String>,
+    /// CAN bus of a gripper: an interface such as can0 (Linux), or HOST:PORT of `magpie emulate` or socketcand.
+    #[arg(long, value_name = "BUS")]
+    can: Option<String>,
     /// Number of the gripper on the CAN bus.
     #[arg(long, default_value_t = DEFAULT_NODE, requires = "can", value_parser = clap::value_parser!(u16).range(1..=63))]
     node: u16,
+}
+
+impl Line {
+    /// Opens it; none where neither port nor bus is given.
+    pub fn open(&self) -> Result<Option<Box<dyn Source>>> {
+        Ok(match (&self.port, &self.can) {
+            (Some(port), _) => Some(Box::new(SerialLine::open(port)?)),
+            (None, Some(bus)) if bus.contains(':') => {
+                Some(Box::new(RemoteBus::open(bus, self.node)?))
+            }
+            (None, Some(interface)) => Some(Box::new(CanBus::open(interface, self.node)?)),
+            (None, None) => None,
+        })
+    }
+
+    /// Whether port or bus is given.
+    pub const fn is_given(&self) -> bool {
+        self.port.is_some() || self.can.is_some()
+    }
+
+    /// Number of the gripper: on a serial line, too, its commands are sealed for it.
+    pub const fn node(&self) -> u16 {
+        self.node
+    }
+}
+
+/// Which gripper.
+#[derive(Debug, clap::Args)]
+#[command(group = clap::ArgGroup::new("gripper").required(true).args(["port", "can", "virtual"]))]
+pub struct Gripper {
+    #[command(flatten)]
+    line: Line,
+    /// A board without hardware: the firmware's loops behind a pseudo-terminal.
+    #[arg(long = "virtual", id = "virtual")]
+    no_hardware: bool,
     /// Model that the virtual board runs; without it, one is fitted to the campaign that comes with the
     /// project.
     #[arg(long, requires = "virtual", value_name = "MODEL")]
@@ -47,34 +88,18 @@ pub struct Gripper {
     unplug: Vec<Unplug>,
 }
 
-/// One of these.
-#[derive(Debug, clap::Args)]
-#[group(required = true, multiple = false)]
-struct Which {
-    /// Serial port of a gripper, such as /dev/ttyACM0.
-    #[arg(long, value_name = "PATH")]
-    port: Option<String>,
-    /// CAN bus of a gripper, such as can0 (Linux).
-    #[arg(long, value_name = "INTERFACE")]
-    can: Option<String>,
-    /// A board without hardware: the firmware's loops behind a pseudo terminal.
-    #[arg(long = "virtual", id = "virtual")]
-    no_hardware: bool,
-}
-
 impl Gripper {
     /// Begins to hear it.
     pub fn open(&self) -> Result<Box<dyn Source>> {
-        Ok(match (&self.which.port, &self.which.can) {
-            (Some(port), _) => Box::new(SerialLine::open(port)?),
-            (_, Some(interface)) => Box::new(CanBus::open(interface, self.node)?),
-            (None, None) => self.virtual_board()?,
-        })
+        match self.line.open()? {
+            Some(source) => Ok(source),
+            None => self.virtual_board(),
+        }
     }
 
     /// Whether it is on a CAN bus.
     pub fn is_on_bus(&self) -> bool {
-        self.which.can.is_some()
+        self.line.can.is_some()
     }
 
     #[cfg(unix)]
@@ -100,7 +125,7 @@ impl Gripper {
 
     #[cfg(not(unix))]
     fn virtual_board(&self) -> Result<Box<dyn Source>> {
-        anyhow::bail!("--virtual needs pseudo terminals, which this system has not; use --port")
+        bail!("--virtual needs pseudo terminals, which this system has not; use --port")
     }
 
     #[cfg(unix)]
@@ -127,6 +152,19 @@ fn of_demo() -> Result<Built> {
     let path = folder.path().join("model.toml");
     ModelFile::of(&campaign, &fits, provenance).write(&path)?;
     Ok(build(&path, Variant::Fitted)?)
+}
+
+/// Another major number is another language: what was heard means something else.
+pub fn check_language(state: &State) -> Result<()> {
+    let told = state.version.map(|version| version.protocol_major);
+    match told.or(state.heartbeat.map(|told| told.value.protocol_major)) {
+        Some(major) if major != PROTOCOL.0 => bail!(
+            "the gripper speaks version {major} of the messages, this tool {}: use the tool that its firmware was \
+             built with",
+            PROTOCOL.0
+        ),
+        _ => Ok(()),
+    }
 }
 
 /// Set as somebody wants the command to end: Ctrl-C, or a request of the system.

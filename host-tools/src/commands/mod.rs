@@ -11,6 +11,7 @@ pub mod design;
 pub mod diagnose;
 pub mod drop;
 pub mod effects;
+pub mod emulate;
 pub mod export;
 pub mod faults;
 pub mod fit;

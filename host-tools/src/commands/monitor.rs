@@ -6,14 +6,13 @@ use std::sync::mpsc::RecvTimeoutError;
 use std::time::Duration;
 
 use anyhow::{Result, bail};
-use firmware::session::{MAGIC, op};
-use firmware::wire::PROTOCOL;
-use firmware::wire::messages::{Message, Service};
+use firmware::session::op;
 use ratatui::DefaultTerminal;
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyModifiers};
 
-use super::live::{Gripper, interrupted, parse_seconds};
+use super::live::{Gripper, check_language, interrupted, parse_seconds};
 use crate::live::hearing::{Hearing, News};
+use crate::live::session::service;
 use crate::live::state::State;
 use crate::live::{json, view, words};
 
@@ -23,6 +22,7 @@ use crate::live::{json, view, words};
 Examples:
   cargo magpie monitor --port /dev/ttyACM0
   cargo magpie monitor --can can0 --node 16
+  cargo magpie monitor --can 127.0.0.1:29536    # of magpie emulate, or socketcand
   cargo magpie monitor --virtual    # without hardware
   cargo magpie monitor --virtual --unplug 2@5 --seconds 10 | cat
   cargo magpie monitor --port /dev/ttyACM0 --json | jq '.sensors[0].fx_n'
@@ -50,11 +50,7 @@ const LINE_S: f64 = 1.0;
 pub fn run(args: &Args) -> Result<()> {
     let mut source = args.gripper.open()?;
     // It answers with what it runs; where it cannot be asked it is still heard.
-    let _ = source.say(Message::Service(Service {
-        op: op::VERSION,
-        magic: MAGIC,
-        ..Service::default()
-    }));
+    let _ = source.say(service(op::VERSION, 0));
     let name = source.name();
     let hearing = Hearing::start(source);
     let end_s = args.seconds.unwrap_or(f64::INFINITY);
@@ -129,19 +125,6 @@ fn watch(
             }
             Err(RecvTimeoutError::Timeout) => {}
         }
-    }
-}
-
-/// Another major number is another language: what was heard means something else.
-fn check_language(state: &State) -> Result<()> {
-    let told = state.version.map(|version| version.protocol_major);
-    match told.or(state.heartbeat.map(|told| told.value.protocol_major)) {
-        Some(major) if major != PROTOCOL.0 => bail!(
-            "the gripper speaks version {major} of the messages, this tool {}: use the tool that its firmware was \
-             built with",
-            PROTOCOL.0
-        ),
-        _ => Ok(()),
     }
 }
 

@@ -1,13 +1,20 @@
 //! Faults as people read them.
 
+use std::fmt::Debug;
+
 use firmware::loops::SERIAL;
 use firmware::status::Fault;
 use firmware::units::Force;
 
 /// A fault in words: "sensor lost".
 pub fn name(fault: Fault) -> String {
+    spaced(fault)
+}
+
+/// The name of a variant in words: "hold active" of `HoldActive`.
+pub fn spaced(variant: impl Debug) -> String {
     let mut words = String::new();
-    for letter in format!("{fault:?}").chars() {
+    for letter in format!("{variant:?}").chars() {
         if letter.is_uppercase() && !words.is_empty() {
             words.push(' ');
         }

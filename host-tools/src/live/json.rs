@@ -62,7 +62,8 @@ fn sensor(number: usize, sensor: &SensorState, now_s: f64) -> Value {
     })
 }
 
-fn fault((&(code, source), active): (&(u16, Option<u8>), &Active)) -> Value {
+/// An active fault.
+pub fn fault((&(code, source), active): (&(u16, Option<u8>), &Active)) -> Value {
     json!({
         "code": code,
         "name": Fault::of_code(code).map(name),

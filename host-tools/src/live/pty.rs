@@ -4,11 +4,20 @@ use std::fs::File;
 use std::io::{self, ErrorKind, Read, Write};
 use std::os::fd::OwnedFd;
 use std::path::PathBuf;
+use std::thread;
+use std::time::{Duration, Instant};
 
 use rustix::fs::{Mode, OFlags, open};
 use rustix::io::ioctl_fionbio;
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{OptionalActions, QueueSelector, tcflush, tcgetattr, tcsetattr};
+
+/// The system keeps less than this for a reader: where more was taken, somebody reads.
+const KEPT: usize = 256 << 10;
+/// A reader that takes nothing for so long has stopped reading.
+const STALLED: Duration = Duration::from_millis(250);
+/// Between two attempts.
+const RETRY: Duration = Duration::from_millis(1);
 
 /// This end; other programs open the other by its path.
 pub struct Pty {
@@ -17,6 +26,8 @@ pub struct Pty {
     slave: OwnedFd,
     /// Path of the other end.
     pub path: PathBuf,
+    /// Bytes taken since some were dropped.
+    taken: usize,
 }
 
 impl Pty {
@@ -39,6 +50,7 @@ impl Pty {
             master: File::from(master),
             slave,
             path: PathBuf::from(path.to_string_lossy().into_owned()),
+            taken: 0,
         })
     }
 
@@ -54,6 +66,33 @@ impl Pty {
     pub fn forget(&self) {
         // What is not dropped is read later.
         let _ = tcflush(&self.slave, QueueSelector::IFlush);
+    }
+
+    /// Gives bytes to whoever reads. Waits a moment for a reader that is late; where nobody reads, what is oldest is
+    /// dropped.
+    ///
+    /// # Errors
+    /// The system's.
+    pub fn send_latest(&mut self, bytes: &[u8]) -> io::Result<()> {
+        let mut given = 0;
+        let mut progress = Instant::now();
+        while let Some(rest) = bytes.get(given..).filter(|rest| !rest.is_empty()) {
+            match self.offer(rest)? {
+                0 if self.taken > KEPT && progress.elapsed() < STALLED => thread::sleep(RETRY),
+                0 => {
+                    self.forget();
+                    self.taken = 0;
+                    self.offer(rest)?;
+                    return Ok(());
+                }
+                count => {
+                    given += count;
+                    self.taken = self.taken.saturating_add(count);
+                    progress = Instant::now();
+                }
+            }
+        }
+        Ok(())
     }
 
     /// What the other end has written; how many bytes.
@@ -77,6 +116,8 @@ fn taken(result: io::Result<usize>) -> io::Result<usize> {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::mpsc;
+
     use super::*;
 
     #[test]
@@ -113,6 +154,7 @@ mod tests {
             }
             assert!(written < 1 << 24, "it takes without end");
         }
+        assert!(written < KEPT, "{written}");
         // The system makes room in a thread of its own.
         while pty.offer(&[2]).unwrap() == 0 {
             pty.forget();
@@ -126,5 +168,38 @@ mod tests {
             old += 1;
         }
         assert!(old <= written, "nothing was dropped of {written} bytes");
+    }
+
+    #[test]
+    fn a_reader_that_is_late_loses_nothing() {
+        const COUNT: usize = 4 * KEPT;
+        let mut pty = Pty::open().unwrap();
+        let mut other = File::open(&pty.path).unwrap();
+        let (count, counted) = mpsc::channel();
+        let reader = thread::spawn(move || {
+            let mut read = Vec::new();
+            let mut bytes = [0; 4096];
+            let mut is_late = false;
+            while read.len() < COUNT {
+                // Late once, when it is known to read.
+                if read.len() > 2 * KEPT && !std::mem::replace(&mut is_late, true) {
+                    thread::sleep(STALLED / 3);
+                }
+                let length = other.read(&mut bytes).unwrap();
+                read.extend_from_slice(&bytes[..length]);
+                count.send(read.len()).unwrap();
+            }
+            read
+        });
+        let sent: Vec<u8> = (0..COUNT).map(|place| (place % 251) as u8).collect();
+        let mut given = 0;
+        for bytes in sent.chunks(1000) {
+            // At first the reader takes each before the next comes.
+            while pty.taken <= KEPT && given > 0 && counted.recv().unwrap() < given {}
+            given += bytes.len();
+            pty.send_latest(bytes).unwrap();
+            assert!(pty.taken > 0, "bytes were dropped");
+        }
+        assert!(reader.join().unwrap() == sent);
     }
 }

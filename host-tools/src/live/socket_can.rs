@@ -1,23 +1,29 @@
-//! A gripper on a CAN bus, as Linux has them.
+//! A gripper on a CAN bus of this machine (Linux's SocketCAN), and a simulated bus bridged to one.
 
 #[cfg(target_os = "linux")]
-pub use linux::CanBus;
+pub use linux::{Bridge, CanBus};
 
 #[cfg(target_os = "linux")]
 mod linux {
     use std::io::{self, ErrorKind};
+    use std::time::{Duration, Instant};
 
     use anyhow::{Result, anyhow, bail};
     use embedded_can::{Frame, Id, StandardId};
-    use firmware::wire::identifier;
     use firmware::wire::messages::Message;
     use firmware::wire::serial::Packet;
+    use firmware::wire::{can as wire, identifier};
     use socketcan::{CanFilter, CanFrame, CanSocket, Socket, SocketOptions};
 
     use crate::live::source::{Source, WAIT, packet};
 
     /// Frames that are taken at once.
     const BATCH: usize = 64;
+    /// The system's number for a full queue.
+    const ENOBUFS: i32 = rustix::io::Errno::NOBUFS.raw_os_error();
+
+    /// Time for a batch: frames that come one by one would keep a command of this host waiting.
+    const BATCH_TIME: Duration = Duration::from_millis(5);
 
     /// The bus and the node on it.
     pub struct CanBus {
@@ -32,12 +38,7 @@ mod linux {
         /// # Errors
         /// There is no such interface, or it is down.
         pub fn open(interface: &str, node: u16) -> Result<Self> {
-            let refused = |error: io::Error| {
-                anyhow!(
-                    "{interface}: there is no such CAN bus ({error}); `ip -brief link show type can` lists \
-                     them, `sudo ip link set can0 up type can bitrate 1000000` brings one up"
-                )
-            };
+            let refused = |error| refused(interface, &error);
             let socket = CanSocket::open(interface).map_err(refused)?;
             let of_node = CanFilter::new(identifier(node, 0).into(), identifier(0x3F, 0).into());
             socket.set_filters(&[of_node]).map_err(refused)?;
@@ -48,27 +49,41 @@ mod linux {
                 node,
             })
         }
+    }
 
-        fn gone(&self, error: &io::Error) -> anyhow::Error {
-            anyhow!(
-                "{0}: the bus is gone ({error}); `ip -details link show {0}` says why, `sudo ip link set {0} \
-                 up` brings it back",
-                self.interface
-            )
-        }
+    fn refused(interface: &str, error: &io::Error) -> anyhow::Error {
+        anyhow!(
+            "{interface}: there is no such CAN bus ({error}); `ip -brief link show type can` and `... type vcan` list \
+             them, `sudo ip link set can0 up type can bitrate 1000000` brings one up, `sudo ip link add vcan0 type \
+             vcan && sudo ip link set vcan0 up` makes a virtual one"
+        )
+    }
+
+    fn gone(interface: &str, error: &io::Error) -> anyhow::Error {
+        anyhow!(
+            "{interface}: the bus is gone ({error}); `ip -details link show {interface}` says why, `sudo ip link set \
+             {interface} up` brings it back"
+        )
+    }
+
+    fn is_pending(error: &io::Error) -> bool {
+        matches!(
+            error.kind(),
+            ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted
+        )
     }
 
     impl Source for CanBus {
         fn hear(&mut self, packets: &mut Vec<Packet>) -> Result<bool> {
-            for _ in 0..BATCH {
+            let begun = Instant::now();
+            for number in 0..BATCH {
+                if number > 0 && begun.elapsed() > BATCH_TIME {
+                    break;
+                }
                 let frame = match self.socket.read_frame() {
                     Ok(frame) => frame,
-                    Err(error) => match error.kind() {
-                        ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted => {
-                            break;
-                        }
-                        _ => return Err(self.gone(&error)),
-                    },
+                    Err(error) if is_pending(&error) => break,
+                    Err(error) => return Err(gone(&self.interface, &error)),
                 };
                 if let Id::Standard(id) = frame.id() {
                     packets.extend(packet(self.node, id.as_raw(), frame.data()));
@@ -84,7 +99,7 @@ mod linux {
                 bail!("{message:?} is no frame");
             };
             let written = self.socket.write_frame(&frame);
-            written.map_err(|error| self.gone(&error))
+            written.map_err(|error| gone(&self.interface, &error))
         }
 
         /// The controller drops what is broken.
@@ -96,14 +111,79 @@ mod linux {
             format!("{}, node {}", self.interface, self.node)
         }
     }
+
+    /// All frames of an interface.
+    pub struct Bridge {
+        socket: CanSocket,
+        interface: String,
+        /// Frames that found no place in the interface's queue.
+        dropped: u64,
+    }
+
+    impl Bridge {
+        /// Joins the bus of an interface.
+        ///
+        /// # Errors
+        /// There is no such interface, or it is down.
+        pub fn open(interface: &str) -> Result<Self> {
+            let socket = CanSocket::open(interface).map_err(|error| refused(interface, &error))?;
+            let set = socket.set_nonblocking(true);
+            set.map_err(|error| refused(interface, &error))?;
+            Ok(Self {
+                socket,
+                interface: interface.to_owned(),
+                dropped: 0,
+            })
+        }
+
+        /// Frames go to the interface; standard data frames from there come back. Never waits.
+        ///
+        /// # Errors
+        /// The interface is gone or down.
+        pub fn exchange(
+            &mut self,
+            sent: impl Iterator<Item = wire::CanFrame>,
+        ) -> Result<Vec<wire::CanFrame>> {
+            for frame in sent {
+                let frame = CanFrame::new(frame.id(), frame.data());
+                let Some(frame) = frame else { continue };
+                match self.socket.write_frame(&frame) {
+                    Ok(()) => {}
+                    // The queue is full: nobody acknowledges, or the bus is slower than frames come.
+                    Err(error) if is_pending(&error) || error.raw_os_error() == Some(ENOBUFS) => {
+                        self.dropped += 1;
+                    }
+                    Err(error) => return Err(gone(&self.interface, &error)),
+                }
+            }
+            let mut received = Vec::new();
+            for _ in 0..BATCH {
+                match self.socket.read_frame() {
+                    Ok(CanFrame::Data(frame)) => {
+                        received.extend(wire::CanFrame::new(frame.id(), frame.data()));
+                    }
+                    Ok(_) => {}
+                    Err(error) if is_pending(&error) => break,
+                    Err(error) => return Err(gone(&self.interface, &error)),
+                }
+            }
+            Ok(received)
+        }
+
+        /// Frames that found no place in the interface's queue.
+        pub const fn dropped(&self) -> u64 {
+            self.dropped
+        }
+    }
 }
 
 #[cfg(not(target_os = "linux"))]
-pub use elsewhere::CanBus;
+pub use elsewhere::{Bridge, CanBus};
 
 #[cfg(not(target_os = "linux"))]
 mod elsewhere {
     use anyhow::{Result, bail};
+    use firmware::wire::can::CanFrame;
     use firmware::wire::messages::Message;
     use firmware::wire::serial::Packet;
 
@@ -136,6 +216,34 @@ mod elsewhere {
         }
 
         fn name(&self) -> String {
+            match *self {}
+        }
+    }
+
+    /// No bus either.
+    pub enum Bridge {}
+
+    impl Bridge {
+        /// Says so.
+        ///
+        /// # Errors
+        /// Always.
+        pub fn open(interface: &str) -> Result<Self> {
+            bail!(
+                "{interface}: only Linux has SocketCAN; leave --can out, and clients connect over TCP"
+            )
+        }
+
+        /// Not reached.
+        ///
+        /// # Errors
+        /// Never.
+        pub fn exchange(&mut self, _: impl Iterator<Item = CanFrame>) -> Result<Vec<CanFrame>> {
+            match *self {}
+        }
+
+        /// Not reached.
+        pub const fn dropped(&self) -> u64 {
             match *self {}
         }
     }

@@ -9,7 +9,7 @@ use firmware::params::TICK_US;
 use firmware::status::Fault;
 use firmware::units::Force;
 use firmware::wire::layout::take;
-use firmware::wire::messages::{self, FaultEvent, Heartbeat, Message, Timing, Version};
+use firmware::wire::messages::{self, FaultEvent, GripStatus, Heartbeat, Message, Timing, Version};
 use firmware::wire::newtons;
 use firmware::wire::serial::{Packet, Tick};
 
@@ -100,6 +100,8 @@ pub struct State {
     pub heartbeat: Option<Told<Heartbeat>>,
     /// The newest figures of its load.
     pub timing: Option<Told<Timing>>,
+    /// The newest status of the grip.
+    pub grip: Option<Told<GripStatus>>,
     /// The sensors.
     pub sensors: [SensorState; SENSORS],
     /// Active faults with their source, where it is known.
@@ -194,6 +196,10 @@ impl State {
             Message::Timing(value) => {
                 let value = *value;
                 self.timing = Some(Told { value, at_s });
+            }
+            Message::GripStatus(value) => {
+                let value = *value;
+                self.grip = Some(Told { value, at_s });
             }
             Message::Force(force) => {
                 if let Some(sensor) = self.sensors.get_mut(copy) {

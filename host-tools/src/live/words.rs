@@ -2,6 +2,7 @@
 
 use firmware::force::Validity;
 use firmware::status::Fault;
+use firmware::wire::messages::FaultEvent;
 
 use super::faults::{detail, name, place};
 use super::state::{Active, SensorState, State};
@@ -61,6 +62,21 @@ pub fn fault((&(code, source), active): (&(u16, Option<u8>), &Active)) -> String
         }
     }
     text
+}
+
+/// A fault that comes or goes.
+pub fn fault_event(event: &FaultEvent) -> String {
+    let is_active = event.active != 0;
+    let active = Active {
+        since_s: 0.0,
+        since_board_s: None,
+        detail: is_active.then_some(event.detail),
+    };
+    let words = fault((&(event.code, Some(event.source)), &active));
+    match is_active {
+        true => words,
+        false => words + ": gone",
+    }
 }
 
 /// What did not arrive; `None` where everything did.

@@ -101,6 +101,7 @@ impl Variant {
 
 /// What an image is made of.
 pub struct Made {
+    pub path: PathBuf,
     pub image: Image,
     pub built: Built,
     pub networks: Option<Networks>,
@@ -138,6 +139,7 @@ pub fn get(variant: Variant) -> Result<Made, String> {
     let path = compile(variant.name(), tables.as_deref())?;
     let image = Image::read(&path).map_err(|error| error.to_string())?;
     Ok(Made {
+        path,
         image,
         built,
         networks,

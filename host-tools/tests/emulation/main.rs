@@ -13,6 +13,7 @@ mod faults;
 #[allow(dead_code)] // So are detectors that are switched off.
 #[path = "../scenarios/file.rs"]
 mod file;
+#[allow(dead_code)] // The path is another test's.
 mod images;
 #[path = "../scenarios/judge.rs"]
 mod judge;

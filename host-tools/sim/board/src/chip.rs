@@ -72,9 +72,9 @@ pub struct Chip {
 struct Sampler {
     period: Time,
     next: Time,
-    counts: HashMap<u32, u32>,
+    counts: HashMap<u32, u64>,
     /// Samples, those of a sleeping core included.
-    total: u32,
+    total: u64,
 }
 
 impl Chip {
@@ -203,7 +203,7 @@ impl Chip {
                 .image
                 .symbol_at(*pc)
                 .map_or_else(|| format!("{pc:#010x}"), |symbol| symbol.name.clone());
-            *shares.entry(name).or_default() += f64::from(*count) / f64::from(sampler.total);
+            *shares.entry(name).or_default() += *count as f64 / sampler.total as f64;
         }
         let mut shares: Vec<_> = shares.into_iter().collect();
         shares.sort_by(|one, other| other.1.total_cmp(&one.1).then_with(|| one.0.cmp(&other.0)));

@@ -37,6 +37,7 @@ pub mod wiring;
 pub use chip::{Chip, Halt, Load, Profile, ResetRecord};
 pub use core::CycleModel;
 pub use image::{Image, ImageError};
+pub use log::LogLine;
 pub use peripherals::clocks::ResetCause;
 pub use soc::{Devices, Options, Soc, UnseenFrames};
 pub use time::{Frequency, Time};

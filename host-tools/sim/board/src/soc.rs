@@ -403,6 +403,12 @@ impl Soc {
         self.now
     }
 
+    /// Counter of TIM5, the firmware's time base, and the period after which it starts at zero again: microseconds since
+    /// the firmware started it, modulo that period.
+    pub fn time_base(&self) -> (u64, u64) {
+        (u64::from(self.tim5.counter(self.now())), self.tim5.period())
+    }
+
     /// The core's clock.
     pub fn core_clock(&self) -> Frequency {
         self.rcc.clocks().core

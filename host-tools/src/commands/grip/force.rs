@@ -30,11 +30,17 @@ impl Stuff {
     }
 }
 
-pub(super) fn run(args: &Args, case: Case, set_n: f64) -> Result<()> {
+/// Checks that a force is one of a grasp.
+pub(super) fn check(set_n: f64) -> Result<()> {
     let most_n = f64::from(Profile::Strong.most_n());
     if !(LEAST_N..=most_n).contains(&set_n) {
         bail!("--force {set_n} is not possible here; give {LEAST_N} to {most_n} N");
     }
+    Ok(())
+}
+
+pub(super) fn run(args: &Args, case: Case, set_n: f64) -> Result<()> {
+    check(set_n)?;
     let asked = asked(args, set_n)?;
     let bar = progress::bar(
         "simulating the grasp",

@@ -190,11 +190,7 @@ impl Work {
                 thread::sleep(LOOK);
             }
         }
-        let given = outside.offer(&sent)?;
-        if given < sent.len() {
-            outside.forget();
-            outside.offer(&sent[given..])?;
-        }
+        outside.send_latest(&sent)?;
         for pty in [inside, outside] {
             let mut bytes = [0; 128];
             let count = pty.take(&mut bytes)?;

@@ -1,6 +1,8 @@
 //! Reset and clock control, RM0440 section 7: oscillators with their start-up times, the clock tree, gates, resets, and
 //! the cause of the last one.
 
+use std::fmt;
+
 use stm32_metapac::rcc::regs::{Bdcr, Ccipr, Cfgr, Cr, Crrcr, Csr, Pllcfgr};
 
 use super::{Context, bit};
@@ -66,6 +68,17 @@ pub enum ResetCause {
     Software,
     /// The reset pin.
     Pin,
+}
+
+impl fmt::Display for ResetCause {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::PowerOn => "power-on",
+            Self::Watchdog => "watchdog",
+            Self::Software => "software",
+            Self::Pin => "reset pin",
+        })
+    }
 }
 
 impl ResetCause {

@@ -53,7 +53,7 @@ impl Timer {
         self.clock.cycles(u64::from(self.prescaler) + 1)
     }
 
-    fn period(&self) -> u64 {
+    pub(crate) fn period(&self) -> u64 {
         u64::from(self.word(ARR)) + 1
     }
 
@@ -63,6 +63,11 @@ impl Timer {
             true => self.from + now.since(self.since).ps() / self.tick().ps(),
             false => self.from,
         }
+    }
+
+    /// The counter, without the effects that a read by the program has.
+    pub(crate) fn counter(&self, now: Time) -> u32 {
+        (self.count(now) % self.period()) as u32
     }
 
     /// Sets the flags of what has happened by now.
@@ -137,7 +142,7 @@ impl Timer {
     pub(crate) fn read(&mut self, offset: u32, context: &mut Context) -> u32 {
         self.catch_up(context.now);
         match offset {
-            CNT => (self.count(context.now) % self.period()) as u32,
+            CNT => self.counter(context.now),
             EGR => 0,
             CR1..=ARR | CCR0..=CCR3 => self.word(offset),
             _ => context.unmodelled(offset),
