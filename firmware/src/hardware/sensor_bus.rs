@@ -23,9 +23,9 @@ use super::clock::BoardClock;
 use crate::clock::pause;
 use crate::hall::bus::{Lines, SensorBus, clear};
 
-/// A busy bus is looked at this often, and given up after so many looks: 100 us.
+/// A busy bus is looked at this often, and given up after so many looks: 50 us.
 const BUSY_US: u64 = 10;
-const BUSY_LOOKS: u32 = 10;
+const BUSY_LOOKS: u32 = 5;
 /// Bytes that a transfer reads at the most.
 const MOST_BYTES: usize = 16;
 
