@@ -25,6 +25,8 @@ const REPORT_MS: f64 = 1.5;
 /// Milliseconds after a fault.
 const AFTER_MS: u32 = 500;
 
+type Crash = (&'static str, fn() -> Result<(), Failed>);
+
 pub fn trials() -> Vec<Trial> {
     let rows = [
         Row::BusHigh,
@@ -36,7 +38,7 @@ pub fn trials() -> Vec<Trial> {
     let of_rows = rows
         .into_iter()
         .map(|row| Trial::test(format!("fault_{row:?}"), move || during_hold(row)));
-    let crashes: [(&str, fn() -> Result<(), Failed>); 6] = [
+    let crashes: [Crash; 6] = [
         ("panic", || {
             crashes(Kind::Panic, ResetCause::Software, panic)
         }),

@@ -27,6 +27,7 @@ const QUEUE: usize = 50;
 const FIRST_TICK_AFTER_US: u64 = FIRST_TICK_US - 15;
 
 /// How the board's program runs.
+#[allow(clippy::large_enum_variant, dead_code)] // One of a test; each test has one of them.
 pub enum Layer {
     /// The firmware's loops in virtual time.
     Loops(Box<Board>),

@@ -80,7 +80,8 @@ impl Rng {
                 if bit(value, 2) && context.clocks.rng == Frequency(0) {
                     context.report(Kind::Misconfigured, offset, "no clock of 48 MHz");
                 }
-                if bit(value, 2) && !(bit(self.control, 2) && !bit(self.control, 30)) {
+                let was_off = !bit(self.control, 2) || bit(self.control, 30);
+                if bit(value, 2) && was_off {
                     self.ready = context.now + context.clocks.rng.cycles(FIRST_CYCLES);
                 }
                 self.control = value;
