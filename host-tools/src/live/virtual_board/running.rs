@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, bail};
 use firmware::limits::Limits;
 use firmware::parameters::Parameters;
+use firmware::params::TICK_US;
 use firmware::wire::messages::Message;
 use firmware::wire::serial::Packet;
 use model_export::inverse::build::Built;
@@ -152,8 +153,11 @@ impl Work {
                 board.run_until((1e6 * unplug.at_s) as u64);
                 unplugged(&board, unplug.sensor);
             }
-            time_us = end_us;
-            board.run_until(time_us);
+            // What the sensors feel stays as it is at the end, and would soon be found frozen.
+            while time_us < end_us && !board.connections.now.borrow().ended() {
+                time_us += TICK_US;
+                board.run_until(time_us);
+            }
             self.exchange(&board)?;
             if board.connections.now.borrow().ended() {
                 self.ended.store(true, Relaxed);
