@@ -3,6 +3,7 @@
 
 use std::path::Path;
 
+use embedded_can::Frame;
 use firmware::limits::Limits;
 use firmware::parameters::Parameters;
 use firmware::surroundings::Surroundings;
@@ -11,7 +12,7 @@ use firmware::wire::serial::{Packet, Receiver, Tick};
 use host_tools::board::emulated::Conditions;
 use host_tools::board::recorded::Recorded;
 use host_tools::board::world::{Moment, World};
-use host_tools::board::{Board, Program, SimulatedBoard};
+use host_tools::board::{Board, Connections, Program, SimulatedBoard};
 use libtest_mimic::{Failed, Trial};
 use model_export::recordings::align::Alignment;
 use model_export::recordings::description::Description;
@@ -67,14 +68,10 @@ fn replays(variant: Variant, conditions: Conditions) -> Result<(), Failed> {
     let mut packets = Vec::new();
     for step in 1..=SECONDS {
         board.run_until(1_000_000 * step)?;
-        packets.extend(
-            board
-                .take_packets(&mut receiver)
-                .into_iter()
-                .map(|(_, packet)| packet),
-        );
+        let received = board.take_packets(&mut receiver).into_iter();
+        packets.extend(received.map(|(_, packet)| packet));
     }
-    let reported = reported(packets.into_iter());
+    let reported = reported(packets.into_iter(), &board.connections);
     let expected = in_virtual_time(made);
     // The image starts a few milliseconds later.
     let compared = reported.ticks.len();
@@ -125,23 +122,26 @@ fn in_virtual_time(made: Made) -> Reported {
     board.run_until(1_000_000 * SECONDS);
     let mut receiver = Receiver::default();
     let bytes = std::mem::take(&mut board.connections.line.borrow_mut().sent);
-    reported(bytes.iter().filter_map(|byte| receiver.take(*byte)))
+    let packets = bytes.iter().filter_map(|byte| receiver.take(*byte));
+    reported(packets, &board.connections)
 }
 
-fn reported(packets: impl Iterator<Item = Packet>) -> Reported {
-    let mut reported = Reported {
-        ticks: Vec::new(),
-        forces: Vec::new(),
-    };
-    for packet in packets {
-        match packet {
-            Packet::Tick(tick) => reported.ticks.push(tick),
-            Packet::Message {
-                copy,
-                message: Message::Force(force),
-            } => reported.forces.push((copy.into(), force)),
-            Packet::Message { .. } => {}
+/// Ticks from the serial line, force messages from the CAN bus.
+fn reported(packets: impl Iterator<Item = Packet>, connections: &Connections) -> Reported {
+    let ticks = packets.filter_map(|packet| match packet {
+        Packet::Tick(tick) => Some(tick),
+        Packet::Message { .. } => None,
+    });
+    let bus = connections.can.borrow();
+    let forces = bus.heard.iter().filter_map(|(_, frame)| {
+        let number = (frame.identifier() & 0x1F) as u8;
+        match Message::from_frame(number, frame.data()) {
+            Ok(Message::Force(force)) => Some((usize::from(number - Force::LAYOUT.number), force)),
+            _ => None,
         }
+    });
+    Reported {
+        ticks: ticks.collect(),
+        forces: forces.collect(),
     }
-    reported
 }
