@@ -127,6 +127,14 @@ fn whole_course() -> Result<(), Failed> {
     );
     assert_eq!(cell.force_n(), 0.0);
     cell.gripper.borrow_mut().rig.plant.hold(None);
+    // A foot stands on closed fingers.
+    move_to(&mut cell, 0.5);
+    cell.host.order(Command {
+        mode: mode::FOOT,
+        ..Command::default()
+    });
+    let stands = cell.until(0.5, |cell| cell.is_in(Task::Foot));
+    assert!(stands.is_some(), "{}", cell.state());
     cell.host.stop();
     assert!(
         cell.until(0.5, |cell| cell.state()
