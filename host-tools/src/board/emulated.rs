@@ -194,7 +194,7 @@ impl SimulatedBoard for EmulatedBoard {
         &self.connections
     }
 
-    /// The copies lie in the memory of the grasp's task, beside what they are the complement of.
+    /// The copies lie in the memory of the grasp's task, next to what they are the complement of.
     ///
     /// # Panics
     /// The image has no such task.

@@ -90,6 +90,11 @@ impl Variant {
         }
     }
 
+    /// Whether networks are behind the model; they are trained too briefly to agree with it for long.
+    pub fn has_networks(self) -> bool {
+        self.training().is_some()
+    }
+
     fn training(self) -> Option<&'static str> {
         match self {
             Self::Friction => Some("--epochs 2 --hidden 4"),

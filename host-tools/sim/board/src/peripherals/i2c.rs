@@ -26,7 +26,7 @@ const FAST_MODE_BIT: Time = Time::from_ns(2400);
 const BLOCKED: Time = Time::from_us(5);
 /// Flags that ICR clears.
 const CLEARABLE: u32 = 0x3F38;
-/// Enables of events in CR1 are one bit beside the flags in ISR, but for these (41.9.1, 41.9.7).
+/// Enables of events in CR1 are one bit next to the flags in ISR, but for these (41.9.1, 41.9.7).
 const TXIE: u32 = 1;
 const RXIE: u32 = 2;
 const NACKIE: u32 = 4;
