@@ -157,7 +157,7 @@ impl BoardBus {
         bus
     }
 
-    /// I2C3, likewise.
+    /// I2C3, with the word of its timing register.
     pub fn second<T: Instance>(
         peripheral: Peri<'static, T>,
         clock: Peri<'static, impl SclPin<T>>,
@@ -205,9 +205,7 @@ impl BoardBus {
         }
         self.controller.registers.cr1().write(|w| w.set_pe(true));
     }
-}
 
-impl BoardBus {
     /// Waits for the bus: a sensor that holds a line after a transfer was cut may let it go in time.
     async fn idle(&self) -> Result<(), Error> {
         for _ in 0..BUSY_LOOKS {

@@ -32,6 +32,8 @@ pub struct Told {
     pub faults: Vec<(u64, FaultEvent)>,
     /// Every answer to a service, refused commands among them.
     pub replies: Vec<(u64, ServiceReply)>,
+    /// Longest tick of sensing and estimating, in microseconds.
+    pub worst_tick_us: u16,
     /// Every answer to [`Host::ask_parameter`].
     pub parameters: Vec<(u64, ParamReply)>,
 }
@@ -120,6 +122,9 @@ impl Host {
                     self.told.forces[sensor] = Some((time_us, force));
                 }
                 Message::FaultEvent(event) => self.told.faults.push((time_us, event)),
+                Message::Timing(timing) => {
+                    self.told.worst_tick_us = self.told.worst_tick_us.max(timing.worst_loop);
+                }
                 Message::ParamReply(reply) => self.told.parameters.push((time_us, reply)),
                 Message::ServiceReply(reply) => self.answer(time_us, reply),
                 _ => {}

@@ -14,12 +14,20 @@ use host_tools::plant::sensing::Sensors;
 use libtest_mimic::Failed;
 use model_export::inverse::build::Built;
 use sim_board::Kind;
+use sim_board::chip::Profile;
 
 use crate::images::{self, Made, Variant};
 
+/// Typical execution times with the slowest sensor buses: those under which the deadlines are to be kept.
+pub const TYPICAL: Conditions = Conditions {
+    i2c_synchronisation: Conditions::SLOW.i2c_synchronisation,
+    ..Conditions::TYPICAL
+};
+
+/// Both ends of execution times, and their middle.
 pub const CONDITIONS: [(&str, Conditions); 3] = [
     ("fast", Conditions::FAST),
-    ("typical", Conditions::TYPICAL),
+    ("typical", TYPICAL),
     ("slow", Conditions::SLOW),
 ];
 
@@ -43,6 +51,25 @@ pub fn at_rest(seed: u64) -> Shared {
 pub fn pressed(built: &Built) -> Box<dyn World> {
     let newtons = [[50.0, 0.0], [50.0, 0.0], [-50.0, 0.0], [-50.0, 0.0]];
     Box::new(Pressed::new(&built.model, 1, move |_| newtons))
+}
+
+/// Longest tick of sensing and estimating, where flash has caches.
+pub const WORST_TICK_US: u16 = 700;
+/// Greatest shares of the core's time and of the stack.
+pub const LOAD: f64 = 0.7;
+pub const STACK: f64 = 0.75;
+
+/// What of a profile is beyond the limits.
+pub fn overload(profile: &Profile, load: f64) -> Vec<String> {
+    let mut wrong = Vec::new();
+    if 1.0 - profile.idle > load {
+        wrong.push(format!("core {:.1} % busy", 100.0 * (1.0 - profile.idle)));
+    }
+    let share = |[used, available]: [u32; 2]| f64::from(used) / f64::from(available);
+    if !profile.stack.map(share).is_some_and(|share| share <= STACK) {
+        wrong.push(format!("stack {:?}", profile.stack));
+    }
+    wrong
 }
 
 /// A board with an image.

@@ -9,7 +9,7 @@ use libtest_mimic::{Failed, Trial};
 use sim_board::{CycleModel, Time};
 
 use crate::Effort;
-use crate::boards::{CONDITIONS, board, image, pressed, violations};
+use crate::boards::{CONDITIONS, LOAD, WORST_TICK_US, board, image, overload, pressed, violations};
 use crate::images::Variant;
 use host_tools::board::emulated::Conditions;
 
@@ -17,14 +17,8 @@ use host_tools::board::emulated::Conditions;
 const FIRST_FEED: Time = Time::from_ms(5);
 /// Longest time between feeds: the period and what is more urgent.
 const FEED_GAP: Time = Time::from_ms(7);
-/// Longest tick of sensing and estimating.
-const WORST_TICK_US: u16 = 700;
-/// Greatest share of the core's time.
-const LOAD: f64 = 0.7;
-/// The same where no access to flash is ever served by a cache: then the deadlines hold only just.
+/// Greatest share of the core's time where no access to flash is served by a cache: then the deadlines hold only just.
 const LOAD_WITHOUT_CACHES: f64 = 0.9;
-/// Greatest share of the stack.
-const STACK: f64 = 0.75;
 
 pub fn trials(effort: Effort) -> Vec<Trial> {
     let mut trials = Vec::new();
@@ -88,30 +82,13 @@ fn boots(variant: Variant, conditions: Conditions, effort: Effort) -> Result<(),
         format!("not fed for {:?}", feeds.longest_gap),
     );
     let has_caches = conditions.model != CycleModel::SLOW;
-    let most_us = if has_caches {
-        WORST_TICK_US
-    } else {
-        TICK_US as u16
+    let (most_us, load) = match has_caches {
+        true => (WORST_TICK_US, LOAD),
+        false => (TICK_US as u16, LOAD_WITHOUT_CACHES),
     };
     check(
         (1..=most_us).contains(&worst_us),
         format!("worst tick {worst_us} us"),
-    );
-    let most = if has_caches {
-        LOAD
-    } else {
-        LOAD_WITHOUT_CACHES
-    };
-    check(
-        1.0 - profile.idle <= most,
-        format!("core {:.1} % busy", 100.0 * (1.0 - profile.idle)),
-    );
-    let stack = profile
-        .stack
-        .map(|[used, available]| f64::from(used) / f64::from(available));
-    check(
-        stack.is_some_and(|share| share <= STACK),
-        format!("stack {stack:?}"),
     );
     // The first 10 ms are the start.
     check(
@@ -127,6 +104,7 @@ fn boots(variant: Variant, conditions: Conditions, effort: Effort) -> Result<(),
         .map(|line| &line.text)
         .collect();
     check(faults.is_empty(), format!("faults: {faults:?}"));
+    wrong.extend(overload(&profile, load));
     match wrong.is_empty() {
         true => Ok(()),
         false => Err(wrong.join("\n").into()),

@@ -161,8 +161,8 @@ fn encoder_silent() -> Result<(), Failed> {
     Ok(())
 }
 
-/// The board crashes while it is armed; outputs are off with the crash, and after the reset the record is reported and
-/// nothing moves before a host arms again.
+/// The board crashes while it is armed; after the reset the record is reported, and the gripper is not enabled before a host
+/// arms again.
 fn crashes(kind: Kind, cause: ResetCause, crash: fn(&mut Cell)) -> Result<(), Failed> {
     let mut cell = cell(40.0)?;
     assert!(cell.enable(), "{}", cell.state());

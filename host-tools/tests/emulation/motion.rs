@@ -4,7 +4,7 @@ use firmware::grip::order::mode;
 use firmware::grip::states::{Power, Task, code};
 use firmware::wire;
 use firmware::wire::messages::Command;
-use host_tools::board::emulated::{Conditions, EmulatedBoard};
+use host_tools::board::emulated::EmulatedBoard;
 use host_tools::drive::grasp::{grip_command, object};
 use host_tools::drive::workcell::Workcell;
 use host_tools::drive::world::Senses;
@@ -12,7 +12,7 @@ use host_tools::plant::parameters::{Lead, Parameters};
 use libtest_mimic::{Failed, Trial};
 
 use crate::Effort;
-use crate::boards::{gripper, image, violations};
+use crate::boards::{LOAD, TYPICAL, WORST_TICK_US, gripper, image, overload, violations};
 use crate::images::Variant;
 
 /// A workcell whose board runs the image.
@@ -20,11 +20,6 @@ pub type Cell = Workcell<EmulatedBoard>;
 
 /// Newtons of the grips.
 pub const SET_N: f64 = 100.0;
-/// The slowest buses with typical execution times.
-pub const CONDITIONS: Conditions = Conditions {
-    i2c_synchronisation: Conditions::SLOW.i2c_synchronisation,
-    ..Conditions::TYPICAL
-};
 
 pub fn trials(_: Effort) -> Vec<Trial> {
     vec![Trial::test("motion_home_move_grip_foot_release", || {
@@ -37,7 +32,7 @@ pub fn cell(opening_mm: f64) -> Result<Cell, Failed> {
     let made = image(Variant::Nominal)?;
     let gripper = gripper(Parameters::nominal(Lead::A), opening_mm, 1);
     let world = Box::new(Senses(gripper.clone()));
-    let board = EmulatedBoard::start(made.image, CONDITIONS, world, gripper.clone())?;
+    let board = EmulatedBoard::start(made.image, TYPICAL, world, gripper.clone())?;
     Ok(Workcell::around(board, gripper))
 }
 
@@ -143,7 +138,10 @@ fn whole_course() -> Result<(), Failed> {
         "{}",
         cell.state()
     );
-    println!("{}", cell.board.chip.profile());
+    let (profile, worst_us) = (cell.board.chip.profile(), cell.host.told.worst_tick_us);
+    println!("{profile}worst tick {worst_us} us");
+    assert_eq!(overload(&profile, LOAD), [""; 0]);
+    assert!((1..=WORST_TICK_US).contains(&worst_us), "{worst_us} us");
     let faults = &cell.host.told.faults;
     assert!(faults.is_empty(), "{faults:?}");
     assert_eq!(violations(&cell.board), [""; 0]);

@@ -25,9 +25,6 @@ use crate::images::{Made, Variant};
 /// As much of a recording as the repository has of the shortest.
 const SECONDS: u64 = 12;
 
-/// Periods of force messages before the first: what is sent shares its level with the first check of the tables.
-const LATE: u64 = 8;
-
 pub fn trials(_: Effort) -> Vec<Trial> {
     let of = |variant: Variant, name: &str, conditions: Conditions| {
         let test = move || replays(variant, conditions);
@@ -80,10 +77,7 @@ fn replays(variant: Variant, conditions: Conditions) -> Result<(), Failed> {
         assert_eq!(tick.sensors, expected.sensors, "tick {number}");
     }
     let forces = reported.forces.len();
-    assert!(
-        forces as u64 > 4 * (100 * SECONDS - LATE),
-        "{forces} messages"
-    );
+    assert!(forces as u64 > 4 * (100 * SECONDS - 2), "{forces} messages");
     for (number, (force, expected)) in reported.forces.iter().zip(&expected.forces).enumerate() {
         assert_eq!(force, expected, "message {number}");
     }
