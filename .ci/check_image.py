@@ -1,15 +1,15 @@
 """Checks a firmware image and prints its sizes: check_image.py ELF
 
-- The vector table stands at the start of flash and points into RAM and flash.
-- The stack lies at the start of RAM, below the statics; a fault of the core and the non-maskable interrupt
+- The vector table is at the start of flash and points into RAM and flash.
+- The stack is at the start of RAM, below the statics; a fault of the core and the non-maskable interrupt
   end in the firmware's own handlers; the record of a crash is in memory that the start leaves alone.
 - From the models' entries and from the motor's interrupts no panic is reachable, and no call whose target is
   unknown; the stack of the deepest way is printed.
-- The kernels lie in the memory beside the core; their code, with the tables of the activations, and
+- The kernels are in the memory next to the core; their code, with the tables of the activations, and
   their stack stay within bounds.
 - The image takes no more flash and RAM than was asked for.
 
-`check_image.py --kernels ELF` looks at the kernels alone, wherever they lie.
+`check_image.py --kernels ELF` looks at the kernels alone, wherever they are.
 
 Needs arm-none-eabi-objdump (Debian: binutils-arm-none-eabi).
 """
@@ -25,14 +25,14 @@ FLASH = range(0x0800_0000, 0x0807_E000)
 STACK = range(0x2000_0000, 0x2000_3800)
 RAM = range(0x2000_3800, 0x2001_8000)
 CCM = range(0x1000_0000, 0x1000_8000)
-ENTRY = "firmware::force::estimate_all"
-DETECTOR = "firmware::foreign::Detector::watch"
+ENTRY = "firmware::estimator::estimate_all"
+DETECTOR = "firmware::estimator::disturbance::DisturbanceDetector::update"
 # The motor's interrupts: the control's inner tick, and its outer one.
 DRIVE = ("ADC1_2", "CORDIC")
 # Absent from an image without networks.
-NETWORKS = "firmware::recurrent::apply"
-TABLE = "firmware::model::activation::TABLE"
-RECORD = "firmware::hardware::crash::RECORD"
+NETWORKS = "firmware::estimator::gru::apply"
+TABLE = "firmware::model::kernel::activation::TABLE"
+RECORD = "firmware::board::nucleo_g474::crash::RECORD"
 # Most bytes: of a recurrent network's kernel with its tables, of a kernel's stack, and of the stack from
 # an entry down (a task's own stack and interrupts come on top; 14 KiB hold all).
 CODE_LIMIT, KERNEL_STACK_LIMIT, STACK_LIMIT = 7 * 1024, 200, 1280
@@ -78,8 +78,8 @@ def check_crash(elf, sections):
 def functions(elf):
     """Address of each function to its name and the addresses that it calls or jumps to.
 
-    Names with templates in them cannot be told apart in the text of a branch, addresses can. None
-    stands for an unknown target. A jump to the memory beside the core is too long for a branch, and where
+    Names with templates in them cannot be distinguished in the text of a branch, addresses can. None
+    means an unknown target. A jump to the memory next to the core is too long for a branch, and where
     a function is called often its address waits in a register: what a register holds is followed line by
     line.
     """
@@ -243,14 +243,14 @@ def main(elf):
     check_crash(elf, found)
     check_no_panic(elf)
     if found.get(".ccm", (0, 0, 0))[1] not in CCM:
-        sys.exit(f"{elf}: the kernels are not in the memory beside the core")
+        sys.exit(f"{elf}: the kernels are not in the memory next to the core")
     check_kernels(elf, found)
     flash = sum(size for name, (size, _, load) in found.items() if load in FLASH and name != ".bss")
     ram = sum(size for size, address, _ in found.values() if address in RAM)
     ccm = sum(size for size, address, _ in found.values() if address in CCM)
     print(
         f"flash {flash} of {len(FLASH)} bytes, RAM {ram} of {len(RAM)} bytes and {len(STACK)} of stack, "
-        f"{ccm} of {len(CCM)} bytes beside the core"
+        f"{ccm} of {len(CCM)} bytes next to the core"
     )
     if flash > FLASH_LIMIT:
         sys.exit(f"{elf}: {flash} bytes of flash are more than {FLASH_LIMIT}")

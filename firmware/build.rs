@@ -1,10 +1,10 @@
-//! Chooses the tables: `MAGPIE_TABLES=PATH`, else those of the repository.
+//! Selects the file of the model tables: `MAGPIE_TABLES=PATH`, else the one of the repository.
 
 use std::env;
 use std::path::{Path, PathBuf};
 
-/// Where the self-test's kernels lie: the G474's memory beside the core as its system bus shows it. QEMU
-/// has plain memory there, and none at the address that the core itself uses.
+/// Address of the kernels in the self-test: CCM SRAM of the G474 as mapped on the system bus, where QEMU has memory. It has
+/// none at the address of CCM SRAM itself.
 const KERNELS_EMULATED: &str = "0x20018000";
 
 fn main() {
@@ -13,29 +13,26 @@ fn main() {
     }
     println!("cargo:rerun-if-env-changed=MAGPIE_TABLES");
     let root = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
-    // The linker finds it by itself; nobody else would notice that it has changed.
-    println!(
-        "cargo:rerun-if-changed={}",
-        root.join("../memory.x").display()
-    );
+    // Cargo does not track the linker script.
+    println!("cargo:rerun-if-changed={}", root.join("../memory.x").display());
     let own = root.join("src/model/tables.rs");
-    let stated = env::var_os("MAGPIE_TABLES").filter(|path| !path.is_empty());
-    let chosen = match stated {
-        // Relative paths are the user's: they start where cargo was called, at the workspace's root.
-        Some(path) => root.parent().unwrap_or(Path::new(".")).join(path),
+    let specified = env::var_os("MAGPIE_TABLES").filter(|path| !path.is_empty());
+    let path = match specified {
+        // Relative paths start at the root of the workspace, where cargo is called.
+        Some(file) => root.parent().unwrap_or(Path::new(".")).join(file),
         None => own,
     };
     assert!(
-        chosen.is_file(),
-        "MAGPIE_TABLES names no file: {} (write one with `cargo magpie export model.toml -o PATH`)",
-        chosen.display()
+        path.is_file(),
+        "MAGPIE_TABLES: no such file: {} (write one with `cargo magpie export model.toml -o PATH`)",
+        path.display()
     );
-    let tables = std::fs::read_to_string(&chosen).unwrap_or_default();
+    let tables = std::fs::read_to_string(&path).unwrap_or_default();
     assert!(
         tables.starts_with("// Written by `magpie export`."),
-        "{} is no file of tables: write one with `cargo magpie export model.toml -o PATH`",
-        chosen.display()
+        "{} is not a file of tables: write one with `cargo magpie export model.toml -o PATH`",
+        path.display()
     );
-    println!("cargo:rerun-if-changed={}", chosen.display());
-    println!("cargo:rustc-env=MAGPIE_TABLES_SOURCE={}", chosen.display());
+    println!("cargo:rerun-if-changed={}", path.display());
+    println!("cargo:rustc-env=MAGPIE_TABLES_SOURCE={}", path.display());
 }

@@ -1,5 +1,4 @@
-//! The firmware: on the gripper's microcontroller it brings up the board and spawns the tasks; on a
-//! computer it prints the parameter card.
+//! The firmware: initialises the board and spawns the tasks. On a computer it prints the design constants.
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
 #[cfg(target_os = "none")]
@@ -8,20 +7,19 @@ use defmt_rtt as _;
 #[cfg(target_os = "none")]
 #[panic_handler]
 fn panic(_: &core::panic::PanicInfo) -> ! {
-    firmware::hardware::crash::panicked()
+    firmware::board::nucleo_g474::crash::panicked()
 }
 
 #[cfg(target_os = "none")]
 #[embassy_executor::main]
 async fn main(spawner: embassy_executor::Spawner) {
-    let board = firmware::hardware::board::bring_up();
-    firmware::tasks::start(spawner, board);
+    firmware::board::nucleo_g474::tasks::start(spawner);
 }
 
 #[cfg(not(target_os = "none"))]
 fn main() {
     println!("MAGPIE gripper, design constants (* = assumed, confirm on your own hardware)");
-    for constant in firmware::params::CARD {
+    for constant in firmware::config::constants::ALL {
         println!(
             "{} {:<26} {:>9} {:<6} {}",
             if constant.assumed { "*" } else { " " },

@@ -1,9 +1,8 @@
-//! The kernels on the chip's core: the self-test's image in QEMU, beside the same vectors here.
+//! Kernels on the core of the chip: runs the self-test image in QEMU and compares it with the portable kernels on the host.
 //!
-//! Where QEMU or the image is absent, one line says so, and how to get them; `SELFTEST=required` makes
-//! that a failure.
+//! Skipped with a message if QEMU or the image is missing; `SELFTEST=required` makes that a failure.
 
-#[allow(dead_code)] // Some of it only the chip needs.
+#[allow(dead_code)] // Parts are used only on the chip.
 #[path = "../examples/selftest/vectors.rs"]
 mod vectors;
 
@@ -11,11 +10,10 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 use std::time::SystemTime;
 
-use firmware::model::network::{State, Weights};
-use firmware::model::table::{CentrePair, EXP_ENTRIES};
-use firmware::model::{grbf, gru};
+use firmware::model::formats::{CentrePair, EXP_ENTRIES, GruState, Weights};
+use firmware::model::kernel::{grbf, gru};
 
-/// Most instructions of one call.
+/// Maximum instructions of one call.
 const BUDGETS: [(&str, u32); 16] = [
     ("gru_3_8", 850),
     ("gru_3_16", 2440),
@@ -24,44 +22,42 @@ const BUDGETS: [(&str, u32); 16] = [
     ("grbf_25", 320),
     ("grbf_50", 585),
     ("grbf_100", 1110),
-    // The motor's control is compiled and branches: the most that was met, 1.6 cycles each by ARM's timings.
+    // The motor control has branches: the maximum observed, at 1.6 cycles each by the timings of ARM.
     ("motor_inner", 720),
     ("motor_outer", 880),
     ("motor_millisecond", 17_200),
     ("grip_tick", 2800),
     ("grip_mean", 2350),
     ("grip_idle", 1460),
-    // Loops of a millisecond with networks of two layers of 16 units for four sensors: on the average, at the most,
-    // and in a flood of 21,000 frames a second.
+    // All tasks of a millisecond with networks of two layers of 16 units for four sensors: mean, maximum, and mean during a
+    // flood of 21,000 frames a second.
     ("loops_mean", 32_500),
     ("loops_tick", 37_000),
     ("loops_flood", 35_500),
 ];
 
-/// Which loops, when, and the greatest share of the core in percent that they, the motor and a grasp may take.
-const LOADS: [(&str, &str, f64); 2] = [
-    ("loops_mean", "on the average", 57.0),
-    ("loops_flood", "in a flood of frames", 70.0),
-];
+/// Count, condition, and maximum load of the core in percent including motor and grip.
+const LOADS: [(&str, &str, f64); 2] =
+    [("loops_mean", "on average", 57.0), ("loops_flood", "in a flood of frames", 70.0)];
 
-/// Cycles of an instruction: what ARM's published timings give, 1.60 for the loops, 1.63 for motor and grasp. The core
-/// has so many in a millisecond.
+/// Cycles per instruction by the published timings of ARM: 1.60 for the tasks, 1.63 for motor and grip.
 const CYCLES: f64 = 1.61;
+/// Cycles per millisecond.
 const CYCLES_MS: f64 = 160e3;
 
-/// Of every bit of every step: changes only with the definition.
+/// Digest of all results; changes only with the definition of the kernels.
 const DIGEST: u64 = 0xcfbf_4016_8ac7_b15a;
 
-/// The definition alone.
+/// The portable kernels alone.
 struct Portable;
 
 impl vectors::Machine for Portable {
     fn step<const INPUTS: usize, const HIDDEN: usize, const SENSORS: usize>(
         &mut self,
         weights: &Weights<INPUTS, HIDDEN, SENSORS>,
-        state: &mut State<INPUTS, HIDDEN, SENSORS>,
+        state: &mut GruState<INPUTS, HIDDEN, SENSORS>,
     ) {
-        gru::portable::step(weights, state);
+        gru::portable(weights, state);
     }
 
     fn sum(&mut self, exp: &[u32; EXP_ENTRIES], pairs: &[CentrePair], at: [i16; 3]) -> [i32; 2] {
@@ -71,19 +67,16 @@ impl vectors::Machine for Portable {
 
 fn main() -> ExitCode {
     let other = |word: &String| !word.starts_with('-') && !"selftest".contains(word.as_str());
-    if std::env::args()
-        .skip(1)
-        .any(|word| word == "--list" || other(&word))
-    {
+    if std::env::args().skip(1).any(|word| word == "--list" || other(&word)) {
         return ExitCode::SUCCESS;
     }
     match selftest() {
-        Ok(told) => {
-            println!("selftest: {told}");
+        Ok(report) => {
+            println!("selftest: {report}");
             ExitCode::SUCCESS
         }
-        Err(wrong) => {
-            println!("selftest FAILED: {wrong}");
+        Err(error) => {
+            println!("selftest FAILED: {error}");
             ExitCode::FAILURE
         }
     }
@@ -92,26 +85,24 @@ fn main() -> ExitCode {
 fn selftest() -> Result<String, String> {
     let digest = vectors::run(&mut Portable);
     if digest != DIGEST {
-        return Err(format!(
-            "the definition changed: digest {digest:016x}, was {DIGEST:016x}"
-        ));
+        return Err(format!("the kernels have changed: digest {digest:016x}, was {DIGEST:016x}"));
     }
     match printed() {
-        Ok(printed) => judge(&printed?),
-        Err(absent) if std::env::var_os("SELFTEST").is_some_and(|word| word == "required") => {
-            Err(absent)
+        Ok(printed) => check(&printed?),
+        Err(missing) if std::env::var_os("SELFTEST").is_some_and(|word| word == "required") => {
+            Err(missing)
         }
-        Err(absent) => Ok(format!(
-            "SKIPPED, kernels not run: {absent}. `.ci/selftest` builds the image and runs it (Debian: \
+        Err(missing) => Ok(format!(
+            "SKIPPED, kernels not run: {missing}. `.ci/selftest` builds the image and runs it (Debian: \
              apt-get install qemu-system-arm)"
         )),
     }
 }
 
-/// What the image prints in QEMU. An error outside is what is absent, inside what failed.
+/// Output of the image in QEMU. The outer error is a missing prerequisite, the inner one a failure.
 fn printed() -> Result<Result<String, String>, String> {
     let image = image()?;
-    // One instruction is 64 ns of the emulated clock, by which the image counts them.
+    // One instruction takes 64 ns of the emulated clock, by which the image counts them.
     let arguments = "-M netduinoplus2 -nographic -monitor none -serial none -icount shift=6 \
                      -semihosting-config enable=on,target=native -kernel";
     let run = Command::new("qemu-system-arm")
@@ -121,24 +112,16 @@ fn printed() -> Result<Result<String, String>, String> {
         .output()
         .map_err(|error| format!("qemu-system-arm does not start ({error})"))?;
     let out = String::from_utf8_lossy(&run.stdout).into_owned();
-    let wrong = String::from_utf8_lossy(&run.stderr);
-    Ok(match run.status.success() {
-        true => Ok(out),
-        false => Err(format!("{}\n{out}{wrong}", run.status)),
-    })
+    let errors = String::from_utf8_lossy(&run.stderr);
+    Ok(if run.status.success() { Ok(out) } else { Err(format!("{}\n{out}{errors}", run.status)) })
 }
 
-/// The newest image, if it is not older than what it is made of.
+/// The newest image, if it is not older than its sources.
 fn image() -> Result<PathBuf, String> {
     let target = Path::new(env!("CARGO_TARGET_TMPDIR")).with_file_name("");
-    let places = ["", "debian"].map(|folder| {
-        target
-            .join(folder)
-            .join("thumbv7em-none-eabihf/image/examples/selftest")
-    });
-    let built = places
-        .into_iter()
-        .filter_map(|place| Some((modified(&place)?, place)));
+    let candidates = ["", "debian"]
+        .map(|folder| target.join(folder).join("thumbv7em-none-eabihf/image/examples/selftest"));
+    let built = candidates.into_iter().filter_map(|path| Some((modified(&path)?, path)));
     let (built, image) = built.max().ok_or("there is no image of the self-test")?;
     let package = Path::new(env!("CARGO_MANIFEST_DIR"));
     let newest = ["src", "examples/selftest"].map(|folder| newest(&package.join(folder)));
@@ -161,28 +144,24 @@ fn newest(folder: &Path) -> Option<SystemTime> {
     times.max()
 }
 
-fn judge(printed: &str) -> Result<String, String> {
+fn check(printed: &str) -> Result<String, String> {
     let line = printed.lines().next().unwrap_or("");
     if !line.ends_with(&format!(" 0 bits differ, digest {DIGEST:016x}")) {
-        return Err(format!("kernels and definition differ: {line}"));
+        return Err(format!("kernels and portable definition differ: {line}"));
     }
-    let mut told = line.to_owned();
+    let mut report = line.to_owned();
     for (name, budget) in BUDGETS {
         let count = count(printed, name)?;
         if count > budget {
-            return Err(format!(
-                "{name} takes {count} instructions, its budget is {budget}"
-            ));
+            return Err(format!("{name} takes {count} instructions, its budget is {budget}"));
         }
-        // Far less would be another kernel, or a count that is wrong.
+        // Far fewer indicate another kernel or a wrong count.
         if count < budget - budget / 7 {
-            return Err(format!(
-                "{name} takes {count} instructions: lower its budget of {budget}"
-            ));
+            return Err(format!("{name} takes {count} instructions: lower its budget of {budget}"));
         }
-        told += &format!("\n{name} {count} instructions, at most {budget}");
+        report += &format!("\n{name} {count} instructions, at most {budget}");
     }
-    Ok(told + &load(printed)?)
+    Ok(report + &load(printed)?)
 }
 
 fn count(printed: &str, name: &str) -> Result<u32, String> {
@@ -191,26 +170,24 @@ fn count(printed: &str, name: &str) -> Result<u32, String> {
     count.ok_or_else(|| format!("no count of {name} in:\n{printed}"))
 }
 
-/// Shares of the core, as far as instructions tell.
+/// Load of the core by instructions.
 fn load(printed: &str) -> Result<String, String> {
     let count = |name| count(printed, name);
-    // The loops' own grasp does nothing.
+    // The grip task is counted idle in the tasks, and active here.
     let grip = count("grip_mean")?.saturating_sub(count("grip_idle")?);
     let both = count("motor_millisecond")?.saturating_add(grip);
-    let mut told = String::new();
-    for (loops, when, most) in LOADS {
-        let instructions = both.saturating_add(count(loops)?);
+    let mut report = String::new();
+    for (tasks, condition, limit) in LOADS {
+        let instructions = both.saturating_add(count(tasks)?);
         let share = 100.0 * CYCLES * f64::from(instructions) / CYCLES_MS;
-        if share > most {
-            return Err(format!(
-                "{share:.1} % of the core {when}, at most {most} % are there for it"
-            ));
+        if share > limit {
+            return Err(format!("{share:.1} % of the core {condition}, limit {limit} %"));
         }
-        told += &format!("\n{share:.1} % of the core {when}, at most {most} %");
+        report += &format!("\n{share:.1} % of the core {condition}, limit {limit} %");
     }
-    Ok(told
+    Ok(report
         + &format!(
-            ": motor, a grasp and all loops at {CYCLES} cycles to an instruction; drivers, interrupts and the flash's \
-             waits not in it"
+            ": motor, grip and all tasks at {CYCLES} cycles per instruction, without drivers, interrupts and flash \
+             wait states"
         ))
 }

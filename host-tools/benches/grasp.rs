@@ -1,13 +1,13 @@
 //! The grasp's figures over scattered grippers, on all cores.
 //! `cargo bench -p host-tools --bench grasp [-- --seeds N] [--hours H]`
 
-use host_tools::drive::grasp_figures::{
-    FORCES_N, bandwidth_hz, by_current_n, false_contacts, grasps, landings, most_over_n, quantile,
-    sweep,
+use host_tools::sim::closed_loop::motor_rig::DriveCase;
+use host_tools::sim::closed_loop::requirements::{
+    FORCES_N, contact_latencies_ms, count_false_contacts, current_limited_peak_n,
+    force_bandwidth_hz, force_frequency_response, grasp_statistics, max_overshoot_n, quantile,
 };
-use host_tools::drive::runs::Case;
-use host_tools::plant::parameters::Lead;
-use host_tools::{progress, show};
+use host_tools::sim::drivetrain::parameters::Lead;
+use host_tools::terminal;
 
 /// The first seed: the law's constants were chosen on others.
 const FIRST: u64 = 1001;
@@ -16,8 +16,8 @@ fn main() {
     let seeds = argument("--seeds", 1000.0) as u64;
     let hours = argument("--hours", 10.0);
     let all = FIRST..FIRST + seeds;
-    let bar = progress::bar("gripping", 2 * FORCES_N.len() * seeds as usize);
-    let mut table = show::table([
+    let bar = terminal::progress_bar("gripping", 2 * FORCES_N.len() * seeds as usize);
+    let mut table = terminal::table([
         "screw",
         "N",
         "over, p50",
@@ -32,20 +32,20 @@ fn main() {
     ]);
     for lead in Lead::BOTH {
         for set_n in FORCES_N {
-            let found = grasps(lead, set_n, all.clone(), || bar.inc(1));
-            let plain = |value: f64| show::plain(value, 2);
+            let found = grasp_statistics(lead, set_n, all.clone(), || bar.inc(1));
+            let plain = |value: f64| terminal::decimal(value, 2);
             table.add_row([
                 format!("{lead:?}"),
                 plain(set_n),
                 plain(quantile(&found.over_n, 0.5)),
                 plain(quantile(&found.over_n, 0.99)),
                 plain(quantile(&found.over_n, 1.0)),
-                plain(most_over_n(set_n)),
+                plain(max_overshoot_n(set_n)),
                 plain(quantile(&found.rise_ms, 0.99)),
                 plain(quantile(&found.rise_ms, 1.0)),
                 plain(quantile(&found.error_n, 0.99)),
                 found.held.to_string(),
-                plain(by_current_n(lead, set_n, 1)),
+                plain(current_limited_peak_n(lead, set_n, 1)),
             ]);
         }
     }
@@ -56,18 +56,18 @@ fn main() {
         FIRST + seeds - 1
     );
     for lead in Lead::BOTH {
-        let tones = sweep(&Case::nominal(lead, 1));
+        let tones = force_frequency_response(&DriveCase::nominal(lead, 1));
         let gains = tones.iter().map(|[hz, gain]| format!("{hz}: {gain:.2}"));
         println!(
             "screw {lead:?}: gain of 100 N +- 20 N over Hz {}; -3 dB at {:.0} Hz (asked: 25)",
             gains.collect::<Vec<_>>().join(", "),
-            bandwidth_hz(&tones).unwrap_or(f64::NAN)
+            force_bandwidth_hz(&tones).unwrap_or(f64::NAN)
         );
     }
     for rates in [[50e3, 200e3], [100e3, 400e3]] {
-        let found = landings(rates, FIRST..FIRST + seeds);
+        let found = contact_latencies_ms(rates, FIRST..FIRST + seeds);
         println!(
-            "landings, {:.0} to {:.0} kN/s on a fingertip: told {:.2} ms after the touch (p50), {:.2} (p99), {:.2} (most); \
+            "ground contacts, {:.0} to {:.0} kN/s on a fingertip: reported {:.2} ms after the touch (p50), {:.2} (p99), {:.2} (most); \
              asked: 2",
             1e-3 * rates[0],
             1e-3 * rates[1],
@@ -80,14 +80,12 @@ fn main() {
         println!(
             "false contacts in {hours} virtual hours of the detectors, {noise} times the noise, swung at 3 Hz and 30 \
              m/s^2: {} (seed 1)",
-            false_contacts(hours, noise, 1)
+            count_false_contacts(hours, noise, 1)
         );
     }
 }
 
 fn argument(name: &str, otherwise: f64) -> f64 {
     let mut arguments = std::env::args().skip_while(|argument| argument != name);
-    arguments
-        .nth(1)
-        .map_or(otherwise, |value| value.parse().expect("a number"))
+    arguments.nth(1).map_or(otherwise, |value| value.parse().expect("a number"))
 }

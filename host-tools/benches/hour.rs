@@ -7,19 +7,19 @@ use std::sync::atomic::Ordering::Relaxed;
 use std::time::Instant;
 
 use embedded_can::{Frame, StandardId};
-use firmware::limits::Limits;
-use firmware::parameters::Parameters;
-use firmware::wire::can::CanFrame;
-use firmware::wire::{DEFAULT_NODE, identifier};
-use host_tools::board::pressed::Pressed;
-use host_tools::board::{Board, Program};
-use model_export::inverse::build::{Variant, build};
+use firmware::config::limits::DetectionLimits;
+use firmware::config::parameters::Parameters;
+use firmware::protocol::can::CanFrame;
+use firmware::protocol::{DEFAULT_NODE, frame_id};
+use host_tools::sim::board::world::PressedWorld;
+use host_tools::sim::board::{Program, VirtualTimeBoard};
+use model_export::inverse::build::{ModelVariant, build};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 const SEED: u64 = 1;
 /// No message has this number; its frames are the shortest there are.
-const STRANGE: u16 = identifier(DEFAULT_NODE, 0x1F);
+const STRANGE: u16 = frame_id(DEFAULT_NODE, 0x1F);
 /// Frames that wait at most: the bus is never idle.
 const WAITING: usize = 50;
 /// Random bytes in a millisecond, the line's full rate.
@@ -27,35 +27,28 @@ const GARBAGE: usize = 100;
 
 fn main() {
     let mut arguments = std::env::args().skip_while(|argument| argument != "--minutes");
-    let minutes: f64 = arguments
-        .nth(1)
-        .map_or(60.0, |m| m.parse().expect("a number"));
+    let minutes: f64 = arguments.nth(1).map_or(60.0, |m| m.parse().expect("a number"));
     let folder = tempfile::tempdir().expect("a folder");
     let model = folder.path().join("model.toml");
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/clean");
     let fit = Command::new(env!("CARGO_BIN_EXE_magpie"))
-        .args([
-            "fit".as_ref(),
-            data.as_os_str(),
-            "-o".as_ref(),
-            model.as_os_str(),
-        ])
+        .args(["fit".as_ref(), data.as_os_str(), "-o".as_ref(), model.as_os_str()])
         .output()
         .expect("magpie runs");
     assert!(fit.status.success());
-    let built = build(&model, Variant::Fitted).expect("a model");
+    let built = build(&model, ModelVariant::Fitted).expect("a model");
     let program = Program {
         tables: built.chosen.tables.clone(),
         compensations: built.compensations.clone(),
         networks: None,
         parameters: Parameters::DEFAULT,
-        limits: Limits::GRIPPER,
+        limits: DetectionLimits::GRIPPER,
     };
     let slow = |t: f64| 60.0 * (1.0 - (0.7 * t).cos()) / 2.0;
-    let world = Pressed::new(&built.model, SEED, move |t| {
+    let world = PressedWorld::new(&built.model, SEED, move |t| {
         [slow(t), slow(t), -slow(t), -slow(t)].map(|n| [n, 0.3 * n])
     });
-    let mut board = Board::start(program, Box::new(world));
+    let mut board = VirtualTimeBoard::start(program, Box::new(world));
     let mut rng = ChaCha8Rng::seed_from_u64(SEED);
     let strange = StandardId::new(STRANGE).and_then(|id| CanFrame::new(id, &[]));
     let strange = strange.expect("a frame");
@@ -67,15 +60,11 @@ fn main() {
             frames += 1;
         }
         for _ in 0..GARBAGE {
-            board
-                .connections
-                .line
-                .borrow_mut()
-                .put(rng.next_u32() as u8);
+            board.connections.line.borrow_mut().put(rng.next_u32() as u8);
             bytes += 1;
         }
         board.run_until(1000 * ms);
-        board.connections.can.borrow_mut().heard.clear();
+        board.connections.can.borrow_mut().board_frames.clear();
         board.connections.line.borrow_mut().sent.clear();
         board.events.borrow_mut().clear();
     }

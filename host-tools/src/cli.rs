@@ -1,17 +1,17 @@
-//! The commands and their arguments.
+//! Command-line entry point.
 
 use std::ffi::OsString;
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::commands::{
-    add, compare, dbc, demo, design, diagnose, drop, effects, emulate, export, faults, fit, grip,
-    import, monitor, record, replay, simulate, train,
+    benchmark, compare, dbc, demo, design, diagnose, edit_model, effects, emulate, export,
+    fault_campaign, fit, grasp, import, monitor, record, replay, simulate, train,
 };
 
-/// Turns four Hall sensors in a robot gripper into forces one can trust, and tells which piece of
-/// physics the model still lacks.
+/// Calibrates Hall-effect force sensors of a robot gripper, diagnoses missing physical effects, and operates the
+/// gripper.
 #[derive(Debug, Parser)]
 #[command(name = "magpie", version, arg_required_else_help = true)]
 struct Cli {
@@ -27,24 +27,33 @@ enum Command {
     Diagnose(diagnose::Args),
     Import(import::Args),
     Effects(effects::Args),
-    Add(add::Args),
-    Drop(drop::Args),
+    Add(edit_model::AddArgs),
+    #[command(alias = "drop")]
+    Remove(edit_model::RemoveArgs),
     Export(export::Args),
     Replay(replay::Args),
     Simulate(simulate::Args),
     Train(train::Args),
+    Benchmark(benchmark::Args),
     Monitor(monitor::Args),
     Record(record::Args),
     Emulate(emulate::Args),
     Dbc(dbc::Args),
-    Grip(grip::Args),
+    #[command(alias = "grip")]
+    Grasp(grasp::Args),
     Design(design::Args),
-    Faults(faults::Args),
+    #[command(alias = "faults")]
+    FaultCampaign(fault_campaign::Args),
 }
 
-/// Runs one command; errors go to stderr as one sentence.
+/// The parser of the command line.
+pub fn parser() -> clap::Command {
+    Cli::command()
+}
+
+/// Runs a command. Errors are printed on stderr as one sentence.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
-    let cli = match Cli::try_parse_from(arguments) {
+    let cli = match Cli::try_parse_from(replace_former_name(arguments)) {
         Ok(cli) => cli,
         Err(error) => error.exit(),
     };
@@ -55,19 +64,20 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Diagnose(args) => diagnose::run(&args),
         Command::Import(args) => import::run(&args),
         Command::Effects(args) => effects::run(&args),
-        Command::Add(args) => add::run(&args),
-        Command::Drop(args) => drop::run(&args),
+        Command::Add(args) => edit_model::run_add(&args),
+        Command::Remove(args) => edit_model::run_remove(&args),
         Command::Export(args) => export::run(&args),
         Command::Replay(args) => replay::run(&args),
         Command::Simulate(args) => simulate::run(&args),
         Command::Train(args) => train::run(&args),
+        Command::Benchmark(args) => benchmark::run(&args),
         Command::Monitor(args) => monitor::run(&args),
         Command::Record(args) => record::run(&args),
         Command::Emulate(args) => emulate::run(&args),
         Command::Dbc(args) => dbc::run(&args),
-        Command::Grip(args) => grip::run(&args),
+        Command::Grasp(args) => grasp::run(&args),
         Command::Design(args) => design::run(&args),
-        Command::Faults(args) => faults::run(&args),
+        Command::FaultCampaign(args) => fault_campaign::run(&args),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
@@ -76,4 +86,16 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
             ExitCode::FAILURE
         }
     }
+}
+
+/// Replaces `train --table`, the former name of `benchmark`.
+fn replace_former_name(arguments: impl IntoIterator<Item = OsString>) -> Vec<OsString> {
+    let mut arguments: Vec<OsString> = arguments.into_iter().collect();
+    if arguments.get(1).is_some_and(|command| command == "train")
+        && let Some(table) = arguments.iter().position(|argument| argument == "--table")
+    {
+        arguments.remove(table);
+        arguments[1] = "benchmark".into();
+    }
+    arguments
 }

@@ -1,28 +1,26 @@
-//! The README's way to another sensor, command by command: another magnet, other stiffnesses, three
-//! sensors.
+//! The README's tutorial for another sensor: other magnet, other stiffness, three sensors.
 
-mod desk;
+mod workdir;
 
-use desk::Desk;
+use workdir::WorkDir;
 
-/// The README's section of this name, up to the next.
+/// Section of the README with this title.
 fn section(name: &str) -> &'static str {
-    let readme = include_str!("../../README.md");
+    let readme = include_str!("../README.md");
     let (_, from) = readme.split_once(&format!("\n## {name}\n")).unwrap();
-    from.split_once("\n## ")
-        .map_or(from, |(section, _)| section)
+    from.split_once("\n## ").map_or(from, |(section, _)| section)
 }
 
-/// The text of a block of this kind.
+/// Text of the first code block of this kind.
 fn block<'a>(section: &'a str, kind: &str) -> &'a str {
     let (_, from) = section.split_once(&format!("```{kind}\n")).unwrap();
     from.split_once("```").unwrap().0
 }
 
 #[test]
-fn the_readme_s_four_commands_make_tables_by_which_the_device_tells_another_sensor_s_forces() {
-    let (desk, section) = (Desk::empty(), section("Another sensor"));
-    std::fs::write(desk.0.path().join("tube.toml"), block(section, "toml")).unwrap();
+fn readme_commands_make_tables_for_another_sensor() {
+    let (dir, section) = (WorkDir::empty(), section("Another sensor"));
+    std::fs::write(dir.0.path().join("tube.toml"), block(section, "toml")).unwrap();
     let lines = block(section, "console").lines();
     let commands: Vec<&str> = lines
         .filter_map(|line| line.strip_prefix("cargo magpie "))
@@ -30,12 +28,12 @@ fn the_readme_s_four_commands_make_tables_by_which_the_device_tells_another_sens
         .collect();
     assert_eq!(commands.len(), 4, "{commands:?}");
     for command in &commands {
-        desk.done(command);
+        dir.stdout(command);
     }
-    let tables = std::fs::read_to_string(desk.0.path().join("tube-tables.rs")).unwrap();
+    let tables = std::fs::read_to_string(dir.0.path().join("tube-tables.rs")).unwrap();
     assert!(tables.contains("static SENSORS: [SensorTable; 3]"));
 
-    let replayed = desk.told("replay tube-model.toml tube --json");
+    let replayed = dir.json("replay tube-model.toml tube --json");
     let axes = replayed["sensors"].as_array().unwrap();
     assert_eq!(axes.len(), 6, "{replayed}");
     for axis in axes {

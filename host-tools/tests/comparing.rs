@@ -3,21 +3,18 @@
 use std::path::Path;
 use std::process::{Command, Output};
 
-use host_tools::compare::Comparison;
-use host_tools::compare::compute::compare;
-use host_tools::compare::words::{floor_g, rms_g};
-use model_export::fit::Options;
+use host_tools::analysis::compare::Comparison;
+use host_tools::analysis::compare::format::{floor_g, rms_g};
+use host_tools::analysis::compare::pipeline::compare;
+use model_export::fit::FitOptions;
 use model_export::recordings::align::Alignment;
 use serde_json::Value;
 use tempfile::TempDir;
+use tests::campaign_copy::CampaignCopy;
 use tests::data;
-use tests::spoilt::Spoilt;
 
 fn magpie(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_magpie"))
-        .args(arguments)
-        .output()
-        .expect("the tool runs")
+    Command::new(env!("CARGO_BIN_EXE_magpie")).args(arguments).output().expect("the tool runs")
 }
 
 fn text(path: &Path) -> &str {
@@ -29,62 +26,43 @@ fn fitted(campaign: &str) -> (TempDir, std::path::PathBuf) {
     let folder = TempDir::new().unwrap();
     let model = folder.path().join("model.toml");
     let output = magpie(&["fit", text(&data(campaign)), "-o", text(&model)]);
-    assert!(
-        output.status.success(),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     (folder, model)
 }
 
 fn compared(model: &Path, campaign: &str) -> Comparison {
     let alignment = Alignment { delay_us: 0.0 };
-    compare(model, &data(campaign), None, alignment, Options::default()).unwrap()
+    compare(model, &data(campaign), None, alignment, FitOptions::default()).unwrap()
 }
 
 fn chosen(comparison: &Comparison) -> Vec<(String, f64)> {
     let chosen = comparison.located.iter().filter(|located| located.chosen);
-    chosen
-        .map(|located| (located.covariate.to_string(), located.share))
-        .collect()
+    chosen.map(|located| (located.covariate.to_string(), located.share)).collect()
 }
 
 #[test]
-fn a_neighbour_s_magnet_is_located_in_the_opening() {
+fn neighbour_magnet_is_attributed_to_the_opening() {
     let (_folder, model) = fitted("demo");
     let comparison = compared(&model, "demo");
     let (covariate, share) = chosen(&comparison).remove(0);
     assert_eq!(covariate, "opening_mm");
     assert!((0.45..=1.0).contains(&share), "{share}");
-    assert!(
-        comparison.verdict.starts_with("Structure remains"),
-        "{}",
-        comparison.verdict
-    );
-    assert!(
-        comparison
-            .verdict
-            .contains("follows the opening, most of it below")
-    );
+    assert!(comparison.verdict.starts_with("Structure remains"), "{}", comparison.verdict);
+    assert!(comparison.verdict.contains("follows the opening, most of it below"));
 }
 
 #[test]
-fn a_weakening_magnet_is_located_before_the_friction_beside_it() {
+fn temperature_is_attributed_before_friction() {
     let (_folder, model) = fitted("friction");
     let comparison = compared(&model, "friction");
     let chosen = chosen(&comparison);
     assert_eq!(chosen[0].0, "temp_c", "{chosen:?}");
-    let loading = [
-        "loading_x",
-        "loading_z",
-        "fx_rate_n_per_s",
-        "fz_rate_n_per_s",
-    ];
+    let loading = ["loading_x", "loading_z", "fx_rate_n_per_s", "fz_rate_n_per_s"];
     assert!(loading.contains(&chosen[1].0.as_str()), "{chosen:?}");
 }
 
 #[test]
-fn an_effect_that_no_catalogue_holds_is_located_in_the_rotor_angle() {
+fn screw_ripple_is_attributed_to_the_rotor_angle() {
     let (_folder, model) = fitted("ripple");
     let (covariate, share) = chosen(&compared(&model, "ripple")).remove(0);
     assert_eq!(covariate, "motor_angle_rad");
@@ -92,21 +70,14 @@ fn an_effect_that_no_catalogue_holds_is_located_in_the_rotor_angle() {
 }
 
 #[test]
-fn where_nothing_is_hidden_nothing_is_located_and_the_floor_is_reached() {
+fn clean_recordings_reach_the_floor_without_attribution() {
     let (_folder, model) = fitted("clean");
     let comparison = compared(&model, "clean");
-    assert!(
-        comparison.located.len() > 15,
-        "every covariate that moves is looked at"
-    );
+    assert!(comparison.located.len() > 15, "every covariate that moves is looked at");
     for located in &comparison.located {
         assert!(located.share < 0.05 && !located.chosen, "{located:?}");
     }
-    assert!(
-        comparison.verdict.starts_with("At the noise floor"),
-        "{}",
-        comparison.verdict
-    );
+    assert!(comparison.verdict.starts_with("At the noise floor"), "{}", comparison.verdict);
     let ratio = rms_g(&comparison.axes) / floor_g(&comparison.axes);
     assert!((0.9..1.05).contains(&ratio), "{ratio}");
     // The sensor's 0.35 G over some ten averaged rows, and its word of 0.125 G.
@@ -120,30 +91,22 @@ fn where_nothing_is_hidden_nothing_is_located_and_the_floor_is_reached() {
 }
 
 #[test]
-fn bands_of_noise_hold_zero_nineteen_times_in_twenty() {
+fn confidence_intervals_of_noise_contain_zero() {
     let (_folder, model) = fitted("clean");
     let comparison = compared(&model, "clean");
-    let quantities = comparison
-        .located
-        .iter()
-        .filter(|located| located.bins.len() == 12);
-    let bands = quantities
-        .flat_map(|l| &l.bins)
-        .flat_map(|bin| bin.band_g.iter().flatten());
+    let quantities = comparison.located.iter().filter(|located| located.bins.len() == 12);
+    let bands = quantities.flat_map(|l| &l.bins).flat_map(|bin| bin.band_g.iter().flatten());
     let (mut inside, mut all) = (0, 0);
     for (low, high) in bands {
         all += 1;
         inside += usize::from(*low <= 0.0 && 0.0 <= *high);
     }
     let share = f64::from(inside as u32) / f64::from(all as u32);
-    assert!(
-        all > 1000 && (0.85..0.99).contains(&share),
-        "{share} of {all}"
-    );
+    assert!(all > 1000 && (0.85..0.99).contains(&share), "{share} of {all}");
 }
 
 #[test]
-fn the_worst_stretch_is_where_the_fingers_are_closest() {
+fn worst_interval_is_at_the_smallest_opening() {
     let (_folder, model) = fitted("demo");
     let comparison = compared(&model, "demo");
     assert_eq!(comparison.worst.len(), 5);
@@ -157,7 +120,7 @@ fn the_worst_stretch_is_where_the_fingers_are_closest() {
 }
 
 #[test]
-fn a_model_that_was_edited_is_judged_as_it_stands() {
+fn edited_model_is_evaluated_unchanged() {
     let (folder, model) = fitted("clean");
     let mut toml: toml::Table = std::fs::read_to_string(&model).unwrap().parse().unwrap();
     let sensor = &mut toml["sensor"].as_array_mut().unwrap()[0];
@@ -166,79 +129,43 @@ fn a_model_that_was_edited_is_judged_as_it_stands() {
     let edited = folder.path().join("edited.toml");
     std::fs::write(&edited, toml.to_string()).unwrap();
     let comparison = compared(&edited, "clean");
-    assert!(
-        comparison.judged.contains("as they stand"),
-        "{}",
-        comparison.judged
-    );
+    assert!(comparison.validation.contains("used unchanged"), "{}", comparison.validation);
     let y = &comparison.axes[1];
     assert!((4.9..5.1).contains(&y.error.mean.abs()), "{y:?}");
 }
 
 #[test]
-fn recordings_that_the_model_has_not_seen_are_judged_by_its_own_values() {
+fn unseen_recordings_use_the_models_own_parameters() {
     let (_folder, model) = fitted("demo");
     let comparison = compared(&model, "clean");
-    assert!(
-        comparison.judged.contains("seen none"),
-        "{}",
-        comparison.judged
-    );
+    assert!(comparison.validation.contains("not fitted to any"), "{}", comparison.validation);
     assert!(comparison.verdict.starts_with("Structure remains"));
 }
 
 #[test]
-fn one_json_object_holds_what_a_machine_asks_for() {
+fn json_has_all_documented_keys() {
     let (_folder, model) = fitted("clean");
     let campaign = data("clean");
-    let arguments = [
-        "compare",
-        text(&model),
-        text(&campaign),
-        "--json",
-        "--with",
-        text(&model),
-    ];
+    let arguments = ["compare", text(&model), text(&campaign), "--json", "--with", text(&model)];
     let output = magpie(&arguments);
     let object: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(object["axes"].as_array().unwrap().len(), 12);
     assert_eq!(object["forces"].as_array().unwrap().len(), 8);
     let axis = &object["axes"][0];
-    assert_eq!(
-        (axis["sensor"].as_u64(), axis["axis"].as_str()),
-        (Some(0), Some("x"))
-    );
-    for key in [
-        "rms_g",
-        "mean_g",
-        "std_g",
-        "p95_g",
-        "max_g",
-        "floor_g",
-        "explainable_g",
-    ] {
+    assert_eq!((axis["sensor"].as_u64(), axis["axis"].as_str()), (Some(0), Some("x")));
+    for key in ["rms_g", "mean_g", "std_g", "p95_g", "max_g", "floor_g", "explainable_g"] {
         assert!(axis[key].is_f64(), "{key}");
     }
-    for key in [
-        "rmse_n",
-        "mean_n",
-        "std_n",
-        "p95_n",
-        "max_n",
-        "explainable_n",
-    ] {
+    for key in ["rmse_n", "mean_n", "std_n", "p95_n", "max_n", "explainable_n"] {
         assert!(object["forces"][0][key].is_f64(), "{key}");
     }
     assert_eq!(object["findings"], Value::Array(Vec::new()));
-    assert_eq!(
-        object["with"]["axes"], object["axes"],
-        "the same model, the same figures"
-    );
+    assert_eq!(object["with"]["axes"], object["axes"], "the same model, the same figures");
     assert!(object["where"][0]["bins"].as_array().unwrap().len() > 1);
 }
 
 #[test]
-fn the_page_fits_a_hundred_columns_and_has_no_colour_where_nobody_sees_it() {
+fn piped_output_is_narrow_and_without_colour() {
     let (_folder, model) = fitted("demo");
     let output = magpie(&["compare", text(&model), text(&data("demo"))]);
     let page = String::from_utf8(output.stdout).unwrap();
@@ -250,62 +177,37 @@ fn the_page_fits_a_hundred_columns_and_has_no_colour_where_nobody_sees_it() {
 }
 
 #[test]
-fn a_mistake_of_the_rig_stops_the_comparison_until_it_is_mended() {
+fn setup_error_stops_the_comparison_until_fixed() {
     let (folder, model) = fitted("clean");
-    let spoilt = Spoilt::new().change(&[1, 2, 3], "hall.csv", |cells| {
+    let spoilt = CampaignCopy::new().change(&[1, 2, 3], "hall.csv", |cells| {
         cells.exchange("s1_x_lsb", "s1_z_lsb");
     });
-    let (mended, page) = (
-        folder.path().join("mended"),
-        folder.path().join("page.html"),
-    );
+    let (corrected, page) = (folder.path().join("corrected"), folder.path().join("page.html"));
     let path = spoilt.path();
     let arguments = ["compare", text(&model), text(&path), "--json"];
-    let more = ["--fix", text(&mended), "-o", text(&page)];
+    let more = ["--fix", text(&corrected), "-o", text(&page)];
     let output = magpie(&[&arguments[..], &more].concat());
     let object: Value = serde_json::from_slice(&output.stdout).unwrap();
     let first = &object["findings"][0];
     assert_eq!(first["id"], "axis_permuted");
     assert_eq!(first["column"], "s1_x_lsb");
     assert_eq!(object["axes"], Value::Array(Vec::new()));
-    assert!(
-        object["verdict"]
-            .as_str()
-            .unwrap()
-            .starts_with("Not compared")
-    );
-    assert!(
-        std::fs::read_to_string(&page)
-            .unwrap()
-            .contains("s1_x_lsb belongs where")
-    );
-    let comparison = compare(
-        &model,
-        &mended,
-        None,
-        Alignment { delay_us: 0.0 },
-        Options::default(),
-    );
+    assert!(object["verdict"].as_str().unwrap().starts_with("Not compared"));
+    assert!(std::fs::read_to_string(&page).unwrap().contains("s1_x_lsb is recorded as"));
+    let comparison =
+        compare(&model, &corrected, None, Alignment { delay_us: 0.0 }, FitOptions::default());
     let comparison = comparison.unwrap();
     assert!(comparison.findings.is_empty(), "{:?}", comparison.findings);
-    assert!(
-        comparison.verdict.starts_with("At the noise floor"),
-        "{}",
-        comparison.verdict
-    );
+    assert!(comparison.verdict.starts_with("At the noise floor"), "{}", comparison.verdict);
 }
 
 #[test]
-fn a_constant_is_called_one_and_not_blamed_on_a_covariate() {
+fn constant_offset_is_not_attributed_to_a_covariate() {
     let (_folder, model) = fitted("demo");
     let comparison = compared(&model, "clean");
     let (covariate, share) = chosen(&comparison).remove(0);
     assert_eq!(covariate, "constant");
     // Two grippers of one design: their fields at rest differ by far more than their slopes.
     assert!(share > 0.5, "{share}");
-    assert!(
-        comparison.verdict.contains("another gripper"),
-        "{}",
-        comparison.verdict
-    );
+    assert!(comparison.verdict.contains("another gripper"), "{}", comparison.verdict);
 }

@@ -1,19 +1,17 @@
 //! The `.dbc`, read by a library that shares no code with the gripper, against frames of the gripper.
 
 use can_dbc::{Dbc, MessageId, MultiplexIndicator, Signal, ValueType};
-use firmware::force::{Estimate, Validity};
-use firmware::units::Force;
-use firmware::wire::layout::{Field, Layout, put};
-use firmware::wire::messages::{LAYOUTS, Message};
-use firmware::wire::{self, DEFAULT_NODE, identifier};
+use firmware::estimator::{Estimate, Validity};
+use firmware::fixed_point::Force;
+use firmware::protocol::layout::{MessageLayout, SignalLayout, encode};
+use firmware::protocol::messages::{LAYOUTS, Message};
+use firmware::protocol::{self, DEFAULT_NODE, frame_id};
 use host_tools::commands::dbc::dbc;
 
 /// The value of a signal in a frame, by what the file says of it.
 fn value(signal: &Signal, bytes: [u8; 8]) -> f64 {
     let bit = |i: u64| u64::from(bytes[(i / 8) as usize] >> (i % 8) & 1);
-    let counts: u64 = (0..signal.size)
-        .map(|i| bit(signal.start_bit + i) << i)
-        .sum();
+    let counts: u64 = (0..signal.size).map(|i| bit(signal.start_bit + i) << i).sum();
     let negative =
         signal.value_type == ValueType::Signed && bit(signal.start_bit + signal.size - 1) == 1;
     let counts = counts as i64 - if negative { 1_i64 << signal.size } else { 0 };
@@ -21,10 +19,7 @@ fn value(signal: &Signal, bytes: [u8; 8]) -> f64 {
 }
 
 fn close(measured: f64, expected: f64) {
-    assert!(
-        (measured - expected).abs() < 1e-9,
-        "{measured} instead of {expected}"
-    );
+    assert!((measured - expected).abs() < 1e-9, "{measured} instead of {expected}");
 }
 
 /// A row of `tests/data/golden_frames.csv`: a frame, and what it means.
@@ -39,17 +34,13 @@ struct Golden {
 
 fn golden_frames() -> Vec<Golden> {
     let mut file = csv::Reader::from_path(tests::data("golden_frames.csv")).unwrap();
-    file.records()
-        .map(|row| Golden::read(&row.unwrap()))
-        .collect()
+    file.records().map(|row| Golden::read(&row.unwrap())).collect()
 }
 
 impl Golden {
     fn read(row: &csv::StringRecord) -> Self {
-        let bytes: Vec<u8> = row[3]
-            .split(' ')
-            .map(|byte| u8::from_str_radix(byte, 16).unwrap())
-            .collect();
+        let bytes: Vec<u8> =
+            row[3].split(' ').map(|byte| u8::from_str_radix(byte, 16).unwrap()).collect();
         let field = |field: &str| {
             let (name, value) = field.split_once('=').unwrap();
             (name.to_owned(), value.parse().unwrap())
@@ -68,21 +59,18 @@ impl Golden {
     }
 
     fn number(&self) -> u8 {
-        let first = identifier(DEFAULT_NODE, 0);
+        let first = frame_id(DEFAULT_NODE, 0);
         self.identifier.checked_sub(first).unwrap() as u8
     }
 
-    fn layout(&self) -> &'static Layout {
+    fn layout(&self) -> &'static MessageLayout {
         let number = self.number();
-        LAYOUTS
-            .iter()
-            .find(|layout| layout.numbers().contains(&number))
-            .unwrap()
+        LAYOUTS.iter().find(|layout| layout.numbers().contains(&number)).unwrap()
     }
 
     /// The values in the counts of their fields.
     fn counts(&self) -> Vec<i64> {
-        let fields = self.layout().fields;
+        let fields = self.layout().signals;
         assert_eq!(fields.len(), self.fields.len(), "{}", self.what());
         let each = fields.iter().zip(&self.fields);
         each.map(|(field, (_, value))| {
@@ -95,10 +83,13 @@ impl Golden {
 
     /// The eight bytes of these values, each in the bits that the gripper's table gives its field.
     fn packed(&self) -> [u8; 8] {
-        let fields = self.layout().fields.iter().zip(self.counts());
-        let bits = fields.map(|(field, counts)| match field.signed {
-            true => put(field.first..field.end, counts as i32),
-            false => put(field.first..field.end, counts as u32),
+        let fields = self.layout().signals.iter().zip(self.counts());
+        let bits = fields.map(|(field, counts)| {
+            if field.signed {
+                encode(field.first_bit..field.end_bit, counts as i32)
+            } else {
+                encode(field.first_bit..field.end_bit, counts as u32)
+            }
         });
         bits.fold(0, |frame, bits| frame | bits).to_le_bytes()
     }
@@ -107,10 +98,7 @@ impl Golden {
 #[test]
 fn the_file_in_the_repository_is_the_one_that_the_command_writes() {
     let kept = include_str!("../../firmware/magpie.dbc");
-    assert!(
-        kept == dbc(DEFAULT_NODE),
-        "run: cargo magpie dbc -o firmware/magpie.dbc"
-    );
+    assert!(kept == dbc(DEFAULT_NODE), "run: cargo magpie dbc -o firmware/magpie.dbc");
 }
 
 #[test]
@@ -121,7 +109,7 @@ fn forces_of_the_third_sensor_are_read_in_newtons() {
         validity: Validity::Valid,
         ..Estimate::MISSING
     };
-    let bytes = wire::force(&estimate, 200).to_bytes();
+    let bytes = protocol::force_message(&estimate, 200).to_bytes();
     let file = Dbc::try_from(dbc(DEFAULT_NODE).as_str()).unwrap();
     let message = file.messages.iter().find(|m| m.name == "Force2").unwrap();
     let read = |name| {
@@ -173,32 +161,27 @@ fn every_golden_frame_is_read_through_the_dbc_as_it_was_meant() {
 #[test]
 fn the_golden_frames_hold_every_message_at_zero_at_both_ends_and_in_between() {
     let rows = golden_frames();
-    for (layout, number) in LAYOUTS
-        .iter()
-        .flat_map(|layout| layout.numbers().map(move |n| (layout, n)))
+    for (layout, number) in
+        LAYOUTS.iter().flat_map(|layout| layout.numbers().map(move |n| (layout, n)))
     {
         let case = |case: &str| -> Vec<i64> {
             let row = rows.iter().find(|r| r.number() == number && r.case == case);
             row.unwrap_or_else(|| panic!("no frame '{case}' of {}, {number:#x}", layout.name))
                 .counts()
         };
-        let ends = |field: &Field| match (field.end - field.first, field.signed) {
+        let ends = |field: &SignalLayout| match (field.end_bit - field.first_bit, field.signed) {
             (width, true) => (-(1_i64 << (width - 1)), (1_i64 << (width - 1)) - 1),
             (width, false) => (0, (1_i64 << width) - 1),
         };
-        let (least, greatest): (Vec<i64>, Vec<i64>) = layout.fields.iter().map(ends).unzip();
+        let (least, greatest): (Vec<i64>, Vec<i64>) = layout.signals.iter().map(ends).unzip();
         assert_eq!(case("zero"), vec![0; least.len()], "{}", layout.name);
         // A message without fields is always the same.
-        if layout.fields.is_empty() {
+        if layout.signals.is_empty() {
             continue;
         }
         assert_eq!(case("least"), least, "{}", layout.name);
         assert_eq!(case("greatest"), greatest, "{}", layout.name);
-        let first = if layout.multiplexed {
-            "mixed1"
-        } else {
-            "mixed"
-        };
+        let first = if layout.multiplexed { "mixed1" } else { "mixed" };
         let mixed = case(first);
         assert!(![vec![0; least.len()], least, greatest].contains(&mixed));
     }
@@ -209,8 +192,5 @@ fn another_node_has_other_identifiers_and_the_same_messages() {
     let other = dbc(1);
     assert!(other.contains("BO_ 32 Version:"), "{other}");
     assert!(dbc(DEFAULT_NODE).contains("BO_ 512 Version:"));
-    assert_eq!(
-        other.matches("BO_ ").count(),
-        dbc(DEFAULT_NODE).matches("BO_ ").count()
-    );
+    assert_eq!(other.matches("BO_ ").count(), dbc(DEFAULT_NODE).matches("BO_ ").count());
 }

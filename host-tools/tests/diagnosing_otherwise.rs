@@ -1,4 +1,4 @@
-//! `magpie diagnose` on what is the same told otherwise, and on simulated recordings that cannot tell: a
+//! `magpie diagnose` on equivalent inputs, and on simulated inconclusive recordings: a
 //! small fixed part of the bench `diagnosis`.
 
 use std::path::Path;
@@ -6,13 +6,11 @@ use std::process::Command;
 
 use serde_json::Value;
 use tempfile::TempDir;
-use tests::spoilt::{Cells, Spoilt};
+use tests::campaign_copy::{CampaignCopy, CsvTable};
 
 fn magpie(arguments: &[&str]) -> Vec<u8> {
-    let output = Command::new(env!("CARGO_BIN_EXE_magpie"))
-        .args(arguments)
-        .output()
-        .expect("the tool runs");
+    let output =
+        Command::new(env!("CARGO_BIN_EXE_magpie")).args(arguments).output().expect("the tool runs");
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{arguments:?}: {said}");
     output.stdout
@@ -49,9 +47,7 @@ fn accepted(diagnosis: &Value) -> Vec<Vec<&str>> {
 
 fn verdict<'a>(diagnosis: &'a Value, effect: &str) -> &'a str {
     let mut verdicts = diagnosis["verdicts"].as_array().unwrap().iter();
-    let own = verdicts
-        .find(|verdict| verdict["effect"] == effect)
-        .unwrap();
+    let own = verdicts.find(|verdict| verdict["effect"] == effect).unwrap();
     own["verdict"].as_str().unwrap()
 }
 
@@ -60,26 +56,26 @@ fn gain(diagnosis: &Value) -> f64 {
 }
 
 #[test]
-fn the_order_of_recordings_and_sensors_and_a_constant_on_the_opening_leave_the_answer() {
-    let told_otherwise = [
-        Spoilt::of("demo"),
-        Spoilt::of("demo").exchange_recordings(1, 3),
-        Spoilt::of("demo")
-            .change(&[1, 2, 3], "hall.csv", |cells: &mut Cells| {
+fn diagnosis_is_invariant_to_order_and_offset() {
+    let variants = [
+        CampaignCopy::of("demo"),
+        CampaignCopy::of("demo").exchange_recordings(1, 3),
+        CampaignCopy::of("demo")
+            .change(&[1, 2, 3], "hall.csv", |cells: &mut CsvTable| {
                 for axis in ["x_lsb", "y_lsb", "z_lsb", "temp_c"] {
                     cells.exchange(&format!("s0_{axis}"), &format!("s2_{axis}"));
                 }
             })
-            .change(&[1, 2, 3], "force.csv", |cells: &mut Cells| {
+            .change(&[1, 2, 3], "force.csv", |cells: &mut CsvTable| {
                 for axis in ["x_n", "z_n"] {
                     cells.exchange(&format!("f0_{axis}"), &format!("f2_{axis}"));
                 }
             }),
-        Spoilt::of("demo").change(&[1, 2, 3], "hall.csv", |cells: &mut Cells| {
+        CampaignCopy::of("demo").change(&[1, 2, 3], "hall.csv", |cells: &mut CsvTable| {
             cells.change("opening_mm", |_, mm| format!("{:.4}", mm + 3.0));
         }),
     ];
-    let gains = told_otherwise.map(|campaign| {
+    let gains = variants.map(|campaign| {
         let diagnosis = diagnosed(&campaign.path());
         assert_eq!(accepted(&diagnosis), [["neighbour_magnet"]]);
         gain(&diagnosis)
@@ -90,11 +86,12 @@ fn the_order_of_recordings_and_sensors_and_a_constant_on_the_opening_leave_the_a
 }
 
 #[test]
-fn a_covariate_told_backwards_loses_its_effect() {
-    let campaign = Spoilt::of("demo").change(&[1, 2, 3], "hall.csv", |cells: &mut Cells| {
-        let backwards: Vec<f64> = cells.numbers("opening_mm").into_iter().rev().collect();
-        cells.change("opening_mm", |row, _| format!("{:.4}", backwards[row]));
-    });
+fn reversed_covariate_loses_its_effect() {
+    let campaign =
+        CampaignCopy::of("demo").change(&[1, 2, 3], "hall.csv", |cells: &mut CsvTable| {
+            let backwards: Vec<f64> = cells.numbers("opening_mm").into_iter().rev().collect();
+            cells.change("opening_mm", |row, _| format!("{:.4}", backwards[row]));
+        });
     let diagnosis = diagnosed(&campaign.path());
     let named = accepted(&diagnosis).concat();
     assert!(!named.contains(&"neighbour_magnet"), "{named:?}");
@@ -102,13 +99,13 @@ fn a_covariate_told_backwards_loses_its_effect() {
 }
 
 #[test]
-fn a_third_of_a_typical_mass_is_found() {
+fn third_of_a_typical_mass_is_found() {
     let diagnosis = simulated(&["--seed", "5", "--effect", "fingertip_mass=0.03"]);
     assert_eq!(accepted(&diagnosis), [["fingertip_mass"]]);
 }
 
 #[test]
-fn noise_with_memory_gets_no_name() {
+fn correlated_noise_gives_no_effect() {
     for (noise, seed) in [("ar1", "3"), ("walk", "4"), ("walk", "5")] {
         let diagnosis = simulated(&["--seed", seed, "--noise", noise]);
         let none: [[&str; 1]; 0] = [];
@@ -117,7 +114,7 @@ fn noise_with_memory_gets_no_name() {
 }
 
 #[test]
-fn what_never_moved_cannot_be_judged_and_the_recording_to_make_is_said() {
+fn constant_covariate_is_inconclusive_with_suggestion() {
     let diagnosis = simulated(&["--programme", "still", "--effect", "neighbour_magnet"]);
     assert_eq!(verdict(&diagnosis, "neighbour_magnet"), "not_judgeable");
     let verdicts = diagnosis["verdicts"].as_array().unwrap();
@@ -129,27 +126,22 @@ fn what_never_moved_cannot_be_judged_and_the_recording_to_make_is_said() {
 }
 
 #[test]
-fn the_same_warm_up_every_time_leaves_temperature_and_drift_tied() {
-    let diagnosis = simulated(&[
-        "--programme",
-        "same-warm-up",
-        "--effect",
-        "sensor_temperature",
-    ]);
+fn identical_warm_up_ties_temperature_and_drift() {
+    let diagnosis = simulated(&["--programme", "same-warm-up", "--effect", "sensor_temperature"]);
     for effect in ["sensor_temperature", "field_drift"] {
         assert_eq!(verdict(&diagnosis, effect), "tied", "{effect}");
     }
 }
 
 #[test]
-fn one_sine_does_not_tell_friction_from_a_lag() {
+fn single_sine_ties_friction_and_lag() {
     let diagnosis = simulated(&["--programme", "single-sine", "--effect", "hysteresis"]);
     assert_eq!(verdict(&diagnosis, "hysteresis"), "tied");
     assert_eq!(verdict(&diagnosis, "viscous_lag"), "tied");
 }
 
 #[test]
-fn a_disturbance_that_nobody_recorded_gets_no_name() {
+fn unrecorded_disturbance_gives_no_effect() {
     for effect in ["unlogged", "cross_term"] {
         let diagnosis = simulated(&["--seed", "2", "--effect", effect]);
         let none: [[&str; 1]; 0] = [];
@@ -159,26 +151,17 @@ fn a_disturbance_that_nobody_recorded_gets_no_name() {
 }
 
 #[test]
-fn a_lag_of_one_flexure_is_told_with_its_sensor_and_not_as_a_mean() {
-    // The reference of one lateral flexure is told a row (10 ms) early: the field of that one lags.
-    let campaign = Spoilt::of("clean").change(&[1, 2, 3], "force.csv", |cells: &mut Cells| {
-        let early: Vec<f64> = cells.numbers("f2_x_n").into_iter().skip(1).collect();
-        cells.change("f2_x_n", |row, last| {
-            format!("{:.3}", early.get(row).unwrap_or(&last))
+fn lag_of_one_flexure_is_estimated_by_sensor() {
+    // The reference of one lateral flexure is one row (10 ms) early: the field of that one lags.
+    let campaign =
+        CampaignCopy::of("clean").change(&[1, 2, 3], "force.csv", |cells: &mut CsvTable| {
+            let early: Vec<f64> = cells.numbers("f2_x_n").into_iter().skip(1).collect();
+            cells.change("f2_x_n", |row, last| format!("{:.3}", early.get(row).unwrap_or(&last)));
         });
-    });
     let diagnosis = diagnosed(&campaign.path());
-    assert_eq!(
-        accepted(&diagnosis),
-        [["viscous_lag"]],
-        "{}",
-        diagnosis["verdict"]
-    );
+    assert_eq!(accepted(&diagnosis), [["viscous_lag"]], "{}", diagnosis["verdict"]);
     let verdicts = diagnosis["verdicts"].as_array().unwrap();
-    let lag = verdicts
-        .iter()
-        .find(|v| v["effect"] == "viscous_lag")
-        .unwrap();
+    let lag = verdicts.iter().find(|v| v["effect"] == "viscous_lag").unwrap();
     let value = lag["value"].as_f64().unwrap();
     assert!((9.0..11.0).contains(&value), "{value}");
 }

@@ -2,14 +2,14 @@
 //! this machine has no compiler for the chip every test is listed as ignored; `EMULATION=required` makes that a failure.
 
 #[cfg(unix)]
-mod desk;
-#[cfg(unix)]
 #[allow(dead_code)] // The models behind them are another test's.
 #[path = "emulation/images.rs"]
 mod images;
 #[cfg(unix)]
-#[path = "desk/running.rs"]
+#[path = "workdir/running.rs"]
 mod running;
+#[cfg(unix)]
+mod workdir;
 
 #[cfg(unix)]
 fn main() -> std::process::ExitCode {
@@ -29,16 +29,13 @@ mod unix {
     use rustix::process::Signal;
     use serde_json::Value;
 
-    use crate::desk::Desk;
     use crate::images::{self, Variant};
     use crate::running::Running;
+    use crate::workdir::WorkDir;
 
     pub fn main() -> ExitCode {
         let arguments = Arguments::from_args();
-        let absent = match arguments.list {
-            true => None,
-            false => images::get(Variant::Default).err(),
-        };
+        let absent = if arguments.list { None } else { images::get(Variant::Default).err() };
         if let Some(reason) = &absent {
             println!("no image for the emulated chip, its tests are not run:\n{reason}");
             if std::env::var_os("EMULATION").is_some() {
@@ -48,17 +45,12 @@ mod unix {
         let trials = [
             Trial::test("a_profile_has_load_deadlines_and_stack", profile),
             Trial::test("record_receives_every_tick_on_the_serial_line", record),
-            Trial::test(
-                "a_socketcand_client_receives_heartbeats_until_ctrl_c",
-                socketcand,
-            ),
+            Trial::test("a_socketcand_client_receives_heartbeats_until_ctrl_c", socketcand),
             Trial::test("grip_homes_and_holds_a_force_over_the_can_bus", grip),
             Trial::test("an_image_that_is_none_is_refused", refused),
         ];
-        let trials = trials
-            .into_iter()
-            .map(|trial| trial.with_ignored_flag(absent.is_some()))
-            .collect();
+        let trials =
+            trials.into_iter().map(|trial| trial.with_ignored_flag(absent.is_some())).collect();
         libtest_mimic::run(&arguments, trials).exit_code()
     }
 
@@ -74,28 +66,21 @@ mod unix {
     }
 
     impl Emulation {
-        fn start(desk: &Desk, image: &str, options: &str) -> Self {
-            let mut running = Running::start(desk, &format!("emulate {image} {options}"));
-            let mut said = BufReader::new(running.0.stderr.take().unwrap());
+        fn start(dir: &WorkDir, image: &str, options: &str) -> Self {
+            let mut running = Running::start(dir, &format!("emulate {image} {options}"));
+            let mut message = BufReader::new(running.0.stderr.take().unwrap());
             let mut of = |option: &str| {
                 let mut line = String::new();
                 while !line.contains(option) {
                     line.clear();
-                    assert!(
-                        said.read_line(&mut line).unwrap() > 0,
-                        "no line with {option}"
-                    );
+                    assert!(message.read_line(&mut line).unwrap() > 0, "no line with {option}");
                 }
                 line.trim().rsplit(' ').next().unwrap().to_owned()
             };
             let [serial, can] = [of("--port"), of("--can")];
             // Nothing may wait for a reader of the rest.
-            std::thread::spawn(move || std::io::copy(&mut said, &mut std::io::stderr()));
-            Self {
-                running,
-                serial,
-                can,
-            }
+            std::thread::spawn(move || std::io::copy(&mut message, &mut std::io::stderr()));
+            Self { running, serial, can }
         }
 
         /// Ends it with Ctrl-C; what it measured.
@@ -118,38 +103,23 @@ mod unix {
     }
 
     fn profile() -> Result<(), Failed> {
-        let desk = Desk::empty();
+        let dir = WorkDir::empty();
         let image = path(Variant::Default)?;
-        let measured = desk.told(&format!("emulate {image} --seconds 3 --speed max --json"));
+        let measured = dir.json(&format!("emulate {image} --seconds 3 --speed max --json"));
         assert_eq!(measured["ended_by"], "seconds");
-        assert!(
-            (number(&measured["virtual_s"]) - 3.0).abs() < 0.002,
-            "{measured}"
-        );
+        assert!((number(&measured["virtual_s"]) - 3.0).abs() < 0.002, "{measured}");
         assert!(number(&measured["share_of_real_time"]) > 0.0);
         let profile = &measured["profile"];
         assert_eq!(profile["clock_hz"], 160_000_000);
         let idle = number(&profile["idle"]);
         let levels = profile["by_level"].as_array().unwrap();
         let load: f64 = levels.iter().map(|level| number(&level["load"])).sum();
-        assert!(
-            (idle + load - 1.0).abs() < 0.02 && (0.3..0.9).contains(&idle),
-            "{idle} {load}"
-        );
-        let adc = profile["exceptions"]
-            .as_array()
-            .unwrap()
-            .iter()
-            .find(|load| load["name"] == "ADC1_2");
+        assert!((idle + load - 1.0).abs() < 0.02 && (0.3..0.9).contains(&idle), "{idle} {load}");
+        let adc =
+            profile["exceptions"].as_array().unwrap().iter().find(|load| load["name"] == "ADC1_2");
         let adc = adc.unwrap();
-        assert!(
-            (number(&adc["entries_per_s"]) - 20_000.0).abs() < 200.0,
-            "{adc}"
-        );
-        assert!(
-            number(&adc["longest_us"]) > 1.0 && number(&adc["latency_us"]) < 10.0,
-            "{adc}"
-        );
+        assert!((number(&adc["entries_per_s"]) - 20_000.0).abs() < 200.0, "{adc}");
+        assert!(number(&adc["longest_us"]) > 1.0 && number(&adc["latency_us"]) < 10.0, "{adc}");
         let stack = &profile["stack"];
         assert!(
             stack["used"].as_u64() > Some(1000)
@@ -157,21 +127,12 @@ mod unix {
         );
         let functions = profile["functions"].as_array().unwrap();
         let hottest = number(&functions[0]["load"]);
-        assert!(
-            functions.len() > 10 && (0.01..0.5).contains(&hottest),
-            "{hottest}"
-        );
+        assert!(functions.len() > 10 && (0.01..0.5).contains(&hottest), "{hottest}");
         let deadlines = &measured["deadlines"];
         let ticks = deadlines["ticks"].as_u64().unwrap();
         assert!((2980..=3000).contains(&ticks), "{deadlines}");
-        assert_eq!(
-            (&deadlines["missed"], &deadlines["late"]),
-            (&0.into(), &0.into())
-        );
-        assert!(
-            (100.0..1000.0).contains(&number(&deadlines["longest_us"])),
-            "{deadlines}"
-        );
+        assert_eq!((&deadlines["missed"], &deadlines["late"]), (&0.into(), &0.into()));
+        assert!((100.0..1000.0).contains(&number(&deadlines["longest_us"])), "{deadlines}");
         let bins = deadlines["bins"].as_array().unwrap();
         let binned: u64 = bins.iter().map(|bin| bin["ticks"].as_u64().unwrap()).sum();
         assert_eq!(binned, ticks);
@@ -180,13 +141,10 @@ mod unix {
     }
 
     fn record() -> Result<(), Failed> {
-        let desk = Desk::empty();
-        let emulation = Emulation::start(&desk, &path(Variant::Default)?, "--json");
-        let line = format!(
-            "record --port {} -o campaign/1 --seconds 3 --json",
-            emulation.serial
-        );
-        let recorded = desk.told(&line);
+        let dir = WorkDir::empty();
+        let emulation = Emulation::start(&dir, &path(Variant::Default)?, "--json");
+        let line = format!("record --port {} -o campaign/1 --seconds 3 --json", emulation.serial);
+        let recorded = dir.json(&line);
         // Less than three seconds where this machine is slower than the chip.
         assert!(recorded["rows"].as_u64() > Some(200), "{recorded}");
         assert_eq!(recorded["lost_rows"], 0, "{recorded}");
@@ -198,8 +156,8 @@ mod unix {
     }
 
     fn socketcand() -> Result<(), Failed> {
-        let desk = Desk::empty();
-        let emulation = Emulation::start(&desk, &path(Variant::Default)?, "--json --log");
+        let dir = WorkDir::empty();
+        let emulation = Emulation::start(&dir, &path(Variant::Default)?, "--json --log");
         let mut stream = TcpStream::connect(&emulation.can)?;
         stream.write_all(b"< nonsense >< open can0 >< rawmode >< send 999 1 0 >")?;
         let mut text = String::new();
@@ -210,14 +168,11 @@ mod unix {
             text += &String::from_utf8_lossy(&bytes[..count]);
         }
         assert!(text.starts_with("< hi >< error unknown command"), "{text}");
-        assert!(
-            text.contains("< ok >< ok >") && text.contains("< error identifier 999"),
-            "{text}"
-        );
+        assert!(text.contains("< ok >< ok >") && text.contains("< error identifier 999"), "{text}");
         drop(stream);
         let line = format!("monitor --can {} --seconds 1.5 --json", emulation.can);
-        let told = String::from_utf8(desk.done(&line))?;
-        let last: Value = serde_json::from_str(told.lines().last().unwrap())?;
+        let output = String::from_utf8(dir.stdout(&line))?;
+        let last: Value = serde_json::from_str(output.lines().last().unwrap())?;
         assert_eq!(last["version"]["protocol"][0], 1, "{last}");
         assert_eq!(last["heartbeat"]["sensors_ok"], 0b1111);
         is_clean(&emulation.end());
@@ -225,59 +180,43 @@ mod unix {
     }
 
     fn grip() -> Result<(), Failed> {
-        let desk = Desk::empty();
+        let dir = WorkDir::empty();
         let options = "--opening 3 --object 40 --json";
-        let emulation = Emulation::start(&desk, &path(Variant::Nominal)?, options);
-        let unhomed = desk.refused(&format!("grip --can {} --force 80", emulation.can));
+        let emulation = Emulation::start(&dir, &path(Variant::Nominal)?, options);
+        let unhomed = dir.failure(&format!("grip --can {} --force 80", emulation.can));
         assert!(unhomed.contains("give --home"), "{unhomed}");
-        let line = format!(
-            "grip --can {} --home --force 80 --seconds 2 --json",
-            emulation.can
-        );
-        let gripped = desk.told(&line);
-        assert_eq!(
-            (&gripped["reached"], &gripped["disabled"]),
-            (&true.into(), &true.into())
-        );
-        let states: Vec<_> = gripped["states"]
-            .as_array()
-            .unwrap()
-            .iter()
-            .map(|state| &state["state"])
-            .collect();
+        let line = format!("grip --can {} --home --force 80 --seconds 2 --json", emulation.can);
+        let gripped = dir.json(&line);
+        assert_eq!((&gripped["reached"], &gripped["disabled"]), (&true.into(), &true.into()));
+        let states: Vec<_> =
+            gripped["states"].as_array().unwrap().iter().map(|state| &state["state"]).collect();
         for state in ["armed", "homing", "idle", "hold active"] {
-            assert!(
-                states.iter().any(|found| *found == state),
-                "{state}: {states:?}"
-            );
+            assert!(states.iter().any(|found| *found == state), "{state}: {states:?}");
         }
         let points = gripped["points"].as_array().unwrap();
         // State and figures come in messages of their own: what is held is the middle of it.
-        let held: Vec<_> = points
-            .iter()
-            .filter(|point| point["state"] == "hold active")
-            .collect();
+        let held: Vec<_> = points.iter().filter(|point| point["state"] == "hold active").collect();
         let held = held[held.len() / 2];
         assert!((number(&held["force_n"]) - 80.0).abs() < 4.0, "{held}");
         assert!((number(&held["opening_mm"]) - 40.0).abs() < 1.0, "{held}");
         let line = format!("grip --port {} --position 60 --json", emulation.serial);
-        let moved = desk.told(&line);
+        let moved = dir.json(&line);
         assert_eq!(moved["reached"], true, "{moved}");
         is_clean(&emulation.end());
         Ok(())
     }
 
     fn refused() -> Result<(), Failed> {
-        let desk = Desk::empty();
-        let said = desk.refused("emulate");
-        assert!(said.contains("cargo image"), "{said}");
-        std::fs::write(desk.0.path().join("text.elf"), "no image")?;
-        let said = desk.refused("emulate text.elf");
-        assert!(said.contains("not an ELF file"), "{said}");
+        let dir = WorkDir::empty();
+        let message = dir.failure("emulate");
+        assert!(message.contains("cargo image"), "{message}");
+        std::fs::write(dir.0.path().join("text.elf"), "no image")?;
+        let message = dir.failure("emulate text.elf");
+        assert!(message.contains("not an ELF file"), "{message}");
         if cfg!(target_os = "linux") {
             let image = path(Variant::Default)?;
-            let said = desk.refused(&format!("emulate {image} --can nowhere0"));
-            assert!(said.contains("there is no such CAN bus"), "{said}");
+            let message = dir.failure(&format!("emulate {image} --can nowhere0"));
+            assert!(message.contains("there is no such CAN bus"), "{message}");
         }
         Ok(())
     }

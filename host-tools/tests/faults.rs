@@ -1,57 +1,45 @@
-//! Faults thrown at the whole gripper in virtual time, one run of each; campaigns of thousands are
-//! `cargo magpie faults`.
+//! Fault injection into the whole gripper in virtual time, one run per fault; `magpie faults` runs campaigns.
 
 use std::sync::LazyLock;
 
-use firmware::crash::Kind;
-use firmware::events::Event;
-use firmware::grip::states::Power;
-use firmware::motor::State;
-use firmware::status::Fault;
-use host_tools::board::i2c::Sensor;
-use host_tools::drive::tables;
-use host_tools::drive::workcell::{Plan, Workcell};
-use host_tools::faults::row::Row;
-use host_tools::faults::run::{Case, Outcome};
-use host_tools::faults::situation::Situation;
-use host_tools::plant::parameters::Lead;
+use firmware::grip::states::PowerState;
+use firmware::motor::MotorState;
+use firmware::system::crash::CrashKind;
+use firmware::system::faults::{Event, Fault};
+use host_tools::sim::board::i2c::I2cSensor;
+use host_tools::sim::closed_loop::{self, ClosedLoop, ClosedLoopSetup};
+use host_tools::sim::drivetrain::parameters::Lead;
+use host_tools::sim::faults::injection::InjectedFault;
+use host_tools::sim::faults::operating_state::OperatingState;
+use host_tools::sim::faults::run::{FaultCase, FaultOutcome};
 use model_export::inverse::quantise::TableSet;
 use rayon::prelude::*;
 
-static TABLES: LazyLock<TableSet> = LazyLock::new(|| tables::as_drawn().unwrap());
+static TABLES: LazyLock<TableSet> = LazyLock::new(|| closed_loop::nominal_tables().unwrap());
 
-/// Newtons to the millimetre.
+/// Contact stiffness in N/mm.
 const RIGID: f64 = 333.0;
 
-fn case(row: Row, situation: Situation, lead: Lead) -> Case {
-    Case {
-        row,
-        situation,
-        lead,
-        contact_n_per_mm: RIGID,
-        seed: 7,
-    }
+fn case(fault: InjectedFault, state: OperatingState, lead: Lead) -> FaultCase {
+    FaultCase { fault, state, lead, contact_n_per_mm: RIGID, seed: 7 }
 }
 
-/// Found in time, as specified at the end, and nothing forbidden on the way.
-fn is_met(case: &Case, outcome: &Outcome) -> bool {
-    let within_ms = case.row.facts().within_ms;
+/// Detected in time, with the specified final state and no forbidden event.
+fn is_met(case: &FaultCase, outcome: &FaultOutcome) -> bool {
+    let within_ms = case.fault.specification().within_ms;
     let in_time = outcome.found_ms.is_some_and(|ms| ms <= within_ms);
     in_time && outcome.is_as_specified && outcome.forbidden == 0 && !case.is_too_much(outcome)
 }
 
 #[test]
-fn every_fault_is_found_in_time_and_leads_where_the_matrix_says() {
-    // Grippers of which the last two are noisier at rest, and quicker away from what presses, than most.
+fn every_fault_is_detected_in_time_with_its_reaction() {
+    // The last two are noisier at rest, and retract faster under overload, than most.
     let grippers = [(7, Lead::A), (10, Lead::B), (1, Lead::A)];
-    let cases: Vec<Case> = Row::ALL
+    let cases: Vec<FaultCase> = InjectedFault::ALL
         .iter()
-        .flat_map(|row| row.facts().shows.iter().map(move |shows| (*row, *shows)))
-        .flat_map(|(row, situation)| {
-            grippers.map(|(seed, lead)| Case {
-                seed,
-                ..case(row, situation, lead)
-            })
+        .flat_map(|fault| fault.specification().states.iter().map(move |state| (*fault, *state)))
+        .flat_map(|(fault, state)| {
+            grippers.map(|(seed, lead)| FaultCase { seed, ..case(fault, state, lead) })
         })
         .collect();
     let missed: Vec<String> = cases
@@ -65,76 +53,71 @@ fn every_fault_is_found_in_time_and_leads_where_the_matrix_says() {
 }
 
 #[test]
-fn with_its_detector_out_of_reach_a_fault_is_missed() {
-    let rows = Row::ALL.par_iter().filter(|row| row.facts().off.is_some());
-    rows.for_each(|row| {
-        let facts = row.facts();
-        let case = case(*row, facts.shows[0], Lead::A);
-        let outcome = case.run(&TABLES, facts.off);
-        assert!(outcome.was_reached, "{row:?}");
-        assert!(!is_met(&case, &outcome), "{row:?}: {outcome:?}");
+fn fault_with_disabled_detector_is_missed() {
+    let rows = InjectedFault::ALL
+        .par_iter()
+        .filter(|fault| fault.specification().disable_detector.is_some());
+    rows.for_each(|fault| {
+        let specification = fault.specification();
+        let case = case(*fault, specification.states[0], Lead::A);
+        let outcome = case.run(&TABLES, specification.disable_detector);
+        assert!(outcome.was_reached, "{fault:?}");
+        assert!(!is_met(&case, &outcome), "{fault:?}: {outcome:?}");
     });
 }
 
 #[test]
-fn what_presses_too_much_is_given_way_to_and_not_let_go() {
+fn over_force_is_reduced_without_release() {
     for (lead, seed) in [(Lead::A, 1), (Lead::A, 2), (Lead::B, 2), (Lead::B, 3)] {
-        for situation in [Situation::Force, Situation::Hold] {
-            let outcome = Case {
-                seed,
-                ..case(Row::OverForce, situation, lead)
-            }
-            .run(&TABLES, None);
-            // It is backed off to 50 N.
+        for state in [OperatingState::Force, OperatingState::Hold] {
+            let outcome = FaultCase { seed, ..case(InjectedFault::OverForce, state, lead) }
+                .run(&TABLES, None);
+            // The reaction reduces the force to 50 N.
             assert!((40.0..60.0).contains(&outcome.end_n), "{outcome:?}");
         }
     }
 }
 
-/// Of a nominal gripper on a screw that locks itself.
-fn reached(situation: Situation) -> Workcell {
-    let plan = Plan::nominal(Lead::A, 0.0, 7);
-    situation.reach(&plan, RIGID, &TABLES).unwrap()
+/// A nominal gripper with the self-locking screw.
+fn reached(state: OperatingState) -> ClosedLoop {
+    let setup = ClosedLoopSetup::nominal(Lead::A, 0.0, 7);
+    state.reach(&setup, RIGID, &TABLES).unwrap()
 }
 
 #[test]
-fn a_sensor_without_its_configuration_counts_again_once_it_is_back() {
-    let mut cell = reached(Situation::Idle);
-    let change = |cell: &Workcell, change: fn(&mut Sensor)| {
+fn sensor_recovers_with_its_configuration() {
+    let mut cell = reached(OperatingState::Idle);
+    let change = |cell: &ClosedLoop, change: fn(&mut I2cSensor)| {
         change(&mut cell.board.connections.buses[1].borrow_mut().sensors[0]);
     };
-    let is_lost = |cell: &Workcell| cell.board.exchange.is_active(Fault::SensorLost);
+    let is_lost = |cell: &ClosedLoop| cell.board.exchange.is_active(Fault::SensorLost);
     assert!(!is_lost(&cell));
-    change(&cell, Sensor::brown_out);
+    change(&cell, I2cSensor::brown_out);
     cell.run(0.1);
     assert!(is_lost(&cell));
     cell.run(0.5);
     assert!(is_lost(&cell));
-    change(&cell, Sensor::power_up);
+    change(&cell, I2cSensor::power_up);
     cell.run(0.1);
     assert!(!is_lost(&cell));
 }
 
 #[test]
-fn a_bit_that_turns_in_the_grasp_s_memory_ends_in_a_restart_that_tells_it_and_a_screw_that_locks_keeps_its_load()
- {
-    let mut cell = reached(Situation::Hold);
-    // The exponent of the force that is asked for.
-    cell.board.grip.borrow_mut().spoil(32 + 26);
+fn memory_corruption_restarts_and_screw_a_maintains_the_grip() {
+    let mut cell = reached(OperatingState::Hold);
+    // The exponent of the force set-point.
+    cell.board.grip.borrow_mut().flip_bit(32 + 26);
     cell.tick();
-    let motor = |cell: &Workcell| cell.gripper.borrow().rig.motor.telling();
-    assert_eq!(motor(&cell).state, State::Disarmed);
+    let motor = |cell: &ClosedLoop| cell.gripper.borrow().rig.motor.status();
+    assert_eq!(motor(&cell).state, MotorState::Disarmed);
     cell.run(0.3);
-    assert_eq!(cell.state(), Power::Safe as u8);
-    assert_eq!(
-        (motor(&cell).state, motor(&cell).opening_mm),
-        (State::Disarmed, None)
-    );
+    assert_eq!(cell.state(), PowerState::Safe as u8);
+    assert_eq!((motor(&cell).state, motor(&cell).opening_mm), (MotorState::Disarmed, None));
     assert!(cell.force_n() > 90.0, "{}", cell.force_n());
     let events = cell.board.events.borrow();
-    let told = events.iter().find_map(|(_, event)| match event {
-        Event::Fault(told) if told.code == Fault::Crashed as u16 => Some(told.detail),
+    let detail = events.iter().find_map(|(_, event)| match event {
+        Event::Fault(fault) if fault.code == Fault::Crashed as u16 => Some(fault.detail),
         _ => None,
     });
-    assert_eq!(told, Some(Kind::Corruption.number() << 24));
+    assert_eq!(detail, Some(CrashKind::Corruption.number() << 24));
 }

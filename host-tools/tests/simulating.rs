@@ -1,12 +1,11 @@
-//! What the simulated bench promises: campaigns that are read like any other, a clean one that is
-//! clean, effects that are there and named only where they may be.
+//! Simulated campaigns: readable like recorded ones, with the specified effects, reproducible.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use host_tools::bench::sizes::SIZES;
-use model_export::fit::{Options, campaign};
+use host_tools::sim::effects::EFFECT_KINDS;
+use model_export::fit::{FitOptions, campaign};
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 use serde_json::Value;
@@ -24,7 +23,7 @@ fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 
-/// Simulates into `name` in a folder; the campaign's path and what was printed.
+/// Simulates into `name` in a folder; returns the campaign's path and the printed text.
 fn simulated(folder: &TempDir, name: &str, arguments: &[&str]) -> (PathBuf, String) {
     let path = folder.path().join(name);
     let output = simulate(&[&["-o", path.to_str().unwrap()], arguments].concat());
@@ -41,30 +40,28 @@ fn read_late(campaign: &Path, delay_us: f64) -> Campaign {
     Campaign::read(campaign, Alignment { delay_us }, |_| ()).unwrap()
 }
 
-/// Held-out error over floor, every axis of every sensor.
+/// Held-out error over noise floor, every axis of every sensor.
 fn ratios(campaign: &Campaign) -> Vec<f64> {
-    let (fits, notices) = campaign::cylinder(campaign, Options::default(), |_| ()).unwrap();
+    let (fits, notices) = campaign::cylinder(campaign, FitOptions::default(), |_| ()).unwrap();
     assert!(notices.is_empty());
     let scores = fits.scores();
-    scores
-        .iter()
-        .map(|s| s.held_out_rms_g / s.floor_g)
-        .collect()
+    scores.iter().map(|s| s.held_out_rms_g / s.floor_g).collect()
 }
 
-/// Everything in a folder, by path in it.
+/// All files of a folder by relative path.
 fn contents(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     let mut files = Vec::new();
     let mut folders = vec![folder.to_path_buf()];
     while let Some(at) = folders.pop() {
         for entry in fs::read_dir(at).unwrap() {
             let path = entry.unwrap().path();
-            match path.is_dir() {
-                true => folders.push(path),
-                false => files.push((
+            if path.is_dir() {
+                folders.push(path);
+            } else {
+                files.push((
                     path.strip_prefix(folder).unwrap().to_path_buf(),
                     fs::read(&path).unwrap(),
-                )),
+                ));
             }
         }
     }
@@ -73,16 +70,13 @@ fn contents(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
 }
 
 #[test]
-fn a_clean_campaign_is_read_without_notices_and_fits_to_its_floor_on_every_axis() {
+fn clean_campaign_fits_to_its_noise_floor() {
     let folder = TempDir::new().unwrap();
     for seed in ["1", "2", "3"] {
         let (path, _) = simulated(&folder, seed, &["--seed", seed]);
         let campaign = read(&path);
         assert_eq!(campaign.notices().count(), 0);
-        assert_eq!(
-            (campaign.recordings.len(), campaign.sensors().len()),
-            (3, 4)
-        );
+        assert_eq!((campaign.recordings.len(), campaign.sensors().len()), (3, 4));
         for ratio in ratios(&campaign) {
             assert!((0.95..=1.05).contains(&ratio), "seed {seed}: {ratio}");
         }
@@ -90,15 +84,9 @@ fn a_clean_campaign_is_read_without_notices_and_fits_to_its_floor_on_every_axis(
 }
 
 #[test]
-fn every_programme_gives_a_campaign_that_fits_to_its_floor() {
+fn every_programme_fits_to_its_noise_floor() {
     let folder = TempDir::new().unwrap();
-    for programme in [
-        "still",
-        "level",
-        "isothermal",
-        "same-warm-up",
-        "single-sine",
-    ] {
+    for programme in ["still", "level", "isothermal", "same-warm-up", "single-sine"] {
         let (path, _) = simulated(&folder, programme, &["--programme", programme]);
         for ratio in ratios(&read(&path)) {
             assert!((0.9..=1.1).contains(&ratio), "{programme}: {ratio}");
@@ -107,28 +95,22 @@ fn every_programme_gives_a_campaign_that_fits_to_its_floor() {
 }
 
 #[test]
-fn clocks_that_differ_by_a_known_time_are_brought_together_by_it() {
+fn clock_skew_is_removed_by_the_same_delay() {
     let folder = TempDir::new().unwrap();
     let skewed = ["--effect", "clock_skew=7", "--seconds", "15"];
     let (path, _) = simulated(&folder, "skewed", &skewed);
-    let worst = |delay_us| {
-        ratios(&read_late(&path, delay_us))
-            .into_iter()
-            .fold(0.0, f64::max)
-    };
+    let worst = |delay_us| ratios(&read_late(&path, delay_us)).into_iter().fold(0.0, f64::max);
     assert!(worst(7000.0) < 1.05 && worst(0.0) > 5.0);
 }
 
 #[test]
-fn the_first_half_second_of_every_recording_is_unloaded() {
+fn recordings_start_with_half_a_second_unloaded() {
     let folder = TempDir::new().unwrap();
     let (path, _) = simulated(&folder, "one", &["--seconds", "5"]);
     for recording in read(&path).recordings {
         let rows = recording.time_s.iter().filter(|t| **t < 0.49).count();
         for track in recording.forces.values() {
-            let largest = track.newtons[..rows]
-                .iter()
-                .fold(0.0_f64, |l, n| l.max(n.abs()));
+            let largest = track.newtons[..rows].iter().fold(0.0_f64, |l, n| l.max(n.abs()));
             assert!(rows > 40 && largest < 1.0, "{largest}");
             assert!(track.newtons.iter().any(|n| n.abs() > 100.0));
         }
@@ -136,12 +118,12 @@ fn the_first_half_second_of_every_recording_is_unloaded() {
 }
 
 #[test]
-fn every_effect_is_felt_by_board_or_reference_and_all_go_together() {
+fn every_effect_changes_the_data_alone_and_combined() {
     let folder = TempDir::new().unwrap();
     let short = ["--seconds", "4", "--sensors", "1", "--recordings", "2"];
     let (clean, _) = simulated(&folder, "clean", &short);
     let (clean, mut all) = (contents(&clean), short.map(str::to_owned).to_vec());
-    for size in SIZES {
+    for size in EFFECT_KINDS {
         let wanted = [&short[..], &["--effect", size.id]].concat();
         let (path, _) = simulated(&folder, size.id, &wanted);
         assert_ne!(contents(&path), clean, "{}", size.id);
@@ -153,7 +135,7 @@ fn every_effect_is_felt_by_board_or_reference_and_all_go_together() {
 }
 
 #[test]
-fn the_same_seed_gives_the_same_bytes_and_another_seed_others() {
+fn campaigns_are_seeded_and_reproducible() {
     let folder = TempDir::new().unwrap();
     let hidden = ["--hide", "3", "--seconds", "4", "--noise", "ar1"];
     let of = |name: &str, seed: &str| {
@@ -167,10 +149,10 @@ fn the_same_seed_gives_the_same_bytes_and_another_seed_others() {
 }
 
 #[test]
-fn hidden_effects_are_named_in_the_truth_and_nowhere_else() {
+fn random_effects_are_named_in_the_truth_only() {
     let folder = TempDir::new().unwrap();
     let arguments = ["--hide", "4", "--seconds", "4", "--seed", "9"];
-    let (path, said) = simulated(&folder, "riddle", &arguments);
+    let (path, stderr) = simulated(&folder, "riddle", &arguments);
     let (_, json) = simulated(&folder, "again", &[&arguments[..], &["--json"]].concat());
     let truth: toml::Table =
         toml::from_str(&fs::read_to_string(folder.path().join("riddle-truth.toml")).unwrap())
@@ -180,117 +162,75 @@ fn hidden_effects_are_named_in_the_truth_and_nowhere_else() {
     let described = fs::read_to_string(path.join("1/recording.toml")).unwrap();
     for effect in effects {
         let id = effect["id"].as_str().unwrap();
-        assert!(
-            !said.contains(id) && !json.contains(id) && !described.contains(id),
-            "{id}"
-        );
+        assert!(!stderr.contains(id) && !json.contains(id) && !described.contains(id), "{id}");
         let each = effect["each"].as_array().unwrap();
         let sum: f64 = each.iter().map(|size| size.as_float().unwrap()).sum();
         let size = effect["size"].as_float().unwrap();
-        assert!(
-            (sum / each.len() as f64 - size).abs() < 1e-9 * size.abs().max(1.0),
-            "{id}"
-        );
+        assert!((sum / each.len() as f64 - size).abs() < 1e-9 * size.abs().max(1.0), "{id}");
     }
     let names: Vec<PathBuf> = contents(&path).into_iter().map(|(name, _)| name).collect();
     let of_one = ["force.csv.gz", "hall.csv.gz", "recording.toml"];
-    let expected = ["1", "2", "3"]
-        .iter()
-        .flat_map(|n| of_one.map(|file| Path::new(n).join(file)));
+    let expected = ["1", "2", "3"].iter().flat_map(|n| of_one.map(|file| Path::new(n).join(file)));
     assert_eq!(names, expected.collect::<Vec<_>>());
 }
 
 #[test]
-fn the_description_is_the_same_whatever_is_simulated() {
+fn description_is_independent_of_the_effects() {
     let folder = TempDir::new().unwrap();
     let (clean, _) = simulated(&folder, "clean", &["--seconds", "3"]);
-    let wanted = [
-        "--seconds",
-        "3",
-        "--effect",
-        "creep",
-        "--programme",
-        "level",
-        "--seed",
-        "4",
-    ];
+    let wanted = ["--seconds", "3", "--effect", "creep", "--programme", "level", "--seed", "4"];
     let (other, _) = simulated(&folder, "other", &wanted);
     for file in ["1/recording.toml", "2/recording.toml", "3/recording.toml"] {
-        assert_eq!(
-            fs::read(clean.join(file)).unwrap(),
-            fs::read(other.join(file)).unwrap()
-        );
+        assert_eq!(fs::read(clean.join(file)).unwrap(), fs::read(other.join(file)).unwrap());
     }
 }
 
 #[test]
-fn json_names_seed_programme_and_effects_that_are_not_hidden() {
+fn json_lists_seed_programme_and_effects() {
     let folder = TempDir::new().unwrap();
-    let wanted = [
-        "--effect",
-        "hysteresis=1.5:both",
-        "--seconds",
-        "3",
-        "--json",
-    ];
+    let wanted = ["--effect", "hysteresis=1.5:both", "--seconds", "3", "--json"];
     let (_, json) = simulated(&folder, "one", &wanted);
     let json: Value = serde_json::from_str(&json).unwrap();
-    assert_eq!(
-        (&json["seed"], &json["programme"]),
-        (&1.into(), &"bench".into())
-    );
+    assert_eq!((&json["seed"], &json["programme"]), (&1.into(), &"bench".into()));
     let effect = &json["effects"][0];
-    assert_eq!(
-        (&effect["id"], &effect["size"]),
-        (&"hysteresis".into(), &1.5.into())
-    );
+    assert_eq!((&effect["id"], &effect["size"]), (&"hysteresis".into(), &1.5.into()));
     let truth = fs::read_to_string(folder.path().join("one-truth.toml")).unwrap();
     assert!(truth.contains("flexures = \"both\""), "{truth}");
 }
 
 #[test]
-fn an_unknown_effect_is_told_its_neighbour() {
+fn unknown_effect_reports_a_suggestion() {
     let output = simulate(&["-o", "nowhere", "--effect", "histeresis"]);
-    let said = text(&output.stderr);
-    assert!(
-        !output.status.success() && said.contains("did you mean hysteresis?"),
-        "{said}"
-    );
-    assert!(said.contains("screw_ripple"), "{said}");
+    let stderr = text(&output.stderr);
+    assert!(!output.status.success() && stderr.contains("did you mean hysteresis?"), "{stderr}");
+    assert!(stderr.contains("screw_ripple"), "{stderr}");
 }
 
 #[test]
-fn nothing_is_overwritten_and_a_truth_never_lies_in_its_campaign() {
+fn existing_files_and_truth_in_campaign_are_rejected() {
     let folder = TempDir::new().unwrap();
     let (path, _) = simulated(&folder, "one", &["--seconds", "3"]);
     let path = path.to_str().unwrap();
     let again = simulate(&["-o", path]);
-    assert!(
-        text(&again.stderr).contains("it is not overwritten"),
-        "{}",
-        text(&again.stderr)
-    );
+    assert!(text(&again.stderr).contains("refusing to overwrite"), "{}", text(&again.stderr));
     let truth = folder.path().join("one-truth.toml");
     let free = folder.path().join("two");
     let free = free.to_str().unwrap();
     let over = simulate(&["-o", free, "--truth", truth.to_str().unwrap()]);
-    assert!(text(&over.stderr).contains("it is not overwritten"));
+    assert!(text(&over.stderr).contains("refusing to overwrite"));
     let inside = simulate(&["-o", free, "--truth", &format!("{free}/truth.toml")]);
-    assert!(text(&inside.stderr).contains("choose another place"));
+    assert!(text(&inside.stderr).contains("choose a path outside"));
     assert!(!Path::new(free).exists());
 }
 
 #[test]
-fn an_empty_folder_may_become_a_campaign_and_settings_that_cannot_be_are_refused() {
+fn empty_folder_is_used_and_invalid_settings_are_rejected() {
     let folder = TempDir::new().unwrap();
     fs::create_dir(folder.path().join("empty")).unwrap();
     simulated(&folder, "empty", &["--seconds", "3"]);
-    for wrong in [
-        ["--seconds", "1"],
-        ["--scatter", "NaN"],
-        ["--field-noise", "-1"],
-        ["--hide", "99"],
-    ] {
+    for wrong in
+        [["--seconds", "1"], ["--scatter", "NaN"], ["--field-noise", "-1"], ["--hide", "99"]]
+    {
         let path = folder.path().join("wrong");
         let argument = format!("{}={}", wrong[0], wrong[1]);
         let output = simulate(&["-o", path.to_str().unwrap(), &argument]);

@@ -1,14 +1,14 @@
 //! What `magpie train --table` promises: every way in every column, the figures that other commands
 //! print of the same estimates, and a held-out recording that changes no weight.
 
-mod desk;
+mod workdir;
 
 use std::fs;
 
-use desk::Desk;
 use serde_json::Value;
+use workdir::WorkDir;
 
-const WAYS: [&str; 8] = [
+const VARIANTS: [&str; 8] = [
     "ideal_nominal",
     "ideal_fitted",
     "gru_2axis",
@@ -20,18 +20,18 @@ const WAYS: [&str; 8] = [
 ];
 
 /// A campaign of one sensor, the two recordings of it that are learned from, and models.
-fn simulated() -> Desk {
-    let desk = Desk::empty();
-    desk.done("simulate -o bench --seconds 6 --sensors 1 --effect cross_coupling=5");
-    copy(&desk, "bench/1", "learned/1");
-    copy(&desk, "bench/2", "learned/2");
-    desk.done("fit learned -o plain.toml");
-    desk.done("add plain.toml learned cross_coupling -o model.toml");
-    desk
+fn simulated() -> WorkDir {
+    let dir = WorkDir::empty();
+    dir.stdout("simulate -o bench --seconds 6 --sensors 1 --effect cross_coupling=5");
+    copy(&dir, "bench/1", "learned/1");
+    copy(&dir, "bench/2", "learned/2");
+    dir.stdout("fit learned -o plain.toml");
+    dir.stdout("add plain.toml learned cross_coupling -o model.toml");
+    dir
 }
 
-fn copy(desk: &Desk, from: &str, to: &str) {
-    let (from, to) = (desk.0.path().join(from), desk.0.path().join(to));
+fn copy(dir: &WorkDir, from: &str, to: &str) {
+    let (from, to) = (dir.0.path().join(from), dir.0.path().join(to));
     fs::create_dir_all(&to).unwrap();
     for entry in fs::read_dir(from).unwrap() {
         let entry = entry.unwrap();
@@ -45,8 +45,8 @@ fn number(row: &Value, key: &str) -> f64 {
 }
 
 /// The row of a way and an axis.
-fn row<'a>(told: &'a Value, way: &str, axis: &str) -> &'a Value {
-    let mut rows = told["rows"].as_array().unwrap().iter();
+fn row<'a>(output: &'a Value, way: &str, axis: &str) -> &'a Value {
+    let mut rows = output["rows"].as_array().unwrap().iter();
     let row = rows.find(|row| row["variant"] == way && row["axis"] == axis);
     row.unwrap_or_else(|| panic!("no row of {way}, {axis}"))
 }
@@ -54,14 +54,14 @@ fn row<'a>(told: &'a Value, way: &str, axis: &str) -> &'a Value {
 const TABLE: &str = "train --table model.toml bench --epochs 2 --hidden 4 --magnet-hours 0 --json";
 
 #[test]
-fn every_way_has_a_row_and_the_physics_s_are_those_of_a_replay() {
-    let desk = simulated();
+fn every_variant_has_rows_that_match_replay() {
+    let dir = simulated();
     let table = TABLE.replace("--magnet-hours 0", "--magnet-hours 0.01");
-    let told = desk.told(&format!("{table} -o report.html"));
-    assert_eq!(told["rows"].as_array().unwrap().len(), 2 * WAYS.len());
-    for way in WAYS {
+    let output = dir.json(&format!("{table} -o report.html"));
+    assert_eq!(output["rows"].as_array().unwrap().len(), 2 * VARIANTS.len());
+    for way in VARIANTS {
         for axis in ["x", "z"] {
-            let row = row(&told, way, axis);
+            let row = row(&output, way, axis);
             let [rmse, mean, std] = ["rmse_n", "mean_n", "std_n"].map(|key| number(row, key));
             assert!((rmse - mean.hypot(std)).abs() < 1e-9 * rmse, "{row}");
             // The recording begins unloaded, and the board is read every millisecond.
@@ -70,7 +70,7 @@ fn every_way_has_a_row_and_the_physics_s_are_those_of_a_replay() {
         }
     }
     // What another command says of the model fitted to the same two recordings.
-    let replayed = |model: &str| desk.told(&format!("replay {model} bench/3 --json"));
+    let replayed = |model: &str| dir.json(&format!("replay {model} bench/3 --json"));
     let (plain, model) = (replayed("plain.toml"), replayed("model.toml"));
     let ways = [
         ("ideal_nominal", &plain["nominal"]),
@@ -79,7 +79,7 @@ fn every_way_has_a_row_and_the_physics_s_are_those_of_a_replay() {
     ];
     for (way, replayed) in ways {
         for (place, axis) in ["x", "z"].into_iter().enumerate() {
-            let (own, other) = (row(&told, way, axis), &replayed[place]);
+            let (own, other) = (row(&output, way, axis), &replayed[place]);
             assert_eq!(other["axis"], axis);
             for (key, known) in [
                 ("fixed_rmse_n", "rmse_n"),
@@ -88,124 +88,103 @@ fn every_way_has_a_row_and_the_physics_s_are_those_of_a_replay() {
                 ("rmse_n", "float_rmse_n"),
             ] {
                 let (own, other) = (number(own, key), number(other, known));
-                assert!(
-                    (own - other).abs() < 2e-3,
-                    "{way} {axis} {key}: {own}, {other}"
-                );
+                assert!((own - other).abs() < 2e-3, "{way} {axis} {key}: {own}, {other}");
             }
         }
     }
-    let [one, two, three] = ["1", "2", "3"].map(|width| number(&told["coverage"], width));
+    let [one, two, three] = ["1", "2", "3"].map(|width| number(&output["coverage"], width));
     assert!(one > 0.0 && one <= two && two <= three && three <= 1.0);
-    let paper = &row(&told, "gru_2axis", "z")["paper"];
+    let paper = &row(&output, "gru_2axis", "z")["paper"];
     assert_eq!(number(paper, "mean_n"), -20.4);
     // Five seconds of two recordings of six, and all twelve; five ways each, ten seconds as well.
-    assert_eq!(told["data_efficiency"].as_array().unwrap().len(), 3 * 5);
-    assert_eq!(told["simulated"], true);
-    let page = fs::read_to_string(desk.0.path().join("report.html")).unwrap();
-    for id in [
-        "table",
-        "time",
-        "spread",
-        "calibration",
-        "lengths",
-        "foreign",
-    ] {
+    assert_eq!(output["data_efficiency"].as_array().unwrap().len(), 3 * 5);
+    assert_eq!(output["simulated"], true);
+    let page = fs::read_to_string(dir.0.path().join("report.html")).unwrap();
+    for id in ["table", "time", "spread", "calibration", "lengths", "foreign"] {
         assert!(page.contains(&format!("<section id=\"{id}\">")), "{id}");
     }
     assert!(!page.contains("could not be drawn"));
-    foreign_magnets_were_counted(&told["foreign_magnet"]);
+    check_disturbance_counts(&output["foreign_magnet"]);
 }
 
 /// On a hundred seconds of the same gripper, which are in no recording.
-fn foreign_magnets_were_counted(told: &Value) {
+fn check_disturbance_counts(output: &Value) {
     assert_eq!(
-        (&told["simulated"], &told["variant"]),
+        (&output["simulated"], &output["variant"]),
         (&true.into(), &"physics_effects_gru".into())
     );
-    let hours = number(told, "hours");
+    let hours = number(output, "hours");
     assert!((hours - 100.0 / 3600.0).abs() < 1e-4, "{hours}");
-    let (passages, passed) = (number(told, "passages"), number(told, "passed"));
-    assert!(passages >= 3.0 && passed >= passages, "{told}");
-    assert!(number(told, "detected") > 0.5, "{told}");
-    let [least, most] = [0, 1].map(|i| told["detected_interval_95"][i].as_f64().unwrap());
-    assert!(least < number(told, "detected") && number(told, "detected") <= most);
-    assert!(number(told, "p50_ms") <= number(told, "p99_ms"));
+    let (passages, passed) = (number(output, "passages"), number(output, "passed"));
+    assert!(passages >= 3.0 && passed >= passages, "{output}");
+    assert!(number(output, "detected") > 0.5, "{output}");
+    let [least, most] = [0, 1].map(|i| output["detected_interval_95"][i].as_f64().unwrap());
+    assert!(least < number(output, "detected") && number(output, "detected") <= most);
+    assert!(number(output, "p50_ms") <= number(output, "p99_ms"));
     // By the rule of three, and more where there was an alarm.
-    let (alarms, upper) = (
-        number(told, "false_alarms"),
-        number(told, "false_per_10h_upper_95"),
-    );
-    assert!((number(told, "false_per_10h") - alarms * 10.0 / hours).abs() < 1e-6);
-    assert!(
-        upper > 29.9 / hours && (alarms > 0.0 || upper < 30.0 / hours),
-        "{told}"
-    );
-    let curve = told["roc"]["parity"].as_array().unwrap();
+    let (alarms, upper) =
+        (number(output, "false_alarms"), number(output, "false_per_10h_upper_95"));
+    assert!((number(output, "false_per_10h") - alarms * 10.0 / hours).abs() < 1e-6);
+    assert!(upper > 29.9 / hours && (alarms > 0.0 || upper < 30.0 / hours), "{output}");
+    let curve = output["roc"]["parity"].as_array().unwrap();
     assert!(curve.len() > 5 && curve.iter().all(|point| point[2].as_f64().unwrap() <= 1.0));
 }
 
 #[test]
-fn another_held_out_recording_changes_its_errors_and_not_a_bit_of_any_network() {
-    let desk = simulated();
-    let before = desk.told(TABLE);
+fn held_out_recording_does_not_affect_the_networks() {
+    let dir = simulated();
+    let before = dir.json(TABLE);
     let networks = before["networks"].as_array().unwrap();
     assert_eq!(networks.len(), 5);
     // Of another gripper, and without the coupling.
-    desk.done("simulate -o other --seconds 6 --sensors 1 --seed 9");
-    copy(&desk, "other/3", "bench/3");
-    let after = desk.told(TABLE);
+    dir.stdout("simulate -o other --seconds 6 --sensors 1 --seed 9");
+    copy(&dir, "other/3", "bench/3");
+    let after = dir.json(TABLE);
     assert_eq!(before["networks"], after["networks"]);
-    for way in WAYS {
-        let rmse = |told| number(row(told, way, "z"), "rmse_n");
+    for way in VARIANTS {
+        let rmse = |output| number(row(output, way, "z"), "rmse_n");
         assert!(rmse(&before) != rmse(&after), "{way}");
     }
     // Another recording that is learned from does change them.
-    copy(&desk, "other/2", "bench/2");
-    let learned = desk.told(TABLE);
+    copy(&dir, "other/2", "bench/2");
+    let learned = dir.json(TABLE);
     for (before, after) in networks.iter().zip(learned["networks"].as_array().unwrap()) {
         assert_ne!(before["sha256"], after["sha256"], "{before}");
     }
 }
 
 #[test]
-fn without_effects_the_physics_with_effects_is_left_out_and_the_reason_is_said() {
-    let desk = simulated();
+fn model_without_effects_skips_physics_variants() {
+    let dir = simulated();
     // Nor is it known any more how the recordings were simulated.
-    fs::remove_file(desk.0.path().join("bench-truth.toml")).unwrap();
+    fs::remove_file(dir.0.path().join("bench-truth.toml")).unwrap();
     let line = "train --table plain.toml bench --epochs 1 --hidden 2 --magnet-hours 0.002 --json";
-    let told = desk.told(line);
-    let magnet = &told["foreign_magnet"];
+    let output = dir.json(line);
+    let magnet = &output["foreign_magnet"];
     assert_eq!(
         (&magnet["simulated"], &magnet["variant"]),
         (&false.into(), &"gru_3axis_ideal".into())
     );
     // Magnets passed it twice, but the time without them is that of the one recording.
-    assert!(
-        (number(magnet, "hours") - 6.0 / 3600.0).abs() < 1e-4,
-        "{magnet}"
-    );
-    assert_eq!(told["rows"].as_array().unwrap().len(), 2 * 6);
-    assert_eq!(told["network_on_physics"], Value::Null);
-    let note = told["notes"][0].as_str().unwrap();
-    assert!(
-        note.contains("no effects") && note.contains("magpie add"),
-        "{note}"
-    );
+    assert!((number(magnet, "hours") - 6.0 / 3600.0).abs() < 1e-4, "{magnet}");
+    assert_eq!(output["rows"].as_array().unwrap().len(), 2 * 6);
+    assert_eq!(output["network_on_physics"], Value::Null);
+    let note = output["notes"][0].as_str().unwrap();
+    assert!(note.contains("no effects") && note.contains("magpie add"), "{note}");
 }
 
 #[test]
-fn what_the_table_cannot_take_is_refused() {
-    let desk = simulated();
-    let said = desk.refused("train --table model.toml bench/1");
-    assert!(said.contains("there is one recording"), "{said}");
-    let said = desk.refused("train --table model.toml bench --axes xz");
-    assert!(said.contains("--axes"), "{said}");
-    let said = desk.refused("train --table model.toml bench --magnet-hours=-1");
-    assert!(said.contains("--magnet-hours"), "{said}");
-    let said = desk.refused("train --table model.toml bench --near-zero 0");
-    assert!(said.contains("--near-zero 0"), "{said}");
-    copy(&desk, "bench/3", "bench/4");
-    let said = desk.refused("train --table model.toml bench");
-    assert!(said.contains("are the same data"), "{said}");
+fn invalid_benchmark_arguments_are_refused() {
+    let dir = simulated();
+    let message = dir.failure("train --table model.toml bench/1");
+    assert!(message.contains("one recording"), "{message}");
+    let message = dir.failure("train --table model.toml bench --axes xz");
+    assert!(message.contains("--axes"), "{message}");
+    let message = dir.failure("train --table model.toml bench --magnet-hours=-1");
+    assert!(message.contains("--disturbance-hours"), "{message}");
+    let message = dir.failure("train --table model.toml bench --near-zero 0");
+    assert!(message.contains("--zero-weight 0"), "{message}");
+    copy(&dir, "bench/3", "bench/4");
+    let message = dir.failure("train --table model.toml bench");
+    assert!(message.contains("are the same data"), "{message}");
 }

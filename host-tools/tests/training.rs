@@ -24,34 +24,23 @@ fn text(bytes: &[u8]) -> String {
 
 /// A campaign with little in it, and a model of it.
 fn campaign(folder: &TempDir) -> (PathBuf, PathBuf) {
-    let (campaign, model) = (
-        folder.path().join("bench"),
-        folder.path().join("model.toml"),
-    );
+    let (campaign, model) = (folder.path().join("bench"), folder.path().join("model.toml"));
     let path = |path: &Path| path.to_str().unwrap().to_owned();
-    let simulate = [
-        "simulate",
-        "-o",
-        &path(&campaign),
-        "--seconds",
-        "6",
-        "--sensors",
-        "2",
-    ];
+    let simulate = ["simulate", "-o", &path(&campaign), "--seconds", "6", "--sensors", "2"];
     assert!(magpie(&simulate, "2").status.success());
     let fit = ["fit", &path(&campaign), "-o", &path(&model)];
     assert!(magpie(&fit, "2").status.success());
     (model, campaign)
 }
 
-/// Trains with these arguments beside the usual; what was printed.
+/// Trains with these arguments in addition to the usual ones; returns the output.
 fn train(model: &Path, campaign: &Path, more: &[&str], threads: &str) -> Output {
     let usual = ["train", model.to_str().unwrap(), campaign.to_str().unwrap()];
     magpie(&[&usual, more].concat(), threads)
 }
 
 #[test]
-fn the_same_seed_gives_the_same_bytes_on_one_thread_and_on_two_and_when_it_is_resumed() {
+fn training_is_reproducible_across_threads_and_resume() {
     let folder = TempDir::new().unwrap();
     let (model, campaign) = campaign(&folder);
     let place = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
@@ -69,22 +58,13 @@ fn the_same_seed_gives_the_same_bytes_on_one_thread_and_on_two_and_when_it_is_re
     assert_eq!(one, run("three", &["--checkpoint", &checkpoint], "2"));
     let resumed = ["--checkpoint", &checkpoint, "--resume"];
     assert_eq!(one, run("four", &resumed, "1"));
-    let other = train(
-        &model,
-        &campaign,
-        &[&resumed[..], &["--seed", "2"]].concat(),
-        "1",
-    );
+    let other = train(&model, &campaign, &[&resumed[..], &["--seed", "2"]].concat(), "1");
     assert!(!other.status.success());
-    assert!(
-        text(&other.stderr).contains("(--axes"),
-        "{}",
-        text(&other.stderr)
-    );
+    assert!(text(&other.stderr).contains("(--axes"), "{}", text(&other.stderr));
 }
 
 #[test]
-fn every_force_gets_its_error_beside_the_ideal_model_s_and_its_range() {
+fn training_report_has_error_and_range_of_every_force() {
     let folder = TempDir::new().unwrap();
     let (model, campaign) = campaign(&folder);
     let more = [
@@ -104,11 +84,11 @@ fn every_force_gets_its_error_beside_the_ideal_model_s_and_its_range() {
     ];
     let done = train(&model, &campaign, &more, "2");
     assert!(done.status.success(), "{}", text(&done.stderr));
-    let told: Value = serde_json::from_slice(&done.stdout).unwrap();
-    let rows = told["sensors"].as_array().unwrap();
+    let output: Value = serde_json::from_slice(&done.stdout).unwrap();
+    let rows = output["sensors"].as_array().unwrap();
     assert_eq!(rows.len(), 4);
-    assert_eq!(told["held_out"], "1");
-    assert_eq!(told["networks"].as_array().unwrap().len(), 2);
+    assert_eq!(output["held_out"], "1");
+    assert_eq!(output["networks"].as_array().unwrap().len(), 2);
     for row in rows {
         let number = |key: &str| row[key].as_f64().unwrap();
         // Nothing is missing in the model: the network has nothing to add, and must not spoil it.
@@ -122,29 +102,17 @@ fn every_force_gets_its_error_beside_the_ideal_model_s_and_its_range() {
 }
 
 #[test]
-fn a_file_of_somebody_else_is_not_overwritten_and_one_recording_is_not_enough() {
+fn training_refuses_foreign_output_and_single_recording() {
     let folder = TempDir::new().unwrap();
     let notes = folder.path().join("notes.txt");
     fs::write(&notes, "mine").unwrap();
     let (model, clean) = (folder.path().join("none.toml"), data("clean"));
     let done = train(&model, &clean, &["-o", notes.to_str().unwrap()], "1");
     assert!(!done.status.success());
-    assert!(
-        text(&done.stderr).contains("not overwritten"),
-        "{}",
-        text(&done.stderr)
-    );
+    assert!(text(&done.stderr).contains("not overwritten"), "{}", text(&done.stderr));
     assert_eq!(fs::read_to_string(&notes).unwrap(), "mine");
     let done = train(&model, &clean.join("1"), &[], "1");
-    assert!(
-        text(&done.stderr).contains("there is one recording"),
-        "{}",
-        text(&done.stderr)
-    );
+    assert!(text(&done.stderr).contains("one recording"), "{}", text(&done.stderr));
     let done = train(&model, &clean, &["--hold-out", "4"], "1");
-    assert!(
-        text(&done.stderr).contains("there are 3 recordings"),
-        "{}",
-        text(&done.stderr)
-    );
+    assert!(text(&done.stderr).contains("there are 3 recordings"), "{}", text(&done.stderr));
 }

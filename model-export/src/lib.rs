@@ -1,17 +1,17 @@
-//! From recordings to a model: no terminal, no HTML, only the physics and the numbers.
+//! Physics, parameter estimation and code generation: from recordings to a model file and the device's
+//! tables. No terminal and no HTML.
 //!
-//! The modules stand in the order in which data flows; each uses only those above it.
+//! Modules in the order of the data flow:
 //!
-//! - [`quantity`]: units that people write, and the one unit that each quantity has here.
-//! - [`recordings`]: campaigns on disk, checked as they are read, brought to one clock.
-//! - [`output`]: files that the tool writes.
-//! - [`physics`]: the forward model, from forces to the field at each Hall sensor.
-//! - [`design`]: flexures, materials, and what a design can and cannot measure.
-//! - [`effects`]: the catalogue of physical effects, and a user's own.
-//! - [`fit`]: the forward model fitted to a campaign, with honest error bars.
-//! - [`model_file`]: the human-readable result, `model.toml`.
-//! - [`inverse`]: from fields to forces: the ideal model and the device's tables.
-//! - [`gru`]: the recurrent network: training, quantisation, its tables.
+//! - [`recordings`]: campaigns on disk: validation, units, clock alignment, import.
+//! - [`output`]: atomic writes that never overwrite foreign files.
+//! - [`physics`]: forward model from forces to the field at each Hall sensor.
+//! - [`design`]: flexures, materials, and the measurement limits of a design.
+//! - [`effects`]: catalogue of physical effects, and user-defined formulas.
+//! - [`fit`]: parameter estimation with standard errors, cross-validation and model selection.
+//! - [`model_file`]: `model.toml`, the human-readable result.
+//! - [`inverse`]: inverse model from fields to forces, and the device's tables.
+//! - [`gru`]: recurrent network: training, quantisation, tables.
 
 pub mod design;
 pub mod effects;
@@ -21,5 +21,4 @@ pub mod inverse;
 pub mod model_file;
 pub mod output;
 pub mod physics;
-pub mod quantity;
 pub mod recordings;

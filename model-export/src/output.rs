@@ -1,39 +1,38 @@
-//! Files that the tool writes: complete or not at all, and never over somebody else's.
+//! Output files: written atomically, never over files of another origin.
 
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
-use crate::recordings::problem::Fault;
-use crate::recordings::{Place, Problem};
+use crate::recordings::error::ErrorKind;
+use crate::recordings::{DataError, Location};
 
-/// What tells the tool's files from others.
+/// Bytes that identify a file of this tool.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Mark<'a> {
-    /// Bytes before it: some formats begin with a length.
-    pub after: usize,
-    /// The mark itself.
+pub struct FileSignature<'a> {
+    /// Offset of the signature in bytes; some formats begin with a length.
+    pub offset: usize,
+    /// The signature.
     pub text: &'a str,
 }
 
-impl<'a> From<&'a str> for Mark<'a> {
-    /// At the very start.
+impl<'a> From<&'a str> for FileSignature<'a> {
+    /// At offset zero.
     fn from(text: &'a str) -> Self {
-        Self { after: 0, text }
+        Self { offset: 0, text }
     }
 }
 
-/// Writes `bytes` to a new file beside `path` and renames it. What stands at `path` is replaced only
-/// if it is empty or begins with `mark`, as everything does that the tool has written there before; a
-/// link is followed.
+/// Writes `bytes` to a temporary file in the folder of `path` and renames it. An existing file is replaced
+/// only if it is empty or has the signature; symbolic links are followed.
 ///
 /// # Errors
-/// Something else stands there, or the file system refuses.
+/// The path holds a file of another origin, or the file system refuses.
 pub fn write_output<'a>(
     path: &Path,
     bytes: &[u8],
-    mark: impl Into<Mark<'a>>,
-) -> Result<(), Problem> {
-    let target = check_output(path, mark)?;
+    signature: impl Into<FileSignature<'a>>,
+) -> Result<(), DataError> {
+    let target = check_output(path, signature)?;
     let failed = |error| unwritable(path, error);
     let mut draft = tempfile::Builder::new();
     #[cfg(unix)]
@@ -44,26 +43,26 @@ pub fn write_output<'a>(
     let mut draft = draft.tempfile_in(folder_of(&target)).map_err(failed)?;
     draft.write_all(bytes).map_err(failed)?;
     draft.as_file().sync_all().map_err(failed)?;
-    draft
-        .persist(&target)
-        .map_err(|error| failed(error.error))?;
+    draft.persist(&target).map_err(|error| failed(error.error))?;
     Ok(())
 }
 
-/// Whether [`write_output`] may write there, to be asked before long work; the file that it means.
-pub fn check_output<'a>(path: &Path, mark: impl Into<Mark<'a>>) -> Result<PathBuf, Problem> {
+/// Checks that [`write_output`] may write `path` (call it before long computations); returns the resolved
+/// path.
+pub fn check_output<'a>(
+    path: &Path,
+    signature: impl Into<FileSignature<'a>>,
+) -> Result<PathBuf, DataError> {
     let target = match path.symlink_metadata() {
-        Ok(_) => path
-            .canonicalize()
-            .map_err(|error| unwritable(path, error))?,
+        Ok(_) => path.canonicalize().map_err(|error| unwritable(path, error))?,
         Err(_) => path.to_path_buf(),
     };
-    if target.exists() && !is_ours(&target, mark.into()) {
-        return Err(Fault::Occupied.at(Place::file(path)));
+    if target.exists() && !is_replaceable(&target, signature.into()) {
+        return Err(ErrorKind::OutputExists.at(Location::file(path)));
     }
     let folder = folder_of(&target);
     if !folder.exists() {
-        return Err(Fault::NoSuchFolder.at(Place::file(folder)));
+        return Err(ErrorKind::NoSuchFolder.at(Location::file(folder)));
     }
     folder.metadata().map_err(|error| unwritable(path, error))?;
     Ok(target)
@@ -76,22 +75,20 @@ fn folder_of(path: &Path) -> &Path {
     }
 }
 
-fn unwritable(path: &Path, error: std::io::Error) -> Problem {
-    // The kind alone: the draft's name would only confuse.
-    Fault::Unwritable(std::io::Error::from(error.kind())).at(Place::file(path))
+fn unwritable(path: &Path, error: std::io::Error) -> DataError {
+    // Only the kind: the message would name the temporary file.
+    ErrorKind::Unwritable(std::io::Error::from(error.kind())).at(Location::file(path))
 }
 
-/// An empty file, or one that begins with the mark.
-fn is_ours(path: &Path, mark: Mark) -> bool {
+/// An empty file, or one with the signature.
+fn is_replaceable(path: &Path, signature: FileSignature) -> bool {
     let Ok(metadata) = path.metadata() else {
         return false;
     };
-    let mut start = vec![0; mark.after + mark.text.len()];
-    let mut marked = || {
-        std::fs::File::open(path)
-            .and_then(|mut file| file.read_exact(&mut start))
-            .is_ok()
-            && start[mark.after..] == *mark.text.as_bytes()
+    let mut start = vec![0; signature.offset + signature.text.len()];
+    let mut has_signature = || {
+        std::fs::File::open(path).and_then(|mut file| file.read_exact(&mut start)).is_ok()
+            && start[signature.offset..] == *signature.text.as_bytes()
     };
-    metadata.is_file() && (metadata.len() == 0 || marked())
+    metadata.is_file() && (metadata.len() == 0 || has_signature())
 }

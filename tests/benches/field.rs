@@ -1,4 +1,4 @@
-//! The field of the cylinder beside MagpyLib's: the same numbers, and how many times faster on one
+//! The field of the cylinder compared with MagpyLib's: the same numbers, and how many times faster on one
 //! core, both timed in this run. Needs python3 with magpylib (`pip install magpylib`).
 //!
 //! Exits with an error where the fields differ by 1e-9 relative or the ratio is under 2.
@@ -41,10 +41,7 @@ fn main() -> ExitCode {
 }
 
 fn compare() -> Result<(f64, f64), String> {
-    let magnet = Cylinder {
-        diameter_mm: 3.0,
-        length_mm: 2.0,
-    };
+    let magnet = Cylinder { diameter_mm: 3.0, length_mm: 2.0 };
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     let points: Vec<Vector3<f64>> = (0..POINTS)
         .map(|_| {
@@ -59,10 +56,7 @@ fn compare() -> Result<(f64, f64), String> {
         ours_s = ours_s.min(start.elapsed().as_secs_f64());
     }
     let (theirs_s, theirs) = magpylib(&magnet, &points)?;
-    let differences = ours
-        .iter()
-        .zip(&theirs)
-        .map(|(a, b)| (a - b).norm() / b.norm());
+    let differences = ours.iter().zip(&theirs).map(|(a, b)| (a - b).norm() / b.norm());
     Ok((theirs_s / ours_s, differences.fold(0.0, f64::max)))
 }
 
@@ -72,9 +66,7 @@ fn magpylib(
 ) -> Result<(f64, Vec<Vector3<f64>>), String> {
     let folder = tempfile::tempdir().map_err(|e| e.to_string())?;
     let (input, output) = (folder.path().join("points"), folder.path().join("fields"));
-    let rows = points
-        .iter()
-        .flat_map(|p| [magnet.diameter_mm, magnet.length_mm, p.x, p.y, p.z]);
+    let rows = points.iter().flat_map(|p| [magnet.diameter_mm, magnet.length_mm, p.x, p.y, p.z]);
     let bytes: Vec<u8> = rows.flat_map(f64::to_le_bytes).collect();
     std::fs::write(&input, bytes).map_err(|e| e.to_string())?;
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/benches/magpylib_field.py");
@@ -88,29 +80,12 @@ fn magpylib(
         .map_err(|error| format!("{python} cannot be run: {error}"))?;
     if !run.status.success() {
         let said = String::from_utf8_lossy(&run.stderr);
-        return Err(format!(
-            "MagpyLib did not run (pip install magpylib): {said}"
-        ));
+        return Err(format!("MagpyLib did not run (pip install magpylib): {said}"));
     }
     let seconds = String::from_utf8_lossy(&run.stdout);
-    let seconds: f64 = seconds
-        .trim()
-        .parse()
-        .map_err(|_| format!("not a time: {seconds}"))?;
+    let seconds: f64 = seconds.trim().parse().map_err(|_| format!("not a time: {seconds}"))?;
     let bytes = std::fs::read(&output).map_err(|e| e.to_string())?;
-    let numbers: Vec<f64> = bytes
-        .as_chunks::<8>()
-        .0
-        .iter()
-        .map(|b| f64::from_le_bytes(*b))
-        .collect();
-    Ok((
-        seconds,
-        numbers
-            .as_chunks::<3>()
-            .0
-            .iter()
-            .map(|b| Vector3::from(*b))
-            .collect(),
-    ))
+    let numbers: Vec<f64> =
+        bytes.as_chunks::<8>().0.iter().map(|b| f64::from_le_bytes(*b)).collect();
+    Ok((seconds, numbers.as_chunks::<3>().0.iter().map(|b| Vector3::from(*b)).collect()))
 }

@@ -1,6 +1,6 @@
 """Fields of permanent magnets by MagpyLib, for comparison.
 
-    magpylib_field.py POINTS RESULT     times the points of a file, writes the fields beside them
+    magpylib_field.py POINTS RESULT     times the points of a file, writes the fields to RESULT
     magpylib_field.py --points          prints the fields at the test points as CSV
 
 POINTS holds rows of little-endian f64: diameter, length, x, y, z, all in mm, in the frame of an axially
@@ -73,9 +73,9 @@ def outside(shape, size, at):
     if shape in (CUBE, SPHERE):
         return 2 * max(map(abs, at)) >= width + 2 * room
     across = 4 * (x * x + y * y)
-    beside = across >= (width + 2 * room) ** 2
+    outside = across >= (width + 2 * room) ** 2
     within = hole > 2 * room and across <= (hole - 2 * room) ** 2
-    return beside or within or 2 * abs(z) >= length + 2 * room
+    return outside or within or 2 * abs(z) >= length + 2 * room
 
 
 def points(shape, seed):

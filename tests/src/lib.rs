@@ -1,7 +1,7 @@
-//! What the integration tests share: where data are, and a small bench that writes recordings.
+//! Fixtures of the integration tests: paths of test data, and synthetic campaigns.
 
+pub mod campaign_copy;
 pub mod points;
-pub mod spoilt;
 
 use std::fs::{self, File};
 use std::io::Write;
@@ -10,52 +10,43 @@ use std::path::{Path, PathBuf};
 use flate2::Compression;
 use flate2::write::GzEncoder;
 use model_export::physics::ForwardModel;
-use model_export::recordings::description::Design;
+use model_export::recordings::description::NominalDesign;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
 
-/// A file or folder under `tests/data`.
+/// Path of a file or folder in `tests/data`.
 pub fn data(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("data")
-        .join(name)
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("data").join(name)
 }
 
-/// A folder of real measurements by others, if this machine has them; says so where it has not.
+/// Folder of third-party measurements; prints a note and returns `None` if it is not available.
 pub fn real_data(name: &str) -> Option<PathBuf> {
-    elsewhere("real", "MAGPIE_REAL_DATA", name)
+    external("real", "MAGPIE_REAL_DATA", name)
 }
 
-/// A whole campaign of the separate simulated bench that [`data`] has the beginnings of, likewise.
-pub fn recordings(name: &str) -> Option<PathBuf> {
-    elsewhere("recordings", "MAGPIE_RECORDINGS", name)
+/// Folder of a full campaign of the independent simulator, of which [`data`] has excerpts; `None` if not available.
+pub fn full_campaign(name: &str) -> Option<PathBuf> {
+    external("recordings", "MAGPIE_RECORDINGS", name)
 }
 
-/// What is too large for the repository: where `variable` says, else beside the checkout.
-fn elsewhere(kind: &str, variable: &str, name: &str) -> Option<PathBuf> {
+/// Folder of data outside the repository: in that of the environment variable, else next to the checkout.
+fn external(kind: &str, variable: &str, name: &str) -> Option<PathBuf> {
     let root = std::env::var_os(variable).map_or_else(
-        || {
-            Path::new(env!("CARGO_MANIFEST_DIR"))
-                .join("../../shared")
-                .join(kind)
-        },
+        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared").join(kind),
         PathBuf::from,
     );
     let folder = root.join(name);
     if folder.is_dir() {
         return Some(folder);
     }
-    eprintln!(
-        "skipped: nothing at {} (set {variable}; tests/data/README.md says what belongs there)",
-        folder.display()
-    );
+    eprintln!("skipped: {} not found (set {variable}; see tests/data/README.md)", folder.display());
     None
 }
 
-/// The nominal design, perfectly made.
+/// Forward model of the nominal design without tolerances.
 pub fn nominal() -> ForwardModel {
-    ForwardModel::nominal(&Design::magpie())
+    ForwardModel::nominal(&NominalDesign::magpie())
 }
 
 /// `recording.toml` of the nominal design.
@@ -71,21 +62,21 @@ stiffness_x_n_per_mm = 500.0
 stiffness_z_n_per_mm = 800.0
 "#;
 
-/// A bench that shares the forward model with the fit: it tests the statistics, not the physics.
+/// Synthetic campaign with the forward model of the fit: for tests of the statistics, not of the physics.
 #[derive(Clone, Copy, Debug)]
-pub struct Bench {
-    /// The sensor on it.
+pub struct SyntheticCampaign {
+    /// Sensor.
     pub model: ForwardModel,
-    /// Length of a recording in seconds.
+    /// Duration of a recording in seconds.
     pub seconds: f64,
-    /// White noise of the field in gauss, of the reference in newtons.
+    /// Standard deviation of white noise: of the field in gauss, of the reference in newtons.
     pub noise: (f64, f64),
     /// Seed of noise and load.
     pub seed: u64,
 }
 
-impl Bench {
-    /// Lateral and longitudinal load in newtons at a time in seconds.
+impl SyntheticCampaign {
+    /// Lateral and longitudinal load in newtons.
     fn load(&self, recording: u64, time_s: f64) -> [f64; 2] {
         let phase = (self.seed * 7 + recording) as f64;
         let tau = std::f64::consts::TAU;
@@ -97,7 +88,7 @@ impl Bench {
         ]
     }
 
-    /// Both tables of one recording, as text.
+    /// `hall.csv` and `force.csv` of a recording.
     pub fn tables(&self, recording: u64) -> (String, String) {
         let mut rng = ChaCha8Rng::seed_from_u64(1000 * self.seed + recording);
         let field_noise = Normal::new(0.0, self.noise.0).expect("a standard deviation");
@@ -117,39 +108,30 @@ impl Bench {
         (hall, force)
     }
 
-    /// Writes a campaign of `recordings` into `folder`.
+    /// Writes a campaign of this number of recordings.
     pub fn write_campaign(&self, folder: &Path, recordings: u64) {
         for recording in 1..=recordings {
             let (hall, force) = self.tables(recording);
-            write_recording(
-                &folder.join(recording.to_string()),
-                RECORDING_TOML,
-                &hall,
-                &force,
-            );
+            write_recording(&folder.join(recording.to_string()), RECORDING_TOML, &hall, &force);
         }
     }
 }
 
-/// Writes one recording, uncompressed.
+/// Writes a recording, uncompressed.
 pub fn write_recording(folder: &Path, description: &str, hall: &str, force: &str) {
     fs::create_dir_all(folder).expect("a folder");
-    for (name, text) in [
-        ("recording.toml", description),
-        ("hall.csv", hall),
-        ("force.csv", force),
-    ] {
+    for (name, text) in [("recording.toml", description), ("hall.csv", hall), ("force.csv", force)]
+    {
         fs::write(folder.join(name), text).expect("a file");
     }
 }
 
-/// Packs `name` in `folder` as gzip and removes the plain file.
-pub fn pack(folder: &Path, name: &str) {
+/// Compresses a file with gzip and removes the original.
+pub fn compress(folder: &Path, name: &str) {
     let plain = folder.join(name);
-    let packed = File::create(folder.join(format!("{name}.gz"))).expect("a file");
-    let mut out = GzEncoder::new(packed, Compression::fast());
-    out.write_all(&fs::read(&plain).expect("the plain file"))
-        .expect("written");
+    let compressed = File::create(folder.join(format!("{name}.gz"))).expect("a file");
+    let mut out = GzEncoder::new(compressed, Compression::fast());
+    out.write_all(&fs::read(&plain).expect("the plain file")).expect("written");
     out.finish().expect("finished");
     fs::remove_file(plain).expect("removed");
 }

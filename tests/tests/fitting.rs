@@ -1,10 +1,8 @@
-//! What a fit promises: the truth within its error bars, the floor on clean data, and a named
-//! refusal of columns that cannot be what they say.
+//! Fits: true parameters within their standard errors, the noise floor on clean data, refusal of implausible columns.
 
-use model_export::fit::campaign;
 use model_export::fit::joint::SensorFit;
 use model_export::fit::parameters::{COUNT, PARAMETERS, tolerances, values, with_values};
-use model_export::fit::{Fits, Options};
+use model_export::fit::{CampaignFits, FitOptions, campaign};
 use model_export::model_file::{ModelFile, Provenance};
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
@@ -12,30 +10,30 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use tempfile::TempDir;
-use tests::{Bench, data, nominal};
+use tests::{SyntheticCampaign, data, nominal};
 
-const AT_ONCE: Alignment = Alignment { delay_us: 0.0 };
+const NO_DELAY: Alignment = Alignment { delay_us: 0.0 };
 
 fn read(folder: &std::path::Path) -> Campaign {
-    Campaign::read(folder, AT_ONCE, |_| ()).unwrap()
+    Campaign::read(folder, NO_DELAY, |_| ()).unwrap()
 }
 
-fn cylinder_fits(campaign: &Campaign) -> (Fits, Vec<SensorFit>) {
-    let (fits, _) = campaign::cylinder(campaign, Options::default(), |_| ()).unwrap();
+fn cylinder_fits(campaign: &Campaign) -> (CampaignFits, Vec<SensorFit>) {
+    let (fits, _) = campaign::cylinder(campaign, FitOptions::default(), |_| ()).unwrap();
     match &fits {
-        Fits::Cylinder(_, fit) => (fits.clone(), fit.sensors.clone()),
-        Fits::Polynomial(_) => unreachable!("a cylinder was asked for"),
+        CampaignFits::Cylinder(_, fit) => (fits.clone(), fit.sensors.clone()),
+        CampaignFits::Polynomial(_) => unreachable!("not a cylinder"),
     }
 }
 
 #[test]
-fn a_clean_campaign_is_fitted_to_its_noise_floor_on_every_axis_held_out() {
+fn held_out_errors_of_clean_data_are_at_the_noise_floor() {
     let (fits, _) = cylinder_fits(&read(&data("clean")));
     let scores = fits.scores();
     assert_eq!(scores.len(), 12);
     for score in scores {
         let ratio = score.held_out_rms_g / score.floor_g;
-        // Far below would mean that the floor is wrong.
+        // A ratio far below one indicates a wrong floor.
         assert!(
             (0.93..=1.05).contains(&ratio),
             "sensor {} {:?}: {ratio}",
@@ -46,7 +44,7 @@ fn a_clean_campaign_is_fitted_to_its_noise_floor_on_every_axis_held_out() {
 }
 
 #[test]
-fn the_floor_holds_the_sensor_s_noise_after_averaging_and_the_reference_s_through_the_slope() {
+fn the_noise_floor_combines_sensor_and_reference_noise() {
     // 0.35 G and 0.036 G of quantisation through eleven samples, 0.15 N through 1.17 and 0.73 G/N.
     let (fits, _) = cylinder_fits(&read(&data("clean")));
     let sensor = 0.308_22 * 0.351_9_f64;
@@ -59,10 +57,10 @@ fn the_floor_holds_the_sensor_s_noise_after_averaging_and_the_reference_s_throug
 }
 
 #[test]
-fn true_parameters_lie_within_three_error_bars_whatever_the_seed() {
+fn true_parameters_are_within_three_standard_errors() {
     let design = nominal();
     let scale = tolerances(&design);
-    let (mut within, mut judged, mut known) = (0, 0, 0);
+    let (mut within, mut total, mut identifiable) = (0, 0, 0);
     for seed in 1..=12 {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let start = values(&design);
@@ -71,7 +69,7 @@ fn true_parameters_lie_within_three_error_bars_whatever_the_seed() {
             start[i] + scale[i] * scatter.clamp(-2.0, 2.0)
         });
         let folder = TempDir::new().unwrap();
-        let bench = Bench {
+        let bench = SyntheticCampaign {
             model: with_values(&design, &truth),
             seconds: 8.0,
             noise: (0.35, 0.15),
@@ -80,58 +78,44 @@ fn true_parameters_lie_within_three_error_bars_whatever_the_seed() {
         bench.write_campaign(folder.path(), 3);
         let (_, fits) = cylinder_fits(&read(folder.path()));
         for (i, truth) in truth.into_iter().enumerate() {
-            judged += 1;
-            known += usize::from(fits[0].identifiable[i]);
+            total += 1;
+            identifiable += usize::from(fits[0].identifiable[i]);
             within += usize::from((fits[0].values[i] - truth).abs() <= 3.0 * fits[0].std_error(i));
         }
     }
-    assert!(
-        within as f64 >= 0.97 * judged as f64,
-        "{within} of {judged}"
-    );
-    // An error bar as wide as the tolerance would pass the line above and say nothing.
-    assert!(
-        known as f64 >= 0.6 * judged as f64,
-        "{known} of {judged} known"
-    );
+    assert!(within as f64 >= 0.97 * total as f64, "{within} of {total}");
+    // Standard errors as large as the tolerances would pass the assertion above.
+    assert!(identifiable as f64 >= 0.6 * total as f64, "{identifiable} of {total} identifiable");
 }
 
 #[test]
-fn remanence_and_bias_along_the_gap_are_reported_as_inseparable() {
+fn remanence_and_bias_along_the_gap_are_not_identifiable() {
     let (_, fits) = cylinder_fits(&read(&data("clean")));
     for fit in fits {
         let of = |name: &str| PARAMETERS.iter().position(|p| p.name == name).unwrap();
         assert!(!fit.identifiable[of("bias_y")] && fit.identifiable[of("stiffness_x")]);
         let names: Vec<&str> = fit
-            .held
+            .unidentifiable
             .iter()
             .flat_map(|held| held.shares.iter().map(|s| s.0.as_str()))
             .collect();
-        assert!(
-            names.contains(&"bias_y") && names.contains(&"remanence"),
-            "{names:?}"
-        );
+        assert!(names.contains(&"bias_y") && names.contains(&"remanence"), "{names:?}");
     }
 }
 
 #[test]
-fn an_effect_that_the_model_lacks_does_not_make_the_parameters_run_away() {
-    // Fields swing by 20 G with a slow period of their own: far more than any parameter explains.
+fn an_unmodelled_effect_keeps_parameters_within_tolerances() {
+    // An additional oscillation of 20 G: far more than any parameter explains.
     let folder = TempDir::new().unwrap();
-    let bench = Bench {
-        model: nominal(),
-        seconds: 8.0,
-        noise: (0.35, 0.15),
-        seed: 5,
-    };
+    let bench = SyntheticCampaign { model: nominal(), seconds: 8.0, noise: (0.35, 0.15), seed: 5 };
     for recording in 1..=3 {
         let (hall, force) = bench.tables(recording);
         let mut rows = hall.lines();
-        let mut swung = rows.next().unwrap().to_owned() + "\n";
+        let mut modified = rows.next().unwrap().to_owned() + "\n";
         for (ms, row) in rows.enumerate() {
             let cells: Vec<i64> = row.split(',').map(|cell| cell.parse().unwrap()).collect();
             let swing = (160.0 * (ms as f64 * 1e-3 * 0.9 + recording as f64).sin()) as i64;
-            swung += &format!(
+            modified += &format!(
                 "{},{},{},{}\n",
                 cells[0],
                 cells[1] + swing,
@@ -140,30 +124,22 @@ fn an_effect_that_the_model_lacks_does_not_make_the_parameters_run_away() {
             );
         }
         let path = folder.path().join(recording.to_string());
-        tests::write_recording(&path, tests::RECORDING_TOML, &swung, &force);
+        tests::write_recording(&path, tests::RECORDING_TOML, &modified, &force);
     }
     let (fits, list) = cylinder_fits(&read(folder.path()));
-    assert!(
-        fits.scores()
-            .iter()
-            .any(|s| s.held_out_rms_g > 20.0 * s.floor_g)
-    );
+    assert!(fits.scores().iter().any(|s| s.held_out_rms_g > 20.0 * s.floor_g));
     let (start, scale) = (values(&nominal()), tolerances(&nominal()));
     for i in 0..COUNT {
-        let moved = (list[0].values[i] - start[i]).abs() / scale[i];
-        assert!(
-            moved < 3.0,
-            "{} moved by {moved} tolerances",
-            PARAMETERS[i].name
-        );
+        let change = (list[0].values[i] - start[i]).abs() / scale[i];
+        assert!(change < 3.0, "{} changed by {change} tolerances", PARAMETERS[i].name);
     }
 }
 
 #[test]
-fn a_model_file_gives_back_the_model_that_was_written() {
+fn a_model_file_is_read_as_it_was_written() {
     let campaign = read(&data("clean"));
     let (fits, list) = cylinder_fits(&campaign);
-    let provenance = Provenance::of(&campaign, 0.0, Options::default()).unwrap();
+    let provenance = Provenance::of(&campaign, 0.0, FitOptions::default()).unwrap();
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("model.toml");
     let written = ModelFile::of(&campaign, &fits, provenance);
@@ -179,17 +155,17 @@ fn a_model_file_gives_back_the_model_that_was_written() {
 }
 
 #[test]
-fn a_file_that_magpie_has_not_written_is_never_overwritten() {
+fn a_file_of_another_program_is_not_overwritten() {
     let campaign = read(&data("clean"));
     let (fits, _) = cylinder_fits(&campaign);
-    let provenance = Provenance::of(&campaign, 0.0, Options::default()).unwrap();
+    let provenance = Provenance::of(&campaign, 0.0, FitOptions::default()).unwrap();
     let model = ModelFile::of(&campaign, &fits, provenance);
     let folder = TempDir::new().unwrap();
-    let precious = folder.path().join("recording.toml");
-    std::fs::write(&precious, "start_s = 0.0").unwrap();
-    let refused = model.write(&precious).unwrap_err().to_string();
+    let foreign = folder.path().join("recording.toml");
+    std::fs::write(&foreign, "start_s = 0.0").unwrap();
+    let refused = model.write(&foreign).unwrap_err().to_string();
     assert!(refused.contains("it is not overwritten"), "{refused}");
-    assert_eq!(std::fs::read_to_string(&precious).unwrap(), "start_s = 0.0");
+    assert_eq!(std::fs::read_to_string(&foreign).unwrap(), "start_s = 0.0");
     let own = folder.path().join("model.toml");
     std::fs::write(&own, "").unwrap();
     model.write(&own).unwrap();
@@ -197,13 +173,10 @@ fn a_file_that_magpie_has_not_written_is_never_overwritten() {
 }
 
 #[test]
-fn a_dead_channel_and_a_resting_force_are_refused_by_name() {
-    let dead = said("hall.csv", &[], Some((3, 0.0)));
-    assert!(
-        dead.contains("column s0_z: the channel never changes"),
-        "{dead}"
-    );
-    let resting = said("force.csv", &[], Some((1, 0.0)));
+fn a_constant_channel_and_a_constant_force_are_refused() {
+    let dead = error_of("hall.csv", &[], Some((3, 0.0)));
+    assert!(dead.contains("column s0_z: the channel never changes"), "{dead}");
+    let resting = error_of("force.csv", &[], Some((1, 0.0)));
     assert!(
         resting.contains("column f0_x_n: the force does not move beyond its noise"),
         "{resting}"
@@ -211,7 +184,7 @@ fn a_dead_channel_and_a_resting_force_are_refused_by_name() {
 }
 
 #[test]
-fn one_recording_is_judged_on_stretches_of_itself() {
+fn one_recording_is_cross_validated_on_its_own_blocks() {
     let (fits, _) = cylinder_fits(&read(&data("clean/1")));
     for score in fits.scores() {
         let ratio = score.held_out_rms_g / score.floor_g;
@@ -219,15 +192,10 @@ fn one_recording_is_judged_on_stretches_of_itself() {
     }
 }
 
-/// What fitting says after the header of one table was edited.
-fn said(file: &str, rename: &[(&str, &str)], scale: Option<(usize, f64)>) -> String {
+/// Error message of a fit after renaming or scaling a column.
+fn error_of(file: &str, rename: &[(&str, &str)], scale: Option<(usize, f64)>) -> String {
     let folder = TempDir::new().unwrap();
-    let bench = Bench {
-        model: nominal(),
-        seconds: 4.0,
-        noise: (0.35, 0.15),
-        seed: 2,
-    };
+    let bench = SyntheticCampaign { model: nominal(), seconds: 4.0, noise: (0.35, 0.15), seed: 2 };
     bench.write_campaign(folder.path(), 1);
     let path = folder.path().join("1").join(file);
     let text = std::fs::read_to_string(&path).unwrap();
@@ -249,46 +217,28 @@ fn said(file: &str, rename: &[(&str, &str)], scale: Option<(usize, f64)>) -> Str
         edited += &(cells.join(",") + "\n");
     }
     std::fs::write(&path, edited).unwrap();
-    let error = campaign::cylinder(&read(folder.path()), Options::default(), |_| ()).unwrap_err();
+    let error =
+        campaign::cylinder(&read(folder.path()), FitOptions::default(), |_| ()).unwrap_err();
     error.to_string()
 }
 
 #[test]
-fn swapped_flipped_and_wrongly_scaled_columns_are_refused_by_name() {
-    let swapped = said(
-        "force.csv",
-        &[("f0_x_n", "f0_z_n"), ("f0_z_n", "f0_x_n")],
-        None,
-    );
+fn swapped_inverted_and_scaled_columns_are_refused() {
+    let swapped = error_of("force.csv", &[("f0_x_n", "f0_z_n"), ("f0_z_n", "f0_x_n")], None);
     assert!(
         swapped.contains("force.csv, column f0_x_n") && swapped.contains("swapped"),
         "{swapped}"
     );
-    let flipped = said("force.csv", &[], Some((2, -1.0)));
-    assert!(
-        flipped.contains("column f0_z_n") && flipped.contains("sign flipped"),
-        "{flipped}"
-    );
-    let kilograms = said("force.csv", &[], Some((1, 1.0 / 9.80665)));
-    assert!(
-        kilograms.contains("column f0_x_n") && kilograms.contains("unit"),
-        "{kilograms}"
-    );
-    let reversed = said("hall.csv", &[], Some((2, -1.0)));
-    assert!(
-        reversed.contains("column s0_y") && reversed.contains("sign is flipped"),
-        "{reversed}"
-    );
-    let permuted = said(
-        "hall.csv",
-        &[("s0_x_lsb", "s0_y_lsb"), ("s0_y_lsb", "s0_x_lsb")],
-        None,
-    );
-    assert!(
-        permuted.contains("column s0_x") && permuted.contains("permuted"),
-        "{permuted}"
-    );
-    let millitesla = said("hall.csv", &[("_lsb", "_gauss")], Some((2, 0.0125)));
+    let flipped = error_of("force.csv", &[], Some((2, -1.0)));
+    assert!(flipped.contains("column f0_z_n") && flipped.contains("sign flipped"), "{flipped}");
+    let kilograms = error_of("force.csv", &[], Some((1, 1.0 / 9.80665)));
+    assert!(kilograms.contains("column f0_x_n") && kilograms.contains("unit"), "{kilograms}");
+    let reversed = error_of("hall.csv", &[], Some((2, -1.0)));
+    assert!(reversed.contains("column s0_y") && reversed.contains("sign is flipped"), "{reversed}");
+    let permuted =
+        error_of("hall.csv", &[("s0_x_lsb", "s0_y_lsb"), ("s0_y_lsb", "s0_x_lsb")], None);
+    assert!(permuted.contains("column s0_x") && permuted.contains("permuted"), "{permuted}");
+    let millitesla = error_of("hall.csv", &[("_lsb", "_gauss")], Some((2, 0.0125)));
     assert!(
         millitesla.contains("column s0_y") && millitesla.contains("1 mT is 10 G"),
         "{millitesla}"

@@ -1,16 +1,15 @@
-//! What the fuzzer runs, over inputs drawn at random: a small fixed part of it, in every test run. See
-//! `tests/fuzz/README.md`.
+//! The fuzz targets on a fixed set of random inputs (`tests/fuzz/README.md`).
 
 #[path = "../fuzz/src/lib.rs"]
 mod fuzz;
 
-// The tables' file names what it needs as the firmware does.
+// The tables use `crate::` paths of the firmware.
 #[allow(unused_imports)]
 use firmware::*;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// So many inputs of up to so many bytes.
+/// Random inputs of up to `longest` bytes.
 fn inputs(seed: u64, count: usize, longest: usize) -> impl Iterator<Item = Vec<u8>> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     (0..count).map(move |_| {
@@ -20,23 +19,20 @@ fn inputs(seed: u64, count: usize, longest: usize) -> impl Iterator<Item = Vec<u
 }
 
 #[test]
-fn no_story_on_the_can_bus_moves_the_gripper_against_the_rules() {
+fn can_sessions_agree_with_the_reference_model() {
     let (mut armed, mut commands, mut dropped) = (0, 0, 0);
     for input in inputs(1, 20_000, 400) {
-        let tally = fuzz::can::hear(&input);
+        let tally = fuzz::can::receive(&input);
         armed += tally.armed;
         commands += tally.commands;
         dropped += tally.dropped;
     }
-    // The stories come where they should: else the rules were never asked.
-    assert!(
-        armed > 5_000 && commands > 1_000 && dropped > 100_000,
-        "{armed} {commands} {dropped}"
-    );
+    // The inputs reach the code behind the checksums.
+    assert!(armed > 5_000 && commands > 1_000 && dropped > 100_000, "{armed} {commands} {dropped}");
 }
 
 #[test]
-fn whatever_comes_on_the_serial_line_the_next_sound_packet_is_understood() {
+fn the_serial_receiver_resynchronises_after_any_bytes() {
     let (mut packets, mut broken) = (0, 0);
     for input in inputs(2, 20_000, 400) {
         let tally = fuzz::serial::receive(&input);
@@ -47,7 +43,7 @@ fn whatever_comes_on_the_serial_line_the_next_sound_packet_is_understood() {
 }
 
 #[test]
-fn whatever_flash_holds_and_whenever_the_power_goes_the_old_or_the_new_parameters_are_found() {
+fn interrupted_saves_preserve_old_or_new_parameters() {
     let (mut found, mut cut, mut saved) = (0, 0, 0);
     for input in inputs(5, 5_000, 400) {
         let tally = fuzz::store::keep(&input);
@@ -55,10 +51,7 @@ fn whatever_flash_holds_and_whenever_the_power_goes_the_old_or_the_new_parameter
         cut += tally.cut;
         saved += tally.saved;
     }
-    assert!(
-        found > 500 && cut > 500 && saved > 500,
-        "{found} {cut} {saved}"
-    );
+    assert!(found > 500 && cut > 500 && saved > 500, "{found} {cut} {saved}");
 }
 
 mod sensing {
@@ -71,23 +64,23 @@ mod sensing {
     }
 
     #[test]
-    fn whatever_the_sensors_send_the_forces_stay_within_the_tables() {
+    fn forces_are_bounded_for_any_sensor_data() {
         let new = Chain::new(&tables::TABLES, &tables::NETWORKS);
-        let rested = new.clone().rested();
-        let (mut valid, mut doubtful, mut disturbed, mut told) = (0, 0, 0, 0);
-        for (chain, seed) in [(new, 3), (rested, 4)] {
+        let settled = new.clone().rested();
+        let (mut valid, mut unusable, mut disturbed, mut predicted) = (0, 0, 0, 0);
+        for (chain, seed) in [(new, 3), (settled, 4)] {
             for input in inputs(seed, 2_000, 400) {
                 let tally = chain.clone().sense(&input);
                 valid += tally.valid;
-                doubtful += tally.doubtful;
+                unusable += tally.doubtful;
                 disturbed += tally.disturbed;
-                told += tally.told;
+                predicted += tally.reported;
             }
         }
-        assert_eq!(told > 0, !tables::NETWORKS.is_empty());
+        assert_eq!(predicted > 0, !tables::NETWORKS.is_empty());
         assert!(
-            valid > 1000 && doubtful > 1000 && disturbed > 100,
-            "{valid} {doubtful} {disturbed}"
+            valid > 1000 && unusable > 1000 && disturbed > 100,
+            "{valid} {unusable} {disturbed}"
         );
     }
 }

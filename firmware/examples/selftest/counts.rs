@@ -6,23 +6,20 @@ use core::hint::black_box;
 
 use cortex_m::peripheral::syst::SystClkSource;
 use cortex_m::peripheral::{Peripherals, SYST};
-use firmware::model::grbf;
-use firmware::model::gru;
-use firmware::model::network::{State, Weights};
+use firmware::model::formats::{GruState, Weights};
+use firmware::model::kernel::{grbf, gru};
 
-use crate::grip;
-use crate::loops;
-use crate::motor;
 use crate::vectors::{self, Random};
+use crate::{grip, motor, tasks};
 
-/// Inputs that must all take the same number of instructions.
-const INPUTS_TRIED: u32 = 40;
-/// Turns of a loop of two instructions, of which the timer's pace is learnt.
-const TURNS: u32 = 10_000;
-/// Instructions of these turns.
-const PACE: u32 = 2 * TURNS;
+/// Number of inputs; all must take the same number of instructions.
+const TRIALS: u32 = 40;
+/// Iterations of a loop of two instructions that calibrates the timer.
+const ITERATIONS: u32 = 10_000;
+/// Instructions of these iterations.
+const CALIBRATION_INSTRUCTIONS: u32 = 2 * ITERATIONS;
 
-/// A line for each kernel: its name, and how many instructions one call takes.
+/// Prints name and instructions per call of each kernel.
 pub fn print(out: &mut impl Write) -> Result {
     let counter = Counter::new().ok_or(Error)?;
     network::<2, 4, 1>("gru_3_8", &counter, out)?;
@@ -34,7 +31,7 @@ pub fn print(out: &mut impl Write) -> Result {
     }
     motor::print(&counter, out)?;
     grip::print(&counter, out)?;
-    loops::print(&counter, out)
+    tasks::print(&counter, out)
 }
 
 /// A whole call of [`gru::step`].
@@ -43,13 +40,13 @@ fn network<const INPUTS: usize, const HIDDEN: usize, const SENSORS: usize>(
     counter: &Counter,
     out: &mut impl Write,
 ) -> Result {
-    let mut weights: Weights<INPUTS, HIDDEN, SENSORS> = vectors::nothing();
+    let mut weights: Weights<INPUTS, HIDDEN, SENSORS> = vectors::zero_weights();
     let mut random = Random(7);
-    let mut state = State::RESET;
+    let mut state = GruState::RESET;
     let mut counts = Counts::default();
-    for tried in 0..INPUTS_TRIED {
-        vectors::draw(&mut weights, tried % 3, &mut random);
-        state.input = vectors::inputs(&mut random, tried * 7);
+    for trial in 0..TRIALS {
+        vectors::draw(&mut weights, trial % 3, &mut random);
+        state.input = vectors::inputs(&mut random, trial * 7);
         counts.add(counter.instructions(|| gru::step(&weights, &mut state)));
     }
     counts.print(name, out)
@@ -59,10 +56,10 @@ fn network<const INPUTS: usize, const HIDDEN: usize, const SENSORS: usize>(
 fn basis_functions(name: &str, pairs: usize, counter: &Counter, out: &mut impl Write) -> Result {
     let mut random = Random(11);
     let mut counts = Counts::default();
-    for tried in 0..INPUTS_TRIED {
-        let (exp, all) = vectors::centres(&mut random, tried % 3 == 0);
+    for trial in 0..TRIALS {
+        let (exp, all) = vectors::centres(&mut random, trial % 3 == 0);
         let used = all.get(..pairs).ok_or(Error)?;
-        let at = vectors::coordinates(&mut random, tried % 3 == 0);
+        let at = vectors::coordinates(&mut random, trial % 3 == 0);
         counts.add(counter.instructions(|| {
             black_box(grbf::sum(&exp, used, at));
         }));
@@ -78,21 +75,20 @@ struct Counts {
 }
 
 impl Counts {
-    /// The first run of a piece of code does not count: the emulator translates it meanwhile, and its
-    /// clock is off by an instruction.
+    /// The first run of a code section is not counted: the emulator translates it, and its clock is off by one instruction.
     fn add(&mut self, count: u32) {
         if self.runs > 0 {
-            let (least, greatest) = self.range.unwrap_or((count, count));
-            self.range = Some((least.min(count), greatest.max(count)));
+            let (min, max) = self.range.unwrap_or((count, count));
+            self.range = Some((min.min(count), max.max(count)));
         }
         self.runs += 1;
     }
 
     fn print(&self, name: &str, out: &mut impl Write) -> Result {
         match self.range {
-            Some((least, greatest)) if least == greatest => writeln!(out, "{name} {least}"),
-            Some((least, greatest)) => {
-                writeln!(out, "{name} takes {least} to {greatest} instructions")?;
+            Some((min, max)) if min == max => writeln!(out, "{name} {min}"),
+            Some((min, max)) => {
+                writeln!(out, "{name} takes {min} to {max} instructions")?;
                 Err(Error)
             }
             None => Err(Error),
@@ -100,11 +96,11 @@ impl Counts {
     }
 }
 
-/// Ticks of the core's timer during [`PACE`] instructions.
+/// Ticks of the core's timer during [`CALIBRATION_INSTRUCTIONS`] instructions.
 pub struct Counter {
-    pace: u32,
-    /// Ticks around nothing.
-    nothing: u32,
+    ticks_per_calibration: u32,
+    /// Ticks of an empty measurement.
+    overhead: u32,
 }
 
 impl Counter {
@@ -114,23 +110,19 @@ impl Counter {
         timer.set_reload(0x00ff_ffff);
         timer.clear_current();
         timer.enable_counter();
-        let mut counter = Self {
-            pace: 0,
-            nothing: 0,
-        };
-        // Twice, for the first run of a piece of code does not count. The difference of two runs of
-        // the loop holds nothing but its turns.
+        let mut counter = Self { ticks_per_calibration: 0, overhead: 0 };
+        // Twice, because the first run of a code section is not counted. The difference of two runs contains only iterations.
         for _ in 0..2 {
-            let [short, long] =
-                [TURNS, 2 * TURNS].map(|turns| Self::ticks(|| cortex_m::asm::delay(turns)));
-            counter.pace = long.checked_sub(short)?;
-            counter.nothing = Self::ticks(|| ());
+            let [short, long] = [ITERATIONS, 2 * ITERATIONS]
+                .map(|iterations| Self::ticks(|| cortex_m::asm::delay(iterations)));
+            counter.ticks_per_calibration = long.checked_sub(short)?;
+            counter.overhead = Self::ticks(|| ());
         }
-        // Less than two ticks to an instruction would not tell one more from one less.
-        (counter.pace >= 2 * PACE).then_some(counter)
+        // Fewer than two ticks per instruction would not resolve single instructions.
+        (counter.ticks_per_calibration >= 2 * CALIBRATION_INSTRUCTIONS).then_some(counter)
     }
 
-    /// One piece of code for each kind of work: not inlined, not unrolled.
+    /// One code section for each closure: not inlined, not unrolled.
     #[inline(never)]
     fn ticks(work: impl FnOnce()) -> u32 {
         let before = SYST::get_current();
@@ -139,10 +131,11 @@ impl Counter {
         before.wrapping_sub(after) & 0x00ff_ffff
     }
 
-    /// Instructions of some work.
+    /// Instructions of a closure.
     pub fn instructions(&self, work: impl FnOnce()) -> u32 {
-        let ticks = Self::ticks(work).saturating_sub(self.nothing);
-        let rounded = u64::from(ticks) * u64::from(PACE) + u64::from(self.pace / 2);
-        (rounded / u64::from(self.pace)) as u32
+        let ticks = Self::ticks(work).saturating_sub(self.overhead);
+        let rounded = u64::from(ticks) * u64::from(CALIBRATION_INSTRUCTIONS)
+            + u64::from(self.ticks_per_calibration / 2);
+        (rounded / u64::from(self.ticks_per_calibration)) as u32
     }
 }

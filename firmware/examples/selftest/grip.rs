@@ -1,19 +1,19 @@
-//! The grasp: instructions of a tick, the most and on the average, while it arms, grips something stiff, holds it
-//! and lets it go; and of one in which nothing happens.
+//! The grip: maximum and mean of the instructions of a tick while it arms, grips a stiff object, holds and releases it; and
+//! those of an idle tick.
 
 use core::fmt::{Error, Result, Write};
 use core::hint::black_box;
 
-use firmware::force::{Estimate, Validity};
-use firmware::frame::SENSORS;
-use firmware::grip::order::mode;
-use firmware::grip::states::Task;
-use firmware::grip::{Arming, Grip, Host, Inputs};
-use firmware::limits::Grasp;
+use firmware::config::limits::GripLimits;
+use firmware::estimator::{Estimate, Validity};
+use firmware::fixed_point::Force;
+use firmware::grip::commands::mode;
+use firmware::grip::states::TaskState;
+use firmware::grip::{ArmingRequest, ControlInputs, GripController, SessionStatus};
 use firmware::motor::screw::Screw;
-use firmware::motor::{Setpoint, State, Telling};
-use firmware::units::Force;
-use firmware::wire::messages::Command;
+use firmware::motor::{MotorState, MotorStatus, Setpoint};
+use firmware::protocol::messages::Command;
+use firmware::sensors::hall::SENSORS;
 
 use crate::counts::Counter;
 use crate::vectors::Random;
@@ -28,16 +28,13 @@ const WIDTH_MM: f32 = 40.0;
 const STIFFNESS: f32 = 50.0;
 const TICK_S: f32 = 1e-3;
 
-/// Lines for its tick, and for one in which nobody wants anything.
+/// Prints maximum and mean of a tick, and an idle tick.
 pub fn print(counter: &Counter, out: &mut impl Write) -> Result {
     let idle = idle(counter);
     let mut random = Random(23);
-    let mut grip = Grip::new(Grasp::GRIPPER, Screw::A, true);
-    let mut motor = Telling {
-        opening_mm: Some(41.0),
-        ..Telling::default()
-    };
-    let (mut greatest, mut sum, mut has_held) = (0, 0, false);
+    let mut grip = GripController::new(GripLimits::GRIPPER, Screw::A, true);
+    let mut motor = MotorStatus { opening_mm: Some(41.0), ..MotorStatus::default() };
+    let (mut max_count, mut sum, mut has_held) = (0, 0, false);
     for tick in 0..TICKS {
         let estimates = pressed(&motor, &mut random);
         let command = Command {
@@ -51,52 +48,48 @@ pub fn print(counter: &Counter, out: &mut impl Write) -> Result {
             force: 800,
             ..Command::default()
         };
-        let inputs = Inputs {
+        let inputs = ControlInputs {
             estimates: &estimates,
             motor,
-            host: Host {
-                is_offered: tick < 5,
-                is_open: tick >= 5,
-                is_alive: tick >= 5,
-            },
+            host: SessionStatus { is_offered: tick < 5, is_open: tick >= 5, is_alive: tick >= 5 },
             command: (tick >= 8).then_some(command),
             acceleration: Some([0, 0, 9807]),
-            ..nothing(&estimates)
+            ..idle_inputs(&estimates)
         };
         let count = ticked(&mut grip, &inputs, counter);
         if tick >= WARMS {
-            greatest = count.instructions.max(greatest);
+            max_count = count.instructions.max(max_count);
             sum += count.instructions;
         }
-        has_held |= grip.task() == Task::HoldLatched;
-        if let Some(Arming::Arm) = count.arming {
-            motor.state = State::Armed;
+        has_held |= grip.task() == TaskState::HoldLatched;
+        if let Some(ArmingRequest::Arm) = count.arming {
+            motor.state = MotorState::Armed;
         }
         follow(&mut motor, count.setpoint);
     }
-    // Otherwise little was counted.
-    let has_let_go = grip.task() == Task::Idle;
-    (has_held && has_let_go).then_some(()).ok_or(Error)?;
-    writeln!(out, "grip_tick {greatest}")?;
+    // Otherwise too few states were counted.
+    let has_released = grip.task() == TaskState::Idle;
+    (has_held && has_released).then_some(()).ok_or(Error)?;
+    writeln!(out, "grip_tick {max_count}")?;
     writeln!(out, "grip_mean {}", sum / (TICKS - WARMS))?;
     writeln!(out, "grip_idle {idle}")
 }
 
-/// Instructions of the last of several ticks in which nobody wants anything.
+/// Instructions of an idle tick.
 fn idle(counter: &Counter) -> u32 {
-    let mut grip = Grip::new(Grasp::GRIPPER, Screw::A, true);
+    let mut grip = GripController::new(GripLimits::GRIPPER, Screw::A, true);
     let estimates = [Estimate::MISSING; SENSORS];
-    let inputs = nothing(&estimates);
+    let inputs = idle_inputs(&estimates);
     let counts = (0..WARMS).map(|_| ticked(&mut grip, &inputs, counter).instructions);
     counts.last().unwrap_or_default()
 }
 
-/// Nobody wants anything.
-fn nothing(estimates: &[Estimate; SENSORS]) -> Inputs<'_> {
-    Inputs {
+/// Inputs without any request.
+fn idle_inputs(estimates: &[Estimate; SENSORS]) -> ControlInputs<'_> {
+    ControlInputs {
         estimates,
-        motor: Telling::default(),
-        host: Host::default(),
+        motor: MotorStatus::default(),
+        host: SessionStatus::default(),
         command: None,
         stop: false,
         clear: false,
@@ -107,21 +100,17 @@ fn nothing(estimates: &[Estimate; SENSORS]) -> Inputs<'_> {
     }
 }
 
-/// A tick's instructions, and what the motor is to do.
-struct Ticked {
+/// Instructions of a tick, and orders for the motor.
+struct TickCount {
     instructions: u32,
-    arming: Option<Arming>,
+    arming: Option<ArmingRequest>,
     setpoint: Setpoint,
 }
 
-fn ticked(grip: &mut Grip, inputs: &Inputs, counter: &Counter) -> Ticked {
-    let mut ticked = Ticked {
-        instructions: 0,
-        arming: None,
-        setpoint: Setpoint::Off,
-    };
+fn ticked(grip: &mut GripController, inputs: &ControlInputs, counter: &Counter) -> TickCount {
+    let mut ticked = TickCount { instructions: 0, arming: None, setpoint: Setpoint::Off };
     ticked.instructions = counter.instructions(|| {
-        // What turned in memory would be told here: everything ends without a count.
+        // On corrupt memory nothing is counted, and the self-test fails.
         if black_box(&*grip).is_intact() {
             let outputs = black_box(grip.tick(black_box(inputs)));
             (ticked.arming, ticked.setpoint) = (outputs.arming, outputs.setpoint);
@@ -130,8 +119,8 @@ fn ticked(grip: &mut Grip, inputs: &Inputs, counter: &Counter) -> Ticked {
     ticked
 }
 
-/// Forces of a finger against something stiff, with a newton of noise.
-fn pressed(motor: &Telling, random: &mut Random) -> [Estimate; SENSORS] {
+/// Forces of the fingers on a stiff object, with noise of 1 N.
+fn pressed(motor: &MotorStatus, random: &mut Random) -> [Estimate; SENSORS] {
     let pressed_mm = WIDTH_MM - motor.opening_mm.unwrap_or_default();
     let half_n = 0.5 * STIFFNESS * pressed_mm.max(0.0);
     [1.0, 1.0, -1.0, -1.0].map(|side| {
@@ -145,16 +134,14 @@ fn pressed(motor: &Telling, random: &mut Random) -> [Estimate; SENSORS] {
     })
 }
 
-/// A motor that does at once what it is asked.
-fn follow(motor: &mut Telling, setpoint: Setpoint) {
+/// A motor that follows its set-point at once.
+fn follow(motor: &mut MotorStatus, setpoint: Setpoint) {
     let opening_mm = motor.opening_mm.unwrap_or_default();
     motor.closing_mm_s = match setpoint {
         Setpoint::Speed { closing_mm_s, .. } => closing_mm_s,
-        Setpoint::Position {
-            opening_mm: to,
-            speed_mm_s,
-            ..
-        } => ((opening_mm - to) / TICK_S).clamp(-speed_mm_s, speed_mm_s),
+        Setpoint::Position { opening_mm: to, speed_mm_s, .. } => {
+            ((opening_mm - to) / TICK_S).clamp(-speed_mm_s, speed_mm_s)
+        }
         Setpoint::Off | Setpoint::Brake | Setpoint::Current { .. } => 0.0,
     };
     motor.opening_mm = Some(opening_mm - motor.closing_mm_s * TICK_S);

@@ -1,21 +1,19 @@
-//! The self-test of the kernels: on the chip's core each gives the bits of its portable definition, and
-//! takes the same number of instructions whatever the numbers are.
+//! Self-test of the kernels: on the core of the chip each has the bit-exact result of its portable definition, and takes the
+//! same number of instructions for all inputs.
 //!
-//! It runs on an emulated core (`.ci/selftest`); on a computer it says so.
+//! It runs on an emulated core (`.ci/selftest`).
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
 #[cfg(target_os = "none")]
 mod chip;
 #[cfg(target_os = "none")]
-mod copies;
-#[cfg(target_os = "none")]
 mod counts;
 #[cfg(target_os = "none")]
 mod grip;
 #[cfg(target_os = "none")]
-mod loops;
-#[cfg(target_os = "none")]
 mod motor;
+#[cfg(target_os = "none")]
+mod tasks;
 #[cfg(target_os = "none")]
 mod vectors;
 

@@ -1,20 +1,21 @@
-//! The vectors of the self-test: the same on the chip and on a host, from a seed.
+//! Test vectors of the self-test, from a seed: identical on the chip and on a host.
 
-use firmware::model::network::{Head, Pair, State, UnitPair, Weights};
-use firmware::model::table::{COORDINATE_LIMIT, CentrePair, EXP_ENTRIES};
+use firmware::model::formats::{
+    COORDINATE_LIMIT, CentrePair, EXP_ENTRIES, GruState, Head, Pair, UnitPair, Weights,
+};
 
 /// Steps of all networks together.
 pub const STEPS: u32 = 8 * 3 * (5 * 800 + 350 + 3 * 200);
 /// Evaluations of radial basis functions.
 pub const SUMS: u32 = 3 * 51 * 40;
 
-/// What the vectors are run through: it returns what it computed, for the digest.
+/// An implementation of the kernels under test.
 pub trait Machine {
-    /// One step of a network; the state's inputs are set.
+    /// One step of a network with the inputs in `state`.
     fn step<const INPUTS: usize, const HIDDEN: usize, const SENSORS: usize>(
         &mut self,
         weights: &Weights<INPUTS, HIDDEN, SENSORS>,
-        state: &mut State<INPUTS, HIDDEN, SENSORS>,
+        state: &mut GruState<INPUTS, HIDDEN, SENSORS>,
     );
     /// One sum of radial basis functions.
     fn sum(&mut self, exp: &[u32; EXP_ENTRIES], pairs: &[CentrePair], at: [i16; 3]) -> [i32; 2];
@@ -32,17 +33,17 @@ pub fn run(machine: &mut impl Machine) -> u64 {
     networks::<2, 8, 1>(machine, &mut random, &mut digest, 800);
     networks::<6, 16, 1>(machine, &mut random, &mut digest, 350);
     networks::<6, 16, 4>(machine, &mut random, &mut digest, 200);
-    // Sizes that nobody has asked for, to take the kernel's other ways.
+    // Sizes without a use on the device, for the other paths of the kernel.
     networks::<4, 12, 2>(machine, &mut random, &mut digest, 200);
     networks::<8, 16, 3>(machine, &mut random, &mut digest, 200);
     basis_functions(machine, &mut random, &mut digest);
     digest.0
 }
 
-/// How the weights of a network are drawn.
+/// Distribution of the weights.
 #[derive(Clone, Copy)]
 enum Kind {
-    /// As a trained network's.
+    /// As in a trained network.
     Nominal,
     /// The same with update gates at 0.98 to 0.998.
     Slow,
@@ -56,15 +57,13 @@ fn networks<const INPUTS: usize, const HIDDEN: usize, const SENSORS: usize>(
     digest: &mut Digest,
     steps: u32,
 ) {
-    let mut weights = nothing();
+    let mut weights = zero_weights();
     for kind in [Kind::Nominal, Kind::Slow, Kind::Extreme] {
         for _ in 0..8 {
             fill(&mut weights, kind, random);
-            let mut state = State::<INPUTS, HIDDEN, SENSORS>::RESET;
+            let mut state = GruState::<INPUTS, HIDDEN, SENSORS>::RESET;
             if let Kind::Extreme = kind {
-                state.full = state
-                    .full
-                    .map(|layer| layer.map(|pair| pair.map(|_| random.word())));
+                state.full = state.full.map(|layer| layer.map(|pair| pair.map(|_| random.word())));
             }
             for count in 0..steps {
                 state.input = inputs(random, count);
@@ -76,7 +75,7 @@ fn networks<const INPUTS: usize, const HIDDEN: usize, const SENSORS: usize>(
     }
 }
 
-/// Held for a while, then random, then at the ends of the range.
+/// Constant, then random, then at the ends of the range.
 pub fn inputs<const INPUTS: usize>(random: &mut Random, count: u32) -> [Pair; INPUTS] {
     [(); INPUTS].map(|()| {
         [(); 2].map(|()| match count / 50 % 4 {
@@ -89,7 +88,7 @@ pub fn inputs<const INPUTS: usize>(random: &mut Random, count: u32) -> [Pair; IN
 }
 
 /// A network without weights.
-pub const fn nothing<const INPUTS: usize, const HIDDEN: usize, const SENSORS: usize>()
+pub const fn zero_weights<const INPUTS: usize, const HIDDEN: usize, const SENSORS: usize>()
 -> Weights<INPUTS, HIDDEN, SENSORS> {
     Weights {
         first: [const {
@@ -108,12 +107,7 @@ pub const fn nothing<const INPUTS: usize, const HIDDEN: usize, const SENSORS: us
                 state: [[[[0; 2]; 3]; 2]; HIDDEN],
             }
         }; HIDDEN],
-        heads: [const {
-            Head {
-                bias: [0; 4],
-                weights: [[[0; 2]; 4]; HIDDEN],
-            }
-        }; SENSORS],
+        heads: [const { Head { bias: [0; 4], weights: [[[0; 2]; 4]; HIDDEN] } }; SENSORS],
     }
 }
 
@@ -122,14 +116,8 @@ fn fill<const INPUTS: usize, const HIDDEN: usize, const SENSORS: usize>(
     kind: Kind,
     random: &mut Random,
 ) {
-    weights
-        .first
-        .iter_mut()
-        .for_each(|units| fill_units(units, kind, random));
-    weights
-        .second
-        .iter_mut()
-        .for_each(|units| fill_units(units, kind, random));
+    weights.first.iter_mut().for_each(|units| fill_units(units, kind, random));
+    weights.second.iter_mut().for_each(|units| fill_units(units, kind, random));
     for head in &mut weights.heads {
         head.bias = head.bias.map(|_| random.within(kind, 27));
         head.weights

@@ -1,79 +1,132 @@
-//! What a millisecond of the grasp is told, and what it tells.
+//! Inputs and outputs of one control step, and the status message.
 
-use super::reason::Refused;
-use crate::force::Estimate;
-use crate::frame::SENSORS;
-use crate::motor::{Setpoint, Telling};
-use crate::wire::messages::{Command, FaultEvent, Foot, GripStatus};
+use crate::estimator::Estimate;
+use crate::grip::GripController;
+use crate::grip::commands::CommandRefusal;
+use crate::grip::states::{PowerState, TaskState};
+use crate::motor::{MotorStatus, Setpoint};
+use crate::protocol::messages::{Command, FaultEvent, Foot, GripStatus};
+use crate::sensors::hall::SENSORS;
 
-/// Events of a millisecond that are told at the most; there are as many kinds of own faults.
+/// Maximum fault events per step; there are as many kinds of own faults.
 const EVENTS: usize = 24;
 
-/// What hosts have to do with it.
+/// Status of the session with a host.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Host {
-    /// A nonce is offered ([`crate::session::Session::is_offered`]).
+pub struct SessionStatus {
+    /// A nonce is offered ([`crate::protocol::session::Session::is_challenge_pending`]).
     pub is_offered: bool,
-    /// A session is open ([`crate::session::Session::is_open`]).
+    /// A session is open ([`crate::protocol::session::Session::is_open`]).
     pub is_open: bool,
-    /// Commands arrive in time ([`crate::session::Session::is_alive`]).
+    /// Commands arrive in time ([`crate::protocol::session::Session::is_alive`]).
     pub is_alive: bool,
 }
 
-/// What is known in a millisecond.
+/// Inputs of one control step.
 #[derive(Clone, Copy, Debug)]
-pub struct Inputs<'a> {
-    /// Forces, tare taken off.
+pub struct ControlInputs<'a> {
+    /// Forces, tare subtracted.
     pub estimates: &'a [Estimate; SENSORS],
-    /// The motor.
-    pub motor: Telling,
-    /// Hosts.
-    pub host: Host,
-    /// A command that counts ([`crate::session::Heard::Command`]).
+    /// Status of the motor.
+    pub motor: MotorStatus,
+    /// Status of the session.
+    pub host: SessionStatus,
+    /// Authenticated command ([`crate::protocol::session::SessionEvent::Command`]).
     pub command: Option<Command>,
-    /// Somebody says stop ([`crate::session::Heard::Stop`]).
+    /// Stop frame ([`crate::protocol::session::SessionEvent::Stop`]).
     pub stop: bool,
-    /// A host clears faults ([`crate::session::op::CLEAR_FAULTS`]).
+    /// A host clears the faults ([`crate::protocol::session::op::CLEAR_FAULTS`]).
     pub clear: bool,
-    /// Active faults that others found, in the heartbeat's bits ([`crate::status::Faults::bits`]).
+    /// Active faults from other sources as heartbeat bits ([`crate::system::faults::FaultSet::bits`]).
     pub faults: u32,
-    /// What the self-test found; none while it runs.
+    /// Result of the self-test; none while it runs.
     pub is_sound: Option<bool>,
-    /// A tare or the motor's commissioning is under way.
+    /// A tare or commissioning is in progress.
     pub is_calibrating: bool,
-    /// Of the fingertips in mm/s^2, gripper's axes, gravity included; none where it is not known, or the
-    /// estimates are without it already.
+    /// Acceleration of the fingertips in mm/s^2, gripper axes, with gravity; none where it is unknown or the
+    /// estimates are compensated for it already.
     pub acceleration: Option<[i32; 3]>,
 }
 
-/// Whether the motor is to follow set-points.
+/// Request to arm or disarm the motor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Arming {
-    /// [`crate::motor::Order::Arm`].
+pub enum ArmingRequest {
+    /// [`crate::motor::MotorCommand::Arm`].
     Arm,
-    /// [`crate::motor::Order::Disarm`].
+    /// [`crate::motor::MotorCommand::Disarm`].
     Disarm,
 }
 
-/// What is to be done and told.
+/// Outputs of one control step.
 #[derive(Clone, Debug)]
-pub struct Outputs {
-    /// For [`crate::motor::Order::Do`].
+pub struct ControlOutputs {
+    /// For [`crate::motor::MotorCommand::Setpoint`].
     pub setpoint: Setpoint,
-    /// Before the set-point.
-    pub arming: Option<Arming>,
-    /// For [`crate::motor::Order::Opening`], before the set-point; what is not a number: not known any more.
+    /// To be executed before the set-point.
+    pub arming: Option<ArmingRequest>,
+    /// For [`crate::motor::MotorCommand::SetOpening`], before the set-point; NaN makes the opening unknown.
     pub opening_mm: Option<f32>,
-    /// For [`crate::session::Session::allow`].
+    /// For [`crate::protocol::session::Session::set_may_arm`].
     pub may_arm: bool,
-    /// For the heartbeat.
+    /// State code for the heartbeat.
     pub state: u8,
-    /// The grip. Whoever sends it counts it.
+    /// Status message; its counter is set by the sender.
     pub status: GripStatus,
-    /// The foot, while it is one; likewise.
+    /// Ground-contact message in foot mode; its counter is set by the sender.
     pub foot: Option<Foot>,
-    /// A command that is not done.
-    pub refused: Option<Refused>,
-    /// Faults of the motor and the grasp that came or went.
+    /// A refused command.
+    pub refused: Option<CommandRefusal>,
+    /// Changed faults of motor and grip.
     pub events: heapless::Vec<FaultEvent, EVENTS>,
+}
+
+/// Values of the field `object` of [`GripStatus`].
+mod object {
+    pub const MOVING: u8 = 0;
+    pub const CONTACT_WHILE_OPENING: u8 = 1;
+    pub const CONTACT_WHILE_CLOSING: u8 = 2;
+    pub const AT_POSITION: u8 = 3;
+}
+
+/// Bus counts per unit of position, speed, force and current.
+const PER_UNIT: [f32; 4] = match GripStatus::LAYOUT.signals {
+    [position, speed, force, current, ..] => [
+        position.counts_per_unit() as f32,
+        speed.counts_per_unit() as f32,
+        force.counts_per_unit() as f32,
+        current.counts_per_unit() as f32,
+    ],
+    _ => [0.0; 4],
+};
+
+impl GripController {
+    /// Fills in state code and messages.
+    pub(super) fn report(&mut self, inputs: &ControlInputs, outputs: &mut ControlOutputs) {
+        outputs.state = self.state();
+        let motor = &inputs.motor;
+        let [per_mm, per_mm_s, per_n, per_a] = PER_UNIT;
+        outputs.status = GripStatus {
+            position: (motor.opening_mm.unwrap_or_default() * per_mm) as u16,
+            speed: (-motor.closing_mm_s * per_mm_s) as i16,
+            force: (self.force_n * per_n) as i16,
+            current: (motor.current.q * per_a) as i16,
+            object: self.object(),
+            ..GripStatus::default()
+        };
+        let is_foot = self.power == PowerState::Enabled && self.task == TaskState::Foot;
+        outputs.foot = is_foot.then(|| self.ground_contact.message());
+    }
+
+    fn object(&self) -> u8 {
+        let is_enabled = self.power == PowerState::Enabled;
+        match self.task {
+            task if is_enabled && task.moves() => object::MOVING,
+            TaskState::Stopping if is_enabled => object::MOVING,
+            _ if !self.contact.is_confirmed() => object::AT_POSITION,
+            TaskState::ContactStop | TaskState::Idle if self.is_opening => {
+                object::CONTACT_WHILE_OPENING
+            }
+            _ => object::CONTACT_WHILE_CLOSING,
+        }
+    }
 }

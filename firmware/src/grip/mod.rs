@@ -1,225 +1,202 @@
-//! The grasp, and the gripper as a foot: once a millisecond from forces, motor and hosts to what the motor is
-//! asked to do. In newtons and millimetres; closing is positive.
+//! Grip control at 1 kHz: from estimated forces, motor status and host commands to motor set-points. Forces in
+//! newtons, lengths in millimetres; closing is positive.
 //!
-//! Two layers of states ([`states`]) whose transitions are tables ([`table`]): what they do not list is refused,
-//! with a reason ([`reason`]). Arming is the session's ([`crate::session`]); this follows it.
+//! Two state machines ([`states`]) with transition tables ([`transitions`]): a command that the table does not list
+//! is refused with a reason ([`commands::RefusalReason`]). Arming belongs to [`crate::protocol::session`].
 //!
-//! - [`states`], [`table`], [`reason`]: what may follow what.
-//! - [`order`], [`profile`]: what hosts ask for.
-//! - [`fingers`], [`contact`], [`stiffness`], [`object`], [`pace`], [`jam`]: what is felt.
-//! - [`law`]: from the force that is missing to a speed.
-//! - [`home`]: both ends found by force.
-//! - [`foot`]: which fingertips stand, and where the ground pushes.
-//! - [`react`], [`latch`]: what faults do, and which came first.
-//! - [`kept`]: copies of what would be dangerous if memory lost it.
-//! - [`Inputs`], [`Outputs`]: what it is told, and what it tells.
-//! - `power`, `task`, `drive`, `tell`: a millisecond of each layer, the set-point, the messages.
-//!
-//! | word | meaning |
-//! | --- | --- |
-//! | contact | the fingers press against something |
-//! | hold | the force that was asked for is there, and is kept |
-//! | believed | the force of a finger whose sensors both answer, with no foreign magnet near |
-//! | silent | no command for the session's time; what moves stops, a hold goes on |
+//! - [`commands`]: decoded host commands, profiles, refusals.
+//! - [`finger_force`], [`contact`], [`ground_contact`]: forces, contact of the fingers, contact of a foot.
+//! - [`force_controller`], [`homing`]: control laws; `setpoint`: the motor set-point of each state.
+//! - [`slip_detector`], [`stall_detector`]: detectors.
+//! - [`fault_reactions`]: reaction to each fault, and the first cause; [`redundant_copy`]: memory check.
+//! - `power_layer`, `task_layer`: one step of each state machine; `interface`: inputs and outputs.
 
+pub mod commands;
 pub mod contact;
-mod drive;
-pub mod fingers;
-#[cfg(test)]
-mod fixture;
-pub mod foot;
-pub mod home;
+pub mod fault_reactions;
+pub mod finger_force;
+pub mod force_controller;
+pub mod ground_contact;
+pub mod homing;
 mod interface;
-pub mod jam;
-pub mod kept;
-pub mod latch;
-pub mod law;
-pub mod object;
-pub mod order;
-pub mod pace;
-mod power;
-pub mod profile;
-pub mod react;
-pub mod reason;
+mod power_layer;
+pub mod redundant_copy;
+mod setpoint;
+pub mod slip_detector;
+pub mod stall_detector;
 pub mod states;
-pub mod stiffness;
-pub mod table;
-mod task;
-mod tell;
+mod task_layer;
 #[cfg(test)]
 mod tests;
+pub mod transitions;
 
-use crate::force::Estimate;
-use crate::frame::SENSORS;
-use crate::limits::Grasp;
+pub use crate::grip::interface::{ArmingRequest, ControlInputs, ControlOutputs, SessionStatus};
+
+use crate::config::constants;
+use crate::config::limits::GripLimits;
+use crate::estimator::Estimate;
+use crate::grip::commands::{CommandRefusal, GraspTarget, GripCommand, MoveTarget};
+use crate::grip::contact::ContactDetector;
+use crate::grip::fault_reactions::{FirstCause, FirstFaultLatch, Reaction};
+use crate::grip::finger_force::{FingerForce, FingerForces};
+use crate::grip::force_controller::StiffnessEstimator;
+use crate::grip::ground_contact::{GroundContact, GroundContactDetector};
+use crate::grip::homing::{Homing, HomingStep};
+use crate::grip::redundant_copy::COPY_WORDS;
+use crate::grip::setpoint::HoldCurrent;
+use crate::grip::slip_detector::SlipDetector;
+use crate::grip::stall_detector::{StallDetector, VelocityFilter};
+use crate::grip::states::{PowerState, TaskState};
 use crate::motor::Setpoint;
 use crate::motor::screw::Screw;
-use crate::params;
-use crate::status::{Fault, Faults};
-use crate::wire::messages::GripStatus;
-use contact::Contact;
-use fingers::{Finger, Fingers};
-use foot::{Feeling, Standing};
-use home::Homing;
-use jam::Jam;
-use latch::{Cause, Latch};
-use object::Watch;
-use order::{Order, Way};
-use pace::Pace;
-use react::Reaction;
-use reason::Refused;
-use states::{Power, Task};
-use stiffness::Stiffness;
+use crate::protocol::messages::GripStatus;
+use crate::sensors::hall::SENSORS;
+use crate::system::faults::{Fault, FaultSet};
 
-pub use interface::{Arming, Host, Inputs, Outputs};
-
-/// Greatest current in amperes.
-const PEAK_A: f32 = (params::PEAK_TORQUE.value / params::TORQUE_CONSTANT.value) as f32;
-/// Forces of which a hold's force is the mean.
+/// Peak motor current in amperes.
+const PEAK_A: f32 = (constants::PEAK_TORQUE.value / constants::TORQUE_CONSTANT.value) as f32;
+/// Time constant of the mean force while holding, in steps.
 const MEAN_TICKS: f32 = 16.0;
 
-/// The grasp. [`Grip::tick`] runs once a millisecond.
+/// The grip controller. [`GripController::tick`] runs once a millisecond.
 #[derive(Clone, Debug)]
-pub struct Grip {
-    limits: Grasp,
+pub struct GripController {
+    limits: GripLimits,
     screw: Screw,
-    /// The screw is known to hold its load without current.
-    locks: bool,
-    power: Power,
-    task: Task,
+    /// The screw holds its load without current.
+    self_locking: bool,
+    power: PowerState,
+    task: TaskState,
     now_ms: u32,
     power_ms: u32,
     task_ms: u32,
-    /// The order that is being done, and how its flag was turned.
-    seen: Option<(Order, bool)>,
-    grip: order::Grip,
-    way: Way,
-    /// The way opens.
+    /// Last executed command and its repeat flag.
+    last_command: Option<(GripCommand, bool)>,
+    target: GraspTarget,
+    move_target: MoveTarget,
     is_opening: bool,
-    /// Something was touched before the way began.
+    /// The fingers were in contact when the move began.
     was_touching: bool,
-    /// The force that is asked for, in newtons: slips raise it.
-    set_n: f32,
-    fingers: Fingers,
-    /// The last that was believed.
+    /// Force set-point in newtons; raised after a slip.
+    setpoint_n: f32,
+    fingers: FingerForces,
+    /// Last valid force.
     force_n: f32,
-    /// Means of each finger's last sixteen or so, in newtons; none while it is not believed.
+    /// Mean force of each finger in newtons; none while it is invalid.
     means_n: [Option<f32>; 2],
-    /// The greater of both: the greater of two that are noisy would be too much.
+    /// The greater of both means: the greater of two noisy forces would be biased.
     mean_n: f32,
-    unbelieved_ticks: u8,
+    invalid_ticks: u8,
     lost_ticks: u8,
-    believed_ms: u16,
+    valid_ms: u16,
     last_mm: Option<f32>,
-    contact: Contact,
-    stiffness: Stiffness,
-    watch: Watch,
+    contact: ContactDetector,
+    stiffness: StiffnessEstimator,
+    slip: SlipDetector,
     homing: Homing,
-    home_step: home::Step,
-    jam: Jam,
-    feeling: Feeling,
-    standing: Standing,
+    homing_step: HomingStep,
+    stall: StallDetector,
+    ground_detector: GroundContactDetector,
+    ground_contact: GroundContact,
     unloaded_ms: u16,
-    pace: Pace,
+    velocity: VelocityFilter,
     resting_ms: u16,
-    right_ms: u16,
-    weak_ms: u16,
-    /// When it was gripped again, newest first.
-    regrips: [Option<u32>; 3],
-    /// Something hangs on the fingers, or may.
+    in_band_ms: u16,
+    low_force_ms: u16,
+    /// Times of the last regrips, newest first.
+    regrips_ms: [Option<u32>; 3],
+    /// An object is, or may be, between the fingers.
     is_gripped: bool,
-    /// The force was reached, and what is gripped not let go since.
+    /// The force was reached and the object not released since.
     has_settled: bool,
-    /// Amperes that the hold took last.
+    /// Last current while holding, in amperes.
     hold_a: f32,
-    hold: drive::Hold,
-    /// Where the fingers are kept, in millimetres; none until they rest.
-    place_mm: Option<f32>,
-    latch: Latch,
-    faults: Faults,
-    /// What is done about the fault that is being reacted to.
+    hold: HoldCurrent,
+    /// Position to be held in millimetres; none until the fingers rest.
+    hold_mm: Option<f32>,
+    first_fault: FirstFaultLatch,
+    faults: FaultSet,
+    /// Reaction to the latched fault.
     reaction: Reaction,
-    /// The fingers give way after too much force.
+    /// The fingers reduce an excessive force.
     backs_off: bool,
     slipping_ms: u16,
-    stray_ms: u16,
+    implausible_ms: u16,
     clearing_ms: u8,
-    copies: [u32; kept::WORDS],
+    copies: [u32; COPY_WORDS],
 }
 
-impl Grip {
-    /// Just begun; `locks` is whether the screw is known to hold its load without current.
-    pub fn new(limits: Grasp, screw: Screw, locks: bool) -> Self {
+impl GripController {
+    /// `self_locking`: whether the screw holds its load without current.
+    pub fn new(limits: GripLimits, screw: Screw, self_locking: bool) -> Self {
         let mut grip = Self {
             limits,
             screw,
-            locks,
-            power: Power::Boot,
-            task: Task::Unhomed,
+            self_locking,
+            power: PowerState::Boot,
+            task: TaskState::Unhomed,
             now_ms: 0,
             power_ms: 0,
             task_ms: 0,
-            seen: None,
-            grip: order::Grip {
-                set_n: 0.0,
-                most_mm_s: 0.0,
+            last_command: None,
+            target: GraspTarget {
+                setpoint_n: 0.0,
+                max_mm_s: 0.0,
                 cap_n: 0.0,
                 window: None,
                 is_fast: false,
             },
-            way: Way {
-                opening_mm: 0.0,
-                speed_mm_s: 0.0,
-            },
+            move_target: MoveTarget { opening_mm: 0.0, speed_mm_s: 0.0 },
             is_opening: false,
             was_touching: false,
-            set_n: 0.0,
-            fingers: Fingers::of(&[Estimate::MISSING; SENSORS]),
+            setpoint_n: 0.0,
+            fingers: FingerForces::of(&[Estimate::MISSING; SENSORS]),
             force_n: 0.0,
             means_n: [None; 2],
             mean_n: 0.0,
-            unbelieved_ticks: 0,
+            invalid_ticks: 0,
             lost_ticks: 0,
-            believed_ms: 0,
+            valid_ms: 0,
             last_mm: None,
-            contact: Contact::default(),
-            stiffness: Stiffness::default(),
-            watch: Watch::default(),
+            contact: ContactDetector::default(),
+            stiffness: StiffnessEstimator::default(),
+            slip: SlipDetector::default(),
             homing: Homing::default(),
-            home_step: home::Step::Drive(Setpoint::Off),
-            jam: Jam::default(),
-            feeling: Feeling::default(),
-            standing: Standing::default(),
+            homing_step: HomingStep::Drive(Setpoint::Off),
+            stall: StallDetector::default(),
+            ground_detector: GroundContactDetector::default(),
+            ground_contact: GroundContact::default(),
             unloaded_ms: 0,
-            pace: Pace::default(),
+            velocity: VelocityFilter::default(),
             resting_ms: 0,
-            right_ms: 0,
-            weak_ms: 0,
-            regrips: [None; 3],
+            in_band_ms: 0,
+            low_force_ms: 0,
+            regrips_ms: [None; 3],
             is_gripped: false,
             has_settled: false,
             hold_a: 0.0,
-            hold: drive::Hold::default(),
-            place_mm: None,
-            latch: Latch::default(),
-            faults: Faults::default(),
+            hold: HoldCurrent::default(),
+            hold_mm: None,
+            first_fault: FirstFaultLatch::default(),
+            faults: FaultSet::default(),
             reaction: Reaction::Warn,
             backs_off: false,
             slipping_ms: 0,
-            stray_ms: 0,
+            implausible_ms: 0,
             clearing_ms: 0,
-            copies: [0; kept::WORDS],
+            copies: [0; COPY_WORDS],
         };
         grip.copy();
         grip
     }
 
-    /// One millisecond. Between two of them nothing may change ([`Grip::is_intact`]) but by [`Grip::set_locks`].
-    pub fn tick(&mut self, inputs: &Inputs) -> Outputs {
+    /// One step of 1 ms. Between steps the state may change only through [`GripController::set_self_locking`]
+    /// ([`GripController::is_intact`]).
+    pub fn tick(&mut self, inputs: &ControlInputs) -> ControlOutputs {
         self.now_ms = self.now_ms.wrapping_add(1);
         self.power_ms = self.power_ms.saturating_add(1);
         self.task_ms = self.task_ms.saturating_add(1);
-        let mut outputs = Outputs {
+        let mut outputs = ControlOutputs {
             setpoint: Setpoint::Off,
             arming: None,
             opening_mm: None,
@@ -230,31 +207,28 @@ impl Grip {
             refused: None,
             events: heapless::Vec::new(),
         };
-        self.feel(inputs);
-        self.find_faults(inputs, &mut outputs);
-        self.follow_power(inputs, &mut outputs);
+        self.update_estimates(inputs);
+        self.detect_faults(inputs, &mut outputs);
+        self.update_power(inputs, &mut outputs);
         if let Some(command) = inputs.command
-            && let Err(reason) = self.hear(&command, inputs)
+            && let Err(reason) = self.handle_command(&command, inputs)
         {
-            outputs.refused = Some(Refused {
-                mode: command.mode,
-                reason,
-                state: self.state(),
-            });
+            outputs.refused =
+                Some(CommandRefusal { mode: command.mode, reason, state: self.state() });
         }
-        if self.power == Power::Enabled {
-            self.follow_task(inputs, &mut outputs);
+        if self.power == PowerState::Enabled {
+            self.update_task(inputs, &mut outputs);
         }
-        outputs.setpoint = self.drive(&inputs.motor);
-        self.tell(inputs, &mut outputs);
+        outputs.setpoint = self.motor_setpoint(&inputs.motor);
+        self.report(inputs, &mut outputs);
         self.copy();
         outputs
     }
 
-    /// Another word on whether the screw holds its load without current; it counts while nothing is driven.
-    pub const fn set_locks(&mut self, locks: bool) {
-        if matches!(self.power, Power::Safe) {
-            self.locks = locks;
+    /// Sets whether the screw holds its load without current; ignored unless [`PowerState::Safe`].
+    pub const fn set_self_locking(&mut self, self_locking: bool) {
+        if matches!(self.power, PowerState::Safe) {
+            self.self_locking = self_locking;
         }
     }
 
@@ -262,103 +236,94 @@ impl Grip {
     pub const fn is_driven(&self) -> bool {
         matches!(
             self.power,
-            Power::Armed | Power::Enabled | Power::QuickStop | Power::FaultReaction
+            PowerState::Armed
+                | PowerState::Enabled
+                | PowerState::QuickStop
+                | PowerState::FaultReaction
         )
     }
 
-    /// As in the heartbeat.
+    /// State code of the heartbeat.
     pub const fn state(&self) -> u8 {
-        states::code(self.power, self.task)
+        states::state_code(self.power, self.task)
     }
 
-    /// The power layer's state.
-    pub const fn power(&self) -> Power {
+    /// State of the power layer.
+    pub const fn power(&self) -> PowerState {
         self.power
     }
 
-    /// The task layer's state, meant while [`Power::Enabled`].
-    pub const fn task(&self) -> Task {
+    /// State of the task layer, valid while [`PowerState::Enabled`].
+    pub const fn task(&self) -> TaskState {
         self.task
     }
 
-    /// What began the faults since a host cleared them last.
-    pub const fn first_cause(&self) -> Option<Cause> {
-        self.latch.cause()
+    /// First fault since a host last cleared the faults.
+    pub const fn first_cause(&self) -> Option<FirstCause> {
+        self.first_fault.cause()
     }
 
-    /// Active faults of motor and grasp, in the heartbeat's bits.
+    /// Active faults of motor and grip as heartbeat bits.
     pub fn fault_bits(&self) -> u32 {
         self.faults.bits()
     }
 
-    /// The greater force of the fingers in newtons, as it was believed last.
+    /// Last valid force in newtons, the greater of both fingers.
     pub const fn force_n(&self) -> f32 {
         self.force_n
     }
 
-    /// What the foot feels.
-    pub const fn standing(&self) -> &Standing {
-        &self.standing
+    /// Ground contact of the fingertips.
+    pub const fn ground_contact(&self) -> &GroundContact {
+        &self.ground_contact
     }
 
-    /// The contact's stiffness as it is estimated, in newtons to the millimetre.
+    /// Estimated contact stiffness in N/mm.
     pub const fn stiffness(&self) -> f32 {
-        self.stiffness.told()
+        self.stiffness.value()
     }
 
-    /// What is felt in this millisecond.
-    fn feel(&mut self, inputs: &Inputs) {
-        self.fingers = Fingers::of(inputs.estimates);
-        let step = |ticks: &mut u8, counts: bool| {
-            *ticks = if counts { ticks.saturating_add(1) } else { 0 };
-        };
-        let told = self.fingers.greatest_n();
-        step(&mut self.unbelieved_ticks, told.is_none());
-        step(&mut self.lost_ticks, self.fingers.are_lost());
-        self.believed_ms = match told {
-            Some(_) => self.believed_ms.saturating_add(1),
-            None => 0,
-        };
+    fn update_estimates(&mut self, inputs: &ControlInputs) {
+        self.fingers = FingerForces::of(inputs.estimates);
+        let valid_n = self.fingers.max_n();
+        self.invalid_ticks = next_ticks(self.invalid_ticks, valid_n.is_none());
+        self.lost_ticks = next_ticks(self.lost_ticks, self.fingers.are_lost());
+        self.valid_ms = next_ms(self.valid_ms, valid_n.is_some());
         let motor = &inputs.motor;
-        if let Some(force_n) = told {
+        if let Some(force_n) = valid_n {
             self.force_n = force_n;
-            self.average();
-            self.contact.note(force_n, &self.limits);
-            let loads = matches!(self.task, Task::Approach | Task::Force);
-            // A force is a millisecond old.
+            self.update_means();
+            self.contact.update(force_n, &self.limits);
+            let is_loading = matches!(self.task, TaskState::Approach | TaskState::Force);
+            // The force lags the opening by one step.
             if let Some(opening_mm) = self.last_mm
-                && loads
+                && is_loading
                 && self.contact.is_suspected()
             {
-                self.stiffness.take(-opening_mm, force_n);
+                self.stiffness.update(-opening_mm, force_n);
             }
         }
         self.last_mm = motor.opening_mm;
-        let pace_mm_s = self.pace.note(motor.closing_mm_s);
-        self.resting_ms = match pace_mm_s.abs() < self.limits.resting_mm_s {
-            true => self.resting_ms.saturating_add(1),
-            false => 0,
-        };
-        let standing = self.feeling.note(
+        let speed_mm_s = self.velocity.update(motor.closing_mm_s);
+        let is_slow = speed_mm_s.abs() < self.limits.resting_mm_s;
+        self.resting_ms = next_ms(self.resting_ms, is_slow);
+        self.ground_contact = self.ground_detector.update(
             inputs.estimates,
             inputs.acceleration,
             motor.opening_mm,
             &self.limits,
         );
-        self.unloaded_ms = match standing.is_unloaded {
-            true => self.unloaded_ms.saturating_add(1),
-            false => 0,
-        };
-        self.standing = standing;
+        self.unloaded_ms = next_ms(self.unloaded_ms, self.ground_contact.is_unloaded);
     }
 
-    /// Goes on with the fingers' means.
-    fn average(&mut self) {
+    fn update_means(&mut self) {
         let fingers = [self.fingers.left, self.fingers.right];
         for (mean_n, finger) in self.means_n.iter_mut().zip(fingers) {
             *mean_n = match (finger, *mean_n) {
-                (Finger::Told(now_n), Some(mean_n)) => Some(mean_n + (now_n - mean_n) / MEAN_TICKS),
-                (Finger::Told(now_n), None) => Some(now_n),
+                (FingerForce::Valid(now_n), Some(mean_n)) => {
+                    Some(mean_n + (now_n - mean_n) / MEAN_TICKS)
+                }
+                (FingerForce::Valid(now_n), None) => Some(now_n),
                 _ => None,
             };
         }
@@ -366,24 +331,33 @@ impl Grip {
         self.mean_n = means_n.reduce(f32::max).unwrap_or(self.force_n);
     }
 
-    /// Whether the fingers have come to rest.
-    fn rests(&self) -> bool {
+    fn is_at_rest(&self) -> bool {
         self.resting_ms >= self.limits.resting_ms
     }
 
-    /// Whether no finger's force is believed, and has not been for a while.
+    /// Whether neither finger has had a valid force for [`GripLimits::invalid_ticks`].
     fn is_blind(&self) -> bool {
-        self.unbelieved_ticks >= self.limits.blind_ticks
+        self.invalid_ticks >= self.limits.invalid_ticks
     }
 
-    /// Notes a fault of its own.
-    fn note(&mut self, fault: Fault, active: bool, detail: u32, outputs: &mut Outputs) {
+    /// Sets or clears one of this controller's own faults.
+    fn set_fault(&mut self, fault: Fault, active: bool, detail: u32, outputs: &mut ControlOutputs) {
         if self.faults.has(fault, 0) == active {
             return;
         }
-        if let Some(event) = self.faults.note(fault, 0, active, detail) {
-            // There is room for every kind; what finds none is in the heartbeat's bits all the same.
+        if let Some(event) = self.faults.update(fault, 0, active, detail) {
+            // There is room for each kind; an event that does not fit is still in the heartbeat's bits.
             let _ = outputs.events.push(event);
         }
     }
+}
+
+/// Next value of a counter of consecutive milliseconds in which a condition is true.
+const fn next_ms(count: u16, condition: bool) -> u16 {
+    if condition { count.saturating_add(1) } else { 0 }
+}
+
+/// As [`next_ms`], in ticks.
+const fn next_ticks(count: u8, condition: bool) -> u8 {
+    if condition { count.saturating_add(1) } else { 0 }
 }

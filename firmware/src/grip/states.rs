@@ -1,10 +1,9 @@
-//! The states of both layers. The power layer says whether the gripper may move at all; while it is
-//! [`Power::Enabled`], the task layer says what the fingers do.
+//! States of both state machines. The power layer determines whether the gripper may move; while it is
+//! [`PowerState::Enabled`], the task layer determines what the fingers do.
 //!
-//! Each state names the states from which it is entered and to which it is left; a test holds these words
-//! against the tables of [`super::table`].
+//! Each state lists its predecessors and successors; a test compares them with [`super::transitions`].
 
-/// Declares the states of a layer: code on the wire, name, entered from, left to.
+/// Declares the states of a layer: name, code on the wire, predecessors, successors.
 macro_rules! states {
     ($(#[doc = $layer:literal])+ $name:ident {
         $(
@@ -30,14 +29,14 @@ macro_rules! states {
             /// All states.
             pub const ALL: &[Self] = &[$(Self::$state,)*];
 
-            /// The states from which this one is entered.
+            /// Predecessors.
             pub const fn entered_from(self) -> &'static [Self] {
                 match self {
                     $(Self::$state => &[$(Self::$from,)*],)*
                 }
             }
 
-            /// The states to which this one is left.
+            /// Successors.
             pub const fn left_to(self) -> &'static [Self] {
                 match self {
                     $(Self::$state => &[$(Self::$to,)*],)*
@@ -48,123 +47,116 @@ macro_rules! states {
 }
 
 states! {
-    /// Whether the gripper may move. The number is the heartbeat's, except while enabled.
-    Power {
-        /// The program has begun; the motor is off.
+    /// State of the power layer; its number is the state code of the heartbeat, except while enabled.
+    PowerState {
+        /// Start of the program; the motor is off.
         Boot = 0, from [], to [SelfTest];
-        /// Tables, memory and sensors are being looked at; the motor is off.
+        /// Check of tables, memory and sensors; the motor is off.
         SelfTest = 1, from [Boot], to [Safe Fault];
-        /// Nobody has armed; the motor is off.
+        /// No session; the motor is off.
         Safe = 2, from [SelfTest ArmPending Armed Calibrating Fault], to [ArmPending Calibrating];
-        /// A nonce is offered, not yet said back; the motor is off.
+        /// A nonce is offered and not yet returned; the motor is off.
         ArmPending = 3, from [Safe], to [Armed Safe];
-        /// A session is open. The fingers rest: a load that would turn the screw back is held by the rotor's
-        /// place, else the motor is off.
+        /// A session is open. A load on a backdrivable screw is held at its position, else the motor is off.
         Armed = 4, from [ArmPending Enabled QuickStop], to [Enabled Safe FaultReaction];
-        /// The task layer drives.
+        /// The task layer controls the motor.
         Enabled = 5, from [Armed], to [Armed QuickStop FaultReaction];
-        /// The fingers are being stopped; after too much force they give way until little is left.
+        /// The fingers stop; after excessive force they back off first.
         QuickStop = 6, from [Enabled], to [Armed FaultReaction];
-        /// The windings are shorted, or the switches are off, until the rotor rests.
+        /// Windings shorted or bridges off until the rotor rests.
         FaultReaction = 7, from [Armed Enabled QuickStop], to [Fault];
-        /// Off, or the windings shorted still, and the first cause is kept. A host clears it once the cause is gone, and has to arm anew.
+        /// Bridges off or windings still shorted; the first fault is latched. A host clears it once its cause is gone,
+        /// and must arm again.
         Fault = 8, from [FaultReaction SelfTest], to [Safe];
-        /// A tare or the motor's commissioning is under way: no one may arm.
+        /// A tare or commissioning is in progress; arming is refused.
         Calibrating = 9, from [Safe], to [Safe];
     }
 }
 
 states! {
-    /// What the fingers do. On the wire [`TASK_CODE`] is added.
-    Task {
-        /// The opening is not known: only homing moves.
+    /// State of the task layer; its state code is its number plus [`TASK_CODE`].
+    TaskState {
+        /// The opening is unknown; only homing is accepted.
         Unhomed = 0, from [Homing Stopping], to [Homing];
-        /// Closes until the fingers press, opens to the end, compares the way with the stroke.
+        /// See [`super::homing`].
         Homing = 1, from [Unhomed Idle], to [Idle Unhomed Stopping];
-        /// Holds its place.
+        /// Holds its position.
         Idle = 2,
             from [Homing Moving ContactStop Stopping Releasing Foot NoObject Lost TimeoutHold],
             to [Homing Moving Approach Foot];
-        /// On the way to an opening.
+        /// Moves to an opening.
         Moving = 3, from [Idle NoObject Lost TimeoutHold], to [Idle ContactStop Stopping];
-        /// Something was touched on the way: stops.
+        /// Stops after a contact during a move.
         ContactStop = 4, from [Moving], to [Idle];
-        /// Closes at the speed that the force allows.
+        /// Closes at the approach speed of the force.
         Approach = 5, from [Idle NoObject Lost TimeoutHold], to [Force NoObject GripFailed Stopping];
-        /// Brings the force to the one that was asked for.
+        /// Controls the force to its set-point.
         Force = 6,
             from [Approach HoldActive HoldLatched HoldFrozen],
             to [HoldActive HoldFrozen GripFailed Lost Releasing];
-        /// Keeps the force, the loop closed.
+        /// Holds the force in closed loop.
         HoldActive = 7, from [Force], to [HoldLatched HoldFrozen Force Lost Releasing];
-        /// The screw keeps the force: no current.
+        /// The screw holds the force without current.
         HoldLatched = 8, from [HoldActive], to [HoldFrozen Force Lost Releasing];
-        /// The forces are not to be believed: the rotor's place is kept, with no more current than the hold
-        /// took; a screw that locks itself needs none.
+        /// Without a valid force: holds the position with the last holding current; a self-locking screw needs none.
         HoldFrozen = 9, from [Force HoldActive HoldLatched], to [Force Releasing];
-        /// The fingers met where an object should be: stops.
+        /// The fingers closed without an object.
         NoObject = 10, from [Approach], to [Moving Approach Idle];
-        /// No grip came about in time, or not within the window: holds its place, for something may hang on it.
+        /// Timeout, or the object is wider than the window: holds its position, as an object may be gripped.
         GripFailed = 11, from [Approach Force], to [Releasing];
-        /// The object is gone: stops closing.
+        /// The object was lost: holds its position.
         Lost = 12, from [Force HoldActive HoldLatched], to [Moving Approach Idle];
-        /// Opens.
+        /// Opens to release the object.
         Releasing = 13, from [Force HoldActive HoldLatched HoldFrozen GripFailed], to [Idle Stopping];
-        /// A foot: nothing moves, whatever is asked.
+        /// Foot mode: the fingers do not move.
         Foot = 14, from [Idle], to [Idle];
-        /// Stops because a host asked, or fell silent.
+        /// Stops after a command or a timeout of the host.
         Stopping = 15, from [Homing Moving Approach Releasing], to [Idle TimeoutHold Unhomed];
-        /// The host fell silent during a motion: holds its place.
+        /// Holds its position after a timeout of the host during a motion.
         TimeoutHold = 16, from [Stopping], to [Moving Approach Idle];
     }
 }
 
-/// On the wire a state of the task layer stands behind those of the power layer.
+/// Offset of the task states in the state code.
 pub const TASK_CODE: u8 = 16;
 
-/// The number that the heartbeat tells.
-pub const fn code(power: Power, task: Task) -> u8 {
+/// State code of the heartbeat.
+pub const fn state_code(power: PowerState, task: TaskState) -> u8 {
     match power {
-        Power::Enabled => TASK_CODE.saturating_add(task as u8),
+        PowerState::Enabled => TASK_CODE.saturating_add(task as u8),
         power => power as u8,
     }
 }
 
-/// What a fault meets: the columns of the matrix of faults.
+/// Situation in which a fault occurs: the columns of the reaction table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Phase {
-    /// Nothing is gripped: the fingers move, or may.
+pub enum GripPhase {
+    /// Nothing is gripped.
     Moving,
-    /// Something is gripped.
+    /// An object is gripped.
     Holding,
-    /// A foot.
+    /// Foot mode.
     Foot,
 }
 
-impl Task {
-    /// What a fault meets; `is_gripped` while a force was once reached and the object not let go.
-    pub const fn phase(self, is_gripped: bool) -> Phase {
+impl TaskState {
+    /// Column of the reaction table; `has_settled`: the force was reached and the object not released since.
+    pub const fn phase(self, has_settled: bool) -> GripPhase {
         match self {
-            Self::Foot => Phase::Foot,
-            Self::HoldActive | Self::HoldLatched | Self::HoldFrozen => Phase::Holding,
-            Self::Force if is_gripped => Phase::Holding,
-            _ => Phase::Moving,
+            Self::Foot => GripPhase::Foot,
+            Self::HoldActive | Self::HoldLatched | Self::HoldFrozen => GripPhase::Holding,
+            Self::Force if has_settled => GripPhase::Holding,
+            _ => GripPhase::Moving,
         }
     }
 
-    /// Whether the fingers are meant to move.
+    /// Whether the fingers should move.
     pub const fn moves(self) -> bool {
-        matches!(
-            self,
-            Self::Homing | Self::Moving | Self::Approach | Self::Releasing
-        )
+        matches!(self, Self::Homing | Self::Moving | Self::Approach | Self::Releasing)
     }
 
-    /// Whether an object hangs on the fingers.
+    /// Whether an object is gripped.
     pub const fn holds(self) -> bool {
-        matches!(
-            self,
-            Self::Force | Self::HoldActive | Self::HoldLatched | Self::HoldFrozen
-        )
+        matches!(self, Self::Force | Self::HoldActive | Self::HoldLatched | Self::HoldFrozen)
     }
 }

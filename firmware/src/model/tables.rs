@@ -12,8 +12,7 @@
 // sensor 2: inverse 0.131 / 0.581, 0.127 / 0.783; fixed point against floating point 0.016 / 0.053, 0.022 / 0.102
 // sensor 3: inverse 0.084 / 0.294, 0.088 / 0.439; fixed point against floating point 0.018 / 0.045, 0.015 / 0.058
 
-use crate::model::parity::Parity;
-use crate::model::table::*;
+use crate::model::formats::*;
 
 /// The ideal model of every sensor.
 pub static TABLES: Tables<'static> = Tables {
@@ -131,7 +130,7 @@ static SENSORS: [SensorTable; 4] = [
             axis: 1,
             // Powers from the highest down, as `parity.rs` reads them.
             terms: [-7608, 43, 1369, -8139, -1738, -60449, 31, 996, 112, 6723, -2817, -1184, -42351, -8624, -1616997, 5, 180, 40, 2331, 552, 82832, -304, -191, -7563, -3095, -566118, -121775, 39976325],
-            spread: 96844,
+            sigma: 96844,
         },
     },
     // Sensor 1.
@@ -173,7 +172,7 @@ static SENSORS: [SensorTable; 4] = [
             axis: 1,
             // Powers from the highest down, as `parity.rs` reads them.
             terms: [-6865, 48, -3411, -9348, 824, -57880, 43, -3164, 146, -18080, -4107, 712, -51426, 4327, -1645830, 8, -726, 67, -7961, 666, -276223, -566, 147, -11655, 1974, -733935, 66410, 43224184],
-            spread: 96699,
+            sigma: 96699,
         },
     },
     // Sensor 2.
@@ -215,7 +214,7 @@ static SENSORS: [SensorTable; 4] = [
             axis: 1,
             // Powers from the highest down, as `parity.rs` reads them.
             terms: [-19272, 655, 13760, -21005, -5048, -97569, 451, 10372, 935, 42628, -7315, -3448, -69952, -15476, -2145149, 63, 1926, 389, 15016, 4091, 497132, -770, -544, -13049, -5839, -770129, -171047, 41616653],
-            spread: 97120,
+            sigma: 97120,
         },
     },
     // Sensor 3.
@@ -257,10 +256,10 @@ static SENSORS: [SensorTable; 4] = [
             axis: 1,
             // Powers from the highest down, as `parity.rs` reads them.
             terms: [-6968, -35, -644, -8233, -2770, -57874, -27, -518, -86, -3297, -3142, -2073, -44544, -14235, -1600068, -5, -103, -33, -1254, -422, -34635, -374, -368, -8740, -5603, -614609, -194421, 40910875],
-            spread: 96408,
+            sigma: 96408,
         },
     },
 ];
 
 /// No recurrent networks.
-pub static NETWORKS: [crate::model::network::Network<1, 4, 1>; 0] = [];
+pub static NETWORKS: [crate::model::formats::Network<1, 4, 1>; 0] = [];

@@ -1,29 +1,32 @@
-//! What a host has the device measure of itself, a millisecond at a time, while nobody is armed: the motor
-//! ([`super::commission`]), or whether the screw locks itself ([`super::selflock`]).
+//! Calibrations that a host requests while disarmed: identification of the motor ([`super::commissioning`]), or the
+//! backdrive test of the screw ([`super::backdrive_test`]). One step per millisecond.
 
-use super::commission::{Found, Refusal};
-use super::selflock::{SelfLockTest, Step, Verdict};
-use super::state::{Order, Setpoint, State, Telling, Trip};
+use core::ops::ControlFlow;
 
-/// Milliseconds within which the motor has begun what it was ordered.
-const BEGINS_MS: u32 = 100;
-/// Current in amperes that grips for the test of the screw: some 100 N with the screws that are assumed.
+use crate::motor::backdrive_test::{BackdriveResult, BackdriveStep, BackdriveTest};
+use crate::motor::commissioning::CommissioningError;
+use crate::motor::settings::IdentifiedMotor;
+use crate::motor::state::{MotorCommand, MotorState, MotorStatus, Setpoint, Trip};
+
+/// Timeout in milliseconds for the motor to begin.
+const START_MS: u32 = 100;
+/// Grip current in amperes of the backdrive test: about 100 N with the assumed screws.
 const GRIP_A: f32 = 2.0;
-/// Speed in mm/s, and milliseconds for which, the fingers open after the test: what was gripped is let go.
-const OPEN: (f32, u32) = (5.0, 400);
+/// Speed in mm/s and duration in milliseconds of the release after the test.
+const RELEASE: (f32, u32) = (5.0, 400);
 
-/// What is measured.
+/// What to calibrate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Measure {
-    /// Windings, phases, sensor: nothing may be gripped, and the fingers need room.
+pub enum CalibrationKind {
+    /// Windings, phases and rotor sensor. Nothing may be gripped, and the fingers need room.
     Motor,
-    /// Whether the screw locks itself: a part of some stiffness lies between the fingers, no more than 20 mm
-    /// narrower than they are apart.
+    /// Whether the screw is self-locking. A part of some stiffness is between the fingers, at most 20 mm narrower
+    /// than their opening.
     Screw,
 }
 
-impl Measure {
-    /// By the argument of [`crate::session::op::MEASURE`].
+impl CalibrationKind {
+    /// From the argument of [`crate::protocol::session::op::MEASURE`].
     pub const fn of(argument: u32) -> Option<Self> {
         match argument {
             0 => Some(Self::Motor),
@@ -33,151 +36,167 @@ impl Measure {
     }
 }
 
-/// Why there is no result; the number goes on the wire.
+/// Why a calibration failed; the number is sent to the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
-pub enum Failure {
-    /// Somebody is armed, a fault is latched, or a tare is under way.
-    NotNow = 1,
+pub enum CalibrationFailure {
+    /// A session is armed, a fault is latched, or a tare is in progress.
+    NotAllowed = 1,
     /// The motor does not begin.
     NotReady = 2,
     /// The motor tripped.
     Tripped = 3,
-    /// A host says stop.
+    /// A stop frame arrived.
     Stopped = 4,
-    /// Nothing was gripped in time.
+    /// Timeout without a grip.
     NothingGripped = 5,
-    /// See [`Refusal::NoCurrent`].
+    /// See [`CommissioningError::NoCurrent`].
     NoCurrent = 6,
-    /// See [`Refusal::Resistance`].
+    /// See [`CommissioningError::Resistance`].
     Resistance = 7,
-    /// See [`Refusal::Inductance`].
+    /// See [`CommissioningError::Inductance`].
     Inductance = 8,
-    /// See [`Refusal::Stuck`].
+    /// See [`CommissioningError::Stuck`].
     Stuck = 9,
-    /// See [`Refusal::PolePairs`].
+    /// See [`CommissioningError::PolePairs`].
     PolePairs = 10,
-    /// See [`Refusal::Slipped`].
+    /// See [`CommissioningError::Slipped`].
     Slipped = 11,
 }
 
-impl Failure {
-    const fn of(refusal: Refusal) -> Self {
-        match refusal {
-            Refusal::NoCurrent { .. } => Self::NoCurrent,
-            Refusal::Resistance { .. } => Self::Resistance,
-            Refusal::Inductance { .. } => Self::Inductance,
-            Refusal::Stuck => Self::Stuck,
-            Refusal::PolePairs { .. } => Self::PolePairs,
-            Refusal::Slipped => Self::Slipped,
+impl CalibrationFailure {
+    const fn of(error: CommissioningError) -> Self {
+        match error {
+            CommissioningError::NoCurrent { .. } => Self::NoCurrent,
+            CommissioningError::Resistance { .. } => Self::Resistance,
+            CommissioningError::Inductance { .. } => Self::Inductance,
+            CommissioningError::Stuck => Self::Stuck,
+            CommissioningError::PolePairs { .. } => Self::PolePairs,
+            CommissioningError::Slipped => Self::Slipped,
         }
     }
 }
 
-/// How it ended.
+/// End of a calibration.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Outcome {
-    /// The motor, which goes by it from now on.
-    Motor(Found),
-    /// Whether the screw locks itself.
+pub enum CalibrationOutcome {
+    /// The identified motor, already in use.
+    Motor(IdentifiedMotor),
+    /// The backdrive test succeeded.
     Screw {
-        /// The grasp holds without current.
+        /// The screw is self-locking.
         locks: bool,
     },
-    /// There is no result.
-    Failed(Failure),
+    /// No result.
+    Failed(CalibrationFailure),
 }
 
 #[derive(Clone, Copy, Debug)]
-enum Phase {
-    /// Ordered, not begun.
-    Begins,
-    Measures,
-    Tests(SelfLockTest),
-    Opens(Outcome),
+enum CalibrationPhase {
+    Start,
+    Commissioning,
+    BackdriveTest(BackdriveTest),
+    Release(CalibrationOutcome),
 }
 
-/// A measurement under way.
+/// A calibration in progress.
 #[derive(Clone, Copy, Debug)]
 pub struct Calibration {
-    measure: Measure,
-    phase: Phase,
+    kind: CalibrationKind,
+    phase: CalibrationPhase,
     elapsed_ms: u32,
 }
 
 impl Calibration {
-    /// Just begun.
-    pub const fn new(measure: Measure) -> Self {
-        Self {
-            measure,
-            phase: Phase::Begins,
-            elapsed_ms: 0,
-        }
+    /// Begins a calibration.
+    pub const fn new(kind: CalibrationKind) -> Self {
+        Self { kind, phase: CalibrationPhase::Start, elapsed_ms: 0 }
     }
 
-    /// Takes a millisecond: an order, none while the motor is busy.
-    ///
-    /// # Errors
-    /// No error: how it ended. The motor is to be disarmed.
-    pub fn tick(&mut self, motor: &Telling) -> Result<Option<Order>, Outcome> {
+    /// One millisecond: the next motor command, none while the motor is busy.
+    /// `Break` is the end of the calibration, successful or not; the motor must then be disarmed.
+    pub fn tick(
+        &mut self,
+        motor: &MotorStatus,
+    ) -> ControlFlow<CalibrationOutcome, Option<MotorCommand>> {
         self.elapsed_ms = self.elapsed_ms.saturating_add(1);
-        let failed = |failure| Err(Outcome::Failed(failure));
-        if let State::Tripped(trip) = motor.state {
-            // What it tripped on before is forgotten first.
+        let failed = |failure| ControlFlow::Break(CalibrationOutcome::Failed(failure));
+        if let MotorState::Tripped(trip) = motor.state {
+            // An earlier trip is cleared first.
             return match self.elapsed_ms {
-                1..=3 if trip != Trip::PowerStage => Ok(Some(Order::Disarm)),
-                _ => failed(Failure::Tripped),
+                1..=3 if trip != Trip::PowerStage => {
+                    ControlFlow::Continue(Some(MotorCommand::Disarm))
+                }
+                _ => failed(CalibrationFailure::Tripped),
             };
         }
-        match (&mut self.phase, self.measure) {
-            (Phase::Begins, _) if self.elapsed_ms > BEGINS_MS => failed(Failure::NotReady),
-            (Phase::Begins, Measure::Motor) => Ok(match motor.state {
-                State::Commissioning => {
-                    self.enter(Phase::Measures);
-                    None
+        match (&mut self.phase, self.kind) {
+            (CalibrationPhase::Start, _) if self.elapsed_ms > START_MS => {
+                failed(CalibrationFailure::NotReady)
+            }
+            (CalibrationPhase::Start, CalibrationKind::Motor) => {
+                ControlFlow::Continue(match motor.state {
+                    MotorState::Commissioning => {
+                        self.enter(CalibrationPhase::Commissioning);
+                        None
+                    }
+                    MotorState::Arming => None,
+                    _ => Some(MotorCommand::Commission),
+                })
+            }
+            (CalibrationPhase::Start, CalibrationKind::Screw) => {
+                ControlFlow::Continue(match motor.state {
+                    MotorState::Armed => {
+                        self.enter(CalibrationPhase::BackdriveTest(BackdriveTest::new(GRIP_A)));
+                        None
+                    }
+                    MotorState::Arming => None,
+                    _ => Some(MotorCommand::Arm),
+                })
+            }
+            (CalibrationPhase::Commissioning, _) => match (motor.state, motor.identification) {
+                (MotorState::Commissioning, _) => ControlFlow::Continue(None),
+                (MotorState::CommissioningFailed(error), _) => {
+                    failed(CalibrationFailure::of(error))
                 }
-                State::Arming => None,
-                _ => Some(Order::Commission),
-            }),
-            (Phase::Begins, Measure::Screw) => Ok(match motor.state {
-                State::Armed => {
-                    self.enter(Phase::Tests(SelfLockTest::new(GRIP_A)));
-                    None
-                }
-                State::Arming => None,
-                _ => Some(Order::Arm),
-            }),
-            (Phase::Measures, _) => match (motor.state, motor.found) {
-                (State::Commissioning, _) => Ok(None),
-                (State::Refused(refusal), _) => failed(Failure::of(refusal)),
-                (_, Some(found)) => Err(Outcome::Motor(found)),
-                _ => failed(Failure::NotReady),
+                (_, Some(identified)) => ControlFlow::Break(CalibrationOutcome::Motor(identified)),
+                _ => failed(CalibrationFailure::NotReady),
             },
-            (Phase::Tests(test), _) => match test.tick(motor.turned_rad, motor.speed) {
-                Step::Drive(setpoint) => Ok(Some(Order::Do(setpoint))),
-                Step::Ended(verdict) => {
-                    self.enter(Phase::Opens(match verdict {
-                        Verdict::Locks => Outcome::Screw { locks: true },
-                        Verdict::BackDrives => Outcome::Screw { locks: false },
-                        Verdict::NothingGripped => Outcome::Failed(Failure::NothingGripped),
-                    }));
-                    Ok(None)
+            (CalibrationPhase::BackdriveTest(test), _) => {
+                match test.tick(motor.rotor_rad, motor.speed) {
+                    BackdriveStep::Drive(setpoint) => {
+                        ControlFlow::Continue(Some(MotorCommand::Setpoint(setpoint)))
+                    }
+                    BackdriveStep::Ended(result) => {
+                        self.enter(CalibrationPhase::Release(match result {
+                            BackdriveResult::SelfLocking => {
+                                CalibrationOutcome::Screw { locks: true }
+                            }
+                            BackdriveResult::Backdrivable => {
+                                CalibrationOutcome::Screw { locks: false }
+                            }
+                            BackdriveResult::NothingGripped => {
+                                CalibrationOutcome::Failed(CalibrationFailure::NothingGripped)
+                            }
+                        }));
+                        ControlFlow::Continue(None)
+                    }
                 }
-            },
-            (Phase::Opens(outcome), _) => {
-                let (speed_mm_s, length_ms) = OPEN;
-                match self.elapsed_ms > length_ms {
-                    true => Err(*outcome),
-                    false => Ok(Some(Order::Do(Setpoint::Speed {
-                        closing_mm_s: -speed_mm_s,
-                        most_a: GRIP_A,
-                    }))),
+            }
+            (CalibrationPhase::Release(outcome), _) => {
+                let (speed_mm_s, length_ms) = RELEASE;
+                if self.elapsed_ms > length_ms {
+                    return ControlFlow::Break(*outcome);
                 }
+                ControlFlow::Continue(Some(MotorCommand::Setpoint(Setpoint::Speed {
+                    closing_mm_s: -speed_mm_s,
+                    max_a: GRIP_A,
+                })))
             }
         }
     }
 
-    fn enter(&mut self, phase: Phase) {
+    fn enter(&mut self, phase: CalibrationPhase) {
         (self.phase, self.elapsed_ms) = (phase, 0);
     }
 }
@@ -187,81 +206,77 @@ mod tests {
     use std::vec::Vec;
 
     use super::*;
-    use crate::motor::settings::Wiring;
+    use crate::motor::settings::MotorWiring;
 
-    const FOUND: Found = Found {
+    const IDENTIFIED: IdentifiedMotor = IdentifiedMotor {
         resistance_ohm: 0.4,
         inductance_h: 0.0004,
         pole_pairs: 7,
-        wiring: Wiring {
-            offset: 1,
-            is_swapped: false,
-        },
+        wiring: MotorWiring { offset: 1, is_swapped: false },
     };
 
-    fn telling(state: State) -> Telling {
-        Telling {
-            state,
-            ..Telling::default()
-        }
+    fn status(state: MotorState) -> MotorStatus {
+        MotorStatus { state, ..MotorStatus::default() }
     }
 
     #[test]
-    fn the_motor_is_commissioned_and_what_it_found_is_told() {
-        let mut calibration = Calibration::new(Measure::Motor);
+    fn commissioning_returns_the_new_identification() {
+        let mut calibration = Calibration::new(CalibrationKind::Motor);
         let mut tick = |state, found| {
-            let motor = Telling {
-                found,
-                ..telling(state)
-            };
+            let motor = MotorStatus { identification: found, ..status(state) };
             calibration.tick(&motor)
         };
-        // What an earlier one found is no result.
-        let disarmed = tick(State::Disarmed, Some(FOUND));
-        assert_eq!(disarmed, Ok(Some(Order::Commission)));
-        assert_eq!(tick(State::Arming, Some(FOUND)), Ok(None));
+        // An earlier identification is no result.
+        let disarmed = tick(MotorState::Disarmed, Some(IDENTIFIED));
+        assert_eq!(disarmed, ControlFlow::Continue(Some(MotorCommand::Commission)));
+        assert_eq!(tick(MotorState::Arming, Some(IDENTIFIED)), ControlFlow::Continue(None));
         for _ in 0..3000 {
-            assert_eq!(tick(State::Commissioning, None), Ok(None));
+            assert_eq!(tick(MotorState::Commissioning, None), ControlFlow::Continue(None));
         }
-        let ended = tick(State::Disarmed, Some(FOUND));
-        assert_eq!(ended, Err(Outcome::Motor(FOUND)));
+        let ended = tick(MotorState::Disarmed, Some(IDENTIFIED));
+        assert_eq!(ended, ControlFlow::Break(CalibrationOutcome::Motor(IDENTIFIED)));
     }
 
     #[test]
-    fn a_motor_that_refuses_trips_or_does_not_begin_says_so() {
-        let mut refused = Calibration::new(Measure::Motor);
-        refused.tick(&telling(State::Commissioning)).unwrap();
-        let ended = refused.tick(&telling(State::Refused(Refusal::Stuck)));
-        assert_eq!(ended, Err(Outcome::Failed(Failure::Stuck)));
-        let mut tripped = Calibration::new(Measure::Screw);
-        (0..5).for_each(|_| assert!(tripped.tick(&telling(State::Arming)).is_ok()));
-        let ended = tripped.tick(&telling(State::Tripped(Trip::Encoder)));
-        assert_eq!(ended, Err(Outcome::Failed(Failure::Tripped)));
-        let mut silent = Calibration::new(Measure::Screw);
-        let ended = (0..=BEGINS_MS).find_map(|_| silent.tick(&telling(State::Disarmed)).err());
-        assert_eq!(ended, Some(Outcome::Failed(Failure::NotReady)));
-    }
-
-    #[test]
-    fn a_screw_whose_rotor_stays_locks_itself_and_lets_go_in_the_end() {
-        let mut calibration = Calibration::new(Measure::Screw);
+    fn failing_motor_ends_the_calibration_with_its_reason() {
+        let mut refused = Calibration::new(CalibrationKind::Motor);
+        refused.tick(&status(MotorState::Commissioning)).continue_value().unwrap();
+        let ended =
+            refused.tick(&status(MotorState::CommissioningFailed(CommissioningError::Stuck)));
         assert_eq!(
-            calibration.tick(&telling(State::Disarmed)),
-            Ok(Some(Order::Arm))
+            ended,
+            ControlFlow::Break(CalibrationOutcome::Failed(CalibrationFailure::Stuck))
         );
-        let mut orders = Vec::new();
-        let ended = (0..5000).find_map(|_| match calibration.tick(&telling(State::Armed)) {
-            Ok(order) => {
-                orders.extend(order);
+        let mut tripped = Calibration::new(CalibrationKind::Screw);
+        (0..5).for_each(|_| assert!(tripped.tick(&status(MotorState::Arming)).is_continue()));
+        let ended = tripped.tick(&status(MotorState::Tripped(Trip::Encoder)));
+        assert_eq!(
+            ended,
+            ControlFlow::Break(CalibrationOutcome::Failed(CalibrationFailure::Tripped))
+        );
+        let mut silent = Calibration::new(CalibrationKind::Screw);
+        let ended =
+            (0..=START_MS).find_map(|_| silent.tick(&status(MotorState::Disarmed)).break_value());
+        assert_eq!(ended, Some(CalibrationOutcome::Failed(CalibrationFailure::NotReady)));
+    }
+
+    #[test]
+    fn backdrive_test_reports_self_locking_and_releases() {
+        let mut calibration = Calibration::new(CalibrationKind::Screw);
+        assert_eq!(
+            calibration.tick(&status(MotorState::Disarmed)),
+            ControlFlow::Continue(Some(MotorCommand::Arm))
+        );
+        let mut commands = Vec::new();
+        let ended = (0..5000).find_map(|_| match calibration.tick(&status(MotorState::Armed)) {
+            ControlFlow::Continue(command) => {
+                commands.extend(command);
                 None
             }
-            Err(outcome) => Some(outcome),
+            ControlFlow::Break(outcome) => Some(outcome),
         });
-        assert_eq!(ended, Some(Outcome::Screw { locks: true }));
-        let last = Order::Do(Setpoint::Speed {
-            closing_mm_s: -5.0,
-            most_a: GRIP_A,
-        });
-        assert_eq!(orders.last(), Some(&last));
+        assert_eq!(ended, Some(CalibrationOutcome::Screw { locks: true }));
+        let last = MotorCommand::Setpoint(Setpoint::Speed { closing_mm_s: -5.0, max_a: GRIP_A });
+        assert_eq!(commands.last(), Some(&last));
     }
 }

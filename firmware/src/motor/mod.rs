@@ -1,149 +1,140 @@
-//! The motor: from what is sensed in a period of the pulses to what the switches do in the next.
+//! Motor control: field-oriented current control at 20 kHz, speed and position control at 4 kHz.
 //!
-//! - [`stage`]: the border to what switches and senses.
-//! - [`as5047`]: a sensor of the rotor's angle.
-//! - [`number`]: arithmetic that hides nothing.
-//! - [`transform`]: phases and turning axes.
-//! - [`pi`]: controllers that know of limits.
-//! - [`svpwm`]: voltages into duties.
-//! - [`sensing`]: counts into amperes.
-//! - [`limits`], [`screw`], [`settings`]: what is known and allowed.
-//! - [`encoder`]: place and speed of the rotor.
-//! - [`current`], [`speed`], [`position`] with [`trajectory`]: the loops, each on top of the one before.
-//! - [`plausible`]: whether what is sensed fits together.
-//! - [`regeneration`]: what comes back while braking.
-//! - [`commission`], [`selflock`], [`calibration`]: what the device measures of itself.
-//! - [`state`]: what is asked, done and told.
+//! - [`power_stage`]: interface to the half bridges and the sensors; [`as5047`]: rotor angle sensor.
+//! - [`settings`], [`screw`]: parameters and limits; [`math`]: single-precision arithmetic.
+//! - [`encoder`], [`current_sense`]: rotor angle and speed, phase currents.
+//! - [`foc`]: Clarke and Park transforms, space-vector modulation, PI current controllers.
+//! - [`CurrentLoop`] and [`MotionLoop`]: the two ticks; [`tick_exchange`]: data between them.
+//! - [`trajectory`]: set-points limited in speed, acceleration and jerk.
+//! - [`limits`], [`brake_energy`]: current limits and active limit codes; [`diagnostics`]: plausibility checks.
+//! - [`commissioning`], [`backdrive_test`], [`calibration`]: measurements of motor and screw.
+//! - [`state`]: commands, states, trips and status.
 //!
-//! - [`Inner`], [`Outer`]: the two ticks, 20 kHz and 4 kHz, with [`handed`] between them.
-//!
-//! On the board each tick is an interrupt, and the inner one interrupts the outer; a simulation calls
-//! [`Motor::period`]. Orders may come at any time; a grasp gives a set-point each millisecond. Whatever is not a
-//! number ends with all switches off and [`Trip::NotANumber`].
+//! On the board each tick is an interrupt and the current loop pre-empts the motion loop; a simulation calls
+//! [`Motor::period`]. Commands may arrive at any time. A non-finite number switches all bridges off and trips with
+//! [`Trip::NotANumber`].
 
 pub mod as5047;
+pub mod backdrive_test;
+pub mod brake_energy;
 pub mod calibration;
-pub mod commission;
-pub mod current;
+pub mod commissioning;
+mod current_loop;
+pub mod current_sense;
+pub mod diagnostics;
 pub mod encoder;
-pub mod handed;
-mod inner;
+pub mod foc;
 pub mod limits;
-pub mod number;
-mod outer;
-pub mod pi;
-pub mod plausible;
-pub mod position;
-pub mod regeneration;
+pub mod math;
+mod motion_loop;
+pub mod power_stage;
 pub mod screw;
-pub mod selflock;
-pub mod sensing;
 pub mod settings;
-pub mod speed;
-pub mod stage;
 pub mod state;
-pub mod svpwm;
 #[cfg(test)]
 mod tests;
+pub mod tick_exchange;
 pub mod trajectory;
-pub mod transform;
 
-pub use inner::Inner;
-pub use outer::Outer;
-pub use settings::Settings;
-pub use state::{Order, Setpoint, State, Telling, Trip};
+pub use crate::motor::current_loop::CurrentLoop;
+pub use crate::motor::motion_loop::MotionLoop;
+pub use crate::motor::settings::Settings;
+pub use crate::motor::state::{MotorCommand, MotorState, MotorStatus, Setpoint, Trip};
 
-use commission::Found;
-use handed::Ask;
-use stage::{PowerStage, Sensed};
+use crate::config::constants;
+use crate::motor::power_stage::{MotorSamples, PowerStage};
+use crate::motor::settings::IdentifiedMotor;
+use crate::motor::tick_exchange::CurrentLoopCommand;
 
-use crate::params;
-
-/// One period of the pulses in seconds.
-pub const PERIOD_S: f32 = (1e-3 / params::PWM_RATE.value) as f32;
-/// Periods from one tick of the outer loops to the next.
+/// PWM period in seconds.
+pub const PERIOD_S: f32 = (1e-3 / constants::PWM_RATE.value) as f32;
+/// PWM periods per motion-loop tick.
 pub const MOTION_PERIODS: u8 = 5;
-/// Rate of the outer loops.
-pub const MOTION_HZ: f64 = params::PWM_RATE.value * 1e3 / MOTION_PERIODS as f64;
+/// Rate of the motion loop in Hz.
+pub const MOTION_HZ: f64 = constants::PWM_RATE.value * 1e3 / MOTION_PERIODS as f64;
 
-/// Periods from one repetition of an order to the next: a millisecond.
-const REPEATED_PERIODS: u8 = (1e-3 * params::PWM_RATE.value * 1e3) as u8;
+/// PWM periods after which [`Motor`] repeats a set-point: 1 ms, as the grip controller does.
+const REPEAT_PERIODS: u8 = (1e-3 * constants::PWM_RATE.value * 1e3) as u8;
 
-/// Both ticks of the motor's control, one after the other, and somebody who gives the last set-point again each
-/// millisecond, as a grasp does. A simulation calls [`Motor::period`].
+/// Both loops run in sequence, for simulations. Repeats the last set-point every millisecond.
 #[derive(Clone, Copy, Debug)]
 pub struct Motor {
-    inner: Inner,
-    outer: Outer,
-    /// What the outer tick said, to be heard in the next period.
-    ask: Option<Ask>,
+    inner: CurrentLoop,
+    outer: MotionLoop,
+    /// Output of the motion loop, applied in the next period.
+    pending: Option<CurrentLoopCommand>,
     setpoint: Option<Setpoint>,
     periods: u8,
-    since_order: u8,
+    since_command: u8,
 }
 
 impl Motor {
-    /// Disarmed.
+    /// A disarmed motor.
     pub fn new(settings: Settings) -> Self {
         Self {
-            inner: Inner::new(settings),
-            outer: Outer::new(settings),
-            ask: None,
+            inner: CurrentLoop::new(settings),
+            outer: MotionLoop::new(settings),
+            pending: None,
             setpoint: None,
             periods: 0,
-            since_order: 0,
+            since_command: 0,
         }
     }
 
-    /// One period: sets the switches, and every [`MOTION_PERIODS`] calls goes on with the outer loops.
-    pub fn period(&mut self, sensed: &Sensed, stage: &mut impl PowerStage) {
-        self.since_order = self.since_order.saturating_add(1);
-        if self.since_order >= REPEATED_PERIODS
+    /// Runs one PWM period: the current loop, and every [`MOTION_PERIODS`] calls the motion loop.
+    pub fn period(&mut self, samples: &MotorSamples, stage: &mut impl PowerStage) {
+        self.since_command = self.since_command.saturating_add(1);
+        if self.since_command >= REPEAT_PERIODS
             && let Some(setpoint) = self.setpoint
         {
-            self.obey(Order::Do(setpoint));
+            self.handle_command(MotorCommand::Setpoint(setpoint));
         }
-        if let Some(ask) = self.ask.take() {
-            self.inner.hear(ask);
+        if let Some(command) = self.pending.take() {
+            self.inner.apply(command);
         }
-        stage.drive(self.inner.tick(sensed));
+        stage.drive(self.inner.tick(samples));
         self.periods = self.periods.saturating_add(1);
         if self.periods >= MOTION_PERIODS {
             self.periods = 0;
-            if let Some(found) = self.inner.take_found() {
-                self.outer.adopt(found);
+            if let Some(identified) = self.inner.take_identification() {
+                self.outer.apply_identification(identified);
             }
-            self.ask = Some(self.outer.tick(self.inner.felt()));
+            self.pending = Some(self.outer.tick(self.inner.take_report()));
         }
     }
 
-    /// Does what an order says: [`Outer::obey`].
-    pub fn obey(&mut self, order: Order) {
-        match order {
-            Order::Do(setpoint) => (self.setpoint, self.since_order) = (Some(setpoint), 0),
-            Order::Disarm => self.setpoint = None,
-            Order::Arm | Order::Commission | Order::Opening { .. } | Order::Temperatures(_) => {}
+    /// See [`MotionLoop::handle_command`].
+    pub fn handle_command(&mut self, command: MotorCommand) {
+        match command {
+            MotorCommand::Setpoint(setpoint) => {
+                (self.setpoint, self.since_command) = (Some(setpoint), 0);
+            }
+            MotorCommand::Disarm => self.setpoint = None,
+            MotorCommand::Arm
+            | MotorCommand::Commission
+            | MotorCommand::SetOpening { .. }
+            | MotorCommand::Temperatures(_) => {}
         }
-        let Some(urgent) = self.outer.obey(order) else {
+        let Some(urgent) = self.outer.handle_command(command) else {
             return;
         };
-        if let Some(earlier) = self.ask.replace(urgent) {
-            self.inner.hear(earlier);
+        if let Some(earlier) = self.pending.replace(urgent) {
+            self.inner.apply(earlier);
         }
     }
 
-    /// The power stage has switched itself off, by its break input.
-    pub fn shut_off(&mut self) {
-        self.inner.shut_off();
+    /// Reports that the power stage switched itself off through its break input.
+    pub fn trip_power_stage(&mut self) {
+        self.inner.trip_power_stage();
     }
 
-    /// What commissioning found last, to be stored.
-    pub const fn found(&self) -> Option<Found> {
-        self.outer.found()
+    /// Result of the last commissioning, to be stored.
+    pub const fn identification(&self) -> Option<IdentifiedMotor> {
+        self.outer.identification()
     }
 
-    /// What it does now.
-    pub fn telling(&self) -> Telling {
-        self.outer.tell(&self.inner.feels())
+    /// Status at this moment.
+    pub fn status(&self) -> MotorStatus {
+        self.outer.status_from(&self.inner.report())
     }
 }

@@ -1,95 +1,190 @@
-//! What the control knows of motor, screw and board. Gains are derived from it, nowhere typed in.
+//! Parameters of motor, screw and board, and the limits of motor control. Controller gains are derived from them.
 
-use super::commission::Found;
-use super::limits::Limits;
-use super::screw::Screw;
-use crate::params;
+use crate::config::constants;
+use crate::motor::screw::Screw;
 
-/// The motor and what turns with it.
+/// Parameters of the motor and of what turns with it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Machine {
+pub struct MotorParameters {
     /// Pole pairs.
     pub pole_pairs: u8,
-    /// Of one phase, in ohms.
+    /// Phase resistance in ohms.
     pub resistance_ohm: f32,
-    /// Of one phase, in henries, the same on both axes.
+    /// Phase inductance in henries, equal on both axes.
     pub inductance_h: f32,
-    /// Torque of one ampere along q, in newton metres.
+    /// Torque constant in N m per ampere along q.
     pub torque_nm_a: f32,
-    /// Rotor, screws and coupling, in kg m^2.
+    /// Inertia of rotor, screws and coupling in kg m^2.
     pub inertia_kg_m2: f32,
-    /// Dry friction without load, in newton metres.
+    /// Dry friction without load in N m.
     pub dry_nm: f32,
-    /// Viscous friction, in newton metres for one rad/s.
+    /// Viscous friction in N m per rad/s.
     pub viscous_nm_s: f32,
 }
 
-impl Machine {
-    /// The motor that is assumed; commissioning measures resistance, inductance and pole pairs.
+impl MotorParameters {
+    /// The assumed motor; commissioning measures resistance, inductance and pole pairs.
     pub const ASSUMED: Self = Self {
-        pole_pairs: params::POLE_PAIRS.value as u8,
-        resistance_ohm: params::PHASE_RESISTANCE.value as f32,
-        inductance_h: (params::PHASE_INDUCTANCE.value * 1e-3) as f32,
-        torque_nm_a: params::TORQUE_CONSTANT.value as f32,
-        inertia_kg_m2: params::ROTOR_INERTIA.value as f32,
-        dry_nm: params::DRY_FRICTION.value as f32,
-        viscous_nm_s: params::VISCOUS_FRICTION.value as f32,
+        pole_pairs: constants::POLE_PAIRS.value as u8,
+        resistance_ohm: constants::PHASE_RESISTANCE.value as f32,
+        inductance_h: (constants::PHASE_INDUCTANCE.value * 1e-3) as f32,
+        torque_nm_a: constants::TORQUE_CONSTANT.value as f32,
+        inertia_kg_m2: constants::ROTOR_INERTIA.value as f32,
+        dry_nm: constants::DRY_FRICTION.value as f32,
+        viscous_nm_s: constants::VISCOUS_FRICTION.value as f32,
     };
 
-    /// Flux of the magnets through a phase in webers, by the torque: no second number to get wrong.
+    /// Flux linkage of a phase in webers, derived from the torque constant.
     pub fn flux_wb(&self) -> f32 {
         self.torque_nm_a / (1.5 * f32::from(self.pole_pairs))
     }
 }
 
-/// How the rotor's sensor sits and the phases are wired; commissioning finds it.
+/// Mounting of the rotor sensor and order of the phases; measured by commissioning.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Wiring {
-    /// The electrical angle at which the sensor tells zero, in 2^-32 turns, with its sign turned.
+pub struct MotorWiring {
+    /// Negative electrical angle at zero of the sensor, in 2^-32 turns.
     pub offset: u32,
     /// Phases V and W are swapped: a field that turns forward opens the gripper.
     pub is_swapped: bool,
 }
 
-/// Everything that the control is set to.
+/// Result of commissioning.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct IdentifiedMotor {
+    /// Phase resistance in ohms.
+    pub resistance_ohm: f32,
+    /// Phase inductance in henries.
+    pub inductance_h: f32,
+    /// Pole pairs.
+    pub pole_pairs: u8,
+    /// Sensor and phases.
+    pub wiring: MotorWiring,
+}
+
+/// Limits of motor control.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MotorLimits {
+    /// Continuous current in amperes.
+    pub rated_a: f32,
+    /// Current allowed for [`Self::peak_s`].
+    pub peak_a: f32,
+    /// Seconds of peak current from cold.
+    pub peak_s: f32,
+    /// Phase current in amperes that trips.
+    pub trip_a: f32,
+    /// Power from the bus in watts.
+    pub power_w: f32,
+    /// Rotor speed in rad/s.
+    pub speed: f32,
+    /// Rotor speed in rad/s that trips.
+    pub trip_speed: f32,
+    /// Motor temperatures in degrees Celsius at which de-rating begins, and at which the current is zero.
+    pub motor_c: [f32; 2],
+    /// The same of the power stage.
+    pub stage_c: [f32; 2],
+    /// Bus voltages in volts below which the current is zero, and above which it is unlimited.
+    pub undervoltage_v: [f32; 2],
+    /// Bus voltages in volts at which the windings begin to dissipate braking energy, and at which they take all.
+    pub dissipation_v: [f32; 2],
+    /// Bus voltage in volts at which the windings are shorted.
+    pub overvoltage_v: f32,
+    /// Maximum sum of the phase currents in amperes.
+    pub sum_a: f32,
+    /// Periods above [`Self::sum_a`] that trip.
+    pub sum_periods: u16,
+    /// Consecutive equal angle counts that trip. With noise of 0.9 counts a working sensor repeats three times in
+    /// ten, and 36 times in a row once in 10^19.
+    pub stuck_periods: u16,
+    /// Maximum voltage residual in volts.
+    pub unexplained_v: f32,
+    /// Addition to it, as a fraction of the induced voltage.
+    pub unexplained: f32,
+    /// Periods above it that trip.
+    pub unexplained_periods: u16,
+    /// Maximum control error of the currents in amperes.
+    pub tracking_error_a: f32,
+    /// Periods above it that trip.
+    pub tracking_error_periods: u16,
+    /// Speed in rad/s, and excess over the set-point, at which a current of [`Self::runaway_a`] must brake.
+    pub runaway: f32,
+    /// In amperes: more torque than any load.
+    pub runaway_a: f32,
+    /// Periods without deceleration that trip.
+    pub runaway_periods: u16,
+    /// Ends of the opening in millimetres: below zero by the deflection of the flexures, and the stroke.
+    pub ends_mm: [f32; 2],
+    /// Speed of the fingers in mm/s while the opening is unknown.
+    pub homing_mm_s: f32,
+}
+
+impl MotorLimits {
+    /// Limits of the gripper.
+    pub const GRIPPER: Self = Self {
+        rated_a: (constants::RATED_TORQUE.value / constants::TORQUE_CONSTANT.value) as f32,
+        peak_a: (constants::PEAK_TORQUE.value / constants::TORQUE_CONSTANT.value) as f32,
+        peak_s: constants::PEAK_TORQUE_TIME.value as f32,
+        trip_a: constants::CURRENT_TRIP.value as f32,
+        power_w: constants::SUPPLY_POWER_MAX.value as f32,
+        speed: (1.1 * constants::RATED_SPEED.value) as f32,
+        trip_speed: (1.5 * constants::RATED_SPEED.value) as f32,
+        motor_c: [80.0, constants::MOTOR_TEMPERATURE_MAX.value as f32],
+        stage_c: [90.0, constants::STAGE_TEMPERATURE_MAX.value as f32],
+        undervoltage_v: [16.0, 19.0],
+        dissipation_v: [26.5, 28.5],
+        overvoltage_v: constants::BUS_VOLTAGE_MAX.value as f32,
+        sum_a: 0.8,
+        sum_periods: 10,
+        stuck_periods: 36,
+        unexplained_v: 2.5,
+        unexplained: 0.25,
+        unexplained_periods: 20,
+        tracking_error_a: 1.5,
+        tracking_error_periods: 90,
+        runaway: 20.0,
+        runaway_a: 5.0,
+        runaway_periods: 36,
+        ends_mm: [-2.0, constants::STROKE.value as f32],
+        homing_mm_s: 5.0,
+    };
+}
+
+/// All settings of motor control.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// The motor.
-    pub machine: Machine,
+    /// Motor parameters.
+    pub machine: MotorParameters,
     /// Sensor and phases.
-    pub wiring: Wiring,
-    /// The lead screw.
+    pub wiring: MotorWiring,
+    /// Lead screw.
     pub screw: Screw,
-    /// Bounds.
-    pub limits: Limits,
-    /// How old the rotor's angle is when the currents are sensed, in periods of the pulses.
+    /// Limits.
+    pub limits: MotorLimits,
+    /// Age of the angle when the currents are sampled, in PWM periods.
     pub angle_age_periods: f32,
 }
 
 impl Settings {
-    /// The assumed motor with a screw; the angle is as old as the currents.
+    /// The assumed motor with a screw; the angle has no age.
     pub const fn assumed(screw: Screw) -> Self {
         Self {
-            machine: Machine::ASSUMED,
-            wiring: Wiring {
-                offset: 0,
-                is_swapped: false,
-            },
+            machine: MotorParameters::ASSUMED,
+            wiring: MotorWiring { offset: 0, is_swapped: false },
             screw,
-            limits: Limits::GRIPPER,
+            limits: MotorLimits::GRIPPER,
             angle_age_periods: 0.0,
         }
     }
 
-    /// Takes over what commissioning found.
-    pub fn adopt(&mut self, found: &Found) {
-        self.machine.resistance_ohm = found.resistance_ohm;
-        self.machine.inductance_h = found.inductance_h;
-        self.machine.pole_pairs = found.pole_pairs;
-        self.wiring = found.wiring;
+    /// Takes over the result of commissioning.
+    pub fn apply_identification(&mut self, identified: &IdentifiedMotor) {
+        self.machine.resistance_ohm = identified.resistance_ohm;
+        self.machine.inductance_h = identified.inductance_h;
+        self.machine.pole_pairs = identified.pole_pairs;
+        self.wiring = identified.wiring;
     }
 
-    /// Whether the control can work with it: everything is a number, and what must be positive is.
+    /// Whether all values are finite and have the required sign and order.
     pub fn is_sound(&self) -> bool {
         let (machine, screw, limits) = (&self.machine, &self.screw, &self.limits);
         let positive = [
@@ -105,12 +200,12 @@ impl Settings {
             limits.power_w,
             limits.speed,
             limits.trip_speed,
-            limits.high_v,
+            limits.overvoltage_v,
             limits.homing_mm_s,
             limits.sum_a,
-            limits.beside_v,
-            limits.beside,
-            limits.unfollowed_a,
+            limits.unexplained_v,
+            limits.unexplained,
+            limits.tracking_error_a,
             limits.runaway,
             limits.runaway_a,
         ];
@@ -124,19 +219,13 @@ impl Settings {
         let rising = [
             limits.motor_c,
             limits.stage_c,
-            limits.low_v,
-            limits.burn_v,
+            limits.undervoltage_v,
+            limits.dissipation_v,
             limits.ends_mm,
         ];
         machine.pole_pairs > 0
-            && positive
-                .iter()
-                .all(|value| value.is_normal() && *value > 0.0)
-            && not_negative
-                .iter()
-                .all(|value| value.is_finite() && *value >= 0.0)
-            && rising
-                .iter()
-                .all(|[from, to]| from.is_finite() && to.is_finite() && from < to)
+            && positive.iter().all(|value| value.is_normal() && *value > 0.0)
+            && not_negative.iter().all(|value| value.is_finite() && *value >= 0.0)
+            && rising.iter().all(|[from, to]| from.is_finite() && to.is_finite() && from < to)
     }
 }

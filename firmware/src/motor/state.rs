@@ -1,196 +1,219 @@
-//! What the motor is asked to do, what it does, and why it does not.
+//! Commands, states, trips and status of the motor.
 
-use super::commission::{Found, Refusal};
-use super::limits::{Active, Temperatures};
-use super::number::{Direction, greater};
-use super::plausible::Supply;
-use super::stage::Drive;
-use super::transform::Dq;
-use crate::surroundings::{self, Surroundings};
+use crate::estimator::auxiliary_inputs::{self, AuxiliaryInputs};
+use crate::motor::commissioning::CommissioningError;
+use crate::motor::foc::Dq;
+use crate::motor::limits::{ActiveLimits, Temperatures};
+use crate::motor::math::{Direction, greater};
+use crate::motor::power_stage::BridgeCommand;
+use crate::motor::settings::{IdentifiedMotor, MotorLimits};
 
-/// What is asked of the motor. Closing is positive; amperes are along q.
+/// Set-point of the motor. Closing is positive; currents are along q.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Setpoint {
-    /// All switches off: the rotor coasts, and a screw that locks itself holds.
+    /// All bridges off: the rotor coasts, and a self-locking screw holds.
     #[default]
     Off,
-    /// The windings shorted: the rotor brakes by itself, whatever the bus bears.
+    /// Windings shorted: the rotor brakes without returning energy to the bus.
     Brake,
-    /// A current, and so a torque.
+    /// Current, and thereby torque.
     Current {
         /// In amperes.
         closing_a: f32,
     },
-    /// A speed, at once: what lies above shapes it.
+    /// Speed without a ramp.
     Speed {
-        /// In mm/s of the opening, closing positive.
+        /// Speed of the opening in mm/s, closing positive.
         closing_mm_s: f32,
-        /// Greatest current in amperes.
-        most_a: f32,
+        /// Maximum current in amperes.
+        max_a: f32,
     },
-    /// A place, along a way bounded in speed, acceleration and jerk.
+    /// Position, on a trajectory limited in speed, acceleration and jerk.
     Position {
         /// In millimetres between the fingers.
         opening_mm: f32,
-        /// Greatest speed in mm/s.
+        /// Maximum speed in mm/s.
         speed_mm_s: f32,
-        /// Greatest current in amperes.
-        most_a: f32,
+        /// Maximum current in amperes.
+        max_a: f32,
     },
 }
 
 impl Setpoint {
-    /// Whether every number in it is one.
+    /// Whether all its values are finite.
     pub fn is_finite(&self) -> bool {
         match *self {
             Self::Off | Self::Brake => true,
             Self::Current { closing_a } => closing_a.is_finite(),
-            Self::Speed {
-                closing_mm_s,
-                most_a,
-            } => closing_mm_s.is_finite() && most_a.is_finite(),
-            Self::Position {
-                opening_mm,
-                speed_mm_s,
-                most_a,
-            } => opening_mm.is_finite() && speed_mm_s.is_finite() && most_a.is_finite(),
+            Self::Speed { closing_mm_s, max_a } => closing_mm_s.is_finite() && max_a.is_finite(),
+            Self::Position { opening_mm, speed_mm_s, max_a } => {
+                opening_mm.is_finite() && speed_mm_s.is_finite() && max_a.is_finite()
+            }
         }
     }
 
-    /// Greatest current in amperes that it allows itself.
-    pub fn most_a(&self) -> f32 {
+    /// Its own current limit in amperes, infinite where it has none.
+    pub fn max_a(&self) -> f32 {
         match *self {
-            Self::Speed { most_a, .. } | Self::Position { most_a, .. } => greater(most_a, 0.0),
+            Self::Speed { max_a, .. } | Self::Position { max_a, .. } => greater(max_a, 0.0),
             Self::Off | Self::Brake | Self::Current { .. } => f32::INFINITY,
         }
     }
 }
 
-/// What those above tell the motor to do, in one word for a queue.
+/// Command to the motor, small enough for a queue.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Order {
-    /// Follow set-points once the currents' offsets are taken, 26 ms: [`State::Armed`] tells when. Nothing where
-    /// the motor is not disarmed; a trip where its settings are unsound.
+pub enum MotorCommand {
+    /// Follow set-points after the offset measurement of 26 ms ([`MotorState::Armed`]). Ignored unless disarmed;
+    /// trips if the settings are invalid.
     Arm,
-    /// Measure windings, phases and sensor, 3 s; nothing may be gripped. Ends disarmed, and what was found holds
-    /// from then on, or in [`State::Refused`].
+    /// Measure windings, phases and rotor sensor in 3 s; nothing may be gripped. Ends disarmed with the result in
+    /// use, or in [`MotorState::CommissioningFailed`].
     Commission,
-    /// Everything off; the only way out of a trip.
+    /// Switch off; the only way out of a trip.
     Disarm,
-    /// A set-point; nothing while not armed.
-    Do(Setpoint),
-    /// The fingers are this far apart now, the flanks of the screws that close touching: from a homing, or from
-    /// what was stored. What is not a number: it is not known any more.
-    Opening {
+    /// Follow a set-point; ignored unless armed.
+    Setpoint(Setpoint),
+    /// Set the present opening, with the closing flanks of the screws in contact: after homing, or from storage.
+    /// NaN makes the opening unknown.
+    SetOpening {
         /// Millimetres between the fingers.
         opening_mm: f32,
     },
-    /// Temperatures, as often as they are measured.
+    /// New temperature measurements.
     Temperatures(Temperatures),
 }
 
-/// What the motor does. From [`State::Tripped`] only [`Order::Disarm`] leads on.
+/// State of the motor. [`MotorState::Tripped`] is left by [`MotorCommand::Disarm`] only.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub enum State {
-    /// Off; set-points move nothing.
+pub enum MotorState {
+    /// Off; set-points are ignored.
     #[default]
     Disarmed,
-    /// The currents' offsets are being taken, 26 ms; then [`State::Armed`], or commissioning.
+    /// Offset measurement, 26 ms; then [`MotorState::Armed`] or [`MotorState::Commissioning`].
     Arming,
-    /// Set-points are followed.
+    /// Follows set-points.
     Armed,
-    /// Sensor, phases and windings are being measured, 3 s.
+    /// Measures rotor sensor, phases and windings, 3 s.
     Commissioning,
-    /// Commissioning ended without a result; off.
-    Refused(Refusal),
-    /// Something is wrong; off, or shorted where the rotor may turn.
+    /// Off after commissioning without a result.
+    CommissioningFailed(CommissioningError),
+    /// Off, or windings shorted, after a protection tripped.
     Tripped(Trip),
 }
 
 /// Why the motor stopped by itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Trip {
-    /// Something is not a number, or settings with which nothing can be computed.
+    /// A value is not finite, or the settings are invalid.
     NotANumber,
-    /// A phase's current is beyond its bound, or beyond what is measured.
+    /// A phase current exceeds its limit or the range of its measurement.
     OverCurrent,
-    /// The rotor turns too fast.
+    /// The rotor is too fast.
     OverSpeed,
-    /// The rotor's angle is not known.
+    /// The rotor angle is unknown or implausible.
     Encoder,
-    /// At no current the amplifiers told one, the phases' currents do not sum to nothing, or they do not follow.
+    /// Current offsets are too large, phase currents do not sum to zero, or currents do not follow the set-point.
     CurrentSense,
-    /// The current that should brake the rotor does not.
+    /// The rotor accelerates against the braking current.
     Runaway,
-    /// The power stage has switched itself off.
+    /// The power stage switched itself off.
     PowerStage,
-    /// The outer tick has missed its turn three times, or whoever gives it set-points five times.
-    Unled,
+    /// The motion loop missed three ticks, or no set-point arrived for 5 ms.
+    CommandTimeout,
 }
 
 impl Trip {
-    /// What the switches do: where numbers, currents or their measurement are wrong, nothing; where the rotor
-    /// is, or those who lead it, the windings are shorted, which brakes without knowing its angle.
-    pub const fn drive(self) -> Drive {
+    /// Bridge command after the trip: off where numbers, currents or their measurement are invalid, else shorted
+    /// windings, which brake without a known angle.
+    pub const fn drive(self) -> BridgeCommand {
         match self {
             Self::NotANumber | Self::OverCurrent | Self::CurrentSense | Self::PowerStage => {
-                Drive::Off
+                BridgeCommand::Off
             }
-            Self::OverSpeed | Self::Encoder | Self::Runaway | Self::Unled => Drive::Brake,
+            Self::OverSpeed | Self::Encoder | Self::Runaway | Self::CommandTimeout => {
+                BridgeCommand::Brake
+            }
         }
     }
 }
 
-/// What the motor tells of itself.
+/// Range of the bus voltage.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum SupplyState {
+    /// In range.
+    #[default]
+    Sound,
+    /// Too low to drive.
+    Low,
+    /// Too high: the windings are shorted until it has fallen.
+    High,
+}
+
+impl SupplyState {
+    /// State at a bus voltage.
+    pub fn of(bus_v: f32, limits: &MotorLimits) -> Self {
+        let [low_v, _] = limits.undervoltage_v;
+        if bus_v > limits.overvoltage_v {
+            Self::High
+        } else if bus_v < low_v {
+            Self::Low
+        } else {
+            Self::Sound
+        }
+    }
+}
+
+/// Status of the motor.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Telling {
-    /// What it does.
-    pub state: State,
-    /// Millimetres between the fingers, the screw's play counted; none before it is homed.
+pub struct MotorStatus {
+    /// State.
+    pub state: MotorState,
+    /// Millimetres between the fingers, with the screw's backlash; none before homing.
     pub opening_mm: Option<f32>,
-    /// Millimetres that the position loop asks for now; none without a place as set-point.
-    pub asked_mm: Option<f32>,
+    /// Position set-point on the trajectory in millimetres; none without position control.
+    pub setpoint_mm: Option<f32>,
     /// Speed of the opening in mm/s, closing positive.
     pub closing_mm_s: f32,
-    /// Radians of the rotor since it was first seen, closing positive.
-    pub turned_rad: f32,
-    /// Rotor's speed in rad/s.
+    /// Rotor position in radians since start, closing positive.
+    pub rotor_rad: f32,
+    /// Rotor speed in rad/s.
     pub speed: f32,
-    /// The rotor's angle within a turn of its sensor, in radians, -pi to pi; none where it is not known.
+    /// Rotor angle within a turn of its sensor in radians, -pi to pi; none where it is unknown.
     pub angle_rad: Option<f32>,
-    /// The rotor's electrical angle.
+    /// Electrical angle of the rotor.
     pub electrical: Direction,
     /// Currents in amperes.
     pub current: Dq,
-    /// Currents asked for, in amperes.
-    pub asked: Dq,
+    /// Set-points of the currents in amperes.
+    pub current_setpoint: Dq,
     /// Voltages in volts.
     pub voltage: Dq,
     /// Bus voltage in volts.
     pub bus_v: f32,
-    /// The same as a verdict, or one of the last 3 ms.
-    pub supply: Supply,
+    /// Present range of the bus voltage, or an abnormal one of the last 3 ms.
+    pub supply: SupplyState,
     /// Motor or power stage is too hot for any current.
     pub is_hot: bool,
-    /// Bounds that are active.
-    pub limits: Active,
-    /// What commissioning found last.
-    pub found: Option<Found>,
+    /// Active limits.
+    pub limits: ActiveLimits,
+    /// Result of the last commissioning.
+    pub identification: Option<IdentifiedMotor>,
 }
 
-impl Telling {
-    /// For those who undo what the motor does to the fields.
-    pub fn surroundings(&self) -> Surroundings {
+impl MotorStatus {
+    /// Inputs for the compensation of the motor's effects on the fields.
+    pub fn covariates(&self) -> AuxiliaryInputs {
         const ONE: f32 = 32_768.0;
         let Direction { sin, cos } = self.electrical;
-        Surroundings {
+        AuxiliaryInputs {
             opening_um: self.opening_mm.map(|mm| (mm * 1e3) as i32),
-            motor: self.angle_rad.map(|angle_rad| surroundings::Motor {
+            motor: self.angle_rad.map(|angle_rad| auxiliary_inputs::MotorInputs {
                 iq_ma: (self.current.q * 1e3) as i32,
                 electrical: [(sin * ONE) as i32, (cos * ONE) as i32],
                 angle_urad: (angle_rad * 1e6) as i32,
             }),
-            ..Surroundings::default()
+            ..AuxiliaryInputs::default()
         }
     }
 }
@@ -200,46 +223,41 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_set_point_with_a_number_that_is_none_is_known() {
+    fn setpoint_with_nan_is_not_finite() {
         let nan = f32::NAN;
-        for (closing_mm_s, most_a) in [(nan, 1.0), (1.0, nan)] {
-            let setpoint = Setpoint::Speed {
-                closing_mm_s,
-                most_a,
-            };
-            assert!(!setpoint.is_finite());
+        let speed = |closing_mm_s, max_a| Setpoint::Speed { closing_mm_s, max_a };
+        let position = |[opening_mm, speed_mm_s, max_a]: [f32; 3]| Setpoint::Position {
+            opening_mm,
+            speed_mm_s,
+            max_a,
+        };
+        assert!(speed(1.0, 1.0).is_finite() && position([1.0; 3]).is_finite());
+        for setpoint in [
+            Setpoint::Current { closing_a: nan },
+            speed(nan, 1.0),
+            speed(1.0, nan),
+            position([nan, 1.0, 1.0]),
+            position([1.0, nan, 1.0]),
+            position([1.0, 1.0, nan]),
+        ] {
+            assert!(!setpoint.is_finite(), "{setpoint:?}");
         }
-        for place in 0..3 {
-            let mut numbers = [1.0; 3];
-            numbers[place] = nan;
-            let [opening_mm, speed_mm_s, most_a] = numbers;
-            let setpoint = Setpoint::Position {
-                opening_mm,
-                speed_mm_s,
-                most_a,
-            };
-            assert!(!setpoint.is_finite());
-        }
-        assert!(!Setpoint::Current { closing_a: nan }.is_finite());
     }
 
     #[test]
-    fn the_surroundings_are_told_in_their_integers() {
-        let telling = Telling {
+    fn covariates_have_integer_units() {
+        let status = MotorStatus {
             opening_mm: Some(12.5),
             angle_rad: Some(-0.25),
-            electrical: Direction {
-                sin: -0.5,
-                cos: 0.75,
-            },
+            electrical: Direction { sin: -0.5, cos: 0.75 },
             current: Dq { d: 1.0, q: -2.5 },
-            ..Telling::default()
+            ..MotorStatus::default()
         };
-        let told = telling.surroundings();
-        let motor = told.motor.unwrap();
-        assert_eq!(told.opening_um, Some(12_500));
+        let covariates = status.covariates();
+        let motor = covariates.motor.unwrap();
+        assert_eq!(covariates.opening_um, Some(12_500));
         assert_eq!((motor.iq_ma, motor.angle_urad), (-2500, -250_000));
         assert_eq!(motor.electrical, [-16_384, 24_576]);
-        assert_eq!(Telling::default().surroundings(), Surroundings::default());
+        assert_eq!(MotorStatus::default().covariates(), AuxiliaryInputs::default());
     }
 }

@@ -1,263 +1,324 @@
-//! The [`loops`] on the chip: each as a task on its level, and every static with its one writer.
+//! The portable bodies of the tasks: each awaits its input, calls synchronous code, and publishes the result. They are
+//! generic over clock and buses: the board wraps them as tasks, a simulation polls them in virtual time.
 //!
-//! Each level preempts those below it:
-//!
-//! | level | what | why |
-//! | --- | --- | --- |
-//! | priority 0 and 1 | the motor's interrupts, drivers | [`crate::hardware::drive`] |
-//! | [`SENSING_PRIORITY`] | reading the sensors, taking CAN frames | a bus waits for its next transfer; the controller holds three frames |
-//! | [`CONTROL_PRIORITY`] | estimating, grasping | the next tick |
-//! | thread mode | all else | |
-//!
-//! Nothing above thread mode writes to the log.
+//! | task | input | level | deadline | if missed |
+//! | --- | --- | --- | --- | --- |
+//! | [`sense`] | each millisecond | interrupt executor, above the next two | [`SENSE_LIMIT_US`](crate::config::constants::SENSE_LIMIT_US) after the tick began | the tick is skipped and counted |
+//! | [`estimate`] | sensed frame | interrupt executor | the next tick | the older frame is lost; the number of the next tick is larger |
+//! | [`grip`](fn@grip) | estimates | interrupt executor | the next tick; from sample to set-point within 1 ms | the older forces are lost; the motor keeps its set-point until the watchdog resets |
+//! | [`transmit`] | estimates, grip, events, replies | thread | 1 ms from sample to frame | the next estimate is sent |
+//! | [`transmit_serial`] | estimates | thread | 1 ms | a tick is missing on the line, visible by its time |
+//! | [`receive_can`], [`receive_serial`] | frames, bytes | thread | three frames in the controller's memory, 141 us | the controller drops frames |
+//! | [`host_service`] | received frames | thread | 1 ms | as a silent host |
+//! | [`scrub`] | each 5 ms | thread | none | corruption of a table is detected later |
 
-use defmt::info;
-use embassy_executor::{InterruptExecutor, SpawnError, SpawnToken, Spawner};
-use embassy_stm32::interrupt::{InterruptExt, Priority};
-use embassy_stm32::mode::Async;
-use embassy_stm32::usart::{RingBufferedUartRx, UartTx};
-use embassy_stm32::{interrupt, peripherals, rng};
-use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
-use embassy_time::{Duration, Ticker};
-use static_cell::StaticCell;
+mod estimate;
+mod grip;
+mod host_service;
+mod receive;
+mod scrub;
+mod sense;
+mod transmit;
 
-use crate::crash::Kind;
-use crate::estimator::{Estimator, Running};
-use crate::events::Event;
-use crate::frame::SENSORS;
-use crate::grip::Grip;
-use crate::hall::a31301::A31301;
-use crate::hardware::board::{Board, HARDWARE};
-use crate::hardware::can::{Receiver, Sender};
-use crate::hardware::clock::BoardClock;
-use crate::hardware::crash;
-use crate::hardware::drive::{self, Orders, Tellings};
-use crate::hardware::flash::Pages;
-use crate::hardware::sensor_bus::BoardBus;
-use crate::hardware::watchdog::Watchdog;
-use crate::limits::{Grasp, Limits};
-use crate::loops::{self, Around, Desk, Exchange, Reins};
-use crate::model::tables::{NETWORKS, TABLES};
-use crate::motor::Order;
-use crate::motor::screw::Screw;
-use crate::parameters;
-use crate::progress::FED_EVERY_MS;
-use crate::store::{Loaded, Store};
-use crate::wire::PROTOCOL;
-use crate::wire::messages::Version;
+use core::cell::Cell;
+use core::sync::atomic::{AtomicU32, Ordering};
 
-defmt::timestamp!("{=u64:us}", embassy_time::Instant::now().as_micros());
+use embassy_sync::blocking_mutex::Mutex;
+use embassy_sync::blocking_mutex::raw::RawMutex;
+use embassy_sync::channel::Channel;
+use embassy_sync::signal::Signal;
 
-/// Where something counts as wrong.
-const LIMITS: Limits = Limits::GRIPPER;
-/// Between the loops; the writers stand beside each part. Made at the start: as a constant it would lie in
-/// flash as well, two kilobytes of it.
-static EXCHANGE: StaticCell<Exchange<CriticalSectionRawMutex>> = StaticCell::new();
-type Shared = &'static Exchange<CriticalSectionRawMutex>;
-/// Reads the sensors and takes CAN frames. The interrupts of the executors belong to peripherals that are not in use.
-static SENSING: InterruptExecutor = InterruptExecutor::new();
-/// Below the interrupts of the buses.
-const SENSING_PRIORITY: Priority = Priority::P5;
-/// Estimates and grasps.
-static CONTROL: InterruptExecutor = InterruptExecutor::new();
-/// Above thread mode.
-const CONTROL_PRIORITY: Priority = Priority::P6;
+pub use estimate::{ForceSample, TickInputs, estimate};
+pub use grip::{GripInputs, GripLoop, GripSummary, HostStatus, PendingRequests, grip};
+pub use host_service::{HostService, host_service, load_parameters};
+pub use receive::{CAN, RxFrame, SERIAL, receive_can, receive_serial};
+pub use scrub::scrub;
+pub use sense::{FIRST_TICK_US, SensedFrame, sense};
+pub use transmit::{transmit, transmit_serial};
 
-/// The interrupt of [`SENSING`].
-#[embassy_stm32::interrupt]
-fn SAI1() {
-    // The executor's own interrupt, which nothing else raises.
-    #[allow(unsafe_code)]
-    unsafe {
-        SENSING.on_interrupt();
+use crate::config::parameters::Parameters;
+use crate::config::schema::counter;
+use crate::estimator::tare::TareProgress;
+use crate::motor::calibration::CalibrationOutcome;
+use crate::protocol::messages::{FaultEvent, Message};
+use crate::protocol::serial::{Packet, Tick};
+use crate::system::crash::Crash;
+use crate::system::faults::{Event, EventQueue, Fault, FaultSet};
+use crate::system::task_watchdog::TaskProgress;
+
+/// Tasks that report faults, each in a word of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum FaultReporter {
+    /// [`sense`].
+    Sense,
+    /// [`estimate`].
+    Estimate,
+    /// [`transmit`].
+    Transmit,
+    /// [`host_service`].
+    HostService,
+    /// [`receive_can`].
+    ReceiveCan,
+    /// [`receive_serial`].
+    ReceiveSerial,
+    /// [`scrub`].
+    Scrub,
+    /// Boot, for the crash before it.
+    Crash,
+    /// [`grip`](fn@grip), for grasp and motor.
+    Grip,
+}
+
+const REPORTERS: usize = 9;
+
+/// The latest value, written by one task and read by others.
+pub struct LatestValue<M: RawMutex, T>(Mutex<M, Cell<T>>);
+
+impl<M: RawMutex, T: Copy> LatestValue<M, T> {
+    const fn new(value: T) -> Self {
+        Self(Mutex::new(Cell::new(value)))
+    }
+
+    /// A copy.
+    pub fn get(&self) -> T {
+        self.0.lock(Cell::get)
+    }
+
+    /// Replaces the value and returns the previous one.
+    pub fn set(&self, value: T) -> T {
+        self.0.lock(|cell| cell.replace(value))
+    }
+
+    /// Modifies the value in place.
+    pub fn modify(&self, modify: impl FnOnce(&mut T)) {
+        self.0.lock(|cell| {
+            let mut value = cell.get();
+            modify(&mut value);
+            cell.set(value);
+        });
     }
 }
 
-/// The interrupt of [`CONTROL`].
-#[embassy_stm32::interrupt]
-fn FMAC() {
-    // As above.
-    #[allow(unsafe_code)]
-    unsafe {
-        CONTROL.on_interrupt();
+/// State shared by the tasks. Each field names its one writer and its reader.
+pub struct SharedState<M: RawMutex> {
+    /// From [`sense`] to [`estimate`].
+    pub sensed: Signal<M, SensedFrame>,
+    /// From [`estimate`] to [`transmit`].
+    pub force_sample: Signal<M, ForceSample>,
+    /// From [`estimate`] to [`transmit_serial`].
+    pub ticks: Signal<M, Tick>,
+    /// From [`estimate`] to [`grip`](fn@grip).
+    pub grip_inputs: Signal<M, GripInputs>,
+    /// From [`host_service`] to [`grip`](fn@grip): state of the session, updated before each request.
+    pub host_status: LatestValue<M, HostStatus>,
+    /// From [`host_service`] to [`grip`](fn@grip), which empties it in each tick.
+    pub requests: LatestValue<M, PendingRequests>,
+    /// From [`grip`](fn@grip) to [`host_service`] and [`transmit`].
+    pub grip_summary: LatestValue<M, GripSummary>,
+    /// From [`grip`](fn@grip) to [`transmit`]: grip status, ground contact, rejected commands.
+    pub grip_messages: Channel<M, Message, 4>,
+    /// From [`receive_can`] and [`receive_serial`] to [`host_service`].
+    pub rx_frames: Channel<M, RxFrame, 8>,
+    /// From [`host_service`] to [`transmit`].
+    pub replies: Channel<M, Message, 8>,
+    /// From [`host_service`] to [`estimate`]: starts a tare.
+    pub tare_request: Signal<M, ()>,
+    /// From [`estimate`] to [`host_service`]: its result.
+    pub tare_result: Signal<M, TareProgress>,
+    /// From [`grip`](fn@grip) to [`host_service`]: result of a calibration.
+    pub calibration_result: Signal<M, CalibrationOutcome>,
+    /// From [`scrub`] to [`host_service`]: tables and networks have been checked once.
+    pub tables_checked: Signal<M, ()>,
+    /// From [`receive_can`] to [`transmit`]: the controller is bus-off.
+    pub bus_off: Signal<M, ()>,
+    /// From [`transmit`] to [`transmit_serial`].
+    pub serial_packets: Channel<M, Packet, 8>,
+    /// From all tasks to [`transmit`].
+    pub events: EventQueue<M>,
+    /// Check-ins of the tasks.
+    pub progress: TaskProgress,
+    /// Counters since boot.
+    pub counts: Counts,
+    /// Written at boot, then by [`host_service`] alone.
+    parameters: LatestValue<M, Parameters>,
+    /// Bits of the active faults, one word for each reporter.
+    faults: [AtomicU32; REPORTERS],
+}
+
+/// Counters since boot; each has one writer.
+#[derive(Debug, Default)]
+pub struct Counts {
+    /// Failed transfers from sensors ([`sense`]).
+    pub transfers_failed: AtomicU32,
+    /// Skipped ticks ([`sense`]).
+    pub ticks_missed: AtomicU32,
+    /// Longest time from the beginning of a tick to its estimate since the last [`Timing`](crate::protocol::messages::Timing)
+    /// message, in microseconds ([`estimate`]).
+    pub worst_tick_us: AtomicU32,
+    /// Longest estimate since then, in microseconds ([`estimate`]).
+    pub worst_estimate_us: AtomicU32,
+    /// 1 while commands arrive in time, else 0 ([`host_service`]).
+    pub command_alive: AtomicU32,
+    /// Sensors with valid readings, one bit each ([`estimate`]).
+    pub sensors_ok: AtomicU32,
+    /// Rejected frames for this node ([`host_service`]).
+    pub dropped: AtomicU32,
+    /// Packets on the serial line that could not be decoded ([`receive_serial`]).
+    pub packets_broken: AtomicU32,
+    /// Frames dropped because the receive queue was full ([`receive_can`], [`receive_serial`]).
+    pub receive_overrun: AtomicU32,
+    /// Frames without acknowledge ([`transmit`]).
+    pub frames_unsent: AtomicU32,
+    /// Packets dropped by the queue or by the line ([`transmit`], [`transmit_serial`]).
+    pub packets_unsent: AtomicU32,
+}
+
+impl Counts {
+    /// The counter with this identifier.
+    pub fn counter(&self, id: u16) -> Option<u32> {
+        let count = match id {
+            counter::TRANSFERS_FAILED => &self.transfers_failed,
+            counter::TICKS_MISSED => &self.ticks_missed,
+            counter::FRAMES_REFUSED => &self.dropped,
+            counter::PACKETS_BROKEN => &self.packets_broken,
+            counter::RECEIVE_OVERRUN => &self.receive_overrun,
+            counter::FRAMES_UNSENT => &self.frames_unsent,
+            counter::PACKETS_UNSENT => &self.packets_unsent,
+            _ => return None,
+        };
+        Some(count.load(Ordering::Relaxed))
     }
 }
 
-/// A task that is begun for the first time, as each of them is.
-fn first<S>(token: Result<SpawnToken<S>, SpawnError>) -> SpawnToken<S> {
-    // One place for all: the words of a panic at each are not worth their flash.
-    token.unwrap_or_else(|_| twice())
-}
-
-#[cold]
-#[inline(never)]
-fn twice() -> ! {
-    defmt::panic!("a task is begun twice")
-}
-
-/// Starts every task.
-pub fn start(spawner: Spawner, board: Board) {
-    // As a task of this crate: what it shares with the others is then there once.
-    spawner.spawn(first(begin(spawner, board)));
-}
-
-#[embassy_executor::task]
-async fn begin(spawner: Spawner, board: Board) {
-    let exchange: Shared = EXCHANGE.init_with(Exchange::new);
-    let (boot, crash) = crash::take();
-    info!(
-        "start {}, tables {:04x}, {} sensors",
-        boot,
-        TABLES.id,
-        TABLES.sensors.len()
-    );
-    if let Some(crash) = &crash {
-        exchange.note_crash(crash);
-    }
-    let mut store = board.store;
-    let loaded = loops::begin(&mut store, exchange).await;
-    let parameters = exchange.parameters();
-    let settings = parameters.settings();
-    let (sender, receiver) = board.can;
-    sender.listen_as(parameters.node());
-    let (out, into) = board.line;
-    let line = drive::start(board.drive, settings);
-    interrupt::FMAC.set_priority(CONTROL_PRIORITY);
-    let control = CONTROL.start(interrupt::FMAC);
-    control.spawn(first(estimate(exchange, line.tellings)));
-    control.spawn(first(grip(exchange, settings.screw, line.orders)));
-    interrupt::SAI1.set_priority(SENSING_PRIORITY);
-    let sensing = SENSING.start(interrupt::SAI1);
-    sensing.spawn(first(sense(
-        exchange,
-        board.sensor_buses,
-        parameters.addresses(),
-    )));
-    sensing.spawn(first(listen(exchange, receiver)));
-    let watchdog = Watchdog::start(board.watchdog);
-    spawner.spawn(first(feed(exchange, watchdog)));
-    spawner.spawn(first(scrub(exchange)));
-    spawner.spawn(first(report(exchange, sender, parameters.node())));
-    spawner.spawn(first(telemetry(exchange, out)));
-    spawner.spawn(first(listen_serial(exchange, into, parameters.node())));
-    spawner.spawn(first(command(exchange, store, loaded, board.rng)));
-}
-
-#[embassy_executor::task]
-async fn sense(exchange: Shared, buses: [BoardBus; 2], addresses: [u8; SENSORS]) {
-    loops::sense::<A31301, _, _, _>(buses, addresses, &LIMITS, &BoardClock, exchange).await;
-}
-
-#[embassy_executor::task]
-async fn estimate(exchange: Shared, mut tellings: Tellings) {
-    let mut estimator = Estimator::new(&TABLES, Running::start(&NETWORKS));
-    let mut around = Around::default();
-    let around = move || {
-        if let Some(motor) = tellings.take() {
-            around = Around {
-                surroundings: motor.surroundings(),
-                motor,
-            };
+impl<M: RawMutex> SharedState<M> {
+    /// All queues empty, default parameters, no faults.
+    pub const fn new() -> Self {
+        Self {
+            sensed: Signal::new(),
+            force_sample: Signal::new(),
+            ticks: Signal::new(),
+            grip_inputs: Signal::new(),
+            host_status: LatestValue::new(HostStatus::NONE),
+            requests: LatestValue::new(PendingRequests::NONE),
+            grip_summary: LatestValue::new(GripSummary::INITIAL),
+            grip_messages: Channel::new(),
+            rx_frames: Channel::new(),
+            replies: Channel::new(),
+            tare_request: Signal::new(),
+            tare_result: Signal::new(),
+            calibration_result: Signal::new(),
+            tables_checked: Signal::new(),
+            bus_off: Signal::new(),
+            serial_packets: Channel::new(),
+            events: EventQueue::new(),
+            progress: TaskProgress::new(),
+            counts: Counts {
+                transfers_failed: AtomicU32::new(0),
+                ticks_missed: AtomicU32::new(0),
+                worst_tick_us: AtomicU32::new(0),
+                worst_estimate_us: AtomicU32::new(0),
+                command_alive: AtomicU32::new(0),
+                sensors_ok: AtomicU32::new(0),
+                dropped: AtomicU32::new(0),
+                packets_broken: AtomicU32::new(0),
+                receive_overrun: AtomicU32::new(0),
+                frames_unsent: AtomicU32::new(0),
+                packets_unsent: AtomicU32::new(0),
+            },
+            parameters: LatestValue::new(Parameters::DEFAULT),
+            faults: [const { AtomicU32::new(0) }; REPORTERS],
         }
-        around
-    };
-    loops::estimate(&mut estimator, around, &LIMITS, &BoardClock, exchange).await;
-}
-
-impl Reins for Orders {
-    fn order(&mut self, order: Order) -> Result<(), Order> {
-        Self::order(self, order)
     }
 
-    fn give_up(&mut self) {
-        crash::end(Kind::Corruption)
+    /// Sets or clears a fault in the reporter's set, and posts a change as an event.
+    #[inline(always)] // Mostly unchanged: a few instructions then.
+    pub fn update_fault(
+        &self,
+        reporter: FaultReporter,
+        faults: &mut FaultSet,
+        (fault, source): (Fault, u8),
+        active: bool,
+        detail: u32,
+    ) {
+        if faults.has(fault, source) != active {
+            self.change_fault(reporter, faults, (fault, source), active, detail);
+        }
     }
-}
 
-#[embassy_executor::task]
-async fn grip(exchange: Shared, screw: Screw, orders: Orders) {
-    let locks = exchange.parameters().screw() == parameters::Screw::SelfLocking;
-    let mut grip = Grip::new(Grasp::GRIPPER, screw, locks);
-    loops::grip(&mut grip, orders, exchange).await;
-}
-
-#[embassy_executor::task]
-async fn feed(exchange: Shared, mut watchdog: Watchdog) {
-    let mut ticker = Ticker::every(Duration::from_millis(FED_EVERY_MS.into()));
-    loop {
-        watchdog.feed(&exchange.progress);
-        ticker.next().await;
+    #[cold]
+    fn change_fault(
+        &self,
+        reporter: FaultReporter,
+        faults: &mut FaultSet,
+        (fault, source): (Fault, u8),
+        active: bool,
+        detail: u32,
+    ) {
+        if let Some(event) = faults.update(fault, source, active, detail) {
+            self.events.post(Event::Fault(event));
+            self.set_faults(reporter, faults.bits());
+        }
     }
-}
 
-#[embassy_executor::task]
-async fn scrub(exchange: Shared) {
-    loops::scrub(&TABLES, &NETWORKS, &BoardClock, exchange).await;
-}
-
-#[embassy_executor::task]
-async fn report(exchange: Shared, can: Sender, node: u16) {
-    loops::report(can, (node, version()), log, &BoardClock, exchange).await;
-}
-
-#[embassy_executor::task]
-async fn telemetry(exchange: Shared, line: UartTx<'static, Async>) {
-    loops::telemetry(line, exchange).await;
-}
-
-#[embassy_executor::task]
-async fn listen(exchange: Shared, can: Receiver) {
-    loops::listen(can, &LIMITS, &BoardClock, exchange).await;
-}
-
-#[embassy_executor::task]
-async fn listen_serial(exchange: Shared, line: RingBufferedUartRx<'static>, node: u16) {
-    loops::listen_serial(line, node, &LIMITS, &BoardClock, exchange).await;
-}
-
-#[embassy_executor::task]
-async fn command(
-    exchange: Shared,
-    store: Store<Pages>,
-    loaded: Loaded,
-    mut rng: rng::Rng<'static, peripherals::RNG>,
-) {
-    let desk = Desk {
-        version: version(),
-        store,
-        loaded,
-        random: move || rng.next_u32() as u16,
-        reboot: || cortex_m::peripheral::SCB::sys_reset(),
-    };
-    loops::command(desk, &BoardClock, exchange).await;
-}
-
-const fn number(text: &str) -> u8 {
-    match u8::from_str_radix(text, 10) {
-        Ok(number) => number,
-        Err(_) => u8::MAX,
+    /// Reports the crash of the previous run.
+    pub fn record_crash(&self, crash: &Crash) {
+        let crashed = (Fault::Crashed, 0);
+        let mut faults = FaultSet::default();
+        self.update_fault(FaultReporter::Crash, &mut faults, crashed, true, crash.detail());
     }
-}
 
-fn version() -> Version {
-    Version {
-        protocol_major: PROTOCOL.0,
-        protocol_minor: PROTOCOL.1,
-        firmware_major: const { number(env!("CARGO_PKG_VERSION_MAJOR")) },
-        firmware_minor: const { number(env!("CARGO_PKG_VERSION_MINOR")) },
-        firmware_patch: const { number(env!("CARGO_PKG_VERSION_PATCH")) },
-        hardware: HARDWARE,
-        tables: TABLES.id,
+    /// Publishes the faults of a reporter with a set of its own, and posts their changes.
+    pub fn publish_faults(&self, reporter: FaultReporter, bits: u32, changes: &[FaultEvent]) {
+        self.set_faults(reporter, bits);
+        for event in changes {
+            self.events.post(Event::Fault(*event));
+        }
+    }
+
+    fn set_faults(&self, reporter: FaultReporter, bits: u32) {
+        if let Some(word) = self.faults.get(reporter as usize) {
+            word.store(bits, Ordering::Relaxed);
+        }
+    }
+
+    /// A copy of the parameters.
+    pub fn parameters(&self) -> Parameters {
+        self.parameters.get()
+    }
+
+    /// One parameter.
+    #[inline(always)] // Avoids the copy of all others.
+    pub fn parameter<R>(&self, read: impl FnOnce(&Parameters) -> R) -> R {
+        self.parameters.0.lock(|cell| read(&cell.get()))
+    }
+
+    /// Replaces the parameters: at boot, then from [`host_service`] alone.
+    pub fn set_parameters(&self, parameters: Parameters) {
+        self.parameters.set(parameters);
+    }
+
+    /// Whether any task reports a fault.
+    pub fn is_active(&self, fault: Fault) -> bool {
+        self.fault_bits() & (1 << fault.index()) != 0
+    }
+
+    /// Active faults of all tasks, one bit for each kind.
+    pub fn fault_bits(&self) -> u32 {
+        let words = self.faults.iter();
+        words.fold(0, |all, word| all | word.load(Ordering::Relaxed))
+    }
+
+    /// Active faults of all other tasks.
+    pub fn fault_bits_except(&self, reporter: FaultReporter) -> u32 {
+        let words = self.faults.iter().enumerate();
+        let others = words.filter(|(index, _)| *index != reporter as usize);
+        others.fold(0, |all, (_, word)| all | word.load(Ordering::Relaxed))
     }
 }
 
-fn log(event: Event) {
-    match event {
-        Event::Found { bus, answers } => info!("bus {}: answers {:04b}", bus, answers),
-        Event::Cleared { bus, free } => info!("bus {} cleared, free {}", bus, free),
-        Event::Fault(fault) => info!(
-            "fault {} of {}: {}, {}",
-            fault.code, fault.source, fault.active, fault.detail
-        ),
+impl<M: RawMutex> Default for SharedState<M> {
+    fn default() -> Self {
+        Self::new()
     }
 }

@@ -1,4 +1,4 @@
-//! What is hidden, how it is recorded, and what must be said of it.
+//! What is hidden, how it is recorded, and what must be output of it.
 
 use std::ops::Range;
 
@@ -21,14 +21,8 @@ pub enum Group {
 
 impl Group {
     /// All, in the order of the table.
-    pub const ALL: [Self; 6] = [
-        Self::Typical,
-        Self::Small,
-        Self::Nothing,
-        Self::Pairs,
-        Self::Outside,
-        Self::Always,
-    ];
+    pub const ALL: [Self; 6] =
+        [Self::Typical, Self::Small, Self::Nothing, Self::Pairs, Self::Outside, Self::Always];
 
     /// Name on the command line.
     pub fn id(self) -> &'static str {
@@ -63,15 +57,15 @@ pub struct Case {
     pub hidden: Vec<(&'static str, f64)>,
     /// What is done to the gripper.
     pub programme: &'static str,
-    /// Noise beside white noise.
+    /// Additional noise.
     pub noise: &'static str,
     /// Seed of the campaign.
     pub seed: u64,
-    /// What must be said.
+    /// What must be output.
     pub expected: Expected,
 }
 
-/// What must be said of a campaign.
+/// What must be output of a campaign.
 #[derive(Clone, Debug)]
 pub enum Expected {
     /// Every hidden effect, alone or tied, and nothing else.
@@ -84,13 +78,7 @@ pub enum Expected {
 
 impl Case {
     fn new(hidden: &[(&'static str, f64)], seed: u64, expected: Expected) -> Self {
-        Self {
-            hidden: hidden.to_vec(),
-            programme: "bench",
-            noise: "white",
-            seed,
-            expected,
-        }
+        Self { hidden: hidden.to_vec(), programme: "bench", noise: "white", seed, expected }
     }
 
     /// True where this is hidden in it.
@@ -99,7 +87,7 @@ impl Case {
     }
 }
 
-/// Effects of the catalogue with a covariate in the format. (Backlash is only seen beside the magnet
+/// Effects of the catalogue with a covariate in the format. (Backlash is only observable with the magnet
 /// whose opening it is.)
 const SINGLE: [&str; 22] = [
     "geometric_stiffening",
@@ -126,7 +114,7 @@ const SINGLE: [&str; 22] = [
     "reference_drift",
 ];
 
-/// One effect for each covariate: what shares one is not asked to be told apart in pairs.
+/// One effect for each covariate: effects that share one are not combined in pairs.
 const KINDS: [&str; 8] = [
     "hysteresis",
     "geometric_stiffening",
@@ -152,19 +140,14 @@ fn with_seed(group: Group, seed: u64) -> Vec<Case> {
         Group::Typical => single(1.0),
         Group::Small => single(0.3),
         Group::Nothing => ["white", "ar1", "walk"]
-            .map(|noise| Case {
-                noise,
-                ..Case::new(&[], seed, Expected::NoName(None))
-            })
+            .map(|noise| Case { noise, ..Case::new(&[], seed, Expected::NoName(None)) })
             .to_vec(),
         Group::Pairs => pairs(seed),
-        Group::Outside => [
-            ("screw_ripple", Some("motor_angle_rad")),
-            ("cross_term", None),
-            ("unlogged", None),
-        ]
-        .map(|(id, follows)| Case::new(&[(id, 1.0)], seed, Expected::NoName(follows)))
-        .to_vec(),
+        Group::Outside => {
+            [("screw_ripple", Some("motor_angle_rad")), ("cross_term", None), ("unlogged", None)]
+                .map(|(id, follows)| Case::new(&[(id, 1.0)], seed, Expected::NoName(follows)))
+                .to_vec()
+        }
         Group::Always => always(seed),
     }
 }
@@ -186,20 +169,20 @@ fn pairs(seed: u64) -> Vec<Case> {
 fn always(seed: u64) -> Vec<Case> {
     const OPEN: &[&str] = &["tied", "shadow"];
     const NOT: &[&str] = &["not_judgeable"];
-    let told = |programme, hidden, said| Case {
+    let expected = |programme, hidden, message| Case {
         programme,
-        ..Case::new(&[(hidden, 1.0)], seed, Expected::Verdict(hidden, said))
+        ..Case::new(&[(hidden, 1.0)], seed, Expected::Verdict(hidden, message))
     };
     vec![
-        told("still", "neighbour_magnet", NOT),
-        told("still", "screw_backlash", NOT),
-        told("level", "earth_field", NOT),
-        told("isothermal", "magnet_temperature", NOT),
-        told("isothermal", "thermal_gap", NOT),
-        told("same-warm-up", "magnet_temperature", &["tied"]),
-        told("same-warm-up", "sensor_temperature", &["tied"]),
-        told("single-sine", "clock_skew", OPEN),
-        told("single-sine", "viscous_lag", OPEN),
-        told("single-sine", "hysteresis", OPEN),
+        expected("still", "neighbour_magnet", NOT),
+        expected("still", "screw_backlash", NOT),
+        expected("level", "earth_field", NOT),
+        expected("isothermal", "magnet_temperature", NOT),
+        expected("isothermal", "thermal_gap", NOT),
+        expected("same-warm-up", "magnet_temperature", &["tied"]),
+        expected("same-warm-up", "sensor_temperature", &["tied"]),
+        expected("single-sine", "clock_skew", OPEN),
+        expected("single-sine", "viscous_lag", OPEN),
+        expected("single-sine", "hysteresis", OPEN),
     ]
 }

@@ -10,9 +10,9 @@
 //! ```
 
 mod cases;
-mod judge;
+mod counts;
+mod evaluate;
 mod run;
-mod tally;
 
 use clap::Parser;
 use rayon::prelude::*;
@@ -52,12 +52,8 @@ fn main() {
             .into_iter()
             .filter(|case| args.only.as_ref().is_none_or(|only| case.hides(only)))
             .collect();
-        println!(
-            "\n{}: {} campaigns, seeds {seeds:?}",
-            group.id(),
-            cases.len()
-        );
-        let bar = host_tools::progress::bar("campaigns", cases.len());
+        println!("\n{}: {} campaigns, seeds {seeds:?}", group.id(), cases.len());
+        let bar = host_tools::terminal::progress_bar("campaigns", cases.len());
         let outcomes: Vec<Outcome> = cases
             .par_iter()
             .map(|case| {
@@ -68,7 +64,7 @@ fn main() {
             })
             .collect();
         bar.finish_and_clear();
-        missed |= !tally::report(group, &outcomes);
+        missed |= !counts::report(group, &outcomes);
     }
     if missed {
         std::process::exit(1);

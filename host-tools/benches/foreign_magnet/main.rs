@@ -1,7 +1,7 @@
 //! How surely, how soon and how often in vain the device notices a foreign magnet, over several grippers.
 //!
 //! Simulated grippers (hysteresis, cross coupling, a warming magnet, scatter of manufacture), each with a
-//! model fitted by the tool's own commands to three recordings of 100 s; then [`host_tools::foreign`] on
+//! model fitted by the tool's own commands to three recordings of 100 s; then [`host_tools::analysis::magnetic_disturbance`] on
 //! fresh recordings of each.
 //!
 //! ```text
@@ -13,10 +13,10 @@
 mod gripper;
 
 use clap::Parser;
-use host_tools::foreign::tally::Tally;
-use host_tools::foreign::{count, words};
+use host_tools::analysis::magnetic_disturbance::counts::{self, DetectionCounts};
+use host_tools::analysis::magnetic_disturbance::evaluate_detection;
 use host_tools::report::training::foreign::section;
-use host_tools::{progress, report, show};
+use host_tools::{report, terminal};
 
 /// Counts how surely a foreign magnet is noticed.
 #[derive(Parser)]
@@ -49,27 +49,23 @@ fn main() {
     let seeds: Vec<u64> = (args.first..args.first + args.grippers).collect();
     let of = format!("{} grippers, seeds {seeds:?}:", args.grippers);
     println!("{of}");
-    let bar = progress::bar("recordings", 0);
-    let mut all = Tally::default();
+    let bar = terminal::progress_bar("recordings", 0);
+    let mut all = DetectionCounts::default();
     for &seed in &seeds {
         let gripper = gripper::Gripper::new(seed, !args.no_temperature, args.networks);
         bar.suspend(|| println!("  gripper {seed}: {}", gripper.words()));
         let hours = args.hours / args.grippers as f64;
-        let counted = count(&gripper.device(), &gripper.world, hours, &bar);
+        let counted = evaluate_detection(&gripper.device(), &gripper.world, hours, &bar);
         all = all.with(counted.expect("simulated rows can be read"));
     }
     bar.finish_and_clear();
-    print!(
-        "{}{}",
-        show::paragraph(&words::sentences(&all)),
-        words::table(&all)
-    );
+    print!("{}{}", terminal::paragraph(&counts::summary(&all)), counts::table(&all));
     if let Some(path) = &args.output {
         let title = "magpie: a foreign magnet";
         report::write_sections(path, title, &[section(&all, &of)])
             .expect("the page can be written");
     }
-    if !all.reached() {
+    if !all.meets_requirements() {
         std::process::exit(1);
     }
 }

@@ -1,42 +1,47 @@
-//! `magpie demo`: from raw recordings to forces by the gripper's own code, and to the effect that is missing,
-//! as a short story.
-
-mod story;
+//! `magpie demo`: from recordings to forces computed by the device code, and to the missing effect.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use firmware::params;
-use model_export::fit::Options;
-use model_export::fit::score::pooled_rms;
-use model_export::inverse::build::{Variant, build};
-use model_export::inverse::emit::{MARK, source};
+use firmware::config::constants;
+use model_export::effects::EffectTerm;
+use model_export::fit::FitOptions;
+use model_export::fit::cross_validation::pooled_rms;
+use model_export::inverse::build::{ModelVariant, build};
+use model_export::inverse::codegen::{MARK, tables_source};
 use model_export::model_file::{ModelFile, Provenance};
 use model_export::output::write_output;
+use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 
-use super::fit::{BaseChoice, fit_campaign, read_campaign};
-use super::{export, fit, replay};
-use crate::{progress, show};
+use crate::analysis::compare::campaign_reader::read_campaign;
+use crate::analysis::compare::format;
+use crate::analysis::compare::pipeline::compare;
+use crate::analysis::diagnose::{Diagnosis, diagnose};
+use crate::commands::diagnose::format_summary;
+use crate::commands::edit_model::{self, find_effects};
+use crate::commands::fit::{self, BaseChoice, fit_campaign};
+use crate::commands::{export, replay};
+use crate::{report, terminal};
 
-/// The whole story on one campaign: fit, judge, find what is missing, add it, watch the error fall.
+/// The complete workflow on one campaign: fit, invert, evaluate, diagnose, add the missing effects.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   cargo magpie demo
-  cargo magpie demo tests/data/friction -o friction-story")]
+  cargo magpie demo tests/data/friction -o friction-demo")]
 pub struct Args {
-    /// Folder of recordings; without it, a small campaign that comes with the project.
+    /// Folder of recordings [default: a small campaign of the project].
     campaign: Option<PathBuf>,
-    /// Folder for the models, the tables and the report that the demo writes.
+    /// Folder for models, tables and report.
     #[arg(short, long, value_name = "FOLDER", default_value = "magpie-demo")]
     output: PathBuf,
 }
 
-/// The campaign of the demo, in the checkout that this tool was built from.
+/// The default campaign, in the source tree of this build.
 pub(super) const CAMPAIGN: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/data/demo");
 
-/// The story takes the two clocks to agree.
+/// The demo assumes synchronised clocks.
 const ALIGNMENT: Alignment = Alignment { delay_us: 0.0 };
 
 /// Runs the command.
@@ -50,56 +55,52 @@ pub fn run(args: &Args) -> Result<()> {
 
     if campaign.recordings.len() < 3 {
         bail!(
-            "{} has {} recordings: the story needs three, one of which is put aside",
+            "{} has {} recordings: the demo needs three, one of them held out",
             folder.display(),
             campaign.recordings.len()
         );
     }
     let held_out = campaign.recordings.pop().context("no recording")?;
-    show::page(&format!(
+    terminal::print(&format!(
         "1. The recordings. {} recordings of a gripper on a (simulated) bench, {:.0} s each: {} Hall sensors at\n\
-         1 kHz, and the force on each by a reference at 100 Hz. Recording {} is put aside: nothing is fitted\n\
-         to it.\n\n",
+         1 kHz and a force reference at 100 Hz. Recording {} is held out.\n\n",
         campaign.recordings.len() + 1,
         campaign.duration_s() / campaign.recordings.len() as f64,
         campaign.sensors().len(),
         held_out.name,
     ))?;
 
-    let options = Options::default();
+    let options = FitOptions::default();
     let (fits, _) = fit_campaign(&campaign, BaseChoice::Cylinder, None, options)?;
     let provenance = Provenance::of(&campaign, ALIGNMENT.delay_us, options)?;
     let model = ModelFile::of(&campaign, &fits, provenance);
     model.write(&model_path)?;
-    show::page(&format!(
-        "2. The fit. Magnet, gap, flexures and misalignment of each sensor, from field and reference.\n\n{}\n{}{}\n{}\n",
-        fit::report::parameters(&model),
-        fit::report::scores(&campaign, &model),
-        fit::report::verdict(&model),
-        what_it_means(&model),
+    terminal::print(&format!(
+        "2. The fit. Magnet, gap, flexures and misalignment of each sensor.\n\n{}\n{}{}\n{}\n",
+        fit::parameters(&model),
+        fit::error_table(&campaign, &model),
+        fit::verdict(&model),
+        gap_axis_note(&model),
     ))?;
 
-    let building = progress::bar("building tables", 1);
-    let built = build(&model_path, Variant::Fitted)?;
+    let building = terminal::progress_bar("building tables", 1);
+    let built = build(&model_path, ModelVariant::Fitted)?;
     building.finish_and_clear();
-    write_output(&tables_path, source(&built).as_bytes(), MARK)?;
-    show::page(&format!(
-        "3. The inverse. From three fields to two forces, in integers, as the {} Hz loop of the gripper\n\
-         computes it.\n\n{}\n",
-        params::SENSE_RATE.value,
-        export::report(&built.chosen, &built.header),
+    write_output(&tables_path, tables_source(&built).as_bytes(), MARK)?;
+    terminal::print(&format!(
+        "3. The inverse. From three field axes to two forces in fixed point, as in the {} Hz task.\n\n{}\n",
+        constants::SENSE_RATE.value,
+        export::format_report(&built.chosen, &built.header),
     ))?;
 
-    let outcome = replay::outcome(&model_path, &held_out.folder, None, ALIGNMENT)?;
-    show::page(&format!(
-        "4. The judgement. Recording {}, which the fit has not seen, row by row through the device's own code.\n\n{}\n{}\n{}",
+    let outcome = replay::evaluate(&model_path, &held_out.folder, None, ALIGNMENT)?;
+    terminal::print(&format!(
+        "4. The evaluation. The held-out recording {}, row by row through the device code.\n\n{}\n{}\n",
         held_out.name,
-        replay::report::forces(&outcome),
-        replay::report::beside(&outcome),
-        "",
+        replay::report::force_table(&outcome),
+        replay::report::model_table(&outcome),
     ))?;
-    let options = Options::default();
-    story::rest(&story::Told {
+    improve(&Fitted {
         folder,
         campaign: &campaign,
         held_out: &held_out.folder,
@@ -109,25 +110,20 @@ pub fn run(args: &Args) -> Result<()> {
         output: &args.output,
         options,
     })?;
-    show::page(&closing(&args.output))?;
+    terminal::print(&closing(&args.output))?;
     Ok(())
 }
 
-/// Which axis errs most, and what that means for the forces.
-fn what_it_means(model: &ModelFile) -> String {
+/// Explains a residual that is mainly along the gap.
+fn gap_axis_note(model: &ModelFile) -> String {
     let axes = || model.sensors.iter().flat_map(|sensor| &sensor.held_out);
-    let of = |letter: &str| {
-        pooled_rms(
-            axes()
-                .filter(|axis| axis.axis == letter)
-                .map(|axis| axis.rms_g),
-        )
-    };
-    let (across, along) = (of("x").hypot(of("z")), of("y"));
+    let rms =
+        |letter: &str| pooled_rms(axes().filter(|axis| axis.axis == letter).map(|axis| axis.rms_g));
+    let (across, along) = (rms("x").hypot(rms("z")), rms("y"));
     if along > 2.0 * across {
         return format!(
-            "Something that the fit does not know moves the field along the gap ({along:.1} G, against {across:.1} G in the\n\
-             plane of motion). The forces are read in the plane, so they suffer less, as step 4 shows.\n"
+            "An effect that is not in the model changes the field along the gap ({along:.1} G, {across:.1} G in the plane of\n\
+             motion). The forces depend mainly on the plane, so their error is smaller: see step 4.\n"
         );
     }
     String::new()
@@ -136,12 +132,111 @@ fn what_it_means(model: &ModelFile) -> String {
 fn closing(output: &Path) -> String {
     let tables = output.join("tables.rs");
     format!(
-        "Everything is in {}:\n\
-         models to read, tables.rs for the firmware, report.html for a browser.\n\
-         An image with the tables:   MAGPIE_TABLES={} cargo image\n\
+        "Output in {}: models, tables.rs for the firmware, report.html for a browser.\n\
+         Image with the tables:      MAGPIE_TABLES={} cargo image\n\
          Your own recordings:        cargo magpie fit YOUR-CAMPAIGN -o model.toml\n\
-         What they lack:             cargo magpie diagnose model.toml YOUR-CAMPAIGN -o report.html\n",
+         Missing effects:            cargo magpie diagnose model.toml YOUR-CAMPAIGN -o report.html\n",
         output.display(),
         tables.display(),
+    )
+}
+
+/// Intermediate results of the demo.
+struct Fitted<'a> {
+    folder: &'a Path,
+    /// Without the held-out recording.
+    campaign: &'a Campaign,
+    held_out: &'a Path,
+    model: &'a ModelFile,
+    model_path: &'a Path,
+    /// Replay of the held-out recording.
+    before: &'a replay::Evaluation,
+    output: &'a Path,
+    options: FitOptions,
+}
+
+/// Added effects and force error of the device code in newtons, step by step.
+type ErrorSteps = Vec<(String, f64)>;
+
+/// Compares, diagnoses and adds the missing effects.
+fn improve(fitted: &Fitted) -> Result<()> {
+    let comparison = compare(fitted.model_path, fitted.folder, None, ALIGNMENT, fitted.options)?;
+    terminal::print(&format!(
+        "5. The residual. Model and measurement over all recordings.\n\n{}\n",
+        terminal::paragraph(&format::verdict(&comparison))
+    ))?;
+    let bar = terminal::row_spinner("diagnosing");
+    let report_step = |step: &str| bar.set_message(step.to_owned());
+    let mut diagnosis = diagnose(
+        fitted.campaign,
+        fitted.model,
+        fitted.model_path,
+        &[],
+        fitted.options,
+        &report_step,
+    )?;
+    bar.finish_and_clear();
+    diagnosis.campaign = fitted.folder.display().to_string();
+    terminal::print(&format!(
+        "{}\n{}",
+        terminal::paragraph(
+            "6. The missing effects. Each effect of the catalogue is tested on the fitted recordings by \
+             cross-validation."
+        ),
+        format_summary(&diagnosis)
+    ))?;
+    let steps = add_effects(fitted, &diagnosis)?;
+    terminal::print(&format!("7. The error by effect.\n\n{}\n", error_table(fitted, &steps)))?;
+    let path = fitted.output.join("report.html");
+    report::write(&path, &comparison, &report::diagnosis::sections(&diagnosis))?;
+    terminal::print(&format!("8. Plots: {}\n\n", path.display()))?;
+    Ok(())
+}
+
+/// Adds the accepted effects one by one and replays the held-out recording with each model.
+fn add_effects(fitted: &Fitted, diagnosis: &Diagnosis) -> Result<ErrorSteps> {
+    let mut steps = vec![("base model".to_owned(), replay::report::rmse_n(&fitted.before.fitted))];
+    let mut added: Vec<EffectTerm> = Vec::new();
+    for (i, step) in diagnosis.accepted.iter().enumerate() {
+        // The first of several equivalent effects; a user would choose, or record data that separate them.
+        let first = step.first().context("an empty step")?.clone();
+        added.extend(find_effects(&[first], &[])?);
+        let edit = edit_model::refit(
+            fitted.campaign.clone(),
+            fitted.model,
+            Vec::new(),
+            added.clone(),
+            ALIGNMENT,
+            fitted.options,
+        )?;
+        let path = fitted.output.join(format!("better-{}.toml", i + 1));
+        edit.model.write(&path)?;
+        let after = replay::evaluate(&path, fitted.held_out, None, ALIGNMENT)?;
+        let newtons = replay::report::rmse_n(&after.fitted);
+        steps.push((format!("+ {}", step.join(" or ")), newtons));
+    }
+    Ok(steps)
+}
+
+fn error_table(fitted: &Fitted, steps: &ErrorSteps) -> String {
+    if steps.len() < 2 {
+        return terminal::paragraph(
+            "No effect of the catalogue is missing. (User-defined formulas are tested with `magpie diagnose --expr`.)",
+        );
+    }
+    let mut table = terminal::table(["with", "error / N"]);
+    for (with, newtons) in steps {
+        table.add_row([with.clone(), format!("{newtons:.3}")]);
+    }
+    terminal::right_align(&mut table, 1);
+    let tie = if steps.iter().any(|(with, _)| with.contains(" or ")) {
+        "Effects joined by \"or\" are equivalent on these data; the first was added.\n"
+    } else {
+        ""
+    };
+    format!(
+        "RMSE over all forces of the held-out recording, device code (fixed point):\n\n\
+         {table}\n{tie}Models: better-1.toml and so on, in {}.\n",
+        fitted.output.display()
     )
 }

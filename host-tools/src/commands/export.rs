@@ -1,24 +1,24 @@
-//! `magpie export`: the device's tables as Rust source.
+//! `magpie export`: writes the device tables as Rust source.
 
 use std::path::PathBuf;
 
 use anyhow::Result;
-use firmware::frame::SENSORS;
-use model_export::inverse::build::{Built, Header, Variant, build};
-use model_export::inverse::emit::{MARK, source, source_with};
-use model_export::inverse::error_map::ErrorMap;
-use model_export::inverse::search::Chosen;
+use firmware::sensors::hall::SENSORS;
+use model_export::inverse::build::{DeviceModel, ExportHeader, ModelVariant, build};
+use model_export::inverse::codegen::{MARK, source_with_networks, tables_source};
+use model_export::inverse::grbf::ErrorMap;
+use model_export::inverse::model_selection::SelectedModels;
 use model_export::model_file::ModelFile;
 use model_export::output::{check_output, write_output};
 use serde_json::json;
 
-use crate::networks::Networks;
-use crate::show;
+use crate::device_run::networks::NetworkSet;
+use crate::terminal;
 
-/// Loads along each axis of the printed error map.
-const MAP_ACROSS: usize = 9;
+/// Loads per axis of the printed error map.
+const MAP_LOADS: usize = 9;
 
-/// Write the tables that the firmware is built with, with their fixed-point error in newtons.
+/// Write the firmware's model tables and report their fixed-point error in newtons.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -26,76 +26,61 @@ Examples:
   cargo magpie export model.toml --network network.safetensors -o my-tables.rs
   MAGPIE_TABLES=my-tables.rs cargo image")]
 pub struct Args {
-    /// Model file, as `magpie fit` writes it.
+    /// Model file written by `magpie fit`.
     model: PathBuf,
-    /// Where the Rust source goes.
+    /// Rust source file to write.
     #[arg(short, long, value_name = "PATH")]
     output: PathBuf,
-    /// Recurrent networks behind the model, as `magpie train` writes them.
+    /// Recurrent networks to run after the model, written by `magpie train`.
     #[arg(long, value_name = "NETWORK", conflicts_with = "nominal")]
     network: Option<PathBuf>,
-    /// Invert the nominal design alone (the paper's ideal model), not the fitted parameters.
+    /// Invert the nominal design (the paper's ideal model) instead of the fitted parameters.
     #[arg(long)]
     nominal: bool,
-    /// Print one JSON object on stdout and nothing else there.
+    /// Print one JSON object on stdout and nothing else.
     #[arg(long)]
     json: bool,
 }
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
-    let variant = if args.nominal {
-        Variant::Nominal
-    } else {
-        Variant::Fitted
-    };
+    let variant = if args.nominal { ModelVariant::Nominal } else { ModelVariant::Fitted };
     check_output(&args.output, MARK)?;
     let built = build(&args.model, variant)?;
-    let networks = args
-        .network
-        .as_deref()
-        .map(|path| Networks::read(path, &built))
-        .transpose()?;
+    let networks =
+        args.network.as_deref().map(|path| NetworkSet::read(path, &built)).transpose()?;
     let source = match &networks {
-        None => source(&built),
-        Some(networks) => source_with(&built, &networks.packed)?,
+        None => tables_source(&built),
+        Some(networks) => source_with_networks(&built, &networks.packed)?,
     };
     write_output(&args.output, source.as_bytes(), MARK)?;
-    for (effect, why) in &built.left {
-        eprintln!("note: {effect} is not undone: {why}");
+    for (effect, why) in &built.uncompensated {
+        eprintln!("note: {effect} is not compensated: {why}");
     }
-    let Built {
-        model,
-        chosen,
-        header,
-        ..
-    } = built;
+    let DeviceModel { model, chosen, header, .. } = built;
     let image: Vec<u32> = (0..SENSORS as u32).collect();
     if header.sensors != image {
         eprintln!(
-            "note: the image reads sensors {image:?} and these tables know {:?}: the others will be called missing",
+            "note: the image reads sensors {image:?}, these tables have {:?}: the image reports the others as missing",
             header.sensors
         );
     }
-    let text = match args.json {
-        true => format!("{}\n", json(&chosen, &header)),
-        false => {
-            report(&chosen, &header)
+    terminal::print_result(
+        args.json,
+        || json(&chosen, &header),
+        || {
+            format_report(&chosen, &header)
                 + &worst_map(&model, &chosen, &header)
-                + &networks
-                    .as_ref()
-                    .map_or_else(String::new, Networks::sentence)
+                + &networks.as_ref().map_or_else(String::new, NetworkSet::description)
                 + &format!("Written to {}.\n", args.output.display())
-        }
-    };
-    show::page(&text)?;
-    Ok(())
+        },
+    )
 }
 
-/// What was chosen, and how well it inverts.
-pub fn report(chosen: &Chosen, header: &Header) -> String {
+/// The selected tables and their inversion error.
+pub fn format_report(chosen: &SelectedModels, header: &ExportHeader) -> String {
     let shape = chosen.shape;
-    let mut table = show::table([
+    let mut table = terminal::table([
         "sensor",
         "force",
         "inverse rms",
@@ -107,23 +92,19 @@ pub fn report(chosen: &Chosen, header: &Header) -> String {
     ]);
     for (errors, number) in chosen.errors.iter().zip(&header.sensors) {
         for (axis, name) in ["Fx", "Fz"].into_iter().enumerate() {
-            let shown = [errors.model, errors.fixed, errors.linear]
-                .into_iter()
-                .flat_map(|(rms, worst)| {
+            let cells =
+                [errors.model, errors.fixed, errors.linear].into_iter().flat_map(|(rms, worst)| {
                     [format!("{:.3}", rms[axis]), format!("{:.3}", worst[axis])]
                 });
-            let row: Vec<String> = [number.to_string(), name.to_owned()]
-                .into_iter()
-                .chain(shown)
-                .collect();
+            let row: Vec<String> =
+                [number.to_string(), name.to_owned()].into_iter().chain(cells).collect();
             table.add_row(row);
         }
     }
-    show::right_align(&mut table, 2);
+    terminal::right_align(&mut table, 2);
     format!(
         "{}Ideal model of the {}: {} centres and a linear part for each sensor\n\
-         (width gamma {:.3}, ridge {:.0e}, chosen by error on loads that were not fitted, through the device's\n\
-         arithmetic).\n\
+         (width gamma {:.3}, ridge {:.0e}, selected by held-out error in the device's arithmetic).\n\
          Error in N over the box of ±{:.0} N:\n{table}\n",
         match header.effects.as_slice() {
             [] => String::new(),
@@ -133,47 +114,34 @@ pub fn report(chosen: &Chosen, header: &Header) -> String {
         shape.centres_across * shape.centres_across,
         shape.gamma,
         shape.ridge,
-        chosen
-            .models
-            .first()
-            .map_or(0.0, |model| model.design.force_n[0]),
+        chosen.models.first().map_or(0.0, |model| model.design.force_n[0]),
     )
 }
 
-/// The error map of the sensor whose map is the worst.
-fn worst_map(model: &ModelFile, chosen: &Chosen, header: &Header) -> String {
+/// Error map of the sensor with the maximum error.
+fn worst_map(model: &ModelFile, chosen: &SelectedModels, header: &ExportHeader) -> String {
     let scale = model.sensor_scale.gauss_per_lsb;
     let maps = chosen.forward.iter().enumerate().map(|(i, forward)| {
         let force_n = chosen.models[i].design.force_n;
-        (
-            i,
-            ErrorMap::of(forward, force_n, MAP_ACROSS, |field| {
-                chosen.tables.force(i, field, scale)
-            }),
-        )
+        (i, ErrorMap::of(forward, force_n, MAP_LOADS, |field| chosen.tables.force(i, field, scale)))
     });
     let Some((sensor, map)) = maps.max_by(|a, b| a.1.worst_n().total_cmp(&b.1.worst_n())) else {
         return String::new();
     };
     let loads = map.loads_n.iter().map(|load| format!("{load:.0}"));
-    let mut table = show::table(["Fz \\ Fx N".to_owned()].into_iter().chain(loads));
+    let mut table = terminal::table(["Fz \\ Fx N".to_owned()].into_iter().chain(loads));
     for (load, errors) in map.loads_n.iter().zip(&map.errors_n).rev() {
         let cells = errors.iter().map(|error| format!("{error:.2}"));
-        table.add_row(
-            [format!("{load:.0}")]
-                .into_iter()
-                .chain(cells)
-                .collect::<Vec<_>>(),
-        );
+        table.add_row([format!("{load:.0}")].into_iter().chain(cells).collect::<Vec<_>>());
     }
-    show::right_align(&mut table, 0);
+    terminal::right_align(&mut table, 0);
     format!(
-        "Error map of sensor {}, the worst, in N, fixed point:\n{table}\n",
+        "Error map of sensor {} (maximum error) in N, fixed point:\n{table}\n",
         header.sensors[sensor]
     )
 }
 
-fn json(chosen: &Chosen, header: &Header) -> serde_json::Value {
+fn json(chosen: &SelectedModels, header: &ExportHeader) -> serde_json::Value {
     let sensors = chosen.errors.iter().zip(&header.sensors).flat_map(|(errors, number)| {
         ["x", "z"].into_iter().enumerate().map(move |(axis, name)| {
             json!({

@@ -1,16 +1,15 @@
-//! `magpie import`: foreign tables turned into a campaign by a mapping file.
+//! `magpie import`: converts measurement tables to a campaign with a mapping file.
 
 use std::path::PathBuf;
 
 use anyhow::Result;
-use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
-use model_export::recordings::import;
+use model_export::recordings::{Campaign, import};
 use serde_json::json;
 
-use crate::{progress, show};
+use crate::terminal;
 
-/// Turn foreign data into a campaign, by a mapping file (columns, units, scale, clocks).
+/// Convert measurement tables to a campaign with a mapping file (columns, units, scale, clocks).
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -25,9 +24,9 @@ A mapping file:
   [force]
   clock = { from = \"t_state_s\", unit = \"s\" }
   columns = [ { from = \"weight_g\", unit = \"g\", to = \"f0_z_n\", scale = -1, missing = -1 } ]
-Where the two sides are separate files, give each side `file = \"NAME\"` and name folders as sources.")]
+For separate files of the two sides, give each side `file = \"NAME\"` and pass folders as sources.")]
 pub struct Args {
-    /// What becomes of the columns.
+    /// Mapping of the source columns.
     mapping: PathBuf,
     /// One file (or folder) for each recording, in order.
     #[arg(required = true)]
@@ -35,40 +34,38 @@ pub struct Args {
     /// Folder of the new campaign; must not exist yet.
     #[arg(short, long, value_name = "CAMPAIGN")]
     output: PathBuf,
-    /// Print one JSON object on stdout and nothing else there.
+    /// Print one JSON object on stdout and nothing else.
     #[arg(long)]
     json: bool,
 }
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
-    let bar = progress::bar("importing", args.sources.len());
+    let bar = terminal::progress_bar("importing", args.sources.len());
     let (imported, notices) =
         import::import(&args.mapping, &args.sources, &args.output, |_| bar.inc(1))?;
     bar.finish_and_clear();
-    for notice in &notices {
-        eprintln!("note: {notice}");
-    }
+    terminal::print_notes(&notices);
     if args.json {
         let recordings = imported.iter().map(|recording| {
             let (hall, force, measured) = recording.rows;
             json!({ "folder": recording.folder, "hall_rows": hall, "force_rows": force, "measured_rows": measured })
         });
-        show::page(&format!(
+        terminal::print(&format!(
             "{}\n",
             json!({ "campaign": args.output, "recordings": recordings.collect::<Vec<_>>() })
         ))?;
         return Ok(());
     }
     let campaign = Campaign::read(&args.output, Alignment { delay_us: 0.0 }, |_| ())?;
-    let mut table = show::table([
+    let mut table = terminal::table([
         "recording",
         "start s",
         "length s",
         "sensors",
         "board rows",
         "reference rows",
-        "with a force",
+        "rows with force",
     ]);
     for (recording, imported) in campaign.recordings.iter().zip(&imported) {
         let ends = recording.time_s.first().zip(recording.time_s.last());
@@ -83,16 +80,9 @@ pub fn run(args: &Args) -> Result<()> {
             measured.to_string(),
         ]);
     }
-    show::right_align(&mut table, 1);
-    let base = if campaign.design().is_some() {
-        ""
-    } else {
-        " --base polynomial"
-    };
-    let next = format!(
-        "Next: cargo magpie fit {:?}{base} -o model.toml",
-        args.output
-    );
-    show::page(&format!("{table}\n{next}\n"))?;
+    terminal::right_align(&mut table, 1);
+    let base = if campaign.design().is_some() { "" } else { " --base polynomial" };
+    let next = format!("Next: cargo magpie fit {:?}{base} -o model.toml", args.output);
+    terminal::print(&format!("{table}\n{next}\n"))?;
     Ok(())
 }

@@ -1,24 +1,21 @@
-//! One file for each command, and what several share.
+//! One module for each command, and what several commands share: [`args`] and [`connection`].
 
-pub mod add;
-pub mod beside;
-pub mod change;
-pub mod clocks;
+pub mod args;
+pub mod benchmark;
 pub mod compare;
+pub mod connection;
 pub mod dbc;
 pub mod demo;
 pub mod design;
 pub mod diagnose;
-pub mod drop;
+pub mod edit_model;
 pub mod effects;
 pub mod emulate;
 pub mod export;
-pub mod faults;
+pub mod fault_campaign;
 pub mod fit;
-pub mod formulas;
-pub mod grip;
+pub mod grasp;
 pub mod import;
-pub mod live;
 pub mod monitor;
 pub mod record;
 pub mod replay;

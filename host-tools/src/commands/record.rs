@@ -1,29 +1,27 @@
-//! `magpie record`: what a gripper's sensors read, written down while it runs.
+//! `magpie record`: writes sensor readings of a running gripper to a recording.
 
-pub mod campaign_time;
-mod report;
-
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, SystemTime};
 
-use anyhow::{Result, anyhow};
-use firmware::parameters::table::id;
-use firmware::params;
+use anyhow::{Result, anyhow, bail};
+use firmware::config::constants;
+use firmware::config::schema::id;
 use indicatif::ProgressBar;
-use model_export::design::Design;
-use model_export::recordings::description::Description;
+use model_export::recordings::campaign::recording_folders;
+use model_export::recordings::description::RecordingDescription;
+use serde_json::{Value, json};
 
-use super::live::{Gripper, interrupted, parse_seconds};
-use crate::live::asking;
-use crate::live::hearing::{Hearing, News};
-use crate::live::recorder::{Recorder, Tally};
-use crate::live::rows::Rows;
-use crate::live::source::Source;
-use crate::{progress, show};
+use crate::commands::args::read_design;
+use crate::commands::connection::{GripperArgs, interrupted, parse_seconds};
+use crate::device::params_client;
+use crate::device::reader::{ReaderEvent, SourceReader};
+use crate::device::recorder::{Recorder, RecordingCounts, SensorRowAssembler};
+use crate::device::source::Source;
+use crate::terminal;
 
-/// Write down what a gripper's sensors read, as a recording.
+/// Write sensor readings of a running gripper to a recording.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -31,118 +29,117 @@ Examples:
   cargo magpie record --can can0 --rate 500 -o bench/2
   cargo magpie record --virtual -o rehearsal/1 --seconds 10    # without hardware
 
-Ctrl-C ends it. Whenever it is killed, what it wrote until the last second is a recording. A serial line
-carries every tick, a CAN bus every second one at the most (--rate). The board does not know the forces: put
-the reference's table, with t_us from the same start, in the place of force.csv.")]
+Ctrl-C ends the recording. A killed process leaves a valid recording up to the last second. A serial line
+carries every tick, a CAN bus at most every second one (--rate). Reference forces are not recorded: replace
+force.csv by the reference's table, with t_us from the same start.")]
 pub struct Args {
     #[command(flatten)]
-    gripper: Gripper,
+    gripper: GripperArgs,
     /// Folder of the recording; must be empty or not exist yet.
     #[arg(short, long, value_name = "RECORDING")]
     output: PathBuf,
     /// End after this time.
     #[arg(long, value_name = "S", value_parser = parse_seconds)]
     seconds: Option<f64>,
-    /// What is recorded, in your words.
+    /// Description of the recording.
     #[arg(long, value_name = "TEXT", default_value = "recorded live")]
     note: String,
-    /// Seconds since the campaign began; without it, by the dates of the recordings beside this one.
+    /// Start time within the campaign [default: from the dates of the other recordings].
     #[arg(long, value_name = "S")]
     start_s: Option<f64>,
-    /// The gripper's nominal design; otherwise MAGPIE's own.
+    /// Nominal design of the gripper [default: MAGPIE].
     #[arg(long, value_name = "PATH")]
     design: Option<PathBuf>,
-    /// Rows a second over a CAN bus: 100, 250 or 500.
+    /// Row rate over a CAN bus: 100, 250 or 500.
     #[arg(long, value_name = "HZ", default_value_t = 100, requires = "can", value_parser = parse_rate)]
     rate: u32,
-    /// Print one JSON object on stdout and nothing else there.
+    /// Print one JSON object on stdout and nothing else.
     #[arg(long)]
     json: bool,
 }
 
-/// Where nothing comes for this time, the rows so far are written.
-const PATIENCE: Duration = Duration::from_millis(250);
+/// Rows are flushed after this time without data.
+const FLUSH_TIMEOUT: Duration = Duration::from_millis(250);
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     let description = description(args)?;
     let start_s = description.start_s;
-    let rows = match args.gripper.is_on_bus() {
-        true => Rows::of_sets(1_000_000 / u64::from(args.rate)),
-        false => Rows::of_ticks(),
+    let rows = if args.gripper.is_on_bus() {
+        SensorRowAssembler::of_sets(1_000_000 / u64::from(args.rate))
+    } else {
+        SensorRowAssembler::of_ticks()
     };
     let recorder = Recorder::new(&args.output, description, rows.period_us())?;
     let mut source = args.gripper.open()?;
-    let before = ask_for_readings(source.as_mut(), args)?;
-    let hearing = Hearing::start(source);
-    let written = write(&hearing, rows, recorder, args);
+    let previous = enable_readings(source.as_mut(), args)?;
+    let hearing = SourceReader::start(source);
+    let written = write_rows(&hearing, rows, recorder, args);
     let mut source = hearing.stop()?;
-    for (id, value) in before {
-        // A gripper that is gone starts with what is stored.
-        let _ = asking::write(source.as_mut(), id, value);
+    for (id, value) in previous {
+        // After a loss of connection the gripper restarts with its stored settings.
+        let _ = params_client::write(source.as_mut(), id, value);
     }
     let (tally, ended) = written?;
-    let page = match args.json {
-        true => format!("{}\n", report::json(&args.output, start_s, &tally)),
-        false => report::text(&args.output, start_s, &tally),
-    };
-    show::page(&page)?;
+    terminal::print_result(
+        args.json,
+        || to_json(&args.output, start_s, &tally),
+        || format_report(&args.output, start_s, &tally),
+    )?;
     ended
 }
 
-fn description(args: &Args) -> Result<Description> {
+fn description(args: &Args) -> Result<RecordingDescription> {
     let now = SystemTime::now();
     let start_s = match args.start_s {
         Some(start_s) => start_s,
-        None => campaign_time::start_s(&args.output, now)?,
+        None => campaign_time_s(&args.output, now)?,
     };
-    let mut description = Description::new(args.note.clone(), start_s);
+    let mut description = RecordingDescription::new(args.note.clone(), start_s);
     description.recorded = Some(humantime::format_rfc3339_seconds(now).to_string());
-    let design = match &args.design {
-        Some(path) => Design::read(path)?,
-        None => Design::magpie(),
-    };
-    // The board's own part, whatever a design may wish.
-    description.gauss_per_lsb = Some(params::SENSOR_SCALE.value);
-    description.range_gauss = Some(params::SENSOR_RANGE.value);
+    let design = read_design(args.design.as_deref())?;
+    // The sensor of the board, not of the design.
+    description.gauss_per_lsb = Some(constants::SENSOR_SCALE.value);
+    description.range_gauss = Some(constants::SENSOR_RANGE.value);
     description.design = Some(design.nominal());
     Ok(description)
 }
 
-/// Has the gripper tell what its sensors read; the values that it had before, to be given back.
-fn ask_for_readings(source: &mut dyn Source, args: &Args) -> Result<Vec<(u16, i32)>> {
-    let wanted = match args.gripper.is_on_bus() {
-        true => vec![(id::RAW, 1), (id::FORCE_RATE, args.rate as i32)],
-        false => vec![(id::TELEMETRY, 1)],
+/// Enables transmission of raw readings; returns the previous settings, to be restored.
+fn enable_readings(source: &mut dyn Source, args: &Args) -> Result<Vec<(u16, i32)>> {
+    let settings = if args.gripper.is_on_bus() {
+        vec![(id::RAW, 1), (id::FORCE_RATE, args.rate as i32)]
+    } else {
+        vec![(id::TELEMETRY, 1)]
     };
-    let mut before = Vec::new();
-    for (id, value) in wanted {
-        let found = asking::read(source, id)?;
-        if found != value {
-            asking::write(source, id, value)?;
-            before.push((id, found));
+    let mut previous = Vec::new();
+    for (id, value) in settings {
+        let old = params_client::read(source, id)?;
+        if old != value {
+            params_client::write(source, id, value)?;
+            previous.push((id, old));
         }
     }
-    Ok(before)
+    Ok(previous)
 }
 
-/// Writes rows until the time is over, somebody ends it, or nothing more comes; what was written, and how
-/// it ended.
-fn write(
-    hearing: &Hearing,
-    mut rows: Rows,
+/// Writes rows until the time limit, Ctrl-C or the end of the stream; returns the row counts and the reason of
+/// the end.
+fn write_rows(
+    hearing: &SourceReader,
+    mut rows: SensorRowAssembler,
     mut recorder: Recorder,
     args: &Args,
-) -> Result<(Tally, Result<()>)> {
+) -> Result<(RecordingCounts, Result<()>)> {
     let interrupted = interrupted()?;
-    let spinner = progress::rows("recording");
+    let spinner = terminal::row_spinner("recording");
     let end_s = args.seconds.unwrap_or(f64::INFINITY);
     let ended = loop {
         if hearing.elapsed_s() >= end_s || interrupted.load(Relaxed) {
             break Ok(());
         }
-        match hearing.news.recv_timeout(PATIENCE) {
-            Ok(News::Heard { at_s, packets, .. }) => {
+        match hearing.news.recv_timeout(FLUSH_TIMEOUT) {
+            Ok(ReaderEvent::Packets { at_s, packets, .. }) => {
                 let mut restarted = false;
                 for packet in &packets {
                     match rows.take(at_s, packet) {
@@ -159,28 +156,27 @@ fn write(
                 }
                 if restarted {
                     break Err(anyhow!(
-                        "the board started anew: a recording is one run, so it ends there; record again, to \
-                         another folder"
+                        "the board restarted, which ends the recording; record again to another folder"
                     ));
                 }
                 if packets.is_empty() {
                     recorder.flush()?;
                 }
             }
-            Ok(News::Failed(error)) => break Err(error),
-            Ok(News::Ended) | Err(RecvTimeoutError::Disconnected) => break Ok(()),
+            Ok(ReaderEvent::Failed(error)) => break Err(error),
+            Ok(ReaderEvent::Ended) | Err(RecvTimeoutError::Disconnected) => break Ok(()),
             Err(RecvTimeoutError::Timeout) => recorder.flush()?,
         }
     };
     finish(recorder, ended, &spinner)
 }
 
-/// Where nothing was recorded, how it ended says why.
+/// Closes the recording. If it is empty, the reason of the end is the error.
 fn finish(
     recorder: Recorder,
     ended: Result<()>,
     spinner: &ProgressBar,
-) -> Result<(Tally, Result<()>)> {
+) -> Result<(RecordingCounts, Result<()>)> {
     spinner.finish_and_clear();
     match (recorder.finish(), ended) {
         (Ok(tally), ended) => Ok((tally, ended)),
@@ -189,9 +185,136 @@ fn finish(
 }
 
 fn parse_rate(text: &str) -> Result<u32, String> {
-    let rate = text
-        .parse()
-        .ok()
-        .filter(|rate| [100, 250, 500].contains(rate));
+    let rate = text.parse().ok().filter(|rate| [100, 250, 500].contains(rate));
     rate.ok_or_else(|| "give 100, 250 or 500".to_owned())
+}
+
+/// Seconds from the start of the campaign to `now`, from the dates and start times of the recordings next to
+/// `target`.
+///
+/// # Errors
+/// Another recording is unreadable or has no date with a time.
+fn campaign_time_s(target: &Path, now: SystemTime) -> Result<f64> {
+    let campaign = match target.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    };
+    // No folder, or one without recordings: a new campaign.
+    let Ok(folders) = recording_folders(campaign) else {
+        return Ok(0.0);
+    };
+    let mut latest_s = f64::NEG_INFINITY;
+    for folder in folders.iter().filter(|folder| *folder != campaign) {
+        let (description, _) = RecordingDescription::read(folder)?;
+        let recorded = description.recorded.as_deref().unwrap_or_default();
+        let Ok(recorded) = humantime::parse_rfc3339_weak(recorded) else {
+            bail!(
+                "{}: recording.toml has no date with a time (recorded = \"2026-01-31T12:00:00Z\"), so the start time in \
+                 the campaign is unknown: give --start-s",
+                folder.display()
+            );
+        };
+        // A clock that was set back gives zero, not an earlier start.
+        let since = now.duration_since(recorded).unwrap_or_default();
+        latest_s = latest_s.max(description.start_s + since.as_secs_f64());
+    }
+    Ok(if latest_s.is_finite() { latest_s.round() } else { 0.0 })
+}
+
+fn format_report(output: &Path, start_s: f64, tally: &RecordingCounts) -> String {
+    let seconds = |us: u64| us as f64 * 1e-6;
+    let numbers = |sensors: &[usize]| {
+        let numbers: Vec<String> = sensors.iter().map(usize::to_string).collect();
+        numbers.join(", ")
+    };
+    let mut text = format!(
+        "Recorded to {}: {:.1} s, {} rows of sensors {}; start_s = {}.\n",
+        output.display(),
+        seconds(tally.span_us),
+        tally.rows,
+        numbers(&tally.sensors),
+        terminal::decimal(start_s, 3),
+    );
+    match tally.gaps {
+        0 => text += "No rows lost.\n",
+        gaps => {
+            let gaps = if gaps == 1 { "1 gap".to_owned() } else { format!("{gaps} gaps") };
+            let (longest_us, at_us) = tally.longest_us;
+            text += &format!(
+                "Lost: {} rows in {gaps} of t_us, the longest {:.1} ms at {:.3} s.\n",
+                tally.lost,
+                1e3 * seconds(longest_us),
+                seconds(at_us),
+            );
+        }
+    }
+    if tally.left_out > 0 {
+        let silent = tally.silent.iter().enumerate();
+        let silent = silent.filter(|(sensor, count)| **count > 0 && tally.sensors.contains(sensor));
+        let silent: Vec<String> =
+            silent.map(|(sensor, count)| format!("sensor {sensor} in {count}")).collect();
+        text += &terminal::paragraph(&format!(
+            "Excluded: {} rows without a reading of all sensors ({}).",
+            tally.left_out,
+            silent.join(", ")
+        ));
+    }
+    text += &terminal::paragraph(
+        "force.csv has times but no forces: replace it by the reference's table (t_us from the same start) before \
+         fit, compare and replay.",
+    );
+    text
+}
+
+fn to_json(output: &Path, start_s: f64, tally: &RecordingCounts) -> Value {
+    json!({
+        "recording": output,
+        "start_s": start_s,
+        "span_s": tally.span_us as f64 * 1e-6,
+        "sensors": tally.sensors,
+        "rows": tally.rows,
+        "lost_rows": tally.lost,
+        "gaps": tally.gaps,
+        "longest_gap_s": tally.longest_us.0 as f64 * 1e-6,
+        "longest_gap_at_s": tally.longest_us.1 as f64 * 1e-6,
+        "left_out_rows": tally.left_out,
+        "silent_rows": tally.silent,
+        "reference": false,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use tempfile::TempDir;
+
+    use super::*;
+
+    fn recording(campaign: &Path, name: &str, start_s: f64, recorded: Option<&str>) {
+        let folder = campaign.join(name);
+        std::fs::create_dir(&folder).unwrap();
+        let mut description = RecordingDescription::new("", start_s);
+        description.recorded = recorded.map(str::to_owned);
+        description.write(&folder).unwrap();
+    }
+
+    #[test]
+    fn start_time_follows_the_dates_of_other_recordings() {
+        let campaign = TempDir::new().unwrap();
+        let target = campaign.path().join("2");
+        let now = SystemTime::UNIX_EPOCH + Duration::from_secs(3600);
+        assert_eq!(campaign_time_s(&target, now).unwrap(), 0.0);
+        assert_eq!(campaign_time_s(&campaign.path().join("new/1"), now).unwrap(), 0.0);
+        recording(campaign.path(), "1", 20.0, Some("1970-01-01T00:50:00Z"));
+        assert_eq!(campaign_time_s(&target, now).unwrap(), 20.0 + 600.0);
+    }
+
+    #[test]
+    fn missing_date_requires_explicit_start_time() {
+        let campaign = TempDir::new().unwrap();
+        recording(campaign.path(), "1", 0.0, None);
+        let error = campaign_time_s(&campaign.path().join("2"), SystemTime::now()).unwrap_err();
+        assert!(error.to_string().contains("give --start-s"), "{error}");
+    }
 }

@@ -1,20 +1,20 @@
-//! The errors, sensor by sensor: bars over the floor.
+//! Errors by sensor as bars with the noise floor.
 
 use maud::{Markup, html};
 use plotters::prelude::*;
 
-use super::numbers::number;
-use super::palette::{self, Role};
-use super::plot::{Along, Failure, Paper, Swatch, axes, centred, figure, key, px, stroke};
-use super::{both, tables};
-use crate::compare::Comparison;
+use crate::analysis::compare::Comparison;
+use crate::report::numbers::number;
+use crate::report::palette::{self, Role};
+use crate::report::plot::{Along, Failure, Paper, Swatch, axes, centred, figure, key, px, stroke};
+use crate::report::{both, tables};
 
-/// Size of a plot of bars, in pixels.
+/// Size of a plot in pixels.
 const SIZE: (u32, u32) = (440, 270);
-/// Share of a bar's place that it fills.
+/// Relative width of a bar.
 const FILLED: f64 = 0.76;
 
-/// One bar: whose, how high, and its floor.
+/// One bar: sensor, axis, height and floor.
 struct Bar {
     sensor: u32,
     axis: &'static str,
@@ -22,13 +22,13 @@ struct Bar {
     floor: f64,
 }
 
-/// Bars and tables of the field and of the forces.
+/// Bars and tables of the field and force errors.
 pub fn section(comparison: &Comparison) -> Markup {
     html! {
         section #errors {
             h2 { "Error by sensor" }
             @if comparison.axes.is_empty() {
-                p.empty { "No errors of the field: see the mistakes of the rig." }
+                p.empty { "No field errors: see the setup errors." }
             }
             div.pair {
                 (bars(comparison, "Field", "gauss", field))
@@ -42,7 +42,7 @@ pub fn section(comparison: &Comparison) -> Markup {
 }
 
 fn field(comparison: &Comparison) -> Vec<Bar> {
-    let bar = |axis: &crate::compare::AxisFigures| Bar {
+    let bar = |axis: &crate::analysis::compare::FieldAxisErrors| Bar {
         sensor: axis.sensor,
         axis: axis.axis.letter(),
         rms: axis.error.rms,
@@ -52,7 +52,7 @@ fn field(comparison: &Comparison) -> Vec<Bar> {
 }
 
 fn forces(comparison: &Comparison) -> Vec<Bar> {
-    let bar = |force: &crate::compare::ForceFigures| Bar {
+    let bar = |force: &crate::analysis::compare::ForceAxisErrors| Bar {
         sensor: force.sensor,
         axis: force.axis.letter(),
         rms: force.error.rms,
@@ -67,10 +67,8 @@ fn bars(
     unit: &str,
     bars_of: fn(&Comparison) -> Vec<Bar>,
 ) -> Markup {
-    let models: Vec<(Role, Vec<Bar>)> = both(comparison)
-        .into_iter()
-        .map(|(role, _, model)| (role, bars_of(model)))
-        .collect();
+    let models: Vec<(Role, Vec<Bar>)> =
+        both(comparison).into_iter().map(|(role, _, model)| (role, bars_of(model))).collect();
     let Some((_, first)) = models.first().filter(|(_, bars)| !bars.is_empty()) else {
         return html! {};
     };
@@ -87,31 +85,16 @@ fn bars(
         },
     );
     let all = models.iter().flat_map(|(_, bars)| bars);
-    let upwards = Along::bars(
-        format!("RMS in {unit}"),
-        all.flat_map(|bar| [bar.rms, bar.floor]),
-    );
+    let upwards = Along::bars(format!("RMS in {unit}"), all.flat_map(|bar| [bar.rms, bar.floor]));
     let drawn = figure(SIZE, &says, |paper| draw(paper, &upwards, &models));
     let mut entries = vec![(Swatch::Full, palette::FIRST, "RMS".to_owned())];
     if let Some(other) = &comparison.other {
         entries = vec![
-            (
-                Swatch::Full,
-                palette::FIRST,
-                format!("RMS of A: {}", comparison.model),
-            ),
-            (
-                Swatch::Framed,
-                palette::SECOND,
-                format!("RMS of B: {}", other.model),
-            ),
+            (Swatch::Full, palette::FIRST, format!("RMS of A: {}", comparison.model)),
+            (Swatch::Framed, palette::SECOND, format!("RMS of B: {}", other.model)),
         ];
     }
-    entries.push((
-        Swatch::Mark,
-        palette::INK,
-        "floor: what a perfect model would leave".to_owned(),
-    ));
+    entries.push((Swatch::Mark, palette::INK, "floor: residual of a perfect model".to_owned()));
     html! {
         figure {
             figcaption { (of) ", in " (unit) }
@@ -129,7 +112,7 @@ fn draw(paper: &Paper, upwards: &Along, models: &[(Role, Vec<Bar>)]) -> Result<(
     let wide = FILLED / models.len() as f64;
     for (m, (role, bars)) in models.iter().enumerate() {
         for bar in bars {
-            // The second model's axes may be others, or in another order.
+            // The baseline may have other axes or another order.
             let place = |other: &Bar| (other.sensor, other.axis) == (bar.sensor, bar.axis);
             let Some(i) = first.iter().position(place) else {
                 continue;
@@ -150,12 +133,10 @@ fn draw(paper: &Paper, upwards: &Along, models: &[(Role, Vec<Bar>)]) -> Result<(
             }
         }
     }
-    names(paper, first, |x| {
-        chart.backend_coord(&(x, upwards.range.start))
-    })
+    names(paper, first, |x| chart.backend_coord(&(x, upwards.range.start)))
 }
 
-/// The axis below each bar, the sensor below each group of bars.
+/// Labels of the axes and the sensors.
 fn names(paper: &Paper, bars: &[Bar], foot: impl Fn(f64) -> (i32, i32)) -> Result<(), Failure> {
     for (i, bar) in bars.iter().enumerate() {
         let (x, y) = foot(i as f64 + 0.5);

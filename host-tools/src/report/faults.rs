@@ -1,18 +1,17 @@
-//! The table of a campaign of faults.
+//! Table of a fault campaign.
 
 use maud::{Markup, html};
 use plotters::prelude::*;
 
-use super::Section;
-use super::numbers::number;
-use super::palette;
-use super::plot::{Along, HALF, Swatch, axes, figure, key, px, stroke};
-use super::tables::table;
-use crate::faults::campaign::Tally;
-use crate::faults::row::{BESIDE, ELSEWHERE};
+use crate::report::numbers::number;
+use crate::report::plot::{Along, HALF, Swatch, axes, figure, key, px, stroke};
+use crate::report::tables::table;
+use crate::report::{Section, palette};
+use crate::sim::faults::campaign::FaultSummary;
+use crate::sim::faults::injection::{COVERED_BY_OTHER_TESTS, HARDWARE_ONLY};
 
-/// All of it.
-pub fn section(sentence: &str, tallies: &[Tally]) -> Section {
+/// Table and plot.
+pub fn section(sentence: &str, tallies: &[FaultSummary]) -> Section {
     let rows = tallies.iter().map(row);
     let heads = [
         "fault",
@@ -22,10 +21,10 @@ pub fn section(sentence: &str, tallies: &[Tally]) -> Section {
         "found",
         "p50, ms",
         "p99, ms",
-        "most, ms",
-        "asked, ms",
+        "max, ms",
+        "limit, ms",
         "peak, N",
-        "ends as",
+        "final state",
         "",
     ];
     let listed = |rows: &[(u8, &str)]| {
@@ -37,29 +36,25 @@ pub fn section(sentence: &str, tallies: &[Tally]) -> Section {
         p { (sentence) }
         (key(&[
             (Swatch::Full, palette::FIRST, "p99 of the latency, a dot for each state".to_owned()),
-            (Swatch::Line, palette::SECOND, "what is asked".to_owned()),
+            (Swatch::Line, palette::SECOND, "limit".to_owned()),
         ]))
         (latencies(tallies))
-        (table("What became of each fault", &heads, rows))
-        p.note { "Latency counts from the moment in which the fault can be seen: at the sensors of force from the next tick \
+        (table("Result of each fault", &heads, rows))
+        p.note { "Latency counts from the moment at which the fault is observable: for force sensors from the next tick \
             of sensing, at the CAN bus from the controller's leaving it, else from the moment in which it is done. Peak is the \
             greatest true force between the fingers after it. Simulated; motor constants are assumed." }
-        p { "Reviewed at register level, never counted:" }
-        (listed(&ELSEWHERE))
+        p { "Reviewed at register level only:" }
+        (listed(&HARDWARE_ONLY))
         p { "Not in these runs:" }
-        (listed(&BESIDE))
+        (listed(&COVERED_BY_OTHER_TESTS))
     };
-    Section {
-        id: "faults",
-        heading: "Faults".to_owned(),
-        body,
-    }
+    Section { id: "faults", heading: "Faults".to_owned(), body }
 }
 
-/// The latency of each row and state as a share of what is asked.
-fn latencies(tallies: &[Tally]) -> Markup {
+/// Latency relative to its limit for each row and state.
+fn latencies(tallies: &[FaultSummary]) -> Markup {
     let dots = tallies.iter().map(|tally| {
-        let facts = tally.row.facts();
+        let facts = tally.fault.specification();
         let [_, most, _] = tally.latency_ms;
         (f64::from(facts.number), most / facts.within_ms)
     });
@@ -67,8 +62,8 @@ fn latencies(tallies: &[Tally]) -> Markup {
     let rows = dots.iter().map(|dot| dot.0);
     let across = Along::holding("row of the matrix", rows);
     let shares = dots.iter().map(|dot| dot.1).chain([0.0, 1.1]);
-    let upwards = Along::holding("latency, share of what is asked", shares);
-    let says = "For each row of the matrix the latency as a share of what is asked.";
+    let upwards = Along::holding("latency / limit", shares);
+    let says = "Latency relative to the limit for each row of the matrix.";
     let drawn = figure(HALF, says, |paper| {
         let mut chart = axes(paper, &across, &upwards)?;
         let asked = [(across.range.start, 1.0), (across.range.end, 1.0)];
@@ -80,12 +75,12 @@ fn latencies(tallies: &[Tally]) -> Markup {
     html! { div.pair { figure { (drawn) } } }
 }
 
-fn row(tally: &Tally) -> Vec<Markup> {
-    let facts = tally.row.facts();
+fn row(tally: &FaultSummary) -> Vec<Markup> {
+    let facts = tally.fault.specification();
     let [median, most, greatest] = tally.latency_ms;
-    let situation = format!("{:?}", tally.situation).to_lowercase();
+    let situation = format!("{:?}", tally.state).to_lowercase();
     vec![
-        html! { (facts.words) },
+        html! { (facts.description) },
         html! { (facts.number) },
         html! { (situation) },
         html! { (tally.runs) },

@@ -2,11 +2,12 @@
 
 use std::f64::consts::PI;
 
-use crate::findings::repair::Fix;
-use model_export::recordings::Place;
+use crate::analysis::data_quality::fix::repair::Fix;
+use model_export::recordings::Location;
 use model_export::recordings::columns::Axis;
 
-use crate::compare::*;
+use crate::analysis::compare::*;
+use crate::analysis::statistics::ErrorStatistics;
 
 /// Seconds of a recording, and rows a second.
 const SPAN_S: usize = 30;
@@ -22,7 +23,7 @@ fn noise(i: usize, salt: usize) -> f64 {
     (bits >> 11) as f64 / (1_u64 << 53) as f64 * 2.0 - 1.0
 }
 
-fn channel(size: f64, error: f64, noisy: f64, salt: usize) -> [Curve; 2] {
+fn channel(size: f64, error: f64, noisy: f64, salt: usize) -> [Envelope; 2] {
     let rows = SPAN_S * RATE;
     let time: Vec<f64> = (0..rows).map(|i| i as f64 / RATE as f64).collect();
     let phase = salt as f64;
@@ -33,10 +34,7 @@ fn channel(size: f64, error: f64, noisy: f64, salt: usize) -> [Curve; 2] {
     let model: Vec<f64> = time.iter().map(|t| truth(*t) - missed(*t)).collect();
     let noisy = |(i, t): (usize, &f64)| truth(*t) + 1.7 * noisy * noise(i, salt);
     let measured: Vec<f64> = time.iter().enumerate().map(noisy).collect();
-    [
-        Curve::of(&time, &measured, rows),
-        Curve::of(&time, &model, rows),
-    ]
+    [Envelope::of(&time, &measured, rows), Envelope::of(&time, &model, rows)]
 }
 
 fn traces(recordings: usize, sensors: u32, error: f64) -> Vec<Trace> {
@@ -64,8 +62,8 @@ fn traces(recordings: usize, sensors: u32, error: f64) -> Vec<Trace> {
     traces
 }
 
-fn figures(rms: f64, span: f64) -> Figures {
-    Figures {
+fn figures(rms: f64, span: f64) -> ErrorStatistics {
+    ErrorStatistics {
         rms,
         mean: -0.2 * rms,
         std: 0.98 * rms,
@@ -75,7 +73,7 @@ fn figures(rms: f64, span: f64) -> Figures {
     }
 }
 
-fn located(k: usize, sensors: u32) -> Located {
+fn located(k: usize, sensors: u32) -> Attribution {
     const NAMES: [(&str, &str, &str); 14] = [
         ("opening_mm", "opening", "mm"),
         ("temperature_c", "temperature of the sensor", "°C"),
@@ -116,12 +114,10 @@ fn located(k: usize, sensors: u32) -> Located {
             rms_g: 4.0,
             share: 0.06,
             mean_g: (0..sensors).map(means).collect(),
-            band_g: (0..sensors)
-                .map(|s| means(s).map(|mean| (mean - wide, mean + wide)))
-                .collect(),
+            band_g: (0..sensors).map(|s| means(s).map(|mean| (mean - wide, mean + wide))).collect(),
         }
     });
-    Located {
+    Attribution {
         covariate: covariate.into(),
         words: words.into(),
         unit,
@@ -136,25 +132,19 @@ fn located(k: usize, sensors: u32) -> Located {
 fn histogram(of: &str, wide: f64) -> Histogram {
     let edges: Vec<f64> = (0..=40).map(|i| f64::from(i) * 0.4 - 8.0).collect();
     let count = |edges: &[f64]| (9000.0 * (-0.5 * ((edges[0] + 0.2) / wide).powi(2)).exp()) as u64;
-    Histogram {
-        of: of.to_owned(),
-        counts: edges.windows(2).map(count).collect(),
-        edges,
-    }
+    Histogram { of: of.to_owned(), counts: edges.windows(2).map(count).collect(), edges }
 }
 
-fn map() -> Map {
+fn map() -> ResidualMap {
     let across: Vec<f64> = vec![0.0, 3.0, 7.0, 12.0, 18.0, 24.0, 31.0, 36.0, 40.0];
     let upwards: Vec<f64> = vec![-60.0, -40.0, -25.0, -12.0, 0.0, 12.0, 25.0, 40.0, 60.0];
     let cell = |row: usize, column: usize| match (row, column) {
         (0, 6..) | (7, 0) => f64::NAN,
         _ => 0.5 * (1.0 + 14.0 * (-(column as f64) / 2.0).exp() + 0.2 * (row as f64 - 3.5).powi(2)),
     };
-    Map {
+    ResidualMap {
         axes: ["opening in mm".to_owned(), "lateral force in N".to_owned()],
-        rms_g: (0..8)
-            .map(|row| (0..8).map(|column| cell(row, column)).collect())
-            .collect(),
+        rms_g: (0..8).map(|row| (0..8).map(|column| cell(row, column)).collect()).collect(),
         across,
         upwards,
         floor_g: 0.46,
@@ -166,11 +156,11 @@ pub fn comparison(recordings: usize, sensors: u32, error: f64) -> Comparison {
     let axes = (0..sensors).flat_map(|sensor| {
         Axis::ALL.into_iter().enumerate().map(move |(k, axis)| {
             let rms = 0.5 + error * (0.5 + 0.4 * f64::from(sensor)) * [1.0, 0.6, 0.35][k];
-            AxisFigures {
+            FieldAxisErrors {
                 sensor,
                 axis,
                 error: figures(rms, [900.0, 2400.0, 1300.0][k]),
-                floor: Floor {
+                floor: NoiseFloor {
                     white: 0.36,
                     quantisation: 0.036,
                     reference: 0.28,
@@ -185,7 +175,7 @@ pub fn comparison(recordings: usize, sensors: u32, error: f64) -> Comparison {
     let forces = (0..sensors).flat_map(|sensor| {
         [Axis::X, Axis::Z].map(|axis| {
             let rms = 0.2 + 0.11 * error * (1.0 + f64::from(sensor));
-            ForceFigures {
+            ForceAxisErrors {
                 sensor,
                 axis,
                 error: figures(rms, if axis == Axis::X { 60.0 } else { 180.0 }),
@@ -195,9 +185,7 @@ pub fn comparison(recordings: usize, sensors: u32, error: f64) -> Comparison {
             }
         })
     });
-    let names = [
-        "version", "model", "campaign", "seed", "held out", "assumed",
-    ];
+    let names = ["version", "model", "campaign", "seed", "held out", "assumed"];
     let values = [
         "magpie 0.1.0",
         "model.toml, SHA-256 5f1d8c0e9b7a4432d1f0c6e5b8a79d3e2c1b0a9f8e7d6c5b4a39281706f5e4d3",
@@ -209,13 +197,13 @@ pub fn comparison(recordings: usize, sensors: u32, error: f64) -> Comparison {
     Comparison {
         model: "model.toml".to_owned(),
         campaign: "recordings/hidden-a".to_owned(),
-        judged: "held out in five turns of blocks of 2 s, 0.4 s kept clear around each; the model was fitted anew each time.".to_owned(),
+        validation: "held out in five turns of blocks of 2 s, 0.4 s kept clear around each; the model was fitted anew each time.".to_owned(),
         verdict: format!("The field errs {} times the floor; the opening locates 48 % of what a better model could remove.", (error * 2.4).round()),
         axes: axes.collect(),
         forces: forces.collect(),
         located: (0..14).map(|k| located(k, sensors)).collect(),
         map: Some(map()),
-        worst: (0..5).map(|k| Worst {
+        worst: (0..5).map(|k| WorstInterval {
             recording: format!("{:02}-grasp-and-walk", k % recordings.max(1) + 1),
             from_s: 3.2 + 4.9 * k as f64,
             to_s: 4.6 + 4.9 * k as f64,
@@ -236,7 +224,7 @@ pub fn comparison(recordings: usize, sensors: u32, error: f64) -> Comparison {
 
 /// Everything at once: two models and two mistakes of the rig.
 pub fn full(recordings: usize) -> Comparison {
-    let place = Place {
+    let place = Location {
         file: "recordings/hidden-a/02-grasp-and-walk/force.csv".into(),
         line: Some(1412),
         column: Some("f2_x_n".to_owned()),

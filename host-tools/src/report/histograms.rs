@@ -1,19 +1,19 @@
-//! How often errors of the forces of each size occur.
+//! Distribution of the force errors.
 
 use maud::{Markup, html};
 use plotters::prelude::*;
 
-use super::both;
-use super::palette::{self, Role};
-use super::plot::{Along, Failure, HALF, Paper, Swatch, axes, figure, key, stroke};
-use crate::compare::{Comparison, Histogram};
+use crate::analysis::compare::{Comparison, Histogram};
+use crate::report::both;
+use crate::report::palette::{self, Role};
+use crate::report::plot::{Along, Failure, HALF, Paper, Swatch, axes, figure, key, stroke};
 
-/// A histogram for each kind of force.
+/// A histogram for each force.
 pub fn section(comparison: &Comparison) -> Markup {
     html! {
         section #histograms {
-            h2 { "How often errors of each size occur" }
-            @if comparison.histograms.is_empty() { p.empty { "No errors of the forces." } }
+            h2 { "Distribution of the errors" }
+            @if comparison.histograms.is_empty() { p.empty { "No force errors." } }
             div.pair {
                 @for histogram in &comparison.histograms { (plot(comparison, histogram)) }
             }
@@ -21,7 +21,7 @@ pub fn section(comparison: &Comparison) -> Markup {
     }
 }
 
-/// Percent of the rows for each newton, bin by bin: two models' bins differ in width.
+/// Density in percent of the rows per newton: the bins of two models differ in width.
 fn percents(histogram: &Histogram) -> Vec<f64> {
     let all: u64 = histogram.counts.iter().sum();
     let widths = histogram.edges.windows(2).map(|edges| edges[1] - edges[0]);
@@ -44,14 +44,9 @@ fn plot(comparison: &Comparison, histogram: &Histogram) -> Markup {
         histogram.of.clone(),
         models.iter().flat_map(|(_, h)| h.edges.iter().copied()),
     );
-    let upwards = Along::bars(
-        "% of the rows for each N",
-        models.iter().flat_map(|(_, h)| percents(h)),
-    );
-    let says = format!(
-        "Histogram: {}, in percent of the rows for each newton.",
-        histogram.of
-    );
+    let upwards =
+        Along::bars("% of the rows for each N", models.iter().flat_map(|(_, h)| percents(h)));
+    let says = format!("Histogram: {}, in percent of the rows per newton.", histogram.of);
     let drawn = figure(HALF, &says, |paper| draw(paper, &across, &upwards, &models));
     let entries = models.iter().enumerate().map(|(m, (role, _))| match m {
         0 => (Swatch::Full, *role, format!("A: {}", comparison.model)),
@@ -64,7 +59,7 @@ fn plot(comparison: &Comparison, histogram: &Histogram) -> Markup {
         figure {
             (drawn)
             @if models.len() > 1 { (key(&entries.collect::<Vec<_>>())) }
-            p.note { "Errors beyond the ends are in the first and the last bin." }
+            p.note { "Errors beyond the range are in the first and the last bin." }
         }
     }
 }
@@ -102,13 +97,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_same_errors_in_wider_bins_stand_as_high() {
+    fn density_is_independent_of_the_bin_width() {
         let of = |edges: Vec<f64>, counts: Vec<u64>| {
-            percents(&Histogram {
-                of: "error / N".to_owned(),
-                edges,
-                counts,
-            })
+            percents(&Histogram { of: "error / N".to_owned(), edges, counts })
         };
         assert_eq!(of(vec![-1.0, 0.0, 1.0], vec![50, 50]), [50.0, 50.0]);
         assert_eq!(of(vec![-1.0, 1.0], vec![100]), [50.0]);

@@ -1,29 +1,29 @@
-//! Root mean square of what is left over the leading pair of covariates, in floors.
+//! Map of the RMS residual over two covariates, in multiples of the floor.
 
 use maud::{Markup, html};
 use plotters::prelude::*;
 use plotters::style::colors::colormaps::{ColorMap, ViridisRGB};
 
-use super::numbers::number;
-use super::palette;
-use super::plot::{Along, Failure, Paper, axes, bounds, figure, letters, px};
-use crate::compare::{Comparison, Map};
+use crate::analysis::compare::{Comparison, ResidualMap};
+use crate::report::numbers::number;
+use crate::report::palette;
+use crate::report::plot::{Along, Failure, Paper, axes, bounds, figure, letters, px};
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-/// Size of the map, in pixels.
+/// Size of the map in pixels.
 const SIZE: (u32, u32) = (460, 360);
-/// Width of the colour bar with its numbers.
+/// Width of the colour bar with its labels.
 const BAR: i32 = 72;
-/// A cell narrower or lower than this holds no number, in pixels.
+/// Minimum cell size in pixels for a number.
 const NARROWEST: (f64, f64) = (30.0, 15.0);
-/// Steps of the colour bar.
+/// Number of steps of the colour bar.
 const STEPS: i32 = 48;
 
-/// The map, where there is one.
+/// The map, if any.
 pub fn section(comparison: &Comparison) -> Markup {
     html! {
         section #map {
-            h2 { "Where two covariates meet" }
+            h2 { "Map over two covariates" }
             @match &comparison.map {
                 None => p.empty { "No pair of covariates was recorded well enough." },
                 Some(map) => (plot(map)),
@@ -32,8 +32,8 @@ pub fn section(comparison: &Comparison) -> Markup {
     }
 }
 
-/// Cells as corners and multiples of the floor.
-fn cells(map: &Map) -> Vec<([(f64, f64); 2], f64)> {
+/// Corners and multiples of the floor of each cell.
+fn cells(map: &ResidualMap) -> Vec<([(f64, f64); 2], f64)> {
     let rows = map.upwards.windows(2).zip(&map.rms_g);
     rows.flat_map(|(y, row)| {
         let columns = map.across.windows(2).zip(row);
@@ -48,16 +48,13 @@ fn cells(map: &Map) -> Vec<([(f64, f64); 2], f64)> {
     .collect()
 }
 
-fn plot(map: &Map) -> Markup {
+fn plot(map: &ResidualMap) -> Markup {
     let cells = cells(map);
     let Some((least, greatest)) = bounds(cells.iter().map(|(_, floors)| *floors)) else {
-        return html! { p.empty { "Nothing was measured in it." } };
+        return html! { p.empty { "No data." } };
     };
-    // A perfect model is one colour, not noise stretched over all of them.
-    let colours = Colours {
-        least: least.min(1.0),
-        greatest: greatest.max(2.0),
-    };
+    // A minimum range, so that noise does not fill the colour scale.
+    let colours = Colours { least: least.min(1.0), greatest: greatest.max(2.0) };
     let [across, upwards] = &map.axes;
     let says = format!(
         "Map of the root mean square over {across} and {upwards}, in floors of {} G: from {} to {}.",
@@ -78,7 +75,7 @@ fn plot(map: &Map) -> Markup {
     }
 }
 
-/// Colours over the logarithm: an error twice as large looks the same step away everywhere.
+/// Logarithmic colour scale.
 struct Colours {
     least: f64,
     greatest: f64,
@@ -94,38 +91,27 @@ impl Colours {
         ViridisRGB.get_color(self.share(floors))
     }
 
-    /// Letters that can be read on it.
+    /// Legible text colour.
     fn letters(&self, floors: f64) -> RGBColor {
-        match self.share(floors) > 0.55 {
-            true => BLACK,
-            false => WHITE,
-        }
+        if self.share(floors) > 0.55 { BLACK } else { WHITE }
     }
 }
 
 fn grid(
     paper: &Paper,
-    map: &Map,
+    map: &ResidualMap,
     cells: &[([(f64, f64); 2], f64)],
     colours: &Colours,
 ) -> Result<(), Failure> {
     let ends = |edges: &[f64]| bounds(edges.iter().copied()).unwrap_or((0.0, 1.0));
     let axis = |words: &String, edges: &[f64]| {
         let (from, to) = ends(edges);
-        Along {
-            words: words.clone(),
-            range: from..to,
-            labels: 6,
-            powers: false,
-        }
+        Along { words: words.clone(), range: from..to, labels: 6, powers: false }
     };
     let [across, upwards] = &map.axes;
     let (across, upwards) = (axis(across, &map.across), axis(upwards, &map.upwards));
     let mut chart = axes(paper, &across, &upwards)?;
-    let all = [
-        (across.range.start, upwards.range.start),
-        (across.range.end, upwards.range.end),
-    ];
+    let all = [(across.range.start, upwards.range.start), (across.range.end, upwards.range.end)];
     chart.draw_series([Rectangle::new(all, palette::GRID.light.filled())])?;
     let coloured = cells
         .iter()
@@ -158,21 +144,13 @@ fn bar(paper: &Paper, colours: &Colours) -> Result<(), Failure> {
         let colour = colours.of(floors((low + high) / 2.0));
         paper.draw(&Rectangle::new(corners, colour.filled()))?;
     }
-    let beside = Pos::new(HPos::Left, VPos::Center);
+    let left_of = Pos::new(HPos::Left, VPos::Center);
     for quarter in 0..=4 {
         let share = f64::from(quarter) / 4.0;
         let words = number(floors(share));
         let place = (right + px(5.0), at(share));
-        paper.draw(&Text::new(
-            words,
-            place,
-            letters(palette::INK, 1.0).pos(beside),
-        ))?;
+        paper.draw(&Text::new(words, place, letters(palette::INK, 1.0).pos(left_of)))?;
     }
     let head = (left, px(10.0));
-    paper.draw(&Text::new(
-        "\u{d7} floor",
-        head,
-        letters(palette::MUTED, 1.0).pos(beside),
-    ))
+    paper.draw(&Text::new("\u{d7} floor", head, letters(palette::MUTED, 1.0).pos(left_of)))
 }

@@ -1,101 +1,93 @@
-//! The report: one HTML file that shows all that a [`Comparison`] knows, with nothing to fetch.
+//! HTML report: one self-contained file per result.
 //!
-//! - [`palette`]: colours, in the light and in the dark.
-//! - [`plot`]: what every plot shares.
-//! - [`numbers`]: numbers as they are written.
-//! - [`summary`]: the verdict, and all errors on one scale; [`findings`]: mistakes of the rig.
-//! - [`errors`] and [`tables`]: the errors by sensor; [`histograms`]: how often each size occurs.
-//! - [`overlay`]: measured and modelled over time; [`pack`]: its curves for the page's script.
-//! - [`located`], [`map`], [`worst`]: where the error lies.
-//! - [`diagnosis`]: the sections of a diagnosis.
-//! - [`design`]: the sections of designs.
-//! - [`drive`]: the sections of a run of the drive; [`grasp`]: of a grasp, and of a landing; [`faults`]: of a
-//!   campaign of faults.
-//! - [`training`]: the sections of a comparison of networks.
-//! - [`origin`]: where all this comes from.
+//! - [`palette`]: colours for light and dark mode. [`plot`]: common parts of all plots.
+//! - [`numbers`]: number format.
+//! - [`summary`]: verdict, error scale, setup errors, provenance.
+//! - [`errors`] and [`tables`]: errors by sensor; [`histograms`]: distribution of the errors.
+//! - [`traces`]: measured and modelled values over time; [`pack`]: their curves for the page's script.
+//! - [`attribution`], [`map`]: dependence of the error on covariates.
+//! - [`diagnosis`]: sections of a diagnosis.
+//! - [`design`]: sections of sensor designs.
+//! - [`drive`]: sections of a run of the drive; [`grasp`]: of a grasp and of a ground contact; [`faults`]: of a
+//!   fault campaign.
+//! - [`training`]: sections of a benchmark of networks.
 //!
-//! The plots are drawn here and stand in the page as SVG; its script only zooms and switches.
+//! Plots are rendered to inline SVG; the page's script only zooms and switches between sensors.
 
+pub mod attribution;
 pub mod design;
 pub mod diagnosis;
 pub mod drive;
 pub mod errors;
 pub mod faults;
-pub mod findings;
 #[cfg(test)]
 mod fixture;
 pub mod grasp;
 pub mod histograms;
-pub mod located;
 pub mod map;
 pub mod numbers;
-pub mod origin;
-pub mod overlay;
 pub mod pack;
 pub mod palette;
 pub mod plot;
 pub mod summary;
 pub mod tables;
+pub mod traces;
 pub mod training;
-pub mod worst;
 
 use std::path::Path;
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use model_export::output::write_output;
-use model_export::recordings::Problem;
+use model_export::recordings::DataError;
 
-use crate::compare::Comparison;
+use crate::analysis::compare::Comparison;
 use palette::Role;
 
-/// First line of every report: a file that begins otherwise is somebody else's, and is not replaced.
+/// First line of every report: only files that begin with it are overwritten.
 pub const MARK: &str = "<!-- report of magpie -->\n";
 
-/// A section that another command adds to the page.
+/// Additional section of a page.
 #[derive(Clone, Debug)]
 pub struct Section {
-    /// Where links find it.
+    /// HTML identifier.
     pub id: &'static str,
     /// Its heading.
     pub heading: String,
-    /// What stands below.
+    /// Content.
     pub body: Markup,
 }
 
-/// The whole page.
+/// Page of a comparison.
 pub fn page(comparison: &Comparison) -> String {
     page_with(comparison, &[])
 }
 
-/// The whole page with more sections, which stand first after the summary: they say what to do.
+/// Page of a comparison with additional sections after the summary.
 pub fn page_with(comparison: &Comparison, more: &[Section]) -> String {
-    let title = format!(
-        "magpie: {} beside {}",
-        comparison.model, comparison.campaign
-    );
+    let title = format!("magpie: {} versus {}", comparison.model, comparison.campaign);
     let body = html! {
         (summary::head(comparison))
         @if !stopped(comparison) { (links(more)) }
-        (findings::section(comparison))
+        (summary::findings_section(comparison))
         @if stopped(comparison) {
-            p.empty { "No figures: none would mean anything before this is mended." }
+            p.empty { "No results: fix the setup errors first." }
             @for section in more { (placed(section)) }
         } @else {
             (summary::section(comparison))
             @for section in more { (placed(section)) }
             (errors::section(comparison))
-            (overlay::section(comparison))
+            (traces::section(comparison))
             (histograms::section(comparison))
-            (located::section(comparison))
+            (attribution::section(comparison))
             (map::section(comparison))
-            (worst::section(comparison))
+            (attribution::worst_section(comparison))
         }
-        (origin::section(comparison))
+        (summary::provenance_section(comparison))
     };
     whole(&title, &body)
 }
 
-/// A page of nothing but sections, each behind a link.
+/// Page of sections with navigation.
 pub fn page_of(title: &str, sections: &[Section]) -> String {
     let body = html! {
         h1 { (title) }
@@ -107,7 +99,7 @@ pub fn page_of(title: &str, sections: &[Section]) -> String {
     whole(title, &body)
 }
 
-/// What every page is around its body.
+/// Frame of every page.
 fn whole(title: &str, body: &Markup) -> String {
     let page = html! {
         (DOCTYPE)
@@ -135,18 +127,18 @@ fn placed(section: &Section) -> Markup {
     html! { section id=(section.id) { h2 { (section.heading) } (section.body) } }
 }
 
-/// Where things are on a long page.
+/// Navigation of a comparison.
 fn links(more: &[Section]) -> Markup {
     let more = more.iter().map(|s| (s.id, s.heading.as_str()));
-    let first = std::iter::once(("scale", "How good it is")).chain(more);
+    let first = std::iter::once(("scale", "Overall error")).chain(more);
     let places = [
         ("errors", "By sensor"),
         ("overlay", "Over time"),
-        ("histograms", "Sizes of errors"),
-        ("located", "Where the error lies"),
+        ("histograms", "Distribution of the errors"),
+        ("located", "Dependence on covariates"),
         ("map", "Map"),
         ("worst", "Worst stretches"),
-        ("origin", "Origin"),
+        ("origin", "Provenance"),
     ];
     html! {
         nav aria-label="On this page" {
@@ -155,43 +147,40 @@ fn links(more: &[Section]) -> Markup {
     }
 }
 
-/// A mistake of the rig kept everything else from being judged.
+/// True where a setup error prevents the evaluation.
 fn stopped(comparison: &Comparison) -> bool {
     comparison.axes.is_empty() && comparison.findings.iter().any(|finding| finding.stops)
 }
 
-/// Writes the page to `path`, complete or not at all.
+/// Writes the page to `path` atomically.
 ///
 /// # Errors
-/// A file that is no report stands there, or the file system refuses.
-pub fn write(path: &Path, comparison: &Comparison, more: &[Section]) -> Result<(), Problem> {
+/// The existing file is not a report, or writing failed.
+pub fn write(path: &Path, comparison: &Comparison, more: &[Section]) -> Result<(), DataError> {
     write_output(path, page_with(comparison, more).as_bytes(), MARK)
 }
 
-/// Writes a page of sections to `path`, complete or not at all.
+/// Writes a page of sections to `path` atomically.
 ///
 /// # Errors
-/// A file that is no report stands there, or the file system refuses.
-pub fn write_sections(path: &Path, title: &str, sections: &[Section]) -> Result<(), Problem> {
+/// The existing file is not a report, or writing failed.
+pub fn write_sections(path: &Path, title: &str, sections: &[Section]) -> Result<(), DataError> {
     write_output(path, page_of(title, sections).as_bytes(), MARK)
 }
 
-/// Without a script all sensors are shown, each with its name.
+/// Without a script all sensors are visible, each with its name.
 const WITHOUT_SCRIPT: &str =
     ".of-sensor[hidden]{display:block!important}.static-only{display:inline}";
 
-/// The model, and the one beside it if there is one: colour, letter where there are two, figures.
+/// Model and baseline, if any: colour, letter where there are two, results.
 fn both(comparison: &Comparison) -> Vec<(Role, &'static str, &Comparison)> {
     match comparison.other.as_deref() {
         None => vec![(palette::FIRST, "", comparison)],
-        Some(other) => vec![
-            (palette::FIRST, "A", comparison),
-            (palette::SECOND, "B", other),
-        ],
+        Some(other) => vec![(palette::FIRST, "A", comparison), (palette::SECOND, "B", other)],
     }
 }
 
-/// Number of the sensor with the greatest root mean square over its axes.
+/// Sensor with the largest RMS error over its axes.
 fn sensor_that_errs_most(comparison: &Comparison) -> Option<u32> {
     let squares = |sensor: u32| -> f64 {
         let axes = comparison.axes.iter().filter(|a| a.sensor == sensor);

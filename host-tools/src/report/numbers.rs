@@ -1,11 +1,11 @@
-//! Numbers as the report writes them.
+//! Number format of the report.
 
-use crate::show::plain;
+use crate::terminal::decimal;
 
-/// Digits that are shown of a number.
+/// Significant digits.
 const DIGITS: f64 = 3.0;
 
-/// Three digits, a true minus; a dash for what is no number.
+/// Three digits with a true minus; a dash for NaN.
 pub fn number(value: f64) -> String {
     if !value.is_finite() {
         return "\u{2013}".to_owned();
@@ -17,33 +17,24 @@ pub fn number(value: f64) -> String {
     let decimals = (DIGITS - before).clamp(0.0, 4.0) as usize;
     let text = format!("{value:.decimals$}");
     let nothing = text.chars().all(|letter| matches!(letter, '-' | '0' | '.'));
-    match nothing {
-        true => "0".to_owned(),
-        false => text.replace('-', "\u{2212}"),
-    }
+    if nothing { "0".to_owned() } else { text.replace('-', "\u{2212}") }
 }
 
-/// The same, or a dash.
+/// Number, or a dash for `None`.
 pub fn maybe(value: Option<f64>) -> String {
     number(value.unwrap_or(f64::NAN))
 }
 
-/// A share in percent.
+/// Share in percent.
 pub fn percent(share: f64) -> String {
-    match share.is_finite() {
-        true => format!("{}\u{a0}%", number(100.0 * share)),
-        false => number(share),
-    }
+    if share.is_finite() { format!("{}\u{a0}%", number(100.0 * share)) } else { number(share) }
 }
 
-/// A share in whole percent, for words.
+/// Share in whole percent.
 pub fn whole_percent(share: f64) -> String {
     match share.is_finite() {
         true if share > 0.0 && share < 0.005 => "less than 1\u{a0}%".to_owned(),
-        true => format!(
-            "{}\u{a0}%",
-            plain(100.0 * share, 0).replace('-', "\u{2212}")
-        ),
+        true => format!("{}\u{a0}%", decimal(100.0 * share, 0).replace('-', "\u{2212}")),
         false => number(share),
     }
 }
@@ -53,9 +44,7 @@ pub fn rms(values: impl IntoIterator<Item = f64>) -> f64 {
     let (sum, count) = values
         .into_iter()
         .filter(|value| value.is_finite())
-        .fold((0.0, 0_u32), |(sum, count), value| {
-            (sum + value * value, count + 1)
-        });
+        .fold((0.0, 0_u32), |(sum, count), value| (sum + value * value, count + 1));
     (sum / f64::from(count)).sqrt()
 }
 

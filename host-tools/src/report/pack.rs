@@ -1,25 +1,25 @@
-//! Curves packed into the page for its script: sixteen bits a number, no more numbers than fit.
+//! Curves for the page's script in 16-bit fixed point, reduced to a maximum size.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use serde::Serialize;
 
-use crate::compare::{Comparison, Curve, Trace};
+use crate::analysis::compare::{Comparison, Envelope, Trace};
 
-/// Numbers in all curves of a page: at 8/3 letters each they take 2.7 MB of the 5 MB of a page that
-/// can still be sent by mail.
+/// Total number of values in a page: at 8/3 characters each they take 2.7 MB of the 5 MB that
+/// e-mail allows.
 const NUMBERS: usize = 1_000_000;
-/// What surrounds the numbers of half a curve, in numbers of 8/3 letters.
+/// Overhead of half a curve in values.
 const AROUND: usize = 16;
-/// A curve of fewer stretches shows nothing.
+/// Minimum number of stretches of a curve.
 const FEWEST: usize = 30;
-/// Stretches of the curves in which the model fails most, however many others there are: these are
-/// the ones that are zoomed into.
+/// Minimum number of stretches of the curves with the largest errors, which are
+/// zoomed into.
 const WORST: usize = 1000;
-/// The code of what is no number.
+/// Code of NaN.
 const HOLE: u16 = u16::MAX;
 
-/// All that the script draws.
+/// Data of the script.
 #[derive(Debug, Serialize)]
 pub struct Pack {
     traces: Vec<PackedTrace>,
@@ -43,7 +43,7 @@ struct Panel {
     left: Vec<Line>,
 }
 
-/// An envelope: `role` 0 measured, 1 the first model, 2 the second.
+/// Envelope: `role` 0 measured, 1 first model, 2 second model.
 #[derive(Debug, Serialize)]
 struct Line {
     role: usize,
@@ -54,15 +54,15 @@ struct Line {
     high: Option<Codes>,
 }
 
-/// Numbers as 16-bit codes, little end first, in base 64: what the first code means, what the last but
-/// one, the codes.
+/// 16-bit little-endian codes in base 64, with the values of the first and the last valid
+/// code.
 #[derive(Debug, Serialize)]
 struct Codes(f32, f32, String);
 
 impl Codes {
     fn of(values: &[f64]) -> Self {
         let (from, to) = super::plot::bounds(values.iter().copied()).unwrap_or((0.0, 0.0));
-        // As short as the page writes them.
+        // Rounded as written to the page.
         let (from, to) = (from as f32, to as f32);
         let (start, span) = (f64::from(from), f64::from(to) - f64::from(from));
         let most = f64::from(HOLE - 1);
@@ -76,23 +76,19 @@ impl Codes {
     }
 }
 
-/// One curve minus another. Exact where a stretch is one row; where it is many, the difference of the
-/// least values and that of the greatest: these lie at about the same rows, so that a steep stretch does
-/// not look like an error.
-fn difference(one: &Curve, other: &Curve) -> Curve {
+/// Difference of two curves. Exact where a stretch is one row; for longer stretches the difference of the
+/// minima and that of the maxima: these occur at about the same rows, so that a steep stretch
+/// does not appear as an error.
+fn difference(one: &Envelope, other: &Envelope) -> Envelope {
     let pairs = |of: fn(f64, f64) -> f64| {
         let low = one.low.iter().zip(&other.low).map(|(a, b)| a - b);
         let high = one.high.iter().zip(&other.high).map(|(a, b)| a - b);
         low.zip(high).map(|(low, high)| of(low, high)).collect()
     };
-    Curve {
-        time_s: one.time_s.clone(),
-        low: pairs(f64::min),
-        high: pairs(f64::max),
-    }
+    Envelope { time_s: one.time_s.clone(), low: pairs(f64::min), high: pairs(f64::max) }
 }
 
-/// Channels of a trace: kind, name, unit, and the curves.
+/// Channels of a trace.
 pub fn channels(trace: &Trace) -> impl Iterator<Item = Channel<'_>> {
     let forces = ["lateral force", "longitudinal force"];
     let fields = ["field x", "field y", "field z"];
@@ -103,31 +99,31 @@ pub fn channels(trace: &Trace) -> impl Iterator<Item = Channel<'_>> {
         .chain(field.map(|(curves, name)| Channel::of("field", name, "G", curves)))
 }
 
-/// One thing that was measured and modelled.
+/// Measured and modelled curve of one quantity.
 #[derive(Clone, Copy, Debug)]
 pub struct Channel<'a> {
     /// `force` or `field`.
     pub kind: &'static str,
-    /// In words.
+    /// Label.
     pub name: &'static str,
     /// Unit.
     pub unit: &'static str,
-    /// Measured (the reference's).
-    pub measured: &'a Curve,
-    /// Modelled (the device's).
-    pub modelled: &'a Curve,
+    /// Measured (or reference) curve.
+    pub measured: &'a Envelope,
+    /// Modelled (or device) curve.
+    pub modelled: &'a Envelope,
 }
 
 impl<'a> Channel<'a> {
-    /// The error, with the sign that the tables give it.
-    pub fn error(&self) -> Curve {
+    /// Error with the sign convention of the tables.
+    pub fn error(&self) -> Envelope {
         match self.kind {
             "force" => difference(self.modelled, self.measured),
             _ => difference(self.measured, self.modelled),
         }
     }
 
-    /// That sign in words.
+    /// Sign convention as text.
     pub fn sign(&self) -> &'static str {
         match self.kind {
             "force" => "device minus reference",
@@ -139,57 +135,44 @@ impl<'a> Channel<'a> {
         kind: &'static str,
         name: &'static str,
         unit: &'static str,
-        [measured, modelled]: &'a [Curve; 2],
+        [measured, modelled]: &'a [Envelope; 2],
     ) -> Self {
-        Self {
-            kind,
-            name,
-            unit,
-            measured,
-            modelled,
-        }
+        Self { kind, name, unit, measured, modelled }
     }
 }
 
-/// The trace of the same sensor in the same recording.
+/// Trace of the same sensor and recording.
 pub fn same<'a>(other: Option<&'a Comparison>, trace: &Trace) -> Option<&'a Trace> {
     let traces = &other?.traces;
-    traces
-        .iter()
-        .find(|t| t.recording == trace.recording && t.sensor == trace.sensor)
+    traces.iter().find(|t| t.recording == trace.recording && t.sensor == trace.sensor)
 }
 
-/// Packs all traces.
+/// Packs all traces within the size limit.
 pub fn pack(comparison: &Comparison) -> Pack {
     let common = stretches(comparison, NUMBERS);
     let other = comparison.other.as_deref();
     let trace = |trace: &Trace| {
-        let most = match fails_most(comparison, trace) {
-            true => common.max(WORST),
-            false => common,
-        };
+        let most = if fails_most(comparison, trace) { common.max(WORST) } else { common };
         packed(trace, same(other, trace), most)
     };
-    Pack {
-        traces: comparison.traces.iter().map(trace).collect(),
-    }
+    Pack { traces: comparison.traces.iter().map(trace).collect() }
 }
 
-/// Each stretch is one value.
-fn is_single(curve: &Curve) -> bool {
+/// True if each stretch is one value.
+fn is_single(curve: &Envelope) -> bool {
     let mut sides = curve.low.iter().zip(&curve.high);
     sides.all(|(low, high)| low == high || low.is_nan())
 }
 
-/// One of the worst stretches lies in it.
+/// True if it contains one of the worst stretches.
 fn fails_most(comparison: &Comparison, trace: &Trace) -> bool {
     let mut worst = comparison.worst.iter();
     worst.any(|worst| worst.recording == trace.recording && worst.sensor == trace.sensor)
 }
 
-/// Stretches that a curve of the other traces may have.
+/// Maximum number of stretches of the other traces' curves.
 fn stretches(comparison: &Comparison, numbers: usize) -> usize {
-    // Measured, modelled and what is left, each low and high; a second model adds two.
+    // Measured, modelled and residual, each low and high; a second model adds two.
     let halves = if comparison.other.is_some() { 10 } else { 6 };
     let curves: Vec<(bool, bool, usize)> = comparison
         .traces
@@ -205,12 +188,8 @@ fn stretches(comparison: &Comparison, numbers: usize) -> usize {
     let taken = |common: usize| -> usize {
         let of = |&(worst, single, len): &(bool, bool, usize)| {
             let most = if worst { common.max(WORST) } else { common };
-            // One value a stretch where no rows are taken together.
-            let sides = if single && most >= len {
-                halves / 2
-            } else {
-                halves
-            };
+            // One value per stretch of a single row.
+            let sides = if single && most >= len { halves / 2 } else { halves };
             sides * most.min(len) + halves * AROUND
         };
         curves.iter().map(of).sum()
@@ -227,7 +206,7 @@ fn packed(trace: &Trace, other: Option<&Trace>, most: usize) -> PackedTrace {
     let mut panels: Vec<Panel> = Vec::new();
     for (model, trace) in [Some(trace), other].into_iter().enumerate() {
         for channel in trace.into_iter().flat_map(channels) {
-            let mut line = |role: usize, curve: &Curve| {
+            let mut line = |role: usize, curve: &Envelope| {
                 let curve = curve.coarser(most);
                 let known = times.iter().position(|time| *time == curve.time_s);
                 let time = known.unwrap_or_else(|| {
@@ -275,60 +254,48 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_come_back_to_a_part_in_65534_of_their_span() {
+    fn values_round_trip_to_a_part_in_65534_of_the_span() {
         let codes = Codes::of(&[-1.0, f64::NAN, 0.0, 1.0]);
         assert_eq!((codes.0, codes.1), (-1.0, 1.0));
         let bytes = STANDARD.decode(codes.2).unwrap();
-        // -1 is the first code, 0 the middle, 1 the last but one, a hole the last.
+        // -1 is the first code, 0 the middle, 1 the last valid one.
         assert_eq!(bytes, [0, 0, 0xFF, 0xFF, 0xFF, 0x7F, 0xFE, 0xFF]);
     }
 
     #[test]
-    fn values_all_alike_are_kept() {
+    fn constant_values_round_trip() {
         let codes = Codes::of(&[5.0, 5.0]);
         assert_eq!((codes.0, codes.1, codes.2.as_str()), (5.0, 5.0, "AAAAAA=="));
     }
 
     #[test]
-    fn a_steep_stretch_is_no_error() {
-        // Ten rows a stretch on a slope of 1 a row; the model is 0.5 below throughout.
+    fn steep_stretch_is_no_error() {
+        // Ten rows per stretch at a slope of 1 per row; the model is 0.5 lower throughout.
         let time: Vec<f64> = (0..100).map(f64::from).collect();
         let model: Vec<f64> = time.iter().map(|t| t - 0.5).collect();
-        let left = difference(&Curve::of(&time, &time, 10), &Curve::of(&time, &model, 10));
+        let left = difference(&Envelope::of(&time, &time, 10), &Envelope::of(&time, &model, 10));
         assert_eq!(left.low, [0.5; 10]);
         assert_eq!(left.high, [0.5; 10]);
     }
 
     #[test]
-    fn the_error_has_the_sign_of_the_tables() {
-        let (three, one) = (Curve::of(&[0.0], &[3.0], 1), Curve::of(&[0.0], &[1.0], 1));
+    fn error_has_the_sign_of_the_tables() {
+        let (three, one) = (Envelope::of(&[0.0], &[3.0], 1), Envelope::of(&[0.0], &[1.0], 1));
         let curves = [three, one];
         let field = Channel::of("field", "field x", "G", &curves);
-        assert_eq!(
-            (field.error().low, field.sign()),
-            (vec![2.0], "measured minus modelled")
-        );
+        assert_eq!((field.error().low, field.sign()), (vec![2.0], "measured minus modelled"));
         let force = Channel::of("force", "lateral force", "N", &curves);
-        assert_eq!(
-            (force.error().low, force.sign()),
-            (vec![-2.0], "device minus reference")
-        );
+        assert_eq!((force.error().low, force.sign()), (vec![-2.0], "device minus reference"));
     }
 
     #[test]
-    fn many_recordings_share_the_room_and_peaks_survive() {
+    fn many_recordings_share_the_space_and_peaks_survive() {
         let time: Vec<f64> = (0..2000).map(f64::from).collect();
         let mut values = vec![0.0; 2000];
         values[777] = 9.0;
-        let curve = Curve::of(&time, &values, 2000);
-        let trace = Trace {
-            field: vec![[curve.clone(), curve]; 3],
-            ..Trace::default()
-        };
-        let comparison = Comparison {
-            traces: vec![trace; 100],
-            ..Comparison::default()
-        };
+        let curve = Envelope::of(&time, &values, 2000);
+        let trace = Trace { field: vec![[curve.clone(), curve]; 3], ..Trace::default() };
+        let comparison = Comparison { traces: vec![trace; 100], ..Comparison::default() };
         let most = stretches(&comparison, NUMBERS);
         assert!((400..=540).contains(&most), "{most}");
         let packed = packed(&comparison.traces[0], None, most);

@@ -1,70 +1,52 @@
-//! Colours of the report: told apart by the colour-blind, in the light and in the dark.
+//! Colours of the report: distinguishable with colour-blindness, in light and dark mode.
 //!
-//! Plots are drawn in the light's literal colours; the page's style maps each of these to a variable
-//! that changes with the reader's scheme, so that a plot stays readable even without the style.
+//! Plots use the literal colours of light mode; the page's style maps each to a variable
+//! of the reader's scheme, so that plots remain legible without the style.
 
 use std::fmt::Write as _;
 
 use plotters::style::RGBColor;
 
-/// What a colour stands for.
+/// Colour with a meaning.
 #[derive(Clone, Copy, Debug)]
 pub struct Role {
-    /// The style's variable.
+    /// CSS variable.
     pub name: &'static str,
-    /// On white, and on paper.
+    /// Colour in light mode.
     pub light: RGBColor,
-    /// On black.
+    /// Colour in dark mode.
     pub dark: RGBColor,
 }
 
-/// Letters, axes and what was measured.
-pub const INK: Role = Role {
-    name: "ink",
-    light: RGBColor(0x1A, 0x1B, 0x1E),
-    dark: RGBColor(0xEC, 0xED, 0xEF),
-};
-/// Letters that matter less.
-pub const MUTED: Role = Role {
-    name: "muted",
-    light: RGBColor(0x5C, 0x60, 0x66),
-    dark: RGBColor(0xA6, 0xAB, 0xB3),
-};
-/// Lines of the grid, frames, and cells where nothing was measured.
-pub const GRID: Role = Role {
-    name: "grid",
-    light: RGBColor(0xDD, 0xDF, 0xE3),
-    dark: RGBColor(0x3A, 0x3E, 0x45),
-};
-/// The first model; the x axis.
-pub const FIRST: Role = Role {
-    name: "first",
-    light: RGBColor(0x00, 0x72, 0xB2),
-    dark: RGBColor(0x56, 0xB4, 0xE9),
-};
-/// The second model; the y axis.
-pub const SECOND: Role = Role {
-    name: "second",
-    light: RGBColor(0xD5, 0x5E, 0x00),
-    dark: RGBColor(0xE6, 0x9F, 0x00),
-};
-/// The z axis.
-pub const THIRD: Role = Role {
-    name: "third",
-    light: RGBColor(0x00, 0x9E, 0x73),
-    dark: RGBColor(0x2F, 0xC3, 0x98),
-};
+/// Text, axes and measured values.
+pub const INK: Role =
+    Role { name: "ink", light: RGBColor(0x1A, 0x1B, 0x1E), dark: RGBColor(0xEC, 0xED, 0xEF) };
+/// Secondary text.
+pub const MUTED: Role =
+    Role { name: "muted", light: RGBColor(0x5C, 0x60, 0x66), dark: RGBColor(0xA6, 0xAB, 0xB3) };
+/// Grid lines, frames, and cells without data.
+pub const GRID: Role =
+    Role { name: "grid", light: RGBColor(0xDD, 0xDF, 0xE3), dark: RGBColor(0x3A, 0x3E, 0x45) };
+/// First model; x axis.
+pub const FIRST: Role =
+    Role { name: "first", light: RGBColor(0x00, 0x72, 0xB2), dark: RGBColor(0x56, 0xB4, 0xE9) };
+/// Second model; y axis.
+pub const SECOND: Role =
+    Role { name: "second", light: RGBColor(0xD5, 0x5E, 0x00), dark: RGBColor(0xE6, 0x9F, 0x00) };
+/// z axis.
+pub const THIRD: Role =
+    Role { name: "third", light: RGBColor(0x00, 0x9E, 0x73), dark: RGBColor(0x2F, 0xC3, 0x98) };
 
-/// All of them.
+/// All roles.
 pub const ALL: [Role; 6] = [INK, MUTED, GRID, FIRST, SECOND, THIRD];
 /// Colours of x, y, z.
 pub const AXES: [Role; 3] = [FIRST, SECOND, THIRD];
 
-/// The style that maps the drawn colours to the reader's scheme.
+/// CSS that maps the drawn colours to the reader's scheme.
 pub fn style() -> String {
     let variables = |colour: fn(&Role) -> RGBColor| {
         ALL.iter().fold(String::new(), |mut text, role| {
-            // Writing to a string cannot fail.
+            // Writing to a String cannot fail.
             let _ = write!(text, "--{}:{};", role.name, hex(colour(role)));
             text
         })
@@ -84,7 +66,7 @@ pub fn style() -> String {
     style
 }
 
-/// As the plots' backend writes it.
+/// Hexadecimal notation as the SVG backend writes it.
 pub fn hex(RGBColor(red, green, blue): RGBColor) -> String {
     format!("#{red:02X}{green:02X}{blue:02X}")
 }
@@ -93,14 +75,11 @@ pub fn hex(RGBColor(red, green, blue): RGBColor) -> String {
 mod tests {
     use super::*;
 
-    /// Relative luminance as accessibility guidelines define it.
+    /// Relative luminance (WCAG).
     fn luminance(RGBColor(red, green, blue): RGBColor) -> f64 {
         let linear = |byte: u8| {
             let share = f64::from(byte) / 255.0;
-            match share <= 0.040_45 {
-                true => share / 12.92,
-                false => ((share + 0.055) / 1.055).powf(2.4),
-            }
+            if share <= 0.040_45 { share / 12.92 } else { ((share + 0.055) / 1.055).powf(2.4) }
         };
         0.2126 * linear(red) + 0.7152 * linear(green) + 0.0722 * linear(blue)
     }
@@ -111,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn letters_and_lines_stand_out_from_both_papers() {
+    fn colours_have_sufficient_contrast_in_both_modes() {
         let (white, black) = (RGBColor(255, 255, 255), RGBColor(0x14, 0x16, 0x1A));
         for (role, least) in [(INK, 12.0), (MUTED, 4.5)] {
             assert!(contrast(role.light, white) > least, "{}", role.name);
@@ -124,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn each_drawn_colour_has_one_meaning() {
+    fn each_drawn_colour_has_one_role() {
         for (i, role) in ALL.iter().enumerate() {
             assert!(ALL[..i].iter().all(|other| other.light != role.light));
         }

@@ -1,4 +1,4 @@
-//! What every plot of the report shares: size, axes, letters, and how it gets into the page.
+//! Common parts of all plots: size, axes, text, embedding into the page.
 
 use std::ops::Range;
 
@@ -8,32 +8,32 @@ use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-use super::numbers::number;
-use super::palette::{self, Role};
-use crate::show::{decimals_for, plain};
+use crate::report::numbers::number;
+use crate::report::palette::{self, Role};
+use crate::terminal::{decimal, decimals_for};
 
-/// Drawing units to a pixel: the backend draws in whole units, and pixels would make stairs of lines.
+/// Drawing units per pixel: the backend has integer coordinates, too coarse in pixels.
 const PX: u32 = 4;
-/// Size of a line of letters in pixels, of which the letters take 1/1.24: a plot drawn 440 pixels wide
-/// is shown at 358 on a telephone.
+/// Line height of text in pixels, 1.24 times the font size: a plot 440 pixels wide
+/// is scaled to 358 on a phone.
 const LETTERS: u32 = 16;
-/// Size in pixels of a plot of which two stand side by side; its letters stay readable on a telephone.
+/// Size in pixels of plots placed in pairs; the text remains legible on a phone.
 pub const HALF: (u32, u32) = (440, 260);
 
-/// What the backend may say.
+/// Error of the backend.
 pub type Failure = DrawingAreaErrorKind<std::io::Error>;
-/// A plot with two linear axes.
+/// Plot with two linear axes.
 pub type Chart<'a, 'b> =
     ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
-/// The paper of a plot.
+/// Drawing area of a plot.
 pub type Paper<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
-/// Pixels in drawing units.
+/// Converts pixels to drawing units.
 pub fn px(pixels: f64) -> i32 {
     (pixels * f64::from(PX)).round() as i32
 }
 
-/// Draws on a paper of `width` by `height` pixels; `says` is what a reader hears who cannot see it.
+/// Draws `width` by `height` pixels; `says` is the text for screen readers.
 pub fn figure(
     (width, height): (u32, u32),
     says: &str,
@@ -48,10 +48,10 @@ pub fn figure(
     if let Err(error) = drawn {
         return html! { p.empty { "This plot could not be drawn: " (error) "." } };
     }
-    // The head names the format's address and a fixed size: neither is of use inside a page.
+    // Remove the namespace and the fixed size of the root element.
     let inside = text.split_once('>').map_or("", |(_, inside)| inside);
     let inside = inside.trim_end().trim_end_matches("</svg>");
-    // What every line says without need.
+    // Remove default values.
     let inside = inside.replace(" opacity=\"1\"", "");
     let view = format!("0 0 {} {}", width * PX, height * PX);
     html! {
@@ -61,21 +61,21 @@ pub fn figure(
     }
 }
 
-/// One axis: what it shows, in words with the unit, from where to where.
+/// Axis: label with unit, and range.
 #[derive(Clone, Debug)]
 pub struct Along {
-    /// In words, with the unit.
+    /// Label with unit.
     pub words: String,
-    /// From where to where.
+    /// Range.
     pub range: Range<f64>,
-    /// Number of labels, roughly; none for an axis that names things.
+    /// Approximate number of tick labels; 0 for categories.
     pub labels: usize,
-    /// The range is that of decimal logarithms; labels show what they are of.
+    /// True if the range is in decimal logarithms; the labels show the values.
     pub powers: bool,
 }
 
 impl Along {
-    /// An axis that holds these numbers, with a margin; one unit long where they are all the same.
+    /// Range of the values with a margin; length 1 for constant values.
     pub fn holding(words: impl Into<String>, values: impl IntoIterator<Item = f64>) -> Self {
         let (least, greatest) = bounds(values).unwrap_or((0.0, 1.0));
         let margin = match greatest - least {
@@ -90,7 +90,7 @@ impl Along {
         }
     }
 
-    /// An axis for bars: from zero to a little above the highest.
+    /// From zero to slightly above the maximum.
     pub fn bars(words: impl Into<String>, values: impl IntoIterator<Item = f64>) -> Self {
         let greatest = bounds(values).map_or(0.0, |(_, greatest)| greatest);
         Self {
@@ -101,22 +101,14 @@ impl Along {
         }
     }
 
-    /// A logarithmic axis that holds these decimal logarithms.
+    /// Logarithmic axis for these decimal logarithms.
     pub fn powers(words: impl Into<String>, values: impl IntoIterator<Item = f64>) -> Self {
-        Self {
-            powers: true,
-            ..Self::holding(words, values)
-        }
+        Self { powers: true, ..Self::holding(words, values) }
     }
 
-    /// An axis without numbers: `count` things side by side, each one unit wide.
+    /// Axis of `count` categories, each one unit wide.
     pub fn things(count: usize) -> Self {
-        Self {
-            words: String::new(),
-            range: 0.0..count.max(1) as f64,
-            labels: 0,
-            powers: false,
-        }
+        Self { words: String::new(), range: 0.0..count.max(1) as f64, labels: 0, powers: false }
     }
 
     fn label(&self, value: f64) -> String {
@@ -124,7 +116,7 @@ impl Along {
             return power(value);
         }
         let step = (self.range.end - self.range.start) / self.labels.max(1) as f64;
-        let text = plain(value, decimals_for(step));
+        let text = decimal(value, decimals_for(step));
         match text.as_str() {
             "-0" => "0".to_owned(),
             _ => text.replace('-', "\u{2212}"),
@@ -132,12 +124,12 @@ impl Along {
     }
 }
 
-/// A label of a logarithmic axis. Most of them are powers of ten, whose digits after the first say nothing;
-/// many zeros are written as a power, which also stays within the margin at an end of the axis.
+/// Label of a logarithmic axis. Powers of ten are written without further digits and large ones
+/// with an exponent, which fits the margin at an end of the axis.
 fn power(logarithm: f64) -> String {
     let whole = logarithm.round();
     match (logarithm - whole).abs() < 1e-9 {
-        true if (-3.0..=3.0).contains(&whole) => plain(10.0_f64.powf(whole), 3),
+        true if (-3.0..=3.0).contains(&whole) => decimal(10.0_f64.powf(whole), 3),
         true => {
             let digits = format!("{whole}").chars().map(raised).collect::<String>();
             format!("10{digits}")
@@ -156,16 +148,18 @@ fn raised(digit: char) -> char {
     }
 }
 
-/// Least and greatest of those that are numbers.
+/// Minimum and maximum of the finite values.
 pub fn bounds(values: impl IntoIterator<Item = f64>) -> Option<(f64, f64)> {
     let mut values = values.into_iter().filter(|value| value.is_finite());
     let first = values.next()?;
-    Some(values.fold((first, first), |(least, greatest), value| {
-        (least.min(value), greatest.max(value))
-    }))
+    Some(
+        values.fold((first, first), |(least, greatest), value| {
+            (least.min(value), greatest.max(value))
+        }),
+    )
 }
 
-/// Axes on this paper, with their labels.
+/// Draws axes with labels.
 pub fn axes<'a, 'b>(
     paper: &Paper<'b>,
     across: &Along,
@@ -193,10 +187,7 @@ pub fn axes<'a, 'b>(
         .set_all_tick_mark_size(px(3.0))
         .x_labels(across.labels)
         .y_labels(upwards.labels);
-    let (x, y) = (
-        |value: &f64| across.label(*value),
-        |value: &f64| upwards.label(*value),
-    );
+    let (x, y) = (|value: &f64| across.label(*value), |value: &f64| upwards.label(*value));
     mesh.x_label_formatter(&x).y_label_formatter(&y);
     if across.labels == 0 {
         mesh.disable_x_mesh();
@@ -211,23 +202,23 @@ pub fn axes<'a, 'b>(
     Ok(chart)
 }
 
-/// A line of this width in pixels.
+/// Line of this width in pixels.
 pub fn stroke(role: Role, pixels: f64) -> ShapeStyle {
     role.light.stroke_width(px(pixels) as u32)
 }
 
-/// Letters of the plots' size times `times`.
+/// Text of `times` the default size.
 pub fn letters(role: Role, times: f64) -> TextStyle<'static> {
     let size = f64::from(LETTERS * PX) * times;
     ("sans-serif", size).into_font().color(&role.light)
 }
 
-/// Letters in the middle of their place.
+/// Centred text.
 pub fn centred(role: Role, times: f64) -> TextStyle<'static> {
     letters(role, times).pos(Pos::new(HPos::Center, VPos::Center))
 }
 
-/// Lines through these points: a new one after each hole.
+/// Splits points at gaps into lines.
 pub fn lines(points: &[(f64, f64)]) -> Vec<Vec<(f64, f64)>> {
     points
         .split(|(x, y)| !(x.is_finite() && y.is_finite()))
@@ -236,7 +227,7 @@ pub fn lines(points: &[(f64, f64)]) -> Vec<Vec<(f64, f64)>> {
         .collect()
 }
 
-/// A legend: each line or area as it is drawn, with its words.
+/// Legend.
 pub fn key(entries: &[(Swatch, Role, String)]) -> Markup {
     html! {
         ul.key {
@@ -247,18 +238,18 @@ pub fn key(entries: &[(Swatch, Role, String)]) -> Markup {
     }
 }
 
-/// How a thing is drawn.
+/// Legend symbol.
 #[derive(Clone, Copy, Debug)]
 pub enum Swatch {
-    /// A line, with the dashes of its colour.
+    /// Line with the dashes of its colour.
     Line,
-    /// A broad line.
+    /// Broad line.
     Broad,
-    /// A filled area.
+    /// Filled area.
     Full,
-    /// A framed area.
+    /// Outlined area.
     Framed,
-    /// A short mark across.
+    /// Short mark.
     Mark,
 }
 
@@ -287,38 +278,28 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_hole_ends_a_line_and_starts_another() {
+    fn gap_splits_a_line() {
         let points = [(0.0, 1.0), (1.0, f64::NAN), (2.0, 3.0), (3.0, 4.0)];
-        assert_eq!(
-            lines(&points),
-            [vec![(0.0, 1.0)], vec![(2.0, 3.0), (3.0, 4.0)]]
-        );
+        assert_eq!(lines(&points), [vec![(0.0, 1.0)], vec![(2.0, 3.0), (3.0, 4.0)]]);
     }
 
     #[test]
-    fn powers_of_ten_are_labelled_without_digits_that_say_nothing() {
+    fn powers_of_ten_have_short_labels() {
         let labels = [-4.0, -2.0, 0.0, 3.0, 4.0, 12.0, 0.5].map(power);
-        let known = [
-            "10\u{207b}\u{2074}",
-            "0.01",
-            "1",
-            "1000",
-            "10\u{2074}",
-            "10\u{b9}\u{b2}",
-            "3.16",
-        ];
+        let known =
+            ["10\u{207b}\u{2074}", "0.01", "1", "1000", "10\u{2074}", "10\u{b9}\u{b2}", "3.16"];
         assert_eq!(labels, known);
     }
 
     #[test]
-    fn an_axis_of_one_value_has_a_length() {
+    fn axis_of_a_constant_has_a_length() {
         let axis = Along::holding("N", [2.0, f64::NAN, 2.0]);
         assert_eq!(axis.range, 1.5..2.5);
         assert_eq!(Along::bars("G", [f64::NAN, f64::INFINITY]).range, 0.0..1.0);
     }
 
     #[test]
-    fn a_figure_names_what_it_shows_and_no_address() {
+    fn figure_has_a_description_and_no_address() {
         let drawn = figure((100, 80), "Bars of <b>", |paper| {
             axes(paper, &Along::things(2), &Along::bars("G", [1.0])).map(|_| ())
         });

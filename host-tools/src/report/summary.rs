@@ -1,24 +1,24 @@
-//! The head of the report with the verdict; then three figures, and all errors on one scale.
+//! Head of the report with the verdict, and all errors on one scale; setup errors; provenance.
 //!
-//! The scale counts in floors: one floor is what a perfect model would leave, and how much was measured
-//! lies as far to the right as the measurement allows. An error means something between these two.
+//! The scale is in multiples of the noise floor, the residual of a perfect model, up to the span of the
+//! measurement.
 
+use crate::analysis::compare::Comparison;
+use crate::analysis::statistics::ErrorStatistics;
+use crate::report::both;
+use crate::report::numbers::{number, percent, rms};
+use crate::report::palette::{self, Role};
+use crate::report::plot::{Failure, Paper, Swatch, centred, figure, key, letters, px, stroke};
 use maud::{Markup, html};
+use model_export::recordings::columns::Axis;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-use super::both;
-use super::numbers::{number, percent, rms};
-use super::palette::{self, Role};
-use super::plot::{Failure, Paper, Swatch, centred, figure, key, letters, px, stroke};
-use crate::compare::{Comparison, Figures};
-use model_export::recordings::columns::Axis;
-
-/// One kind of error over all sensors and axes.
+/// Error of one quantity over all sensors and axes.
 struct Pool {
     of: &'static str,
     unit: &'static str,
-    error: Figures,
+    error: ErrorStatistics,
     floor: f64,
 }
 
@@ -26,21 +26,21 @@ impl Pool {
     fn of(
         of: &'static str,
         unit: &'static str,
-        errors: impl Iterator<Item = (Figures, f64)>,
+        errors: impl Iterator<Item = (ErrorStatistics, f64)>,
     ) -> Option<Self> {
         let errors: Vec<_> = errors.collect();
-        let over = |figure: fn(&Figures) -> f64| rms(errors.iter().map(|(error, _)| figure(error)));
+        let over = |figure: fn(&ErrorStatistics) -> f64| {
+            rms(errors.iter().map(|(error, _)| figure(error)))
+        };
         (!errors.is_empty()).then(|| Self {
             of,
             unit,
-            error: Figures {
+            error: ErrorStatistics {
                 rms: over(|error| error.rms),
                 mean: over(|error| error.mean),
                 std: over(|error| error.std),
                 p95: over(|error| error.p95),
-                greatest: errors
-                    .iter()
-                    .fold(f64::NAN, |most, (error, _)| most.max(error.greatest)),
+                greatest: errors.iter().fold(f64::NAN, |most, (error, _)| most.max(error.greatest)),
                 span: over(|error| error.span),
             },
             floor: rms(errors.iter().map(|(_, floor)| *floor)),
@@ -69,13 +69,13 @@ fn pools(comparison: &Comparison) -> Vec<Pool> {
     .collect()
 }
 
-/// Model, campaign, verdict, and how it was judged.
+/// Model, campaign, verdict, and evaluation method.
 pub fn head(comparison: &Comparison) -> Markup {
     let models = both(comparison);
     let two = models.len() > 1;
     html! {
         header {
-            h1 { "Model beside measurement" }
+            h1 { "Model versus measurement" }
             dl.of {
                 @for (role, letter, model) in &models {
                     dt { "Model" @if two { " " (initial(*role, letter)) } } dd { (model.model) }
@@ -88,7 +88,7 @@ pub fn head(comparison: &Comparison) -> Markup {
                     @if model.verdict.is_empty() { "No verdict." } @else { (model.verdict) }
                 }
             }
-            @if !comparison.judged.is_empty() { p.judged { "How it was judged: " (comparison.judged) } }
+            @if !comparison.validation.is_empty() { p.validation { "Evaluation: " (comparison.validation) } }
         }
     }
 }
@@ -97,15 +97,15 @@ fn initial(role: Role, letter: &str) -> Markup {
     html! { span.letter style=(format!("color:var(--{})", role.name)) { (letter) } }
 }
 
-/// Three figures and the scale.
+/// Key results and the scale.
 pub fn section(comparison: &Comparison) -> Markup {
     if pools(comparison).is_empty() {
         return html! {};
     }
     html! {
         section #scale {
-            h2 { "How good it is" }
-            div.beside {
+            h2 { "Overall error" }
+            div.columns {
                 (tiles(comparison))
                 (scale(comparison))
             }
@@ -140,11 +140,11 @@ fn tiles(comparison: &Comparison) -> Markup {
 const WIDTH: u32 = 440;
 /// Height of one row.
 const ROW: u32 = 44;
-/// Room for the numbers beneath.
+/// Height of the axis labels.
 const FOOT: u32 = 40;
-/// From the left, in pixels.
+/// Left margin in pixels.
 const LEFT: f64 = 14.0;
-/// Least number on the scale, in floors.
+/// Minimum of the scale in floors.
 const LEAST: f64 = 0.7;
 
 fn scale(comparison: &Comparison) -> Markup {
@@ -156,12 +156,9 @@ fn scale(comparison: &Comparison) -> Markup {
     let says = rows.iter().fold(
         "Errors as multiples of the floor, on a logarithmic scale.".to_owned(),
         |says, (_, _, pool)| {
-            let floors = |size| {
-                pool.floors(size)
-                    .map_or_else(|| "unknown".to_owned(), number)
-            };
+            let floors = |size| pool.floors(size).map_or_else(|| "unknown".to_owned(), number);
             format!(
-                "{says} {}: RMS {}, greatest {}, span {}.",
+                "{says} {}: RMS {}, max {}, span {}.",
                 pool.of,
                 floors(pool.error.rms),
                 floors(pool.error.greatest),
@@ -177,14 +174,7 @@ fn scale(comparison: &Comparison) -> Markup {
     let drawn = figure((WIDTH, height), &says, |paper| {
         ticks(paper, &place, most, height)?;
         for (i, (role, letter, pool)) in rows.iter().enumerate() {
-            row(
-                paper,
-                &place,
-                f64::from(ROW) * (i as f64 + 0.75),
-                *role,
-                letter,
-                pool,
-            )?;
+            row(paper, &place, f64::from(ROW) * (i as f64 + 0.75), *role, letter, pool)?;
         }
         Ok(())
     });
@@ -192,8 +182,8 @@ fn scale(comparison: &Comparison) -> Markup {
         figure.scale {
             (drawn)
             figcaption {
-                "From the floor, which a perfect model would leave, to the whole span of what was measured. "
-                "Filled: RMS. Short mark: 95 % of the rows err less. Hollow: the greatest error. Square at the end: the span."
+                "From the floor, the residual of a perfect model, to the span of the measurement. "
+                "Filled: RMS. Short mark: 95th percentile. Hollow: maximum. Square: span."
             }
             @if let Some(other) = &comparison.other {
                 (key(&[
@@ -234,10 +224,7 @@ fn ticks(
     let mut floors = 1.0;
     while floors <= 1.3 * most {
         let x = place(floors);
-        paper.draw(&PathElement::new(
-            [(x, px(4.0)), (x, foot)],
-            stroke(palette::GRID, 1.0),
-        ))?;
+        paper.draw(&PathElement::new([(x, px(4.0)), (x, foot)], stroke(palette::GRID, 1.0)))?;
         let words = match floors {
             1.0 => "floor".to_owned(),
             _ => format!("{floors}\u{d7}"),
@@ -261,7 +248,7 @@ fn row(
 ) -> Result<(), Failure> {
     let y = px(y);
     let Some(rms) = pool.floors(pool.error.rms) else {
-        let words = format!("{letter} {}: no floor to hold it against", pool.of);
+        let words = format!("{letter} {}: noise floor unknown", pool.of);
         return paper.draw(&Text::new(
             words,
             (place(1.0) + px(6.0), y),
@@ -296,9 +283,46 @@ fn row(
         number(rms)
     );
     let style = letters(palette::INK, 1.0).pos(Pos::new(HPos::Left, VPos::Bottom));
-    paper.draw(&Text::new(
-        words,
-        (place(1.0) + px(6.0), y - px(7.0)),
-        style,
-    ))
+    paper.draw(&Text::new(words, (place(1.0) + px(6.0), y - px(7.0)), style))
+}
+
+/// All setup errors, or a note that there are none.
+pub fn findings_section(comparison: &Comparison) -> Markup {
+    let findings = &comparison.findings;
+    html! {
+        section #findings {
+            @if findings.is_empty() {
+                p.none { "Setup errors: none found." }
+            } @else {
+                h2 { "Found in the recordings: " (findings.len()) }
+                ol.findings {
+                    @for finding in findings {
+                        li.stops[finding.stops] {
+                            @if finding.stops { strong { "Prevents the comparison. " } }
+                            (finding.message)
+                            span.place { (finding.place) }
+                            @if let Some(fix) = &finding.fix {
+                                span.fix { code { "--fix" } ": " (fix) }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Provenance, seeds and assumptions, of both models.
+pub fn provenance_section(comparison: &Comparison) -> Markup {
+    html! {
+        section #origin {
+            h2 { "Provenance" }
+            @for (_, letter, model) in both(comparison) {
+                @if comparison.other.is_some() { h3 { (letter) ": " (model.model) } }
+                dl.origin {
+                    @for (name, value) in &model.provenance { dt { (name) } dd { (value) } }
+                }
+            }
+        }
+    }
 }

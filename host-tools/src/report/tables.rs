@@ -1,13 +1,14 @@
-//! The errors as numbers.
+//! Tables of the errors.
 
 use maud::{Markup, html};
 
-use super::both;
-use super::numbers::{maybe, number, percent};
-use crate::compare::{Comparison, Figures};
+use crate::analysis::compare::Comparison;
+use crate::analysis::statistics::ErrorStatistics;
+use crate::report::both;
+use crate::report::numbers::{maybe, number, percent};
 use model_export::recordings::columns::Axis;
 
-/// A table in a box of its own, which scrolls sideways where it is too wide; the first column stays.
+/// Table in a horizontally scrolling box with a fixed first column.
 pub fn table(caption: &str, heads: &[&str], rows: impl IntoIterator<Item = Vec<Markup>>) -> Markup {
     html! {
         div.wide tabindex="0" role="region" aria-label=(caption) {
@@ -32,7 +33,7 @@ fn text(words: impl AsRef<str>) -> Markup {
     html! { (words.as_ref()) }
 }
 
-/// Which sensor and axis, and whose error where there are two models.
+/// Sensor and axis, and the model where there are two.
 fn whose(comparison: &Comparison, sensor: u32, axis: Axis, model: usize) -> Markup {
     let letter = ["A", "B"].get(model).copied().unwrap_or("");
     html! {
@@ -41,7 +42,7 @@ fn whose(comparison: &Comparison, sensor: u32, axis: Axis, model: usize) -> Mark
     }
 }
 
-fn errors(error: &Figures) -> Vec<Markup> {
+fn errors(error: &ErrorStatistics) -> Vec<Markup> {
     [error.rms, error.mean, error.std, error.p95, error.greatest]
         .map(|size| text(number(size)))
         .into_iter()
@@ -49,8 +50,8 @@ fn errors(error: &Figures) -> Vec<Markup> {
         .collect()
 }
 
-/// Rows of both models side by side: sorted by sensor and axis, the first model above the second.
-fn beside<T: Copy>(
+/// Rows of both models interleaved: sorted by sensor and axis, first model first.
+fn interleave<T: Copy>(
     comparison: &Comparison,
     of: fn(&Comparison) -> &[T],
     whose: fn(&T) -> (u32, Axis),
@@ -58,15 +59,15 @@ fn beside<T: Copy>(
     let mut rows: Vec<(usize, T)> = both(comparison)
         .into_iter()
         .enumerate()
-        .flat_map(|(model, (_, _, judged))| of(judged).iter().map(move |row| (model, *row)))
+        .flat_map(|(model, (_, _, evaluation))| of(evaluation).iter().map(move |row| (model, *row)))
         .collect();
     rows.sort_by_key(|(model, row)| (whose(row), *model));
     rows
 }
 
-/// Field: errors, then what the floor consists of.
+/// Field errors and the composition of the floor.
 pub fn of_field(comparison: &Comparison) -> Markup {
-    let rows = beside(comparison, |c| &c.axes, |axis| (axis.sensor, axis.axis));
+    let rows = interleave(comparison, |c| &c.axes, |axis| (axis.sensor, axis.axis));
     if rows.is_empty() {
         return html! {};
     }
@@ -94,33 +95,29 @@ pub fn of_field(comparison: &Comparison) -> Markup {
     html! {
         (table(
             "Field: measured minus modelled, in gauss",
-            &["sensor", "RMS", "mean", "std", "P95", "greatest", "% of span", "floor", "RMS / floor", "explainable"],
+            &["sensor", "RMS", "mean", "std", "P95", "max", "% of span", "floor", "RMS / floor", "explainable"],
             errors,
         ))
         details {
-            summary { "What the floor of the field consists of" }
+            summary { "Composition of the noise floor" }
             (table(
                 "Floor of the field and its parts, in gauss",
                 &["sensor", "floor", "white noise", "quantisation", "reference", "slow (10 s)", "replicates"],
                 floors,
             ))
             p.note {
-                "The floor is white noise and the reference's noise together. Slow wandering and the scatter between "
-                "visits of the same condition stand beside it; a dash means that the recordings do not show it."
+                "The floor is the noise of sensor and reference. Slow drift and the scatter between "
+                "visits of the same condition are listed for comparison; a dash: not identifiable from these recordings."
             }
         }
-        p.note { "P95: 95 % of the rows err less. Explainable: what a better model could remove, "
-            "the root of RMS² less floor²." }
+        p.note { "P95: 95th percentile. Explainable: what a better model could remove, "
+            "the root of RMS² minus floor²." }
     }
 }
 
-/// Forces.
+/// Force errors.
 pub fn of_forces(comparison: &Comparison) -> Markup {
-    let rows = beside(
-        comparison,
-        |c| &c.forces,
-        |force| (force.sensor, force.axis),
-    );
+    let rows = interleave(comparison, |c| &c.forces, |force| (force.sensor, force.axis));
     if rows.is_empty() {
         return html! {};
     }

@@ -1,14 +1,14 @@
 use std::time::Instant;
 
-use super::fixture::{comparison, full};
 use super::*;
-use crate::compare::{Curve, Finding, Trace};
+use crate::analysis::compare::{Envelope, Finding, Trace};
+use crate::report::fixture::{comparison, full};
 
 /// Where a browser's check wants the page; `.ci/report` reads it.
 const PAGE: &str = "MAGPIE_REPORT_PAGE";
 
 #[test]
-fn every_section_stands_in_the_page_in_its_order() {
+fn sections_are_in_order() {
     let page = page(&full(3));
     let places: Vec<_> = [
         "<h1>",
@@ -26,43 +26,32 @@ fn every_section_stands_in_the_page_in_its_order() {
         "id=\"origin\"",
     ]
     .iter()
-    .map(|part| {
-        page.find(part)
-            .unwrap_or_else(|| panic!("{part} is missing"))
-    })
+    .map(|part| page.find(part).unwrap_or_else(|| panic!("{part} is missing")))
     .collect();
     assert!(places.is_sorted(), "{places:?}");
 }
 
 #[test]
-fn a_page_to_look_at_is_left_where_it_is_wanted() {
-    let recordings = std::env::var("MAGPIE_REPORT_RECORDINGS")
-        .ok()
-        .and_then(|n| n.parse().ok())
-        .unwrap_or(3);
+fn page_is_written_for_a_browser_check() {
+    let recordings =
+        std::env::var("MAGPIE_REPORT_RECORDINGS").ok().and_then(|n| n.parse().ok()).unwrap_or(3);
     if let Ok(path) = std::env::var(PAGE) {
         let path = Path::new(&path);
         write(path, &full(recordings), &[]).unwrap();
-        write(
-            &path.with_extension("one.html"),
-            &comparison(recordings, 4, 4.0),
-            &[],
-        )
-        .unwrap();
+        write(&path.with_extension("one.html"), &comparison(recordings, 4, 4.0), &[]).unwrap();
     }
 }
 
 #[test]
-fn what_a_user_named_is_never_markup() {
+fn user_names_are_escaped() {
     let evil = "<b>&\"'</script><!--";
     let mut comparison = full(1);
     comparison.model = evil.to_owned();
     comparison.campaign = evil.to_owned();
     comparison.verdict = evil.to_owned();
-    comparison.findings.push(Finding {
-        message: evil.to_owned(),
-        ..comparison.findings[0].clone()
-    });
+    comparison
+        .findings
+        .push(Finding { message: evil.to_owned(), ..comparison.findings[0].clone() });
     comparison.traces[0].recording = evil.to_owned();
     comparison.worst[0].recording = evil.to_owned();
     comparison.worst[0].sensor = 0;
@@ -74,15 +63,12 @@ fn what_a_user_named_is_never_markup() {
     assert!(!page.contains("<b>"));
     // The comment of the mark is the only one.
     assert_eq!(page.matches("<!--").count(), 1);
-    assert_eq!(
-        page.matches("<script").count(),
-        page.matches("</script>").count()
-    );
+    assert_eq!(page.matches("<script").count(), page.matches("</script>").count());
     assert!(page.matches("&lt;b&gt;").count() > 8);
 }
 
 #[test]
-fn nothing_is_fetched() {
+fn page_fetches_nothing() {
     let page = page(&full(3));
     for address in ["http", "src=", "@import", "url(http"] {
         assert!(!page.contains(address), "{address}");
@@ -91,19 +77,19 @@ fn nothing_is_fetched() {
 }
 
 #[test]
-fn the_page_can_be_sent_by_mail_and_takes_no_time() {
+fn page_is_small_and_fast() {
     let comparison = full(3);
     let start = Instant::now();
     let text = page(&comparison);
     let spent = start.elapsed();
     println!("{} bytes in {spent:?}", text.len());
     assert!(text.len() < 5_000_000, "{}", text.len());
-    // Tests of other crates may run beside this one.
+    // Tests of other crates may run at the same time.
     assert!(spent.as_secs_f64() < 2.0, "{spent:?}");
 }
 
 #[test]
-fn a_hundred_recordings_fit_into_the_same_page() {
+fn hundred_recordings_fit_into_the_same_page() {
     let text = page(&full(100));
     println!("{} bytes", text.len());
     assert!(text.len() < 5_000_000, "{}", text.len());
@@ -111,7 +97,7 @@ fn a_hundred_recordings_fit_into_the_same_page() {
 }
 
 #[test]
-fn what_is_no_number_is_nowhere_drawn() {
+fn invalid_numbers_are_not_drawn() {
     let mut broken = full(1);
     let hole = f64::NAN;
     broken.axes[0].error.rms = hole;
@@ -135,49 +121,42 @@ fn what_is_no_number_is_nowhere_drawn() {
     assert!(!packed.contains("null"));
     let text = format!("{before}{after}");
     for word in ["NaN", "inf,", "inf ", "\"inf", "-2147483648", "2147483647"] {
-        let at = text
-            .find(word)
-            .map(|at| &text[at.saturating_sub(80)..at + 20]);
+        let at = text.find(word).map(|at| &text[at.saturating_sub(80)..at + 20]);
         assert_eq!(at, None, "{word}");
     }
 }
 
 #[test]
-fn an_empty_comparison_is_a_page_that_says_what_is_missing() {
+fn empty_comparison_names_what_is_missing() {
     let text = page(&Comparison::default());
-    assert!(text.contains("Mistakes of the rig: none found."));
+    assert!(text.contains("Setup errors: none found."));
     assert!(text.contains("No verdict."));
     assert!(text.contains("No traces."));
     assert!(!text.contains("<svg viewBox"));
 }
 
 #[test]
-fn a_mistake_that_stops_the_comparison_stands_alone() {
-    let stopped = Comparison {
-        findings: full(1).findings,
-        ..Comparison::default()
-    };
+fn fatal_setup_error_replaces_the_results() {
+    let stopped = Comparison { findings: full(1).findings, ..Comparison::default() };
     let text = page(&stopped);
-    assert!(text.contains("Stops the comparison. "));
+    assert!(text.contains("Prevents the comparison. "));
     assert!(text.contains("force.csv, line 1412, column f2_x_n"));
     assert!(text.contains("multiplies f2_x_n by -1"));
-    assert!(text.contains("No figures: none would mean anything"));
+    assert!(text.contains("No results: fix the setup errors first."));
     assert!(!text.contains("<section id=\"errors\""));
 }
 
 #[test]
-fn the_share_that_a_covariate_locates_stands_in_its_caption() {
+fn explained_share_is_in_the_caption() {
     let text = page(&comparison(1, 4, 4.0));
-    assert!(text.contains("<strong>opening</strong>: 48\u{a0}% of what is left"));
-    let rest = text
-        .find("<summary>The other 11 covariates</summary>")
-        .unwrap();
+    assert!(text.contains("<strong>opening</strong>: 48\u{a0}% of the residual"));
+    let rest = text.find("<summary>The other 11 covariates</summary>").unwrap();
     assert!(text.find("<strong>roll</strong>").unwrap() > rest);
-    assert!(text.contains("<option value=\"3\" selected>s3, errs most"));
+    assert!(text.contains("<option value=\"3\" selected>s3, largest error"));
 }
 
 #[test]
-fn a_second_model_stands_beside_the_first() {
+fn second_model_is_compared_with_the_first() {
     let alone = page(&comparison(1, 4, 4.0));
     let two = page(&full(1));
     assert!(!alone.contains("B: "));
@@ -189,7 +168,7 @@ fn a_second_model_stands_beside_the_first() {
 }
 
 #[test]
-fn another_command_s_section_stands_first_after_the_summary() {
+fn additional_section_follows_the_summary() {
     let section = Section {
         id: "diagnosis",
         heading: "What is <missing>".to_owned(),
@@ -205,7 +184,7 @@ fn another_command_s_section_stands_first_after_the_summary() {
 }
 
 #[test]
-fn only_a_report_is_replaced_by_a_report() {
+fn only_reports_are_overwritten() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("report.html");
     let small = Comparison::default();
@@ -213,22 +192,16 @@ fn only_a_report_is_replaced_by_a_report() {
     write(&path, &small, &[]).unwrap();
     std::fs::write(&path, "<!DOCTYPE html><p>mine</p>").unwrap();
     assert!(write(&path, &small, &[]).is_err());
-    assert_eq!(
-        std::fs::read_to_string(&path).unwrap(),
-        "<!DOCTYPE html><p>mine</p>"
-    );
+    assert_eq!(std::fs::read_to_string(&path).unwrap(), "<!DOCTYPE html><p>mine</p>");
 }
 
 #[test]
-fn a_trace_of_one_row_and_one_of_none_are_drawn() {
-    let one = Curve::of(&[1.0], &[2.0], 10);
+fn traces_of_one_and_no_rows_are_drawn() {
+    let one = Envelope::of(&[1.0], &[2.0], 10);
     let row = [one.clone(), one];
     let mut comparison = comparison(1, 1, 1.0);
     comparison.traces = vec![
-        Trace {
-            field: vec![row; 3],
-            ..comparison.traces[0].clone()
-        },
+        Trace { field: vec![row; 3], ..comparison.traces[0].clone() },
         Trace {
             field: vec![Default::default(); 3],
             force: Vec::new(),

@@ -3,54 +3,48 @@
 use std::cell::RefCell;
 use std::rc::Rc;
 
-use host_tools::board::emulated::{Conditions, EmulatedBoard};
-use host_tools::board::pressed::Pressed;
-use host_tools::board::world::World;
-use host_tools::drive::Rig;
-use host_tools::drive::world::{Gripper, Shared};
-use host_tools::plant::hall::Fingertips;
-use host_tools::plant::parameters::{Lead, Parameters};
-use host_tools::plant::sensing::Sensors;
+use host_tools::sim::board::world::{PressedWorld, World};
+use host_tools::sim::closed_loop::coupling::{SharedGripper, SimulatedGripper};
+use host_tools::sim::closed_loop::emulated_board::{ChipConditions, EmulatedBoard};
+use host_tools::sim::closed_loop::motor_rig::MotorRig;
+use host_tools::sim::drivetrain::fingertips::Fingertips;
+use host_tools::sim::drivetrain::parameters::{Lead, PlantParameters};
+use host_tools::sim::drivetrain::sensors::MotorSensors;
 use libtest_mimic::Failed;
-use model_export::inverse::build::Built;
+use model_export::inverse::build::DeviceModel;
 use sim_board::Kind;
 use sim_board::chip::Profile;
 
 use crate::images::{self, Made, Variant};
 
 /// Typical execution times with the slowest sensor buses: those under which the deadlines are to be kept.
-pub const TYPICAL: Conditions = Conditions {
-    i2c_synchronisation: Conditions::SLOW.i2c_synchronisation,
-    ..Conditions::TYPICAL
+pub const TYPICAL: ChipConditions = ChipConditions {
+    i2c_synchronisation: ChipConditions::SLOW.i2c_synchronisation,
+    ..ChipConditions::TYPICAL
 };
 
 /// Both ends of execution times, and their middle.
-pub const CONDITIONS: [(&str, Conditions); 3] = [
-    ("fast", Conditions::FAST),
-    ("typical", TYPICAL),
-    ("slow", Conditions::SLOW),
-];
+pub const CONDITIONS: [(&str, ChipConditions); 3] =
+    [("fast", ChipConditions::FAST), ("typical", TYPICAL), ("slow", ChipConditions::SLOW)];
 
 /// A gripper at rest with fingers this far apart.
-pub fn gripper(parameters: Parameters, opening_mm: f64, seed: u64) -> Shared {
-    let rig = Rig::new(Lead::A, parameters, opening_mm, seed);
+pub fn gripper(parameters: PlantParameters, opening_mm: f64, seed: u64) -> SharedGripper {
+    let rig = MotorRig::new(Lead::A, parameters, opening_mm, seed);
     let tips = Fingertips::new(seed, 0.0, &[]).unwrap();
-    Rc::new(RefCell::new(Gripper::new(rig, tips, seed)))
+    Rc::new(RefCell::new(SimulatedGripper::new(rig, tips, seed)))
 }
 
 /// Currents and angle are measured without noise: what the image knows of its motor is then that nothing flows.
-pub fn at_rest(seed: u64) -> Shared {
-    let parameters = Parameters {
-        sensors: Sensors::ideal(),
-        ..Parameters::nominal(Lead::A)
-    };
+pub fn at_rest(seed: u64) -> SharedGripper {
+    let parameters =
+        PlantParameters { sensors: MotorSensors::ideal(), ..PlantParameters::nominal(Lead::A) };
     gripper(parameters, 40.0, seed)
 }
 
 /// Fingers that press with 100 N.
-pub fn pressed(built: &Built) -> Box<dyn World> {
+pub fn pressed(built: &DeviceModel) -> Box<dyn World> {
     let newtons = [[50.0, 0.0], [50.0, 0.0], [-50.0, 0.0], [-50.0, 0.0]];
-    Box::new(Pressed::new(&built.model, 1, move |_| newtons))
+    Box::new(PressedWorld::new(&built.model, 1, move |_| newtons))
 }
 
 /// Longest tick of sensing and estimating, where flash has caches.
@@ -73,14 +67,8 @@ pub fn overload(profile: &Profile, load: f64) -> Vec<String> {
 }
 
 /// A board with an image.
-pub fn board(made: &Made, conditions: Conditions, world: Box<dyn World>) -> EmulatedBoard {
-    EmulatedBoard::start(
-        made.image.clone(),
-        conditions,
-        world,
-        at_rest(conditions.seed),
-    )
-    .unwrap()
+pub fn board(made: &Made, conditions: ChipConditions, world: Box<dyn World>) -> EmulatedBoard {
+    EmulatedBoard::start(made.image.clone(), conditions, world, at_rest(conditions.seed)).unwrap()
 }
 
 /// The image, or why there is none.
@@ -96,7 +84,5 @@ pub fn violations(board: &EmulatedBoard) -> Vec<String> {
     let image = board.chip.image();
     let found = board.chip.soc.violations.iter();
     let unknown = found.filter(|violation| !KNOWN.contains(&(violation.kind, violation.detail)));
-    unknown
-        .map(|violation| format!("{violation}, {}", image.place(violation.pc)))
-        .collect()
+    unknown.map(|violation| format!("{violation}, {}", image.place(violation.pc))).collect()
 }

@@ -1,17 +1,17 @@
 //! Every image starts, feeds its watchdog, and keeps its deadlines, with every model of time.
 
-use firmware::params::TICK_US;
-use firmware::status::Fault;
-use firmware::wire::messages::Message;
-use firmware::wire::serial::{Packet, Receiver};
-use host_tools::board::SimulatedBoard;
+use firmware::config::constants::TICK_US;
+use firmware::protocol::messages::Message;
+use firmware::protocol::serial::{Packet, PacketDecoder};
+use firmware::system::faults::Fault;
+use host_tools::sim::board::SimulatedBoard;
 use libtest_mimic::{Failed, Trial};
 use sim_board::{CycleModel, Time};
 
 use crate::Effort;
 use crate::boards::{CONDITIONS, LOAD, WORST_TICK_US, board, image, overload, pressed, violations};
 use crate::images::Variant;
-use host_tools::board::emulated::Conditions;
+use host_tools::sim::closed_loop::emulated_board::ChipConditions;
 
 /// From the watchdog's start to its first feed.
 const FIRST_FEED: Time = Time::from_ms(5);
@@ -24,30 +24,26 @@ pub fn trials(effort: Effort) -> Vec<Trial> {
     let mut trials = Vec::new();
     for variant in Variant::ALL {
         for (name, conditions) in CONDITIONS {
-            trials.push(Trial::test(
-                format!("boot_{}_{name}", variant.name()),
-                move || boots(variant, conditions, effort),
-            ));
+            trials.push(Trial::test(format!("boot_{}_{name}", variant.name()), move || {
+                boots(variant, conditions, effort)
+            }));
         }
     }
     trials
 }
 
-fn boots(variant: Variant, conditions: Conditions, effort: Effort) -> Result<(), Failed> {
+fn boots(variant: Variant, conditions: ChipConditions, effort: Effort) -> Result<(), Failed> {
     let made = image(variant)?;
     let seconds = if effort == Effort::Acceptance { 60 } else { 1 };
     let mut board = board(&made, conditions, pressed(&made.built));
     let (mut receiver, mut ticks, mut worst_us, mut worst_estimate_us) =
-        (Receiver::default(), 0, 0, 0);
+        (PacketDecoder::default(), 0, 0, 0);
     for step in 1..=10 * seconds {
         board.run_until(100_000 * step)?;
         for (_, packet) in board.take_packets(&mut receiver) {
             match packet {
                 Packet::Tick(_) => ticks += 1,
-                Packet::Message {
-                    message: Message::Timing(timing),
-                    ..
-                } => {
+                Packet::Message { message: Message::Timing(timing), .. } => {
                     worst_us = timing.worst_loop.max(worst_us);
                     worst_estimate_us = timing.worst_inference.max(worst_estimate_us);
                     assert_eq!((timing.missed_ticks, timing.i2c_errors), (0, 0));
@@ -69,32 +65,18 @@ fn boots(variant: Variant, conditions: Conditions, effort: Effort) -> Result<(),
             wrong.push(what);
         }
     };
-    check(
-        board.chip.resets.is_empty(),
-        format!("resets: {:?}", board.chip.resets),
-    );
+    check(board.chip.resets.is_empty(), format!("resets: {:?}", board.chip.resets));
     check(
         feeds.first_after.is_some_and(|time| time <= FIRST_FEED),
         format!("first fed {:?}", feeds.first_after),
     );
-    check(
-        feeds.longest_gap <= FEED_GAP,
-        format!("not fed for {:?}", feeds.longest_gap),
-    );
+    check(feeds.longest_gap <= FEED_GAP, format!("not fed for {:?}", feeds.longest_gap));
     let has_caches = conditions.model != CycleModel::SLOW;
-    let (most_us, load) = match has_caches {
-        true => (WORST_TICK_US, LOAD),
-        false => (TICK_US as u16, LOAD_WITHOUT_CACHES),
-    };
-    check(
-        (1..=most_us).contains(&worst_us),
-        format!("worst tick {worst_us} us"),
-    );
+    let (most_us, load) =
+        if has_caches { (WORST_TICK_US, LOAD) } else { (TICK_US as u16, LOAD_WITHOUT_CACHES) };
+    check((1..=most_us).contains(&worst_us), format!("worst tick {worst_us} us"));
     // The first 10 ms are the start.
-    check(
-        ticks >= 1000 * seconds - 11,
-        format!("{ticks} ticks on the serial line"),
-    );
+    check(ticks >= 1000 * seconds - 11, format!("{ticks} ticks on the serial line"));
     let faults: Vec<_> = board
         .chip
         .log()
@@ -105,17 +87,12 @@ fn boots(variant: Variant, conditions: Conditions, effort: Effort) -> Result<(),
         .collect();
     check(faults.is_empty(), format!("faults: {faults:?}"));
     wrong.extend(overload(&profile, load));
-    match wrong.is_empty() {
-        true => Ok(()),
-        false => Err(wrong.join("\n").into()),
-    }
+    if wrong.is_empty() { Ok(()) } else { Err(wrong.join("\n").into()) }
 }
 
 /// A disagreement between networks and model, or what follows from it.
 fn is_of_networks(line: &str) -> bool {
     let faults = [Fault::NetworkAstray, Fault::Disturbed, Fault::Unbalanced];
     let begins = |fault| format!("fault {} of", fault as u16);
-    faults
-        .into_iter()
-        .any(|fault| line.contains(&begins(fault)))
+    faults.into_iter().any(|fault| line.contains(&begins(fault)))
 }

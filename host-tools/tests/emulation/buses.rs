@@ -1,12 +1,12 @@
 //! Many frames of other nodes on the CAN bus, and an hour at rest.
 
 use embedded_can::{Frame, StandardId};
-use firmware::status::Fault;
-use firmware::wire::can::CanFrame;
-use firmware::wire::serial::{Packet, Receiver};
-use firmware::wire::{DEFAULT_NODE, identifier};
-use host_tools::board::SimulatedBoard;
-use host_tools::board::emulated::{Conditions, EmulatedBoard};
+use firmware::protocol::can::CanFrame;
+use firmware::protocol::serial::{Packet, PacketDecoder};
+use firmware::protocol::{DEFAULT_NODE, frame_id};
+use firmware::system::faults::Fault;
+use host_tools::sim::board::SimulatedBoard;
+use host_tools::sim::closed_loop::emulated_board::{ChipConditions, EmulatedBoard};
 use libtest_mimic::{Failed, Trial};
 use sim_board::Halt;
 use sim_board::peripherals::gpio::Pin;
@@ -31,7 +31,11 @@ pub fn trials(effort: Effort) -> Vec<Trial> {
 }
 
 /// Ticks on the serial line since the last call, and how often one was missing between two.
-fn ticks(board: &EmulatedBoard, receiver: &mut Receiver, last_us: &mut Option<u32>) -> (u64, u64) {
+fn ticks(
+    board: &EmulatedBoard,
+    receiver: &mut PacketDecoder,
+    last_us: &mut Option<u32>,
+) -> (u64, u64) {
     let (mut count, mut gaps) = (0, 0);
     for (_, packet) in board.take_packets(receiver) {
         let Packet::Tick(tick) = packet else { continue };
@@ -47,9 +51,9 @@ fn ticks(board: &EmulatedBoard, receiver: &mut Receiver, last_us: &mut Option<u3
 fn foreign_frames() -> Result<(), Failed> {
     const MS: u64 = 2000;
     let made = image(Variant::Default)?;
-    let mut board = board(&made, Conditions::SLOW, pressed(&made.built));
+    let mut board = board(&made, ChipConditions::SLOW, pressed(&made.built));
     board.run_until(300_000)?;
-    let (mut receiver, mut last_us) = (Receiver::default(), None);
+    let (mut receiver, mut last_us) = (PacketDecoder::default(), None);
     ticks(&board, &mut receiver, &mut last_us);
     let idle = {
         board.chip.clear_profile();
@@ -58,7 +62,7 @@ fn foreign_frames() -> Result<(), Failed> {
     };
     board.chip.clear_profile();
     ticks(&board, &mut receiver, &mut last_us);
-    let id = StandardId::new(identifier(DEFAULT_NODE + 1, 0x1F)).ok_or("no identifier")?;
+    let id = StandardId::new(frame_id(DEFAULT_NODE + 1, 0x1F)).ok_or("no identifier")?;
     let frame = CanFrame::new(id, &[]).ok_or("no frame")?;
     for ms in 0..MS {
         for _ in 0..FOREIGN {
@@ -82,13 +86,7 @@ fn foreign_frames() -> Result<(), Failed> {
     assert!(count >= MS - 1 && gaps == 0, "{count} ticks, {gaps} gaps");
     assert!(flooded.idle > idle - 0.02, "{} {idle}", flooded.idle);
     let flooded = format!("fault {} of", Fault::Flooded as u16);
-    assert!(
-        !board
-            .chip
-            .log()
-            .iter()
-            .any(|line| line.text.contains(&flooded))
-    );
+    assert!(!board.chip.log().iter().any(|line| line.text.contains(&flooded)));
     assert_eq!(violations(&board), [""; 0]);
     Ok(())
 }
@@ -97,19 +95,14 @@ fn foreign_frames() -> Result<(), Failed> {
 fn boot_pin() -> Result<(), Failed> {
     let made = image(Variant::Default)?;
     let start = |sensor_buses: [[Pin; 2]; 2]| {
-        let wiring = Wiring {
-            sensor_buses,
-            ..Wiring::NUCLEO_G474
-        };
-        let conditions = Conditions::TYPICAL;
+        let wiring = Wiring { sensor_buses, ..Wiring::NUCLEO_G474 };
+        let conditions = ChipConditions::TYPICAL;
         let world = pressed(&made.built);
         EmulatedBoard::wired(made.image.clone(), conditions, wiring, world, at_rest(1))
     };
     let [[clock, data], second] = Wiring::NUCLEO_G474.sensor_buses;
     assert!(start([[clock, data], second]).is_ok());
-    let refused = start([[Wiring::BOOT0, data], second])
-        .err()
-        .ok_or("it starts")?;
+    let refused = start([[Wiring::BOOT0, data], second]).err().ok_or("it starts")?;
     assert_eq!(refused.downcast_ref(), Some(&Halt::BootLoader));
     Ok(())
 }
@@ -118,26 +111,19 @@ fn boot_pin() -> Result<(), Failed> {
 fn hour_at_rest() -> Result<(), Failed> {
     const SECONDS: u64 = 3600;
     let made = image(Variant::Default)?;
-    let mut board = board(&made, Conditions::TYPICAL, pressed(&made.built));
-    let (mut receiver, mut last_us) = (Receiver::default(), None);
+    let mut board = board(&made, ChipConditions::TYPICAL, pressed(&made.built));
+    let (mut receiver, mut last_us) = (PacketDecoder::default(), None);
     let (mut count, mut gaps) = (0, 0);
     for step in 1..=10 * SECONDS {
         board.run_until(100_000 * step)?;
         let (new, missing) = ticks(&board, &mut receiver, &mut last_us);
         (count, gaps) = (count + new, gaps + missing);
-        board.connections.can.borrow_mut().heard.clear();
+        board.connections.can.borrow_mut().board_frames.clear();
     }
-    assert!(
-        count >= 1000 * SECONDS - 11 && gaps == 0,
-        "{count} ticks, {gaps} gaps"
-    );
+    assert!(count >= 1000 * SECONDS - 11 && gaps == 0, "{count} ticks, {gaps} gaps");
     assert_eq!(board.chip.resets, []);
-    let faults: Vec<_> = board
-        .chip
-        .log()
-        .iter()
-        .filter(|line| line.text.contains("fault"))
-        .collect();
+    let faults: Vec<_> =
+        board.chip.log().iter().filter(|line| line.text.contains("fault")).collect();
     assert!(faults.is_empty(), "{faults:?}");
     assert_eq!(violations(&board), [""; 0]);
     println!("{count} ticks in {SECONDS} s");

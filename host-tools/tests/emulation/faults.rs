@@ -1,17 +1,16 @@
 //! Faults that concern the chip, while the gripper holds an object with 100 N; and every kind of crash, with its record
 //! after the reset.
 
-use firmware::crash::Kind;
-use firmware::events::Event;
-use firmware::grip::states::{Power, TASK_CODE, Task};
-use firmware::status::Fault;
-use firmware::wire::messages::FaultEvent;
-use host_tools::board::SimulatedBoard;
-use host_tools::drive::grasp::{grip_command, object};
-use host_tools::faults::row::Row;
-use host_tools::faults::run::Case;
-use host_tools::faults::situation::{SET_N, Situation};
-use host_tools::plant::parameters::Lead;
+use firmware::grip::states::{PowerState, TASK_CODE, TaskState};
+use firmware::protocol::messages::FaultEvent;
+use firmware::system::crash::CrashKind;
+use firmware::system::faults::{Event, Fault};
+use host_tools::sim::board::SimulatedBoard;
+use host_tools::sim::closed_loop::grasp_rig::{contact_object, grip_command};
+use host_tools::sim::drivetrain::parameters::Lead;
+use host_tools::sim::faults::injection::InjectedFault;
+use host_tools::sim::faults::operating_state::{OperatingState, SET_N};
+use host_tools::sim::faults::run::FaultCase;
 use libtest_mimic::{Failed, Trial};
 use sim_board::Time;
 use sim_board::peripherals::clocks::ResetCause;
@@ -29,38 +28,26 @@ type Crash = (&'static str, fn() -> Result<(), Failed>);
 
 pub fn trials() -> Vec<Trial> {
     let rows = [
-        Row::BusHigh,
-        Row::EncoderChecksum,
-        Row::EncoderStuck,
-        Row::LineLow,
-        Row::Corrupted,
+        InjectedFault::BusHigh,
+        InjectedFault::EncoderChecksum,
+        InjectedFault::EncoderStuck,
+        InjectedFault::LineLow,
+        InjectedFault::MemoryCorruption,
     ];
-    let of_rows = rows
-        .into_iter()
-        .map(|row| Trial::test(format!("fault_{row:?}"), move || during_hold(row)));
+    let of_rows =
+        rows.into_iter().map(|row| Trial::test(format!("fault_{row:?}"), move || during_hold(row)));
     let crashes: [Crash; 6] = [
-        ("panic", || {
-            crashes(Kind::Panic, ResetCause::Software, panic)
-        }),
-        ("hard_fault", || {
-            crashes(Kind::HardFault, ResetCause::Software, hard_fault)
-        }),
-        ("stack_overflow", || {
-            crashes(Kind::StackOverflow, ResetCause::Software, recurse)
-        }),
+        ("panic", || crashes(CrashKind::Panic, ResetCause::Software, panic)),
+        ("hard_fault", || crashes(CrashKind::HardFault, ResetCause::Software, hard_fault)),
+        ("stack_overflow", || crashes(CrashKind::StackOverflow, ResetCause::Software, recurse)),
         ("unreadable_flash", || {
-            crashes(Kind::NonMaskable, ResetCause::Software, unreadable_flash)
+            crashes(CrashKind::NonMaskable, ResetCause::Software, unreadable_flash)
         }),
-        ("crystal", || {
-            crashes(Kind::NonMaskable, ResetCause::Software, crystal)
-        }),
-        ("hang", || {
-            crashes(Kind::Watchdog, ResetCause::Watchdog, hang)
-        }),
+        ("crystal", || crashes(CrashKind::NonMaskable, ResetCause::Software, crystal)),
+        ("hang", || crashes(CrashKind::Watchdog, ResetCause::Watchdog, hang)),
     ];
-    let of_crashes = crashes
-        .into_iter()
-        .map(|(name, test)| Trial::test(format!("crash_{name}"), test));
+    let of_crashes =
+        crashes.into_iter().map(|(name, test)| Trial::test(format!("crash_{name}"), test));
     let gate = Trial::test("fault_gate_driver", gate_driver);
     let silent = Trial::test("fault_encoder_silent", encoder_silent);
     of_rows.chain(of_crashes).chain([gate, silent]).collect()
@@ -70,10 +57,10 @@ pub fn trials() -> Vec<Trial> {
 fn holding() -> Result<Cell, Failed> {
     let mut cell = homed()?;
     move_to(&mut cell, 42.0);
-    let thing = object(cell.gripper.borrow().rig.plant.parameters(), 40.0, CONTACT);
-    cell.gripper.borrow_mut().rig.plant.hold(Some(&thing));
+    let thing = contact_object(cell.gripper.borrow().rig.plant.parameters(), 40.0, CONTACT);
+    cell.gripper.borrow_mut().rig.plant.set_object(Some(&thing));
     cell.host.order(grip_command(SET_N));
-    let held = cell.until(4.0, |cell| cell.is_in(Task::HoldActive));
+    let held = cell.until(4.0, |cell| cell.is_in(TaskState::HoldActive));
     assert!(held.is_some(), "{}", cell.state());
     cell.run(0.4);
     cell.board.take_events();
@@ -91,36 +78,33 @@ fn came(cell: &mut Cell, fault: Fault) -> Option<(f64, FaultEvent)> {
     })
 }
 
-fn during_hold(row: Row) -> Result<(), Failed> {
+fn during_hold(row: InjectedFault) -> Result<(), Failed> {
     let mut cell = holding()?;
     let at_us = cell.time_us();
     row.inject(&mut cell, 1);
     for _ in 0..AFTER_MS {
         cell.tick();
     }
-    let case = Case {
-        row,
-        situation: Situation::Hold,
+    let case = FaultCase {
+        fault: row,
+        state: OperatingState::Hold,
         lead: Lead::A,
         contact_n_per_mm: CONTACT,
         seed: 1,
     };
     let state = cell.state();
     assert!(case.is_specified(state), "{row:?}: {state:#x}");
-    let facts = row.facts();
+    let facts = row.specification();
     let Some((time_ms, event)) = came(&mut cell, facts.fault) else {
         return Err(format!("{row:?}: {:?} is not reported", facts.fault).into());
     };
-    if row != Row::Corrupted {
+    if row != InjectedFault::MemoryCorruption {
         let found_ms = time_ms - 1e-3 * at_us as f64;
         println!("{row:?} reported after {found_ms:.2} ms");
-        assert!(
-            found_ms <= facts.within_ms + REPORT_MS,
-            "{row:?}: {found_ms:.2} ms"
-        );
+        assert!(found_ms <= facts.within_ms + REPORT_MS, "{row:?}: {found_ms:.2} ms");
         assert_eq!(cell.board.chip.resets, []);
     } else {
-        assert_eq!(event.detail, Kind::Corruption.number() << 24);
+        assert_eq!(event.detail, CrashKind::Corruption.number() << 24);
         assert_eq!(cell.board.chip.resets.len(), 1);
     }
     // The screw locks itself.
@@ -134,12 +118,8 @@ fn gate_driver() -> Result<(), Failed> {
     let mut cell = holding()?;
     cell.board.chip.soc.set_gate_fault(true);
     cell.run(0.3);
-    assert_eq!(cell.state(), Power::Fault as u8);
-    assert!(
-        came(&mut cell, Fault::PowerStage).is_some(),
-        "{:?}",
-        cell.host.told.faults
-    );
+    assert_eq!(cell.state(), PowerState::Fault as u8);
+    assert!(came(&mut cell, Fault::PowerStage).is_some(), "{:?}", cell.host.received.faults);
     assert!(cell.force_n() > 0.85 * SET_N);
     assert_eq!(cell.board.chip.resets, []);
     Ok(())
@@ -149,13 +129,13 @@ fn gate_driver() -> Result<(), Failed> {
 fn encoder_silent() -> Result<(), Failed> {
     let mut cell = holding()?;
     let at_us = cell.time_us();
-    cell.gripper.borrow_mut().wrong.frame = Some(Box::new(|_| u16::MAX));
+    cell.gripper.borrow_mut().errors.frame = Some(Box::new(|_| u16::MAX));
     cell.run(0.3);
-    assert_eq!(cell.state(), Power::Fault as u8);
+    assert_eq!(cell.state(), PowerState::Fault as u8);
     let (time_ms, _) = came(&mut cell, Fault::RotorSensor).ok_or("not reported")?;
     let found_ms = time_ms - 1e-3 * at_us as f64;
     assert!(
-        found_ms <= Row::EncoderStuck.facts().within_ms + REPORT_MS,
+        found_ms <= InjectedFault::EncoderStuck.specification().within_ms + REPORT_MS,
         "{found_ms:.2} ms"
     );
     Ok(())
@@ -163,14 +143,14 @@ fn encoder_silent() -> Result<(), Failed> {
 
 /// The board crashes while it is armed; after the reset the record is reported, and the gripper is not enabled before a host
 /// arms again.
-fn crashes(kind: Kind, cause: ResetCause, crash: fn(&mut Cell)) -> Result<(), Failed> {
+fn crashes(kind: CrashKind, cause: ResetCause, crash: fn(&mut Cell)) -> Result<(), Failed> {
     let mut cell = cell(40.0)?;
     assert!(cell.enable(), "{}", cell.state());
     cell.run(0.2);
     cell.board.take_events();
     let at_us = cell.time_us();
     crash(&mut cell);
-    cell.host.told.heartbeat = None;
+    cell.host.received.heartbeat = None;
     let lasts_us = 20_000_000;
     let is_reset =
         |cell: &Cell| !cell.board.chip.resets.is_empty() || cell.time_us() > at_us + lasts_us;
@@ -179,25 +159,13 @@ fn crashes(kind: Kind, cause: ResetCause, crash: fn(&mut Cell)) -> Result<(), Fa
         return Err(format!("{:?}", cell.board.chip.resets).into());
     };
     assert_eq!(reset.cause, cause);
-    println!(
-        "{kind:?}: reset after {:.2} ms",
-        reset.time.as_ms() - 1e-3 * at_us as f64
-    );
+    println!("{kind:?}: reset after {:.2} ms", reset.time.as_ms() - 1e-3 * at_us as f64);
     cell.run(0.5);
     let (_, event) =
         came(&mut cell, Fault::Crashed).ok_or("no crash is reported after the reset")?;
     assert_eq!(event.detail >> 24, kind.number(), "{event:?}");
-    assert!(
-        cell.state() < TASK_CODE && cell.state() != 0,
-        "{}",
-        cell.state()
-    );
-    assert_eq!(
-        cell.board.chip.resets.len(),
-        1,
-        "{:?}",
-        cell.board.chip.resets
-    );
+    assert!(cell.state() < TASK_CODE && cell.state() != 0, "{}", cell.state());
+    assert_eq!(cell.board.chip.resets.len(), 1, "{:?}", cell.board.chip.resets);
     Ok(())
 }
 
@@ -210,23 +178,18 @@ fn go_to(cell: &mut Cell, address: u32) {
     cell.board.chip.core_mut().set_pc(address);
 }
 
-/// Runs instructions that are put at the end of RAM, where nothing lies.
+/// Runs instructions that are put at the end of RAM, which is unused.
 fn run_code(cell: &mut Cell, halfwords: &[u16]) {
     const ADDRESS: u32 = 0x2001_7F00;
-    let bytes: Vec<u8> = halfwords
-        .iter()
-        .flat_map(|halfword| halfword.to_le_bytes())
-        .collect();
+    let bytes: Vec<u8> = halfwords.iter().flat_map(|halfword| halfword.to_le_bytes()).collect();
     assert!(cell.board.chip.soc.write_memory(ADDRESS, &bytes));
     cell.board.chip.core_mut().invalidate_code();
     go_to(cell, ADDRESS);
 }
 
 fn panic(cell: &mut Cell) {
-    let function = cell.board.chip.image().symbols_named("tasks::twice").next();
-    let address = function
-        .expect("the image has a function that panics")
-        .address;
+    let function = cell.board.chip.image().symbols_named("tasks::spawned_twice").next();
+    let address = function.expect("the image has a function that panics").address;
     go_to(cell, address);
 }
 
@@ -255,12 +218,7 @@ fn hang(cell: &mut Cell) {
 /// Two bits of the tables of the ideal model, which every estimate reads; after the first reset they are right again, else
 /// it would be reset for ever.
 fn unreadable_flash(cell: &mut Cell) {
-    let tables = cell
-        .board
-        .chip
-        .image()
-        .symbols_named("model::tables::SENSORS")
-        .next();
+    let tables = cell.board.chip.image().symbols_named("model::tables::SENSORS").next();
     let address = (tables.expect("the image has tables").address + 64) & !7;
     let soc = &mut cell.board.chip.soc;
     let before = soc.memory(address, 8).expect("flash").to_vec();

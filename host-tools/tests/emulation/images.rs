@@ -4,13 +4,13 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::{Mutex, OnceLock};
 
-use host_tools::networks::Networks;
-use model_export::inverse::build::{Built, Variant as Fit, build};
+use host_tools::device_run::networks::NetworkSet;
+use model_export::inverse::build::{DeviceModel, ModelVariant as Fit, build};
 use sha2::{Digest, Sha256};
 use sim_board::Image;
 use tests::data;
 
-use crate::desk::Desk;
+use crate::workdir::WorkDir;
 
 /// An image, by the tables that it is linked with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -33,14 +33,8 @@ pub enum Variant {
 
 impl Variant {
     /// Those that are fitted to a campaign.
-    pub const ALL: [Self; 6] = [
-        Self::Default,
-        Self::Clean,
-        Self::Effects,
-        Self::Friction,
-        Self::Ripple,
-        Self::Networks,
-    ];
+    pub const ALL: [Self; 6] =
+        [Self::Default, Self::Clean, Self::Effects, Self::Friction, Self::Ripple, Self::Networks];
 
     pub fn name(self) -> &'static str {
         match self {
@@ -108,8 +102,8 @@ impl Variant {
 pub struct Made {
     pub path: PathBuf,
     pub image: Image,
-    pub built: Built,
-    pub networks: Option<Networks>,
+    pub built: DeviceModel,
+    pub networks: Option<NetworkSet>,
     pub campaign: PathBuf,
 }
 
@@ -119,69 +113,51 @@ pub struct Made {
 /// This machine has no compiler for the chip, or the image does not build: what the tools print.
 pub fn get(variant: Variant) -> Result<Made, String> {
     static BUILDING: Mutex<()> = Mutex::new(());
-    static DESKS: OnceLock<Mutex<Vec<(Variant, Desk)>>> = OnceLock::new();
-    let _building = BUILDING
-        .lock()
-        .unwrap_or_else(|poisoned| poisoned.into_inner());
-    let mut desks = DESKS.get_or_init(Mutex::default).lock().unwrap();
-    if !desks.iter().any(|(known, _)| *known == variant) {
-        let desk = Desk::empty();
-        model(&desk, variant);
-        desks.push((variant, desk));
+    static DESKS: OnceLock<Mutex<Vec<(Variant, WorkDir)>>> = OnceLock::new();
+    let _building = BUILDING.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+    let mut dirs = DESKS.get_or_init(Mutex::default).lock().unwrap();
+    if !dirs.iter().any(|(known, _)| *known == variant) {
+        let dir = WorkDir::empty();
+        model(&dir, variant);
+        dirs.push((variant, dir));
     }
-    let (_, desk) = desks.iter().find(|(known, _)| *known == variant).unwrap();
-    let file = |name: &str| desk.0.path().join(name);
-    let fit = if variant == Variant::Nominal {
-        Fit::Nominal
-    } else {
-        Fit::Fitted
-    };
+    let (_, dir) = dirs.iter().find(|(known, _)| *known == variant).unwrap();
+    let file = |name: &str| dir.0.path().join(name);
+    let fit = if variant == Variant::Nominal { Fit::Nominal } else { Fit::Fitted };
     let built = build(&file("model.toml"), fit).map_err(|error| format!("{error:#}"))?;
     let networks = variant
         .training()
-        .map(|_| Networks::read(&file("networks.safetensors"), &built).unwrap());
+        .map(|_| NetworkSet::read(&file("networks.safetensors"), &built).unwrap());
     let tables = (variant != Variant::Default).then(|| file("tables.rs"));
     let path = compile(variant.name(), tables.as_deref())?;
     let image = Image::read(&path).map_err(|error| error.to_string())?;
-    Ok(Made {
-        path,
-        image,
-        built,
-        networks,
-        campaign: variant.campaign(),
-    })
+    Ok(Made { path, image, built, networks, campaign: variant.campaign() })
 }
 
-/// Fits, adds, trains and exports on a desk.
-fn model(desk: &Desk, variant: Variant) {
+/// Fits, adds, trains and exports on a dir.
+fn model(dir: &WorkDir, variant: Variant) {
     let campaign = variant.campaign();
     let campaign = campaign.to_str().unwrap();
     match variant.effects() {
         [] => {
-            desk.call(&["fit", campaign, "-o", "model.toml"]);
+            dir.call(&["fit", campaign, "-o", "model.toml"]);
         }
         effects => {
-            desk.call(&["fit", campaign, "-o", "base.toml"]);
-            desk.call(&[&["add", "base.toml", campaign, "-o", "model.toml"], effects].concat());
+            dir.call(&["fit", campaign, "-o", "base.toml"]);
+            dir.call(&[&["add", "base.toml", campaign, "-o", "model.toml"], effects].concat());
         }
     }
     let mut export = vec!["export", "model.toml", "-o", "tables.rs"];
     if let Some(training) = variant.training() {
-        let mut train = vec![
-            "train",
-            "model.toml",
-            campaign,
-            "-o",
-            "networks.safetensors",
-        ];
+        let mut train = vec!["train", "model.toml", campaign, "-o", "networks.safetensors"];
         train.extend(training.split_whitespace());
-        desk.call(&train);
+        dir.call(&train);
         export.extend(["--network", "networks.safetensors"]);
     }
     if variant == Variant::Nominal {
         export.push("--nominal");
     }
-    desk.call(&export);
+    dir.call(&export);
 }
 
 fn root() -> PathBuf {
@@ -191,10 +167,8 @@ fn root() -> PathBuf {
 /// Builds an image with tables, or takes the one that was built from the same sources; its path.
 fn compile(name: &str, tables: Option<&Path>) -> Result<PathBuf, String> {
     let folder = root().join("target/images");
-    let (image, stamp) = (
-        folder.join(format!("{name}.elf")),
-        folder.join(format!("{name}.sha256")),
-    );
+    let (image, stamp) =
+        (folder.join(format!("{name}.elf")), folder.join(format!("{name}.sha256")));
     let sources = sources(tables);
     if image.is_file() && std::fs::read_to_string(&stamp).is_ok_and(|known| known == sources) {
         return Ok(image);
@@ -202,13 +176,8 @@ fn compile(name: &str, tables: Option<&Path>) -> Result<PathBuf, String> {
     std::fs::create_dir_all(&folder).map_err(|error| error.to_string())?;
     let script = r#". .ci/target.sh; for_target image; cp "$folder/firmware" "$1""#;
     let mut command = Command::new("bash");
-    command
-        .args(["-euc", script, "image"])
-        .arg(&image)
-        .current_dir(root());
-    command
-        .env_remove("MAGPIE_TABLES")
-        .envs(tables.map(|tables| ("MAGPIE_TABLES", tables)));
+    command.args(["-euc", script, "image"]).arg(&image).current_dir(root());
+    command.env_remove("MAGPIE_TABLES").envs(tables.map(|tables| ("MAGPIE_TABLES", tables)));
     // What cargo sets for the tests is not meant for another build.
     for (variable, _) in std::env::vars_os() {
         let is_of_cargo = variable.to_string_lossy().starts_with("CARGO_");
@@ -218,8 +187,8 @@ fn compile(name: &str, tables: Option<&Path>) -> Result<PathBuf, String> {
     }
     let output = command.output().map_err(|error| format!("bash: {error}"))?;
     if !output.status.success() {
-        let said = String::from_utf8_lossy(&output.stderr);
-        let last: Vec<_> = said.lines().rev().take(12).collect();
+        let message = String::from_utf8_lossy(&output.stderr);
+        let last: Vec<_> = message.lines().rev().take(12).collect();
         return Err(last.into_iter().rev().collect::<Vec<_>>().join("\n"));
     }
     std::fs::write(stamp, sources).map_err(|error| error.to_string())?;
@@ -246,11 +215,7 @@ fn sources(tables: Option<&Path>) -> String {
     for file in files {
         digest.update(std::fs::read(file).unwrap_or_default());
     }
-    digest
-        .finalize()
-        .iter()
-        .map(|byte| format!("{byte:02x}"))
-        .collect()
+    digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 fn collect(folder: &Path, files: &mut Vec<PathBuf>) {

@@ -1,26 +1,26 @@
 //! The image in an emulated chip. Where this machine has no compiler for the chip every test is listed as ignored, and a
 //! line says how to get one; `EMULATION=required` makes that a failure. `EMULATION=acceptance` runs for longer.
 
-#[allow(dead_code)] // The other layer is another test's.
-#[path = "../scenarios/bench.rs"]
-mod bench;
 mod boards;
 mod boot;
 mod buses;
-#[path = "../desk/mod.rs"]
-mod desk;
+#[path = "../scenarios/evaluate.rs"]
+mod evaluate;
 mod faults;
 #[allow(dead_code)] // So are detectors that are switched off.
 #[path = "../scenarios/file.rs"]
 mod file;
 #[allow(dead_code)] // The path is another test's.
 mod images;
-#[path = "../scenarios/judge.rs"]
-mod judge;
 mod motion;
 mod replay;
+#[allow(dead_code)] // The other layer is another test's.
+#[path = "../scenarios/rig.rs"]
+mod rig;
 mod scenarios;
 mod storage;
+#[path = "../workdir/mod.rs"]
+mod workdir;
 
 use std::process::ExitCode;
 
@@ -39,15 +39,8 @@ pub enum Effort {
 fn main() -> ExitCode {
     let arguments = Arguments::from_args();
     let word = std::env::var("EMULATION").unwrap_or_default();
-    let effort = if word == "acceptance" {
-        Effort::Acceptance
-    } else {
-        Effort::Usual
-    };
-    let absent = match arguments.list {
-        true => None,
-        false => images::get(Variant::Default).err(),
-    };
+    let effort = if word == "acceptance" { Effort::Acceptance } else { Effort::Usual };
+    let absent = if arguments.list { None } else { images::get(Variant::Default).err() };
     if let Some(reason) = &absent {
         println!("no image for the emulated chip, its tests are not run:\n{reason}");
         if !word.is_empty() {
@@ -62,9 +55,7 @@ fn main() -> ExitCode {
     trials.extend(buses::trials(effort));
     trials.extend(faults::trials());
     trials.extend(storage::trials());
-    let trials = trials
-        .into_iter()
-        .map(|trial| trial.with_ignored_flag(absent.is_some()))
-        .collect();
+    let trials =
+        trials.into_iter().map(|trial| trial.with_ignored_flag(absent.is_some())).collect();
     libtest_mimic::run(&arguments, trials).exit_code()
 }

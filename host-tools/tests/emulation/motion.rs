@@ -1,14 +1,14 @@
-//! The image drives a simulated gripper: it is armed over the CAN bus, homes, moves, grips, stands and releases.
+//! The image drives a simulated gripper: it is armed over the CAN bus, homes, moves, grips, enters the ground-contact mode and releases.
 
-use firmware::grip::order::mode;
-use firmware::grip::states::{Power, Task, code};
-use firmware::wire;
-use firmware::wire::messages::Command;
-use host_tools::board::emulated::EmulatedBoard;
-use host_tools::drive::grasp::{grip_command, object};
-use host_tools::drive::workcell::Workcell;
-use host_tools::drive::world::Senses;
-use host_tools::plant::parameters::{Lead, Parameters};
+use firmware::grip::commands::mode;
+use firmware::grip::states::{PowerState, TaskState, state_code};
+use firmware::protocol;
+use firmware::protocol::messages::Command;
+use host_tools::sim::closed_loop::ClosedLoop;
+use host_tools::sim::closed_loop::coupling::GripperWorld;
+use host_tools::sim::closed_loop::emulated_board::EmulatedBoard;
+use host_tools::sim::closed_loop::grasp_rig::{contact_object, grip_command};
+use host_tools::sim::drivetrain::parameters::{Lead, PlantParameters};
 use libtest_mimic::{Failed, Trial};
 
 use crate::Effort;
@@ -16,24 +16,22 @@ use crate::boards::{LOAD, TYPICAL, WORST_TICK_US, gripper, image, overload, viol
 use crate::images::Variant;
 
 /// A workcell whose board runs the image.
-pub type Cell = Workcell<EmulatedBoard>;
+pub type Cell = ClosedLoop<EmulatedBoard>;
 
 /// Newtons of the grips.
 pub const SET_N: f64 = 100.0;
 
 pub fn trials(_: Effort) -> Vec<Trial> {
-    vec![Trial::test("motion_home_move_grip_foot_release", || {
-        whole_course()
-    })]
+    vec![Trial::test("motion_home_move_grip_foot_release", whole_course)]
 }
 
 /// A gripper that is switched on with its fingers this far apart.
 pub fn cell(opening_mm: f64) -> Result<Cell, Failed> {
     let made = image(Variant::Nominal)?;
-    let gripper = gripper(Parameters::nominal(Lead::A), opening_mm, 1);
-    let world = Box::new(Senses(gripper.clone()));
+    let gripper = gripper(PlantParameters::nominal(Lead::A), opening_mm, 1);
+    let world = Box::new(GripperWorld(gripper.clone()));
     let board = EmulatedBoard::start(made.image, TYPICAL, world, gripper.clone())?;
-    Ok(Workcell::around(board, gripper))
+    Ok(ClosedLoop::from_board(board, gripper))
 }
 
 /// The same, armed and homed.
@@ -43,33 +41,20 @@ pub fn homed() -> Result<Cell, Failed> {
         cell.enable(),
         "{}: {:?} {:?}",
         cell.state(),
-        cell.host.told.faults,
-        cell.host.told.replies
+        cell.host.received.faults,
+        cell.host.received.replies
     );
-    assert!(cell.is_in(Task::Unhomed), "{}", cell.state());
-    cell.host.order(Command {
-        mode: mode::HOME,
-        ..Command::default()
-    });
-    let took_s = cell.until(20.0, |cell| cell.is_in(Task::Idle));
-    assert!(
-        took_s.is_some(),
-        "{}: {:?}",
-        cell.state(),
-        cell.host.told.faults
-    );
+    assert!(cell.is_in(TaskState::Unhomed), "{}", cell.state());
+    cell.host.order(Command { mode: mode::HOME, ..Command::default() });
+    let took_s = cell.until(20.0, |cell| cell.is_in(TaskState::Idle));
+    assert!(took_s.is_some(), "{}: {:?}", cell.state(), cell.host.received.faults);
     Ok(cell)
 }
 
 /// In hundredths of a millimetre and tenths of a millimetre in a second.
 pub fn move_to(cell: &mut Cell, opening_mm: f64) {
     let position = (20.0 * opening_mm) as u16;
-    cell.host.order(Command {
-        mode: mode::MOVE,
-        position,
-        speed: 160,
-        ..Command::default()
-    });
+    cell.host.order(Command { mode: mode::MOVE, position, speed: 160, ..Command::default() });
     let is_there =
         |cell: &Cell| (1e3 * cell.gripper.borrow().rig.plant.opening_m() - opening_mm).abs() < 0.1;
     assert!(cell.until(5.0, is_there).is_some(), "{}", cell.state());
@@ -82,32 +67,27 @@ fn whole_course() -> Result<(), Failed> {
     for opening_mm in [20.0, 45.0] {
         move_to(&mut cell, opening_mm);
         let true_mm = 1e3 * cell.gripper.borrow().rig.plant.opening_m();
-        assert!(
-            (true_mm - opening_mm).abs() < 0.1,
-            "{true_mm} mm, {opening_mm} mm asked for"
-        );
+        assert!((true_mm - opening_mm).abs() < 0.1, "{true_mm} mm, {opening_mm} mm asked for");
     }
-    let thing = object(cell.gripper.borrow().rig.plant.parameters(), 40.0, 333.0);
-    cell.gripper.borrow_mut().rig.plant.hold(Some(&thing));
+    let thing = contact_object(cell.gripper.borrow().rig.plant.parameters(), 40.0, 333.0);
+    cell.gripper.borrow_mut().rig.plant.set_object(Some(&thing));
     cell.gripper.borrow_mut().peak_n = 0.0;
     cell.host.order(grip_command(SET_N));
     assert!(
-        cell.until(3.0, |cell| cell.is_in(Task::HoldActive))
-            .is_some(),
+        cell.until(3.0, |cell| cell.is_in(TaskState::HoldActive)).is_some(),
         "{}",
         cell.state()
     );
     cell.run(0.4);
     let reported_n: f64 = [0, 1]
         .iter()
-        .map(|&sensor: &usize| wire::newtons(&cell.host.told.forces[sensor].unwrap().1).0[0])
+        .map(|&sensor: &usize| {
+            protocol::force_newtons(&cell.host.received.forces[sensor].unwrap().1).0[0]
+        })
         .sum();
     let (true_n, peak_n) = (cell.force_n(), cell.gripper.borrow().peak_n);
     println!("peak {peak_n:.2} N, true {true_n:.2} N, reported {reported_n:.2} N");
-    assert!(
-        peak_n <= SET_N + 2.0 && (true_n - SET_N).abs() < 2.0,
-        "{peak_n} {true_n}"
-    );
+    assert!(peak_n <= SET_N + 2.0 && (true_n - SET_N).abs() < 2.0, "{peak_n} {true_n}");
     assert!((reported_n - true_n).abs() < 2.0, "{reported_n} {true_n}");
     cell.host.order(Command {
         mode: mode::RELEASE,
@@ -115,34 +95,26 @@ fn whole_course() -> Result<(), Failed> {
         speed: 160,
         ..Command::default()
     });
-    assert!(
-        cell.until(3.0, |cell| cell.is_in(Task::Idle)).is_some(),
-        "{}",
-        cell.state()
-    );
+    assert!(cell.until(3.0, |cell| cell.is_in(TaskState::Idle)).is_some(), "{}", cell.state());
     assert_eq!(cell.force_n(), 0.0);
-    cell.gripper.borrow_mut().rig.plant.hold(None);
-    // A foot stands on closed fingers.
+    cell.gripper.borrow_mut().rig.plant.set_object(None);
+    // Ground-contact mode needs closed fingers.
     move_to(&mut cell, 0.5);
-    cell.host.order(Command {
-        mode: mode::FOOT,
-        ..Command::default()
-    });
-    let stands = cell.until(0.5, |cell| cell.is_in(Task::Foot));
-    assert!(stands.is_some(), "{}", cell.state());
+    cell.host.order(Command { mode: mode::FOOT, ..Command::default() });
+    let entered = cell.until(0.5, |cell| cell.is_in(TaskState::Foot));
+    assert!(entered.is_some(), "{}", cell.state());
     cell.host.stop();
     assert!(
-        cell.until(0.5, |cell| cell.state()
-            < code(Power::Enabled, Task::Unhomed))
+        cell.until(0.5, |cell| cell.state() < state_code(PowerState::Enabled, TaskState::Unhomed))
             .is_some(),
         "{}",
         cell.state()
     );
-    let (profile, worst_us) = (cell.board.chip.profile(), cell.host.told.worst_tick_us);
+    let (profile, worst_us) = (cell.board.chip.profile(), cell.host.received.worst_tick_us);
     println!("{profile}worst tick {worst_us} us");
     assert_eq!(overload(&profile, LOAD), [""; 0]);
     assert!((1..=WORST_TICK_US).contains(&worst_us), "{worst_us} us");
-    let faults = &cell.host.told.faults;
+    let faults = &cell.host.received.faults;
     assert!(faults.is_empty(), "{faults:?}");
     assert_eq!(violations(&cell.board), [""; 0]);
     Ok(())

@@ -4,19 +4,18 @@
 use std::path::Path;
 
 use embedded_can::Frame;
-use firmware::limits::Limits;
-use firmware::parameters::Parameters;
-use firmware::surroundings::Surroundings;
-use firmware::wire::messages::{Force, Message};
-use firmware::wire::serial::{Packet, Receiver, Tick};
-use host_tools::board::emulated::Conditions;
-use host_tools::board::recorded::Recorded;
-use host_tools::board::world::{Moment, World};
-use host_tools::board::{Board, Connections, Program, SimulatedBoard};
+use firmware::config::limits::DetectionLimits;
+use firmware::config::parameters::Parameters;
+use firmware::estimator::auxiliary_inputs::AuxiliaryInputs;
+use firmware::protocol::messages::{Force, Message};
+use firmware::protocol::serial::{Packet, PacketDecoder, Tick};
+use host_tools::sim::board::world::{RecordedWorld, World, WorldSample};
+use host_tools::sim::board::{Connections, Program, SimulatedBoard, VirtualTimeBoard};
+use host_tools::sim::closed_loop::emulated_board::ChipConditions;
 use libtest_mimic::{Failed, Trial};
 use model_export::recordings::align::Alignment;
-use model_export::recordings::description::Description;
-use model_export::recordings::raw::RawStream;
+use model_export::recordings::description::RecordingDescription;
+use model_export::recordings::stream::RawStream;
 
 use crate::Effort;
 use crate::boards::{CONDITIONS, board, image, violations};
@@ -26,42 +25,38 @@ use crate::images::{Made, Variant};
 const SECONDS: u64 = 12;
 
 pub fn trials(_: Effort) -> Vec<Trial> {
-    let of = |variant: Variant, name: &str, conditions: Conditions| {
+    let of = |variant: Variant, name: &str, conditions: ChipConditions| {
         let test = move || replays(variant, conditions);
         Trial::test(format!("replay_{}_{name}", variant.name()), test)
     };
     let [fast, typical, slow] = CONDITIONS;
     // The tables of the repository were exported from a longer recording than the repository has.
-    let variants = Variant::ALL
-        .into_iter()
-        .filter(|variant| *variant != Variant::Default);
-    let mut trials: Vec<_> = variants
-        .map(|variant| of(variant, slow.0, slow.1))
-        .collect();
+    let variants = Variant::ALL.into_iter().filter(|variant| *variant != Variant::Default);
+    let mut trials: Vec<_> = variants.map(|variant| of(variant, slow.0, slow.1)).collect();
     trials.extend([fast, typical].map(|(name, conditions)| of(Variant::Clean, name, conditions)));
     trials
 }
 
 /// A recording without what the board does not know: opening, orientation, motor.
-struct FieldsOnly(Recorded);
+struct FieldsOnly(RecordedWorld);
 
 impl World for FieldsOnly {
-    fn next(&mut self) -> Option<Moment> {
+    fn next(&mut self) -> Option<WorldSample> {
         let moment = self.0.next()?;
-        let around = Surroundings::default();
-        Some(Moment { around, ..moment })
+        let covariates = AuxiliaryInputs::default();
+        Some(WorldSample { covariates, ..moment })
     }
 }
 
 fn world(made: &Made) -> Box<dyn World> {
     let folder = made.campaign.join("1");
-    Box::new(FieldsOnly(Recorded::new(stream(&folder), &made.built)))
+    Box::new(FieldsOnly(RecordedWorld::new(stream(&folder), &made.built)))
 }
 
-fn replays(variant: Variant, conditions: Conditions) -> Result<(), Failed> {
+fn replays(variant: Variant, conditions: ChipConditions) -> Result<(), Failed> {
     let made = image(variant)?;
     let mut board = board(&made, conditions, world(&made));
-    let mut receiver = Receiver::default();
+    let mut receiver = PacketDecoder::default();
     let mut packets = Vec::new();
     for step in 1..=SECONDS {
         board.run_until(1_000_000 * step)?;
@@ -92,7 +87,7 @@ fn replays(variant: Variant, conditions: Conditions) -> Result<(), Failed> {
 }
 
 fn stream(folder: &Path) -> RawStream {
-    let (description, _) = Description::read(folder).unwrap();
+    let (description, _) = RecordingDescription::read(folder).unwrap();
     RawStream::open(folder, &description, Alignment { delay_us: 0.0 }).unwrap()
 }
 
@@ -108,15 +103,15 @@ fn in_virtual_time(made: Made) -> Reported {
     let program = Program {
         tables: made.built.chosen.tables,
         compensations: made.built.compensations,
-        networks: made.networks,
+        networks: made.networks.map(|networks| networks.packed),
         parameters: Parameters::DEFAULT,
-        limits: Limits::GRIPPER,
+        limits: DetectionLimits::GRIPPER,
     };
-    let mut board = Board::start(program, world);
+    let mut board = VirtualTimeBoard::start(program, world);
     board.run_until(1_000_000 * SECONDS);
-    let mut receiver = Receiver::default();
+    let mut receiver = PacketDecoder::default();
     let bytes = std::mem::take(&mut board.connections.line.borrow_mut().sent);
-    let packets = bytes.iter().filter_map(|byte| receiver.take(*byte));
+    let packets = bytes.iter().filter_map(|byte| receiver.push(*byte));
     reported(packets, &board.connections)
 }
 
@@ -127,15 +122,12 @@ fn reported(packets: impl Iterator<Item = Packet>, connections: &Connections) ->
         Packet::Message { .. } => None,
     });
     let bus = connections.can.borrow();
-    let forces = bus.heard.iter().filter_map(|(_, frame)| {
+    let forces = bus.board_frames.iter().filter_map(|(_, frame)| {
         let number = (frame.identifier() & 0x1F) as u8;
         match Message::from_frame(number, frame.data()) {
             Ok(Message::Force(force)) => Some((usize::from(number - Force::LAYOUT.number), force)),
             _ => None,
         }
     });
-    Reported {
-        ticks: ticks.collect(),
-        forces: forces.collect(),
-    }
+    Reported { ticks: ticks.collect(), forces: forces.collect() }
 }

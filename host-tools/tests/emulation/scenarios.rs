@@ -2,25 +2,23 @@
 
 use std::path::Path;
 
-use host_tools::board::emulated::{Conditions, EmulatedBoard};
-use host_tools::board::pressed::Pressed;
-use host_tools::plant::parameters::{Lead, Parameters};
+use host_tools::sim::board::world::PressedWorld;
+use host_tools::sim::closed_loop::emulated_board::{ChipConditions, EmulatedBoard};
+use host_tools::sim::drivetrain::parameters::{Lead, PlantParameters};
 use libtest_mimic::{Failed, Trial};
 
-use crate::bench::{Bench, Layer};
 use crate::boards::{gripper, image, violations};
+use crate::evaluate::evaluate;
 use crate::file::Scenario;
 use crate::images::Variant;
-use crate::judge::judge;
+use crate::rig::{Layer, ScenarioRig};
 
 /// Longest estimate, and whatever is more urgent meanwhile.
 const EXECUTION_MS: f64 = 0.3;
 
 pub fn trials() -> Vec<Trial> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/scenarios");
-    let paths = std::fs::read_dir(folder)
-        .unwrap()
-        .map(|entry| entry.unwrap().path());
+    let paths = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
     let files = paths.filter(|path| path.extension().is_some_and(|end| end == "toml"));
     let mut trials: Vec<_> = files
         .map(|path| {
@@ -40,12 +38,12 @@ fn play(scenario: &Scenario) -> Result<(), Failed> {
     let left_n = scenario.grip_n / 2.0;
     let right_n = scenario.right_n.unwrap_or(scenario.grip_n) / 2.0;
     let forces = [left_n, left_n, -right_n, -right_n].map(|newtons| [newtons, 0.0]);
-    let world = Pressed::new(&made.built.model, 1, move |_| forces);
+    let world = PressedWorld::new(&made.built.model, 1, move |_| forces);
     // The motor is armed: a rotor sensor without noise would be one that is stuck.
-    let gripper = gripper(Parameters::nominal(Lead::A), 40.0, 1);
-    let board = EmulatedBoard::start(made.image, Conditions::SLOW, Box::new(world), gripper)?;
-    let (seen, layer) = Bench::new(Layer::Image(Box::new(board))).play(scenario);
-    let (mut wrong, latencies) = judge(scenario, &seen, EXECUTION_MS);
+    let gripper = gripper(PlantParameters::nominal(Lead::A), 40.0, 1);
+    let board = EmulatedBoard::start(made.image, ChipConditions::SLOW, Box::new(world), gripper)?;
+    let (seen, layer) = ScenarioRig::new(Layer::Image(Box::new(board))).play(scenario);
+    let (mut wrong, latencies) = evaluate(scenario, &seen, EXECUTION_MS);
     for (fault, ms) in latencies {
         println!("{fault} after {ms:.2} ms ({})", scenario.shows);
     }
@@ -53,8 +51,5 @@ fn play(scenario: &Scenario) -> Result<(), Failed> {
         wrong.extend(violations(&board));
         wrong.extend(board.chip.resets.iter().map(|reset| format!("{reset:?}")));
     }
-    match wrong.is_empty() {
-        true => Ok(()),
-        false => Err(wrong.join("\n").into()),
-    }
+    if wrong.is_empty() { Ok(()) } else { Err(wrong.join("\n").into()) }
 }

@@ -1,11 +1,11 @@
 //! Parameters and tare in flash, over a power cut at any operation of the flash memory.
 
-use firmware::grip::states::Power;
-use firmware::parameters::op as parameter_op;
-use firmware::parameters::table::id;
-use firmware::session::{op, status};
-use firmware::status::Fault;
-use firmware::wire::messages::ParamRequest;
+use firmware::config::parameters::op as parameter_op;
+use firmware::config::schema::id;
+use firmware::grip::states::PowerState;
+use firmware::protocol::messages::ParamRequest;
+use firmware::protocol::session::{op, status};
+use firmware::system::faults::Fault;
 use libtest_mimic::{Failed, Trial};
 use sim_board::Halt;
 use sim_board::peripherals::flash::{PowerCut, Remains};
@@ -23,22 +23,20 @@ pub fn trials() -> Vec<Trial> {
     [Remains::Nothing, Remains::Everything, Remains::Unreadable]
         .into_iter()
         .map(|leaves| {
-            Trial::test(format!("storage_power_cut_leaves_{leaves:?}"), move || {
-                power_cuts(leaves)
-            })
+            Trial::test(format!("storage_power_cut_leaves_{leaves:?}"), move || power_cuts(leaves))
         })
         .collect()
 }
 
 fn read(cell: &mut Cell, id: u16) -> Result<u32, Failed> {
-    cell.host.told.parameters.clear();
-    cell.host.ask_parameter(ParamRequest {
+    cell.host.received.parameters.clear();
+    cell.host.request_parameter(ParamRequest {
         op: parameter_op::READ,
         id,
         ..ParamRequest::default()
     });
-    cell.until(0.1, |cell| !cell.host.told.parameters.is_empty());
-    let (_, reply) = cell.host.told.parameters.first().ok_or("no answer")?;
+    cell.until(0.1, |cell| !cell.host.received.parameters.is_empty());
+    let (_, reply) = cell.host.received.parameters.first().ok_or("no answer")?;
     Ok(reply.value)
 }
 
@@ -50,17 +48,17 @@ fn change(cell: &mut Cell, rate: u32) -> Result<(), Failed> {
         value: rate,
         ..ParamRequest::default()
     };
-    cell.host.ask_parameter(request);
+    cell.host.request_parameter(request);
     serve(cell, op::TARE)?;
     assert_eq!(read(cell, id::FORCE_RATE)?, rate);
     Ok(())
 }
 
 fn serve(cell: &mut Cell, op: u8) -> Result<(), Failed> {
-    cell.host.told.replies.clear();
+    cell.host.received.replies.clear();
     cell.host.service(op, 0);
-    let answered = cell.until(2.0, |cell| !cell.host.told.replies.is_empty());
-    let reply = cell.host.told.replies.first().map(|(_, reply)| *reply);
+    let answered = cell.until(2.0, |cell| !cell.host.received.replies.is_empty());
+    let reply = cell.host.received.replies.first().map(|(_, reply)| *reply);
     match (answered, reply) {
         (Some(_), Some(reply)) if (reply.op, reply.status) == (op, status::DONE) => Ok(()),
         _ => Err(format!("service {op}: {reply:?}").into()),
@@ -99,18 +97,14 @@ fn power_cuts(leaves: Remains) -> Result<(), Failed> {
             _ => return Err(format!("cut after {after} operations: {found:?}").into()),
         };
         outcomes[place] += 1;
-        assert!(cell.state() < Power::Armed as u8, "{}", cell.state());
+        assert!(cell.state() < PowerState::Armed as u8, "{}", cell.state());
         let unsound = cell
             .host
-            .told
+            .received
             .faults
             .iter()
             .any(|(_, event)| event.code == Fault::StoreUnsound as u16);
-        assert!(
-            !unsound,
-            "cut after {after} operations: {:?}",
-            cell.host.told.faults
-        );
+        assert!(!unsound, "cut after {after} operations: {:?}", cell.host.received.faults);
         // From the same beginning again.
         if place == 1 {
             let request = ParamRequest {
@@ -119,7 +113,7 @@ fn power_cuts(leaves: Remains) -> Result<(), Failed> {
                 value: RATES[0],
                 ..ParamRequest::default()
             };
-            cell.host.ask_parameter(request);
+            cell.host.request_parameter(request);
             serve(&mut cell, op::SAVE)?;
         }
     }

@@ -1,4 +1,4 @@
-//! What a scenario file says; the words are defined in `tests/scenarios/README.md`.
+//! Format of the scenario files, described in `tests/scenarios/README.md`.
 
 use serde::Deserialize;
 
@@ -6,25 +6,25 @@ use serde::Deserialize;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Scenario {
-    /// What it shows, in a sentence.
+    /// Purpose, in a sentence.
     pub shows: String,
-    /// How long it goes on.
+    /// Duration.
     pub seconds: f64,
-    /// Force with which both fingers press all the while.
+    /// Constant force of both fingers.
     pub grip_n: f64,
-    /// Force with which the right finger presses, if it is another one.
+    /// Force of the right finger, if different.
     pub right_n: Option<f64>,
-    /// Which detector notices: without it the scenario must fail.
+    /// Responsible detector: without it the scenario must fail.
     pub detector: Option<Detector>,
-    /// What happens.
+    /// Actions.
     #[serde(default)]
     pub step: Vec<Step>,
-    /// What must be seen.
+    /// Expectations.
     #[serde(default)]
     pub expect: Vec<Expect>,
 }
 
-/// Detectors of `firmware::limits` that can be switched off.
+/// Detectors of `firmware::config::limits` that can be disabled.
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Detector {
@@ -38,7 +38,7 @@ pub enum Detector {
     CommandTimeout,
 }
 
-/// Something done at a time, counted from the first tick.
+/// An action at a time, counted from the first tick.
 #[derive(Clone, Copy, Debug, Deserialize)]
 pub struct Step {
     pub at_ms: f64,
@@ -46,7 +46,7 @@ pub struct Step {
     pub act: Act,
 }
 
-/// Something done to the board.
+/// An action on the board.
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Act {
@@ -73,59 +73,45 @@ pub enum Act {
     Repeat { frames: u32 },
 }
 
-/// Something that must be seen.
+/// An expectation.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Expect {
-    /// A fault comes.
+    /// A fault becomes active.
     Comes(Moment),
-    /// A fault goes.
+    /// A fault becomes inactive.
     Goes(Moment),
-    /// A fault may come and go, or not.
+    /// A fault is permitted.
     May {
         fault: String,
         #[serde(default)]
         source: u8,
     },
-    /// The forces at sensors may be used in every tick of a stretch.
-    Valid {
-        sensors: Vec<usize>,
-        from_ms: f64,
-        to_ms: f64,
-    },
-    /// They may be used in none.
-    NotValid {
-        sensors: Vec<usize>,
-        from_ms: f64,
-        to_ms: f64,
-    },
-    /// The lateral forces at sensors are this in every tick of a stretch, whichever way they point.
-    Force {
-        sensors: Vec<usize>,
-        newtons: f64,
-        within_n: f64,
-        from_ms: f64,
-        to_ms: f64,
-    },
-    /// Buses were cleared so many times, exactly.
+    /// The forces are valid in every tick of an interval.
+    Valid { sensors: Vec<usize>, from_ms: f64, to_ms: f64 },
+    /// The forces are invalid in every tick of an interval.
+    NotValid { sensors: Vec<usize>, from_ms: f64, to_ms: f64 },
+    /// Magnitude of the lateral forces in every tick of an interval.
+    Force { sensors: Vec<usize>, newtons: f64, within_n: f64, from_ms: f64, to_ms: f64 },
+    /// Exact number of bus recoveries.
     Cleared { times: usize },
-    /// So many ticks were missed at the most.
+    /// Maximum number of missed ticks.
     Missed { ticks: u32 },
-    /// So many frames of hosts were dropped by the session, exactly.
+    /// Exact number of frames rejected by the session.
     Dropped { frames: u32 },
 }
 
-/// When a fault is told.
+/// Time window of a fault.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Moment {
-    /// Name of the fault as in `firmware::status`.
+    /// Name of the fault as in `firmware::system::faults`.
     pub fault: String,
-    /// Sensor, bus or way.
+    /// Sensor, bus or path.
     #[serde(default)]
     pub source: u8,
-    /// Not before this.
+    /// Start of the window.
     pub after_ms: f64,
-    /// And within so long after it.
+    /// Length of the window.
     pub within_ms: f64,
 }

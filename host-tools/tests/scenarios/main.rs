@@ -1,20 +1,20 @@
-//! Every file in `tests/scenarios` happens to the board in virtual time.
+//! Runs every scenario of `tests/scenarios` on the board in virtual time.
 
-mod bench;
+mod evaluate;
 mod file;
-mod judge;
+mod rig;
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use bench::{Bench, Layer};
 use file::{Detector, Scenario};
-use firmware::limits::Limits;
-use firmware::parameters::Parameters;
-use firmware::parameters::table::id;
-use host_tools::board::pressed::Pressed;
-use host_tools::board::{Board, Program};
-use model_export::inverse::build::{Built, Variant, build};
+use firmware::config::limits::DetectionLimits;
+use firmware::config::parameters::Parameters;
+use firmware::config::schema::id;
+use host_tools::sim::board::world::PressedWorld;
+use host_tools::sim::board::{Program, VirtualTimeBoard};
+use model_export::inverse::build::{DeviceModel, ModelVariant, build};
+use rig::{Layer, ScenarioRig};
 use tempfile::TempDir;
 
 const SEED: u64 = 1;
@@ -23,8 +23,8 @@ fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests")
 }
 
-/// The gripper on which all scenarios happen.
-fn gripper() -> Built {
+/// Gripper of all scenarios.
+fn gripper() -> DeviceModel {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("model.toml");
     let status = Command::new(env!("CARGO_BIN_EXE_magpie"))
@@ -36,7 +36,7 @@ fn gripper() -> Built {
         .unwrap()
         .status;
     assert!(status.success());
-    build(&path, Variant::Fitted).unwrap()
+    build(&path, ModelVariant::Fitted).unwrap()
 }
 
 fn scenarios() -> Vec<(String, Scenario)> {
@@ -55,9 +55,9 @@ fn scenarios() -> Vec<(String, Scenario)> {
     found
 }
 
-/// Limits and parameters with a detector switched off.
-fn without(detector: Option<Detector>) -> (Limits, Parameters) {
-    let (mut limits, mut parameters) = (Limits::GRIPPER, Parameters::DEFAULT);
+/// Limits and settings with a detector disabled.
+fn without(detector: Option<Detector>) -> (DetectionLimits, Parameters) {
+    let (mut limits, mut parameters) = (DetectionLimits::GRIPPER, Parameters::DEFAULT);
     match detector {
         None => {}
         Some(Detector::LostTicks) => limits.lost_ticks = u8::MAX,
@@ -67,13 +67,13 @@ fn without(detector: Option<Detector>) -> (Limits, Parameters) {
         Some(Detector::Unbalanced) => limits.unbalanced_n = i32::MAX,
         Some(Detector::OutsideTicks) => limits.outside_ticks = u8::MAX,
         Some(Detector::FloodFrames) => limits.flood_frames = u8::MAX,
-        // As late as a host may ask for.
+        // The maximum of the setting.
         Some(Detector::CommandTimeout) => parameters.set(id::COMMAND_TIMEOUT, 500).unwrap(),
     }
     (limits, parameters)
 }
 
-fn play(built: &Built, scenario: &Scenario, off: Option<Detector>) -> bench::Seen {
+fn play(built: &DeviceModel, scenario: &Scenario, off: Option<Detector>) -> rig::Observed {
     let (limits, parameters) = without(off);
     let program = Program {
         tables: built.chosen.tables.clone(),
@@ -84,32 +84,32 @@ fn play(built: &Built, scenario: &Scenario, off: Option<Detector>) -> bench::See
     };
     let left_n = scenario.grip_n / 2.0;
     let right_n = scenario.right_n.unwrap_or(scenario.grip_n) / 2.0;
-    let world = Pressed::new(&built.model, SEED, move |_| {
+    let world = PressedWorld::new(&built.model, SEED, move |_| {
         [left_n, left_n, -right_n, -right_n].map(|n| [n, 0.0])
     });
-    let board = Board::start(program, Box::new(world));
-    let (seen, _) = Bench::new(Layer::Loops(Box::new(board))).play(scenario);
-    seen
+    let board = VirtualTimeBoard::start(program, Box::new(world));
+    let (observed, _) = ScenarioRig::new(Layer::Loops(Box::new(board))).play(scenario);
+    observed
 }
 
 #[test]
-fn every_scenario_goes_as_its_file_says_and_not_without_its_detector() {
+fn every_scenario_needs_its_detector_to_pass() {
     let built = gripper();
     let scenarios = scenarios();
     assert!(scenarios.len() >= 10);
     let mut wrong = Vec::new();
     for (name, scenario) in &scenarios {
-        let seen = play(&built, scenario, None);
-        let (differences, latencies) = judge::judge(scenario, &seen, 0.0);
+        let observed = play(&built, scenario, None);
+        let (differences, latencies) = evaluate::evaluate(scenario, &observed, 0.0);
         for (fault, ms) in latencies {
             println!("{name}: {fault} after {ms:.2} ms ({})", scenario.shows);
         }
-        wrong.extend(differences.iter().map(|words| format!("{name}: {words}")));
+        wrong.extend(differences.iter().map(|text| format!("{name}: {text}")));
         if let Some(detector) = scenario.detector {
-            let seen = play(&built, scenario, Some(detector));
-            let (differences, _) = judge::judge(scenario, &seen, 0.0);
+            let observed = play(&built, scenario, Some(detector));
+            let (differences, _) = evaluate::evaluate(scenario, &observed, 0.0);
             if differences.is_empty() {
-                wrong.push(format!("{name}: goes the same without {detector:?}"));
+                wrong.push(format!("{name}: passes without {detector:?}"));
             }
         }
     }

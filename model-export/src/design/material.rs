@@ -1,18 +1,17 @@
-//! What flexures are made of: stiffness, yield, and how many cycles they bear.
+//! Flexure materials: stiffness, yield and fatigue.
 //!
-//! S-N curves are Basquin's, `amplitude = coefficient (2 cycles)^exponent`, fully reversed, smooth
-//! specimens, half of which fail; of printed PLA, where laboratories differ by a factor of two and more, a
-//! tenth. A flexure with notches, rough from the wire or the printer, bears less, and the safety factor of a
-//! design has to cover it.
+//! S-N curves are Basquin's, `amplitude = coefficient (2 cycles)^exponent`, fully reversed, smooth specimens,
+//! median life; for printed PLA, where laboratories differ by a factor of two and more, 90 % survival. Notches
+//! and rough surfaces are covered by the safety factor of a design.
 
-use firmware::params::{Constant, assumed, stated};
+use firmware::config::constants::{Constant, assumed, stated};
 
-/// A material of the table.
+/// Catalogue material with sources.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Material {
-    /// As in a file.
+    /// Name in a design file.
     pub name: &'static str,
-    /// Whether it is a metal; else a plastic.
+    /// Metal, otherwise plastic.
     pub metal: bool,
     /// Young's modulus in GPa.
     pub modulus: Constant,
@@ -24,7 +23,7 @@ pub struct Material {
     pub fatigue_exponent: Constant,
 }
 
-/// The numbers of a material, of the table or a user's own.
+/// Mechanical properties of a catalogue or custom material.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Strength {
     /// Young's modulus in Pa.
@@ -33,12 +32,12 @@ pub struct Strength {
     pub yield_pa: f64,
     /// Basquin's coefficient in Pa.
     pub fatigue_coefficient_pa: f64,
-    /// Basquin's exponent, below zero.
+    /// Basquin's exponent, negative.
     pub fatigue_exponent: f64,
 }
 
 impl Strength {
-    /// Amplitude in Pa of the reversed stress that is borne for so many cycles; never above yield.
+    /// Fully reversed stress amplitude in Pa for a life of `cycles`, at most yield.
     pub fn fatigue_pa(&self, cycles: f64) -> f64 {
         let basquin_pa = self.fatigue_coefficient_pa * (2.0 * cycles).powf(self.fatigue_exponent);
         basquin_pa.min(self.yield_pa)
@@ -46,12 +45,12 @@ impl Strength {
 }
 
 impl Material {
-    /// The material of that name.
+    /// Catalogue material by name.
     pub fn named(name: &str) -> Option<&'static Self> {
         MATERIALS.iter().find(|material| material.name == name)
     }
 
-    /// Its numbers.
+    /// Properties in SI units.
     pub fn strength(&self) -> Strength {
         Strength {
             modulus_pa: 1e9 * self.modulus.value,
@@ -61,14 +60,9 @@ impl Material {
         }
     }
 
-    /// All its constants, with their sources.
+    /// Constants with their sources.
     pub fn constants(&self) -> [Constant; 4] {
-        [
-            self.modulus,
-            self.yields,
-            self.fatigue_coefficient,
-            self.fatigue_exponent,
-        ]
+        [self.modulus, self.yields, self.fatigue_coefficient, self.fatigue_exponent]
     }
 }
 
@@ -96,7 +90,7 @@ const fn assumed_exponent(value: f64, source: &'static str) -> Constant {
     assumed("fatigue exponent", value, "", source)
 }
 
-/// Every material, metals first.
+/// Catalogue, metals first.
 pub const MATERIALS: [Material; 6] = [
     Material {
         name: "17-4PH",
@@ -182,7 +176,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_material_is_weaker_the_longer_it_must_last_and_never_above_yield() {
+    fn fatigue_strength_falls_with_life_and_stays_below_yield() {
         for material in &MATERIALS {
             let strength = material.strength();
             let lives = [1.0, 1e3, 1e5, 1e7, 1e9].map(|cycles| strength.fatigue_pa(cycles));
@@ -195,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn curves_through_two_points_go_through_them() {
+    fn fatigue_curves_pass_their_two_points() {
         for (name, cycles, stress_pa) in [
             ("17-4PH", 1e3, 0.9 * 1310e6),
             ("17-4PH", 2e6, 670e6),
@@ -206,19 +200,16 @@ mod tests {
             ("POM", 1e6, 31e6),
         ] {
             let found = Material::named(name).unwrap().strength().fatigue_pa(cycles);
-            assert!(
-                (found / stress_pa - 1.0).abs() < 0.02,
-                "{name} {cycles}: {found}"
-            );
+            assert!((found / stress_pa - 1.0).abs() < 0.02, "{name} {cycles}: {found}");
         }
     }
 
     #[test]
-    fn curves_of_strain_life_tables_stay_below_the_endurance_that_suppliers_state() {
+    fn strain_life_curves_are_below_stated_endurance() {
         for (name, cycles, endurance_pa) in [
             // Aluminum Association, typical: rotating beam of R. R. Moore, fully reversed.
             ("Al 7075-T6", 5e8, 159e6),
-            // ASM and MatWeb, annealed bar, smooth; the stress ratio is not told.
+            // ASM and MatWeb, annealed bar, smooth; stress ratio not stated.
             ("Ti-6Al-4V", 1e7, 510e6),
         ] {
             let found = Material::named(name).unwrap().strength().fatigue_pa(cycles);
@@ -228,13 +219,9 @@ mod tests {
     }
 
     #[test]
-    fn names_are_unique_and_every_number_has_a_source() {
+    fn material_names_are_unique_and_values_have_sources() {
         for (i, material) in MATERIALS.iter().enumerate() {
-            assert!(
-                MATERIALS[..i]
-                    .iter()
-                    .all(|other| other.name != material.name)
-            );
+            assert!(MATERIALS[..i].iter().all(|other| other.name != material.name));
             assert_eq!(Material::named(material.name), Some(material));
             for constant in material.constants() {
                 assert!(!constant.source.is_empty() && constant.value.is_finite());

@@ -1,35 +1,27 @@
-//! The design of a sensor: flexure, magnet, gap, material; what it can measure, and what it cannot.
+//! Mechanical and magnetic design of a sensor: what a design can measure, and what limits it.
 //!
-//! - [`beam`]: a flexure under large deflections.
-//! - [`material`]: what flexures are made of.
-//! - [`assumed`]: what a design rests on where its file does not say otherwise.
-//! - [`design`](mod@design): `design.toml`.
-//! - [`axis`]: what a force does to an axis.
-//! - [`sensitivity`]: how the field answers to a motion.
-//! - [`limits`]: what ends the range of forces.
-//! - [`judge`]: all of it, of one design.
-//! - [`points`]: where a sweep looks, evenly by [`sobol`] or on a grid; [`pareto`]: what no other beats.
-//! - [`sweep`]: many designs at once; [`pick`]: one for a force.
-//! - [`paper`]: what the paper says of designs, computed.
-//! - [`interference`]: what moves the field beside the forces.
+//! - [`beam`]: flexures at large deflections.
+//! - [`material`]: stiffness, yield and fatigue of flexure materials.
+//! - [`design_file`]: `design.toml` and its assumed defaults.
+//! - [`axis`]: response and sensitivity of one axis.
+//! - [`evaluation`]: range, its limits and resolution of a design.
+//! - [`interference`]: field changes that are not caused by forces.
+//! - [`sampling`]: points of the design space, by Sobol's sequence or on a grid.
+//! - [`sweep`]: many designs and their Pareto front.
+//! - [`optimise`]: the best design for a force.
+//! - [`paper`]: the paper's figures and claims, recomputed.
 
-pub mod assumed;
 pub mod axis;
 pub mod beam;
-#[allow(clippy::module_inception)] // It is the design itself.
-pub mod design;
+pub mod design_file;
+pub mod evaluation;
 pub mod interference;
-pub mod judge;
-pub mod limits;
 pub mod material;
+pub mod optimise;
 pub mod paper;
-pub mod pareto;
-pub mod pick;
-pub mod points;
-pub mod sensitivity;
-pub mod sobol;
+pub mod sampling;
 pub mod sweep;
 
-pub use beam::{Beam, Bent, Support};
-pub use design::Design;
-pub use judge::Judged;
+pub use beam::{Beam, BeamResponse, Support};
+pub use design_file::SensorDesign;
+pub use evaluation::DesignEvaluation;

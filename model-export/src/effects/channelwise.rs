@@ -1,21 +1,21 @@
-//! An effect of the flexures where no geometry is known: each channel answers on its own.
+//! Flexure effects for a base without geometry: each channel has its own response.
 //!
-//! With magnet and flexures known, a shift of the force moves all three axes of a sensor along dB/dF.
-//! A polynomial knows neither: what a lattice of many magnets shows while it creeps need not be what it
-//! shows under more force. So the effect only says when it acts (its shift of the force over time), and
-//! how far each channel answers is a coefficient of its own.
+//! With magnet and flexures, a force increment changes the three field axes of a sensor along dB/dF. A polynomial
+//! has no such constraint: the field of a creeping lattice of magnets may differ from that under additional
+//! force. The effect therefore provides only the force increment over time, and the response of each channel is a
+//! free coefficient.
 
 use std::borrow::Cow;
 
 use nalgebra::Vector3;
 
-use super::parameter::{Kind, Of, Parameter, Size};
-use super::{Effect, Series, Track, repeated};
+use crate::effects::parameter::{EffectParameter, MagnitudeSpec, ParameterKind, ParameterScope};
+use crate::effects::{Effect, ExcitationSeries, StateSeries};
 
-/// Names of a coefficient's three answers end in these.
+/// Suffixes of the three responses of a coefficient.
 const CHANNELS: [&str; 3] = ["x", "y", "z"];
 
-/// An effect of the flexures that the channels of a sensor follow each by its own measure.
+/// A flexure effect with an independent response of each channel.
 #[derive(Clone, Copy, Debug)]
 pub struct Channelwise {
     effect: &'static Effect,
@@ -23,136 +23,134 @@ pub struct Channelwise {
     axes: [bool; 2],
 }
 
-/// Along which force a parameter of an effect acts: 0 lateral, 1 longitudinal, `None` for both.
-fn axis(parameter: &Parameter) -> Option<usize> {
-    ["_x", "_z"]
-        .iter()
-        .position(|end| parameter.name.ends_with(end))
+/// Force axis of a parameter: 0 lateral, 1 longitudinal, `None` for both.
+fn axis(parameter: &EffectParameter) -> Option<usize> {
+    ["_x", "_z"].iter().position(|end| parameter.name.ends_with(end))
 }
 
 impl Channelwise {
-    /// The effect along the forces that were recorded.
+    /// `axes`: whether a lateral and a longitudinal force were recorded.
     pub fn new(effect: &'static Effect, axes: [bool; 2]) -> Self {
         Self { effect, axes }
     }
 
-    /// The effect itself.
+    /// The underlying effect.
     pub fn effect(&self) -> &'static Effect {
         self.effect
     }
 
-    /// Whether a parameter of the effect has a force to act along.
-    fn has_force(&self, parameter: &Parameter) -> bool {
+    /// Whether the force axis of a parameter was recorded.
+    fn has_force(&self, parameter: &EffectParameter) -> bool {
         axis(parameter).is_none_or(|axis| self.axes[axis])
     }
 
-    /// The parameters of the effect that have a force to act along.
-    fn kept(&self) -> impl Iterator<Item = &'static Parameter> {
+    /// Parameters whose force axis was recorded.
+    fn active_parameters(&self) -> impl Iterator<Item = &'static EffectParameter> {
         let all = self.effect.parameters.iter();
         all.filter(|parameter| self.has_force(parameter))
     }
 
-    /// Three answers in place of each coefficient; shapes and beginnings as they are.
-    pub fn parameters(&self, recordings: usize) -> Vec<Parameter> {
-        let of = |parameter: &Parameter| match parameter.kind {
-            Kind::Coefficient => CHANNELS.map(|channel| answer(parameter, channel)).to_vec(),
-            _ => repeated(parameter, recordings),
+    /// Three responses in place of each coefficient; other parameters unchanged.
+    pub fn parameters(&self, recordings: usize) -> Vec<EffectParameter> {
+        let of = |parameter: &EffectParameter| match parameter.kind {
+            ParameterKind::Coefficient => {
+                CHANNELS.map(|channel| response(parameter, channel)).to_vec()
+            }
+            _ => parameter.repeated(recordings),
         };
-        self.kept().flat_map(of).collect()
+        self.active_parameters().flat_map(of).collect()
     }
 
-    /// The channels' answers together.
-    pub fn size(&self) -> Size {
+    /// Euclidean norm of the responses.
+    pub fn size(&self) -> MagnitudeSpec {
         let unit = self.effect.parameters.first().map_or("", |p| &p.unit);
-        let words = match unit {
-            "N" => "answer to 1 N of it, root of the sum of squares of the channels",
-            "%" => "answer to 1 % of it, root of the sum of squares of the channels",
-            _ => "answer to 1 ms of it, root of the sum of squares of the channels",
+        let description = match unit {
+            "N" => "response to 1 N, norm over the channels",
+            "%" => "response to 1 %, norm over the channels",
+            _ => "response to 1 ms, norm over the channels",
         };
-        Size::unexpected(words, "G")
+        MagnitudeSpec::norm_without_prior(description, "G")
     }
 
-    /// Adds to the reading what each channel makes of the shift of the force. `values` are in the order
-    /// of [`Channelwise::parameters`].
-    pub fn apply(&self, values: &[f64], track: &Track, series: &mut Series) {
-        let coefficients = self.kept().filter(|p| p.is_coefficient()).count();
-        let Some((answers, rest)) = values.split_at_checked(3 * coefficients) else {
+    /// Adds the response of each channel to the force increment; `values` in the order of
+    /// [`Channelwise::parameters`].
+    pub fn apply(&self, values: &[f64], excitation: &ExcitationSeries, series: &mut StateSeries) {
+        let coefficients = self.active_parameters().filter(|p| p.is_coefficient()).count();
+        let Some((responses, rest)) = values.split_at_checked(3 * coefficients) else {
             return;
         };
-        let coefficients = self.kept().filter(|p| p.is_coefficient());
-        for (coefficient, answer) in coefficients.zip(answers.chunks_exact(3)) {
-            let answer = Vector3::from_column_slice(answer);
-            if answer == Vector3::zeros() {
+        let coefficients = self.active_parameters().filter(|p| p.is_coefficient());
+        for (coefficient, response) in coefficients.zip(responses.chunks_exact(3)) {
+            let response = Vector3::from_column_slice(response);
+            if response == Vector3::zeros() {
                 continue;
             }
-            let shift_n = self.unit_shift(coefficient, rest, track, series);
-            for (state, shift_n) in series.states.iter_mut().zip(shift_n) {
-                state.offset_g += answer * shift_n;
+            let increment_n = self.unit_increment(coefficient, rest, excitation, series);
+            for (state, increment_n) in series.states.iter_mut().zip(increment_n) {
+                state.offset_g += response * increment_n;
             }
         }
     }
 
-    /// The shift of the force in newtons, row by row, that the effect makes with one coefficient at one
-    /// unit and the others at zero.
-    fn unit_shift(
+    /// Force increment in newtons, row by row, with one coefficient at one unit and the others at zero.
+    fn unit_increment(
         &self,
-        coefficient: &Parameter,
+        coefficient: &EffectParameter,
         rest: &[f64],
-        track: &Track,
-        series: &Series,
+        excitation: &ExcitationSeries,
+        series: &StateSeries,
     ) -> Vec<f64> {
-        let mut shifted = Series {
+        let mut changed = StateSeries {
             force_n: series.force_n.clone(),
             opening_mm: Vec::new(),
             states: Vec::new(),
         };
-        let values = self.whole(coefficient, rest);
-        (self.effect.apply)(&values, track, &mut shifted);
-        let rows = shifted.force_n.iter().zip(&series.force_n);
-        rows.map(|(after, before)| after[0] - before[0] + after[1] - before[1])
-            .collect()
+        let values = self.effect_values(coefficient, rest);
+        (self.effect.apply)(&values, excitation, &mut changed);
+        let rows = changed.force_n.iter().zip(&series.force_n);
+        rows.map(|(after, before)| after[0] - before[0] + after[1] - before[1]).collect()
     }
 
-    /// Values of the whole effect: one coefficient at one unit, shapes and beginnings from `rest`. A
-    /// shape without a force is never used; it stands at the middle of its grid.
-    fn whole(&self, coefficient: &Parameter, rest: &[f64]) -> Vec<f64> {
+    /// Values of all parameters of the effect: one coefficient at one unit, the others from `rest`. Shapes of a
+    /// missing force axis have no influence; they are set to the middle of the grid.
+    fn effect_values(&self, coefficient: &EffectParameter, rest: &[f64]) -> Vec<f64> {
         let mut rest = rest.iter().copied();
-        let counted = |of: fn(&Parameter) -> bool| {
-            let kept = self.kept().filter(|parameter| !parameter.is_coefficient());
-            kept.filter(|parameter| of(parameter)).count()
+        let count = |condition: fn(&EffectParameter) -> bool| {
+            let active = self.active_parameters().filter(|parameter| !parameter.is_coefficient());
+            active.filter(|parameter| condition(parameter)).count()
         };
         let (once, each) = (
-            counted(|p| p.of == Of::Campaign),
-            counted(|p| p.of != Of::Campaign),
+            count(|p| p.scope == ParameterScope::Campaign),
+            count(|p| p.scope != ParameterScope::Campaign),
         );
         let recordings = rest.len().saturating_sub(once) / each.max(1);
         let mut values = Vec::new();
         for parameter in self.effect.parameters {
-            let count = match parameter.of {
-                Of::Campaign => 1,
+            let count = match parameter.scope {
+                ParameterScope::Campaign => 1,
                 _ => recordings,
             };
-            let without = match &parameter.kind {
-                Kind::Coefficient => f64::from(u8::from(parameter.name == coefficient.name)),
-                Kind::Shape { grid } => grid[grid.len() / 2],
-                Kind::Beginning | Kind::Instant => 0.0,
+            let default = match &parameter.kind {
+                ParameterKind::Coefficient => {
+                    f64::from(u8::from(parameter.name == coefficient.name))
+                }
+                ParameterKind::Shape { grid } => grid[grid.len() / 2],
+                ParameterKind::InitialState | ParameterKind::Instant => 0.0,
             };
             for _ in 0..count {
-                let given = match parameter.is_coefficient() || !self.has_force(parameter) {
-                    true => None,
-                    false => rest.next(),
-                };
-                values.push(given.unwrap_or(without));
+                let is_default = parameter.is_coefficient() || !self.has_force(parameter);
+                let given = if is_default { None } else { rest.next() };
+                values.push(given.unwrap_or(default));
             }
         }
         values
     }
 }
 
-/// How one channel answers, in gauss for each newton by which one unit of the coefficient shifts the
-/// force. Nobody knows beforehand how much that is.
-fn answer(coefficient: &Parameter, channel: &str) -> Parameter {
-    Parameter {
+/// Response of one channel in gauss per newton of the force increment by one unit of the coefficient; no prior
+/// magnitude.
+fn response(coefficient: &EffectParameter, channel: &str) -> EffectParameter {
+    EffectParameter {
         name: Cow::Owned(format!("{}_{channel}", coefficient.name)),
         unit: Cow::Borrowed("G"),
         typical: f64::NAN,
@@ -163,94 +161,65 @@ fn answer(coefficient: &Parameter, channel: &str) -> Parameter {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::effects::{Addition, Stage, find};
+    use crate::effects::{EffectStage, EffectTerm, find};
 
-    fn track() -> Track {
+    fn excitation() -> ExcitationSeries {
         let time_s: Vec<f64> = (0..400).map(|i| f64::from(i) * 0.05).collect();
         let force = |t: &f64| [0.0, 20.0 + 15.0 * (0.7 * t).sin()];
-        Track {
+        ExcitationSeries {
             force_n: time_s.iter().map(force).collect(),
             smooth_n: time_s.iter().map(force).collect(),
             rate_n_per_s: vec![[0.0; 2]; time_s.len()],
             cycles: vec![[0.0; 2]; time_s.len()],
             time_s,
-            ..Track::default()
+            ..ExcitationSeries::default()
         }
     }
 
-    fn longitudinal(name: &str) -> Addition {
-        Addition::Catalogue(find(name).unwrap()).beside_polynomial([false, true])
+    fn longitudinal(name: &str) -> EffectTerm {
+        EffectTerm::Catalogue(find(name).unwrap()).for_polynomial([false, true])
     }
 
     #[test]
-    fn an_axis_without_a_force_has_no_parameters_and_every_channel_has_its_own() {
+    fn each_channel_has_parameters_for_recorded_axes_only() {
         let names = |name: &str| -> Vec<String> {
             let parameters = longitudinal(name).parameters(2);
             parameters.iter().map(|p| p.name.to_string()).collect()
         };
         assert_eq!(
             names("creep"),
-            [
-                "creep_z_x",
-                "creep_z_y",
-                "creep_z_z",
-                "time1",
-                "time2",
-                "weight"
-            ]
+            ["creep_z_x", "creep_z_y", "creep_z_z", "time1", "time2", "weight"]
         );
         let hysteresis = names("hysteresis");
-        assert_eq!(
-            hysteresis[..3],
-            ["friction_z_x", "friction_z_y", "friction_z_z"]
-        );
-        assert_eq!(
-            hysteresis[hysteresis.len() - 2..],
-            ["begin_z_1", "begin_z_2"]
-        );
+        assert_eq!(hysteresis[..3], ["friction_z_x", "friction_z_y", "friction_z_z"]);
+        assert_eq!(hysteresis[hysteresis.len() - 2..], ["begin_z_1", "begin_z_2"]);
         assert_eq!(hysteresis.len(), 3 + 5 + 2);
     }
 
     #[test]
-    fn channels_answer_to_the_shift_that_one_unit_makes() {
-        let track = track();
+    fn channels_respond_to_the_unit_increment() {
+        let excitation = excitation();
         let shapes = [3.0, 6.0, 20.0, 0.5, 2.0];
-        let whole: Vec<f64> = [0.0, 1.0]
-            .into_iter()
-            .chain(shapes)
-            .chain(shapes)
-            .chain([0.0, 0.3])
-            .collect();
-        let plain = Addition::Catalogue(find("hysteresis").unwrap());
-        let shifted = Series::of(&track, [1.0; 2], &[(&plain, &whole)]);
-        let values: Vec<f64> = [0.5, -2.0, 0.0]
-            .into_iter()
-            .chain(shapes)
-            .chain([0.3])
-            .collect();
-        let own = longitudinal("hysteresis");
-        let series = Series::of(&track, [1.0; 2], &[(&own, &values)]);
+        let all_values: Vec<f64> =
+            [0.0, 1.0].into_iter().chain(shapes).chain(shapes).chain([0.0, 0.3]).collect();
+        let effect = EffectTerm::Catalogue(find("hysteresis").unwrap());
+        let shifted = StateSeries::of(&excitation, [1.0; 2], &[(&effect, &all_values)]);
+        let values: Vec<f64> = [0.5, -2.0, 0.0].into_iter().chain(shapes).chain([0.3]).collect();
+        let channelwise = longitudinal("hysteresis");
+        let series = StateSeries::of(&excitation, [1.0; 2], &[(&channelwise, &values)]);
         for (row, state) in series.states.iter().enumerate() {
-            let shift_n = shifted.force_n[row][1] - track.force_n[row][1];
-            assert_eq!(series.force_n[row], track.force_n[row]);
+            let shift_n = shifted.force_n[row][1] - excitation.force_n[row][1];
+            assert_eq!(series.force_n[row], excitation.force_n[row]);
             let expected = Vector3::new(0.5, -2.0, 0.0) * shift_n;
             assert!((state.offset_g - expected).norm() < 1e-12);
         }
-        assert!(
-            series
-                .states
-                .iter()
-                .any(|state| state.offset_g.x.abs() > 0.4)
-        );
+        assert!(series.states.iter().any(|state| state.offset_g.x.abs() > 0.4));
     }
 
     #[test]
-    fn only_effects_of_the_flexures_become_channelwise() {
-        assert!(matches!(longitudinal("creep"), Addition::Channelwise(_)));
-        assert_eq!(longitudinal("creep").stage(), Stage::Sensor);
-        assert!(matches!(
-            longitudinal("field_drift"),
-            Addition::Catalogue(_)
-        ));
+    fn only_flexure_effects_become_channelwise() {
+        assert!(matches!(longitudinal("creep"), EffectTerm::Channelwise(_)));
+        assert_eq!(longitudinal("creep").stage(), EffectStage::Sensor);
+        assert!(matches!(longitudinal("field_drift"), EffectTerm::Catalogue(_)));
     }
 }

@@ -1,179 +1,195 @@
-//! A number of an effect.
+//! Parameters of an effect and the definition of its magnitude.
 
 use std::borrow::Cow;
 
-/// How a parameter enters.
+/// Role of a parameter.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Kind {
-    /// The effect vanishes where all its coefficients are zero, and grows with them.
+pub enum ParameterKind {
+    /// Linear: the effect vanishes with all coefficients zero.
     Coefficient,
-    /// It gives the effect its form: a time constant, a reach, a distance. Above zero; the fit
-    /// starts from the best of `grid`.
+    /// Nonlinear: a time constant, a threshold, a distance. The fit starts from the best value of `grid`.
     Shape {
-        /// Where the search begins.
+        /// Start values of the search.
         grid: Cow<'static, [f64]>,
     },
-    /// Where a memory stands as a recording begins; zero unless the data say otherwise.
-    Beginning,
-    /// An instant of the campaign in seconds (recordings laid end to end), searched on the data and
-    /// then refined.
+    /// Initial state of a memory in a recording; prior mean zero.
+    InitialState,
+    /// Instant of the campaign in seconds (recordings laid end to end), searched on the data and refined.
     Instant,
 }
 
-/// One parameter of an effect, of one sensor.
+/// Parameter of an effect.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Parameter {
-    /// Name in files and tables.
+pub struct EffectParameter {
+    /// Name in files and reports.
     pub name: Cow<'static, str>,
     /// Unit.
     pub unit: Cow<'static, str>,
-    /// How it enters.
-    pub kind: Kind,
-    /// A size that shows on a gripper, in its unit; its sign does not matter. The fit expects nothing
-    /// beyond some ten times this unless the data say so.
+    /// Role.
+    pub kind: ParameterKind,
+    /// Typical detectable magnitude in `unit`; the prior of the fit allows about ten times this.
     pub typical: f64,
-    /// True where all sensors of a gripper have the same value.
+    /// True if all sensors of a gripper have the same value.
     pub shared: bool,
-    /// True for a shape that spans recordings. Within the recordings fitted, a time constant of their own
-    /// length trades against every slow thing that the model lacks; what counts is whether it carries
-    /// over to a recording that the fit did not see, so that decides.
-    pub across: bool,
-    /// True for a travel, in newtons, that the load must go through twice before it shows: a slider whose
-    /// reach is more than half the load's swing never slips, and is a spring like the flexure.
-    pub within_swing: bool,
-    /// For which recordings it stands.
-    pub of: Of,
+    /// True for a shape selected by cross-validation over recordings: within the fitted recordings, a time
+    /// constant of their length is confounded with every unmodelled slow change.
+    pub cross_validated: bool,
+    /// True for a threshold in newtons limited to half the range of the load: an element with a larger threshold
+    /// never slips and is indistinguishable from a spring.
+    pub limited_to_half_range: bool,
+    /// Recordings to which a value applies.
+    pub scope: ParameterScope,
 }
 
-/// For which recordings of a campaign a parameter stands.
+/// Recordings to which a value of a parameter applies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Of {
-    /// One for all.
+pub enum ParameterScope {
+    /// One value for all recordings.
     Campaign,
-    /// One for each.
+    /// One value for each recording.
     EachRecording,
-    /// One for each but the first.
+    /// One value for each recording except the first.
     EachLaterRecording,
 }
 
-impl Parameter {
-    const fn new(name: &'static str, unit: &'static str, kind: Kind, typical: f64) -> Self {
+impl EffectParameter {
+    const fn new(
+        name: &'static str,
+        unit: &'static str,
+        kind: ParameterKind,
+        typical: f64,
+    ) -> Self {
         Self {
             name: Cow::Borrowed(name),
             unit: Cow::Borrowed(unit),
             kind,
             typical,
             shared: false,
-            across: false,
-            within_swing: false,
-            of: Of::Campaign,
+            cross_validated: false,
+            limited_to_half_range: false,
+            scope: ParameterScope::Campaign,
         }
     }
 
-    /// A coefficient of each sensor.
+    /// A coefficient.
     pub const fn coefficient(name: &'static str, unit: &'static str, typical: f64) -> Self {
-        Self::new(name, unit, Kind::Coefficient, typical)
+        Self::new(name, unit, ParameterKind::Coefficient, typical)
     }
 
-    /// A shape of each sensor, with the values from which its search begins.
+    /// A shape with the start values of its search.
     pub const fn shape(name: &'static str, unit: &'static str, grid: &'static [f64]) -> Self {
         let grid = Cow::Borrowed(grid);
-        Self::new(name, unit, Kind::Shape { grid }, 0.0)
+        Self::new(name, unit, ParameterKind::Shape { grid }, 0.0)
     }
 
-    /// An instant of the campaign.
+    /// An event time.
     pub const fn instant(name: &'static str, unit: &'static str) -> Self {
-        Self::new(name, unit, Kind::Instant, 0.0)
+        Self::new(name, unit, ParameterKind::Instant, 0.0)
     }
 
-    /// The same for all sensors.
+    /// Shared by all sensors.
     pub const fn shared(mut self) -> Self {
         self.shared = true;
         self
     }
 
-    /// Told by what carries over to recordings left out, where there are several.
-    pub const fn across_recordings(mut self) -> Self {
-        self.across = true;
+    /// Selected by cross-validation where there are several recordings.
+    pub const fn cross_validated(mut self) -> Self {
+        self.cross_validated = true;
         self
     }
 
-    /// Sought only up to half the swing of the load.
-    pub const fn within_swing(mut self) -> Self {
-        self.within_swing = true;
+    /// Limited to half the range of the load.
+    pub const fn limited_to_half_range(mut self) -> Self {
+        self.limited_to_half_range = true;
         self
     }
 
-    /// Where a memory begins, in each recording; `typical` is its spread.
-    pub const fn beginning(name: &'static str, unit: &'static str, typical: f64) -> Self {
-        let mut parameter = Self::new(name, unit, Kind::Beginning, typical);
-        parameter.of = Of::EachRecording;
+    /// The initial state of a memory in each recording; `typical` is its standard deviation.
+    pub const fn initial_state(name: &'static str, unit: &'static str, typical: f64) -> Self {
+        let mut parameter = Self::new(name, unit, ParameterKind::InitialState, typical);
+        parameter.scope = ParameterScope::EachRecording;
         parameter
     }
 
-    /// One for every recording but the first.
+    /// One value for each recording except the first.
     pub const fn each_later_recording(mut self) -> Self {
-        self.of = Of::EachLaterRecording;
+        self.scope = ParameterScope::EachLaterRecording;
         self
     }
 
-    /// True for coefficients.
+    /// One copy for each value in a campaign of `recordings` recordings, numbered where there are several.
+    pub(super) fn repeated(&self, recordings: usize) -> Vec<Self> {
+        let first = match self.scope {
+            ParameterScope::Campaign => return vec![self.clone()],
+            ParameterScope::EachRecording => 1,
+            ParameterScope::EachLaterRecording => 2,
+        };
+        let numbered =
+            |n: usize| Self { name: Cow::Owned(format!("{}_{n}", self.name)), ..self.clone() };
+        (first..=recordings).map(numbered).collect()
+    }
+
+    /// True for [`ParameterKind::Coefficient`].
     pub fn is_coefficient(&self) -> bool {
-        self.kind == Kind::Coefficient
+        self.kind == ParameterKind::Coefficient
     }
 }
 
-/// How one number is made of several coefficients.
+/// Reduction of several values to one magnitude.
 #[derive(Clone, Copy, Debug)]
-pub enum SizeOf {
-    /// The largest of those that stand out from their error bars.
+pub enum Aggregation {
+    /// The largest significant coefficient.
     Largest,
-    /// Root of the sum of squares, mean over the sensors.
+    /// Euclidean norm of the coefficients, mean over the sensors.
     Norm,
-    /// What this makes of all values, mean over the sensors.
+    /// A function of all values, mean over the sensors.
     Mean(fn(&[f64]) -> f64),
-    /// What this makes of all values, at the sensor where it is greatest.
-    Greatest(fn(&[f64]) -> f64),
+    /// A function of all values, maximum over the sensors.
+    Max(fn(&[f64]) -> f64),
 }
 
-/// The one number that says how large an effect is.
+/// Definition of the magnitude of an effect, as one number.
 #[derive(Clone, Copy, Debug)]
-pub struct Size {
-    /// What it is, for people.
-    pub words: &'static str,
-    /// Unit.
+pub struct MagnitudeSpec {
+    /// Physical quantity, for reports.
+    pub description: &'static str,
+    /// Unit of the magnitude.
     pub unit: &'static str,
-    /// The first this many coefficients make it; zero for all.
+    /// Number of leading coefficients that enter; zero for all.
     pub first: usize,
-    /// How.
-    pub of: SizeOf,
-    /// Multiplies what they make.
+    /// Reduction over the coefficients.
+    pub aggregation: Aggregation,
+    /// Factor applied after the reduction.
     pub factor: f64,
-    /// What no number of rows can better, one standard deviation in the size's unit, added to the
-    /// error bar: two clocks' stamps agree to some hundredths of a millisecond at best (assumed).
+    /// Systematic uncertainty (one standard deviation) added to the standard error: time stamps of two clocks
+    /// agree to some hundredths of a millisecond at best (assumed).
     pub resolution: f64,
-    /// A size that shows.
+    /// Typical detectable magnitude.
     pub typical: f64,
-    /// Sizes that no one would wonder at.
+    /// Plausible range.
     pub plausible: (f64, f64),
-    /// Sizes that physics allows at all.
+    /// Physically possible range.
     pub possible: (f64, f64),
 }
 
-impl Size {
-    /// The coefficients' root of the sum of squares, where nobody knows what to expect.
-    pub const fn unexpected(words: &'static str, unit: &'static str) -> Self {
-        let all = (f64::NEG_INFINITY, f64::INFINITY);
-        Self {
-            words,
-            unit,
-            first: 0,
-            of: SizeOf::Norm,
-            factor: 1.0,
-            resolution: 0.0,
-            typical: f64::NAN,
-            plausible: all,
-            possible: all,
-        }
+impl MagnitudeSpec {
+    /// The largest significant coefficient, without factor and systematic uncertainty; the other fields are
+    /// unset.
+    pub const DEFAULT: Self = Self {
+        description: "",
+        unit: "",
+        first: 0,
+        aggregation: Aggregation::Largest,
+        factor: 1.0,
+        resolution: 0.0,
+        typical: f64::NAN,
+        plausible: (f64::NEG_INFINITY, f64::INFINITY),
+        possible: (f64::NEG_INFINITY, f64::INFINITY),
+    };
+
+    /// Euclidean norm of the coefficients without prior knowledge of its range.
+    pub const fn norm_without_prior(description: &'static str, unit: &'static str) -> Self {
+        Self { description, unit, aggregation: Aggregation::Norm, ..Self::DEFAULT }
     }
 }

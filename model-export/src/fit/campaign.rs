@@ -1,67 +1,64 @@
-//! From a campaign to its fits.
+//! Fits of a whole campaign.
 
 use std::sync::OnceLock;
 
 use rayon::prelude::*;
 
-use super::base::{Base, CylinderBase, PolynomialBase};
-use super::folds::Split;
-use super::joint::{self, JointFit};
-use super::polynomial::{self, PolynomialFit};
-use super::rows::SensorRows;
-use super::sensor::State;
-use super::{AxisScore, FitError, Options, orientation};
-use crate::effects::Addition;
+use crate::effects::EffectTerm;
+use crate::fit::base_model::{BaseModel, CylinderBase, PolynomialBase};
+use crate::fit::cross_validation::CvSplit;
+use crate::fit::joint::{self, JointFit};
+use crate::fit::polynomial::{self, PolynomialFit};
+use crate::fit::rows::SensorRows;
+use crate::fit::sensor_fit::SensorSolution;
+use crate::fit::{AxisScore, FitError, FitOptions, orientation};
 use crate::physics::ForwardModel;
-use crate::recordings::description::Design;
-use crate::recordings::{Campaign, Notice, Place};
+use crate::recordings::description::NominalDesign;
+use crate::recordings::{Campaign, Location, Notice};
 
-/// The fits of all sensors, in the order of their numbers.
+/// Fits of all sensors, in ascending order of their numbers.
 #[derive(Clone, Debug)]
-pub enum Fits {
-    /// Cylinder base, with the nominal design it departs from.
-    Cylinder(Design, JointFit),
+pub enum CampaignFits {
+    /// Cylinder base, with its nominal design.
+    Cylinder(NominalDesign, JointFit),
     /// Polynomial base.
     Polynomial(Vec<PolynomialFit>),
 }
 
-impl Fits {
+impl CampaignFits {
     /// Held-out scores of every sensor and axis.
     pub fn scores(&self) -> Vec<AxisScore> {
         match self {
-            Self::Cylinder(_, fit) => fit
-                .sensors
-                .iter()
-                .flat_map(|fit| fit.scores.clone())
-                .collect(),
+            Self::Cylinder(_, fit) => {
+                fit.sensors.iter().flat_map(|fit| fit.scores.clone()).collect()
+            }
             Self::Polynomial(fits) => fits.iter().flat_map(|fit| fit.scores.clone()).collect(),
         }
     }
 }
 
-/// What a fit with effects needs of a campaign.
-pub struct Prepared {
+/// Rows and base models of a campaign, prepared for fits with effects.
+pub struct FitSetup {
     /// Rows of each sensor that can be fitted.
     pub rows: Vec<SensorRows>,
-    /// The base of each.
-    pub bases: Vec<Box<dyn Base>>,
+    /// Base model of each sensor.
+    pub bases: Vec<Box<dyn BaseModel>>,
     /// The nominal design; `None` with the polynomial base.
-    pub design: Option<Design>,
-    /// With the polynomial base: the polynomials from which it departs.
+    pub design: Option<NominalDesign>,
+    /// Start polynomials of the polynomial base.
     pub polynomials: Vec<PolynomialFit>,
-    /// Sensors that could not be fitted.
+    /// One notice for each sensor that was not fitted.
     pub notices: Vec<Notice>,
-    /// The fits of the bases alone, once they were needed.
-    alone: OnceLock<Vec<State>>,
+    /// Fits without effects, computed on first use.
+    base_fits: OnceLock<Vec<SensorSolution>>,
 }
 
-impl Prepared {
-    /// With the cylinder base, for every sensor whose two forces were recorded; a sensor without them
-    /// is named in a notice.
+impl FitSetup {
+    /// With the cylinder base, for every sensor with both forces recorded; the others are reported as notices.
     pub fn cylinder(campaign: &Campaign) -> Result<Self, FitError> {
-        let design = campaign.design().ok_or_else(|| FitError::NoDesign {
-            place: Place::file(&campaign.folder),
-        })?;
+        let design = campaign
+            .design()
+            .ok_or_else(|| FitError::NoDesign { place: Location::file(&campaign.folder) })?;
         let nominal = ForwardModel::nominal(design);
         let (mut rows, mut missing) = (Vec::new(), Vec::new());
         for sensor in campaign.sensors() {
@@ -77,90 +74,71 @@ impl Prepared {
             return Err(first);
         }
         for rows in &rows {
-            rows.check_moving(campaign)?;
+            rows.check_excitation(campaign)?;
             orientation::check(campaign, rows.sensor, &nominal)?;
         }
-        let base = || Box::new(CylinderBase { nominal }) as Box<dyn Base>;
+        let base = || Box::new(CylinderBase { nominal }) as Box<dyn BaseModel>;
         Ok(Self {
             bases: rows.iter().map(|_| base()).collect(),
             notices: left_out(campaign, &rows),
             rows,
             design: Some(design.clone()),
             polynomials: Vec::new(),
-            alone: OnceLock::new(),
+            base_fits: OnceLock::new(),
         })
     }
 
-    /// With polynomials of `degree` of whatever forces were recorded (chosen by held-out error where
-    /// it is not given).
+    /// With polynomials of the recorded forces, of the given degree or of the degree with the best held-out
+    /// error.
     ///
     /// # Errors
-    /// Among others: more than one force along an axis, since an effect would not know which it
-    /// belongs to.
+    /// Several forces along one axis: effects could not be assigned to one of them.
     pub fn polynomial(
         campaign: &Campaign,
         degree: Option<usize>,
-        options: Options,
+        options: FitOptions,
     ) -> Result<Self, FitError> {
-        let (rows, polynomials): (Vec<_>, Vec<_>) = polynomials(campaign, degree, options, |_| ())?
-            .into_iter()
-            .unzip();
+        let (rows, polynomials): (Vec<_>, Vec<_>) =
+            polynomials(campaign, degree, options, |_| ())?.into_iter().unzip();
         let base = |(fit, rows): (&PolynomialFit, &SensorRows)| {
             let width_g = rows.field_span().amax();
             let base = PolynomialBase::new(fit.model.clone(), width_g);
-            base.map(|base| Box::new(base) as Box<dyn Base>)
-                .ok_or_else(|| FitError::ManyForces {
-                    place: Place::file(&campaign.folder),
-                    sensor: fit.sensor,
-                })
+            base.map(|base| Box::new(base) as Box<dyn BaseModel>).ok_or_else(|| {
+                FitError::ManyForces { place: Location::file(&campaign.folder), sensor: fit.sensor }
+            })
         };
         Ok(Self {
-            bases: polynomials
-                .iter()
-                .zip(&rows)
-                .map(base)
-                .collect::<Result<_, _>>()?,
+            bases: polynomials.iter().zip(&rows).map(base).collect::<Result<_, _>>()?,
             rows,
             design: None,
             polynomials,
             notices: Vec::new(),
-            alone: OnceLock::new(),
+            base_fits: OnceLock::new(),
         })
     }
 
-    /// Fits the base with these effects, judged by `split`. `done` is called after each sensor, from
+    /// Fits the base with these effects, cross-validated by `split`. `done` is called after each sensor, from
     /// any thread.
     pub fn fit(
         &self,
-        effects: &[Addition],
-        split: Split,
-        options: Options,
+        effects: &[EffectTerm],
+        split: CvSplit,
+        options: FitOptions,
         done: impl Fn(u32) + Sync,
     ) -> Result<JointFit, FitError> {
-        let alone = match self.alone.get() {
-            Some(alone) => alone,
+        let base_fits = match self.base_fits.get() {
+            Some(base_fits) => base_fits,
             None => {
-                let alone = joint::bases(&self.rows, &self.bases)?;
-                self.alone.get_or_init(|| alone)
+                let base_fits = joint::bases(&self.rows, &self.bases)?;
+                self.base_fits.get_or_init(|| base_fits)
             }
         };
-        joint::fit(
-            &self.rows,
-            &self.bases,
-            alone,
-            effects,
-            split,
-            options,
-            done,
-        )
+        joint::fit(&self.rows, &self.bases, base_fits, effects, split, options, done)
     }
 
-    /// How a fit with these effects is judged.
-    pub fn split(&self, effects: &[Addition]) -> Split {
-        Split::of(
-            &self.rows,
-            effects.iter().any(Addition::lives_in_one_recording),
-        )
+    /// Cross-validation split for a fit with these effects.
+    pub fn split(&self, effects: &[EffectTerm]) -> CvSplit {
+        CvSplit::of(&self.rows, effects.iter().any(EffectTerm::is_transient))
     }
 }
 
@@ -170,43 +148,41 @@ fn left_out(campaign: &Campaign, rows: &[SensorRows]) -> Vec<Notice> {
         .into_iter()
         .filter(|sensor| !rows.iter().any(|r| r.sensor == *sensor))
         .map(|sensor| Notice {
-            place: Place::file(&campaign.folder),
+            location: Location::file(&campaign.folder),
             message: format!("sensor {sensor} was not fitted, since f{sensor}_x_n and f{sensor}_z_n were not both recorded"),
         })
         .collect()
 }
 
-/// Fits the cylinder base alone.
+/// Fits the cylinder base without effects.
 pub fn cylinder(
     campaign: &Campaign,
-    options: Options,
+    options: FitOptions,
     done: impl Fn(u32) + Sync,
-) -> Result<(Fits, Vec<Notice>), FitError> {
-    let prepared = Prepared::cylinder(campaign)?;
-    let fit = prepared.fit(&[], prepared.split(&[]), options, done)?;
-    let design = prepared.design.ok_or_else(|| FitError::NoDesign {
-        place: Place::file(&campaign.folder),
-    })?;
-    Ok((Fits::Cylinder(design, fit), prepared.notices))
+) -> Result<(CampaignFits, Vec<Notice>), FitError> {
+    let setup = FitSetup::cylinder(campaign)?;
+    let fit = setup.fit(&[], setup.split(&[]), options, done)?;
+    let design = setup
+        .design
+        .ok_or_else(|| FitError::NoDesign { place: Location::file(&campaign.folder) })?;
+    Ok((CampaignFits::Cylinder(design, fit), setup.notices))
 }
 
 /// Fits the polynomial base to every sensor.
 pub fn polynomial(
     campaign: &Campaign,
     degree: Option<usize>,
-    options: Options,
+    options: FitOptions,
     done: impl Fn(u32) + Sync,
-) -> Result<Fits, FitError> {
+) -> Result<CampaignFits, FitError> {
     let fits = polynomials(campaign, degree, options, done)?;
-    Ok(Fits::Polynomial(
-        fits.into_iter().map(|(_, fit)| fit).collect(),
-    ))
+    Ok(CampaignFits::Polynomial(fits.into_iter().map(|(_, fit)| fit).collect()))
 }
 
 fn polynomials(
     campaign: &Campaign,
     degree: Option<usize>,
-    options: Options,
+    options: FitOptions,
     done: impl Fn(u32) + Sync,
 ) -> Result<Vec<(SensorRows, PolynomialFit)>, FitError> {
     campaign
@@ -214,7 +190,7 @@ fn polynomials(
         .par_iter()
         .map(|&sensor| {
             let rows = SensorRows::with_recorded_forces(campaign, sensor)?;
-            rows.check_moving(campaign)?;
+            rows.check_excitation(campaign)?;
             let fit = polynomial::fit(&rows, degree, options)?;
             done(sensor);
             Ok((rows, fit))

@@ -1,90 +1,82 @@
-//! All sensors of a gripper fitted together: base, effects, and what the sensors share.
+//! Joint fit of all sensors: base, effects, and parameters that the sensors share.
 
+use crate::effects::EffectTerm;
+use crate::fit::base_model::BaseModel;
+use crate::fit::cross_validation::{CvSplit, ErrorSums, Fold, all_rows};
+use crate::fit::identifiability::{MAX_UNCERTAINTY, Unidentifiable, variance_inflation};
+use crate::fit::initial_guess::{ShapeSearch, search_all};
+use crate::fit::parameters::FreeParameter;
+use crate::fit::problem::SensorProblem;
+use crate::fit::rows::SensorRows;
+use crate::fit::sensor_fit::{self, SensorSolution, add_errors, held_out_errors};
+use crate::fit::{AxisScore, FitError, FitOptions};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use super::base::Base;
-use super::folds::{Fold, Split, everything};
-use super::pool::{Witness, pool};
-use super::problem::SensorProblem;
-use super::rows::SensorRows;
-use super::score::Tally;
-use super::sensor::{self, State, held_out, judge};
-use super::slot::Slot;
-use super::space::{Held, KNOWN_WITHIN, variance_inflation};
-use super::start::{Seeker, seek};
-use super::{AxisScore, FitError, Options};
-use crate::effects::Addition;
-
-/// From this factor on, by which its variance grows because others can stand in for it, a number counts
-/// as not told apart from them (the usual limit of regression).
-const COLLINEAR: f64 = 10.0;
+/// Variance inflation factor from which a parameter counts as confounded (usual limit in regression).
+const MAX_VARIANCE_INFLATION: f64 = 10.0;
 
 /// The fit of one sensor.
 #[derive(Clone, Debug)]
 pub struct SensorFit {
     /// Number of the sensor.
     pub sensor: u32,
-    /// Every parameter: of the base, then of each effect.
-    pub slots: Vec<Slot>,
-    /// Number of the base's parameters.
+    /// Base parameters, then those of each effect.
+    pub parameters: Vec<FreeParameter>,
+    /// Number of base parameters.
     pub base_count: usize,
-    /// True where the data do not tell the sensor's own offset from the field that stands around it.
-    pub offset_is_open: bool,
-    /// Fitted values, in the order of the slots.
+    /// Whether the sensor's offset is confounded with the ambient field.
+    pub offset_confounded: bool,
+    /// Fitted values, in the order of the parameters.
     pub values: Vec<f64>,
     /// Covariance of the values.
     pub covariance: DMatrix<f64>,
-    /// Whether the data know each to half its tolerance.
+    /// Whether the standard error is at most half a prior width.
     pub identifiable: Vec<bool>,
-    /// What was held.
-    pub held: Vec<Held>,
-    /// Held-out error beside the floor, each axis.
+    /// Unidentifiable combinations.
+    pub unidentifiable: Vec<Unidentifiable>,
+    /// Held-out error and noise floor of each axis.
     pub scores: Vec<AxisScore>,
-    /// Held-out tally of each fold.
-    pub folds: Vec<Tally>,
-    /// Values fitted without each fold.
+    /// Held-out errors of each fold.
+    pub folds: Vec<ErrorSums>,
+    /// Values fitted on the training rows of each fold.
     pub fold_values: Vec<Vec<f64>>,
-    /// Length of the bootstrap's blocks in seconds.
+    /// Bootstrap block length in seconds.
     pub block_s: f64,
 }
 
 impl SensorFit {
-    /// One standard deviation of a value.
-    pub fn std_error(&self, slot: usize) -> f64 {
-        self.covariance[(slot, slot)].max(0.0).sqrt()
+    /// Standard error of a value.
+    pub fn std_error(&self, index: usize) -> f64 {
+        self.covariance[(index, index)].max(0.0).sqrt()
     }
 
-    /// All folds together.
-    pub fn tally(&self) -> Tally {
-        self.folds
-            .iter()
-            .fold(Tally::default(), |sum, fold| sum.with(fold))
+    /// Held-out errors over all folds.
+    pub fn tally(&self) -> ErrorSums {
+        self.folds.iter().fold(ErrorSums::default(), |sum, fold| sum.with(fold))
     }
 }
 
-/// The fits of all sensors.
+/// Fits of all sensors.
 #[derive(Clone, Debug)]
 pub struct JointFit {
-    /// How the campaign was split to judge the fit.
-    pub split: Split,
-    /// In the order of their numbers.
+    /// Cross-validation scheme.
+    pub split: CvSplit,
+    /// In ascending order of their numbers.
     pub sensors: Vec<SensorFit>,
 }
 
 impl JointFit {
     /// Held-out errors of all sensors, fold by fold.
-    pub fn folds(&self) -> Vec<Tally> {
+    pub fn folds(&self) -> Vec<ErrorSums> {
         let count = self.sensors.first().map_or(0, |sensor| sensor.folds.len());
         let fold = |i: usize| {
-            self.sensors
-                .iter()
-                .fold(Tally::default(), |sum, s| sum.with(&s.folds[i]))
+            self.sensors.iter().fold(ErrorSums::default(), |sum, s| sum.with(&s.folds[i]))
         };
         (0..count).map(fold).collect()
     }
 
-    /// The same fit with the values that were found without one fold.
+    /// The same fit with the values of one fold's training rows.
     pub fn without(&self, fold: usize) -> Self {
         let mut other = self.clone();
         for sensor in &mut other.sensors {
@@ -95,69 +87,64 @@ impl JointFit {
         other
     }
 
-    /// Held-out errors of everything.
-    pub fn tally(&self) -> Tally {
-        self.sensors
-            .iter()
-            .fold(Tally::default(), |sum, sensor| sum.with(&sensor.tally()))
+    /// Held-out errors over all sensors and folds.
+    pub fn tally(&self) -> ErrorSums {
+        self.sensors.iter().fold(ErrorSums::default(), |sum, sensor| sum.with(&sensor.tally()))
     }
 }
 
-/// The fit of each sensor's base alone, from which effects depart.
-pub fn bases(rows: &[SensorRows], bases: &[Box<dyn Base>]) -> Result<Vec<State>, FitError> {
+/// Fit of each sensor without effects.
+pub fn bases(
+    rows: &[SensorRows],
+    bases: &[Box<dyn BaseModel>],
+) -> Result<Vec<SensorSolution>, FitError> {
     let pairs: Vec<_> = rows.iter().zip(bases).collect();
     pairs
         .par_iter()
-        .map(|(rows, base)| sensor::first(&SensorProblem::new(rows, base.as_ref(), &[])))
+        .map(|(rows, base)| {
+            sensor_fit::fit_from_nominal(&SensorProblem::new(rows, base.as_ref(), &[]))
+        })
         .collect()
 }
 
-/// Fits every sensor with its base, whose fit alone is `alone`, and the effects (in any order).
-/// `split` says how it is judged; `done` is called after each sensor, from any thread.
+/// Fits every sensor with its base and the effects (in any order), starting from `base_fits` without
+/// effects. `done` is called after each sensor, from any thread.
 pub fn fit(
     rows: &[SensorRows],
-    bases: &[Box<dyn Base>],
-    alone: &[State],
-    effects: &[Addition],
-    split: Split,
-    options: Options,
+    bases: &[Box<dyn BaseModel>],
+    base_fits: &[SensorSolution],
+    effects: &[EffectTerm],
+    split: CvSplit,
+    options: FitOptions,
     done: impl Fn(u32) + Sync,
 ) -> Result<JointFit, FitError> {
     let mut effects = effects.to_vec();
-    effects.sort_by_key(Addition::stage);
-    let problems = rows
-        .iter()
-        .zip(bases)
-        .map(|(rows, base)| SensorProblem::new(rows, base.as_ref(), &[]));
-    let alone: Started = problems.zip(alone.iter().cloned()).collect();
-    let folds = match effects.is_empty() {
-        true => {
-            let (problems, states): (Vec<_>, Vec<_>) = alone.into_iter().unzip();
-            let covariances = states
-                .par_iter()
-                .map(|state| state.covariance(options))
-                .collect();
-            let folds = cross_validate(&problems, &states, split, None)?;
-            (problems, states, covariances, folds)
-        }
-        false => {
-            let (problems, states): (Vec<_>, Vec<_>) =
-                with_effects(&alone, &effects)?.into_iter().unzip();
-            let (states, covariances) = share(&problems, states, options)?;
-            let folds = cross_validate(&problems, &states, split, Some(&alone))?;
-            (problems, states, covariances, folds)
-        }
+    effects.sort_by_key(EffectTerm::stage);
+    let problems =
+        rows.iter().zip(bases).map(|(rows, base)| SensorProblem::new(rows, base.as_ref(), &[]));
+    let base_fits: SensorStates = problems.zip(base_fits.iter().cloned()).collect();
+    let folds = if effects.is_empty() {
+        let (problems, states): (Vec<_>, Vec<_>) = base_fits.into_iter().unzip();
+        let covariances = states.par_iter().map(|state| state.covariance(options)).collect();
+        let folds = cross_validate(&problems, &states, split, None)?;
+        (problems, states, covariances, folds)
+    } else {
+        let (problems, states): (Vec<_>, Vec<_>) =
+            with_effects(&base_fits, &effects)?.into_iter().unzip();
+        let (states, covariances) = pool_shared(&problems, states, options)?;
+        let folds = cross_validate(&problems, &states, split, Some(&base_fits))?;
+        (problems, states, covariances, folds)
     };
     let (problems, states, covariances, folds): (
         Vec<SensorProblem>,
-        Vec<State>,
+        Vec<SensorSolution>,
         Vec<DMatrix<f64>>,
         _,
     ) = folds;
     let finished = problems.par_iter().zip(&states).zip(covariances).zip(folds);
     let sensors = finished
         .map(|(((problem, state), covariance), (values, tallies))| {
-            let fit = close(problem, state, covariance, values, tallies);
+            let fit = sensor_result(problem, state, covariance, values, tallies);
             done(fit.sensor);
             fit
         })
@@ -165,66 +152,70 @@ pub fn fit(
     Ok(JointFit { split, sensors })
 }
 
-type Started<'a> = Vec<(SensorProblem<'a>, State)>;
-/// Of one sensor: values and held-out errors of each fold.
-type Judged = (Vec<Vec<f64>>, Vec<Tally>);
+type SensorStates<'a> = Vec<(SensorProblem<'a>, SensorSolution)>;
+/// Values and held-out errors of each fold, of one sensor.
+type FoldResults = (Vec<Vec<f64>>, Vec<ErrorSums>);
 
-/// The same sensors with effects, from the fits of their bases.
-fn with_effects<'a>(alone: &Started<'a>, effects: &'a [Addition]) -> Result<Started<'a>, FitError> {
-    let mut seekers: Vec<Seeker> = alone
+/// Adds effects to the fits of the bases.
+fn with_effects<'a>(
+    base_fits: &SensorStates<'a>,
+    effects: &'a [EffectTerm],
+) -> Result<SensorStates<'a>, FitError> {
+    let mut searches: Vec<ShapeSearch> = base_fits
         .par_iter()
         .map(|(problem, state)| {
-            let base_values = problem.values(&state.departures);
-            Seeker::new(
-                SensorProblem::new(problem.rows, problem.base, effects),
-                &base_values,
-            )
+            let base_values = problem.values(&state.scaled);
+            ShapeSearch::new(SensorProblem::new(problem.rows, problem.base, effects), &base_values)
         })
         .collect();
-    seek(&mut seekers);
-    seekers
+    search_all(&mut searches);
+    searches
         .into_par_iter()
-        .map(|seeker| {
-            let start = seeker.problem.departures(&seeker.values);
-            let near = sensor::approach(&seeker.problem, &start)?;
-            let state = sensor::settle(&seeker.problem, &near, &[])?;
-            Ok((seeker.problem, state))
+        .map(|search| {
+            let start = search.problem.to_scaled(&search.values);
+            let near = sensor_fit::fit_all_free(&search.problem, &start)?;
+            let state = sensor_fit::fit_identifiable(&search.problem, &near, &[])?;
+            Ok((search.problem, state))
         })
         .collect()
 }
 
 fn shared_slots(problem: &SensorProblem) -> Vec<usize> {
-    (0..problem.slots.len())
-        .filter(|&slot| problem.slots[slot].shared && problem.slots[slot].chosen.is_none())
+    (0..problem.parameters.len())
+        .filter(|&index| {
+            problem.parameters[index].shared && problem.parameters[index].preset_sigma.is_none()
+        })
         .collect()
 }
 
-fn witness(departures: &DVector<f64>, covariance: &DMatrix<f64>, shared: &[usize]) -> Witness {
-    Witness {
-        value: DVector::from_iterator(shared.len(), shared.iter().map(|&slot| departures[slot])),
+fn shared_estimate(
+    scaled: &DVector<f64>,
+    covariance: &DMatrix<f64>,
+    shared: &[usize],
+) -> SensorEstimate {
+    SensorEstimate {
+        value: DVector::from_iterator(shared.len(), shared.iter().map(|&index| scaled[index])),
         covariance: covariance.select_rows(shared).select_columns(shared),
     }
 }
 
-/// Sets what the sensors share to one value and fits the rest again.
-fn share(
+/// Pools the shared parameters, fixes them and fits the rest again.
+fn pool_shared(
     problems: &[SensorProblem],
-    states: Vec<State>,
-    options: Options,
-) -> Result<(Vec<State>, Vec<DMatrix<f64>>), FitError> {
-    let covariances: Vec<DMatrix<f64>> = states
-        .par_iter()
-        .map(|state| state.covariance(options))
-        .collect();
-    let witnesses: Vec<Witness> = problems
+    states: Vec<SensorSolution>,
+    options: FitOptions,
+) -> Result<(Vec<SensorSolution>, Vec<DMatrix<f64>>), FitError> {
+    let covariances: Vec<DMatrix<f64>> =
+        states.par_iter().map(|state| state.covariance(options)).collect();
+    let estimates: Vec<SensorEstimate> = problems
         .iter()
         .zip(&states)
         .zip(&covariances)
         .map(|((problem, state), covariance)| {
-            witness(&state.departures, covariance, &shared_slots(problem))
+            shared_estimate(&state.scaled, covariance, &shared_slots(problem))
         })
         .collect();
-    let Some(pooled) = pool(&witnesses).filter(|pooled| !pooled.value.is_empty()) else {
+    let Some(pooled) = pool_estimates(&estimates).filter(|pooled| !pooled.value.is_empty()) else {
         return Ok((states, covariances));
     };
     let fixed = problems
@@ -232,16 +223,16 @@ fn share(
         .zip(states)
         .map(|(problem, state)| {
             let shared = shared_slots(problem);
-            let mut start = state.departures;
+            let mut start = state.scaled;
             shared
                 .iter()
                 .zip(pooled.value.iter())
-                .for_each(|(&slot, value)| start[slot] = *value);
-            let state = sensor::settle(problem, &start, &shared)?;
+                .for_each(|(&index, value)| start[index] = *value);
+            let state = sensor_fit::fit_identifiable(problem, &start, &shared)?;
             let mut covariance = state.covariance(options);
-            for (i, &slot) in shared.iter().enumerate() {
+            for (i, &index) in shared.iter().enumerate() {
                 for (j, &other) in shared.iter().enumerate() {
-                    covariance[(slot, other)] = pooled.covariance[(i, j)];
+                    covariance[(index, other)] = pooled.covariance[(i, j)];
                 }
             }
             Ok((state, covariance))
@@ -250,25 +241,25 @@ fn share(
     Ok(fixed.into_iter().unzip())
 }
 
-/// Each sensor judged on each fold. What is shared, and the base from which the effects depart, are
-/// estimated anew in each: `alone` holds the fits of the bases, where there are effects.
+/// Cross-validates every sensor. Shared parameters and the base (`base_fits`, where there are effects) are
+/// estimated anew in each fold.
 fn cross_validate(
     problems: &[SensorProblem],
-    states: &[State],
-    split: Split,
-    alone: Option<&Started>,
-) -> Result<Vec<Judged>, FitError> {
+    states: &[SensorSolution],
+    split: CvSplit,
+    base_fits: Option<&SensorStates>,
+) -> Result<Vec<FoldResults>, FitError> {
     let folds: Vec<_> = problems
         .iter()
         .zip(states)
         .map(|(problem, state)| split.folds(problem.rows, state.length_s))
         .collect();
     let count = folds.first().map_or(0, Vec::len);
-    let mut results: Vec<Judged> = vec![Default::default(); problems.len()];
+    let mut results: Vec<FoldResults> = vec![Default::default(); problems.len()];
     for i in 0..count {
         let folds: Vec<&Fold> = folds.iter().map(|folds| &folds[i]).collect();
-        let judged = judge_fold(problems, states, &folds, alone)?;
-        for (result, (values, tally)) in results.iter_mut().zip(judged) {
+        let results_of_fold = cross_validate_fold(problems, states, &folds, base_fits)?;
+        for (result, (values, tally)) in results.iter_mut().zip(results_of_fold) {
             result.0.push(values);
             result.1.push(tally);
         }
@@ -276,23 +267,23 @@ fn cross_validate(
     Ok(results)
 }
 
-fn judge_fold(
+fn cross_validate_fold(
     problems: &[SensorProblem],
-    states: &[State],
+    states: &[SensorSolution],
     folds: &[&Fold],
-    alone: Option<&Started>,
-) -> Result<Vec<(Vec<f64>, Tally)>, FitError> {
-    let centred: Vec<(SensorProblem, DVector<f64>)> = (0..problems.len())
+    base_fits: Option<&SensorStates>,
+) -> Result<Vec<(Vec<f64>, ErrorSums)>, FitError> {
+    let prepared: Vec<(SensorProblem, DVector<f64>)> = (0..problems.len())
         .into_par_iter()
         .map(|s| {
             let mut problem = problems[s].clone();
-            let values = problem.values(&states[s].departures);
-            problem.centre_shapes(&values);
-            if let Some((base, state)) = alone.and_then(|alone| alone.get(s)) {
-                let found = state.refit(base, &folds[s].training, &state.departures)?;
-                problem.centre_base(&base.values(&found));
+            let values = problem.values(&states[s].scaled);
+            problem.set_shape_start(&values);
+            if let Some((base, state)) = base_fits.and_then(|base_fits| base_fits.get(s)) {
+                let found = state.refit(base, &folds[s].training, &state.scaled)?;
+                problem.set_base_start(&base.values(&found));
             }
-            let start = problem.departures(&values);
+            let start = problem.to_scaled(&values);
             Ok((problem, start))
         })
         .collect::<Result<_, FitError>>()?;
@@ -300,88 +291,134 @@ fn judge_fold(
         (0..problems.len())
             .into_par_iter()
             .map(|s| {
-                let (problem, training) = (&centred[s].0, &folds[s].training);
-                match open {
-                    false => states[s].refit(problem, training, &starts[s]),
-                    true => states[s]
-                        .opened(&shared_slots(problem))
-                        .refit(problem, training, &starts[s]),
+                let (problem, training) = (&prepared[s].0, &folds[s].training);
+                if open {
+                    states[s]
+                        .with_freed(&shared_slots(problem))
+                        .refit(problem, training, &starts[s])
+                } else {
+                    states[s].refit(problem, training, &starts[s])
                 }
             })
             .collect::<Result<Vec<_>, FitError>>()
     };
-    let mut starts: Vec<DVector<f64>> = centred.iter().map(|(_, start)| start.clone()).collect();
-    if problems
-        .iter()
-        .any(|problem| !shared_slots(problem).is_empty())
-    {
+    let mut starts: Vec<DVector<f64>> = prepared.iter().map(|(_, start)| start.clone()).collect();
+    if problems.iter().any(|problem| !shared_slots(problem).is_empty()) {
         let opened = refit(&starts, true)?;
-        let mean = |slot: usize| opened.iter().map(|d| d[slot]).sum::<f64>() / opened.len() as f64;
+        let mean =
+            |index: usize| opened.iter().map(|d| d[index]).sum::<f64>() / opened.len() as f64;
         for (problem, start) in problems.iter().zip(&mut starts) {
-            shared_slots(problem)
-                .into_iter()
-                .for_each(|slot| start[slot] = mean(slot));
+            shared_slots(problem).into_iter().for_each(|index| start[index] = mean(index));
         }
     }
-    let judged = refit(&starts, false)?
-        .into_iter()
-        .enumerate()
-        .map(|(s, departures)| {
-            let problem = &centred[s].0;
-            (
-                problem.values(&departures),
-                held_out(problem, folds[s], &departures),
-            )
-        });
-    Ok(judged.collect())
+    let results_of_fold = refit(&starts, false)?.into_iter().enumerate().map(|(s, scaled)| {
+        let problem = &prepared[s].0;
+        (problem.values(&scaled), held_out_errors(problem, folds[s], &scaled))
+    });
+    Ok(results_of_fold.collect())
 }
 
-fn close(
+fn sensor_result(
     problem: &SensorProblem,
-    state: &State,
+    state: &SensorSolution,
     mut covariance: DMatrix<f64>,
     fold_values: Vec<Vec<f64>>,
-    folds: Vec<Tally>,
+    folds: Vec<ErrorSums>,
 ) -> SensorFit {
-    for slot in problem.chosen() {
-        covariance[(slot, slot)] = problem.slots[slot]
-            .chosen
-            .map_or(0.0, |error| error * error);
+    for index in problem.preset() {
+        covariance[(index, index)] =
+            problem.parameters[index].preset_sigma.map_or(0.0, |error| error * error);
     }
-    let mut seen = Tally::default();
-    judge(
-        &mut seen,
-        problem,
-        &everything(problem.rows),
-        &state.departures,
-    );
-    let whole = folds
+    let mut training = ErrorSums::default();
+    add_errors(&mut training, problem, &all_rows(problem.rows), &state.scaled);
+    let whole = folds.iter().fold(ErrorSums::default(), |sum, fold| sum.with(fold));
+    let derivatives: Vec<f64> = problem
+        .parameters
         .iter()
-        .fold(Tally::default(), |sum, fold| sum.with(fold));
-    let slopes: Vec<f64> = problem
-        .slots
-        .iter()
-        .zip(state.departures.iter())
-        .map(|(slot, &departure)| slot.slope(departure))
+        .zip(state.scaled.iter())
+        .map(|(index, &scaled)| index.derivative(scaled))
         .collect();
-    let size = slopes.len();
+    let size = derivatives.len();
     SensorFit {
         sensor: problem.rows.sensor,
         base_count: problem.base_count,
-        offset_is_open: (0..problem.offsets)
-            .any(|slot| variance_inflation(&state.blocks, slot) > COLLINEAR),
-        values: problem.values(&state.departures),
+        offset_confounded: (0..problem.offset_count)
+            .any(|index| variance_inflation(&state.blocks, index) > MAX_VARIANCE_INFLATION),
+        values: problem.values(&state.scaled),
         identifiable: (0..size)
-            .map(|i| covariance[(i, i)].max(0.0).sqrt() <= KNOWN_WITHIN)
+            .map(|i| covariance[(i, i)].max(0.0).sqrt() <= MAX_UNCERTAINTY)
             .collect(),
         covariance: DMatrix::from_fn(size, size, |i, j| {
-            covariance[(i, j)] * slopes[i] * slopes[j]
+            covariance[(i, j)] * derivatives[i] * derivatives[j]
         }),
-        held: state.space.held.clone(),
-        scores: whole.scores(&seen, problem.rows.sensor, problem.rows.field_span()),
+        unidentifiable: state.space.unidentifiable.clone(),
+        scores: whole.scores(&training, problem.rows.sensor, problem.rows.field_span()),
         folds,
         fold_values,
         block_s: state.length_s,
-        slots: problem.slots.clone(),
+        parameters: problem.parameters.clone(),
+    }
+}
+
+/// Estimate of the shared parameters by one sensor, with covariance, in prior widths.
+#[derive(Clone, Debug)]
+pub struct SensorEstimate {
+    /// Estimates.
+    pub value: DVector<f64>,
+    /// Their covariance.
+    pub covariance: DMatrix<f64>,
+}
+
+/// Inverse-covariance weighted mean of all sensors, with its covariance. Scatter between sensors beyond their
+/// error bars widens it (Birge 1932).
+pub fn pool_estimates(estimates: &[SensorEstimate]) -> Option<SensorEstimate> {
+    let size = estimates.first()?.value.len();
+    let mut precision = DMatrix::zeros(size, size);
+    let mut right = DVector::zeros(size);
+    let mut weights = Vec::new();
+    for estimate in estimates {
+        let ridge = DMatrix::identity(size, size) * 1e-12;
+        let weight = (&estimate.covariance + ridge).cholesky()?.inverse();
+        precision += &weight;
+        right += &weight * &estimate.value;
+        weights.push(weight);
+    }
+    let covariance = precision.cholesky()?.inverse();
+    let value = &covariance * right;
+    let scatter: f64 = estimates
+        .iter()
+        .zip(&weights)
+        .map(|(estimate, weight)| {
+            let off = &estimate.value - &value;
+            off.dot(&(weight * &off))
+        })
+        .sum();
+    let freedom = (size * (estimates.len() - 1)) as f64;
+    let birge = if freedom > 0.0 { (scatter / freedom).max(1.0) } else { 1.0 };
+    Some(SensorEstimate { value, covariance: covariance * birge })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn shared_estimate(value: f64, error: f64) -> SensorEstimate {
+        SensorEstimate {
+            value: DVector::from_element(1, value),
+            covariance: DMatrix::from_element(1, 1, error * error),
+        }
+    }
+
+    #[test]
+    fn pooling_weights_by_precision_and_scatter_widens_the_error() {
+        // 1/4 and 1 are the weights of errors 2 and 1: (0.25 * 10 + 1 * 5) / 1.25 = 6.
+        let pooled =
+            pool_estimates(&[shared_estimate(10.0, 2.0), shared_estimate(5.0, 1.0)]).unwrap();
+        assert!((pooled.value[0] - 6.0).abs() < 1e-9);
+        // Chi squared (4/2)^2 + (1/1)^2 = 5 for one degree of freedom: variance 5 / 1.25.
+        assert!((pooled.covariance[(0, 0)] - 4.0).abs() < 1e-6);
+        let agreeing =
+            pool_estimates(&[shared_estimate(5.0, 2.0), shared_estimate(5.0, 1.0)]).unwrap();
+        assert!((agreeing.covariance[(0, 0)] - 0.8).abs() < 1e-6);
     }
 }

@@ -1,44 +1,39 @@
-//! Are the columns what they say? A swapped, flipped or wrongly scaled column makes a bad fit that
-//! looks like bad physics, so it is refused before the fit, by name.
+//! Plausibility of the columns before the fit: swapped, flipped or wrongly scaled columns would give a bad fit
+//! that looks like bad physics.
 //!
-//! For each recording and sensor the field is regressed on the two forces; the slopes and the field
-//! at rest are held against those of the nominal design. Only gross faults count: a factor of three
-//! or a wrong sign, far beyond any manufacturing tolerance.
+//! For each recording and sensor the field is regressed on the two forces; slopes and field at rest are
+//! compared with the nominal design. Only gross errors count: a factor of three or a wrong sign, far beyond
+//! manufacturing tolerances.
 
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
-use super::FitError;
+use crate::fit::FitError;
 use crate::physics::ForwardModel;
 use crate::recordings::columns::Axis;
-use crate::recordings::{Campaign, Place, Recording};
+use crate::recordings::{Campaign, Location, Recording};
 
-/// Beyond this factor from nominal, either way, a scale is wrong.
+/// Maximum plausible factor from nominal, either way.
 const SCALE: f64 = 3.0;
-/// A force that moves less than this (standard deviation, N) says nothing about its column.
-const MOVES_N: f64 = 1.0;
+/// Minimum standard deviation in N of a force for its column to be checked.
+const MIN_FORCE_SIGMA_N: f64 = 1.0;
 
 /// Checks every recording's columns for `sensor` against the nominal design.
 ///
 /// # Errors
-/// The first column that cannot be what it says.
+/// The first implausible column.
 pub fn check(campaign: &Campaign, sensor: u32, nominal: &ForwardModel) -> Result<(), FitError> {
     for recording in &campaign.recordings {
         let Some(slopes) = Slopes::of(recording, sensor, sensor) else {
             continue;
         };
-        let found = Check {
-            recording,
-            sensor,
-            nominal,
-            slopes,
-        };
+        let found = Check { recording, sensor, nominal, slopes };
         found.rest_field()?;
         found.forces()?;
     }
     Ok(())
 }
 
-/// Field at zero force, and its slope to each force that moves.
+/// Field at zero force, and its slope to each force that varies.
 struct Slopes {
     rest_g: Vector3<f64>,
     /// `[dB/dFx, dB/dFz]` in G/N; `None` where the force does not move.
@@ -55,11 +50,7 @@ impl Slopes {
         let mut right: SMatrix<f64, 3, 3> = SMatrix::zeros();
         for ((field, &fx), &fz) in track.field_g.iter().zip(&x.newtons).zip(&z.newtons) {
             let (regressor, field) = (Vector3::new(1.0, fx, fz), Vector3::from(*field));
-            if regressor
-                .iter()
-                .chain(field.iter())
-                .all(|value| value.is_finite())
-            {
+            if regressor.iter().chain(field.iter()).all(|value| value.is_finite()) {
                 normal += regressor * regressor.transpose();
                 right += regressor * field.transpose();
             }
@@ -67,26 +58,22 @@ impl Slopes {
         let count = normal[(0, 0)];
         let moves = [1, 2].map(|i| {
             let mean = normal[(0, i)] / count;
-            normal[(i, i)] / count - mean * mean > MOVES_N * MOVES_N
+            normal[(i, i)] / count - mean * mean > MIN_FORCE_SIGMA_N * MIN_FORCE_SIGMA_N
         });
-        // A force at rest would leave its slope undefined: hold that at zero.
+        // A constant force has no defined slope: regularised to zero.
         for (i, moves) in moves.iter().enumerate() {
             normal[(i + 1, i + 1)] += if *moves { 0.0 } else { 1e12 };
         }
         let solution = normal.cholesky()?.solve(&right);
         let slope = |i: usize| moves[i].then(|| solution.row(i + 1).transpose());
-        Some(Self {
-            rest_g: solution.row(0).transpose(),
-            per_newton: [slope(0), slope(1)],
-        })
+        Some(Self { rest_g: solution.row(0).transpose(), per_newton: [slope(0), slope(1)] })
     }
 
-    /// Slopes as shares of nominal: `shares[force][axis]`, axis and force out of x and z.
+    /// Slopes relative to nominal: `shares[force][axis]`, each of x and z.
     fn shares(&self, nominal: &ForwardModel) -> [Option<[f64; 2]>; 2] {
-        let expected = nominal.per_newton(&nominal.respond(Vector3::zeros()));
+        let expected = nominal.per_newton(&nominal.response(Vector3::zeros()));
         let scale = [expected[0].x, expected[1].z];
-        self.per_newton
-            .map(|slope| slope.map(|slope| [slope.x / scale[0], slope.z / scale[1]]))
+        self.per_newton.map(|slope| slope.map(|slope| [slope.x / scale[0], slope.z / scale[1]]))
     }
 }
 
@@ -105,7 +92,7 @@ impl Check<'_> {
         if rest.iamax() != strongest && rest.amax() > expected.amax() / SCALE {
             return self.hall(
                 &columns(rest.iamax()),
-                format!("the magnet's field stands on this axis ({:.0} G at rest), and by the design it belongs on {}", rest.amax(), columns(strongest)),
+                format!("the magnet's field is on this axis ({:.0} G at rest), but on {} by the design", rest.amax(), columns(strongest)),
                 "the field columns are permuted: rename them, or correct magnet.axis in recording.toml",
             );
         }
@@ -162,14 +149,14 @@ impl Check<'_> {
             if share < 1.0 / SCALE {
                 return self.force(
                     force,
-                    format!("sensor {} answers with {share:.2} of what the design says", self.sensor),
+                    format!("sensor {} has {share:.2} of the sensitivity of the design", self.sensor),
                     "check the force's unit (newtons), the field's unit, and the stiffness in recording.toml",
                 );
             }
             if share > SCALE {
                 return self.force(
                     force,
-                    format!("sensor {} answers {share:.1} times as strongly as the design says", self.sensor),
+                    format!("sensor {} has {share:.1} times the sensitivity of the design", self.sensor),
                     "check the force's unit (newtons, not kilograms), the field's unit, and the stiffness in recording.toml",
                 );
             }
@@ -177,7 +164,7 @@ impl Check<'_> {
         Ok(())
     }
 
-    /// The other place whose force the field follows.
+    /// Location of another force that the field follows.
     fn followed(&self, force: usize) -> Option<u32> {
         let places = self.recording.forces.keys().map(|(place, _)| *place);
         places.filter(|place| *place != self.sensor).find(|place| {
@@ -198,13 +185,9 @@ impl Check<'_> {
 
     fn error(&self, file: &str, column: String, what: String, advice: &str) -> FitError {
         let packed = self.recording.folder.join(format!("{file}.gz"));
-        let path = if packed.exists() {
-            packed
-        } else {
-            self.recording.folder.join(file)
-        };
+        let path = if packed.exists() { packed } else { self.recording.folder.join(file) };
         FitError::Orientation {
-            place: Place::file(&path).column(column),
+            place: Location::file(&path).column(column),
             what,
             advice: advice.to_owned(),
         }

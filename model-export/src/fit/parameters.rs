@@ -1,17 +1,17 @@
-//! The parameters of the cylinder base: names, tolerances, and how the field answers to each.
+//! Free parameters of a fit, and those of the cylinder model with their priors and Jacobian.
 
+use crate::effects::{EffectParameter, ParameterKind};
+use crate::physics::sensor::rotation_derivative;
+use crate::physics::{FieldResponse, ForwardModel, ModelFrames, PhysicalState};
 use nalgebra::{SMatrix, Vector3};
-
-use crate::physics::sensor::spin;
-use crate::physics::{ForwardModel, Frames, Response, State};
 
 /// A degree in rad.
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
-/// Number of parameters of one sensor.
+/// Number of parameters of the cylinder model.
 pub const COUNT: usize = 14;
 
-/// The parameters before this one are the stiffnesses: they act through the state alone.
+/// Index of the first geometric parameter; those before are stiffnesses and act through the state alone.
 pub const FIRST_OF_GEOMETRY: usize = 2;
 
 /// One column of the Jacobian for each parameter, one row for each axis.
@@ -19,41 +19,30 @@ pub type Jacobian = SMatrix<f64, 3, COUNT>;
 
 /// One parameter of the cylinder base.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Parameter {
+pub struct CylinderParameter {
     /// Name in the model file and in JSON.
     pub name: &'static str,
     /// Unit.
     pub unit: &'static str,
-    /// By how much two grippers of one design plausibly differ (one standard deviation): relative
-    /// to nominal for stiffness and remanence, in [`Parameter::unit`] for the rest. Assumed.
+    /// Standard deviation between grippers of one design: relative to nominal for stiffness and remanence, in
+    /// [`CylinderParameter::unit`] for the rest. Assumed.
     pub tolerance: f64,
     /// Whether the tolerance is relative to nominal.
     pub relative: bool,
 }
 
-const fn relative(name: &'static str, unit: &'static str, tolerance: f64) -> Parameter {
-    Parameter {
-        name,
-        unit,
-        tolerance,
-        relative: true,
-    }
+const fn relative(name: &'static str, unit: &'static str, tolerance: f64) -> CylinderParameter {
+    CylinderParameter { name, unit, tolerance, relative: true }
 }
 
-const fn absolute(name: &'static str, unit: &'static str, tolerance: f64) -> Parameter {
-    Parameter {
-        name,
-        unit,
-        tolerance,
-        relative: false,
-    }
+const fn absolute(name: &'static str, unit: &'static str, tolerance: f64) -> CylinderParameter {
+    CylinderParameter { name, unit, tolerance, relative: false }
 }
 
-/// All parameters, in the order of the vectors.
+/// All parameters in the order of the vectors.
 ///
-/// The tolerances only decide what is held at nominal (see [`super::space`]): a combination
-/// that the data know no better than this.
-pub const PARAMETERS: [Parameter; COUNT] = [
+/// The tolerances decide which combinations stay at nominal (see [`crate::fit::identifiability`]).
+pub const PARAMETERS: [CylinderParameter; COUNT] = [
     // A wire-cut beam's thickness enters with its third power: 0.1 mm of 5 mm is 6 %.
     relative("stiffness_x", "N/mm", 0.10),
     relative("stiffness_z", "N/mm", 0.10),
@@ -72,7 +61,7 @@ pub const PARAMETERS: [Parameter; COUNT] = [
     absolute("bias_z", "G", 5.0),
 ];
 
-/// Tolerance of the parameter of that name, as it stands in [`PARAMETERS`]; none of others.
+/// Tolerance of the parameter `name` in [`PARAMETERS`]; zero for others.
 pub fn tolerance(name: &str) -> f64 {
     let parameter = PARAMETERS.iter().find(|parameter| parameter.name == name);
     parameter.map_or(0.0, |parameter| parameter.tolerance)
@@ -101,22 +90,7 @@ pub fn values(model: &ForwardModel) -> [f64; COUNT] {
 
 /// `model` with these values, in the order of [`PARAMETERS`].
 pub fn with_values(model: &ForwardModel, values: &[f64; COUNT]) -> ForwardModel {
-    let [
-        kx,
-        kz,
-        remanence_t,
-        gap_mm,
-        x,
-        z,
-        ta,
-        tc,
-        ra,
-        rb,
-        rc,
-        ba,
-        bb,
-        bc,
-    ] = *values;
+    let [kx, kz, remanence_t, gap_mm, x, z, ta, tc, ra, rb, rc, ba, bb, bc] = *values;
     ForwardModel {
         stiffness_n_per_mm: [kx, kz],
         remanence_t,
@@ -129,28 +103,20 @@ pub fn with_values(model: &ForwardModel, values: &[f64; COUNT]) -> ForwardModel 
     }
 }
 
-/// The tolerances in the parameters' units, for this nominal design.
+/// Prior widths in the parameters' units, for this nominal design.
 pub fn tolerances(nominal: &ForwardModel) -> [f64; COUNT] {
     let nominal = values(nominal);
     std::array::from_fn(|i| {
-        let Parameter {
-            tolerance,
-            relative,
-            ..
-        } = PARAMETERS[i];
-        if relative {
-            tolerance * nominal[i].abs()
-        } else {
-            tolerance
-        }
+        let CylinderParameter { tolerance, relative, .. } = PARAMETERS[i];
+        if relative { tolerance * nominal[i].abs() } else { tolerance }
     })
 }
 
-/// Derivatives of the field to the parameters, in their units, for many rows of one model.
+/// Derivatives of the field to the parameters, in their units, for many states of one model.
 pub struct Derivatives {
     model: ForwardModel,
-    frames: Frames,
-    /// How the reading turns for each degree of `rotation_x`, `_y`, `_z`.
+    frames: ModelFrames,
+    /// Change of the reading per degree of `rotation_x`, `_y`, `_z`.
     turns: [Vector3<f64>; 3],
 }
 
@@ -158,23 +124,18 @@ impl Derivatives {
     /// Prepares for `model`.
     pub fn new(model: &ForwardModel) -> Self {
         let turns = [Vector3::x(), Vector3::y(), Vector3::z()]
-            .map(|axis| spin(model.rotation_rad, axis) * DEGREE);
-        Self {
-            model: *model,
-            frames: model.frames(),
-            turns,
-        }
+            .map(|axis| rotation_derivative(model.rotation_rad, axis) * DEGREE);
+        Self { model: *model, frames: model.frames(), turns }
     }
 
-    /// The response at `state`, and the derivatives of its field. The stiffnesses act through the
-    /// state alone: their columns are zero here and are filled by who made the state.
-    pub fn at(&self, state: &State) -> (Response, Jacobian) {
-        let response = self.model.respond_in(&self.frames, state);
+    /// FieldResponse at `state`, and the Jacobian of its field. The columns of the stiffnesses are zero: they act
+    /// through the state.
+    pub fn at(&self, state: &PhysicalState) -> (FieldResponse, Jacobian) {
+        let response = self.model.response_at(&self.frames, state);
         let per_mm = &response.per_mm;
-        let [turn_x, turn_y, turn_z] = self
-            .turns
-            .map(|spin| response.per_field * spin.cross(&response.at_element_g));
-        let [tilt_x, tilt_z] = response.per_lean.map(|lean| lean * DEGREE);
+        let [turn_x, turn_y, turn_z] =
+            self.turns.map(|spin| response.per_field * spin.cross(&response.at_element_g));
+        let [tilt_x, tilt_z] = response.per_tilt.map(|lean| lean * DEGREE);
         let none = Vector3::zeros();
         let per_tesla = response.per_strength * (state.strength / self.model.remanence_t);
         let jacobian = Jacobian::from_columns(&[
@@ -197,31 +158,113 @@ impl Derivatives {
     }
 }
 
+/// Prior width of a coefficient, in typical values.
+const PRIOR_WIDTH: f64 = 10.0;
+/// Minimum prior width of a shape, relative.
+const MIN_SHAPE_WIDTH: f64 = 0.1;
+
+/// A parameter of one sensor. Its scaled value is the deviation from its start in prior widths.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FreeParameter {
+    /// Name.
+    pub name: String,
+    /// Unit.
+    pub unit: String,
+    /// Value at which the scaled value is zero.
+    pub start: f64,
+    /// Prior width; of the logarithm where `relative`.
+    pub scale: f64,
+    /// Whether the parameter is a positive shape, scaled logarithmically.
+    pub relative: bool,
+    /// Whether all sensors share the value.
+    pub shared: bool,
+    /// Whether each fold refits it from its start: true for coefficients and the base. Shapes and initial
+    /// states start from the fit of the whole campaign.
+    pub refit_per_fold: bool,
+    /// Standard error in prior widths of a value that was selected by cross-validation and stays fixed.
+    pub preset_sigma: Option<f64>,
+}
+
+impl FreeParameter {
+    /// From the parameter of an effect.
+    pub fn of(parameter: &EffectParameter) -> Self {
+        let (start, scale, relative) = match &parameter.kind {
+            // Replaced by the search for initial values.
+            ParameterKind::Coefficient if parameter.typical.is_nan() => (0.0, 1.0, false),
+            ParameterKind::Coefficient => (0.0, PRIOR_WIDTH * parameter.typical.abs(), false),
+            ParameterKind::InitialState => (0.0, parameter.typical, false),
+            ParameterKind::Instant => (0.0, 0.5, false),
+            ParameterKind::Shape { grid } => {
+                let (first, last) = (grid[0], grid[grid.len() - 1]);
+                let step = (last / first).ln() / (grid.len() - 1) as f64;
+                if first > 0.0 {
+                    (grid[grid.len() / 2], step.max(MIN_SHAPE_WIDTH), true)
+                } else {
+                    (grid[grid.len() / 2], (last - first) / (grid.len() - 1) as f64, false)
+                }
+            }
+        };
+        Self {
+            name: parameter.name.to_string(),
+            unit: parameter.unit.to_string(),
+            start,
+            scale,
+            relative,
+            shared: parameter.shared,
+            refit_per_fold: parameter.is_coefficient(),
+            preset_sigma: None,
+        }
+    }
+
+    /// Value in its unit.
+    pub fn value(&self, scaled: f64) -> f64 {
+        if self.relative {
+            self.start * libm::exp(self.scale * scaled)
+        } else {
+            self.start + self.scale * scaled
+        }
+    }
+
+    /// Scaled value of a value.
+    pub fn to_scaled(&self, value: f64) -> f64 {
+        if self.relative {
+            (value / self.start).ln() / self.scale
+        } else {
+            (value - self.start) / self.scale
+        }
+    }
+
+    /// Derivative of the value to the scaled value.
+    pub fn derivative(&self, scaled: f64) -> f64 {
+        if self.relative { self.scale * self.value(scaled) } else { self.scale }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::recordings::description::Design;
+    use crate::recordings::description::NominalDesign;
     use proptest::prelude::*;
 
     fn nominal() -> ForwardModel {
-        ForwardModel::nominal(&Design::magpie())
+        ForwardModel::nominal(&NominalDesign::magpie())
     }
 
     proptest! {
         #[test]
-        fn each_derivative_is_that_of_the_field(
-            departures in proptest::array::uniform14(-2.0..2.0_f64),
+        fn derivatives_equal_finite_differences_of_the_field(
+            scaled in proptest::array::uniform14(-2.0..2.0_f64),
             fx in -250.0..250.0_f64,
             fz in -250.0..250.0_f64,
         ) {
             let (start, scale) = (values(&nominal()), tolerances(&nominal()));
             let at = |i: usize, by: f64| {
-                let mut moved: [f64; COUNT] = std::array::from_fn(|i| start[i] + departures[i] * scale[i]);
+                let mut moved: [f64; COUNT] = std::array::from_fn(|i| start[i] + scaled[i] * scale[i]);
                 moved[i] += by * scale[i];
                 with_values(&nominal(), &moved)
             };
             let model = at(0, 0.0);
-            let state = State::displaced(model.displacement([fx, fz]));
+            let state = PhysicalState::displaced(model.displacement([fx, fz]));
             let (response, jacobian) = Derivatives::new(&model).at(&state);
             prop_assert!((response.field_g - model.field([fx, fz])).amax() < 1e-9);
             for i in FIRST_OF_GEOMETRY..COUNT {

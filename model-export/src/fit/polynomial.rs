@@ -1,19 +1,18 @@
-//! The base where no geometry is known: each axis of the field as a polynomial of the forces.
+//! Base model without a known geometry: each field axis as a polynomial of the forces.
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
-use super::blocks::{self, Block};
-use super::folds::{Split, Stretch, everything, stretches};
-use super::rows::SensorRows;
-use super::score::Tally;
-use super::{AxisScore, FitError, Options};
+use crate::fit::block_bootstrap::{self, Block};
+use crate::fit::cross_validation::{CvSplit, ErrorSums, RowRange, all_rows, time_slices};
+use crate::fit::rows::SensorRows;
+use crate::fit::{AxisScore, FitError, FitOptions};
 use crate::recordings::columns::Axis;
 
-/// Highest degree that is tried where none is given.
-pub const HIGHEST_DEGREE: usize = 7;
+/// Maximum degree of the automatic choice.
+pub const MAX_DEGREE: usize = 7;
 
-/// A lower degree is preferred while its held-out mean square is within this share of the best.
-const WORTH: f64 = 0.01;
+/// A lower degree is preferred while its held-out mean square exceeds the best by at most this fraction.
+const DEGREE_TOLERANCE: f64 = 0.01;
 
 /// Field as a polynomial of the forces: products of Legendre polynomials of the scaled forces, up
 /// to a total degree. Legendre polynomials keep the least squares well conditioned.
@@ -97,12 +96,7 @@ fn basis(force_n: &[f64], spans: &[(f64, f64)], terms: &[Vec<usize>], degree: us
         .collect();
     terms
         .iter()
-        .map(|term| {
-            term.iter()
-                .zip(&legendre)
-                .map(|(&power, values)| values[power])
-                .product()
-        })
+        .map(|term| term.iter().zip(&legendre).map(|(&power, values)| values[power]).product())
         .collect()
 }
 
@@ -115,7 +109,7 @@ pub struct PolynomialFit {
     pub model: Polynomial,
     /// One standard deviation of each coefficient, in gauss.
     pub std_error_g: DMatrix<f64>,
-    /// Held-out error beside the floor, each axis.
+    /// Held-out error and noise floor of each axis.
     pub scores: Vec<AxisScore>,
     /// Held-out error in gauss, root mean square over the axes, of each degree that was tried.
     pub tried: Vec<(usize, f64)>,
@@ -123,95 +117,82 @@ pub struct PolynomialFit {
     pub block_s: f64,
 }
 
-/// Fits one sensor with a polynomial of `degree`, or of the lowest degree whose held-out error is
-/// within 1 % of the best up to [`HIGHEST_DEGREE`]. Without a force there are constants alone.
+/// Fits one sensor with a polynomial of `degree`, or of the lowest degree whose held-out error is within 1 % of
+/// the best up to [`MAX_DEGREE`]. Without forces the degree is zero.
 pub fn fit(
     rows: &SensorRows,
     degree: Option<usize>,
-    options: Options,
+    options: FitOptions,
 ) -> Result<PolynomialFit, FitError> {
     let spans = rows.force_spans();
     let degrees = match (degree, rows.forces.is_empty()) {
         (Some(stated), true) if stated > 0 => {
-            return Err(FitError::DegreeWithoutForce {
-                sensor: rows.sensor,
-                degree: stated,
-            });
+            return Err(FitError::DegreeWithoutForce { sensor: rows.sensor, degree: stated });
         }
         (_, true) => 0..=0,
         (Some(stated), false) => stated..=stated,
-        (None, false) => 1..=HIGHEST_DEGREE,
+        (None, false) => 1..=MAX_DEGREE,
     };
-    let tried: Vec<(usize, Tally)> = degrees
+    let tried: Vec<(usize, ErrorSums)> = degrees
         .map(|degree| Ok((degree, held_out(rows, &spans, degree)?)))
         .collect::<Result<_, FitError>>()?;
-    let best = tried
-        .iter()
-        .map(|(_, tally)| tally.mean_square())
-        .fold(f64::INFINITY, f64::min);
-    let chosen = tried
-        .iter()
-        .find(|(_, tally)| tally.mean_square() <= (1.0 + WORTH) * best);
-    let Some((degree, tally)) = chosen else {
+    let best = tried.iter().map(|(_, sums)| sums.mean_square()).fold(f64::INFINITY, f64::min);
+    let chosen =
+        tried.iter().find(|(_, sums)| sums.mean_square() <= (1.0 + DEGREE_TOLERANCE) * best);
+    let Some((degree, sums)) = chosen else {
         let reason = "no degree gave a finite error".to_owned();
-        return Err(FitError::NotConverged {
-            sensor: rows.sensor,
-            reason,
-        });
+        return Err(FitError::NotConverged { sensor: rows.sensor, reason });
     };
-    let all = everything(rows);
+    let all = all_rows(rows);
     let model = solve(rows, &all, &spans, *degree)?;
-    let mut seen = Tally::default();
-    judge(&mut seen, rows, &all, &model);
+    let mut training = ErrorSums::default();
+    add_errors(&mut training, rows, &all, &model);
     let (std_error_g, block_s) = error_bars(rows, &model, options);
     Ok(PolynomialFit {
         sensor: rows.sensor,
         model,
         std_error_g,
-        scores: tally.scores(&seen, rows.sensor, rows.field_span()),
-        tried: tried
-            .iter()
-            .map(|(d, tally)| (*d, tally.mean_square().sqrt()))
-            .collect(),
+        scores: sums.scores(&training, rows.sensor, rows.field_span()),
+        tried: tried.iter().map(|(d, sums)| (*d, sums.mean_square().sqrt())).collect(),
         block_s,
     })
 }
 
-fn held_out(rows: &SensorRows, spans: &[(f64, f64)], degree: usize) -> Result<Tally, FitError> {
-    let mut tally = Tally::default();
-    for fold in Split::of(std::slice::from_ref(rows), false).folds(rows, 1.0) {
-        if fold.test.iter().all(|stretch| stretch.rows.is_empty()) {
+fn held_out(rows: &SensorRows, spans: &[(f64, f64)], degree: usize) -> Result<ErrorSums, FitError> {
+    let mut sums = ErrorSums::default();
+    for fold in CvSplit::of(std::slice::from_ref(rows), false).folds(rows, 1.0) {
+        if fold.test.iter().all(|range| range.rows.is_empty()) {
             continue;
         }
         let model = solve(rows, &fold.training, spans, degree)?;
-        judge(&mut tally, rows, &fold.test, &model);
+        add_errors(&mut sums, rows, &fold.test, &model);
     }
-    Ok(tally)
+    Ok(sums)
 }
 
-fn judge(tally: &mut Tally, rows: &SensorRows, stretches: &[Stretch], model: &Polynomial) {
-    for stretch in stretches {
-        let part = &rows.parts[stretch.part];
-        for row in stretch.rows.clone() {
+fn add_errors(sums: &mut ErrorSums, rows: &SensorRows, ranges: &[RowRange], model: &Polynomial) {
+    for range in ranges {
+        let part = &rows.parts[range.part];
+        for row in range.rows.clone() {
             let force = &part.force_n[row];
             let residual = part.field_g[row] - model.field(force);
-            tally.add(part, residual, model.per_newton(force));
+            sums.add(part, residual, model.per_newton(force));
         }
     }
 }
 
 fn solve(
     rows: &SensorRows,
-    stretches: &[Stretch],
+    ranges: &[RowRange],
     spans: &[(f64, f64)],
     degree: usize,
 ) -> Result<Polynomial, FitError> {
     let terms = Polynomial::terms(spans.len(), degree);
     let mut normal = DMatrix::zeros(terms.len(), terms.len());
     let mut right = DMatrix::zeros(terms.len(), 3);
-    for stretch in stretches {
-        let part = &rows.parts[stretch.part];
-        for row in stretch.rows.clone() {
+    for range in ranges {
+        let part = &rows.parts[range.part];
+        for row in range.rows.clone() {
             let values = DVector::from_vec(basis(&part.force_n[row], spans, &terms, degree));
             normal.ger(1.0, &values, &values, 1.0);
             right += &values * part.field_g[row].transpose();
@@ -220,39 +201,32 @@ fn solve(
     let not_converged = || FitError::NotConverged {
         sensor: rows.sensor,
         reason: format!(
-            "the loads do not tell {} terms of degree {degree} apart: give a lower --degree",
+            "the loads do not determine {} terms of degree {degree}: use a lower --degree",
             terms.len()
         ),
     };
     let coefficients_g = normal.cholesky().ok_or_else(not_converged)?.solve(&right);
-    Ok(Polynomial {
-        degree,
-        forces: rows.forces.clone(),
-        spans_n: spans.to_vec(),
-        coefficients_g,
-    })
+    Ok(Polynomial { degree, forces: rows.forces.clone(), spans_n: spans.to_vec(), coefficients_g })
 }
 
-fn error_bars(rows: &SensorRows, model: &Polynomial, options: Options) -> (DMatrix<f64>, f64) {
+fn error_bars(rows: &SensorRows, model: &Polynomial, options: FitOptions) -> (DMatrix<f64>, f64) {
     let terms = Polynomial::terms(model.spans_n.len(), model.degree);
     let residuals: Vec<Vec<Vector3<f64>>> = rows
         .parts
         .iter()
         .map(|part| {
             let loads = part.force_n.iter().zip(&part.field_g);
-            loads
-                .map(|(force, field)| field - model.field(force))
-                .collect()
+            loads.map(|(force, field)| field - model.field(force)).collect()
         })
         .collect();
-    let length_s = blocks::length_s(rows, |part, axis| {
+    let length_s = block_bootstrap::block_length_s(rows, |part, axis| {
         residuals[part].iter().map(|r| r[axis]).collect()
     });
     let mut bars = DMatrix::zeros(terms.len(), 3);
     for axis in 0..3 {
         let mut list = Vec::new();
         for (part, residuals) in rows.parts.iter().zip(&residuals) {
-            for range in stretches(&part.time_s, length_s) {
+            for range in time_slices(&part.time_s, length_s) {
                 let mut block = Block::zeros(terms.len());
                 for i in range {
                     let values = DVector::from_vec(basis(
@@ -267,7 +241,7 @@ fn error_bars(rows: &SensorRows, model: &Polynomial, options: Options) -> (DMatr
                 list.push(block);
             }
         }
-        let covariance = blocks::bootstrap_covariance(&list, options.draws, options.seed);
+        let covariance = block_bootstrap::bootstrap_covariance(&list, options.draws, options.seed);
         bars.set_column(axis, &covariance.diagonal().map(|v| v.max(0.0).sqrt()));
     }
     (bars, length_s)
@@ -289,9 +263,6 @@ mod tests {
     fn the_basis_is_legendre_s() {
         // P3(0.5) = (5 * 0.125 - 3 * 0.5) / 2 = -0.4375, at force 3 in the range 0 to 4.
         let terms = Polynomial::terms(1, 3);
-        assert_eq!(
-            basis(&[3.0], &[(0.0, 4.0)], &terms, 3),
-            [1.0, 0.5, -0.125, -0.4375]
-        );
+        assert_eq!(basis(&[3.0], &[(0.0, 4.0)], &terms, 3), [1.0, 0.5, -0.125, -0.4375]);
     }
 }

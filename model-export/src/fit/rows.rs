@@ -1,30 +1,30 @@
-//! What one sensor and its reference saw, row by row, with their noise.
+//! Usable rows of one sensor with its reference forces and their noise.
 
 use nalgebra::Vector3;
 
-use super::FitError;
-use crate::effects::Track;
-use crate::effects::track::Cycles;
+use crate::effects::ExcitationSeries;
+use crate::effects::excitation::LoadCycleCounter;
+use crate::fit::FitError;
 use crate::recordings::columns::Axis;
-use crate::recordings::{Campaign, Place, Recording};
+use crate::recordings::{Campaign, Location, Recording};
 
-/// A force must move this many times its noise (standard deviations) to tell anything.
-const MOVES: f64 = 10.0;
+/// Minimum standard deviation of a force, in standard deviations of its noise.
+const MIN_EXCITATION: f64 = 10.0;
 
 /// The usable rows of one sensor: field finite on all axes, every force measured.
 #[derive(Clone, Debug)]
 pub struct SensorRows {
     /// Number of the sensor.
     pub sensor: u32,
-    /// The forces that act on it, as columns of every row's `force_n`.
+    /// Forces in the order of every row's `force_n`.
     pub forces: Vec<(u32, Axis)>,
     /// One part for each recording, in the campaign's order.
-    pub parts: Vec<Part>,
+    pub parts: Vec<RecordingRows>,
 }
 
 /// The rows of one recording.
 #[derive(Clone, Debug)]
-pub struct Part {
+pub struct RecordingRows {
     /// The reference's clock in seconds.
     pub time_s: Vec<f64>,
     /// Newtons, in the order of [`SensorRows::forces`].
@@ -35,24 +35,23 @@ pub struct Part {
     pub field_noise_g: Vector3<f64>,
     /// White noise of one reference row in newtons, each force.
     pub force_noise_n: Vec<f64>,
-    /// The same rows as effects see them.
-    pub track: Track,
+    /// Covariates of the same rows.
+    pub track: ExcitationSeries,
 }
 
 impl SensorRows {
-    /// The rows of `sensor` under the forces of its own place, lateral and longitudinal.
+    /// Rows of `sensor` with the lateral and longitudinal force at its own place.
     ///
     /// # Errors
-    /// One of the two was not recorded.
+    /// One of the two forces was not recorded.
     pub fn with_own_forces(campaign: &Campaign, sensor: u32) -> Result<Self, FitError> {
         let forces = own_forces(sensor);
         for recording in &campaign.recordings {
-            if let Some((_, axis)) = forces
-                .iter()
-                .find(|force| !recording.forces.contains_key(force))
+            if let Some((_, axis)) =
+                forces.iter().find(|force| !recording.forces.contains_key(force))
             {
                 return Err(FitError::NoForce {
-                    place: Place::file(&recording.folder),
+                    place: Location::file(&recording.folder),
                     sensor,
                     axis: axis.letter(),
                 });
@@ -61,42 +60,31 @@ impl SensorRows {
         Self::collect(campaign, sensor, forces.to_vec())
     }
 
-    /// The rows of `sensor` under whatever forces were recorded: those of its own place, or, where
-    /// it has none, all of them (one reference that loads every sensor). Where no recording has any, it
-    /// is a sensor that nothing pushes.
+    /// Rows of `sensor` with the recorded forces of its own place or, where there are none, with all forces
+    /// (one reference for all sensors), or without any.
     pub fn with_recorded_forces(campaign: &Campaign, sensor: u32) -> Result<Self, FitError> {
         let everywhere = |force: &&(u32, Axis)| {
-            campaign
-                .recordings
-                .iter()
-                .all(|r| r.forces.contains_key(*force))
+            campaign.recordings.iter().all(|r| r.forces.contains_key(*force))
         };
         let recorded: Vec<(u32, Axis)> =
             campaign.recordings.first().map_or_else(Vec::new, |first| {
                 first.forces.keys().filter(everywhere).copied().collect()
             });
         for recording in &campaign.recordings {
-            let own = recording
-                .forces
-                .keys()
-                .filter(|(place, _)| *place == sensor);
+            let own = recording.forces.keys().filter(|(place, _)| *place == sensor);
             if own.clone().any(|force| !recorded.contains(force)) {
                 return Err(FitError::ForcesDiffer {
-                    place: Place::file(&recording.folder),
+                    place: Location::file(&recording.folder),
                     sensor,
                 });
             }
         }
-        let own: Vec<_> = recorded
-            .iter()
-            .filter(|(place, _)| *place == sensor)
-            .copied()
-            .collect();
+        let own: Vec<_> = recorded.iter().filter(|(place, _)| *place == sensor).copied().collect();
         let forces = if own.is_empty() { recorded } else { own };
         let any = campaign.recordings.iter().any(|r| !r.forces.is_empty());
         if forces.is_empty() && any {
             return Err(FitError::NoForce {
-                place: Place::file(&campaign.folder),
+                place: Location::file(&campaign.folder),
                 sensor,
                 axis: "x and z",
             });
@@ -111,92 +99,68 @@ impl SensorRows {
     ) -> Result<Self, FitError> {
         let mut before_s = 0.0;
         let mut parts = Vec::new();
-        let mut cycles = Cycles::default();
+        let mut cycles = LoadCycleCounter::default();
         for (i, recording) in campaign.recordings.iter().enumerate() {
-            let mut part = Part::new(recording, (i, before_s), sensor, &forces);
-            cycles.count(&mut part.track);
+            let mut part = RecordingRows::new(recording, (i, before_s), sensor, &forces);
+            cycles.update(&mut part.track);
             parts.push(part);
             before_s += recording.span_s();
         }
-        let rows: usize = parts.iter().map(Part::len).sum();
-        // Twelve parameters at the most in the geometric base, and some rows for each.
+        let rows: usize = parts.iter().map(RecordingRows::len).sum();
+        // The geometric base has 14 parameters: several rows for each.
         let needed = 100;
         let saturated = saturated_share(campaign, sensor);
         if rows < needed && saturated > 0.5 {
             return Err(FitError::Saturated {
-                place: Place::file(&campaign.folder),
+                place: Location::file(&campaign.folder),
                 sensor,
                 share: 100.0 * saturated,
             });
         }
         if rows < needed {
             return Err(FitError::TooFewRows {
-                place: Place::file(&campaign.folder),
+                place: Location::file(&campaign.folder),
                 sensor,
                 rows,
                 needed,
             });
         }
-        Ok(Self {
-            sensor,
-            forces,
-            parts,
-        })
+        Ok(Self { sensor, forces, parts })
     }
 
-    /// Refuses a channel of the field that never changes, and a force that moves little more than
-    /// its noise.
-    pub fn check_moving(&self, campaign: &Campaign) -> Result<(), FitError> {
-        let folder = Place::file(&campaign.folder);
+    /// Rejects a constant field channel, and a force that varies little more than its noise.
+    pub fn check_excitation(&self, campaign: &Campaign) -> Result<(), FitError> {
+        let folder = Location::file(&campaign.folder);
         for (axis, span) in Axis::ALL.into_iter().zip(self.field_span().iter()) {
             if *span == 0.0 {
-                let place = folder
-                    .clone()
-                    .column(format!("s{}_{}", self.sensor, axis.letter()));
-                return Err(FitError::Stuck {
-                    place,
-                    sensor: self.sensor,
-                });
+                let place = folder.clone().column(format!("s{}_{}", self.sensor, axis.letter()));
+                return Err(FitError::Stuck { place, sensor: self.sensor });
             }
         }
         for (i, (place, axis)) in self.forces.iter().enumerate() {
-            let values = || {
-                self.parts
-                    .iter()
-                    .flat_map(|part| part.force_n.iter().map(move |row| row[i]))
-            };
+            let values =
+                || self.parts.iter().flat_map(|part| part.force_n.iter().map(move |row| row[i]));
             let count = self.len() as f64;
             let mean = values().sum::<f64>() / count;
             let variance = values().map(|value| (value - mean).powi(2)).sum::<f64>() / count;
-            let noise = self
-                .parts
-                .iter()
-                .map(|part| part.force_noise_n[i])
-                .fold(0.0, f64::max);
-            if variance.sqrt() <= MOVES * noise {
-                let place = folder
-                    .clone()
-                    .column(format!("f{place}_{}_n", axis.letter()));
+            let noise = self.parts.iter().map(|part| part.force_noise_n[i]).fold(0.0, f64::max);
+            if variance.sqrt() <= MIN_EXCITATION * noise {
+                let place = folder.clone().column(format!("f{place}_{}_n", axis.letter()));
                 return Err(FitError::ConstantForce { place });
             }
         }
         Ok(())
     }
 
-    /// Those of the answers to a lateral and a longitudinal force that belong to a force measured here,
-    /// in the order of [`SensorRows::forces`].
+    /// The derivatives to the measured forces, in the order of [`SensorRows::forces`].
     pub fn slopes(&self, per_newton: &[Vector3<f64>; 2]) -> impl Iterator<Item = Vector3<f64>> {
         let slope = |axis| per_newton[usize::from(axis == Axis::Z)];
-        self.forces
-            .iter()
-            .map(move |(_, axis)| slope(*axis))
-            .collect::<Vec<_>>()
-            .into_iter()
+        self.forces.iter().map(move |(_, axis)| slope(*axis)).collect::<Vec<_>>().into_iter()
     }
 
     /// Rows in all parts.
     pub fn len(&self) -> usize {
-        self.parts.iter().map(Part::len).sum()
+        self.parts.iter().map(RecordingRows::len).sum()
     }
 
     /// True where no row is usable.
@@ -204,7 +168,7 @@ impl SensorRows {
         self.len() == 0
     }
 
-    /// Least and greatest value of each force.
+    /// Minimum and maximum of each force.
     pub fn force_spans(&self) -> Vec<(f64, f64)> {
         let span = |force: usize| {
             self.parts
@@ -217,23 +181,21 @@ impl SensorRows {
         (0..self.forces.len()).map(span).collect()
     }
 
-    /// Peak-to-peak field of each axis in gauss: what an error is a share of.
+    /// Peak-to-peak field of each axis in gauss.
     pub fn field_span(&self) -> Vector3<f64> {
         let fields = || self.parts.iter().flat_map(|part| &part.field_g);
-        let high = fields().fold(Vector3::repeat(f64::NEG_INFINITY), |high, field| {
-            high.sup(field)
-        });
+        let high = fields().fold(Vector3::repeat(f64::NEG_INFINITY), |high, field| high.sup(field));
         let low = fields().fold(Vector3::repeat(f64::INFINITY), |low, field| low.inf(field));
         high - low
     }
 }
 
-/// The forces that act on a sensor's own place: lateral, longitudinal.
+/// Forces at a sensor's own place: lateral, longitudinal.
 pub fn own_forces(sensor: u32) -> [(u32, Axis); 2] {
     [(sensor, Axis::X), (sensor, Axis::Z)]
 }
 
-/// Share of the rows in which an axis of the sensor was saturated.
+/// Fraction of rows in which an axis was saturated.
 fn saturated_share(campaign: &Campaign, sensor: u32) -> f64 {
     let fields = || {
         campaign
@@ -242,25 +204,20 @@ fn saturated_share(campaign: &Campaign, sensor: u32) -> f64 {
             .filter_map(|r| r.sensors.get(&sensor))
             .flat_map(|track| &track.field_g)
     };
-    let saturated = fields()
-        .filter(|field| field.iter().any(|axis| axis.is_nan()))
-        .count();
+    let saturated = fields().filter(|field| field.iter().any(|axis| axis.is_nan())).count();
     saturated as f64 / fields().count().max(1) as f64
 }
 
-impl Part {
-    /// The usable rows of `sensor` in one recording under these forces; `place` is the recording's in
-    /// the campaign and the seconds that those before it span. Load cycles are left at none. `None`
-    /// where the recording has not the sensor or one of the forces.
+impl RecordingRows {
+    /// Usable rows of `sensor` in one recording; `place` is the recording's index in the campaign and the time
+    /// in seconds before it. Load cycles are zero. `None` where the sensor or a force is missing.
     pub fn of(
         recording: &Recording,
         place: (usize, f64),
         sensor: u32,
         forces: &[(u32, Axis)],
     ) -> Option<Self> {
-        let has = forces
-            .iter()
-            .all(|force| recording.forces.contains_key(force));
+        let has = forces.iter().all(|force| recording.forces.contains_key(force));
         let there = recording.sensors.contains_key(&sensor) && has;
         there.then(|| Self::new(recording, place, sensor, forces))
     }
@@ -272,10 +229,7 @@ impl Part {
         forces: &[(u32, Axis)],
     ) -> Self {
         let track = recording.sensors.get(&sensor).cloned().unwrap_or_default();
-        let loads: Vec<_> = forces
-            .iter()
-            .filter_map(|force| recording.forces.get(force))
-            .collect();
+        let loads: Vec<_> = forces.iter().filter_map(|force| recording.forces.get(force)).collect();
         let load = |i: usize| loads.iter().map(move |load| load.newtons[i]);
         let usable: Vec<usize> = (0..track.field_g.len())
             .filter(|&i| {
@@ -288,13 +242,10 @@ impl Part {
         Self {
             time_s: usable.iter().map(|&i| recording.time_s[i]).collect(),
             force_n: usable.iter().map(|&i| load(i).collect()).collect(),
-            field_g: usable
-                .iter()
-                .map(|&i| Vector3::from(track.field_g[i]))
-                .collect(),
+            field_g: usable.iter().map(|&i| Vector3::from(track.field_g[i])).collect(),
             field_noise_g: Vector3::from(track.noise_g) * recording.noise_gain,
             force_noise_n: loads.iter().map(|load| load.noise_n).collect(),
-            track: Track::new(recording, place, sensor, pair, &usable),
+            track: ExcitationSeries::new(recording, place, sensor, pair, &usable),
         }
     }
 

@@ -1,59 +1,59 @@
-//! A file of trained networks: their weights, and where they come from.
+//! Network file: weights, scaling and provenance.
 
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use super::network::{GATES, Guard, Layer, Network, OUTPUTS, ScaledInput, Target};
-use super::tensors::{self, Array, Arrays, Kind};
-use super::train::course::{Best, Settings};
-use super::train::lesson::Topology;
+use crate::gru::network::{GATES, Layer, Network, OUTPUTS, ScaledInput, Target, TrainedRange};
+use crate::gru::tensors::{self, NamedTensor, TensorFile, TensorFileKind};
+use crate::gru::train::dataset::Topology;
+use crate::gru::train::trainer::{BestEpoch, TrainingSettings};
 use crate::recordings::campaign::hex;
-use crate::recordings::problem::Fault;
-use crate::recordings::{Place, Problem};
+use crate::recordings::error::ErrorKind;
+use crate::recordings::{DataError, Location};
 
-/// Version of the file.
+/// Version of the format.
 pub const FORMAT: u32 = 1;
 
 /// Trained networks of one gripper.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NetworkFile {
-    /// Where they come from.
-    pub provenance: Provenance,
+    /// Provenance.
+    pub provenance: NetworkProvenance,
     /// One for each sensor, or one for all.
     pub networks: Vec<Network>,
 }
 
-/// Where networks come from. No time and no path: the same training gives the same bytes.
+/// Provenance of networks, without time and path: the same training gives the same bytes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Provenance {
+pub struct NetworkProvenance {
     /// Version of the tool.
     pub tool: String,
-    /// SHA-256 of the model file whose compensation the fields went through.
+    /// SHA-256 of the model file that compensated the fields.
     pub model_sha256: String,
     /// Name of the campaign's folder.
     pub campaign: String,
-    /// Its recordings.
-    pub recordings: Vec<Recorded>,
-    /// Delay of the reference that was assumed, in milliseconds.
+    /// Recordings.
+    pub recordings: Vec<TrainingRecording>,
+    /// Assumed delay of the reference in milliseconds.
     pub delay_ms: f64,
-    /// What the networks see and tell.
+    /// Inputs and outputs of the networks.
     pub topology: Topology,
-    /// How the training went.
-    pub settings: Settings,
-    /// Where the weights of each network were found, with their losses.
-    pub found: Vec<Best>,
+    /// Training settings.
+    pub settings: TrainingSettings,
+    /// Best epoch of each network, with its losses.
+    pub found: Vec<BestEpoch>,
 }
 
-/// A recording that networks were trained with.
+/// A recording of the training or validation set.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Recorded {
-    /// Name of its folder.
+pub struct TrainingRecording {
+    /// Name of the folder.
     pub name: String,
-    /// SHA-256 over its files.
+    /// SHA-256 over the files.
     pub sha256: String,
-    /// True for the one that was not learned from: the weights were chosen by it.
+    /// Whether it is the validation recording for early stopping.
     pub held_out: bool,
 }
 
@@ -61,11 +61,11 @@ pub struct Recorded {
 #[derive(Serialize, Deserialize)]
 struct Description {
     format: u32,
-    provenance: Provenance,
+    provenance: NetworkProvenance,
     networks: Vec<Scales>,
 }
 
-/// All of a network but its weights.
+/// A network without weights.
 #[derive(Serialize, Deserialize)]
 struct Scales {
     sensors: Vec<u32>,
@@ -74,11 +74,10 @@ struct Scales {
     hidden: usize,
     force_n: [f64; 2],
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    guards: Vec<Guard>,
+    guards: Vec<TrainedRange>,
 }
 
-/// SHA-256 over the weights of networks alone, as the file holds them: the same weights, the same
-/// text, whatever else the file says.
+/// SHA-256 over the weights of networks alone.
 pub fn fingerprint(networks: &[Network]) -> String {
     let mut hash = Sha256::new();
     for array in networks.iter().flat_map(|network| arrays(0, network)) {
@@ -90,8 +89,8 @@ pub fn fingerprint(networks: &[Network]) -> String {
 
 impl NetworkFile {
     /// Writes the file, whole or not at all.
-    pub fn write(&self, path: &Path) -> Result<(), Problem> {
-        let arrays: Vec<Array> = self
+    pub fn write(&self, path: &Path) -> Result<(), DataError> {
+        let arrays: Vec<NamedTensor> = self
             .networks
             .iter()
             .enumerate()
@@ -102,16 +101,17 @@ impl NetworkFile {
             provenance: self.provenance.clone(),
             networks: self.networks.iter().map(Scales::of).collect(),
         };
-        tensors::write(path, Kind::Network, &description, &arrays)
+        tensors::write(path, TensorFileKind::Network, &description, &arrays)
     }
 
     /// Reads and checks a file.
-    pub fn read(path: &Path) -> Result<Self, Problem> {
-        let (description, mut arrays): (Description, _) = tensors::read(path, Kind::Network)?;
+    pub fn read(path: &Path) -> Result<Self, DataError> {
+        let (description, mut arrays): (Description, _) =
+            tensors::read(path, TensorFileKind::Network)?;
         if description.format != FORMAT {
             let found = format!("format {}", description.format);
             let advice = format!("this version reads format {FORMAT}: train again");
-            return Err(Fault::BadValue { found, advice }.at(Place::file(path)));
+            return Err(ErrorKind::BadValue { found, advice }.at(Location::file(path)));
         }
         let networks = description.networks.into_iter().enumerate();
         Ok(Self {
@@ -134,8 +134,8 @@ fn layer_shapes(inputs: usize, hidden: usize) -> [(&'static str, Vec<usize>); 4]
     ]
 }
 
-fn arrays(number: usize, network: &Network) -> Vec<Array> {
-    let array = |name: &str, shape: Vec<usize>, values: &[f32]| Array {
+fn arrays(number: usize, network: &Network) -> Vec<NamedTensor> {
+    let array = |name: &str, shape: Vec<usize>, values: &[f32]| NamedTensor {
         name: format!("network{number}.{name}"),
         shape,
         values: values.to_vec(),
@@ -143,12 +143,8 @@ fn arrays(number: usize, network: &Network) -> Vec<Array> {
     let widths = [network.inputs.len(), network.hidden];
     let mut arrays = Vec::new();
     for (i, (layer, width)) in network.layers.iter().zip(widths).enumerate() {
-        let all = [
-            &layer.input_weights,
-            &layer.state_weights,
-            &layer.input_bias,
-            &layer.state_bias,
-        ];
+        let all =
+            [&layer.input_weights, &layer.state_weights, &layer.input_bias, &layer.state_bias];
         for ((name, shape), values) in layer_shapes(width, network.hidden).into_iter().zip(all) {
             arrays.push(array(&format!("layer{}.{name}", i + 1), shape, values));
         }
@@ -172,7 +168,7 @@ impl Scales {
         }
     }
 
-    fn with(self, number: usize, arrays: &mut Arrays) -> Result<Network, Problem> {
+    fn with(self, number: usize, arrays: &mut TensorFile) -> Result<Network, DataError> {
         let mut take =
             |name: String, shape: &[usize]| arrays.take(&format!("network{number}.{name}"), shape);
         let mut layer = |i: usize, width: usize| {
@@ -222,23 +218,23 @@ mod tests {
         Network {
             sensors: vec![2],
             inputs: (0..inputs).map(input).collect(),
-            target: Target::Rest,
+            target: Target::Residual,
             hidden,
             layers: [layer(inputs), layer(hidden)],
             head_weights: values(OUTPUTS * hidden),
             head_bias: values(OUTPUTS),
             force_n: [1e2 / 3.0, 2e2 / 7.0],
-            guards: vec![Guard {
-                departure_g: [-0.1, 0.3],
+            guards: vec![TrainedRange {
+                parity_residual_g: [-0.1, 0.3],
                 newtons_per_g: [0.85, 1.37],
-                split_n: [1.1, 2.2],
+                disagreement_n: [1.1, 2.2],
             }],
         }
     }
 
     fn file() -> NetworkFile {
         NetworkFile {
-            provenance: Provenance {
+            provenance: NetworkProvenance {
                 tool: "magpie".to_owned(),
                 model_sha256: "ab".to_owned(),
                 campaign: "bench".to_owned(),
@@ -247,11 +243,11 @@ mod tests {
                 topology: Topology {
                     axes: vec![0, 2],
                     ideal: false,
-                    target: Target::Rest,
+                    target: Target::Residual,
                     shared: false,
                     hidden: 2,
                 },
-                settings: Settings {
+                settings: TrainingSettings {
                     seed: 1,
                     epochs: 2,
                     patience: 3,
@@ -270,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_is_read_back_bit_by_bit_and_may_be_written_over() {
+    fn network_file_round_trips_and_may_be_overwritten() {
         let folder = tempfile::TempDir::new().unwrap();
         let path = folder.path().join("network");
         file().write(&path).unwrap();
@@ -281,26 +277,23 @@ mod tests {
     }
 
     #[test]
-    fn an_array_of_a_wrong_shape_is_refused_by_its_name() {
+    fn array_of_wrong_shape_is_rejected_by_name() {
         let folder = tempfile::TempDir::new().unwrap();
         let path = folder.path().join("network");
-        let arrays: Vec<Array> = arrays(0, &network(3, 3));
+        let arrays: Vec<NamedTensor> = arrays(0, &network(3, 3));
         let description = Description {
             format: FORMAT,
             provenance: file().provenance,
             networks: vec![Scales::of(&network(2, 3))],
         };
-        tensors::write(&path, Kind::Network, &description, &arrays).unwrap();
-        let said = refused(&path);
-        assert!(
-            said.contains(": network0.layer1.input_weights has the shape"),
-            "{said}"
-        );
-        assert!(said.contains("[9, 3] where [6, 3] is expected"), "{said}");
+        tensors::write(&path, TensorFileKind::Network, &description, &arrays).unwrap();
+        let message = refused(&path);
+        assert!(message.contains(": network0.layer1.input_weights has the shape"), "{message}");
+        assert!(message.contains("[9, 3] where [6, 3] is expected"), "{message}");
     }
 
     #[test]
-    fn a_missing_array_and_one_that_is_not_finite_are_named() {
+    fn missing_and_non_finite_arrays_are_rejected_by_name() {
         let folder = tempfile::TempDir::new().unwrap();
         let path = folder.path().join("network");
         let description = || Description {
@@ -310,32 +303,26 @@ mod tests {
         };
         let mut all = arrays(0, &network(2, 3));
         all.retain(|array| array.name != "network0.head.bias");
-        tensors::write(&path, Kind::Network, &description(), &all).unwrap();
+        tensors::write(&path, TensorFileKind::Network, &description(), &all).unwrap();
         assert!(refused(&path).contains("network0.head.bias is missing"));
         let mut all = arrays(0, &network(2, 3));
         all[5].values[1] = f32::NAN;
-        tensors::write(&path, Kind::Network, &description(), &all).unwrap();
+        tensors::write(&path, TensorFileKind::Network, &description(), &all).unwrap();
         assert!(
             refused(&path)
-                .contains("network0.layer2.state_weights holds a number that is not finite")
+                .contains("network0.layer2.state_weights contains a number that is not finite")
         );
     }
 
     #[test]
-    fn other_files_are_neither_read_nor_written_over() {
+    fn foreign_files_are_neither_read_nor_overwritten() {
         let folder = tempfile::TempDir::new().unwrap();
         let path = folder.path().join("network");
         let text = "# my notes, which are long enough to hold whatever mark there is in our files";
         std::fs::write(&path, text).unwrap();
         assert!(refused(&path).contains("this is not a network"));
-        assert!(
-            file()
-                .write(&path)
-                .unwrap_err()
-                .to_string()
-                .contains("not overwritten")
-        );
-        // Nor weights that somebody else keeps in the same format.
+        assert!(file().write(&path).unwrap_err().to_string().contains("not overwritten"));
+        // Safetensors of other origin.
         let foreign = br#"{"__metadata__":{"format":"pt"}}"#;
         let mut bytes = (foreign.len() as u64).to_le_bytes().to_vec();
         bytes.extend(foreign);
@@ -346,7 +333,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_cut_short_is_called_damaged() {
+    fn truncated_file_is_reported_as_damaged() {
         let folder = tempfile::TempDir::new().unwrap();
         let path = folder.path().join("network");
         file().write(&path).unwrap();

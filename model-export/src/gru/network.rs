@@ -1,4 +1,4 @@
-//! A trained network in floating point: what training writes and quantisation reads.
+//! A trained network in floating point: output of training, input of quantisation.
 //!
 //! Two layers of gated recurrent units and a linear head. The equation is PyTorch's, with the reset
 //! after the product:
@@ -10,7 +10,7 @@
 //! h' = (1 - z) n + z h
 //! ```
 //!
-//! Rows of a layer's weights stand in the order r, z, n, row by row.
+//! Rows of a layer's weights are in the order r, z, n.
 
 /// Gates of a unit: reset, update, candidate.
 pub const GATES: usize = 3;
@@ -18,7 +18,7 @@ pub const GATES: usize = 3;
 /// Outputs for one sensor: mean of Fx and Fz, logarithm of the standard deviation of Fx and Fz.
 pub const OUTPUTS: usize = 4;
 
-/// What one input of the network is.
+/// Source of a network input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Input {
@@ -38,37 +38,39 @@ pub enum Input {
     },
 }
 
-/// An input as the network sees it: `(value - middle) / span`, within one either way on the training
-/// data.
+/// Scaled input: `(value - middle) / span`, within ±1 on the training data.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct ScaledInput {
-    /// What it is.
+    /// Source.
     pub input: Input,
-    /// Middle of the training data, in the input's unit.
+    /// Mid-range of the training data, in the input's unit.
     pub middle: f64,
-    /// Half the range of the training data, in the input's unit.
+    /// Half range of the training data, in the input's unit.
     pub span: f64,
 }
 
-/// What the means of the network are.
+/// Target of the predicted means.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Target {
     /// The force itself.
     Force,
-    /// What the ideal model leaves: the mean is added to its estimate.
-    Rest,
+    /// Residual of the ideal model: the mean is added to its estimate.
+    #[serde(rename = "rest")]
+    Residual,
 }
 
-/// Where a network has learned, for one of its sensors; see [`firmware::model::network::Guard`].
+/// Range of the training data for one sensor; see the guard of [`firmware::model::formats`].
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct Guard {
-    /// Least and greatest departure of the field from its surface in training, in G.
-    pub departure_g: [f64; 2],
-    /// Fx and Fz that a gauss in the plane is taken for, in N.
+pub struct TrainedRange {
+    /// Minimum and maximum parity residual of the field in training, in G.
+    #[serde(rename = "departure_g")]
+    pub parity_residual_g: [f64; 2],
+    /// Apparent Fx and Fz of one gauss in the plane, in N.
     pub newtons_per_g: [f64; 2],
-    /// Greatest difference of network and ideal model in training, Fx and Fz in N.
-    pub split_n: [f64; 2],
+    /// Maximum difference of network and ideal model in training, Fx and Fz in N.
+    #[serde(rename = "split_n")]
+    pub disagreement_n: [f64; 2],
 }
 
 /// One layer of `hidden` units over `inputs` inputs.
@@ -80,18 +82,18 @@ pub struct Layer {
     pub state_weights: Vec<f32>,
     /// `GATES * hidden`.
     pub input_bias: Vec<f32>,
-    /// `GATES * hidden`; the candidate's stand inside the reset product.
+    /// `GATES * hidden`; the candidate's is inside the reset product.
     pub state_bias: Vec<f32>,
 }
 
 /// A trained network for one sensor, or for several at once.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Network {
-    /// Numbers of the sensors that it tells the forces of, in the order of its outputs.
+    /// Numbers of the predicted sensors, in the order of the outputs.
     pub sensors: Vec<u32>,
-    /// Its inputs, in order.
+    /// Inputs, in order.
     pub inputs: Vec<ScaledInput>,
-    /// What its means are.
+    /// Target of the means.
     pub target: Target,
     /// Units of a layer.
     pub hidden: usize,
@@ -101,9 +103,95 @@ pub struct Network {
     pub head_weights: Vec<f32>,
     /// [`OUTPUTS`] for each sensor.
     pub head_bias: Vec<f32>,
-    /// Newtons of an output of one, Fx and Fz, the same for every sensor. A standard deviation is
-    /// this times the exponential of the output.
+    /// Force of a unit output in newtons, Fx and Fz, the same for every sensor. A standard deviation is this
+    /// times the exponential of the output.
     pub force_n: [f64; 2],
-    /// Where it has learned, one for each sensor; none: its standard deviations never grow.
-    pub guards: Vec<Guard>,
+    /// Training range of each sensor; empty: standard deviations are never inflated.
+    pub guards: Vec<TrainedRange>,
+}
+
+/// States of both layers.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FloatState([Vec<f64>; 2]);
+
+impl FloatState {
+    /// All units of both layers at `value`; zero after a reset.
+    pub fn at(network: &Network, value: f64) -> Self {
+        Self([vec![value; network.hidden], vec![value; network.hidden]])
+    }
+
+    /// Of one layer, in order.
+    pub fn layer(&self, layer: usize) -> &[f64] {
+        &self.0[layer]
+    }
+
+    /// One step over scaled inputs; the outputs.
+    pub fn step(&mut self, network: &Network, inputs: &[f64]) -> Vec<f64> {
+        let [first, second] = &mut self.0;
+        *first = next(&network.layers[0], inputs, first);
+        *second = next(&network.layers[1], first, second);
+        let rows = network.head_weights.chunks(network.hidden);
+        let outputs = rows.zip(&network.head_bias);
+        outputs.map(|(row, &bias)| f64::from(bias) + dot(row, second)).collect()
+    }
+}
+
+fn next(layer: &Layer, inputs: &[f64], state: &[f64]) -> Vec<f64> {
+    let units = state.len();
+    let input = |row: usize| {
+        let weights = &layer.input_weights[row * inputs.len()..][..inputs.len()];
+        f64::from(layer.input_bias[row]) + dot(weights, inputs)
+    };
+    let recurrent = |row: usize| {
+        let weights = &layer.state_weights[row * units..][..units];
+        f64::from(layer.state_bias[row]) + dot(weights, state)
+    };
+    (0..units)
+        .map(|unit| {
+            let [reset_row, update_row, candidate_row] = [unit, units + unit, 2 * units + unit];
+            let reset = sigmoid(input(reset_row) + recurrent(reset_row));
+            let update = sigmoid(input(update_row) + recurrent(update_row));
+            let candidate = libm::tanh(input(candidate_row) + reset * recurrent(candidate_row));
+            (1.0 - update) * candidate + update * state[unit]
+        })
+        .collect()
+}
+
+fn dot(weights: &[f32], values: &[f64]) -> f64 {
+    let products = weights.iter().zip(values);
+    products.map(|(&weight, value)| f64::from(weight) * value).sum()
+}
+
+fn sigmoid(at: f64) -> f64 {
+    1.0 / (1.0 + libm::exp(-at))
+}
+
+/// Convergence tolerance of outputs: a thousandth of the force scale.
+const WARM_UP_TOLERANCE: f64 = 1e-3;
+/// Maximum warm-up in steps: ten seconds at 1 kHz, also for networks with unlimited memory.
+pub const MAX_WARM_UP: u16 = 10_000;
+
+/// Warm-up in steps: until runs from reset and runs driven by every input at either end of its range agree,
+/// with all inputs at zero.
+pub fn warm_up_steps(network: &Network) -> u16 {
+    let inputs = network.inputs.len();
+    let driven = [-1.0, 1.0].map(|end| {
+        let mut state = FloatState::at(network, 0.0);
+        let driven_inputs = vec![end; inputs];
+        (0..MAX_WARM_UP).for_each(|_| drop(state.step(network, &driven_inputs)));
+        state
+    });
+    let rest = vec![0.0; inputs];
+    let slowest = driven.into_iter().map(|mut driven| {
+        let mut reset = FloatState::at(network, 0.0);
+        let mut last_difference = 0;
+        for step in 1..=MAX_WARM_UP {
+            let pairs = reset.step(network, &rest).into_iter().zip(driven.step(network, &rest));
+            if pairs.into_iter().any(|(a, b)| (a - b).abs() > WARM_UP_TOLERANCE) {
+                last_difference = step;
+            }
+        }
+        last_difference
+    });
+    slowest.max().unwrap_or(0)
 }

@@ -1,136 +1,119 @@
-//! A quantised network in the device's order, and the sizes that the device knows.
+//! Quantised networks in the device's layout, for each supported size.
 //!
-//! The device's types hold the sizes, so that an image links the code of one size and no more. Here a
-//! file decides at run time: [`Packed`] is one of the sizes below, behind one interface. A network
-//! takes the smallest size that holds it; inputs and units beyond its own have no weights, and such a
-//! unit stays at zero.
+//! The device's types contain the sizes, so that an image links the code of one size only. On the host a file
+//! decides at run time: [`PackedNetwork`] covers all sizes behind one interface. A network takes the smallest
+//! size that fits; surplus inputs and units have zero weights, and such a unit stays at zero.
 
 use std::array;
 use std::fmt::Debug;
 
-use firmware::force::Estimate;
-use firmware::frame::SENSORS;
-use firmware::model::gru::Run;
-use firmware::model::network::{
-    FORCE_BITS, GATES, Guard, Head, Input, Network as DeviceNetwork, OUTPUTS, Pair, Source,
-    Target as DeviceTarget, Told, UnitPair, Weights,
+use firmware::estimator::Estimate;
+use firmware::estimator::gru::{self, GruInference};
+use firmware::fixed_point::{Field, Force};
+use firmware::model::formats::{
+    FORCE_BITS, GATES, Guard, Head, Input, InputSource, Network as DeviceNetwork, OUTPUTS, Pair,
+    Prediction, Target as DeviceTarget, UnitPair, Weights,
 };
-use firmware::recurrent;
-use firmware::units::{Field, Force};
+use firmware::sensors::hall::SENSORS;
 
-use super::network::{Network, Target};
-use super::quantise::{LayerRows, Quantised};
-use super::unfit::Unfit;
-use super::warm_up;
+use crate::gru::network::{self, Network, Target};
+use crate::gru::quantise::{LayerRows, QuantiseError, QuantisedNetwork};
 
-/// A network of any size that the device knows, for the host.
-pub trait Packed: Debug + Send + Sync {
+/// A network of any supported size, for the host.
+pub trait PackedNetwork: Debug + Send + Sync {
     /// Pairs of inputs, pairs of units, sensors.
     fn size(&self) -> [usize; 3];
-    /// A state after a reset.
-    fn run(&self) -> Box<dyn Running + '_>;
+    /// A run from the reset state.
+    fn run(&self) -> Box<dyn NetworkRun + '_>;
     /// The device's struct as Rust source.
     fn source(&self) -> String;
 }
 
 /// A packed network with its state.
-pub trait Running {
-    /// Numbers of the sensors that it tells the forces of.
+pub trait NetworkRun {
+    /// Numbers of the predicted sensors.
     fn sensors(&self) -> Vec<usize>;
-    /// One step over a frame's estimates by the device's own code; see [`recurrent::apply`].
+    /// One step over a frame's estimates by the device's own code; see [`gru::apply`].
     fn apply(&mut self, estimates: &mut [Estimate; SENSORS]);
-    /// One step by the device's own code; see [`Run::step`].
-    fn step(&mut self, value: &dyn Fn(Source) -> i32) -> Option<Vec<Told>>;
+    /// One step by the device's own code; see [`GruInference::step`].
+    fn step(&mut self, value: &dyn Fn(InputSource) -> i32) -> Option<Vec<Prediction>>;
     /// States of both layers (Q30), in the order of the units.
     fn states(&self) -> [Vec<i32>; 2];
     /// The latest outputs (Q26).
     fn outputs(&self) -> Vec<i32>;
 }
 
-/// Steps every network over the estimates of one frame, as [`recurrent::apply`] does with networks of
+/// Steps every network over the estimates of one frame, as [`gru::apply`] does with networks of
 /// one size: each sees the estimates as they were.
-pub fn apply(running: &mut [Box<dyn Running + '_>], estimates: &mut [Estimate; SENSORS]) {
+pub fn apply(running: &mut [Box<dyn NetworkRun + '_>], estimates: &mut [Estimate; SENSORS]) {
     let seen = *estimates;
     for running in running {
-        let mut told = seen;
-        running.apply(&mut told);
+        let mut updated = seen;
+        running.apply(&mut updated);
         for sensor in running.sensors() {
-            if let (Some(to), Some(from)) = (estimates.get_mut(sensor), told.get(sensor)) {
+            if let (Some(to), Some(from)) = (estimates.get_mut(sensor), updated.get(sensor)) {
                 *to = *from;
             }
         }
     }
 }
 
-/// Packs a network into the smallest size that holds it.
-pub fn pack(network: &Network, gauss_per_lsb: f64) -> Result<Box<dyn Packed>, Unfit> {
+/// Packs a network into the smallest size that fits.
+pub fn pack(
+    network: &Network,
+    gauss_per_lsb: f64,
+) -> Result<Box<dyn PackedNetwork>, QuantiseError> {
     let [inputs, hidden, sensors] = [network.inputs.len(), network.hidden, network.sensors.len()];
-    let size = Unfit::Size {
-        inputs,
-        hidden,
-        sensors,
-    };
+    let size = QuantiseError::Size { inputs, hidden, sensors };
     if inputs == 0 || hidden == 0 || sensors == 0 {
         return Err(size);
     }
-    let quantised = Quantised::new(network, gauss_per_lsb)?;
-    let numbers = network
-        .sensors
-        .iter()
-        .map(|&number| u8::try_from(number).ok());
+    let quantised = QuantisedNetwork::new(network, gauss_per_lsb)?;
+    let numbers = network.sensors.iter().map(|&number| u8::try_from(number).ok());
     let numbers: Option<Vec<u8>> = numbers.collect();
     let numbers = numbers.ok_or_else(|| size.clone())?;
-    let around = Around {
+    let meta = Metadata {
         numbers,
         target: network.target,
-        warm_up: warm_up::steps(network),
+        warm_up: network::warm_up_steps(network),
         guards: guards(network, gauss_per_lsb),
     };
-    sized(
-        inputs.div_ceil(2),
-        hidden.div_ceil(2),
-        sensors,
-        &quantised,
-        &around,
-    )
-    .ok_or(size)
+    sized(inputs.div_ceil(2), hidden.div_ceil(2), sensors, &quantised, &meta).ok_or(size)
 }
 
-/// What stands around the weights.
-struct Around {
+/// Data of a network other than weights.
+struct Metadata {
     numbers: Vec<u8>,
     target: Target,
     warm_up: u16,
     guards: Vec<Guard>,
 }
 
-/// Where the network has learned, in the device's units; numbers beyond the range stay at its end.
+/// Training range in the device's units, saturated.
 fn guards(network: &Network, gauss_per_lsb: f64) -> Vec<Guard> {
     let units = f64::from(1_u32 << Field::BITS) / gauss_per_lsb;
     let per_force = f64::from(1_u32 << FORCE_BITS) * Force::PER_NEWTON / units;
-    let guard = |guard: &super::network::Guard| Guard {
-        departure: guard.departure_g.map(|g| Field((g * units).round() as i32)),
+    let guard = |guard: &network::TrainedRange| Guard {
+        residual: guard.parity_residual_g.map(|g| Field((g * units).round() as i32)),
         force: guard.newtons_per_g.map(|n| (n * per_force).round() as i32),
-        split: guard
-            .split_n
-            .map(|n| Force((n * Force::PER_NEWTON).round() as i32)),
+        deviation: guard.disagreement_n.map(|n| Force((n * Force::PER_NEWTON).round() as i32)),
     };
     network.guards.iter().map(guard).collect()
 }
 
-/// The sizes that the device knows: pairs of units, pairs of inputs and sensors, from the smallest up.
+/// Selects the smallest supported size: pairs of units, pairs of inputs, sensors.
 fn sized(
     inputs: usize,
     hidden: usize,
     sensors: usize,
-    rows: &Quantised,
-    around: &Around,
-) -> Option<Box<dyn Packed>> {
+    rows: &QuantisedNetwork,
+    meta: &Metadata,
+) -> Option<Box<dyn PackedNetwork>> {
     match hidden {
-        ..=4 => with_hidden::<4>(inputs, sensors, rows, around),
-        5..=8 => with_hidden::<8>(inputs, sensors, rows, around),
-        9..=12 => with_hidden::<12>(inputs, sensors, rows, around),
-        13..=16 => with_hidden::<16>(inputs, sensors, rows, around),
+        ..=4 => with_hidden::<4>(inputs, sensors, rows, meta),
+        5..=8 => with_hidden::<8>(inputs, sensors, rows, meta),
+        9..=12 => with_hidden::<12>(inputs, sensors, rows, meta),
+        13..=16 => with_hidden::<16>(inputs, sensors, rows, meta),
         _ => None,
     }
 }
@@ -138,55 +121,51 @@ fn sized(
 fn with_hidden<const HIDDEN: usize>(
     inputs: usize,
     sensors: usize,
-    rows: &Quantised,
-    around: &Around,
-) -> Option<Box<dyn Packed>> {
+    rows: &QuantisedNetwork,
+    meta: &Metadata,
+) -> Option<Box<dyn PackedNetwork>> {
     match inputs {
-        1 => with_inputs::<1, HIDDEN>(sensors, rows, around),
-        2 => with_inputs::<2, HIDDEN>(sensors, rows, around),
-        3 => with_inputs::<3, HIDDEN>(sensors, rows, around),
-        4 => with_inputs::<4, HIDDEN>(sensors, rows, around),
-        5 | 6 => with_inputs::<6, HIDDEN>(sensors, rows, around),
-        7 | 8 => with_inputs::<8, HIDDEN>(sensors, rows, around),
+        1 => with_inputs::<1, HIDDEN>(sensors, rows, meta),
+        2 => with_inputs::<2, HIDDEN>(sensors, rows, meta),
+        3 => with_inputs::<3, HIDDEN>(sensors, rows, meta),
+        4 => with_inputs::<4, HIDDEN>(sensors, rows, meta),
+        5 | 6 => with_inputs::<6, HIDDEN>(sensors, rows, meta),
+        7 | 8 => with_inputs::<8, HIDDEN>(sensors, rows, meta),
         _ => None,
     }
 }
 
 fn with_inputs<const INPUTS: usize, const HIDDEN: usize>(
     sensors: usize,
-    rows: &Quantised,
-    around: &Around,
-) -> Option<Box<dyn Packed>> {
+    rows: &QuantisedNetwork,
+    meta: &Metadata,
+) -> Option<Box<dyn PackedNetwork>> {
     match sensors {
-        1 => Some(Box::new(device::<INPUTS, HIDDEN, 1>(rows, around))),
-        2 => Some(Box::new(device::<INPUTS, HIDDEN, 2>(rows, around))),
-        3 => Some(Box::new(device::<INPUTS, HIDDEN, 3>(rows, around))),
-        4 => Some(Box::new(device::<INPUTS, HIDDEN, 4>(rows, around))),
+        1 => Some(Box::new(device_network::<INPUTS, HIDDEN, 1>(rows, meta))),
+        2 => Some(Box::new(device_network::<INPUTS, HIDDEN, 2>(rows, meta))),
+        3 => Some(Box::new(device_network::<INPUTS, HIDDEN, 3>(rows, meta))),
+        4 => Some(Box::new(device_network::<INPUTS, HIDDEN, 4>(rows, meta))),
         _ => None,
     }
 }
 
-fn device<const INPUTS: usize, const HIDDEN: usize, const TOLD: usize>(
-    rows: &Quantised,
-    around: &Around,
-) -> DeviceNetwork<INPUTS, HIDDEN, TOLD> {
-    let none = Input {
-        source: Source::None,
-        offset: 0,
-        gain: 0,
-    };
-    let input = |number: usize| rows.inputs.get(number).copied().unwrap_or(none);
+fn device_network<const INPUTS: usize, const HIDDEN: usize, const SENSOR_COUNT: usize>(
+    rows: &QuantisedNetwork,
+    meta: &Metadata,
+) -> DeviceNetwork<INPUTS, HIDDEN, SENSOR_COUNT> {
+    let unused = Input { source: InputSource::None, offset: 0, gain: 0 };
+    let input = |number: usize| rows.inputs.get(number).copied().unwrap_or(unused);
     let [first, second] = &rows.layers;
     DeviceNetwork {
-        sensors: array::from_fn(|sensor| around.numbers.get(sensor).copied().unwrap_or(u8::MAX)),
-        target: match around.target {
+        sensors: array::from_fn(|sensor| meta.numbers.get(sensor).copied().unwrap_or(u8::MAX)),
+        target: match meta.target {
             Target::Force => DeviceTarget::Force,
-            Target::Rest => DeviceTarget::Rest,
+            Target::Residual => DeviceTarget::Rest,
         },
         inputs: array::from_fn(|pair| [input(2 * pair), input(2 * pair + 1)]),
         force: rows.force,
-        warm_up: around.warm_up,
-        guards: array::from_fn(|sensor| around.guards.get(sensor).copied().unwrap_or(Guard::NONE)),
+        warm_up: meta.warm_up,
+        guards: array::from_fn(|sensor| meta.guards.get(sensor).copied().unwrap_or(Guard::NONE)),
         weights: Weights {
             first: array::from_fn(|pair| unit_pair(first, pair)),
             second: array::from_fn(|pair| unit_pair(second, pair)),
@@ -202,7 +181,7 @@ fn unit_pair<const INPUTS: usize, const HIDDEN: usize>(
     pair: usize,
 ) -> UnitPair<INPUTS, HIDDEN> {
     let units = [2 * pair, 2 * pair + 1];
-    // Of a gate's row; nothing for units beyond the layer's own.
+    // Row of a gate; `None` for surplus units.
     let row = |gate: usize, unit: usize| (unit < layer.units).then_some(gate * layer.units + unit);
     let products = |weights: &[i16], columns: usize, column: usize| {
         units.map(|unit| {
@@ -228,7 +207,7 @@ fn weight(weights: &[i16], row: Option<usize>, columns: usize, column: usize) ->
     }
 }
 
-fn head<const HIDDEN: usize>(rows: &Quantised, sensor: usize) -> Head<HIDDEN> {
+fn head<const HIDDEN: usize>(rows: &QuantisedNetwork, sensor: usize) -> Head<HIDDEN> {
     let units = rows.layers[1].units;
     let row = |output: usize| sensor * OUTPUTS + output;
     let pair = |output: usize, column: usize| -> Pair {
@@ -240,27 +219,29 @@ fn head<const HIDDEN: usize>(rows: &Quantised, sensor: usize) -> Head<HIDDEN> {
     }
 }
 
-impl<const INPUTS: usize, const HIDDEN: usize, const TOLD: usize> Packed
-    for DeviceNetwork<INPUTS, HIDDEN, TOLD>
+impl<const INPUTS: usize, const HIDDEN: usize, const SENSOR_COUNT: usize> PackedNetwork
+    for DeviceNetwork<INPUTS, HIDDEN, SENSOR_COUNT>
 {
     fn size(&self) -> [usize; 3] {
-        [INPUTS, HIDDEN, TOLD]
+        [INPUTS, HIDDEN, SENSOR_COUNT]
     }
 
-    fn run(&self) -> Box<dyn Running + '_> {
-        Box::new((self, Run::RESET))
+    fn run(&self) -> Box<dyn NetworkRun + '_> {
+        Box::new((self, GruInference::RESET))
     }
 
     fn source(&self) -> String {
-        super::emit::network(self)
+        // The debug form is Rust's own notation except for the names of the enums.
+        format!("{self:?}")
+            .replace("target: ", "target: Target::")
+            .replace("source: ", "source: InputSource::")
+            .replace("UnitPair {", "\nUnitPair {")
+            .replace("Head {", "\nHead {")
     }
 }
 
-impl<const INPUTS: usize, const HIDDEN: usize, const TOLD: usize> Running
-    for (
-        &DeviceNetwork<INPUTS, HIDDEN, TOLD>,
-        Run<INPUTS, HIDDEN, TOLD>,
-    )
+impl<const INPUTS: usize, const HIDDEN: usize, const SENSOR_COUNT: usize> NetworkRun
+    for (&DeviceNetwork<INPUTS, HIDDEN, SENSOR_COUNT>, GruInference<INPUTS, HIDDEN, SENSOR_COUNT>)
 {
     fn sensors(&self) -> Vec<usize> {
         self.0.sensors.map(usize::from).into()
@@ -268,13 +249,12 @@ impl<const INPUTS: usize, const HIDDEN: usize, const TOLD: usize> Running
 
     fn apply(&mut self, estimates: &mut [Estimate; SENSORS]) {
         let (network, run) = self;
-        recurrent::apply(array::from_ref(*network), array::from_mut(run), estimates);
+        gru::apply(array::from_ref(*network), array::from_mut(run), estimates);
     }
 
-    fn step(&mut self, value: &dyn Fn(Source) -> i32) -> Option<Vec<Told>> {
+    fn step(&mut self, value: &dyn Fn(InputSource) -> i32) -> Option<Vec<Prediction>> {
         let (network, run) = self;
-        run.step(network, |source| Some(value(source)))
-            .map(Vec::from)
+        run.step(network, |source| Some(value(source))).map(Vec::from)
     }
 
     fn states(&self) -> [Vec<i32>; 2] {

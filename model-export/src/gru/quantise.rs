@@ -1,26 +1,22 @@
-//! A network's numbers in the device's formats ([`firmware::model::network`]), with the proof that no
-//! accumulator wraps.
+//! Weights in the device's formats ([`firmware::model::formats`]), with the proof that no accumulator wraps.
 //!
-//! The device's sums wrap at 32 bits without a word. So for every row the greatest sum that any input
-//! and any state can give is added up in integers here, and a row that might wrap is refused by name.
-//! The state's upper half, which the products see, is rounded down: on the average it is half a bit too
-//! small, and each bias holds what that takes from its row.
+//! The device's sums wrap silently at 32 bits. So the maximum sum of every row over all inputs and states is
+//! computed in integers, and a row that could wrap is rejected by name. The upper half of a state is truncated,
+//! on average by half a bit; each bias compensates this.
 
-use firmware::model::network::{
-    CANDIDATE_BITS, FORCE_BITS, GATES, INPUT_BITS, Input as DeviceInput, OUTPUT_BITS, Source,
-    WEIGHT_BITS,
+use crate::gru::network::{Input, Layer, Network, OUTPUTS, ScaledInput};
+use firmware::fixed_point::{Field, Force};
+use firmware::model::formats::{
+    CANDIDATE_BITS, FORCE_BITS, GAIN_BITS, GATES, INPUT_BITS, Input as DeviceInput, InputSource,
+    OUTPUT_BITS, WEIGHT_BITS,
 };
-use firmware::model::table::GAIN_BITS;
-use firmware::units::{Field, Force};
+use std::fmt;
 
-use super::network::{Input, Layer, Network, OUTPUTS, ScaledInput};
-use super::unfit::{LARGE_WEIGHTS, Row, Unfit};
-
-/// Greatest input, either way.
+/// Maximum magnitude of an input.
 pub(super) const INPUT_LIMIT: i64 = 1 << 15;
-/// Greatest upper half of a state, either way: the state stays within ±1.
+/// Maximum magnitude of the upper half of a state: the state is within ±1.
 const STATE_LIMIT: i64 = 1 << INPUT_BITS;
-/// Sums stay below this, either way.
+/// Limit of the magnitude of sums.
 pub(super) const SUM_LIMIT: i64 = 1 << 31;
 
 /// Quantised rows of one layer, in the network's own order.
@@ -34,15 +30,15 @@ pub struct LayerRows {
     pub input_weights: Vec<i16>,
     /// `GATES * units` rows of `units` weights.
     pub state_weights: Vec<i16>,
-    /// `GATES * units`; of reset and update both biases together.
+    /// `GATES * units`; for reset and update the sum of both biases.
     pub bias: Vec<i32>,
     /// `units`: the candidates' recurrent biases.
     pub candidate_bias: Vec<i32>,
 }
 
-/// A network's numbers in the device's formats, proved not to overflow.
+/// A network in the device's formats, proved not to overflow.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Quantised {
+pub struct QuantisedNetwork {
     /// Scales of the inputs.
     pub inputs: Vec<DeviceInput>,
     /// First and second.
@@ -51,24 +47,16 @@ pub struct Quantised {
     pub head_weights: Vec<i16>,
     /// Biases of the head.
     pub head_bias: Vec<i32>,
-    /// Force of an output of one.
+    /// Force of a unit output.
     pub force: [i32; 2],
 }
 
-impl Quantised {
+impl QuantisedNetwork {
     /// Quantises and proves. `gauss_per_lsb` is the sensors' scale.
-    pub fn new(network: &Network, gauss_per_lsb: f64) -> Result<Self, Unfit> {
+    pub fn new(network: &Network, gauss_per_lsb: f64) -> Result<Self, QuantiseError> {
         let units = network.hidden;
-        shape(
-            "weights of the head",
-            &network.head_weights,
-            network.head_bias.len() * units,
-        )?;
-        shape(
-            "biases of the head",
-            &network.head_bias,
-            network.sensors.len() * OUTPUTS,
-        )?;
+        shape("weights of the head", &network.head_weights, network.head_bias.len() * units)?;
+        shape("biases of the head", &network.head_bias, network.sensors.len() * OUTPUTS)?;
         let scaled = network.inputs.iter().enumerate();
         let [first, second] = &network.layers;
         let (head_weights, head_bias) = head(network)?;
@@ -87,32 +75,28 @@ impl Quantised {
     }
 }
 
-fn shape(what: &'static str, numbers: &[f32], expected: usize) -> Result<(), Unfit> {
+fn shape(what: &'static str, numbers: &[f32], expected: usize) -> Result<(), QuantiseError> {
     match numbers.len() {
         found if found == expected => Ok(()),
-        found => Err(Unfit::Shape {
-            what,
-            found,
-            expected,
-        }),
+        found => Err(QuantiseError::Shape { what, found, expected }),
     }
 }
 
-/// A number with fractional bits, rounded, within `limit` either way.
-fn fit(
-    row: Row,
+/// Rounds a value to `bits` fractional bits, within `limit` either way.
+fn to_fixed(
+    row: WeightRow,
     what: impl Fn() -> String,
     value: f64,
     bits: u32,
     limit: i64,
     advice: &'static str,
-) -> Result<i64, Unfit> {
+) -> Result<i64, QuantiseError> {
     let one = f64::from(1_u32 << bits);
     let rounded = (value * one).round();
     if rounded.abs() <= limit as f64 {
         return Ok(rounded as i64);
     }
-    Err(Unfit::Number {
+    Err(QuantiseError::Number {
         row,
         what: what(),
         value,
@@ -121,74 +105,58 @@ fn fit(
     })
 }
 
-fn weights(row: Row, what: &str, values: &[f32], bits: u32) -> Result<Vec<i16>, Unfit> {
+fn weights(
+    row: WeightRow,
+    what: &str,
+    values: &[f32],
+    bits: u32,
+) -> Result<Vec<i16>, QuantiseError> {
     let quantised = values.iter().enumerate().map(|(column, &value)| {
         let name = || match what {
             "" => format!("weight {column}"),
             what => format!("{what} weight {column}"),
         };
         let limit = i64::from(i16::MAX);
-        Ok(fit(row, name, f64::from(value), bits, limit, LARGE_WEIGHTS)? as i16)
+        Ok(to_fixed(row, name, f64::from(value), bits, limit, LARGE_WEIGHTS)? as i16)
     });
     quantised.collect()
 }
 
-/// A bias; what rounding down takes from the products with states is added later.
-fn bias(row: Row, what: &str, value: f64, bits: u32) -> Result<i64, Unfit> {
-    fit(
-        row,
-        || what.to_owned(),
-        value,
-        bits,
-        SUM_LIMIT - 1,
-        LARGE_WEIGHTS,
-    )
+/// A bias, without the correction for truncation.
+fn bias(row: WeightRow, what: &str, value: f64, bits: u32) -> Result<i64, QuantiseError> {
+    to_fixed(row, || what.to_owned(), value, bits, SUM_LIMIT - 1, LARGE_WEIGHTS)
 }
 
-/// What rounding states down takes from a row on the average.
-fn lost(weights: &[i16]) -> i64 {
+/// Mean loss of a row by truncation of states.
+fn rounding_loss(weights: &[i16]) -> i64 {
     weights.iter().map(|&weight| i64::from(weight)).sum::<i64>() / 2
 }
 
-/// The greatest sum of a row's products.
-fn greatest(weights: &[i16], limit: i64) -> i64 {
-    weights
-        .iter()
-        .map(|&weight| i64::from(weight).abs() * limit)
-        .sum()
+/// Maximum sum of a row's products.
+fn max_sum(weights: &[i16], limit: i64) -> i64 {
+    weights.iter().map(|&weight| i64::from(weight).abs() * limit).sum()
 }
 
-/// The bias as the device holds it, where `sum` (its size included) cannot wrap.
-fn proved(row: Row, bias: i64, products: i64, bits: u32) -> Result<i32, Unfit> {
+/// The device's bias, where the maximum sum cannot wrap.
+fn checked_bias(row: WeightRow, bias: i64, products: i64, bits: u32) -> Result<i32, QuantiseError> {
     let sum = bias.abs() + products;
     if sum < SUM_LIMIT {
         return Ok(bias as i32);
     }
     let one = f64::from(1_u32 << bits);
-    Err(Unfit::Wraps {
-        row,
-        greatest: sum as f64 / one,
-        limit: SUM_LIMIT as f64 / one,
-    })
+    Err(QuantiseError::Wraps { row, greatest: sum as f64 / one, limit: SUM_LIMIT as f64 / one })
 }
 
-fn layer(number: usize, layer: &Layer, inputs: usize, units: usize) -> Result<LayerRows, Unfit> {
-    shape(
-        "input weights of a layer",
-        &layer.input_weights,
-        GATES * units * inputs,
-    )?;
-    shape(
-        "recurrent weights of a layer",
-        &layer.state_weights,
-        GATES * units * units,
-    )?;
+fn layer(
+    number: usize,
+    layer: &Layer,
+    inputs: usize,
+    units: usize,
+) -> Result<LayerRows, QuantiseError> {
+    shape("input weights of a layer", &layer.input_weights, GATES * units * inputs)?;
+    shape("recurrent weights of a layer", &layer.state_weights, GATES * units * units)?;
     shape("input biases of a layer", &layer.input_bias, GATES * units)?;
-    shape(
-        "recurrent biases of a layer",
-        &layer.state_bias,
-        GATES * units,
-    )?;
+    shape("recurrent biases of a layer", &layer.state_bias, GATES * units)?;
     let mut rows = LayerRows {
         inputs,
         units,
@@ -199,49 +167,31 @@ fn layer(number: usize, layer: &Layer, inputs: usize, units: usize) -> Result<La
     };
     for index in 0..GATES * units {
         let (gate, unit) = (index / units, index % units);
-        let row = Row::Layer {
-            layer: number,
-            gate,
-            unit,
-        };
-        let input = weights(
-            row,
-            "input",
-            &layer.input_weights[index * inputs..][..inputs],
-            WEIGHT_BITS,
-        )?;
+        let row = WeightRow::Layer { layer: number, gate, unit };
+        let input =
+            weights(row, "input", &layer.input_weights[index * inputs..][..inputs], WEIGHT_BITS)?;
         // The second layer's inputs are the first's states.
-        let (from_inputs, lost_inputs) = match number {
-            0 => (greatest(&input, INPUT_LIMIT), 0),
-            _ => (greatest(&input, STATE_LIMIT), lost(&input)),
+        let (from_inputs, input_loss) = match number {
+            0 => (max_sum(&input, INPUT_LIMIT), 0),
+            _ => (max_sum(&input, STATE_LIMIT), rounding_loss(&input)),
         };
         let candidate = gate == GATES - 1;
-        let bits = if candidate {
-            CANDIDATE_BITS
-        } else {
-            WEIGHT_BITS
-        };
-        let state = weights(
-            row,
-            "recurrent",
-            &layer.state_weights[index * units..][..units],
-            bits,
-        )?;
-        let from_states = greatest(&state, STATE_LIMIT);
+        let bits = if candidate { CANDIDATE_BITS } else { WEIGHT_BITS };
+        let state =
+            weights(row, "recurrent", &layer.state_weights[index * units..][..units], bits)?;
+        let from_states = max_sum(&state, STATE_LIMIT);
         let [b, c] = [layer.input_bias[index], layer.state_bias[index]].map(f64::from);
         if candidate {
-            let input_bias = bias(row, "bias", b, OUTPUT_BITS)? + lost_inputs;
-            let state_bias = bias(row, "recurrent bias", c, OUTPUT_BITS + 1)? + lost(&state);
-            rows.candidate_bias
-                .push(proved(row, state_bias, from_states, OUTPUT_BITS + 1)?);
-            // Behind the reset gate, which is below one, half of it is added: Q27 to Q26.
+            let input_bias = bias(row, "bias", b, OUTPUT_BITS)? + input_loss;
+            let state_bias =
+                bias(row, "recurrent bias", c, OUTPUT_BITS + 1)? + rounding_loss(&state);
+            rows.candidate_bias.push(checked_bias(row, state_bias, from_states, OUTPUT_BITS + 1)?);
+            // After the reset gate, which is below one, half of it is added: Q27 to Q26.
             let gated = (state_bias.abs() + from_states) / 2 + 1;
-            rows.bias
-                .push(proved(row, input_bias, from_inputs + gated, OUTPUT_BITS)?);
+            rows.bias.push(checked_bias(row, input_bias, from_inputs + gated, OUTPUT_BITS)?);
         } else {
-            let both = bias(row, "bias", b + c, OUTPUT_BITS)? + lost_inputs + lost(&state);
-            rows.bias
-                .push(proved(row, both, from_inputs + from_states, OUTPUT_BITS)?);
+            let both = bias(row, "bias", b + c, OUTPUT_BITS)? + input_loss + rounding_loss(&state);
+            rows.bias.push(checked_bias(row, both, from_inputs + from_states, OUTPUT_BITS)?);
         }
         rows.input_weights.extend(input);
         rows.state_weights.extend(state);
@@ -249,41 +199,47 @@ fn layer(number: usize, layer: &Layer, inputs: usize, units: usize) -> Result<La
     Ok(rows)
 }
 
-fn head(network: &Network) -> Result<(Vec<i16>, Vec<i32>), Unfit> {
+fn head(network: &Network) -> Result<(Vec<i16>, Vec<i32>), QuantiseError> {
     let (mut all, mut biases) = (Vec::new(), Vec::new());
     let rows = network.head_weights.chunks(network.hidden.max(1));
     for (output, (values, &value)) in rows.zip(&network.head_bias).enumerate() {
-        let row = Row::Head { output };
+        let row = WeightRow::Head { output };
         let quantised = weights(row, "", values, WEIGHT_BITS)?;
-        let whole = bias(row, "bias", f64::from(value), OUTPUT_BITS)? + lost(&quantised);
-        biases.push(proved(
-            row,
-            whole,
-            greatest(&quantised, STATE_LIMIT),
-            OUTPUT_BITS,
-        )?);
+        let whole = bias(row, "bias", f64::from(value), OUTPUT_BITS)? + rounding_loss(&quantised);
+        biases.push(checked_bias(row, whole, max_sum(&quantised, STATE_LIMIT), OUTPUT_BITS)?);
         all.extend(quantised);
     }
     Ok((all, biases))
 }
 
-fn scale(number: usize, input: &ScaledInput, gauss_per_lsb: f64) -> Result<DeviceInput, Unfit> {
-    let row = Row::Input { number };
+fn scale(
+    number: usize,
+    input: &ScaledInput,
+    gauss_per_lsb: f64,
+) -> Result<DeviceInput, QuantiseError> {
+    let row = WeightRow::Input { number };
     let small = |what, value: usize| {
         let limit = i64::from(u8::MAX);
-        let advice = "the device knows sensors 0 to 255";
-        Ok::<u8, Unfit>(fit(row, || String::from(what), value as f64, 0, limit, advice)? as u8)
+        let advice = "the device supports sensors 0 to 255";
+        Ok::<u8, QuantiseError>(to_fixed(
+            row,
+            || String::from(what),
+            value as f64,
+            0,
+            limit,
+            advice,
+        )? as u8)
     };
     let (source, units) = match input.input {
         Input::Field { sensor, axis } => (
-            Source::Field {
+            InputSource::Field {
                 sensor: small("sensor", sensor as usize)?,
                 axis: small("axis", axis)?,
             },
             f64::from(1_u32 << Field::BITS) / gauss_per_lsb,
         ),
         Input::Ideal { sensor, axis } => (
-            Source::Ideal {
+            InputSource::Ideal {
                 sensor: small("sensor", sensor as usize)?,
                 axis: small("axis", axis)?,
             },
@@ -292,40 +248,68 @@ fn scale(number: usize, input: &ScaledInput, gauss_per_lsb: f64) -> Result<Devic
     };
     let advice = "the training data hardly move along it: leave the input out, or record more";
     let limit = i64::from(i32::MAX);
-    let offset = fit(
-        row,
-        || "middle".to_owned(),
-        input.middle * units,
-        0,
-        limit,
-        advice,
-    )?;
+    let offset = to_fixed(row, || "middle".to_owned(), input.middle * units, 0, limit, advice)?;
     let per_unit = f64::from(1_u32 << INPUT_BITS) / (input.span * units);
-    let gain = fit(
-        row,
-        || "gain".to_owned(),
-        per_unit,
-        GAIN_BITS,
-        limit,
-        advice,
-    )?;
-    Ok(DeviceInput {
-        source,
-        offset: offset as i32,
-        gain: gain as i32,
-    })
+    let gain = to_fixed(row, || "gain".to_owned(), per_unit, GAIN_BITS, limit, advice)?;
+    Ok(DeviceInput { source, offset: offset as i32, gain: gain as i32 })
 }
 
-fn force(force_n: [f64; 2]) -> Result<[i32; 2], Unfit> {
+fn force(force_n: [f64; 2]) -> Result<[i32; 2], QuantiseError> {
     let mut units = [0; 2];
     for (axis, (units, newtons)) in units.iter_mut().zip(force_n).enumerate() {
         let advice = "a force scale is above zero and at most 8191 N";
         let name = || "newtons of an output of one".to_owned();
         let limit = i64::from(i32::MAX);
-        // Zero and less fit no scale either.
+        // Zero and negative values are invalid.
         let newtons = if newtons > 0.0 { newtons } else { f64::NAN };
         let bits = Force::BITS + FORCE_BITS;
-        *units = fit(Row::Force { axis }, name, newtons, bits, limit, advice)? as i32;
+        *units = to_fixed(WeightRow::Force { axis }, name, newtons, bits, limit, advice)? as i32;
     }
     Ok(units)
 }
+
+const GATE_NAMES: [&str; GATES] = ["reset", "update", "candidate"];
+
+/// Location of a row in messages. Indices count from zero; layers are printed from one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[allow(missing_docs)] // Their names and the text below say it.
+pub enum WeightRow {
+    Layer { layer: usize, gate: usize, unit: usize },
+    Head { output: usize },
+    Input { number: usize },
+    Force { axis: usize },
+}
+
+impl fmt::Display for WeightRow {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match *self {
+            Self::Layer { layer, gate, unit } => {
+                write!(f, "layer {}, {} row {unit}", layer + 1, GATE_NAMES[gate])
+            }
+            Self::Head { output } => write!(f, "head, row {output}"),
+            Self::Input { number } => write!(f, "input {number}"),
+            Self::Force { axis } => write!(f, "force of F{}", ["x", "z"][axis]),
+        }
+    }
+}
+
+/// A network that does not fit the device's integers.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)] // The sentence of each variant is its documentation.
+pub enum QuantiseError {
+    #[error("{row}: {what} {value:.4e} does not fit {format}; {advice}")]
+    Number { row: WeightRow, what: String, value: f64, format: String, advice: &'static str },
+    #[error(
+        "{row}: its sum may reach {greatest:.2}, beyond the accumulator limit of {limit:.0}; {LARGE_WEIGHTS}"
+    )]
+    Wraps { row: WeightRow, greatest: f64, limit: f64 },
+    #[error("{what}: {found} numbers where {expected} are expected")]
+    Shape { what: &'static str, found: usize, expected: usize },
+    #[error(
+        "{inputs} inputs, {hidden} units and {sensors} sensors: the device supports up to 16 inputs, 32 units and 4 sensors"
+    )]
+    Size { inputs: usize, hidden: usize, sensors: usize },
+}
+
+/// Remedy for large weights.
+pub(super) const LARGE_WEIGHTS: &str = "train with weight decay, or clip weights while training";

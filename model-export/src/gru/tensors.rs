@@ -1,7 +1,7 @@
 //! Named arrays of numbers with a description, in one file of safetensors.
 //!
-//! Such a file begins with the length of its header, then the header, a JSON object whose first entry
-//! is the description. So what tells our files from others stands eight bytes in.
+//! The file begins with the length of its header and the header, a JSON object whose first entry is the
+//! description. The mark of our files is therefore eight bytes in.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -10,16 +10,16 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use crate::output::{Mark, write_output};
-use crate::recordings::problem::Fault;
-use crate::recordings::{Place, Problem};
+use crate::output::{FileSignature, write_output};
+use crate::recordings::error::ErrorKind;
+use crate::recordings::{DataError, Location};
 
 /// Bytes of a file before its header.
 const LENGTH_BYTES: usize = 8;
 
 /// One array.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Array {
+pub struct NamedTensor {
     /// Its name.
     pub name: String,
     /// Its dimensions.
@@ -28,16 +28,16 @@ pub struct Array {
     pub values: Vec<f32>,
 }
 
-/// What kind of file it is: the words under which the description stands.
+/// File kind, by the key of its description.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub enum TensorFileKind {
     /// Trained networks.
     Network,
-    /// A training that goes on later.
+    /// Training checkpoint.
     Checkpoint,
 }
 
-impl Kind {
+impl TensorFileKind {
     fn key(self) -> &'static str {
         match self {
             Self::Network => "magpie network",
@@ -45,10 +45,10 @@ impl Kind {
         }
     }
 
-    /// What every file of this kind begins with, behind its length.
-    pub fn mark(self) -> Mark<'static> {
-        Mark {
-            after: LENGTH_BYTES,
+    /// Start of every file of this kind, after its length.
+    pub fn mark(self) -> FileSignature<'static> {
+        FileSignature {
+            offset: LENGTH_BYTES,
             text: match self {
                 Self::Network => r#"{"__metadata__":{"magpie network":"#,
                 Self::Checkpoint => r#"{"__metadata__":{"magpie training":"#,
@@ -60,20 +60,20 @@ impl Kind {
 /// Writes a file, whole or not at all; the same arrays and description give the same bytes.
 pub fn write(
     path: &Path,
-    kind: Kind,
+    kind: TensorFileKind,
     description: &impl Serialize,
-    arrays: &[Array],
-) -> Result<(), Problem> {
+    arrays: &[NamedTensor],
+) -> Result<(), DataError> {
     write_output(path, &bytes(kind, description, arrays, path)?, kind.mark())
 }
 
 fn bytes(
-    kind: Kind,
+    kind: TensorFileKind,
     description: &impl Serialize,
-    arrays: &[Array],
+    arrays: &[NamedTensor],
     path: &Path,
-) -> Result<Vec<u8>, Problem> {
-    let broken = |error: String| Fault::Toml(error).at(Place::file(path));
+) -> Result<Vec<u8>, DataError> {
+    let broken = |error: String| ErrorKind::Toml(error).at(Location::file(path));
     let text = serde_json::to_string(description).map_err(|error| broken(error.to_string()))?;
     let data: Vec<Vec<u8>> = arrays
         .iter()
@@ -82,35 +82,34 @@ fn bytes(
     let views = arrays.iter().zip(&data).map(|(array, data)| {
         TensorView::new(Dtype::F32, array.shape.clone(), data).map(|view| (&array.name, view))
     });
-    let views = views
-        .collect::<Result<Vec<_>, _>>()
-        .map_err(|error| broken(error.to_string()))?;
-    // A single entry: several would stand in any order.
+    let views = views.collect::<Result<Vec<_>, _>>().map_err(|error| broken(error.to_string()))?;
+    // A single entry, since several would have no fixed order.
     let metadata = HashMap::from([(kind.key().to_owned(), text)]);
     serialize(views, Some(metadata)).map_err(|error| broken(error.to_string()))
 }
 
-/// A file that was read.
-pub struct Arrays {
+/// Arrays of a file.
+pub struct TensorFile {
     path: std::path::PathBuf,
-    arrays: HashMap<String, Array>,
+    arrays: HashMap<String, NamedTensor>,
 }
 
-/// Reads a file: its description, and its arrays.
-pub fn read<D: DeserializeOwned>(path: &Path, kind: Kind) -> Result<(D, Arrays), Problem> {
-    let at = |fault: Fault| fault.at(Place::file(path));
+/// Reads description and arrays of a file.
+pub fn read<D: DeserializeOwned>(
+    path: &Path,
+    kind: TensorFileKind,
+) -> Result<(D, TensorFile), DataError> {
+    let at = |fault: ErrorKind| fault.at(Location::file(path));
     if path.is_dir() {
         return Err(at(foreign(kind)));
     }
-    let bytes = std::fs::read(path).map_err(|error| at(Fault::Unreadable(error)))?;
+    let bytes = std::fs::read(path).map_err(|error| at(ErrorKind::Unreadable(error)))?;
     let mark = kind.mark();
-    let ours = bytes
-        .get(mark.after..)
-        .is_some_and(|rest| rest.starts_with(mark.text.as_bytes()));
+    let ours = bytes.get(mark.offset..).is_some_and(|rest| rest.starts_with(mark.text.as_bytes()));
     if !ours {
         return Err(at(foreign(kind)));
     }
-    let damaged = |error: String| at(Fault::DamagedArrays(error));
+    let damaged = |error: String| at(ErrorKind::DamagedArrays(error));
     let (_, header) =
         SafeTensors::read_metadata(&bytes).map_err(|error| damaged(error.to_string()))?;
     let text = header
@@ -125,10 +124,10 @@ pub fn read<D: DeserializeOwned>(path: &Path, kind: Kind) -> Result<(D, Arrays),
         if view.dtype() != Dtype::F32 {
             let found = format!("{name} holds {:?}", view.dtype());
             let advice = "numbers of 32 bits (F32) are expected".to_owned();
-            return Err(at(Fault::BadValue { found, advice }));
+            return Err(at(ErrorKind::BadValue { found, advice }));
         }
         let (words, _) = view.data().as_chunks::<4>();
-        let array = Array {
+        let array = NamedTensor {
             name: name.clone(),
             shape: view.shape().to_vec(),
             values: words.iter().map(|word| f32::from_le_bytes(*word)).collect(),
@@ -136,33 +135,33 @@ pub fn read<D: DeserializeOwned>(path: &Path, kind: Kind) -> Result<(D, Arrays),
         arrays.insert(name, array);
     }
     let path = path.to_path_buf();
-    Ok((description, Arrays { path, arrays }))
+    Ok((description, TensorFile { path, arrays }))
 }
 
-fn foreign(kind: Kind) -> Fault {
+fn foreign(kind: TensorFileKind) -> ErrorKind {
     match kind {
-        Kind::Network => Fault::ForeignNetwork,
-        Kind::Checkpoint => Fault::ForeignCheckpoint,
+        TensorFileKind::Network => ErrorKind::NotANetwork,
+        TensorFileKind::Checkpoint => ErrorKind::NotACheckpoint,
     }
 }
 
-impl Arrays {
-    /// Takes the array of this name, which must have this shape and finite values.
-    pub fn take(&mut self, name: &str, shape: &[usize]) -> Result<Vec<f32>, Problem> {
-        let at = |fault: Fault| fault.at(Place::file(&self.path));
+impl TensorFile {
+    /// Removes and returns the array `name`, which must have this shape and finite values.
+    pub fn take(&mut self, name: &str, shape: &[usize]) -> Result<Vec<f32>, DataError> {
+        let at = |fault: ErrorKind| fault.at(Location::file(&self.path));
         let name = name.to_owned();
         let Some(array) = self.arrays.remove(&name) else {
-            return Err(at(Fault::MissingArray { name }));
+            return Err(at(ErrorKind::MissingArray { name }));
         };
         if array.shape != shape {
-            return Err(at(Fault::ArrayShape {
+            return Err(at(ErrorKind::ArrayShape {
                 name,
                 found: array.shape,
                 expected: shape.to_vec(),
             }));
         }
         if array.values.iter().any(|value| !value.is_finite()) {
-            return Err(at(Fault::ArrayNotFinite { name }));
+            return Err(at(ErrorKind::ArrayNotFinite { name }));
         }
         Ok(array.values)
     }

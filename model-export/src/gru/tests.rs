@@ -1,22 +1,21 @@
-//! The device's integers beside floating point, and what is refused.
+//! Integer network versus floating point, and rejected networks.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::float::FloatState;
-use super::network::{GATES, Input, Layer, Network, OUTPUTS, ScaledInput, Target};
-use super::pack::pack;
-use super::unfit::{Row, Unfit};
-use firmware::force::{Estimate, Validity};
-use firmware::frame::SENSORS;
-use firmware::model::network::Source;
-use firmware::units::Force;
+use crate::gru::network::{FloatState, GATES, Input, Layer, Network, OUTPUTS, ScaledInput, Target};
+use crate::gru::pack::pack;
+use crate::gru::quantise::{QuantiseError, WeightRow};
+use firmware::estimator::{Estimate, Validity};
+use firmware::fixed_point::Force;
+use firmware::model::formats::InputSource;
+use firmware::sensors::hall::SENSORS;
 
 /// A scale at which a field of one gauss is one unit, and an input of one is 2^14 units.
 const GAUSS_PER_LSB: f64 = 16.0;
 const SPAN_G: f64 = 16_384.0;
 
-/// How weights are drawn: evenly, up to these.
+/// Ranges of uniform random weights.
 #[derive(Clone, Copy)]
 struct Sizes {
     /// Of inputs and of the first layer to a candidate.
@@ -34,14 +33,7 @@ struct Sizes {
 /// As training begins with: up to 1 / sqrt(hidden).
 fn nominal(hidden: usize) -> Sizes {
     let most = 1.0 / (hidden as f32).sqrt();
-    Sizes {
-        input: most,
-        between: most,
-        gates: most,
-        candidate: most,
-        bias: most,
-        update: 0.0,
-    }
+    Sizes { input: most, between: most, gates: most, candidate: most, bias: most, update: 0.0 }
 }
 
 fn random(seed: u64, inputs: usize, hidden: usize, sensors: u32, sizes: Sizes) -> Network {
@@ -53,9 +45,7 @@ fn random(seed: u64, inputs: usize, hidden: usize, sensors: u32, sizes: Sizes) -
         let mut state_weights = draw(2 * hidden * hidden, sizes.gates);
         state_weights.extend(draw(hidden * hidden, sizes.candidate));
         let mut input_bias = draw(GATES * hidden, sizes.bias);
-        input_bias[hidden..2 * hidden]
-            .iter_mut()
-            .for_each(|bias| *bias += sizes.update);
+        input_bias[hidden..2 * hidden].iter_mut().for_each(|bias| *bias += sizes.update);
         let mut input_weights = draw(2 * hidden * inputs, sizes.gates);
         input_weights.extend(draw(hidden * inputs, input));
         Layer {
@@ -71,10 +61,7 @@ fn random(seed: u64, inputs: usize, hidden: usize, sensors: u32, sizes: Sizes) -
         sensors: (0..sensors).collect(),
         inputs: (0..inputs)
             .map(|number| ScaledInput {
-                input: Input::Field {
-                    sensor: (number / 3) as u32,
-                    axis: number % 3,
-                },
+                input: Input::Field { sensor: (number / 3) as u32, axis: number % 3 },
                 middle: 0.0,
                 span: SPAN_G,
             })
@@ -102,13 +89,9 @@ fn errors(network: &Network, steps: usize) -> Errors {
     let mut float = FloatState::at(network, 0.0);
     let mut rng = ChaCha8Rng::seed_from_u64(99);
     let mut offset = 0.0;
-    let mut errors = Errors {
-        thirds: [0.0; 3],
-        worst: 0.0,
-        worst_output: 0.0,
-    };
+    let mut errors = Errors { thirds: [0.0; 3], worst: 0.0, worst_output: 0.0 };
     for step in 0..steps {
-        // Slow and fast waves over steps that hold for a while.
+        // Slow and fast waves on piecewise constant offsets.
         if step % 700 == 0 {
             offset = rng.random_range(-0.5..0.5);
         }
@@ -120,12 +103,10 @@ fn errors(network: &Network, steps: usize) -> Errors {
             ((offset + wave) * SPAN_G).round()
         };
         let _ = run.step(&|source| match source {
-            Source::Field { sensor, axis } => value(usize::from(sensor * 3 + axis)) as i32,
+            InputSource::Field { sensor, axis } => value(usize::from(sensor * 3 + axis)) as i32,
             _ => 0,
         });
-        let inputs: Vec<f64> = (0..network.inputs.len())
-            .map(|n| value(n) / SPAN_G)
-            .collect();
+        let inputs: Vec<f64> = (0..network.inputs.len()).map(|n| value(n) / SPAN_G).collect();
         let outputs = float.step(network, &inputs);
         let states = run.states();
         for (layer, states) in states.iter().enumerate() {
@@ -145,28 +126,21 @@ fn errors(network: &Network, steps: usize) -> Errors {
     errors
 }
 
-/// The bounds that every network must keep: root mean square and greatest error of the states.
+/// Limits for every network: root mean square and maximum error of the states.
 const RMS: f64 = 3e-4;
 const WORST: f64 = 2.5e-3;
 
 fn check(name: &str, network: &Network, steps: usize) -> Errors {
     let errors = errors(network, steps);
-    let Errors {
-        thirds,
-        worst,
-        worst_output,
-    } = &errors;
-    let told = format!("{name}: {thirds:?}, worst {worst:.2e}, outputs {worst_output:.2e}");
-    println!("{told}");
-    assert!(
-        thirds.iter().all(|rms| *rms <= RMS) && *worst <= WORST,
-        "{told}"
-    );
+    let Errors { thirds, worst, worst_output } = &errors;
+    let message = format!("{name}: {thirds:?}, worst {worst:.2e}, outputs {worst_output:.2e}");
+    println!("{message}");
+    assert!(thirds.iter().all(|rms| *rms <= RMS) && *worst <= WORST, "{message}");
     errors
 }
 
 #[test]
-fn integers_follow_floating_point_at_every_size_and_shape() {
+fn integer_network_tracks_float_at_every_size() {
     for (inputs, hidden, sensors) in [(2, 8, 1), (3, 8, 1), (5, 16, 1), (3, 16, 1), (12, 32, 4)] {
         let network = random(7, inputs, hidden, sensors, nominal(hidden));
         check(&format!("{inputs}/{hidden}"), &network, 10_000);
@@ -174,7 +148,7 @@ fn integers_follow_floating_point_at_every_size_and_shape() {
 }
 
 #[test]
-fn sizes_that_the_device_does_not_have_are_filled_up_without_a_change() {
+fn padding_to_a_device_size_keeps_the_outputs() {
     // 3 inputs and 11 units in 4 and 16.
     let network = random(3, 3, 11, 1, nominal(11));
     assert_eq!(pack(&network, GAUSS_PER_LSB).unwrap().size(), [2, 8, 1]);
@@ -185,31 +159,17 @@ fn sizes_that_the_device_does_not_have_are_filled_up_without_a_change() {
 #[test]
 fn slow_gates_do_not_drift_over_a_million_steps() {
     // Update gates about 0.99: a memory of a hundred steps.
-    let slow = Sizes {
-        update: 4.6,
-        ..nominal(8)
-    };
+    let slow = Sizes { update: 4.6, ..nominal(8) };
     let errors = check("slow", &random(1, 3, 8, 1, slow), 1_000_000);
     let [first, _, last] = errors.thirds;
     assert!(last < 1.3 * first, "{:?}", errors.thirds);
 }
 
 #[test]
-fn large_weights_keep_the_bounds_with_quick_and_with_slow_gates() {
-    let large = Sizes {
-        input: 3.0,
-        between: 1.5,
-        gates: 0.5,
-        candidate: 0.25,
-        bias: 1.0,
-        update: 0.0,
-    };
-    let slow = Sizes {
-        gates: 0.2,
-        bias: 0.3,
-        update: 4.6,
-        ..large
-    };
+fn large_weights_stay_within_error_limits() {
+    let large =
+        Sizes { input: 3.0, between: 1.5, gates: 0.5, candidate: 0.25, bias: 1.0, update: 0.0 };
+    let slow = Sizes { gates: 0.2, bias: 0.3, update: 4.6, ..large };
     for seed in 0..3 {
         check("large", &random(seed, 3, 16, 1, large), 10_000);
         check("large and slow", &random(seed, 3, 16, 1, slow), 10_000);
@@ -217,27 +177,23 @@ fn large_weights_keep_the_bounds_with_quick_and_with_slow_gates() {
 }
 
 #[test]
-fn a_row_that_could_wrap_is_refused_by_name() {
+fn row_that_could_wrap_is_rejected_by_name() {
     let mut network = random(1, 3, 8, 1, nominal(8));
     // Candidate of unit 5 in the second layer: eight weights of 4, in sum the accumulator's end.
     let row = 2 * 8 + 5;
     network.layers[1].input_weights[row * 8..][..8].fill(4.0);
     let refused = pack(&network, GAUSS_PER_LSB).unwrap_err();
-    let Unfit::Wraps { row, greatest, .. } = &refused else {
+    let QuantiseError::Wraps { row, greatest, .. } = &refused else {
         panic!("{refused}");
     };
     let (layer, gate, unit) = (1, 2, 5);
-    assert_eq!(*row, Row::Layer { layer, gate, unit });
+    assert_eq!(*row, WeightRow::Layer { layer, gate, unit });
     assert!(*greatest > 32.0 && *greatest < 35.0);
-    assert!(
-        refused
-            .to_string()
-            .starts_with("layer 2, candidate row 5: its sum may reach 3")
-    );
+    assert!(refused.to_string().starts_with("layer 2, candidate row 5: its sum may reach 3"));
 }
 
 #[test]
-fn a_row_is_accepted_up_to_the_end_of_its_accumulator() {
+fn row_is_accepted_up_to_the_accumulator_limit() {
     let mut network = random(1, 2, 8, 1, nominal(8));
     let layer = &mut network.layers[0];
     // Both inputs at ±2 with weights of ±7.9: 31.6, and nothing else in the row.
@@ -247,68 +203,48 @@ fn a_row_is_accepted_up_to_the_end_of_its_accumulator() {
     assert!(pack(&network, GAUSS_PER_LSB).is_ok());
     network.layers[0].state_bias[0] = 0.5;
     let refused = pack(&network, GAUSS_PER_LSB).unwrap_err().to_string();
-    assert!(
-        refused.starts_with("layer 1, reset row 0: its sum"),
-        "{refused}"
-    );
+    assert!(refused.starts_with("layer 1, reset row 0: its sum"), "{refused}");
 }
 
 #[test]
-fn weights_beyond_their_format_are_refused_by_name() {
-    let told = |spoil: fn(&mut Network)| {
+fn weights_beyond_their_format_are_rejected_by_name() {
+    let message = |spoil: fn(&mut Network)| {
         let mut network = random(1, 3, 8, 1, nominal(8));
         spoil(&mut network);
         pack(&network, GAUSS_PER_LSB).unwrap_err().to_string()
     };
-    let update = told(|network| network.layers[0].input_weights[9 * 3 + 2] = -8.5);
+    let update = message(|network| network.layers[0].input_weights[9 * 3 + 2] = -8.5);
     assert!(
         update.starts_with("layer 1, update row 1: input weight 2 -8.5000e0 does not fit ±7.9998"),
         "{update}"
     );
-    let candidate = told(|network| network.layers[1].state_weights[16 * 8 + 7] = 4.1);
+    let candidate = message(|network| network.layers[1].state_weights[16 * 8 + 7] = 4.1);
     assert!(
         candidate.starts_with("layer 2, candidate row 0: recurrent weight 7 4.1"),
         "{candidate}"
     );
-    let head = told(|network| network.head_weights[2 * 8] = f32::NAN);
-    assert!(
-        head.starts_with("head, row 2: weight 0 NaN does not fit"),
-        "{head}"
-    );
-    let input = told(|network| network.inputs[1].span = 0.0);
-    assert!(
-        input.starts_with("input 1: gain inf does not fit"),
-        "{input}"
-    );
-    let force = told(|network| network.force_n[1] = 0.0);
+    let head = message(|network| network.head_weights[2 * 8] = f32::NAN);
+    assert!(head.starts_with("head, row 2: weight 0 NaN does not fit"), "{head}");
+    let input = message(|network| network.inputs[1].span = 0.0);
+    assert!(input.starts_with("input 1: gain inf does not fit"), "{input}");
+    let force = message(|network| network.force_n[1] = 0.0);
     assert!(force.starts_with("force of Fz: newtons"), "{force}");
-    let short = told(|network| network.layers[0].state_bias.truncate(23));
-    assert_eq!(
-        short,
-        "recurrent biases of a layer: 23 numbers where 24 belong"
-    );
+    let short = message(|network| network.layers[0].state_bias.truncate(23));
+    assert_eq!(short, "recurrent biases of a layer: 23 numbers where 24 are expected");
 }
 
 #[test]
-fn networks_that_the_device_has_no_size_for_are_refused() {
+fn networks_larger_than_the_device_are_rejected() {
     let network = random(1, 3, 33, 1, nominal(33));
     let refused = pack(&network, GAUSS_PER_LSB).unwrap_err();
-    assert!(
-        refused
-            .to_string()
-            .starts_with("3 inputs, 33 units and 1 sensors"),
-        "{refused}"
-    );
+    assert!(refused.to_string().starts_with("3 inputs, 33 units and 1 sensors"), "{refused}");
 }
 
 #[test]
-fn the_warm_up_is_as_long_as_the_memory() {
+fn warm_up_grows_with_the_memory_of_the_gates() {
     let warm_up = |update| {
-        let sizes = Sizes {
-            update,
-            ..nominal(8)
-        };
-        super::warm_up::steps(&random(1, 3, 8, 1, sizes))
+        let sizes = Sizes { update, ..nominal(8) };
+        super::network::warm_up_steps(&random(1, 3, 8, 1, sizes))
     };
     let (quick, slow) = (warm_up(0.0), warm_up(4.6));
     // Sigmoid of 0 and of 4.6: half a state is kept, or 99 % of it.
@@ -317,34 +253,31 @@ fn the_warm_up_is_as_long_as_the_memory() {
 }
 
 #[test]
-fn an_estimate_has_the_scale_of_its_forces() {
+fn estimate_has_the_force_scale() {
     let mut network = random(1, 3, 8, 1, nominal(8));
     network.head_weights.fill(0.0);
     network.head_bias = vec![0.5, -0.25, -1.0, -3.0];
     let packed = pack(&network, GAUSS_PER_LSB).unwrap();
     let mut run = packed.run();
-    let told = (0..1000).find_map(|_| run.step(&|_| 0)).unwrap();
-    let newtons = told[0].mean.map(|force| force.newtons());
+    let message = (0..1000).find_map(|_| run.step(&|_| 0)).unwrap();
+    let newtons = message[0].mean.map(|force| force.newtons());
     assert_eq!(newtons, [10.0, -7.5]);
-    let [x, z] = told[0].sigma.map(|force| force.newtons());
+    let [x, z] = message[0].sigma.map(|force| force.newtons());
     assert!((x - 20.0 * (-1.0_f64).exp()).abs() < 1e-3, "{x}");
     assert!((z - 30.0 * (-3.0_f64).exp()).abs() < 1e-3, "{z}");
 }
 
 #[test]
-fn networks_of_several_sizes_each_see_the_estimates_as_they_were() {
-    let told = |ideal, sensor, hidden| {
+fn networks_read_estimates_from_before_the_step() {
+    let message = |ideal, sensor, hidden| {
         let mut network = random(1, 1, hidden, 1, nominal(hidden));
         network.sensors = vec![sensor];
-        network.inputs[0].input = Input::Ideal {
-            sensor: ideal,
-            axis: 0,
-        };
+        network.inputs[0].input = Input::Ideal { sensor: ideal, axis: 0 };
         network.inputs[0].span = 20.0;
         network
     };
-    // The second reads the sensor that the first speaks for.
-    let networks = [told(0, 0, 8), told(0, 1, 16)];
+    // The second network reads the sensor that the first predicts.
+    let networks = [message(0, 0, 8), message(0, 1, 16)];
     let packed = networks.map(|network| pack(&network, GAUSS_PER_LSB).unwrap());
     let alone = |which: &[usize]| {
         let mut running: Vec<_> = which.iter().map(|&k| packed[k].run()).collect();
@@ -366,24 +299,26 @@ fn networks_of_several_sizes_each_see_the_estimates_as_they_were() {
 }
 
 #[test]
-fn the_source_names_the_size_and_every_sensor() {
+fn generated_source_names_size_and_sensors() {
     let networks: Vec<_> = (0..2)
         .map(|seed| pack(&random(seed, 3, 8, 1, nominal(8)), GAUSS_PER_LSB).unwrap())
         .collect();
-    let source = super::emit::source(&networks).unwrap();
+    let source = crate::inverse::codegen::networks_source(&networks).unwrap();
+    assert!(source.contains("pub static NETWORKS: [Network<2, 4, 1>; 2] = ["), "{source}");
     assert!(
-        source.contains("pub static NETWORKS: [Network<2, 4, 1>; 2] = ["),
-        "{source}"
-    );
-    assert!(
-        source.contains("source: Source::Field { sensor: 0, axis: 2 }, offset: 0, gain: 1048576")
+        source.contains(
+            "source: InputSource::Field { sensor: 0, axis: 2 }, offset: 0, gain: 1048576"
+        )
     );
     assert!(source.contains("target: Target::Force"));
     assert_eq!(source.matches("UnitPair {").count(), 2 * 2 * 4);
     let mixed: Vec<_> = [8, 16]
         .map(|hidden| pack(&random(0, 3, hidden, 1, nominal(hidden)), GAUSS_PER_LSB).unwrap())
         .into();
-    assert_eq!(super::emit::source(&mixed), Err(super::emit::SeveralSizes));
-    let none = super::emit::source(&[]).unwrap();
+    assert_eq!(
+        crate::inverse::codegen::networks_source(&mixed),
+        Err(crate::inverse::codegen::MixedSizes)
+    );
+    let none = crate::inverse::codegen::networks_source(&[]).unwrap();
     assert!(none.ends_with("Network<1, 4, 1>; 0] = [];\n"));
 }

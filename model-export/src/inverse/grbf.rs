@@ -1,63 +1,64 @@
-//! Gaussian radial basis functions on top of a linear part, in floating point.
+//! Gaussian radial basis functions on a linear part, in floating point, and the samples that they are fitted
+//! to.
 //!
-//! F = bias + slope s + sum w_k exp(-gamma |s - c_k|^2), with s the field scaled to -1 to 1 over the
-//! box. The linear part carries most of the force; the functions add what is curved, which keeps
-//! their weights small and their rounding harmless.
+//! F = bias + slope s + sum w_k exp(-gamma |s - c_k|^2), with s the field scaled to -1 to 1 over the box. The
+//! linear part carries most of the force; the functions add the curvature, which limits their weights and
+//! rounding errors.
 
-use nalgebra::{DMatrix, Vector3};
+use crate::inverse::static_model::{DesignBox, StaticModel, lattice};
+use crate::physics::sensor::GAP_WEIGHT;
+use nalgebra::{DMatrix, Matrix2, Vector2, Vector3};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 
-use super::at_rest::AtRest;
-use super::design_box::{DesignBox, lattice};
-use super::samples::Sample;
-
-/// The shape of a model: what is chosen before its weights are solved for.
+/// Hyperparameters of a model.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Shape {
+pub struct GrbfShape {
     /// Centres are the fields of a lattice of this many loads along each axis; none: linear.
     pub centres_across: usize,
     /// Width: exp(-gamma d^2) over coordinates of -1 to 1.
     pub gamma: f64,
-    /// Penalty on the squared weights, as a share of the mean square of the functions.
+    /// Ridge penalty on the squared weights, relative to the mean square of the functions.
     pub ridge: f64,
 }
 
 /// The inverse model of one sensor.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Grbf {
-    /// The coordinates' box.
+    /// Box that defines the coordinates.
     pub design: DesignBox,
     /// Width.
     pub gamma: f64,
     /// Coordinates of the centres.
     pub centres: Vec<Vector3<f64>>,
-    /// Newtons for each centre and axis.
+    /// Weights in newtons for each centre and axis.
     pub weights_n: Vec<[f64; 2]>,
-    /// Newtons in the middle of the box.
+    /// Force at the centre of the box in newtons.
     pub bias_n: [f64; 2],
-    /// Newtons for a coordinate of one, each axis of the force.
+    /// Force per unit coordinate in newtons, each axis of the force.
     pub slope_n: [Vector3<f64>; 2],
 }
 
 impl Grbf {
-    /// Fits a model of `shape`; `round` puts a centre where the device can have one. `None` where the
-    /// samples do not determine it.
+    /// Fits a model of `shape`; `round` rounds centres to representable coordinates. `None` where the samples
+    /// do not determine it.
     pub fn fit(
-        model: &AtRest,
+        model: &StaticModel,
         design: &DesignBox,
-        shape: Shape,
-        samples: &[Sample],
+        shape: GrbfShape,
+        samples: &[FieldSample],
         round: impl Fn(Vector3<f64>) -> Vector3<f64>,
     ) -> Option<Self> {
         Self::fit_ridges(model, design, shape, &[shape.ridge], samples, round).pop()?
     }
 
-    /// Fits one model for each penalty: what does not depend on it is formed once.
+    /// Fits one model for each penalty with common normal equations.
     pub fn fit_ridges(
-        model: &AtRest,
+        model: &StaticModel,
         design: &DesignBox,
-        shape: Shape,
+        shape: GrbfShape,
         ridges: &[f64],
-        samples: &[Sample],
+        samples: &[FieldSample],
         round: impl Fn(Vector3<f64>) -> Vector3<f64>,
     ) -> Vec<Option<Self>> {
         let centres: Vec<Vector3<f64>> = match shape.centres_across {
@@ -78,9 +79,7 @@ impl Grbf {
         let regressors = DMatrix::from_row_iterator(
             samples.len(),
             width,
-            samples
-                .iter()
-                .flat_map(|sample| unsolved.regressors(&sample.field_g)),
+            samples.iter().flat_map(|sample| unsolved.regressors(&sample.field_g)),
         );
         let forces =
             DMatrix::from_row_iterator(samples.len(), 2, samples.iter().flat_map(|s| s.force_n));
@@ -89,7 +88,7 @@ impl Grbf {
         let solve = |ridge: &f64| {
             let mut normal = normal.clone();
             for i in 0..width {
-                // The linear part is free but for a trace that keeps the matrix sound.
+                // The linear part has a tiny penalty for conditioning.
                 let share = if i < 4 { 1e-12 } else { *ridge };
                 normal[(i, i)] += share * samples.len() as f64;
             }
@@ -101,18 +100,15 @@ impl Grbf {
     fn solved(mut self, solution: &DMatrix<f64>) -> Self {
         self.bias_n = [solution[(0, 0)], solution[(0, 1)]];
         self.slope_n = [0, 1].map(|axis| Vector3::from_fn(|i, _| solution[(1 + i, axis)]));
-        self.weights_n = (4..solution.nrows())
-            .map(|i| [solution[(i, 0)], solution[(i, 1)]])
-            .collect();
+        self.weights_n =
+            (4..solution.nrows()).map(|i| [solution[(i, 0)], solution[(i, 1)]]).collect();
         self
     }
 
     fn regressors(&self, field_g: &Vector3<f64>) -> Vec<f64> {
         let s = self.design.coordinates(field_g);
-        let functions = self
-            .centres
-            .iter()
-            .map(|centre| libm::exp(-self.gamma * (s - centre).norm_squared()));
+        let functions =
+            self.centres.iter().map(|centre| libm::exp(-self.gamma * (s - centre).norm_squared()));
         [1.0, s.x, s.y, s.z].into_iter().chain(functions).collect()
     }
 
@@ -129,9 +125,9 @@ impl Grbf {
     }
 }
 
-/// Root of the mean square and the greatest of the differences, each axis of the force, in newtons.
-pub fn errors(
-    samples: &[Sample],
+/// Root mean square and maximum error of each force axis, in newtons.
+pub fn force_errors(
+    samples: &[FieldSample],
     force: impl Fn(&Vector3<f64>) -> [f64; 2],
 ) -> ([f64; 2], [f64; 2]) {
     let mut squares = [0.0_f64; 2];
@@ -146,4 +142,102 @@ pub fn errors(
     }
     let count = samples.len().max(1) as f64;
     ([0, 1].map(|axis| (squares[axis] / count).sqrt()), worst)
+}
+
+/// Offset of samples from the surface along the gap axis, in gauss.
+const OFF_SURFACE_G: f64 = 15.0;
+/// Range of training loads relative to the box, to avoid edge errors.
+const OVERRANGE: f64 = 1.08;
+
+/// A field and its forces. Without noise all fields of a sensor are on a surface, and an inverse of three axes
+/// would be undefined off it. So samples are also offset along the gap axis, with the forces of the nearest
+/// point on the surface. The gap axis has a low weight in that distance: temperature, a changed gap and a
+/// neighbouring magnet act on it first.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FieldSample {
+    /// Gauss.
+    pub field_g: Vector3<f64>,
+    /// Newtons, lateral and longitudinal.
+    pub force_n: [f64; 2],
+}
+
+/// Training samples: a lattice of loads, on the surface and offset to both sides.
+pub fn training_samples(model: &StaticModel, design: &DesignBox) -> Vec<FieldSample> {
+    let loads: Vec<[f64; 2]> = lattice(design.force_n.map(|f| f * OVERRANGE), 25).collect();
+    let offsets = [-OFF_SURFACE_G, 0.0, OFF_SURFACE_G];
+    loads.iter().flat_map(|load| offsets.map(|by| sample(model, *load, by))).collect()
+}
+
+/// Held-out samples: random loads in the box, with random offsets.
+pub fn held_out_samples(
+    model: &StaticModel,
+    design: &DesignBox,
+    count: usize,
+    seed: u64,
+) -> Vec<FieldSample> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    (0..count)
+        .map(|_| {
+            let load = design.force_n.map(|limit| limit * rng.random_range(-1.0..=1.0));
+            sample(model, load, OFF_SURFACE_G * rng.random_range(-1.0..=1.0))
+        })
+        .collect()
+}
+
+fn sample(model: &StaticModel, load_n: [f64; 2], parity_residual_g: f64) -> FieldSample {
+    let mut field_g = model.field(load_n);
+    field_g.y += parity_residual_g;
+    FieldSample { field_g, force_n: nearest_forces(model, &field_g, load_n) }
+}
+
+/// Forces whose field is nearest to `field_g`, from a close start (Gauss-Newton).
+pub fn nearest_forces(model: &StaticModel, field_g: &Vector3<f64>, start_n: [f64; 2]) -> [f64; 2] {
+    let weight = Vector3::new(1.0, GAP_WEIGHT, 1.0);
+    let mut force = Vector2::from(start_n);
+    for _ in 0..6 {
+        let [gx, gz] = model.per_newton(force.into());
+        let (wx, wz) = (gx.component_mul(&weight), gz.component_mul(&weight));
+        let residual = field_g - model.field(force.into());
+        let normal = Matrix2::new(wx.dot(&gx), wx.dot(&gz), wz.dot(&gx), wz.dot(&gz));
+        let right = Vector2::new(wx.dot(&residual), wz.dot(&residual));
+        let Some(inverse) = normal.try_inverse() else {
+            break;
+        };
+        force += inverse * right;
+    }
+    force.into()
+}
+
+/// Errors of an inverse over a lattice of loads.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ErrorMap {
+    /// Loads along each axis in newtons.
+    pub loads_n: Vec<f64>,
+    /// Norm of the error in newtons; a row for each longitudinal load, a column for each lateral one.
+    pub errors_n: Vec<Vec<f64>>,
+}
+
+impl ErrorMap {
+    /// Evaluates `inverse` on `across` by `across` loads up to `force_n`.
+    pub fn of(
+        model: &StaticModel,
+        force_n: [f64; 2],
+        across: usize,
+        inverse: impl Fn(&Vector3<f64>) -> [f64; 2],
+    ) -> Self {
+        let error = |load: [f64; 2]| {
+            let found = inverse(&model.field(load));
+            (found[0] - load[0]).hypot(found[1] - load[1])
+        };
+        let errors: Vec<f64> = lattice(force_n, across).map(error).collect();
+        Self {
+            loads_n: lattice(force_n, across).take(across).map(|load| load[0]).collect(),
+            errors_n: errors.chunks(across).map(<[f64]>::to_vec).collect(),
+        }
+    }
+
+    /// Maximum error.
+    pub fn worst_n(&self) -> f64 {
+        self.errors_n.iter().flatten().copied().fold(0.0, f64::max)
+    }
 }

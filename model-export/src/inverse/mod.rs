@@ -1,28 +1,19 @@
-//! The ideal inverse: from the field at a sensor to its two forces, in floating point and as the
-//! device's integers.
+//! Inverse model: forces from the field at a sensor, in floating point and as the device's integer tables.
 //!
-//! - [`at_rest`]: what is inverted: the forward model with the effects of the present forces.
-//! - [`design_box`]: the loads that a model is built for, and where their fields lie.
-//! - [`samples`]: fields with the forces that explain them best.
-//! - [`grbf`]: Gaussian radial basis functions on top of a linear part, in floating point.
-//! - [`search`]: centres, width and ridge chosen by held-out error.
-//! - [`quantise`]: the device's tables, with the proof that nothing overflows.
-//! - [`parity`]: the surface on which the fields lie: three axes against two forces.
-//! - [`error_map`]: where in the box an inverse errs.
-//! - [`compensation`]: the effects that the device undoes around the inverse, in its formats.
-//! - [`map`]: a user's own effect as a table.
+//! - [`static_model`]: the forward model to invert, with its design box of loads.
+//! - [`grbf`]: Gaussian radial basis functions on a linear part, fitted to sampled fields.
+//! - [`model_selection`]: centres, width and ridge selected by held-out error.
+//! - [`quantise`]: the device's tables, with the proof that no sum overflows.
+//! - [`parity`]: the surface of possible fields: three axes, two forces.
+//! - [`compensation`]: effects that the device compensates before and after the inverse.
 //! - [`build`]: from a model file to the device's tables.
-//! - [`emit`]: the tables as Rust source.
+//! - [`codegen`]: tables and networks as Rust source.
 
-pub mod at_rest;
 pub mod build;
+pub mod codegen;
 pub mod compensation;
-pub mod design_box;
-pub mod emit;
-pub mod error_map;
 pub mod grbf;
-pub mod map;
+pub mod model_selection;
 pub mod parity;
 pub mod quantise;
-pub mod samples;
-pub mod search;
+pub mod static_model;

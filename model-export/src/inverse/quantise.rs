@@ -1,61 +1,60 @@
-//! The device's tables from a model in floating point, with the proof that nothing overflows.
+//! The device's tables from a floating point model, with the proof that nothing overflows.
 
-use firmware::compensate::Compensation;
-use firmware::model::grbf::{ENTRY_BITS, ENTRY_STEP};
-use firmware::model::ideal;
-use firmware::model::parity::Parity;
-use firmware::model::table::{
-    AxisScale, COORDINATE_LIMIT, CentrePair, EXP_ENTRIES, Linear, MOST_PAIRS, SLOPE_BITS,
+use firmware::estimator::compensation::Compensation;
+use firmware::estimator::ideal;
+use firmware::fixed_point::{Field, Force};
+use firmware::model::formats::{
+    AxisScale, COORDINATE_LIMIT, CentrePair, EXP_ENTRIES, Linear, MOST_PAIRS, Parity, SLOPE_BITS,
     SensorTable, Tables,
 };
-use firmware::units::{Field, Force};
+use firmware::model::kernel::grbf::{ENTRY_BITS, ENTRY_STEP};
 use nalgebra::Vector3;
 
-use super::grbf::Grbf;
+use crate::inverse::grbf::Grbf;
 
 /// Fractional bits of the exponential.
 const EXP_BITS: u32 = 15;
 
-/// A number that does not fit its format.
+/// A value beyond its format.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("sensor {sensor}, {row}: {value:.6e} does not fit {format}; {advice}")]
-pub struct Overflow {
+pub struct TableOverflow {
     /// Number of the sensor.
     pub sensor: u32,
-    /// The row of the table.
+    /// Name of the table entry.
     pub row: String,
-    /// The number.
+    /// Value.
     pub value: f64,
-    /// What it must fit.
+    /// Range of the format.
     pub format: String,
-    /// What to do.
+    /// Remedy.
     pub advice: &'static str,
 }
 
 /// The device's tables, owned.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TableSet {
-    /// Identifies them on the bus.
+    /// Identifier on the bus.
     pub id: u16,
-    /// Of the exponential.
+    /// Exponential table.
     pub exp: Box<[u32; EXP_ENTRIES]>,
     /// One for each sensor.
     pub sensors: Vec<SensorTable>,
 }
 
 impl TableSet {
-    /// The tables of `models` (all of one width) for sensors of these numbers, this scale and range;
-    /// they know no surface of the fields yet.
+    /// Tables of `models` (all of one width) for sensors of these numbers, scale and range, without parity
+    /// surfaces.
     pub fn build(
         id: u16,
         models: &[Grbf],
         numbers: &[u32],
         gauss_per_lsb: f64,
         range_gauss: f64,
-    ) -> Result<Self, Overflow> {
+    ) -> Result<Self, TableOverflow> {
         let gamma = models.first().map_or(1.0, |model| model.gamma);
         let sensors = models.iter().zip(numbers).map(|(model, &number)| {
-            let row = Row { sensor: number };
+            let row = RowLocation { sensor: number };
             sensor_table(row, model, gauss_per_lsb, range_gauss)
         });
         Ok(Self {
@@ -65,54 +64,48 @@ impl TableSet {
         })
     }
 
-    /// As the device sees them, with what is undone around them, and checked.
+    /// The device's view with its checksum.
     pub fn tables<'a>(&'a self, compensations: &'a [Compensation<'a>]) -> Tables<'a> {
         self.unchecked(compensations).checked()
     }
 
     fn unchecked<'a>(&'a self, compensations: &'a [Compensation<'a>]) -> Tables<'a> {
-        Tables {
-            id: self.id,
-            exp: &self.exp,
-            sensors: &self.sensors,
-            compensations,
-            check: 0,
-        }
+        Tables { id: self.id, exp: &self.exp, sensors: &self.sensors, compensations, check: 0 }
     }
 
-    /// Forces in newtons by the device's own code, at a field in gauss that is not rounded to the
-    /// sensor's counts: the error of the arithmetic alone.
+    /// Forces in newtons by the device's own code for an unrounded field in gauss: the error of the arithmetic
+    /// alone.
     pub fn force(&self, sensor: usize, field_g: &Vector3<f64>, gauss_per_lsb: f64) -> [f64; 2] {
         let units = f64::from(1_u32 << Field::BITS) / gauss_per_lsb;
         let field = [0, 1, 2].map(|axis| Field((field_g[axis] * units).round() as i32));
         match self.sensors.get(sensor) {
-            Some(table) => ideal::evaluate(&self.unchecked(&[]), table, field)
-                .force
-                .map(Force::newtons),
+            Some(table) => {
+                ideal::evaluate(&self.unchecked(&[]), table, field).force.map(Force::newtons)
+            }
             None => [f64::NAN; 2],
         }
     }
 }
 
-/// Names the place of a number that does not fit.
+/// Location of a value for error messages.
 #[derive(Clone, Copy)]
-struct Row {
+struct RowLocation {
     sensor: u32,
 }
 
-impl Row {
+impl RowLocation {
     fn fit(
         self,
         row: impl Fn() -> String,
         value: f64,
         limit: f64,
         advice: &'static str,
-    ) -> Result<f64, Overflow> {
+    ) -> Result<f64, TableOverflow> {
         let rounded = value.round();
         if rounded.abs() <= limit {
             return Ok(rounded);
         }
-        Err(Overflow {
+        Err(TableOverflow {
             sensor: self.sensor,
             row: row(),
             value,
@@ -122,15 +115,14 @@ impl Row {
     }
 }
 
-const WEIGHTS_TOO_LARGE: &str =
-    "the radial basis functions fight each other: use fewer centres or a larger ridge";
+const WEIGHTS_TOO_LARGE: &str = "the weights of the radial basis functions are ill-conditioned: use fewer centres or a larger ridge";
 
 fn sensor_table(
-    row: Row,
+    row: RowLocation,
     model: &Grbf,
     gauss_per_lsb: f64,
     range_gauss: f64,
-) -> Result<SensorTable, Overflow> {
+) -> Result<SensorTable, TableOverflow> {
     let (scale, _) = model.design.device_scale(gauss_per_lsb);
     let too_wide =
         "the design box does not fit the sensor's range: check gap, remanence and force range";
@@ -140,12 +132,8 @@ fn sensor_table(
         let limit = f64::from(1_i32 << (15 + Field::BITS));
         axes[axis].offset =
             row.fit(|| format!("offset of axis {axis}"), offset, limit, too_wide)? as i32;
-        axes[axis].gain = row.fit(
-            || format!("gain of axis {axis}"),
-            gain,
-            f64::from(i32::MAX),
-            too_wide,
-        )? as i32;
+        axes[axis].gain =
+            row.fit(|| format!("gain of axis {axis}"), gain, f64::from(i32::MAX), too_wide)? as i32;
     }
     let (pairs, shift) = pairs(row, model)?;
     let used_pairs = pairs.len();
@@ -161,13 +149,8 @@ fn sensor_table(
     padded[..used_pairs].copy_from_slice(&pairs);
     let limit_counts =
         ((range_gauss / gauss_per_lsb).floor() - 1.0).clamp(0.0, f64::from(i16::MAX));
-    let too_many = "the device knows sensors 0 to 255";
-    let number = row.fit(
-        || "number".to_owned(),
-        f64::from(row.sensor),
-        255.0,
-        too_many,
-    )?;
+    let too_many = "the device supports sensors 0 to 255";
+    let number = row.fit(|| "number".to_owned(), f64::from(row.sensor), 255.0, too_many)?;
     Ok(SensorTable {
         number: number as u8,
         scale: axes,
@@ -180,20 +163,13 @@ fn sensor_table(
     })
 }
 
-fn linear(row: Row, model: &Grbf) -> Result<Linear, Overflow> {
+fn linear(row: RowLocation, model: &Grbf) -> Result<Linear, TableOverflow> {
     let advice = "forces beyond a million newtons: check the stiffnesses";
-    let mut linear = Linear {
-        bias: [0; 2],
-        slope: [[0; 3]; 2],
-    };
+    let mut linear = Linear { bias: [0; 2], slope: [[0; 3]; 2] };
     for force in 0..2 {
         let bias = model.bias_n[force] * Force::PER_NEWTON;
-        linear.bias[force] = row.fit(
-            || format!("bias of force {force}"),
-            bias,
-            f64::from(1 << 30),
-            advice,
-        )? as i32;
+        linear.bias[force] =
+            row.fit(|| format!("bias of force {force}"), bias, f64::from(1 << 30), advice)? as i32;
         for axis in 0..3 {
             let per_unit =
                 model.slope_n[force][axis] * Force::PER_NEWTON / f64::from(COORDINATE_LIMIT);
@@ -205,8 +181,8 @@ fn linear(row: Row, model: &Grbf) -> Result<Linear, Overflow> {
     Ok(linear)
 }
 
-/// Pairs of centres, and for each force the shift that uses the weights' bits best.
-fn pairs(row: Row, model: &Grbf) -> Result<(Vec<CentrePair>, [u8; 2]), Overflow> {
+/// Pairs of centres, and for each force the shift with the best use of the weights' bits.
+fn pairs(row: RowLocation, model: &Grbf) -> Result<(Vec<CentrePair>, [u8; 2]), TableOverflow> {
     let mut shift = [0_u8; 2];
     let mut weights: Vec<[i16; 2]> = vec![[0; 2]; model.centres.len()];
     for force in 0..2 {
@@ -216,21 +192,17 @@ fn pairs(row: Row, model: &Grbf) -> Result<(Vec<CentrePair>, [u8; 2]), Overflow>
             f64::from(1_u32 << shift[force]) * Force::PER_NEWTON / f64::from(1_u32 << EXP_BITS);
         for (k, newtons) in newtons.iter().enumerate() {
             let name = || format!("weight of centre {k} for force {force}");
-            weights[k][force] = row.fit(
-                name,
-                newtons * scale,
-                f64::from(i16::MAX),
-                WEIGHTS_TOO_LARGE,
-            )? as i16;
+            weights[k][force] =
+                row.fit(name, newtons * scale, f64::from(i16::MAX), WEIGHTS_TOO_LARGE)? as i16;
         }
-        // Every function at its greatest and of one sign: no input can be worse.
-        let greatest: f64 = weights
+        // Worst case: every function at its maximum, all weights of one sign.
+        let max_sum: f64 = weights
             .iter()
             .map(|weight| f64::from(weight[force]).abs() * f64::from(1_u32 << EXP_BITS))
             .sum();
         row.fit(
             || format!("sum of the weights for force {force}"),
-            greatest,
+            max_sum,
             f64::from(i32::MAX),
             WEIGHTS_TOO_LARGE,
         )?;
@@ -241,25 +213,22 @@ fn pairs(row: Row, model: &Grbf) -> Result<(Vec<CentrePair>, [u8; 2]), Overflow>
         let mut at = [0; 3];
         for axis in 0..3 {
             let name = || format!("axis {axis} of centre {k}");
-            let advice = "a centre lies outside the design box: use another lattice of centres";
+            let advice = "a centre is outside the design box: use another lattice of centres";
             at[axis] = row.fit(name, centre[axis] * limit, limit, advice)? as i16;
         }
         coordinates.push(at);
     }
-    let paired = coordinates
-        .chunks(2)
-        .zip(weights.chunks(2))
-        .map(|(at, weight)| {
-            let [x1, y1, z1] = at[0];
-            // An odd last centre gets a partner without weight.
-            let [x2, y2, z2] = at.get(1).copied().unwrap_or([0; 3]);
-            let [first, second] = [weight[0], weight.get(1).copied().unwrap_or([0; 2])];
-            CentrePair {
-                xy: [[x1, y1], [x2, y2]],
-                z: [z1, z2],
-                weight: [[first[0], second[0]], [first[1], second[1]]],
-            }
-        });
+    let paired = coordinates.chunks(2).zip(weights.chunks(2)).map(|(at, weight)| {
+        let [x1, y1, z1] = at[0];
+        // An odd last centre is paired with zero weights.
+        let [x2, y2, z2] = at.get(1).copied().unwrap_or([0; 3]);
+        let [first, second] = [weight[0], weight.get(1).copied().unwrap_or([0; 2])];
+        CentrePair {
+            xy: [[x1, y1], [x2, y2]],
+            z: [z1, z2],
+            weight: [[first[0], second[0]], [first[1], second[1]]],
+        }
+    });
     Ok((paired.collect(), shift))
 }
 
@@ -267,24 +236,23 @@ fn pairs(row: Row, model: &Grbf) -> Result<(Vec<CentrePair>, [u8; 2]), Overflow>
 fn best_shift(weights_n: &[f64]) -> u8 {
     let fits = |shift: u8| {
         let scale = f64::from(1_u32 << shift) * Force::PER_NEWTON / f64::from(1_u32 << EXP_BITS);
-        let greatest = weights_n
-            .iter()
-            .fold(0.0_f64, |greatest, w| greatest.max((w * scale).abs()));
+        let max_weight =
+            weights_n.iter().fold(0.0_f64, |max_weight, w| max_weight.max((w * scale).abs()));
         let sum: f64 = weights_n.iter().map(|w| (w * scale).abs() + 0.5).sum();
-        greatest.round() <= f64::from(i16::MAX)
+        max_weight.round() <= f64::from(i16::MAX)
             && sum * f64::from(1_u32 << EXP_BITS) <= f64::from(i32::MAX)
     };
     (0..=30).rev().find(|&shift| fits(shift)).unwrap_or(0)
 }
 
-/// Rounds a coordinate to where the device can have a centre.
+/// Rounds coordinates to the device's format.
 pub fn representable(at: Vector3<f64>) -> Vector3<f64> {
     let limit = f64::from(COORDINATE_LIMIT);
     at.map(|c| (c * limit).round().clamp(-limit, limit) / limit)
 }
 
-/// exp(-gamma d^2) in the device's format. Between entries the device goes along a straight line;
-/// the line is shifted by half its greatest error, so that errors are even to both sides.
+/// exp(-gamma d^2) in the device's format. The device interpolates linearly between entries; the line is
+/// shifted by half its maximum error.
 fn exponential(gamma: f64) -> [u32; EXP_ENTRIES] {
     let limit = f64::from(COORDINATE_LIMIT);
     let at = |entry: f64| libm::exp(-gamma * entry * f64::from(ENTRY_STEP) / (limit * limit));
@@ -296,7 +264,7 @@ fn exponential(gamma: f64) -> [u32; EXP_ENTRIES] {
         let slope = ((end - start) * one / f64::from(1_u32 << ENTRY_BITS)).round() as i64;
         // Odd entries are read from their end, with a negative fraction.
         let reference = if k % 2 == 0 { start } else { end };
-        // Half of the last bit that is shifted out, less what the slope's bits add below it.
+        // Half of the last bit shifted out, minus the contribution of the slope's bits.
         let value = ((reference + sag) * one).round() as i64 + (1 << 15) - slope;
         let upper = ((value + (1 << 15)) >> 16).min(i64::from(i16::MAX));
         ((upper << 16) + slope) as u32

@@ -1,63 +1,58 @@
-//! A model file as it stands, asked for the field of one sensor.
+//! Prediction of the field of one sensor from a model file.
 
 use nalgebra::Vector3;
 
-use super::{Base as BaseName, EffectModel, ModelFile};
-use crate::effects::{Addition, Kind, Of, Parameter, Series, Track};
-use crate::fit::base::{Base, CylinderBase, PolynomialBase};
+use crate::effects::{
+    EffectParameter, EffectTerm, ExcitationSeries, ParameterKind, ParameterScope, StateSeries,
+};
+use crate::fit::base_model::{BaseModel, CylinderBase, PolynomialBase};
 use crate::fit::parameters::{self, PARAMETERS};
 use crate::fit::polynomial::Polynomial;
-use crate::fit::rows::Part;
-use crate::physics::{ForwardModel, State};
+use crate::fit::rows::RecordingRows;
+use crate::model_file::{BaseKind as BaseName, EffectModel, ModelFile};
+use crate::physics::{ForwardModel, PhysicalState};
 use crate::recordings::columns::Axis;
 
-/// What a model says of one sensor.
+/// Forward model of one sensor with its effects.
 pub struct Predictor {
-    field: Field,
-    effects: Vec<(Addition, Vec<f64>)>,
-    /// Recordings that the model was fitted to.
-    recordings: usize,
+    base: PredictorBase,
+    effects: Vec<(EffectTerm, Vec<f64>)>,
 }
 
-/// What the field is computed from.
-enum Field {
-    /// A state of magnet and sensor.
-    State {
-        base: Box<dyn Base + Send>,
-        values: Vec<f64>,
-    },
-    /// Any number of forces.
-    Forces(Polynomial),
+/// BaseModel model of a [`Predictor`].
+enum PredictorBase {
+    /// Field from the state of the sensor.
+    FromState { base: Box<dyn BaseModel + Send>, values: Vec<f64> },
+    /// Field from any number of forces.
+    FromForces(Polynomial),
 }
 
-/// The field over some rows, and its answer to the forces.
+/// Predicted field and its sensitivity to the forces.
 #[derive(Clone, Debug, Default)]
-pub struct Predicted {
-    /// Gauss.
+pub struct FieldPrediction {
+    /// Field in gauss.
     pub field_g: Vec<Vector3<f64>>,
-    /// dB/dF in G/N, one for each force of the rows.
+    /// dB/dF in G/N: for each row one vector per force.
     pub per_newton: Vec<Vec<Vector3<f64>>>,
 }
 
 impl ModelFile {
-    /// What the file says of sensor `number`; `None` where it does not know it.
-    pub fn predictor(&self, number: u32, additions: &[Addition]) -> Option<Predictor> {
+    /// Predictor of sensor `number`; `None` if the file lacks the sensor or a value.
+    pub fn predictor(&self, number: u32, terms: &[EffectTerm]) -> Option<Predictor> {
         let recordings = self.provenance.recordings.len();
         let mut effects = Vec::new();
-        for addition in additions {
-            let entry = self.effects.iter().find(|e| e.name == addition.name())?;
-            effects.push((
-                addition.clone(),
-                entry.with_unseen(addition, number, recordings)?,
-            ));
+        for term in terms {
+            let entry = self.effects.iter().find(|e| e.name == term.name())?;
+            effects
+                .push((term.clone(), entry.values_with_new_recording(term, number, recordings)?));
         }
         effects.sort_by_key(|(effect, _)| effect.stage());
         let sensor = self.sensors.iter().find(|sensor| sensor.number == number)?;
-        let field = match self.base {
+        let base = match self.base {
             BaseName::Cylinder => {
                 let nominal = ForwardModel::nominal(self.design.as_ref()?);
                 let value = |name: &str| Some(sensor.parameters.get(name)?.value);
-                Field::State {
+                PredictorBase::FromState {
                     base: Box::new(CylinderBase { nominal }),
                     values: PARAMETERS
                         .iter()
@@ -69,77 +64,67 @@ impl ModelFile {
             BaseName::Polynomial => {
                 let polynomial = sensor.polynomial()?;
                 match PolynomialBase::new(polynomial.clone(), 1.0) {
-                    Some(base) => Field::State {
-                        values: base.slots().iter().map(|slot| slot.start).collect(),
+                    Some(base) => PredictorBase::FromState {
+                        values: base.parameters().iter().map(|slot| slot.start).collect(),
                         base: Box::new(base),
                     },
-                    None => Field::Forces(polynomial),
+                    None => PredictorBase::FromForces(polynomial),
                 }
             }
         };
-        Some(Predictor {
-            field,
-            effects,
-            recordings,
-        })
+        Some(Predictor { base, effects })
     }
 }
 
 impl EffectModel {
-    /// Values at one sensor for the recordings that were fitted, and for one more that was not: there
-    /// memories begin unloaded, and what changes from recording to recording stays as it was in the end.
-    fn with_unseen(&self, addition: &Addition, number: u32, recordings: usize) -> Option<Vec<f64>> {
-        let known = self.sensors.iter().find(|sensor| sensor.number == number)?;
+    /// Values at one sensor for the fitted recordings and one additional recording, in which memories start
+    /// unloaded and values of each recording continue from the last one.
+    fn values_with_new_recording(
+        &self,
+        term: &EffectTerm,
+        number: u32,
+        recordings: usize,
+    ) -> Option<Vec<f64>> {
+        let sensor = self.sensors.iter().find(|sensor| sensor.number == number)?;
         let mut last = 0.0;
-        let values = addition.parameters(recordings + 1);
-        let value = |parameter: &Parameter| {
-            let value = match known.parameters.get(parameter.name.as_ref()) {
+        let parameters = term.parameters(recordings + 1);
+        let value = |parameter: &EffectParameter| {
+            let value = match sensor.parameters.get(parameter.name.as_ref()) {
                 Some(found) => found.value,
-                None if parameter.of == Of::Campaign => return None,
-                None if matches!(parameter.kind, Kind::Beginning) => 0.0,
+                None if parameter.scope == ParameterScope::Campaign => return None,
+                None if matches!(parameter.kind, ParameterKind::InitialState) => 0.0,
                 None => last,
             };
             last = value;
             Some(value)
         };
-        values.iter().map(value).collect()
+        parameters.iter().map(value).collect()
     }
 }
 
 impl Predictor {
-    /// What a track's `recording` must be where the model was not fitted to it; else its place among
-    /// those that the model was fitted to.
-    pub fn unseen(&self) -> usize {
-        self.recordings
-    }
-
-    /// The field in gauss over a track; `None` where the base needs more forces than a track holds.
-    pub fn fields(&self, track: &Track) -> Option<Vec<Vector3<f64>>> {
-        let Field::State { base, values } = &self.field else {
+    /// Field in gauss over an excitation; `None` if the base needs more forces than it contains.
+    pub fn fields(&self, excitation: &ExcitationSeries) -> Option<Vec<Vector3<f64>>> {
+        let PredictorBase::FromState { base, values } = &self.base else {
             return None;
         };
         let field = base.field(values);
-        Some(
-            self.states(track, base.stiffness(values))
-                .iter()
-                .map(field)
-                .collect(),
-        )
+        Some(self.states(excitation, base.stiffness(values)).iter().map(field).collect())
     }
 
-    /// The field and its slopes over the rows of a recording.
-    pub fn over(&self, part: &Part, forces: &[(u32, Axis)]) -> Predicted {
-        let mut predicted = Predicted::default();
-        match &self.field {
-            Field::Forces(polynomial) => {
+    /// Field and sensitivities over the rows of a recording.
+    pub fn over(&self, part: &RecordingRows, forces: &[(u32, Axis)]) -> FieldPrediction {
+        let mut prediction = FieldPrediction::default();
+        match &self.base {
+            PredictorBase::FromForces(polynomial) => {
                 for force in &part.force_n {
-                    predicted.field_g.push(polynomial.field(force));
-                    predicted.per_newton.push(polynomial.per_newton(force));
+                    prediction.field_g.push(polynomial.field(force));
+                    prediction.per_newton.push(polynomial.per_newton(force));
                 }
             }
-            Field::State { base, values } => {
+            PredictorBase::FromState { base, values } => {
                 let [kx, kz] = base.stiffness(values);
-                let at = base.linear(values);
+                let at = base.linearise(values);
                 let mut columns = vec![Vector3::zeros(); values.len()];
                 for state in self.states(&part.track, [kx, kz]) {
                     let response = at(&state, &mut columns);
@@ -147,22 +132,19 @@ impl Predictor {
                         Axis::Z => response.per_mm.column(2) / kz,
                         _ => response.per_mm.column(0) / kx,
                     };
-                    predicted.field_g.push(response.field_g);
-                    predicted
+                    prediction.field_g.push(response.field_g);
+                    prediction
                         .per_newton
                         .push(forces.iter().map(|(_, axis)| slope(*axis)).collect());
                 }
             }
         }
-        predicted
+        prediction
     }
 
-    fn states(&self, track: &Track, stiffness: [f64; 2]) -> Vec<State> {
-        let effects: Vec<(&Addition, &[f64])> = self
-            .effects
-            .iter()
-            .map(|(effect, values)| (effect, values.as_slice()))
-            .collect();
-        Series::of(track, stiffness, &effects).states
+    fn states(&self, excitation: &ExcitationSeries, stiffness: [f64; 2]) -> Vec<PhysicalState> {
+        let effects: Vec<(&EffectTerm, &[f64])> =
+            self.effects.iter().map(|(effect, values)| (effect, values.as_slice())).collect();
+        StateSeries::of(excitation, stiffness, &effects).states
     }
 }

@@ -1,135 +1,133 @@
-//! The model of one sensor, number by number.
+//! Model of one sensor: parameters with standard errors, or polynomial coefficients.
 
 use std::collections::BTreeMap;
 
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
-use super::digits;
 use crate::fit::AxisScore;
 use crate::fit::joint::SensorFit;
 use crate::fit::polynomial::{Polynomial, PolynomialFit};
+use crate::model_file::digits;
 use crate::recordings::columns::{Axis, ForceColumn, force_column};
 
-/// The model of one sensor.
+/// Model of one sensor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SensorModel {
-    /// Number of the sensor.
+    /// Index of the sensor.
     pub number: u32,
-    /// Held-out error beside the floor, each axis.
-    pub held_out: Vec<HeldOut>,
-    /// With the cylinder base: root mean square of what no forces explain of a row on recordings kept
-    /// out of the fit, in gauss. By it the device tells a foreign magnet.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub beside_forces_g: Option<f64>,
-    /// With the cylinder base: every parameter.
+    /// Held-out error of each axis.
+    pub held_out: Vec<HeldOutError>,
+    /// With the cylinder base: RMS of the residual that no force explains on held-out recordings in gauss;
+    /// scale of the device's detection of magnetic disturbances.
+    #[serde(rename = "beside_forces_g", default, skip_serializing_if = "Option::is_none")]
+    pub parity_residual_g: Option<f64>,
+    /// With the cylinder base: all parameters by name.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
-    pub parameters: BTreeMap<String, Value>,
-    /// With the cylinder base: combinations held at nominal.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub held: Vec<Held>,
-    /// With the polynomial base: the polynomial.
+    pub parameters: BTreeMap<String, FittedValue>,
+    /// With the cylinder base: unidentifiable combinations, fixed at their nominal values.
+    #[serde(rename = "held", default, skip_serializing_if = "Vec::is_empty")]
+    pub unidentifiable: Vec<UnidentifiableCombination>,
+    /// With the polynomial base: its coefficients.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub polynomial: Option<PolynomialTable>,
 }
 
 /// Held-out error of one axis.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct HeldOut {
+pub struct HeldOutError {
     /// `x`, `y` or `z`.
     pub axis: String,
-    /// Root mean square of measured minus modelled field on recordings kept out of the fit.
+    /// RMS of measured minus modelled field on held-out recordings.
     pub rms_g: f64,
-    /// The same on the recordings that were fitted.
+    /// RMS of measured minus modelled field on the fitted recordings.
     pub fitted_rms_g: f64,
-    /// What a perfect model would leave.
+    /// Noise floor: error of a perfect model.
     pub floor_g: f64,
     /// Peak-to-peak field in the campaign.
     pub span_g: f64,
 }
 
-/// A fitted number.
+/// A fitted value with its standard error.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Value {
-    /// The number.
+pub struct FittedValue {
+    /// Estimate.
     pub value: f64,
-    /// One standard deviation.
+    /// Standard error.
     pub std_error: f64,
-    /// Unit.
+    /// Unit of both.
     pub unit: String,
-    /// Whether the data tell it, to half a manufacturing tolerance.
+    /// Whether the data determine it to half a manufacturing tolerance.
     pub identifiable: bool,
 }
 
-/// A combination of parameters held at nominal.
+/// A combination of parameters that the data do not determine.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Held {
-    /// Shares of the parameters in it, in tolerances.
+pub struct UnidentifiableCombination {
+    /// Coefficients of the parameters in units of their tolerances.
     pub shares: BTreeMap<String, f64>,
-    /// How well the data alone know it, in tolerances.
-    pub known_within: f64,
+    /// Standard error from the data alone in units of tolerance.
+    #[serde(rename = "known_within")]
+    pub sigma_tolerances: f64,
 }
 
-/// A polynomial of the forces.
+/// Coefficients of a polynomial of the forces.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PolynomialTable {
     /// Total degree.
     pub degree: usize,
-    /// Columns of `force.csv` that it takes.
+    /// Input columns of `force.csv`.
     pub forces: Vec<String>,
-    /// Range of each force in newtons that is scaled to -1 to 1.
+    /// Range of each force in newtons, scaled to -1 to 1.
     pub spans_n: Vec<(f64, f64)>,
-    /// Degrees of the Legendre polynomials of each term.
+    /// Legendre degrees of each term, one for each force.
     pub terms: Vec<Vec<usize>>,
     /// Coefficients of each term in gauss: x, y, z.
     pub coefficients_g: Vec<[f64; 3]>,
-    /// Their standard deviations in gauss.
+    /// Standard errors of the coefficients in gauss.
     pub std_errors_g: Vec<[f64; 3]>,
 }
 
 impl SensorModel {
-    /// The entry of one sensor with these values, its error bars those of the fit.
+    /// The entry of a sensor with these values and the standard errors of the fit.
     pub(super) fn of_cylinder(fit: &SensorFit, values: &[f64]) -> Self {
-        let value = |i: usize| Value {
+        let value = |i: usize| FittedValue {
             value: digits(values[i]),
             std_error: digits(fit.std_error(i)),
-            unit: fit.slots[i].unit.clone(),
+            unit: fit.parameters[i].unit.clone(),
             identifiable: fit.identifiable[i],
         };
-        let held = |held: &crate::fit::space::Held| Held {
-            shares: held
-                .shares
-                .iter()
-                .map(|(name, share)| (name.clone(), digits(*share)))
-                .collect(),
-            known_within: digits(held.known_within),
-        };
+        let combination =
+            |held: &crate::fit::identifiability::Unidentifiable| UnidentifiableCombination {
+                shares: held
+                    .shares
+                    .iter()
+                    .map(|(name, coefficient)| (name.clone(), digits(*coefficient)))
+                    .collect(),
+                sigma_tolerances: digits(held.uncertainty),
+            };
         Self {
             number: fit.sensor,
-            held_out: fit.scores.iter().map(HeldOut::of).collect(),
-            beside_forces_g: fit.tally().beside_g().map(digits),
+            held_out: fit.scores.iter().map(HeldOutError::of).collect(),
+            parity_residual_g: fit.tally().parity_residual_g().map(digits),
             parameters: (0..fit.base_count)
-                .map(|i| (fit.slots[i].name.clone(), value(i)))
+                .map(|i| (fit.parameters[i].name.clone(), value(i)))
                 .collect(),
-            held: fit.held.iter().map(held).collect(),
+            unidentifiable: fit.unidentifiable.iter().map(combination).collect(),
             polynomial: None,
         }
     }
 
     pub(super) fn of_polynomial_with_effects(start: &PolynomialFit, fit: &SensorFit) -> Self {
         let mut entry = Self::of_polynomial(start);
-        entry.held_out = fit.scores.iter().map(HeldOut::of).collect();
+        entry.held_out = fit.scores.iter().map(HeldOutError::of).collect();
         if let Some(table) = &mut entry.polynomial {
             let row = |i: usize, of: &dyn Fn(usize) -> f64| {
                 [0, 1, 2].map(|axis| digits(of(3 * i + axis)))
             };
             let terms = table.terms.len();
-            table.coefficients_g = (0..terms)
-                .map(|i| row(i, &|slot| fit.values[slot]))
-                .collect();
-            table.std_errors_g = (0..terms)
-                .map(|i| row(i, &|slot| fit.std_error(slot)))
-                .collect();
+            table.coefficients_g = (0..terms).map(|i| row(i, &|slot| fit.values[slot])).collect();
+            table.std_errors_g = (0..terms).map(|i| row(i, &|slot| fit.std_error(slot))).collect();
         }
         entry
     }
@@ -144,16 +142,16 @@ impl SensorModel {
         let model = &fit.model;
         Self {
             number: fit.sensor,
-            held_out: fit.scores.iter().map(HeldOut::of).collect(),
-            beside_forces_g: None,
+            held_out: fit.scores.iter().map(HeldOutError::of).collect(),
+            parity_residual_g: None,
             parameters: BTreeMap::new(),
-            held: Vec::new(),
+            unidentifiable: Vec::new(),
             polynomial: Some(PolynomialTable {
                 degree: model.degree,
                 forces: model
                     .forces
                     .iter()
-                    .map(|(place, axis)| format!("f{place}_{}_n", axis.letter()))
+                    .map(|(sensor, axis)| format!("f{sensor}_{}_n", axis.letter()))
                     .collect(),
                 spans_n: model.spans_n.clone(),
                 terms: Polynomial::terms(model.forces.len(), model.degree),
@@ -163,24 +161,20 @@ impl SensorModel {
         }
     }
 
-    /// The polynomial; `None` where there is none or the table does not fit its degree.
+    /// The polynomial; `None` if absent or inconsistent with its degree.
     pub fn polynomial(&self) -> Option<Polynomial> {
         let table = self.polynomial.as_ref()?;
         let force = |name: &String| match force_column(name) {
-            Ok(ForceColumn::Force { place, axis }) => Some((place, axis)),
+            Ok(ForceColumn::Force { sensor, axis }) => Some((sensor, axis)),
             _ => None,
         };
         let forces: Vec<(u32, Axis)> = table.forces.iter().map(force).collect::<Option<_>>()?;
         let terms = Polynomial::terms(forces.len(), table.degree);
-        let finite = table
-            .coefficients_g
-            .iter()
-            .flatten()
-            .all(|value| value.is_finite());
-        let fits = terms == table.terms
+        let finite = table.coefficients_g.iter().flatten().all(|value| value.is_finite());
+        let consistent = terms == table.terms
             && table.coefficients_g.len() == terms.len()
             && table.spans_n.len() == forces.len();
-        (finite && fits).then(|| Polynomial {
+        (finite && consistent).then(|| Polynomial {
             degree: table.degree,
             forces,
             spans_n: table.spans_n.clone(),
@@ -189,8 +183,8 @@ impl SensorModel {
     }
 }
 
-impl HeldOut {
-    /// The part of the error that a better model could remove, in gauss.
+impl HeldOutError {
+    /// Held-out error in excess of the noise floor (root of the difference of squares) in gauss.
     pub fn explainable_g(&self) -> f64 {
         (self.rms_g.powi(2) - self.floor_g.powi(2)).max(0.0).sqrt()
     }

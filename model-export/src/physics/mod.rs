@@ -1,16 +1,13 @@
-//! The forward model: from the forces on a finger to the field at its Hall sensor.
+//! Forward model: from the forces on a finger to the field at its Hall sensor.
 //!
-//! - [`magnet`]: exact fields of cylinder, tube, cube and sphere, and their gradients.
-//! - [`state`]: what acts on a sensor at one instant, beside its geometry.
-//! - [`response`]: the field at a state, and how it answers to a change of it.
-//! - [`sensor`]: flexures, placement and the sensor's own orientation around the magnet.
+//! - [`magnet`]: closed-form fields of cylinder, tube, cube and sphere, and their gradients.
+//! - [`response`]: the state that effects modify, the sensor's transfer function, and derivatives.
+//! - [`sensor`]: flexures, magnet placement and sensor orientation.
 
 pub mod magnet;
 pub mod response;
 pub mod sensor;
-pub mod state;
 
-pub use magnet::{Body, Cylinder, Magnet, Magnetised};
-pub use response::Response;
-pub use sensor::{ForwardModel, Frames};
-pub use state::State;
+pub use magnet::{Cylinder, Magnet, MagnetBody, Magnetisation};
+pub use response::{FieldResponse, PhysicalState};
+pub use sensor::{ForwardModel, ModelFrames};

@@ -1,54 +1,54 @@
-//! The field at one state, and how it answers to a change of each part of that state.
+//! The state of a sensor that effects modify, the sensor's transfer function, and the derivatives of its reading
+//! with respect to the state.
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::state::{COMPRESSION_AT_G, State};
-
-/// Field and derivatives; every vector is in the sensor's axes.
+/// Reading and its derivatives, in the sensor's axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Response {
-    /// What the sensor reads, in gauss.
+pub struct FieldResponse {
+    /// Reading in gauss.
     pub field_g: Vector3<f64>,
-    /// The field at its element, before gain, bias and compression, in gauss.
+    /// Field at the Hall element, before gain, bias and compression, in gauss.
     pub at_element_g: Vector3<f64>,
-    /// Answer to a field at the element, sensor's axes.
+    /// With respect to the field at the element.
     pub per_field: Matrix3<f64>,
-    /// Answer to a displacement of the magnet in G/mm: column j for axis j of the gripper.
+    /// With respect to the magnet's displacement in G/mm: column j for axis j of the gripper.
     pub per_mm: Matrix3<f64>,
-    /// Answer to a lean of the magnet about the gripper's x and z, in G/rad.
-    pub per_lean: [Vector3<f64>; 2],
-    /// Answer to the relative remanence, in gauss.
+    /// With respect to the magnet's tilt about the gripper's x and z in G/rad.
+    pub per_tilt: [Vector3<f64>; 2],
+    /// With respect to the relative remanence in gauss.
     pub per_strength: Vector3<f64>,
-    /// Answer to a field from outside: column j for axis j of the gripper.
-    pub per_outside: Matrix3<f64>,
-    /// Answer to the relative gain, in gauss.
+    /// With respect to the external field: column j for axis j of the gripper.
+    pub per_external: Matrix3<f64>,
+    /// With respect to the relative gain in gauss.
     pub per_gain: Vector3<f64>,
-    /// Answer to an offset.
+    /// With respect to the offset.
     pub per_offset: Matrix3<f64>,
-    /// Answer to the compression, in gauss.
+    /// With respect to the compression in gauss.
     pub per_compression: Vector3<f64>,
 }
 
-impl Response {
-    /// The change of the field, to first order, where the state changes.
-    pub fn change(&self, from: &State, to: &State) -> Vector3<f64> {
-        let lean = [0, 1].map(|i| self.per_lean[i] * (to.lean_rad[i] - from.lean_rad[i]));
+impl FieldResponse {
+    /// First-order change of the reading between two states.
+    pub fn change(&self, from: &PhysicalState, to: &PhysicalState) -> Vector3<f64> {
+        let tilt =
+            [0, 1].map(|i| self.per_tilt[i] * (to.extra_tilt_rad[i] - from.extra_tilt_rad[i]));
         self.per_mm * (to.displacement_mm - from.displacement_mm)
-            + lean[0]
-            + lean[1]
+            + tilt[0]
+            + tilt[1]
             + self.per_strength * (to.strength - from.strength)
-            + self.per_outside * (to.outside_g - from.outside_g)
+            + self.per_external * (to.external_g - from.external_g)
             + self.per_gain * (to.gain - from.gain)
             + self.per_offset * (to.offset_g - from.offset_g)
             + self.per_compression * (to.compression - from.compression)
     }
 }
 
-/// What the sensor makes of the field at its element.
+/// Reading of the sensor and its derivatives.
 pub(crate) struct Reading {
-    /// In gauss.
+    /// Reading in gauss.
     pub(crate) field_g: Vector3<f64>,
-    /// d reading / d field at the element, sensor's axes.
+    /// d reading / d field at the element.
     pub(crate) per_field: Matrix3<f64>,
     /// d reading / d offset.
     pub(crate) per_offset: Matrix3<f64>,
@@ -58,17 +58,60 @@ pub(crate) struct Reading {
     pub(crate) per_compression: Vector3<f64>,
 }
 
-/// Gain, bias, offset and compression of a sensor in the field `at_element_g` (sensor's axes). Each axis
-/// has a plate and an amplifier of its own, and is compressed by what it reads itself.
-pub(crate) fn read(at_element_g: Vector3<f64>, bias_g: Vector3<f64>, state: &State) -> Reading {
-    let full = at_element_g * state.gain + bias_g + state.offset_g;
-    let share = full.map(|b| (b / COMPRESSION_AT_G).powi(2));
-    let per_offset = Matrix3::from_diagonal(&share.map(|s| 1.0 - 3.0 * state.compression * s));
+/// Applies gain, bias, offset and compression to the field `at_element_g` (sensor's axes). Each axis has its
+/// own plate and amplifier, so its compression depends on its reading alone.
+pub(crate) fn reading_of(
+    at_element_g: Vector3<f64>,
+    bias_g: Vector3<f64>,
+    state: &PhysicalState,
+) -> Reading {
+    let linear = at_element_g * state.gain + bias_g + state.offset_g;
+    let loss = linear.map(|b| (b / COMPRESSION_REFERENCE_G).powi(2));
+    let per_offset = Matrix3::from_diagonal(&loss.map(|s| 1.0 - 3.0 * state.compression * s));
     Reading {
-        field_g: full.zip_map(&share, |b, s| b * (1.0 - state.compression * s)),
+        field_g: linear.zip_map(&loss, |b, s| b * (1.0 - state.compression * s)),
         per_field: per_offset * state.gain,
         per_offset,
         per_gain: per_offset * at_element_g,
-        per_compression: -full.component_mul(&share),
+        per_compression: -linear.component_mul(&loss),
+    }
+}
+
+/// Field along one axis in gauss at which [`PhysicalState::compression`] is specified.
+pub const COMPRESSION_REFERENCE_G: f64 = 1300.0;
+
+/// State of one sensor at one instant. Effects modify the state; the forward model converts it to a field.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PhysicalState {
+    /// Displacement of the magnet from its rest position in mm, gripper's axes. (With a base without
+    /// geometry: the effective forces in newtons, x and z.)
+    pub displacement_mm: Vector3<f64>,
+    /// Tilt of the magnet about the gripper's x and z in addition to its mounting tilt, in rad.
+    pub extra_tilt_rad: [f64; 2],
+    /// Remanence relative to that of the model.
+    pub strength: f64,
+    /// Field of other sources at the Hall element in gauss, gripper's axes.
+    pub external_g: Vector3<f64>,
+    /// Gain of the sensor relative to 1.
+    pub gain: f64,
+    /// Offset of the sensor in addition to its bias in gauss, sensor's axes.
+    pub offset_g: Vector3<f64>,
+    /// Relative loss of an axis' reading at [`COMPRESSION_REFERENCE_G`]; proportional to the square of the
+    /// reading.
+    pub compression: f64,
+}
+
+impl PhysicalState {
+    /// The nominal state at this displacement in mm.
+    pub fn displaced(displacement_mm: Vector3<f64>) -> Self {
+        Self {
+            displacement_mm,
+            extra_tilt_rad: [0.0; 2],
+            strength: 1.0,
+            external_g: Vector3::zeros(),
+            gain: 1.0,
+            offset_g: Vector3::zeros(),
+            compression: 0.0,
+        }
     }
 }

@@ -1,82 +1,74 @@
-//! The board's stream brought to the reference's clock by averaging.
+//! Resampling of the board's stream onto the reference clock.
 //!
-//! Around each reference time the board's samples are joined by straight lines and averaged over
-//! a window centred on that time (plus the stated delay). The mean of a motion of constant speed
-//! is then exact whatever the phase of the two clocks; a plain mean of the ten samples at hand
-//! would sit half a millisecond to one side and look like a clock skew.
+//! The piecewise linear interpolant of the board's samples is averaged over a window centred on each
+//! reference time (plus the delay). For constant speed the mean is exact at any phase of the two clocks; a
+//! plain mean of the samples in the window would be biased by up to half a millisecond, like a clock skew.
 
 use std::collections::VecDeque;
 
-/// How two clocks are brought together.
+/// Relation of the two clocks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Alignment {
-    /// Added to the reference's time before looking up the board's: positive where the reference
-    /// stamps its rows early.
+    /// Added to the reference time to obtain the board time; positive where the reference's time stamps
+    /// are early.
     pub delay_us: f64,
 }
 
-/// A sample of several channels at one time.
+/// One sample of all channels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sample {
     /// Time in microseconds.
     pub t_us: f64,
-    /// One value for each channel; NaN spoils the windows that it lies in.
+    /// One value for each channel; NaN propagates to every window that contains it.
     pub values: Vec<f64>,
 }
 
-/// The mean over one window.
+/// Mean over a window.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Mean {
-    /// One mean for each channel.
+pub struct WindowMean {
+    /// Mean of each channel.
     pub values: Vec<f64>,
-    /// Factor by which the averaging multiplies the standard deviation of white noise.
+    /// Ratio of the standard deviation of white noise after averaging to that before.
     pub noise_gain: f64,
 }
 
-/// What is known about a window so far.
+/// Result of averaging over a window.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Window {
-    /// Averaged.
-    Ready(Mean),
-    /// Samples up to a later time are needed: push more.
+    /// Complete.
+    Ready(WindowMean),
+    /// The samples end before the window: push more.
     NeedsMore,
-    /// The window begins before the first sample, or a gap in the clock lies in it.
+    /// The window begins before the first sample or contains a gap of the clock.
     Uncovered,
 }
 
-/// Averages windows whose times only grow; holds no more samples than one window needs.
+/// Averages over windows of ascending times; stores the samples of one window.
 #[derive(Clone, Debug)]
 pub struct Aligner {
     half_width_us: f64,
     gap_us: f64,
-    held: VecDeque<Sample>,
+    samples: VecDeque<Sample>,
 }
 
 impl Aligner {
-    /// Windows of `half_width_us` to either side; a step of the clock above `gap_us` is a gap.
+    /// A step of the clock above `gap_us` is a gap.
     pub fn new(half_width_us: f64, gap_us: f64) -> Self {
-        Self {
-            half_width_us,
-            gap_us,
-            held: VecDeque::new(),
-        }
+        Self { half_width_us, gap_us, samples: VecDeque::new() }
     }
 
-    /// Adds the next sample; its time is after that of the one before.
+    /// Adds a sample; times must ascend.
     pub fn push(&mut self, sample: Sample) {
-        self.held.push_back(sample);
+        self.samples.push_back(sample);
     }
 
-    /// The mean around `centre_us`, which must not be before an earlier one.
+    /// Mean over the window around `centre_us`; calls must be in ascending order of time.
     pub fn mean_around(&mut self, centre_us: f64) -> Window {
-        let (from, to) = (
-            centre_us - self.half_width_us,
-            centre_us + self.half_width_us,
-        );
-        while self.held.get(1).is_some_and(|second| second.t_us <= from) {
-            self.held.pop_front();
+        let (from, to) = (centre_us - self.half_width_us, centre_us + self.half_width_us);
+        while self.samples.get(1).is_some_and(|second| second.t_us <= from) {
+            self.samples.pop_front();
         }
-        match (self.held.front(), self.held.back()) {
+        match (self.samples.front(), self.samples.back()) {
             (Some(first), _) if first.t_us > from => Window::Uncovered,
             (Some(_), Some(last)) if last.t_us >= to => self.average(from, to),
             _ => Window::NeedsMore,
@@ -84,12 +76,12 @@ impl Aligner {
     }
 
     fn average(&self, from: f64, to: f64) -> Window {
-        let channels = self.held.front().map_or(0, |sample| sample.values.len());
+        let channels = self.samples.front().map_or(0, |sample| sample.values.len());
         let mut values = vec![0.0; channels];
         let mut squares = 0.0;
-        // Weight that the segment before gave to the sample that it shares with the next.
-        let mut carried = 0.0;
-        for (a, b) in self.held.iter().zip(self.held.iter().skip(1)) {
+        // Weight of the shared sample from the previous segment.
+        let mut previous_weight = 0.0;
+        for (a, b) in self.samples.iter().zip(self.samples.iter().skip(1)) {
             if a.t_us >= to {
                 break;
             }
@@ -98,20 +90,17 @@ impl Aligner {
                 return Window::Uncovered;
             }
             let (p, q) = (a.t_us.max(from), b.t_us.min(to));
-            let share = (q - p) / (to - from);
-            let towards_b = (0.5 * (p + q) - a.t_us) / step;
-            let (weight_a, weight_b) = (share * (1.0 - towards_b), share * towards_b);
+            let weight = (q - p) / (to - from);
+            let fraction = (0.5 * (p + q) - a.t_us) / step;
+            let (weight_a, weight_b) = (weight * (1.0 - fraction), weight * fraction);
             for (value, (&x, &y)) in values.iter_mut().zip(a.values.iter().zip(&b.values)) {
                 *value += weight_a * x + weight_b * y;
             }
-            squares += (carried + weight_a).powi(2);
-            carried = weight_b;
+            squares += (previous_weight + weight_a).powi(2);
+            previous_weight = weight_b;
         }
-        squares += carried * carried;
-        Window::Ready(Mean {
-            values,
-            noise_gain: squares.sqrt(),
-        })
+        squares += previous_weight * previous_weight;
+        Window::Ready(WindowMean { values, noise_gain: squares.sqrt() })
     }
 }
 
@@ -123,15 +112,12 @@ mod tests {
     fn aligner_with(samples: impl IntoIterator<Item = (f64, f64)>) -> Aligner {
         let mut aligner = Aligner::new(5000.0, 5000.0);
         for (t_us, value) in samples {
-            aligner.push(Sample {
-                t_us,
-                values: vec![value],
-            });
+            aligner.push(Sample { t_us, values: vec![value] });
         }
         aligner
     }
 
-    fn ready(window: Window) -> Mean {
+    fn ready(window: Window) -> WindowMean {
         match window {
             Window::Ready(mean) => mean,
             other => panic!("{other:?}"),
@@ -139,12 +125,13 @@ mod tests {
     }
 
     #[test]
-    fn eleven_samples_on_the_grid_get_the_weights_of_the_trapezoid() {
-        // One sample of height 1 at the edge of the window weighs 1/20, inside it 1/10.
-        for (place, weight) in [(5, 0.05), (7, 0.1), (10, 0.1), (15, 0.05)] {
-            let samples = (0..30).map(|i| (f64::from(i) * 1000.0, f64::from(u8::from(i == place))));
+    fn samples_on_the_grid_have_trapezoidal_weights() {
+        // Weight 1/20 at the edges of the window, 1/10 inside.
+        for (position, weight) in [(5, 0.05), (7, 0.1), (10, 0.1), (15, 0.05)] {
+            let samples =
+                (0..30).map(|i| (f64::from(i) * 1000.0, f64::from(u8::from(i == position))));
             let mean = ready(aligner_with(samples).mean_around(10_000.0));
-            assert!((mean.values[0] - weight).abs() < 1e-12, "{place}: {mean:?}");
+            assert!((mean.values[0] - weight).abs() < 1e-12, "{position}: {mean:?}");
             // sqrt(9 / 100 + 2 / 400)
             assert!((mean.noise_gain - 0.308_220_700_148_448_8).abs() < 1e-12);
         }
@@ -152,7 +139,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn constant_speed_is_exact_whatever_the_phase_and_the_jitter(
+        fn constant_speed_is_exact_at_any_phase_and_jitter(
             phase in 0.0..1000.0_f64,
             jitter in proptest::collection::vec(-300.0..300.0_f64, 40),
             speed in -5.0..5.0_f64,
@@ -167,13 +154,10 @@ mod tests {
     }
 
     #[test]
-    fn a_window_in_a_gap_or_before_the_start_is_not_covered() {
+    fn window_in_a_gap_or_before_the_start_is_uncovered() {
         let samples = [0.0, 1000.0, 2000.0, 9000.0, 10_000.0, 30_000.0].map(|t| (t, 1.0));
         assert_eq!(aligner_with(samples).mean_around(3000.0), Window::Uncovered);
         assert_eq!(aligner_with(samples).mean_around(6000.0), Window::Uncovered);
-        assert_eq!(
-            aligner_with(samples).mean_around(40_000.0),
-            Window::NeedsMore
-        );
+        assert_eq!(aligner_with(samples).mean_around(40_000.0), Window::NeedsMore);
     }
 }

@@ -8,113 +8,109 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 use sha2::{Digest, Sha256};
 
-use super::align::Alignment;
-use super::description::{Design, FILE};
-use super::problem::{Fault, Notice, Place, Problem};
-use super::recording::Recording;
+use crate::recordings::align::Alignment;
+use crate::recordings::description::{NominalDesign, RECORDING_FILE};
+use crate::recordings::error::{DataError, ErrorKind, Location, Notice};
+use crate::recordings::recording::{Recording, recording_name};
 
-/// All recordings of one gripper, in the order in which they were made.
+/// All recordings of one gripper in order of their start.
 #[derive(Clone, Debug)]
 pub struct Campaign {
-    /// Its folder.
+    /// Path of the folder.
     pub folder: PathBuf,
-    /// At least one, ordered by start.
+    /// At least one, in order of their start.
     pub recordings: Vec<Recording>,
 }
 
 impl Campaign {
     /// Reads every recording in `folder`; a folder that is itself a recording is a campaign of one.
-    ///
-    /// `read` is called once for each recording that has been read, from any thread.
+    /// `progress` is called with the name of each completed recording, from any thread.
     pub fn read(
         folder: &Path,
         alignment: Alignment,
-        read: impl Fn(&str) + Sync,
-    ) -> Result<Self, Problem> {
+        progress: impl Fn(&str) + Sync,
+    ) -> Result<Self, DataError> {
         let folders = recording_folders(folder)?;
-        let mut recordings = folders
+        let read: Vec<Result<Recording, DataError>> = folders
             .par_iter()
             .map(|folder| {
                 let recording = Recording::read(folder, alignment)?;
-                read(&recording.name);
+                progress(&recording.name);
                 Ok(recording)
             })
-            .collect::<Result<Vec<_>, Problem>>()?;
+            .collect();
+        // In order, so that the same campaign always gives the same error.
+        let mut recordings = read.into_iter().collect::<Result<Vec<_>, _>>()?;
         recordings.sort_by(|a, b| a.description.start_s.total_cmp(&b.description.start_s));
-        let campaign = Self {
-            folder: folder.to_path_buf(),
-            recordings,
-        };
+        let campaign = Self { folder: folder.to_path_buf(), recordings };
         campaign.check_same_gripper()?;
         Ok(campaign)
     }
 
-    /// Numbers of the sensors, the same in every recording.
+    /// Indices of the sensors, equal in all recordings.
     pub fn sensors(&self) -> Vec<u32> {
         self.recordings
             .first()
             .map_or_else(Vec::new, |first| first.sensors.keys().copied().collect())
     }
 
-    /// The nominal design, the same in every recording.
-    pub fn design(&self) -> Option<&Design> {
+    /// Nominal design, equal in all recordings.
+    pub fn design(&self) -> Option<&NominalDesign> {
         self.recordings.first()?.description.design.as_ref()
     }
 
-    /// What a person should know, recording by recording.
+    /// Notices of all recordings.
     pub fn notices(&self) -> impl Iterator<Item = &Notice> {
-        self.recordings
-            .iter()
-            .flat_map(|recording| &recording.notices)
+        self.recordings.iter().flat_map(|recording| &recording.notices)
     }
 
-    /// Seconds covered by the aligned rows.
+    /// Total time of the aligned rows in seconds.
     pub fn duration_s(&self) -> f64 {
         self.recordings.iter().map(Recording::span_s).sum()
     }
 
-    /// Refuses recordings of different grippers or sensors.
-    pub fn check_same_gripper(&self) -> Result<(), Problem> {
+    /// Checks that all recordings have the same sensors, design and scale.
+    pub fn check_same_gripper(&self) -> Result<(), DataError> {
         let Some((first, others)) = self.recordings.split_first() else {
             return Ok(());
         };
         let different = |recording: &Recording, found: String, expected: String| {
-            Err(Fault::DifferentGripper {
+            Err(ErrorKind::InconsistentCampaign {
                 found,
                 expected,
                 other: format!("recording {}", first.name),
             }
-            .at(Place::file(&recording.folder)))
+            .at(Location::file(&recording.folder)))
         };
         for recording in others {
-            let list = |r: &Recording| {
+            let sensor_list = |r: &Recording| {
                 let sensors: Vec<String> = r.sensors.keys().map(u32::to_string).collect();
                 format!("sensors {}", sensors.join(", "))
             };
             if !recording.sensors.keys().eq(first.sensors.keys()) {
-                return different(recording, list(recording), list(first));
+                return different(recording, sensor_list(recording), sensor_list(first));
             }
             if recording.description.design != first.description.design {
-                let found = "another [design]".to_owned();
-                return different(recording, found, "its own".to_owned());
+                let found = "one [design]".to_owned();
+                return different(recording, found, "another".to_owned());
             }
             let scale = |r: &Recording| (r.description.gauss_per_lsb, r.description.range_gauss);
             if scale(recording) != scale(first) {
-                let found = "another gauss_per_lsb or range_gauss".to_owned();
-                return different(recording, found, "its own".to_owned());
+                let found = "one gauss_per_lsb or range_gauss".to_owned();
+                return different(recording, found, "another".to_owned());
             }
         }
         Ok(())
     }
 }
 
-/// Folders under `folder` (or itself) that hold a recording, ordered by name with numbers as numbers.
-pub fn recording_folders(folder: &Path) -> Result<Vec<PathBuf>, Problem> {
+/// Folders of recordings in `folder` (or itself), in natural order of their names.
+pub fn recording_folders(folder: &Path) -> Result<Vec<PathBuf>, DataError> {
     if folder.is_file() {
-        return Err(Fault::NoFolder.at(Place::file(folder)));
+        return Err(ErrorKind::CampaignIsFile.at(Location::file(folder)));
     }
-    let entries =
-        fs::read_dir(folder).map_err(|error| Fault::Unreadable(error).at(Place::file(folder)))?;
+    let entries = fs::read_dir(folder)
+        .map_err(|error| ErrorKind::Unreadable(error).at(Location::file(folder)))?;
     if is_recording(folder) {
         return Ok(vec![folder.to_path_buf()]);
     }
@@ -123,34 +119,26 @@ pub fn recording_folders(folder: &Path) -> Result<Vec<PathBuf>, Problem> {
         .filter(|path| path.is_dir() && is_recording(path))
         .collect();
     if folders.is_empty() {
-        return Err(Fault::NoRecordings.at(Place::file(folder)));
+        return Err(ErrorKind::NoRecordings.at(Location::file(folder)));
     }
     folders.sort_by_key(|path| {
-        let name = path
-            .file_name()
-            .map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+        let name = recording_name(path);
         (name.parse::<u64>().unwrap_or(u64::MAX), name)
     });
     Ok(folders)
 }
 
-/// Anything that holds one of the three files is meant as a recording: what is missing is an error.
+/// A folder with any of the three files counts as a recording: the missing files are errors.
 fn is_recording(folder: &Path) -> bool {
-    [FILE, "hall.csv", "hall.csv.gz", "force.csv", "force.csv.gz"]
+    [RECORDING_FILE, "hall.csv", "hall.csv.gz", "force.csv", "force.csv.gz"]
         .iter()
         .any(|name| folder.join(name).is_file())
 }
 
-/// A recording's name: that of its folder.
-pub fn name_of(folder: &Path) -> String {
-    let name = folder.file_name();
-    name.map_or_else(String::new, |name| name.to_string_lossy().into_owned())
-}
-
-/// SHA-256 over a recording's files, in order of their names: the same bytes, the same hash.
-pub fn fingerprint(folder: &Path) -> Result<String, Problem> {
+/// SHA-256 over the content of a recording's files in order of their names, hexadecimal.
+pub fn fingerprint(folder: &Path) -> Result<String, DataError> {
     let mut hash = Sha256::new();
-    let unreadable = |error| Fault::Unreadable(error).at(Place::file(folder));
+    let unreadable = |error| ErrorKind::Unreadable(error).at(Location::file(folder));
     let files: BTreeSet<PathBuf> = fs::read_dir(folder)
         .map_err(unreadable)?
         .filter_map(|entry| entry.ok().map(|entry| entry.path()))
@@ -169,7 +157,7 @@ pub fn fingerprint(folder: &Path) -> Result<String, Problem> {
     Ok(hex(&hash.finalize()))
 }
 
-/// Lower-case hexadecimal.
+/// Lower-case hexadecimal digits.
 pub fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }

@@ -1,27 +1,27 @@
-//! What a column's name means: quantity, number of the sensor or place, axis and unit.
+//! Column names (quantity, sensor, axis, unit) and the channel layout of a recording.
 
-use super::problem::{Fault, closest};
-use crate::quantity::{column_unit, column_units};
+use std::collections::BTreeSet;
 
-/// Axis of a sensor, or of a force.
-///
-/// `x` and `z` lie in the plane in which the magnet moves (lateral and longitudinal); `y` points
-/// across the gap along the magnet's axis.
+use crate::recordings::error::{ErrorKind, closest_match};
+use crate::recordings::units::{column_unit, column_units};
+
+/// Axis of a field or a force. The magnet moves in the plane of `x` and `z`; `y` points across the gap, along
+/// the magnet's axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Axis {
-    /// Lateral, grasping.
+    /// Lateral: grasping.
     X,
     /// Along the magnet's axis, across the gap.
     Y,
-    /// Longitudinal, ground reaction.
+    /// Longitudinal: ground reaction.
     Z,
 }
 
 impl Axis {
-    /// All three, in the order in which fields are stored.
+    /// All axes in storage order.
     pub const ALL: [Axis; 3] = [Axis::X, Axis::Y, Axis::Z];
 
-    /// The letter in column names and tables.
+    /// Letter in column names.
     pub fn letter(self) -> &'static str {
         match self {
             Axis::X => "x",
@@ -35,56 +35,63 @@ impl Axis {
     }
 }
 
-/// How a field column is written.
+/// Unit of a field column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FieldUnit {
-    /// Raw counts of the sensor.
+    /// Raw counts.
     Lsb,
-    /// Converted.
+    /// Gauss.
     Gauss,
 }
 
 /// A column of `hall.csv`.
 #[derive(Clone, Debug, PartialEq)]
 pub enum HallColumn {
-    /// `t_us`, the board's clock.
+    /// `t_us`: the board's clock in microseconds.
     Time,
     /// `sN_x_lsb` or `sN_x_gauss`.
     Field {
-        /// Number of the sensor.
+        /// Index of the sensor.
         sensor: u32,
-        /// Its axis.
+        /// Field axis.
         axis: Axis,
-        /// How it is written.
+        /// Raw counts or gauss.
         unit: FieldUnit,
     },
-    /// `sN_temp_c`, the sensor's own temperature.
+    /// `sN_temp_c`: temperature of the sensor.
     Temperature {
-        /// Number of the sensor.
+        /// Index of the sensor.
         sensor: u32,
     },
-    /// A covariate of the whole gripper: one of [`COVARIATES`], or declared in `recording.toml`.
+    /// A covariate of the gripper: one of [`COVARIATES`], or declared in `recording.toml`.
     Covariate {
-        /// The column's name.
+        /// Column name.
         name: String,
     },
+}
+
+impl HallColumn {
+    /// True for a field in raw counts.
+    pub(super) fn is_raw_field(&self) -> bool {
+        matches!(self, Self::Field { unit, .. } if *unit == FieldUnit::Lsb)
+    }
 }
 
 /// A column of `force.csv`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ForceColumn {
-    /// `t_us`, the bench computer's clock.
+    /// `t_us`: the reference clock in microseconds.
     Time,
     /// `fN_x_n` or `fN_z_n`.
     Force {
-        /// Number of the place: the force that acts where sensor N is.
-        place: u32,
-        /// Lateral or longitudinal.
+        /// Index of the sensor on which the force acts.
+        sensor: u32,
+        /// [`Axis::X`] or [`Axis::Z`].
         axis: Axis,
     },
 }
 
-/// Covariates of the format; any of them may be absent.
+/// Standard covariates, all optional.
 pub const COVARIATES: &[&str] = &[
     "opening_mm",
     "motor_iq_a",
@@ -97,33 +104,31 @@ pub const COVARIATES: &[&str] = &[
     "yaw_rad",
 ];
 
-/// Covariates that are formed from `motor_iq_a` and `motor_angle_rad` as a recording is read: the
-/// phase currents in the stator's frame, in amperes.
+/// Covariates derived from `motor_iq_a` and `motor_angle_rad`: the phase currents in the stator frame in
+/// amperes.
 pub const STATOR_CURRENTS: [&str; 2] = ["motor_alpha_a", "motor_beta_a"];
 
-/// True for columns that wrap around at a full turn.
+/// True for angles, which wrap at a full turn.
 pub fn is_angle(column: &str) -> bool {
     column.ends_with("_rad")
 }
 
-/// Number, rest: `s12_x_lsb` with prefix `s` gives `(12, "x_lsb")`.
-fn numbered<'a>(name: &'a str, prefix: &str) -> Option<(u32, &'a str)> {
+/// Index and rest: `s12_x_lsb` with prefix `s` gives `(12, "x_lsb")`.
+fn split_index<'a>(name: &'a str, prefix: &str) -> Option<(u32, &'a str)> {
     let (number, rest) = name.strip_prefix(prefix)?.split_once('_')?;
     let digits = !number.is_empty() && number.bytes().all(|b| b.is_ascii_digit());
     digits.then(|| number.parse().ok())?.map(|n| (n, rest))
 }
 
-/// Reads a name of `hall.csv`; `declared` are the covariates that `recording.toml` adds.
-pub fn hall_column(name: &str, declared: &[String]) -> Result<HallColumn, Fault> {
+/// Parses a column name of `hall.csv`; `declared`: covariates declared in `recording.toml`.
+pub fn hall_column(name: &str, declared: &[String]) -> Result<HallColumn, ErrorKind> {
     if name == "t_us" {
         return Ok(HallColumn::Time);
     }
     if COVARIATES.contains(&name) || declared.iter().any(|column| column == name) {
-        return Ok(HallColumn::Covariate {
-            name: name.to_owned(),
-        });
+        return Ok(HallColumn::Covariate { name: name.to_owned() });
     }
-    if let Some((sensor, rest)) = numbered(name, "s") {
+    if let Some((sensor, rest)) = split_index(name, "s") {
         if rest == "temp_c" {
             return Ok(HallColumn::Temperature { sensor });
         }
@@ -135,10 +140,7 @@ pub fn hall_column(name: &str, declared: &[String]) -> Result<HallColumn, Fault>
                 _ => {
                     return Err(wrong_unit(
                         name,
-                        &[
-                            &format!("s{sensor}_{letter}_lsb"),
-                            &format!("s{sensor}_{letter}_gauss"),
-                        ],
+                        &[&format!("s{sensor}_{letter}_lsb"), &format!("s{sensor}_{letter}_gauss")],
                     ));
                 }
             };
@@ -148,82 +150,112 @@ pub fn hall_column(name: &str, declared: &[String]) -> Result<HallColumn, Fault>
             return Err(wrong_unit(name, &[&format!("s{sensor}_temp_c")]));
         }
     }
-    let mut known: Vec<String> = COVARIATES.iter().map(|name| (*name).to_owned()).collect();
-    known.extend(declared.iter().cloned());
-    known.push("t_us".into());
+    let mut candidates: Vec<String> = COVARIATES.iter().map(|name| (*name).to_owned()).collect();
+    candidates.extend(declared.iter().cloned());
+    candidates.push("t_us".into());
     for sensor in 0..8 {
-        known.extend(
-            [
-                "x_lsb", "y_lsb", "z_lsb", "x_gauss", "y_gauss", "z_gauss", "temp_c",
-            ]
-            .map(|rest| format!("s{sensor}_{rest}")),
+        candidates.extend(
+            ["x_lsb", "y_lsb", "z_lsb", "x_gauss", "y_gauss", "z_gauss", "temp_c"]
+                .map(|rest| format!("s{sensor}_{rest}")),
         );
     }
-    Err(unknown(
+    Err(unknown_column(
         name,
-        &known,
+        &candidates,
         "declare it in recording.toml as `covariates = [\"NAME_unit\"]`, or remove it",
     ))
 }
 
-/// Reads a name of `force.csv`.
-pub fn force_column(name: &str) -> Result<ForceColumn, Fault> {
+/// Parses a column name of `force.csv`.
+pub fn force_column(name: &str) -> Result<ForceColumn, ErrorKind> {
     if name == "t_us" {
         return Ok(ForceColumn::Time);
     }
-    if let Some((place, rest)) = numbered(name, "f") {
+    if let Some((sensor, rest)) = split_index(name, "f") {
         let (letter, unit) = rest.split_once('_').unwrap_or((rest, ""));
         match (Axis::from_letter(letter), unit) {
             (Some(axis @ (Axis::X | Axis::Z)), "n") => {
-                return Ok(ForceColumn::Force { place, axis });
+                return Ok(ForceColumn::Force { sensor, axis });
             }
             (Some(Axis::X | Axis::Z), _) => {
-                return Err(wrong_unit(name, &[&format!("f{place}_{letter}_n")]));
+                return Err(wrong_unit(name, &[&format!("f{sensor}_{letter}_n")]));
             }
             _ => {}
         }
     }
-    let mut known = vec!["t_us".to_owned()];
-    for place in 0..8 {
-        known.extend([format!("f{place}_x_n"), format!("f{place}_z_n")]);
+    let mut candidates = vec!["t_us".to_owned()];
+    for sensor in 0..8 {
+        candidates.extend([format!("f{sensor}_x_n"), format!("f{sensor}_z_n")]);
     }
-    Err(unknown(
+    Err(unknown_column(
         name,
-        &known,
-        "force.csv holds t_us and fN_x_n, fN_z_n: remove it",
+        &candidates,
+        "force.csv contains t_us, fN_x_n and fN_z_n only: remove it",
     ))
 }
 
-fn wrong_unit(name: &str, choices: &[&str]) -> Fault {
+fn wrong_unit(name: &str, choices: &[&str]) -> ErrorKind {
     let advice = format!("write {}", choices.join(" or "));
     match name.rsplit_once('_') {
-        Some((_, unit)) if unit.len() > 1 => Fault::UnknownColumn {
-            advice: format!("its unit {unit:?} is not used here: {advice} and convert the values"),
+        Some((_, unit)) if unit.len() > 1 => ErrorKind::UnknownColumn {
+            advice: format!(
+                "its unit {unit:?} is not accepted here: {advice} and convert the values"
+            ),
         },
-        _ => Fault::UnitlessColumn { advice },
+        _ => ErrorKind::MissingUnit { advice },
     }
 }
 
-fn unknown(name: &str, known: &[String], otherwise: &str) -> Fault {
-    let with_unit = |unit: &str| known.iter().any(|k| *k == format!("{name}_{unit}"));
+fn unknown_column(name: &str, candidates: &[String], otherwise: &str) -> ErrorKind {
+    let with_unit = |unit: &str| candidates.iter().any(|k| *k == format!("{name}_{unit}"));
     if let Some(unit) = column_units().into_iter().find(|unit| with_unit(unit)) {
-        return Fault::UnitlessColumn {
-            advice: format!("write {name}_{unit}"),
-        };
+        return ErrorKind::MissingUnit { advice: format!("write {name}_{unit}") };
     }
-    match closest(name, known.iter().map(String::as_str)) {
-        Some(candidate) => Fault::UnknownColumn {
-            advice: format!("did you mean {candidate}?"),
-        },
-        None if column_unit(name).is_none() => Fault::UnknownColumn {
+    match closest_match(name, candidates.iter().map(String::as_str)) {
+        Some(candidate) => {
+            ErrorKind::UnknownColumn { advice: format!("did you mean {candidate}?") }
+        }
+        None if column_unit(name).is_none() => ErrorKind::UnknownColumn {
             advice: format!(
                 "{otherwise}; its name must end in a unit ({})",
                 column_units().join(", ")
             ),
         },
-        None => Fault::UnknownColumn {
-            advice: otherwise.to_owned(),
-        },
+        None => ErrorKind::UnknownColumn { advice: otherwise.to_owned() },
+    }
+}
+
+/// Channels of a recording's rows.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ChannelLayout {
+    /// Columns of `hall.csv`, without the clock.
+    pub hall: Vec<HallColumn>,
+    /// Columns of `force.csv`, without the clock.
+    pub forces: Vec<ForceColumn>,
+}
+
+impl ChannelLayout {
+    /// Indices of the sensors, ascending.
+    pub fn sensors(&self) -> Vec<u32> {
+        let sensors: BTreeSet<u32> = self
+            .hall
+            .iter()
+            .filter_map(|column| match column {
+                HallColumn::Field { sensor, .. } => Some(*sensor),
+                _ => None,
+            })
+            .collect();
+        sensors.into_iter().collect()
+    }
+
+    /// Channels of the three axes of a sensor in [`ChannelLayout::hall`].
+    pub fn field_channels(&self, sensor: u32) -> Option<[usize; 3]> {
+        let channel = |of_axis: Axis| {
+            self.hall.iter().position(|column| {
+                matches!(column, HallColumn::Field { sensor: s, axis, .. } if *s == sensor && *axis == of_axis)
+            })
+        };
+        Some([channel(Axis::X)?, channel(Axis::Y)?, channel(Axis::Z)?])
     }
 }
 
@@ -231,53 +263,46 @@ fn unknown(name: &str, known: &[String], otherwise: &str) -> Fault {
 mod tests {
     use super::*;
 
-    fn sentence(result: Result<impl std::fmt::Debug, Fault>) -> String {
+    fn message(result: Result<impl std::fmt::Debug, ErrorKind>) -> String {
         result.unwrap_err().to_string()
     }
 
     #[test]
-    fn a_field_column_is_read_with_sensor_axis_and_unit() {
+    fn field_column_parses_to_sensor_axis_and_unit() {
         let column = hall_column("s12_z_gauss", &[]).unwrap();
-        let expected = HallColumn::Field {
-            sensor: 12,
-            axis: Axis::Z,
-            unit: FieldUnit::Gauss,
-        };
+        let expected = HallColumn::Field { sensor: 12, axis: Axis::Z, unit: FieldUnit::Gauss };
         assert_eq!(column, expected);
     }
 
     #[test]
-    fn a_column_without_a_unit_is_told_which_to_write() {
+    fn column_without_unit_yields_the_units_to_write() {
         assert_eq!(
-            sentence(hall_column("s0_x", &[])),
+            message(hall_column("s0_x", &[])),
             "the column has no unit; write s0_x_lsb or s0_x_gauss"
         );
         assert_eq!(
-            sentence(hall_column("opening", &[])),
+            message(hall_column("opening", &[])),
             "the column has no unit; write opening_mm"
         );
-        assert_eq!(
-            sentence(force_column("f0_z")),
-            "the column has no unit; write f0_z_n"
-        );
+        assert_eq!(message(force_column("f0_z")), "the column has no unit; write f0_z_n");
     }
 
     #[test]
-    fn a_misspelt_column_is_told_its_neighbour() {
-        assert!(sentence(hall_column("openning_mm", &[])).contains("did you mean opening_mm?"));
-        assert!(sentence(hall_column("s0_x_guass", &[])).contains("write s0_x_lsb or s0_x_gauss"));
-        assert!(sentence(force_column("f0_x_kg")).contains("write f0_x_n"));
+    fn misspelt_column_yields_the_closest_name() {
+        assert!(message(hall_column("openning_mm", &[])).contains("did you mean opening_mm?"));
+        assert!(message(hall_column("s0_x_guass", &[])).contains("write s0_x_lsb or s0_x_gauss"));
+        assert!(message(force_column("f0_x_kg")).contains("write f0_x_n"));
     }
 
     #[test]
-    fn a_declared_covariate_is_known() {
+    fn declared_covariate_is_accepted() {
         let declared = vec!["robot_z_mm".to_owned()];
         assert!(hall_column("robot_z_mm", &declared).is_ok());
-        assert!(sentence(hall_column("robot_z_mm", &[])).contains("declare it"));
+        assert!(message(hall_column("robot_z_mm", &[])).contains("declare it"));
     }
 
     #[test]
-    fn a_force_across_the_gap_is_not_part_of_the_format() {
+    fn force_across_the_gap_is_rejected() {
         assert!(force_column("f0_y_n").is_err());
     }
 }

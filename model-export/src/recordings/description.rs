@@ -1,101 +1,100 @@
-//! `recording.toml`: what was recorded, the sensor's scale, and the nominal design.
+//! `recording.toml`: description, sensor scale and nominal design.
 
 use std::path::Path;
 
-use firmware::params;
+use firmware::config::constants;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::problem::{Fault, Notice, Place, Problem};
-use crate::quantity::{column_unit, column_units};
+use crate::recordings::error::{DataError, ErrorKind, Location, Notice};
+use crate::recordings::units::{column_unit, column_units};
 
-/// The file's name in a recording's folder.
-pub const FILE: &str = "recording.toml";
+/// Name of the file in the folder of a recording.
+pub const RECORDING_FILE: &str = "recording.toml";
 
-/// The format that this code reads and writes.
+/// Supported format version.
 pub const FORMAT: i64 = 1;
 
-/// What `recording.toml` says.
+/// Content of `recording.toml`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Description {
-    /// Version of the format, [`FORMAT`].
+pub struct RecordingDescription {
+    /// Format version, [`FORMAT`].
     pub format: i64,
-    /// In a person's words.
+    /// Free text.
     #[serde(default)]
     pub description: String,
-    /// When it was recorded, as a date in the user's words; optional.
+    /// Date of the recording, free text.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub recorded: Option<String>,
     /// Start of the recording in seconds since the campaign began.
     pub start_s: f64,
-    /// Scale of the raw counts; needed where a column ends in `_lsb`.
+    /// Scale of the raw counts; required where a column ends in `_lsb`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gauss_per_lsb: Option<f64>,
-    /// Range of each axis, either sign; where it is given, saturated samples are left out.
+    /// Range of each axis, either sign; enables the exclusion of saturated samples.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub range_gauss: Option<f64>,
-    /// Covariates beyond those of the format, each name ending in its unit.
+    /// Additional covariates, each name ending in its unit.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub covariates: Vec<String>,
-    /// The nominal design; absent where nobody knows the geometry.
+    /// The nominal design; absent where the geometry is unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub design: Option<Design>,
-    /// Keys that this version does not know.
+    pub design: Option<NominalDesign>,
+    /// Unrecognised keys, reported as notices.
     #[serde(flatten, skip_serializing)]
     unknown: toml::Table,
 }
 
-/// The nominal design, in the words and units of the file.
+/// The nominal design of the gripper, with the keys of the file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Design {
+pub struct NominalDesign {
     /// The magnet on the longitudinal flexure.
-    pub magnet: Magnet,
-    /// From the magnet's face to the Hall element, unloaded.
+    pub magnet: MagnetSpec,
+    /// Distance from the magnet's face to the Hall element, unloaded.
     pub gap_mm: f64,
-    /// Lateral flexure.
+    /// Stiffness of the lateral flexure.
     pub stiffness_x_n_per_mm: f64,
-    /// Longitudinal flexure.
+    /// Stiffness of the longitudinal flexure.
     pub stiffness_z_n_per_mm: f64,
-    /// Force that each axis of each sensor is designed for, either way; the gripper's own where it is
-    /// not given.
+    /// Design force of each axis, either sign; default: the nominal gripper's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub force_range_n: Option<f64>,
-    /// Number of sensors; the gripper's own where it is not given.
+    /// Number of sensors; default: the nominal gripper's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sensors: Option<u32>,
-    /// What the file says beyond this (beam, motor, screw), kept for the effects that need it.
+    /// Further keys (beam, motor, screw), used by some effects.
     #[serde(flatten)]
     pub more: toml::Table,
 }
 
 /// A permanent magnet.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Magnet {
-    /// Shape and size.
+pub struct MagnetSpec {
+    /// Shape and dimensions.
     #[serde(flatten)]
-    pub shape: Shape,
-    /// Remanence; negative where the magnet is mounted the other way round.
+    pub shape: MagnetShape,
+    /// Remanence; negative for a magnet mounted with reversed polarity.
     pub remanence_t: f64,
-    /// The sensor's axis along which the magnet is magnetised.
+    /// Direction of the magnetisation, as an axis of the sensor.
     pub axis: MagnetAxis,
-    /// Where the axis of the body lies, of a cylinder or tube that is magnetised across it
-    /// (diametrically); otherwise they are one.
+    /// Direction of the body axis of a diametrically magnetised cylinder or tube; default: that of the
+    /// magnetisation.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub body_axis: Option<MagnetAxis>,
 }
 
-/// Shapes whose field is known in closed form here, in millimetres.
+/// Magnet shapes with a closed-form field.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "shape", rename_all = "snake_case")]
-pub enum Shape {
-    /// Full, round.
+pub enum MagnetShape {
+    /// Solid cylinder.
     Cylinder {
         /// Diameter.
         diameter_mm: f64,
         /// Length along the body's axis.
         length_mm: f64,
     },
-    /// With a round hole all along its axis.
+    /// Cylinder with a coaxial through hole.
     Tube {
         /// Diameter.
         diameter_mm: f64,
@@ -104,76 +103,74 @@ pub enum Shape {
         /// Length along the body's axis.
         length_mm: f64,
     },
-    /// Edges along the sensor's axes.
+    /// Cube with edges along the sensor's axes.
     Cube {
         /// Length of an edge.
         side_mm: f64,
     },
-    /// A ball.
+    /// Sphere.
     Sphere {
         /// Diameter.
         diameter_mm: f64,
     },
 }
 
-/// One of the sensor's axes.
+/// Axis of the sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MagnetAxis {
-    /// Lying, along the lateral motion.
+    /// Along the lateral motion.
     X,
-    /// Facing the sensor across the gap.
+    /// Across the gap.
     Y,
-    /// Lying, along the longitudinal motion.
+    /// Along the longitudinal motion.
     Z,
 }
 
-impl Design {
-    /// The gripper's own nominal design, from [`firmware::params`].
+impl NominalDesign {
+    /// The nominal gripper, from [`firmware::config::constants`].
     pub fn magpie() -> Self {
         Self {
-            magnet: Magnet {
-                shape: Shape::Cylinder {
-                    diameter_mm: params::MAGNET_DIAMETER.value,
-                    length_mm: params::MAGNET_LENGTH.value,
+            magnet: MagnetSpec {
+                shape: MagnetShape::Cylinder {
+                    diameter_mm: constants::MAGNET_DIAMETER.value,
+                    length_mm: constants::MAGNET_LENGTH.value,
                 },
-                remanence_t: params::REMANENCE.value,
+                remanence_t: constants::REMANENCE.value,
                 axis: MagnetAxis::Y,
                 body_axis: None,
             },
-            gap_mm: params::GAP.value,
-            stiffness_x_n_per_mm: params::STIFFNESS_X.value,
-            stiffness_z_n_per_mm: params::STIFFNESS_Z.value,
+            gap_mm: constants::GAP.value,
+            stiffness_x_n_per_mm: constants::STIFFNESS_X.value,
+            stiffness_z_n_per_mm: constants::STIFFNESS_Z.value,
             force_range_n: None,
             sensors: None,
             more: toml::Table::from_iter([(
                 "beam_length_mm".to_owned(),
-                params::BEAM_LENGTH.value.into(),
+                constants::BEAM_LENGTH.value.into(),
             )]),
         }
     }
 
-    /// Force that each axis is designed for, either way, in newtons.
+    /// Design force of each axis, either sign, in newtons.
     pub fn force_range_n(&self) -> f64 {
-        self.force_range_n.unwrap_or(params::FORCE_RANGE.value)
+        self.force_range_n.unwrap_or(constants::FORCE_RANGE.value)
     }
 
     /// Number of sensors.
     pub fn sensors(&self) -> u32 {
-        self.sensors.unwrap_or(params::SENSORS.value as u32)
+        self.sensors.unwrap_or(constants::SENSORS.value as u32)
     }
 
-    /// A number among what the file says beyond this.
+    /// A number among the further keys.
     pub fn number(&self, key: &str) -> Option<f64> {
         let value = self.more.get(key)?;
-        value
-            .as_float()
-            .or_else(|| value.as_integer().map(|n| n as f64))
+        value.as_float().or_else(|| value.as_integer().map(|n| n as f64))
     }
 
-    /// Everything that must be above zero, by its key.
-    pub(crate) fn sizes(&self) -> Vec<(&'static str, f64)> {
-        let mut sizes = vec![
+    /// Quantities that must be positive, by key.
+    pub(crate) fn positive_values(&self) -> Vec<(&'static str, f64)> {
+        let mut values = vec![
             ("design.gap_mm", self.gap_mm),
             ("design.stiffness_x_n_per_mm", self.stiffness_x_n_per_mm),
             ("design.stiffness_z_n_per_mm", self.stiffness_z_n_per_mm),
@@ -181,32 +178,24 @@ impl Design {
             ("design.force_range_n", self.force_range_n()),
             ("design.sensors", f64::from(self.sensors())),
         ];
-        sizes.extend(self.magnet.shape.sizes());
-        sizes
+        values.extend(self.magnet.shape.dimensions());
+        values
     }
 }
 
-impl Shape {
-    /// Everything that must be above zero, by its key. Of a tube also its wall.
-    fn sizes(self) -> Vec<(&'static str, f64)> {
+impl MagnetShape {
+    /// Dimensions that must be positive, by key; of a tube also its wall.
+    fn dimensions(self) -> Vec<(&'static str, f64)> {
         const DIAMETER: &str = "design.magnet.diameter_mm";
         const LENGTH: &str = "design.magnet.length_mm";
         match self {
-            Self::Cylinder {
-                diameter_mm,
-                length_mm,
-            } => vec![(DIAMETER, diameter_mm), (LENGTH, length_mm)],
-            Self::Tube {
-                diameter_mm,
-                hole_mm,
-                length_mm,
-            } => vec![
+            Self::Cylinder { diameter_mm, length_mm } => {
+                vec![(DIAMETER, diameter_mm), (LENGTH, length_mm)]
+            }
+            Self::Tube { diameter_mm, hole_mm, length_mm } => vec![
                 (DIAMETER, diameter_mm),
                 ("design.magnet.hole_mm", hole_mm),
-                (
-                    "design.magnet.diameter_mm less its hole",
-                    diameter_mm - hole_mm,
-                ),
+                ("design.magnet.diameter_mm less its hole", diameter_mm - hole_mm),
                 (LENGTH, length_mm),
             ],
             Self::Cube { side_mm } => vec![("design.magnet.side_mm", side_mm)],
@@ -216,7 +205,7 @@ impl Shape {
 }
 
 impl MagnetAxis {
-    /// The unit vector along it.
+    /// Unit vector along the axis.
     pub fn unit(self) -> Vector3<f64> {
         match self {
             Self::X => Vector3::x(),
@@ -226,8 +215,8 @@ impl MagnetAxis {
     }
 }
 
-impl Description {
-    /// A description with nothing but what every recording has.
+impl RecordingDescription {
+    /// A description with the required keys only.
     pub fn new(description: impl Into<String>, start_s: f64) -> Self {
         Self {
             format: FORMAT,
@@ -242,16 +231,16 @@ impl Description {
         }
     }
 
-    /// Reads and checks `recording.toml` in `folder`.
-    pub fn read(folder: &Path) -> Result<(Self, Vec<Notice>), Problem> {
-        let path = folder.join(FILE);
+    /// Reads and validates `recording.toml` in `folder`; unrecognised keys become notices.
+    pub fn read(folder: &Path) -> Result<(Self, Vec<Notice>), DataError> {
+        let path = folder.join(RECORDING_FILE);
         let text = std::fs::read_to_string(&path).map_err(|error| match error.kind() {
-            std::io::ErrorKind::NotFound => Fault::MissingFile {
-                name: FILE,
+            std::io::ErrorKind::NotFound => ErrorKind::MissingFile {
+                name: RECORDING_FILE,
                 advice: "it needs at least `format = 1`, `start_s` and, for raw counts, `gauss_per_lsb`",
             }
-            .at(Place::file(folder)),
-            _ => Fault::Unreadable(error).at(Place::file(&path)),
+            .at(Location::file(folder)),
+            _ => ErrorKind::Unreadable(error).at(Location::file(&path)),
         })?;
         let description: Self = parse_toml(&path, &text)?;
         description.check(&path)?;
@@ -260,57 +249,50 @@ impl Description {
     }
 
     /// Writes `recording.toml` into `folder`.
-    pub fn write(&self, folder: &Path) -> Result<(), Problem> {
-        let path = folder.join(FILE);
+    pub fn write(&self, folder: &Path) -> Result<(), DataError> {
+        let path = folder.join(RECORDING_FILE);
         let text = toml::to_string(self)
-            .map_err(|error| Fault::Toml(error.to_string()).at(Place::file(&path)))?;
-        std::fs::write(&path, text).map_err(|error| Fault::Unwritable(error).at(Place::file(&path)))
+            .map_err(|error| ErrorKind::Toml(error.to_string()).at(Location::file(&path)))?;
+        std::fs::write(&path, text)
+            .map_err(|error| ErrorKind::Unwritable(error).at(Location::file(&path)))
     }
 
-    /// Field in gauss from which on a sample is saturated, of raw counts or of a converted field.
-    pub fn saturated_gauss(&self, raw: bool) -> f64 {
-        // A step below full scale: converters stop at the last code, not at the round number.
+    /// Magnitude in gauss from which a sample counts as saturated; `is_raw`: recorded as raw counts.
+    pub fn saturated_gauss(&self, is_raw: bool) -> f64 {
+        // One step below full scale: the last code of the converter is below the nominal range.
         match self.range_gauss {
-            Some(range) if raw => range - 1.5 * self.gauss_per_lsb.unwrap_or(1.0),
+            Some(range) if is_raw => range - 1.5 * self.gauss_per_lsb.unwrap_or(1.0),
             Some(range) => range,
             None => f64::INFINITY,
         }
     }
 
-    fn check(&self, path: &Path) -> Result<(), Problem> {
-        let bad = |key: &str, found: String, advice: String| {
-            Err(Fault::BadValue { found, advice }.at(Place::file(path).column(key)))
+    fn check(&self, path: &Path) -> Result<(), DataError> {
+        let bad = |key: &str, found: String, advice: &str| {
+            let location = Location::file(path).column(key);
+            Err(ErrorKind::bad_value(found, advice).at(location))
         };
         if self.format != FORMAT {
             let advice = format!("this tool reads format = {FORMAT}");
-            return bad("format", self.format.to_string(), advice);
+            return bad("format", self.format.to_string(), &advice);
         }
         if !self.start_s.is_finite() {
-            let advice = "give the seconds since the campaign began".to_owned();
+            let advice = "give the seconds since the start of the campaign";
             return bad("start_s", self.start_s.to_string(), advice);
         }
-        let scale = [
-            ("gauss_per_lsb", self.gauss_per_lsb),
-            ("range_gauss", self.range_gauss),
-        ];
-        let design = self.design.as_ref().map_or_else(Vec::new, Design::sizes);
-        let stated = scale
-            .into_iter()
-            .filter_map(|(key, value)| Some((key, value?)));
+        let scale = [("gauss_per_lsb", self.gauss_per_lsb), ("range_gauss", self.range_gauss)];
+        let design = self.design.as_ref().map_or_else(Vec::new, NominalDesign::positive_values);
+        let stated = scale.into_iter().filter_map(|(key, value)| Some((key, value?)));
         for (key, value) in stated.chain(design) {
             if !(value.is_finite() && value > 0.0) {
-                return bad(
-                    key,
-                    value.to_string(),
-                    "give a number above zero".to_owned(),
-                );
+                return bad(key, value.to_string(), "give a positive number");
             }
         }
         for name in &self.covariates {
             if column_unit(name).is_none() {
                 let units = column_units().join(", ");
                 let advice = format!("end the name in its unit ({units}), for example robot_z_mm");
-                return bad("covariates", format!("{name:?}"), advice);
+                return bad("covariates", format!("{name:?}"), &advice);
             }
         }
         Ok(())
@@ -320,24 +302,24 @@ impl Description {
         self.unknown
             .keys()
             .map(|key| Notice {
-                place: Place::file(path).column(key.as_str()),
-                message: "this key is not known and was ignored; check its spelling".to_owned(),
+                location: Location::file(path).column(key.as_str()),
+                message: "unknown key, ignored; check its spelling".to_owned(),
             })
             .collect()
     }
 }
 
-/// Parses TOML; an error names the line.
+/// Parses TOML; errors have the line.
 pub(crate) fn parse_toml<T: serde::de::DeserializeOwned>(
     path: &Path,
     text: &str,
-) -> Result<T, Problem> {
+) -> Result<T, DataError> {
     toml::from_str(text).map_err(|error: toml::de::Error| {
-        let mut place = Place::file(path);
+        let mut location = Location::file(path);
         if let Some(span) = error.span() {
             let before = text.get(..span.start).unwrap_or(text);
-            place = place.line(before.matches('\n').count() as u64 + 1);
+            location = location.line(before.matches('\n').count() as u64 + 1);
         }
-        Fault::Toml(error.message().replace('\n', " ")).at(place)
+        ErrorKind::Toml(error.message().replace('\n', " ")).at(location)
     })
 }

@@ -1,7 +1,5 @@
-//! Foreign tables turned into a campaign by a mapping file.
-//!
-//! A mapping says which column of the source becomes which column of a recording, and in what unit
-//! it is; nothing is filtered or resampled. See [`Mapping`] for the keys.
+//! Conversion of third-party tables to a campaign, as specified by a [`Mapping`]. Values are converted, not
+//! filtered or resampled.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -10,42 +8,41 @@ use std::path::{Path, PathBuf};
 use flate2::Compression;
 use flate2::write::GzEncoder;
 
-use super::align::Alignment;
-use super::attitude::{ANGLES, angles};
-use super::campaign::Campaign;
-use super::description::Description;
-use super::mapping::{Mapping, Side, factor};
-use super::problem::{Fault, Notice, Place, Problem, closest};
-use super::table::{Cells, Table};
-use crate::quantity::rounded;
+use crate::recordings::align::Alignment;
+use crate::recordings::campaign::Campaign;
+use crate::recordings::csv_table::{CellRule, CsvTable};
+use crate::recordings::description::RecordingDescription;
+use crate::recordings::error::{DataError, ErrorKind, Location, Notice, closest_match};
+use crate::recordings::mapping::{
+    ATTITUDE_COLUMNS, Mapping, TableMapping, conversion_factor, euler_angles,
+};
+use crate::recordings::units::round_significant;
 
-/// Digits that are kept: enough for any sensor, and no 0.30000000000000004.
+/// Significant digits of imported values: exceeds the resolution of any sensor, avoids 0.30000000000000004.
 const IMPORTED_DIGITS: usize = 9;
 
-/// A recording that was written.
+/// An imported recording.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Imported {
-    /// Its folder.
+    /// Path of the folder.
     pub folder: PathBuf,
-    /// Rows of the board, rows of the reference, and how many of the latter hold a force.
+    /// Number of board rows, reference rows, reference rows with a force.
     pub rows: (u64, u64, u64),
 }
 
-/// Writes `sources` (files, or folders where the mapping names the two files) as the campaign
-/// `target`, which must not exist yet. All or nothing: a failed import leaves no folder behind.
+/// Converts `sources` (files, or folders where the mapping names the two files) to the campaign `target`,
+/// which must not exist; a failed import leaves no folder. `done` is called with each converted source.
 pub fn import(
     mapping_path: &Path,
     sources: &[PathBuf],
     target: &Path,
     done: impl Fn(&Path),
-) -> Result<(Vec<Imported>, Vec<Notice>), Problem> {
+) -> Result<(Vec<Imported>, Vec<Notice>), DataError> {
     let mapping = Mapping::read(mapping_path)?;
-    let unwritable = |error| Fault::Unwritable(error).at(Place::file(target));
+    let unwritable = |error| ErrorKind::Unwritable(error).at(Location::file(target));
     if target.exists() {
-        let advice = "choose another folder, or move the old one away: an import never overwrites"
-            .to_owned();
-        let found = "a folder that exists".to_owned();
-        return Err(Fault::BadValue { found, advice }.at(Place::file(target)));
+        let advice = "choose another folder or remove this one: an import never overwrites";
+        return Err(ErrorKind::bad_value("an existing folder", advice).at(Location::file(target)));
     }
     let parent = match target.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
@@ -56,33 +53,27 @@ pub fn import(
         .prefix(".magpie-import-")
         .tempdir_in(parent)
         .map_err(unwritable)?;
-    let mut session = Session::default();
+    let mut start = CampaignStart::default();
     let mut imported = Vec::new();
     for (i, source) in sources.iter().enumerate() {
         let name = (i + 1).to_string();
         let folder = draft.path().join(&name);
         std::fs::create_dir(&folder).map_err(unwritable)?;
-        let rows = import_one(&mapping, mapping_path, source, &folder, &mut session)?;
-        imported.push(Imported {
-            folder: target.join(name),
-            rows,
-        });
+        let rows = import_one(&mapping, mapping_path, source, &folder, &mut start)?;
+        imported.push(Imported { folder: target.join(name), rows });
         done(source);
     }
-    // Read it back the way every other command will: what is wrong shows before anything is kept.
+    // Validation by the regular reader, before anything becomes visible.
     let campaign = Campaign::read(draft.path(), Alignment { delay_us: 0.0 }, |_| ())
-        .map_err(|problem| problem.moved(draft.path(), target))?;
-    let notices = campaign
-        .notices()
-        .map(|notice| notice.moved(draft.path(), target))
-        .collect();
+        .map_err(|error| error.moved(draft.path(), target))?;
+    let notices = campaign.notices().map(|notice| notice.moved(draft.path(), target)).collect();
     std::fs::rename(draft.keep(), target).map_err(unwritable)?;
     Ok((imported, notices))
 }
 
-/// Where the recordings lie in the campaign's time.
+/// Start times of the recordings in the campaign.
 #[derive(Default)]
-struct Session {
+struct CampaignStart {
     first_us: Option<f64>,
     end_us: f64,
 }
@@ -92,19 +83,21 @@ fn import_one(
     mapping_path: &Path,
     source: &Path,
     folder: &Path,
-    session: &mut Session,
-) -> Result<(u64, u64, u64), Problem> {
-    let mut hall = Source::open(&mapping.hall, Cells::Number, mapping_path, source)?;
+    start: &mut CampaignStart,
+) -> Result<(u64, u64, u64), DataError> {
+    let mut hall = SourceTable::open(&mapping.hall, CellRule::Number, mapping_path, source)?;
     let origin_us = hall.first_time_us()?;
-    let mut force = Source::open(&mapping.force, Cells::MayBeEmpty, mapping_path, source)?;
+    let mut force = SourceTable::open(&mapping.force, CellRule::Optional, mapping_path, source)?;
     let (hall_rows, _, last_us) = hall.write(&folder.join("hall.csv.gz"), origin_us)?;
     let (force_rows, measured, _) = force.write(&folder.join("force.csv.gz"), origin_us)?;
-    let start_us = match mapping.one_clock {
-        true => origin_us - *session.first_us.get_or_insert(origin_us),
-        false => session.end_us,
+    let start_us = if mapping.one_clock {
+        origin_us - *start.first_us.get_or_insert(origin_us)
+    } else {
+        start.end_us
     };
-    session.end_us += last_us;
-    let mut description = Description::new(mapping.description.clone(), start_us.round() / 1e6);
+    start.end_us += last_us;
+    let mut description =
+        RecordingDescription::new(mapping.description.clone(), start_us.round() / 1e6);
     description.covariates = mapping.covariates();
     description.range_gauss = mapping.range_gauss;
     description.gauss_per_lsb = mapping.gauss_per_lsb;
@@ -113,133 +106,131 @@ fn import_one(
     Ok((hall_rows, force_rows, measured))
 }
 
-/// One side of the source, and what becomes of its columns.
-struct Source {
-    table: Table,
+/// One table of a source and the conversion of its columns.
+struct SourceTable {
+    table: CsvTable,
     clock: usize,
     clock_factor: f64,
     clock_offset_us: f64,
-    picks: Vec<Pick>,
-    /// Columns of the quaternion.
+    columns: Vec<SourceColumn>,
+    /// Indices of the quaternion's columns.
     attitude: Option<[usize; 4]>,
 }
 
-struct Pick {
-    column: usize,
+struct SourceColumn {
+    index: usize,
     to: String,
     factor: f64,
     missing: Option<f64>,
 }
 
-impl Source {
+impl SourceTable {
     fn open(
-        side: &Side,
-        values: Cells,
+        mapping: &TableMapping,
+        rule: CellRule,
         mapping_path: &Path,
         source: &Path,
-    ) -> Result<Self, Problem> {
-        let path = match &side.file {
+    ) -> Result<Self, DataError> {
+        let path = match &mapping.file {
             Some(file) => source.join(file),
             None => source.to_path_buf(),
         };
-        let mut table = Table::open_file(&path)?;
-        let find = |name: &str| {
-            table
-                .header()
-                .iter()
-                .position(|column| column == name)
-                .ok_or_else(|| {
-                    let columns = table.header().iter().map(String::as_str);
-                    let hint = closest(name, columns).map_or_else(
-                        || format!("the columns are {}", table.header().join(", ")),
-                        |near| format!("did the mapping mean {near}?"),
-                    );
-                    Fault::MissingColumn { advice: hint }.at(table.header_place(name))
-                })
+        let mut table = CsvTable::open_file(&path)?;
+        let index = |name: &str| {
+            table.header().iter().position(|column| column == name).ok_or_else(|| {
+                let columns = table.header().iter().map(String::as_str);
+                let advice = closest_match(name, columns).map_or_else(
+                    || format!("the columns are {}", table.header().join(", ")),
+                    |near| format!("did you mean {near}?"),
+                );
+                ErrorKind::MissingColumn { advice }.at(table.header_location(name))
+            })
         };
-        let clock = find(&side.clock.from)?;
-        let mut picks = Vec::new();
-        for column in &side.columns {
-            picks.push(Pick {
-                column: find(&column.from)?,
+        let clock = index(&mapping.clock.from)?;
+        let mut columns = Vec::new();
+        for column in &mapping.columns {
+            columns.push(SourceColumn {
+                index: index(&column.from)?,
                 to: column.to.clone(),
-                factor: column.scale * factor(mapping_path, &column.unit, &column.to, &column.to)?,
+                factor: column.scale
+                    * conversion_factor(mapping_path, &column.unit, &column.to, &column.to)?,
                 missing: column.missing,
             });
         }
-        let attitude = match &side.attitude {
+        let attitude = match &mapping.attitude {
             None => None,
             Some(attitude) => {
-                let [w, x, y, z] = attitude.columns().map(&find);
+                let [w, x, y, z] = attitude.columns().map(&index);
                 Some([w?, x?, y?, z?])
             }
         };
-        let mut cells = vec![Cells::Ignored; table.header().len()];
+        let mut rules = vec![CellRule::Ignored; table.header().len()];
         for column in attitude.into_iter().flatten() {
-            cells[column] = Cells::Number;
+            rules[column] = CellRule::Number;
         }
-        for pick in &picks {
-            cells[pick.column] = values;
+        for column in &columns {
+            rules[column.index] = rule;
         }
-        cells[clock] = Cells::Number;
-        table.rules(clock, cells);
-        let clock_factor = factor(mapping_path, &side.clock.unit, "t_us", &side.clock.from)?;
+        rules[clock] = CellRule::Number;
+        table.set_rules(clock, rules);
+        let clock_factor =
+            conversion_factor(mapping_path, &mapping.clock.unit, "t_us", &mapping.clock.from)?;
         Ok(Self {
             table,
             clock,
             clock_factor,
-            clock_offset_us: side.clock.offset_s * 1e6,
-            picks,
+            clock_offset_us: mapping.clock.offset_s * 1e6,
+            columns,
             attitude,
         })
     }
 
-    /// Time of the first row; the row comes again.
-    fn first_time_us(&mut self) -> Result<f64, Problem> {
+    /// Time of the first row, which is not consumed.
+    fn first_time_us(&mut self) -> Result<f64, DataError> {
         let first = self
             .table
             .peek()?
             .map(|row| row.cells[self.clock] * self.clock_factor + self.clock_offset_us);
-        first.ok_or_else(|| Fault::NoRows.at(Place::file(self.table.path())))
+        first.ok_or_else(|| ErrorKind::NoRows.at(Location::file(self.table.path())))
     }
 
-    /// Writes all rows; returns how many, how many hold any value, and the last time.
-    fn write(&mut self, path: &Path, origin_us: f64) -> Result<(u64, u64, f64), Problem> {
-        let failed = |error| Fault::Unwritable(error).at(Place::file(path));
+    /// Writes all rows. Returns the number of rows, the number of rows with any value, and the last time.
+    fn write(&mut self, path: &Path, origin_us: f64) -> Result<(u64, u64, f64), DataError> {
+        let failed = |error| ErrorKind::Unwritable(error).at(Location::file(path));
         let file = File::create(path).map_err(failed)?;
         let mut out = GzEncoder::new(BufWriter::new(file), Compression::default());
-        let names = self.picks.iter().map(|pick| pick.to.as_str());
-        let turns = ANGLES.iter().copied().filter(|_| self.attitude.is_some());
-        let header: Vec<&str> = ["t_us"].into_iter().chain(names).chain(turns).collect();
+        let names = self.columns.iter().map(|column| column.to.as_str());
+        let angles = ATTITUDE_COLUMNS.iter().copied().filter(|_| self.attitude.is_some());
+        let header: Vec<&str> = ["t_us"].into_iter().chain(names).chain(angles).collect();
         writeln!(out, "{}", header.join(",")).map_err(failed)?;
         let (mut rows, mut measured, mut last_us, mut attitude) = (0, 0, 0.0, None);
         while let Some(row) = self.table.next_row()? {
             last_us = row.cells[self.clock] * self.clock_factor + self.clock_offset_us - origin_us;
             let mut line = last_us.round().to_string();
             let mut any = false;
-            for pick in &self.picks {
-                let value = row.cells[pick.column];
+            for column in &self.columns {
+                let value = row.cells[column.index];
                 line.push(',');
-                if !value.is_nan() && Some(value) != pick.missing {
+                if !value.is_nan() && Some(value) != column.missing {
                     any = true;
-                    line.push_str(&rounded(value * pick.factor, IMPORTED_DIGITS).to_string());
+                    line.push_str(
+                        &round_significant(value * column.factor, IMPORTED_DIGITS).to_string(),
+                    );
                 }
             }
             if let Some(columns) = self.attitude {
-                let turned = angles(columns.map(|column| row.cells[column]), attitude)
-                    .map_err(|fault| fault.at(self.table.cell_place(row.line, columns[0])))?;
-                for angle in turned {
-                    line.push_str(&format!(",{}", rounded(angle, IMPORTED_DIGITS)));
+                let angles = euler_angles(columns.map(|column| row.cells[column]), attitude)
+                    .map_err(|kind| kind.at(self.table.cell_location(row.line, columns[0])))?;
+                for angle in angles {
+                    line.push_str(&format!(",{}", round_significant(angle, IMPORTED_DIGITS)));
                 }
-                attitude = Some(turned);
+                attitude = Some(angles);
             }
             writeln!(out, "{line}").map_err(failed)?;
             rows += 1;
             measured += u64::from(any);
         }
-        out.finish()
-            .and_then(|mut file| file.flush())
-            .map_err(failed)?;
+        out.finish().and_then(|mut file| file.flush()).map_err(failed)?;
         Ok((rows, measured, last_us))
     }
 }

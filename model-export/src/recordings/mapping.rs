@@ -1,84 +1,84 @@
-//! The mapping file: which column of a foreign table becomes which column of a recording.
+//! Mapping files, which assign columns of a third-party table to columns of a recording, and the conversion of
+//! quaternions to roll, pitch and yaw.
 
 use std::path::Path;
 
+use nalgebra::{Quaternion, UnitQuaternion};
 use serde::Deserialize;
 
-use super::attitude::Attitude;
-use super::columns::{force_column, hall_column};
-use super::description::{Design, parse_toml};
-use super::problem::{Fault, Place, Problem, closest};
-use crate::quantity::{UNITS, column_unit, unit_named};
+use crate::recordings::columns::{force_column, hall_column};
+use crate::recordings::description::{NominalDesign, parse_toml};
+use crate::recordings::error::{DataError, ErrorKind, Location, closest_match};
+use crate::recordings::units::{UNITS, column_unit, find_unit};
 
-/// What a mapping file holds.
+/// Content of a mapping file.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Mapping {
-    /// Goes into every `recording.toml`.
+    /// Description in every `recording.toml`.
     pub description: String,
-    /// One clock runs on through all sources: their distance in it is their distance in time.
-    /// Otherwise recordings are placed end to end.
+    /// True if one clock runs through all sources and gives the start of each recording; otherwise the
+    /// recordings are placed end to end.
     #[serde(default)]
     pub one_clock: bool,
-    /// Range of the sensor in gauss, if it is known.
+    /// Range of the sensor in gauss, if known.
     #[serde(default)]
     pub range_gauss: Option<f64>,
-    /// Scale of columns that stay raw counts.
+    /// Scale of columns imported as raw counts.
     #[serde(default)]
     pub gauss_per_lsb: Option<f64>,
-    /// The nominal design, if it is known, as in `recording.toml`.
+    /// Nominal design, if known, as in `recording.toml`.
     #[serde(default)]
-    pub design: Option<Design>,
-    /// The board's side.
-    pub hall: Side,
-    /// The reference's side.
-    pub force: Side,
+    pub design: Option<NominalDesign>,
+    /// Mapping to `hall.csv`.
+    pub hall: TableMapping,
+    /// Mapping to `force.csv`.
+    pub force: TableMapping,
 }
 
-/// One of the two tables.
+/// Mapping of one table.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Side {
-    /// File in the source's folder; absent where the source is one file for both sides.
+pub struct TableMapping {
+    /// File in the folder of the source; absent where the source is one file with both tables.
     #[serde(default)]
     pub file: Option<String>,
-    /// The side's own clock.
-    pub clock: Clock,
-    /// Columns to take. The reference's may be none: a sensor that nothing pushes.
-    pub columns: Vec<Column>,
-    /// The quaternion from the body to the world (the board's side only); it becomes `roll_rad`,
-    /// `pitch_rad` and `yaw_rad`.
+    /// Clock of the table.
+    pub clock: ClockMapping,
+    /// Columns to import; may be empty for the forces of an unloaded sensor.
+    pub columns: Vec<ColumnMapping>,
+    /// Quaternion from body to world (`hall` only), converted to `roll_rad`, `pitch_rad` and `yaw_rad`.
     #[serde(default)]
-    pub attitude: Option<Attitude>,
+    pub attitude: Option<QuaternionColumns>,
 }
 
-/// A clock of the source.
+/// Clock column of the source.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Clock {
+pub struct ClockMapping {
     /// Column of the source.
     pub from: String,
-    /// Its unit.
+    /// Unit of the source.
     pub unit: String,
-    /// Added to it, in seconds: brings two clocks of different epochs together.
+    /// Added to the clock, in seconds: aligns clocks of different epochs.
     #[serde(default)]
     pub offset_s: f64,
 }
 
-/// One column.
+/// Mapping of one column.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Column {
+pub struct ColumnMapping {
     /// Column of the source.
     pub from: String,
-    /// Its unit, as people write it.
+    /// Unit of the source.
     pub unit: String,
     /// Column of the recording.
     pub to: String,
-    /// Multiplies the value after its unit; -1 turns a sign.
+    /// Factor in addition to that of the unit; -1 inverts the sign.
     #[serde(default = "one")]
     pub scale: f64,
-    /// Value that the source writes where nothing was measured (forces only).
+    /// Value of the source for missing measurements (forces only).
     #[serde(default)]
     pub missing: Option<f64>,
 }
@@ -88,49 +88,44 @@ fn one() -> f64 {
 }
 
 impl Mapping {
-    /// Reads and checks a mapping file.
-    pub fn read(path: &Path) -> Result<Self, Problem> {
+    /// Reads and validates a mapping file.
+    pub fn read(path: &Path) -> Result<Self, DataError> {
         let text = std::fs::read_to_string(path)
-            .map_err(|error| Fault::Unreadable(error).at(Place::file(path)))?;
+            .map_err(|error| ErrorKind::Unreadable(error).at(Location::file(path)))?;
         let mapping: Self = parse_toml(path, &text)?;
-        for side in [&mapping.hall, &mapping.force] {
-            factor(path, &side.clock.unit, "t_us", &side.clock.from)?;
-            for column in &side.columns {
-                factor(path, &column.unit, &column.to, &column.to)?;
+        let location = |column: &str| Location::file(path).column(column);
+        for table in [&mapping.hall, &mapping.force] {
+            conversion_factor(path, &table.clock.unit, "t_us", &table.clock.from)?;
+            for column in &table.columns {
+                conversion_factor(path, &column.unit, &column.to, &column.to)?;
                 if !column.scale.is_finite() || column.scale == 0.0 {
                     let found = format!("scale = {}", column.scale);
-                    let advice = "give a number other than zero".to_owned();
-                    return Err(Fault::BadValue { found, advice }
-                        .at(Place::file(path).column(column.to.as_str())));
+                    let kind = ErrorKind::bad_value(found, "give a number other than zero");
+                    return Err(kind.at(location(&column.to)));
                 }
             }
         }
         let declared = mapping.covariates();
         for column in &mapping.hall.columns {
-            hall_column(&column.to, &declared)
-                .map_err(|fault| fault.at(Place::file(path).column(column.to.as_str())))?;
+            hall_column(&column.to, &declared).map_err(|kind| kind.at(location(&column.to)))?;
             if column.missing.is_some() {
-                let found = "missing".to_owned();
-                let advice =
-                    "only forces may be missing; a covariate is there in every row or not at all"
-                        .to_owned();
-                return Err(Fault::BadValue { found, advice }
-                    .at(Place::file(path).column(column.to.as_str())));
+                let advice = "only forces may be missing; other columns need a value in every row";
+                let kind = ErrorKind::bad_value("missing", advice);
+                return Err(kind.at(location(&column.to)));
             }
         }
         if mapping.force.attitude.is_some() {
-            let found = "attitude beside the forces".to_owned();
-            let advice = "the attitude is the board's: move it to [hall]".to_owned();
-            return Err(Fault::BadValue { found, advice }.at(Place::file(path).column("attitude")));
+            let advice = "the attitude belongs to the board: move it to [hall]";
+            let kind = ErrorKind::bad_value("attitude in [force]", advice);
+            return Err(kind.at(location("attitude")));
         }
         for column in &mapping.force.columns {
-            force_column(&column.to)
-                .map_err(|fault| fault.at(Place::file(path).column(column.to.as_str())))?;
+            force_column(&column.to).map_err(|kind| kind.at(location(&column.to)))?;
         }
         Ok(mapping)
     }
 
-    /// Names of covariates that the format does not know.
+    /// Target columns that `recording.toml` must declare as covariates.
     pub(super) fn covariates(&self) -> Vec<String> {
         let names = self.hall.columns.iter().map(|column| &column.to);
         names
@@ -144,31 +139,112 @@ impl Mapping {
     }
 }
 
-/// Factor from the stated unit to that of the target column.
-pub(super) fn factor(path: &Path, unit: &str, to: &str, key: &str) -> Result<f64, Problem> {
-    let bad = |found: String, advice: String| {
-        Err(Fault::BadValue { found, advice }.at(Place::file(path).column(key)))
+/// Conversion factor from `unit` to the unit of the column `to`; errors name `key`.
+pub(super) fn conversion_factor(
+    path: &Path,
+    unit: &str,
+    to: &str,
+    key: &str,
+) -> Result<f64, DataError> {
+    let bad_unit = |advice: String| {
+        let kind = ErrorKind::bad_value(format!("the unit {unit:?}"), advice);
+        Err(kind.at(Location::file(path).column(key)))
     };
     let names = || UNITS.iter().map(|unit| unit.name);
-    let Some(known) = unit_named(unit) else {
-        let hint = closest(unit, names())
+    let Some(unit_spec) = find_unit(unit) else {
+        let hint = closest_match(unit, names())
             .map_or_else(String::new, |name| format!("did you mean {name:?}? "));
-        return bad(
-            format!("the unit {unit:?}"),
-            format!(
-                "{hint}known units: {}",
-                names().collect::<Vec<_>>().join(", ")
-            ),
-        );
+        let names = names().collect::<Vec<_>>().join(", ");
+        return bad_unit(format!("{hint}accepted units: {names}"));
     };
-    if column_unit(to) != Some(known.canonical) {
-        return bad(
-            format!("the unit {unit:?}"),
-            format!(
-                "{to} is not in a unit that {unit:?} converts to ({})",
-                known.canonical
-            ),
-        );
+    if column_unit(to) != Some(unit_spec.canonical) {
+        let canonical = unit_spec.canonical;
+        return bad_unit(format!("{to} is not in a unit that {unit:?} converts to ({canonical})"));
     }
-    Ok(known.factor)
+    Ok(unit_spec.factor)
+}
+
+/// Columns of the converted attitude: Euler angles about x, y, z, body to world, applied in the order z, y, x.
+pub const ATTITUDE_COLUMNS: [&str; 3] = ["roll_rad", "pitch_rad", "yaw_rad"];
+
+/// Minimum norm of a valid quaternion.
+const MIN_NORM: f64 = 1e-6;
+
+/// Source columns of a quaternion.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct QuaternionColumns {
+    /// Scalar part.
+    pub w: String,
+    /// Component along x.
+    pub x: String,
+    /// Component along y.
+    pub y: String,
+    /// Component along z.
+    pub z: String,
+}
+
+impl QuaternionColumns {
+    /// Column names, scalar part first.
+    pub fn columns(&self) -> [&str; 4] {
+        [&self.w, &self.x, &self.y, &self.z]
+    }
+}
+
+/// Roll, pitch and yaw in rad of a quaternion of any norm (scalar part first). Roll and yaw are unwrapped
+/// relative to `last`, since rows are averaged later.
+pub fn euler_angles([w, x, y, z]: [f64; 4], last: Option<[f64; 3]>) -> Result<[f64; 3], ErrorKind> {
+    let rotation = UnitQuaternion::try_new(Quaternion::new(w, x, y, z), MIN_NORM);
+    let Some(rotation) = rotation else {
+        let advice = "it is not a rotation: remove the rows before the first valid attitude";
+        return Err(ErrorKind::bad_value("the quaternion 0, 0, 0, 0", advice));
+    };
+    let (roll, pitch, yaw) = rotation.euler_angles();
+    let [last_roll, _, last_yaw] = last.unwrap_or([roll, pitch, yaw]);
+    Ok([unwrap_angle(roll, last_roll), pitch, unwrap_angle(yaw, last_yaw)])
+}
+
+/// `angle` plus the multiple of a full turn that brings it closest to `last`.
+fn unwrap_angle(angle: f64, last: f64) -> f64 {
+    let turn = std::f64::consts::TAU;
+    angle + turn * ((last - angle) / turn).round()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{Rotation3, Vector3};
+
+    #[test]
+    fn euler_angles_rotate_a_vector_like_the_quaternion() {
+        let parts = [0.9546, 0.0415, 0.0482, -0.2910];
+        let [roll, pitch, yaw] = euler_angles(parts.map(|part| 3.0 * part), None).unwrap();
+        let by_angles =
+            Rotation3::from_euler_angles(roll, pitch, yaw) * Vector3::new(1.0, 2.0, 3.0);
+        let [w, x, y, z] = parts;
+        let quaternion = UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z));
+        let turned = quaternion * Vector3::new(1.0, 2.0, 3.0);
+        assert!((by_angles - turned).norm() < 1e-12);
+    }
+
+    #[test]
+    fn quarter_turn_about_z_is_a_quarter_turn_of_yaw() {
+        let half = std::f64::consts::FRAC_1_SQRT_2;
+        let [roll, pitch, yaw] = euler_angles([half, 0.0, 0.0, half], None).unwrap();
+        assert!(roll.abs() < 1e-12 && pitch.abs() < 1e-12);
+        assert!((yaw - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
+    }
+
+    #[test]
+    fn yaw_is_continuous_beyond_half_a_turn() {
+        let at = |yaw: f64| [(yaw / 2.0).cos(), 0.0, 0.0, (yaw / 2.0).sin()];
+        let before = euler_angles(at(3.1), None).unwrap();
+        let after = euler_angles(at(3.2), Some(before)).unwrap();
+        assert!((after[2] - 3.2).abs() < 1e-9, "{}", after[2]);
+    }
+
+    #[test]
+    fn zero_quaternion_is_rejected() {
+        assert!(euler_angles([0.0; 4], None).is_err());
+    }
 }

@@ -1,47 +1,48 @@
-//! White noise of a stream, from differences of its own rows.
+//! White noise of a stream, estimated from third differences.
 //!
-//! The third difference `x0 - 3 x1 + 3 x2 - x3` of white noise has 20 times its variance, while a
-//! smooth motion all but vanishes in it: 200 N at 0.5 Hz leaves 6 mN at 100 Hz. The variance is
-//! taken in blocks, and the median over the blocks is used, so that a few jerky stretches do not
-//! count. What is smooth over four rows (drift, hum far below the row rate) is not in it.
+//! The third difference `x0 - 3 x1 + 3 x2 - x3` has 20 times the variance of white noise and suppresses
+//! smooth motion: 200 N at 0.5 Hz leave 6 mN at 100 Hz. The median of the variance over blocks of rows is
+//! robust against short disturbances. Signals that are smooth over four rows (drift, hum far below the row
+//! rate) are excluded.
 
 /// Rows in a block.
 const BLOCK: usize = 200;
-/// Sum of the squares of the weights 1, -3, 3, -1.
+/// Variance gain: sum of the squares of 1, -3, 3, -1.
 const VARIANCE_GAIN: f64 = 20.0;
 
-/// Collects one column; keeps one number for each 200 rows.
+/// Estimator for one column; stores one number for each `BLOCK` rows.
 #[derive(Clone, Debug, Default)]
 pub struct WhiteNoise {
     last: [f64; 3],
-    seen: usize,
+    /// Consecutive values since the start or the last NaN.
+    consecutive: usize,
     sum: f64,
     count: usize,
     blocks: Vec<f64>,
 }
 
 impl WhiteNoise {
-    /// Takes the next row's value; NaN starts anew after it.
+    /// Adds the value of the next row; NaN restarts the differences.
     pub fn push(&mut self, value: f64) {
         if value.is_nan() {
-            self.seen = 0;
+            self.consecutive = 0;
             return;
         }
         let [a, b, c] = self.last;
-        if self.seen >= 3 {
+        if self.consecutive >= 3 {
             let difference = a - 3.0 * b + 3.0 * c - value;
             self.sum += difference * difference;
             self.count += 1;
         }
         self.last = [b, c, value];
-        self.seen += 1;
+        self.consecutive += 1;
         if self.count == BLOCK {
             self.blocks.push(self.sum / BLOCK as f64);
             (self.sum, self.count) = (0.0, 0);
         }
     }
 
-    /// Standard deviation of the white part, in the unit of the values; `None` before four rows.
+    /// Standard deviation in the unit of the values; `None` with fewer than four rows.
     pub fn estimate(&self) -> Option<f64> {
         let mut blocks = self.blocks.clone();
         if blocks.is_empty() && self.count > 0 {
@@ -65,7 +66,7 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     #[test]
-    fn noise_is_found_under_a_large_motion_and_a_rough_stretch() {
+    fn noise_is_estimated_despite_motion_and_disturbances() {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let mut noise = WhiteNoise::default();
         for row in 0..20_000 {
@@ -80,14 +81,14 @@ mod tests {
     }
 
     #[test]
-    fn a_cubic_has_no_noise_but_its_third_derivative() {
+    fn parabola_has_zero_noise() {
         let mut noise = WhiteNoise::default();
         (0..10).for_each(|i| noise.push(f64::from(i * i)));
         assert_eq!(noise.estimate(), Some(0.0));
     }
 
     #[test]
-    fn three_rows_cannot_tell() {
+    fn three_rows_yield_no_estimate() {
         let mut noise = WhiteNoise::default();
         [1.0, 2.0, 3.0].into_iter().for_each(|x| noise.push(x));
         assert_eq!(noise.estimate(), None);

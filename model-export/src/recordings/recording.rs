@@ -1,71 +1,68 @@
-//! One folder, checked, aligned to the reference's clock and held in memory column by column.
+//! One recording in memory: validated, aligned to the reference clock, stored by column.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use super::align::Alignment;
-use super::columns::{Axis, ForceColumn, HallColumn};
-use super::description::Description;
-use super::layout::Layout;
-use super::problem::{Notice, Problem};
-use super::stream::{AlignedRow, RecordingStream, Summary};
+use crate::recordings::align::Alignment;
+use crate::recordings::columns::{Axis, ChannelLayout, ForceColumn, HallColumn};
+use crate::recordings::description::RecordingDescription;
+use crate::recordings::error::{DataError, Notice};
+use crate::recordings::stream::{AlignedRow, AlignedStream, StreamSummary};
 
-/// One uninterrupted run, on the reference's clock.
+/// One uninterrupted run on the reference clock.
 #[derive(Clone, Debug)]
 pub struct Recording {
-    /// Name of its folder.
+    /// Name of the folder.
     pub name: String,
-    /// Its folder.
+    /// Path of the folder.
     pub folder: PathBuf,
-    /// Its `recording.toml`.
-    pub description: Description,
-    /// Times of the rows in seconds, on the reference's clock.
+    /// Content of `recording.toml`.
+    pub description: RecordingDescription,
+    /// Times of the rows in seconds on the reference clock.
     pub time_s: Vec<f64>,
-    /// The sensors, by number.
-    pub sensors: BTreeMap<u32, SensorTrack>,
-    /// The reference's forces, by place and axis.
-    pub forces: BTreeMap<(u32, Axis), ForceTrack>,
-    /// Covariates of the whole gripper, by column name; angles are continuous, not wrapped.
+    /// Sensors by index.
+    pub sensors: BTreeMap<u32, SensorSeries>,
+    /// Reference forces by sensor index and axis.
+    pub forces: BTreeMap<(u32, Axis), ForceSeries>,
+    /// Covariates of the gripper by column name; angles are unwrapped.
     pub covariates: BTreeMap<String, Vec<f64>>,
     /// Half the averaging window in seconds.
     pub half_width_s: f64,
-    /// Factor by which the averaging multiplies the sensors' white noise, root mean square.
+    /// Ratio of the white noise after averaging to that of a single board row, RMS over the rows.
     pub noise_gain: f64,
-    /// Rows read: of the board, of the reference.
+    /// Number of rows read: board, reference.
     pub rows_read: (u64, u64),
-    /// What a person should know.
+    /// Gaps, saturation, skipped rows, unknown keys.
     pub notices: Vec<Notice>,
 }
 
-/// What one sensor measured, averaged around each reference row.
+/// Measurements of one sensor, averaged around each reference row.
 #[derive(Clone, Debug, Default)]
-pub struct SensorTrack {
-    /// Field in gauss, axes x, y, z; NaN where a sample in the window was saturated.
+pub struct SensorSeries {
+    /// Field in gauss (x, y, z); NaN where a sample in the window was saturated.
     pub field_g: Vec<[f64; 3]>,
-    /// The sensor's temperature in degrees Celsius, empty if it was not recorded.
+    /// Temperature in degrees Celsius; empty if not recorded.
     pub temperature_c: Vec<f64>,
-    /// White noise of one raw row in gauss, each axis; NaN where it cannot be known.
+    /// White noise of one board row in gauss, each axis; NaN with too few rows.
     pub noise_g: [f64; 3],
 }
 
-/// What one axis of one reference sensor measured.
+/// Measurements of one axis of one reference sensor.
 #[derive(Clone, Debug, Default)]
-pub struct ForceTrack {
-    /// Newtons; NaN where not measured.
+pub struct ForceSeries {
+    /// Force in newtons; NaN where not measured.
     pub newtons: Vec<f64>,
-    /// White noise of one row in newtons; NaN where it cannot be known.
+    /// White noise of one row in newtons; NaN with too few rows.
     pub noise_n: f64,
 }
 
 impl Recording {
     /// Reads the recording in `folder`.
-    pub fn read(folder: &Path, alignment: Alignment) -> Result<Self, Problem> {
-        let (description, notices) = Description::read(folder)?;
-        let mut stream = RecordingStream::open(folder, &description, alignment)?;
+    pub fn read(folder: &Path, alignment: Alignment) -> Result<Self, DataError> {
+        let (description, notices) = RecordingDescription::read(folder)?;
+        let mut stream = AlignedStream::open(folder, &description, alignment)?;
         let mut recording = Self {
-            name: folder
-                .file_name()
-                .map_or_else(String::new, |name| name.to_string_lossy().into_owned()),
+            name: recording_name(folder),
             folder: folder.to_path_buf(),
             description,
             time_s: Vec::new(),
@@ -84,17 +81,17 @@ impl Recording {
             recording.push(&layout, &row);
         }
         recording.noise_gain = (squares / recording.time_s.len() as f64).sqrt();
-        recording.close(&layout, stream.summary());
+        recording.finish(&layout, stream.summary());
         Ok(recording)
     }
 
-    /// Seconds between its first and its last row.
+    /// Time from the first to the last row in seconds.
     pub fn span_s(&self) -> f64 {
         let ends = self.time_s.first().zip(self.time_s.last());
         ends.map_or(0.0, |(first, last)| last - first)
     }
 
-    /// Its rows before `seconds` after its first alone.
+    /// The rows of the first `seconds` seconds.
     pub fn first(&self, seconds: f64) -> Self {
         let mut part = self.clone();
         let end = self.time_s.first().map_or(0.0, |first| first + seconds);
@@ -104,8 +101,8 @@ impl Recording {
             sensor.field_g.truncate(rows);
             sensor.temperature_c.truncate(rows);
         }
-        for track in part.forces.values_mut() {
-            track.newtons.truncate(rows);
+        for force in part.forces.values_mut() {
+            force.newtons.truncate(rows);
         }
         for covariate in part.covariates.values_mut() {
             covariate.truncate(rows);
@@ -113,7 +110,7 @@ impl Recording {
         part
     }
 
-    fn push(&mut self, layout: &Layout, row: &AlignedRow) {
+    fn push(&mut self, layout: &ChannelLayout, row: &AlignedRow) {
         self.time_s.push(row.time_s);
         for sensor in layout.sensors() {
             if let Some(channels) = layout.field_channels(sensor) {
@@ -124,49 +121,45 @@ impl Recording {
         for (column, &value) in layout.hall.iter().zip(&row.hall) {
             match column {
                 HallColumn::Temperature { sensor } => {
-                    self.sensors
-                        .entry(*sensor)
-                        .or_default()
-                        .temperature_c
-                        .push(value);
+                    self.sensors.entry(*sensor).or_default().temperature_c.push(value);
                 }
-                HallColumn::Covariate { name } => match self.covariates.get_mut(name) {
-                    Some(values) => values.push(value),
-                    None => drop(self.covariates.insert(name.clone(), vec![value])),
-                },
+                HallColumn::Covariate { name } => {
+                    self.covariates.entry(name.clone()).or_default().push(value);
+                }
                 HallColumn::Time | HallColumn::Field { .. } => {}
             }
         }
         for (column, &value) in layout.forces.iter().zip(&row.forces) {
-            if let ForceColumn::Force { place, axis } = column {
-                self.forces
-                    .entry((*place, *axis))
-                    .or_default()
-                    .newtons
-                    .push(value);
+            if let ForceColumn::Force { sensor, axis } = column {
+                self.forces.entry((*sensor, *axis)).or_default().newtons.push(value);
             }
         }
     }
 
-    fn close(&mut self, layout: &Layout, summary: Summary) {
+    fn finish(&mut self, layout: &ChannelLayout, summary: StreamSummary) {
         for (&id, sensor) in &mut self.sensors {
             if let Some(channels) = layout.field_channels(id) {
                 sensor.noise_g = channels.map(|c| summary.hall_noise[c].unwrap_or(f64::NAN));
             }
         }
-        // A temperature without a field says nothing about a force.
+        // A sensor with a temperature and no field is not usable.
         self.sensors.retain(|_, sensor| !sensor.field_g.is_empty());
         for (column, noise) in layout.forces.iter().zip(&summary.force_noise) {
-            if let ForceColumn::Force { place, axis } = column
-                && let Some(track) = self.forces.get_mut(&(*place, *axis))
+            if let ForceColumn::Force { sensor, axis } = column
+                && let Some(force) = self.forces.get_mut(&(*sensor, *axis))
             {
-                track.noise_n = noise.unwrap_or(f64::NAN);
+                force.noise_n = noise.unwrap_or(f64::NAN);
             }
         }
-        // A column that was left empty throughout was not measured.
-        self.forces
-            .retain(|_, track| track.newtons.iter().any(|n| n.is_finite()));
+        // An empty column was not measured.
+        self.forces.retain(|_, force| force.newtons.iter().any(|n| n.is_finite()));
         self.rows_read = (summary.hall_rows, summary.force_rows);
         self.notices.extend(summary.notices);
     }
+}
+
+/// Name of a recording: that of its folder.
+pub fn recording_name(folder: &Path) -> String {
+    let name = folder.file_name();
+    name.map_or_else(String::new, |name| name.to_string_lossy().into_owned())
 }

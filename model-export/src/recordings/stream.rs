@@ -1,87 +1,78 @@
-//! One recording as a stream of rows on the reference's clock. Memory does not grow with length.
+//! One recording as a stream of rows: on the reference clock ([`AlignedStream`]) or at the board's own rate
+//! ([`RawStream`]). Memory use is independent of the length.
 
 use std::path::Path;
 
-use super::align::{Aligner, Alignment, Window};
-use super::clock::GAP_STEPS;
-use super::description::Description;
-use super::force_reader::ForceReader;
-use super::hall_reader::HallReader;
-use super::layout::Layout;
-use super::noise::WhiteNoise;
-use super::problem::{Fault, Notice, Place, Problem};
-use super::table::{Row, Table};
+use crate::recordings::align::{Aligner, Alignment, Window};
+use crate::recordings::columns::ChannelLayout;
+use crate::recordings::csv_table::{CsvRow, CsvTable, GAP_STEPS};
+use crate::recordings::description::RecordingDescription;
+use crate::recordings::error::{DataError, ErrorKind, Location, Notice};
+use crate::recordings::noise::WhiteNoise;
+use crate::recordings::readers::{ForceReader, HallReader};
 
-/// One row on the reference's clock; the layout is that of [`Layout`].
+/// One row on the reference clock.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AlignedRow {
-    /// The reference's clock, in seconds.
+    /// Time on the reference clock in seconds.
     pub time_s: f64,
-    /// Averaged board channels, in the order of [`Layout::hall`]; NaN where the sensor saturated.
+    /// Averaged board channels in the order of [`ChannelLayout::hall`]; NaN where the sensor was saturated.
     pub hall: Vec<f64>,
-    /// Reference forces in newtons, in the order of [`Layout::forces`]; NaN where not measured.
+    /// Reference forces in newtons in the order of [`ChannelLayout::forces`]; NaN where not measured.
     pub forces: Vec<f64>,
-    /// Factor by which the averaging multiplies the standard deviation of the sensor's white noise.
+    /// Ratio of the white noise after averaging to that of a single board row.
     pub noise_gain: f64,
 }
 
-/// What a stream has seen when it has ended.
+/// Statistics of a stream after its last row.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Summary {
-    /// White noise of one raw row, for each board channel, in its own unit.
+pub struct StreamSummary {
+    /// White noise of one board row, each channel in its unit.
     pub hall_noise: Vec<Option<f64>>,
-    /// White noise of one reference row, in newtons, for each force.
+    /// White noise of one reference row in newtons, each force.
     pub force_noise: Vec<Option<f64>>,
-    /// Rows of the board.
+    /// Number of board rows.
     pub hall_rows: u64,
-    /// Rows of the reference.
+    /// Number of reference rows.
     pub force_rows: u64,
-    /// What a person should know.
+    /// Gaps, saturation, skipped rows.
     pub notices: Vec<Notice>,
 }
 
-/// A recording's two tables, read side by side.
-pub struct RecordingStream {
-    layout: Layout,
+/// A recording resampled onto the reference clock.
+pub struct AlignedStream {
+    layout: ChannelLayout,
     alignment: Alignment,
     half_width_us: f64,
-    least_step_us: f64,
+    min_step_us: f64,
     hall: HallReader,
     hall_done: bool,
     force: ForceReader,
     aligner: Aligner,
-    pending: Option<Row>,
+    pending: Option<CsvRow>,
     last_used_us: f64,
     aligned: u64,
     uncovered: u64,
     too_close: u64,
 }
 
-impl RecordingStream {
+impl AlignedStream {
     /// Opens both tables and reads their headers and clocks.
     pub fn open(
         folder: &Path,
-        description: &Description,
+        description: &RecordingDescription,
         alignment: Alignment,
-    ) -> Result<Self, Problem> {
-        let hall = HallReader::open(Table::open(folder, "hall.csv")?, description, folder)?;
-        let force = ForceReader::open(Table::open(folder, "force.csv")?)?;
+    ) -> Result<Self, DataError> {
+        let (hall, force, layout) = open_readers(folder, description)?;
         let half_width_us = 0.5 * force.period_us.max(hall.period_us);
-        // Where the board is the slower clock, its rows must not be used twice.
+        // With a slower board, no board row may enter two aligned rows.
         let board_is_slower = hall.period_us > 1.05 * force.period_us;
-        let least_step_us = if board_is_slower {
-            0.95 * hall.period_us
-        } else {
-            0.0
-        };
+        let min_step_us = if board_is_slower { 0.95 * hall.period_us } else { 0.0 };
         Ok(Self {
-            layout: Layout {
-                hall: hall.columns.clone(),
-                forces: force.columns.clone(),
-            },
+            layout,
             alignment,
             half_width_us,
-            least_step_us,
+            min_step_us,
             aligner: Aligner::new(half_width_us, GAP_STEPS * hall.period_us),
             hall,
             hall_done: false,
@@ -94,18 +85,18 @@ impl RecordingStream {
         })
     }
 
-    /// What the channels are.
-    pub fn layout(&self) -> &Layout {
+    /// Channels of the rows.
+    pub fn layout(&self) -> &ChannelLayout {
         &self.layout
     }
 
-    /// Half the averaging window, in seconds.
+    /// Half the averaging window in seconds.
     pub fn half_width_s(&self) -> f64 {
         self.half_width_us * 1e-6
     }
 
     /// The next aligned row, or `None` at the end of either table.
-    pub fn next_row(&mut self) -> Result<Option<AlignedRow>, Problem> {
+    pub fn next_row(&mut self) -> Result<Option<AlignedRow>, DataError> {
         loop {
             let row = match self.pending.take() {
                 Some(row) => row,
@@ -115,7 +106,7 @@ impl RecordingStream {
                 },
             };
             let t_us = row.cells[self.force.time_column];
-            if t_us - self.last_used_us < self.least_step_us {
+            if t_us - self.last_used_us < self.min_step_us {
                 self.too_close += 1;
                 continue;
             }
@@ -143,52 +134,164 @@ impl RecordingStream {
         }
     }
 
-    /// Reads what is left of the board's table, so that its faults are found as well.
-    fn drain(&mut self) -> Result<Option<AlignedRow>, Problem> {
+    /// Reads the rest of the board's table, so that all of it is validated.
+    fn drain(&mut self) -> Result<Option<AlignedRow>, DataError> {
         while !self.hall_done {
             self.hall_done = self.hall.next_sample()?.is_none();
         }
         if self.hall.clock.rows == 0 {
-            return Err(Fault::NoRows.at(Place::file(self.hall.table.path())));
+            return Err(ErrorKind::NoRows.at(Location::file(self.hall.table.path())));
         }
         if self.aligned == 0 {
             let (hall, force) = (&self.hall.clock, &self.force.clock);
-            let fault = Fault::NoOverlap {
+            let kind = ErrorKind::NoOverlap {
                 hall_from: hall.first_us * 1e-6,
                 hall_to: hall.last_us * 1e-6,
                 force_from: force.first_us * 1e-6,
                 force_to: force.last_us * 1e-6,
             };
-            return Err(fault.at(Place::file(self.force.table.path()).column("t_us")));
+            return Err(kind.at(Location::file(self.force.table.path()).column("t_us")));
         }
         Ok(None)
     }
 
-    /// What was seen on the way; call it after the last row.
-    pub fn summary(&self) -> Summary {
+    /// Statistics of the rows read so far; complete after the last row.
+    pub fn summary(&self) -> StreamSummary {
         let mut notices = Vec::new();
-        for (clock, table) in [
-            (&self.hall.clock, &self.hall.table),
-            (&self.force.clock, &self.force.table),
-        ] {
+        for (clock, table) in
+            [(&self.hall.clock, &self.hall.table), (&self.force.clock, &self.force.table)]
+        {
             notices.extend(clock.gap_notice(table));
         }
         notices.extend(self.hall.saturation_notices());
         if self.too_close > 0 {
             notices.push(Notice {
-                place: Place::file(self.force.table.path()),
+                location: Location::file(self.force.table.path()),
                 message: format!(
-                    "the board's rows are slower than the reference's: {} of {} reference rows were skipped so that no field row counts twice",
+                    "the board is slower than the reference: {} of {} reference rows were skipped so that no board row is used twice",
                     self.too_close, self.force.clock.rows
                 ),
             });
         }
-        Summary {
+        StreamSummary {
             hall_noise: self.hall.noise.iter().map(WhiteNoise::estimate).collect(),
             force_noise: self.force.noise.iter().map(WhiteNoise::estimate).collect(),
             hall_rows: self.hall.clock.rows,
             force_rows: self.force.clock.rows,
             notices,
+        }
+    }
+}
+
+fn open_readers(
+    folder: &Path,
+    description: &RecordingDescription,
+) -> Result<(HallReader, ForceReader, ChannelLayout), DataError> {
+    let hall = HallReader::open(CsvTable::open(folder, "hall.csv")?, description, folder)?;
+    let force = ForceReader::open(CsvTable::open(folder, "force.csv")?)?;
+    let layout = ChannelLayout { hall: hall.columns.clone(), forces: force.columns.clone() };
+    Ok((hall, force, layout))
+}
+
+/// One board row with interpolated forces.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RawRow {
+    /// Time on the board's clock in seconds.
+    pub time_s: f64,
+    /// Board channels in the order of [`ChannelLayout::hall`]: fields in gauss, exact multiples of the
+    /// scale where counts were recorded.
+    pub hall: Vec<f64>,
+    /// Reference forces in newtons in the order of [`ChannelLayout::forces`], linearly interpolated; NaN
+    /// outside the reference's rows, in a gap, or where not measured.
+    pub forces: Vec<f64>,
+}
+
+/// A recording at the board's rate.
+pub struct RawStream {
+    layout: ChannelLayout,
+    delay_us: f64,
+    gap_us: f64,
+    hall: HallReader,
+    force: ForceReader,
+    before: Option<CsvRow>,
+    after: Option<CsvRow>,
+    /// Time of the last reference row at or before the board row.
+    reference_us: f64,
+    at_reference_row: bool,
+}
+
+impl RawStream {
+    /// Opens both tables and reads their headers and clocks.
+    pub fn open(
+        folder: &Path,
+        description: &RecordingDescription,
+        alignment: Alignment,
+    ) -> Result<Self, DataError> {
+        let (hall, mut force, layout) = open_readers(folder, description)?;
+        Ok(Self {
+            layout,
+            delay_us: alignment.delay_us,
+            gap_us: GAP_STEPS * force.period_us,
+            before: None,
+            after: force.next_row()?,
+            reference_us: f64::NEG_INFINITY,
+            at_reference_row: false,
+            hall,
+            force,
+        })
+    }
+
+    /// Channels of the rows.
+    pub fn layout(&self) -> &ChannelLayout {
+        &self.layout
+    }
+
+    /// White noise of one reference row in newtons, each force, from the rows read so far.
+    pub fn force_noise(&self) -> Vec<Option<f64>> {
+        self.force.noise.iter().map(WhiteNoise::estimate).collect()
+    }
+
+    /// True if the last row is the first at or after a reference row: selects one board row for each
+    /// reference row.
+    pub fn at_reference_row(&self) -> bool {
+        self.at_reference_row
+    }
+
+    /// The next row, or `None` at the end of the board's table.
+    pub fn next_row(&mut self) -> Result<Option<RawRow>, DataError> {
+        let Some(sample) = self.hall.next_row()? else {
+            return Ok(None);
+        };
+        let on_reference_us = sample.t_us - self.delay_us;
+        let clock = self.force.time_column;
+        while self.after.as_ref().is_some_and(|after| after.cells[clock] < on_reference_us) {
+            self.before = self.after.take();
+            self.after = self.force.next_row()?;
+        }
+        let reference_us = [&self.before, &self.after]
+            .into_iter()
+            .flatten()
+            .map(|row| row.cells[clock])
+            .filter(|t| *t <= on_reference_us)
+            .fold(self.reference_us, f64::max);
+        self.at_reference_row = reference_us > self.reference_us;
+        self.reference_us = reference_us;
+        Ok(Some(RawRow {
+            time_s: sample.t_us * 1e-6,
+            forces: self.forces_at(on_reference_us),
+            hall: sample.values,
+        }))
+    }
+
+    fn forces_at(&self, time_us: f64) -> Vec<f64> {
+        let time = |row: &CsvRow| row.cells[self.force.time_column];
+        match (&self.before, &self.after) {
+            (_, Some(after)) if time(after) == time_us => self.force.forces(after),
+            (Some(before), Some(after)) if time(after) - time(before) <= self.gap_us => {
+                let fraction = (time_us - time(before)) / (time(after) - time(before));
+                self.force.interpolate(before, after, fraction)
+            }
+            _ => vec![f64::NAN; self.layout.forces.len()],
         }
     }
 }

@@ -2,12 +2,12 @@
 
 use std::collections::VecDeque;
 
-use firmware::parameters::table::TABLE;
-use firmware::parameters::{Parameters, answer};
-use firmware::session::{Heard, MAGIC, Session, op, status};
-use firmware::wire::STOP_ALL;
-use firmware::wire::layout::Malformed;
-use firmware::wire::messages::{LAYOUTS, Message, ParamRequest};
+use firmware::config::parameters::{Parameters, handle_request};
+use firmware::config::schema::PARAMETERS;
+use firmware::protocol::ESTOP_ALL_ID;
+use firmware::protocol::layout::FrameError;
+use firmware::protocol::messages::{LAYOUTS, Message, ParamRequest};
+use firmware::protocol::session::{SERVICE_MAGIC, Session, SessionEvent, op, status};
 
 use super::bytes::Bytes;
 use super::check::crc16;
@@ -20,9 +20,7 @@ const PARAM_REQUEST: u16 = 5;
 /// Messages of the protocol.
 const MESSAGES: u16 = 18;
 /// Milliseconds between two frames: both sides of every limit.
-const WAITS: [u32; 16] = [
-    0, 0, 0, 1, 2, 5, 10, 20, 50, 99, 100, 101, 500, 501, 1000, 1001,
-];
+const WAITS: [u32; 16] = [0, 0, 0, 1, 2, 5, 10, 20, 50, 99, 100, 101, 500, 501, 1000, 1001];
 /// Longest data of a frame, were it one of CAN FD.
 const LONGEST: usize = 64;
 
@@ -37,13 +35,13 @@ pub struct Tally {
     pub dropped: u32,
 }
 
-/// A bus with a gripper, and a witness who knows the rules.
-pub fn hear(bytes: &[u8]) -> Tally {
+/// A bus with a gripper, and a reference who knows the rules.
+pub fn receive(bytes: &[u8]) -> Tally {
     let mut bytes = Bytes::new(bytes);
     let mut now = u32::from_le_bytes(bytes.array());
     let node = 1 + u16::from(bytes.byte()) % 63;
     let mut session = Session::new(node, 100);
-    let mut witness = Witness::new(node);
+    let mut reference = Reference::new(node);
     let mut parameters = Parameters::DEFAULT;
     let mut tally = Tally::default();
     while !bytes.is_empty() {
@@ -58,27 +56,27 @@ pub fn hear(bytes: &[u8]) -> Tally {
         match kind {
             0x47 => {
                 session.close();
-                witness.close();
+                reference.close();
                 continue;
             }
             0x87 | 0x8F => {
-                witness.allow(kind == 0x87);
-                session.allow(kind == 0x87);
+                reference.allow(kind == 0x87);
+                session.set_may_arm(kind == 0x87);
                 continue;
             }
             _ => {}
         }
-        let (id, data) = frame(kind, &mut bytes, &witness);
+        let (id, data) = frame(kind, &mut bytes, &reference);
         let random = bytes.word();
         message(id, &data);
-        let heard = session.hear(now, id, &data, random);
-        let expected = witness.hear(now, id, &data, random);
-        assert_eq!(Verdict::of(&heard, &data), expected, "{id:#x} {data:x?}");
-        assert_eq!(session.is_open(), witness.open.is_some());
-        assert_eq!(session.is_alive(now), witness.is_alive(now));
-        assert_eq!(session.is_silent(now), witness.is_silent(now));
-        assert_eq!(session.is_flooded(now), witness.is_flooded(now));
-        if let Heard::Other(Message::ParamRequest(request)) = heard {
+        let event = session.receive(now, id, &data, random);
+        let expected = reference.receive(now, id, &data, random);
+        assert_eq!(Verdict::of(&event, &data), expected, "{id:#x} {data:x?}");
+        assert_eq!(session.is_open(), reference.open.is_some());
+        assert_eq!(session.is_alive(now), reference.is_alive(now));
+        assert_eq!(session.is_silent(now), reference.is_silent(now));
+        assert_eq!(session.is_flooded(now), reference.is_flooded(now));
+        if let SessionEvent::Other(Message::ParamRequest(request)) = event {
             answered_rightly(&mut parameters, &request, session.is_open());
         }
         match expected {
@@ -88,7 +86,7 @@ pub fn hear(bytes: &[u8]) -> Tally {
         }
     }
     tally.dropped = session.dropped().all();
-    assert_eq!(tally.dropped, witness.dropped);
+    assert_eq!(tally.dropped, reference.dropped);
     tally
 }
 
@@ -96,14 +94,16 @@ pub fn hear(bytes: &[u8]) -> Tally {
 /// armed.
 fn answered_rightly(parameters: &mut Parameters, request: &ParamRequest, is_armed: bool) {
     let before = *parameters;
-    let reply = answer(parameters, request, is_armed);
+    let reply = handle_request(parameters, request, is_armed);
     assert_eq!((reply.op, reply.id), (request.op, request.id));
     let now = parameters.get(request.id);
     assert_eq!(reply.value, now.unwrap_or(0) as u32);
     let mut expected = before;
-    let row = TABLE.iter().find(|row| row.id == request.id);
+    let row = PARAMETERS.iter().find(|row| row.id == request.id);
     let may = row.is_some_and(|row| {
-        request.op == 1 && row.range.holds(request.value as i32) && !(row.moves && is_armed)
+        request.op == 1
+            && row.range.contains(request.value as i32)
+            && !(row.affects_motion && is_armed)
     });
     if may {
         assert_eq!(expected.set(request.id, request.value as i32), Ok(()));
@@ -112,16 +112,16 @@ fn answered_rightly(parameters: &mut Parameters, request: &ParamRequest, is_arme
     assert_eq!(reply.status == 0, may || (row.is_some() && request.op == 0));
 }
 
-/// The next frame of a story: any at all, or one of a host that knows what it was told.
-fn frame(kind: u8, bytes: &mut Bytes, witness: &Witness) -> (u16, Vec<u8>) {
-    let of = |number: u16| (witness.node << 5) | number;
+/// The next frame of a sequence: random, or of a host that follows the protocol.
+fn frame(kind: u8, bytes: &mut Bytes, reference: &Reference) -> (u16, Vec<u8>) {
+    let of = |number: u16| (reference.node << 5) | number;
     let service = |op: u8, nonce: u16| {
         let mut data = [op, 0, 0, 0, 0, 0, 0, 0];
-        data[1..3].copy_from_slice(&MAGIC.to_le_bytes());
+        data[1..3].copy_from_slice(&SERVICE_MAGIC.to_le_bytes());
         data[3..5].copy_from_slice(&nonce.to_le_bytes());
         (of(SERVICE), data.to_vec())
     };
-    let offered = witness.offer.map_or(0, |(nonce, _)| nonce);
+    let offered = reference.offer.map_or(0, |(nonce, _)| nonce);
     match kind & 7 {
         0 => {
             let id = bytes.word();
@@ -136,7 +136,7 @@ fn frame(kind: u8, bytes: &mut Bytes, witness: &Witness) -> (u16, Vec<u8>) {
         3 => service(op::ARM, offered),
         4 if kind & 0x40 != 0 => {
             let mut data = bytes.array::<8>();
-            let row = TABLE[usize::from(data[1]) % TABLE.len()];
+            let row = PARAMETERS[usize::from(data[1]) % PARAMETERS.len()];
             data[1..3].copy_from_slice(&row.id.to_le_bytes());
             (of(PARAM_REQUEST), data.to_vec())
         }
@@ -145,11 +145,11 @@ fn frame(kind: u8, bytes: &mut Bytes, witness: &Witness) -> (u16, Vec<u8>) {
             let mut data = bytes.array::<8>();
             if kind & 7 == 5 {
                 // A counter that goes on, or nearly.
-                let last = witness.last.map_or(0, |(counter, _)| counter);
+                let last = reference.last.map_or(0, |(counter, _)| counter);
                 let counter = last.wrapping_add(data[0] & 3);
                 data[0] = (data[0] & 0xF) | (counter << 4);
             }
-            let nonce = witness.open.unwrap_or(offered);
+            let nonce = reference.open.unwrap_or(offered);
             let seal = seal(nonce, of(COMMAND), &data);
             data[6..].copy_from_slice(&seal.to_le_bytes());
             // A bit may flip on the way.
@@ -159,15 +159,13 @@ fn frame(kind: u8, bytes: &mut Bytes, witness: &Witness) -> (u16, Vec<u8>) {
             }
             (of(COMMAND), data.to_vec())
         }
-        _ => (STOP_ALL, bytes.some(usize::from((kind >> 3) & 7)).to_vec()),
+        _ => (ESTOP_ALL_ID, bytes.some(usize::from((kind >> 3) & 7)).to_vec()),
     }
 }
 
 /// Checksum of a command: over the nonce, the identifier and the bytes before it.
 fn seal(nonce: u16, id: u16, data: &[u8]) -> u16 {
-    let head = [nonce.to_le_bytes(), id.to_le_bytes()]
-        .into_iter()
-        .flatten();
+    let head = [nonce.to_le_bytes(), id.to_le_bytes()].into_iter().flatten();
     crc16(head.chain(data[..6].iter().copied()))
 }
 
@@ -175,24 +173,22 @@ fn seal(nonce: u16, id: u16, data: &[u8]) -> u16 {
 fn message(id: u16, data: &[u8]) {
     let number = (id & 0x1F) as u8;
     let layout = LAYOUTS.iter().find(|l| l.numbers().contains(&number));
-    let own = |layout: &firmware::wire::layout::Layout| {
-        let bits = |f: &firmware::wire::layout::Field| (f.first..f.end).map(|bit| 1_u64 << bit);
-        layout.fields.iter().flat_map(bits).sum::<u64>()
+    let own = |layout: &firmware::protocol::layout::MessageLayout| {
+        let bits = |f: &firmware::protocol::layout::SignalLayout| {
+            (f.first_bit..f.end_bit).map(|bit| 1_u64 << bit)
+        };
+        layout.signals.iter().flat_map(bits).sum::<u64>()
     };
     let whole: Option<[u8; 8]> = data.try_into().ok();
     let spare = |bytes, layout| u64::from_le_bytes(bytes) & !own(layout);
     let expected = match (whole, layout) {
-        (_, None) => Err(Malformed::Unknown),
-        (None, Some(_)) => Err(Malformed::Length),
-        (Some(bytes), Some(layout)) if spare(bytes, layout) != 0 => Err(Malformed::Reserved),
+        (_, None) => Err(FrameError::Unknown),
+        (None, Some(_)) => Err(FrameError::Length),
+        (Some(bytes), Some(layout)) if spare(bytes, layout) != 0 => Err(FrameError::Reserved),
         (Some(bytes), Some(layout)) => Ok((bytes, layout)),
     };
     let understood = Message::from_frame(number, data);
-    assert_eq!(
-        understood.map(|m| (m.to_bytes(), m.layout())),
-        expected,
-        "{number:#x} {data:x?}"
-    );
+    assert_eq!(understood.map(|m| (m.to_bytes(), m.layout())), expected, "{number:#x} {data:x?}");
 }
 
 /// What a frame was good for, as far as anybody may rely on it.
@@ -212,22 +208,22 @@ enum Verdict {
 }
 
 impl Verdict {
-    fn of(heard: &Heard, data: &[u8]) -> Self {
-        match heard {
-            Heard::Nothing => Self::Nothing,
-            Heard::Stop => Self::Stop,
-            Heard::Command(command) => {
+    fn of(event: &SessionEvent, data: &[u8]) -> Self {
+        match event {
+            SessionEvent::Ignored => Self::Nothing,
+            SessionEvent::Stop => Self::Stop,
+            SessionEvent::Command(command) => {
                 assert_eq!(command.to_bytes(), data);
                 Self::Command
             }
-            Heard::Other(message) => {
+            SessionEvent::Other(message) => {
                 assert_eq!(message.to_bytes(), data);
                 Self::Other
             }
-            Heard::Reply { reply, armed } => {
+            SessionEvent::Reply { reply, armed } => {
                 assert_eq!((reply.op, reply.detail), (op::ARM, 0));
                 match (reply.status, armed) {
-                    (status::SAY_BACK, false) => Self::Offered(reply.nonce),
+                    (status::CHALLENGE, false) => Self::Offered(reply.nonce),
                     (status::REFUSED, false) => Self::Refused,
                     (status::FAULTY, false) => Self::Faulty,
                     (status::DONE, true) => Self::Armed(reply.nonce),
@@ -238,8 +234,8 @@ impl Verdict {
     }
 }
 
-/// The rules of a session, told from its documentation.
-struct Witness {
+/// The rules of a session, implemented from its documentation.
+struct Reference {
     node: u16,
     may_arm: bool,
     /// A nonce that was offered, and when.
@@ -253,7 +249,7 @@ struct Witness {
     latest: VecDeque<u32>,
 }
 
-impl Witness {
+impl Reference {
     fn new(node: u16) -> Self {
         Self {
             node,
@@ -277,10 +273,10 @@ impl Witness {
         }
     }
 
-    fn hear(&mut self, now: u32, id: u16, data: &[u8], random: u16) -> Verdict {
+    fn receive(&mut self, now: u32, id: u16, data: &[u8], random: u16) -> Verdict {
         let number = id & 0x1F;
         match (id >> 5 == self.node, data.len()) {
-            _ if id == STOP_ALL => Verdict::Stop,
+            _ if id == ESTOP_ALL_ID => Verdict::Stop,
             (false, _) => Verdict::Nothing,
             // Whatever it carries.
             _ if number == STOP => Verdict::Stop,
@@ -334,9 +330,8 @@ impl Witness {
             return self.drop(now);
         };
         let counter = data[0] >> 4;
-        let goes_on = self
-            .last
-            .is_none_or(|(last, _)| [(last + 1) % 16, (last + 2) % 16].contains(&counter));
+        let goes_on =
+            self.last.is_none_or(|(last, _)| [(last + 1) % 16, (last + 2) % 16].contains(&counter));
         if data[6..] != seal(nonce, id, data).to_le_bytes() || !goes_on {
             return self.drop(now);
         }
@@ -354,8 +349,8 @@ impl Witness {
     }
 
     fn is_alive(&self, now: u32) -> bool {
-        let heard = |(_, at): (u8, u32)| now.wrapping_sub(at) <= 100;
-        self.open.is_some() && self.last.is_some_and(heard)
+        let event = |(_, at): (u8, u32)| now.wrapping_sub(at) <= 100;
+        self.open.is_some() && self.last.is_some_and(event)
     }
 
     fn is_silent(&self, now: u32) -> bool {

@@ -6,9 +6,9 @@ pub fn crc16(bytes: impl IntoIterator<Item = u8>) -> u16 {
         0 => crc << 1,
         _ => (crc << 1) ^ 0x1021,
     };
-    bytes.into_iter().fold(0xFFFF, |crc, byte| {
-        (0..8).fold(crc ^ (u16::from(byte) << 8), |crc, _| bit(crc))
-    })
+    bytes
+        .into_iter()
+        .fold(0xFFFF, |crc, byte| (0..8).fold(crc ^ (u16::from(byte) << 8), |crc, _| bit(crc)))
 }
 
 /// CRC-32/ISO-HDLC: polynomial 0x04C11DB7 from all ones, bit by bit, the lowest first, turned over.
@@ -17,9 +17,9 @@ pub fn crc32(bytes: impl IntoIterator<Item = u8>) -> u32 {
         0 => crc >> 1,
         _ => (crc >> 1) ^ 0xEDB8_8320,
     };
-    !bytes.into_iter().fold(u32::MAX, |crc, byte| {
-        (0..8).fold(crc ^ u32::from(byte), |crc, _| bit(crc))
-    })
+    !bytes
+        .into_iter()
+        .fold(u32::MAX, |crc, byte| (0..8).fold(crc ^ u32::from(byte), |crc, _| bit(crc)))
 }
 
 /// Consistent overhead byte stuffing (Cheshire and Baker 1999), with the zero that ends it: each run of

@@ -1,8 +1,10 @@
 //! Bytes on the serial line into the receiver of its packets.
 
-use firmware::frame::SENSORS;
-use firmware::wire::messages::Message;
-use firmware::wire::serial::{LONGEST, Packet, Receiver, Sensor, Tick, encode};
+use firmware::protocol::messages::Message;
+use firmware::protocol::serial::{
+    MAX_PACKET_BYTES, Packet, PacketDecoder, SensorTick, Tick, encode,
+};
+use firmware::sensors::hall::SENSORS;
 
 use super::bytes::Bytes;
 use super::check::{crc16, stuffed, unstuffed};
@@ -61,38 +63,32 @@ pub fn receive(bytes: &[u8]) -> Tally {
         }
     }
     line.recovers();
-    Tally {
-        packets: line.packets,
-        broken: line.receiver.broken,
-    }
+    Tally { packets: line.packets, broken: line.receiver.broken }
 }
 
 /// Some packet.
 fn packet(bytes: &mut Bytes) -> Packet {
     let kind = bytes.byte();
     if kind & 1 == 0 {
-        let sensor = |_| Sensor {
+        let sensor = |_| SensorTick {
             field: [(); 3].map(|()| bytes.word() as i16),
             temperature: bytes.word() as i16,
             force: [(); 2].map(|()| i32::from_le_bytes(bytes.array())),
             validity: bytes.byte(),
         };
-        let sensors: [Sensor; SENSORS] = std::array::from_fn(sensor);
+        let sensors: [SensorTick; SENSORS] = std::array::from_fn(sensor);
         let time_us = u32::from_le_bytes(bytes.array());
         return Packet::Tick(Tick { time_us, sensors });
     }
     let number = bytes.byte() & 0x1F;
     let message = Message::from_frame(number, &bytes.array::<8>());
     let message = message.unwrap_or(Message::EStop(Default::default()));
-    Packet::Message {
-        copy: (kind >> 1) % message.layout().copies,
-        message,
-    }
+    Packet::Message { copy: (kind >> 1) % message.layout().instances, message }
 }
 
 /// The bytes of a packet: no zero but the last, and no more than the line foresees.
 fn sent(packet: &Packet) -> Vec<u8> {
-    let mut buffer = [0; LONGEST];
+    let mut buffer = [0; MAX_PACKET_BYTES];
     let bytes = encode(packet, &mut buffer).expect("every packet fits");
     let zero = bytes.iter().position(|byte| *byte == 0);
     assert_eq!(zero, Some(bytes.len() - 1));
@@ -109,7 +105,7 @@ fn payload(packet: &Packet) -> Vec<u8> {
 
 #[derive(Default)]
 struct Line {
-    receiver: Receiver,
+    receiver: PacketDecoder,
     /// Packets that were understood.
     packets: u32,
     /// Zeros that ended something.
@@ -128,15 +124,15 @@ impl Line {
     fn take(&mut self, byte: u8) -> Option<Packet> {
         self.ended += u32::from(byte == 0 && self.begun);
         self.begun = byte != 0;
-        let packet = self.receiver.take(byte);
+        let packet = self.receiver.push(byte);
         if let Some(packet) = &packet {
             self.packets += 1;
             if let Packet::Message { copy, message } = packet {
-                assert!(*copy < message.layout().copies);
+                assert!(*copy < message.layout().instances);
             }
             // What was understood can be sent, and is understood as the same.
-            let mut other = Receiver::default();
-            let back = sent(packet).into_iter().find_map(|byte| other.take(byte));
+            let mut other = PacketDecoder::default();
+            let back = sent(packet).into_iter().find_map(|byte| other.push(byte));
             assert_eq!(back.as_ref(), Some(packet));
         }
         assert_eq!(self.packets + self.receiver.broken, self.ended);
@@ -144,7 +140,7 @@ impl Line {
     }
 
     fn lose(&mut self) {
-        self.receiver.lost();
+        self.receiver.discard();
     }
 
     /// A packet within which the line lost bytes is none, though all of its own came.
@@ -183,10 +179,7 @@ impl Line {
 
     /// Whatever came before: of two sound packets in a row the second is understood.
     fn recovers(&mut self) {
-        let sound = Packet::Message {
-            copy: 0,
-            message: Message::EStop(Default::default()),
-        };
+        let sound = Packet::Message { copy: 0, message: Message::EStop(Default::default()) };
         let bytes = sent(&sound);
         self.send(&bytes);
         let all: Vec<Packet> = bytes.iter().filter_map(|byte| self.take(*byte)).collect();

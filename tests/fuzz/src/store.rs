@@ -3,22 +3,24 @@
 use std::collections::BTreeMap;
 
 use embedded_storage_async::nor_flash::NorFlash;
-use firmware::parameters::Parameters;
-use firmware::parameters::table::TABLE;
-use firmware::store::record::{BODY, END, SLOT, VERSION, WRITTEN, encode};
-use firmware::store::{Loaded, Origin, PAGES, Store};
+use firmware::config::parameters::Parameters;
+use firmware::config::schema::PARAMETERS;
+use firmware::system::nv_storage::record::{
+    BODY_BYTES, FIRST_MARK, SECOND_MARK, SLOT_BYTES, VERSION, encode,
+};
+use firmware::system::nv_storage::{LoadedParameters, PAGES, ParameterOrigin, ParameterStore};
 
 use super::bytes::Bytes;
 use super::check::crc32;
 
 /// The flash of the store's own tests: its power goes at any operation, and what it leaves is anything.
 #[allow(dead_code)]
-#[path = "../../../firmware/src/store/memory.rs"]
+#[path = "../../../firmware/src/system/nv_storage/flash_model.rs"]
 mod memory;
 
-use memory::{Cut, Memory, PAGE, Torn, WORD, now};
+use memory::{Cut, FlashModel, PAGE, Torn, WORD, block};
 
-const SLOTS: u32 = PAGES * (PAGE / SLOT) as u32;
+const SLOTS: u32 = PAGES * (PAGE / SLOT_BYTES) as u32;
 /// Most saves of a story.
 const SAVES: u32 = 16;
 /// Operations in which the power may go: those of a few saves.
@@ -38,7 +40,7 @@ pub struct Tally {
 /// A flash that holds anything, then saves.
 pub fn keep(bytes: &[u8]) -> Tally {
     let mut bytes = Bytes::new(bytes);
-    let mut memory = Memory::new(u64::from_le_bytes(bytes.array()));
+    let mut memory = FlashModel::new(u64::from_le_bytes(bytes.array()));
     let (newest, last) = fill(&mut memory, &mut bytes);
     let mut tally = Tally::default();
     let loaded = load(&mut memory);
@@ -53,13 +55,13 @@ pub fn keep(bytes: &[u8]) -> Tally {
     let mut loaded = loaded;
     while tally.saved + tally.cut < SAVES && !bytes.is_empty() {
         // What newer firmware wrote is left as it is: a save over it that was cut short may count later.
-        if loaded.is_settled && loaded.origin != Origin::Newer {
+        if loaded.is_settled && loaded.origin != ParameterOrigin::Newer {
             possible = vec![loaded.parameters];
         }
         let is_saved = session(&mut memory, &mut bytes, &loaded, &mut possible, &mut tally);
         loaded = load(&mut memory);
         assert!(possible.contains(&loaded.parameters), "{loaded:?}");
-        assert!(!is_saved || loaded.origin == Origin::Stored);
+        assert!(!is_saved || loaded.origin == ParameterOrigin::Stored);
         assert_eq!(memory.rewritten, 0, "nobody knows whether these words hold");
     }
     tally
@@ -68,25 +70,25 @@ pub fn keep(bytes: &[u8]) -> Tally {
 /// Saves without a start between them, until the power goes or the host has enough; tells whether the last
 /// was done.
 fn session(
-    memory: &mut Memory,
+    memory: &mut FlashModel,
     bytes: &mut Bytes,
-    loaded: &Loaded,
+    loaded: &LoadedParameters,
     possible: &mut Vec<Parameters>,
     tally: &mut Tally,
 ) -> bool {
     let mut parameters = loaded.parameters;
     memory.cut = cut(bytes, memory.operations);
-    let mut store = Store::new(&mut *memory, 0);
+    let mut store = ParameterStore::new(&mut *memory, 0);
     let mut is_saved = true;
     for number in 0..=bytes.byte() % 4 {
         // What is not settled is saved as it is.
         if loaded.is_settled || number > 0 {
-            let row = TABLE[usize::from(bytes.byte()) % TABLE.len()];
+            let row = PARAMETERS[usize::from(bytes.byte()) % PARAMETERS.len()];
             // A value beyond its range changes nothing.
             let _ = parameters.set(row.id, i32::from_le_bytes(bytes.array()));
             possible.push(parameters);
         }
-        is_saved = now(store.save(&parameters)).is_ok();
+        is_saved = block(store.save(&parameters)).is_ok();
         if !is_saved {
             tally.cut += 1;
             break;
@@ -100,7 +102,7 @@ fn session(
 
 /// Writes what a story begins with; tells sequence and version of the newest record that counts, and the
 /// newest sequence of all.
-fn fill(memory: &mut Memory, bytes: &mut Bytes) -> (Option<(u32, u16)>, Option<u32>) {
+fn fill(memory: &mut FlashModel, bytes: &mut Bytes) -> (Option<(u32, u16)>, Option<u32>) {
     let mut slots = BTreeMap::new();
     for _ in 0..bytes.byte() % 8 {
         let kind = bytes.byte();
@@ -108,16 +110,16 @@ fn fill(memory: &mut Memory, bytes: &mut Bytes) -> (Option<(u32, u16)>, Option<u
             0 => u32::from(bytes.byte()),
             _ => u32::from_le_bytes(bytes.array()),
         };
-        let mut slot = [0xFF; SLOT];
+        let mut slot = [0xFF; SLOT_BYTES];
         match kind & 6 {
             // Anything.
             0 => {
-                let some = bytes.some(SLOT);
+                let some = bytes.some(SLOT_BYTES);
                 slot[..some.len()].copy_from_slice(some);
             }
             // Any pairs of any version, well checked.
             2 => {
-                let some = bytes.some(BODY / 2);
+                let some = bytes.some(BODY_BYTES / 2);
                 let mut said = sequence.to_le_bytes().to_vec();
                 said.extend_from_slice(&(VERSION + u16::from(kind >> 6) - 1).to_le_bytes());
                 said.extend_from_slice(&(some.len() as u16).to_le_bytes());
@@ -125,14 +127,14 @@ fn fill(memory: &mut Memory, bytes: &mut Bytes) -> (Option<(u32, u16)>, Option<u
                 said.extend_from_slice(&crc32(said.iter().copied()).to_le_bytes());
                 slot[..said.len()].copy_from_slice(&said);
             }
-            _ => slot[..BODY].copy_from_slice(&encode(sequence, &Parameters::DEFAULT).0),
+            _ => slot[..BODY_BYTES].copy_from_slice(&encode(sequence, &Parameters::DEFAULT).0),
         }
-        let marks = &mut slot[BODY..];
+        let marks = &mut slot[BODY_BYTES..];
         if kind & 32 == 0 {
-            marks[..WRITTEN.len()].copy_from_slice(&WRITTEN);
+            marks[..FIRST_MARK.len()].copy_from_slice(&FIRST_MARK);
         }
         if kind & 8 != 0 {
-            marks[WRITTEN.len()..].copy_from_slice(&END);
+            marks[FIRST_MARK.len()..].copy_from_slice(&SECOND_MARK);
         }
         let place = match kind & 16 {
             0 => sequence % SLOTS,
@@ -144,54 +146,51 @@ fn fill(memory: &mut Memory, bytes: &mut Bytes) -> (Option<(u32, u16)>, Option<u
         let words = slot.chunks(WORD).enumerate();
         // A word that reads erased has not been written.
         for (number, word) in words.filter(|(_, word)| word.iter().any(|byte| *byte != 0xFF)) {
-            let at = *place as usize * SLOT + number * WORD;
-            let _ = now(memory.write(at as u32, word));
+            let at = *place as usize * SLOT_BYTES + number * WORD;
+            let _ = block(memory.write(at as u32, word));
         }
     }
     let right = slots.iter().filter_map(|(place, slot)| {
         let (sequence, version) = record(slot)?;
-        let (written, end) = slot[BODY..].split_at(WRITTEN.len());
-        let counts = written == WRITTEN || end == END;
+        let (written, end) = slot[BODY_BYTES..].split_at(FIRST_MARK.len());
+        let counts = written == FIRST_MARK || end == SECOND_MARK;
         (sequence % SLOTS == *place).then_some((sequence, version, counts))
     });
     let right: Vec<_> = right.collect();
     let newest = right.iter().filter(|(.., counts)| *counts).max();
     let last = right.iter().map(|(sequence, ..)| *sequence).max();
-    (
-        newest.map(|(sequence, version, _)| (*sequence, *version)),
-        last,
-    )
+    (newest.map(|(sequence, version, _)| (*sequence, *version)), last)
 }
 
 /// Sequence and version of the record in a slot, if its checksum is right.
-fn record(slot: &[u8; SLOT]) -> Option<(u32, u16)> {
+fn record(slot: &[u8; SLOT_BYTES]) -> Option<(u32, u16)> {
     let length = usize::from(u16::from_le_bytes([slot[6], slot[7]]));
-    let (said, behind) = slot[..BODY].split_at_checked(8 + length)?;
+    let (said, behind) = slot[..BODY_BYTES].split_at_checked(8 + length)?;
     let check = u32::from_le_bytes(*behind.first_chunk()?);
     let sequence = u32::from_le_bytes(*slot.first_chunk()?);
     let version = u16::from_le_bytes([slot[4], slot[5]]);
     (check == crc32(said.iter().copied())).then_some((sequence, version))
 }
 
-fn found_rightly(loaded: &Loaded, newest: Option<(u32, u16)>) {
+fn found_rightly(loaded: &LoadedParameters, newest: Option<(u32, u16)>) {
     match (newest, loaded.origin) {
-        (Some((_, VERSION)), Origin::Stored) => {}
-        (Some((_, version)), Origin::Older) => assert!(version < VERSION),
-        (Some((_, version)), Origin::Newer) => assert!(version > VERSION),
-        (None, Origin::Empty | Origin::Spoilt) => {}
+        (Some((_, VERSION)), ParameterOrigin::Stored) => {}
+        (Some((_, version)), ParameterOrigin::Older) => assert!(version < VERSION),
+        (Some((_, version)), ParameterOrigin::Newer) => assert!(version > VERSION),
+        (None, ParameterOrigin::Empty | ParameterOrigin::Corrupt) => {}
         other => panic!("found otherwise than written: {other:?}"),
     }
-    if !matches!(loaded.origin, Origin::Stored | Origin::Older) {
+    if !matches!(loaded.origin, ParameterOrigin::Stored | ParameterOrigin::Older) {
         assert_eq!(loaded.parameters, Parameters::DEFAULT);
     }
 }
 
 /// A start. Whatever it finds is within its range.
-fn load(memory: &mut Memory) -> Loaded {
-    let loaded = now(Store::new(memory, 0).load());
-    for row in TABLE {
+fn load(memory: &mut FlashModel) -> LoadedParameters {
+    let loaded = block(ParameterStore::new(memory, 0).load());
+    for row in PARAMETERS {
         let value = loaded.parameters.get(row.id);
-        assert!(value.is_some_and(|value| row.range.holds(value)), "{row:?}");
+        assert!(value.is_some_and(|value| row.range.contains(value)), "{row:?}");
     }
     loaded
 }
@@ -205,10 +204,10 @@ fn cut(bytes: &mut Bytes, from: u32) -> Option<(u32, Cut)> {
         2 => Cut::Before,
         3 => Cut::Half(kind > 127),
         4 => Cut::Torn(Torn::Erased),
-        5 => Cut::Torn(Torn::Right),
+        5 => Cut::Torn(Torn::Intended),
         6 => Cut::Torn(Torn::Mixed(u64::from_le_bytes(bytes.array()))),
         7 => Cut::Torn(Torn::Unreadable),
-        8 | 9 => Cut::Torn(Torn::Wavering),
+        8 | 9 => Cut::Torn(Torn::Varying),
         _ => Cut::After,
     };
     Some((at, cut))

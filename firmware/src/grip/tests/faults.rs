@@ -1,17 +1,20 @@
-//! What faults do to a grasp.
+//! Fault detection, reactions and clearing.
 
-use super::super::order::mode;
-use super::super::react::{Reaction, reaction};
-use super::super::reason::Reason;
-use super::super::states::{Phase, Power, Task};
-use super::rig::Rig;
-use crate::force::Estimate;
-use crate::motor::{Setpoint, State, Trip};
-use crate::status::Fault;
+use crate::config::constants;
+use crate::config::limits::GripLimits;
+use crate::estimator::Estimate;
+use crate::fixed_point::Force;
+use crate::grip::commands::{CommandRefusal, RefusalReason, mode};
+use crate::grip::fault_reactions::{Reaction, reaction};
+use crate::grip::states::{GripPhase, PowerState, TaskState};
+use crate::grip::tests::rig::{GripRig, pressed};
+use crate::motor::state::SupplyState;
+use crate::motor::{MotorState, Setpoint, Trip};
+use crate::protocol::messages::ServiceReply;
+use crate::system::faults::Fault;
 use Reaction::{Brake, Hold, Off, QuickStop, Warn};
 
-/// The rows of the matrix of faults: moving; holding on a screw that locks itself, on one that is driven back;
-/// as a foot.
+/// Specified reactions: moving, holding with a self-locking and with a backdrivable screw, foot mode.
 const MATRIX: [(Fault, [Reaction; 4]); 32] = [
     (Fault::SensorLost, [QuickStop, Hold, Hold, Warn]),
     (Fault::SensorFrozen, [QuickStop, Hold, Hold, Warn]),
@@ -48,32 +51,30 @@ const MATRIX: [(Fault, [Reaction; 4]); 32] = [
 ];
 
 #[test]
-fn each_fault_does_what_the_matrix_says() {
+fn reactions_match_the_specified_matrix() {
     for (fault, expected) in MATRIX {
-        let told = [
-            reaction(fault, Phase::Moving, true),
-            reaction(fault, Phase::Holding, true),
-            reaction(fault, Phase::Holding, false),
-            reaction(fault, Phase::Foot, true),
+        let reactions = [
+            reaction(fault, GripPhase::Moving, true),
+            reaction(fault, GripPhase::Holding, true),
+            reaction(fault, GripPhase::Holding, false),
+            reaction(fault, GripPhase::Foot, true),
         ];
-        assert_eq!(told, expected, "{fault:?}");
-        assert_eq!(reaction(fault, Phase::Moving, false), expected[0]);
-        assert_eq!(reaction(fault, Phase::Foot, false), expected[3]);
+        assert_eq!(reactions, expected, "{fault:?}");
+        assert_eq!(reaction(fault, GripPhase::Moving, false), expected[0]);
+        assert_eq!(reaction(fault, GripPhase::Foot, false), expected[3]);
     }
 }
 
-fn moving(locks: bool) -> Rig {
-    let mut rig = Rig::enabled(locks);
-    rig.order(mode::MOVE, |command| {
-        (command.position, command.speed) = (200, 40)
-    });
+fn moving(self_locking: bool) -> GripRig {
+    let mut rig = GripRig::enabled(self_locking);
+    rig.send(mode::MOVE, |command| (command.position, command.speed) = (200, 40));
     rig.run(20);
-    assert_eq!(rig.grip.task(), Task::Moving);
+    assert_eq!(rig.grip.task(), TaskState::Moving);
     rig
 }
 
-/// Where a gripper is some milliseconds after a fault of others.
-fn after(mut rig: Rig, fault: Fault) -> (Power, Setpoint) {
+/// Power state and set-point right after an external fault.
+fn after(mut rig: GripRig, fault: Fault) -> (PowerState, Setpoint) {
     rig.fault(fault, true);
     rig.tick();
     let at_once = rig.setpoint();
@@ -81,22 +82,22 @@ fn after(mut rig: Rig, fault: Fault) -> (Power, Setpoint) {
 }
 
 #[test]
-fn each_reaction_leads_where_it_says_from_a_way_a_hold_and_a_foot() {
+fn reactions_take_effect_in_every_phase() {
     for (fault, [moves, locked, driven, foot]) in MATRIX {
         for (rig, reaction) in [
             (moving(true), moves),
             (moving(false), moves),
-            (Rig::holding(true), locked),
-            (Rig::holding(false), driven),
-            (Rig::foot(true), foot),
-            (Rig::foot(false), foot),
+            (GripRig::holding(true), locked),
+            (GripRig::holding(false), driven),
+            (GripRig::foot(true), foot),
+            (GripRig::foot(false), foot),
         ] {
             let (power, setpoint) = after(rig, fault);
             let expected = match reaction {
-                Warn | Hold => power == Power::Enabled,
-                QuickStop => power == Power::QuickStop || power == Power::Armed,
+                Warn | Hold => power == PowerState::Enabled,
+                QuickStop => power == PowerState::QuickStop || power == PowerState::Armed,
                 Brake => setpoint == Setpoint::Brake,
-                Off => setpoint == Setpoint::Off && power != Power::Enabled,
+                Off => setpoint == Setpoint::Off && power != PowerState::Enabled,
             };
             assert!(expected, "{fault:?} {reaction:?}: {power:?} {setpoint:?}");
         }
@@ -104,113 +105,291 @@ fn each_reaction_leads_where_it_says_from_a_way_a_hold_and_a_foot() {
 }
 
 #[test]
-fn what_the_motor_trips_on_is_latched_and_only_a_clear_and_a_new_arming_lead_back() {
+fn trip_is_latched_until_cleared_and_armed_again() {
     let mut rig = moving(true);
-    rig.motor.state = State::Tripped(Trip::OverSpeed);
+    rig.motor.state = MotorState::Tripped(Trip::OverSpeed);
     rig.tick();
     assert_eq!(rig.setpoint(), Setpoint::Brake);
-    // Whatever follows, the first stays.
+    // A later fault does not replace the first.
     rig.fault(Fault::SensorLost, true);
     rig.run(300);
     let cause = rig.grip.first_cause().unwrap();
-    assert_eq!(
-        (cause.fault, cause.state),
-        (Fault::OverSpeed, 16 + Task::Moving as u8)
-    );
-    assert_eq!(rig.grip.power(), Power::Fault);
-    assert!(!rig.said.as_ref().unwrap().may_arm);
-    // The trip is gone since the motor was disarmed; nothing arms by itself, nor on a clear.
+    assert_eq!((cause.fault, cause.state), (Fault::OverSpeed, 16 + TaskState::Moving as u8));
+    assert_eq!(rig.grip.power(), PowerState::Fault);
+    assert!(!rig.outputs.as_ref().unwrap().may_arm);
+    // Disarming cleared the trip; only a clear and a new session lead back.
     rig.fault(Fault::SensorLost, false);
     rig.run(1000);
-    rig.order(mode::ENABLE, |_| {});
+    rig.send(mode::ENABLE, |_| {});
     assert_eq!(
         (rig.grip.power(), rig.refused.pop()),
-        (Power::Fault, Some(Reason::NotEnabled))
+        (PowerState::Fault, Some(RefusalReason::NotEnabled))
     );
     rig.host.is_open = false;
     rig.clear = true;
     rig.run(1);
     rig.clear = false;
     rig.run(1000);
-    assert_eq!(rig.grip.power(), Power::Safe);
+    assert_eq!(rig.grip.power(), PowerState::Safe);
     rig.arm();
     assert_eq!(rig.grip.first_cause(), None);
 }
 
 #[test]
-fn a_clear_while_the_cause_is_there_clears_nothing() {
+fn active_fault_is_not_cleared() {
     let mut rig = moving(true);
     rig.fault(Fault::OverCurrent, true);
     rig.run(300);
     rig.clear = true;
     rig.run(3);
-    assert_eq!(rig.grip.power(), Power::Fault);
+    assert_eq!(rig.grip.power(), PowerState::Fault);
     assert!(rig.grip.first_cause().is_some());
 }
 
 #[test]
-fn after_a_quick_stop_nothing_is_enabled_until_the_cause_is_cleared() {
+fn quick_stop_blocks_enabling_until_cleared() {
     let mut rig = moving(true);
     rig.fault(Fault::SensorLost, true);
     rig.run(100);
-    assert_eq!(rig.grip.power(), Power::Armed);
-    rig.order(mode::ENABLE, |_| {});
+    assert_eq!(rig.grip.power(), PowerState::Armed);
+    rig.send(mode::ENABLE, |_| {});
     rig.fault(Fault::SensorLost, false);
-    rig.order(mode::ENABLE, |_| {});
-    assert_eq!(rig.refused, [Reason::Faulty, Reason::Latched]);
+    rig.send(mode::ENABLE, |_| {});
+    assert_eq!(rig.refused, [RefusalReason::FaultActive, RefusalReason::FaultLatched]);
     rig.clear = true;
-    rig.order(mode::ENABLE, |_| {});
-    assert_eq!(rig.grip.power(), Power::Enabled);
+    rig.send(mode::ENABLE, |_| {});
+    assert_eq!(rig.grip.power(), PowerState::Enabled);
 }
 
 #[test]
-fn blind_a_screw_that_locks_is_switched_off_and_another_keeps_its_place() {
-    for locks in [true, false] {
-        let mut rig = Rig::holding(locks);
-        rig.spoil = Some(|estimates| *estimates = [Estimate::MISSING; 4]);
+fn lost_forces_switch_off_or_hold_by_screw() {
+    for self_locking in [true, false] {
+        let mut rig = GripRig::holding(self_locking);
+        rig.corrupt = Some(|estimates| *estimates = [Estimate::MISSING; 4]);
         rig.run(2);
-        assert_eq!(rig.grip.power(), Power::Enabled);
+        assert_eq!(rig.grip.power(), PowerState::Enabled);
         rig.run(100);
         let place = rig.motor.opening_mm;
-        let expected = if locks { Power::Fault } else { Power::Armed };
+        let expected = if self_locking { PowerState::Fault } else { PowerState::Armed };
         assert_eq!(rig.grip.power(), expected);
-        assert_eq!(rig.setpoint() == Setpoint::Off, locks);
+        assert_eq!(rig.setpoint() == Setpoint::Off, self_locking);
         rig.run(1000);
         assert_eq!(rig.motor.opening_mm, place);
     }
 }
 
 #[test]
-fn too_much_force_gives_way_to_fifty_newtons() {
-    let mut rig = Rig::holding(false);
+fn excessive_force_backs_off_to_50_n() {
+    let mut rig = GripRig::holding(false);
     rig.object = Some((48.0, 50.0));
     assert!(rig.force_n() > 450.0);
     rig.run(300);
-    assert_eq!(rig.grip.power(), Power::Armed);
+    assert_eq!(rig.grip.power(), PowerState::Armed);
     assert!((40.0..61.0).contains(&rig.force_n()), "{}", rig.force_n());
     assert_eq!(rig.grip.first_cause().unwrap().fault, Fault::OverForce);
 }
 
 #[test]
-fn strange_frames_end_the_session_of_a_gripper_at_rest_and_no_other() {
-    let mut rig = Rig::enabled(true);
+fn strange_frames_end_the_session_only_at_rest() {
+    let mut rig = GripRig::enabled(true);
     rig.fault(Fault::StrangeFrames, true);
     rig.tick();
-    assert_eq!(rig.grip.power(), Power::Armed);
-    assert!(!rig.said.as_ref().unwrap().may_arm);
-    for mut rig in [moving(true), Rig::holding(true)] {
+    assert_eq!(rig.grip.power(), PowerState::Armed);
+    assert!(!rig.outputs.as_ref().unwrap().may_arm);
+    for mut rig in [moving(true), GripRig::holding(true)] {
         rig.fault(Fault::StrangeFrames, true);
         rig.run(10);
-        assert_eq!(rig.grip.power(), Power::Enabled);
-        assert!(rig.said.as_ref().unwrap().may_arm);
+        assert_eq!(rig.grip.power(), PowerState::Enabled);
+        assert!(rig.outputs.as_ref().unwrap().may_arm);
     }
 }
 
 #[test]
-fn tables_that_are_unsound_let_nobody_arm() {
-    let mut rig = Rig::new(true);
+fn unsound_tables_prevent_arming() {
+    let mut rig = GripRig::new(true);
     rig.fault(Fault::TablesUnsound, true);
     rig.run(10);
-    assert_eq!(rig.grip.power(), Power::Safe);
-    assert!(!rig.said.as_ref().unwrap().may_arm);
+    assert_eq!(rig.grip.power(), PowerState::Safe);
+    assert!(!rig.outputs.as_ref().unwrap().may_arm);
+}
+
+const LIMITS: GripLimits = GripLimits::GRIPPER;
+
+/// Detail of a fault that became active in the last tick.
+fn new_fault(rig: &GripRig, fault: Fault) -> Option<u32> {
+    let events = &rig.outputs.as_ref().unwrap().events;
+    let mut of_fault = events.iter().filter(|event| event.code == fault as u16);
+    of_fault.find_map(|event| (event.active == 1).then_some(event.detail))
+}
+
+#[test]
+fn supply_and_heat_faults_need_an_armed_motor() {
+    for is_armed in [true, false] {
+        let mut rig = GripRig::new(true);
+        rig.run(5);
+        if is_armed {
+            rig.arm();
+        }
+        rig.motor.supply = SupplyState::Low;
+        rig.motor.bus_v = 15.5;
+        rig.motor.is_hot = true;
+        rig.tick();
+        assert_eq!(new_fault(&rig, Fault::Supply), is_armed.then_some(15_500));
+        assert_eq!(new_fault(&rig, Fault::Hot), is_armed.then_some(0));
+    }
+}
+
+/// Applies a force to both fingers.
+fn with_force(rig: &mut GripRig, newtons: f64) {
+    let half = 0.5 * newtons;
+    rig.estimates = Some(pressed([half, half, -half, -half], [0.0; 4]));
+}
+
+#[test]
+fn over_force_fault_above_450_n_has_force_detail() {
+    let mut rig = GripRig::enabled(true);
+    with_force(&mut rig, 450.0);
+    rig.run(3);
+    assert_eq!(new_fault(&rig, Fault::OverForce), None);
+    assert_ne!(rig.grip.power(), PowerState::Fault);
+    with_force(&mut rig, 451.0);
+    rig.tick();
+    assert_eq!(new_fault(&rig, Fault::OverForce), Some((451.0 * Force::PER_NEWTON) as u32));
+}
+
+#[test]
+fn overload_fault_occurs_only_in_foot_mode() {
+    // On one fingertip.
+    let overload = f64::from(LIMITS.overload_n) + 2.0;
+    let loaded = |mut rig: GripRig| {
+        rig.estimates = Some(pressed([0.0; 4], [overload, 0.0, 0.0, 0.0]));
+        rig.tick();
+        new_fault(&rig, Fault::FootOverload).is_some()
+    };
+    assert!(loaded(GripRig::foot(true)));
+    assert!(!loaded(GripRig::enabled(true)));
+    assert!((LIMITS.overload_n - 217.5).abs() < 1e-3);
+}
+
+/// Ticks until an opening is rejected, with a force on the fingers.
+fn rejected_after(opening_mm: f32, newtons: f64) -> Option<u32> {
+    let mut rig = GripRig::enabled(true);
+    rig.run(3);
+    with_force(&mut rig, newtons);
+    rig.run(1);
+    rig.motor.opening_mm = Some(opening_mm);
+    (1..20).find(|_| {
+        rig.tick();
+        let detail = new_fault(&rig, Fault::StrokeWrong);
+        assert_eq!(rig.motor.opening_mm.is_none(), detail.is_some());
+        // In micrometres; the opening changes meanwhile.
+        let is_near = |detail: u32| (1e-3 * detail as f32 - opening_mm.abs()).abs() < 0.5;
+        assert!(detail.is_none_or(is_near), "{detail:?}");
+        detail.is_some()
+    })
+}
+
+#[test]
+fn implausible_opening_becomes_unknown_after_3_ms() {
+    let stroke = constants::STROKE.value as f32;
+    assert_eq!(rejected_after(stroke + 0.9, 0.0), Some(3));
+    assert_eq!(rejected_after(stroke + 0.7, 0.0), None);
+    assert_eq!(rejected_after(stroke + 0.8, 0.0), None);
+    assert_eq!(rejected_after(-0.9, 0.0), Some(3));
+    assert_eq!(rejected_after(-0.7, 0.0), None);
+    assert_eq!(rejected_after(-0.8, 0.0), None);
+    // Fingers that press on each other deflect.
+    assert_eq!(rejected_after(-0.9, f64::from(LIMITS.contact_n)), None);
+    assert_eq!(rejected_after(-0.9, f64::from(LIMITS.contact_n) - 0.1), Some(3));
+    // Beyond the far end the force is irrelevant.
+    assert_eq!(rejected_after(stroke + 0.9, 20.0), Some(3));
+}
+
+#[test]
+fn homing_accepts_any_opening() {
+    let mut rig = GripRig::enabled(true);
+    rig.send(mode::HOME, |_| {});
+    assert_eq!(rig.grip.task(), TaskState::Homing);
+    rig.motor.opening_mm = Some(constants::STROKE.value as f32 + 5.0);
+    for _ in 0..10 {
+        rig.tick();
+        assert_eq!(new_fault(&rig, Fault::StrokeWrong), None);
+    }
+}
+
+#[test]
+fn external_fault_causes_its_reaction() {
+    let mut rig = GripRig::enabled(true);
+    rig.fault(Fault::OverSpeed, true);
+    rig.motor.state = MotorState::Tripped(Trip::OverSpeed);
+    rig.tick();
+    assert_eq!(rig.setpoint(), Setpoint::Brake);
+}
+
+fn may_arm(rig: &GripRig) -> bool {
+    rig.outputs.as_ref().unwrap().may_arm
+}
+
+#[test]
+fn arming_is_refused_by_severe_or_latched_faults_only() {
+    let mut rig = GripRig::new(true);
+    rig.run(5);
+    assert!(may_arm(&rig));
+    rig.fault(Fault::SensorLost, true);
+    rig.tick();
+    assert!(may_arm(&rig), "a quick stop stops nothing that rests");
+    let mut rig = GripRig::new(true);
+    rig.run(5);
+    rig.arm();
+    assert!(may_arm(&rig));
+    // The cause has ended but is still latched.
+    rig.fault(Fault::OverSpeed, true);
+    rig.run(300);
+    rig.fault(Fault::OverSpeed, false);
+    rig.run(5);
+    assert_eq!((rig.grip.power(), may_arm(&rig)), (PowerState::Fault, false));
+}
+
+#[test]
+fn refusal_detail_has_reason_state_and_mode() {
+    let refused =
+        CommandRefusal { mode: mode::GRIP, reason: RefusalReason::NotEnabled, state: 0x13 };
+    let detail = 0x0004_1300 | RefusalReason::NotEnabled as u32;
+    let reply = refused.reply();
+    assert_eq!((mode::GRIP, reply.detail, reply.nonce), (4, detail, 0));
+    assert_ne!(reply, ServiceReply::default());
+    assert_ne!(RefusalReason::NotEnabled as u32, 0);
+}
+
+#[test]
+fn force_state_is_holding_once_settled() {
+    assert_eq!(TaskState::Force.phase(true), GripPhase::Holding);
+    assert_eq!(TaskState::Force.phase(false), GripPhase::Moving);
+    assert_eq!(TaskState::Approach.phase(true), GripPhase::Moving);
+}
+
+#[test]
+fn backdrivable_screw_stays_armed_without_a_session() {
+    for (self_locking, stays_armed) in [(true, false), (false, true)] {
+        let mut rig = GripRig::holding(self_locking);
+        // Stopped while holding: armed with a load.
+        rig.fault(Fault::TablesUnsound, true);
+        rig.run(300);
+        assert_eq!(rig.grip.power(), PowerState::Armed);
+        rig.host.is_open = false;
+        rig.run(5);
+        assert_eq!(rig.grip.power() == PowerState::Armed, stays_armed, "{self_locking}");
+    }
+}
+
+#[test]
+fn closed_session_makes_an_armed_gripper_safe() {
+    let mut rig = GripRig::new(true);
+    rig.run(5);
+    rig.arm();
+    rig.run(50);
+    assert_eq!(rig.grip.power(), PowerState::Armed);
+    rig.host.is_open = false;
+    rig.run(2);
+    assert_eq!(rig.grip.power(), PowerState::Safe);
 }

@@ -1,23 +1,23 @@
-//! What a hold survives, and what ends it.
+//! Holding an object: faults that it survives, and what ends it.
 
-use super::super::order::mode;
-use super::super::states::{Power, Task};
-use super::rig::Rig;
-use crate::force::Estimate;
+use crate::estimator::Estimate;
+use crate::fixed_point::Force;
+use crate::grip::commands::mode;
+use crate::grip::states::{PowerState, TaskState};
+use crate::grip::tests::rig::GripRig;
 use crate::motor::Setpoint;
-use crate::status::Fault;
-use crate::units::Force;
+use crate::system::faults::Fault;
 
-fn is_held(rig: &Rig) -> bool {
-    matches!(rig.grip.task(), Task::HoldActive | Task::HoldLatched)
-        && rig.grip.power() == Power::Enabled
+fn is_held(rig: &GripRig) -> bool {
+    matches!(rig.grip.task(), TaskState::HoldActive | TaskState::HoldLatched)
+        && rig.grip.power() == PowerState::Enabled
         && (rig.force_n() - 100.0).abs() < 3.0
 }
 
 #[test]
-fn a_hold_survives_host_bus_and_session() {
-    for locks in [true, false] {
-        let mut rig = Rig::holding(locks);
+fn hold_survives_loss_of_host_bus_and_session() {
+    for self_locking in [true, false] {
+        let mut rig = GripRig::holding(self_locking);
         rig.host.is_alive = false;
         rig.fault(Fault::HostSilent, true);
         rig.fault(Fault::BusOff, true);
@@ -30,10 +30,10 @@ fn a_hold_survives_host_bus_and_session() {
 }
 
 #[test]
-fn a_hold_survives_the_sensors_of_one_finger_and_goes_on_with_the_other() {
-    for locks in [true, false] {
-        let mut rig = Rig::holding(locks);
-        rig.spoil = Some(|estimates| {
+fn hold_survives_loss_of_one_finger() {
+    for self_locking in [true, false] {
+        let mut rig = GripRig::holding(self_locking);
+        rig.corrupt = Some(|estimates| {
             estimates[0] = Estimate::MISSING;
             estimates[1] = Estimate::MISSING;
         });
@@ -44,28 +44,28 @@ fn a_hold_survives_the_sensors_of_one_finger_and_goes_on_with_the_other() {
 }
 
 #[test]
-fn a_hold_survives_the_networks() {
-    let told: fn(&mut [Estimate; 4]) = |estimates| {
+fn hold_survives_loss_of_the_networks() {
+    let with_sigma: fn(&mut [Estimate; 4]) = |estimates| {
         for estimate in estimates {
             estimate.sigma = Some([Force(1 << 10); 2]);
         }
     };
-    for locks in [true, false] {
-        let mut rig = Rig::enabled(locks);
+    for self_locking in [true, false] {
+        let mut rig = GripRig::enabled(self_locking);
         rig.object = Some((40.0, 50.0));
-        rig.spoil = Some(told);
-        rig.order(mode::GRIP, |command| command.force = 1000);
-        rig.run_until(Task::HoldActive);
-        rig.spoil = None;
+        rig.corrupt = Some(with_sigma);
+        rig.send(mode::GRIP, |command| command.force = 1000);
+        rig.run_until(TaskState::HoldActive);
+        rig.corrupt = None;
         rig.run(2000);
         assert!(is_held(&rig), "{:?}", rig.grip.task());
     }
 }
 
 #[test]
-fn a_finger_that_reads_low_does_not_raise_the_force() {
-    let mut rig = Rig::holding(false);
-    rig.spoil = Some(|estimates| {
+fn finger_reading_low_does_not_raise_the_force() {
+    let mut rig = GripRig::holding(false);
+    rig.corrupt = Some(|estimates| {
         estimates[2].force = [Force(0); 2];
         estimates[3].force = [Force(0); 2];
     });
@@ -75,10 +75,10 @@ fn a_finger_that_reads_low_does_not_raise_the_force() {
 }
 
 #[test]
-fn a_magnet_freezes_a_hold_and_its_end_lets_it_go_on() {
-    for locks in [true, false] {
-        let mut rig = Rig::holding(locks);
-        rig.spoil = Some(|estimates| {
+fn magnetic_disturbance_freezes_the_hold() {
+    for self_locking in [true, false] {
+        let mut rig = GripRig::holding(self_locking);
+        rig.corrupt = Some(|estimates| {
             for estimate in estimates {
                 estimate.disturbed = true;
                 estimate.force = [Force(5 << 10); 2];
@@ -86,10 +86,10 @@ fn a_magnet_freezes_a_hold_and_its_end_lets_it_go_on() {
         });
         rig.fault(Fault::Disturbed, true);
         rig.run(500);
-        assert_eq!(rig.grip.task(), Task::HoldFrozen);
-        assert_eq!(rig.setpoint() == Setpoint::Off, locks);
+        assert_eq!(rig.grip.task(), TaskState::HoldFrozen);
+        assert_eq!(rig.setpoint() == Setpoint::Off, self_locking);
         assert!((rig.force_n() - 100.0).abs() < 3.0);
-        rig.spoil = None;
+        rig.corrupt = None;
         rig.fault(Fault::Disturbed, false);
         rig.run(1000);
         assert!(is_held(&rig));
@@ -97,33 +97,33 @@ fn a_magnet_freezes_a_hold_and_its_end_lets_it_go_on() {
 }
 
 #[test]
-fn a_silent_host_stops_what_moves() {
+fn host_timeout_stops_a_motion() {
     for mode in [mode::MOVE, mode::GRIP] {
-        let mut rig = Rig::enabled(true);
-        rig.order(mode, |command| {
+        let mut rig = GripRig::enabled(true);
+        rig.send(mode, |command| {
             (command.position, command.speed, command.force) = (200, 40, 500);
         });
         rig.run(10);
         rig.host.is_alive = false;
         rig.run(20);
-        assert_eq!(rig.grip.task(), Task::TimeoutHold);
+        assert_eq!(rig.grip.task(), TaskState::TimeoutHold);
         let place = rig.motor.opening_mm;
         rig.run(100);
         assert_eq!(rig.motor.opening_mm, place);
         rig.host.is_alive = true;
         rig.run(100);
-        assert_eq!(rig.grip.task(), Task::TimeoutHold);
+        assert_eq!(rig.grip.task(), TaskState::TimeoutHold);
     }
 }
 
 #[test]
-fn an_object_that_is_pulled_out_is_lost_and_nothing_closes_after_it() {
-    for locks in [true, false] {
-        let mut rig = Rig::holding(locks);
+fn removed_object_is_lost_without_closing() {
+    for self_locking in [true, false] {
+        let mut rig = GripRig::holding(self_locking);
         rig.run(300);
         rig.object = None;
         rig.run(5);
-        assert_eq!(rig.grip.task(), Task::Lost);
+        assert_eq!(rig.grip.task(), TaskState::Lost);
         rig.run(10);
         let place = rig.motor.opening_mm;
         rig.run(500);
@@ -133,13 +133,13 @@ fn an_object_that_is_pulled_out_is_lost_and_nothing_closes_after_it() {
 }
 
 #[test]
-fn a_slip_raises_the_force_by_a_fifth_and_not_beyond_the_cap() {
-    let mut rig = Rig::enabled(true);
+fn slip_raises_the_force_up_to_the_cap() {
+    let mut rig = GripRig::enabled(true);
     rig.object = Some((40.0, 50.0));
-    rig.order(mode::GRIP, |command| command.force = 900);
-    rig.run_until(Task::HoldActive);
-    // 88 N of drag on 180 N of grip: 0.98 of what a friction of a half bears.
-    rig.spoil = Some(|estimates| {
+    rig.send(mode::GRIP, |command| command.force = 900);
+    rig.run_until(TaskState::HoldActive);
+    // 88 N of drag on 180 N of grip force: 0.98 of the friction limit.
+    rig.corrupt = Some(|estimates| {
         for estimate in estimates {
             estimate.force[1] = Force(22 << 10);
         }
@@ -150,18 +150,14 @@ fn a_slip_raises_the_force_by_a_fifth_and_not_beyond_the_cap() {
 }
 
 #[test]
-fn a_grasp_that_weakens_is_gripped_again_three_times_and_then_kept_by_current() {
-    let mut rig = Rig::holding(true);
-    for again in 0..4 {
+fn dropping_force_is_regripped_three_times() {
+    let mut rig = GripRig::holding(true);
+    for regrip in 0..4 {
         for _ in 0..400 {
             rig.tick();
         }
-        let expected = if again < 3 {
-            Task::HoldLatched
-        } else {
-            Task::HoldActive
-        };
-        assert_eq!(rig.grip.task(), expected, "{again}");
+        let expected = if regrip < 3 { TaskState::HoldLatched } else { TaskState::HoldActive };
+        assert_eq!(rig.grip.task(), expected, "{regrip}");
         let (width_mm, stiffness) = rig.object.unwrap();
         rig.object = Some((width_mm - 0.3, stiffness));
     }
@@ -170,22 +166,20 @@ fn a_grasp_that_weakens_is_gripped_again_three_times_and_then_kept_by_current() 
 }
 
 #[test]
-fn a_stop_for_everybody_stops_and_keeps_what_is_held() {
-    for locks in [true, false] {
-        let mut rig = Rig::holding(locks);
+fn stop_frame_keeps_the_object_gripped() {
+    for self_locking in [true, false] {
+        let mut rig = GripRig::holding(self_locking);
         rig.stop = true;
         rig.tick();
         rig.stop = false;
         rig.run(100);
-        assert_eq!(rig.grip.power(), Power::Armed);
+        assert_eq!(rig.grip.power(), PowerState::Armed);
         assert!((rig.force_n() - 100.0).abs() < 3.0);
-        assert_eq!(rig.setpoint() == Setpoint::Off, locks);
-        // What hangs on the fingers may only be released.
-        rig.order(mode::ENABLE, |_| {});
-        assert_eq!(rig.grip.task(), Task::GripFailed);
-        rig.order(mode::RELEASE, |command| {
-            (command.position, command.speed) = (1200, 80)
-        });
-        rig.run_until(Task::Idle);
+        assert_eq!(rig.setpoint() == Setpoint::Off, self_locking);
+        // A gripped object may only be released.
+        rig.send(mode::ENABLE, |_| {});
+        assert_eq!(rig.grip.task(), TaskState::GripFailed);
+        rig.send(mode::RELEASE, |command| (command.position, command.speed) = (1200, 80));
+        rig.run_until(TaskState::Idle);
     }
 }

@@ -1,9 +1,7 @@
-//! The grasp as a whole, its motor replaced by one that does at once what it is asked.
+//! The whole grip controller on a motor that follows its set-point at once.
 
 mod faults;
-mod foot;
+mod ground_contact;
 mod holding;
-mod layers;
-mod paths;
-mod power;
 pub(super) mod rig;
+mod transitions;

@@ -1,120 +1,109 @@
-//! A gripper for tests: a motor that does at once what it is asked, and an object of some stiffness.
+//! Test rig: the grip controller with an ideal motor and an elastic object.
 
+use crate::config::limits::GripLimits;
+use crate::estimator::{Estimate, Validity};
+use crate::fixed_point::Force;
+use crate::grip::commands::{RefusalReason, mode};
+use crate::grip::states::{PowerState, TaskState};
+use crate::grip::{ArmingRequest, ControlInputs, ControlOutputs, GripController, SessionStatus};
+use crate::motor::screw::Screw;
+use crate::motor::{MotorState, MotorStatus, Setpoint};
+use crate::protocol::messages::Command;
+use crate::sensors::hall::SENSORS;
+use crate::system::faults::{Fault, FaultSet};
 use std::vec::Vec;
 
-use super::super::fixture::pressed;
-use super::super::order::mode;
-use super::super::reason::Reason;
-use super::super::states::{Power, Task};
-use super::super::{Arming, Grip, Host, Inputs, Outputs};
-use crate::force::Estimate;
-use crate::limits::Grasp;
-use crate::motor::screw::Screw;
-use crate::motor::{Setpoint, State, Telling};
-use crate::status::{Fault, Faults};
-use crate::wire::messages::Command;
-
-/// The gripper.
-pub struct Rig {
-    pub grip: Grip,
-    pub motor: Telling,
-    pub host: Host,
+/// The rig.
+pub struct GripRig {
+    pub grip: GripController,
+    pub motor: MotorStatus,
+    pub host: SessionStatus,
     pub command: Option<Command>,
     pub stop: bool,
     pub clear: bool,
     pub is_sound: Option<bool>,
     pub is_calibrating: bool,
-    pub others: Faults,
-    /// Opening at which an object is touched, and newtons to the millimetre.
+    pub others: FaultSet,
+    /// Width of the object in millimetres, and its stiffness in N/mm.
     pub object: Option<(f32, f32)>,
-    /// Forces instead of the object's.
+    /// Estimates instead of those of the object.
     pub estimates: Option<[Estimate; 4]>,
-    /// Sensors that are not told.
-    pub spoil: Option<fn(&mut [Estimate; 4])>,
-    pub said: Option<Outputs>,
-    pub refused: Vec<Reason>,
+    /// Modification of the estimates.
+    pub corrupt: Option<fn(&mut [Estimate; 4])>,
+    pub outputs: Option<ControlOutputs>,
+    pub refused: Vec<RefusalReason>,
 }
 
-impl Rig {
-    /// Just begun, its opening known.
-    pub fn new(locks: bool) -> Self {
+impl GripRig {
+    /// After start, with a known opening.
+    pub fn new(self_locking: bool) -> Self {
         Self {
-            grip: Grip::new(
-                Grasp::GRIPPER,
-                if locks { Screw::A } else { Screw::B },
-                locks,
+            grip: GripController::new(
+                GripLimits::GRIPPER,
+                if self_locking { Screw::A } else { Screw::B },
+                self_locking,
             ),
-            motor: Telling {
-                opening_mm: Some(50.0),
-                ..Telling::default()
-            },
-            host: Host::default(),
+            motor: MotorStatus { opening_mm: Some(50.0), ..MotorStatus::default() },
+            host: SessionStatus::default(),
             command: None,
             stop: false,
             clear: false,
             is_sound: Some(true),
             is_calibrating: false,
-            others: Faults::default(),
+            others: FaultSet::default(),
             object: None,
             estimates: None,
-            spoil: None,
-            said: None,
+            corrupt: None,
+            outputs: None,
             refused: Vec::new(),
         }
     }
 
     /// Armed and enabled.
-    pub fn enabled(locks: bool) -> Self {
-        Self::enabled_at(locks, 50.0)
+    pub fn enabled(self_locking: bool) -> Self {
+        Self::enabled_at(self_locking, 50.0)
     }
 
-    /// The same with the fingers so many millimetres apart.
-    pub fn enabled_at(locks: bool, opening_mm: f32) -> Self {
-        let mut rig = Self::new(locks);
+    /// As [`Self::enabled`], at an opening in millimetres.
+    pub fn enabled_at(self_locking: bool, opening_mm: f32) -> Self {
+        let mut rig = Self::new(self_locking);
         rig.motor.opening_mm = Some(opening_mm);
         rig.arm();
-        rig.order(mode::ENABLE, |_| {});
-        assert_eq!(rig.grip.power(), Power::Enabled);
+        rig.send(mode::ENABLE, |_| {});
+        assert_eq!(rig.grip.power(), PowerState::Enabled);
         rig
     }
 
-    /// Armed by a host that answers.
+    /// Opens a session.
     pub fn arm(&mut self) {
         self.host.is_offered = true;
         self.run(4);
-        self.host = Host {
-            is_offered: false,
-            is_open: true,
-            is_alive: true,
-        };
+        self.host = SessionStatus { is_offered: false, is_open: true, is_alive: true };
         self.run(3);
-        assert_eq!(self.grip.power(), Power::Armed);
+        assert_eq!(self.grip.power(), PowerState::Armed);
     }
 
-    /// Holding an object 40 mm wide with 100 N; `latched` or with its current.
-    pub fn holding(locks: bool) -> Self {
-        let mut rig = Self::enabled(locks);
+    /// Holding an object of 40 mm with 100 N.
+    pub fn holding(self_locking: bool) -> Self {
+        let mut rig = Self::enabled(self_locking);
         rig.object = Some((40.0, 50.0));
-        rig.order(mode::GRIP, |command| command.force = 1000);
-        rig.run_until(Task::HoldActive);
+        rig.send(mode::GRIP, |command| command.force = 1000);
+        rig.run_until(TaskState::HoldActive);
         rig
     }
 
-    /// A foot on closed fingers.
-    pub fn foot(locks: bool) -> Self {
-        let mut rig = Self::enabled_at(locks, 0.5);
+    /// In foot mode on closed fingers.
+    pub fn foot(self_locking: bool) -> Self {
+        let mut rig = Self::enabled_at(self_locking, 0.5);
         rig.run(20);
-        rig.order(mode::FOOT, |_| {});
-        assert_eq!(rig.grip.task(), Task::Foot);
+        rig.send(mode::FOOT, |_| {});
+        assert_eq!(rig.grip.task(), TaskState::Foot);
         rig
     }
 
-    /// A command, heard once.
-    pub fn order(&mut self, mode: u8, with: impl Fn(&mut Command)) {
-        let mut command = Command {
-            mode,
-            ..Command::default()
-        };
+    /// Sends a command once.
+    pub fn send(&mut self, mode: u8, with: impl Fn(&mut Command)) {
+        let mut command = Command { mode, ..Command::default() };
         with(&mut command);
         self.command = Some(command);
         self.tick();
@@ -124,13 +113,13 @@ impl Rig {
     pub fn tick(&mut self) {
         let force_n = self.force_n();
         let half = f64::from(0.5 * force_n);
-        let told = pressed([half, half, -half, -half], [0.0; 4]);
-        let mut estimates = self.estimates.unwrap_or(told);
-        if let Some(spoil) = self.spoil {
-            spoil(&mut estimates);
+        let of_object = pressed([half, half, -half, -half], [0.0; 4]);
+        let mut estimates = self.estimates.unwrap_or(of_object);
+        if let Some(corrupt) = self.corrupt {
+            corrupt(&mut estimates);
         }
         assert!(self.grip.is_intact());
-        let said = self.grip.tick(&Inputs {
+        let outputs = self.grip.tick(&ControlInputs {
             estimates: &estimates,
             motor: self.motor,
             host: self.host,
@@ -142,18 +131,17 @@ impl Rig {
             is_calibrating: self.is_calibrating,
             acceleration: None,
         });
-        self.refused
-            .extend(said.refused.map(|refused| refused.reason));
-        match said.arming {
-            Some(Arming::Arm) => self.motor.state = State::Armed,
-            Some(Arming::Disarm) => self.motor.state = State::Disarmed,
+        self.refused.extend(outputs.refused.map(|refused| refused.reason));
+        match outputs.arming {
+            Some(ArmingRequest::Arm) => self.motor.state = MotorState::Armed,
+            Some(ArmingRequest::Disarm) => self.motor.state = MotorState::Disarmed,
             None => {}
         }
-        if let Some(opening_mm) = said.opening_mm {
+        if let Some(opening_mm) = outputs.opening_mm {
             self.motor.opening_mm = opening_mm.is_finite().then_some(opening_mm);
         }
-        self.follow(said.setpoint);
-        self.said = Some(said);
+        self.follow(outputs.setpoint);
+        self.outputs = Some(outputs);
     }
 
     pub fn run(&mut self, ticks: u32) {
@@ -162,7 +150,7 @@ impl Rig {
         }
     }
 
-    pub fn run_until(&mut self, task: Task) {
+    pub fn run_until(&mut self, task: TaskState) {
         for _ in 0..20_000 {
             if self.grip.task() == task {
                 return;
@@ -173,22 +161,21 @@ impl Rig {
     }
 
     pub fn setpoint(&self) -> Setpoint {
-        self.said.as_ref().unwrap().setpoint
+        self.outputs.as_ref().unwrap().setpoint
     }
 
     pub fn force_n(&self) -> f32 {
         let opening_mm = self.motor.opening_mm.unwrap_or_default();
-        self.object.map_or(0.0, |(width_mm, stiffness)| {
-            (stiffness * (width_mm - opening_mm)).max(0.0)
-        })
+        self.object
+            .map_or(0.0, |(width_mm, stiffness)| (stiffness * (width_mm - opening_mm)).max(0.0))
     }
 
-    /// A fault that others found comes or goes.
+    /// Sets or clears an external fault.
     pub fn fault(&mut self, fault: Fault, active: bool) {
-        self.others.note(fault, 0, active, 0);
+        self.others.update(fault, 0, active, 0);
     }
 
-    /// The motor does at once what it is asked.
+    /// Moves the ideal motor.
     fn follow(&mut self, setpoint: Setpoint) {
         const TICK_S: f32 = 1e-3;
         let Some(opening_mm) = self.motor.opening_mm else {
@@ -196,14 +183,24 @@ impl Rig {
         };
         let closing_mm_s = match setpoint {
             Setpoint::Speed { closing_mm_s, .. } => closing_mm_s,
-            Setpoint::Position {
-                opening_mm: to,
-                speed_mm_s,
-                ..
-            } => ((opening_mm - to) / TICK_S).clamp(-speed_mm_s, speed_mm_s),
+            Setpoint::Position { opening_mm: to, speed_mm_s, .. } => {
+                ((opening_mm - to) / TICK_S).clamp(-speed_mm_s, speed_mm_s)
+            }
             Setpoint::Off | Setpoint::Brake | Setpoint::Current { .. } => 0.0,
         };
         self.motor.closing_mm_s = closing_mm_s;
         self.motor.opening_mm = Some(opening_mm - closing_mm_s * TICK_S);
     }
+}
+
+/// Valid estimates from lateral and longitudinal forces in newtons.
+pub fn pressed(lateral: [f64; SENSORS], longitudinal: [f64; SENSORS]) -> [Estimate; SENSORS] {
+    let force = |newtons: f64| Force((newtons * Force::PER_NEWTON) as i32);
+    let mut estimates = [Estimate::MISSING; SENSORS];
+    let forces = lateral.into_iter().zip(longitudinal);
+    for (estimate, (x, z)) in estimates.iter_mut().zip(forces) {
+        estimate.force = [force(x), force(z)];
+        estimate.validity = Validity::Valid;
+    }
+    estimates
 }

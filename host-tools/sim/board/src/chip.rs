@@ -136,12 +136,8 @@ impl Chip {
     /// calling again.
     pub fn run_until(&mut self, end: Time) -> Result<(), Halt> {
         while self.now() < end {
-            let sample = self
-                .sampler
-                .as_ref()
-                .map_or(Time::NEVER, |sampler| sampler.next);
-            self.soc
-                .run_to(end.min(self.logged + LOG_PERIOD).min(sample));
+            let sample = self.sampler.as_ref().map_or(Time::NEVER, |sampler| sampler.next);
+            self.soc.run_to(end.min(self.logged + LOG_PERIOD).min(sample));
             let asleep = self.asleep;
             let result = self.run_to_pause();
             if self.now() >= sample {
@@ -173,12 +169,8 @@ impl Chip {
     /// Notes where the core is at regular times: [`Profile::functions`] then tells in which functions it spends them. The
     /// period should share no factor with those of the program.
     pub fn sample_every(&mut self, period: Time) {
-        self.sampler = Some(Sampler {
-            period,
-            next: self.now() + period,
-            counts: HashMap::new(),
-            total: 0,
-        });
+        self.sampler =
+            Some(Sampler { period, next: self.now() + period, counts: HashMap::new(), total: 0 });
     }
 
     fn sample(&mut self, is_asleep: bool) {
@@ -213,11 +205,7 @@ impl Chip {
     /// Runs to the next event or the end, and handles it.
     fn run_to_pause(&mut self) -> Result<(), Halt> {
         let runs = self.state == CoreState::Running && self.soc.core_clock() > Frequency(0);
-        let pause = if runs {
-            self.core.run(&mut self.soc)?
-        } else {
-            Pause::Asleep
-        };
+        let pause = if runs { self.core.run(&mut self.soc)? } else { Pause::Asleep };
         if pause == Pause::Asleep {
             let passed = self.soc.skip();
             self.asleep += passed;
@@ -294,10 +282,7 @@ impl Chip {
         let duration = self.now() - self.measured_from;
         let (stack, functions) = (self.stack(), self.functions());
         let (soc, statistics) = (&self.soc, self.core.statistics());
-        Profile {
-            functions,
-            ..Profile::new(soc, statistics, clock, duration, self.asleep, stack)
-        }
+        Profile { functions, ..Profile::new(soc, statistics, clock, duration, self.asleep, stack) }
     }
 
     /// Lowest and highest address of the main stack, as the linker script says.
@@ -361,19 +346,12 @@ impl Profile {
         stack: Option<[u32; 2]>,
     ) -> Self {
         let cycles = duration.ps() as f64 / clock.period().ps() as f64;
-        let used = statistics
-            .by_exception
-            .iter()
-            .enumerate()
-            .filter(|(_, load)| load.instructions > 0);
+        let used =
+            statistics.by_exception.iter().enumerate().filter(|(_, load)| load.instructions > 0);
         let mut loads: Vec<_> = used
             .map(|(number, load)| Load {
                 name: exception_name(number as u16),
-                level: if number == 0 {
-                    None
-                } else {
-                    soc.priority_level(number as u16)
-                },
+                level: if number == 0 { None } else { soc.priority_level(number as u16) },
                 share: load.cycles as f64 / cycles,
                 instructions_per_ms: load.instructions as f64 / (1e3 * duration.as_s()),
                 entries_per_s: load.entries as f64 / duration.as_s(),

@@ -93,13 +93,7 @@ impl CanFrame {
         let mut data = [0; 8];
         let length = bytes.len().min(8);
         data[..length].copy_from_slice(&bytes[..length]);
-        Self {
-            id: id.into(),
-            is_extended: false,
-            is_remote: false,
-            length: length as u8,
-            data,
-        }
+        Self { id: id.into(), is_extended: false, is_remote: false, length: length as u8, data }
     }
 
     /// Its bytes.
@@ -109,10 +103,8 @@ impl CanFrame {
 
     /// Order in arbitration: the least goes first (ISO 11898-1, 10.3).
     pub fn priority(&self) -> u32 {
-        let (base, rest) = match self.is_extended {
-            true => (self.id >> 18, self.id & 0x3_FFFF),
-            false => (self.id, 0),
-        };
+        let (base, rest) =
+            if self.is_extended { (self.id >> 18, self.id & 0x3_FFFF) } else { (self.id, 0) };
         // Base identifier, then SRR/RTR and IDE, recessive in an extended frame, then its other bits.
         base << 21 | u32::from(self.is_extended) << 20 | rest << 1 | u32::from(self.is_remote)
     }

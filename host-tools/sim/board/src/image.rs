@@ -73,17 +73,13 @@ impl Image {
     /// # Errors
     /// [`ImageError`].
     pub fn read(path: &Path) -> Result<Self, ImageError> {
-        let elf = std::fs::read(path).map_err(|source| ImageError::Read {
-            path: path.to_owned(),
-            source,
-        })?;
+        let elf = std::fs::read(path)
+            .map_err(|source| ImageError::Read { path: path.to_owned(), source })?;
         Self::parse(elf, path)
     }
 
     fn parse(elf: Vec<u8>, path: &Path) -> Result<Self, ImageError> {
-        let not_arm = || ImageError::NotArm {
-            path: path.to_owned(),
-        };
+        let not_arm = || ImageError::NotArm { path: path.to_owned() };
         let file = ElfFile32::<Endianness>::parse(&*elf).map_err(|_| not_arm())?;
         let endian = file.endian();
         let header: &FileHeader32<Endianness> = file.elf_header();
@@ -98,34 +94,20 @@ impl Image {
             let address = program.p_paddr(endian);
             let bytes = program.data(endian, &*elf).map_err(|()| not_arm())?;
             let offset = address.wrapping_sub(flash::BASE) as usize;
-            if offset
-                .checked_add(bytes.len())
-                .is_none_or(|end| end > flash::SIZE)
-            {
+            if offset.checked_add(bytes.len()).is_none_or(|end| end > flash::SIZE) {
                 let length = bytes.len();
-                return Err(ImageError::OutsideFlash {
-                    path: path.to_owned(),
-                    address,
-                    length,
-                });
+                return Err(ImageError::OutsideFlash { path: path.to_owned(), address, length });
             }
             segments.push((offset, bytes.to_vec()));
         }
-        if !segments
-            .iter()
-            .any(|(offset, bytes)| *offset == 0 && bytes.len() >= 8)
-        {
-            return Err(ImageError::NoVectors {
-                path: path.to_owned(),
-            });
+        if !segments.iter().any(|(offset, bytes)| *offset == 0 && bytes.len() >= 8) {
+            return Err(ImageError::NoVectors { path: path.to_owned() });
         }
         let defined = file.symbols().filter(|symbol| !symbol.is_undefined());
         let mut symbols: Vec<_> = defined
             .filter_map(|symbol| {
-                let name = symbol
-                    .name()
-                    .ok()
-                    .filter(|name| !name.is_empty() && !name.starts_with('$'))?;
+                let name =
+                    symbol.name().ok().filter(|name| !name.is_empty() && !name.starts_with('$'))?;
                 let name = format!("{:#}", rustc_demangle::demangle(name));
                 Some(Symbol {
                     address: symbol.address() as u32 & !1,
@@ -135,27 +117,19 @@ impl Image {
             })
             .collect();
         symbols.sort_by_key(|symbol| (symbol.address, symbol.length));
-        Ok(Self {
-            segments,
-            symbols,
-            elf,
-        })
+        Ok(Self { segments, symbols, elf })
     }
 
     /// The function or static with an address within it.
     pub fn symbol_at(&self, address: u32) -> Option<&Symbol> {
-        let end = self
-            .symbols
-            .partition_point(|symbol| symbol.address <= address);
+        let end = self.symbols.partition_point(|symbol| symbol.address <= address);
         let mut before = self.symbols[..end].iter().rev();
         before.find(|symbol| address - symbol.address < symbol.length)
     }
 
     /// Symbols whose name ends so, or the whole of whose name is this.
     pub fn symbols_named<'a>(&'a self, name: &'a str) -> impl Iterator<Item = &'a Symbol> {
-        self.symbols
-            .iter()
-            .filter(move |symbol| symbol.name.ends_with(name))
+        self.symbols.iter().filter(move |symbol| symbol.name.ends_with(name))
     }
 
     /// A place in the program as people read it: function and offset.

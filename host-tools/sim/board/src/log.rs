@@ -37,18 +37,10 @@ pub(crate) struct Log {
 
 impl Log {
     pub(crate) fn new(image: &Image) -> Self {
-        let block = image
-            .symbols_named("_SEGGER_RTT")
-            .next()
-            .map(|symbol| symbol.address);
+        let block = image.symbols_named("_SEGGER_RTT").next().map(|symbol| symbol.address);
         let table = Table::parse(&image.elf).ok().flatten();
         let table: Option<&'static Table> = table.map(|table| &*Box::leak(Box::new(table)));
-        Self {
-            block,
-            table,
-            decoder: table.map(Table::new_stream_decoder),
-            lines: Vec::new(),
-        }
+        Self { block, table, decoder: table.map(Table::new_stream_decoder), lines: Vec::new() }
     }
 
     /// Begins anew after a reset: what had not ended is lost.
@@ -90,18 +82,13 @@ impl Log {
         decoder.received(&bytes);
         loop {
             let (stamp, text) = match decoder.decode() {
-                Ok(frame) => (
-                    frame.display_timestamp().map(|stamp| stamp.to_string()),
-                    text(&frame),
-                ),
+                Ok(frame) => {
+                    (frame.display_timestamp().map(|stamp| stamp.to_string()), text(&frame))
+                }
                 Err(DecodeError::UnexpectedEof) => break,
                 Err(DecodeError::Malformed) => (None, "(not decodable)".to_owned()),
             };
-            self.lines.push(LogLine {
-                time: soc.now(),
-                stamp,
-                text,
-            });
+            self.lines.push(LogLine { time: soc.now(), stamp, text });
         }
     }
 }

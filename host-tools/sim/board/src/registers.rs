@@ -42,9 +42,7 @@ pub fn base(name: &str) -> u32 {
 pub fn interrupt(name: &str) -> usize {
     let mut all = METADATA.interrupts.iter();
     let found = all.find(|interrupt| interrupt.name == name);
-    found
-        .unwrap_or_else(|| panic!("the chip has no interrupt {name}"))
-        .number as usize
+    found.unwrap_or_else(|| panic!("the chip has no interrupt {name}")).number as usize
 }
 
 /// Name of an interrupt.
@@ -60,17 +58,15 @@ pub fn interrupt_name(number: usize) -> &'static str {
 /// The peripheral has no such request.
 pub(crate) fn dma_request(name: &str, signal: &str) -> u8 {
     let mut channels = peripheral(name).dma_channels.iter();
-    let request = channels
-        .find(|channel| channel.signal == signal)
-        .and_then(|channel| channel.request);
+    let request =
+        channels.find(|channel| channel.signal == signal).and_then(|channel| channel.request);
     request.unwrap_or_else(|| panic!("{name} has no DMA request {signal}")) as u8
 }
 
 /// Alternate function by which a pin (as `PB9`) is a signal of a peripheral.
 pub fn alternate_function(name: &str, signal: &str, pin: &str) -> Option<u8> {
     let mut pins = peripheral(name).pins.iter();
-    pins.find(|candidate| candidate.pin == pin && candidate.signal == signal)
-        .and_then(|pin| pin.af)
+    pins.find(|candidate| candidate.pin == pin && candidate.signal == signal).and_then(|pin| pin.af)
 }
 
 /// A bit of a register of RCC: its byte offset and its number.
@@ -85,11 +81,8 @@ pub(crate) fn rcc_bits(name: &str) -> Option<[RccBit; 2]> {
     let rcc = peripheral(name).rcc.as_ref()?;
     let (enable, reset) = (rcc.enable.as_ref()?, rcc.reset.as_ref()?);
     Some(
-        [
-            (enable.register, enable.field),
-            (reset.register, reset.field),
-        ]
-        .map(|(register, field)| rcc_bit(register, field)),
+        [(enable.register, enable.field), (reset.register, reset.field)]
+            .map(|(register, field)| rcc_bit(register, field)),
     )
 }
 
@@ -100,11 +93,8 @@ fn rcc_bit(register: &str, field: &str) -> RccBit {
         .into_iter()
         .find(|(name, _, _)| name.eq_ignore_ascii_case(register))
         .unwrap_or_else(|| panic!("RCC has no register {register}"));
-    let fields = ir
-        .fieldsets
-        .iter()
-        .find(|candidate| Some(candidate.name) == set)
-        .map(|set| set.fields);
+    let fields =
+        ir.fieldsets.iter().find(|candidate| Some(candidate.name) == set).map(|set| set.fields);
     let mut fields = fields.unwrap_or_default().iter();
     let field = fields
         .find(|candidate| candidate.name.eq_ignore_ascii_case(field))
@@ -112,17 +102,12 @@ fn rcc_bit(register: &str, field: &str) -> RccBit {
     let stm32_metapac::metadata::ir::BitOffset::Regular(bit) = &field.bit_offset else {
         panic!("RCC_{register}.{} is not one bit", field.name)
     };
-    RccBit {
-        offset,
-        bit: bit.offset,
-    }
+    RccBit { offset, bit: bit.offset }
 }
 
 fn block_ir(name: &str) -> &'static IR {
     let registers = peripheral(name).registers.as_ref();
-    registers
-        .unwrap_or_else(|| panic!("{name} has no registers"))
-        .ir
+    registers.unwrap_or_else(|| panic!("{name} has no registers")).ir
 }
 
 /// Name, offset and set of fields of each register of a block, arrays and inner blocks written out. Registers of an
@@ -167,33 +152,24 @@ fn places(item: &BlockItem) -> Vec<(String, u32)> {
         Some(Array::Cursed(array)) => array.offsets.to_vec(),
     };
     let numbered = offsets.into_iter().enumerate();
-    numbered
-        .map(|(place, offset)| (place.to_string(), item.byte_offset + offset))
-        .collect()
+    numbered.map(|(place, offset)| (place.to_string(), item.byte_offset + offset)).collect()
 }
 
 /// Registers of a peripheral: name, byte offset, name of the set of fields.
 pub(crate) fn registers_of(name: &str) -> Vec<(String, u32, Option<&'static str>)> {
     let ir = block_ir(name);
-    let own = peripheral(name)
-        .registers
-        .as_ref()
-        .map(|registers| registers.block);
+    let own = peripheral(name).registers.as_ref().map(|registers| registers.block);
     // Names of blocks are upper case in the one place, camel case in the other.
     let plain = |text: &str| text.replace('_', "").to_lowercase();
-    let block = ir
-        .blocks
-        .iter()
-        .find(|block| own.is_some_and(|own| plain(own) == plain(block.name)));
+    let block =
+        ir.blocks.iter().find(|block| own.is_some_and(|own| plain(own) == plain(block.name)));
     items(ir, block)
 }
 
 /// What is at an address, as `I2C1.CR2`.
 pub fn name(address: u32) -> String {
-    let below = METADATA
-        .peripherals
-        .iter()
-        .filter(|peripheral| peripheral.address as u32 <= address);
+    let below =
+        METADATA.peripherals.iter().filter(|peripheral| peripheral.address as u32 <= address);
     let nearest = below.max_by_key(|peripheral| peripheral.address);
     let Some(peripheral) =
         nearest.filter(|peripheral| address - (peripheral.address as u32) < 0x400)
@@ -204,9 +180,7 @@ pub fn name(address: u32) -> String {
         return peripheral.name.to_owned();
     }
     let offset = address - peripheral.address as u32;
-    let register = registers_of(peripheral.name)
-        .into_iter()
-        .find(|(_, place, _)| *place == offset);
+    let register = registers_of(peripheral.name).into_iter().find(|(_, place, _)| *place == offset);
     match register {
         Some((register, _, _)) => format!("{}.{register}", peripheral.name),
         None => format!("{}+{offset:#x}", peripheral.name),
@@ -261,10 +235,7 @@ mod tests {
             let [name, position, width] = row.split(',').collect::<Vec<_>>()[..] else {
                 panic!("{row}")
             };
-            (
-                name.replace('_', ""),
-                (position.parse().unwrap(), width.parse().unwrap()),
-            )
+            (name.replace('_', ""), (position.parse().unwrap(), width.parse().unwrap()))
         })
         .collect()
     }
@@ -274,9 +245,8 @@ mod tests {
         for (name, offsets) in MODELLED {
             let known = registers_of(name);
             for (register, offset) in *offsets {
-                let found = known
-                    .iter()
-                    .any(|(known, place, _)| known == register && place == offset);
+                let found =
+                    known.iter().any(|(known, place, _)| known == register && place == offset);
                 assert!(found, "{name}.{register} is not at {offset:#x}");
             }
         }
@@ -327,10 +297,7 @@ mod tests {
                 }
             }
         }
-        assert_eq!(
-            different.iter().map(String::as_str).collect::<Vec<_>>(),
-            DIFFERENT
-        );
+        assert_eq!(different.iter().map(String::as_str).collect::<Vec<_>>(), DIFFERENT);
         assert!(compared > 550, "only {compared} fields were compared");
     }
 
@@ -343,9 +310,9 @@ mod tests {
         let numbered = register.trim_end_matches(char::is_numeric);
         let strides: Vec<_> = match &field.array {
             None => vec![(String::new(), 0)],
-            Some(Array::Regular(array)) => (0..array.len)
-                .map(|place| (place.to_string(), place * array.stride))
-                .collect(),
+            Some(Array::Regular(array)) => {
+                (0..array.len).map(|place| (place.to_string(), place * array.stride)).collect()
+            }
             Some(Array::Cursed(array)) => array
                 .offsets
                 .iter()
@@ -375,26 +342,11 @@ mod tests {
         // RM0440 7.4.18 and 7.4.10: I2C1EN is bit 21 of APB1ENR1 (0x58), I2C1RST of APB1RSTR1 (0x38).
         assert_eq!(
             rcc_bits("I2C1"),
-            Some([
-                RccBit {
-                    offset: 0x58,
-                    bit: 21
-                },
-                RccBit {
-                    offset: 0x38,
-                    bit: 21
-                }
-            ])
+            Some([RccBit { offset: 0x58, bit: 21 }, RccBit { offset: 0x38, bit: 21 }])
         );
         // RM0440 table 97 (vectors) and table 91 (DMAMUX requests).
-        assert_eq!(
-            [interrupt("ADC1_2"), interrupt("TIM5"), interrupt("FMAC")],
-            [18, 50, 101]
-        );
-        assert_eq!(
-            [dma_request("I2C1", "RX"), dma_request("USART2", "TX")],
-            [16, 27]
-        );
+        assert_eq!([interrupt("ADC1_2"), interrupt("TIM5"), interrupt("FMAC")], [18, 50, 101]);
+        assert_eq!([dma_request("I2C1", "RX"), dma_request("USART2", "TX")], [16, 27]);
         assert_eq!(alternate_function("I2C1", "SCL", "PA15"), Some(4));
     }
 }

@@ -273,12 +273,8 @@ impl Soc {
     pub fn new(options: Options, devices: Devices) -> Self {
         let pairs = |names: [&str; 2]| names.map(interrupt);
         let interrupts = Interrupts {
-            i2c: [
-                ["I2C1_EV", "I2C1_ER"],
-                ["I2C2_EV", "I2C2_ER"],
-                ["I2C3_EV", "I2C3_ER"],
-            ]
-            .map(pairs),
+            i2c: [["I2C1_EV", "I2C1_ER"], ["I2C2_EV", "I2C2_ER"], ["I2C3_EV", "I2C3_ER"]]
+                .map(pairs),
             fdcan: pairs(["FDCAN1_IT0", "FDCAN1_IT1"]),
             tim1: pairs(["TIM1_BRK_TIM15", "TIM1_UP_TIM16"]),
             usart: interrupt("USART2"),
@@ -289,11 +285,7 @@ impl Soc {
         };
         let entries: Vec<_> = BLOCKS
             .into_iter()
-            .map(|(name, block)| Entry {
-                block,
-                base: base(name),
-                bits: gate(name, block),
-            })
+            .map(|(name, block)| Entry { block, base: base(name), bits: gate(name, block) })
             .collect();
         let functions = Functions::new(&options.wiring);
         let crystal = options.wiring.crystal;
@@ -394,8 +386,7 @@ impl Soc {
 
     /// Whether the chip starts from flash, by BOOT0 at this moment.
     pub(crate) fn boots_from_flash(&self) -> bool {
-        self.flash
-            .boots(self.options.wiring.is_pulled_up(Wiring::BOOT0))
+        self.flash.boots(self.options.wiring.is_pulled_up(Wiring::BOOT0))
     }
 
     /// Time since power-on.
@@ -429,9 +420,7 @@ impl Soc {
 
     /// Priority level of an interrupt or exception, 0 the most urgent; none of one that has a fixed one.
     pub(crate) fn priority_level(&self, exception: u16) -> Option<u8> {
-        u8::try_from(self.system.priority(exception))
-            .ok()
-            .map(|priority| priority >> 4)
+        u8::try_from(self.system.priority(exception)).ok().map(|priority| priority >> 4)
     }
 
     /// A reset that a peripheral or the program has asked for.
@@ -489,19 +478,13 @@ impl Soc {
 
     /// Frames on the CAN bus that the program has not seen since the last reset.
     pub fn unseen_frames(&self) -> UnseenFrames {
-        UnseenFrames {
-            refused: self.fdcan.refused,
-            lost: self.fdcan.lost,
-        }
+        UnseenFrames { refused: self.fdcan.refused, lost: self.fdcan.lost }
     }
 
     /// Leaves a byte in the data register of the I2C peripheral at a sensor bus, as an aborted transfer does; false where
     /// none is at it.
     pub fn leave_received_byte(&mut self, bus: usize, byte: u8) -> bool {
-        let number = self
-            .buses
-            .iter()
-            .position(|connected| *connected == Some(bus));
+        let number = self.buses.iter().position(|connected| *connected == Some(bus));
         if let Some(number) = number {
             self.i2c[number].leave_byte(byte);
             self.refresh(Block::I2c(number));
@@ -536,9 +519,8 @@ impl Soc {
             _ => (SRAM, &mut self.sram),
         };
         let offset = address.wrapping_sub(start) as usize;
-        let Some(place) = offset
-            .checked_add(bytes.len())
-            .and_then(|end| memory.get_mut(offset..end))
+        let Some(place) =
+            offset.checked_add(bytes.len()).and_then(|end| memory.get_mut(offset..end))
         else {
             return false;
         };
@@ -584,13 +566,11 @@ impl Soc {
                 self.refresh(Block::I2c(number));
             } else if self.usart.next_event(&*self.devices.serial) <= due {
                 let usart_base = base_of(&self.entries, Block::Usart);
-                self.usart
-                    .advance(&mut *self.devices.serial, context!(self, usart_base));
+                self.usart.advance(&mut *self.devices.serial, context!(self, usart_base));
                 self.refresh(Block::Usart);
             } else if self.fdcan.next_event(&*self.devices.can) <= due {
                 let fdcan_base = base_of(&self.entries, Block::Fdcan);
-                self.fdcan
-                    .advance(&mut *self.devices.can, context!(self, fdcan_base));
+                self.fdcan.advance(&mut *self.devices.can, context!(self, fdcan_base));
                 self.refresh(Block::Fdcan);
             } else if self.flash.next_event() <= due {
                 if let Some(range) = self.flash.advance(due) {
@@ -624,11 +604,7 @@ impl Soc {
     }
 
     pub(crate) fn plan(&mut self) {
-        let rng = if self.rng.interrupt(self.now) {
-            Time::NEVER
-        } else {
-            self.rng.next_event()
-        };
+        let rng = if self.rng.interrupt(self.now) { Time::NEVER } else { self.rng.next_event() };
         let [first, second, third] = self.i2c.each_ref().map(I2c::next_event);
         let times = [
             self.tim5.next_event(),
@@ -664,9 +640,8 @@ impl Soc {
             }
             Block::Adc12 => system.set_line(numbers.adc, self.adc.interrupt()),
             Block::I2c(place) => {
-                for (number, level) in numbers.i2c[place]
-                    .into_iter()
-                    .zip(self.i2c[place].interrupts())
+                for (number, level) in
+                    numbers.i2c[place].into_iter().zip(self.i2c[place].interrupts())
                 {
                     system.set_line(number, level);
                 }
@@ -719,35 +694,24 @@ impl Soc {
             _ => self.usart.dma_requests()[request.line],
         };
         waiting
-            .find(|(_, id)| {
-                self.requests[usize::from(*id)]
-                    .as_ref()
-                    .is_some_and(is_high)
-            })
+            .find(|(_, id)| self.requests[usize::from(*id)].as_ref().is_some_and(is_high))
             .map(|(channel, _)| channel)
     }
 
     fn transfer(&mut self, transfer: &Transfer) {
         let peripheral = transfer.peripheral;
-        let is_done = match transfer.to_peripheral {
-            true => {
-                let value = self.dma_read(transfer.memory, transfer.memory_width);
-                value.is_some_and(|value| {
-                    self.access(peripheral, transfer.peripheral_width, Some(value))
-                        .is_some()
-                })
-            }
-            false => {
-                let value = self.access(peripheral, transfer.peripheral_width, None);
-                value.is_some_and(|value| {
-                    self.dma_write(transfer.memory, transfer.memory_width, value)
-                })
-            }
+        let is_done = if transfer.to_peripheral {
+            let value = self.dma_read(transfer.memory, transfer.memory_width);
+            value.is_some_and(|value| {
+                self.access(peripheral, transfer.peripheral_width, Some(value)).is_some()
+            })
+        } else {
+            let value = self.access(peripheral, transfer.peripheral_width, None);
+            value.is_some_and(|value| self.dma_write(transfer.memory, transfer.memory_width, value))
         };
         if !is_done {
             let address = transfer.memory;
-            self.violations
-                .report(Kind::DmaAddress, address, "no memory that DMA reaches");
+            self.violations.report(Kind::DmaAddress, address, "no memory that DMA reaches");
             self.dma.fail(transfer.channel);
         }
     }
@@ -759,12 +723,7 @@ impl Soc {
             CCM..SRAM => None,
             _ => self.memory(address, width as usize),
         }?;
-        Some(
-            bytes
-                .iter()
-                .rev()
-                .fold(0, |value, byte| value << 8 | u32::from(*byte)),
-        )
+        Some(bytes.iter().rev().fold(0, |value, byte| value << 8 | u32::from(*byte)))
     }
 
     fn dma_write(&mut self, address: u32, width: u32, value: u32) -> bool {
@@ -805,15 +764,13 @@ impl Soc {
     fn access(&mut self, address: u32, width: u32, store: Option<u32>) -> Option<u32> {
         self.violations.now = self.now;
         let Some(entry) = self.entry(address) else {
-            self.violations
-                .report(Kind::UnmodelledRegister, address & !3, "not emulated");
+            self.violations.report(Kind::UnmodelledRegister, address & !3, "not emulated");
             return Some(0);
         };
         if let Some([enable, _]) = entry.bits
             && !self.rcc.is_set(enable)
         {
-            self.violations
-                .report(Kind::ClockGated, entry.base, "its clock is off");
+            self.violations.report(Kind::ClockGated, entry.base, "its clock is off");
             return Some(0);
         }
         let value = match store {
@@ -821,11 +778,7 @@ impl Soc {
                 self.store(entry, (address & !3) - entry.base, value, width);
                 0
             }
-            None => lanes(
-                self.load(entry, (address & !3) - entry.base),
-                address,
-                width,
-            ),
+            None => lanes(self.load(entry, (address & !3) - entry.base), address, width),
         };
         self.refresh(entry.block);
         self.plan();
@@ -843,11 +796,8 @@ impl Soc {
             Block::FdcanRam => self.fdcan.read_ram(offset).unwrap_or(0),
             Block::Flash => self.flash.read_register(offset, context),
             Block::Gpio(port) => {
-                for (bus, pins) in self
-                    .devices
-                    .sensor_buses
-                    .iter()
-                    .zip(self.options.wiring.sensor_buses)
+                for (bus, pins) in
+                    self.devices.sensor_buses.iter().zip(self.options.wiring.sensor_buses)
                 {
                     for (pin, is_released) in pins.into_iter().zip(bus.released(self.now)) {
                         self.gpio[pin.port].drive_externally(pin.number, Some(is_released));
@@ -866,12 +816,7 @@ impl Soc {
                 let violations = &mut self.violations;
                 self.rcc.read(
                     offset,
-                    &mut Context {
-                        now: self.now,
-                        clocks: &clocks,
-                        violations,
-                        base: entry.base,
-                    },
+                    &mut Context { now: self.now, clocks: &clocks, violations, base: entry.base },
                 )
             }
             Block::Rng => self.rng.read(offset, context),
@@ -913,8 +858,7 @@ impl Soc {
             Block::Fdcan => {
                 let has_pins = has(&functions.can);
                 let is_sending = self.devices.can.is_sending();
-                self.fdcan
-                    .write(offset, value, [has_pins, is_sending], context);
+                self.fdcan.write(offset, value, [has_pins, is_sending], context);
                 self.fdcan.check_timing(&*self.devices.can, context);
                 self.fdcan.offer(&mut *self.devices.can, self.now);
             }
@@ -922,10 +866,8 @@ impl Soc {
             Block::Flash => self.flash.write_register(offset, value, context),
             Block::Gpio(port) => self.store_gpio(port, offset, value, entry.base),
             Block::I2c(number) => {
-                let pads = [
-                    self.buses[number].is_some(),
-                    self.syscfg.fast_mode_plus(number as u32 + 1),
-                ];
+                let pads =
+                    [self.buses[number].is_some(), self.syscfg.fast_mode_plus(number as u32 + 1)];
                 self.i2c[number].write(
                     offset,
                     value,
@@ -963,37 +905,25 @@ impl Soc {
 
     fn store_rcc(&mut self, offset: u32, value: u32, base: u32) {
         let clocks = *self.rcc.clocks();
-        let before: Vec<_> = match Rcc::is_reset_register(offset) {
-            true => self
-                .entries
+        let before: Vec<_> = if Rcc::is_reset_register(offset) {
+            self.entries
                 .iter()
                 .filter(|entry| self.is_held_in_reset(entry))
                 .map(|entry| entry.base)
-                .collect(),
-            false => Vec::new(),
+                .collect()
+        } else {
+            Vec::new()
         };
         let violations = &mut self.violations;
         self.rcc.write(
             offset,
             value,
-            &mut Context {
-                now: self.now,
-                clocks: &clocks,
-                violations,
-                base,
-            },
+            &mut Context { now: self.now, clocks: &clocks, violations, base },
         );
         if Rcc::is_reset_register(offset) {
-            let held: Vec<_> = self
-                .entries
-                .iter()
-                .filter(|entry| self.is_held_in_reset(entry))
-                .copied()
-                .collect();
-            for entry in held
-                .into_iter()
-                .filter(|entry| !before.contains(&entry.base))
-            {
+            let held: Vec<_> =
+                self.entries.iter().filter(|entry| self.is_held_in_reset(entry)).copied().collect();
+            for entry in held.into_iter().filter(|entry| !before.contains(&entry.base)) {
                 self.reset_block(entry.block);
             }
         }
@@ -1049,8 +979,7 @@ impl Soc {
         }
         let needed = Flash::needed_wait_states(clocks.core, limit.0 > 150_000_000);
         if self.flash.wait_states() < needed {
-            self.violations
-                .report(Kind::ClockLimit, address, "too few wait states of flash");
+            self.violations.report(Kind::ClockLimit, address, "too few wait states of flash");
         }
     }
 
@@ -1073,12 +1002,8 @@ impl Soc {
             }
             self.devices.encoder.select(self.now, !is_high);
         }
-        for ((bus, before), after) in self
-            .devices
-            .sensor_buses
-            .iter_mut()
-            .zip(clocks_before)
-            .zip(clocks_after)
+        for ((bus, before), after) in
+            self.devices.sensor_buses.iter_mut().zip(clocks_before).zip(clocks_after)
         {
             // Let go, the clock line rises by its pull-up.
             if before == Some(false) && after != Some(false) {
@@ -1096,9 +1021,7 @@ impl Soc {
     }
 
     fn port_levels(&self, port: usize) -> u16 {
-        (0..16).fold(0, |levels, pin| {
-            levels | u16::from(self.gpio[port].level(pin)) << pin
-        })
+        (0..16).fold(0, |levels, pin| levels | u16::from(self.gpio[port].level(pin)) << pin)
     }
 
     /// Which sensor bus each I2C peripheral is at, and the level at the break input.
@@ -1132,17 +1055,15 @@ impl Soc {
             // Flash, from which the chip started.
             0..BOOT_SIZE => self.read(address + flash::BASE, width),
             CCM_ALIAS..=0x2001_FFFF => {
-                let bytes = self
-                    .memory(address - CCM_ALIAS + CCM, bytes as usize)
-                    .ok_or(BusError)?;
+                let bytes =
+                    self.memory(address - CCM_ALIAS + CCM, bytes as usize).ok_or(BusError)?;
                 Ok(little_endian(bytes))
             }
             DBGMCU..=0xE004_23FF => Ok(self.dbgmcu.read(address - DBGMCU, context!(self, DBGMCU))),
             PRIVATE..=0xE00F_FFFF => match self.system.read(address) {
                 Some(value) => Ok(lanes(value, address, bytes)),
                 None => {
-                    self.violations
-                        .report(Kind::UnmodelledRegister, address, "not emulated");
+                    self.violations.report(Kind::UnmodelledRegister, address, "not emulated");
                     Ok(0)
                 }
             },
@@ -1163,21 +1084,18 @@ impl Soc {
                 if stored { Ok(()) } else { Err(BusError) }
             }
             DBGMCU..=0xE004_23FF => {
-                self.dbgmcu
-                    .write(address - DBGMCU, value, context!(self, DBGMCU));
+                self.dbgmcu.write(address - DBGMCU, value, context!(self, DBGMCU));
                 Ok(())
             }
             PRIVATE..=0xE00F_FFFF => {
                 if !self.system.write(address, width, value) {
-                    self.violations
-                        .report(Kind::UnmodelledRegister, address, "not emulated");
+                    self.violations.report(Kind::UnmodelledRegister, address, "not emulated");
                 }
                 Ok(())
             }
-            0x4000_0000..0x6000_0000 => self
-                .access(address, bytes, Some(value))
-                .map(|_| ())
-                .ok_or(BusError),
+            0x4000_0000..0x6000_0000 => {
+                self.access(address, bytes, Some(value)).map(|_| ()).ok_or(BusError)
+            }
             flash::BASE..0x0808_0000 => {
                 let flash_base = base_of(&self.entries, Block::Flash);
                 self.flash.store(
@@ -1199,8 +1117,7 @@ impl Soc {
     fn fail_flash(&mut self) {
         self.system.pend_nmi();
         if self.syscfg.breaks_on(BreakSource::FlashEcc) {
-            self.tim1
-                .system_break(Some(BreakSource::FlashEcc), self.now);
+            self.tim1.system_break(Some(BreakSource::FlashEcc), self.now);
         }
     }
 }
@@ -1221,11 +1138,7 @@ impl Bus for Soc {
         let offset = address.wrapping_sub(flash::BASE) as usize;
         if offset < flash::SIZE {
             let had_failed = self.flash.has_failed();
-            let value = self
-                .flash
-                .read(offset, length)
-                .map(little_endian)
-                .ok_or(BusError);
+            let value = self.flash.read(offset, length).map(little_endian).ok_or(BusError);
             if self.flash.has_failed() && !had_failed {
                 self.fail_flash();
             }
@@ -1302,28 +1215,22 @@ fn gate(name: &str, block: Block) -> Option<[RccBit; 2]> {
 }
 
 fn map(entries: &[Entry]) -> [Vec<u8>; 3] {
-    [
-        (0x4000_0000_u32, 0x2_4000_u32),
-        (0x4800_0000, 0x1C00),
-        (0x5000_0000, 0x6_0C00),
-    ]
-    .map(|(start, length)| {
-        let mut map = vec![u8::MAX; (length / BLOCK) as usize];
-        for (place, entry) in entries.iter().enumerate() {
-            let block = entry.base.wrapping_sub(start) / BLOCK;
-            if let Some(slot) = map.get_mut(block as usize) {
-                *slot = place as u8;
+    [(0x4000_0000_u32, 0x2_4000_u32), (0x4800_0000, 0x1C00), (0x5000_0000, 0x6_0C00)].map(
+        |(start, length)| {
+            let mut map = vec![u8::MAX; (length / BLOCK) as usize];
+            for (place, entry) in entries.iter().enumerate() {
+                let block = entry.base.wrapping_sub(start) / BLOCK;
+                if let Some(slot) = map.get_mut(block as usize) {
+                    *slot = place as u8;
+                }
             }
-        }
-        map
-    })
+            map
+        },
+    )
 }
 
 fn base_of(entries: &[Entry], block: Block) -> u32 {
-    entries
-        .iter()
-        .find(|entry| entry.block == block)
-        .map_or(0, |entry| entry.base)
+    entries.iter().find(|entry| entry.block == block).map_or(0, |entry| entry.base)
 }
 
 fn requests() -> [Option<Request>; 128] {
@@ -1357,9 +1264,8 @@ fn bus<'d>(
 fn noise(length: usize, seed: u64) -> Vec<u8> {
     let mut state = seed;
     let next = || {
-        state = state
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
+        state =
+            state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (state >> 56) as u8
     };
     std::iter::repeat_with(next).take(length).collect()

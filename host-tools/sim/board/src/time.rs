@@ -106,11 +106,7 @@ impl Frequency {
             0 => Time::NEVER,
             hz => {
                 let ps = count as u128 * 1_000_000_000_000 / hz as u128;
-                Time(if ps > u64::MAX as u128 {
-                    u64::MAX
-                } else {
-                    ps as u64
-                })
+                Time(if ps > u64::MAX as u128 { u64::MAX } else { ps as u64 })
             }
         }
     }

@@ -100,14 +100,7 @@ pub struct Violations {
 impl Violations {
     /// Counts one.
     pub fn report(&mut self, kind: Kind, address: u32, detail: &'static str) {
-        let first = Violation {
-            kind,
-            address,
-            detail,
-            count: 0,
-            pc: self.pc,
-            time: self.now,
-        };
+        let first = Violation { kind, address, detail, count: 0, pc: self.pc, time: self.now };
         let violation = self.found.entry((kind, address, detail)).or_insert(first);
         violation.count += 1;
     }

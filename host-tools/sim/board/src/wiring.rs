@@ -36,23 +36,13 @@ impl Wiring {
         ],
         can: [Pin::named("PA11"), Pin::named("PA12")],
         serial: [Pin::named("PA3"), Pin::named("PA2")],
-        encoder: [
-            Pin::named("PA5"),
-            Pin::named("PA7"),
-            Pin::named("PA6"),
-            Pin::named("PA4"),
-        ],
+        encoder: [Pin::named("PA5"), Pin::named("PA7"), Pin::named("PA6"), Pin::named("PA4")],
         bridges: [
             [Pin::named("PA8"), Pin::named("PA9"), Pin::named("PA10")],
             [Pin::named("PB13"), Pin::named("PB14"), Pin::named("PB15")],
         ],
         gate_fault: Pin::named("PB12"),
-        analog: [
-            Pin::named("PC0"),
-            Pin::named("PC1"),
-            Pin::named("PC2"),
-            Pin::named("PC3"),
-        ],
+        analog: [Pin::named("PC0"), Pin::named("PC1"), Pin::named("PC2"), Pin::named("PC3")],
         crystal: Frequency(24_000_000),
     };
 
@@ -71,10 +61,7 @@ impl Wiring {
     pub(crate) fn adc_channels(&self) -> [u32; 4] {
         self.analog.map(|pin| {
             let name = pin.name();
-            let mut pins = peripheral("ADC1")
-                .pins
-                .iter()
-                .filter(|candidate| candidate.pin == name);
+            let mut pins = peripheral("ADC1").pins.iter().filter(|candidate| candidate.pin == name);
             let channel =
                 pins.find_map(|candidate| candidate.signal.strip_prefix("IN")?.parse().ok());
             channel.unwrap_or_else(|| panic!("{name} is no input of ADC1"))

@@ -1,24 +1,24 @@
-//! What an emulation measured, for people and for programs.
+//! Report of `magpie emulate`.
 
 use serde_json::{Value, json};
 use sim_board::{Profile, Time};
 
-use super::Args;
-use super::run::{End, Setup, fault_words, replayed, reset_words};
-use crate::live::emulation::Emulation;
-use crate::live::emulation::deadlines::{BIN_US, Deadlines};
-use crate::live::emulation::pace::Pace;
-use crate::show;
+use crate::commands::emulate::Args;
+use crate::commands::emulate::session::{End, Setup, format_fault, format_reset};
+use crate::device::emulation::Emulation;
+use crate::device::emulation::deadlines::{BIN_US, Deadlines};
+use crate::device::emulation::pace::Pace;
+use crate::terminal;
 
-/// Characters of the longest bar of the histogram.
-const BAR: usize = 40;
-/// Lines of each list of problems; JSON has all of them.
-const LINES: usize = 20;
-/// Functions in JSON.
-const FUNCTIONS: usize = 50;
+/// Maximum bar length of the histogram in characters.
+const BAR_LENGTH: usize = 40;
+/// Maximum lines per list of problems; JSON has all of them.
+const MAX_LINES: usize = 20;
+/// Number of functions in JSON.
+const MAX_FUNCTIONS: usize = 50;
 
-/// The page.
-pub fn text(args: &Args, emulation: &mut Emulation, pace: &Pace, end: &End) -> String {
+/// The report as text.
+pub fn format_report(args: &Args, emulation: &mut Emulation, pace: &Pace, end: &End) -> String {
     let (now, elapsed_s) = (emulation.now(), pace.elapsed_s());
     let mut page = format!(
         "Emulated {:.3} s in {elapsed_s:.1} s: {:.2} of real time.",
@@ -30,54 +30,49 @@ pub fn text(args: &Args, emulation: &mut Emulation, pace: &Pace, end: &End) -> S
         _ => "\n",
     };
     if !pace.keeps_up() {
-        let asked = args.speed.0.unwrap_or(1.0);
-        page += &format!("This machine did not keep up with --speed {asked}.\n");
+        let target = args.speed.0.unwrap_or(1.0);
+        page += &format!("This machine did not keep up with --speed {target}.\n");
     }
     let profile = emulation.board.chip.profile();
     page += &format!("\nExecution\n{profile}");
-    page += &levels(&profile);
-    page += &deadlines(&emulation.deadlines);
+    page += &load_by_priority(&profile);
+    page += &latency_histogram(&emulation.deadlines);
     page += &problems(emulation);
     page
 }
 
-fn levels(profile: &Profile) -> String {
+fn load_by_priority(profile: &Profile) -> String {
     let levels = profile.by_level().into_iter().map(|(level, share)| {
         let level = level.map_or("thread".to_owned(), |level| format!("level {level}"));
         format!("{level} {:.1} %", 100.0 * share)
     });
     let levels: Vec<_> = levels.collect();
-    format!(
-        "load by priority, most urgent first: {}\n",
-        levels.join(", ")
-    )
+    format!("load by priority, highest first: {}\n", levels.join(", "))
 }
 
-fn deadlines(deadlines: &Deadlines) -> String {
-    let mut page = "\nFrom a tick to the end of its packet on the serial line\n".to_owned();
+fn latency_histogram(deadlines: &Deadlines) -> String {
+    let mut page = "\nLatency from tick to end of packet on the serial line\n".to_owned();
     let bins = deadlines.bins();
-    let most = bins.iter().map(|(_, ticks)| *ticks).max().unwrap_or(0);
-    if most == 0 {
-        return page + "no tick came\n";
+    let max = bins.iter().map(|(_, ticks)| *ticks).max().unwrap_or(0);
+    if max == 0 {
+        return page + "no ticks\n";
     }
     let mut next_us = None;
     for (from_us, ticks) in bins {
-        if next_us
-            .replace(from_us + BIN_US)
-            .is_some_and(|next_us| next_us < from_us)
-        {
+        if next_us.replace(from_us + BIN_US).is_some_and(|next_us| next_us < from_us) {
             page += &format!("{:>12}\n", "...");
         }
-        let length = (BAR as u64 * ticks).div_ceil(most) as usize;
-        let range = match Deadlines::is_last_bin(from_us) {
-            true => format!("{from_us}.."),
-            false => format!("{from_us}..{}", from_us + BIN_US),
+        let length = (BAR_LENGTH as u64 * ticks).div_ceil(max) as usize;
+        let range = if Deadlines::is_last_bin(from_us) {
+            format!("{from_us}..")
+        } else {
+            format!("{from_us}..{}", from_us + BIN_US)
         };
         page += &format!("{range:>12} us {ticks:>9}  {}\n", "#".repeat(length));
     }
     let quantile = |share| deadlines.quantile_us(share).unwrap_or(0);
     page + &format!(
-        "{} ticks, {} missed, {} later than the next tick; half within {} us, 99.9 % within {} us, longest {:.1} us\n",
+        "{} ticks, {} missed, {} later than the next tick; median {} us, 99.9 % quantile {} us, max {:.1} us\n",
         deadlines.ticks,
         deadlines.missed,
         deadlines.late,
@@ -90,62 +85,48 @@ fn deadlines(deadlines: &Deadlines) -> String {
 fn problems(emulation: &Emulation) -> String {
     let image = emulation.board.chip.image();
     let violations = emulation.board.chip.soc.violations.iter();
-    let violations: Vec<_> = violations
-        .map(|violation| format!("{violation}, {}", image.place(violation.pc)))
-        .collect();
+    let violations: Vec<_> =
+        violations.map(|violation| format!("{violation}, {}", image.place(violation.pc))).collect();
     let resets = emulation.board.chip.resets.iter();
-    let resets: Vec<_> = resets
-        .map(|record| reset_words(record, emulation))
-        .collect();
+    let resets: Vec<_> = resets.map(|record| format_reset(record, emulation)).collect();
     let faults = emulation.faults.iter();
     let faults: Vec<_> = faults
         .map(|(time_us, event)| {
-            format!(
-                "{:>12.6} {}",
-                *time_us as f64 / 1e6,
-                fault_words(event, emulation)
-            )
+            format!("{:>12.6} {}", *time_us as f64 / 1e6, format_fault(event, emulation))
         })
         .collect();
     let mut page = "\n".to_owned();
-    for (what, lines) in [
-        ("violations of the chip's rules", violations),
+    for (title, lines) in [
+        ("violations of chip rules", violations),
         ("resets", resets),
-        ("faults that the image reported", faults),
+        ("faults reported by the image", faults),
     ] {
-        match lines.is_empty() {
-            true => page += &format!("No {what}.\n"),
-            false => {
-                let (first, rest) = what.split_at(1);
-                page += &format!("{}{rest}:\n", first.to_uppercase());
-                for line in lines.iter().take(LINES) {
-                    page += &show::paragraph(&format!("  {}", line.trim_start()));
-                }
-                if let Some(more @ 1..) = lines.len().checked_sub(LINES) {
-                    page += &format!("  and {more} more\n");
-                }
+        if lines.is_empty() {
+            page += &format!("No {title}.\n")
+        } else {
+            let (first, rest) = title.split_at(1);
+            page += &format!("{}{rest}:\n", first.to_uppercase());
+            for line in lines.iter().take(MAX_LINES) {
+                page += &terminal::paragraph(&format!("  {}", line.trim_start()));
+            }
+            if let Some(more @ 1..) = lines.len().checked_sub(MAX_LINES) {
+                page += &format!("  and {more} more\n");
             }
         }
     }
-    for (what, count) in [
-        (
-            "Frames from other nodes dropped, for the bus was full",
-            emulation.dropped_frames,
-        ),
-        (
-            "Frames that the interface did not take",
-            emulation.unsent_frames(),
-        ),
+    for (title, count) in [
+        ("Frames from other nodes dropped (bus full)", emulation.dropped_frames),
+        ("Frames not accepted by the interface", emulation.unsent_frames()),
     ] {
         if count > 0 {
-            page += &format!("{what}: {count}.\n");
+            page += &format!("{title}: {count}.\n");
         }
     }
     page
 }
 
-/// The object.
-pub fn json(
+/// The object of `--json`.
+pub fn to_json(
     setup: &Setup,
     args: &Args,
     emulation: &mut Emulation,
@@ -183,7 +164,7 @@ pub fn json(
             "source": event.source,
             "active": event.active != 0,
             "detail": event.detail,
-            "text": fault_words(event, emulation),
+            "text": format_fault(event, emulation),
         })
     });
     let (ended_by, error) = match end {
@@ -197,7 +178,7 @@ pub fn json(
         "image_bytes": setup.length,
         "serial": setup.serial,
         "can": setup.can,
-        "replay": replayed(args),
+        "replay": args.replay,
         "timing": format!("{:?}", args.timing).to_lowercase(),
         "seed": args.seed,
         "virtual_s": now.as_s(),
@@ -230,7 +211,7 @@ fn profile(profile: &Profile) -> Value {
             "latency_us": us(load.latency),
         })
     });
-    let functions = profile.functions.iter().take(FUNCTIONS);
+    let functions = profile.functions.iter().take(MAX_FUNCTIONS);
     json!({
         "duration_s": profile.duration.as_s(),
         "clock_hz": profile.clock.0,

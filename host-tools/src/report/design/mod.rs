@@ -1,8 +1,8 @@
-//! The sections of designs.
+//! Sections of sensor designs.
 //!
-//! - [`one`]: a design judged.
-//! - [`sweep`]: many designs, and those that no other beats.
-//! - [`paper`]: the paper's figures and statements.
+//! - [`one`]: one design.
+//! - [`sweep`]: many designs and their Pareto front.
+//! - [`paper`]: figures and statements of the paper.
 
 pub mod one;
 pub mod paper;
@@ -15,22 +15,17 @@ pub use sweep::sections as of_sweep;
 use maud::{Markup, html};
 use plotters::prelude::*;
 
-use super::palette::{self, Role};
-use super::plot::{Along, HALF, Swatch, axes, figure, key, px, stroke};
+use crate::report::palette::{self, Role};
+use crate::report::plot::{Along, HALF, Swatch, axes, figure, key, px, stroke};
 
-/// Colours of up to four things in one plot.
-const ROLES: [Role; 4] = [
-    palette::FIRST,
-    palette::SECOND,
-    palette::THIRD,
-    palette::INK,
-];
+/// Colours of up to four series.
+const ROLES: [Role; 4] = [palette::FIRST, palette::SECOND, palette::THIRD, palette::INK];
 
-/// Points of a plot at most: more would only cover each other. A prime, so that leaving points out takes no
-/// step that is one of a grid's, and with it all of one value.
+/// Maximum number of points in a plot. Prime, so that subsampling a grid does not
+/// select one of its values only.
 const POINTS: usize = 2503;
 
-/// Named curves over one axis, with their key.
+/// Labelled curves with a legend.
 fn curves(
     says: &str,
     (across, upwards): (Along, Along),
@@ -44,16 +39,15 @@ fn curves(
         Ok(())
     });
     let entries = curves.iter().zip(ROLES);
-    let entries: Vec<_> = entries
-        .map(|((name, _), role)| (Swatch::Line, role, name.clone()))
-        .collect();
+    let entries: Vec<_> =
+        entries.map(|((name, _), role)| (Swatch::Line, role, name.clone())).collect();
     html! { figure { (drawn) } (key(&entries)) }
 }
 
-/// A cloud of points and its colour.
+/// Point cloud and its colour.
 type Cloud = (Role, String, Vec<(f64, f64)>);
 
-/// Clouds of points on logarithmic axes, with their key.
+/// Point clouds on logarithmic axes with a legend.
 fn clouds(says: &str, (across, upwards): (&str, &str), clouds: &[Cloud]) -> Markup {
     let positive = |points: &[(f64, f64)]| -> Vec<(f64, f64)> {
         let shown = points.len().min(POINTS);
@@ -63,27 +57,21 @@ fn clouds(says: &str, (across, upwards): (&str, &str), clouds: &[Cloud]) -> Mark
             .map(|(x, y)| (x.log10(), y.log10()))
             .collect()
     };
-    let kept: Vec<(Role, Vec<(f64, f64)>)> = clouds
-        .iter()
-        .map(|(role, _, points)| (*role, positive(points)))
-        .collect();
+    let kept: Vec<(Role, Vec<(f64, f64)>)> =
+        clouds.iter().map(|(role, _, points)| (*role, positive(points))).collect();
     let all = || kept.iter().flat_map(|(_, points)| points);
     let across = Along::powers(across, all().map(|point| point.0));
     let upwards = Along::powers(upwards, all().map(|point| point.1));
     let drawn = figure(HALF, says, |paper| {
         let mut chart = axes(paper, &across, &upwards)?;
         for (role, points) in &kept {
-            let dots = points
-                .iter()
-                .map(|point| Circle::new(*point, px(1.4), role.light.filled()));
+            let dots = points.iter().map(|point| Circle::new(*point, px(1.4), role.light.filled()));
             chart.draw_series(dots)?;
         }
         Ok(())
     });
-    let entries: Vec<_> = clouds
-        .iter()
-        .map(|(role, name, _)| (Swatch::Full, *role, name.clone()))
-        .collect();
+    let entries: Vec<_> =
+        clouds.iter().map(|(role, name, _)| (Swatch::Full, *role, name.clone())).collect();
     html! { figure { (drawn) } (key(&entries)) }
 }
 

@@ -1,76 +1,70 @@
-//! A design judged.
+//! Evaluation of one design.
 
 use maud::html;
-use model_export::design::axis::Axis;
-use model_export::design::interference::Shift;
+use model_export::design::axis::{DesignAxis, slope};
+use model_export::design::interference::FieldShift;
 use model_export::design::material::Material;
-use model_export::design::sensitivity::slope;
-use model_export::design::{Design, Judged};
+use model_export::design::{DesignEvaluation, SensorDesign};
 use model_export::physics::ForwardModel;
 
-use super::curves;
-use crate::commands::design::{check, words};
 use crate::report::Section;
+use crate::report::design::curves;
 use crate::report::numbers::number;
 use crate::report::plot::Along;
 use crate::report::tables::table;
-use crate::show;
+use crate::{design_summary, terminal};
 
-/// Points of a curve.
+/// Points per curve.
 const POINTS: u32 = 100;
 
-/// What it measures, what ends its range, how it answers, what interferes, where its materials' numbers come
-/// from.
-pub fn sections(design: &Design, judged: &Judged, shifts: &[Shift]) -> Vec<Section> {
+/// Range and its limits, sensitivity, interference, sources of the material
+/// constants.
+pub fn sections(
+    design: &SensorDesign,
+    evaluation: &DesignEvaluation,
+    shifts: &[FieldShift],
+) -> Vec<Section> {
     vec![
-        judged_section(design, judged),
+        evaluation_section(design, evaluation),
         answers(design),
         interference(shifts),
         sources(design),
     ]
 }
 
-fn judged_section(design: &Design, judged: &Judged) -> Section {
-    let figures = words::figures(judged)
-        .into_iter()
-        .map(|(name, unit, [x, z])| {
-            [name.to_owned(), unit.to_owned(), number(x), number(z)]
-                .map(|cell| html! { (cell) })
-                .to_vec()
-        });
-    let limits = words::limits(judged).into_iter().map(|(cause, [x, z])| {
-        [cause.name().to_owned(), number(x), number(z)]
+fn evaluation_section(design: &SensorDesign, evaluation: &DesignEvaluation) -> Section {
+    let figures = design_summary::figures(evaluation).into_iter().map(|(name, unit, [x, z])| {
+        [name.to_owned(), unit.to_owned(), number(x), number(z)]
             .map(|cell| html! { (cell) })
             .to_vec()
     });
+    let limits = design_summary::limits(evaluation).into_iter().map(|(cause, [x, z])| {
+        [cause.name().to_owned(), number(x), number(z)].map(|cell| html! { (cell) }).to_vec()
+    });
     let body = html! {
-        @for line in words::described(design).lines() { p { (line) } }
-        p { (check::verdict(design, judged)) }
-        @for line in words::binding(judged).split('\n').filter(|line| !line.is_empty()) { p.note { (line) } }
-        (table("What each axis measures", &["figure", "unit", "lateral", "longitudinal"], figures))
-        (table("Force in newtons at which the range would end", &["by", "lateral", "longitudinal"], limits))
-        p.note { "A dash: others come long before. " (words::assumed(design)) }
+        @for line in design_summary::describe(design).lines() { p { (line) } }
+        p { (design_summary::verdict(design, evaluation)) }
+        @for line in design_summary::binding_limits(evaluation).split('\n').filter(|line| !line.is_empty()) { p.note { (line) } }
+        (table("Each axis", &["quantity", "unit", "lateral", "longitudinal"], figures))
+        (table("Force in newtons at each limit of the range", &["limit", "lateral", "longitudinal"], limits))
+        p.note { "A dash: other limits are reached long before. " (design_summary::assumptions(design)) }
     };
-    Section {
-        id: "judged",
-        heading: "The design".to_owned(),
-        body,
-    }
+    Section { id: "judged", heading: "Design".to_owned(), body }
 }
 
-fn answers(design: &Design) -> Section {
+fn answers(design: &SensorDesign) -> Section {
     let model = ForwardModel::nominal(&design.nominal());
     let stroke_mm = design.limits.stroke_mm;
     let steps = || (0..=2 * POINTS).map(|i| stroke_mm * (f64::from(i) / f64::from(POINTS) - 1.0));
     let of = |number: usize, name: &str| {
-        let axis = Axis::of(design, number);
+        let axis = DesignAxis::of(design, number);
         let direction = axis.direction();
         let component = slope(&model, direction, 0.0).iamax();
         let at = |mm: f64| (mm, slope(&model, direction, mm)[component].abs());
         (name.to_owned(), steps().map(at).collect::<Vec<_>>())
     };
     let mut lines = vec![of(0, "lateral"), of(1, "longitudinal")];
-    // Around a magnet that is round both axes answer alike: one curve, not one hidden by another.
+    // A round magnet has the same sensitivity in both axes: one curve.
     if alike(&lines[0].1, &lines[1].1) {
         lines.truncate(1);
         lines[0].0 = "both axes".to_owned();
@@ -79,33 +73,27 @@ fn answers(design: &Design) -> Section {
     let upwards = Along::bars("S, G/mm", all.map(|point| point.1));
     let across = Along::holding("motion, mm", [-stroke_mm, stroke_mm]);
     let body = html! {
-        p { "Field for a millimetre of motion, of the sensor's axis that answers most." }
+        p { "Field change per millimetre of motion, for the most sensitive axis of the sensor." }
         (curves("Sensitivity over the stroke.", (across, upwards), &lines))
     };
-    Section {
-        id: "sensitivity",
-        heading: "Sensitivity over the stroke".to_owned(),
-        body,
-    }
+    Section { id: "sensitivity", heading: "Sensitivity over the stroke".to_owned(), body }
 }
 
-/// Whether no eye parts two curves.
+/// True where two curves coincide in the plot.
 fn alike(one: &[(f64, f64)], other: &[(f64, f64)]) -> bool {
     let greatest = one.iter().map(|(_, y)| y.abs()).fold(0.0, f64::max);
     let mut pairs = one.iter().zip(other);
     pairs.all(|((_, a), (_, b))| (a - b).abs() < 2e-3 * greatest)
 }
 
-/// Numbers of the table's materials that the design is of; those of its own file need no source here.
-fn sources(design: &Design) -> Section {
-    let mut names = [0, 1]
-        .map(|axis| design.flexure(axis).material.as_str())
-        .to_vec();
+/// Constants of the built-in materials; those of a design file have no source here.
+fn sources(design: &SensorDesign) -> Section {
+    let mut names = [0, 1].map(|axis| design.flexure(axis).material.as_str()).to_vec();
     names.dedup();
     let materials = names.into_iter().filter_map(Material::named);
     let rows = materials.flat_map(|material| {
         material.constants().map(|constant| {
-            let value = format!("{} {}", show::plain(constant.value, 3), constant.unit);
+            let value = format!("{} {}", terminal::decimal(constant.value, 3), constant.unit);
             vec![
                 html! { (material.name) ": " (constant.name) },
                 html! { (value) },
@@ -117,16 +105,12 @@ fn sources(design: &Design) -> Section {
     let body = html! {
         p { "The S-N curve is Basquin's: amplitude = coefficient (2 cycles)^exponent, fully reversed, of smooth \
             specimens, half of which fail." }
-        (table("Numbers of the materials, and who says so", &["number", "value", "", "source"], rows))
+        (table("Material constants and their sources", &["constant", "value", "", "source"], rows))
     };
-    Section {
-        id: "sources",
-        heading: "Materials".to_owned(),
-        body,
-    }
+    Section { id: "sources", heading: "Materials".to_owned(), body }
 }
 
-fn interference(shifts: &[Shift]) -> Section {
+fn interference(shifts: &[FieldShift]) -> Section {
     let rows = shifts.iter().map(|shift| {
         [
             shift.name.to_owned(),
@@ -139,11 +123,7 @@ fn interference(shifts: &[Shift]) -> Section {
         .to_vec()
     });
     let body = html! {
-        (table("What moves the field beside the forces", &["cause", "stated", "G", "counts", "N"], rows))
+        (table("Field changes not caused by forces", &["cause", "assumed", "G", "counts", "N"], rows))
     };
-    Section {
-        id: "interference",
-        heading: "Interference".to_owned(),
-        body,
-    }
+    Section { id: "interference", heading: "Interference".to_owned(), body }
 }

@@ -1,18 +1,15 @@
-//! The paper's figures of fields, sensitivity and materials, and its statements.
+//! Figures and statements of the paper on fields, sensitivity and materials.
 
 use maud::{Markup, html};
-use model_export::design::paper::claims::Verdict;
-use model_export::design::paper::curves::Curve;
-use model_export::design::paper::{MATERIALS, Paper};
+use model_export::design::paper::{Curve, MATERIALS, PaperResults, Verdict};
 
-use super::sweep::points;
-use super::{clouds, curves};
-use crate::report::Section;
-use crate::report::palette;
+use crate::report::design::sweep::points;
+use crate::report::design::{clouds, curves};
 use crate::report::plot::Along;
+use crate::report::{Section, palette};
 
-/// Statements first, then figure by figure.
-pub fn sections(paper: &Paper) -> Vec<Section> {
+/// Statements, then each figure.
+pub fn sections(paper: &PaperResults) -> Vec<Section> {
     vec![
         claims(paper),
         section(
@@ -56,19 +53,15 @@ pub fn sections(paper: &Paper) -> Vec<Section> {
     ]
 }
 
-fn claims(paper: &Paper) -> Section {
+fn claims(paper: &PaperResults) -> Section {
     let body = html! {
         p { "Each statement of the paper on magnets, sensitivity and materials, computed with the exact fields and \
             the beams of this tool." }
         @for claim in &paper.claims {
-            p { (mark(claim.verdict)) ": " (claim.says) " (" (claim.place) "). " span.note { "Found: " (claim.found) "." } }
+            p { (mark(claim.verdict)) ": " (claim.says) " (" (claim.place) "). " span.note { "Computed: " (claim.found) "." } }
         }
     };
-    Section {
-        id: "statements",
-        heading: "What the paper says".to_owned(),
-        body,
-    }
+    Section { id: "statements", heading: "Statements of the paper".to_owned(), body }
 }
 
 fn mark(verdict: Verdict) -> Markup {
@@ -83,11 +76,7 @@ fn section(
     lines: &[Curve],
 ) -> Section {
     let body = html! { p { (words) } (drawn(words, (across, upwards), lines)) };
-    Section {
-        id,
-        heading: heading.to_owned(),
-        body,
-    }
+    Section { id, heading: heading.to_owned(), body }
 }
 
 fn drawn(says: &str, (across, upwards): (&str, &str), lines: &[Curve]) -> Markup {
@@ -100,31 +89,15 @@ fn drawn(says: &str, (across, upwards): (&str, &str), lines: &[Curve]) -> Markup
 type Named = Vec<(String, Vec<(f64, f64)>)>;
 
 fn named(lines: &[Curve]) -> (Named, Vec<(f64, f64)>) {
-    let pairs = |curve: &Curve| {
-        curve
-            .points
-            .iter()
-            .map(|[x, y]| (*x, *y))
-            .collect::<Vec<_>>()
-    };
-    let lines: Named = lines
-        .iter()
-        .map(|curve| (curve.name.clone(), pairs(curve)))
-        .collect();
-    let all = lines
-        .iter()
-        .flat_map(|(_, points)| points)
-        .copied()
-        .collect();
+    let pairs = |curve: &Curve| curve.points.iter().map(|[x, y]| (*x, *y)).collect::<Vec<_>>();
+    let lines: Named = lines.iter().map(|curve| (curve.name.clone(), pairs(curve))).collect();
+    let all = lines.iter().flat_map(|(_, points)| points).copied().collect();
     (lines, all)
 }
 
-fn neighbour(paper: &Paper) -> Section {
+fn neighbour(paper: &PaperResults) -> Section {
     let (lines, all) = named(&paper.neighbour);
-    let across = Along::holding(
-        "distance of the centres, mm",
-        all.iter().map(|point| point.0),
-    );
+    let across = Along::holding("distance of the centres, mm", all.iter().map(|point| point.0));
     let upwards = Along::powers("field, G", all.iter().map(|point| point.1));
     let says =
         "Field of the opposite finger's magnet at the element, over the distance of the two.";
@@ -132,23 +105,15 @@ fn neighbour(paper: &Paper) -> Section {
         p { (says) " Three resolutions of 0.1 G are 0.3 G." }
         (curves(says, (across, upwards), &lines))
     };
-    Section {
-        id: "neighbour",
-        heading: "The opposite magnet".to_owned(),
-        body,
-    }
+    Section { id: "neighbour", heading: "The opposite magnet".to_owned(), body }
 }
 
-fn materials(paper: &Paper) -> Section {
+fn materials(paper: &PaperResults) -> Section {
     let roles = [palette::SECOND, palette::FIRST];
     let all = MATERIALS.into_iter().zip(&paper.designs).zip(roles);
     // Metal first, plastic above it.
     let all = all.rev().map(|((name, designs), role)| {
-        (
-            role,
-            name.to_owned(),
-            points(designs.iter(), |one| one.g_per_n),
-        )
+        (role, name.to_owned(), points(designs.iter(), |one| one.g_per_n))
     });
     let body = html! {
         p { (paper.designs[0].len()) " designs of each material: beams of 10 to 60 mm, 5 to 20 mm wide and 1 to 8 mm thick, \
@@ -156,9 +121,5 @@ fn materials(paper: &Paper) -> Section {
         (clouds("Sensitivity over the force range, of a metal and of a plastic.", ("force range, N", "sensitivity, G/N"),
             &all.collect::<Vec<_>>()))
     };
-    Section {
-        id: "materials",
-        heading: "Materials".to_owned(),
-        body,
-    }
+    Section { id: "materials", heading: "Materials".to_owned(), body }
 }

@@ -5,7 +5,7 @@ use std::ops::Range;
 use maud::{Markup, html};
 use plotters::prelude::*;
 
-use crate::diagnose::Shape;
+use crate::analysis::diagnose::EffectShape;
 use crate::report::palette;
 use crate::report::plot::{
     Along, Failure, Paper, Swatch, axes, bounds, figure, key, lines, stroke,
@@ -23,7 +23,7 @@ const FURTHEST_BAND: f64 = 1.6;
 const AXES: [&str; 3] = ["x", "y", "z"];
 
 /// The channel in which it shows most.
-pub fn strongest(shape: &Shape) -> Markup {
+pub fn strongest(shape: &EffectShape) -> Markup {
     let Some(strongest) = shape.strongest() else {
         return html! {};
     };
@@ -43,11 +43,10 @@ pub fn strongest(shape: &Shape) -> Markup {
 }
 
 /// Every channel on one scale, folded.
-pub fn all(shape: &Shape) -> Markup {
+pub fn all(shape: &EffectShape) -> Markup {
     let sensors = 0..shape.sensors.len();
-    let channels: Vec<(usize, usize)> = sensors
-        .flat_map(|s| [0, 1, 2].map(|axis| (s, axis)))
-        .collect();
+    let channels: Vec<(usize, usize)> =
+        sensors.flat_map(|s| [0, 1, 2].map(|axis| (s, axis))).collect();
     let scale = scale(shape, &channels);
     html! {
         details {
@@ -64,14 +63,14 @@ pub fn all(shape: &Shape) -> Markup {
     }
 }
 
-fn channel(shape: &Shape, (sensor, axis): (usize, usize)) -> String {
+fn channel(shape: &EffectShape, (sensor, axis): (usize, usize)) -> String {
     format!("s{} {}", shape.sensors[sensor], AXES[axis])
 }
 
 /// Centre, mean, band and what was taken away of each bin of a channel.
-fn points(shape: &Shape, (sensor, axis): (usize, usize)) -> Vec<[f64; 5]> {
+fn points(shape: &EffectShape, (sensor, axis): (usize, usize)) -> Vec<[f64; 5]> {
     let bins = shape.bins.iter().zip(&shape.taken_g);
-    let point = |(bin, taken): (&crate::compare::Bin, &Vec<[f64; 3]>)| {
+    let point = |(bin, taken): (&crate::analysis::compare::Bin, &Vec<[f64; 3]>)| {
         let (low, high) = bin.band_g.get(sensor)?[axis];
         let mean = bin.mean_g.get(sensor)?[axis];
         Some([bin.centre, mean, low, high, taken.get(sensor)?[axis]])
@@ -80,7 +79,7 @@ fn points(shape: &Shape, (sensor, axis): (usize, usize)) -> Vec<[f64; 5]> {
 }
 
 /// A scale that holds these channels, with zero in it.
-fn scale(shape: &Shape, channels: &[(usize, usize)]) -> Range<f64> {
+fn scale(shape: &EffectShape, channels: &[(usize, usize)]) -> Range<f64> {
     let all: Vec<[f64; 5]> = channels.iter().flat_map(|c| points(shape, *c)).collect();
     let means = all.iter().flat_map(|point| [point[1], point[4]]);
     let (least, greatest) = bounds(means).unwrap_or((-1.0, 1.0));
@@ -92,7 +91,7 @@ fn scale(shape: &Shape, channels: &[(usize, usize)]) -> Range<f64> {
     low - 0.06 * (high - low)..high + 0.06 * (high - low)
 }
 
-fn plot(shape: &Shape, of: (usize, usize), size: (u32, u32), scale: &Range<f64>) -> Markup {
+fn plot(shape: &EffectShape, of: (usize, usize), size: (u32, u32), scale: &Range<f64>) -> Markup {
     let unit = match shape.unit {
         "" => String::new(),
         unit => format!(" in {unit}"),
@@ -108,12 +107,7 @@ fn plot(shape: &Shape, of: (usize, usize), size: (u32, u32), scale: &Range<f64>)
         labels: if few { shape.bins.len() } else { 4 },
         ..Along::holding(&words, shape.bins.iter().map(|bin| bin.centre))
     };
-    let upwards = Along {
-        words: "G".to_owned(),
-        range: scale.clone(),
-        labels: 4,
-        powers: false,
-    };
+    let upwards = Along { words: "G".to_owned(), range: scale.clone(), labels: 4, powers: false };
     let points = points(shape, of);
     figure(size, &says, |paper| draw(paper, &points, &across, &upwards))
 }
@@ -129,11 +123,7 @@ fn draw(
     chart.draw_series([PathElement::new(zero, stroke(palette::MUTED, 1.0))])?;
     let inside = |value: f64| value.clamp(upwards.range.start, upwards.range.end);
     let before = palette::FIRST.light;
-    let sound = || {
-        points
-            .iter()
-            .filter(|p| p[..4].iter().all(|v| v.is_finite()))
-    };
+    let sound = || points.iter().filter(|p| p[..4].iter().all(|v| v.is_finite()));
     let lower = sound().map(|p| (p[0], inside(p[2])));
     let upper = sound().rev().map(|p| (p[0], inside(p[3])));
     let outline: Vec<(f64, f64)> = lower.chain(upper).collect();

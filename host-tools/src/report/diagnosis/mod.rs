@@ -1,31 +1,27 @@
-//! The sections of a [`Diagnosis`]: verdicts, the staircase, what was found, what stays open.
+//! Sections of a [`Diagnosis`]: verdicts, error reduction, accepted effects, open questions.
 //!
-//! - [`verdicts`]: the table, and what to type next.
-//! - [`staircase`]: the error, step by step, over the floor.
-//! - [`effect`]: a plot of what a step took away.
-//! - [`found`]: each effect with its physics, its size and its plot.
-//! - [`open`]: ties, what cannot be judged, what is unexplained.
+//! - [`verdicts`]: verdicts, accepted effects, open questions, suggested commands.
+//! - [`staircase`]: held-out error after each step.
+//! - [`effect`]: plots of an accepted effect.
 
 pub mod effect;
-pub mod found;
-pub mod open;
 pub mod staircase;
 pub mod verdicts;
 
 #[cfg(test)]
 mod tests;
 
-use super::Section;
-use crate::diagnose::Diagnosis;
+use crate::analysis::diagnose::Diagnosis;
+use crate::report::Section;
 
 /// The sections, in the order in which a person reads them; one without content is left out.
 pub fn sections(diagnosis: &Diagnosis) -> Vec<Section> {
-    let mut sections = vec![verdicts::section(diagnosis)];
+    let mut sections = vec![verdicts::verdict_section(diagnosis)];
     if diagnosis.staircase.is_empty() {
         return sections;
     }
     sections.push(staircase::section(diagnosis));
-    sections.extend(found::section(diagnosis));
-    sections.extend(open::section(diagnosis));
+    sections.extend(verdicts::found_section(diagnosis));
+    sections.extend(verdicts::open_section(diagnosis));
     sections
 }

@@ -1,25 +1,25 @@
 use std::path::Path;
 
 use super::*;
-use crate::diagnose::fixture::full;
+use crate::analysis::diagnose::fixture::full;
 use crate::report::fixture::comparison;
 use crate::report::{page_with, write};
 
-/// Where a browser's check wants a page.
+/// Environment variable with the path of a page for a browser check.
 const PAGE: &str = "MAGPIE_REPORT_PAGE";
 
 fn page(diagnosis: &Diagnosis) -> String {
     page_with(&comparison(1, 4, 4.0), &sections(diagnosis))
 }
 
-/// A section of the page.
+/// Section of the page.
 fn section<'a>(page: &'a str, id: &str) -> &'a str {
     let (_, rest) = page.split_once(&format!("<section id=\"{id}\">")).unwrap();
     rest.split_once("</section>").unwrap().0
 }
 
 #[test]
-fn the_sections_stand_between_the_summary_and_the_figures() {
+fn sections_are_between_the_summary_and_the_figures() {
     let page = page(&full());
     let places = ["scale", "diagnosis", "staircase", "found", "open", "errors"];
     let places = places.map(|id| page.find(&format!("<section id=\"{id}\"")).unwrap());
@@ -27,7 +27,7 @@ fn the_sections_stand_between_the_summary_and_the_figures() {
 }
 
 #[test]
-fn each_accepted_step_has_one_large_plot_and_a_small_one_for_each_channel() {
+fn each_step_has_a_large_plot_and_one_per_channel() {
     let page = page(&full());
     let found = section(&page, "found");
     // Two steps; two sensors of three axes each.
@@ -39,7 +39,7 @@ fn each_accepted_step_has_one_large_plot_and_a_small_one_for_each_channel() {
 }
 
 #[test]
-fn the_staircase_has_a_bar_for_each_stair_with_its_floors() {
+fn staircase_has_a_bar_with_floors_per_step() {
     let page = page(&full());
     let stairs = section(&page, "staircase");
     assert_eq!(stairs.matches("role=\"img\"").count(), 1);
@@ -50,23 +50,23 @@ fn the_staircase_has_a_bar_for_each_stair_with_its_floors() {
 }
 
 #[test]
-fn what_stays_open_stands_with_what_would_help() {
+fn open_questions_suggest_recordings() {
     let page = page(&full());
     let open = section(&page, "open");
-    assert!(open.contains("UNEXPLAINED: 84 % of what is left follows the rotor angle"));
-    assert!(open.contains("To tell, record, for magnet_temperature: Let it warm"));
+    assert!(open.contains("UNEXPLAINED: 84 % of the residual follows the rotor angle"));
+    assert!(open.contains("To distinguish them, record, for magnet_temperature: Warm the gripper"));
     assert!(open.contains("<strong>earth_field</strong>: roll_rad was not recorded."));
 }
 
 #[test]
-fn what_to_type_is_shown_and_is_never_markup() {
+fn suggested_commands_are_escaped() {
     let page = page(&full());
     assert!(section(&page, "diagnosis").contains("'my &lt;b&gt;' hysteresis"));
     assert!(!page.contains("my <b>"));
 }
 
 #[test]
-fn where_nothing_is_missing_nothing_is_shown_as_found() {
+fn complete_model_has_no_found_section() {
     let clean = Diagnosis {
         at_floor: true,
         staircase: full().staircase[..1].to_vec(),
@@ -79,7 +79,7 @@ fn where_nothing_is_missing_nothing_is_shown_as_found() {
 }
 
 #[test]
-fn what_is_no_number_is_nowhere_drawn() {
+fn invalid_numbers_are_not_drawn() {
     let mut broken = full();
     broken.staircase[1].held_out_rms_g = f64::NAN;
     broken.staircase[0].floor_g = f64::INFINITY;
@@ -95,7 +95,7 @@ fn what_is_no_number_is_nowhere_drawn() {
 }
 
 #[test]
-fn a_page_to_look_at_is_left_where_it_is_wanted() {
+fn page_is_written_for_a_browser_check() {
     if let Ok(path) = std::env::var(PAGE) {
         let path = Path::new(&path).with_extension("diagnosis.html");
         write(&path, &comparison(1, 4, 4.0), &sections(&full())).unwrap();

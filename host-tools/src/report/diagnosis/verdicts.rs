@@ -1,46 +1,43 @@
-//! What is said of every candidate, and what to type next.
+//! Verdicts on all candidate effects, accepted effects, open questions and suggested commands.
 
-use maud::{Markup, html};
-
-use crate::diagnose::{Diagnosis, Verdict, words};
+use crate::analysis::diagnose::format::{self, EquivalentSet, InconclusiveGroup};
+use crate::analysis::diagnose::{Diagnosis, EffectShape, Unexplained, Verdict};
 use crate::report::Section;
+use crate::report::diagnosis::effect;
 use crate::report::numbers::{number, percent};
 use crate::report::tables::table;
+use maud::{Markup, html};
 
-/// The table of the verdicts.
-pub fn section(diagnosis: &Diagnosis) -> Section {
-    let there = diagnosis.verdicts.iter().filter(|v| words::is_there(v));
+/// Table of the verdicts.
+pub fn verdict_section(diagnosis: &Diagnosis) -> Section {
+    let there = diagnosis.verdicts.iter().filter(|v| format::is_present(v));
     let provisional = there.clone().any(|verdict| verdict.provisional);
     let body = html! {
         p.verdict { (diagnosis.verdict) }
-        @if diagnosis.at_floor { p { strong { (words::stop(diagnosis)) } } }
+        @if diagnosis.at_floor { p { strong { (format::at_floor_note(diagnosis)) } } }
         (next(diagnosis))
         @if !diagnosis.verdicts.is_empty() {
             (table(
-                "Every effect that was judged, the surest first",
-                &["effect", "verdict", "how much, or why not", "gain", "p", "typical / error bar"],
+                "All tested effects, most significant first",
+                &["effect", "verdict", "magnitude, or reason", "gain", "p", "typical / std. error"],
                 diagnosis.verdicts.iter().map(row),
             ))
-            @if provisional { p.note { (words::PROVISIONAL) } }
+            @if provisional { p.note { (format::PROVISIONAL_NOTE) } }
             p.note {
-                (words::chance(diagnosis))
-                " Typical / error bar: how many error bars a typical size is from nothing in these recordings."
+                (format::significance_note(diagnosis))
+                " Typical / std. error: a typical magnitude of the effect in standard errors of these recordings."
             }
         }
     };
-    Section {
-        id: "diagnosis",
-        heading: "Which effect is missing".to_owned(),
-        body,
-    }
+    Section { id: "diagnosis", heading: "Which effect is missing".to_owned(), body }
 }
 
 fn row(verdict: &Verdict) -> Vec<Markup> {
     vec![
         html! { (verdict.effect) },
-        html! { span class=(verdict.kind.id()) { (words::word(verdict)) } },
+        html! { span class=(verdict.kind.id()) { (format::verdict_label(verdict)) } },
         html! { (verdict.short) },
-        // Worse than nothing is nothing; a number that is none stays one.
+        // Negative gains are shown as zero; NaN stays NaN.
         html! { (percent(if verdict.gain < 0.0 { 0.0 } else { verdict.gain })) },
         html! { (number(verdict.p_adjusted)) },
         html! { (number(verdict.z_typical)) },
@@ -51,5 +48,99 @@ fn next(diagnosis: &Diagnosis) -> Markup {
     html! {
         @if !diagnosis.next.words.is_empty() { p { (diagnosis.next.words) } }
         @for command in &diagnosis.next.commands { pre.command tabindex="0" { (command) } }
+    }
+}
+
+/// `None` without accepted effects.
+pub fn found_section(diagnosis: &Diagnosis) -> Option<Section> {
+    let there: Vec<&Verdict> =
+        diagnosis.verdicts.iter().filter(|verdict| format::is_present(verdict)).collect();
+    let mut drawn: Vec<&EffectShape> = Vec::new();
+    let mut parts = Vec::new();
+    for verdict in &there {
+        let of = |shape: &&EffectShape| shape.effects.contains(&verdict.effect);
+        let shape = diagnosis.shapes.iter().find(of);
+        // Equivalent effects share the plot of the fitted one.
+        let new = shape.filter(|shape| !drawn.iter().any(|other| std::ptr::eq(*other, *shape)));
+        drawn.extend(new);
+        parts.push(part(verdict, new));
+    }
+    (!there.is_empty()).then(|| Section {
+        id: "found",
+        heading: "Accepted effects".to_owned(),
+        body: html! { @for part in parts { (part) } },
+    })
+}
+
+fn part(verdict: &Verdict, shape: Option<&EffectShape>) -> Markup {
+    html! {
+        h3 { (verdict.effect) " " span.model { (format::verdict_label(verdict)) } }
+        div.pair {
+            div {
+                @if !format::magnitude(verdict).is_empty() { p { strong { (format::magnitude(verdict)) } } }
+                p { (format::physics(verdict)) }
+                p.note { (format::reason_sentence(verdict)) }
+            }
+            @if let Some(shape) = shape { (effect::strongest(shape)) }
+        }
+        @if let Some(shape) = shape { (effect::all(shape)) }
+    }
+}
+
+/// `None` without open questions.
+pub fn open_section(diagnosis: &Diagnosis) -> Option<Section> {
+    let (ties, unjudged) =
+        (format::equivalent_sets(diagnosis), format::inconclusive_groups(diagnosis));
+    let none = ties.is_empty() && unjudged.is_empty() && diagnosis.unexplained.is_empty();
+    (!none).then(|| Section {
+        id: "open",
+        heading: "Open questions".to_owned(),
+        body: html! {
+            (unexplained(&diagnosis.unexplained))
+            @for tie in &ties { (equivalence(tie)) }
+            @if !unjudged.is_empty() {
+                h3 { "Inconclusive from these recordings" }
+                ul { @for group in &unjudged { (inconclusive(group)) } }
+            }
+        },
+    })
+}
+
+fn unexplained(list: &[Unexplained]) -> Markup {
+    html! {
+        @if !list.is_empty() {
+            h3 { "Unexplained" }
+            ul { @for one in list { li { (format::unexplained(one)) } } }
+            p { (format::EXPR_HINT) }
+        }
+    }
+}
+
+fn equivalence(tie: &EquivalentSet) -> Markup {
+    html! {
+        h3 { "Not distinguishable: " (tie.effects.join(", ")) }
+        @if !tie.alike.is_empty() { ul { @for why in &tie.alike { li { (why) } } } }
+        (recordings("To distinguish them, record", &tie.record))
+    }
+}
+
+fn inconclusive(group: &InconclusiveGroup) -> Markup {
+    html! {
+        li {
+            strong { (group.effects.join(", ")) } ": " (group.why) "."
+            (recordings("To test it, record", &group.record))
+        }
+    }
+}
+
+fn recordings(head: &str, list: &[(String, String)]) -> Markup {
+    html! {
+        @for (effects, record) in list {
+            p.note {
+                (head)
+                @if list.len() > 1 { ", for " (effects) }
+                ": " (record)
+            }
+        }
     }
 }

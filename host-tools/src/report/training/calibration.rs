@@ -1,65 +1,60 @@
-//! Whether the standard deviations that networks tell mean what they say: shares of errors against those of
-//! a Gaussian.
+//! Calibration of the predicted standard deviations: observed versus Gaussian
+//! coverage.
 
 use maud::{Markup, html};
 use plotters::prelude::*;
 
-use crate::coverage::Coverage;
+use crate::analysis::benchmark::Benchmark;
+use crate::analysis::benchmark::variants::EstimatorVariant;
+use crate::analysis::calibration::Coverage;
 use crate::report::Section;
 use crate::report::palette::{self, Role};
 use crate::report::plot::{Along, Failure, Paper, Swatch, axes, figure, key, px, stroke};
-use crate::table::Table;
-use crate::table::variant::Variant;
 
-/// Size of the plot, in pixels: a square within the axes, nearly.
+/// Size of the plot in pixels, nearly a square within the axes.
 const SIZE: (u32, u32) = (440, 400);
-/// Radius of a dot, in pixels.
+/// Radius of a dot in pixels.
 const DOT: f64 = 3.5;
-/// The networks that are drawn.
-const DRAWN: [(Variant, Role); 3] = [
-    (Variant::PhysicsGru, palette::FIRST),
-    (Variant::Gru3AxisIdeal, palette::SECOND),
-    (Variant::Gru3Axis, palette::THIRD),
+/// Networks in the plot.
+const DRAWN: [(EstimatorVariant, Role); 3] = [
+    (EstimatorVariant::PhysicsGru, palette::FIRST),
+    (EstimatorVariant::Gru3AxisIdeal, palette::SECOND),
+    (EstimatorVariant::Gru3Axis, palette::THIRD),
 ];
 
-/// The curves of the networks that there are.
-pub fn section(table: &Table) -> Section {
-    let found = |(variant, role): (Variant, Role)| {
+/// Calibration curves.
+pub fn section(table: &Benchmark) -> Section {
+    let found = |(variant, role): (EstimatorVariant, Role)| {
         let coverage = table.of(variant)?.coverage.as_ref()?;
         Some((variant, role, coverage))
     };
     let curves: Vec<_> = DRAWN.into_iter().filter_map(found).collect();
-    let line = |(variant, role, _): &(Variant, Role, &Coverage)| {
+    let line = |(variant, role, _): &(EstimatorVariant, Role, &Coverage)| {
         (Swatch::Line, *role, variant.words().to_owned())
     };
     let entries: Vec<_> = curves.iter().map(line).collect();
     let body = html! {
         @if curves.is_empty() {
-            p.empty { "No network told a standard deviation." }
+            p.empty { "No network predicted a standard deviation." }
         } @else {
             figure {
-                figcaption { "Errors of the device after the tare, both forces: the share within a multiple of the standard "
-                    "deviation that is told, against the share of a Gaussian" }
+                figcaption { "Errors of the device after the tare, both forces: observed coverage of multiples of the "
+                    "predicted standard deviation versus a Gaussian" }
                 (plot(&curves))
                 (key(&entries))
             }
-            p.note { "Above the straight line the standard deviations are too wide, below it too narrow." }
+            p.note { "Above the diagonal the predicted standard deviations are too large, below it too small." }
         }
     };
-    Section {
-        id: "calibration",
-        heading: "What sigma means".to_owned(),
-        body,
-    }
+    Section { id: "calibration", heading: "Calibration of sigma".to_owned(), body }
 }
 
-fn plot(curves: &[(Variant, Role, &Coverage)]) -> Markup {
-    let says =
-        "A line for each network; on the diagonal its standard deviations mean what they say.";
+fn plot(curves: &[(EstimatorVariant, Role, &Coverage)]) -> Markup {
+    let says = "A line for each network; on the diagonal it is calibrated.";
     figure(SIZE, says, |paper| draw(paper, curves))
 }
 
-fn draw(paper: &Paper, curves: &[(Variant, Role, &Coverage)]) -> Result<(), Failure> {
+fn draw(paper: &Paper, curves: &[(EstimatorVariant, Role, &Coverage)]) -> Result<(), Failure> {
     let share = |words: &str| Along {
         words: words.to_owned(),
         range: 0.0..100.0,
@@ -71,14 +66,9 @@ fn draw(paper: &Paper, curves: &[(Variant, Role, &Coverage)]) -> Result<(), Fail
     let diagonal = vec![(0.0, 0.0), (100.0, 100.0)];
     chart.draw_series([PathElement::new(diagonal, stroke(palette::MUTED, 1.0))])?;
     for (_, role, coverage) in curves {
-        let points = coverage
-            .curve
-            .iter()
-            .map(|point| point.map(|share| 100.0 * share));
+        let points = coverage.curve.iter().map(|point| point.map(|share| 100.0 * share));
         let points: Vec<(f64, f64)> = points.map(|[expected, found]| (expected, found)).collect();
-        let dots = points
-            .iter()
-            .map(|point| Circle::new(*point, px(DOT), role.light.filled()));
+        let dots = points.iter().map(|point| Circle::new(*point, px(DOT), role.light.filled()));
         chart.draw_series(dots)?;
         chart.draw_series([PathElement::new(points.clone(), stroke(*role, 2.0))])?;
     }

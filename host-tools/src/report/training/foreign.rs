@@ -1,30 +1,26 @@
-//! How surely and how often in vain a foreign magnet is noticed.
+//! Detection rate and false alarms of the magnetic-disturbance detector.
 
 use maud::{Markup, html};
 use plotters::prelude::*;
 
-use crate::foreign::passage::IN_TIME;
-use crate::foreign::tally::{MEASURES, Operating, PER_S, Tally};
-use crate::foreign::words::sentences;
+use crate::analysis::magnetic_disturbance::counts::{
+    DetectionCounts, MEASURES, OperatingPoint, PER_S, summary,
+};
+use crate::analysis::magnetic_disturbance::event::MAX_LATENCY;
 use crate::report::Section;
 use crate::report::palette::{self, Role};
 use crate::report::plot::{Along, Failure, Paper, Swatch, axes, centred, figure, key, px, stroke};
-use crate::show::plain;
+use crate::terminal::decimal;
 
-/// Size of the plot, in pixels.
+/// Size of the plot in pixels.
 const SIZE: (u32, u32) = (660, 340);
-/// Radius of a dot, in pixels.
+/// Radius of a dot in pixels.
 const DOT: f64 = 5.0;
-/// Colours of the measures.
-const ROLES: [Role; 4] = [
-    palette::FIRST,
-    palette::SECOND,
-    palette::THIRD,
-    palette::MUTED,
-];
+/// Colours of the detector statistics.
+const ROLES: [Role; 4] = [palette::FIRST, palette::SECOND, palette::THIRD, palette::MUTED];
 
-/// Plot and sentences; `of` says what ran and where.
-pub fn section(tally: &Tally, of: &str) -> Section {
+/// Plot and summary; `of` describes the data.
+pub fn section(tally: &DetectionCounts, of: &str) -> Section {
     let curves: Vec<Curve> = MEASURES
         .iter()
         .zip(ROLES)
@@ -34,81 +30,66 @@ pub fn section(tally: &Tally, of: &str) -> Section {
         .collect();
     let mut entries: Vec<_> = curves
         .iter()
-        .map(|(name, role, _)| (Swatch::Line, *role, format!("{name} alone")))
+        .map(|(name, role, _)| (Swatch::Line, *role, format!("{name} only")))
         .collect();
-    entries.push((Swatch::Full, palette::INK, "the device's vote".to_owned()));
+    entries.push((Swatch::Full, palette::INK, "device (majority vote)".to_owned()));
     let body = html! {
         p { (of) }
-        p { (sentences(tally).replace('`', "")) }
-        @if tally.judged() == 0 {
-            p.empty { "No magnet moved a force by more than " (plain(tally.worth_n, 2)) " N: there is nothing to draw." }
+        p { (summary(tally).replace('`', "")) }
+        @if tally.relevant_count() == 0 {
+            p.empty { "No magnet changed a force by more than " (decimal(tally.alarm_error_n, 2)) " N: nothing to draw." }
         } @else {
             figure {
-                figcaption { "Share of the magnets noticed within " (IN_TIME) " ms of a force that is off by " (plain(tally.worth_n, 2)) " N, against "
-                    "false alarms in ten hours, as the threshold of one measure falls" }
+                figcaption { "Share of magnets detected within " (MAX_LATENCY) " ms of a force error of " (decimal(tally.alarm_error_n, 2)) " N versus "
+                    "false alarms in ten hours, over the threshold of a single statistic" }
                 (plot(tally, &curves))
                 (key(&entries))
             }
-            p.note { "On the left no false alarm was counted, which is no proof that there is none. A measure counts a "
-                "false alarm for every second in which it is above the threshold." }
+            p.note { "At the left end no false alarm was observed, which does not prove that there are none. A statistic counts one "
+                "false alarm for every second above its threshold." }
         }
     };
-    Section {
-        id: "foreign",
-        heading: "A foreign magnet".to_owned(),
-        body,
-    }
+    Section { id: "foreign", heading: "Magnetic disturbance".to_owned(), body }
 }
 
-/// A measure, its colour, and its curve.
-type Curve = (&'static str, Role, Vec<Operating>);
+/// Statistic, colour, curve.
+type Curve = (&'static str, Role, Vec<OperatingPoint>);
 
-/// Where a rate stands: decades above one alarm in the whole time, which is one place to the right of
-/// none at all.
-fn across(tally: &Tally, false_per_10h: f64) -> f64 {
+/// Position of a rate: decades above one alarm in the total time, which is one unit right of
+/// zero alarms.
+fn across(tally: &DetectionCounts, false_per_10h: f64) -> f64 {
     let alarms = false_per_10h * tally.seconds / PER_S;
-    match alarms > 0.5 {
-        true => 1.0 + alarms.log10(),
-        false => 0.0,
-    }
+    if alarms > 0.5 { 1.0 + alarms.log10() } else { 0.0 }
 }
 
-/// From where the shares are drawn, in percent: so that what is missing shows.
+/// Lower end of the axis in percent.
 fn from_percent(shares: impl Iterator<Item = f64>) -> f64 {
     let least = 100.0 * shares.fold(1.0, f64::min);
     let ends = [98.0, 95.0, 90.0, 80.0, 50.0];
     ends.into_iter().find(|end| least > *end).unwrap_or(0.0)
 }
 
-fn plot(tally: &Tally, curves: &[Curve]) -> Markup {
-    let says = "Lines: the share of magnets noticed in time by each measure against its false alarms; \
-                a square: what the device's vote does.";
+fn plot(tally: &DetectionCounts, curves: &[Curve]) -> Markup {
+    let says = "Lines: share of magnets detected in time by each statistic versus its false alarms; \
+                a square: the device.";
     figure(SIZE, says, |paper| draw(paper, tally, curves))
 }
 
-fn draw(paper: &Paper, tally: &Tally, curves: &[Curve]) -> Result<(), Failure> {
+fn draw(paper: &Paper, tally: &DetectionCounts, curves: &[Curve]) -> Result<(), Failure> {
     let most = across(tally, PER_S);
-    let along = Along {
-        range: -0.3..most + 0.2,
-        ..Along::things(1)
-    };
+    let along = Along { range: -0.3..most + 0.2, ..Along::things(1) };
     let shares = curves.iter().flat_map(|(_, _, points)| points);
-    let from = from_percent(shares.map(|p| p.noticed).chain(tally.detected()));
+    let from = from_percent(shares.map(|p| p.detected).chain(tally.detected()));
     let upwards = Along {
-        words: "noticed in time, %".to_owned(),
+        words: "detected in time, %".to_owned(),
         range: from..100.0 + 0.04 * (100.0 - from),
         labels: 6,
         powers: false,
     };
     let mut chart = axes(paper, &along, &upwards)?;
     for (_, role, points) in curves {
-        let points = points
-            .iter()
-            .map(|p| (across(tally, p.false_per_10h), 100.0 * p.noticed));
-        chart.draw_series([PathElement::new(
-            points.collect::<Vec<_>>(),
-            stroke(*role, 2.0),
-        )])?;
+        let points = points.iter().map(|p| (across(tally, p.false_per_10h), 100.0 * p.detected));
+        chart.draw_series([PathElement::new(points.collect::<Vec<_>>(), stroke(*role, 2.0))])?;
     }
     if let Some(share) = tally.detected() {
         let (x, y) = chart.backend_coord(&(across(tally, tally.false_per_10h()), 100.0 * share));
@@ -133,17 +114,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rates_stand_in_decades_beside_none_and_the_shares_fill_the_height() {
-        let mut tally = Tally::default();
+    fn rates_are_logarithmic_and_shares_fill_the_height() {
+        let mut tally = DetectionCounts::default();
         tally.seconds = 3600.0;
-        // One in an hour is ten in ten hours.
+        // One per hour is ten in ten hours.
         assert_eq!(across(&tally, 0.0), 0.0);
         assert!((across(&tally, 10.0) - 1.0).abs() < 1e-12);
         assert!((across(&tally, 1000.0) - 3.0).abs() < 1e-12);
         let from = |shares: &[f64]| from_percent(shares.iter().copied());
-        assert_eq!(
-            (from(&[1.0, 0.999]), from(&[0.96]), from(&[0.2, 1.0])),
-            (98.0, 95.0, 0.0)
-        );
+        assert_eq!((from(&[1.0, 0.999]), from(&[0.96]), from(&[0.2, 1.0])), (98.0, 95.0, 0.0));
     }
 }

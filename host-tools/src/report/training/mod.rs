@@ -1,11 +1,11 @@
-//! The sections of a comparison of networks with physics, as the paper shows it.
+//! Sections of a benchmark of networks and physics, as in the paper.
 //!
-//! - [`figures`]: the table.
-//! - [`calibration`]: whether standard deviations mean what they say.
-//! - [`time`]: truth and estimates over time (the paper's Fig. 7).
-//! - [`spread`]: how often errors of each size occur (Fig. 8).
-//! - [`lengths`]: the error against the seconds that are learned from.
-//! - [`foreign`]: how surely a foreign magnet is noticed.
+//! - [`figures`]: error tables.
+//! - [`calibration`]: calibration of predicted standard deviations.
+//! - [`time`]: reference and estimates over time (the paper's Fig. 7).
+//! - [`spread`]: error histograms (Fig. 8).
+//! - [`lengths`]: error versus training duration.
+//! - [`foreign`]: magnetic-disturbance detector.
 
 pub mod calibration;
 pub mod figures;
@@ -14,31 +14,28 @@ pub mod lengths;
 pub mod spread;
 pub mod time;
 
-use super::Section;
-use super::palette::{self, Role};
-use crate::table::Table;
-use crate::table::variant::Variant;
+use crate::analysis::benchmark::Benchmark;
+use crate::analysis::benchmark::variants::EstimatorVariant;
+use crate::report::Section;
+use crate::report::palette::{self, Role};
 
-/// The paper's order and names: Fz above Fx.
+/// Forces in the paper's order: Fz above Fx.
 const FORCES: [(usize, &str); 2] = [(1, "Fz, longitudinal"), (0, "Fx, lateral")];
 
-/// The ways that are drawn over time and as histograms, as in the paper: ideal, 2 and 3 axes.
-const DRAWN: [(Variant, Role); 3] = [
-    (Variant::IdealFitted, palette::FIRST),
-    (Variant::Gru2Axis, palette::SECOND),
-    (Variant::Gru3Axis, palette::THIRD),
+/// Estimators in the time plots and histograms, as in the paper: ideal, 2 and 3 axes.
+const DRAWN: [(EstimatorVariant, Role); 3] = [
+    (EstimatorVariant::IdealFitted, palette::FIRST),
+    (EstimatorVariant::Gru2Axis, palette::SECOND),
+    (EstimatorVariant::Gru3Axis, palette::THIRD),
 ];
 
-/// The page's heading.
-pub fn title(table: &Table) -> String {
-    format!(
-        "magpie: ways of telling the force, recording {}",
-        table.recordings.1
-    )
+/// Title.
+pub fn title(table: &Benchmark) -> String {
+    format!("magpie: force estimators, recording {}", table.recordings.1)
 }
 
-/// All of them.
-pub fn sections(table: &Table) -> Vec<Section> {
+/// All sections.
+pub fn sections(table: &Benchmark) -> Vec<Section> {
     let mut sections = vec![
         figures::section(table),
         time::section(table),
@@ -46,7 +43,7 @@ pub fn sections(table: &Table) -> Vec<Section> {
         calibration::section(table),
     ];
     sections.extend(lengths::section(table));
-    let magnet = table.foreign.as_ref();
-    sections.extend(magnet.map(|magnet| foreign::section(&magnet.tally, &magnet.of)));
+    let magnet = table.disturbance.as_ref();
+    sections.extend(magnet.map(|magnet| foreign::section(&magnet.counts, &magnet.description)));
     sections
 }

@@ -1,33 +1,33 @@
-//! Truth and estimates over time, with the band that the network tells.
+//! Reference and estimates over time with the network's confidence band.
 
 use maud::{Markup, html};
 use plotters::prelude::*;
 
-use super::{DRAWN, FORCES};
-use crate::replay::Observed;
+use crate::analysis::benchmark::Benchmark;
+use crate::analysis::benchmark::variants::EstimatorVariant;
+use crate::analysis::replay::ForceSample;
 use crate::report::Section;
 use crate::report::palette::{self, Role};
 use crate::report::plot::{Along, Failure, Paper, Swatch, axes, figure, key, px, stroke};
-use crate::table::Table;
-use crate::table::variant::Variant;
+use crate::report::training::{DRAWN, FORCES};
 
-/// Size of the plot of a force, in pixels.
+/// Size of a force plot in pixels.
 const SIZE: (u32, u32) = (880, 420);
-/// Of its height, what the errors take.
+/// Height of the error strip in pixels.
 const STRIP: f64 = 180.0;
-/// Half the width of the band, in standard deviations.
+/// Half width of the band in standard deviations.
 const BAND: f64 = 2.0;
-/// One point for so many that were kept: about one for each pixel.
+/// Subsampling to about one point per pixel.
 const THINNED: usize = 2;
 
 /// A plot for each force.
-pub fn section(table: &Table) -> Section {
+pub fn section(table: &Benchmark) -> Section {
     let mut entries = vec![(Swatch::Broad, palette::INK, "reference".to_owned())];
     entries.extend(DRAWN.map(|(way, role)| (Swatch::Line, role, way.words().to_owned())));
     entries.push((
         Swatch::Framed,
         palette::THIRD,
-        format!("{BAND} standard deviations that the network of 3 axes tells"),
+        format!("\u{b1}{BAND} predicted standard deviations of the network of 3 axes"),
     ));
     let body = html! {
         @for (axis, name) in FORCES {
@@ -38,44 +38,37 @@ pub fn section(table: &Table) -> Section {
         }
         (key(&entries))
     };
-    Section {
-        id: "time",
-        heading: "Over time, as in Fig. 7".to_owned(),
-        body,
-    }
+    Section { id: "time", heading: "Over time, as in Fig. 7".to_owned(), body }
 }
 
-/// A curve: its colour, and its points.
+/// Curve: colour and points.
 type Curve = (Role, Vec<(f64, f64)>);
 
-fn curve(seen: &[Observed], of: impl Fn(&Observed) -> f64) -> Vec<(f64, f64)> {
+fn curve(seen: &[ForceSample], of: impl Fn(&ForceSample) -> f64) -> Vec<(f64, f64)> {
     let points = seen.iter().step_by(THINNED);
     points.map(|seen| (seen.time_s, of(seen))).collect()
 }
 
-fn plot(table: &Table, axis: usize, name: &str) -> Markup {
-    let Some(network) = table.of(Variant::Gru3Axis).filter(|j| !j.shown.is_empty()) else {
-        return html! { p.empty { "The recording is too short to be shown." } };
+fn plot(table: &Benchmark, axis: usize, name: &str) -> Markup {
+    let Some(network) = table.of(EstimatorVariant::Gru3Axis).filter(|j| !j.samples.is_empty())
+    else {
+        return html! { p.empty { "The recording is too short." } };
     };
-    let ways = || {
-        DRAWN
-            .into_iter()
-            .filter_map(|(way, role)| Some((role, table.of(way)?)))
-    };
+    let ways = || DRAWN.into_iter().filter_map(|(way, role)| Some((role, table.of(way)?)));
     let estimates: Vec<Curve> = ways()
-        .map(|(role, way)| (role, curve(&way.shown, |seen| seen.found_n[axis])))
+        .map(|(role, way)| (role, curve(&way.samples, |seen| seen.estimate_n[axis])))
         .collect();
     let errors: Vec<Curve> = ways()
         .map(|(role, way)| {
-            let error = |seen: &Observed| seen.found_n[axis] - seen.reference_n[axis];
-            (role, curve(&way.shown, error))
+            let error = |seen: &ForceSample| seen.estimate_n[axis] - seen.reference_n[axis];
+            (role, curve(&way.samples, error))
         })
         .collect();
-    let truth = curve(&network.shown, |seen| seen.reference_n[axis]);
+    let truth = curve(&network.samples, |seen| seen.reference_n[axis]);
     let side = |sign: f64| {
-        curve(&network.shown, |seen| {
+        curve(&network.samples, |seen| {
             let sigma = seen.sigma_n.map_or(f64::NAN, |sigma| sigma[axis]);
-            seen.found_n[axis] - seen.reference_n[axis] + sign * BAND * sigma
+            seen.estimate_n[axis] - seen.reference_n[axis] + sign * BAND * sigma
         })
     };
     let (low, high) = (side(-1.0), side(1.0));
@@ -84,14 +77,8 @@ fn plot(table: &Table, axis: usize, name: &str) -> Markup {
         let height = f64::from(SIZE.1) - STRIP;
         let (above, below) = paper.split_vertically(px(height));
         let all = estimates.iter().flat_map(|(_, points)| points);
-        let time = Along {
-            labels: 8,
-            ..Along::holding("time in s", truth.iter().map(|p| p.0))
-        };
-        let bare = Along {
-            words: String::new(),
-            ..time.clone()
-        };
+        let time = Along { labels: 8, ..Along::holding("time in s", truth.iter().map(|p| p.0)) };
+        let bare = Along { words: String::new(), ..time.clone() };
         let up = Along::holding("N", all.chain(&truth).map(|p| p.1));
         draw(&above, (&bare, &up), (&truth, &[], &[]), &estimates)?;
         let all = errors.iter().flat_map(|(_, points)| points);
@@ -100,7 +87,7 @@ fn plot(table: &Table, axis: usize, name: &str) -> Markup {
     })
 }
 
-/// Points of a line or of a band's side.
+/// Points of a line or of one side of a band.
 type Points<'a> = &'a [(f64, f64)];
 
 fn draw(
@@ -120,10 +107,7 @@ fn draw(
         chart.draw_series([Polygon::new(outline, fill)])?;
     }
     if !broad.is_empty() {
-        let style = ShapeStyle {
-            color: palette::INK.light.mix(0.4),
-            ..stroke(palette::INK, 4.0)
-        };
+        let style = ShapeStyle { color: palette::INK.light.mix(0.4), ..stroke(palette::INK, 4.0) };
         chart.draw_series([PathElement::new(broad.to_vec(), style)])?;
     }
     for (role, points) in curves {

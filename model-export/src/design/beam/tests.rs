@@ -23,7 +23,7 @@ fn relative(found: f64, expected: f64) -> f64 {
     (found / expected - 1.0).abs()
 }
 
-fn held(support: Support) -> Beam {
+fn clamped(support: Support) -> Beam {
     Beam { support, ..LEAF }
 }
 
@@ -45,11 +45,7 @@ fn step<const N: usize>(
 fn zero(mut low: f64, mut high: f64, of: impl Fn(f64) -> f64) -> f64 {
     for _ in 0..60 {
         let middle = 0.5 * (low + high);
-        if of(middle) < 0.0 {
-            low = middle
-        } else {
-            high = middle
-        }
+        if of(middle) < 0.0 { low = middle } else { high = middle }
     }
     0.5 * (low + high)
 }
@@ -76,24 +72,20 @@ fn integrate(beam: &Beam, length_m: f64, force_n: f64, axial_n: f64, moment_nm: 
 fn shoot(beam: &Beam, length_m: f64, force_n: f64) -> [f64; 3] {
     // The slope at the guide is linear in the moment at the clamp.
     let moment = |axial_n: f64| {
-        let most_nm = force_n * length_m;
-        let [none, all] = [0.0, most_nm]
+        let max_nm = force_n * length_m;
+        let [none, all] = [0.0, max_nm]
             .map(|moment_nm| integrate(beam, length_m, force_n, axial_n, moment_nm)[1]);
-        most_nm * none / (none - all)
+        max_nm * none / (none - all)
     };
     let rigid = beam.modulus_pa * beam.area_m2();
     // A string without bending stiffness is pulled more.
-    let most_n = (0.5 * rigid * force_n * force_n).cbrt();
-    let axial_n = zero(0.0, most_n, |axial_n| {
+    let max_n = (0.5 * rigid * force_n * force_n).cbrt();
+    let axial_n = zero(0.0, max_n, |axial_n| {
         let [_, _, stretch_m] = integrate(beam, length_m, force_n, axial_n, moment(axial_n));
         axial_n * length_m / rigid - stretch_m
     });
     let moment_nm = moment(axial_n);
-    [
-        integrate(beam, length_m, force_n, axial_n, moment_nm)[0],
-        axial_n,
-        moment_nm,
-    ]
+    [integrate(beam, length_m, force_n, axial_n, moment_nm)[0], axial_n, moment_nm]
 }
 
 /// The exact inextensible cantilever under a tip force of constant direction, by `P L^2 / EI`: deflection
@@ -104,12 +96,7 @@ fn elastica(load: f64) -> [f64; 3] {
         for _ in 0..STEPS {
             // Slope, curvature, and the tip's place.
             y = step(y, 1.0 / STEPS as f64, |[slope, curvature, _, _]| {
-                [
-                    *curvature,
-                    -load * slope.cos(),
-                    slope.sin(),
-                    1.0 - slope.cos(),
-                ]
+                [*curvature, -load * slope.cos(), slope.sin(), 1.0 - slope.cos()]
             });
         }
         y
@@ -120,7 +107,7 @@ fn elastica(load: f64) -> [f64; 3] {
 }
 
 #[test]
-fn at_small_loads_every_support_is_the_textbook_s_to_six_digits() {
+fn small_deflections_equal_textbook_formulas() {
     for (support, stiffness, moment) in [
         (Support::ClampedFree, 3.0, 1.0),
         (Support::ClampedClamped, 192.0, 0.125),
@@ -141,7 +128,7 @@ fn at_small_loads_every_support_is_the_textbook_s_to_six_digits() {
 }
 
 #[test]
-fn the_paper_s_beam_alone_is_far_stiffer_than_its_half_millimetre_at_250_newtons() {
+fn paper_beam_alone_deflects_73_um_at_250_n() {
     assert!(relative(PAPER.stiffness_n_per_m(), 3.42e6) < 1e-3);
     let bent = PAPER.bend(250.0);
     // 250 N * 30 mm * 2.5 mm / 156.25 mm^4.
@@ -150,12 +137,9 @@ fn the_paper_s_beam_alone_is_far_stiffer_than_its_half_millimetre_at_250_newtons
 }
 
 #[test]
-fn held_at_both_ends_the_beam_is_what_shooting_finds_to_four_digits() {
-    for (support, spans) in [
-        (Support::ClampedClamped, 2.0),
-        (Support::ClampedGuided, 1.0),
-    ] {
-        let beam = held(support);
+fn clamped_beams_equal_a_shooting_solution() {
+    for (support, spans) in [(Support::ClampedClamped, 2.0), (Support::ClampedGuided, 1.0)] {
+        let beam = clamped(support);
         let small_n = beam.stiffness_n_per_m() * beam.thickness_m;
         for share in [0.1, 1.0, 10.0, 100.0] {
             let force_n = share * small_n;
@@ -171,12 +155,9 @@ fn held_at_both_ends_the_beam_is_what_shooting_finds_to_four_digits() {
 }
 
 #[test]
-fn without_pull_shooting_finds_the_cantilever_to_four_digits() {
+fn cantilever_equals_a_shooting_solution() {
     // Clamp at the root, no moment at the tip: the moment at the root is the force times the length.
-    let beam = Beam {
-        support: Support::ClampedFree,
-        ..LEAF
-    };
+    let beam = Beam { support: Support::ClampedFree, ..LEAF };
     let force_n = 0.5;
     let root_nm = force_n * beam.length_m;
     let [deflection, slope, shortening] = integrate(&beam, beam.length_m, force_n, 0.0, root_nm);
@@ -187,10 +168,10 @@ fn without_pull_shooting_finds_the_cantilever_to_four_digits() {
 }
 
 #[test]
-fn a_stretching_beam_is_that_of_roark_s_table_which_is_a_little_stiffer() {
-    // Young and Budynas, Roark's Formulas for Stress and Strain, 7th ed., 8.3: both ends held and fixed,
+fn clamped_beam_is_slightly_softer_than_roark_s_table() {
+    // Young and Budynas, Roark's Formulas for Stress and Strain, 7th ed., 8.3: both ends fixed,
     // central load, w + A w^3 / (16 I) = W l^3 / (2 pi^4 EI): one cosine for the shape, which is too stiff.
-    let beam = held(Support::ClampedClamped);
+    let beam = clamped(Support::ClampedClamped);
     let stiffness = beam.modulus_pa * beam.second_moment_m4();
     for (thicknesses, least, most) in [(0.2, 0.012, 0.02), (0.5, 0.015, 0.03), (1.0, 0.03, 0.05)] {
         let w = thicknesses * beam.thickness_m;
@@ -203,11 +184,11 @@ fn a_stretching_beam_is_that_of_roark_s_table_which_is_a_little_stiffer() {
 }
 
 #[test]
-fn stiffening_begins_as_in_the_beam_constraint_model() {
-    // Awtar, Slocum and Sevincer, J. Mech. Des. 129 (2007) 625: f = 12 y + 1.2 p y, and the pull of held
+fn initial_stiffening_equals_the_beam_constraint_model() {
+    // Awtar, Slocum and Sevincer, J. Mech. Des. 129 (2007) 625: f = 12 y + 1.2 p y, and the axial force of clamped
     // ends from p t^2/12 = 0.6 y^2: a share 0.72 (w/t)^2 is gained.
     for support in [Support::ClampedClamped, Support::ClampedGuided] {
-        let beam = held(support);
+        let beam = clamped(support);
         let w = 0.02 * beam.thickness_m;
         let gained = beam.force_at(w) / (beam.stiffness_n_per_m() * w) - 1.0;
         assert!(relative(gained, 0.72 * 0.02 * 0.02) < 1e-3, "{gained}");
@@ -215,7 +196,7 @@ fn stiffening_begins_as_in_the_beam_constraint_model() {
 }
 
 #[test]
-fn the_exact_cantilever_is_the_published_one() {
+fn elastica_equals_published_values() {
     // Mattiasson, Int. J. Num. Meth. Eng. 17 (1981) 145, of Bisshopp and Drucker's elliptic integrals:
     // P L^2 / EI, deflection, shortening, slope.
     for [load, deflection, shortening, slope] in [
@@ -231,11 +212,8 @@ fn the_exact_cantilever_is_the_published_one() {
 }
 
 #[test]
-fn von_karman_s_cantilever_is_the_exact_one_up_to_moderate_slopes_and_no_further() {
-    let beam = Beam {
-        support: Support::ClampedFree,
-        ..LEAF
-    };
+fn cantilever_is_exact_only_up_to_moderate_slopes() {
+    let beam = Beam { support: Support::ClampedFree, ..LEAF };
     let off = |slope_rad: f64| {
         let load = 2.0 * slope_rad;
         let force_n =
@@ -253,17 +231,14 @@ fn von_karman_s_cantilever_is_the_exact_one_up_to_moderate_slopes_and_no_further
 }
 
 #[test]
-fn force_and_deflection_are_each_other_s_inverse_over_nine_decades() {
+fn force_at_inverts_bend_over_nine_decades() {
     for support in Support::ALL {
-        let beam = held(support);
+        let beam = clamped(support);
         for exponent in -5..=3 {
             for sign in [1.0, -1.0] {
                 let force_n = sign * 10.0_f64.powi(exponent);
                 let back = beam.force_at(beam.bend(force_n).deflection_m);
-                assert!(
-                    relative(back, force_n) < 1e-9,
-                    "{support:?} {force_n}: {back}"
-                );
+                assert!(relative(back, force_n) < 1e-9, "{support:?} {force_n}: {back}");
             }
         }
         assert_eq!(beam.bend(0.0).deflection_m, 0.0);
@@ -272,16 +247,13 @@ fn force_and_deflection_are_each_other_s_inverse_over_nine_decades() {
 }
 
 #[test]
-fn a_free_end_does_not_stretch_and_a_held_one_does_not_come_down() {
-    let free = Beam {
-        support: Support::ClampedFree,
-        ..LEAF
-    };
+fn axial_force_and_shortening_depend_on_the_support() {
+    let free = Beam { support: Support::ClampedFree, ..LEAF };
     let (once, twice) = (free.bend(0.2), free.bend(0.4));
     assert_eq!(once.axial_n, 0.0);
     assert!(relative(twice.deflection_m, 2.0 * once.deflection_m) < 1e-12);
     assert!(relative(twice.shortening_m, 4.0 * once.shortening_m) < 1e-12);
-    let bent = held(Support::ClampedClamped).bend(20.0);
+    let bent = clamped(Support::ClampedClamped).bend(20.0);
     assert!(bent.shortening_m == 0.0 && bent.slope_rad == 0.0 && bent.axial_n > 0.0);
     assert!(bent.reversed_pa() > bent.bending_pa && bent.reversed_pa() < bent.stress_pa());
 }

@@ -1,22 +1,18 @@
-//! Where a formula is wrong, to the character: the parser itself does not say.
+//! Syntax check of formulas with error positions, which the expression parser does not provide.
 
-/// A formula that cannot be used, with the character that is to blame.
+/// An invalid formula with the position of the error.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{message}\n  {text}\n  {caret}", caret = caret(text, *at))]
 pub struct ExpressionError {
     text: String,
-    /// Byte in the text.
+    /// Byte offset in the text.
     at: usize,
     message: String,
 }
 
 impl ExpressionError {
     pub(super) fn at(text: &str, at: usize, message: String) -> Self {
-        Self {
-            text: text.to_owned(),
-            at,
-            message,
-        }
+        Self { text: text.to_owned(), at, message }
     }
 }
 
@@ -25,112 +21,99 @@ fn caret(text: &str, at: usize) -> String {
     " ".repeat(before) + "^"
 }
 
-/// A piece of the text.
+/// A section of the text.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Piece<'a> {
+pub(super) struct Section<'a> {
     pub(super) text: &'a str,
     start: usize,
 }
 
-impl Piece<'_> {
+impl Section<'_> {
     pub(super) fn error(&self, text: &str, message: String) -> ExpressionError {
         ExpressionError::at(text, self.start, message)
     }
 }
 
-fn trimmed(text: &str, start: usize) -> Piece<'_> {
+fn trimmed(text: &str, start: usize) -> Section<'_> {
     let lead = text.len() - text.trim_start().len();
-    Piece {
-        text: text.trim(),
-        start: start + lead,
-    }
+    Section { text: text.trim(), start: start + lead }
 }
 
 pub(super) struct Parts<'a> {
-    pub(super) name: Piece<'a>,
-    pub(super) target: Piece<'a>,
-    pub(super) formula: Piece<'a>,
+    pub(super) name: Section<'a>,
+    pub(super) target: Section<'a>,
+    pub(super) formula: Section<'a>,
 }
 
 /// `NAME: TARGET = FORMULA`.
 pub(super) fn split(text: &str) -> Result<Parts<'_>, ExpressionError> {
     let shape = |at| {
         let advice =
-            "write NAME: TARGET = FORMULA, as in 'ripple: dz_um = a*sin(2*pi*opening_mm/p)'";
+            "write NAME: TARGET = FORMULA, for example 'ripple: dz_um = a*sin(2*pi*opening_mm/p)'";
         ExpressionError::at(text, at, advice.to_owned())
     };
     let colon = text.find(':').ok_or_else(|| shape(0))?;
-    let equals = text
-        .find('=')
-        .filter(|equals| *equals > colon)
-        .ok_or_else(|| shape(colon))?;
+    let equals = text.find('=').filter(|equals| *equals > colon).ok_or_else(|| shape(colon))?;
     let parts = Parts {
         name: trimmed(&text[..colon], 0),
         target: trimmed(&text[colon + 1..equals], colon + 1),
         formula: trimmed(&text[equals + 1..], equals + 1),
     };
-    let plain = |c: char| c.is_ascii_alphanumeric() || c == '_';
-    if parts.name.text.is_empty() || !parts.name.text.chars().all(plain) {
-        return Err(parts
-            .name
-            .error(text, "a name is made of letters, digits and _".to_owned()));
+    let is_name_char = |c: char| c.is_ascii_alphanumeric() || c == '_';
+    if parts.name.text.is_empty() || !parts.name.text.chars().all(is_name_char) {
+        return Err(parts.name.error(text, "names consist of letters, digits and _".to_owned()));
     }
-    if super::super::find(parts.name.text).is_ok() {
-        let advice = "the catalogue has an effect of this name: choose another".to_owned();
+    if crate::effects::find(parts.name.text).is_ok() {
+        let advice = "the catalogue contains an effect of this name: choose another".to_owned();
         return Err(parts.name.error(text, advice));
     }
     Ok(parts)
 }
 
-/// The names of a formula and where each stands first.
-pub(super) struct Names {
+/// Names in a formula with the byte offset of their first occurrence.
+pub(super) struct NamePositions {
     found: Vec<(String, usize)>,
-    /// Where the formula begins.
+    /// Byte offset of the formula.
     pub(super) start: usize,
 }
 
-impl Names {
-    pub(super) fn place(&self, name: &str) -> Piece<'_> {
+impl NamePositions {
+    pub(super) fn position(&self, name: &str) -> Section<'_> {
         let at = self.found.iter().find(|(found, _)| found == name);
-        Piece {
-            text: "",
-            start: at.map_or(self.start, |(_, at)| *at),
-        }
+        Section { text: "", start: at.map_or(self.start, |(_, at)| *at) }
     }
 }
 
-/// Functions of one argument that a formula may use.
+/// Supported functions, all of one argument.
 const FUNCTIONS: [&str; 16] = [
     "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp", "ln", "log2",
     "log10", "sqrt", "abs", "signum",
 ];
 
-/// Walks over the formula, expecting a value or an operator in turn.
-pub(super) fn check(text: &str, formula: &Piece) -> Result<Names, ExpressionError> {
+/// Checks operators, values and brackets; returns the names.
+pub(super) fn check_syntax(
+    text: &str,
+    formula: &Section,
+) -> Result<NamePositions, ExpressionError> {
     let fail = |at: usize, message: String| Err(ExpressionError::at(text, at, message));
-    let mut names = Names {
-        found: Vec::new(),
-        start: formula.start,
-    };
-    let (mut open, mut wants_value, mut at) = (Vec::new(), true, 0);
+    let mut names = NamePositions { found: Vec::new(), start: formula.start };
+    let (mut open, mut expects_value, mut at) = (Vec::new(), true, 0);
     let bytes = formula.text.as_bytes();
     while let Some(&byte) = bytes.get(at) {
         let here = formula.start + at;
         let rest = &formula.text[at..];
         match byte {
             b' ' | b'\t' => at += 1,
-            b'0'..=b'9' | b'.' | b'a'..=b'z' | b'A'..=b'Z' | b'_' if !wants_value => {
+            b'0'..=b'9' | b'.' | b'a'..=b'z' | b'A'..=b'Z' | b'_' if !expects_value => {
                 return fail(here, "an operator is missing before this".to_owned());
             }
             b'0'..=b'9' | b'.' => {
-                at += number(rest);
-                wants_value = false;
+                at += number_length(rest);
+                expects_value = false;
             }
             b'a'..=b'z' | b'A'..=b'Z' | b'_' => {
-                let length = rest
-                    .bytes()
-                    .take_while(|b| b.is_ascii_alphanumeric() || *b == b'_')
-                    .count();
+                let length =
+                    rest.bytes().take_while(|b| b.is_ascii_alphanumeric() || *b == b'_').count();
                 let name = &rest[..length];
                 let is_call = rest[length..].trim_start().starts_with('(');
                 match (is_call, FUNCTIONS.contains(&name)) {
@@ -139,7 +122,7 @@ pub(super) fn check(text: &str, formula: &Piece) -> Result<Names, ExpressionErro
                         return fail(
                             here,
                             format!(
-                                "there is no function {name}; there are {}",
+                                "there is no function {name}; available: {}",
                                 FUNCTIONS.join(", ")
                             ),
                         );
@@ -149,37 +132,39 @@ pub(super) fn check(text: &str, formula: &Piece) -> Result<Names, ExpressionErro
                     }
                     (false, false) => {
                         names.found.push((name.to_owned(), here));
-                        wants_value = false;
+                        expects_value = false;
                     }
                 }
                 at += length;
             }
-            b'+' | b'-' if wants_value => at += 1,
-            b'+' | b'-' | b'*' | b'/' | b'^' if !wants_value => {
-                wants_value = true;
+            b'+' | b'-' if expects_value => at += 1,
+            b'+' | b'-' | b'*' | b'/' | b'^' if !expects_value => {
+                expects_value = true;
                 at += 1;
             }
             b'+' | b'-' | b'*' | b'/' | b'^' => {
                 return fail(here, "a value is missing before this".to_owned());
             }
-            b'(' if wants_value => {
+            b'(' if expects_value => {
                 open.push(here);
                 at += 1;
             }
             b'(' => return fail(here, "an operator is missing before this".to_owned()),
             b')' if open.is_empty() => return fail(here, "this bracket was not opened".to_owned()),
-            b')' if wants_value => return fail(here, "a value is missing before this".to_owned()),
+            b')' if expects_value => {
+                return fail(here, "a value is missing before this".to_owned());
+            }
             b')' => {
                 open.pop();
                 at += 1;
             }
-            _ => return fail(here, "this character cannot stand here".to_owned()),
+            _ => return fail(here, "this character is not allowed here".to_owned()),
         }
     }
     if let Some(bracket) = open.pop() {
         return fail(bracket, "this bracket is not closed".to_owned());
     }
-    if wants_value {
+    if expects_value {
         return fail(
             formula.start + formula.text.len(),
             "a value is missing at the end".to_owned(),
@@ -188,14 +173,10 @@ pub(super) fn check(text: &str, formula: &Piece) -> Result<Names, ExpressionErro
     Ok(names)
 }
 
-/// Length of the number that `text` begins with.
-fn number(text: &str) -> usize {
-    let digits = |from: usize| {
-        text[from..]
-            .bytes()
-            .take_while(|b| b.is_ascii_digit() || *b == b'.')
-            .count()
-    };
+/// Length of the number at the start of `text`.
+fn number_length(text: &str) -> usize {
+    let digits =
+        |from: usize| text[from..].bytes().take_while(|b| b.is_ascii_digit() || *b == b'.').count();
     let mantissa = digits(0);
     let exponent = text[mantissa..].strip_prefix(['e', 'E']).map(|rest| {
         let sign = usize::from(rest.starts_with(['+', '-']));

@@ -1,58 +1,58 @@
-//! Adam with decoupled decay, and its memory where a checkpoint can reach it.
+//! Adam with decoupled weight decay; its moments are public for checkpoints.
 
-use super::parameters::{Kind, Parameters};
+use crate::gru::train::parameters::{TensorKind, TrainableParameters};
 
-/// Decay of the mean slope.
+/// Decay of the mean gradient.
 const FIRST: f64 = 0.9;
-/// Decay of the mean squared slope.
+/// Decay of the mean squared gradient.
 const SECOND: f64 = 0.999;
-/// Added to the root of the mean squared slope.
+/// Added to the root of the mean squared gradient.
 const FLOOR: f64 = 1e-8;
-/// Share of a weight that goes with each step of rate one. Biases do not decay: that of the update
-/// gate is a unit's memory.
-pub const DECAY: f64 = 0.01;
-/// Greatest slope of one network, root of the sum of squares; a greater one is shortened to it.
-pub const GREATEST_SLOPE: f64 = 1.0;
+/// Weight decay per step of unit rate. Biases do not decay: that of the update gate sets a unit's memory.
+pub const WEIGHT_DECAY: f64 = 0.01;
+/// Maximum gradient norm of one network.
+pub const MAX_GRADIENT_NORM: f64 = 1.0;
 
-/// The optimiser's memory.
+/// State of the optimiser.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Adam {
     /// Steps so far.
     pub steps: u32,
-    /// Mean slope of each parameter.
-    pub first: Parameters,
-    /// Mean squared slope.
-    pub second: Parameters,
+    /// Mean gradient of each parameter.
+    pub first: TrainableParameters,
+    /// Mean squared gradient.
+    pub second: TrainableParameters,
 }
 
 impl Adam {
     /// Before the first step.
-    pub fn new(parameters: &Parameters) -> Self {
-        let zero = Parameters::zero(parameters.size);
-        Self {
-            steps: 0,
-            first: zero.clone(),
-            second: zero,
-        }
+    pub fn new(parameters: &TrainableParameters) -> Self {
+        let zero = TrainableParameters::zero(parameters.size);
+        Self { steps: 0, first: zero.clone(), second: zero }
     }
 
-    /// One step down the slopes, which are given in the parameters' order.
-    pub fn step(&mut self, parameters: &mut Parameters, slopes: &[Vec<f32>], rate: f64) {
+    /// One step; `gradients` are in the order of the parameters.
+    pub fn step(
+        &mut self,
+        parameters: &mut TrainableParameters,
+        gradients: &[Vec<f32>],
+        rate: f64,
+    ) {
         self.steps += 1;
         let steps = f64::from(self.steps);
         let mean = 1.0 / (1.0 - libm::pow(FIRST, steps));
         let squares = 1.0 / (1.0 - libm::pow(SECOND, steps));
-        for (i, slopes) in slopes.iter().enumerate() {
+        for (i, gradients) in gradients.iter().enumerate() {
             let kind = parameters.all[i].kind;
-            let decays = matches!(kind, Kind::Weights | Kind::State);
-            let kept = if decays { 1.0 - rate * DECAY } else { 1.0 };
-            let values = parameters.all[i].values.iter_mut().zip(slopes);
+            let decays = matches!(kind, TensorKind::Weights | TensorKind::State);
+            let kept = if decays { 1.0 - rate * WEIGHT_DECAY } else { 1.0 };
+            let values = parameters.all[i].values.iter_mut().zip(gradients);
             let memory = self.first.all[i].values.iter_mut();
             let memory = memory.zip(self.second.all[i].values.iter_mut());
-            for ((value, &slope), (first, second)) in values.zip(memory) {
-                let slope = f64::from(slope);
-                let m = FIRST * f64::from(*first) + (1.0 - FIRST) * slope;
-                let v = SECOND * f64::from(*second) + (1.0 - SECOND) * slope * slope;
+            for ((value, &gradient), (first, second)) in values.zip(memory) {
+                let gradient = f64::from(gradient);
+                let m = FIRST * f64::from(*first) + (1.0 - FIRST) * gradient;
+                let v = SECOND * f64::from(*second) + (1.0 - SECOND) * gradient * gradient;
                 (*first, *second) = (m as f32, v as f32);
                 let step = rate * m * mean / ((v * squares).sqrt() + FLOOR);
                 *value = (kept * f64::from(*value) - step) as f32;
@@ -61,20 +61,20 @@ impl Adam {
     }
 }
 
-/// Shortens the slope of each network to [`GREATEST_SLOPE`].
-pub fn clip(slopes: &mut [Vec<f32>], networks: usize) {
+/// Scales the gradient of each network to [`MAX_GRADIENT_NORM`].
+pub fn clip_gradients(gradients: &mut [Vec<f32>], networks: usize) {
     for network in 0..networks {
-        let part = |slopes: &Vec<f32>| {
-            let each = slopes.len() / networks;
+        let part = |gradients: &Vec<f32>| {
+            let each = gradients.len() / networks;
             network * each..(network + 1) * each
         };
-        let squares = slopes.iter().flat_map(|s| &s[part(s)]);
+        let squares = gradients.iter().flat_map(|s| &s[part(s)]);
         let length = squares.map(|s| f64::from(*s).powi(2)).sum::<f64>().sqrt();
-        if length > GREATEST_SLOPE {
-            let factor = (GREATEST_SLOPE / length) as f32;
-            for slopes in slopes.iter_mut() {
-                let range = part(slopes);
-                slopes[range].iter_mut().for_each(|s| *s *= factor);
+        if length > MAX_GRADIENT_NORM {
+            let factor = (MAX_GRADIENT_NORM / length) as f32;
+            for gradients in gradients.iter_mut() {
+                let range = part(gradients);
+                gradients[range].iter_mut().for_each(|s| *s *= factor);
             }
         }
     }

@@ -1,44 +1,44 @@
-//! A training on disk, from which it goes on as if nothing had happened.
+//! Training checkpoint, from which training resumes with identical results.
 
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::course::{Best, Course, Settings};
-use super::lesson::Topology;
-use super::parameters::Parameters;
-use crate::gru::tensors::{self, Array, Arrays, Kind};
-use crate::recordings::problem::Fault;
-use crate::recordings::{Place, Problem};
+use crate::gru::tensors::{self, NamedTensor, TensorFile, TensorFileKind};
+use crate::gru::train::dataset::Topology;
+use crate::gru::train::parameters::TrainableParameters;
+use crate::gru::train::trainer::{BestEpoch, Trainer, TrainingSettings};
+use crate::recordings::error::ErrorKind;
+use crate::recordings::{DataError, Location};
 
-/// What a checkpoint must agree in with the training that resumes it, and how far it is.
+/// Identity of the training, which must match on resume, and its progress.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Description {
-    /// Version of the tool: another may train otherwise.
+    /// Version of the tool.
     tool: String,
-    /// Hashes of everything that is learned from.
+    /// Hashes of the training data.
     inputs: String,
-    settings: Settings,
+    settings: TrainingSettings,
     topology: Topology,
     epoch: u32,
     steps: u32,
-    found: Vec<Best>,
+    found: Vec<BestEpoch>,
 }
 
 impl Description {
-    fn of(course: &Course, inputs: &str) -> Self {
+    fn of(trainer: &Trainer, inputs: &str) -> Self {
         Self {
             tool: env!("CARGO_PKG_VERSION").to_owned(),
             inputs: inputs.to_owned(),
-            settings: course.settings.clone(),
-            topology: course.topology.clone(),
-            epoch: course.epoch,
-            steps: course.adam.steps,
-            found: course.found.clone(),
+            settings: trainer.settings.clone(),
+            topology: trainer.topology.clone(),
+            epoch: trainer.epoch,
+            steps: trainer.adam.steps,
+            found: trainer.found.clone(),
         }
     }
 
-    /// What it is about, as a person would name it, where it is not the same.
+    /// Difference to another training, for messages.
     fn difference(&self, other: &Self) -> Option<&'static str> {
         if self.tool != other.tool {
             Some("another version of the tool")
@@ -47,63 +47,61 @@ impl Description {
         } else if self.topology != other.topology {
             Some("other networks (--axes, --inputs, --target, --hidden, --shared)")
         } else if self.settings != other.settings {
-            Some("another --seed, --epochs, --patience, --rate or --near-zero")
+            Some("another --seed, --epochs, --patience, --rate or --zero-weight")
         } else {
             None
         }
     }
 }
 
-/// The four sets of numbers that a training is made of, each under its name.
-fn parts(course: &Course) -> [(&'static str, &Parameters); 4] {
+/// The four parameter sets of a training, by name.
+fn parts(trainer: &Trainer) -> [(&'static str, &TrainableParameters); 4] {
     [
-        ("now", &course.parameters),
-        ("best", &course.best),
-        ("slope", &course.adam.first),
-        ("squares", &course.adam.second),
+        ("now", &trainer.parameters),
+        ("best", &trainer.best),
+        ("slope", &trainer.adam.first),
+        ("squares", &trainer.adam.second),
     ]
 }
 
-/// Writes the training as it is now, whole or not at all. `inputs` tells what is learned from: the
-/// same text, the same data.
-pub fn write(path: &Path, course: &Course, inputs: &str) -> Result<(), Problem> {
-    let arrays: Vec<Array> = parts(course)
+/// Writes the training atomically. `inputs` identifies the training data.
+pub fn write(path: &Path, trainer: &Trainer, inputs: &str) -> Result<(), DataError> {
+    let arrays: Vec<NamedTensor> = parts(trainer)
         .iter()
         .flat_map(|(part, parameters)| {
-            parameters.all.iter().map(move |parameter| Array {
+            parameters.all.iter().map(move |parameter| NamedTensor {
                 name: format!("{part}.{}", parameter.name),
                 shape: parameter.shape.clone(),
                 values: parameter.values.clone(),
             })
         })
         .collect();
-    tensors::write(
-        path,
-        Kind::Checkpoint,
-        &Description::of(course, inputs),
-        &arrays,
-    )
+    tensors::write(path, TensorFileKind::Checkpoint, &Description::of(trainer, inputs), &arrays)
 }
 
-/// Brings a training that has not begun to where the checkpoint is.
-pub fn resume(path: &Path, course: &mut Course, inputs: &str) -> Result<(), Problem> {
-    let (found, mut arrays): (Description, _) = tensors::read(path, Kind::Checkpoint)?;
-    if let Some(difference) = found.difference(&Description::of(course, inputs)) {
+/// Restores a checkpoint into a new training.
+pub fn resume(path: &Path, trainer: &mut Trainer, inputs: &str) -> Result<(), DataError> {
+    let (found, mut arrays): (Description, _) = tensors::read(path, TensorFileKind::Checkpoint)?;
+    if let Some(difference) = found.difference(&Description::of(trainer, inputs)) {
         let found = format!("resuming a training with {difference}");
-        let advice = "give the same arguments as before, or begin anew without --resume".to_owned();
-        return Err(Fault::BadValue { found, advice }.at(Place::file(path)));
+        let advice = "use the same arguments as before, or start again without --resume".to_owned();
+        return Err(ErrorKind::BadValue { found, advice }.at(Location::file(path)));
     }
-    fill(&mut course.parameters, "now", &mut arrays)?;
-    fill(&mut course.best, "best", &mut arrays)?;
-    fill(&mut course.adam.first, "slope", &mut arrays)?;
-    fill(&mut course.adam.second, "squares", &mut arrays)?;
-    course.epoch = found.epoch;
-    course.adam.steps = found.steps;
-    course.found = found.found;
+    fill(&mut trainer.parameters, "now", &mut arrays)?;
+    fill(&mut trainer.best, "best", &mut arrays)?;
+    fill(&mut trainer.adam.first, "slope", &mut arrays)?;
+    fill(&mut trainer.adam.second, "squares", &mut arrays)?;
+    trainer.epoch = found.epoch;
+    trainer.adam.steps = found.steps;
+    trainer.found = found.found;
     Ok(())
 }
 
-fn fill(parameters: &mut Parameters, part: &str, arrays: &mut Arrays) -> Result<(), Problem> {
+fn fill(
+    parameters: &mut TrainableParameters,
+    part: &str,
+    arrays: &mut TensorFile,
+) -> Result<(), DataError> {
     for parameter in &mut parameters.all {
         let name = format!("{part}.{}", parameter.name);
         parameter.values = arrays.take(&name, &parameter.shape)?;

@@ -1,50 +1,43 @@
-//! Training: weights that make what was recorded likely.
+//! Training of the networks by maximum likelihood.
 //!
-//! - [`lesson`]: what is learned from, and its scaling.
-//! - [`parameters`]: everything that training changes.
-//! - [`hold`]: weights brought back to what the device can hold.
-//! - [`curves`]: sigmoid and tangent, several values at once.
-//! - [`recurrence`]: a layer's recurrence as one operation, forward and backward.
-//! - [`forward`]: the networks over a window, and the loss.
-//! - [`streams`]: recordings cut into streams.
+//! - [`dataset`]: recordings as training sequences, and their scaling.
+//! - [`parameters`]: trainable tensors, their initial values and the device's weight limits.
+//! - [`recurrence`]: one GRU layer as a single operation, forward and backward, with its activations.
+//! - [`forward`]: forward pass, loss and evaluation.
+//! - [`tbptt`]: batches for truncated back-propagation through time.
 //! - [`adam`]: the optimiser.
-//! - [`judge`]: what networks tell over a whole recording.
-//! - [`course`]: the training itself, from epoch to epoch.
-//! - [`checkpoint`]: a training on disk.
+//! - [`trainer`]: epochs, learning rate schedule and early stopping.
+//! - [`checkpoint`]: a training run on disk.
 //!
-//! The same seed and recordings give the same bytes, whatever the number of threads, and however
-//! often the training was interrupted.
+//! The same seed and recordings give the same bytes on any number of threads, with or without interruptions.
 
 pub mod adam;
 pub mod checkpoint;
-pub mod course;
-pub mod curves;
+pub mod dataset;
 pub mod forward;
-pub mod hold;
-pub mod judge;
-pub mod lesson;
 pub mod parameters;
 pub mod recurrence;
-pub mod streams;
+pub mod tbptt;
+pub mod trainer;
 
 #[cfg(test)]
-mod learning;
-#[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod trainer_tests;
 
 use crate::gru::network::Input;
 
-/// A training that cannot be done.
+/// Reasons for which a training fails.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)] // The sentence of each variant is its documentation.
-pub enum Problem {
+pub enum TrainError {
     #[error(
-        "{} never changes in the recordings that are learned from: nothing can be learned from it",
+        "{} never changes in the training recordings and carries no information; leave it out",
         name(*input)
     )]
     ConstantInput { input: Input },
     #[error(
-        "in no row that is learned from is a valid estimate together with a measured force other than zero; check force.csv"
+        "no training row has a valid estimate and a measured force other than zero; check force.csv"
     )]
     NoTruth,
     #[error(
@@ -52,29 +45,23 @@ pub enum Problem {
     )]
     NoTruthAt { recording: String, sensor: u32 },
     #[error(
-        "the loss of the network of sensors {sensors:?} is no number after epoch {epoch}; train with a lower --rate"
+        "the loss of the network of sensors {sensors:?} is not finite after epoch {epoch}; train with a lower --rate"
     )]
     Diverged { sensors: Vec<u32>, epoch: u32 },
     #[error(transparent)]
     Tensors(#[from] candle_core::Error),
     #[error(transparent)]
-    File(#[from] crate::recordings::Problem),
+    File(#[from] crate::recordings::DataError),
 }
 
-/// An input in words.
+/// Name of an input in messages.
 fn name(input: Input) -> String {
     match input {
         Input::Field { sensor, axis } => {
-            format!(
-                "the field of sensor {sensor} along {}",
-                ["x", "y", "z"][axis]
-            )
+            format!("the field of sensor {sensor} along {}", ["x", "y", "z"][axis])
         }
         Input::Ideal { sensor, axis } => {
-            format!(
-                "the ideal model's {} at sensor {sensor}",
-                ["Fx", "Fz"][axis]
-            )
+            format!("the ideal model's {} at sensor {sensor}", ["Fx", "Fz"][axis])
         }
     }
 }

@@ -1,21 +1,17 @@
-//! The recurrence of one layer as a single operation, forward and backward.
+//! Recurrence of one GRU layer as a single operation, forward and backward.
 //!
-//! Products that have no order in time are the library's. The recurrence itself has as many small
-//! steps as rows, and an operation of the library for each piece of each step costs many times the
-//! arithmetic; here a step is a few loops. Streams do not touch each other, so they run on any number
-//! of threads and give the same bits.
+//! Time-independent products use the tensor library. The recurrence has one small step per row, for which
+//! single tensor operations cost many times the arithmetic; here a step is a few loops. Streams are
+//! independent, so the result does not depend on the number of threads.
 
-use std::sync::OnceLock;
-
+use crate::gru::network::GATES;
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Storage, Tensor, bail};
 use rayon::prelude::*;
+use std::sync::OnceLock;
 
-use super::curves::{sigmoid, tanh};
-use crate::gru::network::GATES;
-
-/// What the way back needs of each unit and row beside the states: reset, update, candidate, and the
-/// candidate's recurrent sum before the reset.
-const KEPT: usize = 4;
+/// Values saved for the backward pass per unit and row: reset, update, candidate, and the candidate's recurrent
+/// sum before the reset.
+const SAVED: usize = 4;
 
 /// The recurrence over `streams` of every network, from a state.
 ///
@@ -32,8 +28,8 @@ pub struct Recurrence {
     pub rows: usize,
     /// The state before the first row, `networks x streams x hidden`.
     pub start: Vec<f32>,
-    /// What the way forward leaves for the way back.
-    pub kept: OnceLock<Vec<f32>>,
+    /// Values saved by the forward pass.
+    pub saved: OnceLock<Vec<f32>>,
 }
 
 fn values<'a>(storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [f32]> {
@@ -69,7 +65,7 @@ impl Recurrence {
         products: &[f32],
         weights: &[f32],
         bias: &[f32],
-        (states, kept): (&mut [f32], &mut [f32]),
+        (states, saved): (&mut [f32], &mut [f32]),
     ) {
         let hidden = self.hidden;
         let (input_bias, state_bias) = bias.split_at(GATES * hidden);
@@ -77,14 +73,14 @@ impl Recurrence {
         let mut sums = vec![0.0; GATES * hidden];
         let rows = products.chunks_exact(GATES * hidden);
         let left = states.chunks_exact_mut(hidden);
-        let left = left.zip(kept.chunks_exact_mut(KEPT * hidden));
-        for (product, (states, kept)) in rows.zip(left) {
+        let left = left.zip(saved.chunks_exact_mut(SAVED * hidden));
+        for (product, (states, saved)) in rows.zip(left) {
             sums.copy_from_slice(state_bias);
             for (&h, row) in state.iter().zip(weights.chunks_exact(GATES * hidden)) {
                 add_scaled(&mut sums, h, row);
             }
-            // Loops of one kind each, so that the compiler takes several units at once.
-            let (gates, candidates) = kept.split_at_mut(2 * hidden);
+            // Separate loops, so that the compiler vectorises them.
+            let (gates, candidates) = saved.split_at_mut(2 * hidden);
             let (candidates, inner) = candidates.split_at_mut(hidden);
             for (i, gate) in gates.iter_mut().enumerate() {
                 *gate = sigmoid(product[i] + input_bias[i] + sums[i]);
@@ -103,35 +99,35 @@ impl Recurrence {
         }
     }
 
-    /// One stream backward: `turned` holds the recurrent weights row by row of the sums.
+    /// Backward pass of one stream; `transposed` are the recurrent weights row by row of the sums.
     fn backward(
         &self,
         start: &[f32],
-        turned: &[f32],
-        (states, kept): (&[f32], &[f32]),
+        transposed: &[f32],
+        (states, saved): (&[f32], &[f32]),
         gradient: &[f32],
         products: &mut [f32],
-    ) -> Slopes {
+    ) -> Gradients {
         let hidden = self.hidden;
-        let mut slopes = Slopes::zero(hidden);
-        let mut carried = vec![0.0; hidden];
+        let mut gradients = Gradients::zero(hidden);
+        let mut state_gradient = vec![0.0; hidden];
         let mut sums = vec![0.0; GATES * hidden];
         for row in (0..self.rows).rev() {
-            let kept_row = &kept[row * KEPT * hidden..][..KEPT * hidden];
+            let saved_row = &saved[row * SAVED * hidden..][..SAVED * hidden];
             let before = match row {
                 0 => start,
                 _ => &states[(row - 1) * hidden..][..hidden],
             };
             let product = &mut products[row * GATES * hidden..][..GATES * hidden];
-            let wanted = &gradient[row * hidden..][..hidden];
+            let expected = &gradient[row * hidden..][..hidden];
             for i in 0..hidden {
                 let [reset, update, candidate, inner] =
-                    [0, 1, 2, 3].map(|kind| kept_row[kind * hidden + i]);
-                let state = carried[i] + wanted[i];
+                    [0, 1, 2, 3].map(|kind| saved_row[kind * hidden + i]);
+                let state = state_gradient[i] + expected[i];
                 let d_candidate = state * (1.0 - update) * (1.0 - candidate * candidate);
                 let d_update = state * (before[i] - candidate) * update * (1.0 - update);
                 let d_reset = d_candidate * inner * reset * (1.0 - reset);
-                carried[i] = state * update;
+                state_gradient[i] = state * update;
                 product[i] = d_reset;
                 product[hidden + i] = d_update;
                 product[2 * hidden + i] = d_candidate;
@@ -139,47 +135,39 @@ impl Recurrence {
                 sums[hidden + i] = d_update;
                 sums[2 * hidden + i] = d_candidate * reset;
             }
-            for (&slope, weights) in sums.iter().zip(turned.chunks_exact(hidden)) {
-                add_scaled(&mut carried, slope, weights);
+            for (&gradient, weights) in sums.iter().zip(transposed.chunks_exact(hidden)) {
+                add_scaled(&mut state_gradient, gradient, weights);
             }
-            let rows = slopes.weights.chunks_exact_mut(GATES * hidden);
+            let rows = gradients.weights.chunks_exact_mut(GATES * hidden);
             for (&h, weights) in before.iter().zip(rows) {
                 add_scaled(weights, h, &sums);
             }
-            let (input_bias, state_bias) = slopes.bias.split_at_mut(GATES * hidden);
+            let (input_bias, state_bias) = gradients.bias.split_at_mut(GATES * hidden);
             add_scaled(input_bias, 1.0, product);
             add_scaled(state_bias, 1.0, &sums);
         }
-        slopes
+        gradients
     }
 
-    /// Rows and columns of every network's recurrent weights exchanged.
-    fn turned(&self, weights: &[f32]) -> Vec<f32> {
+    /// Transposed recurrent weights of every network.
+    fn transposed(&self, weights: &[f32]) -> Vec<f32> {
         let (hidden, sums) = (self.hidden, GATES * self.hidden);
         let of_network = |weights: &[f32]| -> Vec<f32> {
-            (0..sums * hidden)
-                .map(|i| weights[(i % hidden) * sums + i / hidden])
-                .collect()
+            (0..sums * hidden).map(|i| weights[(i % hidden) * sums + i / hidden]).collect()
         };
-        weights
-            .chunks_exact(hidden * sums)
-            .flat_map(of_network)
-            .collect()
+        weights.chunks_exact(hidden * sums).flat_map(of_network).collect()
     }
 }
 
-/// What the weights of one stream are blamed for.
-struct Slopes {
+/// Gradients of the weights of one stream.
+struct Gradients {
     weights: Vec<f32>,
     bias: Vec<f32>,
 }
 
-impl Slopes {
+impl Gradients {
     fn zero(hidden: usize) -> Self {
-        Self {
-            weights: vec![0.0; GATES * hidden * hidden],
-            bias: vec![0.0; 2 * GATES * hidden],
-        }
+        Self { weights: vec![0.0; GATES * hidden * hidden], bias: vec![0.0; 2 * GATES * hidden] }
     }
 
     fn add(&mut self, other: &Self) {
@@ -206,9 +194,9 @@ impl CustomOp3 for Recurrence {
         let (hidden, networks) = (self.hidden, l2.dims()[0]);
         let streams = networks * self.streams;
         let mut states = vec![0.0; streams * self.rows * hidden];
-        let mut kept = vec![0.0; streams * self.rows * KEPT * hidden];
+        let mut saved = vec![0.0; streams * self.rows * SAVED * hidden];
         let left = states.par_chunks_mut(self.rows * hidden);
-        left.zip(kept.par_chunks_mut(self.rows * KEPT * hidden))
+        left.zip(saved.par_chunks_mut(self.rows * SAVED * hidden))
             .zip(products.par_chunks(self.rows * GATES * hidden))
             .enumerate()
             .for_each(|(stream, (left, products))| {
@@ -217,7 +205,7 @@ impl CustomOp3 for Recurrence {
                 let bias = &bias[network * 2 * GATES * hidden..][..2 * GATES * hidden];
                 self.forward(self.start_of(stream), products, weights, bias, left);
             });
-        if self.kept.set(kept).is_err() {
+        if self.saved.set(saved).is_err() {
             bail!("the recurrence goes forward once");
         }
         let shape = (networks, self.streams, self.rows, hidden);
@@ -233,45 +221,105 @@ impl CustomOp3 for Recurrence {
         gradient: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
         let (hidden, networks) = (self.hidden, weights.dims()[0]);
-        let Some(kept) = self.kept.get() else {
+        let Some(saved) = self.saved.get() else {
             bail!("the recurrence goes forward before it goes back");
         };
         let gradient = gradient.contiguous()?;
         let (weights_lock, weights_layout) = weights.storage_and_layout();
         let (states_lock, states_layout) = states.storage_and_layout();
         let (gradient_lock, gradient_layout) = gradient.storage_and_layout();
-        let turned = self.turned(values(on_cpu(&weights_lock)?, weights_layout)?);
+        let transposed = self.transposed(values(on_cpu(&weights_lock)?, weights_layout)?);
         let states = values(on_cpu(&states_lock)?, states_layout)?;
         let gradient = values(on_cpu(&gradient_lock)?, gradient_layout)?;
         let streams = networks * self.streams;
         let mut d_products = vec![0.0; streams * self.rows * GATES * hidden];
         let known = states.par_chunks(self.rows * hidden);
-        let known = known.zip(kept.par_chunks(self.rows * KEPT * hidden));
-        let slopes: Vec<Slopes> = d_products
+        let known = known.zip(saved.par_chunks(self.rows * SAVED * hidden));
+        let gradients: Vec<Gradients> = d_products
             .par_chunks_mut(self.rows * GATES * hidden)
             .zip(known.zip(gradient.par_chunks(self.rows * hidden)))
             .enumerate()
             .map(|(stream, (products, (known, gradient)))| {
-                let turned = &turned[stream / self.streams * GATES * hidden * hidden..];
-                let turned = &turned[..GATES * hidden * hidden];
-                self.backward(self.start_of(stream), turned, known, gradient, products)
+                let transposed = &transposed[stream / self.streams * GATES * hidden * hidden..];
+                let transposed = &transposed[..GATES * hidden * hidden];
+                self.backward(self.start_of(stream), transposed, known, gradient, products)
             })
             .collect();
-        // In the order of the streams, whoever was ready first.
+        // Summed in a fixed order, for equal bits.
         let (mut d_weights, mut d_bias) = (Vec::new(), Vec::new());
-        for of_network in slopes.chunks(self.streams) {
-            let mut sum = Slopes::zero(hidden);
-            of_network.iter().for_each(|slopes| sum.add(slopes));
+        for of_network in gradients.chunks(self.streams) {
+            let mut sum = Gradients::zero(hidden);
+            of_network.iter().for_each(|gradients| sum.add(gradients));
             d_weights.extend(sum.weights);
             d_bias.extend(sum.bias);
         }
         let like = |values: Vec<f32>, like: &Tensor| {
             Tensor::from_vec(values, like.shape(), like.device()).map(Some)
         };
-        Ok((
-            like(d_products, products)?,
-            like(d_weights, weights)?,
-            like(d_bias, bias)?,
-        ))
+        Ok((like(d_products, products)?, like(d_weights, weights)?, like(d_bias, bias)?))
+    }
+}
+
+/// Limit beyond which the sigmoid is 0 or 1 and the exponential still finite.
+const EXP_LIMIT: f32 = 80.0;
+/// Adding and subtracting this rounds to the nearest integer, which is then in the lowest bits of the sum.
+const ROUNDING: f32 = 12_582_912.0;
+/// Upper part of the natural logarithm of two: its product with a whole number below 128 is exact.
+const LN_2_UPPER: f32 = 0.693_359_4;
+/// Lower part.
+const LN_2_LOWER: f32 = -2.121_944_4e-4;
+/// Exponent bias of the format, and its bit position.
+const EXPONENT: (u32, u32) = (127, 23);
+
+/// Exponential, relative error 3e-7, argument clamped to ±80.
+fn exp(x: f32) -> f32 {
+    let x = x.clamp(-EXP_LIMIT, EXP_LIMIT);
+    let sum = x * std::f32::consts::LOG2_E + ROUNDING;
+    let whole = sum - ROUNDING;
+    let rest = x - whole * LN_2_UPPER - whole * LN_2_LOWER;
+    // Taylor series; the next term is below 1.2e-7.
+    let mut series = 1.0 / 720.0;
+    for factor in [1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0, 1.0] {
+        series = series * rest + factor;
+    }
+    let (one, place) = EXPONENT;
+    series * f32::from_bits(sum.to_bits().wrapping_add(one) << place)
+}
+
+/// `1 / (1 + exp(-x))`, to 2e-7.
+pub fn sigmoid(x: f32) -> f32 {
+    1.0 / (1.0 + exp(-x))
+}
+
+/// The hyperbolic tangent, to 4e-7.
+pub fn tanh(x: f32) -> f32 {
+    2.0 * sigmoid(2.0 * x) - 1.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn activations_are_exact_to_a_few_1e_7() {
+        for i in -200_000..=200_000 {
+            let x = i as f32 * 1e-4;
+            let exact = f64::from(x);
+            let error = f64::from(exp(x)) / exact.exp() - 1.0;
+            assert!(error.abs() < 3e-7, "{x}: {error}");
+            let error = f64::from(sigmoid(x)) - 1.0 / (1.0 + (-exact).exp());
+            assert!(error.abs() < 2e-7, "{x}: {error}");
+            let error = f64::from(tanh(x)) - exact.tanh();
+            assert!(error.abs() < 4e-7, "{x}: {error}");
+        }
+    }
+
+    #[test]
+    fn activations_saturate_for_large_arguments() {
+        for x in [90.0, 1e4, f32::MAX] {
+            assert_eq!((sigmoid(x), tanh(x), tanh(-x)), (1.0, 1.0, -1.0));
+            assert!(sigmoid(-x) < 1e-30);
+        }
+        assert!(sigmoid(f32::NAN).is_nan());
     }
 }

@@ -1,4 +1,4 @@
-//! The arithmetic of training beside the library's own, and beside the plain equation.
+//! Training arithmetic versus the tensor library and versus plain equations.
 
 use std::collections::HashMap;
 
@@ -9,24 +9,22 @@ use candle_nn::rnn::{GRU, GRUConfig, RNN};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::adam::{Adam, DECAY, GREATEST_SLOPE, clip};
-use super::forward::{State, Weights, losses};
-use super::hold::{CANDIDATE_LIMIT, WEIGHT_LIMIT};
-use super::lesson::{Scaled, Scaling, Sequence, Topology, Track, weight_near_zero};
-use super::parameters::{Parameter, Parameters, Size, place};
 use crate::gru::network::{Input, Layer, Network, OUTPUTS, ScaledInput, Target};
-use crate::gru::quantise::Quantised;
-
-const SIZE: Size = Size {
-    networks: 2,
-    inputs: 3,
-    hidden: 5,
-    outputs: 4,
+use crate::gru::quantise::QuantisedNetwork;
+use crate::gru::train::adam::{Adam, MAX_GRADIENT_NORM, WEIGHT_DECAY, clip_gradients};
+use crate::gru::train::dataset::{
+    ScaledSequence, Scaling, SensorSequence, Sequence, Topology, zero_force_weight,
+};
+use crate::gru::train::forward::{LayerStates, WeightTensors, losses};
+use crate::gru::train::parameters::{
+    MAX_CANDIDATE_WEIGHT, MAX_WEIGHT, NetworkSize, ParameterTensor, TrainableParameters, index,
 };
 
+const SIZE: NetworkSize = NetworkSize { networks: 2, inputs: 3, hidden: 5, outputs: 4 };
+
 /// Weights of all kinds, some of them large.
-fn weights() -> Parameters {
-    let mut parameters = Parameters::random(SIZE, 7, &[0, 1]);
+fn weights() -> TrainableParameters {
+    let mut parameters = TrainableParameters::random(SIZE, 7, &[0, 1]);
     let mut rng = ChaCha8Rng::seed_from_u64(3);
     for parameter in &mut parameters.all {
         for value in &mut parameter.values {
@@ -81,7 +79,7 @@ fn plain(network: &Network, rows: &[Vec<f64>]) -> Vec<Vec<f64>> {
     outputs.collect()
 }
 
-fn exported(parameters: &Parameters, network: usize) -> Network {
+fn exported(parameters: &TrainableParameters, network: usize) -> Network {
     let (head_weights, head_bias) = parameters.head(network);
     Network {
         sensors: vec![0],
@@ -97,22 +95,20 @@ fn exported(parameters: &Parameters, network: usize) -> Network {
 }
 
 #[test]
-fn the_training_s_forward_pass_is_the_equation_of_the_exported_network() {
+fn forward_pass_equals_the_exported_network() {
     let (streams, rows) = (3, 200);
     let parameters = weights();
     let x = noise(SIZE.networks * streams * rows * SIZE.inputs, 1);
     let shape = (SIZE.networks, streams, rows, SIZE.inputs);
     let inputs = Tensor::from_slice(&x, shape, &Device::Cpu).unwrap();
-    let mut state = State::zero(SIZE, streams);
-    let weights = Weights::of(&parameters).unwrap();
-    // In two windows, so that the state is carried.
+    let mut state = LayerStates::zero(SIZE, streams);
+    let weights = WeightTensors::of(&parameters).unwrap();
+    // In two windows, to carry the state over.
     let mut halves = Vec::new();
     for half in 0..2 {
         let window = inputs.narrow(2, half * rows / 2, rows / 2).unwrap();
         let window = window.contiguous().unwrap();
-        let window = window
-            .reshape((SIZE.networks, streams * rows / 2, SIZE.inputs))
-            .unwrap();
+        let window = window.reshape((SIZE.networks, streams * rows / 2, SIZE.inputs)).unwrap();
         let outputs = weights.forward(&window, streams, &mut state).unwrap();
         let outputs = outputs.reshape((SIZE.networks, streams, rows / 2, SIZE.outputs));
         halves.push(outputs.unwrap());
@@ -125,10 +121,10 @@ fn the_training_s_forward_pass_is_the_equation_of_the_exported_network() {
                 let t = t.get(network).unwrap().get(stream).unwrap();
                 t.to_dtype(DType::F64).unwrap().to_vec2().unwrap()
             };
-            let wanted = plain(&exported, &of_stream(&inputs));
-            for (found, wanted) in of_stream(&outputs).iter().zip(&wanted) {
-                for (found, wanted) in found.iter().zip(wanted) {
-                    assert!((found - wanted).abs() < 1e-5, "{found} {wanted}");
+            let expected = plain(&exported, &of_stream(&inputs));
+            for (found, expected) in of_stream(&outputs).iter().zip(&expected) {
+                for (found, expected) in found.iter().zip(expected) {
+                    assert!((found - expected).abs() < 1e-5, "{found} {expected}");
                 }
             }
         }
@@ -154,106 +150,83 @@ fn library_layer(layer: [&Tensor; 3], inputs: &Tensor) -> Tensor {
 }
 
 #[test]
-fn its_slopes_are_those_that_the_library_finds_step_by_step() {
-    let size = Size {
-        networks: 1,
-        ..SIZE
-    };
+fn gradients_equal_those_of_the_library() {
+    let size = NetworkSize { networks: 1, ..SIZE };
     let (streams, rows) = (2, 40);
-    let mut parameters = Parameters::random(size, 5, &[0]);
+    let mut parameters = TrainableParameters::random(size, 5, &[0]);
     parameters.copy_network(0, &weights());
     let inputs = noise(streams * rows * size.inputs, 1);
     let inputs = Tensor::from_vec(inputs, (1, streams * rows, size.inputs), &Device::Cpu).unwrap();
-    let truth = Tensor::from_vec(
-        noise(streams * rows * 2, 2),
-        (1, streams * rows, 2),
-        &Device::Cpu,
-    );
+    let truth =
+        Tensor::from_vec(noise(streams * rows * 2, 2), (1, streams * rows, 2), &Device::Cpu);
     let truth = truth.unwrap();
     let weight = truth.ones_like().unwrap();
-    let slopes = |variables: &[Var], outputs: Tensor| -> Vec<Vec<f32>> {
-        let loss = losses(&outputs, &truth, &weight)
-            .unwrap()
-            .sum_all()
-            .unwrap();
+    let gradients = |variables: &[Var], outputs: Tensor| -> Vec<Vec<f32>> {
+        let loss = losses(&outputs, &truth, &weight).unwrap().sum_all().unwrap();
         let gradients = loss.backward().unwrap();
         let flat = |v: &Var| gradients.get(v).unwrap().flatten_all()?.to_vec1::<f32>();
         variables.iter().map(|v| flat(v).unwrap()).collect()
     };
-    let own = Weights::of(&parameters).unwrap();
-    let mut state = State::zero(size, streams);
-    let found = slopes(&own.all, own.forward(&inputs, streams, &mut state).unwrap());
+    let own = WeightTensors::of(&parameters).unwrap();
+    let mut state = LayerStates::zero(size, streams);
+    let found = gradients(&own.all, own.forward(&inputs, streams, &mut state).unwrap());
 
-    let theirs = Weights::of(&parameters).unwrap();
+    let theirs = WeightTensors::of(&parameters).unwrap();
     let mut flow = inputs.reshape((streams, rows, size.inputs)).unwrap();
-    for layer in place::LAYERS {
+    for layer in index::LAYERS {
         flow = library_layer(layer.map(|i| theirs.all[i].as_tensor()), &flow);
     }
     let flow = flow.reshape((1, streams * rows, size.hidden)).unwrap();
-    let head = flow
-        .matmul(theirs.all[place::HEAD_WEIGHTS].as_tensor())
-        .unwrap();
-    let outputs = head
-        .broadcast_add(theirs.all[place::HEAD_BIAS].as_tensor())
-        .unwrap();
-    let wanted = slopes(&theirs.all, outputs);
+    let head = flow.matmul(theirs.all[index::HEAD_WEIGHTS].as_tensor()).unwrap();
+    let outputs = head.broadcast_add(theirs.all[index::HEAD_BIAS].as_tensor()).unwrap();
+    let expected = gradients(&theirs.all, outputs);
 
-    for (found, (wanted, parameter)) in found.iter().zip(wanted.iter().zip(&parameters.all)) {
-        let greatest = wanted.iter().fold(0.0_f32, |a, b| a.max(b.abs()));
-        assert!(greatest > 0.1, "{}", parameter.name);
-        for (found, wanted) in found.iter().zip(wanted) {
-            let error = (found - wanted).abs();
-            assert!(
-                error < 2e-5 * greatest,
-                "{}: {found} {wanted}",
-                parameter.name
-            );
+    for (found, (expected, parameter)) in found.iter().zip(expected.iter().zip(&parameters.all)) {
+        let max_gradient = expected.iter().fold(0.0_f32, |a, b| a.max(b.abs()));
+        assert!(max_gradient > 0.1, "{}", parameter.name);
+        for (found, expected) in found.iter().zip(expected) {
+            let error = (found - expected).abs();
+            assert!(error < 2e-5 * max_gradient, "{}: {found} {expected}", parameter.name);
         }
     }
 }
 
 #[test]
-fn the_optimiser_s_steps_are_those_of_the_library_s() {
+fn optimiser_steps_equal_those_of_the_library() {
     let mut parameters = weights();
     let before = parameters.all[0].values.clone();
     let variable = Var::from_slice(&before, before.len(), &Device::Cpu).unwrap();
-    let settings = ParamsAdamW {
-        weight_decay: DECAY,
-        ..ParamsAdamW::default()
-    };
+    let settings = ParamsAdamW { weight_decay: WEIGHT_DECAY, ..ParamsAdamW::default() };
     let mut library = AdamW::new(vec![variable.clone()], settings).unwrap();
     let mut own = Adam::new(&parameters);
     for step in 0..5 {
         let rate = 0.01 / f64::from(step + 1);
-        let mut slopes: Vec<Vec<f32>> = parameters
-            .all
-            .iter()
-            .map(|p| vec![0.0; p.values.len()])
-            .collect();
-        slopes[0] = noise(before.len(), u64::from(step as u32));
-        let slope = Tensor::from_slice(&slopes[0], before.len(), &Device::Cpu).unwrap();
-        let loss = (variable.as_tensor() * slope).unwrap().sum_all().unwrap();
+        let mut gradients: Vec<Vec<f32>> =
+            parameters.all.iter().map(|p| vec![0.0; p.values.len()]).collect();
+        gradients[0] = noise(before.len(), u64::from(step as u32));
+        let gradient = Tensor::from_slice(&gradients[0], before.len(), &Device::Cpu).unwrap();
+        let loss = (variable.as_tensor() * gradient).unwrap().sum_all().unwrap();
         library.set_learning_rate(rate);
         library.step(&loss.backward().unwrap()).unwrap();
-        own.step(&mut parameters, &slopes, rate);
+        own.step(&mut parameters, &gradients, rate);
     }
-    let wanted = variable.to_vec1::<f32>().unwrap();
-    for ((found, wanted), before) in parameters.all[0].values.iter().zip(&wanted).zip(&before) {
-        assert!((found - wanted).abs() < 1e-5, "{found} {wanted}");
-        assert!((wanted - before).abs() > 1e-4);
+    let expected = variable.to_vec1::<f32>().unwrap();
+    for ((found, expected), before) in parameters.all[0].values.iter().zip(&expected).zip(&before) {
+        assert!((found - expected).abs() < 1e-5, "{found} {expected}");
+        assert!((expected - before).abs() > 1e-4);
     }
 }
 
 #[test]
-fn a_steep_slope_is_shortened_and_that_of_the_network_beside_it_is_not() {
-    let mut slopes = vec![vec![3.0, 0.3], vec![4.0, 0.4]];
-    clip(&mut slopes, 2);
-    assert_eq!(GREATEST_SLOPE, 1.0);
-    assert_eq!(slopes, [[0.6, 0.3], [0.8, 0.4]]);
+fn gradient_is_clipped_per_network() {
+    let mut gradients = vec![vec![3.0, 0.3], vec![4.0, 0.4]];
+    clip_gradients(&mut gradients, 2);
+    assert_eq!(MAX_GRADIENT_NORM, 1.0);
+    assert_eq!(gradients, [[0.6, 0.3], [0.8, 0.4]]);
 }
 
 #[test]
-fn weights_stay_where_the_device_can_hold_them() {
+fn weights_are_clipped_to_the_device_range() {
     let mut parameters = weights();
     // One in each row, so that no sum is too large.
     for (place, parameter) in parameters.all.iter_mut().enumerate() {
@@ -264,24 +237,21 @@ fn weights_stay_where_the_device_can_hold_them() {
             parameter.of_mut(network)[..columns].fill(only);
         }
     }
-    parameters.limit();
+    parameters.clip_to_device();
     let layer = parameters.layer(0, 1);
     let (gates, candidate) = layer.state_weights.split_at(2 * SIZE.hidden * SIZE.hidden);
     let within = |weights: &[f32], limit: f32| {
         let known = |weight: &f32| *weight == 0.0 || *weight == -limit;
         weights.iter().all(known) && weights.contains(&-limit)
     };
-    assert!(within(&layer.input_weights, WEIGHT_LIMIT));
-    assert!(within(gates, WEIGHT_LIMIT) && within(candidate, CANDIDATE_LIMIT));
+    assert!(within(&layer.input_weights, MAX_WEIGHT));
+    assert!(within(gates, MAX_WEIGHT) && within(candidate, MAX_CANDIDATE_WEIGHT));
 }
 
-/// As an exporter would be given it.
-fn with_inputs(parameters: &Parameters, network: usize) -> Network {
-    let input = |axis| ScaledInput {
-        input: Input::Field { sensor: 0, axis },
-        middle: 0.0,
-        span: 100.0,
-    };
+/// With inputs, for quantisation.
+fn with_inputs(parameters: &TrainableParameters, network: usize) -> Network {
+    let input =
+        |axis| ScaledInput { input: Input::Field { sensor: 0, axis }, middle: 0.0, span: 100.0 };
     Network {
         sensors: vec![0; SIZE.outputs / OUTPUTS],
         inputs: (0..SIZE.inputs).map(input).collect(),
@@ -290,8 +260,7 @@ fn with_inputs(parameters: &Parameters, network: usize) -> Network {
 }
 
 #[test]
-fn however_large_the_weights_grow_the_device_can_hold_every_sum_and_every_row_keeps_its_direction()
-{
+fn clipped_rows_fit_the_device_and_keep_their_direction() {
     let mut large = 0;
     for seed in 0..20 {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -302,25 +271,18 @@ fn however_large_the_weights_grow_the_device_can_hold_every_sum_and_every_row_ke
             *value = rng.random_range(-size..size);
         }
         let before = parameters.clone();
-        let refused = |p: &Parameters| {
+        let refused = |p: &TrainableParameters| {
             let networks = (0..SIZE.networks).map(|network| with_inputs(p, network));
-            networks
-                .filter(|n| Quantised::new(n, 0.125).is_err())
-                .count()
+            networks.filter(|n| QuantisedNetwork::new(n, 0.125).is_err()).count()
         };
         large += refused(&parameters);
-        parameters.limit();
+        parameters.clip_to_device();
         assert_eq!(refused(&parameters), 0, "seed {seed}");
         for (now, then) in parameters.all.iter().zip(&before.all) {
             let columns = *then.shape.last().unwrap();
             for column in 0..columns {
-                let values = |p: &Parameter| -> Vec<f32> {
-                    p.of(0)
-                        .iter()
-                        .skip(column)
-                        .step_by(columns)
-                        .copied()
-                        .collect()
+                let values = |p: &ParameterTensor| -> Vec<f32> {
+                    p.of(0).iter().skip(column).step_by(columns).copied().collect()
                 };
                 let (now, then) = (values(now), values(then));
                 let of_size = |values: &[f32]| values.iter().map(|v| v.abs()).sum::<f32>();
@@ -331,9 +293,9 @@ fn however_large_the_weights_grow_the_device_can_hold_every_sum_and_every_row_ke
                 assert!(same, "{now:?} {then:?}");
             }
         }
-        // What is within stays as it is, but for rounding.
+        // Values within the limits stay unchanged except for rounding.
         let within = parameters.clone();
-        parameters.limit();
+        parameters.clip_to_device();
         for (again, once) in parameters.all.iter().zip(&within.all) {
             for (again, once) in again.values.iter().zip(&once.values) {
                 assert!((again - once).abs() <= 1e-6 * once.abs());
@@ -344,13 +306,13 @@ fn however_large_the_weights_grow_the_device_can_hold_every_sum_and_every_row_ke
 }
 
 #[test]
-fn a_row_too_large_for_the_device_is_refused_without_the_limit() {
+fn row_too_large_for_the_device_needs_clipping() {
     let mut parameters = weights();
-    parameters.all[place::LAYERS[1][1]].values.fill(3.9);
+    parameters.all[index::LAYERS[1][1]].values.fill(3.9);
     // Five states of 3.9 make 19.5 where a candidate's recurrent sum ends at 16.
-    assert!(Quantised::new(&with_inputs(&parameters, 0), 0.125).is_err());
-    parameters.limit();
-    assert!(Quantised::new(&with_inputs(&parameters, 0), 0.125).is_ok());
+    assert!(QuantisedNetwork::new(&with_inputs(&parameters, 0), 0.125).is_err());
+    parameters.clip_to_device();
+    assert!(QuantisedNetwork::new(&with_inputs(&parameters, 0), 0.125).is_ok());
     let layer = parameters.layer(0, 1);
     let row = &layer.state_weights[2 * SIZE.hidden * SIZE.hidden..][..SIZE.hidden];
     let sum = row.iter().sum::<f32>() + layer.state_bias[2 * SIZE.hidden].abs();
@@ -358,66 +320,63 @@ fn a_row_too_large_for_the_device_is_refused_without_the_limit() {
 }
 
 #[test]
-fn a_part_of_a_recording_begins_and_ends_where_it_was_cut_and_knows_no_earlier_truth() {
+fn part_of_a_recording_has_its_rows_and_later_references() {
     let whole = Sequence {
         name: "whole".to_owned(),
         rows: 10,
-        tracks: vec![Track {
+        tracks: vec![SensorSequence {
             number: 3,
             field_g: (0..10).map(|row| [row as f32; 3]).collect(),
             ideal_n: (0..10).map(|row| [0.0, row as f32]).collect(),
             truth_n: [0, 2, 4, 6, 8].map(|row| (row, [row as f32; 2])).to_vec(),
-            ..Track::default()
+            ..SensorSequence::default()
         }],
     };
     let part = whole.part(3..8, 5);
     assert_eq!((part.rows, part.tracks[0].number), (5, 3));
     assert_eq!(part.tracks[0].field_g.first(), Some(&[3.0; 3]));
     assert_eq!(part.tracks[0].ideal_n.last(), Some(&[0.0, 7.0]));
-    // Row 4 lies before what is known, row 8 behind the end.
+    // Row 4 is before `known`, row 8 after the end.
     assert_eq!(part.tracks[0].truth_n, [(3, [6.0; 2])]);
     assert_eq!(whole.part(0..99, 0), whole);
     assert_eq!(whole.part(20..30, 0).rows, 0);
 }
 
 #[test]
-fn rows_near_zero_force_count_more_by_the_documented_form() {
-    assert_eq!(weight_near_zero(0.0, 250.0, 4.0), 4.0);
+fn zero_force_weight_has_the_documented_form() {
+    assert_eq!(zero_force_weight(0.0, 250.0, 4.0), 4.0);
     // exp(-1/2) = 0.60653 at 25 N.
-    assert!((weight_near_zero(-25.0, 250.0, 4.0) - 2.819_59).abs() < 1e-5);
-    assert!((weight_near_zero(200.0, 250.0, 4.0) - 1.0).abs() < 1e-12);
-    assert_eq!(weight_near_zero(17.0, 250.0, 1.0), 1.0);
+    assert!((zero_force_weight(-25.0, 250.0, 4.0) - 2.819_59).abs() < 1e-5);
+    assert!((zero_force_weight(200.0, 250.0, 4.0) - 1.0).abs() < 1e-12);
+    assert_eq!(zero_force_weight(17.0, 250.0, 1.0), 1.0);
     // Half a newton is to 5 N what 25 N are to 250; 2 N are far from nothing there.
-    assert_eq!(
-        weight_near_zero(0.5, 5.0, 4.0),
-        weight_near_zero(25.0, 250.0, 4.0)
-    );
-    assert!(weight_near_zero(2.0, 5.0, 4.0) < 1.01);
-    let lesson = Sequence {
+    assert_eq!(zero_force_weight(0.5, 5.0, 4.0), zero_force_weight(25.0, 250.0, 4.0));
+    assert!(zero_force_weight(2.0, 5.0, 4.0) < 1.01);
+    let recording = Sequence {
         name: String::new(),
         rows: 2,
-        tracks: vec![Track {
+        tracks: vec![SensorSequence {
             number: 0,
             field_g: vec![[0.0; 3], [1.0; 3]],
-            // What is told is the rest, but what counts is the force.
+            // The target is the residual, the weight depends on the force.
             ideal_n: vec![[50.0; 2]; 2],
             truth_n: vec![(0, [25.0, 0.0]), (1, [250.0, 25.0])],
-            ..Track::default()
+            ..SensorSequence::default()
         }],
     };
     let topology = Topology {
         axes: vec![0],
         ideal: false,
-        target: Target::Rest,
+        target: Target::Residual,
         shared: false,
         hidden: 2,
     };
     let groups = topology.groups(&[0]);
-    let lessons = [lesson];
-    let scaling = Scaling::of(&lessons, &topology, &groups).unwrap();
+    let training_data = [recording];
+    let scaling = Scaling::of(&training_data, &topology, &groups).unwrap();
     let of = |near_zero| {
-        let counts = |n| weight_near_zero(n, 250.0, near_zero);
-        Scaled::of(&lessons[0], &scaling, &groups, Target::Rest, counts).weight
+        let counts = |n| zero_force_weight(n, 250.0, near_zero);
+        ScaledSequence::of(&training_data[0], &scaling, &groups, Target::Residual, counts).weight
     };
     assert_eq!(of(1.0), [1.0; 4]);
     let known = [2.819_59, 4.0, 1.0, 2.819_59];

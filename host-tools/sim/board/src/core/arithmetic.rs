@@ -64,10 +64,7 @@ pub(super) const fn shift_with_carry(
             _ => (0, amount == 32 && value >> 31 != 0),
         },
         Shift::ArithmeticRight => match amount {
-            1..=31 => (
-                ((value as i32) >> amount) as u32,
-                value >> (amount - 1) & 1 != 0,
-            ),
+            1..=31 => (((value as i32) >> amount) as u32, value >> (amount - 1) & 1 != 0),
             _ => (((value as i32) >> 31) as u32, value >> 31 != 0),
         },
         Shift::RotateRight => {
@@ -207,12 +204,7 @@ const MASKS: [u16; 16] = {
     while code < 16 {
         let mut flags = 0;
         while flags < 16 {
-            let (n, z, c, v) = (
-                flags & 8 != 0,
-                flags & 4 != 0,
-                flags & 2 != 0,
-                flags & 1 != 0,
-            );
+            let (n, z, c, v) = (flags & 8 != 0, flags & 4 != 0, flags & 2 != 0, flags & 1 != 0);
             let base = match code >> 1 {
                 0 => z,
                 1 => c,

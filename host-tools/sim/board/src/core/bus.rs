@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::SystemControl;
+use crate::core::SystemControl;
 
 /// Width of a data access.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

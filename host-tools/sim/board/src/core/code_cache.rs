@@ -2,12 +2,12 @@
 
 use std::ops::Range;
 
-use super::bus::{Bus, BusError};
-use super::cycles::{CycleModel, Timing};
-use super::decode::{decode_narrow, decode_wide, is_wide};
-use super::execute::memory::is_device;
-use super::instruction::Instruction;
-use super::state::Fault;
+use crate::core::bus::{Bus, BusError};
+use crate::core::cycles::{CycleModel, Timing};
+use crate::core::decode::{decode_narrow, decode_wide, is_wide};
+use crate::core::execute::memory::is_device;
+use crate::core::instruction::Instruction;
+use crate::core::state::Fault;
 
 /// Memories whose instructions are kept: first address and length in bytes. Instructions elsewhere are
 /// decoded at each execution.
@@ -39,11 +39,7 @@ impl Context {
 
     /// Context of an ITSTATE.
     pub(super) const fn of(itstate: u8) -> Self {
-        if itstate == 0 {
-            Self::OUTSIDE_IT
-        } else {
-            Self::INSIDE_IT
-        }
+        if itstate == 0 { Self::OUTSIDE_IT } else { Self::INSIDE_IT }
     }
 
     /// Whether the context is outside an IT block and the state is as well.
@@ -65,12 +61,8 @@ pub(super) struct Slot {
 
 const _: () = assert!(size_of::<Slot>() <= 16);
 
-const EMPTY: Slot = Slot {
-    instruction: Instruction::Nop,
-    size: 2,
-    context: Context::EMPTY,
-    timing: Timing::NONE,
-};
+const EMPTY: Slot =
+    Slot { instruction: Instruction::Nop, size: 2, context: Context::EMPTY, timing: Timing::NONE };
 
 #[derive(Debug, Clone)]
 pub(super) struct CodeCache {
@@ -84,12 +76,7 @@ impl CodeCache {
         for (slot, size) in [(SKIPPED, 2), (SKIPPED + 1, 4)] {
             let instruction = Instruction::Nop;
             let timing = model.timing(&instruction);
-            slots[slot] = Slot {
-                instruction,
-                size,
-                context: Context::INSIDE_IT,
-                timing,
-            };
+            slots[slot] = Slot { instruction, size, context: Context::INSIDE_IT, timing };
         }
         let Ok(slots) = slots.into_boxed_slice().try_into() else {
             unreachable!("the length is that of the array");
@@ -152,10 +139,7 @@ impl CodeCache {
         let slot = decode(bus, address, context, model)?;
         let Some(index) = Self::index(address) else {
             // Valid for this execution only.
-            self.slots[UNCACHED] = Slot {
-                context: Context::EMPTY,
-                ..slot
-            };
+            self.slots[UNCACHED] = Slot { context: Context::EMPTY, ..slot };
             return Ok(UNCACHED);
         };
         self.slots[index] = slot;
@@ -200,12 +184,7 @@ fn decode<B: Bus>(
     } else {
         (decode_narrow(first, inside_it_block), 2)
     };
-    Ok(Slot {
-        instruction,
-        size,
-        context,
-        timing: model.timing(&instruction),
-    })
+    Ok(Slot { instruction, size, context, timing: model.timing(&instruction) })
 }
 
 fn fetch<B: Bus>(bus: &mut B, address: u32) -> Result<u16, Fault> {

@@ -4,7 +4,7 @@
 //! RM0440, 3.3.3 (wait states of the flash memory). This is a model in classes: it adds the time of each
 //! instruction and contains neither the prefetch buffer, nor the write buffer, nor contention on the buses.
 
-use super::instruction::Instruction;
+use crate::core::instruction::Instruction;
 
 /// Addresses of the flash memory and its aliases of other sizes, on which wait states apply.
 const FLASH: std::ops::Range<u32> = 0x0800_0000..0x0810_0000;

@@ -1,11 +1,11 @@
 //! DSP extension and the other multiplications with 64-bit intermediate results (DDI0403E A4.4.3 to
 //! A4.4.7).
 
-use super::arithmetic::{SATURATED, saturate_signed, saturate_unsigned};
-use super::instruction::{
+use crate::core::arithmetic::{SATURATED, saturate_signed, saturate_unsigned};
+use crate::core::instruction::{
     DspMultiply, Extension, LongMultiply, ParallelFormat, ParallelOperation, Register,
 };
-use super::state::{GE, State};
+use crate::core::state::{GE, State};
 
 /// Low or high halfword with its sign.
 #[inline(always)]
@@ -24,10 +24,7 @@ const fn word(value: u32) -> i64 {
 #[inline(always)]
 const fn dual_products(n: u32, m: u32, exchange: bool) -> (i64, i64) {
     let m = if exchange { m.rotate_right(16) } else { m };
-    (
-        half(n, false) * half(m, false),
-        half(n, true) * half(m, true),
-    )
+    (half(n, false) * half(m, false), half(n, true) * half(m, true))
 }
 
 /// A result with the GE flags of the modulo formats, in bits 3 to 0.
@@ -69,11 +66,7 @@ const fn is_unsigned(format: ParallelFormat) -> bool {
 #[inline(always)]
 const fn lane(value: u32, low: u32, width: u32, unsigned: bool) -> i32 {
     let raw = value << (32 - width - low);
-    if unsigned {
-        (raw >> (32 - width)) as i32
-    } else {
-        raw as i32 >> (32 - width)
-    }
+    if unsigned { (raw >> (32 - width)) as i32 } else { raw as i32 >> (32 - width) }
 }
 
 impl State {
@@ -135,9 +128,7 @@ impl State {
     #[inline]
     fn most_significant(&mut self, d: Register, accumulator: u32, product: i64, round: bool) {
         let rounding = if round { 0x8000_0000 } else { 0 };
-        let sum = ((accumulator as i64) << 32)
-            .wrapping_add(product)
-            .wrapping_add(rounding);
+        let sum = ((accumulator as i64) << 32).wrapping_add(product).wrapping_add(rounding);
         self.write(d, (sum >> 32) as u32);
     }
 
@@ -188,18 +179,11 @@ impl State {
         m: u32,
     ) {
         use ParallelOperation as P;
-        let width = if matches!(operation, P::Add8 | P::Subtract8) {
-            8
-        } else {
-            16
-        };
+        let width = if matches!(operation, P::Add8 | P::Subtract8) { 8 } else { 16 };
         let exchange = matches!(operation, P::AddSubtractExchange | P::SubtractAddExchange);
         let m = if exchange { m.rotate_right(16) } else { m };
         let unsigned = is_unsigned(format);
-        let mut lanes = Lanes {
-            result: 0,
-            greater_equal: 0,
-        };
+        let mut lanes = Lanes { result: 0, greater_equal: 0 };
         for low in (0..32).step_by(width as usize) {
             let subtract = match operation {
                 P::Add16 | P::Add8 => false,
@@ -208,16 +192,8 @@ impl State {
                 P::SubtractAddExchange => low != 0,
             };
             let (first, second) = (lane(n, low, width, unsigned), lane(m, low, width, unsigned));
-            let value = if subtract {
-                first - second
-            } else {
-                first + second
-            };
-            let carry = if unsigned && !subtract {
-                value >> width != 0
-            } else {
-                value >= 0
-            };
+            let value = if subtract { first - second } else { first + second };
+            let carry = if unsigned && !subtract { value >> width != 0 } else { value >= 0 };
             lanes.set(low, width, value, format, carry);
         }
         self.write(d, lanes.result);
@@ -236,17 +212,10 @@ impl State {
         subtract: bool,
         double: bool,
     ) {
-        let (operand, doubling) = if double {
-            saturate_signed(word(n) * 2, 32)
-        } else {
-            (n as i32, false)
-        };
+        let (operand, doubling) =
+            if double { saturate_signed(word(n) * 2, 32) } else { (n as i32, false) };
         let operand = operand as i64;
-        let sum = if subtract {
-            word(m) - operand
-        } else {
-            word(m) + operand
-        };
+        let sum = if subtract { word(m) - operand } else { word(m) + operand };
         let (result, saturated) = saturate_signed(sum, 32);
         self.write(d, result as u32);
         self.set_saturated(doubling || saturated);
@@ -256,9 +225,7 @@ impl State {
     #[inline]
     pub(super) fn select_bytes(&mut self, d: Register, n: u32, m: u32) {
         let flags = self.apsr >> 16;
-        let mask: u32 = (0..4)
-            .map(|byte| (flags >> byte & 1) * (0xFF << (8 * byte)))
-            .sum();
+        let mask: u32 = (0..4).map(|byte| (flags >> byte & 1) * (0xFF << (8 * byte))).sum();
         self.write(d, n & mask | m & !mask);
     }
 

@@ -4,14 +4,14 @@
 //! fault on stacking, on unstacking or on the fetch of a vector is handled as the architecture's derived
 //! exceptions are.
 
-use super::bus::Bus;
-use super::state::{FPSCR, Fault, LR, SP, Sleep, State, Trap};
-use super::system_control::{
+use crate::core::bus::Bus;
+use crate::core::state::{FPSCR, Fault, LR, SP, Sleep, State, Trap};
+use crate::core::system_control::{
     AUTOMATIC_STATE, BUS_FAULT, BUS_FAULT_READY, DEFAULT_STATUS, FloatAccess, HARD_FAULT,
     HARD_FAULT_READY, LAZY_ACTIVE, LAZY_STATE, MEM_MANAGE, MEM_MANAGE_READY, NMI, SystemControl,
     THREAD_CONTEXT, USAGE_FAULT, USER_CONTEXT, fault_status,
 };
-use super::{Stop, Width};
+use crate::core::{Stop, Width};
 
 /// Bytes of a frame without and with floating-point registers.
 const BASIC_FRAME: u32 = 0x20;
@@ -54,11 +54,7 @@ impl State {
     /// Current priority: of the active exceptions and the mask registers (`ExecutionPriority`).
     pub(super) fn execution_priority(&self, system: &SystemControl) -> i32 {
         let priority = self.unmasked_priority(system);
-        if self.primask {
-            priority.min(0)
-        } else {
-            priority
-        }
+        if self.primask { priority.min(0) } else { priority }
     }
 
     /// Current priority without PRIMASK.
@@ -67,11 +63,7 @@ impl State {
         if self.basepri != 0 {
             priority = priority.min(system.group_priority(self.basepri as i32));
         }
-        if self.faultmask {
-            priority.min(-1)
-        } else {
-            priority
-        }
+        if self.faultmask { priority.min(-1) } else { priority }
     }
 
     /// The pending exception that preempts the current execution.
@@ -136,17 +128,13 @@ impl State {
         self.elapse(bus, self.model.exception_entry as u32);
         let exc_return = self.exc_return();
         let stacked = self.push_frame(bus);
-        let exception = if stacked {
-            exception
-        } else {
-            self.stacking_fault(bus.system(), exception)?
-        };
+        let exception =
+            if stacked { exception } else { self.stacking_fault(bus.system(), exception)? };
         self.start_handler(bus, exception, exc_return, started)
     }
 
     fn attribute(&mut self) {
-        self.recorder
-            .attribute(self.exception, self.instructions, self.cycles);
+        self.recorder.attribute(self.exception, self.instructions, self.cycles);
     }
 
     /// EXC_RETURN value that leads back to the current execution.
@@ -167,11 +155,7 @@ impl State {
     /// `PushStack`. Gives whether all words could be written; the stack pointer moves in any case.
     fn push_frame<B: Bus>(&mut self, bus: &mut B) -> bool {
         let extended = self.float_active;
-        let size = if extended {
-            EXTENDED_FRAME
-        } else {
-            BASIC_FRAME
-        };
+        let size = if extended { EXTENDED_FRAME } else { BASIC_FRAME };
         let align = extended || bus.system().aligns_stack();
         let moved = align && self.r[SP] & 4 != 0;
         let mut frame = self.r[SP].wrapping_sub(size);
@@ -197,13 +181,10 @@ impl State {
 
     /// Writes consecutive words through the core's own store path; gives whether all succeeded.
     fn write_words<B: Bus>(&mut self, bus: &mut B, start: u32, words: &[u32]) -> bool {
-        words
-            .iter()
-            .zip((0..).step_by(4))
-            .fold(true, |written, (&word, offset)| {
-                let address = start.wrapping_add(offset);
-                written & self.store(bus, address, Width::Word, word).is_ok()
-            })
+        words.iter().zip((0..).step_by(4)).fold(true, |written, (&word, offset)| {
+            let address = start.wrapping_add(offset);
+            written & self.store(bus, address, Width::Word, word).is_ok()
+        })
     }
 
     fn write_float_state<B: Bus>(&mut self, bus: &mut B, start: u32) -> bool {
@@ -241,11 +222,8 @@ impl State {
     /// one remains pending.
     fn stacking_fault(&self, system: &mut SystemControl, exception: u16) -> Result<u16, Stop> {
         system.record_bus_fault(fault_status::STACKING, None);
-        let derived = if exception == HARD_FAULT {
-            HARD_FAULT
-        } else {
-            self.escalated(system, BUS_FAULT)?
-        };
+        let derived =
+            if exception == HARD_FAULT { HARD_FAULT } else { self.escalated(system, BUS_FAULT)? };
         if derived == exception {
             return Ok(exception);
         }
@@ -301,10 +279,7 @@ impl State {
     }
 
     fn read_vector<B: Bus>(&mut self, bus: &mut B, exception: u16) -> Option<u32> {
-        let address = bus
-            .system()
-            .vector_table()
-            .wrapping_add(4 * exception as u32);
+        let address = bus.system().vector_table().wrapping_add(4 * exception as u32);
         bus.read(address, Width::Word).ok()
     }
 
@@ -346,8 +321,7 @@ impl State {
             Err(fault) => {
                 let exception = match fault {
                     FrameFault::Bus => {
-                        bus.system()
-                            .record_bus_fault(fault_status::UNSTACKING, None);
+                        bus.system().record_bus_fault(fault_status::UNSTACKING, None);
                         BUS_FAULT
                     }
                     FrameFault::NoCoprocessor => {
@@ -365,10 +339,7 @@ impl State {
         let to_thread = exc_return & RETURN_THREAD != 0;
         self.apply_frame(bus.system(), exc_return, &frame);
         let resumed = std::mem::replace(&mut self.exception, returning);
-        self.elapse(
-            bus,
-            self.model.exception_return as u32 + self.model.fetch_wait(self.pc),
-        );
+        self.elapse(bus, self.model.exception_return as u32 + self.model.fetch_wait(self.pc));
         self.attribute();
         self.recorder.leave(returning, self.cycles);
         self.exception = resumed;
@@ -415,11 +386,7 @@ impl State {
             0 => self.main_sp(),
             _ => self.process_sp(),
         };
-        let mut frame = Frame {
-            sp,
-            words: [0; 8],
-            float: None,
-        };
+        let mut frame = Frame { sp, words: [0; 8], float: None };
         self.read_words(bus, sp, &mut frame.words)?;
         // With lazy state the registers were not used and still have their values.
         if exc_return & RETURN_BASIC == 0 && bus.system().fpccr & LAZY_ACTIVE == 0 {
@@ -446,9 +413,7 @@ impl State {
     ) -> Result<(), FrameFault> {
         for (word, offset) in words.iter_mut().zip((0..).step_by(4)) {
             let address = start.wrapping_add(offset);
-            *word = self
-                .load(bus, address, Width::Word)
-                .map_err(|_| FrameFault::Bus)?;
+            *word = self.load(bus, address, Width::Word).map_err(|_| FrameFault::Bus)?;
         }
         Ok(())
     }
@@ -470,11 +435,7 @@ impl State {
         self.r[LR] = lr;
         self.pc = pc & !1;
         self.set_xpsr(xpsr);
-        let size = if extended {
-            EXTENDED_FRAME
-        } else {
-            BASIC_FRAME
-        };
+        let size = if extended { EXTENDED_FRAME } else { BASIC_FRAME };
         let align = extended || system.aligns_stack();
         let moved = if align && xpsr & ALIGNED != 0 { 4 } else { 0 };
         self.r[SP] = frame.sp.wrapping_add(size) | moved;

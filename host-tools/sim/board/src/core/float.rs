@@ -5,12 +5,12 @@
 //! normal number. Everything else is computed by [`ieee754`](super::ieee754), which is exact in every
 //! mode. All modes of the FPSCR are modelled.
 
-use super::Width;
-use super::arithmetic::NZCV;
-use super::bus::Bus;
-use super::ieee754::{self, FLUSH_TO_ZERO, INEXACT, ROUNDING_MODE};
-use super::instruction::{FixedFormat, FloatRegister, MultipleMode, MultiplyAdd, Register};
-use super::state::{PC, State, Trap};
+use crate::core::Width;
+use crate::core::arithmetic::NZCV;
+use crate::core::bus::Bus;
+use crate::core::ieee754::{self, FLUSH_TO_ZERO, INEXACT, ROUNDING_MODE};
+use crate::core::instruction::{FixedFormat, FloatRegister, MultipleMode, MultiplyAdd, Register};
+use crate::core::state::{PC, State, Trap};
 
 /// Sign bit of a single-precision number.
 pub(super) const SIGN: u32 = 1 << 31;
@@ -43,11 +43,7 @@ impl State {
     /// Access to the floating-point unit, before each of its instructions (`ExecuteFPCheck`, B1.5.7).
     #[inline(always)]
     pub(super) fn check_float<B: Bus>(&mut self, bus: &mut B) -> Result<(), Trap> {
-        if self.float_ready {
-            Ok(())
-        } else {
-            self.prepare_float(bus)
-        }
+        if self.float_ready { Ok(()) } else { self.prepare_float(bus) }
     }
 
     /// Whether the modes and flags leave nothing to do but the rounding to nearest.
@@ -166,18 +162,10 @@ impl State {
     #[inline]
     pub(super) fn float_from_integer(&mut self, value: u32, unsigned: bool) -> u32 {
         if self.is_simple() {
-            let value = if unsigned {
-                value as f32
-            } else {
-                value as i32 as f32
-            };
+            let value = if unsigned { value as f32 } else { value as i32 as f32 };
             return value.to_bits();
         }
-        let value = if unsigned {
-            value as i64
-        } else {
-            value as i32 as i64
-        };
+        let value = if unsigned { value as i64 } else { value as i32 as i64 };
         ieee754::from_fixed(value, 0, false, &mut self.fpscr)
     }
 
@@ -202,18 +190,9 @@ impl State {
     }
 
     pub(super) fn float_to_fixed(&mut self, a: u32, format: FixedFormat) -> u32 {
-        let (size, fraction_bits) = (
-            if format.half { 16 } else { 32 },
-            format.fraction_bits as u32,
-        );
-        ieee754::to_fixed(
-            a,
-            size,
-            fraction_bits,
-            format.unsigned,
-            true,
-            &mut self.fpscr,
-        )
+        let (size, fraction_bits) =
+            (if format.half { 16 } else { 32 }, format.fraction_bits as u32);
+        ieee754::to_fixed(a, size, fraction_bits, format.unsigned, true, &mut self.fpscr)
     }
 
     /// VCVTB, VCVTT: single from a half of the operand.
@@ -225,21 +204,13 @@ impl State {
     /// VCVTB, VCVTT: a half of the destination from single; the other half is unchanged.
     pub(super) fn float_to_half(&mut self, destination: u32, operand: u32, top: bool) -> u32 {
         let half = ieee754::single_to_half(operand, &mut self.fpscr);
-        if top {
-            destination & 0xFFFF | half << 16
-        } else {
-            destination & 0xFFFF_0000 | half
-        }
+        if top { destination & 0xFFFF | half << 16 } else { destination & 0xFFFF_0000 | half }
     }
 
     /// Address of VLDR and VSTR; relative to the PC it is aligned to a word.
     #[inline(always)]
     pub(super) fn float_address(&self, n: Register, offset: i16) -> u32 {
-        let base = if n == Register::PC {
-            self.r[PC] & !3
-        } else {
-            self.read(n)
-        };
+        let base = if n == Register::PC { self.r[PC] & !3 } else { self.read(n) };
         base.wrapping_add_signed(offset as i32)
     }
 

@@ -72,14 +72,8 @@ struct Format {
     fraction_bits: u32,
 }
 
-const SINGLE: Format = Format {
-    exponent_bits: 8,
-    fraction_bits: 23,
-};
-const HALF: Format = Format {
-    exponent_bits: 5,
-    fraction_bits: 10,
-};
+const SINGLE: Format = Format { exponent_bits: 8, fraction_bits: 23 };
+const HALF: Format = Format { exponent_bits: 5, fraction_bits: 10 };
 
 /// The number `(-1)^sign * significand * 2^exponent`; a significand of zero is a zero.
 #[derive(Debug, Clone, Copy)]
@@ -113,35 +107,19 @@ fn unpack(bits: u32, fpscr: &mut u32) -> Value {
     match (exponent, fraction) {
         (0xFF, 0) => Value::Infinity { sign },
         (0xFF, _) => Value::Nan,
-        (0, 0) => Value::Finite(Number {
-            sign,
-            significand: 0,
-            exponent: 0,
-        }),
+        (0, 0) => Value::Finite(Number { sign, significand: 0, exponent: 0 }),
         (0, _) if *fpscr & FLUSH_TO_ZERO != 0 => {
             *fpscr |= INPUT_DENORMAL;
-            Value::Finite(Number {
-                sign,
-                significand: 0,
-                exponent: 0,
-            })
+            Value::Finite(Number { sign, significand: 0, exponent: 0 })
         }
         (0, _) => {
             let shift = fraction.leading_zeros() - 8;
             let significand = (fraction << shift) as u128;
-            Value::Finite(Number {
-                sign,
-                significand,
-                exponent: -149 - shift as i32,
-            })
+            Value::Finite(Number { sign, significand, exponent: -149 - shift as i32 })
         }
         _ => {
             let significand = (fraction | 1 << 23) as u128;
-            Value::Finite(Number {
-                sign,
-                significand,
-                exponent: exponent - 150,
-            })
+            Value::Finite(Number { sign, significand, exponent: exponent - 150 })
         }
     }
 }
@@ -168,11 +146,7 @@ fn process_nan(bits: u32, fpscr: &mut u32) -> u32 {
     if is_signalling(bits) {
         *fpscr |= INVALID;
     }
-    if *fpscr & DEFAULT_NAN != 0 {
-        NAN
-    } else {
-        bits | QUIET
-    }
+    if *fpscr & DEFAULT_NAN != 0 { NAN } else { bits | QUIET }
 }
 
 /// `FPProcessNaNs` and `FPProcessNaNs3`: the first signalling operand, else the first quiet one.
@@ -191,11 +165,7 @@ fn round(number: Number, fpscr: &mut u32) -> u32 {
 /// `FPRound`: the nearest representable numbers and the flags. The lowest bit of the
 /// significand may represent a remainder of any size below it (sticky bit).
 fn round_to(number: Number, format: &Format, rounding: Rounding, fpscr: &mut u32) -> u32 {
-    let Number {
-        sign,
-        significand,
-        exponent,
-    } = number;
+    let Number { sign, significand, exponent } = number;
     let width = format.exponent_bits + format.fraction_bits;
     let sign_bit = (sign as u32) << width;
     if significand == 0 {
@@ -235,12 +205,7 @@ fn round_to(number: Number, format: &Format, rounding: Rounding, fpscr: &mut u32
     }
 
     let alternative = !single && *fpscr & ALTERNATIVE_HALF != 0;
-    let limit = (1u128 << width)
-        - if alternative {
-            0
-        } else {
-            1 << format.fraction_bits
-        };
+    let limit = (1u128 << width) - if alternative { 0 } else { 1 << format.fraction_bits };
     if magnitude >= limit {
         if alternative {
             *fpscr |= INVALID;
@@ -268,11 +233,7 @@ fn sum(a: Number, b: Number, fpscr: u32) -> Number {
     let (large, small) = match (a.significand, b.significand) {
         (0, 0) => {
             let sign = if a.sign == b.sign { a.sign } else { zero_sign };
-            return Number {
-                sign,
-                significand: 0,
-                exponent: 0,
-            };
+            return Number { sign, significand: 0, exponent: 0 };
         }
         (_, 0) => return a,
         (0, _) => return b,
@@ -289,25 +250,13 @@ fn sum(a: Number, b: Number, fpscr: u32) -> Number {
     let large_value = signed_significand(large.sign, large.significand << shift);
     let total = large_value + signed_significand(small.sign, small_significand);
     if total == 0 {
-        return Number {
-            sign: zero_sign,
-            significand: 0,
-            exponent: 0,
-        };
+        return Number { sign: zero_sign, significand: 0, exponent: 0 };
     }
-    Number {
-        sign: total < 0,
-        significand: total.unsigned_abs(),
-        exponent: large.exponent - shift,
-    }
+    Number { sign: total < 0, significand: total.unsigned_abs(), exponent: large.exponent - shift }
 }
 
 fn signed_significand(sign: bool, significand: u128) -> i128 {
-    if sign {
-        -(significand as i128)
-    } else {
-        significand as i128
-    }
+    if sign { -(significand as i128) } else { significand as i128 }
 }
 
 /// `FPAdd`; a difference is the sum with the second sign inverted, apart from NaN operands.
@@ -384,14 +333,7 @@ pub(super) fn divide(a: u32, b: u32, fpscr: &mut u32) -> u32 {
             let remainder = !dividend.is_multiple_of(b.significand);
             let significand = (dividend / b.significand) | remainder as u128;
             let exponent = a.exponent - b.exponent - 40;
-            round(
-                Number {
-                    sign,
-                    significand,
-                    exponent,
-                },
-                fpscr,
-            )
+            round(Number { sign, significand, exponent }, fpscr)
         }
         (Value::Infinity { .. }, Value::Infinity { .. }) => invalid(fpscr),
         (Value::Infinity { .. }, _) => signed(sign, INFINITY),
@@ -413,14 +355,7 @@ pub(super) fn square_root(a: u32, fpscr: &mut u32) -> u32 {
             let root = square.isqrt();
             let significand = root | (root * root != square) as u128;
             let exponent = (number.exponent - shift) / 2;
-            round(
-                Number {
-                    sign: false,
-                    significand,
-                    exponent,
-                },
-                fpscr,
-            )
+            round(Number { sign: false, significand, exponent }, fpscr)
         }
     }
 }
@@ -456,11 +391,7 @@ pub(super) fn compare(a: u32, b: u32, signal_quiet: bool, fpscr: &mut u32) -> u3
             Value::Finite(Number { significand: 0, .. }) => 0,
             _ => (bits & !SIGN) as i32,
         };
-        if value.sign(bits) {
-            -magnitude
-        } else {
-            magnitude
-        }
+        if value.sign(bits) { -magnitude } else { magnitude }
     };
     match order(values.0, a).cmp(&order(values.1, b)) {
         std::cmp::Ordering::Less => LESS,
@@ -479,11 +410,7 @@ pub(super) fn to_fixed(
     toward_zero: bool,
     fpscr: &mut u32,
 ) -> u32 {
-    let rounding = if toward_zero {
-        Rounding::Zero
-    } else {
-        Rounding::of(*fpscr)
-    };
+    let rounding = if toward_zero { Rounding::Zero } else { Rounding::of(*fpscr) };
     let (min, max) = if unsigned {
         (0, (1i128 << size) - 1)
     } else {
@@ -527,11 +454,7 @@ pub(super) fn to_fixed(
 
 /// `FixedToFP` of a number with its sign extended.
 pub(super) fn from_fixed(value: i64, fraction_bits: u32, nearest: bool, fpscr: &mut u32) -> u32 {
-    let rounding = if nearest {
-        Rounding::NearestEven
-    } else {
-        Rounding::of(*fpscr)
-    };
+    let rounding = if nearest { Rounding::NearestEven } else { Rounding::of(*fpscr) };
     let number = Number {
         sign: value < 0,
         significand: value.unsigned_abs() as u128,
@@ -551,11 +474,7 @@ pub(super) fn half_to_single(half: u32, fpscr: &mut u32) -> u32 {
             }
             return process_nan(signed(sign, INFINITY | fraction << 13), fpscr);
         }
-        0 => Number {
-            sign,
-            significand: fraction as u128,
-            exponent: -24,
-        },
+        0 => Number { sign, significand: fraction as u128, exponent: -24 },
         _ => Number {
             sign,
             significand: (fraction | 1 << 10) as u128,

@@ -1,7 +1,7 @@
 //! Decoded instructions: 8 bytes each, with everything that does not depend on the state computed.
 
-use super::Width;
-use super::arithmetic::{Condition, Shift};
+use crate::core::Width;
+use crate::core::arithmetic::{Condition, Shift};
 
 /// Number of a core register, 0 to 15.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -82,11 +82,7 @@ impl LogicalFlags {
 
     #[inline(always)]
     pub(super) const fn carry(self) -> Option<bool> {
-        if self.0 & Self::CARRY_KNOWN != 0 {
-            Some(self.0 & Self::CARRY != 0)
-        } else {
-            None
-        }
+        if self.0 & Self::CARRY_KNOWN != 0 { Some(self.0 & Self::CARRY != 0) } else { None }
     }
 }
 
@@ -310,15 +306,7 @@ pub(super) enum Instruction {
     CompareRegister(Register, Register),
     TestRegister(Register, Register),
     AddShiftedLeft(Register, Register, Register, Amount, SetFlags),
-    Shifted(
-        DataOperation,
-        Register,
-        Register,
-        Register,
-        Shift,
-        Amount,
-        SetFlags,
-    ),
+    Shifted(DataOperation, Register, Register, Register, Shift, Amount, SetFlags),
     ShiftLeft(Register, Register, Amount, SetFlags),
     ShiftLogicalRight(Register, Register, Amount, SetFlags),
     ShiftArithmeticRight(Register, Register, Amount, SetFlags),
@@ -351,13 +339,7 @@ pub(super) enum Instruction {
 
     // DSP extension.
     Dsp(DspMultiply, Register, Register, Register, Register),
-    Parallel(
-        ParallelOperation,
-        ParallelFormat,
-        Register,
-        Register,
-        Register,
-    ),
+    Parallel(ParallelOperation, ParallelFormat, Register, Register, Register),
     /// QADD, QDADD, QSUB, QDSUB: d, n, m; m - n instead of m + n; n doubled first.
     SaturatingAdd(Register, Register, Register, bool, bool),
     SelectBytes(Register, Register, Register),

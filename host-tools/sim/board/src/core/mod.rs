@@ -120,11 +120,7 @@ pub struct Core {
 impl Core {
     /// A core before its first [`Core::reset`], with the execution times of a model.
     pub fn new(model: CycleModel) -> Self {
-        Self {
-            state: State::new(model),
-            code: CodeCache::new(&model),
-            previous: Timing::NONE,
-        }
+        Self { state: State::new(model), code: CodeCache::new(&model), previous: Timing::NONE }
     }
 
     /// Reset (`TakeReset`, B1.5.5): resets the [`SystemControl`] of the bus and loads the main stack
@@ -139,8 +135,7 @@ impl Core {
         self.previous = Timing::NONE;
         let vectors = bus.system().vector_table();
         let read = |bus: &mut B, address| {
-            bus.read(address, Width::Word)
-                .map_err(|BusError| Stop::LockUp { address })
+            bus.read(address, Width::Word).map_err(|BusError| Stop::LockUp { address })
         };
         let sp = read(bus, vectors)?;
         let entry = read(bus, vectors + 4)?;
@@ -293,11 +288,7 @@ impl Core {
         if itstate == 0 {
             return Ok(index);
         }
-        state.itstate = if itstate & 7 == 0 {
-            0
-        } else {
-            itstate & 0xE0 | itstate << 1 & 0x1F
-        };
+        state.itstate = if itstate & 7 == 0 { 0 } else { itstate & 0xE0 | itstate << 1 & 0x1F };
         let slot = self.code.at(index);
         let condition = arithmetic::Condition::new((itstate >> 4) as u32);
         // BKPT is executed whatever the condition (A7.7.17).
@@ -331,10 +322,7 @@ impl Core {
             }
             Trap::Breakpoint(immediate) => {
                 state.pc = next;
-                return Err(Stop::Breakpoint {
-                    address: pc,
-                    immediate,
-                });
+                return Err(Stop::Breakpoint { address: pc, immediate });
             }
             Trap::Fault(fault) => {
                 state.itstate = itstate;
@@ -344,15 +332,9 @@ impl Core {
             Trap::Unsupported => {
                 state.itstate = itstate;
                 let first = bus.fetch(pc).unwrap_or(0);
-                let second = if decode::is_wide(first) {
-                    bus.fetch(pc + 2).unwrap_or(0)
-                } else {
-                    0
-                };
-                return Err(Stop::Unsupported {
-                    address: pc,
-                    halfwords: [first, second],
-                });
+                let second =
+                    if decode::is_wide(first) { bus.fetch(pc + 2).unwrap_or(0) } else { 0 };
+                return Err(Stop::Unsupported { address: pc, halfwords: [first, second] });
             }
         }
         Ok(self.state.pc)
@@ -379,11 +361,7 @@ impl Core {
     /// # Panics
     /// If the number is above 15.
     pub fn register(&self, number: usize) -> u32 {
-        if number == PC {
-            self.pc()
-        } else {
-            self.state.r[number]
-        }
+        if number == PC { self.pc() } else { self.state.r[number] }
     }
 
     /// Writes a core register, numbered as in [`Core::register`].
@@ -482,17 +460,13 @@ impl Core {
     pub fn history(&self) -> Vec<u32> {
         let count = self.state.instructions;
         let first = count.saturating_sub(HISTORY as u64);
-        (first..count)
-            .map(|k| self.state.history[k as usize % HISTORY])
-            .collect()
+        (first..count).map(|k| self.state.history[k as usize % HISTORY]).collect()
     }
 
     /// Statistics up to now.
     pub fn statistics(&mut self) -> &Statistics {
         let state = &mut self.state;
-        state
-            .recorder
-            .attribute(state.exception, state.instructions, state.cycles);
+        state.recorder.attribute(state.exception, state.instructions, state.cycles);
         let (msp, psp) = if state.process_stack {
             (state.lowest_inactive_sp, state.lowest_sp)
         } else {

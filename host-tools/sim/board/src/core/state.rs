@@ -2,11 +2,11 @@
 
 use std::ops::Range;
 
-use super::arithmetic::{CARRY, NEGATIVE, NZCV, ZERO};
-use super::bus::Bus;
-use super::cycles::CycleModel;
-use super::instruction::{LogicalFlags, Register};
-use super::statistics::{HISTORY, Recorder};
+use crate::core::arithmetic::{CARRY, NEGATIVE, NZCV, ZERO};
+use crate::core::bus::Bus;
+use crate::core::cycles::CycleModel;
+use crate::core::instruction::{LogicalFlags, Register};
+use crate::core::statistics::{HISTORY, Recorder};
 
 /// Index of the stack pointer in use.
 pub(super) const SP: usize = 13;
@@ -72,10 +72,7 @@ pub(super) struct Span {
 }
 
 impl Span {
-    pub(super) const EMPTY: Self = Self {
-        start: 0,
-        length: 0,
-    };
+    pub(super) const EMPTY: Self = Self { start: 0, length: 0 };
 
     pub(super) fn range(self) -> Range<u32> {
         self.start..self.start.saturating_add(self.length)
@@ -89,17 +86,11 @@ impl Span {
     /// The span with `length` bytes from an address on added.
     pub(super) fn extended(self, address: u32, length: u32) -> Self {
         if self.length == 0 {
-            return Self {
-                start: address,
-                length,
-            };
+            return Self { start: address, length };
         }
         let start = self.start.min(address);
         let end = (self.start + self.length).max(address + length);
-        Self {
-            start,
-            length: end - start,
-        }
+        Self { start, length: end - start }
     }
 }
 
@@ -210,8 +201,7 @@ impl State {
     /// table gives. Statistics and the span of executed RAM remain.
     pub(super) fn reset(&mut self) {
         let attributed = (self.exception, self.instructions, self.cycles);
-        self.recorder
-            .attribute(attributed.0, attributed.1, attributed.2);
+        self.recorder.attribute(attributed.0, attributed.1, attributed.2);
         self.select_process_stack(false);
         *self = Self {
             executed: self.executed,
@@ -310,36 +300,20 @@ impl State {
     }
 
     pub(super) fn main_sp(&self) -> u32 {
-        if self.process_stack {
-            self.inactive_sp
-        } else {
-            self.r[SP]
-        }
+        if self.process_stack { self.inactive_sp } else { self.r[SP] }
     }
 
     pub(super) fn process_sp(&self) -> u32 {
-        if self.process_stack {
-            self.r[SP]
-        } else {
-            self.inactive_sp
-        }
+        if self.process_stack { self.r[SP] } else { self.inactive_sp }
     }
 
     pub(super) fn set_main_sp(&mut self, value: u32) {
-        let sp = if self.process_stack {
-            &mut self.inactive_sp
-        } else {
-            &mut self.r[SP]
-        };
+        let sp = if self.process_stack { &mut self.inactive_sp } else { &mut self.r[SP] };
         *sp = value & !3;
     }
 
     pub(super) fn set_process_sp(&mut self, value: u32) {
-        let sp = if self.process_stack {
-            &mut self.r[SP]
-        } else {
-            &mut self.inactive_sp
-        };
+        let sp = if self.process_stack { &mut self.r[SP] } else { &mut self.inactive_sp };
         *sp = value & !3;
     }
 

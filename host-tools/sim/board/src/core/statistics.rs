@@ -1,6 +1,6 @@
 //! Execution statistics: where the cycles go, and how deep the stack is.
 
-use super::EXCEPTIONS;
+use crate::core::EXCEPTIONS;
 
 /// Number of instruction addresses that are kept for reports.
 pub const HISTORY: usize = 64;

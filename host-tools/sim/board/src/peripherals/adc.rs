@@ -2,8 +2,8 @@
 
 use stm32_metapac::adc::regs::{Cr, Jsqr};
 
-use super::{Context, bit};
 use crate::devices::Drivetrain;
+use crate::peripherals::{Context, bit};
 use crate::registers::registers;
 use crate::time::Time;
 use crate::violations::Kind;
@@ -64,23 +64,12 @@ impl Adc {
         let mut words = [0; WORDS];
         words[CR as usize / 4] = 0x2000_0000;
         words[CFGR as usize / 4] = 0x8000_0000;
-        Self {
-            words,
-            common: 0,
-            work: None,
-            inputs,
-            sampled: [0; 4],
-            missed: 0,
-            overwritten: 0,
-        }
+        Self { words, common: 0, work: None, inputs, sampled: [0; 4], missed: 0, overwritten: 0 }
     }
 
     pub(crate) fn reset(&mut self) {
-        *self = Self {
-            missed: self.missed,
-            overwritten: self.overwritten,
-            ..Self::new(self.inputs)
-        };
+        *self =
+            Self { missed: self.missed, overwritten: self.overwritten, ..Self::new(self.inputs) };
     }
 
     fn word(&self, offset: u32) -> u32 {
@@ -95,17 +84,10 @@ impl Adc {
     fn half_cycles(&self, count: u64, context: &Context) -> Time {
         const PRESCALERS: [u64; 12] = [1, 2, 4, 6, 8, 10, 12, 16, 32, 64, 128, 256];
         let (clock, divisor) = match self.common >> 16 & 3 {
-            0 => (
-                context.clocks.adc12,
-                PRESCALERS[(self.common as usize >> 18 & 15).min(11)],
-            ),
+            0 => (context.clocks.adc12, PRESCALERS[(self.common as usize >> 18 & 15).min(11)]),
             mode => (context.clocks.core, 1 << (mode - 1)),
         };
-        clock
-            .cycles(count * divisor)
-            .ps()
-            .checked_div(2)
-            .map_or(Time::NEVER, Time::from_ps)
+        clock.cycles(count * divisor).ps().checked_div(2).map_or(Time::NEVER, Time::from_ps)
     }
 
     /// The timer's trigger.
@@ -200,11 +182,7 @@ impl Adc {
             ),
             COMMON_CCR => self.common = value,
             CFGR | CFGR2 | SMPR | SMPR2 | DIFSEL if is_started => {
-                context.report(
-                    Kind::WriteProtected,
-                    offset,
-                    "the configuration while it converts",
-                );
+                context.report(Kind::WriteProtected, offset, "the configuration while it converts");
             }
             CFGR => {
                 if value & 0x01E0_2003 != 0 {
@@ -239,19 +217,16 @@ impl Adc {
         let is_on = bit(old, 0);
         let now = context.now;
         if value & CALIBRATE != 0 {
-            match is_on || old & REGULATOR == 0 {
-                true => context.report(
+            if is_on || old & REGULATOR == 0 {
+                context.report(
                     Kind::Misconfigured,
                     CR,
                     "a calibration of a converter that is on, or without its regulator",
-                ),
-                false => {
-                    *self.word_mut(CR) = value;
-                    self.work = Some((
-                        now + self.half_cycles(2 * CALIBRATION, context),
-                        Work::Calibrate,
-                    ));
-                }
+                )
+            } else {
+                *self.word_mut(CR) = value;
+                self.work =
+                    Some((now + self.half_cycles(2 * CALIBRATION, context), Work::Calibrate));
             }
             return;
         }
@@ -292,11 +267,7 @@ impl Adc {
             context.report(Kind::UnmodelledSetting, CR, "regular conversions");
         }
         if bit(value, 3) && !has_pins {
-            context.report(
-                Kind::PinNotConnected,
-                CR,
-                "an input of the converter is not analog",
-            );
+            context.report(Kind::PinNotConnected, CR, "an input of the converter is not analog");
         }
         *self.word_mut(CR) = next;
     }

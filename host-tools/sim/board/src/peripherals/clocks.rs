@@ -5,7 +5,7 @@ use std::fmt;
 
 use stm32_metapac::rcc::regs::{Bdcr, Ccipr, Cfgr, Cr, Crrcr, Csr, Pllcfgr};
 
-use super::{Context, bit};
+use crate::peripherals::{Context, bit};
 use crate::registers::{RccBit, registers};
 use crate::time::{Frequency, Time};
 use crate::violations::Kind;
@@ -225,11 +225,7 @@ impl Rcc {
     /// Sets the ready flags of oscillators whose start-up time is over.
     fn settle(&mut self, now: Time) {
         for ((offset, place), ready) in OSCILLATORS.into_iter().zip(self.ready) {
-            let flag = if offset == CR {
-                place + 1 + u32::from(place == 8)
-            } else {
-                place + 1
-            };
+            let flag = if offset == CR { place + 1 + u32::from(place == 8) } else { place + 1 };
             let is_on = bit(self.word(offset), place) && ready <= now;
             let is_on = is_on && (place != 16 || self.crystal.0 > 0);
             let word = self.word_mut(offset);
@@ -240,11 +236,7 @@ impl Rcc {
     pub(crate) fn write(&mut self, offset: u32, value: u32, context: &mut Context) {
         let now = context.now;
         self.settle(now);
-        let old = if offset as usize / 4 < WORDS {
-            self.word(offset)
-        } else {
-            0
-        };
+        let old = if offset as usize / 4 < WORDS { self.word(offset) } else { 0 };
         match offset {
             CR => {
                 // Ready flags are read only; the clock security system cannot be switched off by software.
@@ -321,11 +313,7 @@ impl Rcc {
             _ => false,
         };
         if !is_ready {
-            context.report(
-                Kind::Misconfigured,
-                CFGR,
-                "a clock is selected that is not ready",
-            );
+            context.report(Kind::Misconfigured, CFGR, "a clock is selected that is not ready");
             return;
         }
         wanted.set_sws(wanted.sw());
@@ -354,9 +342,10 @@ impl Rcc {
             3 => vco.divided_by(half_steps(pll.pllr().to_bits())),
             _ => Frequency(0),
         };
-        let pll_q = match pll.pllqen() {
-            true => vco.divided_by(half_steps(pll.pllq().to_bits())),
-            false => Frequency(0),
+        let pll_q = if pll.pllqen() {
+            vco.divided_by(half_steps(pll.pllq().to_bits()))
+        } else {
+            Frequency(0)
         };
         let ahb = match configuration.hpre().to_bits() {
             bits @ 8..=11 => 2 << (bits - 8),
@@ -366,17 +355,11 @@ impl Rcc {
         };
         let core = system.divided_by(ahb);
         let apb = |bits: u8| if bits & 4 != 0 { 2 << (bits & 3) } else { 1 };
-        let (divisor1, divisor2) = (
-            apb(configuration.ppre1().to_bits()),
-            apb(configuration.ppre2().to_bits()),
-        );
+        let (divisor1, divisor2) =
+            (apb(configuration.ppre1().to_bits()), apb(configuration.ppre2().to_bits()));
         let (apb1, apb2) = (core.divided_by(divisor1), core.divided_by(divisor2));
         let timers = |bus: Frequency, divisor: u32| {
-            if divisor == 1 {
-                bus
-            } else {
-                Frequency(2 * bus.0)
-            }
+            if divisor == 1 { bus } else { Frequency(2 * bus.0) }
         };
         let select = Ccipr(self.word(CCIPR));
         let of_bus = |selection: u8| match selection {
@@ -434,12 +417,8 @@ mod tests {
     fn with(rcc: &mut Rcc, now: Time, offset: u32, value: u32) -> Violations {
         let mut violations = Violations::default();
         let clocks = *rcc.clocks();
-        let mut context = Context {
-            now,
-            clocks: &clocks,
-            violations: &mut violations,
-            base: 0x4002_1000,
-        };
+        let mut context =
+            Context { now, clocks: &clocks, violations: &mut violations, base: 0x4002_1000 };
         rcc.write(offset, value, &mut context);
         violations
     }
@@ -450,19 +429,10 @@ mod tests {
         assert_eq!(rcc.clocks().core, Frequency(16_000_000));
         with(&mut rcc, Time::ZERO, CR, 0x0001_0500);
         // Source crystal, / 6, * 80, Q / 4, R / 2.
-        with(
-            &mut rcc,
-            Time::ZERO,
-            PLLCFGR,
-            3 | 5 << 4 | 80 << 8 | 1 << 20 | 1 << 21 | 1 << 24,
-        );
+        with(&mut rcc, Time::ZERO, PLLCFGR, 3 | 5 << 4 | 80 << 8 | 1 << 20 | 1 << 21 | 1 << 24);
         with(&mut rcc, Time::from_ms(2), CR, 0x0101_0500);
         let early = with(&mut rcc, Time::from_ms(2), CFGR, 3);
-        assert!(
-            early
-                .iter()
-                .any(|violation| violation.kind == Kind::Misconfigured)
-        );
+        assert!(early.iter().any(|violation| violation.kind == Kind::Misconfigured));
         assert!(with(&mut rcc, Time::from_us(2015), CFGR, 3).is_empty());
         assert_eq!(rcc.clocks().core, Frequency(160_000_000));
         // FDCANSEL 1: PLL Q.

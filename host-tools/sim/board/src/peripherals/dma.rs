@@ -3,7 +3,7 @@
 
 use stm32_metapac::bdma::regs::Cr;
 
-use super::Context;
+use crate::peripherals::Context;
 use crate::registers::{interrupt, registers};
 use crate::violations::Kind;
 
@@ -79,10 +79,7 @@ impl Dma {
     /// One of the controllers takes its reset values.
     pub(crate) fn reset(&mut self, controller: usize) {
         for place in controller * OF_ONE..(controller + 1) * OF_ONE {
-            self.channels[place] = Channel {
-                mux: self.channels[place].mux,
-                ..Channel::default()
-            };
+            self.channels[place] = Channel { mux: self.channels[place].mux, ..Channel::default() };
             self.active &= !(1 << place);
         }
         self.flags[controller] = 0;
@@ -110,12 +107,7 @@ impl Dma {
             [cr.psize(), cr.msize()].map(|size| 1 << size.to_bits().min(2));
         let transfer = Transfer {
             channel: place,
-            peripheral: channel.peripheral
-                + if cr.pinc() {
-                    done * peripheral_width
-                } else {
-                    0
-                },
+            peripheral: channel.peripheral + if cr.pinc() { done * peripheral_width } else { 0 },
             memory: channel.memory + if cr.minc() { done * memory_width } else { 0 },
             peripheral_width,
             memory_width,
@@ -129,9 +121,10 @@ impl Dma {
         }
         if channel.left == 0 {
             flags |= TRANSFER_COMPLETE;
-            match cr.circ() {
-                true => (channel.left, channel.done) = (channel.length, 0),
-                false => self.active &= !(1 << place),
+            if cr.circ() {
+                (channel.left, channel.done) = (channel.length, 0)
+            } else {
+                self.active &= !(1 << place)
             }
         }
         self.raise(place, flags);
@@ -224,11 +217,9 @@ impl Dma {
                 let is_active = value & 1 != 0 && channel.left > 0;
                 self.active = self.active & !(1 << place) | u16::from(is_active) << place;
             }
-            _ if is_on => context.report(
-                Kind::WriteProtected,
-                offset,
-                "a channel's registers while it is on",
-            ),
+            _ if is_on => {
+                context.report(Kind::WriteProtected, offset, "a channel's registers while it is on")
+            }
             CH0_NDTR => (channel.length, channel.left) = (value & 0xFFFF, value & 0xFFFF),
             CH0_PAR => channel.peripheral = value,
             CH0_MAR => channel.memory = value,
@@ -251,11 +242,7 @@ impl Dma {
             0x00..=0x3C => {
                 // Events at each request go nowhere without a channel that waits for them.
                 if value & !(0x7F | EVENT_GENERATION) != 0 {
-                    context.report(
-                        Kind::UnmodelledSetting,
-                        offset,
-                        "synchronisation of requests",
-                    );
+                    context.report(Kind::UnmodelledSetting, offset, "synchronisation of requests");
                 }
                 self.channels[offset as usize / 4].mux = value;
             }

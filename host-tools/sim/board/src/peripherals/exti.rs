@@ -1,6 +1,6 @@
 //! External interrupts, RM0440 section 15: lines 0 to 15, of the pins that SYSCFG selects.
 
-use super::{Context, bit};
+use crate::peripherals::{Context, bit};
 use crate::registers::{interrupt, registers};
 use crate::violations::Kind;
 
@@ -49,9 +49,7 @@ impl Exti {
             ("EXTI15_10", 0xFC00),
         ];
         let pending = self.word(PR0) & self.word(IMR0);
-        LINES
-            .into_iter()
-            .map(move |(name, lines)| (interrupt(name), pending & lines != 0))
+        LINES.into_iter().map(move |(name, lines)| (interrupt(name), pending & lines != 0))
     }
 
     pub(crate) fn read(&mut self, offset: u32, context: &mut Context) -> u32 {

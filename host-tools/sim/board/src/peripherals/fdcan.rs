@@ -3,8 +3,8 @@
 
 use stm32_metapac::can::regs::{Cccr, Nbtp, Rxgfc};
 
-use super::{Context, bit};
 use crate::devices::{CanBus, CanEvent, CanFrame, Transmission};
+use crate::peripherals::{Context, bit};
 use crate::registers::registers;
 use crate::time::{Frequency, Time};
 use crate::violations::Kind;
@@ -123,13 +123,8 @@ impl Fdcan {
     /// Registers take their reset values; message RAM keeps its contents (44.3.3), counts go on.
     pub(crate) fn reset(&mut self) {
         let ram = std::mem::take(&mut self.ram);
-        *self = Self {
-            ram,
-            clock: self.clock,
-            lost: self.lost,
-            refused: self.refused,
-            ..Self::new()
-        };
+        *self =
+            Self { ram, clock: self.clock, lost: self.lost, refused: self.refused, ..Self::new() };
     }
 
     pub(crate) fn set_clock(&mut self, clock: Frequency) {
@@ -176,13 +171,10 @@ impl Fdcan {
     /// Gives the bus the frame that would go next.
     pub(crate) fn offer(&mut self, bus: &mut dyn CanBus, now: Time) {
         let is_queue = bit(self.plain[TXBC as usize / 4], 24);
-        let next = match is_queue {
-            true => self
-                .pending
-                .iter()
-                .copied()
-                .min_by_key(|buffer| self.frame(*buffer).priority()),
-            false => self.pending.first().copied(),
+        let next = if is_queue {
+            self.pending.iter().copied().min_by_key(|buffer| self.frame(*buffer).priority())
+        } else {
+            self.pending.first().copied()
         };
         self.offered = next.filter(|_| self.is_on());
         bus.offer(now, self.offered.map(|buffer| self.frame(buffer)));
@@ -191,32 +183,19 @@ impl Fdcan {
     fn frame(&self, buffer: usize) -> CanFrame {
         let at = TRANSMIT + ELEMENT * buffer;
         let is_extended = self.ram[at] & XTD != 0;
-        let id = if is_extended {
-            self.ram[at] & 0x1FFF_FFFF
-        } else {
-            self.ram[at] >> 18 & 0x7FF
-        };
+        let id = if is_extended { self.ram[at] & 0x1FFF_FFFF } else { self.ram[at] >> 18 & 0x7FF };
         let length = (self.ram[at + 1] >> 16 & 0xF).min(8) as u8;
         let mut data = [0; 8];
         for (place, byte) in data.iter_mut().enumerate().take(length.into()) {
             *byte = (self.ram[at + 2 + place / 4] >> (8 * (place % 4))) as u8;
         }
-        CanFrame {
-            id,
-            is_extended,
-            is_remote: self.ram[at] & RTR != 0,
-            length,
-            data,
-        }
+        CanFrame { id, is_extended, is_remote: self.ram[at] & RTR != 0, length, data }
     }
 
     /// A frame of this controller has ended on the bus.
     fn sent(&mut self, frame: &CanFrame, outcome: Transmission) {
-        let Some(buffer) = self
-            .pending
-            .iter()
-            .copied()
-            .find(|buffer| self.frame(*buffer) == *frame)
+        let Some(buffer) =
+            self.pending.iter().copied().find(|buffer| self.frame(*buffer) == *frame)
         else {
             return;
         };
@@ -286,21 +265,8 @@ impl Fdcan {
         if frame.is_remote && bit(global.0, u32::from(!frame.is_extended)) {
             return None;
         }
-        let matched = match frame.is_extended {
-            false => (0..usize::from(global.lss()))
-                .map(|place| self.ram[STANDARD_FILTERS + place])
-                .find_map(|filter| {
-                    let (first, second) = (filter >> 16 & 0x7FF, filter & 0x7FF);
-                    let matches = match filter >> 30 {
-                        0 => (first..=second).contains(&frame.id),
-                        1 => frame.id == first || frame.id == second,
-                        2 => frame.id & second == first & second,
-                        _ => false,
-                    };
-                    let action = filter >> 27 & 7;
-                    (matches && action != 0).then_some(action)
-                }),
-            true => (0..usize::from(global.lse()))
+        let matched = if frame.is_extended {
+            (0..usize::from(global.lse()))
                 .map(|place| &self.ram[EXTENDED_FILTERS + 2 * place..][..2])
                 .find_map(|filter| {
                     let (first, second) = (filter[0] & 0x1FFF_FFFF, filter[1] & 0x1FFF_FFFF);
@@ -311,18 +277,28 @@ impl Fdcan {
                     };
                     let action = filter[0] >> 29;
                     (matches && action != 0).then_some(action)
-                }),
+                })
+        } else {
+            (0..usize::from(global.lss())).map(|place| self.ram[STANDARD_FILTERS + place]).find_map(
+                |filter| {
+                    let (first, second) = (filter >> 16 & 0x7FF, filter & 0x7FF);
+                    let matches = match filter >> 30 {
+                        0 => (first..=second).contains(&frame.id),
+                        1 => frame.id == first || frame.id == second,
+                        2 => frame.id & second == first & second,
+                        _ => false,
+                    };
+                    let action = filter >> 27 & 7;
+                    (matches && action != 0).then_some(action)
+                },
+            )
         };
         match matched {
             Some(1) => Some(0),
             Some(2) => Some(1),
             Some(3) => None,
             Some(_) => {
-                context.report(
-                    Kind::UnmodelledSetting,
-                    RXGFC,
-                    "a filter that sets a priority",
-                );
+                context.report(Kind::UnmodelledSetting, RXGFC, "a filter that sets a priority");
                 None
             }
             None => {
@@ -352,18 +328,12 @@ impl Fdcan {
             return;
         }
         let at = RECEIVE[fifo] + ELEMENT * self.fifos[fifo].put;
-        let id = if frame.is_extended {
-            frame.id | XTD
-        } else {
-            frame.id << 18
-        };
+        let id = if frame.is_extended { frame.id | XTD } else { frame.id << 18 };
         self.ram[at] = id | if frame.is_remote { RTR } else { 0 };
         self.ram[at + 1] = u32::from(frame.length) << 16 | self.timestamp(context.now);
         for (place, word) in frame.data.chunks(4).enumerate() {
-            self.ram[at + 2 + place] = word
-                .iter()
-                .rev()
-                .fold(0, |word, byte| word << 8 | u32::from(*byte));
+            self.ram[at + 2 + place] =
+                word.iter().rev().fold(0, |word, byte| word << 8 | u32::from(*byte));
         }
         let state = &mut self.fifos[fifo];
         state.put = (state.put + 1) % DEPTH;
@@ -381,10 +351,7 @@ impl Fdcan {
         let active = self.plain[IR as usize / 4] & self.plain[IE as usize / 4];
         let (routes, lines) = (self.plain[ILS as usize / 4], self.plain[ILE as usize / 4]);
         let of_line = |line: u32| {
-            let groups = GROUPS
-                .iter()
-                .enumerate()
-                .filter(|(group, _)| routes >> group & 1 == line);
+            let groups = GROUPS.iter().enumerate().filter(|(group, _)| routes >> group & 1 == line);
             let bits = groups.fold(0, |all, (_, bits)| all | bits);
             bit(lines, line) && active & bits != 0
         };
@@ -465,12 +432,11 @@ impl Fdcan {
             TXBCR => {
                 for buffer in (0..DEPTH).filter(|buffer| bit(value, *buffer as u32)) {
                     // What the bus carries already ends first.
-                    match is_sending && self.offered == Some(buffer) && self.is_on() {
-                        true => self.cancels |= 1 << buffer,
-                        false => {
-                            self.cancels |= 1 << buffer;
-                            self.end(buffer, TXBCF);
-                        }
+                    if is_sending && self.offered == Some(buffer) && self.is_on() {
+                        self.cancels |= 1 << buffer
+                    } else {
+                        self.cancels |= 1 << buffer;
+                        self.end(buffer, TXBCF);
                     }
                 }
             }
@@ -545,11 +511,7 @@ impl Fdcan {
     /// A word of message RAM; it takes whole words only (44.3.3).
     pub(crate) fn write_ram(&mut self, offset: u32, value: u32, bytes: u32, context: &mut Context) {
         if bytes != 4 {
-            context.report(
-                Kind::Misconfigured,
-                offset,
-                "message RAM takes whole words only",
-            );
+            context.report(Kind::Misconfigured, offset, "message RAM takes whole words only");
         }
         match self.ram.get_mut(offset as usize / 4) {
             Some(word) => *word = value,

@@ -3,7 +3,7 @@
 
 use stm32_metapac::flash::regs::{Cr, Optr, Sr};
 
-use super::Context;
+use crate::peripherals::Context;
 use crate::registers::registers;
 use crate::time::{Frequency, Time};
 use crate::violations::Kind;
@@ -136,11 +136,7 @@ impl Flash {
     /// nBOOT1 = 1 selects the boot loader and 0 SRAM.
     pub(crate) fn boots(&self, boot0_pin: bool) -> bool {
         let options = Optr(self.options);
-        let boot0 = if options.n_swboot0() {
-            boot0_pin
-        } else {
-            !options.n_boot0()
-        };
+        let boot0 = if options.n_swboot0() { boot0_pin } else { !options.n_boot0() };
         !boot0
     }
 
@@ -233,16 +229,10 @@ impl Flash {
 
     fn program(&mut self, offset: usize, value: u64, context: &mut Context) {
         let address = BASE.wrapping_sub(context.base) + offset as u32;
-        let is_erased = self.bytes[offset..offset + WORD]
-            .iter()
-            .all(|byte| *byte == 0xFF);
+        let is_erased = self.bytes[offset..offset + WORD].iter().all(|byte| *byte == 0xFF);
         // All zeros may be written over anything (3.3.7).
         if !is_erased && value != 0 {
-            context.report(
-                Kind::FlashProgramming,
-                address,
-                "a double word that is not erased",
-            );
+            context.report(Kind::FlashProgramming, address, "a double word that is not erased");
             self.sr.set_progerr(true);
             return;
         }
@@ -348,11 +338,7 @@ impl Flash {
             // Flags are cleared by writing them.
             ECCR => self.eccr = self.eccr & !(value & 0xF000_0000) & !(1 << 24) | value & 1 << 24,
             OPTKEYR | PDKEYR | OPTR => {
-                context.report(
-                    Kind::UnmodelledSetting,
-                    offset,
-                    "option bytes or power-down",
-                );
+                context.report(Kind::UnmodelledSetting, offset, "option bytes or power-down");
             }
             _ => {
                 context.unmodelled(offset);
@@ -382,17 +368,12 @@ impl Flash {
         self.cr = next;
         self.cr.set_strt(false);
         if next.strt() {
-            match next.per() {
-                true => {
-                    let bank = if next.bker() { BANK } else { 0 };
-                    let page = bank + usize::from(next.pnb()) * PAGE;
-                    self.begin(Operation::Erase(page), context.now + ERASE);
-                }
-                false => context.report(
-                    Kind::FlashProgramming,
-                    CR,
-                    "started without a page to erase",
-                ),
+            if next.per() {
+                let bank = if next.bker() { BANK } else { 0 };
+                let page = bank + usize::from(next.pnb()) * PAGE;
+                self.begin(Operation::Erase(page), context.now + ERASE);
+            } else {
+                context.report(Kind::FlashProgramming, CR, "started without a page to erase")
             }
         }
     }
@@ -434,10 +415,7 @@ mod tests {
     fn an_interrupted_erasure_leaves_words_that_cannot_be_read() {
         let mut flash = Flash::new();
         flash.load(BANK, &[0; PAGE]);
-        flash.cut_power(PowerCut {
-            after: 0,
-            leaves: Remains::Unreadable,
-        });
+        flash.cut_power(PowerCut { after: 0, leaves: Remains::Unreadable });
         flash.begin(Operation::Erase(BANK), Time::from_ms(22));
         assert_eq!(flash.advance(Time::from_ms(21)), None);
         assert_eq!(flash.advance(Time::from_ms(22)), Some(BANK..BANK + PAGE));

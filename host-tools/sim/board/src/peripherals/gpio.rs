@@ -1,6 +1,6 @@
 //! General-purpose pins, RM0440 section 9: modes, outputs, inputs, alternate functions.
 
-use super::Context;
+use crate::peripherals::Context;
 use crate::registers::registers;
 use crate::violations::Kind;
 
@@ -35,10 +35,7 @@ impl Pin {
             place += 1;
         }
         assert!(number < 16);
-        Self {
-            port: (bytes[1] - b'A') as usize,
-            number,
-        }
+        Self { port: (bytes[1] - b'A') as usize, number }
     }
 
     /// Its name in the datasheet.
@@ -75,10 +72,7 @@ impl Gpio {
             1 => (0xFFFF_FEBF, 0x0000_0000, 0x0000_0100),
             _ => (0xFFFF_FFFF, 0, 0),
         };
-        let mut gpio = Self {
-            words: [0; 10],
-            external: [None; 16],
-        };
+        let mut gpio = Self { words: [0; 10], external: [None; 16] };
         for (offset, value) in [(MODER, moder), (OSPEEDR, ospeedr), (PUPDR, pupdr)] {
             gpio.words[offset as usize / 4] = value;
         }
@@ -87,10 +81,7 @@ impl Gpio {
 
     /// Sets registers to their reset values; what is outside stays.
     pub(crate) fn reset(&mut self, port: usize) {
-        *self = Self {
-            external: self.external,
-            ..Self::new(port)
-        };
+        *self = Self { external: self.external, ..Self::new(port) };
     }
 
     fn word(&self, offset: u32) -> u32 {
@@ -159,11 +150,9 @@ impl Gpio {
                 self.words[offset as usize / 4] = value
             }
             IDR => {}
-            LCKR => context.report(
-                Kind::UnmodelledSetting,
-                offset,
-                "a pin's configuration is locked",
-            ),
+            LCKR => {
+                context.report(Kind::UnmodelledSetting, offset, "a pin's configuration is locked")
+            }
             _ => {
                 context.unmodelled(offset);
             }

@@ -5,8 +5,8 @@
 
 use stm32_metapac::i2c::regs::{Cr1, Cr2, Isr, Timingr};
 
-use super::{Context, bit};
 use crate::devices::I2cBus;
+use crate::peripherals::{Context, bit};
 use crate::registers::registers;
 use crate::time::{Frequency, Time};
 use crate::violations::Kind;
@@ -207,16 +207,13 @@ impl I2c {
 
     /// TXDR may be written before it is asked for.
     fn send_or_await_byte(&mut self, now: Time, synchronisation: Time) {
-        match self.isr.txe() {
-            true => {
-                self.phase = Phase::AwaitByte;
-                self.isr.set_txis(true);
-            }
-            false => {
-                self.phase = Phase::Send(self.transmit);
-                self.isr.set_txe(true);
-                self.due = now + self.bits(BYTE_BITS, synchronisation);
-            }
+        if self.isr.txe() {
+            self.phase = Phase::AwaitByte;
+            self.isr.set_txis(true);
+        } else {
+            self.phase = Phase::Send(self.transmit);
+            self.isr.set_txe(true);
+            self.due = now + self.bits(BYTE_BITS, synchronisation);
         }
     }
 
@@ -252,10 +249,7 @@ impl I2c {
 
     /// Levels of the DMA requests: receive, transmit.
     pub(crate) fn dma_requests(&self) -> [bool; 2] {
-        [
-            self.cr1.rxdmaen() && self.isr.rxne(),
-            self.cr1.txdmaen() && self.isr.txis(),
-        ]
+        [self.cr1.rxdmaen() && self.isr.rxne(), self.cr1.txdmaen() && self.isr.txis()]
     }
 
     pub(crate) fn read(
@@ -377,15 +371,7 @@ impl I2c {
                 let mut cr2 = self.cr2;
                 cr2.set_start(false);
                 cr2.set_stop(false);
-                *self = Self {
-                    cr1,
-                    cr2,
-                    timing,
-                    clock,
-                    own_addresses,
-                    timeout,
-                    ..Self::new()
-                };
+                *self = Self { cr1, cr2, timing, clock, own_addresses, timeout, ..Self::new() };
             }
             _ => {}
         }
@@ -416,10 +402,7 @@ impl I2c {
             self.start(context.now, synchronisation);
         }
         if self.cr2.stop()
-            && matches!(
-                self.phase,
-                Phase::Hold | Phase::AwaitByte | Phase::AwaitRead
-            )
+            && matches!(self.phase, Phase::Hold | Phase::AwaitByte | Phase::AwaitRead)
         {
             self.isr.set_txis(false);
             self.stop(context.now, synchronisation);

@@ -42,8 +42,7 @@ pub struct Context<'a> {
 impl Context<'_> {
     /// Reports misuse of the register at this offset.
     pub fn report(&mut self, kind: Kind, offset: u32, detail: &'static str) {
-        self.violations
-            .report(kind, self.base.wrapping_add(offset), detail);
+        self.violations.report(kind, self.base.wrapping_add(offset), detail);
     }
 
     /// Reports that the register at this offset has no model; reads as zero.

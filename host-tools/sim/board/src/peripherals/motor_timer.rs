@@ -3,8 +3,8 @@
 
 use stm32_metapac::timer::regs::{Af1Adv, BdtrAdv};
 
-use super::syscfg::BreakSource;
-use super::{Context, bit};
+use crate::peripherals::syscfg::BreakSource;
+use crate::peripherals::{Context, bit};
 use crate::registers::registers;
 use crate::time::{Frequency, Time};
 use crate::violations::Kind;
@@ -83,11 +83,7 @@ impl MotorTimer {
     pub(crate) fn reset(&mut self, now: Time) {
         let was_on = self.is_driving();
         let switched = std::mem::take(&mut self.switched);
-        *self = Self {
-            break_inputs: self.break_inputs,
-            switched,
-            ..Self::new()
-        };
+        *self = Self { break_inputs: self.break_inputs, switched, ..Self::new() };
         if was_on {
             self.switched.push((now, false));
         }
@@ -118,8 +114,7 @@ impl MotorTimer {
     pub fn duties(&self) -> Option<[f64; 3]> {
         let [u, v, w, _] = self.compares;
         let top = f64::from(self.reload.max(1));
-        self.is_driving()
-            .then(|| [u, v, w].map(|compare| (f64::from(compare) / top).min(1.0)))
+        self.is_driving().then(|| [u, v, w].map(|compare| (f64::from(compare) / top).min(1.0)))
     }
 
     /// Length of a half period.
@@ -326,11 +321,7 @@ impl MotorTimer {
         }
         *self.word_mut(BDTR) = value & !keeps | old & keeps;
         if self.bdtr().aoe() {
-            context.report(
-                Kind::UnmodelledSetting,
-                BDTR,
-                "outputs that come back by themselves",
-            );
+            context.report(Kind::UnmodelledSetting, BDTR, "outputs that come back by themselves");
         }
         self.is_locked |= value & LOCK != 0;
     }
@@ -344,11 +335,7 @@ impl MotorTimer {
             );
         }
         if self.bdtr().dtg() == 0 {
-            context.report(
-                Kind::UnsafeBridge,
-                BDTR,
-                "no dead time between high and low side",
-            );
+            context.report(Kind::UnsafeBridge, BDTR, "no dead time between high and low side");
         }
         // Every output active high, and each pair complementary.
         if self.word(CCER) & 0xAAA != 0 {

@@ -1,6 +1,6 @@
 //! Power control, RM0440 section 6: voltage ranges and the limits of the clock in each.
 
-use super::{Context, bit};
+use crate::peripherals::{Context, bit};
 use crate::registers::registers;
 use crate::time::Frequency;
 use crate::violations::Kind;
@@ -22,10 +22,7 @@ pub struct Pwr {
 
 impl Pwr {
     pub(crate) fn new() -> Self {
-        Self {
-            cr: [0x0200, 0, 0x8000, 0],
-            cr5: 1 << R1MODE,
-        }
+        Self { cr: [0x0200, 0, 0x8000, 0], cr5: 1 << R1MODE }
     }
 
     /// The highest system clock in the range that is selected.

@@ -1,6 +1,6 @@
 //! The random number generator, RM0440 section 26: a repeatable sequence in the place of noise.
 
-use super::{Context, bit};
+use crate::peripherals::{Context, bit};
 use crate::registers::registers;
 use crate::time::{Frequency, Time};
 use crate::violations::Kind;
@@ -23,12 +23,7 @@ pub struct Rng {
 
 impl Rng {
     pub(crate) fn new(seed: u64) -> Self {
-        Self {
-            control: 0x0080_0D00,
-            thresholds: 0x0000_72AC,
-            state: seed,
-            ready: Time::NEVER,
-        }
+        Self { control: 0x0080_0D00, thresholds: 0x0000_72AC, state: seed, ready: Time::NEVER }
     }
 
     /// Registers take their reset values; the sequence goes on.
@@ -41,10 +36,7 @@ impl Rng {
     }
 
     pub(crate) fn next_event(&self) -> Time {
-        match bit(self.control, 3) {
-            true => self.ready,
-            false => Time::NEVER,
-        }
+        if bit(self.control, 3) { self.ready } else { Time::NEVER }
     }
 
     /// Level of its interrupt.

@@ -2,8 +2,8 @@
 
 use stm32_metapac::spi::regs::{Cr1, Cr2};
 
-use super::{Context, bit};
 use crate::devices::SpiDevice;
+use crate::peripherals::{Context, bit};
 use crate::registers::registers;
 use crate::time::Time;
 use crate::violations::Kind;
@@ -76,12 +76,9 @@ impl Spi {
             CR1 => self.cr1,
             CR2 => self.cr2,
             SR => {
-                let [full, overrun, busy] = [
-                    self.received.is_some(),
-                    self.is_overrun,
-                    self.sending.is_some(),
-                ]
-                .map(u32::from);
+                let [full, overrun, busy] =
+                    [self.received.is_some(), self.is_overrun, self.sending.is_some()]
+                        .map(u32::from);
                 full | 2 | overrun << 6 | busy << 7
             }
             DR16 => {
@@ -156,11 +153,7 @@ impl Spi {
                     return;
                 }
                 if !is_selected {
-                    context.report(
-                        Kind::Misconfigured,
-                        offset,
-                        "a frame without the select line",
-                    );
+                    context.report(Kind::Misconfigured, offset, "a frame without the select line");
                 }
                 self.sending = Some(value as u16);
                 let divisor = 2_u64 << cr1.br().to_bits();

@@ -1,6 +1,6 @@
 //! System configuration controller, RM0440 section 10, and the debug unit's control register (section 47).
 
-use super::{Context, bit};
+use crate::peripherals::{Context, bit};
 use crate::registers::registers;
 use crate::violations::Kind;
 

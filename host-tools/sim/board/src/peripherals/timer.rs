@@ -1,6 +1,6 @@
 //! A general-purpose timer of 32 bits that counts up, RM0440 section 29: TIM5, the time base of the firmware.
 
-use super::{Context, bit};
+use crate::peripherals::{Context, bit};
 use crate::registers::registers;
 use crate::time::{Frequency, Time};
 use crate::violations::Kind;
@@ -31,14 +31,7 @@ impl Timer {
     pub(crate) fn new() -> Self {
         let mut words = [0; WORDS];
         words[ARR as usize / 4] = u32::MAX;
-        Self {
-            words,
-            prescaler: 0,
-            since: Time::ZERO,
-            from: 0,
-            seen: 0,
-            clock: Frequency(0),
-        }
+        Self { words, prescaler: 0, since: Time::ZERO, from: 0, seen: 0, clock: Frequency(0) }
     }
 
     fn word(&self, offset: u32) -> u32 {
@@ -59,9 +52,10 @@ impl Timer {
 
     /// Counts since the timer was set last, not reduced to the period.
     fn count(&self, now: Time) -> u64 {
-        match self.is_running() {
-            true => self.from + now.since(self.since).ps() / self.tick().ps(),
-            false => self.from,
+        if self.is_running() {
+            self.from + now.since(self.since).ps() / self.tick().ps()
+        } else {
+            self.from
         }
     }
 
@@ -82,11 +76,7 @@ impl Timer {
             let compare = u64::from(self.word(CCR0 + 4 * channel));
             // Times that the counter has been at the compare value by a count.
             let passes = |count: u64| {
-                if count >= compare {
-                    (count - compare) / period + 1
-                } else {
-                    0
-                }
+                if count >= compare { (count - compare) / period + 1 } else { 0 }
             };
             if compare < period && passes(count) > passes(seen) {
                 flags |= 2 << channel;
@@ -99,9 +89,10 @@ impl Timer {
     /// Takes the counter's value as the new beginning, keeping the phase of the prescaler.
     fn rebase(&mut self, now: Time) {
         let count = self.count(now);
-        self.since = match self.is_running() {
-            true => self.since + Time::from_ps((count - self.from) * self.tick().ps()),
-            false => now,
+        self.since = if self.is_running() {
+            self.since + Time::from_ps((count - self.from) * self.tick().ps())
+        } else {
+            now
         };
         let whole = count / self.period() * self.period();
         self.from = count - whole;
@@ -115,9 +106,12 @@ impl Timer {
             return Time::NEVER;
         }
         let period = self.period();
-        let after = |place: u64| match self.seen < place {
-            true => place,
-            false => place + ((self.seen - place) / period + 1) * period,
+        let after = |place: u64| {
+            if self.seen < place {
+                place
+            } else {
+                place + ((self.seen - place) / period + 1) * period
+            }
         };
         let update = bit(enabled, 0).then(|| (self.seen / period + 1) * period);
         let compares = (0..4)
@@ -191,11 +185,7 @@ impl Timer {
             }
             CR2 | SMCR | CCMR_OUTPUT0 | CCMR_OUTPUT1 | CCER => {
                 if value != 0 {
-                    context.report(
-                        Kind::UnmodelledSetting,
-                        offset,
-                        "a channel's pin, a trigger",
-                    );
+                    context.report(Kind::UnmodelledSetting, offset, "a channel's pin, a trigger");
                 }
                 self.words[offset as usize / 4] = value;
             }
@@ -222,32 +212,20 @@ mod tests {
     impl Bench {
         fn new() -> Self {
             let clocks = *Rcc::new(Frequency(24_000_000), Frequency(32_000)).clocks();
-            Self {
-                timer: Timer::new(),
-                clocks,
-                violations: Violations::default(),
-            }
+            Self { timer: Timer::new(), clocks, violations: Violations::default() }
         }
 
         fn write(&mut self, us: u64, offset: u32, value: u32) {
             let (now, base) = (Time::from_us(us), 0);
-            let mut context = Context {
-                now,
-                clocks: &self.clocks,
-                violations: &mut self.violations,
-                base,
-            };
+            let mut context =
+                Context { now, clocks: &self.clocks, violations: &mut self.violations, base };
             self.timer.write(offset, value, &mut context);
         }
 
         fn read(&mut self, us: u64, offset: u32) -> u32 {
             let (now, base) = (Time::from_us(us), 0);
-            let mut context = Context {
-                now,
-                clocks: &self.clocks,
-                violations: &mut self.violations,
-                base,
-            };
+            let mut context =
+                Context { now, clocks: &self.clocks, violations: &mut self.violations, base };
             self.timer.read(offset, &mut context)
         }
     }
@@ -256,15 +234,9 @@ mod tests {
     fn a_compare_raises_the_interrupt_once_a_period_at_its_count() {
         let mut bench = Bench::new();
         // 16 MHz / 16: counts of a microsecond; a period of 1000; compare 2 at 300.
-        for (offset, value) in [
-            (PSC, 15),
-            (ARR, 999),
-            (EGR, 1),
-            (SR, 0),
-            (CCR0 + 4, 300),
-            (DIER, 4),
-            (CR1, 1),
-        ] {
+        for (offset, value) in
+            [(PSC, 15), (ARR, 999), (EGR, 1), (SR, 0), (CCR0 + 4, 300), (DIER, 4), (CR1, 1)]
+        {
             bench.write(10, offset, value);
         }
         assert_eq!(bench.timer.next_event(), Time::from_us(310));
@@ -287,14 +259,7 @@ mod tests {
     #[test]
     fn an_overflow_sets_the_update_flag() {
         let mut bench = Bench::new();
-        for (offset, value) in [
-            (PSC, 15),
-            (ARR, 0xFFFF),
-            (EGR, 1),
-            (SR, 0),
-            (DIER, 1),
-            (CR1, 1),
-        ] {
+        for (offset, value) in [(PSC, 15), (ARR, 0xFFFF), (EGR, 1), (SR, 0), (DIER, 1), (CR1, 1)] {
             bench.write(0, offset, value);
         }
         assert_eq!(bench.timer.next_event(), Time::from_us(65_536));

@@ -4,8 +4,8 @@ use std::collections::VecDeque;
 
 use stm32_metapac::usart::regs::{Cr1, Isr};
 
-use super::{Context, bit};
 use crate::devices::SerialLine;
+use crate::peripherals::{Context, bit};
 use crate::registers::registers;
 use crate::time::{Frequency, Time};
 use crate::violations::Kind;
@@ -97,9 +97,10 @@ impl Usart {
     /// What happens next: the end of a frame either way, or the beginning of one from the other end.
     pub(crate) fn next_event(&self, line: &dyn SerialLine) -> Time {
         let begins =
-            match self.receives() && self.receiving.is_none() && self.received_at == Time::NEVER {
-                true => line.next_byte(),
-                false => Time::NEVER,
+            if self.receives() && self.receiving.is_none() && self.received_at == Time::NEVER {
+                line.next_byte()
+            } else {
+                Time::NEVER
             };
         self.sent_at.min(self.received_at).min(begins)
     }
@@ -137,11 +138,7 @@ impl Usart {
     fn check_rate(&self, line: &dyn SerialLine, context: &mut Context) {
         let (own, other) = (self.baud_rate(), u64::from(line.baud_rate()));
         if own.abs_diff(other) * 100 > TOLERANCE * other {
-            context.report(
-                Kind::Misconfigured,
-                BRR,
-                "another baud rate than the other end's",
-            );
+            context.report(Kind::Misconfigured, BRR, "another baud rate than the other end's");
         }
     }
 
@@ -178,10 +175,7 @@ impl Usart {
     /// Levels of the DMA requests: receive, transmit.
     pub(crate) fn dma_requests(&self) -> [bool; 2] {
         let transmits = self.cr1().ue() && self.cr1().te();
-        [
-            bit(self.cr3, 6) && self.isr.rxne(),
-            bit(self.cr3, 7) && self.isr.txe() && transmits,
-        ]
+        [bit(self.cr3, 6) && self.isr.rxne(), bit(self.cr3, 7) && self.isr.txe() && transmits]
     }
 
     pub(crate) fn read(&mut self, offset: u32, context: &mut Context) -> u32 {
@@ -216,11 +210,7 @@ impl Usart {
                     );
                 }
                 if starts && self.brr < 16 {
-                    context.report(
-                        Kind::Misconfigured,
-                        offset,
-                        "switched on without a baud rate",
-                    );
+                    context.report(Kind::Misconfigured, offset, "switched on without a baud rate");
                 }
                 if starts && !has_pins {
                     context.report(Kind::PinNotConnected, offset, "a line is not at its pin");
@@ -248,11 +238,9 @@ impl Usart {
                 }
                 self.cr3 = value;
             }
-            BRR if self.cr1().ue() => context.report(
-                Kind::WriteProtected,
-                offset,
-                "the baud rate while the port is on",
-            ),
+            BRR if self.cr1().ue() => {
+                context.report(Kind::WriteProtected, offset, "the baud rate while the port is on")
+            }
             BRR => self.brr = value & 0xFFFF,
             RQR if bit(value, 3) => {
                 self.received.clear();

@@ -1,6 +1,6 @@
 //! The independent watchdog, RM0440 section 42.
 
-use super::Context;
+use crate::peripherals::Context;
 use crate::registers::registers;
 use crate::time::Time;
 use crate::violations::Kind;
@@ -119,11 +119,7 @@ impl Watchdog {
                 _ => self.is_open = false,
             },
             PR | RLR | WINR if !self.is_open => {
-                context.report(
-                    Kind::WriteProtected,
-                    offset,
-                    "the watchdog's registers are locked",
-                );
+                context.report(Kind::WriteProtected, offset, "the watchdog's registers are locked");
             }
             PR => (self.prescaler, self.arrives[0]) = (value & 7, arrives),
             RLR => (self.reload, self.arrives[1]) = (value & 0xFFF, arrives),

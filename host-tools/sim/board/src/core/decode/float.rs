@@ -1,9 +1,9 @@
 //! Floating-point extension, FPv4-SP (DDI0403E A6).
 
-use super::super::instruction::{
+use crate::core::decode::{Decoded, Invalid, bit, bits, general, not_sp, require};
+use crate::core::instruction::{
     FixedFormat, FloatRegister, Instruction, MultipleMode, MultiplyAdd, Register,
 };
-use super::{Decoded, Invalid, bit, bits, general, not_sp, require};
 
 /// Any instruction of the coprocessor space.
 pub(super) fn decode(h: u32, h2: u32) -> Decoded {
@@ -75,11 +75,7 @@ fn data_processing(h: u32, h2: u32) -> Decoded {
 /// `VFPExpandImm` (A6.4.1): sign, inverted exponent bit replicated, two exponent and four fraction
 /// bits.
 const fn expand_constant(field: u32) -> u32 {
-    let exponent = if bit(field, 6) {
-        0b0111_1100
-    } else {
-        0b1000_0000
-    } | bits(field, 4, 2);
+    let exponent = if bit(field, 6) { 0b0111_1100 } else { 0b1000_0000 } | bits(field, 4, 2);
     bits(field, 7, 1) << 31 | exponent << 23 | bits(field, 0, 4) << 19
 }
 
@@ -126,19 +122,11 @@ fn one_operand(h: u32, h2: u32, d: FloatRegister, m: FloatRegister) -> Decoded {
 fn transfer(h: u32, h2: u32) -> Decoded {
     let (pre, up, write_back, load) = (bit(h, 8), bit(h, 7), bit(h, 5), bit(h, 4));
     if !pre && !up && !write_back {
-        return if bit(h, 6) {
-            register_pair(h, h2)
-        } else {
-            Err(Invalid::Undefined)
-        };
+        return if bit(h, 6) { register_pair(h, h2) } else { Err(Invalid::Undefined) };
     }
     let n = Register::field(h, 0);
     let double = bit(h2, 8);
-    let d = if double {
-        double_register(h2, 12, h, 6)?
-    } else {
-        register(h2, 12, h, 6)
-    };
+    let d = if double { double_register(h2, 12, h, 6)? } else { register(h2, 12, h, 6) };
     let words = bits(h2, 0, 8);
     let bytes = words as i16 * 4;
     if pre && !write_back {
@@ -159,10 +147,7 @@ fn transfer(h: u32, h2: u32) -> Decoded {
     require(words > 0 && words <= 32 && d.index() as u32 + words <= 32)?;
     require(n != Register::PC)?;
     let words = words as u8;
-    let mode = MultipleMode {
-        decrement: pre,
-        write_back,
-    };
+    let mode = MultipleMode { decrement: pre, write_back };
     Ok(if load {
         Instruction::FloatLoadMultiple(d, words, n, mode, bytes)
     } else {
@@ -177,11 +162,7 @@ fn register_pair(h: u32, h2: u32) -> Decoded {
     let to_core = bit(h, 4);
     let (t, t2) = (general(h2, 12)?, general(h, 0)?);
     require(!to_core || t != t2)?;
-    let s = if bit(h2, 8) {
-        double_register(h2, 0, h2, 5)?
-    } else {
-        register(h2, 0, h2, 5)
-    };
+    let s = if bit(h2, 8) { double_register(h2, 0, h2, 5)? } else { register(h2, 0, h2, 5) };
     require(s.index() < 31)?;
     Ok(if to_core {
         Instruction::FloatPairToCore(t, t2, s)
@@ -206,11 +187,7 @@ fn core_register(h: u32, h2: u32) -> Decoded {
     }
     require(bits(h2, 0, 4) == 0 && bits(h2, 5, 2) == 0)?;
     match bits(h, 5, 3) {
-        0b000 => Ok(move_register(
-            to_core,
-            general(h2, 12)?,
-            register(h, 0, h2, 7),
-        )),
+        0b000 => Ok(move_register(to_core, general(h2, 12)?, register(h, 0, h2, 7))),
         0b111 => {
             // The FPSCR is the only system register of this unit that these instructions reach.
             require(bits(h, 0, 4) == 1 && !bit(h2, 7))?;
@@ -226,9 +203,5 @@ fn core_register(h: u32, h2: u32) -> Decoded {
 }
 
 fn move_register(to_core: bool, t: Register, s: FloatRegister) -> Instruction {
-    if to_core {
-        Instruction::FloatToCore(t, s)
-    } else {
-        Instruction::FloatFromCore(s, t)
-    }
+    if to_core { Instruction::FloatToCore(t, s) } else { Instruction::FloatFromCore(s, t) }
 }

@@ -13,7 +13,7 @@ mod narrow;
 mod transfer;
 mod wide;
 
-use super::instruction::{Instruction, Register};
+use crate::core::instruction::{Instruction, Register};
 
 /// Why an encoding is not an instruction of this core.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -65,11 +65,7 @@ const fn bit(value: u32, position: u32) -> bool {
 
 /// Unpredictable unless the condition is met.
 const fn require(condition: bool) -> Result<(), Invalid> {
-    if condition {
-        Ok(())
-    } else {
-        Err(Invalid::Unpredictable)
-    }
+    if condition { Ok(()) } else { Err(Invalid::Unpredictable) }
 }
 
 /// The register of four bits, which must be neither SP nor PC.

@@ -1,10 +1,10 @@
 //! 16-bit instructions (DDI0403E A5.2).
 
-use super::super::arithmetic::{Condition, Shift, sign_extend};
-use super::super::instruction::{
+use crate::core::arithmetic::{Condition, Shift, sign_extend};
+use crate::core::decode::{Decoded, Invalid, bit, bits, require};
+use crate::core::instruction::{
     DataOperation, Hint, Instruction, LogicalFlags, MultipleMode, Register,
 };
-use super::{Decoded, Invalid, bit, bits, require};
 
 pub(super) fn decode(h: u32, inside_it_block: bool) -> Decoded {
     let flags = !inside_it_block;
@@ -14,10 +14,9 @@ pub(super) fn decode(h: u32, inside_it_block: bool) -> Decoded {
         0b00100..=0b00111 => Ok(immediate(h, flags)),
         0b01000 if !bit(h, 10) => Ok(data_processing(h, flags)),
         0b01000 => special(h),
-        0b01001 => Ok(Instruction::LoadLiteral(
-            Register::low_field(h, 8),
-            bits(h, 0, 8) as i32 * 4,
-        )),
+        0b01001 => {
+            Ok(Instruction::LoadLiteral(Register::low_field(h, 8), bits(h, 0, 8) as i32 * 4))
+        }
         0b01010 | 0b01011 => Ok(load_store_indexed(h)),
         0b01100..=0b10011 => Ok(load_store(h)),
         0b10100 => {
@@ -52,11 +51,8 @@ fn shift_immediate(h: u32, flags: bool) -> Instruction {
 }
 
 fn add_subtract(h: u32, flags: bool) -> Instruction {
-    let (d, n, m) = (
-        Register::low_field(h, 0),
-        Register::low_field(h, 3),
-        Register::low_field(h, 6),
-    );
+    let (d, n, m) =
+        (Register::low_field(h, 0), Register::low_field(h, 3), Register::low_field(h, 6));
     let value = bits(h, 6, 3);
     match bits(h, 9, 2) {
         0b00 => Instruction::AddRegister(d, n, m, flags),
@@ -70,11 +66,7 @@ fn immediate(h: u32, flags: bool) -> Instruction {
     let (d, value) = (Register::low_field(h, 8), bits(h, 0, 8));
     match bits(h, 11, 2) {
         0b00 => {
-            let flags = if flags {
-                LogicalFlags::nz_and(None)
-            } else {
-                LogicalFlags::UNCHANGED
-            };
+            let flags = if flags { LogicalFlags::nz_and(None) } else { LogicalFlags::UNCHANGED };
             Instruction::MoveImmediate(d, value, flags)
         }
         0b01 => Instruction::CompareImmediate(d, value),
@@ -142,11 +134,8 @@ fn special(h: u32) -> Decoded {
 }
 
 fn load_store_indexed(h: u32) -> Instruction {
-    let (t, n, m) = (
-        Register::low_field(h, 0),
-        Register::low_field(h, 3),
-        Register::low_field(h, 6),
-    );
+    let (t, n, m) =
+        (Register::low_field(h, 0), Register::low_field(h, 3), Register::low_field(h, 6));
     let shift = 0;
     match bits(h, 9, 3) {
         0b000 => Instruction::StoreWordIndexed(t, n, m, shift),
@@ -245,18 +234,12 @@ fn multiple(h: u32) -> Decoded {
     require(list != 0)?;
     let in_list = list & n.list_bit() != 0;
     if bit(h, 11) {
-        let mode = MultipleMode {
-            decrement: false,
-            write_back: !in_list,
-        };
+        let mode = MultipleMode { decrement: false, write_back: !in_list };
         return Ok(Instruction::LoadMultiple(n, mode, list));
     }
     // The stored value of a written-back base is unknown unless it is stored first.
     require(!in_list || list.trailing_zeros() as usize == n.index())?;
-    let mode = MultipleMode {
-        decrement: false,
-        write_back: true,
-    };
+    let mode = MultipleMode { decrement: false, write_back: true };
     Ok(Instruction::StoreMultiple(n, mode, list))
 }
 

@@ -1,8 +1,8 @@
 //! 32-bit loads and stores (DDI0403E A5.3.5 to A5.3.10).
 
-use super::super::Width;
-use super::super::instruction::{IndexMode, Instruction, LoadKind, MultipleMode, Register};
-use super::{Decoded, Invalid, bit, bits, general, not_pc, not_sp, require};
+use crate::core::Width;
+use crate::core::decode::{Decoded, Invalid, bit, bits, general, not_pc, not_sp, require};
+use crate::core::instruction::{IndexMode, Instruction, LoadKind, MultipleMode, Register};
 
 /// Load and store multiple (A5.3.5).
 pub(super) fn multiple(h: u32, h2: u32) -> Decoded {
@@ -12,10 +12,7 @@ pub(super) fn multiple(h: u32, h2: u32) -> Decoded {
         _ => return Err(Invalid::Undefined),
     };
     let (write_back, load) = (bit(h, 5), bit(h, 4));
-    let mode = MultipleMode {
-        decrement,
-        write_back,
-    };
+    let mode = MultipleMode { decrement, write_back };
     let (n, list) = (not_pc(h, 0)?, h2 as u16);
     require(list.count_ones() >= 2 && list & Register::SP.list_bit() == 0)?;
     require(!write_back || list & n.list_bit() == 0)?;
@@ -136,11 +133,7 @@ fn addressing(h: u32, h2: u32, load: bool) -> Result<Address, Invalid> {
         if !load {
             return Err(Invalid::Undefined);
         }
-        return Ok(Address::Literal(if bit(h, 7) {
-            wide_offset
-        } else {
-            -wide_offset
-        }));
+        return Ok(Address::Literal(if bit(h, 7) { wide_offset } else { -wide_offset }));
     }
     if bit(h, 7) {
         return Ok(Address::Offset(wide_offset));
@@ -148,22 +141,15 @@ fn addressing(h: u32, h2: u32, load: bool) -> Result<Address, Invalid> {
     let magnitude = bits(h2, 0, 8) as i16;
     let offset = if bit(h2, 9) { magnitude } else { -magnitude };
     match (bit(h2, 11), bit(h2, 10), bit(h2, 8)) {
-        (false, _, _) if bits(h2, 6, 6) == 0 => Ok(Address::Indexed {
-            m: general(h2, 0)?,
-            shift: bits(h2, 4, 2) as u8,
-        }),
+        (false, _, _) if bits(h2, 6, 6) == 0 => {
+            Ok(Address::Indexed { m: general(h2, 0)?, shift: bits(h2, 4, 2) as u8 })
+        }
         (false, _, _) | (true, false, false) => Err(Invalid::Undefined),
         // With a positive offset this is the unprivileged form, which has the same effect without a
         // memory protection unit.
         (true, true, false) => Ok(Address::Offset(offset as i32)),
-        (true, true, true) => Ok(Address::WriteBack {
-            mode: IndexMode::PreIndexed,
-            offset,
-        }),
-        (true, false, true) => Ok(Address::WriteBack {
-            mode: IndexMode::PostIndexed,
-            offset,
-        }),
+        (true, true, true) => Ok(Address::WriteBack { mode: IndexMode::PreIndexed, offset }),
+        (true, false, true) => Ok(Address::WriteBack { mode: IndexMode::PostIndexed, offset }),
     }
 }
 

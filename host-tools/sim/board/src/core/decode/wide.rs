@@ -1,11 +1,13 @@
 //! 32-bit data processing, branches and system instructions (DDI0403E A5.3).
 
-use super::super::arithmetic::{Condition, Shift, expand_immediate, sign_extend};
-use super::super::instruction::{
+use crate::core::arithmetic::{Condition, Shift, expand_immediate, sign_extend};
+use crate::core::decode::{
+    Decoded, Invalid, bit, bits, float, general, narrow, not_pc, require, transfer,
+};
+use crate::core::instruction::{
     DataOperation, DspMultiply, Extension, Instruction, LogicalFlags, LongMultiply, ParallelFormat,
     ParallelOperation, Register,
 };
-use super::{Decoded, Invalid, bit, bits, float, general, narrow, not_pc, require, transfer};
 
 /// `h` and `h2` are the first and the second halfword.
 pub(super) fn decode(h: u32, h2: u32) -> Decoded {
@@ -125,14 +127,7 @@ fn pack_halfwords(h: u32, h2: u32, shift: Shift, amount: u8) -> Decoded {
         return Err(Invalid::Undefined);
     }
     let (d, n, m) = (general(h2, 8)?, general(h, 0)?, general(h2, 0)?);
-    Ok(Instruction::PackHalfwords(
-        d,
-        n,
-        m,
-        bit(h2, 5),
-        shift,
-        amount,
-    ))
+    Ok(Instruction::PackHalfwords(d, n, m, bit(h2, 5), shift, amount))
 }
 
 /// A5.3.1.
@@ -140,11 +135,7 @@ fn modified_immediate(h: u32, h2: u32) -> Decoded {
     let field = bits(h, 10, 1) << 11 | bits(h2, 12, 3) << 8 | bits(h2, 0, 8);
     let (value, carry) = expand_immediate(field).ok_or(Invalid::Unpredictable)?;
     let flags = bit(h, 4);
-    let logical = if flags {
-        LogicalFlags::nz_and(carry)
-    } else {
-        LogicalFlags::UNCHANGED
-    };
+    let logical = if flags { LogicalFlags::nz_and(carry) } else { LogicalFlags::UNCHANGED };
     let no_operand = Register::field(h, 0) == Register::PC;
     let no_result = Register::field(h2, 8) == Register::PC && flags;
     let operands = || Ok((general(h2, 8)?, general(h, 0)?));
@@ -265,11 +256,7 @@ fn plain_immediate(h: u32, h2: u32) -> Decoded {
 
 /// Destination of ADDW and SUBW: the SP only from the SP.
 fn wide_add_destination(h2: u32, n: Register) -> Result<Register, Invalid> {
-    if n == Register::SP {
-        not_pc(h2, 8)
-    } else {
-        general(h2, 8)
-    }
+    if n == Register::SP { not_pc(h2, 8) } else { general(h2, 8) }
 }
 
 fn saturate(h: u32, h2: u32, amount: u8) -> Decoded {
@@ -281,11 +268,7 @@ fn saturate(h: u32, h2: u32, amount: u8) -> Decoded {
         require(!bit(h2, 4))?;
         return Ok(Instruction::SaturateHalves(d, n, bits_of(4), unsigned));
     }
-    let shift = if bit(h, 5) {
-        Shift::ArithmeticRight
-    } else {
-        Shift::Left
-    };
+    let shift = if bit(h, 5) { Shift::ArithmeticRight } else { Shift::Left };
     Ok(if unsigned {
         Instruction::SaturateUnsigned(d, n, bits_of(5), shift, amount)
     } else {
@@ -314,10 +297,7 @@ fn branches_and_control(h: u32, h2: u32) -> Decoded {
                 | bits(h2, 13, 1) << 18
                 | bits(h, 0, 6) << 12
                 | low;
-            Ok(Instruction::BranchIf(
-                Condition::new(bits(h, 6, 4)),
-                sign_extend(offset, 21) as i32,
-            ))
+            Ok(Instruction::BranchIf(Condition::new(bits(h, 6, 4)), sign_extend(offset, 21) as i32))
         }
         (false, false) if bit(h2, 13) => Err(Invalid::Undefined),
         (false, false) => control(h, h2),
@@ -383,13 +363,7 @@ fn data_processing_register(h: u32, h2: u32) -> Decoded {
                 _ => Shift::RotateRight,
             };
             let flags = bit(h, 4);
-            return Ok(Instruction::ShiftByRegister(
-                shift,
-                d?,
-                general(h, 0)?,
-                m?,
-                flags,
-            ));
+            return Ok(Instruction::ShiftByRegister(shift, d?, general(h, 0)?, m?, flags));
         }
         return extend(h, h2);
     }

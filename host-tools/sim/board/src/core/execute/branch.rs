@@ -1,8 +1,8 @@
 //! Branches and changes of state (DDI0403E B1.4.7), hints.
 
-use super::super::bus::Bus;
-use super::super::instruction::Hint;
-use super::super::state::{PC, Sleep, State, Trap};
+use crate::core::bus::Bus;
+use crate::core::instruction::Hint;
+use crate::core::state::{PC, Sleep, State, Trap};
 
 impl State {
     /// A branch inside an IT block is unpredictable unless it is the last instruction. ITSTATE is that

@@ -1,9 +1,9 @@
 //! Data processing: shifted operands, results with flags, division.
 
-use super::super::arithmetic::{Shift, add_with_carry, shift_with_carry, subtract};
-use super::super::bus::Bus;
-use super::super::instruction::{DataOperation, Register};
-use super::super::state::{Fault, State, Trap};
+use crate::core::arithmetic::{Shift, add_with_carry, shift_with_carry, subtract};
+use crate::core::bus::Bus;
+use crate::core::instruction::{DataOperation, Register};
+use crate::core::state::{Fault, State, Trap};
 
 impl State {
     /// Writes a result and, where `flags`, its condition flags.

@@ -1,10 +1,10 @@
 //! Data accesses: alignment, wait states, faults, and stores into executed memory.
 
-use super::super::Width;
-use super::super::bus::{Bus, BusError};
-use super::super::instruction::{IndexMode, LoadKind, Register};
-use super::super::state::{Fault, PC, Span, State, Trap, executed_index};
-use super::super::system_control::fault_status;
+use crate::core::Width;
+use crate::core::bus::{Bus, BusError};
+use crate::core::instruction::{IndexMode, LoadKind, Register};
+use crate::core::state::{Fault, PC, Span, State, Trap, executed_index};
+use crate::core::system_control::fault_status;
 
 /// Accesses from here on reach peripherals and the system region.
 const DEVICES: u32 = 0x4000_0000;
@@ -48,11 +48,7 @@ impl State {
     ) -> (u32, u32) {
         let base = self.read(n);
         let moved = base.wrapping_add_signed(offset as i32);
-        let address = if mode == IndexMode::PostIndexed {
-            base
-        } else {
-            moved
-        };
+        let address = if mode == IndexMode::PostIndexed { base } else { moved };
         (address, moved)
     }
 

@@ -15,15 +15,15 @@ pub(super) mod memory;
 mod multiple;
 mod special;
 
-use super::Width;
-use super::arithmetic::{
+use crate::core::Width;
+use crate::core::arithmetic::{
     NZCV, Shift, add_with_carry, divide_signed, divide_unsigned, reverse_halfwords,
     shift_with_carry, sign_extend, subtract,
 };
-use super::bus::Bus;
-use super::float::SIGN;
-use super::instruction::{IndexMode, Instruction, Register};
-use super::state::{FPSCR, Fault, LR, PC, SP, State, Trap};
+use crate::core::bus::Bus;
+use crate::core::float::SIGN;
+use crate::core::instruction::{IndexMode, Instruction, Register};
+use crate::core::state::{FPSCR, Fault, LR, PC, SP, State, Trap};
 use data::field_mask;
 
 impl State {
@@ -102,18 +102,10 @@ impl State {
                 self.finish(d, flags, subtract(self.read(n), self.read(m)));
             }
             I::AddCarryRegister(d, n, m, flags) => {
-                self.finish(
-                    d,
-                    flags,
-                    add_with_carry(self.read(n), self.read(m), self.carry()),
-                );
+                self.finish(d, flags, add_with_carry(self.read(n), self.read(m), self.carry()));
             }
             I::SubtractCarryRegister(d, n, m, flags) => {
-                self.finish(
-                    d,
-                    flags,
-                    add_with_carry(self.read(n), !self.read(m), self.carry()),
-                );
+                self.finish(d, flags, add_with_carry(self.read(n), !self.read(m), self.carry()));
             }
             I::AndRegister(d, n, m, flags) => {
                 self.finish_logical(d, flags, self.read(n) & self.read(m));
@@ -146,13 +138,7 @@ impl State {
                 self.shift(d, self.read(m), Shift::LogicalRight, amount as u32, flags);
             }
             I::ShiftArithmeticRight(d, m, amount, flags) => {
-                self.shift(
-                    d,
-                    self.read(m),
-                    Shift::ArithmeticRight,
-                    amount as u32,
-                    flags,
-                );
+                self.shift(d, self.read(m), Shift::ArithmeticRight, amount as u32, flags);
             }
             I::ShiftByRegister(shift, d, n, m, flags) => {
                 self.shift(d, self.read(n), shift, self.read(m) & 0xFF, flags);

@@ -3,10 +3,10 @@
 //! All words of a load are read before a register changes, so that an instruction that faults can be
 //! executed again (the restart of DDI0403E B1.5.10; the continuation by the ICI bits is not modelled).
 
-use super::super::Width;
-use super::super::bus::Bus;
-use super::super::instruction::{MultipleMode, Register};
-use super::super::state::{State, Trap};
+use crate::core::Width;
+use crate::core::bus::Bus;
+use crate::core::instruction::{MultipleMode, Register};
+use crate::core::state::{State, Trap};
 
 impl State {
     pub(super) fn load_dual<B: Bus>(

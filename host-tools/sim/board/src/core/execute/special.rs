@@ -1,8 +1,8 @@
 //! Special registers: MRS, MSR and CPS (DDI0403E B5.2).
 
-use super::super::bus::Bus;
-use super::super::state::{APSR, GE, State};
-use super::super::system_control::PRIORITY_MASK;
+use crate::core::bus::Bus;
+use crate::core::state::{APSR, GE, State};
+use crate::core::system_control::PRIORITY_MASK;
 
 /// Numbers of the special registers (B5.1.1). 0 to 7 select parts of the xPSR by their bits.
 const IPSR: u8 = 1 << 0;

@@ -1,6 +1,6 @@
 //! Exceptions and their priorities: enabled, pending and active (DDI0403E B1.5.4, B3.4; PM0214 4.3).
 
-use super::SystemControl;
+use crate::core::system_control::SystemControl;
 
 /// Number of external interrupts. The STM32G474 uses the first 102 (RM0440 table 97).
 pub const INTERRUPTS: usize = 112;
@@ -163,11 +163,7 @@ impl SystemControl {
 
     /// Part of a priority that decides about preemption, by AIRCR.PRIGROUP.
     pub(in super::super) fn group_priority(&self, priority: i32) -> i32 {
-        if priority < 0 {
-            priority
-        } else {
-            priority & !((2 << self.priority_group) - 1)
-        }
+        if priority < 0 { priority } else { priority & !((2 << self.priority_group) - 1) }
     }
 
     /// Number of the exception whose handler is executing, 0 in thread mode.
@@ -190,11 +186,7 @@ impl SystemControl {
                 consider(FIRST_INTERRUPT + (word * 32) as u16 + bit as u16);
             }
         }
-        if highest == IDLE_PRIORITY {
-            highest
-        } else {
-            self.group_priority(highest)
-        }
+        if highest == IDLE_PRIORITY { highest } else { self.group_priority(highest) }
     }
 
     /// Number of active exceptions.

@@ -19,7 +19,7 @@ pub use interrupts::{
     SV_CALL, SYS_TICK, USAGE_FAULT,
 };
 
-use super::Width;
+use crate::core::Width;
 
 // Data watchpoint and trace unit.
 const DWT_CTRL: u32 = 0xE000_1000;
@@ -244,13 +244,7 @@ impl SystemControl {
     /// interrupt lines, which keep their levels; those that are high become pending.
     pub fn reset(&mut self) {
         let (lines, cycles) = (self.lines, self.cycles);
-        *self = Self {
-            lines,
-            pending: lines,
-            cycles,
-            counter_base: cycles,
-            ..Self::new()
-        };
+        *self = Self { lines, pending: lines, cycles, counter_base: cycles, ..Self::new() };
     }
 
     /// Value of the register word that contains the address, or `None` where no such register is
@@ -327,9 +321,7 @@ impl SystemControl {
     fn write_word(&mut self, address: u32, value: u32) -> bool {
         let word = (address >> 2 & 3) as usize;
         let first = FIRST_INTERRUPT + 32 * word as u16;
-        let selected = (0..32)
-            .filter(|bit| value >> bit & 1 != 0)
-            .map(|bit| first + bit);
+        let selected = (0..32).filter(|bit| value >> bit & 1 != 0).map(|bit| first + bit);
         match address {
             DWT_CTRL if value & !DWT_COMPARATORS & !COUNTER_ENABLE == 0 => {
                 self.set_trace(self.demcr, value & COUNTER_ENABLE);
@@ -379,11 +371,8 @@ impl SystemControl {
 
     fn interrupt_status(&self) -> u32 {
         let bit = |condition: bool, position: u32| (condition as u32) << position;
-        let interrupt_pending = self
-            .pending
-            .iter()
-            .zip(self.enabled)
-            .any(|(pending, enabled)| pending & enabled != 0);
+        let interrupt_pending =
+            self.pending.iter().zip(self.enabled).any(|(pending, enabled)| pending & enabled != 0);
         let only_active = self.active_count() <= self.is_active(self.current) as u32;
         self.current as u32
             | bit(only_active, 11)
@@ -395,11 +384,9 @@ impl SystemControl {
     }
 
     fn write_interrupt_control(&mut self, value: u32) {
-        for (bit, exception) in [
-            (ICSR_PEND_NMI, NMI),
-            (ICSR_PEND_SV, PEND_SV),
-            (ICSR_PEND_TICK, SYS_TICK),
-        ] {
+        for (bit, exception) in
+            [(ICSR_PEND_NMI, NMI), (ICSR_PEND_SV, PEND_SV), (ICSR_PEND_TICK, SYS_TICK)]
+        {
             if value & bit != 0 {
                 self.pend(exception);
             }
@@ -422,12 +409,8 @@ impl SystemControl {
         (11, SYS_TICK),
     ];
     /// Bits of the SHCSR with the exceptions whose pending state they show.
-    const PENDING_BITS: [(u32, u16); 4] = [
-        (12, USAGE_FAULT),
-        (13, MEM_MANAGE),
-        (14, BUS_FAULT),
-        (15, SV_CALL),
-    ];
+    const PENDING_BITS: [(u32, u16); 4] =
+        [(12, USAGE_FAULT), (13, MEM_MANAGE), (14, BUS_FAULT), (15, SV_CALL)];
 
     fn handler_status(&self) -> u32 {
         let active = Self::ACTIVE_BITS
@@ -442,11 +425,7 @@ impl SystemControl {
     fn write_handler_status(&mut self, value: u32) {
         let set = |word: &mut u16, position: u32, exception: u16| {
             let bit = 1 << exception;
-            *word = if value >> position & 1 != 0 {
-                *word | bit
-            } else {
-                *word & !bit
-            };
+            *word = if value >> position & 1 != 0 { *word | bit } else { *word & !bit };
         };
         for (position, exception) in Self::ACTIVE_BITS {
             set(&mut self.system_active, position, exception);
@@ -517,11 +496,7 @@ impl SystemControl {
     /// Cycle counter of the DWT, which pauses while the core sleeps, at the last access of the core to the system control space, or at the
     /// end of [`Core::run`](super::Core::run).
     pub fn cycle_count(&self) -> u32 {
-        let counted = if self.counts() {
-            self.cycles - self.counter_base
-        } else {
-            0
-        };
+        let counted = if self.counts() { self.cycles - self.counter_base } else { 0 };
         self.counter.wrapping_add(counted as u32)
     }
 
@@ -610,11 +585,7 @@ const fn is_bank(address: u32, base: u32) -> bool {
 
 /// Interrupts that exist in a word of the controller's registers.
 const fn implemented(word: usize) -> u32 {
-    if word < INTERRUPTS / 32 {
-        u32::MAX
-    } else {
-        (1 << (INTERRUPTS % 32)) - 1
-    }
+    if word < INTERRUPTS / 32 { u32::MAX } else { (1 << (INTERRUPTS % 32)) - 1 }
 }
 
 /// Four priorities from index `first`.

@@ -1,6 +1,6 @@
 //! Decoded instructions after changes of the memory.
 
-use super::{CCM, DATA, END, Machine, PROGRAM, SRAM, STACK};
+use crate::core::tests::{CCM, DATA, END, Machine, PROGRAM, SRAM, STACK};
 
 /// Code in SRAM here.
 const CODE: u32 = SRAM + 0x4000;
@@ -101,10 +101,8 @@ fn change_of_a_second_halfword_drops_the_instruction() {
 fn isb_makes_programmed_code_effective() {
     // Barrier between the store that programs and the changed instruction; result. Without ISB the
     // change may be ineffective, and the decoded instruction remains.
-    let barriers: [(&str, [u16; 2], u32); 2] = [
-        ("isb sy", [0xF3BF, 0x8F6F], 2),
-        ("dsb sy", [0xF3BF, 0x8F4F], 1),
-    ];
+    let barriers: [(&str, [u16; 2], u32); 2] =
+        [("isb sy", [0xF3BF, 0x8F6F], 2), ("dsb sy", [0xF3BF, 0x8F4F], 1)];
     for (mnemonic, [first, second], result) in barriers {
         let program = [
             0x2A01, // cmp r2, #1
@@ -151,8 +149,5 @@ fn code_outside_the_usual_memories_is_executed() {
     let mut machine = Machine::new(&[0x2001, 0x3001]); // movs r0, #1; adds r0, #1
     machine.core.set_pc(PROGRAM & 0xFFFF);
     machine.finish();
-    assert_eq!(
-        (machine.r(0), machine.core.pc()),
-        (2, (PROGRAM & 0xFFFF) + 6)
-    );
+    assert_eq!((machine.r(0), machine.core.pc()), (2, (PROGRAM & 0xFFFF) + 6));
 }

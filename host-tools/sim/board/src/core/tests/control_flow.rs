@@ -1,6 +1,6 @@
 //! IT blocks, conditions, branches.
 
-use super::{C, Machine, Stop, Z, execute};
+use crate::core::tests::{C, Machine, Stop, Z, execute};
 
 #[test]
 fn it_block_executes_by_condition_and_keeps_flags() {
@@ -65,11 +65,7 @@ fn every_condition_selects_its_flags() {
             // b<condition>.n . + 8
             let machine = execute(&[0xD002 | (code as u16) << 8], &[], flags << 28);
             let taken = machine.core.pc() == super::PROGRAM + 8;
-            assert_eq!(
-                taken,
-                expected >> flags & 1 != 0,
-                "{name} with flags {flags:04b}"
-            );
+            assert_eq!(taken, expected >> flags & 1 != 0, "{name} with flags {flags:04b}");
         }
     }
 }
@@ -81,20 +77,8 @@ fn branches_reach_their_targets_and_link() {
     let cases: [(&str, &[u16], u32, u32, u32); 9] = [
         ("b.n . + 2048", &[0xE3FE], 0, at + 2048, u32::MAX),
         ("b.n . - 256", &[0xE77E], 0, at - 256, u32::MAX),
-        (
-            "b.w . + 0x100000",
-            &[0xF0FF, 0xBFFE],
-            0,
-            at + 0x10_0000,
-            u32::MAX,
-        ),
-        (
-            "bl . - 0x200",
-            &[0xF7FF, 0xFEFE],
-            0,
-            at - 0x200,
-            (at + 4) | 1,
-        ),
+        ("b.w . + 0x100000", &[0xF0FF, 0xBFFE], 0, at + 0x10_0000, u32::MAX),
+        ("bl . - 0x200", &[0xF7FF, 0xFEFE], 0, at - 0x200, (at + 4) | 1),
         ("cbz r0, . + 66", &[0xB1F8], 0, at + 66, u32::MAX),
         ("cbz r0, . + 66", &[0xB1F8], 1, at + 2, u32::MAX),
         ("cbnz r0, . + 130", &[0xBBF8], 1, at + 130, u32::MAX),
@@ -103,11 +87,7 @@ fn branches_reach_their_targets_and_link() {
     ];
     for (mnemonic, halfwords, r0, target, link) in cases {
         let machine = execute(halfwords, &[r0], 0);
-        assert_eq!(
-            (machine.core.pc(), machine.r(14)),
-            (target, link),
-            "{mnemonic}"
-        );
+        assert_eq!((machine.core.pc(), machine.r(14)), (target, link), "{mnemonic}");
     }
 }
 
@@ -155,9 +135,6 @@ fn breakpoint_in_an_it_block_ignores_the_condition() {
         0xBE07, // bkpt 7
     ]);
     let stop = machine.run();
-    assert!(
-        matches!(stop, Stop::Breakpoint { immediate: 7, .. }),
-        "{stop}"
-    );
+    assert!(matches!(stop, Stop::Breakpoint { immediate: 7, .. }), "{stop}");
     machine.finish();
 }

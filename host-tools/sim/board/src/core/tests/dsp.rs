@@ -1,6 +1,6 @@
 //! DSP extension: results, Q and GE flags.
 
-use super::{Q, execute};
+use crate::core::tests::{Q, execute};
 
 const GE: u32 = 0xF << 16;
 
@@ -19,104 +19,26 @@ fn check(cases: &[Case]) {
 fn saturations_limit_and_set_q() {
     check(&[
         ("ssat r0, #8, r0", [0xF300, 0x0007], [200, 0, 0], 127, Q),
-        (
-            "ssat r0, #8, r0",
-            [0xF300, 0x0007],
-            [-200i32 as u32, 0, 0],
-            -128i32 as u32,
-            Q,
-        ),
-        (
-            "ssat r0, #8, r0",
-            [0xF300, 0x0007],
-            [-128i32 as u32, 0, 0],
-            -128i32 as u32,
-            0,
-        ),
+        ("ssat r0, #8, r0", [0xF300, 0x0007], [-200i32 as u32, 0, 0], -128i32 as u32, Q),
+        ("ssat r0, #8, r0", [0xF300, 0x0007], [-128i32 as u32, 0, 0], -128i32 as u32, 0),
         ("ssat r0, #1, r0", [0xF300, 0x0000], [1, 0, 0], 0, Q),
-        (
-            "ssat r0, #32, r0",
-            [0xF300, 0x001F],
-            [0x8000_0000, 0, 0],
-            0x8000_0000,
-            0,
-        ),
-        (
-            "ssat r0, #16, r0, lsl #8",
-            [0xF300, 0x200F],
-            [0x100, 0, 0],
-            0x7FFF,
-            Q,
-        ),
-        (
-            "ssat r0, #16, r0, asr #4",
-            [0xF320, 0x100F],
-            [0x8000, 0, 0],
-            0x800,
-            0,
-        ),
+        ("ssat r0, #32, r0", [0xF300, 0x001F], [0x8000_0000, 0, 0], 0x8000_0000, 0),
+        ("ssat r0, #16, r0, lsl #8", [0xF300, 0x200F], [0x100, 0, 0], 0x7FFF, Q),
+        ("ssat r0, #16, r0, asr #4", [0xF320, 0x100F], [0x8000, 0, 0], 0x800, 0),
         ("usat r0, #8, r0", [0xF380, 0x0008], [u32::MAX, 0, 0], 0, Q),
         ("usat r0, #8, r0", [0xF380, 0x0008], [256, 0, 0], 255, Q),
         ("usat r0, #8, r0", [0xF380, 0x0008], [255, 0, 0], 255, 0),
         ("usat r0, #0, r0", [0xF380, 0x0000], [1, 0, 0], 0, Q),
-        (
-            "usat r0, #31, r0",
-            [0xF380, 0x001F],
-            [0x7FFF_FFFF, 0, 0],
-            0x7FFF_FFFF,
-            0,
-        ),
+        ("usat r0, #31, r0", [0xF380, 0x001F], [0x7FFF_FFFF, 0, 0], 0x7FFF_FFFF, 0),
         // 200 and -200
-        (
-            "ssat16 r0, #8, r0",
-            [0xF320, 0x0007],
-            [0x00C8_FF38, 0, 0],
-            0x007F_FF80,
-            Q,
-        ),
-        (
-            "usat16 r0, #7, r0",
-            [0xF3A0, 0x0007],
-            [0x007F_FFFF, 0, 0],
-            0x007F_0000,
-            Q,
-        ),
-        (
-            "qadd r0, r0, r1",
-            [0xFA81, 0xF080],
-            [0x7FFF_FFFF, 1, 0],
-            0x7FFF_FFFF,
-            Q,
-        ),
-        (
-            "qadd r0, r0, r1",
-            [0xFA81, 0xF080],
-            [0x7FFF_FFFE, 1, 0],
-            0x7FFF_FFFF,
-            0,
-        ),
-        (
-            "qsub r0, r0, r1",
-            [0xFA81, 0xF0A0],
-            [0x8000_0000, 1, 0],
-            0x8000_0000,
-            Q,
-        ),
+        ("ssat16 r0, #8, r0", [0xF320, 0x0007], [0x00C8_FF38, 0, 0], 0x007F_FF80, Q),
+        ("usat16 r0, #7, r0", [0xF3A0, 0x0007], [0x007F_FFFF, 0, 0], 0x007F_0000, Q),
+        ("qadd r0, r0, r1", [0xFA81, 0xF080], [0x7FFF_FFFF, 1, 0], 0x7FFF_FFFF, Q),
+        ("qadd r0, r0, r1", [0xFA81, 0xF080], [0x7FFF_FFFE, 1, 0], 0x7FFF_FFFF, 0),
+        ("qsub r0, r0, r1", [0xFA81, 0xF0A0], [0x8000_0000, 1, 0], 0x8000_0000, Q),
         // The doubling saturates for itself: 0 - 0x7FFF_FFFF.
-        (
-            "qdsub r0, r0, r1",
-            [0xFA81, 0xF0B0],
-            [0, 0x4000_0000, 0],
-            0x8000_0001,
-            Q,
-        ),
-        (
-            "qdadd r0, r0, r1",
-            [0xFA81, 0xF090],
-            [5, -3i32 as u32, 0],
-            -1i32 as u32,
-            0,
-        ),
+        ("qdsub r0, r0, r1", [0xFA81, 0xF0B0], [0, 0x4000_0000, 0], 0x8000_0001, Q),
+        ("qdadd r0, r0, r1", [0xFA81, 0xF090], [5, -3i32 as u32, 0], -1i32 as u32, 0),
     ]);
 }
 
@@ -124,42 +46,12 @@ fn saturations_limit_and_set_q() {
 fn multiplications_of_halves_overflow_into_q() {
     check(&[
         // (-2^15)^2 + 2^30 = 2^31
-        (
-            "smlabb r0, r0, r1, r2",
-            [0xFB10, 0x2001],
-            [0x8000, 0x8000, 0x4000_0000],
-            0x8000_0000,
-            Q,
-        ),
-        (
-            "smlatb r0, r0, r1, r2",
-            [0xFB10, 0x2021],
-            [0x0002_0000, 3, 4],
-            10,
-            0,
-        ),
-        (
-            "smulbt r0, r0, r1",
-            [0xFB10, 0xF011],
-            [-2i32 as u32, 0x0003_0000, 9],
-            -6i32 as u32,
-            0,
-        ),
+        ("smlabb r0, r0, r1, r2", [0xFB10, 0x2001], [0x8000, 0x8000, 0x4000_0000], 0x8000_0000, Q),
+        ("smlatb r0, r0, r1, r2", [0xFB10, 0x2021], [0x0002_0000, 3, 4], 10, 0),
+        ("smulbt r0, r0, r1", [0xFB10, 0xF011], [-2i32 as u32, 0x0003_0000, 9], -6i32 as u32, 0),
         // 0x1_0000 * -2 >> 16, and the remainder is cut off toward minus infinity
-        (
-            "smulwb r0, r0, r1",
-            [0xFB30, 0xF001],
-            [0x1_0000, 0xFFFE, 0],
-            -2i32 as u32,
-            0,
-        ),
-        (
-            "smulwb r0, r0, r1",
-            [0xFB30, 0xF001],
-            [1, 0xFFFF, 0],
-            u32::MAX,
-            0,
-        ),
+        ("smulwb r0, r0, r1", [0xFB30, 0xF001], [0x1_0000, 0xFFFE, 0], -2i32 as u32, 0),
+        ("smulwb r0, r0, r1", [0xFB30, 0xF001], [1, 0xFFFF, 0], u32::MAX, 0),
         (
             "smlawt r0, r0, r1, r2",
             [0xFB30, 0x2011],
@@ -168,13 +60,7 @@ fn multiplications_of_halves_overflow_into_q() {
             Q,
         ),
         // 2 * 0x7FFF^2 = 0x7FFE_0002
-        (
-            "smlad r0, r0, r1, r2",
-            [0xFB20, 0x2001],
-            [0x7FFF_7FFF, 0x7FFF_7FFF, 0],
-            0x7FFE_0002,
-            0,
-        ),
+        ("smlad r0, r0, r1, r2", [0xFB20, 0x2001], [0x7FFF_7FFF, 0x7FFF_7FFF, 0], 0x7FFE_0002, 0),
         (
             "smlad r0, r0, r1, r2",
             [0xFB20, 0x2001],
@@ -182,76 +68,22 @@ fn multiplications_of_halves_overflow_into_q() {
             0x8000_0002,
             Q,
         ),
-        (
-            "smuad r0, r0, r1",
-            [0xFB20, 0xF001],
-            [0x8000_8000, 0x8000_8000, 0],
-            0x8000_0000,
-            Q,
-        ),
+        ("smuad r0, r0, r1", [0xFB20, 0xF001], [0x8000_8000, 0x8000_8000, 0], 0x8000_0000, Q),
         // 2 * 5 + 3 * 4
-        (
-            "smuadx r0, r0, r1",
-            [0xFB20, 0xF011],
-            [0x0003_0002, 0x0005_0004, 0],
-            22,
-            0,
-        ),
+        ("smuadx r0, r0, r1", [0xFB20, 0xF011], [0x0003_0002, 0x0005_0004, 0], 22, 0),
         // 2 * 4 - 3 * 5 + 1
-        (
-            "smlsd r0, r0, r1, r2",
-            [0xFB40, 0x2001],
-            [0x0003_0002, 0x0005_0004, 1],
-            -6i32 as u32,
-            0,
-        ),
+        ("smlsd r0, r0, r1, r2", [0xFB40, 0x2001], [0x0003_0002, 0x0005_0004, 1], -6i32 as u32, 0),
         // 2 * 5 - 3 * 4
-        (
-            "smusdx r0, r0, r1",
-            [0xFB40, 0xF011],
-            [0x0003_0002, 0x0005_0004, 0],
-            -2i32 as u32,
-            0,
-        ),
+        ("smusdx r0, r0, r1", [0xFB40, 0xF011], [0x0003_0002, 0x0005_0004, 0], -2i32 as u32, 0),
         // -2^31: the high word, without and with rounding
-        (
-            "smmul r0, r0, r1",
-            [0xFB50, 0xF001],
-            [1, 0x8000_0000, 0],
-            u32::MAX,
-            0,
-        ),
-        (
-            "smmulr r0, r0, r1",
-            [0xFB50, 0xF011],
-            [1, 0x8000_0000, 0],
-            0,
-            0,
-        ),
-        (
-            "smmla r0, r0, r1, r2",
-            [0xFB50, 0x2001],
-            [0x4000_0000, 8, 5],
-            7,
-            0,
-        ),
+        ("smmul r0, r0, r1", [0xFB50, 0xF001], [1, 0x8000_0000, 0], u32::MAX, 0),
+        ("smmulr r0, r0, r1", [0xFB50, 0xF011], [1, 0x8000_0000, 0], 0, 0),
+        ("smmla r0, r0, r1, r2", [0xFB50, 0x2001], [0x4000_0000, 8, 5], 7, 0),
         // 2^32 * 1 - 1 = 0x0000_0000_FFFF_FFFF
         ("smmls r0, r0, r1, r2", [0xFB60, 0x2001], [1, 1, 1], 0, 0),
         ("smmlsr r0, r0, r1, r2", [0xFB60, 0x2011], [1, 1, 1], 1, 0),
-        (
-            "usad8 r0, r0, r1",
-            [0xFB70, 0xF001],
-            [0x0105_FF00, 0x0501_00FF, 0],
-            4 + 4 + 255 + 255,
-            0,
-        ),
-        (
-            "usada8 r0, r0, r1, r2",
-            [0xFB70, 0x2001],
-            [3, 5, 0xFFFF_FFFF],
-            1,
-            0,
-        ),
+        ("usad8 r0, r0, r1", [0xFB70, 0xF001], [0x0105_FF00, 0x0501_00FF, 0], 4 + 4 + 255 + 255, 0),
+        ("usada8 r0, r0, r1, r2", [0xFB70, 0x2001], [3, 5, 0xFFFF_FFFF], 1, 0),
     ]);
 }
 
@@ -261,80 +93,20 @@ fn parallel_modulo_arithmetic_sets_ge() {
     type Case = (&'static str, [u16; 2], [u32; 2], u32, u32);
     let cases: [Case; 10] = [
         // A carry out of a byte sets its flag.
-        (
-            "uadd8 r0, r0, r1",
-            [0xFA80, 0xF041],
-            [0xFF01_80FF, 0x01FF_8000],
-            0x0000_00FF,
-            0b1110,
-        ),
+        ("uadd8 r0, r0, r1", [0xFA80, 0xF041], [0xFF01_80FF, 0x01FF_8000], 0x0000_00FF, 0b1110),
         // No borrow sets it.
-        (
-            "usub8 r0, r0, r1",
-            [0xFAC0, 0xF041],
-            [0x0102_0304, 0x0201_0305],
-            0xFF01_00FF,
-            0b0110,
-        ),
+        ("usub8 r0, r0, r1", [0xFAC0, 0xF041], [0x0102_0304, 0x0201_0305], 0xFF01_00FF, 0b0110),
         // A signed result that is not negative, before it wraps, sets it.
-        (
-            "sadd8 r0, r0, r1",
-            [0xFA80, 0xF001],
-            [0x7FFF_8001, 0x0100_80FF],
-            0x80FF_0000,
-            0b1001,
-        ),
-        (
-            "ssub8 r0, r0, r1",
-            [0xFAC0, 0xF001],
-            [0x8000_0505, 0x0100_0604],
-            0x7F00_FF01,
-            0b0101,
-        ),
-        (
-            "uadd16 r0, r0, r1",
-            [0xFA90, 0xF041],
-            [0xFFFF_0001, 0x0001_0001],
-            0x0000_0002,
-            0b1100,
-        ),
-        (
-            "sadd16 r0, r0, r1",
-            [0xFA90, 0xF001],
-            [0x7FFF_8000, 0x0001_FFFF],
-            0x8000_7FFF,
-            0b1100,
-        ),
-        (
-            "ssub16 r0, r0, r1",
-            [0xFAD0, 0xF001],
-            [0x0003_0003, 0x0004_0003],
-            0xFFFF_0000,
-            0b0011,
-        ),
-        (
-            "usub16 r0, r0, r1",
-            [0xFAD0, 0xF041],
-            [0x0003_0003, 0x0004_0003],
-            0xFFFF_0000,
-            0b0011,
-        ),
+        ("sadd8 r0, r0, r1", [0xFA80, 0xF001], [0x7FFF_8001, 0x0100_80FF], 0x80FF_0000, 0b1001),
+        ("ssub8 r0, r0, r1", [0xFAC0, 0xF001], [0x8000_0505, 0x0100_0604], 0x7F00_FF01, 0b0101),
+        ("uadd16 r0, r0, r1", [0xFA90, 0xF041], [0xFFFF_0001, 0x0001_0001], 0x0000_0002, 0b1100),
+        ("sadd16 r0, r0, r1", [0xFA90, 0xF001], [0x7FFF_8000, 0x0001_FFFF], 0x8000_7FFF, 0b1100),
+        ("ssub16 r0, r0, r1", [0xFAD0, 0xF001], [0x0003_0003, 0x0004_0003], 0xFFFF_0000, 0b0011),
+        ("usub16 r0, r0, r1", [0xFAD0, 0xF041], [0x0003_0003, 0x0004_0003], 0xFFFF_0000, 0b0011),
         // High: 0x10 + 0x02; low: 0x01 - 0x05.
-        (
-            "sasx r0, r0, r1",
-            [0xFAA0, 0xF001],
-            [0x0010_0001, 0x0005_0002],
-            0x0012_FFFC,
-            0b1100,
-        ),
+        ("sasx r0, r0, r1", [0xFAA0, 0xF001], [0x0010_0001, 0x0005_0002], 0x0012_FFFC, 0b1100),
         // High: 0x01 - 0x02; low: 0xFFFF + 0x05.
-        (
-            "usax r0, r0, r1",
-            [0xFAE0, 0xF041],
-            [0x0001_FFFF, 0x0005_0002],
-            0xFFFF_0004,
-            0b0011,
-        ),
+        ("usax r0, r0, r1", [0xFAE0, 0xF041], [0x0001_FFFF, 0x0005_0002], 0xFFFF_0004, 0b0011),
     ];
     for (mnemonic, halfwords, registers, result, ge) in cases {
         let machine = execute(&halfwords, &registers, !ge << 16 & GE);
@@ -346,56 +118,16 @@ fn parallel_modulo_arithmetic_sets_ge() {
 #[test]
 fn parallel_saturating_and_halving_leave_ge() {
     let cases: [(&str, [u16; 2], [u32; 2], u32); 8] = [
-        (
-            "qadd16 r0, r0, r1",
-            [0xFA90, 0xF011],
-            [0x7FFF_8000, 0x0001_FFFF],
-            0x7FFF_8000,
-        ),
-        (
-            "qsub8 r0, r0, r1",
-            [0xFAC0, 0xF011],
-            [0x807F_0005, 0x01FF_0003],
-            0x807F_0002,
-        ),
-        (
-            "uqadd8 r0, r0, r1",
-            [0xFA80, 0xF051],
-            [0xFF01_80FF, 0x01FF_8000],
-            0xFFFF_FFFF,
-        ),
-        (
-            "uqsub16 r0, r0, r1",
-            [0xFAD0, 0xF051],
-            [0x0003_0005, 0x0004_0003],
-            0x0000_0002,
-        ),
+        ("qadd16 r0, r0, r1", [0xFA90, 0xF011], [0x7FFF_8000, 0x0001_FFFF], 0x7FFF_8000),
+        ("qsub8 r0, r0, r1", [0xFAC0, 0xF011], [0x807F_0005, 0x01FF_0003], 0x807F_0002),
+        ("uqadd8 r0, r0, r1", [0xFA80, 0xF051], [0xFF01_80FF, 0x01FF_8000], 0xFFFF_FFFF),
+        ("uqsub16 r0, r0, r1", [0xFAD0, 0xF051], [0x0003_0005, 0x0004_0003], 0x0000_0002),
         // -1 >> 1 is -1: halving rounds to minus infinity.
-        (
-            "shadd16 r0, r0, r1",
-            [0xFA90, 0xF021],
-            [0xFFFF_7FFF, 0x0000_7FFF],
-            0xFFFF_7FFF,
-        ),
-        (
-            "uhadd8 r0, r0, r1",
-            [0xFA80, 0xF061],
-            [0xFF01_0203, 0xFF02_0203],
-            0xFF01_0203,
-        ),
-        (
-            "uhsub8 r0, r0, r1",
-            [0xFAC0, 0xF061],
-            [0x0105_0000, 0x0201_0100],
-            0xFF02_FF00,
-        ),
+        ("shadd16 r0, r0, r1", [0xFA90, 0xF021], [0xFFFF_7FFF, 0x0000_7FFF], 0xFFFF_7FFF),
+        ("uhadd8 r0, r0, r1", [0xFA80, 0xF061], [0xFF01_0203, 0xFF02_0203], 0xFF01_0203),
+        ("uhsub8 r0, r0, r1", [0xFAC0, 0xF061], [0x0105_0000, 0x0201_0100], 0xFF02_FF00),
         // High: (4 + 2) / 2; low: (1 - 6) / 2.
-        (
-            "shasx r0, r0, r1",
-            [0xFAA0, 0xF021],
-            [0x0004_0001, 0x0006_0002],
-            0x0003_FFFD,
-        ),
+        ("shasx r0, r0, r1", [0xFAA0, 0xF021], [0x0004_0001, 0x0006_0002], 0x0003_FFFD),
     ];
     for (mnemonic, halfwords, registers, result) in cases {
         let machine = execute(&halfwords, &registers, 0b1010 << 16);
@@ -414,13 +146,7 @@ fn sel_takes_bytes_by_ge() {
 #[test]
 fn pkh_combines_halves() {
     check(&[
-        (
-            "pkhbt r0, r0, r1",
-            [0xEAC0, 0x0001],
-            [0x1111_2222, 0x3333_4444, 0],
-            0x3333_2222,
-            0,
-        ),
+        ("pkhbt r0, r0, r1", [0xEAC0, 0x0001], [0x1111_2222, 0x3333_4444, 0], 0x3333_2222, 0),
         (
             "pkhbt r0, r0, r1, lsl #16",
             [0xEAC0, 0x4001],

@@ -1,6 +1,6 @@
 //! Entry, return, priorities, masks, tail-chaining.
 
-use super::{DATA, END, FLASH, Machine, PROGRAM, SRAM, STACK, Z};
+use crate::core::tests::{DATA, END, FLASH, Machine, PROGRAM, SRAM, STACK, Z};
 
 /// Handlers are here, 0x40 bytes each.
 const HANDLERS: u32 = PROGRAM + 0x400;
@@ -54,10 +54,7 @@ fn entry_stacks_the_frame_and_return_restores_it() {
     assert_eq!((machine.r(14), machine.r(13)), (0xFFFF_FFF9, STACK - 32));
     let frame: Vec<u32> = (0..8).map(|k| machine.word(STACK - 32 + 4 * k)).collect();
     let xpsr = Z | 0xA << 16 | 1 << 24;
-    assert_eq!(
-        frame,
-        [0x100, 0x101, 0x102, 0x103, 0x112, 0x115, PROGRAM + 2, xpsr]
-    );
+    assert_eq!(frame, [0x100, 0x101, 0x102, 0x103, 0x112, 0x115, PROGRAM + 2, xpsr]);
     machine.finish();
     assert_eq!([0, 1, 2, 3, 12, 14].map(|k| machine.r(k)), frame[..6]);
     assert_eq!((machine.r(13), machine.core.xpsr()), (STACK, xpsr));
@@ -208,13 +205,7 @@ fn primask_masks_interrupts_and_not_nmi() {
     machine.step(1);
     assert_eq!(machine.core.current_exception(), 2);
     machine.step(3); // bx lr, nop, cpsie i
-    assert_eq!(
-        (
-            machine.core.current_exception(),
-            entered(&mut machine).len()
-        ),
-        (0, 0)
-    );
+    assert_eq!((machine.core.current_exception(), entered(&mut machine).len()), (0, 0));
     machine.finish();
     assert_eq!(entered(&mut machine), [16]);
 }
@@ -282,16 +273,10 @@ fn tail_chaining_takes_6_cycles_and_keeps_the_frame() {
     machine.step(3);
     let before = machine.bus.time;
     assert_eq!(before, 15 + 6);
-    assert_eq!(
-        (machine.core.current_exception(), machine.r(13)),
-        (17, STACK - 32)
-    );
+    assert_eq!((machine.core.current_exception(), machine.r(13)), (17, STACK - 32));
     assert_eq!(machine.r(14), 0xFFFF_FFF9);
     machine.finish();
-    assert_eq!(
-        (entered(&mut machine), machine.r(13)),
-        (vec![16, 17], STACK)
-    );
+    assert_eq!((entered(&mut machine), machine.r(13)), (vec![16, 17], STACK));
 }
 
 #[test]
@@ -303,14 +288,8 @@ fn preempted_handler_returns_to_handler_mode() {
     machine.bus.system.set_line(1, true);
     machine.bus.system.set_line(1, false);
     machine.step(1);
-    assert_eq!(
-        (machine.core.current_exception(), machine.r(14)),
-        (17, 0xFFFF_FFF1)
-    );
-    assert_eq!(
-        machine.bus.system.active_exceptions().collect::<Vec<_>>(),
-        [16, 17]
-    );
+    assert_eq!((machine.core.current_exception(), machine.r(14)), (17, 0xFFFF_FFF1));
+    assert_eq!(machine.bus.system.active_exceptions().collect::<Vec<_>>(), [16, 17]);
     machine.step(2);
     assert_eq!(machine.core.current_exception(), 16);
     machine.finish();
@@ -325,11 +304,7 @@ fn line_that_stays_high_pends_again_after_the_return() {
     // Active and not pending, although the line is high.
     assert!(machine.bus.system.is_active(18) && !machine.bus.system.is_pending(18));
     machine.step(2);
-    assert_eq!(
-        machine.core.current_exception(),
-        18,
-        "tail-chained to itself"
-    );
+    assert_eq!(machine.core.current_exception(), 18, "tail-chained to itself");
     machine.bus.system.set_line(2, false);
     machine.finish();
     assert_eq!(entered(&mut machine), [18, 18]);
@@ -467,10 +442,7 @@ fn thread_on_the_process_stack_is_stacked_there() {
     let process_stack = SRAM + 0x3000;
     machine.core.set_register(0, process_stack);
     machine.step(3);
-    assert_eq!(
-        (machine.r(13), machine.core.main_stack_pointer()),
-        (process_stack, STACK)
-    );
+    assert_eq!((machine.r(13), machine.core.main_stack_pointer()), (process_stack, STACK));
     machine.bus.system.set_line(0, true);
     machine.bus.system.set_line(0, false);
     machine.step(1);
@@ -524,14 +496,8 @@ fn reset_loads_stack_and_entry_and_clears_the_state() {
     let mut machine = with_interrupts(&[0xB672, 0xBF00], [0; 4]); // cpsid i; nop
     machine.bus.system.set_line(1, true);
     machine.step(2);
-    machine
-        .core
-        .reset(&mut machine.bus)
-        .expect("the vector table is there");
-    assert_eq!(
-        (machine.core.pc(), machine.r(13), machine.r(14)),
-        (PROGRAM, STACK, u32::MAX)
-    );
+    machine.core.reset(&mut machine.bus).expect("the vector table is there");
+    assert_eq!((machine.core.pc(), machine.r(13), machine.r(14)), (PROGRAM, STACK, u32::MAX));
     assert_eq!(machine.core.masks(), (false, false, 0));
     assert_eq!(machine.system_read(ISER), 0);
     // The peripheral still drives its line.

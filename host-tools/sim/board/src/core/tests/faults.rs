@@ -1,7 +1,7 @@
 //! Faults, their status, escalation and lock-up.
 
-use super::super::system_control::fault_status as status;
-use super::{DATA, END, Machine, PROGRAM, SRAM, STACK, Stop};
+use crate::core::system_control::fault_status as status;
+use crate::core::tests::{DATA, END, Machine, PROGRAM, SRAM, STACK, Stop};
 
 const HANDLER: u32 = PROGRAM + 0x400;
 const SHCSR: u32 = 0xE000_ED24;
@@ -33,77 +33,17 @@ fn usage_faults_escalate_to_hard_fault_where_disabled() {
     let cases: [(&str, &[u16], u32, u32, u32); 12] = [
         ("udf #0", &[0xDE00], 0x200, 0, status::UNDEFINED),
         ("udf.w #0", &[0xF7F0, 0xA000], 0x200, 0, status::UNDEFINED),
-        (
-            "vadd.f64 d0, d0, d0",
-            &[0xEE30, 0x0B00],
-            0x200,
-            0,
-            status::UNDEFINED,
-        ),
-        (
-            "mrc p15, 0, r0, c0, c0, 0",
-            &[0xEE10, 0x0F10],
-            0x200,
-            0,
-            status::NO_COPROCESSOR,
-        ),
-        (
-            "vmov.f32 s0, s0",
-            &[0xEEB0, 0x0A40],
-            0x200,
-            0,
-            status::NO_COPROCESSOR,
-        ),
-        (
-            "sdiv r0, r0, r2",
-            &[0xFB90, 0xF0F2],
-            0x210,
-            0,
-            status::DIVISION_BY_ZERO,
-        ),
-        (
-            "ldr r0, [r1]",
-            &[0x6808],
-            0x208,
-            DATA + 2,
-            status::UNALIGNED,
-        ),
-        (
-            "ldrd r0, r2, [r1]",
-            &[0xE9D1, 0x0200],
-            0x200,
-            DATA + 2,
-            status::UNALIGNED,
-        ),
-        (
-            "ldmia r1!, {r0, r2}",
-            &[0xC905],
-            0x200,
-            DATA + 1,
-            status::UNALIGNED,
-        ),
-        (
-            "ldrex r0, [r1]",
-            &[0xE851, 0x0F00],
-            0x200,
-            DATA + 2,
-            status::UNALIGNED,
-        ),
-        (
-            "strd r0, r2, [r1]",
-            &[0xE9C1, 0x0200],
-            0x200,
-            DATA + 1,
-            status::UNALIGNED,
-        ),
+        ("vadd.f64 d0, d0, d0", &[0xEE30, 0x0B00], 0x200, 0, status::UNDEFINED),
+        ("mrc p15, 0, r0, c0, c0, 0", &[0xEE10, 0x0F10], 0x200, 0, status::NO_COPROCESSOR),
+        ("vmov.f32 s0, s0", &[0xEEB0, 0x0A40], 0x200, 0, status::NO_COPROCESSOR),
+        ("sdiv r0, r0, r2", &[0xFB90, 0xF0F2], 0x210, 0, status::DIVISION_BY_ZERO),
+        ("ldr r0, [r1]", &[0x6808], 0x208, DATA + 2, status::UNALIGNED),
+        ("ldrd r0, r2, [r1]", &[0xE9D1, 0x0200], 0x200, DATA + 2, status::UNALIGNED),
+        ("ldmia r1!, {r0, r2}", &[0xC905], 0x200, DATA + 1, status::UNALIGNED),
+        ("ldrex r0, [r1]", &[0xE851, 0x0F00], 0x200, DATA + 2, status::UNALIGNED),
+        ("strd r0, r2, [r1]", &[0xE9C1, 0x0200], 0x200, DATA + 1, status::UNALIGNED),
         // Device memory, where nothing unaligned is defined.
-        (
-            "ldr r0, [r1]",
-            &[0x6808],
-            0x200,
-            0x4000_0002,
-            status::UNALIGNED,
-        ),
+        ("ldr r0, [r1]", &[0x6808], 0x200, 0x4000_0002, status::UNALIGNED),
     ];
     for (mnemonic, program, ccr, r1, cfsr) in cases {
         let mut machine = machine(program);
@@ -123,10 +63,7 @@ fn vldr_faults_where_unaligned() {
     let mut machine = machine(&[0xED91, 0x0A00]); // vldr s0, [r1]
     machine.system_write(0xE000_ED88, 0x00F0_0000);
     machine.core.set_register(1, DATA + 2);
-    assert_eq!(
-        hard_fault(&mut machine),
-        (status::UNALIGNED, status::FORCED, PROGRAM)
-    );
+    assert_eq!(hard_fault(&mut machine), (status::UNALIGNED, status::FORCED, PROGRAM));
 }
 
 #[test]
@@ -136,10 +73,7 @@ fn enabled_usage_fault_has_its_own_handler() {
     machine.system_write(SHCSR, 1 << 18);
     machine.finish();
     assert_eq!((machine.core.current_exception(), machine.r(1)), (6, 0x66));
-    assert_eq!(
-        (machine.bus.system.cfsr(), machine.bus.system.hfsr()),
-        (status::UNDEFINED, 0)
-    );
+    assert_eq!((machine.bus.system.cfsr(), machine.bus.system.hfsr()), (status::UNDEFINED, 0));
     assert_eq!(machine.word(STACK - 32 + 24), PROGRAM + 2);
     // USGFAULTACT and the enable bit.
     assert_eq!(machine.system_read(SHCSR), 1 << 18 | 1 << 3);
@@ -155,10 +89,7 @@ fn fault_escalates_where_its_priority_does_not_suffice() {
     let (cfsr, hfsr, address) = hard_fault(&mut machine);
     assert_eq!((cfsr, hfsr), (status::UNDEFINED, status::FORCED));
     assert_eq!(address, HANDLER + 0x40);
-    assert_eq!(
-        machine.bus.system.active_exceptions().collect::<Vec<_>>(),
-        [3, 11]
-    );
+    assert_eq!(machine.bus.system.active_exceptions().collect::<Vec<_>>(), [3, 11]);
 }
 
 #[test]
@@ -185,11 +116,7 @@ fn precise_bus_fault_gives_the_address() {
         assert_eq!(found, (precise, status::FORCED, PROGRAM), "{mnemonic}");
         assert_eq!(machine.bus.system.bfar(), NOWHERE + 8, "{mnemonic}");
         // Neither destination nor base changed.
-        assert_eq!(
-            (machine.r(0), machine.r(3)),
-            (0x77, NOWHERE + 8),
-            "{mnemonic}"
-        );
+        assert_eq!((machine.r(0), machine.r(3)), (0x77, NOWHERE + 8), "{mnemonic}");
     }
 }
 
@@ -199,10 +126,7 @@ fn load_multiple_that_faults_late_changes_no_register() {
     let mut machine = machine(&[0xE8B3, 0x0107]); // ldmia.w r3!, {r0, r1, r2, r8}
     machine.core.set_register(3, end - 8);
     machine.core.set_register(0, 0x70);
-    assert_eq!(
-        hard_fault(&mut machine).0,
-        status::PRECISE | status::BFAR_VALID
-    );
+    assert_eq!(hard_fault(&mut machine).0, status::PRECISE | status::BFAR_VALID);
     assert_eq!(machine.bus.system.bfar(), end);
     assert_eq!((machine.r(0), machine.r(3)), (0x70, end - 8));
 }
@@ -240,11 +164,7 @@ fn instruction_faults_have_their_own_status() {
     for (r0, cfsr, address) in cases {
         let mut machine = machine(&[0x4700]); // bx r0
         machine.core.set_register(0, r0);
-        assert_eq!(
-            hard_fault(&mut machine),
-            (cfsr, status::FORCED, address),
-            "{r0:#x}"
-        );
+        assert_eq!(hard_fault(&mut machine), (cfsr, status::FORCED, address), "{r0:#x}");
         let thumb = machine.word(STACK - 32 + 28) >> 24 & 1;
         assert_eq!(thumb, r0 & 1, "{r0:#x}");
     }
@@ -258,10 +178,7 @@ fn stack_overflow_into_unmapped_memory_ends_in_hard_fault() {
     machine.finish();
     let system = &machine.bus.system;
     assert_eq!(machine.core.current_exception(), 3);
-    assert_eq!(
-        system.cfsr(),
-        status::PRECISE | status::BFAR_VALID | status::STACKING
-    );
+    assert_eq!(system.cfsr(), status::PRECISE | status::BFAR_VALID | status::STACKING);
     assert_eq!((system.hfsr(), system.bfar()), (status::FORCED, SRAM - 4));
     // The pointer moved although nothing was written.
     assert_eq!(machine.r(13), SRAM - 32);
@@ -306,10 +223,7 @@ fn unreadable_vector_ends_in_hard_fault() {
     machine.bus.system.set_line(20, true);
     machine.finish();
     assert_eq!(machine.core.current_exception(), 3);
-    assert_eq!(
-        (machine.bus.system.cfsr(), machine.bus.system.hfsr()),
-        (0, status::VECTOR_TABLE)
-    );
+    assert_eq!((machine.bus.system.cfsr(), machine.bus.system.hfsr()), (0, status::VECTOR_TABLE));
 }
 
 #[test]
@@ -317,23 +231,13 @@ fn fault_within_hard_fault_locks_up() {
     let mut machine = machine(&[0xDE00]); // udf #0
     machine.handler(3, HANDLER, &[0xBF00, 0x6808]); // nop; ldr r0, [r1]
     machine.core.set_register(1, NOWHERE);
-    assert_eq!(
-        machine.run(),
-        Stop::LockUp {
-            address: HANDLER + 2
-        }
-    );
+    assert_eq!(machine.run(), Stop::LockUp { address: HANDLER + 2 });
 }
 
 #[test]
 fn fault_with_faultmask_locks_up() {
     let mut machine = machine(&[0xB671, 0xDE00]); // cpsid f; udf #0
-    assert_eq!(
-        machine.run(),
-        Stop::LockUp {
-            address: PROGRAM + 2
-        }
-    );
+    assert_eq!(machine.run(), Stop::LockUp { address: PROGRAM + 2 });
 }
 
 #[test]
@@ -473,14 +377,7 @@ fn unpredictable_instructions_stop_the_core() {
     for (mnemonic, program) in programs {
         let mut machine = machine(program);
         let halfwords = [program[0], program[1]];
-        assert_eq!(
-            machine.run(),
-            Stop::Unsupported {
-                address: PROGRAM,
-                halfwords
-            },
-            "{mnemonic}"
-        );
+        assert_eq!(machine.run(), Stop::Unsupported { address: PROGRAM, halfwords }, "{mnemonic}");
         assert_eq!(machine.core.pc(), PROGRAM);
     }
 }
@@ -495,15 +392,8 @@ fn branch_inside_an_it_block_stops_the_core_unchanged() {
     ];
     for (mnemonic, program) in programs {
         let mut machine = machine(&program);
-        let stop = Stop::Unsupported {
-            address: PROGRAM + 2,
-            halfwords: [program[1], 0],
-        };
+        let stop = Stop::Unsupported { address: PROGRAM + 2, halfwords: [program[1], 0] };
         assert_eq!(machine.run(), stop, "{mnemonic}");
-        assert_eq!(
-            (machine.r(13), machine.r(14)),
-            (STACK, u32::MAX),
-            "{mnemonic}"
-        );
+        assert_eq!((machine.r(13), machine.r(14)), (STACK, u32::MAX), "{mnemonic}");
     }
 }

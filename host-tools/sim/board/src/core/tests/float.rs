@@ -1,6 +1,6 @@
 //! Floating-point arithmetic: values, NaN, modes, cumulative flags, comparison.
 
-use super::Machine;
+use crate::core::tests::Machine;
 
 pub(super) const INVALID: u32 = 1 << 0;
 pub(super) const DIVISION_BY_ZERO: u32 = 1 << 1;
@@ -43,11 +43,7 @@ pub(super) fn check(cases: &[Case]) {
         machine.core.set_fpscr(before);
         machine.step(1);
         let found = (machine.core.float_register(0), machine.core.fpscr());
-        assert_eq!(
-            found,
-            (result, after),
-            "{mnemonic} of {operands:#010x?}, FPSCR {before:#x}"
-        );
+        assert_eq!(found, (result, after), "{mnemonic} of {operands:#010x?}, FPSCR {before:#x}");
     }
 }
 
@@ -68,80 +64,17 @@ fn arithmetic_rounds_and_collects_exceptions() {
         // 1 + 2^-24 is a tie: to even. A little more rounds up.
         ("vadd.f32", VADD, [0, ONE, 0x3380_0000], 0, ONE, INEXACT),
         ("vadd.f32", VADD, [0, ONE, 0x3380_0001], 0, ONE + 1, INEXACT),
-        (
-            "vadd.f32",
-            VADD,
-            [0, ONE + 1, 0x3380_0000],
-            0,
-            ONE + 2,
-            INEXACT,
-        ),
-        (
-            "vadd.f32",
-            VADD,
-            [0, ONE, 0x3300_0000],
-            TO_PLUS,
-            ONE + 1,
-            TO_PLUS | INEXACT,
-        ),
-        (
-            "vadd.f32",
-            VADD,
-            [0, ONE, 0xB300_0000],
-            TO_MINUS,
-            ONE - 1,
-            TO_MINUS | INEXACT,
-        ),
-        (
-            "vadd.f32",
-            VADD,
-            [0, ONE, 0xB300_0000],
-            TO_ZERO,
-            ONE - 1,
-            TO_ZERO | INEXACT,
-        ),
-        (
-            "vadd.f32",
-            VADD,
-            [0, MAX, MAX],
-            0,
-            INFINITY,
-            OVERFLOW | INEXACT,
-        ),
-        (
-            "vadd.f32",
-            VADD,
-            [0, MAX, MAX],
-            TO_ZERO,
-            MAX,
-            TO_ZERO | OVERFLOW | INEXACT,
-        ),
+        ("vadd.f32", VADD, [0, ONE + 1, 0x3380_0000], 0, ONE + 2, INEXACT),
+        ("vadd.f32", VADD, [0, ONE, 0x3300_0000], TO_PLUS, ONE + 1, TO_PLUS | INEXACT),
+        ("vadd.f32", VADD, [0, ONE, 0xB300_0000], TO_MINUS, ONE - 1, TO_MINUS | INEXACT),
+        ("vadd.f32", VADD, [0, ONE, 0xB300_0000], TO_ZERO, ONE - 1, TO_ZERO | INEXACT),
+        ("vadd.f32", VADD, [0, MAX, MAX], 0, INFINITY, OVERFLOW | INEXACT),
+        ("vadd.f32", VADD, [0, MAX, MAX], TO_ZERO, MAX, TO_ZERO | OVERFLOW | INEXACT),
         ("vsub.f32", VSUB, [0, ONE, ONE], 0, 0, 0),
         ("vsub.f32", VSUB, [0, ONE, ONE], TO_MINUS, MINUS, TO_MINUS),
-        (
-            "vsub.f32",
-            VSUB,
-            [0, MIN_NORMAL, DENORMAL],
-            0,
-            MIN_NORMAL - 1,
-            0,
-        ),
-        (
-            "vmul.f32",
-            VMUL,
-            [0, MIN_NORMAL, 0x3F00_0000],
-            0,
-            MIN_NORMAL / 2,
-            0,
-        ),
-        (
-            "vmul.f32",
-            VMUL,
-            [0, MIN_NORMAL, MIN_NORMAL],
-            0,
-            0,
-            UNDERFLOW | INEXACT,
-        ),
+        ("vsub.f32", VSUB, [0, MIN_NORMAL, DENORMAL], 0, MIN_NORMAL - 1, 0),
+        ("vmul.f32", VMUL, [0, MIN_NORMAL, 0x3F00_0000], 0, MIN_NORMAL / 2, 0),
+        ("vmul.f32", VMUL, [0, MIN_NORMAL, MIN_NORMAL], 0, 0, UNDERFLOW | INEXACT),
         ("vmul.f32", VMUL, [0, MINUS, ONE], INEXACT, MINUS, INEXACT),
         // 2^-127 (1 + 2^-23): inexact as a denormal.
         (
@@ -153,53 +86,18 @@ fn arithmetic_rounds_and_collects_exceptions() {
             UNDERFLOW | INEXACT,
         ),
         // Tininess is detected before the rounding to the smallest normal number.
-        (
-            "vmul.f32",
-            VMUL,
-            [0, 0x3F7F_FFFF, MIN_NORMAL],
-            0,
-            MIN_NORMAL,
-            UNDERFLOW | INEXACT,
-        ),
-        (
-            "vmul.f32",
-            VMUL,
-            [0, 0x3F7F_FFFF, MIN_NORMAL],
-            INEXACT,
-            MIN_NORMAL,
-            UNDERFLOW | INEXACT,
-        ),
+        ("vmul.f32", VMUL, [0, 0x3F7F_FFFF, MIN_NORMAL], 0, MIN_NORMAL, UNDERFLOW | INEXACT),
+        ("vmul.f32", VMUL, [0, 0x3F7F_FFFF, MIN_NORMAL], INEXACT, MIN_NORMAL, UNDERFLOW | INEXACT),
         ("vdiv.f32", VDIV, [0, ONE, THREE], 0, THIRD, INEXACT),
-        (
-            "vdiv.f32",
-            VDIV,
-            [0, ONE, THREE],
-            TO_ZERO,
-            THIRD - 1,
-            TO_ZERO | INEXACT,
-        ),
-        (
-            "vdiv.f32",
-            VDIV,
-            [0, ONE, MINUS],
-            0,
-            INFINITY | MINUS,
-            DIVISION_BY_ZERO,
-        ),
+        ("vdiv.f32", VDIV, [0, ONE, THREE], TO_ZERO, THIRD - 1, TO_ZERO | INEXACT),
+        ("vdiv.f32", VDIV, [0, ONE, MINUS], 0, INFINITY | MINUS, DIVISION_BY_ZERO),
         ("vdiv.f32", VDIV, [0, 0, MINUS], 0, NAN, INVALID),
         ("vdiv.f32", VDIV, [0, INFINITY, INFINITY], 0, NAN, INVALID),
         ("vsqrt.f32", VSQRT, [0, TWO, 0], 0, 0x3FB5_04F3, INEXACT),
         ("vsqrt.f32", VSQRT, [0, 0x4080_0000, 0], 0, TWO, 0),
         ("vsqrt.f32", VSQRT, [0, MINUS, 0], 0, MINUS, 0),
         ("vsqrt.f32", VSQRT, [0, ONE | MINUS, 0], 0, NAN, INVALID),
-        (
-            "vnmul.f32 s0, s1, s2",
-            [0xEE20, 0x0AC1],
-            [0, TWO, ONE],
-            0,
-            TWO | MINUS,
-            0,
-        ),
+        ("vnmul.f32 s0, s1, s2", [0xEE20, 0x0AC1], [0, TWO, ONE], 0, TWO | MINUS, 0),
     ]);
 }
 
@@ -211,98 +109,28 @@ fn nan_operands_are_propagated_in_order() {
         ("vadd.f32", VADD, [0, QUIET, OTHER], 0, QUIET, 0),
         ("vadd.f32", VADD, [0, ONE, OTHER], 0, OTHER, 0),
         // The signalling one precedes, and is quieted.
-        (
-            "vadd.f32",
-            VADD,
-            [0, OTHER, SIGNALLING],
-            0,
-            QUIETED,
-            INVALID,
-        ),
-        (
-            "vadd.f32",
-            VADD,
-            [0, OTHER, ONE],
-            DEFAULT_NAN,
-            NAN,
-            DEFAULT_NAN,
-        ),
+        ("vadd.f32", VADD, [0, OTHER, SIGNALLING], 0, QUIETED, INVALID),
+        ("vadd.f32", VADD, [0, OTHER, ONE], DEFAULT_NAN, NAN, DEFAULT_NAN),
         // A difference takes the operand, not its negation.
         ("vsub.f32", VSUB, [0, ONE, QUIET], 0, QUIET, 0),
-        (
-            "vadd.f32",
-            VADD,
-            [0, INFINITY, INFINITY | MINUS],
-            0,
-            NAN,
-            INVALID,
-        ),
+        ("vadd.f32", VADD, [0, INFINITY, INFINITY | MINUS], 0, NAN, INVALID),
         ("vmul.f32", VMUL, [0, INFINITY, 0], 0, NAN, INVALID),
         // The negation of a NaN product changes its sign.
-        (
-            "vmls.f32 s0, s1, s2",
-            [0xEE00, 0x0AC1],
-            [ONE, QUIET, ONE],
-            0,
-            QUIET | MINUS,
-            0,
-        ),
+        ("vmls.f32 s0, s1, s2", [0xEE00, 0x0AC1], [ONE, QUIET, ONE], 0, QUIET | MINUS, 0),
         ("vfma.f32", VFMA, [QUIET, INFINITY, 0], 0, NAN, INVALID),
-        (
-            "vfma.f32",
-            VFMA,
-            [SIGNALLING, INFINITY, 0],
-            0,
-            QUIETED,
-            INVALID,
-        ),
-        (
-            "vneg.f32 s0, s1",
-            [0xEEB1, 0x0A60],
-            [0, SIGNALLING, 0],
-            0,
-            SIGNALLING | MINUS,
-            0,
-        ),
-        (
-            "vabs.f32 s0, s1",
-            [0xEEB0, 0x0AE0],
-            [0, OTHER, 0],
-            0,
-            OTHER & !MINUS,
-            0,
-        ),
+        ("vfma.f32", VFMA, [SIGNALLING, INFINITY, 0], 0, QUIETED, INVALID),
+        ("vneg.f32 s0, s1", [0xEEB1, 0x0A60], [0, SIGNALLING, 0], 0, SIGNALLING | MINUS, 0),
+        ("vabs.f32 s0, s1", [0xEEB0, 0x0AE0], [0, OTHER, 0], 0, OTHER & !MINUS, 0),
     ]);
 }
 
 #[test]
 fn flush_to_zero_affects_operands_and_results() {
     check(&[
-        (
-            "vadd.f32",
-            VADD,
-            [7, DENORMAL, 0],
-            FLUSH,
-            0,
-            FLUSH | INPUT_DENORMAL,
-        ),
-        (
-            "vadd.f32",
-            VADD,
-            [7, MINUS | DENORMAL, ONE],
-            FLUSH,
-            ONE,
-            FLUSH | INPUT_DENORMAL,
-        ),
+        ("vadd.f32", VADD, [7, DENORMAL, 0], FLUSH, 0, FLUSH | INPUT_DENORMAL),
+        ("vadd.f32", VADD, [7, MINUS | DENORMAL, ONE], FLUSH, ONE, FLUSH | INPUT_DENORMAL),
         // Flushed without being inexact.
-        (
-            "vmul.f32",
-            VMUL,
-            [7, MIN_NORMAL, 0xBF00_0000],
-            FLUSH,
-            MINUS,
-            FLUSH | UNDERFLOW,
-        ),
+        ("vmul.f32", VMUL, [7, MIN_NORMAL, 0xBF00_0000], FLUSH, MINUS, FLUSH | UNDERFLOW),
         (
             "vdiv.f32",
             VDIV,
@@ -324,54 +152,12 @@ fn multiply_add_rounds_once_or_twice() {
         ("vmla.f32", VMLA, [minus_rounded, x, x], 0, 0, INEXACT),
         ("vfma.f32", VFMA, [minus_rounded, x, x], 0, 0x2880_0000, 0),
         ("vmla.f32", VMLA, [ONE, TWO, THREE], 0, 0x40E0_0000, 0),
-        (
-            "vmls.f32 s0, s1, s2",
-            [0xEE00, 0x0AC1],
-            [ONE, TWO, THREE],
-            0,
-            0xC0A0_0000,
-            0,
-        ),
-        (
-            "vnmla.f32 s0, s1, s2",
-            [0xEE10, 0x0AC1],
-            [ONE, TWO, THREE],
-            0,
-            0xC0E0_0000,
-            0,
-        ),
-        (
-            "vnmls.f32 s0, s1, s2",
-            [0xEE10, 0x0A81],
-            [ONE, TWO, THREE],
-            0,
-            0x40A0_0000,
-            0,
-        ),
-        (
-            "vfms.f32 s0, s1, s2",
-            [0xEEA0, 0x0AC1],
-            [ONE, TWO, THREE],
-            0,
-            0xC0A0_0000,
-            0,
-        ),
-        (
-            "vfnma.f32 s0, s1, s2",
-            [0xEE90, 0x0AC1],
-            [ONE, TWO, THREE],
-            0,
-            0xC0E0_0000,
-            0,
-        ),
-        (
-            "vfnms.f32 s0, s1, s2",
-            [0xEE90, 0x0A81],
-            [ONE, TWO, THREE],
-            0,
-            0x40A0_0000,
-            0,
-        ),
+        ("vmls.f32 s0, s1, s2", [0xEE00, 0x0AC1], [ONE, TWO, THREE], 0, 0xC0A0_0000, 0),
+        ("vnmla.f32 s0, s1, s2", [0xEE10, 0x0AC1], [ONE, TWO, THREE], 0, 0xC0E0_0000, 0),
+        ("vnmls.f32 s0, s1, s2", [0xEE10, 0x0A81], [ONE, TWO, THREE], 0, 0x40A0_0000, 0),
+        ("vfms.f32 s0, s1, s2", [0xEEA0, 0x0AC1], [ONE, TWO, THREE], 0, 0xC0A0_0000, 0),
+        ("vfnma.f32 s0, s1, s2", [0xEE90, 0x0AC1], [ONE, TWO, THREE], 0, 0xC0E0_0000, 0),
+        ("vfnms.f32 s0, s1, s2", [0xEE90, 0x0A81], [ONE, TWO, THREE], 0, 0x40A0_0000, 0),
     ]);
 }
 
@@ -395,14 +181,7 @@ fn comparison_sets_flags_and_vmrs_moves_them() {
         (vcmpe, ONE, QUIET, 0, UNORDERED, INVALID),
         (vcmp, INFINITY, MAX, 0, GREATER, 0),
         (vcmp, DENORMAL, 0, 0, GREATER, 0),
-        (
-            vcmp,
-            DENORMAL,
-            MINUS | DENORMAL,
-            FLUSH,
-            EQUAL,
-            FLUSH | INPUT_DENORMAL,
-        ),
+        (vcmp, DENORMAL, MINUS | DENORMAL, FLUSH, EQUAL, FLUSH | INPUT_DENORMAL),
         (zero, MINUS | ONE, 0, 0, LESS, 0),
     ];
     for (program, a, b, before, flags, after) in cases {

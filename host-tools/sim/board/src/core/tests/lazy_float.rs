@@ -1,7 +1,7 @@
 //! Floating-point context across exceptions: lazy and immediate stacking.
 
-use super::super::system_control::fault_status as status;
-use super::{END, Machine, PROGRAM, SRAM, STACK};
+use crate::core::system_control::fault_status as status;
+use crate::core::tests::{END, Machine, PROGRAM, SRAM, STACK};
 
 const HANDLERS: u32 = PROGRAM + 0x400;
 const FPCCR: u32 = 0xE000_EF34;
@@ -62,10 +62,7 @@ fn lazy_entry_reserves_the_frame_and_writes_nothing() {
     assert_eq!((machine.r(13), machine.r(14)), (FRAME, 0xFFFF_FFE9));
     assert_eq!(machine.system_read(FPCAR), FRAME + 0x20);
     // LSPACT, the thread's context, HardFault could be taken; the two enable bits.
-    assert_eq!(
-        machine.system_read(FPCCR),
-        0xC000_0000 | LSPACT | 1 << 3 | 1 << 4
-    );
+    assert_eq!(machine.system_read(FPCCR), 0xC000_0000 | LSPACT | 1 << 3 | 1 << 4);
     assert_eq!(machine.core.control(), 0);
     machine.finish();
     assert_eq!(machine.word(FRAME + 0x20), 0xDEAD);
@@ -98,9 +95,7 @@ fn first_float_instruction_of_the_handler_preserves_the_context() {
     interrupt(&mut machine, 0);
     machine.step(1);
     assert_eq!(machine.system_read(FPCCR) & LSPACT, 0);
-    let saved: Vec<u32> = (0..17)
-        .map(|k| machine.word(FRAME + 0x20 + 4 * k))
-        .collect();
+    let saved: Vec<u32> = (0..17).map(|k| machine.word(FRAME + 0x20 + 4 * k)).collect();
     assert_eq!(saved[..16], (0x100..0x110).collect::<Vec<u32>>());
     assert_eq!((saved[16], machine.core.control()), (0x2000_0010, 4));
     assert_eq!(machine.core.float_register(0), 0x103);
@@ -151,13 +146,7 @@ fn both_nested_handlers_keep_their_own_contexts() {
     assert_eq!(machine.word(FRAME - 0x68 + 0x20 + 16), 0x777);
     machine.core.set_float_register(4, 0x888);
     machine.step(2);
-    assert_eq!(
-        (
-            machine.core.current_exception(),
-            machine.core.float_register(4)
-        ),
-        (16, 0x777)
-    );
+    assert_eq!((machine.core.current_exception(), machine.core.float_register(4)), (16, 0x777));
     machine.finish();
     assert_context(&machine);
 }

@@ -20,7 +20,7 @@ mod transfers;
 
 use std::ops::Range;
 
-use super::{Bus, BusError, Core, CycleModel, Pause, Stop, SystemControl, Width};
+use crate::core::{Bus, BusError, Core, CycleModel, Pause, Stop, SystemControl, Width};
 
 const FLASH: u32 = 0x0800_0000;
 const CCM: u32 = 0x1000_0000;
@@ -80,16 +80,13 @@ impl TestBus {
             _ => return Err(BusError),
         };
         let start = (address - start) as usize;
-        memory
-            .get_mut(start..start + width.bytes() as usize)
-            .ok_or(BusError)
+        memory.get_mut(start..start + width.bytes() as usize).ok_or(BusError)
     }
 }
 
 impl Bus for TestBus {
     fn fetch(&mut self, address: u32) -> Result<u16, BusError> {
-        self.read(address, Width::Half)
-            .map(|halfword| halfword as u16)
+        self.read(address, Width::Half).map(|halfword| halfword as u16)
     }
 
     fn read(&mut self, address: u32, width: Width) -> Result<u32, BusError> {
@@ -103,19 +100,12 @@ impl Bus for TestBus {
             });
         }
         let bytes = self.bytes(address, width)?;
-        Ok(bytes
-            .iter()
-            .rev()
-            .fold(0, |word, &byte| word << 8 | byte as u32))
+        Ok(bytes.iter().rev().fold(0, |word, &byte| word << 8 | byte as u32))
     }
 
     fn write(&mut self, address: u32, width: Width, value: u32) -> Result<(), BusError> {
         if address >= 0xE000_0000 {
-            return self
-                .system
-                .write(address, width, value)
-                .then_some(())
-                .ok_or(BusError);
+            return self.system.write(address, width, value).then_some(()).ok_or(BusError);
         }
         if address < CCM {
             return Err(BusError);
@@ -162,18 +152,12 @@ impl Machine {
     }
 
     fn with_model(program: &[u16], model: CycleModel) -> Self {
-        let mut machine = Self {
-            core: Core::new(model),
-            bus: TestBus::new(),
-        };
+        let mut machine = Self { core: Core::new(model), bus: TestBus::new() };
         machine.place(PROGRAM, program);
         machine.place(PROGRAM + 2 * program.len() as u32, &[END]);
         machine.set_word(FLASH, STACK);
         machine.set_word(FLASH + 4, PROGRAM | 1);
-        machine
-            .core
-            .reset(&mut machine.bus)
-            .expect("the vector table is there");
+        machine.core.reset(&mut machine.bus).expect("the vector table is there");
         machine
     }
 
@@ -207,10 +191,7 @@ impl Machine {
     }
 
     fn system_write(&mut self, address: u32, value: u32) {
-        assert!(
-            self.bus.system.write(address, Width::Word, value),
-            "{address:#x}"
-        );
+        assert!(self.bus.system.write(address, Width::Word, value), "{address:#x}");
     }
 
     fn system_read(&mut self, address: u32) -> u32 {
@@ -227,18 +208,13 @@ impl Machine {
 
     /// Runs to a stop.
     fn run(&mut self) -> Stop {
-        self.core
-            .run(&mut self.bus)
-            .expect_err("only a stop ends the program")
+        self.core.run(&mut self.bus).expect_err("only a stop ends the program")
     }
 
     /// Runs to the BKPT 0 that ends a program.
     fn finish(&mut self) {
         let stop = self.run();
-        assert!(
-            matches!(stop, Stop::Breakpoint { immediate: 0, .. }),
-            "{stop}"
-        );
+        assert!(matches!(stop, Stop::Breakpoint { immediate: 0, .. }), "{stop}");
     }
 
     fn step(&mut self, count: usize) {

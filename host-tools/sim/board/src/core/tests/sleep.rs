@@ -1,6 +1,6 @@
 //! WFE, WFI, SEV and what ends a sleep.
 
-use super::{Machine, PROGRAM, Pause};
+use crate::core::tests::{Machine, PROGRAM, Pause};
 
 const HANDLER: u32 = PROGRAM + 0x400;
 const WFE: u16 = 0xBF20;
@@ -91,10 +91,7 @@ fn wfi_wakes_under_primask_and_takes_the_interrupt_later() {
     machine.bus.system.set_line(0, true);
     machine.bus.system.set_line(0, false);
     machine.step(1);
-    assert_eq!(
-        (machine.r(1), machine.r(5), machine.core.is_asleep()),
-        (1, 0, false)
-    );
+    assert_eq!((machine.r(1), machine.r(5), machine.core.is_asleep()), (1, 0, false));
     machine.finish();
     assert_eq!(machine.r(5), 1);
 }
@@ -131,10 +128,7 @@ fn sleeponexit_sleeps_after_the_last_handler() {
     machine.bus.system.set_line(0, true);
     machine.bus.system.set_line(0, false);
     machine.sleep();
-    assert_eq!(
-        (machine.r(5), machine.r(1), machine.core.current_exception()),
-        (1, 0, 0)
-    );
+    assert_eq!((machine.r(5), machine.r(1), machine.core.current_exception()), (1, 0, 0));
     machine.bus.system.set_line(0, true);
     machine.bus.system.set_line(0, false);
     machine.sleep();

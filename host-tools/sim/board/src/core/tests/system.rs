@@ -1,6 +1,6 @@
 //! Registers of the system control space, special registers, statistics.
 
-use super::{DATA, END, Machine, PROGRAM, STACK, Stop, SystemControl, Width};
+use crate::core::tests::{DATA, END, Machine, PROGRAM, STACK, Stop, SystemControl, Width};
 
 const HANDLER: u32 = PROGRAM + 0x400;
 
@@ -47,21 +47,11 @@ fn priorities_have_four_bits_and_any_width() {
     assert!(system.write(0xE000_E402, Width::Byte, 0x7F));
     assert!(system.write(0xE000_E400, Width::Half, 0x1F2F));
     assert_eq!(system.read(0xE000_E400), Some(0x0070_1020));
-    assert_eq!(
-        (
-            system.priority(16),
-            system.priority(17),
-            system.priority(18)
-        ),
-        (0x20, 0x10, 0x70)
-    );
+    assert_eq!((system.priority(16), system.priority(17), system.priority(18)), (0x20, 0x10, 0x70));
     assert!(system.write(0xE000_ED23, Width::Byte, 0xC0));
     assert_eq!(system.read(0xE000_ED20), Some(0xC000_0000));
     assert_eq!(system.priority(15), 0xC0);
-    assert_eq!(
-        (system.priority(2), system.priority(3), system.priority(0)),
-        (-2, -1, 256)
-    );
+    assert_eq!((system.priority(2), system.priority(3), system.priority(0)), (-2, -1, 256));
 }
 
 #[test]
@@ -134,10 +124,7 @@ fn reset_request_needs_the_key() {
     assert_eq!(machine.run(), Stop::ResetRequested);
     assert_eq!(machine.core.pc(), PROGRAM + 4);
     assert!(machine.bus.system.reset_requested());
-    machine
-        .core
-        .reset(&mut machine.bus)
-        .expect("the vector table is there");
+    machine.core.reset(&mut machine.bus).expect("the vector table is there");
     assert!(!machine.bus.system.reset_requested());
 }
 
@@ -179,10 +166,7 @@ fn unprivileged_code_is_restricted() {
     assert_eq!(machine.core.masks(), (false, false, 0));
     assert_eq!((machine.core.control(), machine.r(1)), (1, 0));
     // Access to the system control space is a bus fault.
-    assert_eq!(
-        (machine.core.current_exception(), machine.bus.system.bfar()),
-        (3, 0xE000_ED00)
-    );
+    assert_eq!((machine.core.current_exception(), machine.bus.system.bfar()), (3, 0xE000_ED00));
 }
 
 #[test]
@@ -199,10 +183,7 @@ fn statistics_attribute_to_exceptions() {
     let statistics = machine.core.statistics().clone();
     let (thread, handler) = (statistics.by_exception[0], statistics.by_exception[11]);
     // Four instructions and the BKPT.
-    assert_eq!(
-        (thread.instructions, thread.cycles, thread.entries),
-        (5, 5, 0)
-    );
+    assert_eq!((thread.instructions, thread.cycles, thread.entries), (5, 5, 0));
     // Entry 12, push 1 + 1, push 1 + 2, pop 1 + 2, pop 1 + 1, return 10.
     assert_eq!((handler.instructions, handler.entries), (8, 2));
     assert_eq!((handler.cycles, handler.longest_cycles), (2 * 32, 32));
@@ -248,13 +229,7 @@ fn history_keeps_the_last_64_addresses() {
 #[test]
 fn breakpoint_stops_behind_itself() {
     let mut machine = Machine::new(&[0xBEAB, 0x2101]); // bkpt 0xab; movs r1, #1
-    assert_eq!(
-        machine.run(),
-        Stop::Breakpoint {
-            address: PROGRAM,
-            immediate: 0xAB
-        }
-    );
+    assert_eq!(machine.run(), Stop::Breakpoint { address: PROGRAM, immediate: 0xAB });
     assert_eq!(machine.core.pc(), PROGRAM + 2);
     machine.finish();
     assert_eq!(machine.r(1), 1);
@@ -265,10 +240,7 @@ fn access_functions_change_the_state() {
     let mut machine = Machine::new(&[0xBF00]); // nop
     machine.core.set_register(3, 7);
     machine.core.set_register(15, DATA | 1);
-    assert_eq!(
-        (machine.r(3), machine.r(15), machine.core.pc()),
-        (7, DATA, DATA)
-    );
+    assert_eq!((machine.r(3), machine.r(15), machine.core.pc()), (7, DATA, DATA));
     machine.core.set_xpsr(0xF80F_0000);
     assert_eq!(machine.core.xpsr(), 0xF90F_0000);
     machine.core.set_fpscr(u32::MAX);

@@ -1,6 +1,6 @@
 //! Cycles of the models.
 
-use super::{CCM, CycleModel, DATA, END, FLASH, Machine, PROGRAM};
+use crate::core::tests::{CCM, CycleModel, DATA, END, FLASH, Machine, PROGRAM};
 
 /// Cycles of a program up to its BKPT, in each of the three models.
 fn cycles(program: &[u16]) -> [u64; 3] {
@@ -26,11 +26,7 @@ fn instructions_take_the_cycles_of_their_class() {
         // The second load overlaps with the first.
         ("ldr r0, [r1]; ldr r0, [r1]", &[0x6808, 0x6808], [3, 3, 4]),
         ("str r0, [r1]; ldr r0, [r1]", &[0x6008, 0x6808], [2, 2, 4]),
-        (
-            "ldr r0, [r1]; nop; ldr r0, [r1]",
-            &[0x6808, 0xBF00, 0x6808],
-            [5, 5, 5],
-        ),
+        ("ldr r0, [r1]; nop; ldr r0, [r1]", &[0x6808, 0xBF00, 0x6808], [5, 5, 5]),
         ("str r0, [r1]", &[0x6008], [1, 1, 2]),
         ("ldrd r4, r5, [r1]", &[0xE9D1, 0x4500], [3, 3, 3]),
         ("ldmia r1!, {r4, r5, r6}", &[0xC970], [4, 4, 4]),

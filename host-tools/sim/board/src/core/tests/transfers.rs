@@ -1,6 +1,6 @@
 //! Loads and stores: addressing, write-back, alignment, order, exclusive accesses.
 
-use super::{DATA, Machine, STACK, execute};
+use crate::core::tests::{DATA, Machine, STACK, execute};
 
 /// A machine with r1 = `DATA` + `offset` and four words there: 0x11, 0x22, 0x33, 0x44.
 fn with_data(program: &[u16], offset: u32) -> Machine {
@@ -22,63 +22,14 @@ fn single_loads_extend_and_write_back() {
         ("ldrh r0, [r1, #6]", &[0x88C8], 0, 0, 0x8899, 0),
         ("ldrsb r0, [r1, r2]", &[0x5688], 0, 6, 0xFFFF_FF99, 0),
         ("ldrsh r0, [r1, r2]", &[0x5E88], 0, 4, 0xFFFF_AABB, 0),
-        (
-            "ldr.w r0, [r1, #-4]",
-            &[0xF851, 0x0C04],
-            8,
-            0,
-            0x8899_AABB,
-            8,
-        ),
-        (
-            "ldr.w r0, [r1], #4",
-            &[0xF851, 0x0B04],
-            4,
-            0,
-            0x8899_AABB,
-            8,
-        ),
-        (
-            "ldr.w r0, [r1, #4]!",
-            &[0xF851, 0x0F04],
-            0,
-            0,
-            0x8899_AABB,
-            4,
-        ),
+        ("ldr.w r0, [r1, #-4]", &[0xF851, 0x0C04], 8, 0, 0x8899_AABB, 8),
+        ("ldr.w r0, [r1], #4", &[0xF851, 0x0B04], 4, 0, 0x8899_AABB, 8),
+        ("ldr.w r0, [r1, #4]!", &[0xF851, 0x0F04], 0, 0, 0x8899_AABB, 4),
         ("ldrb.w r0, [r1], #-1", &[0xF811, 0x0901], 4, 0, 0xBB, 3),
-        (
-            "ldrsh.w r0, [r1, #-2]!",
-            &[0xF931, 0x0D02],
-            8,
-            0,
-            0xFFFF_8899,
-            6,
-        ),
-        (
-            "ldr.w r0, [r1, r2, lsl #2]",
-            &[0xF851, 0x0022],
-            0,
-            1,
-            0x8899_AABB,
-            0,
-        ),
-        (
-            "ldrh.w r0, [r1, r2, lsl #1]",
-            &[0xF831, 0x0012],
-            0,
-            3,
-            0x8899,
-            0,
-        ),
-        (
-            "ldrsb.w r0, [r1, #7]",
-            &[0xF991, 0x0007],
-            0,
-            0,
-            0xFFFF_FF88,
-            0,
-        ),
+        ("ldrsh.w r0, [r1, #-2]!", &[0xF931, 0x0D02], 8, 0, 0xFFFF_8899, 6),
+        ("ldr.w r0, [r1, r2, lsl #2]", &[0xF851, 0x0022], 0, 1, 0x8899_AABB, 0),
+        ("ldrh.w r0, [r1, r2, lsl #1]", &[0xF831, 0x0012], 0, 3, 0x8899, 0),
+        ("ldrsb.w r0, [r1, #7]", &[0xF991, 0x0007], 0, 0, 0xFFFF_FF88, 0),
         ("ldrt r0, [r1, #4]", &[0xF851, 0x0E04], 0, 0, 0x8899_AABB, 0),
     ];
     for (mnemonic, halfwords, offset, r2, result, moved) in cases {
@@ -87,11 +38,7 @@ fn single_loads_extend_and_write_back() {
         machine.core.set_register(1, DATA + offset);
         machine.core.set_register(2, r2);
         machine.step(1);
-        assert_eq!(
-            (machine.r(0), machine.r(1)),
-            (result, DATA + moved),
-            "{mnemonic}"
-        );
+        assert_eq!((machine.r(0), machine.r(1)), (result, DATA + moved), "{mnemonic}");
     }
 }
 
@@ -102,11 +49,7 @@ fn single_stores_change_their_bytes_only() {
         ("strh r0, [r1, #6]", &[0x80C8], 0x5678_FFFF),
         ("strb r0, [r1, #5]", &[0x7148], 0xFFFF_78FF),
         ("strb.w r0, [r1, #7]!", &[0xF801, 0x0F07], 0x78FF_FFFF),
-        (
-            "strh.w r0, [r1, r2, lsl #1]",
-            &[0xF821, 0x0012],
-            0xFFFF_5678,
-        ),
+        ("strh.w r0, [r1, r2, lsl #1]", &[0xF821, 0x0012], 0xFFFF_5678),
         ("strb r0, [r1, r2]", &[0x5488], 0xFFFF_FFFF),
     ];
     for (mnemonic, halfwords, expected) in cases {
@@ -132,10 +75,7 @@ fn unaligned_single_accesses_to_memory_work() {
     machine.core.set_register(1, DATA + 1);
     machine.finish();
     assert_eq!((machine.r(0), machine.r(2)), (0x5544_3322, 0x4433));
-    assert_eq!(
-        (machine.word(DATA + 4), machine.word(DATA + 8)),
-        (0x3322_6655, 0x0000_5544)
-    );
+    assert_eq!((machine.word(DATA + 4), machine.word(DATA + 8)), (0x3322_6655, 0x0000_5544));
 }
 
 #[test]
@@ -157,19 +97,13 @@ fn literal_loads_use_the_aligned_pc() {
 fn load_multiple_writes_back_unless_the_base_is_loaded() {
     let mut machine = with_data(&[0xC90D], 0); // ldmia r1!, {r0, r2, r3}
     machine.step(1);
-    assert_eq!(
-        [0, 1, 2, 3].map(|k| machine.r(k)),
-        [0x11, DATA + 12, 0x22, 0x33]
-    );
+    assert_eq!([0, 1, 2, 3].map(|k| machine.r(k)), [0x11, DATA + 12, 0x22, 0x33]);
     let mut machine = with_data(&[0xC907], 0); // ldmia r1, {r0, r1, r2}
     machine.step(1);
     assert_eq!([0, 1, 2].map(|k| machine.r(k)), [0x11, 0x22, 0x33]);
     let mut machine = with_data(&[0xE931, 0x000D], 16); // ldmdb r1!, {r0, r2, r3}
     machine.step(1);
-    assert_eq!(
-        [0, 1, 2, 3].map(|k| machine.r(k)),
-        [0x22, DATA + 4, 0x33, 0x44]
-    );
+    assert_eq!([0, 1, 2, 3].map(|k| machine.r(k)), [0x22, DATA + 4, 0x33, 0x44]);
     let mut machine = with_data(&[0xE911, 0x0005], 8); // ldmdb r1, {r0, r2}
     machine.step(1);
     assert_eq!([0, 1, 2].map(|k| machine.r(k)), [0x11, DATA + 8, 0x22]);
@@ -182,10 +116,7 @@ fn store_multiple_orders_words_by_register() {
         machine.core.set_register(number, value);
     }
     machine.step(1);
-    assert_eq!(
-        [0, 4, 8, 12].map(|k| machine.word(DATA + k)),
-        [1, 2, 3, 0x44]
-    );
+    assert_eq!([0, 4, 8, 12].map(|k| machine.word(DATA + k)), [1, 2, 3, 0x44]);
     assert_eq!(machine.r(1), DATA + 12);
     // The lowest register of the list is the base: its old value is stored.
     let mut machine = with_data(&[0xC106], 0); // stmia r1!, {r1, r2}
@@ -196,10 +127,7 @@ fn store_multiple_orders_words_by_register() {
     machine.core.set_register(2, 2);
     machine.core.set_register(3, 3);
     machine.step(1);
-    assert_eq!(
-        (machine.word(DATA), machine.word(DATA + 4), machine.r(1)),
-        (2, 3, DATA)
-    );
+    assert_eq!((machine.word(DATA), machine.word(DATA + 4), machine.r(1)), (2, 3, DATA));
 }
 
 #[test]
@@ -218,10 +146,7 @@ fn push_and_pop_move_the_stack_pointer() {
     assert_eq!(machine.word(STACK - 12), 10);
     machine.step(2);
     assert_eq!((machine.r(2), machine.r(3)), (10, 11));
-    assert_eq!(
-        (machine.core.pc(), machine.r(13)),
-        (super::PROGRAM + 0x100, STACK)
-    );
+    assert_eq!((machine.core.pc(), machine.r(13)), (super::PROGRAM + 0x100, STACK));
 }
 
 #[test]
@@ -250,14 +175,7 @@ fn dual_transfers_write_back() {
         ("ldrd r0, r2, [r1, #8]", [0xE9D1, 0x0202], 0, 0x33, 0x44, 0),
         ("ldrd r0, r2, [r1, #-8]", [0xE951, 0x0202], 8, 0x11, 0x22, 8),
         ("ldrd r0, r2, [r1], #8", [0xE8F1, 0x0202], 0, 0x11, 0x22, 8),
-        (
-            "ldrd r0, r2, [r1, #-4]!",
-            [0xE971, 0x0201],
-            8,
-            0x22,
-            0x33,
-            4,
-        ),
+        ("ldrd r0, r2, [r1, #-4]!", [0xE971, 0x0201], 8, 0x22, 0x33, 4),
     ];
     for (mnemonic, halfwords, offset, r0, r2, moved) in cases {
         let mut machine = with_data(&halfwords, offset);
@@ -269,14 +187,7 @@ fn dual_transfers_write_back() {
     machine.core.set_register(0, 5);
     machine.core.set_register(2, 6);
     machine.step(1);
-    assert_eq!(
-        (
-            machine.word(DATA + 8),
-            machine.word(DATA + 12),
-            machine.r(1)
-        ),
-        (5, 6, DATA + 8)
-    );
+    assert_eq!((machine.word(DATA + 8), machine.word(DATA + 12), machine.r(1)), (5, 6, DATA + 8));
 }
 
 #[test]

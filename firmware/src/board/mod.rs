@@ -1,0 +1,121 @@
+//! Boards. Each is a folder that implements [`Sensors`] and, for the chip, [`Bsp`]; [`Board`] selects one.
+
+pub mod i2c_timing;
+pub mod nucleo_g474;
+
+use embedded_hal_async::i2c::I2c;
+use embedded_io_async::{Read, Write};
+use embedded_storage_async::nor_flash::NorFlash;
+
+use crate::motor::{MotorCommand, MotorStatus, Settings};
+use crate::protocol::can::{CanReceiver, CanSender};
+use crate::sensors::hall::{HallSensor, SensorBus};
+use crate::sensors::imu::Imu;
+use crate::system::clock::Clock;
+use crate::system::task_watchdog::TaskProgress;
+
+/// The board that the firmware is built for.
+pub type Board = nucleo_g474::NucleoG474;
+/// The Hall sensor of that board.
+pub type BoardHallSensor = <Board as Sensors>::Hall;
+
+/// Sensors of a board. Portable, because the default parameters depend on their addresses.
+pub trait Sensors {
+    /// The four Hall sensors, two on each bus.
+    type Hall: HallSensor;
+    /// The inertial sensor, where one is fitted.
+    type Imu<B: I2c>: Imu<Error = B::Error>;
+}
+
+/// What a board provides to the tasks.
+pub trait Bsp: Sensors + Sized {
+    /// Identifier of the board in [`crate::protocol::messages::Version`].
+    const HARDWARE: u8;
+    /// Time since boot.
+    type Clock: Clock;
+    /// An I2C bus with two Hall sensors.
+    type SensorBus: SensorBus;
+    /// Transmitting half of the CAN controller.
+    type CanTx: CanSender;
+    /// Receiving half of the CAN controller.
+    type CanRx: CanReceiver;
+    /// Transmitting half of the serial line.
+    type SerialTx: Write;
+    /// Receiving half of the serial line.
+    type SerialRx: Read;
+    /// Flash of the parameters.
+    type Flash: NorFlash;
+    /// Source of the nonces.
+    type Rng;
+    /// Power stage, current sensors and rotor sensor.
+    type Drive: MotorDrive;
+    /// Watchdog of the tasks.
+    type Watchdog: Watchdog;
+
+    /// Initialises clocks and buses. Must be called once, first.
+    fn init() -> Peripherals<Self>;
+}
+
+/// Initialised peripherals of a board; motor and watchdog are not running yet.
+pub struct Peripherals<B: Bsp> {
+    /// Buses of sensors 0 and 1, and of sensors 2 and 3.
+    pub sensor_buses: [B::SensorBus; 2],
+    /// Classic CAN at 1 Mbit/s, transmitting half.
+    pub can_tx: B::CanTx,
+    /// Receiving half.
+    pub can_rx: B::CanRx,
+    /// Serial line, transmitting half.
+    pub serial_tx: B::SerialTx,
+    /// Receiving half.
+    pub serial_rx: B::SerialRx,
+    /// Source of the nonces.
+    pub rng: B::Rng,
+    /// Flash of the parameters.
+    pub flash: B::Flash,
+    /// Offset of the first page of parameters in the flash, in bytes.
+    pub flash_offset: u32,
+    /// Motor.
+    pub drive: B::Drive,
+    /// Watchdog.
+    pub watchdog: B::Watchdog,
+}
+
+/// Motor of a board.
+pub trait MotorDrive {
+    /// Receives orders.
+    type Port: MotorPort;
+    /// Reports the state of the motor.
+    type Monitor: MotorMonitor;
+
+    /// Starts the control of the motor with the power stage off.
+    fn start(self, settings: Settings) -> (Self::Port, Self::Monitor);
+}
+
+/// Orders to the motor control.
+pub trait MotorPort {
+    /// Queues an order, to be executed within one PWM period.
+    ///
+    /// # Errors
+    /// The order, when the queue is full.
+    fn order(&mut self, order: MotorCommand) -> Result<(), MotorCommand>;
+
+    /// Switches the power stage off and resets the chip, because the memory of the grasp is corrupt. Does not return on
+    /// the chip.
+    fn shut_down(&mut self);
+}
+
+/// State of the motor, updated each millisecond.
+pub trait MotorMonitor {
+    /// The state, if it was updated since the last call.
+    fn poll(&mut self) -> Option<MotorStatus>;
+}
+
+/// A watchdog that cannot be stopped.
+pub trait Watchdog {
+    /// Starts it. From now on every task must check in within its time-out.
+    fn start(&mut self);
+
+    /// Feeds it while all tasks make progress, else records the task that hangs. Must be called every
+    /// [`crate::system::task_watchdog::FEED_PERIOD_MS`].
+    fn feed(&mut self, progress: &TaskProgress);
+}

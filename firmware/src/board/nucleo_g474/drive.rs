@@ -1,0 +1,230 @@
+//! The two interrupts of the motor. The current loop runs at the end of the current conversions, 20 kHz, at priority 0:
+//! nothing masks it. The motion loop, 4 kHz, is raised by it and by orders; it runs at priority 1 and only critical
+//! sections mask it.
+#![allow(unsafe_code)] // State owned by the interrupts.
+
+use core::cell::UnsafeCell;
+use core::mem::MaybeUninit;
+
+use embassy_stm32::interrupt::{self, InterruptExt, Priority};
+use embassy_stm32::{Peri, peripherals};
+use static_cell::ConstStaticCell;
+
+use crate::board::nucleo_g474::crash;
+use crate::board::nucleo_g474::feedback::{
+    ANGLE_AGE_PERIODS, AnalogPins, PhaseCurrents, RotorSensor, SpiPins,
+};
+use crate::board::nucleo_g474::pwm::{self, Stage};
+use crate::board::nucleo_g474::sync::{Queue, Reader, Writer};
+use crate::board::{MotorDrive, MotorMonitor, MotorPort};
+use crate::motor::power_stage::{Encoder, MotorSamples, PowerStage};
+use crate::motor::settings::IdentifiedMotor;
+use crate::motor::state::{MotorCommand, MotorStatus};
+use crate::motor::tick_exchange::{CurrentLoopCommand, CurrentLoopReport};
+use crate::motor::{CurrentLoop, MOTION_HZ, MOTION_PERIODS, MotionLoop, Settings};
+use crate::system::crash::CrashKind;
+
+/// Motion loop ticks between two status reports: 1 ms.
+const STATUS_TICKS: u8 = (MOTION_HZ * 1e-3) as u8;
+/// Capacity of the order queue: arming, opening and set-point of one millisecond.
+const ORDERS: usize = 3;
+/// Capacity of the queue to the current loop, which empties it in its next period: one entry for each order and one of
+/// the motion loop itself.
+const REQUESTS: usize = ORDERS + 1;
+
+/// Peripherals and pins of the motor.
+pub struct Parts {
+    /// PWM timer.
+    pub timer: Peri<'static, peripherals::TIM1>,
+    /// Half bridges.
+    pub bridges: pwm::Pins,
+    /// Converter of currents and bus voltage.
+    pub converter: Peri<'static, peripherals::ADC1>,
+    /// Its inputs.
+    pub inputs: AnalogPins,
+    /// SPI port of the rotor sensor.
+    pub port: Peri<'static, peripherals::SPI1>,
+    /// Its pins.
+    pub sensor: SpiPins,
+}
+
+/// Queue of orders to the motion loop.
+pub struct Orders(Writer<MotorCommand, ORDERS>);
+
+impl MotorPort for Orders {
+    fn order(&mut self, order: MotorCommand) -> Result<(), MotorCommand> {
+        let queued = self.0.push(order);
+        interrupt::CORDIC.pend();
+        queued
+    }
+
+    fn shut_down(&mut self) {
+        crash::reset(CrashKind::Corruption)
+    }
+}
+
+/// Status reports of the motion loop. A report that is not read delays the next.
+pub struct StatusReports(Reader<MotorStatus, 1>);
+
+impl MotorMonitor for StatusReports {
+    fn poll(&mut self) -> Option<MotorStatus> {
+        self.0.pop()
+    }
+}
+
+/// State of the current loop's interrupt.
+struct CurrentLoopState {
+    inner: CurrentLoop,
+    stage: Stage,
+    currents: PhaseCurrents,
+    sensor: RotorSensor,
+    requests: Reader<CurrentLoopCommand, REQUESTS>,
+    state: Writer<CurrentLoopReport, 1>,
+    results: Writer<IdentifiedMotor, 1>,
+    periods: u8,
+}
+
+/// State of the motion loop's interrupt.
+struct MotionLoopState {
+    outer: MotionLoop,
+    orders: Reader<MotorCommand, ORDERS>,
+    state: Reader<CurrentLoopReport, 1>,
+    results: Reader<IdentifiedMotor, 1>,
+    requests: Writer<CurrentLoopCommand, REQUESTS>,
+    status: Writer<MotorStatus, 1>,
+    ticks: u8,
+}
+
+struct Owned<T>(UnsafeCell<MaybeUninit<T>>);
+
+// SAFETY: written before the interrupt is enabled, then used by that interrupt alone.
+unsafe impl<T> Sync for Owned<T> {}
+
+static INNER: Owned<CurrentLoopState> = Owned(UnsafeCell::new(MaybeUninit::uninit()));
+static OUTER: Owned<MotionLoopState> = Owned(UnsafeCell::new(MaybeUninit::uninit()));
+
+impl MotorDrive for Parts {
+    type Port = Orders;
+    type Monitor = StatusReports;
+
+    fn start(self, settings: Settings) -> (Orders, StatusReports) {
+        start(self, settings)
+    }
+}
+
+/// Starts timer and interrupts with all switches off. Must be called once.
+fn start(parts: Parts, settings: Settings) -> (Orders, StatusReports) {
+    static ORDER_QUEUE: ConstStaticCell<Queue<MotorCommand, ORDERS>> =
+        ConstStaticCell::new(Queue::new());
+    static STATUS_QUEUE: ConstStaticCell<Queue<MotorStatus, 1>> =
+        ConstStaticCell::new(Queue::new());
+    static STATE_QUEUE: ConstStaticCell<Queue<CurrentLoopReport, 1>> =
+        ConstStaticCell::new(Queue::new());
+    static RESULT_QUEUE: ConstStaticCell<Queue<IdentifiedMotor, 1>> =
+        ConstStaticCell::new(Queue::new());
+    static REQUEST_QUEUE: ConstStaticCell<Queue<CurrentLoopCommand, REQUESTS>> =
+        ConstStaticCell::new(Queue::new());
+    let (orders, order_reader) = ORDER_QUEUE.take().split();
+    let (status_writer, status) = STATUS_QUEUE.take().split();
+    let (state_writer, state_reader) = STATE_QUEUE.take().split();
+    let (result_writer, result_reader) = RESULT_QUEUE.take().split();
+    let (request_writer, request_reader) = REQUEST_QUEUE.take().split();
+    let settings = Settings { angle_age_periods: ANGLE_AGE_PERIODS, ..settings };
+    let inner = CurrentLoopState {
+        inner: CurrentLoop::new(settings),
+        currents: PhaseCurrents::start(parts.converter, parts.inputs),
+        sensor: RotorSensor::new(parts.port, parts.sensor),
+        stage: Stage::start(parts.timer, parts.bridges),
+        requests: request_reader,
+        state: state_writer,
+        results: result_writer,
+        periods: 0,
+    };
+    let outer = MotionLoopState {
+        outer: MotionLoop::new(settings),
+        orders: order_reader,
+        state: state_reader,
+        results: result_reader,
+        requests: request_writer,
+        status: status_writer,
+        ticks: 0,
+    };
+    // SAFETY: the interrupts are not enabled yet.
+    unsafe {
+        (*INNER.0.get()).write(inner);
+        (*OUTER.0.get()).write(outer);
+    }
+    interrupt::ADC1_2.set_priority(Priority::P0);
+    interrupt::CORDIC.set_priority(Priority::P1);
+    // SAFETY: the state of both interrupts is initialised.
+    unsafe {
+        interrupt::CORDIC.enable();
+        interrupt::ADC1_2.enable();
+    }
+    (Orders(orders), StatusReports(status))
+}
+
+impl CurrentLoopState {
+    fn period(&mut self) {
+        let angle = self.sensor.angle();
+        let (phases, bus) = self.currents.read();
+        self.sensor.select();
+        while let Some(ask) = self.requests.pop() {
+            self.inner.apply(ask);
+        }
+        if self.stage.is_broken() {
+            self.inner.trip_power_stage();
+        }
+        let sensed = MotorSamples { phases, bus, angle };
+        self.stage.drive(self.inner.tick(&sensed));
+        self.sensor.start_frame();
+        self.periods = self.periods.saturating_add(1);
+        if self.periods >= MOTION_PERIODS {
+            self.periods = 0;
+            if let Some(found) = self.inner.take_identification() {
+                let _ = self.results.push(found);
+            }
+            // Full when the motion loop has missed its ticks: then the current loop trips by itself.
+            let _ = self.state.push(self.inner.take_report());
+            interrupt::CORDIC.pend();
+        }
+    }
+}
+
+impl MotionLoopState {
+    fn tick(&mut self) {
+        while let Some(order) = self.orders.pop() {
+            if let Some(urgent) = self.outer.handle_command(order) {
+                let _ = self.requests.push(urgent);
+            }
+        }
+        if let Some(found) = self.results.pop() {
+            self.outer.apply_identification(found);
+        }
+        let Some(report) = self.state.pop() else {
+            return;
+        };
+        // The current loop empties this queue in its next period.
+        let _ = self.requests.push(self.outer.tick(report));
+        self.ticks = self.ticks.saturating_add(1);
+        if self.ticks >= STATUS_TICKS {
+            self.ticks = 0;
+            // Dropped while the last report was not read.
+            let _ = self.status.push(self.outer.status());
+        }
+    }
+}
+
+/// End of the injected conversions.
+#[embassy_stm32::interrupt]
+fn ADC1_2() {
+    // SAFETY: written before the interrupt is enabled; not used elsewhere from then on.
+    unsafe { (*INNER.0.get()).assume_init_mut() }.period();
+}
+
+/// Raised by the current loop and by orders; its peripheral is unused.
+#[embassy_stm32::interrupt]
+fn CORDIC() {
+    // SAFETY: written before the interrupt is enabled; not used elsewhere from then on.
+    unsafe { (*OUTER.0.get()).assume_init_mut() }.tick();
+}

@@ -1,0 +1,107 @@
+//! Flash of the parameters: the last four pages of the second bank (`memory.x`).
+//!
+//! The core runs from the first bank, which can be read while the second is written or erased, as long as the image is
+//! below 256 KiB. A word with two wrong bits, as a power cut leaves it, raises the non-maskable interrupt, which becomes an
+//! error of that read here. Not tested on hardware.
+#![allow(unsafe_code)] // A symbol of the linker script.
+
+use core::sync::atomic::{AtomicBool, Ordering, compiler_fence};
+
+use embassy_stm32::flash::{self, Async, FLASH_BASE, Flash, MAX_ERASE_SIZE, WRITE_SIZE};
+use embassy_stm32::{Peri, bind_interrupts, pac, peripherals};
+use embedded_storage_async::nor_flash::{
+    ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,
+};
+
+bind_interrupts!(struct Interrupts {
+    FLASH => flash::InterruptHandler;
+});
+
+/// Set while a page is read: only then an ECC error is tolerated.
+static READING: AtomicBool = AtomicBool::new(false);
+/// Set by the interrupt.
+static ECC_ERROR: AtomicBool = AtomicBool::new(false);
+
+unsafe extern "C" {
+    /// The first page (`memory.x`).
+    static _parameters: u32;
+}
+
+/// Driver of these pages.
+pub struct ParameterFlash(Flash<'static, Async>);
+
+/// Why an access failed.
+#[derive(Debug)]
+pub enum FlashError {
+    /// Error of the driver.
+    Driver(flash::Error),
+    /// Two bits of a word are wrong.
+    Ecc,
+}
+
+/// The driver, and the offset of the first page in bytes.
+pub fn parameter_flash(flash: Peri<'static, peripherals::FLASH>) -> (ParameterFlash, u32) {
+    let offset = (&raw const _parameters as usize).saturating_sub(FLASH_BASE);
+    (ParameterFlash(Flash::new(flash, Interrupts)), offset as u32)
+}
+
+/// Called by the non-maskable interrupt: clears an ECC error of a read of these pages; false for any other cause.
+pub(super) fn handle_ecc_error() -> bool {
+    if !pac::FLASH.eccr().read().eccd() || !READING.load(Ordering::Relaxed) {
+        return false;
+    }
+    // The flag is cleared by writing one.
+    pac::FLASH.eccr().modify(|w| w.set_eccd(true));
+    ECC_ERROR.store(true, Ordering::Relaxed);
+    true
+}
+
+impl NorFlashError for FlashError {
+    fn kind(&self) -> NorFlashErrorKind {
+        match self {
+            Self::Driver(error) => error.kind(),
+            Self::Ecc => NorFlashErrorKind::Other,
+        }
+    }
+}
+
+impl ErrorType for ParameterFlash {
+    type Error = FlashError;
+}
+
+impl ReadNorFlash for ParameterFlash {
+    const READ_SIZE: usize = flash::READ_SIZE;
+
+    async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), FlashError> {
+        ECC_ERROR.store(false, Ordering::Relaxed);
+        READING.store(true, Ordering::Relaxed);
+        compiler_fence(Ordering::SeqCst);
+        let read = self.0.blocking_read(offset, bytes);
+        // An interrupt due to the last word is taken before the next instruction but one.
+        cortex_m::asm::dsb();
+        compiler_fence(Ordering::SeqCst);
+        READING.store(false, Ordering::Relaxed);
+        if ECC_ERROR.load(Ordering::Relaxed) {
+            Err(FlashError::Ecc)
+        } else {
+            read.map_err(FlashError::Driver)
+        }
+    }
+
+    fn capacity(&self) -> usize {
+        ReadNorFlash::capacity(&self.0)
+    }
+}
+
+impl NorFlash for ParameterFlash {
+    const WRITE_SIZE: usize = WRITE_SIZE;
+    const ERASE_SIZE: usize = MAX_ERASE_SIZE;
+
+    async fn erase(&mut self, from: u32, to: u32) -> Result<(), FlashError> {
+        self.0.erase(from, to).await.map_err(FlashError::Driver)
+    }
+
+    async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), FlashError> {
+        self.0.write(offset, bytes).await.map_err(FlashError::Driver)
+    }
+}

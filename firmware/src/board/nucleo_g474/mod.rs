@@ -1,0 +1,54 @@
+//! The reference board, a NUCLEO-G474RE. The paper's own board is not public: every pin here is assumed.
+//!
+//! | function | pins |
+//! | --- | --- |
+//! | Hall sensors 0 and 1 | I2C1: SCL PA15, SDA PB9 |
+//! | Hall sensors 2 and 3 | I2C3: SCL PC8, SDA PC9 |
+//! | CAN | FDCAN1: RX PA11, TX PA12, to a transceiver |
+//! | serial line | USART2: TX PA2, RX PA3, to the debugger's virtual port |
+//! | half bridges | TIM1: high sides PA8, PA9, PA10, low sides PB13, PB14, PB15; break PB12, active low |
+//! | phase currents, bus voltage | ADC1: PC0, PC1, PC2; PC3 |
+//! | rotor angle | SPI1: SCK PA5, MOSI PA7, MISO PA6, CS PA4 |
+//!
+//! SCL of I2C1 is at PA15 because PB8 is also BOOT0: a pull-up there starts the boot loader at each reset of a chip with
+//! its option bytes as shipped (RM0440 2.6.1).
+//!
+//! The sensor buses have pull-ups of 1 kOhm (assumed): 1 MHz requires rising edges within 120 ns.
+
+#[cfg(target_os = "none")]
+pub mod can;
+#[cfg(target_os = "none")]
+pub mod crash;
+#[cfg(target_os = "none")]
+pub mod drive;
+#[cfg(target_os = "none")]
+pub mod feedback;
+#[cfg(target_os = "none")]
+pub mod flash;
+#[cfg(target_os = "none")]
+pub mod i2c;
+#[cfg(target_os = "none")]
+pub mod mem;
+#[cfg(target_os = "none")]
+pub mod peripherals;
+#[cfg(target_os = "none")]
+pub mod pwm;
+#[cfg(target_os = "none")]
+pub mod sync;
+#[cfg(target_os = "none")]
+pub mod tasks;
+
+use embedded_hal_async::i2c::I2c;
+
+use crate::board::Sensors;
+use crate::sensors::hall::a31301::A31301;
+use crate::sensors::imu::Lsm6ds3;
+
+/// The board as a type.
+#[derive(Clone, Copy, Debug)]
+pub struct NucleoG474;
+
+impl Sensors for NucleoG474 {
+    type Hall = A31301;
+    type Imu<B: I2c> = Lsm6ds3<B>;
+}

@@ -1,0 +1,174 @@
+//! Initialisation of clocks, pins and buses.
+
+use embassy_stm32::can::config::{FdCanConfig, GlobalFilter, NominalBitTiming};
+use embassy_stm32::can::{self, CanConfigurator};
+use embassy_stm32::interrupt::Priority;
+use embassy_stm32::mode::Async;
+use embassy_stm32::rng::{self, Rng};
+use embassy_stm32::time::Hertz;
+use embassy_stm32::usart::{self, RingBufferedUartRx, Uart, UartTx};
+use embassy_stm32::{bind_interrupts, dma, pac, peripherals, rcc};
+use embassy_time::{Instant, Timer};
+use static_cell::ConstStaticCell;
+
+use crate::board::i2c_timing::{EdgeTimes, I2cMode, i2c_timing};
+use crate::board::nucleo_g474::can::{Receiver, Sender};
+use crate::board::nucleo_g474::crash::IndependentWatchdog;
+use crate::board::nucleo_g474::flash::{self, ParameterFlash};
+use crate::board::nucleo_g474::i2c::I2cBus;
+use crate::board::nucleo_g474::{NucleoG474, drive, pwm, sync};
+use crate::board::{Bsp, Peripherals};
+use crate::protocol::serial::BAUD_RATE;
+use crate::system::clock::Clock;
+
+/// Clock of the I2C peripherals: HSI16.
+const I2C_HZ: u32 = 16_000_000;
+/// Edges of the sensor buses in nanoseconds, assumed: 1 kOhm, 100 pF.
+const EDGES: EdgeTimes = EdgeTimes { rise: 85, fall: 20 };
+/// TIMINGR of the sensor buses.
+const TIMING: u32 = match i2c_timing(I2C_HZ, I2cMode::FastPlus, EDGES) {
+    Some(timing) => timing.word(),
+    None => panic!("no timing for these edges"),
+};
+/// Receive buffer of the serial line: 2.5 ms.
+const SERIAL_RX_BYTES: usize = 512;
+
+bind_interrupts!(struct Interrupts {
+    USART2 => usart::InterruptHandler<peripherals::USART2>;
+    RNG => rng::InterruptHandler<peripherals::RNG>;
+    DMA1_CHANNEL5 => dma::InterruptHandler<peripherals::DMA1_CH5>;
+    DMA1_CHANNEL6 => dma::InterruptHandler<peripherals::DMA1_CH6>;
+    FDCAN1_IT0 => can::IT0InterruptHandler<peripherals::FDCAN1>;
+    FDCAN1_IT1 => can::IT1InterruptHandler<peripherals::FDCAN1>;
+});
+
+impl Bsp for NucleoG474 {
+    const HARDWARE: u8 = 1;
+    type Clock = BoardClock;
+    type SensorBus = I2cBus;
+    type CanTx = Sender;
+    type CanRx = Receiver;
+    type SerialTx = UartTx<'static, Async>;
+    type SerialRx = RingBufferedUartRx<'static>;
+    type Flash = ParameterFlash;
+    type Rng = Rng<'static, peripherals::RNG>;
+    type Drive = drive::Parts;
+    type Watchdog = IndependentWatchdog;
+
+    fn init() -> Peripherals<Self> {
+        sync::lower_all_interrupts();
+        let mut config = embassy_stm32::Config::default();
+        // Below the motor interrupt.
+        config.bdma_interrupt_priority = Priority::P1;
+        let mut p = embassy_stm32::init(config);
+        // The driver library resets PWR and sets the wrong bit for boost mode: its clocks follow afterwards.
+        boost();
+        rcc::reinit(clocks(), &mut p.RCC);
+        // A failing crystal breaks the motor outputs and raises the NMI; the driver library has no option for it.
+        pac::RCC.cr().modify(|w| w.set_csson(true));
+        // 20 mA drivers for 1 MHz.
+        pac::SYSCFG.cfgr1().modify(|w| {
+            w.set_i2c1_fmp(true);
+            w.set_i2c3_fmp(true);
+        });
+        let mut can = CanConfigurator::new(p.FDCAN1, p.PA11, p.PA12, Interrupts);
+        can.set_config(can_config());
+        let (sender, receiver, properties) = can.into_normal_mode().split();
+        let mut config = usart::Config::default();
+        config.baudrate = BAUD_RATE;
+        static BUFFER: ConstStaticCell<[u8; SERIAL_RX_BYTES]> =
+            ConstStaticCell::new([0; SERIAL_RX_BYTES]);
+        let uart = Uart::new(p.USART2, p.PA3, p.PA2, p.DMA1_CH5, p.DMA1_CH6, Interrupts, config);
+        // The configuration is constant and valid.
+        let Ok(uart) = uart else { defmt::panic!("invalid serial configuration") };
+        let (serial_tx, serial_rx) = uart.split();
+        let (flash, flash_offset) = flash::parameter_flash(p.FLASH);
+        Peripherals {
+            sensor_buses: [
+                I2cBus::first(p.I2C1, p.PA15, p.PB9, TIMING),
+                I2cBus::second(p.I2C3, p.PC8, p.PC9, TIMING),
+            ],
+            can_tx: Sender { half: sender, properties },
+            can_rx: Receiver(receiver),
+            serial_tx,
+            serial_rx: serial_rx.into_ring_buffered(BUFFER.take()),
+            rng: Rng::new(p.RNG, Interrupts),
+            flash,
+            flash_offset,
+            drive: drive::Parts {
+                timer: p.TIM1,
+                bridges: pwm::Pins {
+                    high: (p.PA8, p.PA9, p.PA10),
+                    low: (p.PB13, p.PB14, p.PB15),
+                    stop: p.PB12,
+                },
+                converter: p.ADC1,
+                inputs: (p.PC0, p.PC1, p.PC2, p.PC3),
+                port: p.SPI1,
+                sensor: (p.PA5, p.PA7, p.PA6, p.PA4),
+            },
+            watchdog: IndependentWatchdog::new(p.IWDG),
+        }
+    }
+}
+
+/// Time of the timer that `embassy-time` uses.
+#[derive(Clone, Copy, Debug)]
+pub struct BoardClock;
+
+impl Clock for BoardClock {
+    fn now_us(&self) -> u64 {
+        Instant::now().as_micros()
+    }
+
+    async fn until(&self, time_us: u64) {
+        Timer::at(Instant::from_micros(time_us)).await;
+    }
+}
+
+/// Enables voltage range 1 boost, required above 150 MHz (RM0440 6.1.5), while the core still runs at 16 MHz. The option
+/// of embassy-stm32 has no effect: stm32-metapac 21.0.0 has R1MODE at bit 0 of PWR_CR5, RM0440 and ST's header at bit 8.
+fn boost() {
+    const R1MODE: u32 = 1 << 8;
+    pac::PWR.cr5().modify(|w| w.0 &= !R1MODE);
+}
+
+/// Crystal 24 MHz / 6 * 80 = 320 MHz: 160 MHz for the core, 80 MHz for CAN.
+fn clocks() -> rcc::Config {
+    let mut config = rcc::Config::default();
+    config.hsi = true;
+    config.hsi48 = Some(rcc::Hsi48Config::default());
+    config.hse = Some(rcc::Hse { freq: Hertz(24_000_000), mode: rcc::HseMode::Oscillator });
+    config.pll = Some(rcc::Pll {
+        source: rcc::PllSource::HSE,
+        prediv: rcc::PllPreDiv::DIV6,
+        mul: rcc::PllMul::MUL80,
+        divp: None,
+        divq: Some(rcc::PllQDiv::DIV4),
+        divr: Some(rcc::PllRDiv::DIV2),
+    });
+    config.sys = rcc::Sysclk::PLL1_R;
+    config.boost = true;
+    config.mux.adc12sel = rcc::mux::Adcsel::SYS;
+    config.mux.fdcansel = rcc::mux::Fdcansel::PLL1_Q;
+    config.mux.i2c1sel = rcc::mux::I2csel::HSI;
+    config.mux.i2c3sel = rcc::mux::I2csel::HSI;
+    config.mux.clk48sel = rcc::mux::Clk48sel::HSI48;
+    config
+}
+
+/// 80 MHz / 4 / (1 + 15 + 4) = 1 Mbit/s, sampled at 80 %. No automatic recovery
+/// from bus-off: the transmit task waits longer after each.
+fn can_config() -> FdCanConfig {
+    let non_zero = |n: u8| core::num::NonZeroU8::new(n).unwrap_or(core::num::NonZeroU8::MIN);
+    FdCanConfig::default()
+        // An unfiltered frame would interrupt the core, up to 8000 times a second.
+        .set_global_filter(GlobalFilter::reject_all())
+        .set_automatic_bus_off_recovery(false)
+        .set_nominal_bit_timing(NominalBitTiming {
+            prescaler: core::num::NonZeroU16::new(4).unwrap_or(core::num::NonZeroU16::MIN),
+            seg1: non_zero(15),
+            seg2: non_zero(4),
+            sync_jump_width: non_zero(4),
+        })
+}

@@ -1,0 +1,228 @@
+//! The [`tasks`](crate::tasks) on the chip: executors, priorities, and the statics.
+//!
+//! | level | tasks | deadline |
+//! | --- | --- | --- |
+//! | priority 0 and 1 | motor interrupts ([`crate::board::nucleo_g474::drive`]), drivers | one PWM period |
+//! | [`SENSING_PRIORITY`] | sense, receive CAN | a bus waits for its next transfer; the controller stores three frames |
+//! | [`CONTROL_PRIORITY`] | estimate, grip | the next tick |
+//! | thread mode | all other tasks | |
+//!
+//! Each level preempts those below it. Nothing above thread mode writes to the log.
+
+use defmt::info;
+use embassy_executor::{InterruptExecutor, SpawnError, SpawnToken, Spawner};
+use embassy_stm32::interrupt::{self, InterruptExt, Priority};
+use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
+use embassy_time::{Duration, Ticker};
+use static_cell::StaticCell;
+
+use crate::board::nucleo_g474::peripherals::BoardClock;
+use crate::board::nucleo_g474::{NucleoG474, crash};
+use crate::board::{BoardHallSensor, Bsp, MotorDrive, MotorMonitor, Peripherals, Watchdog};
+use crate::config::limits::{DetectionLimits, GripLimits};
+use crate::config::parameters::Backdrivability;
+use crate::estimator::Estimator;
+use crate::estimator::gru::GruBank;
+use crate::grip::GripController;
+use crate::model::tables::{NETWORKS, TABLES};
+use crate::motor::screw::Screw;
+use crate::protocol::PROTOCOL_VERSION;
+use crate::protocol::messages::Version;
+use crate::sensors::hall::SENSORS;
+use crate::system::faults::Event;
+use crate::system::nv_storage::{LoadedParameters, ParameterStore};
+use crate::system::task_watchdog::FEED_PERIOD_MS;
+use crate::tasks::{self, HostService, SharedState, TickInputs};
+
+defmt::timestamp!("{=u64:us}", embassy_time::Instant::now().as_micros());
+
+type B = NucleoG474;
+type Drive = <B as Bsp>::Drive;
+type Shared = &'static SharedState<CriticalSectionRawMutex>;
+
+const LIMITS: DetectionLimits = DetectionLimits::GRIPPER;
+/// Initialised at boot: as a constant it would also occupy 2 KB of flash.
+static SHARED: StaticCell<SharedState<CriticalSectionRawMutex>> = StaticCell::new();
+/// Executor of sensing and CAN reception. Both executors use interrupts of unused peripherals.
+static SENSING: InterruptExecutor = InterruptExecutor::new();
+/// Below the interrupts of the buses.
+const SENSING_PRIORITY: Priority = Priority::P5;
+/// Executor of estimation and grip.
+static CONTROL: InterruptExecutor = InterruptExecutor::new();
+/// Above thread mode.
+const CONTROL_PRIORITY: Priority = Priority::P6;
+
+/// Interrupt of [`SENSING`].
+#[embassy_stm32::interrupt]
+fn SAI1() {
+    // SAFETY: the executor's own interrupt, not raised by anything else.
+    #[allow(unsafe_code)]
+    unsafe {
+        SENSING.on_interrupt();
+    }
+}
+
+/// Interrupt of [`CONTROL`].
+#[embassy_stm32::interrupt]
+fn FMAC() {
+    // SAFETY: as above.
+    #[allow(unsafe_code)]
+    unsafe {
+        CONTROL.on_interrupt();
+    }
+}
+
+/// The token of a task that is spawned once. One function for all, because a panic message at each call costs flash.
+fn once<S>(token: Result<SpawnToken<S>, SpawnError>) -> SpawnToken<S> {
+    token.unwrap_or_else(|_| spawned_twice())
+}
+
+#[cold]
+#[inline(never)]
+fn spawned_twice() -> ! {
+    defmt::panic!("a task is spawned twice")
+}
+
+/// Initialises the board and spawns every task.
+pub fn start(spawner: Spawner) {
+    // As a task of this crate: code shared with the other tasks is then instantiated once.
+    spawner.spawn(once(begin(spawner, B::init())));
+}
+
+#[embassy_executor::task]
+async fn begin(spawner: Spawner, board: Peripherals<B>) {
+    let shared: Shared = SHARED.init_with(SharedState::new);
+    let (boot, crash) = crash::take_record();
+    info!("start {}, tables {:04x}, {} sensors", boot, TABLES.id, TABLES.sensors.len());
+    if let Some(crash) = &crash {
+        shared.record_crash(crash);
+    }
+    let mut store = ParameterStore::new(board.flash, board.flash_offset);
+    let loaded = tasks::load_parameters(&mut store, shared).await;
+    let parameters = shared.parameters();
+    let settings = parameters.settings();
+    let node = parameters.node();
+    board.can_tx.accept_node(node);
+    let (motor_port, motor_status) = board.drive.start(settings);
+    interrupt::FMAC.set_priority(CONTROL_PRIORITY);
+    let control = CONTROL.start(interrupt::FMAC);
+    control.spawn(once(estimate(shared, motor_status)));
+    control.spawn(once(grip(shared, settings.screw, motor_port)));
+    interrupt::SAI1.set_priority(SENSING_PRIORITY);
+    let sensing = SENSING.start(interrupt::SAI1);
+    sensing.spawn(once(sense(shared, board.sensor_buses, parameters.addresses())));
+    sensing.spawn(once(receive_can(shared, board.can_rx)));
+    let mut watchdog = board.watchdog;
+    watchdog.start();
+    spawner.spawn(once(feed(shared, watchdog)));
+    spawner.spawn(once(scrub(shared)));
+    spawner.spawn(once(transmit(shared, board.can_tx, node)));
+    spawner.spawn(once(transmit_serial(shared, board.serial_tx)));
+    spawner.spawn(once(receive_serial(shared, board.serial_rx, node)));
+    spawner.spawn(once(host_service(shared, store, loaded, board.rng)));
+}
+
+#[embassy_executor::task]
+async fn sense(shared: Shared, buses: [<B as Bsp>::SensorBus; 2], addresses: [u8; SENSORS]) {
+    tasks::sense::<BoardHallSensor, _, _, _>(buses, addresses, &LIMITS, &BoardClock, shared).await;
+}
+
+#[embassy_executor::task]
+async fn estimate(shared: Shared, mut motor_status: <Drive as MotorDrive>::Monitor) {
+    let mut estimator = Estimator::new(&TABLES, GruBank::new(&NETWORKS));
+    let mut last = TickInputs::default();
+    let inputs = move || {
+        if let Some(motor) = motor_status.poll() {
+            last = TickInputs { auxiliary: motor.covariates(), motor };
+        }
+        last
+    };
+    tasks::estimate(&mut estimator, inputs, &LIMITS, &BoardClock, shared).await;
+}
+
+#[embassy_executor::task]
+async fn grip(shared: Shared, screw: Screw, motor: <Drive as MotorDrive>::Port) {
+    let is_self_locking = shared.parameters().backdrivability() == Backdrivability::SelfLocking;
+    let mut grip = GripController::new(GripLimits::GRIPPER, screw, is_self_locking);
+    tasks::grip(&mut grip, motor, shared).await;
+}
+
+#[embassy_executor::task]
+async fn feed(shared: Shared, mut watchdog: <B as Bsp>::Watchdog) {
+    let mut ticker = Ticker::every(Duration::from_millis(FEED_PERIOD_MS.into()));
+    loop {
+        watchdog.feed(&shared.progress);
+        ticker.next().await;
+    }
+}
+
+#[embassy_executor::task]
+async fn scrub(shared: Shared) {
+    tasks::scrub(&TABLES, &NETWORKS, &BoardClock, shared).await;
+}
+
+#[embassy_executor::task]
+async fn transmit(shared: Shared, can: <B as Bsp>::CanTx, node: u16) {
+    tasks::transmit(can, (node, version()), log, &BoardClock, shared).await;
+}
+
+#[embassy_executor::task]
+async fn transmit_serial(shared: Shared, line: <B as Bsp>::SerialTx) {
+    tasks::transmit_serial(line, shared).await;
+}
+
+#[embassy_executor::task]
+async fn receive_can(shared: Shared, can: <B as Bsp>::CanRx) {
+    tasks::receive_can(can, &LIMITS, &BoardClock, shared).await;
+}
+
+#[embassy_executor::task]
+async fn receive_serial(shared: Shared, line: <B as Bsp>::SerialRx, node: u16) {
+    tasks::receive_serial(line, node, &LIMITS, &BoardClock, shared).await;
+}
+
+#[embassy_executor::task]
+async fn host_service(
+    shared: Shared,
+    store: ParameterStore<<B as Bsp>::Flash>,
+    loaded: LoadedParameters,
+    mut rng: <B as Bsp>::Rng,
+) {
+    let service = HostService {
+        version: version(),
+        store,
+        loaded,
+        random: move || rng.next_u32() as u16,
+        reboot: || cortex_m::peripheral::SCB::sys_reset(),
+    };
+    tasks::host_service(service, &BoardClock, shared).await;
+}
+
+const fn number(text: &str) -> u8 {
+    match u8::from_str_radix(text, 10) {
+        Ok(number) => number,
+        Err(_) => u8::MAX,
+    }
+}
+
+fn version() -> Version {
+    Version {
+        protocol_major: PROTOCOL_VERSION.0,
+        protocol_minor: PROTOCOL_VERSION.1,
+        firmware_major: const { number(env!("CARGO_PKG_VERSION_MAJOR")) },
+        firmware_minor: const { number(env!("CARGO_PKG_VERSION_MINOR")) },
+        firmware_patch: const { number(env!("CARGO_PKG_VERSION_PATCH")) },
+        hardware: B::HARDWARE,
+        tables: TABLES.id,
+    }
+}
+
+fn log(event: Event) {
+    match event {
+        Event::BusScanned { bus, answers } => info!("bus {}: answers {:04b}", bus, answers),
+        Event::BusCleared { bus, free } => info!("bus {} cleared, free {}", bus, free),
+        Event::Fault(fault) => {
+            info!("fault {} of {}: {}, {}", fault.code, fault.source, fault.active, fault.detail)
+        }
+    }
+}

@@ -1,0 +1,176 @@
+//! Inference of the recurrent networks on a frame's estimates.
+//!
+//! The type of a network contains its sizes, so an image links only the kernel of these sizes, and none without
+//! networks.
+//!
+//! **Reset.** All states zero, as at the start of training. For the first [`Network::warm_up`] steps the outputs
+//! depend more on that start than on the inputs and are not used. The exporter determines this number for each network:
+//! the steps until a reset and a past with all inputs at the end of their range give the same outputs.
+
+pub mod scale;
+
+use crate::estimator::network_monitor::deviations;
+use crate::estimator::{Estimate, NetworkBank, Validity};
+use crate::fixed_point::{Force, mul_q, saturate};
+use crate::model::formats::{
+    FORCE_BITS, GruState, Guard, InputSource, Network, Prediction, Target,
+};
+use crate::model::kernel::gru;
+use crate::sensors::hall::SENSORS;
+
+/// State of a network with its number of steps.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct GruInference<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize> {
+    /// State of the layers.
+    pub state: GruState<INPUTS, HIDDEN, HEADS>,
+    /// Steps since the reset, saturating.
+    pub steps: u16,
+}
+
+impl<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize>
+    GruInference<INPUTS, HIDDEN, HEADS>
+{
+    /// State after a reset.
+    pub const RESET: Self = Self { state: GruState::RESET, steps: 0 };
+
+    /// One step; `value` reads an input in the unit of its source. Returns `None` during the warm-up. A missing
+    /// input resets the network, because it breaks the time series.
+    pub fn step(
+        &mut self,
+        network: &Network<INPUTS, HIDDEN, HEADS>,
+        value: impl Fn(InputSource) -> Option<i32>,
+    ) -> Option<[Prediction; HEADS]> {
+        let mut is_complete = true;
+        for (scaled, pair) in self.state.input.iter_mut().zip(&network.inputs) {
+            *scaled = pair.map(|input| {
+                let value = value(input.source);
+                is_complete &= value.is_some();
+                scale::input(input, value.unwrap_or_default())
+            });
+        }
+        if !is_complete {
+            *self = Self::RESET;
+            return None;
+        }
+        gru::step(&network.weights, &mut self.state);
+        self.steps = self.steps.saturating_add(1);
+        let predictions =
+            self.state.outputs.map(|outputs| scale::prediction(network.force, outputs));
+        (self.steps > network.warm_up).then_some(predictions)
+    }
+}
+
+/// Networks of one size with their states.
+#[derive(Clone, Debug)]
+pub struct GruBank<
+    'n,
+    const INPUTS: usize,
+    const HIDDEN: usize,
+    const HEADS: usize,
+    const NETWORKS: usize,
+> {
+    networks: &'n [Network<INPUTS, HIDDEN, HEADS>; NETWORKS],
+    runs: [GruInference<INPUTS, HIDDEN, HEADS>; NETWORKS],
+}
+
+impl<'n, const INPUTS: usize, const HIDDEN: usize, const HEADS: usize, const NETWORKS: usize>
+    GruBank<'n, INPUTS, HIDDEN, HEADS, NETWORKS>
+{
+    /// The networks after a reset.
+    pub const fn new(networks: &'n [Network<INPUTS, HIDDEN, HEADS>; NETWORKS]) -> Self {
+        Self { networks, runs: [const { GruInference::RESET }; NETWORKS] }
+    }
+}
+
+impl<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize, const NETWORKS: usize>
+    NetworkBank for GruBank<'_, INPUTS, HIDDEN, HEADS, NETWORKS>
+{
+    fn apply(&mut self, estimates: &mut [Estimate; SENSORS]) {
+        apply(self.networks, &mut self.runs, estimates);
+    }
+}
+
+/// Steps every network on a frame's estimates and merges the predictions into them. Estimates of networks that are
+/// warming up stay unchanged.
+///
+/// Not inlined: the check of the image finds the networks by this function.
+#[inline(never)]
+pub fn apply<
+    const INPUTS: usize,
+    const HIDDEN: usize,
+    const HEADS: usize,
+    const NETWORKS: usize,
+>(
+    networks: &[Network<INPUTS, HIDDEN, HEADS>; NETWORKS],
+    runs: &mut [GruInference<INPUTS, HIDDEN, HEADS>; NETWORKS],
+    estimates: &mut [Estimate; SENSORS],
+) {
+    // Inputs are those of the ideal model, not of other networks.
+    let ideal = *estimates;
+    for (network, run) in networks.iter().zip(runs) {
+        let Some(predictions) = run.step(network, |source| value(&ideal, source)) else {
+            continue;
+        };
+        let heads = network.sensors.iter().zip(&network.guards);
+        for ((&sensor, guard), prediction) in heads.zip(&predictions) {
+            if let Some(estimate) = estimates.get_mut(usize::from(sensor)) {
+                merge(estimate, network.target, guard, prediction);
+            }
+        }
+    }
+}
+
+/// Value of an input; `None` if its sensor is missing.
+fn value(estimates: &[Estimate; SENSORS], source: InputSource) -> Option<i32> {
+    let present = |sensor: u8| {
+        let estimate = estimates.get(usize::from(sensor))?;
+        (estimate.validity != Validity::Missing).then_some(estimate)
+    };
+    match source {
+        InputSource::None => Some(0),
+        InputSource::Field { sensor, axis } => {
+            let field = present(sensor)?.field.get(usize::from(axis))?;
+            Some(field.0)
+        }
+        InputSource::Ideal { sensor, axis } => {
+            let force = present(sensor)?.force.get(usize::from(axis))?;
+            Some(force.0)
+        }
+    }
+}
+
+fn merge(estimate: &mut Estimate, target: Target, guard: &Guard, prediction: &Prediction) {
+    if estimate.validity == Validity::Missing {
+        return;
+    }
+    let ideal = estimate.force;
+    let [x, z] = ideal;
+    let [mean_x, mean_z] = prediction.mean;
+    estimate.force = match target {
+        Target::Force => prediction.mean,
+        Target::Rest => [Force(x.0.saturating_add(mean_x.0)), Force(z.0.saturating_add(mean_z.0))],
+    };
+    let [sigma_x, sigma_z] = prediction.sigma;
+    let [x, z] = extrapolation(guard, estimate, deviations(ideal, estimate.force));
+    estimate.network_sigma = Some(prediction.sigma);
+    estimate.sigma = Some([Force(sigma_x.0.saturating_add(x)), Force(sigma_z.0.saturating_add(z))]);
+}
+
+/// Increase of the standard deviations outside the network's training range: by the parity residual, and by the
+/// `deviation` of the network from the ideal model.
+fn extrapolation(guard: &Guard, estimate: &Estimate, [x, z]: [i32; 2]) -> [i32; 2] {
+    let [min, max] = guard.residual;
+    let residual = estimate.parity.residual;
+    let outside = (i64::from(residual.0) - i64::from(max.0))
+        .max(i64::from(min.0) - i64::from(residual.0))
+        .max(0);
+    let [force_x, force_z] = guard.force;
+    let [max_x, max_z] = guard.deviation;
+    [(force_x, max_x, x), (force_z, max_z, z)].map(|(force, max, deviation)| {
+        let by_field = mul_q(saturate(outside), force, FORCE_BITS);
+        by_field.saturating_add(deviation.saturating_sub(max.0).max(0))
+    })
+}
+
+#[cfg(test)]
+mod tests;

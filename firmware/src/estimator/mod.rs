@@ -1,0 +1,225 @@
+//! Estimation of the contact forces: compensation, ideal model, recurrent networks, disturbance detection.
+
+pub mod auxiliary_inputs;
+pub mod compensation;
+pub mod disturbance;
+pub mod finger_symmetry;
+pub mod gru;
+pub mod ideal;
+pub mod network_monitor;
+pub mod parity;
+pub mod tare;
+
+use crate::config::limits::DetectionLimits;
+use crate::estimator::auxiliary_inputs::AuxiliaryInputs;
+use crate::estimator::compensation::{Compensated, Compensation, CompensationState};
+use crate::estimator::disturbance::DisturbanceDetector;
+use crate::estimator::network_monitor::NetworkMonitor;
+use crate::estimator::parity::ParityResidual;
+use crate::fixed_point::{Field, Force};
+use crate::model::formats::Tables;
+use crate::sensors::hall::{HallFrame, HallReading, SENSORS};
+
+/// Usability of an estimate.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Validity {
+    /// Within the range of the sensor and of the model.
+    Valid,
+    /// An axis of the sensor is saturated.
+    Saturated,
+    /// The field is outside the model's design box: the forces are only a bound.
+    OutsideModel,
+    /// No reading, or no table for this sensor.
+    Missing,
+}
+
+/// Forces at one sensor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Estimate {
+    /// Lateral and longitudinal force; zero if missing.
+    pub force: [Force; 2],
+    /// Standard deviations predicted by a network, increased outside its training range
+    /// ([`crate::model::formats::Guard`]).
+    pub sigma: Option<[Force; 2]>,
+    /// Standard deviations as predicted by the network.
+    pub network_sigma: Option<[Force; 2]>,
+    /// Usability of the forces.
+    pub validity: Validity,
+    /// Compensated field, the input of the ideal model.
+    pub field: [Field; 3],
+    /// Forces of the ideal model before the effects of the flexures were compensated.
+    pub uncompensated: [Force; 2],
+    /// Whether an effect was skipped for lack of an input.
+    pub missing_inputs: bool,
+    /// Residual of the field against its other axes.
+    pub parity: ParityResidual,
+    /// Whether a external magnet is detected ([`disturbance`]): the forces may be wrong.
+    pub disturbed: bool,
+}
+
+impl Estimate {
+    /// Estimate without a reading.
+    pub const MISSING: Self = Self {
+        force: [Force(0); 2],
+        sigma: None,
+        network_sigma: None,
+        validity: Validity::Missing,
+        field: [Field(0); 3],
+        uncompensated: [Force(0); 2],
+        missing_inputs: false,
+        parity: ParityResidual { residual: Field(0), sigma: 0 },
+        disturbed: false,
+    };
+}
+
+/// Estimates the forces at sensor `number` by compensation and ideal model; `state` belongs to that sensor.
+pub fn estimate(
+    tables: &Tables,
+    number: usize,
+    reading: Option<HallReading>,
+    inputs: &AuxiliaryInputs,
+    state: &mut CompensationState,
+) -> Estimate {
+    let (Some(table), Some(reading)) = (tables.sensor(number), reading) else {
+        return Estimate::MISSING;
+    };
+    let measured = reading.field.map(Field::from_counts);
+    let saturated = reading
+        .field
+        .iter()
+        .any(|counts| counts.unsigned_abs() >= table.limit_counts.unsigned_abs());
+    let effects = tables.compensation(number);
+    let field = match effects {
+        Some(effects) => effects.compensate_field(measured, reading.temperature, inputs, state),
+        None => Compensated { value: measured, missing_inputs: false },
+    };
+    let ideal = ideal::evaluate(tables, table, field.value);
+    let force = match effects {
+        Some(effects) => effects.compensate_force(ideal.force, inputs, state),
+        None => Compensated { value: ideal.force, missing_inputs: false },
+    };
+    Estimate {
+        force: force.value,
+        sigma: None,
+        network_sigma: None,
+        validity: match (saturated, ideal.in_range) {
+            (true, _) => Validity::Saturated,
+            (false, false) => Validity::OutsideModel,
+            (false, true) => Validity::Valid,
+        },
+        field: field.value,
+        uncompensated: ideal.force,
+        missing_inputs: field.missing_inputs || force.missing_inputs,
+        parity: ParityResidual {
+            residual: parity::residual(table, field.value, ideal.coordinates),
+            sigma: table.parity.sigma,
+        },
+        disturbed: false,
+    }
+}
+
+/// Estimates the forces at every sensor of a frame by [`estimate`].
+///
+/// Not inlined: the check of the image starts at this function to prove that no panic is reachable.
+#[inline(never)]
+pub fn estimate_all(
+    tables: &Tables,
+    frame: &HallFrame,
+    inputs: &AuxiliaryInputs,
+    states: &mut [CompensationState; SENSORS],
+) -> [Estimate; SENSORS] {
+    let mut states = states.iter_mut();
+    let mut number = 0;
+    frame.readings.map(|reading| {
+        let estimate = match states.next() {
+            Some(state) => estimate(tables, number, reading, inputs, state),
+            None => Estimate::MISSING,
+        };
+        number += 1;
+        estimate
+    })
+}
+
+/// Recurrent networks with their states.
+pub trait NetworkBank {
+    /// Steps the networks and merges their predictions into the estimates of the frame.
+    fn apply(&mut self, estimates: &mut [Estimate; SENSORS]);
+}
+
+impl<N: NetworkBank> NetworkBank for Option<N> {
+    fn apply(&mut self, estimates: &mut [Estimate; SENSORS]) {
+        if let Some(networks) = self {
+            networks.apply(estimates);
+        }
+    }
+}
+
+/// The whole chain from frames to forces, with its state.
+#[derive(Clone, Debug)]
+pub struct Estimator<'t, N> {
+    tables: &'t Tables<'t>,
+    states: [CompensationState; SENSORS],
+    networks: N,
+    detector: DisturbanceDetector,
+    monitor: NetworkMonitor,
+}
+
+impl<'t, N: NetworkBank> Estimator<'t, N> {
+    /// Estimator in its initial state, with the gripper's limits.
+    pub fn new(tables: &'t Tables<'t>, networks: N) -> Self {
+        Self {
+            tables,
+            states: [CompensationState::default(); SENSORS],
+            networks,
+            detector: DisturbanceDetector::default(),
+            monitor: NetworkMonitor::new(&DetectionLimits::GRIPPER),
+        }
+    }
+
+    /// Replaces the limits.
+    pub const fn within(mut self, limits: &DetectionLimits) -> Self {
+        self.monitor = NetworkMonitor::new(limits);
+        self
+    }
+
+    /// Estimates the forces of the next frame.
+    pub fn update(&mut self, frame: &HallFrame, inputs: &AuxiliaryInputs) -> [Estimate; SENSORS] {
+        let mut estimates = estimate_all(self.tables, frame, inputs, &mut self.states);
+        let ideal = estimates;
+        self.networks.apply(&mut estimates);
+        self.detector.update(&ideal, &mut estimates);
+        self.monitor.update(&ideal, &mut estimates);
+        estimates
+    }
+
+    /// Force that friction may leave at rest at every sensor ([`tare`]).
+    pub fn friction_deadband(&self) -> [[Force; 2]; SENSORS] {
+        let mut number = 0;
+        [(); SENSORS].map(|()| {
+            let compensation = self.tables.compensation(number);
+            number += 1;
+            compensation.map_or([Force(0); 2], Compensation::friction_deadband)
+        })
+    }
+
+    /// Whether the fingertips' weight and inertia are compensated.
+    pub fn compensates_fingertip_mass(&self) -> bool {
+        let mut compensations = self.tables.compensations.iter();
+        compensations.any(Compensation::compensates_fingertip_mass)
+    }
+
+    /// The networks with their states.
+    pub fn networks(&mut self) -> &mut N {
+        &mut self.networks
+    }
+
+    /// Whether a sensor's network is rejected for its deviation from the ideal model.
+    pub fn network_diverged(&self, sensor: usize) -> bool {
+        self.monitor.network_diverged(sensor)
+    }
+
+    /// The detector of external magnets.
+    pub fn detector(&self) -> &DisturbanceDetector {
+        &self.detector
+    }
+}

@@ -1,0 +1,109 @@
+//! Force of each finger: the sum of the lateral forces at its two sensors, if they are valid.
+//!
+//! Control uses the greater of both forces: a finger that reads low has no effect, one that reads high reduces the
+//! grip force.
+
+use crate::estimator::finger_symmetry::finger_force;
+use crate::estimator::{Estimate, Validity};
+use crate::fixed_point::Force;
+use crate::sensors::hall::SENSORS;
+
+/// Force of one finger.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum FingerForce {
+    /// In newtons.
+    Valid(f32),
+    /// A magnetic disturbance was detected: the force may be its effect.
+    Disturbed,
+    /// At least one of the two sensors has no valid estimate.
+    Lost,
+}
+
+/// Forces of both fingers.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FingerForces {
+    /// Sensors 0 and 1.
+    pub left: FingerForce,
+    /// Sensors 2 and 3.
+    pub right: FingerForce,
+    /// Drag of the object in newtons: sum of the longitudinal forces of the valid fingers.
+    pub drag_n: f32,
+}
+
+impl FingerForces {
+    /// From the force estimates of all sensors.
+    pub fn of(estimates: &[Estimate; SENSORS]) -> Self {
+        let [a, b, c, d] = estimates;
+        let drag = |finger: FingerForce, pair: [&Estimate; 2]| match finger {
+            FingerForce::Valid(_) => pair.map(|e| newtons(e.force[1])).iter().sum(),
+            _ => 0.0,
+        };
+        let (left, right) = (finger([a, b]), finger([c, d]));
+        Self { left, right, drag_n: drag(left, [a, b]) + drag(right, [c, d]) }
+    }
+
+    /// The greater of the valid forces in newtons.
+    pub fn max_n(&self) -> Option<f32> {
+        match (self.left, self.right) {
+            (FingerForce::Valid(left), FingerForce::Valid(right)) => Some(left.max(right)),
+            (FingerForce::Valid(one), _) | (_, FingerForce::Valid(one)) => Some(one),
+            _ => None,
+        }
+    }
+
+    /// Sum of both forces in newtons; an invalid one is taken to equal the other.
+    pub fn sum_n(&self) -> Option<f32> {
+        match (self.left, self.right) {
+            (FingerForce::Valid(left), FingerForce::Valid(right)) => Some(left + right),
+            (FingerForce::Valid(one), _) | (_, FingerForce::Valid(one)) => Some(2.0 * one),
+            _ => None,
+        }
+    }
+
+    /// Both forces are lost, and not because of a disturbance.
+    pub fn are_lost(&self) -> bool {
+        self.left == FingerForce::Lost && self.right == FingerForce::Lost
+    }
+}
+
+/// A fixed-point force in newtons.
+pub fn newtons(force: Force) -> f32 {
+    force.0 as f32 / Force::PER_NEWTON as f32
+}
+
+fn finger(pair: [&Estimate; 2]) -> FingerForce {
+    if pair.iter().any(|e| e.validity != Validity::Valid) {
+        FingerForce::Lost
+    } else if pair.iter().any(|e| e.disturbed) {
+        FingerForce::Disturbed
+    } else {
+        FingerForce::Valid(newtons(finger_force(pair)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::grip::tests::rig::pressed;
+
+    #[test]
+    fn max_force_is_that_of_the_stronger_finger() {
+        // Left 30 + 40 N, right -20 - 35 N.
+        let fingers = FingerForces::of(&pressed([30.0, 40.0, -20.0, -35.0], [1.0, 2.0, 3.0, -4.0]));
+        assert_eq!(fingers.max_n(), Some(70.0));
+        assert_eq!((fingers.sum_n(), fingers.drag_n), (Some(125.0), 2.0));
+    }
+
+    #[test]
+    fn invalid_sensor_makes_its_finger_lost() {
+        let mut estimates = pressed([50.0, 50.0, 10.0, 10.0], [0.0; 4]);
+        estimates[1].validity = Validity::Saturated;
+        let fingers = FingerForces::of(&estimates);
+        assert_eq!((fingers.max_n(), fingers.sum_n()), (Some(20.0), Some(40.0)));
+        estimates[2].disturbed = true;
+        let fingers = FingerForces::of(&estimates);
+        assert_eq!((fingers.max_n(), fingers.are_lost()), (None, false));
+        estimates[2] = Estimate::MISSING;
+        assert!(FingerForces::of(&estimates).are_lost());
+    }
+}

@@ -1,0 +1,201 @@
+//! Motor set-point of each state.
+
+use crate::config::constants;
+use crate::grip::fault_reactions::Reaction;
+use crate::grip::homing::HomingStep;
+use crate::grip::states::{PowerState, TaskState};
+use crate::grip::{GripController, PEAK_A, force_controller};
+use crate::motor::math::within;
+use crate::motor::{MotorStatus, Setpoint};
+
+/// Minimum stiffness used by the force controller in N/mm: with less, force noise would shake the fingers.
+const SOFTEST: f32 = 50.0;
+/// Within the force band the controller uses the mean force and is slower by this factor.
+const CALM: f32 = 4.0;
+/// Maximum speed in mm/s back to a held position.
+const HOLD_MM_S: f32 = 5.0;
+/// Milliseconds within the band after which the holding current decreases.
+const RELAX_MS: u32 = 100;
+/// Decay factor of the holding current per millisecond.
+const DECAY: f32 = 0.99;
+/// The holding current decreases, and a self-locking screw may hold alone, while the mean force error is below this
+/// multiple of the deadband.
+pub(super) const RELAX_BAND: f32 = 1.5;
+/// Holding current relative to the one computed from the assumed friction of the screw.
+const MARGIN: f32 = 1.4;
+/// Factor on the margin each time it was too small.
+const MARGIN_GROWTH: f32 = 1.25;
+
+/// Stop at zero speed.
+const STOP: Setpoint = Setpoint::Speed { closing_mm_s: 0.0, max_a: PEAK_A };
+
+/// Current limit while holding: friction helps, so that less current is needed than for gripping.
+#[derive(Clone, Copy, Debug)]
+pub struct HoldCurrent {
+    in_band_ms: u32,
+    max_a: f32,
+    margin: f32,
+}
+
+impl Default for HoldCurrent {
+    fn default() -> Self {
+        Self { in_band_ms: 0, max_a: PEAK_A, margin: MARGIN }
+    }
+}
+
+impl HoldCurrent {
+    /// Current limit for this millisecond, from the computed holding current and the present current.
+    fn update(&mut self, is_in_band: bool, holding_a: f32, present_a: f32) -> f32 {
+        if !is_in_band {
+            if self.in_band_ms > RELAX_MS {
+                self.margin *= MARGIN_GROWTH;
+            }
+            (self.in_band_ms, self.max_a) = (0, PEAK_A);
+            return PEAK_A;
+        }
+        self.in_band_ms = self.in_band_ms.saturating_add(1);
+        if self.in_band_ms > RELAX_MS {
+            let from_a = self.max_a.min(present_a.max(holding_a));
+            let to_a = (holding_a * self.margin).min(PEAK_A);
+            self.max_a = to_a + (from_a - to_a).max(0.0) * DECAY;
+        }
+        self.max_a
+    }
+}
+
+impl GripController {
+    /// Motor set-point of the present state.
+    pub(super) fn motor_setpoint(&mut self, motor: &MotorStatus) -> Setpoint {
+        match self.power {
+            PowerState::Boot
+            | PowerState::SelfTest
+            | PowerState::Safe
+            | PowerState::ArmPending
+            | PowerState::Calibrating => Setpoint::Off,
+            PowerState::Armed if self.is_gripped && !self.self_locking => {
+                self.hold_position(motor, self.hold_a.max(self.holding_a() * MARGIN))
+            }
+            PowerState::Armed => Setpoint::Off,
+            PowerState::QuickStop if self.task == TaskState::Foot => self.hold_foot(motor),
+            // The stiffness of what causes the excessive force is unknown.
+            PowerState::QuickStop if self.backs_off => {
+                self.press(self.limits.overforce_release_n, force_controller::HARDEST)
+            }
+            PowerState::QuickStop => STOP,
+            PowerState::FaultReaction | PowerState::Fault => match self.reaction {
+                Reaction::Brake => Setpoint::Brake,
+                _ => Setpoint::Off,
+            },
+            PowerState::Enabled => self.task_setpoint(motor),
+        }
+    }
+
+    fn task_setpoint(&mut self, motor: &MotorStatus) -> Setpoint {
+        match self.task {
+            TaskState::Unhomed => Setpoint::Off,
+            TaskState::Homing => match self.homing_step {
+                HomingStep::Drive(setpoint) => setpoint,
+                _ => STOP,
+            },
+            TaskState::Moving | TaskState::Releasing => Setpoint::Position {
+                opening_mm: self.move_target.opening_mm,
+                speed_mm_s: self.move_target.speed_mm_s,
+                max_a: PEAK_A,
+            },
+            TaskState::Approach => self.approach(motor),
+            TaskState::Force => self.press(self.setpoint_n, self.stiffness.value().max(SOFTEST)),
+            TaskState::HoldActive => self.hold_active(motor),
+            TaskState::HoldLatched => self.ramp_down(),
+            TaskState::HoldFrozen if self.self_locking => Setpoint::Off,
+            TaskState::HoldFrozen => self.hold_position(motor, self.hold_a),
+            TaskState::Foot => self.hold_foot(motor),
+            TaskState::ContactStop | TaskState::Stopping => STOP,
+            TaskState::Idle
+            | TaskState::NoObject
+            | TaskState::GripFailed
+            | TaskState::Lost
+            | TaskState::TimeoutHold => self.hold_position(motor, PEAK_A),
+        }
+    }
+
+    fn approach(&mut self, motor: &MotorStatus) -> Setpoint {
+        let max_mm_s = if self.is_far_from_window(motor) {
+            force_controller::FASTEST
+        } else {
+            force_controller::approach_mm_s(self.setpoint_n)
+        };
+        let max_mm_s = max_mm_s.min(self.target.max_mm_s);
+        let closing_mm_s = if self.contact.is_suspected() {
+            let error_n = self.setpoint_n - self.force_n;
+            force_controller::closing_mm_s(error_n, force_controller::HARDEST, max_mm_s)
+        } else {
+            max_mm_s
+        };
+        Setpoint::Speed { closing_mm_s, max_a: PEAK_A }
+    }
+
+    /// Controls the force to a set-point in newtons at a contact stiffness in N/mm.
+    fn press(&self, setpoint_n: f32, stiffness: f32) -> Setpoint {
+        let max_mm_s = force_controller::approach_mm_s(setpoint_n).min(self.target.max_mm_s);
+        let error_n = setpoint_n - self.force_n;
+        Setpoint::Speed {
+            closing_mm_s: force_controller::closing_mm_s(error_n, stiffness, max_mm_s),
+            max_a: PEAK_A,
+        }
+    }
+
+    fn hold_active(&mut self, motor: &MotorStatus) -> Setpoint {
+        let deadband_n = self.limits.deadband_n.max(self.limits.deadband_ratio * self.setpoint_n);
+        let band_n = self.limits.tolerance_n.max(self.limits.tolerance_ratio * self.setpoint_n);
+        let raw_n = self.setpoint_n - self.force_n;
+        let (error_n, slower) =
+            if raw_n.abs() < band_n { (self.setpoint_n - self.mean_n, CALM) } else { (raw_n, 1.0) };
+        let beyond_n = error_n - within(error_n, -deadband_n, deadband_n);
+        let stiffness = self.stiffness.value().max(SOFTEST) * slower;
+        let max_mm_s = force_controller::approach_mm_s(self.setpoint_n).min(self.target.max_mm_s);
+        let present_a = motor.current_setpoint.q.abs();
+        let is_in_band = error_n.abs() < RELAX_BAND * deadband_n;
+        let max_a = self.hold.update(is_in_band, self.holding_a(), present_a);
+        self.hold_a = present_a;
+        Setpoint::Speed {
+            closing_mm_s: force_controller::closing_mm_s(beyond_n, stiffness, max_mm_s),
+            max_a,
+        }
+    }
+
+    /// Ramps the current to zero; then the screw holds alone.
+    fn ramp_down(&self) -> Setpoint {
+        let ramp_ms = self.limits.ramp_ms;
+        match ramp_ms.saturating_sub(self.task_ms) {
+            0 => Setpoint::Off,
+            remaining_ms => {
+                Setpoint::Current { closing_a: self.hold_a * remaining_ms as f32 / ramp_ms as f32 }
+            }
+        }
+    }
+
+    /// Foot mode: off, or the position held with a small current.
+    fn hold_foot(&self, motor: &MotorStatus) -> Setpoint {
+        if self.self_locking {
+            Setpoint::Off
+        } else {
+            self.hold_position(motor, self.limits.ground_hold_a)
+        }
+    }
+
+    /// Holds the position where the fingers came to rest; until then stops them.
+    fn hold_position(&self, motor: &MotorStatus, max_a: f32) -> Setpoint {
+        match (self.hold_mm, motor.opening_mm) {
+            (Some(opening_mm), Some(_)) => {
+                Setpoint::Position { opening_mm, speed_mm_s: HOLD_MM_S, max_a }
+            }
+            _ => Setpoint::Speed { closing_mm_s: 0.0, max_a },
+        }
+    }
+
+    /// Amperes that hold the force on a backdrivable screw, without the help of dry friction.
+    fn holding_a(&self) -> f32 {
+        const TORQUE_NM_A: f32 = constants::TORQUE_CONSTANT.value as f32;
+        self.screw.holding_nm(self.force_n, 0.0) / TORQUE_NM_A
+    }
+}

@@ -1,0 +1,354 @@
+use core::array;
+use std::vec::Vec;
+
+use super::*;
+
+/// Numbers that differ from each other, so that an omitted or repeated word changes the checksum.
+struct Numbers(u32);
+
+impl Numbers {
+    fn next(&mut self) -> i32 {
+        self.0 = self.0.wrapping_mul(0x9E37_79B1).wrapping_add(0x7F4A_7C15);
+        self.0 as i32
+    }
+
+    fn many<const N: usize>(&mut self) -> [i32; N] {
+        array::from_fn(|_| self.next())
+    }
+
+    fn rows<const N: usize, const M: usize>(&mut self) -> [[i32; N]; M] {
+        array::from_fn(|_| self.many())
+    }
+
+    fn pair(&mut self) -> [i16; 2] {
+        [self.next() as i16, self.next() as i16]
+    }
+
+    fn pairs<const N: usize, const M: usize>(&mut self) -> [[[i16; 2]; N]; M] {
+        array::from_fn(|_| array::from_fn(|_| self.pair()))
+    }
+
+    fn units<const I: usize, const H: usize>(&mut self) -> UnitPair<I, H> {
+        UnitPair {
+            bias: self.rows(),
+            input: array::from_fn(|_| self.pairs()),
+            state_bias: self.many(),
+            state: array::from_fn(|_| self.pairs()),
+        }
+    }
+}
+
+fn sensor(number: u8) -> SensorTable {
+    let mut numbers = Numbers(number.into());
+    SensorTable {
+        number,
+        scale: array::from_fn(|_| AxisScale { offset: numbers.next(), gain: numbers.next() }),
+        limit_counts: numbers.next() as i16,
+        linear: Linear { bias: numbers.many(), slope: numbers.rows() },
+        pairs: array::from_fn(|_| CentrePair {
+            xy: [numbers.pair(), numbers.pair()],
+            z: numbers.pair(),
+            weight: [numbers.pair(), numbers.pair()],
+        }),
+        used_pairs: 50,
+        shift: [11, 12],
+        parity: Parity { axis: 1, terms: numbers.many(), sigma: numbers.next() },
+    }
+}
+
+/// All effects on the field and on the forces, two of each per sensor.
+fn compensations<'a>(knots: &'a [[i16; 3]; KNOTS], values: &'a [i32]) -> [Compensation<'a>; 4] {
+    let numbers = &mut Numbers(7);
+    let table = |covariate| LookupTable {
+        sides: [Some(LookupAxis { covariate, from: 3, step: 5, knots: 2 }), None],
+        values,
+    };
+    let field = [
+        FieldEffect::SensorTemperature(SensorTemperatureTable { offset: numbers.many(), gain: 5 }),
+        FieldEffect::MotorLeakage(MotorLeakageTable { per_ma: numbers.rows() }),
+        FieldEffect::EarthField(EarthFieldTable { world: numbers.many(), element: numbers.rows() }),
+        FieldEffect::NeighbourMagnet(NeighbourMagnetTable { knots }),
+        FieldEffect::Map([
+            table(Covariate::Opening),
+            table(Covariate::MotorIq),
+            table(Covariate::Acceleration(2)),
+        ]),
+        FieldEffect::MagnetTemperature(MagnetTemperatureTable {
+            without: numbers.many(),
+            per_count: 9,
+        }),
+        FieldEffect::ThermalGap(ThermalGapTable {
+            at: numbers.many(),
+            rest: numbers.many(),
+            bend: numbers.rows(),
+        }),
+    ];
+    let force = [
+        ForceEffect::ViscousLag(ViscousLagTable { lead: numbers.many(), rate: 1 }),
+        ForceEffect::Creep(CreepTable { share: numbers.rows(), rate: numbers.many() }),
+        ForceEffect::HardStop(HardStopTable { knee: numbers.many(), beyond: numbers.rows() }),
+        ForceEffect::Hysteresis(HysteresisTable {
+            sliders: array::from_fn(|_| {
+                array::from_fn(|_| Slider { reach: numbers.next(), share: numbers.next() })
+            }),
+        }),
+        ForceEffect::FingertipMass(FingertipMassTable { mass: 8 }),
+        ForceEffect::Map([table(Covariate::MotorAngle), table(Covariate::Temperature)]),
+    ];
+    array::from_fn(|number| Compensation {
+        number: number as u8,
+        field: array::from_fn(|at| field.get(at + 2 * number).copied()),
+        force: array::from_fn(|at| force.get(at + 2 * number).copied()),
+    })
+}
+
+fn network() -> Network<2, 4, 1> {
+    let numbers = &mut Numbers(3);
+    let input = |source, numbers: &mut Numbers| Input {
+        source,
+        offset: numbers.next(),
+        gain: numbers.next(),
+    };
+    Network {
+        sensors: [2],
+        target: Target::Rest,
+        inputs: [
+            [
+                input(InputSource::Field { sensor: 2, axis: 1 }, numbers),
+                input(InputSource::Ideal { sensor: 2, axis: 0 }, numbers),
+            ],
+            [input(InputSource::None, numbers), input(InputSource::None, numbers)],
+        ],
+        force: numbers.many(),
+        warm_up: 77,
+        guards: [Guard {
+            residual: numbers.many().map(Field),
+            force: numbers.many(),
+            deviation: numbers.many().map(Force),
+        }],
+        weights: Weights {
+            first: array::from_fn(|_| numbers.units()),
+            second: array::from_fn(|_| numbers.units()),
+            heads: [Head { bias: numbers.many(), weights: numbers.pairs() }],
+        },
+        check: 0,
+    }
+    .checked()
+}
+
+/// Data that the tables refer to.
+struct OwnedTables {
+    id: u16,
+    exp: [u32; EXP_ENTRIES],
+    sensors: Vec<SensorTable>,
+    knots: [[i16; 3]; KNOTS],
+    values: [i32; 10],
+}
+
+impl OwnedTables {
+    fn new() -> Self {
+        Self {
+            id: 0x1234,
+            exp: array::from_fn(|entry| Numbers(entry as u32).next() as u32),
+            sensors: (0..4).map(sensor).collect(),
+            knots: array::from_fn(|knot| [1, -1, 3].map(|times| times * knot as i16)),
+            values: array::from_fn(|value| 100 + value as i32),
+        }
+    }
+
+    /// Calls `f` with all tables, their checksum zero.
+    fn with<T>(&self, f: impl FnOnce(Tables) -> T) -> T {
+        f(Tables {
+            id: self.id,
+            exp: &self.exp,
+            sensors: &self.sensors,
+            compensations: &compensations(&self.knots, &self.values),
+            check: 0,
+        })
+    }
+
+    fn checksum(&self) -> u32 {
+        self.with(|tables| tables.checked().check)
+    }
+}
+
+#[test]
+fn flipped_bits_of_the_tables_are_detected() {
+    type Flip = fn(&mut OwnedTables, usize);
+    let mut owned = OwnedTables::new();
+    let intact = owned.checksum();
+    // How many bits of each kind are flipped, one at a time. Every field is visited: the patterns are exhaustive.
+    let flips: [(usize, Flip); 14] = [
+        (16, |o, bit| o.id ^= 1 << bit),
+        (EXP_ENTRIES, |o, entry| o.exp[entry] ^= 1 << (entry % 32)),
+        (KNOTS, |o, knot| o.knots[knot][knot % 3] ^= 1 << (knot % 16)),
+        (320, |o, bit| o.values[bit / 32] ^= 1 << (bit % 32)),
+        (32, |o, bit| o.sensors[bit / 8].number ^= 1 << (bit % 8)),
+        (96, |o, bit| o.sensors[0].scale[bit / 32].gain ^= 1 << (bit % 32)),
+        (16, |o, bit| o.sensors[1].limit_counts ^= 1 << bit),
+        (64, |o, bit| o.sensors[2].linear.bias[bit / 32] ^= 1 << (bit % 32)),
+        (MOST_PAIRS, |o, pair| o.sensors[2].pairs[pair].xy[1][0] ^= 1 << (pair % 16)),
+        (MOST_PAIRS, |o, pair| o.sensors[2].pairs[pair].z[1] ^= 1 << (pair % 16)),
+        (8, |o, bit| o.sensors[3].used_pairs ^= 1 << bit),
+        (16, |o, bit| o.sensors[3].shift[bit / 8] ^= 1 << (bit % 8)),
+        (PARITY_TERMS, |o, term| o.sensors[3].parity.terms[term] ^= 1 << term),
+        (32, |o, bit| o.sensors[3].parity.sigma ^= 1 << bit),
+    ];
+    for (kind, (count, flip)) in flips.into_iter().enumerate() {
+        for place in 0..count {
+            flip(&mut owned, place);
+            assert_ne!(owned.checksum(), intact, "{kind}: {place}");
+            flip(&mut owned, place);
+        }
+    }
+    assert_eq!(owned.checksum(), intact);
+}
+
+#[test]
+fn changed_effects_of_a_compensation_are_detected() {
+    let owned = OwnedTables::new();
+    let original = compensations(&owned.knots, &owned.values);
+    let intact = checksum(&original);
+    for sensor in 0..original.len() {
+        for place in 0..MAX_EFFECTS {
+            let mut changed = original;
+            if changed[sensor].field[place].take().is_some() {
+                assert_ne!(checksum(&changed), intact, "{sensor} {place}");
+            }
+            let mut changed = original;
+            if changed[sensor].force[place].take().is_some() {
+                assert_ne!(checksum(&changed), intact, "{sensor} {place}");
+            }
+        }
+    }
+    let mut changed = original;
+    let Some(ForceEffect::Map([map, _])) = &mut changed[0].force[5] else {
+        panic!("no map");
+    };
+    map.sides[0].as_mut().unwrap().covariate = Covariate::Opening;
+    assert_ne!(checksum(&changed), intact);
+}
+
+#[test]
+fn changes_of_a_network_are_detected() {
+    assert!(network().is_intact());
+    let changes: [fn(&mut Network<2, 4, 1>); 14] = [
+        |network| network.target = Target::Force,
+        |network| network.inputs[1][0].source = InputSource::Field { sensor: 0, axis: 0 },
+        |network| network.inputs[0][0].source = InputSource::Ideal { sensor: 2, axis: 1 },
+        |network| network.inputs[0][1].source = InputSource::Ideal { sensor: 2, axis: 1 },
+        |network| network.inputs[1][1].gain ^= 1 << 31,
+        |network| network.sensors[0] ^= 1,
+        |network| network.force[1] ^= 1,
+        |network| network.warm_up ^= 1 << 15,
+        |network| network.guards[0].residual[1].0 ^= 1,
+        |network| network.guards[0].deviation[0].0 ^= 1,
+        |network| network.weights.first[3].state[3][1][2][1] ^= 1,
+        |network| network.weights.second[0].state_bias[1] ^= 1,
+        |network| network.weights.heads[0].weights[3][3][1] ^= 1,
+        |network| network.check ^= 1,
+    ];
+    for (number, change) in changes.into_iter().enumerate() {
+        let mut network = network();
+        change(&mut network);
+        assert!(!network.is_intact(), "{number}");
+    }
+}
+
+#[test]
+fn a_scrub_pass_has_at_most_1000_steps_and_finds_a_flipped_bit() {
+    let mut owned = OwnedTables::new();
+    let check = owned.checksum();
+    let mut scrubber = Scrubber::default();
+    for (flip, expected) in [
+        (0, ScrubResult::Intact),
+        (0, ScrubResult::Intact),
+        (1 << 30, ScrubResult::Corrupt),
+        (1 << 30, ScrubResult::Intact),
+    ] {
+        owned.sensors[3].parity.sigma ^= flip;
+        let (steps, result) = owned.with(|tables| {
+            let tables = Tables { check, ..tables };
+            (1..=CALLS)
+                .map(|step| (step, scrubber.step(&tables)))
+                .find(|(_, result)| *result != ScrubResult::Pending)
+                .unwrap()
+        });
+        assert!(steps > CALLS / 2, "{steps}");
+        assert_eq!(result, expected);
+    }
+}
+
+#[test]
+fn a_scrub_step_checks_at_least_one_word() {
+    struct ThreeWords;
+    impl WordStream for ThreeWords {
+        const WORDS: usize = 3;
+        fn visit(&self, window: &mut Window) {
+            [0_u32, 1, 2].visit(window);
+        }
+    }
+    impl Checksummed for ThreeWords {
+        fn check(&self) -> u32 {
+            checksum(self)
+        }
+    }
+    let mut scrubber = Scrubber::default();
+    let results = [(); 6].map(|()| scrubber.step(&ThreeWords));
+    let [a, b, c] = [ScrubResult::Pending, ScrubResult::Pending, ScrubResult::Intact];
+    assert_eq!(results, [a, b, c, a, b, c]);
+}
+
+/// The generated source agrees with the structs of which its checksum was computed.
+#[cfg(target_os = "linux")]
+#[test]
+fn the_tables_of_this_build_are_intact() {
+    use crate::model::tables::{NETWORKS, TABLES};
+    assert!(TABLES.is_intact(), "export the tables again");
+    for network in &NETWORKS {
+        assert!(network.is_intact(), "export the tables again");
+    }
+}
+
+#[test]
+fn the_checksum_is_the_zlib_crc32_of_the_words() {
+    // Python: zlib.crc32(struct.pack("<ii", 1, -2)).
+    let scale = AxisScale { offset: 1, gain: -2 };
+    assert_eq!(checksum(&scale), 0xCF8F_9871);
+}
+
+#[test]
+fn a_window_of_one_word_covers_that_word() {
+    // Number 1, scale 6, limit 1, linear 8, pairs 50 * 10, used 1, shift 2, parity 1 + 28 + 1.
+    let sensor = sensor(3);
+    assert_eq!((word_count(&sensor), SensorTable::WORDS), (549, 549));
+    for (skip, word) in [
+        (0, Some(3)),
+        (1, Some(sensor.scale[0].offset as u32)),
+        (548, Some(sensor.parity.sigma as u32)),
+        (549, None),
+    ] {
+        let mut window = Window::new(skip, 1, CRC32.digest());
+        visit(&sensor, &mut window);
+        let expected = word.map_or(CRC32.digest().finalize(), |word| checksum(&word));
+        assert_eq!(window.digest.finalize(), expected, "{skip}");
+    }
+}
+
+#[test]
+fn consecutive_windows_give_the_checksum_of_the_whole() {
+    OwnedTables::new().with(|tables| {
+        let words = word_count(&tables);
+        for count in [1, 7, 549, 1000, words] {
+            let mut digest = CRC32.digest();
+            for from in (0..words).step_by(count) {
+                let mut window = Window::new(from, count, digest);
+                visit(&tables, &mut window);
+                let left = (from + count).saturating_sub(words);
+                assert_eq!((window.skip, window.left), (0, left));
+                digest = window.digest;
+            }
+            assert_eq!(digest.finalize(), checksum(&tables), "{count}");
+        }
+    });
+}

@@ -1,0 +1,313 @@
+//! Commissioning: measures resistance and inductance of the windings, pole pairs, order of the phases, and the
+//! offset of the rotor sensor, each checked for plausibility.
+//!
+//! Nothing may be gripped, and the fingers need room: the rotor turns by two electrical turns and back. In order:
+//!
+//! 1. A current along phase U at two levels. The difference of the voltages gives the resistance, without the dead
+//!    time. The rotor aligns with phase U.
+//! 2. The field turns forward by two electrical turns and back. The rotation of the rotor gives pole pairs and
+//!    direction; the mean of its positions at phase U after either direction, between which friction cancels, gives
+//!    the offset of the sensor.
+//! 3. A square wave added to the voltage of the upper level. The slopes of the current give the inductance.
+
+use crate::config::constants;
+use crate::motor::PERIOD_S;
+use crate::motor::foc::{AlphaBeta, Dq};
+use crate::motor::math::Direction;
+use crate::motor::settings::{IdentifiedMotor, MotorParameters, MotorWiring};
+
+/// Settling periods of a level: 0.3 s.
+const SETTLE: u32 = 6_000;
+/// Averaging periods of a level, a power of two: 51 ms.
+const AVERAGE: u32 = 1_024;
+/// Periods of each rotation of the field: 0.5 s.
+const TURN: u32 = 10_000;
+/// Electrical turns of each rotation.
+const TURNS: u32 = 2;
+/// Periods of rest after each rotation.
+const PAUSE: u32 = 4_000;
+/// Periods of the square wave, eight per cycle.
+const WAVES: u32 = 2_048;
+/// Integral gain of the level controller in V/(A s): 20 Hz at the assumed resistance.
+const INTEGRAL_GAIN: f32 = 50.0;
+/// Current levels relative to the rated current.
+const LEVELS: [f32; 2] = [0.35, 0.7];
+/// Maximum relative error of a settled level.
+const LEVEL_TOLERANCE: f32 = 0.1;
+/// Maximum voltage along phase U in volts.
+const MAX_V: f32 = 8.0;
+/// Amplitude of the square wave in volts.
+const WAVE_V: f32 = 2.0;
+/// Plausible resistance and inductance relative to the assumed values.
+const PLAUSIBLE: core::ops::RangeInclusive<f32> = 0.25..=4.0;
+/// Maximum pole pairs.
+const MAX_POLE_PAIRS: f32 = 30.0;
+/// Maximum deviation of the measured pole pairs from an integer.
+const POLE_PAIR_TOLERANCE: f32 = 0.25;
+/// Maximum difference of both rest positions in electrical turns.
+const REST_TOLERANCE: f32 = 0.1;
+
+/// Why commissioning failed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum CommissioningError {
+    /// The current does not settle: open phase or low bus voltage.
+    NoCurrent {
+        /// Measured current in amperes.
+        current_a: f32,
+    },
+    /// The resistance is implausible.
+    Resistance {
+        /// Measured resistance in ohms.
+        measured_ohm: f32,
+    },
+    /// The inductance is implausible.
+    Inductance {
+        /// Measured inductance in henries.
+        measured_h: f32,
+    },
+    /// The rotor does not follow the field: blocked, or not coupled to its sensor.
+    Stuck,
+    /// The number of pole pairs is not an integer.
+    PolePairs {
+        /// Measured number.
+        measured: f32,
+    },
+    /// The rotor did not return to its start: it slipped or was turned.
+    Slipped,
+}
+
+/// Measurements of one period.
+#[derive(Clone, Copy, Debug)]
+pub struct CommissioningInputs {
+    /// Current along phase U in amperes.
+    pub alpha_a: f32,
+    /// Angle of the rotor sensor in 2^-32 turns.
+    pub angle: u32,
+    /// Available voltage in volts.
+    pub max_v: f32,
+}
+
+/// Result of one period.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum CommissioningStep {
+    /// Voltage to apply.
+    Drive(AlphaBeta),
+    /// End of the measurement.
+    Ended(Result<IdentifiedMotor, CommissioningError>),
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+enum CommissioningPhase {
+    #[default]
+    LowerLevel,
+    UpperLevel,
+    TurnForward,
+    RestForward,
+    TurnBackward,
+    RestBackward,
+    SquareWave,
+}
+
+/// State of the measurement.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Commissioning {
+    phase: CommissioningPhase,
+    periods: u32,
+    volts: f32,
+    sum_v: f32,
+    sum_a: f32,
+    lower: [f32; 2],
+    resistance_ohm: f32,
+    /// Rotor angle after one forward turn, after both, and at rest.
+    angles: [u32; 3],
+    /// Rotor angle at rest after the backward rotation.
+    backward_angle: u32,
+    last_a: f32,
+    rises: Slopes,
+    falls: Slopes,
+}
+
+/// Mean of current steps.
+#[derive(Clone, Copy, Debug, Default)]
+struct Slopes {
+    sum: f32,
+    count: f32,
+}
+
+impl Slopes {
+    fn add(&mut self, step: f32) {
+        self.sum += step;
+        self.count += 1.0;
+    }
+}
+
+impl Commissioning {
+    /// One period.
+    pub fn tick(&mut self, inputs: &CommissioningInputs) -> CommissioningStep {
+        self.periods = self.periods.saturating_add(1);
+        match self.phase {
+            CommissioningPhase::LowerLevel => self.level(inputs, 0),
+            CommissioningPhase::UpperLevel => self.level(inputs, 1),
+            CommissioningPhase::TurnForward => self.turn_forward(inputs),
+            CommissioningPhase::RestForward => self.rest(inputs, CommissioningPhase::TurnBackward),
+            CommissioningPhase::TurnBackward => self.turn_backward(),
+            CommissioningPhase::RestBackward => self.rest(inputs, CommissioningPhase::SquareWave),
+            CommissioningPhase::SquareWave => self.square_wave(inputs),
+        }
+    }
+
+    fn enter(&mut self, phase: CommissioningPhase) {
+        self.phase = phase;
+        self.periods = 0;
+    }
+
+    /// Applies the voltage of the present level at an electrical angle.
+    fn field(&self, angle: u32) -> CommissioningStep {
+        let along = Dq { d: self.volts, q: 0.0 };
+        CommissioningStep::Drive(along.to_stator(Direction::of(angle)))
+    }
+
+    fn level(&mut self, inputs: &CommissioningInputs, upper: usize) -> CommissioningStep {
+        const RATED_A: f32 =
+            (constants::RATED_TORQUE.value / constants::TORQUE_CONSTANT.value) as f32;
+        let [low, high] = LEVELS;
+        let level_a = RATED_A * if upper == 0 { low } else { high };
+        let volts = self.volts + INTEGRAL_GAIN * PERIOD_S * (level_a - inputs.alpha_a);
+        self.volts = volts.min(MAX_V.min(inputs.max_v)).max(-MAX_V);
+        if self.periods > SETTLE {
+            self.sum_v += self.volts;
+            self.sum_a += inputs.alpha_a;
+        }
+        if self.periods >= SETTLE + AVERAGE {
+            const SHARE: f32 = 1.0 / AVERAGE as f32;
+            let mean = [self.sum_v * SHARE, self.sum_a * SHARE];
+            (self.sum_v, self.sum_a) = (0.0, 0.0);
+            let [mean_v, mean_a] = mean;
+            if (mean_a / level_a - 1.0).abs() > LEVEL_TOLERANCE {
+                return CommissioningStep::Ended(Err(CommissioningError::NoCurrent {
+                    current_a: mean_a,
+                }));
+            }
+            if upper == 0 {
+                self.lower = mean;
+                self.enter(CommissioningPhase::UpperLevel);
+            } else {
+                let [lower_v, lower_a] = self.lower;
+                let measured_ohm = (mean_v - lower_v) / (mean_a - lower_a);
+                let share = measured_ohm / MotorParameters::ASSUMED.resistance_ohm;
+                if !PLAUSIBLE.contains(&share) {
+                    return CommissioningStep::Ended(Err(CommissioningError::Resistance {
+                        measured_ohm,
+                    }));
+                }
+                self.resistance_ohm = measured_ohm;
+                self.volts = mean_v;
+                self.enter(CommissioningPhase::TurnForward);
+            }
+        }
+        self.field(0)
+    }
+
+    /// Rotation of the field in 2^-32 turns.
+    fn rotation(&self) -> u32 {
+        const STEP: u32 = ((TURNS as u64) << 32).div_ceil(TURN as u64) as u32;
+        STEP.wrapping_mul(self.periods)
+    }
+
+    fn turn_forward(&mut self, inputs: &CommissioningInputs) -> CommissioningStep {
+        let [half, whole, _] = &mut self.angles;
+        if self.periods == TURN / TURNS {
+            *half = inputs.angle;
+        }
+        if self.periods >= TURN {
+            *whole = inputs.angle;
+            self.enter(CommissioningPhase::RestForward);
+            return self.field(0);
+        }
+        self.field(self.rotation())
+    }
+
+    fn turn_backward(&mut self) -> CommissioningStep {
+        if self.periods >= TURN {
+            self.enter(CommissioningPhase::RestBackward);
+            return self.field(0);
+        }
+        self.field(self.rotation().wrapping_neg())
+    }
+
+    fn rest(
+        &mut self,
+        inputs: &CommissioningInputs,
+        then: CommissioningPhase,
+    ) -> CommissioningStep {
+        if self.periods >= PAUSE {
+            let [.., forward] = &mut self.angles;
+            match then {
+                CommissioningPhase::TurnBackward => *forward = inputs.angle,
+                _ => self.backward_angle = inputs.angle,
+            }
+            self.enter(then);
+        }
+        self.field(0)
+    }
+
+    fn square_wave(&mut self, inputs: &CommissioningInputs) -> CommissioningStep {
+        // A current step results from the voltages of the two periods before it.
+        let rises = |tick: u32| tick % 8 < 4;
+        let step = inputs.alpha_a - self.last_a;
+        self.last_a = inputs.alpha_a;
+        let (one, two) = (self.periods.wrapping_sub(1), self.periods.wrapping_sub(2));
+        if self.periods > 16 && rises(one) == rises(two) {
+            let slopes = if rises(one) { &mut self.rises } else { &mut self.falls };
+            slopes.add(step);
+        }
+        if self.periods >= WAVES {
+            return CommissioningStep::Ended(self.result());
+        }
+        let wave = if rises(self.periods) { WAVE_V } else { -WAVE_V };
+        CommissioningStep::Drive(AlphaBeta { alpha: self.volts + wave, beta: 0.0 })
+    }
+
+    fn result(&self) -> Result<IdentifiedMotor, CommissioningError> {
+        let slope = self.rises.sum / self.rises.count - self.falls.sum / self.falls.count;
+        let inductance_h = 2.0 * WAVE_V * PERIOD_S / slope;
+        if !PLAUSIBLE.contains(&(inductance_h / MotorParameters::ASSUMED.inductance_h)) {
+            return Err(CommissioningError::Inductance { measured_h: inductance_h });
+        }
+        let (pole_pairs, is_swapped) = self.pole_pairs()?;
+        Ok(IdentifiedMotor {
+            resistance_ohm: self.resistance_ohm,
+            inductance_h,
+            pole_pairs,
+            wiring: MotorWiring { offset: self.offset(pole_pairs)?, is_swapped },
+        })
+    }
+
+    /// Pole pairs, and whether the rotor turned against the field, from the second forward turn, during which the
+    /// lag by friction is constant.
+    fn pole_pairs(&self) -> Result<(u8, bool), CommissioningError> {
+        let [half, whole, _] = self.angles;
+        let turned = whole.wrapping_sub(half) as i32 as f32 / 4_294_967_296.0;
+        if turned.abs() * MAX_POLE_PAIRS < 0.5 {
+            return Err(CommissioningError::Stuck);
+        }
+        let measured = 1.0 / turned.abs();
+        let nearest = (measured + 0.5) as u8;
+        if nearest == 0 || (measured - f32::from(nearest)).abs() > POLE_PAIR_TOLERANCE {
+            return Err(CommissioningError::PolePairs { measured });
+        }
+        Ok((nearest, turned < 0.0))
+    }
+
+    /// Offset of the sensor from the mean of both rest positions.
+    fn offset(&self, pole_pairs: u8) -> Result<u32, CommissioningError> {
+        let [.., forward] = self.angles;
+        let forward = forward.wrapping_mul(pole_pairs.into());
+        let backward = self.backward_angle.wrapping_mul(pole_pairs.into());
+        let difference = backward.wrapping_sub(forward) as i32;
+        if difference.unsigned_abs() as f32 > REST_TOLERANCE * 4_294_967_296.0 {
+            return Err(CommissioningError::Slipped);
+        }
+        Ok(forward.wrapping_add((difference / 2) as u32).wrapping_neg())
+    }
+}

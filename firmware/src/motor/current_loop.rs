@@ -1,0 +1,321 @@
+//! Current loop, 20 kHz: from samples to bridge commands, with the motor's state and its fast protections.
+
+use crate::motor::commissioning::{Commissioning, CommissioningInputs, CommissioningStep};
+use crate::motor::current_sense::{self, CurrentOffsets, OffsetMeasurement};
+use crate::motor::diagnostics::SensorMonitor;
+use crate::motor::encoder::AngleTracker;
+use crate::motor::foc::{self, AlphaBeta, CurrentController, Dq, VoltageOutput, Windings};
+use crate::motor::math::{Direction, greater};
+use crate::motor::power_stage::{BridgeCommand, MotorSamples};
+use crate::motor::settings::{IdentifiedMotor, Settings};
+use crate::motor::state::{MotorState, Trip};
+use crate::motor::tick_exchange::{
+    CurrentLoopAction, CurrentLoopCommand, CurrentLoopReport, StateChange,
+};
+use crate::motor::{MOTION_PERIODS, PERIOD_S};
+
+/// Dead time of the loop: from sampling in the middle of a period to the middle of the next.
+const DELAY_S: f32 = PERIOD_S;
+/// Bus voltage in volts below which the gate drivers do not work.
+const MIN_BUS_V: f32 = 8.0;
+/// Periods without a command of the motion loop before a trip: three of its ticks.
+const MAX_MISSED_PERIODS: u8 = 3 * MOTION_PERIODS;
+
+/// The current loop.
+#[derive(Clone, Copy, Debug)]
+pub struct CurrentLoop {
+    pub(super) settings: Settings,
+    pub(super) windings: Windings,
+    pub(super) state: MotorState,
+    pub(super) action: CurrentLoopAction,
+    offsets: CurrentOffsets,
+    offset_measurement: OffsetMeasurement,
+    /// In progress, or to begin after the offset measurement.
+    commissioning: Option<Commissioning>,
+    identification: Option<IdentifiedMotor>,
+    tracker: AngleTracker,
+    currents: CurrentController,
+    rotor: Direction,
+    measured: Dq,
+    /// Currents one period before.
+    previous: Dq,
+    output: VoltageOutput,
+    /// Voltage applied between the two measurements.
+    applied: Dq,
+    sensors: SensorMonitor,
+    bus_v: f32,
+    is_shorted: bool,
+    is_reset: bool,
+    is_angle_lost: bool,
+    /// Periods since the last command of the motion loop.
+    missed_periods: u8,
+}
+
+impl CurrentLoop {
+    /// A disarmed motor.
+    pub fn new(settings: Settings) -> Self {
+        Self {
+            windings: Windings::of(&settings.machine),
+            settings,
+            state: MotorState::Disarmed,
+            action: CurrentLoopAction::Off,
+            offsets: CurrentOffsets::NOMINAL,
+            offset_measurement: OffsetMeasurement::default(),
+            commissioning: None,
+            identification: None,
+            tracker: AngleTracker::default(),
+            currents: CurrentController::default(),
+            rotor: Direction::default(),
+            measured: Dq::default(),
+            previous: Dq::default(),
+            output: VoltageOutput::default(),
+            applied: Dq::default(),
+            sensors: SensorMonitor::default(),
+            bus_v: 0.0,
+            is_shorted: false,
+            is_reset: false,
+            is_angle_lost: false,
+            missed_periods: 0,
+        }
+    }
+
+    /// Applies a command of the motion loop.
+    pub fn apply(&mut self, command: CurrentLoopCommand) {
+        self.missed_periods = 0;
+        match command.change {
+            None => {}
+            Some(StateChange::Arm) => self.arm(None),
+            Some(StateChange::Commission) => self.arm(Some(Commissioning::default())),
+            Some(StateChange::Disarm) => self.disarm(),
+            Some(StateChange::Trip(trip)) => {
+                self.trip(trip);
+            }
+        }
+        self.action = match self.state {
+            MotorState::Armed => command.action,
+            _ => CurrentLoopAction::Off,
+        };
+    }
+
+    /// The report for the motion loop; clears its events.
+    pub fn take_report(&mut self) -> CurrentLoopReport {
+        let report = self.report();
+        self.is_reset = false;
+        self.is_angle_lost = false;
+        report
+    }
+
+    pub(super) fn report(&self) -> CurrentLoopReport {
+        CurrentLoopReport {
+            state: self.state,
+            rotor: self.tracker,
+            current: self.measured,
+            previous: self.previous,
+            voltage: self.applied,
+            is_limited: self.output.is_limited,
+            bus_v: self.bus_v,
+            is_shorted: self.is_shorted,
+            is_reset: self.is_reset,
+            is_angle_lost: self.is_angle_lost,
+        }
+    }
+
+    /// A new result of commissioning, for [`super::MotionLoop::apply_identification`].
+    pub fn take_identification(&mut self) -> Option<IdentifiedMotor> {
+        self.identification.take()
+    }
+
+    /// Reports that the power stage switched itself off through its break input.
+    pub fn trip_power_stage(&mut self) {
+        if !matches!(self.state, MotorState::Tripped(_)) {
+            self.trip(Trip::PowerStage);
+        }
+    }
+
+    /// Bridge command for the next period from the samples of this one. To be called every period.
+    pub fn tick(&mut self, samples: &MotorSamples) -> BridgeCommand {
+        self.missed_periods = self.missed_periods.saturating_add(1);
+        self.bus_v = current_sense::bus_v(samples);
+        let tracked = self.tracker.update(samples.angle, self.settings.angle_age_periods);
+        self.is_angle_lost |= tracked.is_err();
+        let phases = self.swapped(self.offsets.amperes(samples));
+        let checked = match self.state {
+            MotorState::Tripped(trip) => return trip.drive(),
+            MotorState::Arming => return self.measure_offsets(samples),
+            MotorState::Disarmed | MotorState::CommissioningFailed(_) => Ok(()),
+            MotorState::Armed | MotorState::Commissioning => tracked
+                .map_err(|_| Trip::Encoder)
+                .and(self.check(samples, phases))
+                .and(self.check_sensors(samples, phases)),
+        };
+        let current = AlphaBeta::from_phases(phases);
+        match (checked, self.state) {
+            (Err(trip), _) => self.trip(trip),
+            (_, MotorState::Armed) => self.control(phases, current),
+            (_, MotorState::Commissioning) => self.commission(phases, current),
+            _ => {
+                self.update_measured(current);
+                BridgeCommand::Off
+            }
+        }
+    }
+
+    fn arm(&mut self, commissioning: Option<Commissioning>) {
+        if let MotorState::Disarmed | MotorState::CommissioningFailed(_) = self.state {
+            self.state = MotorState::Arming;
+            self.offset_measurement = OffsetMeasurement::default();
+            self.commissioning = commissioning;
+            if !self.settings.is_sound() {
+                self.trip(Trip::NotANumber);
+            }
+        }
+    }
+
+    fn disarm(&mut self) {
+        self.state = MotorState::Disarmed;
+        self.commissioning = None;
+        self.reset_controllers();
+    }
+
+    fn trip(&mut self, trip: Trip) -> BridgeCommand {
+        self.state = MotorState::Tripped(trip);
+        self.commissioning = None;
+        self.reset_controllers();
+        trip.drive()
+    }
+
+    fn reset_controllers(&mut self) {
+        self.currents = CurrentController::default();
+        self.output = VoltageOutput::default();
+        self.is_reset = true;
+    }
+
+    /// Exchanges phases V and W where they are swapped; its own inverse. Commissioning measures the wiring anew.
+    fn swapped(&self, [u, v, w]: [f32; 3]) -> [f32; 3] {
+        let is_commissioning = matches!(self.state, MotorState::Commissioning);
+        if self.settings.wiring.is_swapped && !is_commissioning { [u, w, v] } else { [u, v, w] }
+    }
+
+    /// Checks limits while the bridges may be on.
+    fn check(&self, samples: &MotorSamples, phases: [f32; 3]) -> Result<(), Trip> {
+        let limits = &self.settings.limits;
+        let speed = self.tracker.speed();
+        let [u, v, w] = phases;
+        if !(u + v + w + speed).is_finite() {
+            return Err(Trip::NotANumber);
+        }
+        let max_a = greater(u.abs(), greater(v.abs(), w.abs()));
+        if current_sense::is_saturated(samples) || max_a > limits.trip_a {
+            return Err(Trip::OverCurrent);
+        }
+        if self.missed_periods > MAX_MISSED_PERIODS {
+            return Err(Trip::CommandTimeout);
+        }
+        if speed.abs() > limits.trip_speed {
+            return Err(Trip::OverSpeed);
+        }
+        Ok(())
+    }
+
+    /// Checks the sensors for plausibility while armed; commissioning has its own checks.
+    fn check_sensors(&mut self, samples: &MotorSamples, phases: [f32; 3]) -> Result<(), Trip> {
+        match self.state {
+            MotorState::Armed => self.sensors.update(samples, phases, &self.settings.limits),
+            _ => Ok(()),
+        }
+    }
+
+    fn measure_offsets(&mut self, samples: &MotorSamples) -> BridgeCommand {
+        match self.offset_measurement.update(samples) {
+            None => BridgeCommand::Off,
+            Some(Err(_)) => self.trip(Trip::CurrentSense),
+            Some(Ok(_)) if !self.tracker.is_known() => self.trip(Trip::Encoder),
+            Some(Ok(offsets)) => {
+                self.offsets = offsets;
+                self.reset_controllers();
+                self.state = match self.commissioning {
+                    Some(_) => MotorState::Commissioning,
+                    None => MotorState::Armed,
+                };
+                BridgeCommand::Off
+            }
+        }
+    }
+
+    /// Stores the currents in rotor axes.
+    #[inline(always)] // A call costs as much as it saves.
+    fn update_measured(&mut self, current: AlphaBeta) {
+        self.rotor = Direction::of(self.tracker.electrical(&self.settings));
+        self.previous = self.measured;
+        self.measured = current.to_rotor(self.rotor);
+        self.applied = self.output.voltage;
+    }
+
+    fn control(&mut self, phases: [f32; 3], current: AlphaBeta) -> BridgeCommand {
+        self.update_measured(current);
+        let limits = &self.settings.limits;
+        let [_, full_v] = limits.dissipation_v;
+        self.is_shorted =
+            self.bus_v > limits.overvoltage_v || (self.is_shorted && self.bus_v > full_v);
+        let command = match self.action {
+            CurrentLoopAction::Off => BridgeCommand::Off,
+            _ if self.bus_v < MIN_BUS_V => BridgeCommand::Off,
+            _ if self.is_shorted => BridgeCommand::Brake,
+            CurrentLoopAction::Brake => BridgeCommand::Brake,
+            CurrentLoopAction::Follow(setpoint) => return self.follow(setpoint, phases),
+        };
+        self.reset_controllers();
+        command
+    }
+
+    fn follow(&mut self, setpoint: Dq, phases: [f32; 3]) -> BridgeCommand {
+        let speed = self.tracker.speed() * f32::from(self.settings.machine.pole_pairs);
+        self.output = self.currents.update(
+            &self.windings,
+            setpoint,
+            self.measured,
+            speed,
+            foc::max_v(self.bus_v),
+        );
+        let voltage = self.output.voltage.to_stator(self.rotor.rotated(speed * DELAY_S));
+        self.modulate(voltage, phases)
+    }
+
+    fn commission(&mut self, phases: [f32; 3], current: AlphaBeta) -> BridgeCommand {
+        self.update_measured(current);
+        let Some(commissioning) = &mut self.commissioning else {
+            return self.trip(Trip::NotANumber);
+        };
+        let inputs = CommissioningInputs {
+            alpha_a: current.alpha,
+            angle: self.tracker.angle(),
+            max_v: foc::max_v(self.bus_v),
+        };
+        match commissioning.tick(&inputs) {
+            CommissioningStep::Drive(voltage) => self.modulate(voltage, phases),
+            CommissioningStep::Ended(result) => {
+                self.disarm();
+                match result {
+                    Ok(identified) => {
+                        self.identification = Some(identified);
+                        self.settings.apply_identification(&identified);
+                        self.windings = Windings::of(&self.settings.machine);
+                    }
+                    Err(error) => self.state = MotorState::CommissioningFailed(error),
+                }
+                BridgeCommand::Off
+            }
+        }
+    }
+
+    /// Duty cycles for a voltage; trips where it is not finite.
+    fn modulate(&mut self, voltage: AlphaBeta, phases: [f32; 3]) -> BridgeCommand {
+        let duties = foc::compensate_dead_time(foc::duties(voltage, self.bus_v), phases);
+        let [u, v, w] = duties;
+        if (u + v + w).is_finite() {
+            BridgeCommand::Duty(self.swapped(duties))
+        } else {
+            self.trip(Trip::NotANumber)
+        }
+    }
+}

@@ -1,0 +1,380 @@
+//! Definition of the messages: source of the encoding on the bus, of the `.dbc`, and of the enum on the serial line.
+
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+use crate::protocol::layout::{
+    Direction, FrameError, MessageLayout, SignalLayout, SignalValue, decode, encode,
+};
+
+/// Length of every frame.
+pub const BYTES: usize = 8;
+
+/// On the serial line: number and data as on the bus.
+impl Serialize for Message {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        (self.number(), self.to_bytes()).serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for Message {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let (number, bytes) = <(u8, [u8; BYTES])>::deserialize(deserializer)?;
+        Self::from_frame(number, &bytes).map_err(|_| D::Error::custom("invalid message"))
+    }
+}
+
+/// Declares messages: number (and instances), name, direction, period, then signals with their bits and scale.
+macro_rules! messages {
+    ($(
+        $(#[doc = $description:literal])+
+        $number:literal $(($instances:literal sensors))? $name:ident $direction:ident every $period:literal
+        $(multiplexed by $by:ident)? {
+            $(
+                $(#[doc = $comment:literal])+
+                $field:ident: $type:ident @ $first:literal .. $end:literal $(, $scale:literal $unit:literal)?;
+            )*
+        }
+    )*) => {
+        $(
+            $(#[doc = $description])+
+            #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+            pub struct $name {
+                $($(#[doc = $comment])+ pub $field: $type,)*
+            }
+
+            impl $name {
+                /// Layout on the bus.
+                pub const LAYOUT: MessageLayout = MessageLayout {
+                    name: stringify!($name),
+                    number: $number,
+                    instances: { let instances = 1; $(let instances = { let _ = instances; $instances };)? instances },
+                    direction: Direction::$direction,
+                    period_ms: $period,
+                    multiplexed: { let by = ""; $(let by = { let _ = by; stringify!($by) };)? !by.is_empty() },
+                    signals: &[$(SignalLayout {
+                        name: stringify!($field),
+                        first_bit: $first,
+                        end_bit: $end,
+                        signed: <$type as SignalValue>::SIGNED,
+                        scale: { let scale = 1.0; $(let scale = { let _ = scale; $scale };)? scale },
+                        unit: { let unit = ""; $(let unit = { let _ = unit; $unit };)? unit },
+                        description: concat!($($comment, "\n"),+),
+                    },)*],
+                    description: concat!($($description, "\n"),+),
+                };
+
+                /// Encodes the message; values saturate.
+                pub fn to_bytes(&self) -> [u8; BYTES] {
+                    let frame = 0_u64 $(| encode($first..$end, self.$field))*;
+                    frame.to_le_bytes()
+                }
+
+                /// Decodes the message.
+                ///
+                /// # Errors
+                /// A reserved bit is set.
+                pub fn from_bytes(bytes: [u8; BYTES]) -> Result<Self, FrameError> {
+                    let frame = u64::from_le_bytes(bytes);
+                    match frame & !const { Self::LAYOUT.used() } {
+                        0 => Ok(Self { $($field: decode(frame, $first..$end),)* }),
+                        _ => Err(FrameError::Reserved),
+                    }
+                }
+            }
+
+            const _: () = assert!($name::LAYOUT.is_valid());
+        )*
+
+        /// Any message.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub enum Message {
+            $(
+                $(#[doc = $description])+
+                $name($name),
+            )*
+        }
+
+        impl Message {
+            /// Layout on the bus.
+            pub const fn layout(&self) -> &'static MessageLayout {
+                match self {
+                    $(Self::$name(_) => &$name::LAYOUT,)*
+                }
+            }
+
+            /// Number of the layout. Constants here and in the next two functions keep the other fields of the layouts out of the
+            /// image.
+            pub const fn number(&self) -> u8 {
+                match self {
+                    $(Self::$name(_) => const { $name::LAYOUT.number },)*
+                }
+            }
+
+            /// Count of instances of the layout.
+            pub const fn instances(&self) -> u8 {
+                match self {
+                    $(Self::$name(_) => const { $name::LAYOUT.instances },)*
+                }
+            }
+
+            /// Sender.
+            pub const fn direction(&self) -> Direction {
+                match self {
+                    $(Self::$name(_) => const { $name::LAYOUT.direction },)*
+                }
+            }
+
+            /// Encodes the message.
+            pub fn to_bytes(&self) -> [u8; BYTES] {
+                match self {
+                    $(Self::$name(message) => message.to_bytes(),)*
+                }
+            }
+
+            /// Decodes the message with this number.
+            ///
+            /// # Errors
+            /// Unknown number, not eight bytes, or a reserved bit is set.
+            pub fn from_frame(number: u8, bytes: &[u8]) -> Result<Self, FrameError> {
+                let whole = bytes.try_into();
+                let bytes: [u8; BYTES] = whole.unwrap_or_default();
+                $(
+                    if const { $name::LAYOUT.numbers() }.contains(&number) {
+                        whole.map_err(|_| FrameError::Length)?;
+                        return $name::from_bytes(bytes).map(Self::$name);
+                    }
+                )*
+                Err(FrameError::Unknown)
+            }
+        }
+
+        /// All messages, by number.
+        pub const LAYOUTS: &[MessageLayout] = &[$($name::LAYOUT,)*];
+
+        /// Bit mask of the numbers of host messages.
+        const FROM_HOST: u32 = 0 $(| $name::LAYOUT.from_host())*;
+
+        /// Whether messages with this number are sent by hosts.
+        pub const fn is_from_host(number: u8) -> bool {
+            number < 32 && FROM_HOST & 1 << number != 0
+        }
+    };
+}
+
+messages! {
+    /// Versions of protocol, firmware, hardware and tables; sent at boot and on request.
+    0x00 Version Out every 0 {
+        /// Major version of the messages; different ones are incompatible.
+        protocol_major: u8 @ 0..8;
+        /// Minor version of the messages; incremented with every new message.
+        protocol_minor: u8 @ 8..16;
+        /// Version of the firmware.
+        firmware_major: u8 @ 16..24;
+        /// Version of the firmware.
+        firmware_minor: u8 @ 24..32;
+        /// Version of the firmware.
+        firmware_patch: u8 @ 32..40;
+        /// Identifier of the board.
+        hardware: u8 @ 40..48;
+        /// Identifier of the model tables.
+        tables: u16 @ 48..64;
+    }
+
+    /// Heartbeat.
+    0x01 Heartbeat Out every 100 {
+        /// Active faults, one bit each.
+        faults: u32 @ 0..32;
+        /// State of the state machine.
+        state: u8 @ 32..40;
+        /// 0 moving, 1 contact while opening, 2 contact while closing, 3 at position.
+        object: u8 @ 40..42;
+        /// Whether commands arrive in time.
+        command_alive: bool @ 42..43;
+        /// Sensors with valid readings, one bit each.
+        sensors_ok: u8 @ 43..47;
+        /// Major version of the messages.
+        protocol_major: u8 @ 48..56;
+        /// Counts heartbeats.
+        counter: u8 @ 56..64;
+    }
+
+    /// Emergency stop, accepted from any sender.
+    0x02 EStop In every 0 {}
+
+    /// Command; without one for 100 ms the gripper holds.
+    0x03 Command In every 50 {
+        /// Mode.
+        mode: u8 @ 0..4;
+        /// Incremented with every command.
+        counter: u8 @ 4..8;
+        /// Set-point of the opening.
+        position: u16 @ 8..20, 0.05 "mm";
+        /// Speed limit.
+        speed: u8 @ 20..28, 0.25 "mm/s";
+        /// Force limit.
+        force: u16 @ 28..40, 0.1 "N";
+        /// Flags of the mode.
+        flags: u8 @ 40..48;
+        /// Checksum over nonce, identifier and the bytes before it.
+        crc: u16 @ 48..64;
+    }
+
+    /// Service request: clear faults, tare, save, reboot, arm.
+    0x04 Service In every 0 {
+        /// Operation.
+        op: u8 @ 0..8;
+        /// Constant that protects against stray frames.
+        magic: u16 @ 8..24;
+        /// Nonce of the challenge, for arming.
+        nonce: u16 @ 24..40;
+        /// Argument of the operation.
+        argument: u32 @ 40..64;
+    }
+
+    /// Request to read or write a parameter.
+    0x05 ParamRequest In every 0 {
+        /// 0 reads, 1 writes.
+        op: u8 @ 0..8;
+        /// Identifier of the parameter.
+        id: u16 @ 8..24;
+        /// Zero.
+        status: u8 @ 24..32;
+        /// Value to write.
+        value: u32 @ 32..64;
+    }
+
+    /// Reply to a parameter request.
+    0x06 ParamReply Out every 0 {
+        /// As in the request.
+        op: u8 @ 0..8;
+        /// As in the request.
+        id: u16 @ 8..24;
+        /// 0: done; else the reason of the failure.
+        status: u8 @ 24..32;
+        /// Present value.
+        value: u32 @ 32..64;
+    }
+
+    /// A fault is set or cleared.
+    0x07 FaultEvent Out every 0 {
+        /// Code of the fault.
+        code: u16 @ 0..16;
+        /// Sensor, bus or task.
+        source: u8 @ 16..24;
+        /// 1: set, 0: cleared.
+        active: u8 @ 24..32;
+        /// Detail of the fault.
+        detail: u32 @ 32..64;
+    }
+
+    /// Forces at one sensor.
+    0x08 (4 sensors) Force Out every 10 {
+        /// Lateral force.
+        fx: i16 @ 0..16, 0.05 "N";
+        /// Longitudinal force.
+        fz: i16 @ 16..32, 0.05 "N";
+        /// Standard deviation of the lateral force; 255: unknown.
+        sigma_x: u8 @ 32..40, 0.25 "N";
+        /// Standard deviation of the longitudinal force; 255: unknown.
+        sigma_z: u8 @ 40..48, 0.25 "N";
+        /// Whether the forces are valid.
+        valid: bool @ 48..49;
+        /// Magnetic disturbance.
+        disturbed: bool @ 49..50;
+        /// An axis is saturated.
+        saturated: bool @ 50..51;
+        /// No new reading.
+        stale: bool @ 51..52;
+        /// 0: ideal model, 1: network.
+        model: u8 @ 52..54;
+        /// Counts messages.
+        counter: u8 @ 56..64;
+    }
+
+    /// State of the grip.
+    0x0C GripStatus Out every 10 {
+        /// Opening.
+        position: u16 @ 0..14, 0.01 "mm";
+        /// Speed, opening is positive.
+        speed: i16 @ 14..28, 0.01 "mm/s";
+        /// Grasping force.
+        force: i16 @ 28..42, 0.1 "N";
+        /// Quadrature current.
+        current: i16 @ 42..54, 0.01 "A";
+        /// 0 moving, 1 contact while opening, 2 contact while closing, 3 at position.
+        object: u8 @ 54..56;
+        /// Counts messages.
+        counter: u8 @ 56..60;
+    }
+
+    /// Supply and temperatures.
+    0x0D Power Out every 100 {
+        /// Voltage of the supply.
+        bus: u16 @ 0..16, 0.01 "V";
+        /// Current from the supply.
+        current: i16 @ 16..32, 0.01 "A";
+        /// Temperature of the microcontroller.
+        mcu: i8 @ 32..40, 1.0 "degC";
+        /// Temperature of the motor.
+        motor: i8 @ 40..48, 1.0 "degC";
+        /// Temperature of the warmest Hall sensor.
+        sensor: i8 @ 48..56, 1.0 "degC";
+        /// Counts messages.
+        counter: u8 @ 56..64;
+    }
+
+    /// Raw reading of a sensor; off by default.
+    0x0E HallRaw Out every 0 multiplexed by sensor {
+        /// Sensor.
+        sensor: u8 @ 0..2;
+        /// Field along x in counts.
+        x: i16 @ 2..17;
+        /// Field along y in counts.
+        y: i16 @ 17..32;
+        /// Field along z in counts.
+        z: i16 @ 32..47;
+        /// Temperature in counts.
+        temperature: i16 @ 47..59;
+    }
+
+    /// Execution times.
+    0x0F Timing Out every 1000 {
+        /// Longest tick of sensing in the last second.
+        worst_loop: u16 @ 0..16, 1.0 "us";
+        /// Longest estimate in the last second.
+        worst_inference: u16 @ 16..32, 1.0 "us";
+        /// Failed transfers from the sensors since boot.
+        i2c_errors: u16 @ 32..48;
+        /// Missed ticks since boot.
+        missed_ticks: u8 @ 48..56;
+        /// Counts messages.
+        counter: u8 @ 56..64;
+    }
+
+    /// Ground contact; off by default.
+    0x10 Foot Out every 0 {
+        /// Fingertips with ground contact, one bit each.
+        contacts: u8 @ 0..8;
+        /// Sum of the longitudinal forces.
+        total_fz: i16 @ 8..24, 0.1 "N";
+        /// Centre of pressure along the line of contact.
+        centre: i16 @ 24..40, 0.01 "mm";
+        /// Standard deviation of the sum; 255: unknown.
+        sigma: u8 @ 40..48, 0.25 "N";
+        /// Counts messages.
+        counter: u8 @ 48..56;
+    }
+
+    /// Reply to a service request.
+    0x11 ServiceReply Out every 0 {
+        /// Operation.
+        op: u8 @ 0..8;
+        /// 0: done, 1: return this nonce, else the reason of the failure.
+        status: u8 @ 8..16;
+        /// Nonce to return.
+        nonce: u16 @ 16..32;
+        /// Detail of the operation.
+        detail: u32 @ 32..64;
+    }
+}

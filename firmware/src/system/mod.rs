@@ -1,0 +1,8 @@
+//! What keeps the device running: faults, watchdog, crash records, non-volatile storage, time, checksums.
+
+pub mod checksum;
+pub mod clock;
+pub mod crash;
+pub mod faults;
+pub mod nv_storage;
+pub mod task_watchdog;

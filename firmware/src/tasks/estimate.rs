@@ -1,0 +1,199 @@
+//! Estimates the forces of each frame, and checks sensors and forces for faults.
+
+use core::sync::atomic::Ordering;
+
+use embassy_sync::blocking_mutex::raw::RawMutex;
+
+use crate::config::constants::TICK_US;
+use crate::config::limits::DetectionLimits;
+use crate::config::parameters::Parameters;
+use crate::estimator::auxiliary_inputs::AuxiliaryInputs;
+use crate::estimator::finger_symmetry::FingerSymmetry;
+use crate::estimator::tare::{TareCollector, TareProgress};
+use crate::estimator::{Estimate, Estimator, NetworkBank, Validity};
+use crate::fixed_point::Force;
+use crate::motor::MotorStatus;
+use crate::protocol::serial::Tick;
+use crate::sensors::hall::liveness::{MonitoredReading, SensorCondition};
+use crate::sensors::hall::{HallReading, SENSORS};
+use crate::system::clock::Clock;
+use crate::system::faults::{Fault, FaultSet};
+use crate::system::task_watchdog::TaskId;
+use crate::tasks::{FaultReporter, GripInputs, SharedState};
+
+/// Inputs of a tick other than the fields.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct TickInputs {
+    /// Covariates of the compensation.
+    pub auxiliary: AuxiliaryInputs,
+    /// State of the motor.
+    pub motor: MotorStatus,
+}
+
+/// Forces of one tick.
+#[derive(Clone, Copy, Debug)]
+pub struct ForceSample {
+    /// Number of the tick since boot.
+    pub tick: u32,
+    /// When it began, in microseconds since boot.
+    pub begun_us: u64,
+    /// The forces.
+    pub estimates: [Estimate; SENSORS],
+    /// The readings that they were estimated from.
+    pub readings: [Option<HallReading>; SENSORS],
+}
+
+/// Estimates the forces of every sensed frame. `inputs` returns the inputs other than the fields.
+pub async fn estimate<N: NetworkBank, C: Clock, M: RawMutex>(
+    estimator: &mut Estimator<'_, N>,
+    mut inputs: impl FnMut() -> TickInputs,
+    limits: &DetectionLimits,
+    clock: &C,
+    shared: &SharedState<M>,
+) -> ! {
+    let mut diagnostics = SensorDiagnostics::new(limits);
+    let mut taring = None;
+    let held = estimator.friction_deadband();
+    let bears_mass = !estimator.compensates_fingertip_mass();
+    let mut tick = 0_u32;
+    let mut last_us = None;
+    loop {
+        let sensed = shared.sensed.wait().await;
+        shared.progress.check_in(TaskId::Estimate);
+        let woken_us = clock.now_us();
+        let TickInputs { auxiliary, motor } = inputs();
+        let mut estimates = estimator.update(&sensed.frame, &auxiliary);
+        let done_us = clock.now_us();
+        let counts = &shared.counts;
+        for (worst, spent_us) in [
+            (&counts.worst_tick_us, done_us.saturating_sub(sensed.begun_us)),
+            (&counts.worst_estimate_us, done_us.saturating_sub(woken_us)),
+        ] {
+            worst.fetch_max(spent_us as u32, Ordering::Relaxed);
+        }
+        // The tick number follows the time, also when frames were lost.
+        let ticks = last_us.replace(sensed.begun_us).map_or(0, |last_us| {
+            (sensed.begun_us.saturating_sub(last_us) + TICK_US / 2) as u32 / TICK_US as u32
+        });
+        tick = tick.wrapping_add(ticks);
+        diagnostics.update(&sensed.watched, &estimates, shared);
+        let diverged = [0, 1, 2, 3].map(|sensor| estimator.network_diverged(sensor));
+        diagnostics.update_networks(diverged, shared);
+        tare(&mut taring, &held, &mut estimates, shared);
+        shared.grip_inputs.signal(GripInputs {
+            estimates,
+            motor,
+            acceleration: auxiliary.acceleration.filter(|_| bears_mass),
+        });
+        shared.ticks.signal(Tick::of(&sensed.frame, &estimates));
+        shared.force_sample.signal(ForceSample {
+            tick,
+            begun_us: sensed.begun_us,
+            estimates,
+            readings: sensed.frame.readings,
+        });
+    }
+}
+
+/// Subtracts the tare, and averages a new one on request.
+fn tare<M: RawMutex>(
+    taring: &mut Option<TareCollector>,
+    held: &[[Force; 2]; SENSORS],
+    estimates: &mut [Estimate; SENSORS],
+    shared: &SharedState<M>,
+) {
+    if shared.tare_request.try_take().is_some() {
+        *taring = Some(TareCollector::new(*held));
+    }
+    if let Some(running) = taring {
+        let step = running.update(estimates);
+        if step != TareProgress::Collecting {
+            *taring = None;
+            shared.tare_result.signal(step);
+        }
+    }
+    shared.parameter(Parameters::tare).apply(estimates);
+}
+
+/// Fault detection of sensors and forces.
+struct SensorDiagnostics {
+    faults: FaultSet,
+    balance: FingerSymmetry,
+    /// Ticks in a row with the field outside the model's range.
+    outside: [u8; SENSORS],
+    /// Threshold of [`Self::outside`].
+    outside_ticks: u8,
+}
+
+impl SensorDiagnostics {
+    fn new(limits: &DetectionLimits) -> Self {
+        Self {
+            faults: FaultSet::default(),
+            balance: FingerSymmetry::new(limits),
+            outside: [0; SENSORS],
+            outside_ticks: limits.outside_ticks,
+        }
+    }
+
+    fn update_networks<M: RawMutex>(&mut self, diverged: [bool; SENSORS], shared: &SharedState<M>) {
+        for (sensor, network_diverged) in (0_u8..).zip(diverged) {
+            let fault = (Fault::NetworkAstray, sensor);
+            shared.update_fault(
+                FaultReporter::Estimate,
+                &mut self.faults,
+                fault,
+                network_diverged,
+                0,
+            );
+        }
+    }
+
+    fn update<M: RawMutex>(
+        &mut self,
+        watched: &[MonitoredReading; SENSORS],
+        estimates: &[Estimate; SENSORS],
+        shared: &SharedState<M>,
+    ) {
+        let mut ok = 0;
+        let sensors = watched.iter().zip(estimates).zip(&mut self.outside);
+        for (sensor, ((watched, estimate), outside)) in (0_u8..).zip(sensors) {
+            let age = u32::from(watched.age);
+            let lost = watched.condition == SensorCondition::Lost;
+            let frozen = watched.condition == SensorCondition::Frozen;
+            *outside = match estimate.validity {
+                Validity::OutsideModel => outside.saturating_add(1),
+                _ => 0,
+            };
+            ok |= u32::from(!lost && !frozen) << sensor;
+            for (fault, active) in [
+                (Fault::SensorLost, lost),
+                (Fault::SensorFrozen, frozen),
+                (Fault::SensorSaturated, estimate.validity == Validity::Saturated),
+                (Fault::OutsideModel, *outside >= self.outside_ticks),
+            ] {
+                shared.update_fault(
+                    FaultReporter::Estimate,
+                    &mut self.faults,
+                    (fault, sensor),
+                    active,
+                    age,
+                );
+            }
+        }
+        shared.counts.sensors_ok.store(ok, Ordering::Relaxed);
+        let difference = self.balance.update(estimates);
+        let detail = difference.map_or(0, |force| force.0.unsigned_abs());
+        let disturbed = estimates.iter().any(|estimate| estimate.disturbed);
+        for (fault, active, detail) in
+            [(Fault::Unbalanced, difference.is_some(), detail), (Fault::Disturbed, disturbed, 0)]
+        {
+            shared.update_fault(
+                FaultReporter::Estimate,
+                &mut self.faults,
+                (fault, 0),
+                active,
+                detail,
+            );
+        }
+    }
+}

@@ -1,0 +1,58 @@
+//! Checks the checksums of tables and networks continuously: after a bit error arming is refused.
+
+use embassy_futures::yield_now;
+use embassy_sync::blocking_mutex::raw::RawMutex;
+
+use crate::model::integrity::{CALLS_PER_S, Checksummed, ScrubResult, Scrubber};
+use crate::system::clock::{Clock, delay_us};
+use crate::system::faults::{Fault, FaultSet};
+use crate::tasks::{FaultReporter, SharedState};
+
+/// Fault source: tables.
+const TABLES: u8 = 0;
+/// Fault source: networks.
+const NETWORKS: u8 = 1;
+/// Period of the steps.
+const STEP_US: u64 = 1_000_000 / CALLS_PER_S as u64;
+
+/// Checks tables and networks. The first pass has no pauses, but yields after each step to the other tasks of its level,
+/// which must feed the watchdog meanwhile. A fault stays until the next boot.
+pub async fn scrub<T: Checksummed, N: Checksummed, const COUNT: usize, C: Clock, M: RawMutex>(
+    tables: &T,
+    networks: &[N; COUNT],
+    clock: &C,
+    shared: &SharedState<M>,
+) -> ! {
+    let mut faults = FaultSet::default();
+    let mut report = |source, found| {
+        if found == ScrubResult::Corrupt {
+            let fault = (Fault::TablesUnsound, source);
+            shared.update_fault(FaultReporter::Scrub, &mut faults, fault, true, 0);
+        }
+    };
+    report(TABLES, first_pass(tables).await);
+    for network in networks {
+        report(NETWORKS, first_pass(network).await);
+    }
+    shared.tables_checked.signal(());
+    let mut walk = Scrubber::default();
+    let mut walks = [const { Scrubber::NEW }; COUNT];
+    loop {
+        delay_us(clock, STEP_US).await;
+        report(TABLES, walk.step(tables));
+        for (walk, network) in walks.iter_mut().zip(networks) {
+            report(NETWORKS, walk.step(network));
+        }
+    }
+}
+
+/// One complete pass.
+async fn first_pass(of: &impl Checksummed) -> ScrubResult {
+    let mut walk = Scrubber::default();
+    loop {
+        match walk.step(of) {
+            ScrubResult::Pending => yield_now().await,
+            found => return found,
+        }
+    }
+}

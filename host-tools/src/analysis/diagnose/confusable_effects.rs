@@ -1,0 +1,191 @@
+//! Effects that are hard to distinguish: by their covariates, or on the data at hand.
+//!
+//! No effect of the catalogue has exactly the form of a real one: friction is not three sliders, creep not two
+//! time constants. The remainder of an accepted effect resembles the effects with the same covariates, and is
+//! much smaller; such a remainder is not named.
+
+use model_export::effects::{EffectTerm, ExcitationSeries};
+use model_export::fit::campaign::FitSetup;
+
+/// Effects that depend on the history and rate of the load.
+pub const LOAD_HISTORY_EFFECTS: &[&str] =
+    &["hysteresis", "viscous_lag", "creep", "clock_skew", "reference_filter"];
+
+/// Sets of effects that depend on the same covariate.
+const CONFUSABLE: [&[&str]; 4] = [
+    // Load.
+    &["geometric_stiffening", "tip_slope", "hard_stop", "sensor_compression"],
+    LOAD_HISTORY_EFFECTS,
+    // Time.
+    &["creep", "softening", "field_drift", "reference_drift", "demagnetisation", "external_magnet"],
+    // Temperature.
+    &["magnet_temperature", "sensor_temperature", "thermal_gap"],
+];
+
+/// True if two effects depend on the same covariate.
+pub fn are_confusable(one: &EffectTerm, other: &EffectTerm) -> bool {
+    let both = |set: &&[&str]| set.contains(&one.name()) && set.contains(&other.name());
+    CONFUSABLE.iter().any(both)
+}
+
+/// Maximum relative standard deviation of the amplitude of a single sine.
+const MAX_VARIATION: f64 = 0.2;
+/// Minimum amplitude of a loaded row, relative to the maximum; excludes rest and transitions.
+const LOADED: f64 = 0.3;
+/// Minimum fraction of loaded rows.
+const MIN_LOADED: f64 = 0.5;
+
+/// Number of intervals per recording in which temperatures are compared.
+const INTERVALS: usize = 20;
+/// Maximum difference of equal temperatures, relative to their range.
+const TOLERANCE: f64 = 0.1;
+
+/// Covariates that the excitation of the recordings makes collinear.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Collinearity {
+    single_sine: bool,
+    same_warm_up: bool,
+}
+
+impl Collinearity {
+    /// Collinearity in a campaign.
+    pub fn of(prepared: &FitSetup) -> Self {
+        Self { single_sine: is_single_sine(prepared), same_warm_up: is_same_warm_up(prepared) }
+    }
+
+    /// True if these recordings hardly distinguish two effects.
+    pub fn hides_the_difference(self, one: &EffectTerm, other: &EffectTerm) -> bool {
+        let both = |ids: &[&str]| [one, other].iter().all(|e| ids.contains(&e.name()));
+        (self.single_sine && both(LOAD_HISTORY_EFFECTS))
+            || (self.same_warm_up && both(TEMPERATURE_OR_TIME))
+    }
+}
+
+/// Offsets that depend on temperature or time.
+const TEMPERATURE_OR_TIME: &[&str] = &["sensor_temperature", "field_drift"];
+
+/// True if the temperature has the same profile in every recording.
+fn is_same_warm_up(prepared: &FitSetup) -> bool {
+    let profiles: Vec<Vec<Vec<f64>>> = prepared
+        .rows
+        .iter()
+        .map(|rows| {
+            let tracks = rows.parts.iter().map(|part| &part.track);
+            tracks.map(|track| profile(&track.temperature_c)).collect()
+        })
+        .collect();
+    let sensor = |profiles: &Vec<Vec<f64>>| {
+        let all = || profiles.iter().flatten();
+        let high = all().copied().fold(f64::NEG_INFINITY, f64::max);
+        let low = all().copied().fold(f64::INFINITY, f64::min);
+        let first = profiles.first().map_or(&[][..], Vec::as_slice);
+        let alike = |other: &Vec<f64>| {
+            let mut pairs = first.iter().zip(other);
+            other.len() == INTERVALS
+                && pairs.all(|(a, b)| (a - b).abs() <= TOLERANCE * (high - low))
+        };
+        profiles.len() > 1 && profiles.iter().all(alike)
+    };
+    !profiles.is_empty() && profiles.iter().all(sensor)
+}
+
+/// Means over equal intervals of a column; empty where it was not recorded.
+fn profile(column: &[f64]) -> Vec<f64> {
+    let length = column.len() / INTERVALS;
+    match length {
+        0 => Vec::new(),
+        _ => column
+            .chunks_exact(length)
+            .take(INTERVALS)
+            .map(|stretch| stretch.iter().sum::<f64>() / length as f64)
+            .collect(),
+    }
+}
+
+/// True if every force is a sine of constant amplitude over the whole campaign: delay, lag and friction then
+/// have the same elliptic response.
+fn is_single_sine(prepared: &FitSetup) -> bool {
+    let axes = prepared.rows.iter().flat_map(|rows| {
+        let tracks = || rows.parts.iter().map(|part| &part.track);
+        [0, 1].map(|axis| is_steady(tracks(), axis))
+    });
+    let moving: Vec<bool> = axes.flatten().collect();
+    !moving.is_empty() && moving.iter().all(|steady| *steady)
+}
+
+/// Whether the amplitude of one axis is constant; `None` without load.
+fn is_steady<'a>(
+    tracks: impl Iterator<Item = &'a ExcitationSeries> + Clone,
+    axis: usize,
+) -> Option<bool> {
+    let pairs = || {
+        tracks.clone().flat_map(move |track| {
+            let rows = track.smooth_n.iter().zip(&track.rate_n_per_s);
+            rows.map(move |(force, rate)| (force[axis], rate[axis]))
+        })
+    };
+    let count = pairs().count().max(1) as f64;
+    let mean = pairs().map(|(force, _)| force).sum::<f64>() / count;
+    let (forces, rates) = pairs()
+        .fold((0.0, 0.0), |(f, r), (force, rate)| (f + (force - mean).powi(2), r + rate * rate));
+    if rates <= 0.0 || (forces / count).sqrt() < 1.0 {
+        return None;
+    }
+    let per_omega_squared = forces / rates;
+    let amplitude = |(force, rate): (f64, f64)| {
+        ((force - mean).powi(2) + rate * rate * per_omega_squared).sqrt()
+    };
+    let amplitudes: Vec<f64> = pairs().map(amplitude).collect();
+    let max = amplitudes.iter().copied().fold(0.0, f64::max);
+    let loaded: Vec<f64> =
+        amplitudes.into_iter().filter(|amplitude| *amplitude > LOADED * max).collect();
+    let n = loaded.len().max(1) as f64;
+    let mean = loaded.iter().sum::<f64>() / n;
+    let sigma = (loaded.iter().map(|a| (a - mean).powi(2)).sum::<f64>() / n).sqrt();
+    Some(n > MIN_LOADED * count && sigma < MAX_VARIATION * mean)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use model_export::effects::find;
+
+    #[test]
+    fn confusable_effects_are_in_the_catalogue() {
+        for id in CONFUSABLE.iter().flat_map(|set| set.iter()) {
+            assert!(find(id).is_ok(), "{id}");
+        }
+    }
+
+    #[test]
+    fn creep_is_confusable_with_lags_and_with_drifts() {
+        let effect = |id| EffectTerm::Catalogue(find(id).unwrap());
+        assert!(are_confusable(&effect("creep"), &effect("viscous_lag")));
+        assert!(are_confusable(&effect("field_drift"), &effect("creep")));
+        assert!(!are_confusable(&effect("field_drift"), &effect("viscous_lag")));
+    }
+}
+
+#[cfg(test)]
+mod tests_1 {
+    use super::*;
+
+    fn steady(force: impl Fn(f64) -> f64) -> Option<bool> {
+        let time_s: Vec<f64> = (0..3000).map(|i| 0.01 * f64::from(i)).collect();
+        let force_n = time_s.iter().map(|t| [force(*t), 0.0]).collect();
+        let track = ExcitationSeries { time_s, ..ExcitationSeries::default() };
+        is_steady([&track.with_forces(force_n)].into_iter(), 0)
+    }
+
+    #[test]
+    fn single_sine_is_detected_after_a_rest() {
+        let sine = |t: f64| match t {
+            t if t < 0.5 => 0.0,
+            t => 150.0 * (3.0 * (t - 0.5)).sin(),
+        };
+        assert_eq!(steady(sine), Some(true));
+        assert_eq!(steady(|t| 100.0 * (3.0 * t).sin() + 80.0 * (7.3 * t).sin()), Some(false));
+        assert_eq!(steady(|t| 15.0 * t * (3.0 * t).sin()), Some(false));
+        assert_eq!(steady(|_| 0.0), None);
+    }
+}

@@ -1,0 +1,157 @@
+//! Arguments that several commands share.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use anyhow::{Context, Result, anyhow, bail};
+use model_export::design::SensorDesign;
+use model_export::effects::expression::ParameterRange;
+use model_export::effects::{EffectTerm, Expression};
+use model_export::fit::FitOptions;
+use model_export::output::check_output;
+use model_export::recordings::Campaign;
+use model_export::recordings::align::Alignment;
+
+use crate::analysis::compare::Comparison;
+use crate::report::{self, Section};
+use crate::terminal;
+
+/// Clock alignment.
+#[derive(Clone, Copy, Debug, clap::Args)]
+pub struct AlignArgs {
+    /// Delay of the reference's clock, added to its time stamps before alignment with the field.
+    #[arg(long, value_name = "MS", default_value_t = 0.0, allow_negative_numbers = true)]
+    delay_ms: f64,
+}
+
+impl AlignArgs {
+    /// The alignment for the readers of recordings.
+    pub fn alignment(self) -> Result<Alignment> {
+        if !self.delay_ms.is_finite() {
+            bail!("--delay-ms must be a finite number of milliseconds");
+        }
+        Ok(Alignment { delay_us: self.delay_ms * 1e3 })
+    }
+}
+
+/// A model and a campaign to evaluate or refit it on.
+#[derive(Debug, clap::Args)]
+pub struct CampaignArgs {
+    /// Model file written by `magpie fit`.
+    pub model: PathBuf,
+    /// Folder of recordings (or one recording).
+    pub campaign: PathBuf,
+    /// Clock alignment.
+    #[command(flatten)]
+    pub align: AlignArgs,
+    /// Seed of the bootstrap.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Print one JSON object on stdout and nothing else.
+    #[arg(long)]
+    pub json: bool,
+}
+
+impl CampaignArgs {
+    /// Options of every fit.
+    pub fn options(&self) -> FitOptions {
+        FitOptions { seed: self.seed, ..FitOptions::default() }
+    }
+}
+
+/// A model, a campaign and an optional HTML report.
+#[derive(Debug, clap::Args)]
+pub struct CompareArgs {
+    /// The model and the campaign.
+    #[command(flatten)]
+    pub input: CampaignArgs,
+    /// HTML report to write.
+    #[arg(short, long, value_name = "REPORT")]
+    pub output: Option<PathBuf>,
+}
+
+impl CompareArgs {
+    /// Fails early if the report could not be written later.
+    pub fn check_output(&self) -> Result<()> {
+        if let Some(path) = &self.output {
+            check_output(path, report::MARK)?;
+        }
+        Ok(())
+    }
+
+    /// Writes the report if one was requested; `sections` come from a diagnosis.
+    pub fn write_report(&self, comparison: &Comparison, sections: &[Section]) -> Result<()> {
+        let Some(path) = &self.output else {
+            return Ok(());
+        };
+        report::write(path, comparison, sections)?;
+        self.print_line(&format!("Report: {} (open in a browser)", path.display()))
+    }
+
+    /// Prints a line on stdout, or on stderr with `--json`.
+    pub fn print_line(&self, line: &str) -> Result<()> {
+        if self.input.json {
+            eprintln!("{line}");
+        } else {
+            terminal::print(&format!("{line}\n"))?;
+        }
+        Ok(())
+    }
+}
+
+/// Reads a design file; MAGPIE's own design without a path.
+pub fn read_design(path: Option<&Path>) -> Result<SensorDesign> {
+    Ok(match path {
+        Some(path) => SensorDesign::read(path)?,
+        None => SensorDesign::magpie(),
+    })
+}
+
+/// User-defined effects: formulas and the ranges of their nonlinear parameters.
+#[derive(Debug, clap::Args)]
+pub struct ExprArgs {
+    /// User-defined effect: 'NAME: TARGET = FORMULA'.
+    #[arg(long, value_name = "FORMULA")]
+    expr: Vec<String>,
+    /// Range of a nonlinear parameter of a formula: NAME=FROM..TO.
+    #[arg(long, value_name = "NAME=FROM..TO", value_parser = parse_range)]
+    range: Vec<ParameterRange>,
+}
+
+impl ExprArgs {
+    /// True if no formula was given.
+    pub fn is_empty(&self) -> bool {
+        self.expr.is_empty()
+    }
+
+    /// Parses the formulas; each receives the ranges of the parameters that it contains.
+    pub fn parse(&self, campaign: &Campaign) -> Result<Vec<EffectTerm>> {
+        let first = campaign.recordings.first().context("the campaign is empty")?;
+        let columns: Vec<String> = first.covariates.keys().cloned().collect();
+        let contains = |formula: &str, range: &ParameterRange| {
+            let separator = |c: char| !(c.is_ascii_alphanumeric() || c == '_');
+            formula.split(separator).any(|name| name == range.name)
+        };
+        for range in &self.range {
+            if !self.expr.iter().any(|formula| contains(formula, range)) {
+                bail!("--range {}: no formula has such a name", range.name);
+            }
+        }
+        let parse = |formula: &String| {
+            let ranges = self.range.iter().filter(|range| contains(formula, range));
+            let ranges: Vec<ParameterRange> = ranges.cloned().collect();
+            let effect = Expression::parse(formula, &ranges, &columns)
+                .map_err(|error| anyhow!("--expr: {error}"))?;
+            Ok(EffectTerm::Expression(Arc::new(effect)))
+        };
+        self.expr.iter().map(parse).collect()
+    }
+}
+
+fn parse_range(text: &str) -> Result<ParameterRange, String> {
+    let usage = || "write NAME=FROM..TO, as in p=2..5".to_owned();
+    let (name, ends) = text.split_once('=').ok_or_else(usage)?;
+    let (from, to) = ends.split_once("..").ok_or_else(usage)?;
+    let number = |text: &str| text.trim().parse::<f64>().map_err(|_| usage());
+    Ok(ParameterRange { name: name.trim().to_owned(), from: number(from)?, to: number(to)? })
+}

@@ -1,0 +1,185 @@
+//! Arguments for the connection to a gripper: serial line, CAN bus or virtual board.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use anyhow::{Context, Result, bail};
+use firmware::protocol::{DEFAULT_NODE, PROTOCOL_VERSION};
+use model_export::fit::FitOptions;
+use model_export::inverse::build::{DeviceModel, ModelVariant, build};
+use model_export::model_file::{ModelFile, Provenance};
+use model_export::recordings::align::Alignment;
+
+use crate::analysis::compare::campaign_reader::read_campaign;
+use crate::commands::demo::CAMPAIGN;
+use crate::commands::fit::{BaseChoice, fit_campaign};
+use crate::device::serial_port::SerialLine;
+use crate::device::socket_can::CanBus;
+use crate::device::socketcand::client::RemoteBus;
+use crate::device::source::Source;
+use crate::device::state::GripperState;
+use crate::device::virtual_board::Unplug;
+use crate::device::virtual_board::world::SensorInput;
+use crate::device_run::networks::NetworkSet;
+use crate::terminal;
+
+/// Serial line or CAN bus of a gripper.
+#[derive(Debug, clap::Args)]
+pub struct PortArgs {
+    /// Serial port, such as /dev/ttyACM0.
+    #[arg(long, value_name = "PATH", conflicts_with = "can")]
+    port: Option<String>,
+    /// CAN bus: an interface such as can0 (Linux), or HOST:PORT of `magpie emulate` or socketcand.
+    #[arg(long, value_name = "BUS")]
+    can: Option<String>,
+    /// Node number of the gripper on the CAN bus.
+    #[arg(long, default_value_t = DEFAULT_NODE, requires = "can", value_parser = clap::value_parser!(u16).range(1..=63))]
+    node: u16,
+}
+
+impl PortArgs {
+    /// Opens the connection; `None` if neither port nor bus is given.
+    pub fn open(&self) -> Result<Option<Box<dyn Source>>> {
+        Ok(match (&self.port, &self.can) {
+            (Some(port), _) => Some(Box::new(SerialLine::open(port)?)),
+            (None, Some(bus)) if bus.contains(':') => {
+                Some(Box::new(RemoteBus::open(bus, self.node)?))
+            }
+            (None, Some(interface)) => Some(Box::new(CanBus::open(interface, self.node)?)),
+            (None, None) => None,
+        })
+    }
+
+    /// True if a port or bus is given.
+    pub const fn is_given(&self) -> bool {
+        self.port.is_some() || self.can.is_some()
+    }
+
+    /// Node number, part of the authentication of commands on serial lines too.
+    pub const fn node(&self) -> u16 {
+        self.node
+    }
+}
+
+/// A gripper on a serial line or CAN bus, or a virtual board.
+#[derive(Debug, clap::Args)]
+#[command(group = clap::ArgGroup::new("gripper").required(true).args(["port", "can", "virtual"]))]
+pub struct GripperArgs {
+    #[command(flatten)]
+    port: PortArgs,
+    /// Virtual board: the firmware's tasks behind a pseudo-terminal.
+    #[arg(long = "virtual", id = "virtual")]
+    is_virtual: bool,
+    /// Model of the virtual board [default: fitted to the project's demo campaign].
+    #[arg(long, requires = "virtual", value_name = "MODEL")]
+    model: Option<PathBuf>,
+    /// Networks of the virtual board.
+    #[arg(long, requires = "model", value_name = "NETWORK")]
+    network: Option<PathBuf>,
+    /// Recording that the sensors of the virtual board measure [default: repeated grasps].
+    #[arg(long, requires = "model", value_name = "RECORDING")]
+    replay: Option<PathBuf>,
+    /// Constant lateral and longitudinal force on each finger of the virtual board in newtons.
+    #[arg(long, requires = "virtual", conflicts_with = "replay", value_name = "FX,FZ", value_parser = parse_forces, allow_hyphen_values = true)]
+    press: Option<[f64; 2]>,
+    /// Sensor that is unplugged, and the time in seconds; may be given several times.
+    #[arg(long, requires = "virtual", value_name = "SENSOR@S")]
+    unplug: Vec<Unplug>,
+}
+
+impl GripperArgs {
+    /// Opens the connection or starts the virtual board.
+    pub fn open(&self) -> Result<Box<dyn Source>> {
+        match self.port.open()? {
+            Some(source) => Ok(source),
+            None => self.virtual_board(),
+        }
+    }
+
+    /// True for a gripper on a CAN bus.
+    pub fn is_on_bus(&self) -> bool {
+        self.port.can.is_some()
+    }
+
+    #[cfg(unix)]
+    fn virtual_board(&self) -> Result<Box<dyn Source>> {
+        use crate::device::virtual_board::VirtualBoard;
+        let doing = match (&self.replay, self.press) {
+            (Some(folder), _) => SensorInput::Recorded(folder.clone()),
+            (None, Some(forces_n)) => SensorInput::Pressed(forces_n),
+            (None, None) => SensorInput::Grasps,
+        };
+        let built = self.built()?;
+        let networks = self.network.as_deref();
+        let networks = networks.map(|path| NetworkSet::read(path, &built)).transpose()?;
+        let board = VirtualBoard::start(built, networks, doing, self.unplug.clone())?;
+        eprintln!("virtual board: serial line for other programs at {}", board.outside.display());
+        Ok(Box::new(board))
+    }
+
+    #[cfg(not(unix))]
+    fn virtual_board(&self) -> Result<Box<dyn Source>> {
+        bail!("--virtual needs pseudo-terminals, which this system does not have; use --port")
+    }
+
+    #[cfg(unix)]
+    fn built(&self) -> Result<DeviceModel> {
+        let bar = terminal::progress_bar("building tables", 1);
+        let built = match &self.model {
+            Some(path) => build(path, ModelVariant::Fitted)?,
+            None => fit_demo()?,
+        };
+        bar.finish_and_clear();
+        Ok(built)
+    }
+}
+
+/// The model of the demo campaign.
+#[cfg(unix)]
+fn fit_demo() -> Result<DeviceModel> {
+    let options = FitOptions::default();
+    let alignment = Alignment { delay_us: 0.0 };
+    let campaign = read_campaign(Path::new(CAMPAIGN), alignment)?;
+    let (fits, _) = fit_campaign(&campaign, BaseChoice::Cylinder, None, options)?;
+    let provenance = Provenance::of(&campaign, alignment.delay_us, options)?;
+    let folder = tempfile::tempdir().context("no temporary directory for a model")?;
+    let path = folder.path().join("model.toml");
+    ModelFile::of(&campaign, &fits, provenance).write(&path)?;
+    Ok(build(&path, ModelVariant::Fitted)?)
+}
+
+/// Fails if the gripper has another major protocol version: its messages would be misinterpreted.
+pub fn check_protocol(state: &GripperState) -> Result<()> {
+    let version = state.version.map(|version| version.protocol_major);
+    match version.or(state.heartbeat.map(|beat| beat.value.protocol_major)) {
+        Some(major) if major != PROTOCOL_VERSION.0 => bail!(
+            "the gripper uses protocol version {major}, this tool {}: use the tool version of its firmware",
+            PROTOCOL_VERSION.0
+        ),
+        _ => Ok(()),
+    }
+}
+
+/// A flag that is set by Ctrl-C (SIGINT) or SIGTERM.
+pub fn interrupted() -> Result<Arc<AtomicBool>> {
+    let flag = Arc::new(AtomicBool::new(false));
+    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+        signal_hook::flag::register(signal, flag.clone())
+            .context("cannot install the handler for Ctrl-C")?;
+    }
+    Ok(flag)
+}
+
+/// Parses a positive time in seconds.
+pub fn parse_seconds(text: &str) -> Result<f64, String> {
+    let seconds = text.parse().ok();
+    let seconds = seconds.filter(|seconds: &f64| seconds.is_finite() && *seconds > 0.0);
+    seconds.ok_or_else(|| "give a number of seconds above zero".to_owned())
+}
+
+fn parse_forces(text: &str) -> Result<[f64; 2], String> {
+    let number = |text: &str| text.trim().parse().ok().filter(|n: &f64| n.is_finite());
+    let forces = text.split_once(',').and_then(|(x, z)| Some([number(x)?, number(z)?]));
+    forces.ok_or_else(|| "write FX,FZ in newtons, as 20,-5".to_owned())
+}

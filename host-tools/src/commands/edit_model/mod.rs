@@ -1,0 +1,388 @@
+//! `magpie add` and `magpie remove`: a model refitted with other effects.
+
+pub mod report;
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Result, bail};
+use model_export::effects::EffectTerm;
+use model_export::effects::excitation::BUILT_IN_COVARIATES;
+use model_export::fit::FitOptions;
+use model_export::fit::campaign::FitSetup;
+use model_export::fit::cross_validation::CvSplit;
+use model_export::fit::effect_size::{EffectSize, effect_sizes};
+use model_export::fit::joint::JointFit;
+use model_export::inverse::build::{BuildError, ModelVariant, build_model};
+use model_export::model_file::{self, BaseKind, ModelFile, Provenance};
+use model_export::output::check_output;
+use model_export::recordings::Campaign;
+use model_export::recordings::align::Alignment;
+use serde::Serialize;
+
+use crate::analysis::compare::campaign_reader::{check_distinct, read_campaign};
+use crate::commands::args::{CampaignArgs, ExprArgs};
+use crate::commands::replay::replay_all;
+use crate::commands::replay::report::rmse_n;
+use crate::device_run::ReplayModels;
+use crate::terminal;
+
+/// Arguments of `add` and `remove`.
+#[derive(Debug, clap::Args)]
+struct EditArgs {
+    #[command(flatten)]
+    input: CampaignArgs,
+    /// Model file to write.
+    #[arg(short, long, value_name = "NEW")]
+    output: Option<PathBuf>,
+}
+
+/// A model before and after an edit of its effects, both refitted on the same recordings.
+pub struct ModelEdit {
+    /// The recordings.
+    pub campaign: Campaign,
+    /// Effects and fit before.
+    pub before: (Vec<EffectTerm>, JointFit),
+    /// Effects and fit after.
+    pub after: (Vec<EffectTerm>, JointFit),
+    /// Magnitudes of the effects after.
+    pub sizes: Vec<EffectSize>,
+    /// The new model.
+    pub model: ModelFile,
+    /// Force error of the device code; `None` if the base has no inverse or an effect no compensation.
+    pub device: Option<DeviceComparison>,
+    /// Notes for the user.
+    pub notices: Vec<String>,
+}
+
+/// Reads the inputs, refits before and after the edit, prints the report and writes the new model.
+fn edit(
+    args: &EditArgs,
+    edit_effects: impl Fn(&ModelFile, &[EffectTerm], &Campaign) -> Result<Vec<EffectTerm>>,
+) -> Result<()> {
+    if let Some(path) = &args.output {
+        check_output(path, model_file::SIGNATURE)?;
+    }
+    let model = ModelFile::read(&args.input.model)?;
+    let alignment = args.input.align.alignment()?;
+    let options = args.input.options();
+    let campaign = read_campaign(&args.input.campaign, alignment)?;
+    let before = model.effect_terms(&args.input.model)?;
+    let after = channelwise(&model, edit_effects(&model, &before, &campaign)?)?;
+    let edited = refit(campaign, &model, before, after, alignment, options)?;
+    terminal::print_result(
+        args.input.json,
+        || report::to_json(&edited),
+        || report::format_report(&edited),
+    )?;
+    if let Some(path) = &args.output {
+        edited.model.write(path)?;
+    }
+    if !args.input.json {
+        terminal::print_written(args.output.as_deref(), "-o NEW")?;
+    }
+    Ok(())
+}
+
+/// Refits a model with the effects `before` and with the effects `after`.
+pub fn refit(
+    campaign: Campaign,
+    model: &ModelFile,
+    before: Vec<EffectTerm>,
+    after: Vec<EffectTerm>,
+    alignment: Alignment,
+    options: FitOptions,
+) -> Result<ModelEdit> {
+    let mut notices: Vec<String> = campaign.notices().map(ToString::to_string).collect();
+    let prepared = match model.base {
+        BaseKind::Cylinder => FitSetup::cylinder(&campaign)?,
+        BaseKind::Polynomial => FitSetup::polynomial(&campaign, model.degree(), options)?,
+    };
+    notices.extend(prepared.notices.iter().map(ToString::to_string));
+    for effect in &after {
+        notices.extend(check_identifiable(effect, &after, model.base, &campaign)?);
+        check_defined(effect, &prepared)?;
+    }
+    terminal::print_notes(&notices);
+    let all: Vec<EffectTerm> = before.iter().chain(&after).cloned().collect();
+    let split = prepared.split(&all);
+    let bar = terminal::progress_bar("fitting sensors, before and after", 2 * prepared.rows.len());
+    let fit = |effects: &[EffectTerm]| prepared.fit(effects, split, options, |_| bar.inc(1));
+    let (old, new) = (fit(&before)?, fit(&after)?);
+    bar.finish_and_clear();
+    let provenance = Provenance::of(&campaign, alignment.delay_us, options)?;
+    let sources = provenance.recordings.iter();
+    check_distinct(&provenance.campaign, sources.map(|r| (&*r.name, &*r.sha256)))?;
+    let sides = [(&before, &old), (&after, &new)].map(|(effects, fit)| Fitted { effects, fit });
+    let printed = notices.len();
+    let device =
+        replay_before_and_after(&campaign, &prepared, &provenance, alignment, sides, &mut notices)?;
+    terminal::print_notes(&notices[printed..]);
+    Ok(ModelEdit {
+        device,
+        sizes: effect_sizes(&new, &after, campaign.recordings.len()),
+        model: ModelFile::with_effects(&campaign, &prepared, &new, &after, provenance),
+        before: (before, old),
+        after: (after, new),
+        campaign,
+        notices,
+    })
+}
+
+/// The effects in the form that the model's base requires.
+fn channelwise(model: &ModelFile, effects: Vec<EffectTerm>) -> Result<Vec<EffectTerm>> {
+    let Some(axes) = model.force_axes() else {
+        return Ok(effects);
+    };
+    let mut all = Vec::new();
+    for effect in effects {
+        let effect = effect.for_polynomial(axes);
+        if matches!(effect, EffectTerm::Channelwise(_)) && axes == [false; 2] {
+            bail!(
+                "{} acts through a force on the flexures, but the model has no force input",
+                effect.name()
+            );
+        }
+        all.push(effect);
+    }
+    Ok(all)
+}
+
+/// Checks that an effect is identifiable from these recordings; returns a notice if a covariate is constant.
+fn check_identifiable(
+    effect: &EffectTerm,
+    all: &[EffectTerm],
+    base: BaseKind,
+    campaign: &Campaign,
+) -> Result<Vec<String>> {
+    let name = effect.name();
+    if base == BaseKind::Polynomial && effect.stage().needs_geometry() {
+        bail!(
+            "{name} moves or changes the magnet, but a polynomial has no magnet; use a model with the cylinder base"
+        );
+    }
+    if name == "screw_backlash" && !all.iter().any(|other| other.name() == "neighbour_magnet") {
+        bail!(
+            "the opening affects the field only through the neighbour's magnet: add neighbour_magnet before {name}, or both together"
+        );
+    }
+    let mut notices = Vec::new();
+    for column in effect.needs() {
+        if peak_to_peak(campaign, &column)? == 0.0 {
+            notices.push(format!(
+                "{column} is constant in these recordings: {name} is not identifiable{}",
+                match effect.effect() {
+                    Some(effect) => format!(". Record: {}", effect.record),
+                    None => String::new(),
+                }
+            ));
+        }
+    }
+    Ok(notices)
+}
+
+/// Fails if a formula is undefined (NaN or infinite) at a row of these recordings.
+fn check_defined(effect: &EffectTerm, prepared: &FitSetup) -> Result<()> {
+    let EffectTerm::Expression(formula) = effect else {
+        return Ok(());
+    };
+    let mut tracks =
+        prepared.rows.iter().flat_map(|rows| rows.parts.iter().map(|part| &part.track));
+    match tracks.find_map(|track| formula.first_undefined(track)) {
+        Some(place) => bail!(
+            "{}: the formula is undefined where {place}; avoid divisions by zero and roots of negative numbers",
+            formula.name
+        ),
+        None => Ok(()),
+    }
+}
+
+/// Peak-to-peak value of a covariate over all recordings (NaN for computed columns); an error if one lacks it.
+fn peak_to_peak(campaign: &Campaign, column: &str) -> Result<f64> {
+    let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+    for recording in &campaign.recordings {
+        let temperatures = recording.sensors.values().map(|track| &track.temperature_c);
+        let columns: Vec<&Vec<f64>> = match column {
+            "temp_c" => temperatures.filter(|t| !t.is_empty()).collect(),
+            own if BUILT_IN_COVARIATES.contains(&own) => return Ok(f64::NAN),
+            _ => recording.covariates.get(column).into_iter().collect(),
+        };
+        if columns.is_empty() {
+            let header = if column == "temp_c" { "sN_temp_c" } else { column };
+            bail!(
+                "{}: {header} was not recorded; without it the effect can be neither identified nor compensated",
+                recording.folder.display()
+            );
+        }
+        for value in columns.into_iter().flatten() {
+            (low, high) = (low.min(*value), high.max(*value));
+        }
+    }
+    Ok(high - low)
+}
+
+/// Catalogue effects by name, then `formulas`; fails on duplicates.
+pub fn find_effects(effects: &[String], formulas: &[EffectTerm]) -> Result<Vec<EffectTerm>> {
+    let catalogue =
+        effects.iter().map(|name| Ok(EffectTerm::Catalogue(model_export::effects::find(name)?)));
+    let mut all = catalogue.collect::<Result<Vec<_>>>()?;
+    all.extend_from_slice(formulas);
+    for (i, effect) in all.iter().enumerate() {
+        if all[..i].contains(effect) {
+            bail!("{} was given twice", effect.name());
+        }
+    }
+    Ok(all)
+}
+
+/// Add physical effects to a model, refit it, and report the error before and after.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  cargo magpie add model.toml tests/data/demo neighbour_magnet -o better.toml
+  cargo magpie add model.toml my-campaign hysteresis magnet_temperature -o better.toml
+  cargo magpie add model.toml my-campaign -o better.toml --range p=2..5 \\
+    --expr 'ripple: dz_um = a*sin(2*pi*opening_mm/p) + b*cos(2*pi*opening_mm/p)'
+
+In a formula, names ending in a unit are covariates (the recording's columns, fx_n, fz_n, temp_c, time_s,
+session_s), names with a --range are nonlinear parameters, all others are coefficients. TARGET is a displacement
+of the magnet (dx_um, dy_um, dz_um), a force (fx_n, fz_n) or a field (bx_g, by_g, bz_g).")]
+pub struct AddArgs {
+    #[command(flatten)]
+    edit: EditArgs,
+    /// Catalogue effects (listed by `magpie effects`).
+    #[arg(value_name = "EFFECT")]
+    effects: Vec<String>,
+    #[command(flatten)]
+    exprs: ExprArgs,
+}
+
+/// Runs the command.
+pub fn run_add(args: &AddArgs) -> Result<()> {
+    if args.effects.is_empty() && args.exprs.is_empty() {
+        bail!("name an effect (`magpie effects` lists them), or give a formula with --expr");
+    }
+    edit(&args.edit, |_, before, campaign| {
+        let added = find_effects(&args.effects, &args.exprs.parse(campaign)?)?;
+        if let Some(duplicate) = added.iter().find(|effect| before.contains(effect)) {
+            bail!(
+                "{}: the model already has {}",
+                args.edit.input.model.display(),
+                duplicate.name()
+            );
+        }
+        Ok(before.iter().cloned().chain(added).collect())
+    })
+}
+
+/// Remove effects from a model, refit it, and report the error before and after.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  cargo magpie remove better.toml my-campaign creep -o model.toml")]
+pub struct RemoveArgs {
+    #[command(flatten)]
+    edit: EditArgs,
+    /// Names of effects of the model.
+    #[arg(value_name = "EFFECT", required = true)]
+    effects: Vec<String>,
+}
+
+/// Runs the command.
+pub fn run_remove(args: &RemoveArgs) -> Result<()> {
+    edit(&args.edit, |model, before, _| {
+        let names: Vec<&str> = model.effects.iter().map(|effect| effect.name.as_str()).collect();
+        for name in &args.effects {
+            if !names.contains(&name.as_str()) {
+                let available =
+                    if names.is_empty() { "no effects".to_owned() } else { names.join(", ") };
+                bail!(
+                    "{}: the model has no effect {name}; it has {available}",
+                    args.edit.input.model.display()
+                );
+            }
+        }
+        let remains = |name: &str| !args.effects.iter().any(|removed| removed == name);
+        Ok(before.iter().filter(|effect| remains(effect.name())).cloned().collect())
+    })
+}
+
+/// RMS force errors of the device code over all sensors and axes, in newtons.
+#[derive(Clone, Debug, Serialize)]
+pub struct DeviceComparison {
+    /// Error with the model before the edit.
+    pub before_rmse_n: f64,
+    /// Error with the model after the edit, its effects compensated on the device.
+    pub after_rmse_n: f64,
+    /// Recording that was replayed.
+    pub recording: String,
+    /// True if both models were fitted without that recording.
+    pub held_out: bool,
+    /// Effects that the device does not compensate, each with the reason.
+    #[serde(rename = "left")]
+    pub uncompensated: Vec<String>,
+}
+
+/// Effects and their joint fit.
+struct Fitted<'a> {
+    effects: &'a [EffectTerm],
+    fit: &'a JointFit,
+}
+
+/// Replays the last recording with both models, cross-validated if the split is by recording. `None` if the base
+/// has no inverse or an effect cannot be compensated on the device; the reason is then added to `notices`.
+fn replay_before_and_after(
+    campaign: &Campaign,
+    prepared: &FitSetup,
+    provenance: &Provenance,
+    alignment: Alignment,
+    [before, after]: [Fitted; 2],
+    notices: &mut Vec<String>,
+) -> Result<Option<DeviceComparison>> {
+    let (Some(last), true) = (campaign.recordings.last(), prepared.design.is_some()) else {
+        return Ok(None);
+    };
+    let run = |fitted: &Fitted| -> Result<(f64, Vec<String>)> {
+        let fit = match fitted.fit.split {
+            CvSplit::Recordings(count) => fitted.fit.without(count - 1),
+            CvSplit::KFold | CvSplit::Interleaved => fitted.fit.clone(),
+        };
+        let model =
+            ModelFile::with_effects(campaign, prepared, &fit, fitted.effects, provenance.clone());
+        replay_model(model, &last.folder, alignment)
+    };
+    let both = run(&before).and_then(|before| Ok((before, run(&after)?)));
+    let ((before_rmse_n, _), (after_rmse_n, uncompensated)) = match both {
+        Ok(both) => both,
+        Err(error) => match error.downcast_ref::<BuildError>() {
+            Some(BuildError::NotCompensable(why)) => {
+                notices.push(why.to_string());
+                return Ok(None);
+            }
+            _ => return Err(error),
+        },
+    };
+    Ok(Some(DeviceComparison {
+        before_rmse_n,
+        after_rmse_n,
+        recording: last.name.clone(),
+        held_out: matches!(after.fit.split, CvSplit::Recordings(_)),
+        uncompensated,
+    }))
+}
+
+fn replay_model(
+    model: ModelFile,
+    folder: &Path,
+    alignment: Alignment,
+) -> Result<(f64, Vec<String>)> {
+    let bytes = toml::to_string(&model)?;
+    let built =
+        build_model(model, Path::new("the new model"), bytes.as_bytes(), ModelVariant::Fitted)?;
+    let models = ReplayModels::of(&built);
+    let replays = replay_all(&[PathBuf::from(folder)], models, alignment)?;
+    let uncompensated = built
+        .uncompensated
+        .iter()
+        .map(|(effect, why)| format!("{effect} is not compensated: {why}"));
+    Ok((rmse_n(&replays), uncompensated.collect()))
+}

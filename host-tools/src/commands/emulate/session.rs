@@ -1,0 +1,265 @@
+//! An emulation session: set-up, run, report.
+
+use std::cell::RefCell;
+use std::path::PathBuf;
+use std::rc::Rc;
+use std::sync::atomic::Ordering::Relaxed;
+
+use anyhow::{Context, Result, anyhow};
+use firmware::protocol::messages::FaultEvent;
+use firmware::system::faults::Fault;
+use indicatif::ProgressBar;
+use model_export::inverse::build::{ModelVariant, build};
+use sim_board::{Image, ResetRecord, Time};
+
+use crate::commands::connection::interrupted;
+use crate::commands::emulate::{Args, Timing, report};
+use crate::device::emulation::pace::Pace;
+use crate::device::emulation::{CanPort, Emulation, Notice};
+use crate::device::format;
+use crate::device::pty::Pty;
+use crate::device::socket_can::Bridge;
+use crate::device::socketcand::server::Server;
+use crate::device::virtual_board::world::SensorInput;
+use crate::sim::board::world::World;
+use crate::sim::closed_loop::coupling::{GripperWorld, SharedGripper, SimulatedGripper};
+use crate::sim::closed_loop::emulated_board::{ChipConditions, EmulatedBoard};
+use crate::sim::closed_loop::grasp_rig::contact_object;
+use crate::sim::closed_loop::motor_rig::MotorRig;
+use crate::sim::drivetrain::fingertips::Fingertips;
+use crate::sim::drivetrain::parameters::{Lead, PlantParameters};
+use crate::terminal;
+
+/// Output paths of the image builds.
+const IMAGES: [&str; 2] = [
+    "target/thumbv7em-none-eabihf/image/firmware",
+    "target/debian/thumbv7em-none-eabihf/image/firmware",
+];
+/// Sampling period of the program counter, no divisor of the task periods.
+const SAMPLE_PERIOD: Time = Time::from_ns(7_411);
+/// Update period of the progress line in real seconds.
+const UPDATE_PERIOD_S: f64 = 0.2;
+/// Real seconds before a speed below the set-point is reported.
+const SETTLE_S: f64 = 2.0;
+
+/// Why the emulation ended.
+pub enum End {
+    /// The time limit.
+    Seconds,
+    /// Ctrl-C or SIGTERM.
+    Interrupted,
+    /// The end of the recording.
+    Recording,
+    /// An error of the chip or of a port.
+    Failed(anyhow::Error),
+}
+
+/// The image and the interfaces of the emulated board.
+pub struct Setup {
+    /// The ELF file.
+    pub path: PathBuf,
+    /// Flash usage in bytes.
+    pub length: usize,
+    /// Path of the serial line.
+    pub serial: PathBuf,
+    /// Name of the CAN bus.
+    pub can: String,
+}
+
+pub(super) fn run(args: &Args) -> Result<()> {
+    let path = match &args.image {
+        Some(path) => path.clone(),
+        None => default_image()?,
+    };
+    let image = Image::read(&path)?;
+    let length = image.length();
+    let gripper = gripper(args);
+    let board =
+        EmulatedBoard::start(image, conditions(args), world(args, &gripper)?, gripper.clone())?;
+    let (can, can_name) = can(args)?;
+    let pty = Pty::open().context("no pseudo-terminal available for the serial line")?;
+    let parameters = PlantParameters::nominal(Lead::A);
+    let object = args.object.map(|width_mm| contact_object(&parameters, width_mm, args.stiffness));
+    let mut emulation = Emulation::new(board, gripper, object, pty, can);
+    let setup = Setup { path, length, serial: emulation.serial().to_owned(), can: can_name };
+    announce(&setup, args);
+    emulation.board.chip.sample_every(SAMPLE_PERIOD);
+    let mut pace = Pace::new(args.speed.0);
+    let end = run_until_end(args, &mut emulation, &mut pace)?;
+    let output = if args.json {
+        format!("{}\n", report::to_json(&setup, args, &mut emulation, &pace, &end))
+    } else {
+        report::format_report(args, &mut emulation, &pace, &end)
+    };
+    terminal::print(&output)?;
+    match end {
+        End::Failed(error) => Err(error),
+        _ => Ok(()),
+    }
+}
+
+/// The newest image build.
+fn default_image() -> Result<PathBuf> {
+    let existing = IMAGES.iter().map(PathBuf::from).filter(|path| path.is_file());
+    let newest =
+        existing.max_by_key(|path| path.metadata().and_then(|metadata| metadata.modified()).ok());
+    newest.ok_or_else(|| {
+        anyhow!(
+            "no image at {} or {}: build one with `cargo image` (or `.ci/image debian`, with Debian's \
+             compiler), or give an ELF file",
+            IMAGES[0],
+            IMAGES[1]
+        )
+    })
+}
+
+const fn conditions(args: &Args) -> ChipConditions {
+    let conditions = match args.timing {
+        Timing::Fast => ChipConditions::FAST,
+        Timing::Typical => ChipConditions::TYPICAL,
+        Timing::Slow => ChipConditions::SLOW,
+    };
+    ChipConditions { seed: args.seed, ..conditions }
+}
+
+fn gripper(args: &Args) -> SharedGripper {
+    let rig = MotorRig::new(Lead::A, PlantParameters::nominal(Lead::A), args.opening, args.seed);
+    // Fingertips without effects are always possible.
+    let tips = Fingertips::new(args.seed, 0.0, &[]).unwrap_or_else(|_| unreachable!());
+    Rc::new(RefCell::new(SimulatedGripper::new(rig, tips, args.seed)))
+}
+
+fn world(args: &Args, gripper: &SharedGripper) -> Result<Box<dyn World>> {
+    let (Some(folder), Some(model)) = (&args.replay, &args.model) else {
+        return Ok(Box::new(GripperWorld(gripper.clone())));
+    };
+    let bar = terminal::progress_bar("building tables", 1);
+    let built = build(model, ModelVariant::Fitted)?;
+    bar.finish_and_clear();
+    let doing = SensorInput::Recorded(folder.clone());
+    Ok(doing.world(doing.stream()?, &built))
+}
+
+fn can(args: &Args) -> Result<(CanPort, String)> {
+    match &args.can {
+        Some(interface) => Ok((CanPort::Interface(Bridge::open(interface)?), interface.clone())),
+        None => {
+            let server = Server::open(args.can_port)?;
+            let name = server.address().to_string();
+            Ok((CanPort::Server(server), name))
+        }
+    }
+}
+
+fn announce(setup: &Setup, args: &Args) {
+    let protocol = if args.can.is_some() { "interface" } else { "TCP, socketcand protocol" };
+    eprintln!("image: {} ({} bytes of flash)", setup.path.display(), setup.length);
+    eprintln!("serial line: --port {}", setup.serial.display());
+    eprintln!("CAN bus ({protocol}): --can {}", setup.can);
+}
+
+fn run_until_end(args: &Args, emulation: &mut Emulation, pace: &mut Pace) -> Result<End> {
+    let interrupted = interrupted()?;
+    let bar = terminal::status_spinner("emulating");
+    let end = args.seconds.map_or(Time::NEVER, |seconds| Time::from_us((1e6 * seconds) as u64));
+    let mut status = StatusLine::default();
+    let reason = loop {
+        if emulation.now() >= end {
+            break End::Seconds;
+        }
+        if interrupted.load(Relaxed) {
+            break End::Interrupted;
+        }
+        if emulation.is_over() {
+            break End::Recording;
+        }
+        match emulation.step() {
+            Ok(notices) => {
+                for notice in &notices {
+                    if let Some(line) = notice_line(notice, emulation, args.log) {
+                        bar.suspend(|| eprintln!("{line}"));
+                    }
+                }
+            }
+            Err(error) => break End::Failed(error),
+        }
+        status.update(&bar, emulation.now(), pace, args);
+        pace.wait(emulation.now());
+    };
+    bar.finish_and_clear();
+    Ok(reason)
+}
+
+/// The progress line: virtual time, and its recent ratio to real time.
+#[derive(Default)]
+struct StatusLine {
+    at_s: f64,
+    at: Time,
+    is_late_reported: bool,
+}
+
+impl StatusLine {
+    fn update(&mut self, bar: &ProgressBar, now: Time, pace: &Pace, args: &Args) {
+        let elapsed_s = pace.elapsed_s();
+        if elapsed_s < self.at_s + UPDATE_PERIOD_S {
+            return;
+        }
+        let share = (now - self.at).as_s() / (elapsed_s - self.at_s);
+        (self.at_s, self.at) = (elapsed_s, now);
+        bar.set_message(format!("emulating  {:.1} s, {share:.2} of real time", now.as_s()));
+        if !pace.keeps_up() && elapsed_s > SETTLE_S && !self.is_late_reported {
+            self.is_late_reported = true;
+            let share = now.as_s() / elapsed_s;
+            let target = args.speed.0.unwrap_or(1.0);
+            bar.suspend(|| {
+                eprintln!(
+                    "this machine does not keep up: {share:.2} virtual seconds per second instead of {target}; to other \
+                     programs the board is slower"
+                );
+            });
+        }
+    }
+}
+
+/// Text of a notice; `None` for log lines without --log.
+fn notice_line(notice: &Notice, emulation: &Emulation, log: bool) -> Option<String> {
+    let now_s = emulation.now().as_s();
+    match notice {
+        Notice::Log(line) if log => {
+            let stamp = line.stamp.as_deref().unwrap_or("-");
+            Some(format!("{stamp:>12} {}", line.text))
+        }
+        Notice::Log(_) => None,
+        Notice::Reset(record) => Some(format_reset(record, emulation)),
+        Notice::Fault(event) => Some(format!("{now_s:>12.6} {}", format_fault(event, emulation))),
+        Notice::Port(text) => Some(format!("{now_s:>12.6} {text}")),
+    }
+}
+
+/// A reset with its cause and code location.
+pub fn format_reset(record: &ResetRecord, emulation: &Emulation) -> String {
+    let place = emulation.board.chip.image().place(record.pc);
+    format!("{:>12.6} reset: {}, at {place}", record.time.as_s(), record.cause)
+}
+
+/// A fault; a crash before the last reset with its code location.
+pub fn format_fault(event: &FaultEvent, emulation: &Emulation) -> String {
+    let words = format::fault_event_line(event);
+    match crash_address(event) {
+        Some(address) => {
+            let place = emulation.board.chip.image().place(address);
+            format!(
+                "fault: {}: before the last reset, at {place}",
+                crate::device::format::fault_name(Fault::Crashed)
+            )
+        }
+        None => format!("fault: {words}"),
+    }
+}
+
+/// Address of a crash: the event's detail has its lower three bytes.
+fn crash_address(event: &FaultEvent) -> Option<u32> {
+    const FLASH: u32 = 0x0800_0000;
+    let is_crash = event.code == Fault::Crashed as u16 && event.active != 0;
+    is_crash.then_some(FLASH | event.detail & 0x00FF_FFFF)
+}

@@ -1,0 +1,287 @@
+//! `magpie grasp`: motions, grasps and landings of a simulated, emulated or real gripper.
+//!
+//! - here: simulated position and speed commands.
+//! - `simulated`: simulated grasps and landings.
+//! - `hardware`: commands to a gripper on a serial line or CAN bus.
+
+mod hardware;
+mod simulated;
+
+use std::path::PathBuf;
+
+use anyhow::{Result, bail};
+use firmware::config::constants::{self, Constant};
+use serde_json::{Value, json};
+
+use crate::commands::connection::{PortArgs, parse_seconds};
+use crate::report::{self, drive};
+use crate::sim::closed_loop::drive_result::{DriveResult, DriveTarget};
+use crate::sim::closed_loop::motor_rig::DriveCase;
+use crate::sim::drivetrain::parameters::Lead;
+use crate::terminal;
+
+/// Move, grasp or land with a simulated gripper under firmware control, or a real or emulated one (--port, --can).
+#[derive(Debug, clap::Args)]
+#[command(
+    allow_negative_numbers = true,
+    after_help = "\
+Examples:
+  cargo magpie grasp --position 20 -o grasp.html
+  cargo magpie grasp --speed 58.3 --screw b --json
+  cargo magpie grasp --position 60 --speed 10 --from 20 --scatter 0.2 --seed 7
+  cargo magpie grasp --force 100 --object rigid -o grasp.html
+  cargo magpie grasp --force 50 --compare current-limit
+  cargo magpie grasp --foot 150 --lasts 10 -o landing.html
+  cargo magpie grasp --port /dev/ttyACM0 --home --position 40    # moves a real gripper
+  cargo magpie grasp --can can0 --force 80 --seconds 10
+  cargo magpie grasp --can 127.0.0.1:29536 --home --force 80     # `magpie emulate`
+
+With --port or --can it arms, enables, homes (only with --home) and commands the gripper, and prints state, force and
+opening. Ctrl-C or the end of --seconds releases a grasp or leaves ground contact, and disables the drive. A second
+Ctrl-C is an emergency stop."
+)]
+#[command(group = clap::ArgGroup::new("setpoint").required(true).multiple(true)
+    .args(["position", "speed", "force", "foot"]))]
+#[command(group = clap::ArgGroup::new("hardware").args(["port", "can"]))]
+pub struct Args {
+    #[command(flatten)]
+    port: PortArgs,
+    /// Home the gripper if required: the fingers close to the end stop, then open fully.
+    #[arg(long, requires = "hardware")]
+    home: bool,
+    /// Clear latched faults first.
+    #[arg(long, requires = "hardware")]
+    clear_faults: bool,
+    /// Hold time at the set-point [default: until Ctrl-C; 0 for a position].
+    #[arg(long, value_name = "S", requires = "hardware", value_parser = parse_seconds)]
+    seconds: Option<f64>,
+    /// Target opening.
+    #[arg(long, value_name = "MM")]
+    position: Option<f64>,
+    /// Maximum speed to the target opening; without a target, closing speed (negative opens), then braking.
+    #[arg(long, value_name = "MM_S", allow_negative_numbers = true)]
+    speed: Option<f64>,
+    /// Grasp force.
+    #[arg(long, value_name = "N", conflicts_with_all = ["position", "speed", "from", "foot"])]
+    force: Option<f64>,
+    /// Grasped object.
+    #[arg(
+        long,
+        value_enum,
+        default_value = "rigid",
+        requires = "force",
+        conflicts_with = "hardware"
+    )]
+    object: ObjectStiffness,
+    /// Compare with the same grasp under another controller.
+    #[arg(long, value_enum, requires = "force", conflicts_with = "hardware")]
+    compare: Option<OtherController>,
+    /// Ground contact (landing); the value is the peak ground force of the simulation.
+    #[arg(long, value_name = "N", conflicts_with_all = ["position", "speed", "from"])]
+    foot: Option<Option<f64>>,
+    /// Duration of the ground contact.
+    #[arg(
+        long,
+        value_name = "MS",
+        default_value_t = 10.0,
+        requires = "foot",
+        conflicts_with = "hardware"
+    )]
+    lasts: f64,
+    /// Initial opening.
+    #[arg(long, value_name = "MM", default_value_t = 40.0, conflicts_with = "hardware")]
+    from: f64,
+    /// Lead screw: a is self-locking, b is backdrivable.
+    #[arg(long, value_enum, default_value = "a", conflicts_with = "hardware")]
+    screw: Lead,
+    /// Perturb every uncertain parameter by up to this fraction (seeded).
+    #[arg(long, value_name = "FRACTION", default_value_t = 0.0, conflicts_with = "hardware")]
+    scatter: f64,
+    /// Seed of noise and perturbations.
+    #[arg(long, default_value_t = 1, conflicts_with = "hardware")]
+    seed: u64,
+    /// HTML report to write.
+    #[arg(short, long, value_name = "FILE", conflicts_with = "hardware")]
+    output: Option<PathBuf>,
+    /// Print one JSON object on stdout and nothing else.
+    #[arg(long)]
+    json: bool,
+}
+
+/// The grasped object by its contact stiffness, including the flexures.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum ObjectStiffness {
+    /// 333 N/mm: steel between the flexures.
+    Rigid,
+    /// 50 N/mm: rubber.
+    Medium,
+    /// 5 N/mm: foam.
+    Soft,
+}
+
+/// Controllers to compare with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum OtherController {
+    /// A motor current limit that gives the same force at standstill.
+    CurrentLimit,
+}
+
+/// Maximum duration of a speed command in seconds.
+const MAX_SPEED_RUN_S: f64 = 0.5;
+/// Maximum duration of a position command in seconds.
+const MAX_MOTION_S: f64 = 15.0;
+/// Margin to the ends of the travel in mm.
+const MARGIN_MM: f64 = 2.0;
+/// Maximum perturbation.
+const MAX_SCATTER: f64 = 0.5;
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<()> {
+    if args.port.is_given() {
+        return hardware::run(args);
+    }
+    let lead = args.screw;
+    let case = match args.scatter {
+        0.0 => DriveCase::nominal(lead, args.seed),
+        fraction if fraction > 0.0 && fraction <= MAX_SCATTER => {
+            DriveCase::scattered(lead, fraction, args.seed)
+        }
+        fraction => bail!("--scatter {fraction} is not possible here; give 0 to {MAX_SCATTER}"),
+    };
+    if let Some(set_n) = args.force {
+        return simulated::grasp(args, case, set_n);
+    }
+    if let Some(peak_n) = args.foot {
+        let Some(peak_n) = peak_n else {
+            bail!("--foot requires the peak ground force in newtons, as in --foot 150");
+        };
+        return simulated::run_landing(args, case, peak_n);
+    }
+    let setpoint = setpoint(args, lead)?;
+    let bar = terminal::progress_bar("simulating the drive", DriveResult::PARTS);
+    let result = DriveResult::of(case, args.from, setpoint, || bar.inc(1));
+    bar.finish_and_clear();
+    if let Some(path) = &args.output {
+        report::write_sections(path, &drive::title(&result), &drive::sections(&result))?;
+    }
+    terminal::print_result(args.json, || to_json(args, &result), || format_report(args, &result))
+}
+
+/// Checks that an opening is within the travel.
+fn check_opening(option: &str, mm: f64) -> Result<()> {
+    let max_mm = constants::STROKE.value - MARGIN_MM;
+    if !(MARGIN_MM..=max_mm).contains(&mm) {
+        bail!("{option} {mm} is not possible here; give {MARGIN_MM} to {max_mm} mm");
+    }
+    Ok(())
+}
+
+/// The set-point, checked against the limits of the drive.
+fn setpoint(args: &Args, lead: Lead) -> Result<DriveTarget> {
+    check_opening("--from", args.from)?;
+    if let Some(opening_mm) = args.position {
+        check_opening("--position", opening_mm)?;
+    }
+    let stroke_mm = constants::STROKE.value;
+    let full_mm_s = lead.closing_mm_s();
+    if let Some(speed) = args.speed.filter(|mm_s| !(0.1..=full_mm_s).contains(&mm_s.abs())) {
+        bail!("--speed {speed} is not possible here; give 0.1 to {full_mm_s} mm/s with this screw");
+    }
+    match (args.position, args.speed) {
+        (Some(_), Some(speed)) if speed < 0.0 => {
+            bail!("--speed {speed} with --position must be positive")
+        }
+        (Some(opening_mm), speed) => {
+            let (distance_mm, speed_mm_s) =
+                ((opening_mm - args.from).abs(), speed.unwrap_or(full_mm_s));
+            if distance_mm > MAX_MOTION_S * speed_mm_s {
+                bail!(
+                    "{distance_mm} mm at {speed_mm_s} mm/s take longer than {MAX_MOTION_S} s; increase --speed"
+                )
+            }
+            Ok(DriveTarget::Position { opening_mm, speed_mm_s })
+        }
+        (None, Some(closing_mm_s)) => {
+            let distance_mm = if closing_mm_s > 0.0 {
+                args.from - MARGIN_MM
+            } else {
+                stroke_mm - MARGIN_MM - args.from
+            };
+            let seconds = (distance_mm / closing_mm_s.abs()).min(MAX_SPEED_RUN_S);
+            Ok(DriveTarget::Speed {
+                closing_mm_s,
+                // Whole milliseconds.
+                seconds: (1e3 * seconds).floor().max(1.0) / 1e3,
+            })
+        }
+        (None, None) => bail!("give --position, --speed, or both"),
+    }
+}
+
+fn format_report(args: &Args, result: &DriveResult) -> String {
+    let mut table = terminal::table(["quantity", "value", "unit"]);
+    for (name, value, unit) in result.figures() {
+        table.add_row([name, &terminal::decimal(value, 3), unit]);
+    }
+    terminal::right_align(&mut table, 1);
+    let mut text = terminal::paragraph(&result.sentence());
+    text += &format!("{table}\n");
+    text += &footer(args, &result.assumed());
+    text
+}
+
+/// Footer of every report: assumed constants, path of the HTML report.
+fn footer(args: &Args, assumed: &[Constant]) -> String {
+    let assumed: Vec<String> = assumed
+        .iter()
+        .map(|constant| {
+            let value = terminal::decimal(constant.value, 6);
+            format!("{} {value} {}", constant.name, constant.unit).trim_end().to_owned()
+        })
+        .collect();
+    let mut page = terminal::paragraph(&format!("Simulated. Assumed: {}.", assumed.join(", ")));
+    page += &terminal::report_line(args.output.as_deref());
+    page
+}
+
+fn assumed_json(assumed: &[Constant]) -> Vec<Value> {
+    let json = |constant: &Constant| json!({ "name": constant.name, "value": constant.value, "unit": constant.unit });
+    assumed.iter().map(json).collect()
+}
+
+fn figures_json(figures: &[(&'static str, f64, &'static str)]) -> Vec<Value> {
+    let json = |(name, value, unit): &(&str, f64, &str)| json!({ "name": name, "value": value, "unit": unit });
+    figures.iter().map(json).collect()
+}
+
+fn to_json(args: &Args, result: &DriveResult) -> Value {
+    let points = result.run.points.iter().step_by(20).map(|point| {
+        json!({
+            "time_s": point.time_s,
+            "opening_mm": point.opening_mm,
+            "asked_mm": point.setpoint_mm,
+            "closing_mm_s": point.closing_mm_s,
+            "current_d_a": point.current_a[0],
+            "current_q_a": point.current_a[1],
+            "voltage_d_v": point.voltage_v[0],
+            "voltage_q_v": point.voltage_v[1],
+            "bus_v": point.bus_v,
+        })
+    });
+    let sweep = result.sweep.iter().map(|tone| {
+        json!({ "frequency_hz": tone.frequency_hz, "gain": tone.gain, "lag_deg": tone.lag_deg })
+    });
+    json!({
+        "simulated": true,
+        "screw": format!("{:?}", result.case.lead).to_lowercase(),
+        "seed": args.seed,
+        "scatter": args.scatter,
+        "from_mm": args.from,
+        "report": args.output,
+        "figures": figures_json(&result.figures()),
+        "points": points.collect::<Vec<_>>(),
+        "current_step": result.step.points,
+        "current_sweep": sweep.collect::<Vec<_>>(),
+        "assumed": assumed_json(&result.assumed()),
+    })
+}

@@ -1,0 +1,235 @@
+//! `magpie replay`: runs a campaign through the device code.
+
+pub mod report;
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Result, bail};
+use firmware::config::constants;
+use model_export::inverse::build::{DeviceModel, ModelVariant, build};
+use model_export::inverse::compensation::OwnedCompensation;
+use model_export::inverse::grbf::Grbf;
+use model_export::inverse::quantise::TableSet;
+use model_export::model_file::ModelFile;
+use model_export::recordings::align::Alignment;
+use model_export::recordings::campaign::{fingerprint, recording_folders};
+use model_export::recordings::description::{NominalDesign, RecordingDescription};
+use model_export::recordings::recording::recording_name;
+use model_export::recordings::stream::RawStream;
+
+use crate::analysis::compare::campaign_reader::check_sensor_scale;
+use crate::analysis::replay::{RecordingReplay, replay};
+use crate::commands::args::AlignArgs;
+use crate::device_run::ReplayModels;
+use crate::device_run::networks::NetworkSet;
+use crate::terminal;
+
+/// Run every row of a campaign through the device code and compare the forces with the reference.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  cargo magpie replay model.toml tests/data/clean
+  cargo magpie replay model.toml my-campaign --network network.safetensors
+  cargo magpie replay model.toml tests/data/clean --json | jq '.sensors'")]
+pub struct Args {
+    /// Model file written by `magpie fit`.
+    model: PathBuf,
+    /// Folder of recordings (or one recording).
+    campaign: PathBuf,
+    /// Recurrent networks to run after the model, written by `magpie train`.
+    #[arg(long, value_name = "NETWORK")]
+    network: Option<PathBuf>,
+    #[command(flatten)]
+    align: AlignArgs,
+    /// Print one JSON object on stdout and nothing else.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<()> {
+    let evaluation =
+        evaluate(&args.model, &args.campaign, args.network.as_deref(), args.align.alignment()?)?;
+    terminal::print_result(
+        args.json,
+        || report::to_json(&evaluation),
+        || report::format_report(&evaluation),
+    )
+}
+
+/// Replays of a campaign with a model and, for comparison, with simpler models.
+pub struct Evaluation {
+    /// Fitted radial basis functions.
+    pub fitted: Vec<RecordingReplay>,
+    /// Best linear model of the same fit.
+    pub linear: Vec<RecordingReplay>,
+    /// Radial basis functions of the nominal design: the paper's ideal model.
+    pub nominal: Vec<RecordingReplay>,
+    /// Fitted functions without compensation, if the model has effects.
+    pub uncompensated: Option<Vec<RecordingReplay>>,
+    /// Fitted functions without networks, if there are networks.
+    pub without_networks: Option<Vec<RecordingReplay>>,
+    /// Names of the recordings that the model was fitted to or a network trained on.
+    pub training_recordings: Vec<String>,
+    /// Nominal range of each force axis in newtons, both signs.
+    pub force_range_n: f64,
+    /// Notes for the user.
+    pub notes: Vec<String>,
+}
+
+/// Replays `campaign` with the model and networks at these paths.
+pub fn evaluate(
+    model: &Path,
+    campaign: &Path,
+    network: Option<&Path>,
+    alignment: Alignment,
+) -> Result<Evaluation> {
+    let building = terminal::progress_bar("building tables", 2);
+    let built = build(model, ModelVariant::Fitted)?;
+    let networks = network.map(|path| NetworkSet::read(path, &built)).transpose()?;
+    let DeviceModel { model: file, chosen: fitted, compensations, uncompensated: left, header } =
+        built;
+    building.inc(1);
+    let nominal = build(model, ModelVariant::Nominal)?.chosen;
+    building.finish_and_clear();
+    let folders = recording_folders(campaign)?;
+    let scale = file.sensor_scale;
+    let mut notes = differences(&folders, &file, alignment)?;
+    notes.extend(left.iter().map(|(effect, why)| format!("{effect} is not compensated: {why}")));
+    let linear = TableSet::build(
+        fitted.tables.id,
+        &fitted.linear,
+        &header.sensors,
+        scale.gauss_per_lsb,
+        scale.range_gauss,
+    )?;
+    let run = |tables: &TableSet,
+               float: &[Grbf],
+               compensations: &[OwnedCompensation],
+               networks: Option<&NetworkSet>| {
+        let models = ReplayModels {
+            numbers: &header.sensors,
+            tables,
+            compensations,
+            design: file.design.as_ref(),
+            float,
+            gauss_per_lsb: scale.gauss_per_lsb,
+            networks,
+        };
+        replay_all(&folders, models, alignment)
+    };
+    let without_networks =
+        |tables: &TableSet, float: &[Grbf], compensations: &[OwnedCompensation]| {
+            run(tables, float, compensations, None)
+        };
+    let replayed = run(&fitted.tables, &fitted.models, &compensations, networks.as_ref())?;
+    let sensors = || replayed.iter().flat_map(|recording| &recording.sensors);
+    if sensors().count() == 0 {
+        bail!(
+            "{}: no sensor of the model has its field and both its forces in these recordings",
+            campaign.display()
+        );
+    }
+    if sensors().all(|sensor| sensor.axes[0].error.rows() == 0.0) {
+        bail!(
+            "{}: no row has both a valid estimate and a measured force; check that force.csv has forces, and the scale and unit of hall.csv",
+            campaign.display()
+        );
+    }
+    for number in &header.sensors {
+        if !sensors().any(|sensor| sensor.number == *number) {
+            notes.push(format!("sensor {number} of the model was not replayed: these recordings lack its field or its forces"));
+        }
+    }
+    let missing_inputs: u64 = sensors().map(|sensor| sensor.missing_inputs).sum();
+    if missing_inputs > 0 {
+        notes.push(format!(
+            "{missing_inputs} estimates lack the compensation of an effect, because its input column was not recorded; effects of the model: {}",
+            header.effects.join(", ")
+        ));
+    }
+    terminal::print_notes(&notes);
+    Ok(Evaluation {
+        linear: without_networks(&linear, &fitted.linear, &[])?,
+        nominal: without_networks(&nominal.tables, &nominal.models, &[])?,
+        uncompensated: if header.effects.is_empty() {
+            None
+        } else {
+            Some(without_networks(&fitted.tables, &fitted.models, &[])?)
+        },
+        without_networks: match networks {
+            None => None,
+            Some(_) => Some(without_networks(&fitted.tables, &fitted.models, &compensations)?),
+        },
+        fitted: replayed,
+        training_recordings: training_recordings(&folders, &file, networks.as_ref())?,
+        force_range_n: file
+            .design
+            .as_ref()
+            .map_or(constants::FORCE_RANGE.value, NominalDesign::force_range_n),
+        notes,
+    })
+}
+
+/// Notes on recordings whose alignment or design differs from the model's.
+fn differences(
+    folders: &[PathBuf],
+    model: &ModelFile,
+    alignment: Alignment,
+) -> Result<Vec<String>> {
+    let mut notes = Vec::new();
+    let (fitted_ms, delay_ms) = (model.provenance.delay_ms, 1e-3 * alignment.delay_us);
+    if delay_ms != fitted_ms {
+        notes.push(format!(
+            "the model was fitted with --delay-ms {fitted_ms}, this replay has {delay_ms}"
+        ));
+    }
+    for folder in folders {
+        let (description, _) = RecordingDescription::read(folder)?;
+        check_sensor_scale(folder, &description, model)?;
+        if description.design != model.design {
+            notes.push(format!(
+                "{}: [design] differs from the model's: is it the same gripper?",
+                folder.display()
+            ));
+        }
+    }
+    Ok(notes)
+}
+
+/// Replays all recordings sequentially, with progress.
+pub fn replay_all(
+    folders: &[PathBuf],
+    models: ReplayModels,
+    alignment: Alignment,
+) -> Result<Vec<RecordingReplay>> {
+    let bar = terminal::row_spinner("replaying");
+    let mut replays = Vec::new();
+    for folder in folders {
+        let (description, _) = RecordingDescription::read(folder)?;
+        let stream = RawStream::open(folder, &description, alignment)?;
+        let before = bar.position();
+        replays.push(replay(models, &recording_name(folder), stream, |rows| {
+            bar.set_position(before + rows)
+        })?);
+    }
+    bar.finish_and_clear();
+    Ok(replays)
+}
+
+fn training_recordings(
+    folders: &[PathBuf],
+    model: &ModelFile,
+    networks: Option<&NetworkSet>,
+) -> Result<Vec<String>> {
+    let mut names = Vec::new();
+    for folder in folders {
+        let hash = fingerprint(folder)?;
+        let mut fitted = model.provenance.recordings.iter();
+        let is_training = networks.is_some_and(|networks| networks.trained_on(&hash));
+        if is_training || fitted.any(|recording| recording.sha256 == hash) {
+            names.push(recording_name(folder));
+        }
+    }
+    Ok(names)
+}

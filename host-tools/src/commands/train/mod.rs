@@ -1,0 +1,257 @@
+//! `magpie train`: trains recurrent networks on recordings.
+
+mod dataset;
+mod report;
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use anyhow::{Result, bail};
+use clap::ValueEnum;
+use model_export::gru::file::NetworkFile;
+use model_export::gru::network::Target;
+use model_export::gru::tensors::TensorFileKind;
+use model_export::gru::train::checkpoint;
+use model_export::gru::train::dataset::Topology;
+use model_export::gru::train::trainer::{Trainer, TrainingSettings};
+use model_export::output::check_output;
+
+use crate::analysis::network_calibration::NetworkCalibration;
+use crate::commands::args::AlignArgs;
+use crate::commands::train::dataset::TrainingData;
+use crate::commands::train::report::Evaluation;
+use crate::terminal;
+
+/// Default units per layer: with three inputs the device computes them within the time that the paper states for
+/// a computer.
+pub const DEFAULT_HIDDEN: usize = 16;
+/// The same for one network of all sensors.
+const DEFAULT_HIDDEN_SHARED: usize = 32;
+
+/// Maximum weight of rows without force; its inverse is the minimum.
+const MAX_ZERO_WEIGHT: f64 = 100.0;
+
+/// Arguments of `train` and `benchmark`.
+#[derive(Debug, clap::Args)]
+pub struct TrainingArgs {
+    /// Model file written by `magpie fit`.
+    pub model: PathBuf,
+    /// Folder of at least two recordings.
+    pub campaign: PathBuf,
+    /// Units of each of the two layers [default: 16, or 32 with --shared].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=32))]
+    pub hidden: Option<u16>,
+    /// Held-out recording, counted from 1 in the campaign's order [default: the last].
+    #[arg(long, value_name = "NUMBER")]
+    pub hold_out: Option<usize>,
+    /// Maximum number of epochs.
+    #[arg(long, value_name = "N", default_value_t = 80, value_parser = clap::value_parser!(u32).range(1..))]
+    pub epochs: u32,
+    /// Early stopping: epochs without a better held-out likelihood.
+    #[arg(long, value_name = "N", default_value_t = 25, value_parser = clap::value_parser!(u32).range(1..))]
+    pub patience: u32,
+    /// Initial learning rate; it decreases to a hundredth.
+    #[arg(long, default_value_t = 5e-3)]
+    pub rate: f64,
+    /// Weight of rows without force in the likelihood: 1 + (WEIGHT - 1) exp(-(F / W)^2 / 2), where W is a tenth of the force range
+    /// [default: 1, or 4 in the benchmark's weighted variant].
+    #[arg(long, alias = "near-zero", value_name = "WEIGHT")]
+    pub zero_weight: Option<f64>,
+    /// Seed of the initial weights.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Clock alignment.
+    #[command(flatten)]
+    pub align: AlignArgs,
+    /// Print one JSON object on stdout and nothing else.
+    #[arg(long)]
+    pub json: bool,
+}
+
+impl TrainingArgs {
+    /// Checks the ranges that the parser does not check.
+    pub fn check(&self) -> Result<()> {
+        if !(self.rate.is_finite() && self.rate > 0.0) {
+            bail!("--rate must be a positive number");
+        }
+        if let Some(weight) = self.zero_weight
+            && !(MAX_ZERO_WEIGHT.recip()..=MAX_ZERO_WEIGHT).contains(&weight)
+        {
+            bail!("--zero-weight {weight} is not possible here; give 0.01 to {MAX_ZERO_WEIGHT}");
+        }
+        Ok(())
+    }
+
+    /// Settings of the trainer for sensors with this force range.
+    pub fn settings(&self, force_range_n: f64) -> TrainingSettings {
+        TrainingSettings {
+            seed: self.seed,
+            epochs: self.epochs,
+            patience: self.patience,
+            rate: self.rate,
+            near_zero: self.zero_weight.unwrap_or(1.0),
+            force_range_n,
+        }
+    }
+}
+
+/// Train a recurrent network that estimates each force with its standard deviation.
+///
+/// The inputs are those on the gripper: the field after the device's compensation, at the sampling rate of the board.
+/// The weights are those of the epoch with the best likelihood on the held-out recording.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  cargo magpie train model.toml my-campaign -o network.safetensors
+  cargo magpie train model.toml my-campaign --shared --hidden 32 -o network.safetensors
+  cargo magpie train model.toml my-campaign -o network.safetensors \\
+    --checkpoint training.safetensors --resume")]
+pub struct Args {
+    #[command(flatten)]
+    common: TrainingArgs,
+    /// Network file to write.
+    #[arg(short, long, value_name = "NETWORK")]
+    output: Option<PathBuf>,
+    /// Field axes that are inputs.
+    #[arg(long, value_enum, default_value = "xyz")]
+    axes: Axes,
+    /// Inputs.
+    #[arg(long, value_enum, default_value = "field")]
+    inputs: Inputs,
+    /// Output: the force, or the residual of the ideal model.
+    #[arg(long, value_enum, default_value = "force")]
+    target: TargetArg,
+    /// One network for all sensors instead of one per sensor.
+    #[arg(long)]
+    shared: bool,
+    /// Checkpoint file, written after every epoch.
+    #[arg(long, value_name = "PATH")]
+    checkpoint: Option<PathBuf>,
+    /// Resume from the checkpoint if it exists.
+    #[arg(long, requires = "checkpoint")]
+    resume: bool,
+}
+
+/// Field axes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Axes {
+    /// The plane of motion.
+    Xz,
+    /// All three axes.
+    Xyz,
+}
+
+/// Inputs of the network.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Inputs {
+    /// The compensated field.
+    Field,
+    /// The compensated field and the ideal model's force.
+    #[value(name = "field+ideal")]
+    FieldAndIdeal,
+}
+
+/// Output of the network.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum TargetArg {
+    /// The force.
+    Force,
+    /// The residual of the ideal model.
+    #[value(alias = "rest")]
+    Residual,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<()> {
+    let common = &args.common;
+    common.check()?;
+    if let Some(path) = &args.output {
+        check_output(path, TensorFileKind::Network.mark())?;
+    }
+    if let Some(path) = &args.checkpoint {
+        check_output(path, TensorFileKind::Checkpoint.mark())?;
+        if args.output.as_ref() == Some(path) {
+            bail!("network and checkpoint need different files");
+        }
+    }
+    let start = Instant::now();
+    let data = TrainingData::read(common)?;
+    let mut trainer = Trainer::new(
+        common.settings(data.built.model.force_range_n()),
+        args.topology(),
+        &data.training,
+        &data.held_out,
+    )?;
+    train(args, &mut trainer, &data.key())?;
+    let sigma = NetworkCalibration::of(&trainer, &data.training, &data.held_out, &data.built)?;
+    let evaluation = Evaluation::of(&trainer, &data.held_out, sigma, start.elapsed())?;
+    terminal::print_result(
+        common.json,
+        || report::to_json(&evaluation, &data.notes),
+        || report::format_report(&evaluation),
+    )?;
+    if let Some(path) = &args.output {
+        let mut networks = trainer.networks();
+        evaluation.sigma.apply(&mut networks);
+        let file = NetworkFile { provenance: data.provenance(&trainer), networks };
+        file.write(path)?;
+    }
+    if !common.json {
+        terminal::print(&match &args.output {
+            Some(path) => format!(
+                "Written to {path}.\nNext: cargo magpie replay \"{}\" \"{}\" --network \"{path}\"\n",
+                common.model.display(),
+                common.campaign.display(),
+                path = path.display(),
+            ),
+            None => "Not written; use -o network.safetensors.\n".to_owned(),
+        })?;
+    }
+    Ok(())
+}
+
+impl Args {
+    fn topology(&self) -> Topology {
+        let default = if self.shared { DEFAULT_HIDDEN_SHARED } else { DEFAULT_HIDDEN };
+        Topology {
+            axes: match self.axes {
+                Axes::Xz => vec![0, 2],
+                Axes::Xyz => vec![0, 1, 2],
+            },
+            ideal: self.inputs == Inputs::FieldAndIdeal,
+            target: match self.target {
+                TargetArg::Force => Target::Force,
+                TargetArg::Residual => Target::Residual,
+            },
+            shared: self.shared,
+            hidden: self.common.hidden.map_or(default, usize::from),
+        }
+    }
+}
+
+/// Trains until early stopping, with a checkpoint after each epoch if requested.
+fn train(args: &Args, trainer: &mut Trainer, key: &str) -> Result<()> {
+    if let Some(path) = &args.checkpoint {
+        match (args.resume, path.exists()) {
+            (true, true) => checkpoint::resume(path, trainer, key)?,
+            (true, false) => {
+                eprintln!("note: {}: no checkpoint; starting from the beginning", path.display())
+            }
+            (false, _) => {}
+        }
+    }
+    let bar = terminal::epoch_bar("training", args.common.epochs, trainer.epoch);
+    while !trainer.finished() {
+        let progress = trainer.epoch()?;
+        bar.set_message(format!(
+            "training (loss {:.3}, held out {:.3})",
+            progress.training_loss, progress.held_out_loss
+        ));
+        bar.inc(1);
+        if let Some(path) = &args.checkpoint {
+            checkpoint::write(path, trainer, key)?;
+        }
+    }
+    bar.finish_and_clear();
+    Ok(())
+}

@@ -1,0 +1,32 @@
+//! Access to a real, virtual or emulated gripper: transport, session, state, recording.
+//!
+//! - [`source`]: trait of a transport.
+//! - [`serial_port`], [`socket_can`], [`socketcand`]: serial line, CAN bus of this machine, CAN bus over TCP.
+//! - [`pty`]: pseudo terminal.
+//! - [`virtual_board`]: the firmware's tasks in virtual time, synchronised to the wall clock, behind pseudo terminals.
+//! - [`emulation`]: the image in the emulated chip, with its serial line and CAN bus as ports of this machine.
+//! - [`session`]: arming, authenticated commands, refusals.
+//! - [`reader`]: a transport read in its own thread.
+//! - [`params_client`]: reading and writing parameters.
+//! - [`state`]: latest state of a gripper, recent forces, extended board clock.
+//! - [`view`], [`mod@format`]: the state on a terminal, as a line of text, as JSON.
+//! - [`csv_writer`]: CSV output that is valid whenever the process is killed.
+//! - [`recorder`]: assembly of rows and writing of a recording.
+
+pub mod csv_writer;
+#[cfg(unix)]
+pub mod emulation;
+pub mod format;
+pub mod params_client;
+#[cfg(unix)]
+pub mod pty;
+pub mod reader;
+pub mod recorder;
+pub mod serial_port;
+pub mod session;
+pub mod socket_can;
+pub mod socketcand;
+pub mod source;
+pub mod state;
+pub mod view;
+pub mod virtual_board;

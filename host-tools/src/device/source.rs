@@ -1,0 +1,78 @@
+//! Transport of packets from and to a gripper.
+
+use std::time::Duration;
+
+use anyhow::Result;
+use firmware::protocol::frame_id;
+use firmware::protocol::messages::Message;
+use firmware::protocol::serial::Packet;
+
+/// Maximum waiting time of [`Source::receive`].
+pub const WAIT: Duration = Duration::from_millis(50);
+
+/// Connection to a gripper.
+pub trait Source: Send {
+    /// Appends received packets in order; returns false at the end of the stream.
+    ///
+    /// # Errors
+    /// The connection is lost.
+    fn receive(&mut self, packets: &mut Vec<Packet>) -> Result<bool>;
+
+    /// Sends a message to the gripper.
+    ///
+    /// # Errors
+    /// The connection is lost or does not accept the message.
+    fn send(&mut self, message: Message) -> Result<()>;
+
+    /// Number of invalid packets so far.
+    fn broken(&self) -> u32;
+
+    /// Name for messages to people.
+    fn name(&self) -> String;
+}
+
+/// Packet for a CAN frame of a node; `None` for other identifiers or invalid frames.
+pub fn packet(node: u16, id: u16, data: &[u8]) -> Option<Packet> {
+    let number = (id & 0x1F) as u8;
+    if frame_id(node, number) != id {
+        return None;
+    }
+    let message = Message::from_frame(number, data).ok()?;
+    let copy = number.checked_sub(message.layout().number)?;
+    Some(Packet::Message { copy, message })
+}
+
+#[cfg(test)]
+mod tests {
+    use firmware::protocol::DEFAULT_NODE;
+    use firmware::protocol::layout::Direction;
+    use firmware::protocol::messages::LAYOUTS;
+
+    use super::*;
+
+    #[test]
+    fn every_frame_equals_the_packet_of_the_serial_line() {
+        let mut frames = 0;
+        for layout in LAYOUTS {
+            for (copy, number) in (0..).zip(layout.numbers()) {
+                let data = (layout.used() & 0x0123_4567_89AB_CDEF).to_le_bytes();
+                let received = packet(DEFAULT_NODE, frame_id(DEFAULT_NODE, number), &data);
+                let Some(Packet::Message { copy: actual, message }) = received else {
+                    panic!("{} has no packet", layout.name);
+                };
+                assert_eq!((actual, message.to_bytes()), (copy, data), "{}", layout.name);
+                frames += usize::from(layout.direction == Direction::Out);
+            }
+        }
+        assert_eq!(frames, 14);
+    }
+
+    #[test]
+    fn foreign_and_invalid_frames_have_no_packet() {
+        let id = frame_id(DEFAULT_NODE, 0x01);
+        assert!(packet(DEFAULT_NODE, id, &[0; 8]).is_some());
+        assert!(packet(DEFAULT_NODE + 1, id, &[0; 8]).is_none());
+        assert!(packet(DEFAULT_NODE, id, &[0; 7]).is_none());
+        assert!(packet(DEFAULT_NODE, frame_id(DEFAULT_NODE, 0x1F), &[0; 8]).is_none());
+    }
+}

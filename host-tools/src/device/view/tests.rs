@@ -1,0 +1,114 @@
+use firmware::estimator::Estimate;
+use firmware::fixed_point::Force;
+use firmware::protocol;
+use firmware::protocol::messages::{Heartbeat, Message, Timing, Version};
+use firmware::protocol::serial::{Packet, Tick};
+use firmware::sensors::hall::{HallReading, SENSORS};
+use firmware::system::faults::{Fault, FaultSet};
+use ratatui::Terminal;
+use ratatui::backend::TestBackend;
+
+use super::*;
+
+fn drawn(width: u16, height: u16, state: &GripperState, now_s: f64) -> String {
+    let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
+    let draw = |frame: &mut Frame| draw(frame, "/dev/pts/7 (virtual board)", state, now_s);
+    terminal.draw(draw).unwrap();
+    terminal.backend().to_string()
+}
+
+/// Twelve seconds of a loaded gripper that loses its third sensor at 10 s.
+fn pressed() -> GripperState {
+    let mut state = GripperState::default();
+    let mut say = |at_s, copy, message| state.update(at_s, &Packet::Message { copy, message });
+    let version =
+        Version { protocol_major: 1, firmware_minor: 1, tables: 0xBEEF, ..Version::default() };
+    say(0.0, 0, Message::Version(version));
+    let timing =
+        Timing { worst_loop: 312, worst_inference: 108, i2c_errors: 7, ..Timing::default() };
+    say(11.0, 0, Message::Timing(timing));
+    let came = FaultSet::default().update(Fault::SensorLost, 2, true, 2).unwrap();
+    for tick in 0..12_000_u32 {
+        let at_s = f64::from(tick) * 1e-3;
+        let wave = (40.0 * (0.7 * at_s).sin() * 1024.0) as i32;
+        let frame = firmware::sensors::hall::HallFrame {
+            time_us: 1000 * tick,
+            readings: [0, 1, 2, 3].map(|sensor| {
+                let lost = sensor == 2 && at_s >= 10.0;
+                (!lost).then_some(HallReading { field: [-113, 9899, 67], temperature: 11 })
+            }),
+        };
+        let mut estimates = [Estimate::MISSING; SENSORS];
+        for (sensor, estimate) in estimates.iter_mut().enumerate() {
+            if frame.readings[sensor].is_some() {
+                let sign = if sensor < 2 { 1 } else { -1 };
+                *estimate = Estimate {
+                    force: [Force(sign * wave), Force(wave / 4 + 1024 * sensor as i32)],
+                    sigma: Some([Force(512), Force(1024)]),
+                    validity: Validity::Valid,
+                    disturbed: sensor == 3,
+                    ..Estimate::MISSING
+                };
+            }
+            let message = Message::Force(protocol::force_message(estimate, tick as u8));
+            let copy = sensor as u8;
+            state.update(at_s, &Packet::Message { copy, message });
+        }
+        state.update(at_s, &Packet::Tick(Tick::of(&frame, &estimates)));
+        if tick == 10_001 {
+            let message = Message::FaultEvent(came);
+            state.update(at_s, &Packet::Message { copy: 0, message });
+        }
+    }
+    state
+}
+
+#[test]
+fn the_view_shows_forces_with_sigma_faults_and_load() {
+    let page = drawn(100, 30, &pressed(), 12.0);
+    println!("{page}");
+    for text in [
+        "/dev/pts/7 (virtual board)   1000 ticks/s   q: quit",
+        "firmware 0.1.0, protocol 1.0, board 0, tables beef, 12 s since its start",
+        "34.20   0.50",
+        "no reading",
+        "-113 9899 67",
+        "valid, disturbed",
+        "sensor lost, sensor 2, 2 ticks old (2.0 s)",
+        "tick 312 us of 1000 at the most",
+        "estimate 108 us at the most",
+        "0 ticks missed, 7 transfers failed",
+        "nothing lost",
+    ] {
+        assert!(page.contains(text), "{text:?} is not in\n{page}");
+    }
+}
+
+#[test]
+fn silence_is_reported_and_no_force_without_messages() {
+    let page = drawn(100, 30, &GripperState::default(), 3.0);
+    assert!(page.contains("no message yet"));
+    assert!(page.contains("no heartbeat yet"));
+    assert!(!page.contains("0.00"), "{page}");
+    let mut state = pressed();
+    let message = Message::Heartbeat(Heartbeat::default());
+    state.update(12.0, &Packet::Message { copy: 0, message });
+    let page = drawn(100, 30, &state, 14.0);
+    assert!(page.contains("silent for 2.0 s"), "{page}");
+    assert!(page.contains("none"));
+}
+
+#[test]
+fn small_terminals_are_supported() {
+    for (width, height) in [(80, 24), (40, 10), (3, 2), (1, 1)] {
+        println!("{}", drawn(width, height, &pressed(), 12.0));
+    }
+}
+
+#[test]
+fn plot_range_ends_at_a_round_number_above_all_values() {
+    let steps = [(5.0, 5.0), (5.1, 10.0), (11.0, 20.0), (34.0, 50.0), (99.0, 100.0)];
+    for (value, end) in steps {
+        assert!((step_above(value) - end).abs() < 1e-9 * end, "{value}");
+    }
+}

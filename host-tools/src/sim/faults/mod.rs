@@ -1,0 +1,13 @@
+//! Fault injection: each fault of the fault matrix in each operating state of the whole gripper, in virtual time.
+//!
+//! - [`injection`]: the faults, their specification and how each is injected.
+//! - [`operating_state`]: the states in which they are injected.
+//! - [`run`]: one fault in one state, and the transitions that the state tables allow.
+//! - [`campaign`]: all faults on all cores; hours without faults for the false alarm rate.
+//!
+//! Faults that need hardware or the image are listed in [`injection::HARDWARE_ONLY`] and never counted.
+
+pub mod campaign;
+pub mod injection;
+pub mod operating_state;
+pub mod run;

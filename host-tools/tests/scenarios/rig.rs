@@ -1,0 +1,338 @@
+//! Runs a scenario on a board, in virtual time or emulated, and records what it reports.
+
+use std::collections::VecDeque;
+
+use embedded_can::Frame;
+use firmware::config::parameters::op as parameter_op;
+use firmware::config::schema::counter;
+use firmware::protocol::can::CanFrame;
+use firmware::protocol::messages::{Command, FaultEvent, Message, ParamRequest, Service};
+use firmware::protocol::serial::{MAX_PACKET_BYTES, Packet, PacketDecoder, Tick, encode};
+use firmware::protocol::session::{SERVICE_MAGIC, authenticate, op, status};
+use firmware::protocol::{DEFAULT_NODE, frame_id};
+use firmware::system::faults::Event;
+use firmware::tasks::FIRST_TICK_US;
+use host_tools::sim::board::{Connections, SimulatedBoard, VirtualTimeBoard};
+use host_tools::sim::closed_loop::emulated_board::EmulatedBoard;
+
+use super::file::{Act, Scenario, Step};
+
+const COMMAND: u16 = frame_id(DEFAULT_NODE, Command::LAYOUT.number);
+const SERVICE: u16 = frame_id(DEFAULT_NODE, Service::LAYOUT.number);
+/// Frame of a flood: the shortest for this node, without a message.
+const FLOOD: u16 = frame_id(DEFAULT_NODE, 0x1F);
+/// Maximum queue of a flood.
+const QUEUE: usize = 50;
+/// From the first sensor transfer to the first tick, less the address bits.
+const FIRST_TICK_AFTER_US: u64 = FIRST_TICK_US - 15;
+
+/// Execution of the board's program.
+#[allow(clippy::large_enum_variant, dead_code)] // Each test uses one variant.
+pub enum Layer {
+    /// Tasks in virtual time.
+    Loops(Box<VirtualTimeBoard>),
+    /// The image in an emulated chip.
+    Image(Box<EmulatedBoard>),
+}
+
+impl Layer {
+    fn board(&mut self) -> &mut dyn SimulatedBoard {
+        match self {
+            Self::Loops(board) => &mut **board,
+            Self::Image(board) => &mut **board,
+        }
+    }
+
+    fn connections(&self) -> &Connections {
+        match self {
+            Self::Loops(board) => board.connections(),
+            Self::Image(board) => board.connections(),
+        }
+    }
+
+    /// Runs to the first sensor transfer; returns the time of the first tick.
+    fn begin(&mut self) -> u64 {
+        let Self::Image(board) = self else {
+            return FIRST_TICK_US;
+        };
+        for step in 1..1000 {
+            let time_us = 20 * step;
+            board.run_until(time_us).unwrap();
+            if board.connections.buses[0].borrow().transfers > 0 {
+                return time_us + FIRST_TICK_AFTER_US;
+            }
+        }
+        panic!("the image addresses no sensor within 20 ms");
+    }
+
+    /// Leaves a byte in the controller of a sensor bus.
+    fn leave_byte(&mut self, bus: usize) {
+        const BYTE: u8 = 0x5A;
+        match self {
+            Self::Loops(board) => board.residues[bus].set(Some(BYTE)),
+            Self::Image(board) => assert!(board.chip.soc.leave_received_byte(bus, BYTE)),
+        }
+    }
+}
+
+/// Board, host and observations.
+pub struct ScenarioRig {
+    layer: Layer,
+    /// Time of the first tick.
+    origin_us: u64,
+    /// The same by the board's clock, from its first tick report.
+    board_origin_us: Option<u32>,
+    host: Host,
+    receiver: PacketDecoder,
+    counts: [Option<u32>; 2],
+    observed: Observed,
+}
+
+/// Reports of the board; times in milliseconds from the first tick.
+#[derive(Default)]
+pub struct Observed {
+    pub faults: Vec<(f64, FaultEvent)>,
+    pub ticks: Vec<Tick>,
+    /// Time of the first tick by the board's clock.
+    pub origin_us: u32,
+    pub missed: u32,
+    pub dropped: u32,
+    pub bus_clearings: usize,
+}
+
+/// Host on the CAN bus.
+#[derive(Default)]
+struct Host {
+    nonce: Option<u16>,
+    commands_per_s: u32,
+    counter: u8,
+    flood_per_s: u32,
+    garbage_per_s: u32,
+    /// Number of processed frames of the board.
+    looked: usize,
+    /// Last command, for repetition.
+    last: Option<CanFrame>,
+    noise: u32,
+}
+
+impl ScenarioRig {
+    pub fn new(mut layer: Layer) -> Self {
+        let origin_us = layer.begin();
+        Self {
+            layer,
+            origin_us,
+            board_origin_us: None,
+            host: Host::default(),
+            receiver: PacketDecoder::default(),
+            counts: [None; 2],
+            observed: Observed::default(),
+        }
+    }
+
+    /// Runs a scenario to its end.
+    pub fn play(mut self, scenario: &Scenario) -> (Observed, Layer) {
+        let mut steps: VecDeque<Step> = scenario.step.clone().into();
+        steps.make_contiguous().sort_by(|a, b| a.at_ms.total_cmp(&b.at_ms));
+        for ms in 0..(1000.0 * scenario.seconds) as u64 {
+            while let Some(step) = steps.pop_front_if(|step| step.at_ms < (ms + 1) as f64) {
+                self.run_to(step.at_ms);
+                self.act(step.act);
+            }
+            self.run_to((ms + 1) as f64);
+            self.host.each_ms(ms, self.layer.connections());
+            self.look();
+        }
+        self.host = Host::default();
+        self.count(1000.0 * scenario.seconds);
+        (self.observed, self.layer)
+    }
+
+    fn run_to(&mut self, ms: f64) {
+        let time_us = self.origin_us + (1000.0 * ms) as u64;
+        self.layer.board().run_until(time_us).unwrap();
+    }
+
+    /// Reads the counters over the serial line, which is independent of CAN faults.
+    fn count(&mut self, end_ms: f64) {
+        const COUNTERS: [u16; 2] = [counter::TICKS_MISSED, counter::FRAMES_REFUSED];
+        for attempt in 0..20 {
+            for (id, count) in COUNTERS.into_iter().zip(self.counts) {
+                let request = ParamRequest { op: parameter_op::READ, id, status: 0, value: 0 };
+                let message = Message::ParamRequest(request);
+                let packet = Packet::Message { copy: 0, message };
+                if count.is_none() {
+                    let mut line = self.layer.connections().line.borrow_mut();
+                    // A zero terminates preceding garbage.
+                    line.put(0);
+                    let mut buffer = [0; MAX_PACKET_BYTES];
+                    encode(&packet, &mut buffer).unwrap().iter().for_each(|byte| line.put(*byte));
+                }
+            }
+            self.run_to(end_ms + f64::from(attempt + 1) * 5.0);
+            self.look();
+            if let [Some(missed), Some(dropped)] = self.counts {
+                (self.observed.missed, self.observed.dropped) = (missed, dropped);
+                return;
+            }
+        }
+        panic!("the board does not answer on its serial line");
+    }
+
+    /// Collects the reports since the last call.
+    fn look(&mut self) {
+        let bytes = std::mem::take(&mut self.layer.connections().line.borrow_mut().sent);
+        for packet in bytes.iter().filter_map(|byte| self.receiver.push(*byte)) {
+            match packet {
+                Packet::Tick(tick) => {
+                    let origin = self.board_origin_us.get_or_insert(tick.time_us);
+                    self.observed.origin_us = *origin;
+                    self.observed.ticks.push(tick);
+                }
+                Packet::Message { message: Message::ParamReply(reply), .. } => match reply.id {
+                    counter::TICKS_MISSED => self.counts[0] = Some(reply.value),
+                    counter::FRAMES_REFUSED => self.counts[1] = Some(reply.value),
+                    _ => {}
+                },
+                Packet::Message { .. } => {}
+            }
+        }
+        // Only bus probes precede the first tick.
+        let Some(origin_us) = self.board_origin_us else {
+            return;
+        };
+        for (time_us, event) in self.layer.board().take_events() {
+            let ms = time_us as f64 / 1000.0;
+            match event {
+                Event::Fault(fault) => {
+                    self.observed.faults.push((ms - f64::from(origin_us) / 1000.0, fault))
+                }
+                Event::BusCleared { .. } => self.observed.bus_clearings += 1,
+                Event::BusScanned { .. } => {}
+            }
+        }
+    }
+
+    fn act(&mut self, act: Act) {
+        let connections = self.layer.connections().clone();
+        let bus = |number: usize| connections.buses[number].borrow_mut();
+        let can = || connections.can.borrow_mut();
+        match act {
+            Act::Unplug { sensor } => {
+                connections.change_sensor(sensor, |sensor| sensor.unplugged = true)
+            }
+            Act::Plug { sensor } => {
+                connections.change_sensor(sensor, |sensor| sensor.unplugged = false)
+            }
+            Act::Refuse { sensor, transfers } => {
+                connections.change_sensor(sensor, |sensor| sensor.refuses = transfers);
+            }
+            Act::Freeze { sensor } => {
+                connections.change_sensor(sensor, |sensor| sensor.frozen = true)
+            }
+            Act::Thaw { sensor } => {
+                connections.change_sensor(sensor, |sensor| sensor.frozen = false)
+            }
+            Act::Gain { sensor, factor } => {
+                connections.change_sensor(sensor, |sensor| sensor.gain = factor)
+            }
+            Act::Stretch { sensor, us } => connections.change_sensor(sensor, |sensor| {
+                sensor.stretches = Some(sim_board::Time::from_us(us));
+            }),
+            Act::Slip { sensor, clocks } => {
+                connections.change_sensor(sensor, |sensor| sensor.slips = Some(clocks));
+            }
+            Act::Short { bus: n } => bus(n).data_low_clocks = u32::MAX,
+            Act::Open { bus: n } => bus(n).data_low_clocks = 0,
+            Act::Residue { bus } => self.layer.leave_byte(bus),
+            Act::DisturbCan => can().disturbed = true,
+            Act::CalmCan => can().disturbed = false,
+            Act::LeaveAlone => can().no_acknowledge = true,
+            Act::Join => can().no_acknowledge = false,
+            Act::Flood { frames_per_s } => self.host.flood_per_s = frames_per_s,
+            Act::Garbage { bytes_per_s } => self.host.garbage_per_s = bytes_per_s,
+            Act::Arm => self.host.ask(&connections),
+            Act::Command { per_s } => self.host.commands_per_s = per_s,
+            Act::Spoil { frames } => self.host.corrupt(frames, &connections),
+            Act::Repeat { frames } => self.host.repeat(frames, &connections),
+        }
+    }
+}
+
+impl Host {
+    fn ask(&mut self, board: &Connections) {
+        self.nonce = None;
+        self.service(0, board);
+    }
+
+    fn service(&self, nonce: u16, board: &Connections) {
+        let service = Service { op: op::ARM, magic: SERVICE_MAGIC, nonce, argument: 0 };
+        board.can.borrow_mut().put(CanFrame::from_bytes(SERVICE, service.to_bytes()));
+    }
+
+    /// Advances the host by a millisecond.
+    fn each_ms(&mut self, ms: u64, board: &Connections) {
+        self.listen(board);
+        let due = |per_s: u32| per_s > 0 && (ms * u64::from(per_s)) % 1000 < u64::from(per_s);
+        if let Some(nonce) = self.nonce
+            && due(self.commands_per_s)
+        {
+            self.counter = (self.counter + 1) & 0xF;
+            let command = Command { counter: self.counter, ..Command::default() };
+            let frame =
+                CanFrame::from_bytes(COMMAND, authenticate(nonce, COMMAND, command).to_bytes());
+            self.last = Some(frame);
+            board.can.borrow_mut().put(frame);
+        }
+        let mut can = board.can.borrow_mut();
+        let id = embedded_can::StandardId::new(FLOOD).unwrap();
+        for _ in 0..self.flood_per_s / 1000 {
+            if can.waiting() < QUEUE {
+                can.put(CanFrame::new(id, &[]).unwrap());
+            }
+        }
+        let mut line = board.line.borrow_mut();
+        for _ in 0..self.garbage_per_s / 1000 {
+            self.noise = self.noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            line.put((self.noise >> 24) as u8);
+        }
+    }
+
+    /// Confirms the board's nonce.
+    fn listen(&mut self, board: &Connections) {
+        let mut found = None;
+        {
+            let can = board.can.borrow();
+            for (_, frame) in can.board_frames.iter().skip(self.looked) {
+                let number = (frame.identifier() & 0x1F) as u8;
+                if let Ok(Message::ServiceReply(reply)) = Message::from_frame(number, frame.data())
+                    && reply.status == status::CHALLENGE
+                {
+                    found = Some(reply.nonce);
+                }
+            }
+            self.looked = can.board_frames.len();
+        }
+        if let Some(nonce) = found {
+            self.service(nonce, board);
+            self.nonce = Some(nonce);
+        }
+    }
+
+    /// Sends commands with a flipped bit.
+    fn corrupt(&mut self, frames: u32, board: &Connections) {
+        for i in 0..frames {
+            let command = authenticate(self.nonce.unwrap_or(0), COMMAND, Command::default());
+            let mut bytes = command.to_bytes();
+            bytes[(i % 6) as usize] ^= 0x10;
+            board.can.borrow_mut().put(CanFrame::from_bytes(COMMAND, bytes));
+        }
+    }
+
+    /// Repeats the last command.
+    fn repeat(&mut self, frames: u32, board: &Connections) {
+        for _ in 0..frames {
+            let last = self.last.expect("no command yet");
+            board.can.borrow_mut().put(last);
+        }
+    }
+}

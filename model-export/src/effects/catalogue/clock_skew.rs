@@ -1,0 +1,50 @@
+//! Time offset between the clocks of board and reference.
+
+use crate::effects::operators::{delayed, operator_increment};
+use crate::effects::{
+    Compensated, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, StateSeries,
+};
+
+pub const EFFECT: Effect = Effect {
+    id: "clock_skew",
+    stage: EffectStage::Reference,
+    physics: "Two computers write two files, and their clocks differ by milliseconds because of buffering or \
+              time stamps at packet arrival. Force and field of a row then belong to different instants, \
+              which matters while the force changes fast. The effect equals a common lag of all flexures. \
+              Half a millisecond is detectable on a good test bench.",
+    equation: "F(t) = F_reference(t - tau)",
+    regressors: "-(dB/dFx dFx/dt + dB/dFz dFz/dt)",
+    needs: &[],
+    plot_against: &["fx_rate_n_per_s", "fz_rate_n_per_s"],
+    parameters: &[EffectParameter::coefficient("skew", "ms", 5.0).shared()],
+    size: MagnitudeSpec {
+        description: "field after force",
+        unit: "ms",
+        resolution: 0.05,
+        typical: 5.0,
+        plausible: (-50.0, 50.0),
+        possible: (-2000.0, 2000.0),
+        ..MagnitudeSpec::DEFAULT
+    },
+    record: "Load fast and slowly, and tap the finger once: the impact is visible in both files.",
+    confused_with: &[
+        ("viscous_lag", "where all flexures have the same lag"),
+        ("reference_filter", "with the opposite sign"),
+        ("hysteresis", "at a single frequency"),
+    ],
+    compensated: Compensated::Never(
+        "it is an error of the test bench: set --delay-ms or correct the clocks",
+    ),
+    is_transient: false,
+    apply,
+};
+
+fn apply(values: &[f64], excitation: &ExcitationSeries, series: &mut StateSeries) {
+    let &[skew_ms] = values else { return };
+    for axis in 0..2 {
+        let shifted = operator_increment(excitation, axis, |time_s, force, rate| {
+            delayed(time_s, force, rate, 1e-3 * skew_ms)
+        });
+        series.add_force(axis, |row| shifted[row]);
+    }
+}

@@ -1,0 +1,44 @@
+//! Zero drift of the reference.
+
+use crate::effects::{
+    Compensated, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, StateSeries,
+};
+
+pub const EFFECT: Effect = Effect {
+    id: "reference_drift",
+    stage: EffectStage::Reference,
+    physics: "Force/torque sensors drift, mainly with temperature: the data of the paper contain up to 15 N of \
+              bias. A zero drift equals an apparent force, so the residual is exactly along dB/dF. A \
+              constant bias is confounded with a misplaced magnet and absorbed by the fit of the base.",
+    equation: "F = F_reference - c t, t since the start of the campaign",
+    regressors: "dB/dF times t, each axis",
+    needs: &[],
+    plot_against: &["time_s"],
+    parameters: &[
+        EffectParameter::coefficient("drift_x", "N/min", 0.5),
+        EffectParameter::coefficient("drift_z", "N/min", 0.5),
+    ],
+    size: MagnitudeSpec {
+        description: "drift",
+        unit: "N/min",
+        typical: 0.5,
+        plausible: (-10.0, 10.0),
+        possible: (-1000.0, 1000.0),
+        ..MagnitudeSpec::DEFAULT
+    },
+    record: "Unload completely before and after every recording and compare the two zeros.",
+    confused_with: &[
+        ("field_drift", "both are slow; this one acts along dB/dF only"),
+        ("creep", "both are slow"),
+    ],
+    compensated: Compensated::Never("it is an error of the test bench, not of the gripper"),
+    is_transient: false,
+    apply,
+};
+
+fn apply(values: &[f64], excitation: &ExcitationSeries, series: &mut StateSeries) {
+    for (axis, &n_per_min) in values.iter().enumerate().take(2) {
+        let minutes = |row: usize| (excitation.start_s + excitation.time_s[row]) / 60.0;
+        series.add_force(axis, |row| -n_per_min * minutes(row));
+    }
+}

@@ -1,0 +1,42 @@
+//! Low-pass filter of the reference.
+
+use crate::effects::{
+    Compensated, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, StateSeries,
+};
+
+pub const EFFECT: Effect = Effect {
+    id: "reference_filter",
+    stage: EffectStage::Reference,
+    physics: "Force sensors with an amplifier often low-pass their output: the reported force is delayed by some \
+              milliseconds, and fast peaks are rounded. The reference lags behind the gripper, the \
+              opposite of a lagging flexure.",
+    equation: "F = F_reference + tau dF_reference/dt",
+    regressors: "dB/dFx dFx/dt + dB/dFz dFz/dt",
+    needs: &[],
+    plot_against: &["fx_rate_n_per_s", "fz_rate_n_per_s"],
+    parameters: &[EffectParameter::coefficient("time", "ms", 4.0).shared()],
+    size: MagnitudeSpec {
+        description: "time constant",
+        unit: "ms",
+        resolution: 0.05,
+        typical: 4.0,
+        plausible: (0.0, 30.0),
+        possible: (0.0, 2000.0),
+        ..MagnitudeSpec::DEFAULT
+    },
+    record: "Load with sharp edges (impacts): a filter rounds them, a clock skew only shifts them.",
+    confused_with: &[
+        ("clock_skew", "with the opposite sign, except at sharp edges"),
+        ("viscous_lag", "with the opposite sign"),
+    ],
+    compensated: Compensated::Never("it is an error of the test bench, not of the gripper"),
+    is_transient: false,
+    apply,
+};
+
+fn apply(values: &[f64], excitation: &ExcitationSeries, series: &mut StateSeries) {
+    let &[time_ms] = values else { return };
+    for axis in 0..2 {
+        series.add_force(axis, |row| 1e-3 * time_ms * excitation.rate_n_per_s[row][axis]);
+    }
+}

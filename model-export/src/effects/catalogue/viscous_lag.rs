@@ -1,0 +1,55 @@
+//! Viscous lag of a flexure.
+
+use crate::effects::operators::{low_pass, operator_increment};
+use crate::effects::{
+    Compensated, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, StateSeries,
+};
+
+pub const EFFECT: Effect = Effect {
+    id: "viscous_lag",
+    stage: EffectStage::Flexure,
+    physics: "A damper parallel to the flexure (a rubber foot, grease, an air film) delays its deflection like a \
+              first-order low pass by some milliseconds. The residual is proportional to the rate of the \
+              force. Each flexure has its own lag, whereas a clock skew shifts all forces of the gripper \
+              by the same time.",
+    equation: "w' tau + w = F / k",
+    regressors: "dB/dF times -dF/dt, each flexure",
+    needs: &[],
+    plot_against: &["fx_rate_n_per_s", "fz_rate_n_per_s"],
+    parameters: &[
+        EffectParameter::coefficient("lag_x", "ms", 10.0),
+        EffectParameter::coefficient("lag_z", "ms", 10.0),
+    ],
+    size: MagnitudeSpec {
+        description: "retardation time",
+        unit: "ms",
+        typical: 10.0,
+        plausible: (0.0, 100.0),
+        possible: (0.0, 2000.0),
+        ..MagnitudeSpec::DEFAULT
+    },
+    record: "Load to the same peak at two speeds that differ by a factor of three, one flexure at a time.",
+    confused_with: &[
+        ("clock_skew", "where all flexures have the same lag"),
+        ("hysteresis", "at a single frequency"),
+        ("reference_filter", "with the opposite sign"),
+    ],
+    compensated: Compensated::Compensation,
+    is_transient: false,
+    apply,
+};
+
+fn apply(values: &[f64], excitation: &ExcitationSeries, series: &mut StateSeries) {
+    for (axis, &lag_ms) in values.iter().enumerate().take(2) {
+        let lag_s = 1e-3 * lag_ms;
+        if lag_s > 0.0 {
+            let late = operator_increment(excitation, axis, |time_s, force, _| {
+                low_pass(time_s, force, lag_s)
+            });
+            series.add_force(axis, |row| late[row]);
+        } else if lag_s < 0.0 {
+            // Unphysical, but the estimate must not be biased by a bound at zero.
+            series.add_force(axis, |row| -lag_s * excitation.rate_n_per_s[row][axis]);
+        }
+    }
+}

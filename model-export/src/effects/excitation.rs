@@ -1,0 +1,238 @@
+//! Excitation of one sensor over one recording: reference forces, covariates and load cycles.
+
+use std::collections::BTreeMap;
+
+use crate::effects::operators::{self, SmoothingImpulse};
+use crate::recordings::Recording;
+use crate::recordings::columns::Axis;
+
+/// Forces and covariates of one sensor over one recording, on the reference clock.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ExcitationSeries {
+    /// Index of the recording in the campaign.
+    pub recording: usize,
+    /// Start of the recording in seconds since the start of the campaign.
+    pub start_s: f64,
+    /// Total duration of the previous recordings in seconds: the time origin of the recordings laid end to end,
+    /// which is unique even where start times are not recorded.
+    pub before_s: f64,
+    /// Time since the first row of the recording in seconds.
+    pub time_s: Vec<f64>,
+    /// Lateral and longitudinal reference force in newtons; zero for a missing axis.
+    pub force_n: Vec<[f64; 2]>,
+    /// Smoothed force in newtons. Operators with memory or derivatives use it, so that no effect reduces the
+    /// residual by averaging the reference's noise.
+    pub smooth_n: Vec<[f64; 2]>,
+    /// Rate of the force in N/s.
+    pub rate_n_per_s: Vec<[f64; 2]>,
+    /// Impulse response of the smoothing.
+    pub smoothing_impulse: SmoothingImpulse,
+    /// Load cycles of each axis since the start of the campaign (see [`LoadCycleCounter`]).
+    pub cycles: Vec<[f64; 2]>,
+    /// Temperature of the sensor in degrees Celsius; empty if not recorded.
+    pub temperature_c: Vec<f64>,
+    /// Covariates of the gripper by column name.
+    pub covariates: BTreeMap<String, Vec<f64>>,
+}
+
+impl ExcitationSeries {
+    /// The rows `usable` of `sensor` in `recording`; `position`: index of the recording and total duration of the
+    /// previous ones in seconds; `forces`: lateral and longitudinal reference (`None` for a missing axis).
+    pub fn new(
+        recording: &Recording,
+        position: (usize, f64),
+        sensor: u32,
+        forces: [Option<(u32, Axis)>; 2],
+        usable: &[usize],
+    ) -> Self {
+        let first_s = recording.time_s.first().copied().unwrap_or(0.0);
+        let time_s: Vec<f64> = usable.iter().map(|&i| recording.time_s[i] - first_s).collect();
+        let columns = forces.map(|force| {
+            let series = force.and_then(|force| recording.forces.get(&force));
+            series.map_or_else(
+                || vec![0.0; usable.len()],
+                |series| select_rows(&series.newtons, usable),
+            )
+        });
+        let smoothed = columns.each_ref().map(|values| operators::smooth(&time_s, values));
+        let pair = |of: &dyn Fn(usize, usize) -> f64| {
+            (0..usable.len()).map(|i| [of(0, i), of(1, i)]).collect()
+        };
+        let temperature = recording.sensors.get(&sensor).map(|series| &series.temperature_c);
+        Self {
+            recording: position.0,
+            start_s: recording.description.start_s,
+            before_s: position.1,
+            cycles: Vec::new(),
+            smoothing_impulse: SmoothingImpulse::new(&time_s),
+            force_n: pair(&|axis, i| columns[axis][i]),
+            smooth_n: pair(&|axis, i| smoothed[axis].0[i]),
+            rate_n_per_s: pair(&|axis, i| smoothed[axis].1[i]),
+            temperature_c: temperature.map_or_else(Vec::new, |t| select_rows(t, usable)),
+            covariates: recording
+                .covariates
+                .iter()
+                .map(|(name, values)| (name.clone(), select_rows(values, usable)))
+                .collect(),
+            time_s,
+        }
+    }
+
+    /// The same rows with other forces in newtons; smoothed forces and rates are recomputed, load cycles kept.
+    pub fn with_forces(&self, force_n: Vec<[f64; 2]>) -> Self {
+        let [x, z] = [0, 1].map(|axis| {
+            let column: Vec<f64> = force_n.iter().map(|force| force[axis]).collect();
+            operators::smooth(&self.time_s, &column)
+        });
+        let pair = |x: &[f64], z: &[f64]| x.iter().zip(z).map(|(x, z)| [*x, *z]).collect();
+        Self { smooth_n: pair(&x.0, &z.0), rate_n_per_s: pair(&x.1, &z.1), force_n, ..self.clone() }
+    }
+
+    /// The selected rows, in this order.
+    pub fn at(&self, rows: &[usize]) -> Self {
+        Self {
+            time_s: select_rows(&self.time_s, rows),
+            force_n: select_rows(&self.force_n, rows),
+            smooth_n: select_rows(&self.smooth_n, rows),
+            rate_n_per_s: select_rows(&self.rate_n_per_s, rows),
+            cycles: select_rows(&self.cycles, rows),
+            temperature_c: select_rows(&self.temperature_c, rows),
+            covariates: self
+                .covariates
+                .iter()
+                .map(|(name, values)| (name.clone(), select_rows(values, rows)))
+                .collect(),
+            smoothing_impulse: self.smoothing_impulse.clone(),
+            ..*self
+        }
+    }
+
+    /// Number of rows.
+    pub fn len(&self) -> usize {
+        self.time_s.len()
+    }
+
+    /// True without rows.
+    pub fn is_empty(&self) -> bool {
+        self.time_s.is_empty()
+    }
+
+    /// A covariate by column name, recorded or one of [`BUILT_IN_COVARIATES`].
+    pub fn covariate(&self, name: &str) -> Option<Vec<f64>> {
+        let force = |axis: usize| self.force_n.iter().map(|force| force[axis]).collect();
+        match name {
+            "fx_n" => Some(force(0)),
+            "fz_n" => Some(force(1)),
+            "temp_c" => (!self.temperature_c.is_empty()).then(|| self.temperature_c.clone()),
+            "time_s" => Some(self.time_s.clone()),
+            "session_s" => Some(self.time_s.iter().map(|t| t + self.start_s).collect()),
+            _ => self.covariates.get(name).cloned(),
+        }
+    }
+}
+
+/// The values at these rows; empty for an empty column.
+pub(super) fn select_rows<T: Copy>(values: &[T], rows: &[usize]) -> Vec<T> {
+    let found = rows.iter().filter_map(|&row| values.get(row));
+    found.copied().collect()
+}
+
+/// Covariates of every sensor: its two forces, its temperature, time since the start of the recording and of the
+/// campaign.
+pub const BUILT_IN_COVARIATES: [&str; 5] = ["fx_n", "fz_n", "temp_c", "time_s", "session_s"];
+
+/// Deadband relative to the amplitude of the load: smaller reversals count as noise.
+const DEADBAND: f64 = 0.05;
+
+/// Load cycles over the recordings of a campaign: accumulated path of the load divided by the path of one cycle
+/// with the amplitude of the first recording. Continuous; small cycles count proportionally.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct LoadCycleCounter {
+    /// Cycles of the previous recordings.
+    previous: [f64; 2],
+    /// Amplitude of a sine with the RMS of the first recording's load in newtons; zero before it and without
+    /// load.
+    amplitude_n: [f64; 2],
+}
+
+impl LoadCycleCounter {
+    /// Sets [`ExcitationSeries::cycles`] of the next recording.
+    pub fn update(&mut self, excitation: &mut ExcitationSeries) {
+        excitation.cycles = vec![self.previous; excitation.len()];
+        for axis in [0, 1] {
+            let force: Vec<f64> = excitation.smooth_n.iter().map(|force| force[axis]).collect();
+            if self.amplitude_n[axis] <= 0.0 {
+                let squares: f64 = force.iter().map(|force| force * force).sum();
+                self.amplitude_n[axis] = (2.0 * squares / force.len().max(1) as f64).sqrt();
+            }
+            let amplitude_n = self.amplitude_n[axis];
+            if amplitude_n <= 0.0 {
+                continue;
+            }
+            let path_n = path_length(&force, DEADBAND * amplitude_n);
+            for (cycles, path_n) in excitation.cycles.iter_mut().zip(path_n) {
+                // The path of a cycle is four amplitudes.
+                cycles[axis] += path_n / (4.0 * amplitude_n);
+            }
+        }
+        if let Some(last) = excitation.cycles.last() {
+            self.previous = *last;
+        }
+    }
+}
+
+/// Accumulated path of the force after a play operator with this half width.
+fn path_length(force_n: &[f64], half_width_n: f64) -> Vec<f64> {
+    let (mut output, mut path) = (force_n.first().copied().unwrap_or(0.0), 0.0);
+    let step = |force: &f64| {
+        let next = output.clamp(force - half_width_n, force + half_width_n);
+        path += (next - output).abs();
+        output = next;
+        path
+    };
+    force_n.iter().map(step).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn with_forces_recomputes_rates_and_keeps_covariates() {
+        let time_s: Vec<f64> = (0..100).map(|i| f64::from(i) * 0.01).collect();
+        let excitation = ExcitationSeries {
+            force_n: vec![[1.0, 2.0]; 100],
+            temperature_c: time_s.clone(),
+            time_s,
+            ..ExcitationSeries::default()
+        };
+        let ramp = excitation.time_s.iter().map(|t| [5.0 * t, -3.0]).collect();
+        let changed = excitation.with_forces(ramp).at(&[10, 90]);
+        assert_eq!(changed.time_s, [0.1, 0.9]);
+        assert_eq!(changed.temperature_c, [0.1, 0.9]);
+        assert!((changed.smooth_n[1][0] - 4.5).abs() < 1e-9);
+        assert!((changed.rate_n_per_s[0][0] - 5.0).abs() < 1e-6);
+        assert!(changed.rate_n_per_s[1][1].abs() < 1e-6);
+    }
+
+    #[test]
+    fn load_cycles_accumulate_over_recordings() {
+        let time_s: Vec<f64> = (0..1000).map(|i| f64::from(i) * 0.01).collect();
+        let sine = |t: &f64| [100.0 * (std::f64::consts::TAU * t).sin(), 0.0];
+        let mut series = vec![
+            ExcitationSeries {
+                smooth_n: time_s.iter().map(sine).collect(),
+                time_s,
+                ..ExcitationSeries::default()
+            };
+            2
+        ];
+        let mut counter = LoadCycleCounter::default();
+        series.iter_mut().for_each(|one| counter.update(one));
+        let last = |one: &ExcitationSeries| one.cycles.last().unwrap()[0];
+        // Ten periods each; the deadband shortens the path at each reversal.
+        assert!((last(&series[0]) - 10.0 * 0.95).abs() < 0.05);
+        assert!((last(&series[1]) - 20.0 * 0.95).abs() < 0.1);
+        assert_eq!(series[1].cycles[0][1], 0.0);
+    }
+}

@@ -1,0 +1,332 @@
+//! User-defined effects, written as formulas over the covariates:
+//! `ripple: dz_um = a*sin(2*pi*opening_mm/p) + b*cos(2*pi*opening_mm/p)`.
+//!
+//! Names that end in a unit are covariates, names with a range are nonlinear parameters, all others are
+//! coefficients, which must enter linearly. Each sensor has its own values.
+
+use std::borrow::Cow;
+
+use exmex::{Express, FlatEx};
+use nalgebra::Vector3;
+
+use crate::effects::excitation::{BUILT_IN_COVARIATES, ExcitationSeries};
+use crate::effects::parameter::{EffectParameter, MagnitudeSpec, ParameterKind};
+use crate::effects::state_series::{EffectStage, StateSeries};
+use crate::recordings::error::closest_match;
+use crate::recordings::units::column_unit;
+
+mod syntax;
+
+pub use syntax::ExpressionError;
+use syntax::{NamePositions, check_syntax};
+
+/// Grid intervals of the search over a range: resolves the phase of a ripple.
+const GRID_STEPS: usize = 60;
+
+/// Meaning of a name in a formula.
+#[derive(Clone, Debug, PartialEq)]
+enum Role {
+    Pi,
+    Coefficient(usize),
+    Shape(usize),
+    Covariate(usize),
+}
+
+/// A nonlinear parameter and its search range.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct ParameterRange {
+    /// Name in the formula.
+    pub name: String,
+    /// Lower bound.
+    pub from: f64,
+    /// Upper bound.
+    pub to: f64,
+}
+
+/// A user-defined effect.
+#[derive(Clone, Debug)]
+pub struct Expression {
+    /// Name before the colon.
+    pub name: String,
+    /// Complete text, as entered.
+    pub text: String,
+    /// Nonlinear parameters.
+    pub ranges: Vec<ParameterRange>,
+    /// Covariates in the formula.
+    pub covariates: Vec<String>,
+    coefficients: Vec<String>,
+    target: Target,
+    formula: FlatEx<f64>,
+    roles: Vec<Role>,
+}
+
+impl Expression {
+    /// Parses `NAME: TARGET = FORMULA`; `columns`: covariates of the recordings.
+    pub fn parse(
+        text: &str,
+        ranges: &[ParameterRange],
+        columns: &[String],
+    ) -> Result<Self, ExpressionError> {
+        let parts = syntax::split(text)?;
+        let found = TARGETS.iter().find(|target| target.name == parts.target.text);
+        let target = *found.ok_or_else(|| {
+            let names = TARGETS.map(|target| target.name);
+            let hint = closest_match(parts.target.text, names).map_or_else(
+                || format!("write one of {}", names.join(", ")),
+                |name| format!("did you mean {name}?"),
+            );
+            parts.target.error(text, format!("{:?} is not a target; {hint}", parts.target.text))
+        })?;
+        let names = check_syntax(text, &parts.formula)?;
+        let formula: FlatEx<f64> = exmex::parse(parts.formula.text)
+            .map_err(|error| parts.formula.error(text, format!("invalid formula ({error})")))?;
+        let mut expression = Self {
+            name: parts.name.text.to_owned(),
+            text: text.trim().to_owned(),
+            ranges: ranges.to_vec(),
+            covariates: Vec::new(),
+            coefficients: Vec::new(),
+            target,
+            formula,
+            roles: Vec::new(),
+        };
+        expression.assign_roles(text, &names, columns)?;
+        expression.check_ranges(text)?;
+        expression.check_linear(text, &names)?;
+        Ok(expression)
+    }
+
+    /// All names of a validated formula that end in a unit: its covariates.
+    pub fn covariate_names(text: &str) -> Vec<String> {
+        let separator = |c: char| !(c.is_ascii_alphanumeric() || c == '_');
+        let names = text.split(separator).filter(|name| column_unit(name).is_some());
+        names.map(str::to_owned).collect()
+    }
+
+    /// Assigns a role to each name of the formula.
+    fn assign_roles(
+        &mut self,
+        text: &str,
+        names: &NamePositions,
+        columns: &[String],
+    ) -> Result<(), ExpressionError> {
+        for name in self.formula.var_names().to_vec() {
+            let position = names.position(&name);
+            let range = self.ranges.iter().position(|range| range.name == name);
+            let available =
+                || BUILT_IN_COVARIATES.into_iter().chain(columns.iter().map(String::as_str));
+            let role = if name == "pi" {
+                Role::Pi
+            } else if let Some(range) = range {
+                Role::Shape(range)
+            } else if available().any(|column| column == name) {
+                self.covariates.push(name);
+                Role::Covariate(self.covariates.len() - 1)
+            } else if let Some(candidate) =
+                closest_match(&name, available()).filter(|_| name.len() > 3)
+            {
+                return Err(position.error(
+                    text,
+                    format!(
+                        "{name:?} is not a covariate of these recordings; did you mean {candidate}?"
+                    ),
+                ));
+            } else if column_unit(&name).is_some() {
+                let all: Vec<&str> = available().collect();
+                return Err(position.error(
+                    text,
+                    format!(
+                        "{name:?} is not a covariate of these recordings; available: {}",
+                        all.join(", ")
+                    ),
+                ));
+            } else {
+                self.coefficients.push(name);
+                Role::Coefficient(self.coefficients.len() - 1)
+            };
+            self.roles.push(role);
+        }
+        if self.coefficients.is_empty() {
+            let advice =
+                "there is no coefficient to fit: multiply a term by a free name, such as a";
+            return Err(ExpressionError::at(text, names.start, advice.to_owned()));
+        }
+        Ok(())
+    }
+
+    fn check_ranges(&self, text: &str) -> Result<(), ExpressionError> {
+        for (i, range) in self.ranges.iter().enumerate() {
+            let message = if !self.roles.contains(&Role::Shape(i)) {
+                format!("--range {}: the formula has no such name", range.name)
+            } else if !(range.from < range.to && range.from.is_finite() && range.to.is_finite()) {
+                format!(
+                    "--range {}: {} to {} is not a valid range",
+                    range.name, range.from, range.to
+                )
+            } else {
+                continue;
+            };
+            return Err(ExpressionError::at(text, 0, message));
+        }
+        Ok(())
+    }
+
+    /// Checks that each coefficient enters linearly for any value of the others, and that the formula vanishes
+    /// with all coefficients zero.
+    fn check_linear(&self, text: &str, names: &NamePositions) -> Result<(), ExpressionError> {
+        let shapes: Vec<f64> = self.ranges.iter().map(|r| 0.37 * r.from + 0.63 * r.to).collect();
+        let covariates: Vec<f64> =
+            (0..self.covariates.len()).map(|i| 0.71 + 0.13 * i as f64).collect();
+        let value = |coefficients: &[f64]| self.evaluate(coefficients, &shapes, &covariates);
+        let all: Vec<f64> = (0..self.coefficients.len()).map(|i| 1.0 + 0.5 * i as f64).collect();
+        let differs = |a: f64, b: f64, scale: f64| {
+            a.is_finite() && b.is_finite() && (a - b).abs() > 1e-9 * scale
+        };
+        let (none, mut sum_of_terms) = (vec![0.0; all.len()], 0.0);
+        for (i, name) in self.coefficients.iter().enumerate() {
+            let at = |from: &[f64], to: f64| {
+                let mut moved = from.to_vec();
+                moved[i] = to;
+                value(&moved)
+            };
+            // Not at zero, where a division would be undefined.
+            let [low, middle, high] = [1.0, 2.0, 3.0].map(|to| at(&all, to));
+            if differs(high - middle, middle - low, high.abs() + middle.abs() + low.abs()) {
+                let advice = format!(
+                    "{name:?} does not enter linearly: give it a range, as in --range {name}=1..10"
+                );
+                return Err(names.position(name).error(text, advice));
+            }
+            sum_of_terms += at(&none, all[i]);
+        }
+        let (whole, nothing) = (value(&all), value(&none));
+        let scale = whole.abs() + sum_of_terms.abs() + 1e-300;
+        if differs(nothing, 0.0, scale) || differs(whole, sum_of_terms, scale) {
+            let advice = "every term must be multiplied by exactly one coefficient".to_owned();
+            return Err(ExpressionError::at(text, names.start, advice));
+        }
+        Ok(())
+    }
+
+    fn evaluate(&self, coefficients: &[f64], shapes: &[f64], covariates: &[f64]) -> f64 {
+        let values: Vec<f64> = self
+            .roles
+            .iter()
+            .map(|role| match role {
+                Role::Pi => std::f64::consts::PI,
+                Role::Coefficient(i) => coefficients[*i],
+                Role::Shape(i) => shapes[*i],
+                Role::Covariate(i) => covariates[*i],
+            })
+            .collect();
+        self.formula.eval(&values).unwrap_or(f64::NAN)
+    }
+
+    /// Position in the chain from force to field.
+    pub fn stage(&self) -> EffectStage {
+        self.target.stage
+    }
+
+    /// Coefficients, followed by nonlinear parameters.
+    pub fn parameters(&self) -> Vec<EffectParameter> {
+        let coefficient = |name: &String| EffectParameter {
+            name: Cow::Owned(name.clone()),
+            // The magnitude follows from the recordings.
+            ..EffectParameter::coefficient("", self.target.unit, f64::NAN)
+        };
+        let shape = |range: &ParameterRange| {
+            let step = (range.to - range.from) / GRID_STEPS as f64;
+            let grid = (0..=GRID_STEPS).map(|i| range.from + step * i as f64).collect();
+            EffectParameter {
+                name: Cow::Owned(range.name.clone()),
+                kind: ParameterKind::Shape { grid: Cow::Owned(grid) },
+                ..EffectParameter::coefficient("", "", 0.0)
+            }
+        };
+        self.coefficients.iter().map(coefficient).chain(self.ranges.iter().map(shape)).collect()
+    }
+
+    /// Euclidean norm of the coefficients.
+    pub fn size(&self) -> MagnitudeSpec {
+        MagnitudeSpec::norm_without_prior("norm of the coefficients", self.target.unit)
+    }
+
+    /// Value of the formula (`covariates` in the order of [`Expression::covariates`]) and axis of the gripper.
+    pub fn value(&self, values: &[f64], covariates: &[f64]) -> (f64, usize) {
+        let (coefficients, shapes) = values.split_at(self.coefficients.len().min(values.len()));
+        (self.evaluate(coefficients, shapes, covariates), self.target.axis)
+    }
+
+    /// The first row with a non-finite value at the ends or the middle of the ranges, as text; `None` if all are
+    /// finite.
+    pub fn first_undefined(&self, excitation: &ExcitationSeries) -> Option<String> {
+        let columns: Vec<Vec<f64>> =
+            self.covariates.iter().map(|name| excitation.covariate(name)).collect::<Option<_>>()?;
+        for fraction in [0.0, 0.5, 1.0] {
+            let shapes: Vec<f64> =
+                self.ranges.iter().map(|r| r.from + fraction * (r.to - r.from)).collect();
+            for row in 0..excitation.len() {
+                let at: Vec<f64> = columns.iter().map(|column| column[row]).collect();
+                if !self.evaluate(&vec![1.0; self.coefficients.len()], &shapes, &at).is_finite() {
+                    let named = self.covariates.iter().zip(&at);
+                    let ranged = self.ranges.iter().map(|range| &range.name).zip(&shapes);
+                    let assignments: Vec<String> = named
+                        .chain(ranged)
+                        .map(|(name, value)| format!("{name} = {value}"))
+                        .collect();
+                    return Some(assignments.join(", "));
+                }
+            }
+        }
+        None
+    }
+
+    /// Adds the value of the formula to every row.
+    pub fn apply(&self, values: &[f64], excitation: &ExcitationSeries, series: &mut StateSeries) {
+        let columns: Option<Vec<Vec<f64>>> =
+            self.covariates.iter().map(|name| excitation.covariate(name)).collect();
+        let Some(columns) = columns else { return };
+        let mut at = vec![0.0; columns.len()];
+        for row in 0..excitation.len() {
+            at.iter_mut().zip(&columns).for_each(|(at, column)| *at = column[row]);
+            let (value, axis) = self.value(values, &at);
+            let value = if value.is_finite() { value } else { 0.0 };
+            let mut along = Vector3::zeros();
+            along[axis] = value;
+            match self.target.stage {
+                EffectStage::Load => series.force_n[row][axis / 2] += value,
+                EffectStage::Displacement => series.states[row].displacement_mm += 1e-3 * along,
+                _ => series.states[row].external_g += along,
+            }
+        }
+    }
+}
+
+/// Output of a formula: a force, a displacement of the magnet, or a field.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Target {
+    name: &'static str,
+    unit: &'static str,
+    stage: EffectStage,
+    /// Index of the gripper's axis.
+    axis: usize,
+}
+
+const fn target(name: &'static str, unit: &'static str, stage: EffectStage, axis: usize) -> Target {
+    Target { name, unit, stage, axis }
+}
+
+/// Targets of formulas.
+const TARGETS: [Target; 8] = [
+    target("fx_n", "N", EffectStage::Load, 0),
+    target("fz_n", "N", EffectStage::Load, 2),
+    target("dx_um", "um", EffectStage::Displacement, 0),
+    target("dy_um", "um", EffectStage::Displacement, 1),
+    target("dz_um", "um", EffectStage::Displacement, 2),
+    target("bx_g", "G", EffectStage::Outside, 0),
+    target("by_g", "G", EffectStage::Outside, 1),
+    target("bz_g", "G", EffectStage::Outside, 2),
+];
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,209 @@
+//! Base models of the field: the exact cylinder magnet, or a polynomial of the forces where the geometry is
+//! unknown.
+
+use nalgebra::{Matrix3, Vector3};
+
+use crate::fit::parameters::{
+    COUNT, Derivatives, FIRST_OF_GEOMETRY, FreeParameter, PARAMETERS, tolerances, values,
+    with_values,
+};
+use crate::fit::polynomial::Polynomial;
+use crate::physics::{FieldResponse, ForwardModel, PhysicalState};
+use crate::recordings::columns::Axis;
+
+/// Field at a state.
+pub type FieldFn<'a> = Box<dyn Fn(&PhysicalState) -> Vector3<f64> + 'a>;
+/// Response at a state, and the derivative of the field to each base parameter.
+pub type LinearFn<'a> = Box<dyn Fn(&PhysicalState, &mut [Vector3<f64>]) -> FieldResponse + 'a>;
+
+/// The base of one sensor's model, as a fit sees it.
+pub trait BaseModel: Sync {
+    /// Free parameters with start and prior width.
+    fn parameters(&self) -> Vec<FreeParameter>;
+
+    /// Number of leading parameters that act through the state alone: the stiffnesses.
+    fn stiffness_count(&self) -> usize;
+
+    /// Number of leading parameters that are a pure sensor offset plus ambient field; zero where a magnet's
+    /// field is included or they have a prior of their own.
+    fn offset_count(&self) -> usize {
+        0
+    }
+
+    /// Stiffness of both flexures in N/mm; 1 where displacements are forces.
+    fn stiffness(&self, values: &[f64]) -> [f64; 2];
+
+    /// The field, for many states of one set of values.
+    fn field(&self, values: &[f64]) -> FieldFn<'_>;
+
+    /// The response, for many states of one set of values.
+    fn linearise(&self, values: &[f64]) -> LinearFn<'_>;
+}
+
+/// Exact cylinder magnet on two flexures, parametrised around a nominal design.
+#[derive(Clone, Copy, Debug)]
+pub struct CylinderBase {
+    /// The design.
+    pub nominal: ForwardModel,
+}
+
+impl CylinderBase {
+    /// The forward model of these values.
+    pub fn model(&self, found: &[f64]) -> ForwardModel {
+        let mut all = values(&self.nominal);
+        all.iter_mut().zip(found).for_each(|(to, from)| *to = *from);
+        with_values(&self.nominal, &all)
+    }
+}
+
+impl BaseModel for CylinderBase {
+    fn parameters(&self) -> Vec<FreeParameter> {
+        let (start, scale) = (values(&self.nominal), tolerances(&self.nominal));
+        let index = |i: usize| FreeParameter {
+            name: PARAMETERS[i].name.to_owned(),
+            unit: PARAMETERS[i].unit.to_owned(),
+            start: start[i],
+            scale: scale[i],
+            relative: false,
+            shared: false,
+            refit_per_fold: true,
+            preset_sigma: None,
+        };
+        (0..COUNT).map(index).collect()
+    }
+
+    fn stiffness_count(&self) -> usize {
+        FIRST_OF_GEOMETRY
+    }
+
+    fn stiffness(&self, values: &[f64]) -> [f64; 2] {
+        [values[0], values[1]]
+    }
+
+    fn field(&self, values: &[f64]) -> FieldFn<'_> {
+        let model = self.model(values);
+        let frames = model.frames();
+        Box::new(move |state| model.field_at(&frames, state))
+    }
+
+    fn linearise(&self, values: &[f64]) -> LinearFn<'_> {
+        let derivatives = Derivatives::new(&self.model(values));
+        Box::new(move |state, columns| {
+            let (response, jacobian) = derivatives.at(state);
+            for (to, from) in columns.iter_mut().zip(jacobian.column_iter()) {
+                *to = from.into_owned();
+            }
+            response
+        })
+    }
+}
+
+/// Polynomial of the forces for each field axis: displacements are forces in newtons here.
+#[derive(Clone, Debug)]
+pub struct PolynomialBase {
+    polynomial: Polynomial,
+    /// Gripper axis (0, 1, 2) of each force.
+    axes: Vec<usize>,
+    /// Width of the prior of a coefficient in gauss.
+    width_g: f64,
+}
+
+impl PolynomialBase {
+    /// Parametrised around a fitted polynomial whose field spans `width_g`; `None` where several forces act
+    /// along one axis, since effects could not be assigned.
+    pub fn new(polynomial: Polynomial, width_g: f64) -> Option<Self> {
+        let axis = |force: &(u32, Axis)| match force.1 {
+            Axis::X => Some(0),
+            Axis::Z => Some(2),
+            Axis::Y => None,
+        };
+        let axes: Vec<usize> = polynomial.forces.iter().map(axis).collect::<Option<_>>()?;
+        let distinct = axes.iter().enumerate().all(|(i, axis)| !axes[..i].contains(axis));
+        distinct.then_some(Self { polynomial, axes, width_g })
+    }
+
+    /// The polynomial with these coefficients.
+    pub fn model(&self, values: &[f64]) -> Polynomial {
+        let mut polynomial = self.polynomial.clone();
+        for (i, value) in values.iter().enumerate().take(polynomial.coefficients_g.len()) {
+            polynomial.coefficients_g[(i / 3, i % 3)] = *value;
+        }
+        polynomial
+    }
+
+    fn forces(axes: &[usize], state: &PhysicalState) -> Vec<f64> {
+        axes.iter().map(|&axis| state.displacement_mm[axis]).collect()
+    }
+}
+
+impl BaseModel for PolynomialBase {
+    fn parameters(&self) -> Vec<FreeParameter> {
+        let terms = self.polynomial.coefficients_g.nrows();
+        let index = |i: usize| FreeParameter {
+            name: format!("term_{}_{}", i / 3, ["x", "y", "z"][i % 3]),
+            unit: "G".to_owned(),
+            start: self.polynomial.coefficients_g[(i / 3, i % 3)],
+            scale: self.width_g,
+            relative: false,
+            shared: false,
+            refit_per_fold: true,
+            preset_sigma: None,
+        };
+        (0..3 * terms).map(index).collect()
+    }
+
+    fn stiffness_count(&self) -> usize {
+        0
+    }
+
+    fn offset_count(&self) -> usize {
+        // Without forces the first three parameters are constants.
+        if self.axes.is_empty() { 3 } else { 0 }
+    }
+
+    fn stiffness(&self, _: &[f64]) -> [f64; 2] {
+        [1.0; 2]
+    }
+
+    fn field(&self, values: &[f64]) -> FieldFn<'_> {
+        let model = self.model(values);
+        Box::new(move |state| {
+            let clean = model.field(&Self::forces(&self.axes, state));
+            crate::physics::response::reading_of(clean + state.external_g, Vector3::zeros(), state)
+                .field_g
+        })
+    }
+
+    fn linearise(&self, values: &[f64]) -> LinearFn<'_> {
+        let model = self.model(values);
+        Box::new(move |state, columns| {
+            let forces = Self::forces(&self.axes, state);
+            let at_element_g = model.field(&forces) + state.external_g;
+            let reading =
+                crate::physics::response::reading_of(at_element_g, Vector3::zeros(), state);
+            let mut per_mm = Matrix3::zeros();
+            for (&axis, slope) in self.axes.iter().zip(model.per_newton(&forces)) {
+                per_mm.set_column(axis, &(reading.per_field * slope));
+            }
+            for (i, value) in model.basis(&forces).into_iter().enumerate() {
+                for axis in 0..3 {
+                    if let Some(column) = columns.get_mut(3 * i + axis) {
+                        *column = reading.per_field.column(axis) * value;
+                    }
+                }
+            }
+            FieldResponse {
+                field_g: reading.field_g,
+                at_element_g,
+                per_field: reading.per_field,
+                per_mm,
+                per_tilt: [Vector3::zeros(); 2],
+                per_strength: Vector3::zeros(),
+                per_external: reading.per_field,
+                per_gain: reading.per_gain,
+                per_offset: reading.per_offset,
+                per_compression: reading.per_compression,
+            }
+        })
+    }
+}

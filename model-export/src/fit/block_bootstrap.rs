@@ -1,0 +1,187 @@
+//! Block bootstrap of a least-squares solution.
+//!
+//! Residuals of a real sensor are autocorrelated, so that error bars for independent rows are far too small.
+//! Whole blocks of time are drawn with replacement (Künsch 1989). Each draw solves the problem linearised at
+//! the solution: one small matrix instead of a new fit.
+
+use nalgebra::{Cholesky, DMatrix, DMatrixView, DVector, DVectorView};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use crate::fit::rows::SensorRows;
+
+/// Rows per partial product: few enough for the processor's cache.
+const CACHE_ROWS: usize = 256;
+
+/// Contribution of a block of rows to the normal equations `H = J'J` and `g = J'r`.
+#[derive(Clone, Debug)]
+pub struct Block {
+    /// `J'J` over the rows of the block.
+    pub normal: DMatrix<f64>,
+    /// `J'r` over the rows of the block, `r` measured minus modelled.
+    pub score: DVector<f64>,
+}
+
+impl Block {
+    /// From weighted derivatives and residuals.
+    pub fn of(jacobian: DMatrixView<'_, f64>, residuals: &[f64]) -> Self {
+        let size = jacobian.ncols();
+        let residuals = DVectorView::from_slice(residuals, residuals.len());
+        let mut block = Self::zeros(size);
+        for start in (0..jacobian.nrows()).step_by(CACHE_ROWS) {
+            let count = CACHE_ROWS.min(jacobian.nrows() - start);
+            let rows = jacobian.rows(start, count);
+            let right = residuals.rows(start, count);
+            for i in 0..size {
+                let column = rows.column(i);
+                block.score[i] += column.dot(&right);
+                for j in 0..=i {
+                    block.normal[(i, j)] += column.dot(&rows.column(j));
+                }
+            }
+        }
+        block.normal.fill_upper_triangle_with_lower_triangle();
+        block
+    }
+
+    /// Empty block.
+    pub fn zeros(size: usize) -> Self {
+        Self { normal: DMatrix::zeros(size, size), score: DVector::zeros(size) }
+    }
+}
+
+/// Minimum number of blocks for a useful error bar.
+pub const MIN_BLOCKS: usize = 12;
+
+/// Minimum block length in seconds.
+const MIN_BLOCK_S: f64 = 1.0;
+
+/// Block length in seconds: three times the longest correlation time of the residuals (by recording and axis),
+/// at least `MIN_BLOCK_S`, at most what leaves `MIN_BLOCKS` blocks.
+pub fn block_length_s(rows: &SensorRows, residuals: impl Fn(usize, usize) -> Vec<f64>) -> f64 {
+    let (mut longest_s, mut duration_s) = (0.0_f64, 0.0);
+    for (i, part) in rows.parts.iter().enumerate() {
+        let (Some(first), Some(last)) = (part.time_s.first(), part.time_s.last()) else {
+            continue;
+        };
+        let period_s = (last - first) / part.len() as f64;
+        duration_s += last - first;
+        for axis in 0..3 {
+            longest_s = longest_s.max(period_s * autocorrelation_rows(&residuals(i, axis)));
+        }
+    }
+    (3.0 * longest_s).max(MIN_BLOCK_S).min(duration_s / MIN_BLOCKS as f64)
+}
+
+/// Integrated autocorrelation time of evenly spaced values, in rows: 1 for white noise.
+///
+/// The sum over lags stops at five times its own value (Sokal's window).
+pub fn autocorrelation_rows(values: &[f64]) -> f64 {
+    let n = values.len();
+    if n < 2 {
+        return 1.0;
+    }
+    let mean = values.iter().sum::<f64>() / n as f64;
+    let at_lag = |lag: usize| -> f64 {
+        let pairs = values.iter().zip(&values[lag..]);
+        pairs.map(|(a, b)| (a - mean) * (b - mean)).sum::<f64>() / n as f64
+    };
+    let variance = at_lag(0);
+    if variance <= 0.0 {
+        return 1.0;
+    }
+    let mut time = 1.0;
+    for lag in 1..n / 2 {
+        time += 2.0 * at_lag(lag) / variance;
+        if lag as f64 >= 5.0 * time {
+            break;
+        }
+    }
+    time.max(1.0)
+}
+
+/// Covariance of the sum of scores, autocorrelation included.
+pub fn score_covariance(blocks: &[Block]) -> DMatrix<f64> {
+    let size = blocks.first().map_or(0, |block| block.score.len());
+    let count = blocks.len() as f64;
+    let sum = blocks.iter().fold(DVector::zeros(size), |sum, block| sum + &block.score);
+    let mean = sum / count;
+    let scatter = blocks.iter().fold(DMatrix::zeros(size, size), |scatter, block| {
+        let d = &block.score - &mean;
+        scatter + &d * d.transpose()
+    });
+    // n/(n-1): the mean was estimated from the same blocks.
+    scatter * (count / (count - 1.0).max(1.0))
+}
+
+/// Bootstrap covariance of the solution; zero where it cannot be solved.
+pub fn bootstrap_covariance(blocks: &[Block], draws: usize, seed: u64) -> DMatrix<f64> {
+    let size = blocks.first().map_or(0, |block| block.score.len());
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut steps: Vec<DVector<f64>> = Vec::with_capacity(draws);
+    for _ in 0..draws {
+        let mut normal = DMatrix::zeros(size, size);
+        let mut score = DVector::zeros(size);
+        for _ in 0..blocks.len() {
+            let block = &blocks[rng.random_range(0..blocks.len())];
+            normal += &block.normal;
+            score += &block.score;
+        }
+        if let Some(factor) = Cholesky::new(normal) {
+            steps.push(factor.solve(&score));
+        }
+    }
+    let count = steps.len().max(2) as f64;
+    let mean = steps.iter().fold(DVector::zeros(size), |sum, step| sum + step) / count;
+    let scatter = steps.iter().fold(DMatrix::zeros(size, size), |scatter, step| {
+        let d = step - &mean;
+        scatter + &d * d.transpose()
+    });
+    scatter / (count - 1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A standard normal number from twelve uniform ones.
+    fn gauss(rng: &mut ChaCha8Rng) -> f64 {
+        (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0
+    }
+
+    fn first_order(rng: &mut ChaCha8Rng, memory: f64, n: usize) -> Vec<f64> {
+        let mut state = 0.0;
+        (0..n)
+            .map(|_| {
+                state = memory * state + gauss(rng);
+                state
+            })
+            .collect()
+    }
+
+    #[test]
+    fn correlation_time_of_a_first_order_process_is_exact() {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        // (1 + a) / (1 - a) = 19 rows at a = 0.9.
+        let time = autocorrelation_rows(&first_order(&mut rng, 0.9, 100_000));
+        assert!((15.0..23.0).contains(&time), "{time}");
+        let white = autocorrelation_rows(&first_order(&mut rng, 0.0, 100_000));
+        assert!((1.0..1.2).contains(&white), "{white}");
+    }
+
+    #[test]
+    fn bootstrap_error_covers_autocorrelated_noise() {
+        let mut rng = ChaCha8Rng::seed_from_u64(4);
+        let values = first_order(&mut rng, 0.9, 20_000);
+        let blocks: Vec<Block> = values
+            .chunks(200)
+            .map(|chunk| Block {
+                normal: DMatrix::from_element(1, 1, chunk.len() as f64),
+                score: DVector::from_element(1, chunk.iter().sum()),
+            })
+            .collect();
+        let error = bootstrap_covariance(&blocks, 400, 1)[(0, 0)].sqrt();
+        // 1 / (1 - a) / sqrt(n) = 0.0707; without autocorrelation it would be 0.016.
+        assert!((0.055..0.087).contains(&error), "{error}");
+    }
+}

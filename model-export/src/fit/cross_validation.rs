@@ -1,0 +1,303 @@
+//! Cross-validation: splits of a campaign, held-out error and noise floor. Folds are whole recordings, or
+//! sixths of each recording where there is only one or an effect is transient.
+
+use crate::fit::rows::{RecordingRows, SensorRows};
+use crate::recordings::columns::Axis;
+use nalgebra::{DMatrix, DVector, Vector3};
+use std::ops::Range;
+
+/// Number of folds within a recording.
+const FOLDS: usize = 6;
+
+/// Slice length of [`CvSplit::Interleaved`] in seconds.
+const SLICE_S: f64 = 0.25;
+
+/// A range of rows of one recording.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RowRange {
+    /// Index of the recording in the campaign.
+    pub part: usize,
+    /// Row range.
+    pub rows: Range<usize>,
+}
+
+/// Training and test rows of one fold.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Fold {
+    /// Rows that are fitted.
+    pub training: Vec<RowRange>,
+    /// Rows that are held out.
+    pub test: Vec<RowRange>,
+}
+
+/// Cross-validation scheme of a campaign, the same for all sensors.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CvSplit {
+    /// Leave one recording out, of this many.
+    Recordings(usize),
+    /// Leave a contiguous sixth of every recording out.
+    KFold,
+    /// Leave every sixth slice of 0.25 s out, so that every fold sees a part of a transient.
+    Interleaved,
+}
+
+impl CvSplit {
+    /// By recordings where there are several, unless an effect is transient.
+    pub fn of(sensors: &[SensorRows], within_recordings: bool) -> Self {
+        let filled = |rows: &SensorRows| rows.parts.iter().filter(|part| !part.is_empty()).count();
+        let recordings = sensors.iter().map(filled).max().unwrap_or(0);
+        match recordings < 2 {
+            _ if within_recordings => Self::Interleaved,
+            true => Self::KFold,
+            false => Self::Recordings(sensors.first().map_or(0, |rows| rows.parts.len())),
+        }
+    }
+
+    /// Folds that hold out every row once. With [`CvSplit::KFold`], `gap_s` seconds on both sides of the test
+    /// rows are excluded from training because of autocorrelation.
+    pub fn folds(self, rows: &SensorRows, gap_s: f64) -> Vec<Fold> {
+        match self {
+            Self::Recordings(count) => {
+                (0..count).map(|test_part| recording_fold(rows, test_part)).collect()
+            }
+            Self::KFold => (0..FOLDS).map(|cut| k_fold(rows, cut, gap_s)).collect(),
+            Self::Interleaved => (0..FOLDS).map(|slice| interleaved_fold(rows, slice)).collect(),
+        }
+    }
+}
+
+/// All rows.
+pub fn all_rows(rows: &SensorRows) -> Vec<RowRange> {
+    whole(rows).collect()
+}
+
+fn whole(rows: &SensorRows) -> impl Iterator<Item = RowRange> {
+    let range = |(part, rows): (usize, &RecordingRows)| RowRange { part, rows: 0..rows.len() };
+    rows.parts.iter().enumerate().map(range)
+}
+
+fn recording_fold(rows: &SensorRows, test_part: usize) -> Fold {
+    let (test, training) = whole(rows).partition(|range| range.part == test_part);
+    Fold { training, test }
+}
+
+fn k_fold(rows: &SensorRows, cut: usize, gap_s: f64) -> Fold {
+    let (mut training, mut test) = (Vec::new(), Vec::new());
+    for (i, part) in rows.parts.iter().enumerate() {
+        let (Some(first), Some(last)) = (part.time_s.first(), part.time_s.last()) else {
+            continue;
+        };
+        let step = (last - first) / FOLDS as f64;
+        let before = |time: f64| part.time_s.partition_point(|t| *t < time);
+        let from = first + step * cut as f64;
+        let to = if cut + 1 == FOLDS { f64::INFINITY } else { from + step };
+        for rows in [0..before(from - gap_s), before(to + gap_s)..part.len()] {
+            if !rows.is_empty() {
+                training.push(RowRange { part: i, rows });
+            }
+        }
+        test.push(RowRange { part: i, rows: before(from)..before(to) });
+    }
+    Fold { training, test }
+}
+
+fn interleaved_fold(rows: &SensorRows, slice: usize) -> Fold {
+    let slices = rows.parts.iter().enumerate().flat_map(|(part, of)| {
+        let ranges = time_slices(&of.time_s, SLICE_S).into_iter().enumerate();
+        ranges.map(move |(i, rows)| (i % FOLDS == slice, RowRange { part, rows }))
+    });
+    let (test, training): (Vec<_>, Vec<_>) = slices.partition(|(test_part, _)| *test_part);
+    let plain = |list: Vec<(bool, RowRange)>| list.into_iter().map(|(_, range)| range).collect();
+    Fold { training: plain(training), test: plain(test) }
+}
+
+/// Row ranges of about `length_s` seconds each.
+pub fn time_slices(time_s: &[f64], length_s: f64) -> Vec<Range<usize>> {
+    let (Some(first), Some(last)) = (time_s.first(), time_s.last()) else {
+        return Vec::new();
+    };
+    let count = ((last - first) / length_s).round().max(1.0);
+    let step = (last - first) / count;
+    let edges: Vec<usize> = (0..count as usize)
+        .map(|i| time_s.partition_point(|t| *t < first + step * i as f64))
+        .chain([time_s.len()])
+        .collect();
+    edges.windows(2).map(|pair| pair[0]..pair[1]).filter(|range| !range.is_empty()).collect()
+}
+
+/// Held-out error and noise floor of one field axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AxisScore {
+    /// Number of the sensor.
+    pub sensor: u32,
+    /// Axis of its field.
+    pub axis: Axis,
+    /// Root mean square of measured minus modelled field, in gauss.
+    pub held_out_rms_g: f64,
+    /// The same on the rows that were fitted.
+    pub fitted_rms_g: f64,
+    /// Expected error of a perfect model: white noise of the averaged sensor and the reference's noise through
+    /// dB/dF, added in squares.
+    pub floor_g: f64,
+    /// Peak-to-peak field in the campaign, in gauss.
+    pub span_g: f64,
+}
+
+/// Sums of squared errors and noise variances over rows.
+#[derive(Clone, Copy, Debug)]
+pub struct ErrorSums {
+    rows: usize,
+    error: Vector3<f64>,
+    floor: Vector3<f64>,
+    /// Sum of squared apparent forces of the residuals, and their number.
+    force: (f64, usize),
+    /// Sum of squared off-plane residuals, and their number.
+    off_plane: (f64, usize),
+}
+
+impl Default for ErrorSums {
+    fn default() -> Self {
+        Self {
+            rows: 0,
+            error: Vector3::zeros(),
+            floor: Vector3::zeros(),
+            force: (0.0, 0),
+            off_plane: (0.0, 0),
+        }
+    }
+}
+
+impl ErrorSums {
+    /// Adds one row: its residual in gauss, and dB/dF for each force in G/N.
+    pub fn add(
+        &mut self,
+        part: &RecordingRows,
+        residual: Vector3<f64>,
+        per_newton: impl IntoIterator<Item = Vector3<f64>>,
+    ) {
+        let per_newton: Vec<Vector3<f64>> = per_newton.into_iter().collect();
+        let floor = noise_variance(part, per_newton.iter().copied());
+        self.rows += 1;
+        self.error += residual.component_mul(&residual);
+        self.floor += floor;
+        if let Some(apparent) = local_inverse(residual, &per_newton, floor) {
+            self.force.0 += apparent.norm_squared();
+            self.force.1 += apparent.len();
+        }
+        if let Some((_, off_plane)) = off_plane_residual(&per_newton, residual) {
+            self.off_plane.0 += off_plane * off_plane;
+            self.off_plane.1 += 1;
+        }
+    }
+
+    /// Sums of both.
+    pub fn with(self, other: &Self) -> Self {
+        Self {
+            rows: self.rows + other.rows,
+            error: self.error + other.error,
+            floor: self.floor + other.floor,
+            force: (self.force.0 + other.force.0, self.force.1 + other.force.1),
+            off_plane: (self.off_plane.0 + other.off_plane.0, self.off_plane.1 + other.off_plane.1),
+        }
+    }
+
+    /// Rows.
+    pub fn rows(&self) -> usize {
+        self.rows
+    }
+
+    /// Noise floor, root mean square over rows and axes, in gauss.
+    pub fn floor_g(&self) -> f64 {
+        (self.floor.sum() / (3 * self.rows.max(1)) as f64).sqrt()
+    }
+
+    /// Root mean square of the apparent force of the residual over all forces, in newtons; `None` where no
+    /// force was recorded.
+    pub fn rmse_n(&self) -> Option<f64> {
+        let (squares, count) = self.force;
+        (count > 0).then(|| (squares / count as f64).sqrt())
+    }
+
+    /// Root mean square in gauss of the residual normal to the plane of both forces' fields, which no force
+    /// explains; `None` where two forces were not recorded.
+    pub fn parity_residual_g(&self) -> Option<f64> {
+        let (squares, count) = self.off_plane;
+        (count > 0).then(|| (squares / count as f64).sqrt())
+    }
+
+    /// Mean squared error over all axes, in gauss squared.
+    pub fn mean_square(&self) -> f64 {
+        self.error.sum() / (3 * self.rows.max(1)) as f64
+    }
+
+    /// One score for each axis; `training` are the sums over the training rows.
+    pub fn scores(&self, training: &Self, sensor: u32, span_g: Vector3<f64>) -> Vec<AxisScore> {
+        let rows = self.rows.max(1) as f64;
+        let axes = Axis::ALL.into_iter().enumerate();
+        axes.map(|(i, axis)| AxisScore {
+            sensor,
+            axis,
+            fitted_rms_g: (training.error[i] / training.rows.max(1) as f64).sqrt(),
+            held_out_rms_g: (self.error[i] / rows).sqrt(),
+            floor_g: (self.floor[i] / rows).sqrt(),
+            span_g: span_g[i],
+        })
+        .collect()
+    }
+}
+
+/// Noise variance of one row, each axis, in gauss squared. Unknown noise (a recording of a few rows) counts as
+/// zero: the floor is then too low, never too high.
+pub fn noise_variance(
+    part: &RecordingRows,
+    per_newton: impl IntoIterator<Item = Vector3<f64>>,
+) -> Vector3<f64> {
+    let known = |noise: f64| if noise.is_finite() { noise } else { 0.0 };
+    let sensor = part.field_noise_g.map(|noise| known(noise).powi(2));
+    let through = |(slope, noise): (Vector3<f64>, &f64)| (slope * known(*noise)).map(|x| x * x);
+    per_newton
+        .into_iter()
+        .zip(&part.force_noise_n)
+        .map(through)
+        .fold(sensor, |sum, term| sum + term)
+}
+
+/// Apparent forces of a residual by least squares, each axis weighted by its noise variance.
+fn local_inverse(
+    residual: Vector3<f64>,
+    per_newton: &[Vector3<f64>],
+    floor_squared: Vector3<f64>,
+) -> Option<DVector<f64>> {
+    if per_newton.is_empty() {
+        return None;
+    }
+    let min_variance = 1e-6 * floor_squared.amax().max(f64::MIN_POSITIVE);
+    let weight = floor_squared.map(|variance| 1.0 / variance.max(min_variance));
+    let count = per_newton.len();
+    let weighted: Vec<Vector3<f64>> =
+        per_newton.iter().map(|slope| slope.component_mul(&weight)).collect();
+    let normal = DMatrix::from_fn(count, count, |i, j| weighted[i].dot(&per_newton[j]));
+    let right = DVector::from_fn(count, |i, _| weighted[i].dot(&residual));
+    Some(normal.cholesky()?.solve(&right))
+}
+
+/// Axis with the largest component of the normal of the plane of both forces' fields, and the distance of a
+/// residual from that plane along it. `None` where the forces move the field along one line.
+pub fn off_plane_residual(
+    per_newton: &[Vector3<f64>],
+    residual: Vector3<f64>,
+) -> Option<(usize, f64)> {
+    let [gx, gz] = per_newton else {
+        return None;
+    };
+    let across = gx.cross(gz);
+    let axis = across.iamax();
+    (across[axis] != 0.0).then(|| (axis, across.dot(&residual) / across[axis]))
+}
+
+/// Root mean square.
+pub fn pooled_rms(values: impl Iterator<Item = f64>) -> f64 {
+    let (sum, count) =
+        values.fold((0.0, 0_usize), |(sum, count), value| (sum + value * value, count + 1));
+    (sum / count.max(1) as f64).sqrt()
+}

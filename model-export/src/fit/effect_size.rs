@@ -1,0 +1,205 @@
+//! Magnitude of an effect over all sensors, with its standard error.
+
+use crate::effects::{Aggregation, EffectTerm, MagnitudeSpec};
+use crate::fit::joint::{JointFit, SensorFit};
+
+/// Threshold of significance in standard errors.
+const SIGNIFICANT: f64 = 4.0;
+
+/// A single sensor is reported where its value exceeds the mean of all by this factor.
+const OUTLIER_RATIO: f64 = 3.0;
+
+/// Magnitude of an effect.
+#[derive(Clone, Debug)]
+pub struct EffectSize {
+    /// In the unit of `size`.
+    pub value: f64,
+    /// Standard error.
+    pub std_error: f64,
+    /// Name of the coefficient where there are several.
+    pub component: Option<String>,
+    /// Definition, with typical and plausible values.
+    pub size: MagnitudeSpec,
+}
+
+impl EffectSize {
+    /// Whether it is within the plausible range.
+    pub fn is_plausible(&self) -> bool {
+        self.within(self.size.plausible)
+    }
+
+    /// Whether it is within the physically possible range.
+    pub fn is_possible(&self) -> bool {
+        self.within(self.size.possible)
+    }
+
+    /// Within the range, with a tolerance of two standard errors.
+    fn within(&self, (low, high): (f64, f64)) -> bool {
+        let slack = 2.0 * self.std_error;
+        self.value + slack >= low && self.value - slack <= high
+    }
+}
+
+/// Magnitudes of `effects`, in the given order; `fit` has them in the order of their stages.
+pub fn effect_sizes(fit: &JointFit, effects: &[EffectTerm], recordings: usize) -> Vec<EffectSize> {
+    effects.iter().map(|effect| effect_size(fit, effects, effect, recordings)).collect()
+}
+
+/// Index of the first parameter of `effect` in a fit with `effects`.
+pub fn first_parameter(
+    base_count: usize,
+    effects: &[EffectTerm],
+    effect: &EffectTerm,
+    recordings: usize,
+) -> usize {
+    let mut sorted: Vec<&EffectTerm> = effects.iter().collect();
+    sorted.sort_by_key(|effect| effect.stage());
+    let before = sorted.into_iter().take_while(|other| *other != effect);
+    base_count + before.map(|other| other.parameters(recordings).len()).sum::<usize>()
+}
+
+fn effect_size(
+    fit: &JointFit,
+    effects: &[EffectTerm],
+    effect: &EffectTerm,
+    recordings: usize,
+) -> EffectSize {
+    let size = effect.size();
+    let parameters = effect.parameters(recordings);
+    let coefficients = parameters.iter().filter(|parameter| parameter.is_coefficient()).count();
+    let count = if size.first == 0 { coefficients } else { size.first.min(coefficients) };
+    let indices = |sensor: &SensorFit| {
+        let first = first_parameter(sensor.base_count, effects, effect, recordings);
+        first..first + count
+    };
+    // Steps between recordings precede the slope, which has another unit.
+    let one_unit = parameters.iter().take(count).all(|p| p.unit == parameters[0].unit);
+    let count = if one_unit { count } else { count.saturating_sub(1) };
+    let single = |i: usize| {
+        mean(fit.sensors.iter().map(|sensor| {
+            let index = indices(sensor).start + i;
+            (sensor.values[index], sensor.std_error(index))
+        }))
+    };
+    let (value, std_error, component) = match size.aggregation {
+        Aggregation::Largest => {
+            let all: Vec<(f64, f64)> = (0..count).map(single).collect();
+            let significance = |i: usize| all[i].0.abs() / all[i].1.max(f64::MIN_POSITIVE);
+            let significant = |i: &usize| significance(*i) >= SIGNIFICANT;
+            let largest = (0..count)
+                .filter(significant)
+                .max_by(|&a, &b| all[a].0.abs().total_cmp(&all[b].0.abs()));
+            let most_significant =
+                || (0..count).max_by(|&a, &b| significance(a).total_cmp(&significance(b)));
+            let chosen = largest.or_else(most_significant).unwrap_or(0);
+            let (value, std_error) = all.get(chosen).copied().unwrap_or((f64::NAN, f64::NAN));
+            let own = (0..count).flat_map(|i| {
+                fit.sensors.iter().map(move |sensor| {
+                    let index = indices(sensor).start + i;
+                    (i, sensor, sensor.values[index], sensor.std_error(index))
+                })
+            });
+            let one = own
+                .filter(|(.., value, error)| value.abs() >= SIGNIFICANT * error)
+                .max_by(|a, b| a.2.abs().total_cmp(&b.2.abs()));
+            match one {
+                // A defect of a single flexure or channel would vanish in the mean over all.
+                Some((i, sensor, single, error)) if single.abs() > OUTLIER_RATIO * value.abs() => {
+                    let name = &parameters[i].name;
+                    let component = format!("{name} of sensor {}", sensor.sensor);
+                    (single, error, Some(component))
+                }
+                _ => {
+                    let name = || parameters[chosen].name.to_string();
+                    (value, std_error, (count > 1).then(name))
+                }
+            }
+        }
+        Aggregation::Max(of) | Aggregation::Mean(of) => {
+            let all = fit.sensors.iter().map(|sensor| {
+                let first = indices(sensor).start;
+                propagate(sensor, first..first + parameters.len(), of)
+            });
+            let all: Vec<(f64, f64)> = all.collect();
+            let (value, std_error) = if matches!(size.aggregation, Aggregation::Mean(_)) {
+                unweighted_mean(&all)
+            } else {
+                let max = all.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
+                max.unwrap_or((f64::NAN, f64::NAN))
+            };
+            (value, std_error, None)
+        }
+        Aggregation::Norm => {
+            let norms: Vec<(f64, f64)> = fit.sensors.iter().map(|s| norm(s, indices(s))).collect();
+            let (value, error) = unweighted_mean(&norms);
+            let shared = parameters.first().is_some_and(|parameter| parameter.shared);
+            let of_one = norms.first().map_or(error, |norm| norm.1);
+            (value, if shared { of_one } else { error }, None)
+        }
+    };
+    EffectSize {
+        value: value * size.factor,
+        std_error: (std_error * size.factor).hypot(size.resolution),
+        component,
+        size,
+    }
+}
+
+/// `of` applied to the values of these parameters, with its standard error to first order.
+fn propagate(
+    sensor: &SensorFit,
+    parameters: std::ops::Range<usize>,
+    of: fn(&[f64]) -> f64,
+) -> (f64, f64) {
+    let values = &sensor.values[parameters.clone()];
+    let value = of(values);
+    let slope = |i: usize| {
+        let step = 0.1 * sensor.std_error(parameters.start + i).max(1e-9);
+        let mut moved = values.to_vec();
+        moved[i] += step;
+        (of(&moved) - value) / step
+    };
+    let slopes: Vec<f64> = (0..values.len()).map(slope).collect();
+    let mut variance = 0.0;
+    for (i, a) in parameters.clone().enumerate() {
+        for (j, b) in parameters.clone().enumerate() {
+            variance += slopes[i] * sensor.covariance[(a, b)] * slopes[j];
+        }
+    }
+    (value, variance.max(0.0).sqrt())
+}
+
+/// Norm and its standard error. The expected square of noise is subtracted.
+fn norm(sensor: &SensorFit, parameters: std::ops::Range<usize>) -> (f64, f64) {
+    let values: Vec<f64> = parameters.clone().map(|index| sensor.values[index]).collect();
+    let noise: f64 = parameters.clone().map(|index| sensor.std_error(index).powi(2)).sum();
+    let square: f64 = values.iter().map(|v| v * v).sum();
+    let norm = square.sqrt().max(f64::MIN_POSITIVE);
+    let mut variance = 0.0;
+    for (i, a) in parameters.clone().enumerate() {
+        for (j, b) in parameters.clone().enumerate() {
+            variance += values[i] / norm * sensor.covariance[(a, b)] * values[j] / norm;
+        }
+    }
+    ((square - noise).max(0.0).sqrt(), variance.max(0.0).sqrt())
+}
+
+/// Unweighted mean, for quantities that differ between sensors.
+fn unweighted_mean(values: &[(f64, f64)]) -> (f64, f64) {
+    let n = values.len().max(1) as f64;
+    let sum: f64 = values.iter().map(|(value, _)| value).sum();
+    let squares: f64 = values.iter().map(|(_, error)| error * error).sum();
+    (sum / n, squares.sqrt() / n)
+}
+
+/// Inverse-variance weighted mean; scatter between sensors widens its error (Birge).
+fn mean(values: impl Iterator<Item = (f64, f64)> + Clone) -> (f64, f64) {
+    let weight = |error: f64| 1.0 / error.max(1e-12).powi(2);
+    let total: f64 = values.clone().map(|(_, error)| weight(error)).sum();
+    let mean = values.clone().map(|(value, error)| value * weight(error)).sum::<f64>() / total;
+    let scatter: f64 =
+        values.clone().map(|(value, error)| (value - mean).powi(2) * weight(error)).sum();
+    let freedom = values.count().saturating_sub(1);
+    let birge = if freedom > 0 { (scatter / freedom as f64).max(1.0) } else { 1.0 };
+    (mean, (birge / total).sqrt())
+}

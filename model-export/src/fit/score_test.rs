@@ -1,0 +1,468 @@
+//! Score test of candidate effects without refitting.
+//!
+//! A fitted model is linearised at its solution. A candidate is regressed together with everything fitted
+//! already (Frisch and Waugh 1933), so that it gets no credit for what the others absorb; it is evaluated on
+//! held-out rows; and its explained sum of squares is compared with that under random signs of residual blocks
+//! (Wu's wild bootstrap).
+
+use crate::effects::{Aggregation, EffectTerm};
+use crate::fit::campaign::FitSetup;
+use crate::fit::cross_validation::{CvSplit, Fold};
+use crate::fit::initial_guess::{ShapeSearch, search_one};
+use crate::fit::joint::JointFit;
+use crate::fit::linearisation::Linearisation;
+use crate::fit::problem::SensorProblem;
+use crate::physics::FieldResponse;
+use nalgebra::{DMatrix, DVector, Vector3};
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+
+/// Rows of a recording that are used.
+const ROWS: usize = 1500;
+/// Knots of the spline in time, over each recording.
+const KNOTS: usize = 12;
+
+/// A fitted model linearised at its solution.
+pub struct ScoreTest<'a> {
+    setup: &'a FitSetup,
+    effects: Vec<EffectTerm>,
+    values: Vec<Vec<f64>>,
+    /// One for each sensor.
+    sensors: Vec<SensorScore>,
+    /// Number of blocks of time.
+    pub blocks: usize,
+    recordings: usize,
+}
+
+/// Score test of one candidate.
+pub struct CandidateScore {
+    /// Held-out weighted squared residual of each fold: without the candidate, with it.
+    pub folds: Vec<(f64, f64)>,
+    /// Explained sum of squares in units of the noise variance, over all sensors.
+    pub explained: f64,
+    /// Number of coefficients.
+    pub count: usize,
+    /// Typical magnitude in standard errors.
+    pub z_typical: f64,
+    /// The same for white noise residuals.
+    pub z_white_noise: f64,
+    /// The same with nothing else fitted.
+    pub z_unadjusted: f64,
+    /// Upper bound in typical magnitudes: estimate and two standard errors.
+    pub bound: f64,
+    /// Regressors orthogonalised to the fitted columns, for each sensor.
+    orthogonal: Vec<DMatrix<f64>>,
+    /// Inverse of their normal equations.
+    inverse: Vec<DMatrix<f64>>,
+}
+
+impl CandidateScore {
+    /// Relative reduction of the held-out squared residual.
+    pub fn gain(&self) -> f64 {
+        let (without, with) = self.folds.iter().fold((0.0, 0.0), |(a, b), f| (a + f.0, b + f.1));
+        1.0 - with / without
+    }
+
+    /// Number of folds in which the error falls.
+    pub fn wins(&self) -> usize {
+        self.folds.iter().filter(|(without, with)| with < without).count()
+    }
+}
+
+impl<'a> ScoreTest<'a> {
+    /// Linearises `fit` with `effects`; blocks of `block_s` seconds.
+    pub fn new(setup: &'a FitSetup, effects: &[EffectTerm], fit: &JointFit, block_s: f64) -> Self {
+        let mut effects = effects.to_vec();
+        effects.sort_by_key(EffectTerm::stage);
+        let recordings = setup.rows.first().map_or(0, |rows| rows.parts.len());
+        let values: Vec<Vec<f64>> =
+            fit.sensors.iter().map(|sensor| sensor.values.clone()).collect();
+        let (firsts, blocks) = first_blocks(setup, block_s);
+        let sensors = (0..setup.rows.len())
+            .into_par_iter()
+            .map(|s| {
+                let rows = &setup.rows[s];
+                let problem = SensorProblem::new(rows, setup.bases[s].as_ref(), &effects);
+                let fixed: Vec<usize> = (0..problem.parameters.len()).collect();
+                let linearisation = Linearisation::new(&problem, &values[s], &fixed, ROWS);
+                let place = |(part, row): (usize, usize)| {
+                    let time_s = rows.parts[part].track.time_s[row];
+                    firsts[part] + (time_s / block_s) as usize
+                };
+                let parts = [CvSplit::of(&setup.rows, false), CvSplit::of(&setup.rows, true)]
+                    .map(|split| part_of(&split.folds(rows, 0.0), &linearisation));
+                let block = linearisation.places().map(place).collect();
+                SensorScore::new(linearisation, block, parts)
+            })
+            .collect();
+        Self { setup, effects, values, sensors, blocks, recordings }
+    }
+
+    /// Score of `candidate`; `None` where the field does not depend on it.
+    pub fn score(&self, candidate: &EffectTerm) -> Option<CandidateScore> {
+        let mut effects = self.effects.clone();
+        effects.push(candidate.clone());
+        effects.sort_by_key(EffectTerm::stage);
+        let place = effects.iter().position(|effect| effect == candidate)?;
+        let mut searches: Vec<ShapeSearch> = (0..self.sensors.len())
+            .into_par_iter()
+            .map(|s| {
+                let rows = &self.setup.rows[s];
+                let problem = SensorProblem::new(rows, self.setup.bases[s].as_ref(), &effects);
+                let values = self.start_values(&problem, place, &self.values[s]);
+                ShapeSearch::from_linearisation(self.sensors[s].coarse.clone(), problem, values)
+            })
+            .collect();
+        search_one(&mut searches, place);
+        let regressors: Vec<DMatrix<f64>> = searches
+            .into_par_iter()
+            .zip(&self.sensors)
+            .map(|(search, sensor)| search.on(sensor.linearisation.clone()).regressors(place))
+            .collect();
+        let within = usize::from(candidate.is_transient());
+        let count = regressors.first()?.ncols();
+        let scored: Vec<_> = self
+            .sensors
+            .par_iter()
+            .zip(&regressors)
+            .map(|(sensor, regressors)| sensor.evaluate(regressors, within))
+            .collect();
+        let mut folds: Vec<(f64, f64)> = Vec::new();
+        for (_, _, own) in &scored {
+            folds.resize(folds.len().max(own.len()), (0.0, 0.0));
+            folds.iter_mut().zip(own).for_each(|(sum, own)| {
+                sum.0 += own.0;
+                sum.1 += own.1;
+            });
+        }
+        folds.retain(|(without, _)| *without > 0.0);
+        let (orthogonal, inverse): (Vec<_>, Vec<_>) =
+            scored.into_iter().map(|(orthogonal, inverse, _)| (orthogonal, inverse)).unzip();
+        let mut score = CandidateScore {
+            folds,
+            explained: 0.0,
+            count,
+            z_typical: 0.0,
+            z_white_noise: 0.0,
+            z_unadjusted: 0.0,
+            bound: f64::INFINITY,
+            orthogonal,
+            inverse,
+        };
+        let signs = vec![1.0; self.blocks];
+        score.explained = self.explained(&score, &self.block_scores(&score, None), &signs);
+        self.set_significance(&mut score, candidate, &regressors);
+        Some(score)
+    }
+
+    /// Significance of a change of the measurement after orthogonalisation to the model, in standard errors of
+    /// white noise. `change(sensor, recording, row)` returns the change of the field in gauss and of the
+    /// reference forces in newtons.
+    pub fn change_significance(
+        &self,
+        change: impl Fn(usize, usize, usize) -> (Vector3<f64>, [f64; 2]),
+    ) -> f64 {
+        let mut squares = 0.0;
+        for (s, sensor) in self.sensors.iter().enumerate() {
+            let rows = &self.setup.rows[s];
+            let base = self.setup.bases[s].as_ref();
+            let weights = SensorProblem::new(rows, base, &self.effects).weights;
+            let [kx, kz] = base.stiffness(&self.values[s]);
+            let of_row = |(part, row, response): (usize, usize, &FieldResponse)| {
+                let (field, [fx, fz]) = change(s, part, row);
+                let moved = Vector3::new(fx / kx, 0.0, fz / kz);
+                <[f64; 3]>::from((field - response.per_mm * moved).component_mul(&weights))
+            };
+            let entries: Vec<f64> = sensor.linearisation.responses().flat_map(of_row).collect();
+            let all: usize = rows.parts.iter().map(|part| part.len()).sum();
+            let stand_for = 3.0 * all as f64 / entries.len().max(1) as f64;
+            let orthogonal = sensor.orthogonal(&DMatrix::from_vec(entries.len(), 1, entries));
+            squares += stand_for * orthogonal.norm_squared();
+        }
+        squares.sqrt()
+    }
+
+    /// Relative reduction of the held-out squared residual, by interleaved slices, by a spline in time for each
+    /// axis, sensor and recording.
+    ///
+    /// Transient effects can only be evaluated within recordings, where neighbouring rows predict any slow
+    /// noise: such an effect counts only if it explains about as much as this spline.
+    pub fn time_spline_gain(&self) -> f64 {
+        let scored = self.sensors.par_iter().enumerate().map(|(s, sensor)| {
+            let columns = sensor.linearisation.spline_columns(&self.setup.rows[s], KNOTS);
+            let folds = sensor.held_out_squares(&columns, 1);
+            folds.iter().fold((0.0, 0.0), |(a, b), f| (a + f.0, b + f.1))
+        });
+        let (without, with) = scored.reduce(|| (0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
+        1.0 - with / without
+    }
+
+    /// Values of a model with one more effect than fitted.
+    fn start_values(&self, problem: &SensorProblem, place: usize, values: &[f64]) -> Vec<f64> {
+        let own = problem.ranges()[place].clone();
+        let mut all: Vec<f64> = problem.parameters.iter().map(|index| index.start).collect();
+        let others = (0..all.len()).filter(|index| !own.contains(index));
+        for (index, value) in others.zip(values) {
+            all[index] = *value;
+        }
+        all
+    }
+
+    /// Scores of a candidate against the residual (after removing `best`), block by block, for each sensor.
+    fn block_scores(
+        &self,
+        score: &CandidateScore,
+        best: Option<&CandidateScore>,
+    ) -> Vec<Vec<DVector<f64>>> {
+        let one = |s: usize| {
+            let sensor = &self.sensors[s];
+            let mut residual = sensor.residual();
+            if let Some(fitted) = best {
+                let orthogonal = &fitted.orthogonal[s];
+                let coefficients = &fitted.inverse[s] * orthogonal.tr_mul(&residual);
+                residual -= orthogonal * coefficients;
+            }
+            let orthogonal = &score.orthogonal[s];
+            let mut block_scores = vec![DVector::zeros(orthogonal.ncols()); self.blocks];
+            for (row, &block) in sensor.block.iter().enumerate() {
+                for entry in 3 * row..3 * row + 3 {
+                    for (j, score) in block_scores[block].iter_mut().enumerate() {
+                        *score += orthogonal[(entry, j)] * residual[entry];
+                    }
+                }
+            }
+            block_scores
+        };
+        (0..self.sensors.len()).into_par_iter().map(one).collect()
+    }
+
+    /// Explained sum of squares with these block signs.
+    fn explained(
+        &self,
+        score: &CandidateScore,
+        block_scores: &[Vec<DVector<f64>>],
+        signs: &[f64],
+    ) -> f64 {
+        let mut sum = 0.0;
+        for (block_scores, inverse) in block_scores.iter().zip(&score.inverse) {
+            let mut score = DVector::zeros(score.count);
+            for (of_block, sign) in block_scores.iter().zip(signs) {
+                score.axpy(*sign, of_block, 1.0);
+            }
+            sum += score.dot(&(inverse * &score));
+        }
+        sum
+    }
+
+    /// Explained sum of squares of the residual after removing `best`, for each draw of signs.
+    pub fn resampled(
+        &self,
+        score: &CandidateScore,
+        best: &CandidateScore,
+        draws: &[Vec<f64>],
+    ) -> Vec<f64> {
+        let block_scores = self.block_scores(score, Some(best));
+        let draw = |signs: &Vec<f64>| self.explained(score, &block_scores, signs);
+        draws.par_iter().map(draw).collect()
+    }
+
+    /// Sets the significance of the typical magnitude (block residuals, white noise, nothing else fitted) and
+    /// the upper bound.
+    fn set_significance(
+        &self,
+        score: &mut CandidateScore,
+        candidate: &EffectTerm,
+        regressors: &[DMatrix<f64>],
+    ) {
+        let parameters = candidate.parameters(self.recordings);
+        let typical: Vec<f64> = parameters
+            .iter()
+            .filter(|parameter| parameter.is_coefficient())
+            .map(|parameter| parameter.typical)
+            .collect();
+        let (mut singles, mut bound) = (Vec::new(), 0.0_f64);
+        let (mut in_noise, mut alone) = (Vec::new(), Vec::new());
+        for j in 0..score.count {
+            if typical.get(j).is_none_or(|typical| typical.is_nan()) {
+                continue;
+            }
+            let (mut norm, mut by_block) = (0.0, vec![0.0; self.blocks]);
+            for (sensor, orthogonal) in self.sensors.iter().zip(&score.orthogonal) {
+                // Columns are per prior width, ten typical magnitudes.
+                let column = orthogonal.column(j) * 0.1;
+                let residual = sensor.residual();
+                norm += column.norm_squared();
+                for (row, &block) in sensor.block.iter().enumerate() {
+                    for entry in 3 * row..3 * row + 3 {
+                        by_block[block] += column[entry] * residual[entry];
+                    }
+                }
+            }
+            let norm = norm.sqrt();
+            let squares: f64 = regressors.iter().map(|a| a.column(j).norm_squared()).sum();
+            in_noise.push(norm);
+            alone.push(0.1 * squares.sqrt());
+            let block_norm = by_block.iter().map(|score| score * score).sum::<f64>().sqrt();
+            if norm > 0.0 {
+                // No residual is below white noise of the floor's magnitude.
+                let z = norm / (block_norm / norm).max(1.0);
+                let estimate = by_block.iter().sum::<f64>() / (norm * norm);
+                bound = bound.max(estimate.abs() + 2.0 / z);
+                singles.push(z);
+            }
+        }
+        let combine = |singles: &[f64]| match candidate.size().aggregation {
+            Aggregation::Norm => {
+                let squares: f64 = singles.iter().map(|z| z * z).sum();
+                (squares / singles.len().max(1) as f64).sqrt()
+            }
+            _ => singles.iter().copied().fold(0.0, f64::max),
+        };
+        score.z_typical = combine(&singles);
+        score.z_white_noise = combine(&in_noise);
+        score.z_unadjusted = combine(&alone);
+        score.bound = bound;
+    }
+}
+
+/// Index of the first block of each recording, and the number of blocks.
+fn first_blocks(setup: &FitSetup, block_s: f64) -> (Vec<usize>, usize) {
+    let recordings = setup.rows.first().map_or(0, |rows| rows.parts.len());
+    let (mut firsts, mut next) = (Vec::new(), 0);
+    for recording in 0..recordings {
+        let last = setup.rows.iter().filter_map(|rows| rows.parts[recording].track.time_s.last());
+        let blocks = last.map(|time| (time / block_s) as usize + 1).max().unwrap_or(0);
+        firsts.push(next);
+        next += blocks;
+    }
+    (firsts, next)
+}
+
+/// Fold in which each row is held out.
+fn part_of(folds: &[Fold], linearisation: &Linearisation) -> Vec<usize> {
+    let find = |(part, row): (usize, usize)| {
+        let holds = |fold: &Fold| {
+            fold.test.iter().any(|range| range.part == part && range.rows.contains(&row))
+        };
+        folds.iter().position(holds).unwrap_or(0)
+    };
+    linearisation.places().map(find).collect()
+}
+
+/// Row stride of the search for shapes.
+const COARSE: usize = 4;
+
+/// Linearised model of one sensor.
+pub(super) struct SensorScore {
+    pub(super) linearisation: Linearisation,
+    /// Subsampled for the search of shapes.
+    pub(super) coarse: Linearisation,
+    /// Inverse normal equations of the fitted columns, prior included.
+    inverse: DMatrix<f64>,
+    /// Block of each row (three entries of the residual).
+    pub(super) block: Vec<usize>,
+    parts: [Vec<usize>; 2],
+    /// Weight of the prior: rows per independent row.
+    prior: f64,
+}
+
+impl SensorScore {
+    pub(super) fn new(
+        linearisation: Linearisation,
+        block: Vec<usize>,
+        parts: [Vec<usize>; 2],
+    ) -> Self {
+        let (residual, fixed) = (linearisation.residual(), linearisation.fixed());
+        let mean_square = residual.norm_squared() / residual.len().max(1) as f64;
+        let prior = mean_square.max(1.0);
+        let normal = fixed.tr_mul(fixed);
+        Self {
+            inverse: inverse(normal, prior),
+            coarse: linearisation.thinned(COARSE),
+            linearisation,
+            block,
+            parts,
+            prior,
+        }
+    }
+
+    /// Residual after one more linear step of the fitted parameters.
+    pub(super) fn residual(&self) -> DVector<f64> {
+        let coefficients =
+            &self.inverse * self.linearisation.fixed().tr_mul(self.linearisation.residual());
+        self.linearisation.residual() - self.linearisation.fixed() * coefficients
+    }
+
+    /// Component orthogonal to the fitted columns.
+    pub(super) fn orthogonal(&self, regressors: &DMatrix<f64>) -> DMatrix<f64> {
+        let explained = &self.inverse * self.linearisation.fixed().tr_mul(regressors);
+        regressors - self.linearisation.fixed() * explained
+    }
+
+    /// Orthogonalised regressors, their inverse normal equations, and the held-out squares by fold.
+    pub(super) fn evaluate(
+        &self,
+        regressors: &DMatrix<f64>,
+        kind: usize,
+    ) -> (DMatrix<f64>, DMatrix<f64>, Vec<(f64, f64)>) {
+        let orthogonal = self.orthogonal(regressors);
+        let inverse = inverse(orthogonal.tr_mul(&orthogonal), self.prior);
+        (orthogonal, inverse, self.held_out_squares(regressors, kind))
+    }
+
+    /// Held-out squares without and with these regressors, by fold.
+    pub(super) fn held_out_squares(
+        &self,
+        regressors: &DMatrix<f64>,
+        kind: usize,
+    ) -> Vec<(f64, f64)> {
+        let all = DMatrix::from_columns(
+            &self
+                .linearisation
+                .fixed()
+                .column_iter()
+                .chain(regressors.column_iter())
+                .collect::<Vec<_>>(),
+        );
+        let parts = self.parts[kind].iter().max().map_or(0, |last| last + 1);
+        let size = all.ncols();
+        let mut sums = vec![(DMatrix::zeros(size, size), DVector::zeros(size), 0.0); parts];
+        let mut by_part: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+        for (row, part) in self.parts[kind].iter().enumerate() {
+            by_part.entry(*part).or_default().extend(3 * row..3 * row + 3);
+        }
+        for (part, entries) in by_part {
+            let own = all.select_rows(&entries);
+            let residual = self.linearisation.residual().select_rows(&entries);
+            sums[part] = (own.tr_mul(&own), own.tr_mul(&residual), residual.norm_squared());
+        }
+        let base = self.linearisation.fixed().ncols();
+        let one = |k: usize| {
+            let mut normal = DMatrix::zeros(size, size);
+            let mut right = DVector::zeros(size);
+            for (i, (n, r, _)) in sums.iter().enumerate() {
+                if i != k {
+                    normal += n;
+                    right += r;
+                }
+            }
+            let scored = |count: usize| {
+                let n = normal.view((0, 0), (count, count)).into_owned();
+                let x = inverse(n, self.prior) * right.rows(0, count);
+                let own = sums[k].0.view((0, 0), (count, count));
+                sums[k].2 - 2.0 * x.dot(&sums[k].1.rows(0, count)) + x.dot(&(own * &x))
+            };
+            (scored(base), scored(size))
+        };
+        (0..parts).map(one).collect()
+    }
+}
+
+/// Inverse of normal equations with a prior of one width on each parameter.
+fn inverse(mut normal: DMatrix<f64>, prior: f64) -> DMatrix<f64> {
+    for i in 0..normal.nrows() {
+        normal[(i, i)] += prior;
+    }
+    let size = normal.nrows();
+    normal.cholesky().map_or_else(|| DMatrix::zeros(size, size), |factor| factor.inverse())
+}

@@ -1,0 +1,164 @@
+//! Fit of one sensor, step by step.
+//!
+//! Fourteen parameters describe a sensor, effects add theirs, and a recording seldom determines all of them: a
+//! larger gap resembles a weaker magnet, a tilted magnet a shifted one. So a prior as wide as the manufacturing
+//! tolerances is always included, and the weight of the data is lowered by the variance inflation of
+//! autocorrelated or structured residuals ([`noise_inflation`]).
+//!
+//! Directions of the parameter space whose standard error exceeds half a prior width are not identifiable and
+//! stay at their start. They are determined once, on all recordings; values are fitted anew in each fold.
+
+use nalgebra::{DMatrix, DVector, Vector3};
+
+use crate::fit::block_bootstrap::{self, Block};
+use crate::fit::cross_validation::{ErrorSums, Fold, RowRange, all_rows, time_slices};
+use crate::fit::identifiability::{FreeDirections, noise_inflation};
+use crate::fit::problem::SensorProblem;
+use crate::fit::rows::SensorRows;
+use crate::fit::solver::{COARSE_TOLERANCE, FINE_TOLERANCE, minimise, weighted_jacobian};
+use crate::fit::{FitError, FitOptions};
+
+/// Variance inflation of the first round, before the residuals are known.
+const FIRST_INFLATION: f64 = 1e4;
+
+/// Solution of one sensor.
+#[derive(Clone, Debug)]
+pub struct SensorSolution {
+    /// Solution in scaled parameters.
+    pub scaled: DVector<f64>,
+    /// Weight of each axis after variance inflation.
+    pub weights: Vector3<f64>,
+    /// Free directions.
+    pub space: FreeDirections,
+    /// Block length in seconds.
+    pub length_s: f64,
+    /// Normal equations at the solution, in blocks of time.
+    pub blocks: Vec<Block>,
+}
+
+/// Fit from the nominal design: with a low weight of the data to obtain residuals, then with the proper weight,
+/// last with unidentifiable directions fixed.
+pub fn fit_from_nominal(problem: &SensorProblem) -> Result<SensorSolution, FitError> {
+    let whole = FreeDirections::except(&problem.preset(), problem.parameters.len());
+    let start = DVector::zeros(problem.parameters.len());
+    let all = all_rows(problem.rows);
+    let low = problem.weights / FIRST_INFLATION.sqrt();
+    let first = minimise(problem, &all, low, &whole, &start, COARSE_TOLERANCE)?;
+    let (_, blocks) = linearised(problem, &first);
+    let second = minimise(
+        problem,
+        &all,
+        problem.weights / noise_inflation(&blocks).sqrt(),
+        &whole,
+        &first,
+        COARSE_TOLERANCE,
+    )?;
+    fit_identifiable(problem, &second, &[])
+}
+
+/// Fit from a nearby start with all directions free.
+pub fn fit_all_free(
+    problem: &SensorProblem,
+    start: &DVector<f64>,
+) -> Result<DVector<f64>, FitError> {
+    let whole = FreeDirections::except(&problem.preset(), problem.parameters.len());
+    let all = all_rows(problem.rows);
+    let mut scaled = start.clone();
+    for _ in 0..2 {
+        let (_, blocks) = linearised(problem, &scaled);
+        let weights = problem.weights / noise_inflation(&blocks).sqrt();
+        scaled = minimise(problem, &all, weights, &whole, &scaled, COARSE_TOLERANCE)?;
+    }
+    Ok(scaled)
+}
+
+/// Fit from a close start with new weights and free directions. `frozen` parameters keep their values.
+pub fn fit_identifiable(
+    problem: &SensorProblem,
+    start: &DVector<f64>,
+    frozen: &[usize],
+) -> Result<SensorSolution, FitError> {
+    let (_, blocks) = linearised(problem, start);
+    let weights = problem.weights / noise_inflation(&blocks).sqrt();
+    let frozen: Vec<usize> = frozen.iter().copied().chain(problem.preset()).collect();
+    let space = FreeDirections::from_data(&blocks, &problem.parameters, &frozen);
+    if space.free.ncols() == 0 {
+        return Err(FitError::NotConverged {
+            sensor: problem.rows.sensor,
+            reason: "these recordings do not determine any of its parameters".to_owned(),
+        });
+    }
+    let all = all_rows(problem.rows);
+    let scaled = minimise(problem, &all, weights, &space, start, FINE_TOLERANCE)?;
+    let (length_s, blocks) = linearised(problem, &scaled);
+    Ok(SensorSolution { scaled, weights, space, length_s, blocks })
+}
+
+impl SensorSolution {
+    /// Fit of other rows, with the same weights and directions.
+    pub fn refit(
+        &self,
+        problem: &SensorProblem,
+        training: &[RowRange],
+        start: &DVector<f64>,
+    ) -> Result<DVector<f64>, FitError> {
+        minimise(problem, training, self.weights, &self.space, start, FINE_TOLERANCE)
+    }
+
+    /// The same with these frozen parameters freed.
+    pub fn with_freed(&self, parameters: &[usize]) -> Self {
+        Self { space: self.space.with_freed(parameters), ..self.clone() }
+    }
+
+    /// Covariance of the scaled parameters.
+    pub fn covariance(&self, options: FitOptions) -> DMatrix<f64> {
+        self.space.covariance(&self.blocks, options)
+    }
+}
+
+/// Adds the errors of the model over some rows.
+pub fn add_errors(
+    tally: &mut ErrorSums,
+    problem: &SensorProblem,
+    ranges: &[RowRange],
+    scaled: &DVector<f64>,
+) {
+    // Each recording is evaluated once for all its row ranges.
+    for ranges in ranges.chunk_by(|a, b| a.part == b.part) {
+        let Some(place) = ranges.iter().find(|s| !s.rows.is_empty()) else {
+            continue;
+        };
+        let part = &problem.rows.parts[place.part];
+        let linear = problem.linearise(place.part, scaled);
+        for row in ranges.iter().flat_map(|range| range.rows.clone()) {
+            let residual = part.field_g[row] - linear.fields[row];
+            tally.add(part, residual, problem.rows.slopes(&linear.per_newton[row]));
+        }
+    }
+}
+
+/// Held-out errors of a fold.
+pub fn held_out_errors(problem: &SensorProblem, fold: &Fold, scaled: &DVector<f64>) -> ErrorSums {
+    let mut tally = ErrorSums::default();
+    add_errors(&mut tally, problem, &fold.test, scaled);
+    tally
+}
+
+/// Block length and normal equations in blocks of time.
+fn linearised(problem: &SensorProblem, scaled: &DVector<f64>) -> (f64, Vec<Block>) {
+    let rows: &SensorRows = problem.rows;
+    let evaluated: Vec<(DMatrix<f64>, Vec<f64>)> = (0..rows.parts.len())
+        .map(|part| weighted_jacobian(problem, part, scaled, &problem.weights))
+        .collect();
+    let length_s = block_bootstrap::block_length_s(rows, |part, axis| {
+        evaluated[part].1.iter().skip(axis).step_by(3).copied().collect()
+    });
+    let mut list = Vec::new();
+    for (part, (jacobian, residuals)) in rows.parts.iter().zip(&evaluated) {
+        for range in time_slices(&part.time_s, length_s) {
+            let rows = 3 * range.start..3 * range.end;
+            list.push(Block::of(jacobian.rows_range(rows.clone()), &residuals[rows]));
+        }
+    }
+    (length_s, list)
+}

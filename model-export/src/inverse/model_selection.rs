@@ -1,0 +1,204 @@
+//! Selection of centres, width and ridge by held-out error of the device's own arithmetic.
+//!
+//! All sensors have the same hyperparameters, since they share the exponential table and the computing time.
+//! Models that the device cannot represent are no candidates.
+
+use firmware::config::constants;
+use nalgebra::Vector3;
+use rayon::prelude::*;
+
+use crate::inverse::grbf::{
+    FieldSample, Grbf, GrbfShape, force_errors, held_out_samples, training_samples,
+};
+use crate::inverse::parity::ParitySurface;
+use crate::inverse::quantise::{TableOverflow, TableSet, representable};
+use crate::inverse::static_model::{DesignBox, StaticModel};
+
+/// Seed of the validation samples.
+const SELECTION_SEED: u64 = 11;
+/// Seed of the test samples.
+const TEST_SEED: u64 = 12;
+/// Number of validation and test samples.
+const SAMPLES: usize = 1500;
+
+/// Target error over both forces, relative to the noise of one reading; below it fewer centres are preferred.
+const TARGET_ERROR: f64 = 1.0 / 3.0;
+
+/// Maximum root mean square rounding error of either force, relative to the noise of one reading.
+const MAX_ROUNDING: f64 = 0.07;
+
+/// Candidate numbers of centres along each axis, ascending.
+const CENTRES_ACROSS: [usize; 5] = [4, 5, 6, 7, 8];
+/// Candidate widths in spacings of the centres.
+const WIDTHS: [f64; 5] = [1.0, 1.4, 2.0, 2.8, 4.0];
+/// Candidate ridge penalties.
+const RIDGES: [f64; 6] = [1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8];
+
+/// Selected models with their errors.
+#[derive(Clone, Debug)]
+pub struct SelectedModels {
+    /// Selected hyperparameters.
+    pub shape: GrbfShape,
+    /// Forward models, one for each sensor.
+    pub forward: Vec<StaticModel>,
+    /// Inverse models in floating point, one for each sensor.
+    pub models: Vec<Grbf>,
+    /// Tables for the device.
+    pub tables: TableSet,
+    /// Errors of each sensor on test samples.
+    pub errors: Vec<InverseErrors>,
+    /// Linear models for comparison.
+    pub linear: Vec<Grbf>,
+    /// Surfaces of the fields, one for each sensor.
+    pub surfaces: Vec<ParitySurface>,
+}
+
+/// Errors of one sensor's inverse over the box in newtons, for Fx and Fz: root mean square and maximum.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct InverseErrors {
+    /// Floating point against the forward model.
+    pub model: ([f64; 2], [f64; 2]),
+    /// Fixed point against floating point.
+    pub fixed: ([f64; 2], [f64; 2]),
+    /// Linear model against the forward model.
+    pub linear: ([f64; 2], [f64; 2]),
+}
+
+struct SensorData<'a> {
+    model: &'a StaticModel,
+    design: DesignBox,
+    training: Vec<FieldSample>,
+    validation: Vec<FieldSample>,
+}
+
+/// Selects common hyperparameters and fits the models of all sensors.
+pub fn select_models(
+    models: &[StaticModel],
+    numbers: &[u32],
+    id: u16,
+    gauss_per_lsb: f64,
+    range_gauss: f64,
+) -> Result<SelectedModels, TableOverflow> {
+    let sensors: Vec<SensorData> = models
+        .par_iter()
+        .map(|model| {
+            let (_, design) = DesignBox::of(model).device_scale(gauss_per_lsb);
+            SensorData {
+                model,
+                design,
+                training: training_samples(model, &design),
+                validation: held_out_samples(model, &design, SAMPLES, SELECTION_SEED),
+            }
+        })
+        .collect();
+    let fit_all = |shape: GrbfShape| -> Option<Vec<Grbf>> {
+        let fit = |s: &SensorData| Grbf::fit(s.model, &s.design, shape, &s.training, representable);
+        sensors.iter().map(fit).collect()
+    };
+    let noise_n = noise_n(models);
+    let build = |models: &[Grbf]| TableSet::build(id, models, numbers, gauss_per_lsb, range_gauss);
+    // Error of a candidate over all sensors; `None` where the device cannot represent it.
+    let evaluate = |models: &[Grbf]| -> Option<f64> {
+        let tables = build(models).ok()?;
+        let mut worst = 0.0_f64;
+        for (i, (sensor, model)) in sensors.iter().zip(models).enumerate() {
+            let fixed = |field: &_| tables.force(i, field, gauss_per_lsb);
+            let float = float_samples(model, &sensor.validation[..SAMPLES / 5]);
+            let (rounding, _) = force_errors(&float, fixed);
+            if rounding.iter().any(|rms| *rms > MAX_ROUNDING * noise_n) {
+                return None;
+            }
+            let (rms, _) = force_errors(&sensor.validation, fixed);
+            worst = worst.max(rms[0].hypot(rms[1]));
+        }
+        Some(worst)
+    };
+    let candidates = |shape: GrbfShape| -> Vec<(GrbfShape, f64)> {
+        let fit = |s: &SensorData| {
+            Grbf::fit_ridges(s.model, &s.design, shape, &RIDGES, &s.training, representable)
+        };
+        let fitted: Vec<Vec<Option<Grbf>>> = sensors.iter().map(fit).collect();
+        let candidate = |(i, ridge): (usize, &f64)| {
+            let models: Vec<Grbf> = fitted.iter().map(|of| of[i].clone()).collect::<Option<_>>()?;
+            let shape = GrbfShape { ridge: *ridge, ..shape };
+            Some((shape, evaluate(&models)?))
+        };
+        RIDGES.iter().enumerate().filter_map(candidate).collect()
+    };
+    let mut tried: Vec<(GrbfShape, f64)> = Vec::new();
+    for centres_across in CENTRES_ACROSS {
+        tried.par_extend(widths(centres_across).into_par_iter().flat_map_iter(candidates));
+        // More centres would not be selected.
+        if tried.iter().any(|(_, error)| *error <= TARGET_ERROR * noise_n) {
+            break;
+        }
+    }
+    let best = tried.iter().min_by(|a, b| a.1.total_cmp(&b.1)).copied();
+    let enough = tried.iter().filter(|(_, error)| *error <= TARGET_ERROR * noise_n);
+    let smallest = enough.min_by(|a, b| {
+        (a.0.centres_across, a.1)
+            .partial_cmp(&(b.0.centres_across, b.1))
+            .unwrap_or(std::cmp::Ordering::Equal)
+    });
+    let linear_shape = GrbfShape { centres_across: 0, gamma: 1.0, ridge: 0.0 };
+    let (shape, _) = smallest.copied().or(best).unwrap_or((linear_shape, f64::NAN));
+    let (Some(chosen), Some(linear)) = (fit_all(shape), fit_all(linear_shape)) else {
+        return Err(TableOverflow {
+            sensor: 0,
+            row: "every row".to_owned(),
+            value: f64::NAN,
+            format: "any shape".to_owned(),
+            advice: "the field of this model does not determine the forces: check its parameters",
+        });
+    };
+    let tables = build(&chosen)?;
+    let errors = sensors.par_iter().enumerate().map(|(i, sensor)| {
+        let samples = held_out_samples(sensor.model, &sensor.design, SAMPLES, TEST_SEED);
+        let float = float_samples(&chosen[i], &samples);
+        InverseErrors {
+            model: force_errors(&samples, |field| chosen[i].force(field)),
+            fixed: force_errors(&float, |field| tables.force(i, field, gauss_per_lsb)),
+            linear: force_errors(&samples, |field| linear[i].force(field)),
+        }
+    });
+    Ok(SelectedModels {
+        shape,
+        errors: errors.collect(),
+        surfaces: sensors
+            .par_iter()
+            .map(|sensor| ParitySurface::of(sensor.model, &sensor.design))
+            .collect(),
+        forward: models.to_vec(),
+        models: chosen,
+        tables,
+        linear,
+    })
+}
+
+/// Noise of one reading over both forces, in newtons, root mean square over the sensors.
+fn noise_n(models: &[StaticModel]) -> f64 {
+    let square = |model: &StaticModel| {
+        let noise_n = |derivative: Vector3<f64>| constants::SENSOR_NOISE.value / derivative.norm();
+        let squares = model.per_newton([0.0; 2]).map(|one| noise_n(one).powi(2));
+        squares.iter().sum::<f64>()
+    };
+    let sum: f64 = models.iter().map(square).sum();
+    (sum / models.len().max(1) as f64).sqrt()
+}
+
+/// The same fields with the forces of the floating point model.
+fn float_samples(model: &Grbf, samples: &[FieldSample]) -> Vec<FieldSample> {
+    let force =
+        |sample: &FieldSample| FieldSample { force_n: model.force(&sample.field_g), ..*sample };
+    samples.iter().map(force).collect()
+}
+
+/// Candidates with one number of centres; the ridge is open.
+fn widths(centres_across: usize) -> Vec<GrbfShape> {
+    let spacing = 2.0 / (centres_across - 1) as f64;
+    let shape = |width: &f64| {
+        let sigma = width * spacing;
+        GrbfShape { centres_across, gamma: 0.5 / (sigma * sigma), ridge: f64::NAN }
+    };
+    WIDTHS.iter().map(shape).collect()
+}

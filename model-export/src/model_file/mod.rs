@@ -1,0 +1,349 @@
+//! `model.toml`: a fitted model with standard errors, nominal design and provenance, human-readable. The device
+//! uses exported tables instead.
+
+use std::path::Path;
+
+use firmware::config::constants::{self, FORCE_RANGE};
+use serde::{Deserialize, Serialize};
+
+use crate::effects::EffectTerm;
+use crate::fit::campaign::FitSetup;
+use crate::fit::joint::{JointFit, SensorFit};
+use crate::fit::parameters::{self, PARAMETERS};
+use crate::fit::{CampaignFits, FitError, FitOptions};
+use crate::output::write_output;
+use crate::physics::ForwardModel;
+use crate::recordings::campaign::fingerprint;
+use crate::recordings::description::{NominalDesign, parse_toml};
+use crate::recordings::error::ErrorKind;
+use crate::recordings::recording::recording_name;
+use crate::recordings::units::round_significant;
+use crate::recordings::{Campaign, DataError, Location};
+
+mod effects;
+mod predictor;
+mod sensor;
+
+pub use effects::{EffectModel, SensorEffect};
+pub use predictor::{FieldPrediction, Predictor};
+pub use sensor::{
+    FittedValue, HeldOutError, PolynomialTable, SensorModel, UnidentifiableCombination,
+};
+
+/// Format version.
+pub const FORMAT: i64 = 1;
+
+/// First line of every model file.
+pub const SIGNATURE: &str = "# A magpie model, written by `magpie fit`.";
+
+/// Fitted model of one gripper.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ModelFile {
+    /// Format version, [`FORMAT`].
+    pub format: i64,
+    /// Base model of the field.
+    pub base: BaseKind,
+    /// Source of the numbers.
+    pub provenance: Provenance,
+    /// Scale and range of the Hall sensors.
+    pub sensor_scale: SensorScale,
+    /// Nominal design; absent with the polynomial base.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub design: Option<NominalDesign>,
+    /// One entry for each sensor.
+    #[serde(rename = "sensor")]
+    pub sensors: Vec<SensorModel>,
+    /// Effects in addition to the base.
+    #[serde(default, rename = "effect", skip_serializing_if = "Vec::is_empty")]
+    pub effects: Vec<EffectModel>,
+}
+
+/// Base model of the field.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum BaseKind {
+    /// Closed-form magnet on two flexures.
+    Cylinder,
+    /// Polynomial of the forces.
+    Polynomial,
+}
+
+impl ModelFile {
+    /// Design force of each axis, either sign, in newtons; without a design the nominal gripper's.
+    pub fn force_range_n(&self) -> f64 {
+        let design = self.design.as_ref();
+        design.map_or(FORCE_RANGE.value, NominalDesign::force_range_n)
+    }
+
+    /// The model of a fit without effects.
+    pub fn of(campaign: &Campaign, fits: &CampaignFits, provenance: Provenance) -> Self {
+        let (base, design, sensors) = match fits {
+            CampaignFits::Cylinder(design, fit) => (
+                BaseKind::Cylinder,
+                Some(design.clone()),
+                fit.sensors.iter().map(|fit| SensorModel::of_cylinder(fit, &fit.values)).collect(),
+            ),
+            CampaignFits::Polynomial(fits) => {
+                (BaseKind::Polynomial, None, fits.iter().map(SensorModel::of_polynomial).collect())
+            }
+        };
+        Self {
+            format: FORMAT,
+            base,
+            provenance,
+            sensor_scale: SensorScale::of(campaign),
+            design,
+            sensors,
+            effects: Vec::new(),
+        }
+    }
+
+    /// The model of a fit with effects.
+    pub fn with_effects(
+        campaign: &Campaign,
+        prepared: &FitSetup,
+        fit: &JointFit,
+        effects: &[EffectTerm],
+        provenance: Provenance,
+    ) -> Self {
+        let sensor = |(i, fit): (usize, &SensorFit)| match prepared.polynomials.get(i) {
+            None => SensorModel::of_cylinder(fit, &fit.values),
+            Some(start) => SensorModel::of_polynomial_with_effects(start, fit),
+        };
+        Self {
+            format: FORMAT,
+            base: if prepared.design.is_some() { BaseKind::Cylinder } else { BaseKind::Polynomial },
+            provenance,
+            sensor_scale: SensorScale::of(campaign),
+            design: prepared.design.clone(),
+            sensors: fit.sensors.iter().enumerate().map(sensor).collect(),
+            effects: EffectModel::all_of(fit, effects, campaign.recordings.len()),
+        }
+    }
+
+    /// Degree of the polynomials; `None` with the cylinder base.
+    pub fn degree(&self) -> Option<usize> {
+        Some(self.sensors.first()?.polynomial.as_ref()?.degree)
+    }
+
+    /// Whether any polynomial depends on a lateral and on a longitudinal force (see
+    /// [`EffectTerm::for_polynomial`]); `None` with the cylinder base.
+    pub fn force_axes(&self) -> Option<[bool; 2]> {
+        let forces = self.sensors.iter().filter_map(|s| s.polynomial.as_ref());
+        let forces: Vec<&String> = forces.flat_map(|table| &table.forces).collect();
+        let any = |end: &str| forces.iter().any(|name| name.ends_with(end));
+        (self.base == BaseKind::Polynomial).then(|| [any("_x_n"), any("_z_n")])
+    }
+
+    /// The effects, validated.
+    pub fn effect_terms(&self, path: &Path) -> Result<Vec<EffectTerm>, DataError> {
+        let axes = self.force_axes();
+        let term = |effect: &EffectModel| {
+            effect.term(axes).map_err(|advice| {
+                let kind = ErrorKind::bad_value(effect.name.as_str(), advice);
+                kind.at(Location::file(path).column("effect"))
+            })
+        };
+        self.effects.iter().map(term).collect()
+    }
+
+    /// Reads and validates a model file.
+    pub fn read(path: &Path) -> Result<Self, DataError> {
+        if path.is_dir() {
+            return Err(ErrorKind::ModelIsFolder.at(Location::file(path)));
+        }
+        let text = std::fs::read_to_string(path)
+            .map_err(|error| ErrorKind::Unreadable(error).at(Location::file(path)))?;
+        let is_model =
+            |table: &toml::Table| table.contains_key("base") && table.contains_key("sensor");
+        if text.parse::<toml::Table>().is_ok_and(|table| !is_model(&table)) {
+            return Err(ErrorKind::NotAModel.at(Location::file(path)));
+        }
+        let model: Self = parse_toml(path, &text)?;
+        if model.format != FORMAT {
+            let advice = format!("this tool reads format = {FORMAT}: repeat the fit");
+            let kind = ErrorKind::bad_value(model.format.to_string(), advice);
+            return Err(kind.at(Location::file(path).column("format")));
+        }
+        model.check(path)?;
+        Ok(model)
+    }
+
+    fn check(&self, path: &Path) -> Result<(), DataError> {
+        let location = |key: String| Location::file(path).column(key);
+        let bad = |key: String, found: String, advice: &str| {
+            Err(ErrorKind::bad_value(found, advice).at(location(key)))
+        };
+        if self.base == BaseKind::Cylinder && self.design.is_none() {
+            let example = "the [design] table of the recordings";
+            return Err(ErrorKind::MissingKey { example }.at(location("design".to_owned())));
+        }
+        let scale = [
+            ("sensor_scale.gauss_per_lsb", self.sensor_scale.gauss_per_lsb),
+            ("sensor_scale.range_gauss", self.sensor_scale.range_gauss),
+        ];
+        let design = self.design.as_ref().map_or_else(Vec::new, NominalDesign::positive_values);
+        for (key, value) in scale.into_iter().chain(design) {
+            if !(value.is_finite() && value > 0.0) {
+                return bad(
+                    key.to_owned(),
+                    value.to_string(),
+                    "give a positive number, or repeat the fit",
+                );
+            }
+        }
+        for (i, sensor) in self.sensors.iter().enumerate() {
+            let key = |name: &str| format!("{name} of sensor {}", sensor.number);
+            if self.sensors.iter().take(i).any(|other| other.number == sensor.number) {
+                return bad(
+                    key("number"),
+                    sensor.number.to_string(),
+                    "duplicate number: use the sensor numbers of the recordings",
+                );
+            }
+            if self.base == BaseKind::Polynomial {
+                if sensor.polynomial().is_none() {
+                    return bad(
+                        key("polynomial"),
+                        "a table inconsistent with its degree".to_owned(),
+                        "repeat the fit",
+                    );
+                }
+                continue;
+            }
+            for parameter in &PARAMETERS {
+                let Some(value) = sensor.parameters.get(parameter.name).map(|value| value.value)
+                else {
+                    let example = "it in the form written by `magpie fit`, or repeat the fit";
+                    return Err(ErrorKind::MissingKey { example }.at(location(key(parameter.name))));
+                };
+                let must_be_positive =
+                    parameter.name == "gap" || parameter.name.starts_with("stiffness");
+                let is_zero_remanence = parameter.name == "remanence" && value == 0.0;
+                if !value.is_finite() || (must_be_positive && value <= 0.0) || is_zero_remanence {
+                    return bad(
+                        key(parameter.name),
+                        value.to_string(),
+                        "correct it, or repeat the fit",
+                    );
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes the file; see [`write_output`].
+    pub fn write(&self, path: &Path) -> Result<(), DataError> {
+        let text = toml::to_string(self)
+            .map(|text| format!("{SIGNATURE}\n{text}"))
+            .map_err(|error| ErrorKind::Toml(error.to_string()).at(Location::file(path)))?;
+        write_output(path, text.as_bytes(), SIGNATURE)
+    }
+
+    /// Standard deviation in gauss of a sensor's residual that no force explains; without it, the held-out
+    /// RMS error of the axis.
+    pub fn residual_sigma(&self, number: u32, axis: usize) -> f64 {
+        let sensor = self.sensors.iter().find(|sensor| sensor.number == number);
+        let of_axis = |sensor: &SensorModel| sensor.held_out.get(axis).map(|score| score.rms_g);
+        let sigma_g =
+            sensor.and_then(|sensor| sensor.parity_residual_g.or_else(|| of_axis(sensor)));
+        sigma_g.filter(|sigma_g| sigma_g.is_finite()).unwrap_or(0.0)
+    }
+
+    /// The forward model of one sensor; `None` for a polynomial or an unknown sensor.
+    pub fn forward(&self, number: u32) -> Option<ForwardModel> {
+        let nominal = ForwardModel::nominal(self.design.as_ref()?);
+        let sensor = self.sensors.iter().find(|sensor| sensor.number == number)?;
+        let mut values = parameters::values(&nominal);
+        for (value, parameter) in values.iter_mut().zip(&PARAMETERS) {
+            *value = sensor.parameters.get(parameter.name)?.value;
+        }
+        Some(parameters::with_values(&nominal, &values))
+    }
+}
+
+/// Rounds to ten digits: far below any standard error, and independent of the processor's last bits.
+fn digits(value: f64) -> f64 {
+    round_significant(value, 10)
+}
+
+/// Source of a model's numbers.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Provenance {
+    /// Name of the campaign's folder.
+    pub campaign: String,
+    /// Fitted recordings.
+    pub recordings: Vec<FittedRecording>,
+    /// Number of aligned rows of all recordings.
+    pub rows: usize,
+    /// Half the averaging window in milliseconds.
+    pub half_window_ms: f64,
+    /// Assumed delay of the reference in milliseconds.
+    pub delay_ms: f64,
+    /// Random seed of the bootstrap.
+    pub seed: u64,
+    /// Name and version of the tool.
+    pub tool: String,
+}
+
+/// Identification of a fitted recording.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FittedRecording {
+    /// Name of the folder.
+    pub name: String,
+    /// SHA-256 over the files.
+    pub sha256: String,
+    /// Date of the recording, if stated.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub recorded: Option<String>,
+}
+
+impl Provenance {
+    /// The provenance of a fit of `campaign` with these options.
+    pub fn of(campaign: &Campaign, delay_us: f64, options: FitOptions) -> Result<Self, FitError> {
+        let absolute = campaign.folder.canonicalize().unwrap_or_else(|_| campaign.folder.clone());
+        let half_widths = campaign.recordings.iter().map(|r| r.half_width_s);
+        Ok(Self {
+            campaign: recording_name(&absolute),
+            recordings: campaign
+                .recordings
+                .iter()
+                .map(|recording| {
+                    Ok(FittedRecording {
+                        name: recording.name.clone(),
+                        sha256: fingerprint(&recording.folder)?,
+                        recorded: recording.description.recorded.clone(),
+                    })
+                })
+                .collect::<Result<_, DataError>>()?,
+            rows: campaign.recordings.iter().map(|r| r.time_s.len()).sum(),
+            half_window_ms: 1e3 * half_widths.fold(0.0, f64::max),
+            delay_ms: 1e-3 * delay_us,
+            seed: options.seed,
+            tool: format!("magpie {}", env!("CARGO_PKG_VERSION")),
+        })
+    }
+}
+
+/// Conversion from counts to gauss.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SensorScale {
+    /// Gauss per count.
+    pub gauss_per_lsb: f64,
+    /// Range of each axis in gauss, either sign.
+    pub range_gauss: f64,
+    /// True where the recordings do not state it and the nominal sensor is assumed.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub assumed: bool,
+}
+
+impl SensorScale {
+    /// The scale stated in the recordings, or that of the A31301.
+    pub fn of(campaign: &Campaign) -> Self {
+        let description = campaign.recordings.first().map(|recording| &recording.description);
+        let stated = description.and_then(|d| d.gauss_per_lsb.zip(d.range_gauss));
+        let (gauss_per_lsb, range_gauss) =
+            stated.unwrap_or((constants::SENSOR_SCALE.value, constants::SENSOR_RANGE.value));
+        Self { gauss_per_lsb, range_gauss, assumed: stated.is_none() }
+    }
+}

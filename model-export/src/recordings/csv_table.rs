@@ -1,0 +1,369 @@
+//! Streaming reader of numeric `.csv` and `.csv.gz` tables: cells, row lengths and the clock are validated.
+
+use std::collections::VecDeque;
+use std::fs::File;
+use std::io::{Read, Seek};
+use std::path::{Path, PathBuf};
+
+use crate::recordings::error::{DataError, ErrorKind, Location, Notice};
+
+/// A row of numbers; an empty cell is NaN.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CsvRow {
+    /// Line in the file, the header being line 1.
+    pub line: u64,
+    /// Values in the order of the header.
+    pub cells: Vec<f64>,
+}
+
+/// First two bytes of every gzip file (RFC 1952).
+const GZIP_MAGIC: [u8; 2] = [0x1F, 0x8B];
+
+/// Admissible contents of a column.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CellRule {
+    /// A number in every row.
+    Number,
+    /// A number, or empty (NaN).
+    Optional,
+    /// Not parsed; NaN.
+    Ignored,
+}
+
+/// An open table. Memory use is independent of the length of the file.
+pub struct CsvTable {
+    path: PathBuf,
+    reader: csv::Reader<Box<dyn Read + Send>>,
+    header: Vec<String>,
+    record: csv::ByteRecord,
+    time_column: usize,
+    rules: Vec<CellRule>,
+    previous: Option<CsvRow>,
+    /// Rows that were read ahead of [`CsvTable::next_row`].
+    buffered: VecDeque<CsvRow>,
+}
+
+impl CsvTable {
+    /// Opens `folder/name.csv` or `folder/name.csv.gz`.
+    ///
+    /// # Errors
+    /// Neither or both exist, or the header is invalid.
+    pub fn open(folder: &Path, name: &'static str) -> Result<Self, DataError> {
+        let plain = folder.join(name);
+        let compressed = folder.join(format!("{name}.gz"));
+        let path = match (plain.exists(), compressed.exists()) {
+            (true, true) => {
+                return Err(ErrorKind::AmbiguousFile { name }.at(Location::file(folder)));
+            }
+            (true, false) => plain,
+            (false, true) => compressed,
+            (false, false) => {
+                let advice = "a recording consists of hall.csv from the board and force.csv from the reference (each may be gzipped)";
+                return Err(ErrorKind::MissingFile { name, advice }.at(Location::file(folder)));
+            }
+        };
+        Self::open_file(&path)
+    }
+
+    /// Opens one file, decompressing it where its name ends in `.gz`.
+    pub fn open_file(path: &Path) -> Result<Self, DataError> {
+        let unreadable = |error| ErrorKind::Unreadable(error).at(Location::file(path));
+        let mut file = File::open(path).map_err(unreadable)?;
+        let compressed = path.extension().is_some_and(|extension| extension == "gz");
+        if compressed {
+            let mut magic = [0; 2];
+            let length = file.read(&mut magic).map_err(unreadable)?;
+            file.rewind().map_err(unreadable)?;
+            if length == 2 && magic != GZIP_MAGIC {
+                return Err(ErrorKind::NotGzip.at(Location::file(path)));
+            }
+        }
+        let input: Box<dyn Read + Send> = if compressed {
+            Box::new(flate2::read::MultiGzDecoder::new(file))
+        } else {
+            Box::new(file)
+        };
+        Self::from_reader(path, input)
+    }
+
+    /// Reads from any source; error messages name `path`.
+    pub fn from_reader(path: &Path, input: Box<dyn Read + Send>) -> Result<Self, DataError> {
+        let mut reader = csv::ReaderBuilder::new()
+            .has_headers(false)
+            .flexible(true)
+            .buffer_capacity(1 << 16)
+            .from_reader(input);
+        let mut record = csv::ByteRecord::new();
+        let found = reader
+            .read_byte_record(&mut record)
+            .map_err(|error| read_error(error).at(Location::file(path)))?;
+        if !found {
+            return Err(ErrorKind::Empty.at(Location::file(path)));
+        }
+        let is_text = record.iter().all(|cell| {
+            std::str::from_utf8(cell)
+                .is_ok_and(|cell| !cell.contains(|c: char| c.is_control() && !c.is_whitespace()))
+        });
+        if !is_text {
+            return Err(ErrorKind::NotText.at(Location::file(path).line(1)));
+        }
+        let header: Vec<String> = record
+            .iter()
+            .map(|cell| {
+                let name = String::from_utf8_lossy(cell);
+                name.trim_start_matches('\u{feff}').trim().to_owned()
+            })
+            .collect();
+        if let [only] = header.as_slice()
+            && let Some(separator) = [';', '\t'].into_iter().find(|c| only.contains(*c))
+        {
+            return Err(ErrorKind::WrongSeparator { separator }.at(Location::file(path).line(1)));
+        }
+        for (i, name) in header.iter().enumerate() {
+            if header.get(..i).is_some_and(|before| before.contains(name)) {
+                let place = Location::file(path).line(1).column(name.as_str());
+                return Err(ErrorKind::DuplicateColumn.at(place));
+            }
+        }
+        Ok(Self {
+            path: path.to_path_buf(),
+            reader,
+            rules: vec![CellRule::Number; header.len()],
+            header,
+            record,
+            time_column: 0,
+            previous: None,
+            buffered: VecDeque::new(),
+        })
+    }
+
+    /// Path of the file, for messages.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Names of the columns.
+    pub fn header(&self) -> &[String] {
+        &self.header
+    }
+
+    /// Location of a column in the header.
+    pub fn header_location(&self, column: &str) -> Location {
+        Location::file(&self.path).line(1).column(column)
+    }
+
+    /// Location of a cell.
+    pub fn cell_location(&self, line: u64, column: usize) -> Location {
+        let place = Location::file(&self.path).line(line);
+        match self.header.get(column) {
+            Some(name) => place.column(name.as_str()),
+            None => place,
+        }
+    }
+
+    /// Sets the index of the clock column, and the rule of each column.
+    pub fn set_rules(&mut self, time_column: usize, rules: Vec<CellRule>) {
+        self.time_column = time_column;
+        self.rules = rules;
+    }
+
+    /// Median period of the first thousand rows, in the unit of the clock; the rows are buffered for
+    /// [`CsvTable::next_row`].
+    pub fn median_period(&mut self) -> Result<f64, DataError> {
+        while self.buffered.len() < 1000 {
+            match self.read_row()? {
+                Some(row) => self.buffered.push_back(row),
+                None => break,
+            }
+        }
+        if self.buffered.is_empty() {
+            return Err(ErrorKind::NoRows.at(Location::file(&self.path)));
+        }
+        let times = self.buffered.iter().map(|row| row.cells[self.time_column]);
+        let mut periods: Vec<f64> = times.clone().zip(times.skip(1)).map(|(a, b)| b - a).collect();
+        periods.sort_by(f64::total_cmp);
+        Ok(periods.get(periods.len() / 2).copied().unwrap_or(0.0))
+    }
+
+    /// The next row, without consuming it.
+    pub fn peek(&mut self) -> Result<Option<&CsvRow>, DataError> {
+        if self.buffered.is_empty()
+            && let Some(row) = self.read_row()?
+        {
+            self.buffered.push_back(row);
+        }
+        Ok(self.buffered.front())
+    }
+
+    /// The next row, or `None` at the end.
+    pub fn next_row(&mut self) -> Result<Option<CsvRow>, DataError> {
+        match self.buffered.pop_front() {
+            Some(row) => Ok(Some(row)),
+            None => self.read_row(),
+        }
+    }
+
+    fn read_row(&mut self) -> Result<Option<CsvRow>, DataError> {
+        let line = self.reader.position().line();
+        let found = self
+            .reader
+            .read_byte_record(&mut self.record)
+            .map_err(|error| read_error(error).at(Location::file(&self.path).line(line)))?;
+        if !found {
+            return Ok(None);
+        }
+        let line = self.record.position().map_or(line, csv::Position::line);
+        if self.record.len() != self.header.len() {
+            let kind =
+                ErrorKind::CellCount { found: self.record.len(), expected: self.header.len() };
+            return Err(kind.at(Location::file(&self.path).line(line)));
+        }
+        let mut cells = Vec::with_capacity(self.header.len());
+        for (i, cell) in self.record.iter().enumerate() {
+            let value = parse_cell(cell, self.rules[i])
+                .map_err(|kind| kind.at(self.cell_location(line, i)))?;
+            cells.push(value);
+        }
+        let row = CsvRow { line, cells };
+        self.check_clock(&row)?;
+        match &mut self.previous {
+            Some(previous) => previous.cells.copy_from_slice(&row.cells),
+            None => self.previous = Some(row.clone()),
+        }
+        Ok(Some(row))
+    }
+
+    fn check_clock(&self, row: &CsvRow) -> Result<(), DataError> {
+        let Some(previous) = &self.previous else {
+            return Ok(());
+        };
+        let (before, after) = (previous.cells[self.time_column], row.cells[self.time_column]);
+        let location = || self.cell_location(row.line, self.time_column);
+        if after < before {
+            return Err(ErrorKind::ClockBackwards { before, after }.at(location()));
+        }
+        if after == before {
+            let is_equal =
+                previous.cells.iter().zip(&row.cells).all(|(a, b)| a.to_bits() == b.to_bits());
+            let kind = if is_equal {
+                ErrorKind::DuplicateRow
+            } else {
+                ErrorKind::DuplicateTime { time: after }
+            };
+            return Err(kind.at(location()));
+        }
+        Ok(())
+    }
+}
+
+fn parse_cell(cell: &[u8], rule: CellRule) -> Result<f64, ErrorKind> {
+    let quoted = || String::from_utf8_lossy(cell).trim().chars().take(40).collect::<String>();
+    let trimmed = cell.trim_ascii();
+    match rule {
+        CellRule::Ignored => return Ok(f64::NAN),
+        CellRule::Optional if trimmed.is_empty() => return Ok(f64::NAN),
+        CellRule::Number if trimmed.is_empty() => return Err(ErrorKind::EmptyCell),
+        CellRule::Number | CellRule::Optional => {}
+    }
+    let value: Option<f64> = std::str::from_utf8(trimmed).ok().and_then(|text| text.parse().ok());
+    match value {
+        Some(value) if value.is_finite() => Ok(value),
+        Some(_) => Err(ErrorKind::NotFinite { text: quoted() }),
+        None => Err(ErrorKind::NotANumber { text: quoted() }),
+    }
+}
+
+fn read_error(error: csv::Error) -> ErrorKind {
+    let text = error.to_string();
+    match error.into_kind() {
+        csv::ErrorKind::Io(io) => match io.kind() {
+            std::io::ErrorKind::UnexpectedEof
+            | std::io::ErrorKind::InvalidInput
+            | std::io::ErrorKind::InvalidData => ErrorKind::DamagedGzip(io),
+            _ => ErrorKind::Unreadable(io),
+        },
+        _ => ErrorKind::NotANumber { text },
+    }
+}
+
+/// A step of the clock of more than this many median periods is a gap.
+pub const GAP_STEPS: f64 = 5.0;
+
+/// Gap detection and extent of a clock.
+#[derive(Clone, Debug)]
+pub(super) struct ClockMonitor {
+    period_us: f64,
+    pub(super) rows: u64,
+    pub(super) first_us: f64,
+    pub(super) last_us: f64,
+    /// Line of the last row in the file.
+    pub(super) line: u64,
+    gaps: u64,
+    longest_us: f64,
+    /// Line of the row after the longest gap.
+    longest_line: u64,
+}
+
+impl ClockMonitor {
+    pub(super) fn new(period_us: f64) -> Self {
+        Self {
+            period_us,
+            rows: 0,
+            first_us: f64::NAN,
+            last_us: f64::NAN,
+            line: 0,
+            gaps: 0,
+            longest_us: 0.0,
+            longest_line: 0,
+        }
+    }
+
+    pub(super) fn update(&mut self, row: &CsvRow, t_us: f64) {
+        if self.rows == 0 {
+            self.first_us = t_us;
+        } else {
+            let step = t_us - self.last_us;
+            self.gaps += u64::from(step > GAP_STEPS * self.period_us);
+            if step > self.longest_us {
+                (self.longest_us, self.longest_line) = (step, row.line);
+            }
+        }
+        self.last_us = t_us;
+        self.line = row.line;
+        self.rows += 1;
+    }
+
+    pub(super) fn gap_notice(&self, table: &CsvTable) -> Option<Notice> {
+        let ms = |us: f64| us * 1e-3;
+        (self.gaps > 0).then(|| Notice {
+            location: Location::file(table.path()).line(self.longest_line).column("t_us"),
+            message: format!(
+                "{} in the clock, the longest here: {:.1} ms at a period of {:.1} ms; rows at a gap were excluded: check for lost transfers or a blocked logger",
+                if self.gaps == 1 { "1 gap".to_owned() } else { format!("{} gaps", self.gaps) },
+                ms(self.longest_us),
+                ms(self.period_us),
+            ),
+        })
+    }
+}
+
+/// Below every sensor's period: the clock is in another unit.
+const MIN_PERIOD_US: f64 = 20.0;
+
+/// Median period of a table's clock.
+///
+/// # Errors
+/// The clock is not in microseconds, or the table has no rows.
+pub(super) fn period_us(table: &mut CsvTable, time_column: usize) -> Result<f64, DataError> {
+    let period_us = table.median_period()?;
+    if period_us > 0.0 && period_us < MIN_PERIOD_US {
+        return Err(ErrorKind::ClockUnit { period_us }.at(table.cell_location(2, time_column)));
+    }
+    Ok(period_us)
+}
+
+/// The error of a table without `t_us`.
+pub(super) fn missing_clock(table: &CsvTable) -> DataError {
+    let advice = "every table needs its clock in microseconds: name that column t_us".to_owned();
+    ErrorKind::MissingColumn { advice }.at(table.header_location("t_us"))
+}

@@ -1,0 +1,109 @@
+//! Accepted units and their conversion to the internal unit of each quantity.
+//!
+//! Column names end in the internal unit (`f0_x_n`); import mappings state the unit of the source (`"uT"`).
+
+/// A unit and its conversion to the internal unit `canonical`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Unit {
+    /// Symbol in import mappings, for example `uT`.
+    pub name: &'static str,
+    /// Internal unit: the suffix of column names.
+    pub canonical: &'static str,
+    /// Conversion factor to the internal unit.
+    pub factor: f64,
+}
+
+const fn unit(name: &'static str, canonical: &'static str, factor: f64) -> Unit {
+    Unit { name, canonical, factor }
+}
+
+/// Standard gravity in m/s^2 (CGPM 1901): converts readings of a scale to forces.
+const STANDARD_GRAVITY: f64 = 9.806_65;
+
+/// Units accepted in import mappings.
+pub const UNITS: &[Unit] = &[
+    unit("s", "us", 1e6),
+    unit("ms", "us", 1e3),
+    unit("us", "us", 1.0),
+    unit("ns", "us", 1e-3),
+    unit("lsb", "lsb", 1.0),
+    unit("T", "gauss", 1e4),
+    unit("mT", "gauss", 10.0),
+    unit("uT", "gauss", 0.01),
+    unit("nT", "gauss", 1e-5),
+    unit("G", "gauss", 1.0),
+    unit("gauss", "gauss", 1.0),
+    unit("mG", "gauss", 1e-3),
+    unit("N", "n", 1.0),
+    unit("mN", "n", 1e-3),
+    unit("kN", "n", 1e3),
+    unit("g", "n", 1e-3 * STANDARD_GRAVITY),
+    unit("kg", "n", STANDARD_GRAVITY),
+    unit("kgf", "n", STANDARD_GRAVITY),
+    unit("lbf", "n", 4.448_221_615_260_5),
+    unit("mm", "mm", 1.0),
+    unit("um", "mm", 1e-3),
+    unit("m", "mm", 1e3),
+    unit("degC", "c", 1.0),
+    unit("A", "a", 1.0),
+    unit("mA", "a", 1e-3),
+    unit("rad", "rad", 1.0),
+    unit("deg", "rad", std::f64::consts::PI / 180.0),
+    unit("m/s2", "mps2", 1.0),
+    unit("g0", "mps2", STANDARD_GRAVITY),
+];
+
+/// The unit with this symbol; case-sensitive, since `mT` and `MT` differ.
+pub fn find_unit(name: &str) -> Option<Unit> {
+    UNITS.iter().copied().find(|unit| unit.name == name)
+}
+
+/// Unit suffixes of column names, sorted.
+pub fn column_units() -> Vec<&'static str> {
+    let mut suffixes: Vec<_> = UNITS.iter().map(|unit| unit.canonical).collect();
+    suffixes.sort_unstable();
+    suffixes.dedup();
+    suffixes
+}
+
+/// Unit suffix of a column name.
+pub fn column_unit(column: &str) -> Option<&'static str> {
+    let (_, suffix) = column.rsplit_once('_')?;
+    column_units().into_iter().find(|unit| *unit == suffix)
+}
+
+/// `value` rounded to `digits` significant digits.
+pub fn round_significant(value: f64, digits: usize) -> f64 {
+    format!("{value:.*e}", digits.saturating_sub(1)).parse().unwrap_or(value)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn hundred_microtesla_equal_one_gauss() {
+        let microtesla = find_unit("uT").unwrap();
+        assert_eq!(100.0 * microtesla.factor, 1.0);
+        assert_eq!(microtesla.canonical, "gauss");
+    }
+
+    #[test]
+    fn kilogram_converts_by_standard_gravity() {
+        assert_eq!(find_unit("kg").unwrap().factor, 9.806_65);
+    }
+
+    #[test]
+    fn rounding_preserves_leading_digits_zero_and_infinity() {
+        assert_eq!(round_significant(0.1 + 0.2, 9), 0.3);
+        assert_eq!(round_significant(-123_456.789, 4), -123_500.0);
+        assert_eq!(round_significant(0.0, 9), 0.0);
+        assert!(round_significant(f64::INFINITY, 9).is_infinite());
+    }
+
+    #[test]
+    fn column_unit_is_none_without_a_unit_suffix() {
+        assert_eq!(column_unit("f0_x"), None);
+        assert_eq!(column_unit("f0_x_n"), Some("n"));
+    }
+}
