@@ -108,8 +108,8 @@ pub fn force_table(evaluation: &Evaluation) -> String {
     terminal::right_align(&mut table, 2);
     let rows: u64 = evaluation.fitted.iter().map(|r| r.rows).sum();
     format!(
-        "Force error of the device code in newtons: device minus (linearly interpolated) reference. Noise: the\n\
-         error due to white noise of sensor and reference alone.\n{table}\n\
+        "Force error of the device code in newtons: device minus (linearly interpolated) reference. Noise:\n\
+         the error due to white noise of sensor and reference alone.\n{table}\n\
          {}{}{}{}\n{}{rows} rows, {:.0} times real time on one core (including reading).\n",
         tare_line(&evaluation.fitted),
         tare_warning(evaluation).unwrap_or_default(),
