@@ -9,9 +9,9 @@ use serde_json::{Value, json};
 use crate::analysis::compare::format::{self, AT_FLOOR};
 use crate::analysis::compare::pipeline::compare;
 use crate::analysis::compare::{
-    Attribution, Bin, Comparison, FieldAxisErrors, Finding, ForceAxisErrors, WorstInterval,
+    Attribution, Bin, Comparison, FieldAxisErrors, ForceAxisErrors, WorstInterval,
 };
-use crate::analysis::data_quality::fix;
+use crate::analysis::data_quality::{Finding, fix};
 use crate::analysis::statistics::ErrorStatistics;
 use crate::commands::args::CompareArgs;
 use crate::terminal;

@@ -17,10 +17,9 @@ use model_export::recordings::campaign::recording_folders;
 use model_export::recordings::{Campaign, Notice};
 use serde_json::{Value, json};
 
-use crate::analysis::compare::Finding;
 use crate::analysis::compare::campaign_reader::{check_distinct, read_campaign};
 use crate::analysis::compare::format::AT_FLOOR;
-use crate::analysis::data_quality::scan_files;
+use crate::analysis::data_quality::{Finding, scan_files};
 use crate::commands::args::AlignArgs;
 use crate::terminal;
 

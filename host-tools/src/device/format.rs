@@ -244,11 +244,6 @@ mod tests {
         assert!(status_line(&state, 5.0).ends_with("  silent for 3 s"));
         assert!(status_line(&GripperState::default(), 5.0).ends_with("  no message yet"));
     }
-}
-
-#[cfg(test)]
-mod tests_1 {
-    use super::*;
 
     #[test]
     fn fault_shows_source_and_detail() {

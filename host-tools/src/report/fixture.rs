@@ -2,6 +2,7 @@
 
 use std::f64::consts::PI;
 
+use crate::analysis::data_quality::Finding;
 use crate::analysis::data_quality::fix::repair::Fix;
 use model_export::recordings::Location;
 use model_export::recordings::columns::Axis;

@@ -1,7 +1,8 @@
 use std::time::Instant;
 
 use super::*;
-use crate::analysis::compare::{Envelope, Finding, Trace};
+use crate::analysis::compare::{Envelope, Trace};
+use crate::analysis::data_quality::Finding;
 use crate::report::fixture::{comparison, full};
 
 /// Where a browser's check wants the page; `.ci/report` reads it.

@@ -1,9 +1,8 @@
 //! The verdict of a comparison as text.
 
 use crate::analysis::compare::attribution::MIN_SHARE;
-use crate::analysis::compare::{
-    Attribution, Bin, Comparison, FieldAxisErrors, Finding, ForceAxisErrors,
-};
+use crate::analysis::compare::{Attribution, Bin, Comparison, FieldAxisErrors, ForceAxisErrors};
+use crate::analysis::data_quality::Finding;
 
 /// Residuals up to this factor times the floor are indistinguishable from noise.
 pub const AT_FLOOR: f64 = 1.15;

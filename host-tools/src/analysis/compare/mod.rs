@@ -13,9 +13,8 @@
 
 use std::borrow::Cow;
 
-use crate::analysis::data_quality::fix::repair::Fix;
+use crate::analysis::data_quality::Finding;
 use crate::analysis::statistics::ErrorStatistics;
-use model_export::recordings::Location;
 use model_export::recordings::columns::Axis;
 
 pub mod attribution;
@@ -215,21 +214,6 @@ pub struct Histogram {
     pub edges: Vec<f64>,
     /// Rows per bin.
     pub counts: Vec<u64>,
-}
-
-/// A setup error in the recordings, with evidence and remedy.
-#[derive(Clone, Debug)]
-pub struct Finding {
-    /// Identifier: `clock_backwards`.
-    pub id: &'static str,
-    /// File, line and column, where applicable.
-    pub place: Location,
-    /// What was found, the evidence in numbers, and the remedy, in one sentence.
-    pub message: String,
-    /// True if no further result is valid before it is fixed.
-    pub stops: bool,
-    /// Repair by `--fix`; `None` where it is ambiguous.
-    pub fix: Option<Fix>,
 }
 
 /// A decimated trace that preserves its extremes: minimum and maximum of each interval.

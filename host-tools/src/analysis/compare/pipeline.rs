@@ -8,11 +8,9 @@ use crate::analysis::compare::field_errors::{FieldEvaluation, SensorEvaluation, 
 use crate::analysis::compare::force_errors::evaluate_forces;
 use crate::analysis::compare::pure_error::{drift_at_rest, pure_error};
 use crate::analysis::compare::residual_table::{ResidualTable, residual_map, worst_intervals};
-use crate::analysis::compare::{
-    Attribution, Comparison, FieldAxisErrors, Finding, NoiseFloor, format,
-};
+use crate::analysis::compare::{Attribution, Comparison, FieldAxisErrors, NoiseFloor, format};
 use crate::analysis::data_quality::model_checks::{SensorPrediction, check_against_model};
-use crate::analysis::data_quality::{merge, scan_files};
+use crate::analysis::data_quality::{Finding, merge, scan_files};
 use crate::terminal;
 use anyhow::Result;
 use model_export::effects::{EffectTerm, ExcitationSeries};

@@ -18,9 +18,25 @@ use anyhow::Result;
 use model_export::recordings::campaign::recording_folders;
 use rayon::prelude::*;
 
-use crate::analysis::compare::Finding;
 use crate::analysis::data_quality::checks::CheckContext;
+use crate::analysis::data_quality::fix::repair::Fix;
 use crate::analysis::data_quality::scan::RecordingScan;
+use model_export::recordings::Location;
+
+/// A setup error in the recordings, with evidence and remedy.
+#[derive(Clone, Debug)]
+pub struct Finding {
+    /// Identifier: `clock_backwards`.
+    pub id: &'static str,
+    /// File, line and column, where applicable.
+    pub place: Location,
+    /// What was found, the evidence in numbers, and the remedy, in one sentence.
+    pub message: String,
+    /// True if no further result is valid before it is fixed.
+    pub stops: bool,
+    /// Repair by `--fix`; `None` where it is ambiguous.
+    pub fix: Option<Fix>,
+}
 
 /// Identifiers of all findings, most severe first.
 pub const ORDER: [&str; 16] = [

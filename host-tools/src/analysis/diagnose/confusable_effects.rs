@@ -164,11 +164,6 @@ mod tests {
         assert!(are_confusable(&effect("field_drift"), &effect("creep")));
         assert!(!are_confusable(&effect("field_drift"), &effect("viscous_lag")));
     }
-}
-
-#[cfg(test)]
-mod tests_1 {
-    use super::*;
 
     fn steady(force: impl Fn(f64) -> f64) -> Option<bool> {
         let time_s: Vec<f64> = (0..3000).map(|i| 0.01 * f64::from(i)).collect();

@@ -12,7 +12,7 @@
 //! - [`suggestions`]: the next command.
 //! - [`mod@format`]: texts shared by terminal and report.
 
-use crate::analysis::compare::Finding;
+use crate::analysis::data_quality::Finding;
 use crate::analysis::diagnose::candidates::candidates;
 use crate::analysis::diagnose::forward_selection::forward_selection;
 pub use crate::analysis::diagnose::residuals::EffectShape;

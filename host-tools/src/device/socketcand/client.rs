@@ -181,7 +181,7 @@ mod tests {
             panic!("{packets:?}");
         };
         assert_eq!(beat.counter, 5);
-        let message = crate::device::session::service(1, 2);
+        let message = crate::host_session::service(1, 2);
         bus.send(message).unwrap();
         let frame = serving.join().unwrap();
         assert_eq!(frame, CanFrame::from_bytes(frame_id(DEFAULT_NODE, 4), message.to_bytes()));

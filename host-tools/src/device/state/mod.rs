@@ -279,9 +279,6 @@ impl SensorState {
     }
 }
 
-#[cfg(test)]
-mod tests;
-
 /// Length of the history in seconds.
 pub const HISTORY_S: f64 = 10.0;
 /// Time between two points in seconds.
@@ -372,34 +369,4 @@ mod unit_tests {
 }
 
 #[cfg(test)]
-mod tests_1 {
-    use super::*;
-
-    #[test]
-    fn clock_continues_over_its_overflow() {
-        let mut clock = BoardClock::default();
-        assert_eq!(clock.extend(u32::MAX - 499, 0.0), Some(0xFFFF_FE0C));
-        assert_eq!(clock.extend(500, 0.001), Some(0xFFFF_FE0C + 1000));
-    }
-
-    #[test]
-    fn clock_that_repeats_or_decreases_is_a_restart() {
-        for again in [5_000_000, 4_999_000, 2_000] {
-            let mut clock = BoardClock::default();
-            clock.extend(5_000_000, 10.0);
-            assert_eq!(clock.extend(again, 11.0), None);
-            assert_eq!(clock.extend(again + 1000, 11.0), Some(u64::from(again) + 1000));
-        }
-        // Beyond half the range a backward step looks like a forward step longer than the elapsed time.
-        let mut clock = BoardClock::default();
-        clock.extend(3_000_000_000, 10.0);
-        assert_eq!(clock.extend(2_000, 12.0), None);
-    }
-
-    #[test]
-    fn interruption_as_long_as_the_elapsed_time_is_a_gap() {
-        let mut clock = BoardClock::default();
-        clock.extend(1_000_000, 0.0);
-        assert_eq!(clock.extend(61_000_000, 60.0), Some(61_000_000));
-    }
-}
+mod tests;

@@ -1,6 +1,6 @@
 //! A host on the CAN bus: arms with a nonce, repeats its command, records the board's messages.
 
-use crate::device::session::{HostSession, service};
+use crate::host_session::{HostSession, service};
 use crate::sim::board::can::CanBus;
 use embedded_can::Frame;
 use firmware::protocol::can::CanFrame;

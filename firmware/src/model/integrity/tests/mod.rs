@@ -3,7 +3,7 @@ mod bit_flips;
 use core::array;
 use std::vec::Vec;
 
-use super::*;
+use crate::model::integrity::*;
 use bit_flips::assert_flips_detected;
 
 /// Numbers that differ from each other, so that an omitted or repeated word changes the checksum.

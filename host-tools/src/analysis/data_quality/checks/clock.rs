@@ -1,6 +1,6 @@
 //! Timestamps: `clock_backwards`, `duplicate_rows` (both are errors for the readers), `clock_gap` and `repeated_samples`.
 
-use crate::analysis::compare::Finding;
+use crate::analysis::data_quality::Finding;
 use crate::analysis::data_quality::checks::{Channel, CheckContext, digits, list, percent};
 use crate::analysis::data_quality::fix::repair::{Change, Fix, Repair};
 use crate::analysis::data_quality::scan::sensor::Repeats;

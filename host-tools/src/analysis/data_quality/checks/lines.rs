@@ -1,6 +1,6 @@
 //! `spectral_line`: a periodic disturbance that is not the load.
 
-use crate::analysis::compare::Finding;
+use crate::analysis::data_quality::Finding;
 use crate::analysis::data_quality::scan::spectrum::SpectralLine;
 use crate::analysis::data_quality::scan::{Quantity, RecordingScan};
 

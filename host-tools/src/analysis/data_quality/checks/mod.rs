@@ -11,7 +11,7 @@ use std::collections::{BTreeSet, HashSet};
 
 use model_export::recordings::Location;
 
-use crate::analysis::compare::Finding;
+use crate::analysis::data_quality::Finding;
 
 use crate::analysis::data_quality::scan::{ColumnScan, RecordingScan, TableScan};
 

@@ -1,6 +1,6 @@
 //! Signal quality: `outlier` (rows far from both neighbours) and `coarse_steps` (insufficient resolution).
 
-use crate::analysis::compare::Finding;
+use crate::analysis::data_quality::Finding;
 use crate::analysis::data_quality::checks::{Channel, CheckContext, by_table, clock, digits, verb};
 use crate::analysis::data_quality::scan::channel::FEW;
 use crate::analysis::data_quality::scan::{ColumnScan, Quantity};

@@ -1,6 +1,6 @@
 //! Channels without information: `stuck_channel`, `saturated` and `constant_covariate`.
 
-use crate::analysis::compare::Finding;
+use crate::analysis::data_quality::Finding;
 use crate::analysis::data_quality::checks::{
     Channel, CheckContext, by_table, digits, list, percent, verb,
 };

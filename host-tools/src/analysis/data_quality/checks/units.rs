@@ -2,7 +2,7 @@
 
 use std::f64::consts::{PI, TAU};
 
-use crate::analysis::compare::Finding;
+use crate::analysis::data_quality::Finding;
 use crate::analysis::data_quality::fix::repair::{Change, Fix, Repair};
 use crate::analysis::data_quality::scan::{ColumnScan, Quantity, RecordingScan};
 

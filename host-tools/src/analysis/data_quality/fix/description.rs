@@ -61,7 +61,7 @@ fn decimals(text: &str) -> i32 {
 
 #[cfg(test)]
 mod tests {
-    use super::with_words;
+    use super::*;
 
     #[test]
     fn only_the_description_changes() {
@@ -69,11 +69,6 @@ mod tests {
         let expected = text.replace("\"bench\"", "\"bench (corrected: rows sorted)\"");
         assert_eq!(with_words(text, "rows sorted").unwrap(), expected);
     }
-}
-
-#[cfg(test)]
-mod tests_1 {
-    use super::*;
 
     #[test]
     fn power_of_ten_moves_the_decimal_point() {

@@ -14,7 +14,7 @@ use anyhow::{Context, Result, bail};
 use model_export::recordings::campaign::recording_folders;
 use model_export::recordings::description::RECORDING_FILE;
 
-use crate::analysis::compare::Finding;
+use crate::analysis::data_quality::Finding;
 use crate::analysis::data_quality::fix::repair::{Change, Repair};
 
 /// Writes the campaign to the new folder `to` with every correction that carries a

@@ -6,7 +6,7 @@ use model_export::recordings::align::Alignment;
 use model_export::recordings::{Campaign, Location};
 use rayon::prelude::*;
 
-use crate::analysis::compare::Finding;
+use crate::analysis::data_quality::Finding;
 use crate::analysis::data_quality::checks::{list, percent};
 use crate::analysis::data_quality::model_checks::case::{Case, Names};
 

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use model_export::recordings::Campaign;
 use rayon::prelude::*;
 
-use crate::analysis::compare::Finding;
+use crate::analysis::data_quality::Finding;
 use crate::analysis::data_quality::model_checks::case::{Case, Names};
 use crate::analysis::data_quality::model_checks::description;
 use crate::analysis::data_quality::model_checks::hypothesis::{

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use model_export::recordings::columns::Axis;
 use model_export::recordings::{Campaign, Location};
 
-use crate::analysis::compare::Finding;
+use crate::analysis::data_quality::Finding;
 use crate::analysis::data_quality::checks::{digits, list};
 use crate::analysis::data_quality::fix::repair::{Change, Fix, Repair};
 use crate::analysis::data_quality::model_checks::case::{Names, force_name};

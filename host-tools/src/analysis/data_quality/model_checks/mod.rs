@@ -23,9 +23,8 @@ use model_export::recordings::align::Alignment;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
-use crate::analysis::compare::Finding;
 use crate::analysis::data_quality::model_checks::case::{Case, Names};
-use crate::analysis::data_quality::sort;
+use crate::analysis::data_quality::{Finding, sort};
 
 /// Predicted field in gauss for each row of a track.
 pub type Predict<'a> = &'a (dyn Fn(&ExcitationSeries) -> Vec<Vector3<f64>> + Sync);
