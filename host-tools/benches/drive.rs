@@ -2,10 +2,10 @@
 //! `cargo bench -p host-tools --bench drive [-- --seeds N]`
 
 use firmware::motor::Setpoint;
-use host_tools::sim::closed_loop::grasp_rig::{contact_object, grip_command};
-use host_tools::sim::closed_loop::motor_rig::{self, MotorRig};
-use host_tools::sim::closed_loop::{self, ClosedLoop, ClosedLoopSetup, requirements};
-use host_tools::sim::drivetrain::parameters::{Lead, PlantParameters, SCATTER};
+use sim::closed_loop::grasp_rig::{contact_object, grip_command};
+use sim::closed_loop::motor_rig::{self, MotorRig};
+use sim::closed_loop::{self, ClosedLoop, ClosedLoopSetup, requirements};
+use sim::drivetrain::parameters::{Lead, PlantParameters, SCATTER};
 
 /// Time of the drive that is simulated to see how long that takes.
 const SECONDS: f64 = 20.0;

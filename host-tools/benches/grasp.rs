@@ -1,13 +1,15 @@
 //! The grasp's figures over scattered grippers, on all cores.
 //! `cargo bench -p host-tools --bench grasp [-- --seeds N] [--hours H]`
 
-use host_tools::sim::closed_loop::motor_rig::DriveCase;
-use host_tools::sim::closed_loop::requirements::{
+use analysis::numbers;
+use analysis::progress;
+use report::text::terminal;
+use sim::closed_loop::motor_rig::DriveCase;
+use sim::closed_loop::requirements::{
     FORCES_N, contact_latencies_ms, count_false_contacts, current_limited_peak_n,
     force_bandwidth_hz, force_frequency_response, grasp_statistics, max_overshoot_n, quantile,
 };
-use host_tools::sim::drivetrain::parameters::Lead;
-use host_tools::terminal;
+use sim::drivetrain::parameters::Lead;
 
 /// The first seed: the law's constants were chosen on others.
 const FIRST: u64 = 1001;
@@ -16,7 +18,7 @@ fn main() {
     let seeds = argument("--seeds", 1000.0) as u64;
     let hours = argument("--hours", 10.0);
     let all = FIRST..FIRST + seeds;
-    let bar = terminal::progress_bar("gripping", 2 * FORCES_N.len() * seeds as usize);
+    let bar = progress::progress_bar("gripping", 2 * FORCES_N.len() * seeds as usize);
     let mut table = terminal::table([
         "screw",
         "N",
@@ -33,7 +35,7 @@ fn main() {
     for lead in Lead::BOTH {
         for set_n in FORCES_N {
             let found = grasp_statistics(lead, set_n, all.clone(), || bar.inc(1));
-            let plain = |value: f64| terminal::decimal(value, 2);
+            let plain = |value: f64| numbers::decimal(value, 2);
             table.add_row([
                 format!("{lead:?}"),
                 plain(set_n),

@@ -11,11 +11,11 @@ use firmware::config::limits::DetectionLimits;
 use firmware::config::parameters::Parameters;
 use firmware::protocol::can::CanFrame;
 use firmware::protocol::{DEFAULT_NODE, frame_id};
-use host_tools::sim::board::world::PressedWorld;
-use host_tools::sim::board::{Program, VirtualTimeBoard};
 use model_export::inverse::build::{ModelVariant, build};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use sim::board::world::PressedWorld;
+use sim::board::{Program, VirtualTimeBoard};
 
 const SEED: u64 = 1;
 /// No message has this number; its frames are the shortest there are.

@@ -1,21 +1,13 @@
-//! The command `magpie`.
+//! The command `magpie`: [`cli`] parses the command line, [`commands`] has a file for each command.
 //!
-//! - [`cli`], [`commands`], [`terminal`], [`output_dir`]: command line, arguments, output.
-//! - [`sim`]: simulated gripper: dataset generator, drivetrain, board in virtual time, closed loop, fault campaigns.
-//! - [`device_run`]: recordings through the device's code, row by row.
-//! - [`analysis`]: replay, comparison, diagnosis, data quality, benchmark, calibration.
-//! - [`host_session`]: protocol state of a host that commands a gripper.
-//! - [`device`]: access to a running gripper.
-//! - [`report`], [`design_summary`]: HTML reports, and the summary of a sensor design.
+//! Crates below it, each using only earlier ones:
+//!
+//! - `emulator`: the chip, executing the firmware's image.
+//! - `device-run`: recordings through the device's code, row by row.
+//! - `sim`: simulated gripper: campaigns, drivetrain, board in virtual time, closed loop, faults.
+//! - `analysis`: replay, comparison, diagnosis, data quality, benchmark, calibration.
+//! - `report`: results as text, tables and HTML pages.
+//! - `device`: access to a running gripper.
 
-pub mod analysis;
 pub mod cli;
 pub mod commands;
-pub mod design_summary;
-pub mod device;
-pub mod device_run;
-pub mod host_session;
-pub mod output_dir;
-pub mod report;
-pub mod sim;
-pub mod terminal;

@@ -6,6 +6,9 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::sync::atomic::Ordering::Relaxed;
 
+use analysis::replay::replay_with;
+use device_run::ReplayModels;
+use device_run::networks::NetworkSet;
 use embedded_can::Frame;
 use firmware::config::constants::TICK_US;
 use firmware::config::limits::DetectionLimits;
@@ -16,15 +19,12 @@ use firmware::protocol::serial::{Packet, PacketDecoder, Tick};
 use firmware::protocol::{DEFAULT_NODE, frame_id};
 use firmware::sensors::hall::SENSORS;
 use firmware::tasks::FIRST_TICK_US;
-use host_tools::analysis::replay::replay_with;
-use host_tools::device_run::ReplayModels;
-use host_tools::device_run::networks::NetworkSet;
-use host_tools::sim::board::world::RecordedWorld;
-use host_tools::sim::board::{Program, VirtualTimeBoard};
 use model_export::inverse::build::{DeviceModel, ModelVariant, build};
 use model_export::recordings::align::Alignment;
 use model_export::recordings::description::RecordingDescription;
 use model_export::recordings::stream::RawStream;
+use sim::board::world::RecordedWorld;
+use sim::board::{Program, VirtualTimeBoard};
 use tests::{data, full_campaign};
 use workdir::WorkDir;
 

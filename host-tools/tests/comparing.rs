@@ -3,11 +3,12 @@
 use std::path::Path;
 use std::process::{Command, Output};
 
-use host_tools::analysis::compare::Comparison;
-use host_tools::analysis::compare::format::{floor_g, rms_g};
-use host_tools::analysis::compare::pipeline::compare;
+use analysis::compare::Comparison;
+use analysis::compare::pipeline::compare;
+use analysis::compare::{floor_g, rms_g};
 use model_export::fit::FitOptions;
 use model_export::recordings::align::Alignment;
+use report::text::comparison::verdict;
 use serde_json::Value;
 use tempfile::TempDir;
 use tests::campaign_copy::CampaignCopy;
@@ -47,8 +48,8 @@ fn neighbour_magnet_is_attributed_to_the_opening() {
     let (covariate, share) = chosen(&comparison).remove(0);
     assert_eq!(covariate, "opening_mm");
     assert!((0.45..=1.0).contains(&share), "{share}");
-    assert!(comparison.verdict.starts_with("Structure remains"), "{}", comparison.verdict);
-    assert!(comparison.verdict.contains("follows the opening, most of it below"));
+    assert!(verdict(&comparison).starts_with("Structure remains"), "{}", verdict(&comparison));
+    assert!(verdict(&comparison).contains("follows the opening, most of it below"));
 }
 
 #[test]
@@ -77,7 +78,7 @@ fn clean_recordings_reach_the_floor_without_attribution() {
     for located in &comparison.located {
         assert!(located.share < 0.05 && !located.chosen, "{located:?}");
     }
-    assert!(comparison.verdict.starts_with("At the noise floor"), "{}", comparison.verdict);
+    assert!(verdict(&comparison).starts_with("At the noise floor"), "{}", verdict(&comparison));
     let ratio = rms_g(&comparison.axes) / floor_g(&comparison.axes);
     assert!((0.9..1.05).contains(&ratio), "{ratio}");
     // The sensor's 0.35 G over some ten averaged rows, and its word of 0.125 G.
@@ -139,7 +140,7 @@ fn unseen_recordings_use_the_models_own_parameters() {
     let (_folder, model) = fitted("demo");
     let comparison = compared(&model, "clean");
     assert!(comparison.validation.contains("not fitted to any"), "{}", comparison.validation);
-    assert!(comparison.verdict.starts_with("Structure remains"));
+    assert!(verdict(&comparison).starts_with("Structure remains"));
 }
 
 #[test]
@@ -198,7 +199,7 @@ fn setup_error_stops_the_comparison_until_fixed() {
         compare(&model, &corrected, None, Alignment { delay_us: 0.0 }, FitOptions::default());
     let comparison = comparison.unwrap();
     assert!(comparison.findings.is_empty(), "{:?}", comparison.findings);
-    assert!(comparison.verdict.starts_with("At the noise floor"), "{}", comparison.verdict);
+    assert!(verdict(&comparison).starts_with("At the noise floor"), "{}", verdict(&comparison));
 }
 
 #[test]
@@ -209,5 +210,5 @@ fn constant_offset_is_not_attributed_to_a_covariate() {
     assert_eq!(covariate, "constant");
     // Two grippers of one design: their fields at rest differ by far more than their slopes.
     assert!(share > 0.5, "{share}");
-    assert!(comparison.verdict.contains("another gripper"), "{}", comparison.verdict);
+    assert!(verdict(&comparison).contains("another gripper"), "{}", verdict(&comparison));
 }

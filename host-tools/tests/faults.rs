@@ -6,14 +6,14 @@ use firmware::grip::states::PowerState;
 use firmware::motor::MotorState;
 use firmware::system::crash::CrashKind;
 use firmware::system::faults::{Event, Fault};
-use host_tools::sim::board::i2c::I2cSensor;
-use host_tools::sim::closed_loop::{self, ClosedLoop, ClosedLoopSetup};
-use host_tools::sim::drivetrain::parameters::Lead;
-use host_tools::sim::faults::injection::InjectedFault;
-use host_tools::sim::faults::operating_state::OperatingState;
-use host_tools::sim::faults::run::{FaultCase, FaultOutcome};
 use model_export::inverse::quantise::TableSet;
 use rayon::prelude::*;
+use sim::board::i2c::I2cSensor;
+use sim::closed_loop::{self, ClosedLoop, ClosedLoopSetup};
+use sim::drivetrain::parameters::Lead;
+use sim::faults::injection::InjectedFault;
+use sim::faults::operating_state::OperatingState;
+use sim::faults::run::{FaultCase, FaultOutcome};
 
 static TABLES: LazyLock<TableSet> = LazyLock::new(|| closed_loop::nominal_tables().unwrap());
 

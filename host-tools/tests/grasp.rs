@@ -4,12 +4,12 @@ use firmware::grip::commands::mode;
 use firmware::grip::states::{PowerState, TaskState};
 use firmware::motor::MotorCommand;
 use firmware::protocol::messages::Command;
-use host_tools::sim::closed_loop::grasp_result::{GraspTarget, run_current_limited, run_grasp};
-use host_tools::sim::closed_loop::grasp_rig::{GraspRig, contact_object, grip_command};
-use host_tools::sim::closed_loop::landing::Landing;
-use host_tools::sim::closed_loop::motor_rig::{DriveCase, MotorRig};
-use host_tools::sim::drivetrain::mechanics::PulledObject;
-use host_tools::sim::drivetrain::parameters::{Lead, PlantParameters};
+use sim::closed_loop::grasp_result::{GraspTarget, run_current_limited, run_grasp};
+use sim::closed_loop::grasp_rig::{GraspRig, contact_object, grip_command};
+use sim::closed_loop::landing::Landing;
+use sim::closed_loop::motor_rig::{DriveCase, MotorRig};
+use sim::drivetrain::mechanics::PulledObject;
+use sim::drivetrain::parameters::{Lead, PlantParameters};
 
 /// Contact stiffnesses in N/mm.
 const CONTACTS: [f64; 3] = [333.0, 50.0, 5.0];

@@ -10,6 +10,8 @@ use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use device::recorder::{SensorRow, SensorRowAssembler};
+use device::source::packet;
 use embedded_can::Frame;
 use firmware::config::limits::DetectionLimits;
 use firmware::config::parameters::{Parameters, op};
@@ -18,10 +20,6 @@ use firmware::protocol::DEFAULT_NODE;
 use firmware::protocol::messages::{Message, ParamRequest};
 use firmware::protocol::serial::{MAX_PACKET_BYTES, Packet, PacketDecoder, encode};
 use firmware::tasks::FIRST_TICK_US;
-use host_tools::device::recorder::{SensorRow, SensorRowAssembler};
-use host_tools::device::source::packet;
-use host_tools::sim::board::world::PressedWorld;
-use host_tools::sim::board::{Program, VirtualTimeBoard};
 use model_export::inverse::build::{ModelVariant, build};
 use model_export::recordings::Recording;
 use model_export::recordings::align::Alignment;
@@ -30,6 +28,8 @@ use model_export::recordings::stream::RawStream;
 use running::Running;
 use rustix::process::Signal;
 use serde_json::Value;
+use sim::board::world::PressedWorld;
+use sim::board::{Program, VirtualTimeBoard};
 use workdir::WorkDir;
 
 /// A dir with a model of a gripper without any effect.

@@ -16,9 +16,9 @@ use firmware::protocol::session::{SERVICE_MAGIC, op, status};
 use firmware::protocol::{DEFAULT_NODE, frame_id};
 use firmware::system::faults::{Fault, FaultSet};
 use firmware::tasks::{FIRST_TICK_US, FaultReporter};
-use host_tools::sim::board::world::PressedWorld;
-use host_tools::sim::board::{Program, VirtualTimeBoard};
 use model_export::inverse::build::{ModelVariant, build};
+use sim::board::world::PressedWorld;
+use sim::board::{Program, VirtualTimeBoard};
 use workdir::WorkDir;
 
 /// A board with a constant load of 20 N on its first sensor.

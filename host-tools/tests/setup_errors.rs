@@ -3,7 +3,7 @@
 
 use std::f64::consts::TAU;
 
-use host_tools::analysis::data_quality::{Finding, fix, scan_files};
+use analysis::data_quality::{Finding, fix, scan_files};
 use tests::campaign_copy::{CampaignCopy, CsvTable};
 use tests::data;
 

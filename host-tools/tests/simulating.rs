@@ -4,11 +4,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use host_tools::sim::effects::EFFECT_KINDS;
 use model_export::fit::{FitOptions, campaign};
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 use serde_json::Value;
+use sim::effects::EFFECT_KINDS;
 use tempfile::TempDir;
 
 fn simulate(arguments: &[&str]) -> Output {

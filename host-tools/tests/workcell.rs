@@ -12,10 +12,10 @@ use firmware::protocol::messages::{Command, FaultEvent};
 use firmware::protocol::session::{op, status};
 use firmware::system::faults::Fault;
 use firmware::tasks::FIRST_TICK_US;
-use host_tools::sim::closed_loop::grasp_rig::{contact_object, grip_command};
-use host_tools::sim::closed_loop::{self, ClosedLoop, ClosedLoopSetup};
-use host_tools::sim::drivetrain::parameters::Lead;
 use model_export::inverse::quantise::TableSet;
+use sim::closed_loop::grasp_rig::{contact_object, grip_command};
+use sim::closed_loop::{self, ClosedLoop, ClosedLoopSetup};
+use sim::drivetrain::parameters::Lead;
 
 static TABLES: LazyLock<TableSet> = LazyLock::new(|| closed_loop::nominal_tables().unwrap());
 

@@ -3,6 +3,8 @@
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
+use tempfile::TempDir;
+
 use crate::recordings::error::ErrorKind;
 use crate::recordings::{DataError, Location};
 
@@ -66,6 +68,46 @@ pub fn check_output<'a>(
     }
     folder.metadata().map_err(|error| unwritable(path, error))?;
     Ok(target)
+}
+
+/// A temporary folder next to `target`, to be renamed to it when complete.
+///
+/// # Errors
+/// The parent folder cannot be written.
+pub fn staging_dir(target: &Path, prefix: &str) -> Result<TempDir, DataError> {
+    let parent = folder_of(target);
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(prefix);
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        builder.permissions(std::fs::Permissions::from_mode(0o777));
+    }
+    std::fs::create_dir_all(parent)
+        .and_then(|()| builder.tempdir_in(parent))
+        .map_err(|error| unwritable(target, error))
+}
+
+/// Checks that `target` does not exist or is an empty folder.
+///
+/// # Errors
+/// It exists.
+pub fn check_vacant(target: &Path) -> Result<(), DataError> {
+    match std::fs::read_dir(target).map(|mut entries| entries.next()) {
+        Ok(None) => Ok(()),
+        _ => check_absent(target),
+    }
+}
+
+/// Checks that nothing has this path.
+///
+/// # Errors
+/// It exists.
+pub fn check_absent(target: &Path) -> Result<(), DataError> {
+    match target.symlink_metadata() {
+        Ok(_) => Err(ErrorKind::PathExists.at(Location::file(target))),
+        Err(_) => Ok(()),
+    }
 }
 
 fn folder_of(path: &Path) -> &Path {

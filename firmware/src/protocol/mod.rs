@@ -2,9 +2,11 @@
 //!
 //! CAN: classic frames of eight bytes at 1 Mbit/s, little-endian, reserved bits zero; an identifier is
 //! `node << 5 | number`. [`messages`] defines them; `magpie dbc` exports the definition.
-//! Serial line: [`serial`]. Arming and authentication of commands: [`session`].
+//! Serial line: [`serial`]. Arming and authentication of commands: [`session`], with the
+//! host's side in [`host_session`].
 
 pub mod can;
+pub mod host_session;
 pub mod layout;
 pub mod messages;
 pub mod rate_limiter;

@@ -53,7 +53,7 @@ fn main() {
             .filter(|case| args.only.as_ref().is_none_or(|only| case.hides(only)))
             .collect();
         println!("\n{}: {} campaigns, seeds {seeds:?}", group.id(), cases.len());
-        let bar = host_tools::terminal::progress_bar("campaigns", cases.len());
+        let bar = analysis::progress::progress_bar("campaigns", cases.len());
         let outcomes: Vec<Outcome> = cases
             .par_iter()
             .map(|case| {

@@ -3,13 +3,13 @@
 use std::path::Path;
 use std::process::Command;
 
-use host_tools::sim::effects::find_kind;
 use model_export::fit::FitOptions;
 use model_export::fit::campaign::FitSetup;
 use model_export::fit::score_test::ScoreTest;
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 use serde_json::Value;
+use sim::effects::find_kind;
 use tempfile::TempDir;
 
 use super::cases::{Case, Expected};

@@ -3,11 +3,11 @@
 use std::path::Path;
 use std::process::Command;
 
-use host_tools::analysis::magnetic_disturbance::DeviceUnderTest;
-use host_tools::analysis::magnetic_disturbance::input_rows::{RowSource, SimulatedGripper};
-use host_tools::device_run::networks::NetworkSet;
-use host_tools::sim::campaign::truth;
+use analysis::magnetic_disturbance::DeviceUnderTest;
+use analysis::magnetic_disturbance::input_rows::{RowSource, SimulatedGripper};
+use device_run::networks::NetworkSet;
 use model_export::inverse::build::{DeviceModel, ModelVariant, build};
+use sim::campaign::truth;
 use tempfile::TempDir;
 
 /// What every gripper has.

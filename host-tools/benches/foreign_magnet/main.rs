@@ -1,7 +1,7 @@
 //! How surely, how soon and how often in vain the device notices a foreign magnet, over several grippers.
 //!
 //! Simulated grippers (hysteresis, cross coupling, a warming magnet, scatter of manufacture), each with a
-//! model fitted by the tool's own commands to three recordings of 100 s; then [`host_tools::analysis::magnetic_disturbance`] on
+//! model fitted by the tool's own commands to three recordings of 100 s; then [`analysis::magnetic_disturbance`] on
 //! fresh recordings of each.
 //!
 //! ```text
@@ -12,11 +12,12 @@
 
 mod gripper;
 
+use analysis::magnetic_disturbance::counts::DetectionCounts;
+use analysis::magnetic_disturbance::evaluate_detection;
+use analysis::progress;
 use clap::Parser;
-use host_tools::analysis::magnetic_disturbance::counts::{self, DetectionCounts};
-use host_tools::analysis::magnetic_disturbance::evaluate_detection;
-use host_tools::report::training::foreign::section;
-use host_tools::{report, terminal};
+use report::html::training::foreign::section;
+use report::text::terminal;
 
 /// Counts how surely a foreign magnet is noticed.
 #[derive(Parser)]
@@ -49,7 +50,7 @@ fn main() {
     let seeds: Vec<u64> = (args.first..args.first + args.grippers).collect();
     let of = format!("{} grippers, seeds {seeds:?}:", args.grippers);
     println!("{of}");
-    let bar = terminal::progress_bar("recordings", 0);
+    let bar = progress::progress_bar("recordings", 0);
     let mut all = DetectionCounts::default();
     for &seed in &seeds {
         let gripper = gripper::Gripper::new(seed, !args.no_temperature, args.networks);
@@ -59,10 +60,14 @@ fn main() {
         all = all.with(counted.expect("simulated rows can be read"));
     }
     bar.finish_and_clear();
-    print!("{}{}", terminal::paragraph(&counts::summary(&all)), counts::table(&all));
+    print!(
+        "{}{}",
+        terminal::paragraph(&report::text::disturbance::summary(&all)),
+        report::text::disturbance::table(&all)
+    );
     if let Some(path) = &args.output {
         let title = "magpie: a foreign magnet";
-        report::write_sections(path, title, &[section(&all, &of)])
+        report::html::write_sections(path, title, &[section(&all, &of)])
             .expect("the page can be written");
     }
     if !all.meets_requirements() {

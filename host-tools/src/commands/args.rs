@@ -12,9 +12,9 @@ use model_export::output::check_output;
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 
-use crate::analysis::compare::Comparison;
-use crate::report::{self, Section};
-use crate::terminal;
+use analysis::compare::Comparison;
+use report::html::Section;
+use report::text::terminal;
 
 /// Clock alignment.
 #[derive(Clone, Copy, Debug, clap::Args)]
@@ -74,7 +74,7 @@ impl CompareArgs {
     /// Fails early if the report could not be written later.
     pub fn check_output(&self) -> Result<()> {
         if let Some(path) = &self.output {
-            check_output(path, report::MARK)?;
+            check_output(path, report::html::MARK)?;
         }
         Ok(())
     }
@@ -84,7 +84,7 @@ impl CompareArgs {
         let Some(path) = &self.output else {
             return Ok(());
         };
-        report::write(path, comparison, sections)?;
+        report::html::write(path, comparison, sections)?;
         self.print_line(&format!("Report: {} (open in a browser)", path.display()))
     }
 

@@ -1,22 +1,23 @@
 //! `magpie benchmark`: force estimators compared on a held-out recording.
 
+use analysis::numbers;
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
 use serde_json::{Value, json};
 
-use crate::analysis::benchmark::data::BenchmarkData;
-use crate::analysis::benchmark::disturbance::DisturbanceResult;
-use crate::analysis::benchmark::evaluate::{self, LEARNING_VARIANTS, VariantResult};
-use crate::analysis::benchmark::train_variants::VariantTrainer;
-use crate::analysis::benchmark::variants::{self, EstimatorVariant};
-use crate::analysis::benchmark::{Benchmark, NetworkBenefit, network_benefit, run_benchmark};
-use crate::analysis::calibration::Coverage;
-use crate::analysis::magnetic_disturbance::counts::summary;
-use crate::analysis::statistics::Moments;
 use crate::commands::train::{DEFAULT_HIDDEN, TrainingArgs};
-use crate::report::{self, training};
-use crate::terminal;
+use analysis::benchmark::data::BenchmarkData;
+use analysis::benchmark::disturbance::DisturbanceResult;
+use analysis::benchmark::evaluate::{self, LEARNING_VARIANTS, VariantResult};
+use analysis::benchmark::train_variants::VariantTrainer;
+use analysis::benchmark::variants::{self, EstimatorVariant};
+use analysis::benchmark::{Benchmark, NetworkBenefit, network_benefit, run_benchmark};
+use analysis::calibration::Coverage;
+use analysis::statistics::Moments;
+use report::html::training;
+use report::text::disturbance::summary;
+use report::text::terminal;
 
 /// Default weight of rows without force in the weighted variant.
 const DEFAULT_ZERO_WEIGHT: f64 = 4.0;
@@ -61,7 +62,7 @@ pub fn run(args: &Args) -> Result<()> {
         );
     }
     if let Some(path) = &args.output {
-        model_export::output::check_output(path, report::MARK)?;
+        model_export::output::check_output(path, report::html::MARK)?;
     }
     let alignment = common.align.alignment()?;
     let data = BenchmarkData::read(
@@ -89,7 +90,7 @@ pub fn run(args: &Args) -> Result<()> {
         || format_report(&table, &plan),
     )?;
     if let Some(path) = &args.output {
-        report::write_sections(path, &training::title(&table), &training::sections(&table))?;
+        report::html::write_sections(path, &training::title(&table), &training::sections(&table))?;
         if !common.json {
             terminal::print(&format!("Written to {}.\n", path.display()))?;
         }
@@ -187,7 +188,7 @@ fn notes(table: &Benchmark, plan: &VariantTrainer) -> String {
          the device does not tare. Networks are in steady state at rest when the recording begins. Noise: error of \
          a single reading due to white noise of sensor and reference; networks average over readings. Weighted \
          rows: 1 + {} exp(-(F / W)^2 / 2), where W is a tenth of the force range. {coverage}{data}Seed {}.",
-        terminal::decimal(plan.zero_weight - 1.0, 2),
+        numbers::decimal(plan.zero_weight - 1.0, 2),
         plan.seed(),
     )
 }
@@ -248,7 +249,7 @@ fn axes_gain(table: &Benchmark) -> String {
     let gains = |other: EstimatorVariant| -> Option<[f64; 2]> {
         let (own, other) = (table.of(EstimatorVariant::Gru3Axis)?, table.of(other)?);
         let [x, z] = [0, 1].map(|axis| {
-            let tared = |result: &crate::analysis::benchmark::evaluate::VariantResult| {
+            let tared = |result: &analysis::benchmark::evaluate::VariantResult| {
                 result.axes[axis].fixed_tared
             };
             Some(100.0 * (tared(own)?.rms() / tared(other)?.rms() - 1.0))

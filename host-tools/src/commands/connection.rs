@@ -1,5 +1,6 @@
 //! Arguments for the connection to a gripper: serial line, CAN bus or virtual board.
 
+use analysis::progress;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -11,18 +12,17 @@ use model_export::inverse::build::{DeviceModel, ModelVariant, build};
 use model_export::model_file::{ModelFile, Provenance};
 use model_export::recordings::align::Alignment;
 
-use crate::analysis::compare::campaign_reader::read_campaign;
 use crate::commands::demo::CAMPAIGN;
 use crate::commands::fit::{BaseChoice, fit_campaign};
-use crate::device::serial_port::SerialLine;
-use crate::device::socket_can::CanBus;
-use crate::device::socketcand::client::RemoteBus;
-use crate::device::source::Source;
-use crate::device::state::GripperState;
-use crate::device::virtual_board::Unplug;
-use crate::device::virtual_board::world::SensorInput;
-use crate::device_run::networks::NetworkSet;
-use crate::terminal;
+use analysis::compare::campaign_reader::read_campaign;
+use device::serial_port::SerialLine;
+use device::socket_can::CanBus;
+use device::socketcand::client::RemoteBus;
+use device::source::Source;
+use device::state::GripperState;
+use device::virtual_board::Unplug;
+use device::virtual_board::world::SensorInput;
+use device_run::networks::NetworkSet;
 
 /// Serial line or CAN bus of a gripper.
 #[derive(Debug, clap::Args)]
@@ -104,7 +104,7 @@ impl GripperArgs {
 
     #[cfg(unix)]
     fn virtual_board(&self) -> Result<Box<dyn Source>> {
-        use crate::device::virtual_board::VirtualBoard;
+        use device::virtual_board::VirtualBoard;
         let doing = match (&self.replay, self.press) {
             (Some(folder), _) => SensorInput::Recorded(folder.clone()),
             (None, Some(forces_n)) => SensorInput::Pressed(forces_n),
@@ -125,7 +125,7 @@ impl GripperArgs {
 
     #[cfg(unix)]
     fn built(&self) -> Result<DeviceModel> {
-        let bar = terminal::progress_bar("building tables", 1);
+        let bar = progress::progress_bar("building tables", 1);
         let built = match &self.model {
             Some(path) => build(path, ModelVariant::Fitted)?,
             None => fit_demo()?,

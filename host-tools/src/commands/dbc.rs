@@ -1,5 +1,6 @@
 //! `magpie dbc`: writes the CAN messages as a DBC file.
 
+use analysis::numbers;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -9,7 +10,7 @@ use firmware::protocol::messages::LAYOUTS;
 use firmware::protocol::{DEFAULT_NODE, PROTOCOL_VERSION, frame_id};
 use model_export::output::{check_output, write_output};
 
-use crate::terminal;
+use report::text::terminal;
 
 /// First line of every file of this command, which identifies it.
 const MARK: &str = "VERSION \"MAGPIE gripper, protocol ";
@@ -107,7 +108,7 @@ fn signal_format(field: &SignalLayout) -> String {
     } else {
         (0, (1_i64 << width) - 1)
     };
-    let scaled = |counts: i64| terminal::decimal(counts as f64 * field.scale, 2);
+    let scaled = |counts: i64| numbers::decimal(counts as f64 * field.scale, 2);
     format!(
         "{}|{width}@1{} ({},0) [{}|{}] \"{}\"",
         field.first_bit,

@@ -1,5 +1,6 @@
 //! `magpie demo`: from recordings to forces computed by the device code, and to the missing effect.
 
+use analysis::progress;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
@@ -14,15 +15,14 @@ use model_export::output::write_output;
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 
-use crate::analysis::compare::campaign_reader::read_campaign;
-use crate::analysis::compare::format;
-use crate::analysis::compare::pipeline::compare;
-use crate::analysis::diagnose::{Diagnosis, diagnose};
-use crate::commands::diagnose::format_summary;
 use crate::commands::edit_model::{self, find_effects};
 use crate::commands::fit::{self, BaseChoice, fit_campaign};
 use crate::commands::{export, replay};
-use crate::{report, terminal};
+use analysis::compare::campaign_reader::read_campaign;
+use analysis::compare::pipeline::compare;
+use analysis::diagnose::{Diagnosis, diagnose};
+use report::text::diagnosis::format_summary;
+use report::text::terminal;
 
 /// The complete workflow on one campaign: fit, invert, evaluate, diagnose, add the missing effects.
 #[derive(Debug, clap::Args)]
@@ -83,7 +83,7 @@ pub fn run(args: &Args) -> Result<()> {
         gap_axis_note(&model),
     ))?;
 
-    let building = terminal::progress_bar("building tables", 1);
+    let building = progress::progress_bar("building tables", 1);
     let built = build(&model_path, ModelVariant::Fitted)?;
     building.finish_and_clear();
     write_output(&tables_path, tables_source(&built).as_bytes(), MARK)?;
@@ -97,8 +97,8 @@ pub fn run(args: &Args) -> Result<()> {
     terminal::print(&format!(
         "4. The evaluation. The held-out recording {}, row by row through the device code.\n\n{}\n{}\n",
         held_out.name,
-        replay::report::force_table(&outcome),
-        replay::report::model_table(&outcome),
+        replay::text::force_table(&outcome),
+        replay::text::model_table(&outcome),
     ))?;
     improve(&Fitted {
         folder,
@@ -163,9 +163,9 @@ fn improve(fitted: &Fitted) -> Result<()> {
     let comparison = compare(fitted.model_path, fitted.folder, None, ALIGNMENT, fitted.options)?;
     terminal::print(&format!(
         "5. The residual. Model and measurement over all recordings.\n\n{}\n",
-        terminal::paragraph(&format::verdict(&comparison))
+        terminal::paragraph(&report::text::comparison::verdict(&comparison))
     ))?;
-    let bar = terminal::row_spinner("diagnosing");
+    let bar = progress::row_spinner("diagnosing");
     let report_step = |step: &str| bar.set_message(step.to_owned());
     let mut diagnosis = diagnose(
         fitted.campaign,
@@ -188,14 +188,14 @@ fn improve(fitted: &Fitted) -> Result<()> {
     let steps = add_effects(fitted, &diagnosis)?;
     terminal::print(&format!("7. The error by effect.\n\n{}\n", error_table(fitted, &steps)))?;
     let path = fitted.output.join("report.html");
-    report::write(&path, &comparison, &report::diagnosis::sections(&diagnosis))?;
+    report::html::write(&path, &comparison, &report::html::diagnosis::sections(&diagnosis))?;
     terminal::print(&format!("8. Plots: {}\n\n", path.display()))?;
     Ok(())
 }
 
 /// Adds the accepted effects one by one and replays the held-out recording with each model.
 fn add_effects(fitted: &Fitted, diagnosis: &Diagnosis) -> Result<ErrorSteps> {
-    let mut steps = vec![("base model".to_owned(), replay::report::rmse_n(&fitted.before.fitted))];
+    let mut steps = vec![("base model".to_owned(), replay::text::rmse_n(&fitted.before.fitted))];
     let mut added: Vec<EffectTerm> = Vec::new();
     for (i, step) in diagnosis.accepted.iter().enumerate() {
         // The first of several equivalent effects; a user would choose, or record data that separate them.
@@ -212,7 +212,7 @@ fn add_effects(fitted: &Fitted, diagnosis: &Diagnosis) -> Result<ErrorSteps> {
         let path = fitted.output.join(format!("better-{}.toml", i + 1));
         edit.model.write(&path)?;
         let after = replay::evaluate(&path, fitted.held_out, None, ALIGNMENT)?;
-        let newtons = replay::report::rmse_n(&after.fitted);
+        let newtons = replay::text::rmse_n(&after.fitted);
         steps.push((format!("+ {}", step.join(" or ")), newtons));
     }
     Ok(steps)

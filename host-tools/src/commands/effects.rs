@@ -1,10 +1,11 @@
 //! `magpie effects`: the catalogue of physical effects.
 
+use analysis::numbers;
 use anyhow::Result;
 use model_export::effects::{CATALOGUE, Compensated, Effect, ParameterKind, ParameterScope, find};
 use serde_json::{Value, json};
 
-use crate::terminal;
+use report::text::terminal;
 
 /// List the catalogue of physical effects, or describe one.
 #[derive(Debug, clap::Args)]
@@ -37,7 +38,7 @@ fn catalogue_table() -> String {
     for effect in CATALOGUE {
         table.add_row([
             effect.id.to_owned(),
-            format!("{} {}", terminal::decimal(effect.size.typical, 3), effect.size.unit),
+            format!("{} {}", numbers::decimal(effect.size.typical, 3), effect.size.unit),
             effect.size.description.to_owned(),
             if effect.needs.is_empty() { "-".to_owned() } else { effect.needs.join(", ") },
             compensation(effect).0.to_owned(),
@@ -70,7 +71,7 @@ fn describe(effect: &Effect) -> String {
     for parameter in effect.parameters {
         let mut description = match &parameter.kind {
             ParameterKind::Coefficient => {
-                format!("coefficient, typically {}", terminal::decimal(parameter.typical, 3))
+                format!("coefficient, typically {}", numbers::decimal(parameter.typical, 3))
             }
             ParameterKind::Shape { grid } => {
                 format!("searched from {} to {}", grid[0], grid[grid.len() - 1])
@@ -106,9 +107,9 @@ fn describe(effect: &Effect) -> String {
         effect.equation,
         effect.regressors,
         effect.size.description,
-        terminal::decimal(effect.size.typical, 3),
-        terminal::decimal(low, 3),
-        terminal::decimal(high, 3),
+        numbers::decimal(effect.size.typical, 3),
+        numbers::decimal(low, 3),
+        numbers::decimal(high, 3),
         terminal::paragraph(&format!("To identify it: {}", effect.record)),
         terminal::paragraph(&format!("Compensated: {}", compensation(effect).1)),
         unit = effect.size.unit,

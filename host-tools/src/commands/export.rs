@@ -12,8 +12,8 @@ use model_export::model_file::ModelFile;
 use model_export::output::{check_output, write_output};
 use serde_json::json;
 
-use crate::device_run::networks::NetworkSet;
-use crate::terminal;
+use device_run::networks::NetworkSet;
+use report::text::terminal;
 
 /// Loads per axis of the printed error map.
 const MAP_LOADS: usize = 9;

@@ -1,15 +1,17 @@
 //! `magpie fault-campaign`: fault injection into a simulated gripper.
 
+use analysis::numbers;
+use analysis::progress;
 use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::{Result, bail};
 use serde_json::{Value, json};
 
-use crate::sim::closed_loop;
-use crate::sim::faults::campaign::{self, FalseAlarms, FaultSummary};
-use crate::sim::faults::injection::{COVERED_BY_OTHER_TESTS, HARDWARE_ONLY};
-use crate::{report, terminal};
+use report::text::terminal;
+use sim::closed_loop;
+use sim::faults::campaign::{self, FalseAlarms, FaultSummary};
+use sim::faults::injection::{COVERED_BY_OTHER_TESTS, HARDWARE_ONLY};
 
 /// Inject faults at their sources into a simulated gripper in every state, and report detection and reaction.
 #[derive(Debug, clap::Args)]
@@ -53,10 +55,10 @@ pub fn run(args: &Args) -> Result<()> {
     let tables = closed_loop::nominal_tables()?;
     let cases = campaign::cases(args.from_seed, args.seeds);
     let start = Instant::now();
-    let bar = terminal::progress_bar("injecting faults", cases.len());
+    let bar = progress::progress_bar("injecting faults", cases.len());
     let outcomes = campaign::run(&cases, &tables, || bar.inc(1));
     bar.finish_and_clear();
-    let bar = terminal::progress_bar(
+    let bar = progress::progress_bar(
         "fault-free operation",
         campaign::fault_free_minutes(args.false_alarm_hours),
     );
@@ -72,8 +74,8 @@ pub fn run(args: &Args) -> Result<()> {
     };
     if let Some(path) = &args.output {
         let title = "magpie: fault campaign on a simulated gripper";
-        let section = report::faults::section(&summary(args, &result), &result.tallies);
-        report::write_sections(path, title, &[section])?;
+        let section = report::html::faults::section(&summary(args, &result), &result.tallies);
+        report::html::write_sections(path, title, &[section])?;
     }
     terminal::print_result(args.json, || to_json(args, &result), || format_report(args, &result))
 }
@@ -108,7 +110,7 @@ fn summary(args: &Args, result: &CampaignResult) -> String {
         text += &format!(
             " {} false alarms in {} fault-free virtual hours.",
             result.quiet.alarms,
-            terminal::decimal(result.quiet.hours, 2)
+            numbers::decimal(result.quiet.hours, 2)
         );
     }
     text
@@ -130,7 +132,7 @@ fn format_report(args: &Args, result: &CampaignResult) -> String {
     ]);
     for tally in &result.tallies {
         let facts = tally.fault.specification();
-        let [median, p99, max] = tally.latency_ms.map(|ms| terminal::decimal(ms, 2));
+        let [median, p99, max] = tally.latency_ms.map(|ms| numbers::decimal(ms, 2));
         let failed = if tally.is_met() { "" } else { " (failed)" };
         table.add_row([
             facts.number.to_string(),
@@ -141,8 +143,8 @@ fn format_report(args: &Args, result: &CampaignResult) -> String {
             median,
             p99,
             max,
-            terminal::decimal(facts.within_ms, 1),
-            terminal::decimal(tally.peak_n, 0),
+            numbers::decimal(facts.within_ms, 1),
+            numbers::decimal(tally.peak_n, 0),
             format!("{}{failed}", tally.ends_words()),
         ]);
     }
@@ -159,7 +161,7 @@ fn format_report(args: &Args, result: &CampaignResult) -> String {
     page += &terminal::paragraph(&format!("Not covered: {}.", named(&COVERED_BY_OTHER_TESTS)));
     page += &terminal::paragraph(&format!(
         "Simulated; motor constants assumed. {} s.",
-        terminal::decimal(result.seconds, 0)
+        numbers::decimal(result.seconds, 0)
     ));
     page += &terminal::report_line(args.output.as_deref());
     page

@@ -1,5 +1,7 @@
 //! `magpie fit`: fits the base physics to a campaign.
 
+use analysis::numbers;
+use analysis::progress;
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
@@ -17,11 +19,11 @@ use model_export::recordings::campaign::recording_folders;
 use model_export::recordings::{Campaign, Notice};
 use serde_json::{Value, json};
 
-use crate::analysis::compare::campaign_reader::{check_distinct, read_campaign};
-use crate::analysis::compare::format::AT_FLOOR;
-use crate::analysis::data_quality::{Finding, scan_files};
 use crate::commands::args::AlignArgs;
-use crate::terminal;
+use analysis::compare::AT_FLOOR;
+use analysis::compare::campaign_reader::{check_distinct, read_campaign};
+use analysis::data_quality::{Finding, scan_files};
+use report::text::terminal;
 
 /// Fit the base physics to a campaign and write a model file.
 #[derive(Debug, clap::Args)]
@@ -98,7 +100,7 @@ pub fn run(args: &Args) -> Result<()> {
 
 /// Data-quality findings that affect the fit, except in files that `known` covers already.
 fn data_findings(campaign: &Path, known: &[Notice]) -> Result<Vec<Notice>> {
-    let bar = terminal::progress_bar("checking recordings", recording_folders(campaign)?.len());
+    let bar = progress::progress_bar("checking recordings", recording_folders(campaign)?.len());
     let findings = scan_files(campaign, |_| bar.inc(1))?;
     bar.finish_and_clear();
     let is_new = |finding: &Finding| {
@@ -122,7 +124,7 @@ pub fn fit_campaign(
     degree: Option<u8>,
     options: FitOptions,
 ) -> Result<(CampaignFits, Vec<Notice>)> {
-    let bar = terminal::progress_bar("fitting sensors", campaign.sensors().len());
+    let bar = progress::progress_bar("fitting sensors", campaign.sensors().len());
     let result = match base {
         BaseChoice::Cylinder => fit::campaign::cylinder(campaign, options, |_| bar.inc(1))?,
         BaseChoice::Polynomial => {
@@ -160,7 +162,7 @@ fn format_report(campaign: &Campaign, model: &ModelFile, fits: &CampaignFits) ->
         verdict(model),
         FitOptions::default().draws,
         provenance.seed,
-        terminal::decimal(longest_block_s(fits), 1),
+        numbers::decimal(longest_block_s(fits), 1),
     )
 }
 
@@ -191,7 +193,7 @@ pub fn parameters(model: &ModelFile) -> String {
             let fitted = sensors.iter().map(|sensor| {
                 let value = sensor.parameters.get(parameter.name);
                 value.map_or_else(String::new, |value| {
-                    let text = terminal::with_error(value.value, value.std_error, tolerances[i]);
+                    let text = numbers::with_error(value.value, value.std_error, tolerances[i]);
                     let far =
                         (value.value - nominals[i]).abs() > OUTLIER_TOLERANCES * tolerances[i];
                     text + match (value.identifiable, far) {
@@ -203,8 +205,8 @@ pub fn parameters(model: &ModelFile) -> String {
             });
             let labels = [
                 format!("{} {}", parameter.name, parameter.unit),
-                terminal::decimal(nominals[i], 3),
-                terminal::decimal(tolerances[i], 3),
+                numbers::decimal(nominals[i], 3),
+                numbers::decimal(tolerances[i], 3),
             ];
             table.add_row(labels.into_iter().chain(fitted).collect::<Vec<_>>());
         }

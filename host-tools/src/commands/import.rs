@@ -1,5 +1,6 @@
 //! `magpie import`: converts measurement tables to a campaign with a mapping file.
 
+use analysis::progress;
 use std::path::PathBuf;
 
 use anyhow::Result;
@@ -7,7 +8,7 @@ use model_export::recordings::align::Alignment;
 use model_export::recordings::{Campaign, import};
 use serde_json::json;
 
-use crate::terminal;
+use report::text::terminal;
 
 /// Convert measurement tables to a campaign with a mapping file (columns, units, scale, clocks).
 #[derive(Debug, clap::Args)]
@@ -41,7 +42,7 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
-    let bar = terminal::progress_bar("importing", args.sources.len());
+    let bar = progress::progress_bar("importing", args.sources.len());
     let (imported, notices) =
         import::import(&args.mapping, &args.sources, &args.output, |_| bar.inc(1))?;
     bar.finish_and_clear();

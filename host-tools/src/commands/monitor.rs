@@ -11,10 +11,10 @@ use ratatui::DefaultTerminal;
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyModifiers};
 
 use crate::commands::connection::{GripperArgs, check_protocol, interrupted, parse_seconds};
-use crate::device::reader::{ReaderEvent, SourceReader};
-use crate::device::state::GripperState;
-use crate::device::{format, view};
-use crate::host_session::service;
+use device::reader::{ReaderEvent, SourceReader};
+use device::state::GripperState;
+use device::{format, view};
+use firmware::protocol::host_session::service;
 
 /// Display forces, faults and load of a running gripper.
 #[derive(Debug, clap::Args)]

@@ -1,5 +1,7 @@
 //! `magpie record`: writes sensor readings of a running gripper to a recording.
 
+use analysis::numbers;
+use analysis::progress;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::mpsc::RecvTimeoutError;
@@ -15,11 +17,11 @@ use serde_json::{Value, json};
 
 use crate::commands::args::read_design;
 use crate::commands::connection::{GripperArgs, interrupted, parse_seconds};
-use crate::device::params_client;
-use crate::device::reader::{ReaderEvent, SourceReader};
-use crate::device::recorder::{Recorder, RecordingCounts, SensorRowAssembler};
-use crate::device::source::Source;
-use crate::terminal;
+use device::params_client;
+use device::reader::{ReaderEvent, SourceReader};
+use device::recorder::{Recorder, RecordingCounts, SensorRowAssembler};
+use device::source::Source;
+use report::text::terminal;
 
 /// Write sensor readings of a running gripper to a recording.
 #[derive(Debug, clap::Args)]
@@ -132,7 +134,7 @@ fn write_rows(
     args: &Args,
 ) -> Result<(RecordingCounts, Result<()>)> {
     let interrupted = interrupted()?;
-    let spinner = terminal::row_spinner("recording");
+    let spinner = progress::row_spinner("recording");
     let end_s = args.seconds.unwrap_or(f64::INFINITY);
     let ended = loop {
         if hearing.elapsed_s() >= end_s || interrupted.load(Relaxed) {
@@ -233,7 +235,7 @@ fn format_report(output: &Path, start_s: f64, tally: &RecordingCounts) -> String
         seconds(tally.span_us),
         tally.rows,
         numbers(&tally.sensors),
-        terminal::decimal(start_s, 3),
+        numbers::decimal(start_s, 3),
     );
     match tally.gaps {
         0 => text += "No rows lost.\n",

@@ -1,5 +1,7 @@
 //! `magpie simulate`: generates a campaign of a simulated gripper with known physics.
 
+use analysis::numbers;
+use analysis::progress;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
@@ -9,13 +11,14 @@ use model_export::physics::ForwardModel;
 use serde_json::{Value, json};
 
 use crate::commands::args::read_design;
-use crate::sim::campaign;
-use crate::sim::campaign::settings::CampaignSettings;
-use crate::sim::campaign::truth::{self, Truth};
-use crate::sim::effects::{EFFECT_KINDS, Effect, draw_random_effects};
-use crate::sim::hall_sensor::{HallScale, NoiseKind};
-use crate::sim::motion::Programme;
-use crate::{output_dir, terminal};
+use model_export::output::{check_absent, check_vacant, staging_dir};
+use report::text::terminal;
+use sim::campaign;
+use sim::campaign::settings::CampaignSettings;
+use sim::campaign::truth::{self, Truth};
+use sim::effects::{EFFECT_KINDS, Effect, draw_random_effects};
+use sim::hall_sensor::{HallScale, NoiseKind};
+use sim::motion::Programme;
 
 /// Generate a campaign of a simulated gripper with given or random physical effects.
 #[derive(Debug, clap::Args)]
@@ -113,8 +116,8 @@ pub fn run(args: &Args) -> Result<()> {
     };
     truth::check_outside(&truth_path, &args.output)?;
     check_free(&args.output, &truth_path)?;
-    let staging = output_dir::staging_dir(&args.output, ".magpie-simulate-")?;
-    let bar = terminal::progress_bar("simulating recordings", settings.recordings as usize);
+    let staging = staging_dir(&args.output, ".magpie-simulate-")?;
+    let bar = progress::progress_bar("simulating recordings", settings.recordings as usize);
     let truth = campaign::simulate(&settings, staging.path(), || bar.inc(1))?;
     bar.finish_and_clear();
     write_output(&truth_path, truth.text()?.as_bytes(), truth::MARK)?;
@@ -221,11 +224,9 @@ const MAX_WARMER_K: f64 = 60.0;
 const MAX_SCATTER: f64 = 4.0;
 
 fn check_free(campaign: &Path, truth: &Path) -> Result<()> {
-    output_dir::check_vacant(campaign)?;
-    match truth.symlink_metadata() {
-        Ok(_) => output_dir::refuse_existing(truth),
-        Err(_) => Ok(()),
-    }
+    check_vacant(campaign)?;
+    check_absent(truth)?;
+    Ok(())
 }
 
 /// Table of the effects, unless they are random.
@@ -239,7 +240,7 @@ fn effect_table(settings: &CampaignSettings, truth: &Truth) -> String {
     }
     let mut table = terminal::table(["effect", "unit", "magnitude"]);
     for effect in &truth.effect {
-        table.add_row([effect.id.clone(), effect.unit.clone(), terminal::decimal(effect.size, 6)]);
+        table.add_row([effect.id.clone(), effect.unit.clone(), numbers::decimal(effect.size, 6)]);
     }
     terminal::right_align(&mut table, 2);
     format!("{table}\n")
@@ -256,7 +257,7 @@ fn format_report(
          Written to {}; true parameters in {}.\n\
          Next: cargo magpie fit {:?} -o model.toml\n",
         settings.recordings,
-        terminal::decimal(settings.seconds, 3),
+        numbers::decimal(settings.seconds, 3),
         settings.sensors,
         value_name(&settings.programme),
         value_name(&settings.noise),

@@ -3,17 +3,17 @@
 use std::cell::RefCell;
 use std::rc::Rc;
 
-use host_tools::sim::board::world::{PressedWorld, World};
-use host_tools::sim::closed_loop::coupling::{SharedGripper, SimulatedGripper};
-use host_tools::sim::closed_loop::emulated_board::{ChipConditions, EmulatedBoard};
-use host_tools::sim::closed_loop::motor_rig::MotorRig;
-use host_tools::sim::drivetrain::fingertips::Fingertips;
-use host_tools::sim::drivetrain::parameters::{Lead, PlantParameters};
-use host_tools::sim::drivetrain::sensors::MotorSensors;
+use emulator::Kind;
+use emulator::chip::Profile;
 use libtest_mimic::Failed;
 use model_export::inverse::build::DeviceModel;
-use sim_board::Kind;
-use sim_board::chip::Profile;
+use sim::board::world::{PressedWorld, World};
+use sim::closed_loop::coupling::{SharedGripper, SimulatedGripper};
+use sim::closed_loop::emulated_board::{ChipConditions, EmulatedBoard};
+use sim::closed_loop::motor_rig::MotorRig;
+use sim::drivetrain::fingertips::Fingertips;
+use sim::drivetrain::parameters::{Lead, PlantParameters};
+use sim::drivetrain::sensors::MotorSensors;
 
 use crate::images::{self, Made, Variant};
 

@@ -1,17 +1,17 @@
 //! Every image starts, feeds its watchdog, and keeps its deadlines, with every model of time.
 
+use emulator::{CycleModel, Time};
 use firmware::config::constants::TICK_US;
 use firmware::protocol::messages::Message;
 use firmware::protocol::serial::{Packet, PacketDecoder};
 use firmware::system::faults::Fault;
-use host_tools::sim::board::SimulatedBoard;
 use libtest_mimic::{Failed, Trial};
-use sim_board::{CycleModel, Time};
+use sim::board::SimulatedBoard;
 
 use crate::Effort;
 use crate::boards::{CONDITIONS, LOAD, WORST_TICK_US, board, image, overload, pressed, violations};
 use crate::images::Variant;
-use host_tools::sim::closed_loop::emulated_board::ChipConditions;
+use sim::closed_loop::emulated_board::ChipConditions;
 
 /// From the watchdog's start to its first feed.
 const FIRST_FEED: Time = Time::from_ms(5);

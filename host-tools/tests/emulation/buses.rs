@@ -1,16 +1,16 @@
 //! Many frames of other nodes on the CAN bus, and an hour at rest.
 
 use embedded_can::{Frame, StandardId};
+use emulator::Halt;
+use emulator::peripherals::gpio::Pin;
+use emulator::wiring::Wiring;
 use firmware::protocol::can::CanFrame;
 use firmware::protocol::serial::{Packet, PacketDecoder};
 use firmware::protocol::{DEFAULT_NODE, frame_id};
 use firmware::system::faults::Fault;
-use host_tools::sim::board::SimulatedBoard;
-use host_tools::sim::closed_loop::emulated_board::{ChipConditions, EmulatedBoard};
 use libtest_mimic::{Failed, Trial};
-use sim_board::Halt;
-use sim_board::peripherals::gpio::Pin;
-use sim_board::wiring::Wiring;
+use sim::board::SimulatedBoard;
+use sim::closed_loop::emulated_board::{ChipConditions, EmulatedBoard};
 
 use crate::Effort;
 use crate::boards::{at_rest, board, image, pressed, violations};

@@ -1,19 +1,19 @@
 //! Faults that concern the chip, while the gripper holds an object with 100 N; and every kind of crash, with its record
 //! after the reset.
 
+use emulator::Time;
+use emulator::peripherals::clocks::ResetCause;
 use firmware::grip::states::{PowerState, TASK_CODE, TaskState};
 use firmware::protocol::messages::FaultEvent;
 use firmware::system::crash::CrashKind;
 use firmware::system::faults::{Event, Fault};
-use host_tools::sim::board::SimulatedBoard;
-use host_tools::sim::closed_loop::grasp_rig::{contact_object, grip_command};
-use host_tools::sim::drivetrain::parameters::Lead;
-use host_tools::sim::faults::injection::InjectedFault;
-use host_tools::sim::faults::operating_state::{OperatingState, SET_N};
-use host_tools::sim::faults::run::FaultCase;
 use libtest_mimic::{Failed, Trial};
-use sim_board::Time;
-use sim_board::peripherals::clocks::ResetCause;
+use sim::board::SimulatedBoard;
+use sim::closed_loop::grasp_rig::{contact_object, grip_command};
+use sim::drivetrain::parameters::Lead;
+use sim::faults::injection::InjectedFault;
+use sim::faults::operating_state::{OperatingState, SET_N};
+use sim::faults::run::FaultCase;
 
 use crate::motion::{Cell, cell, homed, move_to};
 

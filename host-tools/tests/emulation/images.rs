@@ -4,10 +4,10 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::{Mutex, OnceLock};
 
-use host_tools::device_run::networks::NetworkSet;
+use device_run::networks::NetworkSet;
+use emulator::Image;
 use model_export::inverse::build::{DeviceModel, ModelVariant as Fit, build};
 use sha2::{Digest, Sha256};
-use sim_board::Image;
 use tests::data;
 
 use crate::workdir::WorkDir;

@@ -4,12 +4,12 @@ use firmware::grip::commands::mode;
 use firmware::grip::states::{PowerState, TaskState, state_code};
 use firmware::protocol;
 use firmware::protocol::messages::Command;
-use host_tools::sim::closed_loop::ClosedLoop;
-use host_tools::sim::closed_loop::coupling::GripperWorld;
-use host_tools::sim::closed_loop::emulated_board::EmulatedBoard;
-use host_tools::sim::closed_loop::grasp_rig::{contact_object, grip_command};
-use host_tools::sim::drivetrain::parameters::{Lead, PlantParameters};
 use libtest_mimic::{Failed, Trial};
+use sim::closed_loop::ClosedLoop;
+use sim::closed_loop::coupling::GripperWorld;
+use sim::closed_loop::emulated_board::EmulatedBoard;
+use sim::closed_loop::grasp_rig::{contact_object, grip_command};
+use sim::drivetrain::parameters::{Lead, PlantParameters};
 
 use crate::Effort;
 use crate::boards::{LOAD, TYPICAL, WORST_TICK_US, gripper, image, overload, violations};

@@ -9,13 +9,13 @@ use firmware::config::parameters::Parameters;
 use firmware::estimator::auxiliary_inputs::AuxiliaryInputs;
 use firmware::protocol::messages::{Force, Message};
 use firmware::protocol::serial::{Packet, PacketDecoder, Tick};
-use host_tools::sim::board::world::{RecordedWorld, World, WorldSample};
-use host_tools::sim::board::{Connections, Program, SimulatedBoard, VirtualTimeBoard};
-use host_tools::sim::closed_loop::emulated_board::ChipConditions;
 use libtest_mimic::{Failed, Trial};
 use model_export::recordings::align::Alignment;
 use model_export::recordings::description::RecordingDescription;
 use model_export::recordings::stream::RawStream;
+use sim::board::world::{RecordedWorld, World, WorldSample};
+use sim::board::{Connections, Program, SimulatedBoard, VirtualTimeBoard};
+use sim::closed_loop::emulated_board::ChipConditions;
 
 use crate::Effort;
 use crate::boards::{CONDITIONS, board, image, violations};

@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
-use host_tools::sim::board::world::PressedWorld;
-use host_tools::sim::closed_loop::emulated_board::{ChipConditions, EmulatedBoard};
-use host_tools::sim::drivetrain::parameters::{Lead, PlantParameters};
 use libtest_mimic::{Failed, Trial};
+use sim::board::world::PressedWorld;
+use sim::closed_loop::emulated_board::{ChipConditions, EmulatedBoard};
+use sim::drivetrain::parameters::{Lead, PlantParameters};
 
 use crate::boards::{gripper, image, violations};
 use crate::evaluate::evaluate;

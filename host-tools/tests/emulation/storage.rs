@@ -1,5 +1,7 @@
 //! Parameters and tare in flash, over a power cut at any operation of the flash memory.
 
+use emulator::Halt;
+use emulator::peripherals::flash::{PowerCut, Remains};
 use firmware::config::parameters::op as parameter_op;
 use firmware::config::schema::id;
 use firmware::grip::states::PowerState;
@@ -7,8 +9,6 @@ use firmware::protocol::messages::ParamRequest;
 use firmware::protocol::session::{op, status};
 use firmware::system::faults::Fault;
 use libtest_mimic::{Failed, Trial};
-use sim_board::Halt;
-use sim_board::peripherals::flash::{PowerCut, Remains};
 
 use crate::motion::{Cell, cell};
 

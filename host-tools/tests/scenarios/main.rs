@@ -11,10 +11,10 @@ use file::{Detector, Scenario};
 use firmware::config::limits::DetectionLimits;
 use firmware::config::parameters::Parameters;
 use firmware::config::schema::id;
-use host_tools::sim::board::world::PressedWorld;
-use host_tools::sim::board::{Program, VirtualTimeBoard};
 use model_export::inverse::build::{DeviceModel, ModelVariant, build};
 use rig::{Layer, ScenarioRig};
+use sim::board::world::PressedWorld;
+use sim::board::{Program, VirtualTimeBoard};
 use tempfile::TempDir;
 
 const SEED: u64 = 1;

@@ -12,8 +12,8 @@ use firmware::protocol::session::{SERVICE_MAGIC, authenticate, op, status};
 use firmware::protocol::{DEFAULT_NODE, frame_id};
 use firmware::system::faults::Event;
 use firmware::tasks::FIRST_TICK_US;
-use host_tools::sim::board::{Connections, SimulatedBoard, VirtualTimeBoard};
-use host_tools::sim::closed_loop::emulated_board::EmulatedBoard;
+use sim::board::{Connections, SimulatedBoard, VirtualTimeBoard};
+use sim::closed_loop::emulated_board::EmulatedBoard;
 
 use super::file::{Act, Scenario, Step};
 
@@ -236,7 +236,7 @@ impl ScenarioRig {
                 connections.change_sensor(sensor, |sensor| sensor.gain = factor)
             }
             Act::Stretch { sensor, us } => connections.change_sensor(sensor, |sensor| {
-                sensor.stretches = Some(sim_board::Time::from_us(us));
+                sensor.stretches = Some(emulator::Time::from_us(us));
             }),
             Act::Slip { sensor, clocks } => {
                 connections.change_sensor(sensor, |sensor| sensor.slips = Some(clocks));

@@ -112,6 +112,8 @@ pub enum ErrorKind {
         "the output path exists and was not written by magpie; it is not overwritten: choose another path"
     )]
     OutputExists,
+    #[error("output path exists; refusing to overwrite")]
+    PathExists,
     #[error(
         "this is not a text file; if it is compressed, its name must end in .csv.gz, else save it as plain CSV (comma, UTF-8)"
     )]

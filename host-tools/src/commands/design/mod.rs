@@ -3,6 +3,7 @@
 pub mod search;
 pub mod space;
 
+use analysis::progress;
 use std::path::PathBuf;
 
 use anyhow::Result;
@@ -13,8 +14,9 @@ use model_export::design::sweep::{self, DEFAULT_COUNT};
 use serde_json::json;
 
 use crate::commands::args::read_design;
-use crate::report::{self, design as pages};
-use crate::{design_summary, terminal};
+use report::html::design as pages;
+use report::text::design as summary;
+use report::text::terminal;
 
 /// Design a sensor: evaluate a flexure, magnet and gap, sweep the design space, or optimise for a force.
 #[derive(Debug, clap::Args)]
@@ -97,18 +99,17 @@ fn check(args: &CheckArgs) -> Result<()> {
     let shifts = sweep::shifts(&design, design.force_range_n, &interference);
     if let Some(path) = &args.output {
         let sections = pages::of_one(&design, &evaluation, &shifts);
-        report::write_sections(path, "magpie: evaluation of a design", &sections)?;
+        report::html::write_sections(path, "magpie: evaluation of a design", &sections)?;
     }
     if args.json {
-        let object = design_summary::to_json(&design, &evaluation, &shifts);
+        let object = summary::to_json(&design, &evaluation, &shifts);
         terminal::print(&format!("{object}\n"))?;
         return Ok(());
     }
-    let mut page =
-        design_summary::describe(&design) + "\n" + &design_summary::tables(&evaluation, &shifts);
-    page += &design_summary::verdict(&design, &evaluation);
-    page += &design_summary::binding_limits(&evaluation);
-    page += &design_summary::assumptions(&design);
+    let mut page = summary::describe(&design) + "\n" + &summary::tables(&evaluation, &shifts);
+    page += &summary::verdict(&design, &evaluation);
+    page += &summary::binding_limits(&evaluation);
+    page += &summary::assumptions(&design);
     page += &terminal::report_line(args.output.as_deref());
     terminal::print(&page)?;
     Ok(())
@@ -138,12 +139,12 @@ struct PaperArgs {
 /// Runs the command.
 fn reproduce_paper(args: &PaperArgs) -> Result<()> {
     let interference = InterferenceSources::assumed(args.seed, DRAWS);
-    let bar = terminal::progress_bar("evaluating designs", args.count as usize * MATERIALS.len());
+    let bar = progress::progress_bar("evaluating designs", args.count as usize * MATERIALS.len());
     let paper = PaperResults::of(args.count, &interference, || bar.inc(1));
     bar.finish_and_clear();
     if let Some(path) = &args.output {
         let sections = pages::of_paper(&paper);
-        report::write_sections(path, "magpie: reproduction of the paper", &sections)?;
+        report::html::write_sections(path, "magpie: reproduction of the paper", &sections)?;
     }
     let page = if args.json {
         let claims = paper.claims.iter().map(|claim| {

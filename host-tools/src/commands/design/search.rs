@@ -1,5 +1,6 @@
 //! `magpie design sweep` and `magpie design optimize`: searches of the design space.
 
+use analysis::progress;
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -11,10 +12,10 @@ use model_export::output::check_output;
 use serde_json::{Value, json};
 
 use crate::commands::design::space::SpaceArgs;
-use crate::design_summary::{self, finite};
-use crate::report::numbers::number;
-use crate::report::{self, design as pages};
-use crate::terminal;
+use analysis::numbers::number;
+use report::html::design as pages;
+use report::text::design::{self as summary, finite};
+use report::text::terminal;
 
 /// Printed rows of the Pareto front.
 const FRONT_ROWS: usize = 12;
@@ -44,7 +45,7 @@ pub fn run_sweep(args: &SweepArgs) -> Result<()> {
     let space = args.space.space(&base)?;
     let interference = args.space.interference();
     let designs = space.points(args.space.count).count();
-    let bar = terminal::progress_bar("evaluating designs", designs as usize);
+    let bar = progress::progress_bar("evaluating designs", designs as usize);
     let start = Instant::now();
     let candidates = sweep(&base, &space, args.space.count, &interference, || bar.inc(1));
     let front = pareto_front(&candidates);
@@ -52,7 +53,7 @@ pub fn run_sweep(args: &SweepArgs) -> Result<()> {
     bar.finish_and_clear();
     if let Some(path) = &args.output {
         let sections = pages::of_sweep(&candidates, &front, args.space.sample);
-        report::write_sections(path, "magpie: a sweep of designs", &sections)?;
+        report::html::write_sections(path, "magpie: a sweep of designs", &sections)?;
     }
     terminal::print_result(
         args.json,
@@ -75,11 +76,11 @@ fn sweep_report(
     front: &[usize],
     seconds: f64,
 ) -> String {
-    let mut table = terminal::table(design_summary::CANDIDATE_HEADS);
+    let mut table = terminal::table(summary::CANDIDATE_HEADS);
     for place in evenly_spaced(front, FRONT_ROWS) {
-        table.add_row(design_summary::candidate_row(&candidates[place]));
+        table.add_row(summary::candidate_row(&candidates[place]));
     }
-    let limits: Vec<String> = design_summary::causes(candidates)
+    let limits: Vec<String> = summary::causes(candidates)
         .into_iter()
         .filter(|(_, count)| *count > 0)
         .map(|(cause, count)| format!("{} {count}", cause.name()))
@@ -116,7 +117,7 @@ fn sweep_json(args: &SweepArgs, candidates: &[Candidate], front: &[usize]) -> Va
             "interference_n": finite(candidate.interference_n),
         })
     };
-    let causes = design_summary::causes(candidates)
+    let causes = summary::causes(candidates)
         .into_iter()
         .map(|(cause, count)| (cause.name().replace(' ', "_"), count.into()));
     json!({
@@ -165,7 +166,7 @@ pub fn run_optimize(args: &OptimizeArgs) -> Result<()> {
     let space = args.space.space(&base)?;
     let interference = args.space.interference();
     let designs = space.points(args.space.count).count();
-    let bar = terminal::progress_bar("evaluating designs", designs as usize);
+    let bar = progress::progress_bar("evaluating designs", designs as usize);
     let optimum = optimise(&base, &space, force_n, args.space.count, &interference, || bar.inc(1));
     bar.finish_and_clear();
     let Some(optimum) = optimum else {
@@ -178,7 +179,7 @@ pub fn run_optimize(args: &OptimizeArgs) -> Result<()> {
     }
     let shifts = sweep::shifts(&optimum.design, force_n, &interference);
     if args.json {
-        let mut object = design_summary::to_json(&optimum.design, &optimum.evaluation, &shifts);
+        let mut object = summary::to_json(&optimum.design, &optimum.evaluation, &shifts);
         object["error_n"] = optimum.error_n.into();
         object["bearing"] = optimum.feasible.0.into();
         object["designs"] = optimum.feasible.1.into();
@@ -186,13 +187,12 @@ pub fn run_optimize(args: &OptimizeArgs) -> Result<()> {
         terminal::print(&format!("{object}\n"))?;
         return Ok(());
     }
-    let mut page = design_summary::describe(&optimum.design)
-        + "\n"
-        + &design_summary::tables(&optimum.evaluation, &shifts);
-    page += &design_summary::verdict(&optimum.design, &optimum.evaluation);
-    page += &design_summary::binding_limits(&optimum.evaluation);
+    let mut page =
+        summary::describe(&optimum.design) + "\n" + &summary::tables(&optimum.evaluation, &shifts);
+    page += &summary::verdict(&optimum.design, &optimum.evaluation);
+    page += &summary::binding_limits(&optimum.evaluation);
     page += &error_sentence(&optimum);
-    page += &design_summary::assumptions(&optimum.design);
+    page += &summary::assumptions(&optimum.design);
     if let Some(path) = &args.output {
         page += &format!(
             "Written to {0}.\nNext: cargo magpie simulate --design {0} -o CAMPAIGN\n",

@@ -1,7 +1,8 @@
 //! `magpie add` and `magpie remove`: a model refitted with other effects.
 
-pub mod report;
+pub mod text;
 
+use analysis::progress;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
@@ -19,12 +20,12 @@ use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 use serde::Serialize;
 
-use crate::analysis::compare::campaign_reader::{check_distinct, read_campaign};
 use crate::commands::args::{CampaignArgs, ExprArgs};
 use crate::commands::replay::replay_all;
-use crate::commands::replay::report::rmse_n;
-use crate::device_run::ReplayModels;
-use crate::terminal;
+use crate::commands::replay::text::rmse_n;
+use analysis::compare::campaign_reader::{check_distinct, read_campaign};
+use device_run::ReplayModels;
+use report::text::terminal;
 
 /// Arguments of `add` and `remove`.
 #[derive(Debug, clap::Args)]
@@ -71,8 +72,8 @@ fn edit(
     let edited = refit(campaign, &model, before, after, alignment, options)?;
     terminal::print_result(
         args.input.json,
-        || report::to_json(&edited),
-        || report::format_report(&edited),
+        || text::to_json(&edited),
+        || text::format_report(&edited),
     )?;
     if let Some(path) = &args.output {
         edited.model.write(path)?;
@@ -105,7 +106,7 @@ pub fn refit(
     terminal::print_notes(&notices);
     let all: Vec<EffectTerm> = before.iter().chain(&after).cloned().collect();
     let split = prepared.split(&all);
-    let bar = terminal::progress_bar("fitting sensors, before and after", 2 * prepared.rows.len());
+    let bar = progress::progress_bar("fitting sensors, before and after", 2 * prepared.rows.len());
     let fit = |effects: &[EffectTerm]| prepared.fit(effects, split, options, |_| bar.inc(1));
     let (old, new) = (fit(&before)?, fit(&after)?);
     bar.finish_and_clear();

@@ -1,9 +1,9 @@
 //! `magpie emulate`: runs the unmodified firmware image in an emulated chip.
 
 #[cfg(unix)]
-mod report;
-#[cfg(unix)]
 mod session;
+#[cfg(unix)]
+mod text;
 
 use std::path::PathBuf;
 

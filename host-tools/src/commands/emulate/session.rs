@@ -1,34 +1,35 @@
 //! An emulation session: set-up, run, report.
 
+use analysis::progress;
 use std::cell::RefCell;
 use std::path::PathBuf;
 use std::rc::Rc;
 use std::sync::atomic::Ordering::Relaxed;
 
 use anyhow::{Context, Result, anyhow};
+use emulator::{Image, ResetRecord, Time};
 use firmware::protocol::messages::FaultEvent;
 use firmware::system::faults::Fault;
 use indicatif::ProgressBar;
 use model_export::inverse::build::{ModelVariant, build};
-use sim_board::{Image, ResetRecord, Time};
 
 use crate::commands::connection::interrupted;
-use crate::commands::emulate::{Args, Timing, report};
-use crate::device::emulation::pace::Pace;
-use crate::device::emulation::{CanPort, Emulation, Notice};
-use crate::device::format;
-use crate::device::pty::Pty;
-use crate::device::socket_can::Bridge;
-use crate::device::socketcand::server::Server;
-use crate::device::virtual_board::world::SensorInput;
-use crate::sim::board::world::World;
-use crate::sim::closed_loop::coupling::{GripperWorld, SharedGripper, SimulatedGripper};
-use crate::sim::closed_loop::emulated_board::{ChipConditions, EmulatedBoard};
-use crate::sim::closed_loop::grasp_rig::contact_object;
-use crate::sim::closed_loop::motor_rig::MotorRig;
-use crate::sim::drivetrain::fingertips::Fingertips;
-use crate::sim::drivetrain::parameters::{Lead, PlantParameters};
-use crate::terminal;
+use crate::commands::emulate::{Args, Timing, text};
+use device::emulation::pace::Pace;
+use device::emulation::{CanPort, Emulation, Notice};
+use device::format;
+use device::pty::Pty;
+use device::socket_can::Bridge;
+use device::socketcand::server::Server;
+use device::virtual_board::world::SensorInput;
+use report::text::terminal;
+use sim::board::world::World;
+use sim::closed_loop::coupling::{GripperWorld, SharedGripper, SimulatedGripper};
+use sim::closed_loop::emulated_board::{ChipConditions, EmulatedBoard};
+use sim::closed_loop::grasp_rig::contact_object;
+use sim::closed_loop::motor_rig::MotorRig;
+use sim::drivetrain::fingertips::Fingertips;
+use sim::drivetrain::parameters::{Lead, PlantParameters};
 
 /// Output paths of the image builds.
 const IMAGES: [&str; 2] = [
@@ -87,9 +88,9 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let mut pace = Pace::new(args.speed.0);
     let end = run_until_end(args, &mut emulation, &mut pace)?;
     let output = if args.json {
-        format!("{}\n", report::to_json(&setup, args, &mut emulation, &pace, &end))
+        format!("{}\n", text::to_json(&setup, args, &mut emulation, &pace, &end))
     } else {
-        report::format_report(args, &mut emulation, &pace, &end)
+        text::format_report(args, &mut emulation, &pace, &end)
     };
     terminal::print(&output)?;
     match end {
@@ -133,7 +134,7 @@ fn world(args: &Args, gripper: &SharedGripper) -> Result<Box<dyn World>> {
     let (Some(folder), Some(model)) = (&args.replay, &args.model) else {
         return Ok(Box::new(GripperWorld(gripper.clone())));
     };
-    let bar = terminal::progress_bar("building tables", 1);
+    let bar = progress::progress_bar("building tables", 1);
     let built = build(model, ModelVariant::Fitted)?;
     bar.finish_and_clear();
     let doing = SensorInput::Recorded(folder.clone());
@@ -160,7 +161,7 @@ fn announce(setup: &Setup, args: &Args) {
 
 fn run_until_end(args: &Args, emulation: &mut Emulation, pace: &mut Pace) -> Result<End> {
     let interrupted = interrupted()?;
-    let bar = terminal::status_spinner("emulating");
+    let bar = progress::status_spinner("emulating");
     let end = args.seconds.map_or(Time::NEVER, |seconds| Time::from_us((1e6 * seconds) as u64));
     let mut status = StatusLine::default();
     let reason = loop {
@@ -250,7 +251,7 @@ pub fn format_fault(event: &FaultEvent, emulation: &Emulation) -> String {
             let place = emulation.board.chip.image().place(address);
             format!(
                 "fault: {}: before the last reset, at {place}",
-                crate::device::format::fault_name(Fault::Crashed)
+                device::format::fault_name(Fault::Crashed)
             )
         }
         None => format!("fault: {words}"),

@@ -15,10 +15,10 @@ use serde_json::{Value, json};
 use crate::commands::connection::{check_protocol, interrupted};
 use crate::commands::grasp::simulated::check_force;
 use crate::commands::grasp::{Args, MARGIN_MM, check_opening};
-use crate::device::session::{self, Client};
-use crate::device::{format as live_json, format};
-use crate::sim::closed_loop::grasp_rig::grip_command;
-use crate::terminal;
+use device::session::{self, Client};
+use device::{format as live_json, format};
+use report::text::terminal;
+use sim::closed_loop::grasp_rig::grip_command;
 
 /// Timeouts of the steps in real seconds, with a margin for slow emulations.
 const CONNECT_S: f64 = 10.0;

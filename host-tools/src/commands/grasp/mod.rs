@@ -7,6 +7,8 @@
 mod hardware;
 mod simulated;
 
+use analysis::numbers;
+use analysis::progress;
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
@@ -14,11 +16,11 @@ use firmware::config::constants::{self, Constant};
 use serde_json::{Value, json};
 
 use crate::commands::connection::{PortArgs, parse_seconds};
-use crate::report::{self, drive};
-use crate::sim::closed_loop::drive_result::{DriveResult, DriveTarget};
-use crate::sim::closed_loop::motor_rig::DriveCase;
-use crate::sim::drivetrain::parameters::Lead;
-use crate::terminal;
+use report::html::drive;
+use report::text::terminal;
+use sim::closed_loop::drive_result::{DriveResult, DriveTarget};
+use sim::closed_loop::motor_rig::DriveCase;
+use sim::drivetrain::parameters::Lead;
 
 /// Move, grasp or land with a simulated gripper under firmware control, or a real or emulated one (--port, --can).
 #[derive(Debug, clap::Args)]
@@ -158,11 +160,11 @@ pub fn run(args: &Args) -> Result<()> {
         return simulated::run_landing(args, case, peak_n);
     }
     let setpoint = setpoint(args, lead)?;
-    let bar = terminal::progress_bar("simulating the drive", DriveResult::PARTS);
+    let bar = progress::progress_bar("simulating the drive", DriveResult::PARTS);
     let result = DriveResult::of(case, args.from, setpoint, || bar.inc(1));
     bar.finish_and_clear();
     if let Some(path) = &args.output {
-        report::write_sections(path, &drive::title(&result), &drive::sections(&result))?;
+        report::html::write_sections(path, &drive::title(&result), &drive::sections(&result))?;
     }
     terminal::print_result(args.json, || to_json(args, &result), || format_report(args, &result))
 }
@@ -221,7 +223,7 @@ fn setpoint(args: &Args, lead: Lead) -> Result<DriveTarget> {
 fn format_report(args: &Args, result: &DriveResult) -> String {
     let mut table = terminal::table(["quantity", "value", "unit"]);
     for (name, value, unit) in result.figures() {
-        table.add_row([name, &terminal::decimal(value, 3), unit]);
+        table.add_row([name, &numbers::decimal(value, 3), unit]);
     }
     terminal::right_align(&mut table, 1);
     let mut text = terminal::paragraph(&result.sentence());
@@ -235,7 +237,7 @@ fn footer(args: &Args, assumed: &[Constant]) -> String {
     let assumed: Vec<String> = assumed
         .iter()
         .map(|constant| {
-            let value = terminal::decimal(constant.value, 6);
+            let value = numbers::decimal(constant.value, 6);
             format!("{} {value} {}", constant.name, constant.unit).trim_end().to_owned()
         })
         .collect();

@@ -1,5 +1,7 @@
 //! Simulated grasps and landings.
 
+use analysis::numbers;
+use analysis::progress;
 use anyhow::{Result, bail};
 use firmware::grip::commands::GripProfile;
 use serde_json::{Value, json};
@@ -7,13 +9,13 @@ use serde_json::{Value, json};
 use crate::commands::grasp::{
     Args, ObjectStiffness, OtherController, assumed_json, figures_json, footer,
 };
-use crate::report::{self, grasp as page};
-use crate::sim::closed_loop::grasp_result::{
+use report::html::grasp as page;
+use report::text::terminal;
+use sim::closed_loop::grasp_result::{
     GraspResult, GraspSample, GraspTarget, GraspTrace, run_current_limited, run_grasp,
 };
-use crate::sim::closed_loop::landing::{Landing, LandingResult};
-use crate::sim::closed_loop::motor_rig::DriveCase;
-use crate::terminal;
+use sim::closed_loop::landing::{Landing, LandingResult};
+use sim::closed_loop::motor_rig::DriveCase;
 
 /// Hold time in seconds.
 const HOLD_S: f64 = 0.5;
@@ -48,7 +50,7 @@ pub(super) fn grasp(args: &Args, case: DriveCase, set_n: f64) -> Result<()> {
     check_force(set_n)?;
     let spec = grasp_spec(args, set_n)?;
     let bar =
-        terminal::progress_bar("simulating the grasp", 1 + usize::from(args.compare.is_some()));
+        progress::progress_bar("simulating the grasp", 1 + usize::from(args.compare.is_some()));
     let own = run_grasp(case.lead, case.parameters, spec, case.seed);
     bar.inc(1);
     let other = args.compare.map(|OtherController::CurrentLimit| {
@@ -58,7 +60,7 @@ pub(super) fn grasp(args: &Args, case: DriveCase, set_n: f64) -> Result<()> {
     bar.finish_and_clear();
     let result = GraspResult { case, own, other };
     if let Some(path) = &args.output {
-        report::write_sections(path, &page::title(&result), &page::sections(&result))?;
+        report::html::write_sections(path, &page::title(&result), &page::sections(&result))?;
     }
     terminal::print_result(args.json, || grasp_json(args, &result), || grasp_report(args, &result))
 }
@@ -72,7 +74,7 @@ fn grasp_spec(args: &Args, set_n: f64) -> Result<GraspTarget> {
     } else {
         bail!(
             "--force {set_n} compresses the object by {} mm, more than the finger opening; reduce it",
-            terminal::decimal(set_n / contact_n_per_mm, 0)
+            numbers::decimal(set_n / contact_n_per_mm, 0)
         )
     }
 }
@@ -83,15 +85,15 @@ fn grasp_report(args: &Args, result: &GraspResult) -> String {
     let mut table = terminal::table(headers);
     let other = result.other.as_ref().map(GraspResult::figures);
     for (index, (name, value, unit)) in GraspResult::figures(&result.own).into_iter().enumerate() {
-        let mut row = vec![name.to_owned(), terminal::decimal(value, 2), unit.to_owned()];
+        let mut row = vec![name.to_owned(), numbers::decimal(value, 2), unit.to_owned()];
         let other = other.as_ref().and_then(|other| other.get(index));
-        row.extend(other.map(|(_, value, _)| terminal::decimal_or_dash(*value, 2)));
+        row.extend(other.map(|(_, value, _)| numbers::decimal_or_dash(*value, 2)));
         table.add_row(row);
     }
     terminal::right_align(&mut table, 1);
     let mut states = terminal::table(["from, ms", "state"]);
     for (time_s, state) in result.states() {
-        states.add_row([terminal::decimal(1e3 * time_s, 0), state]);
+        states.add_row([numbers::decimal(1e3 * time_s, 0), state]);
     }
     let mut page = terminal::paragraph(&result.sentence());
     page += &format!("{table}\n{states}\n");
@@ -153,7 +155,7 @@ pub(super) fn run_landing(args: &Args, case: DriveCase, peak_n: f64) -> Result<(
         Landing { peak_n, lasts_s: 1e-3 * args.lasts, along_mm: CONTACT_POINT_MM, phase: PHASE };
     let result = landing.run(&case);
     if let Some(path) = &args.output {
-        report::write_sections(path, &page::landing_title(&result), &page::landing(&result))?;
+        report::html::write_sections(path, &page::landing_title(&result), &page::landing(&result))?;
     }
     terminal::print_result(
         args.json,
@@ -167,8 +169,8 @@ fn landing_report(args: &Args, result: &LandingResult) -> String {
     for (name, [estimate, truth], unit) in result.figures() {
         table.add_row([
             name.to_owned(),
-            terminal::decimal_or_dash(estimate, 2),
-            terminal::decimal_or_dash(truth, 2),
+            numbers::decimal_or_dash(estimate, 2),
+            numbers::decimal_or_dash(truth, 2),
             unit.to_owned(),
         ]);
     }

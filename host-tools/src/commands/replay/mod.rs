@@ -1,7 +1,8 @@
 //! `magpie replay`: runs a campaign through the device code.
 
-pub mod report;
+pub mod text;
 
+use analysis::progress;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
@@ -17,12 +18,12 @@ use model_export::recordings::description::{NominalDesign, RecordingDescription}
 use model_export::recordings::recording::recording_name;
 use model_export::recordings::stream::RawStream;
 
-use crate::analysis::compare::campaign_reader::check_sensor_scale;
-use crate::analysis::replay::{RecordingReplay, replay};
 use crate::commands::args::AlignArgs;
-use crate::device_run::ReplayModels;
-use crate::device_run::networks::NetworkSet;
-use crate::terminal;
+use analysis::compare::campaign_reader::check_sensor_scale;
+use analysis::replay::{RecordingReplay, replay};
+use device_run::ReplayModels;
+use device_run::networks::NetworkSet;
+use report::text::terminal;
 
 /// Run every row of a campaign through the device code and compare the forces with the reference.
 #[derive(Debug, clap::Args)]
@@ -52,8 +53,8 @@ pub fn run(args: &Args) -> Result<()> {
         evaluate(&args.model, &args.campaign, args.network.as_deref(), args.align.alignment()?)?;
     terminal::print_result(
         args.json,
-        || report::to_json(&evaluation),
-        || report::format_report(&evaluation),
+        || text::to_json(&evaluation),
+        || text::format_report(&evaluation),
     )
 }
 
@@ -84,7 +85,7 @@ pub fn evaluate(
     network: Option<&Path>,
     alignment: Alignment,
 ) -> Result<Evaluation> {
-    let building = terminal::progress_bar("building tables", 2);
+    let building = progress::progress_bar("building tables", 2);
     let built = build(model, ModelVariant::Fitted)?;
     let networks = network.map(|path| NetworkSet::read(path, &built)).transpose()?;
     let DeviceModel { model: file, chosen: fitted, compensations, uncompensated: left, header } =
@@ -203,7 +204,7 @@ pub fn replay_all(
     models: ReplayModels,
     alignment: Alignment,
 ) -> Result<Vec<RecordingReplay>> {
-    let bar = terminal::row_spinner("replaying");
+    let bar = progress::row_spinner("replaying");
     let mut replays = Vec::new();
     for folder in folders {
         let (description, _) = RecordingDescription::read(folder)?;

@@ -1,5 +1,6 @@
 //! Training data: recordings through the device code.
 
+use analysis::progress;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
@@ -13,12 +14,10 @@ use model_export::recordings::description::RecordingDescription;
 use model_export::recordings::recording::recording_name;
 use model_export::recordings::stream::RawStream;
 
-use crate::analysis::compare::campaign_reader::{
-    check_distinct, check_sensor_scale, held_out_index,
-};
 use crate::commands::train::TrainingArgs;
-use crate::device_run::{ReplayModels, training_sequence};
-use crate::terminal;
+use analysis::compare::campaign_reader::{check_distinct, check_sensor_scale, held_out_index};
+use device_run::{ReplayModels, training_sequence};
+use report::text::terminal;
 
 /// Training and held-out sequences with their provenance.
 pub struct TrainingData {
@@ -106,7 +105,7 @@ fn read_sequences(
     built: &DeviceModel,
     alignment: Alignment,
 ) -> Result<Vec<Sequence>> {
-    let bar = terminal::row_spinner("running the device code");
+    let bar = progress::row_spinner("running the device code");
     let mut sequences = Vec::new();
     for folder in folders {
         let (description, _) = RecordingDescription::read(folder)?;

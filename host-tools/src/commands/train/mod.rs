@@ -1,8 +1,9 @@
 //! `magpie train`: trains recurrent networks on recordings.
 
 mod dataset;
-mod report;
+mod text;
 
+use analysis::progress;
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -16,11 +17,11 @@ use model_export::gru::train::dataset::Topology;
 use model_export::gru::train::trainer::{Trainer, TrainingSettings};
 use model_export::output::check_output;
 
-use crate::analysis::network_calibration::NetworkCalibration;
 use crate::commands::args::AlignArgs;
 use crate::commands::train::dataset::TrainingData;
-use crate::commands::train::report::Evaluation;
-use crate::terminal;
+use crate::commands::train::text::Evaluation;
+use analysis::network_calibration::NetworkCalibration;
+use report::text::terminal;
 
 /// Default units per layer: with three inputs the device computes them within the time that the paper states for
 /// a computer.
@@ -187,8 +188,8 @@ pub fn run(args: &Args) -> Result<()> {
     let evaluation = Evaluation::of(&trainer, &data.held_out, sigma, start.elapsed())?;
     terminal::print_result(
         common.json,
-        || report::to_json(&evaluation, &data.notes),
-        || report::format_report(&evaluation),
+        || text::to_json(&evaluation, &data.notes),
+        || text::format_report(&evaluation),
     )?;
     if let Some(path) = &args.output {
         let mut networks = trainer.networks();
@@ -240,7 +241,7 @@ fn train(args: &Args, trainer: &mut Trainer, key: &str) -> Result<()> {
             (false, _) => {}
         }
     }
-    let bar = terminal::epoch_bar("training", args.common.epochs, trainer.epoch);
+    let bar = progress::epoch_bar("training", args.common.epochs, trainer.epoch);
     while !trainer.finished() {
         let progress = trainer.epoch()?;
         bar.set_message(format!(

@@ -1,0 +1,230 @@
+//! Cross-validation: which fitted parameters predict which rows, so that no row is predicted by a model that was
+//! fitted to it.
+
+use crate::compare::campaign_reader::{CampaignReader, RecordingId};
+use crate::progress;
+use anyhow::Result;
+use model_export::effects::EffectTerm;
+use model_export::fit::campaign::FitSetup;
+use model_export::fit::cross_validation::CvSplit;
+use model_export::fit::joint::JointFit;
+use model_export::fit::{FitError, FitOptions};
+use model_export::model_file::{BaseKind, ModelFile, Provenance};
+use std::path::Path;
+
+/// If the file's own parameters have an error larger by this factor than a new fit to the same recordings, the
+/// file is not a fit of these recordings (edited, or by an older version) and is evaluated unchanged.
+const NOT_A_FIT: f64 = 1.02;
+
+/// A model for the rows that it was not fitted to.
+pub struct FoldModel {
+    /// The model.
+    pub model: ModelFile,
+    /// Effects of the model.
+    pub additions: Vec<EffectTerm>,
+}
+
+/// Folds of one recording.
+#[derive(Clone, Debug)]
+pub struct RecordingFolds {
+    /// Name, folder and hash.
+    pub named: RecordingId,
+    /// End of each segment in seconds of the recording, and the index of its model, in order.
+    pub folds: Vec<(f64, usize)>,
+}
+
+/// Cross-validation of a campaign.
+pub struct CvPlan {
+    /// Models: first the file itself, then one per fold.
+    pub models: Vec<FoldModel>,
+    /// Recordings in chronological order.
+    pub recordings: Vec<RecordingFolds>,
+    /// Description in one sentence.
+    pub description: String,
+}
+
+impl FoldModel {
+    /// Index of a recording among those of the fit, or one beyond the last.
+    pub fn place_of(&self, recording: &RecordingFolds) -> usize {
+        let fitted = &self.model.provenance.recordings;
+        let place = fitted.iter().position(|other| other.sha256 == recording.named.sha256);
+        place.unwrap_or(fitted.len())
+    }
+}
+
+impl CvPlan {
+    /// Plans the cross-validation of `source`, with new fits if the model was fitted to any of it. `path` names
+    /// the model in messages.
+    ///
+    /// # Errors
+    /// A recording cannot be read.
+    pub fn new(
+        path: &Path,
+        model: &ModelFile,
+        source: &CampaignReader,
+        options: FitOptions,
+    ) -> Result<Self> {
+        let unseen = |named: &RecordingId| RecordingFolds {
+            named: named.clone(),
+            folds: vec![(f64::INFINITY, 0)],
+        };
+        let recordings: Vec<RecordingFolds> = source.names.iter().map(unseen).collect();
+        let own = FoldModel { additions: model.effect_terms(path)?, model: model.clone() };
+        let fitted = model.provenance.recordings.len();
+        let seen: Vec<usize> =
+            (0..recordings.len()).filter(|&i| own.place_of(&recordings[i]) < fitted).collect();
+        let mut plan = Self {
+            models: vec![own],
+            recordings,
+            description: "the model was not fitted to any of these recordings; its parameters are used unchanged"
+                .to_owned(),
+        };
+        if !seen.is_empty() {
+            plan.refit(source, &seen, options)?;
+        }
+        Ok(plan)
+    }
+
+    /// Fits the model again without the rows of each fold.
+    fn refit(
+        &mut self,
+        source: &CampaignReader,
+        seen: &[usize],
+        options: FitOptions,
+    ) -> Result<()> {
+        // Ten minutes determine the parameters sufficiently; of more, a uniform subset is used.
+        let count = source.at_once.max(3).min(seen.len());
+        let some: Vec<usize> = (0..count).map(|i| seen[i * seen.len() / count]).collect();
+        let campaign = source.campaign(&some)?;
+        let (model, additions) = (self.models[0].model.clone(), self.models[0].additions.clone());
+        let prepared = match model.base {
+            BaseKind::Cylinder => FitSetup::cylinder(&campaign),
+            BaseKind::Polynomial => FitSetup::polynomial(&campaign, model.degree(), options),
+        };
+        let bar = progress::progress_bar("cross-validating", campaign.sensors().len());
+        let fitted = prepared.and_then(|prepared| {
+            let split = prepared.split(&additions);
+            let fit = prepared.fit(&additions, split, options, |_| bar.inc(1))?;
+            Ok((prepared, fit))
+        });
+        bar.finish_and_clear();
+        let (prepared, fit) = match fitted {
+            Ok(fitted) => fitted,
+            Err(FitError::Recording(problem)) => return Err(problem.into()),
+            Err(why) => {
+                self.description = format!(
+                    "NOT held out: the model was fitted to these recordings and could not be fitted again ({why})"
+                );
+                return Ok(());
+            }
+        };
+        if let Some(worse) = excess_error(&model, &additions, &prepared, &fit) {
+            self.description = format!(
+                "the file's parameters have {worse:.2} times the error of a fit to the same recordings; they are used unchanged"
+            );
+            return Ok(());
+        }
+        let provenance = Provenance::of(&campaign, source.alignment.delay_us, options)?;
+        let fold_model = |fit: &JointFit| FoldModel {
+            model: ModelFile::with_effects(
+                &campaign,
+                &prepared,
+                fit,
+                &additions,
+                provenance.clone(),
+            ),
+            additions: additions.clone(),
+        };
+        let folds = fit.sensors.first().map_or(0, |sensor| sensor.folds.len());
+        let first = self.models.len();
+        self.models.extend((0..folds).map(|fold| fold_model(&fit.without(fold))));
+        let all = self.models.len();
+        self.models.push(fold_model(&fit));
+        let names: Vec<String> = campaign.recordings.iter().map(|r| r.name.clone()).collect();
+        for &i in seen {
+            let recording = &mut self.recordings[i];
+            recording.folds = match names.iter().position(|name| *name == recording.named.name) {
+                None => vec![(f64::INFINITY, all)],
+                Some(part) => segments(&prepared, &fit, part, first),
+            };
+        }
+        self.description = description(fit.split, seen.len(), names.len(), self.recordings.len());
+        Ok(())
+    }
+}
+
+/// Error of the file's parameters relative to a fit to the same rows; `None` if the file is that fit.
+fn excess_error(
+    model: &ModelFile,
+    additions: &[EffectTerm],
+    prepared: &FitSetup,
+    fit: &JointFit,
+) -> Option<f64> {
+    let (mut own, mut rows) = (0.0, 0.0);
+    for sensor in &prepared.rows {
+        let Some(predictor) = model.predictor(sensor.sensor, additions) else {
+            continue;
+        };
+        for part in &sensor.parts {
+            let predicted = predictor.over(part, &sensor.forces);
+            let errors = part.field_g.iter().zip(&predicted.field_g);
+            own += errors.map(|(b, m)| (b - m).norm_squared()).sum::<f64>();
+            rows += 3.0 * part.len() as f64;
+        }
+    }
+    let scores = || fit.sensors.iter().flat_map(|sensor| &sensor.scores);
+    let squares: f64 = scores().map(|score| score.fitted_rms_g.powi(2)).sum();
+    let ratio = (own / rows / (squares / scores().count().max(1) as f64)).sqrt();
+    (ratio > NOT_A_FIT).then_some(ratio)
+}
+
+/// Segments of a recording with the models of their folds.
+fn segments(prepared: &FitSetup, fit: &JointFit, part: usize, first: usize) -> Vec<(f64, usize)> {
+    if let CvSplit::Recordings(_) = fit.split {
+        return vec![(f64::INFINITY, first + part)];
+    }
+    let Some((rows, of)) = prepared.rows.first().zip(fit.sensors.first()) else {
+        return Vec::new();
+    };
+    let time_s = &rows.parts[part].track.time_s;
+    let folds = fit.split.folds(rows, of.block_s);
+    let mut list: Vec<(f64, usize)> = folds
+        .iter()
+        .enumerate()
+        .flat_map(|(fold, of)| of.test.iter().map(move |block| (fold, block)))
+        .filter(|(_, block)| block.part == part)
+        .map(|(fold, block)| {
+            let until = time_s.get(block.rows.end).copied();
+            (until.unwrap_or(f64::INFINITY), first + fold)
+        })
+        .collect();
+    list.sort_by(|a, b| a.0.total_cmp(&b.0));
+    list
+}
+
+fn description(split: CvSplit, seen: usize, fitted: usize, all: usize) -> String {
+    let how = match split {
+        CvSplit::Recordings(_) => "each recording is predicted by a fit to the others",
+        CvSplit::KFold => {
+            "one recording: each sixth is predicted by a fit to the rest; no claim about other recordings"
+        }
+        CvSplit::Interleaved => {
+            "the model has a transient effect: every sixth block of 0.25 s is predicted by a fit to the rest"
+        }
+    };
+    let some = if fitted < seen {
+        format!(
+            "; fitted to {fitted} of {seen} recordings, uniformly chosen; the others are predicted by that fit"
+        )
+    } else {
+        String::new()
+    };
+    let unseen = match all - seen {
+        0 => String::new(),
+        1 => "; 1 recording outside the fit is predicted by the model's own parameters".to_owned(),
+        n => {
+            format!("; {n} recordings outside the fit are predicted by the model's own parameters")
+        }
+    };
+    format!("{how}{some}{unseen}")
+}

@@ -1,0 +1,308 @@
+//! Errors of the field over a campaign, in one pass with a few recordings in memory.
+
+use crate::compare::campaign_reader::CampaignReader;
+use crate::compare::covariates::all_covariates;
+use crate::compare::cv_plan::{CvPlan, FoldModel, RecordingFolds};
+use crate::compare::residual_table::{MAX_ROWS, ResidualTable};
+use crate::compare::{Envelope, Trace};
+use crate::progress;
+use crate::statistics::ErrorAccumulator;
+use anyhow::{Result, bail};
+use model_export::effects::excitation::LoadCycleCounter;
+use model_export::fit::cross_validation::noise_variance;
+use model_export::fit::rows::{RecordingRows, own_forces};
+use model_export::model_file::{FieldPrediction, ModelFile};
+use model_export::recordings::columns::Axis;
+use model_export::recordings::{Campaign, DataError, Notice, Recording};
+use nalgebra::Vector3;
+use rayon::prelude::*;
+use std::borrow::Cow;
+use std::collections::BTreeSet;
+use std::path::Path;
+
+/// Maximum points of all curves.
+const POINTS: usize = 400_000;
+
+/// Results of one sensor over the campaign.
+pub struct SensorEvaluation {
+    /// Number of the sensor.
+    pub sensor: u32,
+    /// Forces that its model depends on.
+    pub forces: Vec<(u32, Axis)>,
+    /// Errors of each axis in gauss.
+    pub errors: [ErrorAccumulator; 3],
+    /// Sums over rows of the squared floor components by axis: white noise, quantisation, reference noise.
+    pub floor: [Vector3<f64>; 3],
+    /// Residuals for the attribution.
+    pub columns: ResidualTable,
+    cycles: LoadCycleCounter,
+}
+
+/// Results of one pass over the campaign.
+pub struct FieldEvaluation {
+    /// Sensors in the order of their numbers.
+    pub sensors: Vec<SensorEvaluation>,
+    /// Field over time.
+    pub traces: Vec<Trace>,
+    /// First row of each recording on the reference's clock, in seconds.
+    pub origins_s: Vec<f64>,
+    /// Duration of each recording in seconds.
+    pub spans_s: Vec<f64>,
+    /// Notes on the recordings.
+    pub notices: Vec<Notice>,
+}
+
+/// Evaluates the field of every sensor that model and recordings have in common.
+///
+/// # Errors
+/// A recording cannot be read or is of another gripper, or no sensor has field and forces.
+pub fn evaluate_fields(plan: &CvPlan, source: &CampaignReader) -> Result<FieldEvaluation> {
+    let campaign = source.folder.as_path();
+    let mut evaluation = FieldEvaluation {
+        sensors: Vec::new(),
+        traces: Vec::new(),
+        origins_s: Vec::new(),
+        spans_s: Vec::new(),
+        notices: Vec::new(),
+    };
+    let mut first: Option<Recording> = None;
+    let mut before_s = 0.0;
+    let bar = progress::progress_bar("comparing the field", plan.recordings.len());
+    let at_once = 2 * rayon::current_num_threads();
+    let places: Vec<usize> = (0..plan.recordings.len()).collect();
+    for places in places.chunks(at_once) {
+        let read = places
+            .par_iter()
+            .map(|&place| source.read(place))
+            .collect::<Vec<_>>()
+            .into_iter()
+            .collect::<Result<Vec<Cow<Recording>>, DataError>>()?;
+        for (&place, recording) in places.iter().zip(read) {
+            match &first {
+                None => evaluation.sensors = sensors(&plan.models[0].model, &recording, campaign)?,
+                Some(first) => same_gripper(campaign, first, &recording)?,
+            }
+            evaluation.add(plan, place, &recording, before_s)?;
+            before_s += recording.span_s();
+            let origin_s = recording.time_s.first().copied();
+            evaluation.origins_s.push(origin_s.unwrap_or(0.0));
+            evaluation.spans_s.push(recording.span_s());
+            evaluation.notices.extend(recording.notices.iter().cloned());
+            first.get_or_insert_with(|| without_rows(&recording));
+            bar.inc(1);
+        }
+    }
+    bar.finish_and_clear();
+    if evaluation.sensors.iter().all(|sensor| sensor.columns.is_empty()) {
+        bail!(
+            "{}: no sensor of the model has both field and forces in these recordings",
+            campaign.display()
+        );
+    }
+    evaluation.sensors.retain(|sensor| !sensor.columns.is_empty());
+    Ok(evaluation)
+}
+
+/// The sensors that model and recordings have in common.
+fn sensors(
+    model: &ModelFile,
+    recording: &Recording,
+    campaign: &Path,
+) -> Result<Vec<SensorEvaluation>> {
+    let mut list = Vec::new();
+    let covariates = all_covariates(recording);
+    for sensor in &model.sensors {
+        let number = sensor.number;
+        let forces = match sensor.polynomial() {
+            Some(polynomial) => polynomial.forces,
+            None => own_forces(number).to_vec(),
+        };
+        let has_forces = forces.iter().all(|force| recording.forces.contains_key(force));
+        if recording.sensors.contains_key(&number) && has_forces {
+            list.push(SensorEvaluation {
+                sensor: number,
+                forces,
+                errors: Default::default(),
+                floor: [Vector3::zeros(); 3],
+                columns: ResidualTable::new(number, &covariates),
+                cycles: LoadCycleCounter::default(),
+            });
+        }
+    }
+    if list.is_empty() {
+        let numbers = |numbers: BTreeSet<u32>| {
+            let words: Vec<String> = numbers.iter().map(u32::to_string).collect();
+            words.join(", ")
+        };
+        bail!(
+            "{}: the model has sensors {}, these recordings have {} with forces on {}: nothing to compare",
+            campaign.display(),
+            numbers(model.sensors.iter().map(|sensor| sensor.number).collect()),
+            numbers(recording.sensors.keys().copied().collect()),
+            numbers(recording.forces.keys().map(|(place, _)| *place).collect()),
+        );
+    }
+    list.sort_by_key(|sensor| sensor.sensor);
+    for number in recording.sensors.keys() {
+        if !model.sensors.iter().any(|sensor| sensor.number == *number) {
+            eprintln!("note: sensor {number} of the recordings is not in the model and is ignored");
+        }
+    }
+    for sensor in &model.sensors {
+        if !list.iter().any(|own| own.sensor == sensor.number) {
+            let number = sensor.number;
+            eprintln!(
+                "note: sensor {number} of the model lacks field or forces in these recordings and is ignored"
+            );
+        }
+    }
+    Ok(list)
+}
+
+impl FieldEvaluation {
+    fn add(
+        &mut self,
+        plan: &CvPlan,
+        place: usize,
+        recording: &Recording,
+        before_s: f64,
+    ) -> Result<()> {
+        let planned = &plan.recordings[place];
+        let all = plan.recordings.len() * recording.time_s.len();
+        let stride = all.div_ceil(MAX_ROWS).max(1);
+        let points = (POINTS / (10 * self.sensors.len() * plan.recordings.len())).clamp(50, 3000);
+        let traces = self
+            .sensors
+            .par_iter_mut()
+            .map(|sensor| {
+                let (errors, part) =
+                    sensor.evaluate(plan, planned, recording, (place, before_s))?;
+                Some(sensor.add(&part, &errors, place, stride, points, recording))
+            })
+            .collect::<Vec<Option<Trace>>>();
+        self.traces.extend(traces.into_iter().flatten());
+        Ok(())
+    }
+}
+
+/// Modelled fields and squared noise floors of one recording.
+struct Modelled {
+    /// Cross-validated prediction.
+    field_g: Vec<Vector3<f64>>,
+    /// Prediction by the model's own parameters, used for attribution: it is consistent over all recordings,
+    /// whereas the fold models differ.
+    own_g: Vec<Vector3<f64>>,
+    /// Squared noise of the reference times dB/dF.
+    reference_g2: Vec<Vector3<f64>>,
+    floor_g2: Vec<Vector3<f64>>,
+}
+
+impl SensorEvaluation {
+    /// `None` where a recording lacks the sensor or one of its forces.
+    fn evaluate(
+        &mut self,
+        plan: &CvPlan,
+        planned: &RecordingFolds,
+        recording: &Recording,
+        place: (usize, f64),
+    ) -> Option<(Modelled, RecordingRows)> {
+        let mut part = RecordingRows::of(recording, place, self.sensor, &self.forces)?;
+        self.cycles.update(&mut part.track);
+        let rows = part.len();
+        let mut modelled = Modelled {
+            field_g: Vec::with_capacity(rows),
+            own_g: self.predict(plan.models.first()?, planned, &mut part)?.field_g,
+            reference_g2: Vec::with_capacity(rows),
+            floor_g2: Vec::with_capacity(rows),
+        };
+        for &(until, number) in &planned.folds {
+            let model = plan.models.get(number)?;
+            let end = part.track.time_s.partition_point(|time| *time < until);
+            if end <= modelled.field_g.len() {
+                continue;
+            }
+            let predicted = self.predict(model, planned, &mut part)?;
+            for row in modelled.field_g.len()..end {
+                let slopes = predicted.per_newton[row].iter().copied();
+                let floor = noise_variance(&part, slopes);
+                modelled.field_g.push(predicted.field_g[row]);
+                modelled.reference_g2.push(floor - noise_variance(&part, []));
+                modelled.floor_g2.push(floor);
+            }
+        }
+        (modelled.field_g.len() == rows).then_some((modelled, part))
+    }
+
+    fn predict(
+        &self,
+        fold: &FoldModel,
+        planned: &RecordingFolds,
+        part: &mut RecordingRows,
+    ) -> Option<FieldPrediction> {
+        let predictor = fold.model.predictor(self.sensor, &fold.additions)?;
+        part.track.recording = fold.place_of(planned);
+        Some(predictor.over(part, &self.forces))
+    }
+
+    fn add(
+        &mut self,
+        part: &RecordingRows,
+        modelled: &Modelled,
+        place: usize,
+        stride: usize,
+        points: usize,
+        recording: &Recording,
+    ) -> Trace {
+        let minus = |modelled: &[Vector3<f64>]| -> Vec<Vector3<f64>> {
+            part.field_g.iter().zip(modelled).map(|(b, m)| b - m).collect()
+        };
+        let (residual, own) = (minus(&modelled.field_g), minus(&modelled.own_g));
+        let step = recording.description.gauss_per_lsb.unwrap_or(0.0) * recording.noise_gain;
+        let steps = Vector3::repeat(step * step / 12.0);
+        let white = noise_variance(part, []);
+        for (row, error) in residual.iter().enumerate() {
+            for axis in 0..3 {
+                self.errors[axis].add(part.field_g[row][axis], error[axis]);
+            }
+            self.floor[0] += white;
+            self.floor[1] += steps;
+            self.floor[2] += modelled.reference_g2[row];
+        }
+        self.columns.push(place, &part.track, &own, &modelled.floor_g2, stride);
+        let curve = |of: &[Vector3<f64>], axis: usize| {
+            let values: Vec<f64> = of.iter().map(|field| field[axis]).collect();
+            Envelope::of(&part.track.time_s, &values, points)
+        };
+        Trace {
+            recording: recording.name.clone(),
+            sensor: self.sensor,
+            field: (0..3)
+                .map(|axis| [curve(&part.field_g, axis), curve(&modelled.field_g, axis)])
+                .collect(),
+            force: Vec::new(),
+        }
+    }
+}
+
+/// The recording's description without its rows.
+fn without_rows(recording: &Recording) -> Recording {
+    Recording {
+        name: recording.name.clone(),
+        folder: recording.folder.clone(),
+        description: recording.description.clone(),
+        time_s: Vec::new(),
+        sensors: recording.sensors.keys().map(|number| (*number, Default::default())).collect(),
+        forces: Default::default(),
+        covariates: Default::default(),
+        notices: Vec::new(),
+        ..*recording
+    }
+}
+
+fn same_gripper(campaign: &Path, first: &Recording, other: &Recording) -> Result<(), DataError> {
+    Campaign {
+        folder: campaign.to_path_buf(),
+        recordings: vec![first.clone(), without_rows(other)],
+    }
+    .check_same_gripper()
+}

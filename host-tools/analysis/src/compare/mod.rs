@@ -1,0 +1,306 @@
+//! Comparison of a model with a campaign: its error relative to the noise floor, and what the error depends on.
+//!
+//! [`Comparison`] holds all results; terminal, report and `--json` format them.
+//!
+//! - [`pipeline`]: from model and campaign to a [`Comparison`].
+//! - [`campaign_reader`]: recordings, cached or streamed.
+//! - [`cv_plan`]: cross-validation, so that no row is predicted by a model fitted to it.
+//! - [`field_errors`], [`force_errors`]: errors of the field, and of the forces through the device's code.
+//! - [`covariates`], [`residual_table`]: residuals with everything they may depend on.
+//! - [`attribution`], [`bootstrap_bands`]: which covariates explain the residual.
+//! - [`pure_error`]: scatter between repeated conditions, and drift at rest.
+
+use std::borrow::Cow;
+
+use crate::data_quality::Finding;
+use crate::statistics::{ErrorStatistics, pooled_rms};
+use model_export::recordings::columns::Axis;
+
+pub mod attribution;
+pub mod bootstrap_bands;
+pub mod campaign_reader;
+pub mod covariates;
+pub mod cv_plan;
+pub mod field_errors;
+pub mod force_errors;
+pub mod pipeline;
+pub mod pure_error;
+pub mod residual_table;
+
+/// Residuals up to this factor times the floor are indistinguishable from noise.
+pub const AT_FLOOR: f64 = 1.15;
+
+/// Cross-validated error over all channels, in gauss.
+pub fn rms_g(axes: &[FieldAxisErrors]) -> f64 {
+    pooled_rms(axes.iter().map(|axis| axis.error.rms))
+}
+
+/// Noise floor over all channels, in gauss.
+pub fn floor_g(axes: &[FieldAxisErrors]) -> f64 {
+    pooled_rms(axes.iter().map(|axis| axis.floor.total))
+}
+
+/// Error over all forces, in newtons; NaN without forces.
+pub fn rmse_n(forces: &[ForceAxisErrors]) -> f64 {
+    pooled_rms(forces.iter().map(|force| force.error.rms))
+}
+
+/// Results of a model on a campaign.
+#[derive(Clone, Debug, Default)]
+pub struct Comparison {
+    /// The model's file.
+    pub model: String,
+    /// The campaign's folder.
+    pub campaign: String,
+    /// Setup errors in the recordings, most severe first.
+    pub findings: Vec<Finding>,
+    /// How the errors were cross-validated, in one sentence.
+    pub validation: String,
+    /// Errors of the field by sensor and axis. Empty if a setup error stops the comparison.
+    pub axes: Vec<FieldAxisErrors>,
+    /// Errors of the forces through the device's code by sensor, lateral then longitudinal. Empty if the
+    /// model has no inverse; `no_forces` then has the reason.
+    pub forces: Vec<ForceAxisErrors>,
+    /// Reason for missing forces.
+    pub no_forces: Option<String>,
+    /// Covariates that explain the residual: first the selected ones in order of selection, then the others
+    /// by their share of the remaining residual.
+    pub located: Vec<Attribution>,
+    /// RMS residual over the two leading covariates.
+    pub map: Option<ResidualMap>,
+    /// Intervals with the largest error, largest first.
+    pub worst: Vec<WorstInterval>,
+    /// Integrated autocorrelation time of the residual in seconds, maximum over all channels.
+    pub correlation_s: f64,
+    /// Measurement and model over time.
+    pub traces: Vec<Trace>,
+    /// Errors of lateral and longitudinal force over all sensors, as in the paper's Fig. 8.
+    pub histograms: Vec<Histogram>,
+    /// Provenance as name and value: version, files with hashes, seeds, assumptions.
+    pub provenance: Vec<(String, String)>,
+    /// The baseline model of `--baseline` on the same rows.
+    pub other: Option<Box<Comparison>>,
+}
+
+/// Error of a perfect model in gauss, and its components.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct NoiseFloor {
+    /// White noise of the sensor after averaging.
+    pub white: f64,
+    /// Quantisation after averaging; part of the white noise where that is larger.
+    pub quantisation: f64,
+    /// Noise of the reference force times dB/dF.
+    pub reference: f64,
+    /// Drift over 10 s and more at rest; `None` without such an interval.
+    pub slow: Option<f64>,
+    /// Scatter between visits of the same condition; `None` without repeated conditions.
+    pub replicates: Option<f64>,
+    /// White noise and reference noise combined: the floor that errors are compared with.
+    pub total: f64,
+}
+
+/// Error of the field on one axis of one sensor, in gauss.
+#[derive(Clone, Copy, Debug)]
+pub struct FieldAxisErrors {
+    /// Number of the sensor.
+    pub sensor: u32,
+    /// Axis.
+    pub axis: Axis,
+    /// Measured minus modelled, cross-validated.
+    pub error: ErrorStatistics,
+    /// Noise floor of this axis.
+    pub floor: NoiseFloor,
+    /// Reducible error: sqrt(rms^2 - floor^2).
+    pub explainable: f64,
+}
+
+/// Error of one force of one sensor in newtons: device minus reference.
+#[derive(Clone, Copy, Debug)]
+pub struct ForceAxisErrors {
+    /// Number of the sensor.
+    pub sensor: u32,
+    /// X lateral, Z longitudinal.
+    pub axis: Axis,
+    /// Error of the device's fixed-point code at the board's rate.
+    pub error: ErrorStatistics,
+    /// RMS after a tare; `None` without an unloaded interval.
+    pub tared_rms: Option<f64>,
+    /// RMS error from white noise alone.
+    pub floor: f64,
+    /// Reducible error.
+    pub explainable: f64,
+}
+
+/// Dependence of the residual on one covariate.
+#[derive(Clone, Debug)]
+pub struct Attribution {
+    /// Name of a recorded column, or of a derived one (`fx_rate_n_per_s`, `loading_x`).
+    pub covariate: Cow<'static, str>,
+    /// Label in text: `opening`.
+    pub words: Cow<'static, str>,
+    /// Unit, empty for a dimensionless number.
+    pub unit: &'static str,
+    /// Cross-validated fraction of the squared residual above the floor that it explains in addition to the
+    /// covariates before it. The fractions of the selected covariates are additive.
+    pub share: f64,
+    /// The same fraction for this covariate alone.
+    pub alone: f64,
+    /// True if it was selected, false if its share is below the threshold.
+    pub chosen: bool,
+    /// Sensor numbers, in the order of each bin's means.
+    pub sensors: Vec<u32>,
+    /// Quantile bins, or one per value where there are few, over the original residual.
+    pub bins: Vec<Bin>,
+}
+
+/// Rows with a covariate between two values.
+#[derive(Clone, Debug, Default)]
+pub struct Bin {
+    /// Minimum of the covariate.
+    pub from: f64,
+    /// Maximum of the covariate.
+    pub to: f64,
+    /// Mean of the covariate.
+    pub centre: f64,
+    /// Number of rows over all sensors.
+    pub rows: usize,
+    /// Root mean square of the residual over all sensors and axes, in gauss.
+    pub rms_g: f64,
+    /// Fraction of the squared residual above the floor in these rows.
+    pub share: f64,
+    /// Mean residual by sensor and axis, in gauss; NaN without rows.
+    pub mean_g: Vec<[f64; 3]>,
+    /// 95 % confidence interval of that mean by block bootstrap.
+    pub band_g: Vec<[(f64, f64); 3]>,
+}
+
+/// RMS residual over two covariates.
+#[derive(Clone, Debug)]
+pub struct ResidualMap {
+    /// Labels of horizontal and vertical axis, with unit.
+    pub axes: [String; 2],
+    /// Column edges.
+    pub across: Vec<f64>,
+    /// Row edges.
+    pub upwards: Vec<f64>,
+    /// `rms_g[row][column]` in gauss; NaN without data.
+    pub rms_g: Vec<Vec<f64>>,
+    /// Noise floor in gauss, for the colour scale.
+    pub floor_g: f64,
+}
+
+/// An interval of time with a large error.
+#[derive(Clone, Debug, PartialEq)]
+pub struct WorstInterval {
+    /// Name of the recording.
+    pub recording: String,
+    /// Start in seconds.
+    pub from_s: f64,
+    /// End in seconds.
+    pub to_s: f64,
+    /// Sensor with the largest error.
+    pub sensor: u32,
+    /// RMS residual over all sensors and axes, in gauss.
+    pub rms_g: f64,
+    /// Means of the main covariates, as text.
+    pub doing: String,
+}
+
+/// One sensor over one recording.
+#[derive(Clone, Debug, Default)]
+pub struct Trace {
+    /// Name of the recording.
+    pub recording: String,
+    /// Number of the sensor.
+    pub sensor: u32,
+    /// Field in gauss by axis: measured, modelled.
+    pub field: Vec<[Envelope; 2]>,
+    /// Lateral and longitudinal force in newtons: reference, device. Empty without an inverse.
+    pub force: Vec<[Envelope; 2]>,
+}
+
+/// Histogram of an error.
+#[derive(Clone, Debug, Default)]
+pub struct Histogram {
+    /// Label with unit.
+    pub of: String,
+    /// Bin edges; the first and last bin include errors beyond them.
+    pub edges: Vec<f64>,
+    /// Rows per bin.
+    pub counts: Vec<u64>,
+}
+
+/// A decimated trace that preserves its extremes: minimum and maximum of each interval.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Envelope {
+    /// Centre of each interval in seconds.
+    pub time_s: Vec<f64>,
+    /// Minimum of each interval.
+    pub low: Vec<f64>,
+    /// Maximum of each interval.
+    pub high: Vec<f64>,
+}
+
+impl Envelope {
+    /// Decimates to at most `points` intervals of equally many rows. NaN is ignored unless an interval has no
+    /// other value.
+    pub fn of(time_s: &[f64], values: &[f64], points: usize) -> Self {
+        let rows = time_s.len().min(values.len());
+        let each = rows.div_ceil(points.max(1)).max(1);
+        let mut curve = Self::default();
+        for (time, values) in time_s[..rows].chunks(each).zip(values[..rows].chunks(each)) {
+            curve.time_s.push(time.iter().sum::<f64>() / time.len() as f64);
+            curve.low.push(values.iter().copied().fold(f64::NAN, f64::min));
+            curve.high.push(values.iter().copied().fold(f64::NAN, f64::max));
+        }
+        curve
+    }
+
+    /// Number of intervals.
+    pub fn len(&self) -> usize {
+        self.time_s.len()
+    }
+
+    /// True without intervals.
+    pub fn is_empty(&self) -> bool {
+        self.time_s.is_empty()
+    }
+
+    /// The same in fewer intervals.
+    pub fn coarser(&self, points: usize) -> Self {
+        Self {
+            low: Self::of(&self.time_s, &self.low, points).low,
+            high: Self::of(&self.time_s, &self.high, points).high,
+            time_s: Self::of(&self.time_s, &self.low, points).time_s,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn envelope_preserves_the_extremes() {
+        let time_s: Vec<f64> = (0..1000).map(f64::from).collect();
+        let mut values = vec![0.0; 1000];
+        values[313] = 7.0;
+        values[314] = -9.0;
+        for points in [1, 3, 10, 999] {
+            let curve = Envelope::of(&time_s, &values, points);
+            assert!(curve.len() <= points);
+            for curve in [curve.coarser(2), curve] {
+                assert_eq!(curve.high.iter().copied().fold(0.0, f64::max), 7.0);
+                assert_eq!(curve.low.iter().copied().fold(0.0, f64::min), -9.0);
+            }
+        }
+    }
+
+    #[test]
+    fn envelope_of_a_short_trace_is_exact() {
+        let curve = Envelope::of(&[0.0, 1.0, 2.0], &[5.0, f64::NAN, 4.0], 10);
+        assert_eq!(curve.time_s, [0.0, 1.0, 2.0]);
+        assert_eq!(curve.low[0], curve.high[0]);
+        assert!(curve.low[1].is_nan());
+    }
+}

@@ -1,0 +1,291 @@
+//! From a model and a campaign to a [`Comparison`].
+
+use crate::compare::attribution::{Attributor, RankedCovariate};
+use crate::compare::bootstrap_bands::BlockBootstrap;
+use crate::compare::campaign_reader::CampaignReader;
+use crate::compare::cv_plan::{CvPlan, RecordingFolds};
+use crate::compare::field_errors::{FieldEvaluation, SensorEvaluation, evaluate_fields};
+use crate::compare::force_errors::evaluate_forces;
+use crate::compare::pure_error::{drift_at_rest, pure_error};
+use crate::compare::residual_table::{ResidualTable, residual_map, worst_intervals};
+use crate::compare::{Attribution, Comparison, FieldAxisErrors, NoiseFloor};
+use crate::data_quality::model_checks::{SensorPrediction, check_against_model};
+use crate::data_quality::{Finding, merge, scan_files};
+use crate::progress;
+use anyhow::Result;
+use model_export::effects::{EffectTerm, ExcitationSeries};
+use model_export::fit::FitOptions;
+use model_export::fit::block_bootstrap::autocorrelation_rows;
+use model_export::fit::rows::SensorRows;
+use model_export::model_file::{ModelFile, Predictor};
+use model_export::recordings::Location;
+use model_export::recordings::align::Alignment;
+use model_export::recordings::campaign::recording_folders;
+use model_export::recordings::columns::Axis;
+use std::path::Path;
+
+/// Minimum length of a bootstrap block in seconds.
+const MIN_BLOCK_S: f64 = 1.0;
+
+/// Compares the model at `path`, and the one at `other` on the same rows, with a campaign.
+///
+/// # Errors
+/// A file cannot be read, or model and recordings do not match.
+pub fn compare(
+    path: &Path,
+    campaign: &Path,
+    other: Option<&Path>,
+    alignment: Alignment,
+    options: FitOptions,
+) -> Result<Comparison> {
+    let model = ModelFile::read(path)?;
+    let bar = progress::progress_bar("checking the recordings", recording_folders(campaign)?.len());
+    let findings = scan_files(campaign, |_| bar.inc(1))?;
+    bar.finish_and_clear();
+    let stopped = |findings: Vec<Finding>| Comparison {
+        model: path.display().to_string(),
+        campaign: campaign.display().to_string(),
+        findings,
+        provenance: vec![("tool".to_owned(), format!("magpie {}", env!("CARGO_PKG_VERSION")))],
+        ..Comparison::default()
+    };
+    if findings.iter().any(|finding| finding.stops) {
+        return Ok(stopped(findings));
+    }
+    let source = CampaignReader::open(campaign, alignment)?;
+    let findings = merge(findings, model_findings(&source, &model, &model.effect_terms(path)?)?);
+    if findings.iter().any(|finding| finding.stops) {
+        return Ok(stopped(findings));
+    }
+    let mut comparison = evaluate(path, &model, &source, &findings, options)?;
+    if let Some(other) = other {
+        let evaluated = evaluate(other, &ModelFile::read(other)?, &source, &findings, options)?;
+        comparison.other = Some(Box::new(evaluated));
+    }
+    comparison.findings = findings;
+    Ok(comparison)
+}
+
+/// Setup errors that are detectable only with a model, some recordings at a time.
+fn model_findings(
+    source: &CampaignReader,
+    model: &ModelFile,
+    additions: &[EffectTerm],
+) -> Result<Vec<Finding>> {
+    let mut findings = Vec::new();
+    let places: Vec<usize> = (0..source.names.len()).collect();
+    let bar = progress::progress_bar("checking columns against the model", places.len());
+    for places in places.chunks(source.at_once) {
+        let campaign = source.campaign(places)?;
+        let rows = model.sensors.iter().filter_map(|sensor| {
+            let predictor = model.predictor(sensor.number, additions)?;
+            let rows = SensorRows::with_own_forces(&campaign, sensor.number).ok()?;
+            Some((rows, predictor))
+        });
+        let rows: Vec<(SensorRows, Predictor)> = rows.collect();
+        let place_of = |recording: usize| {
+            let named = places.get(recording).and_then(|place| source.names.get(*place));
+            let fitted = &model.provenance.recordings;
+            let found = fitted.iter().position(|f| Some(&f.sha256) == named.map(|n| &n.sha256));
+            found.unwrap_or(fitted.len())
+        };
+        let predicts: Vec<_> = rows
+            .iter()
+            .map(|(_, predictor)| {
+                move |track: &ExcitationSeries| {
+                    let track =
+                        ExcitationSeries { recording: place_of(track.recording), ..track.clone() };
+                    predictor.fields(&track).unwrap_or_default()
+                }
+            })
+            .collect();
+        let sensors: Vec<SensorPrediction> = rows
+            .iter()
+            .zip(&predicts)
+            .map(|((rows, _), predict)| SensorPrediction { rows, predict })
+            .collect();
+        findings.extend(check_against_model(&campaign, source.alignment, &sensors));
+        bar.inc(places.len() as u64);
+    }
+    bar.finish_and_clear();
+    Ok(findings)
+}
+
+/// Evaluates one model on checked recordings.
+fn evaluate(
+    path: &Path,
+    model: &ModelFile,
+    source: &CampaignReader,
+    findings: &[Finding],
+    options: FitOptions,
+) -> Result<Comparison> {
+    let (fitted_ms, delay_ms) = (model.provenance.delay_ms, 1e-3 * source.alignment.delay_us);
+    if fitted_ms != delay_ms {
+        eprintln!(
+            "note: {} was fitted with --delay-ms {fitted_ms}, these recordings are read with {delay_ms}",
+            path.display()
+        );
+    }
+    let plan = CvPlan::new(path, model, source, options)?;
+    let mut fields = evaluate_fields(&plan, source)?;
+    // A finding covers its column in all recordings; notices of that column are not repeated.
+    let is_reported = |place: &Location| {
+        let same = |of: &Location| {
+            of.file.file_name() == place.file.file_name() && of.column == place.column
+        };
+        findings.iter().any(|finding| same(&finding.place))
+    };
+    let unreported = fields.notices.iter().filter(|notice| !is_reported(&notice.location));
+    unreported.for_each(|notice| eprintln!("note: {notice}"));
+    let alignment = source.alignment;
+    let device = evaluate_forces(&plan, path, alignment, &fields.origins_s, &mut fields.traces)?;
+    let columns: Vec<ResidualTable> = fields
+        .sensors
+        .iter_mut()
+        .map(|sensor| std::mem::replace(&mut sensor.columns, ResidualTable::new(0, &[])))
+        .collect();
+    let correlation_s = correlation_s(&columns);
+    let block_s = (3.0 * correlation_s).max(MIN_BLOCK_S);
+    let locator = Attributor::new(&columns, block_s);
+    let ranked = locator.rank();
+    let names: Vec<String> = source.names.iter().map(|named| named.name.clone()).collect();
+    let comparison = Comparison {
+        model: path.display().to_string(),
+        campaign: source.folder.display().to_string(),
+        validation: plan.description.clone(),
+        axes: axes(&fields, &columns),
+        forces: device.errors,
+        no_forces: device.none,
+        located: located(&columns, &locator, &ranked, block_s, options.seed),
+        map: match ranked.as_slice() {
+            [first, second, ..] => residual_map(&columns, first.covariate, second.covariate),
+            _ => None,
+        },
+        worst: worst_intervals(&columns, &names, &fields.spans_s),
+        correlation_s,
+        traces: fields.traces,
+        histograms: device.histograms,
+        provenance: provenance(model, &plan, block_s, options),
+        ..Comparison::default()
+    };
+    Ok(comparison)
+}
+
+fn axes(fields: &FieldEvaluation, columns: &[ResidualTable]) -> Vec<FieldAxisErrors> {
+    let of_sensor = |(sensor, columns): (&SensorEvaluation, &ResidualTable)| {
+        let (replicates, slow) = (pure_error(columns), drift_at_rest(columns));
+        let axis = |(i, axis): (usize, Axis)| {
+            let error = sensor.errors[i].statistics();
+            let rows = sensor.errors[i].rows().max(1.0);
+            let part = |of: usize| (sensor.floor[of][i] / rows).max(0.0).sqrt();
+            let total = part(0).hypot(part(2));
+            FieldAxisErrors {
+                sensor: sensor.sensor,
+                axis,
+                error,
+                floor: NoiseFloor {
+                    white: part(0),
+                    quantisation: part(1),
+                    reference: part(2),
+                    slow: slow.map(|slow| slow[i]),
+                    replicates: replicates.map(|replicates| replicates[i]),
+                    total,
+                },
+                explainable: (error.rms.powi(2) - total.powi(2)).max(0.0).sqrt(),
+            }
+        };
+        Axis::ALL.into_iter().enumerate().map(axis).collect::<Vec<_>>()
+    };
+    fields.sensors.iter().zip(columns).flat_map(of_sensor).collect()
+}
+
+fn located(
+    columns: &[ResidualTable],
+    locator: &Attributor,
+    ranked: &[RankedCovariate],
+    block_s: f64,
+    seed: u64,
+) -> Vec<Attribution> {
+    let bands = BlockBootstrap::new(columns, block_s, seed);
+    let one = |found: &RankedCovariate| {
+        let covariate = &columns.first()?.covariates[found.covariate].of;
+        let binning = locator.binnings[found.covariate].as_ref()?;
+        Some(Attribution {
+            covariate: covariate.name.clone(),
+            words: covariate.words.clone(),
+            unit: covariate.unit,
+            share: found.share,
+            alone: found.alone,
+            chosen: found.chosen,
+            sensors: columns.iter().map(|sensor| sensor.sensor).collect(),
+            bins: bands.bins(columns, binning),
+        })
+    };
+    ranked.iter().filter_map(one).collect()
+}
+
+/// Maximum integrated autocorrelation time over all channels, in seconds.
+pub fn correlation_s(columns: &[ResidualTable]) -> f64 {
+    let of_channel = |sensor: &ResidualTable, axis: usize| {
+        let (mut sum, mut rows, mut at) = (0.0, 0.0, 0);
+        for chunk in sensor.recording.chunk_by(|a, b| a == b) {
+            let range = at..at + chunk.len();
+            at = range.end;
+            let time_s = &sensor.time_s[range.clone()];
+            let span_s = time_s.last().zip(time_s.first()).map_or(0.0, |(to, from)| to - from);
+            let values: Vec<f64> = sensor.residual_g[range].iter().map(|r| r[axis]).collect();
+            sum += autocorrelation_rows(&values) * span_s;
+            rows += chunk.len() as f64;
+        }
+        sum / f64::max(rows, 1.0)
+    };
+    let channels = columns.iter().flat_map(|sensor| [0, 1, 2].map(|axis| of_channel(sensor, axis)));
+    channels.fold(0.0, f64::max)
+}
+
+fn provenance(
+    model: &ModelFile,
+    plan: &CvPlan,
+    block_s: f64,
+    options: FitOptions,
+) -> Vec<(String, String)> {
+    let effects: Vec<&str> = model.effects.iter().map(|effect| effect.name.as_str()).collect();
+    let hash = |recording: &RecordingFolds| format!("sha256 {}", recording.named.sha256);
+    let mut list = vec![
+        ("tool".to_owned(), format!("magpie {}", env!("CARGO_PKG_VERSION"))),
+        (
+            "model".to_owned(),
+            format!(
+                "fitted to {} ({} recordings, {} rows) by {}",
+                model.provenance.campaign,
+                model.provenance.recordings.len(),
+                model.provenance.rows,
+                model.provenance.tool
+            ),
+        ),
+        (
+            "effects".to_owned(),
+            if effects.is_empty() { "none".to_owned() } else { effects.join(", ") },
+        ),
+        ("held out".to_owned(), plan.description.clone()),
+        (
+            "bands".to_owned(),
+            format!("95 %, bootstrap of blocks of {block_s:.1} s, seed {}", options.seed),
+        ),
+        (
+            "sensor".to_owned(),
+            format!(
+                "{} G per count, range {} G{}",
+                model.sensor_scale.gauss_per_lsb,
+                model.sensor_scale.range_gauss,
+                if model.sensor_scale.assumed {
+                    " (assumed: not stated in the recordings)"
+                } else {
+                    ""
+                }
+            ),
+        ),
+    ];
+    list.extend(plan.recordings.iter().map(|r| (format!("recording {}", r.named.name), hash(r))));
+    list
+}

@@ -1,0 +1,200 @@
+//! `spectral_line`: a periodic disturbance that is not the load.
+
+use crate::data_quality::Finding;
+use crate::data_quality::scan::spectrum::SpectralLine;
+use crate::data_quality::scan::{Quantity, RecordingScan};
+
+use crate::data_quality::checks::{Channel, CheckContext, by_table, clock, digits, list};
+
+/// Mains frequencies in hertz.
+const MAINS_HZ: [f64; 2] = [50.0, 60.0];
+/// Highest harmonic checked, of mains and of the rotor.
+const MULTIPLES: u32 = 6;
+/// Relative tolerance of clocks and of the mains frequency.
+const EXACT: f64 = 2e-3;
+/// Lines below this share of the white noise are ignored.
+const MATTERS: f64 = 0.2;
+/// Harmonics of the load extend to this multiple of its bandwidth.
+const HARMONICS: f64 = 10.0;
+/// A line in a force above this share of its span is load.
+const LOAD_SHARE: f64 = 0.02;
+/// Maximum number of reported lines of unknown source, strongest first.
+const MOST: usize = 4;
+
+/// One spectral line of one column.
+type Found<'a> = (Channel<'a>, SpectralLine);
+
+/// Source of a spectral line.
+#[derive(Clone, Debug, PartialEq)]
+enum Source {
+    /// Mains, with its frequency in hertz.
+    Mains(f64),
+    /// Rotor, with its speed in turns per second.
+    Rotor(f64),
+    /// Source unknown.
+    Unknown,
+}
+
+/// Periodic disturbances in fields and forces.
+pub fn check_spectral_lines(context: &mut CheckContext) {
+    let columns: Vec<Channel> = context
+        .columns()
+        .into_iter()
+        .filter(|one| !clock::hits(one) && one.table.clock.falls == 0)
+        .collect();
+    for columns in by_table(columns) {
+        let found: Vec<Found> = columns
+            .iter()
+            .flat_map(|one| one.column.lines.iter().map(|line| (*one, *line)))
+            .filter(|(one, line)| matters(context.recordings, one, line))
+            .collect();
+        let mut unknown = 0;
+        let mains = mains_of(&found);
+        for (source, group) in groups(context.recordings, mains, found) {
+            unknown += usize::from(source == Source::Unknown);
+            if unknown <= MOST {
+                let finding = finding(context, &source, &group);
+                context.findings.push(finding);
+            }
+        }
+    }
+}
+
+/// True where the line is above the noise threshold and not part of the load.
+fn matters(recordings: &[RecordingScan], one: &Channel, line: &SpectralLine) -> bool {
+    let Some(force) = recordings[one.recording].table("force.csv") else {
+        return line.amplitude > MATTERS * one.column.noise();
+    };
+    let edges = force.columns.iter().map(|column| column.load_edge_hz);
+    let load_hz = HARMONICS * edges.fold(0.0, f64::max);
+    let is_load = force.columns.iter().any(|column| {
+        let same =
+            |other: &SpectralLine| (other.hz - line.hz).abs() < 2.0 * other.bin_hz.max(line.bin_hz);
+        let large = |other: &SpectralLine| other.amplitude > LOAD_SHARE * column.span();
+        column.lines.iter().any(|other| same(other) && large(other))
+    });
+    line.amplitude > MATTERS * one.column.noise() && line.hz > load_hz && !is_load
+}
+
+/// Groups lines by source, strongest source first.
+fn groups<'a>(
+    recordings: &[RecordingScan],
+    mains: [f64; 2],
+    found: Vec<Found<'a>>,
+) -> Vec<(Source, Vec<Found<'a>>)> {
+    let mut groups: Vec<(Source, Vec<Found>)> = Vec::new();
+    for (one, line) in found {
+        let source = source(&recordings[one.recording], mains, &one, &line);
+        let belongs = |(other, group): &&mut (Source, Vec<Found>)| match source {
+            Source::Mains(_) => *other == source,
+            Source::Rotor(_) => matches!(other, Source::Rotor(_)),
+            Source::Unknown => {
+                let near = |(_, first): &Found| (first.hz - line.hz).abs() < 2.0 * line.bin_hz;
+                *other == Source::Unknown && group.iter().any(near)
+            }
+        };
+        match groups.iter_mut().find(belongs) {
+            Some((_, group)) => group.push((one, line)),
+            None => groups.push((source, vec![(one, line)])),
+        }
+    }
+    let strength = |group: &[Found]| {
+        let sizes = group.iter().map(|(one, line)| line.amplitude / one.column.noise());
+        sizes.fold(0.0, f64::max)
+    };
+    groups.sort_by(|(_, a), (_, b)| strength(b).total_cmp(&strength(a)));
+    groups
+}
+
+/// Mains frequencies, first the one that explains more lines: some lines are multiples of both.
+fn mains_of(found: &[Found]) -> [f64; 2] {
+    let lines = |mains_hz: f64| {
+        let own = found.iter().filter(|found| is_multiple(found, mains_hz));
+        own.count()
+    };
+    let [one, other] = MAINS_HZ;
+    if lines(other) > lines(one) { [other, one] } else { [one, other] }
+}
+
+fn source(
+    recording: &RecordingScan,
+    mains: [f64; 2],
+    one: &Channel,
+    line: &SpectralLine,
+) -> Source {
+    let found = (*one, *line);
+    let rotor_hz = recording.table("hall.csv").and_then(|hall| hall.turning.steady_hz());
+    match mains.into_iter().find(|hz| is_multiple(&found, *hz)) {
+        Some(hz) => Source::Mains(hz),
+        None => match rotor_hz.filter(|hz| is_multiple(&found, *hz)) {
+            Some(hz) => Source::Rotor(hz),
+            None => Source::Unknown,
+        },
+    }
+}
+
+/// True for a line at a multiple of `base_hz`, including aliases at the table's row rate.
+fn is_multiple((one, line): &Found, base_hz: f64) -> bool {
+    let rate_hz = 1e6 / one.table.clock.period_us;
+    (1..=MULTIPLES).any(|n| {
+        let hz = f64::from(n) * base_hz;
+        (folded(hz, rate_hz) - line.hz).abs() < 0.5 * line.bin_hz + EXACT * hz
+    })
+}
+
+/// Alias of a frequency sampled at `rate_hz`.
+fn folded(hz: f64, rate_hz: f64) -> f64 {
+    (hz - rate_hz * (hz / rate_hz).round()).abs()
+}
+
+fn finding(context: &CheckContext, source: &Source, group: &[Found]) -> Finding {
+    let mut seen: Vec<Channel> = group.iter().map(|(one, _)| *one).collect();
+    seen.dedup_by(|a, b| a.recording == b.recording && a.column.name == b.column.name);
+    let amplitude = |(one, line): &Found| line.amplitude * one.column.scale;
+    let strongest =
+        group.iter().max_by(|a, b| amplitude(a).total_cmp(&amplitude(b))).unwrap_or(&group[0]);
+    let mut lines: Vec<f64> = group.iter().map(|(_, line)| line.hz).collect();
+    lines.sort_by(f64::total_cmp);
+    lines.dedup_by(|a, b| (*a - *b).abs() < 2.0 * strongest.1.bin_hz);
+    let hz: Vec<String> = lines.iter().map(|hz| digits(*hz)).collect();
+    let hz = list(&hz.iter().map(String::as_str).collect::<Vec<_>>());
+    let unit = match strongest.0.column.quantity {
+        Quantity::Force => "N",
+        _ => "G",
+    };
+    let advice = match source {
+        Source::Mains(mains) => format!(
+            "mains of {mains} Hz, directly or aliased: look for a ground loop, an unshielded lead or a power supply nearby"
+        ),
+        Source::Rotor(turns) => format!(
+            "multiples of the rotor's {} turns per second: the motor's field, or an imbalance; `magpie diagnose` tests motor_leakage",
+            digits(*turns)
+        ),
+        Source::Unknown => "if the inverter's PWM is near a multiple of the row rate, it aliases to this frequency: shift or synchronise the sampling; otherwise look for a fan, a mechanical resonance or another switching supply".to_owned(),
+    };
+    Finding {
+        id: "spectral_line",
+        place: strongest.0.at(2),
+        message: format!(
+            "a line at {hz} Hz in {}, up to {} {unit} in {}: {advice}",
+            context.whose(&seen),
+            digits(amplitude(strongest)),
+            strongest.0.column.name,
+        ),
+        stops: false,
+        fix: None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::folded;
+
+    #[test]
+    fn frequency_above_nyquist_aliases() {
+        assert_eq!(folded(60.0, 100.0), 40.0);
+        assert_eq!(folded(250.0, 100.0), 50.0);
+        assert_eq!(folded(20_013.0, 1000.0), 13.0);
+        assert_eq!(folded(50.0, 1000.0), 50.0);
+    }
+}

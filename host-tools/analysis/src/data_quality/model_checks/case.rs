@@ -1,0 +1,185 @@
+//! One sensor over one recording, subsampled, with the model's prediction.
+
+use crate::data_quality::model_checks::{Predict, SensorPrediction};
+use crate::data_quality::scan::table::{TolerantReader, table_path};
+use model_export::effects::ExcitationSeries;
+use model_export::fit::cross_validation::noise_variance;
+use model_export::fit::rows::RecordingRows;
+use model_export::recordings::columns::Axis;
+use model_export::recordings::{Campaign, Recording};
+use nalgebra::Vector3;
+use std::path::PathBuf;
+
+/// Maximum number of rows for a search: a setup error affects every row.
+const MOST_ROWS: usize = 500;
+/// Minimum number of rows.
+const LEAST_ROWS: usize = 20;
+/// Step in newtons of the numerical derivative of the field: small against any load, large against rounding.
+const STEP_N: f64 = 1.0;
+
+/// One sensor over one recording.
+pub struct Case<'a> {
+    /// Number of the sensor, from 1.
+    pub sensor: u32,
+    /// Zero-based number of the recording.
+    pub recording: usize,
+    /// Columns of its forces.
+    pub forces: &'a [(u32, Axis)],
+    /// All its rows.
+    pub part: &'a RecordingRows,
+    /// Indices of the subsample.
+    pub rows: Vec<usize>,
+    /// Covariates and forces of the subsample.
+    pub track: ExcitationSeries,
+    /// Measured field of the subsample in gauss.
+    pub measured: Vec<Vector3<f64>>,
+    /// Predicted field with the columns as recorded.
+    pub modelled: Vec<Vector3<f64>>,
+    /// Mean square of the noise in gauss squared, mean of the axes.
+    pub floor: f64,
+    /// Mean square of the model's residual.
+    pub as_recorded: f64,
+    predict: Predict<'a>,
+}
+
+impl<'a> Case<'a> {
+    /// `None` with too few rows or a prediction that is not finite.
+    pub fn new(
+        sensor: &SensorPrediction<'a>,
+        recording: usize,
+        part: &'a RecordingRows,
+    ) -> Option<Self> {
+        let stride = part.len().div_ceil(MOST_ROWS).max(1);
+        let rows: Vec<usize> = (0..part.len()).step_by(stride).collect();
+        let track = part.track.at(&rows);
+        let measured: Vec<Vector3<f64>> = rows.iter().map(|&row| part.field_g[row]).collect();
+        let modelled = (sensor.predict)(&track);
+        let as_recorded = mean_square(&measured, &modelled);
+        let usable = rows.len() >= LEAST_ROWS && as_recorded.is_finite();
+        let mut case = Self {
+            sensor: sensor.rows.sensor,
+            recording,
+            forces: &sensor.rows.forces,
+            part,
+            rows,
+            track,
+            measured,
+            modelled,
+            floor: 0.0,
+            as_recorded,
+            predict: sensor.predict,
+        };
+        case.floor = case.mean_floor();
+        usable.then_some(case)
+    }
+
+    fn mean_floor(&self) -> f64 {
+        let answers = [0, 1].map(|axis| {
+            let mut forces = self.track.force_n.clone();
+            forces.iter_mut().for_each(|force| force[axis] += STEP_N);
+            let moved =
+                self.modelled_under(&ExcitationSeries { force_n: forces, ..self.track.clone() });
+            let slope = |(after, before): (&Vector3<f64>, &Vector3<f64>)| (after - before) / STEP_N;
+            moved.iter().zip(&self.modelled).map(slope).collect::<Vec<_>>()
+        });
+        let at = |row: usize| {
+            let slopes =
+                self.forces.iter().map(|(_, axis)| answers[usize::from(*axis == Axis::Z)][row]);
+            noise_variance(self.part, slopes).sum() / 3.0
+        };
+        (0..self.rows.len()).map(at).sum::<f64>() / self.rows.len().max(1) as f64
+    }
+
+    /// Indices of the part's rows in the recording.
+    pub fn indices_of_part(&self, recording: &Recording) -> Vec<usize> {
+        let mut next = 0;
+        let place = |time: &f64| {
+            next += recording.time_s.get(next..)?.iter().position(|t| t == time)? + 1;
+            Some(next - 1)
+        };
+        self.part.time_s.iter().filter_map(place).collect()
+    }
+
+    /// Indices of the subsample in the recording.
+    pub fn indices(&self, recording: &Recording) -> Vec<usize> {
+        let all = self.indices_of_part(recording);
+        let rows = self.rows.iter();
+        rows.filter_map(|&row| all.get(row).copied()).collect()
+    }
+
+    /// Prediction for another track.
+    pub fn modelled_under(&self, track: &ExcitationSeries) -> Vec<Vector3<f64>> {
+        (self.predict)(track)
+    }
+
+    /// Mean square of the residual for another track.
+    pub fn left_under(&self, track: &ExcitationSeries) -> f64 {
+        mean_square(&self.measured, &self.modelled_under(track))
+    }
+}
+
+/// Mean over rows and axes of the squared difference; infinite where it is not a number.
+pub fn mean_square(measured: &[Vector3<f64>], modelled: &[Vector3<f64>]) -> f64 {
+    let squares = measured.iter().zip(modelled).map(|(a, b)| (a - b).norm_squared());
+    let mean = squares.sum::<f64>() / (3 * measured.len().max(1)) as f64;
+    if mean.is_finite() && measured.len() == modelled.len() { mean } else { f64::INFINITY }
+}
+
+/// Headers of both tables of every recording.
+pub struct Names {
+    tables: Vec<[Table; 2]>,
+}
+
+/// File and header; empty where unreadable.
+#[derive(Default)]
+struct Table {
+    path: PathBuf,
+    header: Vec<String>,
+}
+
+impl Names {
+    /// Reads the headers.
+    pub fn of(campaign: &Campaign) -> Self {
+        let table = |folder: &std::path::Path, name: &str| {
+            let path = table_path(folder, name)?;
+            let header = TolerantReader::open(&path)?.header;
+            Some(Table { path, header })
+        };
+        let recordings = campaign.recordings.iter();
+        Self {
+            tables: recordings
+                .map(|recording| {
+                    ["hall.csv", "force.csv"]
+                        .map(|name| table(&recording.folder, name).unwrap_or_default())
+                })
+                .collect(),
+        }
+    }
+
+    /// Path of the board's table.
+    pub fn hall(&self, recording: usize) -> PathBuf {
+        self.tables[recording][0].path.clone()
+    }
+
+    /// Path of the reference's table.
+    pub fn force(&self, recording: usize) -> PathBuf {
+        self.tables[recording][1].path.clone()
+    }
+
+    /// True where the sensor's field was recorded in counts.
+    pub fn is_raw(&self, recording: usize, sensor: u32) -> bool {
+        let name = format!("s{sensor}_x_lsb");
+        self.tables[recording][0].header.contains(&name)
+    }
+
+    /// Column name of a field; axis 0 is x, 1 y, 2 z.
+    pub fn field(&self, recording: usize, sensor: u32, axis: usize) -> String {
+        let unit = if self.is_raw(recording, sensor) { "lsb" } else { "gauss" };
+        format!("s{sensor}_{}_{unit}", Axis::ALL[axis].letter())
+    }
+}
+
+/// Column name of a force.
+pub fn force_name((place, axis): (u32, Axis)) -> String {
+    format!("f{place}_{}_n", axis.letter())
+}

@@ -1,0 +1,202 @@
+//! `clock_skew`: constant offset between the two clocks.
+
+use model_export::effects::ExcitationSeries;
+use model_export::effects::operators::{delayed, smooth};
+use model_export::recordings::align::Alignment;
+use model_export::recordings::{Campaign, Location};
+use rayon::prelude::*;
+
+use crate::data_quality::Finding;
+use crate::data_quality::checks::{list, percent};
+use crate::data_quality::model_checks::case::{Case, Names};
+
+/// Search range in milliseconds on each side and step; the wider range is used if the
+/// optimum of the first is at its end.
+const RANGES_MS: [(f64, f64); 2] = [(50.0, 5.0), (1000.0, 20.0)];
+/// Number of bisections of the step: resolution of a hundredth of a millisecond.
+const REFINEMENTS: usize = 10;
+/// Smaller offsets are left to `magpie diagnose`, which compares them with similar effects.
+const LEAST_MS: f64 = 1.5;
+/// Minimum share of the error above the floor that the offset removes, over all sensors.
+const FALLS: f64 = 0.7;
+/// The same for every single sensor: the lag of one flexure is not a clock offset.
+const FALLS_EACH: f64 = 0.5;
+/// Minimum error above the floor, relative to the floor.
+const ABOVE_FLOOR: f64 = 0.5;
+/// Maximum difference in milliseconds of offsets that are one delay.
+const SAME_MS: f64 = 1.0;
+
+/// Clock offset of one recording.
+#[derive(Clone, Copy, Debug)]
+struct Shift {
+    recording: usize,
+    ms: f64,
+    fall: f64,
+    sensors: usize,
+}
+
+/// Clock offset of every recording without column errors.
+pub fn check_clocks(
+    campaign: &Campaign,
+    names: &Names,
+    alignment: Alignment,
+    cases: &[&Case],
+) -> Vec<Finding> {
+    let recordings = 0..campaign.recordings.len();
+    let shifts: Vec<Shift> = recordings
+        .into_par_iter()
+        .filter_map(|recording| {
+            let own = cases.iter().filter(|case| case.recording == recording);
+            shift(recording, &own.copied().collect::<Vec<_>>())
+        })
+        .collect();
+    let mut groups: Vec<Vec<Shift>> = Vec::new();
+    for shift in shifts {
+        let same = |group: &&mut Vec<Shift>| (group[0].ms - shift.ms).abs() < SAME_MS;
+        match groups.iter_mut().find(same) {
+            Some(group) => group.push(shift),
+            None => groups.push(vec![shift]),
+        }
+    }
+    groups.iter().map(|group| finding(campaign, names, alignment, group)).collect()
+}
+
+fn finding(campaign: &Campaign, names: &Names, alignment: Alignment, group: &[Shift]) -> Finding {
+    let whole = group.len() == campaign.recordings.len();
+    let mean_ms = group.iter().map(|shift| shift.ms).sum::<f64>() / group.len() as f64;
+    let fall = group.iter().map(|shift| shift.fall).fold(1.0, f64::min);
+    let recordings: Vec<&str> =
+        group.iter().map(|shift| campaign.recordings[shift.recording].name.as_str()).collect();
+    let cure = if whole {
+        format!(
+            "read the recordings with --delay-ms {}",
+            tenths(mean_ms + 1e-3 * alignment.delay_us)
+        )
+    } else {
+        format!(
+            "add {} to t_us of force.csv there; a delay for the whole campaign would misalign the other recordings",
+            (1e3 * mean_ms).round()
+        )
+    };
+    let place = Location::file(&names.force(group[0].recording)).column("t_us");
+    Finding {
+        id: "clock_skew",
+        place,
+        message: format!(
+            "the field is {} ms {} the force {}, the same at {}: correcting this removes {} of the error above the noise. {}{cure}",
+            tenths(mean_ms.abs()),
+            if mean_ms > 0.0 { "behind" } else { "ahead of" },
+            if whole {
+                "in every recording".to_owned()
+            } else {
+                format!("in recording {}", list(&recordings))
+            },
+            match group[0].sensors {
+                1 => "the only sensor".to_owned(),
+                n => format!("all {n} sensors"),
+            },
+            percent(fall),
+            if mean_ms > 0.0 {
+                "A viscous lag of the flexures or a filter of the reference looks the same; if the clocks are the cause, "
+            } else {
+                "A flexure cannot lead its force, so the clocks are the cause: "
+            },
+        ),
+        stops: false,
+        fix: None,
+    }
+}
+
+fn tenths(ms: f64) -> String {
+    format!("{ms:.1}")
+}
+
+fn shift(recording: usize, cases: &[&Case]) -> Option<Shift> {
+    let excess = |ms: f64| -> Vec<f64> {
+        let above = |case: &&Case| case.left_under(&later(case, 1e-3 * ms)) / case.floor - 1.0;
+        cases.iter().map(above).collect()
+    };
+    let total = |each: &[f64]| each.iter().map(|above| above.max(0.0)).sum::<f64>();
+    let at_once = excess(0.0);
+    let before = total(&at_once);
+    if cases.is_empty() || !before.is_finite() || before < ABOVE_FLOOR * cases.len() as f64 {
+        return None;
+    }
+    // Clipped at the floor, the sum would be flat around its minimum.
+    let ms = best(|ms| excess(ms).iter().sum());
+    let each = excess(ms);
+    let fall = 1.0 - total(&each) / before;
+    // A sensor without error above the floor cannot improve.
+    let everywhere = at_once
+        .iter()
+        .zip(&each)
+        .all(|(before, after)| after.max(0.0) <= (1.0 - FALLS_EACH) * before.max(ABOVE_FLOOR));
+    (ms.abs() > LEAST_MS && fall >= FALLS && everywhere).then_some(Shift {
+        recording,
+        ms,
+        fall,
+        sensors: cases.len(),
+    })
+}
+
+/// Minimiser of the function in milliseconds.
+fn best(of: impl Fn(f64) -> f64) -> f64 {
+    let mut found = (0.0, f64::INFINITY);
+    for (reach, mut step) in RANGES_MS {
+        let steps = (reach / step) as i32;
+        for ms in (-steps..=steps).map(|i| f64::from(i) * step) {
+            let left = of(ms);
+            if left < found.1 {
+                found = (ms, left);
+            }
+        }
+        if found.0.abs() + 0.5 * step > reach {
+            continue;
+        }
+        for _ in 0..REFINEMENTS {
+            step *= 0.5;
+            for ms in [found.0 - step, found.0 + step] {
+                let left = of(ms);
+                if left < found.1 {
+                    found = (ms, left);
+                }
+            }
+        }
+        break;
+    }
+    found.0
+}
+
+/// Series with the forces of `delay_s` earlier, smoothed over the reference's
+/// noise at any shift: linear interpolation averages noise and would favour half a step.
+fn later(case: &Case, delay_s: f64) -> ExcitationSeries {
+    let whole = &case.part.track;
+    let shifted = |pairs: &[[f64; 2]]| -> Vec<[f64; 2]> {
+        let [x, z] = [0, 1].map(|axis| {
+            let column: Vec<f64> = pairs.iter().map(|pair| pair[axis]).collect();
+            let (_, rate) = smooth(&whole.time_s, &column);
+            delayed(&whole.time_s, &column, &rate, delay_s)
+        });
+        case.rows.iter().map(|&row| [x[row], z[row]]).collect()
+    };
+    let smooth_n = shifted(&whole.smooth_n);
+    ExcitationSeries {
+        force_n: smooth_n.clone(),
+        rate_n_per_s: shifted(&whole.rate_n_per_s),
+        smooth_n,
+        ..case.track.clone()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::best;
+
+    #[test]
+    fn offset_is_found_near_and_far() {
+        for wanted in [-3.37, 0.2, 41.0, 340.0] {
+            let found = best(|ms| (ms - wanted).powi(2));
+            assert!((found - wanted).abs() < 0.03, "{wanted}: {found}");
+        }
+    }
+}

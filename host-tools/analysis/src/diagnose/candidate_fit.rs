@@ -1,0 +1,345 @@
+//! One step of the forward selection: full fits of the significant candidates. The one with the largest reduction
+//! of the cross-validated error is added; candidates close to it are provisionally equivalent.
+
+use crate::diagnose::candidates::{MIN_GAIN, ScreenedEffect};
+use crate::diagnose::confusable_effects::are_confusable;
+use crate::diagnose::forward_selection::{AcceptedStep, SMALL, Selection};
+use anyhow::Result;
+use model_export::effects::EffectTerm;
+use model_export::fit::FitOptions;
+use model_export::fit::campaign::FitSetup;
+use model_export::fit::cross_validation::CvSplit;
+use model_export::fit::effect_size::effect_sizes;
+use model_export::fit::joint::JointFit;
+use model_export::fit::score_test::ScoreTest;
+use rayon::prelude::*;
+use std::borrow::Cow;
+
+/// Maximum number of candidates fitted per step, the best by the linearised score test.
+const MAX_FITTED: usize = 5;
+/// Minimum gain of a fitted candidate relative to the best.
+const MIN_RELATIVE_GAIN: f64 = 0.5;
+/// Candidates within this fraction of the best gain are provisionally equivalent.
+const NEAR: f64 = 0.05;
+/// Minimum relative gain of an equivalent effect where the recordings hardly distinguish the two.
+const COLLINEAR_GAIN: f64 = 0.5;
+/// Minimum gain of a transient effect relative to an arbitrary function of time.
+const MIN_OF_FREE: f64 = 0.8;
+/// A confusable effect below this fraction of an accepted one's reduction is the remainder of that one.
+const MAX_REMAINDER: f64 = 0.2;
+
+/// A fitted candidate.
+struct FittedCandidate<'a> {
+    screened: &'a ScreenedEffect,
+    stage: FittedModel,
+    /// Relative reduction of the cross-validated squared error.
+    gain: f64,
+    /// Reduction in gauss squared.
+    reduction: f64,
+    /// Whether the error decreases in every fold.
+    improves_all_folds: bool,
+    /// Whether its magnitude is plausible.
+    is_plausible: bool,
+}
+
+impl FittedCandidate<'_> {
+    fn is_improvement(&self) -> bool {
+        self.improves_all_folds && self.gain > MIN_GAIN
+    }
+}
+
+/// The best candidate, its provisional equivalents, and the rest.
+struct Ranking<'a> {
+    best: FittedCandidate<'a>,
+    tied: Vec<EffectTerm>,
+    shadows: Vec<EffectTerm>,
+}
+
+/// The best significant candidate with its model; `None` where no candidate improves the error.
+///
+/// Transient effects are cross-validated within recordings, which is easier, so they are ranked separately. Of the
+/// two best candidates, the better one within recordings is added.
+///
+/// # Errors
+/// The model cannot be fitted.
+pub fn best_candidate(
+    prepared: &FitSetup,
+    stage: &FittedModel,
+    around: &ScoreTest,
+    selection: &Selection,
+    options: FitOptions,
+) -> Result<Option<(AcceptedStep, FittedModel)>> {
+    let significant = significant_candidates(&selection.last, || around.time_spline_gain());
+    let (within, ordinary): (Vec<_>, Vec<_>) =
+        significant.into_iter().partition(|screened| screened.candidate.is_transient());
+    let ordinary =
+        CandidateFit::new(prepared, stage, &ordinary, options)?.rank(&ordinary, selection);
+    let transient = CandidateFit::new(prepared, stage, &within, options)?;
+    let within = transient.rank(&within, selection);
+    let outcome = match (ordinary, within) {
+        (Some(ordinary), Some(within)) => transient.better_of(ordinary, within, selection),
+        (one, other) => match one.or(other) {
+            Some(outcome) => outcome,
+            None => return Ok(None),
+        },
+    };
+    let best = outcome.best;
+    let step = AcceptedStep {
+        chosen: best.screened.candidate.clone(),
+        tied: outcome.tied,
+        shadows: outcome.shadows,
+        gain: best.gain,
+        reduction: best.reduction,
+        p_adjusted: best.screened.p_adjusted,
+        z_typical: best.screened.evidence.z_typical,
+    };
+    let own = prepared.split(&best.stage.effects);
+    Ok(Some((step, best.stage.with_split(prepared, own, options))))
+}
+
+/// Fits of candidates with the same cross-validation.
+struct CandidateFit<'a> {
+    prepared: &'a FitSetup,
+    before: Cow<'a, FittedModel>,
+    options: FitOptions,
+}
+
+impl<'a> CandidateFit<'a> {
+    /// The model without the candidates, with their cross-validation.
+    fn new(
+        prepared: &'a FitSetup,
+        stage: &'a FittedModel,
+        candidates: &[&ScreenedEffect],
+        options: FitOptions,
+    ) -> Result<Self> {
+        let added = candidates.iter().map(|screened| &screened.candidate);
+        let everything: Vec<EffectTerm> = stage.effects.iter().chain(added).cloned().collect();
+        let split = prepared.split(&everything);
+        let before = if split == stage.fit.split {
+            Cow::Borrowed(stage)
+        } else {
+            Cow::Owned(FittedModel::new(prepared, stage.effects.clone(), split, options)?)
+        };
+        Ok(Self { prepared, before, options })
+    }
+
+    /// The model with one more effect; `None` where it cannot be fitted or has an impossible magnitude.
+    fn fitted<'s>(&self, screened: &'s ScreenedEffect) -> Option<FittedCandidate<'s>> {
+        let before = &self.before;
+        let mut effects = before.effects.clone();
+        effects.push(screened.candidate.clone());
+        let stage =
+            FittedModel::new(self.prepared, effects, before.fit.split, self.options).ok()?;
+        let recordings = self.prepared.rows.first().map_or(0, |rows| rows.parts.len());
+        stage.is_possible(recordings).then(|| FittedCandidate {
+            screened,
+            gain: stage.gain(before),
+            reduction: before.mean_square() - stage.mean_square(),
+            improves_all_folds: stage.improves_all_folds(before),
+            is_plausible: stage.newest_is_plausible(recordings),
+            stage,
+        })
+    }
+
+    /// Ranks the candidates; `None` where none improves the error.
+    fn rank<'s>(
+        &self,
+        contenders: &[&'s ScreenedEffect],
+        selection: &Selection,
+    ) -> Option<Ranking<'s>> {
+        let fitted = contenders.par_iter().filter_map(|&screened| self.fitted(screened));
+        let mut ranked: Vec<FittedCandidate> = fitted.collect();
+        ranked.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+        let best = ranked.remove(winner(&ranked, &selection.steps)?);
+        let is_near = |other: &FittedCandidate| {
+            let near = equivalent_gain(best.screened, other.screened, selection);
+            other.gain >= near * best.gain
+        };
+        let (tied, shadows) = ranked.into_iter().partition::<Vec<_>, _>(is_near);
+        let plain = |list: Vec<FittedCandidate>| -> Vec<EffectTerm> {
+            let candidates = list.into_iter().map(|c| c.screened.candidate.clone());
+            candidates.collect()
+        };
+        Some(Ranking { tied: plain(tied), shadows: plain(shadows), best })
+    }
+
+    /// The better of `other`, with another cross-validation, and `own`, the ranking of these candidates.
+    fn better_of<'s>(
+        &self,
+        other: Ranking<'s>,
+        own: Ranking<'s>,
+        selection: &Selection,
+    ) -> Ranking<'s> {
+        let Some(rival) = self.fitted(other.best.screened).filter(FittedCandidate::is_improvement)
+        else {
+            return own;
+        };
+        let (high, low) = (rival.gain.max(own.best.gain), rival.gain.min(own.best.gain));
+        let tied = low >= equivalent_gain(own.best.screened, rival.screened, selection) * high;
+        let (mut first, second) =
+            if rival.gain > own.best.gain { (other, own) } else { (own, other) };
+        // Equivalents of the second are as far from the first as the second.
+        let near = if tied { &mut first.tied } else { &mut first.shadows };
+        near.push(second.best.screened.candidate.clone());
+        near.extend(second.tied);
+        first.shadows.extend(second.shadows);
+        first
+    }
+}
+
+/// Index of the best candidate that improves the error and is not the remainder of an earlier step; `None` where
+/// such a remainder explains much more.
+fn winner(ranked: &[FittedCandidate], steps: &[AcceptedStep]) -> Option<usize> {
+    // The remainder of a larger effect resembles a confusable effect, or has an implausible magnitude.
+    let is_remainder = |candidate: &FittedCandidate| {
+        steps.iter().any(|step| {
+            let related = are_confusable(&step.chosen, &candidate.screened.candidate)
+                || !candidate.is_plausible;
+            related && candidate.reduction < MAX_REMAINDER * step.reduction
+        })
+    };
+    let first = ranked.iter().find(|c| c.is_improvement())?;
+    let place = ranked.iter().position(|c| c.is_improvement() && !is_remainder(c))?;
+    (ranked[place].gain >= SMALL * first.gain).then_some(place)
+}
+
+/// Minimum relative gain of a candidate that is equivalent to a better one.
+fn equivalent_gain(one: &ScreenedEffect, other: &ScreenedEffect, selection: &Selection) -> f64 {
+    let collinearity = &selection.collinearity;
+    if collinearity.hides_the_difference(&one.candidate, &other.candidate) {
+        COLLINEAR_GAIN
+    } else {
+        1.0 - NEAR
+    }
+}
+
+/// Significant candidates that are fitted, sorted by the gain of the score test.
+fn significant_candidates(
+    screened: &[ScreenedEffect],
+    time_spline_gain: impl FnOnce() -> f64,
+) -> Vec<&ScreenedEffect> {
+    let significant: Vec<&ScreenedEffect> =
+        screened.iter().filter(|s| s.is_significant()).collect();
+    let within = |s: &ScreenedEffect| s.candidate.is_transient();
+    let ordinary = significant.iter().find(|s| !within(s)).map_or(0.0, |s| s.evidence.gain());
+    // A transient effect must be as good as the others, and nearly as good as any function of time.
+    let free = if significant.iter().any(|s| within(s)) { time_spline_gain() } else { 0.0 };
+    let is_fitted = |s: &&ScreenedEffect| {
+        if within(s) {
+            s.evidence.gain() >= (1.0 - NEAR) * ordinary && s.evidence.gain() >= MIN_OF_FREE * free
+        } else {
+            s.evidence.gain() >= MIN_RELATIVE_GAIN * ordinary
+        }
+    };
+    significant.into_iter().filter(is_fitted).take(MAX_FITTED).collect()
+}
+
+/// Maximum ratio of squared errors on the fitted rows for a comparable model.
+const MAX_RATIO: f64 = 1.1;
+
+/// Minimum plausible magnitude relative to the typical one.
+const MIN_MAGNITUDE: f64 = 0.03;
+
+/// Maximum standard error of a transient effect, relative to its magnitude or the typical one: it is flexible in
+/// time, so its magnitude must be determined.
+const MAX_RELATIVE_ERROR: f64 = 10.0;
+
+/// A model while effects are added to it.
+#[derive(Clone)]
+pub struct FittedModel {
+    /// Effects of the model.
+    pub effects: Vec<EffectTerm>,
+    /// Fit of the model.
+    pub fit: JointFit,
+}
+
+impl FittedModel {
+    /// Fits a model and cross-validates it.
+    ///
+    /// # Errors
+    /// The fit fails.
+    pub fn new(
+        prepared: &FitSetup,
+        effects: Vec<EffectTerm>,
+        split: CvSplit,
+        options: FitOptions,
+    ) -> Result<Self> {
+        let fit = prepared.fit(&effects, split, options, |_| ())?;
+        Ok(Self { effects, fit })
+    }
+
+    /// The same model with another cross-validation, where that is possible.
+    pub fn with_split(self, prepared: &FitSetup, split: CvSplit, options: FitOptions) -> Self {
+        if self.fit.split == split {
+            return self;
+        }
+        Self::new(prepared, self.effects.clone(), split, options).unwrap_or(self)
+    }
+
+    /// Fits a model without cross-validation.
+    ///
+    /// # Errors
+    /// The fit fails.
+    pub fn without_validation(
+        prepared: &FitSetup,
+        effects: Vec<EffectTerm>,
+        options: FitOptions,
+    ) -> Result<Self> {
+        Self::new(prepared, effects, CvSplit::Recordings(0), options)
+    }
+
+    /// Whether its error on the fitted rows is so much larger than that of `other` that cross-validation is not needed.
+    pub fn is_clearly_worse(&self, other: &Self) -> bool {
+        self.fitted_mean_square() > MAX_RATIO * other.fitted_mean_square()
+    }
+
+    /// Mean square over all channels on the fitted rows, in gauss squared.
+    fn fitted_mean_square(&self) -> f64 {
+        let scores = || self.fit.sensors.iter().flat_map(|sensor| &sensor.scores);
+        let squares: f64 = scores().map(|score| score.fitted_rms_g.powi(2)).sum();
+        squares / scores().count().max(1) as f64
+    }
+
+    /// Cross-validated mean square over all channels, in gauss squared.
+    pub fn mean_square(&self) -> f64 {
+        self.fit.tally().mean_square()
+    }
+
+    /// Cross-validated error relative to the noise floor.
+    pub fn floors(&self) -> f64 {
+        self.mean_square().sqrt() / self.fit.tally().floor_g()
+    }
+
+    /// Reduction of the cross-validated squared error relative to `before`.
+    pub fn gain(&self, before: &Self) -> f64 {
+        1.0 - self.mean_square() / before.mean_square()
+    }
+
+    /// Whether the error is lower than that of `before` in every fold.
+    pub fn improves_all_folds(&self, before: &Self) -> bool {
+        let pairs = self.fit.folds().into_iter().zip(before.fit.folds());
+        pairs
+            .filter(|(_, old)| old.rows() > 0)
+            .all(|(new, old)| new.mean_square() < old.mean_square())
+    }
+
+    /// Whether the effect added last has a plausible magnitude.
+    pub fn newest_is_plausible(&self, recordings: usize) -> bool {
+        let newest = effect_sizes(&self.fit, &self.effects, recordings).pop();
+        newest.is_none_or(|size| {
+            let tiny = size.value.abs() < MIN_MAGNITUDE * size.size.typical;
+            size.is_plausible() && !tiny
+        })
+    }
+
+    /// Whether every effect has a physically possible magnitude.
+    pub fn is_possible(&self, recordings: usize) -> bool {
+        effect_sizes(&self.fit, &self.effects, recordings).iter().zip(&self.effects).all(
+            |(size, effect)| {
+                let max_error = MAX_RELATIVE_ERROR * size.value.abs().max(size.size.typical);
+                let is_determined = !effect.is_transient() || size.std_error <= max_error;
+                size.is_possible() && is_determined
+            },
+        )
+    }
+}

@@ -1,0 +1,177 @@
+//! Candidate effects: which of them the recordings can test, and their screening by a score test with a wild
+//! bootstrap.
+
+use crate::diagnose::Reason;
+use model_export::effects::{CATALOGUE, EffectTerm};
+use model_export::fit::score_test::{CandidateScore, ScoreTest};
+use model_export::model_file::BaseKind;
+use model_export::recordings::{Campaign, Recording};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+
+/// A candidate that these recordings cannot test.
+#[derive(Clone, Debug)]
+pub struct UntestableEffect {
+    /// Name of the effect.
+    pub effect: String,
+    /// Reason.
+    pub reason: Reason,
+    /// Recording that would test it.
+    pub record: String,
+}
+
+/// Effects that these recordings can test, and those that they cannot.
+pub fn candidates(
+    campaign: &Campaign,
+    base: BaseKind,
+    axes: Option<[bool; 2]>,
+    present: &[EffectTerm],
+    own: &[EffectTerm],
+) -> (Vec<EffectTerm>, Vec<UntestableEffect>) {
+    let (mut testable, mut untestable) = (Vec::new(), Vec::new());
+    let catalogue = CATALOGUE.iter().map(|effect| EffectTerm::Catalogue(effect));
+    let all = catalogue.chain(own.iter().cloned());
+    for candidate in all.filter(|candidate| !present.contains(candidate)) {
+        match obstacle(&candidate, campaign, base, axes) {
+            Some(reason) => untestable.push(UntestableEffect {
+                effect: candidate.name().to_owned(),
+                reason,
+                record: candidate
+                    .effect()
+                    .map_or_else(String::new, |effect| effect.record.to_owned()),
+            }),
+            None => testable.push(match axes {
+                Some(axes) => candidate.for_polynomial(axes),
+                None => candidate,
+            }),
+        }
+    }
+    (testable, untestable)
+}
+
+/// Why these recordings cannot test a candidate.
+fn obstacle(
+    candidate: &EffectTerm,
+    campaign: &Campaign,
+    base: BaseKind,
+    axes: Option<[bool; 2]>,
+) -> Option<Reason> {
+    if base == BaseKind::Polynomial && candidate.stage().needs_geometry() {
+        return Some(Reason::NeedsGeometry);
+    }
+    let flexure = |axes: [bool; 2]| candidate.clone().for_polynomial(axes) != *candidate;
+    if axes.is_some_and(|axes| axes == [false; 2] && flexure(axes)) {
+        return Some(Reason::NeedsForce);
+    }
+    for column in candidate.needs() {
+        let columns = campaign.recordings.iter().map(|recording| values(recording, &column));
+        let columns: Vec<Vec<f64>> = columns.collect();
+        if columns.iter().any(Vec::is_empty) {
+            return Some(Reason::NotRecorded(column));
+        }
+        if !varies(&columns) {
+            return Some(Reason::DoesNotVary(column));
+        }
+    }
+    None
+}
+
+/// Values of a column over a recording, concatenated over sensors; empty where it was not recorded. Forces and
+/// times always are.
+fn values(recording: &Recording, column: &str) -> Vec<f64> {
+    match column {
+        "temp_c" => {
+            let sensors = recording.sensors.values();
+            sensors.flat_map(|sensor| sensor.temperature_c.iter().copied()).collect()
+        }
+        "fx_n" | "fz_n" | "time_s" | "session_s" => recording.time_s.clone(),
+        _ => recording.covariates.get(column).cloned().unwrap_or_default(),
+    }
+}
+
+/// Minimum ratio of a column's standard deviation to its change from row to row.
+const MIN_VARIATION: f64 = 2.0;
+
+/// Whether a column varies beyond its noise over all recordings.
+fn varies(columns: &[Vec<f64>]) -> bool {
+    let all = || columns.iter().flatten();
+    let count = all().count().max(1) as f64;
+    let mean = all().sum::<f64>() / count;
+    let sigma = (all().map(|value| (value - mean).powi(2)).sum::<f64>() / count).sqrt();
+    let steps = columns.iter().flat_map(|column| column.windows(2).map(|pair| pair[1] - pair[0]));
+    let step = (steps.map(|step| step * step).sum::<f64>() / count).sqrt();
+    sigma > MIN_VARIATION * step / std::f64::consts::SQRT_2 && sigma > 1e-9 * mean.abs()
+}
+
+/// Bootstrap resamples.
+const DRAWS: usize = 499;
+/// Significance level, adjusted for all candidates.
+pub const LEVEL: f64 = 0.05;
+/// Minimum reduction of the cross-validated squared error.
+pub const MIN_GAIN: f64 = 0.001;
+
+/// Score test of one candidate.
+pub struct ScreenedEffect {
+    /// The effect.
+    pub candidate: EffectTerm,
+    /// Result of the score test.
+    pub evidence: CandidateScore,
+    /// p-value adjusted for the maximum over all candidates.
+    pub p_adjusted: f64,
+}
+
+impl ScreenedEffect {
+    /// Whether the p-value is below [`LEVEL`] and the error decreases in every fold.
+    pub fn is_significant(&self) -> bool {
+        self.p_adjusted < LEVEL
+            && self.evidence.wins() == self.evidence.folds.len()
+            && self.evidence.gain() > MIN_GAIN
+    }
+}
+
+/// Screens the candidates; sorted by gain.
+pub fn screen(around: &ScoreTest, candidates: &[EffectTerm], seed: u64) -> Vec<ScreenedEffect> {
+    let evidence: Vec<(EffectTerm, CandidateScore)> = candidates
+        .par_iter()
+        .filter_map(|candidate| Some((candidate.clone(), around.score(candidate)?)))
+        .collect();
+    let Some(best) = evidence.iter().max_by(|a, b| a.1.gain().total_cmp(&b.1.gain())) else {
+        return Vec::new();
+    };
+    let draws = signs(around.blocks, seed);
+    let mut maxima = vec![f64::NEG_INFINITY; DRAWS];
+    let mut scores = Vec::new();
+    for (_, one) in &evidence {
+        let drawn = around.resampled(one, &best.1, &draws);
+        let mean = drawn.iter().sum::<f64>() / DRAWS as f64;
+        let squares: f64 = drawn.iter().map(|d| (d - mean).powi(2)).sum();
+        let sigma = (squares / DRAWS as f64).sqrt().max(1e-9);
+        for (max, drawn) in maxima.iter_mut().zip(&drawn) {
+            *max = max.max((drawn - mean) / sigma);
+        }
+        scores.push((one.explained - mean) / sigma);
+    }
+    let p_value = |z: f64| {
+        let beyond = maxima.iter().filter(|max| **max >= z).count();
+        (1 + beyond) as f64 / (1 + DRAWS) as f64
+    };
+    let mut screened: Vec<ScreenedEffect> = evidence
+        .into_iter()
+        .zip(scores)
+        .map(|((candidate, evidence), z)| ScreenedEffect {
+            candidate,
+            evidence,
+            p_adjusted: p_value(z),
+        })
+        .collect();
+    screened.sort_by(|a, b| b.evidence.gain().total_cmp(&a.evidence.gain()));
+    screened
+}
+
+/// Random signs of the blocks, one list per resample.
+fn signs(blocks: usize, seed: u64) -> Vec<Vec<f64>> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut sign = || if rng.random::<bool>() { 1.0 } else { -1.0 };
+    (0..DRAWS).map(|_| (0..blocks).map(|_| sign()).collect()).collect()
+}

@@ -1,0 +1,253 @@
+//! Forward selection of effects by cross-validated error, separation of equivalent effects, and backward
+//! elimination.
+
+use crate::compare::AT_FLOOR;
+use crate::compare::covariates::Covariate;
+use crate::diagnose::candidate_fit::{FittedModel, best_candidate};
+use crate::diagnose::candidates::{MIN_GAIN, ScreenedEffect, screen};
+use crate::diagnose::confusable_effects::Collinearity;
+use crate::diagnose::residuals::{attributed_covariates, block_s, residual_tables};
+use anyhow::Result;
+use model_export::effects::EffectTerm;
+use model_export::fit::FitOptions;
+use model_export::fit::campaign::FitSetup;
+use model_export::fit::score_test::ScoreTest;
+use model_export::recordings::Campaign;
+use rayon::prelude::*;
+
+/// Maximum number of steps.
+const MAX_STEPS: usize = 6;
+/// Maximum residual of a complete selection in noise floors; above it names are provisional.
+const COMPLETE: f64 = 1.5;
+/// Maximum remaining structure of a complete selection, relative to the explained part.
+const MAX_REMAINING: f64 = 0.4;
+/// If a covariate explains more than this fraction of the residual and the best effect less than [`SMALL`] of that,
+/// the effect is not named: it would approximate something else.
+const ATTRIBUTED: f64 = 0.3;
+/// Minimum gain of a named effect relative to an unnamed cause.
+pub const SMALL: f64 = 0.5;
+
+/// An accepted step.
+pub struct AcceptedStep {
+    /// The effect added to the model.
+    pub chosen: EffectTerm,
+    /// Equivalent effects.
+    pub tied: Vec<EffectTerm>,
+    /// Effects that explain part of the same and nothing else.
+    pub shadows: Vec<EffectTerm>,
+    /// Relative reduction of the cross-validated squared error.
+    pub gain: f64,
+    /// Reduction in gauss squared.
+    pub reduction: f64,
+    /// Adjusted p-value.
+    pub p_adjusted: f64,
+    /// Typical magnitude in standard errors at this step.
+    pub z_typical: f64,
+}
+
+/// Result of the selection.
+pub struct Selection {
+    /// Accepted steps.
+    pub steps: Vec<AcceptedStep>,
+    /// Models from the first to the last step.
+    pub stages: Vec<FittedModel>,
+    /// Score tests of all candidates on the last model.
+    pub last: Vec<ScreenedEffect>,
+    /// Covariates that explain the residual, with their shares.
+    pub attributed: Vec<(Covariate, f64)>,
+    /// Collinear covariates of the recordings.
+    pub collinearity: Collinearity,
+    /// Length of the bootstrap blocks in seconds.
+    pub block_s: f64,
+    /// Number of bootstrap blocks.
+    pub blocks: usize,
+}
+
+impl Selection {
+    /// Whether the residual is small enough for final verdicts.
+    pub fn is_complete(&self) -> bool {
+        let floors: Vec<f64> = self.stages.iter().map(FittedModel::floors).collect();
+        let (Some(first), Some(last)) = (floors.first(), floors.last()) else {
+            return true;
+        };
+        let explained = first.powi(2) - last.powi(2);
+        let structure = last.powi(2) - 1.0;
+        let is_explained = self.steps.is_empty() || structure <= MAX_REMAINING * explained;
+        *last <= AT_FLOOR || (*last <= COMPLETE && is_explained)
+    }
+}
+
+/// Runs the selection from a model with the effects `present`. `on_stage` receives the stage of the work.
+///
+/// # Errors
+/// The initial model cannot be fitted.
+pub fn forward_selection(
+    campaign: &Campaign,
+    prepared: &FitSetup,
+    present: &[EffectTerm],
+    candidates: &[EffectTerm],
+    options: FitOptions,
+    on_stage: &dyn Fn(&str),
+) -> Result<Selection> {
+    let mut selection = Selection {
+        steps: Vec::new(),
+        stages: vec![FittedModel::new(
+            prepared,
+            present.to_vec(),
+            prepared.split(present),
+            options,
+        )?],
+        last: Vec::new(),
+        attributed: Vec::new(),
+        collinearity: Collinearity::of(prepared),
+        block_s: 0.0,
+        blocks: 0,
+    };
+    loop {
+        let stage = &selection.stages[selection.stages.len() - 1];
+        let remaining: Vec<EffectTerm> =
+            candidates.iter().filter(|c| !stage.effects.contains(c)).cloned().collect();
+        on_stage("screening candidates");
+        let columns = residual_tables(campaign, prepared, stage);
+        selection.block_s = block_s(&columns);
+        let around = ScoreTest::new(prepared, &stage.effects, &stage.fit, selection.block_s);
+        selection.blocks = around.blocks;
+        selection.last = screen(&around, &remaining, options.seed);
+        selection.attributed = attributed_covariates(&columns, selection.block_s);
+        if selection.steps.len() >= MAX_STEPS {
+            break;
+        }
+        on_stage("fitting candidates");
+        let Some((step, next)) = best_candidate(prepared, stage, &around, &selection, options)?
+        else {
+            break;
+        };
+        if let Some((_, share)) = selection.attributed.first() {
+            let excess = 1.0 - stage.floors().powi(-2);
+            if *share > ATTRIBUTED && step.gain < SMALL * share * excess {
+                break;
+            }
+        }
+        selection.steps.push(step);
+        selection.stages.push(next);
+    }
+    on_stage("separating equivalent effects");
+    resolve_equivalences(prepared, &mut selection, options);
+    on_stage("eliminating effects");
+    eliminate_backward(prepared, &mut selection, options)?;
+    align_validation(prepared, &mut selection.stages, options)?;
+    Ok(selection)
+}
+
+/// Cross-validates every model like the last one, so that their errors are comparable.
+fn align_validation(
+    prepared: &FitSetup,
+    stages: &mut [FittedModel],
+    options: FitOptions,
+) -> Result<()> {
+    let Some(split) = stages.last().map(|last| last.fit.split) else {
+        return Ok(());
+    };
+    for stage in stages.iter_mut().filter(|stage| stage.fit.split != split) {
+        *stage = FittedModel::new(prepared, stage.effects.clone(), split, options)?;
+    }
+    Ok(())
+}
+
+/// Backward elimination: removes every step but the last that does not improve the last model. Models after a
+/// removed step are fitted again.
+///
+/// # Errors
+/// A fit fails.
+pub fn eliminate_backward(
+    prepared: &FitSetup,
+    selection: &mut Selection,
+    options: FitOptions,
+) -> Result<()> {
+    let mut place = 0;
+    while place + 1 < selection.steps.len() {
+        let Some(last) = selection.stages.last() else {
+            return Ok(());
+        };
+        let chosen = &selection.steps[place].chosen;
+        let without = |stage: &FittedModel| -> Vec<EffectTerm> {
+            let others = stage.effects.iter().filter(|effect| *effect != chosen);
+            others.cloned().collect()
+        };
+        if FittedModel::without_validation(prepared, without(last), options)?.is_clearly_worse(last)
+        {
+            place += 1;
+            continue;
+        }
+        let split = last.fit.split;
+        let simpler = FittedModel::new(prepared, without(last), split, options)?;
+        if last.gain(&simpler) > MIN_GAIN && last.improves_all_folds(&simpler) {
+            place += 1;
+            continue;
+        }
+        let mut stages = Vec::new();
+        for stage in &selection.stages[place + 2..selection.stages.len() - 1] {
+            stages.push(FittedModel::new(prepared, without(stage), split, options)?);
+        }
+        stages.push(simpler);
+        selection.stages.truncate(place + 1);
+        selection.stages.extend(stages);
+        selection.steps.remove(place);
+    }
+    Ok(())
+}
+
+/// Minimum relative difference of the squared errors of two distinguishable effects. (A shift and a derivative
+/// propagate the reference's noise differently: 0.25 % between clock skew and a filter of 4 ms.)
+const DISTINGUISHABLE: f64 = 0.005;
+
+/// Separates provisionally equivalent effects in the last model, where no larger effect hides their difference.
+///
+/// The last model is fitted with each of them. If one model has a clearly lower error, its effect explains
+/// everything that the other does and more; otherwise they remain equivalent.
+pub fn resolve_equivalences(prepared: &FitSetup, selection: &mut Selection, options: FitOptions) {
+    for place in 0..selection.steps.len() {
+        if !selection.steps[place].tied.is_empty() {
+            resolve_step(prepared, selection, place, options);
+        }
+    }
+}
+
+fn resolve_step(prepared: &FitSetup, selection: &mut Selection, place: usize, options: FitOptions) {
+    let recordings = prepared.rows.first().map_or(0, |rows| rows.parts.len());
+    let collinearity = selection.collinearity;
+    let (Some(last), step) = (selection.stages.pop(), &mut selection.steps[place]) else {
+        return;
+    };
+    // An effect accepted in a later step is not equivalent.
+    step.tied.retain(|tied| !last.effects.contains(tied));
+    // Transient effects require cross-validation within recordings for the whole set.
+    let split = prepared.split(&[&last.effects[..], &step.tied].concat());
+    let instead = |other: &EffectTerm| {
+        let mut effects = last.effects.clone();
+        for effect in effects.iter_mut().filter(|effect| **effect == step.chosen) {
+            *effect = other.clone();
+        }
+        let stage = FittedModel::new(prepared, effects, split, options).ok()?;
+        let possible = stage.is_possible(recordings);
+        possible.then(|| (other.clone(), stage))
+    };
+    let mut set: Vec<(EffectTerm, FittedModel)> =
+        step.tied.par_iter().filter_map(instead).collect();
+    let last = last.with_split(prepared, split, options);
+    set.push((step.chosen.clone(), last));
+    set.sort_by(|a, b| a.1.mean_square().total_cmp(&b.1.mean_square()));
+    let (chosen, best) = set.remove(0);
+    let is_worse = |(effect, other): &(EffectTerm, FittedModel)| {
+        let hidden = collinearity.hides_the_difference(&chosen, effect);
+        let clearly = other.mean_square() > (1.0 + DISTINGUISHABLE) * best.mean_square();
+        !hidden && clearly && best.improves_all_folds(other)
+    };
+    let (worse, tied): (Vec<_>, Vec<_>) = set.into_iter().partition(is_worse);
+    let plain = |list: Vec<(EffectTerm, FittedModel)>| list.into_iter().map(|(effect, _)| effect);
+    step.chosen = chosen;
+    step.tied = plain(tied).collect();
+    step.shadows.extend(plain(worse));
+    let own = prepared.split(&best.effects);
+    selection.stages.push(best.with_split(prepared, own, options));
+}

@@ -1,0 +1,216 @@
+//! Diagnosis: which physical effect is missing from a model, which effects are equivalent or inconclusive on the data, and
+//! what no effect explains.
+//!
+//! [`Diagnosis`] holds all results; terminal, report and `--json` format them.
+//!
+//! - [`mod@candidates`]: testable effects, and their screening by a bootstrap score test.
+//! - [`candidate_fit`]: a full fit of the significant candidates, of which the best is added.
+//! - [`mod@forward_selection`]: forward selection, equivalent effects, backward elimination.
+//! - [`confusable_effects`]: effects that depend on the same covariates, and data that cannot separate them.
+//! - [`residuals`]: the remaining residual, and what each effect removed of it.
+//! - [`verdicts`]: a verdict on every candidate.
+//! - [`suggestions`]: the next command.
+
+use crate::data_quality::Finding;
+use crate::diagnose::candidates::candidates;
+use crate::diagnose::forward_selection::forward_selection;
+pub use crate::diagnose::residuals::EffectShape;
+use crate::diagnose::residuals::shapes;
+pub use crate::diagnose::suggestions::Suggestion;
+use crate::diagnose::verdicts::conclude;
+use anyhow::Result;
+use model_export::effects::EffectTerm;
+use model_export::fit::FitOptions;
+use model_export::fit::campaign::FitSetup;
+use model_export::model_file::{BaseKind, ModelFile};
+use model_export::recordings::Campaign;
+use std::path::Path;
+
+pub mod candidate_fit;
+pub mod candidates;
+pub mod confusable_effects;
+pub mod forward_selection;
+pub mod residuals;
+pub mod suggestions;
+pub mod verdicts;
+
+/// Results of a diagnosis.
+#[derive(Clone, Debug, Default)]
+pub struct Diagnosis {
+    /// The model's file.
+    pub model: String,
+    /// The campaign's folder.
+    pub campaign: String,
+    /// Setup errors in the recordings; if one stops the diagnosis, everything else is empty.
+    pub findings: Vec<Finding>,
+    /// A verdict on each candidate, sorted by kind and gain.
+    pub verdicts: Vec<Verdict>,
+    /// Accepted steps, each one effect or several equivalent ones.
+    pub accepted: Vec<Vec<String>>,
+    /// Residual structure that no effect explains, largest share first.
+    pub unexplained: Vec<Unexplained>,
+    /// True if the residual is indistinguishable from noise.
+    pub at_floor: bool,
+    /// Cross-validated error after every step.
+    pub staircase: Vec<StaircaseStep>,
+    /// Residual removed by each step, in order.
+    pub shapes: Vec<EffectShape>,
+    /// Suggested next command.
+    pub next: Suggestion,
+    /// True if the effects explain the residual except noise; otherwise names are provisional.
+    pub is_complete: bool,
+    /// Number of bootstrap blocks.
+    pub blocks: usize,
+    /// Length of a block in seconds.
+    pub block_s: f64,
+    /// Seed of the bootstrap.
+    pub seed: u64,
+}
+
+/// Kind of a verdict, in the order of display.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum VerdictKind {
+    /// Present; no other effect explains the same.
+    Found,
+    /// It or one of its equivalents is present.
+    Tied,
+    /// It explains only what another effect explains better.
+    Shadow,
+    /// These recordings are not sufficient.
+    Inconclusive,
+    /// Absent up to an upper bound.
+    Absent,
+}
+
+impl VerdictKind {
+    /// Identifier in JSON.
+    pub fn id(self) -> &'static str {
+        match self {
+            Self::Found => "found",
+            Self::Tied => "tied",
+            Self::Shadow => "shadow",
+            Self::Inconclusive => "not_judgeable",
+            Self::Absent => "absent",
+        }
+    }
+}
+
+/// Reason of a verdict.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Reason {
+    /// It reduces the cross-validated error.
+    ReducesError,
+    /// Others explain the same on these recordings.
+    Equivalent,
+    /// The effects of this step, the accepted one first, explain more of the same.
+    ExplainedBetter(Vec<String>),
+    /// What it explains is consistent with the form of an accepted effect.
+    RemainderOf(String),
+    /// The residual drifts with time more freely than the effect can.
+    DriftsWithTime,
+    /// It fits part of a residual with another cause.
+    OtherCause,
+    /// Much more than noise is unexplained; the covariate that it follows most, if any.
+    UnexplainedResidual(Option<Unexplained>),
+    /// A typical magnitude hardly changes the field.
+    HardlyChangesField,
+    /// It is confounded with the model's parameters.
+    Confounded,
+    /// The residual of other causes masks a typical magnitude.
+    Masked,
+    /// 95 % upper bound as a multiple of the typical magnitude.
+    BelowBound(f64),
+    /// It acts on the magnet, which a polynomial does not model.
+    NeedsGeometry,
+    /// It acts through a force, and none was recorded.
+    NeedsForce,
+    /// A column was not recorded.
+    NotRecorded(String),
+    /// A column does not vary beyond its noise.
+    DoesNotVary(String),
+}
+
+/// The verdict on one effect.
+#[derive(Clone, Debug)]
+pub struct Verdict {
+    /// Name of the effect.
+    pub effect: String,
+    /// Kind of the verdict.
+    pub kind: VerdictKind,
+    /// True if much more than noise remains unexplained: names are then provisional, and other effects
+    /// inconclusive.
+    pub provisional: bool,
+    /// Equivalent effects.
+    pub tied_with: Vec<String>,
+    /// Reduction of the cross-validated squared error, as a fraction.
+    pub gain: f64,
+    /// p-value adjusted for all candidates; NaN if not tested.
+    pub p_adjusted: f64,
+    /// Magnitude in `unit`; NaN if not fitted.
+    pub value: f64,
+    /// Standard error of the magnitude.
+    pub std_error: f64,
+    /// Unit of the magnitude.
+    pub unit: String,
+    /// Typical magnitude in standard errors of these recordings.
+    pub z_typical: f64,
+    /// Plausible range of the magnitude, where the estimate is outside.
+    pub implausible: Option<(f64, f64)>,
+    /// Reason.
+    pub reason: Reason,
+    /// Recording that would decide; empty if none is needed.
+    pub record: String,
+}
+
+/// Residual structure that depends on a covariate and that no effect explains.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Unexplained {
+    /// The covariate.
+    pub covariate: String,
+    /// Label in text.
+    pub words: String,
+    /// Fraction of the squared residual above the floor.
+    pub share: f64,
+}
+
+/// Error after a step of the selection.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StaircaseStep {
+    /// Added effects; empty for the first step.
+    pub added: Vec<String>,
+    /// Cross-validated error over all channels, in gauss.
+    pub held_out_rms_g: f64,
+    /// Cross-validated force error in newtons; `None` without forces.
+    pub held_out_rmse_n: Option<f64>,
+    /// Noise floor in gauss.
+    pub floor_g: f64,
+}
+
+/// Diagnoses which effects `model` (read from `path`) does not contain on `campaign`: those of the catalogue and the user's
+/// `own`. `on_stage` receives the stage of the work.
+///
+/// # Errors
+/// A fit fails.
+pub fn diagnose(
+    campaign: &Campaign,
+    model: &ModelFile,
+    path: &Path,
+    own: &[EffectTerm],
+    options: FitOptions,
+    on_stage: &dyn Fn(&str),
+) -> Result<Diagnosis> {
+    let prepared = match model.base {
+        BaseKind::Cylinder => FitSetup::cylinder(campaign)?,
+        BaseKind::Polynomial => FitSetup::polynomial(campaign, model.degree(), options)?,
+    };
+    let present: Vec<EffectTerm> = model.effect_terms(path)?;
+    let (testable, untestable) =
+        candidates(campaign, model.base, model.force_axes(), &present, own);
+    let selection = forward_selection(campaign, &prepared, &present, &testable, options, on_stage)?;
+    let mut diagnosis = conclude(&selection, &untestable, campaign.recordings.len());
+    diagnosis.shapes = shapes(campaign, &prepared, &selection, options.seed);
+    diagnosis.model = path.display().to_string();
+    diagnosis.campaign = campaign.folder.display().to_string();
+    diagnosis.seed = options.seed;
+    Ok(diagnosis)
+}

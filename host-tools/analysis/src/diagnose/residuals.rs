@@ -1,0 +1,267 @@
+//! Residuals of a fitted model: the covariates that explain them, and what each step of the selection removed.
+
+use crate::compare::Bin;
+use crate::compare::attribution::{Attributor, Binning};
+use crate::compare::bootstrap_bands::BlockBootstrap;
+use crate::compare::covariates::{Covariate, all_covariates};
+use crate::compare::pipeline::correlation_s;
+use crate::compare::residual_table::ResidualTable;
+use crate::diagnose::candidate_fit::FittedModel;
+use crate::diagnose::forward_selection::{AcceptedStep, Selection};
+use model_export::effects::EffectTerm;
+use model_export::fit::campaign::FitSetup;
+use model_export::fit::cross_validation::noise_variance;
+use model_export::fit::problem::SensorProblem;
+use model_export::recordings::Campaign;
+use nalgebra::Vector3;
+use rayon::prelude::*;
+
+/// Minimum length of a bootstrap block in seconds.
+const MIN_BLOCK_S: f64 = 5.0;
+/// Minimum number of blocks.
+const MIN_BLOCKS: f64 = 15.0;
+
+/// Residuals of a model with all covariates.
+pub fn residual_tables(
+    campaign: &Campaign,
+    prepared: &FitSetup,
+    stage: &FittedModel,
+) -> Vec<ResidualTable> {
+    let covariates = campaign.recordings.first().map_or_else(Vec::new, all_covariates);
+    residuals_against(prepared, stage, &covariates)
+}
+
+/// Residuals of a model with these covariates.
+pub fn residuals_against(
+    prepared: &FitSetup,
+    stage: &FittedModel,
+    covariates: &[Covariate],
+) -> Vec<ResidualTable> {
+    let mut effects = stage.effects.clone();
+    effects.sort_by_key(EffectTerm::stage);
+    (0..prepared.rows.len())
+        .into_par_iter()
+        .map(|s| {
+            let (rows, base, fit) = (&prepared.rows[s], &prepared.bases[s], &stage.fit.sensors[s]);
+            let mut columns = ResidualTable::new(rows.sensor, covariates);
+            let problem = SensorProblem::new(rows, base.as_ref(), &effects);
+            let departures = problem.to_scaled(&fit.values);
+            for (place, part) in rows.parts.iter().enumerate() {
+                let linear = problem.linearise(place, &departures);
+                let errors = part.field_g.iter().zip(&linear.fields);
+                let left: Vec<Vector3<f64>> = errors.map(|(b, m)| b - m).collect();
+                let slopes = linear.per_newton.iter();
+                let floor: Vec<Vector3<f64>> = slopes
+                    .map(|per_newton| noise_variance(part, rows.slopes(per_newton)))
+                    .collect();
+                columns.push(place, &part.track, &left, &floor, 1);
+            }
+            columns
+        })
+        .collect()
+}
+
+/// Block length in seconds: three correlation times of the residual.
+pub fn block_s(columns: &[ResidualTable]) -> f64 {
+    let duration: f64 = columns.first().map_or(0.0, |sensor| {
+        sensor.recording.chunk_by(|a, b| a == b).map(<[u32]>::len).sum::<usize>() as f64
+            * sensor.time_s.get(1).map_or(0.01, |second| second - sensor.time_s[0])
+    });
+    let most = (duration / MIN_BLOCKS).max(1.0);
+    (3.0 * correlation_s(columns)).max(MIN_BLOCK_S).min(most)
+}
+
+/// Selected covariates of the residual with their shares.
+pub fn attributed_covariates(columns: &[ResidualTable], block_s: f64) -> Vec<(Covariate, f64)> {
+    let ranked = Attributor::new(columns, block_s).rank();
+    let Some(first) = columns.first() else {
+        return Vec::new();
+    };
+    let chosen = ranked.into_iter().filter(|found| found.chosen);
+    chosen.map(|found| (first.covariates[found.covariate].of.clone(), found.share)).collect()
+}
+
+/// One step of the selection over one covariate.
+#[derive(Clone, Debug, Default)]
+pub struct EffectShape {
+    /// The effect, and those that it is tied with.
+    pub effects: Vec<String>,
+    /// The covariate, as in the recordings.
+    pub covariate: String,
+    /// In words.
+    pub words: String,
+    /// Its unit; empty for a number without one.
+    pub unit: &'static str,
+    /// Numbers of the sensors, in the order of each bin's means.
+    pub sensors: Vec<u32>,
+    /// The residual before the step, with its bands.
+    pub bins: Vec<Bin>,
+    /// Mean residual removed by the step, by bin, sensor and axis, in gauss; NaN without rows.
+    pub taken_g: Vec<Vec<[f64; 3]>>,
+}
+
+impl EffectShape {
+    /// Sensor (by place) and axis over whose bins the residual varies most.
+    pub fn strongest(&self) -> Option<(usize, usize)> {
+        let sensors = 0..self.sensors.len();
+        let channels = sensors.flat_map(|sensor| [0, 1, 2].map(|axis| (sensor, axis)));
+        let spread = |(sensor, axis): (usize, usize)| {
+            let mean = |bin: &Bin| Some(bin.mean_g.get(sensor)?[axis]);
+            let means: Vec<f64> = self.bins.iter().filter_map(mean).collect();
+            variance(&means, &self.rows())
+        };
+        channels.max_by(|a, b| spread(*a).total_cmp(&spread(*b)))
+    }
+
+    fn rows(&self) -> Vec<f64> {
+        self.bins.iter().map(|bin| bin.rows as f64).collect()
+    }
+
+    /// Variance of the removed residual over the bins, all channels, in gauss squared.
+    fn follows(&self) -> f64 {
+        let sensors = 0..self.sensors.len();
+        let channels = sensors.flat_map(|sensor| [0, 1, 2].map(|axis| (sensor, axis)));
+        let of_channel = |(sensor, axis): (usize, usize)| {
+            let mean = |bin: &Vec<[f64; 3]>| bin[sensor][axis];
+            let means: Vec<f64> = self.taken_g.iter().map(mean).collect();
+            variance(&means, &self.rows())
+        };
+        channels.map(of_channel).sum()
+    }
+}
+
+/// Variance of those means that are numbers, each with the weight of its rows.
+fn variance(means: &[f64], rows: &[f64]) -> f64 {
+    let pairs = || means.iter().zip(rows).filter(|(mean, _)| mean.is_finite());
+    let count: f64 = pairs().map(|(_, rows)| rows).sum::<f64>().max(1.0);
+    let middle = pairs().map(|(mean, rows)| mean * rows).sum::<f64>() / count;
+    pairs().map(|(mean, rows)| rows * (mean - middle).powi(2)).sum::<f64>() / count
+}
+
+/// Shape of every step over the covariate on which it depends most; steps without a varying covariate are
+/// skipped.
+pub fn shapes(
+    campaign: &Campaign,
+    prepared: &FitSetup,
+    selection: &Selection,
+    seed: u64,
+) -> Vec<EffectShape> {
+    let Some(first) = campaign.recordings.first() else {
+        return Vec::new();
+    };
+    let known = all_covariates(first);
+    let stages = selection.stages.windows(2);
+    stages
+        .zip(&selection.steps)
+        .filter_map(|(stages, step)| shape(prepared, &known, stages, step, seed))
+        .collect()
+}
+
+fn shape(
+    prepared: &FitSetup,
+    known: &[Covariate],
+    stages: &[FittedModel],
+    step: &AcceptedStep,
+    seed: u64,
+) -> Option<EffectShape> {
+    let names = step.chosen.plot_against();
+    let of_name = |name: &String| known.iter().find(|c| c.name == name.as_str()).cloned();
+    let covariates: Vec<Covariate> = names.iter().filter_map(of_name).collect();
+    let before = residuals_against(prepared, stages.first()?, &covariates);
+    let after = residuals_against(prepared, stages.last()?, &[]);
+    let bands = BlockBootstrap::new(&before, block_s(&before), seed);
+    let all = std::iter::once(&step.chosen).chain(&step.tied);
+    let effects: Vec<String> = all.map(|effect| effect.name().to_owned()).collect();
+    let over = |(i, covariate): (usize, &Covariate)| {
+        let values: Vec<&[f32]> =
+            before.iter().map(|sensor| sensor.covariates[i].values.as_slice()).collect();
+        let binning = Binning::of(&values)?;
+        Some(EffectShape {
+            effects: effects.clone(),
+            covariate: covariate.name.to_string(),
+            words: covariate.words.to_string(),
+            unit: covariate.unit,
+            sensors: before.iter().map(|sensor| sensor.sensor).collect(),
+            bins: bands.bins(&before, &binning),
+            taken_g: taken(&before, &after, &binning),
+        })
+    };
+    let drawn = covariates.iter().enumerate().filter_map(over);
+    drawn.max_by(|a, b| a.follows().total_cmp(&b.follows()))
+}
+
+/// Means of the difference of two residuals of the same rows: each bin, each sensor, each axis.
+fn taken(
+    before: &[ResidualTable],
+    after: &[ResidualTable],
+    binning: &Binning,
+) -> Vec<Vec<[f64; 3]>> {
+    let mut means = vec![Vec::new(); binning.count()];
+    for ((before, after), of) in before.iter().zip(after).zip(&binning.of) {
+        let mut sums = vec![(Vector3::zeros(), 0.0); binning.count()];
+        let rows = before.residual_g.iter().zip(&after.residual_g);
+        for ((before, after), bin) in rows.zip(of) {
+            if let Some((sum, rows)) = sums.get_mut(usize::from(*bin)) {
+                *sum += before - after;
+                *rows += 1.0;
+            }
+        }
+        for (bin, (sum, rows)) in means.iter_mut().zip(sums) {
+            bin.push((sum / rows).into());
+        }
+    }
+    means
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::compare::covariates::standard_covariates;
+    use model_export::effects::CATALOGUE;
+    use model_export::recordings::columns::STATOR_CURRENTS;
+
+    fn sensor(number: u32, residual: [f64; 4]) -> ResidualTable {
+        let mut sensor = ResidualTable::new(number, &[]);
+        sensor.residual_g = residual.map(|x| Vector3::new(x, 0.0, -x)).to_vec();
+        sensor
+    }
+
+    #[test]
+    fn removed_residual_is_the_mean_difference_by_bin() {
+        let binning = Binning {
+            ranges: vec![(0.0, 1.0), (2.0, 3.0)],
+            centres: vec![0.5, 2.5],
+            of: vec![vec![0, 0, 1, Binning::NONE]],
+        };
+        let (before, after) = (sensor(0, [5.0, 7.0, 1.0, 90.0]), sensor(0, [1.0, 1.0, 4.0, 0.0]));
+        assert_eq!(taken(&[before], &[after], &binning), [[[5.0, 0.0, -5.0]], [[-3.0, 0.0, 3.0]]]);
+    }
+
+    #[test]
+    fn strongest_channel_has_the_largest_variance() {
+        let bin = |x: f64| Bin {
+            rows: 10,
+            mean_g: vec![[50.0, 0.0, 0.0], [0.0, x, 2.0 * x]],
+            ..Bin::default()
+        };
+        let shape = EffectShape {
+            sensors: vec![0, 3],
+            bins: vec![bin(-1.0), bin(0.0), bin(1.0)],
+            ..EffectShape::default()
+        };
+        assert_eq!(shape.strongest(), Some((1, 2)));
+    }
+
+    #[test]
+    fn every_effect_depends_on_a_standard_covariate() {
+        let known = standard_covariates();
+        for effect in CATALOGUE {
+            assert!(!effect.plot_against.is_empty(), "{}", effect.id);
+            for name in effect.plot_against {
+                assert!(known.iter().any(|c| c.name == *name), "{name}");
+            }
+        }
+        let leakage = model_export::effects::find("motor_leakage").unwrap();
+        assert!(leakage.plot_against.contains(&STATOR_CURRENTS[0]));
+    }
+}

@@ -1,0 +1,215 @@
+//! Suggested next command.
+
+use crate::diagnose::Diagnosis;
+use model_export::effects::EffectTerm;
+use model_export::model_file::BaseKind;
+
+/// Suggestion for the next step.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Suggestion {
+    /// Text; empty without a suggestion.
+    pub words: String,
+    /// Alternative commands.
+    pub commands: Vec<String>,
+}
+
+/// Arguments of the diagnosis.
+pub struct Invocation<'a> {
+    /// The model's file.
+    pub model: &'a str,
+    /// The campaign's folder.
+    pub campaign: &'a str,
+    /// Delay of the reference's clock in milliseconds.
+    pub delay_ms: f64,
+    /// The model's base.
+    pub base: BaseKind,
+    /// User-defined effects.
+    pub own: &'a [EffectTerm],
+}
+
+/// Columns that a formula can use, in addition to the recorded ones: others that compare knows
+/// are made of these.
+const MADE: [&str; 8] = [
+    "force_n",
+    "fx_rate_n_per_s",
+    "fz_rate_n_per_s",
+    "loading_x",
+    "loading_z",
+    "temp_rate_c_per_min",
+    "recording",
+    "constant",
+];
+
+/// Suggests the next command after a diagnosis.
+pub fn suggest(diagnosis: &Diagnosis, typed: &Invocation) -> Suggestion {
+    let command = |what: &str, rest: &[String]| {
+        let mut words = ["magpie", what, typed.model, typed.campaign].map(str::to_owned).to_vec();
+        words.extend_from_slice(rest);
+        if typed.delay_ms != 0.0 {
+            words.extend(["--delay-ms".to_owned(), typed.delay_ms.to_string()]);
+        }
+        line(&words)
+    };
+    let say = |words: &str, commands: Vec<String>| Suggestion { words: words.to_owned(), commands };
+    let report = || vec![command("compare", &["-o", "report.html"].map(str::to_owned))];
+    if let Some(sets) = sets(&diagnosis.accepted) {
+        let add = |set: &Vec<&String>| {
+            let mut rest = named(set, typed.own);
+            rest.extend(["-o".to_owned(), better(typed.model)]);
+            command("add", &rest)
+        };
+        let words = match sets.len() {
+            1 => "Suggestion, add it and see the error fall:",
+            _ => "Suggestion, record what tells them apart, or choose one and add it:",
+        };
+        return say(words, sets.iter().map(add).collect());
+    }
+    let usable = |covariate: &&str| !MADE.contains(covariate);
+    let covariates = diagnosis.unexplained.iter().map(|u| u.covariate.as_str());
+    if diagnosis.at_floor {
+        let words = ["magpie", "export", typed.model, "-o", "tables.rs"].map(str::to_owned);
+        return say(
+            "Nothing is missing here. Suggestion, the device's tables:",
+            vec![line(&words)],
+        );
+    }
+    match (diagnosis.unexplained.is_empty(), covariates.clone().find(usable)) {
+        (false, Some(covariate)) => say(
+            "Suggestion, propose its shape and test it like any effect (put in yours):",
+            vec![command("diagnose", &["--expr".to_owned(), guess(covariate, typed.base)])],
+        ),
+        _ => say("Suggestion, look where it is:", report()),
+    }
+}
+
+/// What to add together: what was found with, for the first tie, each of its members.
+fn sets(accepted: &[Vec<String>]) -> Option<Vec<Vec<&String>>> {
+    let tie = accepted.iter().position(|step| step.len() > 1);
+    let count = tie.map_or(accepted.len().min(1), |tie| accepted[tie].len());
+    let set = |member: usize| {
+        let steps = accepted.iter().enumerate();
+        let of_step = |(i, step): (usize, &'_ Vec<String>)| {
+            if Some(i) == tie { member.min(step.len().saturating_sub(1)) } else { 0 }
+        };
+        let places: Vec<usize> = steps.map(of_step).collect();
+        let pairs = accepted.iter().zip(places);
+        pairs.filter_map(|(step, place)| step.get(place)).collect()
+    };
+    (count > 0).then(|| (0..count).map(set).collect())
+}
+
+/// Effects as `add` takes them: names of the catalogue first, then formulas with their ranges.
+fn named(set: &[&String], own: &[EffectTerm]) -> Vec<String> {
+    let formula = |name: &str| {
+        own.iter().find_map(|addition| match addition {
+            EffectTerm::Expression(expression) if expression.name == name => Some(expression),
+            _ => None,
+        })
+    };
+    let (mut names, mut formulas) = (Vec::new(), Vec::new());
+    for name in set {
+        let Some(expression) = formula(name) else {
+            names.push((*name).clone());
+            continue;
+        };
+        formulas.extend(["--expr".to_owned(), expression.text.clone()]);
+        for range in &expression.ranges {
+            let ends = format!("{}={}..{}", range.name, range.from, range.to);
+            formulas.extend(["--range".to_owned(), ends]);
+        }
+    }
+    names.extend(formulas);
+    names
+}
+
+/// A first formula over a covariate: it turns with an angle, and bends over everything else.
+fn guess(covariate: &str, base: BaseKind) -> String {
+    let target = match base {
+        BaseKind::Cylinder => "dz_um",
+        BaseKind::Polynomial => "by_g",
+    };
+    if covariate.ends_with("_rad") {
+        format!("own: {target} = a*sin({covariate}) + b*cos({covariate})")
+    } else {
+        format!("own: {target} = a*{covariate} + b*{covariate}^2")
+    }
+}
+
+/// A new file name, so that the old model is preserved.
+fn better(model: &str) -> String {
+    let stem = model.strip_suffix(".toml").unwrap_or(model);
+    format!("{stem}-better.toml")
+}
+
+/// One line for a shell.
+fn line(words: &[String]) -> String {
+    // Only a zero byte cannot be quoted, and no argument holds one.
+    shlex::try_join(words.iter().map(String::as_str)).unwrap_or_else(|_| words.join(" "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnose::Unexplained;
+
+    const TYPED: Invocation = Invocation {
+        model: "m.toml",
+        campaign: "my campaign",
+        delay_ms: 0.0,
+        base: BaseKind::Cylinder,
+        own: &[],
+    };
+
+    fn accepted(steps: &[&[&str]]) -> Diagnosis {
+        let step = |names: &&[&str]| names.iter().map(|&name| name.to_owned()).collect();
+        Diagnosis { accepted: steps.iter().map(step).collect(), ..Diagnosis::default() }
+    }
+
+    #[test]
+    fn found_effects_are_added_together() {
+        let next = suggest(&accepted(&[&["hysteresis"], &["creep"]]), &TYPED);
+        assert_eq!(
+            next.commands,
+            ["magpie add m.toml 'my campaign' hysteresis creep -o m-better.toml"]
+        );
+    }
+
+    #[test]
+    fn each_equivalent_effect_gets_a_command() {
+        let typed = Invocation { delay_ms: -2.5, ..TYPED };
+        let tied = accepted(&[&["magnet_temperature", "thermal_gap"], &["creep"]]);
+        assert_eq!(
+            suggest(&tied, &typed).commands,
+            [
+                "magpie add m.toml 'my campaign' magnet_temperature creep -o m-better.toml --delay-ms -2.5",
+                "magpie add m.toml 'my campaign' thermal_gap creep -o m-better.toml --delay-ms -2.5",
+            ]
+        );
+        assert!(suggest(&tied, &typed).words.contains("choose one"));
+    }
+
+    #[test]
+    fn unexplained_residual_suggests_a_recorded_column() {
+        let follows = |covariate: &str| Unexplained {
+            covariate: covariate.to_owned(),
+            words: String::new(),
+            share: 0.5,
+        };
+        let diagnosis = Diagnosis {
+            unexplained: vec![follows("loading_x"), follows("motor_angle_rad")],
+            ..Diagnosis::default()
+        };
+        assert_eq!(
+            suggest(&diagnosis, &TYPED).commands,
+            [
+                "magpie diagnose m.toml 'my campaign' --expr 'own: dz_um = a*sin(motor_angle_rad) + b*cos(motor_angle_rad)'"
+            ]
+        );
+    }
+
+    #[test]
+    fn export_is_suggested_at_the_noise_floor() {
+        let diagnosis = Diagnosis { at_floor: true, ..Diagnosis::default() };
+        assert_eq!(suggest(&diagnosis, &TYPED).commands, ["magpie export m.toml -o tables.rs"]);
+    }
+}

@@ -1,0 +1,207 @@
+//! From a selection to verdicts.
+
+use crate::compare::AT_FLOOR;
+use crate::diagnose::candidate_fit::FittedModel;
+use crate::diagnose::candidates::{ScreenedEffect, UntestableEffect};
+use crate::diagnose::confusable_effects::are_confusable;
+use crate::diagnose::forward_selection::{AcceptedStep, Selection};
+use crate::diagnose::{Diagnosis, Reason, StaircaseStep, Unexplained, Verdict, VerdictKind};
+use model_export::effects::EffectTerm;
+use model_export::fit::effect_size::effect_sizes;
+use model_export::fit::score_test::CandidateScore;
+
+/// Minimum typical magnitude in standard errors for a conclusive verdict.
+const MIN_Z: f64 = 4.0;
+
+/// Verdicts on all candidates, and the summary.
+pub fn conclude(
+    selection: &Selection,
+    unjudged: &[UntestableEffect],
+    recordings: usize,
+) -> Diagnosis {
+    let Some(last) = selection.stages.last() else {
+        return Diagnosis::default();
+    };
+    let complete = selection.is_complete();
+    let mut diagnosis = Diagnosis {
+        at_floor: last.floors() <= AT_FLOOR,
+        accepted: if complete { selection.steps.iter().map(names).collect() } else { Vec::new() },
+        unexplained: selection
+            .attributed
+            .iter()
+            .filter(|(covariate, _)| covariate.name != "constant")
+            .map(|(covariate, share)| Unexplained {
+                covariate: covariate.name.to_string(),
+                words: covariate.words.to_string(),
+                share: *share,
+            })
+            .collect(),
+        staircase: stairs(selection),
+        is_complete: complete,
+        block_s: selection.block_s,
+        blocks: selection.blocks,
+        ..Diagnosis::default()
+    };
+    if last.floors() <= AT_FLOOR {
+        diagnosis.unexplained.clear();
+    }
+    for step in &selection.steps {
+        diagnosis.verdicts.extend(of_step(step, last, recordings, complete));
+    }
+    let named = |name: &str, verdicts: &[Verdict]| verdicts.iter().any(|v| v.effect == name);
+    for screened in &selection.last {
+        if !named(screened.candidate.name(), &diagnosis.verdicts) {
+            diagnosis.verdicts.push(of_rest(screened, complete, selection, &diagnosis.unexplained));
+        }
+    }
+    diagnosis.verdicts.extend(unjudged.iter().map(of_unjudged));
+    diagnosis.verdicts.sort_by(|a, b| {
+        (a.kind, b.gain).partial_cmp(&(b.kind, a.gain)).unwrap_or(std::cmp::Ordering::Equal)
+    });
+    diagnosis
+}
+
+fn names(step: &AcceptedStep) -> Vec<String> {
+    let all = std::iter::once(&step.chosen).chain(&step.tied);
+    all.map(|effect| effect.name().to_owned()).collect()
+}
+
+fn stairs(selection: &Selection) -> Vec<StaircaseStep> {
+    let added = std::iter::once(Vec::new()).chain(selection.steps.iter().map(names));
+    let stair = |(stage, added): (&FittedModel, Vec<String>)| StaircaseStep {
+        added,
+        held_out_rms_g: stage.mean_square().sqrt(),
+        held_out_rmse_n: stage.fit.tally().rmse_n(),
+        floor_g: stage.fit.tally().floor_g(),
+    };
+    selection.stages.iter().zip(added).map(stair).collect()
+}
+
+fn of_step(
+    step: &AcceptedStep,
+    last: &FittedModel,
+    recordings: usize,
+    complete: bool,
+) -> Vec<Verdict> {
+    let found = effect_sizes(&last.fit, &last.effects, recordings);
+    let size = last.effects.iter().position(|effect| *effect == step.chosen).map(|i| &found[i]);
+    let all = names(step);
+    let record = |effect: &EffectTerm| {
+        effect.effect().map_or_else(String::new, |effect| effect.record.to_owned())
+    };
+    let base = |effect: &EffectTerm, kind: VerdictKind| Verdict {
+        effect: effect.name().to_owned(),
+        kind,
+        provisional: !complete,
+        tied_with: all.iter().filter(|name| *name != effect.name()).cloned().collect(),
+        gain: step.gain,
+        p_adjusted: step.p_adjusted,
+        value: f64::NAN,
+        std_error: f64::NAN,
+        unit: effect.size().unit.to_owned(),
+        z_typical: step.z_typical,
+        implausible: None,
+        reason: Reason::ReducesError,
+        record: String::new(),
+    };
+    let mut verdicts = Vec::new();
+    for effect in std::iter::once(&step.chosen).chain(&step.tied) {
+        let mut verdict =
+            base(effect, if step.tied.is_empty() { VerdictKind::Found } else { VerdictKind::Tied });
+        if !step.tied.is_empty() {
+            verdict.reason = Reason::Equivalent;
+            verdict.record = record(effect);
+        }
+        if *effect == step.chosen
+            && let Some(size) = size
+        {
+            (verdict.value, verdict.std_error) = (size.value, size.std_error);
+            verdict.implausible = (!size.is_plausible()).then_some(size.size.plausible);
+        }
+        verdicts.push(verdict);
+    }
+    for effect in &step.shadows {
+        let mut verdict = base(effect, VerdictKind::Shadow);
+        verdict.tied_with.clear();
+        (verdict.gain, verdict.p_adjusted, verdict.z_typical) = (f64::NAN, f64::NAN, f64::NAN);
+        verdict.reason = Reason::ExplainedBetter(all.clone());
+        verdicts.push(verdict);
+    }
+    verdicts
+}
+
+fn of_rest(
+    screened: &ScreenedEffect,
+    complete: bool,
+    selection: &Selection,
+    unexplained: &[Unexplained],
+) -> Verdict {
+    let effect = &screened.candidate;
+    let evidence = &screened.evidence;
+    let record = effect.effect().map_or_else(String::new, |effect| effect.record.to_owned());
+    let (kind, reason) = if !complete {
+        (VerdictKind::Inconclusive, Reason::UnexplainedResidual(unexplained.first().cloned()))
+    } else if screened.is_significant() {
+        remainder(effect, selection)
+    } else if evidence.z_typical < MIN_Z {
+        (VerdictKind::Inconclusive, inadequate(evidence))
+    } else {
+        // Rounded up: a bound of nothing would be a claim.
+        (VerdictKind::Absent, Reason::BelowBound((100.0 * evidence.bound).ceil() / 100.0))
+    };
+    let record = if kind == VerdictKind::Absent { String::new() } else { record };
+    Verdict {
+        effect: effect.name().to_owned(),
+        kind,
+        provisional: !complete,
+        tied_with: Vec::new(),
+        gain: evidence.gain(),
+        p_adjusted: screened.p_adjusted,
+        value: f64::NAN,
+        std_error: f64::NAN,
+        unit: effect.size().unit.to_owned(),
+        z_typical: evidence.z_typical,
+        implausible: None,
+        reason,
+        record,
+    }
+}
+
+/// Why a typical magnitude is not detectable.
+fn inadequate(evidence: &CandidateScore) -> Reason {
+    if evidence.z_unadjusted < MIN_Z {
+        Reason::HardlyChangesField
+    } else if evidence.z_white_noise < MIN_Z {
+        Reason::Confounded
+    } else {
+        Reason::Masked
+    }
+}
+
+/// Verdict on an effect that explains part of the residual without being accepted.
+fn remainder(effect: &EffectTerm, selection: &Selection) -> (VerdictKind, Reason) {
+    let confusable = selection.steps.iter().find(|step| are_confusable(&step.chosen, effect));
+    match confusable {
+        Some(step) => (VerdictKind::Shadow, Reason::RemainderOf(step.chosen.name().to_owned())),
+        None if effect.is_transient() => (VerdictKind::Inconclusive, Reason::DriftsWithTime),
+        None => (VerdictKind::Inconclusive, Reason::OtherCause),
+    }
+}
+
+fn of_unjudged(unjudged: &UntestableEffect) -> Verdict {
+    Verdict {
+        effect: unjudged.effect.clone(),
+        kind: VerdictKind::Inconclusive,
+        provisional: false,
+        tied_with: Vec::new(),
+        gain: 0.0,
+        p_adjusted: f64::NAN,
+        value: f64::NAN,
+        std_error: f64::NAN,
+        unit: String::new(),
+        z_typical: 0.0,
+        implausible: None,
+        reason: unjudged.reason.clone(),
+        record: unjudged.record.clone(),
+    }
+}

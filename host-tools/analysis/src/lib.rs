@@ -1,0 +1,22 @@
+//! Analyses of recordings and models. Nothing here imports the command line, the report or the device access.
+//!
+//! - [`replay`]: recordings through the device's code, compared with the reference.
+//! - [`compare`]: error of a model relative to the noise floor, and its attribution to covariates.
+//! - [`data_quality`]: setup errors in recordings.
+//! - [`diagnose`]: missing physical effects.
+//! - [`benchmark`]: eight force estimators on a held-out recording.
+//! - [`magnetic_disturbance`]: detection rate and false alarms of the disturbance detector.
+//! - [`calibration`], [`network_calibration`]: coverage of predicted standard deviations.
+//! - [`statistics`]: running statistics. [`numbers`]: numbers as text. [`progress`]: progress bars.
+
+pub mod benchmark;
+pub mod calibration;
+pub mod compare;
+pub mod data_quality;
+pub mod diagnose;
+pub mod magnetic_disturbance;
+pub mod network_calibration;
+pub mod numbers;
+pub mod progress;
+pub mod replay;
+pub mod statistics;

@@ -1,0 +1,287 @@
+//! Input rows of the device without a disturbance: of a recording, or of a simulated gripper.
+
+use std::path::PathBuf;
+
+use anyhow::Result;
+use firmware::config::constants;
+use firmware::estimator::auxiliary_inputs::AuxiliaryInputs;
+use firmware::sensors::hall::{HallReading, SENSORS};
+use model_export::inverse::build::DeviceModel;
+use model_export::recordings::align::Alignment;
+use model_export::recordings::columns::{COVARIATES, ChannelLayout, HallColumn};
+use model_export::recordings::description::{NominalDesign, RecordingDescription};
+use model_export::recordings::stream::{RawRow, RawStream};
+use nalgebra::Vector3;
+use rand_chacha::ChaCha8Rng;
+
+use device_run::channel_map::{
+    CovariateChannels, SensorChannels, field_counts, sensor_channels, temperature_counts,
+};
+use sim::campaign::excitation::{Excitation, REFERENCE_C};
+use sim::campaign::gripper::{CampaignGripper, CampaignTime};
+use sim::campaign::recording::{SETTLING_S, TEMPERATURE_C, covariates};
+use sim::campaign::settings::CampaignSettings;
+use sim::effects::Effects;
+use sim::hall_sensor::HallNoise;
+use sim::random::{Purpose, normal, stream};
+
+/// Duration of a simulated recording in seconds.
+pub const SECONDS: f64 = 100.0;
+/// Upper bound of the recording numbers, which select what is lost between recordings.
+const MAX_RECORDINGS: u32 = 100_000;
+
+/// One row without a disturbance.
+#[derive(Clone, Debug)]
+pub struct InputRow {
+    /// Seconds since the first row.
+    pub time_s: f64,
+    /// Field with noise in gauss, and the temperature word; `None` without a sensor.
+    pub sensors: [Option<(Vector3<f64>, i16)>; SENSORS],
+    /// Covariates in the device's units.
+    pub around: AuxiliaryInputs,
+}
+
+impl InputRow {
+    /// Readings of the sensors with `added` fields, in gauss.
+    pub fn readings(
+        &self,
+        gauss_per_lsb: f64,
+        added: impl Fn(usize) -> Vector3<f64>,
+    ) -> [Option<HallReading>; SENSORS] {
+        std::array::from_fn(|sensor| {
+            let (field_g, temperature) = self.sensors[sensor]?;
+            let total_g = field_g + added(sensor);
+            Some(HallReading {
+                field: total_g.map(|gauss| field_counts(gauss, gauss_per_lsb)).into(),
+                temperature,
+            })
+        })
+    }
+}
+
+/// Rows in order.
+pub trait InputRows {
+    /// The next row; `None` after the last.
+    fn next_row(&mut self) -> Result<Option<InputRow>>;
+
+    /// A small field in the gripper's axes, as measured by a sensor.
+    fn in_sensor_axes(&self, sensor: usize, field_g: Vector3<f64>) -> Vector3<f64>;
+}
+
+/// Source of input rows.
+pub enum RowSource {
+    /// One recording: the same rows in every run, with other magnets.
+    Recorded(RecordedGripper),
+    /// New recordings of a simulated gripper, another one in every run.
+    Simulated(Box<SimulatedGripper>),
+}
+
+impl RowSource {
+    /// Duration of a run in seconds.
+    pub fn seconds(&self) -> f64 {
+        match self {
+            Self::Recorded(recorded) => recorded.seconds,
+            Self::Simulated(simulated) => simulated.settings.seconds,
+        }
+    }
+
+    /// Seed of the magnets.
+    pub fn seed(&self) -> u64 {
+        match self {
+            Self::Recorded(recorded) => recorded.seed,
+            Self::Simulated(simulated) => simulated.settings.seed,
+        }
+    }
+
+    /// True if no earlier run had the same rows.
+    pub fn has_new_rows(&self, number: u32) -> bool {
+        matches!(self, Self::Simulated(_)) || number == 0
+    }
+
+    /// The rows of a run.
+    ///
+    /// # Errors
+    /// The recording cannot be read.
+    pub fn rows(&self, number: u32) -> Result<Box<dyn InputRows + '_>> {
+        Ok(match self {
+            Self::Recorded(recorded) => Box::new(recorded.rows()?),
+            Self::Simulated(simulated) => Box::new(simulated.rows(number)),
+        })
+    }
+}
+
+/// A recording without a disturbance.
+pub struct RecordedGripper {
+    folder: PathBuf,
+    alignment: Alignment,
+    seconds: f64,
+    seed: u64,
+    numbers: Vec<u32>,
+    design: Option<NominalDesign>,
+}
+
+impl RecordedGripper {
+    /// A recording of the gripper that the model was fitted to; `seed` draws the magnets.
+    ///
+    /// # Errors
+    /// It cannot be read.
+    pub fn open(
+        folder: PathBuf,
+        alignment: Alignment,
+        built: &DeviceModel,
+        seed: u64,
+    ) -> Result<Self> {
+        let mut own = Self {
+            folder,
+            alignment,
+            seconds: 0.0,
+            seed,
+            numbers: built.header.sensors.clone(),
+            design: built.model.design.clone(),
+        };
+        let mut rows = own.rows()?;
+        while let Some(row) = rows.next_row()? {
+            own.seconds = row.time_s;
+        }
+        Ok(own)
+    }
+
+    fn rows(&self) -> Result<RecordedInput> {
+        let (description, _) = RecordingDescription::read(&self.folder)?;
+        let stream = RawStream::open(&self.folder, &description, self.alignment)?;
+        Ok(RecordedInput {
+            sensors: sensor_channels(&self.numbers, &stream),
+            covariates: CovariateChannels::find(stream.layout(), self.design.as_ref()),
+            stream,
+            first_s: None,
+        })
+    }
+}
+
+struct RecordedInput {
+    stream: RawStream,
+    sensors: Vec<SensorChannels>,
+    covariates: CovariateChannels,
+    first_s: Option<f64>,
+}
+
+impl InputRows for RecordedInput {
+    fn next_row(&mut self) -> Result<Option<InputRow>> {
+        let Some(row) = self.stream.next_row()? else {
+            return Ok(None);
+        };
+        let mut sensors = [None; SENSORS];
+        for channels in &self.sensors {
+            if let Some(sensor) = sensors.get_mut(channels.number as usize) {
+                let field_g = Vector3::from(channels.field.map(|channel| row.hall[channel]));
+                *sensor = Some((field_g, temperature_counts(&row, channels)));
+            }
+        }
+        Ok(Some(InputRow {
+            time_s: row.time_s - *self.first_s.get_or_insert(row.time_s),
+            sensors,
+            around: self.covariates.at(&row),
+        }))
+    }
+
+    /// The orientation of the elements is unknown; the directions of the magnets are isotropic.
+    fn in_sensor_axes(&self, _sensor: usize, field_g: Vector3<f64>) -> Vector3<f64> {
+        field_g
+    }
+}
+
+/// The simulated gripper of a campaign, in new recordings. They are generated in memory, so ten hours take
+/// minutes.
+pub struct SimulatedGripper {
+    /// Settings of the campaign; higher recording numbers are new recordings.
+    campaign: CampaignSettings,
+    /// The same with longer and more recordings.
+    settings: CampaignSettings,
+    effects: Effects,
+    /// Loads of the campaign, which determine the position of a hard stop.
+    excitations: Vec<Excitation>,
+}
+
+impl SimulatedGripper {
+    /// The gripper of a campaign that was simulated with these settings.
+    ///
+    /// # Errors
+    /// An effect is not possible.
+    pub fn from_settings(campaign: CampaignSettings) -> Result<Self> {
+        let excitations = (1..=campaign.recordings).map(|number| campaign.excitation(number));
+        Ok(Self {
+            effects: campaign.effects()?,
+            excitations: excitations.collect(),
+            settings: CampaignSettings {
+                seconds: SECONDS,
+                recordings: MAX_RECORDINGS,
+                ..campaign.clone()
+            },
+            campaign,
+        })
+    }
+
+    fn rows(&self, number: u32) -> SimulatedInput<'_> {
+        let recording = self.campaign.recordings + 1 + number;
+        let settings = &self.settings;
+        let columns =
+            COVARIATES.iter().map(|name| HallColumn::Covariate { name: (*name).to_owned() });
+        let layout = ChannelLayout { hall: columns.collect(), forces: Vec::new() };
+        SimulatedInput {
+            settings,
+            recording,
+            excitation: settings.excitation(recording),
+            mechanics: CampaignGripper::new(settings, &self.effects, &self.excitations),
+            noises: (0..settings.sensors)
+                .map(|sensor| settings.noise_of(recording, sensor))
+                .collect(),
+            rng: stream(settings.seed, Purpose::Covariates, recording),
+            covariates: CovariateChannels::find(&layout, Some(&settings.design)),
+            frame: 0,
+        }
+    }
+}
+
+struct SimulatedInput<'a> {
+    settings: &'a CampaignSettings,
+    recording: u32,
+    excitation: Excitation,
+    mechanics: CampaignGripper,
+    noises: Vec<HallNoise>,
+    rng: ChaCha8Rng,
+    covariates: CovariateChannels,
+    frame: u32,
+}
+
+impl InputRows for SimulatedInput<'_> {
+    fn next_row(&mut self) -> Result<Option<InputRow>> {
+        let period_s = 1.0 / constants::SENSE_RATE.value;
+        let time_s = f64::from(self.frame) * period_s;
+        if time_s >= self.settings.seconds {
+            return Ok(None);
+        }
+        let since_s = if self.frame == 0 { SETTLING_S } else { period_s };
+        let moment = CampaignTime { recording: self.recording, time_s, since_s };
+        self.frame += 1;
+        let fields = self.mechanics.advance(self.settings, &self.excitation, moment);
+        let mut sensors = [None; SENSORS];
+        let slots = fields.iter().zip(&mut self.noises).zip(&mut sensors);
+        for (number, ((field, noise), slot)) in slots.enumerate() {
+            let warmer_k = self.excitation.temperature_c(number, time_s) - REFERENCE_C;
+            let measured_k = warmer_k + TEMPERATURE_C * normal(&mut self.rng);
+            let word = (measured_k * constants::TEMPERATURE_SCALE.value).round() as i16;
+            *slot = Some((field + noise.next(since_s), word));
+        }
+        let row = RawRow {
+            time_s,
+            hall: covariates(&self.excitation, time_s, &mut self.rng).into(),
+            forces: Vec::new(),
+        };
+        Ok(Some(InputRow { time_s, sensors, around: self.covariates.at(&row) }))
+    }
+
+    fn in_sensor_axes(&self, sensor: usize, field_g: Vector3<f64>) -> Vector3<f64> {
+        let sensor = self.mechanics.sensors.get(sensor);
+        sensor.map_or(field_g, |sensor| sensor.element.rotate(field_g))
+    }
+}

@@ -1,0 +1,365 @@
+//! Recordings through the device's own code, compared with the reference.
+
+pub mod tare;
+
+use std::time::{Duration, Instant};
+
+use firmware::config::constants;
+use firmware::estimator::compensation::CompensationState;
+use firmware::estimator::{Estimate, Estimator, Validity, estimate};
+use firmware::fixed_point::{Field, Force};
+use firmware::sensors::hall::HallFrame;
+use model_export::inverse::compensation::OwnedCompensation;
+use model_export::recordings::DataError;
+use model_export::recordings::description::NominalDesign;
+use model_export::recordings::noise::WhiteNoise;
+use model_export::recordings::stream::{RawRow, RawStream};
+use nalgebra::Vector3;
+
+use crate::calibration::{Coverage, PredictedError, SIGMA_MULTIPLES, subtract_tare};
+use crate::replay::tare::{TareEstimator, friction_n};
+use crate::statistics::Moments;
+use device_run::ReplayModels;
+use device_run::channel_map::{SensorChannels, reading};
+use device_run::networks::{FloatForce, NetworkSet, ReplayNetworks};
+
+/// Rows that are read and estimated together; only these two are timed.
+const CHUNK: usize = 4096;
+/// Noise of a linear interpolation between two noisy rows, relative to one row, root mean square: the mean
+/// of (1-s)^2 + s^2 is 2/3.
+const INTERPOLATED_NOISE: f64 = 0.816_496_580_927_726;
+
+/// Errors of one force of one sensor over one recording, in newtons.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct AxisReplay {
+    /// Device minus reference.
+    pub error: Moments,
+    /// Floating point minus reference.
+    pub float: Moments,
+    /// Device minus floating point.
+    pub fixed_minus_float: Moments,
+    /// RMS error from white noise alone: of the sensor, measured in the estimates, and of the interpolated
+    /// reference.
+    pub noise_n: f64,
+    /// Tare over an unloaded interval, and the length of the interval in seconds; `None` without one.
+    pub tare: Option<(f64, f64)>,
+    /// Tare of the floating-point estimate.
+    pub float_tare: Option<f64>,
+    /// Standard deviations predicted by a network, in newtons.
+    pub sigma: Moments,
+    /// Number of errors within [`SIGMA_MULTIPLES`] of the predicted standard deviation.
+    pub within: [u64; SIGMA_MULTIPLES.len()],
+}
+
+impl AxisReplay {
+    fn update_coverage(&mut self, sigma_n: f64, error_n: f64) {
+        self.sigma.add(sigma_n);
+        for (count, multiple) in self.within.iter_mut().zip(SIGMA_MULTIPLES) {
+            *count += u64::from(error_n.abs() <= multiple * sigma_n);
+        }
+    }
+
+    /// The device's error after the tare.
+    pub fn tared(&self) -> Option<Moments> {
+        self.tare.map(|(tare, _)| self.error.less(tare))
+    }
+
+    /// The floating-point error after its tare.
+    pub fn float_tared(&self) -> Option<Moments> {
+        self.float_tare.map(|tare| self.float.less(tare))
+    }
+}
+
+/// One sensor over one recording.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct SensorReplay {
+    /// Number of the sensor.
+    pub number: u32,
+    /// Fx, Fz.
+    pub axes: [AxisReplay; 2],
+    /// Rows with an invalid estimate; they are not in the errors.
+    pub invalid: u64,
+    /// Rows in which an effect was not compensated because its input was not recorded.
+    pub missing_inputs: u64,
+    /// Rows in which the network had diverged ([`firmware::estimator::network_monitor`]) and the ideal model was used.
+    pub diverged: u64,
+}
+
+/// One recording.
+#[derive(Clone, Debug, Default)]
+pub struct RecordingReplay {
+    /// Name of the recording.
+    pub name: String,
+    /// Sensors whose two forces were recorded.
+    pub sensors: Vec<SensorReplay>,
+    /// Board rows.
+    pub rows: u64,
+    /// Duration in seconds.
+    pub span_s: f64,
+    /// Time for reading and for the device's code, on one core.
+    pub spent: Duration,
+    /// Intervals with the disturbance flag set, in seconds of the board's clock.
+    pub disturbed_s: Vec<[f64; 2]>,
+    /// Errors with the standard deviation that a network predicted: per sensor, Fx and Fz.
+    pub predictions: Vec<[Vec<PredictedError>; 2]>,
+}
+
+/// Collects the intervals in which a flag is set.
+#[derive(Clone, Debug, Default)]
+struct FlagIntervals {
+    flag: bool,
+    intervals_s: Vec<[f64; 2]>,
+}
+
+impl FlagIntervals {
+    fn update(&mut self, time_s: f64, flag: bool) {
+        match (self.flag, flag) {
+            (false, true) => self.intervals_s.push([time_s; 2]),
+            (true, true) => {
+                if let Some([_, end]) = self.intervals_s.last_mut() {
+                    *end = time_s;
+                }
+            }
+            (_, false) => {}
+        }
+        self.flag = flag;
+    }
+}
+
+/// One valid estimate with its reference.
+#[derive(Clone, Copy, Debug)]
+pub struct ForceSample {
+    /// Index of the sensor in [`RecordingReplay::sensors`].
+    pub sensor: usize,
+    /// The board's clock in seconds.
+    pub time_s: f64,
+    /// Interpolated reference in newtons: lateral, longitudinal.
+    pub reference_n: [f64; 2],
+    /// The device's estimate in newtons.
+    pub estimate_n: [f64; 2],
+    /// Standard deviations predicted by a network, in newtons.
+    pub sigma_n: Option<[f64; 2]>,
+}
+
+/// Replays one recording. `done` receives the number of rows so far.
+///
+/// # Errors
+/// The recording cannot be read.
+pub fn replay(
+    models: ReplayModels,
+    name: &str,
+    stream: RawStream,
+    done: impl Fn(u64),
+) -> Result<RecordingReplay, DataError> {
+    replay_with(models, name, stream, done, |_| ())
+}
+
+/// Replays one recording and passes every valid estimate to `on_sample`.
+///
+/// # Errors
+/// The recording cannot be read.
+pub fn replay_with(
+    models: ReplayModels,
+    name: &str,
+    stream: RawStream,
+    done: impl Fn(u64),
+    mut on_sample: impl FnMut(ForceSample),
+) -> Result<RecordingReplay, DataError> {
+    let mut input = models.rows(stream);
+    let sensors = input.sensors().to_vec();
+    let mut evaluation = Evaluation::new(models, name, &sensors);
+    let compensations = models.compensation_views();
+    let tables = models.tables.tables(&compensations);
+    let mut owned = models.compensations.iter();
+    let needs_temperature = owned.any(OwnedCompensation::needs_temperature);
+    let mut estimator = Estimator::new(&tables, models.networks.map(NetworkSet::start));
+    // Of sensors without a slot on the board.
+    let mut memories = vec![CompensationState::default(); sensors.len()];
+    let mut disturbances = FlagIntervals::default();
+    let mut first_s = None;
+    let mut rows = Vec::with_capacity(CHUNK);
+    let mut estimates = Vec::with_capacity(CHUNK * sensors.len());
+    let mut network_valid = Vec::with_capacity(CHUNK * sensors.len());
+    loop {
+        rows.clear();
+        estimates.clear();
+        network_valid.clear();
+        let networks = estimator.networks();
+        networks.iter_mut().for_each(ReplayNetworks::clear_inputs);
+        let start = Instant::now();
+        while rows.len() < CHUNK
+            && let Some(row) = input.next_row()?
+        {
+            let frame = HallFrame { readings: row.readings, ..HallFrame::default() };
+            let on_board = estimator.update(&frame, &row.around);
+            disturbances.update(row.raw.time_s, estimator.detector().flag());
+            for (channels, memory) in sensors.iter().zip(&mut memories) {
+                let number = channels.number as usize;
+                network_valid.push(!estimator.network_diverged(number));
+                estimates.push(on_board.get(number).copied().unwrap_or_else(|| {
+                    let reading = Some(reading(&row.raw, channels, models.gauss_per_lsb));
+                    estimate(&tables, number, reading, &row.around, memory)
+                }));
+            }
+            rows.push(row.raw);
+        }
+        let result = &mut evaluation.result;
+        result.spent += start.elapsed();
+        let (Some(first), Some(last)) = (rows.first(), rows.last()) else {
+            break;
+        };
+        result.span_s = last.time_s - *first_s.get_or_insert(first.time_s);
+        result.rows += rows.len() as u64;
+        let estimates = estimates.chunks(sensors.len().max(1));
+        let mut network_valid = network_valid.iter().copied();
+        let networks = estimator.networks();
+        for (at, (row, estimates)) in rows.iter().zip(estimates).enumerate() {
+            let floats = networks.as_mut().map(|networks| networks.float(at));
+            for (i, (channels, estimate)) in sensors.iter().zip(estimates).enumerate() {
+                let number = channels.number as usize;
+                let network_valid = network_valid.next().unwrap_or(true);
+                let sensor = &mut evaluation.result.sensors[i];
+                sensor.diverged += u64::from(!network_valid);
+                let no_temperature = needs_temperature && channels.temperature.is_none();
+                sensor.missing_inputs += u64::from(estimate.missing_inputs || no_temperature);
+                if estimate.validity != Validity::Valid {
+                    sensor.invalid += 1;
+                    continue;
+                }
+                let inputs = networks.as_ref().and_then(|networks| networks.inputs(at));
+                let ideal = inputs.and_then(|inputs| inputs.get(number));
+                // The device selects between network and ideal model; only the arithmetic is compared.
+                let network =
+                    floats.filter(|_| network_valid).and_then(|floats| *floats.get(number)?);
+                let ideal = ideal.unwrap_or(estimate);
+                let sample = evaluation.update((i, channels), row, estimate, ideal, network);
+                sample.into_iter().for_each(&mut on_sample);
+            }
+        }
+        done(evaluation.result.rows);
+    }
+    evaluation.result.disturbed_s = disturbances.intervals_s;
+    Ok(evaluation.finish(&sensors, &input.stream().force_noise()))
+}
+
+/// Running statistics of a replay.
+struct Evaluation<'a> {
+    models: ReplayModels<'a>,
+    result: RecordingReplay,
+    noises: Vec<[WhiteNoise; 2]>,
+    /// Of the device, of floating point.
+    tares: Vec<[TareEstimator; 2]>,
+}
+
+impl<'a> Evaluation<'a> {
+    fn new(models: ReplayModels<'a>, name: &str, sensors: &[SensorChannels]) -> Self {
+        let range_n =
+            models.design.map_or(constants::FORCE_RANGE.value, NominalDesign::force_range_n);
+        let tare = |channels: &SensorChannels| {
+            let friction_n = friction_n(models.compensations, channels.number);
+            [TareEstimator::new(range_n, friction_n); 2]
+        };
+        let sensor = |channels: &SensorChannels| SensorReplay {
+            number: channels.number,
+            ..Default::default()
+        };
+        Self {
+            models,
+            result: RecordingReplay {
+                name: name.to_owned(),
+                sensors: sensors.iter().map(sensor).collect(),
+                predictions: sensors.iter().map(|_| Default::default()).collect(),
+                ..Default::default()
+            },
+            noises: sensors.iter().map(|_| Default::default()).collect(),
+            tares: sensors.iter().map(tare).collect(),
+        }
+    }
+
+    /// Adds a valid estimate; `None` where a reference force is missing. `ideal` is the estimate before the
+    /// networks, `network` the output of the floating-point network.
+    fn update(
+        &mut self,
+        (i, channels): (usize, &SensorChannels),
+        row: &RawRow,
+        estimate: &Estimate,
+        ideal: &Estimate,
+        network: Option<FloatForce>,
+    ) -> Option<ForceSample> {
+        let reference = channels.forces.map(|force| row.forces[force]);
+        if !reference.iter().all(|n| n.is_finite()) {
+            return None;
+        }
+        let found = estimate.force.map(Force::newtons);
+        let counts = estimate.field.map(Field::counts);
+        let field_g = Vector3::from(counts) * self.models.gauss_per_lsb;
+        let shown = self.models.float[channels.table].force(&field_g);
+        let mut floats_n = [0.0; 2];
+        for axis in 0..2 {
+            // Compensations of the forces exist in integer arithmetic alone.
+            let compensation = ideal.force[axis].newtons() - estimate.uncompensated[axis].newtons();
+            let float = FloatForce::over(network, axis, shown[axis] + compensation);
+            floats_n[axis] = float;
+            self.noises[i][axis].push(found[axis]);
+            let replay = &mut self.result.sensors[i].axes[axis];
+            replay.error.add(found[axis] - reference[axis]);
+            replay.float.add(float - reference[axis]);
+            replay.fixed_minus_float.add(found[axis] - float);
+            if let Some(sigma) = estimate.sigma {
+                let prediction = PredictedError {
+                    time_s: row.time_s,
+                    error_n: found[axis] - reference[axis],
+                    sigma_n: sigma[axis].newtons(),
+                };
+                replay.update_coverage(prediction.sigma_n, prediction.error_n);
+                self.result.predictions[i][axis].push(prediction);
+            }
+        }
+        let sigma_n = estimate.sigma.map(|sigma| sigma.map(Force::newtons));
+        for (tare, estimate_n) in self.tares[i].iter_mut().zip([found, floats_n]) {
+            tare.add(row.time_s, reference, estimate_n, sigma_n);
+        }
+        Some(ForceSample {
+            sensor: i,
+            time_s: row.time_s,
+            reference_n: reference,
+            estimate_n: found,
+            sigma_n,
+        })
+    }
+
+    fn finish(self, sensors: &[SensorChannels], force_noise: &[Option<f64>]) -> RecordingReplay {
+        let mut result = self.result;
+        let statistics = sensors.iter().zip(&self.noises).zip(self.tares);
+        for (sensor, ((channels, noise), tares)) in result.sensors.iter_mut().zip(statistics) {
+            let [tare, float_tare] = tares.map(TareEstimator::tare);
+            for (axis, replay) in sensor.axes.iter_mut().enumerate() {
+                replay.tare = tare.map(|(mean, length)| (mean[axis], length));
+                replay.float_tare = float_tare.map(|(mean, _)| mean[axis]);
+                let own = noise[axis].estimate().unwrap_or(0.0);
+                let reference = force_noise[channels.forces[axis]].unwrap_or(0.0);
+                replay.noise_n = own.hypot(reference * INTERPOLATED_NOISE);
+            }
+        }
+        result
+    }
+}
+
+/// Coverage of the predicted standard deviations after the tare, over all forces. Recordings are shifted
+/// in time so that no bootstrap block contains rows of two.
+pub fn coverage(recordings: &[RecordingReplay]) -> Option<Coverage> {
+    const RECORDING_OFFSET_S: f64 = 1e4;
+    let mut forces = Vec::new();
+    for (place, recording) in recordings.iter().enumerate() {
+        for (sensor, predictions) in recording.sensors.iter().zip(&recording.predictions) {
+            for (replay, errors) in sensor.axes.iter().zip(predictions) {
+                let mut errors = subtract_tare(errors, replay.tare.map_or(0.0, |(tare, _)| tare));
+                let first_s = errors.first().map_or(0.0, |error| error.time_s);
+                let shift_s = RECORDING_OFFSET_S * place as f64 - first_s;
+                errors.iter_mut().for_each(|error| error.time_s += shift_s);
+                forces.push(errors);
+            }
+        }
+    }
+    Coverage::of(forces.iter().map(Vec::as_slice))
+}

@@ -1,0 +1,184 @@
+//! Recorded rows through the device's own code.
+//!
+//! [`RecordedRows`] turns each row of a recording into the sensor readings and covariates that the board has at
+//! that time. Replay, training data, disturbance evaluation and the simulated board read recordings with it.
+//!
+//! - [`channel_map`]: columns of a recording as readings and covariates in the device's units.
+//! - [`networks`]: recurrent networks in fixed and floating point.
+
+pub mod channel_map;
+pub mod networks;
+
+use firmware::estimator::auxiliary_inputs::AuxiliaryInputs;
+use firmware::estimator::compensation::{Compensation, CompensationState};
+use firmware::estimator::{Validity, estimate};
+use firmware::fixed_point::{Field, Force};
+use firmware::sensors::hall::{HallReading, SENSORS, a31301};
+use model_export::gru::train::dataset::{SensorSequence, Sequence};
+use model_export::inverse::build::DeviceModel;
+use model_export::inverse::compensation::OwnedCompensation;
+use model_export::inverse::grbf::Grbf;
+use model_export::inverse::quantise::TableSet;
+use model_export::recordings::DataError;
+use model_export::recordings::description::NominalDesign;
+use model_export::recordings::stream::{RawRow, RawStream};
+
+use crate::channel_map::{CovariateChannels, SensorChannels, reading, readings, sensor_channels};
+use crate::networks::NetworkSet;
+
+/// The device's tables, and the same model in floating point.
+#[derive(Clone, Copy, Debug)]
+pub struct ReplayModels<'a> {
+    /// Sensor numbers, in the order of the tables.
+    pub numbers: &'a [u32],
+    /// Fixed-point tables of the device.
+    pub tables: &'a TableSet,
+    /// Compensations of effects around the tables.
+    pub compensations: &'a [OwnedCompensation],
+    /// Nominal design of the gripper, which scales the covariates.
+    pub design: Option<&'a NominalDesign>,
+    /// Floating-point models, in the order of the tables.
+    pub float: &'a [Grbf],
+    /// Field per count, in gauss.
+    pub gauss_per_lsb: f64,
+    /// Recurrent networks on top of the tables.
+    pub networks: Option<&'a NetworkSet>,
+}
+
+impl<'a> ReplayModels<'a> {
+    /// Everything built from a model, without networks.
+    pub fn of(built: &'a DeviceModel) -> Self {
+        Self {
+            numbers: &built.header.sensors,
+            tables: &built.chosen.tables,
+            compensations: &built.compensations,
+            design: built.model.design.as_ref(),
+            float: &built.chosen.models,
+            gauss_per_lsb: built.model.sensor_scale.gauss_per_lsb,
+            networks: None,
+        }
+    }
+
+    /// Compensations as the device's tables borrow them.
+    pub fn compensation_views(&self) -> Vec<Compensation<'a>> {
+        let owned = self.compensations.iter();
+        owned.map(OwnedCompensation::view).collect()
+    }
+
+    /// The rows of a recording as inputs of these models.
+    pub fn rows(&self, stream: RawStream) -> RecordedRows {
+        RecordedRows::new(stream, self.numbers, self.design, self.gauss_per_lsb)
+    }
+}
+
+/// One row of a recording as inputs of the device.
+#[derive(Clone, Debug)]
+pub struct DeviceRow {
+    /// The row as recorded.
+    pub raw: RawRow,
+    /// Readings of the board's sensors, through the bytes on their buses.
+    pub readings: [Option<HallReading>; SENSORS],
+    /// Covariates in the device's units.
+    pub around: AuxiliaryInputs,
+}
+
+/// Rows of a recording as inputs of the device, in order.
+pub struct RecordedRows {
+    stream: RawStream,
+    sensors: Vec<SensorChannels>,
+    covariates: CovariateChannels,
+    gauss_per_lsb: f64,
+}
+
+impl RecordedRows {
+    /// `numbers` are the sensors of the tables; those without a field or a force in the recording are left out.
+    pub fn new(
+        stream: RawStream,
+        numbers: &[u32],
+        design: Option<&NominalDesign>,
+        gauss_per_lsb: f64,
+    ) -> Self {
+        Self {
+            sensors: sensor_channels(numbers, &stream),
+            covariates: CovariateChannels::find(stream.layout(), design),
+            stream,
+            gauss_per_lsb,
+        }
+    }
+
+    /// Channels of the sensors, in the order of the tables.
+    pub fn sensors(&self) -> &[SensorChannels] {
+        &self.sensors
+    }
+
+    /// The recording.
+    pub fn stream(&self) -> &RawStream {
+        &self.stream
+    }
+
+    /// The next row; `None` at the end.
+    ///
+    /// # Errors
+    /// The recording cannot be read.
+    pub fn next_row(&mut self) -> Result<Option<DeviceRow>, DataError> {
+        let raw = self.stream.next_row()?;
+        Ok(raw.map(|raw| DeviceRow {
+            readings: readings(&raw, &self.sensors, self.gauss_per_lsb),
+            around: self.covariates.at(&raw),
+            raw,
+        }))
+    }
+}
+
+/// Training sequence of a recording: inputs of every row by the device's code, and the reference force.
+///
+/// The reference is much slower than the board, and every board row is used. The first board row at or after
+/// a reference row has a target, interpolated linearly to the time of the field. Rows whose estimate is
+/// invalid have none. `done` receives the number of rows so far.
+///
+/// # Errors
+/// The recording cannot be read.
+pub fn training_sequence(
+    models: ReplayModels,
+    name: &str,
+    stream: RawStream,
+    done: impl Fn(u64),
+) -> Result<Sequence, DataError> {
+    const ROWS_PER_REPORT: usize = 4096;
+    let compensations = models.compensation_views();
+    let tables = models.tables.tables(&compensations);
+    let mut input = models.rows(stream);
+    let sensors = input.sensors().to_vec();
+    let mut memories = vec![CompensationState::default(); sensors.len()];
+    let track = |channels: &SensorChannels| SensorSequence {
+        number: channels.number,
+        ..SensorSequence::default()
+    };
+    let mut tracks: Vec<SensorSequence> = sensors.iter().map(track).collect();
+    let mut rows = 0;
+    while let Some(row) = input.next_row()? {
+        for ((channels, memory), track) in sensors.iter().zip(&mut memories).zip(&mut tracks) {
+            let bytes = a31301::encode(reading(&row.raw, channels, models.gauss_per_lsb));
+            let reading = Some(a31301::decode(bytes));
+            let number = channels.number as usize;
+            let estimate = estimate(&tables, number, reading, &row.around, memory);
+            let gauss = |field: Field| (field.counts() * models.gauss_per_lsb) as f32;
+            track.field_g.push(estimate.field.map(gauss));
+            let ideal_n = estimate.force.map(|force: Force| force.newtons() as f32);
+            track.ideal_n.push(ideal_n);
+            track.parity_residual_g.push(gauss(estimate.parity.residual));
+            let truth = channels.forces.map(|force| row.raw.forces[force]);
+            let has_target =
+                input.stream().at_reference_row() && truth.iter().all(|n| n.is_finite());
+            if has_target && estimate.validity == Validity::Valid {
+                track.truth_n.push((rows, truth.map(|n| n as f32)));
+            }
+        }
+        rows += 1;
+        if rows % ROWS_PER_REPORT == 0 {
+            done(rows as u64);
+        }
+    }
+    done(rows as u64);
+    Ok(Sequence { name: name.to_owned(), rows, tracks })
+}

@@ -1,0 +1,258 @@
+//! State and faults as text and JSON.
+
+use crate::state::{ActiveFault, GripperState, SensorState};
+use firmware::config::constants;
+use firmware::estimator::Validity;
+use firmware::fixed_point::Force;
+use firmware::protocol::messages::FaultEvent;
+use firmware::system::faults::Fault;
+use firmware::tasks::SERIAL;
+use model_export::effects::REFERENCE_C;
+use serde_json::{Value, json};
+use std::fmt::Debug;
+
+/// Column headings of the status lines.
+pub fn status_header() -> String {
+    let mut text = format!("{:>7}", "s");
+    for sensor in 0..GripperState::default().sensors.len() {
+        text += &format!("  {:>14}", format!("Fx, Fz {sensor} / N"));
+    }
+    text
+}
+
+/// State as one line of text.
+pub fn status_line(state: &GripperState, now_s: f64) -> String {
+    let mut text = format!("{now_s:>7.1}");
+    for sensor in &state.sensors {
+        text += &format!("  {:>14}", forces(sensor));
+    }
+    let faults: Vec<String> = state.faults.iter().map(fault_line).collect();
+    if !faults.is_empty() {
+        text += &format!("  {}", faults.join("; "));
+    }
+    match state.received_s {
+        None => text + "  no message yet",
+        Some(received_s) if now_s - received_s > 1.0 => {
+            text + &format!("  silent for {:.0} s", now_s - received_s)
+        }
+        Some(_) => text,
+    }
+}
+
+fn forces(sensor: &SensorState) -> String {
+    match sensor.validity {
+        Validity::Missing => "-".to_owned(),
+        validity => {
+            let [x, z] = sensor.force_n;
+            let mark = if validity == Validity::Valid { "" } else { "?" };
+            format!("{x:.2} {z:.2}{mark}")
+        }
+    }
+}
+
+/// Active fault with its source and detail.
+pub fn fault_line((&(code, source), active): (&(u16, Option<u8>), &ActiveFault)) -> String {
+    let Some(kind) = Fault::from_code(code) else {
+        return format!("fault {code}, unknown to this tool");
+    };
+    let origin = source.map_or("of unknown source".to_owned(), |source| fault_source(kind, source));
+    let detail = active.detail.map_or(String::new(), |detail| fault_detail(kind, detail));
+    let mut text = fault_name(kind);
+    for part in [origin, detail] {
+        if !part.is_empty() {
+            text += &format!(", {part}");
+        }
+    }
+    text
+}
+
+/// Fault that appears or disappears.
+pub fn fault_event_line(event: &FaultEvent) -> String {
+    let is_active = event.active != 0;
+    let active = ActiveFault {
+        since_s: 0.0,
+        since_board_s: None,
+        detail: is_active.then_some(event.detail),
+    };
+    let words = fault_line((&(event.code, Some(event.source)), &active));
+    if is_active { words } else { words + ": cleared" }
+}
+
+/// Lost messages as text; `None` if there are none.
+pub fn loss_line(state: &GripperState) -> Option<String> {
+    let lost = &state.lost;
+    let counts = [
+        (lost.ticks, "ticks"),
+        (lost.messages, "messages"),
+        (u64::from(lost.broken), "broken packets"),
+        (u64::from(lost.restarts), "restarts"),
+    ];
+    let nonzero = counts.iter().filter(|(count, _)| *count > 0);
+    let parts: Vec<String> = nonzero.map(|(count, of)| format!("{count} {of}")).collect();
+    (!parts.is_empty()).then(|| parts.join(", "))
+}
+
+/// State as JSON, `now_s` seconds after the start of reception.
+pub fn state_json(state: &GripperState, now_s: f64) -> Value {
+    let sensors = state.sensors.iter().enumerate();
+    json!({
+        "time_s": rounded(now_s),
+        "board_s": state.board_s(),
+        "silent_s": state.received_s.map(|received_s| rounded(now_s - received_s)),
+        "sensors": sensors.map(|(number, latest)| sensor(number, latest, now_s)).collect::<Vec<_>>(),
+        "faults": state.faults.iter().map(fault_json).collect::<Vec<_>>(),
+        "heartbeat": state.heartbeat.map(|latest| json!({
+            "age_s": rounded(now_s - latest.at_s),
+            "command_alive": latest.value.command_alive,
+            "sensors_ok": latest.value.sensors_ok,
+            "counter": latest.value.counter,
+        })),
+        "load": state.timing.map(|latest| json!({
+            "worst_tick_us": latest.value.worst_loop,
+            "worst_estimate_us": latest.value.worst_inference,
+            "failed_transfers": latest.value.i2c_errors,
+            "missed_ticks": latest.value.missed_ticks,
+        })),
+        "ticks_hz": state.ticks_hz,
+        "lost": {
+            "ticks": state.lost.ticks,
+            "messages": state.lost.messages,
+            "broken_packets": state.lost.broken,
+            "restarts": state.lost.restarts,
+        },
+        "version": state.version.map(|version| json!({
+            "firmware": [version.firmware_major, version.firmware_minor, version.firmware_patch],
+            "protocol": [version.protocol_major, version.protocol_minor],
+            "hardware": version.hardware,
+            "tables": format!("{:04x}", version.tables),
+        })),
+    })
+}
+
+fn sensor(number: usize, sensor: &SensorState, now_s: f64) -> Value {
+    json!({
+        "sensor": number,
+        "fx_n": sensor.force_n[0],
+        "fz_n": sensor.force_n[1],
+        "sigma_x_n": sensor.sigma_n[0],
+        "sigma_z_n": sensor.sigma_n[1],
+        "validity": validity_name(sensor.validity),
+        "disturbed": sensor.disturbed,
+        "network": sensor.network,
+        "field_lsb": sensor.reading.map(|latest| latest.value.field),
+        "temp_c": sensor.reading.map(|latest| degrees(latest.value.temperature)),
+        "age_s": sensor.reading.map(|latest| rounded(now_s - latest.at_s)),
+    })
+}
+
+/// Active fault as JSON.
+pub fn fault_json((&(code, source), active): (&(u16, Option<u8>), &ActiveFault)) -> Value {
+    json!({
+        "code": code,
+        "name": Fault::from_code(code).map(fault_name),
+        "source": source,
+        "detail": active.detail,
+        "since_s": rounded(active.since_s),
+        "since_board_s": active.since_board_s,
+    })
+}
+
+/// Name of a validity.
+pub const fn validity_name(validity: Validity) -> &'static str {
+    match validity {
+        Validity::Valid => "valid",
+        Validity::Saturated => "saturated",
+        Validity::OutsideModel => "outside model",
+        Validity::Missing => "no reading",
+    }
+}
+
+/// Temperature of a sensor in degrees Celsius, by the assumed scale of its word.
+pub fn degrees(counts: i16) -> f64 {
+    REFERENCE_C + f64::from(counts) / constants::TEMPERATURE_SCALE.value
+}
+
+/// Rounds to milliseconds.
+fn rounded(seconds: f64) -> f64 {
+    (1e3 * seconds).round() / 1e3
+}
+
+/// Name of a fault: "sensor lost".
+pub fn fault_name(fault: Fault) -> String {
+    spaced(fault)
+}
+
+/// Name of a variant with spaces: "hold active" for `HoldActive`.
+pub fn spaced(variant: impl Debug) -> String {
+    let mut words = String::new();
+    for letter in format!("{variant:?}").chars() {
+        if letter.is_uppercase() && !words.is_empty() {
+            words.push(' ');
+        }
+        words.extend(letter.to_lowercase());
+    }
+    words
+}
+
+/// Source of a fault; empty where only one exists.
+pub fn fault_source(fault: Fault, source: u8) -> String {
+    match fault {
+        Fault::SensorLost
+        | Fault::SensorFrozen
+        | Fault::SensorSaturated
+        | Fault::OutsideModel
+        | Fault::NetworkAstray => format!("sensor {source}"),
+        Fault::BusStuck => format!("sensors' bus {source}"),
+        Fault::Flooded if source == SERIAL => "serial line".to_owned(),
+        Fault::Flooded => "CAN bus".to_owned(),
+        _ => String::new(),
+    }
+}
+
+/// Detail of a fault; empty where there is none.
+pub fn fault_detail(fault: Fault, detail: u32) -> String {
+    match fault {
+        Fault::SensorLost | Fault::SensorFrozen => format!("{detail} ticks old"),
+        Fault::Unbalanced => format!("by {:.1} N", f64::from(detail) / Force::PER_NEWTON),
+        Fault::StoreUnsound => format!("reason {detail}"),
+        Fault::TicksMissed => format!("{detail} since its start"),
+        Fault::Crashed => format!("at {detail:#010x}"),
+        Fault::Flooded | Fault::StrangeFrames => format!("{detail} dropped"),
+        _ => String::new(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn line_shows_forces_marks_invalid_ones_and_names_faults() {
+        let mut state = GripperState::default();
+        state.received_s = Some(2.0);
+        state.sensors[0].force_n = [12.345, -3.0];
+        state.sensors[0].validity = Validity::Valid;
+        state.sensors[1].force_n = [200.0, 0.0];
+        state.sensors[1].validity = Validity::OutsideModel;
+        let active = ActiveFault { since_s: 1.0, since_board_s: None, detail: Some(2) };
+        state.faults.insert((100, Some(3)), active);
+        assert_eq!(
+            status_line(&state, 2.0),
+            "    2.0     12.35 -3.00    200.00 0.00?               -               -  sensor lost, \
+             sensor 3, 2 ticks old"
+        );
+        assert!(status_line(&state, 5.0).ends_with("  silent for 3 s"));
+        assert!(status_line(&GripperState::default(), 5.0).ends_with("  no message yet"));
+    }
+
+    #[test]
+    fn fault_shows_source_and_detail() {
+        assert_eq!(fault_name(Fault::SensorLost), "sensor lost");
+        assert_eq!(fault_source(Fault::SensorLost, 2), "sensor 2");
+        assert_eq!(fault_detail(Fault::SensorLost, 2), "2 ticks old");
+        assert_eq!(fault_name(Fault::BusOff), "bus off");
+        assert_eq!(fault_source(Fault::BusOff, 0), "");
+        assert_eq!(fault_detail(Fault::Unbalanced, 17 << 10), "by 17.0 N");
+        assert_eq!(fault_source(Fault::Flooded, SERIAL), "serial line");
+    }
+}

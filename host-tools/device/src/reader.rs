@@ -1,0 +1,99 @@
+//! A transport read in its own thread, so that slow output never delays reception.
+
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::sync::atomic::Ordering::Relaxed;
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::thread::{self, JoinHandle};
+use std::time::Instant;
+
+use anyhow::{Result, anyhow};
+use firmware::protocol::serial::Packet;
+
+use crate::source::Source;
+
+/// Result of a read.
+pub enum ReaderEvent {
+    /// Packets received together.
+    Packets {
+        /// Time in seconds since the start.
+        at_s: f64,
+        /// Packets in order.
+        packets: Vec<Packet>,
+        /// Number of invalid packets so far.
+        broken: u32,
+    },
+    /// End of the stream.
+    Ended,
+    /// The connection is lost.
+    Failed(anyhow::Error),
+}
+
+/// Reader thread.
+pub struct SourceReader {
+    /// Name of the source.
+    pub news: Receiver<ReaderEvent>,
+    /// Start time.
+    pub begun: Instant,
+    stop: Arc<AtomicBool>,
+    thread: JoinHandle<Box<dyn Source>>,
+}
+
+impl SourceReader {
+    /// Starts the thread.
+    pub fn start(mut source: Box<dyn Source>) -> Self {
+        let (sender, news) = channel();
+        let stop = Arc::new(AtomicBool::new(false));
+        let stopped = stop.clone();
+        let begun = Instant::now();
+        let thread = thread::spawn(move || {
+            listen(source.as_mut(), begun, &stopped, &sender);
+            source
+        });
+        Self { news, begun, stop, thread }
+    }
+
+    /// Seconds since the start.
+    pub fn elapsed_s(&self) -> f64 {
+        self.begun.elapsed().as_secs_f64()
+    }
+
+    /// Stops the thread and returns the source.
+    ///
+    /// # Errors
+    /// The thread panicked.
+    pub fn stop(self) -> Result<Box<dyn Source>> {
+        self.stop.store(true, Relaxed);
+        let source = self.thread.join();
+        source.map_err(|_| anyhow!("the thread that reads from the gripper panicked"))
+    }
+}
+
+fn listen(
+    source: &mut dyn Source,
+    begun: Instant,
+    stop: &AtomicBool,
+    sender: &Sender<ReaderEvent>,
+) {
+    while !stop.load(Relaxed) {
+        let mut packets = Vec::new();
+        let more = source.receive(&mut packets);
+        let packets_event = ReaderEvent::Packets {
+            at_s: begun.elapsed().as_secs_f64(),
+            packets,
+            broken: source.broken(),
+        };
+        let last = match more {
+            Ok(true) => None,
+            Ok(false) => Some(ReaderEvent::Ended),
+            Err(error) => Some(ReaderEvent::Failed(error)),
+        };
+        // The receiver is gone: stop.
+        let goes_on = last.is_none();
+        let taken = [Some(packets_event), last].into_iter().flatten();
+        let wanted = taken.map(|news| sender.send(news)).all(|sent| sent.is_ok());
+        if !(goes_on && wanted) {
+            return;
+        }
+    }
+}

@@ -1,0 +1,449 @@
+//! Assembly of packets to rows, and writing of a recording whose folder is valid from its creation, even if the process
+//! is killed.
+
+use crate::csv_writer::PagedWriter;
+use crate::format::degrees;
+use crate::state::BoardClock;
+use anyhow::{Context, Result, bail};
+use firmware::config::constants::TICK_US;
+use firmware::protocol::messages::{HallRaw, Message};
+use firmware::protocol::serial::Packet;
+use firmware::sensors::hall::{HallReading, SENSORS};
+use model_export::output::{check_vacant, staging_dir};
+use model_export::recordings::description::RecordingDescription;
+use sim::campaign::recording::{force_columns, sensor_columns};
+use std::fs::{self, File};
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// Time in microseconds in which the connected sensors are determined.
+const LOOK_US: u64 = 200_000;
+/// Maximum delay of writing in microseconds.
+const FLUSH_US: u64 = 500_000;
+/// Row period of the reference's table in microseconds.
+const REFERENCE_US: u64 = 10_000;
+
+/// Counts of a recording.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct RecordingCounts {
+    /// Sensors in the recording.
+    pub sensors: Vec<usize>,
+    /// Written rows.
+    pub rows: u64,
+    /// Lost rows.
+    pub lost: u64,
+    /// Number of gaps, and the longest with its start, in microseconds.
+    pub gaps: u64,
+    /// See `gaps`.
+    pub longest_us: (u64, u64),
+    /// Rows omitted because a sensor did not answer.
+    pub left_out: u64,
+    /// Missing answers of each sensor.
+    pub silent: [u64; SENSORS],
+    /// Duration from the first to the last row.
+    pub span_us: u64,
+}
+
+/// Writer of a recording.
+pub struct Recorder {
+    target: PathBuf,
+    description: RecordingDescription,
+    period_us: u64,
+    /// Rows received before the connected sensors are known.
+    waiting: Vec<SensorRow>,
+    tables: Option<Tables>,
+    first_us: Option<u64>,
+    last_us: u64,
+    flushed_us: u64,
+    reference_us: u64,
+    tally: RecordingCounts,
+}
+
+impl Recorder {
+    /// Recording in a new folder; rows come every `period_us`.
+    ///
+    /// # Errors
+    /// The folder exists.
+    pub fn new(target: &Path, description: RecordingDescription, period_us: u64) -> Result<Self> {
+        check_vacant(target)?;
+        Ok(Self {
+            target: target.to_path_buf(),
+            description,
+            period_us,
+            waiting: Vec::new(),
+            tables: None,
+            first_us: None,
+            last_us: 0,
+            flushed_us: 0,
+            reference_us: 0,
+            tally: RecordingCounts::default(),
+        })
+    }
+
+    /// Adds a row; times increase.
+    ///
+    /// # Errors
+    /// Writing failed; earlier rows remain valid.
+    pub fn take(&mut self, row: SensorRow) -> Result<()> {
+        let first_us = *self.first_us.get_or_insert(row.time_us);
+        let time_us = row.time_us.saturating_sub(first_us);
+        self.note_gap(time_us);
+        let row = SensorRow { time_us, ..row };
+        if self.tables.is_some() {
+            self.write(&row)?;
+        } else {
+            self.waiting.push(row);
+            if time_us >= LOOK_US {
+                self.begin()?;
+            }
+        }
+        if time_us >= self.flushed_us + FLUSH_US {
+            self.flushed_us = time_us;
+            self.flush()?;
+        }
+        Ok(())
+    }
+
+    /// Writes the buffered rows except the last.
+    ///
+    /// # Errors
+    /// Writing failed.
+    pub fn flush(&mut self) -> Result<()> {
+        let Some(tables) = &mut self.tables else {
+            return Ok(());
+        };
+        let flushed = tables.both(|table| {
+            table.flush()?;
+            table.out().sync_data()
+        });
+        self.or_cut(flushed)
+    }
+
+    /// Writes all rows.
+    ///
+    /// # Errors
+    /// There were no readings, or writing failed.
+    pub fn finish(mut self) -> Result<RecordingCounts> {
+        if self.tables.is_none() {
+            self.begin()?;
+        }
+        if let Some(tables) = &mut self.tables {
+            let finished = tables.both(|table| {
+                table.finish()?;
+                table.out().sync_all()
+            });
+            self.or_cut(finished)?;
+        }
+        self.tally.span_us = self.last_us;
+        Ok(self.tally)
+    }
+
+    fn note_gap(&mut self, time_us: u64) {
+        let step_us = time_us.saturating_sub(self.last_us);
+        let steps = (step_us + self.period_us / 2) / self.period_us.max(1);
+        if steps > 1 {
+            self.tally.lost += steps - 1;
+            self.tally.gaps += 1;
+            if step_us > self.tally.longest_us.0 {
+                self.tally.longest_us = (step_us, self.last_us);
+            }
+        }
+        self.last_us = time_us;
+    }
+
+    /// Creates the folder with the rows so far.
+    fn begin(&mut self) -> Result<()> {
+        let answers = |sensor: &usize| {
+            let mut rows = self.waiting.iter();
+            rows.any(|row| row.readings.get(*sensor).is_some_and(Option::is_some))
+        };
+        let sensors: Vec<usize> = (0..SENSORS).filter(answers).collect();
+        if sensors.is_empty() {
+            bail!(
+                "no sensor gave a reading, so nothing is recorded: `magpie monitor` shows the faults"
+            );
+        }
+        let unwritable = || format!("{} cannot be written", self.target.display());
+        let draft = staging_dir(&self.target, ".magpie-record-")?;
+        self.description.write(draft.path())?;
+        let tables = Tables::create(draft.path(), &sensors).with_context(unwritable)?;
+        self.tables = Some(tables);
+        self.tally.sensors = sensors;
+        for row in std::mem::take(&mut self.waiting) {
+            self.write(&row)?;
+        }
+        self.flush()?;
+        check_vacant(&self.target)?;
+        fs::rename(draft.keep(), &self.target)
+            .with_context(|| format!("{} cannot be written", self.target.display()))
+    }
+
+    fn write(&mut self, row: &SensorRow) -> Result<()> {
+        let Some(tables) = &mut self.tables else {
+            return Ok(());
+        };
+        let mut text = row.time_us.to_string();
+        let mut whole = true;
+        for &sensor in &self.tally.sensors {
+            match row.readings.get(sensor).copied().flatten() {
+                Some(reading) => {
+                    let [x, y, z] = reading.field;
+                    text += &format!(",{x},{y},{z},{}", degrees(reading.temperature));
+                }
+                None => {
+                    whole = false;
+                    if let Some(count) = self.tally.silent.get_mut(sensor) {
+                        *count += 1;
+                    }
+                }
+            }
+        }
+        if !whole {
+            self.tally.left_out += 1;
+            return Ok(());
+        }
+        self.tally.rows += 1;
+        let mut written = tables.hall.line(&text);
+        if row.time_us >= self.reference_us {
+            self.reference_us = row.time_us - row.time_us % REFERENCE_US + REFERENCE_US;
+            let empty = ",".repeat(2 * self.tally.sensors.len());
+            written = written.and_then(|()| tables.force.line(&format!("{}{empty}", row.time_us)));
+        }
+        self.or_cut(written)
+    }
+
+    /// Removes a partial line after a failed write.
+    fn or_cut(&mut self, result: io::Result<()>) -> Result<()> {
+        if result.is_err()
+            && let Some(tables) = &mut self.tables
+        {
+            for table in [&mut tables.hall, &mut tables.force] {
+                let whole = table.written();
+                // Report the first error.
+                let _ = table.out().set_len(whole);
+            }
+        }
+        result.with_context(|| {
+            format!("{} cannot be written; earlier rows are valid", self.target.display())
+        })
+    }
+}
+
+/// The two tables of a recording.
+struct Tables {
+    hall: PagedWriter<File>,
+    force: PagedWriter<File>,
+}
+
+impl Tables {
+    fn create(folder: &Path, sensors: &[usize]) -> io::Result<Self> {
+        let numbers = || sensors.iter().map(|sensor| *sensor as u32);
+        let table = |name: &str, columns: Vec<String>| -> io::Result<_> {
+            let mut table = PagedWriter::new(File::create_new(folder.join(name))?);
+            table.line(&columns.join(","))?;
+            Ok(table)
+        };
+        let mut columns = vec!["t_us".to_owned()];
+        columns.extend(numbers().flat_map(sensor_columns));
+        Ok(Self {
+            hall: table("hall.csv", columns)?,
+            force: table("force.csv", force_columns(numbers()))?,
+        })
+    }
+
+    fn both(
+        &mut self,
+        mut act: impl FnMut(&mut PagedWriter<File>) -> io::Result<()>,
+    ) -> io::Result<()> {
+        act(&mut self.hall)?;
+        act(&mut self.force)
+    }
+}
+
+#[cfg(test)]
+mod tests;
+
+/// Readings of one tick.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SensorRow {
+    /// Board time in microseconds.
+    pub time_us: u64,
+    /// Readings of the sensors.
+    pub readings: [Option<HallReading>; SENSORS],
+}
+
+/// The board restarted: its clock is not continuous.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Restarted;
+
+/// Assembles rows from packets.
+#[derive(Clone, Debug)]
+pub struct SensorRowAssembler {
+    clock: BoardClock,
+    sets: Option<Sets>,
+    /// True after the first row.
+    begun: bool,
+}
+
+impl SensorRowAssembler {
+    /// For a serial line: one packet per tick.
+    pub fn of_ticks() -> Self {
+        Self { clock: BoardClock::default(), sets: None, begun: false }
+    }
+
+    /// For a CAN bus: one frame per sensor follows the forces, which come every `period_us`.
+    pub fn of_sets(period_us: u64) -> Self {
+        let sets = Sets { period_us, counted: None, readings: [None; SENSORS] };
+        Self { sets: Some(sets), ..Self::of_ticks() }
+    }
+
+    /// Period of the rows in microseconds.
+    pub fn period_us(&self) -> u64 {
+        self.sets.as_ref().map_or(TICK_US, |sets| sets.period_us)
+    }
+
+    /// Returns the row that a packet completes, received `at_s` seconds after the start.
+    ///
+    /// # Errors
+    /// The board restarted since the last row.
+    pub fn take(&mut self, at_s: f64, packet: &Packet) -> Result<Option<SensorRow>, Restarted> {
+        let row = match (packet, &mut self.sets) {
+            (Packet::Message { message: Message::Version(_), .. }, _) => {
+                return if self.begun { Err(Restarted) } else { Ok(None) };
+            }
+            (Packet::Tick(tick), None) => Some(SensorRow {
+                time_us: self.clock.extend(tick.time_us, at_s).ok_or(Restarted)?,
+                readings: tick.sensors.map(|sensor| sensor.reading()),
+            }),
+            (Packet::Message { message, .. }, Some(sets)) => sets.take(at_s, message),
+            _ => None,
+        };
+        self.begun |= row.is_some();
+        Ok(row)
+    }
+}
+
+/// Raw frames between two force messages.
+#[derive(Clone, Debug)]
+struct Sets {
+    period_us: u64,
+    /// Counter of the forces, number of the set since the first, reception time.
+    counted: Option<(u8, u64, f64)>,
+    readings: [Option<HallReading>; SENSORS],
+}
+
+impl Sets {
+    fn take(&mut self, at_s: f64, message: &Message) -> Option<SensorRow> {
+        match message {
+            Message::Force(force) => match self.counted {
+                Some((counter, _, _)) if counter == force.counter => None,
+                Some(_) | None => self.next(at_s, force.counter),
+            },
+            Message::HallRaw(raw) => {
+                self.read(raw);
+                None
+            }
+            _ => None,
+        }
+    }
+
+    fn read(&mut self, raw: &HallRaw) {
+        // Without preceding forces the time is unknown; a second frame of a sensor means that the
+        // forces in between were lost.
+        let place = self.readings.get_mut(usize::from(raw.sensor));
+        if let (Some(place @ None), Some(_)) = (place, self.counted) {
+            *place =
+                Some(HallReading { field: [raw.x, raw.y, raw.z], temperature: raw.temperature });
+        }
+    }
+
+    /// Forces with a new counter: the previous set is complete.
+    fn next(&mut self, at_s: f64, counter: u8) -> Option<SensorRow> {
+        let Some((before, set, before_s)) = self.counted else {
+            self.counted = Some((counter, 0, at_s));
+            return None;
+        };
+        let step = u64::from(counter.wrapping_sub(before));
+        // Lost counter overflows follow from the elapsed time.
+        let passed = 1e6 * (at_s - before_s) / self.period_us as f64;
+        let turns = ((passed - step as f64) / 256.0).round().max(0.0) as u64;
+        self.counted = Some((counter, set + step + 256 * turns, at_s));
+        let readings = std::mem::take(&mut self.readings);
+        readings
+            .iter()
+            .any(Option::is_some)
+            .then_some(SensorRow { time_us: set * self.period_us, readings })
+    }
+}
+
+#[cfg(test)]
+mod unit_tests {
+    use firmware::protocol::messages::{Force, Version};
+    use firmware::protocol::serial::{SensorTick, Tick};
+
+    use super::*;
+
+    fn force(counter: u8) -> Packet {
+        let force = Force { counter, ..Force::default() };
+        Packet::Message { copy: 0, message: Message::Force(force) }
+    }
+
+    fn raw(sensor: u8, x: i16) -> Packet {
+        let raw = HallRaw { sensor, x, ..HallRaw::default() };
+        Packet::Message { copy: 0, message: Message::HallRaw(raw) }
+    }
+
+    fn tick(time_us: u32) -> Packet {
+        let silent = SensorTick { field: [0; 3], temperature: 0, force: [0; 2], validity: 3 };
+        Packet::Tick(Tick { time_us, sensors: [silent; SENSORS] })
+    }
+
+    fn xs(row: &SensorRow) -> [Option<i16>; SENSORS] {
+        row.readings.map(|reading| reading.map(|reading| reading.field[0]))
+    }
+
+    #[test]
+    fn frames_after_the_forces_form_a_row_at_their_time() {
+        let mut rows = SensorRowAssembler::of_sets(10_000);
+        let packets = [
+            raw(3, 1),
+            force(7),
+            raw(0, 10),
+            raw(2, 12),
+            force(8),
+            force(8),
+            raw(0, 20),
+            force(11),
+        ];
+        let assembled: Vec<SensorRow> =
+            packets.iter().filter_map(|packet| rows.take(0.0, packet).unwrap()).collect();
+        assert_eq!(assembled.iter().map(|row| row.time_us).collect::<Vec<_>>(), [0, 10_000]);
+        assert_eq!(xs(&assembled[0]), [Some(10), None, Some(12), None]);
+        assert_eq!(xs(&assembled[1]), [Some(20), None, None, None]);
+        // The set of counter 11 is the fourth.
+        rows.take(0.04, &raw(1, 40)).unwrap();
+        let last = rows.take(0.05, &force(12)).unwrap().unwrap();
+        assert_eq!((last.time_us, xs(&last)[1]), (40_000, Some(40)));
+    }
+
+    #[test]
+    fn lost_counter_overflows_count_as_elapsed_time() {
+        let mut rows = SensorRowAssembler::of_sets(2_000);
+        rows.take(0.0, &force(0)).unwrap();
+        // 2 s and 10 ms later: 1005 sets, of which the counter shows 237.
+        rows.take(2.01, &force(237)).unwrap();
+        rows.take(2.01, &raw(0, 1)).unwrap();
+        let row = rows.take(2.012, &force(238)).unwrap().unwrap();
+        assert_eq!(row.time_us, 2_010_000);
+    }
+
+    #[test]
+    fn decreasing_clock_or_second_version_is_a_restart() {
+        let version = Packet::Message { copy: 0, message: Message::Version(Version::default()) };
+        let mut rows = SensorRowAssembler::of_ticks();
+        assert_eq!(rows.take(0.0, &version), Ok(None));
+        assert_eq!(rows.take(0.0, &tick(9_000)).unwrap().unwrap().time_us, 9_000);
+        assert_eq!(rows.clone().take(0.1, &version), Err(Restarted));
+        assert_eq!(rows.take(0.1, &tick(2_000)), Err(Restarted));
+    }
+}

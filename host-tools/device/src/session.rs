@@ -1,0 +1,299 @@
+//! Session of a host with a gripper: arming with a nonce, commands with a counter and an authentication tag,
+//! repetition of commands, refusals as text.
+
+use crate::format::spaced;
+use crate::source::Source;
+use crate::state::GripperState;
+use anyhow::{Result, bail};
+use firmware::grip::commands::RefusalReason;
+use firmware::grip::states::{PowerState, TASK_CODE, TaskState};
+use firmware::protocol::host_session::{HostSession, service};
+use firmware::protocol::messages::{Command, EStop, Message, ServiceReply};
+use firmware::protocol::serial::Packet;
+use firmware::protocol::session::{op, status};
+use std::time::{Duration, Instant};
+
+/// Period of commands: the gripper stops after 100 ms without one.
+const PERIOD: Duration = Duration::from_millis(20);
+
+/// Host that controls a gripper.
+pub struct Client {
+    source: Box<dyn Source>,
+    session: HostSession,
+    begun: Instant,
+    command: Option<Command>,
+    sent: Option<Instant>,
+    /// Latest state of the gripper.
+    pub state: GripperState,
+    /// Status of the last failed request to arm.
+    pub not_armed: Option<u8>,
+    /// Last refused command since [`Self::command`].
+    pub refused: Option<Refusal>,
+}
+
+impl Client {
+    /// Host of the gripper of this node; sends nothing yet.
+    pub fn new(source: Box<dyn Source>, node: u16) -> Self {
+        Self {
+            source,
+            session: HostSession::new(node),
+            begun: Instant::now(),
+            command: None,
+            sent: None,
+            state: GripperState::default(),
+            not_armed: None,
+            refused: None,
+        }
+    }
+
+    /// Name of the line or bus.
+    pub fn name(&self) -> String {
+        self.source.name()
+    }
+
+    /// Seconds since the start.
+    pub fn elapsed_s(&self) -> f64 {
+        self.begun.elapsed().as_secs_f64()
+    }
+
+    /// Requests a session.
+    ///
+    /// # Errors
+    /// The connection is lost.
+    pub fn arm(&mut self) -> Result<()> {
+        self.not_armed = None;
+        let request = self.session.arm();
+        self.source.send(request)
+    }
+
+    /// Ends the session.
+    ///
+    /// # Errors
+    /// The connection is lost.
+    pub fn end_session(&mut self) -> Result<()> {
+        self.command = None;
+        let request = self.session.end();
+        self.source.send(request)
+    }
+
+    /// True once the gripper has confirmed the session.
+    pub const fn is_armed(&self) -> bool {
+        self.session.is_armed()
+    }
+
+    /// Requests a service.
+    ///
+    /// # Errors
+    /// The connection is lost.
+    pub fn request(&mut self, op: u8) -> Result<()> {
+        self.source.send(service(op, 0))
+    }
+
+    /// Command to repeat from now on.
+    pub const fn command(&mut self, command: Command) {
+        self.command = Some(command);
+        (self.sent, self.refused) = (None, None);
+    }
+
+    /// Stops the gripper and ends the repetition.
+    ///
+    /// # Errors
+    /// The connection is lost.
+    pub fn stop(&mut self) -> Result<()> {
+        self.command = None;
+        self.source.send(Message::EStop(EStop::default()))
+    }
+
+    /// Receives pending messages and sends due commands; waits briefly.
+    ///
+    /// # Errors
+    /// The connection is lost.
+    pub fn poll(&mut self) -> Result<()> {
+        let mut packets = Vec::new();
+        let goes_on = self.source.receive(&mut packets)?;
+        let now_s = self.elapsed_s();
+        self.state.lost.broken = self.source.broken();
+        for packet in &packets {
+            self.state.update(now_s, packet);
+            if let Packet::Message { message: Message::ServiceReply(reply), .. } = packet {
+                self.reply(reply)?;
+            }
+        }
+        if !goes_on {
+            bail!("{}: the gripper closed the connection", self.name());
+        }
+        self.send_due()
+    }
+
+    fn reply(&mut self, reply: &ServiceReply) -> Result<()> {
+        match (reply.op, reply.status) {
+            (op::ARM, status::CHALLENGE | status::DONE) => {}
+            (op::ARM, status) => self.not_armed = Some(status),
+            (op::COMMAND, status::REFUSED) => {
+                let refusal = Refusal::of(reply.detail);
+                // A late reply to the previous command.
+                if self.command.is_some_and(|command| command.mode == refusal.mode) {
+                    self.refused = Some(refusal);
+                }
+            }
+            _ => {}
+        }
+        match self.session.receive(reply) {
+            Some(answer) => self.source.send(answer),
+            None => Ok(()),
+        }
+    }
+
+    fn send_due(&mut self) -> Result<()> {
+        let is_due = self.sent.is_none_or(|sent| sent.elapsed() >= PERIOD);
+        let Some(command) = self.command.filter(|_| is_due) else {
+            return Ok(());
+        };
+        if let Some(message) = self.session.seal(command) {
+            self.source.send(message)?;
+            self.sent = Some(Instant::now());
+        }
+        Ok(())
+    }
+}
+
+/// State of the heartbeat as text: "armed", "hold active".
+pub fn state_name(code: u8) -> String {
+    if let Some(power) =
+        PowerState::ALL.iter().find(|power| **power as u8 == code && **power != PowerState::Enabled)
+    {
+        return spaced(power);
+    }
+    match fault_reporting_task(code) {
+        Some(fault_reporting_task) => spaced(fault_reporting_task),
+        None => format!("state {code}"),
+    }
+}
+
+/// Gripping task of an enabled gripper.
+pub fn fault_reporting_task(code: u8) -> Option<TaskState> {
+    let code = code.checked_sub(TASK_CODE)?;
+    TaskState::ALL.iter().copied().find(|fault_reporting_task| *fault_reporting_task as u8 == code)
+}
+
+/// Refused command.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Refusal {
+    /// Mode of the command.
+    pub mode: u8,
+    state: u8,
+    reason: u8,
+}
+
+impl Refusal {
+    /// From the detail of the reply ([`firmware::grip::commands::CommandRefusal::reply`]).
+    pub const fn of(detail: u32) -> Self {
+        let [reason, state, mode, _] = detail.to_le_bytes();
+        Self { mode, state, reason }
+    }
+
+    /// Reason, state and remedy as text.
+    pub fn words(&self) -> String {
+        let reason = REASONS.into_iter().find(|reason| *reason as u8 == self.reason);
+        let reason = match reason {
+            Some(reason) => advice(reason).to_owned(),
+            None => format!("reason {}, unknown to this tool", self.reason),
+        };
+        format!("refused in state {}: {reason}", state_name(self.state))
+    }
+}
+
+const REASONS: [RefusalReason; 14] = [
+    RefusalReason::UnknownMode,
+    RefusalReason::NotEnabled,
+    RefusalReason::FaultActive,
+    RefusalReason::FaultLatched,
+    RefusalReason::MotorNotReady,
+    RefusalReason::NotHomed,
+    RefusalReason::Busy,
+    RefusalReason::Gripping,
+    RefusalReason::FootMode,
+    RefusalReason::NotApplicable,
+    RefusalReason::OutOfRange,
+    RefusalReason::Blind,
+    RefusalReason::Loaded,
+    RefusalReason::NotParked,
+];
+
+const fn advice(reason: RefusalReason) -> &'static str {
+    match reason {
+        RefusalReason::UnknownMode => {
+            "the firmware does not support this command: it is older than this tool"
+        }
+        RefusalReason::NotEnabled => "the drive is not enabled",
+        RefusalReason::FaultActive => "a fault is active: remove its cause",
+        RefusalReason::FaultLatched => {
+            "a fault is latched: clear it with --clear-faults once its cause is gone"
+        }
+        RefusalReason::MotorNotReady => {
+            "the motor is not ready: its offsets are being measured, or it has tripped"
+        }
+        RefusalReason::NotHomed => "the opening is not referenced: home first, with --home",
+        RefusalReason::Busy => "the fingers are moving",
+        RefusalReason::Gripping => "an object is gripped: release it first",
+        RefusalReason::FootMode => "ground-contact mode is active: leave it first",
+        RefusalReason::NotApplicable => "not applicable in this state",
+        RefusalReason::OutOfRange => "a number is out of range",
+        RefusalReason::Blind => {
+            "no finger reports a valid force: check the sensors with `magpie monitor`"
+        }
+        RefusalReason::Loaded => "the fingers are loaded: remove the load",
+        RefusalReason::NotParked => {
+            "wrong opening for ground-contact mode: close the fingers, or open them fully"
+        }
+    }
+}
+
+/// Reason of a failed request to arm.
+pub const fn arming_refusal(code: u8) -> &'static str {
+    match code {
+        status::REFUSED => "the nonce was wrong or too late: is the connection slow?",
+        status::FAULTY => {
+            "a fault prevents it: check with `magpie monitor`, remove its cause, and use --clear-faults"
+        }
+        status::ARMED => "another host has armed it: end that session first",
+        _ => "the firmware gives no reason known to this tool",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use firmware::grip::commands::CommandRefusal;
+    use firmware::grip::states::state_code;
+
+    use super::*;
+
+    #[test]
+    fn each_state_has_a_unique_name() {
+        assert_eq!(state_name(state_code(PowerState::QuickStop, TaskState::Idle)), "quick stop");
+        assert_eq!(
+            state_name(state_code(PowerState::Enabled, TaskState::HoldActive)),
+            "hold active"
+        );
+        assert_eq!(
+            fault_reporting_task(state_code(PowerState::Enabled, TaskState::Foot)),
+            Some(TaskState::Foot)
+        );
+        assert_eq!(fault_reporting_task(state_code(PowerState::Armed, TaskState::Foot)), None);
+        assert_eq!(state_name(99), "state 99");
+    }
+
+    #[test]
+    fn refusal_names_reason_and_state() {
+        for reason in REASONS {
+            let refused = CommandRefusal {
+                mode: 4,
+                reason,
+                state: state_code(PowerState::Enabled, TaskState::Unhomed),
+            };
+            let refusal = Refusal::of(refused.reply().detail);
+            assert_eq!(refusal.mode, 4);
+            assert_eq!(refusal.words(), format!("refused in state unhomed: {}", advice(reason)));
+        }
+    }
+}

@@ -1,0 +1,74 @@
+//! Input of the virtual board's sensors.
+
+use std::f64::consts::TAU;
+use std::path::{Path, PathBuf};
+
+use model_export::inverse::build::DeviceModel;
+use model_export::recordings::DataError;
+use model_export::recordings::align::Alignment;
+use model_export::recordings::description::RecordingDescription;
+use model_export::recordings::stream::RawStream;
+
+use sim::board::world::{PressedWorld, RecordedWorld, World};
+
+/// Seed of the sensor noise.
+const SEED: u64 = 1;
+/// Duration of a grasp in seconds, and its longitudinal and lateral force per sensor.
+const GRASP_S: f64 = 8.0;
+const GRASP_N: f64 = 40.0;
+const ACROSS_N: f64 = 12.0;
+
+/// Simulated environment.
+#[derive(Clone, Debug, PartialEq)]
+pub enum SensorInput {
+    /// Periodic grasps of an object.
+    Grasps,
+    /// Constant forces in newtons on each finger: lateral, against the other
+    /// finger, and longitudinal.
+    Pressed([f64; 2]),
+    /// Replay of a recording.
+    Recorded(PathBuf),
+}
+
+impl SensorInput {
+    /// Opens the recording; `None` for other inputs.
+    ///
+    /// # Errors
+    /// The recording cannot be read.
+    pub fn stream(&self) -> Result<Option<RawStream>, DataError> {
+        match self {
+            Self::Recorded(folder) => open(folder).map(Some),
+            Self::Grasps | Self::Pressed(_) => Ok(None),
+        }
+    }
+
+    /// Simulation input, from the recording where there is one.
+    pub fn world(&self, stream: Option<RawStream>, built: &DeviceModel) -> Box<dyn World> {
+        let (model, pressed) = (&built.model, |newtons: [f64; 2]| {
+            let [x, z] = newtons;
+            [[x, z], [x, z], [-x, z], [-x, z]]
+        });
+        match (self, stream) {
+            (_, Some(stream)) => Box::new(RecordedWorld::new(stream, built)),
+            (Self::Pressed(newtons), None) => {
+                let forces = pressed(*newtons);
+                Box::new(PressedWorld::new(model, SEED, move |_| forces))
+            }
+            (_, None) => Box::new(PressedWorld::new(model, SEED, move |s| pressed(grasp(s)))),
+        }
+    }
+}
+
+fn open(folder: &Path) -> Result<RawStream, DataError> {
+    let (description, _) = RecordingDescription::read(folder)?;
+    RawStream::open(folder, &description, Alignment { delay_us: 0.0 })
+}
+
+/// Lateral and longitudinal force of a grasp over time: one second without load for the tare.
+fn grasp(seconds: f64) -> [f64; 2] {
+    let phase = TAU * (seconds - 1.0).max(0.0) / GRASP_S;
+    [
+        GRASP_N * (1.0 - phase.cos()) / 2.0,
+        ACROSS_N * (1.0 - phase.cos()) / 2.0 * (2.0 * phase).sin(),
+    ]
+}

@@ -1,0 +1,139 @@
+//! The residual before an effect was added, over its covariate, with what the effect took of it.
+
+use std::ops::Range;
+
+use maud::{Markup, html};
+use plotters::prelude::*;
+
+use crate::html::palette;
+use crate::html::plot::{Along, Failure, Paper, Swatch, axes, bounds, figure, key, lines, stroke};
+use analysis::diagnose::EffectShape;
+
+/// Size of the plot of the strongest channel, in pixels.
+const LARGE: (u32, u32) = (440, 280);
+/// Size of those of the others.
+const SMALL: (u32, u32) = (340, 200);
+/// Radius of a dot in drawing units.
+const DOT: i32 = 12;
+/// A band that reaches further than this many times the greatest mean is cut.
+const FURTHEST_BAND: f64 = 1.6;
+/// Letters of the axes of the field.
+const AXES: [&str; 3] = ["x", "y", "z"];
+
+/// The channel in which it shows most.
+pub fn strongest(shape: &EffectShape) -> Markup {
+    let Some(strongest) = shape.strongest() else {
+        return html! {};
+    };
+    let name = shape.effects.join(" or ");
+    html! {
+        figure {
+            figcaption {
+                "Where it shows most: " (channel(shape, strongest)) " over the " (shape.words)
+            }
+            (plot(shape, strongest, LARGE, &scale(shape, &[strongest])))
+            (key(&[
+                (Swatch::Framed, palette::FIRST, "residual before it was added: mean and 95 % band".to_owned()),
+                (Swatch::Line, palette::SECOND, format!("what {name} took away")),
+            ]))
+        }
+    }
+}
+
+/// Every channel on one scale, folded.
+pub fn all(shape: &EffectShape) -> Markup {
+    let sensors = 0..shape.sensors.len();
+    let channels: Vec<(usize, usize)> =
+        sensors.flat_map(|s| [0, 1, 2].map(|axis| (s, axis))).collect();
+    let scale = scale(shape, &channels);
+    html! {
+        details {
+            summary { "All sensors and axes" }
+            div.small {
+                @for one in &channels {
+                    figure {
+                        figcaption { (channel(shape, *one)) }
+                        (plot(shape, *one, SMALL, &scale))
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn channel(shape: &EffectShape, (sensor, axis): (usize, usize)) -> String {
+    format!("s{} {}", shape.sensors[sensor], AXES[axis])
+}
+
+/// Centre, mean, band and what was taken away of each bin of a channel.
+fn points(shape: &EffectShape, (sensor, axis): (usize, usize)) -> Vec<[f64; 5]> {
+    let bins = shape.bins.iter().zip(&shape.taken_g);
+    let point = |(bin, taken): (&analysis::compare::Bin, &Vec<[f64; 3]>)| {
+        let (low, high) = bin.band_g.get(sensor)?[axis];
+        let mean = bin.mean_g.get(sensor)?[axis];
+        Some([bin.centre, mean, low, high, taken.get(sensor)?[axis]])
+    };
+    bins.filter_map(point).collect()
+}
+
+/// A scale that holds these channels, with zero in it.
+fn scale(shape: &EffectShape, channels: &[(usize, usize)]) -> Range<f64> {
+    let all: Vec<[f64; 5]> = channels.iter().flat_map(|c| points(shape, *c)).collect();
+    let means = all.iter().flat_map(|point| [point[1], point[4]]);
+    let (least, greatest) = bounds(means).unwrap_or((-1.0, 1.0));
+    let furthest = FURTHEST_BAND * least.abs().max(greatest.abs()).max(f64::MIN_POSITIVE);
+    let bands = all.iter().flat_map(|point| [point[2], point[3]]);
+    let (low, high) = bounds(bands).unwrap_or((least, greatest));
+    let low = low.min(least).min(0.0).max(-furthest);
+    let high = high.max(greatest).max(0.0).min(furthest);
+    low - 0.06 * (high - low)..high + 0.06 * (high - low)
+}
+
+fn plot(shape: &EffectShape, of: (usize, usize), size: (u32, u32), scale: &Range<f64>) -> Markup {
+    let unit = match shape.unit {
+        "" => String::new(),
+        unit => format!(" in {unit}"),
+    };
+    let words = format!("{}{unit}", shape.words);
+    let says = format!(
+        "Mean residual of {} in gauss over {words} before {} was added, with its 95 % band, and what that took away.",
+        channel(shape, of),
+        shape.effects.join(" or ")
+    );
+    let few = shape.bins.len() <= 3;
+    let across = Along {
+        labels: if few { shape.bins.len() } else { 4 },
+        ..Along::holding(&words, shape.bins.iter().map(|bin| bin.centre))
+    };
+    let upwards = Along { words: "G".to_owned(), range: scale.clone(), labels: 4, powers: false };
+    let points = points(shape, of);
+    figure(size, &says, |paper| draw(paper, &points, &across, &upwards))
+}
+
+fn draw(
+    paper: &Paper,
+    points: &[[f64; 5]],
+    across: &Along,
+    upwards: &Along,
+) -> Result<(), Failure> {
+    let mut chart = axes(paper, across, upwards)?;
+    let zero = [(across.range.start, 0.0), (across.range.end, 0.0)];
+    chart.draw_series([PathElement::new(zero, stroke(palette::MUTED, 1.0))])?;
+    let inside = |value: f64| value.clamp(upwards.range.start, upwards.range.end);
+    let before = palette::FIRST.light;
+    let sound = || points.iter().filter(|p| p[..4].iter().all(|v| v.is_finite()));
+    let lower = sound().map(|p| (p[0], inside(p[2])));
+    let upper = sound().rev().map(|p| (p[0], inside(p[3])));
+    let outline: Vec<(f64, f64)> = lower.chain(upper).collect();
+    if !outline.is_empty() {
+        chart.draw_series([Polygon::new(outline, before.mix(0.25).filled())])?;
+    }
+    let dots = sound().map(|p| Circle::new((p[0], inside(p[1])), DOT, before.filled()));
+    chart.draw_series(dots)?;
+    let taken: Vec<(f64, f64)> = points.iter().map(|p| (p[0], p[4])).collect();
+    for run in lines(&taken) {
+        let run: Vec<(f64, f64)> = run.into_iter().map(|(x, y)| (x, inside(y))).collect();
+        chart.draw_series([PathElement::new(run, stroke(palette::SECOND, 2.2))])?;
+    }
+    Ok(())
+}

@@ -1,0 +1,145 @@
+//! Verdicts on all candidate effects, accepted effects, open questions and suggested commands.
+
+use crate::html::Section;
+use crate::html::diagnosis::effect;
+use crate::html::tables::table;
+use crate::text::diagnosis::{self as text, EquivalentSet, InconclusiveGroup};
+use analysis::diagnose::{Diagnosis, EffectShape, Unexplained, Verdict};
+use analysis::numbers::{number, percent};
+use maud::{Markup, html};
+
+/// Table of the verdicts.
+pub fn verdict_section(diagnosis: &Diagnosis) -> Section {
+    let there = diagnosis.verdicts.iter().filter(|v| text::is_present(v));
+    let provisional = there.clone().any(|verdict| verdict.provisional);
+    let body = html! {
+        p.verdict { (text::verdict(diagnosis)) }
+        @if diagnosis.at_floor { p { strong { (text::at_floor_note(diagnosis)) } } }
+        (next(diagnosis))
+        @if !diagnosis.verdicts.is_empty() {
+            (table(
+                "All tested effects, most significant first",
+                &["effect", "verdict", "magnitude, or reason", "gain", "p", "typical / std. error"],
+                diagnosis.verdicts.iter().map(row),
+            ))
+            @if provisional { p.note { (text::PROVISIONAL_NOTE) } }
+            p.note {
+                (text::significance_note(diagnosis))
+                " Typical / std. error: a typical magnitude of the effect in standard errors of these recordings."
+            }
+        }
+    };
+    Section { id: "diagnosis", heading: "Which effect is missing".to_owned(), body }
+}
+
+fn row(verdict: &Verdict) -> Vec<Markup> {
+    vec![
+        html! { (verdict.effect) },
+        html! { span class=(verdict.kind.id()) { (text::verdict_label(verdict)) } },
+        html! { (text::short_reason(verdict)) },
+        // Negative gains are shown as zero; NaN stays NaN.
+        html! { (percent(if verdict.gain < 0.0 { 0.0 } else { verdict.gain })) },
+        html! { (number(verdict.p_adjusted)) },
+        html! { (number(verdict.z_typical)) },
+    ]
+}
+
+fn next(diagnosis: &Diagnosis) -> Markup {
+    html! {
+        @if !diagnosis.next.words.is_empty() { p { (diagnosis.next.words) } }
+        @for command in &diagnosis.next.commands { pre.command tabindex="0" { (command) } }
+    }
+}
+
+/// `None` without accepted effects.
+pub fn found_section(diagnosis: &Diagnosis) -> Option<Section> {
+    let there: Vec<&Verdict> =
+        diagnosis.verdicts.iter().filter(|verdict| text::is_present(verdict)).collect();
+    let mut drawn: Vec<&EffectShape> = Vec::new();
+    let mut parts = Vec::new();
+    for verdict in &there {
+        let of = |shape: &&EffectShape| shape.effects.contains(&verdict.effect);
+        let shape = diagnosis.shapes.iter().find(of);
+        // Equivalent effects share the plot of the fitted one.
+        let new = shape.filter(|shape| !drawn.iter().any(|other| std::ptr::eq(*other, *shape)));
+        drawn.extend(new);
+        parts.push(part(verdict, new));
+    }
+    (!there.is_empty()).then(|| Section {
+        id: "found",
+        heading: "Accepted effects".to_owned(),
+        body: html! { @for part in parts { (part) } },
+    })
+}
+
+fn part(verdict: &Verdict, shape: Option<&EffectShape>) -> Markup {
+    html! {
+        h3 { (verdict.effect) " " span.model { (text::verdict_label(verdict)) } }
+        div.pair {
+            div {
+                @if !text::magnitude(verdict).is_empty() { p { strong { (text::magnitude(verdict)) } } }
+                p { (text::physics(verdict)) }
+                p.note { (text::reason_sentence(verdict)) }
+            }
+            @if let Some(shape) = shape { (effect::strongest(shape)) }
+        }
+        @if let Some(shape) = shape { (effect::all(shape)) }
+    }
+}
+
+/// `None` without open questions.
+pub fn open_section(diagnosis: &Diagnosis) -> Option<Section> {
+    let (ties, unjudged) = (text::equivalent_sets(diagnosis), text::inconclusive_groups(diagnosis));
+    let none = ties.is_empty() && unjudged.is_empty() && diagnosis.unexplained.is_empty();
+    (!none).then(|| Section {
+        id: "open",
+        heading: "Open questions".to_owned(),
+        body: html! {
+            (unexplained(&diagnosis.unexplained))
+            @for tie in &ties { (equivalence(tie)) }
+            @if !unjudged.is_empty() {
+                h3 { "Inconclusive from these recordings" }
+                ul { @for group in &unjudged { (inconclusive(group)) } }
+            }
+        },
+    })
+}
+
+fn unexplained(list: &[Unexplained]) -> Markup {
+    html! {
+        @if !list.is_empty() {
+            h3 { "Unexplained" }
+            ul { @for one in list { li { (text::unexplained(one)) } } }
+            p { (text::EXPR_HINT) }
+        }
+    }
+}
+
+fn equivalence(tie: &EquivalentSet) -> Markup {
+    html! {
+        h3 { "Not distinguishable: " (tie.effects.join(", ")) }
+        @if !tie.alike.is_empty() { ul { @for why in &tie.alike { li { (why) } } } }
+        (recordings("To distinguish them, record", &tie.record))
+    }
+}
+
+fn inconclusive(group: &InconclusiveGroup) -> Markup {
+    html! {
+        li {
+            strong { (group.effects.join(", ")) } ": " (group.why) "."
+            (recordings("To test it, record", &group.record))
+        }
+    }
+}
+
+fn recordings(head: &str, list: &[(String, String)]) -> Markup {
+    html! {
+        @for (effects, record) in list {
+            p.note {
+                (head)
+                @if list.len() > 1 { ", for " (effects) }
+                ": " (record)
+            }
+        }
+    }
+}

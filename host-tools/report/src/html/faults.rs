@@ -1,0 +1,96 @@
+//! Table of a fault campaign.
+
+use maud::{Markup, html};
+use plotters::prelude::*;
+
+use crate::html::plot::{Along, HALF, Swatch, axes, figure, key, px, stroke};
+use crate::html::tables::table;
+use crate::html::{Section, palette};
+use analysis::numbers::number;
+use sim::faults::campaign::FaultSummary;
+use sim::faults::injection::{COVERED_BY_OTHER_TESTS, HARDWARE_ONLY};
+
+/// Table and plot.
+pub fn section(sentence: &str, tallies: &[FaultSummary]) -> Section {
+    let rows = tallies.iter().map(row);
+    let heads = [
+        "fault",
+        "row",
+        "state",
+        "runs",
+        "found",
+        "p50, ms",
+        "p99, ms",
+        "max, ms",
+        "limit, ms",
+        "peak, N",
+        "final state",
+        "",
+    ];
+    let listed = |rows: &[(u8, &str)]| {
+        html! {
+            ul { @for (number, words) in rows { li { (number) ": " (words) } } }
+        }
+    };
+    let body = html! {
+        p { (sentence) }
+        (key(&[
+            (Swatch::Full, palette::FIRST, "p99 of the latency, a dot for each state".to_owned()),
+            (Swatch::Line, palette::SECOND, "limit".to_owned()),
+        ]))
+        (latencies(tallies))
+        (table("Result of each fault", &heads, rows))
+        p.note { "Latency counts from the moment at which the fault is observable: for force sensors from the next tick \
+            of sensing, at the CAN bus from the controller's leaving it, else from the moment in which it is done. Peak is the \
+            greatest true force between the fingers after it. Simulated; motor constants are assumed." }
+        p { "Reviewed at register level only:" }
+        (listed(&HARDWARE_ONLY))
+        p { "Not in these runs:" }
+        (listed(&COVERED_BY_OTHER_TESTS))
+    };
+    Section { id: "faults", heading: "Faults".to_owned(), body }
+}
+
+/// Latency relative to its limit for each row and state.
+fn latencies(tallies: &[FaultSummary]) -> Markup {
+    let dots = tallies.iter().map(|tally| {
+        let facts = tally.fault.specification();
+        let [_, most, _] = tally.latency_ms;
+        (f64::from(facts.number), most / facts.within_ms)
+    });
+    let dots: Vec<(f64, f64)> = dots.filter(|(_, share)| share.is_finite()).collect();
+    let rows = dots.iter().map(|dot| dot.0);
+    let across = Along::holding("row of the matrix", rows);
+    let shares = dots.iter().map(|dot| dot.1).chain([0.0, 1.1]);
+    let upwards = Along::holding("latency / limit", shares);
+    let says = "Latency relative to the limit for each row of the matrix.";
+    let drawn = figure(HALF, says, |paper| {
+        let mut chart = axes(paper, &across, &upwards)?;
+        let asked = [(across.range.start, 1.0), (across.range.end, 1.0)];
+        chart.draw_series([PathElement::new(asked, stroke(palette::SECOND, 1.5))])?;
+        let dot = palette::FIRST.light.filled();
+        chart.draw_series(dots.iter().map(|at| Circle::new(*at, px(2.5), dot)))?;
+        Ok(())
+    });
+    html! { div.pair { figure { (drawn) } } }
+}
+
+fn row(tally: &FaultSummary) -> Vec<Markup> {
+    let facts = tally.fault.specification();
+    let [median, most, greatest] = tally.latency_ms;
+    let situation = format!("{:?}", tally.state).to_lowercase();
+    vec![
+        html! { (facts.description) },
+        html! { (facts.number) },
+        html! { (situation) },
+        html! { (tally.runs) },
+        html! { (tally.found) },
+        html! { (number(median)) },
+        html! { (number(most)) },
+        html! { (number(greatest)) },
+        html! { (number(facts.within_ms)) },
+        html! { (number(tally.peak_n)) },
+        html! { (tally.ends_words()) },
+        html! { @if !tally.is_met() { "missed" } },
+    ]
+}

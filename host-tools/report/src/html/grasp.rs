@@ -1,0 +1,161 @@
+//! Sections of a grasp and of a ground contact.
+
+use crate::html::Section;
+use crate::html::drive::{self, Curve, curves};
+use crate::html::palette::{self, Role};
+use crate::html::plot::{Swatch, key};
+use crate::html::tables::table;
+use analysis::numbers::number;
+use maud::{Markup, html};
+use sim::closed_loop::grasp_result::{GraspResult, GraspSample, GraspTrace};
+use sim::closed_loop::landing::{self, LandingResult};
+
+/// Title of a grasp.
+pub fn title(gripped: &GraspResult) -> String {
+    format!("magpie: a grasp of {} N with screw {:?}", gripped.own.target.set_n, gripped.case.lead)
+}
+
+/// Sections of a grasp.
+pub fn sections(gripped: &GraspResult) -> Vec<Section> {
+    vec![grasp_section(gripped), drive::assumptions_section(&gripped.assumed())]
+}
+
+/// Title of a ground contact.
+pub fn landing_title(landed: &LandingResult) -> String {
+    format!("magpie: ground contact with {} N", landed.landing.peak_n)
+}
+
+/// Sections of a ground contact.
+pub fn landing(landed: &LandingResult) -> Vec<Section> {
+    vec![contact_section(landed), drive::assumptions_section(&landed.assumed())]
+}
+
+/// Time range relative to the contact in seconds.
+const SHOWN_S: [f64; 2] = [-0.1, 0.7];
+
+/// Curve over the time range in milliseconds.
+fn curve(course: &GraspTrace, role: Role, of: impl Fn(&GraspSample) -> Option<f64>) -> Curve {
+    let [from_s, to_s] = SHOWN_S;
+    let last_s = course.hold_s().unwrap_or_default() + to_s;
+    let shown = course.points.iter();
+    let shown = shown.filter(|point| (from_s..last_s).contains(&point.time_s));
+    let points = shown.filter_map(|point| Some((1e3 * point.time_s, of(point)?)));
+    (role, points.collect())
+}
+
+/// Force, opening, current and state over time, and the results.
+pub fn grasp_section(gripped: &GraspResult) -> Section {
+    let own = &gripped.own;
+    let entry = |role: Role, words: &str| (Swatch::Line, role, words.to_owned());
+    let mut forces = vec![
+        curve(own, palette::MUTED, |point| Some(point.set_n)),
+        curve(own, palette::SECOND, |point| point.estimated_n),
+        curve(own, palette::FIRST, |point| Some(point.true_n)),
+    ];
+    let mut names = vec![
+        entry(palette::FIRST, "true force"),
+        entry(palette::SECOND, "estimate of the firmware"),
+        entry(palette::MUTED, "set-point"),
+    ];
+    let mut widths = vec![curve(own, palette::FIRST, |point| Some(point.opening_mm))];
+    let mut currents = vec![curve(own, palette::FIRST, |point| Some(point.current_a))];
+    if let Some(other) = &gripped.other {
+        forces.push(curve(other, palette::THIRD, |point| Some(point.true_n)));
+        widths.push(curve(other, palette::THIRD, |point| Some(point.opening_mm)));
+        currents.push(curve(other, palette::THIRD, |point| Some(point.current_a)));
+        names.push(entry(palette::THIRD, "with a current limit only"));
+    }
+    let across = "time since the contact in ms";
+    let body = html! {
+        p { (gripped.sentence()) }
+        (key(&names))
+        div.pair {
+            (curves("Force over time.", (across, "force, N"), &forces))
+            (curves("Opening over time.", (across, "opening, mm"), &widths))
+            (curves("Motor current over time.", (across, "current, A"), &currents))
+            (curves("State number over time.", (across, "state"), &[state(own)]))
+        }
+        (table("States of the firmware", &["number", "state", "from, ms"], states(gripped)))
+        (figures(gripped))
+        @if gripped.other.is_some() {
+            p.note { "A current limit bounds the static torque. The impact force at the contact results from the rotor's \
+                kinetic energy, which a current limit does not bound: a self-locking screw retains all of it." }
+        }
+    };
+    Section { id: "grasp", heading: "Grasp".to_owned(), body }
+}
+
+fn state(course: &GraspTrace) -> Curve {
+    curve(course, palette::FIRST, |point| {
+        let (power, task) = point.state?;
+        Some(f64::from(firmware::grip::states::state_code(power, task)))
+    })
+}
+
+fn states(gripped: &GraspResult) -> Vec<Vec<Markup>> {
+    let row = |(time_s, power, task): (f64, _, _)| {
+        vec![
+            html! { (firmware::grip::states::state_code(power, task)) },
+            html! { (GraspResult::state_name((power, task))) },
+            html! { (number(1e3 * time_s)) },
+        ]
+    };
+    gripped.own.states().into_iter().map(row).collect()
+}
+
+fn figures(gripped: &GraspResult) -> Markup {
+    let other = gripped.other.as_ref().map(GraspResult::figures);
+    let mut heads = vec!["figure", "this grasp", "unit"];
+    heads.extend(other.as_ref().map(|_| "current limit"));
+    let rows = GraspResult::figures(&gripped.own).into_iter().enumerate();
+    let rows = rows.map(|(index, (name, value, unit))| {
+        let mut row = vec![html! { (name) }, html! { (number(value)) }, html! { (unit) }];
+        let baseline = other.as_ref().and_then(|other| other.get(index));
+        row.extend(baseline.map(|(_, value, _)| html! { (number(*value)) }));
+        row
+    });
+    table("This grasp", &heads, rows)
+}
+
+/// Forces, contacts and centre of pressure.
+pub fn contact_section(landed: &LandingResult) -> Section {
+    let curve = |role: Role, of: &dyn Fn(&landing::LandingSample) -> Option<f64>| -> Curve {
+        let points = landed.points.iter();
+        let points = points.filter_map(|point| Some((1e3 * point.time_s, of(point)?)));
+        (role, points.collect())
+    };
+    let entry = |role: Role, words: &str| (Swatch::Line, role, words.to_owned());
+    let rows = landed.figures().into_iter().map(|(name, [estimate, is], unit)| {
+        vec![
+            html! { (name) },
+            html! { (number(estimate)) },
+            html! { (number(is)) },
+            html! { (unit) },
+        ]
+    });
+    let across = "time since the contact in ms";
+    let body = html! {
+        p { (landed.sentence()) }
+        (key(&[
+            entry(palette::FIRST, "true force"),
+            entry(palette::SECOND, "estimate"),
+            entry(palette::THIRD, "one fingertip, peak of the last 10 ms"),
+        ]))
+        div.pair {
+            (curves("Ground force over time.", (across, "force, N"), &[
+                curve(palette::THIRD, &|point| Some(point.held_n)),
+                curve(palette::SECOND, &|point| Some(point.estimated_n)),
+                curve(palette::FIRST, &|point| Some(point.true_n)),
+            ]))
+            (curves("Centre of pressure over time.", (across, "along the fingers, mm"),
+                &[curve(palette::SECOND, &|point| (point.contacts != 0).then_some(point.along_mm))]))
+            (curves("Fingertips in contact over time.", (across, "fingertips in contact"),
+                &[curve(palette::FIRST, &|point| Some(f64::from(point.contacts.count_ones())))]))
+        }
+        (table("Ground contact", &["quantity", "estimate", "true", "unit"], rows))
+        p.note { "Each point is at the time of its sample: between two samples a short impact is higher than \
+            either. Where the landing is harder than the acceleration's sensor tells, the fingertips' own inertia is \
+            not compensated completely, and the force is overestimated." }
+    };
+    Section { id: "landing", heading: "Ground contact".to_owned(), body }
+}

@@ -1,0 +1,313 @@
+//! Common parts of all plots: size, axes, text, embedding into the page.
+
+use std::ops::Range;
+
+use maud::{Markup, PreEscaped, html};
+use plotters::coord::Shift;
+use plotters::coord::types::RangedCoordf64;
+use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
+
+use crate::html::palette::{self, Role};
+use analysis::numbers::number;
+use analysis::numbers::{decimal, decimals_for};
+
+/// Drawing units per pixel: the backend has integer coordinates, too coarse in pixels.
+const PX: u32 = 4;
+/// Line height of text in pixels, 1.24 times the font size: a plot 440 pixels wide
+/// is scaled to 358 on a phone.
+const LETTERS: u32 = 16;
+/// Size in pixels of plots placed in pairs; the text remains legible on a phone.
+pub const HALF: (u32, u32) = (440, 260);
+
+/// Error of the backend.
+pub type Failure = DrawingAreaErrorKind<std::io::Error>;
+/// Plot with two linear axes.
+pub type Chart<'a, 'b> =
+    ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
+/// Drawing area of a plot.
+pub type Paper<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+
+/// Converts pixels to drawing units.
+pub fn px(pixels: f64) -> i32 {
+    (pixels * f64::from(PX)).round() as i32
+}
+
+/// Draws `width` by `height` pixels; `says` is the text for screen readers.
+pub fn figure(
+    (width, height): (u32, u32),
+    says: &str,
+    draw: impl FnOnce(&Paper) -> Result<(), Failure>,
+) -> Markup {
+    let mut text = String::new();
+    let drawn = {
+        let paper =
+            SVGBackend::with_string(&mut text, (width * PX, height * PX)).into_drawing_area();
+        draw(&paper).and_then(|()| paper.present())
+    };
+    if let Err(error) = drawn {
+        return html! { p.empty { "This plot could not be drawn: " (error) "." } };
+    }
+    // Remove the namespace and the fixed size of the root element.
+    let inside = text.split_once('>').map_or("", |(_, inside)| inside);
+    let inside = inside.trim_end().trim_end_matches("</svg>");
+    // Remove default values.
+    let inside = inside.replace(" opacity=\"1\"", "");
+    let view = format!("0 0 {} {}", width * PX, height * PX);
+    html! {
+        svg viewBox=(view) role="img" aria-label=(says) style=(format!("max-width:{}px", width * 5 / 4)) {
+            (PreEscaped(inside))
+        }
+    }
+}
+
+/// Axis: label with unit, and range.
+#[derive(Clone, Debug)]
+pub struct Along {
+    /// Label with unit.
+    pub words: String,
+    /// Range.
+    pub range: Range<f64>,
+    /// Approximate number of tick labels; 0 for categories.
+    pub labels: usize,
+    /// True if the range is in decimal logarithms; the labels show the values.
+    pub powers: bool,
+}
+
+impl Along {
+    /// Range of the values with a margin; length 1 for constant values.
+    pub fn holding(words: impl Into<String>, values: impl IntoIterator<Item = f64>) -> Self {
+        let (least, greatest) = bounds(values).unwrap_or((0.0, 1.0));
+        let margin = match greatest - least {
+            span if span > 0.0 => 0.04 * span,
+            _ => 0.5,
+        };
+        Self {
+            words: words.into(),
+            range: least - margin..greatest + margin,
+            labels: 5,
+            powers: false,
+        }
+    }
+
+    /// From zero to slightly above the maximum.
+    pub fn bars(words: impl Into<String>, values: impl IntoIterator<Item = f64>) -> Self {
+        let greatest = bounds(values).map_or(0.0, |(_, greatest)| greatest);
+        Self {
+            words: words.into(),
+            range: 0.0..if greatest > 0.0 { 1.08 * greatest } else { 1.0 },
+            labels: 5,
+            powers: false,
+        }
+    }
+
+    /// Logarithmic axis for these decimal logarithms.
+    pub fn powers(words: impl Into<String>, values: impl IntoIterator<Item = f64>) -> Self {
+        Self { powers: true, ..Self::holding(words, values) }
+    }
+
+    /// Axis of `count` categories, each one unit wide.
+    pub fn things(count: usize) -> Self {
+        Self { words: String::new(), range: 0.0..count.max(1) as f64, labels: 0, powers: false }
+    }
+
+    fn label(&self, value: f64) -> String {
+        if self.powers {
+            return power(value);
+        }
+        let step = (self.range.end - self.range.start) / self.labels.max(1) as f64;
+        let text = decimal(value, decimals_for(step));
+        match text.as_str() {
+            "-0" => "0".to_owned(),
+            _ => text.replace('-', "\u{2212}"),
+        }
+    }
+}
+
+/// Label of a logarithmic axis. Powers of ten are written without further digits and large ones
+/// with an exponent, which fits the margin at an end of the axis.
+fn power(logarithm: f64) -> String {
+    let whole = logarithm.round();
+    match (logarithm - whole).abs() < 1e-9 {
+        true if (-3.0..=3.0).contains(&whole) => decimal(10.0_f64.powf(whole), 3),
+        true => {
+            let digits = format!("{whole}").chars().map(raised).collect::<String>();
+            format!("10{digits}")
+        }
+        false => number(10.0_f64.powf(logarithm)),
+    }
+}
+
+fn raised(digit: char) -> char {
+    match digit {
+        '-' => '\u{207b}',
+        '1' => '\u{b9}',
+        '2' => '\u{b2}',
+        '3' => '\u{b3}',
+        digit => char::from_u32(0x2070 + digit.to_digit(10).unwrap_or(0)).unwrap_or(digit),
+    }
+}
+
+/// Minimum and maximum of the finite values.
+pub fn bounds(values: impl IntoIterator<Item = f64>) -> Option<(f64, f64)> {
+    let mut values = values.into_iter().filter(|value| value.is_finite());
+    let first = values.next()?;
+    Some(
+        values.fold((first, first), |(least, greatest), value| {
+            (least.min(value), greatest.max(value))
+        }),
+    )
+}
+
+/// Draws axes with labels.
+pub fn axes<'a, 'b>(
+    paper: &Paper<'b>,
+    across: &Along,
+    upwards: &Along,
+) -> Result<Chart<'a, 'b>, Failure> {
+    let below = match (across.labels, across.words.is_empty()) {
+        (0, _) => 34.0,
+        (_, true) => 20.0,
+        (_, false) => 38.0,
+    };
+    let mut chart = ChartBuilder::on(paper)
+        .margin(px(4.0))
+        .margin_top(px(8.0))
+        .margin_right(px(10.0))
+        .x_label_area_size(px(below))
+        .y_label_area_size(px(60.0))
+        .build_cartesian_2d(across.range.clone(), upwards.range.clone())?;
+    let grid = stroke(palette::GRID, 1.0);
+    let mut mesh = chart.configure_mesh();
+    mesh.light_line_style(TRANSPARENT)
+        .bold_line_style(grid)
+        .axis_style(stroke(palette::MUTED, 1.0))
+        .label_style(letters(palette::INK, 1.0))
+        .axis_desc_style(letters(palette::MUTED, 1.0))
+        .set_all_tick_mark_size(px(3.0))
+        .x_labels(across.labels)
+        .y_labels(upwards.labels);
+    let (x, y) = (|value: &f64| across.label(*value), |value: &f64| upwards.label(*value));
+    mesh.x_label_formatter(&x).y_label_formatter(&y);
+    if across.labels == 0 {
+        mesh.disable_x_mesh();
+    }
+    if !across.words.is_empty() {
+        mesh.x_desc(across.words.as_str());
+    }
+    if !upwards.words.is_empty() {
+        mesh.y_desc(upwards.words.as_str());
+    }
+    mesh.draw()?;
+    Ok(chart)
+}
+
+/// Line of this width in pixels.
+pub fn stroke(role: Role, pixels: f64) -> ShapeStyle {
+    role.light.stroke_width(px(pixels) as u32)
+}
+
+/// Text of `times` the default size.
+pub fn letters(role: Role, times: f64) -> TextStyle<'static> {
+    let size = f64::from(LETTERS * PX) * times;
+    ("sans-serif", size).into_font().color(&role.light)
+}
+
+/// Centred text.
+pub fn centred(role: Role, times: f64) -> TextStyle<'static> {
+    letters(role, times).pos(Pos::new(HPos::Center, VPos::Center))
+}
+
+/// Splits points at gaps into lines.
+pub fn lines(points: &[(f64, f64)]) -> Vec<Vec<(f64, f64)>> {
+    points
+        .split(|(x, y)| !(x.is_finite() && y.is_finite()))
+        .filter(|run| !run.is_empty())
+        .map(<[_]>::to_vec)
+        .collect()
+}
+
+/// Legend.
+pub fn key(entries: &[(Swatch, Role, String)]) -> Markup {
+    html! {
+        ul.key {
+            @for (swatch, role, words) in entries {
+                li { (swatch.draw(*role)) (words) }
+            }
+        }
+    }
+}
+
+/// Legend symbol.
+#[derive(Clone, Copy, Debug)]
+pub enum Swatch {
+    /// Line with the dashes of its colour.
+    Line,
+    /// Broad line.
+    Broad,
+    /// Filled area.
+    Full,
+    /// Outlined area.
+    Framed,
+    /// Short mark.
+    Mark,
+}
+
+impl Swatch {
+    fn draw(self, role: Role) -> Markup {
+        let colour = palette::hex(role.light);
+        let area = |fill: &str, opacity: &str| {
+            html! { rect x="7" y="1" width="12" height="10" stroke-width="1.5" stroke=(colour) fill=(fill) fill-opacity=(opacity) {} }
+        };
+        html! {
+            svg.swatch viewBox="0 0 26 12" aria-hidden="true" {
+                @match self {
+                    Swatch::Line => polyline points="0,6 26,6" fill="none" stroke-width="2" stroke=(colour) {},
+                    Swatch::Broad => line x1="0" x2="26" y1="6" y2="6" opacity="0.4" stroke-width="5" stroke=(colour) {},
+                    Swatch::Full => (area(&colour, "1")),
+                    Swatch::Framed => (area(&colour, "0.25")),
+                    Swatch::Mark => line x1="4" x2="22" y1="6" y2="6" stroke-width="3" stroke=(colour) {},
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gap_splits_a_line() {
+        let points = [(0.0, 1.0), (1.0, f64::NAN), (2.0, 3.0), (3.0, 4.0)];
+        assert_eq!(lines(&points), [vec![(0.0, 1.0)], vec![(2.0, 3.0), (3.0, 4.0)]]);
+    }
+
+    #[test]
+    fn powers_of_ten_have_short_labels() {
+        let labels = [-4.0, -2.0, 0.0, 3.0, 4.0, 12.0, 0.5].map(power);
+        let known =
+            ["10\u{207b}\u{2074}", "0.01", "1", "1000", "10\u{2074}", "10\u{b9}\u{b2}", "3.16"];
+        assert_eq!(labels, known);
+    }
+
+    #[test]
+    fn axis_of_a_constant_has_a_length() {
+        let axis = Along::holding("N", [2.0, f64::NAN, 2.0]);
+        assert_eq!(axis.range, 1.5..2.5);
+        assert_eq!(Along::bars("G", [f64::NAN, f64::INFINITY]).range, 0.0..1.0);
+    }
+
+    #[test]
+    fn figure_has_a_description_and_no_address() {
+        let drawn = figure((100, 80), "Bars of <b>", |paper| {
+            axes(paper, &Along::things(2), &Along::bars("G", [1.0])).map(|_| ())
+        });
+        let text = drawn.into_string();
+        assert!(text.starts_with(
+            "<svg viewBox=\"0 0 400 320\" role=\"img\" aria-label=\"Bars of &lt;b&gt;\""
+        ));
+        assert!(text.ends_with("</svg>"));
+        assert!(!text.contains("http"));
+    }
+}

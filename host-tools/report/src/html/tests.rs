@@ -1,0 +1,215 @@
+use std::time::Instant;
+
+use super::*;
+use crate::html::fixture::{comparison, full};
+use analysis::compare::{Envelope, Trace};
+use analysis::data_quality::Finding;
+
+/// Where a browser's check wants the page; `.ci/report` reads it.
+const PAGE: &str = "MAGPIE_REPORT_PAGE";
+
+#[test]
+fn sections_are_in_order() {
+    let page = page(&full(3));
+    let places: Vec<_> = [
+        "<h1>",
+        "<dd>recordings/hidden-a",
+        "class=\"verdict\"",
+        "held out in five turns",
+        "id=\"findings\"",
+        "id=\"scale\"",
+        "id=\"errors\"",
+        "id=\"overlay\"",
+        "id=\"histograms\"",
+        "id=\"located\"",
+        "id=\"map\"",
+        "id=\"worst\"",
+        "id=\"origin\"",
+    ]
+    .iter()
+    .map(|part| page.find(part).unwrap_or_else(|| panic!("{part} is missing")))
+    .collect();
+    assert!(places.is_sorted(), "{places:?}");
+}
+
+#[test]
+fn page_is_written_for_a_browser_check() {
+    let recordings =
+        std::env::var("MAGPIE_REPORT_RECORDINGS").ok().and_then(|n| n.parse().ok()).unwrap_or(3);
+    if let Ok(path) = std::env::var(PAGE) {
+        let path = Path::new(&path);
+        write(path, &full(recordings), &[]).unwrap();
+        write(&path.with_extension("one.html"), &comparison(recordings, 4, 4.0), &[]).unwrap();
+    }
+}
+
+#[test]
+fn user_names_are_escaped() {
+    let evil = "<b>&\"'</script><!--";
+    let mut comparison = full(1);
+    comparison.model = evil.to_owned();
+    comparison.campaign = evil.to_owned();
+    comparison.located[0].words = evil.into();
+    comparison
+        .findings
+        .push(Finding { message: evil.to_owned(), ..comparison.findings[0].clone() });
+    comparison.traces[0].recording = evil.to_owned();
+    comparison.worst[0].recording = evil.to_owned();
+    comparison.worst[0].sensor = 0;
+    comparison.provenance[0].1 = evil.to_owned();
+    if let Some(map) = &mut comparison.map {
+        map.axes[0] = evil.to_owned();
+    }
+    let page = page(&comparison);
+    assert!(!page.contains("<b>"));
+    // The comment of the mark is the only one.
+    assert_eq!(page.matches("<!--").count(), 1);
+    assert_eq!(page.matches("<script").count(), page.matches("</script>").count());
+    assert!(page.matches("&lt;b&gt;").count() > 8);
+}
+
+#[test]
+fn page_fetches_nothing() {
+    let page = page(&full(3));
+    for address in ["http", "src=", "@import", "url(http"] {
+        assert!(!page.contains(address), "{address}");
+    }
+    assert!(page.starts_with("<!-- report of magpie -->\n<!DOCTYPE html><html lang=\"en\">"));
+}
+
+#[test]
+fn page_is_small_and_fast() {
+    let comparison = full(3);
+    let start = Instant::now();
+    let text = page(&comparison);
+    let spent = start.elapsed();
+    println!("{} bytes in {spent:?}", text.len());
+    assert!(text.len() < 5_000_000, "{}", text.len());
+    // Tests of other crates may run at the same time.
+    assert!(spent.as_secs_f64() < 2.0, "{spent:?}");
+}
+
+#[test]
+fn hundred_recordings_fit_into_the_same_page() {
+    let text = page(&full(100));
+    println!("{} bytes", text.len());
+    assert!(text.len() < 5_000_000, "{}", text.len());
+    assert!(text.contains("100-grasp-and-walk"));
+}
+
+#[test]
+fn invalid_numbers_are_not_drawn() {
+    let mut broken = full(1);
+    let hole = f64::NAN;
+    broken.axes[0].error.rms = hole;
+    broken.axes[1].floor.total = 0.0;
+    broken.forces[0].error.span = 0.0;
+    broken.located[0].bins[0].centre = f64::INFINITY;
+    broken.located[1].bins.clear();
+    broken.histograms[0].edges.fill(hole);
+    if let Some(map) = &mut broken.map {
+        map.rms_g[2].fill(f64::INFINITY);
+    }
+    for [measured, modelled] in &mut broken.traces[0].field {
+        measured.low.fill(hole);
+        measured.high.fill(hole);
+        modelled.low[5] = f64::INFINITY;
+    }
+    // Packed codes may spell anything.
+    let text = page(&broken).replace(include_str!("page.js"), "");
+    let (before, packed) = text.split_once("<script id=\"traces\"").unwrap();
+    let (packed, after) = packed.split_once("</script>").unwrap();
+    assert!(!packed.contains("null"));
+    let text = format!("{before}{after}");
+    for word in ["NaN", "inf,", "inf ", "\"inf", "-2147483648", "2147483647"] {
+        let at = text.find(word).map(|at| &text[at.saturating_sub(80)..at + 20]);
+        assert_eq!(at, None, "{word}");
+    }
+}
+
+#[test]
+fn empty_comparison_names_what_is_missing() {
+    let text = page(&Comparison::default());
+    assert!(text.contains("Setup errors: none found."));
+    assert!(text.contains("Inconclusive: the noise of these recordings is unknown"));
+    assert!(text.contains("No traces."));
+    assert!(!text.contains("<svg viewBox"));
+}
+
+#[test]
+fn fatal_setup_error_replaces_the_results() {
+    let stopped = Comparison { findings: full(1).findings, ..Comparison::default() };
+    let text = page(&stopped);
+    assert!(text.contains("Prevents the comparison. "));
+    assert!(text.contains("force.csv, line 1412, column f2_x_n"));
+    assert!(text.contains("multiplies f2_x_n by -1"));
+    assert!(text.contains("No results: fix the setup errors first."));
+    assert!(!text.contains("<section id=\"errors\""));
+}
+
+#[test]
+fn explained_share_is_in_the_caption() {
+    let text = page(&comparison(1, 4, 4.0));
+    assert!(text.contains("<strong>opening</strong>: 48\u{a0}% of the residual"));
+    let rest = text.find("<summary>The other 11 covariates</summary>").unwrap();
+    assert!(text.find("<strong>roll</strong>").unwrap() > rest);
+    assert!(text.contains("<option value=\"3\" selected>s3, largest error"));
+}
+
+#[test]
+fn second_model_is_compared_with_the_first() {
+    let alone = page(&comparison(1, 4, 4.0));
+    let two = page(&full(1));
+    assert!(!alone.contains("B: "));
+    assert!(two.contains("RMS of B: with-neighbour.toml"));
+    assert!(two.contains("s0 x <span class=\"model\">B</span>"));
+    // The script gets its curve.
+    assert!(two.contains("\"role\":2"));
+    assert!(!alone.contains("\"role\":2"));
+}
+
+#[test]
+fn additional_section_follows_the_summary() {
+    let section = Section {
+        id: "diagnosis",
+        heading: "What is <missing>".to_owned(),
+        body: html! { p { "An effect." } },
+    };
+    let text = page_with(&comparison(1, 1, 1.0), &[section]);
+    let place = |part: &str| text.find(part).unwrap_or_else(|| panic!("{part}"));
+    let at = place(
+        "<section id=\"diagnosis\"><h2>What is &lt;missing&gt;</h2><p>An effect.</p></section>",
+    );
+    assert!(place("id=\"scale\"") < at && at < place("id=\"errors\""));
+    assert!(text.contains("<a href=\"#diagnosis\">What is &lt;missing&gt;</a>"));
+}
+
+#[test]
+fn only_reports_are_overwritten() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("report.html");
+    let small = Comparison::default();
+    write(&path, &small, &[]).unwrap();
+    write(&path, &small, &[]).unwrap();
+    std::fs::write(&path, "<!DOCTYPE html><p>mine</p>").unwrap();
+    assert!(write(&path, &small, &[]).is_err());
+    assert_eq!(std::fs::read_to_string(&path).unwrap(), "<!DOCTYPE html><p>mine</p>");
+}
+
+#[test]
+fn traces_of_one_and_no_rows_are_drawn() {
+    let one = Envelope::of(&[1.0], &[2.0], 10);
+    let row = [one.clone(), one];
+    let mut comparison = comparison(1, 1, 1.0);
+    comparison.traces = vec![
+        Trace { field: vec![row; 3], ..comparison.traces[0].clone() },
+        Trace {
+            field: vec![Default::default(); 3],
+            force: Vec::new(),
+            ..comparison.traces[0].clone()
+        },
+    ];
+    let text = page(&comparison);
+    assert!(text.contains("field y, in G"));
+    assert!(!text.contains("could not be drawn"));
+}

@@ -1,0 +1,631 @@
+//! Text and JSON of a comparison.
+
+use analysis::compare::attribution::MIN_SHARE;
+use analysis::compare::{
+    AT_FLOOR, Attribution, Bin, Comparison, FieldAxisErrors, ForceAxisErrors, WorstInterval,
+    floor_g, rms_g, rmse_n,
+};
+use analysis::data_quality::Finding;
+use analysis::numbers::{self, field, three_digits};
+use analysis::statistics::{ErrorStatistics, pooled_rms};
+use anstyle::{AnsiColor, Style};
+use serde_json::{Value, json};
+
+use crate::text::terminal;
+
+const GOOD: Style = AnsiColor::Green.on_default().bold();
+const WARNING: Style = AnsiColor::Yellow.on_default().bold();
+const ERROR: Style = AnsiColor::Red.on_default().bold();
+const HEADING: Style = Style::new().bold();
+
+/// Fraction of the explained residual that counts as concentrated.
+const CONCENTRATED: f64 = 0.6;
+/// Maximum fraction of the rows in a concentrated range.
+const MAX_ROWS: f64 = 0.45;
+
+/// A tare that multiplies the error by this factor is reported.
+const TARE_HARM: f64 = 1.2;
+/// Maximum number of rows for covariates that were not selected.
+const UNSELECTED_ROWS: usize = 4;
+/// Covariates that explain a smaller share are omitted.
+const SHARE_MIN: f64 = 0.005;
+/// Maximum length of a sparkline in characters.
+const SPARKLINE_LENGTH: usize = 20;
+
+/// Result as tables and text.
+pub fn format_report(comparison: &Comparison) -> String {
+    let mut page = data_findings(&comparison.findings);
+    if comparison.axes.is_empty() {
+        page += &colored(ERROR, &verdict(comparison));
+        return page;
+    }
+    page += &field_table(comparison);
+    page += &force_table(comparison);
+    page += &attribution_table(comparison);
+    page += &worst_segments(&comparison.worst);
+    page += &terminal::paragraph(&format!("Held-out rows: {}.", comparison.validation));
+    if let Some(other) = &comparison.other {
+        page += &side_by_side(comparison, other);
+    }
+    page.push('\n');
+    page + &colored(verdict_style(comparison), &verdict(comparison))
+}
+
+fn colored(style: Style, text: &str) -> String {
+    // Line by line, so that a pager that shows one line keeps its color.
+    terminal::paragraph(text).lines().map(|line| format!("{style}{line}{style:#}\n")).collect()
+}
+
+fn verdict_style(comparison: &Comparison) -> Style {
+    if rms_g(&comparison.axes) <= AT_FLOOR * floor_g(&comparison.axes) { GOOD } else { WARNING }
+}
+
+/// Data-quality findings as text.
+pub fn data_findings(findings: &[Finding]) -> String {
+    if findings.is_empty() {
+        return "No setup errors were found in these recordings.\n\n".to_owned();
+    }
+    let stops = findings.iter().any(|finding| finding.stops);
+    let (style, advice) = if stops {
+        (ERROR, "fix before evaluating the model")
+    } else {
+        (WARNING, "check before judging the model")
+    };
+    let mut page =
+        colored(style, &format!("Setup errors in the recordings ({}), {advice}:", findings.len()));
+    for (i, finding) in findings.iter().enumerate() {
+        page += &terminal::paragraph(&format!("  {}. {}: {}", i + 1, finding.id, finding.message));
+        page += &terminal::paragraph(&format!("     {}", finding.place));
+        if let Some(fix) = &finding.fix {
+            page += &terminal::paragraph(&format!("     --fix: {fix}"));
+        }
+    }
+    page + "\n"
+}
+
+fn field_table(comparison: &Comparison) -> String {
+    let heads = [
+        "field",
+        "rms / G",
+        "mean",
+        "std",
+        "P95",
+        "max",
+        "% of span",
+        "floor / G",
+        "x floor",
+        "explainable",
+    ];
+    let mut table = terminal::table(heads);
+    let digits = decimals(comparison.axes.iter().map(|axis| axis.floor.total));
+    for axis in &comparison.axes {
+        let name = format!("s{} {}", axis.sensor, axis.axis.letter());
+        table.add_row(error_cells(&name, &axis.error, axis.floor.total, axis.explainable, digits));
+    }
+    terminal::right_align(&mut table, 1);
+    format!(
+        "{HEADING}Held-out field residual (measured minus model){HEADING:#}\n{table}\n{}\n",
+        floor_sentence(&comparison.axes)
+    )
+}
+
+/// Number of decimals that gives the smallest floor two significant digits.
+fn decimals(floors: impl Iterator<Item = f64>) -> usize {
+    let min = floors.filter(|floor| *floor > 0.0).fold(f64::INFINITY, f64::min);
+    numbers::decimals_for(min).max(3)
+}
+
+fn error_cells(
+    name: &str,
+    error: &ErrorStatistics,
+    floor: f64,
+    explainable: f64,
+    digits: usize,
+) -> Vec<String> {
+    let number = |value: f64| format!("{value:.digits$}");
+    vec![
+        name.to_owned(),
+        number(error.rms),
+        number(error.mean),
+        number(error.std),
+        number(error.p95),
+        number(error.greatest),
+        format!("{:.2}", 100.0 * error.rms / error.span),
+        number(floor),
+        if floor > 0.0 { format!("{:.2}", error.rms / floor) } else { "-".to_owned() },
+        number(explainable),
+    ]
+}
+
+/// Components of the noise floor.
+fn floor_sentence(axes: &[FieldAxisErrors]) -> String {
+    let mean = |of: &dyn Fn(&FieldAxisErrors) -> Option<f64>| {
+        let values: Vec<f64> = axes.iter().filter_map(of).collect();
+        let squares: f64 = values.iter().map(|value| value * value).sum();
+        (!values.is_empty()).then(|| numbers::field((squares / values.len() as f64).sqrt()))
+    };
+    let mut text = format!(
+        "Noise floor: white noise {}, reference noise {}, quantisation {}",
+        mean(&|axis| Some(axis.floor.white)).unwrap_or_default(),
+        mean(&|axis| Some(axis.floor.reference)).unwrap_or_default(),
+        mean(&|axis| Some(axis.floor.quantisation)).unwrap_or_default(),
+    );
+    text += &match mean(&|axis| axis.floor.slow) {
+        Some(slow) => format!("; slow drift at rest {slow}"),
+        None => "; slow drift unknown (no rest of 10 s recorded)".to_owned(),
+    };
+    text += &match mean(&|axis| axis.floor.replicates) {
+        Some(scatter) => format!("; pure error of replicates {scatter}."),
+        None => "; too few replicates for a pure error.".to_owned(),
+    };
+    terminal::paragraph(&text)
+}
+
+fn force_table(comparison: &Comparison) -> String {
+    if let Some(why) = &comparison.no_forces {
+        return terminal::paragraph(&format!("No forces: {why}.")) + "\n";
+    }
+    let heads = [
+        "force",
+        "rmse / N",
+        "mean",
+        "std",
+        "P95",
+        "max",
+        "% of span",
+        "noise / N",
+        "x noise",
+        "explainable",
+        "tared",
+    ];
+    let mut table = terminal::table(heads);
+    for force in &comparison.forces {
+        let name = format!("s{} F{}", force.sensor, force.axis.letter());
+        let mut cells = error_cells(&name, &force.error, force.floor, force.explainable, 3);
+        cells.push(force.tared_rms.map_or_else(|| "-".to_owned(), |rms| format!("{rms:.3}")));
+        table.add_row(cells);
+    }
+    terminal::right_align(&mut table, 1);
+    format!(
+        "{HEADING}Held-out force error of the device code (fixed point){HEADING:#}\n{table}\n{}\n",
+        tare_warning(&comparison.forces)
+    )
+}
+
+/// Warning if taring increases the error.
+fn tare_warning(forces: &[ForceAxisErrors]) -> String {
+    let harmed = |force: &ForceAxisErrors| {
+        force.tared_rms.is_some_and(|tared| tared > TARE_HARM * force.error.rms)
+    };
+    if forces.iter().any(harmed) {
+        terminal::paragraph(
+            "Taring increases the error: the tare adds the model error at rest (for example a neighbour's magnet at closed fingers) to every row.",
+        )
+    } else {
+        String::new()
+    }
+}
+
+fn attribution_table(comparison: &Comparison) -> String {
+    let chosen = comparison.located.iter().filter(|l| l.chosen);
+    let others = comparison
+        .located
+        .iter()
+        .filter(|l| !l.chosen && l.share >= SHARE_MIN)
+        .take(UNSELECTED_ROWS);
+    let candidates = comparison.located.len();
+    let shown: Vec<&Attribution> = chosen.chain(others).collect();
+    if shown.is_empty() {
+        return format!(
+            "{HEADING}Attribution of the residual{HEADING:#}\nNone of {candidates} covariates explains the residual.\n\n"
+        );
+    }
+    let heads = ["", "residual follows", "share", "from", "mean error by bin", "to", "of", "± G"];
+    let mut table = terminal::table(heads);
+    for (i, one) in shown.into_iter().enumerate() {
+        let ends = one.bins.first().zip(one.bins.last());
+        let channel = strongest(one);
+        let end = |value: Option<f64>| match value {
+            Some(value) if one.bins.len() > 1 => {
+                format!("{} {}", numbers::three_digits(value), one.unit).trim_end().to_owned()
+            }
+            _ => String::new(),
+        };
+        table.add_row([
+            if one.chosen { format!("{}.", i + 1) } else { String::new() },
+            one.words.to_string(),
+            format!("{:.1} %", 100.0 * one.share),
+            end(ends.map(|(first, _)| first.from)),
+            channel.map_or_else(String::new, |channel| sparkline(one, channel)),
+            end(ends.map(|(_, last)| last.to)),
+            channel.map_or_else(String::new, |(sensor, axis)| {
+                format!("s{} {}", one.sensors[sensor], ["x", "y", "z"][axis])
+            }),
+            channel
+                .map_or_else(String::new, |channel| numbers::three_digits(max_mean(one, channel))),
+        ]);
+    }
+    let mut page = format!("{HEADING}Attribution of the residual{HEADING:#}\n{table}\n");
+    let lines = comparison.located.iter().filter(|l| l.chosen).map(follows);
+    for line in lines {
+        page += &terminal::paragraph(&format!("{line}."));
+    }
+    page += &terminal::paragraph(&format!(
+        "Share: of the squared residual above the floor, on held-out rows, in addition to the previous covariates. Bars: the channel with the largest variation, from -G to +G. Correlation time of the residual: {:.2} s.",
+        comparison.correlation_s
+    ));
+    page + "\n"
+}
+
+/// Sensor index and axis with the largest variation of the mean error over the bins.
+fn strongest(located: &Attribution) -> Option<(usize, usize)> {
+    let sensors = 0..located.sensors.len();
+    let channels = sensors.flat_map(|sensor| [0, 1, 2].map(|axis| (sensor, axis)));
+    let variation = |channel: &(usize, usize)| {
+        let means = means(located, *channel);
+        let (low, high) = means
+            .iter()
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), m| (low.min(*m), high.max(*m)));
+        match located.bins.len() {
+            1 => low.abs(),
+            _ => high - low,
+        }
+    };
+    channels.max_by(|a, b| variation(a).total_cmp(&variation(b)))
+}
+
+fn means(located: &Attribution, (sensor, axis): (usize, usize)) -> Vec<f64> {
+    located.bins.iter().filter_map(|bin| Some(bin.mean_g.get(sensor)?[axis])).collect()
+}
+
+/// Maximum absolute mean error of any bin.
+fn max_mean(located: &Attribution, channel: (usize, usize)) -> f64 {
+    means(located, channel).iter().map(|mean| mean.abs()).fold(0.0, f64::max)
+}
+
+/// Mean error in each bin, scaled to its maximum magnitude.
+fn sparkline(located: &Attribution, channel: (usize, usize)) -> String {
+    const BLOCKS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
+    let max = max_mean(located, channel).max(f64::MIN_POSITIVE);
+    let block = |mean: &f64| {
+        let height = 0.5 * (mean / max + 1.0) * (BLOCKS.len() - 1) as f64;
+        BLOCKS.get(height.round() as usize).copied().unwrap_or(' ')
+    };
+    means(located, channel).iter().take(SPARKLINE_LENGTH).map(block).collect()
+}
+
+fn worst_segments(list: &[WorstInterval]) -> String {
+    let heads = ["worst segments", "seconds", "rms / G", "max at", "activity"];
+    let mut table = terminal::table(heads);
+    for one in list {
+        table.add_row([
+            format!("recording {}", one.recording),
+            format!("{:.0} to {:.0}", one.from_s, one.to_s),
+            format!("{:.3}", one.rms_g),
+            format!("s{}", one.sensor),
+            one.doing.clone(),
+        ]);
+    }
+    format!("{table}\n(rms over all channels)\n\n")
+}
+
+/// Two models on the same rows.
+fn side_by_side(one: &Comparison, other: &Comparison) -> String {
+    let mut table =
+        terminal::table(["", "field / G", "x floor", "force / N", "first covariate", "share"]);
+    for model in [one, other] {
+        let (rms, floor) = (rms_g(&model.axes), floor_g(&model.axes));
+        let first = model.located.iter().find(|located| located.chosen);
+        let newtons = |forces: &[ForceAxisErrors]| match rmse_n(forces) {
+            n if n.is_finite() => format!("{n:.3}"),
+            _ => "-".to_owned(),
+        };
+        table.add_row([
+            model.model.clone(),
+            format!("{rms:.4}"),
+            format!("{:.2}", rms / floor),
+            newtons(&model.forces),
+            first.map_or("none", |located| located.words.as_ref()).to_owned(),
+            first.map_or_else(|| "-".to_owned(), |l| format!("{:.0} %", 100.0 * l.share)),
+        ]);
+    }
+    terminal::right_align(&mut table, 1);
+    format!(
+        "\n{HEADING}Comparison with the baseline{HEADING:#}\n{table}\n{}",
+        terminal::paragraph(&format!("{}: {}", other.model, verdict(other)))
+    )
+}
+
+/// Result as JSON.
+pub fn to_json(comparison: &Comparison) -> Value {
+    let findings = comparison.findings.iter().map(|finding| {
+        json!({
+            "id": finding.id,
+            "column": finding.place.column,
+            "file": finding.place.file.display().to_string(),
+            "line": finding.place.line,
+            "message": finding.message,
+            "stops": finding.stops,
+            "fix": finding.fix.as_ref().map(ToString::to_string),
+        })
+    });
+    let mut object = json!({
+        "model": comparison.model,
+        "campaign": comparison.campaign,
+        "findings": findings.collect::<Vec<_>>(),
+        "judged": comparison.validation,
+        "axes": comparison.axes.iter().map(axis_json).collect::<Vec<_>>(),
+        "forces": comparison.forces.iter().map(force_json).collect::<Vec<_>>(),
+        "where": comparison.located.iter().map(located_json).collect::<Vec<_>>(),
+        "worst": comparison.worst.iter().map(worst_json).collect::<Vec<_>>(),
+        "correlation_s": comparison.correlation_s,
+        "verdict": verdict(comparison),
+    });
+    if let (Some(other), Some(fields)) = (&comparison.other, object.as_object_mut()) {
+        fields.insert("with".to_owned(), to_json(other));
+    }
+    object
+}
+
+fn axis_json(axis: &FieldAxisErrors) -> Value {
+    json!({
+        "sensor": axis.sensor,
+        "axis": axis.axis.letter(),
+        "rms_g": axis.error.rms,
+        "mean_g": axis.error.mean,
+        "std_g": axis.error.std,
+        "p95_g": axis.error.p95,
+        "max_g": axis.error.greatest,
+        "span_g": axis.error.span,
+        "floor_g": axis.floor.total,
+        "floor": {
+            "white_g": axis.floor.white,
+            "quantisation_g": axis.floor.quantisation,
+            "reference_g": axis.floor.reference,
+            "slow_g": axis.floor.slow,
+            "replicates_g": axis.floor.replicates,
+        },
+        "explainable_g": axis.explainable,
+    })
+}
+
+fn force_json(force: &ForceAxisErrors) -> Value {
+    json!({
+        "sensor": force.sensor,
+        "axis": force.axis.letter(),
+        "rmse_n": force.error.rms,
+        "mean_n": force.error.mean,
+        "std_n": force.error.std,
+        "p95_n": force.error.p95,
+        "max_n": force.error.greatest,
+        "span_n": force.error.span,
+        "tared_rmse_n": force.tared_rms,
+        "floor_n": force.floor,
+        "explainable_n": force.explainable,
+    })
+}
+
+fn located_json(located: &Attribution) -> Value {
+    json!({
+        "covariate": located.covariate,
+        "unit": located.unit,
+        "share": located.share,
+        "alone": located.alone,
+        "chosen": located.chosen,
+        "sensors": located.sensors,
+        "bins": located.bins.iter().map(bin_json).collect::<Vec<_>>(),
+    })
+}
+
+fn bin_json(bin: &Bin) -> Value {
+    json!({
+        "from": bin.from,
+        "to": bin.to,
+        "centre": bin.centre,
+        "rows": bin.rows,
+        "rms_g": bin.rms_g,
+        "share": bin.share,
+        "mean_g": bin.mean_g,
+        "band_g": bin.band_g,
+    })
+}
+
+fn worst_json(worst: &WorstInterval) -> Value {
+    json!({
+        "recording": worst.recording,
+        "from_s": worst.from_s,
+        "to_s": worst.to_s,
+        "sensor": worst.sensor,
+        "rms_g": worst.rms_g,
+        "doing": worst.doing,
+    })
+}
+
+/// Verdict in one paragraph.
+pub fn verdict(comparison: &Comparison) -> String {
+    let findings = &comparison.findings;
+    if findings.iter().any(|finding| finding.stops) {
+        return stopped_verdict(findings);
+    }
+    let conclusion = conclusion(comparison);
+    match caveat(findings) {
+        Some(caveat) => format!("{caveat} {conclusion}"),
+        None => conclusion,
+    }
+}
+
+fn conclusion(comparison: &Comparison) -> String {
+    let (rms, floor) = (rms_g(&comparison.axes), floor_g(&comparison.axes));
+    let newtons = match rmse_n(&comparison.forces) {
+        n if n.is_finite() => format!(", {n:.2} N through the device's code"),
+        _ => String::new(),
+    };
+    let span = pooled_rms(comparison.axes.iter().map(|axis| axis.error.span));
+    let error = format!("{} held out ({:.2} % of the range)", field(rms), 100.0 * rms / span);
+    if floor <= 0.0 || floor.is_nan() {
+        return format!(
+            "Inconclusive: the noise of these recordings is unknown, so there is no floor to compare {error}{newtons} with."
+        );
+    }
+    let worst =
+        comparison.axes.iter().map(|axis| axis.error.rms / axis.floor.total).fold(0.0, f64::max);
+    let chosen: Vec<&Attribution> = comparison.located.iter().filter(|l| l.chosen).collect();
+    if rms <= AT_FLOOR * floor && worst <= AT_FLOOR * AT_FLOOR {
+        if let Some(lead) = chosen.first() {
+            return format!(
+                "Within {:.0} % of the noise floor: {error}, the floor is {}{newtons}; {:.0} % of the remaining residual follows the {}.",
+                100.0 * (rms / floor - 1.0),
+                field(floor),
+                100.0 * lead.share,
+                lead.words
+            );
+        }
+        return format!(
+            "At the noise floor: {error}, the floor is {}{newtons}. These recordings show no missing effect.",
+            field(floor)
+        );
+    }
+    let located: f64 = chosen.iter().map(|l| l.share).sum();
+    let unexplained = 1.0 - located;
+    let lead = match chosen.first() {
+        None => "no covariate explains the residual".to_owned(),
+        Some(lead) => format!(
+            "{}{}",
+            follows(lead),
+            match chosen.len() {
+                1 => String::new(),
+                _ => format!(
+                    "; with {} it is {:.0} %",
+                    chosen[1].words,
+                    100.0 * (lead.share + chosen[1].share)
+                ),
+            }
+        ),
+    };
+    let open = if unexplained >= MIN_SHARE && !chosen.is_empty() {
+        format!(
+            "; {:.0} % ({}) are explained by no covariate",
+            100.0 * unexplained,
+            field((unexplained * (rms * rms - floor * floor).max(0.0)).sqrt())
+        )
+    } else {
+        String::new()
+    };
+    format!(
+        "Structure remains: {error}, {:.1} times the floor of {}{newtons}; {lead}{open}.",
+        rms / floor,
+        field(floor)
+    )
+}
+
+/// Verdict where a setup error stops the comparison.
+pub fn stopped_verdict(findings: &[Finding]) -> String {
+    let mut stop: Vec<&str> = findings.iter().filter(|f| f.stops).map(|f| f.id).collect();
+    stop.dedup();
+    let fix = if findings.iter().any(|finding| finding.fix.is_some()) {
+        " (--fix NEW writes a copy of the recordings with all unambiguous repairs)"
+    } else {
+        ""
+    };
+    format!(
+        "Not compared: fix {} first{fix}; until then the errors do not describe the model.",
+        stop.join(", ")
+    )
+}
+
+/// Caveat to the verdict where the data contain setup errors.
+fn caveat(findings: &[Finding]) -> Option<String> {
+    let mut ids: Vec<&str> = findings.iter().map(|finding| finding.id).collect();
+    ids.retain(|id| *id != "constant_covariate");
+    ids.dedup();
+    (!ids.is_empty()).then(|| {
+        format!(
+            "The data contain {}; results below include it. Fix the data before judging the model.",
+            ids.join(", ")
+        )
+    })
+}
+
+/// "48 % of the residual follows the opening, most of it below 12 mm".
+pub fn follows(located: &Attribution) -> String {
+    let share = 100.0 * located.share;
+    if located.covariate == "constant" {
+        return format!(
+            "{share:.0} % of the residual is {}: another gripper, a displaced magnet, or a reference that was not zeroed",
+            located.words
+        );
+    }
+    let share = format!("{share:.0} % of the residual follows the {}", located.words);
+    match concentrated(located) {
+        Some(place) => format!("{share}, most of it {place}"),
+        None => share,
+    }
+}
+
+/// Range below or above a limit that contains most of the explained residual.
+fn concentrated(located: &Attribution) -> Option<String> {
+    let all: f64 = located.bins.iter().map(|bin| bin.share).sum();
+    let (count, rows) =
+        (located.bins.len(), located.bins.iter().map(|bin| bin.rows).sum::<usize>());
+    if all <= 0.0 || count < 4 {
+        return None;
+    }
+    let few = |bins: &[Bin]| {
+        let share: f64 = bins.iter().map(|bin| bin.share).sum();
+        let inside: usize = bins.iter().map(|bin| bin.rows).sum();
+        share >= CONCENTRATED * all && (inside as f64) < MAX_ROWS * rows as f64
+    };
+    let number = |value: f64| match located.unit {
+        "" => format!("{value:.0}"),
+        unit => format!("{} {unit}", three_digits(value)),
+    };
+    (1..count).find_map(|k| {
+        if few(&located.bins[..k]) {
+            return Some(format!("below {}", number(located.bins[k - 1].to)));
+        }
+        few(&located.bins[count - k..])
+            .then(|| format!("above {}", number(located.bins[count - k].from)))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn located(shares: [f64; 6]) -> Attribution {
+        let bin = |(i, share): (usize, &f64)| Bin {
+            from: 4.0 * i as f64,
+            to: 4.0 * i as f64 + 4.0,
+            rows: 100,
+            share: *share,
+            ..Bin::default()
+        };
+        Attribution {
+            covariate: "opening_mm".into(),
+            words: "opening".into(),
+            unit: "mm",
+            share: 0.48,
+            alone: 0.48,
+            chosen: true,
+            sensors: vec![0],
+            bins: shares.iter().enumerate().map(bin).collect(),
+        }
+    }
+
+    #[test]
+    fn concentrated_residual_is_reported_with_its_limit() {
+        assert_eq!(
+            follows(&located([0.3, 0.1, 0.02, 0.02, 0.02, 0.02])),
+            "48 % of the residual follows the opening, most of it below 4.00 mm"
+        );
+        assert_eq!(
+            follows(&located([0.0, 0.0, 0.0, 0.01, 0.15, 0.35])),
+            "48 % of the residual follows the opening, most of it above 20.0 mm"
+        );
+    }
+
+    #[test]
+    fn uniform_residual_has_no_limit() {
+        assert_eq!(follows(&located([0.1; 6])), "48 % of the residual follows the opening");
+    }
+}

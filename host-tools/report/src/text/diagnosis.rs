@@ -1,0 +1,717 @@
+//! Text and JSON of a diagnosis.
+
+use analysis::diagnose::{
+    Diagnosis, Reason, StaircaseStep, Suggestion, Unexplained, Verdict, VerdictKind,
+};
+use analysis::numbers::{self, field};
+use anstyle::{AnsiColor, Style};
+use model_export::effects::find;
+use serde_json::{Value, json};
+
+use crate::text::comparison::{data_findings, stopped_verdict};
+use crate::text::terminal::{self, NARROW_WIDTH};
+
+const HEADING: Style = Style::new().bold();
+const GOOD: Style = AnsiColor::Green.on_default().bold();
+const WARNING: Style = AnsiColor::Yellow.on_default().bold();
+
+/// Result as tables and text.
+pub fn format_report(diagnosis: &Diagnosis) -> String {
+    let mut page = data_findings(&diagnosis.findings);
+    if diagnosis.staircase.is_empty() {
+        return page + &paragraph(&verdict(diagnosis));
+    }
+    page += &verdict_table(diagnosis);
+    page += &step_table(diagnosis);
+    page += &accepted_effects(diagnosis);
+    page += &equivalent_effects(diagnosis);
+    page += &inconclusive_effects(diagnosis);
+    page += &unexplained_residual(diagnosis);
+    let style = if diagnosis.at_floor { GOOD } else { WARNING };
+    page += &styled(style, &verdict(diagnosis));
+    page + &next_commands(&diagnosis.next)
+}
+
+/// The accepted effects, without the table of all candidates.
+pub fn format_summary(diagnosis: &Diagnosis) -> String {
+    let mut page = step_table(diagnosis);
+    page += &accepted_effects(diagnosis);
+    page += &equivalent_effects(diagnosis);
+    page += &unexplained_residual(diagnosis);
+    page + "\n"
+}
+
+fn paragraph(text: &str) -> String {
+    terminal::wrap(text, NARROW_WIDTH)
+}
+
+fn styled(style: Style, text: &str) -> String {
+    // Line by line, so that a pager that shows one line keeps its color.
+    paragraph(text).lines().map(|line| format!("{style}{line}{style:#}\n")).collect()
+}
+
+fn verdict_table(diagnosis: &Diagnosis) -> String {
+    let mut table = terminal::table(["effect", "verdict", "gain", "p", "magnitude or reason"]);
+    table.set_width(NARROW_WIDTH);
+    for verdict in &diagnosis.verdicts {
+        table.add_row([
+            verdict.effect.clone(),
+            verdict_label(verdict),
+            if verdict.gain.is_finite() {
+                format!("{:.1} %", 100.0 * verdict.gain.max(0.0))
+            } else {
+                "-".to_owned()
+            },
+            if verdict.p_adjusted.is_finite() {
+                format!("{:.3}", verdict.p_adjusted)
+            } else {
+                "-".to_owned()
+            },
+            short_reason(verdict),
+        ]);
+    }
+    let mut page = format!("{table}\n");
+    if diagnosis.verdicts.iter().any(|v| is_present(v) && v.provisional) {
+        page += &paragraph(PROVISIONAL_NOTE);
+    }
+    page + &paragraph(&significance_note(diagnosis)) + "\n"
+}
+
+fn step_table(diagnosis: &Diagnosis) -> String {
+    let mut table = terminal::table(["step", "held-out error", "x floor", "as force / N"]);
+    table.set_width(NARROW_WIDTH);
+    for stair in &diagnosis.staircase {
+        table.add_row([
+            added_effects(stair),
+            field(stair.held_out_rms_g),
+            format!("{:.2}", stair.held_out_rms_g / stair.floor_g),
+            stair.held_out_rmse_n.map_or_else(|| "-".to_owned(), |n| format!("{n:.3}")),
+        ]);
+    }
+    terminal::right_align(&mut table, 1);
+    format!("{table}\n\n")
+}
+
+/// Accepted effects: estimated and typical magnitude, evidence, physics.
+fn accepted_effects(diagnosis: &Diagnosis) -> String {
+    let mut page = String::new();
+    for verdict in diagnosis.verdicts.iter().filter(|v| is_present(v)) {
+        page += &styled(HEADING, &heading(verdict));
+        page += &paragraph(&format!("  {}", physics(verdict)));
+        page += &paragraph(&format!("  {}\n", reason_sentence(verdict)));
+    }
+    page
+}
+
+fn heading(verdict: &Verdict) -> String {
+    match magnitude(verdict).as_str() {
+        "" => verdict.effect.clone(),
+        size => format!("{}: {size}", verdict.effect),
+    }
+}
+
+/// Effects with equal evidence, and the recordings that would separate them.
+fn equivalent_effects(diagnosis: &Diagnosis) -> String {
+    let mut page = String::new();
+    for tie in equivalent_sets(diagnosis) {
+        page += &styled(HEADING, &format!("Equivalent on these data: {}", tie.effects.join(", ")));
+        for alike in &tie.alike {
+            page += &paragraph(&format!("  {alike}."));
+        }
+        page += &suggested_recordings("To separate them, record", &tie.record);
+        page.push('\n');
+    }
+    page
+}
+
+/// Inconclusive effects by reason.
+fn inconclusive_effects(diagnosis: &Diagnosis) -> String {
+    let groups = inconclusive_groups(diagnosis);
+    if groups.is_empty() {
+        return String::new();
+    }
+    let mut page = format!("{HEADING}Inconclusive from these recordings{HEADING:#}\n");
+    for group in groups {
+        page += &paragraph(&format!("  {}: {}.", group.effects.join(", "), group.why));
+        page += &suggested_recordings("Record", &group.record);
+    }
+    page + "\n"
+}
+
+fn suggested_recordings(head: &str, list: &[(String, String)]) -> String {
+    let mut page = String::new();
+    for (effects, record) in list {
+        page += &match list.len() {
+            1 => paragraph(&format!("    {head}: {record}")),
+            _ => paragraph(&format!("    {head}, for {effects}: {record}")),
+        };
+    }
+    page
+}
+
+/// The residual that no effect explains.
+fn unexplained_residual(diagnosis: &Diagnosis) -> String {
+    if diagnosis.at_floor {
+        return styled(GOOD, &at_floor_note(diagnosis)) + "\n";
+    }
+    let mut page = String::new();
+    for one in &diagnosis.unexplained {
+        page += &styled(WARNING, &unexplained(one));
+    }
+    if page.is_empty() { page } else { page + &paragraph(&format!("  {}", EXPR_HINT)) + "\n" }
+}
+
+/// Commands are not wrapped, so that they can be copied.
+fn next_commands(next: &Suggestion) -> String {
+    let mut page = String::new();
+    if !next.words.is_empty() {
+        page += &format!("\n{}", paragraph(&next.words));
+    }
+    for command in &next.commands {
+        page += &format!("  {command}\n");
+    }
+    page
+}
+
+/// Result as JSON.
+pub fn to_json(diagnosis: &Diagnosis) -> Value {
+    let findings = diagnosis.findings.iter().map(|finding| {
+        json!({
+            "id": finding.id,
+            "column": finding.place.column,
+            "message": finding.message,
+            "stops": finding.stops,
+        })
+    });
+    json!({
+        "model": diagnosis.model,
+        "campaign": diagnosis.campaign,
+        "findings": findings.collect::<Vec<_>>(),
+        "verdicts": diagnosis.verdicts.iter().map(verdict_json).collect::<Vec<_>>(),
+        "accepted": diagnosis.accepted,
+        "unexplained": diagnosis.unexplained.iter().map(unexplained_json).collect::<Vec<_>>(),
+        "at_floor": diagnosis.at_floor,
+        "staircase": diagnosis.staircase.iter().map(stair_json).collect::<Vec<_>>(),
+        "blocks": diagnosis.blocks,
+        "block_s": diagnosis.block_s,
+        "seed": diagnosis.seed,
+        "next": diagnosis.next.commands,
+        "verdict": verdict(diagnosis),
+    })
+}
+
+fn verdict_json(verdict: &Verdict) -> Value {
+    json!({
+        "effect": verdict.effect,
+        "verdict": verdict.kind.id(),
+        "provisional": verdict.provisional,
+        "tied_with": verdict.tied_with,
+        "gain": verdict.gain,
+        "p_adjusted": verdict.p_adjusted,
+        "value": verdict.value,
+        "std_error": verdict.std_error,
+        "unit": verdict.unit,
+        "z_typical": verdict.z_typical,
+        "reason": reason(verdict),
+        "record": verdict.record,
+    })
+}
+
+fn unexplained_json(unexplained: &Unexplained) -> Value {
+    json!({ "covariate": unexplained.covariate, "share": unexplained.share })
+}
+
+fn stair_json(stair: &StaircaseStep) -> Value {
+    json!({
+        "added": stair.added,
+        "held_out_rms_g": stair.held_out_rms_g,
+        "held_out_rmse_n": stair.held_out_rmse_n,
+        "floor_g": stair.floor_g,
+    })
+}
+
+/// A magnitude with a larger relative standard error is not identifiable.
+const MAX_RELATIVE_ERROR: f64 = 10.0;
+
+/// Label of a verdict; a question mark if provisional.
+pub fn verdict_label(verdict: &Verdict) -> String {
+    let word = match verdict.kind {
+        VerdictKind::Found => "FOUND",
+        VerdictKind::Tied => "TIED",
+        VerdictKind::Shadow => "SHADOW",
+        VerdictKind::Inconclusive => "INCONCLUSIVE",
+        VerdictKind::Absent => "ABSENT",
+    };
+    if verdict.provisional && is_present(verdict) { format!("{word}?") } else { word.to_owned() }
+}
+
+/// Explanation of the question mark.
+pub const PROVISIONAL_NOTE: &str =
+    "A question mark: provisional, because much more than noise is unexplained.";
+
+/// Note where the residual is at the noise floor.
+pub fn at_floor_note(diagnosis: &Diagnosis) -> String {
+    let with = if diagnosis.accepted.is_empty() { "" } else { " with what was found" };
+    format!(
+        "AT NOISE FLOOR{with}: what is left is indistinguishable from noise. A further effect would fit noise."
+    )
+}
+
+/// True for found effects, alone or tied.
+pub fn is_present(verdict: &Verdict) -> bool {
+    matches!(verdict.kind, VerdictKind::Found | VerdictKind::Tied)
+}
+
+/// "7.98±0.01 N, friction force; typical is 2.5 N", without unknown parts.
+pub fn magnitude(verdict: &Verdict) -> String {
+    let typical = find(&verdict.effect).ok().map(|effect| {
+        format!("typical is {} {}", numbers::decimal(effect.size.typical, 3), effect.size.unit)
+    });
+    if !verdict.value.is_finite() {
+        return typical.unwrap_or_default();
+    }
+    let value = value(verdict.value, verdict.std_error, &verdict.unit);
+    match (find(&verdict.effect).ok(), typical) {
+        (Some(effect), Some(typical)) => format!("{value}, {}; {typical}", effect.size.description),
+        _ => value,
+    }
+}
+
+/// "7.98±0.01 N", or that the magnitude is not identifiable.
+pub fn value(value: f64, std_error: f64, unit: &str) -> String {
+    if std_error > MAX_RELATIVE_ERROR * value.abs() {
+        return "not identifiable".to_owned();
+    }
+    let value = numbers::with_error(value, std_error, value.abs());
+    format!("{value} {unit}").trim_end().to_owned()
+}
+
+/// Physics of the effect, one paragraph.
+pub fn physics(verdict: &Verdict) -> &'static str {
+    find(&verdict.effect).map_or("A user-defined effect.", |effect| effect.physics)
+}
+
+/// Summary in one paragraph; empty without a result.
+pub fn verdict(diagnosis: &Diagnosis) -> String {
+    if diagnosis.findings.iter().any(|finding| finding.stops) {
+        return stopped_verdict(&diagnosis.findings);
+    }
+    let Some(last) = diagnosis.staircase.last() else { return String::new() };
+    let (rms, floors) = (field(last.held_out_rms_g), last.held_out_rms_g / last.floor_g);
+    let steps: Vec<String> = diagnosis
+        .staircase
+        .iter()
+        .filter_map(|step| match step.added.as_slice() {
+            [] => None,
+            [only] => Some(only.clone()),
+            tied => Some(format!("one of {}", tied.join(", "))),
+        })
+        .collect();
+    let missing = match (steps.is_empty(), diagnosis.is_complete) {
+        (true, _) => "No missing effect was found".to_owned(),
+        (false, true) => format!("Missing: {}", steps.join("; ")),
+        (false, false) => format!("Provisionally missing: {}", steps.join("; ")),
+    };
+    match (diagnosis.is_complete, diagnosis.unexplained.first()) {
+        (true, _) if diagnosis.at_floor => {
+            format!(
+                "{missing}. The residual is then {rms}, {floors:.2} times the floor: at the noise floor."
+            )
+        }
+        (_, Some(first)) => format!(
+            "Structure remains: {}, and no effect explains it ({rms}, {floors:.1} times the floor). {}",
+            residual_follows(first),
+            if steps.is_empty() {
+                "Test a formula of your own over it with --expr.".to_owned()
+            } else {
+                format!("{missing}.")
+            }
+        ),
+        _ => format!(
+            "{missing}. Structure remains: {rms}, {floors:.1} times the floor, explained by no covariate."
+        ),
+    }
+}
+
+/// The reason of a verdict, as a clause.
+pub fn reason(verdict: &Verdict) -> String {
+    let z = verdict.z_typical;
+    let mut text = match &verdict.reason {
+        Reason::ReducesError => {
+            format!("it reduces the cross-validated squared error by {:.1} %", 100.0 * verdict.gain)
+        }
+        Reason::Equivalent => {
+            "each of them explains the same; these recordings cannot distinguish them".to_owned()
+        }
+        Reason::ExplainedBetter(effects) => {
+            format!("it explains part of what {} explains better", effects.join(" or "))
+        }
+        Reason::RemainderOf(effect) => {
+            format!("it explains a remainder that is consistent with the form of {effect}")
+        }
+        Reason::DriftsWithTime => {
+            "the residual drifts with time more freely than this effect can".to_owned()
+        }
+        Reason::OtherCause => "it fits part of a residual with another cause".to_owned(),
+        Reason::UnexplainedResidual(first) => format!(
+            "{} and is explained by no effect, which prevents a verdict",
+            first
+                .as_ref()
+                .map_or_else(|| "much more than noise is unexplained".to_owned(), residual_follows)
+        ),
+        Reason::HardlyChangesField => {
+            format!("a typical magnitude hardly changes the field here ({z:.1} standard errors)")
+        }
+        Reason::Confounded => {
+            format!("it is confounded with the model's parameters ({z:.1} standard errors)")
+        }
+        Reason::Masked => format!(
+            "the residual of other causes masks a typical magnitude ({z:.1} standard errors)"
+        ),
+        Reason::BelowBound(bound) => {
+            format!("at most {bound:.2} times its typical magnitude (95 %)")
+        }
+        Reason::NeedsGeometry => {
+            "it acts on the magnet, which a polynomial does not model".to_owned()
+        }
+        Reason::NeedsForce => "it acts through a force, and no force was recorded".to_owned(),
+        Reason::NotRecorded(column) => format!("{column} was not recorded"),
+        Reason::DoesNotVary(column) => format!("{column} does not vary beyond its noise"),
+    };
+    if let Some((low, high)) = verdict.implausible {
+        text +=
+            &format!("; an implausible magnitude: typical are {low} to {high} {}", verdict.unit);
+    }
+    text
+}
+
+/// The magnitude or the reason in a few words, for a table; equal for equal reasons.
+pub fn short_reason(verdict: &Verdict) -> String {
+    match &verdict.reason {
+        Reason::ReducesError if verdict.value.is_finite() => {
+            value(verdict.value, verdict.std_error, &verdict.unit)
+        }
+        Reason::ReducesError => String::new(),
+        Reason::Equivalent => format!("or {}", verdict.tied_with.join(", ")),
+        Reason::ExplainedBetter(effects) => {
+            effects.first().map_or_else(String::new, |first| format!("part of {first}"))
+        }
+        Reason::RemainderOf(effect) => format!("part of {effect}"),
+        Reason::DriftsWithTime => "drifts with time".to_owned(),
+        Reason::OtherCause => "has another cause".to_owned(),
+        Reason::UnexplainedResidual(_) => "too much is unexplained".to_owned(),
+        Reason::HardlyChangesField => "hardly changes the field".to_owned(),
+        Reason::Confounded => "confounded".to_owned(),
+        Reason::Masked => "masked by other causes".to_owned(),
+        Reason::BelowBound(bound) => format!("< {bound:.2} of typical"),
+        Reason::NotRecorded(column) => format!("no {column}"),
+        Reason::NeedsGeometry | Reason::NeedsForce | Reason::DoesNotVary(_) => SEE_BELOW.to_owned(),
+    }
+}
+
+/// "84 % of the residual follows the rotor angle".
+fn residual_follows(unexplained: &Unexplained) -> String {
+    format!("{:.0} % of the residual follows the {}", 100.0 * unexplained.share, unexplained.words)
+}
+
+/// The reason as a sentence.
+pub fn reason_sentence(verdict: &Verdict) -> String {
+    let reason = reason(verdict);
+    let mut letters = reason.chars();
+    let first = letters.next().map(|letter| letter.to_uppercase());
+    format!("{}{}.", first.into_iter().flatten().collect::<String>(), letters.as_str())
+}
+
+/// Equivalent effects, and the experiments that would distinguish them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EquivalentSet {
+    /// Names of the effects.
+    pub effects: Vec<String>,
+    /// Why they are confusable, by pair, where the catalogue has a reason.
+    pub alike: Vec<String>,
+    /// Effects, and the experiment that would decide on them.
+    pub record: Vec<(String, String)>,
+}
+
+/// All sets of equivalent effects, in the order of the verdicts.
+pub fn equivalent_sets(diagnosis: &Diagnosis) -> Vec<EquivalentSet> {
+    let mut ties: Vec<EquivalentSet> = Vec::new();
+    for verdict in diagnosis.verdicts.iter().filter(|v| v.kind == VerdictKind::Tied) {
+        if ties.iter().any(|tie| tie.effects.contains(&verdict.effect)) {
+            continue;
+        }
+        let effects: Vec<String> =
+            std::iter::once(&verdict.effect).chain(&verdict.tied_with).cloned().collect();
+        let members = diagnosis.verdicts.iter().filter(|v| effects.contains(&v.effect));
+        ties.push(EquivalentSet { alike: alike(&effects), record: records(members), effects });
+    }
+    ties
+}
+
+/// Why effects are confusable: "neighbour_magnet and motor_leakage: closing requires current".
+fn alike(effects: &[String]) -> Vec<String> {
+    let mut said = Vec::new();
+    for (i, one) in effects.iter().enumerate() {
+        for other in &effects[i + 1..] {
+            let why = |one: &str, other: &str| {
+                let confused = find(one).ok()?.confused_with.iter();
+                confused.clone().find(|(id, _)| *id == other).map(|c| c.1)
+            };
+            if let Some(why) = why(one, other).or_else(|| why(other, one)) {
+                said.push(format!("{one} and {other}: {why}"));
+            }
+        }
+    }
+    said
+}
+
+/// Recordings to make, each with the effects it would decide on.
+fn records<'a>(verdicts: impl Iterator<Item = &'a Verdict>) -> Vec<(String, String)> {
+    let mut list: Vec<(String, String)> = Vec::new();
+    for verdict in verdicts.filter(|verdict| !verdict.record.is_empty()) {
+        match list.iter_mut().find(|(_, record)| *record == verdict.record) {
+            Some((effects, _)) => *effects += &format!(", {}", verdict.effect),
+            None => list.push((verdict.effect.clone(), verdict.record.clone())),
+        }
+    }
+    list
+}
+
+/// Inconclusive effects with the same reason.
+#[derive(Clone, Debug, PartialEq)]
+pub struct InconclusiveGroup {
+    /// Names of the effects.
+    pub effects: Vec<String>,
+    /// Common reason.
+    pub why: String,
+    /// Effects, and the recording that would decide on them; empty while unexplained structure prevents it.
+    pub record: Vec<(String, String)>,
+}
+
+/// Inconclusive effects, grouped by reason.
+pub fn inconclusive_groups(diagnosis: &Diagnosis) -> Vec<InconclusiveGroup> {
+    let verdicts = diagnosis.verdicts.iter();
+    let open: Vec<&Verdict> = verdicts.filter(|v| v.kind == VerdictKind::Inconclusive).collect();
+    let mut reasons: Vec<String> = Vec::new();
+    for verdict in &open {
+        let reason = group_reason(verdict);
+        if !reasons.contains(&reason) {
+            reasons.push(reason);
+        }
+    }
+    let of_reason = |why: String| {
+        let members: Vec<&Verdict> =
+            open.iter().copied().filter(|v| group_reason(v) == why).collect();
+        let first = members.first().map_or_else(String::new, |verdict| reason(verdict));
+        let alike = members.iter().all(|verdict| reason(verdict) == first);
+        let helps = members.iter().copied().filter(|v| !v.provisional);
+        InconclusiveGroup {
+            effects: members.iter().map(|verdict| verdict.effect.clone()).collect(),
+            why: if alike { first } else { why },
+            record: records(helps),
+        }
+    };
+    reasons.into_iter().map(of_reason).collect()
+}
+
+/// Reason by which an effect is grouped.
+fn group_reason(verdict: &Verdict) -> String {
+    match short_reason(verdict) {
+        short if short.is_empty() || short == SEE_BELOW => reason(verdict),
+        short => short,
+    }
+}
+
+/// Placeholder in a table for a long reason.
+pub const SEE_BELOW: &str = "see below";
+
+/// "UNEXPLAINED: 84 % of the residual follows the rotor angle (motor_angle_rad)".
+pub fn unexplained(of: &Unexplained) -> String {
+    format!("UNEXPLAINED: {} ({})", residual_follows(of), of.covariate)
+}
+
+/// Hint where structure is unexplained.
+pub const EXPR_HINT: &str =
+    "No effect of the catalogue explains it. Test a formula of your own with --expr.";
+
+/// Effects added in a step.
+pub fn added_effects(stair: &StaircaseStep) -> String {
+    match stair.added.as_slice() {
+        [] => "the model as it is".to_owned(),
+        added => format!("+ {}", added.join(" or ")),
+    }
+}
+
+/// How gain and p-value were computed.
+pub fn significance_note(diagnosis: &Diagnosis) -> String {
+    format!(
+        "Gain: reduction of the cross-validated squared error. p: p-value adjusted for all candidates \
+         (wild bootstrap over {} blocks of {:.1} s, seed {}).",
+        diagnosis.blocks, diagnosis.block_s, diagnosis.seed
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::text::diagnosis_fixture::{full, verdict_of};
+
+    #[test]
+    fn equivalent_set_lists_reasons_and_experiments() {
+        let tied = |one: &str, other: &str| Verdict {
+            tied_with: vec![other.to_owned()],
+            ..verdict_of(one, VerdictKind::Tied, Reason::Equivalent)
+        };
+        let diagnosis = Diagnosis {
+            verdicts: vec![
+                tied("neighbour_magnet", "motor_leakage"),
+                tied("motor_leakage", "neighbour_magnet"),
+            ],
+            ..Diagnosis::default()
+        };
+        let ties = equivalent_sets(&diagnosis);
+        assert_eq!(ties.len(), 1);
+        assert_eq!(ties[0].effects, ["neighbour_magnet", "motor_leakage"]);
+        assert_eq!(ties[0].alike, ["neighbour_magnet and motor_leakage: closing requires current"]);
+        assert_eq!(ties[0].record.len(), 2);
+        assert!(ties[0].record[0].1.starts_with("Open and close over the whole stroke"));
+    }
+
+    #[test]
+    fn inconclusive_effects_are_grouped_by_reason() {
+        let masked = |effect, z_typical| Verdict {
+            z_typical,
+            ..verdict_of(effect, VerdictKind::Inconclusive, Reason::Masked)
+        };
+        let unrecorded = Reason::NotRecorded("temp_c".to_owned());
+        let diagnosis = Diagnosis {
+            verdicts: vec![
+                masked("tip_slope", 1.0),
+                verdict_of("thermal_gap", VerdictKind::Inconclusive, unrecorded),
+                masked("geometric_stiffening", 2.0),
+            ],
+            ..Diagnosis::default()
+        };
+        let groups = inconclusive_groups(&diagnosis);
+        assert_eq!(groups.len(), 2);
+        assert_eq!(groups[0].effects, ["tip_slope", "geometric_stiffening"]);
+        assert_eq!(groups[0].why, "masked by other causes");
+        // One recording decides on both.
+        assert_eq!(groups[0].record.len(), 1);
+        assert_eq!(groups[0].record[0].0, "tip_slope, geometric_stiffening");
+        assert_eq!(groups[1].why, "temp_c was not recorded");
+    }
+
+    #[test]
+    fn provisional_verdict_requests_no_recording() {
+        let mut blocked =
+            verdict_of("tip_slope", VerdictKind::Inconclusive, Reason::UnexplainedResidual(None));
+        blocked.provisional = true;
+        let diagnosis = Diagnosis { verdicts: vec![blocked], ..Diagnosis::default() };
+        assert_eq!(inconclusive_groups(&diagnosis)[0].record, []);
+    }
+
+    #[test]
+    fn magnitude_is_formatted_with_the_typical_one() {
+        let mut found = verdict_of("hysteresis", VerdictKind::Found, Reason::ReducesError);
+        (found.value, found.std_error) = (7.982, 0.010);
+        found.unit = "N".to_owned();
+        let text = magnitude(&found);
+        assert!(text.starts_with("7.982±0.010 N, friction"), "{text}");
+        assert!(text.ends_with("; typical is 2.5 N"), "{text}");
+        assert_eq!(magnitude(&verdict_of("my_own", VerdictKind::Found, Reason::ReducesError)), "");
+    }
+
+    /// The report without colors.
+    fn uncolored(diagnosis: &Diagnosis) -> String {
+        anstream::adapter::strip_str(&format_report(diagnosis)).to_string()
+    }
+
+    fn unwrapped(page: &str) -> String {
+        page.split_whitespace().collect::<Vec<_>>().join(" ")
+    }
+
+    #[test]
+    fn lines_other_than_commands_fit_in_80_columns() {
+        let page = uncolored(&full());
+        for line in page.lines().filter(|line| !line.contains("magpie add")) {
+            assert!(line.chars().count() <= 80, "{line}");
+        }
+    }
+
+    #[test]
+    fn each_effect_takes_one_table_row() {
+        let page = uncolored(&full());
+        let table: Vec<&str> = page
+            .lines()
+            .skip_while(|line| !line.starts_with('─'))
+            .skip(1)
+            .take_while(|line| !line.starts_with('─'))
+            .collect();
+        assert_eq!(table.len(), 9, "{table:#?}");
+        assert!(table[8].contains("ABSENT") && table[8].contains("< 0.08 of typical"));
+    }
+
+    #[test]
+    fn equivalent_effects_list_recordings_that_separate_them() {
+        let page = unwrapped(&uncolored(&full()));
+        assert!(page.contains("Equivalent on these data: magnet_temperature, sensor_temperature"));
+        assert!(page.contains(
+            "To separate them, record, for magnet_temperature: Warm the gripper by 10 K"
+        ));
+        assert!(page.contains(
+            "To separate them, record, for sensor_temperature: Warm and cool the unloaded"
+        ));
+    }
+
+    #[test]
+    fn text_lists_inconclusive_effects_by_reason() {
+        let page = unwrapped(&uncolored(&full()));
+        assert!(page.contains(
+            "tip_slope, geometric_stiffening: hardly changes the field. Record: Load each flexure"
+        ));
+        assert!(
+            page.contains("earth_field: roll_rad was not recorded. Record: Rotate the unloaded")
+        );
+        assert!(page.contains("thermal_gap: it acts on the magnet, which a polynomial"));
+    }
+
+    #[test]
+    fn unexplained_residual_suggests_a_formula() {
+        let mut diagnosis = full();
+        let page = unwrapped(&uncolored(&diagnosis));
+        assert!(page.contains(
+            "UNEXPLAINED: 84 % of the residual follows the rotor angle (motor_angle_rad)"
+        ));
+        assert!(page.contains("--expr"));
+        assert!(!page.contains("AT NOISE FLOOR"));
+        diagnosis.at_floor = true;
+        let page = unwrapped(&uncolored(&diagnosis));
+        assert!(page.contains("AT NOISE FLOOR with what was found"));
+        assert!(!page.contains("UNEXPLAINED"));
+    }
+
+    #[test]
+    fn accepted_effect_has_magnitude_and_physics() {
+        let page = unwrapped(&uncolored(&full()));
+        let at = page.find("hysteresis: 7.982±0.010 N, friction force").unwrap();
+        assert!(page[at..].contains("typical is 2.5 N Where the finger rubs on a guide"));
+        assert!(page.contains("It reduces the cross-validated squared error by 99.4 %."));
+    }
+
+    #[test]
+    fn report_ends_with_the_next_command() {
+        let page = uncolored(&full());
+        assert!(page.ends_with("\n  magpie add model.toml 'my <b>' hysteresis -o new.toml\n"));
+    }
+
+    #[test]
+    fn provisional_verdict_is_marked_and_explained() {
+        let mut diagnosis = full();
+        diagnosis.verdicts[0].provisional = true;
+        let page = uncolored(&diagnosis);
+        assert!(page.contains(" FOUND? "));
+        assert!(page.contains("A question mark: provisional"));
+        assert!(!uncolored(&full()).contains("A question mark"));
+    }
+}

@@ -1,0 +1,129 @@
+//! A made-up diagnosis with everything in it, for tests of what is shown of it.
+
+use model_export::effects::find;
+
+use analysis::compare::Bin;
+use analysis::diagnose::*;
+
+/// A verdict without numbers.
+pub fn verdict_of(effect: &str, kind: VerdictKind, reason: Reason) -> Verdict {
+    Verdict {
+        effect: effect.to_owned(),
+        kind,
+        provisional: false,
+        tied_with: Vec::new(),
+        gain: 0.0,
+        p_adjusted: 1.0,
+        value: f64::NAN,
+        std_error: f64::NAN,
+        unit: String::new(),
+        z_typical: 2.0,
+        implausible: None,
+        reason,
+        record: find(effect).map_or_else(|_| String::new(), |e| e.record.to_owned()),
+    }
+}
+
+/// A shape of two sensors over four bins, the last one without rows at the second sensor.
+pub fn shape(effects: &[&str], words: &str, unit: &'static str) -> EffectShape {
+    let bin = |i: usize| {
+        let x = i as f64 - 1.5;
+        let second = if i == 3 { f64::NAN } else { 4.0 * x };
+        Bin {
+            from: x,
+            to: x + 1.0,
+            centre: x + 0.5,
+            rows: 100,
+            mean_g: vec![[x, 0.0, 0.1], [0.0, second, 0.0]],
+            band_g: vec![[(-2.0, 2.0); 3], [(second - 0.3, second + 0.3); 3]],
+            ..Bin::default()
+        }
+    };
+    let bins: Vec<Bin> = (0..4).map(bin).collect();
+    EffectShape {
+        effects: effects.iter().map(|&name| name.to_owned()).collect(),
+        covariate: words.to_owned(),
+        words: words.to_owned(),
+        unit,
+        sensors: vec![0, 3],
+        taken_g: bins.iter().map(|bin| bin.mean_g.clone()).collect(),
+        bins,
+    }
+}
+
+/// Found, tied, shadowed, not judgeable for three reasons, absent; something unexplained.
+pub fn full() -> Diagnosis {
+    let tied = |one: &str, other: &str| Verdict {
+        tied_with: vec![other.to_owned()],
+        gain: 0.709,
+        p_adjusted: 0.002,
+        ..verdict_of(one, VerdictKind::Tied, Reason::Equivalent)
+    };
+    let found = Verdict {
+        value: 7.982,
+        std_error: 0.010,
+        unit: "N".to_owned(),
+        gain: 0.994,
+        p_adjusted: 0.002,
+        ..verdict_of("hysteresis", VerdictKind::Found, Reason::ReducesError)
+    };
+    let small = |effect: &str, z: f64| Verdict {
+        z_typical: z,
+        ..verdict_of(effect, VerdictKind::Inconclusive, Reason::HardlyChangesField)
+    };
+    let shadow = Verdict {
+        gain: f64::NAN,
+        p_adjusted: f64::NAN,
+        ..verdict_of(
+            "creep",
+            VerdictKind::Shadow,
+            Reason::ExplainedBetter(vec!["hysteresis".to_owned()]),
+        )
+    };
+    let stair = |added: &[&str], rms: f64| StaircaseStep {
+        added: added.iter().map(|&name| name.to_owned()).collect(),
+        held_out_rms_g: rms,
+        held_out_rmse_n: (rms > 1.0).then_some(0.6 * rms),
+        floor_g: 0.159,
+    };
+    let pair = ["magnet_temperature", "sensor_temperature"];
+    Diagnosis {
+        model: "model.toml".to_owned(),
+        campaign: "recordings/hidden-b".to_owned(),
+        verdicts: vec![
+            found,
+            tied(pair[0], pair[1]),
+            tied(pair[1], pair[0]),
+            shadow,
+            small("tip_slope", 1.0),
+            small("geometric_stiffening", 2.0),
+            verdict_of(
+                "earth_field",
+                VerdictKind::Inconclusive,
+                Reason::NotRecorded("roll_rad".to_owned()),
+            ),
+            verdict_of("thermal_gap", VerdictKind::Inconclusive, Reason::NeedsGeometry),
+            verdict_of("motor_leakage", VerdictKind::Absent, Reason::BelowBound(0.08)),
+        ],
+        accepted: vec![pair.map(str::to_owned).to_vec(), vec!["hysteresis".to_owned()]],
+        unexplained: vec![Unexplained {
+            covariate: "motor_angle_rad".to_owned(),
+            words: "rotor angle".to_owned(),
+            share: 0.84,
+        }],
+        staircase: vec![stair(&[], 3.823), stair(&pair, 2.061), stair(&["hysteresis"], 0.231)],
+        shapes: vec![
+            shape(&pair, "temperature", "°C"),
+            shape(&["hysteresis"], "direction of lateral loading", ""),
+        ],
+        next: Suggestion {
+            words: "Next, choose one and add it:".to_owned(),
+            commands: vec!["magpie add model.toml 'my <b>' hysteresis -o new.toml".to_owned()],
+        },
+        is_complete: true,
+        blocks: 18,
+        block_s: 5.0,
+        seed: 1,
+        ..Diagnosis::default()
+    }
+}

@@ -1,0 +1,89 @@
+//! Terminal output: tables and wrapped text.
+
+use std::io::{ErrorKind, Write};
+use std::path::Path;
+
+use anyhow::Result;
+use comfy_table::{CellAlignment, ContentArrangement, LineStyle, Table, TableStyle};
+use serde_json::Value;
+
+/// Maximum line width in characters.
+pub const WIDTH: u16 = 100;
+/// Line width of running text: the default width of a terminal.
+pub const NARROW_WIDTH: u16 = 80;
+
+/// Rules below the header and at the end only.
+const STYLE: TableStyle = TableStyle::new()
+    .header_separator(LineStyle::none().fill('─').junction('─'))
+    .bottom_border(LineStyle::none().fill('─').junction('─'));
+
+/// An empty table with these column headers.
+pub fn table<S: ToString>(headers: impl IntoIterator<Item = S>) -> Table {
+    let headers: Vec<_> = headers.into_iter().map(|h| h.to_string()).collect();
+    let mut table = Table::new();
+    table
+        .load_style(STYLE)
+        .set_content_arrangement(ContentArrangement::Dynamic)
+        .set_width(WIDTH)
+        .set_header(headers);
+    table
+}
+
+/// Aligns all columns to the right but the first `text_columns`.
+pub fn right_align(table: &mut Table, text_columns: usize) {
+    for column in table.column_iter_mut().skip(text_columns) {
+        column.set_cell_alignment(CellAlignment::Right);
+        column.set_padding((1, 0));
+    }
+}
+
+/// Prints on stdout, without colors if it is no terminal or `NO_COLOR` is set. A closed pipe (`| head`) is no
+/// error.
+pub fn print(text: &str) -> std::io::Result<()> {
+    match anstream::stdout().lock().write_all(text.as_bytes()) {
+        Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
+        result => result,
+    }
+}
+
+/// Prints the result of a command: one JSON object with `--json`, otherwise text.
+pub fn print_result(
+    json: bool,
+    object: impl FnOnce() -> Value,
+    text: impl FnOnce() -> String,
+) -> Result<()> {
+    let output = if json { format!("{}\n", object()) } else { text() };
+    Ok(print(&output)?)
+}
+
+/// Prints where a result was written, or the option that writes it.
+pub fn print_written(output: Option<&Path>, option: &str) -> std::io::Result<()> {
+    print(&match output {
+        Some(path) => format!("Written to {}.\n", path.display()),
+        None => format!("Not written; use {option}.\n"),
+    })
+}
+
+/// The line with the path of an HTML report; empty if none was written.
+pub fn report_line(output: Option<&Path>) -> String {
+    output.map_or_else(String::new, |path| format!("Report: {}\n", path.display()))
+}
+
+/// Prints messages as notes on stderr.
+pub fn print_notes(notes: &[impl std::fmt::Display]) {
+    for note in notes {
+        eprintln!("note: {note}");
+    }
+}
+
+/// Wraps text at [`WIDTH`]; all lines have the indentation of the first.
+pub fn paragraph(text: &str) -> String {
+    wrap(text, WIDTH)
+}
+
+/// Wraps text at `width`; all lines have the indentation of the first.
+pub fn wrap(text: &str, width: u16) -> String {
+    let indent = " ".repeat(text.len() - text.trim_start().len());
+    let options = textwrap::Options::new(usize::from(width)).subsequent_indent(&indent);
+    textwrap::fill(text, options) + "\n"
+}

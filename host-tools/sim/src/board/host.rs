@@ -1,0 +1,152 @@
+//! A host on the CAN bus: arms with a nonce, repeats its command, records the board's messages.
+
+use crate::board::can::CanBus;
+use embedded_can::Frame;
+use firmware::protocol::can::CanFrame;
+use firmware::protocol::host_session::{HostSession, service};
+use firmware::protocol::messages::{
+    Command, EStop, FaultEvent, Foot, Force, GripStatus, Heartbeat, Message, ParamReply,
+    ParamRequest, ServiceReply,
+};
+use firmware::protocol::{DEFAULT_NODE, frame_id};
+use std::cell::RefCell;
+use std::rc::Rc;
+
+/// Period of the command in milliseconds.
+const EVERY_MS: u32 = Command::LAYOUT.period_ms as u32;
+
+/// Messages of the board, the last of each kind, with the end time of the frame in microseconds.
+#[derive(Clone, Debug, Default)]
+pub struct ReceivedMessages {
+    /// Heartbeat.
+    pub heartbeat: Option<(u64, Heartbeat)>,
+    /// Grip status.
+    pub status: Option<(u64, GripStatus)>,
+    /// Foot status.
+    pub foot: Option<(u64, Foot)>,
+    /// Forces of each sensor.
+    pub forces: [Option<(u64, Force)>; 4],
+    /// All fault events.
+    pub faults: Vec<(u64, FaultEvent)>,
+    /// All service replies, refused commands included.
+    pub replies: Vec<(u64, ServiceReply)>,
+    /// Longest tick of sensing and estimation, in microseconds.
+    pub worst_tick_us: u16,
+    /// All replies to [`CanHost::request_parameter`].
+    pub parameters: Vec<(u64, ParamReply)>,
+}
+
+/// Simulated host.
+pub struct CanHost {
+    bus: Rc<RefCell<CanBus>>,
+    session: HostSession,
+    command: Option<Command>,
+    wait_ms: u32,
+    /// Stops all transmissions.
+    pub is_silent: bool,
+    /// Received messages.
+    pub received: ReceivedMessages,
+}
+
+impl CanHost {
+    /// Connects a host to a bus.
+    pub fn new(bus: Rc<RefCell<CanBus>>) -> Self {
+        Self {
+            bus,
+            session: HostSession::new(DEFAULT_NODE),
+            command: None,
+            wait_ms: 0,
+            is_silent: false,
+            received: ReceivedMessages::default(),
+        }
+    }
+
+    /// Requests a nonce and confirms it when it arrives.
+    pub fn arm(&mut self) {
+        let request = self.session.arm();
+        self.send(request);
+    }
+
+    /// Requests a service.
+    pub fn service(&mut self, op: u8, argument: u32) {
+        self.send(service(op, argument));
+    }
+
+    /// Reads or writes a parameter.
+    pub fn request_parameter(&mut self, request: ParamRequest) {
+        self.send(Message::ParamRequest(request));
+    }
+
+    /// Sets the command to repeat, sent immediately.
+    pub fn order(&mut self, command: Command) {
+        self.command = Some(command);
+        self.wait_ms = 0;
+    }
+
+    /// Sends an emergency stop.
+    pub fn stop(&mut self) {
+        self.send(Message::EStop(EStop::default()));
+    }
+
+    /// Advances by a millisecond: receives, then sends.
+    pub fn tick(&mut self) {
+        self.receive();
+        let Some(command) = self.command.filter(|_| self.session.is_armed()) else {
+            return;
+        };
+        if self.wait_ms > 0 {
+            self.wait_ms -= 1;
+            return;
+        }
+        self.wait_ms = EVERY_MS - 1;
+        if let Some(message) = self.session.seal(command) {
+            self.send(message);
+        }
+    }
+
+    fn receive(&mut self) {
+        let frames = std::mem::take(&mut self.bus.borrow_mut().board_frames);
+        for (time_us, frame) in frames {
+            let number = (frame.identifier() & 0x1F) as u8;
+            let Ok(message) = Message::from_frame(number, frame.data()) else {
+                continue;
+            };
+            match message {
+                Message::Heartbeat(beat) => self.received.heartbeat = Some((time_us, beat)),
+                Message::GripStatus(status) => self.received.status = Some((time_us, status)),
+                Message::Foot(foot) => self.received.foot = Some((time_us, foot)),
+                Message::Force(force) => {
+                    let sensor = usize::from(number - Force::LAYOUT.number);
+                    self.received.forces[sensor] = Some((time_us, force));
+                }
+                Message::FaultEvent(event) => self.received.faults.push((time_us, event)),
+                Message::Timing(timing) => {
+                    self.received.worst_tick_us =
+                        self.received.worst_tick_us.max(timing.worst_loop);
+                }
+                Message::ParamReply(reply) => self.received.parameters.push((time_us, reply)),
+                Message::ServiceReply(reply) => self.handle_reply(time_us, reply),
+                _ => {}
+            }
+        }
+    }
+
+    fn handle_reply(&mut self, time_us: u64, reply: ServiceReply) {
+        if let Some(message) = self.session.receive(&reply) {
+            self.send(message);
+        }
+        self.received.replies.push((time_us, reply));
+    }
+
+    /// Whether the board has confirmed the session.
+    pub fn is_armed(&self) -> bool {
+        self.session.is_armed()
+    }
+
+    fn send(&self, message: Message) {
+        if !self.is_silent {
+            let id = frame_id(DEFAULT_NODE, message.number());
+            self.bus.borrow_mut().put(CanFrame::from_bytes(id, message.to_bytes()));
+        }
+    }
+}

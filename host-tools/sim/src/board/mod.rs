@@ -1,0 +1,404 @@
+//! The gripper's board without hardware: the firmware's tasks in virtual time, with simulated buses and flash.
+//!
+//! The same [`Connections`] also surround an image in an emulated chip
+//! ([`crate::closed_loop::emulated_board`]), which is slower and complete.
+//!
+//! - [`clock`]: virtual time.
+//! - [`world`]: what the sensors measure.
+//! - [`i2c`]: sensor buses, with sensors, registers and levels.
+//! - [`can`], [`host`]: CAN bus and a host on it.
+//! - [`serial`]: serial line.
+//! - [`flash`]: memory of the settings.
+//!
+//! Not simulated in virtual time: execution times, interrupts and their priorities, drivers, electrical behaviour.
+
+pub mod can;
+pub mod clock;
+pub mod flash;
+pub mod host;
+pub mod i2c;
+pub mod serial;
+pub mod world;
+
+use crate::board::can::{CanBus, CanController};
+use crate::board::clock::VirtualClock;
+use crate::board::flash::Flash;
+use crate::board::i2c::{I2cSensor, SensorBusWires, SimulatedI2c};
+use crate::board::serial::SerialLink;
+use crate::board::world::{NoMotor, SimulatedMotor, World, WorldClock};
+use embassy_futures::join::join;
+use embassy_sync::blocking_mutex::raw::NoopRawMutex;
+use firmware::board::MotorPort;
+use firmware::config::limits::{DetectionLimits, GripLimits};
+use firmware::config::parameters::{self, Parameters};
+use firmware::estimator::{self, Estimate, Estimator};
+use firmware::grip::GripController;
+use firmware::model::formats::Tables;
+use firmware::motor::MotorCommand;
+use firmware::motor::screw::Screw;
+use firmware::protocol::messages::Version;
+use firmware::protocol::{DEFAULT_NODE, PROTOCOL_VERSION};
+use firmware::sensors::hall::a31301::A31301;
+use firmware::sensors::hall::{HallSensor, SENSORS};
+use firmware::system::clock::Clock;
+use firmware::system::crash::{Crash, CrashKind};
+use firmware::system::faults::Event;
+use firmware::system::nv_storage::ParameterStore;
+use firmware::tasks::{self, GripLoop, HostService, SharedState, TickInputs};
+use futures::executor::LocalPool;
+use futures::task::LocalSpawnExt;
+use model_export::gru::pack::{self, NetworkRun, PackedNetwork};
+use model_export::inverse::compensation::OwnedCompensation;
+use model_export::inverse::quantise::TableSet;
+use std::cell::{Cell, RefCell};
+use std::rc::Rc;
+
+/// Hardware number of this board in [`Version`].
+const HARDWARE: u8 = 0;
+
+/// Motor of the board and its limits.
+pub struct MotorConnection {
+    /// Simulated motor.
+    pub motor: Box<dyn SimulatedMotor>,
+    /// Screw parameters of the firmware.
+    pub screw: Screw,
+    /// Thresholds of the grasp.
+    pub grasp: GripLimits,
+}
+
+impl MotorConnection {
+    /// A board without a motor.
+    pub fn none() -> Self {
+        Self { motor: Box::new(NoMotor), screw: Screw::A, grasp: GripLimits::GRIPPER }
+    }
+}
+
+/// Motor commands of the grasp task.
+struct MotorCommands {
+    motor: Rc<RefCell<Box<dyn SimulatedMotor>>>,
+    clock: VirtualClock,
+    crashed: Rc<Cell<Option<Crash>>>,
+}
+
+impl MotorPort for MotorCommands {
+    fn order(&mut self, order: MotorCommand) -> Result<(), MotorCommand> {
+        let time_us = self.clock.now_us();
+        self.motor.borrow_mut().order(time_us, order)
+    }
+
+    fn shut_down(&mut self) {
+        self.motor.borrow_mut().restart(self.clock.now_us());
+        self.crashed.set(Some(Crash::new(CrashKind::Corruption)));
+    }
+}
+
+/// Program of the board.
+pub struct Program {
+    /// Force tables.
+    pub tables: TableSet,
+    /// Compensations of the tables.
+    pub compensations: Vec<OwnedCompensation>,
+    /// Residual networks.
+    pub networks: Option<Vec<Box<dyn PackedNetwork>>>,
+    /// Saved settings.
+    pub parameters: Parameters,
+    /// Thresholds of the sensors.
+    pub limits: DetectionLimits,
+}
+
+/// Run networks behind the tables.
+struct NetworkBank<'a>(Vec<Box<dyn NetworkRun + 'a>>);
+
+impl estimator::NetworkBank for NetworkBank<'_> {
+    fn apply(&mut self, frame: &mut [Estimate; SENSORS]) {
+        pack::apply(&mut self.0, frame);
+    }
+}
+
+/// Connections of a board, for the tasks in virtual time and for an emulated chip.
+#[derive(Clone)]
+pub struct Connections {
+    /// Sensor buses with two sensors each.
+    pub buses: [Rc<RefCell<SensorBusWires>>; 2],
+    /// CAN bus.
+    pub can: Rc<RefCell<CanBus>>,
+    /// Serial line.
+    pub line: Rc<RefCell<SerialLink>>,
+    /// Measured quantities.
+    pub now: Rc<RefCell<WorldClock>>,
+}
+
+impl Connections {
+    /// Four sensors in a world; those without a reading are not on the buses.
+    pub fn new(world: Box<dyn World>) -> Self {
+        let now = Rc::new(RefCell::new(WorldClock::new(world)));
+        let readings = now.borrow_mut().at(0).readings;
+        let buses = [[0, 1], [2, 3]].map(|numbers| {
+            let sensors = numbers.map(|number| {
+                let mut sensor = I2cSensor::new(number, A31301::ADDRESSES[number]);
+                sensor.unplugged = readings[number].is_none();
+                sensor
+            });
+            Rc::new(RefCell::new(SensorBusWires::new(sensors.to_vec(), now.clone())))
+        });
+        Self { buses, can: Rc::default(), line: Rc::default(), now }
+    }
+
+    /// Modifies a sensor, by its number on the gripper.
+    pub fn change_sensor(&self, number: usize, change: impl Fn(&mut I2cSensor)) {
+        for bus in &self.buses {
+            let sensors = &mut bus.borrow_mut().sensors;
+            let chosen = sensors.iter_mut().filter(|sensor| sensor.number == number);
+            chosen.for_each(&change);
+        }
+    }
+}
+
+/// A board without hardware.
+pub trait SimulatedBoard {
+    /// Runs until a time in microseconds since power-on.
+    ///
+    /// # Errors
+    /// The program cannot continue.
+    fn run_until(&mut self, time_us: u64) -> anyhow::Result<()>;
+
+    /// Connections of the board.
+    fn connections(&self) -> &Connections;
+
+    /// State of the grasp; none where only CAN messages report it.
+    fn grip_status(&self) -> Option<tasks::GripSummary> {
+        None
+    }
+
+    /// Flips a bit of the grasp's shadow state ([`firmware::grip::redundant_copy`]) in the program's memory.
+    fn corrupt_grasp_memory(&mut self, bit: u32);
+
+    /// Faults and bus recoveries since the last call, with the board's own time in microseconds.
+    fn take_events(&mut self) -> Vec<(u64, Event)>;
+}
+
+/// The firmware's tasks in virtual time.
+pub struct VirtualTimeBoard {
+    pool: LocalPool,
+    /// Virtual time.
+    pub clock: VirtualClock,
+    /// Connections of the board.
+    pub connections: Connections,
+    /// CAN controller.
+    pub controller: Rc<CanController>,
+    /// Bytes that aborted transfers left in the bus controllers.
+    pub residues: [Rc<Cell<Option<u8>>>; 2],
+    /// Shared state of the tasks.
+    pub exchange: Rc<SharedState<NoopRawMutex>>,
+    /// Logged events with their times.
+    pub events: Rc<RefCell<Vec<(u64, Event)>>>,
+    /// Limits; tests corrupt its memory.
+    pub grip: Rc<RefCell<GripController>>,
+    program: Rc<Program>,
+    motor: Rc<RefCell<Box<dyn SimulatedMotor>>>,
+    screw: Screw,
+    grasp: GripLimits,
+    /// Cause of a pending restart.
+    crashed: Rc<Cell<Option<Crash>>>,
+}
+
+impl VirtualTimeBoard {
+    /// Switches on a board without a motor.
+    pub fn start(program: Program, world: Box<dyn World>) -> Self {
+        Self::start_with_motor(program, world, MotorConnection::none())
+    }
+
+    /// Switches on a board with a motor.
+    pub fn start_with_motor(
+        program: Program,
+        world: Box<dyn World>,
+        motor: MotorConnection,
+    ) -> Self {
+        let clock = VirtualClock::default();
+        let connections = Connections::new(world);
+        let controller = CanController::new(connections.can.clone(), clock.clone());
+        let grip = grasp(&program, motor.screw, motor.grasp);
+        let mut board = Self {
+            pool: LocalPool::new(),
+            clock,
+            connections,
+            controller,
+            residues: Default::default(),
+            exchange: Rc::new(SharedState::new()),
+            events: Rc::default(),
+            grip: Rc::new(RefCell::new(grip)),
+            program: Rc::new(program),
+            motor: Rc::new(RefCell::new(motor.motor)),
+            screw: motor.screw,
+            grasp: motor.grasp,
+            crashed: Rc::default(),
+        };
+        board.spawn_loops();
+        board
+    }
+
+    /// Restarts a crashed program, in no time. Spawned actors and unsaved settings are lost.
+    fn restart(&mut self, crash: Crash) {
+        self.pool = LocalPool::new();
+        self.exchange = Rc::new(SharedState::new());
+        self.grip = Rc::new(RefCell::new(grasp(&self.program, self.screw, self.grasp)));
+        self.exchange.record_crash(&crash);
+        self.spawn_loops();
+    }
+
+    fn spawn_loops(&mut self) {
+        let program = self.program.clone();
+        let limits = program.limits;
+        let tables_id = program.tables.id;
+        let parameters = program.parameters;
+        let addresses = parameters.addresses();
+        let shared = (self.clock.clone(), self.exchange.clone());
+        let parts = move || shared.clone();
+        let buses = [0, 1].map(|bus| SimulatedI2c {
+            wires: self.connections.buses[bus].clone(),
+            clock: self.clock.clone(),
+            residue: self.residues[bus].clone(),
+        });
+        let (clock, exchange) = parts();
+        self.spawn(async move {
+            tasks::sense::<A31301, _, _, _>(buses, addresses, &limits, &clock, &exchange).await;
+        });
+        let (clock, exchange) = parts();
+        let now = self.connections.now.clone();
+        let motor = self.motor.clone();
+        self.spawn(async move {
+            let compensations: Vec<_> =
+                program.compensations.iter().map(OwnedCompensation::view).collect();
+            let tables = program.tables.tables(&compensations);
+            let networks = program.networks.as_ref();
+            let networks =
+                networks.map(|all| NetworkBank(all.iter().map(|one| one.run()).collect()));
+            let mut estimator = Estimator::new(&tables, networks);
+            let around = || {
+                let time_us = clock.now_us();
+                TickInputs {
+                    auxiliary: now.borrow_mut().at(time_us).covariates,
+                    motor: motor.borrow_mut().status(time_us),
+                }
+            };
+            let scrub = tasks::scrub::<_, Tables, 0, _, _>(&tables, &[], &clock, &exchange);
+            let estimate = tasks::estimate(&mut estimator, around, &limits, &clock, &exchange);
+            join(scrub, estimate).await;
+        });
+        let (clock, exchange) = parts();
+        let grip = self.grip.clone();
+        let mut orders =
+            MotorCommands { motor: self.motor.clone(), clock, crashed: self.crashed.clone() };
+        self.spawn(async move {
+            // As `tasks::grip`, with access to the grasp for tests.
+            let mut turns = GripLoop::default();
+            loop {
+                let inputs = exchange.grip_inputs.wait().await;
+                turns.step(&mut grip.borrow_mut(), &inputs, &mut orders, &exchange);
+            }
+        });
+        let (clock, exchange) = parts();
+        let sender = can::CanTx(self.controller.clone());
+        let events = self.events.clone();
+        self.spawn(async move {
+            let log = |event| events.borrow_mut().push((clock.now_us(), event));
+            let version = version(tables_id);
+            tasks::transmit(sender, (DEFAULT_NODE, version), log, &clock, &exchange).await;
+        });
+        let (clock, exchange) = parts();
+        let out = serial::SerialTx { line: self.connections.line.clone(), clock };
+        self.spawn(async move { tasks::transmit_serial(out, &exchange).await });
+        let (clock, exchange) = parts();
+        let receiver = can::CanRx(self.controller.clone());
+        self.spawn(async move { tasks::receive_can(receiver, &limits, &clock, &exchange).await });
+        let (clock, exchange) = parts();
+        let into = serial::SerialRx(self.connections.line.clone());
+        self.spawn(async move {
+            tasks::receive_serial(into, DEFAULT_NODE, &limits, &clock, &exchange).await
+        });
+        let (clock, exchange) = parts();
+        self.spawn(async move {
+            let mut state = 1_u16;
+            // A pseudo-random sequence; nonces need not be secret here.
+            let random = move || {
+                state = state.wrapping_mul(25_173).wrapping_add(13_849);
+                state
+            };
+            let mut store = ParameterStore::new(Flash::default(), 0);
+            // Cannot fail on an empty flash.
+            let _ = store.save(&parameters).await;
+            let loaded = tasks::load_parameters(&mut store, &exchange).await;
+            let service = HostService {
+                version: version(tables_id),
+                store,
+                loaded,
+                random,
+                // Tests restart by starting another board.
+                reboot: || {},
+            };
+            tasks::host_service(service, &clock, &exchange).await;
+        });
+        let can_transfers = self.controller.clone().run();
+        self.spawn(can_transfers);
+    }
+
+    /// Spawns an actor on the board's buses.
+    pub fn spawn(&mut self, actor: impl Future<Output = ()> + 'static) {
+        // The pool exists as long as its spawner.
+        let _ = self.pool.spawner().spawn_local(actor);
+    }
+
+    /// Runs until a time in microseconds.
+    pub fn run_until(&mut self, time_us: u64) {
+        self.run_ready();
+        while self.clock.advance(time_us) {
+            self.run_ready();
+        }
+    }
+
+    fn run_ready(&mut self) {
+        self.pool.run_until_stalled();
+        if let Some(crash) = self.crashed.take() {
+            self.restart(crash);
+            self.pool.run_until_stalled();
+        }
+    }
+}
+
+impl SimulatedBoard for VirtualTimeBoard {
+    fn run_until(&mut self, time_us: u64) -> anyhow::Result<()> {
+        Self::run_until(self, time_us);
+        Ok(())
+    }
+
+    fn connections(&self) -> &Connections {
+        &self.connections
+    }
+
+    fn grip_status(&self) -> Option<tasks::GripSummary> {
+        Some(self.exchange.grip_summary.get())
+    }
+
+    fn corrupt_grasp_memory(&mut self, bit: u32) {
+        self.grip.borrow_mut().flip_bit(bit);
+    }
+
+    fn take_events(&mut self) -> Vec<(u64, Event)> {
+        std::mem::take(&mut self.events.borrow_mut())
+    }
+}
+
+fn grasp(program: &Program, screw: Screw, limits: GripLimits) -> GripController {
+    let locks = program.parameters.backdrivability() == parameters::Backdrivability::SelfLocking;
+    GripController::new(limits, screw, locks)
+}
+
+fn version(tables: u16) -> Version {
+    Version {
+        protocol_major: PROTOCOL_VERSION.0,
+        protocol_minor: PROTOCOL_VERSION.1,
+        hardware: HARDWARE,
+        tables,
+        ..Version::default()
+    }
+}

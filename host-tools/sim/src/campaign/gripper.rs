@@ -1,0 +1,170 @@
+//! The simulated gripper of a campaign, with the state that carries over between recordings.
+
+use nalgebra::Vector3;
+
+use crate::campaign::excitation::{Excitation, REFERENCE_C};
+use crate::campaign::settings::{CampaignSettings, start_s};
+use crate::effects::Effects;
+use crate::external_fields::{
+    PassingMagnet, UncataloguedField, earth_field, in_body, motor_currents,
+};
+use crate::hall_sensor::SensorUnit;
+use crate::motion::{Backlash, LEAD_MM};
+
+/// Integration steps of the mechanics per sample.
+const SUBSTEPS: u32 = 4;
+
+/// All sensors and the fields around them.
+pub struct CampaignGripper {
+    /// One per finger and place.
+    pub sensors: Vec<SensorUnit>,
+    /// Earth's field in world axes, in gauss.
+    pub earth_g: Vector3<f64>,
+    /// Magnet that passes once; without field where the effect is absent.
+    pub foreign: PassingMagnet,
+    uncatalogued: UncataloguedField,
+    /// Loss of remanence in each recording, as a share of the effect's magnitude.
+    pub losses: Vec<f64>,
+    backlash: Backlash,
+}
+
+/// A sample time within a recording.
+#[derive(Clone, Copy, Debug)]
+pub struct CampaignTime {
+    /// Number of the recording, from 1.
+    pub recording: u32,
+    /// Seconds since its start.
+    pub time_s: f64,
+    /// Seconds since the previous sample.
+    pub since_s: f64,
+}
+
+impl CampaignGripper {
+    /// State before the first recording; `excitations` are those of all recordings.
+    pub fn new(settings: &CampaignSettings, effects: &Effects, excitations: &[Excitation]) -> Self {
+        let (seed, scatter) = (settings.seed, settings.scatter);
+        let sensor = |number: u32| {
+            let max_n = excitations.iter().fold([0.0_f64; 2], |[x, z], excitation| {
+                let [other_x, other_z] = excitation.max_load(number as usize);
+                [x.max(other_x), z.max(other_z)]
+            });
+            SensorUnit::new(&settings.design, number, (seed, scatter), effects, max_n)
+        };
+        Self {
+            sensors: (0..settings.sensors).map(sensor).collect(),
+            earth_g: earth_field(effects, seed),
+            foreign: PassingMagnet::draw(
+                seed,
+                effects.size("external_magnet"),
+                settings.sensors,
+                settings.recordings,
+                settings.seconds,
+            ),
+            uncatalogued: UncataloguedField::draw(effects, seed),
+            // None in the first recording, all of it in the others.
+            losses: (1..=settings.recordings)
+                .map(|recording| f64::from(u8::from(recording > 1)))
+                .collect(),
+            backlash: Backlash::new(effects.size("screw_backlash")),
+        }
+    }
+
+    /// Advances to a sample time; returns the noise-free readings of all sensors in gauss.
+    pub fn advance(
+        &mut self,
+        settings: &CampaignSettings,
+        excitation: &Excitation,
+        time: CampaignTime,
+    ) -> Vec<Vector3<f64>> {
+        let motion = excitation.motion(time.time_s);
+        let orientation = excitation.orientation(time.time_s);
+        let opening_mm = self.backlash.follow(motion.opening_mm);
+        let earth = in_body(self.earth_g, &orientation);
+        let currents = motor_currents(&motion);
+        let session_s = start_s(settings.seconds, time.recording) + time.time_s;
+        let lost = self.losses[time.recording as usize - 1];
+        let (turns, foreign) = (motion.opening_mm / LEAD_MM, &self.foreign);
+        let unknown = self.uncatalogued.field(&motion, session_s);
+        let read = |sensor: &mut SensorUnit| {
+            let number = sensor.specimen.number;
+            apply_load(sensor, excitation, time);
+            let warm_k = excitation.temperature_c(number as usize, time.time_s) - REFERENCE_C;
+            let field = sensor.own_field(warm_k, turns, lost)
+                + sensor.neighbour.field(opening_mm)
+                + sensor.leakage * currents
+                + earth
+                + unknown
+                + foreign.field(time.recording, number, time.time_s);
+            sensor.element.reading(field, warm_k, session_s)
+        };
+        self.sensors.iter_mut().map(read).collect()
+    }
+
+    /// Pause without load, in seconds.
+    pub fn pause(&mut self, seconds: f64) {
+        for sensor in &mut self.sensors {
+            sensor.finger.pause(seconds);
+        }
+    }
+}
+
+/// Integrates a finger up to a sample time.
+fn apply_load(sensor: &mut SensorUnit, excitation: &Excitation, time: CampaignTime) {
+    let step_s = time.since_s / f64::from(SUBSTEPS);
+    for remaining in (0..SUBSTEPS).rev() {
+        let time_s = time.time_s - f64::from(remaining) * step_s;
+        let load = excitation.load(sensor.specimen.number as usize, time_s);
+        let specific_force = if sensor.finger.has_mass() {
+            excitation.specific_force(time_s)
+        } else {
+            Vector3::zeros()
+        };
+        sensor.finger.step(load, specific_force, step_s);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hall_sensor::HallScale;
+    use crate::hall_sensor::NoiseKind;
+    use crate::motion::Programme;
+    use model_export::recordings::description::NominalDesign;
+
+    fn gripper(effects: &[&str]) -> CampaignGripper {
+        let settings = CampaignSettings {
+            seed: 1,
+            programme: Programme::Bench,
+            recordings: 3,
+            seconds: 5.0,
+            design: NominalDesign::magpie(),
+            part: HallScale::a31301(),
+            sensors: 1,
+            scatter: 0.0,
+            noise: NoiseKind::White,
+            harder: 1.0,
+            warmer_k: 0.0,
+            field_noise_g: 0.0,
+            reference_noise_n: 0.0,
+            effects: effects.iter().map(|id| id.parse().unwrap()).collect(),
+            hidden: false,
+        };
+        let effects = Effects::new(&settings.effects, 1, 1, 0.0).unwrap();
+        CampaignGripper::new(&settings, &effects, &[])
+    }
+
+    #[test]
+    fn ten_kelvin_reduce_remanence_by_1_1_percent() {
+        let gripper = gripper(&["magnet_temperature"]);
+        let at = |warm_k| gripper.sensors[0].own_field(warm_k, 0.0, 0.0).y;
+        assert!((at(10.0) / at(0.0) - 0.989).abs() < 1e-12);
+    }
+
+    #[test]
+    fn demagnetisation_acts_once_before_the_second_recording() {
+        let gripper = gripper(&["demagnetisation=0.5"]);
+        let at = |lost| gripper.sensors[0].own_field(0.0, 0.0, lost).y;
+        assert!((at(gripper.losses[1]) / at(gripper.losses[0]) - 0.995).abs() < 1e-12);
+        assert_eq!(gripper.losses[2], gripper.losses[1]);
+    }
+}

@@ -1,0 +1,53 @@
+//! Simulated calibration campaigns: recordings of a gripper with known physics, to test fit and diagnosis.
+//!
+//! Simulation and fit share the closed-form fields of magnets (validated against MagpyLib), the recording format and
+//! the nominal design, nothing else. The mechanics are integrated in time: stiffening springs, stick-slip friction,
+//! dampers and creep elements as differential equations, counted load cycles, moving magnets, drifting clocks. No
+//! effect is simulated as the regressor that a fit would estimate.
+//!
+//! Not simulated: heat flow, vibration of the fingers, a motor controller, lost transfers, an uncalibrated reference.
+//!
+//! - [`settings`]: size, noise and effects of a campaign.
+//! - [`excitation`]: load, motion and temperature over time.
+//! - [`gripper`]: all sensors in time.
+//! - [`recording`]: clocks, reference sensor, files.
+//! - [`truth`]: the simulated effects, written outside the campaign.
+
+pub mod excitation;
+pub mod gripper;
+pub mod recording;
+pub mod settings;
+pub mod truth;
+
+use std::path::Path;
+
+use anyhow::Result;
+use firmware::config::constants;
+
+use crate::campaign::excitation::Excitation;
+use crate::campaign::gripper::CampaignGripper;
+use crate::campaign::recording::{RecordingWriter, SampleClock};
+use crate::campaign::settings::{CampaignSettings, start_s};
+use crate::campaign::truth::Truth;
+
+/// Writes a campaign into a folder; `done` is called after each recording.
+///
+/// # Errors
+/// An effect is given twice, or a file cannot be written.
+pub fn simulate(settings: &CampaignSettings, folder: &Path, done: impl Fn()) -> Result<Truth> {
+    let (seed, seconds) = (settings.seed, settings.seconds);
+    let effects = settings.effects()?;
+    let numbers = 1..=settings.recordings;
+    let excitations: Vec<Excitation> = numbers.clone().map(|n| settings.excitation(n)).collect();
+    let rates_hz = [constants::SENSE_RATE.value, constants::REFERENCE_RATE.value];
+    let clocks: Vec<[SampleClock; 2]> =
+        numbers.clone().map(|n| SampleClock::draw(seed, n, rates_hz)).collect();
+    let mut gripper = CampaignGripper::new(settings, &effects, &excitations);
+    for ((recording, excitation), &clocks) in numbers.zip(&excitations).zip(&clocks) {
+        let writer = RecordingWriter { settings, effects: &effects, recording, excitation, clocks };
+        writer.write(&folder.join(recording.to_string()), &mut gripper)?;
+        gripper.pause(start_s(seconds, recording + 1) - start_s(seconds, recording) - seconds);
+        done();
+    }
+    Truth::new(settings, &effects, &gripper, &clocks)
+}

@@ -1,0 +1,306 @@
+//! Truth file of a simulated campaign: its settings and drawn values, stored outside its folder.
+
+use crate::campaign::gripper::CampaignGripper;
+use crate::campaign::recording::SampleClock;
+use crate::campaign::settings::CampaignSettings;
+use crate::effects::{AssignedEffect, Effect, Effects, Flexures};
+use crate::finger::SensorSpecimen;
+use crate::hall_sensor::{DRIFT_S, HallScale, NoiseKind};
+use crate::motion::Programme;
+use anyhow::{Context, Result, bail};
+use model_export::recordings::description::NominalDesign;
+use serde::{Deserialize, Serialize};
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+use toml::{Table, Value};
+
+/// First line of the file, which identifies it.
+pub const MARK: &str = "# What a simulated campaign of magpie holds.";
+
+/// Settings and drawn values of a campaign.
+#[derive(Debug, Serialize)]
+pub struct Truth {
+    seed: u64,
+    programme: Programme,
+    recordings: u32,
+    seconds: f64,
+    sensors: u32,
+    scatter: f64,
+    noise: NoiseKind,
+    load: f64,
+    warmer_k: f64,
+    field_noise_g: f64,
+    reference_noise_n: f64,
+    hidden: bool,
+    /// Nominal design.
+    design: NominalDesign,
+    part: HallScale,
+    /// Simulated effects.
+    pub effect: Vec<EffectTruth>,
+    sensor: Vec<SensorSpecimen>,
+    clocks: Vec<Clocks>,
+}
+
+/// One effect in the truth file.
+#[derive(Debug, Serialize)]
+pub struct EffectTruth {
+    /// Identifier of the effect.
+    pub id: String,
+    /// Magnitude, the mean over the sensors.
+    pub size: f64,
+    /// Unit of the magnitude.
+    pub unit: String,
+    meaning: String,
+    /// Magnitude in each sensor.
+    each: Vec<f64>,
+    /// Further drawn values.
+    #[serde(flatten)]
+    details: Table,
+}
+
+#[derive(Debug, Serialize)]
+struct Clocks {
+    recording: u32,
+    board: SampleClock,
+    reference: SampleClock,
+}
+
+impl Truth {
+    /// Truth of a campaign after its last recording.
+    pub fn new(
+        settings: &CampaignSettings,
+        effects: &Effects,
+        gripper: &CampaignGripper,
+        clocks: &[[SampleClock; 2]],
+    ) -> Result<Self> {
+        Ok(Self {
+            seed: settings.seed,
+            programme: settings.programme,
+            recordings: settings.recordings,
+            seconds: settings.seconds,
+            sensors: settings.sensors,
+            scatter: settings.scatter,
+            noise: settings.noise,
+            load: settings.harder,
+            warmer_k: settings.warmer_k,
+            field_noise_g: settings.field_noise_g,
+            reference_noise_n: settings.reference_noise_n,
+            hidden: settings.hidden,
+            design: settings.design.clone(),
+            part: settings.part,
+            effect: effects
+                .chosen
+                .iter()
+                .map(|chosen| EffectTruth::new(chosen, effects, gripper))
+                .collect::<Result<_>>()?,
+            sensor: gripper.sensors.iter().map(|sensor| sensor.specimen.clone()).collect(),
+            clocks: (1..)
+                .zip(clocks)
+                .map(|(recording, &[board, reference])| Clocks { recording, board, reference })
+                .collect(),
+        })
+    }
+
+    /// The file's text.
+    pub fn text(&self) -> Result<String> {
+        Ok(format!("{MARK}\n{}", toml::to_string(self)?))
+    }
+}
+
+impl EffectTruth {
+    fn new(chosen: &AssignedEffect, effects: &Effects, gripper: &CampaignGripper) -> Result<Self> {
+        let kind = chosen.effect.kind;
+        let mut details = details(chosen, effects, gripper)?;
+        if let Some(id) = chosen.needed_by {
+            details.insert("needed_by".into(), id.into());
+        }
+        Ok(Self {
+            id: kind.id.to_owned(),
+            size: chosen.effect.size,
+            unit: kind.unit().to_owned(),
+            meaning: kind.meaning.to_owned(),
+            each: chosen.each.clone(),
+            details,
+        })
+    }
+}
+
+/// Drawn values of an effect other than its magnitude.
+fn details(chosen: &AssignedEffect, effects: &Effects, gripper: &CampaignGripper) -> Result<Table> {
+    let sensors = || gripper.sensors.iter();
+    let mut table = Table::new();
+    let mut insert = |key: &str, value: Result<Value, toml::ser::Error>| -> Result<()> {
+        table.insert(key.to_owned(), value?);
+        Ok(())
+    };
+    match chosen.effect.kind.id {
+        "hysteresis" => insert("flexures", Value::try_from(chosen.effect.flexures))?,
+        "creep" => insert("time_constant_s", Value::try_from(effects.creep_s))?,
+        "softening" => {
+            let cycles: Vec<[u32; 2]> = sensors().map(|s| s.finger.cycles()).collect();
+            insert("time_constant_cycles", Value::try_from(effects.softening_cycles))?;
+            insert("cycles_in_the_end", Value::try_from(cycles))?;
+        }
+        "neighbour_magnet" => {
+            let closed: Vec<[f64; 3]> = sensors().map(|s| s.neighbour.closed_mm.into()).collect();
+            insert("closed_mm", Value::try_from(closed))?;
+        }
+        "motor_leakage" => {
+            let rows: Vec<[[f64; 3]; 3]> =
+                sensors().map(|s| s.leakage.transpose().into()).collect();
+            insert("axes_by_alpha_beta_quadrature_g_per_a", Value::try_from(rows))?;
+        }
+        "earth_field" => insert("world_g", Value::try_from(<[f64; 3]>::from(gripper.earth_g)))?,
+        "sensor_temperature" => {
+            let drifts: Vec<[f64; 3]> = sensors().map(|s| s.element.per_kelvin_g.into()).collect();
+            insert("drift_g_per_k", Value::try_from(drifts))?;
+        }
+        "field_drift" => {
+            let drifts: Vec<[f64; 3]> = sensors().map(|s| s.element.drift_g.into()).collect();
+            insert("final_g", Value::try_from(drifts))?;
+            insert("time_constant_s", Value::try_from(DRIFT_S))?;
+        }
+        "demagnetisation" => insert("loss_by_recording", Value::try_from(&gripper.losses))?,
+        "external_magnet" => {
+            insert("path", Value::try_from(&gripper.foreign))?;
+            let count = gripper.sensors.len() as u32;
+            if let Some(stretch_s) = gripper.foreign.interval_above_s(1.0, count) {
+                insert("above_1_g_s", Value::try_from(stretch_s))?;
+            }
+        }
+        _ => {}
+    }
+    Ok(table)
+}
+
+/// Default path: next to the campaign's folder, not in it.
+pub fn default_path(campaign: &Path) -> Result<PathBuf> {
+    let Some(name) = campaign.file_name() else {
+        bail!("cannot derive a truth path from {}; give --truth PATH", campaign.display());
+    };
+    let mut name = OsString::from(name);
+    name.push("-truth.toml");
+    Ok(campaign.with_file_name(name))
+}
+
+/// Rejects a truth file inside its campaign.
+pub fn check_outside(truth: &Path, campaign: &Path) -> Result<()> {
+    let (truth_at, campaign_at) = (std::path::absolute(truth)?, std::path::absolute(campaign)?);
+    if truth_at.starts_with(&campaign_at) {
+        bail!("{} is inside the campaign's folder; choose a path outside it", truth.display());
+    }
+    Ok(())
+}
+
+/// Settings in a truth file; all other values follow from them.
+#[derive(Deserialize)]
+struct TruthSettings {
+    seed: u64,
+    programme: Programme,
+    recordings: u32,
+    seconds: f64,
+    sensors: u32,
+    scatter: f64,
+    noise: NoiseKind,
+    load: f64,
+    warmer_k: f64,
+    field_noise_g: f64,
+    reference_noise_n: f64,
+    hidden: bool,
+    /// Absent in old files, which used the gripper's own.
+    #[serde(default = "NominalDesign::magpie")]
+    design: NominalDesign,
+    #[serde(default = "HallScale::a31301")]
+    part: HallScale,
+    #[serde(default)]
+    effect: Vec<TruthEffect>,
+}
+
+#[derive(Deserialize)]
+struct TruthEffect {
+    id: String,
+    size: f64,
+    flexures: Option<Flexures>,
+    needed_by: Option<String>,
+}
+
+/// Reads the settings of a campaign from its truth file.
+///
+/// # Errors
+/// The file cannot be read, is not a truth file, or contains an unknown effect.
+pub fn read_settings(truth: &Path) -> Result<CampaignSettings> {
+    let text = std::fs::read_to_string(truth)
+        .with_context(|| format!("cannot read {}", truth.display()))?;
+    if !text.starts_with(MARK) {
+        bail!("{}: not the truth file of a campaign", truth.display());
+    }
+    let truth_settings: TruthSettings =
+        toml::from_str(&text).with_context(|| truth.display().to_string())?;
+    // Implicit effects are added again by the effects that need them.
+    let effects = truth_settings.effect.iter().filter(|one| one.needed_by.is_none());
+    let effect = |one: &TruthEffect| -> Result<Effect> {
+        let effect: Effect = format!("{}={}", one.id, one.size).parse()?;
+        Ok(Effect { flexures: one.flexures.unwrap_or(effect.flexures), ..effect })
+    };
+    Ok(CampaignSettings {
+        seed: truth_settings.seed,
+        programme: truth_settings.programme,
+        recordings: truth_settings.recordings,
+        seconds: truth_settings.seconds,
+        sensors: truth_settings.sensors,
+        scatter: truth_settings.scatter,
+        noise: truth_settings.noise,
+        harder: truth_settings.load,
+        warmer_k: truth_settings.warmer_k,
+        field_noise_g: truth_settings.field_noise_g,
+        reference_noise_n: truth_settings.reference_noise_n,
+        effects: effects.map(effect).collect::<Result<_>>()?,
+        hidden: truth_settings.hidden,
+        design: truth_settings.design,
+        part: truth_settings.part,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::campaign::simulate;
+
+    #[test]
+    fn truth_is_written_next_to_its_campaign() {
+        let path = |campaign: &str| default_path(Path::new(campaign)).unwrap();
+        assert_eq!(path("out/one"), Path::new("out/one-truth.toml"));
+        assert_eq!(path("one/"), Path::new("one-truth.toml"));
+        assert!(default_path(Path::new("..")).is_err());
+        assert!(check_outside(Path::new("out/one/truth.toml"), Path::new("out/one")).is_err());
+        assert!(check_outside(&path("out/one"), Path::new("out/one")).is_ok());
+    }
+
+    #[test]
+    fn settings_of_a_truth_reproduce_the_campaign() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let effects = ["hysteresis=0.5:both", "screw_backlash", "creep=3"];
+        let original = CampaignSettings {
+            seed: 7,
+            programme: Programme::Level,
+            recordings: 1,
+            seconds: 3.0,
+            sensors: 2,
+            scatter: 1.5,
+            noise: NoiseKind::Ar1,
+            harder: 1.25,
+            warmer_k: -3.5,
+            field_noise_g: 0.3,
+            reference_noise_n: 0.1,
+            effects: effects.iter().map(|text| text.parse().unwrap()).collect(),
+            hidden: true,
+            design: NominalDesign { force_range_n: Some(90.0), ..NominalDesign::magpie() },
+            part: HallScale { gauss_per_lsb: 0.25, range_gauss: 4000.0 },
+        };
+        let truth = simulate(&original, &folder.path().join("then"), || ()).unwrap();
+        let path = folder.path().join("truth.toml");
+        std::fs::write(&path, truth.text().unwrap()).unwrap();
+        let again = simulate(&read_settings(&path).unwrap(), &folder.path().join("again"), || ());
+        assert_eq!(again.unwrap().text().unwrap(), truth.text().unwrap());
+    }
+}

@@ -1,0 +1,313 @@
+//! The simulated gripper at a board's connections: motor, fingertips, inertial sensor, in the board's time. Faults
+//! are injected into the sensed quantities and never reported to the firmware.
+
+use crate::board::world::{SimulatedMotor, World, WorldSample};
+use crate::closed_loop::motor_rig::MotorRig;
+use crate::drivetrain::PERIOD_S;
+use crate::drivetrain::fingertips::{FOOT_KG, Fingertips, Impact, distribute_forces};
+use crate::drivetrain::mechanics::DriveTrain;
+use crate::drivetrain::sensors::SimulatedImu;
+use crate::motion::{self, GRAVITY};
+use emulator::Time;
+use emulator::devices::{Drivetrain, SpiDevice};
+use firmware::config::constants::{PWM_RATE, TICK_US};
+use firmware::motor::power_stage::{BridgeCommand, MotorSamples};
+use firmware::motor::state::SupplyState;
+use firmware::motor::{MotorCommand, MotorState, MotorStatus, Trip, as5047};
+use firmware::tasks::FIRST_TICK_US;
+use nalgebra::Vector3;
+use std::cell::RefCell;
+use std::rc::Rc;
+
+/// PWM period in microseconds.
+const PERIOD_US: u64 = (1e3 / PWM_RATE.value) as u64;
+/// PWM periods between status updates of the motor, as on the board.
+const STATUS_PERIODS: u64 = TICK_US / PERIOD_US;
+/// PWM periods between steps of the fingertips.
+const FINGERTIP_PERIODS: u64 = 5;
+
+/// Errors injected into the sensors of the motor control.
+#[derive(Default)]
+pub struct SensingErrors {
+    /// Modifies each frame of the rotor sensor.
+    pub frame: Option<Box<dyn FnMut(u16) -> u16>>,
+    /// Modifies the ADC counts: phases U, V, W, bus.
+    pub counts: Option<CountsTransform>,
+    /// The rotor is locked.
+    pub is_jammed: bool,
+}
+
+/// Maps ADC counts to modified counts.
+pub type CountsTransform = Box<dyn FnMut([u16; 4]) -> [u16; 4]>;
+
+impl SensingErrors {
+    fn modify(&mut self, sensed: &mut MotorSamples) {
+        if let (Some(frame), Ok(angle)) = (&mut self.frame, sensed.angle) {
+            sensed.angle = as5047::angle(frame(as5047::answer(angle)));
+        }
+        if let Some(counts) = &mut self.counts {
+            let [u, v, w] = sensed.phases;
+            let [u, v, w, bus] = counts([u, v, w, sensed.bus]);
+            (sensed.phases, sensed.bus) = ([u, v, w], bus);
+        }
+    }
+}
+
+/// The gripper, shared between board and test.
+pub struct SimulatedGripper {
+    /// Drivetrain and motor control.
+    pub rig: MotorRig,
+    /// Injected errors.
+    pub errors: SensingErrors,
+    /// Contact point of an object: a share of half the sensors' distance, towards the first sensor.
+    pub towards_first: f64,
+    /// Landings, on the plant's time.
+    pub impacts: Vec<Impact>,
+    /// Peak true grip force in newtons, since its last reset.
+    pub peak_n: f64,
+    /// Time at which the motor executed the last order, in microseconds.
+    pub last_order_us: u64,
+    /// Time of the motor's first trip in microseconds, and its cause.
+    pub tripped: Option<(u64, Trip)>,
+    /// Time at which the motor first found its supply out of range.
+    pub out_us: Option<u64>,
+    tips: Fingertips,
+    inertial: SimulatedImu,
+    specific_force: Vector3<f64>,
+    periods: u64,
+    /// The next half period is the second of its period.
+    is_second_half: bool,
+    /// Phase of the motor's status updates in PWM periods: its clock is not that of the sensors.
+    status_phase: u64,
+    pending_order: Option<MotorCommand>,
+    status: MotorStatus,
+    samples: u64,
+    /// The timer of an emulated chip advances it, not its own rig.
+    is_driven_by_chip: bool,
+}
+
+impl SimulatedGripper {
+    /// A level gripper at rest; `seed` is that of its noise.
+    pub fn new(rig: MotorRig, tips: Fingertips, seed: u64) -> Self {
+        Self {
+            rig,
+            errors: SensingErrors::default(),
+            towards_first: 0.0,
+            impacts: Vec::new(),
+            peak_n: 0.0,
+            last_order_us: 0,
+            tripped: None,
+            out_us: None,
+            tips,
+            inertial: SimulatedImu::new(seed),
+            specific_force: Vector3::new(0.0, 0.0, GRAVITY),
+            periods: 0,
+            is_second_half: false,
+            status_phase: seed % STATUS_PERIODS,
+            pending_order: None,
+            status: MotorStatus::default(),
+            samples: 0,
+            is_driven_by_chip: false,
+        }
+    }
+
+    /// Connects an emulated chip: only [`Self::half_period`] advances the gripper.
+    pub fn connect_chip(&mut self) {
+        self.is_driven_by_chip = true;
+    }
+
+    /// Advances to a time with its own motor control.
+    pub fn advance(&mut self, time_us: u64) {
+        if self.is_driven_by_chip {
+            return;
+        }
+        while (self.periods + 1) * PERIOD_US <= time_us {
+            self.period();
+        }
+    }
+
+    fn period(&mut self) {
+        self.periods += 1;
+        if let Some(order) = self.pending_order.take() {
+            self.rig.motor.handle_command(order);
+            self.last_order_us = self.periods * PERIOD_US;
+        }
+        let errors = &mut self.errors;
+        let before = self.rig.plant.train;
+        self.rig.period_with(|sensed| errors.modify(sensed));
+        if errors.is_jammed {
+            self.rig.plant.train = DriveTrain { speed_rad_s: 0.0, travel_m_s: 0.0, ..before };
+        }
+        self.record_detections();
+        if self.periods % STATUS_PERIODS == self.status_phase {
+            self.status = self.rig.motor.status();
+        }
+        self.step_fingertips();
+    }
+
+    /// Advances the fingertips at the end of a period.
+    fn step_fingertips(&mut self) {
+        let grip_n = self.rig.plant.grip_n();
+        self.peak_n = self.peak_n.max(grip_n);
+        if self.periods.is_multiple_of(FINGERTIP_PERIODS) {
+            let ground_n = self.ground_n(self.rig.plant.time_s());
+            self.specific_force.z = GRAVITY + ground_n / FOOT_KG;
+            let forces_n = distribute_forces(grip_n, self.towards_first, ground_n);
+            self.tips.step(&forces_n, self.specific_force, FINGERTIP_PERIODS as f64 * PERIOD_S);
+        }
+    }
+
+    /// Half a PWM period driven by the emulated chip.
+    pub fn half_period(&mut self, drive: BridgeCommand) {
+        let before = self.rig.plant.train;
+        self.rig.plant.half_period(drive);
+        if self.errors.is_jammed {
+            self.rig.plant.train = DriveTrain { speed_rad_s: 0.0, travel_m_s: 0.0, ..before };
+        }
+        self.is_second_half = !self.is_second_half;
+        if !self.is_second_half {
+            self.periods += 1;
+            self.step_fingertips();
+        }
+    }
+
+    /// Counts of the converters: phases U, V, W, bus voltage.
+    pub fn convert(&mut self) -> [u16; 4] {
+        let ([u, v, w], bus) = self.rig.plant.convert();
+        let converted = [u, v, w, bus];
+        match &mut self.errors.counts {
+            Some(counts) => counts(converted),
+            None => converted,
+        }
+    }
+
+    /// Answer of the rotor sensor.
+    pub fn answer(&mut self) -> u16 {
+        let answer = as5047::answer(self.rig.plant.angle());
+        match &mut self.errors.frame {
+            Some(frame) => frame(answer),
+            None => answer,
+        }
+    }
+
+    /// Records when the motor detected a fault, to a PWM period.
+    fn record_detections(&mut self) {
+        let telling = self.rig.motor.status();
+        let now_us = self.periods * PERIOD_US;
+        if let MotorState::Tripped(trip) = telling.state {
+            self.tripped = self.tripped.or(Some((now_us, trip)));
+        }
+        if telling.state == MotorState::Armed && telling.supply != SupplyState::Sound {
+            self.out_us = self.out_us.or(Some(now_us));
+        }
+    }
+
+    fn ground_n(&self, time_s: f64) -> f64 {
+        self.impacts.iter().map(|impact| impact.force_n(time_s)).sum()
+    }
+
+    fn sample(&mut self) -> WorldSample {
+        let plant = &self.rig.plant;
+        let drive = motion::MotionState {
+            opening_mm: 1e3 * plant.opening_m(),
+            angle_rad: plant.train.angle_rad,
+            current_a: plant.direct_quadrature_a()[1],
+        };
+        let readings = self.tips.sample(&drive, plant.time_s());
+        let motion = self.inertial.sample(self.specific_force.into(), [0.0; 3]);
+        let mut covariates = self.status.covariates();
+        covariates.acceleration = Some(motion.acceleration);
+        WorldSample { readings, covariates }
+    }
+}
+
+/// A shared gripper.
+pub type SharedGripper = Rc<RefCell<SimulatedGripper>>;
+
+/// The gripper as the world of a board's sensors, sampled at the start of each tick.
+pub struct GripperWorld(pub SharedGripper);
+
+impl World for GripperWorld {
+    fn next(&mut self) -> Option<WorldSample> {
+        let mut gripper = self.0.borrow_mut();
+        let begins_us = FIRST_TICK_US + gripper.samples * TICK_US;
+        gripper.samples += 1;
+        gripper.advance(begins_us);
+        Some(gripper.sample())
+    }
+}
+
+/// Its half bridges and converters at the pins of an emulated chip.
+pub struct PowerStagePins(pub SharedGripper);
+
+impl Drivetrain for PowerStagePins {
+    fn half_period(&mut self, _: Time, duties: Option<[f64; 3]>) {
+        let drive = match duties {
+            None => BridgeCommand::Off,
+            Some([0.0, 0.0, 0.0]) => BridgeCommand::Brake,
+            Some(duties) => BridgeCommand::Duty(duties.map(|duty| duty as f32)),
+        };
+        self.0.borrow_mut().half_period(drive);
+    }
+
+    fn sample(&mut self) -> [u16; 4] {
+        self.0.borrow_mut().convert()
+    }
+}
+
+/// Its rotor sensor, an AS5047P: each frame returns the answer to the previous one.
+pub struct RotorSensor {
+    gripper: SharedGripper,
+    command: u16,
+    answer: u16,
+}
+
+impl RotorSensor {
+    /// Before the first frame.
+    pub fn new(gripper: SharedGripper) -> Self {
+        Self { gripper, command: 0, answer: 0 }
+    }
+}
+
+impl SpiDevice for RotorSensor {
+    fn select(&mut self, _: Time, is_selected: bool) {
+        if !is_selected && self.command == as5047::READ_ANGLE {
+            self.answer = self.gripper.borrow_mut().answer();
+        }
+    }
+
+    fn transfer(&mut self, _: Time, frame: u16) -> u16 {
+        self.command = frame;
+        self.answer
+    }
+}
+
+/// Its motor as seen by the board.
+pub struct GripperMotor(pub SharedGripper);
+
+impl SimulatedMotor for GripperMotor {
+    fn status(&mut self, time_us: u64) -> MotorStatus {
+        let mut gripper = self.0.borrow_mut();
+        gripper.advance(time_us);
+        gripper.status
+    }
+
+    fn order(&mut self, time_us: u64, order: MotorCommand) -> Result<(), MotorCommand> {
+        let mut gripper = self.0.borrow_mut();
+        gripper.advance(time_us);
+        match gripper.pending_order {
+            Some(_) => Err(order),
+            None => {
+                gripper.pending_order = Some(order);
+                Ok(())
+            }
+        }
+    }
+
+    fn restart(&mut self, time_us: u64) {
+        let mut gripper = self.0.borrow_mut();
+        gripper.advance(time_us);
+        gripper.rig.restart();
+        (gripper.pending_order, gripper.status) = (None, MotorStatus::default());
+    }
+}

@@ -1,0 +1,231 @@
+//! The firmware's image in an emulated chip, with the same connections and gripper as the tasks in virtual time: boot,
+//! drivers, interrupts, DMA, execution times and stack are those of the image.
+
+use crate::board::world::World;
+use crate::board::{Connections, SimulatedBoard};
+use crate::closed_loop::coupling::{PowerStagePins, RotorSensor, SharedGripper};
+use anyhow::{Context, Result};
+use emulator::log::LogLine;
+use emulator::wiring::Wiring;
+use emulator::{Chip, CycleModel, Devices, Frequency, Image, Options, Time};
+use firmware::grip::redundant_copy::COPY_WORDS;
+use firmware::protocol::messages::FaultEvent;
+use firmware::protocol::serial::{Packet, PacketDecoder};
+use firmware::system::faults::Event;
+
+/// Properties that vary between chips.
+#[derive(Clone, Copy, Debug)]
+pub struct ChipConditions {
+    /// Instruction timing.
+    pub model: CycleModel,
+    /// Synchronisation delay per bit on the sensor buses, in addition to the timing register.
+    pub i2c_synchronisation: Time,
+    /// Oscillator of the watchdog.
+    pub lsi: Frequency,
+    /// Seed of random numbers and of memory contents at power-on.
+    pub seed: u64,
+}
+
+impl ChipConditions {
+    /// Shortest execution times, fastest buses, slowest watchdog.
+    pub const FAST: Self = Self {
+        model: CycleModel::FAST,
+        i2c_synchronisation: Time::from_ns(250),
+        lsi: Frequency(29_500),
+        seed: 1,
+    };
+
+    /// Typical values.
+    pub const TYPICAL: Self = Self {
+        model: CycleModel::TYPICAL,
+        i2c_synchronisation: Time::from_ns(375),
+        lsi: Frequency(32_000),
+        seed: 2,
+    };
+
+    /// Longest execution times, slowest buses, fastest watchdog.
+    pub const SLOW: Self = Self {
+        model: CycleModel::SLOW,
+        i2c_synchronisation: Time::from_ns(500),
+        lsi: Frequency(34_000),
+        seed: 3,
+    };
+}
+
+/// A board that runs an image.
+pub struct EmulatedBoard {
+    /// Emulated chip.
+    pub chip: Chip,
+    /// Connections of the board.
+    pub connections: Connections,
+}
+
+impl EmulatedBoard {
+    /// Programs an image into a chip and switches it on, with a world and a gripper.
+    ///
+    /// # Errors
+    /// The chip does not start from flash.
+    pub fn start(
+        image: Image,
+        conditions: ChipConditions,
+        world: Box<dyn World>,
+        gripper: SharedGripper,
+    ) -> Result<Self> {
+        Self::wired(image, conditions, Wiring::NUCLEO_G474, world, gripper)
+    }
+
+    /// As [`Self::start`], on another circuit board.
+    ///
+    /// # Errors
+    /// As [`Self::start`].
+    pub fn wired(
+        image: Image,
+        conditions: ChipConditions,
+        wiring: Wiring,
+        world: Box<dyn World>,
+        gripper: SharedGripper,
+    ) -> Result<Self> {
+        gripper.borrow_mut().connect_chip();
+        let connections = Connections::new(world);
+        let [first, second] = connections.buses.clone();
+        let devices = Devices {
+            sensor_buses: [Box::new(first), Box::new(second)],
+            encoder: Box::new(RotorSensor::new(gripper.clone())),
+            drivetrain: Box::new(PowerStagePins(gripper)),
+            can: Box::new(connections.can.clone()),
+            serial: Box::new(connections.line.clone()),
+        };
+        let options = Options {
+            wiring,
+            i2c_synchronisation: conditions.i2c_synchronisation,
+            lsi: conditions.lsi,
+            seed: conditions.seed,
+        };
+        let chip = Chip::new(image, conditions.model, options, devices)
+            .context("the image does not start")?;
+        Ok(Self { chip, connections })
+    }
+
+    /// Bytes of the serial line since the last call.
+    pub fn take_sent(&self) -> SerialCapture {
+        let mut line = self.connections.line.borrow_mut();
+        SerialCapture {
+            bytes: std::mem::take(&mut line.sent),
+            ended: std::mem::take(&mut line.ended),
+        }
+    }
+
+    /// Packets of the serial line since the last call, with their end times.
+    pub fn take_packets(&self, receiver: &mut PacketDecoder) -> Vec<(Time, Packet)> {
+        self.take_sent().packets(receiver)
+    }
+}
+
+/// Captured bytes of the serial line.
+pub struct SerialCapture {
+    /// Captured bytes.
+    pub bytes: Vec<u8>,
+    /// End time of each zero byte.
+    ended: Vec<Time>,
+}
+
+impl SerialCapture {
+    /// Decodes the packets, with their end times.
+    pub fn packets(&self, receiver: &mut PacketDecoder) -> Vec<(Time, Packet)> {
+        let mut ended = self.ended.iter();
+        let mut packets = Vec::new();
+        for &byte in &self.bytes {
+            let time = if byte == 0 { ended.next() } else { None };
+            if let (Some(packet), Some(time)) = (receiver.push(byte), time) {
+                packets.push((*time, packet));
+            }
+        }
+        packets
+    }
+}
+
+impl EmulatedBoard {
+    /// As [`SimulatedBoard::take_events`], with the time since power-on, to 100 us; the board's own clock starts
+    /// with its program.
+    pub fn take_dated_events(&mut self) -> Vec<(Time, Event)> {
+        let logged = self.take_logged().into_iter();
+        logged.map(|(line, event)| (line.time, event)).collect()
+    }
+
+    fn take_logged(&mut self) -> Vec<(LogLine, Event)> {
+        let lines = self.chip.take_log().into_iter();
+        lines.filter_map(|line| event(&line.text).map(|event| (line, event))).collect()
+    }
+
+    /// Address of the shadow copies of [`firmware::grip::redundant_copy`]: complements of adjacent single-precision numbers.
+    fn copies_of_grasp(&self) -> Option<u32> {
+        let pool = self.chip.image().symbols_named("tasks::grip::POOL").next()?;
+        let memory = self.chip.soc.memory(pool.address, pool.length as usize)?;
+        let words: Vec<u32> = memory
+            .chunks_exact(4)
+            .map(|bytes| u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]))
+            .collect();
+        // The first word contains states, the sixth two numbers.
+        let has_originals = |copies: &[u32]| {
+            [1, 2, 3, 4, 6].iter().all(|&place| words.contains(&!copies[place]))
+                && f32::from_bits(!copies[1]) > 0.0
+        };
+        let place = words.windows(COPY_WORDS).position(has_originals)?;
+        Some(pool.address + 4 * place as u32)
+    }
+}
+
+impl SimulatedBoard for EmulatedBoard {
+    fn run_until(&mut self, time_us: u64) -> Result<()> {
+        self.chip.run_until(Time::from_us(time_us))?;
+        Ok(())
+    }
+
+    fn connections(&self) -> &Connections {
+        &self.connections
+    }
+
+    /// The copies are in the memory of the grasp task.
+    ///
+    /// # Panics
+    /// The image has no grasp task.
+    fn corrupt_grasp_memory(&mut self, bit: u32) {
+        let found = self.copies_of_grasp();
+        let copies = found.unwrap_or_else(|| panic!("the image has no grasp task"));
+        let address = copies + bit / 32 * 4;
+        let memory = self.chip.soc.memory(address, 4).unwrap_or_default();
+        let mut bytes: Vec<u8> = memory.to_vec();
+        if let Some(byte) = bytes.get_mut((bit % 32 / 8) as usize) {
+            *byte ^= 1 << (bit % 8);
+        }
+        self.chip.soc.write_memory(address, &bytes);
+    }
+
+    fn take_events(&mut self) -> Vec<(u64, Event)> {
+        let logged = self.take_logged().into_iter();
+        logged
+            .filter_map(|(line, event)| {
+                let time_us = 1e6 * line.stamp?.parse::<f64>().ok()?;
+                Some((time_us as u64, event))
+            })
+            .collect()
+    }
+}
+
+/// Parses an event from a line of the image's log.
+fn event(line: &str) -> Option<Event> {
+    let words = line.split([' ', ',', ':']);
+    let words: Vec<_> = words.filter(|word| !word.is_empty()).collect();
+    match words[..] {
+        ["info", "fault", code, "of", source, active, detail] => Some(Event::Fault(FaultEvent {
+            code: code.parse().ok()?,
+            source: source.parse().ok()?,
+            active: active.parse().ok()?,
+            detail: detail.parse().ok()?,
+        })),
+        ["info", "bus", bus, "cleared", "free", free] => {
+            Some(Event::BusCleared { bus: bus.parse().ok()?, free: free.parse().ok()? })
+        }
+        _ => None,
+    }
+}

@@ -1,0 +1,158 @@
+//! The fingertips: from contact forces to Hall counts, for the same simulated gripper as in `magpie simulate`.
+
+use std::f64::consts::PI;
+
+use anyhow::Result;
+use firmware::config::constants;
+use firmware::sensors::hall::{HallReading, SENSORS};
+use model_export::recordings::description::NominalDesign;
+use nalgebra::Vector3;
+use rand_chacha::ChaCha8Rng;
+
+use crate::effects::{Effect, Effects};
+use crate::external_fields::motor_currents;
+use crate::hall_sensor::{HallScale, NOISE_G, SensorUnit};
+use crate::motion::{LEAD_MM, MotionState};
+use crate::random::{Purpose, normal_vector, stream};
+
+/// Mass that lands with the gripper on the ground, in kg (assumed).
+pub const FOOT_KG: f64 = 2.0;
+
+/// Lateral and longitudinal force at each sensor, in newtons.
+pub type SensorForces = [[f64; 2]; SENSORS];
+
+/// Distributes grip and ground force to the sensors. Two sensors carry a finger; the object touches at
+/// `towards_first` times half their distance, towards the first of each finger. The grip pushes the fingers apart.
+pub fn distribute_forces(grip_n: f64, towards_first: f64, ground_n: f64) -> SensorForces {
+    let first_n = 0.5 * grip_n * (1.0 + towards_first);
+    let second_n = grip_n - first_n;
+    let ground_n = ground_n / SENSORS as f64;
+    [first_n, second_n, -first_n, -second_n].map(|lateral_n| [lateral_n, ground_n])
+}
+
+/// All sensors of the gripper, with measurement noise.
+pub struct Fingertips {
+    sensors: Vec<SensorUnit>,
+    rng: ChaCha8Rng,
+}
+
+impl Fingertips {
+    /// Draws a gripper; `scatter` scales its manufacturing tolerances.
+    ///
+    /// # Errors
+    /// An effect is given twice.
+    pub fn new(seed: u64, scatter: f64, effects: &[Effect]) -> Result<Self> {
+        let effects = Effects::new(effects, seed, SENSORS as u32, scatter)?;
+        let max_n = [constants::FORCE_RANGE.value; 2];
+        let sensor = |number| {
+            SensorUnit::new(&NominalDesign::magpie(), number, (seed, scatter), &effects, max_n)
+        };
+        Ok(Self {
+            sensors: (0..SENSORS as u32).map(sensor).collect(),
+            rng: stream(seed, Purpose::Fingertips, 0),
+        })
+    }
+
+    /// Advances the flexures by `dt_s` under these forces and this specific force in m/s^2.
+    pub fn step(&mut self, forces_n: &SensorForces, specific_force: Vector3<f64>, dt_s: f64) {
+        for (sensor, force_n) in self.sensors.iter_mut().zip(forces_n) {
+            sensor.finger.step(*force_n, specific_force, dt_s);
+        }
+    }
+
+    /// Samples all sensors; opening, rotor and current contribute their fields.
+    pub fn sample(&mut self, motion: &MotionState, time_s: f64) -> [Option<HallReading>; SENSORS] {
+        let mut readings = [None; SENSORS];
+        let currents_a = motor_currents(motion);
+        for (reading, sensor) in readings.iter_mut().zip(&self.sensors) {
+            let own_g = sensor.own_field(0.0, motion.opening_mm / LEAD_MM, 0.0);
+            let external_g =
+                sensor.neighbour.field(motion.opening_mm) + sensor.leakage * currents_a;
+            let measured_g = sensor.element.reading(own_g + external_g, 0.0, time_s);
+            let noisy_g = measured_g + normal_vector(&mut self.rng) * NOISE_G;
+            *reading = Some(HallReading {
+                // The range fits into the sensor's word.
+                field: HallScale::a31301().counts(noisy_g).map(|count| count as i16),
+                temperature: 0,
+            });
+        }
+        readings
+    }
+}
+
+/// A landing: ground force as a half sine.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Impact {
+    /// Touchdown on the plant's clock, in s.
+    pub start_s: f64,
+    /// Duration of the contact in s, commonly 2 to 50 ms.
+    pub lasts_s: f64,
+    /// Peak force in N.
+    pub peak_n: f64,
+}
+
+impl Impact {
+    /// Force at a time, in N.
+    pub fn force_n(&self, time_s: f64) -> f64 {
+        let share = (time_s - self.start_s) / self.lasts_s;
+        if (0.0..1.0).contains(&share) { self.peak_n * libm::sin(PI * share) } else { 0.0 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use model_export::physics::ForwardModel;
+
+    const OPEN: MotionState = MotionState { opening_mm: 40.0, angle_rad: 0.0, current_a: 0.0 };
+
+    #[test]
+    fn nominal_fingertips_read_the_field_of_the_forward_model() {
+        let mut tips = Fingertips::new(1, 0.0, &[]).unwrap();
+        let forces = distribute_forces(100.0, 0.2, 40.0);
+        tips.step(&forces, Vector3::zeros(), 1e-3);
+        let model = ForwardModel::nominal(&NominalDesign::magpie());
+        let readings = tips.sample(&OPEN, 0.0);
+        for (reading, force_n) in readings.iter().zip(forces) {
+            let field_g = model.field(force_n);
+            for (axis, count) in reading.unwrap().field.iter().enumerate() {
+                // Five standard deviations of the noise.
+                let off_g = f64::from(*count) * constants::SENSOR_SCALE.value - field_g[axis];
+                assert!(off_g.abs() < 5.0 * NOISE_G + 0.07, "{force_n:?} {axis}: {off_g}");
+            }
+        }
+    }
+
+    #[test]
+    fn grip_force_is_distributed_and_pushes_the_fingers_apart() {
+        assert_eq!(
+            distribute_forces(100.0, 0.2, 40.0),
+            [[60.0, 10.0], [40.0, 10.0], [-60.0, 10.0], [-40.0, 10.0]]
+        );
+    }
+
+    #[test]
+    fn motor_leakage_shifts_the_readings_with_the_current() {
+        let effects = ["motor_leakage=20".parse().unwrap()];
+        let mut tips = Fingertips::new(1, 0.0, &effects).unwrap();
+        let mut mean = |current_a: f64| {
+            let motion = MotionState { current_a, ..OPEN };
+            let samples = (0..100).map(|_| tips.sample(&motion, 0.0)[0].unwrap().field);
+            samples.fold([0.0; 3], |sum, field| {
+                [0, 1, 2].map(|axis| sum[axis] + f64::from(field[axis]) * 0.125 / 100.0)
+            })
+        };
+        let (without, with) = (mean(0.0), mean(10.0));
+        let shift = (0..3).map(|axis| (with[axis] - without[axis]).abs());
+        assert!(shift.fold(0.0, f64::max) > 2.0, "{with:?} {without:?}");
+    }
+
+    #[test]
+    fn impact_force_is_a_half_sine() {
+        let impact = Impact { start_s: 1.0, lasts_s: 0.004, peak_n: 300.0 };
+        assert!((impact.force_n(1.002) - 300.0).abs() < 1e-9);
+        // sin(pi/4).
+        assert!((impact.force_n(1.001) - 212.132).abs() < 1e-3);
+        assert_eq!((impact.force_n(0.999), impact.force_n(1.0041)), (0.0, 0.0));
+    }
+}

@@ -1,0 +1,290 @@
+//! Injects one fault in one operating state and evaluates detection, reaction and state transitions.
+
+use crate::closed_loop::{ClosedLoop, ClosedLoopSetup};
+use crate::drivetrain::parameters::{Lead, PlantParameters, SCATTER};
+use crate::faults::injection::InjectedFault;
+use crate::faults::operating_state::{OperatingState, SET_N};
+use crate::random::{Purpose, stream};
+use embedded_can::{Frame, StandardId};
+use firmware::config::constants::TICK_US;
+use firmware::config::limits::GripLimits;
+use firmware::grip::fault_reactions::{Reaction, fault_of};
+use firmware::grip::states::{PowerState, TASK_CODE, TaskState, state_code};
+use firmware::grip::transitions::{POWER_TRANSITIONS, TASK_TRANSITIONS};
+use firmware::protocol::can::CanFrame;
+use firmware::protocol::{DEFAULT_NODE, frame_id};
+use firmware::system::faults::{Event, Fault};
+use model_export::inverse::quantise::TableSet;
+use rand::RngExt;
+
+/// Simulated time after the fault in ms: the host timeout of 100 ms, and a stop.
+const AFTER_MS: u32 = 400;
+/// Motion of a foot's fingers that counts as one, in mm.
+const MOVED_MM: f64 = 0.1;
+/// Frames of a bus flood per millisecond, and maximum queue length.
+const FLOOD: (usize, usize) = (20, 50);
+
+/// One run of the campaign.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FaultCase {
+    /// Injected fault.
+    pub fault: InjectedFault,
+    /// Operating state at the injection.
+    pub state: OperatingState,
+    /// Screw variant.
+    pub lead: Lead,
+    /// Contact stiffness of the object in N/mm.
+    pub contact_n_per_mm: f64,
+    /// Seed of the gripper, its noise and the time of injection.
+    pub seed: u64,
+}
+
+/// Result of one run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FaultOutcome {
+    /// The operating state was reached.
+    pub was_reached: bool,
+    /// Detection latency in milliseconds; none where it was not detected.
+    pub found_ms: Option<f64>,
+    /// Peak true force after the fault, in N.
+    pub peak_n: f64,
+    /// True force at the end, in N.
+    pub end_n: f64,
+    /// State at the end, as in the heartbeat.
+    pub end: u8,
+    /// The final state is one that the specified reaction leads to.
+    pub is_as_specified: bool,
+    /// Transitions outside the state tables, motion of a foot, drives that restarted on their own.
+    pub forbidden: u32,
+}
+
+impl FaultCase {
+    /// Runs the case; `change` may disable a detector.
+    pub fn run(&self, tables: &TableSet, change: Option<fn(&mut ClosedLoopSetup)>) -> FaultOutcome {
+        let mut setup = ClosedLoopSetup {
+            plant: PlantParameters::scattered(self.lead, SCATTER, self.seed),
+            ..ClosedLoopSetup::nominal(self.lead, 0.0, self.seed)
+        };
+        if let Some(change) = change {
+            change(&mut setup);
+        }
+        let reached = self.state.reach(&setup, self.contact_n_per_mm, tables);
+        match reached {
+            Some(cell) => self.inject(cell),
+            None => FaultOutcome {
+                was_reached: false,
+                found_ms: None,
+                peak_n: 0.0,
+                end_n: 0.0,
+                end: 0,
+                is_as_specified: false,
+                forbidden: 0,
+            },
+        }
+    }
+
+    fn inject(&self, mut cell: ClosedLoop) -> FaultOutcome {
+        let mut rng = stream(self.seed, Purpose::FaultInjection, self.fault as u32);
+        let (phase_us, pick) = (rng.random_range(0..1000_u64), rng.random_range(0..12_usize));
+        cell.advance_us(phase_us);
+        let at_us = cell.time_us() + phase_us;
+        let mut observable_us = self.fault.observable_us(at_us, cell.time_us() + TICK_US);
+        cell.board.events.borrow_mut().clear();
+        let opening_mm = {
+            let gripper = &mut *cell.gripper.borrow_mut();
+            gripper.peak_n = gripper.rig.plant.grip_n();
+            (gripper.tripped, gripper.out_us) = (None, None);
+            1e3 * gripper.rig.plant.opening_m()
+        };
+        self.fault.inject(&mut cell, pick);
+        let (forbidden, left_us) = self.observe(&mut cell, opening_mm);
+        if let (InjectedFault::BusOff, Some(left_us)) = (self.fault, left_us) {
+            observable_us = left_us;
+        }
+        let found_us = self.found_us(&cell);
+        let gripper = cell.gripper.borrow();
+        FaultOutcome {
+            was_reached: true,
+            found_ms: found_us.map(|us| 1e-3 * us.saturating_sub(observable_us) as f64),
+            peak_n: gripper.peak_n,
+            end_n: gripper.rig.plant.grip_n(),
+            end: cell.state(),
+            is_as_specified: self.is_specified(cell.state()),
+            forbidden,
+        }
+    }
+
+    /// Observes the gripper; returns the number of forbidden events, and when the controller left the CAN bus.
+    fn observe(&self, cell: &mut ClosedLoop, opening_mm: f64) -> (u32, Option<u64>) {
+        let (mut forbidden, mut left_us) = (0, None);
+        let (mut last, mut was_off, mut has_moved) = (cell.state(), false, false);
+        for ms in 0..AFTER_MS + GripLimits::GRIPPER.stop_ms {
+            // A stop is simulated to its end.
+            if ms >= AFTER_MS && last != PowerState::QuickStop as u8 {
+                break;
+            }
+            if self.fault == InjectedFault::Flood {
+                flood(cell);
+            }
+            cell.tick();
+            if left_us.is_none() && cell.board.controller.is_off() {
+                left_us = Some(cell.time_us() - TICK_US);
+            }
+            let state = cell.state();
+            // A restart may lead from any state to one without drive.
+            let restarts =
+                self.fault == InjectedFault::MemoryCorruption && state <= PowerState::Safe as u8;
+            forbidden += u32::from(!may_follow(last, state) && !restarts);
+            // The host repeats its command; it must not restart the drive.
+            was_off |= state < TASK_CODE;
+            forbidden += u32::from(was_off && state >= TASK_CODE && last < TASK_CODE);
+            let now_mm = 1e3 * cell.gripper.borrow().rig.plant.opening_m();
+            has_moved |= (now_mm - opening_mm).abs() > MOVED_MM;
+            last = state;
+        }
+        forbidden += u32::from(self.state == OperatingState::Foot && has_moved);
+        (forbidden, left_us)
+    }
+
+    fn found_us(&self, cell: &ClosedLoop) -> Option<u64> {
+        if self.fault.is_found_by_motor() {
+            let gripper = cell.gripper.borrow();
+            return match self.fault.specification().fault {
+                Fault::Supply => gripper.out_us,
+                fault => gripper
+                    .tripped
+                    .filter(|(_, trip)| fault_of(*trip) == fault)
+                    .map(|(at_us, _)| at_us),
+            };
+        }
+        let fault = self.fault.specification().fault as u16;
+        let events = cell.board.events.borrow();
+        events.iter().find_map(|(time_us, event)| match event {
+            Event::Fault(event_data) => {
+                (event_data.code == fault && event_data.active != 0).then_some(*time_us)
+            }
+            _ => None,
+        })
+    }
+
+    /// Whether a final state conforms to the specified reaction.
+    pub fn is_specified(&self, state: u8) -> bool {
+        let is = |task| state == state_code(PowerState::Enabled, task);
+        let continues = match self.state {
+            OperatingState::Approach | OperatingState::Force | OperatingState::Hold => {
+                is(TaskState::HoldActive)
+                    || is(TaskState::HoldLatched)
+                    || is(TaskState::HoldFrozen)
+                    || is(TaskState::Force)
+            }
+            OperatingState::Foot => is(TaskState::Foot),
+            OperatingState::Idle => is(TaskState::Idle),
+        };
+        let stopped = state == PowerState::Armed as u8;
+        let off = state == PowerState::Fault as u8;
+        match (self.fault, self.state) {
+            (InjectedFault::HostSilent | InjectedFault::BusOff, OperatingState::Approach) => {
+                is(TaskState::TimeoutHold) || continues
+            }
+            // Without current, or with shorted windings, a load backdrives this screw.
+            (
+                InjectedFault::Hot | InjectedFault::BusHigh | InjectedFault::BusLow,
+                OperatingState::Hold,
+            ) if self.lead == Lead::B => continues || stopped || off,
+            (InjectedFault::ObjectGone, _) => is(TaskState::Lost),
+            (InjectedFault::MemoryCorruption, _) => state == PowerState::Safe as u8,
+            _ => match self.fault.reaction(self.state, self.lead == Lead::A) {
+                Reaction::Warn | Reaction::Hold => continues || is(TaskState::Approach),
+                Reaction::QuickStop => stopped,
+                Reaction::Brake | Reaction::Off => off,
+            },
+        }
+    }
+
+    /// Whether the force grew too far after a fault of one sensor.
+    pub fn is_too_much(&self, outcome: &FaultOutcome) -> bool {
+        self.fault.is_of_sensor() && outcome.peak_n > 1.1 * SET_N
+    }
+}
+
+/// One millisecond of frames without a message.
+fn flood(cell: &ClosedLoop) {
+    let (frames, waiting) = FLOOD;
+    let mut can = cell.board.connections.can.borrow_mut();
+    for _ in 0..frames {
+        let id = StandardId::new(frame_id(DEFAULT_NODE, 0x1F));
+        let frame = id.and_then(|id| CanFrame::new(id, &[]));
+        if let Some(frame) = frame.filter(|_| can.waiting() < waiting) {
+            can.put(frame);
+        }
+    }
+}
+
+/// Maximum number of transitions within a tick.
+const MAX_TRANSITIONS: u32 = 2;
+
+fn power_of(code: u8) -> Option<PowerState> {
+    PowerState::ALL.iter().copied().find(|power| *power as u8 == code)
+}
+
+fn task_of(code: u8) -> Option<TaskState> {
+    let task = code.checked_sub(TASK_CODE)?;
+    TaskState::ALL.iter().copied().find(|state| *state as u8 == task)
+}
+
+/// States reachable by one transition of the tables, as heartbeat codes.
+fn successors(code: u8) -> Vec<u8> {
+    let (power, task) = match task_of(code) {
+        Some(task) => (PowerState::Enabled, Some(task)),
+        None => match power_of(code) {
+            Some(power) => (power, None),
+            None => return Vec::new(),
+        },
+    };
+    let powers = POWER_TRANSITIONS.iter().filter(|(from, ..)| *from == power);
+    let mut codes: Vec<u8> = powers
+        .flat_map(|(.., to)| match to {
+            // The first task depends on homing and grip.
+            PowerState::Enabled => vec![
+                TASK_CODE + TaskState::Unhomed as u8,
+                TASK_CODE + TaskState::GripFailed as u8,
+                TASK_CODE + TaskState::Idle as u8,
+            ],
+            to => vec![*to as u8],
+        })
+        .collect();
+    let tasks = TASK_TRANSITIONS.iter().filter(|(from, ..)| Some(*from) == task);
+    codes.extend(tasks.map(|(.., to)| TASK_CODE + *to as u8));
+    codes
+}
+
+/// Whether a state may be observed one tick after another, both as heartbeat codes.
+pub fn may_follow(from: u8, to: u8) -> bool {
+    let mut reached = vec![from];
+    for _ in 0..MAX_TRANSITIONS {
+        if reached.contains(&to) {
+            return true;
+        }
+        reached = reached.iter().flat_map(|code| successors(*code)).collect();
+    }
+    reached.contains(&to)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use firmware::grip::states::state_code;
+
+    #[test]
+    fn transitions_outside_the_tables_are_forbidden() {
+        let task = |task| state_code(PowerState::Enabled, task);
+        assert!(may_follow(task(TaskState::Approach), task(TaskState::Force)));
+        assert!(may_follow(task(TaskState::Idle), task(TaskState::Idle)));
+        assert!(may_follow(task(TaskState::Approach), PowerState::QuickStop as u8));
+        assert!(may_follow(PowerState::Armed as u8, task(TaskState::Idle)));
+        assert!(!may_follow(PowerState::Fault as u8, task(TaskState::Idle)));
+        assert!(!may_follow(PowerState::Safe as u8, task(TaskState::Idle)));
+        assert!(!may_follow(task(TaskState::Foot), task(TaskState::Force)));
+        assert!(!may_follow(task(TaskState::Idle), task(TaskState::HoldActive)));
+    }
+}

@@ -1,0 +1,317 @@
+//! Report of `magpie add` and `magpie remove`.
+
+use analysis::numbers;
+use model_export::effects::EffectTerm;
+use model_export::fit::cross_validation::{CvSplit, ErrorSums};
+use model_export::fit::effect_size::EffectSize;
+use model_export::fit::joint::JointFit;
+use model_export::model_file::EffectModel;
+use model_export::recordings::mapping::ATTITUDE_COLUMNS;
+use serde_json::{Value, json};
+
+use crate::commands::edit_model::ModelEdit;
+use analysis::compare::AT_FLOOR;
+use report::text::terminal;
+
+/// Relative changes of the held-out error below this are insignificant.
+const INSIGNIFICANT_CHANGE: f64 = 0.005;
+/// A residual above this multiple of the floor may mask an effect.
+const MASKING_RESIDUAL: f64 = 1.5;
+/// A smaller reduction of the error is doubtful if the magnitude is implausible.
+const WEAK_REDUCTION: f64 = 0.05;
+/// Sensor columns per table.
+const SENSORS_ACROSS: usize = 4;
+
+/// The report as text.
+pub fn format_report(edit: &ModelEdit) -> String {
+    format!(
+        "{}\n{}\n{}{}{}",
+        effect_table(edit),
+        parameter_table(&edit.model.effects),
+        error_table(edit),
+        device_sentence(edit).unwrap_or_default(),
+        terminal::paragraph(&verdict(edit)),
+    )
+}
+
+/// Estimated and typical magnitude of each effect.
+fn effect_table(edit: &ModelEdit) -> String {
+    if edit.sizes.is_empty() {
+        return "The model has no effects.\n".to_owned();
+    }
+    let mut table =
+        terminal::table(["effect", "magnitude", "unit", "of", "typical", "plausible", ""]);
+    for (effect, size) in edit.model.effects.iter().zip(&edit.sizes) {
+        let scale =
+            if size.size.typical.is_finite() { size.size.typical.abs() } else { size.value.abs() };
+        let (low, high) = size.size.plausible;
+        let number = |value: f64| numbers::decimal_or_dash(value, 3);
+        let remark = match (
+            size.is_possible(),
+            size.is_plausible(),
+            size.value.abs() < 2.0 * size.std_error,
+        ) {
+            (_, _, true) => "not significant (2 standard errors)",
+            (false, ..) => "impossible: a proxy for another effect",
+            (true, false, _) => "implausible",
+            (true, true, _) => "",
+        };
+        table.add_row([
+            effect.name.clone(),
+            numbers::with_error(size.value, size.std_error, scale),
+            size.size.unit.to_owned(),
+            effect.quantity.clone(),
+            number(size.size.typical),
+            if low.is_finite() {
+                format!("{} to {}", number(low), number(high))
+            } else {
+                "-".to_owned()
+            },
+            remark.to_owned(),
+        ]);
+    }
+    format!("Effects over all sensors ± one standard deviation\n{table}\n")
+}
+
+/// Parameters of every effect and sensor, without initial states: those do not describe the gripper.
+fn parameter_table(effects: &[EffectModel]) -> String {
+    let mut text = String::new();
+    let Some(first) = effects.first() else {
+        return text;
+    };
+    let numbers: Vec<u32> = first.sensors.iter().map(|sensor| sensor.number).collect();
+    for numbers in numbers.chunks(SENSORS_ACROSS) {
+        let heads = numbers.iter().map(|number| format!("sensor {number}"));
+        let mut table = terminal::table(["parameter".to_owned()].into_iter().chain(heads));
+        for effect in effects {
+            let sensors =
+                || effect.sensors.iter().filter(|sensor| numbers.contains(&sensor.number));
+            let Some(first) = sensors().next() else {
+                continue;
+            };
+            table.add_row([effect.name.clone()]);
+            for (name, value) in
+                first.parameters.iter().filter(|(name, _)| !name.starts_with("begin"))
+            {
+                let shown = sensors().map(|sensor| match sensor.parameters.get(name) {
+                    Some(value) => {
+                        let mark = if value.identifiable { "" } else { "?" };
+                        numbers::with_error(value.value, value.std_error, value.value.abs()) + mark
+                    }
+                    None => String::new(),
+                });
+                let words = [format!("  {name} {}", value.unit)];
+                table.add_row(words.into_iter().chain(shown).collect::<Vec<_>>());
+            }
+        }
+        terminal::right_align(&mut table, 1);
+        text += &format!("{table}\n");
+    }
+    text + "?: not identifiable from these recordings.\n"
+}
+
+/// Held-out error of each axis before and after.
+fn error_table(edit: &ModelEdit) -> String {
+    let mut table = terminal::table([
+        "sensor",
+        "axis",
+        "before G",
+        "after G",
+        "floor G",
+        "after / floor",
+        "% of range",
+    ]);
+    let (before, after) = (&edit.before.1, &edit.after.1);
+    let scores =
+        |fit: &JointFit| fit.sensors.iter().flat_map(|s| s.scores.clone()).collect::<Vec<_>>();
+    for (old, new) in scores(before).iter().zip(&scores(after)) {
+        table.add_row([
+            new.sensor.to_string(),
+            new.axis.letter().to_owned(),
+            format!("{:.4}", old.held_out_rms_g),
+            format!("{:.4}", new.held_out_rms_g),
+            format!("{:.4}", new.floor_g),
+            format!("{:.3}", new.held_out_rms_g / new.floor_g),
+            format!("{:.3}", 100.0 * new.held_out_rms_g / new.span_g),
+        ]);
+    }
+    terminal::right_align(&mut table, 2);
+    let how = match after.split {
+        CvSplit::Recordings(_) => "cross-validated by recording",
+        CvSplit::KFold if edit.campaign.recordings.len() == 1 => {
+            "cross-validated on sixths of the only recording: no claim beyond it"
+        }
+        CvSplit::Interleaved => {
+            "cross-validated on interleaved blocks of 0.25 s: an effect is transient within recordings"
+        }
+        CvSplit::KFold => {
+            "cross-validated on sixths of every recording: an effect is specific to recordings"
+        }
+    };
+    format!("Held-out field error, {how}\n{table}\n{}", summary(edit))
+}
+
+/// Total error before and after.
+fn summary(edit: &ModelEdit) -> String {
+    let (old, new) = (edit.before.1.tally(), edit.after.1.tally());
+    let (improved, folds) = improved_folds(edit);
+    let newtons = match (old.rmse_n(), new.rmse_n()) {
+        (Some(old), Some(new)) => format!(" ({old:.3} N -> {new:.3} N as force)"),
+        _ => String::new(),
+    };
+    terminal::paragraph(&format!(
+        "Total: {:.4} G -> {:.4} G{newtons}, floor {:.4} G. Lower in {} of {} folds.",
+        old.mean_square().sqrt(),
+        new.mean_square().sqrt(),
+        new.floor_g(),
+        improved,
+        folds,
+    ))
+}
+
+/// Force error of the device code.
+fn device_sentence(edit: &ModelEdit) -> Option<String> {
+    let device = edit.device.as_ref()?;
+    let how = if device.held_out {
+        "both models refitted without it"
+    } else {
+        "which both models were fitted to"
+    };
+    let uncompensated: String =
+        device.uncompensated.iter().map(|line| terminal::paragraph(&format!("  {line}"))).collect();
+    let sentence = format!(
+        "Device code (fixed point), recording {}, {how}: {:.3} N -> {:.3} N RMSE.",
+        device.recording, device.before_rmse_n, device.after_rmse_n
+    );
+    Some(terminal::paragraph(&sentence) + &uncompensated)
+}
+
+/// Number of folds with a lower error after the edit, and of all folds.
+fn improved_folds(edit: &ModelEdit) -> (usize, usize) {
+    let (old, new) = (edit.before.1.folds(), edit.after.1.folds());
+    let improved = old.iter().zip(&new).filter(|(old, new)| new.mean_square() < old.mean_square());
+    (improved.count(), new.len())
+}
+
+/// Change of the error, and what these recordings leave unidentifiable.
+fn verdict(edit: &ModelEdit) -> String {
+    let sentences = [Some(gain(edit)), unidentifiable_offset(edit)];
+    sentences.into_iter().flatten().collect::<Vec<_>>().join(" ")
+}
+
+/// The sensors whose offset is confounded with the Earth's field.
+fn unidentifiable_offset(edit: &ModelEdit) -> Option<String> {
+    let sensors: Vec<String> = (edit.after.1.sensors.iter())
+        .filter(|fit| fit.offset_confounded)
+        .map(|fit| fit.sensor.to_string())
+        .collect();
+    if sensors.is_empty() {
+        return None;
+    }
+    let range_deg = ATTITUDE_COLUMNS.map(|name| {
+        let values = || (edit.campaign.recordings.iter()).filter_map(|r| r.covariates.get(name));
+        let low = values().flatten().copied().fold(f64::INFINITY, f64::min);
+        let high = values().flatten().copied().fold(f64::NEG_INFINITY, f64::max);
+        (high - low).to_degrees()
+    });
+    Some(format!(
+        "The offset of sensor {} is confounded with the Earth's field in these recordings (range of roll {:.0}, pitch {:.0}, yaw {:.0} degrees); it is regularised towards zero. Rotate the gripper by at least 90 degrees about two axes.",
+        sensors.join(", "),
+        range_deg[0],
+        range_deg[1],
+        range_deg[2],
+    ))
+}
+
+/// Change of the held-out error.
+fn gain(edit: &ModelEdit) -> String {
+    let rms = |tally: ErrorSums| tally.mean_square().sqrt();
+    let (old, new) = (rms(edit.before.1.tally()), rms(edit.after.1.tally()));
+    let floor = edit.after.1.tally().floor_g();
+    let reduction = 1.0 - new / old;
+    let adding = edit.after.0.len() >= edit.before.0.len();
+    let names = |fit: &[EffectTerm], other: &[EffectTerm]| {
+        let names: Vec<&str> =
+            fit.iter().filter(|e| !other.contains(e)).map(|e| e.name()).collect();
+        names.join(" and ")
+    };
+    if !adding {
+        let removed = names(&edit.before.0, &edit.after.0);
+        return if -reduction > INSIGNIFICANT_CHANGE {
+            format!("Without {removed} the error is {:.1} % higher.", -100.0 * reduction)
+        } else {
+            format!(
+                "Without {removed} the error is not higher: these recordings do not require it."
+            )
+        };
+    }
+    let added = names(&edit.after.0, &edit.before.0);
+    if reduction <= INSIGNIFICANT_CHANGE {
+        let reason = if new > MASKING_RESIDUAL * floor {
+            format!("The residual, {:.1} times the floor, may mask {added}", new / floor)
+        } else {
+            format!("{added} is not significant in these recordings")
+        };
+        return format!(
+            "Nothing gained: the held-out error changes by {:+.2} %. {reason}.",
+            -100.0 * reduction
+        );
+    }
+    let (improved, folds) = improved_folds(edit);
+    let is_significant = |size: &EffectSize| size.value.abs() >= 2.0 * size.std_error;
+    let is_new = |effect: &EffectTerm| !edit.before.0.contains(effect);
+    let pairs = edit.after.0.iter().zip(&edit.sizes);
+    let doubts: Vec<String> = pairs
+        .filter(|(effect, size)| is_new(effect) && !(is_significant(size) && size.is_plausible()))
+        .map(|(effect, size)| match (is_significant(size), size.is_possible()) {
+            (false, _) => format!("the magnitude of {} is not significant", effect.name()),
+            (true, true) => format!("the magnitude of {} is implausible", effect.name()),
+            (true, false) => format!("the magnitude of {} is impossible", effect.name()),
+        })
+        .collect();
+    if improved < folds || (!doubts.is_empty() && reduction < WEAK_REDUCTION) {
+        let doubts: String = doubts.iter().map(|doubt| format!("; {doubt}")).collect();
+        return format!(
+            "Doubtful: with {added} the error decreases by {:.1} %, in {improved} of {folds} folds{doubts}. Another effect may be missing.",
+            100.0 * reduction
+        );
+    }
+    let ratio = new / floor;
+    let remainder = if ratio <= AT_FLOOR {
+        format!("to the noise floor ({ratio:.2} times the floor)")
+    } else {
+        format!("but is still {ratio:.1} times the floor: another effect is missing")
+    };
+    format!("With {added} the error decreases by {:.1} % {remainder}.", 100.0 * reduction)
+}
+
+/// The object of `--json`.
+pub fn to_json(edit: &ModelEdit) -> Value {
+    let side = |fit: &JointFit| {
+        let tally = fit.tally();
+        json!({
+            "held_out_rms_g": tally.mean_square().sqrt(), "rmse_n": tally.rmse_n(),
+            "parts_rms_g": fit.folds().iter().map(|fold| fold.mean_square().sqrt()).collect::<Vec<_>>(),
+            "axes": fit.sensors.iter().flat_map(|s| &s.scores).map(|score| json!({
+                "sensor": score.sensor, "axis": score.axis.letter(),
+                "held_out_rms_g": score.held_out_rms_g, "floor_g": score.floor_g, "span_g": score.span_g,
+            })).collect::<Vec<_>>(),
+        })
+    };
+    let effects = edit.model.effects.iter().zip(&edit.sizes).map(|(effect, size)| {
+        json!({
+            "effect": effect.name, "value": effect.value, "std_error": effect.std_error, "unit": effect.unit,
+            "means": effect.quantity, "plausible": size.is_plausible(), "possible": size.is_possible(),
+            "sensors": effect.sensors,
+        })
+    });
+    json!({
+        "before": side(&edit.before.1),
+        "after": side(&edit.after.1),
+        "floor_g": edit.after.1.tally().floor_g(),
+        "effects": effects.collect::<Vec<_>>(),
+        "device": edit.device,
+        "verdict": verdict(edit),
+        "notices": edit.notices,
+    })
+}
