@@ -25,8 +25,8 @@ pub enum EncoderError {
     Silent,
     /// The checksum is wrong.
     Checksum,
-    /// The sensor reports an error: its magnet is too close, too far, or missing.
-    Field,
+    /// The sensor reports an error.
+    ErrorFlag,
 }
 
 /// The rotor angle sensor.
