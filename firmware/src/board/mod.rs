@@ -3,7 +3,6 @@
 pub mod i2c_timing;
 pub mod nucleo_g474;
 
-use embedded_hal_async::i2c::I2c;
 use embedded_io_async::{Read, Write};
 use embedded_storage_async::nor_flash::NorFlash;
 
@@ -19,12 +18,10 @@ pub type Board = nucleo_g474::NucleoG474;
 /// The Hall sensor of that board.
 pub type BoardHallSensor = <Board as Sensors>::Hall;
 
-/// Sensors of a board. Portable, because the default parameters depend on their addresses.
+/// Hall sensors of a board. Portable, because the default parameters depend on their addresses.
 pub trait Sensors {
     /// The four Hall sensors, two on each bus.
     type Hall: HallSensor;
-    /// The inertial sensor, where one is fitted.
-    type Imu<B: I2c>: Imu<Error = B::Error>;
 }
 
 /// What a board provides to the tasks.
@@ -35,6 +32,8 @@ pub trait Bsp: Sensors + Sized {
     type Clock: Clock;
     /// An I2C bus with two Hall sensors.
     type SensorBus: SensorBus;
+    /// Inertial sensor.
+    type Imu: Imu;
     /// Transmitting half of the CAN controller.
     type CanTx: CanSender;
     /// Receiving half of the CAN controller.
@@ -60,6 +59,8 @@ pub trait Bsp: Sensors + Sized {
 pub struct Peripherals<B: Bsp> {
     /// Buses of sensors 0 and 1, and of sensors 2 and 3.
     pub sensor_buses: [B::SensorBus; 2],
+    /// Inertial sensor, where one is fitted; no task reads it yet.
+    pub imu: Option<B::Imu>,
     /// Classic CAN at 1 Mbit/s, transmitting half.
     pub can_tx: B::CanTx,
     /// Receiving half.

@@ -16,6 +16,7 @@ use crate::board::nucleo_g474::can::{Receiver, Sender};
 use crate::board::nucleo_g474::crash::IndependentWatchdog;
 use crate::board::nucleo_g474::flash::{self, ParameterFlash};
 use crate::board::nucleo_g474::i2c::I2cBus;
+use crate::board::nucleo_g474::imu::{self, InertialSensor};
 use crate::board::nucleo_g474::{NucleoG474, drive, pwm, sync};
 use crate::board::{Bsp, Peripherals};
 use crate::protocol::serial::BAUD_RATE;
@@ -46,6 +47,7 @@ impl Bsp for NucleoG474 {
     const HARDWARE: u8 = 1;
     type Clock = BoardClock;
     type SensorBus = I2cBus;
+    type Imu = InertialSensor;
     type CanTx = Sender;
     type CanRx = Receiver;
     type SerialTx = UartTx<'static, Async>;
@@ -88,6 +90,16 @@ impl Bsp for NucleoG474 {
                 I2cBus::first(p.I2C1, p.PA15, p.PB9, TIMING),
                 I2cBus::second(p.I2C3, p.PC8, p.PC9, TIMING),
             ],
+            imu: cfg!(feature = "als31300-lsm6ds3").then(|| {
+                imu::inertial_sensor(imu::Parts {
+                    port: p.SPI3,
+                    clock: p.PC10,
+                    out: p.PC12,
+                    into: p.PC11,
+                    select: p.PD2,
+                    channels: (p.DMA1_CH3, p.DMA1_CH4),
+                })
+            }),
             can_tx: Sender { half: sender, properties },
             can_rx: Receiver(receiver),
             serial_tx,
