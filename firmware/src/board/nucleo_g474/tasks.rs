@@ -133,7 +133,7 @@ async fn estimate(shared: Shared, mut motor_status: <Drive as MotorDrive>::Monit
     let mut last = TickInputs::default();
     let inputs = move || {
         if let Some(motor) = motor_status.poll() {
-            last = TickInputs { auxiliary: motor.covariates(), motor };
+            last = TickInputs { auxiliary: motor.auxiliary_inputs(), motor };
         }
         last
     };
