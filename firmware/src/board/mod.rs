@@ -1,4 +1,4 @@
-//! Boards. Each is a folder that implements [`Sensors`] and, for the chip, [`Bsp`]; [`Board`] selects one.
+//! Boards. Each is a folder that implements [`Bsp`] for its chip; [`Board`] selects one.
 
 pub mod i2c_timing;
 pub mod nucleo_g474;
@@ -6,26 +6,20 @@ pub mod nucleo_g474;
 use embedded_io_async::{Read, Write};
 use embedded_storage_async::nor_flash::NorFlash;
 
-use crate::motor::{MotorCommand, MotorStatus, Settings};
+pub use crate::motor::state::MotorPort;
+
+use crate::clock::Clock;
+use crate::motor::{MotorStatus, Settings};
 use crate::protocol::can::{CanReceiver, CanSender};
-use crate::sensors::hall::{HallSensor, SensorBus};
+use crate::sensors::hall::SensorBus;
 use crate::sensors::imu::Imu;
-use crate::system::clock::Clock;
 use crate::system::task_watchdog::TaskProgress;
 
 /// The board that the firmware is built for.
 pub type Board = nucleo_g474::NucleoG474;
-/// The Hall sensor of that board.
-pub type BoardHallSensor = <Board as Sensors>::Hall;
-
-/// Hall sensors of a board. Portable, because the default parameters depend on their addresses.
-pub trait Sensors {
-    /// The four Hall sensors, two on each bus.
-    type Hall: HallSensor;
-}
 
 /// What a board provides to the tasks.
-pub trait Bsp: Sensors + Sized {
+pub trait Bsp: Sized {
     /// Identifier of the board in [`crate::protocol::messages::Version`].
     const HARDWARE: u8;
     /// Time since boot.
@@ -90,19 +84,6 @@ pub trait MotorDrive {
 
     /// Starts the control of the motor with the power stage off.
     fn start(self, settings: Settings) -> (Self::Port, Self::Monitor);
-}
-
-/// Orders to the motor control.
-pub trait MotorPort {
-    /// Queues an order, to be executed within one PWM period.
-    ///
-    /// # Errors
-    /// The order, when the queue is full.
-    fn order(&mut self, order: MotorCommand) -> Result<(), MotorCommand>;
-
-    /// Switches the power stage off and resets the chip, because the memory of the grasp is corrupt. Does not return on
-    /// the chip.
-    fn shut_down(&mut self);
 }
 
 /// State of the motor, updated each millisecond.

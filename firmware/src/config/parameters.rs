@@ -4,7 +4,6 @@
 //! On the bus a value is an `i32`. Values out of range are rejected, not clamped. Parameters that affect motion are writable
 //! only while disarmed.
 
-use crate::board::BoardHallSensor;
 use crate::config::schema::{COUNT, PARAMETERS, Parameter, RULES, id, index_of};
 use crate::estimator::tare::{MAX_OFFSET, Tare};
 use crate::fixed_point::Force;
@@ -12,7 +11,7 @@ use crate::motor;
 use crate::motor::calibration::CalibrationOutcome;
 use crate::motor::settings::{MotorWiring, Settings};
 use crate::protocol::messages::{ParamReply, ParamRequest};
-use crate::sensors::hall::{HallSensor, SENSORS};
+use crate::sensors::hall::{GripperHallSensor, HallSensor, SENSORS};
 
 /// Microohms in an ohm.
 const UOHM: f32 = 1e6;
@@ -188,7 +187,7 @@ impl Parameters {
     /// 7-bit addresses of the sensors.
     pub fn addresses(&self) -> [u8; SENSORS] {
         let mut id = id::ADDRESS..;
-        BoardHallSensor::ADDRESSES.map(|default| {
+        GripperHallSensor::ADDRESSES.map(|default| {
             let stated = id.next().and_then(|id| self.get(id));
             stated.map_or(default, |address| address as u8)
         })

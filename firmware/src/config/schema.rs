@@ -1,10 +1,9 @@
 //! Schema of the parameters: identifiers, names, units, defaults, ranges.
 
-use crate::board::BoardHallSensor;
-use crate::config::constants;
+use crate::constants;
 use crate::estimator::tare::MAX_OFFSET;
 use crate::protocol::DEFAULT_NODE;
-use crate::sensors::hall::{HallSensor, SENSORS};
+use crate::sensors::hall::{GripperHallSensor, HallSensor, SENSORS};
 
 /// Definition of a parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -139,7 +138,7 @@ pub const COUNT: usize = 13 + SENSORS + 2 * SENSORS;
 
 /// All parameters.
 pub const PARAMETERS: [Parameter; COUNT] = {
-    let [address_0, address_1, address_2, address_3] = BoardHallSensor::ADDRESSES;
+    let [address_0, address_1, address_2, address_3] = GripperHallSensor::ADDRESSES;
     [
         Parameter {
             id: id::NODE,

@@ -10,11 +10,11 @@
 //!    the offset of the sensor.
 //! 3. A square wave added to the voltage of the upper level. The slopes of the current give the inductance.
 
-use crate::config::constants;
-use crate::motor::PERIOD_S;
+use crate::constants;
 use crate::motor::foc::{AlphaBeta, Dq};
 use crate::motor::math::Direction;
 use crate::motor::settings::{IdentifiedMotor, MotorParameters, MotorWiring};
+use crate::motor::timing::PERIOD_S;
 
 /// Settling periods of a level: 0.3 s.
 const SETTLE: u32 = 6_000;

@@ -3,10 +3,10 @@
 
 use core::f32::consts::TAU;
 
-use crate::config::constants;
-use crate::motor::PERIOD_S;
+use crate::constants;
 use crate::motor::power_stage::EncoderError;
 use crate::motor::settings::Settings;
+use crate::motor::timing::PERIOD_S;
 
 /// Tracker units per turn.
 const TURN: f32 = 4_294_967_296.0;

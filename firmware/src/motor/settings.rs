@@ -1,6 +1,6 @@
 //! Parameters of motor, screw and board, and the limits of motor control. Controller gains are derived from them.
 
-use crate::config::constants;
+use crate::constants;
 use crate::motor::screw::Screw;
 
 /// Parameters of the motor and of what turns with it.

@@ -1,6 +1,6 @@
 //! Commands, states, trips and status of the motor.
 
-use crate::estimator::auxiliary_inputs::{self, AuxiliaryInputs};
+use crate::compensation::auxiliary_inputs::{self, AuxiliaryInputs};
 use crate::motor::commissioning::CommissioningError;
 use crate::motor::foc::Dq;
 use crate::motor::limits::{ActiveLimits, Temperatures};
@@ -216,6 +216,19 @@ impl MotorStatus {
             ..AuxiliaryInputs::default()
         }
     }
+}
+
+/// Orders to the motor control.
+pub trait MotorPort {
+    /// Queues an order, to be executed within one PWM period.
+    ///
+    /// # Errors
+    /// The order, when the queue is full.
+    fn order(&mut self, order: MotorCommand) -> Result<(), MotorCommand>;
+
+    /// Switches the power stage off and resets the chip, because the memory of the grasp is corrupt. Does not return on
+    /// the chip.
+    fn shut_down(&mut self);
 }
 
 #[cfg(test)]

@@ -19,6 +19,8 @@
 #[cfg(target_os = "none")]
 pub mod can;
 #[cfg(target_os = "none")]
+pub mod clock;
+#[cfg(target_os = "none")]
 pub mod crash;
 #[cfg(target_os = "none")]
 pub mod drive;
@@ -41,16 +43,6 @@ pub mod sync;
 #[cfg(target_os = "none")]
 pub mod tasks;
 
-use crate::board::Sensors;
-use crate::sensors::hall;
-
 /// The board as a type.
 #[derive(Clone, Copy, Debug)]
 pub struct NucleoG474;
-
-impl Sensors for NucleoG474 {
-    #[cfg(not(feature = "als31300-lsm6ds3"))]
-    type Hall = hall::a31301::A31301;
-    #[cfg(feature = "als31300-lsm6ds3")]
-    type Hall = hall::als31300::Als31300;
-}

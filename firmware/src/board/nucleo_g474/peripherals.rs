@@ -8,11 +8,11 @@ use embassy_stm32::rng::{self, Rng};
 use embassy_stm32::time::Hertz;
 use embassy_stm32::usart::{self, RingBufferedUartRx, Uart, UartTx};
 use embassy_stm32::{bind_interrupts, dma, pac, peripherals, rcc};
-use embassy_time::{Instant, Timer};
 use static_cell::ConstStaticCell;
 
 use crate::board::i2c_timing::{EdgeTimes, I2cMode, i2c_timing};
 use crate::board::nucleo_g474::can::{Receiver, Sender};
+use crate::board::nucleo_g474::clock::BoardClock;
 use crate::board::nucleo_g474::crash::IndependentWatchdog;
 use crate::board::nucleo_g474::flash::{self, ParameterFlash};
 use crate::board::nucleo_g474::i2c::I2cBus;
@@ -20,7 +20,6 @@ use crate::board::nucleo_g474::imu::{self, InertialSensor};
 use crate::board::nucleo_g474::{NucleoG474, drive, pwm, sync};
 use crate::board::{Bsp, Peripherals};
 use crate::protocol::serial::BAUD_RATE;
-use crate::system::clock::Clock;
 
 /// Clock of the I2C peripherals: HSI16.
 const I2C_HZ: u32 = 16_000_000;
@@ -121,20 +120,6 @@ impl Bsp for NucleoG474 {
             },
             watchdog: IndependentWatchdog::new(p.IWDG),
         }
-    }
-}
-
-/// Time of the timer that `embassy-time` uses.
-#[derive(Clone, Copy, Debug)]
-pub struct BoardClock;
-
-impl Clock for BoardClock {
-    fn now_us(&self) -> u64 {
-        Instant::now().as_micros()
-    }
-
-    async fn until(&self, time_us: u64) {
-        Timer::at(Instant::from_micros(time_us)).await;
     }
 }
 

@@ -16,19 +16,19 @@ use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_time::{Duration, Ticker};
 use static_cell::StaticCell;
 
-use crate::board::nucleo_g474::peripherals::BoardClock;
+use crate::board::nucleo_g474::clock::BoardClock;
 use crate::board::nucleo_g474::{NucleoG474, crash};
-use crate::board::{BoardHallSensor, Bsp, MotorDrive, MotorMonitor, Peripherals, Watchdog};
-use crate::config::limits::{DetectionLimits, GripLimits};
+use crate::board::{Bsp, MotorDrive, MotorMonitor, Peripherals, Watchdog};
 use crate::config::parameters::Backdrivability;
 use crate::estimator::Estimator;
 use crate::estimator::gru::GruBank;
 use crate::grip::GripController;
+use crate::limits::{DetectionLimits, GripLimits};
 use crate::model::tables::{NETWORKS, TABLES};
 use crate::motor::screw::Screw;
 use crate::protocol::PROTOCOL_VERSION;
 use crate::protocol::messages::Version;
-use crate::sensors::hall::SENSORS;
+use crate::sensors::hall::{GripperHallSensor, SENSORS};
 use crate::system::faults::Event;
 use crate::system::nv_storage::{LoadedParameters, ParameterStore};
 use crate::system::task_watchdog::FEED_PERIOD_MS;
@@ -124,7 +124,8 @@ async fn begin(spawner: Spawner, board: Peripherals<B>) {
 
 #[embassy_executor::task]
 async fn sense(shared: Shared, buses: [<B as Bsp>::SensorBus; 2], addresses: [u8; SENSORS]) {
-    tasks::sense::<BoardHallSensor, _, _, _>(buses, addresses, &LIMITS, &BoardClock, shared).await;
+    tasks::sense::<GripperHallSensor, _, _, _>(buses, addresses, &LIMITS, &BoardClock, shared)
+        .await;
 }
 
 #[embassy_executor::task]

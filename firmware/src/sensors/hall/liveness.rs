@@ -4,7 +4,7 @@
 //! with a probability of one in ten, three axes with one in a thousand. A saturated axis repeats by nature and is
 //! not counted.
 
-use crate::config::limits::DetectionLimits;
+use crate::limits::DetectionLimits;
 use crate::sensors::hall::a31301::FIELD_LIMITS;
 use crate::sensors::hall::{HallReading, HallSample};
 
