@@ -4,7 +4,7 @@
 //! On the bus a value is an `i32`. Values out of range are rejected, not clamped. Parameters that affect motion are writable
 //! only while disarmed.
 
-use crate::config::schema::{COUNT, PARAMETERS, Parameter, RULES, id, index_of};
+use crate::config::schema::{self, COUNT, PARAMETERS, Parameter, RULES, id, index_of};
 use crate::estimator::tare::{MAX_OFFSET, Tare};
 use crate::fixed_point::Force;
 use crate::motor;
@@ -14,7 +14,7 @@ use crate::protocol::messages::{ParamReply, ParamRequest};
 use crate::sensors::hall::{GripperHallSensor, HallSensor, SENSORS};
 
 /// Microohms in an ohm.
-const UOHM: f32 = 1e6;
+const UOHM: f32 = schema::UOHM as f32;
 /// From 2^-32 turns to the parameter's 2^-16: five thousandths of a degree.
 const OFFSET_SHIFT: u32 = 16;
 /// Nanohenries in a henry.

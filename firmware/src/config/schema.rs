@@ -133,6 +133,9 @@ pub mod id {
     pub const TARE: u16 = 0x30;
 }
 
+/// Microohms in an ohm.
+pub(super) const UOHM: f64 = 1e6;
+
 /// Count of the parameters.
 pub const COUNT: usize = 13 + SENSORS + 2 * SENSORS;
 
@@ -205,7 +208,7 @@ pub const PARAMETERS: [Parameter; COUNT] = {
             id: id::RESISTANCE,
             name: "resistance",
             unit: "uohm",
-            default: (constants::PHASE_RESISTANCE.value * 1e6) as i32,
+            default: (constants::PHASE_RESISTANCE.value * UOHM) as i32,
             range: ValueRange::Between(10_000, 10_000_000),
             affects_motion: true,
             description: "phase resistance; measured by the device, takes effect at the next boot",

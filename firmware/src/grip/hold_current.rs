@@ -1,10 +1,7 @@
 //! Motor current while holding.
 
-use crate::constants;
+use crate::motor::settings::PEAK_A;
 
-/// Peak motor current in amperes.
-pub(super) const PEAK_A: f32 =
-    (constants::PEAK_TORQUE.value / constants::TORQUE_CONSTANT.value) as f32;
 /// Milliseconds within the band after which the holding current decreases.
 const RELAX_MS: u32 = 100;
 /// Decay factor of the holding current per millisecond.

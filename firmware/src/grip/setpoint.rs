@@ -2,11 +2,12 @@
 
 use crate::constants;
 use crate::grip::fault_reactions::Reaction;
-use crate::grip::hold_current::{MARGIN, PEAK_A};
+use crate::grip::hold_current::MARGIN;
 use crate::grip::homing::HomingStep;
 use crate::grip::states::{PowerState, TaskState};
 use crate::grip::{GripController, force_controller};
 use crate::motor::math::within;
+use crate::motor::settings::PEAK_A;
 use crate::motor::{MotorStatus, Setpoint};
 
 /// Minimum stiffness used by the force controller in N/mm: with less, force noise would shake the fingers.

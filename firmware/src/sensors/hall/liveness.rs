@@ -5,8 +5,7 @@
 //! not counted.
 
 use crate::limits::DetectionLimits;
-use crate::sensors::hall::a31301::FIELD_LIMITS;
-use crate::sensors::hall::{HallReading, HallSample};
+use crate::sensors::hall::{GripperHallSensor, HallReading, HallSample, HallSensor};
 
 /// State of a sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -87,7 +86,7 @@ impl LivenessMonitor {
 }
 
 fn unsaturated_axes(reading: &HallReading) -> u8 {
-    let (min, max) = FIELD_LIMITS;
+    let (min, max) = GripperHallSensor::FIELD_LIMITS;
     let is_inside = |counts: &&i16| **counts > min && **counts < max;
     reading.field.iter().filter(is_inside).count() as u8
 }

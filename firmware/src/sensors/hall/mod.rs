@@ -63,6 +63,9 @@ pub trait HallSensor {
     /// Register of the configuration word ([`config_readback`]).
     const CONFIGURATION: u8;
 
+    /// Minimum and maximum of a field axis in [`HallReading`] counts, at which the sensor saturates.
+    const FIELD_LIMITS: (i16, i16);
+
     /// Decodes the bytes of a measurement.
     fn decode(bytes: [u8; TRANSFER_BYTES]) -> HallSample;
 }
