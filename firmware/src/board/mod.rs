@@ -1,7 +1,10 @@
-//! Boards. Each is a folder that implements [`Bsp`] for its chip; [`Board`] selects one.
+//! Boards. Each is a folder that implements [`Bsp`] for its chip and spawns the tasks; [`selected`] is one of them.
 
 pub mod i2c_timing;
-pub mod nucleo_g474;
+/// The board that the firmware is built for: the path of its folder. Only one board is compiled, because each defines the
+/// interrupts and the critical section.
+#[path = "nucleo_g474/mod.rs"]
+pub mod selected;
 
 use embedded_io_async::{Read, Write};
 use embedded_storage_async::nor_flash::NorFlash;
@@ -14,9 +17,6 @@ use crate::protocol::can::{CanReceiver, CanSender};
 use crate::sensors::hall::SensorBus;
 use crate::sensors::imu::Imu;
 use crate::system::task_watchdog::TaskProgress;
-
-/// The board that the firmware is built for.
-pub type Board = nucleo_g474::NucleoG474;
 
 /// What a board provides to the tasks.
 pub trait Bsp: Sized {

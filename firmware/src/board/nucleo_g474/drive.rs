@@ -11,12 +11,12 @@ use embassy_stm32::{Peri, peripherals};
 use embassy_time::Delay;
 use static_cell::ConstStaticCell;
 
-use crate::board::nucleo_g474::crash;
-use crate::board::nucleo_g474::feedback::{
+use crate::board::selected::crash;
+use crate::board::selected::feedback::{
     ANGLE_AGE_PERIODS, AnalogPins, PhaseCurrents, RotorSensor, SpiPins, rotor_sensor,
 };
-use crate::board::nucleo_g474::pwm::{self, Stage};
-use crate::board::nucleo_g474::sync::{Queue, Reader, Writer};
+use crate::board::selected::pwm::{self, Stage};
+use crate::board::selected::sync::{Queue, Reader, Writer};
 use crate::board::{MotorDrive, MotorMonitor, MotorPort};
 use crate::motor::power_stage::{Encoder, MotorSamples, PowerStage};
 use crate::motor::settings::IdentifiedMotor;

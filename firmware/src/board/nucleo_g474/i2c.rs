@@ -18,7 +18,7 @@ use embassy_stm32::{Peri, rcc};
 use embassy_sync::waitqueue::AtomicWaker;
 use embedded_hal_async::i2c::{ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation};
 
-use crate::board::nucleo_g474::clock::BoardClock;
+use crate::board::selected::clock::BoardClock;
 use crate::clock::delay_us;
 use crate::sensors::hall::{BusLines, SensorBus, clear_bus};
 

@@ -11,13 +11,13 @@ use embassy_stm32::{bind_interrupts, dma, pac, peripherals, rcc};
 use static_cell::ConstStaticCell;
 
 use crate::board::i2c_timing::{EdgeTimes, I2cMode, i2c_timing};
-use crate::board::nucleo_g474::can::{Receiver, Sender};
-use crate::board::nucleo_g474::clock::BoardClock;
-use crate::board::nucleo_g474::crash::IndependentWatchdog;
-use crate::board::nucleo_g474::flash::{self, ParameterFlash};
-use crate::board::nucleo_g474::i2c::I2cBus;
-use crate::board::nucleo_g474::imu::{self, InertialSensor};
-use crate::board::nucleo_g474::{NucleoG474, drive, pwm, sync};
+use crate::board::selected::can::{Receiver, Sender};
+use crate::board::selected::clock::BoardClock;
+use crate::board::selected::crash::IndependentWatchdog;
+use crate::board::selected::flash::{self, ParameterFlash};
+use crate::board::selected::i2c::I2cBus;
+use crate::board::selected::imu::{self, InertialSensor};
+use crate::board::selected::{NucleoG474, drive, pwm, sync};
 use crate::board::{Bsp, Peripherals};
 use crate::protocol::serial::BAUD_RATE;
 

@@ -2,7 +2,7 @@
 //!
 //! | level | tasks | deadline |
 //! | --- | --- | --- |
-//! | priority 0 and 1 | motor interrupts ([`crate::board::nucleo_g474::drive`]), drivers | one PWM period |
+//! | priority 0 and 1 | motor interrupts ([`crate::board::selected::drive`]), drivers | one PWM period |
 //! | [`SENSING_PRIORITY`] | sense, receive CAN | a bus waits for its next transfer; the controller stores three frames |
 //! | [`CONTROL_PRIORITY`] | estimate, grip | the next tick |
 //! | thread mode | all other tasks | |
@@ -16,8 +16,8 @@ use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_time::{Duration, Ticker};
 use static_cell::StaticCell;
 
-use crate::board::nucleo_g474::clock::BoardClock;
-use crate::board::nucleo_g474::{NucleoG474, crash};
+use crate::board::selected::clock::BoardClock;
+use crate::board::selected::{NucleoG474, crash};
 use crate::board::{Bsp, MotorDrive, MotorMonitor, Peripherals, Watchdog};
 use crate::config::parameters::Backdrivability;
 use crate::estimator::Estimator;
