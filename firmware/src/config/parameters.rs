@@ -280,7 +280,7 @@ mod tests {
         assert_eq!((all.node(), all.command_timeout_ms()), (0x10, 100));
         assert_eq!(all.force_rate_hz(), 100);
         assert_eq!([all.raw(), all.ground_contact(), all.telemetry()], [false, false, true]);
-        assert_eq!(all.addresses(), [0x60, 0x63, 0x6C, 0x6F]);
+        assert_eq!(all.addresses(), GripperHallSensor::ADDRESSES);
         assert_eq!((all.tare(), all.backdrivability()), (Tare::NONE, Backdrivability::Unknown));
     }
 

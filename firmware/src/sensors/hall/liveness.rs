@@ -125,11 +125,12 @@ mod tests {
     #[test]
     fn saturated_axes_do_not_count_as_frozen() {
         let mut monitor = LivenessMonitor::new(&DetectionLimits::GRIPPER);
+        let (min, max) = GripperHallSensor::FIELD_LIMITS;
         let mut condition = |z| {
-            let field = [16383, -16384, z];
+            let field = [max, min, z];
             monitor.update(Some(HallSample::New(HallReading { field, temperature: 3 }))).condition
         };
-        assert!((0..1000).all(|_| condition(16383) == Live));
+        assert!((0..1000).all(|_| condition(max) == Live));
         // One unsaturated axis needs nine repetitions: three would occur by noise every second.
         assert_eq!((0..20).take_while(|_| condition(12) == Live).count(), 9);
     }
