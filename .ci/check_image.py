@@ -32,7 +32,7 @@ DRIVE = ("ADC1_2", "CORDIC")
 # Absent from an image without networks.
 NETWORKS = "firmware::estimator::gru::apply"
 TABLE = "firmware::model::kernel::activation::TABLE"
-RECORD = "firmware::board::nucleo_g474::crash::RECORD"
+RECORD = "firmware::board::selected::crash::RECORD"
 # Most bytes: of a recurrent network's kernel with its tables, of a kernel's stack, and of the stack from
 # an entry down (a task's own stack and interrupts come on top; 14 KiB hold all).
 CODE_LIMIT, KERNEL_STACK_LIMIT, STACK_LIMIT = 7 * 1024, 200, 1280

@@ -36,6 +36,11 @@ impl Field {
         Self((counts as i32) << Self::BITS)
     }
 
+    /// Less an offset, saturating.
+    pub const fn saturating_sub(self, offset: i32) -> Self {
+        Self(self.0.saturating_sub(offset))
+    }
+
     /// In counts.
     pub fn counts(self) -> f64 {
         f64::from(self.0) / f64::from(1_u32 << Self::BITS)

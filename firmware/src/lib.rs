@@ -1,14 +1,17 @@
 //! The gripper's portable `no_std` library, shared by the device, the replay, the simulator and the tests.
 //!
-//! - [`config`]: design constants, detection thresholds, run-time parameters.
-//! - [`fixed_point`]: saturating integer arithmetic and fixed-point quantities.
+//! Each module uses only those above it:
+//! - [`fixed_point`], [`checksum`], [`clock`]: saturating integer arithmetic and fixed-point quantities; checksums; time.
+//! - [`constants`], [`limits`]: design constants and detection thresholds.
 //! - [`sensors`]: drivers of the Hall sensors and the inertial sensor.
+//! - [`compensation`]: compensation of physical effects on fields and forces, and its auxiliary inputs.
 //! - [`model`]: formats of the tables, their integrity, and the integer kernels over them.
-//! - [`estimator`]: from readings to forces: compensation, ideal model, networks, disturbance detection, tare.
+//! - [`estimator`]: from readings to forces: ideal model, networks, disturbance detection, tare.
 //! - [`motor`]: current, velocity and position control.
-//! - [`grip`]: the state machine of grasp and ground contact.
 //! - [`protocol`]: messages on the CAN bus and on the serial line, sessions.
-//! - [`system`]: faults, watchdog, crash records, non-volatile storage, time.
+//! - [`config`]: parameters that a host may change, and their schema.
+//! - [`system`]: faults, watchdog, crash records, non-volatile storage.
+//! - [`grip`]: the state machine of grasp and ground contact.
 //! - [`tasks`]: the portable bodies of the tasks; they run on the chip and in virtual time.
 //! - [`board`]: one folder for each board.
 #![no_std]
@@ -17,10 +20,15 @@
 extern crate std;
 
 pub mod board;
+pub mod checksum;
+pub mod clock;
+pub mod compensation;
 pub mod config;
+pub mod constants;
 pub mod estimator;
 pub mod fixed_point;
 pub mod grip;
+pub mod limits;
 pub mod model;
 pub mod motor;
 pub mod protocol;

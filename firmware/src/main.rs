@@ -7,19 +7,19 @@ use defmt_rtt as _;
 #[cfg(target_os = "none")]
 #[panic_handler]
 fn panic(_: &core::panic::PanicInfo) -> ! {
-    firmware::board::nucleo_g474::crash::panicked()
+    firmware::board::selected::crash::panicked()
 }
 
 #[cfg(target_os = "none")]
 #[embassy_executor::main]
 async fn main(spawner: embassy_executor::Spawner) {
-    firmware::board::nucleo_g474::tasks::start(spawner);
+    firmware::board::selected::tasks::start(spawner);
 }
 
 #[cfg(not(target_os = "none"))]
 fn main() {
     println!("MAGPIE gripper, design constants (* = assumed, confirm on your own hardware)");
-    for constant in firmware::config::constants::ALL {
+    for constant in firmware::constants::ALL {
         println!(
             "{} {:<26} {:>9} {:<6} {}",
             if constant.assumed { "*" } else { " " },

@@ -1,40 +1,33 @@
-//! Boards. Each is a folder that implements [`Sensors`] and, for the chip, [`Bsp`]; [`Board`] selects one.
+//! Boards. Each is a folder that implements [`Bsp`] for its chip and spawns the tasks; [`selected`] is one of them.
 
 pub mod i2c_timing;
-pub mod nucleo_g474;
+/// The board that the firmware is built for: the path of its folder. Only one board is compiled, because each defines the
+/// interrupts and the critical section.
+#[path = "nucleo_g474/mod.rs"]
+pub mod selected;
 
-use embedded_hal_async::i2c::I2c;
 use embedded_io_async::{Read, Write};
 use embedded_storage_async::nor_flash::NorFlash;
 
-use crate::motor::{MotorCommand, MotorStatus, Settings};
+pub use crate::motor::state::MotorPort;
+
+use crate::clock::Clock;
+use crate::motor::{MotorStatus, Settings};
 use crate::protocol::can::{CanReceiver, CanSender};
-use crate::sensors::hall::{HallSensor, SensorBus};
+use crate::sensors::hall::SensorBus;
 use crate::sensors::imu::Imu;
-use crate::system::clock::Clock;
 use crate::system::task_watchdog::TaskProgress;
 
-/// The board that the firmware is built for.
-pub type Board = nucleo_g474::NucleoG474;
-/// The Hall sensor of that board.
-pub type BoardHallSensor = <Board as Sensors>::Hall;
-
-/// Sensors of a board. Portable, because the default parameters depend on their addresses.
-pub trait Sensors {
-    /// The four Hall sensors, two on each bus.
-    type Hall: HallSensor;
-    /// The inertial sensor, where one is fitted.
-    type Imu<B: I2c>: Imu<Error = B::Error>;
-}
-
 /// What a board provides to the tasks.
-pub trait Bsp: Sensors + Sized {
+pub trait Bsp: Sized {
     /// Identifier of the board in [`crate::protocol::messages::Version`].
     const HARDWARE: u8;
     /// Time since boot.
     type Clock: Clock;
     /// An I2C bus with two Hall sensors.
     type SensorBus: SensorBus;
+    /// Inertial sensor.
+    type Imu: Imu;
     /// Transmitting half of the CAN controller.
     type CanTx: CanSender;
     /// Receiving half of the CAN controller.
@@ -60,6 +53,8 @@ pub trait Bsp: Sensors + Sized {
 pub struct Peripherals<B: Bsp> {
     /// Buses of sensors 0 and 1, and of sensors 2 and 3.
     pub sensor_buses: [B::SensorBus; 2],
+    /// Inertial sensor, where one is fitted; no task reads it yet.
+    pub imu: Option<B::Imu>,
     /// Classic CAN at 1 Mbit/s, transmitting half.
     pub can_tx: B::CanTx,
     /// Receiving half.
@@ -89,19 +84,6 @@ pub trait MotorDrive {
 
     /// Starts the control of the motor with the power stage off.
     fn start(self, settings: Settings) -> (Self::Port, Self::Monitor);
-}
-
-/// Orders to the motor control.
-pub trait MotorPort {
-    /// Queues an order, to be executed within one PWM period.
-    ///
-    /// # Errors
-    /// The order, when the queue is full.
-    fn order(&mut self, order: MotorCommand) -> Result<(), MotorCommand>;
-
-    /// Switches the power stage off and resets the chip, because the memory of the grasp is corrupt. Does not return on
-    /// the chip.
-    fn shut_down(&mut self);
 }
 
 /// State of the motor, updated each millisecond.

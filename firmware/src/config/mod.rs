@@ -1,6 +1,6 @@
-//! Design constants, detection thresholds, and the parameters that a host may change.
+//! Parameters that a host may change; also the paths of constants and limits for hosts.
 
-pub mod constants;
-pub mod limits;
 pub mod parameters;
 pub mod schema;
+
+pub use crate::{constants, limits};

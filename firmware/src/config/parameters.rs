@@ -4,18 +4,17 @@
 //! On the bus a value is an `i32`. Values out of range are rejected, not clamped. Parameters that affect motion are writable
 //! only while disarmed.
 
-use crate::board::BoardHallSensor;
-use crate::config::schema::{COUNT, PARAMETERS, Parameter, RULES, id, index_of};
+use crate::config::schema::{self, COUNT, PARAMETERS, Parameter, RULES, id, index_of};
 use crate::estimator::tare::{MAX_OFFSET, Tare};
 use crate::fixed_point::Force;
 use crate::motor;
 use crate::motor::calibration::CalibrationOutcome;
 use crate::motor::settings::{MotorWiring, Settings};
 use crate::protocol::messages::{ParamReply, ParamRequest};
-use crate::sensors::hall::{HallSensor, SENSORS};
+use crate::sensors::hall::{GripperHallSensor, HallSensor, SENSORS};
 
 /// Microohms in an ohm.
-const UOHM: f32 = 1e6;
+const UOHM: f32 = schema::UOHM as f32;
 /// From 2^-32 turns to the parameter's 2^-16: five thousandths of a degree.
 const OFFSET_SHIFT: u32 = 16;
 /// Nanohenries in a henry.
@@ -188,7 +187,7 @@ impl Parameters {
     /// 7-bit addresses of the sensors.
     pub fn addresses(&self) -> [u8; SENSORS] {
         let mut id = id::ADDRESS..;
-        BoardHallSensor::ADDRESSES.map(|default| {
+        GripperHallSensor::ADDRESSES.map(|default| {
             let stated = id.next().and_then(|id| self.get(id));
             stated.map_or(default, |address| address as u8)
         })
@@ -281,7 +280,7 @@ mod tests {
         assert_eq!((all.node(), all.command_timeout_ms()), (0x10, 100));
         assert_eq!(all.force_rate_hz(), 100);
         assert_eq!([all.raw(), all.ground_contact(), all.telemetry()], [false, false, true]);
-        assert_eq!(all.addresses(), [0x60, 0x63, 0x6C, 0x6F]);
+        assert_eq!(all.addresses(), GripperHallSensor::ADDRESSES);
         assert_eq!((all.tare(), all.backdrivability()), (Tare::NONE, Backdrivability::Unknown));
     }
 

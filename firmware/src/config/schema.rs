@@ -1,10 +1,9 @@
 //! Schema of the parameters: identifiers, names, units, defaults, ranges.
 
-use crate::board::BoardHallSensor;
-use crate::config::constants;
+use crate::constants;
 use crate::estimator::tare::MAX_OFFSET;
 use crate::protocol::DEFAULT_NODE;
-use crate::sensors::hall::{HallSensor, SENSORS};
+use crate::sensors::hall::{GripperHallSensor, HallSensor, SENSORS};
 
 /// Definition of a parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -134,12 +133,15 @@ pub mod id {
     pub const TARE: u16 = 0x30;
 }
 
+/// Microohms in an ohm.
+pub(super) const UOHM: f64 = 1e6;
+
 /// Count of the parameters.
 pub const COUNT: usize = 13 + SENSORS + 2 * SENSORS;
 
 /// All parameters.
 pub const PARAMETERS: [Parameter; COUNT] = {
-    let [address_0, address_1, address_2, address_3] = BoardHallSensor::ADDRESSES;
+    let [address_0, address_1, address_2, address_3] = GripperHallSensor::ADDRESSES;
     [
         Parameter {
             id: id::NODE,
@@ -206,7 +208,7 @@ pub const PARAMETERS: [Parameter; COUNT] = {
             id: id::RESISTANCE,
             name: "resistance",
             unit: "uohm",
-            default: (constants::PHASE_RESISTANCE.value * 1e6) as i32,
+            default: (constants::PHASE_RESISTANCE.value * UOHM) as i32,
             range: ValueRange::Between(10_000, 10_000_000),
             affects_motion: true,
             description: "phase resistance; measured by the device, takes effect at the next boot",

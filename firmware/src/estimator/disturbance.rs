@@ -17,8 +17,8 @@
 //! Thresholds are in standard deviations of the parity fit, which are part of the tables. They were determined by
 //! `cargo bench -p host-tools --bench foreign_magnet`.
 
+use crate::estimator::estimate::{Estimate, Validity};
 use crate::estimator::network_monitor::excess_deviations;
-use crate::estimator::{Estimate, Validity};
 use crate::fixed_point::{Force, saturate};
 use crate::model::formats::PARITY_SIGMA_BITS;
 use crate::sensors::hall::SENSORS;

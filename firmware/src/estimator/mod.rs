@@ -1,8 +1,7 @@
 //! Estimation of the contact forces: compensation, ideal model, recurrent networks, disturbance detection.
 
-pub mod auxiliary_inputs;
-pub mod compensation;
 pub mod disturbance;
+mod estimate;
 pub mod finger_symmetry;
 pub mod gru;
 pub mod ideal;
@@ -10,67 +9,18 @@ pub mod network_monitor;
 pub mod parity;
 pub mod tare;
 
-use crate::config::limits::DetectionLimits;
-use crate::estimator::auxiliary_inputs::AuxiliaryInputs;
-use crate::estimator::compensation::{Compensated, Compensation, CompensationState};
+pub use crate::compensation::{self, auxiliary_inputs};
+pub use crate::estimator::estimate::{Estimate, Validity};
+
+use crate::compensation::auxiliary_inputs::AuxiliaryInputs;
+use crate::compensation::{Compensated, Compensation, CompensationState};
 use crate::estimator::disturbance::DisturbanceDetector;
 use crate::estimator::network_monitor::NetworkMonitor;
 use crate::estimator::parity::ParityResidual;
 use crate::fixed_point::{Field, Force};
+use crate::limits::DetectionLimits;
 use crate::model::formats::Tables;
 use crate::sensors::hall::{HallFrame, HallReading, SENSORS};
-
-/// Usability of an estimate.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Validity {
-    /// Within the range of the sensor and of the model.
-    Valid,
-    /// An axis of the sensor is saturated.
-    Saturated,
-    /// The field is outside the model's design box: the forces are only a bound.
-    OutsideModel,
-    /// No reading, or no table for this sensor.
-    Missing,
-}
-
-/// Forces at one sensor.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Estimate {
-    /// Lateral and longitudinal force; zero if missing.
-    pub force: [Force; 2],
-    /// Standard deviations predicted by a network, increased outside its training range
-    /// ([`crate::model::formats::Guard`]).
-    pub sigma: Option<[Force; 2]>,
-    /// Standard deviations as predicted by the network.
-    pub network_sigma: Option<[Force; 2]>,
-    /// Usability of the forces.
-    pub validity: Validity,
-    /// Compensated field, the input of the ideal model.
-    pub field: [Field; 3],
-    /// Forces of the ideal model before the effects of the flexures were compensated.
-    pub uncompensated: [Force; 2],
-    /// Whether an effect was skipped for lack of an input.
-    pub missing_inputs: bool,
-    /// Residual of the field against its other axes.
-    pub parity: ParityResidual,
-    /// Whether a external magnet is detected ([`disturbance`]): the forces may be wrong.
-    pub disturbed: bool,
-}
-
-impl Estimate {
-    /// Estimate without a reading.
-    pub const MISSING: Self = Self {
-        force: [Force(0); 2],
-        sigma: None,
-        network_sigma: None,
-        validity: Validity::Missing,
-        field: [Field(0); 3],
-        uncompensated: [Force(0); 2],
-        missing_inputs: false,
-        parity: ParityResidual { residual: Field(0), sigma: 0 },
-        disturbed: false,
-    };
-}
 
 /// Estimates the forces at sensor `number` by compensation and ideal model; `state` belongs to that sensor.
 pub fn estimate(

@@ -1,6 +1,6 @@
 //! Parity residual: a redundancy check of three field axes against two forces.
 //!
-//! Whatever the forces, friction, creep or cross coupling, a finger's magnet moves in one plane, so its field lies on a
+//! Whatever the forces, friction, creep or cross coupling, a finger's magnet moves in one plane, so its field is on a
 //! surface. The device predicts one axis from the other two by a polynomial fitted by the exporter. The residual is due
 //! to foreign fields, temperature or noise. A disturbance within the surface is indistinguishable from a force.
 

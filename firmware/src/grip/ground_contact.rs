@@ -2,14 +2,14 @@
 //!
 //! A longitudinal force is positive where the ground pushes. The inertial force of the fingertip is subtracted where
 //! its acceleration is known and the estimates are not compensated for it already
-//! ([`crate::estimator::compensation::flexure`]). A short impact may peak between two samples: a peak of 3 ms reads up to
+//! ([`crate::compensation::flexure`]). A short impact may peak between two samples: a peak of 3 ms reads up to
 //! 13 % low, which the overload limit allows for.
 
-use crate::config::constants;
-use crate::config::limits::GripLimits;
+use crate::constants;
 use crate::estimator::{Estimate, Validity};
 use crate::fixed_point::Force;
 use crate::grip::finger_force::newtons;
+use crate::limits::GripLimits;
 use crate::motor::math::{sqrt, within};
 use crate::protocol::messages;
 use crate::sensors::hall::SENSORS;

@@ -13,10 +13,12 @@
 
 pub mod commands;
 pub mod contact;
+mod debounce;
 pub mod fault_reactions;
 pub mod finger_force;
 pub mod force_controller;
 pub mod ground_contact;
+mod hold_current;
 pub mod homing;
 mod interface;
 mod power_layer;
@@ -25,6 +27,7 @@ mod setpoint;
 pub mod slip_detector;
 pub mod stall_detector;
 pub mod states;
+mod status_message;
 mod task_layer;
 #[cfg(test)]
 mod tests;
@@ -32,29 +35,28 @@ pub mod transitions;
 
 pub use crate::grip::interface::{ArmingRequest, ControlInputs, ControlOutputs, SessionStatus};
 
-use crate::config::constants;
-use crate::config::limits::GripLimits;
 use crate::estimator::Estimate;
 use crate::grip::commands::{CommandRefusal, GraspTarget, GripCommand, MoveTarget};
 use crate::grip::contact::ContactDetector;
+use crate::grip::debounce::{next_ms, next_ticks};
 use crate::grip::fault_reactions::{FirstCause, FirstFaultLatch, Reaction};
 use crate::grip::finger_force::{FingerForce, FingerForces};
 use crate::grip::force_controller::StiffnessEstimator;
 use crate::grip::ground_contact::{GroundContact, GroundContactDetector};
+use crate::grip::hold_current::HoldCurrent;
 use crate::grip::homing::{Homing, HomingStep};
-use crate::grip::redundant_copy::COPY_WORDS;
-use crate::grip::setpoint::HoldCurrent;
 use crate::grip::slip_detector::SlipDetector;
 use crate::grip::stall_detector::{StallDetector, VelocityFilter};
 use crate::grip::states::{PowerState, TaskState};
+use crate::limits::GripLimits;
 use crate::motor::Setpoint;
 use crate::motor::screw::Screw;
 use crate::protocol::messages::GripStatus;
 use crate::sensors::hall::SENSORS;
 use crate::system::faults::{Fault, FaultSet};
 
-/// Peak motor current in amperes.
-const PEAK_A: f32 = (constants::PEAK_TORQUE.value / constants::TORQUE_CONSTANT.value) as f32;
+/// Words of the redundant copies ([`redundant_copy`]).
+pub const COPY_WORDS: usize = 8;
 /// Time constant of the mean force while holding, in steps.
 const MEAN_TICKS: f32 = 16.0;
 
@@ -350,14 +352,4 @@ impl GripController {
             let _ = outputs.events.push(event);
         }
     }
-}
-
-/// Next value of a counter of consecutive milliseconds in which a condition is true.
-const fn next_ms(count: u16, condition: bool) -> u16 {
-    if condition { count.saturating_add(1) } else { 0 }
-}
-
-/// As [`next_ms`], in ticks.
-const fn next_ticks(count: u8, condition: bool) -> u8 {
-    if condition { count.saturating_add(1) } else { 0 }
 }

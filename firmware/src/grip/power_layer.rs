@@ -1,14 +1,15 @@
 //! Power layer: detection, reaction, latching and clearing of faults; session and arming.
 
-use crate::config::constants;
+use crate::constants;
 use crate::fixed_point::Force;
 use crate::grip::commands::TRIP_N;
+use crate::grip::debounce::next_ms;
 use crate::grip::fault_reactions::{
     FirstCause, Reaction, TRIP_FAULTS, fault_of, is_active, strongest_reaction,
 };
 use crate::grip::states::{GripPhase, PowerState, TaskState};
 use crate::grip::transitions::{self, PowerEvent};
-use crate::grip::{ArmingRequest, ControlInputs, ControlOutputs, GripController, next_ms};
+use crate::grip::{ArmingRequest, ControlInputs, ControlOutputs, GripController};
 use crate::motor::MotorState;
 use crate::motor::state::SupplyState;
 use crate::system::faults::Fault;

@@ -5,10 +5,9 @@
 //! They are made at the end of each step and compared before the next, so that a bit error between steps is detected
 //! before it affects the motor. The motor loops have no copies: their errors appear in currents, angles and opening.
 
-use crate::grip::GripController;
+pub use crate::grip::COPY_WORDS;
 
-/// Number of copied words.
-pub const COPY_WORDS: usize = 8;
+use crate::grip::GripController;
 
 impl GripController {
     fn words(&self) -> [u32; COPY_WORDS] {

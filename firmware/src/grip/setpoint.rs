@@ -1,11 +1,13 @@
 //! Motor set-point of each state.
 
-use crate::config::constants;
+use crate::constants;
 use crate::grip::fault_reactions::Reaction;
+use crate::grip::hold_current::MARGIN;
 use crate::grip::homing::HomingStep;
 use crate::grip::states::{PowerState, TaskState};
-use crate::grip::{GripController, PEAK_A, force_controller};
+use crate::grip::{GripController, force_controller};
 use crate::motor::math::within;
+use crate::motor::settings::PEAK_A;
 use crate::motor::{MotorStatus, Setpoint};
 
 /// Minimum stiffness used by the force controller in N/mm: with less, force noise would shake the fingers.
@@ -14,54 +16,11 @@ const SOFTEST: f32 = 50.0;
 const CALM: f32 = 4.0;
 /// Maximum speed in mm/s back to a held position.
 const HOLD_MM_S: f32 = 5.0;
-/// Milliseconds within the band after which the holding current decreases.
-const RELAX_MS: u32 = 100;
-/// Decay factor of the holding current per millisecond.
-const DECAY: f32 = 0.99;
 /// The holding current decreases, and a self-locking screw may hold alone, while the mean force error is below this
 /// multiple of the deadband.
 pub(super) const RELAX_BAND: f32 = 1.5;
-/// Holding current relative to the one computed from the assumed friction of the screw.
-const MARGIN: f32 = 1.4;
-/// Factor on the margin each time it was too small.
-const MARGIN_GROWTH: f32 = 1.25;
-
 /// Stop at zero speed.
 const STOP: Setpoint = Setpoint::Speed { closing_mm_s: 0.0, max_a: PEAK_A };
-
-/// Current limit while holding: friction helps, so that less current is needed than for gripping.
-#[derive(Clone, Copy, Debug)]
-pub struct HoldCurrent {
-    in_band_ms: u32,
-    max_a: f32,
-    margin: f32,
-}
-
-impl Default for HoldCurrent {
-    fn default() -> Self {
-        Self { in_band_ms: 0, max_a: PEAK_A, margin: MARGIN }
-    }
-}
-
-impl HoldCurrent {
-    /// Current limit for this millisecond, from the computed holding current and the present current.
-    fn update(&mut self, is_in_band: bool, holding_a: f32, present_a: f32) -> f32 {
-        if !is_in_band {
-            if self.in_band_ms > RELAX_MS {
-                self.margin *= MARGIN_GROWTH;
-            }
-            (self.in_band_ms, self.max_a) = (0, PEAK_A);
-            return PEAK_A;
-        }
-        self.in_band_ms = self.in_band_ms.saturating_add(1);
-        if self.in_band_ms > RELAX_MS {
-            let from_a = self.max_a.min(present_a.max(holding_a));
-            let to_a = (holding_a * self.margin).min(PEAK_A);
-            self.max_a = to_a + (from_a - to_a).max(0.0) * DECAY;
-        }
-        self.max_a
-    }
-}
 
 impl GripController {
     /// Motor set-point of the present state.

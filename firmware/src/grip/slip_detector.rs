@@ -2,10 +2,10 @@
 
 use core::mem;
 
-use crate::config::constants;
-use crate::config::limits::GripLimits;
+use crate::constants;
+use crate::grip::debounce::{next_ms, next_ticks};
 use crate::grip::finger_force::FingerForces;
-use crate::grip::next_ms;
+use crate::limits::GripLimits;
 
 /// Milliseconds over which a drop of the drag force is evaluated.
 const DROP_MS: usize = 5;
@@ -81,7 +81,7 @@ impl SlipDetector {
             window.sum::<f32>().abs() / MEAN_MS as f32
         });
         let is_near = now > limits.slip_ratio * friction_n;
-        self.near_ms = super::next_ticks(self.near_ms, is_near);
+        self.near_ms = next_ticks(self.near_ms, is_near);
         let dropped = before > 0.5 * friction_n && before - now > limits.slip_drop_n;
         self.stored == HISTORY && (usize::from(self.near_ms) >= MEAN_MS || dropped)
     }

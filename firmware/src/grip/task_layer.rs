@@ -2,22 +2,24 @@
 
 use crate::fixed_point::Force;
 use crate::grip::commands::{GripCommand, MoveTarget, RefusalReason, flag};
+use crate::grip::debounce::next_ms;
 use crate::grip::fault_reactions::{Reaction, strongest_reaction};
 use crate::grip::force_controller::StiffnessEstimator;
+use crate::grip::hold_current::HoldCurrent;
 use crate::grip::homing::{Homing, HomingStep};
-use crate::grip::setpoint::{HoldCurrent, RELAX_BAND};
+use crate::grip::setpoint::RELAX_BAND;
 use crate::grip::slip_detector::{ObjectState, SlipDetector};
 use crate::grip::stall_detector::StallDetector;
 use crate::grip::states::{GripPhase, PowerState, TaskState};
 use crate::grip::transitions::{self, PowerEvent, TaskEvent};
-use crate::grip::{ControlInputs, ControlOutputs, GripController, next_ms};
+use crate::grip::{ControlInputs, ControlOutputs, GripController};
 use crate::motor::{MotorState, MotorStatus};
 use crate::protocol::messages::Command;
 use crate::system::faults::Fault;
 
 /// Stopping time of the fingers in seconds: openings are predicted by this much.
 const LOOK_AHEAD_S: f32 = 0.004;
-/// A self-locking screw holds alone at the latest after this multiple of [`crate::config::limits::GripLimits::lock_ms`], whatever
+/// A self-locking screw holds alone at the latest after this multiple of [`crate::limits::GripLimits::lock_ms`], whatever
 /// the force error.
 const LATEST: u32 = 5;
 /// Millimetres before the window at which a fast approach slows down.

@@ -20,7 +20,7 @@
 //! Sizes count pairs, because the chip multiplies two 16-bit numbers at once. An odd number of inputs is padded by an
 //! input without weight and gain, a layer by units without weights, whose state stays zero.
 
-use crate::estimator::compensation::Compensation;
+use crate::compensation::Compensation;
 use crate::fixed_point::{Field, Force};
 
 /// Maximum magnitude of a scaled coordinate: floor(sqrt(2^27)). The square of a difference is at most 2^29, and

@@ -1,37 +1,152 @@
 //! AS5047P, a magnetic angle sensor: 14 bits, absolute, 16-bit SPI in mode 1 up to 10 MHz. A frame contains the answer
 //! to the previous one. That this sensor is on the rotor is assumed; the paper names none.
+//!
+//! The driver uses the traits of `embedded-hal`: [`SpiBus`] with words of 16 bits, [`OutputPin`] for the chip select and
+//! [`DelayNs`]. One operation has no such trait: the control interrupt starts the frame of one PWM period and reads its
+//! answer in the next ([`PipelinedSpi`]). A transfer of [`SpiBus`] returns the words received and therefore waits for the
+//! end of the frame: 1.6 us in every period of 50 us, at the highest priority.
 
-use crate::motor::power_stage::EncoderError;
+use embedded_hal::delay::DelayNs;
+use embedded_hal::digital::OutputPin;
+use embedded_hal::spi::SpiBus;
 
-/// Command to read the angle with compensation of the sensor's delay (ANGLECOM, 0x3FFF): parity, read, address.
-pub const READ_ANGLE: u16 = with_parity(1 << 14 | 0x3FFF);
-/// Error bit of an answer: the previous command frame was invalid.
+use crate::motor::power_stage::{Encoder, EncoderError};
+
+/// Command to read the angle with compensation of the sensor's delay (ANGLECOM, 0x3FFF).
+pub const READ_ANGLE: u16 = read_command(0x3FFF);
+/// Command to read the error register (ERRFL), which clears it.
+const READ_ERRORS: u16 = read_command(0x0001);
+/// Command without effect (NOP), to receive the answer to the previous one.
+const NO_OPERATION: u16 = read_command(0x0000);
+/// Error bit of an answer: a previous command frame was invalid.
 const ERROR: u16 = 1 << 14;
-/// Angle bits of an answer.
-const ANGLE: u16 = 0x3FFF;
+/// Data bits of an answer.
+const DATA: u16 = 0x3FFF;
+
+/// Time from the chip select to the clock, and between two frames, in nanoseconds.
+const SELECT_NS: u32 = 350;
+/// Time from power-up to the first valid answer in milliseconds.
+const POWER_UP_MS: u32 = 10;
+/// Attempts of [`As5047::start`].
+const START_ATTEMPTS: u8 = 3;
+
+/// Command to read a register: parity, read, address.
+const fn read_command(address: u16) -> u16 {
+    with_parity(1 << 14 | address)
+}
 
 /// Sets bit 15 for even parity.
 const fn with_parity(word: u16) -> u16 {
     word | ((word.count_ones() as u16 & 1) << 15)
 }
 
-/// The angle in an answer. A data line stuck high is a silent sensor; one stuck low reads as angle zero and is
-/// detected as a jump ([`super::encoder`]) or a stuck sensor ([`super::diagnostics`]).
+/// The data of an answer: the angle after [`READ_ANGLE`]. A data line stuck high is a silent sensor; one stuck low reads
+/// as angle zero and is detected as a jump ([`super::encoder`]) or a stuck sensor ([`super::diagnostics`]).
 pub const fn angle(answer: u16) -> Result<u16, EncoderError> {
     if answer == u16::MAX {
         Err(EncoderError::Silent)
     } else if answer.count_ones() % 2 == 1 {
         Err(EncoderError::Checksum)
     } else if answer & ERROR != 0 {
-        Err(EncoderError::Field)
+        Err(EncoderError::ErrorFlag)
     } else {
-        Ok(answer & ANGLE)
+        Ok(answer & DATA)
     }
 }
 
 /// Answer of a working sensor, for simulations.
 pub const fn answer(angle: u16) -> u16 {
-    with_parity(angle & ANGLE)
+    with_parity(angle & DATA)
+}
+
+/// An SPI bus on which a frame of one word can be started without waiting for its end.
+pub trait PipelinedSpi: SpiBus<u16> {
+    /// Starts a frame; the previous one has ended.
+    fn start_frame(&mut self, word: u16);
+
+    /// Removes the word received in the last frame; `None` before its end.
+    fn take_received(&mut self) -> Option<u16>;
+}
+
+/// Driver of the sensor.
+#[derive(Debug)]
+pub struct As5047<B, C> {
+    bus: B,
+    select: C,
+}
+
+impl<B: SpiBus<u16>, C: OutputPin> As5047<B, C> {
+    /// Driver on a bus with a chip select that is high; no access yet.
+    pub const fn new(bus: B, select: C) -> Self {
+        Self { bus, select }
+    }
+
+    /// Checks the communication and clears the error register: a reset of the chip within a frame leaves an error that
+    /// every later answer would report. Writes no register: the angle is compensated by default. Waits at most 20 ms.
+    ///
+    /// # Errors
+    /// That of the last attempt.
+    pub fn start<D: DelayNs>(&mut self, delay: &mut D) -> Result<(), EncoderError> {
+        let mut result = self.clear_errors(delay);
+        for _ in 1..START_ATTEMPTS {
+            if result.is_ok() {
+                break;
+            }
+            delay.delay_ms(POWER_UP_MS);
+            result = self.clear_errors(delay);
+        }
+        result
+    }
+
+    fn clear_errors<D: DelayNs>(&mut self, delay: &mut D) -> Result<(), EncoderError> {
+        // Contains the answer to a command before.
+        self.transfer_frame(READ_ERRORS, delay)?;
+        match angle(self.transfer_frame(NO_OPERATION, delay)?)? {
+            0 => Ok(()),
+            _ => Err(EncoderError::ErrorFlag),
+        }
+    }
+
+    /// Sends a command and waits for the end of its frame.
+    fn transfer_frame<D: DelayNs>(
+        &mut self,
+        command: u16,
+        delay: &mut D,
+    ) -> Result<u16, EncoderError> {
+        let mut frame = [command];
+        self.select.set_low().map_err(|_| EncoderError::Silent)?;
+        delay.delay_ns(SELECT_NS);
+        let transferred = self.bus.transfer_in_place(&mut frame).and_then(|()| self.bus.flush());
+        // After an error as well: the next frame begins with the edge of the chip select.
+        self.select.set_high().map_err(|_| EncoderError::Silent)?;
+        delay.delay_ns(SELECT_NS);
+        let [answer] = frame;
+        transferred.map(|()| answer).map_err(|_| EncoderError::Silent)
+    }
+}
+
+/// Angle in the control interrupt, once per PWM period: [`Encoder::angle`], [`Self::select`], [`Self::start_frame`].
+impl<B: PipelinedSpi, C: OutputPin> As5047<B, C> {
+    /// Asserts the chip select; the sensor needs 350 ns until [`Self::start_frame`].
+    ///
+    /// # Errors
+    /// Errors of the pin.
+    pub fn select(&mut self) -> Result<(), C::Error> {
+        self.select.set_low()
+    }
+
+    /// Starts the frame that requests the angle and returns before its end.
+    pub fn start_frame(&mut self) {
+        self.bus.start_frame(READ_ANGLE);
+    }
+}
+
+impl<B: PipelinedSpi, C: OutputPin> Encoder for As5047<B, C> {
+    /// Deasserts the chip select and decodes the answer of the last frame.
+    fn angle(&mut self) -> Result<u16, EncoderError> {
+        self.select.set_high().map_err(|_| EncoderError::Silent)?;
+        self.bus.take_received().map_or(Err(EncoderError::Silent), angle)
+    }
 }
 
 #[cfg(test)]
@@ -39,17 +154,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn read_angle_command_matches_the_datasheet() {
-        assert_eq!(READ_ANGLE, 0xFFFF);
-        // Other commands of the datasheet: no operation, error register.
+    fn commands_match_the_datasheet() {
+        assert_eq!([READ_ANGLE, READ_ERRORS, NO_OPERATION], [0xFFFF, 0x4001, 0xC000]);
         assert_eq!(with_parity(0), 0);
-        assert_eq!(with_parity(1 << 14 | 1), 0x4001);
-        assert_eq!(with_parity(1 << 14), 0xC000);
     }
 
     #[test]
     fn answer_of_a_working_sensor_round_trips() {
-        for counts in 0..=ANGLE {
+        for counts in 0..=DATA {
             assert_eq!(angle(answer(counts)), Ok(counts));
         }
     }
@@ -60,7 +172,7 @@ mod tests {
         assert_eq!(angle(0xA000), Ok(0x2000));
         assert_eq!(angle(0x3FFF), Ok(0x3FFF));
         assert_eq!(angle(0x0001), Err(EncoderError::Checksum));
-        assert_eq!(angle(0xC000), Err(EncoderError::Field));
+        assert_eq!(angle(0xC000), Err(EncoderError::ErrorFlag));
         assert_eq!(angle(0xFFFF), Err(EncoderError::Silent));
     }
 }

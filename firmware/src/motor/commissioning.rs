@@ -10,11 +10,11 @@
 //!    the offset of the sensor.
 //! 3. A square wave added to the voltage of the upper level. The slopes of the current give the inductance.
 
-use crate::config::constants;
-use crate::motor::PERIOD_S;
+use crate::constants;
 use crate::motor::foc::{AlphaBeta, Dq};
-use crate::motor::math::Direction;
+use crate::motor::math::{Direction, TURN_UNITS};
 use crate::motor::settings::{IdentifiedMotor, MotorParameters, MotorWiring};
+use crate::motor::timing::PERIOD_S;
 
 /// Settling periods of a level: 0.3 s.
 const SETTLE: u32 = 6_000;
@@ -287,7 +287,7 @@ impl Commissioning {
     /// lag by friction is constant.
     fn pole_pairs(&self) -> Result<(u8, bool), CommissioningError> {
         let [half, whole, _] = self.angles;
-        let turned = whole.wrapping_sub(half) as i32 as f32 / 4_294_967_296.0;
+        let turned = whole.wrapping_sub(half) as i32 as f32 / TURN_UNITS;
         if turned.abs() * MAX_POLE_PAIRS < 0.5 {
             return Err(CommissioningError::Stuck);
         }
@@ -305,7 +305,7 @@ impl Commissioning {
         let forward = forward.wrapping_mul(pole_pairs.into());
         let backward = self.backward_angle.wrapping_mul(pole_pairs.into());
         let difference = backward.wrapping_sub(forward) as i32;
-        if difference.unsigned_abs() as f32 > REST_TOLERANCE * 4_294_967_296.0 {
+        if difference.unsigned_abs() as f32 > REST_TOLERANCE * TURN_UNITS {
             return Err(CommissioningError::Slipped);
         }
         Ok(forward.wrapping_add((difference / 2) as u32).wrapping_neg())

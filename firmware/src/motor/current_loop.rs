@@ -12,7 +12,7 @@ use crate::motor::state::{MotorState, Trip};
 use crate::motor::tick_exchange::{
     CurrentLoopAction, CurrentLoopCommand, CurrentLoopReport, StateChange,
 };
-use crate::motor::{MOTION_PERIODS, PERIOD_S};
+use crate::motor::timing::{MOTION_PERIODS, PERIOD_S};
 
 /// Dead time of the loop: from sampling in the middle of a period to the middle of the next.
 const DELAY_S: f32 = PERIOD_S;

@@ -14,7 +14,7 @@ use crate::motor::math::greater;
 use crate::motor::power_stage::MotorSamples;
 use crate::motor::settings::{MotorLimits, MotorParameters};
 use crate::motor::state::{SupplyState, Trip};
-use crate::motor::{MOTION_PERIODS, PERIOD_S};
+use crate::motor::timing::{MOTION_PERIODS, PERIOD_S};
 
 /// Filter coefficient of the voltage residual per tick: a time constant of half a millisecond.
 const FILTER: f32 = 0.41;

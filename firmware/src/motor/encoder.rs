@@ -3,13 +3,12 @@
 
 use core::f32::consts::TAU;
 
-use crate::config::constants;
-use crate::motor::PERIOD_S;
+use crate::constants;
+use crate::motor::math::TURN_UNITS;
 use crate::motor::power_stage::EncoderError;
 use crate::motor::settings::Settings;
+use crate::motor::timing::PERIOD_S;
 
-/// Tracker units per turn.
-const TURN: f32 = 4_294_967_296.0;
 /// Sensor counts to tracker units.
 const SHIFT: u32 = 32 - constants::ENCODER_BITS.value as u32;
 /// Natural frequency of the critically damped loop: no speed error on a ramp of the speed, and a position error of
@@ -19,7 +18,7 @@ const FREQUENCY: f32 = TAU * constants::ENCODER_BANDWIDTH.value as f32 * PERIOD_
 const BRIDGED: u8 = 10;
 /// Innovation in radians above which an angle is rejected.
 const MAX_INNOVATION_RAD: f32 = 0.05;
-const MAX_INNOVATION: f32 = MAX_INNOVATION_RAD / TAU * TURN;
+const MAX_INNOVATION: f32 = MAX_INNOVATION_RAD / TAU * TURN_UNITS;
 
 /// Tracks the rotor.
 #[derive(Clone, Copy, Debug, Default)]
@@ -73,7 +72,7 @@ impl AngleTracker {
 
     /// Rotor speed in rad/s, closing positive.
     pub fn speed(&self) -> f32 {
-        self.speed * (TAU / TURN / PERIOD_S)
+        self.speed * (TAU / TURN_UNITS / PERIOD_S)
     }
 
     /// Multi-turn position.
@@ -93,7 +92,7 @@ impl AngleTracker {
 
     /// Angle of the sensor in radians, -pi to pi; none where it is unknown.
     pub fn angle_rad(&self) -> Option<f32> {
-        let angle = self.angle as i32 as f32 * (TAU / TURN);
+        let angle = self.angle as i32 as f32 * (TAU / TURN_UNITS);
         self.is_known().then_some(angle)
     }
 
@@ -187,7 +186,7 @@ mod tests {
         settings.wiring.offset = 1 << 30;
         // A fifth of a turn: 7/5 electrical turns and a quarter.
         let tracker = AngleTracker { angle: (1_i64 << 32) / 5, ..AngleTracker::default() };
-        let expected = ((0.4 + 0.25) * f64::from(TURN)) as u32;
+        let expected = ((0.4 + 0.25) * f64::from(TURN_UNITS)) as u32;
         assert!(tracker.electrical(&settings).abs_diff(expected) < 16);
     }
 }

@@ -7,10 +7,10 @@
 
 use core::f32::consts::TAU;
 
-use crate::config::constants;
-use crate::motor::PERIOD_S;
+use crate::constants;
 use crate::motor::math::{Direction, greater, inverse_sqrt, lesser, within};
 use crate::motor::settings::MotorParameters;
+use crate::motor::timing::PERIOD_S;
 
 const SQRT_3: f32 = 1.732_050_8;
 

@@ -4,6 +4,9 @@ use core::f32::consts::TAU;
 
 use micromath::F32;
 
+/// Angle units of the angle tracker per turn.
+pub const TURN_UNITS: f32 = 4_294_967_296.0;
+
 /// Clamps to `low..=high`; NaN stays NaN.
 pub fn within(value: f32, low: f32, high: f32) -> f32 {
     if value > high {
@@ -55,7 +58,7 @@ impl Direction {
     /// Of an angle in 2^-32 turns.
     pub fn of(angle: u32) -> Self {
         // `F32` explicitly: on hosts the methods of `f32` would give other results than on the device.
-        let angle = F32(angle as i32 as f32 * (TAU / 4_294_967_296.0));
+        let angle = F32(angle as i32 as f32 * (TAU / TURN_UNITS));
         Self { sin: angle.sin().0, cos: angle.cos().0 }
     }
 

@@ -34,24 +34,19 @@ pub mod state;
 #[cfg(test)]
 mod tests;
 pub mod tick_exchange;
+mod timing;
 pub mod trajectory;
 
 pub use crate::motor::current_loop::CurrentLoop;
 pub use crate::motor::motion_loop::MotionLoop;
 pub use crate::motor::settings::Settings;
 pub use crate::motor::state::{MotorCommand, MotorState, MotorStatus, Setpoint, Trip};
+pub use crate::motor::timing::{MOTION_HZ, MOTION_PERIODS, PERIOD_S};
 
-use crate::config::constants;
+use crate::constants;
 use crate::motor::power_stage::{MotorSamples, PowerStage};
 use crate::motor::settings::IdentifiedMotor;
 use crate::motor::tick_exchange::CurrentLoopCommand;
-
-/// PWM period in seconds.
-pub const PERIOD_S: f32 = (1e-3 / constants::PWM_RATE.value) as f32;
-/// PWM periods per motion-loop tick.
-pub const MOTION_PERIODS: u8 = 5;
-/// Rate of the motion loop in Hz.
-pub const MOTION_HZ: f64 = constants::PWM_RATE.value * 1e3 / MOTION_PERIODS as f64;
 
 /// PWM periods after which [`Motor`] repeats a set-point: 1 ms, as the grip controller does.
 const REPEAT_PERIODS: u8 = (1e-3 * constants::PWM_RATE.value * 1e3) as u8;

@@ -2,7 +2,8 @@
 
 use core::f32::consts::TAU;
 
-use crate::config::constants;
+use crate::constants;
+use crate::motor::brake_energy;
 use crate::motor::diagnostics::{ElectricalSample, RunawayMonitor, SupplyMonitor, VoltageMonitor};
 use crate::motor::encoder::RotorPosition;
 use crate::motor::foc::{self, Dq, PiController, PiGains};
@@ -16,8 +17,8 @@ use crate::motor::state::{MotorCommand, MotorState, MotorStatus, Setpoint, Trip}
 use crate::motor::tick_exchange::{
     CurrentLoopAction, CurrentLoopCommand, CurrentLoopReport, StateChange,
 };
+use crate::motor::timing::MOTION_HZ;
 use crate::motor::trajectory::Trajectory;
-use crate::motor::{MOTION_HZ, brake_energy};
 
 /// Timeout of a current or speed set-point in ticks: 5 ms, five times its period. A position set-point has none, as
 /// its motion ends by itself.

@@ -1,7 +1,10 @@
 //! Parameters of motor, screw and board, and the limits of motor control. Controller gains are derived from them.
 
-use crate::config::constants;
+use crate::constants;
 use crate::motor::screw::Screw;
+
+/// Peak motor current in amperes.
+pub const PEAK_A: f32 = (constants::PEAK_TORQUE.value / constants::TORQUE_CONSTANT.value) as f32;
 
 /// Parameters of the motor and of what turns with it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -122,7 +125,7 @@ impl MotorLimits {
     /// Limits of the gripper.
     pub const GRIPPER: Self = Self {
         rated_a: (constants::RATED_TORQUE.value / constants::TORQUE_CONSTANT.value) as f32,
-        peak_a: (constants::PEAK_TORQUE.value / constants::TORQUE_CONSTANT.value) as f32,
+        peak_a: PEAK_A,
         peak_s: constants::PEAK_TORQUE_TIME.value as f32,
         trip_a: constants::CURRENT_TRIP.value as f32,
         power_w: constants::SUPPLY_POWER_MAX.value as f32,

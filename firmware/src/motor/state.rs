@@ -1,6 +1,6 @@
 //! Commands, states, trips and status of the motor.
 
-use crate::estimator::auxiliary_inputs::{self, AuxiliaryInputs};
+use crate::compensation::auxiliary_inputs::{self, AuxiliaryInputs};
 use crate::motor::commissioning::CommissioningError;
 use crate::motor::foc::Dq;
 use crate::motor::limits::{ActiveLimits, Temperatures};
@@ -203,7 +203,7 @@ pub struct MotorStatus {
 
 impl MotorStatus {
     /// Inputs for the compensation of the motor's effects on the fields.
-    pub fn covariates(&self) -> AuxiliaryInputs {
+    pub fn auxiliary_inputs(&self) -> AuxiliaryInputs {
         const ONE: f32 = 32_768.0;
         let Direction { sin, cos } = self.electrical;
         AuxiliaryInputs {
@@ -216,6 +216,19 @@ impl MotorStatus {
             ..AuxiliaryInputs::default()
         }
     }
+}
+
+/// Orders to the motor control.
+pub trait MotorPort {
+    /// Queues an order, to be executed within one PWM period.
+    ///
+    /// # Errors
+    /// The order, when the queue is full.
+    fn order(&mut self, order: MotorCommand) -> Result<(), MotorCommand>;
+
+    /// Switches the power stage off and resets the chip, because the memory of the grasp is corrupt. Does not return on
+    /// the chip.
+    fn shut_down(&mut self);
 }
 
 #[cfg(test)]
@@ -245,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn covariates_have_integer_units() {
+    fn auxiliary_inputs_have_integer_units() {
         let status = MotorStatus {
             opening_mm: Some(12.5),
             angle_rad: Some(-0.25),
@@ -253,11 +266,11 @@ mod tests {
             current: Dq { d: 1.0, q: -2.5 },
             ..MotorStatus::default()
         };
-        let covariates = status.covariates();
-        let motor = covariates.motor.unwrap();
-        assert_eq!(covariates.opening_um, Some(12_500));
+        let inputs = status.auxiliary_inputs();
+        let motor = inputs.motor.unwrap();
+        assert_eq!(inputs.opening_um, Some(12_500));
         assert_eq!((motor.iq_ma, motor.angle_urad), (-2500, -250_000));
         assert_eq!(motor.electrical, [-16_384, 24_576]);
-        assert_eq!(MotorStatus::default().covariates(), AuxiliaryInputs::default());
+        assert_eq!(MotorStatus::default().auxiliary_inputs(), AuxiliaryInputs::default());
     }
 }

@@ -4,9 +4,9 @@
 //! moving average of its speed limits the jerk; it preserves the limits of speed and acceleration and the end, and
 //! delays the motion by its window.
 
-use crate::config::constants;
-use crate::motor::MOTION_HZ;
+use crate::constants;
 use crate::motor::math::sqrt;
+use crate::motor::timing::MOTION_HZ;
 
 /// Acceleration in nanometres per tick squared.
 const ACCELERATION: i32 =

@@ -6,10 +6,10 @@
 use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
+use crate::checksum::CRC16;
 use crate::estimator::{Estimate, Validity};
 use crate::protocol::messages::Message;
 use crate::sensors::hall::{HallFrame, HallReading, SENSORS};
-use crate::system::checksum::CRC16;
 
 /// Bits per second, 8N1: 200 bytes in a millisecond. A tick takes at most [`MAX_PACKET_BYTES`] of them and always fits; 98
 /// bytes remain for messages: at most eight in that time from the CAN bus, of 10 to 15 bytes each. Excess messages are

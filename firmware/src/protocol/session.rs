@@ -5,10 +5,10 @@
 //! commands are rejected. This protects against accidents, not against an attacker with access to the bus: a random frame
 //! with the right identifier is accepted with probability 2^-19.
 
+use crate::checksum::CRC16;
 use crate::protocol::layout::{Direction, FrameError};
 use crate::protocol::messages::{Command, EStop, Message, Service, ServiceReply};
 use crate::protocol::{ESTOP_ALL_ID, frame_id};
-use crate::system::checksum::CRC16;
 
 /// Validity of a challenge.
 pub const CHALLENGE_TIMEOUT_MS: u32 = 500;

@@ -1,9 +1,11 @@
 //! Inertial sensors, which the compensation of the fingertip's weight and inertia needs. Without one the estimator
 //! works, flags the missing input and skips these effects.
 //!
-//! The driver is for the ST LSM6DS3TR-C: acceleration and angular rate over I2C (datasheet DocID030071).
+//! The driver is for the ST LSM6DS3TR-C: acceleration and angular rate over SPI (datasheet DocID030071). Its I2C interface
+//! is limited to 400 kHz and cannot share the 1 MHz buses of the Hall sensors.
 
-use embedded_hal_async::i2c::I2c;
+use embedded_hal_async::delay::DelayNs;
+use embedded_hal_async::spi::{Operation, SpiDevice};
 
 use crate::fixed_point::mul_q;
 
@@ -22,7 +24,10 @@ pub trait Imu {
     type Error;
 
     /// Checks the part's identity and configures it.
-    fn start(&mut self) -> impl Future<Output = Result<(), ImuError<Self::Error>>>;
+    fn start(
+        &mut self,
+        delay: &mut impl DelayNs,
+    ) -> impl Future<Output = Result<(), ImuError<Self::Error>>>;
 
     /// Reads one measurement.
     fn read(&mut self) -> impl Future<Output = Result<ImuReading, ImuError<Self::Error>>>;
@@ -33,8 +38,10 @@ pub trait Imu {
 pub enum ImuError<E> {
     /// The bus failed.
     Bus(E),
-    /// A part with this other identity answered.
+    /// A part with this other identity answered; 0 or 0xFF: none.
     UnexpectedDevice(u8),
+    /// This register did not accept its setting.
+    NotConfigured(u8),
 }
 
 impl<E> From<E> for ImuError<E> {
@@ -43,9 +50,8 @@ impl<E> From<E> for ImuError<E> {
     }
 }
 
-/// 7-bit address with SA0 low; 0x6B with SA0 high.
-pub const ADDRESS: u8 = 0x6A;
-
+/// Bit of the register address that makes a transfer a read.
+const READ: u8 = 1 << 7;
 const WHO_AM_I: u8 = 0x0F;
 const IDENTITY: u8 = 0x6A;
 const CTRL1_XL: u8 = 0x10;
@@ -53,52 +59,76 @@ const CTRL2_G: u8 = 0x11;
 const CTRL3_C: u8 = 0x12;
 const OUTX_L_G: u8 = 0x22;
 
-/// 833 Hz, +-4 g.
-const ACCELERATION_SETTING: u8 = 0b0111_1000;
-/// 833 Hz, +-2000 degrees per second.
-const RATE_SETTING: u8 = 0b0111_1100;
-/// Block data update and auto-increment of the register address.
-const BLOCK_UPDATE: u8 = 0b0100_0100;
+/// Registers and their settings: block data update and auto-increment of the register address; 833 Hz, +-4 g; 833 Hz,
+/// +-2000 degrees per second.
+const SETTINGS: [(u8, u8); 3] =
+    [(CTRL3_C, 0b0100_0100), (CTRL1_XL, 0b0111_1000), (CTRL2_G, 0b0111_1100)];
+
+/// Time from power-up to the first access in milliseconds.
+const POWER_UP_MS: u32 = 15;
+/// Attempts to read the identity.
+const START_ATTEMPTS: u8 = 3;
 
 /// At +-4 g a count is 0.122 mg; 0.122e-3 * 9806.65 mm/s^2 = 1.1964113, with 16 fractional bits.
 const ACCELERATION_PER_COUNT: i32 = 78_408;
 /// At +-2000 degrees per second a count is 70 millidegrees per second.
 const RATE_PER_COUNT: i32 = 70;
 
-/// LSM6DS3TR-C on an I2C bus.
-pub struct Lsm6ds3<B> {
-    bus: B,
-    address: u8,
-}
+/// LSM6DS3TR-C on an SPI bus, mode 3 (or 0), at most 10 MHz.
+#[derive(Debug)]
+pub struct Lsm6ds3<D>(D);
 
-impl<B> Lsm6ds3<B> {
-    /// Driver of the part at `address`; no access yet.
-    pub const fn new(bus: B, address: u8) -> Self {
-        Self { bus, address }
+impl<D: SpiDevice> Lsm6ds3<D> {
+    /// Driver of a part; no access yet.
+    pub const fn new(device: D) -> Self {
+        Self(device)
     }
-}
 
-impl<B: I2c> Imu for Lsm6ds3<B> {
-    type Error = B::Error;
+    async fn read_registers(&mut self, first: u8, bytes: &mut [u8]) -> Result<(), D::Error> {
+        let command = [READ | first];
+        self.0.transaction(&mut [Operation::Write(&command), Operation::Read(bytes)]).await
+    }
 
-    async fn start(&mut self) -> Result<(), ImuError<B::Error>> {
-        let mut identity = [0];
-        self.bus.write_read(self.address, &[WHO_AM_I], &mut identity).await?;
-        let [found] = identity;
-        if found != IDENTITY {
-            return Err(ImuError::UnexpectedDevice(found));
-        }
-        for setting in
-            [[CTRL3_C, BLOCK_UPDATE], [CTRL1_XL, ACCELERATION_SETTING], [CTRL2_G, RATE_SETTING]]
-        {
-            self.bus.write(self.address, &setting).await?;
+    async fn read_register(&mut self, register: u8) -> Result<u8, D::Error> {
+        let mut bytes = [0];
+        self.read_registers(register, &mut bytes).await?;
+        let [value] = bytes;
+        Ok(value)
+    }
+
+    /// Writes the settings and reads them back: a write over SPI is not acknowledged.
+    async fn configure(&mut self) -> Result<(), ImuError<D::Error>> {
+        for (register, setting) in SETTINGS {
+            self.0.write(&[register, setting]).await?;
+            if self.read_register(register).await? != setting {
+                return Err(ImuError::NotConfigured(register));
+            }
         }
         Ok(())
     }
+}
 
-    async fn read(&mut self) -> Result<ImuReading, ImuError<B::Error>> {
+impl<D: SpiDevice> Imu for Lsm6ds3<D> {
+    type Error = D::Error;
+
+    async fn start(&mut self, delay: &mut impl DelayNs) -> Result<(), ImuError<D::Error>> {
+        let mut identity = self.read_register(WHO_AM_I).await?;
+        for _ in 1..START_ATTEMPTS {
+            if identity == IDENTITY {
+                break;
+            }
+            delay.delay_ms(POWER_UP_MS).await;
+            identity = self.read_register(WHO_AM_I).await?;
+        }
+        if identity != IDENTITY {
+            return Err(ImuError::UnexpectedDevice(identity));
+        }
+        self.configure().await
+    }
+
+    async fn read(&mut self) -> Result<ImuReading, ImuError<D::Error>> {
         let mut bytes = [0; 12];
-        self.bus.write_read(self.address, &[OUTX_L_G], &mut bytes).await?;
+        self.read_registers(OUTX_L_G, &mut bytes).await?;
         Ok(decode(bytes))
     }
 }

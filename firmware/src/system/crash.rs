@@ -3,7 +3,7 @@
 //! After power-up that memory has arbitrary content. A record is valid if magic number, kind and CRC-32 are right: arbitrary
 //! content passes with probability 2^-64, a partly written record with 2^-32.
 
-use crate::system::checksum::CRC32;
+use crate::checksum::CRC32;
 
 /// Length of a record in words.
 pub const RECORD_WORDS: usize = 11;

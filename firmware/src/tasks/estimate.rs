@@ -4,19 +4,19 @@ use core::sync::atomic::Ordering;
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
 
-use crate::config::constants::TICK_US;
-use crate::config::limits::DetectionLimits;
+use crate::clock::Clock;
+use crate::compensation::auxiliary_inputs::AuxiliaryInputs;
 use crate::config::parameters::Parameters;
-use crate::estimator::auxiliary_inputs::AuxiliaryInputs;
+use crate::constants::TICK_US;
 use crate::estimator::finger_symmetry::FingerSymmetry;
 use crate::estimator::tare::{TareCollector, TareProgress};
 use crate::estimator::{Estimate, Estimator, NetworkBank, Validity};
 use crate::fixed_point::Force;
+use crate::limits::DetectionLimits;
 use crate::motor::MotorStatus;
 use crate::protocol::serial::Tick;
 use crate::sensors::hall::liveness::{MonitoredReading, SensorCondition};
 use crate::sensors::hall::{HallReading, SENSORS};
-use crate::system::clock::Clock;
 use crate::system::faults::{Fault, FaultSet};
 use crate::system::task_watchdog::TaskId;
 use crate::tasks::{FaultReporter, GripInputs, SharedState};

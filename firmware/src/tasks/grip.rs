@@ -4,7 +4,6 @@ use core::ops::ControlFlow;
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
 
-use crate::board::MotorPort;
 use crate::config::parameters::{Backdrivability, Parameters};
 use crate::estimator::Estimate;
 use crate::grip::states::PowerState;
@@ -12,6 +11,7 @@ use crate::grip::{ArmingRequest, ControlInputs, ControlOutputs, GripController, 
 use crate::motor::calibration::{
     Calibration, CalibrationFailure, CalibrationKind, CalibrationOutcome,
 };
+use crate::motor::state::MotorPort;
 use crate::motor::{MotorCommand, MotorStatus};
 use crate::protocol::messages::{Command, Foot, GripStatus, Message};
 use crate::sensors::hall::SENSORS;

@@ -5,13 +5,13 @@ use core::sync::atomic::Ordering;
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embedded_io_async::Read;
 
-use crate::config::limits::DetectionLimits;
+use crate::clock::{Clock, delay_us, with_timeout_us};
+use crate::limits::DetectionLimits;
 use crate::protocol::can::{CanError, CanFrame, CanReceiver};
 use crate::protocol::messages::is_from_host;
 use crate::protocol::rate_limiter::RateLimiter;
 use crate::protocol::serial::{Packet, PacketDecoder};
 use crate::protocol::{ESTOP_ALL_ID, frame_id};
-use crate::system::clock::{Clock, delay_us, with_timeout_us};
 use crate::system::faults::{Fault, FaultSet};
 use crate::tasks::{FaultReporter, SharedState};
 

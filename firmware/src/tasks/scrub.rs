@@ -3,8 +3,8 @@
 use embassy_futures::yield_now;
 use embassy_sync::blocking_mutex::raw::RawMutex;
 
+use crate::clock::{Clock, delay_us};
 use crate::model::integrity::{CALLS_PER_S, Checksummed, ScrubResult, Scrubber};
-use crate::system::clock::{Clock, delay_us};
 use crate::system::faults::{Fault, FaultSet};
 use crate::tasks::{FaultReporter, SharedState};
 

@@ -6,14 +6,14 @@ use core::sync::atomic::Ordering;
 use embassy_futures::join::join;
 use embassy_sync::blocking_mutex::raw::RawMutex;
 
-use crate::config::constants::{SENSE_LIMIT_US, TICK_US, TRANSFER_LIMIT_US};
-use crate::config::limits::DetectionLimits;
+use crate::clock::{Clock, with_timeout_us};
+use crate::constants::{SENSE_LIMIT_US, TICK_US, TRANSFER_LIMIT_US};
+use crate::limits::DetectionLimits;
 use crate::sensors::hall::config_readback::{ConfigReadback, ReadbackResult};
 use crate::sensors::hall::liveness::{LivenessMonitor, MonitoredReading};
 use crate::sensors::hall::{
     self, HallFrame, HallSample, HallSensor, SENSORS, SensorBus, TRANSFER_BYTES, WORD_BYTES,
 };
-use crate::system::clock::{Clock, with_timeout_us};
 use crate::system::faults::{Event, Fault, FaultSet};
 use crate::system::task_watchdog::TaskId;
 use crate::tasks::{FaultReporter, SharedState};

@@ -9,13 +9,13 @@ use embassy_futures::select::{Either, Either6, select, select6};
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embedded_io_async::Write;
 
-use crate::config::constants::TICK_US;
+use crate::clock::{Clock, with_timeout_us};
 use crate::config::parameters::Parameters;
+use crate::constants::TICK_US;
 use crate::protocol::can::{CanError, CanFrame, CanSender};
 use crate::protocol::messages::{self, HallRaw, Heartbeat, Message, Timing};
 use crate::protocol::serial::{MAX_PACKET_BYTES, Packet, encode};
 use crate::protocol::{self, PROTOCOL_VERSION, frame_id};
-use crate::system::clock::{Clock, with_timeout_us};
 use crate::system::faults::{Event, Fault, FaultSet};
 use crate::system::task_watchdog::TaskId;
 use crate::tasks::{FaultReporter, ForceSample, SharedState};

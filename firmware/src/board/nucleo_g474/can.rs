@@ -1,4 +1,4 @@
-//! The CAN controller behind the traits of the loops.
+//! CAN controller: implements [`CanSender`] and [`CanReceiver`].
 
 use embassy_stm32::can::enums::BusErrorMode;
 use embassy_stm32::can::filter::{Action, FilterType, StandardFilter, StandardFilterSlot};

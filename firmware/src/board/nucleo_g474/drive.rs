@@ -8,14 +8,15 @@ use core::mem::MaybeUninit;
 
 use embassy_stm32::interrupt::{self, InterruptExt, Priority};
 use embassy_stm32::{Peri, peripherals};
+use embassy_time::Delay;
 use static_cell::ConstStaticCell;
 
-use crate::board::nucleo_g474::crash;
-use crate::board::nucleo_g474::feedback::{
-    ANGLE_AGE_PERIODS, AnalogPins, PhaseCurrents, RotorSensor, SpiPins,
+use crate::board::selected::crash;
+use crate::board::selected::feedback::{
+    ANGLE_AGE_PERIODS, AnalogPins, PhaseCurrents, RotorSensor, SpiPins, rotor_sensor,
 };
-use crate::board::nucleo_g474::pwm::{self, Stage};
-use crate::board::nucleo_g474::sync::{Queue, Reader, Writer};
+use crate::board::selected::pwm::{self, Stage};
+use crate::board::selected::sync::{Queue, Reader, Writer};
 use crate::board::{MotorDrive, MotorMonitor, MotorPort};
 use crate::motor::power_stage::{Encoder, MotorSamples, PowerStage};
 use crate::motor::settings::IdentifiedMotor;
@@ -130,10 +131,15 @@ fn start(parts: Parts, settings: Settings) -> (Orders, StatusReports) {
     let (result_writer, result_reader) = RESULT_QUEUE.take().split();
     let (request_writer, request_reader) = REQUEST_QUEUE.take().split();
     let settings = Settings { angle_age_periods: ANGLE_AGE_PERIODS, ..settings };
+    let mut sensor = rotor_sensor(parts.port, parts.sensor);
+    if sensor.start(&mut Delay).is_err() {
+        // The current loop reports it.
+        defmt::warn!("no valid answer of the rotor sensor");
+    }
     let inner = CurrentLoopState {
         inner: CurrentLoop::new(settings),
         currents: PhaseCurrents::start(parts.converter, parts.inputs),
-        sensor: RotorSensor::new(parts.port, parts.sensor),
+        sensor,
         stage: Stage::start(parts.timer, parts.bridges),
         requests: request_reader,
         state: state_writer,
@@ -168,7 +174,7 @@ impl CurrentLoopState {
     fn period(&mut self) {
         let angle = self.sensor.angle();
         let (phases, bus) = self.currents.read();
-        self.sensor.select();
+        let Ok(()) = self.sensor.select();
         while let Some(ask) = self.requests.pop() {
             self.inner.apply(ask);
         }

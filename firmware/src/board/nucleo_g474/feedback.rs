@@ -3,8 +3,9 @@
 //! Four injected conversions follow TIM1's trigger, 0.48 us each, the currents first. All low sides are on from at least
 //! 1.2 us before the trigger to 1.2 us after it: the sample of the third current ends 1.1 us after it.
 //!
-//! One SPI frame at 10 MHz is started in each PWM period and read in the next: nothing waits for it.
+//! One SPI frame at 10 MHz is started in each PWM period and read in the next: the interrupt does not wait for it.
 
+use core::iter::repeat;
 use core::mem::forget;
 
 use embassy_stm32::adc::{Adc, AdcChannel, AdcConfig, Exten, InjectedAdc, SampleTime};
@@ -13,9 +14,9 @@ use embassy_stm32::spi::{self, MODE_1, Spi};
 use embassy_stm32::time::Hertz;
 use embassy_stm32::triggers::TIM1_TRGO2;
 use embassy_stm32::{Peri, pac, peripherals};
+use embedded_hal::spi::{ErrorKind, ErrorType, SpiBus};
 
-use crate::motor::as5047::{READ_ANGLE, angle};
-use crate::motor::power_stage::{Encoder, EncoderError};
+use crate::motor::as5047::{As5047, PipelinedSpi};
 
 /// Analogue pins of phases U, V, W and of the bus voltage.
 pub type AnalogPins = (
@@ -53,7 +54,6 @@ impl PhaseCurrents {
     }
 }
 
-const PORT: pac::spi::Spi = pac::SPI1;
 /// Age of the angle at the instant of current sampling, in PWM periods: one frame sends the request, the next returns the
 /// angle, which is read one period later. Assumed, to be measured on a board.
 pub const ANGLE_AGE_PERIODS: f32 = 2.0;
@@ -67,43 +67,93 @@ pub type SpiPins = (
 );
 
 /// The AS5047P.
-pub struct RotorSensor {
-    select: Output<'static>,
+pub type RotorSensor = As5047<SpiPort, Output<'static>>;
+
+/// The AS5047P on its port; no frame is started yet.
+pub fn rotor_sensor(port: Peri<'static, peripherals::SPI1>, pins: SpiPins) -> RotorSensor {
+    let (clock, out, into, select) = pins;
+    let mut config = spi::Config::default();
+    config.mode = MODE_1;
+    config.frequency = Hertz(10_000_000);
+    // The driver library only configures the port: its waits have no limit.
+    forget(Spi::new_blocking(port, clock, out, into, config));
+    PORT.cr1().modify(|w| w.set_spe(false));
+    PORT.cr2().modify(|w| {
+        w.set_ds(pac::spi::vals::Ds::BITS16);
+        w.set_frxth(pac::spi::vals::Frxth::HALF);
+    });
+    PORT.cr1().modify(|w| w.set_spe(true));
+    As5047::new(SpiPort(()), Output::new(select, Level::High, Speed::VeryHigh))
 }
 
-impl RotorSensor {
-    /// Configures the port; no frame is started yet.
-    pub fn new(port: Peri<'static, peripherals::SPI1>, pins: SpiPins) -> Self {
-        let (clock, out, into, select) = pins;
-        let mut config = spi::Config::default();
-        config.mode = MODE_1;
-        config.frequency = Hertz(10_000_000);
-        // The blocking driver only configures the port; afterwards its registers are used directly.
-        forget(Spi::new_blocking(port, clock, out, into, config));
-        PORT.cr1().modify(|w| w.set_spe(false));
-        PORT.cr2().modify(|w| {
-            w.set_ds(pac::spi::vals::Ds::BITS16);
-            w.set_frxth(pac::spi::vals::Frxth::HALF);
-        });
-        PORT.cr1().modify(|w| w.set_spe(true));
-        Self { select: Output::new(select, Level::High, Speed::VeryHigh) }
-    }
+const PORT: pac::spi::Spi = pac::SPI1;
+/// Polls of a status bit until a frame counts as lost: more than 6 us, a frame takes 1.6 us.
+const FRAME_POLLS: u32 = 1000;
+/// Word sent while only receiving.
+const IDLE_WORD: u16 = 0;
 
-    /// Asserts CS; the sensor needs 350 ns until [`Self::start_frame`].
-    pub fn select(&mut self) {
-        self.select.set_low();
-    }
+/// SPI1 with frames of one word, by register access: one frame of 16 bits, 1.6 us, at a time.
+pub struct SpiPort(());
 
-    /// Starts a frame, 1.6 us.
-    pub fn start_frame(&mut self) {
-        PORT.dr16().write_value(READ_ANGLE);
+/// A frame has not ended in time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FrameTimeout;
+
+impl embedded_hal::spi::Error for FrameTimeout {
+    fn kind(&self) -> ErrorKind {
+        ErrorKind::Other
     }
 }
 
-impl Encoder for RotorSensor {
-    /// The response of the last frame; deasserts CS.
-    fn angle(&mut self) -> Result<u16, EncoderError> {
-        self.select.set_high();
-        if PORT.sr().read().rxne() { angle(PORT.dr16().read()) } else { Err(EncoderError::Silent) }
+impl SpiPort {
+    fn exchange(&mut self, word: u16) -> Result<u16, FrameTimeout> {
+        // The word of a frame that has ended too late.
+        self.take_received();
+        self.start_frame(word);
+        (0..FRAME_POLLS).find_map(|_| self.take_received()).ok_or(FrameTimeout)
+    }
+}
+
+impl PipelinedSpi for SpiPort {
+    fn start_frame(&mut self, word: u16) {
+        PORT.dr16().write_value(word);
+    }
+
+    fn take_received(&mut self) -> Option<u16> {
+        PORT.sr().read().rxne().then(|| PORT.dr16().read())
+    }
+}
+
+impl ErrorType for SpiPort {
+    type Error = FrameTimeout;
+}
+
+/// Blocking; each word takes at most [`FRAME_POLLS`].
+impl SpiBus<u16> for SpiPort {
+    fn read(&mut self, words: &mut [u16]) -> Result<(), FrameTimeout> {
+        words.fill(IDLE_WORD);
+        self.transfer_in_place(words)
+    }
+
+    fn write(&mut self, words: &[u16]) -> Result<(), FrameTimeout> {
+        words.iter().try_for_each(|word| self.exchange(*word).map(drop))
+    }
+
+    fn transfer(&mut self, read: &mut [u16], write: &[u16]) -> Result<(), FrameTimeout> {
+        let common = read.len().min(write.len());
+        let words = write.iter().copied().chain(repeat(IDLE_WORD));
+        for (received, word) in read.iter_mut().zip(words) {
+            *received = self.exchange(word)?;
+        }
+        write.iter().skip(common).try_for_each(|word| self.exchange(*word).map(drop))
+    }
+
+    fn transfer_in_place(&mut self, words: &mut [u16]) -> Result<(), FrameTimeout> {
+        words.iter_mut().try_for_each(|word| self.exchange(*word).map(|received| *word = received))
+    }
+
+    fn flush(&mut self) -> Result<(), FrameTimeout> {
+        let has_ended = (0..FRAME_POLLS).any(|_| !PORT.sr().read().bsy());
+        if has_ended { Ok(()) } else { Err(FrameTimeout) }
     }
 }

@@ -18,9 +18,9 @@ use embassy_stm32::{Peri, rcc};
 use embassy_sync::waitqueue::AtomicWaker;
 use embedded_hal_async::i2c::{ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation};
 
-use crate::board::nucleo_g474::peripherals::BoardClock;
+use crate::board::selected::clock::BoardClock;
+use crate::clock::delay_us;
 use crate::sensors::hall::{BusLines, SensorBus, clear_bus};
-use crate::system::clock::delay_us;
 
 /// Polling interval of a busy bus.
 const BUSY_POLL_US: u64 = 10;

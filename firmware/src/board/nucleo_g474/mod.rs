@@ -9,6 +9,7 @@
 //! | half bridges | TIM1: high sides PA8, PA9, PA10, low sides PB13, PB14, PB15; break PB12, active low |
 //! | phase currents, bus voltage | ADC1: PC0, PC1, PC2; PC3 |
 //! | rotor angle | SPI1: SCK PA5, MOSI PA7, MISO PA6, CS PA4 |
+//! | inertial sensor, optional | SPI3: SCK PC10, MOSI PC12, MISO PC11, CS PD2 |
 //!
 //! SCL of I2C1 is at PA15 because PB8 is also BOOT0: a pull-up there starts the boot loader at each reset of a chip with
 //! its option bytes as shipped (RM0440 2.6.1).
@@ -17,6 +18,8 @@
 
 #[cfg(target_os = "none")]
 pub mod can;
+#[cfg(target_os = "none")]
+pub mod clock;
 #[cfg(target_os = "none")]
 pub mod crash;
 #[cfg(target_os = "none")]
@@ -28,6 +31,8 @@ pub mod flash;
 #[cfg(target_os = "none")]
 pub mod i2c;
 #[cfg(target_os = "none")]
+pub mod imu;
+#[cfg(target_os = "none")]
 pub mod mem;
 #[cfg(target_os = "none")]
 pub mod peripherals;
@@ -38,17 +43,6 @@ pub mod sync;
 #[cfg(target_os = "none")]
 pub mod tasks;
 
-use embedded_hal_async::i2c::I2c;
-
-use crate::board::Sensors;
-use crate::sensors::hall::a31301::A31301;
-use crate::sensors::imu::Lsm6ds3;
-
 /// The board as a type.
 #[derive(Clone, Copy, Debug)]
 pub struct NucleoG474;
-
-impl Sensors for NucleoG474 {
-    type Hall = A31301;
-    type Imu<B: I2c> = Lsm6ds3<B>;
-}

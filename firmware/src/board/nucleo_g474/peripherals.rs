@@ -8,18 +8,18 @@ use embassy_stm32::rng::{self, Rng};
 use embassy_stm32::time::Hertz;
 use embassy_stm32::usart::{self, RingBufferedUartRx, Uart, UartTx};
 use embassy_stm32::{bind_interrupts, dma, pac, peripherals, rcc};
-use embassy_time::{Instant, Timer};
 use static_cell::ConstStaticCell;
 
 use crate::board::i2c_timing::{EdgeTimes, I2cMode, i2c_timing};
-use crate::board::nucleo_g474::can::{Receiver, Sender};
-use crate::board::nucleo_g474::crash::IndependentWatchdog;
-use crate::board::nucleo_g474::flash::{self, ParameterFlash};
-use crate::board::nucleo_g474::i2c::I2cBus;
-use crate::board::nucleo_g474::{NucleoG474, drive, pwm, sync};
+use crate::board::selected::can::{Receiver, Sender};
+use crate::board::selected::clock::BoardClock;
+use crate::board::selected::crash::IndependentWatchdog;
+use crate::board::selected::flash::{self, ParameterFlash};
+use crate::board::selected::i2c::I2cBus;
+use crate::board::selected::imu::{self, InertialSensor};
+use crate::board::selected::{NucleoG474, drive, pwm, sync};
 use crate::board::{Bsp, Peripherals};
 use crate::protocol::serial::BAUD_RATE;
-use crate::system::clock::Clock;
 
 /// Clock of the I2C peripherals: HSI16.
 const I2C_HZ: u32 = 16_000_000;
@@ -46,6 +46,7 @@ impl Bsp for NucleoG474 {
     const HARDWARE: u8 = 1;
     type Clock = BoardClock;
     type SensorBus = I2cBus;
+    type Imu = InertialSensor;
     type CanTx = Sender;
     type CanRx = Receiver;
     type SerialTx = UartTx<'static, Async>;
@@ -88,6 +89,16 @@ impl Bsp for NucleoG474 {
                 I2cBus::first(p.I2C1, p.PA15, p.PB9, TIMING),
                 I2cBus::second(p.I2C3, p.PC8, p.PC9, TIMING),
             ],
+            imu: cfg!(feature = "als31300-lsm6ds3").then(|| {
+                imu::inertial_sensor(imu::Parts {
+                    port: p.SPI3,
+                    clock: p.PC10,
+                    out: p.PC12,
+                    into: p.PC11,
+                    select: p.PD2,
+                    channels: (p.DMA1_CH3, p.DMA1_CH4),
+                })
+            }),
             can_tx: Sender { half: sender, properties },
             can_rx: Receiver(receiver),
             serial_tx,
@@ -109,20 +120,6 @@ impl Bsp for NucleoG474 {
             },
             watchdog: IndependentWatchdog::new(p.IWDG),
         }
-    }
-}
-
-/// Time of the timer that `embassy-time` uses.
-#[derive(Clone, Copy, Debug)]
-pub struct BoardClock;
-
-impl Clock for BoardClock {
-    fn now_us(&self) -> u64 {
-        Instant::now().as_micros()
-    }
-
-    async fn until(&self, time_us: u64) {
-        Timer::at(Instant::from_micros(time_us)).await;
     }
 }
 

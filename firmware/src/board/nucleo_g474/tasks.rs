@@ -2,7 +2,7 @@
 //!
 //! | level | tasks | deadline |
 //! | --- | --- | --- |
-//! | priority 0 and 1 | motor interrupts ([`crate::board::nucleo_g474::drive`]), drivers | one PWM period |
+//! | priority 0 and 1 | motor interrupts ([`crate::board::selected::drive`]), drivers | one PWM period |
 //! | [`SENSING_PRIORITY`] | sense, receive CAN | a bus waits for its next transfer; the controller stores three frames |
 //! | [`CONTROL_PRIORITY`] | estimate, grip | the next tick |
 //! | thread mode | all other tasks | |
@@ -16,19 +16,19 @@ use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_time::{Duration, Ticker};
 use static_cell::StaticCell;
 
-use crate::board::nucleo_g474::peripherals::BoardClock;
-use crate::board::nucleo_g474::{NucleoG474, crash};
-use crate::board::{BoardHallSensor, Bsp, MotorDrive, MotorMonitor, Peripherals, Watchdog};
-use crate::config::limits::{DetectionLimits, GripLimits};
+use crate::board::selected::clock::BoardClock;
+use crate::board::selected::{NucleoG474, crash};
+use crate::board::{Bsp, MotorDrive, MotorMonitor, Peripherals, Watchdog};
 use crate::config::parameters::Backdrivability;
 use crate::estimator::Estimator;
 use crate::estimator::gru::GruBank;
 use crate::grip::GripController;
+use crate::limits::{DetectionLimits, GripLimits};
 use crate::model::tables::{NETWORKS, TABLES};
 use crate::motor::screw::Screw;
 use crate::protocol::PROTOCOL_VERSION;
 use crate::protocol::messages::Version;
-use crate::sensors::hall::SENSORS;
+use crate::sensors::hall::{GripperHallSensor, SENSORS};
 use crate::system::faults::Event;
 use crate::system::nv_storage::{LoadedParameters, ParameterStore};
 use crate::system::task_watchdog::FEED_PERIOD_MS;
@@ -124,7 +124,8 @@ async fn begin(spawner: Spawner, board: Peripherals<B>) {
 
 #[embassy_executor::task]
 async fn sense(shared: Shared, buses: [<B as Bsp>::SensorBus; 2], addresses: [u8; SENSORS]) {
-    tasks::sense::<BoardHallSensor, _, _, _>(buses, addresses, &LIMITS, &BoardClock, shared).await;
+    tasks::sense::<GripperHallSensor, _, _, _>(buses, addresses, &LIMITS, &BoardClock, shared)
+        .await;
 }
 
 #[embassy_executor::task]
@@ -133,7 +134,7 @@ async fn estimate(shared: Shared, mut motor_status: <Drive as MotorDrive>::Monit
     let mut last = TickInputs::default();
     let inputs = move || {
         if let Some(motor) = motor_status.poll() {
-            last = TickInputs { auxiliary: motor.covariates(), motor };
+            last = TickInputs { auxiliary: motor.auxiliary_inputs(), motor };
         }
         last
     };

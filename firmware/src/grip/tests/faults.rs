@@ -1,13 +1,13 @@
 //! Fault detection, reactions and clearing.
 
-use crate::config::constants;
-use crate::config::limits::GripLimits;
+use crate::constants;
 use crate::estimator::Estimate;
 use crate::fixed_point::Force;
 use crate::grip::commands::{CommandRefusal, RefusalReason, mode};
 use crate::grip::fault_reactions::{Reaction, reaction};
 use crate::grip::states::{GripPhase, PowerState, TaskState};
 use crate::grip::tests::rig::{GripRig, pressed};
+use crate::limits::GripLimits;
 use crate::motor::state::SupplyState;
 use crate::motor::{MotorState, Setpoint, Trip};
 use crate::protocol::messages::ServiceReply;

@@ -8,25 +8,25 @@
 
 use core::hint::black_box;
 
-use crate::estimator::compensation::crosstalk::{
+use crate::checksum::{CRC32, Digest32};
+use crate::compensation::crosstalk::{
     EarthFieldTable, KNOTS, MotorLeakageTable, NeighbourMagnetTable,
 };
-use crate::estimator::compensation::flexure::{
+use crate::compensation::flexure::{
     CREEP_PARTS, CreepTable, FingertipMassTable, HardStopTable, ViscousLagTable,
 };
-use crate::estimator::compensation::hysteresis::{HysteresisTable, SLIDERS, Slider};
-use crate::estimator::compensation::lookup_table::{Covariate, LookupAxis, LookupTable};
-use crate::estimator::compensation::thermal::{
+use crate::compensation::hysteresis::{HysteresisTable, SLIDERS, Slider};
+use crate::compensation::lookup_table::{Covariate, LookupAxis, LookupTable};
+use crate::compensation::thermal::{
     MagnetTemperatureTable, SensorTemperatureTable, ThermalGapTable,
 };
-use crate::estimator::compensation::{Compensation, FieldEffect, ForceEffect, MAX_EFFECTS};
+use crate::compensation::{Compensation, FieldEffect, ForceEffect, MAX_EFFECTS};
 use crate::fixed_point::{Field, Force};
 use crate::model::formats::{
     AxisScale, CentrePair, EXP_ENTRIES, GATES, Guard, Head, Input, InputSource, Linear, MOST_PAIRS,
     Network, OUTPUTS, PARITY_TERMS, Pair, Parity, Products, SensorTable, Tables, Target, UnitPair,
     Weights,
 };
-use crate::system::checksum::{CRC32, Digest32};
 
 /// A value as a sequence of 32-bit words.
 pub trait WordStream {

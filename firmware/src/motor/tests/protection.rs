@@ -18,7 +18,7 @@ fn lost_angle_brakes_within_a_millisecond() {
     motor
         .handle_command(MotorCommand::Setpoint(Setpoint::Speed { closing_mm_s: 50.0, max_a: 9.6 }));
     model.run(&mut motor, 2000, |_, _| {});
-    let without_angle = MotorSamples { angle: Err(EncoderError::Field), ..model.sensed };
+    let without_angle = MotorSamples { angle: Err(EncoderError::ErrorFlag), ..model.sensed };
     let braked = (0..20).position(|_| both(&mut motor, &without_angle) == BridgeCommand::Brake);
     assert!(braked.is_some_and(|periods| periods < 20), "{braked:?}");
     assert_eq!(motor.status().state, MotorState::Tripped(Trip::Encoder));

@@ -4,12 +4,12 @@
 //! The full datasheet is not public. Facts without a public source are marked *unverified*. EEPROM is never
 //! written.
 
-use crate::sensors::hall::{HallReading, HallSample, HallSensor};
+use crate::sensors::hall::{HallReading, HallSample, HallSensor, TRANSFER_BYTES};
 
 /// First register of a measurement: temperature, then X, Y, Z.
 pub const TEMPERATURE: u8 = 0x1C;
 /// Bytes of a measurement.
-pub const READING_BYTES: usize = 8;
+pub const READING_BYTES: usize = TRANSFER_BYTES;
 /// Configuration word. *Unverified*: the address, taken from the related ALS31300, and that its content is constant.
 /// It is only compared with its value at the start, never written.
 pub const CONFIGURATION: u8 = 0x02;
@@ -31,6 +31,8 @@ impl HallSensor for A31301 {
     const READING: u8 = TEMPERATURE;
 
     const CONFIGURATION: u8 = CONFIGURATION;
+
+    const FIELD_LIMITS: (i16, i16) = FIELD_LIMITS;
 
     fn decode(bytes: [u8; READING_BYTES]) -> HallSample {
         HallSample::New(decode(bytes))

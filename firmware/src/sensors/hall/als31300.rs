@@ -2,14 +2,12 @@
 //! relative of the A31301, as a second implementation of the driver trait. Registers are big-endian 32-bit words;
 //! each axis is split over two consecutive words.
 
-use crate::config::constants;
-use crate::sensors::hall::{HallReading, HallSample, HallSensor};
+use crate::constants;
+use crate::sensors::hall::{HallReading, HallSample, HallSensor, TRANSFER_BYTES};
 
 /// Register with the upper eight bits of X, Y, Z, the new-data flag and the upper six bits of the temperature; the
 /// lower bits are in the next.
 pub const UPPER: u8 = 0x28;
-/// Bytes of a measurement: both words.
-pub const READING_BYTES: usize = 8;
 /// Sensing mode, bandwidth and checksums, in the upper half of the word.
 pub const CONFIGURATION: u8 = 0x02;
 /// 7-bit addresses selected by the strap.
@@ -38,13 +36,15 @@ impl HallSensor for Als31300 {
 
     const CONFIGURATION: u8 = CONFIGURATION;
 
-    fn decode(bytes: [u8; READING_BYTES]) -> HallSample {
+    const FIELD_LIMITS: (i16, i16) = (-2048 * COUNTS, 2047 * COUNTS);
+
+    fn decode(bytes: [u8; TRANSFER_BYTES]) -> HallSample {
         decode(bytes)
     }
 }
 
 /// Decodes a measurement.
-pub const fn decode(bytes: [u8; READING_BYTES]) -> HallSample {
+pub const fn decode(bytes: [u8; TRANSFER_BYTES]) -> HallSample {
     let [a, b, c, d, e, f, g, h] = bytes;
     let upper = u32::from_be_bytes([a, b, c, d]);
     let lower = u32::from_be_bytes([e, f, g, h]);

@@ -14,7 +14,7 @@
 //! holds a measurement, which dithers, the check is disabled until the next start. A replaced sensor with another
 //! word is accepted at the next start, which hosts can request while nothing is driven.
 
-use crate::config::limits::DetectionLimits;
+use crate::limits::DetectionLimits;
 use crate::sensors::hall::{HallSample, SENSORS};
 
 /// Sensors of successive ticks: the buses alternate, two sensors on each.
@@ -160,7 +160,7 @@ mod tests {
         wait(&mut readback, 2);
         assert_eq!(readback.update(Some([0, 0])), ReadbackResult::Changed);
         assert_eq!(usable(&readback), [true; 4]);
-        // Read again in the next tick, after the bus was re-initialised in vain.
+        // Read again in the next tick, after re-initialising the bus had no effect.
         for (ticks, word, expected) in
             [(1, Some([0, 0]), lost), (4, None, lost), (4, WORD, [true; 4])]
         {

@@ -4,9 +4,8 @@
 //! with a probability of one in ten, three axes with one in a thousand. A saturated axis repeats by nature and is
 //! not counted.
 
-use crate::config::limits::DetectionLimits;
-use crate::sensors::hall::a31301::FIELD_LIMITS;
-use crate::sensors::hall::{HallReading, HallSample};
+use crate::limits::DetectionLimits;
+use crate::sensors::hall::{GripperHallSensor, HallReading, HallSample, HallSensor};
 
 /// State of a sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -87,7 +86,7 @@ impl LivenessMonitor {
 }
 
 fn unsaturated_axes(reading: &HallReading) -> u8 {
-    let (min, max) = FIELD_LIMITS;
+    let (min, max) = GripperHallSensor::FIELD_LIMITS;
     let is_inside = |counts: &&i16| **counts > min && **counts < max;
     reading.field.iter().filter(is_inside).count() as u8
 }
@@ -126,11 +125,12 @@ mod tests {
     #[test]
     fn saturated_axes_do_not_count_as_frozen() {
         let mut monitor = LivenessMonitor::new(&DetectionLimits::GRIPPER);
+        let (min, max) = GripperHallSensor::FIELD_LIMITS;
         let mut condition = |z| {
-            let field = [16383, -16384, z];
+            let field = [max, min, z];
             monitor.update(Some(HallSample::New(HallReading { field, temperature: 3 }))).condition
         };
-        assert!((0..1000).all(|_| condition(16383) == Live));
+        assert!((0..1000).all(|_| condition(max) == Live));
         // One unsaturated axis needs nine repetitions: three would occur by noise every second.
         assert_eq!((0..20).take_while(|_| condition(12) == Live).count(), 9);
     }

@@ -1,6 +1,6 @@
 //! Three-axis Hall sensors: the trait of a driver, the frame of all sensors, and the I2C bus they share.
 //!
-//! A new part is a file with an implementation of [`HallSensor`].
+//! A new part is a file with an implementation of [`HallSensor`]; [`GripperHallSensor`] selects the part.
 
 pub mod a31301;
 pub mod als31300;
@@ -9,10 +9,17 @@ pub mod liveness;
 
 use embedded_hal_async::i2c::I2c;
 
-use crate::system::clock::{Clock, delay_us};
+use crate::clock::{Clock, delay_us};
+
+/// The part on the gripper. Portable, because the default parameters depend on its addresses.
+#[cfg(not(feature = "als31300-lsm6ds3"))]
+pub type GripperHallSensor = a31301::A31301;
+/// The part on the gripper. Portable, because the default parameters depend on its addresses.
+#[cfg(feature = "als31300-lsm6ds3")]
+pub type GripperHallSensor = als31300::Als31300;
 
 /// Number of Hall sensors of the gripper.
-pub const SENSORS: usize = crate::config::constants::SENSORS.value as usize;
+pub const SENSORS: usize = crate::constants::SENSORS.value as usize;
 /// Bytes of a measurement on the bus, equal for all parts.
 pub const TRANSFER_BYTES: usize = 8;
 /// Bytes of the configuration word ([`config_readback`]).
@@ -55,6 +62,9 @@ pub trait HallSensor {
 
     /// Register of the configuration word ([`config_readback`]).
     const CONFIGURATION: u8;
+
+    /// Minimum and maximum of a field axis in [`HallReading`] counts, at which the sensor saturates.
+    const FIELD_LIMITS: (i16, i16);
 
     /// Decodes the bytes of a measurement.
     fn decode(bytes: [u8; TRANSFER_BYTES]) -> HallSample;

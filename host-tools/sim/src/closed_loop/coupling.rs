@@ -215,7 +215,7 @@ impl SimulatedGripper {
         };
         let readings = self.tips.sample(&drive, plant.time_s());
         let motion = self.inertial.sample(self.specific_force.into(), [0.0; 3]);
-        let mut covariates = self.status.covariates();
+        let mut covariates = self.status.auxiliary_inputs();
         covariates.acceleration = Some(motion.acceleration);
         WorldSample { readings, covariates }
     }

@@ -1,7 +1,6 @@
 //! Fields of other sources at the sensor: the motor, the Earth, the opposing finger's magnet.
 
-use crate::estimator::auxiliary_inputs::AuxiliaryInputs;
-use crate::estimator::compensation::subtract;
+use crate::compensation::auxiliary_inputs::AuxiliaryInputs;
 use crate::fixed_point::{Field, mul_q};
 
 /// Fractional bits of [`MotorLeakageTable::per_ma`].
@@ -23,7 +22,7 @@ impl MotorLeakageTable {
         Some([(bx, x), (by, y), (bz, z)].map(|(field, row)| {
             let terms = row.iter().zip(currents);
             terms.fold(field, |field, (per_ma, ma)| {
-                subtract(field, mul_q(*per_ma, ma, LEAKAGE_BITS))
+                field.saturating_sub(mul_q(*per_ma, ma, LEAKAGE_BITS))
             })
         }))
     }
@@ -52,7 +51,7 @@ impl EarthFieldTable {
                 // Both factors have fractional bits: removed in two steps to avoid an overflow.
                 sum.saturating_add(mul_q(*factor, b, EARTH_FIELD_BITS))
             });
-            subtract(field, mul_q(ambient, 1, EARTH_FIELD_BITS))
+            field.saturating_sub(mul_q(ambient, 1, EARTH_FIELD_BITS))
         }))
     }
 }
@@ -82,7 +81,7 @@ impl NeighbourMagnetTable<'_> {
         let [x1, y1, z1] = *after;
         Some([(bx, x0, x1), (by, y0, y1), (bz, z0, z1)].map(|(field, from, to)| {
             let (from, to) = (i32::from(from), i32::from(to));
-            subtract(field, from + (to - from) * fraction / STEP_UM)
+            field.saturating_sub(from + (to - from) * fraction / STEP_UM)
         }))
     }
 }

@@ -1,6 +1,6 @@
 //! Effects of the flexures and the mass on them: viscous lag, creep, hard stops, the fingertip's weight and inertia.
 
-use crate::estimator::auxiliary_inputs::AuxiliaryInputs;
+use crate::compensation::auxiliary_inputs::AuxiliaryInputs;
 use crate::fixed_point::{Force, mul_q, saturate};
 
 /// Fractional bits of [`ViscousLagTable::lead`] and [`ViscousLagTable::rate`].

@@ -1,4 +1,4 @@
-//! Every design constant of the gripper, in one place.
+//! Design constants of the gripper with their sources.
 //!
 //! A constant has a unit, a source, and a flag *assumed*: a value that the paper
 //! (Tanaka et al., "Mechanisms and Computational Design of Multi-Modal End-Effector with Force

@@ -1,6 +1,6 @@
 //! A user-defined effect as a lookup table over one or two covariates, with linear interpolation.
 
-use crate::estimator::auxiliary_inputs::AuxiliaryInputs;
+use crate::compensation::auxiliary_inputs::AuxiliaryInputs;
 use crate::fixed_point::saturate;
 
 /// Independent variable of a lookup table.

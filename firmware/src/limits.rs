@@ -1,8 +1,9 @@
-//! Thresholds of every fault detector and of the grip, in one place.
+//! Thresholds of the detectors of sensing and communication, and of the grip. Those of the motor are in
+//! [`crate::motor::settings`], those of the disturbance detection in [`crate::estimator::disturbance`].
 //!
 //! They are passed as values, so that a test can disable one detector and check that no other reacts.
 
-use crate::config::constants;
+use crate::constants;
 
 /// Thresholds of the detectors of sensing and communication.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

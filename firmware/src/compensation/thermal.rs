@@ -3,7 +3,6 @@
 //! A kelvin changes the magnet's field by 1.4 G, so the noise of a temperature count would be visible. Thermal time
 //! constants are long: the temperature is low-pass filtered with 256 ms.
 
-use crate::estimator::compensation::subtract;
 use crate::fixed_point::{Field, mul_q};
 
 /// Fractional bits of a filtered temperature.
@@ -57,8 +56,8 @@ impl SensorTemperatureTable {
         let [bx, by, bz] = field;
         [(bx, x), (by, y), (bz, z)].map(|(field, offset)| {
             let centred =
-                subtract(field, mul_q(offset, temperature, TEMPERATURE_BITS + DRIFT_BITS));
-            subtract(centred, mul_q(centred.0, gain, DRIFT_BITS))
+                field.saturating_sub(mul_q(offset, temperature, TEMPERATURE_BITS + DRIFT_BITS));
+            centred.saturating_sub(mul_q(centred.0, gain, DRIFT_BITS))
         })
     }
 }
@@ -89,7 +88,7 @@ impl MagnetTemperatureTable {
         let [bx, by, bz] = field;
         [(bx, x), (by, y), (bz, z)].map(|(field, without)| {
             let own = field.0.saturating_sub(without);
-            subtract(field, mul_q(own, correction, CHANGE_BITS))
+            field.saturating_sub(mul_q(own, correction, CHANGE_BITS))
         })
     }
 }
@@ -123,7 +122,7 @@ impl ThermalGapTable {
         let [rx, ry, rz] = self.rest;
         [(bx, rx, sx), (by, ry, sy), (bz, rz, sz)].map(|(field, rest, linear)| {
             let per_count = rest.saturating_add(linear);
-            subtract(field, mul_q(per_count, temperature, TEMPERATURE_BITS + GAP_BITS))
+            field.saturating_sub(mul_q(per_count, temperature, TEMPERATURE_BITS + GAP_BITS))
         })
     }
 }

@@ -6,22 +6,21 @@
 //! on the present forces (stiffening, tip slope, cross coupling, compression of the sensor) are part of the ideal
 //! model's tables.
 
+pub mod auxiliary_inputs;
 pub mod crosstalk;
 pub mod flexure;
 pub mod hysteresis;
 pub mod lookup_table;
 pub mod thermal;
 
-use crate::estimator::auxiliary_inputs::AuxiliaryInputs;
-use crate::estimator::compensation::crosstalk::{
-    EarthFieldTable, MotorLeakageTable, NeighbourMagnetTable,
-};
-use crate::estimator::compensation::flexure::{
+use crate::compensation::auxiliary_inputs::AuxiliaryInputs;
+use crate::compensation::crosstalk::{EarthFieldTable, MotorLeakageTable, NeighbourMagnetTable};
+use crate::compensation::flexure::{
     CreepState, CreepTable, FingertipMassTable, HardStopTable, ViscousLagState, ViscousLagTable,
 };
-use crate::estimator::compensation::hysteresis::{HysteresisState, HysteresisTable, Slider};
-use crate::estimator::compensation::lookup_table::LookupTable;
-use crate::estimator::compensation::thermal::{
+use crate::compensation::hysteresis::{HysteresisState, HysteresisTable, Slider};
+use crate::compensation::lookup_table::LookupTable;
+use crate::compensation::thermal::{
     MagnetTemperatureTable, SensorTemperatureTable, TemperatureFilter, ThermalGapTable,
 };
 use crate::fixed_point::{Field, Force};
@@ -132,7 +131,7 @@ impl Compensation<'_> {
                 FieldEffect::EarthField(table) => table.compensate(field, inputs),
                 FieldEffect::NeighbourMagnet(table) => table.compensate(field, inputs),
                 FieldEffect::Map(tables) => subtract_map(tables, field, |field, table| {
-                    Some(subtract(field, table.value(temperature, inputs)?))
+                    Some(field.saturating_sub(table.value(temperature, inputs)?))
                 }),
                 FieldEffect::MagnetTemperature(table) => Some(table.compensate(field, temperature)),
                 FieldEffect::ThermalGap(table) => Some(table.compensate(field, temperature)),
@@ -187,8 +186,4 @@ fn subtract_map<T: Copy, const N: usize>(
         *component = subtract(*component, table)?;
     }
     Some(components)
-}
-
-fn subtract(field: Field, by: i32) -> Field {
-    Field(field.0.saturating_sub(by))
 }
