@@ -84,16 +84,21 @@ pub enum FieldForm {
 pub enum ForceForm {
     /// Retardation time of each axis in milliseconds.
     ViscousLag,
-    /// Percentage of the deflection and time constant in seconds of two parts, by values and axis. Both axes have the
-    /// same time constants.
-    Creep(fn(&[f64], usize) -> [(f64, f64); 2]),
+    /// Parts by values and axis. Both axes have the same time constants.
+    Creep(fn(&[f64], usize) -> CreepParts),
     /// Compliance lost in percent: each axis under positive, then under negative force; knee of each axis in newtons.
     HardStop,
-    /// Friction force in newtons, and weight and reach in newtons of three sliders, by values and axis.
-    Hysteresis(fn(&[f64], usize) -> (f64, [(f64, f64); 3])),
+    /// Sliders by values and axis.
+    Hysteresis(fn(&[f64], usize) -> FrictionSliders),
     /// Mass in kilograms.
     FingertipMass,
 }
+
+/// Percentage of the deflection and time constant in seconds of the fast and the slow part of creep along one axis.
+pub type CreepParts = [(f64, f64); 2];
+
+/// Friction force in newtons, and weight and reach in newtons of each slider, along one axis.
+pub type FrictionSliders = (f64, [(f64, f64); 3]);
 
 /// Dependence on the excitation that an effect has in common with others. No effect of the catalogue has exactly the
 /// form of a real one; the remainder of an accepted effect resembles the effects with a common signature.

@@ -2,8 +2,8 @@
 
 use crate::effects::operators::low_pass;
 use crate::effects::{
-    DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, ForceForm, MagnitudeSpec,
-    Signature, SimulatedMagnitude, Simulation, StateSeries,
+    CreepParts, DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, ForceForm,
+    MagnitudeSpec, Signature, SimulatedMagnitude, Simulation, StateSeries,
 };
 
 pub const EFFECT: Effect = Effect {
@@ -71,7 +71,7 @@ fn apply(values: &[f64], excitation: &ExcitationSeries, series: &mut StateSeries
 
 /// Delayed fraction of the deflection in percent and time constant in seconds of the fast and the slow part along
 /// one axis (0 lateral, 1 longitudinal); `values` in the order of the parameters.
-fn parts_of(values: &[f64], axis: usize) -> [(f64, f64); 2] {
+fn parts_of(values: &[f64], axis: usize) -> CreepParts {
     let &[creep_x, creep_z, fast_s, slow_s, weight] = values else {
         return [(0.0, 1.0); 2];
     };

@@ -2,8 +2,8 @@
 
 use crate::effects::operators::stop_operators;
 use crate::effects::{
-    DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, ForceForm, MagnitudeSpec,
-    Signature, SimulatedMagnitude, Simulation, StateSeries,
+    DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, ForceForm, FrictionSliders,
+    MagnitudeSpec, Signature, SimulatedMagnitude, Simulation, StateSeries,
 };
 
 pub const EFFECT: Effect = Effect {
@@ -94,7 +94,7 @@ fn apply(values: &[f64], excitation: &ExcitationSeries, series: &mut StateSeries
 
 /// Friction force in newtons and (weight, reach in newtons) of each slider of one axis (0 lateral, 1
 /// longitudinal); `values` in the order of the parameters.
-fn sliders_of(values: &[f64], axis: usize) -> (f64, [(f64, f64); 3]) {
+fn sliders_of(values: &[f64], axis: usize) -> FrictionSliders {
     let shapes = values.get(2 + axis * SHAPES..2 + (axis + 1) * SHAPES);
     let friction = values.get(axis).copied().unwrap_or(0.0);
     (friction, sliders(shapes.unwrap_or(&[])))

@@ -7,7 +7,7 @@ use firmware::estimator::compensation::{
 use firmware::fixed_point::Force;
 use nalgebra::{Matrix3, Vector3};
 
-use crate::effects::{FieldForm, ForceForm};
+use crate::effects::{CreepParts, FieldForm, ForceForm, FrictionSliders};
 use crate::inverse::compensation::{Converter, NotCompensable, OwnedOnField, OwnedOnForce};
 use crate::inverse::static_model::lattice;
 
@@ -154,9 +154,9 @@ impl Converter<'_> {
         }))
     }
 
-    fn creep(&self, parts: [[(f64, f64); 2]; 2]) -> Result<ForceEffect<'static>, NotCompensable> {
+    fn creep(&self, parts: [CreepParts; 2]) -> Result<ForceEffect<'static>, NotCompensable> {
         let share = |percent: f64| self.integer(0.01 * percent, flexure::CREEP_BITS);
-        let shares = |[(fast, _), (slow, _)]: [(f64, f64); 2]| Ok([share(fast)?, share(slow)?]);
+        let shares = |[(fast, _), (slow, _)]: CreepParts| Ok([share(fast)?, share(slow)?]);
         let tick_s = 1.0 / constants::SENSE_RATE.value;
         let rate = |time_s: f64| self.integer(-libm::expm1(-tick_s / time_s), flexure::CREEP_BITS);
         let [(_, fast_s), (_, slow_s)] = parts[0];
@@ -184,7 +184,7 @@ impl Converter<'_> {
 
     fn hysteresis(
         &self,
-        axes: [(f64, [(f64, f64); 3]); 2],
+        axes: [FrictionSliders; 2],
     ) -> Result<ForceEffect<'static>, NotCompensable> {
         let slider = |(reach_n, force_n): (f64, f64)| {
             Ok(hysteresis::Slider {
@@ -192,7 +192,7 @@ impl Converter<'_> {
                 share: self.integer(force_n / reach_n, hysteresis::BITS)?,
             })
         };
-        let axis = |(friction_n, sliders): (f64, [(f64, f64); 3])| {
+        let axis = |(friction_n, sliders): FrictionSliders| {
             let [a, b, c] = inverse_sliders(friction_n, sliders);
             Ok([slider(a)?, slider(b)?, slider(c)?])
         };
