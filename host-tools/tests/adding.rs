@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use model_export::effects::CATALOGUE;
 use serde_json::Value;
 use tempfile::TempDir;
 use tests::data;
@@ -211,7 +212,7 @@ fn export_refuses_formula_unknown_to_the_board() {
 fn every_effect_is_listed_and_documented() {
     let listed = json(&["effects", "--json"]);
     let effects = listed["effects"].as_array().unwrap();
-    assert_eq!(effects.len(), 23);
+    assert_eq!(effects.len(), CATALOGUE.len());
     for effect in effects {
         let name = effect["effect"].as_str().unwrap();
         let output = magpie(&["effects", name]);

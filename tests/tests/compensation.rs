@@ -8,7 +8,10 @@ use firmware::estimator::auxiliary_inputs::{Attitude, AuxiliaryInputs, MotorInpu
 use firmware::estimator::compensation::{Compensation, CompensationState};
 use firmware::estimator::estimate;
 use firmware::sensors::hall::HallReading;
-use model_export::effects::{EffectTerm, ExcitationSeries, REFERENCE_C, StateSeries, find};
+use model_export::effects::{
+    CATALOGUE, DeviceForm, EffectTerm, ExcitationSeries, ForceForm, ParameterKind, REFERENCE_C,
+    StateSeries, find,
+};
 use model_export::inverse::compensation::OwnedCompensation;
 use model_export::inverse::model_selection::{SelectedModels, select_models};
 use model_export::inverse::static_model::StaticModel;
@@ -90,6 +93,15 @@ fn inputs(track: &ExcitationSeries, row: usize) -> AuxiliaryInputs {
     }
 }
 
+/// Three typical coefficients, the middle of each grid, no initial state.
+fn strong_value(kind: &ParameterKind, typical: f64) -> f64 {
+    match kind {
+        ParameterKind::Coefficient => 3.0 * typical,
+        ParameterKind::Shape { grid } => grid[grid.len() / 2],
+        ParameterKind::InitialState | ParameterKind::Instant => 0.0,
+    }
+}
+
 /// An effect with parameters of a few times the typical magnitude.
 fn effect_with_values(id: &str) -> (EffectTerm, Vec<f64>) {
     let effect = EffectTerm::Catalogue(find(id).unwrap());
@@ -107,7 +119,7 @@ fn effect_with_values(id: &str) -> (EffectTerm, Vec<f64>) {
         }
         "hard_stop" => vec![50.0, 40.0, 20.0, 40.0, 110.0, 90.0],
         "fingertip_mass" => vec![0.3],
-        other => panic!("no values for {other}"),
+        _ => effect.parameters(1).iter().map(|p| strong_value(&p.kind, p.typical)).collect(),
     };
     (effect, values)
 }
@@ -155,20 +167,16 @@ fn errors(id: &str) -> (f64, f64) {
 #[test]
 fn the_device_compensates_each_simulated_effect() {
     // Without any effect the errors are 0.1 to 0.2 N.
-    for (id, limit_n) in [
-        ("sensor_temperature", 0.25),
-        ("motor_leakage", 0.25),
-        ("earth_field", 0.25),
-        ("neighbour_magnet", 0.25),
-        ("magnet_temperature", 0.25),
-        ("thermal_gap", 0.25),
-        ("fingertip_mass", 0.25),
-        ("hard_stop", 0.4),
-        ("creep", 0.3),
-        ("hysteresis", 0.3),
-        // The rate is delayed by two low-pass filters.
-        ("viscous_lag", 0.6),
-    ] {
+    for effect in CATALOGUE {
+        let limit_n = match effect.device {
+            DeviceForm::Field(_) | DeviceForm::Force(ForceForm::FingertipMass) => 0.25,
+            DeviceForm::Force(ForceForm::HardStop) => 0.4,
+            DeviceForm::Force(ForceForm::Creep(_) | ForceForm::Hysteresis(_)) => 0.3,
+            // The rate is delayed by two low-pass filters.
+            DeviceForm::Force(ForceForm::ViscousLag) => 0.6,
+            DeviceForm::Tables | DeviceForm::Settled | DeviceForm::Never(_) => continue,
+        };
+        let id = effect.id;
         let (with, without) = errors(id);
         assert!(with < limit_n && without > 1.9 * with, "{id}: {with} N with, {without} N without");
     }

@@ -90,7 +90,7 @@ fn simulate(case: &Case, hidden: bool, to: &Path) {
         .hidden
         .iter()
         .map(|(id, factor)| {
-            let typical = find_kind(id).map_or(0.0, |size| size.typical());
+            let typical = find_kind(id).map_or(0.0, |kind| kind.typical);
             format!("{id}={}", typical * factor)
         })
         .collect();

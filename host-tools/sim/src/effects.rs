@@ -2,12 +2,13 @@
 
 use crate::random::{Purpose, stream, uniform};
 use anyhow::{Context, Result, bail};
-use model_export::effects::find;
+use model_export::effects::catalogue::{HYSTERESIS, NEIGHBOUR_MAGNET, SCREW_BACKLASH};
+use model_export::effects::{CATALOGUE, SimulatedMagnitude, Simulation};
 use model_export::recordings::error::closest_match;
 use rand::seq::SliceRandom;
 use serde::{Deserialize, Serialize};
-use std::ops::RangeInclusive;
 use std::str::FromStr;
+use std::sync::LazyLock;
 
 /// Relative variation between sensors of effects that are not a material property.
 const VARIATION: f64 = 0.1;
@@ -70,25 +71,25 @@ impl FromStr for Effect {
             None => (text, None),
         };
         let kind = find_kind(id).ok_or_else(|| unknown(id))?;
-        if flexures.is_some() && kind.id != "hysteresis" {
+        if flexures.is_some() && kind.id != HYSTERESIS.id {
             bail!("{id} takes no flexure; remove the part after the colon");
         }
         let size = match size {
             Some(size) => size.parse().with_context(|| {
-                format!("invalid magnitude {size:?}; use {id}={} for example", kind.typical())
+                format!("invalid magnitude {size:?}; use {id}={} for example", kind.typical)
             })?,
-            None => kind.typical(),
+            None => kind.typical,
         };
-        if !kind.possible.contains(&size) {
-            let (min, max) = (kind.possible.start(), kind.possible.end());
-            bail!("{id}={size} is out of range; valid are {min} to {max} {}", kind.unit());
+        let (min, max) = kind.magnitude.range;
+        if !(min..=max).contains(&size) {
+            bail!("{id}={size} is out of range; valid are {min} to {max} {}", kind.unit);
         }
         Ok(Self { flexures: flexures.unwrap_or(Flexures::Lateral), ..Self::new(kind, size) })
     }
 }
 
 fn unknown(id: &str) -> anyhow::Error {
-    let ids: Vec<&str> = EFFECT_KINDS.iter().map(|size| size.id).collect();
+    let ids: Vec<&str> = EFFECT_KINDS.iter().map(|kind| kind.id).collect();
     let hint = closest_match(id, ids.iter().copied())
         .map_or_else(String::new, |near| format!("did you mean {near}? "));
     anyhow::anyhow!("unknown effect {id:?}; {hint}available effects: {}", ids.join(", "))
@@ -98,15 +99,15 @@ fn unknown(id: &str) -> anyhow::Error {
 pub fn draw_random_effects(seed: u64, count: usize, strength: f64) -> Result<Vec<Effect>> {
     let mut rng = stream(seed, Purpose::RandomEffects, 0);
     let mut kinds: Vec<&'static EffectKind> =
-        EFFECT_KINDS.iter().filter(|size| size.hidden).collect();
+        EFFECT_KINDS.iter().filter(|kind| kind.is_in_catalogue).collect();
     if count > kinds.len() {
         bail!("only {} effects can be drawn at random", kinds.len());
     }
     kinds.shuffle(&mut rng);
     let mut effects = Vec::new();
     for kind in kinds.into_iter().take(count) {
-        let size = kind.typical() * strength * uniform(&mut rng, RANDOM_RANGE[0], RANDOM_RANGE[1]);
-        let (min, max) = (*kind.possible.start(), *kind.possible.end());
+        let size = kind.typical * strength * uniform(&mut rng, RANDOM_RANGE[0], RANDOM_RANGE[1]);
+        let (min, max) = kind.magnitude.range;
         let flexures = match uniform(&mut rng, 0.0, 3.0) {
             u if u < 1.0 => Flexures::Lateral,
             u if u < 2.0 => Flexures::Longitudinal,
@@ -146,28 +147,28 @@ impl Effects {
         let mut effects = effects.to_vec();
         let mut needed_by = None;
         let has = |effects: &[Effect], id: &str| effects.iter().any(|e| e.kind.id == id);
-        if has(&effects, "screw_backlash")
-            && !has(&effects, "neighbour_magnet")
-            && let Some(kind) = find_kind("neighbour_magnet")
+        if has(&effects, SCREW_BACKLASH.id)
+            && !has(&effects, NEIGHBOUR_MAGNET.id)
+            && let Some(kind) = find_kind(NEIGHBOUR_MAGNET.id)
         {
-            effects.push(Effect::new(kind, NEIGHBOUR_FOR_BACKLASH * kind.typical()));
-            needed_by = Some("screw_backlash");
+            effects.push(Effect::new(kind, NEIGHBOUR_FOR_BACKLASH * kind.typical));
+            needed_by = Some(SCREW_BACKLASH.id);
         }
         let mut chosen = Vec::new();
-        for (number, kind) in (0..).zip(EFFECT_KINDS) {
+        for kind in EFFECT_KINDS.iter() {
             let mut same = effects.iter().filter(|effect| effect.kind == kind);
             let Some(effect) = same.next() else { continue };
             if same.next().is_some() {
                 bail!("{} is given twice", kind.id);
             }
-            let variation = if kind.shared { 0.0 } else { VARIATION * scatter };
+            let variation = if kind.magnitude.shared { 0.0 } else { VARIATION * scatter };
             chosen.push(AssignedEffect {
-                each: each(seed, number, sensors, variation)
+                each: each(seed, kind.magnitude.random_stream, sensors, variation)
                     .iter()
                     .map(|share| share * effect.size)
                     .collect(),
                 effect: effect.clone(),
-                needed_by: needed_by.filter(|_| kind.id == "neighbour_magnet"),
+                needed_by: needed_by.filter(|_| kind.id == NEIGHBOUR_MAGNET.id),
             });
         }
         Ok(Self { chosen, creep_s: CREEP_S, softening_cycles: SOFTENING_CYCLES })
@@ -200,8 +201,8 @@ impl Effects {
 
     /// Friction of the lateral and the longitudinal flexure of one sensor, in newtons.
     pub fn friction_n(&self, sensor: u32) -> [f64; 2] {
-        let size = self.each("hysteresis", sensor);
-        match self.of("hysteresis").map(|chosen| chosen.effect.flexures) {
+        let size = self.each(HYSTERESIS.id, sensor);
+        match self.of(HYSTERESIS.id).map(|chosen| chosen.effect.flexures) {
             None => [0.0; 2],
             Some(Flexures::Lateral) => [size, 0.0],
             Some(Flexures::Longitudinal) => [0.0, size],
@@ -220,90 +221,83 @@ fn each(seed: u64, number: u32, sensors: u32, variation: f64) -> Vec<f64> {
 }
 
 /// A kind of effect, with unit and range of its magnitude.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EffectKind {
     /// Identifier on the command line and in the truth file.
     pub id: &'static str,
-    /// Typical magnitude and unit, for effects outside the catalogue.
-    own: Option<(f64, &'static str)>,
-    /// Valid range of the magnitude.
-    pub possible: RangeInclusive<f64>,
-    /// Definition of the magnitude.
-    pub meaning: &'static str,
-    /// Property of a material or of the whole gripper: equal in every sensor.
-    pub shared: bool,
-    /// May be drawn at random; effects outside the catalogue are simulated by name only.
-    pub hidden: bool,
-}
-
-impl EffectKind {
+    /// Magnitude where none is given.
+    pub typical: f64,
     /// Unit of the magnitude.
-    pub fn unit(&self) -> &'static str {
-        match self.own {
-            Some((_, unit)) => unit,
-            None => find(self.id).map_or("", |effect| effect.size.unit),
-        }
-    }
-
-    /// Magnitude where none is given: the catalogue's.
-    pub fn typical(&self) -> f64 {
-        match self.own {
-            Some((typical, _)) => typical,
-            None => find(self.id).map_or(0.0, |effect| effect.size.typical),
-        }
-    }
+    pub unit: &'static str,
+    /// Range and definition of the magnitude.
+    pub magnitude: SimulatedMagnitude,
+    /// May be drawn at random; effects outside the catalogue are simulated by name only.
+    pub is_in_catalogue: bool,
 }
 
-const fn size(
-    id: &'static str,
-    possible: RangeInclusive<f64>,
-    meaning: &'static str,
-) -> EffectKind {
-    EffectKind { id, own: None, possible, meaning, shared: false, hidden: true }
-}
+/// All simulated effects in the order of their random streams: those of the catalogue, and three outside of it.
+pub static EFFECT_KINDS: LazyLock<Vec<EffectKind>> = LazyLock::new(|| {
+    let simulated = CATALOGUE.into_iter().filter_map(|effect| match effect.simulation {
+        Simulation::Magnitude(magnitude) => Some(EffectKind {
+            id: effect.id,
+            typical: effect.size.typical,
+            unit: effect.size.unit,
+            magnitude,
+            is_in_catalogue: true,
+        }),
+        Simulation::Never(_) => None,
+    });
+    let mut kinds: Vec<EffectKind> =
+        simulated.chain([SCREW_RIPPLE, CROSS_TERM, UNLOGGED]).collect();
+    kinds.sort_by_key(|kind| kind.magnitude.random_stream);
+    kinds
+});
 
-const fn shared(size: EffectKind) -> EffectKind {
-    EffectKind { shared: true, ..size }
-}
+/// Longitudinal motion of the magnet with the screw's turn.
+pub const SCREW_RIPPLE: EffectKind = EffectKind {
+    id: "screw_ripple",
+    typical: 2.0,
+    unit: "um",
+    magnitude: SimulatedMagnitude {
+        random_stream: 23,
+        range: (-50.0, 50.0),
+        meaning: "longitudinal motion of the magnet with the screw's turn",
+        shared: false,
+    },
+    is_in_catalogue: false,
+};
 
-const fn by_name_only(typical: f64, unit: &'static str, size: EffectKind) -> EffectKind {
-    EffectKind { own: Some((typical, unit)), hidden: false, ..size }
-}
+/// Field proportional to a product of two covariates.
+pub const CROSS_TERM: EffectKind = EffectKind {
+    id: "cross_term",
+    typical: 1.0,
+    unit: "G",
+    magnitude: SimulatedMagnitude {
+        random_stream: 24,
+        range: (-50.0, 50.0),
+        meaning: "field of current times opening: 10 A, 10 mm off the middle",
+        shared: true,
+    },
+    is_in_catalogue: false,
+};
 
-/// All simulated effects.
-#[rustfmt::skip] // One line for each effect.
-pub const EFFECT_KINDS: &[EffectKind] = &[
-    size("geometric_stiffening", -20.0..=100.0, "growth of both flexures' stiffness at 0.5 mm"),
-    size("tip_slope", -50.0..=50.0, "foreshortening of each flexure at 0.5 mm; the magnet leans"),
-    size("neighbour_magnet", -50.0..=50.0, "field of the opposite finger's magnet at an opening of 10 mm"),
-    size("motor_leakage", 0.0..=50.0, "norm of the nine coefficients (axes by currents), times 10 A"),
-    shared(size("earth_field", 0.0..=5.0, "norm of the world's field")),
-    shared(size("magnet_temperature", -1.0..=1.0, "change of remanence from 25 C")),
-    size("sensor_temperature", 0.0..=5.0, "norm of the drift of the offset from 25 C"),
-    size("thermal_gap", -10.0..=10.0, "growth of the gap from 25 C"),
-    size("hysteresis", 0.0..=50.0, "Coulomb friction parallel to the flexure, half the loop width"),
-    size("viscous_lag", 0.0..=200.0, "retardation time, lateral; half of it longitudinally"),
-    size("creep", 0.0..=50.0, "delayed compliance, as a share of the instantaneous one"),
-    size("softening", -20.0..=50.0, "growth of the compliance over many load cycles"),
-    shared(size("clock_skew", -100.0..=100.0, "the field is recorded later than the reference says")),
-    shared(size("reference_filter", 0.0..=200.0, "time constant of the reference's own filter")),
-    size("cross_coupling", -20.0..=20.0, "share of Fz that acts as Fx, and -0.4 times as much back"),
-    size("hard_stop", 0.0..=95.0, "compliance lost beyond 60 % of the greatest load"),
-    size("fingertip_mass", 0.0..=2.0, "mass carried by the flexures"),
-    shared(size("screw_backlash", 0.0..=5.0, "full play between the reported opening and the real one")),
-    size("demagnetisation", -10.0..=10.0, "loss of remanence from the first recording to the second"),
-    shared(size("external_magnet", 0.0..=200.0, "peak field of an external magnet that passes once")),
-    shared(size("reference_drift", -5.0..=5.0, "steady wander of the reference's lateral zero")),
-    size("field_drift", 0.0..=20.0, "norm of the final shift of the field"),
-    size("sensor_compression", -5.0..=10.0, "loss of gain at 1300 G"),
-    by_name_only(2.0, "um", size("screw_ripple", -50.0..=50.0, "longitudinal motion of the magnet with the screw's turn")),
-    by_name_only(1.0, "G", shared(size("cross_term", -50.0..=50.0, "field of current times opening: 10 A, 10 mm off the middle"))),
-    by_name_only(3.0, "G", shared(size("unlogged", 0.0..=50.0, "greatest field of a disturbance that nobody records"))),
-];
+/// Field of which no covariate is recorded.
+pub const UNLOGGED: EffectKind = EffectKind {
+    id: "unlogged",
+    typical: 3.0,
+    unit: "G",
+    magnitude: SimulatedMagnitude {
+        random_stream: 25,
+        range: (0.0, 50.0),
+        meaning: "greatest field of a disturbance that nobody records",
+        shared: true,
+    },
+    is_in_catalogue: false,
+};
 
 /// The effect with this identifier.
 pub fn find_kind(id: &str) -> Option<&'static EffectKind> {
-    EFFECT_KINDS.iter().find(|size| size.id == id)
+    EFFECT_KINDS.iter().find(|kind| kind.id == id)
 }
 
 #[cfg(test)]
@@ -366,28 +360,19 @@ mod tests {
     }
 
     #[test]
-    fn typical_magnitudes_are_valid_and_ids_are_unique() {
-        for (i, size) in EFFECT_KINDS.iter().enumerate() {
-            assert!(size.possible.contains(&size.typical()), "{}", size.id);
-            assert!(EFFECT_KINDS[..i].iter().all(|other| other.id != size.id));
-        }
-    }
-
-    #[test]
-    fn every_effect_of_the_catalogue_can_be_simulated() {
-        for effect in model_export::effects::CATALOGUE {
-            assert!(find_kind(effect.id).is_some_and(|size| size.own.is_none()), "{}", effect.id);
+    fn typical_magnitudes_are_valid_and_streams_are_unique() {
+        for (i, kind) in EFFECT_KINDS.iter().enumerate() {
+            let (min, max) = kind.magnitude.range;
+            assert!((min..=max).contains(&kind.typical), "{}", kind.id);
+            let stream = kind.magnitude.random_stream;
+            let same =
+                EFFECT_KINDS[..i].iter().any(|other| other.magnitude.random_stream == stream);
+            assert!(!same, "random_stream {stream} of {} is in use", kind.id);
         }
     }
 
     #[test]
     fn every_definition_fits_its_help_line() {
-        assert!(EFFECT_KINDS.iter().all(|size| size.meaning.len() <= 62));
-    }
-
-    #[test]
-    fn only_catalogue_effects_are_drawn_at_random() {
-        let open: Vec<&str> = EFFECT_KINDS.iter().filter(|s| !s.hidden).map(|s| s.id).collect();
-        assert_eq!(open, ["screw_ripple", "cross_term", "unlogged"]);
+        assert!(EFFECT_KINDS.iter().all(|kind| kind.magnitude.meaning.len() <= 62));
     }
 }

@@ -1,9 +1,10 @@
 //! Fields from outside the finger: opposite finger, motor, Earth, a on_random_path magnet, and effects outside the catalogue.
 
-use crate::effects::Effects;
+use crate::effects::{CROSS_TERM, Effects, UNLOGGED};
 use crate::finger::{MagnetPose, SensorSpecimen};
 use crate::motion::{MotionState, Orientation, POLE_PAIRS};
 use crate::random::{Purpose, SineSum, normal, stream, uniform, unit_vector};
+use model_export::effects::catalogue::{EARTH_FIELD, MOTOR_LEAKAGE};
 use model_export::physics::{Cylinder, Magnet, MagnetBody, Magnetisation};
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use rand_chacha::ChaCha8Rng;
@@ -69,7 +70,7 @@ impl NeighbourMagnet {
 pub fn motor_leakage(specimen: &SensorSpecimen, effects: &Effects, seed: u64) -> Matrix3<f64> {
     let mut rng = stream(seed, Purpose::Leakage, specimen.number);
     let raw = Matrix3::from_fn(|_, _| normal(&mut rng));
-    raw * (effects.each("motor_leakage", specimen.number) / (LEAKAGE_CURRENT_A * raw.norm()))
+    raw * (effects.each(MOTOR_LEAKAGE.id, specimen.number) / (LEAKAGE_CURRENT_A * raw.norm()))
 }
 
 /// The motor's phase motor_currents (alpha, beta) and its quadrature current, in A.
@@ -83,7 +84,7 @@ pub fn earth_field(effects: &Effects, seed: u64) -> Vector3<f64> {
     let mut rng = stream(seed, Purpose::Earth, 0);
     let (sin, cos) = libm::sincos(uniform(&mut rng, 0.0, std::f64::consts::TAU));
     let (down, level) = libm::sincos(INCLINATION_DEG.to_radians());
-    Vector3::new(level * cos, level * sin, -down) * effects.size("earth_field")
+    Vector3::new(level * cos, level * sin, -down) * effects.size(EARTH_FIELD.id)
 }
 
 /// Transforms a world vector to body axes.
@@ -236,8 +237,8 @@ impl UncataloguedField {
     /// Draws directions, frequencies and phases.
     pub fn draw(effects: &Effects, seed: u64) -> Self {
         let mut rng = stream(seed, Purpose::Uncatalogued, 0);
-        let product_g = unit_vector(&mut rng) * effects.size("cross_term");
-        let peaks = unit_vector(&mut rng) * effects.size("unlogged");
+        let product_g = unit_vector(&mut rng) * effects.size(CROSS_TERM.id);
+        let peaks = unit_vector(&mut rng) * effects.size(UNLOGGED.id);
         let mut waves = |peak: f64| SineSum::draw(&mut rng, SINES, DISTURBANCE_HZ, peak);
         Self { product_g, disturbance: [waves(peaks.x), waves(peaks.y), waves(peaks.z)] }
     }

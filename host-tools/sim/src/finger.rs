@@ -1,8 +1,12 @@
 //! One sensor's finger: manufactured dimensions, and the magnet's pose under load.
 
-use crate::effects::Effects;
+use crate::effects::{Effects, SCREW_RIPPLE};
 use crate::flexure::{Flexure, FlexureParameters, REFERENCE_MM};
 use crate::random::{Purpose, normal, normal_vector, stream};
+use model_export::effects::catalogue::{
+    CREEP, CROSS_COUPLING, FINGERTIP_MASS, GEOMETRIC_STIFFENING, HARD_STOP, SOFTENING, THERMAL_GAP,
+    TIP_SLOPE, VISCOUS_LAG,
+};
 use model_export::physics::Magnet;
 use model_export::physics::sensor::{magnet_orientation, reach_mm};
 use model_export::recordings::description::NominalDesign;
@@ -53,26 +57,26 @@ impl SensorFinger {
     pub fn new(specimen: &SensorSpecimen, effects: &Effects, max_n: [f64; 2]) -> Self {
         let of = |id: &str| effects.each(id, specimen.number);
         let friction_n = effects.friction_n(specimen.number);
-        let lag_s = 1e-3 * of("viscous_lag");
+        let lag_s = 1e-3 * of(VISCOUS_LAG.id);
         let flexure = |axis: usize, lag_s: f64| {
             Flexure::new(FlexureParameters {
                 stiffness_n_per_mm: specimen.stiffness_n_per_mm[axis],
-                stiffening: 0.01 * of("geometric_stiffening"),
-                stop: (KNEE * max_n[axis], 0.01 * of("hard_stop")),
+                stiffening: 0.01 * of(GEOMETRIC_STIFFENING.id),
+                stop: (KNEE * max_n[axis], 0.01 * of(HARD_STOP.id)),
                 friction_n: friction_n[axis],
                 lag_s,
-                creep: (0.01 * of("creep"), effects.creep_s),
-                softening: (0.01 * of("softening"), effects.softening_cycles),
+                creep: (0.01 * of(CREEP.id), effects.creep_s),
+                softening: (0.01 * of(SOFTENING.id), effects.softening_cycles),
             })
         };
         Self {
             specimen: specimen.clone(),
             flexures: [flexure(0, lag_s), flexure(1, 0.5 * lag_s)],
-            coupling: 0.01 * of("cross_coupling"),
-            mass_kg: of("fingertip_mass"),
-            foreshortening_mm: 1e-3 * of("tip_slope"),
-            gap_mm_per_k: 1e-3 * of("thermal_gap"),
-            ripple_mm: 1e-3 * of("screw_ripple"),
+            coupling: 0.01 * of(CROSS_COUPLING.id),
+            mass_kg: of(FINGERTIP_MASS.id),
+            foreshortening_mm: 1e-3 * of(TIP_SLOPE.id),
+            gap_mm_per_k: 1e-3 * of(THERMAL_GAP.id),
+            ripple_mm: 1e-3 * of(SCREW_RIPPLE.id),
         }
     }
 

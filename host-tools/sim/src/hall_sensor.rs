@@ -2,6 +2,10 @@
 
 use clap::ValueEnum;
 use firmware::config::constants;
+use model_export::effects::catalogue::{
+    DEMAGNETISATION, FIELD_DRIFT, MAGNET_TEMPERATURE, NEIGHBOUR_MAGNET, SENSOR_COMPRESSION,
+    SENSOR_TEMPERATURE,
+};
 use model_export::recordings::description::NominalDesign;
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use rand_chacha::ChaCha8Rng;
@@ -68,14 +72,14 @@ impl SensorUnit {
         max_n: [f64; 2],
     ) -> Self {
         let specimen = SensorSpecimen::draw(design, number, seed, scatter);
-        let neighbour_g = effects.each("neighbour_magnet", number);
+        let neighbour_g = effects.each(NEIGHBOUR_MAGNET.id, number);
         Self {
             finger: SensorFinger::new(&specimen, effects, max_n),
             element: HallElement::draw(&specimen, effects, seed),
             neighbour: NeighbourMagnet::draw(&specimen, seed, scatter, neighbour_g),
             leakage: motor_leakage(&specimen, effects, seed),
-            per_kelvin: 0.01 * effects.size("magnet_temperature"),
-            loss: 0.01 * effects.each("demagnetisation", number),
+            per_kelvin: 0.01 * effects.size(MAGNET_TEMPERATURE.id),
+            loss: 0.01 * effects.each(DEMAGNETISATION.id, number),
             specimen,
         }
     }
@@ -109,9 +113,9 @@ impl HallElement {
         Self {
             rotation: Rotation3::from_scaled_axis(specimen.rotation()),
             bias_g: Vector3::from(specimen.bias_g),
-            per_kelvin_g: along(Purpose::SensorTemperature) * of("sensor_temperature"),
-            drift_g: along(Purpose::FieldDrift) * of("field_drift"),
-            compression: 0.01 * of("sensor_compression"),
+            per_kelvin_g: along(Purpose::SensorTemperature) * of(SENSOR_TEMPERATURE.id),
+            drift_g: along(Purpose::FieldDrift) * of(FIELD_DRIFT.id),
+            compression: 0.01 * of(SENSOR_COMPRESSION.id),
         }
     }
 

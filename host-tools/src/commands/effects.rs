@@ -2,7 +2,7 @@
 
 use analysis::numbers;
 use anyhow::Result;
-use model_export::effects::{CATALOGUE, Compensated, Effect, ParameterKind, ParameterScope, find};
+use model_export::effects::{CATALOGUE, DeviceForm, Effect, ParameterKind, ParameterScope, find};
 use serde_json::{Value, json};
 
 use report::text::terminal;
@@ -41,7 +41,7 @@ fn catalogue_table() -> String {
             format!("{} {}", numbers::decimal(effect.size.typical, 3), effect.size.unit),
             effect.size.description.to_owned(),
             if effect.needs.is_empty() { "-".to_owned() } else { effect.needs.join(", ") },
-            compensation(effect).0.to_owned(),
+            effect.device.label().to_owned(),
         ]);
     }
     format!(
@@ -49,20 +49,17 @@ fn catalogue_table() -> String {
     )
 }
 
-/// How the device compensates an effect: one word, one sentence.
-fn compensation(effect: &Effect) -> (&'static str, String) {
-    match effect.compensated {
-        Compensated::Compensation => {
-            ("device", "on the device, by its own compensation.".to_owned())
+/// How the device compensates an effect, in one sentence.
+fn compensation(effect: &Effect) -> String {
+    match effect.device {
+        DeviceForm::Field(_) | DeviceForm::Force(_) => {
+            "on the device, by its own compensation.".to_owned()
         }
-        Compensated::Tables => {
-            ("tables", "on the device, by the tables of the ideal model.".to_owned())
+        DeviceForm::Tables => "on the device, by the tables of the ideal model.".to_owned(),
+        DeviceForm::Settled => {
+            "not over time; the device's tables are those of the final state.".to_owned()
         }
-        Compensated::Settled => (
-            "settled",
-            "not over time; the device's tables are those of the final state.".to_owned(),
-        ),
-        Compensated::Never(why) => ("no", format!("not on the device: {why}.")),
+        DeviceForm::Never(why) => format!("not on the device: {why}."),
     }
 }
 
@@ -111,7 +108,7 @@ fn describe(effect: &Effect) -> String {
         numbers::decimal(low, 3),
         numbers::decimal(high, 3),
         terminal::paragraph(&format!("To identify it: {}", effect.record)),
-        terminal::paragraph(&format!("Compensated: {}", compensation(effect).1)),
+        terminal::paragraph(&format!("Compensated: {}", compensation(effect))),
         unit = effect.size.unit,
     )
 }
@@ -128,6 +125,6 @@ fn json(effect: &Effect) -> Value {
         "needs": effect.needs, "parameters": effect.parameters.iter().map(parameter).collect::<Vec<_>>(),
         "size": { "means": effect.size.description, "unit": effect.size.unit, "typical": effect.size.typical, "plausible": effect.size.plausible },
         "record": effect.record, "confused_with": effect.confused_with.iter().map(|(id, _)| id).collect::<Vec<_>>(),
-        "undone": compensation(effect).1,
+        "undone": compensation(effect),
     })
 }

@@ -96,9 +96,9 @@ Examples:
 Effects with typical magnitudes (friction accepts the suffix :lateral, :longitudinal or :both):
 "
     .to_owned();
-    for size in EFFECT_KINDS {
-        let typical = format!("{}={}", size.id, size.typical());
-        text += &format!("  {typical:<28} {:<6} {}\n", size.unit(), size.meaning);
+    for kind in EFFECT_KINDS.iter() {
+        let typical = format!("{}={}", kind.id, kind.typical);
+        text += &format!("  {typical:<28} {:<6} {}\n", kind.unit, kind.magnitude.meaning);
     }
     text
 }

@@ -5,6 +5,7 @@ use std::process::Command;
 use std::sync::{Mutex, OnceLock};
 
 use device_run::networks::NetworkSet;
+use model_export::effects::{CATALOGUE, DeviceForm};
 use emulator::Image;
 use model_export::inverse::build::{DeviceModel, ModelVariant as Fit, build};
 use sha2::{Digest, Sha256};
@@ -58,26 +59,18 @@ impl Variant {
         })
     }
 
-    fn effects(self) -> &'static [&'static str] {
-        const ALL: [&str; 12] = [
-            "sensor_temperature",
-            "motor_leakage",
-            "earth_field",
-            "neighbour_magnet",
-            "magnet_temperature",
-            "thermal_gap",
-            "viscous_lag",
-            "creep",
-            "hysteresis",
-            "hard_stop",
-            "fingertip_mass",
-            "--expr=own: bx_g = a*opening_mm*motor_iq_a",
-        ];
+    fn effects(self) -> Vec<&'static str> {
         match self {
-            Self::Default | Self::Clean | Self::Networks | Self::Nominal => &[],
-            Self::Effects => &ALL,
-            Self::Friction => &["hysteresis", "magnet_temperature"],
-            Self::Ripple => &[
+            Self::Default | Self::Clean | Self::Networks | Self::Nominal => Vec::new(),
+            Self::Effects => {
+                let compensated = CATALOGUE.into_iter().filter(|effect| {
+                    matches!(effect.device, DeviceForm::Field(_) | DeviceForm::Force(_))
+                });
+                let ids = compensated.map(|effect| effect.id);
+                ids.chain(["--expr=own: bx_g = a*opening_mm*motor_iq_a"]).collect()
+            }
+            Self::Friction => vec!["hysteresis", "magnet_temperature"],
+            Self::Ripple => vec![
                 "--expr=ripple: dz_um = a*sin(2*pi*opening_mm/p) + b*cos(2*pi*opening_mm/p)",
                 "--range=p=2..5",
             ],
@@ -138,14 +131,12 @@ pub fn get(variant: Variant) -> Result<Made, String> {
 fn model(dir: &WorkDir, variant: Variant) {
     let campaign = variant.campaign();
     let campaign = campaign.to_str().unwrap();
-    match variant.effects() {
-        [] => {
-            dir.call(&["fit", campaign, "-o", "model.toml"]);
-        }
-        effects => {
-            dir.call(&["fit", campaign, "-o", "base.toml"]);
-            dir.call(&[&["add", "base.toml", campaign, "-o", "model.toml"], effects].concat());
-        }
+    let effects = variant.effects();
+    if effects.is_empty() {
+        dir.call(&["fit", campaign, "-o", "model.toml"]);
+    } else {
+        dir.call(&["fit", campaign, "-o", "base.toml"]);
+        dir.call(&[&["add", "base.toml", campaign, "-o", "model.toml"], &effects[..]].concat());
     }
     let mut export = vec!["export", "model.toml", "-o", "tables.rs"];
     if let Some(training) = variant.training() {

@@ -21,9 +21,8 @@ pub mod state_series;
 
 use std::sync::Arc;
 
-pub use catalogue::creep::parts_of as creep_parts;
-pub use catalogue::hysteresis::sliders_of as hysteresis_sliders;
-pub use catalogue::neighbour_magnet::field as neighbour_field;
+use nalgebra::Vector3;
+
 pub use catalogue::{CATALOGUE, UnknownEffect, find};
 pub use channelwise::Channelwise;
 pub use excitation::ExcitationSeries;
@@ -34,17 +33,110 @@ pub use state_series::{EffectStage, StateSeries};
 /// Temperature in degrees Celsius at which remanence, offsets and gaps are stated.
 pub const REFERENCE_C: f64 = 25.0;
 
-/// Where an effect can be compensated.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Compensated {
-    /// On the device, by a compensation of its own.
-    Compensation,
-    /// On the device, by the tables of the ideal model: the effect depends only on the present forces.
+/// How the device compensates an effect.
+#[derive(Clone, Copy, Debug)]
+pub enum DeviceForm {
+    /// On the field, before the ideal model.
+    Field(FieldForm),
+    /// On the forces, after the ideal model.
+    Force(ForceForm),
+    /// By the tables of the ideal model: the effect depends only on the present forces.
     Tables,
     /// A permanent change: the tables describe the gripper in its final state.
     Settled,
     /// Not on the device, with the reason.
     Never(&'static str),
+}
+
+impl DeviceForm {
+    /// One word for tables of effects.
+    pub fn label(self) -> &'static str {
+        match self {
+            Self::Field(_) | Self::Force(_) => "device",
+            Self::Tables => "tables",
+            Self::Settled => "settled",
+            Self::Never(_) => "no",
+        }
+    }
+}
+
+/// Compensation of the field, by the firmware's `FieldEffect` of the same name. Without a function, the values are
+/// the effect's parameters, in the stated order and unit.
+#[derive(Clone, Copy, Debug)]
+pub enum FieldForm {
+    /// Per kelvin: offset along x, y and z in gauss, gain in percent.
+    SensorTemperature,
+    /// Field in gauss per ampere: x, y and z each for the alpha, beta and quadrature current.
+    MotorLeakage,
+    /// Field along the world's x, y and z in gauss.
+    EarthField,
+    /// Field in gauss, gripper's axes, by values and opening in mm.
+    NeighbourMagnet(fn(&[f64], f64) -> Vector3<f64>),
+    /// Change of the remanence in percent per kelvin.
+    MagnetTemperature,
+    /// Growth of the gap in micrometres per kelvin.
+    ThermalGap,
+}
+
+/// Compensation of the forces, by the firmware's `ForceEffect` of the same name. Without a function, the values are
+/// the effect's parameters, in the stated order and unit. Axis 0 is lateral, axis 1 longitudinal.
+#[derive(Clone, Copy, Debug)]
+pub enum ForceForm {
+    /// Retardation time of each axis in milliseconds.
+    ViscousLag,
+    /// Parts by values and axis. Both axes have the same time constants.
+    Creep(fn(&[f64], usize) -> CreepParts),
+    /// Compliance lost in percent: each axis under positive, then under negative force; knee of each axis in newtons.
+    HardStop,
+    /// Sliders by values and axis.
+    Hysteresis(fn(&[f64], usize) -> FrictionSliders),
+    /// Mass in kilograms.
+    FingertipMass,
+}
+
+/// Percentage of the deflection and time constant in seconds of the fast and the slow part of creep along one axis.
+pub type CreepParts = [(f64, f64); 2];
+
+/// Friction force in newtons, and weight and reach in newtons of each slider, along one axis.
+pub type FrictionSliders = (f64, [(f64, f64); 3]);
+
+/// Dependence on the excitation that an effect has in common with others. No effect of the catalogue has exactly the
+/// form of a real one; the remainder of an accepted effect resembles the effects with a common signature.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Signature {
+    /// A nonlinear function of the present load.
+    NonlinearLoad,
+    /// History or rate of the load: one elliptic response to a single sine.
+    LoadHistory,
+    /// Time, or the number of the recording.
+    Time,
+    /// Temperature.
+    Temperature,
+    /// A uniform field that is constant in the world; without it, the sensor's offset contains that field.
+    AmbientField,
+}
+
+/// How the simulator generates an effect.
+#[derive(Clone, Copy, Debug)]
+pub enum Simulation {
+    /// By physics of its own, independent of [`Effect::apply`], with this magnitude.
+    Magnitude(SimulatedMagnitude),
+    /// Not at all, with the reason.
+    Never(&'static str),
+}
+
+/// Magnitude of a simulated effect; typical value and unit are those of [`Effect::size`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SimulatedMagnitude {
+    /// Number of the random stream, and position in lists of simulated effects. Unique and never changed, so that a
+    /// seed continues to give the same gripper.
+    pub random_stream: u32,
+    /// Valid range.
+    pub range: (f64, f64),
+    /// Definition.
+    pub meaning: &'static str,
+    /// Property of a material or of the whole gripper: equal in every sensor.
+    pub shared: bool,
 }
 
 /// A physical effect of the catalogue.
@@ -70,10 +162,14 @@ pub struct Effect {
     pub size: MagnitudeSpec,
     /// Recommended recording to identify it.
     pub record: &'static str,
-    /// Ids of confusable effects, each with the condition.
+    /// Ids of confusable effects, each with the condition. A pair may be stated at one of the two only.
     pub confused_with: &'static [(&'static str, &'static str)],
-    /// Where it can be compensated.
-    pub compensated: Compensated,
+    /// What it has in common with other effects.
+    pub signatures: &'static [Signature],
+    /// How it is simulated.
+    pub simulation: Simulation,
+    /// How the device compensates it.
+    pub device: DeviceForm,
     /// True for events within single recordings: a held-out recording carries no information on them.
     pub is_transient: bool,
     /// Applies the effect. Arguments: values in the order of [`Effect::parameters`] (those of each
@@ -193,7 +289,7 @@ impl EffectTerm {
 
     /// True where it models the ambient field; the remaining offset is then the sensor's alone.
     pub fn includes_ambient_field(&self) -> bool {
-        matches!(self, Self::Catalogue(effect) if effect.id == catalogue::earth_field::EFFECT.id)
+        matches!(self, Self::Catalogue(effect) if effect.signatures.contains(&Signature::AmbientField))
     }
 
     /// Applies the effect with `values` in the order of [`EffectTerm::parameters`].

@@ -135,7 +135,7 @@ impl Derivatives {
         let per_mm = &response.per_mm;
         let [turn_x, turn_y, turn_z] =
             self.turns.map(|spin| response.per_field * spin.cross(&response.at_element_g));
-        let [tilt_x, tilt_z] = response.per_tilt.map(|lean| lean * DEGREE);
+        let [tilt_x, tilt_z] = response.per_tilt.map(|per_rad| per_rad * DEGREE);
         let none = Vector3::zeros();
         let per_tesla = response.per_strength * (state.strength / self.model.remanence_t);
         let jacobian = Jacobian::from_columns(&[

@@ -175,9 +175,9 @@ impl<'a> ScoreTest<'a> {
             };
             let entries: Vec<f64> = sensor.linearisation.responses().flat_map(of_row).collect();
             let all: usize = rows.parts.iter().map(|part| part.len()).sum();
-            let stand_for = 3.0 * all as f64 / entries.len().max(1) as f64;
+            let rows_per_entry = 3.0 * all as f64 / entries.len().max(1) as f64;
             let orthogonal = sensor.orthogonal(&DMatrix::from_vec(entries.len(), 1, entries));
-            squares += stand_for * orthogonal.norm_squared();
+            squares += rows_per_entry * orthogonal.norm_squared();
         }
         squares.sqrt()
     }

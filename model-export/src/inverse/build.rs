@@ -4,7 +4,7 @@ use std::path::Path;
 
 use sha2::{Digest, Sha256};
 
-use crate::effects::{Compensated, Effect, EffectTerm};
+use crate::effects::{DeviceForm, Effect, EffectTerm};
 use crate::inverse::compensation::{NotCompensable, OwnedCompensation};
 use crate::inverse::model_selection::{SelectedModels, select_models};
 use crate::inverse::quantise::TableOverflow;
@@ -143,7 +143,7 @@ pub fn build_model(
         sensors: numbers,
     };
     let uncompensated = additions.iter().filter_map(|effect| match effect {
-        EffectTerm::Catalogue(Effect { compensated: Compensated::Never(why), id, .. }) => {
+        EffectTerm::Catalogue(Effect { device: DeviceForm::Never(why), id, .. }) => {
             Some(((*id).to_owned(), *why))
         }
         _ => None,

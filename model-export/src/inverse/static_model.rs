@@ -1,7 +1,7 @@
 //! Static forward model that the tables invert: effects that depend on present forces, and permanent changes in
 //! their final state. Everything else is neutral: reference temperature, no ambient field.
 
-use crate::effects::{Compensated, EffectTerm, ExcitationSeries, StateSeries};
+use crate::effects::{DeviceForm, EffectTerm, ExcitationSeries, StateSeries};
 use crate::physics::{ForwardModel, ModelFrames, PhysicalState};
 use firmware::fixed_point::Field;
 use firmware::model::formats::COORDINATE_LIMIT;
@@ -33,7 +33,7 @@ impl StaticModel {
 
     /// With the static ones of `effects`, fitted to this many recordings.
     pub fn new(model: ForwardModel, effects: &[(EffectTerm, Vec<f64>)], recordings: usize) -> Self {
-        let belongs = |effect: &EffectTerm| matches!(effect, EffectTerm::Catalogue(effect) if matches!(effect.compensated, Compensated::Tables | Compensated::Settled));
+        let belongs = |effect: &EffectTerm| matches!(effect, EffectTerm::Catalogue(effect) if matches!(effect.device, DeviceForm::Tables | DeviceForm::Settled));
         let mut own: Vec<_> =
             effects.iter().filter(|(effect, _)| belongs(effect)).cloned().collect();
         own.sort_by_key(|(effect, _)| effect.stage());

@@ -37,7 +37,7 @@ pub struct FieldPrediction {
 }
 
 impl ModelFile {
-    /// Predictor of sensor `number`; `None` if the file lacks the sensor or a value.
+    /// Predictor of sensor `number`; `None` if the sensor or a value is missing.
     pub fn predictor(&self, number: u32, terms: &[EffectTerm]) -> Option<Predictor> {
         let recordings = self.provenance.recordings.len();
         let mut effects = Vec::new();

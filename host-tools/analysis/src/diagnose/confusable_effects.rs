@@ -1,31 +1,20 @@
 //! Effects that are hard to distinguish: by their covariates, or on the data at hand.
 //!
 //! No effect of the catalogue has exactly the form of a real one: friction is not three sliders, creep not two
-//! time constants. The remainder of an accepted effect resembles the effects with the same covariates, and is
+//! time constants. The remainder of an accepted effect resembles the effects with a common [`Signature`], and is
 //! much smaller; such a remainder is not named.
 
-use model_export::effects::{EffectTerm, ExcitationSeries};
+use model_export::effects::{EffectStage, EffectTerm, ExcitationSeries, Signature, find};
 use model_export::fit::campaign::FitSetup;
 
-/// Effects that depend on the history and rate of the load.
-pub const LOAD_HISTORY_EFFECTS: &[&str] =
-    &["hysteresis", "viscous_lag", "creep", "clock_skew", "reference_filter"];
+/// Signatures of an effect; none for a user-defined one.
+fn signatures(effect: &EffectTerm) -> &'static [Signature] {
+    find(effect.name()).map_or(&[], |effect| effect.signatures)
+}
 
-/// Sets of effects that depend on the same covariate.
-const CONFUSABLE: [&[&str]; 4] = [
-    // Load.
-    &["geometric_stiffening", "tip_slope", "hard_stop", "sensor_compression"],
-    LOAD_HISTORY_EFFECTS,
-    // Time.
-    &["creep", "softening", "field_drift", "reference_drift", "demagnetisation", "external_magnet"],
-    // Temperature.
-    &["magnet_temperature", "sensor_temperature", "thermal_gap"],
-];
-
-/// True if two effects depend on the same covariate.
+/// True if two effects have a common signature.
 pub fn are_confusable(one: &EffectTerm, other: &EffectTerm) -> bool {
-    let both = |set: &&[&str]| set.contains(&one.name()) && set.contains(&other.name());
-    CONFUSABLE.iter().any(both)
+    signatures(one).iter().any(|signature| signatures(other).contains(signature))
 }
 
 /// Maximum relative standard deviation of the amplitude of a single sine.
@@ -55,14 +44,22 @@ impl Collinearity {
 
     /// True if these recordings hardly distinguish two effects.
     pub fn hides_the_difference(self, one: &EffectTerm, other: &EffectTerm) -> bool {
-        let both = |ids: &[&str]| [one, other].iter().all(|e| ids.contains(&e.name()));
-        (self.single_sine && both(LOAD_HISTORY_EFFECTS))
-            || (self.same_warm_up && both(TEMPERATURE_OR_TIME))
+        let both = |condition: fn(&EffectTerm) -> bool| condition(one) && condition(other);
+        (self.single_sine && both(depends_on_load_history))
+            || (self.same_warm_up && both(is_sensor_drift))
     }
 }
 
-/// Offsets that depend on temperature or time.
-const TEMPERATURE_OR_TIME: &[&str] = &["sensor_temperature", "field_drift"];
+fn depends_on_load_history(effect: &EffectTerm) -> bool {
+    signatures(effect).contains(&Signature::LoadHistory)
+}
+
+/// True for errors of the Hall sensor that depend on temperature or time.
+fn is_sensor_drift(effect: &EffectTerm) -> bool {
+    let is_of_sensor = find(effect.name()).is_ok_and(|e| e.stage == EffectStage::Sensor);
+    let drifts = |signature| matches!(signature, &Signature::Temperature | &Signature::Time);
+    is_of_sensor && signatures(effect).iter().any(drifts)
+}
 
 /// True if the temperature has the same profile in every recording.
 fn is_same_warm_up(prepared: &FitSetup) -> bool {
@@ -149,13 +146,6 @@ fn is_steady<'a>(
 mod tests {
     use super::*;
     use model_export::effects::find;
-
-    #[test]
-    fn confusable_effects_are_in_the_catalogue() {
-        for id in CONFUSABLE.iter().flat_map(|set| set.iter()) {
-            assert!(find(id).is_ok(), "{id}");
-        }
-    }
 
     #[test]
     fn creep_is_confusable_with_lags_and_with_drifts() {

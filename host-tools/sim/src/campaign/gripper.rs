@@ -1,5 +1,6 @@
 //! The simulated gripper of a campaign, with the state that carries over between recordings.
 
+use model_export::effects::catalogue::{EXTERNAL_MAGNET, SCREW_BACKLASH};
 use nalgebra::Vector3;
 
 use crate::campaign::excitation::{Excitation, REFERENCE_C};
@@ -55,7 +56,7 @@ impl CampaignGripper {
             earth_g: earth_field(effects, seed),
             foreign: PassingMagnet::draw(
                 seed,
-                effects.size("external_magnet"),
+                effects.size(EXTERNAL_MAGNET.id),
                 settings.sensors,
                 settings.recordings,
                 settings.seconds,
@@ -65,7 +66,7 @@ impl CampaignGripper {
             losses: (1..=settings.recordings)
                 .map(|recording| f64::from(u8::from(recording > 1)))
                 .collect(),
-            backlash: Backlash::new(effects.size("screw_backlash")),
+            backlash: Backlash::new(effects.size(SCREW_BACKLASH.id)),
         }
     }
 

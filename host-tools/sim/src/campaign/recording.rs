@@ -11,6 +11,7 @@ use anyhow::{Context, Result};
 use csv::Writer;
 use flate2::Compression;
 use flate2::write::GzEncoder;
+use model_export::effects::catalogue::{CLOCK_SKEW, REFERENCE_DRIFT, REFERENCE_FILTER};
 use model_export::recordings::columns::{Axis, COVARIATES};
 use model_export::recordings::description::RecordingDescription;
 use rand_chacha::ChaCha8Rng;
@@ -85,7 +86,7 @@ impl RecordingWriter<'_> {
             .collect();
         let mut rng = stream(seed, Purpose::Covariates, self.recording);
         // With clock skew the board records the field of an earlier time.
-        let skew_s = 1e-3 * self.effects.size("clock_skew");
+        let skew_s = 1e-3 * self.effects.size(CLOCK_SKEW.id);
         let mut last_s = f64::NAN;
         for (stamp_us, true_s) in self.clocks[0].ticks(self.settings.seconds) {
             let time_s = true_s - skew_s;
@@ -241,8 +242,8 @@ impl ReferenceSensor {
     /// Unloaded at the start of a recording.
     pub fn new(effects: &Effects) -> Self {
         Self {
-            filter_s: 1e-3 * effects.size("reference_filter"),
-            drift_n_per_s: effects.size("reference_drift") / 60.0,
+            filter_s: 1e-3 * effects.size(REFERENCE_FILTER.id),
+            drift_n_per_s: effects.size(REFERENCE_DRIFT.id) / 60.0,
             at_s: 0.0,
             input_n: [0.0; 2],
             output_n: [0.0; 2],

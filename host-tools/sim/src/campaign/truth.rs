@@ -8,6 +8,10 @@ use crate::finger::SensorSpecimen;
 use crate::hall_sensor::{DRIFT_S, HallScale, NoiseKind};
 use crate::motion::Programme;
 use anyhow::{Context, Result, bail};
+use model_export::effects::catalogue::{
+    CREEP, DEMAGNETISATION, EARTH_FIELD, EXTERNAL_MAGNET, FIELD_DRIFT, HYSTERESIS, MOTOR_LEAKAGE,
+    NEIGHBOUR_MAGNET, SENSOR_TEMPERATURE, SOFTENING,
+};
 use model_export::recordings::description::NominalDesign;
 use serde::{Deserialize, Serialize};
 use std::ffi::OsString;
@@ -117,8 +121,8 @@ impl EffectTruth {
         Ok(Self {
             id: kind.id.to_owned(),
             size: chosen.effect.size,
-            unit: kind.unit().to_owned(),
-            meaning: kind.meaning.to_owned(),
+            unit: kind.unit.to_owned(),
+            meaning: kind.magnitude.meaning.to_owned(),
             each: chosen.each.clone(),
             details,
         })
@@ -133,42 +137,38 @@ fn details(chosen: &AssignedEffect, effects: &Effects, gripper: &CampaignGripper
         table.insert(key.to_owned(), value?);
         Ok(())
     };
-    match chosen.effect.kind.id {
-        "hysteresis" => insert("flexures", Value::try_from(chosen.effect.flexures))?,
-        "creep" => insert("time_constant_s", Value::try_from(effects.creep_s))?,
-        "softening" => {
-            let cycles: Vec<[u32; 2]> = sensors().map(|s| s.finger.cycles()).collect();
-            insert("time_constant_cycles", Value::try_from(effects.softening_cycles))?;
-            insert("cycles_in_the_end", Value::try_from(cycles))?;
+    let id = chosen.effect.kind.id;
+    if id == HYSTERESIS.id {
+        insert("flexures", Value::try_from(chosen.effect.flexures))?;
+    } else if id == CREEP.id {
+        insert("time_constant_s", Value::try_from(effects.creep_s))?;
+    } else if id == SOFTENING.id {
+        let cycles: Vec<[u32; 2]> = sensors().map(|s| s.finger.cycles()).collect();
+        insert("time_constant_cycles", Value::try_from(effects.softening_cycles))?;
+        insert("cycles_in_the_end", Value::try_from(cycles))?;
+    } else if id == NEIGHBOUR_MAGNET.id {
+        let closed: Vec<[f64; 3]> = sensors().map(|s| s.neighbour.closed_mm.into()).collect();
+        insert("closed_mm", Value::try_from(closed))?;
+    } else if id == MOTOR_LEAKAGE.id {
+        let rows: Vec<[[f64; 3]; 3]> = sensors().map(|s| s.leakage.transpose().into()).collect();
+        insert("axes_by_alpha_beta_quadrature_g_per_a", Value::try_from(rows))?;
+    } else if id == EARTH_FIELD.id {
+        insert("world_g", Value::try_from(<[f64; 3]>::from(gripper.earth_g)))?;
+    } else if id == SENSOR_TEMPERATURE.id {
+        let drifts: Vec<[f64; 3]> = sensors().map(|s| s.element.per_kelvin_g.into()).collect();
+        insert("drift_g_per_k", Value::try_from(drifts))?;
+    } else if id == FIELD_DRIFT.id {
+        let drifts: Vec<[f64; 3]> = sensors().map(|s| s.element.drift_g.into()).collect();
+        insert("final_g", Value::try_from(drifts))?;
+        insert("time_constant_s", Value::try_from(DRIFT_S))?;
+    } else if id == DEMAGNETISATION.id {
+        insert("loss_by_recording", Value::try_from(&gripper.losses))?;
+    } else if id == EXTERNAL_MAGNET.id {
+        insert("path", Value::try_from(&gripper.foreign))?;
+        let count = gripper.sensors.len() as u32;
+        if let Some(stretch_s) = gripper.foreign.interval_above_s(1.0, count) {
+            insert("above_1_g_s", Value::try_from(stretch_s))?;
         }
-        "neighbour_magnet" => {
-            let closed: Vec<[f64; 3]> = sensors().map(|s| s.neighbour.closed_mm.into()).collect();
-            insert("closed_mm", Value::try_from(closed))?;
-        }
-        "motor_leakage" => {
-            let rows: Vec<[[f64; 3]; 3]> =
-                sensors().map(|s| s.leakage.transpose().into()).collect();
-            insert("axes_by_alpha_beta_quadrature_g_per_a", Value::try_from(rows))?;
-        }
-        "earth_field" => insert("world_g", Value::try_from(<[f64; 3]>::from(gripper.earth_g)))?,
-        "sensor_temperature" => {
-            let drifts: Vec<[f64; 3]> = sensors().map(|s| s.element.per_kelvin_g.into()).collect();
-            insert("drift_g_per_k", Value::try_from(drifts))?;
-        }
-        "field_drift" => {
-            let drifts: Vec<[f64; 3]> = sensors().map(|s| s.element.drift_g.into()).collect();
-            insert("final_g", Value::try_from(drifts))?;
-            insert("time_constant_s", Value::try_from(DRIFT_S))?;
-        }
-        "demagnetisation" => insert("loss_by_recording", Value::try_from(&gripper.losses))?,
-        "external_magnet" => {
-            insert("path", Value::try_from(&gripper.foreign))?;
-            let count = gripper.sensors.len() as u32;
-            if let Some(stretch_s) = gripper.foreign.interval_above_s(1.0, count) {
-                insert("above_1_g_s", Value::try_from(stretch_s))?;
-            }
-        }
-        _ => {}
     }
     Ok(table)
 }

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
 use model_export::effects::EffectTerm;
+use model_export::effects::catalogue::{NEIGHBOUR_MAGNET, SCREW_BACKLASH};
 use model_export::effects::excitation::BUILT_IN_COVARIATES;
 use model_export::fit::FitOptions;
 use model_export::fit::campaign::FitSetup;
@@ -161,7 +162,7 @@ fn check_identifiable(
             "{name} moves or changes the magnet, but a polynomial has no magnet; use a model with the cylinder base"
         );
     }
-    if name == "screw_backlash" && !all.iter().any(|other| other.name() == "neighbour_magnet") {
+    if name == SCREW_BACKLASH.id && !all.iter().any(|other| other.name() == NEIGHBOUR_MAGNET.id) {
         bail!(
             "the opening affects the field only through the neighbour's magnet: add neighbour_magnet before {name}, or both together"
         );

@@ -2,7 +2,8 @@
 
 use crate::effects::operators::{delayed, operator_increment};
 use crate::effects::{
-    Compensated, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, StateSeries,
+    DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, Signature,
+    SimulatedMagnitude, Simulation, StateSeries,
 };
 
 pub const EFFECT: Effect = Effect {
@@ -32,7 +33,14 @@ pub const EFFECT: Effect = Effect {
         ("reference_filter", "with the opposite sign"),
         ("hysteresis", "at a single frequency"),
     ],
-    compensated: Compensated::Never(
+    signatures: &[Signature::LoadHistory],
+    simulation: Simulation::Magnitude(SimulatedMagnitude {
+        random_stream: 12,
+        range: (-100.0, 100.0),
+        meaning: "the field is recorded later than the reference says",
+        shared: true,
+    }),
+    device: DeviceForm::Never(
         "it is an error of the test bench: set --delay-ms or correct the clocks",
     ),
     is_transient: false,

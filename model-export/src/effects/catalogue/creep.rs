@@ -2,7 +2,8 @@
 
 use crate::effects::operators::low_pass;
 use crate::effects::{
-    Compensated, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, StateSeries,
+    CreepParts, DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, ForceForm,
+    MagnitudeSpec, Signature, SimulatedMagnitude, Simulation, StateSeries,
 };
 
 pub const EFFECT: Effect = Effect {
@@ -42,7 +43,14 @@ pub const EFFECT: Effect = Effect {
         ("hysteresis", "where the load always returns at the same speed"),
         ("softening", "both increase under load"),
     ],
-    compensated: Compensated::Compensation,
+    signatures: &[Signature::LoadHistory, Signature::Time],
+    simulation: Simulation::Magnitude(SimulatedMagnitude {
+        random_stream: 10,
+        range: (0.0, 50.0),
+        meaning: "delayed compliance, as a share of the instantaneous one",
+        shared: false,
+    }),
+    device: DeviceForm::Force(ForceForm::Creep(parts_of)),
     is_transient: false,
     apply,
 };
@@ -63,7 +71,7 @@ fn apply(values: &[f64], excitation: &ExcitationSeries, series: &mut StateSeries
 
 /// Delayed fraction of the deflection in percent and time constant in seconds of the fast and the slow part along
 /// one axis (0 lateral, 1 longitudinal); `values` in the order of the parameters.
-pub fn parts_of(values: &[f64], axis: usize) -> [(f64, f64); 2] {
+fn parts_of(values: &[f64], axis: usize) -> CreepParts {
     let &[creep_x, creep_z, fast_s, slow_s, weight] = values else {
         return [(0.0, 1.0); 2];
     };

@@ -1,7 +1,8 @@
 //! Mechanical crosstalk between the two axes.
 
 use crate::effects::{
-    Compensated, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, StateSeries,
+    DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec,
+    SimulatedMagnitude, Simulation, StateSeries,
 };
 
 pub const EFFECT: Effect = Effect {
@@ -29,7 +30,14 @@ pub const EFFECT: Effect = Effect {
     },
     record: "Load one axis at a time, then both with different rhythms.",
     confused_with: &[("fingertip_mass", "where the load results from motion of the arm")],
-    compensated: Compensated::Tables,
+    signatures: &[],
+    simulation: Simulation::Magnitude(SimulatedMagnitude {
+        random_stream: 14,
+        range: (-20.0, 20.0),
+        meaning: "share of Fz that acts as Fx, and -0.4 times as much back",
+        shared: false,
+    }),
+    device: DeviceForm::Tables,
     is_transient: false,
     apply,
 };

@@ -1,7 +1,8 @@
 //! Irreversible loss of the magnet's strength.
 
 use crate::effects::{
-    Compensated, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, StateSeries,
+    DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, Signature,
+    SimulatedMagnitude, Simulation, StateSeries,
 };
 
 pub const EFFECT: Effect = Effect {
@@ -32,7 +33,14 @@ pub const EFFECT: Effect = Effect {
         ("field_drift", "both change from recording to recording"),
         ("softening", "both scale the response, recording by recording"),
     ],
-    compensated: Compensated::Settled,
+    signatures: &[Signature::Time],
+    simulation: Simulation::Magnitude(SimulatedMagnitude {
+        random_stream: 18,
+        range: (-10.0, 10.0),
+        meaning: "loss of remanence from the first recording to the second",
+        shared: false,
+    }),
+    device: DeviceForm::Settled,
     is_transient: true,
     apply,
 };

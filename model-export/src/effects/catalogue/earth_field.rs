@@ -3,8 +3,8 @@
 use nalgebra::{Rotation3, Vector3};
 
 use crate::effects::{
-    Aggregation, Compensated, Effect, EffectParameter, EffectStage, ExcitationSeries,
-    MagnitudeSpec, StateSeries,
+    Aggregation, DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, FieldForm,
+    MagnitudeSpec, Signature, SimulatedMagnitude, Simulation, StateSeries,
 };
 
 pub const EFFECT: Effect = Effect {
@@ -39,7 +39,14 @@ pub const EFFECT: Effect = Effect {
         ),
         ("sensor_temperature", "where the temperature changes during the rotation"),
     ],
-    compensated: Compensated::Compensation,
+    signatures: &[Signature::AmbientField],
+    simulation: Simulation::Magnitude(SimulatedMagnitude {
+        random_stream: 4,
+        range: (0.0, 5.0),
+        meaning: "norm of the world's field",
+        shared: true,
+    }),
+    device: DeviceForm::Field(FieldForm::EarthField),
     is_transient: false,
     apply,
 };

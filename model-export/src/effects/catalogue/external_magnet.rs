@@ -3,8 +3,8 @@
 use nalgebra::Vector3;
 
 use crate::effects::{
-    Aggregation, Compensated, Effect, EffectParameter, EffectStage, ExcitationSeries,
-    MagnitudeSpec, StateSeries,
+    Aggregation, DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec,
+    Signature, SimulatedMagnitude, Simulation, StateSeries,
 };
 
 /// Prior magnitude of the passage coefficients; the fit allows ten times this. Without it, a step between two
@@ -55,7 +55,14 @@ pub const EFFECT: Effect = Effect {
         ("neighbour_magnet", "where the gripper closed only once"),
         ("demagnetisation", "a permanent step"),
     ],
-    compensated: Compensated::Never("a single event; the device can only detect it"),
+    signatures: &[Signature::Time],
+    simulation: Simulation::Magnitude(SimulatedMagnitude {
+        random_stream: 19,
+        range: (0.0, 200.0),
+        meaning: "peak field of an external magnet that passes once",
+        shared: true,
+    }),
+    device: DeviceForm::Never("a single event; the device can only detect it"),
     is_transient: true,
     apply,
 };

@@ -3,8 +3,8 @@
 use nalgebra::Vector3;
 
 use crate::effects::{
-    Aggregation, Compensated, Effect, EffectParameter, EffectStage, ExcitationSeries,
-    MagnitudeSpec, StateSeries,
+    Aggregation, DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec,
+    Signature, SimulatedMagnitude, Simulation, StateSeries,
 };
 
 pub const EFFECT: Effect = Effect {
@@ -48,7 +48,14 @@ pub const EFFECT: Effect = Effect {
         ("reference_drift", "both are slow; a drifting reference acts along dB/dF only"),
         ("demagnetisation", "both change from recording to recording"),
     ],
-    compensated: Compensated::Settled,
+    signatures: &[Signature::Time],
+    simulation: Simulation::Magnitude(SimulatedMagnitude {
+        random_stream: 21,
+        range: (0.0, 20.0),
+        meaning: "norm of the final shift of the field",
+        shared: false,
+    }),
+    device: DeviceForm::Settled,
     is_transient: false,
     apply,
 };

@@ -1,7 +1,8 @@
 //! Weight and inertia of the fingertip.
 
 use crate::effects::{
-    Compensated, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, StateSeries,
+    DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, ForceForm, MagnitudeSpec,
+    SimulatedMagnitude, Simulation, StateSeries,
 };
 
 pub const EFFECT: Effect = Effect {
@@ -31,7 +32,14 @@ pub const EFFECT: Effect = Effect {
         ),
         ("cross_coupling", "where the load results from motion of the arm"),
     ],
-    compensated: Compensated::Compensation,
+    signatures: &[],
+    simulation: Simulation::Magnitude(SimulatedMagnitude {
+        random_stream: 16,
+        range: (0.0, 2.0),
+        meaning: "mass carried by the flexures",
+        shared: false,
+    }),
+    device: DeviceForm::Force(ForceForm::FingertipMass),
     is_transient: false,
     apply,
 };

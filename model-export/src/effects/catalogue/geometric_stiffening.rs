@@ -1,7 +1,8 @@
 //! Geometric stiffening of a flexure clamped at both ends.
 
 use crate::effects::{
-    Compensated, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, StateSeries,
+    DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, Signature,
+    SimulatedMagnitude, Simulation, StateSeries,
 };
 
 /// Reference deflection of the magnitude in mm: the travel in the paper.
@@ -36,7 +37,14 @@ pub const EFFECT: Effect = Effect {
         ("sensor_compression", "where the field along the gap increases with the load"),
         ("tip_slope", "where both axes are always loaded together"),
     ],
-    compensated: Compensated::Tables,
+    signatures: &[Signature::NonlinearLoad],
+    simulation: Simulation::Magnitude(SimulatedMagnitude {
+        random_stream: 0,
+        range: (-20.0, 100.0),
+        meaning: "growth of both flexures' stiffness at 0.5 mm",
+        shared: false,
+    }),
+    device: DeviceForm::Tables,
     is_transient: false,
     apply,
 };

@@ -1,7 +1,8 @@
 //! Mechanical stop of the flexure beyond a knee force.
 
 use crate::effects::{
-    Compensated, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, StateSeries,
+    DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, ForceForm, MagnitudeSpec,
+    Signature, SimulatedMagnitude, Simulation, StateSeries,
 };
 
 pub const EFFECT: Effect = Effect {
@@ -45,7 +46,14 @@ pub const EFFECT: Effect = Effect {
         ("geometric_stiffening", "where the load barely exceeds the knee"),
         ("sensor_compression", "where the field along the gap increases with the load"),
     ],
-    compensated: Compensated::Compensation,
+    signatures: &[Signature::NonlinearLoad],
+    simulation: Simulation::Magnitude(SimulatedMagnitude {
+        random_stream: 15,
+        range: (0.0, 95.0),
+        meaning: "compliance lost beyond 60 % of the greatest load",
+        shared: false,
+    }),
+    device: DeviceForm::Force(ForceForm::HardStop),
     is_transient: false,
     apply,
 };

@@ -2,7 +2,8 @@
 
 use crate::effects::operators::stop_operators;
 use crate::effects::{
-    Compensated, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, StateSeries,
+    DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, ForceForm, FrictionSliders,
+    MagnitudeSpec, Signature, SimulatedMagnitude, Simulation, StateSeries,
 };
 
 pub const EFFECT: Effect = Effect {
@@ -55,7 +56,14 @@ pub const EFFECT: Effect = Effect {
         ("clock_skew", "at a single frequency: the same ellipse"),
         ("creep", "where the load always returns at the same speed"),
     ],
-    compensated: Compensated::Compensation,
+    signatures: &[Signature::LoadHistory],
+    simulation: Simulation::Magnitude(SimulatedMagnitude {
+        random_stream: 8,
+        range: (0.0, 50.0),
+        meaning: "Coulomb friction parallel to the flexure, half the loop width",
+        shared: false,
+    }),
+    device: DeviceForm::Force(ForceForm::Hysteresis(sliders_of)),
     is_transient: false,
     apply,
 };
@@ -86,7 +94,7 @@ fn apply(values: &[f64], excitation: &ExcitationSeries, series: &mut StateSeries
 
 /// Friction force in newtons and (weight, reach in newtons) of each slider of one axis (0 lateral, 1
 /// longitudinal); `values` in the order of the parameters.
-pub fn sliders_of(values: &[f64], axis: usize) -> (f64, [(f64, f64); 3]) {
+fn sliders_of(values: &[f64], axis: usize) -> FrictionSliders {
     let shapes = values.get(2 + axis * SHAPES..2 + (axis + 1) * SHAPES);
     let friction = values.get(axis).copied().unwrap_or(0.0);
     (friction, sliders(shapes.unwrap_or(&[])))

@@ -1,8 +1,8 @@
 //! Reversible temperature dependence of the remanence.
 
 use crate::effects::{
-    Compensated, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec,
-    REFERENCE_C, StateSeries,
+    DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, FieldForm, MagnitudeSpec,
+    REFERENCE_C, Signature, SimulatedMagnitude, Simulation, StateSeries,
 };
 
 pub const EFFECT: Effect = Effect {
@@ -31,7 +31,14 @@ pub const EFFECT: Effect = Effect {
         ("field_drift", "where there is one warm-up only"),
         ("demagnetisation", "where the temperature differs between recordings only"),
     ],
-    compensated: Compensated::Compensation,
+    signatures: &[Signature::Temperature],
+    simulation: Simulation::Magnitude(SimulatedMagnitude {
+        random_stream: 5,
+        range: (-1.0, 1.0),
+        meaning: "change of remanence from 25 C",
+        shared: true,
+    }),
+    device: DeviceForm::Field(FieldForm::MagnetTemperature),
     is_transient: false,
     apply,
 };

@@ -1,58 +1,48 @@
 //! The catalogue: one file for each effect, with its physics, equation, parameters and action.
 
-mod clock_skew;
-pub(super) mod creep;
-mod cross_coupling;
-mod demagnetisation;
-pub(super) mod earth_field;
-mod external_magnet;
-mod field_drift;
-mod fingertip_mass;
-mod geometric_stiffening;
-mod hard_stop;
-pub(super) mod hysteresis;
-mod magnet_temperature;
-mod motor_leakage;
-pub(super) mod neighbour_magnet;
-mod reference_drift;
-mod reference_filter;
-mod screw_backlash;
-mod sensor_compression;
-mod sensor_temperature;
-mod softening;
-mod thermal_gap;
-mod tip_slope;
-mod viscous_lag;
-
 use crate::effects::Effect;
 use crate::recordings::error::closest_match;
 
-/// All effects, by decreasing prior plausibility.
-pub const CATALOGUE: [&Effect; 23] = [
-    &geometric_stiffening::EFFECT,
-    &tip_slope::EFFECT,
-    &cross_coupling::EFFECT,
-    &hard_stop::EFFECT,
-    &hysteresis::EFFECT,
-    &viscous_lag::EFFECT,
-    &creep::EFFECT,
-    &softening::EFFECT,
-    &fingertip_mass::EFFECT,
-    &neighbour_magnet::EFFECT,
-    &screw_backlash::EFFECT,
-    &motor_leakage::EFFECT,
-    &earth_field::EFFECT,
-    &external_magnet::EFFECT,
-    &magnet_temperature::EFFECT,
-    &sensor_temperature::EFFECT,
-    &thermal_gap::EFFECT,
-    &demagnetisation::EFFECT,
-    &field_drift::EFFECT,
-    &sensor_compression::EFFECT,
-    &clock_skew::EFFECT,
-    &reference_filter::EFFECT,
-    &reference_drift::EFFECT,
-];
+/// Declares the file of each effect, a constant for it, and the list of all.
+macro_rules! catalogue {
+    ($($name:ident: $file:ident,)*) => {
+        $(
+            mod $file;
+            #[doc = concat!("The effect `", stringify!($file), "`.")]
+            pub const $name: &Effect = &$file::EFFECT;
+        )*
+
+        /// All effects, by decreasing prior plausibility.
+        pub const CATALOGUE: [&Effect; [$(stringify!($name)),*].len()] = [$($name),*];
+    };
+}
+
+// By decreasing prior plausibility. rustfmt does not follow modules in a macro: format an effect's file by name.
+catalogue! {
+    GEOMETRIC_STIFFENING: geometric_stiffening,
+    TIP_SLOPE: tip_slope,
+    CROSS_COUPLING: cross_coupling,
+    HARD_STOP: hard_stop,
+    HYSTERESIS: hysteresis,
+    VISCOUS_LAG: viscous_lag,
+    CREEP: creep,
+    SOFTENING: softening,
+    FINGERTIP_MASS: fingertip_mass,
+    NEIGHBOUR_MAGNET: neighbour_magnet,
+    SCREW_BACKLASH: screw_backlash,
+    MOTOR_LEAKAGE: motor_leakage,
+    EARTH_FIELD: earth_field,
+    EXTERNAL_MAGNET: external_magnet,
+    MAGNET_TEMPERATURE: magnet_temperature,
+    SENSOR_TEMPERATURE: sensor_temperature,
+    THERMAL_GAP: thermal_gap,
+    DEMAGNETISATION: demagnetisation,
+    FIELD_DRIFT: field_drift,
+    SENSOR_COMPRESSION: sensor_compression,
+    CLOCK_SKEW: clock_skew,
+    REFERENCE_FILTER: reference_filter,
+    REFERENCE_DRIFT: reference_drift,
+}
 
 /// The catalogue has no effect of this name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

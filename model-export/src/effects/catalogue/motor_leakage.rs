@@ -3,8 +3,8 @@
 use nalgebra::Vector3;
 
 use crate::effects::{
-    Aggregation, Compensated, Effect, EffectParameter, EffectStage, ExcitationSeries,
-    MagnitudeSpec, StateSeries,
+    Aggregation, DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, FieldForm,
+    MagnitudeSpec, SimulatedMagnitude, Simulation, StateSeries,
 };
 use crate::recordings::columns::STATOR_CURRENTS;
 
@@ -46,7 +46,14 @@ pub const EFFECT: Effect = Effect {
     record: "With the gripper unloaded and at a fixed opening, press against a stop with 0, half and full \
               current; then rotate the motor slowly through several revolutions.",
     confused_with: &[("neighbour_magnet", "closing requires current")],
-    compensated: Compensated::Compensation,
+    signatures: &[],
+    simulation: Simulation::Magnitude(SimulatedMagnitude {
+        random_stream: 3,
+        range: (0.0, 50.0),
+        meaning: "norm of the nine coefficients (axes by currents), times 10 A",
+        shared: false,
+    }),
+    device: DeviceForm::Field(FieldForm::MotorLeakage),
     is_transient: false,
     apply,
 };

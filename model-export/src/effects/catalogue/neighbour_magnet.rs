@@ -3,8 +3,8 @@
 use nalgebra::Vector3;
 
 use crate::effects::{
-    Aggregation, Compensated, Effect, EffectParameter, EffectStage, ExcitationSeries,
-    MagnitudeSpec, StateSeries,
+    Aggregation, DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, FieldForm,
+    MagnitudeSpec, SimulatedMagnitude, Simulation, StateSeries,
 };
 
 /// Reference opening of the magnitude in mm.
@@ -45,7 +45,14 @@ pub const EFFECT: Effect = Effect {
         ("external_magnet", "where the gripper closed only once"),
         ("screw_backlash", "both depend on the opening"),
     ],
-    compensated: Compensated::Compensation,
+    signatures: &[],
+    simulation: Simulation::Magnitude(SimulatedMagnitude {
+        random_stream: 2,
+        range: (-50.0, 50.0),
+        meaning: "field of the opposite finger's magnet at an opening of 10 mm",
+        shared: false,
+    }),
+    device: DeviceForm::Field(FieldForm::NeighbourMagnet(field)),
     is_transient: false,
     apply,
 };
@@ -62,7 +69,7 @@ fn field_at_reference(values: &[f64]) -> f64 {
 }
 
 /// Field of the neighbour in gauss, gripper's axes, at an opening in mm; `values` in the order of the parameters.
-pub fn field(values: &[f64], opening_mm: f64) -> Vector3<f64> {
+fn field(values: &[f64], opening_mm: f64) -> Vector3<f64> {
     let &[x, y, z, distance_mm, aside_mm, ahead_mm] = values else {
         return Vector3::zeros();
     };

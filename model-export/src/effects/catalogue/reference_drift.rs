@@ -1,7 +1,8 @@
 //! Zero drift of the reference.
 
 use crate::effects::{
-    Compensated, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, StateSeries,
+    DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, Signature,
+    SimulatedMagnitude, Simulation, StateSeries,
 };
 
 pub const EFFECT: Effect = Effect {
@@ -31,7 +32,14 @@ pub const EFFECT: Effect = Effect {
         ("field_drift", "both are slow; this one acts along dB/dF only"),
         ("creep", "both are slow"),
     ],
-    compensated: Compensated::Never("it is an error of the test bench, not of the gripper"),
+    signatures: &[Signature::Time],
+    simulation: Simulation::Magnitude(SimulatedMagnitude {
+        random_stream: 20,
+        range: (-5.0, 5.0),
+        meaning: "steady wander of the reference's lateral zero",
+        shared: true,
+    }),
+    device: DeviceForm::Never("it is an error of the test bench, not of the gripper"),
     is_transient: false,
     apply,
 };

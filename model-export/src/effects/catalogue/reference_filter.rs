@@ -1,7 +1,8 @@
 //! Low-pass filter of the reference.
 
 use crate::effects::{
-    Compensated, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, StateSeries,
+    DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, Signature,
+    SimulatedMagnitude, Simulation, StateSeries,
 };
 
 pub const EFFECT: Effect = Effect {
@@ -29,7 +30,14 @@ pub const EFFECT: Effect = Effect {
         ("clock_skew", "with the opposite sign, except at sharp edges"),
         ("viscous_lag", "with the opposite sign"),
     ],
-    compensated: Compensated::Never("it is an error of the test bench, not of the gripper"),
+    signatures: &[Signature::LoadHistory],
+    simulation: Simulation::Magnitude(SimulatedMagnitude {
+        random_stream: 13,
+        range: (0.0, 200.0),
+        meaning: "time constant of the reference's own filter",
+        shared: true,
+    }),
+    device: DeviceForm::Never("it is an error of the test bench, not of the gripper"),
     is_transient: false,
     apply,
 };

@@ -2,7 +2,8 @@
 
 use crate::effects::operators::stop_operator;
 use crate::effects::{
-    Compensated, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, StateSeries,
+    DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec,
+    SimulatedMagnitude, Simulation, StateSeries,
 };
 
 /// Minimum threshold of the operator in mm; avoids a division by zero.
@@ -34,7 +35,14 @@ pub const EFFECT: Effect = Effect {
     record: "Close and open slowly around a small opening, where the neighbour's field is strongest, with \
               many reversals.",
     confused_with: &[("neighbour_magnet", "where the gripper does not reverse")],
-    compensated: Compensated::Never(
+    signatures: &[],
+    simulation: Simulation::Magnitude(SimulatedMagnitude {
+        random_stream: 17,
+        range: (0.0, 5.0),
+        meaning: "full play between the reported opening and the real one",
+        shared: true,
+    }),
+    device: DeviceForm::Never(
         "the device measures the motor's angle, and the play is below its noise; home from one side",
     ),
     is_transient: false,

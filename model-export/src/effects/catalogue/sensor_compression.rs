@@ -1,7 +1,8 @@
 //! Gain compression of the sensor in strong fields.
 
 use crate::effects::{
-    Compensated, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, StateSeries,
+    DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, Signature,
+    SimulatedMagnitude, Simulation, StateSeries,
 };
 
 pub const EFFECT: Effect = Effect {
@@ -28,7 +29,14 @@ pub const EFFECT: Effect = Effect {
         ("tip_slope", "both are even in the load"),
         ("geometric_stiffening", "where the field along the gap increases with the load"),
     ],
-    compensated: Compensated::Tables,
+    signatures: &[Signature::NonlinearLoad],
+    simulation: Simulation::Magnitude(SimulatedMagnitude {
+        random_stream: 22,
+        range: (-5.0, 10.0),
+        meaning: "loss of gain at 1300 G",
+        shared: false,
+    }),
+    device: DeviceForm::Tables,
     is_transient: false,
     apply,
 };

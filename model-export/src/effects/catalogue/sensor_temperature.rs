@@ -3,8 +3,8 @@
 use nalgebra::Vector3;
 
 use crate::effects::{
-    Aggregation, Compensated, Effect, EffectParameter, EffectStage, ExcitationSeries,
-    MagnitudeSpec, REFERENCE_C, StateSeries,
+    Aggregation, DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, FieldForm,
+    MagnitudeSpec, REFERENCE_C, Signature, SimulatedMagnitude, Simulation, StateSeries,
 };
 
 pub const EFFECT: Effect = Effect {
@@ -41,7 +41,14 @@ pub const EFFECT: Effect = Effect {
         ("thermal_gap", "both change the gap axis with the temperature"),
         ("field_drift", "where there is one warm-up only"),
     ],
-    compensated: Compensated::Compensation,
+    signatures: &[Signature::Temperature],
+    simulation: Simulation::Magnitude(SimulatedMagnitude {
+        random_stream: 6,
+        range: (0.0, 5.0),
+        meaning: "norm of the drift of the offset from 25 C",
+        shared: false,
+    }),
+    device: DeviceForm::Field(FieldForm::SensorTemperature),
     is_transient: false,
     apply,
 };

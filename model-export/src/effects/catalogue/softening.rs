@@ -1,7 +1,8 @@
 //! Run-in: the flexure softens over its first load cycles.
 
 use crate::effects::{
-    Compensated, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, StateSeries,
+    DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, Signature,
+    SimulatedMagnitude, Simulation, StateSeries,
 };
 
 pub const EFFECT: Effect = Effect {
@@ -34,7 +35,14 @@ pub const EFFECT: Effect = Effect {
         ("demagnetisation", "both scale the response, recording by recording"),
         ("magnet_temperature", "where the temperature rises at the same time"),
     ],
-    compensated: Compensated::Settled,
+    signatures: &[Signature::Time],
+    simulation: Simulation::Magnitude(SimulatedMagnitude {
+        random_stream: 11,
+        range: (-20.0, 50.0),
+        meaning: "growth of the compliance over many load cycles",
+        shared: false,
+    }),
+    device: DeviceForm::Settled,
     is_transient: true,
     apply,
 };

@@ -1,8 +1,8 @@
 //! Thermal expansion of the structure between magnet and sensor.
 
 use crate::effects::{
-    Compensated, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec,
-    REFERENCE_C, StateSeries,
+    DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, FieldForm, MagnitudeSpec,
+    REFERENCE_C, Signature, SimulatedMagnitude, Simulation, StateSeries,
 };
 
 pub const EFFECT: Effect = Effect {
@@ -29,7 +29,14 @@ pub const EFFECT: Effect = Effect {
         ("magnet_temperature", "both change the gap axis with the temperature"),
         ("sensor_temperature", "equal to an offset drift along the gap"),
     ],
-    compensated: Compensated::Compensation,
+    signatures: &[Signature::Temperature],
+    simulation: Simulation::Magnitude(SimulatedMagnitude {
+        random_stream: 7,
+        range: (-10.0, 10.0),
+        meaning: "growth of the gap from 25 C",
+        shared: false,
+    }),
+    device: DeviceForm::Field(FieldForm::ThermalGap),
     is_transient: false,
     apply,
 };

@@ -1,7 +1,8 @@
 //! Foreshortening and tip slope of a bent flexure.
 
 use crate::effects::{
-    Compensated, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, StateSeries,
+    DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, Signature,
+    SimulatedMagnitude, Simulation, StateSeries,
 };
 
 /// Reference deflection of the magnitude in mm: the travel in the paper.
@@ -39,7 +40,14 @@ pub const EFFECT: Effect = Effect {
         ("sensor_compression", "both are even in the load"),
         ("geometric_stiffening", "where only one sign of the load was recorded"),
     ],
-    compensated: Compensated::Tables,
+    signatures: &[Signature::NonlinearLoad],
+    simulation: Simulation::Magnitude(SimulatedMagnitude {
+        random_stream: 1,
+        range: (-50.0, 50.0),
+        meaning: "foreshortening of each flexure at 0.5 mm; the magnet leans",
+        shared: false,
+    }),
+    device: DeviceForm::Tables,
     is_transient: false,
     apply,
 };

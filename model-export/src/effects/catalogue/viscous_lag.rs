@@ -2,7 +2,8 @@
 
 use crate::effects::operators::{low_pass, operator_increment};
 use crate::effects::{
-    Compensated, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, StateSeries,
+    DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, ForceForm, MagnitudeSpec,
+    Signature, SimulatedMagnitude, Simulation, StateSeries,
 };
 
 pub const EFFECT: Effect = Effect {
@@ -34,7 +35,14 @@ pub const EFFECT: Effect = Effect {
         ("hysteresis", "at a single frequency"),
         ("reference_filter", "with the opposite sign"),
     ],
-    compensated: Compensated::Compensation,
+    signatures: &[Signature::LoadHistory],
+    simulation: Simulation::Magnitude(SimulatedMagnitude {
+        random_stream: 9,
+        range: (0.0, 200.0),
+        meaning: "retardation time, lateral; half of it longitudinally",
+        shared: false,
+    }),
+    device: DeviceForm::Force(ForceForm::ViscousLag),
     is_transient: false,
     apply,
 };

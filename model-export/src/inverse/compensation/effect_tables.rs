@@ -1,4 +1,4 @@
-//! Tables of each catalogue effect in the device's formats; each mirrors a file of the firmware's compensation.
+//! Tables of each device form of the catalogue in the formats of the firmware's compensation.
 
 use firmware::config::constants;
 use firmware::estimator::compensation::{
@@ -7,8 +7,8 @@ use firmware::estimator::compensation::{
 use firmware::fixed_point::Force;
 use nalgebra::{Matrix3, Vector3};
 
-use crate::effects::{creep_parts, hysteresis_sliders, neighbour_field};
-use crate::inverse::compensation::{Converter, NotCompensable};
+use crate::effects::{CreepParts, FieldForm, ForceForm, FrictionSliders};
+use crate::inverse::compensation::{Converter, NotCompensable, OwnedOnField, OwnedOnForce};
 use crate::inverse::static_model::lattice;
 
 /// Minimum reach in newtons of an inverse slider: a shorter one would follow noise.
@@ -20,57 +20,78 @@ const MIN_SLOPE: f64 = 0.05;
 /// 1.12 and 1.13 times that without a lag, at 5, 7, 9 and 12 ms.
 const RATE_FILTER_MS: f64 = 10.0;
 
+/// Temperature rise in kelvin per count of the Hall sensor.
+const PER_COUNT: f64 = 1.0 / constants::TEMPERATURE_SCALE.value;
+
 impl Converter<'_> {
-    pub(super) fn sensor_temperature(
+    /// Compensation of the field.
+    pub(super) fn field(
         &self,
+        form: FieldForm,
         values: &[f64],
-        per_count: f64,
-    ) -> Result<FieldEffect<'static>, NotCompensable> {
-        let id = "sensor_temperature";
-        let [x, y, z, gain] = self.values(id, values)?;
-        let offset = Vector3::new(x, y, z) * (self.units * per_count);
-        Ok(FieldEffect::SensorTemperature(thermal::SensorTemperatureTable {
-            offset: self.three(id, offset, thermal::DRIFT_BITS)?,
-            gain: self.integer(id, 0.01 * gain * per_count, thermal::DRIFT_BITS)?,
+    ) -> Result<OwnedOnField, NotCompensable> {
+        Ok(OwnedOnField::Scalar(match form {
+            FieldForm::SensorTemperature => self.sensor_temperature(values)?,
+            FieldForm::MotorLeakage => self.motor_leakage(values)?,
+            FieldForm::EarthField => self.earth_field(values)?,
+            FieldForm::NeighbourMagnet(field) => {
+                let knots = self.neighbour_magnet(|opening_mm| field(values, opening_mm))?;
+                return Ok(OwnedOnField::Neighbour(knots));
+            }
+            FieldForm::MagnetTemperature => self.magnet_temperature(values)?,
+            FieldForm::ThermalGap => self.thermal_gap(values)?,
         }))
     }
 
-    pub(super) fn motor_leakage(
+    /// Compensation of the forces.
+    pub(super) fn force(
         &self,
+        form: ForceForm,
         values: &[f64],
-    ) -> Result<FieldEffect<'static>, NotCompensable> {
-        let id = "motor_leakage";
-        let values: [f64; 9] = self.values(id, values)?;
+    ) -> Result<OwnedOnForce, NotCompensable> {
+        Ok(OwnedOnForce::Scalar(match form {
+            ForceForm::ViscousLag => self.viscous_lag(values)?,
+            ForceForm::Creep(parts) => self.creep([0, 1].map(|axis| parts(values, axis)))?,
+            ForceForm::HardStop => self.hard_stop(values)?,
+            ForceForm::Hysteresis(sliders) => {
+                self.hysteresis([0, 1].map(|axis| sliders(values, axis)))?
+            }
+            ForceForm::FingertipMass => self.fingertip_mass(values)?,
+        }))
+    }
+
+    fn sensor_temperature(&self, values: &[f64]) -> Result<FieldEffect<'static>, NotCompensable> {
+        let [x, y, z, gain] = self.values(values)?;
+        let offset = Vector3::new(x, y, z) * (self.units * PER_COUNT);
+        Ok(FieldEffect::SensorTemperature(thermal::SensorTemperatureTable {
+            offset: self.three(offset, thermal::DRIFT_BITS)?,
+            gain: self.integer(0.01 * gain * PER_COUNT, thermal::DRIFT_BITS)?,
+        }))
+    }
+
+    fn motor_leakage(&self, values: &[f64]) -> Result<FieldEffect<'static>, NotCompensable> {
+        let values: [f64; 9] = self.values(values)?;
         // Columns: field per current; the device needs sensor axes, per mA.
         let per_a = self.turn() * Matrix3::from_column_slice(&values);
         let per_ma = per_a * (1e-3 * self.units);
         Ok(FieldEffect::MotorLeakage(crosstalk::MotorLeakageTable {
-            per_ma: self.matrix(id, per_ma, crosstalk::LEAKAGE_BITS)?,
+            per_ma: self.matrix(per_ma, crosstalk::LEAKAGE_BITS)?,
         }))
     }
 
-    pub(super) fn earth_field(
-        &self,
-        values: &[f64],
-    ) -> Result<FieldEffect<'static>, NotCompensable> {
-        let id = "earth_field";
-        let [x, y, z] = self.values(id, values)?;
+    fn earth_field(&self, values: &[f64]) -> Result<FieldEffect<'static>, NotCompensable> {
+        let [x, y, z] = self.values(values)?;
         Ok(FieldEffect::EarthField(crosstalk::EarthFieldTable {
-            world: self.three(
-                id,
-                Vector3::new(x, y, z) * self.units,
-                crosstalk::EARTH_FIELD_BITS,
-            )?,
-            element: self.matrix(id, self.turn(), crosstalk::EARTH_FIELD_BITS)?,
+            world: self.three(Vector3::new(x, y, z) * self.units, crosstalk::EARTH_FIELD_BITS)?,
+            element: self.matrix(self.turn(), crosstalk::EARTH_FIELD_BITS)?,
         }))
     }
 
-    pub(super) fn neighbour_magnet(
+    fn neighbour_magnet(
         &self,
-        values: &[f64],
+        field: impl Fn(f64) -> Vector3<f64>,
     ) -> Result<Box<[[i16; 3]; crosstalk::KNOTS]>, NotCompensable> {
-        let at =
-            |opening_um: f64| self.turn() * neighbour_field(values, 1e-3 * opening_um) * self.units;
+        let at = |opening_um: f64| self.turn() * field(1e-3 * opening_um) * self.units;
         let step = f64::from(crosstalk::STEP_UM);
         let mut knots = Box::new([[0; 3]; crosstalk::KNOTS]);
         for (i, knot) in knots.iter_mut().enumerate() {
@@ -80,42 +101,25 @@ impl Converter<'_> {
             let bow = 0.5 * (at(opening + 0.5 * step) - 0.5 * (field + at(opening + step)));
             let shifted = (field + bow).map(f64::round);
             if shifted.amax() > f64::from(i16::MAX) {
-                return Err(self.error(
-                    "neighbour_magnet",
-                    "its field at this opening exceeds the range of the device",
-                ));
+                return Err(self.error("its field at this opening exceeds the range of the device"));
             }
             *knot = [shifted.x as i16, shifted.y as i16, shifted.z as i16];
         }
         Ok(knots)
     }
 
-    pub(super) fn magnet_temperature(
-        &self,
-        values: &[f64],
-        per_count: f64,
-    ) -> Result<FieldEffect<'static>, NotCompensable> {
-        let id = "magnet_temperature";
-        let [percent_per_k] = self.values(id, values)?;
+    fn magnet_temperature(&self, values: &[f64]) -> Result<FieldEffect<'static>, NotCompensable> {
+        let [percent_per_k] = self.values(values)?;
         Ok(FieldEffect::MagnetTemperature(thermal::MagnetTemperatureTable {
-            without: self.three(id, self.model.model.bias_g * self.units, 0)?,
-            per_count: self.integer(
-                id,
-                0.01 * percent_per_k * per_count,
-                thermal::REMANENCE_BITS,
-            )?,
+            without: self.three(self.model.model.bias_g * self.units, 0)?,
+            per_count: self.integer(0.01 * percent_per_k * PER_COUNT, thermal::REMANENCE_BITS)?,
         }))
     }
 
     /// Derivative to the gap, fitted as a linear function of the field over the design box.
-    pub(super) fn thermal_gap(
-        &self,
-        values: &[f64],
-        per_count: f64,
-    ) -> Result<FieldEffect<'static>, NotCompensable> {
-        let id = "thermal_gap";
-        let [um_per_k] = self.values(id, values)?;
-        let mm_per_count = 1e-3 * um_per_k * per_count;
+    fn thermal_gap(&self, values: &[f64]) -> Result<FieldEffect<'static>, NotCompensable> {
+        let [um_per_k] = self.values(values)?;
+        let mm_per_count = 1e-3 * um_per_k * PER_COUNT;
         let at = self.model.field([0.0; 2]) * self.units;
         let mut normal = nalgebra::Matrix4::<f64>::zeros();
         let mut right = nalgebra::Matrix4x3::<f64>::zeros();
@@ -127,58 +131,47 @@ impl Converter<'_> {
             right += regressor * derivative.transpose();
         }
         let fitted = normal.cholesky().map(|factor| factor.solve(&right));
-        let fitted = fitted
-            .ok_or_else(|| self.error(id, "the field hardly changes over the force range"))?;
+        let fitted =
+            fitted.ok_or_else(|| self.error("the field hardly changes over the force range"))?;
         let bend = fitted.fixed_rows::<3>(1).transpose();
         Ok(FieldEffect::ThermalGap(thermal::ThermalGapTable {
-            at: self.three(id, at, 0)?,
-            rest: self.three(id, fitted.row(0).transpose(), thermal::GAP_BITS)?,
-            bend: self.matrix(id, bend, thermal::GAP_BITS)?,
+            at: self.three(at, 0)?,
+            rest: self.three(fitted.row(0).transpose(), thermal::GAP_BITS)?,
+            bend: self.matrix(bend, thermal::GAP_BITS)?,
         }))
     }
 
-    pub(super) fn viscous_lag(
-        &self,
-        values: &[f64],
-    ) -> Result<ForceEffect<'static>, NotCompensable> {
-        let id = "viscous_lag";
-        let lags: [f64; 2] = self.values(id, values)?;
+    fn viscous_lag(&self, values: &[f64]) -> Result<ForceEffect<'static>, NotCompensable> {
+        let lags: [f64; 2] = self.values(values)?;
         let tick_ms = 1e3 / constants::SENSE_RATE.value;
         let rate = -libm::expm1(-tick_ms / RATE_FILTER_MS);
         // On a ramp the second filter trails the first by this time.
         let trail_ms = tick_ms * (1.0 - rate) / rate;
-        let lead = |lag: f64| self.integer(id, lag.max(0.0) / trail_ms, flexure::LAG_BITS);
+        let lead = |lag: f64| self.integer(lag.max(0.0) / trail_ms, flexure::LAG_BITS);
         Ok(ForceEffect::ViscousLag(flexure::ViscousLagTable {
             lead: [lead(lags[0])?, lead(lags[1])?],
-            rate: self.integer(id, rate, flexure::LAG_BITS)?,
+            rate: self.integer(rate, flexure::LAG_BITS)?,
         }))
     }
 
-    pub(super) fn creep(&self, values: &[f64]) -> Result<ForceEffect<'static>, NotCompensable> {
-        let id = "creep";
-        let _: [f64; 5] = self.values(id, values)?;
-        let share = |percent: f64| self.integer(id, 0.01 * percent, flexure::CREEP_BITS);
-        let shares = |axis: usize| {
-            let [(fast, _), (slow, _)] = creep_parts(values, axis);
-            Ok([share(fast)?, share(slow)?])
-        };
+    fn creep(&self, parts: [CreepParts; 2]) -> Result<ForceEffect<'static>, NotCompensable> {
+        let share = |percent: f64| self.integer(0.01 * percent, flexure::CREEP_BITS);
+        let shares = |[(fast, _), (slow, _)]: CreepParts| Ok([share(fast)?, share(slow)?]);
         let tick_s = 1.0 / constants::SENSE_RATE.value;
-        let rate =
-            |time_s: f64| self.integer(id, -libm::expm1(-tick_s / time_s), flexure::CREEP_BITS);
-        let [(_, fast_s), (_, slow_s)] = creep_parts(values, 0);
+        let rate = |time_s: f64| self.integer(-libm::expm1(-tick_s / time_s), flexure::CREEP_BITS);
+        let [(_, fast_s), (_, slow_s)] = parts[0];
         Ok(ForceEffect::Creep(flexure::CreepTable {
-            share: [shares(0)?, shares(1)?],
+            share: [shares(parts[0])?, shares(parts[1])?],
             rate: [rate(fast_s)?, rate(slow_s)?],
         }))
     }
 
-    pub(super) fn hard_stop(&self, values: &[f64]) -> Result<ForceEffect<'static>, NotCompensable> {
-        let id = "hard_stop";
-        let [x, z, back_x, back_z, knee_x, knee_z] = self.values(id, values)?;
+    fn hard_stop(&self, values: &[f64]) -> Result<ForceEffect<'static>, NotCompensable> {
+        let [x, z, back_x, back_z, knee_x, knee_z] = self.values(values)?;
         // A total loss would leave no signal beyond the knee.
         let beyond = |lost: f64| 1.0 / (1.0 - 0.01 * lost).max(MIN_SLOPE) - 1.0;
         let integers = |one: f64, other: f64, bits: u32| {
-            Ok([self.integer(id, one, bits)?, self.integer(id, other, bits)?])
+            Ok([self.integer(one, bits)?, self.integer(other, bits)?])
         };
         Ok(ForceEffect::HardStop(flexure::HardStopTable {
             knee: integers(knee_x, knee_z, Force::BITS)?,
@@ -189,32 +182,27 @@ impl Converter<'_> {
         }))
     }
 
-    pub(super) fn hysteresis(
+    fn hysteresis(
         &self,
-        values: &[f64],
+        axes: [FrictionSliders; 2],
     ) -> Result<ForceEffect<'static>, NotCompensable> {
-        let axis =
-            |axis: usize| -> Result<[hysteresis::Slider; hysteresis::SLIDERS], NotCompensable> {
-                let (friction, sliders) = hysteresis_sliders(values, axis);
-                let [a, b, c] = inverse_sliders(friction, sliders);
-                let slider = |(reach_n, force_n): (f64, f64)| {
-                    Ok(hysteresis::Slider {
-                        reach: self.integer("hysteresis", reach_n, Force::BITS)?,
-                        share: self.integer("hysteresis", force_n / reach_n, hysteresis::BITS)?,
-                    })
-                };
-                Ok([slider(a)?, slider(b)?, slider(c)?])
-            };
-        Ok(ForceEffect::Hysteresis(hysteresis::HysteresisTable { sliders: [axis(0)?, axis(1)?] }))
+        let slider = |(reach_n, force_n): (f64, f64)| {
+            Ok(hysteresis::Slider {
+                reach: self.integer(reach_n, Force::BITS)?,
+                share: self.integer(force_n / reach_n, hysteresis::BITS)?,
+            })
+        };
+        let axis = |(friction_n, sliders): FrictionSliders| {
+            let [a, b, c] = inverse_sliders(friction_n, sliders);
+            Ok([slider(a)?, slider(b)?, slider(c)?])
+        };
+        let sliders = [axis(axes[0])?, axis(axes[1])?];
+        Ok(ForceEffect::Hysteresis(hysteresis::HysteresisTable { sliders }))
     }
 
-    pub(super) fn fingertip_mass(
-        &self,
-        values: &[f64],
-    ) -> Result<ForceEffect<'static>, NotCompensable> {
-        let id = "fingertip_mass";
-        let [mass_kg] = self.values(id, values)?;
-        let mass = self.integer(id, 1e-3 * mass_kg * Force::PER_NEWTON, flexure::MASS_BITS)?;
+    fn fingertip_mass(&self, values: &[f64]) -> Result<ForceEffect<'static>, NotCompensable> {
+        let [mass_kg] = self.values(values)?;
+        let mass = self.integer(1e-3 * mass_kg * Force::PER_NEWTON, flexure::MASS_BITS)?;
         Ok(ForceEffect::FingertipMass(flexure::FingertipMassTable { mass }))
     }
 }

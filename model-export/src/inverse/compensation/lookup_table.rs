@@ -48,13 +48,11 @@ struct CovariateFormat {
 
 impl Converter<'_> {
     pub(super) fn map(&self, formula: &Expression, values: &[f64]) -> Result<Maps, NotCompensable> {
-        let name = formula.name.as_str();
         let known: Vec<CovariateFormat> = formula
             .covariates
             .iter()
             .map(|column| {
-                known(column)
-                    .ok_or_else(|| self.error(name, format!("the board does not know {column}")))
+                known(column).ok_or_else(|| self.error(format!("the board does not know {column}")))
             })
             .collect::<Result<_, _>>()?;
         self.check_turns(formula, values)?;
@@ -106,7 +104,7 @@ impl Converter<'_> {
             (one - next).abs() > 1e-6 * one.abs().max(1e-9)
         };
         if [0.3, 1.7, 4.1].into_iter().any(differs) {
-            Err(self.error(&formula.name, "the board measures motor_angle_rad modulo one turn, and the formula is not periodic"))
+            Err(self.error("the board measures motor_angle_rad modulo one turn, and the formula is not periodic"))
         } else {
             Ok(())
         }
@@ -125,11 +123,9 @@ impl Converter<'_> {
                 1 => (line, 1),
                 2 => (surface, surface),
                 0 => {
-                    return Err(self
-                        .error(&formula.name, "a constant is part of the base: refit without it"));
+                    return Err(self.error("a constant is part of the base: refit without it"));
                 }
                 _ => return Err(self.error(
-                    &formula.name,
                     "it depends on more than two covariates, and the device holds tables of two",
                 )),
             };
@@ -153,7 +149,7 @@ impl Converter<'_> {
                     known.iter().zip([column, row]).map(|(known, i)| at(known, i)).collect();
                 let value = formula.value(values, &covariates).0 * scale;
                 let value = if value.is_finite() { value } else { 0.0 };
-                table.push(self.integer(&formula.name, value, 0)?);
+                table.push(self.integer(value, 0)?);
             }
         }
         Ok(OwnedMap { sides, values: table })

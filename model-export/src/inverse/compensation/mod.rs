@@ -3,14 +3,13 @@
 mod effect_tables;
 mod lookup_table;
 
-use firmware::config::constants;
 use firmware::estimator::compensation::{
     Compensation, FieldEffect, ForceEffect, MAX_EFFECTS, crosstalk,
 };
 use firmware::fixed_point::{Field, Force};
 use nalgebra::{Matrix3, Vector3};
 
-use crate::effects::{Compensated, EffectTerm};
+use crate::effects::{DeviceForm, EffectTerm};
 use crate::inverse::compensation::lookup_table::OwnedMap;
 use crate::inverse::static_model::StaticModel;
 
@@ -49,6 +48,8 @@ enum OwnedOnForce {
 
 /// Converts the effects of one sensor into the device's formats.
 pub(super) struct Converter<'a> {
+    /// Name of the effect, for messages.
+    pub(super) effect: &'a str,
     pub(super) number: u32,
     pub(super) model: &'a StaticModel,
     /// Field units per gauss.
@@ -64,19 +65,21 @@ impl OwnedCompensation {
         gauss_per_lsb: f64,
     ) -> Result<Option<Self>, NotCompensable> {
         let units = f64::from(1_u32 << Field::BITS) / gauss_per_lsb;
-        let sensor = Converter { number, model, units };
         let mut own = Self { number: number as u8, ..Self::default() };
         let mut sorted: Vec<&(EffectTerm, Vec<f64>)> = effects.iter().collect();
         // In reverse order of the measuring chain.
         sorted.sort_by_key(|(effect, _)| std::cmp::Reverse(effect.stage()));
         for (effect, values) in sorted {
+            let converter = Converter { effect: effect.name(), number, model, units };
             match effect {
-                EffectTerm::Catalogue(known) if known.compensated == Compensated::Compensation => {
-                    sensor.add(&mut own, known.id, values)?;
-                }
+                EffectTerm::Catalogue(known) => match known.device {
+                    DeviceForm::Field(form) => own.field.push(converter.field(form, values)?),
+                    DeviceForm::Force(form) => own.force.push(converter.force(form, values)?),
+                    DeviceForm::Tables | DeviceForm::Settled | DeviceForm::Never(_) => {}
+                },
                 // A polynomial, the only base with channel-wise effects, has no inverse.
-                EffectTerm::Catalogue(_) | EffectTerm::Channelwise(_) => {}
-                EffectTerm::Expression(formula) => match sensor.map(formula, values)? {
+                EffectTerm::Channelwise(_) => {}
+                EffectTerm::Expression(formula) => match converter.map(formula, values)? {
                     lookup_table::Maps::Field(maps) => own.field.push(OwnedOnField::Map(maps)),
                     lookup_table::Maps::Force(maps) => own.force.push(OwnedOnForce::Map(maps)),
                 },
@@ -84,10 +87,10 @@ impl OwnedCompensation {
         }
         let count = own.field.len().max(own.force.len());
         if count > MAX_EFFECTS {
-            return Err(sensor.error(
-                "the whole",
-                format!("{count} effects, and the device supports {MAX_EFFECTS}: remove some"),
-            ));
+            let converter = Converter { effect: "the whole", number, model, units };
+            return Err(converter.error(format!(
+                "{count} effects, and the device supports {MAX_EFFECTS}: remove some"
+            )));
         }
         Ok((count > 0).then_some(own))
     }
@@ -143,86 +146,39 @@ impl OwnedCompensation {
 }
 
 impl Converter<'_> {
-    pub(super) fn error(&self, effect: &str, why: impl Into<String>) -> NotCompensable {
-        NotCompensable { effect: effect.to_owned(), sensor: self.number, why: why.into() }
+    pub(super) fn error(&self, why: impl Into<String>) -> NotCompensable {
+        NotCompensable { effect: self.effect.to_owned(), sensor: self.number, why: why.into() }
     }
 
     /// Rounds a value to an integer with `bits` fractional bits.
-    pub(super) fn integer(
-        &self,
-        effect: &str,
-        value: f64,
-        bits: u32,
-    ) -> Result<i32, NotCompensable> {
+    pub(super) fn integer(&self, value: f64, bits: u32) -> Result<i32, NotCompensable> {
         let scaled = (value * 2.0_f64.powi(bits as i32)).round();
         if scaled.abs() <= f64::from(i32::MAX) {
             Ok(scaled as i32)
         } else {
-            Err(self.error(effect, format!("{value:.3e} does not fit the device's format")))
+            Err(self.error(format!("{value:.3e} does not fit the device's format")))
         }
-    }
-
-    fn add(
-        &self,
-        own: &mut OwnedCompensation,
-        id: &str,
-        values: &[f64],
-    ) -> Result<(), NotCompensable> {
-        let per_count = 1.0 / constants::TEMPERATURE_SCALE.value;
-        let mut field = |effect| own.field.push(OwnedOnField::Scalar(effect));
-        let mut force = |effect| own.force.push(OwnedOnForce::Scalar(effect));
-        match id {
-            "sensor_temperature" => field(self.sensor_temperature(values, per_count)?),
-            "motor_leakage" => field(self.motor_leakage(values)?),
-            "earth_field" => field(self.earth_field(values)?),
-            "magnet_temperature" => field(self.magnet_temperature(values, per_count)?),
-            "thermal_gap" => field(self.thermal_gap(values, per_count)?),
-            "viscous_lag" => force(self.viscous_lag(values)?),
-            "creep" => force(self.creep(values)?),
-            "hard_stop" => force(self.hard_stop(values)?),
-            "hysteresis" => force(self.hysteresis(values)?),
-            "fingertip_mass" => force(self.fingertip_mass(values)?),
-            "neighbour_magnet" => {
-                let knots = self.neighbour_magnet(values)?;
-                own.field.push(OwnedOnField::Neighbour(knots));
-            }
-            other => {
-                return Err(self.error(other, "the device has no compensation for this effect"));
-            }
-        }
-        Ok(())
     }
 
     fn turn(&self) -> Matrix3<f64> {
         *self.model.model.frames().element.matrix()
     }
 
-    fn three(&self, id: &str, values: Vector3<f64>, bits: u32) -> Result<[i32; 3], NotCompensable> {
+    fn three(&self, values: Vector3<f64>, bits: u32) -> Result<[i32; 3], NotCompensable> {
         Ok([
-            self.integer(id, values.x, bits)?,
-            self.integer(id, values.y, bits)?,
-            self.integer(id, values.z, bits)?,
+            self.integer(values.x, bits)?,
+            self.integer(values.y, bits)?,
+            self.integer(values.z, bits)?,
         ])
     }
 
-    fn matrix(
-        &self,
-        id: &str,
-        matrix: Matrix3<f64>,
-        bits: u32,
-    ) -> Result<[[i32; 3]; 3], NotCompensable> {
-        let row = |i: usize| self.three(id, matrix.row(i).transpose(), bits);
+    fn matrix(&self, matrix: Matrix3<f64>, bits: u32) -> Result<[[i32; 3]; 3], NotCompensable> {
+        let row = |i: usize| self.three(matrix.row(i).transpose(), bits);
         Ok([row(0)?, row(1)?, row(2)?])
     }
 
-    pub(super) fn values<const N: usize>(
-        &self,
-        id: &str,
-        values: &[f64],
-    ) -> Result<[f64; N], NotCompensable> {
+    fn values<const N: usize>(&self, values: &[f64]) -> Result<[f64; N], NotCompensable> {
         let found: Option<[f64; N]> = values.try_into().ok();
-        found.ok_or_else(|| {
-            self.error(id, format!("it has {} parameters and needs {N}", values.len()))
-        })
+        found.ok_or_else(|| self.error(format!("it has {} parameters and needs {N}", values.len())))
     }
 }
