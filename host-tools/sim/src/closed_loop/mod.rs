@@ -27,7 +27,7 @@ use crate::drivetrain::fingertips::Fingertips;
 use crate::drivetrain::parameters::{self, Lead};
 use crate::hall_sensor::NOISE_G;
 use anyhow::Result;
-use firmware::config::constants::{SENSOR_RANGE, SENSOR_SCALE};
+use firmware::config::constants::{SENSOR_RANGE, SENSOR_SCALE, TICK_US};
 use firmware::config::limits::{DetectionLimits, GripLimits};
 use firmware::config::parameters::Parameters;
 use firmware::config::schema::id;
@@ -44,8 +44,6 @@ use model_export::recordings::description::NominalDesign;
 use std::cell::RefCell;
 use std::rc::Rc;
 
-/// Period of the host in microseconds.
-const TICK_US: u64 = 1000;
 /// Boot time of a board that does not expose whether it may be armed.
 const READY_US: u64 = 300_000;
 
