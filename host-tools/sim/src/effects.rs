@@ -384,10 +384,4 @@ mod tests {
     fn every_definition_fits_its_help_line() {
         assert!(EFFECT_KINDS.iter().all(|size| size.meaning.len() <= 62));
     }
-
-    #[test]
-    fn only_catalogue_effects_are_drawn_at_random() {
-        let open: Vec<&str> = EFFECT_KINDS.iter().filter(|s| !s.hidden).map(|s| s.id).collect();
-        assert_eq!(open, ["screw_ripple", "cross_term", "unlogged"]);
-    }
 }

@@ -272,13 +272,6 @@ mod tests {
     }
 
     #[test]
-    fn rolled_gripper_measures_gravity_along_y() {
-        let to_world = Rotation3::from_euler_angles(0.5 * PI, 0.0, 0.3);
-        let force = to_world.inverse() * Vector3::new(0.0, 0.0, GRAVITY);
-        assert!((force - Vector3::new(0.0, GRAVITY, 0.0)).norm() < 1e-12);
-    }
-
-    #[test]
     fn bench_programme_covers_large_angles() {
         let attitude = AttitudeProfile::draw(Programme::Bench, 1, 1);
         for axis in 0..3 {

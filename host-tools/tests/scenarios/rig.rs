@@ -17,10 +17,6 @@ use sim::closed_loop::emulated_board::EmulatedBoard;
 
 use super::file::{Act, Scenario, Step};
 
-/// Frame of a flood: the shortest for this node, without a message.
-const FLOOD: u16 = frame_id(DEFAULT_NODE, 0x1F);
-/// Maximum queue of a flood.
-const QUEUE: usize = 50;
 /// From the first sensor transfer to the first tick, less the address bits.
 const FIRST_TICK_AFTER_US: u64 = FIRST_TICK_US - 15;
 
@@ -280,13 +276,7 @@ impl Host {
         {
             self.last = Some(send(command, board));
         }
-        let mut can = board.can.borrow_mut();
-        let id = embedded_can::StandardId::new(FLOOD).unwrap();
-        for _ in 0..self.flood_per_s / 1000 {
-            if can.waiting() < QUEUE {
-                can.put(CanFrame::new(id, &[]).unwrap());
-            }
-        }
+        board.can.borrow_mut().flood(self.flood_per_s / 1000);
         let mut line = board.line.borrow_mut();
         for _ in 0..self.garbage_per_s / 1000 {
             self.noise = self.noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);

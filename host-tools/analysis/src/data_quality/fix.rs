@@ -403,31 +403,27 @@ mod tests {
     }
 
     #[test]
-    fn power_of_ten_moves_the_decimal_point() {
-        assert_eq!(convert("1234.5", 1e-3, 0.0).unwrap(), "1.2345");
-        assert_eq!(convert("0.0400", 1e3, 0.0).unwrap(), "40.0");
-        assert_eq!(convert("-0.021", 1e3, 0.0).unwrap(), "-21");
+    fn conversion_keeps_the_resolution() {
+        let degree = std::f64::consts::PI / 180.0;
+        for (text, factor, offset, converted) in [
+            // A power of ten moves the decimal point.
+            ("1234.5", 1e-3, 0.0, Some("1.2345")),
+            ("0.0400", 1e3, 0.0, Some("40.0")),
+            ("-0.021", 1e3, 0.0, Some("-21")),
+            ("297.40", 1.0, -273.15, Some("24.25")),
+            ("300", 1.0, -273.15, Some("26.85")),
+            ("57.296", degree, 0.0, Some("1.000004")),
+            ("1e2", degree, 0.0, Some("1.7")),
+            ("none", degree, 0.0, None),
+        ] {
+            assert_eq!(convert(text, factor, offset).as_deref(), converted, "{text}");
+        }
     }
 
     #[test]
-    fn kelvin_to_celsius_keeps_the_decimals() {
-        assert_eq!(convert("297.40", 1.0, -273.15).unwrap(), "24.25");
-        assert_eq!(convert("300", 1.0, -273.15).unwrap(), "26.85");
-    }
-
-    #[test]
-    fn degrees_to_rad_keep_the_resolution() {
-        let factor = std::f64::consts::PI / 180.0;
-        assert_eq!(convert("57.296", factor, 0.0).unwrap(), "1.000004");
-        assert_eq!(convert("1e2", factor, 0.0).unwrap(), "1.7");
-        assert_eq!(convert("none", factor, 0.0), None);
-    }
-
-    #[test]
-    fn negate_changes_the_text_only() {
-        assert_eq!(negate("-98"), "98");
-        assert_eq!(negate("0.10"), "-0.10");
-        assert_eq!(negate("0"), "0");
-        assert_eq!(negate(""), "");
+    fn negation_changes_the_text_only() {
+        for (text, negated) in [("-98", "98"), ("0.10", "-0.10"), ("0", "0"), ("", "")] {
+            assert_eq!(negate(text), negated);
+        }
     }
 }

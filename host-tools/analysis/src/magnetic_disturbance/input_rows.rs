@@ -13,17 +13,14 @@ use model_export::recordings::columns::{COVARIATES, ChannelLayout, HallColumn};
 use model_export::recordings::description::NominalDesign;
 use model_export::recordings::stream::{RawRow, RawStream};
 use nalgebra::Vector3;
-use rand_chacha::ChaCha8Rng;
 
 use device_run::channel_map::{CovariateChannels, field_counts, temperature_counts};
 use device_run::{DeviceRow, RecordedRows};
 use sim::campaign::excitation::Excitation;
-use sim::campaign::gripper::{CampaignGripper, CampaignTime};
-use sim::campaign::recording::{SETTLING_S, TEMPERATURE_C, covariates};
+use sim::campaign::gripper::CampaignGripper;
+use sim::campaign::recording::{RecordingSampler, SETTLING_S};
 use sim::campaign::settings::CampaignSettings;
 use sim::effects::Effects;
-use sim::hall_sensor::HallNoise;
-use sim::random::{Purpose, normal, stream};
 
 /// Duration of a simulated recording in seconds.
 pub const SECONDS: f64 = 100.0;
@@ -221,13 +218,9 @@ impl SimulatedGripper {
         let layout = ChannelLayout { hall: columns.collect(), forces: Vec::new() };
         SimulatedInput {
             settings,
-            recording,
             excitation: settings.excitation(recording),
             mechanics: CampaignGripper::new(settings, &self.effects, &self.excitations),
-            noises: (0..settings.sensors)
-                .map(|sensor| settings.noise_of(recording, sensor))
-                .collect(),
-            rng: stream(settings.seed, Purpose::Covariates, recording),
+            sampler: RecordingSampler::new(settings, recording),
             covariates: CovariateChannels::find(&layout, Some(&settings.design)),
             frame: 0,
         }
@@ -236,11 +229,9 @@ impl SimulatedGripper {
 
 struct SimulatedInput<'a> {
     settings: &'a CampaignSettings,
-    recording: u32,
     excitation: Excitation,
     mechanics: CampaignGripper,
-    noises: Vec<HallNoise>,
-    rng: ChaCha8Rng,
+    sampler: RecordingSampler<'a>,
     covariates: CovariateChannels,
     frame: u32,
 }
@@ -253,21 +244,13 @@ impl InputRows for SimulatedInput<'_> {
             return Ok(None);
         }
         let since_s = if self.frame == 0 { SETTLING_S } else { period_s };
-        let moment = CampaignTime { recording: self.recording, time_s, since_s };
         self.frame += 1;
-        let fields = self.mechanics.advance(self.settings, &self.excitation, moment);
+        let sample = self.sampler.sample(&mut self.mechanics, &self.excitation, time_s, since_s);
         let mut sensors = [None; SENSORS];
-        let slots = fields.iter().zip(&mut self.noises).zip(&mut sensors);
-        for (number, ((field, noise), slot)) in slots.enumerate() {
-            let warmer_k = self.excitation.temperature_c(number, time_s) - REFERENCE_C;
-            let word = temperature_counts(warmer_k + TEMPERATURE_C * normal(&mut self.rng));
-            *slot = Some((field + noise.next(since_s), word));
+        for (slot, (field_g, temperature_c)) in sensors.iter_mut().zip(sample.sensors) {
+            *slot = Some((field_g, temperature_counts(temperature_c - REFERENCE_C)));
         }
-        let row = RawRow {
-            time_s,
-            hall: covariates(&self.excitation, time_s, &mut self.rng).into(),
-            forces: Vec::new(),
-        };
+        let row = RawRow { time_s, hall: sample.covariates.into(), forces: Vec::new() };
         Ok(Some(InputRow { time_s, sensors, covariates: self.covariates.at(&row) }))
     }
 

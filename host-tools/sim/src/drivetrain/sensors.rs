@@ -160,10 +160,14 @@ mod tests {
     use crate::drivetrain::parameters::noise_stream;
 
     #[test]
-    fn one_ampere_is_80_counts_and_24_v_are_1600() {
-        let converted =
-            MotorSensors::ideal().convert(&[1.0, -1.0, 0.0], 24.0, &mut noise_stream(1));
-        assert_eq!(converted, ([2128, 1968, 2048], 1600));
+    fn one_ampere_is_80_counts_24_v_are_1600_and_both_saturate() {
+        for (current_a, bus_v, counts) in
+            [(1.0, 24.0, ([2128, 1968, 2048], 1600)), (30.0, 70.0, ([4095, 0, 2048], 4095))]
+        {
+            let currents_a = [current_a, -current_a, 0.0];
+            let converted = MotorSensors::ideal().convert(&currents_a, bus_v, &mut noise_stream(1));
+            assert_eq!(converted, counts);
+        }
     }
 
     #[test]
@@ -172,13 +176,6 @@ mod tests {
         assert_eq!(turn_counts(-0.25 * TAU), 12_288);
         assert_eq!(turn_counts(-1e-18), 0);
         assert_eq!(turn_counts(7.500_01 * TAU), 8192);
-    }
-
-    #[test]
-    fn converter_saturates_at_full_scale() {
-        let converted =
-            MotorSensors::ideal().convert(&[30.0, -30.0, 0.0], 70.0, &mut noise_stream(1));
-        assert_eq!(converted, ([4095, 0, 2048], 4095));
     }
 
     #[test]
