@@ -21,7 +21,6 @@ use firmware::sensors::hall::SENSORS;
 use firmware::tasks::FIRST_TICK_US;
 use model_export::inverse::build::{DeviceModel, ModelVariant, build};
 use model_export::recordings::align::Alignment;
-use model_export::recordings::description::RecordingDescription;
 use model_export::recordings::stream::RawStream;
 use sim::board::world::RecordedWorld;
 use sim::board::{Program, VirtualTimeBoard};
@@ -57,8 +56,7 @@ fn trained(dir: &WorkDir, campaign: &Path) -> Made {
 }
 
 fn stream(folder: &Path) -> RawStream {
-    let (description, _) = RecordingDescription::read(folder).unwrap();
-    RawStream::open(folder, &description, Alignment { delay_us: 0.0 }).unwrap()
+    RawStream::open_folder(folder, Alignment { delay_us: 0.0 }).unwrap()
 }
 
 /// Reports of a board for a recording.

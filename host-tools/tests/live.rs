@@ -227,9 +227,7 @@ fn recorded_counts_equal_the_replayed_ones() {
         dir.json("record --virtual --model model.toml --replay source_copy -o again/1 --json");
     assert_eq!((&output["lost_rows"], &output["left_out_rows"]), (&0.into(), &0.into()));
     let fields = |folder: &Path| {
-        let (description, _) = RecordingDescription::read(folder).unwrap();
-        let mut stream =
-            RawStream::open(folder, &description, Alignment { delay_us: 0.0 }).unwrap();
+        let mut stream = RawStream::open_folder(folder, Alignment { delay_us: 0.0 }).unwrap();
         let channels = [0, 1, 2, 3].map(|sensor| stream.layout().field_channels(sensor).unwrap());
         let mut rows = Vec::new();
         while let Some(row) = stream.next_row().unwrap() {

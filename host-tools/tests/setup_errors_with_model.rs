@@ -4,8 +4,8 @@
 use std::path::Path;
 use std::sync::OnceLock;
 
-use analysis::data_quality::model_checks::{SensorPrediction, check_against_model};
-use analysis::data_quality::{Finding, fix, merge, scan_files};
+use analysis::data_quality::model_checks::SensorPrediction;
+use analysis::data_quality::{Finding, check_against_model, fix, merge, scan_files};
 use model_export::effects::{ExcitationSeries, StateSeries};
 use model_export::fit::rows::SensorRows;
 use model_export::fit::{self, FitOptions};

@@ -18,6 +18,7 @@
 //! `cargo bench -p host-tools --bench foreign_magnet`.
 
 use crate::estimator::estimate::{Estimate, Validity};
+use crate::limits::DetectionLimits;
 use crate::estimator::network_monitor::excess_deviations;
 use crate::fixed_point::{Force, saturate};
 use crate::model::formats::PARITY_SIGMA_BITS;
@@ -31,8 +32,9 @@ pub const PARITY_ALONE: i32 = 56;
 pub const COMMON: i32 = 40;
 /// Threshold of a network's standard deviation in newtons.
 pub const SIGMA_N: i32 = 25;
-/// Threshold of the difference of network and ideal model in newtons, in addition to a fifth of the ideal model's force.
-pub const DISAGREEMENT_N: i32 = 40;
+/// Threshold of the difference of network and ideal model in newtons, in addition to a fifth of the ideal model's force:
+/// that of the network monitor.
+pub const DISAGREEMENT_N: i32 = DetectionLimits::GRIPPER.divergence_n;
 
 /// Frames for which `sigma`, `model_disagreement` and `outside` must persist.
 const DEBOUNCE_FRAMES: u8 = 5;

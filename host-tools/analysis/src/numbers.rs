@@ -76,10 +76,10 @@ pub fn percent(share: f64) -> String {
 
 /// Share in whole percent.
 pub fn whole_percent(share: f64) -> String {
-    match share.is_finite() {
-        true if share > 0.0 && share < 0.005 => "less than 1\u{a0}%".to_owned(),
-        true => format!("{}\u{a0}%", decimal(100.0 * share, 0).replace('-', "\u{2212}")),
-        false => number(share),
+    match share {
+        share if !share.is_finite() => number(share),
+        share if share > 0.0 && share < 0.005 => "less than 1\u{a0}%".to_owned(),
+        share => format!("{}\u{a0}%", decimal(100.0 * share, 0).replace('-', "\u{2212}")),
     }
 }
 

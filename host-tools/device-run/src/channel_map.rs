@@ -2,11 +2,11 @@
 
 use firmware::config::constants;
 use firmware::estimator::auxiliary_inputs::{Attitude, AuxiliaryInputs, MotorInputs};
-use firmware::sensors::hall::{HallReading, SENSORS, a31301};
+use firmware::sensors::hall::{HallReading, a31301};
 use model_export::effects::REFERENCE_C;
 use model_export::recordings::columns::{Axis, ChannelLayout, ForceColumn, HallColumn};
 use model_export::recordings::description::NominalDesign;
-use model_export::recordings::stream::{RawRow, RawStream};
+use model_export::recordings::stream::RawRow;
 use nalgebra::Rotation3;
 
 /// Channels of one sensor in a row.
@@ -24,27 +24,6 @@ pub struct SensorChannels {
     pub forces: [usize; 2],
 }
 
-/// Channels of those sensors in `numbers` whose field and both forces were recorded.
-pub fn sensor_channels(numbers: &[u32], stream: &RawStream) -> Vec<SensorChannels> {
-    let layout = stream.layout();
-    let force = |place: u32, axis: Axis| {
-        let wanted = ForceColumn::Force { sensor: place, axis };
-        layout.forces.iter().position(|column| *column == wanted)
-    };
-    let channels = numbers.iter().enumerate().filter_map(|(table, &number)| {
-        Some(SensorChannels {
-            table,
-            number,
-            field: layout.field_channels(number)?,
-            temperature: layout.hall.iter().position(
-                |column| matches!(column, HallColumn::Temperature { sensor } if *sensor == number),
-            ),
-            forces: [force(number, Axis::X)?, force(number, Axis::Z)?],
-        })
-    });
-    channels.collect()
-}
-
 /// Field in gauss as the sensor's word; saturates at the ends of the range.
 pub fn field_counts(gauss: f64, gauss_per_lsb: f64) -> i16 {
     let (min, max) = a31301::FIELD_LIMITS;
@@ -52,35 +31,49 @@ pub fn field_counts(gauss: f64, gauss_per_lsb: f64) -> i16 {
     counts.clamp(f64::from(min), f64::from(max)) as i16
 }
 
-/// Temperature word of a sensor; zero where the temperature was not recorded.
-pub fn temperature_counts(row: &RawRow, channels: &SensorChannels) -> i16 {
-    // The recording's degrees were made from counts with the same scale, so its true value cancels.
-    channels.temperature.map_or(0, |channel| {
-        let warmer = row.hall[channel] - REFERENCE_C;
-        (warmer * constants::TEMPERATURE_SCALE.value).round() as i16
-    })
+/// Temperature above [`REFERENCE_C`] in kelvin as the sensor's word.
+pub fn temperature_counts(warmer_k: f64) -> i16 {
+    (warmer_k * constants::TEMPERATURE_SCALE.value).round() as i16
 }
 
-/// Register contents of a sensor in this row.
-pub fn reading(row: &RawRow, channels: &SensorChannels, gauss_per_lsb: f64) -> HallReading {
-    let field = |channel: usize| field_counts(row.hall[channel], gauss_per_lsb);
-    HallReading { field: channels.field.map(field), temperature: temperature_counts(row, channels) }
-}
-
-/// Readings of the board's own sensors in this row, through the bytes on their buses.
-pub fn readings(
-    row: &RawRow,
-    sensors: &[SensorChannels],
-    gauss_per_lsb: f64,
-) -> [Option<HallReading>; SENSORS] {
-    let mut readings = [None; SENSORS];
-    for channels in sensors {
-        if let Some(slot) = readings.get_mut(channels.number as usize) {
-            let bytes = a31301::encode(reading(row, channels, gauss_per_lsb));
-            *slot = Some(a31301::decode(bytes));
-        }
+impl SensorChannels {
+    /// Channels of those sensors in `numbers` whose field and both forces were recorded.
+    pub fn find(numbers: &[u32], layout: &ChannelLayout) -> Vec<Self> {
+        let force = |place: u32, axis: Axis| {
+            let wanted = ForceColumn::Force { sensor: place, axis };
+            layout.forces.iter().position(|column| *column == wanted)
+        };
+        let channels = numbers.iter().enumerate().filter_map(|(table, &number)| {
+            Some(Self {
+                table,
+                number,
+                field: layout.field_channels(number)?,
+                temperature: layout.hall.iter().position(|column| {
+                    matches!(column, HallColumn::Temperature { sensor } if *sensor == number)
+                }),
+                forces: [force(number, Axis::X)?, force(number, Axis::Z)?],
+            })
+        });
+        channels.collect()
     }
-    readings
+
+    /// Field in a row, in gauss.
+    pub fn field_g(&self, row: &RawRow) -> [f64; 3] {
+        self.field.map(|channel| row.hall[channel])
+    }
+
+    /// Temperature word in a row; zero where the temperature was not recorded.
+    pub fn temperature(&self, row: &RawRow) -> i16 {
+        // The recording's degrees were made from counts with the same scale, so its true value cancels.
+        self.temperature.map_or(0, |channel| temperature_counts(row.hall[channel] - REFERENCE_C))
+    }
+
+    /// Reading in a row, through the bytes on the sensor's bus.
+    pub fn reading(&self, row: &RawRow, gauss_per_lsb: f64) -> HallReading {
+        let field = self.field_g(row).map(|gauss| field_counts(gauss, gauss_per_lsb));
+        let temperature = self.temperature(row);
+        a31301::decode(a31301::encode(HallReading { field, temperature }))
+    }
 }
 
 /// Channels of the covariates in a row.
@@ -158,7 +151,6 @@ mod tests {
             forces: [0, 1],
         };
         let row = RawRow { time_s: 0.0, hall: vec![2100.0, -2100.0, 0.25], forces: Vec::new() };
-        let decoded = a31301::decode(a31301::encode(reading(&row, &channels, 0.125)));
-        assert_eq!(decoded.field, [16383, -16384, 2]);
+        assert_eq!(channels.reading(&row, 0.125).field, [16383, -16384, 2]);
     }
 }

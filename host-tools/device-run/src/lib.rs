@@ -13,7 +13,7 @@ use firmware::estimator::auxiliary_inputs::AuxiliaryInputs;
 use firmware::estimator::compensation::{Compensation, CompensationState};
 use firmware::estimator::{Validity, estimate};
 use firmware::fixed_point::{Field, Force};
-use firmware::sensors::hall::{HallReading, SENSORS, a31301};
+use firmware::sensors::hall::{HallReading, SENSORS};
 use model_export::gru::train::dataset::{SensorSequence, Sequence};
 use model_export::inverse::build::DeviceModel;
 use model_export::inverse::compensation::OwnedCompensation;
@@ -23,7 +23,7 @@ use model_export::recordings::DataError;
 use model_export::recordings::description::NominalDesign;
 use model_export::recordings::stream::{RawRow, RawStream};
 
-use crate::channel_map::{CovariateChannels, SensorChannels, reading, readings, sensor_channels};
+use crate::channel_map::{CovariateChannels, SensorChannels};
 use crate::networks::NetworkSet;
 
 /// The device's tables, and the same model in floating point.
@@ -79,10 +79,10 @@ pub struct DeviceRow {
     /// Readings of the board's sensors, through the bytes on their buses.
     pub readings: [Option<HallReading>; SENSORS],
     /// Covariates in the device's units.
-    pub around: AuxiliaryInputs,
+    pub covariates: AuxiliaryInputs,
 }
 
-/// Rows of a recording as inputs of the device, in order.
+/// The walk over the rows of a recording, as inputs of the device, in order.
 pub struct RecordedRows {
     stream: RawStream,
     sensors: Vec<SensorChannels>,
@@ -99,7 +99,7 @@ impl RecordedRows {
         gauss_per_lsb: f64,
     ) -> Self {
         Self {
-            sensors: sensor_channels(numbers, &stream),
+            sensors: SensorChannels::find(numbers, stream.layout()),
             covariates: CovariateChannels::find(stream.layout(), design),
             stream,
             gauss_per_lsb,
@@ -115,18 +115,23 @@ impl RecordedRows {
     pub fn stream(&self) -> &RawStream {
         &self.stream
     }
+}
 
-    /// The next row; `None` at the end.
-    ///
-    /// # Errors
-    /// The recording cannot be read.
-    pub fn next_row(&mut self) -> Result<Option<DeviceRow>, DataError> {
-        let raw = self.stream.next_row()?;
-        Ok(raw.map(|raw| DeviceRow {
-            readings: readings(&raw, &self.sensors, self.gauss_per_lsb),
-            around: self.covariates.at(&raw),
-            raw,
-        }))
+impl Iterator for RecordedRows {
+    type Item = Result<DeviceRow, DataError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let raw = match self.stream.next_row().transpose()? {
+            Ok(raw) => raw,
+            Err(error) => return Some(Err(error)),
+        };
+        let mut readings = [None; SENSORS];
+        for channels in &self.sensors {
+            if let Some(slot) = readings.get_mut(channels.number as usize) {
+                *slot = Some(channels.reading(&raw, self.gauss_per_lsb));
+            }
+        }
+        Some(Ok(DeviceRow { readings, covariates: self.covariates.at(&raw), raw }))
     }
 }
 
@@ -156,12 +161,11 @@ pub fn training_sequence(
     };
     let mut tracks: Vec<SensorSequence> = sensors.iter().map(track).collect();
     let mut rows = 0;
-    while let Some(row) = input.next_row()? {
+    while let Some(row) = input.next().transpose()? {
         for ((channels, memory), track) in sensors.iter().zip(&mut memories).zip(&mut tracks) {
-            let bytes = a31301::encode(reading(&row.raw, channels, models.gauss_per_lsb));
-            let reading = Some(a31301::decode(bytes));
+            let reading = Some(channels.reading(&row.raw, models.gauss_per_lsb));
             let number = channels.number as usize;
-            let estimate = estimate(&tables, number, reading, &row.around, memory);
+            let estimate = estimate(&tables, number, reading, &row.covariates, memory);
             let gauss = |field: Field| (field.counts() * models.gauss_per_lsb) as f32;
             track.field_g.push(estimate.field.map(gauss));
             let ideal_n = estimate.force.map(|force: Force| force.newtons() as f32);

@@ -1,4 +1,4 @@
-//! Fields from outside the finger: opposite finger, motor, Earth, a on_random_path magnet, and effects outside the catalogue.
+//! Fields from outside the finger: opposite finger, motor, Earth, a passing magnet, and effects outside the catalogue.
 
 use crate::effects::{CROSS_TERM, Effects, UNLOGGED};
 use crate::finger::{MagnetPose, SensorSpecimen};
@@ -73,7 +73,7 @@ pub fn motor_leakage(specimen: &SensorSpecimen, effects: &Effects, seed: u64) ->
     raw * (effects.each(MOTOR_LEAKAGE.id, specimen.number) / (LEAKAGE_CURRENT_A * raw.norm()))
 }
 
-/// The motor's phase motor_currents (alpha, beta) and its quadrature current, in A.
+/// The motor's phase currents (alpha, beta) and its quadrature current, in A.
 pub fn motor_currents(motion: &MotionState) -> Vector3<f64> {
     let (sin, cos) = libm::sincos(POLE_PAIRS * motion.angle_rad);
     Vector3::new(-motion.current_a * sin, motion.current_a * cos, motion.current_a)

@@ -44,6 +44,21 @@ pub enum NoiseKind {
     Walk,
 }
 
+/// What determines the field of a sensor, besides its load.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FieldConditions {
+    /// Temperature above the reference, in kelvin.
+    pub warm_k: f64,
+    /// Turns of the screw.
+    pub screw_turns: f64,
+    /// Opening of the fingers in mm.
+    pub opening_mm: f64,
+    /// Currents of the motor in A, see [`crate::external_fields::motor_currents`].
+    pub currents_a: Vector3<f64>,
+    /// Share of the demagnetisation.
+    pub lost: f64,
+}
+
 /// A sensor with its finger and the sources that depend on its place.
 pub struct SensorUnit {
     /// Manufactured dimensions.
@@ -82,6 +97,13 @@ impl SensorUnit {
             loss: 0.01 * effects.each(DEMAGNETISATION.id, number),
             specimen,
         }
+    }
+
+    /// Field of both fingers' magnets and of the motor in gauss, gripper axes.
+    pub fn field(&self, at: &FieldConditions) -> Vector3<f64> {
+        self.own_field(at.warm_k, at.screw_turns, at.lost)
+            + self.neighbour.field(at.opening_mm)
+            + self.leakage * at.currents_a
     }
 
     /// Field of the finger's own magnet in gauss, gripper axes; `lost` is the share of the demagnetisation.

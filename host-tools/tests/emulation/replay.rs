@@ -11,7 +11,6 @@ use firmware::protocol::messages::{Force, Message};
 use firmware::protocol::serial::{Packet, PacketDecoder, Tick};
 use libtest_mimic::{Failed, Trial};
 use model_export::recordings::align::Alignment;
-use model_export::recordings::description::RecordingDescription;
 use model_export::recordings::stream::RawStream;
 use sim::board::world::{RecordedWorld, World, WorldSample};
 use sim::board::{Connections, Program, SimulatedBoard, VirtualTimeBoard};
@@ -87,8 +86,7 @@ fn replays(variant: Variant, conditions: ChipConditions) -> Result<(), Failed> {
 }
 
 fn stream(folder: &Path) -> RawStream {
-    let (description, _) = RecordingDescription::read(folder).unwrap();
-    RawStream::open(folder, &description, Alignment { delay_us: 0.0 }).unwrap()
+    RawStream::open_folder(folder, Alignment { delay_us: 0.0 }).unwrap()
 }
 
 /// What a board reports while its sensors measure a recording: every tick, and every force message with its sensor.

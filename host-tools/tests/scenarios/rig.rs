@@ -6,9 +6,9 @@ use embedded_can::Frame;
 use firmware::config::parameters::op as parameter_op;
 use firmware::config::schema::counter;
 use firmware::protocol::can::CanFrame;
-use firmware::protocol::messages::{Command, FaultEvent, Message, ParamRequest, Service};
+use firmware::protocol::host_session::HostSession;
+use firmware::protocol::messages::{Command, FaultEvent, Message, ParamRequest};
 use firmware::protocol::serial::{MAX_PACKET_BYTES, Packet, PacketDecoder, Tick, encode};
-use firmware::protocol::session::{SERVICE_MAGIC, authenticate, op, status};
 use firmware::protocol::{DEFAULT_NODE, frame_id};
 use firmware::system::faults::Event;
 use firmware::tasks::FIRST_TICK_US;
@@ -17,12 +17,6 @@ use sim::closed_loop::emulated_board::EmulatedBoard;
 
 use super::file::{Act, Scenario, Step};
 
-const COMMAND: u16 = frame_id(DEFAULT_NODE, Command::LAYOUT.number);
-const SERVICE: u16 = frame_id(DEFAULT_NODE, Service::LAYOUT.number);
-/// Frame of a flood: the shortest for this node, without a message.
-const FLOOD: u16 = frame_id(DEFAULT_NODE, 0x1F);
-/// Maximum queue of a flood.
-const QUEUE: usize = 50;
 /// From the first sensor transfer to the first tick, less the address bits.
 const FIRST_TICK_AFTER_US: u64 = FIRST_TICK_US - 15;
 
@@ -101,11 +95,9 @@ pub struct Observed {
 }
 
 /// Host on the CAN bus.
-#[derive(Default)]
 struct Host {
-    nonce: Option<u16>,
+    session: HostSession,
     commands_per_s: u32,
-    counter: u8,
     flood_per_s: u32,
     garbage_per_s: u32,
     /// Number of processed frames of the board.
@@ -122,7 +114,7 @@ impl ScenarioRig {
             layer,
             origin_us,
             board_origin_us: None,
-            host: Host::default(),
+            host: Host::new(),
             receiver: PacketDecoder::default(),
             counts: [None; 2],
             observed: Observed::default(),
@@ -142,7 +134,7 @@ impl ScenarioRig {
             self.host.each_ms(ms, self.layer.connections());
             self.look();
         }
-        self.host = Host::default();
+        self.host = Host::new();
         self.count(1000.0 * scenario.seconds);
         (self.observed, self.layer)
     }
@@ -250,46 +242,41 @@ impl ScenarioRig {
             Act::Join => can().no_acknowledge = false,
             Act::Flood { frames_per_s } => self.host.flood_per_s = frames_per_s,
             Act::Garbage { bytes_per_s } => self.host.garbage_per_s = bytes_per_s,
-            Act::Arm => self.host.ask(&connections),
+            Act::Arm => self.host.arm(&connections),
             Act::Command { per_s } => self.host.commands_per_s = per_s,
-            Act::Spoil { frames } => self.host.corrupt(frames, &connections),
-            Act::Repeat { frames } => self.host.repeat(frames, &connections),
+            Act::Spoil { frames } => self.host.repeat(frames, true, &connections),
+            Act::Repeat { frames } => self.host.repeat(frames, false, &connections),
         }
     }
 }
 
 impl Host {
-    fn ask(&mut self, board: &Connections) {
-        self.nonce = None;
-        self.service(0, board);
+    fn new() -> Self {
+        Self {
+            session: HostSession::new(DEFAULT_NODE),
+            commands_per_s: 0,
+            flood_per_s: 0,
+            garbage_per_s: 0,
+            looked: 0,
+            last: None,
+            noise: 0,
+        }
     }
 
-    fn service(&self, nonce: u16, board: &Connections) {
-        let service = Service { op: op::ARM, magic: SERVICE_MAGIC, nonce, argument: 0 };
-        board.can.borrow_mut().put(CanFrame::from_bytes(SERVICE, service.to_bytes()));
+    fn arm(&mut self, board: &Connections) {
+        send(self.session.arm(), board);
     }
 
     /// Advances the host by a millisecond.
     fn each_ms(&mut self, ms: u64, board: &Connections) {
         self.listen(board);
         let due = |per_s: u32| per_s > 0 && (ms * u64::from(per_s)) % 1000 < u64::from(per_s);
-        if let Some(nonce) = self.nonce
-            && due(self.commands_per_s)
+        if due(self.commands_per_s)
+            && let Some(command) = self.session.seal(Command::default())
         {
-            self.counter = (self.counter + 1) & 0xF;
-            let command = Command { counter: self.counter, ..Command::default() };
-            let frame =
-                CanFrame::from_bytes(COMMAND, authenticate(nonce, COMMAND, command).to_bytes());
-            self.last = Some(frame);
-            board.can.borrow_mut().put(frame);
+            self.last = Some(send(command, board));
         }
-        let mut can = board.can.borrow_mut();
-        let id = embedded_can::StandardId::new(FLOOD).unwrap();
-        for _ in 0..self.flood_per_s / 1000 {
-            if can.waiting() < QUEUE {
-                can.put(CanFrame::new(id, &[]).unwrap());
-            }
-        }
+        board.can.borrow_mut().flood(self.flood_per_s / 1000);
         let mut line = board.line.borrow_mut();
         for _ in 0..self.garbage_per_s / 1000 {
             self.noise = self.noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -299,40 +286,37 @@ impl Host {
 
     /// Confirms the board's nonce.
     fn listen(&mut self, board: &Connections) {
-        let mut found = None;
-        {
+        let frames: Vec<CanFrame> = {
             let can = board.can.borrow();
-            for (_, frame) in can.board_frames.iter().skip(self.looked) {
-                let number = (frame.identifier() & 0x1F) as u8;
-                if let Ok(Message::ServiceReply(reply)) = Message::from_frame(number, frame.data())
-                    && reply.status == status::CHALLENGE
-                {
-                    found = Some(reply.nonce);
-                }
+            let new = can.board_frames.iter().skip(self.looked);
+            new.map(|(_, frame)| *frame).collect()
+        };
+        self.looked += frames.len();
+        for frame in frames {
+            let number = (frame.identifier() & 0x1F) as u8;
+            if let Ok(Message::ServiceReply(reply)) = Message::from_frame(number, frame.data())
+                && let Some(response) = self.session.receive(&reply)
+            {
+                send(response, board);
             }
-            self.looked = can.board_frames.len();
-        }
-        if let Some(nonce) = found {
-            self.service(nonce, board);
-            self.nonce = Some(nonce);
         }
     }
 
-    /// Sends commands with a flipped bit.
-    fn corrupt(&mut self, frames: u32, board: &Connections) {
+    /// Repeats the last command, with a flipped bit if `is_corrupt`.
+    fn repeat(&self, frames: u32, is_corrupt: bool, board: &Connections) {
+        let last = self.last.expect("no command yet");
         for i in 0..frames {
-            let command = authenticate(self.nonce.unwrap_or(0), COMMAND, Command::default());
-            let mut bytes = command.to_bytes();
-            bytes[(i % 6) as usize] ^= 0x10;
-            board.can.borrow_mut().put(CanFrame::from_bytes(COMMAND, bytes));
+            let mut bytes: [u8; 8] = last.data().try_into().unwrap();
+            bytes[(i % 6) as usize] ^= if is_corrupt { 0x10 } else { 0 };
+            board.can.borrow_mut().put(CanFrame::from_bytes(last.identifier(), bytes));
         }
     }
+}
 
-    /// Repeats the last command.
-    fn repeat(&mut self, frames: u32, board: &Connections) {
-        for _ in 0..frames {
-            let last = self.last.expect("no command yet");
-            board.can.borrow_mut().put(last);
-        }
-    }
+/// Sends a message to the board; returns its frame.
+fn send(message: Message, board: &Connections) -> CanFrame {
+    let id = frame_id(DEFAULT_NODE, message.number());
+    let frame = CanFrame::from_bytes(id, message.to_bytes());
+    board.can.borrow_mut().put(frame);
+    frame
 }

@@ -30,10 +30,80 @@ pub enum CellRule {
     Ignored,
 }
 
+/// Reader of the records of a table, the header being the first.
+pub type CsvReader = csv::Reader<Box<dyn Read + Send>>;
+
+/// Number of rows from which the typical period of a clock is estimated.
+pub const PERIOD_ROWS: usize = 1000;
+
+/// Path of `folder/name` or `folder/name.gz`.
+///
+/// # Errors
+/// Neither or both exist.
+pub fn table_path(folder: &Path, name: &'static str) -> Result<PathBuf, DataError> {
+    let plain = folder.join(name);
+    let compressed = folder.join(format!("{name}.gz"));
+    match (plain.exists(), compressed.exists()) {
+        (true, true) => Err(ErrorKind::AmbiguousFile { name }.at(Location::file(folder))),
+        (true, false) => Ok(plain),
+        (false, true) => Ok(compressed),
+        (false, false) => {
+            let advice = "a recording consists of hall.csv from the board and force.csv from the reference (each may be gzipped)";
+            Err(ErrorKind::MissingFile { name, advice }.at(Location::file(folder)))
+        }
+    }
+}
+
+/// True for the name of a compressed file.
+pub fn is_compressed(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension == "gz")
+}
+
+/// Opens a file for reading records of any length, decompressing it where its name ends in `.gz`.
+///
+/// # Errors
+/// It cannot be opened, or is not compressed although its name says so.
+pub fn open_csv(path: &Path) -> Result<CsvReader, DataError> {
+    let unreadable = |error| ErrorKind::Unreadable(error).at(Location::file(path));
+    let mut file = File::open(path).map_err(unreadable)?;
+    if !is_compressed(path) {
+        return Ok(csv_reader(Box::new(file)));
+    }
+    let mut magic = [0; 2];
+    let length = file.read(&mut magic).map_err(unreadable)?;
+    file.rewind().map_err(unreadable)?;
+    if length == 2 && magic != GZIP_MAGIC {
+        return Err(ErrorKind::NotGzip.at(Location::file(path)));
+    }
+    Ok(csv_reader(Box::new(flate2::read::MultiGzDecoder::new(file))))
+}
+
+fn csv_reader(input: Box<dyn Read + Send>) -> CsvReader {
+    csv::ReaderBuilder::new()
+        .has_headers(false)
+        .flexible(true)
+        .buffer_capacity(1 << 16)
+        .from_reader(input)
+}
+
+/// Names of the columns in a header record.
+pub fn column_names(header: &csv::ByteRecord) -> Vec<String> {
+    let name = |cell| {
+        let name = String::from_utf8_lossy(cell);
+        name.trim_start_matches('\u{feff}').trim().to_owned()
+    };
+    header.iter().map(name).collect()
+}
+
+/// Number in a cell, finite or not; `None` for text.
+pub fn number(cell: &[u8]) -> Option<f64> {
+    std::str::from_utf8(cell.trim_ascii()).ok()?.parse().ok()
+}
+
 /// An open table. Memory use is independent of the length of the file.
 pub struct CsvTable {
     path: PathBuf,
-    reader: csv::Reader<Box<dyn Read + Send>>,
+    reader: CsvReader,
     header: Vec<String>,
     record: csv::ByteRecord,
     time_column: usize,
@@ -44,55 +114,17 @@ pub struct CsvTable {
 }
 
 impl CsvTable {
-    /// Opens `folder/name.csv` or `folder/name.csv.gz`.
+    /// Opens the table `name` of a recording, see [`table_path`].
     ///
     /// # Errors
-    /// Neither or both exist, or the header is invalid.
+    /// Neither or both files exist, or the header is invalid.
     pub fn open(folder: &Path, name: &'static str) -> Result<Self, DataError> {
-        let plain = folder.join(name);
-        let compressed = folder.join(format!("{name}.gz"));
-        let path = match (plain.exists(), compressed.exists()) {
-            (true, true) => {
-                return Err(ErrorKind::AmbiguousFile { name }.at(Location::file(folder)));
-            }
-            (true, false) => plain,
-            (false, true) => compressed,
-            (false, false) => {
-                let advice = "a recording consists of hall.csv from the board and force.csv from the reference (each may be gzipped)";
-                return Err(ErrorKind::MissingFile { name, advice }.at(Location::file(folder)));
-            }
-        };
-        Self::open_file(&path)
+        Self::open_file(&table_path(folder, name)?)
     }
 
     /// Opens one file, decompressing it where its name ends in `.gz`.
     pub fn open_file(path: &Path) -> Result<Self, DataError> {
-        let unreadable = |error| ErrorKind::Unreadable(error).at(Location::file(path));
-        let mut file = File::open(path).map_err(unreadable)?;
-        let compressed = path.extension().is_some_and(|extension| extension == "gz");
-        if compressed {
-            let mut magic = [0; 2];
-            let length = file.read(&mut magic).map_err(unreadable)?;
-            file.rewind().map_err(unreadable)?;
-            if length == 2 && magic != GZIP_MAGIC {
-                return Err(ErrorKind::NotGzip.at(Location::file(path)));
-            }
-        }
-        let input: Box<dyn Read + Send> = if compressed {
-            Box::new(flate2::read::MultiGzDecoder::new(file))
-        } else {
-            Box::new(file)
-        };
-        Self::from_reader(path, input)
-    }
-
-    /// Reads from any source; error messages name `path`.
-    pub fn from_reader(path: &Path, input: Box<dyn Read + Send>) -> Result<Self, DataError> {
-        let mut reader = csv::ReaderBuilder::new()
-            .has_headers(false)
-            .flexible(true)
-            .buffer_capacity(1 << 16)
-            .from_reader(input);
+        let mut reader = open_csv(path)?;
         let mut record = csv::ByteRecord::new();
         let found = reader
             .read_byte_record(&mut record)
@@ -107,13 +139,7 @@ impl CsvTable {
         if !is_text {
             return Err(ErrorKind::NotText.at(Location::file(path).line(1)));
         }
-        let header: Vec<String> = record
-            .iter()
-            .map(|cell| {
-                let name = String::from_utf8_lossy(cell);
-                name.trim_start_matches('\u{feff}').trim().to_owned()
-            })
-            .collect();
+        let header = column_names(&record);
         if let [only] = header.as_slice()
             && let Some(separator) = [';', '\t'].into_iter().find(|c| only.contains(*c))
         {
@@ -167,10 +193,10 @@ impl CsvTable {
         self.rules = rules;
     }
 
-    /// Median period of the first thousand rows, in the unit of the clock; the rows are buffered for
+    /// Median period of the first [`PERIOD_ROWS`] rows, in the unit of the clock; the rows are buffered for
     /// [`CsvTable::next_row`].
     pub fn median_period(&mut self) -> Result<f64, DataError> {
-        while self.buffered.len() < 1000 {
+        while self.buffered.len() < PERIOD_ROWS {
             match self.read_row()? {
                 Some(row) => self.buffered.push_back(row),
                 None => break,
@@ -265,8 +291,7 @@ fn parse_cell(cell: &[u8], rule: CellRule) -> Result<f64, ErrorKind> {
         CellRule::Number if trimmed.is_empty() => return Err(ErrorKind::EmptyCell),
         CellRule::Number | CellRule::Optional => {}
     }
-    let value: Option<f64> = std::str::from_utf8(trimmed).ok().and_then(|text| text.parse().ok());
-    match value {
+    match number(trimmed) {
         Some(value) if value.is_finite() => Ok(value),
         Some(_) => Err(ErrorKind::NotFinite { text: quoted() }),
         None => Err(ErrorKind::NotANumber { text: quoted() }),

@@ -241,6 +241,12 @@ impl RawStream {
         })
     }
 
+    /// Opens a recording with the description in its folder.
+    pub fn open_folder(folder: &Path, alignment: Alignment) -> Result<Self, DataError> {
+        let (description, _) = RecordingDescription::read(folder)?;
+        Self::open(folder, &description, alignment)
+    }
+
     /// Channels of the rows.
     pub fn layout(&self) -> &ChannelLayout {
         &self.layout

@@ -13,7 +13,6 @@ use device_run::ReplayModels;
 use device_run::networks::NetworkSet;
 use model_export::gru::quantise::QuantiseError;
 use model_export::inverse::build::DeviceModel;
-use model_export::recordings::description::RecordingDescription;
 use model_export::recordings::stream::RawStream;
 
 /// Row stride of the errors and samples that are stored.
@@ -77,8 +76,7 @@ pub fn evaluate(
     built: &DeviceModel,
     networks: Option<&NetworkSet>,
 ) -> Result<VariantResult> {
-    let (description, _) = RecordingDescription::read(&data.held_out)?;
-    let stream = RawStream::open(&data.held_out, &description, data.alignment)?;
+    let stream = RawStream::open_folder(&data.held_out, data.alignment)?;
     let models = ReplayModels { networks, ..ReplayModels::of(built) };
     let (mut errors_n, mut samples) = ([Vec::new(), Vec::new()], Vec::new());
     let (mut first_s, mut count) = (None, 0_usize);

@@ -10,7 +10,6 @@ use device_run::ReplayModels;
 use model_export::inverse::build::{BuildError, DeviceModel, ModelVariant, build_model};
 use model_export::recordings::align::Alignment;
 use model_export::recordings::columns::Axis;
-use model_export::recordings::description::RecordingDescription;
 use model_export::recordings::stream::RawStream;
 use rayon::prelude::*;
 use std::path::Path;
@@ -155,7 +154,6 @@ fn replay_folds(
     alignment: Alignment,
     origin_s: f64,
 ) -> Result<Vec<SensorForces>> {
-    let (description, _) = RecordingDescription::read(&planned.named.folder)?;
     let mut used: Vec<usize> = planned.folds.iter().map(|(_, model)| *model).collect();
     used.sort_unstable();
     used.dedup();
@@ -166,7 +164,7 @@ fn replay_folds(
             .and_then(Option::as_ref)
             .ok_or_else(|| anyhow!("{}: no tables were built", planned.named.name))?;
         let models = ReplayModels::of(built);
-        let stream = RawStream::open(&planned.named.folder, &description, alignment)?;
+        let stream = RawStream::open_folder(&planned.named.folder, alignment)?;
         let mut segment: Vec<SensorForces> = Vec::new();
         let replayed = replay_with(
             models,

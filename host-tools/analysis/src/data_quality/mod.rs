@@ -15,13 +15,16 @@ pub mod scan;
 use std::path::Path;
 
 use anyhow::Result;
+use model_export::recordings::align::Alignment;
 use model_export::recordings::campaign::recording_folders;
+use model_export::recordings::{Campaign, Location};
 use rayon::prelude::*;
 
-use crate::data_quality::checks::CheckContext;
-use crate::data_quality::fix::repair::Fix;
+use crate::data_quality::checks::{CheckContext, Found, clock, columns, lines};
+use crate::data_quality::fix::Fix;
+use crate::data_quality::model_checks::description::column_errors;
+use crate::data_quality::model_checks::{ModelResiduals, SensorPrediction};
 use crate::data_quality::scan::RecordingScan;
-use model_export::recordings::Location;
 
 /// A setup error in the recordings, with evidence and remedy.
 #[derive(Clone, Debug)]
@@ -38,25 +41,48 @@ pub struct Finding {
     pub fix: Option<Fix>,
 }
 
-/// Identifiers of all findings, most severe first.
-pub const ORDER: [&str; 16] = [
-    "clock_backwards",
-    "duplicate_rows",
-    "wrong_unit",
-    "axis_permuted",
-    "axis_flipped",
-    "force_swapped",
-    "force_flipped",
-    "stuck_channel",
-    "saturated",
-    "clock_skew",
-    "clock_gap",
-    "coarse_steps",
-    "repeated_samples",
-    "outlier",
-    "spectral_line",
-    "constant_covariate",
-];
+/// Search for one setup error, in the files alone, against a model, or both.
+struct Check {
+    id: &'static str,
+    in_files: Option<for<'a> fn(&CheckContext<'a>) -> Vec<Found<'a>>>,
+    /// Receives the identifier.
+    against_model: Option<for<'a> fn(&ModelResiduals<'a>, &str) -> Vec<Found<'a>>>,
+}
+
+/// All checks, most severe first: a check skips the columns that an earlier one explains.
+const CHECKS: [Check; 16] = {
+    const fn files(
+        id: &'static str,
+        check: for<'a> fn(&CheckContext<'a>) -> Vec<Found<'a>>,
+    ) -> Check {
+        Check { id, in_files: Some(check), against_model: None }
+    }
+    const fn columns(id: &'static str) -> Check {
+        Check { id, in_files: None, against_model: Some(column_errors) }
+    }
+    [
+        files("clock_backwards", clock::backwards),
+        files("duplicate_rows", clock::duplicates),
+        Check { in_files: Some(columns::wrong_units), ..columns("wrong_unit") },
+        columns("axis_permuted"),
+        columns("axis_flipped"),
+        columns("force_swapped"),
+        columns("force_flipped"),
+        files("stuck_channel", columns::stuck_channels),
+        files("saturated", columns::saturation),
+        Check {
+            id: "clock_skew",
+            in_files: None,
+            against_model: Some(|residuals, _| model_checks::clock::offsets(residuals)),
+        },
+        files("clock_gap", clock::gaps),
+        files("coarse_steps", columns::coarse_steps),
+        files("repeated_samples", clock::repeated_samples),
+        files("outlier", columns::outliers),
+        files("spectral_line", lines::spectral_lines),
+        files("constant_covariate", columns::constant_covariates),
+    ]
+};
 
 /// Merges findings from the files and from the model checks and removes consequences of the same cause.
 pub fn merge(files: Vec<Finding>, model_checks: Vec<Finding>) -> Vec<Finding> {
@@ -64,8 +90,6 @@ pub fn merge(files: Vec<Finding>, model_checks: Vec<Finding>) -> Vec<Finding> {
         let name = finding.place.file.file_name().unwrap_or_default();
         name.to_string_lossy().trim_end_matches(".gz").to_owned()
     };
-    let has = |id: &str| files.iter().any(|finding| finding.id == id);
-    let repeated = has("repeated_samples");
     let mut all: Vec<Finding> = files
         .iter()
         .filter(|finding| {
@@ -76,31 +100,17 @@ pub fn merge(files: Vec<Finding>, model_checks: Vec<Finding>) -> Vec<Finding> {
         .cloned()
         .collect();
     all.extend(model_checks);
-    sort(&mut all);
-    if repeated {
+    all.sort_by_key(|finding| match finding.id {
         // Repeated samples delay the field, which looks like a clock offset.
-        all.sort_by_key(|finding| {
-            let rank = rank(finding);
-            match finding.id {
-                "repeated_samples" => (rank_of("clock_skew"), 0),
-                _ => (rank, 1),
-            }
-        });
-    }
+        "repeated_samples" => (rank("clock_skew"), 0),
+        id => (rank(id), 1),
+    });
     all
 }
 
-fn rank(finding: &Finding) -> usize {
-    rank_of(finding.id)
-}
-
-fn rank_of(id: &str) -> usize {
-    ORDER.iter().position(|other| *other == id).unwrap_or(ORDER.len())
-}
-
-/// Sorts by severity; the sort is stable.
-pub fn sort(findings: &mut [Finding]) {
-    findings.sort_by_key(rank);
+/// Position in the order of severity.
+fn rank(id: &str) -> usize {
+    CHECKS.iter().position(|check| check.id == id).unwrap_or(CHECKS.len())
 }
 
 /// Scans every recording of the campaign in `folder` once and returns its findings, most severe first.
@@ -120,8 +130,23 @@ pub fn scan_files(folder: &Path, read: impl Fn(&str) + Sync) -> Result<Vec<Findi
         })
         .collect();
     let mut context = CheckContext::new(&recordings);
-    checks::run_all(&mut context);
-    let mut findings = context.findings;
-    sort(&mut findings);
-    Ok(findings)
+    for Check { id, in_files, .. } in CHECKS {
+        let found = in_files.map_or_else(Vec::new, |check| check(&context));
+        context.add(id, found);
+    }
+    Ok(context.into_findings())
+}
+
+/// Column and clock errors of a campaign that was read with this alignment, most severe first.
+pub fn check_against_model(
+    campaign: &Campaign,
+    alignment: Alignment,
+    sensors: &[SensorPrediction],
+) -> Vec<Finding> {
+    let residuals = ModelResiduals::new(campaign, alignment, sensors);
+    let checks = CHECKS.iter().filter_map(|check| Some((check.id, check.against_model?)));
+    let found = checks.flat_map(|(id, check)| {
+        check(&residuals, id).into_iter().map(move |found| found.finding(id))
+    });
+    found.collect()
 }

@@ -123,14 +123,3 @@ impl DisturbanceEvent {
         }
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn alarm_error_is_a_fixed_fraction_of_the_range() {
-        assert_eq!(alarm_error_n(250.0), 20.0);
-        assert!((alarm_error_n(5.0) - 0.4).abs() < 1e-12);
-    }
-}

@@ -6,24 +6,21 @@ use anyhow::Result;
 use firmware::config::constants;
 use firmware::estimator::auxiliary_inputs::AuxiliaryInputs;
 use firmware::sensors::hall::{HallReading, SENSORS};
+use model_export::effects::REFERENCE_C;
 use model_export::inverse::build::DeviceModel;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::columns::{COVARIATES, ChannelLayout, HallColumn};
-use model_export::recordings::description::{NominalDesign, RecordingDescription};
+use model_export::recordings::description::NominalDesign;
 use model_export::recordings::stream::{RawRow, RawStream};
 use nalgebra::Vector3;
-use rand_chacha::ChaCha8Rng;
 
-use device_run::channel_map::{
-    CovariateChannels, SensorChannels, field_counts, sensor_channels, temperature_counts,
-};
-use sim::campaign::excitation::{Excitation, REFERENCE_C};
-use sim::campaign::gripper::{CampaignGripper, CampaignTime};
-use sim::campaign::recording::{SETTLING_S, TEMPERATURE_C, covariates};
+use device_run::channel_map::{CovariateChannels, field_counts, temperature_counts};
+use device_run::{DeviceRow, RecordedRows};
+use sim::campaign::excitation::Excitation;
+use sim::campaign::gripper::CampaignGripper;
+use sim::campaign::recording::{RecordingSampler, SETTLING_S};
 use sim::campaign::settings::CampaignSettings;
 use sim::effects::Effects;
-use sim::hall_sensor::HallNoise;
-use sim::random::{Purpose, normal, stream};
 
 /// Duration of a simulated recording in seconds.
 pub const SECONDS: f64 = 100.0;
@@ -38,7 +35,7 @@ pub struct InputRow {
     /// Field with noise in gauss, and the temperature word; `None` without a sensor.
     pub sensors: [Option<(Vector3<f64>, i16)>; SENSORS],
     /// Covariates in the device's units.
-    pub around: AuxiliaryInputs,
+    pub covariates: AuxiliaryInputs,
 }
 
 impl InputRow {
@@ -118,6 +115,7 @@ pub struct RecordedGripper {
     seed: u64,
     numbers: Vec<u32>,
     design: Option<NominalDesign>,
+    gauss_per_lsb: f64,
 }
 
 impl RecordedGripper {
@@ -138,6 +136,7 @@ impl RecordedGripper {
             seed,
             numbers: built.header.sensors.clone(),
             design: built.model.design.clone(),
+            gauss_per_lsb: built.model.sensor_scale.gauss_per_lsb,
         };
         let mut rows = own.rows()?;
         while let Some(row) = rows.next_row()? {
@@ -147,41 +146,31 @@ impl RecordedGripper {
     }
 
     fn rows(&self) -> Result<RecordedInput> {
-        let (description, _) = RecordingDescription::read(&self.folder)?;
-        let stream = RawStream::open(&self.folder, &description, self.alignment)?;
-        Ok(RecordedInput {
-            sensors: sensor_channels(&self.numbers, &stream),
-            covariates: CovariateChannels::find(stream.layout(), self.design.as_ref()),
-            stream,
-            first_s: None,
-        })
+        let stream = RawStream::open_folder(&self.folder, self.alignment)?;
+        let design = self.design.as_ref();
+        let rows = RecordedRows::new(stream, &self.numbers, design, self.gauss_per_lsb);
+        Ok(RecordedInput { rows, first_s: None })
     }
 }
 
 struct RecordedInput {
-    stream: RawStream,
-    sensors: Vec<SensorChannels>,
-    covariates: CovariateChannels,
+    rows: RecordedRows,
     first_s: Option<f64>,
 }
 
 impl InputRows for RecordedInput {
     fn next_row(&mut self) -> Result<Option<InputRow>> {
-        let Some(row) = self.stream.next_row()? else {
+        let Some(DeviceRow { raw, covariates, .. }) = self.rows.next().transpose()? else {
             return Ok(None);
         };
         let mut sensors = [None; SENSORS];
-        for channels in &self.sensors {
+        for channels in self.rows.sensors() {
             if let Some(sensor) = sensors.get_mut(channels.number as usize) {
-                let field_g = Vector3::from(channels.field.map(|channel| row.hall[channel]));
-                *sensor = Some((field_g, temperature_counts(&row, channels)));
+                *sensor = Some((channels.field_g(&raw).into(), channels.temperature(&raw)));
             }
         }
-        Ok(Some(InputRow {
-            time_s: row.time_s - *self.first_s.get_or_insert(row.time_s),
-            sensors,
-            around: self.covariates.at(&row),
-        }))
+        let time_s = raw.time_s - *self.first_s.get_or_insert(raw.time_s);
+        Ok(Some(InputRow { time_s, sensors, covariates }))
     }
 
     /// The orientation of the elements is unknown; the directions of the magnets are isotropic.
@@ -229,13 +218,9 @@ impl SimulatedGripper {
         let layout = ChannelLayout { hall: columns.collect(), forces: Vec::new() };
         SimulatedInput {
             settings,
-            recording,
             excitation: settings.excitation(recording),
             mechanics: CampaignGripper::new(settings, &self.effects, &self.excitations),
-            noises: (0..settings.sensors)
-                .map(|sensor| settings.noise_of(recording, sensor))
-                .collect(),
-            rng: stream(settings.seed, Purpose::Covariates, recording),
+            sampler: RecordingSampler::new(settings, recording),
             covariates: CovariateChannels::find(&layout, Some(&settings.design)),
             frame: 0,
         }
@@ -244,11 +229,9 @@ impl SimulatedGripper {
 
 struct SimulatedInput<'a> {
     settings: &'a CampaignSettings,
-    recording: u32,
     excitation: Excitation,
     mechanics: CampaignGripper,
-    noises: Vec<HallNoise>,
-    rng: ChaCha8Rng,
+    sampler: RecordingSampler<'a>,
     covariates: CovariateChannels,
     frame: u32,
 }
@@ -261,23 +244,14 @@ impl InputRows for SimulatedInput<'_> {
             return Ok(None);
         }
         let since_s = if self.frame == 0 { SETTLING_S } else { period_s };
-        let moment = CampaignTime { recording: self.recording, time_s, since_s };
         self.frame += 1;
-        let fields = self.mechanics.advance(self.settings, &self.excitation, moment);
+        let sample = self.sampler.sample(&mut self.mechanics, &self.excitation, time_s, since_s);
         let mut sensors = [None; SENSORS];
-        let slots = fields.iter().zip(&mut self.noises).zip(&mut sensors);
-        for (number, ((field, noise), slot)) in slots.enumerate() {
-            let warmer_k = self.excitation.temperature_c(number, time_s) - REFERENCE_C;
-            let measured_k = warmer_k + TEMPERATURE_C * normal(&mut self.rng);
-            let word = (measured_k * constants::TEMPERATURE_SCALE.value).round() as i16;
-            *slot = Some((field + noise.next(since_s), word));
+        for (slot, (field_g, temperature_c)) in sensors.iter_mut().zip(sample.sensors) {
+            *slot = Some((field_g, temperature_counts(temperature_c - REFERENCE_C)));
         }
-        let row = RawRow {
-            time_s,
-            hall: covariates(&self.excitation, time_s, &mut self.rng).into(),
-            forces: Vec::new(),
-        };
-        Ok(Some(InputRow { time_s, sensors, around: self.covariates.at(&row) }))
+        let row = RawRow { time_s, hall: sample.covariates.into(), forces: Vec::new() };
+        Ok(Some(InputRow { time_s, sensors, covariates: self.covariates.at(&row) }))
     }
 
     fn in_sensor_axes(&self, sensor: usize, field_g: Vector3<f64>) -> Vector3<f64> {

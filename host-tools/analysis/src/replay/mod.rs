@@ -20,7 +20,7 @@ use crate::calibration::{Coverage, PredictedError, SIGMA_MULTIPLES, subtract_tar
 use crate::replay::tare::{TareEstimator, friction_n};
 use crate::statistics::Moments;
 use device_run::ReplayModels;
-use device_run::channel_map::{SensorChannels, reading};
+use device_run::channel_map::SensorChannels;
 use device_run::networks::{FloatForce, NetworkSet, ReplayNetworks};
 
 /// Rows that are read and estimated together; only these two are timed.
@@ -188,17 +188,17 @@ pub fn replay_with(
         networks.iter_mut().for_each(ReplayNetworks::clear_inputs);
         let start = Instant::now();
         while rows.len() < CHUNK
-            && let Some(row) = input.next_row()?
+            && let Some(row) = input.next().transpose()?
         {
             let frame = HallFrame { readings: row.readings, ..HallFrame::default() };
-            let on_board = estimator.update(&frame, &row.around);
+            let on_board = estimator.update(&frame, &row.covariates);
             disturbances.update(row.raw.time_s, estimator.detector().flag());
             for (channels, memory) in sensors.iter().zip(&mut memories) {
                 let number = channels.number as usize;
                 network_valid.push(!estimator.network_diverged(number));
                 estimates.push(on_board.get(number).copied().unwrap_or_else(|| {
-                    let reading = Some(reading(&row.raw, channels, models.gauss_per_lsb));
-                    estimate(&tables, number, reading, &row.around, memory)
+                    let reading = Some(channels.reading(&row.raw, models.gauss_per_lsb));
+                    estimate(&tables, number, reading, &row.covariates, memory)
                 }));
             }
             rows.push(row.raw);

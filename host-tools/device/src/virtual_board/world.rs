@@ -1,12 +1,11 @@
 //! Input of the virtual board's sensors.
 
 use std::f64::consts::TAU;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use model_export::inverse::build::DeviceModel;
 use model_export::recordings::DataError;
 use model_export::recordings::align::Alignment;
-use model_export::recordings::description::RecordingDescription;
 use model_export::recordings::stream::RawStream;
 
 use sim::board::world::{PressedWorld, RecordedWorld, World};
@@ -37,7 +36,9 @@ impl SensorInput {
     /// The recording cannot be read.
     pub fn stream(&self) -> Result<Option<RawStream>, DataError> {
         match self {
-            Self::Recorded(folder) => open(folder).map(Some),
+            Self::Recorded(folder) => {
+                RawStream::open_folder(folder, Alignment { delay_us: 0.0 }).map(Some)
+            }
             Self::Grasps | Self::Pressed(_) => Ok(None),
         }
     }
@@ -57,11 +58,6 @@ impl SensorInput {
             (_, None) => Box::new(PressedWorld::new(model, SEED, move |s| pressed(grasp(s)))),
         }
     }
-}
-
-fn open(folder: &Path) -> Result<RawStream, DataError> {
-    let (description, _) = RecordingDescription::read(folder)?;
-    RawStream::open(folder, &description, Alignment { delay_us: 0.0 })
 }
 
 /// Lateral and longitudinal force of a grasp over time: one second without load for the tare.

@@ -3,7 +3,7 @@
 use std::f64::consts::PI;
 
 use analysis::data_quality::Finding;
-use analysis::data_quality::fix::repair::Fix;
+use analysis::data_quality::fix::Fix;
 use model_export::recordings::Location;
 use model_export::recordings::columns::Axis;
 

@@ -6,7 +6,7 @@ use embedded_can::{Frame as _, StandardId};
 use emulator::Time;
 use emulator::devices::{self, CanBus as _, CanEvent, Transmission};
 use firmware::protocol::can::{CanError, CanFrame, CanReceiver, CanSender};
-use firmware::protocol::{DEFAULT_NODE, ESTOP_ALL_ID};
+use firmware::protocol::{DEFAULT_NODE, ESTOP_ALL_ID, frame_id};
 use firmware::system::clock::Clock;
 use std::cell::RefCell;
 use std::collections::VecDeque;
@@ -23,6 +23,9 @@ const fn frame_bits(bytes: u64) -> u64 {
     let stuffed = 34 + 8 * bytes;
     13 + stuffed + (stuffed - 1) / 4
 }
+
+/// Frames of a flood that wait at most.
+const FLOOD_QUEUE: usize = 50;
 
 /// A frame in transmission.
 #[derive(Clone, Copy, Debug)]
@@ -66,6 +69,17 @@ impl CanBus {
     fn wake(&mut self) {
         if let Some(waker) = self.waker.take() {
             waker.wake();
+        }
+    }
+
+    /// Queues frames of the shortest length without a message, up to [`FLOOD_QUEUE`] waiting ones.
+    pub fn flood(&mut self, frames: u32) {
+        let id = StandardId::new(frame_id(DEFAULT_NODE, 0x1F));
+        let Some(frame) = id.and_then(|id| CanFrame::new(id, &[])) else { return };
+        for _ in 0..frames {
+            if self.waiting() < FLOOD_QUEUE {
+                self.put(frame);
+            }
         }
     }
 

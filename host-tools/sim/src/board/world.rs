@@ -1,11 +1,12 @@
 //! Worlds of a simulated board: what its sensors measure each millisecond, and the motor's interface.
 
+use crate::drivetrain::fingertips::SensorForces;
 use crate::hall_sensor::NOISE_G;
-use device_run::channel_map::{CovariateChannels, SensorChannels, readings, sensor_channels};
+use device_run::channel_map::field_counts;
+use device_run::{RecordedRows, ReplayModels};
 use firmware::config::constants::{SENSE_RATE, TICK_US};
 use firmware::estimator::auxiliary_inputs::AuxiliaryInputs;
 use firmware::motor::{MotorCommand, MotorStatus};
-use firmware::sensors::hall::a31301::FIELD_LIMITS;
 use firmware::sensors::hall::{HallReading, SENSORS};
 use firmware::tasks::FIRST_TICK_US;
 use model_export::inverse::build::DeviceModel;
@@ -125,9 +126,6 @@ impl WorldClock {
     }
 }
 
-/// Forces at each sensor, lateral and longitudinal, in newtons.
-pub type SensorForces = [[f64; 2]; SENSORS];
-
 /// Known forces on a fitted gripper: fields of its forward model, with sensor noise.
 pub struct PressedWorld {
     forward: [Option<ForwardModel>; SENSORS],
@@ -169,11 +167,9 @@ impl World for PressedWorld {
             // A sensor outside the model is on its bus with zero field.
             let field_g =
                 forward.as_ref().map_or_else(Vector3::zeros, |forward| forward.field(force_n));
-            let (min, max) = FIELD_LIMITS;
             let field = [0, 1, 2].map(|axis| {
                 let noisy_g = field_g[axis] + self.noise.sample(&mut self.rng);
-                let counts = (noisy_g / self.gauss_per_lsb).round();
-                counts.clamp(f64::from(min), f64::from(max)) as i16
+                field_counts(noisy_g, self.gauss_per_lsb)
             });
             *place = Some(HallReading { field, temperature: 0 });
         }
@@ -183,10 +179,7 @@ impl World for PressedWorld {
 
 /// A recording, replayed at the board's rate whatever its clock.
 pub struct RecordedWorld {
-    stream: RawStream,
-    wiring: Vec<SensorChannels>,
-    covariates: CovariateChannels,
-    gauss_per_lsb: f64,
+    rows: RecordedRows,
     /// Read error; the world ends there.
     pub problem: Option<DataError>,
 }
@@ -194,28 +187,18 @@ pub struct RecordedWorld {
 impl RecordedWorld {
     /// Replays a recording for a model.
     pub fn new(stream: RawStream, built: &DeviceModel) -> Self {
-        Self {
-            wiring: sensor_channels(&built.header.sensors, &stream),
-            covariates: CovariateChannels::find(stream.layout(), built.model.design.as_ref()),
-            gauss_per_lsb: built.model.sensor_scale.gauss_per_lsb,
-            stream,
-            problem: None,
-        }
+        Self { rows: ReplayModels::of(built).rows(stream), problem: None }
     }
 }
 
 impl World for RecordedWorld {
     fn next(&mut self) -> Option<WorldSample> {
-        let row = match self.stream.next_row() {
-            Ok(row) => row?,
+        match self.rows.next()? {
+            Ok(row) => Some(WorldSample { readings: row.readings, covariates: row.covariates }),
             Err(problem) => {
                 self.problem = Some(problem);
-                return None;
+                None
             }
-        };
-        Some(WorldSample {
-            readings: readings(&row, &self.wiring, self.gauss_per_lsb),
-            covariates: self.covariates.at(&row),
-        })
+        }
     }
 }

@@ -1,15 +1,16 @@
 //! The simulated gripper of a campaign, with the state that carries over between recordings.
 
 use model_export::effects::catalogue::{EXTERNAL_MAGNET, SCREW_BACKLASH};
+use model_export::effects::REFERENCE_C;
 use nalgebra::Vector3;
 
-use crate::campaign::excitation::{Excitation, REFERENCE_C};
+use crate::campaign::excitation::Excitation;
 use crate::campaign::settings::{CampaignSettings, start_s};
 use crate::effects::Effects;
 use crate::external_fields::{
     PassingMagnet, UncataloguedField, earth_field, in_body, motor_currents,
 };
-use crate::hall_sensor::SensorUnit;
+use crate::hall_sensor::{FieldConditions, SensorUnit};
 use crate::motion::{Backlash, LEAD_MM};
 
 /// Integration steps of the mechanics per sample.
@@ -79,20 +80,22 @@ impl CampaignGripper {
     ) -> Vec<Vector3<f64>> {
         let motion = excitation.motion(time.time_s);
         let orientation = excitation.orientation(time.time_s);
-        let opening_mm = self.backlash.follow(motion.opening_mm);
         let earth = in_body(self.earth_g, &orientation);
-        let currents = motor_currents(&motion);
+        let conditions = FieldConditions {
+            warm_k: 0.0,
+            screw_turns: motion.opening_mm / LEAD_MM,
+            opening_mm: self.backlash.follow(motion.opening_mm),
+            currents_a: motor_currents(&motion),
+            lost: self.losses[time.recording as usize - 1],
+        };
         let session_s = start_s(settings.seconds, time.recording) + time.time_s;
-        let lost = self.losses[time.recording as usize - 1];
-        let (turns, foreign) = (motion.opening_mm / LEAD_MM, &self.foreign);
+        let foreign = &self.foreign;
         let unknown = self.uncatalogued.field(&motion, session_s);
         let read = |sensor: &mut SensorUnit| {
             let number = sensor.specimen.number;
             apply_load(sensor, excitation, time);
             let warm_k = excitation.temperature_c(number as usize, time.time_s) - REFERENCE_C;
-            let field = sensor.own_field(warm_k, turns, lost)
-                + sensor.neighbour.field(opening_mm)
-                + sensor.leakage * currents
+            let field = sensor.field(&FieldConditions { warm_k, ..conditions })
                 + earth
                 + unknown
                 + foreign.field(time.recording, number, time.time_s);

@@ -14,6 +14,7 @@ use flate2::write::GzEncoder;
 use model_export::effects::catalogue::{CLOCK_SKEW, REFERENCE_DRIFT, REFERENCE_FILTER};
 use model_export::recordings::columns::{Axis, COVARIATES};
 use model_export::recordings::description::RecordingDescription;
+use nalgebra::Vector3;
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 use std::f64::consts::TAU;
@@ -22,7 +23,7 @@ use std::io::BufWriter;
 use std::path::Path;
 
 /// Noise of a temperature in K, one standard deviation (assumed of ordinary parts, as those below).
-pub const TEMPERATURE_C: f64 = 0.05;
+const TEMPERATURE_C: f64 = 0.05;
 /// Noise of the board's other channels.
 const OPENING_MM: f64 = 0.005;
 const CURRENT_A: f64 = 0.02;
@@ -78,13 +79,9 @@ impl RecordingWriter<'_> {
     }
 
     fn hall(&self, folder: &Path, gripper: &mut CampaignGripper) -> Result<()> {
-        let seed = self.settings.seed;
         let mut table = create(folder, "hall.csv.gz")?;
         table.write_record(hall_columns(self.settings.sensors))?;
-        let mut noises: Vec<HallNoise> = (0..self.settings.sensors)
-            .map(|sensor| self.settings.noise_of(self.recording, sensor))
-            .collect();
-        let mut rng = stream(seed, Purpose::Covariates, self.recording);
+        let mut sampler = RecordingSampler::new(self.settings, self.recording);
         // With clock skew the board records the field of an earlier time.
         let skew_s = 1e-3 * self.effects.size(CLOCK_SKEW.id);
         let mut last_s = f64::NAN;
@@ -92,17 +89,14 @@ impl RecordingWriter<'_> {
             let time_s = true_s - skew_s;
             let since_s = if last_s.is_nan() { SETTLING_S } else { time_s - last_s };
             last_s = time_s;
-            let time = CampaignTime { recording: self.recording, time_s, since_s };
-            let fields = gripper.advance(self.settings, self.excitation, time);
+            let sample = sampler.sample(gripper, self.excitation, time_s, since_s);
             let mut row = vec![stamp_us.to_string()];
-            for (sensor, (field, noise)) in fields.iter().zip(&mut noises).enumerate() {
-                let counts = self.settings.part.counts(field + noise.next(since_s));
+            for (field_g, temperature_c) in sample.sensors {
+                let counts = self.settings.part.counts(field_g);
                 row.extend(counts.map(|count| count.to_string()));
-                let temperature_c = self.excitation.temperature_c(sensor, time_s);
-                row.push(format!("{:.2}", temperature_c + TEMPERATURE_C * normal(&mut rng)));
+                row.push(format!("{temperature_c:.2}"));
             }
-            let covariates = covariates(self.excitation, time_s, &mut rng);
-            let written = covariates.iter().zip(DECIMALS);
+            let written = sample.covariates.iter().zip(DECIMALS);
             row.extend(written.map(|(value, decimals)| format!("{value:.decimals$}")));
             table.write_record(&row)?;
         }
@@ -134,8 +128,57 @@ impl RecordingWriter<'_> {
 /// Decimals of [`COVARIATES`] in the file.
 const DECIMALS: [usize; COVARIATES.len()] = [3, 3, 4, 3, 3, 3, 4, 4, 4];
 
+/// Samples of a recording before quantisation, in order of time.
+pub struct RecordingSampler<'a> {
+    settings: &'a CampaignSettings,
+    recording: u32,
+    noises: Vec<HallNoise>,
+    rng: ChaCha8Rng,
+}
+
+/// One sample with noise.
+pub struct RecordedSample {
+    /// Field in gauss and temperature in degrees Celsius of each sensor.
+    pub sensors: Vec<(Vector3<f64>, f64)>,
+    /// Values of [`COVARIATES`].
+    pub covariates: [f64; COVARIATES.len()],
+}
+
+impl<'a> RecordingSampler<'a> {
+    /// Before the first sample of a recording.
+    pub fn new(settings: &'a CampaignSettings, recording: u32) -> Self {
+        let noise = |sensor| settings.noise_of(recording, sensor);
+        Self {
+            settings,
+            recording,
+            noises: (0..settings.sensors).map(noise).collect(),
+            rng: stream(settings.seed, Purpose::Covariates, recording),
+        }
+    }
+
+    /// Sample at a time, `since_s` after the previous one; advances the gripper.
+    pub fn sample(
+        &mut self,
+        gripper: &mut CampaignGripper,
+        excitation: &Excitation,
+        time_s: f64,
+        since_s: f64,
+    ) -> RecordedSample {
+        let time = CampaignTime { recording: self.recording, time_s, since_s };
+        let fields_g = gripper.advance(self.settings, excitation, time);
+        let noisy = fields_g.iter().zip(&mut self.noises).enumerate();
+        let sensors = noisy.map(|(sensor, (field_g, noise))| {
+            let temperature_c = excitation.temperature_c(sensor, time_s);
+            let noise_c = TEMPERATURE_C * normal(&mut self.rng);
+            (field_g + noise.next(since_s), temperature_c + noise_c)
+        });
+        let sensors = sensors.collect();
+        RecordedSample { sensors, covariates: covariates(excitation, time_s, &mut self.rng) }
+    }
+}
+
 /// Noisy values of [`COVARIATES`], in their order.
-pub fn covariates(
+fn covariates(
     excitation: &Excitation,
     time_s: f64,
     rng: &mut ChaCha8Rng,

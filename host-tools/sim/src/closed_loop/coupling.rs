@@ -41,14 +41,25 @@ pub struct SensingErrors {
 pub type CountsTransform = Box<dyn FnMut([u16; 4]) -> [u16; 4]>;
 
 impl SensingErrors {
+    /// Samples of a PWM period with the errors.
     fn modify(&mut self, sensed: &mut MotorSamples) {
         if let (Some(frame), Ok(angle)) = (&mut self.frame, sensed.angle) {
             sensed.angle = as5047::angle(frame(as5047::answer(angle)));
         }
-        if let Some(counts) = &mut self.counts {
-            let [u, v, w] = sensed.phases;
-            let [u, v, w, bus] = counts([u, v, w, sensed.bus]);
-            (sensed.phases, sensed.bus) = ([u, v, w], bus);
+        let [u, v, w, bus] = self.convert((sensed.phases, sensed.bus));
+        (sensed.phases, sensed.bus) = ([u, v, w], bus);
+    }
+
+    /// Counts of the converters with the errors.
+    fn convert(&mut self, ([u, v, w], bus): ([u16; 3], u16)) -> [u16; 4] {
+        let converted = [u, v, w, bus];
+        self.counts.as_mut().map_or(converted, |counts| counts(converted))
+    }
+
+    /// Drivetrain after a step from `before`: where it is jammed, without motion.
+    fn jam(&self, train: &mut DriveTrain, before: DriveTrain) {
+        if self.is_jammed {
+            *train = DriveTrain { speed_rad_s: 0.0, travel_m_s: 0.0, ..before };
         }
     }
 }
@@ -135,9 +146,7 @@ impl SimulatedGripper {
         let errors = &mut self.errors;
         let before = self.rig.plant.train;
         self.rig.period_with(|sensed| errors.modify(sensed));
-        if errors.is_jammed {
-            self.rig.plant.train = DriveTrain { speed_rad_s: 0.0, travel_m_s: 0.0, ..before };
-        }
+        errors.jam(&mut self.rig.plant.train, before);
         self.record_detections();
         if self.periods % STATUS_PERIODS == self.status_phase {
             self.status = self.rig.motor.status();
@@ -161,9 +170,7 @@ impl SimulatedGripper {
     pub fn half_period(&mut self, drive: BridgeCommand) {
         let before = self.rig.plant.train;
         self.rig.plant.half_period(drive);
-        if self.errors.is_jammed {
-            self.rig.plant.train = DriveTrain { speed_rad_s: 0.0, travel_m_s: 0.0, ..before };
-        }
+        self.errors.jam(&mut self.rig.plant.train, before);
         self.is_second_half = !self.is_second_half;
         if !self.is_second_half {
             self.periods += 1;
@@ -173,21 +180,13 @@ impl SimulatedGripper {
 
     /// Counts of the converters: phases U, V, W, bus voltage.
     pub fn convert(&mut self) -> [u16; 4] {
-        let ([u, v, w], bus) = self.rig.plant.convert();
-        let converted = [u, v, w, bus];
-        match &mut self.errors.counts {
-            Some(counts) => counts(converted),
-            None => converted,
-        }
+        self.errors.convert(self.rig.plant.convert())
     }
 
     /// Answer of the rotor sensor.
     pub fn answer(&mut self) -> u16 {
         let answer = as5047::answer(self.rig.plant.angle());
-        match &mut self.errors.frame {
-            Some(frame) => frame(answer),
-            None => answer,
-        }
+        self.errors.frame.as_mut().map_or(answer, |frame| frame(answer))
     }
 
     /// Records when the motor detected a fault, to a PWM period.

@@ -1,4 +1,4 @@
-//! Step and frequency response of the set_current loop with a locked rotor.
+//! Step and frequency response of the current loop with a locked rotor.
 
 use crate::closed_loop::motor_rig::{DriveCase, MotorRig, periods};
 use crate::drivetrain::PERIOD_S;
@@ -29,7 +29,7 @@ const FREQUENCIES_HZ: [f64; 20] = [
 /// Mean step response.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StepResponse {
-    /// Time since the set-point in s, and quadrature set_current as a share of the step.
+    /// Time since the set-point in s, and quadrature current as a share of the step.
     pub points: Vec<[f64; 2]>,
 }
 
@@ -40,7 +40,7 @@ pub struct FrequencyPoint {
     pub frequency_hz: f64,
     /// Current over set-point.
     pub gain: f64,
-    /// Phase lag of the set_current, in degrees.
+    /// Phase lag of the current, in degrees.
     pub lag_deg: f64,
 }
 

@@ -1,19 +1,15 @@
 //! A grasp from approach to hold, sampled each millisecond: by the firmware, or by a current limit alone.
 
 use crate::closed_loop::drive_result;
-use crate::closed_loop::grasp_rig::{GraspRig, NOISE_N, contact_object, grip_command};
+use crate::closed_loop::grasp_rig::{
+    GraspRig, NOISE_N, TICK_S, contact_object, grip_command, object_width_mm,
+};
 use crate::closed_loop::motor_rig::{DriveCase, MotorRig};
 use crate::drivetrain::parameters::{Lead, PlantParameters};
 use firmware::config::constants::{self, Constant};
 use firmware::grip::states::{PowerState, TaskState};
 use firmware::motor::{MotorCommand, Setpoint};
 
-/// Sample period in seconds.
-pub const STEP_S: f64 = 1e-3;
-/// Default width of the object in mm.
-const WIDTH_MM: f64 = 40.0;
-/// Opening that remains after a soft object deforms, in mm.
-const MIN_OPENING_MM: f64 = 5.0;
 /// Timeouts of contact to hold and of the approach, in seconds.
 const TIMEOUTS_S: [f64; 2] = [10.0, 20.0];
 /// Averaging time at the end, in seconds.
@@ -88,9 +84,8 @@ impl GraspTarget {
         self.opening_mm() <= constants::STROKE.value
     }
 
-    /// Width that allows the deformation.
     fn width_mm(&self) -> f64 {
-        WIDTH_MM.max(self.set_n / self.contact_n_per_mm + MIN_OPENING_MM)
+        object_width_mm(self.set_n, self.contact_n_per_mm)
     }
 
     fn opening_mm(&self) -> f64 {
@@ -121,7 +116,7 @@ pub fn run_grasp(
     let mut trace = GraspTrace::new(target);
     let [timeout_s, approach_s] = TIMEOUTS_S;
     let mut remaining =
-        [approach_s + timeout_s, target.hold_s].map(|seconds| (seconds / STEP_S) as u32);
+        [approach_s + timeout_s, target.hold_s].map(|seconds| (seconds / TICK_S) as u32);
     while remaining.iter().all(|remaining| *remaining > 0) {
         bench.tick();
         trace.points.push(GraspSample::of(&bench, target.set_n));
@@ -157,11 +152,11 @@ pub fn run_current_limited(
     let mut trace = GraspTrace::new(target);
     let mut contact_s = 0.0;
     let [_, approach_s] = TIMEOUTS_S;
-    while contact_s < target.hold_s && trace.points.len() < (approach_s / STEP_S) as usize {
-        rig.run(STEP_S);
+    while contact_s < target.hold_s && trace.points.len() < (approach_s / TICK_S) as usize {
+        rig.run(TICK_S);
         trace.points.push(GraspSample::of_rig(&rig, target.set_n));
         if rig.plant.grip_n() > CONTACT_N || contact_s > 0.0 {
-            contact_s += STEP_S;
+            contact_s += TICK_S;
         }
     }
     trace.relative_to_contact()
@@ -178,7 +173,7 @@ impl GraspTrace {
 
     /// Whether the timeout has passed since contact without a hold.
     fn has_timed_out(&self, timeout_s: f64) -> bool {
-        let earlier = self.points.iter().rev().nth((timeout_s / STEP_S) as usize);
+        let earlier = self.points.iter().rev().nth((timeout_s / TICK_S) as usize);
         earlier.is_some_and(|point| point.true_n > CONTACT_N) && self.hold_s().is_none()
     }
 
@@ -215,7 +210,7 @@ impl GraspTrace {
 
     /// Samples of the last tenth of a second.
     fn end(&self) -> &[GraspSample] {
-        let count = (END_S / STEP_S) as usize;
+        let count = (END_S / TICK_S) as usize;
         &self.points[self.points.len().saturating_sub(count)..]
     }
 

@@ -19,7 +19,7 @@ use rand_chacha::ChaCha8Rng;
 /// RMS noise of a finger's force in newtons (assumed).
 pub const NOISE_N: f64 = 0.5;
 /// Period of the grasp controller in seconds.
-const TICK_S: f64 = 1e-3;
+pub const TICK_S: f64 = 1e-3;
 
 /// Drivetrain, motor control and grasp controller.
 pub struct GraspRig {
@@ -186,6 +186,16 @@ pub fn grip_command(set_n: f64) -> Command {
         flags: profile & flag::PROFILE,
         ..Command::default()
     }
+}
+
+/// Default width of an object in mm.
+const WIDTH_MM: f64 = 40.0;
+/// Opening that remains after a soft object deforms, in mm.
+const MIN_OPENING_MM: f64 = 5.0;
+
+/// Width in mm of an object that is gripped with `set_n`, wide enough for its deformation.
+pub fn object_width_mm(set_n: f64, contact_n_per_mm: f64) -> f64 {
+    WIDTH_MM.max(set_n / contact_n_per_mm + MIN_OPENING_MM)
 }
 
 /// Object whose contact, in series with these flexures, has this stiffness.

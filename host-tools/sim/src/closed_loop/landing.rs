@@ -1,7 +1,7 @@
 //! A landing of the gripper as a foot: closed fingers, ground force as a half sine, and the firmware's report.
 
 use crate::closed_loop::drive_result;
-use crate::closed_loop::grasp_rig::GraspRig;
+use crate::closed_loop::grasp_rig::{GraspRig, TICK_S};
 use crate::closed_loop::motor_rig::DriveCase;
 use crate::drivetrain::fingertips::{FOOT_KG, Impact};
 use crate::drivetrain::sensors::SimulatedImu;
@@ -19,8 +19,6 @@ const FLAT_MM: f64 = 0.5;
 const BEFORE_S: f64 = 0.02;
 /// Simulated time after lift-off, in s.
 const AFTER_S: f64 = 0.03;
-/// Sample period in seconds.
-pub const STEP_S: f64 = 1e-3;
 /// Counts per newton and per millimetre in the CAN message.
 const PER_UNIT: [f64; 2] = match Foot::LAYOUT.signals {
     [_, force, centre, ..] => [force.counts_per_unit() as f64, centre.counts_per_unit() as f64],
@@ -92,7 +90,7 @@ impl Landing {
         let mut inertial = SimulatedImu::new(case.seed);
         let from_s = bench.rig.plant.time_s();
         let impact = Impact {
-            start_s: BEFORE_S + STEP_S * self.phase,
+            start_s: BEFORE_S + TICK_S * self.phase,
             lasts_s: self.lasts_s,
             peak_n: self.peak_n,
         };

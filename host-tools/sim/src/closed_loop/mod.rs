@@ -24,10 +24,10 @@ use crate::board::{MotorConnection, Program, SimulatedBoard, VirtualTimeBoard};
 use crate::closed_loop::coupling::{GripperMotor, GripperWorld, SharedGripper, SimulatedGripper};
 use crate::closed_loop::motor_rig::MotorRig;
 use crate::drivetrain::fingertips::Fingertips;
-use crate::drivetrain::parameters::{self, Lead};
+use crate::drivetrain::parameters::{Lead, PlantParameters, SCATTER};
 use crate::hall_sensor::NOISE_G;
 use anyhow::Result;
-use firmware::config::constants::{SENSOR_RANGE, SENSOR_SCALE};
+use firmware::config::constants::{SENSOR_RANGE, SENSOR_SCALE, TICK_US};
 use firmware::config::limits::{DetectionLimits, GripLimits};
 use firmware::config::parameters::Parameters;
 use firmware::config::schema::id;
@@ -44,8 +44,6 @@ use model_export::recordings::description::NominalDesign;
 use std::cell::RefCell;
 use std::rc::Rc;
 
-/// Period of the host in microseconds.
-const TICK_US: u64 = 1000;
 /// Boot time of a board that does not expose whether it may be armed.
 const READY_US: u64 = 300_000;
 
@@ -55,7 +53,7 @@ pub struct ClosedLoopSetup {
     /// Screw variant.
     pub lead: Lead,
     /// Parameters of the drivetrain.
-    pub plant: parameters::PlantParameters,
+    pub plant: PlantParameters,
     /// Initial opening in millimetres.
     pub opening_mm: f64,
     /// The motor starts with a known opening, as after homing.
@@ -75,13 +73,21 @@ impl ClosedLoopSetup {
     pub fn nominal(lead: Lead, opening_mm: f64, seed: u64) -> Self {
         Self {
             lead,
-            plant: parameters::PlantParameters::nominal(lead),
+            plant: PlantParameters::nominal(lead),
             opening_mm,
             is_homed: true,
             limits: DetectionLimits::GRIPPER,
             grasp: GripLimits::GRIPPER,
             motor: motor::settings::MotorLimits::GRIPPER,
             seed,
+        }
+    }
+
+    /// A homed, closed gripper with all tolerances.
+    pub fn scattered(lead: Lead, seed: u64) -> Self {
+        Self {
+            plant: PlantParameters::scattered(lead, SCATTER, seed),
+            ..Self::nominal(lead, 0.0, seed)
         }
     }
 }

@@ -11,7 +11,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::effects::{Effect, Effects};
 use crate::external_fields::motor_currents;
-use crate::hall_sensor::{HallScale, NOISE_G, SensorUnit};
+use crate::hall_sensor::{FieldConditions, HallScale, NOISE_G, SensorUnit};
 use crate::motion::{LEAD_MM, MotionState};
 use crate::random::{Purpose, normal_vector, stream};
 
@@ -63,12 +63,15 @@ impl Fingertips {
     /// Samples all sensors; opening, rotor and current contribute their fields.
     pub fn sample(&mut self, motion: &MotionState, time_s: f64) -> [Option<HallReading>; SENSORS] {
         let mut readings = [None; SENSORS];
-        let currents_a = motor_currents(motion);
+        let conditions = FieldConditions {
+            warm_k: 0.0,
+            screw_turns: motion.opening_mm / LEAD_MM,
+            opening_mm: motion.opening_mm,
+            currents_a: motor_currents(motion),
+            lost: 0.0,
+        };
         for (reading, sensor) in readings.iter_mut().zip(&self.sensors) {
-            let own_g = sensor.own_field(0.0, motion.opening_mm / LEAD_MM, 0.0);
-            let external_g =
-                sensor.neighbour.field(motion.opening_mm) + sensor.leakage * currents_a;
-            let measured_g = sensor.element.reading(own_g + external_g, 0.0, time_s);
+            let measured_g = sensor.element.reading(sensor.field(&conditions), 0.0, time_s);
             let noisy_g = measured_g + normal_vector(&mut self.rng) * NOISE_G;
             *reading = Some(HallReading {
                 // The range fits into the sensor's word.

@@ -2,7 +2,6 @@
 
 use crate::random::{Purpose, normal, stream, uniform};
 use firmware::config::constants;
-use firmware::motor::power_stage::MotorSamples;
 use firmware::sensors::imu::{ImuReading, decode};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -72,18 +71,6 @@ impl MotorSensors {
             gain: [0, 1, 2].map(|_| uniform(rng, 1.0 - GAIN, 1.0 + GAIN)),
             ..Self::nominal()
         }
-    }
-
-    /// Samples currents in A, bus voltage in V and rotor angle in rad.
-    pub fn sample(
-        &self,
-        currents_a: &[f64; 3],
-        bus_v: f64,
-        angle_rad: f64,
-        rng: &mut ChaCha8Rng,
-    ) -> MotorSamples {
-        let ([u, v, w], bus) = self.convert(currents_a, bus_v, rng);
-        MotorSamples { phases: [u, v, w], bus, angle: Ok(self.angle(angle_rad, rng)) }
     }
 
     /// Counts of phase currents in A and bus voltage in V.
@@ -173,11 +160,14 @@ mod tests {
     use crate::drivetrain::parameters::noise_stream;
 
     #[test]
-    fn one_ampere_is_80_counts_and_24_v_are_1600() {
-        let sensed =
-            MotorSensors::ideal().sample(&[1.0, -1.0, 0.0], 24.0, 0.0, &mut noise_stream(1));
-        assert_eq!(sensed.phases, [2128, 1968, 2048]);
-        assert_eq!((sensed.bus, sensed.angle), (1600, Ok(0)));
+    fn one_ampere_is_80_counts_24_v_are_1600_and_both_saturate() {
+        for (current_a, bus_v, counts) in
+            [(1.0, 24.0, ([2128, 1968, 2048], 1600)), (30.0, 70.0, ([4095, 0, 2048], 4095))]
+        {
+            let currents_a = [current_a, -current_a, 0.0];
+            let converted = MotorSensors::ideal().convert(&currents_a, bus_v, &mut noise_stream(1));
+            assert_eq!(converted, counts);
+        }
     }
 
     #[test]
@@ -186,14 +176,6 @@ mod tests {
         assert_eq!(turn_counts(-0.25 * TAU), 12_288);
         assert_eq!(turn_counts(-1e-18), 0);
         assert_eq!(turn_counts(7.500_01 * TAU), 8192);
-    }
-
-    #[test]
-    fn converter_saturates_at_full_scale() {
-        let sensed =
-            MotorSensors::ideal().sample(&[30.0, -30.0, 0.0], 70.0, 0.0, &mut noise_stream(1));
-        assert_eq!(sensed.phases, [4095, 0, 2048]);
-        assert_eq!(sensed.bus, 4095);
     }
 
     #[test]

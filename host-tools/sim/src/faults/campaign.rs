@@ -3,11 +3,11 @@
 use crate::closed_loop::ClosedLoopSetup;
 use crate::closed_loop::grasp_result::GraspResult;
 use crate::closed_loop::requirements::quantile;
-use crate::drivetrain::parameters::{Lead, PlantParameters, SCATTER};
+use crate::drivetrain::parameters::Lead;
 use crate::faults::injection::InjectedFault;
 use crate::faults::operating_state::OperatingState;
-use crate::faults::run::{FaultCase, FaultOutcome};
-use firmware::grip::states::{PowerState, TASK_CODE, TaskState};
+use crate::faults::run::{FaultCase, FaultOutcome, power_of, task_of};
+use firmware::grip::states::{PowerState, TaskState};
 use firmware::system::faults::Event;
 use model_export::inverse::quantise::TableSet;
 use rayon::prelude::*;
@@ -133,12 +133,9 @@ impl FaultSummary {
 
 /// Readable name of a heartbeat code.
 fn state_name(code: u8) -> String {
-    let task = code.checked_sub(TASK_CODE);
-    let task = task.and_then(|number| TaskState::ALL.iter().find(|task| **task as u8 == number));
-    let power = PowerState::ALL.iter().find(|power| **power as u8 == code);
-    match (power, task) {
-        (_, Some(task)) => GraspResult::state_name((PowerState::Enabled, *task)),
-        (Some(power), None) => GraspResult::state_name((*power, TaskState::Idle)),
+    match (power_of(code), task_of(code)) {
+        (_, Some(task)) => GraspResult::state_name((PowerState::Enabled, task)),
+        (Some(power), None) => GraspResult::state_name((power, TaskState::Idle)),
         (None, None) => code.to_string(),
     }
 }
@@ -204,10 +201,7 @@ pub fn fault_free_minutes(hours: f64) -> usize {
 fn minute(index: usize, seed: u64, tables: &TableSet) -> (f64, usize) {
     let situations = [OperatingState::Hold, OperatingState::Foot, OperatingState::Idle];
     let lead = Lead::BOTH[index % 2];
-    let setup = ClosedLoopSetup {
-        plant: PlantParameters::scattered(lead, SCATTER, seed),
-        ..ClosedLoopSetup::nominal(lead, 0.0, seed)
-    };
+    let setup = ClosedLoopSetup::scattered(lead, seed);
     let Some(mut cell) = situations[index / 2 % 3].reach(&setup, CONTACT, tables) else {
         return (0.0, 1);
     };

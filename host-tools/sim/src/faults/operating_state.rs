@@ -1,6 +1,6 @@
 //! Operating states in which faults are injected.
 
-use crate::closed_loop::grasp_rig::{contact_object, grip_command};
+use crate::closed_loop::grasp_rig::{contact_object, grip_command, object_width_mm};
 use crate::closed_loop::{ClosedLoop, ClosedLoopSetup};
 use crate::drivetrain::parameters::Lead;
 use firmware::grip::commands::mode;
@@ -10,10 +10,6 @@ use model_export::inverse::quantise::TableSet;
 
 /// Force set-point of the grasps, in N.
 pub const SET_N: f64 = 100.0;
-/// Default width of the object in mm.
-const WIDTH_MM: f64 = 40.0;
-/// Opening that remains after a soft object deforms, in mm.
-const MIN_OPENING_MM: f64 = 5.0;
 /// Initial distance to the object in mm.
 const DISTANCE_MM: f64 = 1.5;
 /// Opening of closed fingers, in mm.
@@ -54,7 +50,7 @@ impl OperatingState {
         contact_n_per_mm: f64,
         tables: &TableSet,
     ) -> Option<ClosedLoop> {
-        let width_mm = WIDTH_MM.max(SET_N / contact_n_per_mm + MIN_OPENING_MM);
+        let width_mm = object_width_mm(SET_N, contact_n_per_mm);
         let setup = ClosedLoopSetup {
             opening_mm: match self {
                 Self::Foot => FLAT_MM,

@@ -1,18 +1,15 @@
 //! Injects one fault in one operating state and evaluates detection, reaction and state transitions.
 
 use crate::closed_loop::{ClosedLoop, ClosedLoopSetup};
-use crate::drivetrain::parameters::{Lead, PlantParameters, SCATTER};
+use crate::drivetrain::parameters::Lead;
 use crate::faults::injection::InjectedFault;
 use crate::faults::operating_state::{OperatingState, SET_N};
 use crate::random::{Purpose, stream};
-use embedded_can::{Frame, StandardId};
 use firmware::config::constants::TICK_US;
 use firmware::config::limits::GripLimits;
 use firmware::grip::fault_reactions::{Reaction, fault_of};
 use firmware::grip::states::{PowerState, TASK_CODE, TaskState, state_code};
 use firmware::grip::transitions::{POWER_TRANSITIONS, TASK_TRANSITIONS};
-use firmware::protocol::can::CanFrame;
-use firmware::protocol::{DEFAULT_NODE, frame_id};
 use firmware::system::faults::{Event, Fault};
 use model_export::inverse::quantise::TableSet;
 use rand::RngExt;
@@ -21,8 +18,8 @@ use rand::RngExt;
 const AFTER_MS: u32 = 400;
 /// Motion of a foot's fingers that counts as one, in mm.
 const MOVED_MM: f64 = 0.1;
-/// Frames of a bus flood per millisecond, and maximum queue length.
-const FLOOD: (usize, usize) = (20, 50);
+/// Frames of a bus flood per millisecond.
+const FLOOD_PER_MS: u32 = 20;
 
 /// One run of the campaign.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -61,15 +58,11 @@ pub struct FaultOutcome {
 impl FaultCase {
     /// Runs the case; `change` may disable a detector.
     pub fn run(&self, tables: &TableSet, change: Option<fn(&mut ClosedLoopSetup)>) -> FaultOutcome {
-        let mut setup = ClosedLoopSetup {
-            plant: PlantParameters::scattered(self.lead, SCATTER, self.seed),
-            ..ClosedLoopSetup::nominal(self.lead, 0.0, self.seed)
-        };
+        let mut setup = ClosedLoopSetup::scattered(self.lead, self.seed);
         if let Some(change) = change {
             change(&mut setup);
         }
-        let reached = self.state.reach(&setup, self.contact_n_per_mm, tables);
-        match reached {
+        match self.state.reach(&setup, self.contact_n_per_mm, tables) {
             Some(cell) => self.inject(cell),
             None => FaultOutcome {
                 was_reached: false,
@@ -124,7 +117,7 @@ impl FaultCase {
                 break;
             }
             if self.fault == InjectedFault::Flood {
-                flood(cell);
+                cell.board.connections.can.borrow_mut().flood(FLOOD_PER_MS);
             }
             cell.tick();
             if left_us.is_none() && cell.board.controller.is_off() {
@@ -207,27 +200,16 @@ impl FaultCase {
     }
 }
 
-/// One millisecond of frames without a message.
-fn flood(cell: &ClosedLoop) {
-    let (frames, waiting) = FLOOD;
-    let mut can = cell.board.connections.can.borrow_mut();
-    for _ in 0..frames {
-        let id = StandardId::new(frame_id(DEFAULT_NODE, 0x1F));
-        let frame = id.and_then(|id| CanFrame::new(id, &[]));
-        if let Some(frame) = frame.filter(|_| can.waiting() < waiting) {
-            can.put(frame);
-        }
-    }
-}
-
 /// Maximum number of transitions within a tick.
 const MAX_TRANSITIONS: u32 = 2;
 
-fn power_of(code: u8) -> Option<PowerState> {
+/// Power state of a heartbeat code.
+pub fn power_of(code: u8) -> Option<PowerState> {
     PowerState::ALL.iter().copied().find(|power| *power as u8 == code)
 }
 
-fn task_of(code: u8) -> Option<TaskState> {
+/// Task state of a heartbeat code; none where the drive is not enabled.
+pub fn task_of(code: u8) -> Option<TaskState> {
     let task = code.checked_sub(TASK_CODE)?;
     TaskState::ALL.iter().copied().find(|state| *state as u8 == task)
 }

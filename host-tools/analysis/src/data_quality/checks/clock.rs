@@ -1,24 +1,17 @@
-//! Timestamps: `clock_backwards`, `duplicate_rows` (both are errors for the readers), `clock_gap` and `repeated_samples`.
+//! Timestamps and rows.
 
-use crate::data_quality::Finding;
-use crate::data_quality::checks::{Channel, CheckContext, digits, list, percent};
-use crate::data_quality::fix::repair::{Change, Fix, Repair};
-use crate::data_quality::scan::sensor::Repeats;
-use crate::data_quality::scan::{Quantity, TableScan};
+use crate::data_quality::checks::{Channel, CheckContext, Found, digits, list, percent};
+use crate::data_quality::fix::{Change, Fix, Repair};
+use crate::data_quality::scan::column::Quantity;
+use crate::data_quality::scan::{Repeats, TableScan};
 use model_export::recordings::Location;
 
-/// Timestamps that decrease or repeat.
-pub fn check_row_order(context: &mut CheckContext) {
-    for (_, table) in context.tables() {
-        let found = match table.clock.falls {
-            0 => copies(table),
-            _ => backwards(table),
-        };
-        context.findings.extend(found);
-    }
+/// Timestamps that decrease, an error for the readers.
+pub fn backwards<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
+    context.tables().into_iter().filter_map(|(_, table)| fall(table)).collect()
 }
 
-fn backwards(table: &TableScan) -> Option<Finding> {
+fn fall<'a>(table: &TableScan) -> Option<Found<'a>> {
     let clock = &table.clock;
     let (line, before, after) = clock.first_fall?;
     let times = match clock.falls {
@@ -43,16 +36,18 @@ fn backwards(table: &TableScan) -> Option<Finding> {
     if clock.copies > 0 {
         repairs.push(Change::DropCopies);
     }
-    Some(Finding {
-        id: "clock_backwards",
-        place: Location::file(&table.path).line(line).column("t_us"),
-        message,
-        stops: true,
-        fix: sortable.then(|| fix(table, "puts the rows in order of time", repairs)),
-    })
+    let fix = sortable.then(|| fix(table, "puts the rows in order of time", repairs));
+    let place = Location::file(&table.path).line(line).column("t_us");
+    Some(Found::new(place, message).stopping(fix))
 }
 
-fn copies(table: &TableScan) -> Option<Finding> {
+/// Rows with the time of the previous row, an error for the readers.
+pub fn duplicates<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
+    let ordered = context.tables().into_iter().filter(|(_, table)| table.clock.falls == 0);
+    ordered.filter_map(|(_, table)| copies(table)).collect()
+}
+
+fn copies<'a>(table: &TableScan) -> Option<Found<'a>> {
     let clock = &table.clock;
     let (copies, clashes) = (clock.copies, clock.clashes);
     let rows = |count: u64| match count {
@@ -74,15 +69,10 @@ fn copies(table: &TableScan) -> Option<Finding> {
             rows(copies + clashes)
         ),
     };
-    Some(Finding {
-        id: "duplicate_rows",
-        place: Location::file(&table.path).line(clock.first_copy).column("t_us"),
-        message,
-        stops: true,
-        fix: (clashes == 0).then(|| {
-            fix(table, "removes rows that are exact duplicates", vec![Change::DropCopies])
-        }),
-    })
+    let fix = (clashes == 0)
+        .then(|| fix(table, "removes rows that are exact duplicates", vec![Change::DropCopies]));
+    let place = Location::file(&table.path).line(clock.first_copy).column("t_us");
+    Some(Found::new(place, message).stopping(fix))
 }
 
 fn fix(table: &TableScan, words: &str, changes: Vec<Change>) -> Fix {
@@ -91,41 +81,37 @@ fn fix(table: &TableScan, words: &str, changes: Vec<Change>) -> Fix {
 }
 
 /// Timestamp steps far above the sampling period.
-pub fn check_gaps(context: &mut CheckContext) {
-    for name in ["hall.csv", "force.csv"] {
-        let hit: Vec<(usize, &TableScan)> = context
-            .tables()
-            .into_iter()
-            .filter(|(_, table)| table.name == name && table.clock.gaps > 0)
-            .filter(|(_, table)| !context.has("clock_backwards", table))
-            .collect();
-        let longest =
-            hit.iter().max_by(|(_, a), (_, b)| a.clock.longest.0.total_cmp(&b.clock.longest.0));
-        let Some((_, worst)) = longest else { continue };
-        let gaps: u64 = hit.iter().map(|(_, table)| table.clock.gaps).sum();
-        let lost_s: f64 = hit.iter().map(|(_, table)| 1e-6 * table.clock.lost_us).sum();
-        let span_s: f64 = hit.iter().map(|(_, table)| table.clock.span_s()).sum();
-        let (step_us, line, from_us) = worst.clock.longest;
-        let message = format!(
-            "{} in the clock {}, {} of the total time; the longest here, from {} s on: {} ms where rows are {} ms apart. Rows next to a gap are excluded; look for lost transfers or a blocked logger",
-            match gaps {
-                1 => "1 gap".to_owned(),
-                n => format!("{n} gaps"),
-            },
-            context.recordings_in(hit.iter().map(|(recording, _)| *recording)),
-            percent(lost_s / span_s),
-            digits(worst.second(from_us)),
-            digits(1e-3 * step_us),
-            digits(1e-3 * worst.clock.period_us),
-        );
-        context.findings.push(Finding {
-            id: "clock_gap",
-            place: Location::file(&worst.path).line(line).column("t_us"),
-            message,
-            stops: false,
-            fix: None,
-        });
-    }
+pub fn gaps<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
+    ["hall.csv", "force.csv"].into_iter().filter_map(|name| gaps_of(context, name)).collect()
+}
+
+fn gaps_of<'a>(context: &CheckContext<'a>, name: &str) -> Option<Found<'a>> {
+    let hit: Vec<(usize, &TableScan)> = context
+        .tables()
+        .into_iter()
+        .filter(|(_, table)| table.name == name && table.clock.gaps > 0)
+        .filter(|(_, table)| !context.has("clock_backwards", table))
+        .collect();
+    let longest =
+        hit.iter().max_by(|(_, a), (_, b)| a.clock.longest.0.total_cmp(&b.clock.longest.0));
+    let (_, worst) = longest?;
+    let gaps: u64 = hit.iter().map(|(_, table)| table.clock.gaps).sum();
+    let lost_s: f64 = hit.iter().map(|(_, table)| 1e-6 * table.clock.lost_us).sum();
+    let span_s: f64 = hit.iter().map(|(_, table)| table.clock.span_s()).sum();
+    let (step_us, line, from_us) = worst.clock.longest;
+    let message = format!(
+        "{} in the clock {}, {} of the total time; the longest here, from {} s on: {} ms where rows are {} ms apart. Rows next to a gap are excluded; look for lost transfers or a blocked logger",
+        match gaps {
+            1 => "1 gap".to_owned(),
+            n => format!("{n} gaps"),
+        },
+        context.recordings_in(hit.iter().map(|(recording, _)| *recording)),
+        percent(lost_s / span_s),
+        digits(worst.second(from_us)),
+        digits(1e-3 * step_us),
+        digits(1e-3 * worst.clock.period_us),
+    );
+    Some(Found::new(Location::file(&worst.path).line(line).column("t_us"), message))
 }
 
 /// Repeated rows below this share are harmless.
@@ -134,7 +120,7 @@ const NOTICEABLE: f64 = 0.01;
 const BEYOND_CHANCE: f64 = 10.0;
 
 /// Sensors that are read less often than rows are written.
-pub fn check_repeated_samples(context: &mut CheckContext) {
+pub fn repeated_samples<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
     let hit: Vec<(usize, &TableScan, &Repeats)> = context
         .tables()
         .into_iter()
@@ -147,9 +133,7 @@ pub fn check_repeated_samples(context: &mut CheckContext) {
         })
         .collect();
     let worst = hit.iter().max_by(|(_, _, a), (_, _, b)| a.share().total_cmp(&b.share()));
-    let Some((_, worst, repeats)) = worst else {
-        return;
-    };
+    let Some((_, worst, repeats)) = worst else { return Vec::new() };
     let mut sensors: Vec<u32> = hit.iter().map(|(_, _, repeats)| repeats.sensor).collect();
     sensors.sort_unstable();
     sensors.dedup();
@@ -167,14 +151,7 @@ pub fn check_repeated_samples(context: &mut CheckContext) {
         percent(repeats.by_chance()),
         digits(rate_hz),
     );
-    let place = Location::file(&worst.path).line(repeats.line);
-    context.findings.push(Finding {
-        id: "repeated_samples",
-        place,
-        message,
-        stops: false,
-        fix: None,
-    });
+    vec![Found::new(Location::file(&worst.path).line(repeats.line), message)]
 }
 
 /// True where noise should have changed the axes of a sensor in many rows but did not.

@@ -1,10 +1,9 @@
-//! `spectral_line`: a periodic disturbance that is not the load.
+//! Periodic disturbances that are not the load.
 
-use crate::data_quality::Finding;
+use crate::data_quality::checks::{Channel, CheckContext, Found, by_table, clock, digits, list};
+use crate::data_quality::scan::RecordingScan;
+use crate::data_quality::scan::column::Quantity;
 use crate::data_quality::scan::spectrum::SpectralLine;
-use crate::data_quality::scan::{Quantity, RecordingScan};
-
-use crate::data_quality::checks::{Channel, CheckContext, by_table, clock, digits, list};
 
 /// Mains frequencies in hertz.
 const MAINS_HZ: [f64; 2] = [50.0, 60.0];
@@ -22,7 +21,7 @@ const LOAD_SHARE: f64 = 0.02;
 const MOST: usize = 4;
 
 /// One spectral line of one column.
-type Found<'a> = (Channel<'a>, SpectralLine);
+type ColumnLine<'a> = (Channel<'a>, SpectralLine);
 
 /// Source of a spectral line.
 #[derive(Clone, Debug, PartialEq)]
@@ -36,14 +35,15 @@ enum Source {
 }
 
 /// Periodic disturbances in fields and forces.
-pub fn check_spectral_lines(context: &mut CheckContext) {
+pub fn spectral_lines<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
+    let mut all = Vec::new();
     let columns: Vec<Channel> = context
         .columns()
         .into_iter()
         .filter(|one| !clock::hits(one) && one.table.clock.falls == 0)
         .collect();
     for columns in by_table(columns) {
-        let found: Vec<Found> = columns
+        let found: Vec<ColumnLine> = columns
             .iter()
             .flat_map(|one| one.column.lines.iter().map(|line| (*one, *line)))
             .filter(|(one, line)| matters(context.recordings, one, line))
@@ -53,11 +53,11 @@ pub fn check_spectral_lines(context: &mut CheckContext) {
         for (source, group) in groups(context.recordings, mains, found) {
             unknown += usize::from(source == Source::Unknown);
             if unknown <= MOST {
-                let finding = finding(context, &source, &group);
-                context.findings.push(finding);
+                all.push(disturbance(context, &source, &group));
             }
         }
     }
+    all
 }
 
 /// True where the line is above the noise threshold and not part of the load.
@@ -80,16 +80,16 @@ fn matters(recordings: &[RecordingScan], one: &Channel, line: &SpectralLine) -> 
 fn groups<'a>(
     recordings: &[RecordingScan],
     mains: [f64; 2],
-    found: Vec<Found<'a>>,
-) -> Vec<(Source, Vec<Found<'a>>)> {
-    let mut groups: Vec<(Source, Vec<Found>)> = Vec::new();
+    found: Vec<ColumnLine<'a>>,
+) -> Vec<(Source, Vec<ColumnLine<'a>>)> {
+    let mut groups: Vec<(Source, Vec<ColumnLine>)> = Vec::new();
     for (one, line) in found {
         let source = source(&recordings[one.recording], mains, &one, &line);
-        let belongs = |(other, group): &&mut (Source, Vec<Found>)| match source {
+        let belongs = |(other, group): &&mut (Source, Vec<ColumnLine>)| match source {
             Source::Mains(_) => *other == source,
             Source::Rotor(_) => matches!(other, Source::Rotor(_)),
             Source::Unknown => {
-                let near = |(_, first): &Found| (first.hz - line.hz).abs() < 2.0 * line.bin_hz;
+                let near = |(_, first): &ColumnLine| (first.hz - line.hz).abs() < 2.0 * line.bin_hz;
                 *other == Source::Unknown && group.iter().any(near)
             }
         };
@@ -98,7 +98,7 @@ fn groups<'a>(
             None => groups.push((source, vec![(one, line)])),
         }
     }
-    let strength = |group: &[Found]| {
+    let strength = |group: &[ColumnLine]| {
         let sizes = group.iter().map(|(one, line)| line.amplitude / one.column.noise());
         sizes.fold(0.0, f64::max)
     };
@@ -107,7 +107,7 @@ fn groups<'a>(
 }
 
 /// Mains frequencies, first the one that explains more lines: some lines are multiples of both.
-fn mains_of(found: &[Found]) -> [f64; 2] {
+fn mains_of(found: &[ColumnLine]) -> [f64; 2] {
     let lines = |mains_hz: f64| {
         let own = found.iter().filter(|found| is_multiple(found, mains_hz));
         own.count()
@@ -134,7 +134,7 @@ fn source(
 }
 
 /// True for a line at a multiple of `base_hz`, including aliases at the table's row rate.
-fn is_multiple((one, line): &Found, base_hz: f64) -> bool {
+fn is_multiple((one, line): &ColumnLine, base_hz: f64) -> bool {
     let rate_hz = 1e6 / one.table.clock.period_us;
     (1..=MULTIPLES).any(|n| {
         let hz = f64::from(n) * base_hz;
@@ -147,10 +147,10 @@ fn folded(hz: f64, rate_hz: f64) -> f64 {
     (hz - rate_hz * (hz / rate_hz).round()).abs()
 }
 
-fn finding(context: &CheckContext, source: &Source, group: &[Found]) -> Finding {
+fn disturbance<'a>(context: &CheckContext, source: &Source, group: &[ColumnLine<'a>]) -> Found<'a> {
     let mut seen: Vec<Channel> = group.iter().map(|(one, _)| *one).collect();
     seen.dedup_by(|a, b| a.recording == b.recording && a.column.name == b.column.name);
-    let amplitude = |(one, line): &Found| line.amplitude * one.column.scale;
+    let amplitude = |(one, line): &ColumnLine| line.amplitude * one.column.scale;
     let strongest =
         group.iter().max_by(|a, b| amplitude(a).total_cmp(&amplitude(b))).unwrap_or(&group[0]);
     let mut lines: Vec<f64> = group.iter().map(|(_, line)| line.hz).collect();
@@ -172,18 +172,13 @@ fn finding(context: &CheckContext, source: &Source, group: &[Found]) -> Finding 
         ),
         Source::Unknown => "if the inverter's PWM is near a multiple of the row rate, it aliases to this frequency: shift or synchronise the sampling; otherwise look for a fan, a mechanical resonance or another switching supply".to_owned(),
     };
-    Finding {
-        id: "spectral_line",
-        place: strongest.0.at(2),
-        message: format!(
-            "a line at {hz} Hz in {}, up to {} {unit} in {}: {advice}",
-            context.whose(&seen),
-            digits(amplitude(strongest)),
-            strongest.0.column.name,
-        ),
-        stops: false,
-        fix: None,
-    }
+    let message = format!(
+        "a line at {hz} Hz in {}, up to {} {unit} in {}: {advice}",
+        context.whose(&seen),
+        digits(amplitude(strongest)),
+        strongest.0.column.name,
+    );
+    Found::new(strongest.0.at(2), message)
 }
 
 #[cfg(test)]

@@ -1,29 +1,31 @@
-//! Checks on the scanned files. They run in order of severity; each marks the channels that it explains in the
-//! [`CheckContext`].
+//! Checks on the scanned files.
+//!
+//! - [`clock`]: order of the rows, gaps, repeated samples.
+//! - [`columns`]: values of single columns.
+//! - [`lines`]: periodic disturbances.
 
 pub mod clock;
+pub mod columns;
 pub mod lines;
-pub mod signal;
-pub mod stuck;
-pub mod units;
 
 use std::collections::{BTreeSet, HashSet};
 
 use model_export::recordings::Location;
 
 use crate::data_quality::Finding;
-
-use crate::data_quality::scan::{ColumnScan, RecordingScan, TableScan};
+use crate::data_quality::fix::Fix;
+use crate::data_quality::scan::column::ColumnScan;
+use crate::data_quality::scan::{RecordingScan, TableScan};
+use crate::numbers::decimal;
 
 /// Number of names in a list before "and n more".
 const LISTED: usize = 6;
 
-/// Input and findings of the checks.
+/// Input of a check: the scanned recordings, and the findings of the checks before it.
 pub struct CheckContext<'a> {
     /// Recordings of the campaign.
     pub recordings: &'a [RecordingScan],
-    /// Findings so far.
-    pub findings: Vec<Finding>,
+    findings: Vec<Finding>,
     /// Columns explained by an earlier finding: recording, table, column.
     explained: HashSet<(usize, &'static str, String)>,
 }
@@ -46,22 +48,36 @@ impl Channel<'_> {
     }
 }
 
-/// Runs every check in order of severity: later ones skip the channels that earlier ones explain.
-pub fn run_all(context: &mut CheckContext) {
-    let checks: [fn(&mut CheckContext); 10] = [
-        clock::check_row_order,
-        units::check_units,
-        stuck::check_stuck_channels,
-        stuck::check_saturation,
-        clock::check_gaps,
-        signal::check_resolution,
-        clock::check_repeated_samples,
-        signal::check_outliers,
-        lines::check_spectral_lines,
-        stuck::check_constant_covariates,
-    ];
-    for check in checks {
-        check(context);
+/// Finding of a check.
+pub struct Found<'a> {
+    place: Location,
+    message: String,
+    stops: bool,
+    fix: Option<Fix>,
+    /// Columns that later checks skip.
+    explained: Vec<Channel<'a>>,
+}
+
+impl<'a> Found<'a> {
+    /// A warning; the sentence gives the evidence and the remedy.
+    pub fn new(place: Location, message: String) -> Self {
+        Self { place, message, stops: false, fix: None, explained: Vec::new() }
+    }
+
+    /// Makes it an error, with its unambiguous correction if there is one.
+    pub fn stopping(self, fix: Option<Fix>) -> Self {
+        Self { stops: true, fix, ..self }
+    }
+
+    /// Excludes these columns from the checks after this one.
+    pub fn explaining(self, explained: &[Channel<'a>]) -> Self {
+        Self { explained: explained.to_vec(), ..self }
+    }
+
+    /// The finding of the check with this identifier.
+    pub fn finding(self, id: &'static str) -> Finding {
+        let Self { place, message, stops, fix, .. } = self;
+        Finding { id, place, message, stops, fix }
     }
 }
 
@@ -69,6 +85,20 @@ impl<'a> CheckContext<'a> {
     /// No findings yet.
     pub fn new(recordings: &'a [RecordingScan]) -> Self {
         Self { recordings, findings: Vec::new(), explained: HashSet::new() }
+    }
+
+    /// Adds the findings of a check.
+    pub fn add(&mut self, id: &'static str, found: Vec<Found>) {
+        for found in found {
+            let key = |one: &Channel| (one.recording, one.table.name, one.column.name.clone());
+            self.explained.extend(found.explained.iter().map(key));
+            self.findings.push(found.finding(id));
+        }
+    }
+
+    /// All findings.
+    pub fn into_findings(self) -> Vec<Finding> {
+        self.findings
     }
 
     /// Columns that no earlier finding explains.
@@ -91,13 +121,6 @@ impl<'a> CheckContext<'a> {
         numbered
             .flat_map(|(i, recording)| recording.tables.iter().map(move |table| (i, table)))
             .collect()
-    }
-
-    /// Marks columns as explained.
-    pub fn explain(&mut self, seen: &[Channel]) {
-        for one in seen {
-            self.explained.insert((one.recording, one.table.name, one.column.name.clone()));
-        }
     }
 
     /// True where a finding with this identifier names the table.
@@ -158,10 +181,7 @@ pub fn list(names: &[&str]) -> String {
 /// Singular or plural form of a verb, by the number of distinct columns.
 pub fn verb(seen: &[Channel], one: &'static str, several: &'static str) -> &'static str {
     let first = seen.first().map(|one| &one.column.name);
-    match seen.iter().all(|one| Some(&one.column.name) == first) {
-        true => one,
-        false => several,
-    }
+    if seen.iter().all(|one| Some(&one.column.name) == first) { one } else { several }
 }
 
 /// Splits into columns of the board and of the reference.
@@ -180,12 +200,7 @@ pub fn digits(value: f64) -> String {
         return format!("{value:.2e}");
     }
     let decimals = usize::try_from(2 - before).unwrap_or(0);
-    let text = format!("{value:.decimals$}");
-    if text.contains('.') {
-        text.trim_end_matches('0').trim_end_matches('.').to_owned()
-    } else {
-        text
-    }
+    decimal(value, decimals)
 }
 
 /// Formats a share in percent; small positive shares are not rounded to zero.

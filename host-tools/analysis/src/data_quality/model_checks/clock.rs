@@ -2,13 +2,11 @@
 
 use model_export::effects::ExcitationSeries;
 use model_export::effects::operators::{delayed, smooth};
-use model_export::recordings::align::Alignment;
-use model_export::recordings::{Campaign, Location};
+use model_export::recordings::Location;
 use rayon::prelude::*;
 
-use crate::data_quality::Finding;
-use crate::data_quality::checks::{list, percent};
-use crate::data_quality::model_checks::case::{Case, Names};
+use crate::data_quality::checks::{Found, list, percent};
+use crate::data_quality::model_checks::{Case, ModelResiduals};
 
 /// Search range in milliseconds on each side and step; the wider range is used if the
 /// optimum of the first is at its end.
@@ -36,18 +34,13 @@ struct Shift {
 }
 
 /// Clock offset of every recording without column errors.
-pub fn check_clocks(
-    campaign: &Campaign,
-    names: &Names,
-    alignment: Alignment,
-    cases: &[&Case],
-) -> Vec<Finding> {
-    let recordings = 0..campaign.recordings.len();
+pub fn offsets<'a>(residuals: &ModelResiduals<'a>) -> Vec<Found<'a>> {
+    let recordings = 0..residuals.campaign.recordings.len();
     let shifts: Vec<Shift> = recordings
         .into_par_iter()
         .filter_map(|recording| {
-            let own = cases.iter().filter(|case| case.recording == recording);
-            shift(recording, &own.copied().collect::<Vec<_>>())
+            let own = residuals.sound.iter().filter(|case| case.recording == recording);
+            shift(recording, &own.collect::<Vec<_>>())
         })
         .collect();
     let mut groups: Vec<Vec<Shift>> = Vec::new();
@@ -58,10 +51,11 @@ pub fn check_clocks(
             None => groups.push(vec![shift]),
         }
     }
-    groups.iter().map(|group| finding(campaign, names, alignment, group)).collect()
+    groups.iter().map(|group| describe(residuals, group)).collect()
 }
 
-fn finding(campaign: &Campaign, names: &Names, alignment: Alignment, group: &[Shift]) -> Finding {
+fn describe<'a>(residuals: &ModelResiduals<'a>, group: &[Shift]) -> Found<'a> {
+    let campaign = residuals.campaign;
     let whole = group.len() == campaign.recordings.len();
     let mean_ms = group.iter().map(|shift| shift.ms).sum::<f64>() / group.len() as f64;
     let fall = group.iter().map(|shift| shift.fall).fold(1.0, f64::min);
@@ -70,7 +64,7 @@ fn finding(campaign: &Campaign, names: &Names, alignment: Alignment, group: &[Sh
     let cure = if whole {
         format!(
             "read the recordings with --delay-ms {}",
-            tenths(mean_ms + 1e-3 * alignment.delay_us)
+            tenths(mean_ms + 1e-3 * residuals.alignment.delay_us)
         )
     } else {
         format!(
@@ -78,33 +72,28 @@ fn finding(campaign: &Campaign, names: &Names, alignment: Alignment, group: &[Sh
             (1e3 * mean_ms).round()
         )
     };
-    let place = Location::file(&names.force(group[0].recording)).column("t_us");
-    Finding {
-        id: "clock_skew",
-        place,
-        message: format!(
-            "the field is {} ms {} the force {}, the same at {}: correcting this removes {} of the error above the noise. {}{cure}",
-            tenths(mean_ms.abs()),
-            if mean_ms > 0.0 { "behind" } else { "ahead of" },
-            if whole {
-                "in every recording".to_owned()
-            } else {
-                format!("in recording {}", list(&recordings))
-            },
-            match group[0].sensors {
-                1 => "the only sensor".to_owned(),
-                n => format!("all {n} sensors"),
-            },
-            percent(fall),
-            if mean_ms > 0.0 {
-                "A viscous lag of the flexures or a filter of the reference looks the same; if the clocks are the cause, "
-            } else {
-                "A flexure cannot lead its force, so the clocks are the cause: "
-            },
-        ),
-        stops: false,
-        fix: None,
-    }
+    let place = Location::file(&residuals.names.force(group[0].recording)).column("t_us");
+    let message = format!(
+        "the field is {} ms {} the force {}, the same at {}: correcting this removes {} of the error above the noise. {}{cure}",
+        tenths(mean_ms.abs()),
+        if mean_ms > 0.0 { "behind" } else { "ahead of" },
+        if whole {
+            "in every recording".to_owned()
+        } else {
+            format!("in recording {}", list(&recordings))
+        },
+        match group[0].sensors {
+            1 => "the only sensor".to_owned(),
+            n => format!("all {n} sensors"),
+        },
+        percent(fall),
+        if mean_ms > 0.0 {
+            "A viscous lag of the flexures or a filter of the reference looks the same; if the clocks are the cause, "
+        } else {
+            "A flexure cannot lead its force, so the clocks are the cause: "
+        },
+    );
+    Found::new(place, message)
 }
 
 fn tenths(ms: f64) -> String {

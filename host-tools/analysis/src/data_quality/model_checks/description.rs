@@ -2,31 +2,31 @@
 
 use std::collections::BTreeSet;
 
-use model_export::recordings::columns::Axis;
 use model_export::recordings::{Campaign, Location};
 
-use crate::data_quality::Finding;
-use crate::data_quality::checks::{digits, list};
-use crate::data_quality::fix::repair::{Change, Fix, Repair};
-use crate::data_quality::model_checks::case::{Names, force_name};
-use crate::data_quality::model_checks::columns::Verdict;
-use crate::data_quality::model_checks::hypothesis::{self, Hypothesis};
+use crate::data_quality::checks::{Found, digits, list};
+use crate::data_quality::fix::{Change, Fix, Repair};
+use crate::data_quality::model_checks::hypothesis::{self, Hypothesis, Verdict, own_forces};
+use crate::data_quality::model_checks::{ModelResiduals, Names, force_name};
 
 /// Description of a hypothesis for one sensor in one recording.
+#[derive(Default)]
 struct ColumnErrors {
-    id: &'static str,
     /// Column name and its error.
     columns: Vec<(String, String)>,
     /// Corrections; empty where ambiguous.
     repairs: Vec<Repair>,
 }
 
-/// One finding for the same error at several sensors or in several recordings.
-pub fn finding(campaign: &Campaign, names: &Names, group: &[Verdict]) -> Finding {
-    let errors: Vec<ColumnErrors> = group
-        .iter()
-        .map(|verdict| column_errors(names, verdict, &verdict.best.hypothesis))
-        .collect();
+/// Column errors with this identifier, each over all its sensors and recordings.
+pub fn column_errors<'a>(residuals: &ModelResiduals<'a>, id: &str) -> Vec<Found<'a>> {
+    let groups = residuals.column_errors.iter().filter(|group| group[0].id() == id);
+    groups.map(|group| describe(residuals.campaign, &residuals.names, id, group)).collect()
+}
+
+fn describe<'a>(campaign: &Campaign, names: &Names, id: &str, group: &[Verdict]) -> Found<'a> {
+    let errors: Vec<ColumnErrors> =
+        group.iter().map(|verdict| errors_of(names, verdict, &verdict.best.hypothesis)).collect();
     let first = &group[0];
     let columns: Vec<(String, String)> =
         errors.iter().flat_map(|errors| errors.columns.clone()).collect();
@@ -40,8 +40,8 @@ pub fn finding(campaign: &Campaign, names: &Names, group: &[Verdict]) -> Finding
     );
     let mut fix = None;
     if first.others.is_empty() {
-        fix = repair(&errors);
-        message += match (fix.is_some(), errors[0].id) {
+        fix = repair(id, &errors);
+        message += match (fix.is_some(), id) {
             (true, "wrong_unit") => "; convert the column",
             (true, _) => "; fix the wiring or the logger, and the recorded columns",
             (false, "wrong_unit") => "; determine its unit and convert it",
@@ -58,21 +58,16 @@ pub fn finding(campaign: &Campaign, names: &Names, group: &[Verdict]) -> Finding
         matches!(first.best.hypothesis, Hypothesis::Forces(_) | Hypothesis::ForceUnit(_));
     let file = if is_force { names.force(first.recording) } else { names.hall(first.recording) };
     let place = Location::file(&file).line(1);
-    Finding {
-        id: errors[0].id,
-        place: match errors[0].columns.first() {
-            Some((column, _)) => place.column(column.as_str()),
-            None => place,
-        },
-        message,
-        stops: true,
-        fix,
-    }
+    let place = match errors[0].columns.first() {
+        Some((column, _)) => place.column(column.as_str()),
+        None => place,
+    };
+    Found::new(place, message).stopping(fix)
 }
 
 fn descriptions(names: &Names, verdict: &Verdict) -> Vec<String> {
     let others = verdict.others.iter();
-    others.map(|other| sentence(&column_errors(names, verdict, other).columns)).collect()
+    others.map(|other| sentence(&errors_of(names, verdict, other).columns)).collect()
 }
 
 /// Groups columns with the same error.
@@ -113,7 +108,7 @@ fn recordings(campaign: &Campaign, group: &[Verdict]) -> String {
 }
 
 /// Corrections of all columns, if none is lost.
-fn repair(errors: &[ColumnErrors]) -> Option<Fix> {
+fn repair(id: &str, errors: &[ColumnErrors]) -> Option<Fix> {
     let repairs: Vec<Repair> = errors.iter().flat_map(|errors| errors.repairs.clone()).collect();
     let files: BTreeSet<_> = repairs.iter().map(|repair| repair.file.clone()).collect();
     let keeps_all = files.iter().all(|file| {
@@ -134,7 +129,7 @@ fn repair(errors: &[ColumnErrors]) -> Option<Fix> {
         to == from
     });
     let sure = keeps_all && errors.iter().all(|errors| !errors.repairs.is_empty());
-    let words = match errors[0].id {
+    let words = match id {
         "wrong_unit" => "converts the columns",
         "axis_flipped" | "force_flipped" => "negates the columns",
         _ => "restores the order of the columns",
@@ -142,42 +137,32 @@ fn repair(errors: &[ColumnErrors]) -> Option<Fix> {
     sure.then(|| Fix { words: words.to_owned(), repairs })
 }
 
-fn column_errors(names: &Names, verdict: &Verdict, hypothesis: &Hypothesis) -> ColumnErrors {
+fn errors_of(names: &Names, verdict: &Verdict, hypothesis: &Hypothesis) -> ColumnErrors {
     match hypothesis {
         Hypothesis::Axes(turned) => {
             let name = |axis: usize| names.field(verdict.recording, verdict.sensor, axis);
             let axes = (0..3).map(|axis| (name(axis), name(turned.from[axis]), turned.sign[axis]));
-            let permuted = turned.from != [0, 1, 2];
-            let id = if permuted { "axis_permuted" } else { "axis_flipped" };
-            exchanged(id, names.hall(verdict.recording), axes)
+            exchanged(names.hall(verdict.recording), axes)
         }
         Hypothesis::OfSensor(other) => {
             let own = |axis: usize| names.field(verdict.recording, verdict.sensor, axis);
             let theirs = |axis: usize| names.field(verdict.recording, *other, axis);
             let axes = (0..3).map(|axis| (own(axis), theirs(axis), 1.0));
-            exchanged("axis_permuted", names.hall(verdict.recording), axes)
+            exchanged(names.hall(verdict.recording), axes)
         }
         Hypothesis::Forces(sources) => {
-            let axes = own_forces(verdict.sensor, sources.len()).into_iter().zip(sources);
-            let axes: Vec<_> = axes
-                .map(|(own, (source, sign))| (force_name(own), force_name(*source), *sign))
-                .collect();
-            let swapped = axes.iter().any(|(to, from, _)| to != from);
-            let id = if swapped { "force_swapped" } else { "force_flipped" };
-            exchanged(id, names.force(verdict.recording), axes.into_iter())
+            let axes = own_forces(verdict.sensor).into_iter().zip(sources);
+            let axes =
+                axes.map(|(own, (source, sign))| (force_name(own), force_name(*source), *sign));
+            exchanged(names.force(verdict.recording), axes)
         }
         Hypothesis::FieldUnit(factor) => field_unit(names, verdict, *factor),
         Hypothesis::ForceUnit(factors) => force_unit(names, verdict, *factors),
     }
 }
 
-fn own_forces(sensor: u32, count: usize) -> Vec<(u32, Axis)> {
-    [(sensor, Axis::X), (sensor, Axis::Z)].into_iter().take(count).collect()
-}
-
 /// Exchanged columns: recorded name, correct name, sign.
 fn exchanged(
-    id: &'static str,
     file: std::path::PathBuf,
     axes: impl Iterator<Item = (String, String, f64)>,
 ) -> ColumnErrors {
@@ -195,7 +180,7 @@ fn exchanged(
             change: Change::Take { to, from, negate: sign < 0.0 },
         });
     }
-    ColumnErrors { id, columns, repairs }
+    ColumnErrors { columns, repairs }
 }
 
 fn field_unit(names: &Names, verdict: &Verdict, factor: f64) -> ColumnErrors {
@@ -214,17 +199,13 @@ fn field_unit(names: &Names, verdict: &Verdict, factor: f64) -> ColumnErrors {
         Some((_, exact)) => converted(names.hall(verdict.recording), columns.clone(), exact),
         None => Vec::new(),
     };
-    ColumnErrors {
-        id: "wrong_unit",
-        columns: columns.map(|column| (column, instead.clone())).collect(),
-        repairs,
-    }
+    ColumnErrors { columns: columns.map(|column| (column, instead.clone())).collect(), repairs }
 }
 
 fn force_unit(names: &Names, verdict: &Verdict, factors: [f64; 2]) -> ColumnErrors {
-    let mut errors = ColumnErrors { id: "wrong_unit", columns: Vec::new(), repairs: Vec::new() };
+    let mut errors = ColumnErrors::default();
     let mut sure = true;
-    for ((_, axis), factor) in own_forces(verdict.sensor, 2).into_iter().zip(factors) {
+    for ((_, axis), factor) in own_forces(verdict.sensor).into_iter().zip(factors) {
         if factor == 1.0 {
             continue;
         }

@@ -1,10 +1,12 @@
-//! Hypotheses about the columns of one sensor: permuted or negated axes, exchanged forces, wrong units.
+//! Hypotheses about the columns of one sensor (permuted or negated axes, exchanged forces, wrong units), and the
+//! selection of the one that removes the residual.
 
-use crate::data_quality::model_checks::case::{Case, mean_square};
+use crate::data_quality::model_checks::{Case, mean_square};
 use model_export::effects::ExcitationSeries;
-use model_export::recordings::Recording;
 use model_export::recordings::columns::Axis;
+use model_export::recordings::{Campaign, Recording};
 use nalgebra::Vector3;
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// Signed permutation of the field's axes: axis i is `sign[i]` times column `from[i]`.
@@ -47,7 +49,7 @@ pub struct Tried {
 }
 
 /// All signed permutations of the three axes except the identity.
-pub fn axes(case: &Case) -> Vec<Tried> {
+fn axes(case: &Case) -> Vec<Tried> {
     const ORDERS: [[usize; 3]; 6] =
         [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]];
     let mut tried = Vec::new();
@@ -69,7 +71,7 @@ pub fn axes(case: &Case) -> Vec<Tried> {
 }
 
 /// The fields of all other sensors.
-pub fn of_sensors(case: &Case, recording: &Recording) -> Vec<Tried> {
+fn of_sensors(case: &Case, recording: &Recording) -> Vec<Tried> {
     let indices = case.indices(recording);
     let others = recording.sensors.iter().filter(|(sensor, _)| **sensor != case.sensor);
     others
@@ -107,7 +109,7 @@ struct Column {
 
 /// Each single column for one of the sensor's forces, both exchanged, and both from another
 /// place, each with either sign.
-pub fn force_columns(case: &Case, recording: &Recording) -> Vec<Tried> {
+fn force_columns(case: &Case, recording: &Recording) -> Vec<Tried> {
     let columns = columns(case, recording);
     let own = case.forces;
     let mut candidates: Vec<Vec<Source>> = Vec::new();
@@ -198,7 +200,7 @@ fn columns(case: &Case, recording: &Recording) -> BTreeMap<(u32, Axis), Column> 
 }
 
 /// Gains within this factor of 1 may be a property of the magnet, the spring or the amplifier.
-pub const A_UNIT: f64 = 3.0;
+const A_UNIT: f64 = 3.0;
 /// Relative tolerance of a unit factor.
 const NAMED_WITHIN: f64 = 0.05;
 /// Search range of force factors in decades, and steps per decade.
@@ -236,7 +238,7 @@ fn is_a_unit(factor: f64) -> bool {
 }
 
 /// Best-fitting factor of the field.
-pub fn field(case: &Case) -> Option<Tried> {
+fn field(case: &Case) -> Option<Tried> {
     let pairs = || case.measured.iter().zip(&case.modelled);
     let both: f64 = pairs().map(|(measured, modelled)| measured.dot(modelled)).sum();
     let own: f64 = pairs().map(|(measured, _)| measured.norm_squared()).sum();
@@ -250,7 +252,7 @@ pub fn field(case: &Case) -> Option<Tried> {
 }
 
 /// Best-fitting factor of the forces: common, and each alone.
-pub fn forces(case: &Case) -> Vec<Tried> {
+fn forces(case: &Case) -> Vec<Tried> {
     let has = |wanted| case.forces.iter().any(|(_, axis)| *axis == wanted);
     let alone = [[true, false], [false, true], [true, true]];
     let recorded = [has(Axis::X), has(Axis::Z)];
@@ -303,6 +305,125 @@ fn scaled(track: &ExcitationSeries, factors: [f64; 2]) -> ExcitationSeries {
         smooth_n: times(&track.smooth_n),
         rate_n_per_s: times(&track.rate_n_per_s),
         ..track.clone()
+    }
+}
+
+/// Minimum ratio of the mean-square residual to the noise: five in RMS.
+const ABOVE_FLOOR: f64 = 25.0;
+/// Minimum reduction of the mean square: no missing effect amounts to nine tenths of the signal.
+const FALLS: f64 = 10.0;
+/// Hypotheses whose mean squares are within this factor are equivalent.
+const AS_GOOD: f64 = 4.0;
+
+/// Accepted hypothesis of one case.
+#[derive(Clone, Debug)]
+pub struct Verdict {
+    /// Zero-based number of the recording.
+    pub recording: usize,
+    /// Number of the sensor.
+    pub sensor: u32,
+    /// Best hypothesis.
+    pub best: Tried,
+    /// Equivalent hypotheses.
+    pub others: Vec<Hypothesis>,
+    /// Mean square of the residual as recorded, in gauss squared.
+    pub before: f64,
+}
+
+impl Verdict {
+    /// Identifier of the finding.
+    pub fn id(&self) -> &'static str {
+        match &self.best.hypothesis {
+            Hypothesis::Axes(turned) if turned.from == [0, 1, 2] => "axis_flipped",
+            Hypothesis::Axes(_) | Hypothesis::OfSensor(_) => "axis_permuted",
+            Hypothesis::Forces(sources) => {
+                let mut pairs = own_forces(self.sensor).into_iter().zip(sources);
+                if pairs.any(|(own, (source, _))| own != *source) {
+                    "force_swapped"
+                } else {
+                    "force_flipped"
+                }
+            }
+            Hypothesis::FieldUnit(_) | Hypothesis::ForceUnit(_) => "wrong_unit",
+        }
+    }
+}
+
+/// Force columns of a sensor, lateral and longitudinal.
+pub fn own_forces(sensor: u32) -> [(u32, Axis); 2] {
+    [(sensor, Axis::X), (sensor, Axis::Z)]
+}
+
+/// Column errors of all cases; the same error at several sensors or in several recordings is one group.
+pub fn column_errors(campaign: &Campaign, cases: &[Case]) -> Vec<Vec<Verdict>> {
+    let verdicts: Vec<Verdict> =
+        cases.par_iter().filter_map(|case| verdict(campaign, case)).collect();
+    let mut groups: Vec<Vec<Verdict>> = Vec::new();
+    for verdict in verdicts {
+        let same = |group: &&mut Vec<Verdict>| alike(&group[0], &verdict);
+        match groups.iter_mut().find(same) {
+            Some(group) => group.push(verdict),
+            None => groups.push(vec![verdict]),
+        }
+    }
+    groups
+}
+
+fn verdict(campaign: &Campaign, case: &Case) -> Option<Verdict> {
+    if case.as_recorded < ABOVE_FLOOR * case.floor {
+        return None;
+    }
+    let mut tried = axes(case);
+    let recording = &campaign.recordings[case.recording];
+    tried.extend(of_sensors(case, recording));
+    tried.extend(force_columns(case, recording));
+    tried.extend(field(case));
+    tried.extend(forces(case));
+    let least = tried.iter().map(|tried| tried.left).fold(f64::INFINITY, f64::min);
+    if least * FALLS > case.as_recorded {
+        return None;
+    }
+    // Differences below the floor are not significant.
+    let as_good = AS_GOOD * least.max(case.floor);
+    tried.retain(|tried| tried.left <= as_good);
+    tried.sort_by(|a, b| a.cost.cmp(&b.cost).then(a.left.total_cmp(&b.left)));
+    let mut tried = tried.into_iter();
+    let best = tried.next()?;
+    Some(Verdict {
+        recording: case.recording,
+        sensor: case.sensor,
+        others: tried
+            .filter(|other| other.cost == best.cost)
+            .map(|other| other.hypothesis)
+            .collect(),
+        before: case.as_recorded,
+        best,
+    })
+}
+
+/// True for the same error at another sensor or in another recording.
+fn alike(one: &Verdict, other: &Verdict) -> bool {
+    use Hypothesis::{Axes, FieldUnit, ForceUnit, Forces, OfSensor};
+    if one.others.is_empty() != other.others.is_empty() {
+        return false;
+    }
+    match (&one.best.hypothesis, &other.best.hypothesis) {
+        (Axes(a), Axes(b)) => a == b,
+        (OfSensor(_), OfSensor(_)) => true,
+        (FieldUnit(a), FieldUnit(b)) => field_unit(*a) == field_unit(*b),
+        (ForceUnit(a), ForceUnit(b)) => {
+            [0, 1].map(|i| force_unit(a[i])) == [0, 1].map(|i| force_unit(b[i]))
+        }
+        (Forces(a), Forces(b)) => {
+            // Relative to the sensor's own place: f1 for f0 and f0 for f1 are the same error.
+            let relative = |verdict: &Verdict, sources: &[Source]| -> Vec<_> {
+                let own = |place: u32| place == verdict.sensor;
+                let of = |((place, axis), sign): &Source| (own(*place), *axis, *sign < 0.0);
+                sources.iter().map(of).collect()
+            };
+            relative(one, a) == relative(other, b)
+        }
+        _ => false,
     }
 }
 

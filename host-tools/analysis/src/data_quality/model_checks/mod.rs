@@ -1,30 +1,32 @@
 //! Setup errors that a model's prediction reveals: permuted axes, wrong signs, wrong units, and
 //! clock offsets.
 //!
-//! - `case`: one sensor over one recording, subsampled, with its prediction and the names of its columns.
-//! - `hypothesis`: candidate errors: permutations, signs and unit factors.
-//! - `columns`: selection of the hypothesis that removes the residual, grouped over sensors and recordings.
+//! - `hypothesis`: candidate errors (permutations, signs, unit factors), and the one that removes the residual.
 //! - `description`: the findings as text.
 //! - `clock`: offset of the reference's clock.
 //!
 //! A missing effect leaves a residual of some ten percent. A setup error leaves a residual as large as the
 //! signal, and a single permutation removes nearly all of it: only that is reported.
 
-mod case;
-mod clock;
-mod columns;
-mod description;
+pub(super) mod clock;
+pub(super) mod description;
 mod hypothesis;
 
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+
 use model_export::effects::ExcitationSeries;
-use model_export::fit::rows::SensorRows;
-use model_export::recordings::Campaign;
+use model_export::fit::cross_validation::noise_variance;
+use model_export::fit::rows::{RecordingRows, SensorRows};
 use model_export::recordings::align::Alignment;
+use model_export::recordings::columns::Axis;
+use model_export::recordings::csv_table::table_path;
+use model_export::recordings::{Campaign, Recording};
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
-use crate::data_quality::model_checks::case::{Case, Names};
-use crate::data_quality::{Finding, sort};
+use crate::data_quality::model_checks::hypothesis::Verdict;
+use crate::data_quality::scan::TolerantReader;
 
 /// Predicted field in gauss for each row of a track.
 pub type Predict<'a> = &'a (dyn Fn(&ExcitationSeries) -> Vec<Vector3<f64>> + Sync);
@@ -38,24 +40,209 @@ pub struct SensorPrediction<'a> {
     pub predict: Predict<'a>,
 }
 
-/// Column and clock errors of a campaign that was read with this alignment, most
-/// severe first.
-pub fn check_against_model(
-    campaign: &Campaign,
+/// Input of a check against a model: residuals of the sensors in each recording.
+pub struct ModelResiduals<'a> {
+    campaign: &'a Campaign,
+    names: Names,
     alignment: Alignment,
-    sensors: &[SensorPrediction],
-) -> Vec<Finding> {
-    let cases: Vec<Case> = sensors
-        .par_iter()
-        .flat_map_iter(|sensor| {
-            let parts = sensor.rows.parts.iter().enumerate();
-            parts.filter_map(|(recording, part)| Case::new(sensor, recording, part))
-        })
-        .collect();
-    let names = Names::of(campaign);
-    let (mut findings, hit) = columns::check_columns(campaign, &names, &cases);
-    let sound: Vec<&Case> = cases.iter().filter(|case| !hit.contains(&case.recording)).collect();
-    findings.extend(clock::check_clocks(campaign, &names, alignment, &sound));
-    sort(&mut findings);
-    findings
+    /// Column errors, grouped over sensors and recordings.
+    column_errors: Vec<Vec<Verdict>>,
+    /// Cases of the recordings without column errors.
+    sound: Vec<Case<'a>>,
+}
+
+impl<'a> ModelResiduals<'a> {
+    /// Residuals of a campaign that was read with this alignment.
+    pub fn new(
+        campaign: &'a Campaign,
+        alignment: Alignment,
+        sensors: &[SensorPrediction<'a>],
+    ) -> Self {
+        let mut cases: Vec<Case> = sensors
+            .par_iter()
+            .flat_map_iter(|sensor| {
+                let parts = sensor.rows.parts.iter().enumerate();
+                parts.filter_map(|(recording, part)| Case::new(sensor, recording, part))
+            })
+            .collect();
+        let column_errors = hypothesis::column_errors(campaign, &cases);
+        let hit: BTreeSet<usize> =
+            column_errors.iter().flatten().map(|verdict| verdict.recording).collect();
+        cases.retain(|case| !hit.contains(&case.recording));
+        Self { campaign, names: Names::of(campaign), alignment, column_errors, sound: cases }
+    }
+}
+
+/// Maximum number of rows for a search: a setup error affects every row.
+const MOST_ROWS: usize = 500;
+/// Minimum number of rows.
+const LEAST_ROWS: usize = 20;
+/// Step in newtons of the numerical derivative of the field: small against any load, large against rounding.
+const STEP_N: f64 = 1.0;
+
+/// One sensor over one recording.
+pub struct Case<'a> {
+    /// Number of the sensor, from 1.
+    pub sensor: u32,
+    /// Zero-based number of the recording.
+    pub recording: usize,
+    /// Columns of its forces.
+    pub forces: &'a [(u32, Axis)],
+    /// All its rows.
+    pub part: &'a RecordingRows,
+    /// Indices of the subsample.
+    pub rows: Vec<usize>,
+    /// Covariates and forces of the subsample.
+    pub track: ExcitationSeries,
+    /// Measured field of the subsample in gauss.
+    pub measured: Vec<Vector3<f64>>,
+    /// Predicted field with the columns as recorded.
+    pub modelled: Vec<Vector3<f64>>,
+    /// Mean square of the noise in gauss squared, mean of the axes.
+    pub floor: f64,
+    /// Mean square of the model's residual.
+    pub as_recorded: f64,
+    predict: Predict<'a>,
+}
+
+impl<'a> Case<'a> {
+    /// `None` with too few rows or a prediction that is not finite.
+    pub fn new(
+        sensor: &SensorPrediction<'a>,
+        recording: usize,
+        part: &'a RecordingRows,
+    ) -> Option<Self> {
+        let stride = part.len().div_ceil(MOST_ROWS).max(1);
+        let rows: Vec<usize> = (0..part.len()).step_by(stride).collect();
+        let track = part.track.at(&rows);
+        let measured: Vec<Vector3<f64>> = rows.iter().map(|&row| part.field_g[row]).collect();
+        let modelled = (sensor.predict)(&track);
+        let as_recorded = mean_square(&measured, &modelled);
+        let usable = rows.len() >= LEAST_ROWS && as_recorded.is_finite();
+        let mut case = Self {
+            sensor: sensor.rows.sensor,
+            recording,
+            forces: &sensor.rows.forces,
+            part,
+            rows,
+            track,
+            measured,
+            modelled,
+            floor: 0.0,
+            as_recorded,
+            predict: sensor.predict,
+        };
+        case.floor = case.mean_floor();
+        usable.then_some(case)
+    }
+
+    fn mean_floor(&self) -> f64 {
+        let answers = [0, 1].map(|axis| {
+            let mut forces = self.track.force_n.clone();
+            forces.iter_mut().for_each(|force| force[axis] += STEP_N);
+            let moved =
+                self.modelled_under(&ExcitationSeries { force_n: forces, ..self.track.clone() });
+            let slope = |(after, before): (&Vector3<f64>, &Vector3<f64>)| (after - before) / STEP_N;
+            moved.iter().zip(&self.modelled).map(slope).collect::<Vec<_>>()
+        });
+        let at = |row: usize| {
+            let slopes =
+                self.forces.iter().map(|(_, axis)| answers[usize::from(*axis == Axis::Z)][row]);
+            noise_variance(self.part, slopes).sum() / 3.0
+        };
+        (0..self.rows.len()).map(at).sum::<f64>() / self.rows.len().max(1) as f64
+    }
+
+    /// Indices of the part's rows in the recording.
+    pub fn indices_of_part(&self, recording: &Recording) -> Vec<usize> {
+        let mut next = 0;
+        let place = |time: &f64| {
+            next += recording.time_s.get(next..)?.iter().position(|t| t == time)? + 1;
+            Some(next - 1)
+        };
+        self.part.time_s.iter().filter_map(place).collect()
+    }
+
+    /// Indices of the subsample in the recording.
+    pub fn indices(&self, recording: &Recording) -> Vec<usize> {
+        let all = self.indices_of_part(recording);
+        let rows = self.rows.iter();
+        rows.filter_map(|&row| all.get(row).copied()).collect()
+    }
+
+    /// Prediction for another track.
+    pub fn modelled_under(&self, track: &ExcitationSeries) -> Vec<Vector3<f64>> {
+        (self.predict)(track)
+    }
+
+    /// Mean square of the residual for another track.
+    pub fn left_under(&self, track: &ExcitationSeries) -> f64 {
+        mean_square(&self.measured, &self.modelled_under(track))
+    }
+}
+
+/// Mean over rows and axes of the squared difference; infinite where it is not a number.
+pub fn mean_square(measured: &[Vector3<f64>], modelled: &[Vector3<f64>]) -> f64 {
+    let squares = measured.iter().zip(modelled).map(|(a, b)| (a - b).norm_squared());
+    let mean = squares.sum::<f64>() / (3 * measured.len().max(1)) as f64;
+    if mean.is_finite() && measured.len() == modelled.len() { mean } else { f64::INFINITY }
+}
+
+/// Headers of both tables of every recording.
+pub struct Names {
+    tables: Vec<[Table; 2]>,
+}
+
+/// File and header; empty where unreadable.
+#[derive(Default)]
+struct Table {
+    path: PathBuf,
+    header: Vec<String>,
+}
+
+impl Names {
+    /// Reads the headers.
+    pub fn of(campaign: &Campaign) -> Self {
+        let table = |folder: &std::path::Path, name: &'static str| {
+            let path = table_path(folder, name).ok()?;
+            let header = TolerantReader::open(&path)?.header;
+            Some(Table { path, header })
+        };
+        let recordings = campaign.recordings.iter();
+        Self {
+            tables: recordings
+                .map(|recording| {
+                    ["hall.csv", "force.csv"]
+                        .map(|name| table(&recording.folder, name).unwrap_or_default())
+                })
+                .collect(),
+        }
+    }
+
+    /// Path of the board's table.
+    pub fn hall(&self, recording: usize) -> PathBuf {
+        self.tables[recording][0].path.clone()
+    }
+
+    /// Path of the reference's table.
+    pub fn force(&self, recording: usize) -> PathBuf {
+        self.tables[recording][1].path.clone()
+    }
+
+    /// True where the sensor's field was recorded in counts.
+    pub fn is_raw(&self, recording: usize, sensor: u32) -> bool {
+        let name = format!("s{sensor}_x_lsb");
+        self.tables[recording][0].header.contains(&name)
+    }
+
+    /// Column name of a field; axis 0 is x, 1 y, 2 z.
+    pub fn field(&self, recording: usize, sensor: u32, axis: usize) -> String {
+        let unit = if self.is_raw(recording, sensor) { "lsb" } else { "gauss" };
+        format!("s{sensor}_{}_{unit}", Axis::ALL[axis].letter())
+    }
+}
+
+/// Column name of a force.
+pub fn force_name((place, axis): (u32, Axis)) -> String {
+    format!("f{place}_{}_n", axis.letter())
 }

@@ -1,10 +1,9 @@
-//! Statistics of one column in constant memory: extent, noise, quantisation steps, constant runs, clipping.
+//! Statistics of one column in constant memory: extent, noise, quantisation steps, constant runs, clipping, outliers.
 
-use crate::data_quality::scan::sensor::Spikes;
 use crate::data_quality::scan::spectrum::{SpectralLine, Spectrum};
 use model_export::recordings::columns::{Axis, FieldUnit, ForceColumn, HallColumn};
 use model_export::recordings::noise::WhiteNoise;
-use std::collections::HashSet;
+use std::collections::{BTreeMap, HashSet};
 
 /// A constant run longer than this many rows is frozen and excluded from the noise estimate; shorter
 /// repeats are not.
@@ -457,5 +456,97 @@ impl Subsample {
         let mut values = self.values.clone();
         values.sort_by(f64::total_cmp);
         values.get(values.len() / 2).copied()
+    }
+}
+
+/// Bins per octave: resolution of quantiles 9 %.
+const PER_OCTAVE: f64 = 8.0;
+/// Median absolute value of the standard normal distribution.
+const MEDIAN_SIZE: f64 = 0.6745;
+/// Norm of the weights 1, -3, 3, -1.
+const THIRD_DIFFERENCE: f64 = 4.472_135_955;
+
+/// Histogram with logarithmic bins.
+#[derive(Clone, Debug, Default)]
+struct Sizes {
+    zeros: u64,
+    bins: BTreeMap<i32, u64>,
+}
+
+impl Sizes {
+    fn push(&mut self, size: f64) {
+        if size > 0.0 { *self.bins.entry(bin(size)).or_default() += 1 } else { self.zeros += 1 }
+    }
+
+    fn median(&self) -> Option<f64> {
+        let total = self.zeros + self.bins.values().sum::<u64>();
+        let mut below = self.zeros;
+        if total == 0 || 2 * below > total {
+            return None;
+        }
+        let middle = self.bins.iter().find(|(_, count)| {
+            below += *count;
+            2 * below >= total
+        });
+        middle.map(|(bin, _)| ((f64::from(*bin) + 0.5) / PER_OCTAVE).exp2())
+    }
+
+    fn above(&self, size: f64) -> u64 {
+        self.bins.range(bin(size) + 1..).map(|(_, count)| count).sum()
+    }
+}
+
+fn bin(size: f64) -> i32 {
+    (PER_OCTAVE * size.log2()).floor() as i32
+}
+
+/// Outlier statistics of a channel, by third differences.
+#[derive(Clone, Debug, Default)]
+pub struct Spikes {
+    last: [f64; 3],
+    last_line: u64,
+    seen: usize,
+    heights: Sizes,
+    differences: Sizes,
+    greatest: Option<(f64, u64)>,
+}
+
+impl Spikes {
+    /// Adds a value.
+    pub fn push(&mut self, value: f64, line: u64) {
+        let [a, b, c] = self.last;
+        if self.seen >= 3 {
+            self.differences.push((a - 3.0 * b + 3.0 * c - value).abs());
+        }
+        if self.seen >= 2 {
+            let (before, after) = (c - b, c - value);
+            if before * after > 0.0 {
+                let height = before.abs().min(after.abs());
+                self.heights.push(height);
+                if self.greatest.is_none_or(|(most, _)| height > most) {
+                    self.greatest = Some((height, self.last_line));
+                }
+            }
+        }
+        self.last = [b, c, value];
+        self.last_line = line;
+        self.seen += 1;
+    }
+
+    /// Restarts after a gap.
+    pub fn interrupt(&mut self) {
+        self.seen = 0;
+    }
+
+    /// Standard deviation of the white noise from the median; `None` where most rows do not change.
+    pub fn noise(&self) -> Option<f64> {
+        Some(self.differences.median()? / (MEDIAN_SIZE * THIRD_DIFFERENCE))
+    }
+
+    /// Number of rows that deviate from both neighbours in the same direction by more than `height`, and the largest
+    /// deviation with its line.
+    pub fn above(&self, height: f64) -> Option<(u64, f64, u64)> {
+        let (most, line) = self.greatest.filter(|(most, _)| *most > height)?;
+        Some((self.heights.above(height).max(1), most, line))
     }
 }

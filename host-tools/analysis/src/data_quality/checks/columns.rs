@@ -1,0 +1,476 @@
+//! Values of single columns: unit, variation, range, resolution, outliers.
+
+use crate::data_quality::checks::{
+    Channel, CheckContext, Found, by_table, clock, digits, list, percent, verb,
+};
+use crate::data_quality::fix::{Change, Fix, Repair};
+use crate::data_quality::scan::RecordingScan;
+use crate::data_quality::scan::column::{ColumnScan, FEW, Quantity, Run};
+use model_export::effects::CATALOGUE;
+use model_export::recordings::columns::FieldUnit;
+use std::f64::consts::{PI, TAU};
+
+/// Standard gravity in m/s².
+const GRAVITY: f64 = 9.806_65;
+/// Highest plausible sensor temperature in degrees Celsius.
+const HOTTEST_C: f64 = 120.0;
+/// A median above this, in degrees Celsius, is more likely a room temperature in Fahrenheit.
+const HOT_C: f64 = 85.0;
+/// Plausible temperatures in kelvin, including a warm motor.
+const KELVIN: std::ops::Range<f64> = 233.0..423.0;
+/// Openings below this, in millimetres, that vary are metres: the widest gripper opens 0.2 m.
+const SMALLEST_MM: f64 = 0.2;
+/// Openings above this are micrometres.
+const WIDEST_MM: f64 = 1000.0;
+/// Motor currents above this are milliamperes.
+const MOST_A: f64 = 200.0;
+
+/// Detected unit of the values.
+#[derive(Clone, Debug, PartialEq)]
+struct Misfit {
+    found: &'static str,
+    wanted: &'static str,
+    evidence: String,
+    /// Factor and offset to the expected unit, where unambiguous.
+    cure: Option<(f64, f64)>,
+}
+
+/// Magnitudes of all covariates.
+pub fn wrong_units<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
+    let covariates: Vec<Channel> = context
+        .columns()
+        .into_iter()
+        .filter(|one| matches!(one.column.quantity, Quantity::Temperature | Quantity::Covariate))
+        .collect();
+    let mut groups: Vec<(Misfit, Vec<Channel>)> = Vec::new();
+    for one in covariates {
+        let Some(misfit) = misfit(&context.recordings[one.recording], one.column) else {
+            continue;
+        };
+        let same = |(other, _): &&mut (Misfit, Vec<Channel>)| {
+            other.found == misfit.found && other.wanted == misfit.wanted
+        };
+        match groups.iter_mut().find(same) {
+            Some((_, seen)) => seen.push(one),
+            None => groups.push((misfit, vec![one])),
+        }
+    }
+    groups.iter().map(|(misfit, seen)| wrong_unit(context, misfit, seen)).collect()
+}
+
+fn wrong_unit<'a>(context: &CheckContext, misfit: &Misfit, seen: &[Channel<'a>]) -> Found<'a> {
+    let Misfit { found, wanted, evidence, .. } = misfit;
+    let fix = misfit.cure.map(|(factor, offset)| Fix {
+        words: format!("converts from {found} to {wanted}"),
+        repairs: seen
+            .iter()
+            .map(|one| Repair {
+                file: one.table.path.clone(),
+                change: Change::Convert { column: one.column.name.clone(), factor, offset },
+            })
+            .collect(),
+    });
+    let (one, several) = if fix.is_some() { ("is", "are") } else { ("seems to be", "seem to be") };
+    let says = verb(seen, one, several);
+    let message = format!(
+        "{} {} in {found}, not in {wanted}: {} is {evidence}; convert the column",
+        context.whose(seen),
+        says,
+        seen[0].column.name,
+    );
+    Found::new(seen[0].at(2), message).stopping(fix).explaining(seen)
+}
+
+fn misfit(recording: &RecordingScan, column: &ColumnScan) -> Option<Misfit> {
+    let size = |share: f64| column.sample.size(share).unwrap_or(0.0);
+    let misfit = |found, wanted, evidence, cure| Some(Misfit { found, wanted, evidence, cure });
+    let up_to = || format!("up to {}", digits(size(1.0)));
+    match column.name.as_str() {
+        "roll_rad" | "pitch_rad" if size(1.0) > TAU => {
+            misfit("degrees", "rad", up_to(), Some((PI / 180.0, 0.0)))
+        }
+        "yaw_rad" if size(1.0) > TAU => yaw(recording, column),
+        "opening_mm" if size(1.0) > WIDEST_MM => misfit("um", "mm", up_to(), Some((1e-3, 0.0))),
+        "opening_mm" if size(1.0) < SMALLEST_MM && column.span() > 0.0 => {
+            misfit("m", "mm", up_to(), Some((1e3, 0.0)))
+        }
+        "motor_iq_a" if size(0.95) > MOST_A => misfit("mA", "A", up_to(), Some((1e-3, 0.0))),
+        name if name.starts_with("accel_") => acceleration(recording),
+        _ if column.quantity == Quantity::Temperature => temperature(column),
+        _ => None,
+    }
+}
+
+/// Yaw in rad may exceed one turn: it is unambiguous only if roll or pitch are in degrees too.
+fn yaw(recording: &RecordingScan, column: &ColumnScan) -> Option<Misfit> {
+    let most = column.sample.size(1.0)?;
+    let others = ["roll_rad", "pitch_rad"];
+    let sure = recording.table("hall.csv").is_some_and(|hall| {
+        let others = others.iter().filter_map(|name| hall.column(name));
+        others.filter_map(|column| column.sample.size(1.0)).any(|most| most > TAU)
+    });
+    // Beyond a turn in degrees it can only be continuous rad.
+    (sure || most <= 360.0).then(|| Misfit {
+        found: "degrees",
+        wanted: "rad",
+        evidence: format!("up to {}", digits(most)),
+        cure: sure.then_some((PI / 180.0, 0.0)),
+    })
+}
+
+fn temperature(column: &ColumnScan) -> Option<Misfit> {
+    let median = column.sample.median()?;
+    let (found, cure) = match median {
+        t if t <= HOT_C => return None,
+        t if t <= HOTTEST_C => ("degrees Fahrenheit", None),
+        t if KELVIN.contains(&t) => ("kelvin", Some((1.0, -273.15))),
+        _ => ("another unit", None),
+    };
+    Some(Misfit {
+        found,
+        wanted: "degrees Celsius",
+        evidence: format!("{} in the middle", digits(median)),
+        cure,
+    })
+}
+
+/// All three axes by the magnitude of the vector: at rest it is gravity.
+fn acceleration(recording: &RecordingScan) -> Option<Misfit> {
+    let norm = recording.table("hall.csv")?.acceleration.median()?;
+    let (found, factor) = match norm {
+        n if (0.8..1.25).contains(&n) => ("g", GRAVITY),
+        n if (800.0..1250.0).contains(&n) => ("thousandths of g", 1e-3 * GRAVITY),
+        _ => return None,
+    };
+    Some(Misfit {
+        found,
+        wanted: "m/s2",
+        evidence: format!("part of a vector whose length is {} in the middle", digits(norm)),
+        cure: Some((factor, 0.0)),
+    })
+}
+
+/// Minimum number of rows; a shorter recording may be constant by coincidence.
+const LEAST_ROWS: u64 = 20;
+/// A single run with this share of the rows at the extreme value is not clipping.
+const ONE_STAY: f64 = 0.95;
+/// Runs that begin within this time in microseconds have one cause.
+const TOGETHER_US: f64 = 100_000.0;
+
+/// Fields and forces that do not change, throughout or for a stretch.
+pub fn stuck_channels<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
+    let measured = measured(context);
+    let mut all = Vec::new();
+    let throughout = |one: &&Channel| one.column.rows >= LEAST_ROWS && one.column.span() == 0.0;
+    let constant: Vec<Channel> = measured.iter().filter(throughout).copied().collect();
+    for seen in by_table(constant) {
+        let (whole, some): (Vec<Channel>, Vec<Channel>) =
+            seen.iter().partition(|one| context.everywhere(&seen, &one.column.name));
+        for (seen, whole) in [(whole, true), (some, false)] {
+            if !seen.is_empty() {
+                all.push(never_changes(context, &seen, whole));
+            }
+        }
+    }
+    let frozen = |one: Channel<'_>| Some(one.column.frozen()?).filter(|run| !is_an_end(&one, run));
+    let stretches: Vec<(Channel, Run)> =
+        measured.into_iter().filter_map(|one| frozen(one).map(|run| (one, run))).collect();
+    all.extend(together(stretches).iter().map(|group| frozen_for(context, group)));
+    all
+}
+
+/// Fields and forces.
+fn measured<'a>(context: &CheckContext<'a>) -> Vec<Channel<'a>> {
+    let is_measured =
+        |one: &Channel| one.column.quantity.is_field() || one.column.quantity == Quantity::Force;
+    context.columns().into_iter().filter(is_measured).collect()
+}
+
+/// A clipped channel stays at its limit as long as the load does.
+fn is_an_end(seen: &Channel, run: &Run) -> bool {
+    let at_limit = run.value <= seen.column.limits.0 || run.value >= seen.column.limits.1;
+    let cut_off = seen.column.cut_off();
+    // Noise splits a run at a limit; a channel that froze at its peak has a single run.
+    at_limit
+        || cut_off.is_some_and(|(value, rows)| {
+            value == run.value && (run.rows as f64) < ONE_STAY * rows as f64
+        })
+}
+
+fn never_changes<'a>(context: &CheckContext, seen: &[Channel<'a>], whole: bool) -> Found<'a> {
+    let first = seen[0];
+    let is_at_limit = seen.iter().any(|one| one.column.at_limit.0 > 0);
+    let end = if is_at_limit { ", the end of its range" } else { "" };
+    let message = format!(
+        "{} {} {}{end} in every row; a working channel shows noise: look for a broken wire, a sensor that was not read, or a column filled by hand{}",
+        context.whose(seen),
+        verb(seen, "is", "are"),
+        digits(first.column.extent.0),
+        if whole { "" } else { ", and exclude that recording" }
+    );
+    let found = Found::new(first.at(2), message).explaining(seen);
+    if whole { found.stopping(None) } else { found }
+}
+
+fn frozen_for<'a>(context: &CheckContext, group: &[(Channel<'a>, Run)]) -> Found<'a> {
+    let (first, run) = group[0];
+    let seen: Vec<Channel> = group.iter().map(|(one, _)| *one).collect();
+    let message = format!(
+        "{} {} constant from {} to {} s, {} rows of the same value ({}), where noise of {} would change nearly every row; look for a loose connector or a sensor that stopped, and cut out this stretch",
+        context.whose(&seen),
+        verb(&seen, "is", "are"),
+        digits(first.table.second(run.from_us)),
+        digits(first.table.second(run.to_us)),
+        run.rows,
+        digits(run.value),
+        digits(first.column.noise()),
+    );
+    Found::new(first.at(run.line), message).explaining(&seen)
+}
+
+/// Groups runs of one recording that begin together.
+fn together<'a>(stretches: Vec<(Channel<'a>, Run)>) -> Vec<Vec<(Channel<'a>, Run)>> {
+    let mut groups: Vec<Vec<(Channel, Run)>> = Vec::new();
+    for (one, run) in stretches {
+        let belongs = |group: &&mut Vec<(Channel, Run)>| {
+            let (other, first) = group[0];
+            other.table.path == one.table.path && (first.from_us - run.from_us).abs() < TOGETHER_US
+        };
+        match groups.iter_mut().find(belongs) {
+            Some(group) => group.push((one, run)),
+            None => groups.push(vec![(one, run)]),
+        }
+    }
+    groups
+}
+
+/// Fields and forces at the end of their range, or clipped before it.
+pub fn saturation<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
+    let mut all = Vec::new();
+    for seen in by_table(measured(context)) {
+        let (at_limit, others): (Vec<Channel>, Vec<Channel>) =
+            seen.iter().partition(|one| one.column.at_limit.0 > 0);
+        let cut_off: Vec<Channel> =
+            others.into_iter().filter(|one| one.column.cut_off().is_some()).collect();
+        all.extend(at_its_end(context, &at_limit));
+        all.extend(cut_short(context, &cut_off));
+    }
+    all
+}
+
+fn at_its_end<'a>(context: &CheckContext, seen: &[Channel<'a>]) -> Option<Found<'a>> {
+    let share = |one: &Channel| one.column.at_limit.0 as f64 / one.column.rows as f64;
+    let worst = seen.iter().max_by(|a, b| share(a).total_cmp(&share(b)))?;
+    let message = format!(
+        "{} {} the end of its range, most in {} with {} of the rows; those rows are excluded: widen the gap or reduce the load",
+        context.whose(seen),
+        verb(seen, "reaches", "reach"),
+        worst.column.name,
+        percent(share(worst)),
+    );
+    Some(Found::new(worst.at(worst.column.at_limit.1), message).explaining(seen))
+}
+
+fn cut_short<'a>(context: &CheckContext, seen: &[Channel<'a>]) -> Option<Found<'a>> {
+    let rows = |one: &Channel| one.column.cut_off().map_or(0, |(_, rows)| rows);
+    let share = |one: &Channel| rows(one) as f64 / one.column.rows as f64;
+    let worst = seen.iter().max_by(|a, b| share(a).total_cmp(&share(b)))?;
+    let (value, _) = worst.column.cut_off()?;
+    let advice = if value == 0.0 && worst.column.quantity == Quantity::Force {
+        "this is correct where the signal only rests at zero, as on a scale; otherwise forces of one sign are lost: adjust the zero of the amplifier"
+    } else {
+        "look for a limit in the amplifier, the converter or the logger, or reduce the load"
+    };
+    let message = format!(
+        "{} {} clipped: {} of the rows of {} are exactly {} and none exceeds it, where noise would scatter them; {advice}. These rows are not excluded automatically",
+        context.whose(seen),
+        verb(seen, "is", "are"),
+        percent(share(worst)),
+        worst.column.name,
+        digits(value),
+    );
+    Some(Found::new(worst.at(2), message).explaining(seen))
+}
+
+/// A covariate with a spread below this multiple of its white noise counts as constant.
+const MOVES: f64 = 1.5;
+/// Minimum number of rows for an estimate of the spread.
+const MIN_COVARIATE_ROWS: f64 = 20.0;
+
+/// Covariates that do not vary over the whole campaign.
+pub fn constant_covariates<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
+    let columns = context.columns();
+    let mut names: Vec<&str> = Vec::new();
+    for one in &columns {
+        let covariate = matches!(one.column.quantity, Quantity::Temperature | Quantity::Covariate);
+        if covariate && !names.contains(&one.column.name.as_str()) {
+            names.push(&one.column.name);
+        }
+    }
+    let of = |name: &str| -> Vec<Channel> {
+        let same = columns.iter().filter(|one| one.column.name == name);
+        same.copied().collect()
+    };
+    let still: Vec<&str> = names.into_iter().filter(|name| is_constant(&of(name))).collect();
+    let groups = same_cause(&still).into_iter();
+    groups
+        .map(|group| {
+            let seen: Vec<Channel> = group.iter().map(|name| of(name)[0]).collect();
+            Found::new(seen[0].at(2), no_variation(&group, &seen))
+        })
+        .collect()
+}
+
+/// Groups columns with one cause: the sensors' temperatures, or the opening and the rotor that sets it.
+fn same_cause<'a>(still: &[&'a str]) -> Vec<Vec<&'a str>> {
+    let kind = |name: &str| match name {
+        "motor_angle_rad" if still.contains(&"opening_mm") => "opening_mm".to_owned(),
+        name if name.ends_with("_temp_c") => "temp_c".to_owned(),
+        name => name.to_owned(),
+    };
+    let mut groups: Vec<Vec<&str>> = Vec::new();
+    for name in still {
+        match groups.iter_mut().find(|group| kind(group[0]) == kind(name)) {
+            Some(group) => group.push(name),
+            None => groups.push(vec![name]),
+        }
+    }
+    groups
+}
+
+/// True where the spread over all recordings does not exceed the noise.
+fn is_constant(seen: &[Channel]) -> bool {
+    let moments = || seen.iter().map(|one| one.column.moments());
+    let rows: f64 = moments().map(|(rows, _, _)| rows).sum();
+    let mean = moments().map(|(rows, mean, _)| rows * mean).sum::<f64>() / rows;
+    let squares: f64 =
+        moments().map(|(rows, own, squares)| squares + rows * (own - mean).powi(2)).sum();
+    let noise = seen.iter().map(|one| one.column.noise()).fold(0.0, f64::max);
+    // An exactly written constant has no noise.
+    let rounding = 1e-9 * mean.abs();
+    rows >= MIN_COVARIATE_ROWS && (squares / rows).sqrt() <= (MOVES * noise).max(rounding)
+}
+
+fn no_variation(group: &[&str], seen: &[Channel]) -> String {
+    let needed = |name: &str, column: &str| {
+        name == column || (name == "temp_c" && column.ends_with("_temp_c"))
+    };
+    let lost: Vec<&str> = CATALOGUE
+        .iter()
+        .filter(|effect| {
+            let mut needs = effect.needs.iter();
+            needs.any(|need| needed(need, group[0]))
+        })
+        .map(|effect| effect.id)
+        .collect();
+    let then = if lost.is_empty() {
+        "effects that depend on it cannot be tested".to_owned()
+    } else {
+        format!("{} cannot be tested", list(&lost))
+    };
+    let values = group.iter().zip(seen).map(|(name, one)| {
+        let (_, mean, _) = one.column.moments();
+        let value = if mean.abs() < one.column.noise() { 0.0 } else { mean };
+        format!("{name} at {}", digits(value))
+    });
+    let values: Vec<String> = values.collect();
+    let values: Vec<&str> = values.iter().map(String::as_str).collect();
+    format!(
+        "no variation above the noise: {} in the whole campaign; {then}; record while it changes, or remove the column if it was not measured",
+        list(&values),
+    )
+}
+
+/// Threshold in standard deviations of the noise.
+const FAR: f64 = 20.0;
+
+/// Outliers in the fields.
+pub fn outliers<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
+    let spikes = |one: &Channel| {
+        let noise = one.column.spikes.noise()?;
+        // Rounding may hide the noise; a single quantisation step is no outlier.
+        let height = FAR * noise.max(0.3 * one.column.grid.step());
+        one.column.spikes.above(height).map(|found| (found, noise))
+    };
+    let seen: Vec<Channel> = context
+        .columns()
+        .into_iter()
+        .filter(|one| one.column.quantity.is_field() && spikes(one).is_some())
+        .collect();
+    let height = |one: &Channel| spikes(one).map_or(0.0, |((_, most, _), noise)| most / noise);
+    let worst = seen.iter().max_by(|a, b| height(a).total_cmp(&height(b)));
+    let Some((worst, ((_, most, line), noise))) = worst.and_then(|one| Some((one, spikes(one)?)))
+    else {
+        return Vec::new();
+    };
+    let rows: u64 = seen.iter().filter_map(spikes).map(|((n, _, _), _)| n).sum();
+    let message = format!(
+        "{}: {} from both neighbours by more than {FAR} times the noise; the largest here, in {}, by {} G at a noise of {} G. Look for disturbed transfers, and remove these rows: averaging spreads them",
+        context.whose(&seen),
+        match rows {
+            1 => "1 value deviates".to_owned(),
+            n => format!("{n} values deviate"),
+        },
+        worst.column.name,
+        digits(most * worst.column.scale),
+        digits(noise * worst.column.scale),
+    );
+    vec![Found::new(worst.at(line), message).explaining(&seen)]
+}
+
+/// Ratio of step to white noise above which noise does not dither the steps. Rounding alone appears as a
+/// noise of 0.29 steps, a ratio of 3.5.
+const STEPS_OF_NOISE: f64 = 2.0;
+/// Minimum number of distinct values of a column.
+const LEAST_VALUES: usize = 5;
+/// Minimum span in steps: a few values may have a common divisor by coincidence.
+const LEAST_STEPS: f64 = 10.0;
+
+/// Quantisation of every column except angles and accelerations.
+pub fn coarse_steps<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
+    let coarse: Vec<Channel> = context
+        .columns()
+        .into_iter()
+        .filter(|one| step(one.column).is_some())
+        // Repeated samples hide the noise.
+        .filter(|one| one.column.quantity.is_field() || !clock::any(one.table))
+        .collect();
+    by_table(coarse).iter().filter_map(|seen| coarsest(context, seen)).collect()
+}
+
+fn coarsest<'a>(context: &CheckContext, seen: &[Channel<'a>]) -> Option<Found<'a>> {
+    let coarseness = |one: &Channel| step(one.column).unwrap_or(0.0) / one.column.span();
+    let worst = seen.iter().max_by(|a, b| coarseness(a).total_cmp(&coarseness(b)))?;
+    let step = step(worst.column).unwrap_or(0.0);
+    let counts = match worst.column.quantity {
+        Quantity::Field { unit: FieldUnit::Lsb, .. } => "counts ",
+        _ => "",
+    };
+    let message = format!(
+        "{} {} in coarse steps, the coarsest in {}: every value is {} {counts}from the next, {} steps over the span, which adds an error of {} that averaging does not remove; write more digits, or look for bits lost in a driver",
+        context.whose(seen),
+        verb(seen, "changes", "change"),
+        worst.column.name,
+        digits(step),
+        digits(worst.column.span() / step),
+        digits(step / 12_f64.sqrt()),
+    );
+    Some(Found::new(worst.at(2), message).explaining(seen))
+}
+
+/// Quantisation step, where it is too coarse.
+fn step(column: &ColumnScan) -> Option<f64> {
+    let span = column.span();
+    match column.quantity {
+        Quantity::Field { unit: FieldUnit::Lsb, .. } => {
+            let divisor = column.grid.divisor()? as f64;
+            (divisor > 1.0 && span >= LEAST_STEPS * divisor).then_some(divisor)
+        }
+        Quantity::Covariate if column.name != "opening_mm" => None,
+        _ => {
+            let (distinct, step) = (column.grid.distinct()?, column.grid.step());
+            let few = distinct >= LEAST_VALUES && span < FEW as f64 * step;
+            (few && step > STEPS_OF_NOISE * column.noise()).then_some(step)
+        }
+    }
+}
