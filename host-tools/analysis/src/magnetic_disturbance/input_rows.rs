@@ -6,6 +6,7 @@ use anyhow::Result;
 use firmware::config::constants;
 use firmware::estimator::auxiliary_inputs::AuxiliaryInputs;
 use firmware::sensors::hall::{HallReading, SENSORS};
+use model_export::effects::REFERENCE_C;
 use model_export::inverse::build::DeviceModel;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::columns::{COVARIATES, ChannelLayout, HallColumn};
@@ -17,7 +18,7 @@ use rand_chacha::ChaCha8Rng;
 use device_run::channel_map::{
     CovariateChannels, SensorChannels, field_counts, sensor_channels, temperature_counts,
 };
-use sim::campaign::excitation::{Excitation, REFERENCE_C};
+use sim::campaign::excitation::Excitation;
 use sim::campaign::gripper::{CampaignGripper, CampaignTime};
 use sim::campaign::recording::{SETTLING_S, TEMPERATURE_C, covariates};
 use sim::campaign::settings::CampaignSettings;

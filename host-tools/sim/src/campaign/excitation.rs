@@ -2,6 +2,7 @@
 
 use crate::motion::{AttitudeProfile, MotionState, OpeningProfile, Orientation, Programme};
 use crate::random::{Purpose, SineSum, smoothstep, stream, uniform};
+use model_export::effects::REFERENCE_C;
 use nalgebra::Vector3;
 use std::f64::consts::TAU;
 
@@ -143,9 +144,6 @@ impl LoadProfile {
         loads.fold(f64::MIN_POSITIVE, f64::max)
     }
 }
-
-/// Reference temperature of all thermal effects, in C.
-pub const REFERENCE_C: f64 = 25.0;
 
 /// Range of the temperature change of a recording, in K.
 const CHANGE_K: [f64; 2] = [6.0, 10.0];

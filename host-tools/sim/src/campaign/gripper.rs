@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use crate::campaign::excitation::{Excitation, REFERENCE_C};
+use crate::campaign::excitation::Excitation;
 use crate::campaign::settings::{CampaignSettings, start_s};
 use crate::effects::Effects;
 use crate::external_fields::{
@@ -10,6 +10,7 @@ use crate::external_fields::{
 };
 use crate::hall_sensor::SensorUnit;
 use crate::motion::{Backlash, LEAD_MM};
+use model_export::effects::REFERENCE_C;
 
 /// Integration steps of the mechanics per sample.
 const SUBSTEPS: u32 = 4;
