@@ -5,7 +5,6 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
 
-use sim::effects::find_kind;
 use model_export::effects::{
     CATALOGUE, DeviceForm, Effect, EffectStage, EffectTerm, ParameterKind, Signature, Simulation,
     find,
@@ -16,6 +15,7 @@ use model_export::physics::ForwardModel;
 use model_export::recordings::columns::COVARIATES;
 use model_export::recordings::description::NominalDesign;
 use serde_json::Value;
+use sim::effects::find_kind;
 use tempfile::TempDir;
 use tests::data;
 

@@ -18,9 +18,9 @@
 //! `cargo bench -p host-tools --bench foreign_magnet`.
 
 use crate::estimator::estimate::{Estimate, Validity};
-use crate::limits::DetectionLimits;
 use crate::estimator::network_monitor::excess_deviations;
 use crate::fixed_point::{Force, saturate};
+use crate::limits::DetectionLimits;
 use crate::model::formats::PARITY_SIGMA_BITS;
 use crate::sensors::hall::SENSORS;
 

@@ -1,9 +1,9 @@
 //! Calibration of predicted standard deviations: coverage of their multiples compared with a Gaussian, with
 //! block-bootstrap intervals that account for autocorrelated errors.
 
+use crate::statistics::pooled_rms;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use serde_json::{Value, json};
 use statrs::distribution::{ContinuousCDF, Normal};
 
 /// Multiples of the predicted standard deviation at which coverage is measured.
@@ -12,7 +12,8 @@ pub const SIGMA_MULTIPLES: [f64; 3] = [1.0, 2.0, 3.0];
 pub const BLOCK_S: f64 = 5.0;
 /// Resamples of the bootstrap, and its seed.
 const DRAWS: usize = 1000;
-const SEED: u64 = 1;
+/// Seed of the bootstrap.
+pub const SEED: u64 = 1;
 /// Nominal coverages of the calibration curve.
 const CURVE: [f64; 9] = [0.1, 0.25, 0.5, 0.683, 0.8, 0.9, 0.954, 0.99, 0.997];
 
@@ -127,10 +128,7 @@ impl Coverage {
             let inside = errors.iter().filter(|error| error.normalised() <= multiple);
             [expected, inside.count() as f64 / errors.len() as f64]
         });
-        let rms = |of: fn(&PredictedError) -> f64| {
-            let squares: f64 = errors.iter().map(|error| of(error) * of(error)).sum();
-            (squares / errors.len() as f64).sqrt()
-        };
+        let rms = |of: fn(&PredictedError) -> f64| pooled_rms(errors.iter().map(of));
         Some(Self {
             rows: errors.len(),
             blocks: counts.len(),
@@ -139,22 +137,6 @@ impl Coverage {
             curve: curve.to_vec(),
             sigma_n: rms(|error| error.sigma_n),
             rmse_n: rms(|error| error.error_n),
-        })
-    }
-
-    /// A fraction with its interval: `68.1 % (66.0 to 70.2)`.
-    pub fn words(&self, place: usize) -> String {
-        let [lower, upper] = self.interval[place].map(|share| 100.0 * share);
-        format!("{:.1} % ({lower:.1} to {upper:.1})", 100.0 * self.within[place])
-    }
-
-    /// The coverage as JSON.
-    pub fn json(&self) -> Value {
-        let [one, two, three] = self.within;
-        json!({
-            "1": one, "2": two, "3": three, "interval_95": self.interval, "rows": self.rows,
-            "blocks": self.blocks, "block_s": BLOCK_S, "seed": SEED, "curve": self.curve,
-            "sigma_n": self.sigma_n, "rmse_n": self.rmse_n,
         })
     }
 }

@@ -5,6 +5,8 @@
 //! - [`data_quality`]: setup errors in recordings.
 //! - [`diagnose`]: missing physical effects.
 //! - [`benchmark`]: eight force estimators on a held-out recording.
+//! - [`fit`], [`edit_model`]: fit of the base physics, and of other effects.
+//! - [`network_training`]: training of recurrent networks.
 //! - [`magnetic_disturbance`]: detection rate and false alarms of the disturbance detector.
 //! - [`calibration`], [`network_calibration`]: coverage of predicted standard deviations.
 //! - [`statistics`]: running statistics. [`numbers`]: numbers as text. [`progress`]: progress bars.
@@ -14,8 +16,11 @@ pub mod calibration;
 pub mod compare;
 pub mod data_quality;
 pub mod diagnose;
+pub mod edit_model;
+pub mod fit;
 pub mod magnetic_disturbance;
 pub mod network_calibration;
+pub mod network_training;
 pub mod numbers;
 pub mod progress;
 pub mod replay;

@@ -10,7 +10,6 @@ use model_export::gru::train::dataset::{SensorSequence, Sequence};
 use model_export::gru::train::forward::Prediction as Share;
 use model_export::gru::train::trainer::Trainer;
 use model_export::inverse::build::DeviceModel;
-use serde_json::{Value, json};
 
 use crate::calibration::{Coverage, PredictedError, sigma_factor, subtract_tare};
 use crate::replay::tare::{TareEstimator, friction_n};
@@ -110,36 +109,6 @@ impl NetworkCalibration {
     pub fn sigma_factor(&self, sensor: u32, axis: usize) -> f64 {
         let found = self.factors.iter().find(|(number, _)| *number == sensor);
         found.map_or(1.0, |(_, factors)| factors[axis])
-    }
-
-    /// The calibration as text.
-    pub fn text(&self) -> String {
-        let (Some(before), Some(after)) = (&self.before, &self.after) else {
-            return String::new();
-        };
-        let factors = self.factors.iter().flat_map(|(_, factors)| factors);
-        let (min, max) = factors.fold((f64::INFINITY, 0.0_f64), |(a, b), f| (a.min(*f), b.max(*f)));
-        format!(
-            "Calibration multiplies sigma by {min:.2} to {max:.2}. Cross-validated coverage (blocks of 5 s) after the \
-             tare over all forces, 1, 2 and 3 sigma: {}, {}, {} (Gaussian: 68.3, 95.4, 99.7 %; 95 % intervals by \
-             block bootstrap, 1000 draws); uncalibrated {}, {}. ",
-            after.words(0),
-            after.words(1),
-            after.words(2),
-            before.words(0),
-            before.words(1),
-        )
-    }
-
-    /// Part of `--json`.
-    pub fn json(&self) -> Value {
-        let factors =
-            self.factors.iter().map(|(sensor, [x, z])| json!({ "sensor": sensor, "x": x, "z": z }));
-        json!({
-            "coverage": self.after.as_ref().map(Coverage::json),
-            "before": self.before.as_ref().map(Coverage::json),
-            "factors": factors.collect::<Vec<_>>(),
-        })
     }
 }
 

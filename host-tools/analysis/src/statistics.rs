@@ -144,18 +144,22 @@ impl ErrorAccumulator {
 }
 
 /// Root mean square; NaN without values.
-pub fn pooled_rms(values: impl Iterator<Item = f64>) -> f64 {
-    let (sum, count) = values.fold((0.0, 0.0), |(sum, n), value| (sum + value * value, n + 1.0));
+pub fn pooled_rms(values: impl IntoIterator<Item = f64>) -> f64 {
+    let (sum, count) =
+        values.into_iter().fold((0.0, 0.0), |(sum, n), value| (sum + value * value, n + 1.0));
     if count > 0.0 { f64::sqrt(sum / count) } else { f64::NAN }
+}
+
+/// Mean and standard deviation; NaN without values.
+pub fn mean_and_std(values: &[f64]) -> (f64, f64) {
+    let count = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / count;
+    (mean, (values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / count).sqrt())
 }
 
 /// Root mean square of the finite values.
 pub fn rms_of_finite(values: impl IntoIterator<Item = f64>) -> f64 {
-    let (sum, count) = values
-        .into_iter()
-        .filter(|value| value.is_finite())
-        .fold((0.0, 0_u32), |(sum, count), value| (sum + value * value, count + 1));
-    (sum / f64::from(count)).sqrt()
+    pooled_rms(values.into_iter().filter(|value| value.is_finite()))
 }
 
 #[cfg(test)]

@@ -9,12 +9,12 @@ use anyhow::{Context, Result, bail};
 use firmware::protocol::{DEFAULT_NODE, PROTOCOL_VERSION};
 use model_export::fit::FitOptions;
 use model_export::inverse::build::{DeviceModel, ModelVariant, build};
-use model_export::model_file::{ModelFile, Provenance};
+use model_export::model_file::{BaseKind, ModelFile, Provenance};
 use model_export::recordings::align::Alignment;
 
 use crate::commands::demo::CAMPAIGN;
-use crate::commands::fit::{BaseChoice, fit_campaign};
 use analysis::compare::campaign_reader::read_campaign;
+use analysis::fit::fit_campaign;
 use device::serial_port::SerialLine;
 use device::socket_can::CanBus;
 use device::socketcand::client::RemoteBus;
@@ -141,7 +141,7 @@ fn fit_demo() -> Result<DeviceModel> {
     let options = FitOptions::default();
     let alignment = Alignment { delay_us: 0.0 };
     let campaign = read_campaign(Path::new(CAMPAIGN), alignment)?;
-    let (fits, _) = fit_campaign(&campaign, BaseChoice::Cylinder, None, options)?;
+    let (fits, _) = fit_campaign(&campaign, BaseKind::Cylinder, None, options)?;
     let provenance = Provenance::of(&campaign, alignment.delay_us, options)?;
     let folder = tempfile::tempdir().context("no temporary directory for a model")?;
     let path = folder.path().join("model.toml");

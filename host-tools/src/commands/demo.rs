@@ -7,20 +7,23 @@ use anyhow::{Context, Result, bail};
 use firmware::config::constants;
 use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
-use model_export::fit::cross_validation::pooled_rms;
 use model_export::inverse::build::{ModelVariant, build};
 use model_export::inverse::codegen::{MARK, tables_source};
-use model_export::model_file::{ModelFile, Provenance};
+use model_export::model_file::{BaseKind, ModelFile, Provenance};
 use model_export::output::write_output;
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 
-use crate::commands::edit_model::{self, find_effects};
-use crate::commands::fit::{self, BaseChoice, fit_campaign};
-use crate::commands::{export, replay};
-use analysis::compare::campaign_reader::read_campaign;
-use analysis::compare::pipeline::compare;
+use analysis::compare::campaign_reader::{
+    Caching, CampaignReader, ScannedCampaign, scan_with_progress,
+};
+use analysis::compare::pipeline::compare_scanned;
 use analysis::diagnose::{Diagnosis, diagnose};
+use analysis::edit_model::{find_effects, refit};
+use analysis::fit::fit_campaign;
+use analysis::replay::evaluation::{ReplayEvaluation, evaluate, rmse_n};
+use analysis::statistics::pooled_rms;
+use report::text;
 use report::text::diagnosis::format_summary;
 use report::text::terminal;
 
@@ -47,7 +50,8 @@ const ALIGNMENT: Alignment = Alignment { delay_us: 0.0 };
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     let folder = args.campaign.as_deref().unwrap_or(Path::new(CAMPAIGN));
-    let mut campaign = read_campaign(folder, ALIGNMENT)?;
+    let reader = CampaignReader::open(folder, ALIGNMENT, Caching::Always)?;
+    let mut campaign = reader.whole()?.into_owned();
     std::fs::create_dir_all(&args.output)
         .with_context(|| format!("{} cannot be made", args.output.display()))?;
     let model_path = args.output.join("model.toml");
@@ -71,15 +75,15 @@ pub fn run(args: &Args) -> Result<()> {
     ))?;
 
     let options = FitOptions::default();
-    let (fits, _) = fit_campaign(&campaign, BaseChoice::Cylinder, None, options)?;
+    let (fits, _) = fit_campaign(&campaign, BaseKind::Cylinder, None, options)?;
     let provenance = Provenance::of(&campaign, ALIGNMENT.delay_us, options)?;
     let model = ModelFile::of(&campaign, &fits, provenance);
     model.write(&model_path)?;
     terminal::print(&format!(
         "2. The fit. Magnet, gap, flexures and misalignment of each sensor.\n\n{}\n{}{}\n{}\n",
-        fit::parameters(&model),
-        fit::error_table(&campaign, &model),
-        fit::verdict(&model),
+        text::fit::parameters(&model),
+        text::fit::error_table(&campaign, &model),
+        text::fit::verdict(&model),
         gap_axis_note(&model),
     ))?;
 
@@ -90,17 +94,19 @@ pub fn run(args: &Args) -> Result<()> {
     terminal::print(&format!(
         "3. The inverse. From three field axes to two forces in fixed point, as in the {} Hz task.\n\n{}\n",
         constants::SENSE_RATE.value,
-        export::format_report(&built.chosen, &built.header),
+        text::export::format_tables(&built.chosen, &built.header),
     ))?;
 
-    let outcome = replay::evaluate(&model_path, &held_out.folder, None, ALIGNMENT)?;
+    let outcome = evaluate(&model_path, &held_out.folder, None, ALIGNMENT)?;
     terminal::print(&format!(
         "4. The evaluation. The held-out recording {}, row by row through the device code.\n\n{}\n{}\n",
         held_out.name,
-        replay::text::force_table(&outcome),
-        replay::text::model_table(&outcome),
+        text::replay::force_table(&outcome),
+        text::replay::model_table(&outcome),
     ))?;
-    improve(&Fitted {
+    let findings = scan_with_progress(folder)?;
+    let scanned = ScannedCampaign::of(reader, findings);
+    let fitted = Fitted {
         folder,
         campaign: &campaign,
         held_out: &held_out.folder,
@@ -109,7 +115,8 @@ pub fn run(args: &Args) -> Result<()> {
         before: &outcome,
         output: &args.output,
         options,
-    })?;
+    };
+    improve(&fitted, scanned)?;
     terminal::print(&closing(&args.output))?;
     Ok(())
 }
@@ -150,7 +157,7 @@ struct Fitted<'a> {
     model: &'a ModelFile,
     model_path: &'a Path,
     /// Replay of the held-out recording.
-    before: &'a replay::Evaluation,
+    before: &'a ReplayEvaluation,
     output: &'a Path,
     options: FitOptions,
 }
@@ -159,15 +166,16 @@ struct Fitted<'a> {
 type ErrorSteps = Vec<(String, f64)>;
 
 /// Compares, diagnoses and adds the missing effects.
-fn improve(fitted: &Fitted) -> Result<()> {
-    let comparison = compare(fitted.model_path, fitted.folder, None, ALIGNMENT, fitted.options)?;
+fn improve(fitted: &Fitted, scanned: ScannedCampaign) -> Result<()> {
+    let comparison =
+        compare_scanned(fitted.model_path, fitted.model, None, scanned, None, fitted.options)?;
     terminal::print(&format!(
         "5. The residual. Model and measurement over all recordings.\n\n{}\n",
-        terminal::paragraph(&report::text::comparison::verdict(&comparison))
+        terminal::paragraph(&text::comparison::verdict(&comparison))
     ))?;
     let bar = progress::row_spinner("diagnosing");
     let report_step = |step: &str| bar.set_message(step.to_owned());
-    let mut diagnosis = diagnose(
+    let (mut diagnosis, _) = diagnose(
         fitted.campaign,
         fitted.model,
         fitted.model_path,
@@ -195,13 +203,13 @@ fn improve(fitted: &Fitted) -> Result<()> {
 
 /// Adds the accepted effects one by one and replays the held-out recording with each model.
 fn add_effects(fitted: &Fitted, diagnosis: &Diagnosis) -> Result<ErrorSteps> {
-    let mut steps = vec![("base model".to_owned(), replay::text::rmse_n(&fitted.before.fitted))];
+    let mut steps = vec![("base model".to_owned(), rmse_n(&fitted.before.fitted))];
     let mut added: Vec<EffectTerm> = Vec::new();
     for (i, step) in diagnosis.accepted.iter().enumerate() {
         // The first of several equivalent effects; a user would choose, or record data that separate them.
         let first = step.first().context("an empty step")?.clone();
         added.extend(find_effects(&[first], &[])?);
-        let edit = edit_model::refit(
+        let edit = refit(
             fitted.campaign.clone(),
             fitted.model,
             Vec::new(),
@@ -211,8 +219,8 @@ fn add_effects(fitted: &Fitted, diagnosis: &Diagnosis) -> Result<ErrorSteps> {
         )?;
         let path = fitted.output.join(format!("better-{}.toml", i + 1));
         edit.model.write(&path)?;
-        let after = replay::evaluate(&path, fitted.held_out, None, ALIGNMENT)?;
-        let newtons = replay::text::rmse_n(&after.fitted);
+        let after = evaluate(&path, fitted.held_out, None, ALIGNMENT)?;
+        let newtons = rmse_n(&after.fitted);
         steps.push((format!("+ {}", step.join(" or ")), newtons));
     }
     Ok(steps)

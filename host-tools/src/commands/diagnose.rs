@@ -5,11 +5,10 @@ use anyhow::Result;
 use model_export::model_file::ModelFile;
 
 use crate::commands::args::{CompareArgs, ExprArgs};
-use analysis::compare::campaign_reader::read_campaign;
-use analysis::compare::pipeline::compare;
-use analysis::data_quality::scan_files;
-use analysis::diagnose::Diagnosis;
+use analysis::compare::campaign_reader::{Caching, ScannedCampaign};
+use analysis::compare::pipeline::compare_scanned;
 use analysis::diagnose::suggestions::{Invocation, suggest};
+use analysis::diagnose::{Diagnosis, diagnose};
 use report::text::diagnosis::{format_report, to_json};
 use report::text::terminal;
 
@@ -32,54 +31,40 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<()> {
     let common = &args.common;
     common.check_output()?;
-    let diagnosis = run_diagnosis(args)?;
-    terminal::print_result(
-        common.input.json,
-        || to_json(&diagnosis),
-        || format_report(&diagnosis),
-    )?;
+    let input = &common.input;
+    let model = ModelFile::read(&input.model)?;
+    let options = input.options();
+    let alignment = input.align.alignment()?;
+    let scanned = ScannedCampaign::open(&input.campaign, alignment, Caching::Always)?;
+    let (diagnosis, refit) = match &scanned.reader {
+        Some(reader) => {
+            let campaign = reader.whole()?;
+            let own = args.exprs.parse(&campaign)?;
+            let bar = progress::row_spinner("diagnosing");
+            let on_stage = |stage: &str| bar.set_message(stage.to_owned());
+            let (mut diagnosis, refit) =
+                diagnose(&campaign, &model, &input.model, &own, options, &on_stage)?;
+            bar.finish_and_clear();
+            diagnosis.findings.clone_from(&scanned.findings);
+            diagnosis.next = suggest(
+                &diagnosis,
+                &Invocation {
+                    model: &diagnosis.model,
+                    campaign: &diagnosis.campaign,
+                    delay_ms: 1e-3 * alignment.delay_us,
+                    base: model.base,
+                    own: &own,
+                },
+            );
+            (diagnosis, refit)
+        }
+        None => (Diagnosis { findings: scanned.findings.clone(), ..Diagnosis::default() }, None),
+    };
+    terminal::print_result(input.json, || to_json(&diagnosis), || format_report(&diagnosis))?;
     if common.output.is_some() {
-        let input = &common.input;
-        let alignment = input.align.alignment()?;
-        let comparison = compare(&input.model, &input.campaign, None, alignment, input.options())?;
+        let comparison =
+            compare_scanned(&input.model, &model, None, scanned, refit.as_ref(), options)?;
         common.write_report(&comparison, &report::html::diagnosis::sections(&diagnosis))?;
     }
     Ok(())
-}
-
-fn run_diagnosis(args: &Args) -> Result<Diagnosis> {
-    let input = &args.common.input;
-    let model = ModelFile::read(&input.model)?;
-    let options = input.options();
-    let findings = scan_files(&input.campaign, |_| ())?;
-    if findings.iter().any(|finding| finding.stops) {
-        return Ok(Diagnosis { findings, ..Diagnosis::default() });
-    }
-    let alignment = input.align.alignment()?;
-    let campaign = read_campaign(&input.campaign, alignment)?;
-    let formulas = args.exprs.parse(&campaign)?;
-    let bar = progress::row_spinner("diagnosing");
-    let report_step = |step: &str| bar.set_message(step.to_owned());
-    let mut diagnosis = analysis::diagnose::diagnose(
-        &campaign,
-        &model,
-        &input.model,
-        &formulas,
-        options,
-        &report_step,
-    )?;
-    bar.finish_and_clear();
-    diagnosis.findings = findings;
-    diagnosis.campaign = input.campaign.display().to_string();
-    diagnosis.next = suggest(
-        &diagnosis,
-        &Invocation {
-            model: &diagnosis.model,
-            campaign: &diagnosis.campaign,
-            delay_ms: 1e-3 * alignment.delay_us,
-            base: model.base,
-            own: &formulas,
-        },
-    );
-    Ok(diagnosis)
 }

@@ -1,11 +1,10 @@
 //! `magpie effects`: the catalogue of physical effects.
 
-use analysis::numbers;
 use anyhow::Result;
-use model_export::effects::{CATALOGUE, DeviceForm, Effect, ParameterKind, ParameterScope, find};
-use serde_json::{Value, json};
-
+use model_export::effects::{CATALOGUE, find};
+use report::text::effects::{catalogue_table, describe, to_json};
 use report::text::terminal;
+use serde_json::json;
 
 /// List the catalogue of physical effects, or describe one.
 #[derive(Debug, clap::Args)]
@@ -25,106 +24,10 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<()> {
     let text = match (&args.effect, args.json) {
         (Some(name), false) => describe(find(name)?),
-        (Some(name), true) => format!("{}\n", json(find(name)?)),
+        (Some(name), true) => format!("{}\n", to_json(find(name)?)),
         (None, false) => catalogue_table(),
-        (None, true) => format!("{}\n", json!({ "effects": CATALOGUE.map(json) })),
+        (None, true) => format!("{}\n", json!({ "effects": CATALOGUE.map(to_json) })),
     };
     terminal::print(&text)?;
     Ok(())
-}
-
-fn catalogue_table() -> String {
-    let mut table = terminal::table(["effect", "typical", "magnitude", "requires", "compensated"]);
-    for effect in CATALOGUE {
-        table.add_row([
-            effect.id.to_owned(),
-            format!("{} {}", numbers::decimal(effect.size.typical, 3), effect.size.unit),
-            effect.size.description.to_owned(),
-            if effect.needs.is_empty() { "-".to_owned() } else { effect.needs.join(", ") },
-            effect.device.label().to_owned(),
-        ]);
-    }
-    format!(
-        "{table}\n`magpie effects NAME` describes one; `magpie add MODEL CAMPAIGN NAME` adds it to a model.\n"
-    )
-}
-
-/// How the device compensates an effect, in one sentence.
-fn compensation(effect: &Effect) -> String {
-    match effect.device {
-        DeviceForm::Field(_) | DeviceForm::Force(_) => {
-            "on the device, by its own compensation.".to_owned()
-        }
-        DeviceForm::Tables => "on the device, by the tables of the ideal model.".to_owned(),
-        DeviceForm::Settled => {
-            "not over time; the device's tables are those of the final state.".to_owned()
-        }
-        DeviceForm::Never(why) => format!("not on the device: {why}."),
-    }
-}
-
-fn describe(effect: &Effect) -> String {
-    let mut parameters = terminal::table(["parameter", "unit", "description"]);
-    for parameter in effect.parameters {
-        let mut description = match &parameter.kind {
-            ParameterKind::Coefficient => {
-                format!("coefficient, typically {}", numbers::decimal(parameter.typical, 3))
-            }
-            ParameterKind::Shape { grid } => {
-                format!("searched from {} to {}", grid[0], grid[grid.len() - 1])
-            }
-            ParameterKind::InitialState => "initial state".to_owned(),
-            ParameterKind::Instant => "instant, searched over the campaign".to_owned(),
-        };
-        if parameter.shared {
-            description += ", the same for all sensors";
-        }
-        description += match parameter.scope {
-            ParameterScope::Campaign => "",
-            ParameterScope::EachRecording => ", one for each recording",
-            ParameterScope::EachLaterRecording => ", one for each recording but the first",
-        };
-        parameters.add_row([parameter.name.to_string(), parameter.unit.to_string(), description]);
-    }
-    let (low, high) = effect.size.plausible;
-    let needs = match effect.needs {
-        [] => "field and force".to_owned(),
-        needs => needs.join(", "),
-    };
-    let confused: String = effect
-        .confused_with
-        .iter()
-        .map(|(id, when)| terminal::paragraph(&format!("  {id}: {when}")))
-        .collect();
-    format!(
-        "{}\n\n{}\n  {}\n\nRegressors: {}.\nRequires: {needs}.\n\n{parameters}\nMagnitude: {}, typically {} {unit}, plausibly {} to {} {unit}.\n\n\
-         {}\nConfused with\n{confused}\n{}",
-        effect.id,
-        terminal::paragraph(effect.physics),
-        effect.equation,
-        effect.regressors,
-        effect.size.description,
-        numbers::decimal(effect.size.typical, 3),
-        numbers::decimal(low, 3),
-        numbers::decimal(high, 3),
-        terminal::paragraph(&format!("To identify it: {}", effect.record)),
-        terminal::paragraph(&format!("Compensated: {}", compensation(effect))),
-        unit = effect.size.unit,
-    )
-}
-
-fn json(effect: &Effect) -> Value {
-    let parameter = |parameter: &model_export::effects::EffectParameter| {
-        json!({
-            "name": parameter.name, "unit": parameter.unit, "coefficient": parameter.is_coefficient(),
-            "typical": parameter.typical, "shared": parameter.shared,
-        })
-    };
-    json!({
-        "effect": effect.id, "physics": effect.physics, "equation": effect.equation, "regressors": effect.regressors,
-        "needs": effect.needs, "parameters": effect.parameters.iter().map(parameter).collect::<Vec<_>>(),
-        "size": { "means": effect.size.description, "unit": effect.size.unit, "typical": effect.size.typical, "plausible": effect.size.plausible },
-        "record": effect.record, "confused_with": effect.confused_with.iter().map(|(id, _)| id).collect::<Vec<_>>(),
-        "undone": compensation(effect),
-    })
 }

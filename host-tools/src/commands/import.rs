@@ -46,7 +46,7 @@ pub fn run(args: &Args) -> Result<()> {
     let (imported, notices) =
         import::import(&args.mapping, &args.sources, &args.output, |_| bar.inc(1))?;
     bar.finish_and_clear();
-    terminal::print_notes(&notices);
+    analysis::progress::print_notes(&notices);
     if args.json {
         let recordings = imported.iter().map(|recording| {
             let (hall, force, measured) = recording.rows;

@@ -1,6 +1,5 @@
 //! `magpie simulate`: generates a campaign of a simulated gripper with known physics.
 
-use analysis::numbers;
 use analysis::progress;
 use std::path::{Path, PathBuf};
 
@@ -8,14 +7,14 @@ use anyhow::{Context, Result, bail};
 use model_export::design::SensorDesign;
 use model_export::output::write_output;
 use model_export::physics::ForwardModel;
-use serde_json::{Value, json};
 
 use crate::commands::args::read_design;
 use model_export::output::{check_absent, check_vacant, staging_dir};
+use report::text::simulate::{format_report, to_json};
 use report::text::terminal;
 use sim::campaign;
 use sim::campaign::settings::CampaignSettings;
-use sim::campaign::truth::{self, Truth};
+use sim::campaign::truth;
 use sim::effects::{EFFECT_KINDS, Effect, draw_random_effects};
 use sim::hall_sensor::{HallScale, NoiseKind};
 use sim::motion::Programme;
@@ -125,8 +124,8 @@ pub fn run(args: &Args) -> Result<()> {
         .with_context(|| format!("{} cannot be written", args.output.display()))?;
     terminal::print_result(
         args.json,
-        || to_json(args, &settings, &truth, &truth_path),
-        || format_report(args, &settings, &truth, &truth_path),
+        || to_json(&settings, &truth, &args.output, &truth_path),
+        || format_report(&settings, &truth, &args.output, &truth_path),
     )
 }
 
@@ -227,69 +226,4 @@ fn check_free(campaign: &Path, truth: &Path) -> Result<()> {
     check_vacant(campaign)?;
     check_absent(truth)?;
     Ok(())
-}
-
-/// Table of the effects, unless they are random.
-fn effect_table(settings: &CampaignSettings, truth: &Truth) -> String {
-    if settings.hidden {
-        let count = settings.effects.len();
-        return format!("Random effects: {count}.\n");
-    }
-    if truth.effect.is_empty() {
-        return "No effects besides the magnet on two flexures.\n".to_owned();
-    }
-    let mut table = terminal::table(["effect", "unit", "magnitude"]);
-    for effect in &truth.effect {
-        table.add_row([effect.id.clone(), effect.unit.clone(), numbers::decimal(effect.size, 6)]);
-    }
-    terminal::right_align(&mut table, 2);
-    format!("{table}\n")
-}
-
-fn format_report(
-    args: &Args,
-    settings: &CampaignSettings,
-    truth: &Truth,
-    truth_path: &Path,
-) -> String {
-    format!(
-        "Simulated: {} recordings of {} s, {} sensors, programme {}, noise {}, seed {}.\n{}\
-         Written to {}; true parameters in {}.\n\
-         Next: cargo magpie fit {:?} -o model.toml\n",
-        settings.recordings,
-        numbers::decimal(settings.seconds, 3),
-        settings.sensors,
-        value_name(&settings.programme),
-        value_name(&settings.noise),
-        settings.seed,
-        effect_table(settings, truth),
-        args.output.display(),
-        truth_path.display(),
-        args.output,
-    )
-}
-
-fn to_json(args: &Args, settings: &CampaignSettings, truth: &Truth, truth_path: &Path) -> Value {
-    let effects = truth
-        .effect
-        .iter()
-        .map(|effect| json!({ "id": effect.id, "size": effect.size, "unit": effect.unit }));
-    let effects: Option<Vec<Value>> = (!settings.hidden).then(|| effects.collect());
-    json!({
-        "campaign": args.output,
-        "truth": truth_path,
-        "seed": settings.seed,
-        "programme": settings.programme,
-        "noise": settings.noise,
-        "recordings": settings.recordings,
-        "seconds": settings.seconds,
-        "sensors": settings.sensors,
-        "hidden": settings.hidden.then_some(settings.effects.len()),
-        "effects": effects,
-    })
-}
-
-/// The command-line name of a value.
-fn value_name(value: &impl clap::ValueEnum) -> String {
-    value.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
 }

@@ -5,8 +5,8 @@ use std::process::Command;
 use std::sync::{Mutex, OnceLock};
 
 use device_run::networks::NetworkSet;
-use model_export::effects::{CATALOGUE, DeviceForm};
 use emulator::Image;
+use model_export::effects::{CATALOGUE, DeviceForm};
 use model_export::inverse::build::{DeviceModel, ModelVariant as Fit, build};
 use sha2::{Digest, Sha256};
 use tests::data;

@@ -294,10 +294,3 @@ pub fn off_plane_residual(
     let axis = across.iamax();
     (across[axis] != 0.0).then(|| (axis, across.dot(&residual) / across[axis]))
 }
-
-/// Root mean square.
-pub fn pooled_rms(values: impl Iterator<Item = f64>) -> f64 {
-    let (sum, count) =
-        values.fold((0.0, 0_usize), |(sum, count), value| (sum + value * value, count + 1));
-    (sum / count.max(1) as f64).sqrt()
-}

@@ -13,7 +13,6 @@ use crate::fit::parameters::{self, PARAMETERS};
 use crate::fit::{CampaignFits, FitError, FitOptions};
 use crate::output::write_output;
 use crate::physics::ForwardModel;
-use crate::recordings::campaign::fingerprint;
 use crate::recordings::description::{NominalDesign, parse_toml};
 use crate::recordings::error::ErrorKind;
 use crate::recordings::recording::recording_name;
@@ -118,6 +117,21 @@ impl ModelFile {
             design: prepared.design.clone(),
             sensors: fit.sensors.iter().enumerate().map(sensor).collect(),
             effects: EffectModel::all_of(fit, effects, campaign.recordings.len()),
+        }
+    }
+
+    /// Rows of `campaign` and base models for a fit with this model's base.
+    ///
+    /// # Errors
+    /// The recordings are not sufficient for this base.
+    pub fn fit_setup(
+        &self,
+        campaign: &Campaign,
+        options: FitOptions,
+    ) -> Result<FitSetup, FitError> {
+        match self.base {
+            BaseKind::Cylinder => FitSetup::cylinder(campaign),
+            BaseKind::Polynomial => FitSetup::polynomial(campaign, self.degree(), options),
         }
     }
 
@@ -311,7 +325,7 @@ impl Provenance {
                 .map(|recording| {
                     Ok(FittedRecording {
                         name: recording.name.clone(),
-                        sha256: fingerprint(&recording.folder)?,
+                        sha256: recording.sha256()?.to_owned(),
                         recorded: recording.description.recorded.clone(),
                     })
                 })

@@ -2,8 +2,10 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 
 use crate::recordings::align::Alignment;
+use crate::recordings::campaign::fingerprint;
 use crate::recordings::columns::{Axis, ChannelLayout, ForceColumn, HallColumn};
 use crate::recordings::description::RecordingDescription;
 use crate::recordings::error::{DataError, Notice};
@@ -34,6 +36,7 @@ pub struct Recording {
     pub rows_read: (u64, u64),
     /// Gaps, saturation, skipped rows, unknown keys.
     pub notices: Vec<Notice>,
+    sha256: OnceLock<String>,
 }
 
 /// Measurements of one sensor, averaged around each reference row.
@@ -73,6 +76,7 @@ impl Recording {
             noise_gain: 0.0,
             rows_read: (0, 0),
             notices,
+            sha256: OnceLock::new(),
         };
         let layout = stream.layout().clone();
         let mut squares = 0.0;
@@ -83,6 +87,39 @@ impl Recording {
         recording.noise_gain = (squares / recording.time_s.len() as f64).sqrt();
         recording.finish(&layout, stream.summary());
         Ok(recording)
+    }
+
+    /// SHA-256 over the files of the recording, computed once.
+    ///
+    /// # Errors
+    /// A file cannot be read.
+    pub fn sha256(&self) -> Result<&str, DataError> {
+        if let Some(sha256) = self.sha256.get() {
+            return Ok(sha256);
+        }
+        let sha256 = fingerprint(&self.folder)?;
+        Ok(self.sha256.get_or_init(|| sha256))
+    }
+
+    /// The recording with its known SHA-256.
+    pub fn with_sha256(self, sha256: &str) -> Self {
+        Self { sha256: OnceLock::from(sha256.to_owned()), ..self }
+    }
+
+    /// The recording's description and sensors without its rows.
+    pub fn without_rows(&self) -> Self {
+        Self {
+            name: self.name.clone(),
+            folder: self.folder.clone(),
+            description: self.description.clone(),
+            time_s: Vec::new(),
+            sensors: self.sensors.keys().map(|number| (*number, Default::default())).collect(),
+            forces: BTreeMap::new(),
+            covariates: BTreeMap::new(),
+            notices: Vec::new(),
+            sha256: self.sha256.clone(),
+            ..*self
+        }
     }
 
     /// Time from the first to the last row in seconds.

@@ -2,13 +2,12 @@
 
 use crate::benchmark::data::{BenchmarkData, FittedPhysics};
 use crate::benchmark::variants::{EstimatorVariant, PhysicsLevel};
-use crate::magnetic_disturbance::counts::{self, DetectionCounts};
+use crate::magnetic_disturbance::counts::DetectionCounts;
 use crate::magnetic_disturbance::input_rows::{RecordedGripper, RowSource, SimulatedGripper};
 use crate::magnetic_disturbance::{DeviceUnderTest, evaluate_detection as count_rows};
 use crate::progress;
 use anyhow::Result;
 use device_run::networks::NetworkSet;
-use serde_json::{Value, json};
 use sim::campaign::truth;
 
 /// Detection counts of a variant.
@@ -22,18 +21,6 @@ pub struct DisturbanceResult {
     pub description: String,
     /// The counts.
     pub counts: DetectionCounts,
-}
-
-impl DisturbanceResult {
-    /// The counts as JSON.
-    pub fn json(&self) -> Value {
-        let mut value = counts::json(&self.counts);
-        if let Some(object) = value.as_object_mut() {
-            object.insert("variant".to_owned(), json!(self.variant.id()));
-            object.insert("simulated".to_owned(), json!(self.simulated));
-        }
-        value
-    }
 }
 
 /// The network variant with the best physics that could be fitted.

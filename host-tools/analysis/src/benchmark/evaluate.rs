@@ -7,7 +7,7 @@ use crate::benchmark::train_variants::{TrainingData, VariantTrainer};
 use crate::benchmark::variants::EstimatorVariant;
 use crate::calibration::Coverage;
 use crate::replay::{ForceSample, RecordingReplay, coverage, replay_with};
-use crate::statistics::Moments;
+use crate::statistics::{Moments, pooled_rms};
 use anyhow::{Result, bail};
 use device_run::ReplayModels;
 use device_run::networks::NetworkSet;
@@ -116,13 +116,12 @@ fn pool(replay: &RecordingReplay, axis: usize) -> AxisErrors {
     let tracks = || replay.sensors.iter().map(|sensor| &sensor.axes[axis]);
     let none = || Some(Moments::default());
     let both = |sum: Option<Moments>, tared: Option<Moments>| Some(sum?.with(tared?));
-    let squares: f64 = tracks().map(|track| track.noise_n.powi(2)).sum();
     AxisErrors {
         float: tracks().fold(Moments::default(), |sum, track| sum.with(track.float)),
         float_tared: tracks().fold(none(), |sum, track| both(sum, track.float_tared())),
         fixed: tracks().fold(Moments::default(), |sum, track| sum.with(track.error)),
         fixed_tared: tracks().fold(none(), |sum, track| both(sum, track.tared())),
-        noise_n: (squares / replay.sensors.len().max(1) as f64).sqrt(),
+        noise_n: pooled_rms(tracks().map(|track| track.noise_n)),
     }
 }
 

@@ -143,8 +143,9 @@ pub enum NetworkBenefit {
     Harm(f64),
 }
 
-/// At the noise floor: RMS error within this factor of white noise.
-pub const AT_FLOOR: f64 = 1.1;
+/// At the noise floor: RMS error within this factor of white noise. Stricter than [`crate::compare::AT_FLOOR`]: the
+/// noise of a force is measured in the estimates themselves, the floor of a field is calculated.
+const FORCE_AT_FLOOR: f64 = 1.1;
 /// Minimum relative change of the error that counts.
 pub const MIN_BENEFIT: f64 = 0.02;
 
@@ -153,7 +154,7 @@ pub fn network_benefit(benchmark: &Benchmark) -> Option<NetworkBenefit> {
     let physics = benchmark.of(EstimatorVariant::Physics)?;
     let both = benchmark.of(EstimatorVariant::PhysicsGru)?;
     let errors = physics.axes.iter().zip(benchmark.noise_n()?);
-    let at_floor = { errors }.all(|(axis, floor)| axis.fixed.rms() <= AT_FLOOR * floor);
+    let at_floor = { errors }.all(|(axis, floor)| axis.fixed.rms() <= FORCE_AT_FLOOR * floor);
     let ratio = both.rmse_n() / physics.rmse_n();
     Some(match ratio {
         _ if ratio > 1.0 + MIN_BENEFIT => NetworkBenefit::Harm(ratio - 1.0),

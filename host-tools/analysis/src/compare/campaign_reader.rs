@@ -1,5 +1,7 @@
-//! The recordings of a campaign: cached in memory if they are few, otherwise read again for each pass.
+//! The recordings of a campaign: scanned for setup errors, then cached in memory if they are few, otherwise read again
+//! for each pass.
 
+use crate::data_quality::{Finding, scan_files};
 use crate::progress;
 use anyhow::{Result, bail};
 use model_export::model_file::ModelFile;
@@ -36,16 +38,66 @@ pub struct CampaignReader {
     pub names: Vec<RecordingId>,
     /// Number of recordings in memory at the same time.
     pub at_once: usize,
-    /// All recordings, if they are few.
-    cache: Vec<Recording>,
+    /// All recordings, if they are few or were requested.
+    cache: Option<Campaign>,
+}
+
+/// A campaign after the data-quality scan of its files.
+pub struct ScannedCampaign {
+    /// The campaign's folder.
+    pub folder: PathBuf,
+    /// Findings from the files alone, most severe first.
+    pub findings: Vec<Finding>,
+    /// The recordings; `None` if a finding stops the evaluation.
+    pub reader: Option<CampaignReader>,
+}
+
+impl ScannedCampaign {
+    /// Scans the files and opens the campaign unless a finding stops the evaluation.
+    ///
+    /// # Errors
+    /// There are no recordings, or one cannot be read.
+    pub fn open(folder: &Path, alignment: Alignment, caching: Caching) -> Result<Self> {
+        let findings = scan_with_progress(folder)?;
+        let stops = findings.iter().any(|finding| finding.stops);
+        let open = || CampaignReader::open(folder, alignment, caching);
+        let reader = if stops { None } else { Some(open()?) };
+        Ok(Self { folder: folder.to_path_buf(), findings, reader })
+    }
+
+    /// A campaign that was opened before the scan.
+    pub fn of(reader: CampaignReader, findings: Vec<Finding>) -> Self {
+        let stops = findings.iter().any(|finding| finding.stops);
+        Self { folder: reader.folder.clone(), findings, reader: (!stops).then_some(reader) }
+    }
+}
+
+/// [`scan_files`] with a progress bar.
+///
+/// # Errors
+/// The folder holds no recordings.
+pub fn scan_with_progress(folder: &Path) -> Result<Vec<Finding>> {
+    let bar = progress::progress_bar("checking recordings", recording_folders(folder)?.len());
+    let findings = scan_files(folder, |_| bar.inc(1))?;
+    bar.finish_and_clear();
+    Ok(findings)
+}
+
+/// Which recordings stay in memory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Caching {
+    /// All of them.
+    Always,
+    /// All of them if they are few, otherwise none.
+    IfFew,
 }
 
 impl CampaignReader {
-    /// Finds the recordings and reads them if they are few.
+    /// Finds the recordings and caches them.
     ///
     /// # Errors
-    /// A recording cannot be read, or two are the same data.
-    pub fn open(folder: &Path, alignment: Alignment) -> Result<Self> {
+    /// A recording cannot be read.
+    pub fn open(folder: &Path, alignment: Alignment, caching: Caching) -> Result<Self> {
         let mut list = recording_folders(folder)?
             .into_par_iter()
             .map(|folder| {
@@ -60,37 +112,43 @@ impl CampaignReader {
             .collect::<Result<Vec<_>, DataError>>()?;
         list.sort_by(|a, b| a.0.total_cmp(&b.0));
         let names: Vec<RecordingId> = list.into_iter().map(|(_, named)| named).collect();
-        for (i, one) in names.iter().enumerate() {
-            if let Some(other) = names[..i].iter().find(|other| other.sha256 == one.sha256) {
+        let mut source =
+            Self { folder: folder.to_path_buf(), alignment, names, at_once: 1, cache: None };
+        let first = source.read(0)?.into_owned();
+        source.at_once = (MAX_ROWS_IN_MEMORY / first.time_s.len().max(1)).max(1);
+        if caching == Caching::Always || source.names.len() <= source.at_once {
+            let bar = progress::progress_bar("reading recordings", source.names.len());
+            bar.inc(1);
+            let read = |place: usize| {
+                let recording = source.read(place)?.into_owned();
+                bar.inc(1);
+                Ok(recording)
+            };
+            let others: Vec<Result<_, DataError>> =
+                (1..source.names.len()).into_par_iter().map(read).collect();
+            let recordings = std::iter::once(Ok(first)).chain(others).collect::<Result<_, _>>()?;
+            bar.finish_and_clear();
+            source.cache = Some(Campaign { folder: folder.to_path_buf(), recordings });
+        }
+        Ok(source)
+    }
+
+    /// Fails if two recordings are the same data.
+    ///
+    /// # Errors
+    /// Two recordings are the same data.
+    pub fn check_distinct(&self) -> Result<()> {
+        for (i, one) in self.names.iter().enumerate() {
+            if let Some(other) = self.names[..i].iter().find(|other| other.sha256 == one.sha256) {
                 bail!(
                     "{}: recordings {} and {} are the same data; remove one",
-                    folder.display(),
+                    self.folder.display(),
                     other.name,
                     one.name
                 );
             }
         }
-        let mut source =
-            Self { folder: folder.to_path_buf(), alignment, names, at_once: 1, cache: Vec::new() };
-        let first = source.read(0)?.into_owned();
-        source.at_once = (MAX_ROWS_IN_MEMORY / first.time_s.len().max(1)).max(1);
-        if source.names.len() <= source.at_once {
-            let bar = progress::progress_bar("reading recordings", source.names.len());
-            bar.inc(1);
-            let others = source.names[1..]
-                .par_iter()
-                .map(|named| {
-                    let recording = Recording::read(&named.folder, alignment);
-                    bar.inc(1);
-                    recording
-                })
-                .collect::<Vec<_>>()
-                .into_iter()
-                .collect::<Result<Vec<_>, DataError>>()?;
-            bar.finish_and_clear();
-            source.cache = std::iter::once(first).chain(others).collect();
-        }
-        Ok(source)
+        Ok(())
     }
 
     /// Reads one recording, from the cache where possible.
@@ -98,26 +156,38 @@ impl CampaignReader {
     /// # Errors
     /// It cannot be read.
     pub fn read(&self, place: usize) -> Result<Cow<'_, Recording>, DataError> {
-        match self.cache.get(place) {
-            Some(recording) => Ok(Cow::Borrowed(recording)),
-            None => Ok(Cow::Owned(Recording::read(&self.names[place].folder, self.alignment)?)),
+        if let Some(campaign) = &self.cache {
+            return Ok(Cow::Borrowed(&campaign.recordings[place]));
         }
+        let named = &self.names[place];
+        let recording = Recording::read(&named.folder, self.alignment)?;
+        Ok(Cow::Owned(recording.with_sha256(&named.sha256)))
     }
 
-    /// Some of the recordings as a campaign.
+    /// All recordings as a campaign.
     ///
     /// # Errors
     /// One cannot be read, or they are of different grippers.
-    pub fn campaign(&self, places: &[usize]) -> Result<Campaign, DataError> {
-        let read = |place: &usize| Ok(self.read(*place)?.into_owned());
-        let campaign = Campaign {
-            folder: self.folder.clone(),
-            recordings: places
-                .par_iter()
-                .map(read)
-                .collect::<Vec<_>>()
-                .into_iter()
-                .collect::<Result<_, DataError>>()?,
+    pub fn whole(&self) -> Result<Cow<'_, Campaign>, DataError> {
+        let places: Vec<usize> = (0..self.names.len()).collect();
+        self.campaign(&places)
+    }
+
+    /// Some of the recordings, in ascending order, as a campaign.
+    ///
+    /// # Errors
+    /// One cannot be read, or they are of different grippers.
+    pub fn campaign(&self, places: &[usize]) -> Result<Cow<'_, Campaign>, DataError> {
+        let campaign = match &self.cache {
+            Some(campaign) if places.len() == campaign.recordings.len() => Cow::Borrowed(campaign),
+            _ => {
+                let read = |place: &usize| Ok(self.read(*place)?.into_owned());
+                let recordings: Vec<Result<_, DataError>> = places.par_iter().map(read).collect();
+                Cow::Owned(Campaign {
+                    folder: self.folder.clone(),
+                    recordings: recordings.into_iter().collect::<Result<_, _>>()?,
+                })
+            }
         };
         campaign.check_same_gripper()?;
         Ok(campaign)

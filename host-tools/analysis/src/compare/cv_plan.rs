@@ -9,12 +9,21 @@ use model_export::fit::campaign::FitSetup;
 use model_export::fit::cross_validation::CvSplit;
 use model_export::fit::joint::JointFit;
 use model_export::fit::{FitError, FitOptions};
-use model_export::model_file::{BaseKind, ModelFile, Provenance};
+use model_export::model_file::{ModelFile, Provenance};
+use model_export::recordings::Campaign;
 use std::path::Path;
 
 /// If the file's own parameters have an error larger by this factor than a new fit to the same recordings, the
 /// file is not a fit of these recordings (edited, or by an older version) and is evaluated unchanged.
 const NOT_A_FIT: f64 = 1.02;
+
+/// A fit of a model's effects to all recordings of a campaign, cross-validated like [`CvPlan`].
+pub struct ModelRefit {
+    /// Rows and base models.
+    pub setup: FitSetup,
+    /// The fit.
+    pub fit: JointFit,
+}
 
 /// A model for the rows that it was not fitted to.
 pub struct FoldModel {
@@ -54,7 +63,7 @@ impl FoldModel {
 
 impl CvPlan {
     /// Plans the cross-validation of `source`, with new fits if the model was fitted to any of it. `path` names
-    /// the model in messages.
+    /// the model in messages; `refit` is the fit to all recordings, if known.
     ///
     /// # Errors
     /// A recording cannot be read.
@@ -62,6 +71,7 @@ impl CvPlan {
         path: &Path,
         model: &ModelFile,
         source: &CampaignReader,
+        refit: Option<&ModelRefit>,
         options: FitOptions,
     ) -> Result<Self> {
         let unseen = |named: &RecordingId| RecordingFolds {
@@ -80,7 +90,7 @@ impl CvPlan {
                 .to_owned(),
         };
         if !seen.is_empty() {
-            plan.refit(source, &seen, options)?;
+            plan.refit(source, &seen, refit, options)?;
         }
         Ok(plan)
     }
@@ -90,6 +100,7 @@ impl CvPlan {
         &mut self,
         source: &CampaignReader,
         seen: &[usize],
+        known: Option<&ModelRefit>,
         options: FitOptions,
     ) -> Result<()> {
         // Ten minutes determine the parameters sufficiently; of more, a uniform subset is used.
@@ -97,28 +108,26 @@ impl CvPlan {
         let some: Vec<usize> = (0..count).map(|i| seen[i * seen.len() / count]).collect();
         let campaign = source.campaign(&some)?;
         let (model, additions) = (self.models[0].model.clone(), self.models[0].additions.clone());
-        let prepared = match model.base {
-            BaseKind::Cylinder => FitSetup::cylinder(&campaign),
-            BaseKind::Polynomial => FitSetup::polynomial(&campaign, model.degree(), options),
+        let computed;
+        let ModelRefit { setup: prepared, fit } = match known
+            .filter(|_| some.len() == self.recordings.len())
+        {
+            Some(known) => known,
+            None => match fit_model(&campaign, &model, &additions, options) {
+                Ok(fitted) => {
+                    computed = fitted;
+                    &computed
+                }
+                Err(FitError::Recording(problem)) => return Err(problem.into()),
+                Err(why) => {
+                    self.description = format!(
+                        "NOT held out: the model was fitted to these recordings and could not be fitted again ({why})"
+                    );
+                    return Ok(());
+                }
+            },
         };
-        let bar = progress::progress_bar("cross-validating", campaign.sensors().len());
-        let fitted = prepared.and_then(|prepared| {
-            let split = prepared.split(&additions);
-            let fit = prepared.fit(&additions, split, options, |_| bar.inc(1))?;
-            Ok((prepared, fit))
-        });
-        bar.finish_and_clear();
-        let (prepared, fit) = match fitted {
-            Ok(fitted) => fitted,
-            Err(FitError::Recording(problem)) => return Err(problem.into()),
-            Err(why) => {
-                self.description = format!(
-                    "NOT held out: the model was fitted to these recordings and could not be fitted again ({why})"
-                );
-                return Ok(());
-            }
-        };
-        if let Some(worse) = excess_error(&model, &additions, &prepared, &fit) {
+        if let Some(worse) = excess_error(&model, &additions, prepared, fit) {
             self.description = format!(
                 "the file's parameters have {worse:.2} times the error of a fit to the same recordings; they are used unchanged"
             );
@@ -128,7 +137,7 @@ impl CvPlan {
         let fold_model = |fit: &JointFit| FoldModel {
             model: ModelFile::with_effects(
                 &campaign,
-                &prepared,
+                prepared,
                 fit,
                 &additions,
                 provenance.clone(),
@@ -139,18 +148,32 @@ impl CvPlan {
         let first = self.models.len();
         self.models.extend((0..folds).map(|fold| fold_model(&fit.without(fold))));
         let all = self.models.len();
-        self.models.push(fold_model(&fit));
+        self.models.push(fold_model(fit));
         let names: Vec<String> = campaign.recordings.iter().map(|r| r.name.clone()).collect();
         for &i in seen {
             let recording = &mut self.recordings[i];
             recording.folds = match names.iter().position(|name| *name == recording.named.name) {
                 None => vec![(f64::INFINITY, all)],
-                Some(part) => segments(&prepared, &fit, part, first),
+                Some(part) => segments(prepared, fit, part, first),
             };
         }
         self.description = description(fit.split, seen.len(), names.len(), self.recordings.len());
         Ok(())
     }
+}
+
+/// Fits the base and effects of a model to a campaign.
+fn fit_model(
+    campaign: &Campaign,
+    model: &ModelFile,
+    effects: &[EffectTerm],
+    options: FitOptions,
+) -> Result<ModelRefit, FitError> {
+    let bar = progress::progress_bar("cross-validating", campaign.sensors().len());
+    let setup = model.fit_setup(campaign, options)?;
+    let fit = setup.fit(effects, setup.split(effects), options, |_| bar.inc(1))?;
+    bar.finish_and_clear();
+    Ok(ModelRefit { setup, fit })
 }
 
 /// Error of the file's parameters relative to a fit to the same rows; `None` if the file is that fit.

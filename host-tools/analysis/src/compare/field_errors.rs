@@ -88,7 +88,7 @@ pub fn evaluate_fields(plan: &CvPlan, source: &CampaignReader) -> Result<FieldEv
             evaluation.origins_s.push(origin_s.unwrap_or(0.0));
             evaluation.spans_s.push(recording.span_s());
             evaluation.notices.extend(recording.notices.iter().cloned());
-            first.get_or_insert_with(|| without_rows(&recording));
+            first.get_or_insert_with(|| recording.without_rows());
             bar.inc(1);
         }
     }
@@ -284,25 +284,10 @@ impl SensorEvaluation {
     }
 }
 
-/// The recording's description without its rows.
-fn without_rows(recording: &Recording) -> Recording {
-    Recording {
-        name: recording.name.clone(),
-        folder: recording.folder.clone(),
-        description: recording.description.clone(),
-        time_s: Vec::new(),
-        sensors: recording.sensors.keys().map(|number| (*number, Default::default())).collect(),
-        forces: Default::default(),
-        covariates: Default::default(),
-        notices: Vec::new(),
-        ..*recording
-    }
-}
-
 fn same_gripper(campaign: &Path, first: &Recording, other: &Recording) -> Result<(), DataError> {
     Campaign {
         folder: campaign.to_path_buf(),
-        recordings: vec![first.clone(), without_rows(other)],
+        recordings: vec![first.clone(), other.without_rows()],
     }
     .check_same_gripper()
 }

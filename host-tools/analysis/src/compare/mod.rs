@@ -15,6 +15,7 @@ use std::borrow::Cow;
 use crate::data_quality::Finding;
 use crate::statistics::{ErrorStatistics, pooled_rms};
 use model_export::recordings::columns::Axis;
+use serde::Serialize;
 
 pub mod attribution;
 pub mod bootstrap_bands;
@@ -132,11 +133,12 @@ pub struct ForceAxisErrors {
 }
 
 /// Dependence of the residual on one covariate.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize)]
 pub struct Attribution {
     /// Name of a recorded column, or of a derived one (`fx_rate_n_per_s`, `loading_x`).
     pub covariate: Cow<'static, str>,
     /// Label in text: `opening`.
+    #[serde(skip)]
     pub words: Cow<'static, str>,
     /// Unit, empty for a dimensionless number.
     pub unit: &'static str,
@@ -154,7 +156,7 @@ pub struct Attribution {
 }
 
 /// Rows with a covariate between two values.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct Bin {
     /// Minimum of the covariate.
     pub from: f64,
@@ -190,7 +192,7 @@ pub struct ResidualMap {
 }
 
 /// An interval of time with a large error.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct WorstInterval {
     /// Name of the recording.
     pub recording: String,

@@ -2,15 +2,15 @@
 
 use crate::compare::attribution::{Attributor, RankedCovariate};
 use crate::compare::bootstrap_bands::BlockBootstrap;
-use crate::compare::campaign_reader::CampaignReader;
-use crate::compare::cv_plan::{CvPlan, RecordingFolds};
+use crate::compare::campaign_reader::{Caching, CampaignReader, ScannedCampaign};
+use crate::compare::cv_plan::{CvPlan, ModelRefit, RecordingFolds};
 use crate::compare::field_errors::{FieldEvaluation, SensorEvaluation, evaluate_fields};
 use crate::compare::force_errors::evaluate_forces;
 use crate::compare::pure_error::{drift_at_rest, pure_error};
 use crate::compare::residual_table::{ResidualTable, residual_map, worst_intervals};
 use crate::compare::{Attribution, Comparison, FieldAxisErrors, NoiseFloor};
 use crate::data_quality::model_checks::SensorPrediction;
-use crate::data_quality::{Finding, check_against_model, merge, scan_files};
+use crate::data_quality::{Finding, check_against_model, merge};
 use crate::progress;
 use anyhow::Result;
 use model_export::effects::{EffectTerm, ExcitationSeries};
@@ -20,7 +20,6 @@ use model_export::fit::rows::SensorRows;
 use model_export::model_file::{ModelFile, Predictor};
 use model_export::recordings::Location;
 use model_export::recordings::align::Alignment;
-use model_export::recordings::campaign::recording_folders;
 use model_export::recordings::columns::Axis;
 use std::path::Path;
 
@@ -39,27 +38,42 @@ pub fn compare(
     options: FitOptions,
 ) -> Result<Comparison> {
     let model = ModelFile::read(path)?;
-    let bar = progress::progress_bar("checking the recordings", recording_folders(campaign)?.len());
-    let findings = scan_files(campaign, |_| bar.inc(1))?;
-    bar.finish_and_clear();
+    let scanned = ScannedCampaign::open(campaign, alignment, Caching::IfFew)?;
+    compare_scanned(path, &model, other, scanned, None, options)
+}
+
+/// [`compare`] on a campaign that is already open. `refit` is a fit of the model to all of its recordings, if known.
+///
+/// # Errors
+/// A file cannot be read, or model and recordings do not match.
+pub fn compare_scanned(
+    path: &Path,
+    model: &ModelFile,
+    other: Option<&Path>,
+    scanned: ScannedCampaign,
+    refit: Option<&ModelRefit>,
+    options: FitOptions,
+) -> Result<Comparison> {
+    let ScannedCampaign { folder, findings, reader } = scanned;
     let stopped = |findings: Vec<Finding>| Comparison {
         model: path.display().to_string(),
-        campaign: campaign.display().to_string(),
+        campaign: folder.display().to_string(),
         findings,
         provenance: vec![("tool".to_owned(), format!("magpie {}", env!("CARGO_PKG_VERSION")))],
         ..Comparison::default()
     };
+    let Some(source) = reader else {
+        return Ok(stopped(findings));
+    };
+    source.check_distinct()?;
+    let findings = merge(findings, model_findings(&source, model, &model.effect_terms(path)?)?);
     if findings.iter().any(|finding| finding.stops) {
         return Ok(stopped(findings));
     }
-    let source = CampaignReader::open(campaign, alignment)?;
-    let findings = merge(findings, model_findings(&source, &model, &model.effect_terms(path)?)?);
-    if findings.iter().any(|finding| finding.stops) {
-        return Ok(stopped(findings));
-    }
-    let mut comparison = evaluate(path, &model, &source, &findings, options)?;
+    let mut comparison = evaluate(path, model, &source, refit, &findings, options)?;
     if let Some(other) = other {
-        let evaluated = evaluate(other, &ModelFile::read(other)?, &source, &findings, options)?;
+        let model = ModelFile::read(other)?;
+        let evaluated = evaluate(other, &model, &source, None, &findings, options)?;
         comparison.other = Some(Box::new(evaluated));
     }
     comparison.findings = findings;
@@ -116,6 +130,7 @@ fn evaluate(
     path: &Path,
     model: &ModelFile,
     source: &CampaignReader,
+    refit: Option<&ModelRefit>,
     findings: &[Finding],
     options: FitOptions,
 ) -> Result<Comparison> {
@@ -126,7 +141,7 @@ fn evaluate(
             path.display()
         );
     }
-    let plan = CvPlan::new(path, model, source, options)?;
+    let plan = CvPlan::new(path, model, source, refit, options)?;
     let mut fields = evaluate_fields(&plan, source)?;
     // A finding covers its column in all recordings; notices of that column are not repeated.
     let is_reported = |place: &Location| {

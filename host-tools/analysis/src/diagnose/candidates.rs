@@ -2,6 +2,7 @@
 //! bootstrap.
 
 use crate::diagnose::Reason;
+use crate::statistics::mean_and_std;
 use model_export::effects::{CATALOGUE, EffectTerm};
 use model_export::fit::score_test::{CandidateScore, ScoreTest};
 use model_export::model_file::BaseKind;
@@ -144,9 +145,8 @@ pub fn screen(around: &ScoreTest, candidates: &[EffectTerm], seed: u64) -> Vec<S
     let mut scores = Vec::new();
     for (_, one) in &evidence {
         let drawn = around.resampled(one, &best.1, &draws);
-        let mean = drawn.iter().sum::<f64>() / DRAWS as f64;
-        let squares: f64 = drawn.iter().map(|d| (d - mean).powi(2)).sum();
-        let sigma = (squares / DRAWS as f64).sqrt().max(1e-9);
+        let (mean, sigma) = mean_and_std(&drawn);
+        let sigma = sigma.max(1e-9);
         for (max, drawn) in maxima.iter_mut().zip(&drawn) {
             *max = max.max((drawn - mean) / sigma);
         }

@@ -4,6 +4,7 @@
 //! time constants. The remainder of an accepted effect resembles the effects with a common [`Signature`], and is
 //! much smaller; such a remainder is not named.
 
+use crate::statistics::mean_and_std;
 use model_export::effects::{EffectStage, EffectTerm, ExcitationSeries, Signature, find};
 use model_export::fit::campaign::FitSetup;
 
@@ -136,10 +137,8 @@ fn is_steady<'a>(
     let max = amplitudes.iter().copied().fold(0.0, f64::max);
     let loaded: Vec<f64> =
         amplitudes.into_iter().filter(|amplitude| *amplitude > LOADED * max).collect();
-    let n = loaded.len().max(1) as f64;
-    let mean = loaded.iter().sum::<f64>() / n;
-    let sigma = (loaded.iter().map(|a| (a - mean).powi(2)).sum::<f64>() / n).sqrt();
-    Some(n > MIN_LOADED * count && sigma < MAX_VARIATION * mean)
+    let (mean, sigma) = mean_and_std(&loaded);
+    Some(loaded.len() as f64 > MIN_LOADED * count && sigma < MAX_VARIATION * mean)
 }
 
 #[cfg(test)]

@@ -11,19 +11,20 @@
 //! - [`verdicts`]: a verdict on every candidate.
 //! - [`suggestions`]: the next command.
 
+use crate::compare::cv_plan::ModelRefit;
 use crate::data_quality::Finding;
 use crate::diagnose::candidates::candidates;
 use crate::diagnose::forward_selection::forward_selection;
 pub use crate::diagnose::residuals::EffectShape;
 use crate::diagnose::residuals::shapes;
-pub use crate::diagnose::suggestions::Suggestion;
+pub use crate::diagnose::suggestions::{Suggestion, SuggestionKind};
 use crate::diagnose::verdicts::conclude;
 use anyhow::Result;
 use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
-use model_export::fit::campaign::FitSetup;
-use model_export::model_file::{BaseKind, ModelFile};
+use model_export::model_file::ModelFile;
 use model_export::recordings::Campaign;
+use serde::Serialize;
 use std::path::Path;
 
 pub mod candidate_fit;
@@ -163,18 +164,19 @@ pub struct Verdict {
 }
 
 /// Residual structure that depends on a covariate and that no effect explains.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Unexplained {
     /// The covariate.
     pub covariate: String,
     /// Label in text.
+    #[serde(skip)]
     pub words: String,
     /// Fraction of the squared residual above the floor.
     pub share: f64,
 }
 
 /// Error after a step of the selection.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct StaircaseStep {
     /// Added effects; empty for the first step.
     pub added: Vec<String>,
@@ -187,7 +189,8 @@ pub struct StaircaseStep {
 }
 
 /// Diagnoses which effects `model` (read from `path`) does not contain on `campaign`: those of the catalogue and the user's
-/// `own`. `on_stage` receives the stage of the work.
+/// `own`. `on_stage` receives the stage of the work. The second value is the fit of `model` to the campaign, where its
+/// cross-validation is that of a comparison.
 ///
 /// # Errors
 /// A fit fails.
@@ -198,11 +201,8 @@ pub fn diagnose(
     own: &[EffectTerm],
     options: FitOptions,
     on_stage: &dyn Fn(&str),
-) -> Result<Diagnosis> {
-    let prepared = match model.base {
-        BaseKind::Cylinder => FitSetup::cylinder(campaign)?,
-        BaseKind::Polynomial => FitSetup::polynomial(campaign, model.degree(), options)?,
-    };
+) -> Result<(Diagnosis, Option<ModelRefit>)> {
+    let prepared = model.fit_setup(campaign, options)?;
     let present: Vec<EffectTerm> = model.effect_terms(path)?;
     let (testable, untestable) =
         candidates(campaign, model.base, model.force_axes(), &present, own);
@@ -212,5 +212,9 @@ pub fn diagnose(
     diagnosis.model = path.display().to_string();
     diagnosis.campaign = campaign.folder.display().to_string();
     diagnosis.seed = options.seed;
-    Ok(diagnosis)
+    let own_split = prepared.split(&present);
+    let first = selection.stages.into_iter().next().map(|stage| stage.fit);
+    let refit =
+        first.filter(|fit| fit.split == own_split).map(|fit| ModelRefit { setup: prepared, fit });
+    Ok((diagnosis, refit))
 }

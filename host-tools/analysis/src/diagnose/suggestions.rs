@@ -4,11 +4,29 @@ use crate::diagnose::Diagnosis;
 use model_export::effects::EffectTerm;
 use model_export::model_file::BaseKind;
 
+/// Kind of a suggestion.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum SuggestionKind {
+    /// No suggestion.
+    #[default]
+    None,
+    /// Add the accepted effects.
+    AddEffects,
+    /// Separate equivalent effects, or add one of them.
+    ChooseEffect,
+    /// Export the model.
+    Export,
+    /// Test a formula of a covariate.
+    TestFormula,
+    /// Inspect the residual.
+    Compare,
+}
+
 /// Suggestion for the next step.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Suggestion {
-    /// Text; empty without a suggestion.
-    pub words: String,
+    /// Kind.
+    pub kind: SuggestionKind,
     /// Alternative commands.
     pub commands: Vec<String>,
 }
@@ -50,7 +68,7 @@ pub fn suggest(diagnosis: &Diagnosis, typed: &Invocation) -> Suggestion {
         }
         line(&words)
     };
-    let say = |words: &str, commands: Vec<String>| Suggestion { words: words.to_owned(), commands };
+    let suggestion = |kind, commands| Suggestion { kind, commands };
     let report = || vec![command("compare", &["-o", "report.html"].map(str::to_owned))];
     if let Some(sets) = sets(&diagnosis.accepted) {
         let add = |set: &Vec<&String>| {
@@ -58,27 +76,24 @@ pub fn suggest(diagnosis: &Diagnosis, typed: &Invocation) -> Suggestion {
             rest.extend(["-o".to_owned(), better(typed.model)]);
             command("add", &rest)
         };
-        let words = match sets.len() {
-            1 => "Suggestion, add it and see the error fall:",
-            _ => "Suggestion, record what tells them apart, or choose one and add it:",
+        let kind = match sets.len() {
+            1 => SuggestionKind::AddEffects,
+            _ => SuggestionKind::ChooseEffect,
         };
-        return say(words, sets.iter().map(add).collect());
+        return suggestion(kind, sets.iter().map(add).collect());
     }
     let usable = |covariate: &&str| !MADE.contains(covariate);
     let covariates = diagnosis.unexplained.iter().map(|u| u.covariate.as_str());
     if diagnosis.at_floor {
         let words = ["magpie", "export", typed.model, "-o", "tables.rs"].map(str::to_owned);
-        return say(
-            "Nothing is missing here. Suggestion, the device's tables:",
-            vec![line(&words)],
-        );
+        return suggestion(SuggestionKind::Export, vec![line(&words)]);
     }
     match (diagnosis.unexplained.is_empty(), covariates.clone().find(usable)) {
-        (false, Some(covariate)) => say(
-            "Suggestion, propose its shape and test it like any effect (put in yours):",
+        (false, Some(covariate)) => suggestion(
+            SuggestionKind::TestFormula,
             vec![command("diagnose", &["--expr".to_owned(), guess(covariate, typed.base)])],
         ),
-        _ => say("Suggestion, look where it is:", report()),
+        _ => suggestion(SuggestionKind::Compare, report()),
     }
 }
 
@@ -185,7 +200,7 @@ mod tests {
                 "magpie add m.toml 'my campaign' thermal_gap creep -o m-better.toml --delay-ms -2.5",
             ]
         );
-        assert!(suggest(&tied, &typed).words.contains("choose one"));
+        assert_eq!(suggest(&tied, &typed).kind, SuggestionKind::ChooseEffect);
     }
 
     #[test]

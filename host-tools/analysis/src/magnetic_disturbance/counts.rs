@@ -1,7 +1,6 @@
 //! Detection rate, latency, false alarms and operating characteristics.
 
 use crate::magnetic_disturbance::event::{DisturbanceEvent, MAX_LATENCY};
-use serde_json::{Value, json};
 use statrs::distribution::{Beta, ChiSquared, ContinuousCDF};
 
 /// Names of the detector's measures, as in JSON.
@@ -192,27 +191,6 @@ fn binomial(count: f64, all: f64) -> [f64; 2] {
 fn poisson_upper(count: f64) -> f64 {
     let chi = ChiSquared::new(2.0 * count + 2.0);
     chi.map_or(f64::NAN, |chi| 0.5 * chi.inverse_cdf(0.95))
-}
-
-/// The counts as JSON.
-pub fn json(counts: &DetectionCounts) -> Value {
-    let curves = MEASURES.iter().enumerate().map(|(measure, name)| {
-        let points = counts.characteristic(measure).into_iter();
-        let points = points.map(|p| json!([p.threshold, p.false_per_10h, p.detected]));
-        ((*name).to_owned(), Value::Array(points.collect()))
-    });
-    json!({
-        "detected": counts.detected(),
-        "detected_interval_95": counts.detected().map(|_| counts.detected_interval()),
-        "p50_ms": counts.latency(0.5), "p99_ms": counts.latency(0.99),
-        "false_per_10h": counts.false_per_10h(),
-        "false_per_10h_upper_95": counts.false_upper(),
-        "false_alarms": counts.false_alarms,
-        "hours": counts.hours(),
-        "passages": counts.relevant_count(), "passed": counts.events.len(),
-        "within_ms": MAX_LATENCY,
-        "roc": curves.collect::<serde_json::Map<_, _>>(),
-    })
 }
 
 #[cfg(test)]

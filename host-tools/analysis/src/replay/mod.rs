@@ -1,5 +1,6 @@
 //! Recordings through the device's own code, compared with the reference.
 
+pub mod evaluation;
 pub mod tare;
 
 use std::time::{Duration, Instant};

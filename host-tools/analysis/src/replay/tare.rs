@@ -13,6 +13,8 @@ use crate::statistics::Moments;
 const UNLOADED: f64 = 1.0 / 250.0;
 /// Lower limit of that threshold in newtons: four standard deviations of a reference with 0.15 N of noise.
 const REFERENCE_N: f64 = 0.6;
+/// A tare that multiplies the error by this factor is reported.
+pub const TARE_HARM: f64 = 1.2;
 /// Maximum averaging time of a tare in seconds.
 const MAX_TARE_S: f64 = 1.0;
 /// Shorter unloaded intervals are zero crossings of the load.

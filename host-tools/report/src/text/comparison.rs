@@ -7,24 +7,18 @@ use analysis::compare::{
 };
 use analysis::data_quality::Finding;
 use analysis::numbers::{self, field, three_digits};
+use analysis::replay::tare::TARE_HARM;
 use analysis::statistics::{ErrorStatistics, pooled_rms};
-use anstyle::{AnsiColor, Style};
+use anstyle::Style;
 use serde_json::{Value, json};
 
-use crate::text::terminal;
-
-const GOOD: Style = AnsiColor::Green.on_default().bold();
-const WARNING: Style = AnsiColor::Yellow.on_default().bold();
-const ERROR: Style = AnsiColor::Red.on_default().bold();
-const HEADING: Style = Style::new().bold();
+use crate::text::terminal::{self, ERROR, GOOD, HEADING, WARNING, WIDTH};
 
 /// Fraction of the explained residual that counts as concentrated.
 const CONCENTRATED: f64 = 0.6;
 /// Maximum fraction of the rows in a concentrated range.
 const MAX_ROWS: f64 = 0.45;
 
-/// A tare that multiplies the error by this factor is reported.
-const TARE_HARM: f64 = 1.2;
 /// Maximum number of rows for covariates that were not selected.
 const UNSELECTED_ROWS: usize = 4;
 /// Covariates that explain a smaller share are omitted.
@@ -52,8 +46,7 @@ pub fn format_report(comparison: &Comparison) -> String {
 }
 
 fn colored(style: Style, text: &str) -> String {
-    // Line by line, so that a pager that shows one line keeps its color.
-    terminal::paragraph(text).lines().map(|line| format!("{style}{line}{style:#}\n")).collect()
+    terminal::styled(style, text, WIDTH)
 }
 
 fn verdict_style(comparison: &Comparison) -> Style {
@@ -141,8 +134,7 @@ fn error_cells(
 fn floor_sentence(axes: &[FieldAxisErrors]) -> String {
     let mean = |of: &dyn Fn(&FieldAxisErrors) -> Option<f64>| {
         let values: Vec<f64> = axes.iter().filter_map(of).collect();
-        let squares: f64 = values.iter().map(|value| value * value).sum();
-        (!values.is_empty()).then(|| numbers::field((squares / values.len() as f64).sqrt()))
+        (!values.is_empty()).then(|| numbers::field(pooled_rms(values)))
     };
     let mut text = format!(
         "Noise floor: white noise {}, reference noise {}, quantisation {}",
@@ -356,8 +348,8 @@ pub fn to_json(comparison: &Comparison) -> Value {
         "judged": comparison.validation,
         "axes": comparison.axes.iter().map(axis_json).collect::<Vec<_>>(),
         "forces": comparison.forces.iter().map(force_json).collect::<Vec<_>>(),
-        "where": comparison.located.iter().map(located_json).collect::<Vec<_>>(),
-        "worst": comparison.worst.iter().map(worst_json).collect::<Vec<_>>(),
+        "where": comparison.located,
+        "worst": comparison.worst,
         "correlation_s": comparison.correlation_s,
         "verdict": verdict(comparison),
     });
@@ -402,42 +394,6 @@ fn force_json(force: &ForceAxisErrors) -> Value {
         "tared_rmse_n": force.tared_rms,
         "floor_n": force.floor,
         "explainable_n": force.explainable,
-    })
-}
-
-fn located_json(located: &Attribution) -> Value {
-    json!({
-        "covariate": located.covariate,
-        "unit": located.unit,
-        "share": located.share,
-        "alone": located.alone,
-        "chosen": located.chosen,
-        "sensors": located.sensors,
-        "bins": located.bins.iter().map(bin_json).collect::<Vec<_>>(),
-    })
-}
-
-fn bin_json(bin: &Bin) -> Value {
-    json!({
-        "from": bin.from,
-        "to": bin.to,
-        "centre": bin.centre,
-        "rows": bin.rows,
-        "rms_g": bin.rms_g,
-        "share": bin.share,
-        "mean_g": bin.mean_g,
-        "band_g": bin.band_g,
-    })
-}
-
-fn worst_json(worst: &WorstInterval) -> Value {
-    json!({
-        "recording": worst.recording,
-        "from_s": worst.from_s,
-        "to_s": worst.to_s,
-        "sensor": worst.sensor,
-        "rms_g": worst.rms_g,
-        "doing": worst.doing,
     })
 }
 

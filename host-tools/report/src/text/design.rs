@@ -16,6 +16,19 @@ use analysis::numbers::number;
 /// Limits within this fraction above the force range are reported too.
 pub const NEAR: f64 = 0.1;
 
+/// The evaluation of a design as text, without the assumptions.
+pub fn format_report(
+    design: &SensorDesign,
+    evaluation: &DesignEvaluation,
+    shifts: &[FieldShift],
+) -> String {
+    describe(design)
+        + "\n"
+        + &tables(evaluation, shifts)
+        + &verdict(design, evaluation)
+        + &binding_limits(evaluation)
+}
+
 /// The design: one line per flexure, one for magnet and gap.
 pub fn describe(design: &SensorDesign) -> String {
     let mut text = String::new();

@@ -1,19 +1,15 @@
 //! Text and JSON of a diagnosis.
 
 use analysis::diagnose::{
-    Diagnosis, Reason, StaircaseStep, Suggestion, Unexplained, Verdict, VerdictKind,
+    Diagnosis, Reason, StaircaseStep, Suggestion, SuggestionKind, Unexplained, Verdict, VerdictKind,
 };
 use analysis::numbers::{self, field};
-use anstyle::{AnsiColor, Style};
+use anstyle::Style;
 use model_export::effects::find;
 use serde_json::{Value, json};
 
 use crate::text::comparison::{data_findings, stopped_verdict};
-use crate::text::terminal::{self, NARROW_WIDTH};
-
-const HEADING: Style = Style::new().bold();
-const GOOD: Style = AnsiColor::Green.on_default().bold();
-const WARNING: Style = AnsiColor::Yellow.on_default().bold();
+use crate::text::terminal::{self, GOOD, HEADING, NARROW_WIDTH, WARNING};
 
 /// Result as tables and text.
 pub fn format_report(diagnosis: &Diagnosis) -> String {
@@ -46,8 +42,7 @@ fn paragraph(text: &str) -> String {
 }
 
 fn styled(style: Style, text: &str) -> String {
-    // Line by line, so that a pager that shows one line keeps its color.
-    paragraph(text).lines().map(|line| format!("{style}{line}{style:#}\n")).collect()
+    terminal::styled(style, text, NARROW_WIDTH)
 }
 
 fn verdict_table(diagnosis: &Diagnosis) -> String {
@@ -164,13 +159,30 @@ fn unexplained_residual(diagnosis: &Diagnosis) -> String {
 /// Commands are not wrapped, so that they can be copied.
 fn next_commands(next: &Suggestion) -> String {
     let mut page = String::new();
-    if !next.words.is_empty() {
-        page += &format!("\n{}", paragraph(&next.words));
+    let heading = suggestion_heading(next.kind);
+    if !heading.is_empty() {
+        page += &format!("\n{}", paragraph(heading));
     }
     for command in &next.commands {
         page += &format!("  {command}\n");
     }
     page
+}
+
+/// Heading of the suggested commands; empty without a suggestion.
+pub fn suggestion_heading(kind: SuggestionKind) -> &'static str {
+    match kind {
+        SuggestionKind::None => "",
+        SuggestionKind::AddEffects => "Suggestion, add it and see the error fall:",
+        SuggestionKind::ChooseEffect => {
+            "Suggestion, record what tells them apart, or choose one and add it:"
+        }
+        SuggestionKind::Export => "Nothing is missing here. Suggestion, the device's tables:",
+        SuggestionKind::TestFormula => {
+            "Suggestion, propose its shape and test it like any effect (put in yours):"
+        }
+        SuggestionKind::Compare => "Suggestion, look where it is:",
+    }
 }
 
 /// Result as JSON.
@@ -189,9 +201,9 @@ pub fn to_json(diagnosis: &Diagnosis) -> Value {
         "findings": findings.collect::<Vec<_>>(),
         "verdicts": diagnosis.verdicts.iter().map(verdict_json).collect::<Vec<_>>(),
         "accepted": diagnosis.accepted,
-        "unexplained": diagnosis.unexplained.iter().map(unexplained_json).collect::<Vec<_>>(),
+        "unexplained": diagnosis.unexplained,
         "at_floor": diagnosis.at_floor,
-        "staircase": diagnosis.staircase.iter().map(stair_json).collect::<Vec<_>>(),
+        "staircase": diagnosis.staircase,
         "blocks": diagnosis.blocks,
         "block_s": diagnosis.block_s,
         "seed": diagnosis.seed,
@@ -214,19 +226,6 @@ fn verdict_json(verdict: &Verdict) -> Value {
         "z_typical": verdict.z_typical,
         "reason": reason(verdict),
         "record": verdict.record,
-    })
-}
-
-fn unexplained_json(unexplained: &Unexplained) -> Value {
-    json!({ "covariate": unexplained.covariate, "share": unexplained.share })
-}
-
-fn stair_json(stair: &StaircaseStep) -> Value {
-    json!({
-        "added": stair.added,
-        "held_out_rms_g": stair.held_out_rms_g,
-        "held_out_rmse_n": stair.held_out_rmse_n,
-        "floor_g": stair.floor_g,
     })
 }
 

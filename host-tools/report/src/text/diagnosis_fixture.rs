@@ -117,7 +117,7 @@ pub fn full() -> Diagnosis {
             shape(&["hysteresis"], "direction of lateral loading", ""),
         ],
         next: Suggestion {
-            words: "Next, choose one and add it:".to_owned(),
+            kind: SuggestionKind::ChooseEffect,
             commands: vec!["magpie add model.toml 'my <b>' hysteresis -o new.toml".to_owned()],
         },
         is_complete: true,

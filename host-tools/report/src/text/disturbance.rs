@@ -1,10 +1,12 @@
-//! Text of an evaluation of the disturbance detector.
+//! Text and JSON of an evaluation of the disturbance detector.
 
 use std::fmt::Write;
 
+use analysis::benchmark::disturbance::DisturbanceResult;
 use analysis::magnetic_disturbance::counts::{DetectionCounts, MEASURES, UNITS};
 use analysis::magnetic_disturbance::event::MAX_LATENCY;
 use analysis::numbers::decimal;
+use serde_json::{Value, json};
 
 use crate::text::terminal;
 
@@ -46,6 +48,35 @@ pub fn summary(counts: &DetectionCounts) -> String {
         counts.false_alarms,
         counts.false_upper(),
     )
+}
+
+/// The counts as JSON.
+pub fn counts_json(counts: &DetectionCounts) -> Value {
+    let curves = MEASURES.iter().enumerate().map(|(measure, name)| {
+        let points = counts.characteristic(measure).into_iter();
+        let points = points.map(|p| json!([p.threshold, p.false_per_10h, p.detected]));
+        ((*name).to_owned(), Value::Array(points.collect()))
+    });
+    json!({
+        "detected": counts.detected(),
+        "detected_interval_95": counts.detected().map(|_| counts.detected_interval()),
+        "p50_ms": counts.latency(0.5), "p99_ms": counts.latency(0.99),
+        "false_per_10h": counts.false_per_10h(),
+        "false_per_10h_upper_95": counts.false_upper(),
+        "false_alarms": counts.false_alarms,
+        "hours": counts.hours(),
+        "passages": counts.relevant_count(), "passed": counts.events.len(),
+        "within_ms": MAX_LATENCY,
+        "roc": curves.collect::<serde_json::Map<_, _>>(),
+    })
+}
+
+/// The counts of a variant as JSON.
+pub fn result_json(result: &DisturbanceResult) -> Value {
+    let mut object = counts_json(&result.counts);
+    object["variant"] = result.variant.id().into();
+    object["simulated"] = result.simulated.into();
+    object
 }
 
 /// Table of thresholds on each measure alone, with their detection rates.

@@ -1,9 +1,31 @@
-//! Results as text, tables and JSON.
+//! Results as text, tables and JSON: one file for each result.
 
+use analysis::statistics::Moments;
+
+pub mod benchmark;
+pub mod calibration;
 pub mod comparison;
 pub mod design;
+pub mod design_search;
 pub mod diagnosis;
 #[cfg(test)]
 pub mod diagnosis_fixture;
 pub mod disturbance;
+pub mod edit_model;
+pub mod effects;
+pub mod export;
+pub mod fault_campaign;
+pub mod fit;
+pub mod grasp;
+pub mod replay;
+pub mod simulate;
 pub mod terminal;
+pub mod training;
+
+/// Names of the two forces of a sensor: in text, in JSON.
+pub const FORCES: [(&str, &str); 2] = [("Fx", "x"), ("Fz", "z")];
+
+/// RMS to three decimals; a dash for `None`.
+pub fn rms_or_dash(moments: Option<Moments>) -> String {
+    moments.map_or_else(|| "-".to_owned(), |moments| format!("{:.3}", moments.rms()))
+}

@@ -3,6 +3,7 @@
 use std::io::{ErrorKind, Write};
 use std::path::Path;
 
+use anstyle::{AnsiColor, Style};
 use anyhow::Result;
 use comfy_table::{CellAlignment, ContentArrangement, LineStyle, Table, TableStyle};
 use serde_json::Value;
@@ -11,6 +12,18 @@ use serde_json::Value;
 pub const WIDTH: u16 = 100;
 /// Line width of running text: the default width of a terminal.
 pub const NARROW_WIDTH: u16 = 80;
+
+/// Style of a good result.
+pub const GOOD: Style = AnsiColor::Green.on_default().bold();
+/// Style of a result to note.
+pub const WARNING: Style = AnsiColor::Yellow.on_default().bold();
+/// Style of an error.
+pub const ERROR: Style = AnsiColor::Red.on_default().bold();
+/// Style of a heading.
+pub const HEADING: Style = Style::new().bold();
+
+/// Sensor columns per table.
+pub const SENSORS_ACROSS: usize = 4;
 
 /// Rules below the header and at the end only.
 const STYLE: TableStyle = TableStyle::new()
@@ -69,11 +82,9 @@ pub fn report_line(output: Option<&Path>) -> String {
     output.map_or_else(String::new, |path| format!("Report: {}\n", path.display()))
 }
 
-/// Prints messages as notes on stderr.
-pub fn print_notes(notes: &[impl std::fmt::Display]) {
-    for note in notes {
-        eprintln!("note: {note}");
-    }
+/// Text wrapped at `width` in a style, set for each line so that a pager that shows one line keeps it.
+pub fn styled(style: Style, text: &str, width: u16) -> String {
+    wrap(text, width).lines().map(|line| format!("{style}{line}{style:#}\n")).collect()
 }
 
 /// Wraps text at [`WIDTH`]; all lines have the indentation of the first.

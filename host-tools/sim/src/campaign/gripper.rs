@@ -1,7 +1,7 @@
 //! The simulated gripper of a campaign, with the state that carries over between recordings.
 
-use model_export::effects::catalogue::{EXTERNAL_MAGNET, SCREW_BACKLASH};
 use model_export::effects::REFERENCE_C;
+use model_export::effects::catalogue::{EXTERNAL_MAGNET, SCREW_BACKLASH};
 use nalgebra::Vector3;
 
 use crate::campaign::excitation::Excitation;

@@ -9,13 +9,13 @@ use std::path::PathBuf;
 use anyhow::Result;
 use model_export::design::DesignEvaluation;
 use model_export::design::interference::{DRAWS, InterferenceSources};
-use model_export::design::paper::{MATERIALS, PaperResults, Verdict};
+use model_export::design::paper::{MATERIALS, PaperResults};
 use model_export::design::sweep::{self, DEFAULT_COUNT};
-use serde_json::json;
 
 use crate::commands::args::read_design;
 use report::html::design as pages;
 use report::text::design as summary;
+use report::text::design_search::{format_paper, paper_json};
 use report::text::terminal;
 
 /// Design a sensor: evaluate a flexure, magnet and gap, sweep the design space, or optimise for a force.
@@ -101,18 +101,15 @@ fn check(args: &CheckArgs) -> Result<()> {
         let sections = pages::of_one(&design, &evaluation, &shifts);
         report::html::write_sections(path, "magpie: evaluation of a design", &sections)?;
     }
-    if args.json {
-        let object = summary::to_json(&design, &evaluation, &shifts);
-        terminal::print(&format!("{object}\n"))?;
-        return Ok(());
-    }
-    let mut page = summary::describe(&design) + "\n" + &summary::tables(&evaluation, &shifts);
-    page += &summary::verdict(&design, &evaluation);
-    page += &summary::binding_limits(&evaluation);
-    page += &summary::assumptions(&design);
-    page += &terminal::report_line(args.output.as_deref());
-    terminal::print(&page)?;
-    Ok(())
+    terminal::print_result(
+        args.json,
+        || summary::to_json(&design, &evaluation, &shifts),
+        || {
+            summary::format_report(&design, &evaluation, &shifts)
+                + &summary::assumptions(&design)
+                + &terminal::report_line(args.output.as_deref())
+        },
+    )
 }
 
 /// Reproduce the paper's results on fields, sensitivity and materials, and check each of its statements.
@@ -146,40 +143,10 @@ fn reproduce_paper(args: &PaperArgs) -> Result<()> {
         let sections = pages::of_paper(&paper);
         report::html::write_sections(path, "magpie: reproduction of the paper", &sections)?;
     }
-    let page = if args.json {
-        let claims = paper.claims.iter().map(|claim| {
-            json!({
-                "says": claim.says,
-                "place": claim.place,
-                "found": claim.found,
-                "verdict": claim.verdict.name(),
-            })
-        });
-        let claims: Vec<_> = claims.collect();
-        format!("{}\n", json!({ "claims": claims, "report": args.output }))
-    } else {
-        paper_report(args, &paper)
-    };
-    terminal::print(&page)?;
-    Ok(())
-}
-
-fn paper_report(args: &PaperArgs, paper: &PaperResults) -> String {
-    let mut table = terminal::table(["statement of the paper", "source", "computed", ""]);
-    for claim in &paper.claims {
-        table.add_row([claim.says, claim.place, claim.found.as_str(), claim.verdict.name()]);
-    }
-    let count = |verdict| {
-        let claims = paper.claims.iter();
-        claims.filter(|claim| claim.verdict == verdict).count()
-    };
-    let mut page = format!("{table}\n");
-    page += &terminal::paragraph(&format!(
-        "{} reproduced, {} not, {} impossible as stated.",
-        count(Verdict::Reproduced),
-        count(Verdict::NotReproduced),
-        count(Verdict::Impossible)
-    ));
-    page += &terminal::report_line(args.output.as_deref());
-    page
+    let report = args.output.as_deref();
+    terminal::print_result(
+        args.json,
+        || paper_json(&paper, report),
+        || format_paper(&paper, report),
+    )
 }

@@ -6,19 +6,14 @@ use std::time::Instant;
 
 use anyhow::{Result, bail};
 use model_export::design::design_file;
-use model_export::design::optimise::{OptimisedDesign, optimise};
-use model_export::design::sweep::{self, Candidate, pareto_front, sweep};
+use model_export::design::optimise::optimise;
+use model_export::design::sweep::{self, pareto_front, sweep};
 use model_export::output::check_output;
-use serde_json::{Value, json};
 
 use crate::commands::design::space::SpaceArgs;
-use analysis::numbers::number;
 use report::html::design as pages;
-use report::text::design::{self as summary, finite};
+use report::text::design_search::{format_optimum, format_sweep, optimum_json, sweep_json};
 use report::text::terminal;
-
-/// Printed rows of the Pareto front.
-const FRONT_ROWS: usize = 12;
 
 /// Evaluate thousands of designs; report the Pareto front of range, sensitivity and interference.
 #[derive(Debug, clap::Args)]
@@ -55,80 +50,12 @@ pub fn run_sweep(args: &SweepArgs) -> Result<()> {
         let sections = pages::of_sweep(&candidates, &front, args.space.sample);
         report::html::write_sections(path, "magpie: a sweep of designs", &sections)?;
     }
+    let report = args.output.as_deref();
     terminal::print_result(
         args.json,
-        || sweep_json(args, &candidates, &front),
-        || sweep_report(args, &candidates, &front, seconds),
+        || sweep_json(space.sample, args.space.seed, &candidates, &front, report),
+        || format_sweep(space.sample, args.space.seed, &candidates, &front, seconds, report),
     )
-}
-
-/// `count` evenly spaced elements, including both ends.
-fn evenly_spaced(front: &[usize], count: usize) -> Vec<usize> {
-    let last = front.len().saturating_sub(1);
-    let rows = count.min(front.len());
-    let place = |i: usize| i * last / rows.saturating_sub(1).max(1);
-    (0..rows).map(|i| front[place(i)]).collect()
-}
-
-fn sweep_report(
-    args: &SweepArgs,
-    candidates: &[Candidate],
-    front: &[usize],
-    seconds: f64,
-) -> String {
-    let mut table = terminal::table(summary::CANDIDATE_HEADS);
-    for place in evenly_spaced(front, FRONT_ROWS) {
-        table.add_row(summary::candidate_row(&candidates[place]));
-    }
-    let limits: Vec<String> = summary::causes(candidates)
-        .into_iter()
-        .filter(|(_, count)| *count > 0)
-        .map(|(cause, count)| format!("{} {count}", cause.name()))
-        .collect();
-    let mut page = terminal::paragraph(&format!(
-        "{} designs ({}) in {seconds:.1} s, {} of them feasible; Pareto front of range, sensitivity and interference: \
-         {} (misalignment seed {}). Range limited by: {}.",
-        candidates.len(),
-        args.space.sample.name(),
-        candidates.iter().filter(|one| one.works()).count(),
-        front.len(),
-        args.space.seed,
-        limits.join(", ")
-    ));
-    page += &format!("{table}\n");
-    if front.len() > FRONT_ROWS {
-        page += &terminal::paragraph(&format!(
-            "{FRONT_ROWS} evenly spaced designs of the front; all are in the report (-o) and in --json."
-        ));
-    }
-    page += "Next: cargo magpie design optimize --range N -o design.toml\n";
-    page += &terminal::report_line(args.output.as_deref());
-    page
-}
-
-fn sweep_json(args: &SweepArgs, candidates: &[Candidate], front: &[usize]) -> Value {
-    let one = |candidate: &Candidate| {
-        json!({
-            "design": candidate.design,
-            "range_n": candidate.range_n,
-            "ended_by": candidate.cause.name(),
-            "g_per_n": candidate.g_per_n,
-            "noise_n": finite(candidate.noise_n),
-            "interference_n": finite(candidate.interference_n),
-        })
-    };
-    let causes = summary::causes(candidates)
-        .into_iter()
-        .map(|(cause, count)| (cause.name().replace(' ', "_"), count.into()));
-    json!({
-        "designs": candidates.len(),
-        "working": candidates.iter().filter(|one| one.works()).count(),
-        "seed": args.space.seed,
-        "sample": args.space.sample.name(),
-        "ended_by": causes.collect::<serde_json::Map<_, _>>(),
-        "front": front.iter().map(|place| one(&candidates[*place])).collect::<Vec<_>>(),
-        "report": args.output,
-    })
 }
 
 /// Find the design with the minimum force error that withstands a force, and its binding constraints.
@@ -178,66 +105,9 @@ pub fn run_optimize(args: &OptimizeArgs) -> Result<()> {
         optimum.design.write(path)?;
     }
     let shifts = sweep::shifts(&optimum.design, force_n, &interference);
-    if args.json {
-        let mut object = summary::to_json(&optimum.design, &optimum.evaluation, &shifts);
-        object["error_n"] = optimum.error_n.into();
-        object["bearing"] = optimum.feasible.0.into();
-        object["designs"] = optimum.feasible.1.into();
-        object["seed"] = args.space.seed.into();
-        terminal::print(&format!("{object}\n"))?;
-        return Ok(());
-    }
-    let mut page =
-        summary::describe(&optimum.design) + "\n" + &summary::tables(&optimum.evaluation, &shifts);
-    page += &summary::verdict(&optimum.design, &optimum.evaluation);
-    page += &summary::binding_limits(&optimum.evaluation);
-    page += &error_sentence(&optimum);
-    page += &summary::assumptions(&optimum.design);
-    if let Some(path) = &args.output {
-        page += &format!(
-            "Written to {0}.\nNext: cargo magpie simulate --design {0} -o CAMPAIGN\n",
-            path.display()
-        );
-    }
-    terminal::print(&page)?;
-    Ok(())
-}
-
-/// Error of the optimum, and the size bounds that limit it.
-fn error_sentence(optimum: &OptimisedDesign) -> String {
-    let (bearing, all) = optimum.feasible;
-    let mut text = terminal::paragraph(&format!(
-        "{bearing} of {all} designs withstand the force. The optimum, refined from the best of them in manufacturable \
-         steps, has an error of {} N (noise and interference).",
-        number(optimum.error_n)
-    ));
-    if !optimum.edges.is_empty() {
-        let edges: Vec<String> = optimum
-            .edges
-            .iter()
-            .map(|(name, at_minimum)| {
-                if *at_minimum {
-                    format!("{name} at its minimum")
-                } else {
-                    format!("{name} at its maximum")
-                }
-            })
-            .collect();
-        text += &terminal::paragraph(&format!("Active size bounds: {}.", edges.join(", ")));
-    }
-    text
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn printed_rows_include_both_ends_of_the_front() {
-        let front: Vec<usize> = (100..200).collect();
-        let rows = evenly_spaced(&front, 12);
-        assert_eq!((rows.len(), rows[0], rows[11]), (12, 100, 199));
-        assert_eq!(evenly_spaced(&[7], 12), [7]);
-        assert!(evenly_spaced(&[], 12).is_empty());
-    }
+    terminal::print_result(
+        args.json,
+        || optimum_json(&optimum, &shifts, args.space.seed),
+        || format_optimum(&optimum, &shifts, args.output.as_deref()),
+    )
 }

@@ -7,16 +7,15 @@
 mod hardware;
 mod simulated;
 
-use analysis::numbers;
 use analysis::progress;
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
-use firmware::config::constants::{self, Constant};
-use serde_json::{Value, json};
+use firmware::config::constants;
 
 use crate::commands::connection::{PortArgs, parse_seconds};
 use report::html::drive;
+use report::text::grasp::{format_motion, motion_json};
 use report::text::terminal;
 use sim::closed_loop::drive_result::{DriveResult, DriveTarget};
 use sim::closed_loop::motor_rig::DriveCase;
@@ -166,7 +165,12 @@ pub fn run(args: &Args) -> Result<()> {
     if let Some(path) = &args.output {
         report::html::write_sections(path, &drive::title(&result), &drive::sections(&result))?;
     }
-    terminal::print_result(args.json, || to_json(args, &result), || format_report(args, &result))
+    let report = args.output.as_deref();
+    terminal::print_result(
+        args.json,
+        || motion_json(&result, args.from, args.scatter, report),
+        || format_motion(&result, report),
+    )
 }
 
 /// Checks that an opening is within the travel.
@@ -218,72 +222,4 @@ fn setpoint(args: &Args, lead: Lead) -> Result<DriveTarget> {
         }
         (None, None) => bail!("give --position, --speed, or both"),
     }
-}
-
-fn format_report(args: &Args, result: &DriveResult) -> String {
-    let mut table = terminal::table(["quantity", "value", "unit"]);
-    for (name, value, unit) in result.figures() {
-        table.add_row([name, &numbers::decimal(value, 3), unit]);
-    }
-    terminal::right_align(&mut table, 1);
-    let mut text = terminal::paragraph(&result.sentence());
-    text += &format!("{table}\n");
-    text += &footer(args, &result.assumed());
-    text
-}
-
-/// Footer of every report: assumed constants, path of the HTML report.
-fn footer(args: &Args, assumed: &[Constant]) -> String {
-    let assumed: Vec<String> = assumed
-        .iter()
-        .map(|constant| {
-            let value = numbers::decimal(constant.value, 6);
-            format!("{} {value} {}", constant.name, constant.unit).trim_end().to_owned()
-        })
-        .collect();
-    let mut page = terminal::paragraph(&format!("Simulated. Assumed: {}.", assumed.join(", ")));
-    page += &terminal::report_line(args.output.as_deref());
-    page
-}
-
-fn assumed_json(assumed: &[Constant]) -> Vec<Value> {
-    let json = |constant: &Constant| json!({ "name": constant.name, "value": constant.value, "unit": constant.unit });
-    assumed.iter().map(json).collect()
-}
-
-fn figures_json(figures: &[(&'static str, f64, &'static str)]) -> Vec<Value> {
-    let json = |(name, value, unit): &(&str, f64, &str)| json!({ "name": name, "value": value, "unit": unit });
-    figures.iter().map(json).collect()
-}
-
-fn to_json(args: &Args, result: &DriveResult) -> Value {
-    let points = result.run.points.iter().step_by(20).map(|point| {
-        json!({
-            "time_s": point.time_s,
-            "opening_mm": point.opening_mm,
-            "asked_mm": point.setpoint_mm,
-            "closing_mm_s": point.closing_mm_s,
-            "current_d_a": point.current_a[0],
-            "current_q_a": point.current_a[1],
-            "voltage_d_v": point.voltage_v[0],
-            "voltage_q_v": point.voltage_v[1],
-            "bus_v": point.bus_v,
-        })
-    });
-    let sweep = result.sweep.iter().map(|tone| {
-        json!({ "frequency_hz": tone.frequency_hz, "gain": tone.gain, "lag_deg": tone.lag_deg })
-    });
-    json!({
-        "simulated": true,
-        "screw": format!("{:?}", result.case.lead).to_lowercase(),
-        "seed": args.seed,
-        "scatter": args.scatter,
-        "from_mm": args.from,
-        "report": args.output,
-        "figures": figures_json(&result.figures()),
-        "points": points.collect::<Vec<_>>(),
-        "current_step": result.step.points,
-        "current_sweep": sweep.collect::<Vec<_>>(),
-        "assumed": assumed_json(&result.assumed()),
-    })
 }

@@ -4,17 +4,13 @@ use analysis::numbers;
 use analysis::progress;
 use anyhow::{Result, bail};
 use firmware::grip::commands::GripProfile;
-use serde_json::{Value, json};
 
-use crate::commands::grasp::{
-    Args, ObjectStiffness, OtherController, assumed_json, figures_json, footer,
-};
+use crate::commands::grasp::{Args, ObjectStiffness, OtherController};
 use report::html::grasp as page;
+use report::text::grasp::{format_grasp, format_landing, grasp_json, landing_json};
 use report::text::terminal;
-use sim::closed_loop::grasp_result::{
-    GraspResult, GraspSample, GraspTarget, GraspTrace, run_current_limited, run_grasp,
-};
-use sim::closed_loop::landing::{Landing, LandingResult};
+use sim::closed_loop::grasp_result::{GraspResult, GraspTarget, run_current_limited, run_grasp};
+use sim::closed_loop::landing::Landing;
 use sim::closed_loop::motor_rig::DriveCase;
 
 /// Hold time in seconds.
@@ -62,7 +58,12 @@ pub(super) fn grasp(args: &Args, case: DriveCase, set_n: f64) -> Result<()> {
     if let Some(path) = &args.output {
         report::html::write_sections(path, &page::title(&result), &page::sections(&result))?;
     }
-    terminal::print_result(args.json, || grasp_json(args, &result), || grasp_report(args, &result))
+    let report = args.output.as_deref();
+    terminal::print_result(
+        args.json,
+        || grasp_json(&result, args.scatter, report),
+        || format_grasp(&result, report),
+    )
 }
 
 fn grasp_spec(args: &Args, set_n: f64) -> Result<GraspTarget> {
@@ -77,61 +78,6 @@ fn grasp_spec(args: &Args, set_n: f64) -> Result<GraspTarget> {
             numbers::decimal(set_n / contact_n_per_mm, 0)
         )
     }
-}
-
-fn grasp_report(args: &Args, result: &GraspResult) -> String {
-    let mut headers = vec!["quantity", "value", "unit"];
-    headers.extend(result.other.as_ref().map(|_| "current limit"));
-    let mut table = terminal::table(headers);
-    let other = result.other.as_ref().map(GraspResult::figures);
-    for (index, (name, value, unit)) in GraspResult::figures(&result.own).into_iter().enumerate() {
-        let mut row = vec![name.to_owned(), numbers::decimal(value, 2), unit.to_owned()];
-        let other = other.as_ref().and_then(|other| other.get(index));
-        row.extend(other.map(|(_, value, _)| numbers::decimal_or_dash(*value, 2)));
-        table.add_row(row);
-    }
-    terminal::right_align(&mut table, 1);
-    let mut states = terminal::table(["from, ms", "state"]);
-    for (time_s, state) in result.states() {
-        states.add_row([numbers::decimal(1e3 * time_s, 0), state]);
-    }
-    let mut page = terminal::paragraph(&result.sentence());
-    page += &format!("{table}\n{states}\n");
-    page += &footer(args, &result.assumed());
-    page
-}
-
-fn grasp_json(args: &Args, result: &GraspResult) -> Value {
-    let points = |course: &GraspTrace| {
-        let json = |point: &GraspSample| {
-            json!({
-                "time_s": point.time_s,
-                "set_n": point.set_n,
-                "told_n": point.estimated_n,
-                "true_n": point.true_n,
-                "opening_mm": point.opening_mm,
-                "current_q_a": point.current_a,
-                "state": point.state.map(GraspResult::state_name),
-            })
-        };
-        course.points.iter().map(json).collect::<Vec<_>>()
-    };
-    let current_limit = result.other.as_ref().map(|other| {
-        json!({ "figures": figures_json(&GraspResult::figures(other)), "points": points(other) })
-    });
-    json!({
-        "simulated": true,
-        "screw": format!("{:?}", result.case.lead).to_lowercase(),
-        "seed": args.seed,
-        "scatter": args.scatter,
-        "force_n": result.own.target.set_n,
-        "contact_n_per_mm": result.own.target.contact_n_per_mm,
-        "report": args.output,
-        "figures": figures_json(&GraspResult::figures(&result.own)),
-        "points": points(&result.own),
-        "current_limit": current_limit,
-        "assumed": assumed_json(&result.assumed()),
-    })
 }
 
 /// Ranges of the peak ground force in N and of the contact duration in ms.
@@ -157,55 +103,10 @@ pub(super) fn run_landing(args: &Args, case: DriveCase, peak_n: f64) -> Result<(
     if let Some(path) = &args.output {
         report::html::write_sections(path, &page::landing_title(&result), &page::landing(&result))?;
     }
+    let report = args.output.as_deref();
     terminal::print_result(
         args.json,
-        || landing_json(args, &result),
-        || landing_report(args, &result),
+        || landing_json(&result, args.lasts, report),
+        || format_landing(&result, report),
     )
-}
-
-fn landing_report(args: &Args, result: &LandingResult) -> String {
-    let mut table = terminal::table(["quantity", "estimated", "true", "unit"]);
-    for (name, [estimate, truth], unit) in result.figures() {
-        table.add_row([
-            name.to_owned(),
-            numbers::decimal_or_dash(estimate, 2),
-            numbers::decimal_or_dash(truth, 2),
-            unit.to_owned(),
-        ]);
-    }
-    terminal::right_align(&mut table, 1);
-    let mut page = terminal::paragraph(&result.sentence());
-    page += &format!("{table}\n");
-    page += &footer(args, &result.assumed());
-    page
-}
-
-fn landing_json(args: &Args, result: &LandingResult) -> Value {
-    let points = result.points.iter().map(|point| {
-        json!({
-            "time_s": point.time_s,
-            "true_n": point.true_n,
-            "told_n": point.estimated_n,
-            "peak_n": point.held_n,
-            "along_mm": point.along_mm,
-            "contacts": point.contacts,
-        })
-    });
-    let estimates: Vec<_> = result
-        .figures()
-        .into_iter()
-        .map(|(name, [estimate, _], unit)| (name, estimate, unit))
-        .collect();
-    json!({
-        "simulated": true,
-        "screw": format!("{:?}", result.case.lead).to_lowercase(),
-        "seed": args.seed,
-        "force_n": result.landing.peak_n,
-        "lasts_ms": args.lasts,
-        "report": args.output,
-        "figures": figures_json(&estimates),
-        "points": points.collect::<Vec<_>>(),
-        "assumed": assumed_json(&result.assumed()),
-    })
 }

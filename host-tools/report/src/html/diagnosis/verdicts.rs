@@ -45,8 +45,9 @@ fn row(verdict: &Verdict) -> Vec<Markup> {
 }
 
 fn next(diagnosis: &Diagnosis) -> Markup {
+    let heading = text::suggestion_heading(diagnosis.next.kind);
     html! {
-        @if !diagnosis.next.words.is_empty() { p { (diagnosis.next.words) } }
+        @if !heading.is_empty() { p { (heading) } }
         @for command in &diagnosis.next.commands { pre.command tabindex="0" { (command) } }
     }
 }

@@ -1,6 +1,5 @@
 //! Training data: recordings through the device code.
 
-use analysis::progress;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
@@ -14,10 +13,9 @@ use model_export::recordings::description::RecordingDescription;
 use model_export::recordings::recording::recording_name;
 use model_export::recordings::stream::RawStream;
 
-use crate::commands::train::TrainingArgs;
-use analysis::compare::campaign_reader::{check_distinct, check_sensor_scale, held_out_index};
+use crate::compare::campaign_reader::{check_distinct, check_sensor_scale, held_out_index};
+use crate::progress;
 use device_run::{ReplayModels, training_sequence};
-use report::text::terminal;
 
 /// Training and held-out sequences with their provenance.
 pub struct TrainingData {
@@ -36,12 +34,20 @@ pub struct TrainingData {
 }
 
 impl TrainingData {
-    /// Runs every recording through the device code.
-    pub fn read(args: &TrainingArgs) -> Result<Self> {
-        let alignment = args.align.alignment()?;
-        let folders = recording_folders(&args.campaign)?;
-        let index = held_out_index(&args.campaign, folders.len(), args.hold_out)?;
-        let built = build(&args.model, ModelVariant::Fitted)?;
+    /// Runs every recording of `campaign` through the device code with the tables of `model`. The held-out recording
+    /// is counted from 1; the default is the last.
+    ///
+    /// # Errors
+    /// A recording cannot be read, two are the same data, or their sensors differ.
+    pub fn read(
+        model: &Path,
+        campaign: &Path,
+        hold_out: Option<usize>,
+        alignment: Alignment,
+    ) -> Result<Self> {
+        let folders = recording_folders(campaign)?;
+        let index = held_out_index(campaign, folders.len(), hold_out)?;
+        let built = build(model, ModelVariant::Fitted)?;
         let mut recordings = Vec::new();
         for (i, folder) in folders.iter().enumerate() {
             recordings.push(TrainingRecording {
@@ -51,22 +57,18 @@ impl TrainingData {
             });
         }
         let sources = recordings.iter();
-        check_distinct(
-            &args.campaign.display().to_string(),
-            sources.map(|r| (&*r.name, &*r.sha256)),
-        )?;
+        check_distinct(&campaign.display().to_string(), sources.map(|r| (&*r.name, &*r.sha256)))?;
         let mut training = read_sequences(&folders, &built, alignment)?;
-        check_same_sensors(&args.campaign, &training)?;
+        check_same_sensors(campaign, &training)?;
         let held_out = training.remove(index);
         let notes = notes(&built, &recordings, &held_out);
-        terminal::print_notes(&notes);
+        progress::print_notes(&notes);
         Ok(Self {
             training,
             held_out,
-            name: args.campaign.canonicalize().map_or_else(
-                |_| recording_name(&args.campaign),
-                |absolute| recording_name(&absolute),
-            ),
+            name: campaign
+                .canonicalize()
+                .map_or_else(|_| recording_name(campaign), |absolute| recording_name(&absolute)),
             recordings,
             model_sha256: built.header.inputs_sha256.clone(),
             delay_ms: 1e-3 * alignment.delay_us,

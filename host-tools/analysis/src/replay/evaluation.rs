@@ -1,11 +1,10 @@
-//! `magpie replay`: runs a campaign through the device code.
+//! Evaluation of a model on a campaign through the device code, compared with simpler models.
 
-pub mod text;
-
-use analysis::progress;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
+use device_run::ReplayModels;
+use device_run::networks::NetworkSet;
 use firmware::config::constants;
 use model_export::inverse::build::{DeviceModel, ModelVariant, build};
 use model_export::inverse::compensation::OwnedCompensation;
@@ -18,48 +17,13 @@ use model_export::recordings::description::{NominalDesign, RecordingDescription}
 use model_export::recordings::recording::recording_name;
 use model_export::recordings::stream::RawStream;
 
-use crate::commands::args::AlignArgs;
-use analysis::compare::campaign_reader::check_sensor_scale;
-use analysis::replay::{RecordingReplay, replay};
-use device_run::ReplayModels;
-use device_run::networks::NetworkSet;
-use report::text::terminal;
-
-/// Run every row of a campaign through the device code and compare the forces with the reference.
-#[derive(Debug, clap::Args)]
-#[command(after_help = "\
-Examples:
-  cargo magpie replay model.toml tests/data/clean
-  cargo magpie replay model.toml my-campaign --network network.safetensors
-  cargo magpie replay model.toml tests/data/clean --json | jq '.sensors'")]
-pub struct Args {
-    /// Model file written by `magpie fit`.
-    model: PathBuf,
-    /// Folder of recordings (or one recording).
-    campaign: PathBuf,
-    /// Recurrent networks to run after the model, written by `magpie train`.
-    #[arg(long, value_name = "NETWORK")]
-    network: Option<PathBuf>,
-    #[command(flatten)]
-    align: AlignArgs,
-    /// Print one JSON object on stdout and nothing else.
-    #[arg(long)]
-    json: bool,
-}
-
-/// Runs the command.
-pub fn run(args: &Args) -> Result<()> {
-    let evaluation =
-        evaluate(&args.model, &args.campaign, args.network.as_deref(), args.align.alignment()?)?;
-    terminal::print_result(
-        args.json,
-        || text::to_json(&evaluation),
-        || text::format_report(&evaluation),
-    )
-}
+use crate::compare::campaign_reader::check_sensor_scale;
+use crate::progress;
+use crate::replay::{AxisReplay, RecordingReplay, replay};
+use crate::statistics::{Moments, pooled_rms};
 
 /// Replays of a campaign with a model and, for comparison, with simpler models.
-pub struct Evaluation {
+pub struct ReplayEvaluation {
     /// Fitted radial basis functions.
     pub fitted: Vec<RecordingReplay>,
     /// Best linear model of the same fit.
@@ -84,7 +48,7 @@ pub fn evaluate(
     campaign: &Path,
     network: Option<&Path>,
     alignment: Alignment,
-) -> Result<Evaluation> {
+) -> Result<ReplayEvaluation> {
     let building = progress::progress_bar("building tables", 2);
     let built = build(model, ModelVariant::Fitted)?;
     let networks = network.map(|path| NetworkSet::read(path, &built)).transpose()?;
@@ -149,8 +113,8 @@ pub fn evaluate(
             header.effects.join(", ")
         ));
     }
-    terminal::print_notes(&notes);
-    Ok(Evaluation {
+    progress::print_notes(&notes);
+    Ok(ReplayEvaluation {
         linear: without_networks(&linear, &fitted.linear, &[])?,
         nominal: without_networks(&nominal.tables, &nominal.models, &[])?,
         uncompensated: if header.effects.is_empty() {
@@ -233,4 +197,113 @@ fn training_recordings(
         }
     }
     Ok(names)
+}
+
+/// One force of one sensor over all recordings.
+pub struct PooledAxis {
+    /// Number of the sensor.
+    pub sensor: u32,
+    /// 0: Fx, 1: Fz.
+    pub axis: usize,
+    /// One for each recording.
+    pub recordings: Vec<AxisReplay>,
+}
+
+impl PooledAxis {
+    /// Moments over all recordings.
+    pub fn sum(&self, sums: impl Fn(&AxisReplay) -> Moments) -> Moments {
+        self.recordings.iter().fold(Moments::default(), |sum, axis| sum.with(sums(axis)))
+    }
+
+    /// RMS of the white noise alone over all recordings.
+    pub fn noise_n(&self) -> f64 {
+        pooled_rms(self.recordings.iter().map(|axis| axis.noise_n))
+    }
+
+    /// Error after taring; `None` if a recording has no unloaded segment.
+    pub fn tared(&self) -> Option<Moments> {
+        let mut sum = Moments::default();
+        for axis in &self.recordings {
+            sum = sum.with(axis.tared()?);
+        }
+        Some(sum)
+    }
+}
+
+/// Every force of every sensor, pooled over the recordings.
+pub fn pooled(recordings: &[RecordingReplay]) -> Vec<PooledAxis> {
+    let mut numbers: Vec<u32> =
+        recordings.iter().flat_map(|r| r.sensors.iter().map(|s| s.number)).collect();
+    numbers.sort_unstable();
+    numbers.dedup();
+    let axes = |number: u32, axis: usize| {
+        let sensors = recordings.iter().flat_map(|r| &r.sensors);
+        sensors.filter(|s| s.number == number).map(|s| s.axes[axis]).collect()
+    };
+    numbers
+        .into_iter()
+        .flat_map(|sensor| {
+            [0, 1].map(|axis| PooledAxis { sensor, axis, recordings: axes(sensor, axis) })
+        })
+        .collect()
+}
+
+/// Recorded seconds per second of reading and estimating, on one core.
+pub fn times_real_time(recordings: &[RecordingReplay]) -> f64 {
+    let spent: f64 = recordings.iter().map(|r| r.spent.as_secs_f64()).sum();
+    recordings.iter().map(|r| r.span_s).sum::<f64>() / spent
+}
+
+/// RMS error over all sensors and axes in newtons.
+pub fn rmse_n(recordings: &[RecordingReplay]) -> f64 {
+    let axes = recordings.iter().flat_map(|r| r.sensors.iter().flat_map(|s| &s.axes));
+    axes.fold(Moments::default(), |sum, track| sum.with(track.error)).rms()
+}
+
+/// Replays with and without networks, on held-out recordings if there are any.
+pub struct NetworkComparison {
+    /// True if the recordings are held out.
+    pub held_out: bool,
+    /// With networks.
+    pub with: Vec<RecordingReplay>,
+    /// Without networks.
+    pub without: Vec<RecordingReplay>,
+}
+
+impl NetworkComparison {
+    /// `None` without networks.
+    pub fn of(evaluation: &ReplayEvaluation) -> Option<Self> {
+        let alone = evaluation.without_networks.as_ref()?;
+        let held_out = |recordings: &[RecordingReplay]| -> Vec<RecordingReplay> {
+            let held_out = recordings
+                .iter()
+                .filter(|recording| !evaluation.training_recordings.contains(&recording.name));
+            held_out.cloned().collect()
+        };
+        let (with, without) = (held_out(&evaluation.fitted), held_out(alone));
+        Some(if with.is_empty() {
+            Self { held_out: false, with: evaluation.fitted.clone(), without: alone.clone() }
+        } else {
+            Self { held_out: true, with, without }
+        })
+    }
+}
+
+/// Fractions of the errors within one and two standard deviations, of the rows that have one.
+pub fn coverage_fractions(pooled: &PooledAxis) -> Option<[f64; 2]> {
+    let rows = pooled.sum(|track| track.sigma).rows();
+    let within = |width: usize| -> u64 { pooled.recordings.iter().map(|t| t.within[width]).sum() };
+    (rows > 0.0).then(|| [0, 1].map(|width| within(width) as f64 / rows))
+}
+
+/// Fraction of a sensor's rows in which the device rejected the network output.
+pub fn rejected_fraction(recordings: &[RecordingReplay], number: u32) -> f64 {
+    let (mut rejected, mut rows) = (0, 0);
+    for recording in recordings {
+        for sensor in recording.sensors.iter().filter(|s| s.number == number) {
+            rejected += sensor.diverged;
+            rows += recording.rows;
+        }
+    }
+    rejected as f64 / rows.max(1) as f64
 }

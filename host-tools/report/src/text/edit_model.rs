@@ -1,5 +1,7 @@
-//! Report of `magpie add` and `magpie remove`.
+//! Text and JSON of a model with other effects.
 
+use analysis::compare::AT_FLOOR;
+use analysis::edit_model::ModelEdit;
 use analysis::numbers;
 use model_export::effects::EffectTerm;
 use model_export::fit::cross_validation::{CvSplit, ErrorSums};
@@ -9,9 +11,7 @@ use model_export::model_file::EffectModel;
 use model_export::recordings::mapping::ATTITUDE_COLUMNS;
 use serde_json::{Value, json};
 
-use crate::commands::edit_model::ModelEdit;
-use analysis::compare::AT_FLOOR;
-use report::text::terminal;
+use crate::text::terminal::{self, SENSORS_ACROSS};
 
 /// Relative changes of the held-out error below this are insignificant.
 const INSIGNIFICANT_CHANGE: f64 = 0.005;
@@ -19,8 +19,6 @@ const INSIGNIFICANT_CHANGE: f64 = 0.005;
 const MASKING_RESIDUAL: f64 = 1.5;
 /// A smaller reduction of the error is doubtful if the magnitude is implausible.
 const WEAK_REDUCTION: f64 = 0.05;
-/// Sensor columns per table.
-const SENSORS_ACROSS: usize = 4;
 
 /// The report as text.
 pub fn format_report(edit: &ModelEdit) -> String {

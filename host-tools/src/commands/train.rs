@@ -1,9 +1,5 @@
 //! `magpie train`: trains recurrent networks on recordings.
 
-mod dataset;
-mod text;
-
-use analysis::progress;
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -18,10 +14,12 @@ use model_export::gru::train::trainer::{Trainer, TrainingSettings};
 use model_export::output::check_output;
 
 use crate::commands::args::AlignArgs;
-use crate::commands::train::dataset::TrainingData;
-use crate::commands::train::text::Evaluation;
 use analysis::network_calibration::NetworkCalibration;
+use analysis::network_training::TrainingResult;
+use analysis::network_training::dataset::TrainingData;
+use analysis::progress;
 use report::text::terminal;
+use report::text::training::{format_report, to_json};
 
 /// Default units per layer: with three inputs the device computes them within the time that the paper states for
 /// a computer.
@@ -176,7 +174,8 @@ pub fn run(args: &Args) -> Result<()> {
         }
     }
     let start = Instant::now();
-    let data = TrainingData::read(common)?;
+    let alignment = common.align.alignment()?;
+    let data = TrainingData::read(&common.model, &common.campaign, common.hold_out, alignment)?;
     let mut trainer = Trainer::new(
         common.settings(data.built.model.force_range_n()),
         args.topology(),
@@ -185,11 +184,11 @@ pub fn run(args: &Args) -> Result<()> {
     )?;
     train(args, &mut trainer, &data.key())?;
     let sigma = NetworkCalibration::of(&trainer, &data.training, &data.held_out, &data.built)?;
-    let evaluation = Evaluation::of(&trainer, &data.held_out, sigma, start.elapsed())?;
+    let evaluation = TrainingResult::of(&trainer, &data.held_out, sigma, start.elapsed())?;
     terminal::print_result(
         common.json,
-        || text::to_json(&evaluation, &data.notes),
-        || text::format_report(&evaluation),
+        || to_json(&evaluation, &data.notes),
+        || format_report(&evaluation),
     )?;
     if let Some(path) = &args.output {
         let mut networks = trainer.networks();

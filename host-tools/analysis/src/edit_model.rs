@@ -1,11 +1,9 @@
-//! `magpie add` and `magpie remove`: a model refitted with other effects.
+//! A model refitted with other effects: the error before and after.
 
-pub mod text;
-
-use analysis::progress;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
+use device_run::ReplayModels;
 use model_export::effects::EffectTerm;
 use model_export::effects::catalogue::{NEIGHBOUR_MAGNET, SCREW_BACKLASH};
 use model_export::effects::excitation::BUILT_IN_COVARIATES;
@@ -15,28 +13,14 @@ use model_export::fit::cross_validation::CvSplit;
 use model_export::fit::effect_size::{EffectSize, effect_sizes};
 use model_export::fit::joint::JointFit;
 use model_export::inverse::build::{BuildError, ModelVariant, build_model};
-use model_export::model_file::{self, BaseKind, ModelFile, Provenance};
-use model_export::output::check_output;
+use model_export::model_file::{BaseKind, ModelFile, Provenance};
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 use serde::Serialize;
 
-use crate::commands::args::{CampaignArgs, ExprArgs};
-use crate::commands::replay::replay_all;
-use crate::commands::replay::text::rmse_n;
-use analysis::compare::campaign_reader::{check_distinct, read_campaign};
-use device_run::ReplayModels;
-use report::text::terminal;
-
-/// Arguments of `add` and `remove`.
-#[derive(Debug, clap::Args)]
-struct EditArgs {
-    #[command(flatten)]
-    input: CampaignArgs,
-    /// Model file to write.
-    #[arg(short, long, value_name = "NEW")]
-    output: Option<PathBuf>,
-}
+use crate::compare::campaign_reader::check_distinct;
+use crate::progress;
+use crate::replay::evaluation::{replay_all, rmse_n};
 
 /// A model before and after an edit of its effects, both refitted on the same recordings.
 pub struct ModelEdit {
@@ -56,33 +40,20 @@ pub struct ModelEdit {
     pub notices: Vec<String>,
 }
 
-/// Reads the inputs, refits before and after the edit, prints the report and writes the new model.
-fn edit(
-    args: &EditArgs,
-    edit_effects: impl Fn(&ModelFile, &[EffectTerm], &Campaign) -> Result<Vec<EffectTerm>>,
-) -> Result<()> {
-    if let Some(path) = &args.output {
-        check_output(path, model_file::SIGNATURE)?;
-    }
-    let model = ModelFile::read(&args.input.model)?;
-    let alignment = args.input.align.alignment()?;
-    let options = args.input.options();
-    let campaign = read_campaign(&args.input.campaign, alignment)?;
-    let before = model.effect_terms(&args.input.model)?;
-    let after = channelwise(&model, edit_effects(&model, &before, &campaign)?)?;
-    let edited = refit(campaign, &model, before, after, alignment, options)?;
-    terminal::print_result(
-        args.input.json,
-        || text::to_json(&edited),
-        || text::format_report(&edited),
-    )?;
-    if let Some(path) = &args.output {
-        edited.model.write(path)?;
-    }
-    if !args.input.json {
-        terminal::print_written(args.output.as_deref(), "-o NEW")?;
-    }
-    Ok(())
+/// RMS force errors of the device code over all sensors and axes, in newtons.
+#[derive(Clone, Debug, Serialize)]
+pub struct DeviceComparison {
+    /// Error with the model before the edit.
+    pub before_rmse_n: f64,
+    /// Error with the model after the edit, its effects compensated on the device.
+    pub after_rmse_n: f64,
+    /// Recording that was replayed.
+    pub recording: String,
+    /// True if both models were fitted without that recording.
+    pub held_out: bool,
+    /// Effects that the device does not compensate, each with the reason.
+    #[serde(rename = "left")]
+    pub uncompensated: Vec<String>,
 }
 
 /// Refits a model with the effects `before` and with the effects `after`.
@@ -95,16 +66,13 @@ pub fn refit(
     options: FitOptions,
 ) -> Result<ModelEdit> {
     let mut notices: Vec<String> = campaign.notices().map(ToString::to_string).collect();
-    let prepared = match model.base {
-        BaseKind::Cylinder => FitSetup::cylinder(&campaign)?,
-        BaseKind::Polynomial => FitSetup::polynomial(&campaign, model.degree(), options)?,
-    };
+    let prepared = model.fit_setup(&campaign, options)?;
     notices.extend(prepared.notices.iter().map(ToString::to_string));
     for effect in &after {
         notices.extend(check_identifiable(effect, &after, model.base, &campaign)?);
         check_defined(effect, &prepared)?;
     }
-    terminal::print_notes(&notices);
+    progress::print_notes(&notices);
     let all: Vec<EffectTerm> = before.iter().chain(&after).cloned().collect();
     let split = prepared.split(&all);
     let bar = progress::progress_bar("fitting sensors, before and after", 2 * prepared.rows.len());
@@ -118,7 +86,7 @@ pub fn refit(
     let printed = notices.len();
     let device =
         replay_before_and_after(&campaign, &prepared, &provenance, alignment, sides, &mut notices)?;
-    terminal::print_notes(&notices[printed..]);
+    progress::print_notes(&notices[printed..]);
     Ok(ModelEdit {
         device,
         sizes: effect_sizes(&new, &after, campaign.recordings.len()),
@@ -131,7 +99,7 @@ pub fn refit(
 }
 
 /// The effects in the form that the model's base requires.
-fn channelwise(model: &ModelFile, effects: Vec<EffectTerm>) -> Result<Vec<EffectTerm>> {
+pub fn channelwise(model: &ModelFile, effects: Vec<EffectTerm>) -> Result<Vec<EffectTerm>> {
     let Some(axes) = model.force_axes() else {
         return Ok(effects);
     };
@@ -234,94 +202,6 @@ pub fn find_effects(effects: &[String], formulas: &[EffectTerm]) -> Result<Vec<E
         }
     }
     Ok(all)
-}
-
-/// Add physical effects to a model, refit it, and report the error before and after.
-#[derive(Debug, clap::Args)]
-#[command(after_help = "\
-Examples:
-  cargo magpie add model.toml tests/data/demo neighbour_magnet -o better.toml
-  cargo magpie add model.toml my-campaign hysteresis magnet_temperature -o better.toml
-  cargo magpie add model.toml my-campaign -o better.toml --range p=2..5 \\
-    --expr 'ripple: dz_um = a*sin(2*pi*opening_mm/p) + b*cos(2*pi*opening_mm/p)'
-
-In a formula, names ending in a unit are covariates (the recording's columns, fx_n, fz_n, temp_c, time_s,
-session_s), names with a --range are nonlinear parameters, all others are coefficients. TARGET is a displacement
-of the magnet (dx_um, dy_um, dz_um), a force (fx_n, fz_n) or a field (bx_g, by_g, bz_g).")]
-pub struct AddArgs {
-    #[command(flatten)]
-    edit: EditArgs,
-    /// Catalogue effects (listed by `magpie effects`).
-    #[arg(value_name = "EFFECT")]
-    effects: Vec<String>,
-    #[command(flatten)]
-    exprs: ExprArgs,
-}
-
-/// Runs the command.
-pub fn run_add(args: &AddArgs) -> Result<()> {
-    if args.effects.is_empty() && args.exprs.is_empty() {
-        bail!("name an effect (`magpie effects` lists them), or give a formula with --expr");
-    }
-    edit(&args.edit, |_, before, campaign| {
-        let added = find_effects(&args.effects, &args.exprs.parse(campaign)?)?;
-        if let Some(duplicate) = added.iter().find(|effect| before.contains(effect)) {
-            bail!(
-                "{}: the model already has {}",
-                args.edit.input.model.display(),
-                duplicate.name()
-            );
-        }
-        Ok(before.iter().cloned().chain(added).collect())
-    })
-}
-
-/// Remove effects from a model, refit it, and report the error before and after.
-#[derive(Debug, clap::Args)]
-#[command(after_help = "\
-Examples:
-  cargo magpie remove better.toml my-campaign creep -o model.toml")]
-pub struct RemoveArgs {
-    #[command(flatten)]
-    edit: EditArgs,
-    /// Names of effects of the model.
-    #[arg(value_name = "EFFECT", required = true)]
-    effects: Vec<String>,
-}
-
-/// Runs the command.
-pub fn run_remove(args: &RemoveArgs) -> Result<()> {
-    edit(&args.edit, |model, before, _| {
-        let names: Vec<&str> = model.effects.iter().map(|effect| effect.name.as_str()).collect();
-        for name in &args.effects {
-            if !names.contains(&name.as_str()) {
-                let available =
-                    if names.is_empty() { "no effects".to_owned() } else { names.join(", ") };
-                bail!(
-                    "{}: the model has no effect {name}; it has {available}",
-                    args.edit.input.model.display()
-                );
-            }
-        }
-        let remains = |name: &str| !args.effects.iter().any(|removed| removed == name);
-        Ok(before.iter().filter(|effect| remains(effect.name())).cloned().collect())
-    })
-}
-
-/// RMS force errors of the device code over all sensors and axes, in newtons.
-#[derive(Clone, Debug, Serialize)]
-pub struct DeviceComparison {
-    /// Error with the model before the edit.
-    pub before_rmse_n: f64,
-    /// Error with the model after the edit, its effects compensated on the device.
-    pub after_rmse_n: f64,
-    /// Recording that was replayed.
-    pub recording: String,
-    /// True if both models were fitted without that recording.
-    pub held_out: bool,
-    /// Effects that the device does not compensate, each with the reason.
-    #[serde(rename = "left")]
-    pub uncompensated: Vec<String>,
 }
 
 /// Effects and their joint fit.

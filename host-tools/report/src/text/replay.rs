@@ -1,73 +1,19 @@
-//! Report of `magpie replay`.
+//! Text and JSON of a replay.
 
+use analysis::benchmark::MIN_BENEFIT;
+use analysis::replay::evaluation::{
+    NetworkComparison, PooledAxis, ReplayEvaluation, coverage_fractions, pooled, rejected_fraction,
+    rmse_n, times_real_time,
+};
+use analysis::replay::tare::TARE_HARM;
+use analysis::replay::{AxisReplay, RecordingReplay, coverage};
 use serde_json::{Value, json};
 
-use crate::commands::replay::Evaluation;
-use analysis::calibration::Coverage;
-use analysis::replay::{AxisReplay, RecordingReplay, coverage};
-use analysis::statistics::Moments;
-use report::text::terminal;
-
-/// A tare that multiplies the error by this factor is reported.
-const TARE_HARM: f64 = 1.2;
-
-const FORCES: [(&str, &str); 2] = [("Fx", "x"), ("Fz", "z")];
-
-/// One force of one sensor over all recordings.
-struct Pooled {
-    sensor: u32,
-    axis: usize,
-    tracks: Vec<AxisReplay>,
-}
-
-impl Pooled {
-    fn sum(&self, sums: impl Fn(&AxisReplay) -> Moments) -> Moments {
-        self.tracks.iter().fold(Moments::default(), |sum, track| sum.with(sums(track)))
-    }
-
-    /// RMS of the white noise alone over all recordings.
-    fn noise_n(&self) -> f64 {
-        let squares: f64 = self.tracks.iter().map(|track| track.noise_n.powi(2)).sum();
-        (squares / self.tracks.len().max(1) as f64).sqrt()
-    }
-
-    /// Error after taring; `None` if a recording has no unloaded segment.
-    fn tared(&self) -> Option<Moments> {
-        let mut sum = Moments::default();
-        for track in &self.tracks {
-            sum = sum.with(track.tared()?);
-        }
-        Some(sum)
-    }
-}
-
-fn pooled(recordings: &[RecordingReplay]) -> Vec<Pooled> {
-    let mut numbers: Vec<u32> =
-        recordings.iter().flat_map(|r| r.sensors.iter().map(|s| s.number)).collect();
-    numbers.sort_unstable();
-    numbers.dedup();
-    let tracks = |number: u32, axis: usize| {
-        let sensors = recordings.iter().flat_map(|r| &r.sensors);
-        sensors.filter(|s| s.number == number).map(|s| s.axes[axis]).collect()
-    };
-    numbers
-        .into_iter()
-        .flat_map(|sensor| [0, 1].map(|axis| Pooled { sensor, axis, tracks: tracks(sensor, axis) }))
-        .collect()
-}
-
-/// Recorded seconds per second of reading and estimating, on one core.
-fn times_real_time(recordings: &[RecordingReplay]) -> f64 {
-    let spent: f64 = recordings.iter().map(|r| r.spent.as_secs_f64()).sum();
-    recordings.iter().map(|r| r.span_s).sum::<f64>() / spent
-}
-
-fn newtons(sums: Option<Moments>) -> String {
-    sums.map_or_else(|| "-".to_owned(), |sums| format!("{:.3}", sums.rms()))
-}
+use crate::text::calibration::{coverage_json, coverage_percent};
+use crate::text::{FORCES, rms_or_dash, terminal};
 
 /// The report as text.
-pub fn format_report(evaluation: &Evaluation) -> String {
+pub fn format_report(evaluation: &ReplayEvaluation) -> String {
     format!(
         "{}\n{}{}{}\n{}",
         force_table(evaluation),
@@ -79,7 +25,7 @@ pub fn format_report(evaluation: &Evaluation) -> String {
 }
 
 /// Force error of the device code over all recordings.
-pub fn force_table(evaluation: &Evaluation) -> String {
+pub fn force_table(evaluation: &ReplayEvaluation) -> String {
     let mut table = terminal::table([
         "sensor",
         "force",
@@ -99,7 +45,7 @@ pub fn force_table(evaluation: &Evaluation) -> String {
             format!("{:.3}", error.rms()),
             format!("{:+.3}", error.mean()),
             format!("{:.3}", error.std()),
-            newtons(pooled.tared()),
+            rms_or_dash(pooled.tared()),
             format!("{:.3}", pooled.noise_n()),
             format!("{:.3}", pooled.sum(|track| track.float).rms()),
             format!("{:.4}", pooled.sum(|track| track.fixed_minus_float).rms()),
@@ -121,19 +67,13 @@ pub fn force_table(evaluation: &Evaluation) -> String {
 }
 
 /// Benefit of the compensation on the device.
-fn without_compensation(evaluation: &Evaluation) -> Option<String> {
+fn without_compensation(evaluation: &ReplayEvaluation) -> Option<String> {
     let without = evaluation.uncompensated.as_ref()?;
     Some(format!(
         "Over all forces: RMSE {:.3} N with compensation of the model's effects, {:.3} N without.\n\n",
         rmse_n(&evaluation.fitted),
         rmse_n(without),
     ))
-}
-
-/// RMS error over all sensors and axes in newtons.
-pub fn rmse_n(recordings: &[RecordingReplay]) -> f64 {
-    let axes = recordings.iter().flat_map(|r| r.sensors.iter().flat_map(|s| &s.axes));
-    axes.fold(Moments::default(), |sum, track| sum.with(track.error)).rms()
 }
 
 fn tare_line(recordings: &[RecordingReplay]) -> String {
@@ -183,7 +123,7 @@ fn disturbed_line(recordings: &[RecordingReplay]) -> String {
 /// Maximum number of disturbances listed individually.
 const MAX_SEGMENTS: usize = 3;
 
-fn by_recording(evaluation: &Evaluation) -> String {
+fn by_recording(evaluation: &ReplayEvaluation) -> String {
     let heads = evaluation.fitted.iter().map(|recording| {
         let is_training = evaluation.training_recordings.contains(&recording.name);
         format!("{} ({})", recording.name, if is_training { "fitted" } else { "held out" })
@@ -191,7 +131,7 @@ fn by_recording(evaluation: &Evaluation) -> String {
     let labels = ["sensor", "force"].map(String::from);
     let mut table = terminal::table(labels.into_iter().chain(heads));
     for pooled in pooled(&evaluation.fitted) {
-        let cells = pooled.tracks.iter().map(|track| newtons(track.tared()));
+        let cells = pooled.recordings.iter().map(|track| rms_or_dash(track.tared()));
         let labels = [pooled.sensor.to_string(), FORCES[pooled.axis].0.to_owned()];
         table.add_row(labels.into_iter().chain(cells).collect::<Vec<_>>());
     }
@@ -200,7 +140,7 @@ fn by_recording(evaluation: &Evaluation) -> String {
 }
 
 /// Warning if taring increases the error: the field at rest was then not that of zero force.
-fn tare_warning(evaluation: &Evaluation) -> Option<String> {
+fn tare_warning(evaluation: &ReplayEvaluation) -> Option<String> {
     let worse = |track: &AxisReplay| {
         track.tared().is_some_and(|tared| tared.rms() > TARE_HARM * track.error.rms())
     };
@@ -219,7 +159,7 @@ fn tare_warning(evaluation: &Evaluation) -> Option<String> {
 }
 
 /// Warning at errors above a tenth of the range, which indicate a setup error.
-fn large_error_warning(evaluation: &Evaluation) -> Option<String> {
+fn large_error_warning(evaluation: &ReplayEvaluation) -> Option<String> {
     let limit = 0.1 * evaluation.force_range_n;
     let worst = pooled(evaluation.without_networks.as_ref().unwrap_or(&evaluation.fitted))
         .iter()
@@ -231,7 +171,7 @@ fn large_error_warning(evaluation: &Evaluation) -> Option<String> {
 }
 
 /// Errors of simpler models on the same recordings.
-pub fn model_table(evaluation: &Evaluation) -> String {
+pub fn model_table(evaluation: &ReplayEvaluation) -> String {
     let mut table = terminal::table([
         "sensor",
         "force",
@@ -251,12 +191,12 @@ pub fn model_table(evaluation: &Evaluation) -> String {
         table.add_row([
             fitted.sensor.to_string(),
             FORCES[fitted.axis].0.to_owned(),
-            newtons(Some(nominal.sum(|track| track.error))),
-            newtons(nominal.tared()),
-            newtons(Some(linear.sum(|track| track.error))),
-            newtons(linear.tared()),
-            newtons(Some(fitted.sum(|track| track.error))),
-            newtons(fitted.tared()),
+            rms_or_dash(Some(nominal.sum(|track| track.error))),
+            rms_or_dash(nominal.tared()),
+            rms_or_dash(Some(linear.sum(|track| track.error))),
+            rms_or_dash(linear.tared()),
+            rms_or_dash(Some(fitted.sum(|track| track.error))),
+            rms_or_dash(fitted.tared()),
         ]);
     }
     terminal::right_align(&mut table, 2);
@@ -267,7 +207,7 @@ pub fn model_table(evaluation: &Evaluation) -> String {
 }
 
 /// The object of `--json`.
-pub fn to_json(evaluation: &Evaluation) -> Value {
+pub fn to_json(evaluation: &ReplayEvaluation) -> Value {
     let spent = times_real_time(&evaluation.fitted);
     json!({
         "sensors": pooled(&evaluation.fitted).iter().map(sensor_json).collect::<Vec<_>>(),
@@ -292,7 +232,7 @@ pub fn to_json(evaluation: &Evaluation) -> Value {
     })
 }
 
-fn sensor_json(pooled: &Pooled) -> Value {
+fn sensor_json(pooled: &PooledAxis) -> Value {
     let error = pooled.sum(|track| track.error);
     json!({
         "sensor": pooled.sensor, "axis": FORCES[pooled.axis].1,
@@ -304,61 +244,15 @@ fn sensor_json(pooled: &Pooled) -> Value {
     })
 }
 
-/// Replays with and without networks, on held-out recordings if there are any.
-struct NetworkComparison {
-    held_out: bool,
-    with: Vec<RecordingReplay>,
-    without: Vec<RecordingReplay>,
-}
-
-impl NetworkComparison {
-    fn of(evaluation: &Evaluation) -> Option<Self> {
-        let alone = evaluation.without_networks.as_ref()?;
-        let held_out = |recordings: &[RecordingReplay]| -> Vec<RecordingReplay> {
-            let held_out = recordings
-                .iter()
-                .filter(|recording| !evaluation.training_recordings.contains(&recording.name));
-            held_out.cloned().collect()
-        };
-        let (with, without) = (held_out(&evaluation.fitted), held_out(alone));
-        Some(if with.is_empty() {
-            Self { held_out: false, with: evaluation.fitted.clone(), without: alone.clone() }
-        } else {
-            Self { held_out: true, with, without }
-        })
-    }
-}
-
-/// Fractions of the errors within one and two standard deviations, of the rows that have one.
-fn coverage_fractions(pooled: &Pooled) -> Option<[f64; 2]> {
-    let rows = pooled.sum(|track| track.sigma).rows();
-    let within = |width: usize| -> u64 { pooled.tracks.iter().map(|t| t.within[width]).sum() };
-    (rows > 0.0).then(|| [0, 1].map(|width| within(width) as f64 / rows))
-}
-
 fn coverage_line(recordings: &[RecordingReplay]) -> String {
     coverage(recordings).map_or_else(String::new, |coverage| {
+        let [one, two, three] = coverage_percent(&coverage);
         terminal::paragraph(&format!(
-            "Coverage after the tare over all forces, 1, 2 and 3 sigma: {}, {}, {} (Gaussian: 68.3, 95.4, \
+            "Coverage after the tare over all forces, 1, 2 and 3 sigma: {one}, {two}, {three} (Gaussian: 68.3, 95.4, \
              99.7 %; 95 % intervals by bootstrap of {} blocks of 5 s, 1000 draws).",
-            coverage.words(0),
-            coverage.words(1),
-            coverage.words(2),
             coverage.blocks,
         ))
     })
-}
-
-/// Fraction of a sensor's rows in which the device rejected the network output.
-fn rejected_fraction(recordings: &[RecordingReplay], number: u32) -> f64 {
-    let (mut rejected, mut rows) = (0, 0);
-    for recording in recordings {
-        for sensor in recording.sensors.iter().filter(|s| s.number == number) {
-            rejected += sensor.diverged;
-            rows += recording.rows;
-        }
-    }
-    rejected as f64 / rows.max(1) as f64
 }
 
 fn rejection_sentence(recordings: &[RecordingReplay]) -> String {
@@ -380,7 +274,7 @@ fn rejection_sentence(recordings: &[RecordingReplay]) -> String {
     ))
 }
 
-fn network_report(evaluation: &Evaluation) -> Option<String> {
+fn network_report(evaluation: &ReplayEvaluation) -> Option<String> {
     let comparison = NetworkComparison::of(evaluation)?;
     let mut table = terminal::table([
         "sensor",
@@ -427,19 +321,16 @@ fn network_report(evaluation: &Evaluation) -> Option<String> {
     ))
 }
 
-/// Smaller relative differences are insignificant.
-const SIGNIFICANT_RATIO: f64 = 0.02;
-
 fn network_verdict(without_n: f64, with_n: f64) -> &'static str {
     match with_n / without_n {
-        ratio if ratio < 1.0 - SIGNIFICANT_RATIO => "The networks reduce the error.",
-        ratio if ratio > 1.0 + SIGNIFICANT_RATIO => "The networks increase the error: omit them.",
+        ratio if ratio < 1.0 - MIN_BENEFIT => "The networks reduce the error.",
+        ratio if ratio > 1.0 + MIN_BENEFIT => "The networks increase the error: omit them.",
         _ => "The networks have no significant benefit: omit them.",
     }
 }
 
 /// Part of `--json`; null without networks.
-fn network_json(evaluation: &Evaluation) -> Value {
+fn network_json(evaluation: &ReplayEvaluation) -> Value {
     let Some(comparison) = NetworkComparison::of(evaluation) else {
         return Value::Null;
     };
@@ -463,7 +354,7 @@ fn network_json(evaluation: &Evaluation) -> Value {
         .collect();
     json!({
         "held_out": comparison.held_out, "sensors": rows,
-        "coverage": coverage(&comparison.with).as_ref().map(Coverage::json),
+        "coverage": coverage(&comparison.with).as_ref().map(coverage_json),
         "without_rmse_n": rmse_n(&comparison.without), "rmse_n": rmse_n(&comparison.with),
     })
 }

@@ -1,0 +1,87 @@
+//! Fit of the base physics to a campaign.
+
+use std::path::Path;
+
+use anyhow::Result;
+use model_export::fit::{self, CampaignFits, FitOptions};
+use model_export::model_file::{BaseKind, ModelFile, Provenance};
+use model_export::recordings::align::Alignment;
+use model_export::recordings::{Campaign, Notice};
+
+use crate::compare::campaign_reader::{check_distinct, read_campaign, scan_with_progress};
+use crate::data_quality::Finding;
+use crate::progress;
+
+/// A fitted model and what it was fitted to.
+pub struct CampaignFit {
+    /// The recordings.
+    pub campaign: Campaign,
+    /// Fits of all sensors.
+    pub fits: CampaignFits,
+    /// The model.
+    pub model: ModelFile,
+    /// Notes for the user.
+    pub notices: Vec<Notice>,
+}
+
+/// Reads a campaign and fits the base physics to all sensors. Without a `degree`, that of a polynomial is chosen by
+/// held-out error.
+///
+/// # Errors
+/// A recording cannot be read, two are the same data, or the fit fails.
+pub fn fit_model(
+    folder: &Path,
+    base: BaseKind,
+    degree: Option<u8>,
+    alignment: Alignment,
+    options: FitOptions,
+) -> Result<CampaignFit> {
+    let campaign = read_campaign(folder, alignment)?;
+    let mut notices: Vec<Notice> = campaign.notices().cloned().collect();
+    notices.extend(data_findings(folder, &notices)?);
+    progress::print_notes(&notices);
+    let (fits, more) = fit_campaign(&campaign, base, degree, options)?;
+    progress::print_notes(&more);
+    notices.extend(more);
+    let provenance = Provenance::of(&campaign, alignment.delay_us, options)?;
+    let sources = provenance.recordings.iter();
+    check_distinct(&provenance.campaign, sources.map(|r| (&*r.name, &*r.sha256)))?;
+    let model = ModelFile::of(&campaign, &fits, provenance);
+    Ok(CampaignFit { campaign, fits, model, notices })
+}
+
+/// Data-quality findings that affect the fit, except in files that `known` covers already.
+fn data_findings(campaign: &Path, known: &[Notice]) -> Result<Vec<Notice>> {
+    let findings = scan_with_progress(campaign)?;
+    let is_new = |finding: &Finding| {
+        // A constant covariate does not affect a fit that does not use it.
+        finding.id != "constant_covariate"
+            && !known.iter().any(|notice| notice.location.file == finding.place.file)
+    };
+    let new = findings.into_iter().filter(is_new);
+    Ok(new
+        .map(|finding| Notice {
+            location: finding.place,
+            message: format!("{} (details: `magpie compare`)", finding.message),
+        })
+        .collect())
+}
+
+/// Fits the base physics to all sensors, with progress; also returns the notices of the fit.
+pub fn fit_campaign(
+    campaign: &Campaign,
+    base: BaseKind,
+    degree: Option<u8>,
+    options: FitOptions,
+) -> Result<(CampaignFits, Vec<Notice>)> {
+    let bar = progress::progress_bar("fitting sensors", campaign.sensors().len());
+    let result = match base {
+        BaseKind::Cylinder => fit::campaign::cylinder(campaign, options, |_| bar.inc(1))?,
+        BaseKind::Polynomial => {
+            let degree = degree.map(usize::from);
+            (fit::campaign::polynomial(campaign, degree, options, |_| bar.inc(1))?, Vec::new())
+        }
+    };
+    bar.finish_and_clear();
+    Ok(result)
+}

@@ -1,0 +1,133 @@
+//! Training of recurrent networks on recordings, and their evaluation on the held-out recording.
+
+use std::time::Duration;
+
+use anyhow::Result;
+use model_export::gru::train::dataset::Sequence;
+use model_export::gru::train::forward::Prediction;
+use model_export::gru::train::trainer::{BestEpoch, Trainer};
+
+use crate::network_calibration::NetworkCalibration;
+use crate::statistics::Moments;
+
+pub mod dataset;
+
+/// One force of one sensor on the held-out recording.
+pub struct ForceEvaluation {
+    /// Number of the sensor.
+    pub sensor: u32,
+    /// 0: Fx, 1: Fz.
+    pub axis: usize,
+    /// Network minus reference in newtons.
+    pub error: Moments,
+    /// Ideal model minus reference in newtons.
+    pub ideal: Moments,
+    /// Predicted standard deviations in newtons.
+    pub sigma: Moments,
+    /// Range of the reference force in newtons.
+    pub range_n: [f64; 2],
+    /// Coverage of one and two standard deviations.
+    pub coverage: [f64; 2],
+    /// Mean negative log-likelihood of a force in newtons, in nats.
+    pub nats: f64,
+}
+
+/// Result of a training.
+pub struct TrainingResult {
+    /// Every force of every sensor.
+    pub forces: Vec<ForceEvaluation>,
+    /// Name of the held-out recording.
+    pub held_out: String,
+    /// Seed of the initial weights.
+    pub seed: u64,
+    /// Number of epochs.
+    pub epochs: u32,
+    /// Sensors of each network.
+    pub sensors: Vec<Vec<u32>>,
+    /// Selected epoch of each network.
+    pub found: Vec<BestEpoch>,
+    /// Computing time, including reading.
+    pub spent: Duration,
+    /// Calibration of the standard deviations.
+    pub sigma: NetworkCalibration,
+}
+
+impl TrainingResult {
+    /// Evaluates the best weights on the held-out recording.
+    ///
+    /// # Errors
+    /// The networks cannot be evaluated.
+    pub fn of(
+        trainer: &Trainer,
+        held_out: &Sequence,
+        sigma: NetworkCalibration,
+        spent: Duration,
+    ) -> Result<Self> {
+        let mut evaluated = Vec::new();
+        for (sensors, forces) in trainer.groups.iter().zip(trainer.predictions()?) {
+            for (force, samples) in forces.iter().enumerate() {
+                let (sensor, axis) = (sensors[force / 2], force % 2);
+                let factor = sigma.sigma_factor(sensor, axis);
+                let axis = (sensor, axis);
+                evaluated.push(ForceEvaluation::of(trainer, held_out, axis, samples, factor));
+            }
+        }
+        Ok(Self {
+            forces: evaluated,
+            held_out: held_out.name.clone(),
+            seed: trainer.settings.seed,
+            epochs: trainer.epoch,
+            sensors: trainer.groups.clone(),
+            found: trainer.found.clone(),
+            spent,
+            sigma,
+        })
+    }
+}
+
+impl ForceEvaluation {
+    /// Standard deviations are multiplied by `factor`.
+    fn of(
+        trainer: &Trainer,
+        held_out: &Sequence,
+        (sensor, axis): (u32, usize),
+        samples: &[Prediction],
+        factor: f64,
+    ) -> Self {
+        let scale_n = trainer.scaling.force_n[axis];
+        let mut row = Self {
+            sensor,
+            axis,
+            error: Moments::default(),
+            ideal: Moments::default(),
+            sigma: Moments::default(),
+            range_n: [f64::INFINITY, f64::NEG_INFINITY],
+            coverage: [0.0; 2],
+            nats: 0.0,
+        };
+        let mut covered = [0_usize; 2];
+        for sample in samples {
+            let error = scale_n * (sample.mean - sample.truth);
+            let sigma = factor * scale_n * sample.log_sigma.exp();
+            row.error.add(error);
+            row.sigma.add(sigma);
+            for (count, width) in covered.iter_mut().zip([1.0, 2.0]) {
+                *count += usize::from(error.abs() <= width * sigma);
+            }
+            let z = error / sigma;
+            row.nats += 0.5 * z * z + sigma.ln() + 0.5 * std::f64::consts::TAU.ln();
+        }
+        let track = held_out.tracks.iter().find(|track| track.number == sensor);
+        for (at, truth) in track.iter().flat_map(|track| {
+            let ideal = |row: usize| track.ideal_n[row][axis];
+            track.truth_n.iter().map(move |(at, n)| (ideal(*at), n[axis]))
+        }) {
+            let truth = f64::from(truth);
+            row.ideal.add(f64::from(at) - truth);
+            row.range_n = [row.range_n[0].min(truth), row.range_n[1].max(truth)];
+        }
+        row.coverage = covered.map(|count| count as f64 / samples.len() as f64);
+        row.nats /= samples.len() as f64;
+        row
+    }
+}

@@ -1,0 +1,265 @@
+//! Text and JSON of a fit.
+
+use analysis::compare::AT_FLOOR;
+use analysis::fit::CampaignFit;
+use analysis::numbers;
+use analysis::statistics::pooled_rms;
+use model_export::fit::parameters::{PARAMETERS, tolerances, values};
+use model_export::fit::polynomial::PolynomialFit;
+use model_export::fit::{CampaignFits, FitOptions};
+use model_export::model_file::{
+    BaseKind, HeldOutError, ModelFile, SensorModel, UnidentifiableCombination,
+};
+use model_export::physics::ForwardModel;
+use model_export::recordings::Campaign;
+use serde_json::{Value, json};
+
+use crate::text::terminal::{self, SENSORS_ACROSS};
+
+/// Parameters further from nominal, in tolerances, are marked: the gripper or the design file may be wrong.
+const OUTLIER_TOLERANCES: f64 = 3.0;
+
+/// The report as text.
+pub fn format_report(fit: &CampaignFit) -> String {
+    let CampaignFit { campaign, fits, model, .. } = fit;
+    let provenance = &model.provenance;
+    let base = match fits {
+        CampaignFits::Cylinder(..) => parameters(model) + &unidentifiable_text(model),
+        CampaignFits::Polynomial(fits) => degree_table(fits),
+    };
+    format!(
+        "{}: {} recordings, {:.1} s, {} rows; the field is averaged over ±{:.2} ms around each\n\
+         reference row (delay {} ms).\n\n{base}\n{}{}\n\
+         Error bars: block bootstrap, {} draws, seed {}, blocks of {} s.\n",
+        provenance.campaign,
+        campaign.recordings.len(),
+        campaign.duration_s(),
+        provenance.rows,
+        provenance.half_window_ms,
+        provenance.delay_ms,
+        error_table(campaign, model),
+        verdict(model),
+        FitOptions::default().draws,
+        provenance.seed,
+        numbers::decimal(longest_block_s(fits), 1),
+    )
+}
+
+/// Maximum bootstrap block length over the sensors: the correlation time of their residuals.
+fn longest_block_s(fits: &CampaignFits) -> f64 {
+    let lengths: Vec<f64> = match fits {
+        CampaignFits::Cylinder(_, fit) => fit.sensors.iter().map(|fit| fit.block_s).collect(),
+        CampaignFits::Polynomial(fits) => fits.iter().map(|fit| fit.block_s).collect(),
+    };
+    lengths.into_iter().fold(0.0, f64::max)
+}
+
+/// Table of all parameters of all sensors.
+pub fn parameters(model: &ModelFile) -> String {
+    let Some(design) = &model.design else {
+        return String::new();
+    };
+    let nominal = ForwardModel::nominal(design);
+    let (nominals, tolerances) = (values(&nominal), tolerances(&nominal));
+    let mut text = "Fitted parameters ± one standard deviation, nominal design and tolerance (assumed manufacturing\n\
+                    scatter). ?: standard error above half a tolerance. !: over 3 tolerances off, check the design.\n"
+        .to_owned();
+    for sensors in model.sensors.chunks(SENSORS_ACROSS) {
+        let numbers = sensors.iter().map(|sensor| format!("sensor {}", sensor.number));
+        let headers = ["parameter", "nominal", "tol."].map(String::from);
+        let mut table = terminal::table(headers.into_iter().chain(numbers));
+        for (i, parameter) in PARAMETERS.iter().enumerate() {
+            let fitted = sensors.iter().map(|sensor| {
+                let value = sensor.parameters.get(parameter.name);
+                value.map_or_else(String::new, |value| {
+                    let text = numbers::with_error(value.value, value.std_error, tolerances[i]);
+                    let far =
+                        (value.value - nominals[i]).abs() > OUTLIER_TOLERANCES * tolerances[i];
+                    text + match (value.identifiable, far) {
+                        (false, _) => "?",
+                        (true, true) => "!",
+                        (true, false) => "",
+                    }
+                })
+            });
+            let labels = [
+                format!("{} {}", parameter.name, parameter.unit),
+                numbers::decimal(nominals[i], 3),
+                numbers::decimal(tolerances[i], 3),
+            ];
+            table.add_row(labels.into_iter().chain(fitted).collect::<Vec<_>>());
+        }
+        terminal::right_align(&mut table, 1);
+        text += &format!("{table}\n");
+    }
+    text
+}
+
+/// The parameter combinations that were fixed at nominal.
+fn unidentifiable_text(model: &ModelFile) -> String {
+    let mut text = String::new();
+    if model.sensors.iter().any(|sensor| !sensor.unidentifiable.is_empty()) {
+        text += "Unidentifiable parameter combinations, fixed at nominal (weights in tolerances; in parentheses the\n\
+                 standard error from the data alone, in tolerances):\n";
+    }
+    for sensor in model.sensors.iter().filter(|sensor| !sensor.unidentifiable.is_empty()) {
+        let combinations: Vec<String> = sensor.unidentifiable.iter().map(combination).collect();
+        // Two per line.
+        let lines: Vec<String> = combinations.chunks(2).map(|pair| pair.join("; ")).collect();
+        text += &format!("  sensor {}: {}\n", sensor.number, lines.join("\n            "));
+    }
+    text
+}
+
+fn combination(held: &UnidentifiableCombination) -> String {
+    let mut shares: Vec<_> = held.shares.iter().collect();
+    shares.sort_by(|a, b| b.1.abs().total_cmp(&a.1.abs()));
+    let shares: Vec<String> =
+        shares.iter().map(|(name, share)| format!("{share:+.2} {name}")).collect();
+    let std_error = match held.sigma_tolerances {
+        tolerances if tolerances < 100.0 => format!("{tolerances:.1}"),
+        _ => "unbounded".to_owned(),
+    };
+    format!("{} ({std_error})", shares.join(" "))
+}
+
+fn degree_table(fits: &[PolynomialFit]) -> String {
+    let Some(first) = fits.first() else {
+        return String::new();
+    };
+    let tried = first.tried.iter().map(|(degree, _)| format!("degree {degree}"));
+    let headers = ["sensor", "forces", "degree"].map(String::from);
+    let mut table = terminal::table(headers.into_iter().chain(tried));
+    for fit in fits {
+        let forces: Vec<String> = fit
+            .model
+            .forces
+            .iter()
+            .map(|(place, axis)| format!("f{place}_{}", axis.letter()))
+            .collect();
+        let labels = [fit.sensor.to_string(), forces.join(", "), fit.model.degree.to_string()];
+        let errors = fit.tried.iter().map(|(_, rms)| format!("{rms:.4}"));
+        table.add_row(labels.into_iter().chain(errors).collect::<Vec<_>>());
+    }
+    terminal::right_align(&mut table, 2);
+    format!("Held-out error in G by degree of the polynomial\n{table}\n")
+}
+
+/// Table of the held-out error of every axis.
+pub fn error_table(campaign: &Campaign, model: &ModelFile) -> String {
+    let how = match campaign.recordings.len() {
+        1 => "cross-validated on sixths of the only recording: no claim beyond it",
+        _ => "cross-validated by recording",
+    };
+    let mut table = terminal::table([
+        "sensor",
+        "axis",
+        "error G",
+        "floor G",
+        "error / floor",
+        "explainable G",
+        "% of range",
+    ]);
+    for (sensor, axis) in axes(model) {
+        table.add_row([
+            sensor.number.to_string(),
+            axis.axis.clone(),
+            format!("{:.4}", axis.rms_g),
+            format!("{:.4}", axis.floor_g),
+            format!("{:.3}", axis.rms_g / axis.floor_g),
+            format!("{:.4}", axis.explainable_g()),
+            format!("{:.3}", 100.0 * axis.rms_g / axis.span_g),
+        ]);
+    }
+    terminal::right_align(&mut table, 2);
+    format!(
+        "Held-out field error, {how}\n{table}\n\
+         RMS over all {} channels: {:.4} G. Floor: white noise of the averaged sensor and of the reference\n\
+         (through dB/dF), root sum of squares. Explainable: error above the floor, root difference of\n\
+         squares. Range: of the field in this campaign.\n",
+        axes(model).count(),
+        pooled_rms(axes(model).map(|(_, axis)| axis.rms_g)),
+    )
+}
+
+fn axes(model: &ModelFile) -> impl Iterator<Item = (&SensorModel, &HeldOutError)> {
+    model.sensors.iter().flat_map(|sensor| sensor.held_out.iter().map(move |axis| (sensor, axis)))
+}
+
+/// Verdict on the held-out error.
+pub fn verdict(model: &ModelFile) -> String {
+    let ratio = |axis: &HeldOutError| axis.rms_g / axis.floor_g;
+    let worst = axes(model).max_by(|a, b| ratio(a.1).total_cmp(&ratio(b.1)));
+    let Some((sensor, axis)) = worst.filter(|(_, axis)| ratio(axis) > AT_FLOOR) else {
+        let percent = 100.0 * (AT_FLOOR - 1.0);
+        return format!("At the noise floor: every axis is within {percent:.0} % of its floor.");
+    };
+    let worst = format!(
+        "Maximum: sensor {} {}, {:.1} times its floor.",
+        sensor.number,
+        axis.axis,
+        ratio(axis)
+    );
+    if axis.fitted_rms_g <= AT_FLOOR * axis.floor_g {
+        return format!(
+            "Too little data: at the floor on fitted rows, above it on held-out rows.\n{worst}"
+        );
+    }
+    let why = match model.base {
+        BaseKind::Cylinder => "an effect is missing from the model, or the clocks are misaligned.",
+        BaseKind::Polynomial => "the degree is too low, or the field depends on further inputs.",
+    };
+    format!("Structure remains: {why}\n{worst}")
+}
+
+/// The object of `--json`.
+pub fn to_json(fit: &CampaignFit) -> Value {
+    let CampaignFit { model, notices, .. } = fit;
+    let axis_errors = axes(model).map(|(sensor, axis)| {
+        json!({
+            "sensor": sensor.number, "axis": axis.axis,
+            "held_out_rms_g": axis.rms_g, "floor_g": axis.floor_g, "span_g": axis.span_g,
+        })
+    });
+    let held = model.sensors.iter().flat_map(|sensor| {
+        sensor.unidentifiable.iter().map(|held| {
+            // JSON has no infinity: null is an unbounded standard error.
+            let known_within = held.sigma_tolerances.is_finite().then_some(held.sigma_tolerances);
+            json!({ "sensor": sensor.number, "shares": held.shares, "known_within": known_within })
+        })
+    });
+    json!({
+        "axes": axis_errors.collect::<Vec<_>>(),
+        "held_out_rms_g": pooled_rms(axes(model).map(|(_, axis)| axis.rms_g)),
+        "parameters": model.sensors.iter().flat_map(parameters_json).collect::<Vec<_>>(),
+        "held": held.collect::<Vec<_>>(),
+        "verdict": verdict(model),
+        "provenance": model.provenance,
+        "notices": notices.iter().map(ToString::to_string).collect::<Vec<_>>(),
+    })
+}
+
+fn parameters_json(sensor: &SensorModel) -> Vec<Value> {
+    let number = sensor.number;
+    let mut parameters = Vec::new();
+    for (name, p) in &sensor.parameters {
+        parameters.push(json!({
+            "sensor": number, "name": name, "value": p.value, "std_error": p.std_error,
+            "unit": p.unit, "identifiable": p.identifiable,
+        }));
+    }
+    if let Some(table) = &sensor.polynomial {
+        let rows = table.terms.iter().zip(&table.coefficients_g).zip(&table.std_errors_g);
+        for ((term, values), errors) in rows {
+            let powers = table.forces.iter().zip(term);
+            let powers: Vec<String> = powers.map(|(force, n)| format!("P{n}({force})")).collect();
+            for ((axis, value), error) in ["x", "y", "z"].iter().zip(values).zip(errors) {
+                parameters.push(json!({
+                    "sensor": number, "name": format!("{axis}: {}", powers.join(" ")),
+                    "value": value, "std_error": error, "unit": "G", "identifiable": true,
+                }));
+            }
+        }
+    }
+    parameters
+}

@@ -1,0 +1,192 @@
+//! Text and JSON of simulated motions, grasps and landings.
+
+use std::path::Path;
+
+use analysis::numbers;
+use firmware::config::constants::Constant;
+use serde_json::{Value, json};
+use sim::closed_loop::drive_result::DriveResult;
+use sim::closed_loop::grasp_result::{GraspResult, GraspSample, GraspTrace};
+use sim::closed_loop::landing::LandingResult;
+
+use crate::text::terminal;
+
+/// A motion as text; `report` is the path of the HTML report.
+pub fn format_motion(result: &DriveResult, report: Option<&Path>) -> String {
+    let mut table = terminal::table(["quantity", "value", "unit"]);
+    for (name, value, unit) in result.figures() {
+        table.add_row([name, &numbers::decimal(value, 3), unit]);
+    }
+    terminal::right_align(&mut table, 1);
+    let mut text = terminal::paragraph(&result.sentence());
+    text += &format!("{table}\n");
+    text += &footer(&result.assumed(), report);
+    text
+}
+
+/// Footer of every report: assumed constants, path of the HTML report.
+fn footer(assumed: &[Constant], report: Option<&Path>) -> String {
+    let assumed: Vec<String> = assumed
+        .iter()
+        .map(|constant| {
+            let value = numbers::decimal(constant.value, 6);
+            format!("{} {value} {}", constant.name, constant.unit).trim_end().to_owned()
+        })
+        .collect();
+    let mut page = terminal::paragraph(&format!("Simulated. Assumed: {}.", assumed.join(", ")));
+    page += &terminal::report_line(report);
+    page
+}
+
+fn assumed_json(assumed: &[Constant]) -> Vec<Value> {
+    let json = |constant: &Constant| json!({ "name": constant.name, "value": constant.value, "unit": constant.unit });
+    assumed.iter().map(json).collect()
+}
+
+fn figures_json(figures: &[(&'static str, f64, &'static str)]) -> Vec<Value> {
+    let json = |(name, value, unit): &(&str, f64, &str)| json!({ "name": name, "value": value, "unit": unit });
+    figures.iter().map(json).collect()
+}
+
+/// The object of `--json` of a motion from `from_mm` with parameters perturbed by up to `scatter`.
+pub fn motion_json(
+    result: &DriveResult,
+    from_mm: f64,
+    scatter: f64,
+    report: Option<&Path>,
+) -> Value {
+    let points = result.run.points.iter().step_by(20).map(|point| {
+        json!({
+            "time_s": point.time_s,
+            "opening_mm": point.opening_mm,
+            "asked_mm": point.setpoint_mm,
+            "closing_mm_s": point.closing_mm_s,
+            "current_d_a": point.current_a[0],
+            "current_q_a": point.current_a[1],
+            "voltage_d_v": point.voltage_v[0],
+            "voltage_q_v": point.voltage_v[1],
+            "bus_v": point.bus_v,
+        })
+    });
+    let sweep = result.sweep.iter().map(|tone| {
+        json!({ "frequency_hz": tone.frequency_hz, "gain": tone.gain, "lag_deg": tone.lag_deg })
+    });
+    json!({
+        "simulated": true,
+        "screw": format!("{:?}", result.case.lead).to_lowercase(),
+        "seed": result.case.seed,
+        "scatter": scatter,
+        "from_mm": from_mm,
+        "report": report,
+        "figures": figures_json(&result.figures()),
+        "points": points.collect::<Vec<_>>(),
+        "current_step": result.step.points,
+        "current_sweep": sweep.collect::<Vec<_>>(),
+        "assumed": assumed_json(&result.assumed()),
+    })
+}
+
+/// A grasp as text; `report` is the path of the HTML report.
+pub fn format_grasp(result: &GraspResult, report: Option<&Path>) -> String {
+    let mut headers = vec!["quantity", "value", "unit"];
+    headers.extend(result.other.as_ref().map(|_| "current limit"));
+    let mut table = terminal::table(headers);
+    let other = result.other.as_ref().map(GraspResult::figures);
+    for (index, (name, value, unit)) in GraspResult::figures(&result.own).into_iter().enumerate() {
+        let mut row = vec![name.to_owned(), numbers::decimal(value, 2), unit.to_owned()];
+        let other = other.as_ref().and_then(|other| other.get(index));
+        row.extend(other.map(|(_, value, _)| numbers::decimal_or_dash(*value, 2)));
+        table.add_row(row);
+    }
+    terminal::right_align(&mut table, 1);
+    let mut states = terminal::table(["from, ms", "state"]);
+    for (time_s, state) in result.states() {
+        states.add_row([numbers::decimal(1e3 * time_s, 0), state]);
+    }
+    let mut page = terminal::paragraph(&result.sentence());
+    page += &format!("{table}\n{states}\n");
+    page += &footer(&result.assumed(), report);
+    page
+}
+
+/// The object of `--json` of a grasp with parameters perturbed by up to `scatter`.
+pub fn grasp_json(result: &GraspResult, scatter: f64, report: Option<&Path>) -> Value {
+    let points = |course: &GraspTrace| {
+        let json = |point: &GraspSample| {
+            json!({
+                "time_s": point.time_s,
+                "set_n": point.set_n,
+                "told_n": point.estimated_n,
+                "true_n": point.true_n,
+                "opening_mm": point.opening_mm,
+                "current_q_a": point.current_a,
+                "state": point.state.map(GraspResult::state_name),
+            })
+        };
+        course.points.iter().map(json).collect::<Vec<_>>()
+    };
+    let current_limit = result.other.as_ref().map(|other| {
+        json!({ "figures": figures_json(&GraspResult::figures(other)), "points": points(other) })
+    });
+    json!({
+        "simulated": true,
+        "screw": format!("{:?}", result.case.lead).to_lowercase(),
+        "seed": result.case.seed,
+        "scatter": scatter,
+        "force_n": result.own.target.set_n,
+        "contact_n_per_mm": result.own.target.contact_n_per_mm,
+        "report": report,
+        "figures": figures_json(&GraspResult::figures(&result.own)),
+        "points": points(&result.own),
+        "current_limit": current_limit,
+        "assumed": assumed_json(&result.assumed()),
+    })
+}
+
+/// A landing as text; `report` is the path of the HTML report.
+pub fn format_landing(result: &LandingResult, report: Option<&Path>) -> String {
+    let mut table = terminal::table(["quantity", "estimated", "true", "unit"]);
+    for (name, [estimate, truth], unit) in result.figures() {
+        table.add_row([
+            name.to_owned(),
+            numbers::decimal_or_dash(estimate, 2),
+            numbers::decimal_or_dash(truth, 2),
+            unit.to_owned(),
+        ]);
+    }
+    terminal::right_align(&mut table, 1);
+    let mut page = terminal::paragraph(&result.sentence());
+    page += &format!("{table}\n");
+    page += &footer(&result.assumed(), report);
+    page
+}
+
+/// The object of `--json` of a landing that lasts `lasts_ms`.
+pub fn landing_json(result: &LandingResult, lasts_ms: f64, report: Option<&Path>) -> Value {
+    let points = result.points.iter().map(|point| {
+        json!({
+            "time_s": point.time_s,
+            "true_n": point.true_n,
+            "told_n": point.estimated_n,
+            "peak_n": point.held_n,
+            "along_mm": point.along_mm,
+            "contacts": point.contacts,
+        })
+    });
+    let estimates: Vec<_> = result
+        .figures()
+        .into_iter()
+        .map(|(name, [estimate, _], unit)| (name, estimate, unit))
+        .collect();
+    json!({
+        "simulated": true,
+        "screw": format!("{:?}", result.case.lead).to_lowercase(),
+        "seed": result.case.seed,
+        "force_n": result.landing.peak_n,
+        "lasts_ms": lasts_ms,
+        "report": report,
+        "figures": figures_json(&estimates),
+        "points": points.collect::<Vec<_>>(),
+        "assumed": assumed_json(&result.assumed()),
+    })
+}

@@ -1,0 +1,122 @@
+//! `magpie add` and `magpie remove`: a model refitted with other effects.
+
+use std::path::PathBuf;
+
+use analysis::compare::campaign_reader::read_campaign;
+use analysis::edit_model::{channelwise, find_effects, refit};
+use anyhow::{Result, bail};
+use model_export::effects::EffectTerm;
+use model_export::model_file::{self, ModelFile};
+use model_export::output::check_output;
+use model_export::recordings::Campaign;
+use report::text::edit_model::{format_report, to_json};
+use report::text::terminal;
+
+use crate::commands::args::{CampaignArgs, ExprArgs};
+
+/// Arguments of `add` and `remove`.
+#[derive(Debug, clap::Args)]
+struct EditArgs {
+    #[command(flatten)]
+    input: CampaignArgs,
+    /// Model file to write.
+    #[arg(short, long, value_name = "NEW")]
+    output: Option<PathBuf>,
+}
+
+/// Reads the inputs, refits before and after the edit, prints the report and writes the new model.
+fn edit(
+    args: &EditArgs,
+    edit_effects: impl Fn(&ModelFile, &[EffectTerm], &Campaign) -> Result<Vec<EffectTerm>>,
+) -> Result<()> {
+    if let Some(path) = &args.output {
+        check_output(path, model_file::SIGNATURE)?;
+    }
+    let model = ModelFile::read(&args.input.model)?;
+    let alignment = args.input.align.alignment()?;
+    let options = args.input.options();
+    let campaign = read_campaign(&args.input.campaign, alignment)?;
+    let before = model.effect_terms(&args.input.model)?;
+    let after = channelwise(&model, edit_effects(&model, &before, &campaign)?)?;
+    let edited = refit(campaign, &model, before, after, alignment, options)?;
+    terminal::print_result(args.input.json, || to_json(&edited), || format_report(&edited))?;
+    if let Some(path) = &args.output {
+        edited.model.write(path)?;
+    }
+    if !args.input.json {
+        terminal::print_written(args.output.as_deref(), "-o NEW")?;
+    }
+    Ok(())
+}
+
+/// Add physical effects to a model, refit it, and report the error before and after.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  cargo magpie add model.toml tests/data/demo neighbour_magnet -o better.toml
+  cargo magpie add model.toml my-campaign hysteresis magnet_temperature -o better.toml
+  cargo magpie add model.toml my-campaign -o better.toml --range p=2..5 \\
+    --expr 'ripple: dz_um = a*sin(2*pi*opening_mm/p) + b*cos(2*pi*opening_mm/p)'
+
+In a formula, names ending in a unit are covariates (the recording's columns, fx_n, fz_n, temp_c, time_s,
+session_s), names with a --range are nonlinear parameters, all others are coefficients. TARGET is a displacement
+of the magnet (dx_um, dy_um, dz_um), a force (fx_n, fz_n) or a field (bx_g, by_g, bz_g).")]
+pub struct AddArgs {
+    #[command(flatten)]
+    edit: EditArgs,
+    /// Catalogue effects (listed by `magpie effects`).
+    #[arg(value_name = "EFFECT")]
+    effects: Vec<String>,
+    #[command(flatten)]
+    exprs: ExprArgs,
+}
+
+/// Runs the command.
+pub fn run_add(args: &AddArgs) -> Result<()> {
+    if args.effects.is_empty() && args.exprs.is_empty() {
+        bail!("name an effect (`magpie effects` lists them), or give a formula with --expr");
+    }
+    edit(&args.edit, |_, before, campaign| {
+        let added = find_effects(&args.effects, &args.exprs.parse(campaign)?)?;
+        if let Some(duplicate) = added.iter().find(|effect| before.contains(effect)) {
+            bail!(
+                "{}: the model already has {}",
+                args.edit.input.model.display(),
+                duplicate.name()
+            );
+        }
+        Ok(before.iter().cloned().chain(added).collect())
+    })
+}
+
+/// Remove effects from a model, refit it, and report the error before and after.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  cargo magpie remove better.toml my-campaign creep -o model.toml")]
+pub struct RemoveArgs {
+    #[command(flatten)]
+    edit: EditArgs,
+    /// Names of effects of the model.
+    #[arg(value_name = "EFFECT", required = true)]
+    effects: Vec<String>,
+}
+
+/// Runs the command.
+pub fn run_remove(args: &RemoveArgs) -> Result<()> {
+    edit(&args.edit, |model, before, _| {
+        let names: Vec<&str> = model.effects.iter().map(|effect| effect.name.as_str()).collect();
+        for name in &args.effects {
+            if !names.contains(&name.as_str()) {
+                let available =
+                    if names.is_empty() { "no effects".to_owned() } else { names.join(", ") };
+                bail!(
+                    "{}: the model has no effect {name}; it has {available}",
+                    args.edit.input.model.display()
+                );
+            }
+        }
+        let remains = |name: &str| !args.effects.iter().any(|removed| removed == name);
+        Ok(before.iter().filter(|effect| remains(effect.name())).cloned().collect())
+    })
+}
