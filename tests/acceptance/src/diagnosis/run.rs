@@ -1,8 +1,8 @@
-//! One case: simulate, fit, diagnose, by the tool's own commands.
+//! One case: simulate, fit and diagnose by commands of `magpie`.
 
 use std::path::Path;
-use std::process::Command;
 
+use anyhow::{Context, Result};
 use model_export::fit::FitOptions;
 use model_export::fit::campaign::FitSetup;
 use model_export::fit::score_test::ScoreTest;
@@ -14,24 +14,25 @@ use tempfile::TempDir;
 
 use super::cases::{Case, Expected};
 use super::evaluate::{Evaluation, evaluate};
+use crate::magpie;
 
 /// Block length for a known change; the result does not depend on it.
 const BLOCK_S: f64 = 5.0;
 
-/// What came of a case.
+/// Result of a case.
 pub struct Outcome {
-    /// What was output, held against what was hidden.
+    /// Comparison of the diagnosis with the simulated effects.
     pub evaluation: Evaluation,
     /// Magnitude of the simulated effects in standard errors; NaN without effects.
     pub z: f64,
-    /// What was accepted.
+    /// Accepted effects.
     accepted: String,
-    /// Held-out error in floors, before and after.
+    /// Held-out error relative to the noise floor, before and after.
     floors: (f64, f64),
 }
 
 impl Outcome {
-    /// One line.
+    /// One line of the log.
     pub fn line(&self, case: &Case) -> String {
         let hidden: Vec<String> =
             case.hidden.iter().map(|(id, by)| format!("{id} x {by}")).collect();
@@ -51,19 +52,19 @@ impl Outcome {
 }
 
 /// Runs a case.
-pub fn run(case: &Case) -> Outcome {
-    let folder = TempDir::new().expect("a folder for the campaign");
+pub fn run(case: &Case) -> Result<Outcome> {
+    let folder = TempDir::new()?;
     let campaign = folder.path().join("campaign");
     let model = folder.path().join("model.toml");
-    simulate(case, true, &campaign);
-    magpie(&["fit".as_ref(), &campaign, "-o".as_ref(), &model]);
-    let output = magpie(&["diagnose".as_ref(), &model, &campaign, "--json".as_ref()]);
-    let output: Value = serde_json::from_slice(&output).expect("one JSON object");
+    simulate(case, true, &campaign)?;
+    // All cores are busy with campaigns.
+    magpie::run(&["fit".as_ref(), &*campaign, "-o".as_ref(), &*model], Some(1))?;
+    let output = magpie::json(&["diagnose".as_ref(), &*model, &*campaign], Some(1))?;
     let z = match (&case.expected, case.hidden.is_empty()) {
         (Expected::Names, false) => {
             let clean = folder.path().join("clean");
-            simulate(case, false, &clean);
-            effect_size(&clean, &campaign)
+            simulate(case, false, &clean)?;
+            effect_size(&clean, &campaign)?
         }
         _ => f64::NAN,
     };
@@ -72,15 +73,15 @@ pub fn run(case: &Case) -> Outcome {
         number("held_out_rms_g") / number("floor_g")
     };
     let stairs = output["staircase"].as_array();
-    Outcome {
+    Ok(Outcome {
         evaluation: evaluate(case, &output),
         z,
         accepted: output["accepted"].to_string(),
         floors: (floors(stairs.and_then(|s| s.first())), floors(stairs.and_then(|s| s.last()))),
-    }
+    })
 }
 
-fn simulate(case: &Case, hidden: bool, to: &Path) {
+fn simulate(case: &Case, hidden: bool, to: &Path) -> Result<()> {
     let seed = case.seed.to_string();
     let mut arguments = vec!["simulate", "--programme", case.programme, "--noise", case.noise];
     arguments.extend(["--seed", &seed, "-o"]);
@@ -97,32 +98,19 @@ fn simulate(case: &Case, hidden: bool, to: &Path) {
     for effect in effects.iter().filter(|_| hidden) {
         arguments.extend([Path::new("--effect"), Path::new(effect)]);
     }
-    magpie(&arguments);
+    magpie::run(&arguments, Some(1)).map(drop)
 }
 
-fn magpie(arguments: &[&Path]) -> Vec<u8> {
-    let output = Command::new(env!("CARGO_BIN_EXE_magpie"))
-        .args(arguments)
-        // The bench keeps every core busy itself.
-        .env("RAYON_NUM_THREADS", "1")
-        .output()
-        .expect("the tool runs");
-    let message = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{arguments:?}: {message}");
-    output.stdout
-}
-
-/// Difference of the fields of two campaigns, after the part that a fit absorbs, in standard errors.
-fn effect_size(clean: &Path, hidden: &Path) -> f64 {
+/// Difference of the fields of two campaigns without the part that a fit absorbs, in standard errors.
+fn effect_size(clean: &Path, hidden: &Path) -> Result<f64> {
     let read = |folder: &Path| {
-        let campaign =
-            Campaign::read(folder, Alignment { delay_us: 0.0 }, |_| ()).expect("a campaign");
-        FitSetup::cylinder(&campaign).expect("forces and a design")
+        let campaign = Campaign::read(folder, Alignment { delay_us: 0.0 }, |_| ())?;
+        FitSetup::cylinder(&campaign).context("no forces or no design")
     };
-    let (clean, hidden) = (read(clean), read(hidden));
-    let fit = clean.fit(&[], clean.split(&[]), FitOptions::default(), |_| ()).expect("a fit");
-    let around = ScoreTest::new(&clean, &[], &fit, BLOCK_S);
-    around.change_significance(|sensor, part, row| {
+    let (clean, hidden) = (read(clean)?, read(hidden)?);
+    let fit = clean.fit(&[], clean.split(&[]), FitOptions::default(), |_| ())?;
+    let test = ScoreTest::new(&clean, &[], &fit, BLOCK_S);
+    Ok(test.change_significance(|sensor, part, row| {
         let at = |of: &FitSetup| {
             let part = &of.rows[sensor].parts[part];
             Some((*part.field_g.get(row)?, *part.track.force_n.get(row)?))
@@ -133,5 +121,5 @@ fn effect_size(clean: &Path, hidden: &Path) -> f64 {
             }
             _ => (nalgebra::Vector3::zeros(), [0.0; 2]),
         }
-    })
+    }))
 }

@@ -1,24 +1,24 @@
-//! What was output, held against what was hidden.
+//! Comparison of a diagnosis with the simulated effects.
 
 use serde_json::Value;
 
 use super::cases::{Case, Expected};
 
-/// What a diagnosis was worth.
+/// Correctness of a diagnosis.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Evaluation {
-    /// All that was expected was output, and nothing false.
+    /// The diagnosis is as expected and contains nothing false.
     pub right: bool,
-    /// Some effect that is not hidden was named, with no other to choose.
+    /// An effect that was not simulated was named, without an equivalent alternative.
     pub wrong_alone: bool,
-    /// Members of the set that holds the first hidden effect.
+    /// Size of the set of equivalent effects that contains the first simulated effect.
     pub tied: Option<usize>,
-    /// Where a covariate was to be located: whether it was.
+    /// Whether the expected covariate was located; none without one.
     pub located: Option<bool>,
 }
 
 impl Evaluation {
-    /// For the line of a case.
+    /// Word in the log.
     pub fn word(&self) -> &'static str {
         match (self.right, self.wrong_alone) {
             (_, true) => "WRONG NAME",
@@ -29,7 +29,7 @@ impl Evaluation {
     }
 }
 
-/// Evaluates the JSON output.
+/// Evaluates the JSON output of `magpie diagnose`.
 pub fn evaluate(case: &Case, output: &Value) -> Evaluation {
     let accepted: Vec<Vec<&str>> = output["accepted"]
         .as_array()

@@ -1,21 +1,21 @@
-//! What is hidden, how it is recorded, and what must be output of it.
+//! Simulated effects of every campaign, its excitation and its expected diagnosis.
 
 use std::ops::Range;
 
-/// Cases that are counted together.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Cases with a common rate.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Group {
-    /// One effect of the catalogue at its typical size.
+    /// One effect of the catalogue with its typical magnitude.
     Typical,
-    /// The same at 0.3 of it.
+    /// One effect with 0.3 of its typical magnitude.
     Small,
-    /// Nothing is hidden, under three kinds of noise.
+    /// No effect, with three kinds of noise.
     Nothing,
     /// Two effects that share no covariate.
     Pairs,
-    /// What no catalogue holds.
+    /// Effects that are not in the catalogue.
     Outside,
-    /// Recordings that cannot tell, where one answer is right every time.
+    /// Inconclusive recordings, which must be reported as such.
     Always,
 }
 
@@ -24,15 +24,15 @@ impl Group {
     pub const ALL: [Self; 6] =
         [Self::Typical, Self::Small, Self::Nothing, Self::Pairs, Self::Outside, Self::Always];
 
-    /// Name on the command line.
-    pub fn id(self) -> &'static str {
+    /// Description in the table.
+    pub fn description(self) -> &'static str {
         match self {
-            Self::Typical => "typical",
-            Self::Small => "small",
-            Self::Nothing => "nothing",
-            Self::Pairs => "pairs",
-            Self::Outside => "outside",
-            Self::Always => "always",
+            Self::Typical => "one effect of typical magnitude",
+            Self::Small => "one effect of 0.3 of its typical magnitude",
+            Self::Nothing => "none; white noise, correlated noise, a random walk",
+            Self::Pairs => "two effects without a common covariate",
+            Self::Outside => "one that is not in the catalogue",
+            Self::Always => "inconclusive recordings",
         }
     }
 
@@ -53,26 +53,26 @@ impl Group {
 /// One campaign, and what is expected of its diagnosis.
 #[derive(Clone, Debug)]
 pub struct Case {
-    /// Effects with the factor on their typical sizes.
+    /// Simulated effects, each with a factor on its typical magnitude.
     pub hidden: Vec<(&'static str, f64)>,
-    /// What is done to the gripper.
+    /// Excitation.
     pub programme: &'static str,
     /// Additional noise.
     pub noise: &'static str,
     /// Seed of the campaign.
     pub seed: u64,
-    /// What must be output.
+    /// Expected diagnosis.
     pub expected: Expected,
 }
 
-/// What must be output of a campaign.
+/// Expected diagnosis of a campaign.
 #[derive(Clone, Debug)]
 pub enum Expected {
-    /// Every hidden effect, alone or tied, and nothing else.
+    /// Every simulated effect, alone or among equivalent ones, and no other.
     Names,
-    /// No name; where a covariate is given, that it is followed.
+    /// No effect; the residual is attributed to the covariate, if one is given.
     NoName(Option<&'static str>),
-    /// One of these verdicts on this effect, and no wrong name.
+    /// One of these verdicts on this effect, and no wrong effect.
     Verdict(&'static str, &'static [&'static str]),
 }
 
@@ -81,7 +81,7 @@ impl Case {
         Self { hidden: hidden.to_vec(), programme: "bench", noise: "white", seed, expected }
     }
 
-    /// True where this is hidden in it.
+    /// Whether this effect is simulated.
     pub fn hides(&self, effect: &str) -> bool {
         self.hidden.iter().any(|(id, _)| *id == effect)
     }
@@ -156,7 +156,7 @@ fn pairs(seed: u64) -> Vec<Case> {
     let mut cases = Vec::new();
     for (i, one) in KINDS.iter().enumerate() {
         for other in &KINDS[i + 1..] {
-            // Both remember the force.
+            // Both depend on the force history.
             if (*one, *other) != ("hysteresis", "creep") {
                 let hidden = [(*one, 1.0), (*other, 1.0)];
                 cases.push(Case::new(&hidden, seed, Expected::Names));
