@@ -1,12 +1,10 @@
 //! The README's tutorial for another sensor: other magnet, other stiffness, three sensors.
 
-mod workdir;
-
-use workdir::WorkDir;
+use crate::workdir::WorkDir;
 
 /// Section of the README with this title.
 fn section(name: &str) -> &'static str {
-    let readme = include_str!("../README.md");
+    let readme = include_str!("../../README.md");
     let (_, from) = readme.split_once(&format!("\n## {name}\n")).unwrap();
     from.split_once("\n## ").map_or(from, |(section, _)| section)
 }
@@ -20,7 +18,7 @@ fn block<'a>(section: &'a str, kind: &str) -> &'a str {
 #[test]
 fn readme_commands_make_tables_for_another_sensor() {
     let (dir, section) = (WorkDir::empty(), section("Another sensor"));
-    std::fs::write(dir.0.path().join("tube.toml"), block(section, "toml")).unwrap();
+    std::fs::write(dir.path("tube.toml"), block(section, "toml")).unwrap();
     let lines = block(section, "console").lines();
     let commands: Vec<&str> = lines
         .filter_map(|line| line.strip_prefix("cargo magpie "))
@@ -30,7 +28,7 @@ fn readme_commands_make_tables_for_another_sensor() {
     for command in &commands {
         dir.stdout(command);
     }
-    let tables = std::fs::read_to_string(dir.0.path().join("tube-tables.rs")).unwrap();
+    let tables = dir.read("tube-tables.rs");
     assert!(tables.contains("static SENSORS: [SensorTable; 3]"));
 
     let replayed = dir.json("replay tube-model.toml tube --json");

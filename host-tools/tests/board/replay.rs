@@ -1,7 +1,5 @@
 //! The board in virtual time reports the same forces over its buses as a replay of the same recording.
 
-mod workdir;
-
 use std::collections::HashMap;
 use std::path::Path;
 use std::sync::atomic::Ordering::Relaxed;
@@ -26,7 +24,8 @@ use model_export::recordings::stream::RawStream;
 use sim::board::world::RecordedWorld;
 use sim::board::{Program, VirtualTimeBoard};
 use tests::{data, full_campaign};
-use workdir::WorkDir;
+
+use crate::workdir::WorkDir;
 
 const RECORDING_S: f64 = 12.0;
 
@@ -39,7 +38,7 @@ struct Made {
 /// A fit without effects.
 fn fitted(dir: &WorkDir, campaign: &Path) -> Made {
     dir.stdout(&format!("fit {} -o model.toml", campaign.display()));
-    let built = build(&dir.0.path().join("model.toml"), ModelVariant::Fitted).unwrap();
+    let built = build(&dir.path("model.toml"), ModelVariant::Fitted).unwrap();
     Made { built, networks: None }
 }
 
@@ -51,8 +50,8 @@ fn trained(dir: &WorkDir, campaign: &Path) -> Made {
     dir.stdout(&format!(
         "train model.toml {campaign} --epochs 2 --hidden 4 -o networks.safetensors"
     ));
-    let built = build(&dir.0.path().join("model.toml"), ModelVariant::Fitted).unwrap();
-    let networks = NetworkSet::read(&dir.0.path().join("networks.safetensors"), &built).unwrap();
+    let built = build(&dir.path("model.toml"), ModelVariant::Fitted).unwrap();
+    let networks = NetworkSet::read(&dir.path("networks.safetensors"), &built).unwrap();
     Made { built, networks: Some(networks) }
 }
 

@@ -96,8 +96,8 @@ impl Golden {
 }
 
 #[test]
-fn the_file_in_the_repository_is_the_one_that_the_command_writes() {
-    let kept = include_str!("../../firmware/magpie.dbc");
+fn committed_dbc_equals_the_output_of_the_command() {
+    let kept = include_str!("../../../firmware/magpie.dbc");
     assert!(kept == dbc(DEFAULT_NODE), "run: cargo magpie dbc -o firmware/magpie.dbc");
 }
 
@@ -139,7 +139,7 @@ fn every_golden_frame_is_what_the_gripper_sends() {
 
 #[test]
 fn every_golden_frame_is_read_through_the_dbc_as_it_was_meant() {
-    let file = Dbc::try_from(include_str!("../../firmware/magpie.dbc")).unwrap();
+    let file = Dbc::try_from(include_str!("../../../firmware/magpie.dbc")).unwrap();
     for row in golden_frames() {
         let what = row.what();
         let message = file.messages.iter().find(|m| m.name == row.name).unwrap();
@@ -159,7 +159,7 @@ fn every_golden_frame_is_read_through_the_dbc_as_it_was_meant() {
 }
 
 #[test]
-fn the_golden_frames_hold_every_message_at_zero_at_both_ends_and_in_between() {
+fn golden_frames_contain_every_message_at_zero_ends_and_between() {
     let rows = golden_frames();
     for (layout, number) in
         LAYOUTS.iter().flat_map(|layout| layout.numbers().map(move |n| (layout, n)))

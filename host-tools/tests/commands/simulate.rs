@@ -2,33 +2,20 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
 
 use model_export::fit::{FitOptions, campaign};
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 use serde_json::Value;
 use sim::effects::EFFECT_KINDS;
-use tempfile::TempDir;
 
-fn simulate(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_magpie"))
-        .arg("simulate")
-        .args(arguments)
-        .output()
-        .expect("the command runs")
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8_lossy(bytes).into_owned()
-}
+use crate::workdir::{WorkDir, text};
 
 /// Simulates into `name` in a folder; returns the campaign's path and the printed text.
-fn simulated(folder: &TempDir, name: &str, arguments: &[&str]) -> (PathBuf, String) {
-    let path = folder.path().join(name);
-    let output = simulate(&[&["-o", path.to_str().unwrap()], arguments].concat());
+fn simulated(dir: &WorkDir, name: &str, arguments: &[&str]) -> (PathBuf, String) {
+    let output = dir.run(&[&["simulate", "-o", name], arguments].concat());
     assert!(output.status.success(), "{}", text(&output.stderr));
-    (path, text(&output.stdout) + &text(&output.stderr))
+    (dir.path(name), text(&output.stdout) + &text(&output.stderr))
 }
 
 fn read(campaign: &Path) -> Campaign {
@@ -71,9 +58,9 @@ fn contents(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
 
 #[test]
 fn clean_campaign_fits_to_its_noise_floor() {
-    let folder = TempDir::new().unwrap();
+    let dir = WorkDir::empty();
     for seed in ["1", "2", "3"] {
-        let (path, _) = simulated(&folder, seed, &["--seed", seed]);
+        let (path, _) = simulated(&dir, seed, &["--seed", seed]);
         let campaign = read(&path);
         assert_eq!(campaign.notices().count(), 0);
         assert_eq!((campaign.recordings.len(), campaign.sensors().len()), (3, 4));
@@ -85,9 +72,9 @@ fn clean_campaign_fits_to_its_noise_floor() {
 
 #[test]
 fn every_programme_fits_to_its_noise_floor() {
-    let folder = TempDir::new().unwrap();
+    let dir = WorkDir::empty();
     for programme in ["still", "level", "isothermal", "same-warm-up", "single-sine"] {
-        let (path, _) = simulated(&folder, programme, &["--programme", programme]);
+        let (path, _) = simulated(&dir, programme, &["--programme", programme]);
         for ratio in ratios(&read(&path)) {
             assert!((0.9..=1.1).contains(&ratio), "{programme}: {ratio}");
         }
@@ -96,17 +83,17 @@ fn every_programme_fits_to_its_noise_floor() {
 
 #[test]
 fn clock_skew_is_removed_by_the_same_delay() {
-    let folder = TempDir::new().unwrap();
+    let dir = WorkDir::empty();
     let skewed = ["--effect", "clock_skew=7", "--seconds", "15"];
-    let (path, _) = simulated(&folder, "skewed", &skewed);
+    let (path, _) = simulated(&dir, "skewed", &skewed);
     let worst = |delay_us| ratios(&read_late(&path, delay_us)).into_iter().fold(0.0, f64::max);
     assert!(worst(7000.0) < 1.05 && worst(0.0) > 5.0);
 }
 
 #[test]
 fn recordings_start_with_half_a_second_unloaded() {
-    let folder = TempDir::new().unwrap();
-    let (path, _) = simulated(&folder, "one", &["--seconds", "5"]);
+    let dir = WorkDir::empty();
+    let (path, _) = simulated(&dir, "one", &["--seconds", "5"]);
     for recording in read(&path).recordings {
         let rows = recording.time_s.iter().filter(|t| **t < 0.49).count();
         for track in recording.forces.values() {
@@ -119,29 +106,28 @@ fn recordings_start_with_half_a_second_unloaded() {
 
 #[test]
 fn every_effect_changes_the_data_alone_and_combined() {
-    let folder = TempDir::new().unwrap();
+    let dir = WorkDir::empty();
     let short = ["--seconds", "4", "--sensors", "1", "--recordings", "2"];
-    let (clean, _) = simulated(&folder, "clean", &short);
+    let (clean, _) = simulated(&dir, "clean", &short);
     let (clean, mut all) = (contents(&clean), short.map(str::to_owned).to_vec());
     for size in EFFECT_KINDS {
         let wanted = [&short[..], &["--effect", size.id]].concat();
-        let (path, _) = simulated(&folder, size.id, &wanted);
+        let (path, _) = simulated(&dir, size.id, &wanted);
         assert_ne!(contents(&path), clean, "{}", size.id);
         all.extend(["--effect".to_owned(), size.id.to_owned()]);
     }
     let all: Vec<&str> = all.iter().map(String::as_str).collect();
-    let (path, _) = simulated(&folder, "all", &all);
+    let (path, _) = simulated(&dir, "all", &all);
     assert_eq!(read(&path).notices().count(), 0);
 }
 
 #[test]
 fn campaigns_are_seeded_and_reproducible() {
-    let folder = TempDir::new().unwrap();
+    let dir = WorkDir::empty();
     let hidden = ["--hide", "3", "--seconds", "4", "--noise", "ar1"];
     let of = |name: &str, seed: &str| {
-        let (path, _) = simulated(&folder, name, &[&hidden[..], &["--seed", seed]].concat());
-        let truth = folder.path().join(format!("{name}-truth.toml"));
-        (contents(&path), text(&fs::read(truth).unwrap()))
+        let (path, _) = simulated(&dir, name, &[&hidden[..], &["--seed", seed]].concat());
+        (contents(&path), dir.read(&format!("{name}-truth.toml")))
     };
     let (first, again, other) = (of("a", "5"), of("b", "5"), of("c", "6"));
     assert_eq!(first.0.len(), 9);
@@ -150,13 +136,11 @@ fn campaigns_are_seeded_and_reproducible() {
 
 #[test]
 fn random_effects_are_named_in_the_truth_only() {
-    let folder = TempDir::new().unwrap();
+    let dir = WorkDir::empty();
     let arguments = ["--hide", "4", "--seconds", "4", "--seed", "9"];
-    let (path, stderr) = simulated(&folder, "riddle", &arguments);
-    let (_, json) = simulated(&folder, "again", &[&arguments[..], &["--json"]].concat());
-    let truth: toml::Table =
-        toml::from_str(&fs::read_to_string(folder.path().join("riddle-truth.toml")).unwrap())
-            .unwrap();
+    let (path, stderr) = simulated(&dir, "riddle", &arguments);
+    let (_, json) = simulated(&dir, "again", &[&arguments[..], &["--json"]].concat());
+    let truth: toml::Table = dir.read("riddle-truth.toml").parse().unwrap();
     let effects = truth["effect"].as_array().unwrap();
     assert!(effects.len() >= 4);
     let described = fs::read_to_string(path.join("1/recording.toml")).unwrap();
@@ -176,10 +160,10 @@ fn random_effects_are_named_in_the_truth_only() {
 
 #[test]
 fn description_is_independent_of_the_effects() {
-    let folder = TempDir::new().unwrap();
-    let (clean, _) = simulated(&folder, "clean", &["--seconds", "3"]);
+    let dir = WorkDir::empty();
+    let (clean, _) = simulated(&dir, "clean", &["--seconds", "3"]);
     let wanted = ["--seconds", "3", "--effect", "creep", "--programme", "level", "--seed", "4"];
-    let (other, _) = simulated(&folder, "other", &wanted);
+    let (other, _) = simulated(&dir, "other", &wanted);
     for file in ["1/recording.toml", "2/recording.toml", "3/recording.toml"] {
         assert_eq!(fs::read(clean.join(file)).unwrap(), fs::read(other.join(file)).unwrap());
     }
@@ -187,55 +171,48 @@ fn description_is_independent_of_the_effects() {
 
 #[test]
 fn json_lists_seed_programme_and_effects() {
-    let folder = TempDir::new().unwrap();
+    let dir = WorkDir::empty();
     let wanted = ["--effect", "hysteresis=1.5:both", "--seconds", "3", "--json"];
-    let (_, json) = simulated(&folder, "one", &wanted);
+    let (_, json) = simulated(&dir, "one", &wanted);
     let json: Value = serde_json::from_str(&json).unwrap();
     assert_eq!((&json["seed"], &json["programme"]), (&1.into(), &"bench".into()));
     let effect = &json["effects"][0];
     assert_eq!((&effect["id"], &effect["size"]), (&"hysteresis".into(), &1.5.into()));
-    let truth = fs::read_to_string(folder.path().join("one-truth.toml")).unwrap();
+    let truth = dir.read("one-truth.toml");
     assert!(truth.contains("flexures = \"both\""), "{truth}");
 }
 
 #[test]
 fn unknown_effect_reports_a_suggestion() {
-    let output = simulate(&["-o", "nowhere", "--effect", "histeresis"]);
-    let stderr = text(&output.stderr);
-    assert!(!output.status.success() && stderr.contains("did you mean hysteresis?"), "{stderr}");
+    let stderr = WorkDir::empty().failure("simulate -o nowhere --effect histeresis");
+    assert!(stderr.contains("did you mean hysteresis?"), "{stderr}");
     assert!(stderr.contains("screw_ripple"), "{stderr}");
 }
 
 #[test]
 fn existing_files_and_truth_in_campaign_are_rejected() {
-    let folder = TempDir::new().unwrap();
-    let (path, _) = simulated(&folder, "one", &["--seconds", "3"]);
-    let path = path.to_str().unwrap();
-    let again = simulate(&["-o", path]);
-    assert!(text(&again.stderr).contains("refusing to overwrite"), "{}", text(&again.stderr));
-    let truth = folder.path().join("one-truth.toml");
-    let free = folder.path().join("two");
-    let free = free.to_str().unwrap();
-    let over = simulate(&["-o", free, "--truth", truth.to_str().unwrap()]);
-    assert!(text(&over.stderr).contains("refusing to overwrite"));
-    let inside = simulate(&["-o", free, "--truth", &format!("{free}/truth.toml")]);
-    assert!(text(&inside.stderr).contains("choose a path outside"));
-    assert!(!Path::new(free).exists());
+    let dir = WorkDir::empty();
+    simulated(&dir, "one", &["--seconds", "3"]);
+    for (arguments, words) in [
+        ("-o one", "refusing to overwrite"),
+        ("-o two --truth one-truth.toml", "refusing to overwrite"),
+        ("-o two --truth two/truth.toml", "choose a path outside"),
+    ] {
+        let message = dir.failure(&format!("simulate {arguments}"));
+        assert!(message.contains(words), "{arguments}: {message}");
+    }
+    assert!(!dir.path("two").exists());
 }
 
 #[test]
 fn empty_folder_is_used_and_invalid_settings_are_rejected() {
-    let folder = TempDir::new().unwrap();
-    fs::create_dir(folder.path().join("empty")).unwrap();
-    simulated(&folder, "empty", &["--seconds", "3"]);
-    for wrong in
-        [["--seconds", "1"], ["--scatter", "NaN"], ["--field-noise", "-1"], ["--hide", "99"]]
-    {
-        let path = folder.path().join("wrong");
-        let argument = format!("{}={}", wrong[0], wrong[1]);
-        let output = simulate(&["-o", path.to_str().unwrap(), &argument]);
+    let dir = WorkDir::empty();
+    fs::create_dir(dir.path("empty")).unwrap();
+    simulated(&dir, "empty", &["--seconds", "3"]);
+    for wrong in ["--seconds=1", "--scatter=NaN", "--field-noise=-1", "--hide=99"] {
+        let output = dir.run(&["simulate", "-o", "wrong", wrong]);
         assert_eq!(output.status.code(), Some(1), "{}", text(&output.stderr));
         assert_eq!(text(&output.stderr).lines().count(), 1);
-        assert!(!path.exists());
+        assert!(!dir.path("wrong").exists());
     }
 }

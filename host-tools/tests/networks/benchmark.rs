@@ -1,12 +1,10 @@
-//! What `magpie train --table` promises: every way in every column, the figures that other commands
-//! print of the same estimates, and a held-out recording that changes no weight.
-
-mod workdir;
+//! `magpie benchmark`: variants, agreement with `replay`, and independence of the held-out recording.
 
 use std::fs;
 
 use serde_json::Value;
-use workdir::WorkDir;
+
+use crate::workdir::WorkDir;
 
 const VARIANTS: [&str; 8] = [
     "ideal_nominal",
@@ -19,7 +17,7 @@ const VARIANTS: [&str; 8] = [
     "physics_effects_gru",
 ];
 
-/// A campaign of one sensor, the two recordings of it that are learned from, and models.
+/// Campaign of one sensor, its two training recordings in `learned`, and models.
 fn simulated() -> WorkDir {
     let dir = WorkDir::empty();
     dir.stdout("simulate -o bench --seconds 6 --sensors 1 --effect cross_coupling=5");
@@ -31,7 +29,7 @@ fn simulated() -> WorkDir {
 }
 
 fn copy(dir: &WorkDir, from: &str, to: &str) {
-    let (from, to) = (dir.0.path().join(from), dir.0.path().join(to));
+    let (from, to) = (dir.path(from), dir.path(to));
     fs::create_dir_all(&to).unwrap();
     for entry in fs::read_dir(from).unwrap() {
         let entry = entry.unwrap();
@@ -44,11 +42,11 @@ fn number(row: &Value, key: &str) -> f64 {
     value.unwrap_or_else(|| panic!("{key} in {row}"))
 }
 
-/// The row of a way and an axis.
-fn row<'a>(output: &'a Value, way: &str, axis: &str) -> &'a Value {
+/// Row of a variant and an axis.
+fn row<'a>(output: &'a Value, variant: &str, axis: &str) -> &'a Value {
     let mut rows = output["rows"].as_array().unwrap().iter();
-    let row = rows.find(|row| row["variant"] == way && row["axis"] == axis);
-    row.unwrap_or_else(|| panic!("no row of {way}, {axis}"))
+    let row = rows.find(|row| row["variant"] == variant && row["axis"] == axis);
+    row.unwrap_or_else(|| panic!("no row of {variant}, {axis}"))
 }
 
 const TABLE: &str = "train --table model.toml bench --epochs 2 --hidden 4 --magnet-hours 0 --json";
@@ -59,9 +57,9 @@ fn every_variant_has_rows_that_match_replay() {
     let table = TABLE.replace("--magnet-hours 0", "--magnet-hours 0.01");
     let output = dir.json(&format!("{table} -o report.html"));
     assert_eq!(output["rows"].as_array().unwrap().len(), 2 * VARIANTS.len());
-    for way in VARIANTS {
+    for variant in VARIANTS {
         for axis in ["x", "z"] {
-            let row = row(&output, way, axis);
+            let row = row(&output, variant, axis);
             let [rmse, mean, std] = ["rmse_n", "mean_n", "std_n"].map(|key| number(row, key));
             assert!((rmse - mean.hypot(std)).abs() < 1e-9 * rmse, "{row}");
             // The recording begins unloaded, and the board is read every millisecond.
@@ -69,17 +67,17 @@ fn every_variant_has_rows_that_match_replay() {
             assert!((5900.0..=6010.0).contains(&number(row, "rows")), "{row}");
         }
     }
-    // What another command says of the model fitted to the same two recordings.
+    // `replay` of the model fitted to the same two recordings.
     let replayed = |model: &str| dir.json(&format!("replay {model} bench/3 --json"));
     let (plain, model) = (replayed("plain.toml"), replayed("model.toml"));
-    let ways = [
+    let variants = [
         ("ideal_nominal", &plain["nominal"]),
         ("ideal_fitted", &plain["sensors"]),
         ("physics_effects", &model["sensors"]),
     ];
-    for (way, replayed) in ways {
+    for (variant, replayed) in variants {
         for (place, axis) in ["x", "z"].into_iter().enumerate() {
-            let (own, other) = (row(&output, way, axis), &replayed[place]);
+            let (own, other) = (row(&output, variant, axis), &replayed[place]);
             assert_eq!(other["axis"], axis);
             for (key, known) in [
                 ("fixed_rmse_n", "rmse_n"),
@@ -88,7 +86,7 @@ fn every_variant_has_rows_that_match_replay() {
                 ("rmse_n", "float_rmse_n"),
             ] {
                 let (own, other) = (number(own, key), number(other, known));
-                assert!((own - other).abs() < 2e-3, "{way} {axis} {key}: {own}, {other}");
+                assert!((own - other).abs() < 2e-3, "{variant} {axis} {key}: {own}, {other}");
             }
         }
     }
@@ -99,7 +97,7 @@ fn every_variant_has_rows_that_match_replay() {
     // Five seconds of two recordings of six, and all twelve; five ways each, ten seconds as well.
     assert_eq!(output["data_efficiency"].as_array().unwrap().len(), 3 * 5);
     assert_eq!(output["simulated"], true);
-    let page = fs::read_to_string(dir.0.path().join("report.html")).unwrap();
+    let page = dir.read("report.html");
     for id in ["table", "time", "spread", "calibration", "lengths", "foreign"] {
         assert!(page.contains(&format!("<section id=\"{id}\">")), "{id}");
     }
@@ -141,11 +139,11 @@ fn held_out_recording_does_not_affect_the_networks() {
     copy(&dir, "other/3", "bench/3");
     let after = dir.json(TABLE);
     assert_eq!(before["networks"], after["networks"]);
-    for way in VARIANTS {
-        let rmse = |output| number(row(output, way, "z"), "rmse_n");
-        assert!(rmse(&before) != rmse(&after), "{way}");
+    for variant in VARIANTS {
+        let rmse = |output| number(row(output, variant, "z"), "rmse_n");
+        assert!(rmse(&before) != rmse(&after), "{variant}");
     }
-    // Another recording that is learned from does change them.
+    // Another training recording does change them.
     copy(&dir, "other/2", "bench/2");
     let learned = dir.json(TABLE);
     for (before, after) in networks.iter().zip(learned["networks"].as_array().unwrap()) {
@@ -156,8 +154,8 @@ fn held_out_recording_does_not_affect_the_networks() {
 #[test]
 fn model_without_effects_skips_physics_variants() {
     let dir = simulated();
-    // Nor is it known any more how the recordings were simulated.
-    fs::remove_file(dir.0.path().join("bench-truth.toml")).unwrap();
+    // Without the truth the recordings count as measured.
+    fs::remove_file(dir.path("bench-truth.toml")).unwrap();
     let line = "train --table plain.toml bench --epochs 1 --hidden 2 --magnet-hours 0.002 --json";
     let output = dir.json(line);
     let magnet = &output["foreign_magnet"];
@@ -176,14 +174,15 @@ fn model_without_effects_skips_physics_variants() {
 #[test]
 fn invalid_benchmark_arguments_are_refused() {
     let dir = simulated();
-    let message = dir.failure("train --table model.toml bench/1");
-    assert!(message.contains("one recording"), "{message}");
-    let message = dir.failure("train --table model.toml bench --axes xz");
-    assert!(message.contains("--axes"), "{message}");
-    let message = dir.failure("train --table model.toml bench --magnet-hours=-1");
-    assert!(message.contains("--disturbance-hours"), "{message}");
-    let message = dir.failure("train --table model.toml bench --near-zero 0");
-    assert!(message.contains("--zero-weight 0"), "{message}");
+    for (arguments, words) in [
+        ("bench/1", "one recording"),
+        ("bench --axes xz", "--axes"),
+        ("bench --magnet-hours=-1", "--disturbance-hours"),
+        ("bench --near-zero 0", "--zero-weight 0"),
+    ] {
+        let message = dir.failure(&format!("train --table model.toml {arguments}"));
+        assert!(message.contains(words), "{arguments}: {message}");
+    }
     copy(&dir, "bench/3", "bench/4");
     let message = dir.failure("train --table model.toml bench");
     assert!(message.contains("are the same data"), "{message}");

@@ -1,27 +1,13 @@
-//! `magpie diagnose`: the missing effect is named on recordings whose hidden effect nobody tells it, and
-//! none where there is none to name.
-
-use std::process::{Command, Output};
+//! `magpie diagnose` on the repository's campaigns, with and without an effect.
 
 use serde_json::Value;
-use tempfile::TempDir;
-use tests::data;
 
-fn magpie(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_magpie")).args(arguments).output().expect("the tool runs")
-}
+use crate::workdir::{WorkDir, campaign, text};
 
-/// What is diagnosed of a campaign of the repository with its own fitted base.
-fn diagnosed(campaign: &str, more: &[&str]) -> Value {
-    let folder = TempDir::new().unwrap();
-    let model = folder.path().join("model.toml").display().to_string();
-    let campaign = data(campaign).display().to_string();
-    let fitted = magpie(&["fit", &campaign, "-o", &model]);
-    assert!(fitted.status.success(), "{}", String::from_utf8_lossy(&fitted.stderr));
-    let arguments = ["diagnose", &model, &campaign, "--json"];
-    let output = magpie(&[&arguments[..], more].concat());
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    serde_json::from_slice(&output.stdout).expect("one JSON object")
+/// Diagnosis of a campaign with the model fitted to it.
+fn diagnosed(name: &str, more: &[&str]) -> Value {
+    let arguments = ["diagnose", "model.toml", &campaign(name), "--json"];
+    WorkDir::with_model(name).json(&[&arguments[..], more].concat())
 }
 
 fn names(step: &Value) -> Vec<&str> {
@@ -42,19 +28,11 @@ fn staircase(diagnosis: &Value) -> Vec<f64> {
 
 #[test]
 fn report_contains_diagnosis_and_comparison() {
-    let folder = TempDir::new().unwrap();
-    let [model, report] = ["model.toml", "report.html"].map(|name| folder.path().join(name));
-    let [model, page] = [&model, &report].map(|path| path.display().to_string());
-    let campaign = data("demo").display().to_string();
-    assert!(magpie(&["fit", &campaign, "-o", &model]).status.success());
-    let output = magpie(&["diagnose", &model, &campaign, "-o", &page]);
-    let said = String::from_utf8_lossy(&output.stdout).into_owned();
-    assert!(output.status.success(), "{said}");
-    assert!(
-        said.contains(&format!("magpie add {model} {campaign} neighbour_magnet -o ")),
-        "{said}"
-    );
-    let text = std::fs::read_to_string(&report).unwrap();
+    let (dir, campaign) = (WorkDir::with_model("demo"), campaign("demo"));
+    let stdout = dir.stdout(&["diagnose", "model.toml", &campaign, "-o", "report.html"]);
+    let next = format!("magpie add model.toml {campaign} neighbour_magnet -o ");
+    assert!(text(&stdout).contains(&next), "{}", text(&stdout));
+    let text = dir.read("report.html");
     assert!(text.starts_with("<!-- report of magpie -->"));
     for part in [
         "<section id=\"diagnosis\">",

@@ -1,38 +1,25 @@
-//! `magpie diagnose` on equivalent inputs, and on simulated inconclusive recordings: a
-//! small fixed part of the bench `diagnosis`.
+//! `magpie diagnose` on equivalent inputs and on simulated recordings: a small fixed part of the acceptance run
+//! `diagnosis`.
 
 use std::path::Path;
-use std::process::Command;
 
 use serde_json::Value;
-use tempfile::TempDir;
 use tests::campaign_copy::{CampaignCopy, CsvTable};
 
-fn magpie(arguments: &[&str]) -> Vec<u8> {
-    let output =
-        Command::new(env!("CARGO_BIN_EXE_magpie")).args(arguments).output().expect("the tool runs");
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{arguments:?}: {said}");
-    output.stdout
-}
+use crate::workdir::WorkDir;
 
-/// What is diagnosed of a campaign with its own fitted base.
+/// Diagnosis of a campaign with a model fitted to it.
 fn diagnosed(campaign: &Path) -> Value {
-    let folder = TempDir::new().unwrap();
-    let model = folder.path().join("model.toml");
-    let (model, campaign) = (model.to_str().unwrap(), campaign.to_str().unwrap());
-    magpie(&["fit", campaign, "-o", model]);
-    let said = magpie(&["diagnose", model, campaign, "--json"]);
-    serde_json::from_slice(&said).expect("one JSON object")
+    let (dir, campaign) = (WorkDir::empty(), campaign.display().to_string());
+    dir.stdout(&["fit", &campaign, "-o", "model.toml"]);
+    dir.json(&["diagnose", "model.toml", &campaign, "--json"])
 }
 
-/// The same of a simulated campaign of three recordings of 30 s.
-fn simulated(arguments: &[&str]) -> Value {
-    let folder = TempDir::new().unwrap();
-    let campaign = folder.path().join("campaign");
-    let to = campaign.to_str().unwrap();
-    magpie(&[&["simulate", "-o", to], arguments].concat());
-    diagnosed(&campaign)
+/// Diagnosis of a simulated campaign of three recordings of 30 s.
+fn simulated(arguments: &str) -> Value {
+    let dir = WorkDir::empty();
+    dir.stdout(&format!("simulate -o campaign {arguments}"));
+    diagnosed(&dir.path("campaign"))
 }
 
 fn accepted(diagnosis: &Value) -> Vec<Vec<&str>> {
@@ -100,14 +87,14 @@ fn reversed_covariate_loses_its_effect() {
 
 #[test]
 fn third_of_a_typical_mass_is_found() {
-    let diagnosis = simulated(&["--seed", "5", "--effect", "fingertip_mass=0.03"]);
+    let diagnosis = simulated("--seed 5 --effect fingertip_mass=0.03");
     assert_eq!(accepted(&diagnosis), [["fingertip_mass"]]);
 }
 
 #[test]
 fn correlated_noise_gives_no_effect() {
-    for (noise, seed) in [("ar1", "3"), ("walk", "4"), ("walk", "5")] {
-        let diagnosis = simulated(&["--seed", seed, "--noise", noise]);
+    for (noise, seed) in [("ar1", 3), ("walk", 4), ("walk", 5)] {
+        let diagnosis = simulated(&format!("--seed {seed} --noise {noise}"));
         let none: [[&str; 1]; 0] = [];
         assert_eq!(accepted(&diagnosis), none, "{noise}");
     }
@@ -115,7 +102,7 @@ fn correlated_noise_gives_no_effect() {
 
 #[test]
 fn constant_covariate_is_inconclusive_with_suggestion() {
-    let diagnosis = simulated(&["--programme", "still", "--effect", "neighbour_magnet"]);
+    let diagnosis = simulated("--programme still --effect neighbour_magnet");
     assert_eq!(verdict(&diagnosis, "neighbour_magnet"), "not_judgeable");
     let verdicts = diagnosis["verdicts"].as_array().unwrap();
     let open = verdicts.iter().filter(|v| v["verdict"] == "not_judgeable");
@@ -126,24 +113,23 @@ fn constant_covariate_is_inconclusive_with_suggestion() {
 }
 
 #[test]
-fn identical_warm_up_ties_temperature_and_drift() {
-    let diagnosis = simulated(&["--programme", "same-warm-up", "--effect", "sensor_temperature"]);
-    for effect in ["sensor_temperature", "field_drift"] {
-        assert_eq!(verdict(&diagnosis, effect), "tied", "{effect}");
+fn indistinguishable_effects_are_tied() {
+    for (programme, simulated_effect, other) in [
+        ("same-warm-up", "sensor_temperature", "field_drift"),
+        ("single-sine", "hysteresis", "viscous_lag"),
+    ] {
+        let line = format!("--programme {programme} --effect {simulated_effect}");
+        let diagnosis = simulated(&line);
+        for effect in [simulated_effect, other] {
+            assert_eq!(verdict(&diagnosis, effect), "tied", "{programme}: {effect}");
+        }
     }
-}
-
-#[test]
-fn single_sine_ties_friction_and_lag() {
-    let diagnosis = simulated(&["--programme", "single-sine", "--effect", "hysteresis"]);
-    assert_eq!(verdict(&diagnosis, "hysteresis"), "tied");
-    assert_eq!(verdict(&diagnosis, "viscous_lag"), "tied");
 }
 
 #[test]
 fn unrecorded_disturbance_gives_no_effect() {
     for effect in ["unlogged", "cross_term"] {
-        let diagnosis = simulated(&["--seed", "2", "--effect", effect]);
+        let diagnosis = simulated(&format!("--seed 2 --effect {effect}"));
         let none: [[&str; 1]; 0] = [];
         assert_eq!(accepted(&diagnosis), none, "{effect}");
         assert_eq!(diagnosis["at_floor"], false);

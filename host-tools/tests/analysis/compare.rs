@@ -1,7 +1,6 @@
-//! `magpie compare`: where a model fails, on recordings whose hidden effect nobody tells it.
+//! `magpie compare` on recordings with effects that the model does not have.
 
 use std::path::Path;
-use std::process::{Command, Output};
 
 use analysis::compare::Comparison;
 use analysis::compare::pipeline::compare;
@@ -10,26 +9,10 @@ use model_export::fit::FitOptions;
 use model_export::recordings::align::Alignment;
 use report::text::comparison::verdict;
 use serde_json::Value;
-use tempfile::TempDir;
 use tests::campaign_copy::CampaignCopy;
 use tests::data;
 
-fn magpie(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_magpie")).args(arguments).output().expect("the tool runs")
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().unwrap()
-}
-
-/// A model of the campaign, fitted into a folder of its own.
-fn fitted(campaign: &str) -> (TempDir, std::path::PathBuf) {
-    let folder = TempDir::new().unwrap();
-    let model = folder.path().join("model.toml");
-    let output = magpie(&["fit", text(&data(campaign)), "-o", text(&model)]);
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    (folder, model)
-}
+use crate::workdir::{WorkDir, campaign, fitted_model, text};
 
 fn compared(model: &Path, campaign: &str) -> Comparison {
     let alignment = Alignment { delay_us: 0.0 };
@@ -43,8 +26,7 @@ fn chosen(comparison: &Comparison) -> Vec<(String, f64)> {
 
 #[test]
 fn neighbour_magnet_is_attributed_to_the_opening() {
-    let (_folder, model) = fitted("demo");
-    let comparison = compared(&model, "demo");
+    let comparison = compared(&fitted_model("demo"), "demo");
     let (covariate, share) = chosen(&comparison).remove(0);
     assert_eq!(covariate, "opening_mm");
     assert!((0.45..=1.0).contains(&share), "{share}");
@@ -54,8 +36,7 @@ fn neighbour_magnet_is_attributed_to_the_opening() {
 
 #[test]
 fn temperature_is_attributed_before_friction() {
-    let (_folder, model) = fitted("friction");
-    let comparison = compared(&model, "friction");
+    let comparison = compared(&fitted_model("friction"), "friction");
     let chosen = chosen(&comparison);
     assert_eq!(chosen[0].0, "temp_c", "{chosen:?}");
     let loading = ["loading_x", "loading_z", "fx_rate_n_per_s", "fz_rate_n_per_s"];
@@ -64,17 +45,15 @@ fn temperature_is_attributed_before_friction() {
 
 #[test]
 fn screw_ripple_is_attributed_to_the_rotor_angle() {
-    let (_folder, model) = fitted("ripple");
-    let (covariate, share) = chosen(&compared(&model, "ripple")).remove(0);
+    let (covariate, share) = chosen(&compared(&fitted_model("ripple"), "ripple")).remove(0);
     assert_eq!(covariate, "motor_angle_rad");
     assert!(share > 0.8, "{share}");
 }
 
 #[test]
 fn clean_recordings_reach_the_floor_without_attribution() {
-    let (_folder, model) = fitted("clean");
-    let comparison = compared(&model, "clean");
-    assert!(comparison.located.len() > 15, "every covariate that moves is looked at");
+    let comparison = compared(&fitted_model("clean"), "clean");
+    assert!(comparison.located.len() > 15, "every varying covariate is evaluated");
     for located in &comparison.located {
         assert!(located.share < 0.05 && !located.chosen, "{located:?}");
     }
@@ -93,8 +72,7 @@ fn clean_recordings_reach_the_floor_without_attribution() {
 
 #[test]
 fn confidence_intervals_of_noise_contain_zero() {
-    let (_folder, model) = fitted("clean");
-    let comparison = compared(&model, "clean");
+    let comparison = compared(&fitted_model("clean"), "clean");
     let quantities = comparison.located.iter().filter(|located| located.bins.len() == 12);
     let bands = quantities.flat_map(|l| &l.bins).flat_map(|bin| bin.band_g.iter().flatten());
     let (mut inside, mut all) = (0, 0);
@@ -108,8 +86,7 @@ fn confidence_intervals_of_noise_contain_zero() {
 
 #[test]
 fn worst_interval_is_at_the_smallest_opening() {
-    let (_folder, model) = fitted("demo");
-    let comparison = compared(&model, "demo");
+    let comparison = compared(&fitted_model("demo"), "demo");
     assert_eq!(comparison.worst.len(), 5);
     assert!(comparison.worst.is_sorted_by(|a, b| a.rms_g >= b.rms_g));
     let opening: f64 = {
@@ -122,12 +99,12 @@ fn worst_interval_is_at_the_smallest_opening() {
 
 #[test]
 fn edited_model_is_evaluated_unchanged() {
-    let (folder, model) = fitted("clean");
-    let mut toml: toml::Table = std::fs::read_to_string(&model).unwrap().parse().unwrap();
+    let dir = WorkDir::with_model("clean");
+    let mut toml: toml::Table = dir.read("model.toml").parse().unwrap();
     let sensor = &mut toml["sensor"].as_array_mut().unwrap()[0];
     let bias = &mut sensor["parameters"]["bias_y"]["value"];
     *bias = toml::Value::Float(bias.as_float().unwrap() + 5.0);
-    let edited = folder.path().join("edited.toml");
+    let edited = dir.path("edited.toml");
     std::fs::write(&edited, toml.to_string()).unwrap();
     let comparison = compared(&edited, "clean");
     assert!(comparison.validation.contains("used unchanged"), "{}", comparison.validation);
@@ -137,19 +114,17 @@ fn edited_model_is_evaluated_unchanged() {
 
 #[test]
 fn unseen_recordings_use_the_models_own_parameters() {
-    let (_folder, model) = fitted("demo");
-    let comparison = compared(&model, "clean");
+    let comparison = compared(&fitted_model("demo"), "clean");
     assert!(comparison.validation.contains("not fitted to any"), "{}", comparison.validation);
     assert!(verdict(&comparison).starts_with("Structure remains"));
 }
 
 #[test]
 fn json_has_all_documented_keys() {
-    let (_folder, model) = fitted("clean");
-    let campaign = data("clean");
-    let arguments = ["compare", text(&model), text(&campaign), "--json", "--with", text(&model)];
-    let output = magpie(&arguments);
-    let object: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let dir = WorkDir::with_model("clean");
+    let campaign = campaign("clean");
+    let arguments = ["compare", "model.toml", &campaign, "--json", "--with", "model.toml"];
+    let object = dir.json(&arguments);
     assert_eq!(object["axes"].as_array().unwrap().len(), 12);
     assert_eq!(object["forces"].as_array().unwrap().len(), 8);
     let axis = &object["axes"][0];
@@ -161,15 +136,14 @@ fn json_has_all_documented_keys() {
         assert!(object["forces"][0][key].is_f64(), "{key}");
     }
     assert_eq!(object["findings"], Value::Array(Vec::new()));
-    assert_eq!(object["with"]["axes"], object["axes"], "the same model, the same figures");
+    assert_eq!(object["with"]["axes"], object["axes"], "equal models have equal figures");
     assert!(object["where"][0]["bins"].as_array().unwrap().len() > 1);
 }
 
 #[test]
 fn piped_output_is_narrow_and_without_colour() {
-    let (_folder, model) = fitted("demo");
-    let output = magpie(&["compare", text(&model), text(&data("demo"))]);
-    let page = String::from_utf8(output.stdout).unwrap();
+    let dir = WorkDir::with_model("demo");
+    let page = text(&dir.run(&["compare", "model.toml", &campaign("demo")]).stdout);
     assert!(!page.contains('\u{1b}'));
     for line in page.lines() {
         assert!(line.chars().count() <= 100, "{line}");
@@ -179,22 +153,21 @@ fn piped_output_is_narrow_and_without_colour() {
 
 #[test]
 fn setup_error_stops_the_comparison_until_fixed() {
-    let (folder, model) = fitted("clean");
+    let dir = WorkDir::with_model("clean");
     let spoilt = CampaignCopy::new().change(&[1, 2, 3], "hall.csv", |cells| {
         cells.exchange("s1_x_lsb", "s1_z_lsb");
     });
-    let (corrected, page) = (folder.path().join("corrected"), folder.path().join("page.html"));
-    let path = spoilt.path();
-    let arguments = ["compare", text(&model), text(&path), "--json"];
-    let more = ["--fix", text(&corrected), "-o", text(&page)];
-    let output = magpie(&[&arguments[..], &more].concat());
+    let shown = spoilt.path().display().to_string();
+    let arguments = ["compare", "model.toml", &shown, "--json", "--fix", "corrected"];
+    let output = dir.run(&[&arguments[..], &["-o", "page.html"]].concat());
     let object: Value = serde_json::from_slice(&output.stdout).unwrap();
     let first = &object["findings"][0];
     assert_eq!(first["id"], "axis_permuted");
     assert_eq!(first["column"], "s1_x_lsb");
     assert_eq!(object["axes"], Value::Array(Vec::new()));
     assert!(object["verdict"].as_str().unwrap().starts_with("Not compared"));
-    assert!(std::fs::read_to_string(&page).unwrap().contains("s1_x_lsb is recorded as"));
+    assert!(dir.read("page.html").contains("s1_x_lsb is recorded as"));
+    let (model, corrected) = (dir.path("model.toml"), dir.path("corrected"));
     let comparison =
         compare(&model, &corrected, None, Alignment { delay_us: 0.0 }, FitOptions::default());
     let comparison = comparison.unwrap();
@@ -204,8 +177,7 @@ fn setup_error_stops_the_comparison_until_fixed() {
 
 #[test]
 fn constant_offset_is_not_attributed_to_a_covariate() {
-    let (_folder, model) = fitted("demo");
-    let comparison = compared(&model, "clean");
+    let comparison = compared(&fitted_model("demo"), "clean");
     let (covariate, share) = chosen(&comparison).remove(0);
     assert_eq!(covariate, "constant");
     // Two grippers of one design: their fields at rest differ by far more than their slopes.

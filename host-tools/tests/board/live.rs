@@ -1,13 +1,8 @@
 //! A gripper watched and recorded while it runs, as a user meets it: the virtual board behind its line.
-#![cfg(unix)]
-
-#[path = "workdir/running.rs"]
-mod running;
-mod workdir;
 
 use std::fs::File;
 use std::io::{Read, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Duration;
 
 use device::recorder::{SensorRow, SensorRowAssembler};
@@ -25,23 +20,18 @@ use model_export::recordings::Recording;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::description::RecordingDescription;
 use model_export::recordings::stream::RawStream;
-use running::Running;
 use rustix::process::Signal;
 use serde_json::Value;
 use sim::board::world::PressedWorld;
 use sim::board::{Program, VirtualTimeBoard};
-use workdir::WorkDir;
+use tests::data;
 
-/// A dir with a model of a gripper without any effect.
+use crate::workdir::WorkDir;
+use crate::workdir::running::Running;
+
+/// Folder with a model without effects.
 fn workdir() -> WorkDir {
-    let dir = WorkDir::empty();
-    let data = data("clean");
-    dir.stdout(&format!("fit {} -o model.toml", data.display()));
-    dir
-}
-
-fn data(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data").join(name)
+    WorkDir::with_model("clean")
 }
 
 fn board_s(object: &Value) -> f64 {
@@ -171,7 +161,7 @@ fn recording_is_valid_when_the_recorder_is_killed() {
             "record --virtual --model model.toml --press 10,5 -o killed/{number} --start-s 0"
         );
         let mut record = Running::start(&dir, &line);
-        let folder = dir.0.path().join(format!("killed/{number}"));
+        let folder = dir.path(&format!("killed/{number}"));
         let before = grown(&folder, wanted, &mut record);
         // Not always right after a flush.
         std::thread::sleep(Duration::from_millis(71 * number as u64));
@@ -191,7 +181,7 @@ fn ctrl_c_ends_a_recording_without_overwriting() {
     let dir = workdir();
     let line = "record --virtual --model model.toml -o campaign/1 --note pressed --json";
     let mut record = Running::start(&dir, line);
-    let folder = dir.0.path().join("campaign/1");
+    let folder = dir.path("campaign/1");
     grown(&folder, 600, &mut record);
     record.signal(Signal::INT);
     let output = record.objects().next().unwrap();
@@ -214,7 +204,7 @@ fn ctrl_c_ends_a_recording_without_overwriting() {
 fn recorded_counts_equal_the_replayed_ones() {
     let dir = workdir();
     let (source, seconds) = (data("clean/1"), 3);
-    let source_copy = dir.0.path().join("source_copy");
+    let source_copy = dir.path("source_copy");
     std::fs::create_dir(&source_copy).unwrap();
     std::fs::copy(source.join("recording.toml"), source_copy.join("recording.toml")).unwrap();
     for (name, rate) in [("hall.csv", 1000), ("force.csv", 100)] {
@@ -237,7 +227,7 @@ fn recorded_counts_equal_the_replayed_ones() {
         }
         rows
     };
-    let (source_copy, again) = (fields(&source_copy), fields(&dir.0.path().join("again/1")));
+    let (source_copy, again) = (fields(&source_copy), fields(&dir.path("again/1")));
     // While it was asked for its parameters the board went on; it ends with the recording.
     let start = source_copy.iter().position(|row| *row == again[0]).unwrap();
     let common = again.len().min(source_copy.len() - start);
@@ -248,7 +238,7 @@ fn recorded_counts_equal_the_replayed_ones() {
 #[test]
 fn can_bus_carries_the_readings_of_the_serial_line() {
     let dir = workdir();
-    let built = build(&dir.0.path().join("model.toml"), ModelVariant::Fitted).unwrap();
+    let built = build(&dir.path("model.toml"), ModelVariant::Fitted).unwrap();
     let world = PressedWorld::new(&built.model, 7, |s| {
         [[10.0 * s, 5.0], [1.0, 2.0], [-10.0 * s, 0.0], [3.0; 2]]
     });
@@ -307,7 +297,7 @@ fn unusable_ports_and_buses_are_errors_with_a_remedy() {
     assert!(message.contains("there is no such port; this computer has"), "{message}");
     let message = dir.failure("record --port /dev/null -o never");
     assert!(message.contains("cannot be opened as a serial port"), "{message}");
-    assert!(!dir.0.path().join("never").exists());
+    assert!(!dir.path("never").exists());
     let message = dir.failure("monitor");
     assert!(
         message.contains("--port") && message.contains("--can") && message.contains("--virtual"),

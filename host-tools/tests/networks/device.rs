@@ -1,17 +1,13 @@
-//! Trained networks behind a model: what replay and export say of them.
+//! Trained networks in `magpie replay` and `magpie export`.
 
-mod workdir;
+use crate::workdir::WorkDir;
 
-use std::fs;
+/// Maximum difference of fixed and floating point: RMS in newtons, and relative change of the error.
+const MAX_DIFFERENCE_N: f64 = 0.1;
+const MAX_RELATIVE_CHANGE: f64 = 0.03;
 
-use workdir::WorkDir;
-
-/// Most that fixed point may cost: newtons, root mean square, and a share of the error.
-const MOST_N: f64 = 0.1;
-const MOST_SHARE: f64 = 0.03;
-
-/// A campaign of two sensors, a model, and a network that learned for a few epochs.
-fn learned() -> WorkDir {
+/// Campaign of two sensors, a model, and a network trained for a few epochs.
+fn trained() -> WorkDir {
     let dir = WorkDir::empty();
     dir.stdout("simulate -o bench --seconds 8 --sensors 2 --effect hysteresis=8");
     dir.stdout("fit bench -o model.toml");
@@ -21,17 +17,17 @@ fn learned() -> WorkDir {
 
 #[test]
 fn fixed_point_network_matches_floating_point() {
-    let dir = learned();
+    let dir = trained();
     let message = dir.json("replay model.toml bench --network network --json");
     let rows = message["networks"]["sensors"].as_array().unwrap();
     assert_eq!(rows.len(), 4);
     for row in rows {
         let number = |name: &str| row[name].as_f64().unwrap();
-        assert!(number("fixed_minus_float_rms_n") < MOST_N, "{row}");
+        assert!(number("fixed_minus_float_rms_n") < MAX_DIFFERENCE_N, "{row}");
         assert!(number("fixed_minus_float_rms_n") > 0.0, "{row}");
         let cost = number("rmse_n") / number("float_rmse_n") - 1.0;
-        assert!(cost.abs() < MOST_SHARE, "{row}");
-        // It speaks: what it tells is not the ideal model's.
+        assert!(cost.abs() < MAX_RELATIVE_CHANGE, "{row}");
+        // The estimate is not the ideal model's.
         assert!(number("rmse_n") != number("without_rmse_n"), "{row}");
         assert!(number("sigma_n") > 0.0, "{row}");
     }
@@ -39,23 +35,22 @@ fn fixed_point_network_matches_floating_point() {
 
 #[test]
 fn network_export_is_reproducible_and_typed_by_size() {
-    let dir = learned();
+    let dir = trained();
     for name in ["one.rs", "two.rs"] {
         dir.stdout(&format!("export model.toml --network network -o {name}"));
     }
-    let read = |name: &str| fs::read_to_string(dir.0.path().join(name)).unwrap();
-    assert_eq!(read("one.rs"), read("two.rs"));
+    assert_eq!(dir.read("one.rs"), dir.read("two.rs"));
     // Two pairs of inputs, eight pairs of units, one sensor; two networks.
-    assert!(read("one.rs").contains("NETWORKS: [Network<2, 8, 1>; 2]"));
+    assert!(dir.read("one.rs").contains("NETWORKS: [Network<2, 8, 1>; 2]"));
 }
 
 #[test]
 fn network_of_another_model_is_refused() {
-    let dir = learned();
+    let dir = trained();
     dir.stdout("fit bench -o other.toml --seed 7");
     let message = dir.failure("replay other.toml bench --network network");
     assert!(message.contains("another model"), "{message}");
     let message = dir.failure("export model.toml --network model.toml -o tables.rs");
     assert!(message.contains("this is not a network"), "{message}");
-    assert!(!dir.0.path().join("tables.rs").exists());
+    assert!(!dir.path("tables.rs").exists());
 }

@@ -1,9 +1,5 @@
 //! Services of the board over the CAN bus.
 
-mod workdir;
-
-use std::path::Path;
-
 use embedded_can::Frame;
 use firmware::config::limits::DetectionLimits;
 use firmware::config::parameters::{Parameters, op as parameter, status as parameters};
@@ -19,14 +15,12 @@ use firmware::tasks::{FIRST_TICK_US, FaultReporter};
 use model_export::inverse::build::{ModelVariant, build};
 use sim::board::world::PressedWorld;
 use sim::board::{Program, VirtualTimeBoard};
-use workdir::WorkDir;
+
+use crate::workdir::fitted_model;
 
 /// A board with a constant load of 20 N on its first sensor.
 fn board() -> VirtualTimeBoard {
-    let dir = WorkDir::empty();
-    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/clean");
-    dir.stdout(&format!("fit {} -o model.toml", data.display()));
-    let built = build(&dir.0.path().join("model.toml"), ModelVariant::Fitted).unwrap();
+    let built = build(&fitted_model("clean"), ModelVariant::Fitted).unwrap();
     let world = PressedWorld::new(&built.model, 1, |_| [[0.0, 20.0], [0.0; 2], [0.0; 2], [0.0; 2]]);
     let program = Program {
         tables: built.chosen.tables,

@@ -1,29 +1,12 @@
 //! The command line: exit codes, output formats, error messages, reproducibility.
 
-use std::process::{Command, Output};
-
-use serde_json::Value;
-use tempfile::TempDir;
 use tests::{data, real_data};
 
-fn magpie(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_magpie")).args(arguments).output().expect("the command runs")
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8_lossy(bytes).into_owned()
-}
-
-fn json_of(arguments: &[&str]) -> Value {
-    let output = magpie(arguments);
-    assert!(output.status.success(), "{}", text(&output.stderr));
-    serde_json::from_slice(&output.stdout).expect("one JSON object on stdout and nothing else")
-}
+use crate::workdir::{WorkDir, campaign, text};
 
 #[test]
 fn fit_json_has_axes_and_parameters() {
-    let clean = data("clean");
-    let json = json_of(&["fit", clean.to_str().unwrap(), "--json"]);
+    let json = WorkDir::empty().json(&["fit", &campaign("clean"), "--json"]);
     let axes = json["axes"].as_array().unwrap();
     assert_eq!(axes.len(), 12);
     assert_eq!((&axes[4]["sensor"], &axes[4]["axis"]), (&1.into(), &"y".into()));
@@ -43,29 +26,26 @@ fn fit_json_has_axes_and_parameters() {
 
 #[test]
 fn equal_seeds_give_identical_models() {
-    let folder = TempDir::new().unwrap();
-    let models = ["a.toml", "b.toml"].map(|name| folder.path().join(name));
-    for model in &models {
-        let output =
-            magpie(&["fit", data("clean").to_str().unwrap(), "-o", model.to_str().unwrap()]);
-        assert!(output.status.success());
-        assert!(text(&output.stdout).contains("At the noise floor"), "{}", text(&output.stdout));
-    }
-    let [a, b] = models.map(|model| std::fs::read(model).unwrap());
-    assert_eq!(text(&a), text(&b));
+    let dir = WorkDir::empty();
+    let models = ["a.toml", "b.toml"].map(|model| {
+        let report = text(&dir.stdout(&["fit", &campaign("clean"), "-o", model]));
+        assert!(report.contains("At the noise floor"), "{report}");
+        dir.read(model)
+    });
+    assert_eq!(models[0], models[1]);
 }
 
 #[test]
 fn fit_report_fits_in_100_columns() {
-    let output = magpie(&["fit", data("clean").to_str().unwrap()]);
-    for line in text(&output.stdout).lines() {
+    let report = WorkDir::empty().stdout(&["fit", &campaign("clean")]);
+    for line in text(&report).lines() {
         assert!(line.chars().count() <= 100, "{line}");
     }
 }
 
 #[test]
 fn error_is_one_line_on_stderr_with_exit_code_1() {
-    let output = magpie(&["fit", "no-such-campaign", "--json"]);
+    let output = WorkDir::empty().run("fit no-such-campaign --json");
     assert_eq!(output.status.code(), Some(1));
     assert_eq!(output.stdout, b"");
     let message = text(&output.stderr);
@@ -75,6 +55,7 @@ fn error_is_one_line_on_stderr_with_exit_code_1() {
 
 #[test]
 fn help_of_every_command_has_an_example() {
+    let dir = WorkDir::empty();
     for command in [
         "add",
         "benchmark",
@@ -97,7 +78,7 @@ fn help_of_every_command_has_an_example() {
         "simulate",
         "train",
     ] {
-        let help = text(&magpie(&[command, "--help"]).stdout);
+        let help = text(&dir.stdout(&[command, "--help"]));
         assert!(
             help.contains("Examples:") && help.contains(&format!("  cargo magpie {command}")),
             "{help}"
@@ -107,18 +88,16 @@ fn help_of_every_command_has_an_example() {
 
 #[test]
 fn held_out_replay_error_is_below_one_newton() {
-    let folder = TempDir::new().unwrap();
-    let two = folder.path().join("two");
+    let dir = WorkDir::empty();
+    let two = dir.path("two");
     for name in ["1", "2"] {
         std::fs::create_dir_all(two.join(name)).unwrap();
         for file in ["recording.toml", "hall.csv.gz", "force.csv.gz"] {
             std::fs::copy(data("clean").join(name).join(file), two.join(name).join(file)).unwrap();
         }
     }
-    let model = folder.path().join("model.toml");
-    let model = model.to_str().unwrap();
-    assert!(magpie(&["fit", two.to_str().unwrap(), "-o", model]).status.success());
-    let json = json_of(&["replay", model, data("clean/3").to_str().unwrap(), "--json"]);
+    dir.stdout("fit two -o model.toml");
+    let json = dir.json(&["replay", "model.toml", &campaign("clean/3"), "--json"]);
     assert_eq!((&json["rows"], &json["recordings"][0]["held_out"]), (&12_001.into(), &true.into()));
     for sensor in json["sensors"].as_array().unwrap() {
         let value = |key: &str| sensor[key].as_f64().unwrap();
@@ -139,16 +118,14 @@ fn held_out_replay_error_is_below_one_newton() {
 
 #[test]
 fn committed_tables_equal_those_of_the_demo() {
-    let folder = TempDir::new().unwrap();
-    let output = magpie(&["demo", "-o", folder.path().to_str().unwrap()]);
-    assert!(output.status.success(), "{}", text(&output.stderr));
-    let written = std::fs::read_to_string(folder.path().join("tables.rs")).unwrap();
+    let dir = WorkDir::empty();
+    let report = text(&dir.stdout("demo -o ."));
+    let written = dir.read("tables.rs");
     let committed = concat!(env!("CARGO_MANIFEST_DIR"), "/../firmware/src/model/tables.rs");
     assert!(
         written == std::fs::read_to_string(committed).unwrap(),
         "firmware/src/model/tables.rs differs from the demo's: run `cargo magpie demo` and copy magpie-demo/tables.rs there"
     );
-    let report = text(&output.stdout);
     for part in [
         "1. The recordings.",
         "2. The fit.",
@@ -168,64 +145,42 @@ fn committed_tables_equal_those_of_the_demo() {
 
 #[test]
 fn invalid_model_parameter_is_rejected_by_name() {
-    let folder = TempDir::new().unwrap();
-    let path = folder.path().join("model.toml");
-    let model = path.to_str().unwrap();
-    assert!(magpie(&["fit", data("clean").to_str().unwrap(), "-o", model]).status.success());
-    let good = std::fs::read_to_string(&path).unwrap();
+    let dir = WorkDir::with_model("clean");
+    let good = dir.read("model.toml");
     let gap = good.split("[sensor.parameters.gap]\nvalue = ").nth(1).unwrap();
     let gap = gap.lines().next().unwrap();
-    let export_error = |from: &str, to: &str| {
-        std::fs::write(&path, good.replacen(from, to, 1)).unwrap();
-        let output =
-            magpie(&["export", model, "-o", folder.path().join("tables.rs").to_str().unwrap()]);
+    for (from, to, words) in [
+        (gap, "-1.5", "column gap of sensor 0: -1.5 is not allowed here"),
+        (gap, "1e9", "does not determine the forces"),
+        (
+            "gauss_per_lsb = 0.125",
+            "gauss_per_lsb = 0.0",
+            "column sensor_scale.gauss_per_lsb: 0 is not allowed here",
+        ),
+        ("number = 1", "number = 0", "duplicate number"),
+    ] {
+        std::fs::write(dir.path("model.toml"), good.replacen(from, to, 1)).unwrap();
+        let output = dir.run("export model.toml -o tables.rs");
         assert_eq!(output.status.code(), Some(1));
-        text(&output.stderr)
-    };
-    let negative = export_error(gap, "-1.5");
-    assert!(negative.contains("column gap of sensor 0: -1.5 is not allowed here"), "{negative}");
-    let huge = export_error(gap, "1e9");
-    assert!(huge.contains("does not determine the forces"), "{huge}");
-    let scale = export_error("gauss_per_lsb = 0.125", "gauss_per_lsb = 0.0");
-    assert!(scale.contains("column sensor_scale.gauss_per_lsb: 0 is not allowed here"), "{scale}");
-    let twice = export_error("number = 1", "number = 0");
-    assert!(twice.contains("duplicate number"), "{twice}");
+        let message = text(&output.stderr);
+        assert!(message.contains(words), "{to}: {message}");
+    }
 }
 
 #[test]
 fn swapped_arguments_report_the_expected_order() {
-    let output = magpie(&["replay", data("clean/3").to_str().unwrap(), "model.toml"]);
-    assert!(
-        text(&output.stderr).contains("the order is MODEL CAMPAIGN"),
-        "{}",
-        text(&output.stderr)
-    );
+    let message = WorkDir::empty().failure(&["replay", &campaign("clean/3"), "model.toml"]);
+    assert!(message.contains("the order is MODEL CAMPAIGN"), "{message}");
 }
 
 #[test]
 fn export_of_a_polynomial_model_fails() {
-    let folder = TempDir::new().unwrap();
-    let model = folder.path().join("model.toml");
-    let model = model.to_str().unwrap();
-    let fit = magpie(&[
-        "fit",
-        data("clean").to_str().unwrap(),
-        "--base",
-        "polynomial",
-        "--degree",
-        "3",
-        "-o",
-        model,
-    ]);
-    assert!(fit.status.success());
-    let tables = folder.path().join("tables.rs");
-    let output = magpie(&["export", model, "-o", tables.to_str().unwrap()]);
-    assert!(
-        text(&output.stderr).contains("a polynomial of the forces has no unique inverse"),
-        "{}",
-        text(&output.stderr)
-    );
-    assert!(!tables.exists());
+    let dir = WorkDir::empty();
+    let polynomial = ["--base", "polynomial", "--degree", "3", "-o", "model.toml"];
+    dir.stdout(&[&["fit", &campaign("clean")], &polynomial[..]].concat());
+    let message = dir.failure("export model.toml -o tables.rs");
+    assert!(message.contains("a polynomial of the forces has no unique inverse"), "{message}");
+    assert!(!dir.path("tables.rs").exists());
 }
 
 #[test]
@@ -233,31 +188,28 @@ fn real_lattice_measurements_are_imported_and_fitted() {
     let Some(source) = real_data("eflesh_normal") else {
         return;
     };
-    let folder = TempDir::new().unwrap();
-    let campaign = folder.path().join("eflesh");
-    let campaign = campaign.to_str().unwrap();
-    let mapping = data("eflesh_normal.mapping.toml");
+    let dir = WorkDir::empty();
+    let mapping = data("eflesh_normal.mapping.toml").display().to_string();
     let runs =
         ["run1.csv", "run2.csv", "run3.csv"].map(|run| source.join(run).display().to_string());
     let [a, b, c] = &runs;
-    let imported =
-        json_of(&["import", mapping.to_str().unwrap(), a, b, c, "-o", campaign, "--json"]);
+    let imported = dir.json(&["import", &mapping, a, b, c, "-o", "eflesh", "--json"]);
     for recording in imported["recordings"].as_array().unwrap() {
         assert_eq!(
             (&recording["hall_rows"], &recording["measured_rows"]),
             (&3600.into(), &1860.into())
         );
     }
-    let fit = json_of(&["fit", campaign, "--base", "polynomial", "--degree", "5", "--json"]);
+    let fit = dir.json("fit eflesh --base polynomial --degree 5 --json");
     assert_eq!(fit["axes"].as_array().unwrap().len(), 15);
     // Residual of a polynomial of the force over all fifteen channels: 71 ± 3 uT.
     let microtesla = 100.0 * fit["held_out_rms_g"].as_f64().unwrap();
     assert!((68.0..=74.0).contains(&microtesla), "{microtesla} uT");
-    let again = magpie(&["import", mapping.to_str().unwrap(), a, "-o", campaign]);
-    assert!(text(&again.stderr).contains("an import never overwrites"), "{}", text(&again.stderr));
+    let message = dir.failure(&["import", &mapping, a, "-o", "eflesh"]);
+    assert!(message.contains("an import never overwrites"), "{message}");
 }
 
-/// `UPDATE_README=1 cargo test -p host-tools --test command_line` rewrites the table.
+/// `UPDATE_README=1 cargo test -p host-tools --test commands` rewrites the table.
 #[test]
 fn readme_lists_all_commands() {
     let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("README.md");
