@@ -173,11 +173,17 @@ mod tests {
     use crate::drivetrain::parameters::noise_stream;
 
     #[test]
-    fn one_ampere_is_80_counts_and_24_v_are_1600() {
-        let sensed =
-            MotorSensors::ideal().sample(&[1.0, -1.0, 0.0], 24.0, 0.0, &mut noise_stream(1));
-        assert_eq!(sensed.phases, [2128, 1968, 2048]);
-        assert_eq!((sensed.bus, sensed.angle), (1600, Ok(0)));
+    fn currents_and_bus_are_converted_and_saturate() {
+        let cases = [
+            // One ampere is 80 counts, 24 V are 1600.
+            ([1.0, -1.0, 0.0], 24.0, [2128, 1968, 2048], 1600),
+            ([30.0, -30.0, 0.0], 70.0, [4095, 0, 2048], 4095),
+        ];
+        for (currents_a, bus_v, phases, bus) in cases {
+            let mut noise = noise_stream(1);
+            let sensed = MotorSensors::ideal().sample(&currents_a, bus_v, 0.0, &mut noise);
+            assert_eq!((sensed.phases, sensed.bus, sensed.angle), (phases, bus, Ok(0)));
+        }
     }
 
     #[test]
@@ -186,14 +192,6 @@ mod tests {
         assert_eq!(turn_counts(-0.25 * TAU), 12_288);
         assert_eq!(turn_counts(-1e-18), 0);
         assert_eq!(turn_counts(7.500_01 * TAU), 8192);
-    }
-
-    #[test]
-    fn converter_saturates_at_full_scale() {
-        let sensed =
-            MotorSensors::ideal().sample(&[30.0, -30.0, 0.0], 70.0, 0.0, &mut noise_stream(1));
-        assert_eq!(sensed.phases, [4095, 0, 2048]);
-        assert_eq!(sensed.bus, 4095);
     }
 
     #[test]
