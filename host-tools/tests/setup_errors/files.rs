@@ -7,7 +7,7 @@ use analysis::data_quality::{Finding, fix, scan_files};
 use tests::campaign_copy::{CampaignCopy, CsvTable};
 use tests::data;
 
-const ALL: [u32; 3] = [1, 2, 3];
+use crate::{ALL, assert_equal_numbers, assert_message, clean, single};
 
 fn found(spoilt: &CampaignCopy) -> Vec<Finding> {
     scan_files(&spoilt.path(), |_| ()).unwrap()
@@ -15,16 +15,7 @@ fn found(spoilt: &CampaignCopy) -> Vec<Finding> {
 
 /// The only finding.
 fn only(spoilt: &CampaignCopy) -> Finding {
-    let mut findings = found(spoilt);
-    let kinds: Vec<_> = findings.iter().map(|f| (f.id, f.message.clone())).collect();
-    assert_eq!(findings.len(), 1, "{kinds:#?}");
-    findings.remove(0)
-}
-
-fn assert_message(finding: &Finding, words: &[&str]) {
-    for word in words {
-        assert!(finding.message.contains(word), "{:?} should contain {word:?}", finding.message);
-    }
+    single(found(spoilt))
 }
 
 fn column(finding: &Finding) -> &str {
@@ -41,20 +32,6 @@ fn corrected(spoilt: &CampaignCopy, recording: u32, name: &str) -> CsvTable {
     let description = std::fs::read_to_string(folder.join("recording.toml")).unwrap();
     assert!(description.contains("(corrected: "), "{description}");
     CsvTable::read(&folder.join(format!("{name}.gz")))
-}
-
-fn clean(recording: u32, name: &str) -> CsvTable {
-    let folder = data("clean").join(recording.to_string());
-    CsvTable::read(&folder.join(format!("{name}.gz")))
-}
-
-/// Compares a column of two tables.
-fn same_numbers(corrected: &CsvTable, clean: &CsvTable, column: &str, within: f64) {
-    let pairs = corrected.numbers(column).into_iter().zip(clean.numbers(column));
-    assert_eq!(corrected.rows.len(), clean.rows.len());
-    for (a, b) in pairs {
-        assert!((a - b).abs() <= within, "{column}: {a} and {b}");
-    }
 }
 
 #[test]
@@ -355,7 +332,7 @@ fn covariates_in_wrong_units_are_converted() {
         assert_eq!((finding.id, column(&finding)), ("wrong_unit", name));
         assert_message(&finding, &[unit, "in recordings 1 and 3"]);
         let (corrected, clean) = (corrected(&spoilt, 3, "hall.csv"), clean(3, "hall.csv"));
-        same_numbers(&corrected, &clean, name, within);
+        assert_equal_numbers(&corrected, &clean, name, within);
     }
 }
 

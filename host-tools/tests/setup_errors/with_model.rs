@@ -17,8 +17,9 @@ use nalgebra::Vector3;
 use tests::campaign_copy::{CampaignCopy, CsvTable};
 use tests::data;
 
+use crate::{ALL, assert_equal_numbers, assert_message, clean, single};
+
 const NO_DELAY: Alignment = Alignment { delay_us: 0.0 };
-const ALL: [u32; 3] = [1, 2, 3];
 const SENSORS: [u32; 4] = [0, 1, 2, 3];
 
 /// Base model fitted to a campaign.
@@ -70,16 +71,7 @@ fn findings_with(model: &ModelFile, folder: &Path, alignment: Alignment) -> Vec<
 /// The only finding of the files and the model checks.
 fn only(spoilt: &CampaignCopy) -> Finding {
     let files = scan_files(&spoilt.path(), |_| ()).unwrap();
-    let mut findings = merge(files, findings_with_own_model(&spoilt.path(), NO_DELAY));
-    let kinds: Vec<_> = findings.iter().map(|f| (f.id, f.message.clone())).collect();
-    assert_eq!(findings.len(), 1, "{kinds:#?}");
-    findings.remove(0)
-}
-
-fn assert_message(finding: &Finding, words: &[&str]) {
-    for word in words {
-        assert!(finding.message.contains(word), "{:?} should contain {word:?}", finding.message);
-    }
+    single(merge(files, findings_with_own_model(&spoilt.path(), NO_DELAY)))
 }
 
 /// After the correction there is no finding, and the table of the first recording equals the clean one.
@@ -87,15 +79,11 @@ fn corrects_to_clean(spoilt: &CampaignCopy, finding: Finding, name: &str) {
     fix::write(&spoilt.path(), &[finding], &spoilt.repaired_path()).unwrap();
     let left = findings_with_own_model(&spoilt.repaired_path(), NO_DELAY);
     assert!(left.is_empty(), "{left:#?}");
-    let packed = format!("{name}.gz");
-    let corrected = CsvTable::read(&spoilt.repaired_path().join("1").join(&packed));
-    let clean = CsvTable::read(&data("clean").join("1").join(&packed));
-    assert_eq!(corrected.rows.len(), clean.rows.len());
+    let table = spoilt.repaired_path().join("1").join(format!("{name}.gz"));
+    let corrected = CsvTable::read(&table);
+    let clean = clean(1, name);
     for column in &clean.header {
-        let pairs = corrected.numbers(column).into_iter().zip(clean.numbers(column));
-        for (a, b) in pairs {
-            assert!((a - b).abs() < 1e-9, "{column}: {a} and {b}");
-        }
+        assert_equal_numbers(&corrected, &clean, column, 1e-9);
     }
 }
 
