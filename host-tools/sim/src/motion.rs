@@ -272,10 +272,19 @@ mod tests {
     }
 
     #[test]
-    fn rolled_gripper_measures_gravity_along_y() {
-        let to_world = Rotation3::from_euler_angles(0.5 * PI, 0.0, 0.3);
-        let force = to_world.inverse() * Vector3::new(0.0, 0.0, GRAVITY);
-        assert!((force - Vector3::new(0.0, GRAVITY, 0.0)).norm() < 1e-12);
+    fn tilted_gripper_measures_gravity_along_its_own_axes() {
+        // A level gripper with the same seed has the same acceleration.
+        let [level, tilted] = [Programme::Level, Programme::Bench]
+            .map(|programme| AttitudeProfile::draw(programme, 1, 1));
+        for step in 0..300 {
+            let time_s = f64::from(step) * 0.1;
+            let tilted = tilted.at(time_s);
+            let motion = level.at(time_s).specific_force - Vector3::new(0.0, 0.0, GRAVITY);
+            let [roll, pitch, _] = tilted.angles_rad;
+            let down = [-pitch.sin(), roll.sin() * pitch.cos(), roll.cos() * pitch.cos()];
+            let gravity = tilted.specific_force - motion;
+            assert!((gravity - GRAVITY * Vector3::from(down)).norm() < 1e-9, "{time_s} s");
+        }
     }
 
     #[test]
