@@ -30,6 +30,7 @@ const BYTES_PER_MS: usize = 100;
 
 /// Run the board under full load of CAN bus and serial line, and count missed ticks.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  cargo acceptance bus-load --minutes 5")]
 pub struct Args {
     /// Virtual minutes per seed [default: 60; quick: 1].
     #[arg(long, value_name = "M")]

@@ -15,6 +15,7 @@ const MAX_PEAK_N: f64 = 110.0;
 
 /// Inject every fault in every state and evaluate detection, latency and false alarms.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  cargo acceptance fault-campaign --seeds 4 --hours 0.1")]
 pub struct Args {
     /// Fault-free virtual hours for the false-alarm rate [default: 1; quick: 0.05].
     #[arg(long, value_name = "H")]

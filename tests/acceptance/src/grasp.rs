@@ -27,6 +27,7 @@ const MAX_CONTACT_MS: f64 = 2.0;
 
 /// Evaluate force control, ground contact latency and false contacts.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  cargo acceptance grasp --seeds 100 --hours 1")]
 pub struct Args {
     /// Contact-free hours for the false contacts [default: 10; quick: 0.1].
     #[arg(long, value_name = "H")]

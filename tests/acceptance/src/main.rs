@@ -79,7 +79,11 @@ impl Options {
 enum Run {
     Diagnosis(diagnosis::Args),
     MagneticDisturbance(magnetic_disturbance::Args),
+    /// Compare eight force estimators on a held-out recording.
+    #[command(after_help = "Example:\n  cargo acceptance force-estimators --first 12")]
     ForceEstimators,
+    /// Evaluate speed, force, and the current and position loops of perturbed drives.
+    #[command(after_help = "Example:\n  cargo acceptance drive --seeds 100")]
     Drive,
     Grasp(grasp::Args),
     FaultCampaign(fault_campaign::Args),

@@ -23,6 +23,7 @@ const QUICK_CASES: usize = 3;
 
 /// Evaluate the rate of correct diagnoses.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  cargo acceptance diagnosis typical small --seeds 5")]
 pub struct Args {
     /// Groups to run [default: all].
     #[arg(value_enum)]

@@ -20,6 +20,9 @@ const HOURS: [f64; 2] = [10.0, 0.2];
 
 /// Evaluate the detection of magnetic disturbances.
 #[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Example:\n  cargo acceptance magnetic-disturbance --seeds 1 --hours 1 --networks"
+)]
 pub struct Args {
     /// Hours of simulated time over all grippers [default: 10; quick: 0.2].
     #[arg(long, value_name = "H")]
