@@ -82,8 +82,11 @@ fn table(rows: &[Value]) -> String {
 }
 
 fn coverage(output: &Value) -> String {
+    let share = |sigmas: &str| 100.0 * output["coverage"][sigmas].as_f64().unwrap_or(f64::NAN);
     format!(
-        "Coverage of the predicted standard deviations of the network of 3 axes: `{}`.\n",
-        output["coverage"]
+        "Coverage of one and two predicted standard deviations of the network of 3 axes: {:.1} and {:.1} % (Gaussian: \
+         68.3 and 95.4).\n",
+        share("1"),
+        share("2")
     )
 }
