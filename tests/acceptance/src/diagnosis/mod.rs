@@ -19,7 +19,7 @@ use cases::{Case, Group};
 use run::Outcome;
 
 /// Campaigns of each group in a quick run.
-const QUICK_CASES: usize = 3;
+const QUICK_CASES: usize = 2;
 
 /// Evaluate the rate of correct diagnoses.
 #[derive(Debug, clap::Args)]
