@@ -6,9 +6,6 @@
 #[path = "emulation/images.rs"]
 mod images;
 #[cfg(unix)]
-#[path = "workdir/running.rs"]
-mod running;
-#[cfg(unix)]
 mod workdir;
 
 #[cfg(unix)]
@@ -30,8 +27,8 @@ mod unix {
     use serde_json::Value;
 
     use crate::images::{self, Variant};
-    use crate::running::Running;
     use crate::workdir::WorkDir;
+    use crate::workdir::running::Running;
 
     pub fn main() -> ExitCode {
         let arguments = Arguments::from_args();

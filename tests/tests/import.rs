@@ -90,27 +90,37 @@ fn a_common_clock_preserves_the_distance_of_recordings() {
 }
 
 #[test]
-fn an_error_in_the_mapping_is_reported_with_a_remedy() {
-    let unit = error_of(&MAPPING.replace("\"kg\"", "\"Kg\""), &source());
-    assert!(
-        unit.contains("column f0_z_n: the unit \"Kg\" is not allowed here; did you mean \"kg\"?"),
-        "{unit}"
-    );
-    let quantity = error_of(&MAPPING.replace("\"kg\"", "\"mm\""), &source());
-    assert!(quantity.contains("f0_z_n is not in a unit that \"mm\" converts to"), "{quantity}");
-    let target = error_of(&MAPPING.replace("s0_x_gauss", "s0_x_guass"), &source());
-    assert!(target.contains("s0_x_guass"), "{target}");
-    let column = error_of(&MAPPING.replace("\"mass\"", "\"maas\""), &source());
-    assert!(column.contains("source.csv, line 1, column maas: the column is missing from the header; did you mean mass?"), "{column}");
-    let key = error_of(&MAPPING.replace("missing", "mising"), &source());
-    assert!(key.contains("mapping.toml, line 13: is invalid: unknown field `mising`"), "{key}");
-}
-
-#[test]
-fn an_error_in_the_source_is_reported_with_its_line() {
-    let text = source().replace("5100,5.1,1.5", "5100,5.1,oops");
-    let fault = error_of(MAPPING, &text);
-    assert!(fault.contains("source.csv, line 12, column mx: \"oops\" is not a number"), "{fault}");
+fn an_error_in_mapping_or_source_is_reported_with_a_remedy() {
+    let mapping = |from: &str, to: &str| (MAPPING.replace(from, to), source());
+    let cases = [
+        (
+            mapping("\"kg\"", "\"Kg\""),
+            "column f0_z_n: the unit \"Kg\" is not allowed here; did you mean \"kg\"?",
+        ),
+        (mapping("\"kg\"", "\"mm\""), "f0_z_n is not in a unit that \"mm\" converts to"),
+        (mapping("s0_x_gauss", "s0_x_guass"), "s0_x_guass"),
+        (
+            mapping("\"mass\"", "\"maas\""),
+            "source.csv, line 1, column maas: the column is missing from the header; did you mean mass?",
+        ),
+        (mapping("missing", "mising"), "mapping.toml, line 13: is invalid: unknown field `mising`"),
+        (
+            (MAPPING.to_owned(), source().replace("5100,5.1,1.5", "5100,5.1,oops")),
+            "source.csv, line 12, column mx: \"oops\" is not a number",
+        ),
+        (
+            (
+                TURNING.to_owned(),
+                turning_source()
+                    .replace("\n100,1.5,-2.5,0.25,2,0,0,2", "\n100,1.5,-2.5,0.25,0,0,0,0"),
+            ),
+            "source.csv, line 12, column qw: the quaternion 0, 0, 0, 0",
+        ),
+    ];
+    for ((mapping, source), expected) in cases {
+        let error = error_of(&mapping, &source);
+        assert!(error.contains(expected), "{error}");
+    }
 }
 
 /// A bench with an attitude and without a reference force.
@@ -145,12 +155,4 @@ fn a_quaternion_is_converted_without_a_force() {
     assert!(first.forces.is_empty());
     assert!((first.covariates["yaw_rad"][3] - std::f64::consts::FRAC_PI_2).abs() < 1e-6);
     assert!(first.covariates["roll_rad"][3].abs() < 1e-6);
-}
-
-#[test]
-fn a_zero_quaternion_is_reported_with_its_line() {
-    let text =
-        turning_source().replace("\n100,1.5,-2.5,0.25,2,0,0,2", "\n100,1.5,-2.5,0.25,0,0,0,0");
-    let fault = error_of(TURNING, &text);
-    assert!(fault.contains("source.csv, line 12, column qw: the quaternion 0, 0, 0, 0"), "{fault}");
 }

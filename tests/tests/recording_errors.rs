@@ -90,54 +90,107 @@ fn a_folder_without_recordings_is_reported() {
     assert_contains(&error.to_string(), "check the path");
 }
 
-#[test]
-fn a_missing_column_is_named() {
-    let message = error_of(|path, hall, _| {
-        let without_y = hall.lines().map(|row| {
-            let cells: Vec<&str> = row.split(',').collect();
-            [cells[0], cells[1], cells[3]].join(",") + "\n"
-        });
-        fs::write(path.join("hall.csv"), without_y.collect::<String>()).unwrap();
-    });
-    assert_starts(&message, "rec/hall.csv, line 1, column s0_y_lsb: the column is missing");
-    assert_contains(&message, "sensor 0 needs all three axes");
-    let message = error_of(|path, _, force| {
-        fs::write(path.join("force.csv"), force.replace("t_us,", "time_us,")).unwrap();
-    });
-    assert_starts(
-        &message,
-        "rec/force.csv, line 1, column t_us: the column is missing from the header; every table needs",
-    );
+/// A change of a valid recording: its folder, `hall.csv` and `force.csv`.
+type Change = fn(&Path, &str, &str);
+
+fn write_hall(folder: &Path, text: &str) {
+    fs::write(folder.join("hall.csv"), text).unwrap();
+}
+
+fn write_force(folder: &Path, text: &str) {
+    fs::write(folder.join("force.csv"), text).unwrap();
+}
+
+/// The table with its clock changed.
+fn with_clock(table: &str, clock: impl Fn(u64) -> String) -> String {
+    let line = |(i, row): (usize, &str)| match row.split_once(',') {
+        Some((t, rest)) if i > 0 => format!("{},{rest}\n", clock(t.parse().unwrap())),
+        _ => format!("{row}\n"),
+    };
+    table.lines().enumerate().map(line).collect()
 }
 
 #[test]
-fn a_misspelt_column_gets_a_suggestion() {
-    let message = error_of(|path, hall, _| {
-        fs::write(path.join("hall.csv"), hall.replace("s0_x_lsb", "s0_x")).unwrap();
-    });
-    assert_starts(
-        &message,
-        "rec/hall.csv, line 1, column s0_x: the column has no unit; write s0_x_lsb",
-    );
-    let message = error_of(|path, _, force| {
-        fs::write(path.join("force.csv"), force.replace("f0_z_n", "f0_zn")).unwrap();
-    });
-    assert_starts(
-        &message,
-        "rec/force.csv, line 1, column f0_zn: unknown column; did you mean f0_z_n?",
-    );
-}
-
-#[test]
-fn a_backward_clock_is_reported_with_its_line() {
-    let message = error_of(|path, hall, _| {
-        fs::write(path.join("hall.csv"), with_cell(&hall, 50, 0, "1000")).unwrap();
-    });
-    assert_starts(
-        &message,
-        "rec/hall.csv, line 50, column t_us: the clock runs backwards, from 47000 to 1000; ",
-    );
-    assert_contains(&message, "sort the rows");
+fn an_invalid_table_is_reported_with_its_place() {
+    let cases: [(Change, &str, &str); 11] = [
+        (
+            |path, hall, _| {
+                let without_y = hall.lines().map(|row| {
+                    let cells: Vec<&str> = row.split(',').collect();
+                    [cells[0], cells[1], cells[3]].join(",") + "\n"
+                });
+                write_hall(path, &without_y.collect::<String>());
+            },
+            "rec/hall.csv, line 1, column s0_y_lsb: the column is missing",
+            "sensor 0 needs all three axes",
+        ),
+        (
+            |path, _, force| write_force(path, &force.replace("t_us,", "time_us,")),
+            "rec/force.csv, line 1, column t_us: the column is missing from the header; every table needs",
+            "",
+        ),
+        (
+            |path, hall, _| write_hall(path, &hall.replace("s0_x_lsb", "s0_x")),
+            "rec/hall.csv, line 1, column s0_x: the column has no unit; write s0_x_lsb",
+            "",
+        ),
+        (
+            |path, _, force| write_force(path, &force.replace("f0_z_n", "f0_zn")),
+            "rec/force.csv, line 1, column f0_zn: unknown column; did you mean f0_z_n?",
+            "",
+        ),
+        (
+            |path, hall, _| write_hall(path, &with_cell(hall, 50, 0, "1000")),
+            "rec/hall.csv, line 50, column t_us: the clock runs backwards, from 47000 to 1000; ",
+            "sort the rows",
+        ),
+        (
+            |path, hall, _| {
+                let mut rows: Vec<&str> = hall.lines().collect();
+                rows.insert(30, rows[29]);
+                write_hall(path, &rows.join("\n"));
+            },
+            "rec/hall.csv, line 31, column t_us: the row is a duplicate of the previous one; remove it",
+            "",
+        ),
+        (
+            |path, _, force| write_force(path, &with_cell(force, 5, 0, "20000")),
+            "rec/force.csv, line 5, column t_us: two rows have the same time",
+            "",
+        ),
+        (
+            |path, _, _| fs::rename(path.join("hall.csv"), path.join("hall.csv.gz")).unwrap(),
+            "rec/hall.csv.gz: this is not a gzip file; if it is plain text, remove .gz from its name",
+            "",
+        ),
+        (
+            |path, _, _| {
+                compress(path, "hall.csv");
+                fs::rename(path.join("hall.csv.gz"), path.join("hall.csv")).unwrap();
+            },
+            "rec/hall.csv, line 1: this is not a text file; if it is compressed, its name must end in .csv.gz",
+            "",
+        ),
+        (
+            |path, hall, _| {
+                write_hall(path, &with_clock(hall, |us| (us as f64 * 1e-6).to_string()));
+            },
+            "rec/hall.csv, line 2, column t_us: rows are 0.001 us apart; t_us must be in microseconds",
+            "",
+        ),
+        (
+            |path, _, force| {
+                write_force(path, &with_clock(force, |us| (us + 9_000_000).to_string()));
+            },
+            "rec/force.csv, column t_us: the two clocks do not overlap: the board has 0.000 to 0.199 s, the reference 9.000 to 9.190 s",
+            "",
+        ),
+    ];
+    for (change, start, part) in cases {
+        let message = error_of(|path, hall, force| change(path, &hall, &force));
+        assert_starts(&message, start);
+        assert_contains(&message, part);
+    }
 }
 
 #[test]
@@ -158,23 +211,6 @@ fn rows_at_a_clock_gap_are_excluded_with_a_notice() {
     // Windows around 80, 90, 100 and 110 ms overlap the gap from 78 to 109 ms.
     assert_eq!(recording.time_s.len(), 15);
     assert!(!recording.time_s.iter().any(|t| (0.075..0.115).contains(t)));
-}
-
-#[test]
-fn a_duplicate_row_is_reported_with_its_line() {
-    let message = error_of(|path, hall, _| {
-        let mut rows: Vec<&str> = hall.lines().collect();
-        rows.insert(30, rows[29]);
-        fs::write(path.join("hall.csv"), rows.join("\n")).unwrap();
-    });
-    assert_starts(
-        &message,
-        "rec/hall.csv, line 31, column t_us: the row is a duplicate of the previous one; remove it",
-    );
-    let message = error_of(|path, _, force| {
-        fs::write(path.join("force.csv"), with_cell(&force, 5, 0, "20000")).unwrap();
-    });
-    assert_starts(&message, "rec/force.csv, line 5, column t_us: two rows have the same time");
 }
 
 #[test]
@@ -223,63 +259,6 @@ fn a_truncated_gzip_file_is_reported() {
     assert_starts(&message, "rec/hall.csv.gz, line ");
     assert_contains(&message, "the gzip stream ends too early or is damaged");
     assert_contains(&message, "copy the file again");
-}
-
-#[test]
-fn a_plain_file_named_gz_is_reported() {
-    let message = error_of(|path, _, _| {
-        fs::rename(path.join("hall.csv"), path.join("hall.csv.gz")).unwrap();
-    });
-    assert_starts(
-        &message,
-        "rec/hall.csv.gz: this is not a gzip file; if it is plain text, remove .gz from its name",
-    );
-}
-
-#[test]
-fn a_gzip_file_without_gz_in_its_name_is_reported() {
-    let message = error_of(|path, _, _| {
-        compress(path, "hall.csv");
-        fs::rename(path.join("hall.csv.gz"), path.join("hall.csv")).unwrap();
-    });
-    assert_starts(
-        &message,
-        "rec/hall.csv, line 1: this is not a text file; if it is compressed, its name must end in .csv.gz",
-    );
-}
-
-#[test]
-fn a_clock_in_seconds_is_reported() {
-    let message = error_of(|path, hall, _| {
-        let seconds = |(i, row): (usize, &str)| match row.split_once(',') {
-            Some((t, rest)) if i > 0 => format!("{},{rest}\n", t.parse::<f64>().unwrap() * 1e-6),
-            _ => format!("{row}\n"),
-        };
-        fs::write(path.join("hall.csv"), hall.lines().enumerate().map(seconds).collect::<String>())
-            .unwrap();
-    });
-    assert_starts(
-        &message,
-        "rec/hall.csv, line 2, column t_us: rows are 0.001 us apart; t_us must be in microseconds",
-    );
-}
-
-#[test]
-fn clocks_without_overlap_are_reported_with_their_spans() {
-    let message = error_of(|path, _, force| {
-        let shift = |(i, row): (usize, &str)| match row.split_once(',') {
-            Some((t, rest)) if i > 0 => {
-                format!("{},{rest}\n", t.parse::<u64>().unwrap() + 9_000_000)
-            }
-            _ => format!("{row}\n"),
-        };
-        fs::write(path.join("force.csv"), force.lines().enumerate().map(shift).collect::<String>())
-            .unwrap();
-    });
-    assert_starts(
-        &message,
-        "rec/force.csv, column t_us: the two clocks do not overlap: the board has 0.000 to 0.199 s, the reference 9.000 to 9.190 s",
-    );
 }
 
 #[test]

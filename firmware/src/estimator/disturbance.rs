@@ -15,7 +15,7 @@
 //! the new normal after a minute, and its removal sets the flag again.
 //!
 //! Thresholds are in standard deviations of the parity fit, which are part of the tables. They were determined by
-//! `cargo bench -p host-tools --bench foreign_magnet`.
+//! `cargo acceptance magnetic-disturbance`.
 
 use crate::estimator::estimate::{Estimate, Validity};
 use crate::estimator::network_monitor::excess_deviations;
@@ -380,6 +380,6 @@ mod tests {
         }
         let mut without_sigma = frame([9; SENSORS]);
         without_sigma[0].parity.sigma = 0;
-        detector.update(&without_sigma, &mut without_sigma.clone());
+        assert!(detector.update(&without_sigma, &mut without_sigma.clone()));
     }
 }

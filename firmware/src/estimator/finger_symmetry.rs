@@ -65,7 +65,7 @@ mod tests {
     }
 
     #[test]
-    fn a_difference_above_15_n_and_a_tenth_is_reported_after_3_ticks() {
+    fn difference_above_15_n_and_a_tenth_is_reported_after_3_ticks() {
         // Left 100 N, right 75 N of the other sign: 25 N is the limit.
         for (right, reported) in [(-38, false), (-37, true)] {
             let mut symmetry = FingerSymmetry::new(&DetectionLimits::GRIPPER);

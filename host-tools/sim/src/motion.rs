@@ -272,6 +272,22 @@ mod tests {
     }
 
     #[test]
+    fn tilted_gripper_measures_gravity_along_its_own_axes() {
+        // A level gripper with the same seed has the same acceleration.
+        let [level, tilted] = [Programme::Level, Programme::Bench]
+            .map(|programme| AttitudeProfile::draw(programme, 1, 1));
+        for step in 0..300 {
+            let time_s = f64::from(step) * 0.1;
+            let tilted = tilted.at(time_s);
+            let motion = level.at(time_s).specific_force - Vector3::new(0.0, 0.0, GRAVITY);
+            let [roll, pitch, _] = tilted.angles_rad;
+            let down = [-pitch.sin(), roll.sin() * pitch.cos(), roll.cos() * pitch.cos()];
+            let gravity = tilted.specific_force - motion;
+            assert!((gravity - GRAVITY * Vector3::from(down)).norm() < 1e-9, "{time_s} s");
+        }
+    }
+
+    #[test]
     fn bench_programme_covers_large_angles() {
         let attitude = AttitudeProfile::draw(Programme::Bench, 1, 1);
         for axis in 0..3 {

@@ -133,22 +133,22 @@ fn model(dir: &WorkDir, variant: Variant) {
     let campaign = campaign.to_str().unwrap();
     let effects = variant.effects();
     if effects.is_empty() {
-        dir.call(&["fit", campaign, "-o", "model.toml"]);
+        dir.stdout(&["fit", campaign, "-o", "model.toml"]);
     } else {
-        dir.call(&["fit", campaign, "-o", "base.toml"]);
-        dir.call(&[&["add", "base.toml", campaign, "-o", "model.toml"], &effects[..]].concat());
+        dir.stdout(&["fit", campaign, "-o", "base.toml"]);
+        dir.stdout(&[&["add", "base.toml", campaign, "-o", "model.toml"], &effects[..]].concat());
     }
     let mut export = vec!["export", "model.toml", "-o", "tables.rs"];
     if let Some(training) = variant.training() {
         let mut train = vec!["train", "model.toml", campaign, "-o", "networks.safetensors"];
         train.extend(training.split_whitespace());
-        dir.call(&train);
+        dir.stdout(&train);
         export.extend(["--network", "networks.safetensors"]);
     }
     if variant == Variant::Nominal {
         export.push("--nominal");
     }
-    dir.call(&export);
+    dir.stdout(&export);
 }
 
 fn root() -> PathBuf {

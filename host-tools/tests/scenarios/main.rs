@@ -3,9 +3,10 @@
 mod evaluate;
 mod file;
 mod rig;
+#[path = "../workdir/mod.rs"]
+mod workdir;
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
 use file::{Detector, Scenario};
 use firmware::config::limits::DetectionLimits;
@@ -15,7 +16,7 @@ use model_export::inverse::build::{DeviceModel, ModelVariant, build};
 use rig::{Layer, ScenarioRig};
 use sim::board::world::PressedWorld;
 use sim::board::{Program, VirtualTimeBoard};
-use tempfile::TempDir;
+use workdir::fitted_model;
 
 const SEED: u64 = 1;
 
@@ -25,18 +26,7 @@ fn root() -> PathBuf {
 
 /// Gripper of all scenarios.
 fn gripper() -> DeviceModel {
-    let folder = TempDir::new().unwrap();
-    let path = folder.path().join("model.toml");
-    let status = Command::new(env!("CARGO_BIN_EXE_magpie"))
-        .arg("fit")
-        .arg(root().join("data/clean"))
-        .arg("-o")
-        .arg(&path)
-        .output()
-        .unwrap()
-        .status;
-    assert!(status.success());
-    build(&path, ModelVariant::Fitted).unwrap()
+    build(&fitted_model("clean"), ModelVariant::Fitted).unwrap()
 }
 
 fn scenarios() -> Vec<(String, Scenario)> {

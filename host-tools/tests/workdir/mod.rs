@@ -1,13 +1,90 @@
-//! Temporary folder in which a test runs the command.
+//! Fixtures of the command's tests: running `magpie`, a temporary folder, models fitted to the repository's data.
 
-#![allow(dead_code)] // No test needs all of it.
+#![allow(dead_code)] // No test program needs all of it.
 
+#[cfg(unix)]
+pub mod running;
+
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
+use std::sync::OnceLock;
 
 use serde_json::Value;
 use tempfile::TempDir;
+use tests::data;
 
-/// Temporary folder, deleted on drop.
+/// Arguments of a command: a line with words separated by spaces, or separate words.
+pub trait Arguments {
+    fn words(&self) -> Vec<&str>;
+}
+
+impl Arguments for str {
+    fn words(&self) -> Vec<&str> {
+        self.split_whitespace().collect()
+    }
+}
+
+impl Arguments for String {
+    fn words(&self) -> Vec<&str> {
+        self.as_str().words()
+    }
+}
+
+impl<T: AsRef<str>> Arguments for [T] {
+    fn words(&self) -> Vec<&str> {
+        self.iter().map(AsRef::as_ref).collect()
+    }
+}
+
+impl<T: AsRef<str>, const N: usize> Arguments for [T; N] {
+    fn words(&self) -> Vec<&str> {
+        self.as_slice().words()
+    }
+}
+
+impl<T: AsRef<str>> Arguments for Vec<T> {
+    fn words(&self) -> Vec<&str> {
+        self.as_slice().words()
+    }
+}
+
+impl<A: Arguments + ?Sized> Arguments for &A {
+    fn words(&self) -> Vec<&str> {
+        (**self).words()
+    }
+}
+
+/// Path or output as text.
+pub fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// Path of a campaign of `tests/data`.
+pub fn campaign(name: &str) -> String {
+    data(name).display().to_string()
+}
+
+/// Model without effects fitted to `clean`, `demo`, `friction` or `ripple`; fitted once in a test program. Do not
+/// write to it.
+pub fn fitted_model(name: &str) -> PathBuf {
+    const NAMES: [&str; 4] = ["clean", "demo", "friction", "ripple"];
+    static FITTED: [OnceLock<PathBuf>; 4] = [const { OnceLock::new() }; 4];
+    let place = NAMES.iter().position(|known| *known == name).unwrap();
+    let fit = || {
+        let program = std::process::id();
+        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("models");
+        std::fs::create_dir_all(&folder).unwrap();
+        let draft = folder.join(format!("{name}-{program}.toml"));
+        let shown = draft.display().to_string();
+        WorkDir::empty().stdout(&["fit", &campaign(name), "-o", &shown]);
+        let model = folder.join(format!("{name}.toml"));
+        std::fs::rename(draft, &model).unwrap();
+        model
+    };
+    FITTED[place].get_or_init(fit).clone()
+}
+
+/// Temporary folder in which commands run, deleted on drop.
 pub struct WorkDir(pub TempDir);
 
 impl WorkDir {
@@ -16,41 +93,51 @@ impl WorkDir {
         Self(TempDir::new().unwrap())
     }
 
-    /// Standard output of a command that must succeed; arguments given separately.
-    pub fn call(&self, words: &[&str]) -> Vec<u8> {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_magpie"));
-        let output = command.args(words).current_dir(self.0.path()).output().unwrap();
-        let message = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success(), "{words:?}: {message}");
-        output.stdout
+    /// Folder with `model.toml`, fitted to a campaign of `tests/data`.
+    pub fn with_model(name: &str) -> Self {
+        let dir = Self::empty();
+        std::fs::copy(fitted_model(name), dir.path("model.toml")).unwrap();
+        dir
+    }
+
+    /// Path of a file in the folder.
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    /// Text of a file in the folder.
+    pub fn read(&self, name: &str) -> String {
+        std::fs::read_to_string(self.path(name)).unwrap()
     }
 
     /// Runs a command, given without the program name.
-    pub fn run(&self, line: &str) -> Output {
-        Command::new(env!("CARGO_BIN_EXE_magpie"))
-            .args(line.split_whitespace())
-            .current_dir(self.0.path())
-            .output()
-            .unwrap()
+    pub fn run(&self, arguments: &(impl Arguments + ?Sized)) -> Output {
+        self.command(arguments).output().unwrap()
+    }
+
+    /// A command in this folder, given without the program name.
+    pub fn command(&self, arguments: &(impl Arguments + ?Sized)) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_magpie"));
+        command.args(arguments.words()).current_dir(self.0.path());
+        command
     }
 
     /// Standard output of a command that must succeed.
-    pub fn stdout(&self, line: &str) -> Vec<u8> {
-        let output = self.run(line);
-        let message = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success(), "{line}: {message}");
+    pub fn stdout(&self, arguments: &(impl Arguments + ?Sized)) -> Vec<u8> {
+        let output = self.run(arguments);
+        assert!(output.status.success(), "{:?}: {}", arguments.words(), text(&output.stderr));
         output.stdout
     }
 
-    /// JSON output of a command.
-    pub fn json(&self, line: &str) -> Value {
-        serde_json::from_slice(&self.stdout(line)).unwrap()
+    /// JSON output of a command that must succeed.
+    pub fn json(&self, arguments: &(impl Arguments + ?Sized)) -> Value {
+        serde_json::from_slice(&self.stdout(arguments)).expect("one JSON object on stdout")
     }
 
     /// Standard error of a command that must fail.
-    pub fn failure(&self, line: &str) -> String {
-        let output = self.run(line);
-        assert!(!output.status.success(), "{line} succeeded");
-        String::from_utf8_lossy(&output.stderr).into_owned()
+    pub fn failure(&self, arguments: &(impl Arguments + ?Sized)) -> String {
+        let output = self.run(arguments);
+        assert!(!output.status.success(), "{:?} succeeded", arguments.words());
+        text(&output.stderr)
     }
 }

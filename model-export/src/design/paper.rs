@@ -1,5 +1,4 @@
-//! Recomputed figures and claims.
-//!
+//! The paper's figures and claims, recomputed with the model.
 
 use crate::design::axis::slope;
 use crate::design::design_file::SensorDesign;
@@ -186,6 +185,11 @@ pub fn steps(from: f64, to: f64) -> impl Iterator<Item = f64> {
 /// Resolution assumed in the paper, in gauss.
 const RESOLUTION_G: f64 = 0.1;
 
+/// The Earth's field as stated in the paper, in microtesla.
+const STATED_EARTH_UT: f64 = 0.5;
+/// Microtesla per gauss.
+const UT_PER_G: f64 = 100.0;
+
 /// Result of checking a claim.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
@@ -221,6 +225,8 @@ pub struct Claim {
     pub place: &'static str,
     /// Recomputed result.
     pub found: String,
+    /// The numbers of the result on which the verdict depends.
+    pub figures: Vec<f64>,
     /// Verdict.
     pub verdict: Verdict,
 }
@@ -274,6 +280,7 @@ fn patterns() -> Claim {
                     / sizes.iter().copied().fold(f64::INFINITY, f64::min)
                     - 1.0),
         ),
+        figures: vec![differs],
         verdict: Verdict::if_so(differs < 0.01),
     }
 }
@@ -288,6 +295,7 @@ fn constant() -> Claim {
             100.0 * wide,
             100.0 * narrow
         ),
+        figures: vec![wide, narrow],
         verdict: Verdict::if_so(wide < 0.05),
     }
 }
@@ -323,6 +331,7 @@ fn logarithm() -> Claim {
             100.0 * long,
             100.0 * (doubled - 1.0)
         ),
+        figures: vec![short, long],
         verdict: Verdict::if_so(short > 0.95),
     }
 }
@@ -352,19 +361,30 @@ fn diameter() -> Claim {
             last.0,
             sensitivity(&cylinder(3.0, HEIGHT_MM, GAP_MM), 0.0)
         ),
+        figures: vec![best.0, best.1],
         verdict: Verdict::if_so(best.0 < 9.0),
     }
 }
 
 fn proportional() -> Claim {
-    let [near, far] = [1.5, 3.0].map(|gap_mm| max_sensitivity(&cylinder(3.0, HEIGHT_MM, gap_mm)).0);
+    let gaps_mm = [1.5, 3.0];
+    let [near, far] = gaps_mm.map(|gap_mm| max_sensitivity(&cylinder(3.0, HEIGHT_MM, gap_mm)).0);
+    let (ratio, proportional) = (far / near, gaps_mm[1] / gaps_mm[0]);
+    let trend = if ratio < 1.0 { "falls" } else { "rises" };
     Claim {
         says: "the greatest sensitivity is proportional to the distance",
         place: "V-B",
         found: format!(
-            "it falls with the distance: {near:.0} G/mm at 1.5 mm, {far:.0} at 3 mm, as outside of any magnet"
+            "it {trend} with the distance: {near:.0} G/mm at 1.5 mm, {far:.0} at 3 mm, a factor of {ratio:.2}; \
+             proportional would be {proportional:.2}"
         ),
-        verdict: Verdict::Impossible,
+        figures: vec![near, far],
+        verdict: match ratio {
+            _ if (ratio / proportional - 1.0).abs() < 0.1 => Verdict::Reproduced,
+            // The field of every magnet decreases with the distance.
+            _ if ratio < 1.0 => Verdict::Impossible,
+            _ => Verdict::NotReproduced,
+        },
     }
 }
 
@@ -385,6 +405,7 @@ fn plastic_range(designs: &[Candidate]) -> Claim {
             "{range_n:.0} N, ended by {why}, with beams of up to 20 by 8 mm and a safety of 1.5 at 10^7 cycles; \
              the paper does not say what it swept, and the range grows with the section"
         ),
+        figures: vec![range_n],
         verdict: Verdict::if_so((150.0..250.0).contains(&range_n)),
     }
 }
@@ -401,6 +422,7 @@ fn metal_range(designs: &[Candidate]) -> Claim {
             strong().count(),
             designs.len()
         ),
+        figures: vec![most],
         verdict: Verdict::if_so(most > 0.0 && most < 10.0),
     }
 }
@@ -418,6 +440,7 @@ fn alike(plastic: &[Candidate], metal: &[Candidate]) -> Claim {
         found: format!(
             "of designs for 20 to 100 N, up to {plastic:.0} G/N of ABS and {metal:.0} G/N of steel"
         ),
+        figures: vec![plastic, metal],
         verdict: Verdict::if_so(plastic >= 10.0 && metal >= 10.0),
     }
 }
@@ -435,23 +458,30 @@ fn closed() -> Claim {
             "{near_g:.0} G, {:.0} resolutions of 0.1 G; below three only from {distance_mm:.0} mm on",
             near_g / RESOLUTION_G
         ),
+        figures: vec![near_g, distance_mm],
         verdict: if near_g < max_g { Verdict::Reproduced } else { Verdict::Impossible },
     }
 }
 
 fn earth() -> Claim {
-    let [least, most] = [interference::EARTH_MIN.value, interference::EARTH_MAX.value];
+    let fields_g = [interference::EARTH_MIN.value, interference::EARTH_MAX.value];
+    let [min_ut, max_ut] = fields_g.map(|field_g| field_g * UT_PER_G);
+    let [min, max] = fields_g.map(|field_g| field_g / RESOLUTION_G);
+    let is_negligible = max < 1.0;
     Claim {
         says: "the Earth's field is about 0.5 uT, hence negligible",
         place: "IV-C",
         found: format!(
-            "{:.0} to {:.0} uT: {:.1} to {:.1} resolutions of 0.1 G",
-            100.0 * least,
-            100.0 * most,
-            least / RESOLUTION_G,
-            most / RESOLUTION_G
+            "{min_ut:.0} to {max_ut:.0} uT: {min:.1} to {max:.1} resolutions of 0.1 G, {:.0} times the stated field \
+             or more",
+            min_ut / STATED_EARTH_UT
         ),
-        verdict: Verdict::Impossible,
+        figures: vec![min_ut, max_ut, min, max],
+        verdict: match (is_negligible, (0.5 * min_ut..2.0 * max_ut).contains(&STATED_EARTH_UT)) {
+            (true, true) => Verdict::Reproduced,
+            (_, true) => Verdict::NotReproduced,
+            (_, false) => Verdict::Impossible,
+        },
     }
 }
 
@@ -468,17 +498,40 @@ mod tests {
     }
 
     #[test]
-    fn claims_have_their_verdicts() {
-        let verdicts = |claim: &Claim| (claim.place, claim.verdict);
-        assert_eq!(constant().verdict, Verdict::Reproduced);
-        assert_eq!(diameter().verdict, Verdict::Reproduced);
-        assert_eq!(proportional().verdict, Verdict::Impossible);
-        assert_eq!(closed().verdict, Verdict::Impossible);
-        assert_eq!(earth().verdict, Verdict::Impossible);
-        // Without designs nothing is reproduced.
-        let none = check_claims(&[Vec::new(), Vec::new()]);
-        assert_eq!(none.len(), 10);
-        let materials: Vec<_> = none[5..8].iter().map(verdicts).collect();
-        assert!(materials.iter().all(|(_, verdict)| *verdict == Verdict::NotReproduced));
+    fn claims_without_designs_have_computed_figures_and_verdicts() {
+        use Verdict::{Impossible, Reproduced};
+        type Case = (fn() -> Claim, Verdict, &'static [f64]);
+        let cases: [Case; 7] = [
+            (patterns, Reproduced, &[6.12e-4]),
+            (constant, Reproduced, &[0.004, 0.151]),
+            (logarithm, Reproduced, &[0.980, 0.732]),
+            (diameter, Reproduced, &[3.475, 597.0]),
+            (proportional, Impossible, &[585.0, 131.0]),
+            (closed, Impossible, &[132.5, 36.0]),
+            (earth, Impossible, &[25.0, 65.0, 2.5, 6.5]),
+        ];
+        for (claim, verdict, figures) in cases {
+            let claim = claim();
+            assert_eq!(claim.verdict, verdict, "{}", claim.says);
+            assert_eq!(claim.figures.len(), figures.len(), "{}", claim.says);
+            let is_near = |(a, b): (&f64, &f64)| (a - b).abs() < 0.015 * b.abs() + 5e-4;
+            let mut pairs = claim.figures.iter().zip(figures);
+            assert!(pairs.all(is_near), "{}: {:?}", claim.says, claim.figures);
+        }
+    }
+
+    #[test]
+    fn claims_about_designs_are_not_reproduced_without_designs() {
+        let claims = check_claims(&[Vec::new(), Vec::new()]);
+        let materials = claims.iter().filter(|claim| claim.verdict == Verdict::NotReproduced);
+        let says: Vec<_> = materials.map(|claim| (claim.says, &*claim.figures)).collect();
+        assert_eq!(
+            says,
+            [
+                ("of ABS, the greatest force range is 200 N", &[0.0][..]),
+                ("metal reaches 800 N, at less than 10 G/N", &[0.0]),
+                ("metal and plastic alike reach 10 G/N below 100 N", &[0.0, 0.0]),
+            ]
+        );
     }
 }

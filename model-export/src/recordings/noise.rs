@@ -81,16 +81,12 @@ mod tests {
     }
 
     #[test]
-    fn parabola_has_zero_noise() {
-        let mut noise = WhiteNoise::default();
-        (0..10).for_each(|i| noise.push(f64::from(i * i)));
-        assert_eq!(noise.estimate(), Some(0.0));
-    }
-
-    #[test]
-    fn three_rows_yield_no_estimate() {
-        let mut noise = WhiteNoise::default();
-        [1.0, 2.0, 3.0].into_iter().for_each(|x| noise.push(x));
-        assert_eq!(noise.estimate(), None);
+    fn parabola_has_zero_noise_and_three_rows_no_estimate() {
+        let parabola: Vec<f64> = (0..10).map(|i| f64::from(i * i)).collect();
+        for (rows, expected) in [(&parabola[..], Some(0.0)), (&[1.0, 2.0, 3.0], None)] {
+            let mut noise = WhiteNoise::default();
+            rows.iter().for_each(|x| noise.push(*x));
+            assert_eq!(noise.estimate(), expected, "{rows:?}");
+        }
     }
 }

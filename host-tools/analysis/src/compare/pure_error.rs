@@ -258,19 +258,18 @@ mod tests {
     }
 
     #[test]
-    fn linear_fit_to_pontius_lacks_fit() {
-        let test = LackOfFit::of(&fitted(1).1, 2).unwrap();
-        assert_eq!((test.lack_freedom, test.pure_freedom), (18, 20));
-        // In exact fractions 214.746924; the handbook prints 214.7464.
-        assert!((test.f() - 214.746_924).abs() < 1e-6, "{}", test.f());
-        assert_eq!(test.verdict(), "structure remains");
-    }
-
-    #[test]
-    fn quadratic_fit_to_pontius_is_at_the_replicate_floor() {
-        let test = LackOfFit::of(&fitted(2).1, 3).unwrap();
-        assert!((test.f() - 0.81).abs() < 5e-3, "{}", test.f());
-        assert_eq!(test.verdict(), "at the replicate floor");
+    fn pontius_lacks_fit_with_a_line_and_not_with_a_parabola() {
+        // F in exact fractions 214.746924; the handbook prints 214.7464.
+        let cases = [
+            (1, (18, 20), 214.746_924, 1e-6, "structure remains"),
+            (2, (17, 20), 0.81, 5e-3, "at the replicate floor"),
+        ];
+        for (degree, freedom, f, tolerance, verdict) in cases {
+            let test = LackOfFit::of(&fitted(degree).1, degree + 1).unwrap();
+            assert_eq!((test.lack_freedom, test.pure_freedom), freedom);
+            assert!((test.f() - f).abs() < tolerance, "{}", test.f());
+            assert_eq!(test.verdict(), verdict);
+        }
     }
 
     #[test]

@@ -424,7 +424,7 @@ mod tests {
     }
 
     #[test]
-    fn a_crystal_of_24_mhz_gives_160_and_80_mhz_once_the_pll_has_locked() {
+    fn crystal_of_24_mhz_gives_160_and_80_mhz_after_the_pll_locks() {
         let mut rcc = Rcc::new(Frequency(24_000_000), Frequency(32_000));
         assert_eq!(rcc.clocks().core, Frequency(16_000_000));
         with(&mut rcc, Time::ZERO, CR, 0x0001_0500);
@@ -445,7 +445,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lost_crystal_is_survived_with_the_clock_security_system_only() {
+    fn lost_crystal_needs_the_clock_security_system() {
         let mut rcc = Rcc::new(Frequency(24_000_000), Frequency(32_000));
         with(&mut rcc, Time::ZERO, CR, 0x0001_0500);
         with(&mut rcc, Time::from_ms(2), CFGR, 2);

@@ -5,9 +5,6 @@ use crate::html::fixture::{comparison, full};
 use analysis::compare::{Envelope, Trace};
 use analysis::data_quality::Finding;
 
-/// Where a browser's check wants the page; `.ci/report` reads it.
-const PAGE: &str = "MAGPIE_REPORT_PAGE";
-
 #[test]
 fn sections_are_in_order() {
     let page = page(&full(3));
@@ -30,17 +27,6 @@ fn sections_are_in_order() {
     .map(|part| page.find(part).unwrap_or_else(|| panic!("{part} is missing")))
     .collect();
     assert!(places.is_sorted(), "{places:?}");
-}
-
-#[test]
-fn page_is_written_for_a_browser_check() {
-    let recordings =
-        std::env::var("MAGPIE_REPORT_RECORDINGS").ok().and_then(|n| n.parse().ok()).unwrap_or(3);
-    if let Ok(path) = std::env::var(PAGE) {
-        let path = Path::new(&path);
-        write(path, &full(recordings), &[]).unwrap();
-        write(&path.with_extension("one.html"), &comparison(recordings, 4, 4.0), &[]).unwrap();
-    }
 }
 
 #[test]

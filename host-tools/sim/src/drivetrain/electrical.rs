@@ -327,14 +327,15 @@ mod tests {
     }
 
     #[test]
-    fn dead_time_shifts_the_duty_against_the_current() {
-        let shares = step_driven([0.5, 0.5, 0.5], [5.0, -5.0, 0.0]);
-        assert_eq!(shares, [0.49, 0.51, 0.5]);
-    }
-
-    #[test]
-    fn leg_without_switching_has_no_dead_time() {
-        assert_eq!(step_driven([0.0, 1.0, f32::NAN], [-5.0, 5.0, 5.0]), [0.0, 1.0, 0.0]);
+    fn dead_time_shifts_switching_legs_against_the_current() {
+        let cases = [
+            ([0.5, 0.5, 0.5], [5.0, -5.0, 0.0], [0.49, 0.51, 0.5]),
+            // Without switching there is no dead time.
+            ([0.0, 1.0, f32::NAN], [-5.0, 5.0, 5.0], [0.0, 1.0, 0.0]),
+        ];
+        for (duties, currents_a, shares) in cases {
+            assert_eq!(step_driven(duties, currents_a), shares, "{duties:?}");
+        }
     }
 
     const SUPPLY: Supply = Supply { voltage_v: 24.0, resistance_ohm: 0.1, capacitance_f: 470e-6 };

@@ -19,7 +19,7 @@ fn cycles(program: &[u16]) -> [u64; 3] {
 
 #[test]
 fn instructions_take_the_cycles_of_their_class() {
-    let cases: [(&str, &[u16], [u64; 3]); 18] = [
+    let cases: [(&str, &[u16], [u64; 3]); 23] = [
         ("nop", &[0xBF00], [1, 1, 1]),
         ("adds r0, #1", &[0x3001], [1, 1, 1]),
         ("ldr r0, [r1]", &[0x6808], [2, 2, 2]),
@@ -39,29 +39,17 @@ fn instructions_take_the_cycles_of_their_class() {
         ("vdiv.f32 s0, s0, s0", &[0xEE80, 0x0A00], [14, 14, 14]),
         ("vldr s0, [r1]", &[0xED91, 0x0A00], [2, 2, 2]),
         ("vldmia r1, {s0-s3}", &[0xEC91, 0x0A04], [5, 5, 5]),
+        // Data in flash.
+        ("ldr r0, [r2]", &[0x6810], [2, 3, 6]),
+        ("ldr r0, [pc]", &[0x4800], [2, 3, 6]),
+        ("ldrd r4, r5, [r2]", &[0xE9D2, 0x4500], [3, 5, 11]),
+        // Not taken, and a failed condition: one cycle.
+        ("cmp r3, #0; beq . + 2", &[0x2B00, 0xD0FF], [2, 2, 2]),
+        ("cmp r3, #0; it eq; ldreq r0, [r2]", &[0x2B00, 0xBF08, 0x6810], [3, 3, 3]),
     ];
     for (mnemonic, program, expected) in cases {
         assert_eq!(cycles(program), expected, "{mnemonic}");
     }
-}
-
-#[test]
-fn data_in_flash_waits() {
-    assert_eq!(cycles(&[0x6810]), [2, 3, 6]); // ldr r0, [r2]
-    assert_eq!(cycles(&[0x4800]), [2, 3, 6]); // ldr r0, [pc]
-    assert_eq!(cycles(&[0xE9D2, 0x4500]), [3, 5, 11]); // ldrd r4, r5, [r2]
-}
-
-#[test]
-fn untaken_branch_takes_one_cycle() {
-    // cmp r3, #0; beq . + 2
-    assert_eq!(cycles(&[0x2B00, 0xD0FF]), [2, 2, 2]);
-}
-
-#[test]
-fn failed_condition_takes_one_cycle() {
-    // cmp r3, #0; it eq; ldreq r0, [r2]
-    assert_eq!(cycles(&[0x2B00, 0xBF08, 0x6810]), [3, 3, 3]);
 }
 
 #[test]

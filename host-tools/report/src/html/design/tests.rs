@@ -31,7 +31,7 @@ fn sweep_page_shows_designs_and_the_pareto_front() {
 }
 
 #[test]
-fn the_paper_s_page_marks_every_statement_and_draws_every_figure() {
+fn page_of_the_paper_has_every_claim_and_every_figure() {
     let paper = PaperResults::of(32, &around(), || {});
     let page = page_of("paper", &of_paper(&paper));
     let marked = ["reproduced", "not reproduced", "impossible as stated"];

@@ -1,12 +1,7 @@
-use std::path::Path;
-
 use super::*;
 use crate::html::fixture::comparison;
-use crate::html::{page_with, write};
+use crate::html::page_with;
 use crate::text::diagnosis_fixture::full;
-
-/// Environment variable with the path of a page for a browser check.
-const PAGE: &str = "MAGPIE_REPORT_PAGE";
 
 fn page(diagnosis: &Diagnosis) -> String {
     page_with(&comparison(1, 4, 4.0), &sections(diagnosis))
@@ -91,13 +86,5 @@ fn invalid_numbers_are_not_drawn() {
         for word in ["NaN", "inf,", "inf ", "\"inf", "-2147483648", "2147483647"] {
             assert!(!section.contains(word), "{word} in {id}");
         }
-    }
-}
-
-#[test]
-fn page_is_written_for_a_browser_check() {
-    if let Ok(path) = std::env::var(PAGE) {
-        let path = Path::new(&path).with_extension("diagnosis.html");
-        write(&path, &comparison(1, 4, 4.0), &sections(&full())).unwrap();
     }
 }

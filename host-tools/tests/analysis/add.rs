@@ -1,0 +1,174 @@
+//! `magpie effects`, `add`, `remove`, and models with effects in `replay` and `export`.
+
+use model_export::effects::CATALOGUE;
+use serde_json::Value;
+
+use crate::workdir::{WorkDir, campaign, text};
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().unwrap_or(f64::NAN)
+}
+
+/// A campaign and the model `model.toml` fitted to it.
+struct Fitted {
+    dir: WorkDir,
+    campaign: String,
+}
+
+impl Fitted {
+    fn of(name: &str) -> Self {
+        Self { dir: WorkDir::with_model(name), campaign: campaign(name) }
+    }
+
+    fn words<'a>(&'a self, more: &[&'a str]) -> Vec<&'a str> {
+        [&["add", "model.toml", &self.campaign], more].concat()
+    }
+
+    fn add(&self, more: &[&str]) -> Value {
+        self.dir.json(&[&self.words(more)[..], &["--json"]].concat())
+    }
+}
+
+fn before_and_after(added: &Value, what: &str) -> (f64, f64) {
+    (number(&added["before"][what]), number(&added["after"][what]))
+}
+
+/// Held-out error over floor after adding.
+fn over_floor(added: &Value) -> f64 {
+    number(&added["after"]["held_out_rms_g"]) / number(&added["floor_g"])
+}
+
+#[test]
+fn added_friction_and_temperature_reach_the_floor() {
+    let fitted = Fitted::of("friction");
+    let added = fitted.add(&["hysteresis", "magnet_temperature", "-o", "new.toml"]);
+    let (before, after) = before_and_after(&added, "held_out_rms_g");
+    assert!(before > 3.0 && after < 0.2, "{before} {after}");
+    assert!((0.95..=1.1).contains(&over_floor(&added)), "{}", over_floor(&added));
+    let (before, after) =
+        (number(&added["device"]["before_rmse_n"]), number(&added["device"]["after_rmse_n"]));
+    assert!(before > 2.0 && (0.4..0.6).contains(&after), "{before} {after}");
+    let effects = added["effects"].as_array().unwrap();
+    assert_eq!(effects[1]["unit"], "%/K");
+    // Neodymium: -0.08 to -0.13 %/K.
+    assert!((-0.13..-0.08).contains(&number(&effects[1]["value"])), "{}", effects[1]);
+    assert!(effects.iter().all(|effect| effect["plausible"] == true));
+
+    // The replay of the written model agrees, and reports the benefit of the compensation.
+    let replayed = fitted.dir.json(&["replay", "new.toml", &fitted.campaign, "--json"]);
+    assert!(number(&replayed["rmse_n"]) < 0.6 && number(&replayed["uncompensated_rmse_n"]) > 2.0);
+
+    // Without the effect the error is as before.
+    let remove = ["drop", "new.toml", &fitted.campaign, "magnet_temperature", "--json"];
+    let dropped = fitted.dir.json(&remove);
+    let (with, without) = before_and_after(&dropped, "held_out_rms_g");
+    assert!((with - after_g(&added)).abs() < 1e-9 && without > 1.0, "{with} {without}");
+}
+
+fn after_g(added: &Value) -> f64 {
+    number(&added["after"]["held_out_rms_g"])
+}
+
+#[test]
+fn added_neighbour_magnet_reaches_the_floor() {
+    let added = Fitted::of("demo").add(&["neighbour_magnet"]);
+    assert!((0.95..=1.1).contains(&over_floor(&added)), "{}", over_floor(&added));
+    let (before, after) =
+        (number(&added["device"]["before_rmse_n"]), number(&added["device"]["after_rmse_n"]));
+    assert!(after < 0.95 * before && after < 0.5, "{before} {after}");
+}
+
+#[test]
+fn user_formula_of_a_ripple_runs_on_the_device() {
+    let fitted = Fitted::of("ripple");
+    let formula = "ripple: dz_um = a*sin(2*pi*opening_mm/p) + b*cos(2*pi*opening_mm/p)";
+    let added = fitted.add(&["--expr", formula, "--range", "p=2..5", "-o", "new.toml"]);
+    assert!((0.95..=1.1).contains(&over_floor(&added)), "{}", over_floor(&added));
+    for sensor in added["effects"][0]["sensors"].as_array().unwrap() {
+        // The screw of recording.toml: 3.213 mm to a turn.
+        let period = number(&sensor["parameters"]["p"]["value"]);
+        assert!((3.21..3.216).contains(&period), "{period}");
+    }
+    let (before, after) =
+        (number(&added["device"]["before_rmse_n"]), number(&added["device"]["after_rmse_n"]));
+    assert!(before > 2.0 && after < 0.6, "{before} {after}");
+    fitted.dir.stdout("export new.toml -o tables.rs");
+    assert!(fitted.dir.read("tables.rs").contains("covariate: Covariate::Opening"));
+}
+
+#[test]
+fn absent_effect_is_reported_without_gain() {
+    let fitted = Fitted::of("clean");
+    for effect in
+        ["hysteresis", "neighbour_magnet", "magnet_temperature", "clock_skew", "tip_slope"]
+    {
+        let added = fitted.add(&[effect]);
+        let (before, after) = before_and_after(&added, "held_out_rms_g");
+        assert!(after > 0.995 * before, "{effect}: {before} {after}");
+        let verdict = added["verdict"].as_str().unwrap();
+        assert!(verdict.starts_with("Nothing gained") && verdict.contains(effect), "{verdict}");
+    }
+}
+
+#[test]
+fn simulated_effect_is_estimated_within_three_sigma() {
+    for (effect, seed) in [("viscous_lag", "5"), ("fingertip_mass", "6"), ("thermal_gap", "7")] {
+        let dir = WorkDir::empty();
+        let simulate = format!("simulate -o campaign --effect {effect} --seed {seed}");
+        dir.stdout(&format!("{simulate} --sensors 2 --seconds 20"));
+        let truth: toml::Table = dir.read("campaign-truth.toml").parse().unwrap();
+        let size = truth["effect"][0]["size"].as_float().unwrap();
+        dir.stdout("fit campaign -o model.toml");
+        let added = Fitted { dir, campaign: "campaign".to_owned() }.add(&[effect]);
+        let (value, error) =
+            (number(&added["effects"][0]["value"]), number(&added["effects"][0]["std_error"]));
+        assert!((value - size).abs() <= 3.0 * error, "{effect}: {value} ± {error}, truth {size}");
+        assert!(error < 0.2 * size.abs(), "{effect}: a standard error of {error}");
+        assert!(over_floor(&added) <= 1.1, "{effect}: {}", over_floor(&added));
+    }
+}
+
+#[test]
+fn invalid_effect_is_refused_with_a_reason() {
+    let fitted = Fitted::of("clean");
+    for (more, words) in [
+        (&["histeresis"][..], "did you mean hysteresis?"),
+        (&[][..], "name an effect"),
+        (&["creep", "creep"], "given twice"),
+        (&["screw_backlash"], "add neighbour_magnet before"),
+        (&["--expr", "r: dz_um = a*sin(opening_mm*b)"], "--range b="),
+        (&["--expr", "r: dz_um = a*opening_mm", "--range", "q=1..2"], "no formula has such a name"),
+    ] {
+        let message = fitted.dir.failure(&fitted.words(more));
+        assert!(message.contains(words), "{more:?}: {message}");
+    }
+    let message = fitted.dir.failure(&["drop", "model.toml", &fitted.campaign, "creep"]);
+    assert!(message.contains("it has no effects"), "{message}");
+}
+
+#[test]
+fn export_refuses_formula_unknown_to_the_board() {
+    let fitted = Fitted::of("ripple");
+    fitted.add(&["--expr", "slow: by_g = a*time_s", "-o", "new.toml"]);
+    let message = fitted.dir.failure("export new.toml -o tables.rs");
+    let is_named = message.contains("slow") && message.contains("the board does not know time_s");
+    assert!(is_named, "{message}");
+}
+
+#[test]
+fn every_effect_is_listed_and_documented() {
+    let dir = WorkDir::empty();
+    let listed = dir.json("effects --json");
+    let effects = listed["effects"].as_array().unwrap();
+    assert_eq!(effects.len(), CATALOGUE.len());
+    for effect in effects {
+        let name = effect["effect"].as_str().unwrap();
+        let text = text(&dir.stdout(&["effects", name]));
+        for words in ["Requires:", "Magnitude:", "To identify it:", "Confused with", "Compensated:"]
+        {
+            assert!(text.contains(words), "{name}: no {words}");
+        }
+        assert!(text.lines().all(|line| line.chars().count() <= 130), "{name}");
+        assert!(effect["physics"].as_str().unwrap().len() > 200, "{name} is hardly explained");
+    }
+}

@@ -1,0 +1,186 @@
+//! `magpie compare` on recordings with effects that the model does not have.
+
+use std::path::Path;
+
+use analysis::compare::Comparison;
+use analysis::compare::pipeline::compare;
+use analysis::compare::{floor_g, rms_g};
+use model_export::fit::FitOptions;
+use model_export::recordings::align::Alignment;
+use report::text::comparison::verdict;
+use serde_json::Value;
+use tests::campaign_copy::CampaignCopy;
+use tests::data;
+
+use crate::workdir::{WorkDir, campaign, fitted_model, text};
+
+fn compared(model: &Path, campaign: &str) -> Comparison {
+    let alignment = Alignment { delay_us: 0.0 };
+    compare(model, &data(campaign), None, alignment, FitOptions::default()).unwrap()
+}
+
+fn chosen(comparison: &Comparison) -> Vec<(String, f64)> {
+    let chosen = comparison.located.iter().filter(|located| located.chosen);
+    chosen.map(|located| (located.covariate.to_string(), located.share)).collect()
+}
+
+#[test]
+fn neighbour_magnet_is_attributed_to_the_opening() {
+    let comparison = compared(&fitted_model("demo"), "demo");
+    let (covariate, share) = chosen(&comparison).remove(0);
+    assert_eq!(covariate, "opening_mm");
+    assert!((0.45..=1.0).contains(&share), "{share}");
+    assert!(verdict(&comparison).starts_with("Structure remains"), "{}", verdict(&comparison));
+    assert!(verdict(&comparison).contains("follows the opening, most of it below"));
+}
+
+#[test]
+fn temperature_is_attributed_before_friction() {
+    let comparison = compared(&fitted_model("friction"), "friction");
+    let chosen = chosen(&comparison);
+    assert_eq!(chosen[0].0, "temp_c", "{chosen:?}");
+    let loading = ["loading_x", "loading_z", "fx_rate_n_per_s", "fz_rate_n_per_s"];
+    assert!(loading.contains(&chosen[1].0.as_str()), "{chosen:?}");
+}
+
+#[test]
+fn screw_ripple_is_attributed_to_the_rotor_angle() {
+    let (covariate, share) = chosen(&compared(&fitted_model("ripple"), "ripple")).remove(0);
+    assert_eq!(covariate, "motor_angle_rad");
+    assert!(share > 0.8, "{share}");
+}
+
+#[test]
+fn clean_recordings_reach_the_floor_without_attribution() {
+    let comparison = compared(&fitted_model("clean"), "clean");
+    assert!(comparison.located.len() > 15, "every varying covariate is evaluated");
+    for located in &comparison.located {
+        assert!(located.share < 0.05 && !located.chosen, "{located:?}");
+    }
+    assert!(verdict(&comparison).starts_with("At the noise floor"), "{}", verdict(&comparison));
+    let ratio = rms_g(&comparison.axes) / floor_g(&comparison.axes);
+    assert!((0.9..1.05).contains(&ratio), "{ratio}");
+    // The sensor's 0.35 G over some ten averaged rows, and its word of 0.125 G.
+    let floor = comparison.axes[0].floor;
+    assert!((0.10..0.12).contains(&floor.white), "{floor:?}");
+    assert!((0.009..0.013).contains(&floor.quantisation), "{floor:?}");
+    for force in &comparison.forces {
+        assert!(force.error.rms < 1.2 * force.floor, "{force:?}");
+        assert!(force.error.rms > 0.8 * force.floor, "{force:?}");
+    }
+}
+
+#[test]
+fn confidence_intervals_of_noise_contain_zero() {
+    let comparison = compared(&fitted_model("clean"), "clean");
+    let quantities = comparison.located.iter().filter(|located| located.bins.len() == 12);
+    let bands = quantities.flat_map(|l| &l.bins).flat_map(|bin| bin.band_g.iter().flatten());
+    let (mut inside, mut all) = (0, 0);
+    for (low, high) in bands {
+        all += 1;
+        inside += usize::from(*low <= 0.0 && 0.0 <= *high);
+    }
+    let share = f64::from(inside as u32) / f64::from(all as u32);
+    assert!(all > 1000 && (0.85..0.99).contains(&share), "{share} of {all}");
+}
+
+#[test]
+fn worst_interval_is_at_the_smallest_opening() {
+    let comparison = compared(&fitted_model("demo"), "demo");
+    assert_eq!(comparison.worst.len(), 5);
+    assert!(comparison.worst.is_sorted_by(|a, b| a.rms_g >= b.rms_g));
+    let opening: f64 = {
+        let doing = &comparison.worst[0].doing;
+        let word = doing.split("opening ").nth(1).unwrap();
+        word.split(' ').next().unwrap().parse().unwrap()
+    };
+    assert!(opening < 10.0, "{:?}", comparison.worst[0]);
+}
+
+#[test]
+fn edited_model_is_evaluated_unchanged() {
+    let dir = WorkDir::with_model("clean");
+    let mut toml: toml::Table = dir.read("model.toml").parse().unwrap();
+    let sensor = &mut toml["sensor"].as_array_mut().unwrap()[0];
+    let bias = &mut sensor["parameters"]["bias_y"]["value"];
+    *bias = toml::Value::Float(bias.as_float().unwrap() + 5.0);
+    let edited = dir.path("edited.toml");
+    std::fs::write(&edited, toml.to_string()).unwrap();
+    let comparison = compared(&edited, "clean");
+    assert!(comparison.validation.contains("used unchanged"), "{}", comparison.validation);
+    let y = &comparison.axes[1];
+    assert!((4.9..5.1).contains(&y.error.mean.abs()), "{y:?}");
+}
+
+#[test]
+fn unseen_recordings_use_the_models_own_parameters() {
+    let comparison = compared(&fitted_model("demo"), "clean");
+    assert!(comparison.validation.contains("not fitted to any"), "{}", comparison.validation);
+    assert!(verdict(&comparison).starts_with("Structure remains"));
+}
+
+#[test]
+fn json_has_all_documented_keys() {
+    let dir = WorkDir::with_model("clean");
+    let campaign = campaign("clean");
+    let arguments = ["compare", "model.toml", &campaign, "--json", "--with", "model.toml"];
+    let object = dir.json(&arguments);
+    assert_eq!(object["axes"].as_array().unwrap().len(), 12);
+    assert_eq!(object["forces"].as_array().unwrap().len(), 8);
+    let axis = &object["axes"][0];
+    assert_eq!((axis["sensor"].as_u64(), axis["axis"].as_str()), (Some(0), Some("x")));
+    for key in ["rms_g", "mean_g", "std_g", "p95_g", "max_g", "floor_g", "explainable_g"] {
+        assert!(axis[key].is_f64(), "{key}");
+    }
+    for key in ["rmse_n", "mean_n", "std_n", "p95_n", "max_n", "explainable_n"] {
+        assert!(object["forces"][0][key].is_f64(), "{key}");
+    }
+    assert_eq!(object["findings"], Value::Array(Vec::new()));
+    assert_eq!(object["with"]["axes"], object["axes"], "equal models have equal figures");
+    assert!(object["where"][0]["bins"].as_array().unwrap().len() > 1);
+}
+
+#[test]
+fn piped_output_is_narrow_and_without_colour() {
+    let dir = WorkDir::with_model("demo");
+    let page = text(&dir.run(&["compare", "model.toml", &campaign("demo")]).stdout);
+    assert!(!page.contains('\u{1b}'));
+    for line in page.lines() {
+        assert!(line.chars().count() <= 100, "{line}");
+    }
+    assert!(page.contains("Structure remains"));
+}
+
+#[test]
+fn setup_error_stops_the_comparison_until_fixed() {
+    let dir = WorkDir::with_model("clean");
+    let spoilt = CampaignCopy::new().change(&[1, 2, 3], "hall.csv", |cells| {
+        cells.exchange("s1_x_lsb", "s1_z_lsb");
+    });
+    let shown = spoilt.path().display().to_string();
+    let arguments = ["compare", "model.toml", &shown, "--json", "--fix", "corrected"];
+    let output = dir.run(&[&arguments[..], &["-o", "page.html"]].concat());
+    let object: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let first = &object["findings"][0];
+    assert_eq!(first["id"], "axis_permuted");
+    assert_eq!(first["column"], "s1_x_lsb");
+    assert_eq!(object["axes"], Value::Array(Vec::new()));
+    assert!(object["verdict"].as_str().unwrap().starts_with("Not compared"));
+    assert!(dir.read("page.html").contains("s1_x_lsb is recorded as"));
+    let (model, corrected) = (dir.path("model.toml"), dir.path("corrected"));
+    let comparison =
+        compare(&model, &corrected, None, Alignment { delay_us: 0.0 }, FitOptions::default());
+    let comparison = comparison.unwrap();
+    assert!(comparison.findings.is_empty(), "{:?}", comparison.findings);
+    assert!(verdict(&comparison).starts_with("At the noise floor"), "{}", verdict(&comparison));
+}
+
+#[test]
+fn constant_offset_is_not_attributed_to_a_covariate() {
+    let comparison = compared(&fitted_model("demo"), "clean");
+    let (covariate, share) = chosen(&comparison).remove(0);
+    assert_eq!(covariate, "constant");
+    // Two grippers of one design: their fields at rest differ by far more than their slopes.
+    assert!(share > 0.5, "{share}");
+    assert!(verdict(&comparison).contains("another gripper"), "{}", verdict(&comparison));
+}

@@ -1,0 +1,100 @@
+//! `magpie diagnose` on the repository's campaigns, with and without an effect.
+
+use serde_json::Value;
+
+use crate::workdir::{WorkDir, campaign, text};
+
+/// Diagnosis of a campaign with the model fitted to it.
+fn diagnosed(name: &str, more: &[&str]) -> Value {
+    let arguments = ["diagnose", "model.toml", &campaign(name), "--json"];
+    WorkDir::with_model(name).json(&[&arguments[..], more].concat())
+}
+
+fn names(step: &Value) -> Vec<&str> {
+    step.as_array().unwrap().iter().map(|name| name.as_str().unwrap()).collect()
+}
+
+fn verdict<'a>(diagnosis: &'a Value, effect: &str) -> &'a Value {
+    let verdicts = diagnosis["verdicts"].as_array().unwrap();
+    verdicts.iter().find(|verdict| verdict["effect"] == effect).unwrap()
+}
+
+/// Held-out error on each step, in floors.
+fn staircase(diagnosis: &Value) -> Vec<f64> {
+    let number = |value: &Value| value.as_f64().unwrap();
+    let stairs = diagnosis["staircase"].as_array().unwrap().iter();
+    stairs.map(|stair| number(&stair["held_out_rms_g"]) / number(&stair["floor_g"])).collect()
+}
+
+#[test]
+fn report_contains_diagnosis_and_comparison() {
+    let (dir, campaign) = (WorkDir::with_model("demo"), campaign("demo"));
+    let stdout = dir.stdout(&["diagnose", "model.toml", &campaign, "-o", "report.html"]);
+    let next = format!("magpie add model.toml {campaign} neighbour_magnet -o ");
+    assert!(text(&stdout).contains(&next), "{}", text(&stdout));
+    let text = dir.read("report.html");
+    assert!(text.starts_with("<!-- report of magpie -->"));
+    for part in [
+        "<section id=\"diagnosis\">",
+        "<section id=\"staircase\">",
+        "what neighbour_magnet took away",
+        "over the opening",
+        "<section id=\"overlay\"",
+    ] {
+        assert!(text.contains(part), "{part}");
+    }
+}
+
+#[test]
+fn clean_recordings_give_no_effect() {
+    let diagnosis = diagnosed("clean", &[]);
+    assert_eq!(diagnosis["accepted"], Value::Array(Vec::new()), "{}", diagnosis["verdict"]);
+    assert_eq!(diagnosis["at_floor"], true);
+    assert_eq!(diagnosis["unexplained"], Value::Array(Vec::new()));
+    // Testable here: a neighbour magnet of typical magnitude would be detected.
+    assert_eq!(verdict(&diagnosis, "neighbour_magnet")["verdict"], "absent");
+}
+
+#[test]
+fn neighbour_magnet_is_found() {
+    let diagnosis = diagnosed("demo", &[]);
+    let accepted = diagnosis["accepted"].as_array().unwrap();
+    assert_eq!(names(&accepted[0]), ["neighbour_magnet"], "{}", diagnosis["verdict"]);
+    let found = verdict(&diagnosis, "neighbour_magnet");
+    assert_eq!(found["verdict"], "found");
+    // As `add` fits it: 2.88 G at an opening of 10 mm.
+    let value = found["value"].as_f64().unwrap();
+    assert!((2.7..3.1).contains(&value), "{value}");
+    let stairs = staircase(&diagnosis);
+    assert!(stairs[0] > 5.0 && *stairs.last().unwrap() < 1.15, "{stairs:?}");
+}
+
+#[test]
+fn friction_and_magnet_temperature_are_both_found() {
+    let diagnosis = diagnosed("friction", &[]);
+    let accepted = diagnosis["accepted"].as_array().unwrap();
+    let all: Vec<Vec<&str>> = accepted.iter().map(names).collect();
+    assert!(all.contains(&vec!["hysteresis"]), "{all:?}");
+    assert!(all.iter().any(|step| step.contains(&"magnet_temperature")), "{all:?}");
+    assert_eq!(all.len(), 2, "{all:?}");
+    assert!(*staircase(&diagnosis).last().unwrap() < 1.15);
+}
+
+#[test]
+fn unknown_effect_is_attributed_but_not_named() {
+    let diagnosis = diagnosed("ripple", &[]);
+    assert_eq!(diagnosis["accepted"], Value::Array(Vec::new()), "{}", diagnosis["verdict"]);
+    assert_eq!(diagnosis["at_floor"], false);
+    let first = &diagnosis["unexplained"][0];
+    assert_eq!(first["covariate"], "motor_angle_rad");
+    assert!(first["share"].as_f64().unwrap() > 0.8, "{first}");
+}
+
+#[test]
+fn user_formula_is_found_like_any_effect() {
+    let formula = "ripple: dz_um = a*sin(2*pi*opening_mm/p) + b*cos(2*pi*opening_mm/p)";
+    let diagnosis = diagnosed("ripple", &["--range", "p=2..5", "--expr", formula]);
+    let accepted = diagnosis["accepted"].as_array().unwrap();
+    assert_eq!(names(&accepted[0]), ["ripple"], "{}", diagnosis["verdict"]);
+    assert!(*staircase(&diagnosis).last().unwrap() < 1.15);
+}

@@ -1,0 +1,153 @@
+//! `magpie diagnose` on equivalent inputs and on simulated recordings: a small fixed part of the acceptance run
+//! `diagnosis`.
+
+use std::path::Path;
+
+use serde_json::Value;
+use tests::campaign_copy::{CampaignCopy, CsvTable};
+
+use crate::workdir::WorkDir;
+
+/// Diagnosis of a campaign with a model fitted to it.
+fn diagnosed(campaign: &Path) -> Value {
+    let (dir, campaign) = (WorkDir::empty(), campaign.display().to_string());
+    dir.stdout(&["fit", &campaign, "-o", "model.toml"]);
+    dir.json(&["diagnose", "model.toml", &campaign, "--json"])
+}
+
+/// Diagnosis of a simulated campaign of three recordings of 30 s.
+fn simulated(arguments: &str) -> Value {
+    let dir = WorkDir::empty();
+    dir.stdout(&format!("simulate -o campaign {arguments}"));
+    diagnosed(&dir.path("campaign"))
+}
+
+fn accepted(diagnosis: &Value) -> Vec<Vec<&str>> {
+    let steps = diagnosis["accepted"].as_array().unwrap().iter();
+    steps
+        .map(|step| {
+            let names = step.as_array().unwrap().iter();
+            names.map(|name| name.as_str().unwrap()).collect()
+        })
+        .collect()
+}
+
+fn verdict<'a>(diagnosis: &'a Value, effect: &str) -> &'a str {
+    let mut verdicts = diagnosis["verdicts"].as_array().unwrap().iter();
+    let own = verdicts.find(|verdict| verdict["effect"] == effect).unwrap();
+    own["verdict"].as_str().unwrap()
+}
+
+fn gain(diagnosis: &Value) -> f64 {
+    diagnosis["verdicts"][0]["gain"].as_f64().unwrap()
+}
+
+#[test]
+fn diagnosis_is_invariant_to_order_and_offset() {
+    let variants = [
+        CampaignCopy::of("demo"),
+        CampaignCopy::of("demo").exchange_recordings(1, 3),
+        CampaignCopy::of("demo")
+            .change(&[1, 2, 3], "hall.csv", |cells: &mut CsvTable| {
+                for axis in ["x_lsb", "y_lsb", "z_lsb", "temp_c"] {
+                    cells.exchange(&format!("s0_{axis}"), &format!("s2_{axis}"));
+                }
+            })
+            .change(&[1, 2, 3], "force.csv", |cells: &mut CsvTable| {
+                for axis in ["x_n", "z_n"] {
+                    cells.exchange(&format!("f0_{axis}"), &format!("f2_{axis}"));
+                }
+            }),
+        CampaignCopy::of("demo").change(&[1, 2, 3], "hall.csv", |cells: &mut CsvTable| {
+            cells.change("opening_mm", |_, mm| format!("{:.4}", mm + 3.0));
+        }),
+    ];
+    let gains = variants.map(|campaign| {
+        let diagnosis = diagnosed(&campaign.path());
+        assert_eq!(accepted(&diagnosis), [["neighbour_magnet"]]);
+        gain(&diagnosis)
+    });
+    for other in gains {
+        assert!((other - gains[0]).abs() < 0.01, "{gains:?}");
+    }
+}
+
+#[test]
+fn reversed_covariate_loses_its_effect() {
+    let campaign =
+        CampaignCopy::of("demo").change(&[1, 2, 3], "hall.csv", |cells: &mut CsvTable| {
+            let backwards: Vec<f64> = cells.numbers("opening_mm").into_iter().rev().collect();
+            cells.change("opening_mm", |row, _| format!("{:.4}", backwards[row]));
+        });
+    let diagnosis = diagnosed(&campaign.path());
+    let named = accepted(&diagnosis).concat();
+    assert!(!named.contains(&"neighbour_magnet"), "{named:?}");
+    assert_eq!(diagnosis["at_floor"], false);
+}
+
+#[test]
+fn third_of_a_typical_mass_is_found() {
+    let diagnosis = simulated("--seed 5 --effect fingertip_mass=0.03");
+    assert_eq!(accepted(&diagnosis), [["fingertip_mass"]]);
+}
+
+#[test]
+fn correlated_noise_gives_no_effect() {
+    for (noise, seed) in [("ar1", 3), ("walk", 4), ("walk", 5)] {
+        let diagnosis = simulated(&format!("--seed {seed} --noise {noise}"));
+        let none: [[&str; 1]; 0] = [];
+        assert_eq!(accepted(&diagnosis), none, "{noise}");
+    }
+}
+
+#[test]
+fn constant_covariate_is_inconclusive_with_suggestion() {
+    let diagnosis = simulated("--programme still --effect neighbour_magnet");
+    assert_eq!(verdict(&diagnosis, "neighbour_magnet"), "not_judgeable");
+    let verdicts = diagnosis["verdicts"].as_array().unwrap();
+    let open = verdicts.iter().filter(|v| v["verdict"] == "not_judgeable");
+    assert!(open.clone().count() >= 3);
+    for verdict in open {
+        assert!(!verdict["record"].as_str().unwrap().is_empty(), "{verdict}");
+    }
+}
+
+#[test]
+fn indistinguishable_effects_are_tied() {
+    for (programme, simulated_effect, other) in [
+        ("same-warm-up", "sensor_temperature", "field_drift"),
+        ("single-sine", "hysteresis", "viscous_lag"),
+    ] {
+        let line = format!("--programme {programme} --effect {simulated_effect}");
+        let diagnosis = simulated(&line);
+        for effect in [simulated_effect, other] {
+            assert_eq!(verdict(&diagnosis, effect), "tied", "{programme}: {effect}");
+        }
+    }
+}
+
+#[test]
+fn unrecorded_disturbance_gives_no_effect() {
+    for effect in ["unlogged", "cross_term"] {
+        let diagnosis = simulated(&format!("--seed 2 --effect {effect}"));
+        let none: [[&str; 1]; 0] = [];
+        assert_eq!(accepted(&diagnosis), none, "{effect}");
+        assert_eq!(diagnosis["at_floor"], false);
+    }
+}
+
+#[test]
+fn lag_of_one_flexure_is_estimated_by_sensor() {
+    // The reference of one lateral flexure is one row (10 ms) early: the field of that one lags.
+    let campaign =
+        CampaignCopy::of("clean").change(&[1, 2, 3], "force.csv", |cells: &mut CsvTable| {
+            let early: Vec<f64> = cells.numbers("f2_x_n").into_iter().skip(1).collect();
+            cells.change("f2_x_n", |row, last| format!("{:.3}", early.get(row).unwrap_or(&last)));
+        });
+    let diagnosis = diagnosed(&campaign.path());
+    assert_eq!(accepted(&diagnosis), [["viscous_lag"]], "{}", diagnosis["verdict"]);
+    let verdicts = diagnosis["verdicts"].as_array().unwrap();
+    let lag = verdicts.iter().find(|v| v["effect"] == "viscous_lag").unwrap();
+    let value = lag["value"].as_f64().unwrap();
+    assert!((9.0..11.0).contains(&value), "{value}");
+}

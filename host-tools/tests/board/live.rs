@@ -1,0 +1,314 @@
+//! A gripper watched and recorded while it runs, as a user meets it: the virtual board behind its line.
+
+use std::fs::File;
+use std::io::{Read, Write};
+use std::path::Path;
+use std::time::Duration;
+
+use device::recorder::{SensorRow, SensorRowAssembler};
+use device::source::packet;
+use embedded_can::Frame;
+use firmware::config::limits::DetectionLimits;
+use firmware::config::parameters::{Parameters, op};
+use firmware::config::schema::id;
+use firmware::protocol::DEFAULT_NODE;
+use firmware::protocol::messages::{Message, ParamRequest};
+use firmware::protocol::serial::{MAX_PACKET_BYTES, Packet, PacketDecoder, encode};
+use firmware::tasks::FIRST_TICK_US;
+use model_export::inverse::build::{ModelVariant, build};
+use model_export::recordings::Recording;
+use model_export::recordings::align::Alignment;
+use model_export::recordings::description::RecordingDescription;
+use model_export::recordings::stream::RawStream;
+use rustix::process::Signal;
+use serde_json::Value;
+use sim::board::world::PressedWorld;
+use sim::board::{Program, VirtualTimeBoard};
+use tests::data;
+
+use crate::workdir::WorkDir;
+use crate::workdir::running::Running;
+
+/// Folder with a model without effects.
+fn workdir() -> WorkDir {
+    WorkDir::with_model("clean")
+}
+
+fn board_s(object: &Value) -> f64 {
+    object["board_s"].as_f64().unwrap_or(0.0)
+}
+
+#[test]
+fn force_is_reported_within_its_noise_until_the_reader_ends() {
+    let dir = workdir();
+    let mut monitor =
+        Running::start(&dir, "monitor --virtual --model model.toml --press 20,-10 --json");
+    let output: Vec<Value> =
+        monitor.objects().skip_while(|object| board_s(object) < 0.5).take(25).collect();
+    for (sensor, x_n) in [20.0, 20.0, -20.0, -20.0].into_iter().enumerate() {
+        for (force, expected) in [("fx_n", x_n), ("fz_n", -10.0)] {
+            let values = output.iter().map(|object| {
+                let sensor = &object["sensors"][sensor];
+                assert_eq!(sensor["validity"], "valid");
+                sensor[force].as_f64().unwrap()
+            });
+            // White noise of one tick is 0.5 N at the most, the tables' error 0.2 N.
+            let mean = values.sum::<f64>() / output.len() as f64;
+            assert!((mean - expected).abs() < 0.7, "{sensor} {force}: {mean}");
+        }
+    }
+    let last = &output[output.len() - 1];
+    assert_eq!(last["faults"], Value::Array(Vec::new()));
+    assert_eq!(last["lost"]["broken_packets"], 0);
+    // A busy machine may lose one; what is counted but not sent would be a thousand a second.
+    assert!(last["lost"]["messages"].as_u64() < Some(20), "{last}");
+    assert_eq!(last["version"]["protocol"][0], 1);
+    assert_eq!(last["heartbeat"]["sensors_ok"], 0b1111);
+    assert!(last["load"]["worst_tick_us"].as_u64() > Some(200));
+    // The objects' reader is gone.
+    assert!(monitor.0.wait().unwrap().success());
+}
+
+#[test]
+fn unplugged_sensor_is_reported_within_milliseconds() {
+    let dir = workdir();
+    let line = "monitor --virtual --model model.toml --press 20,0 --unplug 2@1.5 --json";
+    let mut monitor = Running::start(&dir, line);
+    let faulty = monitor.objects().find(|object| {
+        assert!(board_s(object) < 60.0, "no fault is reported");
+        object["faults"][0]["name"] == "sensor lost" && board_s(object) > 1.6
+    });
+    let faulty = faulty.unwrap();
+    let fault = &faulty["faults"][0];
+    assert_eq!((&fault["code"], &fault["source"]), (&100.into(), &2.into()));
+    let reported_s = fault["since_board_s"].as_f64().unwrap();
+    assert!((1.5..1.51).contains(&reported_s), "{reported_s}");
+    assert_eq!(faulty["sensors"][2]["validity"], "no reading");
+    assert_eq!(faulty["sensors"][3]["validity"], "valid");
+}
+
+#[test]
+fn without_a_terminal_one_line_per_second_is_printed() {
+    let dir = workdir();
+    let line = "monitor --virtual --model model.toml --press 30,5 --seconds 2.5";
+    let output = String::from_utf8(dir.stdout(line)).unwrap();
+    let lines: Vec<&str> = output.lines().collect();
+    assert!(lines[0].contains("Fx, Fz 3 / N"), "{output}");
+    assert!((2..=3).contains(&lines.len()), "{output}");
+    assert!(!output.contains('\u{1b}'));
+}
+
+#[test]
+fn other_programs_use_the_virtual_board_line() {
+    let dir = workdir();
+    let mut monitor = Running::start(&dir, "monitor --virtual --model model.toml --seconds 60");
+    let (path, _said) = monitor.line();
+    let mut line = File::options().read(true).write(true).open(path).unwrap();
+    let request = Message::ParamRequest(ParamRequest {
+        op: op::READ,
+        id: id::FORCE_RATE,
+        ..ParamRequest::default()
+    });
+    let mut buffer = [0; MAX_PACKET_BYTES];
+    let asked = Packet::Message { copy: 0, message: request };
+    line.write_all(encode(&asked, &mut buffer).unwrap()).unwrap();
+    let mut receiver = PacketDecoder::default();
+    let (mut ticks, mut rate) = (Vec::new(), None);
+    let mut bytes = [0; 512];
+    while ticks.len() < 200 || rate.is_none() {
+        let count = line.read(&mut bytes).unwrap();
+        for byte in &bytes[..count] {
+            match receiver.push(*byte) {
+                Some(Packet::Tick(tick)) => ticks.push(tick.time_us),
+                Some(Packet::Message { message: Message::ParamReply(reply), .. }) => {
+                    rate = Some(reply.value)
+                }
+                _ => {}
+            }
+        }
+    }
+    assert_eq!(rate, Some(100));
+    assert!(ticks.windows(2).all(|pair| pair[1] > pair[0]));
+}
+
+/// Rows of the recording's own table, so that nothing between hides what is in it.
+fn rows(recording: &Path) -> Vec<Vec<i64>> {
+    let text = std::fs::read_to_string(recording.join("hall.csv")).unwrap_or_default();
+    let rows = text.lines().skip(1).map(|line| {
+        let cells = line.split(',').map(|cell| cell.trim().parse::<f64>());
+        cells.map(|cell| (1000.0 * cell.unwrap()) as i64).collect()
+    });
+    rows.collect()
+}
+
+/// Waits until a recording that is being made has so many rows.
+fn grown(recording: &Path, count: usize, running: &mut Running) -> Vec<Vec<i64>> {
+    loop {
+        let rows = rows(recording);
+        if rows.len() >= count {
+            return rows;
+        }
+        assert!(running.0.try_wait().unwrap().is_none(), "it ended by itself");
+        std::thread::sleep(Duration::from_millis(3));
+    }
+}
+
+#[test]
+fn recording_is_valid_when_the_recorder_is_killed() {
+    let dir = workdir();
+    for (number, wanted) in [1, 300, 850, 1333, 2100].into_iter().enumerate() {
+        let line = format!(
+            "record --virtual --model model.toml --press 10,5 -o killed/{number} --start-s 0"
+        );
+        let mut record = Running::start(&dir, &line);
+        let folder = dir.path(&format!("killed/{number}"));
+        let before = grown(&folder, wanted, &mut record);
+        // Not always right after a flush.
+        std::thread::sleep(Duration::from_millis(71 * number as u64));
+        record.signal(Signal::KILL);
+        record.0.wait().unwrap();
+        let after = rows(&folder);
+        assert_eq!(after[..before.len()], before);
+        assert!(after.windows(2).all(|pair| pair[1][0] - pair[0][0] == 1_000_000));
+        let recording = Recording::read(&folder, Alignment { delay_us: 0.0 }).unwrap();
+        assert_eq!(recording.rows_read.0 as usize, after.len());
+        assert!(recording.notices.is_empty(), "{:?}", recording.notices);
+    }
+}
+
+#[test]
+fn ctrl_c_ends_a_recording_without_overwriting() {
+    let dir = workdir();
+    let line = "record --virtual --model model.toml -o campaign/1 --note pressed --json";
+    let mut record = Running::start(&dir, line);
+    let folder = dir.path("campaign/1");
+    grown(&folder, 600, &mut record);
+    record.signal(Signal::INT);
+    let output = record.objects().next().unwrap();
+    assert!(record.0.wait().unwrap().success());
+    assert_eq!(output["rows"], rows(&folder).len());
+    assert_eq!((&output["lost_rows"], &output["left_out_rows"]), (&0.into(), &0.into()));
+    assert_eq!(output["sensors"], serde_json::json!([0, 1, 2, 3]));
+    let (description, notices) = RecordingDescription::read(&folder).unwrap();
+    assert!(notices.is_empty());
+    assert_eq!((description.description.as_str(), description.start_s), ("pressed", 0.0));
+    let message = dir.failure("record --virtual --model model.toml -o campaign/1");
+    assert!(message.contains("refusing to overwrite"), "{message}");
+    // The next one starts as long after it as the clock says.
+    let line = "record --virtual --model model.toml -o campaign/2 --seconds 1 --json";
+    let next = dir.json(line);
+    assert!(next["start_s"].as_f64() >= Some(0.0));
+}
+
+#[test]
+fn recorded_counts_equal_the_replayed_ones() {
+    let dir = workdir();
+    let (source, seconds) = (data("clean/1"), 3);
+    let source_copy = dir.path("source_copy");
+    std::fs::create_dir(&source_copy).unwrap();
+    std::fs::copy(source.join("recording.toml"), source_copy.join("recording.toml")).unwrap();
+    for (name, rate) in [("hall.csv", 1000), ("force.csv", 100)] {
+        let packed = File::open(source.join(format!("{name}.gz"))).unwrap();
+        let text = std::io::read_to_string(flate2::read::MultiGzDecoder::new(packed)).unwrap();
+        let lines: Vec<&str> = text.lines().take(1 + rate * seconds).collect();
+        std::fs::write(source_copy.join(name), lines.join("\n") + "\n").unwrap();
+    }
+    let output =
+        dir.json("record --virtual --model model.toml --replay source_copy -o again/1 --json");
+    assert_eq!((&output["lost_rows"], &output["left_out_rows"]), (&0.into(), &0.into()));
+    let fields = |folder: &Path| {
+        let mut stream = RawStream::open_folder(folder, Alignment { delay_us: 0.0 }).unwrap();
+        let channels = [0, 1, 2, 3].map(|sensor| stream.layout().field_channels(sensor).unwrap());
+        let mut rows = Vec::new();
+        while let Some(row) = stream.next_row().unwrap() {
+            rows.push(channels.map(|channels| channels.map(|channel| row.hall[channel])));
+        }
+        rows
+    };
+    let (source_copy, again) = (fields(&source_copy), fields(&dir.path("again/1")));
+    // While it was asked for its parameters the board went on; it ends with the recording.
+    let start = source_copy.iter().position(|row| *row == again[0]).unwrap();
+    let common = again.len().min(source_copy.len() - start);
+    assert!(common >= 1000, "{common} rows");
+    assert_eq!(again[..common], source_copy[start..start + common]);
+}
+
+#[test]
+fn can_bus_carries_the_readings_of_the_serial_line() {
+    let dir = workdir();
+    let built = build(&dir.path("model.toml"), ModelVariant::Fitted).unwrap();
+    let world = PressedWorld::new(&built.model, 7, |s| {
+        [[10.0 * s, 5.0], [1.0, 2.0], [-10.0 * s, 0.0], [3.0; 2]]
+    });
+    let mut parameters = Parameters::DEFAULT;
+    parameters.set(id::RAW, 1).unwrap();
+    parameters.set(id::FORCE_RATE, 250).unwrap();
+    let program = Program {
+        tables: built.chosen.tables.clone(),
+        compensations: built.compensations.clone(),
+        networks: None,
+        parameters,
+        limits: DetectionLimits::GRIPPER,
+    };
+    let mut board = VirtualTimeBoard::start(program, Box::new(world));
+    board.run_until(FIRST_TICK_US + 1_500_000);
+    let gathered = |mut rows: SensorRowAssembler, packets: Vec<(u64, Packet)>| -> Vec<SensorRow> {
+        let rows =
+            packets.iter().filter_map(|(us, packet)| rows.take(*us as f64 * 1e-6, packet).unwrap());
+        rows.collect()
+    };
+    let can = board.connections.can.borrow();
+    let frames = can.board_frames.iter().filter_map(|(us, frame)| {
+        packet(DEFAULT_NODE, frame.identifier(), frame.data()).map(|packet| (*us, packet))
+    });
+    let on_bus = gathered(SensorRowAssembler::of_sets(4000), frames.collect());
+    let mut receiver = PacketDecoder::default();
+    let line = board.connections.line.borrow();
+    let packets = line.sent.iter().filter_map(|byte| receiver.push(*byte));
+    let on_line =
+        gathered(SensorRowAssembler::of_ticks(), packets.map(|packet| (0, packet)).collect());
+    let start = on_line.iter().position(|row| row.readings == on_bus[0].readings).unwrap();
+    assert!(on_bus.len() > 370, "{}", on_bus.len());
+    // The bus tells no time: that comes from its counters. Either may leave a tick out, and then no later
+    // one may be taken for it.
+    let begun_us = on_line[start].time_us;
+    let mut compared = 0;
+    for row in &on_bus {
+        let at_once = |tick: &&SensorRow| tick.time_us - begun_us == row.time_us;
+        if let Some(tick) = on_line[start..].iter().find(at_once) {
+            assert_eq!(row.readings, tick.readings, "{} us", row.time_us);
+            compared += 1;
+        }
+    }
+    assert!(
+        compared > on_bus.len() * 95 / 100,
+        "{compared} of {} and {}",
+        on_bus.len(),
+        on_line.len()
+    );
+}
+
+#[test]
+fn unusable_ports_and_buses_are_errors_with_a_remedy() {
+    let dir = WorkDir::empty();
+    for (line, words) in [
+        ("monitor --port /dev/no-such-port", &["there is no such port; this computer has"][..]),
+        ("record --port /dev/null -o never", &["cannot be opened as a serial port"]),
+        ("monitor", &["--port", "--can", "--virtual"]),
+        ("monitor --can no-such-bus", &["no-such-bus: "]),
+        ("monitor --virtual --unplug 9@1", &["write SENSOR@SECONDS"]),
+    ] {
+        let message = dir.failure(line);
+        assert!(words.iter().all(|word| message.contains(word)), "{line}: {message}");
+    }
+    assert!(!dir.path("never").exists());
+}
+
+#[test]
+fn both_commands_help_has_examples() {
+    let dir = WorkDir::empty();
+    for command in ["monitor", "record"] {
+        let help = String::from_utf8(dir.stdout(&format!("{command} --help"))).unwrap();
+        assert!(help.contains(&format!("  cargo magpie {command} --port /dev/ttyACM0")), "{help}");
+    }
+}

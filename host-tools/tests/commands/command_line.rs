@@ -1,0 +1,234 @@
+//! The command line: exit codes, output formats, error messages, reproducibility.
+
+use tests::{data, real_data};
+
+use crate::workdir::{WorkDir, campaign, text};
+
+#[test]
+fn fit_json_has_axes_and_parameters() {
+    let json = WorkDir::empty().json(&["fit", &campaign("clean"), "--json"]);
+    let axes = json["axes"].as_array().unwrap();
+    assert_eq!(axes.len(), 12);
+    assert_eq!((&axes[4]["sensor"], &axes[4]["axis"]), (&1.into(), &"y".into()));
+    assert!(
+        axes.iter().all(|axis| axis["held_out_rms_g"].as_f64() > Some(0.0)
+            && axis["floor_g"].as_f64() > Some(0.0))
+    );
+    let parameters = json["parameters"].as_array().unwrap();
+    assert_eq!(parameters.len(), 4 * 14);
+    let stiffness =
+        parameters.iter().find(|p| p["name"] == "stiffness_x" && p["sensor"] == 0).unwrap();
+    assert_eq!(stiffness["unit"], "N/mm");
+    assert_eq!(stiffness["identifiable"], true);
+    assert!((stiffness["value"].as_f64().unwrap() - 501.1).abs() < 1.5, "{stiffness}");
+    assert!(stiffness["std_error"].as_f64().unwrap() < 1.0);
+}
+
+#[test]
+fn equal_seeds_give_identical_models() {
+    let dir = WorkDir::empty();
+    let models = ["a.toml", "b.toml"].map(|model| {
+        let report = text(&dir.stdout(&["fit", &campaign("clean"), "-o", model]));
+        assert!(report.contains("At the noise floor"), "{report}");
+        dir.read(model)
+    });
+    assert_eq!(models[0], models[1]);
+}
+
+#[test]
+fn fit_report_fits_in_100_columns() {
+    let report = WorkDir::empty().stdout(&["fit", &campaign("clean")]);
+    for line in text(&report).lines() {
+        assert!(line.chars().count() <= 100, "{line}");
+    }
+}
+
+#[test]
+fn error_is_one_line_on_stderr_with_exit_code_1() {
+    let output = WorkDir::empty().run("fit no-such-campaign --json");
+    assert_eq!(output.status.code(), Some(1));
+    assert_eq!(output.stdout, b"");
+    let message = text(&output.stderr);
+    assert!(message.starts_with("magpie: no-such-campaign: cannot be read: "), "{message}");
+    assert_eq!(message.lines().count(), 1);
+}
+
+#[test]
+fn help_of_every_command_has_an_example() {
+    let dir = WorkDir::empty();
+    for command in [
+        "add",
+        "benchmark",
+        "compare",
+        "dbc",
+        "demo",
+        "design",
+        "diagnose",
+        "effects",
+        "emulate",
+        "export",
+        "fault-campaign",
+        "fit",
+        "grasp",
+        "import",
+        "monitor",
+        "record",
+        "remove",
+        "replay",
+        "simulate",
+        "train",
+    ] {
+        let help = text(&dir.stdout(&[command, "--help"]));
+        assert!(
+            help.contains("Examples:") && help.contains(&format!("  cargo magpie {command}")),
+            "{help}"
+        );
+    }
+}
+
+#[test]
+fn held_out_replay_error_is_below_one_newton() {
+    let dir = WorkDir::empty();
+    let two = dir.path("two");
+    for name in ["1", "2"] {
+        std::fs::create_dir_all(two.join(name)).unwrap();
+        for file in ["recording.toml", "hall.csv.gz", "force.csv.gz"] {
+            std::fs::copy(data("clean").join(name).join(file), two.join(name).join(file)).unwrap();
+        }
+    }
+    dir.stdout("fit two -o model.toml");
+    let json = dir.json(&["replay", "model.toml", &campaign("clean/3"), "--json"]);
+    assert_eq!((&json["rows"], &json["recordings"][0]["held_out"]), (&12_001.into(), &true.into()));
+    for sensor in json["sensors"].as_array().unwrap() {
+        let value = |key: &str| sensor[key].as_f64().unwrap();
+        // White noise alone: 0.35 G through 1.17 and 0.73 G/N, and 0.15 N of the reference.
+        let (min, max) = if sensor["axis"] == "x" { (0.25, 0.6) } else { (0.40, 0.9) };
+        assert!((min..=max).contains(&value("tared_rmse_n")), "{sensor}");
+        assert!(value("fixed_minus_float_rms_n") <= 0.1 && value("mean_n").abs() < 0.2, "{sensor}");
+        // On clean data the model error is small compared with white noise.
+        let ratio = value("tared_rmse_n") / value("noise_n");
+        assert!((0.97..1.08).contains(&ratio), "{sensor}");
+        let total = value("mean_n").hypot(value("std_n"));
+        assert!((total - value("rmse_n")).abs() < 1e-9, "{sensor}");
+    }
+    // The paper's ideal model (nominal design) has errors of newtons.
+    let nominal = json["nominal"].as_array().unwrap();
+    assert!(nominal.iter().all(|sensor| sensor["rmse_n"].as_f64() > Some(2.0)));
+}
+
+#[test]
+fn committed_tables_equal_those_of_the_demo() {
+    let dir = WorkDir::empty();
+    let report = text(&dir.stdout("demo -o ."));
+    let written = dir.read("tables.rs");
+    let committed = concat!(env!("CARGO_MANIFEST_DIR"), "/../firmware/src/model/tables.rs");
+    assert!(
+        written == std::fs::read_to_string(committed).unwrap(),
+        "firmware/src/model/tables.rs differs from the demo's: run `cargo magpie demo` and copy magpie-demo/tables.rs there"
+    );
+    for part in [
+        "1. The recordings.",
+        "2. The fit.",
+        "3. The inverse.",
+        "4. The evaluation.",
+        "5. The residual.",
+        "6. The missing effects.",
+        "AT NOISE FLOOR",
+        "7. The error by effect.",
+    ] {
+        assert!(report.contains(part), "{report}");
+    }
+    for line in report.lines() {
+        assert!(line.chars().count() <= 100 || line.contains("MAGPIE_TABLES"), "{line}");
+    }
+}
+
+#[test]
+fn invalid_model_parameter_is_rejected_by_name() {
+    let dir = WorkDir::with_model("clean");
+    let good = dir.read("model.toml");
+    let gap = good.split("[sensor.parameters.gap]\nvalue = ").nth(1).unwrap();
+    let gap = gap.lines().next().unwrap();
+    for (from, to, words) in [
+        (gap, "-1.5", "column gap of sensor 0: -1.5 is not allowed here"),
+        (gap, "1e9", "does not determine the forces"),
+        (
+            "gauss_per_lsb = 0.125",
+            "gauss_per_lsb = 0.0",
+            "column sensor_scale.gauss_per_lsb: 0 is not allowed here",
+        ),
+        ("number = 1", "number = 0", "duplicate number"),
+    ] {
+        std::fs::write(dir.path("model.toml"), good.replacen(from, to, 1)).unwrap();
+        let output = dir.run("export model.toml -o tables.rs");
+        assert_eq!(output.status.code(), Some(1));
+        let message = text(&output.stderr);
+        assert!(message.contains(words), "{to}: {message}");
+    }
+}
+
+#[test]
+fn swapped_arguments_report_the_expected_order() {
+    let message = WorkDir::empty().failure(&["replay", &campaign("clean/3"), "model.toml"]);
+    assert!(message.contains("the order is MODEL CAMPAIGN"), "{message}");
+}
+
+#[test]
+fn export_of_a_polynomial_model_fails() {
+    let dir = WorkDir::empty();
+    let polynomial = ["--base", "polynomial", "--degree", "3", "-o", "model.toml"];
+    dir.stdout(&[&["fit", &campaign("clean")], &polynomial[..]].concat());
+    let message = dir.failure("export model.toml -o tables.rs");
+    assert!(message.contains("a polynomial of the forces has no unique inverse"), "{message}");
+    assert!(!dir.path("tables.rs").exists());
+}
+
+#[test]
+fn real_lattice_measurements_are_imported_and_fitted() {
+    let Some(source) = real_data("eflesh_normal") else {
+        return;
+    };
+    let dir = WorkDir::empty();
+    let mapping = data("eflesh_normal.mapping.toml").display().to_string();
+    let runs =
+        ["run1.csv", "run2.csv", "run3.csv"].map(|run| source.join(run).display().to_string());
+    let [a, b, c] = &runs;
+    let imported = dir.json(&["import", &mapping, a, b, c, "-o", "eflesh", "--json"]);
+    for recording in imported["recordings"].as_array().unwrap() {
+        assert_eq!(
+            (&recording["hall_rows"], &recording["measured_rows"]),
+            (&3600.into(), &1860.into())
+        );
+    }
+    let fit = dir.json("fit eflesh --base polynomial --degree 5 --json");
+    assert_eq!(fit["axes"].as_array().unwrap().len(), 15);
+    // Residual of a polynomial of the force over all fifteen channels: 71 ± 3 uT.
+    let microtesla = 100.0 * fit["held_out_rms_g"].as_f64().unwrap();
+    assert!((68.0..=74.0).contains(&microtesla), "{microtesla} uT");
+    let message = dir.failure(&["import", &mapping, a, "-o", "eflesh"]);
+    assert!(message.contains("an import never overwrites"), "{message}");
+}
+
+/// `UPDATE_README=1 cargo test -p host-tools --test commands` rewrites the table.
+#[test]
+fn readme_lists_all_commands() {
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("README.md");
+    let readme = std::fs::read_to_string(&path).unwrap();
+    let mut table = String::from("| command | purpose |\n| --- | --- |\n");
+    for command in host_tools::cli::parser().get_subcommands() {
+        if !command.is_hide_set() {
+            let about = command.get_about().map(ToString::to_string).unwrap_or_default();
+            table += &format!("| `cargo magpie {}` | {about} |\n", command.get_name());
+        }
+    }
+    let (before, rest) = readme.split_once("do not edit -->\n").unwrap();
+    let (_, after) = rest.split_once("<!-- end of commands").unwrap();
+    let expected = format!("{before}do not edit -->\n{table}<!-- end of commands{after}");
+    if std::env::var_os("UPDATE_README").is_some() {
+        std::fs::write(&path, &expected).unwrap();
+    }
+    assert!(
+        readme == expected || std::env::var_os("UPDATE_README").is_some(),
+        "run this test with UPDATE_README=1"
+    );
+}

@@ -1,0 +1,11 @@
+//! The command line of `magpie` and the commands without a campaign of their own in `tests/data`.
+
+mod command_line;
+mod dbc;
+mod design;
+mod disturbance;
+mod grasp;
+mod readme_tutorial;
+mod simulate;
+#[path = "../workdir/mod.rs"]
+mod workdir;

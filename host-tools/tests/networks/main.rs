@@ -1,0 +1,7 @@
+//! Networks: `magpie train`, `benchmark`, and networks in `replay` and `export`.
+
+mod benchmark;
+mod device;
+mod train;
+#[path = "../workdir/mod.rs"]
+mod workdir;

@@ -1,0 +1,102 @@
+//! Rates with their confidence intervals and specifications.
+
+use super::cases::Group;
+use super::run::Outcome;
+use crate::intervals;
+
+/// Minimum magnitude of a detectable effect in standard errors.
+pub const MIN_EFFECT_SIZE: f64 = 4.0;
+/// Specified mean number of equivalent effects.
+const MAX_EQUIVALENT: f64 = 1.5;
+
+/// A rate, or a mean, and its specification.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Rate {
+    name: &'static str,
+    value: f64,
+    /// Hits and number of cases; none of a mean.
+    counts: Option<(usize, usize)>,
+    /// At least (true) or at most this value.
+    at_least: bool,
+    specified: f64,
+}
+
+impl Rate {
+    fn of(name: &'static str, hits: usize, of: usize, at_least: bool, specified: f64) -> Self {
+        let value = hits as f64 / of.max(1) as f64;
+        Self { name, value, counts: Some((hits, of)), at_least, specified }
+    }
+
+    /// Whether the specification is met.
+    pub fn is_reached(&self) -> bool {
+        if self.at_least { self.value >= self.specified } else { self.value <= self.specified }
+    }
+
+    /// Row of the table.
+    pub fn cells(&self, group: Group, seeds: u64) -> [String; 6] {
+        let relation = if self.at_least { "at least" } else { "at most" };
+        let missed = if self.is_reached() { "" } else { " (not met)" };
+        let (rate, limits, specified) = match self.counts {
+            Some((hits, of)) => {
+                let [lower, upper] = intervals::proportion(hits, of).map(|share| 100.0 * share);
+                (
+                    format!("{hits} of {of}{missed}"),
+                    format!("{lower:.1} to {upper:.1} %"),
+                    format!("{relation} {:.0} %", 100.0 * self.specified),
+                )
+            }
+            None => (
+                format!("{:.2}{missed}", self.value),
+                "-".to_owned(),
+                format!("{relation} {}", self.specified),
+            ),
+        };
+        [
+            group.description().to_owned(),
+            seeds.to_string(),
+            self.name.to_owned(),
+            rate,
+            limits,
+            specified,
+        ]
+    }
+}
+
+/// Rates of a group.
+pub fn rates(group: Group, outcomes: &[Outcome]) -> Vec<Rate> {
+    let detectable = outcomes.iter().filter(|o| o.z.is_nan() || o.z >= MIN_EFFECT_SIZE);
+    let detectable: Vec<&Outcome> = detectable.collect();
+    let all = detectable.len();
+    let count =
+        |is: &dyn Fn(&Outcome) -> bool| detectable.iter().filter(|outcome| is(outcome)).count();
+    let right = count(&|outcome| outcome.evaluation.right);
+    let wrong = count(&|outcome| outcome.evaluation.wrong_alone);
+    let correct = |specified| {
+        Rate::of("correct, alone or among equivalent effects", right, all, true, specified)
+    };
+    let only_wrong = |specified| Rate::of("only a wrong effect", wrong, all, false, specified);
+    let mut rates = match group {
+        Group::Typical => vec![correct(0.96), only_wrong(0.02)],
+        Group::Small => vec![correct(0.85), only_wrong(0.03)],
+        Group::Nothing => vec![Rate::of("an effect named", all - right, all, false, 0.03)],
+        Group::Pairs => vec![Rate::of("both correct", right, all, true, 0.9)],
+        Group::Outside => vec![Rate::of("no wrong effect alone", all - wrong, all, true, 0.92)],
+        Group::Always => vec![Rate::of("reported as inconclusive", right, all, true, 1.0)],
+    };
+    let located: Vec<bool> = outcomes.iter().filter_map(|o| o.evaluation.located).collect();
+    if !located.is_empty() {
+        let hits = located.iter().filter(|located| **located).count();
+        rates.push(Rate::of("attributed to its covariate", hits, located.len(), true, 0.85));
+    }
+    if group == Group::Typical {
+        let sizes: Vec<usize> = detectable.iter().filter_map(|o| o.evaluation.tied).collect();
+        rates.push(Rate {
+            name: "equivalent effects, mean number",
+            value: sizes.iter().sum::<usize>() as f64 / sizes.len().max(1) as f64,
+            counts: None,
+            at_least: false,
+            specified: MAX_EQUIVALENT,
+        });
+    }
+    rates
+}
