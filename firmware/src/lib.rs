@@ -2,14 +2,14 @@
 //!
 //! Each module uses only those above it:
 //! - [`fixed_point`], [`checksum`], [`clock`]: saturating integer arithmetic and fixed-point quantities; checksums; time.
-//! - [`constants`], [`limits`]: design constants and detection thresholds.
+//! - [`config`]: design constants and detection thresholds.
 //! - [`sensors`]: drivers of the Hall sensors and the inertial sensor.
 //! - [`compensation`]: compensation of physical effects on fields and forces, and its auxiliary inputs.
 //! - [`model`]: formats of the tables, their integrity, and the integer kernels over them.
 //! - [`estimator`]: from readings to forces: ideal model, networks, disturbance detection, tare.
 //! - [`motor`]: current, velocity and position control.
 //! - [`protocol`]: messages on the CAN bus and on the serial line, sessions.
-//! - [`config`]: parameters that a host may change, and their schema.
+//! - [`parameters`]: parameters that a host may change, and their schema.
 //! - [`system`]: faults, watchdog, crash records, non-volatile storage.
 //! - [`grip`]: the state machine of grasp and ground contact.
 //! - [`tasks`]: the portable bodies of the tasks; they run on the chip and in virtual time.
@@ -24,13 +24,12 @@ pub mod checksum;
 pub mod clock;
 pub mod compensation;
 pub mod config;
-pub mod constants;
 pub mod estimator;
 pub mod fixed_point;
 pub mod grip;
-pub mod limits;
 pub mod model;
 pub mod motor;
+pub mod parameters;
 pub mod protocol;
 pub mod sensors;
 pub mod system;

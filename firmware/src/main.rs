@@ -19,7 +19,7 @@ async fn main(spawner: embassy_executor::Spawner) {
 #[cfg(not(target_os = "none"))]
 fn main() {
     println!("MAGPIE gripper, design constants (* = assumed, confirm on your own hardware)");
-    for constant in firmware::constants::ALL {
+    for constant in firmware::config::constants::ALL {
         println!(
             "{} {:<26} {:>9} {:<6} {}",
             if constant.assumed { "*" } else { " " },

@@ -3,9 +3,9 @@
 
 use std::collections::BTreeMap;
 
+use firmware::compensation::auxiliary_inputs::{Attitude, AuxiliaryInputs, MotorInputs};
+use firmware::compensation::{Compensation, CompensationState};
 use firmware::config::constants;
-use firmware::estimator::auxiliary_inputs::{Attitude, AuxiliaryInputs, MotorInputs};
-use firmware::estimator::compensation::{Compensation, CompensationState};
 use firmware::estimator::estimate;
 use firmware::sensors::hall::HallReading;
 use model_export::effects::{

@@ -1,8 +1,8 @@
 //! The ideal model on the device compared with floating point; its bounds; the parity residual; other magnets.
 
+use firmware::compensation::CompensationState;
+use firmware::compensation::auxiliary_inputs::AuxiliaryInputs;
 use firmware::config::constants;
-use firmware::estimator::auxiliary_inputs::AuxiliaryInputs;
-use firmware::estimator::compensation::CompensationState;
 use firmware::estimator::{Estimate, Validity};
 use firmware::model::formats::{COORDINATE_LIMIT, CentrePair, Tables};
 use firmware::model::kernel::grbf;

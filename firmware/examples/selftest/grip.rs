@@ -4,12 +4,12 @@
 use core::fmt::{Error, Result, Write};
 use core::hint::black_box;
 
+use firmware::config::limits::GripLimits;
 use firmware::estimator::{Estimate, Validity};
 use firmware::fixed_point::Force;
 use firmware::grip::commands::mode;
 use firmware::grip::states::TaskState;
 use firmware::grip::{ArmingRequest, ControlInputs, GripController, SessionStatus};
-use firmware::limits::GripLimits;
 use firmware::motor::screw::Screw;
 use firmware::motor::{MotorState, MotorStatus, Setpoint};
 use firmware::protocol::messages::Command;

@@ -3,7 +3,7 @@
 use core::fmt::{Error, Result, Write};
 use core::hint::black_box;
 
-use firmware::constants;
+use firmware::config::constants;
 use firmware::motor::power_stage::MotorSamples;
 use firmware::motor::screw::Screw;
 use firmware::motor::{

@@ -1,6 +1,4 @@
-//! Parameters that a host may change; also the paths of constants and limits for hosts.
+//! Constants of the design and detection thresholds. Every value states its source, or that it is assumed.
 
-pub mod parameters;
-pub mod schema;
-
-pub use crate::{constants, limits};
+pub mod constants;
+pub mod limits;

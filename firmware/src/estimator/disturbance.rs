@@ -17,10 +17,10 @@
 //! Thresholds are in standard deviations of the parity fit, which are part of the tables. They were determined by
 //! `cargo acceptance magnetic-disturbance`.
 
+use crate::config::limits::DetectionLimits;
 use crate::estimator::estimate::{Estimate, Validity};
 use crate::estimator::network_monitor::excess_deviations;
 use crate::fixed_point::{Force, saturate};
-use crate::limits::DetectionLimits;
 use crate::model::formats::PARITY_SIGMA_BITS;
 use crate::sensors::hall::SENSORS;
 

@@ -3,9 +3,9 @@
 //!
 //! A gripped object under a lateral load causes a difference too, so this is a warning.
 
+use crate::config::limits::DetectionLimits;
 use crate::estimator::estimate::{Estimate, Validity};
 use crate::fixed_point::Force;
-use crate::limits::DetectionLimits;
 use crate::sensors::hall::SENSORS;
 
 /// A difference up to the larger force divided by this is accepted.

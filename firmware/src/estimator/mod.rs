@@ -9,16 +9,15 @@ pub mod network_monitor;
 pub mod parity;
 pub mod tare;
 
-pub use crate::compensation::{self, auxiliary_inputs};
 pub use crate::estimator::estimate::{Estimate, Validity};
 
 use crate::compensation::auxiliary_inputs::AuxiliaryInputs;
 use crate::compensation::{Compensated, Compensation, CompensationState};
+use crate::config::limits::DetectionLimits;
 use crate::estimator::disturbance::DisturbanceDetector;
 use crate::estimator::network_monitor::NetworkMonitor;
 use crate::estimator::parity::ParityResidual;
 use crate::fixed_point::{Field, Force};
-use crate::limits::DetectionLimits;
 use crate::model::formats::Tables;
 use crate::sensors::hall::{HallFrame, HallReading, SENSORS};
 

@@ -4,9 +4,9 @@
 //! A external magnet causes such a deviation as well; it is detected from the field ([`crate::estimator::disturbance`])
 //! and invalidates all forces.
 
+use crate::config::limits::DetectionLimits;
 use crate::estimator::estimate::Estimate;
 use crate::fixed_point::Force;
-use crate::limits::DetectionLimits;
 use crate::sensors::hall::SENSORS;
 
 /// A deviation up to the ideal model's force divided by this is accepted.

@@ -9,7 +9,7 @@
 //! standard deviation, because it differs under load. Subtracting either would bias all later estimates, so both are
 //! excluded ([`offset`]).
 
-use crate::constants;
+use crate::config::constants;
 use crate::estimator::estimate::{Estimate, Validity};
 use crate::fixed_point::{Force, saturate};
 use crate::sensors::hall::SENSORS;

@@ -3,9 +3,9 @@
 //! Hosts repeat a command while it is in force. A repeated command is executed once; toggling [`flag::AGAIN`] makes
 //! it a new one, for example to grip again after a failure.
 
-use crate::constants;
+use crate::config::constants;
+use crate::config::limits::GripLimits;
 use crate::grip::states::TaskState;
-use crate::limits::GripLimits;
 use crate::protocol::messages::{Command, ServiceReply};
 use crate::protocol::session::{op, status};
 

@@ -1,8 +1,8 @@
 //! Contact detection: suspected at the first force above the threshold, confirmed by two of three, ended with
 //! hysteresis.
 
+use crate::config::limits::GripLimits;
 use crate::grip::debounce::next_ms;
-use crate::limits::GripLimits;
 
 /// Detects contact of the fingers.
 #[derive(Clone, Copy, Debug, Default)]

@@ -90,7 +90,7 @@ pub const REACTION_TABLE: [ReactionRow; Fault::ALL.len()] = [
     warning(Fault::Slipping),
     warning(Fault::FootOverload),
     // The forces of the ideal model are used instead.
-    warning(Fault::NetworkAstray),
+    warning(Fault::NetworkDiverged),
     row(Fault::Supply, Reaction::Brake, [Reaction::Hold; 2], Reaction::Warn),
     row(Fault::Hot, Reaction::QuickStop, [Reaction::Hold; 2], Reaction::Warn),
     everywhere(Fault::Runaway, Reaction::Brake),

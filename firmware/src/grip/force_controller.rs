@@ -5,7 +5,7 @@
 
 use core::f32::consts::TAU;
 
-use crate::constants;
+use crate::config::constants;
 use crate::motor::math::{sqrt, within};
 
 /// Stiffness of the hardest contact in N/mm.

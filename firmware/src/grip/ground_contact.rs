@@ -5,11 +5,11 @@
 //! ([`crate::compensation::flexure`]). A short impact may peak between two samples: a peak of 3 ms reads up to
 //! 13 % low, which the overload limit allows for.
 
-use crate::constants;
+use crate::config::constants;
+use crate::config::limits::GripLimits;
 use crate::estimator::{Estimate, Validity};
 use crate::fixed_point::Force;
 use crate::grip::finger_force::newtons;
-use crate::limits::GripLimits;
 use crate::motor::math::{sqrt, within};
 use crate::protocol::messages;
 use crate::sensors::hall::SENSORS;

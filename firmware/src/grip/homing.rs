@@ -1,10 +1,10 @@
 //! Homing on force: closes until the fingers press on each other, opens to the far end, and compares the travel
 //! with the stroke. An object between the fingers makes the travel too short.
 
-use crate::constants;
+use crate::config::constants;
+use crate::config::limits::GripLimits;
 use crate::grip::debounce::next_ms;
 use crate::grip::stall_detector::StallDetector;
-use crate::limits::GripLimits;
 use crate::motor::{MotorStatus, Setpoint};
 
 /// Opening speed in mm/s.

@@ -35,6 +35,7 @@ pub mod transitions;
 
 pub use crate::grip::interface::{ArmingRequest, ControlInputs, ControlOutputs, SessionStatus};
 
+use crate::config::limits::GripLimits;
 use crate::estimator::Estimate;
 use crate::grip::commands::{CommandRefusal, GraspTarget, GripCommand, MoveTarget};
 use crate::grip::contact::ContactDetector;
@@ -48,7 +49,6 @@ use crate::grip::homing::{Homing, HomingStep};
 use crate::grip::slip_detector::SlipDetector;
 use crate::grip::stall_detector::{StallDetector, VelocityFilter};
 use crate::grip::states::{PowerState, TaskState};
-use crate::limits::GripLimits;
 use crate::motor::Setpoint;
 use crate::motor::screw::Screw;
 use crate::protocol::messages::GripStatus;

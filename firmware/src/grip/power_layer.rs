@@ -1,6 +1,6 @@
 //! Power layer: detection, reaction, latching and clearing of faults; session and arming.
 
-use crate::constants;
+use crate::config::constants;
 use crate::fixed_point::Force;
 use crate::grip::commands::TRIP_N;
 use crate::grip::debounce::next_ms;

@@ -1,6 +1,6 @@
 //! Motor set-point of each state.
 
-use crate::constants;
+use crate::config::constants;
 use crate::grip::fault_reactions::Reaction;
 use crate::grip::hold_current::MARGIN;
 use crate::grip::homing::HomingStep;

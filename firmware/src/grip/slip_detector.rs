@@ -2,10 +2,10 @@
 
 use core::mem;
 
-use crate::constants;
+use crate::config::constants;
+use crate::config::limits::GripLimits;
 use crate::grip::debounce::{next_ms, next_ticks};
 use crate::grip::finger_force::FingerForces;
-use crate::limits::GripLimits;
 
 /// Milliseconds over which a drop of the drag force is evaluated.
 const DROP_MS: usize = 5;

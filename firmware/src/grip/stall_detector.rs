@@ -1,7 +1,7 @@
 //! Stall detection while the fingers should move, and the velocity filter that it and the rest detection use.
 
+use crate::config::limits::GripLimits;
 use crate::grip::debounce::next_ms;
-use crate::limits::GripLimits;
 use crate::motor::MotorStatus;
 
 /// Time constant of [`VelocityFilter`] in milliseconds.

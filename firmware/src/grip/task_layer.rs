@@ -19,7 +19,7 @@ use crate::system::faults::Fault;
 
 /// Stopping time of the fingers in seconds: openings are predicted by this much.
 const LOOK_AHEAD_S: f32 = 0.004;
-/// A self-locking screw holds alone at the latest after this multiple of [`crate::limits::GripLimits::lock_ms`], whatever
+/// A self-locking screw holds alone at the latest after this multiple of [`crate::config::limits::GripLimits::lock_ms`], whatever
 /// the force error.
 const LATEST: u32 = 5;
 /// Millimetres before the window at which a fast approach slows down.

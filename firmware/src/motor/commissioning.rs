@@ -10,7 +10,7 @@
 //!    the offset of the sensor.
 //! 3. A square wave added to the voltage of the upper level. The slopes of the current give the inductance.
 
-use crate::constants;
+use crate::config::constants;
 use crate::motor::foc::{AlphaBeta, Dq};
 use crate::motor::math::{Direction, TURN_UNITS};
 use crate::motor::settings::{IdentifiedMotor, MotorParameters, MotorWiring};

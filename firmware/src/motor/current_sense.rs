@@ -1,6 +1,6 @@
 //! Phase currents and bus voltage from converter counts, and measurement of the amplifiers' offsets.
 
-use crate::constants;
+use crate::config::constants;
 use crate::motor::power_stage::MotorSamples;
 
 /// Amperes per count.

@@ -3,7 +3,7 @@
 
 use core::f32::consts::TAU;
 
-use crate::constants;
+use crate::config::constants;
 use crate::motor::math::TURN_UNITS;
 use crate::motor::power_stage::EncoderError;
 use crate::motor::settings::Settings;

@@ -43,7 +43,7 @@ pub use crate::motor::settings::Settings;
 pub use crate::motor::state::{MotorCommand, MotorState, MotorStatus, Setpoint, Trip};
 pub use crate::motor::timing::{MOTION_HZ, MOTION_PERIODS, PERIOD_S};
 
-use crate::constants;
+use crate::config::constants;
 use crate::motor::power_stage::{MotorSamples, PowerStage};
 use crate::motor::settings::IdentifiedMotor;
 use crate::motor::tick_exchange::CurrentLoopCommand;

@@ -2,7 +2,7 @@
 
 use core::f32::consts::TAU;
 
-use crate::constants;
+use crate::config::constants;
 use crate::motor::brake_energy;
 use crate::motor::diagnostics::{ElectricalSample, RunawayMonitor, SupplyMonitor, VoltageMonitor};
 use crate::motor::encoder::RotorPosition;

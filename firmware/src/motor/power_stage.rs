@@ -31,7 +31,7 @@ pub enum EncoderError {
 
 /// The rotor angle sensor.
 pub trait Encoder {
-    /// Mechanical angle in counts, [`crate::constants::ENCODER_BITS`] per turn, increasing while the gripper closes
+    /// Mechanical angle in counts, [`crate::config::constants::ENCODER_BITS`] per turn, increasing while the gripper closes
     /// unless the phases are swapped.
     fn angle(&mut self) -> Result<u16, EncoderError>;
 }
@@ -39,9 +39,9 @@ pub trait Encoder {
 /// Samples from the middle of a period, while all low sides are on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotorSamples {
-    /// Currents into the phases U, V, W, in counts of [`crate::constants::CURRENT_SCALE`] around 2048.
+    /// Currents into the phases U, V, W, in counts of [`crate::config::constants::CURRENT_SCALE`] around 2048.
     pub phases: [u16; 3],
-    /// Bus voltage in counts of [`crate::constants::BUS_SCALE`].
+    /// Bus voltage in counts of [`crate::config::constants::BUS_SCALE`].
     pub bus: u16,
     /// Rotor angle in counts.
     pub angle: Result<u16, EncoderError>,

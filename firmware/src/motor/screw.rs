@@ -6,7 +6,7 @@
 
 use core::f32::consts::TAU;
 
-use crate::constants;
+use crate::config::constants;
 use crate::motor::math::{greater, within};
 
 /// A screw.

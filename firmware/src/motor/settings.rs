@@ -1,6 +1,6 @@
 //! Parameters of motor, screw and board, and the limits of motor control. Controller gains are derived from them.
 
-use crate::constants;
+use crate::config::constants;
 use crate::motor::screw::Screw;
 
 /// Peak motor current in amperes.

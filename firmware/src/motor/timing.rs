@@ -1,6 +1,6 @@
 //! Periods of the two loops.
 
-use crate::constants;
+use crate::config::constants;
 
 /// PWM period in seconds.
 pub const PERIOD_S: f32 = (1e-3 / constants::PWM_RATE.value) as f32;

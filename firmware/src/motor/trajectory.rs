@@ -4,7 +4,7 @@
 //! moving average of its speed limits the jerk; it preserves the limits of speed and acceleration and the end, and
 //! delays the motion by its window.
 
-use crate::constants;
+use crate::config::constants;
 use crate::motor::math::sqrt;
 use crate::motor::timing::MOTION_HZ;
 

@@ -1,6 +1,6 @@
 //! Limits the rate of received frames: excess frames are dropped before they cost time.
 
-use crate::limits::DetectionLimits;
+use crate::config::limits::DetectionLimits;
 
 /// Length of a counting window.
 const WINDOW_US: u64 = 10_000;

@@ -27,7 +27,7 @@ pub enum Fault {
     /// Magnetic disturbance.
     Disturbed = 105,
     /// A network deviates from the ideal model, which is used instead. Source: the sensor.
-    NetworkAstray = 107,
+    NetworkDiverged = 107,
     /// Wrong checksum of the tables.
     TablesUnsound = 200,
     /// Stored parameters are unreadable; defaults are used. Detail: the reason.
@@ -109,7 +109,7 @@ impl Fault {
         Self::ObjectLost,
         Self::Slipping,
         Self::FootOverload,
-        Self::NetworkAstray,
+        Self::NetworkDiverged,
         Self::Supply,
         Self::Hot,
         Self::Runaway,

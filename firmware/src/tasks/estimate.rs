@@ -6,14 +6,14 @@ use embassy_sync::blocking_mutex::raw::RawMutex;
 
 use crate::clock::Clock;
 use crate::compensation::auxiliary_inputs::AuxiliaryInputs;
-use crate::config::parameters::Parameters;
-use crate::constants::TICK_US;
+use crate::config::constants::TICK_US;
+use crate::config::limits::DetectionLimits;
 use crate::estimator::finger_symmetry::FingerSymmetry;
 use crate::estimator::tare::{TareCollector, TareProgress};
 use crate::estimator::{Estimate, Estimator, NetworkBank, Validity};
 use crate::fixed_point::Force;
-use crate::limits::DetectionLimits;
 use crate::motor::MotorStatus;
+use crate::parameters::Parameters;
 use crate::protocol::serial::Tick;
 use crate::sensors::hall::liveness::{MonitoredReading, SensorCondition};
 use crate::sensors::hall::{HallReading, SENSORS};
@@ -137,7 +137,7 @@ impl SensorDiagnostics {
 
     fn update_networks<M: RawMutex>(&mut self, diverged: [bool; SENSORS], shared: &SharedState<M>) {
         for (sensor, network_diverged) in (0_u8..).zip(diverged) {
-            let fault = (Fault::NetworkAstray, sensor);
+            let fault = (Fault::NetworkDiverged, sensor);
             shared.update_fault(
                 FaultReporter::Estimate,
                 &mut self.faults,

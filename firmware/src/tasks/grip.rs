@@ -4,7 +4,6 @@ use core::ops::ControlFlow;
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
 
-use crate::config::parameters::{Backdrivability, Parameters};
 use crate::estimator::Estimate;
 use crate::grip::states::PowerState;
 use crate::grip::{ArmingRequest, ControlInputs, ControlOutputs, GripController, SessionStatus};
@@ -13,6 +12,7 @@ use crate::motor::calibration::{
 };
 use crate::motor::state::MotorPort;
 use crate::motor::{MotorCommand, MotorStatus};
+use crate::parameters::{Backdrivability, Parameters};
 use crate::protocol::messages::{Command, Foot, GripStatus, Message};
 use crate::sensors::hall::SENSORS;
 use crate::system::faults::Fault;

@@ -8,10 +8,10 @@ use embedded_can::Frame;
 use embedded_storage_async::nor_flash::NorFlash;
 
 use crate::clock::Clock;
-use crate::config::parameters;
 use crate::estimator::tare::TareProgress;
 use crate::grip::SessionStatus;
 use crate::motor::calibration::{CalibrationKind, CalibrationOutcome};
+use crate::parameters;
 use crate::protocol::messages::{Message, Service, ServiceReply, Version};
 use crate::protocol::session::{Session, SessionEvent, op, service_reply, status};
 use crate::system::faults::{Fault, FaultSet};

@@ -3,7 +3,7 @@
 //!
 //! | task | input | level | deadline | if missed |
 //! | --- | --- | --- | --- | --- |
-//! | [`sense`] | each millisecond | interrupt executor, above the next two | [`SENSE_LIMIT_US`](crate::constants::SENSE_LIMIT_US) after the tick began | the tick is skipped and counted |
+//! | [`sense`] | each millisecond | interrupt executor, above the next two | [`SENSE_LIMIT_US`](crate::config::constants::SENSE_LIMIT_US) after the tick began | the tick is skipped and counted |
 //! | [`estimate`] | sensed frame | interrupt executor | the next tick | the older frame is lost; the number of the next tick is larger |
 //! | [`grip`](fn@grip) | estimates | interrupt executor | the next tick; from sample to set-point within 1 ms | the older forces are lost; the motor keeps its set-point until the watchdog resets |
 //! | [`transmit`] | estimates, grip, events, replies | thread | 1 ms from sample to frame | the next estimate is sent |
@@ -36,10 +36,10 @@ pub use scrub::scrub;
 pub use sense::{FIRST_TICK_US, SensedFrame, sense};
 pub use transmit::{transmit, transmit_serial};
 
-use crate::config::parameters::Parameters;
-use crate::config::schema::counter;
 use crate::estimator::tare::TareProgress;
 use crate::motor::calibration::CalibrationOutcome;
+use crate::parameters::Parameters;
+use crate::parameters::schema::counter;
 use crate::protocol::messages::{FaultEvent, Message};
 use crate::protocol::serial::{Packet, Tick};
 use crate::system::crash::Crash;

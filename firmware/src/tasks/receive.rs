@@ -6,7 +6,7 @@ use embassy_sync::blocking_mutex::raw::RawMutex;
 use embedded_io_async::Read;
 
 use crate::clock::{Clock, delay_us, with_timeout_us};
-use crate::limits::DetectionLimits;
+use crate::config::limits::DetectionLimits;
 use crate::protocol::can::{CanError, CanFrame, CanReceiver};
 use crate::protocol::messages::is_from_host;
 use crate::protocol::rate_limiter::RateLimiter;

@@ -7,8 +7,8 @@ use embassy_futures::join::join;
 use embassy_sync::blocking_mutex::raw::RawMutex;
 
 use crate::clock::{Clock, with_timeout_us};
-use crate::constants::{SENSE_LIMIT_US, TICK_US, TRANSFER_LIMIT_US};
-use crate::limits::DetectionLimits;
+use crate::config::constants::{SENSE_LIMIT_US, TICK_US, TRANSFER_LIMIT_US};
+use crate::config::limits::DetectionLimits;
 use crate::sensors::hall::config_readback::{ConfigReadback, ReadbackResult};
 use crate::sensors::hall::liveness::{LivenessMonitor, MonitoredReading};
 use crate::sensors::hall::{

@@ -10,8 +10,8 @@ use embassy_sync::blocking_mutex::raw::RawMutex;
 use embedded_io_async::Write;
 
 use crate::clock::{Clock, with_timeout_us};
-use crate::config::parameters::Parameters;
-use crate::constants::TICK_US;
+use crate::config::constants::TICK_US;
+use crate::parameters::Parameters;
 use crate::protocol::can::{CanError, CanFrame, CanSender};
 use crate::protocol::messages::{self, HallRaw, Heartbeat, Message, Timing};
 use crate::protocol::serial::{MAX_PACKET_BYTES, Packet, encode};

@@ -1,7 +1,7 @@
 //! Columns of a recording as the device's sensor readings and covariates.
 
+use firmware::compensation::auxiliary_inputs::{Attitude, AuxiliaryInputs, MotorInputs};
 use firmware::config::constants;
-use firmware::estimator::auxiliary_inputs::{Attitude, AuxiliaryInputs, MotorInputs};
 use firmware::sensors::hall::{HallReading, a31301};
 use model_export::effects::REFERENCE_C;
 use model_export::recordings::columns::{Axis, ChannelLayout, ForceColumn, HallColumn};

@@ -9,8 +9,8 @@
 pub mod channel_map;
 pub mod networks;
 
-use firmware::estimator::auxiliary_inputs::AuxiliaryInputs;
-use firmware::estimator::compensation::{Compensation, CompensationState};
+use firmware::compensation::auxiliary_inputs::AuxiliaryInputs;
+use firmware::compensation::{Compensation, CompensationState};
 use firmware::estimator::{Validity, estimate};
 use firmware::fixed_point::{Field, Force};
 use firmware::sensors::hall::{HallReading, SENSORS};

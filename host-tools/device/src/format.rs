@@ -201,7 +201,7 @@ pub fn fault_source(fault: Fault, source: u8) -> String {
         | Fault::SensorFrozen
         | Fault::SensorSaturated
         | Fault::OutsideModel
-        | Fault::NetworkAstray => format!("sensor {source}"),
+        | Fault::NetworkDiverged => format!("sensor {source}"),
         Fault::BusStuck => format!("sensors' bus {source}"),
         Fault::Flooded if source == SERIAL => "serial line".to_owned(),
         Fault::Flooded => "CAN bus".to_owned(),

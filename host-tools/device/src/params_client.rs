@@ -3,8 +3,8 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
-use firmware::config::parameters::{op, status};
-use firmware::config::schema::PARAMETERS;
+use firmware::parameters::schema::PARAMETERS;
+use firmware::parameters::{op, status};
 use firmware::protocol::messages::{Message, ParamReply, ParamRequest};
 use firmware::protocol::serial::Packet;
 

@@ -9,7 +9,7 @@ use std::time::{Duration, SystemTime};
 
 use anyhow::{Result, anyhow, bail};
 use firmware::config::constants;
-use firmware::config::schema::id;
+use firmware::parameters::schema::id;
 use indicatif::ProgressBar;
 use model_export::recordings::campaign::recording_folders;
 use model_export::recordings::description::RecordingDescription;

@@ -2,9 +2,9 @@
 
 use embedded_can::Frame;
 use firmware::config::limits::DetectionLimits;
-use firmware::config::parameters::{Parameters, op as parameter, status as parameters};
-use firmware::config::schema::id;
 use firmware::fixed_point::Force;
+use firmware::parameters::schema::id;
+use firmware::parameters::{Parameters, op as parameter, status as parameters};
 use firmware::protocol::can::CanFrame;
 use firmware::protocol::messages::{Message, ParamReply, ParamRequest, Service, ServiceReply};
 use firmware::protocol::serial::{Packet, PacketDecoder, Tick};

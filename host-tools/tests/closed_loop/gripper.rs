@@ -4,9 +4,9 @@
 use std::sync::LazyLock;
 
 use firmware::config::constants::TICK_US;
-use firmware::config::parameters::Backdrivability;
 use firmware::grip::commands::mode;
 use firmware::grip::states::{PowerState, TaskState};
+use firmware::parameters::Backdrivability;
 use firmware::protocol;
 use firmware::protocol::messages::{Command, FaultEvent};
 use firmware::protocol::session::{op, status};

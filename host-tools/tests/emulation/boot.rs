@@ -92,7 +92,7 @@ fn boots(variant: Variant, conditions: ChipConditions, effort: Effort) -> Result
 
 /// A disagreement between networks and model, or what follows from it.
 fn is_of_networks(line: &str) -> bool {
-    let faults = [Fault::NetworkAstray, Fault::Disturbed, Fault::Unbalanced];
+    let faults = [Fault::NetworkDiverged, Fault::Disturbed, Fault::Unbalanced];
     let begins = |fault| format!("fault {} of", fault as u16);
     faults.into_iter().any(|fault| line.contains(&begins(fault)))
 }

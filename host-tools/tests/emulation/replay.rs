@@ -4,9 +4,9 @@
 use std::path::Path;
 
 use embedded_can::Frame;
+use firmware::compensation::auxiliary_inputs::AuxiliaryInputs;
 use firmware::config::limits::DetectionLimits;
-use firmware::config::parameters::Parameters;
-use firmware::estimator::auxiliary_inputs::AuxiliaryInputs;
+use firmware::parameters::Parameters;
 use firmware::protocol::messages::{Force, Message};
 use firmware::protocol::serial::{Packet, PacketDecoder, Tick};
 use libtest_mimic::{Failed, Trial};

@@ -2,9 +2,9 @@
 
 use emulator::Halt;
 use emulator::peripherals::flash::{PowerCut, Remains};
-use firmware::config::parameters::op as parameter_op;
-use firmware::config::schema::id;
 use firmware::grip::states::PowerState;
+use firmware::parameters::op as parameter_op;
+use firmware::parameters::schema::id;
 use firmware::protocol::messages::ParamRequest;
 use firmware::protocol::session::{op, status};
 use firmware::system::faults::Fault;

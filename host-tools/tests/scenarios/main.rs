@@ -10,8 +10,8 @@ use std::path::{Path, PathBuf};
 
 use file::{Detector, Scenario};
 use firmware::config::limits::DetectionLimits;
-use firmware::config::parameters::Parameters;
-use firmware::config::schema::id;
+use firmware::parameters::Parameters;
+use firmware::parameters::schema::id;
 use model_export::inverse::build::{DeviceModel, ModelVariant, build};
 use rig::{Layer, ScenarioRig};
 use sim::board::world::PressedWorld;

@@ -3,8 +3,8 @@
 use std::collections::VecDeque;
 
 use embedded_can::Frame;
-use firmware::config::parameters::op as parameter_op;
-use firmware::config::schema::counter;
+use firmware::parameters::op as parameter_op;
+use firmware::parameters::schema::counter;
 use firmware::protocol::can::CanFrame;
 use firmware::protocol::host_session::HostSession;
 use firmware::protocol::messages::{Command, FaultEvent, Message, ParamRequest};

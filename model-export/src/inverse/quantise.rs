@@ -1,6 +1,6 @@
 //! The device's tables from a floating point model, with the proof that nothing overflows.
 
-use firmware::estimator::compensation::Compensation;
+use firmware::compensation::Compensation;
 use firmware::estimator::ideal;
 use firmware::fixed_point::{Field, Force};
 use firmware::model::formats::{

@@ -7,7 +7,7 @@ use analysis::progress;
 use anyhow::{Context, Result};
 use embedded_can::{Frame, StandardId};
 use firmware::config::limits::DetectionLimits;
-use firmware::config::parameters::Parameters;
+use firmware::parameters::Parameters;
 use firmware::protocol::can::CanFrame;
 use firmware::protocol::{DEFAULT_NODE, frame_id};
 use model_export::inverse::build::{DeviceModel, ModelVariant, build};

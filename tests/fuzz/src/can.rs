@@ -2,8 +2,8 @@
 
 use std::collections::VecDeque;
 
-use firmware::config::parameters::{Parameters, handle_request};
-use firmware::config::schema::PARAMETERS;
+use firmware::parameters::schema::PARAMETERS;
+use firmware::parameters::{Parameters, handle_request};
 use firmware::protocol::ESTOP_ALL_ID;
 use firmware::protocol::layout::FrameError;
 use firmware::protocol::messages::{LAYOUTS, Message, ParamRequest};

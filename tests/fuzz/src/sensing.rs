@@ -1,8 +1,8 @@
 //! Bytes of the sensors, to forces: decoding, the watch, the models with the effects that they undo, the
 //! networks, the detector of foreign magnets, and the messages that come of it.
 
+use firmware::compensation::auxiliary_inputs::{Attitude, AuxiliaryInputs, MotorInputs};
 use firmware::config::limits::DetectionLimits;
-use firmware::estimator::auxiliary_inputs::{Attitude, AuxiliaryInputs, MotorInputs};
 use firmware::estimator::gru::GruBank;
 use firmware::estimator::{Estimate, Estimator, Validity};
 use firmware::model::formats::{COORDINATE_LIMIT, Network, SLOPE_BITS, SensorTable, Tables};

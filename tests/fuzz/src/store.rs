@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use embedded_storage_async::nor_flash::NorFlash;
-use firmware::config::parameters::Parameters;
-use firmware::config::schema::PARAMETERS;
+use firmware::parameters::Parameters;
+use firmware::parameters::schema::PARAMETERS;
 use firmware::system::nv_storage::record::{
     BODY_BYTES, FIRST_MARK, SECOND_MARK, SLOT_BYTES, VERSION, encode,
 };

@@ -14,7 +14,7 @@ use embassy_stm32::timer::complementary_pwm::ComplementaryPwmPin;
 use embassy_stm32::timer::simple_pwm::PwmPin;
 use embassy_stm32::{Peri, pac, peripherals, rcc};
 
-use crate::constants;
+use crate::config::constants;
 use crate::motor::power_stage::{BridgeCommand, PowerStage};
 
 /// Clock of the timer.

@@ -1,13 +1,13 @@
 //! Fault detection, reactions and clearing.
 
-use crate::constants;
+use crate::config::constants;
+use crate::config::limits::GripLimits;
 use crate::estimator::Estimate;
 use crate::fixed_point::Force;
 use crate::grip::commands::{CommandRefusal, RefusalReason, mode};
 use crate::grip::fault_reactions::{Reaction, reaction};
 use crate::grip::states::{GripPhase, PowerState, TaskState};
 use crate::grip::tests::rig::{GripRig, pressed};
-use crate::limits::GripLimits;
 use crate::motor::state::SupplyState;
 use crate::motor::{MotorState, Setpoint, Trip};
 use crate::protocol::messages::ServiceReply;
@@ -43,7 +43,7 @@ const MATRIX: [(Fault, [Reaction; 4]); 32] = [
     (Fault::ObjectLost, [Warn; 4]),
     (Fault::Slipping, [Warn; 4]),
     (Fault::FootOverload, [Warn; 4]),
-    (Fault::NetworkAstray, [Warn; 4]),
+    (Fault::NetworkDiverged, [Warn; 4]),
     (Fault::Supply, [Brake, Hold, Hold, Warn]),
     (Fault::Hot, [QuickStop, Hold, Hold, Warn]),
     (Fault::Runaway, [Brake; 4]),

@@ -1,11 +1,11 @@
 //! Test rig: the grip controller with an ideal motor and an elastic object.
 
+use crate::config::limits::GripLimits;
 use crate::estimator::{Estimate, Validity};
 use crate::fixed_point::Force;
 use crate::grip::commands::{RefusalReason, mode};
 use crate::grip::states::{PowerState, TaskState};
 use crate::grip::{ArmingRequest, ControlInputs, ControlOutputs, GripController, SessionStatus};
-use crate::limits::GripLimits;
 use crate::motor::screw::Screw;
 use crate::motor::{MotorState, MotorStatus, Setpoint};
 use crate::protocol::messages::Command;

@@ -2,7 +2,7 @@
 //! relative of the A31301, as a second implementation of the driver trait. Registers are big-endian 32-bit words;
 //! each axis is split over two consecutive words.
 
-use crate::constants;
+use crate::config::constants;
 use crate::sensors::hall::{HallReading, HallSample, HallSensor, TRANSFER_BYTES};
 
 /// Register with the upper eight bits of X, Y, Z, the new-data flag and the upper six bits of the temperature; the

@@ -14,7 +14,7 @@
 //! holds a measurement, which dithers, the check is disabled until the next start. A replaced sensor with another
 //! word is accepted at the next start, which hosts can request while nothing is driven.
 
-use crate::limits::DetectionLimits;
+use crate::config::limits::DetectionLimits;
 use crate::sensors::hall::{HallSample, SENSORS};
 
 /// Sensors of successive ticks: the buses alternate, two sensors on each.

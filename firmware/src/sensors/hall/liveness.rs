@@ -4,7 +4,7 @@
 //! with a probability of one in ten, three axes with one in a thousand. A saturated axis repeats by nature and is
 //! not counted.
 
-use crate::limits::DetectionLimits;
+use crate::config::limits::DetectionLimits;
 use crate::sensors::hall::{GripperHallSensor, HallReading, HallSample, HallSensor};
 
 /// State of a sensor.

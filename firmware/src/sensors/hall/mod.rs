@@ -19,7 +19,7 @@ pub type GripperHallSensor = a31301::A31301;
 pub type GripperHallSensor = als31300::Als31300;
 
 /// Number of Hall sensors of the gripper.
-pub const SENSORS: usize = crate::constants::SENSORS.value as usize;
+pub const SENSORS: usize = crate::config::constants::SENSORS.value as usize;
 /// Bytes of a measurement on the bus, equal for all parts.
 pub const TRANSFER_BYTES: usize = 8;
 /// Bytes of the configuration word ([`config_readback`]).

@@ -30,7 +30,7 @@ pub mod record;
 
 use embedded_storage_async::nor_flash::NorFlash;
 
-use crate::config::parameters::Parameters;
+use crate::parameters::Parameters;
 use record::{BODY_BYTES, ERASED, FIRST_MARK, SECOND_MARK, SLOT_BYTES, VERSION};
 
 /// Pages of the ring.

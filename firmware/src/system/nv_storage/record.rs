@@ -13,8 +13,8 @@
 //! Numbers are little-endian; other bytes stay erased.
 
 use crate::checksum::CRC32;
-use crate::config::parameters::Parameters;
-use crate::config::schema::COUNT;
+use crate::parameters::Parameters;
+use crate::parameters::schema::COUNT;
 
 /// Version of the parameter schema: incremented when an identifier or a meaning changes.
 pub const VERSION: u16 = 1;

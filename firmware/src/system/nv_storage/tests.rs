@@ -1,8 +1,8 @@
 use std::vec::Vec;
 
 use super::*;
-use crate::config::schema::{PARAMETERS, id};
 use crate::fixed_point::Force;
+use crate::parameters::schema::{PARAMETERS, id};
 use crate::system::nv_storage::flash_model::{Cut, FlashModel, PAGES, Torn, block};
 use crate::system::nv_storage::record::{decode, encode, encode_as};
 

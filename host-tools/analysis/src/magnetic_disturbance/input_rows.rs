@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use anyhow::Result;
+use firmware::compensation::auxiliary_inputs::AuxiliaryInputs;
 use firmware::config::constants;
-use firmware::estimator::auxiliary_inputs::AuxiliaryInputs;
 use firmware::sensors::hall::{HallReading, SENSORS};
 use model_export::effects::REFERENCE_C;
 use model_export::inverse::build::DeviceModel;

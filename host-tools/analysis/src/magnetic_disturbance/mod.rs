@@ -14,7 +14,7 @@ pub mod event;
 pub mod input_rows;
 
 use anyhow::Result;
-use firmware::estimator::compensation::Compensation;
+use firmware::compensation::Compensation;
 use firmware::estimator::disturbance::DisturbanceDetector;
 use firmware::estimator::{Estimate, Estimator};
 use firmware::sensors::hall::{HallFrame, SENSORS};

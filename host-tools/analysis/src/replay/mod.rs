@@ -5,8 +5,8 @@ pub mod tare;
 
 use std::time::{Duration, Instant};
 
+use firmware::compensation::CompensationState;
 use firmware::config::constants;
-use firmware::estimator::compensation::CompensationState;
 use firmware::estimator::{Estimate, Estimator, Validity, estimate};
 use firmware::fixed_point::{Field, Force};
 use firmware::sensors::hall::HallFrame;

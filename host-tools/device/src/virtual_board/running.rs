@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, bail};
 use firmware::config::constants::TICK_US;
 use firmware::config::limits::DetectionLimits;
-use firmware::config::parameters::Parameters;
+use firmware::parameters::Parameters;
 use firmware::protocol::messages::Message;
 use firmware::protocol::serial::Packet;
 use model_export::inverse::build::DeviceModel;

@@ -35,7 +35,7 @@ pub fn summary(counts: &DetectionCounts) -> String {
         }
     };
     let few = if counts.hours() < FEW_HOURS {
-        " (a wide bound from little data; `cargo bench -p host-tools --bench foreign_magnet` evaluates ten hours)"
+        " (a wide bound from little data; `cargo acceptance magnetic-disturbance` evaluates ten hours)"
     } else {
         ""
     };

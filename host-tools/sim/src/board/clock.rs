@@ -1,6 +1,6 @@
 //! Virtual time: constant while tasks are ready, then it jumps to the next deadline.
 
-use firmware::system::clock::Clock;
+use firmware::clock::Clock;
 use std::cell::{Cell, RefCell};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;

@@ -9,9 +9,9 @@ use embedded_hal_async::i2c::{
 };
 use emulator::Time;
 use emulator::devices::I2cBus;
+use firmware::clock::{Clock, delay_us};
 use firmware::sensors::hall::a31301::{self, CONFIGURATION, READING_BYTES, TEMPERATURE};
 use firmware::sensors::hall::{BusLines, HallReading, SensorBus, clear_bus};
-use firmware::system::clock::{Clock, delay_us};
 use std::cell::{Cell, RefCell};
 use std::future::pending;
 use std::rc::Rc;

@@ -1,9 +1,7 @@
 //! Tables of each device form of the catalogue in the formats of the firmware's compensation.
 
+use firmware::compensation::{FieldEffect, ForceEffect, crosstalk, flexure, hysteresis, thermal};
 use firmware::config::constants;
-use firmware::estimator::compensation::{
-    FieldEffect, ForceEffect, crosstalk, flexure, hysteresis, thermal,
-};
 use firmware::fixed_point::Force;
 use nalgebra::{Matrix3, Vector3};
 

@@ -1,8 +1,8 @@
 //! Expression effects as lookup tables over the covariates of the board.
 
+use firmware::compensation::lookup_table::{Covariate, LookupAxis, LookupTable};
+use firmware::compensation::thermal;
 use firmware::config::constants;
-use firmware::estimator::compensation::lookup_table::{Covariate, LookupAxis, LookupTable};
-use firmware::estimator::compensation::thermal;
 use firmware::fixed_point::Force;
 use nalgebra::Vector3;
 

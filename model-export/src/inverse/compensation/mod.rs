@@ -3,9 +3,7 @@
 mod effect_tables;
 mod lookup_table;
 
-use firmware::estimator::compensation::{
-    Compensation, FieldEffect, ForceEffect, MAX_EFFECTS, crosstalk,
-};
+use firmware::compensation::{Compensation, FieldEffect, ForceEffect, MAX_EFFECTS, crosstalk};
 use firmware::fixed_point::{Field, Force};
 use nalgebra::{Matrix3, Vector3};
 

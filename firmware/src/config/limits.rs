@@ -3,7 +3,7 @@
 //!
 //! They are passed as values, so that a test can disable one detector and check that no other reacts.
 
-use crate::constants;
+use crate::config::constants;
 
 /// Thresholds of the detectors of sensing and communication.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

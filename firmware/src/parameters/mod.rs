@@ -4,12 +4,14 @@
 //! On the bus a value is an `i32`. Values out of range are rejected, not clamped. Parameters that affect motion are writable
 //! only while disarmed.
 
-use crate::config::schema::{self, COUNT, PARAMETERS, Parameter, RULES, id, index_of};
+pub mod schema;
+
 use crate::estimator::tare::{MAX_OFFSET, Tare};
 use crate::fixed_point::Force;
 use crate::motor;
 use crate::motor::calibration::CalibrationOutcome;
 use crate::motor::settings::{MotorWiring, Settings};
+use crate::parameters::schema::{COUNT, PARAMETERS, Parameter, RULES, id, index_of};
 use crate::protocol::messages::{ParamReply, ParamRequest};
 use crate::sensors::hall::{GripperHallSensor, HallSensor, SENSORS};
 
@@ -238,7 +240,7 @@ pub fn handle_request(
     }
 }
 
-/// The reply to a request for a counter ([`crate::config::schema::counter`]).
+/// The reply to a request for a counter ([`crate::parameters::schema::counter`]).
 pub const fn handle_counter_request(count: u32, request: &ParamRequest) -> ParamReply {
     let status = match request.op {
         op::READ => status::DONE,
@@ -251,7 +253,7 @@ pub const fn handle_counter_request(count: u32, request: &ParamRequest) -> Param
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::schema::ValueRange;
+    use crate::parameters::schema::ValueRange;
     use crate::protocol::ESTOP_ALL_ID;
     use crate::protocol::frame_id;
     use std::vec::Vec;

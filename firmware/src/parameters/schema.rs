@@ -1,6 +1,6 @@
 //! Schema of the parameters: identifiers, names, units, defaults, ranges.
 
-use crate::constants;
+use crate::config::constants;
 use crate::estimator::tare::MAX_OFFSET;
 use crate::protocol::DEFAULT_NODE;
 use crate::sensors::hall::{GripperHallSensor, HallSensor, SENSORS};
@@ -101,21 +101,21 @@ pub mod counter {
 
 /// Identifiers; those of the sensors are consecutive.
 pub mod id {
-    /// See [`crate::config::parameters::Parameters::node`].
+    /// See [`crate::parameters::Parameters::node`].
     pub const NODE: u16 = 0x01;
-    /// See [`crate::config::parameters::Parameters::command_timeout_ms`].
+    /// See [`crate::parameters::Parameters::command_timeout_ms`].
     pub const COMMAND_TIMEOUT: u16 = 0x02;
-    /// See [`crate::config::parameters::Parameters::backdrivability`].
+    /// See [`crate::parameters::Parameters::backdrivability`].
     pub const SELF_LOCKING: u16 = 0x03;
-    /// See [`crate::config::parameters::Parameters::force_rate_hz`].
+    /// See [`crate::parameters::Parameters::force_rate_hz`].
     pub const FORCE_RATE: u16 = 0x10;
-    /// See [`crate::config::parameters::Parameters::raw`].
+    /// See [`crate::parameters::Parameters::raw`].
     pub const RAW: u16 = 0x11;
-    /// See [`crate::config::parameters::Parameters::ground_contact`].
+    /// See [`crate::parameters::Parameters::ground_contact`].
     pub const FOOT: u16 = 0x12;
-    /// See [`crate::config::parameters::Parameters::telemetry`].
+    /// See [`crate::parameters::Parameters::telemetry`].
     pub const TELEMETRY: u16 = 0x13;
-    /// See [`crate::config::parameters::Parameters::settings`].
+    /// See [`crate::parameters::Parameters::settings`].
     pub const LEAD: u16 = 0x18;
     /// Pole pairs of the motor.
     pub const POLE_PAIRS: u16 = 0x19;
@@ -127,9 +127,9 @@ pub mod id {
     pub const ROTOR_OFFSET: u16 = 0x1C;
     /// Exchange of phases V and W.
     pub const SWAPPED: u16 = 0x1D;
-    /// First sensor; see [`crate::config::parameters::Parameters::addresses`].
+    /// First sensor; see [`crate::parameters::Parameters::addresses`].
     pub const ADDRESS: u16 = 0x20;
-    /// Fx of the first sensor, then Fz; see [`crate::config::parameters::Parameters::tare`].
+    /// Fx of the first sensor, then Fz; see [`crate::parameters::Parameters::tare`].
     pub const TARE: u16 = 0x30;
 }
 
