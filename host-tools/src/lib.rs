@@ -1,4 +1,4 @@
-//! The command `magpie`: [`cli`] parses the command line, [`commands`] has a file for each command.
+//! The command `magpie`: [`commands`] has a file for each command.
 //!
 //! Crates below it, each using only earlier ones:
 //!
@@ -9,5 +9,4 @@
 //! - `report`: results as text, tables and HTML pages.
 //! - `device`: access to a running gripper.
 
-pub mod cli;
 pub mod commands;

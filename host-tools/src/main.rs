@@ -3,5 +3,5 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    host_tools::cli::run(std::env::args_os())
+    host_tools::commands::run(std::env::args_os())
 }

@@ -1,4 +1,4 @@
-//! One module for each command, and what several commands share: [`args`] and [`connection`].
+//! The command line: one module for each command; [`args`] and [`connection`] are shared by several.
 
 pub mod args;
 pub mod benchmark;
@@ -21,3 +21,98 @@ pub mod record;
 pub mod replay;
 pub mod simulate;
 pub mod train;
+
+use std::ffi::OsString;
+use std::process::ExitCode;
+
+use clap::{CommandFactory, Parser, Subcommand};
+
+/// Calibrates Hall-effect force sensors of a robot gripper, diagnoses missing physical effects, and operates the
+/// gripper.
+#[derive(Debug, Parser)]
+#[command(name = "magpie", version, arg_required_else_help = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Demo(demo::Args),
+    Fit(fit::Args),
+    Compare(compare::Args),
+    Diagnose(diagnose::Args),
+    Import(import::Args),
+    Effects(effects::Args),
+    Add(edit_model::AddArgs),
+    #[command(alias = "drop")]
+    Remove(edit_model::RemoveArgs),
+    Export(export::Args),
+    Replay(replay::Args),
+    Simulate(simulate::Args),
+    Train(train::Args),
+    Benchmark(benchmark::Args),
+    Monitor(monitor::Args),
+    Record(record::Args),
+    Emulate(emulate::Args),
+    Dbc(dbc::Args),
+    #[command(alias = "grip")]
+    Grasp(grasp::Args),
+    Design(design::Args),
+    #[command(alias = "faults")]
+    FaultCampaign(fault_campaign::Args),
+}
+
+/// The parser of the command line.
+pub fn parser() -> clap::Command {
+    Cli::command()
+}
+
+/// Runs a command. Errors are printed on stderr as one sentence.
+pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
+    let cli = match Cli::try_parse_from(replace_former_name(arguments)) {
+        Ok(cli) => cli,
+        Err(error) => error.exit(),
+    };
+    let result = match cli.command {
+        Command::Demo(args) => demo::run(&args),
+        Command::Fit(args) => fit::run(&args),
+        Command::Compare(args) => compare::run(&args),
+        Command::Diagnose(args) => diagnose::run(&args),
+        Command::Import(args) => import::run(&args),
+        Command::Effects(args) => effects::run(&args),
+        Command::Add(args) => edit_model::run_add(&args),
+        Command::Remove(args) => edit_model::run_remove(&args),
+        Command::Export(args) => export::run(&args),
+        Command::Replay(args) => replay::run(&args),
+        Command::Simulate(args) => simulate::run(&args),
+        Command::Train(args) => train::run(&args),
+        Command::Benchmark(args) => benchmark::run(&args),
+        Command::Monitor(args) => monitor::run(&args),
+        Command::Record(args) => record::run(&args),
+        Command::Emulate(args) => emulate::run(&args),
+        Command::Dbc(args) => dbc::run(&args),
+        Command::Grasp(args) => grasp::run(&args),
+        Command::Design(args) => design::run(&args),
+        Command::FaultCampaign(args) => fault_campaign::run(&args),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("magpie: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Replaces `train --table`, the former name of `benchmark`.
+fn replace_former_name(arguments: impl IntoIterator<Item = OsString>) -> Vec<OsString> {
+    let mut arguments: Vec<OsString> = arguments.into_iter().collect();
+    if arguments.get(1).is_some_and(|command| command == "train")
+        && let Some(table) = arguments.iter().position(|argument| argument == "--table")
+    {
+        arguments.remove(table);
+        arguments[1] = "benchmark".into();
+    }
+    arguments
+}

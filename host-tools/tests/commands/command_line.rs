@@ -215,7 +215,7 @@ fn readme_lists_all_commands() {
     let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("README.md");
     let readme = std::fs::read_to_string(&path).unwrap();
     let mut table = String::from("| command | purpose |\n| --- | --- |\n");
-    for command in host_tools::cli::parser().get_subcommands() {
+    for command in host_tools::commands::parser().get_subcommands() {
         if !command.is_hide_set() {
             let about = command.get_about().map(ToString::to_string).unwrap_or_default();
             table += &format!("| `cargo magpie {}` | {about} |\n", command.get_name());

@@ -70,7 +70,7 @@ pub fn evaluate(args: &Args, options: &Options) -> Result<Section> {
                     .map(|count| count.to_string())
             }),
         ),
-        is_met,
+        is_met: Some(is_met),
     })
 }
 

@@ -58,7 +58,7 @@ pub fn evaluate(options: &Options) -> Result<Section> {
             ["figure", "unit", "minimum", "maximum", "screw A", "screw B"],
             rows.chain([whole]),
         ),
-        is_met,
+        is_met: Some(is_met),
     })
 }
 

@@ -72,7 +72,7 @@ pub fn evaluate(args: &Args, options: &Options) -> Result<Section> {
                      screws and three stiffnesses. In brackets: 95 % confidence limits."
             .to_owned(),
         tables: markdown_table(["figure", "specified", "simulated"], table),
-        is_met: met == rows.len() && forbidden == 0,
+        is_met: Some(met == rows.len() && forbidden == 0),
     })
 }
 

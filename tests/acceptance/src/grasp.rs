@@ -127,7 +127,7 @@ pub fn evaluate(args: &Args, options: &Options) -> Result<Section> {
             "{grasps}\n{}",
             markdown_table(["figure", "specified", "simulated"], others)
         ),
-        is_met,
+        is_met: Some(is_met),
     })
 }
 

@@ -108,7 +108,7 @@ fn main() -> ExitCode {
     let arguments: Vec<_> = std::env::args_os().collect();
     // The runs execute commands of `magpie` in child processes of this program.
     if arguments.get(1).is_some_and(|argument| argument == magpie::SUBCOMMAND) {
-        return host_tools::cli::run(arguments.into_iter().skip(1));
+        return host_tools::commands::run(arguments.into_iter().skip(1));
     }
     match run(&Cli::parse()) {
         Ok(()) => ExitCode::SUCCESS,
@@ -125,7 +125,7 @@ fn run(cli: &Cli) -> Result<()> {
     let text = section.markdown(&command_line(std::env::args().skip(1)));
     println!("{text}");
     results::write(&cli.options.results, &section.marker(cli.options.quick), &text)?;
-    if !section.is_met {
+    if section.is_met == Some(false) {
         bail!("a requirement is not met");
     }
     Ok(())

@@ -21,8 +21,8 @@ pub struct Section {
     pub conditions: String,
     /// Tables in Markdown.
     pub tables: String,
-    /// Whether all requirements are met.
-    pub is_met: bool,
+    /// Whether all requirements are met; `None` without a requirement.
+    pub is_met: Option<bool>,
 }
 
 impl Section {
@@ -33,7 +33,11 @@ impl Section {
 
     /// Text of the section.
     pub fn markdown(&self, command: &str) -> String {
-        let verdict = if self.is_met { "all requirements met" } else { "NOT all requirements met" };
+        let verdict = match self.is_met {
+            Some(true) => "all requirements met",
+            Some(false) => "NOT all requirements met",
+            None => "no requirement is specified",
+        };
         format!(
             "## {}\n\n`{command}`, version {}: {}; {verdict}. {}\n\n{}",
             self.title,

@@ -11,7 +11,7 @@ use crate::inverse::compensation::{Converter, NotCompensable};
 
 /// Knots of a curve, and along each side of a surface.
 const KNOTS: [u16; 2] = [257, 33];
-/// LookupTable of no effect.
+/// Lookup table of no effect.
 const EMPTY_MAP: OwnedMap = OwnedMap { sides: [None; 2], values: Vec::new() };
 
 /// Owned lookup table.

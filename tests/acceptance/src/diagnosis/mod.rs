@@ -75,7 +75,7 @@ pub fn evaluate_groups(args: &Args, options: &Options) -> Result<Section> {
             ["random effects", "seeds", "figure", "rate", "95 % confidence limits", "specified"],
             rows,
         ),
-        is_met,
+        is_met: Some(is_met),
     })
 }
 
