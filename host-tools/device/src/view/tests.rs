@@ -100,11 +100,14 @@ fn silence_is_reported_and_no_force_without_messages() {
 
 #[test]
 fn small_terminals_show_what_fits() {
-    let cases = [(80, 24, "34.20"), (40, 10, "/dev/pts/7"), (3, 2, "/d"), (1, 1, "")];
+    let cases = [(80, 24, "34.20"), (40, 10, "sensor lost")];
     for (width, height, text) in cases {
         let page = drawn(width, height, &pressed(), 12.0);
-        assert_eq!(page.lines().count(), usize::from(height), "{width} x {height}");
         assert!(page.contains(text), "{text:?} is not in\n{page}");
+    }
+    for (width, height) in [(80, 24), (40, 10), (3, 2), (1, 1)] {
+        let page = drawn(width, height, &pressed(), 12.0);
+        assert_eq!(page.lines().count(), usize::from(height), "{width} x {height}");
     }
 }
 
