@@ -1,5 +1,5 @@
-//! Fixed-point quantities and saturating integer arithmetic. The device computes with the raw integers; floating point is
-//! for the host.
+//! Fixed-point quantities and saturating integer arithmetic of the estimator. Conversions to floating point are for the host;
+//! motor and grip control compute in `f32`.
 
 /// Conversion to 32 bits with saturation. Not inlined: used in fifty places, a call is shorter.
 #[inline(never)]
@@ -13,7 +13,7 @@ pub const fn saturate(value: i64) -> i32 {
     }
 }
 
-/// `value * factor`, where `factor` has `bits` fractional bits (at most 62), rounded to nearest. Inlined because `bits` is
+/// `value * factor`, where `factor` has `bits` fractional bits (at most 62), rounded to nearest, ties towards plus infinity. Inlined because `bits` is
 /// constant in every call, and the shift then takes three instructions.
 #[inline(always)]
 pub const fn mul_q(value: i32, factor: i32, bits: u32) -> i32 {
@@ -23,7 +23,7 @@ pub const fn mul_q(value: i32, factor: i32, bits: u32) -> i32 {
     saturate((value as i64 * factor as i64).wrapping_add(half) >> bits)
 }
 
-/// A magnetic field in 1/16 count of the sensor: resolution for the compensation.
+/// A magnetic field in 1/16 LSB of the sensor; the fraction is the resolution of the compensation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Field(pub i32);
 
@@ -36,7 +36,7 @@ impl Field {
         Self((counts as i32) << Self::BITS)
     }
 
-    /// Less an offset, saturating.
+    /// Subtracts an offset in 1/16 LSB, saturating.
     pub const fn saturating_sub(self, offset: i32) -> Self {
         Self(self.0.saturating_sub(offset))
     }

@@ -1,5 +1,5 @@
-//! Contact detection: suspected at the first force above the threshold, confirmed by two of three, ended with
-//! hysteresis.
+//! Contact detection: suspected at the first force above the threshold, confirmed by 2 of 3 samples, ended with
+//! hysteresis. A sample is a tick of 1 ms with a valid force.
 
 use crate::config::limits::GripLimits;
 use crate::grip::debounce::next_ms;
@@ -15,7 +15,7 @@ pub struct ContactDetector {
 }
 
 impl ContactDetector {
-    /// Adds the force of one millisecond in newtons.
+    /// Adds a sample of the force in newtons.
     pub fn update(&mut self, force_n: f32, limits: &GripLimits) {
         let is_above = u8::from(force_n > limits.contact_n);
         self.recent = ((self.recent << 1) | is_above) & 0b111;
@@ -27,7 +27,7 @@ impl ContactDetector {
         };
     }
 
-    /// The last force was above the threshold: enough to slow down.
+    /// A contact is confirmed or the last force was above the threshold: enough to slow down.
     pub const fn is_suspected(&self) -> bool {
         self.is_confirmed || self.recent & 1 != 0
     }

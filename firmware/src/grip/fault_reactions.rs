@@ -1,8 +1,8 @@
 //! Reaction to each fault, and the latch of the first fault.
 //!
-//! Where the motor trips, its current loop reacts within a PWM period ([`crate::motor::Trip`]); the rows here follow.
-//! Faults that hardware handles alone (short circuit at the comparators, core lock-up, watchdog) have no row: the
-//! bridges are then off.
+//! On a motor trip ([`crate::motor::Trip`]) the current loop reacts first, within a PWM period, and the rows here apply after
+//! it. The break input and the watchdog switch the bridges off without software; [`Fault::PowerStage`] and
+//! [`Fault::Crashed`] report it.
 
 use crate::grip::states::GripPhase;
 use crate::motor::Trip;
@@ -13,7 +13,8 @@ use crate::system::faults::Fault;
 pub enum Reaction {
     /// R0: report only.
     Warn,
-    /// R1: hold the force with the valid finger, or the position if there is none.
+    /// R1: keep the grip. The force controller continues with the valid finger, or holds the position if there is none;
+    /// no transition is needed for it.
     Hold,
     /// R2: stop, then hold the position.
     QuickStop,
@@ -46,28 +47,28 @@ const fn row(
 }
 
 /// A sensor fault: the other finger holds the object.
-const fn sensing(fault: Fault) -> ReactionRow {
+const fn sensor_fault(fault: Fault) -> ReactionRow {
     row(fault, Reaction::QuickStop, [Reaction::Hold; 2], Reaction::Warn)
 }
 
-const fn everywhere(fault: Fault, reaction: Reaction) -> ReactionRow {
+const fn any_phase(fault: Fault, reaction: Reaction) -> ReactionRow {
     row(fault, reaction, [reaction; 2], reaction)
 }
 
 const fn warning(fault: Fault) -> ReactionRow {
-    everywhere(fault, Reaction::Warn)
+    any_phase(fault, Reaction::Warn)
 }
 
 /// One row per fault, in the order of [`Fault::ALL`].
 pub const REACTION_TABLE: [ReactionRow; Fault::ALL.len()] = [
-    sensing(Fault::SensorLost),
-    sensing(Fault::SensorFrozen),
-    sensing(Fault::SensorSaturated),
-    sensing(Fault::BusStuck),
-    sensing(Fault::OutsideModel),
-    sensing(Fault::Unbalanced),
-    sensing(Fault::Disturbed),
-    everywhere(Fault::TablesUnsound, Reaction::QuickStop),
+    sensor_fault(Fault::SensorLost),
+    sensor_fault(Fault::SensorFrozen),
+    sensor_fault(Fault::SensorSaturated),
+    sensor_fault(Fault::BusStuck),
+    sensor_fault(Fault::OutsideModel),
+    sensor_fault(Fault::Unbalanced),
+    sensor_fault(Fault::Disturbed),
+    any_phase(Fault::TablesUnsound, Reaction::QuickStop),
     warning(Fault::StoreUnsound),
     warning(Fault::TicksMissed),
     warning(Fault::Crashed),
@@ -76,12 +77,12 @@ pub const REACTION_TABLE: [ReactionRow; Fault::ALL.len()] = [
     warning(Fault::HostSilent),
     warning(Fault::Flooded),
     warning(Fault::StrangeFrames),
-    everywhere(Fault::OverCurrent, Reaction::Off),
-    everywhere(Fault::OverSpeed, Reaction::Brake),
+    any_phase(Fault::OverCurrent, Reaction::Off),
+    any_phase(Fault::OverSpeed, Reaction::Brake),
     // Without its angle the rotor of a backdrivable screw cannot be held; with shorted windings it yields slowly.
     row(Fault::RotorSensor, Reaction::Brake, [Reaction::Off, Reaction::Brake], Reaction::Off),
-    everywhere(Fault::CurrentSense, Reaction::Off),
-    everywhere(Fault::NotANumber, Reaction::Off),
+    any_phase(Fault::CurrentSense, Reaction::Off),
+    any_phase(Fault::NotANumber, Reaction::Off),
     row(Fault::Blind, Reaction::QuickStop, [Reaction::Off, Reaction::QuickStop], Reaction::Warn),
     row(Fault::OverForce, Reaction::QuickStop, [Reaction::QuickStop; 2], Reaction::Warn),
     row(Fault::Jammed, Reaction::QuickStop, [Reaction::QuickStop; 2], Reaction::Warn),
@@ -93,8 +94,8 @@ pub const REACTION_TABLE: [ReactionRow; Fault::ALL.len()] = [
     warning(Fault::NetworkDiverged),
     row(Fault::Supply, Reaction::Brake, [Reaction::Hold; 2], Reaction::Warn),
     row(Fault::Hot, Reaction::QuickStop, [Reaction::Hold; 2], Reaction::Warn),
-    everywhere(Fault::Runaway, Reaction::Brake),
-    everywhere(Fault::PowerStage, Reaction::Off),
+    any_phase(Fault::Runaway, Reaction::Brake),
+    any_phase(Fault::PowerStage, Reaction::Off),
 ];
 
 impl ReactionRow {
@@ -139,8 +140,7 @@ pub fn reaction(fault: Fault, phase: GripPhase, self_locking: bool) -> Reaction 
     REACTION_TABLE.get(fault.index()).map_or(Reaction::Off, |row| row.reaction(phase, self_locking))
 }
 
-/// The strongest reaction to the faults in the heartbeat bits, and its fault; of equal ones the first in
-/// [`Fault::ALL`], which is closest to the cause.
+/// The strongest reaction to the faults in the heartbeat bits, and its fault; of equal ones the first in [`Fault::ALL`].
 pub fn strongest_reaction(
     bits: u32,
     phase: GripPhase,
@@ -165,7 +165,7 @@ pub(super) fn is_active(bits: u32, fault: Fault) -> bool {
 
 /// The first of a sequence of faults.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct FirstCause {
+pub struct FirstFault {
     /// The fault.
     pub fault: Fault,
     /// State code when it occurred, as in the heartbeat.
@@ -174,18 +174,18 @@ pub struct FirstCause {
     pub at_ms: u32,
 }
 
-/// Stores the first fault until a host clears it.
+/// Stores the first fault with a reaction of at least [`Reaction::QuickStop`] until a host clears it.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct FirstFaultLatch(Option<FirstCause>);
+pub struct FirstFaultLatch(Option<FirstFault>);
 
 impl FirstFaultLatch {
     /// Stores a fault unless one is stored already.
-    pub fn record(&mut self, cause: FirstCause) {
+    pub fn record(&mut self, cause: FirstFault) {
         self.0.get_or_insert(cause);
     }
 
     /// The stored fault.
-    pub const fn cause(&self) -> Option<FirstCause> {
+    pub const fn cause(&self) -> Option<FirstFault> {
         self.0
     }
 
@@ -234,7 +234,7 @@ mod tests {
 
     #[test]
     fn first_cause_stays_until_inactive_and_cleared() {
-        let cause = |fault, at_ms| FirstCause { fault, state: 22, at_ms };
+        let cause = |fault, at_ms| FirstFault { fault, state: 22, at_ms };
         let mut latch = FirstFaultLatch::default();
         latch.record(cause(Fault::SensorLost, 5));
         latch.record(cause(Fault::Blind, 6));

@@ -1,4 +1,4 @@
-//! Motor current while holding.
+//! Limit of the motor current while holding.
 
 use crate::motor::settings::PEAK_A;
 
@@ -8,7 +8,7 @@ const RELAX_MS: u32 = 100;
 const DECAY: f32 = 0.99;
 /// Holding current relative to the one computed from the assumed friction of the screw.
 pub(super) const MARGIN: f32 = 1.4;
-/// Factor on the margin each time it was too small.
+/// Factor on the margin each time the force left the band after the current had decreased.
 const MARGIN_GROWTH: f32 = 1.25;
 
 /// Current limit while holding: friction helps, so that less current is needed than for gripping.
@@ -26,7 +26,8 @@ impl Default for HoldCurrent {
 }
 
 impl HoldCurrent {
-    /// Current limit for this millisecond, from the computed holding current and the present current.
+    /// Current limit for this millisecond, from the computed holding current and the magnitude of
+    /// the present current set-point.
     pub(super) fn update(&mut self, is_in_band: bool, holding_a: f32, present_a: f32) -> f32 {
         if !is_in_band {
             if self.in_band_ms > RELAX_MS {

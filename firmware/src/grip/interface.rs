@@ -6,7 +6,7 @@ use crate::motor::{MotorStatus, Setpoint};
 use crate::protocol::messages::{Command, FaultEvent, Foot, GripStatus};
 use crate::sensors::hall::SENSORS;
 
-/// Maximum fault events per step; there are as many kinds of own faults.
+/// Maximum fault events per step: more than the controller has faults of its own.
 const EVENTS: usize = 24;
 
 /// Status of the session with a host.
@@ -35,7 +35,7 @@ pub struct ControlInputs<'a> {
     pub stop: bool,
     /// A host clears the faults ([`crate::protocol::session::op::CLEAR_FAULTS`]).
     pub clear: bool,
-    /// Active faults from other sources as heartbeat bits ([`crate::system::faults::FaultSet::bits`]).
+    /// Active faults of other tasks as heartbeat bits ([`crate::system::faults::FaultSet::bits`]).
     pub faults: u32,
     /// Result of the self-test; none while it runs.
     pub is_sound: Option<bool>,
@@ -49,22 +49,23 @@ pub struct ControlInputs<'a> {
 /// Request to arm or disarm the motor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ArmingRequest {
-    /// [`crate::motor::MotorCommand::Arm`].
+    /// Enables the power stage ([`crate::motor::MotorCommand::Arm`]).
     Arm,
-    /// [`crate::motor::MotorCommand::Disarm`].
+    /// Disables it ([`crate::motor::MotorCommand::Disarm`]).
     Disarm,
 }
 
 /// Outputs of one control step.
 #[derive(Clone, Debug)]
 pub struct ControlOutputs {
-    /// For [`crate::motor::MotorCommand::Setpoint`].
+    /// Set-point of the motor ([`crate::motor::MotorCommand::Setpoint`]).
     pub setpoint: Setpoint,
     /// To be executed before the set-point.
     pub arming: Option<ArmingRequest>,
-    /// For [`crate::motor::MotorCommand::SetOpening`], before the set-point; NaN makes the opening unknown.
+    /// New opening of the motor control ([`crate::motor::MotorCommand::SetOpening`]), before the set-point; NaN makes the
+    /// opening unknown.
     pub opening_mm: Option<f32>,
-    /// For [`crate::protocol::session::Session::set_may_arm`].
+    /// Whether a host may arm ([`crate::protocol::session::Session::set_may_arm`]).
     pub may_arm: bool,
     /// State code for the heartbeat.
     pub state: u8,

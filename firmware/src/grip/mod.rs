@@ -40,7 +40,7 @@ use crate::estimator::Estimate;
 use crate::grip::commands::{CommandRefusal, GraspTarget, GripCommand, MoveTarget};
 use crate::grip::contact::ContactDetector;
 use crate::grip::debounce::{next_ms, next_ticks};
-use crate::grip::fault_reactions::{FirstCause, FirstFaultLatch, Reaction};
+use crate::grip::fault_reactions::{FirstFault, FirstFaultLatch, Reaction};
 use crate::grip::finger_force::{FingerForce, FingerForces};
 use crate::grip::force_controller::StiffnessEstimator;
 use crate::grip::ground_contact::{GroundContact, GroundContactDetector};
@@ -261,7 +261,7 @@ impl GripController {
     }
 
     /// First fault since a host last cleared the faults.
-    pub const fn first_cause(&self) -> Option<FirstCause> {
+    pub const fn first_cause(&self) -> Option<FirstFault> {
         self.first_fault.cause()
     }
 

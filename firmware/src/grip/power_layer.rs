@@ -5,7 +5,7 @@ use crate::fixed_point::Force;
 use crate::grip::commands::TRIP_N;
 use crate::grip::debounce::next_ms;
 use crate::grip::fault_reactions::{
-    FirstCause, Reaction, TRIP_FAULTS, fault_of, is_active, strongest_reaction,
+    FirstFault, Reaction, TRIP_FAULTS, fault_of, is_active, strongest_reaction,
 };
 use crate::grip::states::{GripPhase, PowerState, TaskState};
 use crate::grip::transitions::{self, PowerEvent};
@@ -134,7 +134,7 @@ impl GripController {
         if self.apply_power_event(event) {
             self.reaction = reaction;
             self.backs_off = fault == Fault::OverForce && phase != GripPhase::Foot;
-            self.first_fault.record(FirstCause { fault, state, at_ms: self.now_ms });
+            self.first_fault.record(FirstFault { fault, state, at_ms: self.now_ms });
         }
     }
 

@@ -95,7 +95,7 @@ struct Reported {
     forces: Vec<(usize, Force)>,
 }
 
-/// The same by the firmware's loops in virtual time, which `host-tools/tests/board.rs` compares with `replay`.
+/// The same by the firmware's loops in virtual time, which `host-tools/tests/board` compares with `replay`.
 fn in_virtual_time(made: Made) -> Reported {
     let world = world(&made);
     let program = Program {

@@ -162,14 +162,13 @@ pub struct MagnitudeSpec {
     pub aggregation: Aggregation,
     /// Factor applied after the reduction.
     pub factor: f64,
-    /// Systematic uncertainty (one standard deviation) added to the standard error: time stamps of two clocks
-    /// agree to some hundredths of a millisecond at best (assumed).
+    /// Systematic uncertainty (one standard deviation), added to the standard error in quadrature.
     pub resolution: f64,
-    /// Typical detectable magnitude.
+    /// Typical magnitude, with its usual sign.
     pub typical: f64,
-    /// Plausible range.
+    /// Range outside which a fitted magnitude is reported as implausible.
     pub plausible: (f64, f64),
-    /// Physically possible range.
+    /// Range outside which a fit is rejected.
     pub possible: (f64, f64),
 }
 

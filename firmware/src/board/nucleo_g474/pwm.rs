@@ -1,10 +1,10 @@
 //! Power stage: three half bridges on TIM1 with complementary, centre-aligned PWM at 20 kHz, dead time, a break input that
-//! switches off without software, and a trigger in the middle of the period for the current converter.
+//! switches off without software, and a trigger of the ADC in the middle of the period.
 //!
 //! A period is from one underflow of the counter to the next. The high sides are on around the underflow, the low sides
-//! around the top, the middle of the period. New duties take effect at the underflow.
+//! around the overflow, which is the middle of the period. New duties take effect at the underflow.
 //!
-//! After a break the outputs stay off until the control has switched them off and on again.
+//! After a break the outputs stay off until the motor controller has switched them off and on again.
 
 use core::mem::forget;
 
@@ -20,15 +20,15 @@ use crate::motor::power_stage::{BridgeCommand, PowerStage};
 /// Clock of the timer.
 const CLOCK_HZ: f64 = 160e6;
 /// Counts of half a period.
-const HALF: u16 = (CLOCK_HZ / (2e3 * constants::PWM_RATE.value)) as u16;
+const PERIOD_COUNTS: u16 = (CLOCK_HZ / (2e3 * constants::PWM_RATE.value)) as u16;
 /// Counts of the dead time; the register is linear up to 127.
-const DEAD: u8 = (constants::DEAD_TIME.value * 1e-9 * CLOCK_HZ) as u8;
-const _: () = assert!(DEAD < 128);
+const DEAD_TIME_COUNTS: u8 = (constants::DEAD_TIME.value * 1e-9 * CLOCK_HZ) as u8;
+const _: () = assert!(DEAD_TIME_COUNTS < 128);
 /// Counts from the trigger to the middle of the period.
 const TRIGGER_LEAD: u16 = 8;
 const TIMER: pac::timer::TimAdv = pac::TIM1;
 /// Alternate function of the break input.
-const BREAK_FUNCTION: u8 = 6;
+const BREAK_AF: u8 = 6;
 
 /// Pins of the half bridges.
 pub struct Pins {
@@ -70,7 +70,7 @@ impl Stage {
 
     fn set_duties(&mut self, [u, v, w]: [f32; 3]) {
         // The cast saturates; NaN gives zero.
-        let counts = |duty: f32| ((duty * f32::from(HALF)) as u16).min(HALF);
+        let counts = |duty: f32| ((duty * f32::from(PERIOD_COUNTS)) as u16).min(PERIOD_COUNTS);
         // Constant channel numbers need no check at run time.
         TIMER.ccr(0).write(|to| to.set_ccr(counts(u)));
         TIMER.ccr(1).write(|to| to.set_ccr(counts(v)));
@@ -110,7 +110,7 @@ fn configure() {
         w.set_cms(Cms::CENTER_ALIGNED1);
         w.set_arpe(true);
     });
-    TIMER.arr().write(|w| w.set_arr(HALF));
+    TIMER.arr().write(|w| w.set_arr(PERIOD_COUNTS));
     // Update at every second counter event: set before the start, this is the underflow.
     TIMER.rcr().write(|w| w.set_rep(1));
     for channel in 0..3 {
@@ -124,7 +124,7 @@ fn configure() {
         w.set_ocm(1, Ocm::PWM_MODE2);
         w.set_ocpe(1, true);
     });
-    TIMER.ccr(3).write(|w| w.set_ccr(HALF - TRIGGER_LEAD));
+    TIMER.ccr(3).write(|w| w.set_ccr(PERIOD_COUNTS - TRIGGER_LEAD));
     TIMER.cr2().modify(|w| w.set_mms2(Mms2::COMPARE_OC4));
     TIMER.ccer().modify(|w| {
         for channel in 0..3 {
@@ -135,7 +135,7 @@ fn configure() {
     TIMER.egr().write(|w| w.set_ug(true));
     // Off: the timer drives all six pins low. Locked bits stay until a reset.
     TIMER.bdtr().write(|w| {
-        w.set_dtg(DEAD);
+        w.set_dtg(DEAD_TIME_COUNTS);
         w.set_ossi(Ossi::IDLE_LEVEL);
         w.set_ossr(Ossr::IDLE_LEVEL);
         w.set_bkp(0, Bkp::ACTIVE_LOW);
@@ -148,7 +148,7 @@ fn configure() {
 /// Assigns the pins to the timer. They are forgotten because dropping them would release them.
 fn connect(pins: Pins) {
     let mut stop = Flex::new(pins.stop);
-    stop.set_as_af_unchecked(BREAK_FUNCTION, AfType::input(Pull::Up));
+    stop.set_as_af_unchecked(BREAK_AF, AfType::input(Pull::Up));
     forget(stop);
     let push = OutputType::PushPull;
     let (u, v, w) = pins.high;

@@ -327,7 +327,7 @@ impl FittedModel {
     pub fn newest_is_plausible(&self, recordings: usize) -> bool {
         let newest = effect_sizes(&self.fit, &self.effects, recordings).pop();
         newest.is_none_or(|size| {
-            let tiny = size.value.abs() < MIN_MAGNITUDE * size.size.typical;
+            let tiny = size.value.abs() < MIN_MAGNITUDE * size.size.typical.abs();
             size.is_plausible() && !tiny
         })
     }
@@ -336,7 +336,7 @@ impl FittedModel {
     pub fn is_possible(&self, recordings: usize) -> bool {
         effect_sizes(&self.fit, &self.effects, recordings).iter().zip(&self.effects).all(
             |(size, effect)| {
-                let max_error = MAX_RELATIVE_ERROR * size.value.abs().max(size.size.typical);
+                let max_error = MAX_RELATIVE_ERROR * size.value.abs().max(size.size.typical.abs());
                 let is_determined = !effect.is_transient() || size.std_error <= max_error;
                 size.is_possible() && is_determined
             },

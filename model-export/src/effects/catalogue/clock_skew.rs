@@ -21,6 +21,7 @@ pub const EFFECT: Effect = Effect {
     size: MagnitudeSpec {
         description: "field after force",
         unit: "ms",
+        // Time stamps of two clocks agree to some hundredths of a millisecond at best (assumed).
         resolution: 0.05,
         typical: 5.0,
         plausible: (-50.0, 50.0),
