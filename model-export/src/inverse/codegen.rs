@@ -32,7 +32,7 @@ fn tables(built: &DeviceModel) -> String {
     if !built.compensations.is_empty() {
         text +=
             "\n// Numbers as they are printed by the exporter: long lines, and no digit grouped.\n";
-        text += "#[rustfmt::skip]\nuse crate::estimator::compensation::{*, crosstalk::*, flexure::*, hysteresis::*, lookup_table::*, thermal::*};\n";
+        text += "#[rustfmt::skip]\nuse crate::compensation::{*, crosstalk::*, flexure::*, hysteresis::*, lookup_table::*, thermal::*};\n";
     }
     text += "\nuse crate::model::formats::*;\n\n";
     text += "/// The ideal model of every sensor.\n";
