@@ -2,7 +2,7 @@
 //
 // inputs    4204385f31deb651682314a9738fd35ec6b8fbcc57405a5631cd2a4d6b290bf1 (SHA-256 of the model file)
 // model     fitted parameters, campaign demo
-// effects   none beside the base
+// effects   none
 // recorded  not stated in recording.toml
 // shape     6 x 6 centres, gamma 1.5944, ridge 1e-7
 //

@@ -103,7 +103,7 @@ fn comment(chosen: &SelectedModels, header: &ExportHeader) -> String {
         header.variant,
         header.campaign,
         if header.effects.is_empty() {
-            "none beside the base".to_owned()
+            "none".to_owned()
         } else {
             header.effects.join(", ")
         },
