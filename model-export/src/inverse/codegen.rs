@@ -102,11 +102,7 @@ fn comment(chosen: &SelectedModels, header: &ExportHeader) -> String {
         header.inputs_sha256,
         header.variant,
         header.campaign,
-        if header.effects.is_empty() {
-            "none".to_owned()
-        } else {
-            header.effects.join(", ")
-        },
+        if header.effects.is_empty() { "none".to_owned() } else { header.effects.join(", ") },
         chosen.shape.centres_across,
         chosen.shape.centres_across,
         chosen.shape.gamma,

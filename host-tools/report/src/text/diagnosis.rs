@@ -398,8 +398,8 @@ pub fn short_reason(verdict: &Verdict) -> String {
         Reason::RemainderOf(effect) => format!("part of {effect}"),
         Reason::DriftsWithTime => "drifts with time".to_owned(),
         Reason::OtherCause => "has another cause".to_owned(),
-        Reason::UnexplainedResidual(_) => "too much is unexplained".to_owned(),
-        Reason::HardlyChangesField => "hardly changes the field".to_owned(),
+        Reason::UnexplainedResidual(_) => "much is unexplained".to_owned(),
+        Reason::HardlyChangesField => "not detectable here".to_owned(),
         Reason::Confounded => "confounded".to_owned(),
         Reason::Masked => "masked by other causes".to_owned(),
         Reason::BelowBound(bound) => format!("< {bound:.2} of typical"),
@@ -667,7 +667,7 @@ mod tests {
     fn text_lists_inconclusive_effects_by_reason() {
         let page = unwrapped(&uncolored(&full()));
         assert!(page.contains(
-            "tip_slope, geometric_stiffening: hardly changes the field. Record: Load each flexure"
+            "tip_slope, geometric_stiffening: not detectable here. Record: Load each flexure"
         ));
         assert!(
             page.contains("earth_field: roll_rad was not recorded. Record: Rotate the unloaded")
