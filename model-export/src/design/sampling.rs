@@ -1,5 +1,8 @@
 //! Sampling of the unit box: Sobol's sequence (direction numbers of Joe and Kuo, SIAM J. Sci. Comput. 30, 2008;
 //! new-joe-kuo-6.21201; in Gray code order) or a full factorial grid.
+//!
+//! The crates `sobol` (1.0.2, last release in 2020) and `sobol-qmc` (2.5.1) give the same points (all of the first 2^18
+//! compared), but as an iterator, not by index, and the latter needs a second nalgebra; `sobol_burley` only scrambles.
 
 /// Sampling method.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
