@@ -72,7 +72,7 @@ impl CanBus {
         }
     }
 
-    /// Queues frames of the shortest length without a message, up to [`FLOOD_QUEUE`] waiting ones.
+    /// Queues frames of the shortest length without a message, up to `FLOOD_QUEUE` waiting ones.
     pub fn flood(&mut self, frames: u32) {
         let id = StandardId::new(frame_id(DEFAULT_NODE, 0x1F));
         let Some(frame) = id.and_then(|id| CanFrame::new(id, &[])) else { return };
