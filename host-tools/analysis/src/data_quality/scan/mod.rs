@@ -1,7 +1,7 @@
 //! One tolerant pass over every file of a campaign, in constant memory.
 //!
 //! - [`clock`]: order, duplicates and gaps of a clock; rotor speed.
-//! - [`column`]: statistics of a column.
+//! - [`mod@column`]: statistics of a column.
 //! - [`spectrum`]: averaged periodograms and their narrow lines.
 
 pub mod clock;
