@@ -12,8 +12,9 @@ use defmt_rtt as _;
 use firmware::model::formats::{CentrePair, EXP_ENTRIES, GruState, Weights};
 use firmware::model::kernel::{self, grbf, gru};
 
-use crate::counts;
+use crate::counts::{self, Counter};
 use crate::vectors::{self, Machine, STEPS, SUMS};
+use crate::{grip, motor, tasks};
 
 /// Comparison of kernel and portable definition.
 #[derive(Default)]
@@ -58,6 +59,15 @@ impl Machine for Comparison {
     }
 }
 
+/// Prints the instructions of kernels, motor control, grip and tasks.
+fn print_counts(out: &mut impl Write) -> core::fmt::Result {
+    let counter = Counter::new().ok_or(core::fmt::Error)?;
+    counts::print(&counter, out)?;
+    motor::print(&counter, out)?;
+    grip::print(&counter, out)?;
+    tasks::print(&counter, out)
+}
+
 #[cortex_m_rt::entry]
 fn main() -> ! {
     let mut comparison = Comparison::default();
@@ -70,7 +80,7 @@ fn main() -> ! {
             comparison.steps, comparison.sums, comparison.differing_bits
         )
         .is_ok()
-            && counts::print(&mut out).is_ok()
+            && print_counts(&mut out).is_ok()
     });
     let is_successful = complete && counted && comparison.differing_bits == 0;
     debug::exit(if is_successful { EXIT_SUCCESS } else { EXIT_FAILURE });

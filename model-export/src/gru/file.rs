@@ -9,8 +9,8 @@ use crate::gru::network::{GATES, Layer, Network, OUTPUTS, ScaledInput, Target, T
 use crate::gru::tensors::{self, NamedTensor, TensorFile, TensorFileKind};
 use crate::gru::train::dataset::Topology;
 use crate::gru::train::trainer::{BestEpoch, TrainingSettings};
-use crate::recordings::campaign::hex;
 use crate::recordings::error::ErrorKind;
+use crate::recordings::recording::hex;
 use crate::recordings::{DataError, Location};
 
 /// Version of the format.

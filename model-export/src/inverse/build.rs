@@ -11,8 +11,8 @@ use crate::inverse::quantise::TableOverflow;
 use crate::inverse::static_model::StaticModel;
 use crate::model_file::ModelFile;
 use crate::physics::ForwardModel;
-use crate::recordings::campaign::hex;
 use crate::recordings::error::ErrorKind;
+use crate::recordings::recording::hex;
 use crate::recordings::{DataError, Location};
 
 /// Parameters of the forward model to invert.

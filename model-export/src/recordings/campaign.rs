@@ -1,12 +1,9 @@
 //! A campaign: a folder of recordings of one gripper.
 
-use std::collections::BTreeSet;
 use std::fs;
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
-use sha2::{Digest, Sha256};
 
 use crate::recordings::align::Alignment;
 use crate::recordings::description::{NominalDesign, RECORDING_FILE};
@@ -133,31 +130,4 @@ fn is_recording(folder: &Path) -> bool {
     [RECORDING_FILE, "hall.csv", "hall.csv.gz", "force.csv", "force.csv.gz"]
         .iter()
         .any(|name| folder.join(name).is_file())
-}
-
-/// SHA-256 over the content of a recording's files in order of their names, hexadecimal.
-pub fn fingerprint(folder: &Path) -> Result<String, DataError> {
-    let mut hash = Sha256::new();
-    let unreadable = |error| ErrorKind::Unreadable(error).at(Location::file(folder));
-    let files: BTreeSet<PathBuf> = fs::read_dir(folder)
-        .map_err(unreadable)?
-        .filter_map(|entry| entry.ok().map(|entry| entry.path()))
-        .filter(|path| path.is_file())
-        .collect();
-    for path in files {
-        let mut file = fs::File::open(&path).map_err(unreadable)?;
-        let mut chunk = [0; 1 << 16];
-        loop {
-            match file.read(&mut chunk).map_err(unreadable)? {
-                0 => break,
-                n => hash.update(&chunk[..n]),
-            }
-        }
-    }
-    Ok(hex(&hash.finalize()))
-}
-
-/// Lower-case hexadecimal digits.
-pub fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }

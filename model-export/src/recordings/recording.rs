@@ -1,14 +1,17 @@
 //! One recording in memory: validated, aligned to the reference clock, stored by column.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
+use sha2::{Digest, Sha256};
+
 use crate::recordings::align::Alignment;
-use crate::recordings::campaign::fingerprint;
 use crate::recordings::columns::{Axis, ChannelLayout, ForceColumn, HallColumn};
 use crate::recordings::description::RecordingDescription;
-use crate::recordings::error::{DataError, Notice};
+use crate::recordings::error::{DataError, ErrorKind, Location, Notice};
 use crate::recordings::stream::{AlignedRow, AlignedStream, StreamSummary};
 
 /// One uninterrupted run on the reference clock.
@@ -199,4 +202,31 @@ impl Recording {
 pub fn recording_name(folder: &Path) -> String {
     let name = folder.file_name();
     name.map_or_else(String::new, |name| name.to_string_lossy().into_owned())
+}
+
+/// SHA-256 over the content of a recording's files in order of their names, hexadecimal.
+pub fn fingerprint(folder: &Path) -> Result<String, DataError> {
+    let mut hash = Sha256::new();
+    let unreadable = |error| ErrorKind::Unreadable(error).at(Location::file(folder));
+    let files: BTreeSet<PathBuf> = fs::read_dir(folder)
+        .map_err(unreadable)?
+        .filter_map(|entry| entry.ok().map(|entry| entry.path()))
+        .filter(|path| path.is_file())
+        .collect();
+    for path in files {
+        let mut file = fs::File::open(&path).map_err(unreadable)?;
+        let mut chunk = [0; 1 << 16];
+        loop {
+            match file.read(&mut chunk).map_err(unreadable)? {
+                0 => break,
+                n => hash.update(&chunk[..n]),
+            }
+        }
+    }
+    Ok(hex(&hash.finalize()))
+}
+
+/// Lower-case hexadecimal digits.
+pub fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }

@@ -1,12 +1,11 @@
 //! Forward selection of effects by cross-validated error, separation of equivalent effects, and backward
 //! elimination.
 
-use crate::compare::AT_FLOOR;
-use crate::compare::covariates::Covariate;
-use crate::diagnose::candidate_fit::{FittedModel, best_candidate};
-use crate::diagnose::candidates::{MIN_GAIN, ScreenedEffect, screen};
+use crate::diagnose::candidate_fit::best_candidate;
+use crate::diagnose::candidates::{MIN_GAIN, screen};
 use crate::diagnose::confusable_effects::Collinearity;
 use crate::diagnose::residuals::{attributed_covariates, block_s, residual_tables};
+use crate::diagnose::selection::{FittedModel, SMALL, Selection};
 use anyhow::Result;
 use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
@@ -17,66 +16,9 @@ use rayon::prelude::*;
 
 /// Maximum number of steps.
 const MAX_STEPS: usize = 6;
-/// Maximum residual of a complete selection in noise floors; above it names are provisional.
-const COMPLETE: f64 = 1.5;
-/// Maximum remaining structure of a complete selection, relative to the explained part.
-const MAX_REMAINING: f64 = 0.4;
 /// If a covariate explains more than this fraction of the residual and the best effect less than [`SMALL`] of that,
 /// the effect is not named: it would approximate something else.
 const ATTRIBUTED: f64 = 0.3;
-/// Minimum gain of a named effect relative to an unnamed cause.
-pub const SMALL: f64 = 0.5;
-
-/// An accepted step.
-pub struct AcceptedStep {
-    /// The effect added to the model.
-    pub chosen: EffectTerm,
-    /// Equivalent effects.
-    pub tied: Vec<EffectTerm>,
-    /// Effects that explain part of the same and nothing else.
-    pub shadows: Vec<EffectTerm>,
-    /// Relative reduction of the cross-validated squared error.
-    pub gain: f64,
-    /// Reduction in gauss squared.
-    pub reduction: f64,
-    /// Adjusted p-value.
-    pub p_adjusted: f64,
-    /// Typical magnitude in standard errors at this step.
-    pub z_typical: f64,
-}
-
-/// Result of the selection.
-pub struct Selection {
-    /// Accepted steps.
-    pub steps: Vec<AcceptedStep>,
-    /// Models from the first to the last step.
-    pub stages: Vec<FittedModel>,
-    /// Score tests of all candidates on the last model.
-    pub last: Vec<ScreenedEffect>,
-    /// Covariates that explain the residual, with their shares.
-    pub attributed: Vec<(Covariate, f64)>,
-    /// Collinear covariates of the recordings.
-    pub collinearity: Collinearity,
-    /// Length of the bootstrap blocks in seconds.
-    pub block_s: f64,
-    /// Number of bootstrap blocks.
-    pub blocks: usize,
-}
-
-impl Selection {
-    /// Whether the residual is small enough for final verdicts.
-    pub fn is_complete(&self) -> bool {
-        let floors: Vec<f64> = self.stages.iter().map(FittedModel::floors).collect();
-        let (Some(first), Some(last)) = (floors.first(), floors.last()) else {
-            return true;
-        };
-        let explained = first.powi(2) - last.powi(2);
-        let structure = last.powi(2) - 1.0;
-        let is_explained = self.steps.is_empty() || structure <= MAX_REMAINING * explained;
-        *last <= AT_FLOOR || (*last <= COMPLETE && is_explained)
-    }
-}
-
 /// Runs the selection from a model with the effects `present`. `on_stage` receives the stage of the work.
 ///
 /// # Errors

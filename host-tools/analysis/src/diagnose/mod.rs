@@ -5,6 +5,7 @@
 //!
 //! - [`mod@candidates`]: testable effects, and their screening by a bootstrap score test.
 //! - [`candidate_fit`]: a full fit of the significant candidates, of which the best is added.
+//! - [`selection`]: state of the selection.
 //! - [`mod@forward_selection`]: forward selection, equivalent effects, backward elimination.
 //! - [`confusable_effects`]: effects that depend on the same covariates, and data that cannot separate them.
 //! - [`residuals`]: the remaining residual, and what each effect removed of it.
@@ -32,6 +33,7 @@ pub mod candidates;
 pub mod confusable_effects;
 pub mod forward_selection;
 pub mod residuals;
+pub mod selection;
 pub mod suggestions;
 pub mod verdicts;
 

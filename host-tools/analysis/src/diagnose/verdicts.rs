@@ -1,10 +1,10 @@
 //! From a selection to verdicts.
 
 use crate::compare::AT_FLOOR;
-use crate::diagnose::candidate_fit::FittedModel;
 use crate::diagnose::candidates::{ScreenedEffect, UntestableEffect};
 use crate::diagnose::confusable_effects::are_confusable;
-use crate::diagnose::forward_selection::{AcceptedStep, Selection};
+use crate::diagnose::selection::FittedModel;
+use crate::diagnose::selection::{AcceptedStep, Selection};
 use crate::diagnose::{Diagnosis, Reason, StaircaseStep, Unexplained, Verdict, VerdictKind};
 use model_export::effects::EffectTerm;
 use model_export::fit::effect_size::effect_sizes;

@@ -8,8 +8,9 @@ use model_export::gru::train::dataset::Sequence;
 use model_export::gru::train::trainer::Trainer;
 use model_export::inverse::build::{DeviceModel, ModelVariant, build};
 use model_export::recordings::align::Alignment;
-use model_export::recordings::campaign::{fingerprint, recording_folders};
+use model_export::recordings::campaign::recording_folders;
 use model_export::recordings::description::RecordingDescription;
+use model_export::recordings::recording::fingerprint;
 use model_export::recordings::recording::recording_name;
 use model_export::recordings::stream::RawStream;
 

@@ -12,8 +12,9 @@ use model_export::inverse::grbf::Grbf;
 use model_export::inverse::quantise::TableSet;
 use model_export::model_file::ModelFile;
 use model_export::recordings::align::Alignment;
-use model_export::recordings::campaign::{fingerprint, recording_folders};
+use model_export::recordings::campaign::recording_folders;
 use model_export::recordings::description::{NominalDesign, RecordingDescription};
+use model_export::recordings::recording::fingerprint;
 use model_export::recordings::recording::recording_name;
 use model_export::recordings::stream::RawStream;
 

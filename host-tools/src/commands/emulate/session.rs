@@ -7,17 +7,15 @@ use std::rc::Rc;
 use std::sync::atomic::Ordering::Relaxed;
 
 use anyhow::{Context, Result, anyhow};
-use emulator::{Image, ResetRecord, Time};
-use firmware::protocol::messages::FaultEvent;
-use firmware::system::faults::Fault;
+use emulator::{Image, Time};
 use indicatif::ProgressBar;
 use model_export::inverse::build::{ModelVariant, build};
 
 use crate::commands::connection::interrupted;
+use crate::commands::emulate::text::{End, Setup, format_fault, format_reset};
 use crate::commands::emulate::{Args, Timing, text};
 use device::emulation::pace::Pace;
 use device::emulation::{CanPort, Emulation, Notice};
-use device::format;
 use device::pty::Pty;
 use device::socket_can::Bridge;
 use device::socketcand::server::Server;
@@ -42,30 +40,6 @@ const SAMPLE_PERIOD: Time = Time::from_ns(7_411);
 const UPDATE_PERIOD_S: f64 = 0.2;
 /// Real seconds before a speed below the set-point is reported.
 const SETTLE_S: f64 = 2.0;
-
-/// Why the emulation ended.
-pub enum End {
-    /// The time limit.
-    Seconds,
-    /// Ctrl-C or SIGTERM.
-    Interrupted,
-    /// The end of the recording.
-    Recording,
-    /// An error of the chip or of a port.
-    Failed(anyhow::Error),
-}
-
-/// The image and the interfaces of the emulated board.
-pub struct Setup {
-    /// The ELF file.
-    pub path: PathBuf,
-    /// Flash usage in bytes.
-    pub length: usize,
-    /// Path of the serial line.
-    pub serial: PathBuf,
-    /// Name of the CAN bus.
-    pub can: String,
-}
 
 pub(super) fn run(args: &Args) -> Result<()> {
     let path = match &args.image {
@@ -235,32 +209,4 @@ fn notice_line(notice: &Notice, emulation: &Emulation, log: bool) -> Option<Stri
         Notice::Fault(event) => Some(format!("{now_s:>12.6} {}", format_fault(event, emulation))),
         Notice::Port(text) => Some(format!("{now_s:>12.6} {text}")),
     }
-}
-
-/// A reset with its cause and code location.
-pub fn format_reset(record: &ResetRecord, emulation: &Emulation) -> String {
-    let place = emulation.board.chip.image().place(record.pc);
-    format!("{:>12.6} reset: {}, at {place}", record.time.as_s(), record.cause)
-}
-
-/// A fault; a crash before the last reset with its code location.
-pub fn format_fault(event: &FaultEvent, emulation: &Emulation) -> String {
-    let words = format::fault_event_line(event);
-    match crash_address(event) {
-        Some(address) => {
-            let place = emulation.board.chip.image().place(address);
-            format!(
-                "fault: {}: before the last reset, at {place}",
-                device::format::fault_name(Fault::Crashed)
-            )
-        }
-        None => format!("fault: {words}"),
-    }
-}
-
-/// Address of a crash: the event's detail has its lower three bytes.
-fn crash_address(event: &FaultEvent) -> Option<u32> {
-    const FLASH: u32 = 0x0800_0000;
-    let is_crash = event.code == Fault::Crashed as u16 && event.active != 0;
-    is_crash.then_some(FLASH | event.detail & 0x00FF_FFFF)
 }

@@ -1,13 +1,17 @@
 //! Report of `magpie emulate`.
 
-use emulator::{Profile, Time};
+use std::path::PathBuf;
+
+use emulator::{Profile, ResetRecord, Time};
+use firmware::protocol::messages::FaultEvent;
+use firmware::system::faults::Fault;
 use serde_json::{Value, json};
 
 use crate::commands::emulate::Args;
-use crate::commands::emulate::session::{End, Setup, format_fault, format_reset};
 use device::emulation::Emulation;
 use device::emulation::deadlines::{BIN_US, Deadlines};
 use device::emulation::pace::Pace;
+use device::format;
 use report::text::terminal;
 
 /// Maximum bar length of the histogram in characters.
@@ -16,6 +20,30 @@ const BAR_LENGTH: usize = 40;
 const MAX_LINES: usize = 20;
 /// Number of functions in JSON.
 const MAX_FUNCTIONS: usize = 50;
+
+/// Why the emulation ended.
+pub enum End {
+    /// The time limit.
+    Seconds,
+    /// Ctrl-C or SIGTERM.
+    Interrupted,
+    /// The end of the recording.
+    Recording,
+    /// An error of the chip or of a port.
+    Failed(anyhow::Error),
+}
+
+/// The image and the interfaces of the emulated board.
+pub struct Setup {
+    /// The ELF file.
+    pub path: PathBuf,
+    /// Flash usage in bytes.
+    pub length: usize,
+    /// Path of the serial line.
+    pub serial: PathBuf,
+    /// Name of the CAN bus.
+    pub can: String,
+}
 
 /// The report as text.
 pub fn format_report(args: &Args, emulation: &mut Emulation, pace: &Pace, end: &End) -> String {
@@ -241,4 +269,32 @@ fn deadlines_json(deadlines: &Deadlines) -> Value {
 
 fn us(time: Time) -> f64 {
     time.ns() as f64 / 1e3
+}
+
+/// A reset with its cause and code location.
+pub fn format_reset(record: &ResetRecord, emulation: &Emulation) -> String {
+    let place = emulation.board.chip.image().place(record.pc);
+    format!("{:>12.6} reset: {}, at {place}", record.time.as_s(), record.cause)
+}
+
+/// A fault; a crash before the last reset with its code location.
+pub fn format_fault(event: &FaultEvent, emulation: &Emulation) -> String {
+    let words = format::fault_event_line(event);
+    match crash_address(event) {
+        Some(address) => {
+            let place = emulation.board.chip.image().place(address);
+            format!(
+                "fault: {}: before the last reset, at {place}",
+                format::fault_name(Fault::Crashed)
+            )
+        }
+        None => format!("fault: {words}"),
+    }
+}
+
+/// Address of a crash: the event's detail has its lower three bytes.
+fn crash_address(event: &FaultEvent) -> Option<u32> {
+    const FLASH: u32 = 0x0800_0000;
+    let is_crash = event.code == Fault::Crashed as u16 && event.active != 0;
+    is_crash.then_some(FLASH | event.detail & 0x00FF_FFFF)
 }

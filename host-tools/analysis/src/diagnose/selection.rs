@@ -1,0 +1,180 @@
+//! State of the forward selection: the fitted models and the accepted steps.
+
+use crate::compare::AT_FLOOR;
+use crate::compare::covariates::Covariate;
+use crate::diagnose::candidates::ScreenedEffect;
+use crate::diagnose::confusable_effects::Collinearity;
+use anyhow::Result;
+use model_export::effects::EffectTerm;
+use model_export::fit::FitOptions;
+use model_export::fit::campaign::FitSetup;
+use model_export::fit::cross_validation::CvSplit;
+use model_export::fit::effect_size::effect_sizes;
+use model_export::fit::joint::JointFit;
+
+/// Maximum residual of a complete selection in noise floors; above it names are provisional.
+const COMPLETE: f64 = 1.5;
+/// Maximum remaining structure of a complete selection, relative to the explained part.
+const MAX_REMAINING: f64 = 0.4;
+/// Minimum gain of a named effect relative to an unnamed cause.
+pub const SMALL: f64 = 0.5;
+
+/// An accepted step.
+pub struct AcceptedStep {
+    /// The effect added to the model.
+    pub chosen: EffectTerm,
+    /// Equivalent effects.
+    pub tied: Vec<EffectTerm>,
+    /// Effects that explain part of the same and nothing else.
+    pub shadows: Vec<EffectTerm>,
+    /// Relative reduction of the cross-validated squared error.
+    pub gain: f64,
+    /// Reduction in gauss squared.
+    pub reduction: f64,
+    /// Adjusted p-value.
+    pub p_adjusted: f64,
+    /// Typical magnitude in standard errors at this step.
+    pub z_typical: f64,
+}
+
+/// Result of the selection.
+pub struct Selection {
+    /// Accepted steps.
+    pub steps: Vec<AcceptedStep>,
+    /// Models from the first to the last step.
+    pub stages: Vec<FittedModel>,
+    /// Score tests of all candidates on the last model.
+    pub last: Vec<ScreenedEffect>,
+    /// Covariates that explain the residual, with their shares.
+    pub attributed: Vec<(Covariate, f64)>,
+    /// Collinear covariates of the recordings.
+    pub collinearity: Collinearity,
+    /// Length of the bootstrap blocks in seconds.
+    pub block_s: f64,
+    /// Number of bootstrap blocks.
+    pub blocks: usize,
+}
+
+impl Selection {
+    /// Whether the residual is small enough for final verdicts.
+    pub fn is_complete(&self) -> bool {
+        let floors: Vec<f64> = self.stages.iter().map(FittedModel::floors).collect();
+        let (Some(first), Some(last)) = (floors.first(), floors.last()) else {
+            return true;
+        };
+        let explained = first.powi(2) - last.powi(2);
+        let structure = last.powi(2) - 1.0;
+        let is_explained = self.steps.is_empty() || structure <= MAX_REMAINING * explained;
+        *last <= AT_FLOOR || (*last <= COMPLETE && is_explained)
+    }
+}
+
+/// Maximum ratio of squared errors on the fitted rows for a comparable model.
+const MAX_RATIO: f64 = 1.1;
+
+/// Minimum plausible magnitude relative to the typical one.
+const MIN_MAGNITUDE: f64 = 0.03;
+
+/// Maximum standard error of a transient effect, relative to its magnitude or the typical one: it is flexible in
+/// time, so its magnitude must be determined.
+const MAX_RELATIVE_ERROR: f64 = 10.0;
+
+/// A model while effects are added to it.
+#[derive(Clone)]
+pub struct FittedModel {
+    /// Effects of the model.
+    pub effects: Vec<EffectTerm>,
+    /// Fit of the model.
+    pub fit: JointFit,
+}
+
+impl FittedModel {
+    /// Fits a model and cross-validates it.
+    ///
+    /// # Errors
+    /// The fit fails.
+    pub fn new(
+        prepared: &FitSetup,
+        effects: Vec<EffectTerm>,
+        split: CvSplit,
+        options: FitOptions,
+    ) -> Result<Self> {
+        let fit = prepared.fit(&effects, split, options, |_| ())?;
+        Ok(Self { effects, fit })
+    }
+
+    /// The same model with another cross-validation, where that is possible.
+    pub fn with_split(self, prepared: &FitSetup, split: CvSplit, options: FitOptions) -> Self {
+        if self.fit.split == split {
+            return self;
+        }
+        Self::new(prepared, self.effects.clone(), split, options).unwrap_or(self)
+    }
+
+    /// Fits a model without cross-validation.
+    ///
+    /// # Errors
+    /// The fit fails.
+    pub fn without_validation(
+        prepared: &FitSetup,
+        effects: Vec<EffectTerm>,
+        options: FitOptions,
+    ) -> Result<Self> {
+        Self::new(prepared, effects, CvSplit::Recordings(0), options)
+    }
+
+    /// Whether its error on the fitted rows is so much larger than that of `other` that cross-validation is not needed.
+    pub fn is_clearly_worse(&self, other: &Self) -> bool {
+        self.fitted_mean_square() > MAX_RATIO * other.fitted_mean_square()
+    }
+
+    /// Mean square over all channels on the fitted rows, in gauss squared.
+    fn fitted_mean_square(&self) -> f64 {
+        let scores = || self.fit.sensors.iter().flat_map(|sensor| &sensor.scores);
+        let squares: f64 = scores().map(|score| score.fitted_rms_g.powi(2)).sum();
+        squares / scores().count().max(1) as f64
+    }
+
+    /// Cross-validated mean square over all channels, in gauss squared.
+    pub fn mean_square(&self) -> f64 {
+        self.fit.tally().mean_square()
+    }
+
+    /// Cross-validated error relative to the noise floor.
+    pub fn floors(&self) -> f64 {
+        self.mean_square().sqrt() / self.fit.tally().floor_g()
+    }
+
+    /// Reduction of the cross-validated squared error relative to `before`.
+    pub fn gain(&self, before: &Self) -> f64 {
+        1.0 - self.mean_square() / before.mean_square()
+    }
+
+    /// Whether the error is lower than that of `before` in every fold.
+    pub fn improves_all_folds(&self, before: &Self) -> bool {
+        let pairs = self.fit.folds().into_iter().zip(before.fit.folds());
+        pairs
+            .filter(|(_, old)| old.rows() > 0)
+            .all(|(new, old)| new.mean_square() < old.mean_square())
+    }
+
+    /// Whether the effect added last has a plausible magnitude.
+    pub fn newest_is_plausible(&self, recordings: usize) -> bool {
+        let newest = effect_sizes(&self.fit, &self.effects, recordings).pop();
+        newest.is_none_or(|size| {
+            let tiny = size.value.abs() < MIN_MAGNITUDE * size.size.typical.abs();
+            size.is_plausible() && !tiny
+        })
+    }
+
+    /// Whether every effect has a physically possible magnitude.
+    pub fn is_possible(&self, recordings: usize) -> bool {
+        effect_sizes(&self.fit, &self.effects, recordings).iter().zip(&self.effects).all(
+            |(size, effect)| {
+                let max_error = MAX_RELATIVE_ERROR * size.value.abs().max(size.size.typical.abs());
+                let is_determined = !effect.is_transient() || size.std_error <= max_error;
+                size.is_possible() && is_determined
+            },
+        )
+    }
+}
