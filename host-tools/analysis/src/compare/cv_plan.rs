@@ -1,6 +1,7 @@
 //! Cross-validation: which fitted parameters predict which rows, so that no row is predicted by a model that was
 //! fitted to it.
 
+use crate::compare::Validation;
 use crate::compare::campaign_reader::{CampaignReader, RecordingId};
 use crate::progress;
 use anyhow::Result;
@@ -48,8 +49,8 @@ pub struct CvPlan {
     pub models: Vec<FoldModel>,
     /// Recordings in chronological order.
     pub recordings: Vec<RecordingFolds>,
-    /// Description in one sentence.
-    pub description: String,
+    /// How the errors are separated from the fit.
+    pub validation: Validation,
 }
 
 impl FoldModel {
@@ -83,12 +84,8 @@ impl CvPlan {
         let fitted = model.provenance.recordings.len();
         let seen: Vec<usize> =
             (0..recordings.len()).filter(|&i| own.place_of(&recordings[i]) < fitted).collect();
-        let mut plan = Self {
-            models: vec![own],
-            recordings,
-            description: "the model was not fitted to any of these recordings; its parameters are used unchanged"
-                .to_owned(),
-        };
+        let mut plan =
+            Self { models: vec![own], recordings, validation: Validation::UnseenRecordings };
         if !seen.is_empty() {
             plan.refit(source, &seen, refit, options)?;
         }
@@ -109,28 +106,23 @@ impl CvPlan {
         let campaign = source.campaign(&some)?;
         let (model, additions) = (self.models[0].model.clone(), self.models[0].additions.clone());
         let computed;
-        let ModelRefit { setup: prepared, fit } = match known
-            .filter(|_| some.len() == self.recordings.len())
-        {
-            Some(known) => known,
-            None => match fit_model(&campaign, &model, &additions, options) {
-                Ok(fitted) => {
-                    computed = fitted;
-                    &computed
-                }
-                Err(FitError::Recording(problem)) => return Err(problem.into()),
-                Err(why) => {
-                    self.description = format!(
-                        "NOT held out: the model was fitted to these recordings and could not be fitted again ({why})"
-                    );
-                    return Ok(());
-                }
-            },
-        };
+        let ModelRefit { setup: prepared, fit } =
+            match known.filter(|_| some.len() == self.recordings.len()) {
+                Some(known) => known,
+                None => match fit_model(&campaign, &model, &additions, options) {
+                    Ok(fitted) => {
+                        computed = fitted;
+                        &computed
+                    }
+                    Err(FitError::Recording(problem)) => return Err(problem.into()),
+                    Err(why) => {
+                        self.validation = Validation::NotHeldOut(why.to_string());
+                        return Ok(());
+                    }
+                },
+            };
         if let Some(worse) = excess_error(&model, &additions, prepared, fit) {
-            self.description = format!(
-                "the file's parameters have {worse:.2} times the error of a fit to the same recordings; they are used unchanged"
-            );
+            self.validation = Validation::Edited(worse);
             return Ok(());
         }
         let provenance = Provenance::of(&campaign, source.alignment.delay_us, options)?;
@@ -157,7 +149,12 @@ impl CvPlan {
                 Some(part) => segments(prepared, fit, part, first),
             };
         }
-        self.description = description(fit.split, seen.len(), names.len(), self.recordings.len());
+        self.validation = Validation::CrossValidated {
+            split: fit.split,
+            seen: seen.len(),
+            refitted: names.len(),
+            all: self.recordings.len(),
+        };
         Ok(())
     }
 }
@@ -223,31 +220,4 @@ fn segments(prepared: &FitSetup, fit: &JointFit, part: usize, first: usize) -> V
         .collect();
     list.sort_by(|a, b| a.0.total_cmp(&b.0));
     list
-}
-
-fn description(split: CvSplit, seen: usize, fitted: usize, all: usize) -> String {
-    let how = match split {
-        CvSplit::Recordings(_) => "each recording is predicted by a fit to the others",
-        CvSplit::KFold => {
-            "one recording: each sixth is predicted by a fit to the rest; no claim about other recordings"
-        }
-        CvSplit::Interleaved => {
-            "the model has a transient effect: every sixth block of 0.25 s is predicted by a fit to the rest"
-        }
-    };
-    let some = if fitted < seen {
-        format!(
-            "; fitted to {fitted} of {seen} recordings, uniformly chosen; the others are predicted by that fit"
-        )
-    } else {
-        String::new()
-    };
-    let unseen = match all - seen {
-        0 => String::new(),
-        1 => "; 1 recording outside the fit is predicted by the model's own parameters".to_owned(),
-        n => {
-            format!("; {n} recordings outside the fit are predicted by the model's own parameters")
-        }
-    };
-    format!("{how}{some}{unseen}")
 }

@@ -1,7 +1,7 @@
 //! Errors of the forces through the device's own code, at the board's rate.
 
 use crate::compare::cv_plan::{CvPlan, RecordingFolds};
-use crate::compare::{Envelope, ForceAxisErrors, Histogram, Trace};
+use crate::compare::{Envelope, ForceAxisErrors, Histogram, MissingForces, Trace};
 use crate::progress;
 use crate::replay::{RecordingReplay, replay_with};
 use crate::statistics::{ErrorAccumulator, Moments};
@@ -33,7 +33,7 @@ pub struct ForceEvaluation {
     /// Lateral and longitudinal.
     pub histograms: Vec<Histogram>,
     /// Reason for missing forces.
-    pub none: Option<String>,
+    pub none: Option<MissingForces>,
 }
 
 /// Errors of one force of one sensor.
@@ -95,9 +95,11 @@ pub fn evaluate_forces(
         Ok(built) => built,
         Err(error) => match error.downcast_ref::<BuildError>() {
             Some(BuildError::Polynomial { .. }) => {
-                return Ok(none("a polynomial of the forces has no unique inverse; the device requires a model with the cylinder base".to_owned()));
+                return Ok(none(MissingForces::PolynomialBase));
             }
-            Some(BuildError::NotCompensable(why)) => return Ok(none(why.to_string())),
+            Some(BuildError::NotCompensable(why)) => {
+                return Ok(none(MissingForces::NotCompensable(why.to_string())));
+            }
             _ => return Err(error),
         },
     };
@@ -138,12 +140,12 @@ pub fn evaluate_forces(
     bar.finish_and_clear();
     let mut result = finish(&channels);
     if result.errors.is_empty() {
-        result.none = Some("no row has both a valid estimate and the reference forces".to_owned());
+        result.none = Some(MissingForces::NoValidRow);
     }
     Ok(result)
 }
 
-fn none(why: String) -> ForceEvaluation {
+fn none(why: MissingForces) -> ForceEvaluation {
     ForceEvaluation { none: Some(why), ..ForceEvaluation::default() }
 }
 

@@ -14,6 +14,7 @@ use std::borrow::Cow;
 
 use crate::data_quality::Finding;
 use crate::statistics::{ErrorStatistics, pooled_rms};
+use model_export::fit::cross_validation::CvSplit;
 use model_export::recordings::columns::Axis;
 use serde::Serialize;
 
@@ -46,6 +47,39 @@ pub fn rmse_n(forces: &[ForceAxisErrors]) -> f64 {
     pooled_rms(forces.iter().map(|force| force.error.rms))
 }
 
+/// How the errors of a model are separated from its fit.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Validation {
+    /// The model was not fitted to any of the recordings.
+    UnseenRecordings,
+    /// Not held out: the model was fitted to the recordings and a new fit fails, for this reason.
+    NotHeldOut(String),
+    /// The parameters have this multiple of the error of a new fit, so they were edited; they are used unchanged.
+    Edited(f64),
+    /// Every row is predicted by a fit without it.
+    CrossValidated {
+        /// The folds.
+        split: CvSplit,
+        /// Number of recordings to which the model was fitted.
+        seen: usize,
+        /// How many of them were fitted again.
+        refitted: usize,
+        /// Number of all recordings.
+        all: usize,
+    },
+}
+
+/// Why forces are missing.
+#[derive(Clone, Debug, PartialEq)]
+pub enum MissingForces {
+    /// A polynomial of the forces has no unique inverse.
+    PolynomialBase,
+    /// The device cannot compensate an effect, for this reason.
+    NotCompensable(String),
+    /// No row has both a valid estimate and the reference forces.
+    NoValidRow,
+}
+
 /// Results of a model on a campaign.
 #[derive(Clone, Debug, Default)]
 pub struct Comparison {
@@ -55,15 +89,15 @@ pub struct Comparison {
     pub campaign: String,
     /// Setup errors in the recordings, most severe first.
     pub findings: Vec<Finding>,
-    /// How the errors were cross-validated, in one sentence.
-    pub validation: String,
+    /// How the errors were cross-validated; `None` if a setup error stops the comparison.
+    pub validation: Option<Validation>,
     /// Errors of the field by sensor and axis. Empty if a setup error stops the comparison.
     pub axes: Vec<FieldAxisErrors>,
     /// Errors of the forces through the device's code by sensor, lateral then longitudinal. Empty if the
     /// model has no inverse; `no_forces` then has the reason.
     pub forces: Vec<ForceAxisErrors>,
     /// Reason for missing forces.
-    pub no_forces: Option<String>,
+    pub no_forces: Option<MissingForces>,
     /// Covariates that explain the residual: first the selected ones in order of selection, then the others
     /// by their share of the remaining residual.
     pub located: Vec<Attribution>,
@@ -204,8 +238,20 @@ pub struct WorstInterval {
     pub sensor: u32,
     /// RMS residual over all sensors and axes, in gauss.
     pub rms_g: f64,
-    /// Means of the main covariates, as text.
-    pub doing: String,
+    /// Means of the main covariates.
+    #[serde(skip)]
+    pub conditions: Vec<MeanCondition>,
+}
+
+/// Mean of a covariate over an interval.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MeanCondition {
+    /// Short label; empty where the unit says it.
+    pub label: &'static str,
+    /// Mean.
+    pub mean: f64,
+    /// Unit.
+    pub unit: &'static str,
 }
 
 /// One sensor over one recording.

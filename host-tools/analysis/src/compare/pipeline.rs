@@ -167,7 +167,7 @@ fn evaluate(
     let comparison = Comparison {
         model: path.display().to_string(),
         campaign: source.folder.display().to_string(),
-        validation: plan.description.clone(),
+        validation: Some(plan.validation.clone()),
         axes: axes(&fields, &columns),
         forces: device.errors,
         no_forces: device.none,
@@ -282,7 +282,6 @@ fn provenance(
             "effects".to_owned(),
             if effects.is_empty() { "none".to_owned() } else { effects.join(", ") },
         ),
-        ("held out".to_owned(), plan.description.clone()),
         (
             "bands".to_owned(),
             format!("95 %, bootstrap of blocks of {block_s:.1} s, seed {}", options.seed),

@@ -2,7 +2,7 @@
 //! covariates.
 
 use crate::compare::covariates::Covariate;
-use crate::compare::{ResidualMap, WorstInterval};
+use crate::compare::{MeanCondition, ResidualMap, WorstInterval};
 use model_export::effects::ExcitationSeries;
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
@@ -144,21 +144,21 @@ pub fn worst_intervals(
                 to_s: (from_s + INTERVAL_S).min(end.max(from_s)),
                 sensor: sensors[sensor].sensor,
                 rms_g: mean(&sums).sqrt(),
-                doing: description(&sensors[sensor], recording, from_s),
+                conditions: conditions(&sensors[sensor], recording, from_s),
             }
         })
         .collect()
 }
 
 /// Means of the main covariates over an interval.
-fn description(sensor: &ResidualTable, recording: u32, from_s: f64) -> String {
+fn conditions(sensor: &ResidualTable, recording: u32, from_s: f64) -> Vec<MeanCondition> {
     let inside = |row: &usize| {
         let since = sensor.time_s[*row] - from_s;
         sensor.recording[*row] == recording && (0.0..INTERVAL_S).contains(&since)
     };
     let rows: Vec<usize> = (0..sensor.len()).filter(inside).collect();
-    let mut words = Vec::new();
-    for (name, short) in DESCRIBED_BY {
+    let mut conditions = Vec::new();
+    for (name, label) in DESCRIBED_BY {
         let Some(column) = sensor.column(name) else {
             continue;
         };
@@ -166,11 +166,10 @@ fn description(sensor: &ResidualTable, recording: u32, from_s: f64) -> String {
         let mean = values.sum::<f64>() / rows.len().max(1) as f64;
         let moves = column.values.iter().any(|value| *value != 0.0);
         if mean.is_finite() && moves {
-            let unit = column.of.unit;
-            words.push(format!("{short} {mean:.0} {unit}").trim_start().to_owned());
+            conditions.push(MeanCondition { label, mean, unit: column.of.unit });
         }
     }
-    words.join(", ")
+    conditions
 }
 
 /// Cells along each side.

@@ -3,6 +3,7 @@
 use crate::html::plot::{Along, Failure, Paper, Swatch, axes, bounds, figure, key, lines, stroke};
 use crate::html::tables::table;
 use crate::html::{palette, sensor_that_errs_most};
+use crate::text::comparison::conditions;
 use analysis::compare::{Attribution, Comparison};
 use analysis::numbers::{number, whole_percent};
 use maud::{Markup, html};
@@ -171,7 +172,7 @@ pub fn worst_section(comparison: &Comparison) -> Markup {
             html! { (worst.recording) },
             html! { (format!("{:.2} to {:.2}", worst.from_s, worst.to_s)) },
             html! { "s" (worst.sensor) },
-            html! { span.doing { (worst.doing) } },
+            html! { span.doing { (conditions(worst)) } },
             html! {
                 @if shown {
                     button.live hidden type="button" data-recording=(worst.recording) data-sensor=(worst.sensor)

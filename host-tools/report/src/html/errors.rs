@@ -1,5 +1,6 @@
 //! Errors by sensor as bars with the noise floor.
 
+use crate::text::comparison::missing_forces;
 use maud::{Markup, html};
 use plotters::prelude::*;
 
@@ -34,7 +35,7 @@ pub fn section(comparison: &Comparison) -> Markup {
                 (bars(comparison, "Field", "gauss", field))
                 (bars(comparison, "Forces", "newtons", forces))
             }
-            @if let Some(why) = &comparison.no_forces { p.empty { "No forces: " (why) } }
+            @if let Some(why) = &comparison.no_forces { p.empty { "No forces: " (missing_forces(why)) } }
             (tables::of_field(comparison))
             (tables::of_forces(comparison))
         }

@@ -6,7 +6,7 @@
 use crate::html::both;
 use crate::html::palette::{self, Role};
 use crate::html::plot::{Failure, Paper, Swatch, centred, figure, key, letters, px, stroke};
-use crate::text::comparison::verdict;
+use crate::text::comparison::{validation, verdict};
 use analysis::compare::Comparison;
 use analysis::numbers::{number, percent};
 use analysis::statistics::ErrorStatistics;
@@ -90,7 +90,7 @@ pub fn head(comparison: &Comparison) -> Markup {
                     (verdict(model))
                 }
             }
-            @if !comparison.validation.is_empty() { p.validation { "Evaluation: " (comparison.validation) } }
+            @if comparison.validation.is_some() { p.validation { "Evaluation: " (validation(comparison)) } }
         }
     }
 }

@@ -2,14 +2,15 @@
 
 use analysis::compare::attribution::MIN_SHARE;
 use analysis::compare::{
-    AT_FLOOR, Attribution, Bin, Comparison, FieldAxisErrors, ForceAxisErrors, WorstInterval,
-    floor_g, rms_g, rmse_n,
+    AT_FLOOR, Attribution, Bin, Comparison, FieldAxisErrors, ForceAxisErrors, MeanCondition,
+    MissingForces, Validation, WorstInterval, floor_g, rms_g, rmse_n,
 };
 use analysis::data_quality::Finding;
 use analysis::numbers::{self, field, three_digits};
 use analysis::replay::tare::TARE_HARM;
 use analysis::statistics::{ErrorStatistics, pooled_rms};
 use anstyle::Style;
+use model_export::fit::cross_validation::CvSplit;
 use serde_json::{Value, json};
 
 use crate::text::terminal::{self, ERROR, GOOD, HEADING, WARNING, WIDTH};
@@ -37,7 +38,7 @@ pub fn format_report(comparison: &Comparison) -> String {
     page += &force_table(comparison);
     page += &attribution_table(comparison);
     page += &worst_segments(&comparison.worst);
-    page += &terminal::paragraph(&format!("Held-out rows: {}.", comparison.validation));
+    page += &terminal::paragraph(&format!("Held-out rows: {}.", validation(comparison)));
     if let Some(other) = &comparison.other {
         page += &side_by_side(comparison, other);
     }
@@ -155,7 +156,7 @@ fn floor_sentence(axes: &[FieldAxisErrors]) -> String {
 
 fn force_table(comparison: &Comparison) -> String {
     if let Some(why) = &comparison.no_forces {
-        return terminal::paragraph(&format!("No forces: {why}.")) + "\n";
+        return terminal::paragraph(&format!("No forces: {}.", missing_forces(why))) + "\n";
     }
     let heads = [
         "force",
@@ -286,6 +287,79 @@ fn sparkline(located: &Attribution, channel: (usize, usize)) -> String {
     means(located, channel).iter().take(SPARKLINE_LENGTH).map(block).collect()
 }
 
+/// How the errors were separated from the fit, as a clause; empty without an evaluation.
+pub fn validation(comparison: &Comparison) -> String {
+    match &comparison.validation {
+        None => String::new(),
+        Some(Validation::UnseenRecordings) => {
+            "the model was not fitted to any of these recordings; its parameters are used unchanged"
+                .to_owned()
+        }
+        Some(Validation::NotHeldOut(why)) => format!(
+            "NOT held out: the model was fitted to these recordings and could not be fitted again ({why})"
+        ),
+        Some(Validation::Edited(worse)) => format!(
+            "the file's parameters have {worse:.2} times the error of a fit to the same recordings; they are used unchanged"
+        ),
+        Some(Validation::CrossValidated { split, seen, refitted, all }) => {
+            cross_validation(*split, *seen, *refitted, *all)
+        }
+    }
+}
+
+fn cross_validation(split: CvSplit, seen: usize, refitted: usize, all: usize) -> String {
+    let how = match split {
+        CvSplit::Recordings(_) => "each recording is predicted by a fit to the others",
+        CvSplit::KFold => {
+            "one recording: each sixth is predicted by a fit to the rest; no claim about other recordings"
+        }
+        CvSplit::Interleaved => {
+            "the model has a transient effect: every sixth block of 0.25 s is predicted by a fit to the rest"
+        }
+    };
+    let some = if refitted < seen {
+        format!(
+            "; fitted to {refitted} of {seen} recordings, uniformly chosen; the others are predicted by that fit"
+        )
+    } else {
+        String::new()
+    };
+    let unseen = match all - seen {
+        0 => String::new(),
+        1 => "; 1 recording outside the fit is predicted by the model's own parameters".to_owned(),
+        n => {
+            format!("; {n} recordings outside the fit are predicted by the model's own parameters")
+        }
+    };
+    format!("{how}{some}{unseen}")
+}
+
+/// Why forces are missing.
+pub fn missing_forces(why: &MissingForces) -> &str {
+    match why {
+        MissingForces::PolynomialBase => {
+            "a polynomial of the forces has no unique inverse; the device requires a model with the cylinder base"
+        }
+        MissingForces::NotCompensable(why) => why,
+        MissingForces::NoValidRow => "no row has both a valid estimate and the reference forces",
+    }
+}
+
+/// Means of the main covariates in an interval: "Fx 41 N, opening 2 mm".
+pub fn conditions(interval: &WorstInterval) -> String {
+    let conditions = interval.conditions.iter();
+    let text = |MeanCondition { label, mean, unit }: &MeanCondition| {
+        format!("{label} {mean:.0} {unit}").trim_start().to_owned()
+    };
+    conditions.map(text).collect::<Vec<_>>().join(", ")
+}
+
+fn worst_json(interval: &WorstInterval) -> Value {
+    let mut object = json!(interval);
+    object["doing"] = conditions(interval).into();
+    object
+}
+
 fn worst_segments(list: &[WorstInterval]) -> String {
     let heads = ["worst segments", "seconds", "rms / G", "max at", "activity"];
     let mut table = terminal::table(heads);
@@ -295,7 +369,7 @@ fn worst_segments(list: &[WorstInterval]) -> String {
             format!("{:.0} to {:.0}", one.from_s, one.to_s),
             format!("{:.3}", one.rms_g),
             format!("s{}", one.sensor),
-            one.doing.clone(),
+            conditions(one),
         ]);
     }
     format!("{table}\n(rms over all channels)\n\n")
@@ -345,11 +419,11 @@ pub fn to_json(comparison: &Comparison) -> Value {
         "model": comparison.model,
         "campaign": comparison.campaign,
         "findings": findings.collect::<Vec<_>>(),
-        "judged": comparison.validation,
+        "judged": validation(comparison),
         "axes": comparison.axes.iter().map(axis_json).collect::<Vec<_>>(),
         "forces": comparison.forces.iter().map(force_json).collect::<Vec<_>>(),
         "where": comparison.located,
-        "worst": comparison.worst,
+        "worst": comparison.worst.iter().map(worst_json).collect::<Vec<_>>(),
         "correlation_s": comparison.correlation_s,
         "verdict": verdict(comparison),
     });
