@@ -12,7 +12,7 @@ fn sections_are_in_order() {
         "<h1>",
         "<dd>recordings/hidden-a",
         "class=\"verdict\"",
-        "held out in five turns",
+        "Evaluation: the model was not fitted",
         "id=\"findings\"",
         "id=\"scale\"",
         "id=\"errors\"",
