@@ -166,7 +166,8 @@ fn readme_lists_every_effect() {
         format!("| `{}` | {unit} | {needs} | {} |\n", effect.id, effect.device.label())
     };
     let table: String = CATALOGUE.map(row).concat();
-    let head = "| effect | unit of its magnitude | requires | compensated |\n| --- | --- | --- | --- |\n";
+    let head =
+        "| effect | unit of its magnitude | requires | compensated |\n| --- | --- | --- | --- |\n";
     let expected = format!("{head}{table}\n");
     assert!(readme.contains(&expected), "model-export/README.md must contain\n{expected}");
 }
