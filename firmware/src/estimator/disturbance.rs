@@ -60,7 +60,7 @@ const MAX_OFFSET: i32 = 1 << 22;
 const NORMALISED_BITS: u32 = 8;
 const MAX_NORMALISED: i32 = 1 << 14;
 
-/// Signals of a external magnet in one frame.
+/// Signals of an external magnet in one frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Signals {
     /// A network predicts a large standard deviation.
@@ -78,7 +78,7 @@ pub struct Signals {
 }
 
 impl Signals {
-    /// Whether the signals indicate a external magnet.
+    /// Whether the signals indicate an external magnet.
     pub fn vote(&self) -> bool {
         let signals = [self.sigma, self.model_disagreement, self.parity, self.common, self.outside];
         self.parity_alone || signals.iter().filter(|&&signal| signal).count() >= 2
@@ -169,7 +169,7 @@ impl DisturbanceDetector {
         self.flag
     }
 
-    /// Whether a external magnet is detected.
+    /// Whether an external magnet is detected.
     pub fn flag(&self) -> bool {
         self.flag
     }

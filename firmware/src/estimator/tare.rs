@@ -78,7 +78,7 @@ pub enum TareRefusal {
         /// Number of the sensor.
         sensor: u8,
     },
-    /// A external magnet is detected.
+    /// An external magnet is detected.
     Disturbed {
         /// Number of the first disturbed sensor.
         sensor: u8,

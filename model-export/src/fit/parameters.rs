@@ -128,7 +128,7 @@ impl Derivatives {
         Self { model: *model, frames: model.frames(), turns }
     }
 
-    /// FieldResponse at `state`, and the Jacobian of its field. The columns of the stiffnesses are zero: they act
+    /// Response at `state`, and the Jacobian of its field. The columns of the stiffnesses are zero: they act
     /// through the state.
     pub fn at(&self, state: &PhysicalState) -> (FieldResponse, Jacobian) {
         let response = self.model.response_at(&self.frames, state);

@@ -19,7 +19,7 @@ pub struct Predictor {
     effects: Vec<(EffectTerm, Vec<f64>)>,
 }
 
-/// BaseModel model of a [`Predictor`].
+/// Base model of a [`Predictor`].
 enum PredictorBase {
     /// Field from the state of the sensor.
     FromState { base: Box<dyn BaseModel + Send>, values: Vec<f64> },

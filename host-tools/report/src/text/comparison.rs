@@ -63,7 +63,7 @@ pub fn data_findings(findings: &[Finding]) -> String {
     let (style, advice) = if stops {
         (ERROR, "fix before evaluating the model")
     } else {
-        (WARNING, "check before judging the model")
+        (WARNING, "check before evaluating the model")
     };
     let mut page =
         colored(style, &format!("Setup errors in the recordings ({}), {advice}:", findings.len()));
@@ -570,7 +570,7 @@ fn caveat(findings: &[Finding]) -> Option<String> {
     ids.dedup();
     (!ids.is_empty()).then(|| {
         format!(
-            "The data contain {}; results below include it. Fix the data before judging the model.",
+            "The data contain {}; results below include it. Fix the data before evaluating the model.",
             ids.join(", ")
         )
     })

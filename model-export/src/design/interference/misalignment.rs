@@ -131,9 +131,9 @@ pub fn shifts(
         mounted[1].push(rest.max_force_n(off_g));
         let mut worst = [0.0_f64; 2];
         for (load, (nominal_g, inverse)) in loads.iter().zip(&nominal) {
-            let fit_rms_g = sample.field(*load) - nominal_g - off_g;
-            worst[0] = worst[0].max(fit_rms_g.norm());
-            worst[1] = worst[1].max(inverse.max_force_n(fit_rms_g));
+            let error_g = sample.field(*load) - nominal_g - off_g;
+            worst[0] = worst[0].max(error_g.norm());
+            worst[1] = worst[1].max(inverse.max_force_n(error_g));
         }
         tared[0].push(worst[0]);
         tared[1].push(worst[1]);

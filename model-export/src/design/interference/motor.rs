@@ -14,7 +14,7 @@ use crate::physics::magnet::GAUSS_PER_TESLA;
 
 /// Teeth of the stator.
 pub const TEETH: Constant = assumed("motor's teeth", 12.0, "", "12 slots, 14 poles");
-/// Turns of wire sources each tooth.
+/// Turns of wire around each tooth.
 pub const TURNS: Constant = assumed("turns of a tooth", 20.0, "", "no motor named");
 /// Mean radius of the coils from the motor's axis.
 pub const RADIUS: Constant = assumed("radius of the coils", 18.0, "mm", "no motor named");
@@ -72,11 +72,11 @@ fn winding(tooth: u32) -> (usize, f64) {
 /// Field in G/A of one turn around a tooth: a rectangle with outward normal.
 fn coil_g_per_a(tooth: u32, at_mm: Vector3<f64>) -> Vector3<f64> {
     let (sin, cos) = libm::sincos(TAU * f64::from(tooth) / TEETH.value);
-    let (outward, sources) = (Vector3::new(0.0, cos, sin), Vector3::new(0.0, -sin, cos));
+    let (outward, tangent) = (Vector3::new(0.0, cos, sin), Vector3::new(0.0, -sin, cos));
     let corner = |along: f64, aside: f64| {
         let mm = outward * RADIUS.value
             + Vector3::x() * (0.5 * along * LENGTH.value)
-            + sources * (0.5 * aside * WIDTH.value);
+            + tangent * (0.5 * aside * WIDTH.value);
         1e-3 * mm
     };
     // Counterclockwise about the outward normal.
