@@ -1,7 +1,8 @@
 //! The gripper's portable `no_std` library, shared by the device, the replay, the simulator and the tests.
 //!
 //! Each module uses only those above it:
-//! - [`fixed_point`], [`checksum`], [`clock`]: saturating integer arithmetic and fixed-point quantities; checksums; time.
+//! - [`fixed_point`], [`math`], [`checksum`], [`clock`]: fixed-point quantities with saturating arithmetic; single-precision
+//!   functions; checksums; time.
 //! - [`config`]: design constants and detection thresholds.
 //! - [`sensors`]: drivers of the Hall sensors and the inertial sensor.
 //! - [`compensation`]: compensation of physical effects on fields and forces, and its auxiliary inputs.
@@ -27,6 +28,7 @@ pub mod config;
 pub mod estimator;
 pub mod fixed_point;
 pub mod grip;
+pub mod math;
 pub mod model;
 pub mod motor;
 pub mod parameters;

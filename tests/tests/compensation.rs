@@ -174,7 +174,10 @@ fn the_device_compensates_each_simulated_effect() {
             DeviceForm::Force(ForceForm::Creep(_) | ForceForm::Hysteresis(_)) => 0.3,
             // The rate is delayed by two low-pass filters.
             DeviceForm::Force(ForceForm::ViscousLag) => 0.6,
-            DeviceForm::Tables | DeviceForm::Settled | DeviceForm::Never(_) => continue,
+            DeviceForm::Tables
+            | DeviceForm::Settled
+            | DeviceForm::Bench(_)
+            | DeviceForm::Never(_) => continue,
         };
         let id = effect.id;
         let (with, without) = errors(id);

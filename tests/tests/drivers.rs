@@ -99,23 +99,23 @@ fn bus_errors_of_hall_sensors_are_returned() {
 
 /// Transfers of a register of the inertial sensor: with bit 7 of the address set it is read.
 fn register(address: u8, value: Vec<u8>) -> Vec<spi::Transaction<u8>> {
+    // The answer begins with the second byte.
+    let sent = [&[0x80 | address][..], &vec![0; value.len()]].concat();
+    exchange(sent, [&[0][..], &value].concat())
+}
+
+fn exchange(sent: Vec<u8>, received: Vec<u8>) -> Vec<spi::Transaction<u8>> {
     use spi::Transaction;
     vec![
         Transaction::transaction_start(),
-        Transaction::write_vec(vec![0x80 | address]),
-        Transaction::read_vec(value),
+        Transaction::transfer_in_place(sent, received),
         Transaction::transaction_end(),
     ]
 }
 
 /// Transfers of a setting that is read back as this value.
 fn setting(address: u8, value: u8, read_back: u8) -> Vec<spi::Transaction<u8>> {
-    use spi::Transaction;
-    let mut transfers = vec![
-        Transaction::transaction_start(),
-        Transaction::write_vec(vec![address, value]),
-        Transaction::transaction_end(),
-    ];
+    let mut transfers = exchange(vec![address, value], vec![0; 2]);
     transfers.extend(register(address, vec![read_back]));
     transfers
 }
@@ -165,10 +165,20 @@ fn the_lsm6ds3_is_read_from_0x22() {
     ];
     // 0.122e-3 * 9806.65 mm/s^2 are 1.1964113: by 32768 39204.0, by 32767 39202.8, by 8197 9807.0.
     let expected =
-        ImuReading { turn: [-2_293_760, 2_293_690, 70], acceleration: [-39_204, 39_203, 9_807] };
+        ImuReading { rate: [-2_293_760, 2_293_690, 70], acceleration: [-39_204, 39_203, 9_807] };
     let mut bus = spi::Mock::new(&register(0x22, answer));
     assert_eq!(poll(Lsm6ds3::new(bus.clone()).read()), Ok(expected));
     bus.done();
+}
+
+#[test]
+fn a_silent_lsm6ds3_is_an_error() {
+    for level in [0x00, 0xFF] {
+        let mut bus = spi::Mock::new(&register(0x22, vec![level; 12]));
+        let read = poll(Lsm6ds3::new(bus.clone()).read());
+        assert_eq!(read, Err(ImuError::UnexpectedDevice(level)));
+        bus.done();
+    }
 }
 
 /// An SPI device without answers whose transactions fail from one on.
@@ -185,7 +195,7 @@ impl embedded_hal_async::spi::SpiDevice for FailingDevice {
     async fn transaction(&mut self, operations: &mut [Operation<'_, u8>]) -> Result<(), SpiError> {
         self.remaining = self.remaining.checked_sub(1).ok_or(self.error)?;
         for operation in operations {
-            if let Operation::Read(bytes) = operation {
+            if let Operation::TransferInPlace(bytes) = operation {
                 bytes.fill(0x6A);
             }
         }

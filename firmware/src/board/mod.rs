@@ -11,12 +11,13 @@ use embedded_storage_async::nor_flash::NorFlash;
 
 pub use crate::motor::state::MotorPort;
 
-use crate::clock::Clock;
+use crate::clock::{Clock, Timed};
 use crate::motor::{MotorStatus, Settings};
 use crate::protocol::can::{CanReceiver, CanSender};
 use crate::sensors::hall::SensorBus;
 use crate::sensors::imu::Imu;
 use crate::system::task_watchdog::TaskProgress;
+use crate::tasks::temperatures::BoardTemperatures;
 
 /// What a board provides to the tasks.
 pub trait Bsp: Sized {
@@ -40,6 +41,8 @@ pub trait Bsp: Sized {
     type Flash: NorFlash;
     /// Source of the nonces.
     type Rng;
+    /// Temperature sensors.
+    type Thermometer: Thermometer;
     /// Power stage, current sensors and rotor sensor.
     type Drive: MotorDrive;
     /// Watchdog of the tasks.
@@ -53,8 +56,8 @@ pub trait Bsp: Sized {
 pub struct Peripherals<B: Bsp> {
     /// Buses of sensors 0 and 1, and of sensors 2 and 3.
     pub sensor_buses: [B::SensorBus; 2],
-    /// Inertial sensor, where one is fitted; no task reads it yet.
-    pub imu: Option<B::Imu>,
+    /// Inertial sensor; one that is not fitted does not answer.
+    pub imu: B::Imu,
     /// Classic CAN at 1 Mbit/s, transmitting half.
     pub can_tx: B::CanTx,
     /// Receiving half.
@@ -69,10 +72,18 @@ pub struct Peripherals<B: Bsp> {
     pub flash: B::Flash,
     /// Offset of the first page of parameters in the flash, in bytes.
     pub flash_offset: u32,
+    /// Temperatures of chip, motor and power stage.
+    pub thermometer: B::Thermometer,
     /// Motor.
     pub drive: B::Drive,
     /// Watchdog.
     pub watchdog: B::Watchdog,
+}
+
+/// Temperature sensors of a board.
+pub trait Thermometer {
+    /// Measures all temperatures; blocks for less than 100 us.
+    fn measure(&mut self) -> BoardTemperatures;
 }
 
 /// Motor of a board.
@@ -88,8 +99,8 @@ pub trait MotorDrive {
 
 /// State of the motor, updated each millisecond.
 pub trait MotorMonitor {
-    /// The state, if it was updated since the last call.
-    fn poll(&mut self) -> Option<MotorStatus>;
+    /// The state and when it was taken, if it was updated since the last call.
+    fn poll(&mut self) -> Option<Timed<MotorStatus>>;
 }
 
 /// A watchdog that cannot be stopped.

@@ -1,7 +1,10 @@
 //! Auxiliary inputs of the compensation: everything measured besides the Hall sensors. Each is optional; an effect
 //! that needs a missing input is skipped and the estimate flagged.
 
+use core::f32::consts::TAU;
+
 use crate::fixed_point::saturate;
+use crate::math::{Direction, TURN_UNITS};
 
 /// Auxiliary inputs of one tick.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -21,13 +24,29 @@ pub struct AuxiliaryInputs {
 pub struct MotorInputs {
     /// Quadrature current in milliamperes.
     pub iq_ma: i32,
+    /// Mechanical angle of the rotor sensor in microradians, 0 to 2 pi.
+    pub angle_urad: i32,
     /// Sine and cosine of the electrical angle, with 15 fractional bits.
     pub electrical: [i32; 2],
-    /// Mechanical angle in microradians, within a turn.
-    pub angle_urad: i32,
 }
 
 impl MotorInputs {
+    /// Of a quadrature current and a mechanical angle of the rotor sensor in 2^-32 turns.
+    ///
+    /// The electrical angle of the compensation is the pole pairs times this angle, in fit, recording and device. The
+    /// commissioned offset between rotor sensor and winding is not part of it: it rotates the fitted coefficients, and
+    /// a new commissioning does not change them.
+    pub fn new(iq_ma: i32, turn: u32, pole_pairs: u8) -> Self {
+        const TURN_URAD: u64 = 6_283_185;
+        const ONE: f32 = 32_768.0;
+        let Direction { sin, cos } = Direction::of(turn.wrapping_mul(pole_pairs.into()));
+        Self {
+            iq_ma,
+            angle_urad: ((u64::from(turn) * TURN_URAD) >> 32) as i32,
+            electrical: [(sin * ONE) as i32, (cos * ONE) as i32],
+        }
+    }
+
     /// Alpha, beta and quadrature current in milliamperes, assuming no direct current.
     pub fn currents(&self) -> [i32; 3] {
         let [sin, cos] = self.electrical.map(i64::from);
@@ -37,7 +56,7 @@ impl MotorInputs {
     }
 }
 
-/// Rotation from body to world axes.
+/// Rotation from gripper to world axes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Attitude {
     /// Rotation matrix by rows, with 14 fractional bits.
@@ -48,7 +67,32 @@ impl Attitude {
     /// Fractional bits of the matrix.
     pub const BITS: u32 = 14;
 
-    /// Transforms a vector from world to body axes.
+    /// Of roll, pitch and yaw in radians: rotations about x, then y, then z. Each entry has an error of at most 0.004,
+    /// three times that of the sine.
+    pub fn from_euler([roll, pitch, yaw]: [f32; 3]) -> Self {
+        const TURN_PER_RAD: f32 = TURN_UNITS / TAU;
+        let [r, p, y] = [roll, pitch, yaw].map(|angle| {
+            // Through i64: the cast to u32 alone would saturate negative angles.
+            Direction::of((angle * TURN_PER_RAD) as i64 as u32)
+        });
+        let matrix = [
+            [
+                y.cos * p.cos,
+                y.cos * p.sin * r.sin - y.sin * r.cos,
+                y.cos * p.sin * r.cos + y.sin * r.sin,
+            ],
+            [
+                y.sin * p.cos,
+                y.sin * p.sin * r.sin + y.cos * r.cos,
+                y.sin * p.sin * r.cos - y.cos * r.sin,
+            ],
+            [-p.sin, p.cos * r.sin, p.cos * r.cos],
+        ];
+        const ONE: f32 = (1 << Attitude::BITS) as f32;
+        Self { to_world: matrix.map(|row| row.map(|entry| (entry * ONE) as i32)) }
+    }
+
+    /// Transforms a vector from world to gripper axes.
     pub fn to_body(&self, world: [i32; 3]) -> [i32; 3] {
         let [x, y, z] = self.to_world;
         let [wx, wy, wz] = world.map(i64::from);

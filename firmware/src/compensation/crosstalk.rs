@@ -56,8 +56,8 @@ impl EarthFieldTable {
     }
 }
 
-/// Knots of [`NeighbourMagnetTable`]: openings of 0 to 64 mm.
-pub const KNOTS: usize = 129;
+/// Knots of [`NeighbourMagnetTable`]: openings of 0 to 80 mm, the whole stroke.
+pub const KNOTS: usize = 161;
 /// Distance of two knots in micrometres.
 pub const STEP_UM: i32 = 500;
 

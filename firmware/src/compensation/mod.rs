@@ -7,6 +7,7 @@
 //! model's tables.
 
 pub mod auxiliary_inputs;
+pub mod covariates;
 pub mod crosstalk;
 pub mod flexure;
 pub mod hysteresis;

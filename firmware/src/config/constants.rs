@@ -175,6 +175,13 @@ pub const MOTOR_TEMPERATURE_MAX: Constant =
 /// Power stage temperature at which the current is de-rated to zero.
 pub const STAGE_TEMPERATURE_MAX: Constant =
     assumed("max. stage temperature", 110.0, "C", "MOSFETs of 150 C");
+/// Resistance of the thermistors of motor and power stage at 25 degrees Celsius.
+pub const THERMISTOR_RESISTANCE: Constant =
+    assumed("thermistor", 10.0, "kOhm", "common; the paper names none");
+/// Their constant B.
+pub const THERMISTOR_B: Constant = assumed("thermistor B", 3435.0, "K", "common for 10 kOhm");
+/// Resistance from each of them to the converter's reference.
+pub const THERMISTOR_PULL_UP: Constant = assumed("thermistor pull-up", 10.0, "kOhm", "board");
 /// Maximum opening between the fingers.
 pub const STROKE: Constant = assumed("stroke", 80.0, "mm", "the paper states none");
 /// Breakaway torque without load; falls to [`DRY_FRICTION`] in motion.
@@ -288,6 +295,9 @@ pub const ALL: &[Constant] = &[
     BUS_VOLTAGE_MAX,
     MOTOR_TEMPERATURE_MAX,
     STAGE_TEMPERATURE_MAX,
+    THERMISTOR_RESISTANCE,
+    THERMISTOR_B,
+    THERMISTOR_PULL_UP,
     STROKE,
     BREAKAWAY_FRICTION,
     STRIBECK_SPEED,

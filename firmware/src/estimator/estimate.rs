@@ -6,14 +6,23 @@ use crate::fixed_point::{Field, Force};
 /// Usability of an estimate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Validity {
-    /// Within the range of the sensor and of the model.
+    /// Within the range of the sensor and of the model, all effects compensated.
     Valid,
+    /// As [`Self::Valid`], but an effect was not compensated for lack of an input: the forces have its error.
+    MissingInputs,
     /// An axis of the sensor is saturated.
     Saturated,
     /// The field is outside the model's design box: the forces are only a bound.
     OutsideModel,
     /// No reading, or no table for this sensor.
     Missing,
+}
+
+impl Validity {
+    /// Whether the forces are within the range of sensor and model.
+    pub const fn is_in_range(self) -> bool {
+        matches!(self, Self::Valid | Self::MissingInputs)
+    }
 }
 
 /// Forces at one sensor.

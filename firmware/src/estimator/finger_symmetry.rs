@@ -4,7 +4,7 @@
 //! A gripped object under a lateral load causes a difference too, so this is a warning.
 
 use crate::config::limits::DetectionLimits;
-use crate::estimator::estimate::{Estimate, Validity};
+use crate::estimator::estimate::Estimate;
 use crate::fixed_point::Force;
 use crate::sensors::hall::SENSORS;
 
@@ -41,7 +41,7 @@ impl FingerSymmetry {
     /// Evaluates a tick. Returns the difference of the fingers' forces if it persists; invalid estimates count as no
     /// difference.
     pub fn update(&mut self, estimates: &[Estimate; SENSORS]) -> Option<Force> {
-        let valid = estimates.iter().all(|e| e.validity == Validity::Valid);
+        let valid = estimates.iter().all(|e| e.validity.is_in_range());
         let [a, b, c, d] = estimates;
         let [left, right] = [[a, b], [c, d]].map(|sensors| finger_force(sensors).0);
         let difference = left.saturating_sub(right).saturating_abs();
@@ -55,6 +55,7 @@ impl FingerSymmetry {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::estimator::Validity;
 
     fn pressed(newtons: [i32; SENSORS]) -> [Estimate; SENSORS] {
         newtons.map(|n| Estimate {

@@ -1,5 +1,7 @@
-//! Estimation of the contact forces: compensation, ideal model, recurrent networks, disturbance detection.
+//! Estimation of the contact forces: compensation, ideal model, recurrent networks, disturbance detection. Estimation of the
+//! gripper's tilt, an input of the compensation.
 
+pub mod attitude;
 pub mod disturbance;
 mod estimate;
 pub mod finger_symmetry;
@@ -47,6 +49,7 @@ pub fn estimate(
         Some(effects) => effects.compensate_force(ideal.force, inputs, state),
         None => Compensated { value: ideal.force, missing_inputs: false },
     };
+    let missing_inputs = field.missing_inputs || force.missing_inputs;
     Estimate {
         force: force.value,
         sigma: None,
@@ -54,11 +57,12 @@ pub fn estimate(
         validity: match (saturated, ideal.in_range) {
             (true, _) => Validity::Saturated,
             (false, false) => Validity::OutsideModel,
+            (false, true) if missing_inputs => Validity::MissingInputs,
             (false, true) => Validity::Valid,
         },
         field: field.value,
         uncompensated: ideal.force,
-        missing_inputs: field.missing_inputs || force.missing_inputs,
+        missing_inputs,
         parity: ParityResidual {
             residual: parity::residual(table, field.value, ideal.coordinates),
             sigma: table.parity.sigma,

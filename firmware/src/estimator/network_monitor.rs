@@ -1,7 +1,7 @@
 //! Supervision of the networks: a network that deviates from the ideal model too far and too long is replaced by it
 //! until it agrees again.
 //!
-//! A external magnet causes such a deviation as well; it is detected from the field ([`crate::estimator::disturbance`])
+//! An external magnet causes such a deviation as well; it is detected from the field ([`crate::estimator::disturbance`])
 //! and invalidates all forces.
 
 use crate::config::limits::DetectionLimits;

@@ -142,8 +142,10 @@ impl TareCollector {
             let refusal = match estimate.validity {
                 Validity::Missing => TareRefusal::Missing { sensor },
                 Validity::Saturated | Validity::OutsideModel => TareRefusal::Invalid { sensor },
-                Validity::Valid if estimate.disturbed => TareRefusal::Disturbed { sensor },
-                Validity::Valid => continue,
+                Validity::Valid | Validity::MissingInputs if estimate.disturbed => {
+                    TareRefusal::Disturbed { sensor }
+                }
+                Validity::Valid | Validity::MissingInputs => continue,
             };
             return TareProgress::Refused(refusal);
         }

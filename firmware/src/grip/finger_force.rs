@@ -3,8 +3,8 @@
 //! Control uses the greater of both forces: a finger that reads low has no effect, one that reads high reduces the
 //! grip force.
 
+use crate::estimator::Estimate;
 use crate::estimator::finger_symmetry::finger_force;
-use crate::estimator::{Estimate, Validity};
 use crate::fixed_point::Force;
 use crate::sensors::hall::SENSORS;
 
@@ -72,7 +72,7 @@ pub fn newtons(force: Force) -> f32 {
 }
 
 fn finger(pair: [&Estimate; 2]) -> FingerForce {
-    if pair.iter().any(|e| e.validity != Validity::Valid) {
+    if pair.iter().any(|e| !e.validity.is_in_range()) {
         FingerForce::Lost
     } else if pair.iter().any(|e| e.disturbed) {
         FingerForce::Disturbed
@@ -84,6 +84,7 @@ fn finger(pair: [&Estimate; 2]) -> FingerForce {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::estimator::Validity;
     use crate::grip::tests::rig::pressed;
 
     #[test]

@@ -6,7 +6,7 @@
 use core::f32::consts::TAU;
 
 use crate::config::constants;
-use crate::motor::math::{sqrt, within};
+use crate::math::{sqrt, within};
 
 /// Stiffness of the hardest contact in N/mm.
 pub const HARDEST: f32 = constants::CONTACT_STIFFNESS.value as f32;

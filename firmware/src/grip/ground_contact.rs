@@ -7,10 +7,10 @@
 
 use crate::config::constants;
 use crate::config::limits::GripLimits;
-use crate::estimator::{Estimate, Validity};
+use crate::estimator::Estimate;
 use crate::fixed_point::Force;
 use crate::grip::finger_force::newtons;
-use crate::motor::math::{sqrt, within};
+use crate::math::{sqrt, within};
 use crate::protocol::messages;
 use crate::sensors::hall::SENSORS;
 
@@ -88,7 +88,7 @@ impl GroundContactDetector {
         for (sensor, ((estimate, (in_contact, peak)), (along_mm, side))) in
             (0_u8..).zip(estimates.iter().zip(states).zip(positions))
         {
-            let valid = (estimate.validity == Validity::Valid).then_some(estimate.force);
+            let valid = estimate.validity.is_in_range().then_some(estimate.force);
             let Some([_, force]) = valid else {
                 // An invalid fingertip keeps its contact and adds no force.
                 ground.is_unloaded = false;

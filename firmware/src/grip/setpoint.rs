@@ -6,7 +6,7 @@ use crate::grip::hold_current::MARGIN;
 use crate::grip::homing::HomingStep;
 use crate::grip::states::{PowerState, TaskState};
 use crate::grip::{GripController, force_controller};
-use crate::motor::math::within;
+use crate::math::within;
 use crate::motor::settings::PEAK_A;
 use crate::motor::{MotorStatus, Setpoint};
 

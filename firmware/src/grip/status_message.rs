@@ -3,6 +3,7 @@
 use crate::grip::GripController;
 use crate::grip::interface::{ControlInputs, ControlOutputs};
 use crate::grip::states::{PowerState, TaskState};
+use crate::protocol::OPENING_UNKNOWN;
 use crate::protocol::messages::GripStatus;
 
 /// Values of the field `object` of [`GripStatus`].
@@ -31,7 +32,7 @@ impl GripController {
         let motor = &inputs.motor;
         let [per_mm, per_mm_s, per_n, per_a] = PER_UNIT;
         outputs.status = GripStatus {
-            position: (motor.opening_mm.unwrap_or_default() * per_mm) as u16,
+            position: motor.opening_mm.map_or(OPENING_UNKNOWN, |mm| (mm * per_mm) as u16),
             speed: (-motor.closing_mm_s * per_mm_s) as i16,
             force: (self.force_n * per_n) as i16,
             current: (motor.current.q * per_a) as i16,

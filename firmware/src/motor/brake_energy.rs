@@ -1,8 +1,8 @@
 //! Dissipation of braking energy. The supply takes no energy back: above a bus voltage the windings dissipate it by a
 //! d current, which makes no torque; braking is reduced where that is not enough.
 
+use crate::math::{greater, share, sqrt, within};
 use crate::motor::foc::Dq;
-use crate::motor::math::{greater, share, sqrt, within};
 use crate::motor::settings::Settings;
 
 /// Safety factor on the dissipation at the upper voltage, for a resistance below its nominal value.

@@ -11,8 +11,8 @@
 //! 3. A square wave added to the voltage of the upper level. The slopes of the current give the inductance.
 
 use crate::config::constants;
+use crate::math::{Direction, TURN_UNITS};
 use crate::motor::foc::{AlphaBeta, Dq};
-use crate::motor::math::{Direction, TURN_UNITS};
 use crate::motor::settings::{IdentifiedMotor, MotorParameters, MotorWiring};
 use crate::motor::timing::PERIOD_S;
 

@@ -1,11 +1,11 @@
 //! Current loop, 20 kHz: from samples to bridge commands, with the motor's state and its fast protections.
 
+use crate::math::{Direction, greater};
 use crate::motor::commissioning::{Commissioning, CommissioningInputs, CommissioningStep};
 use crate::motor::current_sense::{self, CurrentOffsets, OffsetMeasurement};
 use crate::motor::diagnostics::SensorMonitor;
 use crate::motor::encoder::AngleTracker;
 use crate::motor::foc::{self, AlphaBeta, CurrentController, Dq, VoltageOutput, Windings};
-use crate::motor::math::{Direction, greater};
 use crate::motor::power_stage::{BridgeCommand, MotorSamples};
 use crate::motor::settings::{IdentifiedMotor, Settings};
 use crate::motor::state::{MotorState, Trip};

@@ -9,8 +9,8 @@
 //! | rotor sensor slipped on its shaft | the induced voltage has the wrong phase |
 //! | wrong commutation | the rotor accelerates against the braking current |
 
+use crate::math::greater;
 use crate::motor::foc::Dq;
-use crate::motor::math::greater;
 use crate::motor::power_stage::MotorSamples;
 use crate::motor::settings::{MotorLimits, MotorParameters};
 use crate::motor::state::{SupplyState, Trip};

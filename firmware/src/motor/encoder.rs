@@ -4,7 +4,7 @@
 use core::f32::consts::TAU;
 
 use crate::config::constants;
-use crate::motor::math::TURN_UNITS;
+use crate::math::TURN_UNITS;
 use crate::motor::power_stage::EncoderError;
 use crate::motor::settings::Settings;
 use crate::motor::timing::PERIOD_S;
@@ -88,12 +88,6 @@ impl AngleTracker {
     /// Angle of the sensor in 2^-32 turns.
     pub const fn angle(&self) -> u32 {
         self.angle as u32
-    }
-
-    /// Angle of the sensor in radians, -pi to pi; none where it is unknown.
-    pub fn angle_rad(&self) -> Option<f32> {
-        let angle = self.angle as i32 as f32 * (TAU / TURN_UNITS);
-        self.is_known().then_some(angle)
     }
 
     /// Electrical angle in 2^-32 turns.

@@ -8,7 +8,7 @@
 use core::f32::consts::TAU;
 
 use crate::config::constants;
-use crate::motor::math::{Direction, greater, inverse_sqrt, lesser, within};
+use crate::math::{Direction, greater, inverse_sqrt, lesser, within};
 use crate::motor::settings::MotorParameters;
 use crate::motor::timing::PERIOD_S;
 

@@ -1,6 +1,6 @@
 //! Limits of the current at an operating point, and the codes of the active ones. An active limit is no fault.
 
-use crate::motor::math::{greater, lesser, share, within};
+use crate::math::{greater, lesser, share, within};
 use crate::motor::settings::{MotorLimits, Settings};
 
 /// A limit; the number is its code. Fault codes ([`crate::system::faults`]) begin at 100.

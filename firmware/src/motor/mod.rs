@@ -1,7 +1,7 @@
 //! Motor control: field-oriented current control at 20 kHz, speed and position control at 4 kHz.
 //!
 //! - [`power_stage`]: interface to the half bridges and the sensors; [`as5047`]: rotor angle sensor.
-//! - [`settings`], [`screw`]: parameters and limits; [`math`]: single-precision arithmetic.
+//! - [`settings`], [`screw`]: parameters and limits.
 //! - [`encoder`], [`current_sense`]: rotor angle and speed, phase currents.
 //! - [`foc`]: Clarke and Park transforms, space-vector modulation, PI current controllers.
 //! - [`CurrentLoop`] and [`MotionLoop`]: the two ticks; [`tick_exchange`]: data between them.
@@ -25,7 +25,6 @@ pub mod diagnostics;
 pub mod encoder;
 pub mod foc;
 pub mod limits;
-pub mod math;
 mod motion_loop;
 pub mod power_stage;
 pub mod screw;

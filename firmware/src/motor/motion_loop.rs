@@ -3,6 +3,7 @@
 use core::f32::consts::TAU;
 
 use crate::config::constants;
+use crate::math::{greater, within};
 use crate::motor::brake_energy;
 use crate::motor::diagnostics::{ElectricalSample, RunawayMonitor, SupplyMonitor, VoltageMonitor};
 use crate::motor::encoder::RotorPosition;
@@ -10,7 +11,6 @@ use crate::motor::foc::{self, Dq, PiController, PiGains};
 use crate::motor::limits::{
     ActiveLimits, CurrentBounds, Limit, OperatingPoint, Temperatures, WindingHeat,
 };
-use crate::motor::math::{Direction, greater, within};
 use crate::motor::screw::Backlash;
 use crate::motor::settings::{IdentifiedMotor, MotorParameters, Settings};
 use crate::motor::state::{MotorCommand, MotorState, MotorStatus, Setpoint, Trip};
@@ -166,8 +166,8 @@ impl MotionLoop {
             closing_mm_s: self.settings.screw.closing_mm_s(report.rotor.speed()),
             rotor_rad: report.rotor.position().since(RotorPosition::default()),
             speed: report.rotor.speed(),
-            angle_rad: report.rotor.angle_rad(),
-            electrical: Direction::of(report.rotor.electrical(&self.settings)),
+            turn: report.rotor.is_known().then(|| report.rotor.angle()),
+            pole_pairs: self.settings.machine.pole_pairs,
             current: report.current,
             current_setpoint: self.current_setpoint,
             voltage: report.voltage,

@@ -7,7 +7,7 @@
 use core::f32::consts::TAU;
 
 use crate::config::constants;
-use crate::motor::math::{greater, within};
+use crate::math::{greater, within};
 
 /// A screw.
 #[derive(Clone, Copy, Debug, PartialEq)]

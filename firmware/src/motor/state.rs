@@ -1,10 +1,9 @@
 //! Commands, states, trips and status of the motor.
 
-use crate::compensation::auxiliary_inputs::{self, AuxiliaryInputs};
+use crate::math::greater;
 use crate::motor::commissioning::CommissioningError;
 use crate::motor::foc::Dq;
 use crate::motor::limits::{ActiveLimits, Temperatures};
-use crate::motor::math::{Direction, greater};
 use crate::motor::power_stage::BridgeCommand;
 use crate::motor::settings::{IdentifiedMotor, MotorLimits};
 
@@ -179,10 +178,10 @@ pub struct MotorStatus {
     pub rotor_rad: f32,
     /// Rotor speed in rad/s.
     pub speed: f32,
-    /// Rotor angle within a turn of its sensor in radians, -pi to pi; none where it is unknown.
-    pub angle_rad: Option<f32>,
-    /// Electrical angle of the rotor.
-    pub electrical: Direction,
+    /// Angle of the rotor sensor in 2^-32 turns; none where it is unknown.
+    pub turn: Option<u32>,
+    /// Pole pairs of the motor.
+    pub pole_pairs: u8,
     /// Currents in amperes.
     pub current: Dq,
     /// Set-points of the currents in amperes.
@@ -199,23 +198,6 @@ pub struct MotorStatus {
     pub limits: ActiveLimits,
     /// Result of the last commissioning.
     pub identification: Option<IdentifiedMotor>,
-}
-
-impl MotorStatus {
-    /// Inputs for the compensation of the motor's effects on the fields.
-    pub fn auxiliary_inputs(&self) -> AuxiliaryInputs {
-        const ONE: f32 = 32_768.0;
-        let Direction { sin, cos } = self.electrical;
-        AuxiliaryInputs {
-            opening_um: self.opening_mm.map(|mm| (mm * 1e3) as i32),
-            motor: self.angle_rad.map(|angle_rad| auxiliary_inputs::MotorInputs {
-                iq_ma: (self.current.q * 1e3) as i32,
-                electrical: [(sin * ONE) as i32, (cos * ONE) as i32],
-                angle_urad: (angle_rad * 1e6) as i32,
-            }),
-            ..AuxiliaryInputs::default()
-        }
-    }
 }
 
 /// Orders to the motor control.
@@ -255,22 +237,5 @@ mod tests {
         ] {
             assert!(!setpoint.is_finite(), "{setpoint:?}");
         }
-    }
-
-    #[test]
-    fn auxiliary_inputs_have_integer_units() {
-        let status = MotorStatus {
-            opening_mm: Some(12.5),
-            angle_rad: Some(-0.25),
-            electrical: Direction { sin: -0.5, cos: 0.75 },
-            current: Dq { d: 1.0, q: -2.5 },
-            ..MotorStatus::default()
-        };
-        let inputs = status.auxiliary_inputs();
-        let motor = inputs.motor.unwrap();
-        assert_eq!(inputs.opening_um, Some(12_500));
-        assert_eq!((motor.iq_ma, motor.angle_urad), (-2500, -250_000));
-        assert_eq!(motor.electrical, [-16_384, 24_576]);
-        assert_eq!(MotorStatus::default().auxiliary_inputs(), AuxiliaryInputs::default());
     }
 }

@@ -5,7 +5,7 @@
 //! delays the motion by its window.
 
 use crate::config::constants;
-use crate::motor::math::sqrt;
+use crate::math::sqrt;
 use crate::motor::timing::MOTION_HZ;
 
 /// Acceleration in nanometres per tick squared.

@@ -288,13 +288,15 @@ messages! {
         stale: bool @ 51..52;
         /// 0: ideal model, 1: network.
         model: u8 @ 52..54;
+        /// An effect is not compensated for lack of an input.
+        missing_inputs: bool @ 54..55;
         /// Counts messages.
         counter: u8 @ 56..64;
     }
 
     /// State of the grip.
     0x0C GripStatus Out every 10 {
-        /// Opening.
+        /// Opening; 16383: unknown, before homing.
         position: u16 @ 0..14, 0.01 "mm";
         /// Speed, opening is positive.
         speed: i16 @ 14..28, 0.01 "mm/s";
@@ -314,11 +316,11 @@ messages! {
         bus: u16 @ 0..16, 0.01 "V";
         /// Current from the supply.
         current: i16 @ 16..32, 0.01 "A";
-        /// Temperature of the microcontroller.
+        /// Temperature of the microcontroller; -128: unknown.
         mcu: i8 @ 32..40, 1.0 "degC";
-        /// Temperature of the motor.
+        /// Temperature of the motor; -128: unknown.
         motor: i8 @ 40..48, 1.0 "degC";
-        /// Temperature of the warmest Hall sensor.
+        /// Temperature of the warmest Hall sensor; -128: unknown.
         sensor: i8 @ 48..56, 1.0 "degC";
         /// Counts messages.
         counter: u8 @ 56..64;
@@ -376,5 +378,31 @@ messages! {
         nonce: u16 @ 16..32;
         /// Detail of the operation.
         detail: u32 @ 32..64;
+    }
+
+    /// Orientation of the gripper from gripper to world axes, as a host knows it: rotations about x, then y, then z.
+    0x12 HostAttitude In every 0 {
+        /// Roll; ignored where the gripper has an inertial sensor.
+        roll: i16 @ 0..16, 0.0001 "rad";
+        /// Pitch; ignored where the gripper has an inertial sensor.
+        pitch: i16 @ 16..32, 0.0001 "rad";
+        /// Yaw.
+        yaw: i16 @ 32..48, 0.0001 "rad";
+        /// Age of the measurement when the message was sent.
+        age: u8 @ 48..56, 1.0 "ms";
+        /// Roll and pitch are not known to the host.
+        yaw_only: bool @ 56..57;
+    }
+
+    /// Acceleration of the gripper without gravity, in gripper axes, as a host knows it.
+    0x13 HostAcceleration In every 0 {
+        /// Along x.
+        x: i16 @ 0..16, 0.002 "m/s^2";
+        /// Along y.
+        y: i16 @ 16..32, 0.002 "m/s^2";
+        /// Along z.
+        z: i16 @ 32..48, 0.002 "m/s^2";
+        /// Age of the measurement when the message was sent.
+        age: u8 @ 48..56, 1.0 "ms";
     }
 }

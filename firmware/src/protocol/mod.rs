@@ -19,7 +19,11 @@ use crate::fixed_point::Force;
 /// Default node number: identifiers 0x200 to 0x21F.
 pub const DEFAULT_NODE: u16 = 0x10;
 /// Major and minor version of the messages.
-pub const PROTOCOL_VERSION: (u8, u8) = (1, 0);
+pub const PROTOCOL_VERSION: (u8, u8) = (1, 1);
+/// [`messages::GripStatus::position`] of an unknown opening, as before homing.
+pub const OPENING_UNKNOWN: u16 = 0x3FFF;
+/// Value of an unknown temperature in [`messages::Power`].
+pub const TEMPERATURE_UNKNOWN: i8 = i8::MIN;
 /// Identifier of the emergency stop for all nodes.
 pub const ESTOP_ALL_ID: u16 = 0x002;
 
@@ -46,11 +50,12 @@ pub fn force_message(estimate: &Estimate, counter: u8) -> messages::Force {
         fz,
         sigma_x,
         sigma_z,
-        valid: estimate.validity == Validity::Valid,
+        valid: estimate.validity.is_in_range(),
         disturbed: estimate.disturbed,
         saturated: estimate.validity == Validity::Saturated,
         stale: estimate.validity == Validity::Missing,
         model: if estimate.sigma.is_some() { NETWORK } else { 0 },
+        missing_inputs: estimate.missing_inputs,
         counter,
     }
 }
@@ -69,6 +74,12 @@ pub fn force_newtons(message: &messages::Force) -> ([f64; 2], [Option<f64>; 2]) 
         (units != SIGMA_UNKNOWN).then_some(f64::from(units) / COUNTS_PER_NEWTON.1 as f64)
     });
     (force, sigma)
+}
+
+/// Opening of a message in millimetres, for the host; `None`: unknown.
+pub fn opening_mm(status: &messages::GripStatus) -> Option<f64> {
+    const MM_PER_COUNT: f64 = 0.01;
+    (status.position != OPENING_UNKNOWN).then_some(MM_PER_COUNT * f64::from(status.position))
 }
 
 /// Identifier of a message of a node.

@@ -7,16 +7,17 @@ use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
 use crate::checksum::CRC16;
+use crate::compensation::covariates::Covariates;
 use crate::estimator::{Estimate, Validity};
 use crate::protocol::messages::Message;
 use crate::sensors::hall::{HallFrame, HallReading, SENSORS};
 
-/// Bits per second, 8N1: 200 bytes in a millisecond. A tick takes at most [`MAX_PACKET_BYTES`] of them and always fits; 98
-/// bytes remain for messages: at most eight in that time from the CAN bus, of 10 to 15 bytes each. Excess messages are
-/// dropped and counted ([`crate::tasks::transmit_serial`]).
+/// Bits per second, 8N1: 200 bytes in a millisecond. A tick takes at most [`MAX_PACKET_BYTES`] of them and always fits, with
+/// all covariates; 52 bytes remain for messages: three in each millisecond, of 10 to 15 bytes each. The gripper sends one
+/// on average. Excess messages are dropped and counted ([`crate::tasks::transmit_serial`]).
 pub const BAUD_RATE: u32 = 2_000_000;
 /// Longest packet including the zero: a [`Tick`] with every number at its longest encoding.
-pub const MAX_PACKET_BYTES: usize = 102;
+pub const MAX_PACKET_BYTES: usize = 148;
 
 /// Bytes of the checksum, little-endian.
 const CRC_BYTES: usize = 2;
@@ -44,6 +45,8 @@ pub struct Tick {
     pub time_us: u32,
     /// All sensors.
     pub sensors: [SensorTick; SENSORS],
+    /// Covariates that the compensation had.
+    pub covariates: Covariates,
 }
 
 /// One sensor in a tick.
@@ -60,18 +63,24 @@ pub struct SensorTick {
 }
 
 /// Encoding of the validity.
-pub const VALIDITIES: [Validity; 4] =
-    [Validity::Valid, Validity::Saturated, Validity::OutsideModel, Validity::Missing];
+pub const VALIDITIES: [Validity; 5] = [
+    Validity::Valid,
+    Validity::Saturated,
+    Validity::OutsideModel,
+    Validity::Missing,
+    Validity::MissingInputs,
+];
 
 impl Tick {
-    /// The tick of a frame and its estimates.
-    pub fn of(frame: &HallFrame, estimates: &[Estimate; SENSORS]) -> Self {
+    /// The tick of a frame, its estimates and the covariates.
+    pub fn of(frame: &HallFrame, estimates: &[Estimate; SENSORS], covariates: Covariates) -> Self {
         let mut estimates = estimates.iter();
         Self {
             time_us: frame.time_us,
             sensors: frame.readings.map(|reading| {
                 SensorTick::of(reading, estimates.next().unwrap_or(&Estimate::MISSING))
             }),
+            covariates,
         }
     }
 }
@@ -172,6 +181,7 @@ const fn is_valid(packet: &Packet) -> bool {
 mod tests {
     use super::super::messages::{EStop, Force, Power};
     use super::*;
+    use crate::compensation::covariates::{AccelerationSample, AttitudeSample, MotorSample};
 
     fn packet() -> Packet {
         Packet::Message {
@@ -203,9 +213,17 @@ mod tests {
             force: [i32::MIN; 2],
             validity: u8::MAX,
         };
-        let tick = Packet::Tick(Tick { time_us: u32::MAX, sensors: [sensor; SENSORS] });
+        let longest = MotorSample { age_us: i16::MIN, iq_ma: i16::MIN, turn: u16::MAX };
+        let covariates = Covariates {
+            opening_um: Some(i32::MIN),
+            motor: Some(longest),
+            acceleration: Some(AccelerationSample { age_us: i16::MIN, mm_s2: [i32::MIN; 3] }),
+            attitude: Some(AttitudeSample { age_ms: u8::MAX, euler: [i16::MIN; 3] }),
+        };
+        let tick = Packet::Tick(Tick { time_us: u32::MAX, sensors: [sensor; SENSORS], covariates });
         let bytes = encoded(&tick);
-        // A tag, 5 for the time, 4 times (4 * 3 + 2 * 5 + 1), 2 of checksum, 1 of stuffing, and the zero.
+        // A tag, 5 for the time, 4 times (4 * 3 + 2 * 5 + 1); covariates: 1 + 5, 1 + 3 * 3, 1 + 3 + 3 * 5, 1 + 1 + 3 * 3;
+        // 2 of checksum, 1 of stuffing, and the zero.
         assert_eq!(bytes.len(), MAX_PACKET_BYTES);
         assert_eq!(received(&mut PacketDecoder::default(), &bytes), [tick]);
     }
@@ -220,7 +238,7 @@ mod tests {
         }
         let silent = SensorTick::of(None, &Estimate::MISSING);
         assert_eq!((silent.validity(), silent.reading()), (Validity::Missing, None));
-        let unknown = SensorTick { validity: 4, ..silent };
+        let unknown = SensorTick { validity: 5, ..silent };
         assert_eq!(unknown.validity(), Validity::Missing);
     }
 

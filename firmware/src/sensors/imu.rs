@@ -5,7 +5,7 @@
 //! is limited to 400 kHz and cannot share the 1 MHz buses of the Hall sensors.
 
 use embedded_hal_async::delay::DelayNs;
-use embedded_hal_async::spi::{Operation, SpiDevice};
+use embedded_hal_async::spi::SpiDevice;
 
 use crate::fixed_point::mul_q;
 
@@ -15,8 +15,12 @@ pub struct ImuReading {
     /// Specific force (gravity included) in mm/s^2, sensor axes.
     pub acceleration: [i32; 3],
     /// Angular rate in millidegrees per second.
-    pub turn: [i32; 3],
+    pub rate: [i32; 3],
 }
+
+/// Rotation from the axes of the inertial sensor to those of the gripper, by rows: assumed, the paper names no inertial
+/// sensor. A board with another mounting changes it here.
+pub const IMU_AXES: [[i8; 3]; 3] = [[1, 0, 0], [0, 1, 0], [0, 0, 1]];
 
 /// A sensor of specific force and angular rate.
 pub trait Imu {
@@ -84,22 +88,17 @@ impl<D: SpiDevice> Lsm6ds3<D> {
         Self(device)
     }
 
-    async fn read_registers(&mut self, first: u8, bytes: &mut [u8]) -> Result<(), D::Error> {
-        let command = [READ | first];
-        self.0.transaction(&mut [Operation::Write(&command), Operation::Read(bytes)]).await
-    }
-
     async fn read_register(&mut self, register: u8) -> Result<u8, D::Error> {
-        let mut bytes = [0];
-        self.read_registers(register, &mut bytes).await?;
-        let [value] = bytes;
+        let mut bytes = [READ | register, 0];
+        self.0.transfer_in_place(&mut bytes).await?;
+        let [_, value] = bytes;
         Ok(value)
     }
 
     /// Writes the settings and reads them back: a write over SPI is not acknowledged.
     async fn configure(&mut self) -> Result<(), ImuError<D::Error>> {
         for (register, setting) in SETTINGS {
-            self.0.write(&[register, setting]).await?;
+            self.0.transfer_in_place(&mut [register, setting]).await?;
             if self.read_register(register).await? != setting {
                 return Err(ImuError::NotConfigured(register));
             }
@@ -127,9 +126,19 @@ impl<D: SpiDevice> Imu for Lsm6ds3<D> {
     }
 
     async fn read(&mut self) -> Result<ImuReading, ImuError<D::Error>> {
-        let mut bytes = [0; 12];
-        self.read_registers(OUTX_L_G, &mut bytes).await?;
-        Ok(decode(bytes))
+        // One transfer, so that the bus is set up once.
+        let mut bytes = [0; 13];
+        let [command, ..] = &mut bytes;
+        *command = READ | OUTX_L_G;
+        self.0.transfer_in_place(&mut bytes).await?;
+        let [_, registers @ ..] = bytes;
+        // A sensor that does not answer leaves its line high or low; a live one shows noise.
+        for level in [0x00, 0xFF] {
+            if registers == [level; 12] {
+                return Err(ImuError::UnexpectedDevice(level));
+            }
+        }
+        Ok(decode(registers))
     }
 }
 
@@ -137,11 +146,11 @@ impl<D: SpiDevice> Imu for Lsm6ds3<D> {
 pub fn decode(bytes: [u8; 12]) -> ImuReading {
     let [gx0, gx1, gy0, gy1, gz0, gz1, ax0, ax1, ay0, ay1, az0, az1] = bytes;
     let word = |low, high| i32::from(i16::from_le_bytes([low, high]));
-    let turn = [word(gx0, gx1), word(gy0, gy1), word(gz0, gz1)];
+    let rate = [word(gx0, gx1), word(gy0, gy1), word(gz0, gz1)];
     let acceleration = [word(ax0, ax1), word(ay0, ay1), word(az0, az1)];
     ImuReading {
         acceleration: acceleration.map(|counts| mul_q(counts, ACCELERATION_PER_COUNT, 16)),
-        turn: turn.map(|counts| counts * RATE_PER_COUNT),
+        rate: rate.map(|counts| counts * RATE_PER_COUNT),
     }
 }
 
@@ -154,7 +163,7 @@ mod tests {
         // 8197 counts of 0.122 mg are 1 g; -1 count of rate is -70 millidegrees per second.
         let bytes = [0xFF, 0xFF, 0, 0, 1, 0, 0x05, 0x20, 0, 0, 0xFB, 0xDF];
         let reading = decode(bytes);
-        assert_eq!(reading.turn, [-70, 0, 70]);
+        assert_eq!(reading.rate, [-70, 0, 70]);
         assert!(
             (reading.acceleration[0] - 9807).abs() <= 1
                 && (reading.acceleration[2] + 9807).abs() <= 1

@@ -209,6 +209,11 @@ pub enum Event {
         /// Whether both lines are high afterwards.
         free: bool,
     },
+    /// The inertial sensor was found, or is absent or has failed.
+    InertialSensor {
+        /// Whether it answers.
+        is_present: bool,
+    },
     /// A fault was set or cleared.
     Fault(FaultEvent),
 }

@@ -4,8 +4,7 @@ use core::sync::atomic::Ordering;
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
 
-use crate::clock::Clock;
-use crate::compensation::auxiliary_inputs::AuxiliaryInputs;
+use crate::clock::{Clock, Timed};
 use crate::config::constants::TICK_US;
 use crate::config::limits::DetectionLimits;
 use crate::estimator::finger_symmetry::FingerSymmetry;
@@ -19,16 +18,8 @@ use crate::sensors::hall::liveness::{MonitoredReading, SensorCondition};
 use crate::sensors::hall::{HallReading, SENSORS};
 use crate::system::faults::{Fault, FaultSet};
 use crate::system::task_watchdog::TaskId;
+use crate::tasks::covariates::CovariateSamples;
 use crate::tasks::{FaultReporter, GripInputs, SharedState};
-
-/// Inputs of a tick other than the fields.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct TickInputs {
-    /// Covariates of the compensation.
-    pub auxiliary: AuxiliaryInputs,
-    /// State of the motor.
-    pub motor: MotorStatus,
-}
 
 /// Forces of one tick.
 #[derive(Clone, Copy, Debug)]
@@ -43,10 +34,10 @@ pub struct ForceSample {
     pub readings: [Option<HallReading>; SENSORS],
 }
 
-/// Estimates the forces of every sensed frame. `inputs` returns the inputs other than the fields.
+/// Estimates the forces of every sensed frame. `motor` returns the state of the motor, if it is new.
 pub async fn estimate<N: NetworkBank, C: Clock, M: RawMutex>(
     estimator: &mut Estimator<'_, N>,
-    mut inputs: impl FnMut() -> TickInputs,
+    mut motor: impl FnMut() -> Option<Timed<MotorStatus>>,
     limits: &DetectionLimits,
     clock: &C,
     shared: &SharedState<M>,
@@ -57,11 +48,17 @@ pub async fn estimate<N: NetworkBank, C: Clock, M: RawMutex>(
     let bears_mass = !estimator.compensates_fingertip_mass();
     let mut tick = 0_u32;
     let mut last_us = None;
+    let mut samples = CovariateSamples::default();
     loop {
         let sensed = shared.sensed.wait().await;
         shared.progress.check_in(TaskId::Estimate);
         let woken_us = clock.now_us();
-        let TickInputs { auxiliary, motor } = inputs();
+        samples.motor = motor().or(samples.motor);
+        samples.inertial = shared.inertial.get();
+        samples.host = shared.host_motion.get();
+        let motor = samples.motor.map(|motor| motor.value).unwrap_or_default();
+        let covariates = samples.at(sensed.begun_us);
+        let auxiliary = covariates.inputs(motor.pole_pairs);
         let mut estimates = estimator.update(&sensed.frame, &auxiliary);
         let done_us = clock.now_us();
         let counts = &shared.counts;
@@ -85,7 +82,9 @@ pub async fn estimate<N: NetworkBank, C: Clock, M: RawMutex>(
             motor,
             acceleration: auxiliary.acceleration.filter(|_| bears_mass),
         });
-        shared.ticks.signal(Tick::of(&sensed.frame, &estimates));
+        if shared.ticks.try_send(Tick::of(&sensed.frame, &estimates, covariates)).is_err() {
+            shared.counts.packets_unsent.fetch_add(1, Ordering::Relaxed);
+        }
         shared.force_sample.signal(ForceSample {
             tick,
             begun_us: sensed.begun_us,

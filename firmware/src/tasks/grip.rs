@@ -10,8 +10,9 @@ use crate::grip::{ArmingRequest, ControlInputs, ControlOutputs, GripController, 
 use crate::motor::calibration::{
     Calibration, CalibrationFailure, CalibrationKind, CalibrationOutcome,
 };
+use crate::motor::limits::Temperatures;
 use crate::motor::state::MotorPort;
-use crate::motor::{MotorCommand, MotorStatus};
+use crate::motor::{MotorCommand, MotorState, MotorStatus};
 use crate::parameters::{Backdrivability, Parameters};
 use crate::protocol::messages::{Command, Foot, GripStatus, Message};
 use crate::sensors::hall::SENSORS;
@@ -89,6 +90,28 @@ impl GripSummary {
     pub const INITIAL: Self = Self { state: 0, object: 0, may_arm: false, is_driven: false };
 }
 
+/// Supply of the power stage.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Supply {
+    /// Bus voltage in volts.
+    pub bus_v: f32,
+    /// Current from the bus in amperes, from the power of the windings; negative while the motor brakes.
+    pub current_a: f32,
+}
+
+impl Supply {
+    /// Before the first measurement.
+    pub const UNKNOWN: Self = Self { bus_v: 0.0, current_a: 0.0 };
+
+    fn of(motor: &MotorStatus) -> Self {
+        // Amplitude-invariant transform: three halves of the products.
+        let watts = 1.5 * (motor.voltage.d * motor.current.d + motor.voltage.q * motor.current.q);
+        let is_driven = motor.state == MotorState::Armed && motor.bus_v > 0.0;
+        let current_a = if is_driven { watts / motor.bus_v } else { 0.0 };
+        Self { bus_v: motor.bus_v, current_a }
+    }
+}
+
 /// Runs the grip state machine on every estimate.
 pub async fn grip<P: MotorPort, M: RawMutex>(
     grip: &mut GripController,
@@ -135,6 +158,8 @@ impl GripLoop {
         grip.set_self_locking(
             shared.parameter(Parameters::backdrivability) == Backdrivability::SelfLocking,
         );
+        pending.temperatures = shared.temperatures.get().motor;
+        shared.supply.set(Supply::of(&inputs.motor));
         let requests = shared.requests.set(PendingRequests::NONE);
         if let Some(measure) = requests.measure {
             pending.calibration = Some(Calibration::new(measure));
@@ -167,6 +192,9 @@ impl GripLoop {
 struct Pending {
     /// New value of the opening; NaN: unknown.
     opening_mm: Option<f32>,
+    /// The newest temperatures, and those that the motor has.
+    temperatures: Temperatures,
+    sent_temperatures: Temperatures,
     calibration: Option<Calibration>,
 }
 
@@ -178,13 +206,20 @@ impl Pending {
             (Some(ArmingRequest::Arm), _) => MotorCommand::Arm,
             (Some(ArmingRequest::Disarm), _) => MotorCommand::Disarm,
             (None, Some(opening_mm)) => MotorCommand::SetOpening { opening_mm },
+            (None, None) if self.temperatures != self.sent_temperatures => {
+                MotorCommand::Temperatures(self.temperatures)
+            }
             (None, None) => MotorCommand::Setpoint(outputs.setpoint),
         }
     }
 
     fn on_sent(&mut self, order: &MotorCommand, is_accepted: bool) {
-        if is_accepted && matches!(order, MotorCommand::SetOpening { .. }) {
-            self.opening_mm = None;
+        match order {
+            MotorCommand::SetOpening { .. } if is_accepted => self.opening_mm = None,
+            MotorCommand::Temperatures(temperatures) if is_accepted => {
+                self.sent_temperatures = *temperatures;
+            }
+            _ => {}
         }
     }
 

@@ -125,7 +125,13 @@ pub async fn host_service<F: NorFlash, R: FnMut() -> u16, B: FnMut(), C: Clock, 
                         shared.requests.modify(|requests| requests.stop = true);
                         None
                     }
-                    SessionEvent::Ignored | SessionEvent::Other(_) => None,
+                    SessionEvent::Other(message) => {
+                        shared.host_motion.modify(|motion| {
+                            motion.update(&message, clock.now_us());
+                        });
+                        None
+                    }
+                    SessionEvent::Ignored => None,
                 }
             }
             Either4::Second(step) => pending

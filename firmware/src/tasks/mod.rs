@@ -4,20 +4,25 @@
 //! | task | input | level | deadline | if missed |
 //! | --- | --- | --- | --- | --- |
 //! | [`sense`] | each millisecond | interrupt executor, above the next two | [`SENSE_LIMIT_US`](crate::config::constants::SENSE_LIMIT_US) after the tick began | the tick is skipped and counted |
+//! | [`inertial`](fn@inertial::inertial) | each millisecond | interrupt executor, above the next two | 10 ms | acceleration and tilt are missing, the estimates are flagged |
 //! | [`estimate`] | sensed frame | interrupt executor | the next tick | the older frame is lost; the number of the next tick is larger |
 //! | [`grip`](fn@grip) | estimates | interrupt executor | the next tick; from sample to set-point within 1 ms | the older forces are lost; the motor keeps its set-point until the watchdog resets |
 //! | [`transmit`] | estimates, grip, events, replies | thread | 1 ms from sample to frame | the next estimate is sent |
-//! | [`transmit_serial`] | estimates | thread | 1 ms | a tick is missing on the line, visible by its time |
+//! | [`transmit_serial`] | estimates | thread | 1 ms | ticks wait; beyond eight one is missing on the line, visible by its time |
 //! | [`receive_can`], [`receive_serial`] | frames, bytes | thread | three frames in the controller's memory, 141 us | the controller drops frames |
 //! | [`host_service`] | received frames | thread | 1 ms | as a silent host |
+//! | [`temperatures`](fn@temperatures::temperatures) | each 50 ms | thread | none | the motor is de-rated later |
 //! | [`scrub`] | each 5 ms | thread | none | corruption of a table is detected later |
 
+pub mod covariates;
 mod estimate;
 mod grip;
 mod host_service;
+pub mod inertial;
 mod receive;
 mod scrub;
 mod sense;
+pub mod temperatures;
 mod transmit;
 
 use core::cell::Cell;
@@ -28,14 +33,15 @@ use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_sync::channel::Channel;
 use embassy_sync::signal::Signal;
 
-pub use estimate::{ForceSample, TickInputs, estimate};
-pub use grip::{GripInputs, GripLoop, GripSummary, HostStatus, PendingRequests, grip};
+pub use estimate::{ForceSample, estimate};
+pub use grip::{GripInputs, GripLoop, GripSummary, HostStatus, PendingRequests, Supply, grip};
 pub use host_service::{HostService, host_service, load_parameters};
 pub use receive::{CAN, RxFrame, SERIAL, receive_can, receive_serial};
 pub use scrub::scrub;
 pub use sense::{FIRST_TICK_US, SensedFrame, sense};
 pub use transmit::{transmit, transmit_serial};
 
+use crate::clock::Timed;
 use crate::estimator::tare::TareProgress;
 use crate::motor::calibration::CalibrationOutcome;
 use crate::parameters::Parameters;
@@ -45,6 +51,9 @@ use crate::protocol::serial::{Packet, Tick};
 use crate::system::crash::Crash;
 use crate::system::faults::{Event, EventQueue, Fault, FaultSet};
 use crate::system::task_watchdog::TaskProgress;
+use crate::tasks::covariates::HostMotion;
+use crate::tasks::inertial::InertialSample;
+use crate::tasks::temperatures::BoardTemperatures;
 
 /// Tasks that report faults, each in a word of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -71,6 +80,8 @@ pub enum FaultReporter {
 }
 
 const REPORTERS: usize = 9;
+/// Ticks that wait for the serial line while thread mode is busy.
+const QUEUED_TICKS: usize = 8;
 
 /// The latest value, written by one task and read by others.
 pub struct LatestValue<M: RawMutex, T>(Mutex<M, Cell<T>>);
@@ -106,12 +117,20 @@ pub struct SharedState<M: RawMutex> {
     pub sensed: Signal<M, SensedFrame>,
     /// From [`estimate`] to [`transmit`].
     pub force_sample: Signal<M, ForceSample>,
-    /// From [`estimate`] to [`transmit_serial`].
-    pub ticks: Signal<M, Tick>,
+    /// From [`estimate`] to [`transmit_serial`], which may be late by a few: every tick is sent.
+    pub ticks: Channel<M, Tick, QUEUED_TICKS>,
     /// From [`estimate`] to [`grip`](fn@grip).
     pub grip_inputs: Signal<M, GripInputs>,
     /// From [`host_service`] to [`grip`](fn@grip): state of the session, updated before each request.
     pub host_status: LatestValue<M, HostStatus>,
+    /// From [`inertial`](fn@inertial::inertial) to [`estimate`]; none while the sensor is absent.
+    pub inertial: LatestValue<M, Option<Timed<InertialSample>>>,
+    /// From [`temperatures`](fn@temperatures::temperatures) to [`grip`](fn@grip) and [`transmit`].
+    pub temperatures: LatestValue<M, BoardTemperatures>,
+    /// From [`grip`](fn@grip) to [`transmit`].
+    pub supply: LatestValue<M, Supply>,
+    /// From [`host_service`] to [`estimate`] and [`inertial`](fn@inertial::inertial): motion of the gripper as a host reports it.
+    pub host_motion: LatestValue<M, HostMotion>,
     /// From [`host_service`] to [`grip`](fn@grip), which empties it in each tick.
     pub requests: LatestValue<M, PendingRequests>,
     /// From [`grip`](fn@grip) to [`host_service`] and [`transmit`].
@@ -146,7 +165,7 @@ pub struct SharedState<M: RawMutex> {
     faults: [AtomicU32; REPORTERS],
 }
 
-/// Counters since boot; each has one writer.
+/// Counters since boot.
 #[derive(Debug, Default)]
 pub struct Counts {
     /// Failed transfers from sensors ([`sense`]).
@@ -170,7 +189,7 @@ pub struct Counts {
     pub receive_overrun: AtomicU32,
     /// Frames without acknowledge ([`transmit`]).
     pub frames_unsent: AtomicU32,
-    /// Packets dropped by the queue or by the line ([`transmit`], [`transmit_serial`]).
+    /// Packets dropped by a queue or by the line ([`estimate`], [`transmit`], [`transmit_serial`]).
     pub packets_unsent: AtomicU32,
 }
 
@@ -197,9 +216,13 @@ impl<M: RawMutex> SharedState<M> {
         Self {
             sensed: Signal::new(),
             force_sample: Signal::new(),
-            ticks: Signal::new(),
+            ticks: Channel::new(),
             grip_inputs: Signal::new(),
             host_status: LatestValue::new(HostStatus::NONE),
+            inertial: LatestValue::new(None),
+            temperatures: LatestValue::new(BoardTemperatures::UNKNOWN),
+            supply: LatestValue::new(Supply::UNKNOWN),
+            host_motion: LatestValue::new(HostMotion::NONE),
             requests: LatestValue::new(PendingRequests::NONE),
             grip_summary: LatestValue::new(GripSummary::INITIAL),
             grip_messages: Channel::new(),

@@ -1,10 +1,12 @@
 //! Transmits messages on the CAN bus and on the serial line, and every tick on the serial line.
 //!
-//! A tick takes at most half of the time of the line ([`crate::protocol::serial::BAUD_RATE`]) and has priority. Messages
+//! A tick takes at most three quarters of the time of the line ([`crate::protocol::serial::BAUD_RATE`]) and has priority. Messages
 //! wait in a queue; those that find it full are dropped and counted.
 
+use core::mem::swap;
 use core::sync::atomic::Ordering;
 
+use embassy_futures::join::join;
 use embassy_futures::select::{Either, Either6, select, select6};
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embedded_io_async::Write;
@@ -13,9 +15,10 @@ use crate::clock::{Clock, with_timeout_us};
 use crate::config::constants::TICK_US;
 use crate::parameters::Parameters;
 use crate::protocol::can::{CanError, CanFrame, CanSender};
-use crate::protocol::messages::{self, HallRaw, Heartbeat, Message, Timing};
+use crate::protocol::messages::{self, HallRaw, Heartbeat, Message, Power, Timing};
 use crate::protocol::serial::{MAX_PACKET_BYTES, Packet, encode};
-use crate::protocol::{self, PROTOCOL_VERSION, frame_id};
+use crate::protocol::{self, PROTOCOL_VERSION, TEMPERATURE_UNKNOWN, frame_id};
+use crate::sensors::hall;
 use crate::system::faults::{Event, Fault, FaultSet};
 use crate::system::task_watchdog::TaskId;
 use crate::tasks::{FaultReporter, ForceSample, SharedState};
@@ -65,7 +68,12 @@ pub async fn transmit<S: CanSender, C: Clock, M: RawMutex>(
         shared.progress.check_in(TaskId::Transmit);
         match next {
             Either6::First(message) | Either6::Second(message) => port.send(0, message).await,
-            Either6::Third(sample) => port.send_forces(&sample, &mut counters).await,
+            Either6::Third(sample) => {
+                let readings = sample.readings.iter().flatten();
+                let warmest = readings.map(|reading| reading.temperature).max();
+                counters.warmest = warmest.map(hall::celsius);
+                port.send_forces(&sample, &mut counters).await;
+            }
             Either6::Fourth(event) => {
                 log(event);
                 if let Event::Fault(fault) = event {
@@ -83,24 +91,41 @@ pub async fn transmit<S: CanSender, C: Clock, M: RawMutex>(
     }
 }
 
-/// Transmits ticks and messages on the serial line. While a packet is in transmission the newest tick waits and replaces
-/// an older one, which is lost if a packet takes more than a millisecond.
+/// Transmits ticks and messages on the serial line, ticks first. The next packet is encoded while one is on the line: at
+/// the longest both together take more than a millisecond.
 pub async fn transmit_serial<W: Write, M: RawMutex>(mut line: W, shared: &SharedState<M>) -> ! {
-    let mut buffer = [0; MAX_PACKET_BYTES];
+    let (mut first, mut second) = ([0; MAX_PACKET_BYTES], [0; MAX_PACKET_BYTES]);
+    let (mut sending, mut next) = (&mut first, &mut second);
+    let mut length = 0;
     loop {
-        let next = select(shared.ticks.wait(), shared.serial_packets.receive()).await;
-        let packet = match next {
-            Either::First(tick) if shared.parameter(Parameters::telemetry) => Packet::Tick(tick),
-            Either::First(_) => continue,
-            Either::Second(packet) => packet,
+        let write = async {
+            match sending.get(..length) {
+                Some([]) | None => true,
+                Some(bytes) => line.write_all(bytes).await.is_ok(),
+            }
         };
-        let sent = match encode(&packet, &mut buffer) {
-            Some(bytes) => line.write_all(bytes).await.is_ok(),
-            None => false,
+        let encode = async {
+            let packet = next_packet(shared).await;
+            encode(&packet, next).map(<[u8]>::len)
         };
-        if !sent {
-            let unsent = &shared.counts.packets_unsent;
-            unsent.fetch_add(1, Ordering::Relaxed);
+        let (is_sent, encoded) = join(write, encode).await;
+        let lost = u32::from(!is_sent) + u32::from(encoded.is_none());
+        shared.counts.packets_unsent.fetch_add(lost, Ordering::Relaxed);
+        length = encoded.unwrap_or(0);
+        swap(&mut sending, &mut next);
+    }
+}
+
+/// The next tick, if telemetry is enabled, or message.
+async fn next_packet<M: RawMutex>(shared: &SharedState<M>) -> Packet {
+    loop {
+        let next = select(shared.ticks.receive(), shared.serial_packets.receive()).await;
+        match next {
+            Either::First(tick) if shared.parameter(Parameters::telemetry) => {
+                return Packet::Tick(tick);
+            }
+            Either::First(_) => {}
+            Either::Second(packet) => return packet,
         }
     }
 }
@@ -111,6 +136,8 @@ struct Counters {
     force: u8,
     heartbeat: u8,
     timing: u8,
+    /// Temperature of the warmest Hall sensor in the last tick, in degrees Celsius.
+    warmest: Option<f32>,
 }
 
 struct TxPort<'s, S, C, M: RawMutex> {
@@ -167,6 +194,7 @@ impl<S: CanSender, C: Clock, M: RawMutex> TxPort<'_, S, C, M> {
             counter: counters.heartbeat,
         };
         self.send(0, Message::Heartbeat(heartbeat)).await;
+        self.send(0, Message::Power(self.power(counters))).await;
         counters.heartbeat = counters.heartbeat.wrapping_add(1);
         if u16::from(counters.heartbeat).is_multiple_of(HEARTBEATS_PER_TIMING) {
             let word = |count: u32| count.min(u16::MAX.into()) as u16;
@@ -179,6 +207,27 @@ impl<S: CanSender, C: Clock, M: RawMutex> TxPort<'_, S, C, M> {
             };
             self.send(0, Message::Timing(timing)).await;
             counters.timing = counters.timing.wrapping_add(1);
+        }
+    }
+
+    /// Supply and temperatures.
+    fn power(&self, counters: &Counters) -> Power {
+        const COUNTS: f32 = 100.0;
+        let supply = self.shared.supply.get();
+        let temperatures = self.shared.temperatures.get();
+        // The casts saturate.
+        let degrees = |celsius: Option<f32>| {
+            let Some(celsius) = celsius else { return TEMPERATURE_UNKNOWN };
+            let rounded = celsius + if celsius < 0.0 { -0.5 } else { 0.5 };
+            (rounded as i8).max(TEMPERATURE_UNKNOWN + 1)
+        };
+        Power {
+            bus: (supply.bus_v * COUNTS) as u16,
+            current: (supply.current_a * COUNTS) as i16,
+            mcu: degrees(temperatures.mcu),
+            motor: degrees(temperatures.motor.motor),
+            sensor: degrees(counters.warmest),
+            counter: counters.heartbeat,
         }
     }
 

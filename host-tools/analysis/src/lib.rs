@@ -8,6 +8,7 @@
 //! - [`fit`], [`edit_model`]: fit of the base physics, and of other effects.
 //! - [`network_training`]: training of recurrent networks.
 //! - [`magnetic_disturbance`]: detection rate and false alarms of the disturbance detector.
+//! - [`reference_delay`]: delay between the clocks of board and reference.
 //! - [`calibration`], [`network_calibration`]: coverage of predicted standard deviations.
 //! - [`statistics`]: running statistics. [`numbers`]: numbers as text. [`progress`]: progress bars.
 
@@ -23,5 +24,6 @@ pub mod network_calibration;
 pub mod network_training;
 pub mod numbers;
 pub mod progress;
+pub mod reference_delay;
 pub mod replay;
 pub mod statistics;

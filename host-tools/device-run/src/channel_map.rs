@@ -1,13 +1,16 @@
 //! Columns of a recording as the device's sensor readings and covariates.
 
-use firmware::compensation::auxiliary_inputs::{Attitude, AuxiliaryInputs, MotorInputs};
+use std::f64::consts::{PI, TAU};
+
+use firmware::compensation::covariates::{
+    AccelerationSample, AttitudeSample, Covariates, MotorSample,
+};
 use firmware::config::constants;
 use firmware::sensors::hall::{HallReading, a31301};
 use model_export::effects::REFERENCE_C;
-use model_export::recordings::columns::{Axis, ChannelLayout, ForceColumn, HallColumn};
+use model_export::recordings::columns::{Axis, COVARIATES, ChannelLayout, ForceColumn, HallColumn};
 use model_export::recordings::description::NominalDesign;
 use model_export::recordings::stream::RawRow;
-use nalgebra::Rotation3;
 
 /// Channels of one sensor in a row.
 #[derive(Clone, Debug)]
@@ -83,7 +86,7 @@ pub struct CovariateChannels {
     motor: Option<(usize, usize)>,
     acceleration: Option<[usize; 3]>,
     attitude: Option<[usize; 3]>,
-    pole_pairs: f64,
+    pole_pairs: u8,
 }
 
 impl CovariateChannels {
@@ -105,41 +108,87 @@ impl CovariateChannels {
             attitude: three(["roll_rad", "pitch_rad", "yaw_rad"]),
             pole_pairs: design
                 .and_then(|design| design.number("motor_pole_pairs"))
-                .unwrap_or(constants::POLE_PAIRS.value),
+                .unwrap_or(constants::POLE_PAIRS.value) as u8,
         }
     }
 
-    /// Covariates of a row in the device's units.
-    pub fn at(&self, row: &RawRow) -> AuxiliaryInputs {
+    /// Covariates of a row, rounded as on the device's serial line.
+    pub fn at(&self, row: &RawRow) -> Covariates {
         let milli = |channel: usize| (1e3 * row.hall[channel]).round() as i32;
-        AuxiliaryInputs {
+        Covariates {
             opening_um: self.opening.map(milli),
-            motor: self.motor.map(|(iq, angle)| {
-                let mechanical = row.hall[angle];
-                let (sin, cos) = (self.pole_pairs * mechanical).sin_cos();
-                let q15 = |share: f64| (share * f64::from(1 << 15)).round() as i32;
-                let turn = mechanical.rem_euclid(std::f64::consts::TAU);
-                MotorInputs {
-                    iq_ma: milli(iq),
-                    electrical: [q15(sin), q15(cos)],
-                    angle_urad: (1e6 * turn).round() as i32,
-                }
+            motor: self.motor.map(|(iq, angle)| MotorSample {
+                age_us: 0,
+                // The cast saturates.
+                iq_ma: (1e3 * row.hall[iq]).round() as i16,
+                turn: ((row.hall[angle] / TAU).rem_euclid(1.0) * 65_536.0) as u32 as u16,
             }),
-            acceleration: self.acceleration.map(|channels| channels.map(milli)),
-            attitude: self.attitude.map(|[roll, pitch, yaw]| {
-                let rotation =
-                    Rotation3::from_euler_angles(row.hall[roll], row.hall[pitch], row.hall[yaw]);
-                let one = f64::from(1 << Attitude::BITS);
-                let entry = |i: usize, j: usize| (rotation[(i, j)] * one).round() as i32;
-                Attitude { to_world: [0, 1, 2].map(|i| [0, 1, 2].map(|j| entry(i, j))) }
+            acceleration: self
+                .acceleration
+                .map(|channels| AccelerationSample { age_us: 0, mm_s2: channels.map(milli) }),
+            attitude: self.attitude.map(|channels| AttitudeSample {
+                age_ms: 0,
+                euler: channels.map(|channel| {
+                    let within = (row.hall[channel] + PI).rem_euclid(TAU) - PI;
+                    (within * f64::from(AttitudeSample::PER_RAD)).round() as i16
+                }),
             }),
         }
     }
+
+    /// Pole pairs of the motor, for [`Covariates::inputs`].
+    pub fn pole_pairs(&self) -> u8 {
+        self.pole_pairs
+    }
+}
+
+/// Values of [`COVARIATES`] that the device has sent, in their order; `None` where it had none.
+pub fn covariate_values(covariates: &Covariates) -> [Option<f64>; COVARIATES.len()] {
+    let milli = |value: i32| 1e-3 * f64::from(value);
+    let [ax, ay, az] = three(covariates.acceleration.map(|sample| sample.mm_s2.map(milli)));
+    let [roll, pitch, yaw] =
+        three(covariates.attitude.map(|sample| sample.radians().map(f64::from)));
+    [
+        covariates.opening_um.map(milli),
+        covariates.motor.map(|motor| milli(motor.iq_ma.into())),
+        covariates.motor.map(|motor| f64::from(motor.turn) / 65_536.0 * TAU),
+        ax,
+        ay,
+        az,
+        roll,
+        pitch,
+        yaw,
+    ]
+}
+
+fn three(values: Option<[f64; 3]>) -> [Option<f64>; 3] {
+    values.map_or([None; 3], |values| values.map(Some))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use model_export::recordings::description::NominalDesign;
+
+    #[test]
+    fn covariates_survive_their_columns() {
+        let covariates = Covariates {
+            opening_um: Some(40_123),
+            motor: Some(MotorSample { age_us: 0, iq_ma: -2500, turn: 0xC001 }),
+            acceleration: Some(AccelerationSample { age_us: 0, mm_s2: [10, -20, 9807] }),
+            attitude: Some(AttitudeSample { age_ms: 0, euler: [1000, -15_000, 31_000] }),
+        };
+        let names =
+            COVARIATES.iter().map(|name| HallColumn::Covariate { name: (*name).to_owned() });
+        let layout = ChannelLayout { hall: names.collect(), forces: Vec::new() };
+        let channels = CovariateChannels::find(&layout, Some(&NominalDesign::magpie()));
+        // As the recorder writes them.
+        let texts = covariate_values(&covariates).map(|value| format!("{:.5}", value.unwrap()));
+        let hall = texts.map(|text| text.parse().unwrap()).to_vec();
+        let row = RawRow { time_s: 0.0, hall, forces: Vec::new() };
+        assert_eq!(channels.at(&row), covariates);
+        assert_eq!(covariate_values(&Covariates::default()), [None; COVARIATES.len()]);
+    }
 
     #[test]
     fn field_out_of_range_saturates_and_does_not_wrap() {

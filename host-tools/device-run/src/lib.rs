@@ -10,6 +10,7 @@ pub mod channel_map;
 pub mod networks;
 
 use firmware::compensation::auxiliary_inputs::AuxiliaryInputs;
+use firmware::compensation::covariates::Covariates;
 use firmware::compensation::{Compensation, CompensationState};
 use firmware::estimator::{Validity, estimate};
 use firmware::fixed_point::{Field, Force};
@@ -78,8 +79,10 @@ pub struct DeviceRow {
     pub raw: RawRow,
     /// Readings of the board's sensors, through the bytes on their buses.
     pub readings: [Option<HallReading>; SENSORS],
-    /// Covariates in the device's units.
-    pub covariates: AuxiliaryInputs,
+    /// Covariates, as the device sends them.
+    pub covariates: Covariates,
+    /// Inputs of the compensation.
+    pub inputs: AuxiliaryInputs,
 }
 
 /// The walk over the rows of a recording, as inputs of the device, in order.
@@ -131,7 +134,9 @@ impl Iterator for RecordedRows {
                 *slot = Some(channels.reading(&raw, self.gauss_per_lsb));
             }
         }
-        Some(Ok(DeviceRow { readings, covariates: self.covariates.at(&raw), raw }))
+        let covariates = self.covariates.at(&raw);
+        let inputs = covariates.inputs(self.covariates.pole_pairs());
+        Some(Ok(DeviceRow { raw, readings, covariates, inputs }))
     }
 }
 
@@ -165,7 +170,7 @@ pub fn training_sequence(
         for ((channels, memory), track) in sensors.iter().zip(&mut memories).zip(&mut tracks) {
             let reading = Some(channels.reading(&row.raw, models.gauss_per_lsb));
             let number = channels.number as usize;
-            let estimate = estimate(&tables, number, reading, &row.covariates, memory);
+            let estimate = estimate(&tables, number, reading, &row.inputs, memory);
             let gauss = |field: Field| (field.counts() * models.gauss_per_lsb) as f32;
             track.field_g.push(estimate.field.map(gauss));
             let ideal_n = estimate.force.map(|force: Force| force.newtons() as f32);

@@ -1,14 +1,17 @@
 //! State and faults as text and JSON.
 
 use crate::state::{ActiveFault, GripperState, SensorState};
+use firmware::compensation::covariates::Covariates;
 use firmware::config::constants;
 use firmware::estimator::Validity;
 use firmware::fixed_point::Force;
-use firmware::protocol::messages::FaultEvent;
+use firmware::protocol::TEMPERATURE_UNKNOWN;
+use firmware::protocol::messages::{FaultEvent, Power};
 use firmware::system::faults::Fault;
 use firmware::tasks::SERIAL;
 use model_export::effects::REFERENCE_C;
 use serde_json::{Value, json};
+use std::f64::consts::TAU;
 use std::fmt::Debug;
 
 /// Column headings of the status lines.
@@ -44,7 +47,11 @@ fn forces(sensor: &SensorState) -> String {
         Validity::Missing => "-".to_owned(),
         validity => {
             let [x, z] = sensor.force_n;
-            let mark = if validity == Validity::Valid { "" } else { "?" };
+            let mark = match validity {
+                Validity::Valid => "",
+                Validity::MissingInputs => "~",
+                _ => "?",
+            };
             format!("{x:.2} {z:.2}{mark}")
         }
     }
@@ -113,6 +120,8 @@ pub fn state_json(state: &GripperState, now_s: f64) -> Value {
             "failed_transfers": latest.value.i2c_errors,
             "missed_ticks": latest.value.missed_ticks,
         })),
+        "covariates": state.covariates.map(|latest| covariates_json(&latest.value)),
+        "power": state.power.map(|latest| power_json(&latest.value)),
         "ticks_hz": state.ticks_hz,
         "lost": {
             "ticks": state.lost.ticks,
@@ -164,7 +173,84 @@ pub const fn validity_name(validity: Validity) -> &'static str {
         Validity::Saturated => "saturated",
         Validity::OutsideModel => "outside model",
         Validity::Missing => "no reading",
+        Validity::MissingInputs => "effect not compensated",
     }
+}
+
+/// Covariates as text.
+pub fn covariates_line(covariates: &Covariates) -> String {
+    let unknown = |what: &str| format!("{what} unknown");
+    let opening = covariates
+        .opening_um
+        .map_or_else(|| unknown("opening"), |um| format!("opening {:.2} mm", 1e-3 * f64::from(um)));
+    let motor = covariates.motor.map_or_else(
+        || unknown("rotor"),
+        |motor| {
+            let angle_rad = turn_rad(motor.turn);
+            format!("{:.2} A, rotor {angle_rad:.2} rad", 1e-3 * f64::from(motor.iq_ma))
+        },
+    );
+    let acceleration = covariates.acceleration.map_or_else(
+        || unknown("acceleration"),
+        |sample| {
+            let [x, y, z] = sample.mm_s2.map(|mm_s2| 1e-3 * f64::from(mm_s2));
+            format!("accel. {x:.1} {y:.1} {z:.1} m/s²")
+        },
+    );
+    let attitude = covariates.attitude.map_or_else(
+        || unknown("attitude"),
+        |sample| {
+            let [roll, pitch, yaw] = sample.radians();
+            format!("attitude {roll:.2} {pitch:.2} {yaw:.2} rad")
+        },
+    );
+    [opening, motor, acceleration, attitude].join(", ")
+}
+
+/// Rotor angle in radians, 0 to 2 pi, from 2^-16 turns.
+pub fn turn_rad(turn: u16) -> f64 {
+    f64::from(turn) / 65_536.0 * TAU
+}
+
+/// Covariates as JSON, by the columns of a recording.
+fn covariates_json(covariates: &Covariates) -> Value {
+    json!({
+        "opening_mm": covariates.opening_um.map(|um| 1e-3 * f64::from(um)),
+        "motor_iq_a": covariates.motor.map(|motor| 1e-3 * f64::from(motor.iq_ma)),
+        "motor_angle_rad": covariates.motor.map(|motor| turn_rad(motor.turn)),
+        "motor_age_us": covariates.motor.map(|motor| motor.age_us),
+        "accel_mps2": covariates.acceleration.map(|sample| sample.mm_s2.map(|a| 1e-3 * f64::from(a))),
+        "accel_age_us": covariates.acceleration.map(|sample| sample.age_us),
+        "roll_pitch_yaw_rad": covariates.attitude.map(|sample| sample.radians()),
+        "attitude_age_ms": covariates.attitude.map(|sample| sample.age_ms),
+    })
+}
+
+/// Supply and temperatures as text.
+pub fn power_line(power: &Power) -> String {
+    let degrees = |value: i8| match value {
+        TEMPERATURE_UNKNOWN => "?".to_owned(),
+        value => value.to_string(),
+    };
+    format!(
+        "{:.1} V {:.2} A, MCU {}, motor {}, sensors {} °C",
+        0.01 * f64::from(power.bus),
+        0.01 * f64::from(power.current),
+        degrees(power.mcu),
+        degrees(power.motor),
+        degrees(power.sensor),
+    )
+}
+
+fn power_json(power: &Power) -> Value {
+    let degrees = |value: i8| (value != TEMPERATURE_UNKNOWN).then_some(value);
+    json!({
+        "bus_v": 0.01 * f64::from(power.bus),
+        "current_a": 0.01 * f64::from(power.current),
+        "mcu_c": degrees(power.mcu),
+        "motor_c": degrees(power.motor),
+        "sensor_c": degrees(power.sensor),
+    })
 }
 
 /// Temperature of a sensor in degrees Celsius, by the assumed scale of its word.

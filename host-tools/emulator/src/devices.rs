@@ -53,7 +53,7 @@ impl I2cBus for EmptyI2cBus {
     fn pulse(&mut self) {}
 }
 
-/// A device on SPI with a select line of its own and frames of 16 bits.
+/// A device on SPI with a select line of its own and frames of 8 or 16 bits.
 pub trait SpiDevice {
     /// The select line falls (true) or rises.
     fn select(&mut self, time: Time, is_selected: bool);
@@ -70,6 +70,10 @@ pub trait Drivetrain {
 
     /// Counts of 12 bits of the four inputs at this moment: phases U, V, W, then the bus voltage.
     fn sample(&mut self) -> [u16; 4];
+
+    /// Counts of 12 bits of the temperature inputs at this moment: the chip's own sensor, the thermistors of motor and power
+    /// stage.
+    fn temperatures(&mut self) -> [u16; 3];
 }
 
 /// A classic CAN frame with an identifier of 11 bits, or 29 where extended.

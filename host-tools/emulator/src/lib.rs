@@ -39,7 +39,7 @@ pub use core::CycleModel;
 pub use image::{Image, ImageError};
 pub use log::LogLine;
 pub use peripherals::clocks::ResetCause;
-pub use soc::{Devices, Options, Soc, UnseenFrames};
+pub use soc::{Devices, Options, Soc, TEMPERATURE_CALIBRATION, UnseenFrames};
 pub use time::{Frequency, Time};
 pub use violations::{Kind, Violation};
 pub use wiring::Wiring;

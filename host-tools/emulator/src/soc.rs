@@ -6,7 +6,7 @@ use std::ops::Range;
 use crate::core::{Bus, BusError, SystemControl, Width};
 use crate::devices::{CanBus, Drivetrain, EmptyI2cBus, I2cBus, SerialLine, SpiDevice};
 use crate::peripherals::Context;
-use crate::peripherals::adc::Adc;
+use crate::peripherals::adc::{self, Adc, Inputs};
 use crate::peripherals::clocks::{Rcc, ResetCause};
 use crate::peripherals::dma::{Dma, Transfer};
 use crate::peripherals::exti::Exti;
@@ -43,10 +43,18 @@ const PRIVATE: u32 = 0xE000_0000;
 /// The debug unit is in that region, and ST's.
 const DBGMCU: u32 = 0xE004_2000;
 
+/// Factory calibration of the temperature sensor at a reference of 3.0 V (datasheet, table 5), and typical counts: 0.76 V at
+/// 30 degrees Celsius and 2.5 mV per kelvin.
+const CALIBRATION_30_C: u32 = 0x1FFF_75A8;
+const CALIBRATION_130_C: u32 = 0x1FFF_75CA;
+/// Counts at both addresses.
+pub const TEMPERATURE_CALIBRATION: [u32; 2] = [1037, 1379];
+
 /// What answers in a block of addresses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Block {
     Adc12,
+    Adc345,
     Dma(usize),
     DmaMux,
     Exti,
@@ -59,7 +67,7 @@ enum Block {
     Pwr,
     Rcc,
     Rng,
-    Spi,
+    Spi(usize),
     Syscfg,
     Tim1,
     Tim5,
@@ -67,10 +75,11 @@ enum Block {
 }
 
 /// The blocks, by their names in the metadata.
-const BLOCKS: [(&str, Block); 27] = [
+const BLOCKS: [(&str, Block); 29] = [
     ("TIM5", Block::Tim5),
     ("TIM1", Block::Tim1),
     ("ADC1", Block::Adc12),
+    ("ADC3", Block::Adc345),
     ("GPIOA", Block::Gpio(0)),
     ("GPIOB", Block::Gpio(1)),
     ("GPIOC", Block::Gpio(2)),
@@ -87,7 +96,8 @@ const BLOCKS: [(&str, Block); 27] = [
     ("DMA1", Block::Dma(0)),
     ("DMA2", Block::Dma(1)),
     ("DMAMUX1", Block::DmaMux),
-    ("SPI1", Block::Spi),
+    ("SPI1", Block::Spi(0)),
+    ("SPI3", Block::Spi(1)),
     ("FLASH", Block::Flash),
     ("IWDG", Block::Iwdg),
     ("RCC", Block::Rcc),
@@ -128,8 +138,8 @@ struct Interrupts {
 pub struct Devices {
     /// Both sensor buses.
     pub sensor_buses: [Box<dyn I2cBus>; 2],
-    /// The rotor's angle sensor.
-    pub encoder: Box<dyn SpiDevice>,
+    /// The rotor's angle sensor, then the inertial sensor.
+    pub spi: [Box<dyn SpiDevice>; 2],
     /// Half bridges and what is measured at them.
     pub drivetrain: Box<dyn Drivetrain>,
     /// The CAN bus.
@@ -200,7 +210,9 @@ pub struct Soc {
     usart: Usart,
     pub(crate) fdcan: Fdcan,
     pub(crate) adc: Adc,
-    pub(crate) spi: Spi,
+    /// ADC3 and ADC5.
+    slow_adcs: [Adc; 2],
+    pub(crate) spi: [Spi; 2],
     rng: Rng,
     /// What is outside.
     pub devices: Devices,
@@ -219,7 +231,7 @@ pub struct Soc {
     reset: Option<ResetCause>,
     /// Level of the gate drivers' output.
     gate_fault: bool,
-    /// Alternate functions of the six bridge pins, the break, the serial line, CAN, and the encoder.
+    /// Alternate functions of the six bridge pins, the break, the serial line, CAN, and both SPI devices.
     functions: Functions,
 }
 
@@ -228,7 +240,7 @@ struct Functions {
     break_input: (Pin, u8),
     serial: [(Pin, u8); 2],
     can: [(Pin, u8); 2],
-    encoder: [(Pin, u8); 3],
+    spi: [[(Pin, u8); 3]; 2],
 }
 
 impl Functions {
@@ -240,7 +252,9 @@ impl Functions {
             std::array::from_fn(|place| (pins[place], functions[place]))
         }
         let [[u, v, w], [un, vn, wn]] = wiring.bridges;
-        let [clock, out, into, _] = wiring.encoder;
+        let spi = |name: &str, [clock, out, into, _]: [Pin; 4]| {
+            with(name, ["SCK", "MOSI", "MISO"], [clock, out, into])
+        };
         let [break_input] = with("TIM1", ["BKIN"], [wiring.gate_fault]);
         Self {
             bridges: with(
@@ -251,7 +265,7 @@ impl Functions {
             break_input,
             serial: with("USART2", ["RX", "TX"], wiring.serial),
             can: with("FDCAN1", ["RX", "TX"], wiring.can),
-            encoder: with("SPI1", ["SCK", "MOSI", "MISO"], [clock, out, into]),
+            spi: [spi("SPI1", wiring.encoder), spi("SPI3", wiring.inertial)],
         }
     }
 }
@@ -312,8 +326,10 @@ impl Soc {
             i2c: std::array::from_fn(|_| I2c::new()),
             usart: Usart::new(),
             fdcan: Fdcan::new(),
-            adc: Adc::new(options.wiring.adc_channels()),
-            spi: Spi::new(),
+            adc: Adc::new(Inputs::Motor(Wiring::adc_channels("ADC1", options.wiring.analog))),
+            slow_adcs: slow_adcs(&options.wiring),
+            // The AS5047P takes data on the falling edge, clock idle low; the LSM6DS3 on the rising one.
+            spi: [Spi::new(&[1]), Spi::new(&[0, 3])],
             rng: Rng::new(options.seed),
             devices,
             violations: Violations::default(),
@@ -361,7 +377,8 @@ impl Soc {
         self.usart = Usart::new();
         self.fdcan.reset();
         self.adc.reset();
-        self.spi = Spi::new();
+        self.slow_adcs.iter_mut().for_each(Adc::reset);
+        self.spi.iter_mut().for_each(Spi::reset);
         self.rng.reset();
         self.flash.reset();
         for block in BLOCKS.map(|(_, block)| block) {
@@ -557,8 +574,13 @@ impl Soc {
             } else if self.adc.next_event() <= due {
                 self.adc.advance(due, &mut *self.devices.drivetrain);
                 self.refresh(Block::Adc12);
-            } else if self.spi.next_event() <= due {
-                self.spi.advance(due, &mut *self.devices.encoder);
+            } else if let Some(adc) = self.slow_adcs.iter_mut().find(|adc| adc.next_event() <= due)
+            {
+                adc.advance(due, &mut *self.devices.drivetrain);
+            } else if let Some(number) = (0..2).find(|number| self.spi[*number].next_event() <= due)
+            {
+                self.spi[number].advance(due, &mut *self.devices.spi[number]);
+                self.refresh(Block::Spi(number));
             } else if let Some(number) = (0..3).find(|number| self.i2c[*number].next_event() <= due)
             {
                 let bus = bus(&mut self.devices, &mut self.empty, self.buses[number]);
@@ -606,11 +628,16 @@ impl Soc {
     pub(crate) fn plan(&mut self) {
         let rng = if self.rng.interrupt(self.now) { Time::NEVER } else { self.rng.next_event() };
         let [first, second, third] = self.i2c.each_ref().map(I2c::next_event);
+        let [encoder, inertial] = self.spi.each_ref().map(Spi::next_event);
+        let [third_adc, fifth_adc] = self.slow_adcs.each_ref().map(Adc::next_event);
         let times = [
             self.tim5.next_event(),
             self.tim1.next_event(),
             self.adc.next_event(),
-            self.spi.next_event(),
+            third_adc,
+            fifth_adc,
+            encoder,
+            inertial,
             first,
             second,
             third,
@@ -627,7 +654,7 @@ impl Soc {
     /// Interrupt lines of a peripheral follow its flags; DMA serves its requests.
     fn refresh(&mut self, block: Block) {
         match block {
-            Block::I2c(_) | Block::Usart if !self.dma.is_idle() => self.serve_dma(),
+            Block::I2c(_) | Block::Usart | Block::Spi(1) if !self.dma.is_idle() => self.serve_dma(),
             _ => {}
         }
         let (system, numbers) = (&mut self.system, &self.interrupts);
@@ -664,12 +691,13 @@ impl Soc {
                     system.set_line(number, level);
                 }
             }
-            Block::FdcanRam
+            Block::Adc345
+            | Block::FdcanRam
             | Block::Gpio(_)
             | Block::Iwdg
             | Block::Pwr
             | Block::Rcc
-            | Block::Spi
+            | Block::Spi(_)
             | Block::Syscfg => {}
         }
     }
@@ -691,6 +719,7 @@ impl Soc {
         let mut waiting = self.dma.waiting();
         let is_high = |request: &Request| match request.block {
             Block::I2c(number) => self.i2c[number].dma_requests()[request.line],
+            Block::Spi(number) => self.spi[number].dma_requests()[request.line],
             _ => self.usart.dma_requests()[request.line],
         };
         waiting
@@ -789,6 +818,13 @@ impl Soc {
         let context = context!(self, entry.base);
         match entry.block {
             Block::Adc12 => self.adc.read(offset, context),
+            Block::Adc345 => {
+                let (converter, offset) = slow_adc(offset);
+                match self.slow_adcs.get_mut(converter) {
+                    Some(adc) => adc.read(offset, context),
+                    None => context.unmodelled(offset),
+                }
+            }
             Block::Dma(controller) => self.dma.read(controller, offset, context),
             Block::DmaMux => self.dma.read_mux(offset, context),
             Block::Exti => self.exti.read(offset, context),
@@ -820,7 +856,7 @@ impl Soc {
                 )
             }
             Block::Rng => self.rng.read(offset, context),
-            Block::Spi => self.spi.read(offset, context),
+            Block::Spi(number) => self.spi[number].read(offset, context),
             Block::Syscfg => self.syscfg.read(offset, context),
             Block::Tim1 => self.tim1.read(offset, context),
             Block::Tim5 => self.tim5.read(offset, context),
@@ -843,6 +879,24 @@ impl Soc {
                     inputs.all(|pin| self.gpio[pin.port].mode(pin.number) == Mode::Analog);
                 self.adc.write(offset, value, has_pins, context);
             }
+            Block::Adc345 => {
+                let mut inputs = self.options.wiring.thermistors.into_iter();
+                let has_pins =
+                    inputs.all(|pin| self.gpio[pin.port].mode(pin.number) == Mode::Analog);
+                match (slow_adc(offset), &mut self.slow_adcs) {
+                    ((_, adc::COMMON_CCR), adcs) => {
+                        for adc in adcs {
+                            adc.write(adc::COMMON_CCR, value, has_pins, context);
+                        }
+                    }
+                    ((converter, offset), adcs) => match adcs.get_mut(converter) {
+                        Some(adc) => adc.write(offset, value, has_pins, context),
+                        None => {
+                            context.unmodelled(offset);
+                        }
+                    },
+                }
+            }
             Block::Dma(controller) => {
                 self.dma.write(controller, offset, value, context);
                 if !self.dma.is_idle() {
@@ -850,6 +904,7 @@ impl Soc {
                     self.refresh(Block::I2c(0));
                     self.refresh(Block::I2c(1));
                     self.refresh(Block::I2c(2));
+                    self.refresh(Block::Spi(1));
                     self.refresh(Block::Usart);
                 }
             }
@@ -884,11 +939,14 @@ impl Soc {
             Block::Pwr => self.pwr.write(offset, value, context),
             Block::Rcc => self.store_rcc(offset, value, entry.base),
             Block::Rng => self.rng.write(offset, value, context),
-            Block::Spi => {
-                let [.., select] = self.options.wiring.encoder;
+            Block::Spi(number) => {
+                let [.., select] = self.options.wiring.spi(number);
                 let is_selected = self.gpio[select.port].driven(select.number) == Some(false);
-                let pins = [has(&functions.encoder), is_selected];
-                self.spi.write(offset, value, width, pins, context);
+                let pins = [has(&functions.spi[number]), is_selected];
+                let clocks = *self.rcc.clocks();
+                let bus = if number == 0 { clocks.apb2 } else { clocks.apb1 };
+                let cycles = |count| bus.cycles(count);
+                self.spi[number].write(offset, value, width, pins, cycles, context);
             }
             Block::Syscfg => self.syscfg.write(offset, value, context),
             Block::Tim1 => {
@@ -937,12 +995,13 @@ impl Soc {
     fn reset_block(&mut self, block: Block) {
         match block {
             Block::Adc12 => self.adc.reset(),
+            Block::Adc345 => self.slow_adcs.iter_mut().for_each(Adc::reset),
             Block::Dma(controller) => self.dma.reset(controller),
             Block::Fdcan => self.fdcan.reset(),
             Block::Gpio(port) => self.gpio[port].reset(port),
             Block::I2c(number) => self.i2c[number] = I2c::new(),
             Block::Rng => self.rng.reset(),
-            Block::Spi => self.spi = Spi::new(),
+            Block::Spi(number) => self.spi[number].reset(),
             Block::Syscfg => self.syscfg = Syscfg::default(),
             Block::Tim1 => self.tim1.reset(self.now),
             Block::Tim5 => self.tim5 = Timer::new(),
@@ -985,22 +1044,29 @@ impl Soc {
 
     fn store_gpio(&mut self, port: usize, offset: u32, value: u32, base: u32) {
         let wiring = &self.options.wiring;
-        let [.., select] = wiring.encoder;
-        let watched = [select, wiring.sensor_buses[0][0], wiring.sensor_buses[1][0]];
+        let [encoder, inertial] = [0, 1].map(|number| {
+            let [.., select] = wiring.spi(number);
+            select
+        });
+        let watched = [encoder, inertial, wiring.sensor_buses[0][0], wiring.sensor_buses[1][0]];
         let levels = |gpio: &[Gpio; 7]| watched.map(|pin| gpio[pin.port].driven(pin.number));
         let before = levels(&self.gpio);
         let all_before = self.port_levels(port);
         self.gpio[port].write(offset, value, context!(self, base));
         let after = levels(&self.gpio);
-        let [select_before, clocks_before @ ..] = before;
-        let [select_after, clocks_after @ ..] = after;
-        if select_before != select_after
-            && let Some(is_high) = select_after
+        let [encoder_before, inertial_before, clocks_before @ ..] = before;
+        let [encoder_after, inertial_after, clocks_after @ ..] = after;
+        for (number, before, after) in
+            [(0, encoder_before, encoder_after), (1, inertial_before, inertial_after)]
         {
-            if is_high {
-                self.spi.deselect();
+            if before != after
+                && let Some(is_high) = after
+            {
+                if is_high {
+                    self.spi[number].deselect();
+                }
+                self.devices.spi[number].select(self.now, !is_high);
             }
-            self.devices.encoder.select(self.now, !is_high);
         }
         for ((bus, before), after) in
             self.devices.sensor_buses.iter_mut().zip(clocks_before).zip(clocks_after)
@@ -1058,6 +1124,10 @@ impl Soc {
                 let bytes =
                     self.memory(address - CCM_ALIAS + CCM, bytes as usize).ok_or(BusError)?;
                 Ok(little_endian(bytes))
+            }
+            CALIBRATION_30_C | CALIBRATION_130_C if bytes == 2 => {
+                let [cold, hot] = TEMPERATURE_CALIBRATION;
+                Ok(if address == CALIBRATION_30_C { cold } else { hot })
             }
             DBGMCU..=0xE004_23FF => Ok(self.dbgmcu.read(address - DBGMCU, context!(self, DBGMCU))),
             PRIVATE..=0xE00F_FFFF => match self.system.read(address) {
@@ -1206,6 +1276,25 @@ fn little_endian(bytes: &[u8]) -> u32 {
     }
 }
 
+/// ADC3 with both thermistors and ADC5 with the chip's own sensor (RM0440 table 163).
+fn slow_adcs(wiring: &Wiring) -> [Adc; 2] {
+    const CHIP: u32 = 4;
+    let [motor, stage] = Wiring::adc_channels("ADC3", wiring.thermistors);
+    [vec![(motor, 1), (stage, 2)], vec![(CHIP, 0)]]
+        .map(|inputs| Adc::new(Inputs::Temperatures(inputs)))
+}
+
+/// Which of [`slow_adcs`] an offset behind ADC3 belongs to, and the offset in its registers. ADC4 lies between them; the
+/// common registers are those of both.
+const fn slow_adc(offset: u32) -> (usize, u32) {
+    match offset {
+        0x000..0x100 => (0, offset),
+        0x200..0x300 => (1, offset - 0x200),
+        0x300.. => (0, offset),
+        _ => (usize::MAX, offset),
+    }
+}
+
 /// Clock gate and reset of a block; some have neither, or share those of another.
 fn gate(name: &str, block: Block) -> Option<[RccBit; 2]> {
     match block {
@@ -1240,6 +1329,7 @@ fn requests() -> [Option<Request>; 128] {
         ("I2C2", Block::I2c(1)),
         ("I2C3", Block::I2c(2)),
         ("USART2", Block::Usart),
+        ("SPI3", Block::Spi(1)),
     ];
     for (name, block) in names {
         for (line, signal) in ["RX", "TX"].into_iter().enumerate() {

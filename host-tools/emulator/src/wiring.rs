@@ -16,12 +16,16 @@ pub struct Wiring {
     pub serial: [Pin; 2],
     /// Rotor sensor: clock, into the sensor, out of it, select.
     pub encoder: [Pin; 4],
+    /// Inertial sensor: clock, into the sensor, out of it, select.
+    pub inertial: [Pin; 4],
     /// High sides and low sides of the half bridges U, V, W.
     pub bridges: [[Pin; 3]; 2],
     /// From the gate drivers: low where they have found something wrong.
     pub gate_fault: Pin,
     /// Phase currents U, V, W, and bus voltage.
     pub analog: [Pin; 4],
+    /// Thermistors of motor and power stage.
+    pub thermistors: [Pin; 2],
     /// Crystal.
     pub crystal: Frequency,
 }
@@ -37,34 +41,42 @@ impl Wiring {
         can: [Pin::named("PA11"), Pin::named("PA12")],
         serial: [Pin::named("PA3"), Pin::named("PA2")],
         encoder: [Pin::named("PA5"), Pin::named("PA7"), Pin::named("PA6"), Pin::named("PA4")],
+        inertial: [Pin::named("PC10"), Pin::named("PC12"), Pin::named("PC11"), Pin::named("PD2")],
         bridges: [
             [Pin::named("PA8"), Pin::named("PA9"), Pin::named("PA10")],
             [Pin::named("PB13"), Pin::named("PB14"), Pin::named("PB15")],
         ],
         gate_fault: Pin::named("PB12"),
         analog: [Pin::named("PC0"), Pin::named("PC1"), Pin::named("PC2"), Pin::named("PC3")],
+        thermistors: [Pin::named("PB1"), Pin::named("PB0")],
         crystal: Frequency(24_000_000),
     };
 
     /// The pin that is BOOT0 during a reset.
     pub const BOOT0: Pin = Pin::named("PB8");
 
+    /// Pins of an SPI device: clock, into the device, out of it, select.
+    pub(crate) const fn spi(&self, number: usize) -> [Pin; 4] {
+        if number == 0 { self.encoder } else { self.inertial }
+    }
+
     /// Whether something outside pulls a pin high.
     pub fn is_pulled_up(&self, pin: Pin) -> bool {
         self.sensor_buses.as_flattened().contains(&pin)
     }
 
-    /// Channels of ADC1 at the analog pins.
+    /// Channels of a converter at analog pins.
     ///
     /// # Panics
-    /// A pin is no input of ADC1.
-    pub(crate) fn adc_channels(&self) -> [u32; 4] {
-        self.analog.map(|pin| {
+    /// A pin is no input of the converter.
+    pub(crate) fn adc_channels<const N: usize>(converter: &str, inputs: [Pin; N]) -> [u32; N] {
+        inputs.map(|pin| {
             let name = pin.name();
-            let mut pins = peripheral("ADC1").pins.iter().filter(|candidate| candidate.pin == name);
+            let mut pins =
+                peripheral(converter).pins.iter().filter(|candidate| candidate.pin == name);
             let channel =
                 pins.find_map(|candidate| candidate.signal.strip_prefix("IN")?.parse().ok());
-            channel.unwrap_or_else(|| panic!("{name} is no input of ADC1"))
+            channel.unwrap_or_else(|| panic!("{name} is no input of {converter}"))
         })
     }
 

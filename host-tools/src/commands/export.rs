@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use firmware::sensors::hall::SENSORS;
 use model_export::inverse::build::{DeviceModel, ModelVariant, build};
 use model_export::inverse::codegen::{MARK, source_with_networks, tables_source};
@@ -31,6 +31,9 @@ pub struct Args {
     /// Invert the nominal design (the paper's ideal model) instead of the fitted parameters.
     #[arg(long)]
     nominal: bool,
+    /// Export although the device never compensates an effect of the model: the forces keep its error.
+    #[arg(long)]
+    uncompensated: bool,
     /// Print one JSON object on stdout and nothing else.
     #[arg(long)]
     json: bool,
@@ -41,6 +44,14 @@ pub fn run(args: &Args) -> Result<()> {
     let variant = if args.nominal { ModelVariant::Nominal } else { ModelVariant::Fitted };
     check_output(&args.output, MARK)?;
     let built = build(&args.model, variant)?;
+    if let Some((effect, why)) = built.uncompensated.first()
+        && !args.uncompensated
+    {
+        bail!(
+            "the device never compensates {effect}: {why}. Its error stays in the forces: remove it from the model \
+             (`magpie remove`), or export with --uncompensated"
+        );
+    }
     let networks =
         args.network.as_deref().map(|path| NetworkSet::read(path, &built)).transpose()?;
     let source = match &networks {
@@ -50,6 +61,9 @@ pub fn run(args: &Args) -> Result<()> {
     write_output(&args.output, source.as_bytes(), MARK)?;
     for (effect, why) in &built.uncompensated {
         eprintln!("note: {effect} is not compensated: {why}");
+    }
+    for (effect, conditions) in &built.conditions {
+        eprintln!("note: the board compensates {effect} {}", conditions.join("; "));
     }
     let DeviceModel { model, chosen, header, .. } = built;
     let image: Vec<u32> = (0..SENSORS as u32).collect();

@@ -11,6 +11,7 @@ use anyhow::{Result, anyhow, bail};
 use firmware::config::constants;
 use firmware::parameters::schema::id;
 use indicatif::ProgressBar;
+use model_export::output::check_vacant;
 use model_export::recordings::campaign::recording_folders;
 use model_export::recordings::description::RecordingDescription;
 use serde_json::{Value, json};
@@ -65,15 +66,21 @@ const FLUSH_TIMEOUT: Duration = Duration::from_millis(250);
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
-    let description = description(args)?;
+    check_vacant(&args.output)?;
+    let mut description = description(args)?;
     let start_s = description.start_s;
     let rows = if args.gripper.is_on_bus() {
         SensorRowAssembler::of_sets(1_000_000 / u64::from(args.rate))
     } else {
         SensorRowAssembler::of_ticks()
     };
-    let recorder = Recorder::new(&args.output, description, rows.period_us())?;
     let mut source = args.gripper.open()?;
+    if let Some(design) = &mut description.design {
+        // The electrical angle of the compensation follows from the board's number.
+        let pole_pairs = params_client::read(source.as_mut(), id::POLE_PAIRS)?;
+        design.more.insert("motor_pole_pairs".to_owned(), i64::from(pole_pairs).into());
+    }
+    let recorder = Recorder::new(&args.output, description, rows.period_us())?;
     let previous = enable_readings(source.as_mut(), args)?;
     let hearing = SourceReader::start(source);
     let written = write_rows(&hearing, rows, recorder, args);
@@ -250,14 +257,28 @@ fn format_report(output: &Path, start_s: f64, tally: &RecordingCounts) -> String
             );
         }
     }
-    if tally.left_out > 0 {
+    text += &match tally.covariates.as_slice() {
+        [] => "No covariates: effects of opening, motor and orientation cannot be diagnosed.\n"
+            .to_owned(),
+        names => terminal::paragraph(&format!("Covariates: {}.", names.join(", "))),
+    };
+    if !tally.covariates.contains(&"opening_mm") {
+        text += "The opening was unknown: home the gripper first.\n";
+    }
+    if tally.without_covariates > 0 {
+        text += &format!(
+            "Excluded: {} rows in which a covariate was missing.\n",
+            tally.without_covariates
+        );
+    }
+    if tally.left_out > tally.without_covariates {
         let silent = tally.silent.iter().enumerate();
         let silent = silent.filter(|(sensor, count)| **count > 0 && tally.sensors.contains(sensor));
         let silent: Vec<String> =
             silent.map(|(sensor, count)| format!("sensor {sensor} in {count}")).collect();
         text += &terminal::paragraph(&format!(
             "Excluded: {} rows without a reading of all sensors ({}).",
-            tally.left_out,
+            tally.left_out - tally.without_covariates,
             silent.join(", ")
         ));
     }
@@ -279,7 +300,9 @@ fn to_json(output: &Path, start_s: f64, tally: &RecordingCounts) -> Value {
         "gaps": tally.gaps,
         "longest_gap_s": tally.longest_us.0 as f64 * 1e-6,
         "longest_gap_at_s": tally.longest_us.1 as f64 * 1e-6,
+        "covariates": tally.covariates,
         "left_out_rows": tally.left_out,
+        "rows_without_covariates": tally.without_covariates,
         "silent_rows": tally.silent,
         "reference": false,
     })

@@ -38,11 +38,18 @@ fn boots(variant: Variant, conditions: ChipConditions, effort: Effort) -> Result
     let mut board = board(&made, conditions, pressed(&made.built));
     let (mut receiver, mut ticks, mut worst_us, mut worst_estimate_us) =
         (PacketDecoder::default(), 0, 0, 0);
+    let (mut last_us, mut gaps) = (None, 0);
     for step in 1..=10 * seconds {
         board.run_until(100_000 * step)?;
         for (_, packet) in board.take_packets(&mut receiver) {
             match packet {
-                Packet::Tick(_) => ticks += 1,
+                Packet::Tick(tick) => {
+                    ticks += 1;
+                    let before_us = last_us.replace(tick.time_us);
+                    let step_us = before_us.map_or(TICK_US as u32, |before| tick.time_us - before);
+                    // A tick may begin late by 50 us.
+                    gaps += u32::from(step_us > TICK_US as u32 + 60);
+                }
                 Packet::Message { message: Message::Timing(timing), .. } => {
                     worst_us = timing.worst_loop.max(worst_us);
                     worst_estimate_us = timing.worst_inference.max(worst_estimate_us);
@@ -75,8 +82,9 @@ fn boots(variant: Variant, conditions: ChipConditions, effort: Effort) -> Result
     let (most_us, load) =
         if has_caches { (WORST_TICK_US, LOAD) } else { (TICK_US as u16, LOAD_WITHOUT_CACHES) };
     check((1..=most_us).contains(&worst_us), format!("worst tick {worst_us} us"));
-    // The first 10 ms are the start.
-    check(ticks >= 1000 * seconds - 11, format!("{ticks} ticks on the serial line"));
+    // The first 10 ms are the start, and some ticks are on their way at the end.
+    check(ticks >= 1000 * seconds - 14, format!("{ticks} ticks on the serial line"));
+    check(gaps == 0, format!("{gaps} gaps between the ticks on the serial line"));
     let faults: Vec<_> = board
         .chip
         .log()

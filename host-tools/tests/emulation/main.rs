@@ -4,6 +4,7 @@
 mod boards;
 mod boot;
 mod buses;
+mod covariates;
 #[path = "../scenarios/evaluate.rs"]
 mod evaluate;
 mod faults;
@@ -53,6 +54,7 @@ fn main() -> ExitCode {
     trials.extend(scenarios::trials());
     trials.extend(motion::trials(effort));
     trials.extend(buses::trials(effort));
+    trials.extend(covariates::trials());
     trials.extend(faults::trials());
     trials.extend(storage::trials());
     let trials =

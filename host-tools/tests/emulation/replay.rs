@@ -4,7 +4,6 @@
 use std::path::Path;
 
 use embedded_can::Frame;
-use firmware::compensation::auxiliary_inputs::AuxiliaryInputs;
 use firmware::config::limits::DetectionLimits;
 use firmware::parameters::Parameters;
 use firmware::protocol::messages::{Force, Message};
@@ -36,14 +35,13 @@ pub fn trials(_: Effort) -> Vec<Trial> {
     trials
 }
 
-/// A recording without what the board does not know: opening, orientation, motor.
+/// The fields of a recording, without its inertial sensor: the two boards read that at different moments.
 struct FieldsOnly(RecordedWorld);
 
 impl World for FieldsOnly {
     fn next(&mut self) -> Option<WorldSample> {
         let moment = self.0.next()?;
-        let covariates = AuxiliaryInputs::default();
-        Some(WorldSample { covariates, ..moment })
+        Some(WorldSample { inertial: None, ..moment })
     }
 }
 
@@ -64,9 +62,9 @@ fn replays(variant: Variant, conditions: ChipConditions) -> Result<(), Failed> {
     }
     let reported = reported(packets.into_iter(), &board.connections);
     let expected = in_virtual_time(made);
-    // The image starts a few milliseconds later.
+    // The image starts a few milliseconds later, and some ticks are on their way at the end. Lost ones would differ.
     let compared = reported.ticks.len();
-    assert!(compared as u64 > 1000 * SECONDS - 13, "{compared} ticks");
+    assert!(compared as u64 > 1000 * SECONDS - 16, "{compared} ticks");
     for (number, (tick, expected)) in reported.ticks.iter().zip(&expected.ticks).enumerate() {
         assert_eq!(tick.sensors, expected.sensors, "tick {number}");
     }

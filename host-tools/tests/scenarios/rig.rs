@@ -199,7 +199,7 @@ impl ScenarioRig {
                     self.observed.faults.push((ms - f64::from(origin_us) / 1000.0, fault))
                 }
                 Event::BusCleared { .. } => self.observed.bus_clearings += 1,
-                Event::BusScanned { .. } => {}
+                Event::BusScanned { .. } | Event::InertialSensor { .. } => {}
             }
         }
     }

@@ -44,7 +44,9 @@ pub enum DeviceForm {
     Tables,
     /// A permanent change: the tables describe the gripper in its final state.
     Settled,
-    /// Not on the device, with the reason.
+    /// Not needed on the device: an error of the test bench, with the remedy.
+    Bench(&'static str),
+    /// Impossible on the device, with the reason: the forces keep the effect's error.
     Never(&'static str),
 }
 
@@ -55,6 +57,7 @@ impl DeviceForm {
             Self::Field(_) | Self::Force(_) => "device",
             Self::Tables => "tables",
             Self::Settled => "settled",
+            Self::Bench(_) => "bench",
             Self::Never(_) => "no",
         }
     }

@@ -5,7 +5,7 @@ use std::path::Path;
 use sha2::{Digest, Sha256};
 
 use crate::effects::{DeviceForm, Effect, EffectTerm};
-use crate::inverse::compensation::{NotCompensable, OwnedCompensation};
+use crate::inverse::compensation::{NotCompensable, OwnedCompensation, board_conditions};
 use crate::inverse::model_selection::{SelectedModels, select_models};
 use crate::inverse::quantise::TableOverflow;
 use crate::inverse::static_model::StaticModel;
@@ -65,8 +65,10 @@ pub struct DeviceModel {
     pub chosen: SelectedModels,
     /// Compensations around the inverse.
     pub compensations: Vec<OwnedCompensation>,
-    /// Effects that the device does not compensate, each with the reason.
+    /// Effects of the gripper that the device never compensates, each with the reason.
     pub uncompensated: Vec<(String, &'static str)>,
+    /// Effects that need covariates, each with the conditions under which the board compensates it.
+    pub conditions: Vec<(String, Vec<&'static str>)>,
     /// Header of the file of tables.
     pub header: ExportHeader,
 }
@@ -148,7 +150,25 @@ pub fn build_model(
         }
         _ => None,
     });
-    Ok(DeviceModel { uncompensated: uncompensated.collect(), model, chosen, compensations, header })
+    let conditions = additions.iter().filter_map(|effect| {
+        let is_on_device = match effect {
+            EffectTerm::Catalogue(known) => {
+                matches!(known.device, DeviceForm::Field(_) | DeviceForm::Force(_))
+            }
+            EffectTerm::Expression(_) => true,
+            EffectTerm::Channelwise(_) => false,
+        };
+        let conditions = board_conditions(&effect.needs());
+        (is_on_device && !conditions.is_empty()).then(|| (effect.name().to_owned(), conditions))
+    });
+    Ok(DeviceModel {
+        uncompensated: uncompensated.collect(),
+        conditions: conditions.collect(),
+        model,
+        chosen,
+        compensations,
+        header,
+    })
 }
 
 /// Effects with their values at one sensor.

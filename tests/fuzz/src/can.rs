@@ -17,8 +17,10 @@ const STOP: u16 = 2;
 const COMMAND: u16 = 3;
 const SERVICE: u16 = 4;
 const PARAM_REQUEST: u16 = 5;
+const HOST_ATTITUDE: u16 = 0x12;
+const HOST_ACCELERATION: u16 = 0x13;
 /// Messages of the protocol.
-const MESSAGES: u16 = 18;
+const MESSAGES: u16 = 0x14;
 /// Milliseconds between two frames: both sides of every limit.
 const WAITS: [u32; 16] = [0, 0, 0, 1, 2, 5, 10, 20, 50, 99, 100, 101, 500, 501, 1000, 1001];
 /// Longest data of a frame, were it one of CAN FD.
@@ -289,6 +291,9 @@ impl Reference {
                 COMMAND => self.command(now, id, data),
                 SERVICE => self.service(now, data, random),
                 PARAM_REQUEST => Verdict::Other,
+                // Reserved bits are zero.
+                HOST_ATTITUDE if data[7] & !1 == 0 => Verdict::Other,
+                HOST_ACCELERATION if data[7] == 0 => Verdict::Other,
                 _ => self.drop(now),
             },
             _ => self.drop(now),

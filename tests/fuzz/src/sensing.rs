@@ -2,6 +2,7 @@
 //! networks, the detector of foreign magnets, and the messages that come of it.
 
 use firmware::compensation::auxiliary_inputs::{Attitude, AuxiliaryInputs, MotorInputs};
+use firmware::compensation::covariates::Covariates;
 use firmware::config::limits::DetectionLimits;
 use firmware::estimator::gru::GruBank;
 use firmware::estimator::{Estimate, Estimator, Validity};
@@ -43,7 +44,7 @@ pub struct Chain<'a, const INPUTS: usize, const HIDDEN: usize, const TOLD: usize
     watches: [LivenessMonitor; SENSORS],
     /// Steps after a reset in which the networks say nothing.
     warm_up: u32,
-    around: AuxiliaryInputs,
+    inputs: AuxiliaryInputs,
     /// Fields in the middle of what the tables know, and the greatest forces that they can give.
     middle: [[i16; 3]; SENSORS],
     most: [[i64; 2]; SENSORS],
@@ -65,7 +66,7 @@ impl<'a, const INPUTS: usize, const HIDDEN: usize, const TOLD: usize, const N: u
             estimator: Estimator::new(tables, GruBank::new(networks)),
             watches: [LivenessMonitor::new(&DetectionLimits::GRIPPER); SENSORS],
             warm_up: u32::from(warm_up.max().unwrap_or(0)),
-            around: AuxiliaryInputs::default(),
+            inputs: AuxiliaryInputs::default(),
             middle: sensors.map(|table| table.map_or([0; 3], middle)),
             most: sensors.map(|table| table.map_or([0; 2], greatest)),
             latest: [HallReading::default(); SENSORS],
@@ -90,7 +91,7 @@ impl<'a, const INPUTS: usize, const HIDDEN: usize, const TOLD: usize, const N: u
         while !bytes.is_empty() && tally.ticks < TICKS {
             let kind = bytes.byte();
             if kind & 1 != 0 {
-                self.around = surroundings(&mut bytes);
+                self.inputs = auxiliary_inputs(&mut bytes);
             }
             let samples = std::array::from_fn(|number| self.sample(number, &mut bytes));
             // The same again and again, or once.
@@ -152,7 +153,7 @@ impl<'a, const INPUTS: usize, const HIDDEN: usize, const TOLD: usize, const N: u
             watched.reading
         });
         let frame = HallFrame { time_us: self.time_us, readings };
-        let estimates = self.estimator.update(&frame, &self.around);
+        let estimates = self.estimator.update(&frame, &self.inputs);
         for (number, estimate) in estimates.iter().enumerate() {
             self.estimated_rightly(number, frame.readings[number], estimate);
             told_rightly(estimate);
@@ -199,7 +200,7 @@ fn greatest(table: &SensorTable) -> [i64; 2] {
     })
 }
 
-fn surroundings(bytes: &mut Bytes) -> AuxiliaryInputs {
+fn auxiliary_inputs(bytes: &mut Bytes) -> AuxiliaryInputs {
     let known = bytes.byte();
     let number = |bytes: &mut Bytes| i32::from_le_bytes(bytes.array());
     AuxiliaryInputs {
@@ -213,7 +214,7 @@ fn surroundings(bytes: &mut Bytes) -> AuxiliaryInputs {
             let motion = imu::decode(bytes.array());
             // 4 g and 2294 degrees per second, the parts' ends.
             assert!(motion.acceleration.iter().all(|axis| axis.abs() <= 39_204));
-            assert!(motion.turn.iter().all(|axis| axis.abs() <= 2_293_760));
+            assert!(motion.rate.iter().all(|axis| axis.abs() <= 2_293_760));
             motion.acceleration
         }),
         attitude: (known & 8 != 0).then(|| Attitude {
@@ -255,7 +256,8 @@ fn reported_rightly(estimate: &Estimate) {
         let held = exact.clamp(i16::MIN.into(), i16::MAX.into());
         assert!((f64::from(sent) - held).abs() <= 0.5, "{sent} {exact}");
     }
-    assert_eq!(message.valid, estimate.validity == Validity::Valid);
+    assert_eq!(message.valid, estimate.validity.is_in_range());
+    assert_eq!(message.missing_inputs, estimate.missing_inputs);
     assert_eq!(message.saturated, estimate.validity == Validity::Saturated);
     assert_eq!(message.stale, estimate.validity == Validity::Missing);
     assert_eq!(message.disturbed, estimate.disturbed);
@@ -263,7 +265,7 @@ fn reported_rightly(estimate: &Estimate) {
 
 /// The packet of a tick fits, and is understood as it was.
 fn ticked_rightly(frame: &HallFrame, estimates: &[Estimate; SENSORS]) {
-    let packet = Packet::Tick(Tick::of(frame, estimates));
+    let packet = Packet::Tick(Tick::of(frame, estimates, Covariates::default()));
     let mut buffer = [0; MAX_PACKET_BYTES];
     let line = encode(&packet, &mut buffer).expect("every packet fits");
     let mut receiver = PacketDecoder::default();
@@ -278,7 +280,7 @@ impl Tally {
         for estimate in estimates {
             self.reported += u32::from(estimate.sigma.is_some());
             match estimate.validity {
-                Validity::Valid => self.valid += 1,
+                Validity::Valid | Validity::MissingInputs => self.valid += 1,
                 Validity::Saturated | Validity::OutsideModel => self.doubtful += 1,
                 Validity::Missing => {}
             }

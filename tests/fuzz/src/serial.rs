@@ -1,5 +1,8 @@
 //! Bytes on the serial line into the receiver of its packets.
 
+use firmware::compensation::covariates::{
+    AccelerationSample, AttitudeSample, Covariates, MotorSample,
+};
 use firmware::protocol::messages::Message;
 use firmware::protocol::serial::{
     MAX_PACKET_BYTES, Packet, PacketDecoder, SensorTick, Tick, encode,
@@ -66,6 +69,28 @@ pub fn receive(bytes: &[u8]) -> Tally {
     Tally { packets: line.packets, broken: line.receiver.broken }
 }
 
+/// Some covariates.
+fn covariates(bytes: &mut Bytes) -> Covariates {
+    let present = bytes.byte();
+    let has = |bit: u8| present >> bit & 1 != 0;
+    Covariates {
+        opening_um: has(0).then(|| i32::from_le_bytes(bytes.array())),
+        motor: has(1).then(|| MotorSample {
+            age_us: bytes.word() as i16,
+            iq_ma: bytes.word() as i16,
+            turn: bytes.word(),
+        }),
+        acceleration: has(2).then(|| AccelerationSample {
+            age_us: bytes.word() as i16,
+            mm_s2: [(); 3].map(|()| i32::from_le_bytes(bytes.array())),
+        }),
+        attitude: has(3).then(|| AttitudeSample {
+            age_ms: bytes.byte(),
+            euler: [(); 3].map(|()| bytes.word() as i16),
+        }),
+    }
+}
+
 /// Some packet.
 fn packet(bytes: &mut Bytes) -> Packet {
     let kind = bytes.byte();
@@ -78,7 +103,8 @@ fn packet(bytes: &mut Bytes) -> Packet {
         };
         let sensors: [SensorTick; SENSORS] = std::array::from_fn(sensor);
         let time_us = u32::from_le_bytes(bytes.array());
-        return Packet::Tick(Tick { time_us, sensors });
+        let covariates = covariates(bytes);
+        return Packet::Tick(Tick { time_us, sensors, covariates });
     }
     let number = bytes.byte() & 0x1F;
     let message = Message::from_frame(number, &bytes.array::<8>());

@@ -11,6 +11,7 @@ use embassy_stm32::{Peri, peripherals};
 use embassy_time::Delay;
 use static_cell::ConstStaticCell;
 
+use crate::board::selected::clock::BoardClock;
 use crate::board::selected::crash;
 use crate::board::selected::feedback::{
     ANGLE_AGE_PERIODS, AnalogPins, PhaseCurrents, RotorSensor, SpiPins, rotor_sensor,
@@ -18,6 +19,7 @@ use crate::board::selected::feedback::{
 use crate::board::selected::pwm::{self, Stage};
 use crate::board::selected::sync::{Queue, Reader, Writer};
 use crate::board::{MotorDrive, MotorMonitor, MotorPort};
+use crate::clock::{Clock, Timed};
 use crate::motor::power_stage::{Encoder, MotorSamples, PowerStage};
 use crate::motor::settings::IdentifiedMotor;
 use crate::motor::state::{MotorCommand, MotorStatus};
@@ -65,10 +67,10 @@ impl MotorPort for Orders {
 }
 
 /// Status reports of the motion loop. A report that is not read delays the next.
-pub struct StatusReports(Reader<MotorStatus, 1>);
+pub struct StatusReports(Reader<Timed<MotorStatus>, 1>);
 
 impl MotorMonitor for StatusReports {
-    fn poll(&mut self) -> Option<MotorStatus> {
+    fn poll(&mut self) -> Option<Timed<MotorStatus>> {
         self.0.pop()
     }
 }
@@ -92,7 +94,7 @@ struct MotionLoopState {
     state: Reader<CurrentLoopReport, 1>,
     results: Reader<IdentifiedMotor, 1>,
     requests: Writer<CurrentLoopCommand, REQUESTS>,
-    status: Writer<MotorStatus, 1>,
+    status: Writer<Timed<MotorStatus>, 1>,
     ticks: u8,
 }
 
@@ -117,7 +119,7 @@ impl MotorDrive for Parts {
 fn start(parts: Parts, settings: Settings) -> (Orders, StatusReports) {
     static ORDER_QUEUE: ConstStaticCell<Queue<MotorCommand, ORDERS>> =
         ConstStaticCell::new(Queue::new());
-    static STATUS_QUEUE: ConstStaticCell<Queue<MotorStatus, 1>> =
+    static STATUS_QUEUE: ConstStaticCell<Queue<Timed<MotorStatus>, 1>> =
         ConstStaticCell::new(Queue::new());
     static STATE_QUEUE: ConstStaticCell<Queue<CurrentLoopReport, 1>> =
         ConstStaticCell::new(Queue::new());
@@ -210,13 +212,15 @@ impl MotionLoopState {
         let Some(report) = self.state.pop() else {
             return;
         };
+        // The current loop has just sampled it.
+        let time_us = BoardClock.now_us();
         // The current loop empties this queue in its next period.
         let _ = self.requests.push(self.outer.tick(report));
         self.ticks = self.ticks.saturating_add(1);
         if self.ticks >= STATUS_TICKS {
             self.ticks = 0;
             // Dropped while the last report was not read.
-            let _ = self.status.push(self.outer.status());
+            let _ = self.status.push(Timed { time_us, value: self.outer.status() });
         }
     }
 }

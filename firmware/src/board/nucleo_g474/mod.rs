@@ -8,6 +8,7 @@
 //! | serial line | USART2: TX PA2, RX PA3, to the debugger's virtual port |
 //! | half bridges | TIM1: high sides PA8, PA9, PA10, low sides PB13, PB14, PB15; break PB12, active low |
 //! | phase currents, bus voltage | ADC1: PC0, PC1, PC2; PC3 |
+//! | thermistors of motor and power stage | ADC3: PB1, PB0 |
 //! | rotor angle | SPI1: SCK PA5, MOSI PA7, MISO PA6, CS PA4 |
 //! | inertial sensor, optional | SPI3: SCK PC10, MOSI PC12, MISO PC11, CS PD2 |
 //!
@@ -42,6 +43,8 @@ pub mod pwm;
 pub mod sync;
 #[cfg(target_os = "none")]
 pub mod tasks;
+#[cfg(target_os = "none")]
+pub mod thermometer;
 
 /// The board as a type.
 #[derive(Clone, Copy, Debug)]

@@ -17,6 +17,7 @@ use crate::board::selected::crash::IndependentWatchdog;
 use crate::board::selected::flash::{self, ParameterFlash};
 use crate::board::selected::i2c::I2cBus;
 use crate::board::selected::imu::{self, InertialSensor};
+use crate::board::selected::thermometer::{self, BoardThermometer};
 use crate::board::selected::{NucleoG474, drive, pwm, sync};
 use crate::board::{Bsp, Peripherals};
 use crate::protocol::serial::BAUD_RATE;
@@ -53,6 +54,7 @@ impl Bsp for NucleoG474 {
     type SerialRx = RingBufferedUartRx<'static>;
     type Flash = ParameterFlash;
     type Rng = Rng<'static, peripherals::RNG>;
+    type Thermometer = BoardThermometer;
     type Drive = drive::Parts;
     type Watchdog = IndependentWatchdog;
 
@@ -89,15 +91,13 @@ impl Bsp for NucleoG474 {
                 I2cBus::first(p.I2C1, p.PA15, p.PB9, TIMING),
                 I2cBus::second(p.I2C3, p.PC8, p.PC9, TIMING),
             ],
-            imu: cfg!(feature = "als31300-lsm6ds3").then(|| {
-                imu::inertial_sensor(imu::Parts {
-                    port: p.SPI3,
-                    clock: p.PC10,
-                    out: p.PC12,
-                    into: p.PC11,
-                    select: p.PD2,
-                    channels: (p.DMA1_CH3, p.DMA1_CH4),
-                })
+            imu: imu::inertial_sensor(imu::Parts {
+                port: p.SPI3,
+                clock: p.PC10,
+                out: p.PC12,
+                into: p.PC11,
+                select: p.PD2,
+                channels: (p.DMA1_CH3, p.DMA1_CH4),
             }),
             can_tx: Sender { half: sender, properties },
             can_rx: Receiver(receiver),
@@ -106,6 +106,12 @@ impl Bsp for NucleoG474 {
             rng: Rng::new(p.RNG, Interrupts),
             flash,
             flash_offset,
+            thermometer: BoardThermometer::new(thermometer::Parts {
+                thermistors: p.ADC3,
+                motor: p.PB1,
+                stage: p.PB0,
+                chip: p.ADC5,
+            }),
             drive: drive::Parts {
                 timer: p.TIM1,
                 bridges: pwm::Pins {
@@ -147,6 +153,7 @@ fn clocks() -> rcc::Config {
     config.sys = rcc::Sysclk::PLL1_R;
     config.boost = true;
     config.mux.adc12sel = rcc::mux::Adcsel::SYS;
+    config.mux.adc345sel = rcc::mux::Adcsel::SYS;
     config.mux.fdcansel = rcc::mux::Fdcansel::PLL1_Q;
     config.mux.i2c1sel = rcc::mux::I2csel::HSI;
     config.mux.i2c3sel = rcc::mux::I2csel::HSI;

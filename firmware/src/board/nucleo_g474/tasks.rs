@@ -3,7 +3,7 @@
 //! | level | tasks | deadline |
 //! | --- | --- | --- |
 //! | priority 0 and 1 | motor interrupts ([`crate::board::selected::drive`]), drivers | one PWM period |
-//! | [`SENSING_PRIORITY`] | sense, receive CAN | a bus waits for its next transfer; the controller stores three frames |
+//! | [`SENSING_PRIORITY`] | sense, inertial, receive CAN | a bus waits for its next transfer; the controller stores three frames |
 //! | [`CONTROL_PRIORITY`] | estimate, grip | the next tick |
 //! | thread mode | all other tasks | |
 //!
@@ -18,7 +18,7 @@ use static_cell::StaticCell;
 
 use crate::board::selected::clock::BoardClock;
 use crate::board::selected::{NucleoG474, crash};
-use crate::board::{Bsp, MotorDrive, MotorMonitor, Peripherals, Watchdog};
+use crate::board::{Bsp, MotorDrive, MotorMonitor, Peripherals, Thermometer, Watchdog};
 use crate::config::limits::{DetectionLimits, GripLimits};
 use crate::estimator::Estimator;
 use crate::estimator::gru::GruBank;
@@ -32,7 +32,7 @@ use crate::sensors::hall::{GripperHallSensor, SENSORS};
 use crate::system::faults::Event;
 use crate::system::nv_storage::{LoadedParameters, ParameterStore};
 use crate::system::task_watchdog::FEED_PERIOD_MS;
-use crate::tasks::{self, HostService, SharedState, TickInputs};
+use crate::tasks::{self, HostService, SharedState};
 
 defmt::timestamp!("{=u64:us}", embassy_time::Instant::now().as_micros());
 
@@ -111,10 +111,12 @@ async fn begin(spawner: Spawner, board: Peripherals<B>) {
     interrupt::SAI1.set_priority(SENSING_PRIORITY);
     let sensing = SENSING.start(interrupt::SAI1);
     sensing.spawn(once(sense(shared, board.sensor_buses, parameters.addresses())));
+    sensing.spawn(once(inertial(shared, board.imu)));
     sensing.spawn(once(receive_can(shared, board.can_rx)));
     let mut watchdog = board.watchdog;
     watchdog.start();
     spawner.spawn(once(feed(shared, watchdog)));
+    spawner.spawn(once(temperatures(shared, board.thermometer)));
     spawner.spawn(once(scrub(shared)));
     spawner.spawn(once(transmit(shared, board.can_tx, node)));
     spawner.spawn(once(transmit_serial(shared, board.serial_tx)));
@@ -129,16 +131,14 @@ async fn sense(shared: Shared, buses: [<B as Bsp>::SensorBus; 2], addresses: [u8
 }
 
 #[embassy_executor::task]
+async fn inertial(shared: Shared, imu: <B as Bsp>::Imu) {
+    tasks::inertial::inertial(imu, &BoardClock, shared).await;
+}
+
+#[embassy_executor::task]
 async fn estimate(shared: Shared, mut motor_status: <Drive as MotorDrive>::Monitor) {
     let mut estimator = Estimator::new(&TABLES, GruBank::new(&NETWORKS));
-    let mut last = TickInputs::default();
-    let inputs = move || {
-        if let Some(motor) = motor_status.poll() {
-            last = TickInputs { auxiliary: motor.auxiliary_inputs(), motor };
-        }
-        last
-    };
-    tasks::estimate(&mut estimator, inputs, &LIMITS, &BoardClock, shared).await;
+    tasks::estimate(&mut estimator, || motor_status.poll(), &LIMITS, &BoardClock, shared).await;
 }
 
 #[embassy_executor::task]
@@ -155,6 +155,11 @@ async fn feed(shared: Shared, mut watchdog: <B as Bsp>::Watchdog) {
         watchdog.feed(&shared.progress);
         ticker.next().await;
     }
+}
+
+#[embassy_executor::task]
+async fn temperatures(shared: Shared, mut thermometer: <B as Bsp>::Thermometer) {
+    tasks::temperatures::temperatures(|| thermometer.measure(), &BoardClock, shared).await;
 }
 
 #[embassy_executor::task]
@@ -221,6 +226,7 @@ fn version() -> Version {
 fn log(event: Event) {
     match event {
         Event::BusScanned { bus, answers } => info!("bus {}: answers {:04b}", bus, answers),
+        Event::InertialSensor { is_present } => info!("inertial sensor present: {}", is_present),
         Event::BusCleared { bus, free } => info!("bus {} cleared, free {}", bus, free),
         Event::Fault(fault) => {
             info!("fault {} of {}: {}, {}", fault.code, fault.source, fault.active, fault.detail)

@@ -12,10 +12,10 @@ use embedded_hal_async::i2c::I2c;
 use crate::clock::{Clock, delay_us};
 
 /// The part on the gripper. Portable, because the default parameters depend on its addresses.
-#[cfg(not(feature = "als31300-lsm6ds3"))]
+#[cfg(not(feature = "als31300"))]
 pub type GripperHallSensor = a31301::A31301;
 /// The part on the gripper. Portable, because the default parameters depend on its addresses.
-#[cfg(feature = "als31300-lsm6ds3")]
+#[cfg(feature = "als31300")]
 pub type GripperHallSensor = als31300::Als31300;
 
 /// Number of Hall sensors of the gripper.
@@ -32,6 +32,12 @@ pub struct HallReading {
     pub field: [i16; 3],
     /// Temperature in counts of 1/8 K relative to 25 C; for the A31301 the scale is assumed.
     pub temperature: i16,
+}
+
+/// Temperature in degrees Celsius of a reading's counts, for the status of the board.
+pub fn celsius(counts: i16) -> f32 {
+    const ZERO_C: f32 = 25.0;
+    ZERO_C + f32::from(counts) / crate::config::constants::TEMPERATURE_SCALE.value as f32
 }
 
 /// Result of a transfer.

@@ -35,7 +35,7 @@ pub struct InputRow {
     /// Field with noise in gauss, and the temperature word; `None` without a sensor.
     pub sensors: [Option<(Vector3<f64>, i16)>; SENSORS],
     /// Covariates in the device's units.
-    pub covariates: AuxiliaryInputs,
+    pub inputs: AuxiliaryInputs,
 }
 
 impl InputRow {
@@ -160,7 +160,7 @@ struct RecordedInput {
 
 impl InputRows for RecordedInput {
     fn next_row(&mut self) -> Result<Option<InputRow>> {
-        let Some(DeviceRow { raw, covariates, .. }) = self.rows.next().transpose()? else {
+        let Some(DeviceRow { raw, inputs, .. }) = self.rows.next().transpose()? else {
             return Ok(None);
         };
         let mut sensors = [None; SENSORS];
@@ -170,7 +170,7 @@ impl InputRows for RecordedInput {
             }
         }
         let time_s = raw.time_s - *self.first_s.get_or_insert(raw.time_s);
-        Ok(Some(InputRow { time_s, sensors, covariates }))
+        Ok(Some(InputRow { time_s, sensors, inputs }))
     }
 
     /// The orientation of the elements is unknown; the directions of the magnets are isotropic.
@@ -251,7 +251,9 @@ impl InputRows for SimulatedInput<'_> {
             *slot = Some((field_g, temperature_counts(temperature_c - REFERENCE_C)));
         }
         let row = RawRow { time_s, hall: sample.covariates.into(), forces: Vec::new() };
-        Ok(Some(InputRow { time_s, sensors, covariates: self.covariates.at(&row) }))
+        let covariates = self.covariates.at(&row);
+        let inputs = covariates.inputs(self.covariates.pole_pairs());
+        Ok(Some(InputRow { time_s, sensors, inputs }))
     }
 
     fn in_sensor_axes(&self, sensor: usize, field_g: Vector3<f64>) -> Vector3<f64> {

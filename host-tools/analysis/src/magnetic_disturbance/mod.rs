@@ -97,7 +97,7 @@ fn run(device: &DeviceUnderTest, source: &RowSource, number: u32) -> Result<Dete
     while let Some(row) = rows.next_row()? {
         let sensed = |readings| HallFrame { readings, ..HallFrame::default() };
         let readings = row.readings(gauss_per_lsb, |_| Vector3::zeros());
-        let undisturbed = clean.update(&sensed(readings), &row.covariates);
+        let undisturbed = clean.update(&sensed(readings), &row.inputs);
         let is_set = clean.detector().flag();
         if is_new {
             counts.add_clean_frame(frame, measures(clean.detector()), is_set && !was_set);
@@ -115,7 +115,7 @@ fn run(device: &DeviceUnderTest, source: &RowSource, number: u32) -> Result<Dete
             rows.in_sensor_axes(sensor, field_g)
         };
         let readings = row.readings(gauss_per_lsb, added);
-        let estimates = disturbed.update(&sensed(readings), &row.covariates);
+        let estimates = disturbed.update(&sensed(readings), &row.inputs);
         if let Some(event) = &mut event {
             let detector = disturbed.detector();
             let is_wrong = max_difference_n(&undisturbed, &estimates) > alarm_n;

@@ -53,8 +53,9 @@ pub fn evaluate(
     let building = progress::progress_bar("building tables", 2);
     let built = build(model, ModelVariant::Fitted)?;
     let networks = network.map(|path| NetworkSet::read(path, &built)).transpose()?;
-    let DeviceModel { model: file, chosen: fitted, compensations, uncompensated: left, header } =
-        built;
+    let DeviceModel {
+        model: file, chosen: fitted, compensations, uncompensated: left, header, ..
+    } = built;
     building.inc(1);
     let nominal = build(model, ModelVariant::Nominal)?.chosen;
     building.finish_and_clear();

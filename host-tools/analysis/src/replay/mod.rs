@@ -192,14 +192,14 @@ pub fn replay_with(
             && let Some(row) = input.next().transpose()?
         {
             let frame = HallFrame { readings: row.readings, ..HallFrame::default() };
-            let on_board = estimator.update(&frame, &row.covariates);
+            let on_board = estimator.update(&frame, &row.inputs);
             disturbances.update(row.raw.time_s, estimator.detector().flag());
             for (channels, memory) in sensors.iter().zip(&mut memories) {
                 let number = channels.number as usize;
                 network_valid.push(!estimator.network_diverged(number));
                 estimates.push(on_board.get(number).copied().unwrap_or_else(|| {
                     let reading = Some(channels.reading(&row.raw, models.gauss_per_lsb));
-                    estimate(&tables, number, reading, &row.covariates, memory)
+                    estimate(&tables, number, reading, &row.inputs, memory)
                 }));
             }
             rows.push(row.raw);

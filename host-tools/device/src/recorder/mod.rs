@@ -5,11 +5,14 @@ use crate::csv_writer::PagedWriter;
 use crate::format::degrees;
 use crate::state::BoardClock;
 use anyhow::{Context, Result, bail};
+use device_run::channel_map::covariate_values;
+use firmware::compensation::covariates::Covariates;
 use firmware::config::constants::TICK_US;
 use firmware::protocol::messages::{HallRaw, Message};
 use firmware::protocol::serial::Packet;
 use firmware::sensors::hall::{HallReading, SENSORS};
 use model_export::output::{check_vacant, staging_dir};
+use model_export::recordings::columns::COVARIATES;
 use model_export::recordings::description::RecordingDescription;
 use sim::campaign::recording::{force_columns, sensor_columns};
 use std::fs::{self, File};
@@ -20,6 +23,8 @@ use std::path::{Path, PathBuf};
 const LOOK_US: u64 = 200_000;
 /// Maximum delay of writing in microseconds.
 const FLUSH_US: u64 = 500_000;
+/// Decimals of the covariates: steps finer than those of the serial line.
+const COVARIATE_DECIMALS: usize = 5;
 /// Row period of the reference's table in microseconds.
 const REFERENCE_US: u64 = 10_000;
 
@@ -40,6 +45,10 @@ pub struct RecordingCounts {
     pub left_out: u64,
     /// Missing answers of each sensor.
     pub silent: [u64; SENSORS],
+    /// Recorded covariates.
+    pub covariates: Vec<&'static str>,
+    /// Rows omitted because a recorded covariate was missing.
+    pub without_covariates: u64,
     /// Duration from the first to the last row.
     pub span_us: u64,
 }
@@ -49,6 +58,8 @@ pub struct Recorder {
     target: PathBuf,
     description: RecordingDescription,
     period_us: u64,
+    /// Indices of the recorded covariates.
+    covariates: Vec<usize>,
     /// Rows received before the connected sensors are known.
     waiting: Vec<SensorRow>,
     tables: Option<Tables>,
@@ -70,6 +81,7 @@ impl Recorder {
             target: target.to_path_buf(),
             description,
             period_us,
+            covariates: Vec::new(),
             waiting: Vec::new(),
             tables: None,
             first_us: None,
@@ -163,12 +175,22 @@ impl Recorder {
                 "no sensor gave a reading, so nothing is recorded: `magpie monitor` shows the faults"
             );
         }
+        // A column needs a value in every row.
+        let covariates: Vec<usize> = (0..COVARIATES.len())
+            .filter(|&place| {
+                self.waiting.iter().all(|row| covariate_values(&row.covariates)[place].is_some())
+            })
+            .collect();
         let unwritable = || format!("{} cannot be written", self.target.display());
         let draft = staging_dir(&self.target, ".magpie-record-")?;
         self.description.write(draft.path())?;
-        let tables = Tables::create(draft.path(), &sensors).with_context(unwritable)?;
+        let names = covariates.iter().map(|&place| COVARIATES[place]);
+        self.tally.covariates = names.collect();
+        let tables = Tables::create(draft.path(), &sensors, &self.tally.covariates)
+            .with_context(unwritable)?;
         self.tables = Some(tables);
         self.tally.sensors = sensors;
+        self.covariates = covariates;
         for row in std::mem::take(&mut self.waiting) {
             self.write(&row)?;
         }
@@ -201,6 +223,15 @@ impl Recorder {
         if !whole {
             self.tally.left_out += 1;
             return Ok(());
+        }
+        let values = covariate_values(&row.covariates);
+        for &place in &self.covariates {
+            let Some(value) = values.get(place).copied().flatten() else {
+                self.tally.left_out += 1;
+                self.tally.without_covariates += 1;
+                return Ok(());
+            };
+            text += &format!(",{value:.COVARIATE_DECIMALS$}");
         }
         self.tally.rows += 1;
         let mut written = tables.hall.line(&text);
@@ -236,7 +267,7 @@ struct Tables {
 }
 
 impl Tables {
-    fn create(folder: &Path, sensors: &[usize]) -> io::Result<Self> {
+    fn create(folder: &Path, sensors: &[usize], covariates: &[&str]) -> io::Result<Self> {
         let numbers = || sensors.iter().map(|sensor| *sensor as u32);
         let table = |name: &str, columns: Vec<String>| -> io::Result<_> {
             let mut table = PagedWriter::new(File::create_new(folder.join(name))?);
@@ -245,6 +276,7 @@ impl Tables {
         };
         let mut columns = vec!["t_us".to_owned()];
         columns.extend(numbers().flat_map(sensor_columns));
+        columns.extend(covariates.iter().map(|name| (*name).to_owned()));
         Ok(Self {
             hall: table("hall.csv", columns)?,
             force: table("force.csv", force_columns(numbers()))?,
@@ -270,6 +302,8 @@ pub struct SensorRow {
     pub time_us: u64,
     /// Readings of the sensors.
     pub readings: [Option<HallReading>; SENSORS],
+    /// Covariates; none over a CAN bus.
+    pub covariates: Covariates,
 }
 
 /// The board restarted: its clock is not continuous.
@@ -314,6 +348,7 @@ impl SensorRowAssembler {
             (Packet::Tick(tick), None) => Some(SensorRow {
                 time_us: self.clock.extend(tick.time_us, at_s).ok_or(Restarted)?,
                 readings: tick.sensors.map(|sensor| sensor.reading()),
+                covariates: tick.covariates,
             }),
             (Packet::Message { message, .. }, Some(sets)) => sets.take(at_s, message),
             _ => None,
@@ -369,10 +404,11 @@ impl Sets {
         let turns = ((passed - step as f64) / 256.0).round().max(0.0) as u64;
         self.counted = Some((counter, set + step + 256 * turns, at_s));
         let readings = std::mem::take(&mut self.readings);
-        readings
-            .iter()
-            .any(Option::is_some)
-            .then_some(SensorRow { time_us: set * self.period_us, readings })
+        readings.iter().any(Option::is_some).then_some(SensorRow {
+            time_us: set * self.period_us,
+            readings,
+            covariates: Covariates::default(),
+        })
     }
 }
 
@@ -395,7 +431,8 @@ mod unit_tests {
 
     fn tick(time_us: u32) -> Packet {
         let silent = SensorTick { field: [0; 3], temperature: 0, force: [0; 2], validity: 3 };
-        Packet::Tick(Tick { time_us, sensors: [silent; SENSORS] })
+        let covariates = Covariates::default();
+        Packet::Tick(Tick { time_us, sensors: [silent; SENSORS], covariates })
     }
 
     fn xs(row: &SensorRow) -> [Option<i16>; SENSORS] {

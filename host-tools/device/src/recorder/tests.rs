@@ -26,7 +26,9 @@ fn row(ms: u64, sensors: &[usize]) -> SensorRow {
     for &sensor in sensors {
         readings[sensor] = Some(reading(sensor));
     }
-    SensorRow { time_us: 1_000_000 + 1000 * ms, readings }
+    let opening_um = Some(40_000 + ms as i32);
+    let covariates = Covariates { opening_um, ..Covariates::default() };
+    SensorRow { time_us: 1_000_000 + 1000 * ms, readings, covariates }
 }
 
 fn read(folder: &Path) -> Vec<RawRow> {
@@ -117,4 +119,24 @@ fn existing_folders_and_silent_sensors_are_errors() {
     }
     assert!(recorder.finish().unwrap_err().to_string().contains("no sensor gave a reading"));
     assert!(!folder.path().join("1").exists());
+}
+
+#[test]
+fn covariates_are_recorded_while_the_board_has_them() {
+    let folder = TempDir::new().unwrap();
+    let mut recorder = recorder(folder.path());
+    for ms in 0..1000 {
+        let mut row = row(ms, &[0, 1, 2, 3]);
+        if ms >= 900 {
+            row.covariates.opening_um = None;
+        }
+        recorder.take(row).unwrap();
+    }
+    let tally = recorder.finish().unwrap();
+    assert_eq!((tally.covariates, tally.without_covariates), (vec!["opening_mm"], 100));
+    assert_eq!((tally.rows, tally.left_out), (900, 100));
+    let rows = read(folder.path());
+    // Four sensors of four columns, then the opening.
+    assert_eq!(rows[123].hall.len(), 17);
+    assert!((rows[123].hall[16] - 40.123).abs() < 1e-9);
 }

@@ -1,12 +1,13 @@
 //! Latest state of a gripper from its messages, with counts of lost messages, recent forces and the extended board clock.
 
+use firmware::compensation::covariates::Covariates;
 use firmware::config::constants::TICK_US;
 use firmware::estimator::Validity;
 use firmware::fixed_point::Force;
 use firmware::protocol::force_newtons;
 use firmware::protocol::layout::decode;
 use firmware::protocol::messages::{
-    self, FaultEvent, GripStatus, Heartbeat, Message, Timing, Version,
+    self, FaultEvent, GripStatus, Heartbeat, Message, Power, Timing, Version,
 };
 use firmware::protocol::serial::{Packet, Tick};
 use firmware::sensors::hall::{HallReading, SENSORS};
@@ -99,6 +100,10 @@ pub struct GripperState {
     pub timing: Option<Timestamped<Timing>>,
     /// Latest status of the grip.
     pub grip: Option<Timestamped<GripStatus>>,
+    /// Latest supply and temperatures.
+    pub power: Option<Timestamped<Power>>,
+    /// Covariates of the last tick.
+    pub covariates: Option<Timestamped<Covariates>>,
     /// Sensors.
     pub sensors: [SensorState; SENSORS],
     /// Active faults by code and source, where the source is known.
@@ -146,6 +151,7 @@ impl GripperState {
                 (now, 1)
             }
         };
+        self.covariates = Some(Timestamped { value: tick.covariates, at_s });
         for (state, sensor) in self.sensors.iter_mut().zip(&tick.sensors) {
             state.force_n = sensor.force.map(|force| Force(force).newtons());
             state.validity = sensor.validity();
@@ -195,6 +201,10 @@ impl GripperState {
             Message::GripStatus(value) => {
                 let value = *value;
                 self.grip = Some(Timestamped { value, at_s });
+            }
+            Message::Power(value) => {
+                let value = *value;
+                self.power = Some(Timestamped { value, at_s });
             }
             Message::Force(force) => {
                 if let Some(sensor) = self.sensors.get_mut(copy) {
@@ -262,6 +272,7 @@ impl SensorState {
         }
         self.force_n = force_n;
         self.validity = match message {
+            messages::Force { valid: true, missing_inputs: true, .. } => Validity::MissingInputs,
             messages::Force { valid: true, .. } => Validity::Valid,
             messages::Force { stale: true, .. } => Validity::Missing,
             messages::Force { saturated: true, .. } => Validity::Saturated,

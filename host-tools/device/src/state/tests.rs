@@ -1,3 +1,4 @@
+use firmware::compensation::covariates::Covariates;
 use firmware::estimator::Estimate;
 use firmware::sensors::hall::HallFrame;
 use firmware::system::faults::FaultSet;
@@ -14,7 +15,7 @@ fn tick(time_us: u32, force: [i32; 2]) -> Packet {
         Estimate { force: force.map(Force), validity: Validity::Valid, ..Estimate::MISSING };
     let mut frame = HallFrame { time_us, ..HallFrame::default() };
     frame.readings[1] = Some(HallReading { field: [1, 2, 3], temperature: 4 });
-    Packet::Tick(Tick::of(&frame, &estimates))
+    Packet::Tick(Tick::of(&frame, &estimates, Covariates::default()))
 }
 
 #[test]

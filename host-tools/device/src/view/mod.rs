@@ -9,7 +9,7 @@ use ratatui::symbols::Marker;
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Axis, Block, Cell, Chart, Dataset, GraphType, Paragraph, Row, Table, Wrap};
 
-use crate::format::{degrees, fault_line, loss_line, validity_name};
+use crate::format::{covariates_line, degrees, fault_line, loss_line, power_line, validity_name};
 use crate::state::{GripperState, HISTORY_S, SensorState};
 
 /// Reported silence in seconds.
@@ -22,7 +22,7 @@ const LEAST_N: f64 = 5.0;
 /// Draws the state; `name` is the source.
 pub fn draw(frame: &mut Frame, name: &str, state: &GripperState, now_s: f64) {
     let rows =
-        [Constraint::Length(2), Constraint::Length(7), Constraint::Min(7), Constraint::Length(7)];
+        [Constraint::Length(3), Constraint::Length(7), Constraint::Min(7), Constraint::Length(8)];
     let [head, sensors, curves, below] = Layout::vertical(rows).areas(frame.area());
     frame.render_widget(heading(name, state, now_s), head);
     frame.render_widget(table(state, now_s), sensors);
@@ -64,7 +64,9 @@ fn heading(name: &str, state: &GripperState, now_s: f64) -> Paragraph<'static> {
     if state.heartbeat.is_some_and(|latest| latest.value.command_alive) {
         about += ", commanded";
     }
-    Paragraph::new(vec![first, Line::from(about)])
+    let covariates =
+        state.covariates.map_or_else(String::new, |latest| covariates_line(&latest.value));
+    Paragraph::new(vec![first, Line::from(about), Line::from(covariates)])
 }
 
 fn table(state: &GripperState, now_s: f64) -> Table<'static> {
@@ -86,6 +88,7 @@ fn sensor(number: usize, sensor: &SensorState, now_s: f64) -> Row<'static> {
     let sigma = |sigma: Option<f64>| sigma.map_or("?".to_owned(), |n| format!("{n:.2}"));
     let (mut words, colour) = match sensor.validity {
         Validity::Valid => (validity_name(sensor.validity).to_owned(), Color::Green),
+        Validity::MissingInputs => (validity_name(sensor.validity).to_owned(), Color::Yellow),
         _ => (validity_name(sensor.validity).to_owned(), Color::Red),
     };
     if sensor.disturbed {
@@ -195,6 +198,7 @@ fn load(state: &GripperState) -> Paragraph<'static> {
             )),
         ],
     };
+    lines.extend(state.power.map(|latest| Line::from(power_line(&latest.value))));
     let ticks = f64::from(state.ticks_hz) / SENSE_RATE.value;
     lines.push(Line::from(format!("{:.0} % of the ticks arrive here", 100.0 * ticks)));
     lines.push(match loss_line(state) {

@@ -1,7 +1,8 @@
+use firmware::compensation::covariates::{AccelerationSample, Covariates, MotorSample};
 use firmware::estimator::Estimate;
 use firmware::fixed_point::Force;
 use firmware::protocol;
-use firmware::protocol::messages::{Heartbeat, Message, Timing, Version};
+use firmware::protocol::messages::{Heartbeat, Message, Power, Timing, Version};
 use firmware::protocol::serial::{Packet, Tick};
 use firmware::sensors::hall::{HallReading, SENSORS};
 use firmware::system::faults::{Fault, FaultSet};
@@ -28,6 +29,14 @@ fn pressed() -> GripperState {
         Timing { worst_loop: 312, worst_inference: 108, i2c_errors: 7, ..Timing::default() };
     say(11.0, 0, Message::Timing(timing));
     let came = FaultSet::default().update(Fault::SensorLost, 2, true, 2).unwrap();
+    let power = Power { bus: 2400, current: 150, mcu: 41, motor: i8::MIN, sensor: 27, counter: 0 };
+    say(11.0, 0, Message::Power(power));
+    let covariates = Covariates {
+        opening_um: None,
+        motor: Some(MotorSample { age_us: 500, iq_ma: -2500, turn: 0x4000 }),
+        acceleration: Some(AccelerationSample { age_us: 300, mm_s2: [10, -20, 9807] }),
+        attitude: None,
+    };
     for tick in 0..12_000_u32 {
         let at_s = f64::from(tick) * 1e-3;
         let wave = (40.0 * (0.7 * at_s).sin() * 1024.0) as i32;
@@ -45,7 +54,7 @@ fn pressed() -> GripperState {
                 *estimate = Estimate {
                     force: [Force(sign * wave), Force(wave / 4 + 1024 * sensor as i32)],
                     sigma: Some([Force(512), Force(1024)]),
-                    validity: Validity::Valid,
+                    validity: if sensor == 1 { Validity::MissingInputs } else { Validity::Valid },
                     disturbed: sensor == 3,
                     ..Estimate::MISSING
                 };
@@ -54,7 +63,7 @@ fn pressed() -> GripperState {
             let copy = sensor as u8;
             state.update(at_s, &Packet::Message { copy, message });
         }
-        state.update(at_s, &Packet::Tick(Tick::of(&frame, &estimates)));
+        state.update(at_s, &Packet::Tick(Tick::of(&frame, &estimates, covariates)));
         if tick == 10_001 {
             let message = Message::FaultEvent(came);
             state.update(at_s, &Packet::Message { copy: 0, message });
@@ -73,6 +82,9 @@ fn the_view_shows_forces_with_sigma_faults_and_load() {
         "34.20   0.50",
         "no reading",
         "-113 9899 67",
+        "opening unknown, -2.50 A, rotor 1.57 rad, accel. 0.0 -0.0 9.8 m/s², attitude unknown",
+        "effect not compensated",
+        "24.0 V 1.50 A, MCU 41, motor ?, sensors 27",
         "valid, disturbed",
         "sensor lost, sensor 2, 2 ticks old (2.0 s)",
         "tick 312 us of 1000 at the most",

@@ -51,6 +51,8 @@ pub struct Clocks {
     pub fdcan: Frequency,
     /// Kernel clock of ADC1 and ADC2, before their own prescaler.
     pub adc12: Frequency,
+    /// Of ADC3 to ADC5.
+    pub adc345: Frequency,
     /// Clock of the random number generator.
     pub rng: Frequency,
     /// Clock of the independent watchdog.
@@ -129,6 +131,7 @@ impl Rcc {
                 usart2: HSI,
                 fdcan: Frequency(0),
                 adc12: Frequency(0),
+                adc345: Frequency(0),
                 rng: Frequency(0),
                 lsi,
             },
@@ -368,6 +371,15 @@ impl Rcc {
             2 => HSI,
             _ => Frequency(0),
         };
+        let of_converters = |selection: u8| match selection {
+            2 => system,
+            1 if pll.pllpen() => {
+                let bits = u32::from(pll.pllp().to_bits());
+                let divisor = if bits == 0 { 7 } else { bits.max(2) };
+                vco.divided_by(divisor)
+            }
+            _ => Frequency(0),
+        };
         let hsi48 = Crrcr(self.word(CRRCR)).hsi48on();
         self.clocks = Clocks {
             core,
@@ -385,15 +397,8 @@ impl Rcc {
                 2 => apb1,
                 _ => Frequency(0),
             },
-            adc12: match select.adc12sel().to_bits() {
-                2 => system,
-                1 if pll.pllpen() => {
-                    let bits = u32::from(pll.pllp().to_bits());
-                    let divisor = if bits == 0 { 7 } else { bits.max(2) };
-                    vco.divided_by(divisor)
-                }
-                _ => Frequency(0),
-            },
+            adc12: of_converters(select.adc12sel().to_bits()),
+            adc345: of_converters(select.adc345sel().to_bits()),
             rng: match select.clk48sel().to_bits() {
                 0 if hsi48 => HSI48,
                 2 => pll_q,

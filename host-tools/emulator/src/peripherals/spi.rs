@@ -1,9 +1,11 @@
-//! SPI1 as the controller of a device with frames of 16 bits, RM0440 section 39.
+//! SPI as the controller of one device, RM0440 section 39: frames of 8 or 16 bits, FIFOs of 32 bits, DMA requests.
+
+use std::collections::VecDeque;
 
 use stm32_metapac::spi::regs::{Cr1, Cr2};
 
 use crate::devices::SpiDevice;
-use crate::peripherals::{Context, bit};
+use crate::peripherals::Context;
 use crate::registers::registers;
 use crate::time::Time;
 use crate::violations::Kind;
@@ -12,19 +14,25 @@ registers! { "SPI1":
     CR1 = 0x00, CR2 = 0x04, SR = 0x08, DR16 = 0x0C, CRCPR = 0x10, RXCRCR = 0x14, TXCRCR = 0x18, I2SCFGR = 0x1C, I2SPR = 0x20,
 }
 
-/// Clock idle low, data change on the rising edge and are taken on the falling one: CPOL 0, CPHA 1.
-const MODE_1: u32 = 1;
-/// CR2.DS of 16 bits.
-const BITS_16: u8 = 0xF;
 const RESET_CR2: u32 = 0x0700;
+/// CR1: bidirectional, CRC, 8 bits of CRC, receive only, least significant bit first.
+const UNMODELLED_CR1: u32 = 0xEC80;
+/// CR2: all but the DMA requests, the select output, the data size and the reception threshold.
+const UNMODELLED_CR2: u32 = 0x60F8;
+/// Bytes that each FIFO holds.
+const FIFO_BYTES: usize = 4;
 
 /// The peripheral.
 pub struct Spi {
+    /// Modes, 2 CPOL + CPHA, that the device understands.
+    modes: &'static [u32],
     cr1: u32,
     cr2: u32,
-    received: Option<u16>,
+    received: VecDeque<u16>,
+    waiting: VecDeque<u16>,
     sending: Option<u16>,
     due: Time,
+    frame_time: Time,
     is_overrun: bool,
     /// Frames that have ended.
     pub frames: u64,
@@ -33,17 +41,25 @@ pub struct Spi {
 }
 
 impl Spi {
-    pub(crate) fn new() -> Self {
+    pub(crate) fn new(modes: &'static [u32]) -> Self {
         Self {
+            modes,
             cr1: 0,
             cr2: RESET_CR2,
-            received: None,
+            received: VecDeque::new(),
+            waiting: VecDeque::new(),
             sending: None,
             due: Time::NEVER,
+            frame_time: Time::ZERO,
             is_overrun: false,
             frames: 0,
             cut: 0,
         }
+    }
+
+    /// All registers take their reset values.
+    pub(crate) fn reset(&mut self) {
+        *self = Self::new(self.modes);
     }
 
     pub(crate) fn next_event(&self) -> Time {
@@ -59,11 +75,13 @@ impl Spi {
         if let Some(frame) = self.sending.take() {
             let answer = device.transfer(now, frame);
             self.frames += 1;
-            match self.received {
-                None => self.received = Some(answer),
-                Some(_) => self.is_overrun = true,
+            if self.received.len() < self.capacity() {
+                self.received.push_back(answer & self.mask());
+            } else {
+                self.is_overrun = true;
             }
         }
+        self.start_frame(now);
     }
 
     /// The device's select line rises.
@@ -71,20 +89,64 @@ impl Spi {
         self.cut += u64::from(self.sending.is_some());
     }
 
+    /// Request lines of DMA: receive, transmit.
+    pub(crate) fn dma_requests(&self) -> [bool; 2] {
+        let cr2 = Cr2(self.cr2);
+        [cr2.rxdmaen() && !self.received.is_empty(), cr2.txdmaen() && self.has_room()]
+    }
+
+    fn frame_bytes(&self) -> usize {
+        if Cr2(self.cr2).ds().to_bits() > 7 { 2 } else { 1 }
+    }
+
+    fn mask(&self) -> u16 {
+        if self.frame_bytes() == 2 { u16::MAX } else { 0xFF }
+    }
+
+    fn capacity(&self) -> usize {
+        FIFO_BYTES / self.frame_bytes()
+    }
+
+    /// TXE: the FIFO is at most half full.
+    fn has_room(&self) -> bool {
+        2 * self.waiting.len() <= self.capacity()
+    }
+
+    fn start_frame(&mut self, now: Time) {
+        if Cr1(self.cr1).spe() && self.sending.is_none() {
+            self.sending = self.waiting.pop_front();
+            if self.sending.is_some() {
+                self.due = now + self.frame_time;
+            }
+        }
+    }
+
     pub(crate) fn read(&mut self, offset: u32, context: &mut Context) -> u32 {
         match offset {
             CR1 => self.cr1,
             CR2 => self.cr2,
             SR => {
-                let [full, overrun, busy] =
-                    [self.received.is_some(), self.is_overrun, self.sending.is_some()]
-                        .map(u32::from);
-                full | 2 | overrun << 6 | busy << 7
+                let [full, room, overrun, busy] = [
+                    !self.received.is_empty(),
+                    self.has_room(),
+                    self.is_overrun,
+                    self.sending.is_some() || !self.waiting.is_empty(),
+                ]
+                .map(u32::from);
+                // Levels of the FIFOs: empty, a quarter, half, full.
+                let level = |frames: usize| match frames * self.frame_bytes() {
+                    0 => 0,
+                    1 => 1,
+                    2 | 3 => 2,
+                    _ => 3,
+                };
+                let levels = level(self.received.len()) << 9 | level(self.waiting.len()) << 11;
+                full | room << 1 | overrun << 6 | busy << 7 | levels
             }
             DR16 => {
                 // Reading the data and then the status clears an overrun; nothing here depends on the order.
                 self.is_overrun = false;
-                self.received.take().unwrap_or(0).into()
+                self.received.pop_front().unwrap_or(0).into()
             }
             CRCPR => 7,
             RXCRCR | TXCRCR | I2SCFGR => 0,
@@ -94,70 +156,65 @@ impl Spi {
     }
 
     /// `bytes`: width of the access. `has_pins`: clock and both data lines are connected to pins. `is_selected`: the
-    /// device's select line is low.
+    /// device's select line is low. `clock_cycles`: duration of cycles of the peripheral's clock.
     pub(crate) fn write(
         &mut self,
         offset: u32,
         value: u32,
         bytes: u32,
         [has_pins, is_selected]: [bool; 2],
+        clock_cycles: impl Fn(u64) -> Time,
         context: &mut Context,
     ) {
         match offset {
-            CR1 => self.cr1 = value,
-            CR2 => {
-                if value & 0x0FB != 0 {
+            CR1 => {
+                self.cr1 = value;
+                if value & UNMODELLED_CR1 != 0 {
                     context.report(
                         Kind::UnmodelledSetting,
                         offset,
-                        "DMA requests, interrupts, other frames",
+                        "CRC, one data line, LSB first",
                     );
+                }
+                self.start_frame(context.now);
+            }
+            CR2 => {
+                if value & UNMODELLED_CR2 != 0 || !matches!(Cr2(value).ds().to_bits(), 7 | 15) {
+                    context.report(Kind::UnmodelledSetting, offset, "interrupts, other frames");
                 }
                 self.cr2 = value;
             }
             DR16 => {
-                let (cr1, cr2) = (Cr1(self.cr1), Cr2(self.cr2));
-                let is_ready = cr1.spe() && cr1.mstr().to_bits() == 1;
-                if !is_ready
-                    || bytes != 2
-                    || cr2.ds().to_bits() != BITS_16
-                    || self.cr1 & 0xEE80 != 0 && bit(self.cr1, 15)
+                let problem = if Cr1(self.cr1).mstr().to_bits() != 1
+                    || bytes as usize != self.frame_bytes()
                 {
-                    context.report(
-                        Kind::Misconfigured,
-                        offset,
-                        "not a frame of 16 bits of a controller that is on",
-                    );
+                    Some((Kind::Misconfigured, "not a frame of a controller"))
+                } else if self.waiting.len() >= self.capacity() {
+                    Some((Kind::Overrun, "a frame while the FIFO is full"))
+                } else {
+                    None
+                };
+                if let Some((kind, text)) = problem {
+                    context.report(kind, offset, text);
                     return;
                 }
-                if self.cr1 & 3 != MODE_1 {
-                    context.report(
+                for (kind, text, is_wrong) in [
+                    (
                         Kind::Misconfigured,
-                        offset,
-                        "the device takes data on the falling edge, clock idle low",
-                    );
+                        "clock polarity or phase is not the device's",
+                        !self.modes.contains(&(self.cr1 & 3)),
+                    ),
+                    (Kind::PinNotConnected, "clock or data is not at its pin", !has_pins),
+                    (Kind::Misconfigured, "a frame without the select line", !is_selected),
+                ] {
+                    if is_wrong {
+                        context.report(kind, offset, text);
+                    }
                 }
-                if !has_pins {
-                    context.report(
-                        Kind::PinNotConnected,
-                        offset,
-                        "clock or data is not at its pin",
-                    );
-                }
-                if self.sending.is_some() {
-                    context.report(
-                        Kind::Overrun,
-                        offset,
-                        "a frame while the last one is under way",
-                    );
-                    return;
-                }
-                if !is_selected {
-                    context.report(Kind::Misconfigured, offset, "a frame without the select line");
-                }
-                self.sending = Some(value as u16);
-                let divisor = 2_u64 << cr1.br().to_bits();
-                self.due = context.now + context.clocks.apb2.cycles(16 * divisor);
+                let divisor = 2_u64 << Cr1(self.cr1).br().to_bits();
+                self.frame_time = clock_cycles(8 * self.frame_bytes() as u64 * divisor);
+                self.waiting.push_back(value as u16 & self.mask());
+                self.start_frame(context.now);
             }
             CRCPR | I2SCFGR | I2SPR if value & !7 != 0 => {
                 context.report(Kind::UnmodelledSetting, offset, "CRC or I2S");

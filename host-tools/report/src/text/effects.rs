@@ -4,6 +4,7 @@ use analysis::numbers;
 use model_export::effects::{
     CATALOGUE, DeviceForm, Effect, EffectParameter, ParameterKind, ParameterScope,
 };
+use model_export::inverse::compensation::board_conditions;
 use serde_json::{Value, json};
 
 use crate::text::terminal;
@@ -29,11 +30,19 @@ pub fn catalogue_table() -> String {
 fn compensation(effect: &Effect) -> String {
     match effect.device {
         DeviceForm::Field(_) | DeviceForm::Force(_) => {
-            "on the device, by its own compensation.".to_owned()
+            match board_conditions(effect.needs).as_slice() {
+                [] => "on the device, by its own compensation.".to_owned(),
+                conditions => {
+                    format!("on the device, by its own compensation: {}.", conditions.join("; "))
+                }
+            }
         }
         DeviceForm::Tables => "on the device, by the tables of the ideal model.".to_owned(),
         DeviceForm::Settled => {
             "not over time; the device's tables are those of the final state.".to_owned()
+        }
+        DeviceForm::Bench(remedy) => {
+            format!("not needed on the device: it is an error of the test bench; {remedy}.")
         }
         DeviceForm::Never(why) => format!("not on the device: {why}."),
     }

@@ -6,7 +6,7 @@ use firmware::protocol::can::CanFrame;
 use firmware::protocol::host_session::{HostSession, service};
 use firmware::protocol::messages::{
     Command, EStop, FaultEvent, Foot, Force, GripStatus, Heartbeat, Message, ParamReply,
-    ParamRequest, ServiceReply,
+    ParamRequest, Power, ServiceReply,
 };
 use firmware::protocol::{DEFAULT_NODE, frame_id};
 use std::cell::RefCell;
@@ -22,6 +22,8 @@ pub struct ReceivedMessages {
     pub heartbeat: Option<(u64, Heartbeat)>,
     /// Grip status.
     pub status: Option<(u64, GripStatus)>,
+    /// Latest supply and temperatures.
+    pub power: Option<(u64, Power)>,
     /// Foot status.
     pub foot: Option<(u64, Foot)>,
     /// Forces of each sensor.
@@ -115,6 +117,7 @@ impl CanHost {
                 Message::Heartbeat(beat) => self.received.heartbeat = Some((time_us, beat)),
                 Message::GripStatus(status) => self.received.status = Some((time_us, status)),
                 Message::Foot(foot) => self.received.foot = Some((time_us, foot)),
+                Message::Power(power) => self.received.power = Some((time_us, power)),
                 Message::Force(force) => {
                     let sensor = usize::from(number - Force::LAYOUT.number);
                     self.received.forces[sensor] = Some((time_us, force));
@@ -143,7 +146,8 @@ impl CanHost {
         self.session.is_armed()
     }
 
-    fn send(&self, message: Message) {
+    /// Sends a message, unless it is silent.
+    pub fn send(&self, message: Message) {
         if !self.is_silent {
             let id = frame_id(DEFAULT_NODE, message.number());
             self.bus.borrow_mut().put(CanFrame::from_bytes(id, message.to_bytes()));

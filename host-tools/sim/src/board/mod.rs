@@ -6,6 +6,7 @@
 //! - [`clock`]: virtual time.
 //! - [`world`]: what the sensors measure.
 //! - [`i2c`]: sensor buses, with sensors, registers and levels.
+//! - [`inertial`]: inertial sensor on SPI.
 //! - [`can`], [`host`]: CAN bus and a host on it.
 //! - [`serial`]: serial line.
 //! - [`flash`]: memory of the settings.
@@ -17,6 +18,7 @@ pub mod clock;
 pub mod flash;
 pub mod host;
 pub mod i2c;
+pub mod inertial;
 pub mod serial;
 pub mod world;
 
@@ -24,6 +26,7 @@ use crate::board::can::{CanBus, CanController};
 use crate::board::clock::VirtualClock;
 use crate::board::flash::Flash;
 use crate::board::i2c::{I2cSensor, SensorBusWires, SimulatedI2c};
+use crate::board::inertial::{InertialSensor, SharedInertialSensor, SimulatedSpi};
 use crate::board::serial::SerialLink;
 use crate::board::world::{NoMotor, SimulatedMotor, World, WorldClock};
 use embassy_futures::join::join;
@@ -35,16 +38,20 @@ use firmware::estimator::{self, Estimate, Estimator};
 use firmware::grip::GripController;
 use firmware::model::formats::Tables;
 use firmware::motor::MotorCommand;
+use firmware::motor::limits::Temperatures;
 use firmware::motor::screw::Screw;
 use firmware::parameters::{self, Parameters};
 use firmware::protocol::messages::Version;
 use firmware::protocol::{DEFAULT_NODE, PROTOCOL_VERSION};
 use firmware::sensors::hall::a31301::A31301;
 use firmware::sensors::hall::{HallSensor, SENSORS};
+use firmware::sensors::imu::Lsm6ds3;
+use firmware::sensors::thermistor;
 use firmware::system::crash::{Crash, CrashKind};
 use firmware::system::faults::Event;
 use firmware::system::nv_storage::ParameterStore;
-use firmware::tasks::{self, GripLoop, HostService, SharedState, TickInputs};
+use firmware::tasks::temperatures::BoardTemperatures;
+use firmware::tasks::{self, GripLoop, HostService, SharedState};
 use futures::executor::LocalPool;
 use futures::task::LocalSpawnExt;
 use model_export::gru::pack::{self, NetworkRun, PackedNetwork};
@@ -120,6 +127,8 @@ impl estimator::NetworkBank for NetworkBank<'_> {
 pub struct Connections {
     /// Sensor buses with two sensors each.
     pub buses: [Rc<RefCell<SensorBusWires>>; 2],
+    /// Inertial sensor.
+    pub inertial: SharedInertialSensor,
     /// CAN bus.
     pub can: Rc<RefCell<CanBus>>,
     /// Serial line.
@@ -141,7 +150,8 @@ impl Connections {
             });
             Rc::new(RefCell::new(SensorBusWires::new(sensors.to_vec(), now.clone())))
         });
-        Self { buses, can: Rc::default(), line: Rc::default(), now }
+        let inertial = Rc::new(RefCell::new(InertialSensor::new(now.clone())));
+        Self { buses, inertial, can: Rc::default(), line: Rc::default(), now }
     }
 
     /// Modifies a sensor, by its number on the gripper.
@@ -264,7 +274,22 @@ impl VirtualTimeBoard {
             tasks::sense::<A31301, _, _, _>(buses, addresses, &limits, &clock, &exchange).await;
         });
         let (clock, exchange) = parts();
-        let now = self.connections.now.clone();
+        let sensor = self.connections.inertial.clone();
+        self.spawn(async move {
+            let imu = Lsm6ds3::new(SimulatedSpi { sensor, clock: clock.clone() });
+            tasks::inertial::inertial(imu, &clock, &exchange).await;
+        });
+        let (clock, exchange) = parts();
+        let motor = self.motor.clone();
+        self.spawn(async move {
+            let measure = || {
+                let [motor, stage] = motor.borrow_mut().thermistors().map(thermistor::celsius);
+                // The chip of this board has no temperature.
+                BoardTemperatures { mcu: None, motor: Temperatures { motor, stage } }
+            };
+            tasks::temperatures::temperatures(measure, &clock, &exchange).await;
+        });
+        let (clock, exchange) = parts();
         let motor = self.motor.clone();
         self.spawn(async move {
             let compensations: Vec<_> =
@@ -274,15 +299,9 @@ impl VirtualTimeBoard {
             let networks =
                 networks.map(|all| NetworkBank(all.iter().map(|one| one.run()).collect()));
             let mut estimator = Estimator::new(&tables, networks);
-            let around = || {
-                let time_us = clock.now_us();
-                TickInputs {
-                    auxiliary: now.borrow_mut().at(time_us).covariates,
-                    motor: motor.borrow_mut().status(time_us),
-                }
-            };
+            let motor = || Some(motor.borrow_mut().status(clock.now_us()));
             let scrub = tasks::scrub::<_, Tables, 0, _, _>(&tables, &[], &clock, &exchange);
-            let estimate = tasks::estimate(&mut estimator, around, &limits, &clock, &exchange);
+            let estimate = tasks::estimate(&mut estimator, motor, &limits, &clock, &exchange);
             join(scrub, estimate).await;
         });
         let (clock, exchange) = parts();

@@ -1,10 +1,11 @@
 //! Worlds of a simulated board: what its sensors measure each millisecond, and the motor's interface.
 
 use crate::drivetrain::fingertips::SensorForces;
+use crate::drivetrain::sensors::{ROOM_C, imu_registers, thermistor_counts};
 use crate::hall_sensor::NOISE_G;
 use device_run::channel_map::field_counts;
 use device_run::{RecordedRows, ReplayModels};
-use firmware::compensation::auxiliary_inputs::AuxiliaryInputs;
+use firmware::clock::Timed;
 use firmware::config::constants::{SENSE_RATE, TICK_US};
 use firmware::motor::{MotorCommand, MotorStatus};
 use firmware::sensors::hall::{HallReading, SENSORS};
@@ -24,9 +25,12 @@ use rand_distr::{Distribution, Normal};
 pub struct WorldSample {
     /// Sensor registers; none where the gripper lacks the sensor.
     pub readings: [Option<HallReading>; SENSORS],
-    /// Covariates of the force estimate.
-    pub covariates: AuxiliaryInputs,
+    /// Output registers of the inertial sensor: rate, then acceleration; none where the gripper lacks it.
+    pub inertial: Option<InertialRegisters>,
 }
+
+/// Output registers of an LSM6DS3TR-C: rate and acceleration, x to z, little-endian.
+pub type InertialRegisters = [u8; 12];
 
 /// A sequence of samples.
 pub trait World {
@@ -36,14 +40,17 @@ pub trait World {
 
 /// Motor control and drivetrain behind the board's motor interface.
 pub trait SimulatedMotor {
-    /// Last status at this time.
-    fn status(&mut self, time_us: u64) -> MotorStatus;
+    /// The newest status at this time, with the time at which it was taken.
+    fn status(&mut self, time_us: u64) -> Timed<MotorStatus>;
 
     /// Queues an order at this time; fails while the previous one is pending.
     ///
     /// # Errors
     /// The order itself.
     fn order(&mut self, time_us: u64, order: MotorCommand) -> Result<(), MotorCommand>;
+
+    /// Counts of the thermistors of motor and power stage.
+    fn thermistors(&mut self) -> [u16; 2];
 
     /// Switches the outputs off and restarts at this time.
     fn restart(&mut self, time_us: u64);
@@ -53,12 +60,16 @@ pub trait SimulatedMotor {
 pub struct NoMotor;
 
 impl SimulatedMotor for NoMotor {
-    fn status(&mut self, _: u64) -> MotorStatus {
-        MotorStatus::default()
+    fn status(&mut self, time_us: u64) -> Timed<MotorStatus> {
+        Timed { time_us, value: MotorStatus::default() }
     }
 
     fn order(&mut self, _: u64, _: MotorCommand) -> Result<(), MotorCommand> {
         Ok(())
+    }
+
+    fn thermistors(&mut self) -> [u16; 2] {
+        [thermistor_counts(ROOM_C); 2]
     }
 
     fn restart(&mut self, _: u64) {}
@@ -177,7 +188,8 @@ impl World for PressedWorld {
     }
 }
 
-/// A recording, replayed at the board's rate whatever its clock.
+/// A recording, replayed at the board's rate whatever its clock: the registers of Hall sensors and inertial sensor. It has
+/// no motor: opening, current and rotor angle are unknown to the board.
 pub struct RecordedWorld {
     rows: RecordedRows,
     /// Read error; the world ends there.
@@ -194,7 +206,15 @@ impl RecordedWorld {
 impl World for RecordedWorld {
     fn next(&mut self) -> Option<WorldSample> {
         match self.rows.next()? {
-            Ok(row) => Some(WorldSample { readings: row.readings, covariates: row.covariates }),
+            Ok(row) => {
+                // A recording has no angular rate; without yaw the device does not need the tilt.
+                let acceleration = row.covariates.acceleration.map(|sample| sample.mm_s2);
+                Some(WorldSample {
+                    readings: row.readings,
+                    inertial: acceleration
+                        .map(|mm_s2| imu_registers(mm_s2.map(|a| 1e-3 * f64::from(a)), [0.0; 3])),
+                })
+            }
             Err(problem) => {
                 self.problem = Some(problem);
                 None

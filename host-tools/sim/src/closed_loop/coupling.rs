@@ -6,10 +6,11 @@ use crate::closed_loop::motor_rig::MotorRig;
 use crate::drivetrain::PERIOD_S;
 use crate::drivetrain::fingertips::{FOOT_KG, Fingertips, Impact, distribute_forces};
 use crate::drivetrain::mechanics::DriveTrain;
-use crate::drivetrain::sensors::SimulatedImu;
+use crate::drivetrain::sensors::{ROOM_C, SimulatedImu, chip_counts, thermistor_counts};
 use crate::motion::{self, GRAVITY};
 use emulator::Time;
 use emulator::devices::{Drivetrain, SpiDevice};
+use firmware::clock::Timed;
 use firmware::config::constants::{PWM_RATE, TICK_US};
 use firmware::motor::power_stage::{BridgeCommand, MotorSamples};
 use firmware::motor::state::SupplyState;
@@ -82,6 +83,8 @@ pub struct SimulatedGripper {
     pub tripped: Option<(u64, Trip)>,
     /// Time at which the motor first found its supply out of range.
     pub out_us: Option<u64>,
+    /// Temperatures of motor and power stage in degrees Celsius.
+    pub temperatures_c: [f64; 2],
     tips: Fingertips,
     inertial: SimulatedImu,
     specific_force: Vector3<f64>,
@@ -91,7 +94,7 @@ pub struct SimulatedGripper {
     /// Phase of the motor's status updates in PWM periods: its clock is not that of the sensors.
     status_phase: u64,
     pending_order: Option<MotorCommand>,
-    status: MotorStatus,
+    status: Timed<MotorStatus>,
     samples: u64,
     /// The timer of an emulated chip advances it, not its own rig.
     is_driven_by_chip: bool,
@@ -109,6 +112,7 @@ impl SimulatedGripper {
             last_order_us: 0,
             tripped: None,
             out_us: None,
+            temperatures_c: [ROOM_C; 2],
             tips,
             inertial: SimulatedImu::new(seed),
             specific_force: Vector3::new(0.0, 0.0, GRAVITY),
@@ -116,7 +120,7 @@ impl SimulatedGripper {
             is_second_half: false,
             status_phase: seed % STATUS_PERIODS,
             pending_order: None,
-            status: MotorStatus::default(),
+            status: Timed::default(),
             samples: 0,
             is_driven_by_chip: false,
         }
@@ -149,7 +153,8 @@ impl SimulatedGripper {
         errors.jam(&mut self.rig.plant.train, before);
         self.record_detections();
         if self.periods % STATUS_PERIODS == self.status_phase {
-            self.status = self.rig.motor.status();
+            let time_us = self.periods * PERIOD_US;
+            self.status = Timed { time_us, value: self.rig.motor.status() };
         }
         self.step_fingertips();
     }
@@ -213,10 +218,8 @@ impl SimulatedGripper {
             current_a: plant.direct_quadrature_a()[1],
         };
         let readings = self.tips.sample(&drive, plant.time_s());
-        let motion = self.inertial.sample(self.specific_force.into(), [0.0; 3]);
-        let mut covariates = self.status.auxiliary_inputs();
-        covariates.acceleration = Some(motion.acceleration);
-        WorldSample { readings, covariates }
+        let inertial = Some(self.inertial.sample(self.specific_force.into(), [0.0; 3]));
+        WorldSample { readings, inertial }
     }
 }
 
@@ -252,6 +255,11 @@ impl Drivetrain for PowerStagePins {
     fn sample(&mut self) -> [u16; 4] {
         self.0.borrow_mut().convert()
     }
+
+    fn temperatures(&mut self) -> [u16; 3] {
+        let [motor, stage] = self.0.borrow().temperatures_c.map(thermistor_counts);
+        [chip_counts(ROOM_C), motor, stage]
+    }
 }
 
 /// Its rotor sensor, an AS5047P: each frame returns the answer to the previous one.
@@ -285,7 +293,7 @@ impl SpiDevice for RotorSensor {
 pub struct GripperMotor(pub SharedGripper);
 
 impl SimulatedMotor for GripperMotor {
-    fn status(&mut self, time_us: u64) -> MotorStatus {
+    fn status(&mut self, time_us: u64) -> Timed<MotorStatus> {
         let mut gripper = self.0.borrow_mut();
         gripper.advance(time_us);
         gripper.status
@@ -303,10 +311,14 @@ impl SimulatedMotor for GripperMotor {
         }
     }
 
+    fn thermistors(&mut self) -> [u16; 2] {
+        self.0.borrow().temperatures_c.map(thermistor_counts)
+    }
+
     fn restart(&mut self, time_us: u64) {
         let mut gripper = self.0.borrow_mut();
         gripper.advance(time_us);
         gripper.rig.restart();
-        (gripper.pending_order, gripper.status) = (None, MotorStatus::default());
+        (gripper.pending_order, gripper.status) = (None, Timed::default());
     }
 }

@@ -1,6 +1,7 @@
 //! The firmware's image in an emulated chip, with the same connections and gripper as the tasks in virtual time: boot,
 //! drivers, interrupts, DMA, execution times and stack are those of the image.
 
+use crate::board::inertial::InertialPins;
 use crate::board::world::World;
 use crate::board::{Connections, SimulatedBoard};
 use crate::closed_loop::coupling::{PowerStagePins, RotorSensor, SharedGripper};
@@ -90,7 +91,10 @@ impl EmulatedBoard {
         let [first, second] = connections.buses.clone();
         let devices = Devices {
             sensor_buses: [Box::new(first), Box::new(second)],
-            encoder: Box::new(RotorSensor::new(gripper.clone())),
+            spi: [
+                Box::new(RotorSensor::new(gripper.clone())),
+                Box::new(InertialPins(connections.inertial.clone())),
+            ],
             drivetrain: Box::new(PowerStagePins(gripper)),
             can: Box::new(connections.can.clone()),
             serial: Box::new(connections.line.clone()),

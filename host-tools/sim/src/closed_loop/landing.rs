@@ -11,6 +11,7 @@ use firmware::grip::commands::mode;
 use firmware::grip::states::TaskState;
 use firmware::protocol::messages::{Command, Foot};
 use firmware::sensors::hall::SENSORS;
+use firmware::sensors::imu::decode;
 use std::f64::consts::PI;
 
 /// Opening of the closed fingers, in mm.
@@ -111,7 +112,7 @@ impl Landing {
                 landed.record(&bench, sampled_s, &impact);
             }
             sampled_s = now_s;
-            let motion = inertial.sample([0.0, 0.0, specific_force], [0.0; 3]);
+            let motion = decode(inertial.sample([0.0, 0.0, specific_force], [0.0; 3]));
             bench.acceleration = Some(motion.acceleration);
             let moved_mm = (1e3 * bench.rig.plant.opening_m() - parked_mm).abs();
             landed.moved_mm = landed.moved_mm.max(moved_mm);

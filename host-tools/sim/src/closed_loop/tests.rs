@@ -1,7 +1,7 @@
 //! The firmware's motor control on the plant.
 
-use crate::board::world::{World, WorldSample};
-use crate::closed_loop::coupling::{GripperWorld, SimulatedGripper};
+use crate::board::world::{SimulatedMotor, World, WorldSample};
+use crate::closed_loop::coupling::{GripperMotor, GripperWorld, SimulatedGripper};
 use crate::closed_loop::frequency_response::{bandwidth_hz, frequency_response, step_response};
 use crate::closed_loop::motor_rig::{
     DriveCase, MotorRig, run_at_speed, run_to_position, static_force_n, wiring,
@@ -10,8 +10,10 @@ use crate::closed_loop::requirements;
 use crate::drivetrain::fingertips::{Fingertips, Impact};
 use crate::drivetrain::mechanics::Object;
 use crate::drivetrain::parameters::{Lead, PlantParameters, SCATTER};
-use firmware::config::constants;
+use firmware::config::constants::{self, TICK_US};
 use firmware::motor::{MotorCommand, MotorState, Setpoint, Settings};
+use firmware::sensors::imu::decode;
+use firmware::tasks::FIRST_TICK_US;
 use std::cell::RefCell;
 use std::rc::Rc;
 
@@ -122,10 +124,11 @@ fn world_samples_follow_the_gripper() {
     let moved = |sensor| i32::from(lateral(held, sensor)) - i32::from(lateral(&before, sensor));
     assert!(moved(0) > 200 && moved(2) < -200, "{} {}", moved(0), moved(2));
     // The foot's 40 N are 20 m/s^2 on top of gravity.
-    let specific_force = |moment: &WorldSample| moment.covariates.acceleration.unwrap()[2];
+    let specific_force = |moment: &WorldSample| decode(moment.inertial.unwrap()).acceleration[2];
     assert!((specific_force(held) - 9810).abs() < 100, "{}", specific_force(held));
     assert!((specific_force(landing) - 29_500).abs() < 1000, "{}", specific_force(landing));
-    let opening_um = held.covariates.opening_um.unwrap();
-    assert!((36_000..38_100).contains(&opening_um), "{opening_um}");
-    assert!(held.covariates.motor.unwrap().iq_ma > 1900);
+    let status = GripperMotor(gripper).status(FIRST_TICK_US + 310 * TICK_US).value;
+    let opening_mm = status.opening_mm.unwrap();
+    assert!((36.0..38.1).contains(&opening_mm), "{opening_mm}");
+    assert!(status.current.q > 1.9);
 }

@@ -1,8 +1,8 @@
 //! Sensors of motor and gripper with their errors: currents, bus voltage, rotor angle, acceleration and rate.
 
+use crate::board::world::InertialRegisters;
 use crate::random::{Purpose, normal, stream, uniform};
 use firmware::config::constants;
-use firmware::sensors::imu::{ImuReading, decode};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use std::f64::consts::TAU;
@@ -115,6 +115,26 @@ fn turn_counts(angle_rad: f64) -> u16 {
     ((within * turn) as u32 % turn as u32) as u16
 }
 
+/// Temperature of the room in degrees Celsius.
+pub const ROOM_C: f64 = 25.0;
+const ZERO_K: f64 = 273.15;
+
+/// Counts of a thermistor between the converter's input and ground at a temperature in degrees Celsius.
+pub fn thermistor_counts(celsius: f64) -> u16 {
+    let reference_k = ZERO_K + 25.0;
+    let ohm = 1e3
+        * constants::THERMISTOR_RESISTANCE.value
+        * libm::exp(constants::THERMISTOR_B.value * (1.0 / (ZERO_K + celsius) - 1.0 / reference_k));
+    counts(MAX_COUNTS * ohm / (ohm + 1e3 * constants::THERMISTOR_PULL_UP.value))
+}
+
+/// Counts of the chip's own temperature sensor: linear between those of its calibration at 30 and 130 degrees Celsius, which
+/// was at 3.0 V instead of 3.3 V.
+pub fn chip_counts(celsius: f64) -> u16 {
+    let [cold, hot] = emulator::TEMPERATURE_CALIBRATION.map(f64::from);
+    counts((cold + (hot - cold) * (celsius - 30.0) / 100.0) * 3.0 / 3.3)
+}
+
 /// Scales of a count at +-4 g, in m/s^2, and at +-2000 degrees per second.
 const ACCELERATION_PER_COUNT: f64 = 0.122e-3 * 9.806_65;
 const RATE_PER_COUNT_DEG_S: f64 = 0.07;
@@ -122,7 +142,7 @@ const RATE_PER_COUNT_DEG_S: f64 = 0.07;
 const ACCELERATION_NOISE: f64 = 90e-6 * 9.806_65 * 20.4;
 const RATE_NOISE_DEG_S: f64 = 5e-3 * 20.4;
 
-/// Simulated LSM6DS3TR-C.
+/// Measurement noise of an LSM6DS3TR-C.
 #[derive(Clone, Debug)]
 pub struct SimulatedImu {
     rng: ChaCha8Rng,
@@ -134,30 +154,32 @@ impl SimulatedImu {
         Self { rng: stream(seed, Purpose::Inertial, 0) }
     }
 
-    /// Reading of this specific force in m/s^2 and rate in degrees per second, encoded as registers.
-    pub fn sample(&mut self, specific_force: [f64; 3], rate_deg_s: [f64; 3]) -> ImuReading {
-        let turn =
-            rate_deg_s.map(|value| self.counts(value, RATE_NOISE_DEG_S, RATE_PER_COUNT_DEG_S));
-        let acceleration = specific_force
-            .map(|value| self.counts(value, ACCELERATION_NOISE, ACCELERATION_PER_COUNT));
-        let mut bytes = [0; 12];
-        let words = turn.iter().chain(&acceleration);
-        for (place, word) in bytes.chunks_exact_mut(2).zip(words) {
-            place.copy_from_slice(&word.to_le_bytes());
-        }
-        decode(bytes)
+    /// Registers at this specific force in m/s^2 and this rate in degrees per second.
+    pub fn sample(&mut self, specific_force: [f64; 3], rate_deg_s: [f64; 3]) -> InertialRegisters {
+        let mut noisy = |value, noise| value + noise * normal(&mut self.rng);
+        let rate = rate_deg_s.map(|value| noisy(value, RATE_NOISE_DEG_S));
+        imu_registers(specific_force.map(|value| noisy(value, ACCELERATION_NOISE)), rate)
     }
+}
 
-    fn counts(&mut self, value: f64, noise: f64, per_count: f64) -> i16 {
-        // The cast saturates.
-        ((value + noise * normal(&mut self.rng)) / per_count).round() as i16
+/// Registers of an LSM6DS3TR-C at this specific force in m/s^2 and this rate in degrees per second.
+pub fn imu_registers(specific_force: [f64; 3], rate_deg_s: [f64; 3]) -> InertialRegisters {
+    // The casts saturate.
+    let counts = |value: f64, per_count: f64| (value / per_count).round() as i16;
+    let rate = rate_deg_s.map(|value| counts(value, RATE_PER_COUNT_DEG_S));
+    let acceleration = specific_force.map(|value| counts(value, ACCELERATION_PER_COUNT));
+    let mut bytes = [0; 12];
+    for (place, word) in bytes.chunks_exact_mut(2).zip(rate.iter().chain(&acceleration)) {
+        place.copy_from_slice(&word.to_le_bytes());
     }
+    bytes
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::drivetrain::parameters::noise_stream;
+    use firmware::sensors::imu::decode;
 
     #[test]
     fn one_ampere_is_80_counts_24_v_are_1600_and_both_saturate() {
@@ -195,7 +217,7 @@ mod tests {
         let mut inertial = SimulatedImu::new(1);
         let (mut mean, mut squares) = (0.0, 0.0);
         for _ in 0..4000 {
-            let motion = inertial.sample([0.0, 0.0, 9.81], [0.0; 3]);
+            let motion = decode(inertial.sample([0.0, 0.0, 9.81], [0.0; 3]));
             let off = f64::from(motion.acceleration[2]) - 9810.0;
             (mean, squares) = (mean + off / 4000.0, squares + off * off / 4000.0);
         }
@@ -206,7 +228,7 @@ mod tests {
 
     #[test]
     fn acceleration_saturates_at_4_g() {
-        let motion = SimulatedImu::new(1).sample([100.0, -100.0, 0.0], [0.0; 3]);
+        let motion = decode(SimulatedImu::new(1).sample([100.0, -100.0, 0.0], [0.0; 3]));
         assert!((39_000..39_400).contains(&motion.acceleration[0]));
         assert!((-39_400..-39_000).contains(&motion.acceleration[1]));
     }

@@ -5,13 +5,13 @@ use crate::board::i2c::I2cSensor;
 use crate::closed_loop::grasp_rig::contact_object;
 use crate::closed_loop::{ClosedLoop, ClosedLoopSetup};
 use crate::drivetrain::fingertips::Impact;
+use crate::drivetrain::sensors::ROOM_C;
 use crate::faults::operating_state::OperatingState;
 use firmware::config::constants::{self, TICK_US};
 use firmware::config::limits::GripLimits;
 use firmware::grip::fault_reactions::{Reaction, reaction};
 use firmware::grip::redundant_copy::COPY_WORDS;
-use firmware::motor::limits::Temperatures;
-use firmware::motor::{MotorCommand, as5047};
+use firmware::motor::as5047;
 use firmware::sensors::hall::a31301::FIELD_LIMITS;
 use firmware::system::faults::Fault;
 use std::f64::consts::PI;
@@ -415,13 +415,7 @@ impl InjectedFault {
                     if train.speed_rad_s > 1.0 { OVER_SPEED_RAD_S } else { -OVER_SPEED_RAD_S };
                 (train.speed_rad_s, train.travel_m_s) = (speed_rad_s, speed_rad_s * ratio);
             }
-            Self::Hot => {
-                let mut gripper = cell.gripper.borrow_mut();
-                gripper.rig.motor.handle_command(MotorCommand::Temperatures(Temperatures {
-                    motor: None,
-                    stage: Some(115.0),
-                }));
-            }
+            Self::Hot => cell.gripper.borrow_mut().temperatures_c = [ROOM_C, 115.0],
             Self::Jam => cell.gripper.borrow_mut().errors.is_jammed = true,
             Self::OverForce => {
                 let mut gripper = cell.gripper.borrow_mut();

@@ -9,6 +9,7 @@ use firmware::config::constants;
 use firmware::grip::commands::mode;
 use firmware::grip::states::{PowerState, TASK_CODE, TaskState};
 use firmware::protocol::messages::Command;
+use firmware::protocol::opening_mm;
 use firmware::protocol::session::op;
 use serde_json::{Value, json};
 
@@ -427,7 +428,7 @@ impl Session {
     }
 
     fn opening_mm(&self) -> Option<f64> {
-        self.client.state.grip.map(|status| 0.01 * f64::from(status.value.position))
+        opening_mm(&self.client.state.grip?.value)
     }
 
     /// Active faults after a colon; empty without faults.
@@ -504,10 +505,11 @@ impl CommandLog {
     fn line(&self, client: &Client, now_s: f64) -> String {
         let state = self.state.map_or("-".to_owned(), session::state_name);
         let mut text = format!("{now_s:>7.2} s  {state:<14}");
-        if let Some([force_n, opening_mm, current_a]) = measurements(client) {
-            text += &format!(
-                "  force {force_n:>6.1} N  opening {opening_mm:>6.2} mm  current {current_a:>6.2} A"
-            );
+        if let Some(([force_n, current_a], opening_mm)) = measurements(client) {
+            let opening =
+                opening_mm.map_or_else(|| "unknown".to_owned(), |mm| format!("{mm:>6.2} mm"));
+            text +=
+                &format!("  force {force_n:>6.1} N  opening {opening}  current {current_a:>6.2} A");
         }
         if self.faults.is_empty() { text } else { text + "  fault: " + &self.faults.join("; ") }
     }
@@ -535,24 +537,21 @@ impl CommandLog {
     }
 }
 
-/// Grasping force in newtons, opening in millimetres, current in amperes.
-fn measurements(client: &Client) -> Option<[f64; 3]> {
+/// Grasping force in newtons and current in amperes; opening in millimetres, if it is known.
+fn measurements(client: &Client) -> Option<([f64; 2], Option<f64>)> {
     let status = client.state.grip?.value;
-    Some([
-        0.1 * f64::from(status.force),
-        0.01 * f64::from(status.position),
-        0.01 * f64::from(status.current),
-    ])
+    let values = [0.1 * f64::from(status.force), 0.01 * f64::from(status.current)];
+    Some((values, opening_mm(&status)))
 }
 
 fn point(client: &Client, now_s: f64) -> Option<Value> {
-    let [force_n, opening_mm, current_a] = measurements(client)?;
+    let ([force_n, current_a], opening_mm) = measurements(client)?;
     let state = client.state.heartbeat.map(|beat| session::state_name(beat.value.state));
     Some(json!({
         "time_s": rounded(now_s),
         "state": state,
         "force_n": rounded(force_n),
-        "opening_mm": rounded(opening_mm),
+        "opening_mm": opening_mm.map(rounded),
         "current_a": rounded(current_a),
     }))
 }

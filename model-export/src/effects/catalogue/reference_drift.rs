@@ -39,7 +39,7 @@ pub const EFFECT: Effect = Effect {
         meaning: "steady wander of the reference's lateral zero",
         shared: true,
     }),
-    device: DeviceForm::Never("it is an error of the test bench, not of the gripper"),
+    device: DeviceForm::Bench("correct the reference sensor"),
     is_transient: false,
     apply,
 };

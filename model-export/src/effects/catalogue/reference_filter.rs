@@ -38,7 +38,7 @@ pub const EFFECT: Effect = Effect {
         meaning: "time constant of the reference's own filter",
         shared: true,
     }),
-    device: DeviceForm::Never("it is an error of the test bench, not of the gripper"),
+    device: DeviceForm::Bench("correct the reference sensor"),
     is_transient: false,
     apply,
 };

@@ -54,6 +54,31 @@ pub(super) struct Converter<'a> {
     pub(super) units: f64,
 }
 
+/// When the board has a covariate of a recording; `None`: always.
+pub fn board_condition(covariate: &str) -> Option<&'static str> {
+    match covariate {
+        "opening_mm" => Some("after homing"),
+        "motor_iq_a" | "motor_angle_rad" => Some("while the rotor sensor works"),
+        "accel_x_mps2" | "accel_y_mps2" | "accel_z_mps2" => {
+            Some("with an inertial sensor, or while a host sends attitude and acceleration")
+        }
+        "roll_rad" | "pitch_rad" => Some("with an inertial sensor, or while a host sends them"),
+        "yaw_rad" => Some("while a host sends the yaw"),
+        _ => None,
+    }
+}
+
+/// Conditions under which the board compensates an effect that needs these covariates, each once.
+pub fn board_conditions<S: AsRef<str>>(covariates: &[S]) -> Vec<&'static str> {
+    let mut conditions = Vec::new();
+    for condition in covariates.iter().filter_map(|name| board_condition(name.as_ref())) {
+        if !conditions.contains(&condition) {
+            conditions.push(condition);
+        }
+    }
+    conditions
+}
+
 impl OwnedCompensation {
     /// Builds the compensation of one sensor; `None` without compensated effects.
     pub fn build(
@@ -73,7 +98,10 @@ impl OwnedCompensation {
                 EffectTerm::Catalogue(known) => match known.device {
                     DeviceForm::Field(form) => own.field.push(converter.field(form, values)?),
                     DeviceForm::Force(form) => own.force.push(converter.force(form, values)?),
-                    DeviceForm::Tables | DeviceForm::Settled | DeviceForm::Never(_) => {}
+                    DeviceForm::Tables
+                    | DeviceForm::Settled
+                    | DeviceForm::Bench(_)
+                    | DeviceForm::Never(_) => {}
                 },
                 // A polynomial, the only base with channel-wise effects, has no inverse.
                 EffectTerm::Channelwise(_) => {}
