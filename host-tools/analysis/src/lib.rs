@@ -9,7 +9,10 @@
 //! - [`network_training`]: training of recurrent networks.
 //! - [`magnetic_disturbance`]: detection rate and false alarms of the disturbance detector.
 //! - [`calibration`], [`network_calibration`]: coverage of predicted standard deviations.
+//! - [`notes`]: remarks beside a result.
 //! - [`statistics`]: running statistics. [`numbers`]: numbers as text. [`progress`]: progress bars.
+//!
+//! Results are data; the crate `report` writes their text.
 
 pub mod benchmark;
 pub mod calibration;
@@ -21,6 +24,7 @@ pub mod fit;
 pub mod magnetic_disturbance;
 pub mod network_calibration;
 pub mod network_training;
+pub mod notes;
 pub mod numbers;
 pub mod progress;
 pub mod replay;
