@@ -19,6 +19,7 @@ use model_export::recordings::align::Alignment;
 use serde::Serialize;
 
 use crate::compare::campaign_reader::check_distinct;
+use crate::notes::{Note, UncompensatedEffect, collect};
 use crate::progress;
 use crate::replay::evaluation::{replay_all, rmse_n};
 
@@ -36,8 +37,8 @@ pub struct ModelEdit {
     pub model: ModelFile,
     /// Force error of the device code; `None` if the base has no inverse or an effect no compensation.
     pub device: Option<DeviceComparison>,
-    /// Notes for the user.
-    pub notices: Vec<String>,
+    /// Notes on the recordings and on the effects.
+    pub notes: Vec<Note>,
 }
 
 /// RMS force errors of the device code over all sensors and axes, in newtons.
@@ -51,9 +52,8 @@ pub struct DeviceComparison {
     pub recording: String,
     /// True if both models were fitted without that recording.
     pub held_out: bool,
-    /// Effects that the device does not compensate, each with the reason.
-    #[serde(rename = "left")]
-    pub uncompensated: Vec<String>,
+    /// Effects that the device does not compensate.
+    pub uncompensated: Vec<UncompensatedEffect>,
 }
 
 /// Refits a model with the effects `before` and with the effects `after`.
@@ -65,36 +65,37 @@ pub fn refit(
     alignment: Alignment,
     options: FitOptions,
 ) -> Result<ModelEdit> {
-    let mut notices: Vec<String> = campaign.notices().map(ToString::to_string).collect();
-    let prepared = model.fit_setup(&campaign, options)?;
-    notices.extend(prepared.notices.iter().map(ToString::to_string));
-    for effect in &after {
-        notices.extend(check_identifiable(effect, &after, model.base, &campaign)?);
-        check_defined(effect, &prepared)?;
-    }
-    progress::print_notes(&notices);
-    let all: Vec<EffectTerm> = before.iter().chain(&after).cloned().collect();
-    let split = prepared.split(&all);
-    let bar = progress::progress_bar("fitting sensors, before and after", 2 * prepared.rows.len());
-    let fit = |effects: &[EffectTerm]| prepared.fit(effects, split, options, |_| bar.inc(1));
-    let (old, new) = (fit(&before)?, fit(&after)?);
-    bar.finish_and_clear();
-    let provenance = Provenance::of(&campaign, alignment.delay_us, options)?;
-    let sources = provenance.recordings.iter();
-    check_distinct(&provenance.campaign, sources.map(|r| (&*r.name, &*r.sha256)))?;
-    let sides = [(&before, &old), (&after, &new)].map(|(effects, fit)| Fitted { effects, fit });
-    let printed = notices.len();
-    let device =
-        replay_before_and_after(&campaign, &prepared, &provenance, alignment, sides, &mut notices)?;
-    progress::print_notes(&notices[printed..]);
-    Ok(ModelEdit {
-        device,
-        sizes: effect_sizes(&new, &after, campaign.recordings.len()),
-        model: ModelFile::with_effects(&campaign, &prepared, &new, &after, provenance),
-        before: (before, old),
-        after: (after, new),
-        campaign,
-        notices,
+    collect(|notes| {
+        let prepared = model.fit_setup(&campaign, options)?;
+        let mut constant = Vec::new();
+        for effect in &after {
+            constant.extend(check_identifiable(effect, &after, model.base, &campaign)?);
+            check_defined(effect, &prepared)?;
+        }
+        let notices = campaign.notices().chain(&prepared.notices);
+        notes.extend(notices.cloned().map(Note::Recording).chain(constant));
+        let all: Vec<EffectTerm> = before.iter().chain(&after).cloned().collect();
+        let split = prepared.split(&all);
+        let bar =
+            progress::progress_bar("fitting sensors, before and after", 2 * prepared.rows.len());
+        let fit = |effects: &[EffectTerm]| prepared.fit(effects, split, options, |_| bar.inc(1));
+        let (old, new) = (fit(&before)?, fit(&after)?);
+        bar.finish_and_clear();
+        let provenance = Provenance::of(&campaign, alignment.delay_us, options)?;
+        let sources = provenance.recordings.iter();
+        check_distinct(&provenance.campaign, sources.map(|r| (&*r.name, &*r.sha256)))?;
+        let sides = [(&before, &old), (&after, &new)].map(|(effects, fit)| Fitted { effects, fit });
+        let device =
+            replay_before_and_after(&campaign, &prepared, &provenance, alignment, sides, notes)?;
+        Ok(ModelEdit {
+            device,
+            sizes: effect_sizes(&new, &after, campaign.recordings.len()),
+            model: ModelFile::with_effects(&campaign, &prepared, &new, &after, provenance),
+            before: (before, old),
+            after: (after, new),
+            campaign,
+            notes: std::mem::take(notes),
+        })
     })
 }
 
@@ -117,13 +118,13 @@ pub fn channelwise(model: &ModelFile, effects: Vec<EffectTerm>) -> Result<Vec<Ef
     Ok(all)
 }
 
-/// Checks that an effect is identifiable from these recordings; returns a notice if a covariate is constant.
+/// Checks that an effect is identifiable from these recordings; returns a note for each constant covariate.
 fn check_identifiable(
     effect: &EffectTerm,
     all: &[EffectTerm],
     base: BaseKind,
     campaign: &Campaign,
-) -> Result<Vec<String>> {
+) -> Result<Vec<Note>> {
     let name = effect.name();
     if base == BaseKind::Polynomial && effect.stage().needs_geometry() {
         bail!(
@@ -135,19 +136,17 @@ fn check_identifiable(
             "the opening affects the field only through the neighbour's magnet: add neighbour_magnet before {name}, or both together"
         );
     }
-    let mut notices = Vec::new();
+    let mut notes = Vec::new();
     for column in effect.needs() {
         if peak_to_peak(campaign, &column)? == 0.0 {
-            notices.push(format!(
-                "{column} is constant in these recordings: {name} is not identifiable{}",
-                match effect.effect() {
-                    Some(effect) => format!(". Record: {}", effect.record),
-                    None => String::new(),
-                }
-            ));
+            notes.push(Note::ConstantCovariate {
+                column,
+                effect: name.to_owned(),
+                record: effect.effect().map(|effect| effect.record),
+            });
         }
     }
-    Ok(notices)
+    Ok(notes)
 }
 
 /// Fails if a formula is undefined (NaN or infinite) at a row of these recordings.
@@ -211,19 +210,19 @@ struct Fitted<'a> {
 }
 
 /// Replays the last recording with both models, cross-validated if the split is by recording. `None` if the base
-/// has no inverse or an effect cannot be compensated on the device; the reason is then added to `notices`.
+/// has no inverse or an effect cannot be compensated on the device; the reason is then added to `notes`.
 fn replay_before_and_after(
     campaign: &Campaign,
     prepared: &FitSetup,
     provenance: &Provenance,
     alignment: Alignment,
     [before, after]: [Fitted; 2],
-    notices: &mut Vec<String>,
+    notes: &mut Vec<Note>,
 ) -> Result<Option<DeviceComparison>> {
     let (Some(last), true) = (campaign.recordings.last(), prepared.design.is_some()) else {
         return Ok(None);
     };
-    let run = |fitted: &Fitted| -> Result<(f64, Vec<String>)> {
+    let run = |fitted: &Fitted| -> Result<(f64, Vec<UncompensatedEffect>)> {
         let fit = match fitted.fit.split {
             CvSplit::Recordings(count) => fitted.fit.without(count - 1),
             CvSplit::KFold | CvSplit::Interleaved => fitted.fit.clone(),
@@ -237,7 +236,7 @@ fn replay_before_and_after(
         Ok(both) => both,
         Err(error) => match error.downcast_ref::<BuildError>() {
             Some(BuildError::NotCompensable(why)) => {
-                notices.push(why.to_string());
+                notes.push(Note::NotCompensable(why.clone()));
                 return Ok(None);
             }
             _ => return Err(error),
@@ -256,15 +255,11 @@ fn replay_model(
     model: ModelFile,
     folder: &Path,
     alignment: Alignment,
-) -> Result<(f64, Vec<String>)> {
+) -> Result<(f64, Vec<UncompensatedEffect>)> {
     let bytes = toml::to_string(&model)?;
     let built =
         build_model(model, Path::new("the new model"), bytes.as_bytes(), ModelVariant::Fitted)?;
     let models = ReplayModels::of(&built);
     let replays = replay_all(&[PathBuf::from(folder)], models, alignment)?;
-    let uncompensated = built
-        .uncompensated
-        .iter()
-        .map(|(effect, why)| format!("{effect} is not compensated: {why}"));
-    Ok((rmse_n(&replays), uncompensated.collect()))
+    Ok((rmse_n(&replays), UncompensatedEffect::of(&built).collect()))
 }

@@ -10,6 +10,7 @@ use model_export::recordings::{Campaign, Notice};
 
 use crate::compare::campaign_reader::{check_distinct, read_campaign, scan_with_progress};
 use crate::data_quality::Finding;
+use crate::notes::{Note, collect};
 use crate::progress;
 
 /// A fitted model and what it was fitted to.
@@ -20,8 +21,8 @@ pub struct CampaignFit {
     pub fits: CampaignFits,
     /// The model.
     pub model: ModelFile,
-    /// Notes for the user.
-    pub notices: Vec<Notice>,
+    /// Notes on the recordings and on the fit.
+    pub notes: Vec<Note>,
 }
 
 /// Reads a campaign and fits the base physics to all sensors. Without a `degree`, that of a polynomial is chosen by
@@ -36,35 +37,31 @@ pub fn fit_model(
     alignment: Alignment,
     options: FitOptions,
 ) -> Result<CampaignFit> {
-    let campaign = read_campaign(folder, alignment)?;
-    let mut notices: Vec<Notice> = campaign.notices().cloned().collect();
-    notices.extend(data_findings(folder, &notices)?);
-    progress::print_notes(&notices);
-    let (fits, more) = fit_campaign(&campaign, base, degree, options)?;
-    progress::print_notes(&more);
-    notices.extend(more);
-    let provenance = Provenance::of(&campaign, alignment.delay_us, options)?;
-    let sources = provenance.recordings.iter();
-    check_distinct(&provenance.campaign, sources.map(|r| (&*r.name, &*r.sha256)))?;
-    let model = ModelFile::of(&campaign, &fits, provenance);
-    Ok(CampaignFit { campaign, fits, model, notices })
+    collect(|notes| {
+        let campaign = read_campaign(folder, alignment)?;
+        let findings = data_findings(folder, &campaign)?;
+        notes.extend(campaign.notices().cloned().map(Note::Recording));
+        notes.extend(findings.into_iter().map(Note::SetupError));
+        let (fits, notices) = fit_campaign(&campaign, base, degree, options)?;
+        notes.extend(notices.into_iter().map(Note::Recording));
+        let provenance = Provenance::of(&campaign, alignment.delay_us, options)?;
+        let sources = provenance.recordings.iter();
+        check_distinct(&provenance.campaign, sources.map(|r| (&*r.name, &*r.sha256)))?;
+        let model = ModelFile::of(&campaign, &fits, provenance);
+        Ok(CampaignFit { campaign, fits, model, notes: std::mem::take(notes) })
+    })
 }
 
-/// Data-quality findings that affect the fit, except in files that `known` covers already.
-fn data_findings(campaign: &Path, known: &[Notice]) -> Result<Vec<Notice>> {
-    let findings = scan_with_progress(campaign)?;
+/// Setup errors that affect the fit, except in files that a notice of the reader covers already.
+fn data_findings(folder: &Path, campaign: &Campaign) -> Result<Vec<Finding>> {
+    let mut findings = scan_with_progress(folder)?;
     let is_new = |finding: &Finding| {
         // A constant covariate does not affect a fit that does not use it.
         finding.id != "constant_covariate"
-            && !known.iter().any(|notice| notice.location.file == finding.place.file)
+            && !campaign.notices().any(|notice| notice.location.file == finding.place.file)
     };
-    let new = findings.into_iter().filter(is_new);
-    Ok(new
-        .map(|finding| Notice {
-            location: finding.place,
-            message: format!("{} (details: `magpie compare`)", finding.message),
-        })
-        .collect())
+    findings.retain(is_new);
+    Ok(findings)
 }
 
 /// Fits the base physics to all sensors, with progress; also returns the notices of the fit.

@@ -10,7 +10,10 @@
 //! - [`magnetic_disturbance`]: detection rate and false alarms of the disturbance detector.
 //! - [`reference_delay`]: delay between the clocks of board and reference.
 //! - [`calibration`], [`network_calibration`]: coverage of predicted standard deviations.
+//! - [`notes`]: remarks beside a result.
 //! - [`statistics`]: running statistics. [`numbers`]: numbers as text. [`progress`]: progress bars.
+//!
+//! Results are data; the crate `report` writes their text.
 
 pub mod benchmark;
 pub mod calibration;
@@ -22,6 +25,7 @@ pub mod fit;
 pub mod magnetic_disturbance;
 pub mod network_calibration;
 pub mod network_training;
+pub mod notes;
 pub mod numbers;
 pub mod progress;
 pub mod reference_delay;

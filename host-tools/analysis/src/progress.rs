@@ -1,4 +1,4 @@
-//! Progress bars, on stderr of a terminal only, and notes on stderr.
+//! Progress bars, on stderr of a terminal only.
 
 use std::time::Duration;
 
@@ -34,13 +34,6 @@ pub fn epoch_bar(message: &'static str, epochs: u32, done: u32) -> ProgressBar {
 pub fn growing_bar() -> ProgressBar {
     let template = "{msg:<44} [{bar:20}] {elapsed}, at most {eta} left";
     styled(ProgressBar::new(0), template, "fitting the physics")
-}
-
-/// Prints messages as notes on stderr.
-pub fn print_notes(notes: &[impl std::fmt::Display]) {
-    for note in notes {
-        eprintln!("note: {note}");
-    }
 }
 
 fn styled(bar: ProgressBar, template: &str, message: &'static str) -> ProgressBar {

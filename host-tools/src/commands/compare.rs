@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use anyhow::Result;
 
 use crate::commands::args::CompareArgs;
+use crate::commands::print_notes;
 use analysis::compare::pipeline::compare;
 use analysis::data_quality::fix;
 use report::text::comparison::{format_report, to_json};
@@ -41,6 +42,7 @@ pub fn run(args: &Args) -> Result<()> {
         input.align.alignment()?,
         input.options(),
     )?;
+    print_notes(&comparison.notes);
     terminal::print_result(input.json, || to_json(&comparison), || format_report(&comparison))?;
     common.write_report(&comparison, &[])?;
     if let Some(to) = &args.fix {

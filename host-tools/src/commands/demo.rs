@@ -14,6 +14,7 @@ use model_export::output::write_output;
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 
+use crate::commands::print_notes;
 use analysis::compare::campaign_reader::{
     Caching, CampaignReader, ScannedCampaign, scan_with_progress,
 };
@@ -98,6 +99,7 @@ pub fn run(args: &Args) -> Result<()> {
     ))?;
 
     let outcome = evaluate(&model_path, &held_out.folder, None, ALIGNMENT)?;
+    print_notes(&outcome.notes);
     terminal::print(&format!(
         "4. The evaluation. The held-out recording {}, row by row through the device code.\n\n{}\n{}\n",
         held_out.name,
@@ -169,6 +171,7 @@ type ErrorSteps = Vec<(String, f64)>;
 fn improve(fitted: &Fitted, scanned: ScannedCampaign) -> Result<()> {
     let comparison =
         compare_scanned(fitted.model_path, fitted.model, None, scanned, None, fitted.options)?;
+    print_notes(&comparison.notes);
     terminal::print(&format!(
         "5. The residual. Model and measurement over all recordings.\n\n{}\n",
         terminal::paragraph(&text::comparison::verdict(&comparison))
@@ -217,9 +220,11 @@ fn add_effects(fitted: &Fitted, diagnosis: &Diagnosis) -> Result<ErrorSteps> {
             ALIGNMENT,
             fitted.options,
         )?;
+        print_notes(&edit.notes);
         let path = fitted.output.join(format!("better-{}.toml", i + 1));
         edit.model.write(&path)?;
         let after = evaluate(&path, fitted.held_out, None, ALIGNMENT)?;
+        print_notes(&after.notes);
         let newtons = rmse_n(&after.fitted);
         steps.push((format!("+ {}", step.join(" or ")), newtons));
     }

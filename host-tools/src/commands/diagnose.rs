@@ -5,6 +5,7 @@ use anyhow::Result;
 use model_export::model_file::ModelFile;
 
 use crate::commands::args::{CompareArgs, ExprArgs};
+use crate::commands::print_notes;
 use analysis::compare::campaign_reader::{Caching, ScannedCampaign};
 use analysis::compare::pipeline::compare_scanned;
 use analysis::diagnose::suggestions::{Invocation, suggest};
@@ -64,6 +65,7 @@ pub fn run(args: &Args) -> Result<()> {
     if common.output.is_some() {
         let comparison =
             compare_scanned(&input.model, &model, None, scanned, refit.as_ref(), options)?;
+        print_notes(&comparison.notes);
         common.write_report(&comparison, &report::html::diagnosis::sections(&diagnosis))?;
     }
     Ok(())

@@ -13,6 +13,7 @@ use report::text::edit_model::{format_report, to_json};
 use report::text::terminal;
 
 use crate::commands::args::{CampaignArgs, ExprArgs};
+use crate::commands::print_notes;
 
 /// Arguments of `add` and `remove`.
 #[derive(Debug, clap::Args)]
@@ -39,6 +40,7 @@ fn edit(
     let before = model.effect_terms(&args.input.model)?;
     let after = channelwise(&model, edit_effects(&model, &before, &campaign)?)?;
     let edited = refit(campaign, &model, before, after, alignment, options)?;
+    print_notes(&edited.notes);
     terminal::print_result(args.input.json, || to_json(&edited), || format_report(&edited))?;
     if let Some(path) = &args.output {
         edited.model.write(path)?;

@@ -2,12 +2,14 @@
 
 use std::path::PathBuf;
 
+use analysis::notes::{Note, UncompensatedEffect};
 use anyhow::{Result, bail};
 use firmware::sensors::hall::SENSORS;
 use model_export::inverse::build::{DeviceModel, ModelVariant, build};
 use model_export::inverse::codegen::{MARK, source_with_networks, tables_source};
 use model_export::output::{check_output, write_output};
 
+use crate::commands::print_notes;
 use device_run::networks::NetworkSet;
 use report::text::export::{format_tables, to_json, worst_map};
 use report::text::terminal;
@@ -59,9 +61,8 @@ pub fn run(args: &Args) -> Result<()> {
         Some(networks) => source_with_networks(&built, &networks.packed)?,
     };
     write_output(&args.output, source.as_bytes(), MARK)?;
-    for (effect, why) in &built.uncompensated {
-        eprintln!("note: {effect} is not compensated: {why}");
-    }
+    let uncompensated = UncompensatedEffect::of(&built).map(Note::Uncompensated);
+    print_notes(&uncompensated.collect::<Vec<_>>());
     for (effect, conditions) in &built.conditions {
         eprintln!("note: the board compensates {effect} {}", conditions.join("; "));
     }

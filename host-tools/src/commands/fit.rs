@@ -12,6 +12,7 @@ use report::text::fit::{format_report, to_json};
 use report::text::terminal;
 
 use crate::commands::args::AlignArgs;
+use crate::commands::print_notes;
 
 /// Fit the base physics to a campaign and write a model file.
 #[derive(Debug, clap::Args)]
@@ -71,6 +72,7 @@ pub fn run(args: &Args) -> Result<()> {
     let alignment = args.align.alignment()?;
     let options = FitOptions { seed: args.seed, ..FitOptions::default() };
     let fit = fit_model(&args.campaign, args.base.kind(), args.degree, alignment, options)?;
+    print_notes(&fit.notes);
     terminal::print_result(args.json, || to_json(&fit), || format_report(&fit))?;
     if let Some(path) = &args.output {
         fit.model.write(path)?;

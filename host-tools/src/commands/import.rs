@@ -1,13 +1,15 @@
 //! `magpie import`: converts measurement tables to a campaign with a mapping file.
 
-use analysis::progress;
 use std::path::PathBuf;
 
+use analysis::notes::Note;
+use analysis::progress;
 use anyhow::Result;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::{Campaign, import};
 use serde_json::json;
 
+use crate::commands::print_notes;
 use report::text::terminal;
 
 /// Convert measurement tables to a campaign with a mapping file (columns, units, scale, clocks).
@@ -46,7 +48,7 @@ pub fn run(args: &Args) -> Result<()> {
     let (imported, notices) =
         import::import(&args.mapping, &args.sources, &args.output, |_| bar.inc(1))?;
     bar.finish_and_clear();
-    analysis::progress::print_notes(&notices);
+    print_notes(&notices.into_iter().map(Note::Recording).collect::<Vec<_>>());
     if args.json {
         let recordings = imported.iter().map(|recording| {
             let (hall, force, measured) = recording.rows;

@@ -25,6 +25,7 @@ pub mod train;
 use std::ffi::OsString;
 use std::process::ExitCode;
 
+use analysis::notes::{ErrorWithNotes, Note};
 use clap::{CommandFactory, Parser, Subcommand};
 
 /// Calibrates Hall-effect force sensors of a robot gripper, diagnoses missing physical effects, and operates the
@@ -99,9 +100,19 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
+            if let Some(error) = error.downcast_ref::<ErrorWithNotes>() {
+                print_notes(&error.notes);
+            }
             eprintln!("magpie: {error:#}");
             ExitCode::FAILURE
         }
+    }
+}
+
+/// Prints notes on stderr.
+fn print_notes(notes: &[Note]) {
+    for note in notes {
+        eprintln!("note: {}", report::text::notes::text(note));
     }
 }
 

@@ -8,6 +8,7 @@ use report::text::replay::{format_report, to_json};
 use report::text::terminal;
 
 use crate::commands::args::AlignArgs;
+use crate::commands::print_notes;
 
 /// Run every row of a campaign through the device code and compare the forces with the reference.
 #[derive(Debug, clap::Args)]
@@ -35,5 +36,6 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<()> {
     let evaluation =
         evaluate(&args.model, &args.campaign, args.network.as_deref(), args.align.alignment()?)?;
+    print_notes(&evaluation.notes);
     terminal::print_result(args.json, || to_json(&evaluation), || format_report(&evaluation))
 }

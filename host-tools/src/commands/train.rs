@@ -14,6 +14,7 @@ use model_export::gru::train::trainer::{Trainer, TrainingSettings};
 use model_export::output::check_output;
 
 use crate::commands::args::AlignArgs;
+use crate::commands::print_notes;
 use analysis::network_calibration::NetworkCalibration;
 use analysis::network_training::TrainingResult;
 use analysis::network_training::dataset::TrainingData;
@@ -176,6 +177,7 @@ pub fn run(args: &Args) -> Result<()> {
     let start = Instant::now();
     let alignment = common.align.alignment()?;
     let data = TrainingData::read(&common.model, &common.campaign, common.hold_out, alignment)?;
+    print_notes(&data.notes);
     let mut trainer = Trainer::new(
         common.settings(data.built.model.force_range_n()),
         args.topology(),

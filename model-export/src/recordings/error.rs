@@ -3,8 +3,10 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use serde::Serialize;
+
 /// A position in the input.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Location {
     /// The file, or the folder in which a file is missing.
     pub file: PathBuf,
@@ -206,7 +208,7 @@ impl ErrorKind {
 }
 
 /// A warning about a recording; processing continues.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Notice {
     /// Where the finding was made.
     pub location: Location,

@@ -2,6 +2,7 @@
 
 use crate::benchmark::variants::PhysicsLevel;
 use crate::compare::campaign_reader::{check_sensor_scale, held_out_index, read_campaign};
+use crate::notes::{Note, UncompensatedEffect};
 use anyhow::{Result, bail};
 use firmware::config::constants;
 use model_export::effects::EffectTerm;
@@ -36,8 +37,8 @@ pub struct BenchmarkData {
     pub seed: u64,
     /// Whether a learning curve is requested.
     pub curve: bool,
-    /// Notes to the user.
-    pub notes: Vec<String>,
+    /// Notes on the model's effects.
+    pub notes: Vec<Note>,
 }
 
 impl BenchmarkData {
@@ -129,21 +130,15 @@ fn refuse_copies(campaign: &Campaign, held_out: &Path) -> Result<()> {
     Ok(())
 }
 
-fn notes(model: &ModelFile, effects: &[EffectTerm], held_out: &Path) -> Result<Vec<String>> {
+fn notes(model: &ModelFile, effects: &[EffectTerm], held_out: &Path) -> Result<Vec<Note>> {
     let mut notes = Vec::new();
     if effects.is_empty() {
-        notes.push(
-            "the model has no effects, so the variants of physics with effects are left out: `magpie diagnose` finds missing effects, `magpie add` adds them"
-                .to_owned(),
-        );
+        notes.push(Note::NoEffects);
         return Ok(notes);
     }
     let held_out_sha256 = fingerprint(held_out)?;
     if model.provenance.recordings.iter().any(|r| r.sha256 == held_out_sha256) {
-        notes.push(format!(
-            "the model was also fitted to recording {}: its parameters are fitted again without it, but its effects may have been selected with it",
-            recording_name(held_out)
-        ));
+        notes.push(Note::EffectsNotHeldOut { recording: recording_name(held_out) });
     }
     Ok(notes)
 }
@@ -164,8 +159,8 @@ pub struct FittedPhysics {
     with_effects: Option<DeviceModel>,
     /// Names of the effects.
     pub effects: Vec<String>,
-    /// Notes to the user.
-    pub notes: Vec<String>,
+    /// Notes on the recordings and on the effects.
+    pub notes: Vec<Note>,
 }
 
 impl FittedPhysics {
@@ -194,22 +189,23 @@ pub fn refit(data: &BenchmarkData, seconds: f64) -> Result<FittedPhysics> {
         Ok(ModelFile::with_effects(&campaign, &prepared, &fit, effects, provenance))
     };
     let ideal = model(&[])?;
-    let mut notes: Vec<String> = prepared.notices.iter().map(ToString::to_string).collect();
+    let mut notes: Vec<Note> = prepared.notices.iter().cloned().map(Note::Recording).collect();
     let with_effects = if data.effects.is_empty() {
         None
     } else {
         match model(&data.effects).and_then(|model| built(model, Inverted::Fitted)) {
             Ok(built) => Some(built),
             Err(error) => {
-                notes.push(format!(
-                    "with {seconds:.0} s of data the physics with effects is left out: {error:#}"
-                ));
+                notes.push(Note::EffectsLeftOut {
+                    training_s: seconds,
+                    error: format!("{error:#}"),
+                });
                 None
             }
         }
     };
-    let uncompensated = with_effects.iter().flat_map(|built| &built.uncompensated);
-    notes.extend(uncompensated.map(|(effect, why)| format!("{effect} is not compensated: {why}")));
+    let uncompensated = with_effects.iter().flat_map(UncompensatedEffect::of);
+    notes.extend(uncompensated.map(Note::Uncompensated));
     Ok(FittedPhysics {
         nominal: built(ideal.clone(), Inverted::Nominal)?,
         fitted: built(ideal, Inverted::Fitted)?,

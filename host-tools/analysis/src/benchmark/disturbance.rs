@@ -17,8 +17,6 @@ pub struct DisturbanceResult {
     pub variant: EstimatorVariant,
     /// Whether the rows are of a simulated gripper; otherwise of the held-out recording.
     pub simulated: bool,
-    /// Description of variant and rows.
-    pub description: String,
     /// The counts.
     pub counts: DetectionCounts,
 }
@@ -53,20 +51,14 @@ pub fn evaluate_disturbance(
         (None, PhysicsLevel::Effects) => EstimatorVariant::Physics,
         (None, _) => EstimatorVariant::IdealFitted,
     };
-    let (source, rows) = match simulated(data) {
-        Some(gripper) => (
-            RowSource::Simulated(Box::new(gripper)),
-            "on new recordings of the same simulated gripper".to_owned(),
-        ),
-        None => (
-            RowSource::Recorded(RecordedGripper::open(
-                data.held_out.clone(),
-                data.alignment,
-                built,
-                data.seed,
-            )?),
-            format!("on recording {} with added fields of magnets", data.held_out_name()),
-        ),
+    let source = match simulated(data) {
+        Some(gripper) => RowSource::Simulated(Box::new(gripper)),
+        None => RowSource::Recorded(RecordedGripper::open(
+            data.held_out.clone(),
+            data.alignment,
+            built,
+            data.seed,
+        )?),
     };
     let bar = progress::progress_bar("magnetic disturbances", 0);
     let counts = count_rows(&DeviceUnderTest { built, networks }, &source, hours, &bar)?;
@@ -74,7 +66,6 @@ pub fn evaluate_disturbance(
     Ok(Some(DisturbanceResult {
         variant,
         simulated: matches!(source, RowSource::Simulated(_)),
-        description: format!("The firmware's detector with {}, {rows}:", variant.words()),
         counts,
     }))
 }

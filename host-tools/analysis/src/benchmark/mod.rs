@@ -25,6 +25,7 @@ use crate::benchmark::disturbance::{DisturbanceResult, evaluate_disturbance, net
 use crate::benchmark::evaluate::{LearningPoint, VariantResult, evaluate, learning_curve};
 use crate::benchmark::train_variants::{TrainingData, VariantTrainer};
 use crate::benchmark::variants::EstimatorVariant;
+use crate::notes::Note;
 
 /// The networks of a variant.
 #[derive(Clone, Debug)]
@@ -58,8 +59,8 @@ pub struct Benchmark {
     pub simulated: bool,
     /// Effects of the physics model.
     pub effects: Vec<String>,
-    /// Notes to the user.
-    pub notes: Vec<String>,
+    /// Notes on the recordings, and on effects and networks that were left out.
+    pub notes: Vec<Note>,
 }
 
 impl Benchmark {
@@ -96,7 +97,7 @@ pub fn run_benchmark(
         };
         let set = match trainer.train(variant, &training, built, training_s) {
             Err(error) if error.is::<QuantiseError>() => {
-                notes.push(format!("left out because it does not fit the device: {error:#}"));
+                notes.push(Note::NetworkLeftOut { variant, error: format!("{error:#}") });
                 continue;
             }
             set => set?,

@@ -2,9 +2,10 @@
 
 use model_export::gru::network::Target;
 use model_export::gru::train::dataset::Topology;
+use serde::Serialize;
 
 /// A force estimator, in order of increasing knowledge of the gripper.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub enum EstimatorVariant {
     /// The design before any fit: the paper's ideal model.
     IdealNominal,

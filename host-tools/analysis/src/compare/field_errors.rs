@@ -5,6 +5,7 @@ use crate::compare::covariates::all_covariates;
 use crate::compare::cv_plan::{CvPlan, FoldModel, RecordingFolds};
 use crate::compare::residual_table::{MAX_ROWS, ResidualTable};
 use crate::compare::{Envelope, Trace};
+use crate::notes::Note;
 use crate::progress;
 use crate::statistics::ErrorAccumulator;
 use anyhow::{Result, bail};
@@ -48,15 +49,19 @@ pub struct FieldEvaluation {
     pub origins_s: Vec<f64>,
     /// Duration of each recording in seconds.
     pub spans_s: Vec<f64>,
-    /// Notes on the recordings.
+    /// Notices of the reader on the recordings.
     pub notices: Vec<Notice>,
 }
 
-/// Evaluates the field of every sensor that model and recordings have in common.
+/// Evaluates the field of every sensor that model and recordings have in common; the others are added to `notes`.
 ///
 /// # Errors
 /// A recording cannot be read or is of another gripper, or no sensor has field and forces.
-pub fn evaluate_fields(plan: &CvPlan, source: &CampaignReader) -> Result<FieldEvaluation> {
+pub fn evaluate_fields(
+    plan: &CvPlan,
+    source: &CampaignReader,
+    notes: &mut Vec<Note>,
+) -> Result<FieldEvaluation> {
     let campaign = source.folder.as_path();
     let mut evaluation = FieldEvaluation {
         sensors: Vec::new(),
@@ -79,7 +84,11 @@ pub fn evaluate_fields(plan: &CvPlan, source: &CampaignReader) -> Result<FieldEv
             .collect::<Result<Vec<Cow<Recording>>, DataError>>()?;
         for (&place, recording) in places.iter().zip(read) {
             match &first {
-                None => evaluation.sensors = sensors(&plan.models[0].model, &recording, campaign)?,
+                None => {
+                    let model = &plan.models[0].model;
+                    evaluation.sensors = sensors(model, &recording, campaign)?;
+                    notes.extend(left_out(model, &recording, &evaluation.sensors));
+                }
                 Some(first) => same_gripper(campaign, first, &recording)?,
             }
             evaluation.add(plan, place, &recording, before_s)?;
@@ -143,20 +152,17 @@ fn sensors(
         );
     }
     list.sort_by_key(|sensor| sensor.sensor);
-    for number in recording.sensors.keys() {
-        if !model.sensors.iter().any(|sensor| sensor.number == *number) {
-            eprintln!("note: sensor {number} of the recordings is not in the model and is ignored");
-        }
-    }
-    for sensor in &model.sensors {
-        if !list.iter().any(|own| own.sensor == sensor.number) {
-            let number = sensor.number;
-            eprintln!(
-                "note: sensor {number} of the model lacks field or forces in these recordings and is ignored"
-            );
-        }
-    }
     Ok(list)
+}
+
+/// Notes on the sensors that only the recordings or only the model have.
+fn left_out(model: &ModelFile, recording: &Recording, common: &[SensorEvaluation]) -> Vec<Note> {
+    let modelled = || model.sensors.iter().map(|sensor| sensor.number);
+    let recorded = recording.sensors.keys().copied();
+    let not_in_model = recorded.filter(|number| !modelled().any(|own| own == *number));
+    let not_recorded = modelled().filter(|number| !common.iter().any(|own| own.sensor == *number));
+    let not_in_model = not_in_model.map(|sensor| Note::NotInModel { sensor });
+    not_in_model.chain(not_recorded.map(|sensor| Note::NotRecorded { sensor })).collect()
 }
 
 impl FieldEvaluation {

@@ -279,8 +279,7 @@ fn finish(channels: &[(u32, [Channel; 2])]) -> ForceEvaluation {
             let own = &channels[axis].histogram;
             fine.iter_mut().zip(own).for_each(|(all, own)| *all += own);
         }
-        let of = ["lateral", "longitudinal"][axis];
-        rebinned(format!("error of the {of} force / N"), &fine)
+        rebinned(axes[axis], &fine)
     };
     ForceEvaluation {
         errors: errors.collect(),
@@ -290,7 +289,7 @@ fn finish(channels: &[(u32, [Channel; 2])]) -> ForceEvaluation {
 }
 
 /// Rebins to [`BINS`] bins over [`DISPLAYED`] of the rows.
-fn rebinned(of: String, fine: &[u64]) -> Histogram {
+fn rebinned(axis: Axis, fine: &[u64]) -> Histogram {
     let all: u64 = fine.iter().sum();
     let middle = FINE / 2;
     let inside = |half: usize| fine[middle - half..middle + half].iter().sum::<u64>();
@@ -306,7 +305,7 @@ fn rebinned(of: String, fine: &[u64]) -> Histogram {
         counts[(bin.max(0.0) as usize).min(BINS - 1)] += count;
     }
     Histogram {
-        of,
+        axis,
         edges: (0..=BINS).map(|i| (first + (i * each) as f64 - middle as f64) * fine_n).collect(),
         counts,
     }

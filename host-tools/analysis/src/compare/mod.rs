@@ -13,8 +13,10 @@
 use std::borrow::Cow;
 
 use crate::data_quality::Finding;
+use crate::notes::Note;
 use crate::statistics::{ErrorStatistics, pooled_rms};
 use model_export::fit::cross_validation::CvSplit;
+use model_export::model_file::SensorScale;
 use model_export::recordings::columns::Axis;
 use serde::Serialize;
 
@@ -111,10 +113,35 @@ pub struct Comparison {
     pub traces: Vec<Trace>,
     /// Errors of lateral and longitudinal force over all sensors, as in the paper's Fig. 8.
     pub histograms: Vec<Histogram>,
-    /// Provenance as name and value: version, files with hashes, seeds, assumptions.
-    pub provenance: Vec<(String, String)>,
+    /// Provenance of the results; `None` if a setup error stops the comparison.
+    pub provenance: Option<ComparisonProvenance>,
+    /// Notes on the recordings and on the models, including the baseline model.
+    pub notes: Vec<Note>,
     /// The baseline model of `--baseline` on the same rows.
     pub other: Option<Box<Comparison>>,
+}
+
+/// What the results of a comparison were computed from.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ComparisonProvenance {
+    /// Campaign that the model was fitted to.
+    pub fitted_campaign: String,
+    /// Number of its recordings.
+    pub fitted_recordings: usize,
+    /// Number of its aligned rows.
+    pub fitted_rows: usize,
+    /// Name and version of the tool that fitted the model.
+    pub fitted_by: String,
+    /// Names of the model's effects.
+    pub effects: Vec<String>,
+    /// Block length of the bootstrap in seconds.
+    pub block_s: f64,
+    /// Seed of the bootstrap.
+    pub seed: u64,
+    /// Scale of the sensors.
+    pub sensor_scale: SensorScale,
+    /// Names of the compared recordings, each with the SHA-256 over its files.
+    pub recordings: Vec<(String, String)>,
 }
 
 /// Error of a perfect model in gauss, and its components.
@@ -268,11 +295,11 @@ pub struct Trace {
 }
 
 /// Histogram of an error.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Histogram {
-    /// Label with unit.
-    pub of: String,
-    /// Bin edges; the first and last bin include errors beyond them.
+    /// The force: X lateral, Z longitudinal.
+    pub axis: Axis,
+    /// Bin edges in newtons; the first and last bin include errors beyond them.
     pub edges: Vec<f64>,
     /// Rows per bin.
     pub counts: Vec<u64>,

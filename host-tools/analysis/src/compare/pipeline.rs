@@ -3,14 +3,15 @@
 use crate::compare::attribution::{Attributor, RankedCovariate};
 use crate::compare::bootstrap_bands::BlockBootstrap;
 use crate::compare::campaign_reader::{Caching, CampaignReader, ScannedCampaign};
-use crate::compare::cv_plan::{CvPlan, ModelRefit, RecordingFolds};
+use crate::compare::cv_plan::{CvPlan, ModelRefit};
 use crate::compare::field_errors::{FieldEvaluation, SensorEvaluation, evaluate_fields};
 use crate::compare::force_errors::evaluate_forces;
 use crate::compare::pure_error::{drift_at_rest, pure_error};
 use crate::compare::residual_table::{ResidualTable, residual_map, worst_intervals};
-use crate::compare::{Attribution, Comparison, FieldAxisErrors, NoiseFloor};
+use crate::compare::{Attribution, Comparison, ComparisonProvenance, FieldAxisErrors, NoiseFloor};
 use crate::data_quality::model_checks::SensorPrediction;
 use crate::data_quality::{Finding, check_against_model, merge};
+use crate::notes::{Note, collect};
 use crate::progress;
 use anyhow::Result;
 use model_export::effects::{EffectTerm, ExcitationSeries};
@@ -59,7 +60,6 @@ pub fn compare_scanned(
         model: path.display().to_string(),
         campaign: folder.display().to_string(),
         findings,
-        provenance: vec![("tool".to_owned(), format!("magpie {}", env!("CARGO_PKG_VERSION")))],
         ..Comparison::default()
     };
     let Some(source) = reader else {
@@ -70,14 +70,17 @@ pub fn compare_scanned(
     if findings.iter().any(|finding| finding.stops) {
         return Ok(stopped(findings));
     }
-    let mut comparison = evaluate(path, model, &source, refit, &findings, options)?;
-    if let Some(other) = other {
-        let model = ModelFile::read(other)?;
-        let evaluated = evaluate(other, &model, &source, None, &findings, options)?;
-        comparison.other = Some(Box::new(evaluated));
-    }
-    comparison.findings = findings;
-    Ok(comparison)
+    collect(|notes| {
+        let mut comparison = evaluate(path, model, &source, refit, &findings, options, notes)?;
+        if let Some(other) = other {
+            let model = ModelFile::read(other)?;
+            let evaluated = evaluate(other, &model, &source, None, &findings, options, notes)?;
+            comparison.other = Some(Box::new(evaluated));
+        }
+        comparison.findings = findings;
+        comparison.notes = std::mem::take(notes);
+        Ok(comparison)
+    })
 }
 
 /// Setup errors that are detectable only with a model, some recordings at a time.
@@ -133,16 +136,14 @@ fn evaluate(
     refit: Option<&ModelRefit>,
     findings: &[Finding],
     options: FitOptions,
+    notes: &mut Vec<Note>,
 ) -> Result<Comparison> {
     let (fitted_ms, delay_ms) = (model.provenance.delay_ms, 1e-3 * source.alignment.delay_us);
     if fitted_ms != delay_ms {
-        eprintln!(
-            "note: {} was fitted with --delay-ms {fitted_ms}, these recordings are read with {delay_ms}",
-            path.display()
-        );
+        notes.push(Note::ComparisonDelay { model: path.to_path_buf(), fitted_ms, delay_ms });
     }
     let plan = CvPlan::new(path, model, source, refit, options)?;
-    let mut fields = evaluate_fields(&plan, source)?;
+    let mut fields = evaluate_fields(&plan, source, notes)?;
     // A finding covers its column in all recordings; notices of that column are not repeated.
     let is_reported = |place: &Location| {
         let same = |of: &Location| {
@@ -151,7 +152,7 @@ fn evaluate(
         findings.iter().any(|finding| same(&finding.place))
     };
     let unreported = fields.notices.iter().filter(|notice| !is_reported(&notice.location));
-    unreported.for_each(|notice| eprintln!("note: {notice}"));
+    notes.extend(unreported.cloned().map(Note::Recording));
     let alignment = source.alignment;
     let device = evaluate_forces(&plan, path, alignment, &fields.origins_s, &mut fields.traces)?;
     let columns: Vec<ResidualTable> = fields
@@ -180,7 +181,7 @@ fn evaluate(
         correlation_s,
         traces: fields.traces,
         histograms: device.histograms,
-        provenance: provenance(model, &plan, block_s, options),
+        provenance: Some(provenance(model, &plan, block_s, options)),
         ..Comparison::default()
     };
     Ok(comparison)
@@ -263,43 +264,18 @@ fn provenance(
     plan: &CvPlan,
     block_s: f64,
     options: FitOptions,
-) -> Vec<(String, String)> {
-    let effects: Vec<&str> = model.effects.iter().map(|effect| effect.name.as_str()).collect();
-    let hash = |recording: &RecordingFolds| format!("sha256 {}", recording.named.sha256);
-    let mut list = vec![
-        ("tool".to_owned(), format!("magpie {}", env!("CARGO_PKG_VERSION"))),
-        (
-            "model".to_owned(),
-            format!(
-                "fitted to {} ({} recordings, {} rows) by {}",
-                model.provenance.campaign,
-                model.provenance.recordings.len(),
-                model.provenance.rows,
-                model.provenance.tool
-            ),
-        ),
-        (
-            "effects".to_owned(),
-            if effects.is_empty() { "none".to_owned() } else { effects.join(", ") },
-        ),
-        (
-            "bands".to_owned(),
-            format!("95 %, bootstrap of blocks of {block_s:.1} s, seed {}", options.seed),
-        ),
-        (
-            "sensor".to_owned(),
-            format!(
-                "{} G per count, range {} G{}",
-                model.sensor_scale.gauss_per_lsb,
-                model.sensor_scale.range_gauss,
-                if model.sensor_scale.assumed {
-                    " (assumed: not stated in the recordings)"
-                } else {
-                    ""
-                }
-            ),
-        ),
-    ];
-    list.extend(plan.recordings.iter().map(|r| (format!("recording {}", r.named.name), hash(r))));
-    list
+) -> ComparisonProvenance {
+    let fitted = &model.provenance;
+    let recordings = plan.recordings.iter().map(|r| (r.named.name.clone(), r.named.sha256.clone()));
+    ComparisonProvenance {
+        fitted_campaign: fitted.campaign.clone(),
+        fitted_recordings: fitted.recordings.len(),
+        fitted_rows: fitted.rows,
+        fitted_by: fitted.tool.clone(),
+        effects: model.effects.iter().map(|effect| effect.name.clone()).collect(),
+        block_s,
+        seed: options.seed,
+        sensor_scale: model.sensor_scale,
+        recordings: recordings.collect(),
+    }
 }

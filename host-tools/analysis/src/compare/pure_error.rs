@@ -62,9 +62,9 @@ impl LackOfFit {
         FisherSnedecor::new(lack, pure).map_or(f64::NAN, |f| f.sf(self.f()))
     }
 
-    /// Verdict as text.
-    pub fn verdict(&self) -> &'static str {
-        if self.p_value() < LEVEL { "structure remains" } else { "at the replicate floor" }
+    /// True if the residual exceeds the scatter of replicates significantly: structure remains.
+    pub fn is_significant(&self) -> bool {
+        self.p_value() < LEVEL
     }
 }
 
@@ -260,15 +260,12 @@ mod tests {
     #[test]
     fn pontius_lacks_fit_with_a_line_and_not_with_a_parabola() {
         // F in exact fractions 214.746924; the handbook prints 214.7464.
-        let cases = [
-            (1, (18, 20), 214.746_924, 1e-6, "structure remains"),
-            (2, (17, 20), 0.81, 5e-3, "at the replicate floor"),
-        ];
-        for (degree, freedom, f, tolerance, verdict) in cases {
+        let cases = [(1, (18, 20), 214.746_924, 1e-6, true), (2, (17, 20), 0.81, 5e-3, false)];
+        for (degree, freedom, f, tolerance, significant) in cases {
             let test = LackOfFit::of(&fitted(degree).1, degree + 1).unwrap();
             assert_eq!((test.lack_freedom, test.pure_freedom), freedom);
             assert!((test.f() - f).abs() < tolerance, "{}", test.f());
-            assert_eq!(test.verdict(), verdict);
+            assert_eq!(test.is_significant(), significant);
         }
     }
 

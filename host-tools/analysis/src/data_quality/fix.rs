@@ -13,6 +13,7 @@ use flate2::write::GzEncoder;
 use model_export::recordings::campaign::recording_folders;
 use model_export::recordings::csv_table::{column_names, is_compressed, open_csv};
 use model_export::recordings::description::RECORDING_FILE;
+use serde::Serialize;
 use toml_edit::{DocumentMut, value};
 
 use crate::data_quality::Finding;
@@ -20,7 +21,7 @@ use crate::data_quality::scan::clock::SORT_WINDOW;
 use crate::data_quality::scan::finite;
 
 /// Correction that `--fix` applies for a finding.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Fix {
     /// Description.
     pub words: String,
@@ -35,7 +36,7 @@ impl fmt::Display for Fix {
 }
 
 /// One change of one table.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Repair {
     /// Recorded table.
     pub file: PathBuf,
@@ -44,7 +45,7 @@ pub struct Repair {
 }
 
 /// Change that preserves all measured values.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub enum Change {
     /// Remove exact duplicates.
     DropCopies,

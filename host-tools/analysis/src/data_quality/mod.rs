@@ -19,6 +19,7 @@ use model_export::recordings::align::Alignment;
 use model_export::recordings::campaign::recording_folders;
 use model_export::recordings::{Campaign, Location};
 use rayon::prelude::*;
+use serde::Serialize;
 
 use crate::data_quality::checks::{CheckContext, Found, clock, columns, lines};
 use crate::data_quality::fix::Fix;
@@ -27,7 +28,7 @@ use crate::data_quality::model_checks::{ModelResiduals, SensorPrediction};
 use crate::data_quality::scan::RecordingScan;
 
 /// A setup error in the recordings, with evidence and remedy.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Finding {
     /// Identifier: `clock_backwards`.
     pub id: &'static str,

@@ -15,6 +15,7 @@ use model_export::recordings::recording::recording_name;
 use model_export::recordings::stream::RawStream;
 
 use crate::compare::campaign_reader::{check_distinct, check_sensor_scale, held_out_index};
+use crate::notes::Note;
 use crate::progress;
 use device_run::{ReplayModels, training_sequence};
 
@@ -30,8 +31,8 @@ pub struct TrainingData {
     delay_ms: f64,
     /// The physical model that precedes the networks.
     pub built: DeviceModel,
-    /// Notes for the user.
-    pub notes: Vec<String>,
+    /// Notes on the held-out recording and on sensors without a network.
+    pub notes: Vec<Note>,
 }
 
 impl TrainingData {
@@ -63,7 +64,6 @@ impl TrainingData {
         check_same_sensors(campaign, &training)?;
         let held_out = training.remove(index);
         let notes = notes(&built, &recordings, &held_out);
-        progress::print_notes(&notes);
         Ok(Self {
             training,
             held_out,
@@ -158,11 +158,7 @@ fn check_same_sensors(campaign: &Path, sequences: &[Sequence]) -> Result<()> {
     Ok(())
 }
 
-fn notes(
-    built: &DeviceModel,
-    recordings: &[TrainingRecording],
-    held_out: &Sequence,
-) -> Vec<String> {
+fn notes(built: &DeviceModel, recordings: &[TrainingRecording], held_out: &Sequence) -> Vec<Note> {
     let fitted = &built.model.provenance.recordings;
     let fitted_too = recordings
         .iter()
@@ -170,16 +166,11 @@ fn notes(
         .filter(|recording| fitted.iter().any(|r| r.sha256 == recording.sha256));
     let mut notes = Vec::new();
     if let Some(recording) = fitted_too {
-        notes.push(format!(
-            "the model was fitted to recording {} too: the ideal model's error there is not held out",
-            recording.name
-        ));
+        notes.push(Note::IdealModelNotHeldOut { recording: recording.name.clone() });
     }
     for number in &built.header.sensors {
         if !numbers(held_out).contains(number) {
-            notes.push(format!(
-                "sensor {number} of the model gets no network: these recordings lack its field or its forces"
-            ));
+            notes.push(Note::NoNetwork { sensor: *number });
         }
     }
     notes

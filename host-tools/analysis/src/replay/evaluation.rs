@@ -19,6 +19,7 @@ use model_export::recordings::recording::recording_name;
 use model_export::recordings::stream::RawStream;
 
 use crate::compare::campaign_reader::check_sensor_scale;
+use crate::notes::{Note, UncompensatedEffect};
 use crate::progress;
 use crate::replay::{AxisReplay, RecordingReplay, replay};
 use crate::statistics::{Moments, pooled_rms};
@@ -39,8 +40,8 @@ pub struct ReplayEvaluation {
     pub training_recordings: Vec<String>,
     /// Nominal range of each force axis in newtons, both signs.
     pub force_range_n: f64,
-    /// Notes for the user.
-    pub notes: Vec<String>,
+    /// Notes on the recordings and on parts that were not replayed.
+    pub notes: Vec<Note>,
 }
 
 /// Replays `campaign` with the model and networks at these paths.
@@ -53,16 +54,16 @@ pub fn evaluate(
     let building = progress::progress_bar("building tables", 2);
     let built = build(model, ModelVariant::Fitted)?;
     let networks = network.map(|path| NetworkSet::read(path, &built)).transpose()?;
-    let DeviceModel {
-        model: file, chosen: fitted, compensations, uncompensated: left, header, ..
-    } = built;
+    let uncompensated = UncompensatedEffect::of(&built).map(Note::Uncompensated);
+    let uncompensated: Vec<Note> = uncompensated.collect();
+    let DeviceModel { model: file, chosen: fitted, compensations, header, .. } = built;
     building.inc(1);
     let nominal = build(model, ModelVariant::Nominal)?.chosen;
     building.finish_and_clear();
     let folders = recording_folders(campaign)?;
     let scale = file.sensor_scale;
     let mut notes = differences(&folders, &file, alignment)?;
-    notes.extend(left.iter().map(|(effect, why)| format!("{effect} is not compensated: {why}")));
+    notes.extend(uncompensated);
     let linear = TableSet::build(
         fitted.tables.id,
         &fitted.linear,
@@ -105,17 +106,16 @@ pub fn evaluate(
     }
     for number in &header.sensors {
         if !sensors().any(|sensor| sensor.number == *number) {
-            notes.push(format!("sensor {number} of the model was not replayed: these recordings lack its field or its forces"));
+            notes.push(Note::NotReplayed { sensor: *number });
         }
     }
     let missing_inputs: u64 = sensors().map(|sensor| sensor.missing_inputs).sum();
     if missing_inputs > 0 {
-        notes.push(format!(
-            "{missing_inputs} estimates lack the compensation of an effect, because its input column was not recorded; effects of the model: {}",
-            header.effects.join(", ")
-        ));
+        notes.push(Note::MissingInputs {
+            estimates: missing_inputs,
+            effects: header.effects.clone(),
+        });
     }
-    progress::print_notes(&notes);
     Ok(ReplayEvaluation {
         linear: without_networks(&linear, &fitted.linear, &[])?,
         nominal: without_networks(&nominal.tables, &nominal.models, &[])?,
@@ -139,26 +139,17 @@ pub fn evaluate(
 }
 
 /// Notes on recordings whose alignment or design differs from the model's.
-fn differences(
-    folders: &[PathBuf],
-    model: &ModelFile,
-    alignment: Alignment,
-) -> Result<Vec<String>> {
+fn differences(folders: &[PathBuf], model: &ModelFile, alignment: Alignment) -> Result<Vec<Note>> {
     let mut notes = Vec::new();
     let (fitted_ms, delay_ms) = (model.provenance.delay_ms, 1e-3 * alignment.delay_us);
     if delay_ms != fitted_ms {
-        notes.push(format!(
-            "the model was fitted with --delay-ms {fitted_ms}, this replay has {delay_ms}"
-        ));
+        notes.push(Note::ReplayDelay { fitted_ms, delay_ms });
     }
     for folder in folders {
         let (description, _) = RecordingDescription::read(folder)?;
         check_sensor_scale(folder, &description, model)?;
         if description.design != model.design {
-            notes.push(format!(
-                "{}: [design] differs from the model's: is it the same gripper?",
-                folder.display()
-            ));
+            notes.push(Note::OtherDesign { recording: folder.clone() });
         }
     }
     Ok(notes)

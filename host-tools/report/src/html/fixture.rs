@@ -4,6 +4,7 @@ use std::f64::consts::PI;
 
 use analysis::data_quality::Finding;
 use analysis::data_quality::fix::Fix;
+use model_export::model_file::SensorScale;
 use model_export::recordings::Location;
 use model_export::recordings::columns::Axis;
 
@@ -130,10 +131,10 @@ fn located(k: usize, sensors: u32) -> Attribution {
     }
 }
 
-fn histogram(of: &str, wide: f64) -> Histogram {
+fn histogram(axis: Axis, wide: f64) -> Histogram {
     let edges: Vec<f64> = (0..=40).map(|i| f64::from(i) * 0.4 - 8.0).collect();
     let count = |edges: &[f64]| (9000.0 * (-0.5 * ((edges[0] + 0.2) / wide).powi(2)).exp()) as u64;
-    Histogram { of: of.to_owned(), counts: edges.windows(2).map(count).collect(), edges }
+    Histogram { axis, counts: edges.windows(2).map(count).collect(), edges }
 }
 
 fn map() -> ResidualMap {
@@ -186,15 +187,6 @@ pub fn comparison(recordings: usize, sensors: u32, error: f64) -> Comparison {
             }
         })
     });
-    let names = ["version", "model", "campaign", "seed", "held out", "assumed"];
-    let values = [
-        "magpie 0.1.0",
-        "model.toml, SHA-256 5f1d8c0e9b7a4432d1f0c6e5b8a79d3e2c1b0a9f8e7d6c5b4a39281706f5e4d3",
-        "hidden-a: 3 recordings, 90.0 s, 90 003 rows",
-        "7 (ChaCha20)",
-        "blocks of 2 s in turn, five folds",
-        "the reference's noise is 0.15 N and white",
-    ];
     Comparison {
         model: "model.toml".to_owned(),
         campaign: "recordings/hidden-a".to_owned(),
@@ -216,14 +208,22 @@ pub fn comparison(recordings: usize, sensors: u32, error: f64) -> Comparison {
         correlation_s: 0.42,
         traces: traces(recordings, sensors, error),
         histograms: vec![
-            histogram("lateral force: device minus reference, in N", 0.5 + 0.3 * error),
-            histogram("longitudinal force: device minus reference, in N", 0.5 + 0.4 * error),
+            histogram(Axis::X, 0.5 + 0.3 * error),
+            histogram(Axis::Z, 0.5 + 0.4 * error),
         ],
-        provenance: names
-            .iter()
-            .zip(values)
-            .map(|(n, v)| ((*n).to_owned(), v.to_owned()))
-            .collect(),
+        provenance: Some(ComparisonProvenance {
+            fitted_campaign: "hidden-a".to_owned(),
+            fitted_recordings: 3,
+            fitted_rows: 90_003,
+            fitted_by: "magpie 0.1.0".to_owned(),
+            effects: vec!["hysteresis".to_owned(), "creep".to_owned()],
+            block_s: 2.0,
+            seed: 7,
+            sensor_scale: SensorScale { gauss_per_lsb: 0.125, range_gauss: 2000.0, assumed: true },
+            recordings: (1..=recordings)
+                .map(|k| (format!("{k:02}-grasp-and-walk"), "5f1d8c0e".repeat(8)))
+                .collect(),
+        }),
         ..Comparison::default()
     }
 }

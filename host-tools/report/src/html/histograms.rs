@@ -7,6 +7,7 @@ use crate::html::both;
 use crate::html::palette::{self, Role};
 use crate::html::plot::{Along, Failure, HALF, Paper, Swatch, axes, figure, key, stroke};
 use analysis::compare::{Comparison, Histogram};
+use model_export::recordings::columns::Axis;
 
 /// A histogram for each force.
 pub fn section(comparison: &Comparison) -> Markup {
@@ -33,20 +34,19 @@ fn plot(comparison: &Comparison, histogram: &Histogram) -> Markup {
     let models: Vec<(Role, &Histogram)> = both(comparison)
         .into_iter()
         .filter_map(|(role, _, model)| {
-            let same = model.histograms.iter().find(|h| h.of == histogram.of)?;
+            let same = model.histograms.iter().find(|h| h.axis == histogram.axis)?;
             Some((role, same))
         })
         .collect();
+    let label = format!("error of the {} force / N", force_name(histogram.axis));
     if histogram.counts.is_empty() || histogram.edges.len() != histogram.counts.len() + 1 {
-        return html! { p.empty { (histogram.of) ": no rows." } };
+        return html! { p.empty { (label) ": no rows." } };
     }
-    let across = Along::holding(
-        histogram.of.clone(),
-        models.iter().flat_map(|(_, h)| h.edges.iter().copied()),
-    );
+    let across =
+        Along::holding(label.clone(), models.iter().flat_map(|(_, h)| h.edges.iter().copied()));
     let upwards =
         Along::bars("% of the rows for each N", models.iter().flat_map(|(_, h)| percents(h)));
-    let says = format!("Histogram: {}, in percent of the rows per newton.", histogram.of);
+    let says = format!("Histogram: {label}, in percent of the rows per newton.");
     let drawn = figure(HALF, &says, |paper| draw(paper, &across, &upwards, &models));
     let entries = models.iter().enumerate().map(|(m, (role, _))| match m {
         0 => (Swatch::Full, *role, format!("A: {}", comparison.model)),
@@ -62,6 +62,10 @@ fn plot(comparison: &Comparison, histogram: &Histogram) -> Markup {
             p.note { "Errors beyond the range are in the first and the last bin." }
         }
     }
+}
+
+fn force_name(axis: Axis) -> &'static str {
+    if axis == Axis::X { "lateral" } else { "longitudinal" }
 }
 
 fn draw(
@@ -99,7 +103,7 @@ mod tests {
     #[test]
     fn density_is_independent_of_the_bin_width() {
         let of = |edges: Vec<f64>, counts: Vec<u64>| {
-            percents(&Histogram { of: "error / N".to_owned(), edges, counts })
+            percents(&Histogram { axis: Axis::X, edges, counts })
         };
         assert_eq!(of(vec![-1.0, 0.0, 1.0], vec![50, 50]), [50.0, 50.0]);
         assert_eq!(of(vec![-1.0, 1.0], vec![100]), [50.0]);

@@ -314,6 +314,39 @@ pub fn findings_section(comparison: &Comparison) -> Markup {
     }
 }
 
+/// Provenance as name and value: version, files with hashes, seeds, assumptions.
+fn provenance(comparison: &Comparison) -> Vec<(String, String)> {
+    let mut list = vec![("tool", format!("magpie {}", env!("CARGO_PKG_VERSION")))];
+    let Some(from) = &comparison.provenance else {
+        return list.into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
+    };
+    let scale = from.sensor_scale;
+    let effects = if from.effects.is_empty() { "none".to_owned() } else { from.effects.join(", ") };
+    let assumed = if scale.assumed { " (assumed: not stated in the recordings)" } else { "" };
+    list.extend([
+        (
+            "model",
+            format!(
+                "fitted to {} ({} recordings, {} rows) by {}",
+                from.fitted_campaign, from.fitted_recordings, from.fitted_rows, from.fitted_by
+            ),
+        ),
+        ("effects", effects),
+        (
+            "bands",
+            format!("95 %, bootstrap of blocks of {:.1} s, seed {}", from.block_s, from.seed),
+        ),
+        (
+            "sensor",
+            format!("{} G per count, range {} G{assumed}", scale.gauss_per_lsb, scale.range_gauss),
+        ),
+    ]);
+    let recordings = from.recordings.iter();
+    let recordings =
+        recordings.map(|(name, sha256)| (format!("recording {name}"), format!("sha256 {sha256}")));
+    list.into_iter().map(|(name, value)| (name.to_owned(), value)).chain(recordings).collect()
+}
+
 /// Provenance, seeds and assumptions, of both models.
 pub fn provenance_section(comparison: &Comparison) -> Markup {
     html! {
@@ -322,7 +355,7 @@ pub fn provenance_section(comparison: &Comparison) -> Markup {
             @for (_, letter, model) in both(comparison) {
                 @if comparison.other.is_some() { h3 { (letter) ": " (model.model) } }
                 dl.origin {
-                    @for (name, value) in &model.provenance { dt { (name) } dd { (value) } }
+                    @for (name, value) in provenance(model) { dt { (name) } dd { (value) } }
                 }
             }
         }

@@ -42,7 +42,9 @@ fn user_names_are_escaped() {
     comparison.traces[0].recording = evil.to_owned();
     comparison.worst[0].recording = evil.to_owned();
     comparison.worst[0].sensor = 0;
-    comparison.provenance[0].1 = evil.to_owned();
+    if let Some(provenance) = &mut comparison.provenance {
+        provenance.fitted_by = evil.to_owned();
+    }
     if let Some(map) = &mut comparison.map {
         map.axes[0] = evil.to_owned();
     }

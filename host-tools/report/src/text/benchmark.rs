@@ -8,8 +8,8 @@ use analysis::numbers;
 use serde_json::{Value, json};
 
 use crate::text::calibration::{coverage_json, coverage_percent};
-use crate::text::disturbance::{self, summary};
-use crate::text::{FORCES as AXES, rms_or_dash, terminal};
+use crate::text::disturbance::{self, detector, summary};
+use crate::text::{FORCES as AXES, notes, rms_or_dash, terminal};
 
 /// The order of the paper.
 const FORCES: [(usize, &str); 2] = [(1, "Fz"), (0, "Fx")];
@@ -19,7 +19,7 @@ pub fn format_report(table: &Benchmark, plan: &VariantTrainer) -> String {
     let parts = [
         heading(table),
         error_tables(table),
-        terminal::paragraph(&notes(table, plan)),
+        terminal::paragraph(&explanation(table, plan)),
         "\n".to_owned(),
         data_efficiency(table),
         terminal::paragraph(&network_gain(table)),
@@ -78,7 +78,8 @@ fn of_force(table: &Benchmark, axis: usize) -> comfy_table::Table {
     rows
 }
 
-fn notes(table: &Benchmark, plan: &VariantTrainer) -> String {
+/// How the figures of the tables are computed.
+fn explanation(table: &Benchmark, plan: &VariantTrainer) -> String {
     let data = if table.simulated {
         "These recordings are simulated; the paper's are measured and not public, so its results are not directly comparable. "
     } else {
@@ -150,7 +151,10 @@ fn disturbance_report(table: &Benchmark) -> String {
         let words = summary(&magnet.counts);
         format!(
             "\n{}",
-            terminal::paragraph(&format!("Magnetic disturbance. {} {words}", magnet.description))
+            terminal::paragraph(&format!(
+                "Magnetic disturbance. {} {words}",
+                detector(table, magnet)
+            ))
         )
     })
 }
@@ -206,7 +210,7 @@ pub fn to_json(table: &Benchmark, plan: &VariantTrainer) -> Value {
         "training_s": table.training_s, "stopping_s": table.validation_s,
         "effects": table.effects, "simulated": table.simulated,
         "near_zero": plan.zero_weight, "seed": plan.seed(), "epochs": plan.max_epochs(),
-        "notes": table.notes,
+        "notes": notes::texts(&table.notes),
     })
 }
 

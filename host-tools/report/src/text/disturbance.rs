@@ -2,6 +2,7 @@
 
 use std::fmt::Write;
 
+use analysis::benchmark::Benchmark;
 use analysis::benchmark::disturbance::DisturbanceResult;
 use analysis::magnetic_disturbance::counts::{DetectionCounts, MEASURES, UNITS};
 use analysis::magnetic_disturbance::event::MAX_LATENCY;
@@ -14,6 +15,16 @@ use crate::text::terminal;
 const RATES: [f64; 4] = [0.0, 10.0, 100.0, 1000.0];
 /// Fewer hours give a wide bound.
 const FEW_HOURS: f64 = 3.0;
+
+/// The evaluated detector and its data: a heading of [`summary`].
+pub fn detector(table: &Benchmark, result: &DisturbanceResult) -> String {
+    let rows = if result.simulated {
+        "on new recordings of the same simulated gripper".to_owned()
+    } else {
+        format!("on recording {} with added fields of magnets", table.recordings.1)
+    };
+    format!("The firmware's detector with {}, {rows}:", result.variant.words())
+}
 
 /// The counts as a paragraph.
 pub fn summary(counts: &DetectionCounts) -> String {

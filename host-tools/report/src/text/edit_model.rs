@@ -1,7 +1,7 @@
 //! Text and JSON of a model with other effects.
 
 use analysis::compare::AT_FLOOR;
-use analysis::edit_model::ModelEdit;
+use analysis::edit_model::{DeviceComparison, ModelEdit};
 use analysis::numbers;
 use model_export::effects::EffectTerm;
 use model_export::fit::cross_validation::{CvSplit, ErrorSums};
@@ -11,6 +11,7 @@ use model_export::model_file::EffectModel;
 use model_export::recordings::mapping::ATTITUDE_COLUMNS;
 use serde_json::{Value, json};
 
+use crate::text::notes;
 use crate::text::terminal::{self, SENSORS_ACROSS};
 
 /// Relative changes of the held-out error below this are insignificant.
@@ -175,8 +176,9 @@ fn device_sentence(edit: &ModelEdit) -> Option<String> {
     } else {
         "which both models were fitted to"
     };
+    let uncompensated = device.uncompensated.iter().map(notes::uncompensated);
     let uncompensated: String =
-        device.uncompensated.iter().map(|line| terminal::paragraph(&format!("  {line}"))).collect();
+        uncompensated.map(|line| terminal::paragraph(&format!("  {line}"))).collect();
     let sentence = format!(
         "Device code (fixed point), recording {}, {how}: {:.3} N -> {:.3} N RMSE.",
         device.recording, device.before_rmse_n, device.after_rmse_n
@@ -308,8 +310,17 @@ pub fn to_json(edit: &ModelEdit) -> Value {
         "after": side(&edit.after.1),
         "floor_g": edit.after.1.tally().floor_g(),
         "effects": effects.collect::<Vec<_>>(),
-        "device": edit.device,
+        "device": edit.device.as_ref().map(device_json),
         "verdict": verdict(edit),
-        "notices": edit.notices,
+        "notices": notes::texts(&edit.notes),
+    })
+}
+
+fn device_json(device: &DeviceComparison) -> Value {
+    let uncompensated: Vec<String> =
+        device.uncompensated.iter().map(notes::uncompensated).collect();
+    json!({
+        "before_rmse_n": device.before_rmse_n, "after_rmse_n": device.after_rmse_n,
+        "recording": device.recording, "held_out": device.held_out, "left": uncompensated,
     })
 }

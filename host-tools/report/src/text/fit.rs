@@ -14,6 +14,7 @@ use model_export::physics::ForwardModel;
 use model_export::recordings::Campaign;
 use serde_json::{Value, json};
 
+use crate::text::notes;
 use crate::text::terminal::{self, SENSORS_ACROSS};
 
 /// Parameters further from nominal, in tolerances, are marked: the gripper or the design file may be wrong.
@@ -214,7 +215,7 @@ pub fn verdict(model: &ModelFile) -> String {
 
 /// The object of `--json`.
 pub fn to_json(fit: &CampaignFit) -> Value {
-    let CampaignFit { model, notices, .. } = fit;
+    let model = &fit.model;
     let axis_errors = axes(model).map(|(sensor, axis)| {
         json!({
             "sensor": sensor.number, "axis": axis.axis,
@@ -235,7 +236,7 @@ pub fn to_json(fit: &CampaignFit) -> Value {
         "held": held.collect::<Vec<_>>(),
         "verdict": verdict(model),
         "provenance": model.provenance,
-        "notices": notices.iter().map(ToString::to_string).collect::<Vec<_>>(),
+        "notices": notes::texts(&fit.notes),
     })
 }
 

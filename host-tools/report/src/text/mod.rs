@@ -17,6 +17,7 @@ pub mod export;
 pub mod fault_campaign;
 pub mod fit;
 pub mod grasp;
+pub mod notes;
 pub mod replay;
 pub mod simulate;
 pub mod terminal;

@@ -10,7 +10,7 @@ use analysis::replay::{AxisReplay, RecordingReplay, coverage};
 use serde_json::{Value, json};
 
 use crate::text::calibration::{coverage_json, coverage_percent};
-use crate::text::{FORCES, rms_or_dash, terminal};
+use crate::text::{FORCES, notes, rms_or_dash, terminal};
 
 /// The report as text.
 pub fn format_report(evaluation: &ReplayEvaluation) -> String {
@@ -226,7 +226,7 @@ pub fn to_json(evaluation: &ReplayEvaluation) -> Value {
         "rmse_n": rmse_n(&evaluation.fitted),
         "uncompensated_rmse_n": evaluation.uncompensated.as_deref().map(rmse_n),
         "networks": network_json(evaluation),
-        "notes": evaluation.notes,
+        "notes": notes::texts(&evaluation.notes),
         "rows": evaluation.fitted.iter().map(|r| r.rows).sum::<u64>(),
         "times_real_time": spent,
     })

@@ -2,11 +2,12 @@
 
 use analysis::calibration::gaussian;
 use analysis::network_training::{ForceEvaluation, TrainingResult};
+use analysis::notes::Note;
 use analysis::statistics::Moments;
 use serde_json::{Value, json};
 
 use crate::text::calibration::{calibration_json, calibration_sentence};
-use crate::text::{FORCES, terminal};
+use crate::text::{FORCES, notes, terminal};
 
 /// The report as text.
 pub fn format_report(evaluation: &TrainingResult) -> String {
@@ -78,7 +79,7 @@ fn training_summary(evaluation: &TrainingResult) -> String {
 }
 
 /// The object of `--json`.
-pub fn to_json(evaluation: &TrainingResult, notes: &[String]) -> Value {
+pub fn to_json(evaluation: &TrainingResult, notes: &[Note]) -> Value {
     let rows = evaluation.forces.iter().map(|row| {
         json!({
             "sensor": row.sensor, "axis": FORCES[row.axis].1, "rows": row.error.rows(),
@@ -98,6 +99,6 @@ pub fn to_json(evaluation: &TrainingResult, notes: &[String]) -> Value {
         "networks": networks.collect::<Vec<_>>(),
         "sigma": calibration_json(&evaluation.sigma),
         "held_out": evaluation.held_out, "epochs": evaluation.epochs, "seed": evaluation.seed,
-        "seconds": evaluation.spent.as_secs_f64(), "notes": notes,
+        "seconds": evaluation.spent.as_secs_f64(), "notes": notes::texts(notes),
     })
 }

@@ -6,13 +6,14 @@ mod lookup_table;
 use firmware::compensation::{Compensation, FieldEffect, ForceEffect, MAX_EFFECTS, crosstalk};
 use firmware::fixed_point::{Field, Force};
 use nalgebra::{Matrix3, Vector3};
+use serde::Serialize;
 
 use crate::effects::{DeviceForm, EffectTerm};
 use crate::inverse::compensation::lookup_table::OwnedMap;
 use crate::inverse::static_model::StaticModel;
 
 /// An effect that the device cannot compensate.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, thiserror::Error)]
 #[error("{effect} of sensor {sensor} cannot be compensated on the device: {why}")]
 pub struct NotCompensable {
     /// Name of the effect.

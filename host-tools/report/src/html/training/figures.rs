@@ -5,6 +5,7 @@ use maud::{Markup, html};
 use crate::html::Section;
 use crate::html::tables::table as drawn;
 use crate::html::training::FORCES;
+use crate::text::notes;
 use analysis::benchmark::evaluate::VariantResult;
 use analysis::benchmark::variants::{self, EstimatorVariant};
 use analysis::benchmark::{Benchmark, NetworkBenefit, network_benefit};
@@ -22,7 +23,7 @@ pub fn section(table: &Benchmark) -> Section {
         } @else {
             p { "The paper's recordings are not public: its results are from another gripper under other loads." }
         }
-        @for note in &table.notes { p.note { "Note: " (note) "." } }
+        @for note in &table.notes { p.note { "Note: " (notes::text(note)) "." } }
         @for (axis, name) in FORCES { (of_force(table, axis, name)) }
         p.note { "Estimate minus reference in newtons, at every row of the board. Fixed: with the device's fixed-point code. "
             "Tared: minus the mean of the estimate over the first unloaded stretch of at most one second, except what friction "

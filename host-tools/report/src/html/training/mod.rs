@@ -16,6 +16,7 @@ pub mod time;
 
 use crate::html::Section;
 use crate::html::palette::{self, Role};
+use crate::text::disturbance::detector;
 use analysis::benchmark::Benchmark;
 use analysis::benchmark::variants::EstimatorVariant;
 
@@ -44,6 +45,7 @@ pub fn sections(table: &Benchmark) -> Vec<Section> {
     ];
     sections.extend(lengths::section(table));
     let magnet = table.disturbance.as_ref();
-    sections.extend(magnet.map(|magnet| foreign::section(&magnet.counts, &magnet.description)));
+    sections
+        .extend(magnet.map(|magnet| foreign::section(&magnet.counts, &detector(table, magnet))));
     sections
 }

@@ -1,0 +1,172 @@
+//! Notes: remarks beside a result, as data. The result is valid; the crate `report` writes their text.
+
+use std::error::Error;
+use std::fmt;
+use std::path::PathBuf;
+
+use anyhow::Result;
+use model_export::inverse::build::DeviceModel;
+use model_export::inverse::compensation::NotCompensable;
+use model_export::recordings::Notice;
+use serde::Serialize;
+
+use crate::benchmark::variants::EstimatorVariant;
+use crate::data_quality::Finding;
+
+/// A remark on the input of a result, or on what was left out of it.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub enum Note {
+    /// Notice of the reader or of the fit on a recording.
+    Recording(Notice),
+    /// Setup error in the recordings that does not prevent a fit.
+    SetupError(Finding),
+    /// A replay assumes another delay of the reference than the fit.
+    ReplayDelay {
+        /// Delay of the fit in milliseconds.
+        fitted_ms: f64,
+        /// Delay of the replay in milliseconds.
+        delay_ms: f64,
+    },
+    /// A comparison assumes another delay of the reference than the fit.
+    ComparisonDelay {
+        /// File of the model.
+        model: PathBuf,
+        /// Delay of the fit in milliseconds.
+        fitted_ms: f64,
+        /// Delay of the comparison in milliseconds.
+        delay_ms: f64,
+    },
+    /// The design of a replayed recording differs from that of the model.
+    OtherDesign {
+        /// Folder of the recording.
+        recording: PathBuf,
+    },
+    /// A sensor of the model whose field or forces were not recorded has no replay.
+    NotReplayed {
+        /// Number of the sensor.
+        sensor: u32,
+    },
+    /// A sensor of the model whose field or forces were not recorded is not compared.
+    NotRecorded {
+        /// Number of the sensor.
+        sensor: u32,
+    },
+    /// A recorded sensor that the model does not have is not compared.
+    NotInModel {
+        /// Number of the sensor.
+        sensor: u32,
+    },
+    /// A sensor of the model whose field or forces were not recorded gets no network.
+    NoNetwork {
+        /// Number of the sensor.
+        sensor: u32,
+    },
+    /// An effect of the model that the device does not compensate.
+    Uncompensated(UncompensatedEffect),
+    /// The parameters of an effect are outside of the device's formats, so the device code was not evaluated.
+    NotCompensable(NotCompensable),
+    /// Estimates without the compensation of an effect, because its covariate was not recorded.
+    MissingInputs {
+        /// Number of estimates.
+        estimates: u64,
+        /// Names of all effects of the model.
+        effects: Vec<String>,
+    },
+    /// A covariate of an effect is constant, so the effect is not identifiable.
+    ConstantCovariate {
+        /// Name of the column.
+        column: String,
+        /// Name of the effect.
+        effect: String,
+        /// What to record instead; `None` for a formula.
+        record: Option<&'static str>,
+    },
+    /// The ideal model was fitted to the held-out recording of a training too.
+    IdealModelNotHeldOut {
+        /// Name of the recording.
+        recording: String,
+    },
+    /// The effects of a benchmark's model may have been selected with the held-out recording.
+    EffectsNotHeldOut {
+        /// Name of the recording.
+        recording: String,
+    },
+    /// The model of a benchmark has no effects, so the variants with effects are left out.
+    NoEffects,
+    /// The variants with effects are left out, because their physics could not be fitted or built.
+    EffectsLeftOut {
+        /// Duration of the training data in seconds.
+        training_s: f64,
+        /// The error.
+        error: String,
+    },
+    /// A network is left out, because its weights are outside of the device's format.
+    NetworkLeftOut {
+        /// The variant.
+        variant: EstimatorVariant,
+        /// The error.
+        error: String,
+    },
+}
+
+/// An effect of a model that the device does not compensate.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct UncompensatedEffect {
+    /// Name of the effect.
+    pub effect: String,
+    /// Reason, from the catalogue.
+    pub reason: &'static str,
+}
+
+impl UncompensatedEffect {
+    /// The uncompensated effects of a model.
+    pub fn of(model: &DeviceModel) -> impl Iterator<Item = Self> {
+        let effects = model.uncompensated.iter();
+        effects.map(|(effect, reason)| Self { effect: effect.clone(), reason })
+    }
+}
+
+/// Error of an analysis with the notes made before it, which may explain it. Displayed as the error alone.
+#[derive(Debug)]
+pub struct ErrorWithNotes {
+    /// The notes.
+    pub notes: Vec<Note>,
+    error: anyhow::Error,
+}
+
+impl fmt::Display for ErrorWithNotes {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.error.fmt(f)
+    }
+}
+
+impl Error for ErrorWithNotes {
+    fn source(&self) -> Option<&(dyn Error + 'static)> {
+        self.error.source()
+    }
+}
+
+/// Runs an analysis that adds notes to a list. If it fails, its error is an [`ErrorWithNotes`].
+pub(crate) fn collect<T>(analysis: impl FnOnce(&mut Vec<Note>) -> Result<T>) -> Result<T> {
+    let mut notes = Vec::new();
+    analysis(&mut notes).map_err(|error| ErrorWithNotes { notes, error }.into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use anyhow::{Context, bail};
+
+    #[test]
+    fn error_keeps_its_text_and_the_notes_before_it() {
+        let failing = |notes: &mut Vec<Note>| -> Result<()> {
+            notes.push(Note::NoEffects);
+            let cause: Result<()> = (|| bail!("cause"))();
+            cause.context("context")
+        };
+        let error = collect(failing).unwrap_err();
+        assert_eq!(format!("{error:#}"), "context: cause");
+        let with_notes = error.downcast_ref::<ErrorWithNotes>().unwrap();
+        assert_eq!(with_notes.notes, [Note::NoEffects]);
+    }
+}

@@ -1,0 +1,110 @@
+//! Text of notes: one sentence for each.
+
+use analysis::notes::{Note, UncompensatedEffect};
+
+/// The note as a sentence, without a full stop.
+pub fn text(note: &Note) -> String {
+    match note {
+        Note::Recording(notice) => notice.to_string(),
+        Note::SetupError(finding) => {
+            format!("{}: {} (details: `magpie compare`)", finding.place, finding.message)
+        }
+        Note::ReplayDelay { fitted_ms, delay_ms } => {
+            format!("the model was fitted with --delay-ms {fitted_ms}, this replay has {delay_ms}")
+        }
+        Note::ComparisonDelay { model, fitted_ms, delay_ms } => format!(
+            "{} was fitted with --delay-ms {fitted_ms}, these recordings are read with {delay_ms}",
+            model.display()
+        ),
+        Note::OtherDesign { recording } => format!(
+            "{}: [design] differs from the model's: is it the same gripper?",
+            recording.display()
+        ),
+        Note::NotReplayed { sensor } => format!(
+            "sensor {sensor} of the model was not replayed: these recordings lack its field or its forces"
+        ),
+        Note::NotRecorded { sensor } => format!(
+            "sensor {sensor} of the model lacks field or forces in these recordings and is ignored"
+        ),
+        Note::NotInModel { sensor } => {
+            format!("sensor {sensor} of the recordings is not in the model and is ignored")
+        }
+        Note::NoNetwork { sensor } => format!(
+            "sensor {sensor} of the model gets no network: these recordings lack its field or its forces"
+        ),
+        Note::Uncompensated(effect) => uncompensated(effect),
+        Note::NotCompensable(error) => error.to_string(),
+        Note::MissingInputs { estimates, effects } => format!(
+            "{estimates} estimates lack the compensation of an effect, because its input column was not recorded; effects of the model: {}",
+            effects.join(", ")
+        ),
+        Note::ConstantCovariate { column, effect, record } => {
+            let advice = record.map_or_else(String::new, |record| format!(". Record: {record}"));
+            format!("{column} is constant in these recordings: {effect} is not identifiable{advice}")
+        }
+        Note::IdealModelNotHeldOut { recording } => format!(
+            "the model was fitted to recording {recording} too: the ideal model's error there is not held out"
+        ),
+        Note::EffectsNotHeldOut { recording } => format!(
+            "the model was also fitted to recording {recording}: its parameters are fitted again without it, but its effects may have been selected with it"
+        ),
+        Note::NoEffects => "the model has no effects, so the variants of physics with effects are left out: `magpie diagnose` finds missing effects, `magpie add` adds them".to_owned(),
+        Note::EffectsLeftOut { training_s, error } => format!(
+            "with {training_s:.0} s of data the physics with effects is left out: {error}"
+        ),
+        Note::NetworkLeftOut { error, .. } => {
+            format!("left out because it does not fit the device: {error}")
+        }
+    }
+}
+
+/// All notes as sentences, for JSON.
+pub fn texts(notes: &[Note]) -> Vec<String> {
+    notes.iter().map(text).collect()
+}
+
+/// An effect without compensation, and the reason.
+pub fn uncompensated(effect: &UncompensatedEffect) -> String {
+    format!("{} is not compensated: {}", effect.effect, effect.reason)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use analysis::benchmark::variants::EstimatorVariant;
+    use model_export::inverse::compensation::NotCompensable;
+
+    #[test]
+    fn notes_that_carry_an_error_state_it() {
+        let error = || "the error".to_owned();
+        let effect = "creep".to_owned();
+        for (note, expected) in [
+            (
+                Note::NotCompensable(NotCompensable { effect, sensor: 2, why: error() }),
+                "creep of sensor 2 cannot be compensated on the device: the error",
+            ),
+            (
+                Note::EffectsLeftOut { training_s: 29.6, error: error() },
+                "with 30 s of data the physics with effects is left out: the error",
+            ),
+            (
+                Note::NetworkLeftOut { variant: EstimatorVariant::Gru3Axis, error: error() },
+                "left out because it does not fit the device: the error",
+            ),
+        ] {
+            assert_eq!(text(&note), expected);
+        }
+    }
+
+    #[test]
+    fn constant_covariate_of_a_formula_has_no_advice() {
+        let note = |record| Note::ConstantCovariate {
+            column: "opening_mm".to_owned(),
+            effect: "own".to_owned(),
+            record,
+        };
+        let sentence = "opening_mm is constant in these recordings: own is not identifiable";
+        assert_eq!(text(&note(None)), sentence);
+        assert_eq!(text(&note(Some("Move it."))), format!("{sentence}. Record: Move it."));
+    }
+}
