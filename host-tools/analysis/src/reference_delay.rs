@@ -5,6 +5,13 @@
 //! correlated residuals do not make it too small (Liang and Zeger 1986). An effect that lags the load, such as viscous lag,
 //! is seen as a delay: compare with `viscous_lag` and `clock_skew` of `diagnose`.
 
+use std::path::Path;
+
+use anyhow::Context;
+use firmware::sensors::hall::SENSORS;
+use model_export::output::write_output;
+use model_export::recordings::DataError;
+use model_export::recordings::csv_table::{CellRule, CsvTable};
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
@@ -88,6 +95,91 @@ pub fn estimate(fields: &[FieldSeries], forces: &[ForceSeries], search_s: f64) -
         }
     }
     interval(&channels, best_s)
+}
+
+/// Estimates the delay of a recording from its tables, over at most its first five minutes.
+///
+/// # Errors
+/// A table cannot be read.
+pub fn of_recording(folder: &Path, search_s: f64) -> Result<Option<Delay>, DataError> {
+    let hall = columns(folder, "hall.csv")?;
+    let force = columns(folder, "force.csv")?;
+    let column =
+        |name: &str| hall.iter().find(|(known, _)| known == name).map(|(_, values)| values);
+    let mut fields = Vec::new();
+    let mut forces = Vec::new();
+    for sensor in 0..SENSORS {
+        let axes = ["x", "y", "z"].map(|axis| column(&format!("s{sensor}_{axis}_lsb")));
+        let (Some(times), [Some(x), Some(y), Some(z)]) = (column("t_us"), axes) else { continue };
+        let field = x.iter().zip(y).zip(z).map(|((x, y), z)| [*x, *y, *z]);
+        let place = fields.len();
+        fields.push(FieldSeries { time_s: seconds(times), field: field.collect() });
+        for (name, values) in &force {
+            if name == &format!("f{sensor}_x_n") || name == &format!("f{sensor}_z_n") {
+                let Some((_, times)) = force.iter().find(|(name, _)| name == "t_us") else {
+                    continue;
+                };
+                let time_s = seconds(times);
+                forces.push(ForceSeries { time_s, force_n: values.clone(), sensor: place });
+            }
+        }
+    }
+    Ok(estimate(&fields, &forces, search_s))
+}
+
+/// Adds a delay to the times of `force.csv`: a new file, renamed at the end. Rows before the board's first are removed.
+///
+/// # Errors
+/// The table cannot be read or written.
+pub fn shift_reference(folder: &Path, delay_s: f64) -> anyhow::Result<()> {
+    let path = folder.join("force.csv");
+    let text = std::fs::read_to_string(&path).with_context(|| path.display().to_string())?;
+    let mut shifted = String::with_capacity(text.len());
+    for (number, line) in text.lines().enumerate() {
+        let line = line.trim_end();
+        let Some((time, rest)) = line.split_once(',').filter(|_| number > 0) else {
+            shifted += line;
+            shifted.push('\n');
+            continue;
+        };
+        let time_us: f64 = time.trim().parse().with_context(|| {
+            format!("{}: line {}: {time:?} is not a time", path.display(), number + 1)
+        })?;
+        let time_us = (time_us + 1e6 * delay_s).round();
+        if time_us >= 0.0 {
+            shifted += &format!("{time_us:.0},{rest}\n");
+        }
+    }
+    write_output(&path, shifted.as_bytes(), "t_us")?;
+    Ok(())
+}
+
+/// Longest part of a recording that is used, in seconds.
+const MAX_S: f64 = 300.0;
+
+/// Columns of a table by name.
+fn columns(folder: &Path, name: &'static str) -> Result<Vec<(String, Vec<f64>)>, DataError> {
+    let mut table = CsvTable::open(folder, name)?;
+    let names = table.header().to_vec();
+    let Some(time_column) = names.iter().position(|name| name == "t_us") else {
+        return Ok(Vec::new());
+    };
+    table.set_rules(time_column, vec![CellRule::Optional; names.len()]);
+    let mut columns: Vec<(String, Vec<f64>)> =
+        names.into_iter().map(|name| (name, Vec::new())).collect();
+    while let Some(row) = table.next_row()? {
+        if row.cells[time_column] > 1e6 * MAX_S {
+            break;
+        }
+        for ((_, values), cell) in columns.iter_mut().zip(row.cells) {
+            values.push(cell);
+        }
+    }
+    Ok(columns)
+}
+
+fn seconds(times_us: &[f64]) -> Vec<f64> {
+    times_us.iter().map(|us| 1e-6 * us).collect()
 }
 
 /// Time, score and information of each row of each channel, weighted by the channel's residual.
@@ -370,5 +462,30 @@ mod tests {
             series.force_n.fill(5.0);
         }
         assert_eq!(estimate(&fields, &forces, 0.2), None);
+    }
+
+    #[test]
+    fn times_of_a_recording_are_corrected_by_its_delay() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let (fields, forces) = recording(3, 0.04);
+        let mut hall = "t_us,s0_x_lsb,s0_y_lsb,s0_z_lsb\n".to_owned();
+        for (time_s, [x, y, z]) in fields[0].time_s.iter().zip(&fields[0].field) {
+            let [x, y, z] = [x, y, z].map(|g| (8.0 * g).round());
+            hall += &format!("{:.0},{x},{y},{z}\n", 1e6 * time_s);
+        }
+        let mut force = "t_us,f0_x_n,f0_z_n\n".to_owned();
+        for (row, time_s) in forces[0].time_s.iter().enumerate() {
+            let [x, z] = [0, 1].map(|axis| forces[axis].force_n[row]);
+            if *time_s >= 0.0 {
+                force += &format!("{:.0},{x:.4},{z:.4}\n", 1e6 * time_s);
+            }
+        }
+        std::fs::write(folder.path().join("hall.csv"), hall).unwrap();
+        std::fs::write(folder.path().join("force.csv"), force).unwrap();
+        let found = of_recording(folder.path(), 0.2).unwrap().unwrap();
+        assert!((found.delay_s - 0.04).abs() < 0.5e-3, "{found:?}");
+        shift_reference(folder.path(), found.delay_s).unwrap();
+        let after = of_recording(folder.path(), 0.2).unwrap().unwrap();
+        assert!(after.delay_s.abs() < 2e-6, "{after:?}");
     }
 }

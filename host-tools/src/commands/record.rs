@@ -2,6 +2,7 @@
 
 use analysis::numbers;
 use analysis::progress;
+use analysis::reference_delay::{self, Delay};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::mpsc::RecvTimeoutError;
@@ -21,6 +22,7 @@ use crate::commands::connection::{GripperArgs, interrupted, parse_seconds};
 use device::params_client;
 use device::reader::{ReaderEvent, SourceReader};
 use device::recorder::{Recorder, RecordingCounts, SensorRowAssembler};
+use device::reference::{ReferenceMapping, ReferenceReader, ReferenceRow, ReferenceSource};
 use device::source::Source;
 use report::text::terminal;
 
@@ -30,11 +32,19 @@ use report::text::terminal;
 Examples:
   cargo magpie record --port /dev/ttyACM0 -o bench/1 --seconds 30 --note 'lateral, by hand'
   cargo magpie record --can can0 --rate 500 -o bench/2
+  cargo magpie record --port /dev/ttyACM0 --reference /dev/ttyUSB0 --reference-map load-cell.toml -o bench/3
   cargo magpie record --virtual -o rehearsal/1 --seconds 10    # without hardware
 
 Ctrl-C ends the recording. A killed process leaves a valid recording up to the last second. A serial line
-carries every tick, a CAN bus at most every second one (--rate). Reference forces are not recorded: replace
-force.csv by the reference's table, with t_us from the same start.")]
+carries every tick with the covariates that the board has, a CAN bus at most every second one without them (--rate).
+
+A reference sensor sends lines of numbers; the mapping assigns their columns:
+
+  clock = { column = 1, unit = \"ms\" }                              # optional: the reference's own clock
+  columns = [{ column = 2, unit = \"N\", to = \"f0_x_n\", scale = -1 }]
+
+Its clock is aligned with the board's by the loads: vary them, or tap. Without --reference, replace force.csv by the
+reference's table, with t_us from the same start.")]
 pub struct Args {
     #[command(flatten)]
     gripper: GripperArgs,
@@ -53,6 +63,12 @@ pub struct Args {
     /// Nominal design of the gripper [default: MAGPIE].
     #[arg(long, value_name = "PATH")]
     design: Option<PathBuf>,
+    /// Reference force sensor: a serial port (PORT or PORT@BAUD), a socket (tcp:HOST:PORT) or - for standard input.
+    #[arg(long, value_name = "SOURCE", requires = "reference_map")]
+    reference: Option<ReferenceSource>,
+    /// Mapping of the reference's columns to those of force.csv.
+    #[arg(long, value_name = "PATH", requires = "reference")]
+    reference_map: Option<PathBuf>,
     /// Row rate over a CAN bus: 100, 250 or 500.
     #[arg(long, value_name = "HZ", default_value_t = 100, requires = "can", value_parser = parse_rate)]
     rate: u32,
@@ -61,6 +77,10 @@ pub struct Args {
     json: bool,
 }
 
+/// Largest delay of the reference: that of a slow amplifier and of the buffers on its way.
+const SEARCH_S: f64 = 0.3;
+/// Standard error above which the estimated delay is not applied: half a millisecond is the goal.
+const MAX_STANDARD_ERROR_S: f64 = 2e-3;
 /// Rows are flushed after this time without data.
 const FLUSH_TIMEOUT: Duration = Duration::from_millis(250);
 
@@ -74,28 +94,61 @@ pub fn run(args: &Args) -> Result<()> {
     } else {
         SensorRowAssembler::of_ticks()
     };
+    let mapping = args.reference_map.as_deref().map(ReferenceMapping::read).transpose()?;
+    let columns = mapping
+        .as_ref()
+        .map(|mapping| mapping.columns.iter().map(|force| force.to.clone()).collect::<Vec<_>>());
     let mut source = args.gripper.open()?;
     if let Some(design) = &mut description.design {
         // The electrical angle of the compensation follows from the board's number.
         let pole_pairs = params_client::read(source.as_mut(), id::POLE_PAIRS)?;
         design.more.insert("motor_pole_pairs".to_owned(), i64::from(pole_pairs).into());
     }
-    let recorder = Recorder::new(&args.output, description, rows.period_us())?;
+    let recorder = Recorder::new(&args.output, description, rows.period_us(), columns)?;
     let previous = enable_readings(source.as_mut(), args)?;
     let hearing = SourceReader::start(source);
-    let written = write_rows(&hearing, rows, recorder, args);
+    let reference = args.reference.as_ref().zip(mapping);
+    let reference = reference
+        .map(|(source, mapping)| ReferenceReader::start(source, mapping, hearing.begun))
+        .transpose();
+    let written =
+        reference.and_then(|reference| write_rows(&hearing, reference, rows, recorder, args));
     let mut source = hearing.stop()?;
     for (id, value) in previous {
         // After a loss of connection the gripper restarts with its stored settings.
         let _ = params_client::write(source.as_mut(), id, value);
     }
     let (tally, ended) = written?;
+    let alignment = args.reference.is_some().then(|| align(&args.output)).transpose()?;
     terminal::print_result(
         args.json,
-        || to_json(&args.output, start_s, &tally),
-        || format_report(&args.output, start_s, &tally),
+        || to_json(&args.output, start_s, &tally, alignment.as_ref()),
+        || format_report(&args.output, start_s, &tally, alignment.as_ref()),
     )?;
     ended
+}
+
+/// Alignment of the reference's clock.
+struct ReferenceAlignment {
+    /// The estimate; none where the loads do not show it.
+    delay: Option<Delay>,
+    /// Whether the times of the reference were corrected by it.
+    is_applied: bool,
+}
+
+/// Estimates the reference's delay and corrects its times, if the estimate is precise enough.
+fn align(folder: &Path) -> Result<ReferenceAlignment> {
+    let spinner = progress::status_spinner("aligning the reference");
+    let delay = reference_delay::of_recording(folder, SEARCH_S)?;
+    let is_applied = match delay {
+        Some(delay) if delay.standard_error_s <= MAX_STANDARD_ERROR_S => {
+            reference_delay::shift_reference(folder, delay.delay_s)?;
+            true
+        }
+        _ => false,
+    };
+    spinner.finish_and_clear();
+    Ok(ReferenceAlignment { delay, is_applied })
 }
 
 fn description(args: &Args) -> Result<RecordingDescription> {
@@ -136,6 +189,7 @@ fn enable_readings(source: &mut dyn Source, args: &Args) -> Result<Vec<(u16, i32
 /// the end.
 fn write_rows(
     hearing: &SourceReader,
+    reference: Option<ReferenceReader>,
     mut rows: SensorRowAssembler,
     mut recorder: Recorder,
     args: &Args,
@@ -143,6 +197,7 @@ fn write_rows(
     let interrupted = interrupted()?;
     let spinner = progress::row_spinner("recording");
     let end_s = args.seconds.unwrap_or(f64::INFINITY);
+    let mut clock = ReferenceClock::default();
     let ended = loop {
         if hearing.elapsed_s() >= end_s || interrupted.load(Relaxed) {
             break Ok(());
@@ -154,6 +209,7 @@ fn write_rows(
                     match rows.take(at_s, packet) {
                         Ok(None) => {}
                         Ok(Some(row)) => {
+                            clock.board(at_s, row.time_us);
                             recorder.take(row)?;
                             spinner.inc(1);
                         }
@@ -176,8 +232,56 @@ fn write_rows(
             Ok(ReaderEvent::Ended) | Err(RecvTimeoutError::Disconnected) => break Ok(()),
             Err(RecvTimeoutError::Timeout) => recorder.flush()?,
         }
+        if let Some(Err(error)) = take_reference(reference.as_ref(), &mut clock, &mut recorder) {
+            break Err(error);
+        }
     };
     finish(recorder, ended, &spinner)
+}
+
+/// Writes the rows of the reference that have arrived.
+fn take_reference(
+    reference: Option<&ReferenceReader>,
+    clock: &mut ReferenceClock,
+    recorder: &mut Recorder,
+) -> Option<Result<()>> {
+    for row in reference?.rows.try_iter() {
+        let written = row.and_then(|row| match clock.board_us(&row) {
+            Some(board_us) => recorder.take_reference(board_us, &row.force_n),
+            None => Ok(()),
+        });
+        if written.is_err() {
+            return Some(written);
+        }
+    }
+    Some(Ok(()))
+}
+
+/// Places the reference on the board's clock, to the delays of both transports.
+#[derive(Clone, Copy, Debug, Default)]
+struct ReferenceClock {
+    /// Least difference of arrival and board time in seconds.
+    board_s: Option<f64>,
+    /// Difference of arrival and reference time in seconds, of the first row with a clock.
+    reference_s: Option<f64>,
+}
+
+impl ReferenceClock {
+    /// A row of the board arrived at `at_s`.
+    fn board(&mut self, at_s: f64, time_us: u64) {
+        let late_s = at_s - 1e-6 * time_us as f64;
+        self.board_s = Some(self.board_s.map_or(late_s, |least_s| least_s.min(late_s)));
+    }
+
+    /// Board time of a row of the reference in microseconds; `None` before the first row of the board.
+    fn board_us(&mut self, row: &ReferenceRow) -> Option<f64> {
+        let board_s = self.board_s?;
+        let at_s = match row.clock_s {
+            None => row.at_s,
+            Some(clock_s) => clock_s + *self.reference_s.get_or_insert(row.at_s - clock_s),
+        };
+        Some(1e6 * (at_s - board_s))
+    }
 }
 
 /// Closes the recording. If it is empty, the reason of the end is the error.
@@ -230,7 +334,12 @@ fn campaign_time_s(target: &Path, now: SystemTime) -> Result<f64> {
     Ok(if latest_s.is_finite() { latest_s.round() } else { 0.0 })
 }
 
-fn format_report(output: &Path, start_s: f64, tally: &RecordingCounts) -> String {
+fn format_report(
+    output: &Path,
+    start_s: f64,
+    tally: &RecordingCounts,
+    alignment: Option<&ReferenceAlignment>,
+) -> String {
     let seconds = |us: u64| us as f64 * 1e-6;
     let numbers = |sensors: &[usize]| {
         let numbers: Vec<String> = sensors.iter().map(usize::to_string).collect();
@@ -282,14 +391,40 @@ fn format_report(output: &Path, start_s: f64, tally: &RecordingCounts) -> String
             silent.join(", ")
         ));
     }
-    text += &terminal::paragraph(
-        "force.csv has times but no forces: replace it by the reference's table (t_us from the same start) before \
-         fit, compare and replay.",
-    );
+    text += &terminal::paragraph(&match alignment {
+        None => "force.csv has times but no forces: replace it by the reference's table (t_us from the same start) before \
+                 fit, compare and replay."
+            .to_owned(),
+        Some(ReferenceAlignment { delay: None, .. }) => format!(
+            "Reference: {} rows; its delay cannot be determined, because its forces hardly vary: t_us is that of arrival.",
+            tally.reference_rows
+        ),
+        Some(ReferenceAlignment { delay: Some(delay), is_applied }) => {
+            let [low_ms, high_ms] = delay.interval_s.map(|s| 1e3 * s);
+            format!(
+                "Reference: {} rows; delay {:.2} ms, standard error {:.2} ms, 95 % from {low_ms:.2} to {high_ms:.2} ms; the \
+                 fields explain {:.1} % of its variance. {}",
+                tally.reference_rows,
+                1e3 * delay.delay_s,
+                1e3 * delay.standard_error_s,
+                100.0 * delay.explained,
+                if *is_applied {
+                    "t_us of force.csv is corrected by it."
+                } else {
+                    "That is not precise enough: t_us is that of arrival. Vary the loads faster, or tap."
+                }
+            )
+        }
+    });
     text
 }
 
-fn to_json(output: &Path, start_s: f64, tally: &RecordingCounts) -> Value {
+fn to_json(
+    output: &Path,
+    start_s: f64,
+    tally: &RecordingCounts,
+    alignment: Option<&ReferenceAlignment>,
+) -> Value {
     json!({
         "recording": output,
         "start_s": start_s,
@@ -304,7 +439,10 @@ fn to_json(output: &Path, start_s: f64, tally: &RecordingCounts) -> Value {
         "left_out_rows": tally.left_out,
         "rows_without_covariates": tally.without_covariates,
         "silent_rows": tally.silent,
-        "reference": false,
+        "reference": alignment.is_some(),
+        "reference_rows": tally.reference_rows,
+        "reference_delay": alignment.and_then(|alignment| alignment.delay),
+        "reference_delay_applied": alignment.map(|alignment| alignment.is_applied),
     })
 }
 

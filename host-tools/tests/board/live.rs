@@ -312,3 +312,43 @@ fn both_commands_help_has_examples() {
         assert!(help.contains(&format!("  cargo magpie {command} --port /dev/ttyACM0")), "{help}");
     }
 }
+
+#[test]
+fn reference_on_a_socket_is_recorded_alongside() {
+    let dir = workdir();
+    let server = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = server.local_addr().unwrap().port();
+    let sender = std::thread::spawn(move || {
+        let (mut stream, _) = server.accept().unwrap();
+        // Begins within a line. Constant forces: a delay cannot be determined.
+        let mut text = "3;".to_owned();
+        for row in 0.. {
+            text += &format!("{}; 2.5; {}\n", 10 * row, 100 + row % 2);
+            if stream.write_all(text.as_bytes()).is_err() {
+                return;
+            }
+            text.clear();
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    });
+    let mapping = "clock = { column = 1, unit = \"ms\" }\n\
+                   columns = [{ column = 2, unit = \"kg\", to = \"f0_x_n\", scale = -1 }]\n";
+    std::fs::write(dir.path("map.toml"), mapping).unwrap();
+    let output = dir.stdout(&format!(
+        "record --virtual --model model.toml --press 20,-10 --seconds 3 -o bench --json \
+         --reference tcp:127.0.0.1:{port} --reference-map map.toml"
+    ));
+    let output: Value = serde_json::from_slice(&output).unwrap();
+    assert_eq!(output["reference"], true);
+    assert_eq!(output["reference_delay"], Value::Null);
+    assert!(output["reference_rows"].as_u64().unwrap() > 100, "{output}");
+    assert_eq!(output["covariates"], serde_json::json!([]));
+    let table = std::fs::read_to_string(dir.path("bench/force.csv")).unwrap();
+    let lines: Vec<&str> = table.lines().map(str::trim_end).collect();
+    assert_eq!(lines[0], "t_us,f0_x_n");
+    let last: Vec<f64> =
+        lines[lines.len() - 1].split(',').map(|cell| cell.parse().unwrap()).collect();
+    // 2.5 kg are 24.5166 N.
+    assert!((last[1] + 24.5166).abs() < 1e-3 && last[0] < 3.2e6, "{last:?}");
+    sender.join().unwrap();
+}

@@ -49,6 +49,8 @@ pub struct RecordingCounts {
     pub covariates: Vec<&'static str>,
     /// Rows omitted because a recorded covariate was missing.
     pub without_covariates: u64,
+    /// Rows of the reference.
+    pub reference_rows: u64,
     /// Duration from the first to the last row.
     pub span_us: u64,
 }
@@ -60,6 +62,9 @@ pub struct Recorder {
     period_us: u64,
     /// Indices of the recorded covariates.
     covariates: Vec<usize>,
+    /// Columns of the reference.
+    reference: Option<Vec<String>>,
+    last_reference_us: Option<u64>,
     /// Rows received before the connected sensors are known.
     waiting: Vec<SensorRow>,
     tables: Option<Tables>,
@@ -71,17 +76,25 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// Recording in a new folder; rows come every `period_us`.
+    /// Recording in a new folder; rows come every `period_us`. `reference`: columns of the reference that is recorded
+    /// alongside; without one the table of forces has times only.
     ///
     /// # Errors
     /// The folder exists.
-    pub fn new(target: &Path, description: RecordingDescription, period_us: u64) -> Result<Self> {
+    pub fn new(
+        target: &Path,
+        description: RecordingDescription,
+        period_us: u64,
+        reference: Option<Vec<String>>,
+    ) -> Result<Self> {
         check_vacant(target)?;
         Ok(Self {
             target: target.to_path_buf(),
             description,
             period_us,
             covariates: Vec::new(),
+            reference,
+            last_reference_us: None,
             waiting: Vec::new(),
             tables: None,
             first_us: None,
@@ -114,6 +127,29 @@ impl Recorder {
             self.flush()?;
         }
         Ok(())
+    }
+
+    /// Adds a row of the reference at a board time in microseconds. Rows before the first of the board, or not after the
+    /// last of the reference, are left out.
+    ///
+    /// # Errors
+    /// Writing failed.
+    pub fn take_reference(&mut self, board_us: f64, force_n: &[f64]) -> Result<()> {
+        let (Some(tables), Some(first_us)) = (&mut self.tables, self.first_us) else {
+            return Ok(());
+        };
+        let time_us = (board_us - first_us as f64).round();
+        if time_us < 0.0 || self.last_reference_us.is_some_and(|last| time_us <= last as f64) {
+            return Ok(());
+        }
+        self.last_reference_us = Some(time_us as u64);
+        self.tally.reference_rows += 1;
+        let mut text = format!("{time_us:.0}");
+        for newtons in force_n {
+            text += &format!(",{newtons:.4}");
+        }
+        let written = tables.force.line(&text);
+        self.or_cut(written)
     }
 
     /// Writes the buffered rows except the last.
@@ -186,8 +222,13 @@ impl Recorder {
         self.description.write(draft.path())?;
         let names = covariates.iter().map(|&place| COVARIATES[place]);
         self.tally.covariates = names.collect();
-        let tables = Tables::create(draft.path(), &sensors, &self.tally.covariates)
-            .with_context(unwritable)?;
+        let tables = Tables::create(
+            draft.path(),
+            &sensors,
+            &self.tally.covariates,
+            self.reference.as_deref(),
+        )
+        .with_context(unwritable)?;
         self.tables = Some(tables);
         self.tally.sensors = sensors;
         self.covariates = covariates;
@@ -235,7 +276,7 @@ impl Recorder {
         }
         self.tally.rows += 1;
         let mut written = tables.hall.line(&text);
-        if row.time_us >= self.reference_us {
+        if self.reference.is_none() && row.time_us >= self.reference_us {
             self.reference_us = row.time_us - row.time_us % REFERENCE_US + REFERENCE_US;
             let empty = ",".repeat(2 * self.tally.sensors.len());
             written = written.and_then(|()| tables.force.line(&format!("{}{empty}", row.time_us)));
@@ -267,7 +308,12 @@ struct Tables {
 }
 
 impl Tables {
-    fn create(folder: &Path, sensors: &[usize], covariates: &[&str]) -> io::Result<Self> {
+    fn create(
+        folder: &Path,
+        sensors: &[usize],
+        covariates: &[&str],
+        reference: Option<&[String]>,
+    ) -> io::Result<Self> {
         let numbers = || sensors.iter().map(|sensor| *sensor as u32);
         let table = |name: &str, columns: Vec<String>| -> io::Result<_> {
             let mut table = PagedWriter::new(File::create_new(folder.join(name))?);
@@ -279,7 +325,15 @@ impl Tables {
         columns.extend(covariates.iter().map(|name| (*name).to_owned()));
         Ok(Self {
             hall: table("hall.csv", columns)?,
-            force: table("force.csv", force_columns(numbers()))?,
+            force: table(
+                "force.csv",
+                match reference {
+                    None => force_columns(numbers()),
+                    Some(columns) => {
+                        std::iter::once("t_us".to_owned()).chain(columns.iter().cloned()).collect()
+                    }
+                },
+            )?,
         })
     }
 

@@ -13,7 +13,7 @@ fn description() -> RecordingDescription {
 }
 
 fn recorder(folder: &Path) -> Recorder {
-    Recorder::new(&folder.join("1"), description(), 1000).unwrap()
+    Recorder::new(&folder.join("1"), description(), 1000, None).unwrap()
 }
 
 /// Row at a time in ms with answers from these sensors.
@@ -77,7 +77,7 @@ fn counts_and_degrees_are_recorded_and_forces_are_empty() {
     assert_eq!(tally.sensors, [1, 3]);
     let rows = read(folder.path());
     // 25 degrees less three eighths.
-    let expected = [0.125 * 299.0, -0.375, 0.125 * 16383.0, 24.625];
+    let expected = [0.125 * 299.0, -0.375, 0.125 * 16383.0, 24.625, 40.299];
     assert_eq!(rows[299].hall[4..], expected);
     assert!(rows.iter().flat_map(|row| &row.forces).all(|force| force.is_nan()));
     let recording = Recording::read(&folder.path().join("1"), Alignment { delay_us: 0.0 });
@@ -107,9 +107,9 @@ fn existing_folders_and_silent_sensors_are_errors() {
     let folder = TempDir::new().unwrap();
     let taken = folder.path().join("taken");
     fs::create_dir(&taken).unwrap();
-    assert!(Recorder::new(&taken, description(), 1000).is_ok());
+    assert!(Recorder::new(&taken, description(), 1000, None).is_ok());
     fs::write(taken.join("note"), "mine").unwrap();
-    let Err(error) = Recorder::new(&taken, description(), 1000) else {
+    let Err(error) = Recorder::new(&taken, description(), 1000, None) else {
         panic!("it was overwritten");
     };
     assert!(error.to_string().contains("refusing to overwrite"));
@@ -139,4 +139,28 @@ fn covariates_are_recorded_while_the_board_has_them() {
     // Four sensors of four columns, then the opening.
     assert_eq!(rows[123].hall.len(), 17);
     assert!((rows[123].hall[16] - 40.123).abs() < 1e-9);
+}
+
+#[test]
+fn reference_rows_follow_the_board_clock() {
+    let folder = TempDir::new().unwrap();
+    let columns = vec!["f0_x_n".to_owned()];
+    let target = folder.path().join("1");
+    let mut recorder = Recorder::new(&target, description(), 1000, Some(columns)).unwrap();
+    for ms in 0..1000 {
+        recorder.take(row(ms, &[0])).unwrap();
+        if ms % 10 == 0 {
+            // The first row of the board is at 1 s. One before it, and a repeated one, are left out.
+            let board_us = 1e6 + 1e3 * ms as f64 - 300_000.0;
+            recorder.take_reference(board_us, &[0.5 * ms as f64]).unwrap();
+            recorder.take_reference(board_us, &[7.0]).unwrap();
+        }
+    }
+    let tally = recorder.finish().unwrap();
+    assert_eq!(tally.reference_rows, 70);
+    let table = std::fs::read_to_string(target.join("force.csv")).unwrap();
+    let mut lines = table.lines().map(str::trim_end);
+    assert_eq!(lines.next(), Some("t_us,f0_x_n"));
+    assert_eq!(lines.next(), Some("0,150.0000"));
+    assert_eq!(lines.last(), Some("690000,495.0000"));
 }

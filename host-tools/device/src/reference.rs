@@ -1,0 +1,352 @@
+//! Reference force sensor recorded next to the gripper: lines of numbers from a serial port, a socket or standard input.
+
+use std::fmt;
+use std::io::{BufRead, BufReader, Read};
+use std::net::TcpStream;
+use std::path::Path;
+use std::str::FromStr;
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail};
+use model_export::recordings::columns::force_column;
+use model_export::recordings::units::{Unit, find_unit};
+use serde::Deserialize;
+
+/// Rate of a serial port without one.
+const BAUD_RATE: u32 = 115_200;
+/// Time-out of a serial port: the thread then sees that nobody listens.
+const WAIT: Duration = Duration::from_millis(200);
+/// Lines that cannot be read before the reading fails: the first of a stream is often cut off.
+const MAX_BAD_LINES: u64 = 10;
+
+/// Where the lines come from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum ReferenceSource {
+    /// Standard input.
+    Stdin,
+    /// A TCP socket, as `host:port`.
+    Socket(String),
+    /// A serial port and its rate in bits per second.
+    Serial(String, u32),
+}
+
+impl FromStr for ReferenceSource {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let problem = || format!("{text:?}: give -, tcp:HOST:PORT or PORT[@BAUD]");
+        if text == "-" {
+            return Ok(Self::Stdin);
+        }
+        if let Some(address) = text.strip_prefix("tcp:") {
+            return match address.rsplit_once(':') {
+                Some((host, port)) if !host.is_empty() && port.parse::<u16>().is_ok() => {
+                    Ok(Self::Socket(address.to_owned()))
+                }
+                _ => Err(problem()),
+            };
+        }
+        match text.split_once('@') {
+            None if !text.is_empty() => Ok(Self::Serial(text.to_owned(), BAUD_RATE)),
+            Some((path, baud)) if !path.is_empty() => {
+                Ok(Self::Serial(path.to_owned(), baud.parse().map_err(|_| problem())?))
+            }
+            _ => Err(problem()),
+        }
+    }
+}
+
+impl fmt::Display for ReferenceSource {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Self::Stdin => f.write_str("standard input"),
+            Self::Socket(address) => f.write_str(address),
+            Self::Serial(path, baud) => write!(f, "{path} at {baud} baud"),
+        }
+    }
+}
+
+/// Columns of the lines, counted from 1.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ReferenceMapping {
+    /// Separator of the columns [default: blanks, commas and semicolons].
+    #[serde(default)]
+    pub separator: Option<char>,
+    /// Clock of the reference; without it, the times at which the lines arrive are used.
+    #[serde(default)]
+    pub clock: Option<ClockColumn>,
+    /// Forces.
+    pub columns: Vec<ForceMapping>,
+}
+
+/// Clock of the reference.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ClockColumn {
+    /// Column, from 1.
+    pub column: usize,
+    /// Unit: s, ms, us or ns.
+    pub unit: String,
+}
+
+/// One force.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ForceMapping {
+    /// Column, from 1.
+    pub column: usize,
+    /// Unit of the reference, as in import mappings.
+    pub unit: String,
+    /// Column of `force.csv`, for example `f0_x_n`.
+    pub to: String,
+    /// Factor in addition to that of the unit; -1 inverts the sign.
+    #[serde(default = "one")]
+    pub scale: f64,
+}
+
+fn one() -> f64 {
+    1.0
+}
+
+/// One line.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ReferenceRow {
+    /// Time of its arrival in seconds since the start of reception.
+    pub at_s: f64,
+    /// Time on the reference's own clock in seconds, if it has one.
+    pub clock_s: Option<f64>,
+    /// Forces in newtons, in the order of the mapping.
+    pub force_n: Vec<f64>,
+}
+
+impl ReferenceMapping {
+    /// Reads a mapping file.
+    ///
+    /// # Errors
+    /// The file cannot be read, or a column, unit or factor is invalid.
+    pub fn read(path: &Path) -> Result<Self> {
+        let place = || path.display().to_string();
+        let text = std::fs::read_to_string(path).with_context(place)?;
+        let mapping: Self = toml::from_str(&text).with_context(place)?;
+        mapping.check().with_context(place)?;
+        Ok(mapping)
+    }
+
+    fn check(&self) -> Result<()> {
+        if self.columns.is_empty() {
+            bail!(
+                "there are no [[columns]]: map at least one force, for example column = 1, unit = \"N\", to = \"f0_x_n\""
+            );
+        }
+        for (place, force) in self.columns.iter().enumerate() {
+            force_column(&force.to).map_err(|error| anyhow::anyhow!("{}: {error}", force.to))?;
+            if force.to == "t_us" || self.columns[..place].iter().any(|other| other.to == force.to)
+            {
+                bail!("{}: map each force once; the clock belongs to [clock]", force.to);
+            }
+            unit(&force.unit, "n").with_context(|| force.to.clone())?;
+            if !force.scale.is_finite() || force.scale == 0.0 {
+                bail!("{}: scale = {}: give a number other than zero", force.to, force.scale);
+            }
+        }
+        if let Some(clock) = &self.clock {
+            unit(&clock.unit, "us").context("clock")?;
+        }
+        let clock = self.clock.iter().map(|clock| clock.column);
+        if clock.chain(self.columns.iter().map(|force| force.column)).any(|column| column == 0) {
+            bail!("columns are counted from 1");
+        }
+        Ok(())
+    }
+
+    /// Values of a line that arrived at `at_s`.
+    ///
+    /// # Errors
+    /// A column is missing or not a finite number.
+    pub fn parse(&self, line: &str, at_s: f64) -> Result<ReferenceRow> {
+        let cells: Vec<&str> = match self.separator {
+            Some(separator) => line.split(separator).map(str::trim).collect(),
+            None => line
+                .split(|c: char| c.is_whitespace() || c == ',' || c == ';')
+                .filter(|cell| !cell.is_empty())
+                .collect(),
+        };
+        let number = |column: usize| {
+            let cell = cells.get(column - 1).copied();
+            let cell = cell.with_context(|| format!("column {column} is missing in {line:?}"))?;
+            let value = cell.parse().ok().filter(|value: &f64| value.is_finite());
+            value.with_context(|| format!("column {column} is not a number: {cell:?}"))
+        };
+        let clock_s = match &self.clock {
+            None => None,
+            Some(clock) => Some(1e-6 * number(clock.column)? * unit(&clock.unit, "us")?.factor),
+        };
+        let forces = self
+            .columns
+            .iter()
+            .map(|force| Ok(number(force.column)? * unit(&force.unit, "n")?.factor * force.scale));
+        Ok(ReferenceRow { at_s, clock_s, force_n: forces.collect::<Result<_>>()? })
+    }
+}
+
+/// The unit with this symbol, if it converts to `canonical`.
+fn unit(name: &str, canonical: &str) -> Result<Unit> {
+    let unit = find_unit(name).filter(|unit| unit.canonical == canonical);
+    let choices = if canonical == "n" { "N, mN, kN, g, kg, kgf, lbf" } else { "s, ms, us, ns" };
+    unit.with_context(|| format!("the unit {name:?}: accepted are {choices}"))
+}
+
+/// Lines in their own thread, until the stream ends or fails.
+pub struct ReferenceReader {
+    /// Rows in the order of their arrival; the last may be an error.
+    pub rows: Receiver<Result<ReferenceRow>>,
+}
+
+impl ReferenceReader {
+    /// Opens the source; times count from `begun`.
+    ///
+    /// # Errors
+    /// The source cannot be opened.
+    pub fn start(
+        source: &ReferenceSource,
+        mapping: ReferenceMapping,
+        begun: Instant,
+    ) -> Result<Self> {
+        let name = source.to_string();
+        let stream: Box<dyn Read + Send> = match source {
+            ReferenceSource::Stdin => Box::new(std::io::stdin()),
+            ReferenceSource::Socket(address) => {
+                Box::new(TcpStream::connect(address).with_context(|| name.clone())?)
+            }
+            ReferenceSource::Serial(path, baud) => {
+                let port = serialport::new(path, *baud).timeout(WAIT).open();
+                Box::new(Patient(port.with_context(|| name.clone())?))
+            }
+        };
+        let (sender, rows) = channel();
+        // Ends with its stream, or when nobody listens.
+        thread::spawn(move || listen(stream, &name, &mapping, begun, &sender));
+        Ok(Self { rows })
+    }
+}
+
+/// A port that waits for bytes longer than its time-out.
+struct Patient(Box<dyn serialport::SerialPort>);
+
+impl Read for Patient {
+    fn read(&mut self, bytes: &mut [u8]) -> std::io::Result<usize> {
+        loop {
+            match self.0.read(bytes) {
+                Err(error) if error.kind() == std::io::ErrorKind::TimedOut => {}
+                result => return result,
+            }
+        }
+    }
+}
+
+fn listen(
+    stream: Box<dyn Read + Send>,
+    name: &str,
+    mapping: &ReferenceMapping,
+    begun: Instant,
+    sender: &Sender<Result<ReferenceRow>>,
+) {
+    let mut lines = BufReader::new(stream);
+    let (mut line, mut number, mut bad) = (Vec::new(), 0_u64, 0);
+    loop {
+        line.clear();
+        match lines.read_until(b'\n', &mut line) {
+            Ok(0) => return,
+            Ok(_) => {}
+            Err(error) => {
+                let _ = sender.send(Err(error).with_context(|| name.to_owned()));
+                return;
+            }
+        }
+        number += 1;
+        let at_s = begun.elapsed().as_secs_f64();
+        let text = String::from_utf8_lossy(&line);
+        if text.trim().is_empty() {
+            continue;
+        }
+        let row = match mapping.parse(text.trim(), at_s) {
+            Ok(row) => Ok(row),
+            Err(_) if bad < MAX_BAD_LINES => {
+                bad += 1;
+                continue;
+            }
+            Err(error) => Err(error.context(format!("{name}: line {number}"))),
+        };
+        let is_last = row.is_err();
+        if sender.send(row).is_err() || is_last {
+            return;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn mapping(text: &str) -> Result<ReferenceMapping> {
+        let mapping: ReferenceMapping = toml::from_str(text)?;
+        mapping.check()?;
+        Ok(mapping)
+    }
+
+    #[test]
+    fn sources_are_parsed() {
+        let serial = |path: &str, baud| ReferenceSource::Serial(path.to_owned(), baud);
+        for (text, source) in [
+            ("-", ReferenceSource::Stdin),
+            ("tcp:10.0.0.2:49152", ReferenceSource::Socket("10.0.0.2:49152".to_owned())),
+            ("/dev/ttyUSB1", serial("/dev/ttyUSB1", 115_200)),
+            ("/dev/ttyUSB1@921600", serial("/dev/ttyUSB1", 921_600)),
+        ] {
+            assert_eq!(text.parse(), Ok(source));
+        }
+        for wrong in ["", "tcp:host", "tcp::80", "tcp:host:99999", "/dev/ttyUSB1@fast", "@9600"] {
+            assert!(wrong.parse::<ReferenceSource>().is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn line_gives_clock_and_forces_in_newtons() {
+        let mapping = mapping(
+            "clock = { column = 1, unit = \"ms\" }\n\
+             columns = [{ column = 3, unit = \"N\", to = \"f0_x_n\", scale = -1 },\n\
+                        { column = 2, unit = \"kg\", to = \"f0_z_n\" }]",
+        )
+        .unwrap();
+        let row = mapping.parse("1500, 2.0; -12.5", 0.25).unwrap();
+        assert_eq!((row.at_s, row.clock_s), (0.25, Some(1.5)));
+        assert!((row.force_n[0] - 12.5).abs() < 1e-12 && (row.force_n[1] - 19.6133).abs() < 1e-9);
+        for (line, what) in [
+            ("1500, 2.0", "column 3 is missing"),
+            ("1500, 2.0, x", "column 3 is not a number: \"x\""),
+            ("1500, nan, 1", "column 2 is not a number: \"nan\""),
+        ] {
+            assert!(mapping.parse(line, 0.0).unwrap_err().to_string().contains(what), "{line}");
+        }
+    }
+
+    #[test]
+    fn invalid_mappings_are_refused() {
+        let column = |text: &str| format!("columns = [{{ {text} }}]");
+        for (text, what) in [
+            ("columns = []".to_owned(), "no [[columns]]"),
+            (column("column = 0, unit = \"N\", to = \"f0_x_n\""), "counted from 1"),
+            (column("column = 1, unit = \"V\", to = \"f0_x_n\""), "the unit \"V\""),
+            (column("column = 1, unit = \"N\", to = \"fx\""), "fx"),
+            (column("column = 1, unit = \"N\", to = \"t_us\""), "[clock]"),
+            (column("column = 1, unit = \"N\", to = \"f0_x_n\", scale = 0"), "scale = 0"),
+            (column("column = 1, unit = \"N\", to = \"f0_x_n\", gain = 2"), "unknown field"),
+        ] {
+            let error = format!("{:#}", mapping(&text).unwrap_err());
+            assert!(error.contains(what), "{text}: {error}");
+        }
+    }
+}
