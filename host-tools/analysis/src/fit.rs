@@ -41,7 +41,7 @@ pub fn fit_model(
         let campaign = read_campaign(folder, alignment)?;
         let findings = data_findings(folder, &campaign)?;
         notes.extend(campaign.notices().cloned().map(Note::Recording));
-        notes.extend(findings.into_iter().map(Note::SetupError));
+        notes.extend(findings.into_iter().map(Box::new).map(Note::SetupError));
         let (fits, notices) = fit_campaign(&campaign, base, degree, options)?;
         notes.extend(notices.into_iter().map(Note::Recording));
         let provenance = Provenance::of(&campaign, alignment.delay_us, options)?;

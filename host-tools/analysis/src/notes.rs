@@ -19,7 +19,7 @@ pub enum Note {
     /// Notice of the reader or of the fit on a recording.
     Recording(Notice),
     /// Setup error in the recordings that does not prevent a fit.
-    SetupError(Finding),
+    SetupError(Box<Finding>),
     /// A replay assumes another delay of the reference than the fit.
     ReplayDelay {
         /// Delay of the fit in milliseconds.

@@ -4,6 +4,7 @@ mod files;
 mod with_model;
 
 use analysis::data_quality::Finding;
+use report::text::findings::message;
 use tests::campaign_copy::CsvTable;
 use tests::data;
 
@@ -12,14 +13,15 @@ const ALL: [u32; 3] = [1, 2, 3];
 
 /// The only one of these findings.
 fn single(mut findings: Vec<Finding>) -> Finding {
-    let kinds: Vec<_> = findings.iter().map(|f| (f.id, f.message.clone())).collect();
+    let kinds: Vec<_> = findings.iter().map(|f| (f.id, message(f))).collect();
     assert_eq!(findings.len(), 1, "{kinds:#?}");
     findings.remove(0)
 }
 
 fn assert_message(finding: &Finding, words: &[&str]) {
+    let message = message(finding);
     for word in words {
-        assert!(finding.message.contains(word), "{:?} should contain {word:?}", finding.message);
+        assert!(message.contains(word), "{message:?} should contain {word:?}");
     }
 }
 

@@ -23,16 +23,27 @@ use crate::data_quality::scan::finite;
 /// Correction that `--fix` applies for a finding.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Fix {
-    /// Description.
-    pub words: String,
+    /// What it does.
+    pub kind: FixKind,
     /// Changes, table by table.
     pub repairs: Vec<Repair>,
 }
 
-impl fmt::Display for Fix {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.words)
-    }
+/// What a correction does.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub enum FixKind {
+    /// Sorts rows by time.
+    SortRows,
+    /// Removes exact duplicates of rows.
+    RemoveDuplicates,
+    /// Converts columns from the first unit to the second.
+    ConvertUnit(&'static str, &'static str),
+    /// Converts columns to their unit.
+    ConvertColumns,
+    /// Negates columns.
+    NegateColumns,
+    /// Restores the order of the columns.
+    ReorderColumns,
 }
 
 /// One change of one table.
@@ -71,6 +82,7 @@ pub enum Change {
     },
 }
 
+/// The change as written to the description of the corrected recording.
 impl fmt::Display for Change {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {

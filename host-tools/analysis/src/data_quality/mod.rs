@@ -3,11 +3,13 @@
 //! - [`scan`]: one tolerant pass over every file, in constant memory.
 //! - [`checks`]: findings from the files alone.
 //! - [`model_checks`]: findings that need a model's prediction.
+//! - [`evidence`]: what a check found.
 //! - [`fix`]: unambiguous corrections, and writing a corrected campaign.
 //!
 //! Each cause is reported once: later checks skip the columns that an earlier finding explains.
 
 pub mod checks;
+pub mod evidence;
 pub mod fix;
 pub mod model_checks;
 pub mod scan;
@@ -22,8 +24,9 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::data_quality::checks::{CheckContext, Found, clock, columns, lines};
+use crate::data_quality::evidence::Evidence;
 use crate::data_quality::fix::Fix;
-use crate::data_quality::model_checks::description::column_errors;
+use crate::data_quality::model_checks::column_findings::column_errors;
 use crate::data_quality::model_checks::{ModelResiduals, SensorPrediction};
 use crate::data_quality::scan::RecordingScan;
 
@@ -34,8 +37,8 @@ pub struct Finding {
     pub id: &'static str,
     /// File, line and column, where applicable.
     pub place: Location,
-    /// What was found, the evidence in numbers, and the remedy, in one sentence.
-    pub message: String,
+    /// What was found, in numbers.
+    pub evidence: Evidence,
     /// True if no further result is valid before it is fixed.
     pub stops: bool,
     /// Repair by `--fix`; `None` where it is ambiguous.

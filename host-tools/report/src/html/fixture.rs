@@ -3,7 +3,8 @@
 use std::f64::consts::PI;
 
 use analysis::data_quality::Finding;
-use analysis::data_quality::fix::Fix;
+use analysis::data_quality::evidence::{ColumnError, Evidence, RecordingSet};
+use analysis::data_quality::fix::{Fix, FixKind};
 use model_export::model_file::SensorScale;
 use model_export::recordings::Location;
 use model_export::recordings::columns::Axis;
@@ -228,6 +229,11 @@ pub fn comparison(recordings: usize, sensors: u32, error: f64) -> Comparison {
     }
 }
 
+fn recordings_of(count: usize) -> RecordingSet {
+    let names = (1..=count).map(|k| format!("{k:02}-grasp-and-walk"));
+    RecordingSet { names: names.collect(), is_all: false }
+}
+
 /// Everything at once: two models and two mistakes of the rig.
 pub fn full(recordings: usize) -> Comparison {
     let place = Location {
@@ -238,19 +244,30 @@ pub fn full(recordings: usize) -> Comparison {
     Comparison {
         findings: vec![
             Finding {
-                id: "force_sign",
+                id: "force_flipped",
                 place: place.clone(),
-                message: "The lateral force of place 2 has the wrong sign: it correlates with the field at -0.98 where the other places have 0.97 to 0.99. Turn it in the recorder, or let --fix do so.".to_owned(),
+                evidence: Evidence::ColumnErrors {
+                    columns: vec![("f2_x_n".to_owned(), ColumnError::OtherSign)],
+                    recordings: recordings_of(1),
+                    before_g: 65.9,
+                    after_g: 0.16,
+                    alternatives: Vec::new(),
+                    is_unit: false,
+                },
                 stops: true,
-                fix: Some(Fix {
-                    words: "multiplies f2_x_n by -1".to_owned(),
-                    repairs: Vec::new(),
-                }),
+                fix: Some(Fix { kind: FixKind::NegateColumns, repairs: Vec::new() }),
             },
             Finding {
                 id: "clock_gap",
                 place,
-                message: "The board's clock jumps by 1.204 s: rows were lost. Nothing is interpolated over the gap; record anew if it matters.".to_owned(),
+                evidence: Evidence::ClockGaps {
+                    gaps: 1,
+                    recordings: recordings_of(1),
+                    lost: 0.013,
+                    from_s: 14.1,
+                    longest_ms: 1204.0,
+                    period_ms: 1.0,
+                },
                 stops: false,
                 fix: None,
             },

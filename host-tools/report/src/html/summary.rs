@@ -7,6 +7,7 @@ use crate::html::both;
 use crate::html::palette::{self, Role};
 use crate::html::plot::{Failure, Paper, Swatch, centred, figure, key, letters, px, stroke};
 use crate::text::comparison::{validation, verdict};
+use crate::text::findings;
 use analysis::compare::Comparison;
 use analysis::numbers::{number, percent};
 use analysis::statistics::ErrorStatistics;
@@ -301,10 +302,10 @@ pub fn findings_section(comparison: &Comparison) -> Markup {
                     @for finding in findings {
                         li.stops[finding.stops] {
                             @if finding.stops { strong { "Prevents the comparison. " } }
-                            (finding.message)
+                            (findings::message(finding))
                             span.place { (finding.place) }
                             @if let Some(fix) = &finding.fix {
-                                span.fix { code { "--fix" } ": " (fix) }
+                                span.fix { code { "--fix" } ": " (findings::fix(fix)) }
                             }
                         }
                     }

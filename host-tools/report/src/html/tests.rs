@@ -3,7 +3,7 @@ use std::time::Instant;
 use super::*;
 use crate::html::fixture::{comparison, full};
 use analysis::compare::{Envelope, Trace};
-use analysis::data_quality::Finding;
+use analysis::data_quality::evidence::Evidence;
 
 #[test]
 fn sections_are_in_order() {
@@ -36,9 +36,9 @@ fn user_names_are_escaped() {
     comparison.model = evil.to_owned();
     comparison.campaign = evil.to_owned();
     comparison.located[0].words = evil.into();
-    comparison
-        .findings
-        .push(Finding { message: evil.to_owned(), ..comparison.findings[0].clone() });
+    if let Evidence::ColumnErrors { columns, .. } = &mut comparison.findings[0].evidence {
+        columns[0].0 = evil.to_owned();
+    }
     comparison.traces[0].recording = evil.to_owned();
     comparison.worst[0].recording = evil.to_owned();
     comparison.worst[0].sensor = 0;

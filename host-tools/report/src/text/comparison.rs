@@ -13,6 +13,7 @@ use anstyle::Style;
 use model_export::fit::cross_validation::CvSplit;
 use serde_json::{Value, json};
 
+use crate::text::findings;
 use crate::text::terminal::{self, ERROR, GOOD, HEADING, WARNING, WIDTH};
 
 /// Fraction of the explained residual that counts as concentrated.
@@ -68,10 +69,15 @@ pub fn data_findings(findings: &[Finding]) -> String {
     let mut page =
         colored(style, &format!("Setup errors in the recordings ({}), {advice}:", findings.len()));
     for (i, finding) in findings.iter().enumerate() {
-        page += &terminal::paragraph(&format!("  {}. {}: {}", i + 1, finding.id, finding.message));
+        page += &terminal::paragraph(&format!(
+            "  {}. {}: {}",
+            i + 1,
+            finding.id,
+            findings::message(finding)
+        ));
         page += &terminal::paragraph(&format!("     {}", finding.place));
         if let Some(fix) = &finding.fix {
-            page += &terminal::paragraph(&format!("     --fix: {fix}"));
+            page += &terminal::paragraph(&format!("     --fix: {}", findings::fix(fix)));
         }
     }
     page + "\n"
@@ -410,9 +416,9 @@ pub fn to_json(comparison: &Comparison) -> Value {
             "column": finding.place.column,
             "file": finding.place.file.display().to_string(),
             "line": finding.place.line,
-            "message": finding.message,
+            "message": findings::message(finding),
             "stops": finding.stops,
-            "fix": finding.fix.as_ref().map(ToString::to_string),
+            "fix": finding.fix.as_ref().map(findings::fix),
         })
     });
     let mut object = json!({

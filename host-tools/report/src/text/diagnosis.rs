@@ -9,6 +9,7 @@ use model_export::effects::find;
 use serde_json::{Value, json};
 
 use crate::text::comparison::{data_findings, stopped_verdict};
+use crate::text::findings;
 use crate::text::terminal::{self, GOOD, HEADING, NARROW_WIDTH, WARNING};
 
 /// Result as tables and text.
@@ -191,7 +192,7 @@ pub fn to_json(diagnosis: &Diagnosis) -> Value {
         json!({
             "id": finding.id,
             "column": finding.place.column,
-            "message": finding.message,
+            "message": findings::message(finding),
             "stops": finding.stops,
         })
     });

@@ -15,6 +15,7 @@ pub mod edit_model;
 pub mod effects;
 pub mod export;
 pub mod fault_campaign;
+pub mod findings;
 pub mod fit;
 pub mod grasp;
 pub mod notes;

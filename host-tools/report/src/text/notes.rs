@@ -2,12 +2,14 @@
 
 use analysis::notes::{Note, UncompensatedEffect};
 
+use crate::text::findings;
+
 /// The note as a sentence, without a full stop.
 pub fn text(note: &Note) -> String {
     match note {
         Note::Recording(notice) => notice.to_string(),
         Note::SetupError(finding) => {
-            format!("{}: {} (details: `magpie compare`)", finding.place, finding.message)
+            format!("{}: {} (details: `magpie compare`)", finding.place, findings::message(finding))
         }
         Note::ReplayDelay { fitted_ms, delay_ms } => {
             format!("the model was fitted with --delay-ms {fitted_ms}, this replay has {delay_ms}")

@@ -1,7 +1,8 @@
 //! Timestamps and rows.
 
-use crate::data_quality::checks::{Channel, CheckContext, Found, digits, list, percent};
-use crate::data_quality::fix::{Change, Fix, Repair};
+use crate::data_quality::checks::{Channel, CheckContext, Found};
+use crate::data_quality::evidence::Evidence;
+use crate::data_quality::fix::{Change, Fix, FixKind, Repair};
 use crate::data_quality::scan::column::Quantity;
 use crate::data_quality::scan::{Repeats, TableScan};
 use model_export::recordings::Location;
@@ -14,31 +15,23 @@ pub fn backwards<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
 fn fall<'a>(table: &TableScan) -> Option<Found<'a>> {
     let clock = &table.clock;
     let (line, before, after) = clock.first_fall?;
-    let times = match clock.falls {
-        1 => "once".to_owned(),
-        n => format!("{n} times"),
-    };
     let sortable = clock.can_be_sorted();
-    let advice = match (sortable, clock.copies) {
-        (true, 0) => "sorting by time fixes it: look for a logger that mixes up its buffers",
-        (true, _) => {
-            "some rows are duplicates: sorting by time and removing the duplicates fixes it; look for a logger that sends a buffer twice"
-        }
-        (false, _) => {
-            "too many rows to sort safely: split the recording here if the clock was reset, or remove the rows with a wrong time"
-        }
+    let evidence = Evidence::ClockBackwards {
+        falls: clock.falls,
+        before_us: before,
+        after_us: after,
+        late: clock.late,
+        rows: clock.rows,
+        copies: clock.copies,
+        sortable,
     };
-    let message = format!(
-        "the clock runs backwards {times}, first here from {before} to {after} us, and {} of {} rows are earlier than one before them; {advice}",
-        clock.late, clock.rows
-    );
     let mut repairs = vec![Change::SortRows];
     if clock.copies > 0 {
         repairs.push(Change::DropCopies);
     }
-    let fix = sortable.then(|| fix(table, "puts the rows in order of time", repairs));
+    let fix = sortable.then(|| fix(table, FixKind::SortRows, repairs));
     let place = Location::file(&table.path).line(line).column("t_us");
-    Some(Found::new(place, message).stopping(fix))
+    Some(Found::new(place, evidence).stopping(fix))
 }
 
 /// Rows with the time of the previous row, an error for the readers.
@@ -50,34 +43,19 @@ pub fn duplicates<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
 fn copies<'a>(table: &TableScan) -> Option<Found<'a>> {
     let clock = &table.clock;
     let (copies, clashes) = (clock.copies, clock.clashes);
-    let rows = |count: u64| match count {
-        1 => "1 row has".to_owned(),
-        n => format!("{n} rows have"),
-    };
-    let message = match (copies, clashes) {
-        (0, 0) => return None,
-        (_, 0) => format!(
-            "{} the time of the previous row, first here, and identical cells; remove them and look for a logger that writes a row twice",
-            rows(copies)
-        ),
-        (0, _) => format!(
-            "{} the time of the previous row, first here, but different cells, so the correct row is unknown: look for a clock that is too coarse, or for two merged streams",
-            rows(clashes)
-        ),
-        _ => format!(
-            "{} the time of the previous row, first here: {copies} with identical cells, {clashes} with different ones, of which the correct row is unknown",
-            rows(copies + clashes)
-        ),
-    };
-    let fix = (clashes == 0)
-        .then(|| fix(table, "removes rows that are exact duplicates", vec![Change::DropCopies]));
+    if copies + clashes == 0 {
+        return None;
+    }
+    let evidence = Evidence::DuplicateRows { identical: copies, different: clashes };
+    let fix =
+        (clashes == 0).then(|| fix(table, FixKind::RemoveDuplicates, vec![Change::DropCopies]));
     let place = Location::file(&table.path).line(clock.first_copy).column("t_us");
-    Some(Found::new(place, message).stopping(fix))
+    Some(Found::new(place, evidence).stopping(fix))
 }
 
-fn fix(table: &TableScan, words: &str, changes: Vec<Change>) -> Fix {
+fn fix(table: &TableScan, kind: FixKind, changes: Vec<Change>) -> Fix {
     let repair = |change| Repair { file: table.path.clone(), change };
-    Fix { words: words.to_owned(), repairs: changes.into_iter().map(repair).collect() }
+    Fix { kind, repairs: changes.into_iter().map(repair).collect() }
 }
 
 /// Timestamp steps far above the sampling period.
@@ -99,19 +77,15 @@ fn gaps_of<'a>(context: &CheckContext<'a>, name: &str) -> Option<Found<'a>> {
     let lost_s: f64 = hit.iter().map(|(_, table)| 1e-6 * table.clock.lost_us).sum();
     let span_s: f64 = hit.iter().map(|(_, table)| table.clock.span_s()).sum();
     let (step_us, line, from_us) = worst.clock.longest;
-    let message = format!(
-        "{} in the clock {}, {} of the total time; the longest here, from {} s on: {} ms where rows are {} ms apart. Rows next to a gap are excluded; look for lost transfers or a blocked logger",
-        match gaps {
-            1 => "1 gap".to_owned(),
-            n => format!("{n} gaps"),
-        },
-        context.recordings_in(hit.iter().map(|(recording, _)| *recording)),
-        percent(lost_s / span_s),
-        digits(worst.second(from_us)),
-        digits(1e-3 * step_us),
-        digits(1e-3 * worst.clock.period_us),
-    );
-    Some(Found::new(Location::file(&worst.path).line(line).column("t_us"), message))
+    let evidence = Evidence::ClockGaps {
+        gaps,
+        recordings: context.recordings_in(hit.iter().map(|(recording, _)| *recording)),
+        lost: lost_s / span_s,
+        from_s: worst.second(from_us),
+        longest_ms: 1e-3 * step_us,
+        period_ms: 1e-3 * worst.clock.period_us,
+    };
+    Some(Found::new(Location::file(&worst.path).line(line).column("t_us"), evidence))
 }
 
 /// Repeated rows below this share are harmless.
@@ -137,21 +111,15 @@ pub fn repeated_samples<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
     let mut sensors: Vec<u32> = hit.iter().map(|(_, _, repeats)| repeats.sensor).collect();
     sensors.sort_unstable();
     sensors.dedup();
-    let whose = if sensors.len() == worst.repeats.len() {
-        "of every sensor".to_owned()
-    } else {
-        let names: Vec<String> = sensors.iter().map(|sensor| format!("s{sensor}")).collect();
-        format!("of {}", list(&names.iter().map(String::as_str).collect::<Vec<_>>()))
+    let is_all = sensors.len() == worst.repeats.len();
+    let evidence = Evidence::RepeatedSamples {
+        sensors: (!is_all).then_some(sensors),
+        recordings: context.recordings_in(hit.iter().map(|(recording, _, _)| *recording)),
+        share: repeats.share(),
+        by_chance: repeats.by_chance(),
+        rate_hz: 1e6 / worst.clock.period_us * (1.0 - repeats.share()),
     };
-    let rate_hz = 1e6 / worst.clock.period_us * (1.0 - repeats.share());
-    let message = format!(
-        "{} of the rows repeat the previous field {whose} {}, where noise alone gives {}: the sensors are read less often than rows are written, about {} times a second. Averages then contain fewer independent samples than rows, and the field is delayed by half the repetition; read the sensors once per row, or write one row per sample",
-        percent(repeats.share()),
-        context.recordings_in(hit.iter().map(|(recording, _, _)| *recording)),
-        percent(repeats.by_chance()),
-        digits(rate_hz),
-    );
-    vec![Found::new(Location::file(&worst.path).line(repeats.line), message)]
+    vec![Found::new(Location::file(&worst.path).line(repeats.line), evidence)]
 }
 
 /// True where noise should have changed the axes of a sensor in many rows but did not.

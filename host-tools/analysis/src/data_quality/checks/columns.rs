@@ -1,9 +1,8 @@
 //! Values of single columns: unit, variation, range, resolution, outliers.
 
-use crate::data_quality::checks::{
-    Channel, CheckContext, Found, by_table, clock, digits, list, percent, verb,
-};
-use crate::data_quality::fix::{Change, Fix, Repair};
+use crate::data_quality::checks::{Channel, CheckContext, Found, by_table, clock};
+use crate::data_quality::evidence::{Evidence, Magnitude};
+use crate::data_quality::fix::{Change, Fix, FixKind, Repair};
 use crate::data_quality::scan::RecordingScan;
 use crate::data_quality::scan::column::{ColumnScan, FEW, Quantity, Run};
 use model_export::effects::CATALOGUE;
@@ -30,7 +29,7 @@ const MOST_A: f64 = 200.0;
 struct Misfit {
     found: &'static str,
     wanted: &'static str,
-    evidence: String,
+    magnitude: Magnitude,
     /// Factor and offset to the expected unit, where unambiguous.
     cure: Option<(f64, f64)>,
 }
@@ -59,9 +58,9 @@ pub fn wrong_units<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
 }
 
 fn wrong_unit<'a>(context: &CheckContext, misfit: &Misfit, seen: &[Channel<'a>]) -> Found<'a> {
-    let Misfit { found, wanted, evidence, .. } = misfit;
+    let &Misfit { found, wanted, magnitude, .. } = misfit;
     let fix = misfit.cure.map(|(factor, offset)| Fix {
-        words: format!("converts from {found} to {wanted}"),
+        kind: FixKind::ConvertUnit(found, wanted),
         repairs: seen
             .iter()
             .map(|one| Repair {
@@ -70,21 +69,21 @@ fn wrong_unit<'a>(context: &CheckContext, misfit: &Misfit, seen: &[Channel<'a>])
             })
             .collect(),
     });
-    let (one, several) = if fix.is_some() { ("is", "are") } else { ("seems to be", "seem to be") };
-    let says = verb(seen, one, several);
-    let message = format!(
-        "{} {} in {found}, not in {wanted}: {} is {evidence}; convert the column",
-        context.whose(seen),
-        says,
-        seen[0].column.name,
-    );
-    Found::new(seen[0].at(2), message).stopping(fix).explaining(seen)
+    let evidence = Evidence::CovariateUnit {
+        columns: context.columns_in(seen),
+        found,
+        expected: wanted,
+        certain: fix.is_some(),
+        example: seen[0].column.name.clone(),
+        magnitude,
+    };
+    Found::new(seen[0].at(2), evidence).stopping(fix).explaining(seen)
 }
 
 fn misfit(recording: &RecordingScan, column: &ColumnScan) -> Option<Misfit> {
     let size = |share: f64| column.sample.size(share).unwrap_or(0.0);
-    let misfit = |found, wanted, evidence, cure| Some(Misfit { found, wanted, evidence, cure });
-    let up_to = || format!("up to {}", digits(size(1.0)));
+    let misfit = |found, wanted, magnitude, cure| Some(Misfit { found, wanted, magnitude, cure });
+    let up_to = || Magnitude::Maximum(size(1.0));
     match column.name.as_str() {
         "roll_rad" | "pitch_rad" if size(1.0) > TAU => {
             misfit("degrees", "rad", up_to(), Some((PI / 180.0, 0.0)))
@@ -113,7 +112,7 @@ fn yaw(recording: &RecordingScan, column: &ColumnScan) -> Option<Misfit> {
     (sure || most <= 360.0).then(|| Misfit {
         found: "degrees",
         wanted: "rad",
-        evidence: format!("up to {}", digits(most)),
+        magnitude: Magnitude::Maximum(most),
         cure: sure.then_some((PI / 180.0, 0.0)),
     })
 }
@@ -126,12 +125,7 @@ fn temperature(column: &ColumnScan) -> Option<Misfit> {
         t if KELVIN.contains(&t) => ("kelvin", Some((1.0, -273.15))),
         _ => ("another unit", None),
     };
-    Some(Misfit {
-        found,
-        wanted: "degrees Celsius",
-        evidence: format!("{} in the middle", digits(median)),
-        cure,
-    })
+    Some(Misfit { found, wanted: "degrees Celsius", magnitude: Magnitude::Median(median), cure })
 }
 
 /// All three axes by the magnitude of the vector: at rest it is gravity.
@@ -145,7 +139,7 @@ fn acceleration(recording: &RecordingScan) -> Option<Misfit> {
     Some(Misfit {
         found,
         wanted: "m/s2",
-        evidence: format!("part of a vector whose length is {} in the middle", digits(norm)),
+        magnitude: Magnitude::VectorLength(norm),
         cure: Some((factor, 0.0)),
     })
 }
@@ -199,33 +193,28 @@ fn is_an_end(seen: &Channel, run: &Run) -> bool {
 
 fn never_changes<'a>(context: &CheckContext, seen: &[Channel<'a>], whole: bool) -> Found<'a> {
     let first = seen[0];
-    let is_at_limit = seen.iter().any(|one| one.column.at_limit.0 > 0);
-    let end = if is_at_limit { ", the end of its range" } else { "" };
-    let message = format!(
-        "{} {} {}{end} in every row; a working channel shows noise: look for a broken wire, a sensor that was not read, or a column filled by hand{}",
-        context.whose(seen),
-        verb(seen, "is", "are"),
-        digits(first.column.extent.0),
-        if whole { "" } else { ", and exclude that recording" }
-    );
-    let found = Found::new(first.at(2), message).explaining(seen);
+    let evidence = Evidence::StuckThroughout {
+        columns: context.columns_in(seen),
+        value: first.column.extent.0,
+        at_limit: seen.iter().any(|one| one.column.at_limit.0 > 0),
+        in_every_recording: whole,
+    };
+    let found = Found::new(first.at(2), evidence).explaining(seen);
     if whole { found.stopping(None) } else { found }
 }
 
 fn frozen_for<'a>(context: &CheckContext, group: &[(Channel<'a>, Run)]) -> Found<'a> {
     let (first, run) = group[0];
     let seen: Vec<Channel> = group.iter().map(|(one, _)| *one).collect();
-    let message = format!(
-        "{} {} constant from {} to {} s, {} rows of the same value ({}), where noise of {} would change nearly every row; look for a loose connector or a sensor that stopped, and cut out this stretch",
-        context.whose(&seen),
-        verb(&seen, "is", "are"),
-        digits(first.table.second(run.from_us)),
-        digits(first.table.second(run.to_us)),
-        run.rows,
-        digits(run.value),
-        digits(first.column.noise()),
-    );
-    Found::new(first.at(run.line), message).explaining(&seen)
+    let evidence = Evidence::Frozen {
+        columns: context.columns_in(&seen),
+        from_s: first.table.second(run.from_us),
+        to_s: first.table.second(run.to_us),
+        rows: run.rows,
+        value: run.value,
+        noise: first.column.noise(),
+    };
+    Found::new(first.at(run.line), evidence).explaining(&seen)
 }
 
 /// Groups runs of one recording that begin together.
@@ -261,14 +250,12 @@ pub fn saturation<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
 fn at_its_end<'a>(context: &CheckContext, seen: &[Channel<'a>]) -> Option<Found<'a>> {
     let share = |one: &Channel| one.column.at_limit.0 as f64 / one.column.rows as f64;
     let worst = seen.iter().max_by(|a, b| share(a).total_cmp(&share(b)))?;
-    let message = format!(
-        "{} {} the end of its range, most in {} with {} of the rows; those rows are excluded: widen the gap or reduce the load",
-        context.whose(seen),
-        verb(seen, "reaches", "reach"),
-        worst.column.name,
-        percent(share(worst)),
-    );
-    Some(Found::new(worst.at(worst.column.at_limit.1), message).explaining(seen))
+    let evidence = Evidence::Saturated {
+        columns: context.columns_in(seen),
+        worst: worst.column.name.clone(),
+        share: share(worst),
+    };
+    Some(Found::new(worst.at(worst.column.at_limit.1), evidence).explaining(seen))
 }
 
 fn cut_short<'a>(context: &CheckContext, seen: &[Channel<'a>]) -> Option<Found<'a>> {
@@ -276,20 +263,14 @@ fn cut_short<'a>(context: &CheckContext, seen: &[Channel<'a>]) -> Option<Found<'
     let share = |one: &Channel| rows(one) as f64 / one.column.rows as f64;
     let worst = seen.iter().max_by(|a, b| share(a).total_cmp(&share(b)))?;
     let (value, _) = worst.column.cut_off()?;
-    let advice = if value == 0.0 && worst.column.quantity == Quantity::Force {
-        "this is correct where the signal only rests at zero, as on a scale; otherwise forces of one sign are lost: adjust the zero of the amplifier"
-    } else {
-        "look for a limit in the amplifier, the converter or the logger, or reduce the load"
+    let evidence = Evidence::Clipped {
+        columns: context.columns_in(seen),
+        worst: worst.column.name.clone(),
+        share: share(worst),
+        value,
+        at_rest: value == 0.0 && worst.column.quantity == Quantity::Force,
     };
-    let message = format!(
-        "{} {} clipped: {} of the rows of {} are exactly {} and none exceeds it, where noise would scatter them; {advice}. These rows are not excluded automatically",
-        context.whose(seen),
-        verb(seen, "is", "are"),
-        percent(share(worst)),
-        worst.column.name,
-        digits(value),
-    );
-    Some(Found::new(worst.at(2), message).explaining(seen))
+    Some(Found::new(worst.at(2), evidence).explaining(seen))
 }
 
 /// A covariate with a spread below this multiple of its white noise counts as constant.
@@ -351,34 +332,22 @@ fn is_constant(seen: &[Channel]) -> bool {
     rows >= MIN_COVARIATE_ROWS && (squares / rows).sqrt() <= (MOVES * noise).max(rounding)
 }
 
-fn no_variation(group: &[&str], seen: &[Channel]) -> String {
+fn no_variation(group: &[&str], seen: &[Channel]) -> Evidence {
     let needed = |name: &str, column: &str| {
         name == column || (name == "temp_c" && column.ends_with("_temp_c"))
     };
-    let lost: Vec<&str> = CATALOGUE
+    let effects = CATALOGUE
         .iter()
         .filter(|effect| {
             let mut needs = effect.needs.iter();
             needs.any(|need| needed(need, group[0]))
         })
-        .map(|effect| effect.id)
-        .collect();
-    let then = if lost.is_empty() {
-        "effects that depend on it cannot be tested".to_owned()
-    } else {
-        format!("{} cannot be tested", list(&lost))
-    };
-    let values = group.iter().zip(seen).map(|(name, one)| {
+        .map(|effect| effect.id);
+    let columns = group.iter().zip(seen).map(|(name, one)| {
         let (_, mean, _) = one.column.moments();
-        let value = if mean.abs() < one.column.noise() { 0.0 } else { mean };
-        format!("{name} at {}", digits(value))
+        ((*name).to_owned(), if mean.abs() < one.column.noise() { 0.0 } else { mean })
     });
-    let values: Vec<String> = values.collect();
-    let values: Vec<&str> = values.iter().map(String::as_str).collect();
-    format!(
-        "no variation above the noise: {} in the whole campaign; {then}; record while it changes, or remove the column if it was not measured",
-        list(&values),
-    )
+    Evidence::ConstantCovariates { columns: columns.collect(), effects: effects.collect() }
 }
 
 /// Threshold in standard deviations of the noise.
@@ -404,18 +373,15 @@ pub fn outliers<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
         return Vec::new();
     };
     let rows: u64 = seen.iter().filter_map(spikes).map(|((n, _, _), _)| n).sum();
-    let message = format!(
-        "{}: {} from both neighbours by more than {FAR} times the noise; the largest here, in {}, by {} G at a noise of {} G. Look for disturbed transfers, and remove these rows: averaging spreads them",
-        context.whose(&seen),
-        match rows {
-            1 => "1 value deviates".to_owned(),
-            n => format!("{n} values deviate"),
-        },
-        worst.column.name,
-        digits(most * worst.column.scale),
-        digits(noise * worst.column.scale),
-    );
-    vec![Found::new(worst.at(line), message).explaining(&seen)]
+    let evidence = Evidence::Outliers {
+        columns: context.columns_in(&seen),
+        values: rows,
+        threshold: FAR,
+        worst: worst.column.name.clone(),
+        deviation_g: most * worst.column.scale,
+        noise_g: noise * worst.column.scale,
+    };
+    vec![Found::new(worst.at(line), evidence).explaining(&seen)]
 }
 
 /// Ratio of step to white noise above which noise does not dither the steps. Rounding alone appears as a
@@ -442,20 +408,15 @@ fn coarsest<'a>(context: &CheckContext, seen: &[Channel<'a>]) -> Option<Found<'a
     let coarseness = |one: &Channel| step(one.column).unwrap_or(0.0) / one.column.span();
     let worst = seen.iter().max_by(|a, b| coarseness(a).total_cmp(&coarseness(b)))?;
     let step = step(worst.column).unwrap_or(0.0);
-    let counts = match worst.column.quantity {
-        Quantity::Field { unit: FieldUnit::Lsb, .. } => "counts ",
-        _ => "",
+    let in_counts = matches!(worst.column.quantity, Quantity::Field { unit: FieldUnit::Lsb, .. });
+    let evidence = Evidence::CoarseSteps {
+        columns: context.columns_in(seen),
+        worst: worst.column.name.clone(),
+        step,
+        in_counts,
+        steps: worst.column.span() / step,
     };
-    let message = format!(
-        "{} {} in coarse steps, the coarsest in {}: every value is {} {counts}from the next, {} steps over the span, which adds an error of {} that averaging does not remove; write more digits, or look for bits lost in a driver",
-        context.whose(seen),
-        verb(seen, "changes", "change"),
-        worst.column.name,
-        digits(step),
-        digits(worst.column.span() / step),
-        digits(step / 12_f64.sqrt()),
-    );
-    Some(Found::new(worst.at(2), message).explaining(seen))
+    Some(Found::new(worst.at(2), evidence).explaining(seen))
 }
 
 /// Quantisation step, where it is too coarse.

@@ -1,6 +1,7 @@
 //! Periodic disturbances that are not the load.
 
-use crate::data_quality::checks::{Channel, CheckContext, Found, by_table, clock, digits, list};
+use crate::data_quality::checks::{Channel, CheckContext, Found, by_table, clock};
+use crate::data_quality::evidence::{Evidence, LineSource};
 use crate::data_quality::scan::RecordingScan;
 use crate::data_quality::scan::column::Quantity;
 use crate::data_quality::scan::spectrum::SpectralLine;
@@ -23,17 +24,6 @@ const MOST: usize = 4;
 /// One spectral line of one column.
 type ColumnLine<'a> = (Channel<'a>, SpectralLine);
 
-/// Source of a spectral line.
-#[derive(Clone, Debug, PartialEq)]
-enum Source {
-    /// Mains, with its frequency in hertz.
-    Mains(f64),
-    /// Rotor, with its speed in turns per second.
-    Rotor(f64),
-    /// Source unknown.
-    Unknown,
-}
-
 /// Periodic disturbances in fields and forces.
 pub fn spectral_lines<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
     let mut all = Vec::new();
@@ -51,9 +41,9 @@ pub fn spectral_lines<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
         let mut unknown = 0;
         let mains = mains_of(&found);
         for (source, group) in groups(context.recordings, mains, found) {
-            unknown += usize::from(source == Source::Unknown);
+            unknown += usize::from(source == LineSource::Unknown);
             if unknown <= MOST {
-                all.push(disturbance(context, &source, &group));
+                all.push(disturbance(context, source, &group));
             }
         }
     }
@@ -81,16 +71,16 @@ fn groups<'a>(
     recordings: &[RecordingScan],
     mains: [f64; 2],
     found: Vec<ColumnLine<'a>>,
-) -> Vec<(Source, Vec<ColumnLine<'a>>)> {
-    let mut groups: Vec<(Source, Vec<ColumnLine>)> = Vec::new();
+) -> Vec<(LineSource, Vec<ColumnLine<'a>>)> {
+    let mut groups: Vec<(LineSource, Vec<ColumnLine>)> = Vec::new();
     for (one, line) in found {
         let source = source(&recordings[one.recording], mains, &one, &line);
-        let belongs = |(other, group): &&mut (Source, Vec<ColumnLine>)| match source {
-            Source::Mains(_) => *other == source,
-            Source::Rotor(_) => matches!(other, Source::Rotor(_)),
-            Source::Unknown => {
+        let belongs = |(other, group): &&mut (LineSource, Vec<ColumnLine>)| match source {
+            LineSource::Mains(_) => *other == source,
+            LineSource::Rotor(_) => matches!(other, LineSource::Rotor(_)),
+            LineSource::Unknown => {
                 let near = |(_, first): &ColumnLine| (first.hz - line.hz).abs() < 2.0 * line.bin_hz;
-                *other == Source::Unknown && group.iter().any(near)
+                *other == LineSource::Unknown && group.iter().any(near)
             }
         };
         match groups.iter_mut().find(belongs) {
@@ -121,14 +111,14 @@ fn source(
     mains: [f64; 2],
     one: &Channel,
     line: &SpectralLine,
-) -> Source {
+) -> LineSource {
     let found = (*one, *line);
     let rotor_hz = recording.table("hall.csv").and_then(|hall| hall.turning.steady_hz());
     match mains.into_iter().find(|hz| is_multiple(&found, *hz)) {
-        Some(hz) => Source::Mains(hz),
+        Some(hz) => LineSource::Mains(hz),
         None => match rotor_hz.filter(|hz| is_multiple(&found, *hz)) {
-            Some(hz) => Source::Rotor(hz),
-            None => Source::Unknown,
+            Some(hz) => LineSource::Rotor(hz),
+            None => LineSource::Unknown,
         },
     }
 }
@@ -147,7 +137,11 @@ fn folded(hz: f64, rate_hz: f64) -> f64 {
     (hz - rate_hz * (hz / rate_hz).round()).abs()
 }
 
-fn disturbance<'a>(context: &CheckContext, source: &Source, group: &[ColumnLine<'a>]) -> Found<'a> {
+fn disturbance<'a>(
+    context: &CheckContext,
+    source: LineSource,
+    group: &[ColumnLine<'a>],
+) -> Found<'a> {
     let mut seen: Vec<Channel> = group.iter().map(|(one, _)| *one).collect();
     seen.dedup_by(|a, b| a.recording == b.recording && a.column.name == b.column.name);
     let amplitude = |(one, line): &ColumnLine| line.amplitude * one.column.scale;
@@ -156,29 +150,19 @@ fn disturbance<'a>(context: &CheckContext, source: &Source, group: &[ColumnLine<
     let mut lines: Vec<f64> = group.iter().map(|(_, line)| line.hz).collect();
     lines.sort_by(f64::total_cmp);
     lines.dedup_by(|a, b| (*a - *b).abs() < 2.0 * strongest.1.bin_hz);
-    let hz: Vec<String> = lines.iter().map(|hz| digits(*hz)).collect();
-    let hz = list(&hz.iter().map(String::as_str).collect::<Vec<_>>());
     let unit = match strongest.0.column.quantity {
         Quantity::Force => "N",
         _ => "G",
     };
-    let advice = match source {
-        Source::Mains(mains) => format!(
-            "mains of {mains} Hz, directly or aliased: look for a ground loop, an unshielded lead or a power supply nearby"
-        ),
-        Source::Rotor(turns) => format!(
-            "multiples of the rotor's {} turns per second: the motor's field, or an imbalance; `magpie diagnose` tests motor_leakage",
-            digits(*turns)
-        ),
-        Source::Unknown => "if the inverter's PWM is near a multiple of the row rate, it aliases to this frequency: shift or synchronise the sampling; otherwise look for a fan, a mechanical resonance or another switching supply".to_owned(),
+    let evidence = Evidence::SpectralLine {
+        columns: context.columns_in(&seen),
+        lines_hz: lines,
+        worst: strongest.0.column.name.clone(),
+        amplitude: amplitude(strongest),
+        unit,
+        source,
     };
-    let message = format!(
-        "a line at {hz} Hz in {}, up to {} {unit} in {}: {advice}",
-        context.whose(&seen),
-        digits(amplitude(strongest)),
-        strongest.0.column.name,
-    );
-    Found::new(strongest.0.at(2), message)
+    Found::new(strongest.0.at(2), evidence)
 }
 
 #[cfg(test)]

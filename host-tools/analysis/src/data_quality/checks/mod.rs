@@ -13,13 +13,10 @@ use std::collections::{BTreeSet, HashSet};
 use model_export::recordings::Location;
 
 use crate::data_quality::Finding;
+use crate::data_quality::evidence::{ColumnSet, Evidence, RecordingSet};
 use crate::data_quality::fix::Fix;
 use crate::data_quality::scan::column::ColumnScan;
 use crate::data_quality::scan::{RecordingScan, TableScan};
-use crate::numbers::decimal;
-
-/// Number of names in a list before "and n more".
-const LISTED: usize = 6;
 
 /// Input of a check: the scanned recordings, and the findings of the checks before it.
 pub struct CheckContext<'a> {
@@ -51,7 +48,7 @@ impl Channel<'_> {
 /// Finding of a check.
 pub struct Found<'a> {
     place: Location,
-    message: String,
+    evidence: Evidence,
     stops: bool,
     fix: Option<Fix>,
     /// Columns that later checks skip.
@@ -59,9 +56,9 @@ pub struct Found<'a> {
 }
 
 impl<'a> Found<'a> {
-    /// A warning; the sentence gives the evidence and the remedy.
-    pub fn new(place: Location, message: String) -> Self {
-        Self { place, message, stops: false, fix: None, explained: Vec::new() }
+    /// A warning.
+    pub fn new(place: Location, evidence: Evidence) -> Self {
+        Self { place, evidence, stops: false, fix: None, explained: Vec::new() }
     }
 
     /// Makes it an error, with its unambiguous correction if there is one.
@@ -76,8 +73,8 @@ impl<'a> Found<'a> {
 
     /// The finding of the check with this identifier.
     pub fn finding(self, id: &'static str) -> Finding {
-        let Self { place, message, stops, fix, .. } = self;
-        Finding { id, place, message, stops, fix }
+        let Self { place, evidence, stops, fix, .. } = self;
+        Finding { id, place, evidence, stops, fix }
     }
 }
 
@@ -136,99 +133,30 @@ impl<'a> CheckContext<'a> {
         hit.len() == self.recordings.len()
     }
 
-    /// "in every recording", or the names of the recordings.
-    pub fn recordings_in(&self, hit: impl IntoIterator<Item = usize>) -> String {
+    /// Recordings with these numbers.
+    pub fn recordings_in(&self, hit: impl IntoIterator<Item = usize>) -> RecordingSet {
         let hit: BTreeSet<usize> = hit.into_iter().collect();
-        if hit.len() == self.recordings.len() {
-            return match hit.len() {
-                1 => "in the recording".to_owned(),
-                _ => "in every recording".to_owned(),
-            };
-        }
-        let names: Vec<&str> = hit.iter().map(|&i| self.recordings[i].name.as_str()).collect();
-        match names.len() {
-            1 => format!("in recording {}", names[0]),
-            _ => format!("in recordings {}", list(&names)),
+        RecordingSet {
+            names: hit.iter().map(|&i| self.recordings[i].name.clone()).collect(),
+            is_all: hit.len() == self.recordings.len(),
         }
     }
 
     /// Names of the columns and of their recordings.
-    pub fn whose(&self, seen: &[Channel]) -> String {
-        let mut names: Vec<&str> = Vec::new();
+    pub fn columns_in(&self, seen: &[Channel]) -> ColumnSet {
+        let mut names: Vec<String> = Vec::new();
         for one in seen {
-            if !names.contains(&one.column.name.as_str()) {
-                names.push(&one.column.name);
+            if !names.contains(&one.column.name) {
+                names.push(one.column.name.clone());
             }
         }
         let recordings = self.recordings_in(seen.iter().map(|one| one.recording));
-        format!("{} {recordings}", list(&names))
+        ColumnSet { names, recordings }
     }
-}
-
-/// `a, b and c`; long lists are truncated.
-pub fn list(names: &[&str]) -> String {
-    if names.len() > LISTED {
-        let more = names.len() - LISTED + 1;
-        return format!("{} and {more} more", names[..LISTED - 1].join(", "));
-    }
-    match names {
-        [] => String::new(),
-        [one] => (*one).to_owned(),
-        [first @ .., last] => format!("{} and {last}", first.join(", ")),
-    }
-}
-
-/// Singular or plural form of a verb, by the number of distinct columns.
-pub fn verb(seen: &[Channel], one: &'static str, several: &'static str) -> &'static str {
-    let first = seen.first().map(|one| &one.column.name);
-    if seen.iter().all(|one| Some(&one.column.name) == first) { one } else { several }
 }
 
 /// Splits into columns of the board and of the reference.
 pub fn by_table<'a>(seen: Vec<Channel<'a>>) -> [Vec<Channel<'a>>; 2] {
     let (hall, force) = seen.into_iter().partition(|one| one.table.name == "hall.csv");
     [hall, force]
-}
-
-/// Formats a number with three significant digits.
-pub fn digits(value: f64) -> String {
-    if value == 0.0 || !value.is_finite() {
-        return value.to_string();
-    }
-    let before = value.abs().log10().floor() as i32;
-    if !(-4..6).contains(&before) {
-        return format!("{value:.2e}");
-    }
-    let decimals = usize::try_from(2 - before).unwrap_or(0);
-    decimal(value, decimals)
-}
-
-/// Formats a share in percent; small positive shares are not rounded to zero.
-pub fn percent(share: f64) -> String {
-    if share > 0.0 && share < 1e-4 {
-        "less than 0.01 %".to_owned()
-    } else {
-        format!("{} %", digits(100.0 * share))
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn lists_are_joined_with_and() {
-        assert_eq!(list(&["a"]), "a");
-        assert_eq!(list(&["a", "b", "c"]), "a, b and c");
-        assert_eq!(list(&["a", "b", "c", "d", "e", "f", "g"]), "a, b, c, d, e and 2 more");
-    }
-
-    #[test]
-    fn numbers_have_three_digits_without_trailing_zeros() {
-        assert_eq!(digits(0.012_345), "0.0123");
-        assert_eq!(digits(12.0), "12");
-        assert_eq!(digits(1234.5), "1234");
-        assert_eq!(digits(-0.1), "-0.1");
-        assert_eq!(percent(0.5), "50 %");
-    }
 }

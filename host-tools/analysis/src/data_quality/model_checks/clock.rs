@@ -5,7 +5,8 @@ use model_export::effects::operators::{delayed, smooth};
 use model_export::recordings::Location;
 use rayon::prelude::*;
 
-use crate::data_quality::checks::{Found, list, percent};
+use crate::data_quality::checks::Found;
+use crate::data_quality::evidence::{Evidence, RecordingSet};
 use crate::data_quality::model_checks::{Case, ModelResiduals};
 
 /// Search range in milliseconds on each side and step; the wider range is used if the
@@ -59,45 +60,16 @@ fn describe<'a>(residuals: &ModelResiduals<'a>, group: &[Shift]) -> Found<'a> {
     let whole = group.len() == campaign.recordings.len();
     let mean_ms = group.iter().map(|shift| shift.ms).sum::<f64>() / group.len() as f64;
     let fall = group.iter().map(|shift| shift.fall).fold(1.0, f64::min);
-    let recordings: Vec<&str> =
-        group.iter().map(|shift| campaign.recordings[shift.recording].name.as_str()).collect();
-    let cure = if whole {
-        format!(
-            "read the recordings with --delay-ms {}",
-            tenths(mean_ms + 1e-3 * residuals.alignment.delay_us)
-        )
-    } else {
-        format!(
-            "add {} to t_us of force.csv there; a delay for the whole campaign would misalign the other recordings",
-            (1e3 * mean_ms).round()
-        )
-    };
     let place = Location::file(&residuals.names.force(group[0].recording)).column("t_us");
-    let message = format!(
-        "the field is {} ms {} the force {}, the same at {}: correcting this removes {} of the error above the noise. {}{cure}",
-        tenths(mean_ms.abs()),
-        if mean_ms > 0.0 { "behind" } else { "ahead of" },
-        if whole {
-            "in every recording".to_owned()
-        } else {
-            format!("in recording {}", list(&recordings))
-        },
-        match group[0].sensors {
-            1 => "the only sensor".to_owned(),
-            n => format!("all {n} sensors"),
-        },
-        percent(fall),
-        if mean_ms > 0.0 {
-            "A viscous lag of the flexures or a filter of the reference looks the same; if the clocks are the cause, "
-        } else {
-            "A flexure cannot lead its force, so the clocks are the cause: "
-        },
-    );
-    Found::new(place, message)
-}
-
-fn tenths(ms: f64) -> String {
-    format!("{ms:.1}")
+    let names = group.iter().map(|shift| campaign.recordings[shift.recording].name.clone());
+    let evidence = Evidence::ClockOffset {
+        lag_ms: mean_ms,
+        recordings: RecordingSet { names: names.collect(), is_all: whole },
+        sensors: group[0].sensors,
+        share: fall,
+        delay_ms: mean_ms + 1e-3 * residuals.alignment.delay_us,
+    };
+    Found::new(place, evidence)
 }
 
 fn shift(recording: usize, cases: &[&Case]) -> Option<Shift> {

@@ -2,14 +2,14 @@
 //! clock offsets.
 //!
 //! - `hypothesis`: candidate errors (permutations, signs, unit factors), and the one that removes the residual.
-//! - `description`: the findings as text.
+//! - `column_findings`: the findings.
 //! - `clock`: offset of the reference's clock.
 //!
 //! A missing effect leaves a residual of some ten percent. A setup error leaves a residual as large as the
 //! signal, and a single permutation removes nearly all of it: only that is reported.
 
 pub(super) mod clock;
-pub(super) mod description;
+pub(super) mod column_findings;
 mod hypothesis;
 
 use std::collections::BTreeSet;

@@ -1,19 +1,20 @@
-//! Findings about columns as text, with an unambiguous correction where there is one.
+//! Findings about columns, with an unambiguous correction where there is one.
 
 use std::collections::BTreeSet;
 
 use model_export::recordings::{Campaign, Location};
 
-use crate::data_quality::checks::{Found, digits, list};
-use crate::data_quality::fix::{Change, Fix, Repair};
+use crate::data_quality::checks::Found;
+use crate::data_quality::evidence::{ColumnError, Evidence, RecordingSet};
+use crate::data_quality::fix::{Change, Fix, FixKind, Repair};
 use crate::data_quality::model_checks::hypothesis::{self, Hypothesis, Verdict, own_forces};
 use crate::data_quality::model_checks::{ModelResiduals, Names, force_name};
 
-/// Description of a hypothesis for one sensor in one recording.
+/// Column errors of a hypothesis for one sensor in one recording.
 #[derive(Default)]
 struct ColumnErrors {
     /// Column name and its error.
-    columns: Vec<(String, String)>,
+    columns: Vec<(String, ColumnError)>,
     /// Corrections; empty where ambiguous.
     repairs: Vec<Repair>,
 }
@@ -28,32 +29,17 @@ fn describe<'a>(campaign: &Campaign, names: &Names, id: &str, group: &[Verdict])
     let errors: Vec<ColumnErrors> =
         group.iter().map(|verdict| errors_of(names, verdict, &verdict.best.hypothesis)).collect();
     let first = &group[0];
-    let columns: Vec<(String, String)> =
-        errors.iter().flat_map(|errors| errors.columns.clone()).collect();
     let worst = |of: &dyn Fn(&Verdict) -> f64| group.iter().map(of).fold(0.0, f64::max).sqrt();
-    let mut message = format!(
-        "{} {}: the model leaves {} G as recorded and {} G with this corrected (RMS)",
-        sentence(&columns),
-        recordings(campaign, group),
-        digits(worst(&|verdict| verdict.before)),
-        digits(worst(&|verdict| verdict.best.left)),
-    );
-    let mut fix = None;
-    if first.others.is_empty() {
-        fix = repair(id, &errors);
-        message += match (fix.is_some(), id) {
-            (true, "wrong_unit") => "; convert the column",
-            (true, _) => "; fix the wiring or the logger, and the recorded columns",
-            (false, "wrong_unit") => "; determine its unit and convert it",
-            (false, _) => "; identify the columns on the setup",
-        };
-    } else {
-        let other = descriptions(names, first);
-        message += &format!(
-            "; equivalent is that {}: the data cannot decide, so push on one finger by hand and check the signs",
-            list(&other.iter().map(String::as_str).collect::<Vec<_>>())
-        );
-    }
+    let others = first.others.iter();
+    let evidence = Evidence::ColumnErrors {
+        columns: errors.iter().flat_map(|errors| errors.columns.clone()).collect(),
+        recordings: recordings(campaign, group),
+        before_g: worst(&|verdict| verdict.before),
+        after_g: worst(&|verdict| verdict.best.left),
+        alternatives: others.map(|other| errors_of(names, first, other).columns).collect(),
+        is_unit: id == "wrong_unit",
+    };
+    let fix = if first.others.is_empty() { repair(id, &errors) } else { None };
     let is_force =
         matches!(first.best.hypothesis, Hypothesis::Forces(_) | Hypothesis::ForceUnit(_));
     let file = if is_force { names.force(first.recording) } else { names.hall(first.recording) };
@@ -62,49 +48,15 @@ fn describe<'a>(campaign: &Campaign, names: &Names, id: &str, group: &[Verdict])
         Some((column, _)) => place.column(column.as_str()),
         None => place,
     };
-    Found::new(place, message).stopping(fix)
+    Found::new(place, evidence).stopping(fix)
 }
 
-fn descriptions(names: &Names, verdict: &Verdict) -> Vec<String> {
-    let others = verdict.others.iter();
-    others.map(|other| sentence(&errors_of(names, verdict, other).columns)).collect()
-}
-
-/// Groups columns with the same error.
-fn sentence(columns: &[(String, String)]) -> String {
-    let mut groups: Vec<(&str, Vec<&str>)> = Vec::new();
-    for (column, instead) in columns {
-        match groups.iter_mut().find(|(other, _)| other == instead) {
-            Some((_, names)) if names.contains(&column.as_str()) => {}
-            Some((_, names)) => names.push(column),
-            None => groups.push((instead, vec![column])),
-        }
-    }
-    let parts = groups.iter().map(|(instead, names)| {
-        let instead = match names.len() {
-            1 => (*instead).to_owned(),
-            _ => several(instead),
-        };
-        format!("{} {instead}", list(names))
-    });
-    list(&parts.collect::<Vec<_>>().iter().map(String::as_str).collect::<Vec<_>>())
-}
-
-/// Plural form.
-fn several(instead: &str) -> String {
-    let verbs = [("has ", "have "), ("is ", "are ")];
-    let found =
-        verbs.iter().find_map(|(one, more)| Some(format!("{more}{}", instead.strip_prefix(one)?)));
-    found.unwrap_or_else(|| instead.to_owned())
-}
-
-fn recordings(campaign: &Campaign, group: &[Verdict]) -> String {
+fn recordings(campaign: &Campaign, group: &[Verdict]) -> RecordingSet {
     let hit: BTreeSet<usize> = group.iter().map(|verdict| verdict.recording).collect();
-    if hit.len() == campaign.recordings.len() {
-        return "throughout".to_owned();
+    RecordingSet {
+        names: hit.iter().map(|&i| campaign.recordings[i].name.clone()).collect(),
+        is_all: hit.len() == campaign.recordings.len(),
     }
-    let names: Vec<&str> = hit.iter().map(|&i| campaign.recordings[i].name.as_str()).collect();
-    format!("in recording{} {}", if names.len() == 1 { "" } else { "s" }, list(&names))
 }
 
 /// Corrections of all columns, if none is lost.
@@ -129,12 +81,12 @@ fn repair(id: &str, errors: &[ColumnErrors]) -> Option<Fix> {
         to == from
     });
     let sure = keeps_all && errors.iter().all(|errors| !errors.repairs.is_empty());
-    let words = match id {
-        "wrong_unit" => "converts the columns",
-        "axis_flipped" | "force_flipped" => "negates the columns",
-        _ => "restores the order of the columns",
+    let kind = match id {
+        "wrong_unit" => FixKind::ConvertColumns,
+        "axis_flipped" | "force_flipped" => FixKind::NegateColumns,
+        _ => FixKind::ReorderColumns,
     };
-    sure.then(|| Fix { words: words.to_owned(), repairs })
+    sure.then_some(Fix { kind, repairs })
 }
 
 fn errors_of(names: &Names, verdict: &Verdict, hypothesis: &Hypothesis) -> ColumnErrors {
@@ -168,16 +120,16 @@ fn exchanged(
 ) -> ColumnErrors {
     let (mut columns, mut repairs) = (Vec::new(), Vec::new());
     for (to, from, sign) in axes {
-        let instead = match (to == from, sign < 0.0) {
+        let negated = sign < 0.0;
+        let error = match (to == from, negated) {
             (true, false) => continue,
-            (true, true) => "has the other sign".to_owned(),
-            (false, false) => format!("is recorded as {from}"),
-            (false, true) => format!("is recorded as {from}, with the other sign"),
+            (true, true) => ColumnError::OtherSign,
+            (false, _) => ColumnError::RecordedAs { column: from.clone(), negated },
         };
-        columns.push((to.clone(), instead));
+        columns.push((to.clone(), error));
         repairs.push(Repair {
             file: file.clone(),
-            change: Change::Take { to, from, negate: sign < 0.0 },
+            change: Change::Take { to, from, negate: negated },
         });
     }
     ColumnErrors { columns, repairs }
@@ -186,20 +138,16 @@ fn exchanged(
 fn field_unit(names: &Names, verdict: &Verdict, factor: f64) -> ColumnErrors {
     let raw = names.is_raw(verdict.recording, verdict.sensor);
     let unit = hypothesis::field_unit(factor);
-    let instead = match (raw, unit) {
-        (true, _) => format!(
-            "is {} times the model's field (look at gauss_per_lsb in recording.toml: the sensor's range may be another)",
-            digits(1.0 / factor)
-        ),
-        (false, Some((name, _))) => format!("is in {name}, not in gauss"),
-        (false, None) => format!("is {} times the model's field", digits(1.0 / factor)),
+    let error = match unit {
+        Some((name, _)) if !raw => ColumnError::FieldUnit(name),
+        _ => ColumnError::FieldFactor { factor: 1.0 / factor, in_counts: raw },
     };
     let columns = (0..3).map(|axis| names.field(verdict.recording, verdict.sensor, axis));
     let repairs = match unit.filter(|_| !raw) {
         Some((_, exact)) => converted(names.hall(verdict.recording), columns.clone(), exact),
         None => Vec::new(),
     };
-    ColumnErrors { columns: columns.map(|column| (column, instead.clone())).collect(), repairs }
+    ColumnErrors { columns: columns.map(|column| (column, error.clone())).collect(), repairs }
 }
 
 fn force_unit(names: &Names, verdict: &Verdict, factors: [f64; 2]) -> ColumnErrors {
@@ -210,18 +158,18 @@ fn force_unit(names: &Names, verdict: &Verdict, factors: [f64; 2]) -> ColumnErro
             continue;
         }
         let column = force_name((verdict.sensor, axis));
-        let instead = match hypothesis::force_unit(factor) {
+        let error = match hypothesis::force_unit(factor) {
             Some((name, exact)) => {
                 let file = names.force(verdict.recording);
                 errors.repairs.extend(converted(file, [column.clone()].into_iter(), exact));
-                format!("is in {name}, not in newtons")
+                ColumnError::ForceUnit(name)
             }
             None => {
                 sure = false;
-                format!("is {} times the force that the model needs", digits(1.0 / factor))
+                ColumnError::ForceFactor(1.0 / factor)
             }
         };
-        errors.columns.push((column, instead));
+        errors.columns.push((column, error));
     }
     if !sure {
         errors.repairs.clear();

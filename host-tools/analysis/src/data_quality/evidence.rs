@@ -1,0 +1,268 @@
+//! Evidence of the setup errors, as data.
+
+use serde::Serialize;
+
+/// What a check found, with the figures that support it. Values are in the unit of their column unless stated.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub enum Evidence {
+    /// Timestamps decrease.
+    ClockBackwards {
+        /// Number of decreases.
+        falls: u64,
+        /// Time before the first decrease in microseconds.
+        before_us: f64,
+        /// Time after it in microseconds.
+        after_us: f64,
+        /// Rows earlier than a previous row.
+        late: u64,
+        /// All rows.
+        rows: u64,
+        /// Exact duplicates of a previous row.
+        copies: u64,
+        /// True where sorting nearby rows restores the order.
+        sortable: bool,
+    },
+    /// Rows have the time of the previous row.
+    DuplicateRows {
+        /// Rows with identical cells.
+        identical: u64,
+        /// Rows with different cells.
+        different: u64,
+    },
+    /// Timestamp steps far above the sampling period.
+    ClockGaps {
+        /// Number of gaps.
+        gaps: u64,
+        /// Recordings with gaps.
+        recordings: RecordingSet,
+        /// Length of all gaps, as a fraction of the duration of these recordings.
+        lost: f64,
+        /// Start of the longest gap in seconds.
+        from_s: f64,
+        /// Length of the longest gap in milliseconds.
+        longest_ms: f64,
+        /// Sampling period in milliseconds.
+        period_ms: f64,
+    },
+    /// Sensors are read less often than rows are written.
+    RepeatedSamples {
+        /// Numbers of the sensors; `None` for all.
+        sensors: Option<Vec<u32>>,
+        /// Recordings with repeated samples.
+        recordings: RecordingSet,
+        /// Maximum fraction of rows that repeat the previous field.
+        share: f64,
+        /// Fraction expected from the noise.
+        by_chance: f64,
+        /// Rate of new samples in hertz.
+        rate_hz: f64,
+    },
+    /// Magnitudes of a covariate are those of another unit.
+    CovariateUnit {
+        /// The columns.
+        columns: ColumnSet,
+        /// Detected unit.
+        found: &'static str,
+        /// Expected unit.
+        expected: &'static str,
+        /// True where the conversion is unambiguous.
+        certain: bool,
+        /// A column, as an example.
+        example: String,
+        /// Its magnitude.
+        magnitude: Magnitude,
+    },
+    /// Columns have one value in every row.
+    StuckThroughout {
+        /// The columns.
+        columns: ColumnSet,
+        /// The value.
+        value: f64,
+        /// True at the end of the sensor's range.
+        at_limit: bool,
+        /// True where a column is stuck in every recording.
+        in_every_recording: bool,
+    },
+    /// Columns are constant for a while.
+    Frozen {
+        /// The columns.
+        columns: ColumnSet,
+        /// Start in seconds.
+        from_s: f64,
+        /// End in seconds.
+        to_s: f64,
+        /// Number of rows.
+        rows: u64,
+        /// The value.
+        value: f64,
+        /// White noise of the column.
+        noise: f64,
+    },
+    /// Columns reach the end of the sensor's range.
+    Saturated {
+        /// The columns.
+        columns: ColumnSet,
+        /// Column with the most saturated rows.
+        worst: String,
+        /// Fraction of its rows.
+        share: f64,
+    },
+    /// Columns are clipped within the sensor's range.
+    Clipped {
+        /// The columns.
+        columns: ColumnSet,
+        /// Column with the most clipped rows.
+        worst: String,
+        /// Fraction of its rows.
+        share: f64,
+        /// Its limit.
+        value: f64,
+        /// True for a force clipped at zero, which may be correct.
+        at_rest: bool,
+    },
+    /// Covariates do not vary above their noise in the whole campaign.
+    ConstantCovariates {
+        /// Columns with their means; zero within the noise.
+        columns: Vec<(String, f64)>,
+        /// Effects of the catalogue that cannot be tested.
+        effects: Vec<&'static str>,
+    },
+    /// Single values deviate from both neighbours.
+    Outliers {
+        /// The columns.
+        columns: ColumnSet,
+        /// Number of values.
+        values: u64,
+        /// Threshold in standard deviations of the noise.
+        threshold: f64,
+        /// Column with the largest deviation.
+        worst: String,
+        /// Its deviation in gauss.
+        deviation_g: f64,
+        /// Its noise in gauss.
+        noise_g: f64,
+    },
+    /// Quantisation is too coarse for the noise.
+    CoarseSteps {
+        /// The columns.
+        columns: ColumnSet,
+        /// Column with the coarsest steps.
+        worst: String,
+        /// Its step.
+        step: f64,
+        /// True if it is in counts.
+        in_counts: bool,
+        /// Its span in steps.
+        steps: f64,
+    },
+    /// Periodic disturbance.
+    SpectralLine {
+        /// The columns.
+        columns: ColumnSet,
+        /// Frequencies in hertz.
+        lines_hz: Vec<f64>,
+        /// Column with the largest amplitude.
+        worst: String,
+        /// Its amplitude, of a field in gauss.
+        amplitude: f64,
+        /// Unit of the amplitude.
+        unit: &'static str,
+        /// Source of the disturbance.
+        source: LineSource,
+    },
+    /// Columns are exchanged, inverted or in another unit.
+    ColumnErrors {
+        /// The errors.
+        columns: Vec<(String, ColumnError)>,
+        /// Recordings with these errors.
+        recordings: RecordingSet,
+        /// RMS residual of the model as recorded, in gauss.
+        before_g: f64,
+        /// RMS residual of the model with the errors corrected, in gauss.
+        after_g: f64,
+        /// Errors that explain the residual equally well.
+        alternatives: Vec<Vec<(String, ColumnError)>>,
+        /// True for the unit, false for order or sign of the columns.
+        is_unit: bool,
+    },
+    /// Constant offset between the two clocks.
+    ClockOffset {
+        /// Delay of the field after the force in milliseconds.
+        lag_ms: f64,
+        /// Recordings with this offset.
+        recordings: RecordingSet,
+        /// Number of sensors.
+        sensors: usize,
+        /// Fraction of the error above the noise that correcting the offset removes.
+        share: f64,
+        /// Delay of the reference, in milliseconds, that corrects the offset.
+        delay_ms: f64,
+    },
+}
+
+/// Some recordings of a campaign.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct RecordingSet {
+    /// Their names.
+    pub names: Vec<String>,
+    /// True if these are all recordings of the campaign.
+    pub is_all: bool,
+}
+
+/// Columns with the same finding.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ColumnSet {
+    /// Their names.
+    pub names: Vec<String>,
+    /// Their recordings.
+    pub recordings: RecordingSet,
+}
+
+/// Magnitude of a column.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub enum Magnitude {
+    /// Maximum absolute value.
+    Maximum(f64),
+    /// Median.
+    Median(f64),
+    /// Median length of the vector that the column is part of.
+    VectorLength(f64),
+}
+
+/// Source of a periodic disturbance.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub enum LineSource {
+    /// Mains, with its frequency in hertz.
+    Mains(f64),
+    /// Rotor, with its speed in turns per second.
+    Rotor(f64),
+    /// Source unknown.
+    Unknown,
+}
+
+/// Error of one column.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub enum ColumnError {
+    /// The values have the other sign.
+    OtherSign,
+    /// The values are in another column.
+    RecordedAs {
+        /// The other column.
+        column: String,
+        /// True if they have the other sign there.
+        negated: bool,
+    },
+    /// A field is in this unit.
+    FieldUnit(&'static str),
+    /// A field is this multiple of the model's.
+    FieldFactor {
+        /// Recorded by modelled field.
+        factor: f64,
+        /// True for raw counts, whose scale is stated in the recording.
+        in_counts: bool,
+    },
+    /// A force is in this unit.
+    ForceUnit(&'static str),
+    /// A force is this multiple of the one that the model needs.
+    ForceFactor(f64),
+}

@@ -1,0 +1,397 @@
+//! Text of setup errors: what was found, the evidence in numbers, and the remedy, in one sentence for each.
+
+use analysis::data_quality::Finding;
+use analysis::data_quality::evidence::{
+    ColumnError, ColumnSet, Evidence, LineSource, Magnitude, RecordingSet,
+};
+use analysis::data_quality::fix::{Fix, FixKind};
+use analysis::numbers::decimal;
+
+/// Number of names in a list before "and n more".
+const LISTED: usize = 6;
+
+/// The finding as a sentence, without its location.
+pub fn message(finding: &Finding) -> String {
+    match &finding.evidence {
+        Evidence::ClockBackwards { falls, before_us, after_us, late, rows, copies, sortable } => {
+            let advice = match (sortable, copies) {
+                (true, 0) => {
+                    "sorting by time fixes it: look for a logger that mixes up its buffers"
+                }
+                (true, _) => {
+                    "some rows are duplicates: sorting by time and removing the duplicates fixes it; look for a logger that sends a buffer twice"
+                }
+                (false, _) => {
+                    "too many rows to sort safely: split the recording here if the clock was reset, or remove the rows with a wrong time"
+                }
+            };
+            let times = counted(*falls, "once", "times");
+            format!(
+                "the clock runs backwards {times}, first here from {before_us} to {after_us} us, and {late} of {rows} rows are earlier than one before them; {advice}"
+            )
+        }
+        Evidence::DuplicateRows { identical, different } => duplicate_rows(*identical, *different),
+        Evidence::ClockGaps { gaps, recordings, lost, from_s, longest_ms, period_ms } => format!(
+            "{} in the clock {}, {} of the total time; the longest here, from {} s on: {} ms where rows are {} ms apart. Rows next to a gap are excluded; look for lost transfers or a blocked logger",
+            counted(*gaps, "1 gap", "gaps"),
+            in_recordings(recordings),
+            percent(*lost),
+            digits(*from_s),
+            digits(*longest_ms),
+            digits(*period_ms),
+        ),
+        Evidence::RepeatedSamples { sensors, recordings, share, by_chance, rate_hz } => {
+            let sensors = match sensors {
+                None => "every sensor".to_owned(),
+                Some(numbers) => list(numbers.iter().map(|number| format!("s{number}"))),
+            };
+            format!(
+                "{} of the rows repeat the previous field of {sensors} {}, where noise alone gives {}: the sensors are read less often than rows are written, about {} times a second. Averages then contain fewer independent samples than rows, and the field is delayed by half the repetition; read the sensors once per row, or write one row per sample",
+                percent(*share),
+                in_recordings(recordings),
+                percent(*by_chance),
+                digits(*rate_hz),
+            )
+        }
+        Evidence::CovariateUnit { columns, found, expected, certain, example, magnitude } => {
+            let (one, several) =
+                if *certain { ("is", "are") } else { ("seems to be", "seem to be") };
+            format!(
+                "{} {} in {found}, not in {expected}: {example} is {}; convert the column",
+                columns_in(columns),
+                verb(columns, one, several),
+                match magnitude {
+                    Magnitude::Maximum(value) => format!("up to {}", digits(*value)),
+                    Magnitude::Median(value) => format!("{} in the middle", digits(*value)),
+                    Magnitude::VectorLength(value) =>
+                        format!("part of a vector whose length is {} in the middle", digits(*value)),
+                }
+            )
+        }
+        Evidence::StuckThroughout { columns, value, at_limit, in_every_recording } => format!(
+            "{} {} {}{} in every row; a working channel shows noise: look for a broken wire, a sensor that was not read, or a column filled by hand{}",
+            columns_in(columns),
+            verb(columns, "is", "are"),
+            digits(*value),
+            if *at_limit { ", the end of its range" } else { "" },
+            if *in_every_recording { "" } else { ", and exclude that recording" }
+        ),
+        Evidence::Frozen { columns, from_s, to_s, rows, value, noise } => format!(
+            "{} {} constant from {} to {} s, {rows} rows of the same value ({}), where noise of {} would change nearly every row; look for a loose connector or a sensor that stopped, and cut out this stretch",
+            columns_in(columns),
+            verb(columns, "is", "are"),
+            digits(*from_s),
+            digits(*to_s),
+            digits(*value),
+            digits(*noise),
+        ),
+        Evidence::Saturated { columns, worst, share } => format!(
+            "{} {} the end of its range, most in {worst} with {} of the rows; those rows are excluded: widen the gap or reduce the load",
+            columns_in(columns),
+            verb(columns, "reaches", "reach"),
+            percent(*share),
+        ),
+        Evidence::Clipped { columns, worst, share, value, at_rest } => {
+            let advice = if *at_rest {
+                "this is correct where the signal only rests at zero, as on a scale; otherwise forces of one sign are lost: adjust the zero of the amplifier"
+            } else {
+                "look for a limit in the amplifier, the converter or the logger, or reduce the load"
+            };
+            format!(
+                "{} {} clipped: {} of the rows of {worst} are exactly {} and none exceeds it, where noise would scatter them; {advice}. These rows are not excluded automatically",
+                columns_in(columns),
+                verb(columns, "is", "are"),
+                percent(*share),
+                digits(*value),
+            )
+        }
+        Evidence::ConstantCovariates { columns, effects } => {
+            let effects = match effects.as_slice() {
+                [] => "effects that depend on it".to_owned(),
+                effects => list(effects),
+            };
+            format!(
+                "no variation above the noise: {} in the whole campaign; {effects} cannot be tested; record while it changes, or remove the column if it was not measured",
+                list(columns.iter().map(|(name, mean)| format!("{name} at {}", digits(*mean)))),
+            )
+        }
+        Evidence::Outliers { columns, values, threshold, worst, deviation_g, noise_g } => format!(
+            "{}: {} from both neighbours by more than {threshold} times the noise; the largest here, in {worst}, by {} G at a noise of {} G. Look for disturbed transfers, and remove these rows: averaging spreads them",
+            columns_in(columns),
+            counted(*values, "1 value deviates", "values deviate"),
+            digits(*deviation_g),
+            digits(*noise_g),
+        ),
+        Evidence::CoarseSteps { columns, worst, step, in_counts, steps } => format!(
+            "{} {} in coarse steps, the coarsest in {worst}: every value is {} {}from the next, {} steps over the span, which adds an error of {} that averaging does not remove; write more digits, or look for bits lost in a driver",
+            columns_in(columns),
+            verb(columns, "changes", "change"),
+            digits(*step),
+            if *in_counts { "counts " } else { "" },
+            digits(*steps),
+            // Standard deviation of a rounding error.
+            digits(step / 12_f64.sqrt()),
+        ),
+        Evidence::SpectralLine { columns, lines_hz, worst, amplitude, unit, source } => format!(
+            "a line at {} Hz in {}, up to {} {unit} in {worst}: {}",
+            list(lines_hz.iter().map(|hz| digits(*hz))),
+            columns_in(columns),
+            digits(*amplitude),
+            line_advice(*source),
+        ),
+        Evidence::ColumnErrors {
+            columns,
+            recordings,
+            before_g,
+            after_g,
+            alternatives,
+            is_unit,
+        } => {
+            format!(
+                "{} {}: the model leaves {} G as recorded and {} G with this corrected (RMS); {}",
+                column_errors(columns),
+                throughout_or_in(recordings),
+                digits(*before_g),
+                digits(*after_g),
+                column_advice(alternatives, finding.fix.is_some(), *is_unit),
+            )
+        }
+        Evidence::ClockOffset { lag_ms, recordings, sensors, share, delay_ms } => {
+            let (direction, cause) = if *lag_ms > 0.0 {
+                (
+                    "behind",
+                    "A viscous lag of the flexures or a filter of the reference looks the same; if the clocks are the cause, ",
+                )
+            } else {
+                ("ahead of", "A flexure cannot lead its force, so the clocks are the cause: ")
+            };
+            let (place, remedy) = if recordings.is_all {
+                (
+                    "in every recording".to_owned(),
+                    format!("read the recordings with --delay-ms {delay_ms:.1}"),
+                )
+            } else {
+                (
+                    format!("in recording {}", list(&recordings.names)),
+                    format!(
+                        "add {} to t_us of force.csv there; a delay for the whole campaign would misalign the other recordings",
+                        (1e3 * lag_ms).round()
+                    ),
+                )
+            };
+            let sensors = match sensors {
+                1 => "the only sensor".to_owned(),
+                n => format!("all {n} sensors"),
+            };
+            format!(
+                "the field is {:.1} ms {direction} the force {place}, the same at {sensors}: correcting this removes {} of the error above the noise. {cause}{remedy}",
+                lag_ms.abs(),
+                percent(*share),
+            )
+        }
+    }
+}
+
+/// What a correction does.
+pub fn fix(fix: &Fix) -> String {
+    match fix.kind {
+        FixKind::SortRows => "puts the rows in order of time".to_owned(),
+        FixKind::RemoveDuplicates => "removes rows that are exact duplicates".to_owned(),
+        FixKind::ConvertUnit(from, to) => format!("converts from {from} to {to}"),
+        FixKind::ConvertColumns => "converts the columns".to_owned(),
+        FixKind::NegateColumns => "negates the columns".to_owned(),
+        FixKind::ReorderColumns => "restores the order of the columns".to_owned(),
+    }
+}
+
+fn duplicate_rows(identical: u64, different: u64) -> String {
+    let rows = counted(identical + different, "1 row has", "rows have");
+    match (identical, different) {
+        (_, 0) => format!(
+            "{rows} the time of the previous row, first here, and identical cells; remove them and look for a logger that writes a row twice"
+        ),
+        (0, _) => format!(
+            "{rows} the time of the previous row, first here, but different cells, so the correct row is unknown: look for a clock that is too coarse, or for two merged streams"
+        ),
+        _ => format!(
+            "{rows} the time of the previous row, first here: {identical} with identical cells, {different} with different ones, of which the correct row is unknown"
+        ),
+    }
+}
+
+fn line_advice(source: LineSource) -> String {
+    match source {
+        LineSource::Mains(hz) => format!(
+            "mains of {hz} Hz, directly or aliased: look for a ground loop, an unshielded lead or a power supply nearby"
+        ),
+        LineSource::Rotor(hz) => format!(
+            "multiples of the rotor's {} turns per second: the motor's field, or an imbalance; `magpie diagnose` tests motor_leakage",
+            digits(hz)
+        ),
+        LineSource::Unknown => "if the inverter's PWM is near a multiple of the row rate, it aliases to this frequency: shift or synchronise the sampling; otherwise look for a fan, a mechanical resonance or another switching supply".to_owned(),
+    }
+}
+
+/// Groups columns with the same error.
+fn column_errors(columns: &[(String, ColumnError)]) -> String {
+    // By their text: factors of several sensors differ in digits that are not shown.
+    let mut groups: Vec<(String, &ColumnError, Vec<&str>)> = Vec::new();
+    for (column, error) in columns {
+        let text = column_error(error, 1);
+        match groups.iter_mut().find(|(other, ..)| *other == text) {
+            Some((.., names)) if names.contains(&column.as_str()) => {}
+            Some((.., names)) => names.push(column),
+            None => groups.push((text, error, vec![column])),
+        }
+    }
+    list(
+        groups.iter().map(|(_, error, names)| {
+            format!("{} {}", list(names), column_error(error, names.len()))
+        }),
+    )
+}
+
+/// The error of this number of columns, with its verb.
+fn column_error(error: &ColumnError, columns: usize) -> String {
+    let (has, is) = if columns == 1 { ("has", "is") } else { ("have", "are") };
+    match error {
+        ColumnError::OtherSign => format!("{has} the other sign"),
+        ColumnError::RecordedAs { column, negated } => {
+            let sign = if *negated { ", with the other sign" } else { "" };
+            format!("{is} recorded as {column}{sign}")
+        }
+        ColumnError::FieldUnit(unit) => format!("{is} in {unit}, not in gauss"),
+        ColumnError::FieldFactor { factor, in_counts } => {
+            let advice = if *in_counts {
+                " (look at gauss_per_lsb in recording.toml: the sensor's range may be another)"
+            } else {
+                ""
+            };
+            format!("{is} {} times the model's field{advice}", digits(*factor))
+        }
+        ColumnError::ForceUnit(unit) => format!("{is} in {unit}, not in newtons"),
+        ColumnError::ForceFactor(factor) => {
+            format!("{is} {} times the force that the model needs", digits(*factor))
+        }
+    }
+}
+
+fn column_advice(
+    alternatives: &[Vec<(String, ColumnError)>],
+    has_fix: bool,
+    is_unit: bool,
+) -> String {
+    if !alternatives.is_empty() {
+        return format!(
+            "equivalent is that {}: the data cannot decide, so push on one finger by hand and check the signs",
+            list(alternatives.iter().map(|columns| column_errors(columns)))
+        );
+    }
+    match (has_fix, is_unit) {
+        (true, true) => "convert the column",
+        (true, false) => "fix the wiring or the logger, and the recorded columns",
+        (false, true) => "determine its unit and convert it",
+        (false, false) => "identify the columns on the setup",
+    }
+    .to_owned()
+}
+
+/// Names of the columns and of their recordings.
+fn columns_in(columns: &ColumnSet) -> String {
+    format!("{} {}", list(&columns.names), in_recordings(&columns.recordings))
+}
+
+fn in_recordings(recordings: &RecordingSet) -> String {
+    match (recordings.is_all, recordings.names.len()) {
+        (true, 1) => "in the recording".to_owned(),
+        (true, _) => "in every recording".to_owned(),
+        (false, 1) => format!("in recording {}", recordings.names[0]),
+        (false, _) => format!("in recordings {}", list(&recordings.names)),
+    }
+}
+
+fn throughout_or_in(recordings: &RecordingSet) -> String {
+    if recordings.is_all { "throughout".to_owned() } else { in_recordings(recordings) }
+}
+
+/// Singular or plural form of a verb.
+fn verb(columns: &ColumnSet, one: &'static str, several: &'static str) -> &'static str {
+    if columns.names.len() == 1 { one } else { several }
+}
+
+/// `one`, or a number with `several`.
+fn counted(count: u64, one: &str, several: &str) -> String {
+    if count == 1 { one.to_owned() } else { format!("{count} {several}") }
+}
+
+/// `a, b and c`; long lists are truncated.
+fn list(names: impl IntoIterator<Item = impl AsRef<str>>) -> String {
+    let names: Vec<_> = names.into_iter().collect();
+    let joined = |names: &[_]| names.iter().map(AsRef::as_ref).collect::<Vec<&str>>().join(", ");
+    if names.len() > LISTED {
+        return format!("{} and {} more", joined(&names[..LISTED - 1]), names.len() - LISTED + 1);
+    }
+    match names.as_slice() {
+        [first @ .., last] if !first.is_empty() => {
+            format!("{} and {}", joined(first), last.as_ref())
+        }
+        names => joined(names),
+    }
+}
+
+/// Formats a number with three significant digits.
+fn digits(value: f64) -> String {
+    if value == 0.0 || !value.is_finite() {
+        return value.to_string();
+    }
+    let before = value.abs().log10().floor() as i32;
+    if !(-4..6).contains(&before) {
+        return format!("{value:.2e}");
+    }
+    let decimals = usize::try_from(2 - before).unwrap_or(0);
+    decimal(value, decimals)
+}
+
+/// Formats a share in percent; small positive shares are not rounded to zero.
+fn percent(share: f64) -> String {
+    if share > 0.0 && share < 1e-4 {
+        "less than 0.01 %".to_owned()
+    } else {
+        format!("{} %", digits(100.0 * share))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lists_are_joined_with_and() {
+        assert_eq!(list(["a"]), "a");
+        assert_eq!(list(["a", "b", "c"]), "a, b and c");
+        assert_eq!(list(["a", "b", "c", "d", "e", "f", "g"]), "a, b, c, d, e and 2 more");
+    }
+
+    #[test]
+    fn numbers_have_three_digits_without_trailing_zeros() {
+        assert_eq!(digits(0.012_345), "0.0123");
+        assert_eq!(digits(12.0), "12");
+        assert_eq!(digits(1234.5), "1234");
+        assert_eq!(digits(-0.1), "-0.1");
+        assert_eq!(percent(0.5), "50 %");
+    }
+
+    #[test]
+    fn columns_with_the_same_error_share_a_verb() {
+        let other_sign = |column: &str| (column.to_owned(), ColumnError::OtherSign);
+        let recorded_as = ColumnError::RecordedAs { column: "s0_z_lsb".to_owned(), negated: true };
+        let mut columns = vec![other_sign("s0_y_lsb"), ("s0_x_lsb".to_owned(), recorded_as)];
+        assert_eq!(
+            column_errors(&columns),
+            "s0_y_lsb has the other sign and s0_x_lsb is recorded as s0_z_lsb, with the other sign"
+        );
+        columns.truncate(1);
+        columns.extend([other_sign("s1_y_lsb"), other_sign("s0_y_lsb")]);
+        assert_eq!(column_errors(&columns), "s0_y_lsb and s1_y_lsb have the other sign");
+    }
+}
