@@ -41,9 +41,7 @@ pub const EFFECT: Effect = Effect {
         meaning: "the field is recorded later than the reference says",
         shared: true,
     }),
-    device: DeviceForm::Bench(
-        "set --delay-ms or correct the clocks",
-    ),
+    device: DeviceForm::Bench("set --delay-ms or correct the clocks"),
     is_transient: false,
     apply,
 };
