@@ -64,7 +64,7 @@ impl Observed {
         const STEP_US: u64 = 50;
         let end_us = self.now_us + (1e6 * seconds) as u64;
         while self.now_us < end_us {
-            if self.now_us % TICK_US == 0 {
+            if self.now_us.is_multiple_of(TICK_US) {
                 self.cell.host.tick();
             }
             self.now_us += STEP_US;
