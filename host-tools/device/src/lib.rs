@@ -11,7 +11,7 @@
 //! - [`state`]: latest state of a gripper, recent forces, extended board clock.
 //! - [`view`], [`mod@format`]: the state on a terminal, as a line of text, as JSON.
 //! - [`csv_writer`]: CSV output that is valid whenever the process is killed.
-//! - [`reference`]: reference force sensor next to the gripper.
+//! - [`mod@reference`]: reference force sensor next to the gripper.
 //! - [`recorder`]: assembly of rows and writing of a recording.
 
 pub mod csv_writer;

@@ -162,5 +162,5 @@ fn reference_rows_follow_the_board_clock() {
     let mut lines = table.lines().map(str::trim_end);
     assert_eq!(lines.next(), Some("t_us,f0_x_n"));
     assert_eq!(lines.next(), Some("0,150.0000"));
-    assert_eq!(lines.last(), Some("690000,495.0000"));
+    assert_eq!(lines.next_back(), Some("690000,495.0000"));
 }
