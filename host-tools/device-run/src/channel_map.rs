@@ -121,7 +121,8 @@ impl CovariateChannels {
                 age_us: 0,
                 // The cast saturates.
                 iq_ma: (1e3 * row.hall[iq]).round() as i16,
-                turn: ((row.hall[angle] / TAU).rem_euclid(1.0) * 65_536.0) as u32 as u16,
+                // A whole turn is 0.
+                turn: ((row.hall[angle] / TAU).rem_euclid(1.0) * 65_536.0).round() as u32 as u16,
             }),
             acceleration: self
                 .acceleration
