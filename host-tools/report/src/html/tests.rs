@@ -130,7 +130,8 @@ fn fatal_setup_error_replaces_the_results() {
     let text = page(&stopped);
     assert!(text.contains("Prevents the comparison. "));
     assert!(text.contains("force.csv, line 1412, column f2_x_n"));
-    assert!(text.contains("multiplies f2_x_n by -1"));
+    assert!(text.contains("f2_x_n has the other sign"));
+    assert!(text.contains("negates the columns"));
     assert!(text.contains("No results: fix the setup errors first."));
     assert!(!text.contains("<section id=\"errors\""));
 }
