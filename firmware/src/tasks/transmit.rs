@@ -1,6 +1,6 @@
 //! Transmits messages on the CAN bus and on the serial line, and every tick on the serial line.
 //!
-//! A tick takes at most three quarters of the time of the line ([`crate::protocol::serial::BAUD_RATE`]) and has priority. Messages
+//! A tick takes at most half of the time of the line ([`crate::protocol::serial::BAUD_RATE`]) and has priority. Messages
 //! wait in a queue; those that find it full are dropped and counted.
 
 use core::mem::swap;

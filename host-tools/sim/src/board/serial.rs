@@ -14,8 +14,11 @@ use std::future::poll_fn;
 use std::rc::Rc;
 use std::task::{Poll, Waker};
 
-/// Duration of a byte with start and stop bit.
-pub const BYTE_US: u64 = 10 * 1_000_000 / BAUD_RATE as u64;
+/// Duration of bytes with start and stop bits, in microseconds, rounded up.
+fn duration_us(bytes: usize) -> u64 {
+    (10_000_000 * bytes as u64).div_ceil(u64::from(BAUD_RATE))
+}
+
 /// Receive memory of the port in virtual time.
 const RX_BYTES: usize = 512;
 
@@ -75,7 +78,7 @@ impl ErrorType for SerialTx {
 
 impl Write for SerialTx {
     async fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
-        delay_us(&self.clock, BYTE_US * bytes.len() as u64).await;
+        delay_us(&self.clock, duration_us(bytes.len())).await;
         self.line.borrow_mut().sent.extend_from_slice(bytes);
         Ok(bytes.len())
     }
