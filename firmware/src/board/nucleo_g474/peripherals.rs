@@ -31,7 +31,7 @@ const TIMING: u32 = match i2c_timing(I2C_HZ, I2cMode::FastPlus, EDGES) {
     Some(timing) => timing.word(),
     None => panic!("no timing for these edges"),
 };
-/// Receive buffer of the serial line: 2.5 ms.
+/// Receive buffer of the serial line: 1.7 ms.
 const SERIAL_RX_BYTES: usize = 512;
 
 bind_interrupts!(struct Interrupts {
