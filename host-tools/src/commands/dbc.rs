@@ -108,7 +108,7 @@ fn signal_format(field: &SignalLayout) -> String {
     } else {
         (0, (1_i64 << width) - 1)
     };
-    let scaled = |counts: i64| numbers::decimal(counts as f64 * field.scale, 2);
+    let scaled = |counts: i64| numbers::decimal(counts as f64 * field.scale, 4);
     format!(
         "{}|{width}@1{} ({},0) [{}|{}] \"{}\"",
         field.first_bit,
