@@ -31,7 +31,7 @@ use firmware::protocol::messages::Version;
 use firmware::sensors::hall::a31301::{A31301, encode};
 use firmware::sensors::hall::{HallReading, SENSORS, SensorBus};
 use firmware::system::faults::Fault;
-use firmware::tasks::{self, SharedState, TickInputs};
+use firmware::tasks::{self, SharedState};
 
 use crate::counts::Counter;
 use crate::vectors;
@@ -61,7 +61,7 @@ fn count(counter: &Counter, frames: u32) -> Option<[u32; 2]> {
     let buses = [Bus(&world), Bus(&world)];
     let sense =
         tasks::sense::<A31301, _, _, _>(buses, [0x60, 0x63, 0x6C, 0x6F], &limits, &world, shared);
-    let estimate = tasks::estimate(&mut estimator, TickInputs::default, &limits, &world, shared);
+    let estimate = tasks::estimate(&mut estimator, || None, &limits, &world, shared);
     let report = tasks::transmit(CanBus(&world), (1, Version::default()), |_| (), &world, shared);
     let mut all = pin!(join(
         join4(sense, estimate, tasks::grip(&mut grip, IdleMotor, shared), report),
