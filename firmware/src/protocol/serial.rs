@@ -13,8 +13,8 @@ use crate::protocol::messages::Message;
 use crate::sensors::hall::{HallFrame, HallReading, SENSORS};
 
 /// Bits per second, 8N1: 300 bytes in a millisecond. A tick takes at most [`MAX_PACKET_BYTES`] of them and always fits, with
-/// all covariates; 152 bytes remain for messages of 10 to 15 bytes each, of which the gripper sends one in a millisecond on
-/// average. Excess messages are dropped and counted ([`crate::tasks::transmit_serial`]).
+/// all covariates; 152 bytes remain for messages of 10 to 15 bytes each, of which the gripper sends about five in ten
+/// milliseconds by default. Excess messages are dropped and counted ([`crate::tasks::transmit_serial`]).
 pub const BAUD_RATE: u32 = 3_000_000;
 /// Longest packet including the zero: a [`Tick`] with every number at its longest encoding.
 pub const MAX_PACKET_BYTES: usize = 148;

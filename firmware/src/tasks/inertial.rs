@@ -32,20 +32,20 @@ pub async fn inertial<I: Imu, C: Clock, M: RawMutex>(
     clock: &C,
     shared: &SharedState<M>,
 ) -> ! {
+    let mut is_reported = false;
     loop {
         let is_present = imu.start(&mut ClockDelay(clock)).await.is_ok();
-        shared.events.post(Event::InertialSensor { is_present });
+        // Its absence is reported once.
+        if is_present || !is_reported {
+            shared.events.post(Event::InertialSensor { is_present });
+            is_reported = true;
+        }
         if is_present {
             follow(&mut imu, clock, shared).await;
             shared.inertial.set(None);
             shared.events.post(Event::InertialSensor { is_present: false });
         }
-        loop {
-            delay_us(clock, RESTART_US).await;
-            if imu.start(&mut ClockDelay(clock)).await.is_ok() {
-                break;
-            }
-        }
+        delay_us(clock, RESTART_US).await;
     }
 }
 

@@ -10,7 +10,7 @@
 //! - [`magnetic_disturbance`]: detection rate and false alarms of the disturbance detector.
 //! - [`reference_delay`]: delay between the clocks of board and reference.
 //! - [`calibration`], [`network_calibration`]: coverage of predicted standard deviations.
-//! - [`notes`]: remarks beside a result.
+//! - [`notes`]: remarks on a result.
 //! - [`statistics`]: running statistics. [`numbers`]: numbers as text. [`progress`]: progress bars.
 //!
 //! Results are data; the crate `report` writes their text.

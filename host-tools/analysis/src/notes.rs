@@ -1,4 +1,4 @@
-//! Notes: remarks beside a result, as data. The result is valid; the crate `report` writes their text.
+//! Notes: remarks on a result, as data. The result is valid; the crate `report` writes their text.
 
 use std::error::Error;
 use std::fmt;

@@ -152,7 +152,7 @@ pub fn covariate_values(covariates: &Covariates) -> [Option<f64>; COVARIATES.len
     [
         covariates.opening_um.map(milli),
         covariates.motor.map(|motor| milli(motor.iq_ma.into())),
-        covariates.motor.map(|motor| f64::from(motor.turn) / 65_536.0 * TAU),
+        covariates.motor.map(|motor| turn_rad(motor.turn)),
         ax,
         ay,
         az,
@@ -160,6 +160,11 @@ pub fn covariate_values(covariates: &Covariates) -> [Option<f64>; COVARIATES.len
         pitch,
         yaw,
     ]
+}
+
+/// Rotor angle in radians, 0 to 2 pi, from 2^-16 turns.
+pub fn turn_rad(turn: u16) -> f64 {
+    f64::from(turn) / 65_536.0 * TAU
 }
 
 fn three(values: Option<[f64; 3]>) -> [Option<f64>; 3] {

@@ -1,17 +1,16 @@
 //! State and faults as text and JSON.
 
 use crate::state::{ActiveFault, GripperState, SensorState};
+use device_run::channel_map::turn_rad;
 use firmware::compensation::covariates::Covariates;
-use firmware::config::constants;
 use firmware::estimator::Validity;
 use firmware::fixed_point::Force;
 use firmware::protocol::TEMPERATURE_UNKNOWN;
 use firmware::protocol::messages::{FaultEvent, Power};
+use firmware::sensors::hall;
 use firmware::system::faults::Fault;
 use firmware::tasks::SERIAL;
-use model_export::effects::REFERENCE_C;
 use serde_json::{Value, json};
-use std::f64::consts::TAU;
 use std::fmt::Debug;
 
 /// Column headings of the status lines.
@@ -207,11 +206,6 @@ pub fn covariates_line(covariates: &Covariates) -> String {
     [opening, motor, acceleration, attitude].join(", ")
 }
 
-/// Rotor angle in radians, 0 to 2 pi, from 2^-16 turns.
-pub fn turn_rad(turn: u16) -> f64 {
-    f64::from(turn) / 65_536.0 * TAU
-}
-
 /// Covariates as JSON, by the columns of a recording.
 fn covariates_json(covariates: &Covariates) -> Value {
     json!({
@@ -255,7 +249,7 @@ fn power_json(power: &Power) -> Value {
 
 /// Temperature of a sensor in degrees Celsius, by the assumed scale of its word.
 pub fn degrees(counts: i16) -> f64 {
-    REFERENCE_C + f64::from(counts) / constants::TEMPERATURE_SCALE.value
+    hall::celsius(counts).into()
 }
 
 /// Rounds to milliseconds.

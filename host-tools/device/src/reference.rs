@@ -16,7 +16,7 @@ use serde::Deserialize;
 
 /// Rate of a serial port without one.
 const BAUD_RATE: u32 = 115_200;
-/// Time-out of a serial port: the thread then sees that nobody listens.
+/// Time-out of one read of a serial port.
 const WAIT: Duration = Duration::from_millis(200);
 /// Lines that cannot be read before the reading fails: the first of a stream is often cut off.
 const MAX_BAD_LINES: u64 = 10;
@@ -223,7 +223,7 @@ impl ReferenceReader {
             }
             ReferenceSource::Serial(path, baud) => {
                 let port = serialport::new(path, *baud).timeout(WAIT).open();
-                Box::new(Patient(port.with_context(|| name.clone())?))
+                Box::new(BlockingPort(port.with_context(|| name.clone())?))
             }
         };
         let (sender, rows) = channel();
@@ -233,10 +233,10 @@ impl ReferenceReader {
     }
 }
 
-/// A port that waits for bytes longer than its time-out.
-struct Patient(Box<dyn serialport::SerialPort>);
+/// A port whose reads wait until there are bytes.
+struct BlockingPort(Box<dyn serialport::SerialPort>);
 
-impl Read for Patient {
+impl Read for BlockingPort {
     fn read(&mut self, bytes: &mut [u8]) -> std::io::Result<usize> {
         loop {
             match self.0.read(bytes) {

@@ -1284,7 +1284,7 @@ fn slow_adcs(wiring: &Wiring) -> [Adc; 2] {
         .map(|inputs| Adc::new(Inputs::Temperatures(inputs)))
 }
 
-/// Which of [`slow_adcs`] an offset behind ADC3 belongs to, and the offset in its registers. ADC4 lies between them; the
+/// Which of [`slow_adcs`] an offset behind ADC3 belongs to, and the offset in its registers. ADC4 is between them; the
 /// common registers are those of both.
 const fn slow_adc(offset: u32) -> (usize, u32) {
     match offset {

@@ -232,7 +232,9 @@ fn write_rows(
             Ok(ReaderEvent::Ended) | Err(RecvTimeoutError::Disconnected) => break Ok(()),
             Err(RecvTimeoutError::Timeout) => recorder.flush()?,
         }
-        if let Some(Err(error)) = take_reference(reference.as_ref(), &mut clock, &mut recorder) {
+        if let Some(reference) = &reference
+            && let Err(error) = take_reference(reference, &mut clock, &mut recorder)
+        {
             break Err(error);
         }
     };
@@ -241,20 +243,17 @@ fn write_rows(
 
 /// Writes the rows of the reference that have arrived.
 fn take_reference(
-    reference: Option<&ReferenceReader>,
+    reference: &ReferenceReader,
     clock: &mut ReferenceClock,
     recorder: &mut Recorder,
-) -> Option<Result<()>> {
-    for row in reference?.rows.try_iter() {
-        let written = row.and_then(|row| match clock.board_us(&row) {
-            Some(board_us) => recorder.take_reference(board_us, &row.force_n),
-            None => Ok(()),
-        });
-        if written.is_err() {
-            return Some(written);
+) -> Result<()> {
+    for row in reference.rows.try_iter() {
+        let row = row?;
+        if let Some(board_us) = clock.board_us(&row) {
+            recorder.take_reference(board_us, &row.force_n)?;
         }
     }
-    Some(Ok(()))
+    Ok(())
 }
 
 /// Places the reference on the board's clock, to the delays of both transports.

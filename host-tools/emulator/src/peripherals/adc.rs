@@ -13,7 +13,7 @@ registers! { "ADC1":
     ISR = 0x00, IER = 0x04, CR = 0x08, CFGR = 0x0C, CFGR2 = 0x10, SMPR = 0x14, SMPR2 = 0x18, SQR1 = 0x30, SQR4 = 0x3C,
     DR = 0x40, JSQR = 0x4C, OFR0 = 0x60, OFR3 = 0x6C, JDR0 = 0x80, JDR3 = 0x8C, DIFSEL = 0xB0, CALFACT = 0xB4, GCOMP = 0xC0,
 }
-/// Registers common to ADC1 and ADC2, or to ADC3 to ADC5, lie behind theirs.
+/// Registers common to ADC1 and ADC2, or to ADC3 to ADC5, follow theirs.
 pub(crate) const COMMON_CSR: u32 = 0x300;
 pub(crate) const COMMON_CCR: u32 = 0x308;
 
