@@ -58,7 +58,7 @@ mod sensing {
     use super::fuzz::sensing::Chain;
     use super::inputs;
 
-    #[allow(missing_docs, unused_imports, clippy::all)]
+    #[allow(missing_docs, unused_imports, dead_code, clippy::all)]
     mod tables {
         include!("../../firmware/src/model/tables.rs");
     }

@@ -37,7 +37,7 @@ pub trait Bsp: Sized {
     type SerialTx: Write;
     /// Receiving half of the serial line.
     type SerialRx: Read;
-    /// Flash of the parameters.
+    /// Flash of parameters and calibrations.
     type Flash: NorFlash;
     /// Source of the nonces.
     type Rng;
@@ -68,16 +68,25 @@ pub struct Peripherals<B: Bsp> {
     pub serial_rx: B::SerialRx,
     /// Source of the nonces.
     pub rng: B::Rng,
-    /// Flash of the parameters.
+    /// Flash of parameters and calibrations.
     pub flash: B::Flash,
-    /// Offset of the first page of parameters in the flash, in bytes.
-    pub flash_offset: u32,
+    /// Where they are.
+    pub flash_offsets: FlashOffsets,
     /// Temperatures of chip, motor and power stage.
     pub thermometer: B::Thermometer,
     /// Motor.
     pub drive: B::Drive,
     /// Watchdog.
     pub watchdog: B::Watchdog,
+}
+
+/// Offsets in the flash in bytes, aligned to pages.
+#[derive(Clone, Copy, Debug)]
+pub struct FlashOffsets {
+    /// First page of the parameters.
+    pub parameters: u32,
+    /// First slot of the calibrations.
+    pub calibrations: u32,
 }
 
 /// Temperature sensors of a board.

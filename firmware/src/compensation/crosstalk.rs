@@ -64,8 +64,8 @@ pub const STEP_UM: i32 = 500;
 /// Field of the opposing finger's magnet over the opening: piecewise linear, constant beyond the ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NeighbourMagnetTable<'a> {
-    /// Field at each opening, in field units and sensor axes.
-    pub knots: &'a [[i16; 3]; KNOTS],
+    /// Field at [`KNOTS`] openings, in field units and sensor axes.
+    pub knots: &'a [[i32; 3]],
 }
 
 impl NeighbourMagnetTable<'_> {
@@ -80,8 +80,8 @@ impl NeighbourMagnetTable<'_> {
         let [x0, y0, z0] = *before;
         let [x1, y1, z1] = *after;
         Some([(bx, x0, x1), (by, y0, y1), (bz, z0, z1)].map(|(field, from, to)| {
-            let (from, to) = (i32::from(from), i32::from(to));
-            field.saturating_sub(from + (to - from) * fraction / STEP_UM)
+            let change = to.saturating_sub(from).saturating_mul(fraction) / STEP_UM;
+            field.saturating_sub(from.saturating_add(change))
         }))
     }
 }

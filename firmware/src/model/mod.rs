@@ -5,6 +5,8 @@
 //! - [`integrity`]: checksums of tables and weights.
 //! - `tables`: only in images and tests: the tables of this build, written by `magpie export`.
 
+pub mod calibration;
+pub mod encoding;
 pub mod formats;
 pub mod integrity;
 pub mod kernel;

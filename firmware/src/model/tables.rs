@@ -262,4 +262,10 @@ static SENSORS: [SensorTable; 4] = [
 ];
 
 /// No recurrent networks.
-pub static NETWORKS: [crate::model::formats::Network<1, 4, 1>; 0] = [];
+pub static NETWORKS: [Network<1, 4, 1>; 0] = [];
+
+/// Calibration with networks of this size.
+pub type TablesCalibration<'m> = crate::model::calibration::Calibration<'m, 1, 4, 1>;
+
+/// Origin of tables and networks, as TOML.
+pub static DESCRIPTION: &str = "";

@@ -374,7 +374,7 @@ messages! {
         op: u8 @ 0..8;
         /// 0: done, 1: return this nonce, else the reason of the failure.
         status: u8 @ 8..16;
-        /// Nonce to return.
+        /// Nonce to return; in the reply to a request for the description: its argument.
         nonce: u16 @ 16..32;
         /// Detail of the operation.
         detail: u32 @ 32..64;
@@ -404,5 +404,15 @@ messages! {
         z: i16 @ 32..48, 0.002 "m/s^2";
         /// Age of the measurement when the message was sent.
         age: u8 @ 48..56, 1.0 "ms";
+    }
+
+    /// Part of a calibration during an upload.
+    0x14 CalibrationChunk In every 0 {
+        /// Number of the chunk, from 0.
+        number: u16 @ 0..16;
+        /// First four of six bytes, little-endian.
+        low: u32 @ 16..48;
+        /// The other two.
+        high: u16 @ 48..64;
     }
 }

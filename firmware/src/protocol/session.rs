@@ -41,6 +41,15 @@ pub mod op {
     /// Calibrate while disarmed; the argument is a [`crate::motor::calibration::CalibrationKind`]. The result takes effect at once,
     /// and is stored by [`SAVE`].
     pub const MEASURE: u8 = 8;
+    /// Begin the upload of a calibration while disarmed; the argument is its length in bytes. Replies with this operation also
+    /// acknowledge [`crate::protocol::messages::CalibrationChunk`]: the detail is the number of the next chunk, or, if it
+    /// failed, a [`crate::system::nv_storage::calibration::UploadError`].
+    pub const UPLOAD: u8 = 9;
+    /// Verify and activate the uploaded calibration; it runs after a reboot.
+    pub const FINISH_UPLOAD: u8 = 10;
+    /// Read the description of the running calibration, four bytes at a time: argument 0 asks for its length in bits 0 to 15
+    /// and its origin in bits 16 to 23 (0: linked, 1 and 2: the slot in flash, plus one), n for the bytes from 4 (n - 1).
+    pub const DESCRIPTION: u8 = 11;
 }
 
 /// Status of a service reply.

@@ -17,6 +17,7 @@ use crate::protocol::session::{Session, SessionEvent, op, service_reply, status}
 use crate::system::faults::{Fault, FaultSet};
 use crate::system::nv_storage::{LoadedParameters, ParameterOrigin, ParameterStore};
 use crate::system::task_watchdog::TaskId;
+use crate::tasks::calibration::CalibrationService;
 use crate::tasks::{FaultReporter, HostStatus, SharedState};
 
 /// Interval at which the time-out of hosts is checked.
@@ -40,6 +41,8 @@ pub struct HostService<F, R, B> {
     pub store: ParameterStore<F>,
     /// Result of [`load_parameters`].
     pub loaded: LoadedParameters,
+    /// Calibrations in the same flash.
+    pub calibration: CalibrationService,
     /// A fresh random number at every call, for nonces.
     pub random: R,
     /// Resets the chip.
@@ -125,6 +128,11 @@ pub async fn host_service<F: NorFlash, R: FnMut() -> u16, B: FnMut(), C: Clock, 
                         shared.requests.modify(|requests| requests.stop = true);
                         None
                     }
+                    SessionEvent::Other(Message::CalibrationChunk(chunk)) => {
+                        let HostService { store, calibration, .. } = &mut service;
+                        let reply = calibration.receive(store.flash(), &chunk, is_armed).await;
+                        reply.map(Message::ServiceReply)
+                    }
                     SessionEvent::Other(message) => {
                         shared.host_motion.modify(|motion| {
                             motion.update(&message, clock.now_us());
@@ -200,6 +208,11 @@ impl<F: NorFlash, R, B: FnMut()> HostService<F, R, B> {
             op::REBOOT => {
                 (self.reboot)();
                 reply(status::DONE)
+            }
+            op::UPLOAD | op::FINISH_UPLOAD | op::DESCRIPTION => {
+                let Self { store, calibration, .. } = self;
+                let reply = calibration.handle_request(store.flash(), request, is_armed).await;
+                Message::ServiceReply(reply)
             }
             _ => reply(status::UNKNOWN),
         }

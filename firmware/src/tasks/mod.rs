@@ -14,6 +14,7 @@
 //! | [`temperatures`](fn@temperatures::temperatures) | each 50 ms | thread | none | the motor is de-rated later |
 //! | [`scrub`] | each 5 ms | thread | none | corruption of a table is detected later |
 
+pub mod calibration;
 pub mod covariates;
 mod estimate;
 mod grip;

@@ -4,7 +4,7 @@ use embassy_futures::yield_now;
 use embassy_sync::blocking_mutex::raw::RawMutex;
 
 use crate::clock::{Clock, delay_us};
-use crate::model::integrity::{CALLS_PER_S, Checksummed, ScrubResult, Scrubber};
+use crate::model::integrity::{CALLS_PER_S, Scrub, ScrubResult, Scrubber};
 use crate::system::faults::{Fault, FaultSet};
 use crate::tasks::{FaultReporter, SharedState};
 
@@ -17,9 +17,9 @@ const STEP_US: u64 = 1_000_000 / CALLS_PER_S as u64;
 
 /// Checks tables and networks. The first pass has no pauses, but yields after each step to the other tasks of its level,
 /// which must feed the watchdog meanwhile. A fault stays until the next boot.
-pub async fn scrub<T: Checksummed, N: Checksummed, const COUNT: usize, C: Clock, M: RawMutex>(
-    tables: &T,
-    networks: &[N; COUNT],
+pub async fn scrub<const NETWORK_COUNT: usize, C: Clock, M: RawMutex>(
+    tables: &dyn Scrub,
+    networks: [Option<&dyn Scrub>; NETWORK_COUNT],
     clock: &C,
     shared: &SharedState<M>,
 ) -> ! {
@@ -31,26 +31,26 @@ pub async fn scrub<T: Checksummed, N: Checksummed, const COUNT: usize, C: Clock,
         }
     };
     report(TABLES, first_pass(tables).await);
-    for network in networks {
+    for network in networks.into_iter().flatten() {
         report(NETWORKS, first_pass(network).await);
     }
     shared.tables_checked.signal(());
     let mut walk = Scrubber::default();
-    let mut walks = [const { Scrubber::NEW }; COUNT];
+    let mut walks = [const { Scrubber::NEW }; NETWORK_COUNT];
     loop {
         delay_us(clock, STEP_US).await;
-        report(TABLES, walk.step(tables));
-        for (walk, network) in walks.iter_mut().zip(networks) {
-            report(NETWORKS, walk.step(network));
+        report(TABLES, tables.scrub(&mut walk));
+        for (walk, network) in walks.iter_mut().zip(networks.into_iter().flatten()) {
+            report(NETWORKS, network.scrub(walk));
         }
     }
 }
 
 /// One complete pass.
-async fn first_pass(of: &impl Checksummed) -> ScrubResult {
+async fn first_pass(of: &dyn Scrub) -> ScrubResult {
     let mut walk = Scrubber::default();
     loop {
-        match walk.step(of) {
+        match of.scrub(&mut walk) {
             ScrubResult::Pending => yield_now().await,
             found => return found,
         }

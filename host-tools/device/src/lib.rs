@@ -7,6 +7,7 @@
 //! - [`emulation`]: the image in the emulated chip, with its serial line and CAN bus as ports of this machine.
 //! - [`session`]: arming, authenticated commands, refusals.
 //! - [`reader`]: a transport read in its own thread.
+//! - [`calibration_client`]: upload of calibrations, and what is on a gripper.
 //! - [`params_client`]: reading and writing parameters.
 //! - [`state`]: latest state of a gripper, recent forces, extended board clock.
 //! - [`view`], [`mod@format`]: the state on a terminal, as a line of text, as JSON.
@@ -14,6 +15,7 @@
 //! - [`mod@reference`]: reference force sensor next to the gripper.
 //! - [`recorder`]: assembly of rows and writing of a recording.
 
+pub mod calibration_client;
 pub mod csv_writer;
 #[cfg(unix)]
 pub mod emulation;

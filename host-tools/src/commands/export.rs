@@ -9,7 +9,7 @@ use model_export::inverse::build::{DeviceModel, ModelVariant, build};
 use model_export::inverse::codegen::{MARK, source_with_networks, tables_source};
 use model_export::output::{check_output, write_output};
 
-use crate::commands::print_notes;
+use crate::commands::{print_conditions, print_notes};
 use device_run::networks::NetworkSet;
 use report::text::export::{format_tables, to_json, worst_map};
 use report::text::terminal;
@@ -58,14 +58,12 @@ pub fn run(args: &Args) -> Result<()> {
         args.network.as_deref().map(|path| NetworkSet::read(path, &built)).transpose()?;
     let source = match &networks {
         None => tables_source(&built),
-        Some(networks) => source_with_networks(&built, &networks.packed)?,
+        Some(set) => source_with_networks(&built, &set.file.networks, &set.packed)?,
     };
     write_output(&args.output, source.as_bytes(), MARK)?;
     let uncompensated = UncompensatedEffect::of(&built).map(Note::Uncompensated);
     print_notes(&uncompensated.collect::<Vec<_>>());
-    for (effect, conditions) in &built.conditions {
-        eprintln!("note: the board compensates {effect} {}", conditions.join("; "));
-    }
+    print_conditions(&built);
     let DeviceModel { model, chosen, header, .. } = built;
     let image: Vec<u32> = (0..SENSORS as u32).collect();
     if header.sensors != image {

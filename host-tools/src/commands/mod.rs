@@ -2,6 +2,7 @@
 
 pub mod args;
 pub mod benchmark;
+pub mod board;
 pub mod compare;
 pub mod connection;
 pub mod dbc;
@@ -21,12 +22,14 @@ pub mod record;
 pub mod replay;
 pub mod simulate;
 pub mod train;
+pub mod upload;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
 
 use analysis::notes::{ErrorWithNotes, Note};
 use clap::{CommandFactory, Parser, Subcommand};
+use model_export::inverse::build::DeviceModel;
 
 /// Calibrates Hall-effect force sensors of a robot gripper, diagnoses missing physical effects, and operates the
 /// gripper.
@@ -49,6 +52,8 @@ enum Command {
     #[command(alias = "drop")]
     Remove(edit_model::RemoveArgs),
     Export(export::Args),
+    Upload(upload::Args),
+    Board(board::Args),
     Replay(replay::Args),
     Simulate(simulate::Args),
     Train(train::Args),
@@ -85,6 +90,8 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Add(args) => edit_model::run_add(&args),
         Command::Remove(args) => edit_model::run_remove(&args),
         Command::Export(args) => export::run(&args),
+        Command::Upload(args) => upload::run(&args),
+        Command::Board(args) => board::run(&args),
         Command::Replay(args) => replay::run(&args),
         Command::Simulate(args) => simulate::run(&args),
         Command::Train(args) => train::run(&args),
@@ -113,6 +120,13 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
 fn print_notes(notes: &[Note]) {
     for note in notes {
         eprintln!("note: {}", report::text::notes::text(note));
+    }
+}
+
+/// Prints on stderr under which conditions the board compensates the effects of a model.
+fn print_conditions(built: &DeviceModel) {
+    for (effect, conditions) in &built.conditions {
+        eprintln!("note: the board compensates {effect} {}", conditions.join("; "));
     }
 }
 

@@ -247,6 +247,7 @@ fn can_bus_carries_the_readings_of_the_serial_line() {
         tables: built.chosen.tables.clone(),
         compensations: built.compensations.clone(),
         networks: None,
+        description: "",
         parameters,
         limits: DetectionLimits::GRIPPER,
     };

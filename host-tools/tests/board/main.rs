@@ -1,6 +1,8 @@
 //! The board in virtual time: replay, services, and the commands that watch and record it.
 
 #[cfg(unix)]
+mod calibration;
+#[cfg(unix)]
 mod live;
 mod replay;
 mod services;

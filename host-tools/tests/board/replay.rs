@@ -74,6 +74,7 @@ fn run(made: Made, folder: &Path, seconds: f64) -> BoardReports {
         tables: made.built.chosen.tables,
         compensations: made.built.compensations,
         networks: made.networks.map(|networks| networks.packed),
+        description: "",
         parameters: Parameters::DEFAULT,
         limits: DetectionLimits::GRIPPER,
     };

@@ -26,6 +26,7 @@ fn board() -> VirtualTimeBoard {
         tables: built.chosen.tables,
         compensations: built.compensations,
         networks: None,
+        description: "",
         parameters: Parameters::DEFAULT,
         limits: DetectionLimits::GRIPPER,
     };

@@ -100,6 +100,7 @@ fn in_virtual_time(made: Made) -> Reported {
         tables: made.built.chosen.tables,
         compensations: made.built.compensations,
         networks: made.networks.map(|networks| networks.packed),
+        description: "",
         parameters: Parameters::DEFAULT,
         limits: DetectionLimits::GRIPPER,
     };

@@ -69,6 +69,7 @@ fn play(built: &DeviceModel, scenario: &Scenario, off: Option<Detector>) -> rig:
         tables: built.chosen.tables.clone(),
         compensations: built.compensations.clone(),
         networks: None,
+        description: "",
         parameters,
         limits,
     };

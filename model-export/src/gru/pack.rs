@@ -10,6 +10,7 @@ use std::fmt::Debug;
 use firmware::estimator::Estimate;
 use firmware::estimator::gru::{self, GruInference};
 use firmware::fixed_point::{Field, Force};
+use firmware::model::calibration::{PerSensorNetwork, SharedNetwork};
 use firmware::model::formats::{
     FORCE_BITS, GATES, Guard, Head, Input, InputSource, Network as DeviceNetwork, OUTPUTS, Pair,
     Prediction, Target as DeviceTarget, UnitPair, Weights,
@@ -64,6 +65,17 @@ pub fn pack(
     gauss_per_lsb: f64,
 ) -> Result<Box<dyn PackedNetwork>, QuantiseError> {
     let [inputs, hidden, sensors] = [network.inputs.len(), network.hidden, network.sensors.len()];
+    let (quantised, meta) = prepare(network, gauss_per_lsb)?;
+    sized(inputs.div_ceil(2), hidden.div_ceil(2), sensors, &quantised, &meta)
+        .ok_or(QuantiseError::Size { inputs, hidden, sensors })
+}
+
+/// Quantised weights, and the rest in the device's units.
+fn prepare(
+    network: &Network,
+    gauss_per_lsb: f64,
+) -> Result<(QuantisedNetwork, Metadata), QuantiseError> {
+    let [inputs, hidden, sensors] = [network.inputs.len(), network.hidden, network.sensors.len()];
     let size = QuantiseError::Size { inputs, hidden, sensors };
     if inputs == 0 || hidden == 0 || sensors == 0 {
         return Err(size);
@@ -71,14 +83,56 @@ pub fn pack(
     let quantised = QuantisedNetwork::new(network, gauss_per_lsb)?;
     let numbers = network.sensors.iter().map(|&number| u8::try_from(number).ok());
     let numbers: Option<Vec<u8>> = numbers.collect();
-    let numbers = numbers.ok_or_else(|| size.clone())?;
     let meta = Metadata {
-        numbers,
+        numbers: numbers.ok_or(size)?,
         target: network.target,
         warm_up: network::warm_up_steps(network),
         guards: guards(network, gauss_per_lsb),
     };
-    sized(inputs.div_ceil(2), hidden.div_ceil(2), sensors, &quantised, &meta).ok_or(size)
+    Ok((quantised, meta))
+}
+
+/// Networks in a size that a device can load without a new image.
+#[derive(Clone, Debug)]
+pub enum LoadableNetworks {
+    /// At most one for each sensor.
+    PerSensor(Vec<PerSensorNetwork>),
+    /// One for all sensors.
+    Shared(Box<SharedNetwork>),
+}
+
+/// Packs networks into a size that a device can load.
+pub fn pack_loadable(
+    networks: &[Network],
+    gauss_per_lsb: f64,
+) -> Result<LoadableNetworks, QuantiseError> {
+    let parts = |network: &Network| prepare(network, gauss_per_lsb);
+    let size = |network: &Network| QuantiseError::NotLoadable {
+        inputs: network.inputs.len(),
+        hidden: network.hidden,
+        sensors: network.sensors.len(),
+    };
+    match networks {
+        [network] if network.sensors.len() == SENSORS => {
+            if network.inputs.len() > 12 || network.hidden > 32 {
+                return Err(size(network));
+            }
+            let (quantised, meta) = parts(network)?;
+            Ok(LoadableNetworks::Shared(Box::new(device_network(&quantised, &meta))))
+        }
+        networks => {
+            let pack = |network: &Network| {
+                let fits =
+                    network.sensors.len() == 1 && network.inputs.len() <= 4 && network.hidden <= 16;
+                if !fits {
+                    return Err(size(network));
+                }
+                let (quantised, meta) = parts(network)?;
+                Ok(device_network(&quantised, &meta))
+            };
+            networks.iter().map(pack).collect::<Result<_, _>>().map(LoadableNetworks::PerSensor)
+        }
+    }
 }
 
 /// Data of a network other than weights.

@@ -1,8 +1,9 @@
 //! Tables and networks as Rust source. The same input gives the same bytes.
 
-use crate::gru::network::OUTPUTS;
+use crate::gru::network::{Network, OUTPUTS};
 use crate::gru::pack::PackedNetwork;
 use crate::inverse::build::{DeviceModel, ExportHeader};
+use crate::inverse::calibration::CalibrationDescription;
 use crate::inverse::compensation::OwnedCompensation;
 use crate::inverse::model_selection::SelectedModels;
 use crate::inverse::quantise::TableSet;
@@ -12,17 +13,25 @@ use std::fmt::{Display, Write};
 /// First line of every generated file.
 pub const MARK: &str = "// Written by `magpie export`.";
 
-/// Source that declares `TABLES`, and an empty `NETWORKS`.
+/// Source that declares `TABLES`, an empty `NETWORKS`, and their `DESCRIPTION`.
 pub fn tables_source(built: &DeviceModel) -> String {
-    tables(built) + NO_NETWORKS
+    tables(built) + NO_NETWORKS + &description(built, &[])
 }
 
-/// Source that declares `TABLES` and `NETWORKS`.
+/// Source that declares `TABLES`, `NETWORKS` as `trained` and packed for the device, and their `DESCRIPTION`.
 pub fn source_with_networks(
     built: &DeviceModel,
+    trained: &[Network],
     networks: &[Box<dyn PackedNetwork>],
 ) -> Result<String, MixedSizes> {
-    Ok(tables(built) + &networks_source(networks)?)
+    Ok(tables(built) + &networks_source(networks)? + &description(built, trained))
+}
+
+fn description(built: &DeviceModel, networks: &[Network]) -> String {
+    let text = CalibrationDescription::of(built, networks).to_toml();
+    format!(
+        "\n/// Origin of tables and networks, as TOML.\n#[rustfmt::skip]\npub static DESCRIPTION: &str = {text:?};\n"
+    )
 }
 
 fn tables(built: &DeviceModel) -> String {
@@ -174,7 +183,9 @@ fn list<T: Display>(items: &[T]) -> String {
 
 /// Empty table, with an arbitrary size.
 pub const NO_NETWORKS: &str = "\n/// No recurrent networks.\n\
-    pub static NETWORKS: [crate::model::formats::Network<1, 4, 1>; 0] = [];\n";
+    pub static NETWORKS: [Network<1, 4, 1>; 0] = [];\n\
+    \n/// Calibration with networks of this size.\n\
+    pub type TablesCalibration<'m> = crate::model::calibration::Calibration<'m, 1, 4, 1>;\n";
 
 /// Networks of different sizes, which one static cannot contain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -189,9 +200,7 @@ pub fn networks_source(networks: &[Box<dyn PackedNetwork>]) -> Result<String, Mi
     let Some(first) = networks.first() else {
         return Ok(NO_NETWORKS.to_owned());
     };
-    let mut text =
-        "\n#[rustfmt::skip]\nuse crate::{fixed_point::{Field, Force}, model::formats::*};\n\n"
-            .to_owned();
+    let mut text = "\nuse crate::fixed_point::{Field, Force};\n\n".to_owned();
     let [inputs, hidden, sensors] = first.size();
     if networks.iter().any(|network| network.size() != first.size()) {
         return Err(MixedSizes);
@@ -211,5 +220,9 @@ pub fn networks_source(networks: &[Box<dyn PackedNetwork>]) -> Result<String, Mi
         text += &network.source();
         text += ",\n";
     }
-    Ok(text + "];\n")
+    text += &format!(
+        "];\n\n/// Calibration with networks of this size.\n\
+         pub type TablesCalibration<'m> = crate::model::calibration::Calibration<'m, {inputs}, {hidden}, {sensors}>;\n"
+    );
+    Ok(text)
 }

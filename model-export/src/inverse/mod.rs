@@ -7,9 +7,11 @@
 //! - [`parity`]: the surface of possible fields: three axes, two forces.
 //! - [`compensation`]: effects that the device compensates before and after the inverse.
 //! - [`build`]: from a model file to the device's tables.
+//! - [`calibration`]: tables and networks as the bytes of an upload.
 //! - [`codegen`]: tables and networks as Rust source.
 
 pub mod build;
+pub mod calibration;
 pub mod codegen;
 pub mod compensation;
 pub mod grbf;

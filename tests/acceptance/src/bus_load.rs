@@ -88,6 +88,7 @@ fn run(built: &DeviceModel, seed: u64, minutes: f64) -> Result<[u64; 7]> {
         tables: built.chosen.tables.clone(),
         compensations: built.compensations.clone(),
         networks: None,
+        description: "",
         parameters: Parameters::DEFAULT,
         limits: DetectionLimits::GRIPPER,
     };

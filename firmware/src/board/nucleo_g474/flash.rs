@@ -1,4 +1,4 @@
-//! Flash of the parameters: the last four pages of the second bank (`memory.x`).
+//! Flash of parameters and calibrations: the last pages of the second bank (`memory.x`).
 //!
 //! The core runs from the first bank, which can be read while the second is written or erased, as long as the image is
 //! below 256 KiB. A word with two wrong bits, as a power cut leaves it, raises the non-maskable interrupt, which becomes an
@@ -13,6 +13,8 @@ use embedded_storage_async::nor_flash::{
     ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,
 };
 
+use crate::board::FlashOffsets;
+
 bind_interrupts!(struct Interrupts {
     FLASH => flash::InterruptHandler;
 });
@@ -23,12 +25,14 @@ static READING: AtomicBool = AtomicBool::new(false);
 static ECC_ERROR: AtomicBool = AtomicBool::new(false);
 
 unsafe extern "C" {
-    /// The first page (`memory.x`).
+    /// First page of the parameters (`memory.x`).
     static _parameters: u32;
+    /// First page of the calibrations (`memory.x`).
+    static _calibrations: u32;
 }
 
 /// Driver of these pages.
-pub struct ParameterFlash(Flash<'static, Async>);
+pub struct SettingsFlash(Flash<'static, Async>);
 
 /// Why an access failed.
 #[derive(Debug)]
@@ -39,10 +43,14 @@ pub enum FlashError {
     Ecc,
 }
 
-/// The driver, and the offset of the first page in bytes.
-pub fn parameter_flash(flash: Peri<'static, peripherals::FLASH>) -> (ParameterFlash, u32) {
-    let offset = (&raw const _parameters as usize).saturating_sub(FLASH_BASE);
-    (ParameterFlash(Flash::new(flash, Interrupts)), offset as u32)
+/// The driver, and where parameters and calibrations are.
+pub fn settings_flash(flash: Peri<'static, peripherals::FLASH>) -> (SettingsFlash, FlashOffsets) {
+    let offset = |page: *const u32| (page as usize).saturating_sub(FLASH_BASE) as u32;
+    let offsets = FlashOffsets {
+        parameters: offset(&raw const _parameters),
+        calibrations: offset(&raw const _calibrations),
+    };
+    (SettingsFlash(Flash::new(flash, Interrupts)), offsets)
 }
 
 /// Called by the non-maskable interrupt: clears an ECC error of a read of these pages; false for any other cause.
@@ -65,11 +73,11 @@ impl NorFlashError for FlashError {
     }
 }
 
-impl ErrorType for ParameterFlash {
+impl ErrorType for SettingsFlash {
     type Error = FlashError;
 }
 
-impl ReadNorFlash for ParameterFlash {
+impl ReadNorFlash for SettingsFlash {
     const READ_SIZE: usize = flash::READ_SIZE;
 
     async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), FlashError> {
@@ -93,7 +101,7 @@ impl ReadNorFlash for ParameterFlash {
     }
 }
 
-impl NorFlash for ParameterFlash {
+impl NorFlash for SettingsFlash {
     const WRITE_SIZE: usize = WRITE_SIZE;
     const ERASE_SIZE: usize = MAX_ERASE_SIZE;
 

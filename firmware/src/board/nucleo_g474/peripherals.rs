@@ -14,7 +14,7 @@ use crate::board::i2c_timing::{EdgeTimes, I2cMode, i2c_timing};
 use crate::board::selected::can::{Receiver, Sender};
 use crate::board::selected::clock::BoardClock;
 use crate::board::selected::crash::IndependentWatchdog;
-use crate::board::selected::flash::{self, ParameterFlash};
+use crate::board::selected::flash::{self, SettingsFlash};
 use crate::board::selected::i2c::I2cBus;
 use crate::board::selected::imu::{self, InertialSensor};
 use crate::board::selected::thermometer::{self, BoardThermometer};
@@ -52,7 +52,7 @@ impl Bsp for NucleoG474 {
     type CanRx = Receiver;
     type SerialTx = UartTx<'static, Async>;
     type SerialRx = RingBufferedUartRx<'static>;
-    type Flash = ParameterFlash;
+    type Flash = SettingsFlash;
     type Rng = Rng<'static, peripherals::RNG>;
     type Thermometer = BoardThermometer;
     type Drive = drive::Parts;
@@ -85,7 +85,7 @@ impl Bsp for NucleoG474 {
         // The configuration is constant and valid.
         let Ok(uart) = uart else { defmt::panic!("invalid serial configuration") };
         let (serial_tx, serial_rx) = uart.split();
-        let (flash, flash_offset) = flash::parameter_flash(p.FLASH);
+        let (flash, flash_offsets) = flash::settings_flash(p.FLASH);
         Peripherals {
             sensor_buses: [
                 I2cBus::first(p.I2C1, p.PA15, p.PB9, TIMING),
@@ -105,7 +105,7 @@ impl Bsp for NucleoG474 {
             serial_rx: serial_rx.into_ring_buffered(BUFFER.take()),
             rng: Rng::new(p.RNG, Interrupts),
             flash,
-            flash_offset,
+            flash_offsets,
             thermometer: BoardThermometer::new(thermometer::Parts {
                 thermistors: p.ADC3,
                 motor: p.PB1,

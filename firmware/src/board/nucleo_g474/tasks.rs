@@ -14,35 +14,47 @@ use embassy_executor::{InterruptExecutor, SpawnError, SpawnToken, Spawner};
 use embassy_stm32::interrupt::{self, InterruptExt, Priority};
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_time::{Duration, Ticker};
-use static_cell::StaticCell;
+use static_cell::{ConstStaticCell, StaticCell};
 
 use crate::board::selected::clock::BoardClock;
 use crate::board::selected::{NucleoG474, crash};
 use crate::board::{Bsp, MotorDrive, MotorMonitor, Peripherals, Thermometer, Watchdog};
 use crate::config::limits::{DetectionLimits, GripLimits};
 use crate::estimator::Estimator;
-use crate::estimator::gru::GruBank;
 use crate::grip::GripController;
-use crate::model::tables::{NETWORKS, TABLES};
+use crate::model::calibration::{CalibrationMemory, CompensationMemory, POOL_INTEGERS, Payload};
+use crate::model::tables::{DESCRIPTION, NETWORKS, TABLES, TablesCalibration};
 use crate::motor::screw::Screw;
 use crate::parameters::Backdrivability;
 use crate::protocol::PROTOCOL_VERSION;
 use crate::protocol::messages::Version;
 use crate::sensors::hall::{GripperHallSensor, SENSORS};
 use crate::system::faults::Event;
+use crate::system::nv_storage::calibration::CalibrationSlots;
 use crate::system::nv_storage::{LoadedParameters, ParameterStore};
 use crate::system::task_watchdog::FEED_PERIOD_MS;
+use crate::tasks::calibration::{
+    CalibrationService, LinkedCalibration, Memories, load_calibration,
+};
 use crate::tasks::{self, HostService, SharedState};
 
 defmt::timestamp!("{=u64:us}", embassy_time::Instant::now().as_micros());
 
 type B = NucleoG474;
 type Drive = <B as Bsp>::Drive;
+type Calibration = TablesCalibration<'static>;
 type Shared = &'static SharedState<CriticalSectionRawMutex>;
 
 const LIMITS: DetectionLimits = DetectionLimits::GRIPPER;
 /// Initialised at boot: as a constant it would also occupy 2 KB of flash.
 static SHARED: StaticCell<SharedState<CriticalSectionRawMutex>> = StaticCell::new();
+/// The running calibration and what it refers to. Not in one static, because some parts are not zero when empty: as part of
+/// the others these would take their size in flash.
+static CALIBRATION: StaticCell<Calibration> = StaticCell::new();
+static CALIBRATION_MEMORY: ConstStaticCell<CalibrationMemory<'static>> =
+    ConstStaticCell::new(CalibrationMemory::EMPTY);
+static COMPENSATION_MEMORY: StaticCell<CompensationMemory<'static>> = StaticCell::new();
+static POOL: ConstStaticCell<[i32; POOL_INTEGERS]> = ConstStaticCell::new([0; POOL_INTEGERS]);
 /// Executor of sensing and CAN reception. Both executors use interrupts of unused peripherals.
 static SENSING: InterruptExecutor = InterruptExecutor::new();
 /// Below the interrupts of the buses.
@@ -93,12 +105,23 @@ pub fn start(spawner: Spawner) {
 async fn begin(spawner: Spawner, board: Peripherals<B>) {
     let shared: Shared = SHARED.init_with(SharedState::new);
     let (boot, crash) = crash::take_record();
-    info!("start {}, tables {:04x}, {} sensors", boot, TABLES.id, TABLES.sensors.len());
     if let Some(crash) = &crash {
         shared.record_crash(crash);
     }
-    let mut store = ParameterStore::new(board.flash, board.flash_offset);
+    let mut store = ParameterStore::new(board.flash, board.flash_offsets.parameters);
     let loaded = tasks::load_parameters(&mut store, shared).await;
+    let slots = CalibrationSlots::new(board.flash_offsets.calibrations);
+    let memories = Memories {
+        calibration: CALIBRATION_MEMORY.take(),
+        compensations: COMPENSATION_MEMORY.init_with(|| CompensationMemory::EMPTY),
+        pool: POOL.take(),
+    };
+    let payload = Payload { tables: &TABLES, networks: &NETWORKS };
+    let linked = LinkedCalibration { payload, description: DESCRIPTION };
+    let (calibration, origin) = load_calibration(&slots, store.flash(), memories, &linked).await;
+    let calibration: &'static Calibration = CALIBRATION.init(calibration);
+    let tables = &calibration.tables;
+    info!("start {}, tables {:04x}, {} sensors", boot, tables.id, tables.sensors.len());
     let parameters = shared.parameters();
     let settings = parameters.settings();
     let node = parameters.node();
@@ -106,7 +129,7 @@ async fn begin(spawner: Spawner, board: Peripherals<B>) {
     let (motor_port, motor_status) = board.drive.start(settings);
     interrupt::FMAC.set_priority(CONTROL_PRIORITY);
     let control = CONTROL.start(interrupt::FMAC);
-    control.spawn(once(estimate(shared, motor_status)));
+    control.spawn(once(estimate(shared, calibration, motor_status)));
     control.spawn(once(grip(shared, settings.screw, motor_port)));
     interrupt::SAI1.set_priority(SENSING_PRIORITY);
     let sensing = SENSING.start(interrupt::SAI1);
@@ -117,11 +140,13 @@ async fn begin(spawner: Spawner, board: Peripherals<B>) {
     watchdog.start();
     spawner.spawn(once(feed(shared, watchdog)));
     spawner.spawn(once(temperatures(shared, board.thermometer)));
-    spawner.spawn(once(scrub(shared)));
-    spawner.spawn(once(transmit(shared, board.can_tx, node)));
+    spawner.spawn(once(scrub(shared, calibration)));
+    let version = version(tables.id);
+    spawner.spawn(once(transmit(shared, board.can_tx, node, version)));
     spawner.spawn(once(transmit_serial(shared, board.serial_tx)));
     spawner.spawn(once(receive_serial(shared, board.serial_rx, node)));
-    spawner.spawn(once(host_service(shared, store, loaded, board.rng)));
+    let calibration = CalibrationService { slots, origin };
+    spawner.spawn(once(host_service(shared, store, loaded, calibration, version, board.rng)));
 }
 
 #[embassy_executor::task]
@@ -136,8 +161,12 @@ async fn inertial(shared: Shared, imu: <B as Bsp>::Imu) {
 }
 
 #[embassy_executor::task]
-async fn estimate(shared: Shared, mut motor_status: <Drive as MotorDrive>::Monitor) {
-    let mut estimator = Estimator::new(&TABLES, GruBank::new(&NETWORKS));
+async fn estimate(
+    shared: Shared,
+    calibration: &'static Calibration,
+    mut motor_status: <Drive as MotorDrive>::Monitor,
+) {
+    let mut estimator = Estimator::new(&calibration.tables, calibration.bank());
     tasks::estimate(&mut estimator, || motor_status.poll(), &LIMITS, &BoardClock, shared).await;
 }
 
@@ -163,13 +192,14 @@ async fn temperatures(shared: Shared, mut thermometer: <B as Bsp>::Thermometer) 
 }
 
 #[embassy_executor::task]
-async fn scrub(shared: Shared) {
-    tasks::scrub(&TABLES, &NETWORKS, &BoardClock, shared).await;
+async fn scrub(shared: Shared, calibration: &'static Calibration) {
+    let networks = calibration.networks.scrubbed();
+    tasks::scrub(&calibration.tables, networks, &BoardClock, shared).await;
 }
 
 #[embassy_executor::task]
-async fn transmit(shared: Shared, can: <B as Bsp>::CanTx, node: u16) {
-    tasks::transmit(can, (node, version()), log, &BoardClock, shared).await;
+async fn transmit(shared: Shared, can: <B as Bsp>::CanTx, node: u16, version: Version) {
+    tasks::transmit(can, (node, version), log, &BoardClock, shared).await;
 }
 
 #[embassy_executor::task]
@@ -192,12 +222,15 @@ async fn host_service(
     shared: Shared,
     store: ParameterStore<<B as Bsp>::Flash>,
     loaded: LoadedParameters,
+    calibration: CalibrationService,
+    version: Version,
     mut rng: <B as Bsp>::Rng,
 ) {
     let service = HostService {
-        version: version(),
+        version,
         store,
         loaded,
+        calibration,
         random: move || rng.next_u32() as u16,
         reboot: || cortex_m::peripheral::SCB::sys_reset(),
     };
@@ -211,7 +244,7 @@ const fn number(text: &str) -> u8 {
     }
 }
 
-fn version() -> Version {
+fn version(tables: u16) -> Version {
     Version {
         protocol_major: PROTOCOL_VERSION.0,
         protocol_minor: PROTOCOL_VERSION.1,
@@ -219,7 +252,7 @@ fn version() -> Version {
         firmware_minor: const { number(env!("CARGO_PKG_VERSION_MINOR")) },
         firmware_patch: const { number(env!("CARGO_PKG_VERSION_PATCH")) },
         hardware: B::HARDWARE,
-        tables: TABLES.id,
+        tables,
     }
 }
 

@@ -12,6 +12,7 @@ pub mod scale;
 use crate::estimator::network_monitor::deviations;
 use crate::estimator::{Estimate, NetworkBank, Validity};
 use crate::fixed_point::{Force, mul_q, saturate};
+use crate::model::calibration::Networks;
 use crate::model::formats::{
     FORCE_BITS, GruState, Guard, InputSource, Network, Prediction, Target,
 };
@@ -60,7 +61,7 @@ impl<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize>
     }
 }
 
-/// Networks of one size with their states.
+/// At most `NETWORKS` networks of one size with their states.
 #[derive(Clone, Debug)]
 pub struct GruBank<
     'n,
@@ -69,15 +70,15 @@ pub struct GruBank<
     const HEADS: usize,
     const NETWORKS: usize,
 > {
-    networks: &'n [Network<INPUTS, HIDDEN, HEADS>; NETWORKS],
+    networks: &'n [Network<INPUTS, HIDDEN, HEADS>],
     runs: [GruInference<INPUTS, HIDDEN, HEADS>; NETWORKS],
 }
 
 impl<'n, const INPUTS: usize, const HIDDEN: usize, const HEADS: usize, const NETWORKS: usize>
     GruBank<'n, INPUTS, HIDDEN, HEADS, NETWORKS>
 {
-    /// The networks after a reset.
-    pub const fn new(networks: &'n [Network<INPUTS, HIDDEN, HEADS>; NETWORKS]) -> Self {
+    /// The networks after a reset; those beyond the number of states are ignored.
+    pub const fn new(networks: &'n [Network<INPUTS, HIDDEN, HEADS>]) -> Self {
         Self { networks, runs: [const { GruInference::RESET }; NETWORKS] }
     }
 }
@@ -90,19 +91,50 @@ impl<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize, const NETWORK
     }
 }
 
+/// Networks of a calibration with their states.
+#[derive(Clone, Debug)]
+pub enum CalibratedBank<'n, const INPUTS: usize, const HIDDEN: usize, const HEADS: usize> {
+    /// Networks in the image's flash.
+    Linked(GruBank<'n, INPUTS, HIDDEN, HEADS, SENSORS>),
+    /// A network for each sensor.
+    PerSensor(GruBank<'n, 2, 8, 1, SENSORS>),
+    /// A network for all sensors.
+    Shared(GruBank<'n, 6, 16, 4, 1>),
+}
+
+impl<'n, const INPUTS: usize, const HIDDEN: usize, const HEADS: usize>
+    CalibratedBank<'n, INPUTS, HIDDEN, HEADS>
+{
+    /// The networks after a reset.
+    pub const fn new(networks: Networks<'n, INPUTS, HIDDEN, HEADS>) -> Self {
+        match networks {
+            Networks::Linked(networks) => Self::Linked(GruBank::new(networks)),
+            Networks::PerSensor(networks) => Self::PerSensor(GruBank::new(networks)),
+            Networks::Shared(networks) => Self::Shared(GruBank::new(networks)),
+        }
+    }
+}
+
+impl<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize> NetworkBank
+    for CalibratedBank<'_, INPUTS, HIDDEN, HEADS>
+{
+    fn apply(&mut self, estimates: &mut [Estimate; SENSORS]) {
+        match self {
+            Self::Linked(bank) => bank.apply(estimates),
+            Self::PerSensor(bank) => bank.apply(estimates),
+            Self::Shared(bank) => bank.apply(estimates),
+        }
+    }
+}
+
 /// Steps every network on a frame's estimates and merges the predictions into them. Estimates of networks that are
 /// warming up stay unchanged.
 ///
 /// Not inlined: the check of the image finds the networks by this function.
 #[inline(never)]
-pub fn apply<
-    const INPUTS: usize,
-    const HIDDEN: usize,
-    const HEADS: usize,
-    const NETWORKS: usize,
->(
-    networks: &[Network<INPUTS, HIDDEN, HEADS>; NETWORKS],
-    runs: &mut [GruInference<INPUTS, HIDDEN, HEADS>; NETWORKS],
+pub fn apply<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize>(
+    networks: &[Network<INPUTS, HIDDEN, HEADS>],
+    runs: &mut [GruInference<INPUTS, HIDDEN, HEADS>],
     estimates: &mut [Estimate; SENSORS],
 ) {
     // Inputs are those of the ideal model, not of other networks.

@@ -54,14 +54,14 @@ enum Word {
 
 /// The flash.
 #[derive(Clone)]
-pub struct FlashModel {
+pub struct FlashModel<const COUNT: usize = PAGES> {
     words: Vec<Word>,
     /// Read values of the defined words, for a fast copy.
     image: Vec<u8>,
     /// Words with undefined read values.
     undefined: BTreeSet<usize>,
     /// Erasures of each page.
-    pub erasures: [u32; PAGES],
+    pub erasures: [u32; COUNT],
     /// Words written and pages erased, begun or done.
     pub operations: u32,
     /// Writes to torn words.
@@ -69,7 +69,7 @@ pub struct FlashModel {
     /// Number of the operation with a power cut, and its kind.
     pub cut: Option<(u32, Cut)>,
     /// Pages that cannot be erased.
-    pub worn: [bool; PAGES],
+    pub worn: [bool; COUNT],
     is_off: bool,
     seed: u64,
 }
@@ -84,17 +84,17 @@ impl NorFlashError for Failed {
     }
 }
 
-impl FlashModel {
+impl<const COUNT: usize> FlashModel<COUNT> {
     pub fn new(seed: u64) -> Self {
         Self {
-            words: [Word::Erased].repeat(PAGES * PAGE / WORD),
-            image: [0xFF].repeat(PAGES * PAGE),
+            words: [Word::Erased].repeat(COUNT * PAGE / WORD),
+            image: [0xFF].repeat(COUNT * PAGE),
             undefined: BTreeSet::new(),
-            erasures: [0; PAGES],
+            erasures: [0; COUNT],
             operations: 0,
             rewritten: 0,
             cut: None,
-            worn: [false; PAGES],
+            worn: [false; COUNT],
             is_off: false,
             seed,
         }
@@ -217,11 +217,11 @@ impl FlashModel {
     }
 }
 
-impl ErrorType for FlashModel {
+impl<const COUNT: usize> ErrorType for FlashModel<COUNT> {
     type Error = Failed;
 }
 
-impl ReadNorFlash for FlashModel {
+impl<const COUNT: usize> ReadNorFlash for FlashModel<COUNT> {
     const READ_SIZE: usize = 1;
 
     async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Failed> {
@@ -243,11 +243,11 @@ impl ReadNorFlash for FlashModel {
     }
 
     fn capacity(&self) -> usize {
-        PAGES * PAGE
+        COUNT * PAGE
     }
 }
 
-impl NorFlash for FlashModel {
+impl<const COUNT: usize> NorFlash for FlashModel<COUNT> {
     const WRITE_SIZE: usize = WORD;
     const ERASE_SIZE: usize = PAGE;
 

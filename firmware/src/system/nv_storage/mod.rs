@@ -30,6 +30,7 @@
 //! fail, most of them in every later load. Its queue also gives an older value after an erasure that cleared only the second
 //! half of a page.
 
+pub mod calibration;
 pub mod record;
 
 use embedded_storage_async::nor_flash::NorFlash;
@@ -150,6 +151,11 @@ impl<F: NorFlash> ParameterStore<F> {
     /// The store whose first page begins at `start`, aligned to a page.
     pub const fn new(flash: F, start: u32) -> Self {
         Self { flash, start, next: None }
+    }
+
+    /// The flash, for other stores in it.
+    pub fn flash(&mut self) -> &mut F {
+        &mut self.flash
     }
 
     /// The newest parameters.

@@ -14,6 +14,7 @@ use firmware::parameters::Parameters;
 use firmware::protocol::messages::Message;
 use firmware::protocol::serial::Packet;
 use model_export::inverse::build::DeviceModel;
+use model_export::inverse::calibration::CalibrationDescription;
 use model_export::recordings::stream::RawStream;
 
 use crate::pty::Pty;
@@ -124,10 +125,14 @@ impl Drop for VirtualBoard {
 
 impl Work {
     fn run(mut self) -> Result<()> {
+        let networks = self.networks.as_ref().map_or(&[][..], |set| &set.file.networks);
+        // As the image's, it exists as long as the program.
+        let description = CalibrationDescription::of(&self.built, networks).to_toml().leak();
         let program = Program {
             tables: self.built.chosen.tables.clone(),
             compensations: self.built.compensations.clone(),
             networks: self.networks.take().map(|networks| networks.packed),
+            description,
             parameters: Parameters::DEFAULT,
             limits: DetectionLimits::GRIPPER,
         };

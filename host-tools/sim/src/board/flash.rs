@@ -1,25 +1,40 @@
-//! Flash of the settings: pages of 2 KiB, double words that are written once after an erase.
+//! Flash of parameters and calibrations: pages of 2 KiB, double words that are written once after an erase.
 
 use embedded_storage_async::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
 use firmware::system::nv_storage::PAGES;
+use firmware::system::nv_storage::calibration::{SLOT_BYTES, SLOTS};
+use std::cell::RefCell;
+use std::rc::Rc;
 
 const PAGE: usize = 2048;
 const WORD: usize = 8;
 
-/// Flash pages of the settings.
+/// Offset of the parameters.
+pub const PARAMETERS: u32 = 0;
+/// Offset of the calibrations.
+pub const CALIBRATIONS: u32 = PARAMETERS + PAGES * PAGE as u32;
+
+/// The memory; clones share it.
 #[derive(Clone)]
-pub struct Flash(Vec<u8>);
+pub struct Flash(Rc<RefCell<Vec<u8>>>);
 
 impl Default for Flash {
     fn default() -> Self {
-        Self(vec![0xFF; PAGE * PAGES as usize])
+        let bytes = CALIBRATIONS + SLOTS * SLOT_BYTES;
+        Self(Rc::new(RefCell::new(vec![0xFF; bytes as usize])))
     }
 }
 
 impl Flash {
-    fn at(&mut self, offset: u32, length: usize) -> Result<&mut [u8], NorFlashErrorKind> {
-        let bytes = self.0.get_mut(offset as usize..).and_then(|rest| rest.get_mut(..length));
-        bytes.ok_or(NorFlashErrorKind::OutOfBounds)
+    fn with<T>(
+        &mut self,
+        offset: u32,
+        length: usize,
+        access: impl FnOnce(&mut [u8]) -> Result<T, NorFlashErrorKind>,
+    ) -> Result<T, NorFlashErrorKind> {
+        let mut bytes = self.0.borrow_mut();
+        let range = bytes.get_mut(offset as usize..).and_then(|rest| rest.get_mut(..length));
+        range.ok_or(NorFlashErrorKind::OutOfBounds).and_then(access)
     }
 }
 
@@ -31,12 +46,14 @@ impl ReadNorFlash for Flash {
     const READ_SIZE: usize = 1;
 
     async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Self::Error> {
-        bytes.copy_from_slice(self.at(offset, bytes.len())?);
-        Ok(())
+        self.with(offset, bytes.len(), |stored| {
+            bytes.copy_from_slice(stored);
+            Ok(())
+        })
     }
 
     fn capacity(&self) -> usize {
-        self.0.len()
+        self.0.borrow().len()
     }
 }
 
@@ -45,16 +62,19 @@ impl NorFlash for Flash {
     const ERASE_SIZE: usize = PAGE;
 
     async fn erase(&mut self, from: u32, to: u32) -> Result<(), Self::Error> {
-        self.at(from, to.saturating_sub(from) as usize)?.fill(0xFF);
-        Ok(())
+        self.with(from, to.saturating_sub(from) as usize, |stored| {
+            stored.fill(0xFF);
+            Ok(())
+        })
     }
 
     async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Self::Error> {
-        let place = self.at(offset, bytes.len())?;
-        if place.iter().any(|byte| *byte != 0xFF) {
-            return Err(NorFlashErrorKind::Other);
-        }
-        place.copy_from_slice(bytes);
-        Ok(())
+        self.with(offset, bytes.len(), |stored| {
+            if stored.iter().any(|byte| *byte != 0xFF) {
+                return Err(NorFlashErrorKind::Other);
+            }
+            stored.copy_from_slice(bytes);
+            Ok(())
+        })
     }
 }

@@ -36,7 +36,10 @@ use firmware::clock::Clock;
 use firmware::config::limits::{DetectionLimits, GripLimits};
 use firmware::estimator::{self, Estimate, Estimator};
 use firmware::grip::GripController;
-use firmware::model::formats::Tables;
+use firmware::model::calibration::{
+    Calibration, CalibrationMemory, CompensationMemory, POOL_INTEGERS, Payload,
+};
+use firmware::model::formats::{EXP_ENTRIES, Tables};
 use firmware::motor::MotorCommand;
 use firmware::motor::limits::Temperatures;
 use firmware::motor::screw::Screw;
@@ -50,9 +53,13 @@ use firmware::sensors::thermistor;
 use firmware::system::crash::{Crash, CrashKind};
 use firmware::system::faults::Event;
 use firmware::system::nv_storage::ParameterStore;
+use firmware::system::nv_storage::calibration::CalibrationSlots;
+use firmware::tasks::calibration::{
+    CalibrationOrigin, CalibrationService, LinkedCalibration, Memories,
+};
 use firmware::tasks::temperatures::BoardTemperatures;
 use firmware::tasks::{self, GripLoop, HostService, SharedState};
-use futures::executor::LocalPool;
+use futures::executor::{LocalPool, block_on};
 use futures::task::LocalSpawnExt;
 use model_export::gru::pack::{self, NetworkRun, PackedNetwork};
 use model_export::inverse::compensation::OwnedCompensation;
@@ -107,6 +114,8 @@ pub struct Program {
     pub compensations: Vec<OwnedCompensation>,
     /// Residual networks.
     pub networks: Option<Vec<Box<dyn PackedNetwork>>>,
+    /// Origin of tables and networks, as TOML.
+    pub description: &'static str,
     /// Saved settings.
     pub parameters: Parameters,
     /// Thresholds of the sensors.
@@ -210,6 +219,18 @@ pub struct VirtualTimeBoard {
     grasp: GripLimits,
     /// Cause of a pending restart.
     crashed: Rc<Cell<Option<Crash>>>,
+    /// A host has requested a reboot.
+    rebooting: Rc<Cell<bool>>,
+    /// Parameters and calibrations.
+    flash: Flash,
+}
+
+/// What the estimator of a board runs.
+enum RunningCalibration {
+    /// The program's tables and networks.
+    Linked,
+    /// A calibration from the flash.
+    Stored(Calibration<'static, 2, 8, 1>),
 }
 
 impl VirtualTimeBoard {
@@ -242,26 +263,64 @@ impl VirtualTimeBoard {
             screw: motor.screw,
             grasp: motor.grasp,
             crashed: Rc::default(),
+            rebooting: Rc::default(),
+            flash: Flash::default(),
         };
+        let mut store = ParameterStore::new(board.flash.clone(), flash::PARAMETERS);
+        // Cannot fail on an empty flash.
+        let _ = block_on(store.save(&board.program.parameters));
         board.spawn_loops();
         board
     }
 
-    /// Restarts a crashed program, in no time. Spawned actors and unsaved settings are lost.
-    fn restart(&mut self, crash: Crash) {
+    /// Restarts the program, in no time. Spawned actors and unsaved settings are lost.
+    fn restart(&mut self, crash: Option<Crash>) {
         self.pool = LocalPool::new();
         self.exchange = Rc::new(SharedState::new());
         self.grip = Rc::new(RefCell::new(grasp(&self.program, self.screw, self.grasp)));
-        self.exchange.record_crash(&crash);
+        if let Some(crash) = crash {
+            self.exchange.record_crash(&crash);
+        }
         self.spawn_loops();
+    }
+
+    /// The newest calibration of the flash, decoded as the device does. Its memory is never freed, as on the device.
+    fn load_calibration(&self) -> (RunningCalibration, CalibrationOrigin) {
+        let linked_origin = CalibrationOrigin::Linked(self.program.description);
+        let slots = CalibrationSlots::new(flash::CALIBRATIONS);
+        let mut flash = self.flash.clone();
+        if block_on(slots.newest(&mut flash)).is_none() {
+            return (RunningCalibration::Linked, linked_origin);
+        }
+        let memories = Memories {
+            calibration: Box::leak(Box::new(CalibrationMemory::EMPTY)),
+            compensations: Box::leak(Box::new(CompensationMemory::EMPTY)),
+            pool: Box::leak(vec![0; POOL_INTEGERS].into_boxed_slice()),
+        };
+        let none =
+            Tables { id: 0, exp: &[0; EXP_ENTRIES], sensors: &[], compensations: &[], check: 0 };
+        let payload = Payload { tables: Box::leak(Box::new(none)), networks: &[] };
+        let linked = LinkedCalibration { payload, description: "" };
+        let loading = tasks::calibration::load_calibration(&slots, &mut flash, memories, &linked);
+        match block_on(loading) {
+            (stored, origin @ CalibrationOrigin::Stored(_)) => {
+                (RunningCalibration::Stored(stored), origin)
+            }
+            (_, CalibrationOrigin::Linked(_)) => (RunningCalibration::Linked, linked_origin),
+        }
     }
 
     fn spawn_loops(&mut self) {
         let program = self.program.clone();
         let limits = program.limits;
-        let tables_id = program.tables.id;
-        let parameters = program.parameters;
-        let addresses = parameters.addresses();
+        let (running, origin) = self.load_calibration();
+        let tables_id = match &running {
+            RunningCalibration::Linked => program.tables.id,
+            RunningCalibration::Stored(stored) => stored.tables.id,
+        };
+        let mut store = ParameterStore::new(self.flash.clone(), flash::PARAMETERS);
+        let loaded = block_on(tasks::load_parameters(&mut store, &self.exchange));
+        let addresses = loaded.parameters.addresses();
         let shared = (self.clock.clone(), self.exchange.clone());
         let parts = move || shared.clone();
         let buses = [0, 1].map(|bus| SimulatedI2c {
@@ -292,17 +351,30 @@ impl VirtualTimeBoard {
         let (clock, exchange) = parts();
         let motor = self.motor.clone();
         self.spawn(async move {
-            let compensations: Vec<_> =
-                program.compensations.iter().map(OwnedCompensation::view).collect();
-            let tables = program.tables.tables(&compensations);
-            let networks = program.networks.as_ref();
-            let networks =
-                networks.map(|all| NetworkBank(all.iter().map(|one| one.run()).collect()));
-            let mut estimator = Estimator::new(&tables, networks);
             let motor = || Some(motor.borrow_mut().status(clock.now_us()));
-            let scrub = tasks::scrub::<_, Tables, 0, _, _>(&tables, &[], &clock, &exchange);
-            let estimate = tasks::estimate(&mut estimator, motor, &limits, &clock, &exchange);
-            join(scrub, estimate).await;
+            match running {
+                RunningCalibration::Linked => {
+                    let compensations: Vec<_> =
+                        program.compensations.iter().map(OwnedCompensation::view).collect();
+                    let tables = program.tables.tables(&compensations);
+                    let networks = program.networks.as_ref();
+                    let networks =
+                        networks.map(|all| NetworkBank(all.iter().map(|one| one.run()).collect()));
+                    let mut estimator = Estimator::new(&tables, networks);
+                    let scrub = tasks::scrub(&tables, [None; SENSORS], &clock, &exchange);
+                    let estimate =
+                        tasks::estimate(&mut estimator, motor, &limits, &clock, &exchange);
+                    join(scrub, estimate).await;
+                }
+                RunningCalibration::Stored(stored) => {
+                    let mut estimator = Estimator::new(&stored.tables, stored.bank());
+                    let networks = stored.networks.scrubbed();
+                    let scrub = tasks::scrub(&stored.tables, networks, &clock, &exchange);
+                    let estimate =
+                        tasks::estimate(&mut estimator, motor, &limits, &clock, &exchange);
+                    join(scrub, estimate).await;
+                }
+            }
         });
         let (clock, exchange) = parts();
         let grip = self.grip.clone();
@@ -336,6 +408,7 @@ impl VirtualTimeBoard {
             tasks::receive_serial(into, DEFAULT_NODE, &limits, &clock, &exchange).await
         });
         let (clock, exchange) = parts();
+        let rebooting = self.rebooting.clone();
         self.spawn(async move {
             let mut state = 1_u16;
             // A pseudo-random sequence; nonces need not be secret here.
@@ -343,17 +416,16 @@ impl VirtualTimeBoard {
                 state = state.wrapping_mul(25_173).wrapping_add(13_849);
                 state
             };
-            let mut store = ParameterStore::new(Flash::default(), 0);
-            // Cannot fail on an empty flash.
-            let _ = store.save(&parameters).await;
-            let loaded = tasks::load_parameters(&mut store, &exchange).await;
             let service = HostService {
                 version: version(tables_id),
                 store,
                 loaded,
+                calibration: CalibrationService {
+                    slots: CalibrationSlots::new(flash::CALIBRATIONS),
+                    origin,
+                },
                 random,
-                // Tests restart by starting another board.
-                reboot: || {},
+                reboot: || rebooting.set(true),
             };
             tasks::host_service(service, &clock, &exchange).await;
         });
@@ -377,7 +449,12 @@ impl VirtualTimeBoard {
 
     fn run_ready(&mut self) {
         self.pool.run_until_stalled();
-        if let Some(crash) = self.crashed.take() {
+        let crash = self.crashed.take();
+        let is_rebooting = self.rebooting.take();
+        if is_rebooting {
+            self.motor.borrow_mut().restart(self.clock.now_us());
+        }
+        if is_rebooting || crash.is_some() {
             self.restart(crash);
             self.pool.run_until_stalled();
         }

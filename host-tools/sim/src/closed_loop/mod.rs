@@ -126,6 +126,7 @@ impl ClosedLoop {
             tables: tables.clone(),
             compensations: Vec::new(),
             networks: None,
+            description: "",
             parameters,
             limits: plan.limits,
         };

@@ -88,7 +88,7 @@ impl Converter<'_> {
     fn neighbour_magnet(
         &self,
         field: impl Fn(f64) -> Vector3<f64>,
-    ) -> Result<Box<[[i16; 3]; crosstalk::KNOTS]>, NotCompensable> {
+    ) -> Result<Box<[[i32; 3]; crosstalk::KNOTS]>, NotCompensable> {
         let at = |opening_um: f64| self.turn() * field(1e-3 * opening_um) * self.units;
         let step = f64::from(crosstalk::STEP_UM);
         let mut knots = Box::new([[0; 3]; crosstalk::KNOTS]);
@@ -97,11 +97,7 @@ impl Converter<'_> {
             let field = at(opening);
             // Half of the error of linear interpolation is added to both knots.
             let bow = 0.5 * (at(opening + 0.5 * step) - 0.5 * (field + at(opening + step)));
-            let shifted = (field + bow).map(f64::round);
-            if shifted.amax() > f64::from(i16::MAX) {
-                return Err(self.error("its field at this opening exceeds the range of the device"));
-            }
-            *knot = [shifted.x as i16, shifted.y as i16, shifted.z as i16];
+            *knot = self.three(field + bow, 0)?;
         }
         Ok(knots)
     }

@@ -35,7 +35,7 @@ pub struct OwnedCompensation {
 #[derive(Clone, Debug)]
 enum OwnedOnField {
     Scalar(FieldEffect<'static>),
-    Neighbour(Box<[[i16; 3]; crosstalk::KNOTS]>),
+    Neighbour(Box<[[i32; 3]; crosstalk::KNOTS]>),
     Map([OwnedMap; 3]),
 }
 
@@ -157,7 +157,9 @@ impl OwnedCompensation {
             *slot = Some(match effect {
                 OwnedOnField::Scalar(scalar) => *scalar,
                 OwnedOnField::Neighbour(knots) => {
-                    FieldEffect::NeighbourMagnet(crosstalk::NeighbourMagnetTable { knots })
+                    FieldEffect::NeighbourMagnet(crosstalk::NeighbourMagnetTable {
+                        knots: &knots[..],
+                    })
                 }
                 OwnedOnField::Map(maps) => FieldEffect::Map(maps.each_ref().map(OwnedMap::view)),
             });

@@ -1,6 +1,6 @@
 //! Flips every bit of the tables, one at a time.
 
-use crate::model::integrity::*;
+use super::*;
 
 /// Number of bits, and access to each, through the fields of the structs: independent of the checksum's traversal.
 pub trait BitFlip {

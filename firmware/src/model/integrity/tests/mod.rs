@@ -3,6 +3,22 @@ mod bit_flips;
 use core::array;
 use std::vec::Vec;
 
+use crate::compensation::crosstalk::{
+    EarthFieldTable, KNOTS, MotorLeakageTable, NeighbourMagnetTable,
+};
+use crate::compensation::flexure::{
+    CreepTable, FingertipMassTable, HardStopTable, ViscousLagTable,
+};
+use crate::compensation::hysteresis::{HysteresisTable, Slider};
+use crate::compensation::lookup_table::{Covariate, LookupAxis, LookupTable};
+use crate::compensation::thermal::{
+    MagnetTemperatureTable, SensorTemperatureTable, ThermalGapTable,
+};
+use crate::compensation::{Compensation, FieldEffect, ForceEffect, MAX_EFFECTS};
+use crate::fixed_point::{Field, Force};
+use crate::model::calibration::{CalibrationMemory, CompensationMemory, POOL_INTEGERS, Payload};
+use crate::model::encoding::*;
+use crate::model::formats::*;
 use crate::model::integrity::*;
 use bit_flips::assert_flips_detected;
 
@@ -60,7 +76,7 @@ fn sensor(number: u8) -> SensorTable {
 }
 
 /// All effects on the field and on the forces, two of each per sensor.
-fn compensations<'a>(knots: &'a [[i16; 3]; KNOTS], values: &'a [i32]) -> [Compensation<'a>; 4] {
+fn compensations<'a>(knots: &'a [[i32; 3]; KNOTS], values: &'a [i32]) -> [Compensation<'a>; 4] {
     let numbers = &mut Numbers(7);
     let table = |covariate| LookupTable {
         sides: [Some(LookupAxis { covariate, from: 3, step: 5, knots: 2 }), None],
@@ -105,7 +121,8 @@ fn compensations<'a>(knots: &'a [[i16; 3]; KNOTS], values: &'a [i32]) -> [Compen
     })
 }
 
-fn network() -> Network<2, 4, 1> {
+fn network<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize>()
+-> Network<INPUTS, HIDDEN, HEADS> {
     let numbers = &mut Numbers(3);
     let input = |source, numbers: &mut Numbers| Input {
         source,
@@ -113,26 +130,26 @@ fn network() -> Network<2, 4, 1> {
         gain: numbers.next(),
     };
     Network {
-        sensors: [2],
+        sensors: [2; HEADS],
         target: Target::Rest,
-        inputs: [
-            [
+        inputs: array::from_fn(|pair| match pair {
+            0 => [
                 input(InputSource::Field { sensor: 2, axis: 1 }, numbers),
                 input(InputSource::Ideal { sensor: 2, axis: 0 }, numbers),
             ],
-            [input(InputSource::None, numbers), input(InputSource::None, numbers)],
-        ],
+            _ => [input(InputSource::None, numbers), input(InputSource::None, numbers)],
+        }),
         force: numbers.many(),
         warm_up: 77,
-        guards: [Guard {
+        guards: array::from_fn(|_| Guard {
             residual: numbers.many().map(Field),
             force: numbers.many(),
             deviation: numbers.many().map(Force),
-        }],
+        }),
         weights: Weights {
             first: array::from_fn(|_| numbers.units()),
             second: array::from_fn(|_| numbers.units()),
-            heads: [Head { bias: numbers.many(), weights: numbers.pairs() }],
+            heads: array::from_fn(|_| Head { bias: numbers.many(), weights: numbers.pairs() }),
         },
         check: 0,
     }
@@ -144,7 +161,7 @@ struct OwnedTables {
     id: u16,
     exp: [u32; EXP_ENTRIES],
     sensors: Vec<SensorTable>,
-    knots: [[i16; 3]; KNOTS],
+    knots: [[i32; 3]; KNOTS],
     values: [i32; 10],
 }
 
@@ -154,7 +171,7 @@ impl OwnedTables {
             id: 0x1234,
             exp: array::from_fn(|entry| Numbers(entry as u32).next() as u32),
             sensors: (0..4).map(sensor).collect(),
-            knots: array::from_fn(|knot| [1, -1, 3].map(|times| times * knot as i16)),
+            knots: array::from_fn(|knot| [1, -1, 3].map(|times| times * knot as i32)),
             values: array::from_fn(|value| 100 + value as i32),
         }
     }
@@ -219,7 +236,7 @@ fn every_flipped_bit_of_the_compensation_is_detected() {
 
 #[test]
 fn every_flipped_bit_of_a_network_is_detected() {
-    let bits = assert_flips_detected(&mut network(), Network::is_intact);
+    let bits = assert_flips_detected(&mut network::<2, 4, 1>(), Network::is_intact);
     // Words of 32 bits: inputs 8, force 2, guard 6, first 4 * (6 + 12 + 2 + 24), second 4 * (6 + 24 + 2
     // + 24), head 4 + 16; a sensor in a byte and the steps in two.
     assert_eq!(bits, 32 * (8 + 2 + 6 + 176 + 224 + 20) + 8 + 16);
@@ -252,7 +269,7 @@ fn changed_effects_of_a_compensation_are_detected() {
 
 #[test]
 fn changed_sources_of_a_network_are_detected() {
-    assert!(network().is_intact());
+    assert!(network::<2, 4, 1>().is_intact());
     let changes: [fn(&mut Network<2, 4, 1>); 5] = [
         |network| network.target = Target::Force,
         |network| network.inputs[1][0].source = InputSource::Field { sensor: 0, axis: 0 },
@@ -291,10 +308,57 @@ fn a_scrub_pass_has_at_most_1000_steps_and_finds_a_flipped_bit() {
     }
 }
 
+/// Copies tables with networks of one size; the copy has the same content.
+fn assert_copied<const I: usize, const H: usize, const S: usize>(networks: &[Network<I, H, S>]) {
+    let owned = OwnedTables::new();
+    let mut pool = [0; POOL_INTEGERS];
+    let mut compensations = CompensationMemory::EMPTY;
+    let mut memory = std::boxed::Box::new(CalibrationMemory::EMPTY);
+    owned.with(|tables| {
+        let tables = tables.checked();
+        let payload = Payload { tables: &tables, networks };
+        memory.copy(&payload, &mut compensations, &mut pool).unwrap();
+        let copy = memory.calibration::<I, H, S>();
+        assert!(copy.tables.is_intact());
+        assert_eq!(std::format!("{:?}", copy.tables), std::format!("{tables:?}"));
+        let (copied, expected) =
+            (std::format!("{:?}", copy.networks), std::format!("({networks:?})"));
+        assert!(copied.ends_with(&expected), "{copied}");
+    });
+}
+
+#[test]
+fn a_copied_calibration_is_the_same() {
+    assert_copied::<2, 8, 1>(&array::from_fn::<_, 4, _>(|_| network()));
+    assert_copied::<2, 8, 1>(&[]);
+    assert_copied::<6, 16, 4>(&[network()]);
+    assert_copied::<1, 4, 1>(&[]);
+}
+
+#[test]
+fn what_does_not_fit_is_not_copied() {
+    let owned = OwnedTables::new();
+    let copied = |integers: usize, networks: &[Network<2, 8, 1>]| {
+        let mut pool = std::vec![0; integers];
+        let mut compensations = CompensationMemory::EMPTY;
+        let mut memory = std::boxed::Box::new(CalibrationMemory::EMPTY);
+        owned.with(|tables| {
+            memory.copy(&Payload { tables: &tables, networks }, &mut compensations, &mut pool)
+        })
+    };
+    // A table over the opening at sensors 0 and 1; five, three and one maps of ten values.
+    let needed = 2 * 3 * KNOTS + 10 * (3 + 2 + 3 + 2 + 3 + 2);
+    assert_eq!(copied(needed - 1, &[]), None);
+    assert_eq!(copied(needed, &[]), Some(()));
+    let five = array::from_fn::<_, 5, _>(|_| network());
+    assert_eq!(copied(needed, &five[..4]), Some(()));
+    assert_eq!(copied(needed, &five), None);
+}
+
 #[test]
 fn a_scrub_step_checks_at_least_one_word() {
     struct ThreeWords;
-    impl WordStream for ThreeWords {
+    impl Encode for ThreeWords {
         const WORDS: usize = 3;
         fn visit(&self, window: &mut Window) {
             [0_u32, 1, 2].visit(window);
@@ -340,10 +404,9 @@ fn a_window_of_one_word_covers_that_word() {
         (548, Some(sensor.parity.sigma as u32)),
         (549, None),
     ] {
-        let mut window = Window::new(skip, 1, CRC32.digest());
-        visit(&sensor, &mut window);
-        let expected = word.map_or(CRC32.digest().finalize(), |word| checksum(&word));
-        assert_eq!(window.digest.finalize(), expected, "{skip}");
+        let mut seen = Vec::new();
+        visit(&sensor, &mut Window::new(skip, 1, &mut |word, _| seen.push(word)));
+        assert_eq!(seen, Vec::from_iter(word), "{skip}");
     }
 }
 
@@ -354,11 +417,7 @@ fn consecutive_windows_give_the_checksum_of_the_whole() {
         for count in [1, 7, 549, 1000, words] {
             let mut digest = CRC32.digest();
             for from in (0..words).step_by(count) {
-                let mut window = Window::new(from, count, digest);
-                visit(&tables, &mut window);
-                let left = (from + count).saturating_sub(words);
-                assert_eq!((window.skip, window.left), (0, left));
-                digest = window.digest;
+                digest = update(&tables, from, count, digest);
             }
             assert_eq!(digest.finalize(), checksum(&tables), "{count}");
         }

@@ -1,0 +1,316 @@
+//! Calibration: tables and networks that the device runs.
+//!
+//! An encoded calibration is 16 bytes of header and a payload; all numbers are little-endian:
+//!
+//! | bytes | content |
+//! | --- | --- |
+//! | 0..4 | [`MAGIC`] |
+//! | 4..8 | [`FORMAT`] |
+//! | 8..12 | length of the payload |
+//! | 12..16 | CRC-32 of the payload |
+//! | payload | length of the description (16 bits), description (UTF-8), tables and networks ([`Payload`]) |
+//!
+//! At boot the payload is decoded into [`CalibrationMemory`]: reads from SRAM take no wait states, and the flash can be
+//! erased for the next calibration while the device runs. Linked tables and networks are copied there in the same way; if
+//! they do not fit, the device runs them from flash.
+
+use crate::compensation::Compensation;
+use crate::estimator::gru::CalibratedBank;
+use crate::model::encoding::{Decode, Encode, Reader, Window, visit};
+use crate::model::formats::{EXP_ENTRIES, Network, SensorTable, Tables};
+use crate::model::integrity::Scrub;
+use crate::sensors::hall::SENSORS;
+
+/// First bytes of an encoded calibration.
+pub const MAGIC: [u8; 4] = *b"MGPC";
+/// Version of the encoding; a device refuses others.
+pub const FORMAT: u32 = 1;
+/// Bytes before the payload.
+pub const HEADER_BYTES: usize = 16;
+/// Maximum length of a description in bytes.
+pub const MAX_DESCRIPTION_BYTES: usize = 2048;
+/// Integers in lookup tables and in tables over the opening, of all sensors.
+pub const POOL_INTEGERS: usize = 4608;
+
+/// A network of one sensor that can be loaded: four inputs, 16 units.
+pub type PerSensorNetwork = Network<2, 8, 1>;
+/// A network of all sensors that can be loaded: twelve inputs, 32 units.
+pub type SharedNetwork = Network<6, 16, 4>;
+
+/// Header of an encoded calibration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Header {
+    /// Bytes of the payload.
+    pub length: u32,
+    /// Its CRC-32.
+    pub crc: u32,
+}
+
+impl Header {
+    /// Encodes the header.
+    pub fn to_bytes(self) -> [u8; HEADER_BYTES] {
+        let [a, b, c, d] = MAGIC;
+        let numbers = [u32::from_le_bytes([a, b, c, d]), FORMAT, self.length, self.crc];
+        let mut bytes = [0; HEADER_BYTES];
+        for (to, from) in bytes.iter_mut().zip(numbers.map(u32::to_le_bytes).as_flattened()) {
+            *to = *from;
+        }
+        bytes
+    }
+
+    /// Decodes a header; `None` if it is of another format.
+    pub fn from_bytes(bytes: &[u8; HEADER_BYTES]) -> Option<Self> {
+        let (numbers, _) = bytes.as_chunks::<4>();
+        let [magic, format, length, crc] = numbers else { return None };
+        let is_known = *magic == MAGIC && u32::from_le_bytes(*format) == FORMAT;
+        is_known
+            .then(|| Self { length: u32::from_le_bytes(*length), crc: u32::from_le_bytes(*crc) })
+    }
+}
+
+/// Tables and networks in the order of their encoding.
+pub struct Payload<'v, const INPUTS: usize, const HIDDEN: usize, const HEADS: usize> {
+    /// Ideal model and compensation.
+    pub tables: &'v Tables<'v>,
+    /// Networks of one size.
+    pub networks: &'v [Network<INPUTS, HIDDEN, HEADS>],
+}
+
+/// The tables with their checksum, pairs of inputs and of units, heads, then the networks with their checksums.
+impl<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize> Encode
+    for Payload<'_, INPUTS, HIDDEN, HEADS>
+{
+    const WORDS: usize = 0;
+
+    fn visit(&self, window: &mut Window) {
+        visit(self.tables, window);
+        visit(&self.tables.check, window);
+        for number in [INPUTS, HIDDEN, HEADS, self.networks.len()] {
+            visit(&(number as u8), window);
+        }
+        for network in self.networks {
+            visit(network, window);
+            visit(&network.check, window);
+        }
+    }
+}
+
+/// The bytes of a value, without a copy of the whole.
+struct ByteSource<'v, T> {
+    value: &'v T,
+    /// Words taken from it.
+    words: usize,
+    /// Bytes of the latest words.
+    buffer: heapless::Deque<u8, { ByteSource::<()>::WORDS * size_of::<u32>() }>,
+}
+
+impl<T> ByteSource<'_, T> {
+    const WORDS: usize = 64;
+}
+
+impl<T: Encode> ByteSource<'_, T> {
+    fn fill(&mut self, bytes: &mut [u8]) -> Option<()> {
+        for to in bytes {
+            if self.buffer.is_empty() {
+                let buffer = &mut self.buffer;
+                let mut sink = |word: u32, bytes| {
+                    // The buffer has room for all words of the window.
+                    for byte in word.to_le_bytes().into_iter().take(bytes) {
+                        let _ = buffer.push_back(byte);
+                    }
+                };
+                visit(self.value, &mut Window::new(self.words, Self::WORDS, &mut sink));
+                self.words = self.words.saturating_add(Self::WORDS);
+            }
+            *to = self.buffer.pop_front()?;
+        }
+        Some(())
+    }
+}
+
+/// Networks of a calibration.
+#[derive(Clone, Copy, Debug)]
+pub enum Networks<'m, const INPUTS: usize, const HIDDEN: usize, const HEADS: usize> {
+    /// In the image's flash.
+    Linked(&'m [Network<INPUTS, HIDDEN, HEADS>]),
+    /// One for each sensor.
+    PerSensor(&'m [PerSensorNetwork]),
+    /// One for all sensors.
+    Shared(&'m [SharedNetwork]),
+}
+
+impl<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize>
+    Networks<'_, INPUTS, HIDDEN, HEADS>
+{
+    /// The networks for the check of their memory.
+    pub fn scrubbed(&self) -> [Option<&dyn Scrub>; SENSORS] {
+        fn all<T: Scrub>(networks: &[T]) -> [Option<&dyn Scrub>; SENSORS] {
+            let mut networks = networks.iter();
+            [(); SENSORS].map(|()| networks.next().map(|network| network as &dyn Scrub))
+        }
+        match self {
+            Self::Linked(networks) => all(networks),
+            Self::PerSensor(networks) => all(networks),
+            Self::Shared(networks) => all(networks),
+        }
+    }
+}
+
+/// Tables and networks that the device runs.
+#[derive(Clone, Copy, Debug)]
+pub struct Calibration<'m, const INPUTS: usize, const HIDDEN: usize, const HEADS: usize> {
+    /// Ideal model and compensation.
+    pub tables: Tables<'m>,
+    /// Recurrent networks.
+    pub networks: Networks<'m, INPUTS, HIDDEN, HEADS>,
+}
+
+impl<'m, const INPUTS: usize, const HIDDEN: usize, const HEADS: usize>
+    Calibration<'m, INPUTS, HIDDEN, HEADS>
+{
+    /// The networks after a reset.
+    pub const fn bank(&self) -> CalibratedBank<'m, INPUTS, HIDDEN, HEADS> {
+        CalibratedBank::new(self.networks)
+    }
+}
+
+/// Memory for the networks of a calibration. The representation makes the first variant's tag zero.
+#[repr(u8)]
+#[allow(clippy::large_enum_variant)] // A static; both have nearly the same size.
+enum NetworkMemory {
+    PerSensor([PerSensorNetwork; SENSORS]),
+    Shared([SharedNetwork; 1]),
+}
+
+/// Memory for a calibration: some 30 KB, all zero when empty, so that a static takes no flash.
+pub struct CalibrationMemory<'p> {
+    id: u16,
+    check: u32,
+    exp: [u32; EXP_ENTRIES],
+    sensors: [SensorTable; SENSORS],
+    used_sensors: usize,
+    compensations: Option<&'p [Compensation<'p>]>,
+    networks: NetworkMemory,
+    used_networks: usize,
+}
+
+/// Memory for the compensation of a calibration.
+pub struct CompensationMemory<'p> {
+    compensations: [Compensation<'p>; SENSORS],
+}
+
+impl CompensationMemory<'_> {
+    /// Memory without a compensation.
+    pub const EMPTY: Self = Self { compensations: Decode::ZERO };
+}
+
+impl<'p> CalibrationMemory<'p> {
+    /// Memory without a calibration.
+    pub const EMPTY: Self = Self {
+        id: 0,
+        check: 0,
+        exp: Decode::ZERO,
+        sensors: Decode::ZERO,
+        used_sensors: 0,
+        compensations: None,
+        networks: NetworkMemory::PerSensor(Decode::ZERO),
+        used_networks: 0,
+    };
+
+    /// Copies tables and networks into the memory; `None` if they do not fit.
+    pub fn copy<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize>(
+        &mut self,
+        payload: &Payload<INPUTS, HIDDEN, HEADS>,
+        compensations: &'p mut CompensationMemory<'p>,
+        pool: &'p mut [i32],
+    ) -> Option<()> {
+        let mut bytes = ByteSource { value: payload, words: 0, buffer: heapless::Deque::new() };
+        let mut source = |to: &mut [u8]| bytes.fill(to);
+        self.read(&mut Reader::new(&mut source, pool), compensations)
+    }
+
+    /// Decodes the payload of a calibration after its description; `None` if it does not fit, or is none.
+    pub fn read(
+        &mut self,
+        reader: &mut Reader<'_, 'p>,
+        compensations: &'p mut CompensationMemory<'p>,
+    ) -> Option<()> {
+        self.id.read(reader)?;
+        self.exp.read(reader)?;
+        self.used_sensors = read_items(&mut self.sensors, reader)?;
+        let count = read_items(&mut compensations.compensations, reader)?;
+        self.compensations = compensations.compensations.get(..count);
+        self.check.read(reader)?;
+        self.used_networks = self.networks.read(reader)?;
+        Some(())
+    }
+
+    /// The calibration after [`Self::copy`] or [`Self::read`].
+    pub fn calibration<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize>(
+        &self,
+    ) -> Calibration<'_, INPUTS, HIDDEN, HEADS> {
+        Calibration {
+            tables: Tables {
+                id: self.id,
+                exp: &self.exp,
+                sensors: self.sensors.get(..self.used_sensors).unwrap_or_default(),
+                compensations: self.compensations.unwrap_or_default(),
+                check: self.check,
+            },
+            networks: match &self.networks {
+                NetworkMemory::PerSensor(networks) => {
+                    Networks::PerSensor(networks.get(..self.used_networks).unwrap_or_default())
+                }
+                NetworkMemory::Shared(networks) => {
+                    Networks::Shared(networks.get(..self.used_networks).unwrap_or_default())
+                }
+            },
+        }
+    }
+}
+
+impl NetworkMemory {
+    /// Reads networks; returns their number.
+    fn read(&mut self, reader: &mut Reader) -> Option<usize> {
+        let [inputs, hidden, heads, count] = reader.bytes()?;
+        match [inputs, hidden, heads] {
+            _ if count == 0 => {}
+            [2, 8, 1] => {
+                if let Self::Shared(_) = self {
+                    *self = Self::PerSensor(Decode::ZERO);
+                }
+            }
+            [6, 16, 4] => {
+                if let Self::PerSensor(_) = self {
+                    *self = Self::Shared(Decode::ZERO);
+                }
+            }
+            _ => return None,
+        }
+        let count = usize::from(count);
+        match self {
+            Self::PerSensor(networks) => read_networks(networks.get_mut(..count)?, reader)?,
+            Self::Shared(networks) => read_networks(networks.get_mut(..count)?, reader)?,
+        }
+        Some(count)
+    }
+}
+
+/// Networks with their checksums.
+fn read_networks<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize>(
+    networks: &mut [Network<INPUTS, HIDDEN, HEADS>],
+    reader: &mut Reader,
+) -> Option<()> {
+    for network in networks {
+        network.read(reader)?;
+        network.check.read(reader)?;
+    }
+    Some(())
+}
+
+/// A number of items, then the items; returns their number.
+fn read_items<'p, T: Decode<'p>>(items: &mut [T], reader: &mut Reader<'_, 'p>) -> Option<usize> {
+    let count = reader.value::<u32>()? as usize;
+    items.get_mut(..count)?.iter_mut().try_for_each(|item| item.read(reader))?;
+    Some(count)
+}

@@ -1,0 +1,182 @@
+//! Loads the calibration at boot, and serves uploads of new ones.
+
+use embassy_futures::block_on;
+use embedded_storage_async::nor_flash::NorFlash;
+
+use crate::model::calibration::{
+    Calibration, CalibrationMemory, CompensationMemory, Networks, Payload,
+};
+use crate::model::encoding::Reader;
+use crate::protocol::messages::{CalibrationChunk, Service, ServiceReply};
+use crate::protocol::session::{op, service_reply, status};
+use crate::system::nv_storage::calibration::{CalibrationSlots, StoredCalibration};
+
+/// Calibration of the image: used as long as none is stored.
+pub struct LinkedCalibration<'m, const INPUTS: usize, const HIDDEN: usize, const HEADS: usize> {
+    /// Tables and networks.
+    pub payload: Payload<'m, INPUTS, HIDDEN, HEADS>,
+    /// Description of their origin.
+    pub description: &'static str,
+}
+
+/// Where the running calibration comes from.
+#[derive(Clone, Copy, Debug)]
+pub enum CalibrationOrigin {
+    /// From the image, with its description.
+    Linked(&'static str),
+    /// From a slot in flash.
+    Stored(StoredCalibration),
+}
+
+/// Memory that a calibration is decoded into.
+pub struct Memories<'m> {
+    /// Tables and networks.
+    pub calibration: &'m mut CalibrationMemory<'m>,
+    /// Effects.
+    pub compensations: &'m mut CompensationMemory<'m>,
+    /// Lookup tables.
+    pub pool: &'m mut [i32],
+}
+
+/// Loads the newest stored calibration, or else the linked one.
+pub async fn load_calibration<
+    'm,
+    F: NorFlash,
+    const INPUTS: usize,
+    const HIDDEN: usize,
+    const HEADS: usize,
+>(
+    slots: &CalibrationSlots,
+    flash: &mut F,
+    memory: Memories<'m>,
+    linked: &LinkedCalibration<'m, INPUTS, HIDDEN, HEADS>,
+) -> (Calibration<'m, INPUTS, HIDDEN, HEADS>, CalibrationOrigin) {
+    let Memories { calibration, compensations, pool } = memory;
+    let Payload { tables, networks } = &linked.payload;
+    let stored = slots.newest(flash).await;
+    let is_read = match &stored {
+        Some(stored) => match slots.description_bytes(flash, stored).await {
+            Some(length) => {
+                let mut at = u32::from(length).saturating_add(size_of::<u16>() as u32);
+                // Reads of flash are ready at once; the decoder is not asynchronous.
+                let mut source = |bytes: &mut [u8]| {
+                    block_on(slots.read(flash, stored, at, bytes))?;
+                    at = at.saturating_add(bytes.len() as u32);
+                    Some(())
+                };
+                calibration.read(&mut Reader::new(&mut source, pool), compensations)
+            }
+            None => None,
+        },
+        None => calibration.copy(&linked.payload, compensations, pool),
+    };
+    let origin = match (is_read, stored) {
+        (Some(()), Some(stored)) => CalibrationOrigin::Stored(stored),
+        _ => CalibrationOrigin::Linked(linked.description),
+    };
+    let running = match is_read {
+        Some(()) => calibration.calibration(),
+        None => Calibration { tables: **tables, networks: Networks::Linked(networks) },
+    };
+    (running, origin)
+}
+
+/// Serves the description of the running calibration and uploads.
+pub struct CalibrationService {
+    /// Calibrations in flash.
+    pub slots: CalibrationSlots,
+    /// Origin of the running one.
+    pub origin: CalibrationOrigin,
+}
+
+impl CalibrationService {
+    /// Executes a service request. `is_armed`: a session is open, or the motor is driven.
+    pub async fn handle_request<F: NorFlash>(
+        &mut self,
+        flash: &mut F,
+        request: Service,
+        is_armed: bool,
+    ) -> ServiceReply {
+        let result = match request.op {
+            op::DESCRIPTION => {
+                let detail = self.description(flash, request.argument).await;
+                let status = if detail.is_some() { status::DONE } else { status::FAILED };
+                return ServiceReply {
+                    nonce: request.argument as u16,
+                    ..service_reply(request, status, detail.unwrap_or(0))
+                };
+            }
+            _ if is_armed => return service_reply(request, status::ARMED, 0),
+            op::UPLOAD => self.slots.begin(flash, request.argument).await.map(|()| 0),
+            op::FINISH_UPLOAD => self.slots.finish(flash).await.map(|stored| stored.sequence),
+            _ => return service_reply(request, status::UNKNOWN, 0),
+        };
+        match result {
+            Ok(detail) => service_reply(request, status::DONE, detail),
+            Err(error) => service_reply(request, status::FAILED, error as u32),
+        }
+    }
+
+    /// Receives a chunk; returns the reply, if any.
+    pub async fn receive<F: NorFlash>(
+        &mut self,
+        flash: &mut F,
+        chunk: &CalibrationChunk,
+        is_armed: bool,
+    ) -> Option<ServiceReply> {
+        let request = Service { op: op::UPLOAD, ..Service::default() };
+        if is_armed {
+            return Some(service_reply(request, status::ARMED, 0));
+        }
+        match self.slots.receive(flash, chunk.number.into(), chunk.bytes()).await {
+            Ok(next) => Some(service_reply(request, status::DONE, next?)),
+            Err(error) => Some(service_reply(request, status::FAILED, error as u32)),
+        }
+    }
+
+    /// Four bytes of the description, or its length and origin ([`op::DESCRIPTION`]).
+    async fn description<F: NorFlash>(&self, flash: &mut F, argument: u32) -> Option<u32> {
+        let length = match &self.origin {
+            CalibrationOrigin::Linked(text) => text.len() as u32,
+            CalibrationOrigin::Stored(stored) => {
+                self.slots.description_bytes(flash, stored).await?.into()
+            }
+        };
+        let Some(place) = argument.checked_sub(1) else {
+            let origin = match &self.origin {
+                CalibrationOrigin::Linked(_) => 0,
+                CalibrationOrigin::Stored(stored) => stored.slot.saturating_add(1),
+            };
+            return Some(length & 0xFFFF | origin << 16);
+        };
+        let from = place.saturating_mul(4);
+        let count = length.checked_sub(from).filter(|left| *left > 0)?.min(4);
+        let mut bytes = [0; 4];
+        let used = bytes.get_mut(..count as usize)?;
+        match &self.origin {
+            CalibrationOrigin::Linked(text) => {
+                let from = from as usize;
+                used.copy_from_slice(text.as_bytes().get(from..from.checked_add(used.len())?)?);
+            }
+            CalibrationOrigin::Stored(stored) => {
+                let from = from.saturating_add(size_of::<u16>() as u32);
+                self.slots.read(flash, stored, from, used).await?;
+            }
+        }
+        Some(u32::from_le_bytes(bytes))
+    }
+}
+
+impl CalibrationChunk {
+    /// A chunk of these bytes.
+    pub fn new(number: u16, [b0, b1, b2, b3, b4, b5]: [u8; 6]) -> Self {
+        let low = u32::from_le_bytes([b0, b1, b2, b3]);
+        Self { number, low, high: u16::from_le_bytes([b4, b5]) }
+    }
+
+    /// Its bytes.
+    pub fn bytes(&self) -> [u8; 6] {
+        let ([b0, b1, b2, b3], [b4, b5]) = (self.low.to_le_bytes(), self.high.to_le_bytes());
+        [b0, b1, b2, b3, b4, b5]
+    }
+}

@@ -1,0 +1,291 @@
+//! Client that uploads calibrations to a gripper and reads what is on it.
+
+use std::collections::BTreeMap;
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail};
+use firmware::protocol::host_session::service;
+use firmware::protocol::messages::{CalibrationChunk, Message, ServiceReply, Version};
+use firmware::protocol::serial::Packet;
+use firmware::protocol::session::{op, status};
+use firmware::system::nv_storage::calibration::{
+    CHUNK_BYTES, CHUNKS_PER_GROUP, MAX_BYTES, UploadError,
+};
+use model_export::inverse::calibration::CalibrationDescription;
+use serde::Serialize;
+
+use crate::source::Source;
+
+/// Timeout of a request and number of attempts.
+const PATIENCE: Duration = Duration::from_millis(500);
+const TIMES: u32 = 6;
+/// The gripper erases two pages and verifies all bytes in this time.
+const SLOW_PATIENCE: Duration = Duration::from_secs(2);
+/// Time without an acknowledgement after which chunks are repeated.
+const REPEAT: Duration = Duration::from_millis(100);
+/// Repetitions without progress until the upload is given up.
+const REPETITIONS: u32 = 50;
+/// Chunks sent before the first of them is acknowledged: what the gripper can queue.
+const WINDOW: u32 = 2 * CHUNKS_PER_GROUP as u32;
+/// Time for each chunk: the gripper admits 20 messages in 10 ms.
+const CHUNK_TIME: Duration = Duration::from_micros(600);
+/// Time for a reboot with the first check of the tables.
+const REBOOT: Duration = Duration::from_secs(5);
+
+/// Calibration that runs on a gripper.
+#[derive(Clone, Debug, Serialize)]
+pub struct RunningCalibration {
+    /// Identifier of the tables on the bus.
+    pub tables: String,
+    /// Slot in flash, from 0; none for the calibration of the image.
+    pub slot: Option<u8>,
+    /// Version of the firmware.
+    pub firmware: String,
+    /// Origin of model and networks; none where the board has no description.
+    #[serde(flatten)]
+    pub description: Option<CalibrationDescription>,
+}
+
+impl RunningCalibration {
+    /// The calibration as lines of text.
+    pub fn text(&self) -> String {
+        let origin = match self.slot {
+            None => "from the image".to_owned(),
+            Some(slot) => format!("uploaded, slot {slot}"),
+        };
+        let mut text = format!("calibration  {}, {origin}\n", self.tables);
+        let mut line = |name: &str, value: &str| text += &format!("{name:<13}{value}\n");
+        match &self.description {
+            None => line("origin", "not described"),
+            Some(description) => {
+                let list = |values: &[String], none: &str| match values {
+                    [] => none.to_owned(),
+                    values => values.join(", "),
+                };
+                line("model", &format!("SHA-256 {}", description.model_sha256));
+                match &description.network_sha256 {
+                    Some(sha256) => line("networks", &format!("SHA-256 {sha256}")),
+                    None => line("networks", "none"),
+                }
+                line("campaign", &description.campaign);
+                line("recorded", &list(&description.recorded, "not stated in recording.toml"));
+                if let Some(date) = &description.uploaded {
+                    line("uploaded", date);
+                }
+                line("effects", &list(&description.effects, "none"));
+                for (effect, conditions) in &description.conditions {
+                    line("", &format!("{effect}: compensated {}", conditions.join("; ")));
+                }
+            }
+        }
+        line("firmware", &self.firmware);
+        text
+    }
+}
+
+/// Uploads an encoded calibration and activates it for the next boot; `progress` is called with the bytes received by the
+/// gripper. Returns the sequence number of the upload.
+///
+/// # Errors
+/// The connection is lost, or the gripper refuses the calibration: the previous one stays.
+pub fn upload(
+    source: &mut dyn Source,
+    bytes: &[u8],
+    mut progress: impl FnMut(usize),
+) -> Result<u32> {
+    let length = u32::try_from(bytes.len()).unwrap_or(u32::MAX);
+    if length > MAX_BYTES {
+        bail!("{length} bytes do not fit the gripper's {MAX_BYTES}");
+    }
+    let reply = request(source, op::UPLOAD, length, SLOW_PATIENCE)?;
+    done(source, reply)?;
+    let chunks: Vec<[u8; CHUNK_BYTES]> = bytes
+        .chunks(CHUNK_BYTES)
+        .map(|part| {
+            let mut chunk = [0; CHUNK_BYTES];
+            chunk[..part.len()].copy_from_slice(part);
+            chunk
+        })
+        .collect();
+    let count = chunks.len() as u32;
+    let (mut sent, mut acknowledged) = (0, 0);
+    let mut repeated = None;
+    let (mut heard, mut silences) = (Instant::now(), 0);
+    while acknowledged < count {
+        while sent < count.min(acknowledged + WINDOW) {
+            let number = u16::try_from(sent).context("too many chunks")?;
+            let chunk = CalibrationChunk::new(number, chunks[sent as usize]);
+            source.send(Message::CalibrationChunk(chunk))?;
+            sent += 1;
+            sleep(CHUNK_TIME);
+        }
+        for reply in replies(source, op::UPLOAD)? {
+            let next = done(source, reply)?;
+            heard = Instant::now();
+            if next > acknowledged && next <= sent {
+                (acknowledged, repeated, silences) = (next, None, 0);
+                progress(bytes.len().min(next as usize * CHUNK_BYTES));
+            } else if next == acknowledged && repeated != Some(next) {
+                // A chunk was lost: what follows was ignored.
+                (sent, repeated) = (next, Some(next));
+            }
+        }
+        if heard.elapsed() > REPEAT {
+            silences += 1;
+            if silences > REPETITIONS {
+                bail!("{}: the gripper does not acknowledge the calibration", source.name());
+            }
+            (heard, sent, repeated) = (Instant::now(), acknowledged, None);
+        }
+    }
+    let reply = request(source, op::FINISH_UPLOAD, 0, SLOW_PATIENCE)?;
+    done(source, reply)
+}
+
+/// Reboots the gripper and waits until it runs tables with this identifier.
+///
+/// # Errors
+/// It runs other tables, or does not answer.
+pub fn reboot_into(source: &mut dyn Source, tables: u16) -> Result<()> {
+    source.send(service(op::REBOOT, 0))?;
+    let rebooted = Instant::now();
+    let mut found = None;
+    while rebooted.elapsed() < REBOOT {
+        match version(source) {
+            Ok(version) if version.tables == tables => return Ok(()),
+            Ok(version) => found = Some(version.tables),
+            Err(_) => {}
+        }
+    }
+    match found {
+        Some(other) => bail!(
+            "{}: the gripper runs tables {other:04x} after its reboot instead of {tables:04x}; see `magpie board`",
+            source.name()
+        ),
+        None => bail!("{}: the gripper does not answer after its reboot", source.name()),
+    }
+}
+
+/// Reads which calibration runs.
+///
+/// # Errors
+/// No reply, or an unreadable description.
+pub fn running(source: &mut dyn Source) -> Result<RunningCalibration> {
+    let version = version(source)?;
+    let head = describe(source, 0)?;
+    if head.status == status::UNKNOWN {
+        bail!("{}: the firmware is older than this tool: it has no uploads", source.name());
+    }
+    let head = done(source, head)?;
+    let (length, origin) = (head & 0xFFFF, (head >> 16) as u8);
+    let mut text = Vec::new();
+    for place in 0..length.div_ceil(4) {
+        let reply = describe(source, place + 1)?;
+        text.extend_from_slice(&done(source, reply)?.to_le_bytes());
+    }
+    text.truncate(length as usize);
+    let text = String::from_utf8(text).context("the description is not text")?;
+    let description = match text.as_str() {
+        "" => None,
+        text => Some(toml::from_str(text).context("the description cannot be read")?),
+    };
+    let Version { firmware_major, firmware_minor, firmware_patch, tables, .. } = version;
+    Ok(RunningCalibration {
+        tables: format!("{tables:04x}"),
+        slot: origin.checked_sub(1),
+        firmware: format!("{firmware_major}.{firmware_minor}.{firmware_patch}"),
+        description,
+    })
+}
+
+fn version(source: &mut dyn Source) -> Result<Version> {
+    ask(source, service(op::VERSION, 0), PATIENCE, |message| match message {
+        Message::Version(version) => Some(*version),
+        _ => None,
+    })
+}
+
+/// Part of the description; a late reply for another part is ignored.
+fn describe(source: &mut dyn Source, argument: u32) -> Result<ServiceReply> {
+    ask(source, service(op::DESCRIPTION, argument), PATIENCE, |message| {
+        let reply = reply(message, op::DESCRIPTION)?;
+        (u32::from(reply.nonce) == argument || reply.status == status::UNKNOWN).then_some(reply)
+    })
+}
+
+/// Sends a request until it is answered.
+fn request(
+    source: &mut dyn Source,
+    op: u8,
+    argument: u32,
+    patience: Duration,
+) -> Result<ServiceReply> {
+    ask(source, service(op, argument), patience, |message| reply(message, op))
+}
+
+fn ask<T>(
+    source: &mut dyn Source,
+    message: Message,
+    patience: Duration,
+    answer: impl Fn(&Message) -> Option<T>,
+) -> Result<T> {
+    for _ in 0..TIMES {
+        source.send(message)?;
+        let asked = Instant::now();
+        while asked.elapsed() < patience {
+            if let Some(answer) = messages(source)?.iter().find_map(&answer) {
+                return Ok(answer);
+            }
+        }
+    }
+    bail!(
+        "{}: no gripper replies; is this the right line or bus, is the board powered, and is its firmware running?",
+        source.name()
+    )
+}
+
+fn replies(source: &mut dyn Source, op: u8) -> Result<Vec<ServiceReply>> {
+    Ok(messages(source)?.iter().filter_map(|message| reply(message, op)).collect())
+}
+
+fn messages(source: &mut dyn Source) -> Result<Vec<Message>> {
+    let mut packets = Vec::new();
+    if !source.receive(&mut packets)? && packets.is_empty() {
+        bail!("{}: connection closed", source.name());
+    }
+    let message = |packet| match packet {
+        Packet::Message { message, .. } => Some(message),
+        Packet::Tick(_) => None,
+    };
+    Ok(packets.into_iter().filter_map(message).collect())
+}
+
+fn reply(message: &Message, op: u8) -> Option<ServiceReply> {
+    match message {
+        Message::ServiceReply(reply) if reply.op == op => Some(*reply),
+        _ => None,
+    }
+}
+
+/// Detail of a reply to a completed request.
+fn done(source: &dyn Source, reply: ServiceReply) -> Result<u32> {
+    let reasons: BTreeMap<u32, &str> = [
+        (UploadError::NotBegun, "the upload was interrupted, perhaps by a reboot: try again"),
+        (UploadError::Length, "it does not fit the flash"),
+        (UploadError::Flash, "the flash cannot be erased or written: it may be worn out"),
+        (
+            UploadError::Corrupt,
+            "what arrived is not a calibration of the firmware's format: update firmware and tool",
+        ),
+    ]
+    .map(|(error, why)| (error as u32, why))
+    .into();
+    let why = match reply.status {
+        status::DONE => return Ok(reply.detail),
+        status::ARMED => "a host is armed or the motor is driven: disable it first",
+        status::UNKNOWN => "the firmware is older than this tool",
+        _ => reasons.get(&reply.detail).copied().unwrap_or("no reason known to this tool"),
+    };
+    bail!("{}: the gripper refuses: {why}; its calibration is unchanged", source.name())
+}

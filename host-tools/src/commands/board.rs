@@ -1,0 +1,75 @@
+//! `magpie board`: shows which calibration runs on a gripper.
+
+use std::time::{Duration, Instant};
+
+use anyhow::{Result, bail};
+use device::calibration_client::{self, RunningCalibration};
+use device::source::Source;
+use device::state::GripperState;
+use firmware::estimator::Validity;
+use report::text::terminal;
+use serde_json::json;
+
+use crate::commands::connection::PortArgs;
+
+/// Show which calibration runs on a gripper: hash, campaign, date, effects, and what it cannot compensate at present.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  cargo magpie board --port /dev/ttyACM0
+  cargo magpie board --can can0 --json")]
+pub struct Args {
+    #[command(flatten)]
+    port: PortArgs,
+    /// Print one JSON object on stdout and nothing else.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Time in which the gripper sends the forces of all sensors.
+const FORCES: Duration = Duration::from_millis(300);
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<()> {
+    let Some(mut source) = args.port.open()? else {
+        bail!("give the gripper's line: --port PATH or --can BUS");
+    };
+    let running = calibration_client::running(source.as_mut())?;
+    let incomplete = incomplete_sensors(source.as_mut())?;
+    terminal::print_result(
+        args.json,
+        || json!({ "calibration": running, "missing_inputs": incomplete }),
+        || text(&running, &incomplete),
+    )
+}
+
+/// Sensors whose forces are at present not compensated for an effect, for lack of an input.
+fn incomplete_sensors(source: &mut dyn Source) -> Result<Vec<usize>> {
+    let mut state = GripperState::default();
+    let begun = Instant::now();
+    while begun.elapsed() < FORCES {
+        let mut packets = Vec::new();
+        if !source.receive(&mut packets)? {
+            break;
+        }
+        let now_s = begun.elapsed().as_secs_f64();
+        packets.iter().for_each(|packet| state.update(now_s, packet));
+    }
+    let sensors = state.sensors.iter().enumerate();
+    Ok(sensors
+        .filter(|(_, sensor)| sensor.validity == Validity::MissingInputs)
+        .map(|(number, _)| number)
+        .collect())
+}
+
+fn text(running: &RunningCalibration, incomplete: &[usize]) -> String {
+    let mut text = running.text();
+    if !incomplete.is_empty() {
+        let sensors: Vec<String> = incomplete.iter().map(usize::to_string).collect();
+        text += &format!(
+            "now          an effect is not compensated at sensor {}, for lack of an input\n",
+            sensors.join(", ")
+        );
+    }
+    text
+}

@@ -1,0 +1,108 @@
+//! `magpie upload`: writes a model and its networks to the flash of a gripper.
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant, SystemTime};
+
+use analysis::notes::{Note, UncompensatedEffect};
+use analysis::progress;
+use anyhow::{Context, Result, bail};
+use device::calibration_client;
+use device_run::networks::NetworkSet;
+use model_export::inverse::build::{ModelVariant, build};
+use model_export::inverse::calibration::{CalibrationDescription, encode_calibration};
+use report::text::terminal;
+use serde_json::json;
+
+use crate::commands::connection::PortArgs;
+use crate::commands::{print_conditions, print_notes};
+
+/// Upload a calibration to a gripper: force model, compensation and networks, without a compiler.
+///
+/// The gripper must be disabled. It verifies the calibration, keeps the previous one until then, and runs the new one after
+/// a reboot, also when the power failed in between.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  cargo magpie upload model.toml --port /dev/ttyACM0
+  cargo magpie upload model.toml --network network.safetensors --can can0
+  cargo magpie board --port /dev/ttyACM0    # what is on it")]
+pub struct Args {
+    /// Model file written by `magpie fit`.
+    model: PathBuf,
+    /// Recurrent networks to run after the model, written by `magpie train`.
+    #[arg(long, value_name = "NETWORK")]
+    network: Option<PathBuf>,
+    #[command(flatten)]
+    port: PortArgs,
+    /// Upload although the device never compensates an effect of the model: the forces keep its error.
+    #[arg(long)]
+    uncompensated: bool,
+    /// Do not reboot the gripper: it runs the new calibration after the next one.
+    #[arg(long)]
+    no_reboot: bool,
+    /// Print one JSON object on stdout and nothing else.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<()> {
+    let Some(mut source) = args.port.open()? else {
+        bail!("give the gripper's line: --port PATH or --can BUS");
+    };
+    let built = build(&args.model, ModelVariant::Fitted)?;
+    if let Some((effect, why)) = built.uncompensated.first()
+        && !args.uncompensated
+    {
+        bail!(
+            "the device never compensates {effect}: {why}. Its error stays in the forces: remove it from the model \
+             (`magpie remove`), or upload with --uncompensated"
+        );
+    }
+    let set = args.network.as_deref().map(|path| NetworkSet::read(path, &built)).transpose()?;
+    let networks = set.as_ref().map_or(&[][..], |set| &set.file.networks);
+    let now = humantime::format_rfc3339_seconds(SystemTime::now()).to_string();
+    let description = CalibrationDescription {
+        uploaded: Some(now),
+        ..CalibrationDescription::of(&built, networks)
+    };
+    let bytes = encode_calibration(&built, networks, &description)
+        .with_context(|| args.model.display().to_string())?;
+    let uncompensated = UncompensatedEffect::of(&built).map(Note::Uncompensated);
+    print_notes(&uncompensated.collect::<Vec<_>>());
+    print_conditions(&built);
+    let bar = progress::progress_bar("uploading", bytes.len());
+    let begun = Instant::now();
+    let sequence = calibration_client::upload(source.as_mut(), &bytes, |done| {
+        bar.set_position(done as u64);
+    })?;
+    let took = begun.elapsed();
+    bar.finish_and_clear();
+    let tables = built.chosen.tables.id;
+    if !args.no_reboot {
+        calibration_client::reboot_into(source.as_mut(), tables)?;
+    }
+    terminal::print_result(
+        args.json,
+        || {
+            json!({
+                "tables": format!("{tables:04x}"),
+                "sequence": sequence,
+                "bytes": bytes.len(),
+                "seconds": took.as_secs_f64(),
+                "running": !args.no_reboot,
+                "calibration": description,
+            })
+        },
+        || text(tables, bytes.len(), took, args.no_reboot),
+    )
+}
+
+fn text(tables: u16, bytes: usize, took: Duration, waits: bool) -> String {
+    let state = if waits { "runs after the next reboot" } else { "runs on the gripper" };
+    format!(
+        "Calibration {tables:04x} {state}: {:.1} KiB uploaded in {:.1} s.\n",
+        bytes as f64 / 1024.0,
+        took.as_secs_f64()
+    )
+}

@@ -1,0 +1,101 @@
+//! Calibrations uploaded to a running board without a compiler.
+
+use serde_json::Value;
+use sha2::{Digest, Sha256};
+
+use crate::workdir::running::Running;
+use crate::workdir::{WorkDir, campaign, fitted_model};
+
+fn sha256(path: &std::path::Path) -> String {
+    Sha256::digest(std::fs::read(path).unwrap()).iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// A virtual board with the `clean` model, and its line.
+fn board(dir: &WorkDir) -> (Running, String) {
+    let mut running = Running::start(
+        dir,
+        "monitor --virtual --model model.toml --press 20,-10 --json --seconds 120",
+    );
+    let (path, messages) = running.line();
+    // The pipe stays open as long as the board writes to it.
+    std::mem::forget(messages);
+    (running, path.display().to_string())
+}
+
+fn shown(dir: &WorkDir, line: &str) -> Value {
+    dir.json(&format!("board --port {line} --json"))
+}
+
+#[test]
+fn an_uploaded_calibration_runs_and_is_described() {
+    let dir = WorkDir::with_model("clean");
+    let (_board, line) = board(&dir);
+    let first = shown(&dir, &line);
+    let calibration = &first["calibration"];
+    assert_eq!(calibration["slot"], Value::Null);
+    assert_eq!(calibration["model_sha256"], sha256(&fitted_model("clean")));
+    assert_eq!(calibration["effects"], Value::Array(Vec::new()));
+
+    // A model with an effect that the board without a motor cannot compensate.
+    let demo = fitted_model("demo").display().to_string();
+    dir.stdout(&["add", &demo, &campaign("demo"), "neighbour_magnet", "-o", "effect.toml"]);
+    let uploaded = dir.json(&format!("upload effect.toml --port {line} --json"));
+    assert_eq!(uploaded["running"], true);
+    assert!(uploaded["seconds"].as_f64() < Some(10.0), "{uploaded}");
+    let second = shown(&dir, &line);
+    let calibration = &second["calibration"];
+    assert_eq!(calibration["slot"], 0);
+    assert_eq!(calibration["tables"], uploaded["tables"]);
+    assert_eq!(calibration["model_sha256"], sha256(&dir.path("effect.toml")));
+    assert_eq!(calibration["campaign"], "demo");
+    assert_eq!(calibration["effects"], serde_json::json!(["neighbour_magnet"]));
+    assert!(calibration["uploaded"].as_str().unwrap().starts_with("20"));
+    assert_eq!(calibration["conditions"]["neighbour_magnet"][0], "after homing");
+    assert_eq!(second["missing_inputs"], serde_json::json!([0, 1, 2, 3]));
+
+    // With networks, into the other slot.
+    dir.stdout(&[
+        "train",
+        "model.toml",
+        &campaign("clean"),
+        "--epochs",
+        "1",
+        "-o",
+        "network.safetensors",
+    ]);
+    dir.stdout(&format!("upload model.toml --network network.safetensors --port {line}"));
+    let third = shown(&dir, &line);
+    let calibration = &third["calibration"];
+    assert_eq!(calibration["slot"], 1);
+    assert!(calibration["network_sha256"].as_str().unwrap().len() == 64);
+    assert_eq!(third["missing_inputs"], Value::Array(Vec::new()));
+    let text = String::from_utf8(dir.stdout(&format!("board --port {line}"))).unwrap();
+    for part in
+        ["uploaded, slot 1", "campaign     clean", "effects      none", "networks     SHA-256"]
+    {
+        assert!(text.contains(part), "{text}");
+    }
+}
+
+#[test]
+fn what_a_board_cannot_load_is_refused_with_a_remedy() {
+    let dir = WorkDir::with_model("clean");
+    let (_board, line) = board(&dir);
+    dir.stdout(&[
+        "train",
+        "model.toml",
+        &campaign("clean"),
+        "--hidden",
+        "24",
+        "--epochs",
+        "1",
+        "-o",
+        "large.safetensors",
+    ]);
+    let refused =
+        dir.failure(&format!("upload model.toml --network large.safetensors --port {line}"));
+    assert!(refused.contains("`magpie export` and `cargo flash`"), "{refused}");
+    assert_eq!(shown(&dir, &line)["calibration"]["slot"], Value::Null);
+    let nobody = dir.failure("upload model.toml");
+    assert!(nobody.contains("--port"), "{nobody}");
+}
