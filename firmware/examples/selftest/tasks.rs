@@ -22,6 +22,7 @@ use firmware::estimator::Estimator;
 use firmware::estimator::gru::GruBank;
 use firmware::grip::GripController;
 use firmware::model::formats::{Guard, Input, InputSource, Network, Target};
+use firmware::model::integrity::Scrub;
 use firmware::model::tables::TABLES;
 use firmware::motor::MotorCommand;
 use firmware::motor::screw::Screw;
@@ -68,7 +69,12 @@ fn count(counter: &Counter, frames: u32) -> Option<[u32; 2]> {
         join4(
             tasks::transmit_serial(SerialLine(&world), shared),
             tasks::receive_can(CanBus(&world), &limits, &world, shared),
-            tasks::scrub(&TABLES, &NETWORKS, &world, shared),
+            tasks::scrub(
+                &TABLES,
+                NETWORKS.each_ref().map(|one| Some(one as &dyn Scrub)),
+                &world,
+                shared
+            ),
             discard_frames(shared),
         ),
     ));

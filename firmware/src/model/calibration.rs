@@ -32,10 +32,10 @@ pub const MAX_DESCRIPTION_BYTES: usize = 2048;
 /// Integers in lookup tables and in tables over the opening, of all sensors.
 pub const POOL_INTEGERS: usize = 4608;
 
-/// A network of one sensor that can be loaded: four inputs, 16 units.
-pub type PerSensorNetwork = Network<2, 8, 1>;
-/// A network of all sensors that can be loaded: twelve inputs, 32 units.
-pub type SharedNetwork = Network<6, 16, 4>;
+/// Size of the networks that can be loaded, one for each sensor: pairs of inputs, pairs of units, sensors. Others are linked.
+const LOADABLE: [u8; 3] = [2, 8, 1];
+/// A network that can be loaded.
+pub type LoadableNetwork = Network<2, 8, 1>;
 
 /// Header of an encoded calibration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -133,10 +133,8 @@ impl<T: Encode> ByteSource<'_, T> {
 pub enum Networks<'m, const INPUTS: usize, const HIDDEN: usize, const HEADS: usize> {
     /// In the image's flash.
     Linked(&'m [Network<INPUTS, HIDDEN, HEADS>]),
-    /// One for each sensor.
-    PerSensor(&'m [PerSensorNetwork]),
-    /// One for all sensors.
-    Shared(&'m [SharedNetwork]),
+    /// In memory.
+    Loaded(&'m [LoadableNetwork]),
 }
 
 impl<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize>
@@ -150,8 +148,7 @@ impl<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize>
         }
         match self {
             Self::Linked(networks) => all(networks),
-            Self::PerSensor(networks) => all(networks),
-            Self::Shared(networks) => all(networks),
+            Self::Loaded(networks) => all(networks),
         }
     }
 }
@@ -174,14 +171,6 @@ impl<'m, const INPUTS: usize, const HIDDEN: usize, const HEADS: usize>
     }
 }
 
-/// Memory for the networks of a calibration. The representation makes the first variant's tag zero.
-#[repr(u8)]
-#[allow(clippy::large_enum_variant)] // A static; both have nearly the same size.
-enum NetworkMemory {
-    PerSensor([PerSensorNetwork; SENSORS]),
-    Shared([SharedNetwork; 1]),
-}
-
 /// Memory for a calibration: some 30 KB, all zero when empty, so that a static takes no flash.
 pub struct CalibrationMemory<'p> {
     id: u16,
@@ -190,7 +179,7 @@ pub struct CalibrationMemory<'p> {
     sensors: [SensorTable; SENSORS],
     used_sensors: usize,
     compensations: Option<&'p [Compensation<'p>]>,
-    networks: NetworkMemory,
+    networks: [LoadableNetwork; SENSORS],
     used_networks: usize,
 }
 
@@ -213,7 +202,7 @@ impl<'p> CalibrationMemory<'p> {
         sensors: Decode::ZERO,
         used_sensors: 0,
         compensations: None,
-        networks: NetworkMemory::PerSensor(Decode::ZERO),
+        networks: Decode::ZERO,
         used_networks: 0,
     };
 
@@ -241,7 +230,15 @@ impl<'p> CalibrationMemory<'p> {
         let count = read_items(&mut compensations.compensations, reader)?;
         self.compensations = compensations.compensations.get(..count);
         self.check.read(reader)?;
-        self.used_networks = self.networks.read(reader)?;
+        let [inputs, hidden, heads, count] = reader.bytes()?;
+        if count > 0 && [inputs, hidden, heads] != LOADABLE {
+            return None;
+        }
+        self.used_networks = usize::from(count);
+        for network in self.networks.get_mut(..self.used_networks)? {
+            network.read(reader)?;
+            network.check.read(reader)?;
+        }
         Some(())
     }
 
@@ -257,55 +254,9 @@ impl<'p> CalibrationMemory<'p> {
                 compensations: self.compensations.unwrap_or_default(),
                 check: self.check,
             },
-            networks: match &self.networks {
-                NetworkMemory::PerSensor(networks) => {
-                    Networks::PerSensor(networks.get(..self.used_networks).unwrap_or_default())
-                }
-                NetworkMemory::Shared(networks) => {
-                    Networks::Shared(networks.get(..self.used_networks).unwrap_or_default())
-                }
-            },
+            networks: Networks::Loaded(self.networks.get(..self.used_networks).unwrap_or_default()),
         }
     }
-}
-
-impl NetworkMemory {
-    /// Reads networks; returns their number.
-    fn read(&mut self, reader: &mut Reader) -> Option<usize> {
-        let [inputs, hidden, heads, count] = reader.bytes()?;
-        match [inputs, hidden, heads] {
-            _ if count == 0 => {}
-            [2, 8, 1] => {
-                if let Self::Shared(_) = self {
-                    *self = Self::PerSensor(Decode::ZERO);
-                }
-            }
-            [6, 16, 4] => {
-                if let Self::PerSensor(_) = self {
-                    *self = Self::Shared(Decode::ZERO);
-                }
-            }
-            _ => return None,
-        }
-        let count = usize::from(count);
-        match self {
-            Self::PerSensor(networks) => read_networks(networks.get_mut(..count)?, reader)?,
-            Self::Shared(networks) => read_networks(networks.get_mut(..count)?, reader)?,
-        }
-        Some(count)
-    }
-}
-
-/// Networks with their checksums.
-fn read_networks<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize>(
-    networks: &mut [Network<INPUTS, HIDDEN, HEADS>],
-    reader: &mut Reader,
-) -> Option<()> {
-    for network in networks {
-        network.read(reader)?;
-        network.check.read(reader)?;
-    }
-    Some(())
 }
 
 /// A number of items, then the items; returns their number.

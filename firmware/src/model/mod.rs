@@ -14,7 +14,7 @@ pub mod kernel;
 // Not in host builds: the tool that writes the tables must build without them.
 #[cfg(any(target_os = "none", test))]
 // Generated.
-#[allow(missing_docs, clippy::all)]
+#[allow(missing_docs, unused_imports, clippy::all)]
 pub mod tables {
     include!(env!("MAGPIE_TABLES_SOURCE"));
 }

@@ -36,12 +36,12 @@ pub struct SourceReader {
     /// Start time.
     pub begun: Instant,
     stop: Arc<AtomicBool>,
-    thread: JoinHandle<Box<dyn Source>>,
+    thread: JoinHandle<Box<dyn Source + Send>>,
 }
 
 impl SourceReader {
     /// Starts the thread.
-    pub fn start(mut source: Box<dyn Source>) -> Self {
+    pub fn start(mut source: Box<dyn Source + Send>) -> Self {
         let (sender, news) = channel();
         let stop = Arc::new(AtomicBool::new(false));
         let stopped = stop.clone();
@@ -62,7 +62,7 @@ impl SourceReader {
     ///
     /// # Errors
     /// The thread panicked.
-    pub fn stop(self) -> Result<Box<dyn Source>> {
+    pub fn stop(self) -> Result<Box<dyn Source + Send>> {
         self.stop.store(true, Relaxed);
         let source = self.thread.join();
         source.map_err(|_| anyhow!("the thread that reads from the gripper panicked"))

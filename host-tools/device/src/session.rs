@@ -18,7 +18,7 @@ const PERIOD: Duration = Duration::from_millis(20);
 
 /// Host that controls a gripper.
 pub struct Client {
-    source: Box<dyn Source>,
+    source: Box<dyn Source + Send>,
     session: HostSession,
     begun: Instant,
     command: Option<Command>,
@@ -33,7 +33,7 @@ pub struct Client {
 
 impl Client {
     /// Host of the gripper of this node; sends nothing yet.
-    pub fn new(source: Box<dyn Source>, node: u16) -> Self {
+    pub fn new(source: Box<dyn Source + Send>, node: u16) -> Self {
         Self {
             source,
             session: HostSession::new(node),

@@ -11,7 +11,7 @@ use firmware::protocol::serial::Packet;
 pub const WAIT: Duration = Duration::from_millis(50);
 
 /// Connection to a gripper.
-pub trait Source: Send {
+pub trait Source {
     /// Appends received packets in order; returns false at the end of the stream.
     ///
     /// # Errors

@@ -40,7 +40,7 @@ pub struct PortArgs {
 
 impl PortArgs {
     /// Opens the connection; `None` if neither port nor bus is given.
-    pub fn open(&self) -> Result<Option<Box<dyn Source>>> {
+    pub fn open(&self) -> Result<Option<Box<dyn Source + Send>>> {
         Ok(match (&self.port, &self.can) {
             (Some(port), _) => Some(Box::new(SerialLine::open(port)?)),
             (None, Some(bus)) if bus.contains(':') => {
@@ -90,7 +90,7 @@ pub struct GripperArgs {
 
 impl GripperArgs {
     /// Opens the connection or starts the virtual board.
-    pub fn open(&self) -> Result<Box<dyn Source>> {
+    pub fn open(&self) -> Result<Box<dyn Source + Send>> {
         match self.port.open()? {
             Some(source) => Ok(source),
             None => self.virtual_board(),
@@ -103,7 +103,7 @@ impl GripperArgs {
     }
 
     #[cfg(unix)]
-    fn virtual_board(&self) -> Result<Box<dyn Source>> {
+    fn virtual_board(&self) -> Result<Box<dyn Source + Send>> {
         use device::virtual_board::VirtualBoard;
         let doing = match (&self.replay, self.press) {
             (Some(folder), _) => SensorInput::Recorded(folder.clone()),
@@ -119,7 +119,7 @@ impl GripperArgs {
     }
 
     #[cfg(not(unix))]
-    fn virtual_board(&self) -> Result<Box<dyn Source>> {
+    fn virtual_board(&self) -> Result<Box<dyn Source + Send>> {
         bail!("--virtual needs pseudo-terminals, which this system does not have; use --port")
     }
 

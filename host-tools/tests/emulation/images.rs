@@ -16,7 +16,7 @@ use crate::workdir::WorkDir;
 /// An image, by the tables that it is linked with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Variant {
-    /// The committed tables: a plain fit of the demo's campaign.
+    /// The committed tables: a fit of the demo's campaign with its effect, and a network for each sensor.
     Default,
     /// A plain fit of another gripper.
     Clean,
@@ -79,7 +79,7 @@ impl Variant {
 
     /// Whether networks are behind the model; they are trained too briefly to agree with it for long.
     pub fn has_networks(self) -> bool {
-        self.training().is_some()
+        self == Self::Default || self.training().is_some()
     }
 
     fn training(self) -> Option<&'static str> {
@@ -119,8 +119,8 @@ pub fn get(variant: Variant) -> Result<Made, String> {
     let fit = if variant == Variant::Nominal { Fit::Nominal } else { Fit::Fitted };
     let built = build(&file("model.toml"), fit).map_err(|error| format!("{error:#}"))?;
     let networks = variant
-        .training()
-        .map(|_| NetworkSet::read(&file("networks.safetensors"), &built).unwrap());
+        .has_networks()
+        .then(|| NetworkSet::read(&file("networks.safetensors"), &built).unwrap());
     let tables = (variant != Variant::Default).then(|| file("tables.rs"));
     let path = compile(variant.name(), tables.as_deref())?;
     let image = Image::read(&path).map_err(|error| error.to_string())?;
@@ -129,6 +129,14 @@ pub fn get(variant: Variant) -> Result<Made, String> {
 
 /// Fits, adds, trains and exports on a dir.
 fn model(dir: &WorkDir, variant: Variant) {
+    if variant == Variant::Default {
+        for (from, to) in
+            [("model.toml", "model.toml"), ("network.safetensors", "networks.safetensors")]
+        {
+            std::fs::copy(data("default").join(from), dir.path(to)).unwrap();
+        }
+        return;
+    }
     let campaign = variant.campaign();
     let campaign = campaign.to_str().unwrap();
     let effects = variant.effects();

@@ -20,6 +20,7 @@ mod replay;
 mod rig;
 mod scenarios;
 mod storage;
+mod uploads;
 #[path = "../workdir/mod.rs"]
 mod workdir;
 
@@ -57,6 +58,7 @@ fn main() -> ExitCode {
     trials.extend(covariates::trials());
     trials.extend(faults::trials());
     trials.extend(storage::trials());
+    trials.extend(uploads::trials(effort));
     let trials =
         trials.into_iter().map(|trial| trial.with_ignored_flag(absent.is_some())).collect();
     libtest_mimic::run(&arguments, trials).exit_code()

@@ -1,6 +1,6 @@
 //! Trained networks in `magpie replay` and `magpie export`.
 
-use crate::workdir::WorkDir;
+use crate::workdir::{WorkDir, campaign};
 
 /// Maximum difference of fixed and floating point: RMS in newtons, and relative change of the error.
 const MAX_DIFFERENCE_N: f64 = 0.1;
@@ -42,6 +42,17 @@ fn network_export_is_reproducible_and_typed_by_size() {
     assert_eq!(dir.read("one.rs"), dir.read("two.rs"));
     // Two pairs of inputs, eight pairs of units, one sensor; two networks.
     assert!(dir.read("one.rs").contains("NETWORKS: [Network<2, 8, 1>; 2]"));
+}
+
+#[test]
+fn the_committed_tables_are_those_of_the_committed_model_and_networks() {
+    let dir = WorkDir::empty();
+    let [model, network] =
+        ["model.toml", "network.safetensors"].map(|name| campaign(&format!("default/{name}")));
+    dir.stdout(&["export", &model, "--network", &network, "-o", "tables.rs"]);
+    let committed = concat!(env!("CARGO_MANIFEST_DIR"), "/../firmware/src/model/tables.rs");
+    let committed = std::fs::read_to_string(committed).unwrap();
+    assert!(dir.read("tables.rs") == committed, "export the tables again");
 }
 
 #[test]

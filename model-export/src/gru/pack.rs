@@ -10,7 +10,7 @@ use std::fmt::Debug;
 use firmware::estimator::Estimate;
 use firmware::estimator::gru::{self, GruInference};
 use firmware::fixed_point::{Field, Force};
-use firmware::model::calibration::{PerSensorNetwork, SharedNetwork};
+use firmware::model::calibration::LoadableNetwork;
 use firmware::model::formats::{
     FORCE_BITS, GATES, Guard, Head, Input, InputSource, Network as DeviceNetwork, OUTPUTS, Pair,
     Prediction, Target as DeviceTarget, UnitPair, Weights,
@@ -92,47 +92,21 @@ fn prepare(
     Ok((quantised, meta))
 }
 
-/// Networks in a size that a device can load without a new image.
-#[derive(Clone, Debug)]
-pub enum LoadableNetworks {
-    /// At most one for each sensor.
-    PerSensor(Vec<PerSensorNetwork>),
-    /// One for all sensors.
-    Shared(Box<SharedNetwork>),
-}
-
-/// Packs networks into a size that a device can load.
+/// Packs networks into the size that a device can load without a new image.
 pub fn pack_loadable(
     networks: &[Network],
     gauss_per_lsb: f64,
-) -> Result<LoadableNetworks, QuantiseError> {
-    let parts = |network: &Network| prepare(network, gauss_per_lsb);
-    let size = |network: &Network| QuantiseError::NotLoadable {
-        inputs: network.inputs.len(),
-        hidden: network.hidden,
-        sensors: network.sensors.len(),
+) -> Result<Vec<LoadableNetwork>, QuantiseError> {
+    let pack = |network: &Network| {
+        let [inputs, hidden, sensors] =
+            [network.inputs.len(), network.hidden, network.sensors.len()];
+        if inputs > 4 || hidden > 16 || sensors != 1 {
+            return Err(QuantiseError::NotLoadable { inputs, hidden, sensors });
+        }
+        let (quantised, meta) = prepare(network, gauss_per_lsb)?;
+        Ok(device_network(&quantised, &meta))
     };
-    match networks {
-        [network] if network.sensors.len() == SENSORS => {
-            if network.inputs.len() > 12 || network.hidden > 32 {
-                return Err(size(network));
-            }
-            let (quantised, meta) = parts(network)?;
-            Ok(LoadableNetworks::Shared(Box::new(device_network(&quantised, &meta))))
-        }
-        networks => {
-            let pack = |network: &Network| {
-                let fits =
-                    network.sensors.len() == 1 && network.inputs.len() <= 4 && network.hidden <= 16;
-                if !fits {
-                    return Err(size(network));
-                }
-                let (quantised, meta) = parts(network)?;
-                Ok(device_network(&quantised, &meta))
-            };
-            networks.iter().map(pack).collect::<Result<_, _>>().map(LoadableNetworks::PerSensor)
-        }
-    }
+    networks.iter().map(pack).collect()
 }
 
 /// Data of a network other than weights.

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::gru::file::fingerprint;
 use crate::gru::network::Network;
-use crate::gru::pack::{LoadableNetworks, pack_loadable};
+use crate::gru::pack::pack_loadable;
 use crate::gru::quantise::QuantiseError;
 use crate::inverse::build::DeviceModel;
 
@@ -106,19 +106,10 @@ pub fn encode_calibration(
     let mut pool = vec![0; POOL_INTEGERS];
     let mut compensations = CompensationMemory::EMPTY;
     let mut memory = Box::new(CalibrationMemory::EMPTY);
-    let fits = match pack_loadable(networks, built.model.sensor_scale.gauss_per_lsb)? {
-        LoadableNetworks::PerSensor(networks) => {
-            let payload = Payload::<2, 8, 1> { tables: &tables, networks: &networks };
-            encode(&payload, &mut append);
-            memory.copy(&payload, &mut compensations, &mut pool)
-        }
-        LoadableNetworks::Shared(network) => {
-            let networks = std::slice::from_ref(&*network);
-            let payload = Payload { tables: &tables, networks };
-            encode(&payload, &mut append);
-            memory.copy(&payload, &mut compensations, &mut pool)
-        }
-    };
+    let networks = pack_loadable(networks, built.model.sensor_scale.gauss_per_lsb)?;
+    let contents = Payload { tables: &tables, networks: &networks };
+    encode(&contents, &mut append);
+    let fits = memory.copy(&contents, &mut compensations, &mut pool);
     fits.ok_or(CalibrationError::Memory)?;
     let header = Header { length: payload.len() as u32, crc: CRC32.checksum(&payload) };
     let bytes = [&header.to_bytes()[..], &payload].concat();

@@ -96,10 +96,8 @@ impl<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize, const NETWORK
 pub enum CalibratedBank<'n, const INPUTS: usize, const HIDDEN: usize, const HEADS: usize> {
     /// Networks in the image's flash.
     Linked(GruBank<'n, INPUTS, HIDDEN, HEADS, SENSORS>),
-    /// A network for each sensor.
-    PerSensor(GruBank<'n, 2, 8, 1, SENSORS>),
-    /// A network for all sensors.
-    Shared(GruBank<'n, 6, 16, 4, 1>),
+    /// Networks in memory.
+    Loaded(GruBank<'n, 2, 8, 1, SENSORS>),
 }
 
 impl<'n, const INPUTS: usize, const HIDDEN: usize, const HEADS: usize>
@@ -109,8 +107,7 @@ impl<'n, const INPUTS: usize, const HIDDEN: usize, const HEADS: usize>
     pub const fn new(networks: Networks<'n, INPUTS, HIDDEN, HEADS>) -> Self {
         match networks {
             Networks::Linked(networks) => Self::Linked(GruBank::new(networks)),
-            Networks::PerSensor(networks) => Self::PerSensor(GruBank::new(networks)),
-            Networks::Shared(networks) => Self::Shared(GruBank::new(networks)),
+            Networks::Loaded(networks) => Self::Loaded(GruBank::new(networks)),
         }
     }
 }
@@ -121,8 +118,7 @@ impl<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize> NetworkBank
     fn apply(&mut self, estimates: &mut [Estimate; SENSORS]) {
         match self {
             Self::Linked(bank) => bank.apply(estimates),
-            Self::PerSensor(bank) => bank.apply(estimates),
-            Self::Shared(bank) => bank.apply(estimates),
+            Self::Loaded(bank) => bank.apply(estimates),
         }
     }
 }

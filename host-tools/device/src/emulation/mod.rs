@@ -3,9 +3,11 @@
 //!
 //! - here: the board, step by step.
 //! - [`deadlines`]: latency of each tick's packet.
+//! - [`line`](mod@line): the serial line as a transport in the board's time.
 //! - [`pace`]: synchronisation of virtual time with the wall clock.
 
 pub mod deadlines;
+pub mod line;
 pub mod pace;
 
 use std::path::Path;

@@ -1,0 +1,133 @@
+//! Calibrations that are uploaded to the image over its serial line, over power cuts at many moments.
+
+use device::calibration_client;
+use device::emulation::line::EmulatedLine;
+use device_run::networks::NetworkSet;
+use emulator::Halt;
+use emulator::peripherals::flash::{PowerCut, Remains};
+use firmware::system::nv_storage::calibration::SLOT_BYTES;
+use libtest_mimic::{Failed, Trial};
+use model_export::gru::network::Network;
+use model_export::inverse::build::DeviceModel;
+use model_export::inverse::calibration::{CalibrationDescription, encode_calibration};
+
+use crate::Effort;
+use crate::boards::{WORST_TICK_US, violations};
+use crate::images::{self, Variant};
+use crate::motion::{Cell, cell};
+
+/// Longest upload with networks at four sensors, in seconds of the board.
+const UPLOAD_S: f64 = 10.0;
+/// Time until the tables have been checked after a boot.
+const READY_S: f64 = 0.3;
+/// Milliseconds that the board runs for each look at its line: the host's pause between groups of chunks.
+const STEP_MS: u32 = 3;
+
+pub fn trials(effort: Effort) -> Vec<Trial> {
+    let cuts = if effort == Effort::Acceptance { 200 } else { 24 };
+    let of_remains = [Remains::Nothing, Remains::Everything, Remains::Unreadable];
+    let mut trials: Vec<Trial> = of_remains
+        .into_iter()
+        .map(|leaves| {
+            let name = format!("uploads_power_cut_leaves_{leaves:?}");
+            Trial::test(name, move || power_cuts(leaves, cuts / 3))
+        })
+        .collect();
+    trials.push(Trial::test("uploads_with_networks", with_networks));
+    trials
+}
+
+fn encoded(built: &DeviceModel, networks: &[Network], campaign: &str) -> Vec<u8> {
+    let description = CalibrationDescription {
+        campaign: campaign.to_owned(),
+        ..CalibrationDescription::of(built, networks)
+    };
+    encode_calibration(built, networks, &description).expect("it fits the board")
+}
+
+/// Runs a client on the board's line.
+fn on_line<T>(
+    cell: &mut Cell,
+    run: impl FnOnce(&mut dyn device::source::Source) -> anyhow::Result<T>,
+) -> anyhow::Result<T> {
+    let link = cell.board.connections.line.clone();
+    let mut line = EmulatedLine::new(link, || (0..STEP_MS).try_for_each(|_| cell.try_tick()));
+    run(&mut line)
+}
+
+fn upload(cell: &mut Cell, bytes: &[u8]) -> anyhow::Result<u32> {
+    on_line(cell, |line| calibration_client::upload(line, bytes, |_| ()))
+}
+
+/// Campaign of the running calibration; none for that of the image.
+fn running(cell: &mut Cell) -> Result<Option<String>, Failed> {
+    let running = on_line(cell, calibration_client::running)?;
+    let description = running.description.filter(|_| running.slot.is_some());
+    Ok(description.map(|description| description.campaign))
+}
+
+/// A network at each sensor is uploaded while the board works, runs after a reboot and gives forces with standard deviations.
+fn with_networks() -> Result<(), Failed> {
+    let made = images::get(Variant::Networks)?;
+    let networks: &NetworkSet = made.networks.as_ref().ok_or("no networks")?;
+    let bytes = encoded(&made.built, &networks.file.networks, "with networks");
+    let mut cell = cell(3.0)?;
+    cell.run(READY_S);
+    let begun_us = cell.time_us();
+    upload(&mut cell, &bytes)?;
+    let took_s = 1e-6 * (cell.time_us() - begun_us) as f64;
+    println!("{} bytes in {took_s:.2} s", bytes.len());
+    assert!(bytes.len() > 25_000 && bytes.len() < SLOT_BYTES as usize, "{}", bytes.len());
+    assert!(took_s < UPLOAD_S, "{took_s}");
+    let worst_us = cell.host.received.worst_tick_us;
+    assert!((1..WORST_TICK_US).contains(&worst_us), "{worst_us} us");
+    let tables = made.built.chosen.tables.id;
+    on_line(&mut cell, |line| calibration_client::reboot_into(line, tables))?;
+    assert_eq!(running(&mut cell)?, Some("with networks".to_owned()));
+    cell.run(1.0);
+    let is_network = |sensor: usize| {
+        cell.host.received.forces[sensor].as_ref().is_some_and(|(_, f)| f.model == 1)
+    };
+    assert!((0..4).all(is_network), "{:?}", cell.host.received.forces);
+    assert_eq!(violations(&cell.board), [""; 0]);
+    Ok(())
+}
+
+/// After a power cut at any moment of an upload the board starts with the old or the new calibration.
+fn power_cuts(leaves: Remains, count: u32) -> Result<(), Failed> {
+    let made = images::get(Variant::Clean)?;
+    let mut cell = cell(40.0)?;
+    cell.run(READY_S);
+    let [old, new] = ["old", "new"].map(|campaign| encoded(&made.built, &[], campaign));
+    upload(&mut cell, &old)?;
+    // Double words and pages of an upload, with its two marks.
+    let operations = (new.len().div_ceil(8) + new.len().div_ceil(2048) + 2) as u32;
+    let mut outcomes = [0; 2];
+    for number in 0..count {
+        // The last operations one by one, the others evenly.
+        let last = count / 3;
+        let after = match number.checked_sub(count - last) {
+            Some(number) => operations - last + number,
+            None => number * (operations - last) / (count - last),
+        };
+        cell.board.chip.soc.cut_power(PowerCut { after, leaves });
+        let result = upload(&mut cell, &new);
+        match result.as_ref().map_err(|error| error.downcast_ref()) {
+            Err(Some(Halt::PowerLost)) => {}
+            _ => return Err(format!("no cut after {after} operations: {result:?}").into()),
+        }
+        cell.board.chip.power_cycle()?;
+        cell.run(READY_S);
+        match running(&mut cell)?.as_deref() {
+            Some("old") => outcomes[0] += 1,
+            Some("new") => {
+                outcomes[1] += 1;
+                // From the same beginning again.
+                upload(&mut cell, &old)?;
+            }
+            other => return Err(format!("after {after} operations: {other:?}").into()),
+        }
+    }
+    println!("{leaves:?}: {count} cuts in {operations} operations, {outcomes:?} old and new");
+    Ok(())
+}
