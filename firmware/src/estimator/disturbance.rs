@@ -223,9 +223,9 @@ impl Debounce {
 
 impl ResidualFilter {
     /// Filtered residual relative to its mean, in standard deviations; `None` until the mean has formed. A missing
-    /// sensor restarts the filter, because it breaks the time series.
+    /// sensor or an unknown standard deviation restarts the filter, because it breaks the time series.
     fn update(&mut self, estimate: &Estimate, suspected: bool) -> Option<i32> {
-        if estimate.validity == Validity::Missing {
+        if estimate.validity == Validity::Missing || estimate.parity.sigma == 0 {
             *self = Self::default();
             return None;
         }
@@ -314,6 +314,22 @@ mod tests {
         assert!(signals.parity && signals.common && !signals.parity_alone);
         // Of opposite signs they are not common.
         assert!(!run(&mut settled(), offset_by([by, -by, by, -by]), 60));
+    }
+
+    #[test]
+    fn residual_without_a_standard_deviation_is_no_disturbance() {
+        let mut detector = settled();
+        // The field of the opposing magnet before homing, then its compensation.
+        let unknown = frame([5000, -3000, 2000, 50]).map(|estimate| Estimate {
+            parity: ParityResidual { sigma: 0, ..estimate.parity },
+            ..estimate
+        });
+        for _ in 0..1000 {
+            assert!(!detector.update(&unknown, &mut unknown.clone()));
+        }
+        assert!(!run(&mut detector, OFFSETS, 10_000));
+        // Afterwards a magnet is detected again.
+        assert!(run(&mut detector, offset_by([1000; SENSORS]), 30));
     }
 
     #[test]

@@ -50,6 +50,8 @@ pub fn estimate(
         None => Compensated { value: ideal.force, missing_inputs: false },
     };
     let missing_inputs = field.missing_inputs || force.missing_inputs;
+    // Before homing the residual contains the field of the opposing finger's magnet, which changes with every motion.
+    let has_parity = !field.missing_inputs || inputs.opening_um.is_some();
     Estimate {
         force: force.value,
         sigma: None,
@@ -65,7 +67,7 @@ pub fn estimate(
         missing_inputs,
         parity: ParityResidual {
             residual: parity::residual(table, field.value, ideal.coordinates),
-            sigma: table.parity.sigma,
+            sigma: if has_parity { table.parity.sigma } else { 0 },
         },
         disturbed: false,
     }

@@ -15,7 +15,8 @@ use crate::model::formats::{
 pub struct ParityResidual {
     /// Measured minus predicted field.
     pub residual: Field,
-    /// Standard deviation in the fit, with [`crate::model::formats::PARITY_SIGMA_BITS`] additional fractional bits.
+    /// Standard deviation in the fit, with [`crate::model::formats::PARITY_SIGMA_BITS`] additional fractional bits; 0 where it is
+    /// unknown: without a polynomial, or before homing with an effect of the opening.
     pub sigma: i32,
 }
 
