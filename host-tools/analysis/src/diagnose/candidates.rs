@@ -91,8 +91,11 @@ fn values(recording: &Recording, column: &str) -> Vec<f64> {
     }
 }
 
-/// Minimum ratio of a column's standard deviation to its change from row to row.
+/// Minimum ratio of a column's standard deviation to its noise.
 const MIN_VARIATION: f64 = 2.0;
+/// Quantile of the absolute changes from row to row by which the noise is estimated, and its value for a standard normal
+/// variable. Short variations, such as the current of a motor that accelerates, are not noise.
+const NOISE_QUANTILE: (f64, f64) = (0.75, 1.150_349);
 
 /// Whether a column varies beyond its noise over all recordings.
 fn varies(columns: &[Vec<f64>]) -> bool {
@@ -101,8 +104,12 @@ fn varies(columns: &[Vec<f64>]) -> bool {
     let mean = all().sum::<f64>() / count;
     let sigma = (all().map(|value| (value - mean).powi(2)).sum::<f64>() / count).sqrt();
     let steps = columns.iter().flat_map(|column| column.windows(2).map(|pair| pair[1] - pair[0]));
-    let step = (steps.map(|step| step * step).sum::<f64>() / count).sqrt();
-    sigma > MIN_VARIATION * step / std::f64::consts::SQRT_2 && sigma > 1e-9 * mean.abs()
+    let mut steps: Vec<f64> = steps.map(f64::abs).collect();
+    steps.sort_unstable_by(f64::total_cmp);
+    let (quantile, of_normal) = NOISE_QUANTILE;
+    let step = steps.get((quantile * steps.len() as f64) as usize).copied().unwrap_or(0.0);
+    let noise = step / (of_normal * std::f64::consts::SQRT_2);
+    sigma > MIN_VARIATION * noise && sigma > 1e-9 * mean.abs()
 }
 
 /// Bootstrap resamples.
@@ -174,4 +181,35 @@ fn signs(blocks: usize, seed: u64) -> Vec<Vec<f64>> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut sign = || if rng.random::<bool>() { 1.0 } else { -1.0 };
     (0..DRAWS).map(|_| (0..blocks).map(|_| sign()).collect()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand_distr::{Distribution, StandardNormal};
+
+    fn noise(count: usize) -> Vec<f64> {
+        let rng = ChaCha8Rng::seed_from_u64(1);
+        StandardNormal.sample_iter(rng).take(count).collect()
+    }
+
+    #[test]
+    fn white_noise_and_a_constant_do_not_vary() {
+        assert!(!varies(&[noise(2000), noise(500)]));
+        assert!(!varies(&[vec![3.0; 100]]));
+    }
+
+    #[test]
+    fn slow_change_and_short_bursts_vary() {
+        let slow = noise(2000).iter().enumerate().map(|(row, n)| n + 0.01 * row as f64).collect();
+        assert!(varies(&[slow]));
+        // Three rows of a motor that accelerates, three of one that brakes, each second.
+        let burst = |row: usize| match row % 100 {
+            0..3 => 15.0,
+            50..53 => -15.0,
+            _ => 0.0,
+        };
+        let bursts = noise(2000).iter().enumerate().map(|(row, n)| n + burst(row)).collect();
+        assert!(varies(&[bursts]));
+    }
 }
