@@ -16,6 +16,8 @@ use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
+use crate::progress;
+
 /// Length of a block in seconds: longer than the correlation of the residuals.
 const BLOCK_S: f64 = 0.5;
 /// Steps of the search in seconds, coarse to fine.
@@ -125,6 +127,38 @@ pub fn of_recording(folder: &Path, search_s: f64) -> Result<Option<Delay>, DataE
         }
     }
     Ok(estimate(&fields, &forces, search_s))
+}
+
+/// Largest delay of the reference: that of a slow amplifier and of the buffers on its way.
+const SEARCH_S: f64 = 0.3;
+/// Standard error above which the estimated delay is not applied: half a millisecond is the goal.
+const MAX_STANDARD_ERROR_S: f64 = 2e-3;
+
+/// Alignment of the reference's clock.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ReferenceAlignment {
+    /// The estimate; none where the loads do not show it.
+    pub delay: Option<Delay>,
+    /// Whether the times of the reference were corrected by it.
+    pub is_applied: bool,
+}
+
+/// Estimates the delay of a new recording's reference and corrects its times, if the estimate is precise enough.
+///
+/// # Errors
+/// A table cannot be read or written.
+pub fn align_recording(folder: &Path) -> anyhow::Result<ReferenceAlignment> {
+    let spinner = progress::status_spinner("aligning the reference");
+    let delay = of_recording(folder, SEARCH_S)?;
+    let is_applied = match delay {
+        Some(delay) if delay.standard_error_s <= MAX_STANDARD_ERROR_S => {
+            shift_reference(folder, delay.delay_s)?;
+            true
+        }
+        _ => false,
+    };
+    spinner.finish_and_clear();
+    Ok(ReferenceAlignment { delay, is_applied })
 }
 
 /// Adds a delay to the times of `force.csv`: a new file, renamed at the end. Rows before the board's first are removed.

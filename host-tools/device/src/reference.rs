@@ -199,6 +199,33 @@ fn unit(name: &str, canonical: &str) -> Result<Unit> {
     unit.with_context(|| format!("the unit {name:?}: accepted are {choices}"))
 }
 
+/// Places the reference on the board's clock, to the delays of both transports.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct ReferenceClock {
+    /// Least difference of arrival and board time in seconds.
+    board_s: Option<f64>,
+    /// Difference of arrival and reference time in seconds, of the first row with a clock.
+    reference_s: Option<f64>,
+}
+
+impl ReferenceClock {
+    /// A row of the board arrived at `at_s`.
+    pub fn board(&mut self, at_s: f64, time_us: u64) {
+        let late_s = at_s - 1e-6 * time_us as f64;
+        self.board_s = Some(self.board_s.map_or(late_s, |least_s| least_s.min(late_s)));
+    }
+
+    /// Board time of a row of the reference in microseconds; `None` before the first row of the board.
+    pub fn board_us(&mut self, row: &ReferenceRow) -> Option<f64> {
+        let board_s = self.board_s?;
+        let at_s = match row.clock_s {
+            None => row.at_s,
+            Some(clock_s) => clock_s + *self.reference_s.get_or_insert(row.at_s - clock_s),
+        };
+        Some(1e6 * (at_s - board_s))
+    }
+}
+
 /// Lines in their own thread, until the stream ends or fails.
 pub struct ReferenceReader {
     /// Rows in the order of their arrival; the last may be an error.

@@ -2,7 +2,7 @@
 
 use analysis::numbers;
 use analysis::progress;
-use analysis::reference_delay::{self, Delay};
+use analysis::reference_delay::{ReferenceAlignment, align_recording};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::mpsc::RecvTimeoutError;
@@ -22,7 +22,7 @@ use crate::commands::connection::{GripperArgs, interrupted, parse_seconds};
 use device::params_client;
 use device::reader::{ReaderEvent, SourceReader};
 use device::recorder::{Recorder, RecordingCounts, SensorRowAssembler};
-use device::reference::{ReferenceMapping, ReferenceReader, ReferenceRow, ReferenceSource};
+use device::reference::{ReferenceClock, ReferenceMapping, ReferenceReader, ReferenceSource};
 use device::source::Source;
 use report::text::terminal;
 
@@ -77,10 +77,6 @@ pub struct Args {
     json: bool,
 }
 
-/// Largest delay of the reference: that of a slow amplifier and of the buffers on its way.
-const SEARCH_S: f64 = 0.3;
-/// Standard error above which the estimated delay is not applied: half a millisecond is the goal.
-const MAX_STANDARD_ERROR_S: f64 = 2e-3;
 /// Rows are flushed after this time without data.
 const FLUSH_TIMEOUT: Duration = Duration::from_millis(250);
 
@@ -119,36 +115,13 @@ pub fn run(args: &Args) -> Result<()> {
         let _ = params_client::write(source.as_mut(), id, value);
     }
     let (tally, ended) = written?;
-    let alignment = args.reference.is_some().then(|| align(&args.output)).transpose()?;
+    let alignment = args.reference.is_some().then(|| align_recording(&args.output)).transpose()?;
     terminal::print_result(
         args.json,
         || to_json(&args.output, start_s, &tally, alignment.as_ref()),
         || format_report(&args.output, start_s, &tally, alignment.as_ref()),
     )?;
     ended
-}
-
-/// Alignment of the reference's clock.
-struct ReferenceAlignment {
-    /// The estimate; none where the loads do not show it.
-    delay: Option<Delay>,
-    /// Whether the times of the reference were corrected by it.
-    is_applied: bool,
-}
-
-/// Estimates the reference's delay and corrects its times, if the estimate is precise enough.
-fn align(folder: &Path) -> Result<ReferenceAlignment> {
-    let spinner = progress::status_spinner("aligning the reference");
-    let delay = reference_delay::of_recording(folder, SEARCH_S)?;
-    let is_applied = match delay {
-        Some(delay) if delay.standard_error_s <= MAX_STANDARD_ERROR_S => {
-            reference_delay::shift_reference(folder, delay.delay_s)?;
-            true
-        }
-        _ => false,
-    };
-    spinner.finish_and_clear();
-    Ok(ReferenceAlignment { delay, is_applied })
 }
 
 fn description(args: &Args) -> Result<RecordingDescription> {
@@ -254,33 +227,6 @@ fn take_reference(
         }
     }
     Ok(())
-}
-
-/// Places the reference on the board's clock, to the delays of both transports.
-#[derive(Clone, Copy, Debug, Default)]
-struct ReferenceClock {
-    /// Least difference of arrival and board time in seconds.
-    board_s: Option<f64>,
-    /// Difference of arrival and reference time in seconds, of the first row with a clock.
-    reference_s: Option<f64>,
-}
-
-impl ReferenceClock {
-    /// A row of the board arrived at `at_s`.
-    fn board(&mut self, at_s: f64, time_us: u64) {
-        let late_s = at_s - 1e-6 * time_us as f64;
-        self.board_s = Some(self.board_s.map_or(late_s, |least_s| least_s.min(late_s)));
-    }
-
-    /// Board time of a row of the reference in microseconds; `None` before the first row of the board.
-    fn board_us(&mut self, row: &ReferenceRow) -> Option<f64> {
-        let board_s = self.board_s?;
-        let at_s = match row.clock_s {
-            None => row.at_s,
-            Some(clock_s) => clock_s + *self.reference_s.get_or_insert(row.at_s - clock_s),
-        };
-        Some(1e6 * (at_s - board_s))
-    }
 }
 
 /// Closes the recording. If it is empty, the reason of the end is the error.
