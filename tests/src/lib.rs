@@ -1,6 +1,7 @@
-//! Fixtures of the integration tests: paths of test data, and synthetic campaigns.
+//! Fixtures of the integration tests: paths of test data, synthetic campaigns, images of the firmware.
 
 pub mod campaign_copy;
+pub mod image;
 pub mod points;
 
 use std::fs::{self, File};
