@@ -223,6 +223,16 @@ impl AttitudeProfile {
     }
 }
 
+impl AttitudeProfile {
+    /// Angular rate in rad/s, body axes, at a time in seconds.
+    pub fn rate_rad_s(&self, time_s: f64) -> Vector3<f64> {
+        const STEP_S: f64 = 1e-4;
+        let [before, after] =
+            [-STEP_S, STEP_S].map(|step_s| self.at(time_s + 0.5 * step_s).to_world);
+        (before.inverse() * after).scaled_axis() / STEP_S
+    }
+}
+
 /// Wraps an angle to -pi to pi.
 fn wrapped(angle: f64) -> f64 {
     angle - TAU * (angle / TAU).round()
@@ -285,6 +295,18 @@ mod tests {
             let gravity = tilted.specific_force - motion;
             assert!((gravity - GRAVITY * Vector3::from(down)).norm() < 1e-9, "{time_s} s");
         }
+    }
+
+    #[test]
+    fn angular_rate_integrates_to_the_orientation() {
+        let attitude = AttitudeProfile::draw(Programme::Bench, 1, 1);
+        let mut to_world = attitude.at(0.0).to_world;
+        for step in 0..2000 {
+            let rate = attitude.rate_rad_s((f64::from(step) + 0.5) * 1e-3);
+            to_world *= Rotation3::from_scaled_axis(rate * 1e-3);
+        }
+        let error_rad = (to_world.inverse() * attitude.at(2.0).to_world).angle();
+        assert!(error_rad < 1e-4, "{error_rad}");
     }
 
     #[test]

@@ -4,6 +4,7 @@
 mod boards;
 mod boot;
 mod buses;
+mod calibration;
 mod covariates;
 #[path = "../scenarios/evaluate.rs"]
 mod evaluate;
@@ -56,6 +57,7 @@ fn main() -> ExitCode {
     trials.extend(motion::trials(effort));
     trials.extend(buses::trials(effort));
     trials.extend(covariates::trials());
+    trials.extend(calibration::trials());
     trials.extend(faults::trials());
     trials.extend(storage::trials());
     trials.extend(uploads::trials(effort));

@@ -1,6 +1,7 @@
 //! Statistical acceptance runs over simulated grippers and campaigns; their tables are in `RESULTS.md`.
 
 mod bus_load;
+mod calibration;
 mod diagnosis;
 mod drive;
 mod fault_campaign;
@@ -11,7 +12,8 @@ mod magnetic_disturbance;
 mod magpie;
 mod results;
 #[cfg(test)]
-mod tests;
+#[path = "tests.rs"]
+mod unit_tests;
 
 use std::ops::Range;
 use std::path::PathBuf;
@@ -88,6 +90,7 @@ enum Run {
     Grasp(grasp::Args),
     FaultCampaign(fault_campaign::Args),
     BusLoad(bus_load::Args),
+    Calibration(calibration::Args),
 }
 
 impl Run {
@@ -100,6 +103,7 @@ impl Run {
             Self::Grasp(args) => grasp::evaluate(args, options),
             Self::FaultCampaign(args) => fault_campaign::evaluate(args, options),
             Self::BusLoad(args) => bus_load::evaluate(args, options),
+            Self::Calibration(args) => calibration::evaluate(args, options),
         }
     }
 }

@@ -2,10 +2,12 @@
 //! machine that other programs use like a board.
 //!
 //! - here: the board, step by step.
+//! - [`calibration`]: calibration of a gripper with hidden effects: recordings, model, tables, errors of the board.
 //! - [`deadlines`]: latency of each tick's packet.
 //! - [`line`](mod@line): the serial line as a transport in the board's time.
 //! - [`pace`]: synchronisation of virtual time with the wall clock.
 
+pub mod calibration;
 pub mod deadlines;
 pub mod line;
 pub mod pace;

@@ -72,6 +72,11 @@ impl Excitation {
         self.attitude.at(time_s).specific_force
     }
 
+    /// Angular rate in body axes, in rad/s.
+    pub fn rate_rad_s(&self, time_s: f64) -> Vector3<f64> {
+        self.attitude.rate_rad_s(time_s)
+    }
+
     /// Temperature of a sensor in C.
     pub fn temperature_c(&self, sensor: usize, time_s: f64) -> f64 {
         self.temperature.at(sensor, time_s) + self.offset_k

@@ -2,9 +2,12 @@
 //! are injected into the sensed quantities and never reported to the firmware.
 
 use crate::board::world::{SimulatedMotor, World, WorldSample};
+use crate::closed_loop::bench::BenchProgramme;
 use crate::closed_loop::motor_rig::MotorRig;
 use crate::drivetrain::PERIOD_S;
-use crate::drivetrain::fingertips::{FOOT_KG, Fingertips, Impact, distribute_forces};
+use crate::drivetrain::fingertips::{
+    AmbientConditions, FOOT_KG, Fingertips, Impact, distribute_forces,
+};
 use crate::drivetrain::mechanics::DriveTrain;
 use crate::drivetrain::sensors::{ROOM_C, SimulatedImu, chip_counts, thermistor_counts};
 use crate::motion::{self, GRAVITY};
@@ -75,6 +78,8 @@ pub struct SimulatedGripper {
     pub towards_first: f64,
     /// Landings, on the plant's time.
     pub impacts: Vec<Impact>,
+    /// Test bench that loads the fingertips and moves the gripper.
+    pub bench: Option<Rc<BenchProgramme>>,
     /// Peak true grip force in newtons, since its last reset.
     pub peak_n: f64,
     /// Time at which the motor executed the last order, in microseconds.
@@ -108,6 +113,7 @@ impl SimulatedGripper {
             errors: SensingErrors::default(),
             towards_first: 0.0,
             impacts: Vec::new(),
+            bench: None,
             peak_n: 0.0,
             last_order_us: 0,
             tripped: None,
@@ -124,6 +130,11 @@ impl SimulatedGripper {
             samples: 0,
             is_driven_by_chip: false,
         }
+    }
+
+    /// Pause of the unloaded fingertips, in seconds that nothing else experiences.
+    pub fn pause_fingertips(&mut self, seconds: f64) {
+        self.tips.pause(seconds);
     }
 
     /// Connects an emulated chip: only [`Self::half_period`] advances the gripper.
@@ -164,9 +175,18 @@ impl SimulatedGripper {
         let grip_n = self.rig.plant.grip_n();
         self.peak_n = self.peak_n.max(grip_n);
         if self.periods.is_multiple_of(FINGERTIP_PERIODS) {
-            let ground_n = self.ground_n(self.rig.plant.time_s());
-            self.specific_force.z = GRAVITY + ground_n / FOOT_KG;
-            let forces_n = distribute_forces(grip_n, self.towards_first, ground_n);
+            let time_s = self.rig.plant.time_s();
+            let ground_n = self.ground_n(time_s);
+            let mut forces_n = distribute_forces(grip_n, self.towards_first, ground_n);
+            self.specific_force = Vector3::new(0.0, 0.0, GRAVITY);
+            if let Some(bench) = &self.bench {
+                for (sensor, force_n) in forces_n.iter_mut().enumerate() {
+                    let load_n = bench.load_n(sensor, time_s);
+                    *force_n = [force_n[0] + load_n[0], force_n[1] + load_n[1]];
+                }
+                self.specific_force = bench.orientation(time_s).specific_force;
+            }
+            self.specific_force.z += ground_n / FOOT_KG;
             self.tips.step(&forces_n, self.specific_force, FINGERTIP_PERIODS as f64 * PERIOD_S);
         }
     }
@@ -217,8 +237,13 @@ impl SimulatedGripper {
             angle_rad: plant.train.angle_rad,
             current_a: plant.direct_quadrature_a()[1],
         };
-        let readings = self.tips.sample(&drive, plant.time_s());
-        let inertial = Some(self.inertial.sample(self.specific_force.into(), [0.0; 3]));
+        let time_s = plant.time_s();
+        let (ambient, rate_deg_s) = match &self.bench {
+            Some(bench) => (bench.ambient(time_s), bench.rate_deg_s(time_s)),
+            None => (AmbientConditions::default(), [0.0; 3]),
+        };
+        let readings = self.tips.sample(&drive, &ambient, time_s);
+        let inertial = Some(self.inertial.sample(self.specific_force.into(), rate_deg_s));
         WorldSample { readings, inertial }
     }
 }

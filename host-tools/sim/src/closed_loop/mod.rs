@@ -5,7 +5,9 @@
 //! - [`requirements`]: specified figures of drive and grasp next to the simulated ones.
 //! - [`coupling`]: the simulated gripper at the connections of a board.
 //! - [`emulated_board`]: the image in an emulated chip.
+//! - [`bench`]: a gripper with hidden effects on a test bench, for recordings over the serial line.
 
+pub mod bench;
 pub mod coupling;
 pub mod drive_result;
 pub mod emulated_board;
@@ -161,15 +163,23 @@ impl<B: SimulatedBoard> ClosedLoop<B> {
     ///
     /// # Errors
     /// The board cannot continue.
-    pub fn try_tick(&mut self) -> anyhow::Result<()> {
-        self.host.tick();
-        self.time_us += TICK_US;
-        self.board.run_until(self.time_us)?;
+    pub fn try_tick(&mut self) -> Result<()> {
+        self.step()?;
         // The serial line is not read; limit its memory.
         let mut line = self.board.connections().line.borrow_mut();
         line.sent.clear();
         line.ended.clear();
-        drop(line);
+        Ok(())
+    }
+
+    /// Advances by a millisecond and keeps the bytes of the serial line.
+    ///
+    /// # Errors
+    /// The board cannot continue.
+    pub fn step(&mut self) -> Result<()> {
+        self.host.tick();
+        self.time_us += TICK_US;
+        self.board.run_until(self.time_us)?;
         self.gripper.borrow_mut().advance(self.time_us);
         Ok(())
     }

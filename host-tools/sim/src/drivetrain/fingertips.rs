@@ -3,8 +3,10 @@
 use std::f64::consts::PI;
 
 use anyhow::Result;
+use device_run::channel_map::temperature_counts;
 use firmware::config::constants;
 use firmware::sensors::hall::{HallReading, SENSORS};
+use model_export::effects::REFERENCE_C;
 use model_export::recordings::description::NominalDesign;
 use nalgebra::Vector3;
 use rand_chacha::ChaCha8Rng;
@@ -30,6 +32,22 @@ pub fn distribute_forces(grip_n: f64, towards_first: f64, ground_n: f64) -> Sens
     [first_n, second_n, -first_n, -second_n].map(|lateral_n| [lateral_n, ground_n])
 }
 
+/// Temperatures and ambient field of the fingertips at one time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AmbientConditions {
+    /// Temperature of each sensor in degrees Celsius.
+    pub temperature_c: [f64; SENSORS],
+    /// Field of sources outside the gripper in gauss, gripper axes, the same at all sensors.
+    pub field_g: Vector3<f64>,
+}
+
+impl Default for AmbientConditions {
+    /// The reference temperature, without a field.
+    fn default() -> Self {
+        Self { temperature_c: [REFERENCE_C; SENSORS], field_g: Vector3::zeros() }
+    }
+}
+
 /// All sensors of the gripper, with measurement noise.
 pub struct Fingertips {
     sensors: Vec<SensorUnit>,
@@ -43,14 +61,31 @@ impl Fingertips {
     /// An effect is given twice.
     pub fn new(seed: u64, scatter: f64, effects: &[Effect]) -> Result<Self> {
         let effects = Effects::new(effects, seed, SENSORS as u32, scatter)?;
-        let max_n = [constants::FORCE_RANGE.value; 2];
-        let sensor = |number| {
-            SensorUnit::new(&NominalDesign::magpie(), number, (seed, scatter), &effects, max_n)
-        };
-        Ok(Self {
+        Ok(Self::with_effects(seed, scatter, &effects, |_| [constants::FORCE_RANGE.value; 2]))
+    }
+
+    /// Draws a gripper with the effects of its sensors; `max_n` are the largest loads of each axis of a sensor, at which a
+    /// stop engages.
+    pub fn with_effects(
+        seed: u64,
+        scatter: f64,
+        effects: &Effects,
+        max_n: impl Fn(u32) -> [f64; 2],
+    ) -> Self {
+        let design = NominalDesign::magpie();
+        let sensor =
+            |number| SensorUnit::new(&design, number, (seed, scatter), effects, max_n(number));
+        Self {
             sensors: (0..SENSORS as u32).map(sensor).collect(),
             rng: stream(seed, Purpose::Fingertips, 0),
-        })
+        }
+    }
+
+    /// Pause without load, in seconds.
+    pub fn pause(&mut self, seconds: f64) {
+        for sensor in &mut self.sensors {
+            sensor.finger.pause(seconds);
+        }
     }
 
     /// Advances the flexures by `dt_s` under these forces and this specific force in m/s^2.
@@ -61,7 +96,12 @@ impl Fingertips {
     }
 
     /// Samples all sensors; opening, rotor and current contribute their fields.
-    pub fn sample(&mut self, motion: &MotionState, time_s: f64) -> [Option<HallReading>; SENSORS] {
+    pub fn sample(
+        &mut self,
+        motion: &MotionState,
+        ambient: &AmbientConditions,
+        time_s: f64,
+    ) -> [Option<HallReading>; SENSORS] {
         let mut readings = [None; SENSORS];
         let conditions = FieldConditions {
             warm_k: 0.0,
@@ -70,13 +110,16 @@ impl Fingertips {
             currents_a: motor_currents(motion),
             lost: 0.0,
         };
-        for (reading, sensor) in readings.iter_mut().zip(&self.sensors) {
-            let measured_g = sensor.element.reading(sensor.field(&conditions), 0.0, time_s);
+        let sensors = readings.iter_mut().zip(&self.sensors).zip(ambient.temperature_c);
+        for ((reading, sensor), temperature_c) in sensors {
+            let warm_k = temperature_c - REFERENCE_C;
+            let field_g = sensor.field(&FieldConditions { warm_k, ..conditions }) + ambient.field_g;
+            let measured_g = sensor.element.reading(field_g, warm_k, time_s);
             let noisy_g = measured_g + normal_vector(&mut self.rng) * NOISE_G;
             *reading = Some(HallReading {
                 // The range fits into the sensor's word.
                 field: HallScale::a31301().counts(noisy_g).map(|count| count as i16),
-                temperature: 0,
+                temperature: temperature_counts(warm_k),
             });
         }
         readings
@@ -115,7 +158,7 @@ mod tests {
         let forces = distribute_forces(100.0, 0.2, 40.0);
         tips.step(&forces, Vector3::zeros(), 1e-3);
         let model = ForwardModel::nominal(&NominalDesign::magpie());
-        let readings = tips.sample(&OPEN, 0.0);
+        let readings = tips.sample(&OPEN, &AmbientConditions::default(), 0.0);
         for (reading, force_n) in readings.iter().zip(forces) {
             let field_g = model.field(force_n);
             for (axis, count) in reading.unwrap().field.iter().enumerate() {
@@ -140,7 +183,8 @@ mod tests {
         let mut tips = Fingertips::new(1, 0.0, &effects).unwrap();
         let mut mean = |current_a: f64| {
             let motion = MotionState { current_a, ..OPEN };
-            let samples = (0..100).map(|_| tips.sample(&motion, 0.0)[0].unwrap().field);
+            let ambient = AmbientConditions::default();
+            let samples = (0..100).map(|_| tips.sample(&motion, &ambient, 0.0)[0].unwrap().field);
             samples.fold([0.0; 3], |sum, field| {
                 [0, 1, 2].map(|axis| sum[axis] + f64::from(field[axis]) * 0.125 / 100.0)
             })
