@@ -147,6 +147,9 @@ pub const CURRENT_BANDWIDTH: Constant =
     assumed("current loop", 1100.0, "Hz", "a period's delay leaves 70 degrees");
 /// Crossover of the speed loop.
 pub const SPEED_BANDWIDTH: Constant = assumed("speed loop", 150.0, "Hz", "control study");
+/// Share of an increase of a speed set-point that acts at once.
+pub const SPEED_SETPOINT_WEIGHT: Constant =
+    assumed("speed set-point weight", 0.5, "", "overshoot below 10 %; tests/acceptance");
 /// Crossover of the position loop.
 pub const POSITION_BANDWIDTH: Constant =
     assumed("position loop", 25.0, "Hz", "a sixth of the speed loop");
@@ -284,6 +287,7 @@ pub const ALL: &[Constant] = &[
     MODULATION,
     CURRENT_BANDWIDTH,
     SPEED_BANDWIDTH,
+    SPEED_SETPOINT_WEIGHT,
     POSITION_BANDWIDTH,
     ENCODER_BANDWIDTH,
     MOTION_ACCELERATION,

@@ -51,8 +51,9 @@ pub struct GroundContact {
     pub total_n: f32,
     /// Centre of pressure along the fingers, in millimetres from their middle; 0 without contact.
     pub along_mm: f32,
-    /// Centre of pressure across, from the left finger to the right.
-    pub across_mm: f32,
+    /// Centre of pressure across, from the left finger to the right, in millimetres from their middle; 0 without
+    /// contact, none while the opening is unknown.
+    pub across_mm: Option<f32>,
     /// Standard deviation of the sum; none where an estimate has none.
     pub sigma_n: Option<f32>,
     /// Maximum force on one fingertip in the last milliseconds.
@@ -80,8 +81,12 @@ impl GroundContactDetector {
     ) -> GroundContact {
         let [.., along_z] = acceleration.unwrap_or_default();
         let inertia_n = MASS_KG * 1e-3 * along_z as f32;
-        let mut ground =
-            GroundContact { is_unloaded: true, sigma_n: Some(0.0), ..GroundContact::default() };
+        let mut ground = GroundContact {
+            is_unloaded: true,
+            sigma_n: Some(0.0),
+            across_mm: opening_mm.map(|_| 0.0),
+            ..GroundContact::default()
+        };
         let (mut along, mut across) = (0.0, 0.0);
         let states = self.in_contact.iter_mut().zip(&mut self.peaks);
         let positions = ALONG_MM.iter().zip(SIDE);
@@ -114,30 +119,35 @@ impl GroundContactDetector {
         ground.sigma_n = ground.sigma_n.map(sqrt);
         if ground.contacts != 0 && ground.total_n > limits.ground_release_n {
             ground.along_mm = along / ground.total_n;
-            ground.across_mm = across / ground.total_n * opening_mm.unwrap_or_default();
+            ground.across_mm = opening_mm.map(|mm| across / ground.total_n * mm);
         }
         ground
     }
 }
 
 /// Bus counts per unit of force, centre of pressure and sigma.
-const PER_UNIT: [f32; 3] = match messages::Foot::LAYOUT.signals {
-    [_, force, centre, sigma, ..] => [
+const PER_UNIT: [f32; 4] = match messages::Foot::LAYOUT.signals {
+    [_, force, centre, sigma, _, across] => [
         force.counts_per_unit() as f32,
         centre.counts_per_unit() as f32,
         sigma.counts_per_unit() as f32,
+        across.counts_per_unit() as f32,
     ],
-    _ => panic!("the layout needs force, centre of pressure and sigma"),
+    _ => panic!("the layout needs force, sigma and both centres of pressure"),
 };
 
 impl GroundContact {
     /// The message without its counter; values saturate at the range of their field.
     pub fn message(&self) -> messages::Foot {
-        let [per_n, per_mm, per_sigma] = PER_UNIT;
+        let [per_n, per_mm, per_sigma, per_mm_across] = PER_UNIT;
         messages::Foot {
             contacts: self.contacts,
             total_fz: (self.total_n * per_n) as i16,
             centre: (self.along_mm * per_mm) as i16,
+            // Rounded, and never -128, which stands for unknown.
+            across: self.across_mm.map_or(i8::MIN, |mm| {
+                within(mm * per_mm_across + 0.5_f32.copysign(mm), -127.0, 127.0) as i8
+            }),
             sigma: self.sigma_n.map_or(u8::MAX, |sigma_n| {
                 // Rounded up, and never 255, which stands for unknown.
                 within(sigma_n * per_sigma + 1.0, 0.0, 254.0) as u8
@@ -175,9 +185,9 @@ mod tests {
         let ground = ground_at([20.0, 60.0, 20.0, 100.0]);
         assert_eq!((ground.contacts, ground.total_n), (0b1111, 200.0));
         assert!((ground.along_mm - 18.0).abs() < 1e-4, "{ground:?}");
-        assert!((ground.across_mm - 2.0).abs() < 1e-4, "{ground:?}");
+        assert!((ground.across_mm.unwrap() - 2.0).abs() < 1e-4, "{ground:?}");
         let message = ground.message();
-        assert_eq!((message.total_fz, message.centre), (2000, 1800));
+        assert_eq!((message.total_fz, message.centre, message.across), (2000, 1800, 4));
         assert_eq!(message.sigma, 255);
     }
 
@@ -187,6 +197,7 @@ mod tests {
         let mut at = |n| {
             let ground =
                 detector.update(&pressed([0.0; 4], [n, 0.0, 0.0, 0.0]), None, None, &LIMITS);
+            assert_eq!(ground.message().across, i8::MIN);
             (ground.contacts, ground.along_mm != 0.0)
         };
         assert_eq!(at(14.9), (0, false));

@@ -3,7 +3,7 @@
 use core::f32::consts::TAU;
 
 use crate::config::constants;
-use crate::math::{greater, within};
+use crate::math::{greater, lesser, within};
 use crate::motor::brake_energy;
 use crate::motor::diagnostics::{ElectricalSample, RunawayMonitor, SupplyMonitor, VoltageMonitor};
 use crate::motor::encoder::RotorPosition;
@@ -25,6 +25,8 @@ use crate::motor::trajectory::Trajectory;
 const SETPOINT_TIMEOUT_TICKS: u8 = 20;
 /// Crossover of the speed loop relative to the corner of its integrator.
 const CORNER: f32 = 5.0;
+/// Share of an increase of the speed that [`SetpointFilter`] does not delay.
+const WEIGHT: f32 = constants::SPEED_SETPOINT_WEIGHT.value as f32;
 
 /// Reference of the opening.
 #[derive(Clone, Copy, Debug)]
@@ -45,6 +47,7 @@ pub struct MotionLoop {
     setpoint_age: u8,
     home: Option<Home>,
     pub(super) speed: SpeedController,
+    speed_filter: SetpointFilter,
     position: Option<PositionController>,
     heat: WindingHeat,
     temperatures: Temperatures,
@@ -69,6 +72,7 @@ impl MotionLoop {
             setpoint_age: 0,
             home: None,
             speed: SpeedController::default(),
+            speed_filter: SetpointFilter::default(),
             position: None,
             heat: WindingHeat::default(),
             temperatures: Temperatures::default(),
@@ -208,6 +212,10 @@ impl MotionLoop {
             // Bumpless transfer.
             self.speed = SpeedController::start(self.current_setpoint.q);
         }
+        let is_speed = |setpoint| matches!(setpoint, Setpoint::Speed { .. });
+        if is_speed(setpoint) && !is_speed(self.setpoint) {
+            self.speed_filter = SetpointFilter { lagged: self.report.rotor.speed() };
+        }
         match (setpoint, self.position) {
             (Setpoint::Position { .. }, None) => self.start_position(),
             (Setpoint::Position { .. }, Some(_)) => {}
@@ -332,7 +340,8 @@ impl MotionLoop {
         let screw = &self.settings.screw;
         let setpoint = within(screw.rotor_speed(limited), -limits.speed, limits.speed);
         let feed_forward_a = feed_forward_a(&self.settings.machine, setpoint, 0.0);
-        self.follow_speed([setpoint, speed], feed_forward_a)
+        let filtered = self.speed_filter.update(setpoint);
+        self.follow_speed([filtered, speed], feed_forward_a)
     }
 
     /// Position control within the stroke; while the opening is unknown, the rotor is held at zero speed.
@@ -406,6 +415,27 @@ impl SpeedController {
     }
 }
 
+/// Filter of a speed set-point, (1 + [`WEIGHT`] T s) / (1 + T s) with the time constant T of the integrator: without
+/// it the zero of the speed controller and the lags of current loop and angle tracker make a step overshoot by half.
+/// A decrease of the speed is not delayed.
+#[derive(Clone, Copy, Debug, Default)]
+struct SetpointFilter {
+    /// State of the lag in rad/s.
+    lagged: f32,
+}
+
+impl SetpointFilter {
+    /// Share of the lag's error that a tick removes.
+    const SHARE: f32 = TAU * constants::SPEED_BANDWIDTH.value as f32 / CORNER / MOTION_HZ as f32;
+
+    /// One tick with a set-point in rad/s.
+    fn update(&mut self, setpoint: f32) -> f32 {
+        let lagged = within(self.lagged, lesser(setpoint, 0.0), greater(setpoint, 0.0));
+        self.lagged = lagged + Self::SHARE * (setpoint - lagged);
+        WEIGHT * setpoint + (1.0 - WEIGHT) * self.lagged
+    }
+}
+
 /// Output of the position controller.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SpeedSetpoint {
@@ -455,5 +485,29 @@ impl PositionController {
     /// Present opening on the trajectory in millimetres.
     pub fn setpoint_mm(&self) -> f32 {
         self.trajectory.position_mm()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_increases_of_the_speed_are_filtered() {
+        let mut filter = SetpointFilter::default();
+        // Half at once, and 63 % of the other half after 5.3 ms.
+        let first = filter.update(100.0);
+        assert!((first - (50.0 + 50.0 * SetpointFilter::SHARE)).abs() < 1e-3, "{first}");
+        let after = (1..21).fold(first, |_, _| filter.update(100.0));
+        assert!((after - 81.6).abs() < 1.0, "{after}");
+        for _ in 0..1000 {
+            filter.update(100.0);
+        }
+        assert!((filter.update(100.0) - 100.0).abs() < 1e-2);
+        assert_eq!(filter.update(40.0), 40.0);
+        assert_eq!(filter.update(0.0), 0.0);
+        filter.update(80.0);
+        let reversed = filter.update(-80.0);
+        assert!((reversed + 40.0 + 40.0 * SetpointFilter::SHARE).abs() < 1e-3, "{reversed}");
     }
 }

@@ -360,12 +360,14 @@ messages! {
         contacts: u8 @ 0..8;
         /// Sum of the longitudinal forces.
         total_fz: i16 @ 8..24, 0.1 "N";
-        /// Centre of pressure along the line of contact.
+        /// Centre of pressure along the fingers.
         centre: i16 @ 24..40, 0.01 "mm";
         /// Standard deviation of the sum; 255: unknown.
         sigma: u8 @ 40..48, 0.25 "N";
         /// Counts messages.
         counter: u8 @ 48..56;
+        /// Centre of pressure across the fingers, from the left to the right; -64: unknown, before homing.
+        across: i8 @ 56..64, 0.5 "mm";
     }
 
     /// Reply to a service request.

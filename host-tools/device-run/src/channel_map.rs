@@ -129,10 +129,7 @@ impl CovariateChannels {
                 .map(|channels| AccelerationSample { age_us: 0, mm_s2: channels.map(milli) }),
             attitude: self.attitude.map(|channels| AttitudeSample {
                 age_ms: 0,
-                euler: channels.map(|channel| {
-                    let within = (row.hall[channel] + PI).rem_euclid(TAU) - PI;
-                    (within * f64::from(AttitudeSample::PER_RAD)).round() as i16
-                }),
+                euler: channels.map(|channel| euler_counts(row.hall[channel])),
             }),
         }
     }
@@ -160,6 +157,12 @@ pub fn covariate_values(covariates: &Covariates) -> [Option<f64>; COVARIATES.len
         pitch,
         yaw,
     ]
+}
+
+/// Angle in radians as [`AttitudeSample::euler`], within half a turn.
+pub fn euler_counts(radians: f64) -> i16 {
+    let within = (radians + PI).rem_euclid(TAU) - PI;
+    (within * f64::from(AttitudeSample::PER_RAD)).round() as i16
 }
 
 /// Rotor angle in radians, 0 to 2 pi, from 2^-16 turns.

@@ -13,7 +13,7 @@
 //! - [`view`], [`mod@format`]: the state on a terminal, as a line of text, as JSON.
 //! - [`csv_writer`]: CSV output that is valid whenever the process is killed.
 //! - [`mod@reference`]: reference force sensor next to the gripper.
-//! - [`recorder`]: assembly of rows and writing of a recording.
+//! - [`recorder`]: assembly of rows, writing of a recording, and the ranges that it covers.
 
 pub mod calibration_client;
 pub mod csv_writer;

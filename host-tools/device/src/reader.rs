@@ -8,6 +8,7 @@ use std::thread::{self, JoinHandle};
 use std::time::Instant;
 
 use anyhow::{Result, anyhow};
+use firmware::protocol::messages::Message;
 use firmware::protocol::serial::Packet;
 
 use crate::source::Source;
@@ -29,12 +30,17 @@ pub enum ReaderEvent {
     Failed(anyhow::Error),
 }
 
+/// Messages that are built when they are sent, so that they can state the age of a measurement.
+pub type Outgoing = Box<dyn FnOnce() -> Vec<Message> + Send>;
+
 /// Reader thread.
 pub struct SourceReader {
     /// Name of the source.
     pub news: Receiver<ReaderEvent>,
     /// Start time.
     pub begun: Instant,
+    /// Messages to the gripper, sent between two reads.
+    pub outgoing: Sender<Outgoing>,
     stop: Arc<AtomicBool>,
     thread: JoinHandle<Box<dyn Source + Send>>,
 }
@@ -43,14 +49,15 @@ impl SourceReader {
     /// Starts the thread.
     pub fn start(mut source: Box<dyn Source + Send>) -> Self {
         let (sender, news) = channel();
+        let (outgoing, messages) = channel();
         let stop = Arc::new(AtomicBool::new(false));
         let stopped = stop.clone();
         let begun = Instant::now();
         let thread = thread::spawn(move || {
-            listen(source.as_mut(), begun, &stopped, &sender);
+            listen(source.as_mut(), begun, &stopped, &messages, &sender);
             source
         });
-        Self { news, begun, stop, thread }
+        Self { news, begun, outgoing, stop, thread }
     }
 
     /// Seconds since the start.
@@ -73,11 +80,14 @@ fn listen(
     source: &mut dyn Source,
     begun: Instant,
     stop: &AtomicBool,
+    messages: &Receiver<Outgoing>,
     sender: &Sender<ReaderEvent>,
 ) {
     while !stop.load(Relaxed) {
         let mut packets = Vec::new();
-        let more = source.receive(&mut packets);
+        let mut sent = messages.try_iter().flat_map(|build| build());
+        let sent = sent.try_for_each(|message| source.send(message));
+        let more = sent.and_then(|()| source.receive(&mut packets));
         let packets_event = ReaderEvent::Packets {
             at_s: begun.elapsed().as_secs_f64(),
             packets,

@@ -1,4 +1,5 @@
-//! Reference force sensor recorded next to the gripper: lines of numbers from a serial port, a socket or standard input.
+//! Reference force sensor recorded next to the gripper, and the pose that a host forwards to it: lines of numbers from a
+//! serial port, a socket or standard input.
 
 use std::fmt;
 use std::io::{BufRead, BufReader, Read};
@@ -10,8 +11,10 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
-use model_export::recordings::columns::force_column;
-use model_export::recordings::units::{Unit, find_unit};
+use device_run::channel_map::euler_counts;
+use firmware::protocol::messages::{HostAcceleration, HostAttitude, Message};
+use model_export::recordings::columns::{Axis, ForceColumn, force_column};
+use model_export::recordings::units::{UNITS, Unit, column_unit, find_unit};
 use serde::Deserialize;
 
 /// Rate of a serial port without one.
@@ -78,8 +81,8 @@ pub struct ReferenceMapping {
     /// Clock of the reference; without it, the times at which the lines arrive are used.
     #[serde(default)]
     pub clock: Option<ClockColumn>,
-    /// Forces.
-    pub columns: Vec<ForceMapping>,
+    /// Forces and pose.
+    pub columns: Vec<ColumnMapping>,
 }
 
 /// Clock of the reference.
@@ -92,15 +95,25 @@ pub struct ClockColumn {
     pub unit: String,
 }
 
-/// One force.
+/// Columns of the pose: roll, pitch, yaw as in `hall.csv`; acceleration without gravity in gripper axes.
+pub const POSE_COLUMNS: [&str; 6] = [
+    "roll_rad",
+    "pitch_rad",
+    "yaw_rad",
+    "linear_accel_x_mps2",
+    "linear_accel_y_mps2",
+    "linear_accel_z_mps2",
+];
+
+/// One force, or one quantity of the pose.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct ForceMapping {
+pub struct ColumnMapping {
     /// Column, from 1.
     pub column: usize,
     /// Unit of the reference, as in import mappings.
     pub unit: String,
-    /// Column of `force.csv`, for example `f0_x_n`.
+    /// Column of `force.csv`, for example `f0_x_n`, or one of [`POSE_COLUMNS`].
     pub to: String,
     /// Factor in addition to that of the unit; -1 inverts the sign.
     #[serde(default = "one")]
@@ -120,7 +133,54 @@ pub struct ReferenceRow {
     pub clock_s: Option<f64>,
     /// Forces in newtons, in the order of the mapping.
     pub force_n: Vec<f64>,
+    /// Pose of the gripper, as far as it is mapped.
+    pub pose: HostPose,
 }
+
+/// Pose of the gripper as a host knows it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct HostPose {
+    /// Roll and pitch in radians.
+    pub roll_pitch_rad: Option<[f64; 2]>,
+    /// Yaw in radians.
+    pub yaw_rad: Option<f64>,
+    /// Acceleration without gravity in m/s^2, gripper axes.
+    pub linear_accel_mps2: Option<[f64; 3]>,
+}
+
+impl HostPose {
+    fn of(values: [Option<f64>; POSE_COLUMNS.len()]) -> Self {
+        let [roll, pitch, yaw_rad, x, y, z] = values;
+        Self {
+            roll_pitch_rad: roll.zip(pitch).map(|(roll, pitch)| [roll, pitch]),
+            yaw_rad,
+            linear_accel_mps2: x.zip(y).zip(z).map(|((x, y), z)| [x, y, z]),
+        }
+    }
+
+    /// Messages to the gripper for a pose measured this long ago; empty without a pose.
+    pub fn messages(&self, age: Duration) -> Vec<Message> {
+        let age = u8::try_from(age.as_millis()).unwrap_or(u8::MAX);
+        let attitude = self.yaw_rad.map(|yaw_rad| {
+            let [roll, pitch] = self.roll_pitch_rad.unwrap_or_default().map(euler_counts);
+            let yaw = euler_counts(yaw_rad);
+            let yaw_only = self.roll_pitch_rad.is_none();
+            Message::HostAttitude(HostAttitude { roll, pitch, yaw, age, yaw_only })
+        });
+        let acceleration = self.linear_accel_mps2.map(|mps2| {
+            // The cast saturates.
+            let [x, y, z] = mps2.map(|mps2| (PER_MPS2 * mps2).round() as i16);
+            Message::HostAcceleration(HostAcceleration { x, y, z, age })
+        });
+        attitude.into_iter().chain(acceleration).collect()
+    }
+}
+
+/// Counts of a host's acceleration per m/s^2.
+const PER_MPS2: f64 = match HostAcceleration::LAYOUT.signals {
+    [x, ..] => x.counts_per_unit() as f64,
+    _ => panic!("the layout needs an acceleration"),
+};
 
 impl ReferenceMapping {
     /// Reads a mapping file.
@@ -138,28 +198,60 @@ impl ReferenceMapping {
     fn check(&self) -> Result<()> {
         if self.columns.is_empty() {
             bail!(
-                "there are no [[columns]]: map at least one force, for example column = 1, unit = \"N\", to = \"f0_x_n\""
+                "there are no [[columns]]: map at least one, for example column = 1, unit = \"N\", to = \"f0_x_n\""
             );
         }
-        for (place, force) in self.columns.iter().enumerate() {
-            force_column(&force.to).map_err(|error| anyhow::anyhow!("{}: {error}", force.to))?;
-            if force.to == "t_us" || self.columns[..place].iter().any(|other| other.to == force.to)
-            {
-                bail!("{}: map each force once; the clock belongs to [clock]", force.to);
+        for (place, column) in self.columns.iter().enumerate() {
+            let to = &column.to;
+            if !column.is_pose() {
+                force_column(to).map_err(|error| anyhow::anyhow!("{to}: {error}"))?;
             }
-            unit(&force.unit, "n").with_context(|| force.to.clone())?;
-            if !force.scale.is_finite() || force.scale == 0.0 {
-                bail!("{}: scale = {}: give a number other than zero", force.to, force.scale);
+            if to == "t_us" || self.columns[..place].iter().any(|other| other.to == *to) {
+                bail!("{to}: map each column once; the clock belongs to [clock]");
             }
+            unit(&column.unit, column.canonical_unit()).with_context(|| to.clone())?;
+            if !column.scale.is_finite() || column.scale == 0.0 {
+                bail!("{to}: scale = {}: give a number other than zero", column.scale);
+            }
+        }
+        let is_mapped = POSE_COLUMNS.map(|name| self.columns.iter().any(|c| c.to == name));
+        let [roll, pitch, yaw, x, y, z] = is_mapped;
+        // The board uses neither roll and pitch nor an acceleration without the yaw.
+        if roll != pitch || x != y || y != z || ((roll || x) && !yaw) {
+            bail!(
+                "the pose is incomplete: map yaw_rad, and roll_rad with pitch_rad or neither, and linear_accel_x_mps2, _y_ and _z_ or none"
+            );
         }
         if let Some(clock) = &self.clock {
             unit(&clock.unit, "us").context("clock")?;
         }
         let clock = self.clock.iter().map(|clock| clock.column);
-        if clock.chain(self.columns.iter().map(|force| force.column)).any(|column| column == 0) {
+        if clock.chain(self.columns.iter().map(|column| column.column)).any(|column| column == 0) {
             bail!("columns are counted from 1");
         }
         Ok(())
+    }
+
+    /// Columns of `force.csv`, in the order of [`ReferenceRow::force_n`].
+    pub fn force_columns(&self) -> Vec<String> {
+        let forces = self.columns.iter().filter(|column| !column.is_pose());
+        forces.map(|column| column.to.clone()).collect()
+    }
+
+    /// Sensors and axes of these columns.
+    pub fn forces(&self) -> Vec<(u32, Axis)> {
+        let columns = self.columns.iter().filter_map(|column| force_column(&column.to).ok());
+        columns
+            .filter_map(|column| match column {
+                ForceColumn::Force { sensor, axis } => Some((sensor, axis)),
+                ForceColumn::Time => None,
+            })
+            .collect()
+    }
+
+    /// Whether the source gives an attitude or an acceleration.
+    pub fn has_pose(&self) -> bool {
+        self.columns.iter().any(ColumnMapping::is_pose)
     }
 
     /// Values of a line that arrived at `at_s`.
@@ -184,19 +276,37 @@ impl ReferenceMapping {
             None => None,
             Some(clock) => Some(1e-6 * number(clock.column)? * unit(&clock.unit, "us")?.factor),
         };
-        let forces = self
-            .columns
-            .iter()
-            .map(|force| Ok(number(force.column)? * unit(&force.unit, "n")?.factor * force.scale));
-        Ok(ReferenceRow { at_s, clock_s, force_n: forces.collect::<Result<_>>()? })
+        let (mut force_n, mut pose) = (Vec::new(), [None; POSE_COLUMNS.len()]);
+        for column in &self.columns {
+            let unit = unit(&column.unit, column.canonical_unit())?;
+            let value = number(column.column)? * unit.factor * column.scale;
+            match pose.iter_mut().zip(POSE_COLUMNS).find(|(_, name)| column.to == *name) {
+                Some((place, _)) => *place = Some(value),
+                None => force_n.push(value),
+            }
+        }
+        Ok(ReferenceRow { at_s, clock_s, force_n, pose: HostPose::of(pose) })
+    }
+}
+
+impl ColumnMapping {
+    fn is_pose(&self) -> bool {
+        POSE_COLUMNS.contains(&self.to.as_str())
+    }
+
+    fn canonical_unit(&self) -> &'static str {
+        column_unit(&self.to).unwrap_or("n")
     }
 }
 
 /// The unit with this symbol, if it converts to `canonical`.
 fn unit(name: &str, canonical: &str) -> Result<Unit> {
     let unit = find_unit(name).filter(|unit| unit.canonical == canonical);
-    let choices = if canonical == "n" { "N, mN, kN, g, kg, kgf, lbf" } else { "s, ms, us, ns" };
-    unit.with_context(|| format!("the unit {name:?}: accepted are {choices}"))
+    unit.with_context(|| {
+        let choices = UNITS.iter().filter(|unit| unit.canonical == canonical);
+        let choices: Vec<&str> = choices.map(|unit| unit.name).collect();
+        format!("the unit {name:?}: accepted are {}", choices.join(", "))
+    })
 }
 
 /// Places the reference on the board's clock, to the delays of both transports.
@@ -215,12 +325,13 @@ impl ReferenceClock {
         self.board_s = Some(self.board_s.map_or(late_s, |least_s| least_s.min(late_s)));
     }
 
-    /// Board time of a row of the reference in microseconds; `None` before the first row of the board.
-    pub fn board_us(&mut self, row: &ReferenceRow) -> Option<f64> {
+    /// Board time in microseconds of a row of the reference that arrived at `at_s`, with its own clock if it has one; `None`
+    /// before the first row of the board.
+    pub fn board_us(&mut self, at_s: f64, clock_s: Option<f64>) -> Option<f64> {
         let board_s = self.board_s?;
-        let at_s = match row.clock_s {
-            None => row.at_s,
-            Some(clock_s) => clock_s + *self.reference_s.get_or_insert(row.at_s - clock_s),
+        let at_s = match clock_s {
+            None => at_s,
+            Some(clock_s) => clock_s + *self.reference_s.get_or_insert(at_s - clock_s),
         };
         Some(1e6 * (at_s - board_s))
     }
@@ -357,6 +468,44 @@ mod tests {
             ("1500, nan, 1", "column 2 is not a number: \"nan\""),
         ] {
             assert!(mapping.parse(line, 0.0).unwrap_err().to_string().contains(what), "{line}");
+        }
+    }
+
+    #[test]
+    fn pose_of_a_line_becomes_messages_with_its_age() {
+        let columns = |names: &[&str]| {
+            let column = |(i, name): (usize, &&str)| {
+                let unit = if name.ends_with("_rad") { "deg" } else { "m/s2" };
+                format!("{{ column = {}, unit = \"{unit}\", to = \"{name}\" }}", i + 1)
+            };
+            let columns: Vec<String> = names.iter().enumerate().map(column).collect();
+            mapping(&format!("columns = [{}]", columns.join(", ")))
+        };
+        let pose = columns(&POSE_COLUMNS).unwrap();
+        assert!(pose.has_pose() && pose.force_columns().is_empty() && pose.forces().is_empty());
+        let row = pose.parse("90 -45 270 1 -2 100", 0.0).unwrap();
+        let expected = [
+            Message::HostAttitude(HostAttitude {
+                roll: 15_708,
+                pitch: -7854,
+                yaw: -15_708,
+                age: 7,
+                yaw_only: false,
+            }),
+            Message::HostAcceleration(HostAcceleration { x: 500, y: -1000, z: i16::MAX, age: 7 }),
+        ];
+        assert_eq!(row.pose.messages(Duration::from_millis(7)), expected);
+        let yaw = columns(&["yaw_rad"]).unwrap().parse("1", 0.0).unwrap();
+        let messages = yaw.pose.messages(Duration::from_secs(1));
+        let expected =
+            HostAttitude { yaw: 175, age: u8::MAX, yaw_only: true, ..HostAttitude::default() };
+        assert_eq!(messages, [Message::HostAttitude(expected)]);
+        for names in [
+            &["roll_rad", "pitch_rad"][..],
+            &["yaw_rad", "linear_accel_x_mps2"],
+            &POSE_COLUMNS[3..],
+        ] {
+            assert!(columns(names).unwrap_err().to_string().contains("incomplete"), "{names:?}");
         }
     }
 

@@ -34,6 +34,9 @@ pub struct Args {
     network: Option<PathBuf>,
     #[command(flatten)]
     port: PortArgs,
+    /// Upload the nominal design of the model instead of its fit, for a gripper that is not calibrated yet.
+    #[arg(long, conflicts_with = "network")]
+    nominal: bool,
     /// Upload although the device never compensates an effect of the model: the forces keep its error.
     #[arg(long)]
     uncompensated: bool,
@@ -50,7 +53,8 @@ pub fn run(args: &Args) -> Result<()> {
     let Some(mut source) = args.port.open()? else {
         bail!("give the gripper's line: --port PATH or --can BUS");
     };
-    let built = build(&args.model, ModelVariant::Fitted)?;
+    let variant = if args.nominal { ModelVariant::Nominal } else { ModelVariant::Fitted };
+    let built = build(&args.model, variant)?;
     if let Some((effect, why)) = built.uncompensated.first()
         && !args.uncompensated
     {

@@ -1,6 +1,11 @@
 //! `magpie diagnose` on the repository's campaigns, with and without an effect.
 
+use analysis::diagnose::recording_check::check_recordings;
+use model_export::fit::FitOptions;
+use model_export::recordings::Campaign;
+use model_export::recordings::align::Alignment;
 use serde_json::Value;
+use tests::data;
 
 use crate::workdir::{WorkDir, campaign, text};
 
@@ -53,6 +58,32 @@ fn clean_recordings_give_no_effect() {
     assert_eq!(diagnosis["unexplained"], Value::Array(Vec::new()));
     // Testable here: a neighbour magnet of typical magnitude would be detected.
     assert_eq!(verdict(&diagnosis, "neighbour_magnet")["verdict"], "absent");
+}
+
+#[test]
+fn check_of_recordings_agrees_with_their_diagnosis() {
+    let diagnosis = diagnosed("clean", &[]);
+    let campaign = Campaign::read(&data("clean"), Alignment { delay_us: 0.0 }, |_| ()).unwrap();
+    let check = check_recordings(&campaign, FitOptions::default());
+    let expected = |kind: &str| {
+        let verdicts = diagnosis["verdicts"].as_array().unwrap().iter();
+        let verdicts = verdicts.filter(|verdict| verdict["verdict"] == kind);
+        let pair = |verdict: &Value| {
+            (verdict["effect"].as_str().unwrap().to_owned(), verdict["z_typical"].as_f64().unwrap())
+        };
+        let mut pairs: Vec<(String, f64)> = verdicts.map(pair).collect();
+        pairs.sort_by(|a, b| a.0.cmp(&b.0));
+        pairs
+    };
+    let mut decidable = check.decidable.clone();
+    decidable.sort_by(|a, b| a.0.cmp(&b.0));
+    assert!(!decidable.is_empty());
+    assert_eq!(decidable, expected("absent"));
+    let inconclusive = check.inconclusive.iter().map(|v| (v.effect.clone(), v.z_typical));
+    let mut inconclusive: Vec<(String, f64)> = inconclusive.collect();
+    inconclusive.sort_by(|a, b| a.0.cmp(&b.0));
+    assert!(!inconclusive.is_empty());
+    assert_eq!(inconclusive, expected("not_judgeable"));
 }
 
 #[test]

@@ -15,6 +15,7 @@ use firmware::protocol::DEFAULT_NODE;
 use firmware::protocol::messages::{Message, ParamRequest};
 use firmware::protocol::serial::{MAX_PACKET_BYTES, Packet, PacketDecoder, encode};
 use firmware::tasks::FIRST_TICK_US;
+use model_export::effects::CATALOGUE;
 use model_export::inverse::build::{ModelVariant, build};
 use model_export::recordings::Recording;
 use model_export::recordings::align::Alignment;
@@ -314,23 +315,29 @@ fn both_commands_help_has_examples() {
     }
 }
 
-#[test]
-fn reference_on_a_socket_is_recorded_alongside() {
-    let dir = workdir();
+/// Port of a socket that sends a line of text each 10 ms, by its number, until it is closed.
+fn line_server(line: fn(u32) -> String) -> (u16, std::thread::JoinHandle<()>) {
     let server = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let port = server.local_addr().unwrap().port();
     let sender = std::thread::spawn(move || {
         let (mut stream, _) = server.accept().unwrap();
-        // Begins within a line. Constant forces: a delay cannot be determined.
-        let mut text = "3;".to_owned();
         for row in 0.. {
-            text += &format!("{}; 2.5; {}\n", 10 * row, 100 + row % 2);
-            if stream.write_all(text.as_bytes()).is_err() {
+            if stream.write_all(line(row).as_bytes()).is_err() {
                 return;
             }
-            text.clear();
             std::thread::sleep(Duration::from_millis(10));
         }
+    });
+    (port, sender)
+}
+
+#[test]
+fn reference_on_a_socket_is_recorded_alongside() {
+    let dir = workdir();
+    // Begins within a line. Constant forces: a delay cannot be determined.
+    let (port, sender) = line_server(|row| {
+        let cut = if row == 0 { "3;" } else { "" };
+        format!("{cut}{}; 2.5; {}\n", 10 * row, 100 + row % 2)
     });
     let mapping = "clock = { column = 1, unit = \"ms\" }\n\
                    columns = [{ column = 2, unit = \"kg\", to = \"f0_x_n\", scale = -1 }]\n";
@@ -352,4 +359,83 @@ fn reference_on_a_socket_is_recorded_alongside() {
     // 2.5 kg are 24.5166 N.
     assert!((last[1] + 24.5166).abs() < 1e-3 && last[0] < 3.2e6, "{last:?}");
     sender.join().unwrap();
+}
+
+#[test]
+fn pose_of_the_host_is_recorded_as_covariates_of_the_board() {
+    let dir = workdir();
+    // Roll 30 degrees; a yaw of 0.5 rad/s; 2 m/s^2 along x.
+    let (port, sender) = line_server(|row| format!("30 0 {} 2 0 0\n", 0.005 * f64::from(row)));
+    let columns = [
+        ("deg", "roll_rad"),
+        ("deg", "pitch_rad"),
+        ("rad", "yaw_rad"),
+        ("m/s2", "linear_accel_x_mps2"),
+        ("m/s2", "linear_accel_y_mps2"),
+        ("m/s2", "linear_accel_z_mps2"),
+    ];
+    let columns = columns.iter().zip(1..).map(|((unit, to), column)| {
+        format!("{{ column = {column}, unit = \"{unit}\", to = \"{to}\" }}")
+    });
+    let mapping = format!("columns = [{}]\n", columns.collect::<Vec<_>>().join(", "));
+    std::fs::write(dir.path("pose.toml"), mapping).unwrap();
+    let output = dir.json(&format!(
+        "record --virtual --model model.toml --press 20,-10 --seconds 3 -o pose --json \
+         --reference tcp:127.0.0.1:{port} --reference-map pose.toml"
+    ));
+    sender.join().unwrap();
+    assert_eq!(output["reference"], false);
+    let sent = output["pose_messages"].as_u64().unwrap();
+    assert!((50..=300).contains(&sent), "{sent}");
+    let recording = Recording::read(&dir.path("pose"), Alignment { delay_us: 0.0 }).unwrap();
+    let column = |name: &str| &recording.covariates[name];
+    assert!(column("roll_rad").iter().all(|rad| (rad.to_degrees() - 30.0).abs() < 0.06));
+    assert!(column("pitch_rad").iter().all(|rad| rad.abs() < 1e-3));
+    let yaw = column("yaw_rad");
+    let rate = (yaw[yaw.len() - 1] - yaw[0]) / recording.span_s();
+    assert!(yaw.is_sorted() && (0.2..0.7).contains(&rate), "{rate}");
+    // Gravity in gripper axes: 9.807 m/s^2 along sine and cosine of the roll.
+    let specific_force = [2.0, 9.807 * 0.5, 9.807 * 0.866];
+    for (name, expected) in
+        ["accel_x_mps2", "accel_y_mps2", "accel_z_mps2"].iter().zip(specific_force)
+    {
+        let mps2 = column(name)[column(name).len() / 2];
+        assert!((mps2 - expected).abs() < 0.01, "{name}: {mps2}");
+    }
+}
+
+#[test]
+fn check_names_what_a_recording_can_decide() {
+    let dir = workdir();
+    let checked = |line: &str| {
+        let line = format!("record --virtual --model model.toml {line} --check --json");
+        dir.json(&line)["check"].clone()
+    };
+    let effect = |check: &Value, name: &str| {
+        let effects = check["effects"].as_array().unwrap();
+        assert_eq!(effects.len(), CATALOGUE.len());
+        effects.iter().find(|effect| effect["effect"] == name).unwrap().clone()
+    };
+    // A constant load decides nothing.
+    let little = checked("--press 10,5 --seconds 2 -o little");
+    assert_eq!(effect(&little, "hysteresis")["decidable"], false);
+    let reason = effect(&little, "hysteresis")["reason"].to_string();
+    assert!(reason.contains("a constant load does not determine the response"), "{reason}");
+    // Loads of both axes in both directions.
+    let folder = data("clean/1");
+    let much = checked(&format!("--replay {} --seconds 8 -o much", folder.display()));
+    assert_eq!(much["estimated_forces"], 8);
+    for name in ["hysteresis", "cross_coupling", "viscous_lag"] {
+        assert_eq!(effect(&much, name)["decidable"], true, "{name}");
+    }
+    let opening = effect(&much, "neighbour_magnet");
+    assert_eq!(opening["decidable"], false);
+    assert_eq!(opening["reason"], "opening_mm was not recorded");
+    assert!(opening["record"].as_str().unwrap().starts_with("Open and close"), "{opening}");
+    let share = |check: &Value, name: &str| {
+        let ranges = check["ranges"].as_array().unwrap();
+        ranges.iter().find(|range| range["quantity"] == name).unwrap()["share"].as_f64().unwrap()
+    };
+    assert!(share(&little, "lateral force") < 0.02, "{little}");
+    assert!(share(&much, "lateral force") > 0.1, "{much}");
 }

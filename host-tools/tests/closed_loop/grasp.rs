@@ -6,7 +6,7 @@ use firmware::motor::MotorCommand;
 use firmware::protocol::messages::Command;
 use sim::closed_loop::grasp_result::{GraspTarget, run_current_limited, run_grasp};
 use sim::closed_loop::grasp_rig::{GraspRig, contact_object, grip_command};
-use sim::closed_loop::landing::Landing;
+use sim::closed_loop::landing::{FootContact, Landing};
 use sim::closed_loop::motor_rig::{DriveCase, MotorRig};
 use sim::drivetrain::mechanics::PulledObject;
 use sim::drivetrain::parameters::{Lead, PlantParameters};
@@ -208,15 +208,26 @@ fn slip_increases_the_force_until_the_object_sticks() {
 
 #[test]
 fn landing_is_reported_in_time_without_finger_motion() {
-    for lead in Lead::BOTH {
-        let landing = Landing { peak_n: 150.0, lasts_s: 0.01, along_mm: 12.0, phase: 0.3 };
+    let contacts = [(FootContact::Flat, 0.0), (FootContact::Line, 8.0)];
+    for (lead, (contact, across_mm)) in
+        Lead::BOTH.into_iter().flat_map(|lead| contacts.map(|contact| (lead, contact)))
+    {
+        let landing = Landing {
+            peak_n: 150.0,
+            lasts_s: 0.01,
+            contact,
+            along_mm: 12.0,
+            across_mm,
+            phase: 0.3,
+        };
         let result = landing.run(&DriveCase::nominal(lead, 1));
         let contact_s = result.contact_s().unwrap();
         assert!((0.0002..=0.002).contains(&contact_s), "{contact_s}");
         let (held_n, peak_n) = (result.held_n(), result.peak_n());
         assert!((held_n / peak_n - 1.0).abs() < 0.06, "{held_n} {peak_n}");
-        let along_mm = result.along_mm().unwrap();
+        let [along_mm, found_mm] = result.centre_mm().unwrap();
         assert!((along_mm - 12.0).abs() < 1.5, "{along_mm}");
+        assert!((found_mm - across_mm).abs() < 1.5, "{found_mm}");
         assert!(result.moved_mm < 0.05, "{}", result.moved_mm);
     }
 }

@@ -1,14 +1,11 @@
 //! A gripper with a hidden effect is calibrated as on a bench: the diagnosis names the effect, and the board compensates it under
 //! new loads as well as a replay does.
 
-use std::path::Path;
-
 use anyhow::{Result, anyhow, ensure};
 use device::emulation::calibration::{evaluate, identify};
-use emulator::Image;
 use libtest_mimic::{Failed, Trial};
 use sim::closed_loop::bench::BenchSetup;
-use tests::image::compile;
+use tests::data;
 
 use crate::boards::{TYPICAL, image};
 use crate::images::Variant;
@@ -36,18 +33,15 @@ fn calibrates(effect: &str) -> Result<(), Failed> {
         seconds: 9.0,
     };
     let evaluation = BenchSetup { excitation_seed: 2, recordings: 1, ..setup.clone() };
-    let install = |tables: &Path| -> Result<Image> {
-        let path = compile(&format!("calibration-{effect}"), Some(tables));
-        Ok(Image::read(&path.map_err(|error| anyhow!(error))?)?)
-    };
     let run = || -> Result<()> {
         let folder = tempfile::tempdir()?;
-        let nominal = image(Variant::Nominal).map_err(|failed| anyhow!("{failed:?}"))?.image;
-        let found = identify(nominal, &setup, TYPICAL, folder.path())?;
+        let image = image(Variant::Default).map_err(|failed| anyhow!("{failed:?}"))?.image;
+        let nominal = data("default/model.toml");
+        let found = identify(image.clone(), &nominal, &setup, TYPICAL, folder.path())?;
         println!("{effect}: {:?}, {:.2?} noise floors", found.accepted, found.floors);
         ensure!(found.names(&setup.effects), "{:?}", found.accepted);
         let recording = folder.path().join("evaluation");
-        let errors = evaluate(&found.model, &evaluation, TYPICAL, &recording, &install)?;
+        let errors = evaluate(image, &found.model, &evaluation, TYPICAL, &recording)?;
         println!("{effect}: {errors:?}");
         ensure!(errors.board_n <= MAX_RATIO * errors.replay_n, "{errors:?}");
         Ok(())

@@ -51,7 +51,7 @@ fn on_line<T>(
     run: impl FnOnce(&mut dyn device::source::Source) -> anyhow::Result<T>,
 ) -> anyhow::Result<T> {
     let link = cell.board.connections.line.clone();
-    let mut line = EmulatedLine::new(link, || (0..STEP_MS).try_for_each(|_| cell.try_tick()));
+    let mut line = EmulatedLine::new(link, || (0..STEP_MS).try_for_each(|_| cell.step()));
     run(&mut line)
 }
 

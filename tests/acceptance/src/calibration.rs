@@ -14,7 +14,7 @@ use sim::effects::Effect;
 use tests::image::compile;
 
 use crate::results::{Section, markdown_table, seeds_text};
-use crate::{DefaultSeeds, Options, magpie};
+use crate::{DefaultSeeds, Options};
 
 const SEEDS: DefaultSeeds = DefaultSeeds { first: 1, full: 1, quick: 1 };
 /// Effects that a device compensates, each alone, with a magnitude where the typical one is hidden by the noise of a bench whose
@@ -58,7 +58,7 @@ pub struct Args {
     /// Length of each of the three recordings in seconds [default: 15; quick: 9].
     #[arg(long, value_name = "S")]
     seconds: Option<f64>,
-    /// Folder that receives recordings, models and tables.
+    /// Folder that receives recordings and models.
     #[arg(long, value_name = "FOLDER")]
     keep: Option<PathBuf>,
 }
@@ -74,13 +74,13 @@ pub fn evaluate(args: &Args, options: &Options) -> Result<Section> {
     let seconds = args.seconds.unwrap_or(SECONDS[usize::from(options.quick)]);
     let cases: Vec<(&str, u64)> =
         hidden.iter().flat_map(|effects| seeds.clone().map(|seed| (*effects, seed))).collect();
-    let nominal = nominal_image()?;
+    let image = Image::read(&compile("default", None).map_err(|error| anyhow!(error))?)?;
     let bar = progress::progress_bar("calibrations", cases.len());
     let log = Mutex::new(());
     let results: Vec<Outcome> = cases
         .par_iter()
         .map(|&(effects, seed)| {
-            let outcome = run(effects, seed, seconds, &nominal, args.keep.as_deref())
+            let outcome = run(effects, seed, seconds, &image, args.keep.as_deref())
                 .with_context(|| format!("{effects}, seed {seed}"))?;
             bar.inc(1);
             let _log = log.lock();
@@ -102,10 +102,9 @@ pub fn evaluate(args: &Args, options: &Options) -> Result<Section> {
         ),
         conditions: format!(
             "The unmodified image in the emulated chip, with the drivetrain at its pins and a gripper of manufacturing tolerances \
-             with hidden effects. Recorded over the serial line with a reference (100 Hz, 0.15 N of noise, 20 ms late), fitted, \
-             diagnosed, and run again with the new tables under other loads. Force errors are RMS over all sensors and axes of \
-             means over 10 ms, in newtons, of board and replay on the same rows. Before: with the tables of the fit without \
-             effects. Specified: effects named, \
+             with hidden effects. With the nominal model uploaded, recorded over the serial line with a reference (100 Hz, 0.15 N of noise, 20 ms late), fitted, \
+             diagnosed, and run again under other loads after an upload of the new model. Force errors are RMS over all sensors and axes of \
+             means over 10 ms, in newtons, of board and replay on the same rows. Before: with the fit without effects. Specified: effects named, \
              alone or among equivalent ones, in at least {:.0} % ({named} of {}), and a board's error of at most {MAX_RATIO} times \
              that of a replay.",
             100.0 * MIN_NAMED,
@@ -144,9 +143,9 @@ struct Outcome {
     is_named: bool,
     accepted: Vec<Vec<String>>,
     floors: [f64; 2],
-    /// With the tables of the fit without effects.
+    /// With the fit without effects.
     before: Result<ForceErrors>,
-    /// With those of the effects that the diagnosis names.
+    /// With the effects that the diagnosis names.
     after: Result<ForceErrors>,
 }
 
@@ -181,7 +180,7 @@ fn run(
     hidden: &str,
     seed: u64,
     seconds: f64,
-    nominal: &Image,
+    image: &Image,
     keep: Option<&Path>,
 ) -> Result<Outcome> {
     let effects = hidden.split('+').map(str::parse).collect::<Result<Vec<Effect>>>()?;
@@ -198,11 +197,11 @@ fn run(
     let name = format!("calibration-{name}-{seed}");
     let temporary = tempfile::tempdir()?;
     let folder = keep.map_or_else(|| temporary.path().to_owned(), |folder| folder.join(&name));
-    let install = |tables: &Path| image(&name, Some(tables));
     let conditions = ChipConditions::TYPICAL;
-    let found = identify(nominal.clone(), &setup, conditions, &folder)?;
+    let nominal = tests::data("default/model.toml");
+    let found = identify(image.clone(), &nominal, &setup, conditions, &folder)?;
     let board = |model: &Path, name: &str| {
-        evaluate_board(model, &loads, conditions, &folder.join(name), &install)
+        evaluate_board(image.clone(), model, &loads, conditions, &folder.join(name))
     };
     Ok(Outcome {
         is_named: found.names(&setup.effects),
@@ -211,26 +210,4 @@ fn run(
         accepted: found.accepted,
         floors: found.floors,
     })
-}
-
-/// Image whose tables are those of the nominal design.
-fn nominal_image() -> Result<Image> {
-    let folder = tempfile::tempdir()?;
-    let [model, tables] = ["model.toml", "tables.rs"].map(|name| folder.path().join(name));
-    let campaign = tests::data("demo");
-    magpie::run(&["fit".as_ref(), campaign.as_os_str(), "-o".as_ref(), model.as_os_str()], None)?;
-    let export = [
-        "export".as_ref(),
-        model.as_os_str(),
-        "--nominal".as_ref(),
-        "-o".as_ref(),
-        tables.as_os_str(),
-    ];
-    magpie::run(&export, None)?;
-    image("nominal", Some(&tables))
-}
-
-fn image(name: &str, tables: Option<&Path>) -> Result<Image> {
-    let path = compile(name, tables).map_err(|error| anyhow!(error))?;
-    Ok(Image::read(&path)?)
 }

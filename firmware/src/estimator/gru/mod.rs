@@ -93,6 +93,7 @@ impl<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize, const NETWORK
 
 /// Networks of a calibration with their states.
 #[derive(Clone, Debug)]
+#[expect(clippy::large_enum_variant, reason = "one exists, in the sensing task")]
 pub enum CalibratedBank<'n, const INPUTS: usize, const HIDDEN: usize, const HEADS: usize> {
     /// Networks in the image's flash.
     Linked(GruBank<'n, INPUTS, HIDDEN, HEADS, SENSORS>),

@@ -10,6 +10,7 @@
 //! - [`confusable_effects`]: effects that depend on the same covariates, and data that cannot separate them.
 //! - [`residuals`]: the remaining residual, and what each effect removed of it.
 //! - [`verdicts`]: a verdict on every candidate.
+//! - [`recording_check`]: effects on which recordings can decide, before a diagnosis.
 //! - [`suggestions`]: the next command.
 
 use crate::compare::cv_plan::ModelRefit;
@@ -32,6 +33,7 @@ pub mod candidate_fit;
 pub mod candidates;
 pub mod confusable_effects;
 pub mod forward_selection;
+pub mod recording_check;
 pub mod residuals;
 pub mod selection;
 pub mod suggestions;
@@ -131,6 +133,8 @@ pub enum Reason {
     NotRecorded(String),
     /// A column does not vary beyond its noise.
     DoesNotVary(String),
+    /// The base model cannot be fitted, with the error.
+    Unfitted(String),
 }
 
 /// The verdict on one effect.

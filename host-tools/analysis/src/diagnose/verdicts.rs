@@ -143,8 +143,8 @@ fn of_rest(
         (VerdictKind::Inconclusive, Reason::UnexplainedResidual(unexplained.first().cloned()))
     } else if screened.is_significant() {
         remainder(effect, selection)
-    } else if evidence.z_typical < MIN_Z {
-        (VerdictKind::Inconclusive, inadequate(evidence))
+    } else if let Some(reason) = insufficient(evidence) {
+        (VerdictKind::Inconclusive, reason)
     } else {
         // Rounded up: a bound of nothing would be a claim.
         (VerdictKind::Absent, Reason::BelowBound((100.0 * evidence.bound).ceil() / 100.0))
@@ -167,14 +167,16 @@ fn of_rest(
     }
 }
 
-/// Why a typical magnitude is not detectable.
-fn inadequate(evidence: &CandidateScore) -> Reason {
-    if evidence.z_unadjusted < MIN_Z {
-        Reason::HardlyChangesField
+/// Why a typical magnitude is not detectable; `None` where it is.
+pub(super) fn insufficient(evidence: &CandidateScore) -> Option<Reason> {
+    if evidence.z_typical >= MIN_Z {
+        None
+    } else if evidence.z_unadjusted < MIN_Z {
+        Some(Reason::HardlyChangesField)
     } else if evidence.z_white_noise < MIN_Z {
-        Reason::Confounded
+        Some(Reason::Confounded)
     } else {
-        Reason::Masked
+        Some(Reason::Masked)
     }
 }
 
@@ -188,7 +190,8 @@ fn remainder(effect: &EffectTerm, selection: &Selection) -> (VerdictKind, Reason
     }
 }
 
-fn of_unjudged(unjudged: &UntestableEffect) -> Verdict {
+/// Verdict on an effect that the recordings cannot test.
+pub(super) fn of_unjudged(unjudged: &UntestableEffect) -> Verdict {
     Verdict {
         effect: unjudged.effect.clone(),
         kind: VerdictKind::Inconclusive,

@@ -18,9 +18,8 @@ use firmware::protocol::serial::Packet;
 use firmware::sensors::hall::SENSORS;
 use model_export::fit::FitOptions;
 use model_export::inverse::build::{DeviceModel, ModelVariant, build};
-use model_export::inverse::codegen::{MARK, tables_source};
+use model_export::inverse::calibration::{CalibrationDescription, encode_calibration};
 use model_export::model_file::BaseKind;
-use model_export::output::write_output;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::description::{NominalDesign, RecordingDescription};
 use model_export::recordings::stream::RawStream;
@@ -30,8 +29,10 @@ use sim::closed_loop::emulated_board::ChipConditions;
 use sim::effects::Effect;
 use sim::random::{Purpose, normal, stream};
 
+use crate::calibration_client;
+use crate::emulation::line::EmulatedLine;
 use crate::recorder::{Recorder, SensorRowAssembler};
-use crate::reference::{ReferenceClock, ReferenceRow};
+use crate::reference::ReferenceClock;
 
 /// Period of the reference, its delay and its white noise, as of a load cell with an amplifier.
 const REFERENCE_S: f64 = 0.01;
@@ -41,11 +42,10 @@ const REFERENCE_NOISE_N: f64 = 0.15;
 const VALID: u8 = 0;
 /// Rows over which errors are averaged: a period of the reference. The noise of single rows would hide the effects.
 const BLOCK_ROWS: u32 = 10;
+/// Milliseconds that the board runs for each look of the uploading host at the line.
+const UPLOAD_STEP_MS: u32 = 3;
 /// The clocks are aligned by the recorder.
 const ALIGNED: Alignment = Alignment { delay_us: 0.0 };
-
-/// Puts the tables in a file on a board: the image that runs with them.
-pub type InstallTables<'a> = dyn Fn(&Path) -> Result<Image> + 'a;
 
 /// Model of a gripper with hidden effects.
 pub struct Identification {
@@ -86,19 +86,21 @@ pub struct ForceErrors {
 /// Forces that the board reported with each row, by the row's time in microseconds since the first.
 type BoardForces = BTreeMap<u64, [Option<[f64; 2]>; SENSORS]>;
 
-/// Records a campaign with an image whose tables are those of the nominal design, fits the physics, and adds the effects that the
-/// diagnosis names. `folder` receives all files.
+/// Uploads the model of the nominal design, records a campaign, fits the physics, and adds the effects that the diagnosis names.
+/// `nominal` is any model of this design; `folder` receives all files.
 ///
 /// # Errors
 /// A step fails, as it would on a real gripper.
 pub fn identify(
     image: Image,
+    nominal: &Path,
     setup: &BenchSetup,
     conditions: ChipConditions,
     folder: &Path,
 ) -> Result<Identification> {
     let campaign = folder.join("campaign");
     let mut bench = EmulatedBench::power_on(image, conditions, setup)?;
+    upload(&mut bench, &build(nominal, ModelVariant::Nominal)?)?;
     bench.home(true).context("with the nominal tables")?;
     for recording in 0..setup.recordings {
         record(&mut bench, setup, recording, &campaign.join((recording + 1).to_string()))?;
@@ -132,28 +134,38 @@ pub fn identify(
     })
 }
 
-/// Runs the board with the tables of a model under the loads of `setup`, and compares its forces with the reference. `folder`
-/// receives the recording.
+/// Uploads a model, runs the board under the loads of `setup`, and compares its forces with the reference. `folder` receives the
+/// recording.
 ///
 /// # Errors
 /// The device cannot compensate an effect of the model, or the board does not home or record.
 pub fn evaluate(
+    image: Image,
     model: &Path,
     setup: &BenchSetup,
     conditions: ChipConditions,
     folder: &Path,
-    install: &InstallTables,
 ) -> Result<ForceErrors> {
     let built = build(model, ModelVariant::Fitted)?;
     if let Some((effect, reason)) = built.uncompensated.first() {
         bail!("the device never compensates {effect}: {reason}");
     }
-    let tables = folder.with_extension("rs");
-    write_output(&tables, tables_source(&built).as_bytes(), MARK)?;
-    let mut bench = EmulatedBench::power_on(install(&tables)?, conditions, setup)?;
+    let mut bench = EmulatedBench::power_on(image, conditions, setup)?;
+    upload(&mut bench, &built)?;
     bench.home(false).context("with the fitted tables")?;
     let forces = record(&mut bench, setup, 0, folder)?;
     errors(&built, folder, &forces)
+}
+
+/// Uploads a calibration over the serial line and reboots the board.
+fn upload(bench: &mut EmulatedBench, built: &DeviceModel) -> Result<()> {
+    bench.start()?;
+    let bytes = encode_calibration(built, &[], &CalibrationDescription::of(built, &[]))?;
+    let link = bench.cell.board.connections.line.clone();
+    let step = || (0..UPLOAD_STEP_MS).try_for_each(|_| bench.step());
+    let mut line = EmulatedLine::new(link, step);
+    calibration_client::upload(&mut line, &bytes, |_| ())?;
+    calibration_client::reboot_into(&mut line, built.chosen.tables.id)
 }
 
 /// Records over the serial line, with the loads as the reference.
@@ -195,13 +207,9 @@ fn record(
             samples += 1;
             let loads = (0..SENSORS).flat_map(|sensor| bench.programme().load_n(sensor, time_s));
             let force_n = loads.map(|load_n| load_n + REFERENCE_NOISE_N * normal(&mut rng));
-            let row = ReferenceRow {
-                at_s: time_s + REFERENCE_DELAY_S,
-                clock_s: Some(time_s),
-                force_n: force_n.collect(),
-            };
-            if let Some(board_us) = clock.board_us(&row) {
-                recorder.take_reference(board_us, &row.force_n)?;
+            let force_n: Vec<f64> = force_n.collect();
+            if let Some(board_us) = clock.board_us(time_s + REFERENCE_DELAY_S, Some(time_s)) {
+                recorder.take_reference(board_us, &force_n)?;
             }
         }
     }

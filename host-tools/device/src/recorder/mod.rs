@@ -5,9 +5,11 @@ use crate::csv_writer::PagedWriter;
 use crate::format::degrees;
 use crate::state::BoardClock;
 use anyhow::{Context, Result, bail};
+pub use coverage::{Coverage, CoveredRange, ForceEstimates};
 use device_run::channel_map::covariate_values;
 use firmware::compensation::covariates::Covariates;
 use firmware::config::constants::TICK_US;
+use firmware::fixed_point::Force;
 use firmware::protocol::messages::{HallRaw, Message};
 use firmware::protocol::serial::Packet;
 use firmware::sensors::hall::{HallReading, SENSORS};
@@ -18,6 +20,8 @@ use sim::campaign::recording::{force_columns, sensor_columns};
 use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
+
+mod coverage;
 
 /// Time in microseconds in which the connected sensors are determined.
 const LOOK_US: u64 = 200_000;
@@ -350,12 +354,14 @@ impl Tables {
 mod tests;
 
 /// Readings of one tick.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SensorRow {
     /// Board time in microseconds.
     pub time_us: u64,
     /// Readings of the sensors.
     pub readings: [Option<HallReading>; SENSORS],
+    /// Lateral and longitudinal force in newtons that the board estimated; none where invalid and over a CAN bus.
+    pub force_n: [Option<[f64; 2]>; SENSORS],
     /// Covariates; none over a CAN bus.
     pub covariates: Covariates,
 }
@@ -402,6 +408,10 @@ impl SensorRowAssembler {
             (Packet::Tick(tick), None) => Some(SensorRow {
                 time_us: self.clock.extend(tick.time_us, at_s).ok_or(Restarted)?,
                 readings: tick.sensors.map(|sensor| sensor.reading()),
+                force_n: tick.sensors.map(|sensor| {
+                    let is_valid = sensor.validity().is_in_range();
+                    is_valid.then(|| sensor.force.map(|counts| Force(counts).newtons()))
+                }),
                 covariates: tick.covariates,
             }),
             (Packet::Message { message, .. }, Some(sets)) => sets.take(at_s, message),
@@ -461,6 +471,7 @@ impl Sets {
         readings.iter().any(Option::is_some).then_some(SensorRow {
             time_us: set * self.period_us,
             readings,
+            force_n: [None; SENSORS],
             covariates: Covariates::default(),
         })
     }

@@ -28,7 +28,7 @@ fn row(ms: u64, sensors: &[usize]) -> SensorRow {
     }
     let opening_um = Some(40_000 + ms as i32);
     let covariates = Covariates { opening_um, ..Covariates::default() };
-    SensorRow { time_us: 1_000_000 + 1000 * ms, readings, covariates }
+    SensorRow { time_us: 1_000_000 + 1000 * ms, readings, force_n: [None; SENSORS], covariates }
 }
 
 fn read(folder: &Path) -> Vec<RawRow> {

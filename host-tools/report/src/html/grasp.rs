@@ -149,6 +149,8 @@ pub fn contact_section(landed: &LandingResult) -> Section {
             ]))
             (curves("Centre of pressure over time.", (across, "along the fingers, mm"),
                 &[curve(palette::SECOND, &|point| (point.contacts != 0).then_some(point.along_mm))]))
+            (curves("Centre of pressure over time.", (across, "across the fingers, mm"),
+                &[curve(palette::SECOND, &|point| (point.contacts != 0).then_some(point.across_mm))]))
             (curves("Fingertips in contact over time.", (across, "fingertips in contact"),
                 &[curve(palette::FIRST, &|point| Some(f64::from(point.contacts.count_ones())))]))
         }

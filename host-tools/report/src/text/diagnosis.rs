@@ -377,6 +377,7 @@ pub fn reason(verdict: &Verdict) -> String {
         Reason::NeedsForce => "it acts through a force, and no force was recorded".to_owned(),
         Reason::NotRecorded(column) => format!("{column} was not recorded"),
         Reason::DoesNotVary(column) => format!("{column} does not vary beyond its noise"),
+        Reason::Unfitted(error) => format!("the base model cannot be fitted: {error}"),
     };
     if let Some((low, high)) = verdict.implausible {
         text +=
@@ -406,6 +407,7 @@ pub fn short_reason(verdict: &Verdict) -> String {
         Reason::BelowBound(bound) => format!("< {bound:.2} of typical"),
         Reason::NotRecorded(column) => format!("no {column}"),
         Reason::NeedsGeometry | Reason::NeedsForce | Reason::DoesNotVary(_) => SEE_BELOW.to_owned(),
+        Reason::Unfitted(_) => "base model not fitted".to_owned(),
     }
 }
 

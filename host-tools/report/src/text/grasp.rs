@@ -170,6 +170,7 @@ pub fn landing_json(result: &LandingResult, lasts_ms: f64, report: Option<&Path>
             "told_n": point.estimated_n,
             "peak_n": point.held_n,
             "along_mm": point.along_mm,
+            "across_mm": point.across_mm,
             "contacts": point.contacts,
         })
     });

@@ -19,6 +19,7 @@ pub mod findings;
 pub mod fit;
 pub mod grasp;
 pub mod notes;
+pub mod recording_check;
 pub mod replay;
 pub mod simulate;
 pub mod terminal;

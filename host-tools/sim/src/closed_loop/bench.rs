@@ -44,6 +44,8 @@ const UNLOADING_S: f64 = 0.25;
 /// Rest before the first recording, in which the gripper is homed, and between recordings, in seconds.
 const HOMING_S: f64 = 7.5;
 const BETWEEN_S: f64 = 0.5;
+/// Time until the tables have been checked after a boot, in seconds.
+const START_S: f64 = 0.4;
 /// Pause of the fingertips between recordings, as in a simulated campaign.
 const PAUSE_S: f64 = 600.0;
 /// Openings that the host commands, in millimetres; small ones are more frequent, because there the fields change most.
@@ -213,14 +215,24 @@ impl EmulatedBench {
         &self.programme
     }
 
+    /// Waits until the board has started.
+    ///
+    /// # Errors
+    /// The board cannot continue.
+    pub fn start(&mut self) -> Result<()> {
+        let end_s = self.time_s() + START_S;
+        while self.time_s() < end_s {
+            self.tick()?;
+        }
+        Ok(())
+    }
+
     /// Homes the unloaded gripper, after a tare if its tables are not fitted to it.
     ///
     /// # Errors
     /// The board refuses a command, or homing fails.
     pub fn home(&mut self, needs_tare: bool) -> Result<()> {
-        while self.time_s() < 0.4 {
-            self.tick()?;
-        }
+        self.start()?;
         if needs_tare {
             self.tare()?;
         }
@@ -315,6 +327,15 @@ impl EmulatedBench {
         let now = Time::from_us(self.cell.time_us());
         let packets = self.cell.board.take_packets(&mut self.decoder).into_iter();
         Ok(packets.map(|(end, packet)| (now_s - now.since(end).as_s(), packet)).collect())
+    }
+
+    /// Advances by a millisecond and keeps the bytes of the serial line.
+    ///
+    /// # Errors
+    /// The board cannot continue.
+    pub fn step(&mut self) -> Result<()> {
+        self.send_yaw();
+        self.cell.step()
     }
 
     /// Advances by a millisecond.

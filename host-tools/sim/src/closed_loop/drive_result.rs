@@ -6,7 +6,7 @@ use crate::drivetrain::parameters::Lead;
 use firmware::config::constants::{self, Constant};
 
 /// Constants of a run in addition to its screw's: of the plant, then of the control.
-const DRIVE_CONSTANTS: [Constant; 37] = [
+const DRIVE_CONSTANTS: [Constant; 38] = [
     constants::BUS_VOLTAGE,
     constants::BUS_CAPACITANCE,
     constants::SUPPLY_RESISTANCE,
@@ -40,6 +40,7 @@ const DRIVE_CONSTANTS: [Constant; 37] = [
     constants::MODULATION,
     constants::CURRENT_BANDWIDTH,
     constants::SPEED_BANDWIDTH,
+    constants::SPEED_SETPOINT_WEIGHT,
     constants::POSITION_BANDWIDTH,
     constants::ENCODER_BANDWIDTH,
     constants::MOTION_ACCELERATION,

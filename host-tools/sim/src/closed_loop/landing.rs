@@ -1,4 +1,5 @@
-//! A landing of the gripper as a foot: closed fingers, ground force as a half sine, and the firmware's report.
+//! A landing of the gripper as a foot, flat on closed fingers or on a line between open ones: ground force as a half sine,
+//! and the firmware's report.
 
 use crate::closed_loop::drive_result;
 use crate::closed_loop::grasp_rig::{GraspRig, TICK_S};
@@ -6,8 +7,9 @@ use crate::closed_loop::motor_rig::DriveCase;
 use crate::drivetrain::fingertips::{FOOT_KG, Impact};
 use crate::drivetrain::sensors::SimulatedImu;
 use crate::motion::GRAVITY;
+use clap::ValueEnum;
 use firmware::config::constants::{self, Constant};
-use firmware::grip::commands::mode;
+use firmware::grip::commands::{flag, mode};
 use firmware::grip::states::TaskState;
 use firmware::protocol::messages::{Command, Foot};
 use firmware::sensors::hall::SENSORS;
@@ -21,10 +23,40 @@ const BEFORE_S: f64 = 0.02;
 /// Simulated time after lift-off, in s.
 const AFTER_S: f64 = 0.03;
 /// Counts per newton and per millimetre in the CAN message.
-const PER_UNIT: [f64; 2] = match Foot::LAYOUT.signals {
-    [_, force, centre, ..] => [force.counts_per_unit() as f64, centre.counts_per_unit() as f64],
-    _ => [1.0; 2],
+const PER_UNIT: [f64; 3] = match Foot::LAYOUT.signals {
+    [_, force, centre, _, _, across] => [
+        force.counts_per_unit() as f64,
+        centre.counts_per_unit() as f64,
+        across.counts_per_unit() as f64,
+    ],
+    _ => panic!("the layout needs a force and both centres of pressure"),
 };
+
+/// How the fingertips stand on the ground (paper, multi-modal contact).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum FootContact {
+    /// All fingertips together, fingers closed.
+    #[default]
+    Flat,
+    /// Two pairs of fingertips, fingers open: the line between them.
+    Line,
+}
+
+impl FootContact {
+    /// Opening of the fingers in mm.
+    pub fn opening_mm(self) -> f64 {
+        match self {
+            Self::Flat => FLAT_MM,
+            Self::Line => constants::LINE_CONTACT_OPENING.value,
+        }
+    }
+
+    /// The command that enters the mode.
+    pub fn command(self) -> Command {
+        let flags = if self == Self::Line { flag::LINE } else { 0 };
+        Command { mode: mode::FOOT, flags, ..Command::default() }
+    }
+}
 
 /// Parameters of a landing.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,8 +65,12 @@ pub struct Landing {
     pub peak_n: f64,
     /// Duration of the contact in s.
     pub lasts_s: f64,
+    /// Contact of the fingertips.
+    pub contact: FootContact,
     /// Centre of pressure in mm along the fingers from their middle.
     pub along_mm: f64,
+    /// Centre of pressure in mm across the fingers, at most half their opening.
+    pub across_mm: f64,
     /// Touchdown as a share of a millisecond after a sample.
     pub phase: f64,
 }
@@ -52,6 +88,8 @@ pub struct LandingSample {
     pub held_n: f64,
     /// Reported centre of pressure in mm along the fingers.
     pub along_mm: f64,
+    /// Reported centre of pressure in mm across the fingers.
+    pub across_mm: f64,
     /// Fingertips with reported contact, one bit each.
     pub contacts: u8,
 }
@@ -74,7 +112,9 @@ impl Landing {
     fn shares(&self) -> [f64; SENSORS] {
         let half_mm = 0.5 * constants::SENSOR_DISTANCE.value;
         let far = 0.5 * self.along_mm / half_mm;
-        [-1.0, 1.0, -1.0, 1.0].map(|end| (0.5 + end * far) / 2.0)
+        let side = self.across_mm / self.contact.opening_mm();
+        [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)]
+            .map(|(end, right)| (0.5 + end * far) * (0.5 + right * side))
     }
 
     /// Initial force rate of the most loaded fingertip, in N/s.
@@ -83,10 +123,11 @@ impl Landing {
         PI * self.peak_n * most / self.lasts_s
     }
 
-    /// Simulates the landing on closed fingers.
+    /// Simulates the landing.
     pub fn run(self, case: &DriveCase) -> LandingResult {
-        let mut bench = GraspRig::new(case.lead, case.parameters, FLAT_MM, case.seed);
-        bench.order(Command { mode: mode::FOOT, ..Command::default() });
+        let opening_mm = self.contact.opening_mm();
+        let mut bench = GraspRig::new(case.lead, case.parameters, opening_mm, case.seed);
+        bench.order(self.contact.command());
         bench.until(1.0, |bench| bench.grip.task() == TaskState::Foot);
         let mut inertial = SimulatedImu::new(case.seed);
         let from_s = bench.rig.plant.time_s();
@@ -126,13 +167,14 @@ impl LandingResult {
         let Some(foot) = bench.outputs.as_ref().and_then(|outputs| outputs.foot) else {
             return;
         };
-        let [per_n, per_mm] = PER_UNIT;
+        let [per_n, per_mm, per_mm_across] = PER_UNIT;
         self.points.push(LandingSample {
             time_s: sampled_s - impact.start_s,
             true_n: impact.force_n(sampled_s),
             estimated_n: f64::from(foot.total_fz) / per_n,
             held_n: f64::from(bench.grip.ground_contact().peak_n),
             along_mm: f64::from(foot.centre) / per_mm,
+            across_mm: f64::from(foot.across) / per_mm_across,
             contacts: foot.contacts,
         });
     }
@@ -154,10 +196,10 @@ impl LandingResult {
         most * self.landing.peak_n
     }
 
-    /// Reported centre of pressure at peak force, in mm along the fingers.
-    pub fn along_mm(&self) -> Option<f64> {
+    /// Reported centre of pressure at peak force, in mm along and across the fingers.
+    pub fn centre_mm(&self) -> Option<[f64; 2]> {
         let peak = self.points.iter().max_by(|a, b| a.estimated_n.total_cmp(&b.estimated_n));
-        peak.map(|point| point.along_mm)
+        peak.map(|point| [point.along_mm, point.across_mm])
     }
 
     /// Figures: name, reported and true value, unit; NaN where nothing was reported.
@@ -165,12 +207,13 @@ impl LandingResult {
         let estimated_n = self.points.iter().map(|point| point.estimated_n);
         let estimated_n = estimated_n.fold(0.0, f64::max);
         let contact_ms = 1e3 * self.contact_s().unwrap_or(f64::NAN);
-        let along_mm = self.along_mm().unwrap_or(f64::NAN);
+        let [along_mm, across_mm] = self.centre_mm().unwrap_or([f64::NAN; 2]);
         vec![
             ("contact detection latency", [contact_ms, 0.0], "ms"),
             ("peak ground force", [estimated_n, self.landing.peak_n], "N"),
             ("peak force on one fingertip, 10 ms hold", [self.held_n(), self.peak_n()], "N"),
             ("centre of pressure along the fingers", [along_mm, self.landing.along_mm], "mm"),
+            ("centre of pressure across the fingers", [across_mm, self.landing.across_mm], "mm"),
             ("motion of the fingers", [self.moved_mm, 0.0], "mm"),
         ]
     }
@@ -179,10 +222,14 @@ impl LandingResult {
     pub fn sentence(&self) -> String {
         let Landing { peak_n, lasts_s, .. } = self.landing;
         format!(
-            "A gripper with screw {:?} on closed fingers; ground force as a half sine of {} ms, up to {peak_n} \
+            "A gripper with screw {:?} on {}; ground force as a half sine of {} ms, up to {peak_n} \
              N on {FOOT_KG} kg; seed {}. Forces are measured each millisecond with noise; the weight of the \
              fingertips is compensated by the accelerometer, which saturates at 4 g.",
             self.case.lead,
+            match self.landing.contact {
+                FootContact::Flat => "closed fingers",
+                FootContact::Line => "the line between open fingers",
+            },
             1e3 * lasts_s,
             self.case.seed
         )

@@ -280,18 +280,27 @@ pub fn run_at_speed(case: &DriveCase, from_mm: f64, closing_mm_s: f64, seconds: 
     let distance = |index: usize| trace.points.get(index).map_or(0.0, |p| p.opening_mm);
     let braking_mm =
         (distance(braked_at.saturating_sub(1)) - distance(trace.points.len() - 1)).abs();
-    SpeedRun { mean_mm_s, braking_mm, trace }
+    SpeedRun { closing_mm_s, mean_mm_s, braking_mm, trace }
 }
 
 /// A run at a speed, and its braking.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SpeedRun {
+    /// Set-point of the closing speed in mm/s.
+    pub closing_mm_s: f64,
     /// Mean speed of closing before the brake, in mm/s.
     pub mean_mm_s: f64,
     /// Braking distance of the fingers in mm.
     pub braking_mm: f64,
     /// All samples.
     pub trace: MotorTrace,
+}
+
+impl SpeedRun {
+    /// Overshoot of the closing speed over its set-point, as a fraction of it.
+    pub fn overshoot(&self) -> f64 {
+        self.trace.max(|point| point.closing_mm_s) / self.closing_mm_s - 1.0
+    }
 }
 
 /// Grip force in N of a slowly rising current on a rigid object.

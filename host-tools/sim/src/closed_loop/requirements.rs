@@ -3,7 +3,7 @@
 use crate::closed_loop::frequency_response::{bandwidth_hz, frequency_response, step_response};
 use crate::closed_loop::grasp_result::{GraspTarget, GraspTrace, run_current_limited, run_grasp};
 use crate::closed_loop::grasp_rig::{GraspRig, NOISE_N, contact_object, grip_command};
-use crate::closed_loop::landing::{Landing, LandingResult};
+use crate::closed_loop::landing::{FootContact, Landing, LandingResult};
 use crate::closed_loop::motor_rig::{
     DriveCase, POSITION_STEP_MM, run_at_speed, run_to_position, static_force_n,
 };
@@ -27,6 +27,10 @@ const CURRENT_OVERSHOOT: f64 = 0.1;
 /// Specified overshoot and error of a position step in mm; backlash adds to the error.
 const OVERSHOOT_MM: f64 = 0.05;
 const ERROR_MM: f64 = 0.02 + constants::BACKLASH.value;
+/// Specified relative overshoot of a speed step.
+const SPEED_OVERSHOOT: f64 = 0.1;
+/// Speed step in mm/s that the current limit does not slow down.
+const SLOW_STEP_MM_S: f64 = 10.0;
 /// Specified braking distance in mm.
 const BRAKE_MM: f64 = 0.5;
 /// Specified relative tolerance of speed and force.
@@ -111,7 +115,7 @@ fn nominal_figures(case: &DriveCase) -> Vec<Requirement> {
 
 /// Figures that are specified for all grippers, the worst of all cases.
 fn worst_figures(cases: &[DriveCase]) -> Vec<Requirement> {
-    let each: Vec<[f64; 6]> = cases.par_iter().map(case_figures).collect();
+    let each: Vec<[f64; 8]> = cases.par_iter().map(case_figures).collect();
     let worst = |index: usize, min: bool| {
         let values = each.iter().map(|figures| figures[index]);
         if min {
@@ -134,6 +138,8 @@ fn worst_figures(cases: &[DriveCase]) -> Vec<Requirement> {
             reached: worst(0, true),
         },
         at_most("current loop overshoot", "%", 1, 100.0 * CURRENT_OVERSHOOT),
+        at_most("full speed step, overshoot", "%", 6, 100.0 * SPEED_OVERSHOOT),
+        at_most("speed step of 10 mm/s, overshoot", "%", 7, 100.0 * SPEED_OVERSHOOT),
         at_most("position step of 10 mm, overshoot", "mm", 2, OVERSHOOT_MM),
         at_most("position step of 10 mm, final error with backlash", "mm", 3, ERROR_MM),
         at_most("bus voltage of a position step", "V", 4, constants::BUS_VOLTAGE_MAX.value),
@@ -142,8 +148,9 @@ fn worst_figures(cases: &[DriveCase]) -> Vec<Requirement> {
     ]
 }
 
-/// Bandwidth, overshoot in percent; overshoot and error of a position step, bus voltage; braking distance.
-fn case_figures(case: &DriveCase) -> [f64; 6] {
+/// Bandwidth, overshoot in percent; overshoot and error of a position step, bus voltage; braking distance; overshoot
+/// of both speed steps in percent.
+fn case_figures(case: &DriveCase) -> [f64; 8] {
     let bandwidth = bandwidth_hz(&frequency_response(case)).unwrap_or(f64::NAN);
     let overshoot = 100.0 * step_response(case).overshoot();
     let [from_mm, to_mm] = POSITION_STEP_MM;
@@ -158,8 +165,10 @@ fn case_figures(case: &DriveCase) -> [f64; 6] {
         worst = [0, 1, 2].map(|index| f64::max(worst[index], found[index]));
     }
     let [beyond, off, bus] = worst;
-    let braked = run_at_speed(case, 70.0, case.lead.closing_mm_s(), 0.2);
-    [bandwidth, overshoot, beyond, off, bus, braked.braking_mm]
+    let full = run_at_speed(case, 70.0, case.lead.closing_mm_s(), 0.2);
+    let slow = run_at_speed(case, 70.0, SLOW_STEP_MM_S, 0.2);
+    let [over_full, over_slow] = [&full, &slow].map(|run| 100.0 * run.overshoot());
+    [bandwidth, overshoot, beyond, off, bus, full.braking_mm, over_full, over_slow]
 }
 
 /// Text table of both screws over `seeds` scattered grippers.
@@ -326,7 +335,9 @@ pub fn contact_latencies_ms(rates_n_s: [f64; 2], seeds: std::ops::Range<u64>) ->
         let mut landing = Landing {
             peak_n: 1.0,
             lasts_s,
+            contact: FootContact::Flat,
             along_mm: uniform(&mut rng, -20.0, 20.0),
+            across_mm: 0.0,
             phase: rng.random(),
         };
         landing.peak_n = uniform(&mut rng, min, max) / landing.rises_n_s();

@@ -20,6 +20,7 @@ use device::session::{self, Client};
 use device::{format as live_json, format};
 use report::text::terminal;
 use sim::closed_loop::grasp_rig::grip_command;
+use sim::closed_loop::landing::FootContact;
 
 /// Timeouts of the steps in real seconds, with a margin for slow emulations.
 const CONNECT_S: f64 = 10.0;
@@ -47,7 +48,7 @@ const SPEED_RANGE_MM_S: std::ops::RangeInclusive<f64> = 0.25..=58.0;
 enum Request {
     Position { opening_mm: f64, speed_mm_s: f64 },
     Force { set_n: f64 },
-    Foot,
+    Foot(FootContact),
 }
 
 impl Request {
@@ -56,7 +57,7 @@ impl Request {
             bail!("--foot takes no force with --port or --can");
         }
         if args.foot.is_some() {
-            return Ok(Self::Foot);
+            return Ok(Self::Foot(args.contact));
         }
         if let Some(set_n) = args.force {
             check_force(set_n)?;
@@ -78,7 +79,7 @@ impl Request {
         match *self {
             Self::Position { opening_mm, speed_mm_s } => motion(mode::MOVE, opening_mm, speed_mm_s),
             Self::Force { set_n } => grip_command(set_n),
-            Self::Foot => mode_command(mode::FOOT),
+            Self::Foot(contact) => contact.command(),
         }
     }
 
@@ -89,7 +90,7 @@ impl Request {
                 task == TaskState::Idle && (opening_mm - target_mm).abs() < TOLERANCE_MM
             }
             Self::Force { .. } => matches!(task, TaskState::HoldActive | TaskState::HoldLatched),
-            Self::Foot => task == TaskState::Foot,
+            Self::Foot(_) => task == TaskState::Foot,
         }
     }
 

@@ -18,6 +18,7 @@ use report::html::drive;
 use report::text::grasp::{format_motion, motion_json};
 use report::text::terminal;
 use sim::closed_loop::drive_result::{DriveResult, DriveTarget};
+use sim::closed_loop::landing::FootContact;
 use sim::closed_loop::motor_rig::DriveCase;
 use sim::drivetrain::parameters::Lead;
 
@@ -33,6 +34,7 @@ Examples:
   cargo magpie grasp --force 100 --object rigid -o grasp.html
   cargo magpie grasp --force 50 --compare current-limit
   cargo magpie grasp --foot 150 --lasts 10 -o landing.html
+  cargo magpie grasp --foot 150 --contact line
   cargo magpie grasp --port /dev/ttyACM0 --home --position 40    # moves a real gripper
   cargo magpie grasp --can can0 --force 80 --seconds 10
   cargo magpie grasp --can 127.0.0.1:29536 --home --force 80     # `magpie emulate`
@@ -80,6 +82,9 @@ pub struct Args {
     /// Ground contact (landing); the value is the peak ground force of the simulation.
     #[arg(long, value_name = "N", conflicts_with_all = ["position", "speed", "from"])]
     foot: Option<Option<f64>>,
+    /// Contact with the ground: flat on closed fingers, or on the line between open ones.
+    #[arg(long, value_enum, default_value = "flat", requires = "foot")]
+    contact: FootContact,
     /// Duration of the ground contact.
     #[arg(
         long,

@@ -10,7 +10,7 @@ use report::html::grasp as page;
 use report::text::grasp::{format_grasp, format_landing, grasp_json, landing_json};
 use report::text::terminal;
 use sim::closed_loop::grasp_result::{GraspResult, GraspTarget, run_current_limited, run_grasp};
-use sim::closed_loop::landing::Landing;
+use sim::closed_loop::landing::{FootContact, Landing};
 use sim::closed_loop::motor_rig::DriveCase;
 
 /// Hold time in seconds.
@@ -85,6 +85,8 @@ const GROUND_FORCE_N: std::ops::RangeInclusive<f64> = 20.0..=1000.0;
 const CONTACT_MS: std::ops::RangeInclusive<f64> = 1.0..=200.0;
 /// Centre of ground contact in mm along the fingers from their centre.
 const CONTACT_POINT_MM: f64 = 12.0;
+/// The same across open fingers.
+const ACROSS_MM: f64 = 6.0;
 /// Phase of the contact within a control period.
 const PHASE: f64 = 0.3;
 
@@ -97,8 +99,14 @@ pub(super) fn run_landing(args: &Args, case: DriveCase, peak_n: f64) -> Result<(
             bail!("{option} {value} is not possible here; give {min} to {max}");
         }
     }
-    let landing =
-        Landing { peak_n, lasts_s: 1e-3 * args.lasts, along_mm: CONTACT_POINT_MM, phase: PHASE };
+    let landing = Landing {
+        peak_n,
+        lasts_s: 1e-3 * args.lasts,
+        contact: args.contact,
+        along_mm: CONTACT_POINT_MM,
+        across_mm: if args.contact == FootContact::Line { ACROSS_MM } else { 0.0 },
+        phase: PHASE,
+    };
     let result = landing.run(&case);
     if let Some(path) = &args.output {
         report::html::write_sections(path, &page::landing_title(&result), &page::landing(&result))?;

@@ -1,28 +1,39 @@
 //! `magpie record`: writes sensor readings of a running gripper to a recording.
 
-use analysis::numbers;
+use analysis::diagnose::recording_check::{RecordingCheck, add_missing_forces, check_recordings};
 use analysis::progress;
 use analysis::reference_delay::{ReferenceAlignment, align_recording};
+use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::mpsc::RecvTimeoutError;
-use std::time::{Duration, SystemTime};
+use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::{Result, anyhow, bail};
 use firmware::config::constants;
 use firmware::parameters::schema::id;
 use indicatif::ProgressBar;
+use model_export::fit::FitOptions;
 use model_export::output::check_vacant;
+use model_export::recordings::align::Alignment;
 use model_export::recordings::campaign::recording_folders;
-use model_export::recordings::description::RecordingDescription;
-use serde_json::{Value, json};
+use model_export::recordings::columns::Axis;
+use model_export::recordings::description::{NominalDesign, RecordingDescription};
+use model_export::recordings::{Campaign, Recording};
+
+mod summary;
 
 use crate::commands::args::read_design;
 use crate::commands::connection::{GripperArgs, interrupted, parse_seconds};
 use device::params_client;
 use device::reader::{ReaderEvent, SourceReader};
-use device::recorder::{Recorder, RecordingCounts, SensorRowAssembler};
-use device::reference::{ReferenceClock, ReferenceMapping, ReferenceReader, ReferenceSource};
+use device::recorder::{
+    Coverage, CoveredRange, ForceEstimates, Recorder, RecordingCounts, SensorRow,
+    SensorRowAssembler,
+};
+use device::reference::{
+    HostPose, ReferenceClock, ReferenceMapping, ReferenceReader, ReferenceSource,
+};
 use device::source::Source;
 use report::text::terminal;
 
@@ -33,7 +44,7 @@ Examples:
   cargo magpie record --port /dev/ttyACM0 -o bench/1 --seconds 30 --note 'lateral, by hand'
   cargo magpie record --can can0 --rate 500 -o bench/2
   cargo magpie record --port /dev/ttyACM0 --reference /dev/ttyUSB0 --reference-map load-cell.toml -o bench/3
-  cargo magpie record --virtual -o rehearsal/1 --seconds 10    # without hardware
+  cargo magpie record --virtual -o rehearsal/1 --seconds 10 --check    # without hardware
 
 Ctrl-C ends the recording. A killed process leaves a valid recording up to the last second. A serial line
 carries every tick with the covariates that the board has, a CAN bus at most every second one without them (--rate).
@@ -44,7 +55,15 @@ A reference sensor sends lines of numbers; the mapping assigns their columns:
   columns = [{ column = 2, unit = \"N\", to = \"f0_x_n\", scale = -1 }]
 
 Its clock is aligned with the board's by the loads: vary them, or tap. Without --reference, replace force.csv by the
-reference's table, with t_us from the same start.")]
+reference's table, with t_us from the same start.
+
+Columns mapped to yaw_rad, with or without roll_rad and pitch_rad (rad, deg) and linear_accel_x_mps2, _y_ and _z_ (m/s2,
+g0; gripper axes, without gravity), are the pose of the arm: it is sent to the board at up to 100 Hz and recorded as the
+board's covariates.
+
+--check shows the covered share of each range while recording. At the end it lists the effects on which a diagnosis of this
+recording alone can decide, and what to record for the others. Forces that the reference does not measure are then those
+that the board estimates, for this list only.")]
 pub struct Args {
     #[command(flatten)]
     gripper: GripperArgs,
@@ -63,15 +82,18 @@ pub struct Args {
     /// Nominal design of the gripper [default: MAGPIE].
     #[arg(long, value_name = "PATH")]
     design: Option<PathBuf>,
-    /// Reference force sensor: a serial port (PORT or PORT@BAUD), a socket (tcp:HOST:PORT) or - for standard input.
+    /// Reference force sensor or pose: a serial port (PORT or PORT@BAUD), a socket (tcp:HOST:PORT) or - for standard input.
     #[arg(long, value_name = "SOURCE", requires = "reference_map")]
     reference: Option<ReferenceSource>,
-    /// Mapping of the reference's columns to those of force.csv.
+    /// Mapping of the reference's columns to those of force.csv and to the pose.
     #[arg(long, value_name = "PATH", requires = "reference")]
     reference_map: Option<PathBuf>,
     /// Row rate over a CAN bus: 100, 250 or 500.
     #[arg(long, value_name = "HZ", default_value_t = 100, requires = "can", value_parser = parse_rate)]
     rate: u32,
+    /// Show the covered ranges, and at the end the effects on which the recording can decide.
+    #[arg(long)]
+    check: bool,
     /// Print one JSON object on stdout and nothing else.
     #[arg(long)]
     json: bool,
@@ -79,6 +101,12 @@ pub struct Args {
 
 /// Rows are flushed after this time without data.
 const FLUSH_TIMEOUT: Duration = Duration::from_millis(250);
+/// Minimum time between two messages with the pose.
+const POSE_PERIOD_S: f64 = 0.01;
+/// Maximum time from the start until the board's covariates contain the pose.
+const POSE_TIMEOUT_S: f64 = 3.0;
+/// Period of the line with the covered ranges.
+const COVERAGE_PERIOD: Duration = Duration::from_secs(1);
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
@@ -91,9 +119,12 @@ pub fn run(args: &Args) -> Result<()> {
         SensorRowAssembler::of_ticks()
     };
     let mapping = args.reference_map.as_deref().map(ReferenceMapping::read).transpose()?;
-    let columns = mapping
-        .as_ref()
-        .map(|mapping| mapping.columns.iter().map(|force| force.to.clone()).collect::<Vec<_>>());
+    let columns = mapping.as_ref().map(ReferenceMapping::force_columns);
+    let columns = columns.filter(|columns| !columns.is_empty());
+    let (has_forces, has_pose) =
+        (columns.is_some(), mapping.as_ref().is_some_and(ReferenceMapping::has_pose));
+    let forces = mapping.as_ref().map(ReferenceMapping::forces).unwrap_or_default();
+    let force_range_n = description.design.as_ref().map(NominalDesign::force_range_n);
     let mut source = args.gripper.open()?;
     if let Some(design) = &mut description.design {
         // The electrical angle of the compensation follows from the board's number.
@@ -107,21 +138,120 @@ pub fn run(args: &Args) -> Result<()> {
     let reference = reference
         .map(|(source, mapping)| ReferenceReader::start(source, mapping, hearing.begun))
         .transpose();
-    let written =
-        reference.and_then(|reference| write_rows(&hearing, reference, rows, recorder, args));
+    let mut progress = RecordingProgress {
+        coverage: Coverage::new(
+            force_range_n.unwrap_or(constants::FORCE_RANGE.value),
+            forces.clone(),
+        ),
+        forces,
+        clock: ReferenceClock::default(),
+        pose_sent_s: f64::NEG_INFINITY,
+        poses: 0,
+        // A bus carries no covariates.
+        waits_for_pose: has_pose && !args.gripper.is_on_bus(),
+    };
+    let written = reference
+        .and_then(|reference| write_rows(&hearing, reference, rows, recorder, &mut progress, args));
     let mut source = hearing.stop()?;
     for (id, value) in previous {
         // After a loss of connection the gripper restarts with its stored settings.
         let _ = params_client::write(source.as_mut(), id, value);
     }
     let (tally, ended) = written?;
-    let alignment = args.reference.is_some().then(|| align_recording(&args.output)).transpose()?;
-    terminal::print_result(
-        args.json,
-        || to_json(&args.output, start_s, &tally, alignment.as_ref()),
-        || format_report(&args.output, start_s, &tally, alignment.as_ref()),
-    )?;
-    ended
+    let alignment = has_forces.then(|| align_recording(&args.output)).transpose()?;
+    let ranges = progress.coverage.ranges();
+    let estimates = progress.coverage.estimates();
+    let check = args.check.then(|| check(&args.output, ranges, &estimates));
+    let (check, failed) = match check.transpose() {
+        Ok(check) => (check, Ok(())),
+        Err(error) => (None, Err(error)),
+    };
+    let summary = Summary {
+        output: &args.output,
+        start_s,
+        tally: &tally,
+        alignment: alignment.as_ref(),
+        poses: has_pose.then_some(progress.poses),
+        check: check.as_ref(),
+    };
+    terminal::print_result(args.json, || summary.to_json(), || summary.format())?;
+    ended.and(failed)
+}
+
+/// Result of a recording.
+struct Summary<'a> {
+    output: &'a Path,
+    start_s: f64,
+    tally: &'a RecordingCounts,
+    /// None without a reference force.
+    alignment: Option<&'a ReferenceAlignment>,
+    /// Number of poses sent to the board; none where the source has none.
+    poses: Option<u64>,
+    check: Option<&'a CheckResult>,
+}
+
+/// Covered ranges, and the effects on which the recording can decide.
+struct CheckResult {
+    ranges: Vec<CoveredRange>,
+    /// Number of forces that the board estimated and no reference measured.
+    estimated_forces: usize,
+    effects: RecordingCheck,
+}
+
+/// Checks a finished recording; forces that it lacks are the board's estimates.
+fn check(
+    folder: &Path,
+    ranges: Vec<CoveredRange>,
+    estimates: &ForceEstimates,
+) -> Result<CheckResult> {
+    let spinner = progress::status_spinner("checking the recording");
+    let mut recording = Recording::read(folder, Alignment { delay_us: 0.0 })?;
+    let estimated_forces = add_missing_forces(&mut recording, estimates);
+    let campaign = Campaign { folder: folder.to_path_buf(), recordings: vec![recording] };
+    let effects = check_recordings(&campaign, FitOptions::default());
+    spinner.finish_and_clear();
+    Ok(CheckResult { ranges, estimated_forces, effects })
+}
+
+/// Shares of the needed ranges in one line.
+fn coverage_line(ranges: &[CoveredRange]) -> String {
+    let share = |range: &CoveredRange| format!("{} {:.0} %", range.quantity, 100.0 * range.share());
+    ranges.iter().map(share).collect::<Vec<_>>().join(", ")
+}
+
+/// What is known while recording.
+struct RecordingProgress {
+    coverage: Coverage,
+    /// Forces of the reference, in the order of its rows.
+    forces: Vec<(u32, Axis)>,
+    clock: ReferenceClock,
+    /// Time of the last pose sent to the board.
+    pose_sent_s: f64,
+    poses: u64,
+    /// Rows are dropped until the board's covariates contain the pose.
+    waits_for_pose: bool,
+}
+
+impl RecordingProgress {
+    /// Whether a row is recorded.
+    fn is_ready(&mut self, at_s: f64, row: &SensorRow) -> bool {
+        let has_pose = row.covariates.attitude.is_some();
+        self.waits_for_pose &= !has_pose && at_s < POSE_TIMEOUT_S;
+        !self.waits_for_pose
+    }
+
+    /// Sends a pose that arrived at `at_s` to the board, at most at 100 Hz.
+    fn send_pose(&mut self, hearing: &SourceReader, pose: HostPose, at_s: f64) {
+        if at_s < self.pose_sent_s + POSE_PERIOD_S {
+            return;
+        }
+        self.pose_sent_s = at_s;
+        self.poses += 1;
+        let measured = hearing.begun + Duration::from_secs_f64(at_s);
+        let messages = move || pose.messages(measured.elapsed());
+        // Where the reader has ended, its last event has the reason.
+        let _ = hearing.outgoing.send(Box::new(messages));
+    }
 }
 
 fn description(args: &Args) -> Result<RecordingDescription> {
@@ -165,13 +295,23 @@ fn write_rows(
     reference: Option<ReferenceReader>,
     mut rows: SensorRowAssembler,
     mut recorder: Recorder,
+    recorded: &mut RecordingProgress,
     args: &Args,
 ) -> Result<(RecordingCounts, Result<()>)> {
     let interrupted = interrupted()?;
     let spinner = progress::row_spinner("recording");
     let end_s = args.seconds.unwrap_or(f64::INFINITY);
-    let mut clock = ReferenceClock::default();
+    let mut shown = Instant::now();
     let ended = loop {
+        if args.check && shown.elapsed() >= COVERAGE_PERIOD {
+            shown = Instant::now();
+            let line = coverage_line(&recorded.coverage.ranges());
+            if std::io::stderr().is_terminal() {
+                spinner.set_message(line);
+            } else {
+                eprintln!("covered: {line}");
+            }
+        }
         if hearing.elapsed_s() >= end_s || interrupted.load(Relaxed) {
             break Ok(());
         }
@@ -181,8 +321,10 @@ fn write_rows(
                 for packet in &packets {
                     match rows.take(at_s, packet) {
                         Ok(None) => {}
+                        Ok(Some(row)) if !recorded.is_ready(at_s, &row) => {}
                         Ok(Some(row)) => {
-                            clock.board(at_s, row.time_us);
+                            recorded.clock.board(at_s, row.time_us);
+                            recorded.coverage.update(&row);
                             recorder.take(row)?;
                             spinner.inc(1);
                         }
@@ -206,7 +348,7 @@ fn write_rows(
             Err(RecvTimeoutError::Timeout) => recorder.flush()?,
         }
         if let Some(reference) = &reference
-            && let Err(error) = take_reference(reference, &mut clock, &mut recorder)
+            && let Err(error) = take_reference(reference, hearing, recorded, &mut recorder)
         {
             break Err(error);
         }
@@ -214,17 +356,28 @@ fn write_rows(
     finish(recorder, ended, &spinner)
 }
 
-/// Writes the rows of the reference that have arrived.
+/// Writes the forces of the rows of the reference that have arrived, and sends the newest pose to the board.
 fn take_reference(
     reference: &ReferenceReader,
-    clock: &mut ReferenceClock,
+    hearing: &SourceReader,
+    recorded: &mut RecordingProgress,
     recorder: &mut Recorder,
 ) -> Result<()> {
+    let mut newest = None;
     for row in reference.rows.try_iter() {
         let row = row?;
-        if let Some(board_us) = clock.board_us(&row) {
+        newest = Some((row.pose, row.at_s));
+        if let Some(board_us) = recorded.clock.board_us(row.at_s, row.clock_s)
+            && !row.force_n.is_empty()
+        {
             recorder.take_reference(board_us, &row.force_n)?;
+            for (key, newtons) in recorded.forces.iter().zip(&row.force_n) {
+                recorded.coverage.update_force(*key, *newtons);
+            }
         }
+    }
+    if let Some((pose, at_s)) = newest.filter(|(pose, _)| *pose != HostPose::default()) {
+        recorded.send_pose(hearing, pose, at_s);
     }
     Ok(())
 }
@@ -277,118 +430,6 @@ fn campaign_time_s(target: &Path, now: SystemTime) -> Result<f64> {
         latest_s = latest_s.max(description.start_s + since.as_secs_f64());
     }
     Ok(if latest_s.is_finite() { latest_s.round() } else { 0.0 })
-}
-
-fn format_report(
-    output: &Path,
-    start_s: f64,
-    tally: &RecordingCounts,
-    alignment: Option<&ReferenceAlignment>,
-) -> String {
-    let seconds = |us: u64| us as f64 * 1e-6;
-    let numbers = |sensors: &[usize]| {
-        let numbers: Vec<String> = sensors.iter().map(usize::to_string).collect();
-        numbers.join(", ")
-    };
-    let mut text = format!(
-        "Recorded to {}: {:.1} s, {} rows of sensors {}; start_s = {}.\n",
-        output.display(),
-        seconds(tally.span_us),
-        tally.rows,
-        numbers(&tally.sensors),
-        numbers::decimal(start_s, 3),
-    );
-    match tally.gaps {
-        0 => text += "No rows lost.\n",
-        gaps => {
-            let gaps = if gaps == 1 { "1 gap".to_owned() } else { format!("{gaps} gaps") };
-            let (longest_us, at_us) = tally.longest_us;
-            text += &format!(
-                "Lost: {} rows in {gaps} of t_us, the longest {:.1} ms at {:.3} s.\n",
-                tally.lost,
-                1e3 * seconds(longest_us),
-                seconds(at_us),
-            );
-        }
-    }
-    text += &match tally.covariates.as_slice() {
-        [] => "No covariates: effects of opening, motor and orientation cannot be diagnosed.\n"
-            .to_owned(),
-        names => terminal::paragraph(&format!("Covariates: {}.", names.join(", "))),
-    };
-    if !tally.covariates.contains(&"opening_mm") {
-        text += "The opening was unknown: home the gripper first.\n";
-    }
-    if tally.without_covariates > 0 {
-        text += &format!(
-            "Excluded: {} rows in which a covariate was missing.\n",
-            tally.without_covariates
-        );
-    }
-    if tally.left_out > tally.without_covariates {
-        let silent = tally.silent.iter().enumerate();
-        let silent = silent.filter(|(sensor, count)| **count > 0 && tally.sensors.contains(sensor));
-        let silent: Vec<String> =
-            silent.map(|(sensor, count)| format!("sensor {sensor} in {count}")).collect();
-        text += &terminal::paragraph(&format!(
-            "Excluded: {} rows without a reading of all sensors ({}).",
-            tally.left_out - tally.without_covariates,
-            silent.join(", ")
-        ));
-    }
-    text += &terminal::paragraph(&match alignment {
-        None => "force.csv has times but no forces: replace it by the reference's table (t_us from the same start) before \
-                 fit, compare and replay."
-            .to_owned(),
-        Some(ReferenceAlignment { delay: None, .. }) => format!(
-            "Reference: {} rows; its delay cannot be determined, because its forces hardly vary: t_us is that of arrival.",
-            tally.reference_rows
-        ),
-        Some(ReferenceAlignment { delay: Some(delay), is_applied }) => {
-            let [low_ms, high_ms] = delay.interval_s.map(|s| 1e3 * s);
-            format!(
-                "Reference: {} rows; delay {:.2} ms, standard error {:.2} ms, 95 % from {low_ms:.2} to {high_ms:.2} ms; the \
-                 fields explain {:.1} % of its variance. {}",
-                tally.reference_rows,
-                1e3 * delay.delay_s,
-                1e3 * delay.standard_error_s,
-                100.0 * delay.explained,
-                if *is_applied {
-                    "t_us of force.csv is corrected by it."
-                } else {
-                    "That is not precise enough: t_us is that of arrival. Vary the loads faster, or tap."
-                }
-            )
-        }
-    });
-    text
-}
-
-fn to_json(
-    output: &Path,
-    start_s: f64,
-    tally: &RecordingCounts,
-    alignment: Option<&ReferenceAlignment>,
-) -> Value {
-    json!({
-        "recording": output,
-        "start_s": start_s,
-        "span_s": tally.span_us as f64 * 1e-6,
-        "sensors": tally.sensors,
-        "rows": tally.rows,
-        "lost_rows": tally.lost,
-        "gaps": tally.gaps,
-        "longest_gap_s": tally.longest_us.0 as f64 * 1e-6,
-        "longest_gap_at_s": tally.longest_us.1 as f64 * 1e-6,
-        "covariates": tally.covariates,
-        "left_out_rows": tally.left_out,
-        "rows_without_covariates": tally.without_covariates,
-        "silent_rows": tally.silent,
-        "reference": alignment.is_some(),
-        "reference_rows": tally.reference_rows,
-        "reference_delay": alignment.and_then(|alignment| alignment.delay),
-        "reference_delay_applied": alignment.map(|alignment| alignment.is_applied),
-    })
 }
 
 #[cfg(test)]

@@ -1,0 +1,167 @@
+//! Result of a recording as text and JSON.
+
+use analysis::numbers;
+use device::recorder::CoveredRange;
+use report::text::{recording_check, terminal};
+use serde_json::{Value, json};
+
+use super::{CheckResult, ReferenceAlignment, Summary};
+
+impl Summary<'_> {
+    /// As text.
+    pub(super) fn format(&self) -> String {
+        let Self { output, start_s, tally, alignment, poses, check } = *self;
+        let seconds = |us: u64| us as f64 * 1e-6;
+        let numbers = |sensors: &[usize]| {
+            let numbers: Vec<String> = sensors.iter().map(usize::to_string).collect();
+            numbers.join(", ")
+        };
+        let mut text = format!(
+            "Recorded to {}: {:.1} s, {} rows of sensors {}; start_s = {}.\n",
+            output.display(),
+            seconds(tally.span_us),
+            tally.rows,
+            numbers(&tally.sensors),
+            numbers::decimal(start_s, 3),
+        );
+        match tally.gaps {
+            0 => text += "No rows lost.\n",
+            gaps => {
+                let gaps = if gaps == 1 { "1 gap".to_owned() } else { format!("{gaps} gaps") };
+                let (longest_us, at_us) = tally.longest_us;
+                text += &format!(
+                    "Lost: {} rows in {gaps} of t_us, the longest {:.1} ms at {:.3} s.\n",
+                    tally.lost,
+                    1e3 * seconds(longest_us),
+                    seconds(at_us),
+                );
+            }
+        }
+        text += &match tally.covariates.as_slice() {
+            [] => "No covariates: effects of opening, motor and orientation cannot be diagnosed.\n"
+                .to_owned(),
+            names => terminal::paragraph(&format!("Covariates: {}.", names.join(", "))),
+        };
+        if !tally.covariates.contains(&"opening_mm") {
+            text += "The opening was unknown: home the gripper first.\n";
+        }
+        if tally.without_covariates > 0 {
+            text += &format!(
+                "Excluded: {} rows in which a covariate was missing.\n",
+                tally.without_covariates
+            );
+        }
+        if tally.left_out > tally.without_covariates {
+            let silent = tally.silent.iter().enumerate();
+            let silent =
+                silent.filter(|(sensor, count)| **count > 0 && tally.sensors.contains(sensor));
+            let silent: Vec<String> =
+                silent.map(|(sensor, count)| format!("sensor {sensor} in {count}")).collect();
+            text += &terminal::paragraph(&format!(
+                "Excluded: {} rows without a reading of all sensors ({}).",
+                tally.left_out - tally.without_covariates,
+                silent.join(", ")
+            ));
+        }
+        text += &terminal::paragraph(&match alignment {
+        None => "force.csv has times but no forces: replace it by the reference's table (t_us from the same start) before \
+                 fit, compare and replay."
+            .to_owned(),
+        Some(ReferenceAlignment { delay: None, .. }) => format!(
+            "Reference: {} rows; its delay cannot be determined, because its forces hardly vary: t_us is that of arrival.",
+            tally.reference_rows
+        ),
+        Some(ReferenceAlignment { delay: Some(delay), is_applied }) => {
+            let [low_ms, high_ms] = delay.interval_s.map(|s| 1e3 * s);
+            format!(
+                "Reference: {} rows; delay {:.2} ms, standard error {:.2} ms, 95 % from {low_ms:.2} to {high_ms:.2} ms; the \
+                 fields explain {:.1} % of its variance. {}",
+                tally.reference_rows,
+                1e3 * delay.delay_s,
+                1e3 * delay.standard_error_s,
+                100.0 * delay.explained,
+                if *is_applied {
+                    "t_us of force.csv is corrected by it."
+                } else {
+                    "That is not precise enough: t_us is that of arrival. Vary the loads faster, or tap."
+                }
+            )
+        }
+    });
+        if let Some(poses) = poses {
+            text += &terminal::paragraph(&match tally.covariates.contains(&"yaw_rad") {
+                true => format!("Pose: {poses} samples sent to the board."),
+                false => format!(
+                    "Pose: {poses} samples sent to the board, whose covariates did not contain it: it is not recorded."
+                ),
+            });
+        }
+        text + &check.map_or_else(String::new, format_check)
+    }
+
+    /// As one JSON object.
+    pub(super) fn to_json(&self) -> Value {
+        let Self { output, start_s, tally, alignment, poses, check } = *self;
+        json!({
+            "recording": output,
+            "start_s": start_s,
+            "span_s": tally.span_us as f64 * 1e-6,
+            "sensors": tally.sensors,
+            "rows": tally.rows,
+            "lost_rows": tally.lost,
+            "gaps": tally.gaps,
+            "longest_gap_s": tally.longest_us.0 as f64 * 1e-6,
+            "longest_gap_at_s": tally.longest_us.1 as f64 * 1e-6,
+            "covariates": tally.covariates,
+            "left_out_rows": tally.left_out,
+            "rows_without_covariates": tally.without_covariates,
+            "silent_rows": tally.silent,
+            "reference": alignment.is_some(),
+            "pose_messages": poses,
+            "check": check.map(check_json),
+            "reference_rows": tally.reference_rows,
+            "reference_delay": alignment.and_then(|alignment| alignment.delay),
+            "reference_delay_applied": alignment.map(|alignment| alignment.is_applied),
+        })
+    }
+}
+
+/// Covered ranges, then the effects.
+fn format_check(check: &CheckResult) -> String {
+    let mut table = terminal::table(["quantity", "covered", "needed", "unit", "share"]);
+    for range in &check.ranges {
+        table.add_row([
+            range.quantity.to_owned(),
+            format!("{:.1} to {:.1}", range.min, range.max),
+            format!("{:.1}", range.needed),
+            range.unit.to_owned(),
+            format!("{:.0} %", 100.0 * range.share()),
+        ]);
+    }
+    terminal::right_align(&mut table, 1);
+    let forces = match check.estimated_forces {
+        0 => String::new(),
+        count => terminal::paragraph(&format!(
+            "{count} forces are estimates of the board, in this check only: record a reference before fit and diagnose."
+        )),
+    };
+    format!("{table}\n{forces}{}", recording_check::format_check(&check.effects))
+}
+
+fn check_json(check: &CheckResult) -> Value {
+    let range = |range: &CoveredRange| {
+        json!({
+            "quantity": range.quantity,
+            "unit": range.unit,
+            "min": range.min,
+            "max": range.max,
+            "needed": range.needed,
+            "share": range.share(),
+        })
+    };
+    json!({
+        "ranges": check.ranges.iter().map(range).collect::<Vec<_>>(),
+        "estimated_forces": check.estimated_forces,
+        "effects": recording_check::check_json(&check.effects),
+    })
+}
