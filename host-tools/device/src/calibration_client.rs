@@ -1,8 +1,7 @@
 //! Client that uploads calibrations to a gripper and reads what is on it.
 
 use std::collections::BTreeMap;
-use std::thread::sleep;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use firmware::protocol::host_session::service;
@@ -111,18 +110,18 @@ pub fn upload(
     let count = chunks.len() as u32;
     let (mut sent, mut acknowledged) = (0, 0);
     let mut repeated = None;
-    let (mut heard, mut silences) = (Instant::now(), 0);
+    let (mut heard, mut silences) = (source.now(), 0);
     while acknowledged < count {
         while sent < count.min(acknowledged + WINDOW) {
             let number = u16::try_from(sent).context("too many chunks")?;
             let chunk = CalibrationChunk::new(number, chunks[sent as usize]);
             source.send(Message::CalibrationChunk(chunk))?;
             sent += 1;
-            sleep(CHUNK_TIME);
+            source.pause(CHUNK_TIME)?;
         }
         for reply in replies(source, op::UPLOAD)? {
             let next = done(source, reply)?;
-            heard = Instant::now();
+            heard = source.now();
             if next > acknowledged && next <= sent {
                 (acknowledged, repeated, silences) = (next, None, 0);
                 progress(bytes.len().min(next as usize * CHUNK_BYTES));
@@ -131,12 +130,12 @@ pub fn upload(
                 (sent, repeated) = (next, Some(next));
             }
         }
-        if heard.elapsed() > REPEAT {
+        if source.now() > heard + REPEAT {
             silences += 1;
             if silences > REPETITIONS {
                 bail!("{}: the gripper does not acknowledge the calibration", source.name());
             }
-            (heard, sent, repeated) = (Instant::now(), acknowledged, None);
+            (heard, sent, repeated) = (source.now(), acknowledged, None);
         }
     }
     let reply = request(source, op::FINISH_UPLOAD, 0, SLOW_PATIENCE)?;
@@ -149,9 +148,9 @@ pub fn upload(
 /// It runs other tables, or does not answer.
 pub fn reboot_into(source: &mut dyn Source, tables: u16) -> Result<()> {
     source.send(service(op::REBOOT, 0))?;
-    let rebooted = Instant::now();
+    let rebooted = source.now();
     let mut found = None;
-    while rebooted.elapsed() < REBOOT {
+    while source.now() < rebooted + REBOOT {
         match version(source) {
             Ok(version) if version.tables == tables => return Ok(()),
             Ok(version) => found = Some(version.tables),
@@ -232,8 +231,8 @@ fn ask<T>(
 ) -> Result<T> {
     for _ in 0..TIMES {
         source.send(message)?;
-        let asked = Instant::now();
-        while asked.elapsed() < patience {
+        let asked = source.now();
+        while source.now() < asked + patience {
             if let Some(answer) = messages(source)?.iter().find_map(&answer) {
                 return Ok(answer);
             }

@@ -1,6 +1,6 @@
 //! Client that reads and writes parameters of a gripper.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use anyhow::{Result, bail};
 use firmware::parameters::schema::PARAMETERS;
@@ -34,8 +34,8 @@ fn ask(source: &mut dyn Source, op: u8, id: u16, value: i32) -> Result<i32> {
     let request = ParamRequest { op, id, value: value as u32, ..ParamRequest::default() };
     for _ in 0..TIMES {
         source.send(Message::ParamRequest(request))?;
-        let asked = Instant::now();
-        while asked.elapsed() < PATIENCE {
+        let asked = source.now();
+        while source.now() < asked + PATIENCE {
             let mut packets = Vec::new();
             let goes_on = source.receive(&mut packets)?;
             let answer = packets.iter().find_map(|packet| reply(packet, op, id));

@@ -1,6 +1,8 @@
 //! Transport of packets from and to a gripper.
 
-use std::time::Duration;
+use std::sync::LazyLock;
+use std::thread::sleep;
+use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use firmware::protocol::frame_id;
@@ -29,6 +31,21 @@ pub trait Source {
 
     /// Name for messages to people.
     fn name(&self) -> String;
+
+    /// Time from any origin, for timeouts: that of this machine, or of the board where it is emulated.
+    fn now(&self) -> Duration {
+        static ORIGIN: LazyLock<Instant> = LazyLock::new(Instant::now);
+        ORIGIN.elapsed()
+    }
+
+    /// Waits for this time.
+    ///
+    /// # Errors
+    /// The connection is lost.
+    fn pause(&mut self, time: Duration) -> Result<()> {
+        sleep(time);
+        Ok(())
+    }
 }
 
 /// Packet for a CAN frame of a node; `None` for other identifiers or invalid frames.

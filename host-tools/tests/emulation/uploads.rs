@@ -20,8 +20,6 @@ use crate::motion::{Cell, cell};
 const UPLOAD_S: f64 = 10.0;
 /// Time until the tables have been checked after a boot.
 const READY_S: f64 = 0.3;
-/// Milliseconds that the board runs for each look at its line: the host's pause between groups of chunks.
-const STEP_MS: u32 = 3;
 
 pub fn trials(effort: Effort) -> Vec<Trial> {
     let cuts = if effort == Effort::Acceptance { 200 } else { 24 };
@@ -51,7 +49,7 @@ fn on_line<T>(
     run: impl FnOnce(&mut dyn device::source::Source) -> anyhow::Result<T>,
 ) -> anyhow::Result<T> {
     let link = cell.board.connections.line.clone();
-    let mut line = EmulatedLine::new(link, || (0..STEP_MS).try_for_each(|_| cell.step()));
+    let mut line = EmulatedLine::new(link, || cell.step());
     run(&mut line)
 }
 

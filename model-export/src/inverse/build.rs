@@ -132,6 +132,10 @@ pub fn build_model(
                     overflow: Box::new(overflow),
                 }
             })?;
+        if variant == ModelVariant::Nominal {
+            // The residual of a gripper that was not calibrated is unknown: it must not be taken for a magnet.
+            table.parity.sigma = 0;
+        }
     }
     let header = ExportHeader {
         inputs_sha256: hex(&digest),

@@ -42,8 +42,6 @@ const REFERENCE_NOISE_N: f64 = 0.15;
 const VALID: u8 = 0;
 /// Rows over which errors are averaged: a period of the reference. The noise of single rows would hide the effects.
 const BLOCK_ROWS: u32 = 10;
-/// Milliseconds that the board runs for each look of the uploading host at the line.
-const UPLOAD_STEP_MS: u32 = 3;
 /// The clocks are aligned by the recorder.
 const ALIGNED: Alignment = Alignment { delay_us: 0.0 };
 
@@ -162,8 +160,7 @@ fn upload(bench: &mut EmulatedBench, built: &DeviceModel) -> Result<()> {
     bench.start()?;
     let bytes = encode_calibration(built, &[], &CalibrationDescription::of(built, &[]))?;
     let link = bench.cell.board.connections.line.clone();
-    let step = || (0..UPLOAD_STEP_MS).try_for_each(|_| bench.step());
-    let mut line = EmulatedLine::new(link, step);
+    let mut line = EmulatedLine::new(link, || bench.step());
     calibration_client::upload(&mut line, &bytes, |_| ())?;
     calibration_client::reboot_into(&mut line, built.chosen.tables.id)
 }
