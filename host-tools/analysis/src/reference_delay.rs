@@ -2,8 +2,11 @@
 //!
 //! The reference's forces are regressed on the fields and their squares, averaged over the reference's period at a
 //! delayed time; the delay minimises the residual. Its standard error comes from the scores, summed over blocks so that
-//! correlated residuals do not make it too small (Liang and Zeger 1986). An effect that lags the load, such as viscous lag,
-//! is seen as a delay: compare with `viscous_lag` and `clock_skew` of `diagnose`.
+//! correlated residuals do not make it too small (Liang and Zeger 1986).
+//!
+//! An effect that lags the load, such as viscous lag, is seen as a delay. If the lateral and the longitudinal forces differ,
+//! the smaller delay is the clock's, because a field follows its load. What both axes have in common stays in the delay:
+//! compare with `viscous_lag` and `clock_skew` of `diagnose`.
 
 use std::path::Path;
 
@@ -26,6 +29,8 @@ const STEPS_S: [f64; 2] = [20e-3, 4e-3];
 const MIN_N: f64 = 1.0;
 /// Least number of rows of a channel.
 const MIN_ROWS: usize = 100;
+/// Difference of the axes' delays in standard errors from which one of them lags.
+const LAG_SIGMAS: f64 = 4.0;
 const ITERATIONS: usize = 20;
 /// End of the iteration in seconds.
 const TOLERANCE_S: f64 = 1e-7;
@@ -48,6 +53,8 @@ pub struct ForceSeries {
     pub force_n: Vec<f64>,
     /// Index of the sensor.
     pub sensor: usize,
+    /// 0: lateral, 1: longitudinal.
+    pub axis: usize,
 }
 
 /// An estimated delay.
@@ -61,6 +68,9 @@ pub struct Delay {
     pub interval_s: [f64; 2],
     /// Share of the forces' variance that the fields explain at this delay.
     pub explained: f64,
+    /// Additional delay of the lateral and of the longitudinal forces in seconds: the lag of an effect; zero where the axes
+    /// agree.
+    pub lag_s: [f64; 2],
 }
 
 /// Estimates the delay within `±search_s`. `None` if no force varies, or the series do not overlap.
@@ -84,8 +94,29 @@ pub fn estimate(fields: &[FieldSeries], forces: &[ForceSeries], search_s: f64) -
         best_s = tried.min_by(|a, b| cost(*a).total_cmp(&cost(*b)))?;
         reach_s = step_s;
     }
+    let delay = refine(&channels, best_s)?;
+    let by_axis = [0, 1].map(|axis| {
+        let of_axis: Vec<Channel> =
+            channels.iter().filter(|channel| channel.axis == axis).cloned().collect();
+        refine(&of_axis, best_s)
+    });
+    let [Some(x), Some(z)] = by_axis else { return Some(delay) };
+    let difference_s = x.delay_s - z.delay_s;
+    let sigma_s = x.standard_error_s.hypot(z.standard_error_s);
+    Some(if difference_s.abs() < LAG_SIGMAS * sigma_s {
+        delay
+    } else if difference_s > 0.0 {
+        Delay { lag_s: [difference_s, 0.0], ..z }
+    } else {
+        Delay { lag_s: [0.0, -difference_s], ..x }
+    })
+}
+
+/// Minimum of the residual near a delay.
+fn refine(channels: &[Channel], near_s: f64) -> Option<Delay> {
+    let mut best_s = near_s;
     for _ in 0..ITERATIONS {
-        let (score, information) = scores(&channels, best_s)
+        let (score, information) = scores(channels, best_s)
             .fold((0.0, 0.0), |sum, (_, score, information)| (sum.0 + score, sum.1 + information));
         let step_s = (score / information).clamp(-STEPS_S[1], STEPS_S[1]);
         if !step_s.is_finite() {
@@ -96,7 +127,7 @@ pub fn estimate(fields: &[FieldSeries], forces: &[ForceSeries], search_s: f64) -
             break;
         }
     }
-    interval(&channels, best_s)
+    interval(channels, best_s)
 }
 
 /// Estimates the delay of a recording from its tables, over at most its first five minutes.
@@ -116,13 +147,12 @@ pub fn of_recording(folder: &Path, search_s: f64) -> Result<Option<Delay>, DataE
         let field = x.iter().zip(y).zip(z).map(|((x, y), z)| [*x, *y, *z]);
         let place = fields.len();
         fields.push(FieldSeries { time_s: seconds(times), field: field.collect() });
-        for (name, values) in &force {
-            if name == &format!("f{sensor}_x_n") || name == &format!("f{sensor}_z_n") {
-                let Some((_, times)) = force.iter().find(|(name, _)| name == "t_us") else {
-                    continue;
-                };
-                let time_s = seconds(times);
-                forces.push(ForceSeries { time_s, force_n: values.clone(), sensor: place });
+        let Some((_, times)) = force.iter().find(|(name, _)| name == "t_us") else { continue };
+        for (axis, letter) in ["x", "z"].into_iter().enumerate() {
+            let column = format!("f{sensor}_{letter}_n");
+            if let Some((_, values)) = force.iter().find(|(name, _)| *name == column) {
+                let (time_s, force_n) = (seconds(times), values.clone());
+                forces.push(ForceSeries { time_s, force_n, sensor: place, axis });
             }
         }
     }
@@ -252,6 +282,7 @@ fn interval(channels: &[Channel], delay_s: f64) -> Option<Delay> {
         standard_error_s,
         interval_s: [delay_s - reach_s, delay_s + reach_s],
         explained: 1.0 - unexplained / fitted,
+        lag_s: [0.0; 2],
     })
 }
 
@@ -307,7 +338,9 @@ impl<'a> Integral<'a> {
 }
 
 /// One force with the field of its sensor.
+#[derive(Clone)]
 struct Channel<'a> {
+    axis: usize,
     integral: &'a Integral<'a>,
     half_s: f64,
     /// Times at which the field exists for every delay that is searched.
@@ -355,7 +388,7 @@ impl<'a> Channel<'a> {
             let squares = field.iter().map(|field| (field[axis] - mean).powi(2));
             (mean, (squares.sum::<f64>() / count).sqrt().max(f64::MIN_POSITIVE))
         });
-        Some(Self { integral, half_s, time_s, force_n, scale })
+        Some(Self { axis: force.axis, integral, half_s, time_s, force_n, scale })
     }
 
     fn fit(&self, delay_s: f64) -> Option<Fit> {
@@ -425,8 +458,12 @@ mod tests {
     const SECONDS: f64 = 30.0;
 
     /// Two forces of a sensor as sums of sines, its field with the noise of the sensor, and the reference at 100 Hz with a
-    /// slowly varying error besides its noise.
-    fn recording(seed: u64, delay_s: f64) -> (Vec<FieldSeries>, Vec<ForceSeries>) {
+    /// slowly varying error besides its noise. The field of the lateral force is late by `lag_s`.
+    fn recording_with_lag(
+        seed: u64,
+        delay_s: f64,
+        lag_s: f64,
+    ) -> (Vec<FieldSeries>, Vec<ForceSeries>) {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut sines = || -> Vec<[f64; 3]> {
             (0..8)
@@ -450,14 +487,14 @@ mod tests {
         let mut field = FieldSeries::default();
         for tick in 0..(1000.0 * SECONDS) as u32 {
             let time_s = 1e-3 * f64::from(tick);
-            let (x, z) = (load(0, time_s), load(1, time_s));
+            let (x, z) = (load(0, time_s - lag_s), load(1, time_s));
             let bend = 1e-3 * (x * x + z * z);
             field.time_s.push(time_s);
             field.field.push(
                 [1.8 * x + 0.1 * z, bend - 0.2 * x, 1.6 * z + 0.3 * bend].map(|g| g + noise(0.35)),
             );
         }
-        let mut forces = [0, 1].map(|_| ForceSeries::default());
+        let mut forces = [0, 1].map(|axis| ForceSeries { axis, ..ForceSeries::default() });
         for row in 0..(100.0 * SECONDS) as u32 {
             let time_s = 1e-2 * f64::from(row);
             for (axis, series) in forces.iter_mut().enumerate() {
@@ -466,6 +503,10 @@ mod tests {
             }
         }
         (vec![field], forces.to_vec())
+    }
+
+    fn recording(seed: u64, delay_s: f64) -> (Vec<FieldSeries>, Vec<ForceSeries>) {
+        recording_with_lag(seed, delay_s, 0.0)
     }
 
     #[test]
@@ -482,6 +523,23 @@ mod tests {
         }
         println!("{covered} of 100 intervals, worst {:.3} ms", 1e3 * worst_s);
         assert!(covered >= 93 && worst_s < 0.5e-3, "{covered} of 100, {worst_s} s");
+    }
+
+    #[test]
+    fn delay_is_that_of_the_axis_that_does_not_lag() {
+        let mut lag_sum_s = 0.0;
+        for seed in 0..20 {
+            let (fields, forces) = recording(seed, 0.03);
+            let agrees = estimate(&fields, &forces, 0.2).unwrap();
+            assert_eq!(agrees.lag_s, [0.0; 2], "{agrees:?}");
+            let (fields, forces) = recording_with_lag(seed, 0.03, 5e-3);
+            let found = estimate(&fields, &forces, 0.2).unwrap();
+            let [x_s, z_s] = found.lag_s;
+            lag_sum_s += x_s;
+            assert!((x_s - 5e-3).abs() < 2e-3 && z_s == 0.0, "{found:?}");
+            assert!((found.delay_s - 0.03).abs() < 0.7e-3, "{found:?}");
+        }
+        assert!((lag_sum_s / 20.0 - 5e-3).abs() < 0.3e-3, "{lag_sum_s}");
     }
 
     #[test]

@@ -190,6 +190,20 @@ fn lost_bits_and_digits_are_coarse_steps() {
     });
     let finding = only(&newtons);
     assert_eq!((finding.id, column(&finding)), ("coarse_steps", "f1_x_n"));
+    // A ramp of 6 K, as of a gripper that warms up, in steps of its sensor and in coarser ones.
+    let rounded = |step_k: f64| {
+        CampaignCopy::new().change(&ALL, "hall.csv", |cells| {
+            let rows = cells.rows.len() as f64;
+            cells.change("s2_temp_c", |row, _| {
+                let celsius = 25.0 + 6.0 * row as f64 / rows;
+                ((celsius / step_k).round() * step_k).to_string()
+            });
+        })
+    };
+    let finding = only(&rounded(0.25));
+    assert_eq!((finding.id, column(&finding)), ("coarse_steps", "s2_temp_c"));
+    let native = found(&rounded(0.125));
+    assert!(native.is_empty(), "{native:#?}");
 }
 
 #[test]

@@ -42,7 +42,7 @@ const LOADED_S: [f64; 2] = [0.85, 1.1];
 /// Time in which the load falls at the end of a period, in seconds.
 const UNLOADING_S: f64 = 0.25;
 /// Rest before the first recording, in which the gripper is homed, and between recordings, in seconds.
-const HOMING_S: f64 = 9.0;
+const HOMING_S: f64 = 11.0;
 const BETWEEN_S: f64 = 0.5;
 /// Time until the tables have been checked after a boot, in seconds.
 const START_S: f64 = 0.4;

@@ -75,11 +75,19 @@ impl Summary<'_> {
             let [low_ms, high_ms] = delay.interval_s.map(|s| 1e3 * s);
             format!(
                 "Reference: {} rows; delay {:.2} ms, standard error {:.2} ms, 95 % from {low_ms:.2} to {high_ms:.2} ms; the \
-                 fields explain {:.1} % of its variance. {}",
+                 fields explain {:.1} % of its variance. {}{}",
                 tally.reference_rows,
                 1e3 * delay.delay_s,
                 1e3 * delay.standard_error_s,
                 100.0 * delay.explained,
+                match delay.lag_s {
+                    [0.0, 0.0] => String::new(),
+                    [x_s, z_s] => format!(
+                        "The {} fields lag by another {:.2} ms, as of viscous lag: diagnose. ",
+                        if x_s > z_s { "lateral" } else { "longitudinal" },
+                        1e3 * x_s.max(z_s)
+                    ),
+                },
                 if *is_applied {
                     "t_us of force.csv is corrected by it."
                 } else {

@@ -5,6 +5,7 @@ use crate::data_quality::evidence::{Evidence, Magnitude};
 use crate::data_quality::fix::{Change, Fix, FixKind, Repair};
 use crate::data_quality::scan::RecordingScan;
 use crate::data_quality::scan::column::{ColumnScan, FEW, Quantity, Run};
+use firmware::config::constants;
 use model_export::effects::CATALOGUE;
 use model_export::recordings::columns::FieldUnit;
 use std::f64::consts::{PI, TAU};
@@ -430,7 +431,10 @@ fn step(column: &ColumnScan) -> Option<f64> {
         Quantity::Covariate if column.name != "opening_mm" => None,
         _ => {
             let (distinct, step) = (column.grid.distinct()?, column.grid.step());
-            let few = distinct >= LEAST_VALUES && span < FEW as f64 * step;
+            // The sensor's own resolution is not lost in a driver.
+            let is_native = column.quantity == Quantity::Temperature
+                && step * constants::TEMPERATURE_SCALE.value < 1.01;
+            let few = distinct >= LEAST_VALUES && span < FEW as f64 * step && !is_native;
             (few && step > STEPS_OF_NOISE * column.noise()).then_some(step)
         }
     }
