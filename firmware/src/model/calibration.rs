@@ -11,8 +11,10 @@
 //! | payload | length of the description (16 bits), description (UTF-8), tables and networks ([`Payload`]) |
 //!
 //! At boot the payload is decoded into [`CalibrationMemory`]: reads from SRAM take no wait states, and the flash can be
-//! erased for the next calibration while the device runs. Linked tables and networks are copied there in the same way; if
-//! they do not fit, the device runs them from flash.
+//! erased for the next calibration while the device runs. Linked tables and networks are copied there, too, except for lookup
+//! tables; if they do not fit, the device runs them from flash.
+
+use core::any::Any;
 
 use crate::compensation::Compensation;
 use crate::estimator::gru::CalibratedBank;
@@ -95,39 +97,6 @@ impl<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize> Encode
     }
 }
 
-/// The bytes of a value, without a copy of the whole.
-struct ByteSource<'v, T> {
-    value: &'v T,
-    /// Words taken from it.
-    words: usize,
-    /// Bytes of the latest words.
-    buffer: heapless::Deque<u8, { ByteSource::<()>::WORDS * size_of::<u32>() }>,
-}
-
-impl<T> ByteSource<'_, T> {
-    const WORDS: usize = 64;
-}
-
-impl<T: Encode> ByteSource<'_, T> {
-    fn fill(&mut self, bytes: &mut [u8]) -> Option<()> {
-        for to in bytes {
-            if self.buffer.is_empty() {
-                let buffer = &mut self.buffer;
-                let mut sink = |word: u32, bytes| {
-                    // The buffer has room for all words of the window.
-                    for byte in word.to_le_bytes().into_iter().take(bytes) {
-                        let _ = buffer.push_back(byte);
-                    }
-                };
-                visit(self.value, &mut Window::new(self.words, Self::WORDS, &mut sink));
-                self.words = self.words.saturating_add(Self::WORDS);
-            }
-            *to = self.buffer.pop_front()?;
-        }
-        Some(())
-    }
-}
-
 /// Networks of a calibration.
 #[derive(Clone, Copy, Debug)]
 pub enum Networks<'m, const INPUTS: usize, const HIDDEN: usize, const HEADS: usize> {
@@ -206,16 +175,25 @@ impl<'p> CalibrationMemory<'p> {
         used_networks: 0,
     };
 
-    /// Copies tables and networks into the memory; `None` if they do not fit.
+    /// Copies tables and networks into the memory, without lookup tables; `None` if they do not fit.
     pub fn copy<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize>(
         &mut self,
-        payload: &Payload<INPUTS, HIDDEN, HEADS>,
+        payload: &Payload<'p, INPUTS, HIDDEN, HEADS>,
         compensations: &'p mut CompensationMemory<'p>,
-        pool: &'p mut [i32],
     ) -> Option<()> {
-        let mut bytes = ByteSource { value: payload, words: 0, buffer: heapless::Deque::new() };
-        let mut source = |to: &mut [u8]| bytes.fill(to);
-        self.read(&mut Reader::new(&mut source, pool), compensations)
+        let Payload { tables, networks } = payload;
+        (self.id, self.check) = (tables.id, tables.check);
+        self.exp = *tables.exp;
+        self.used_sensors = copy_items(&mut self.sensors, tables.sensors)?;
+        let count = copy_items(&mut compensations.compensations, tables.compensations)?;
+        self.compensations = compensations.compensations.get(..count);
+        self.used_networks = networks.len();
+        let places = self.networks.get_mut(..self.used_networks)?;
+        for (place, network) in places.iter_mut().zip(*networks) {
+            // A clone would pass over the stack, which is smaller than a network.
+            *place = *(network as &dyn Any).downcast_ref()?;
+        }
+        Some(())
     }
 
     /// Decodes the payload of a calibration after its description; `None` if it does not fit, or is none.
@@ -257,6 +235,12 @@ impl<'p> CalibrationMemory<'p> {
             networks: Networks::Loaded(self.networks.get(..self.used_networks).unwrap_or_default()),
         }
     }
+}
+
+/// Copies items to the beginning of `to`; returns their number.
+fn copy_items<T: Copy>(to: &mut [T], items: &[T]) -> Option<usize> {
+    to.get_mut(..items.len())?.copy_from_slice(items);
+    Some(items.len())
 }
 
 /// A number of items, then the items; returns their number.

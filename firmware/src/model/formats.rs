@@ -179,7 +179,7 @@ pub type Pair = [i16; 2];
 pub type Products = [[Pair; GATES]; 2];
 
 /// Two units of a layer.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(C)]
 pub struct UnitPair<const INPUTS: usize, const HIDDEN: usize> {
     /// Biases of reset, update and candidate; those of the gates are the sum of PyTorch's two.
@@ -193,7 +193,7 @@ pub struct UnitPair<const INPUTS: usize, const HIDDEN: usize> {
 }
 
 /// Output layer of one sensor.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(C)]
 pub struct Head<const HIDDEN: usize> {
     /// Biases.
@@ -203,7 +203,7 @@ pub struct Head<const HIDDEN: usize> {
 }
 
 /// All weights: `INPUTS` pairs of inputs, two layers of `HIDDEN` pairs of units, `SENSORS` heads.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(C)]
 pub struct Weights<const INPUTS: usize, const HIDDEN: usize, const SENSORS: usize> {
     /// First layer.
@@ -215,7 +215,7 @@ pub struct Weights<const INPUTS: usize, const HIDDEN: usize, const SENSORS: usiz
 }
 
 /// State of a network and outputs of its latest step.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(C)]
 pub struct GruState<const INPUTS: usize, const HIDDEN: usize, const SENSORS: usize> {
     /// Inputs of the next step.
@@ -307,7 +307,7 @@ impl Guard {
 pub const FORCE_BITS: u32 = 8;
 
 /// A quantised network with its scales.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Network<const INPUTS: usize, const HIDDEN: usize, const SENSORS: usize> {
     /// Numbers of the predicted sensors.
     pub sensors: [u8; SENSORS],

@@ -68,7 +68,7 @@ pub async fn load_calibration<
             }
             None => None,
         },
-        None => calibration.copy(&linked.payload, compensations, pool),
+        None => calibration.copy(&linked.payload, compensations),
     };
     let origin = match (is_read, stored) {
         (Some(()), Some(stored)) => CalibrationOrigin::Stored(stored),

@@ -35,7 +35,7 @@ pub async fn scrub<const NETWORK_COUNT: usize, C: Clock, M: RawMutex>(
         report(NETWORKS, first_pass(network).await);
     }
     shared.tables_checked.signal(());
-    let mut walk = Scrubber::default();
+    let mut walk = Scrubber::NEW;
     let mut walks = [const { Scrubber::NEW }; NETWORK_COUNT];
     loop {
         delay_us(clock, STEP_US).await;
@@ -48,7 +48,7 @@ pub async fn scrub<const NETWORK_COUNT: usize, C: Clock, M: RawMutex>(
 
 /// One complete pass.
 async fn first_pass(of: &dyn Scrub) -> ScrubResult {
-    let mut walk = Scrubber::default();
+    let mut walk = Scrubber::UNPAUSED;
     loop {
         match of.scrub(&mut walk) {
             ScrubResult::Pending => yield_now().await,

@@ -215,10 +215,10 @@ fn hang(cell: &mut Cell) {
     run_code(cell, &[0xE7FE]);
 }
 
-/// Two bits of the tables of the ideal model, which every estimate reads; after the first reset they are right again, else
-/// it would be reset for ever.
+/// Two bits of the table of the serial line's checksum, which every packet reads; after the first reset they are right again,
+/// else it would be reset for ever.
 fn unreadable_flash(cell: &mut Cell) {
-    let tables = cell.board.chip.image().symbols_named("model::tables::SENSORS").next();
+    let tables = cell.board.chip.image().symbols_named("checksum::CRC16").next();
     let address = (tables.expect("the image has tables").address + 64) & !7;
     let soc = &mut cell.board.chip.soc;
     let before = soc.memory(address, 8).expect("flash").to_vec();

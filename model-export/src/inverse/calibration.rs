@@ -6,7 +6,7 @@ use firmware::checksum::CRC32;
 use firmware::model::calibration::{
     CalibrationMemory, CompensationMemory, Header, MAX_DESCRIPTION_BYTES, POOL_INTEGERS, Payload,
 };
-use firmware::model::encoding::encode;
+use firmware::model::encoding::{Reader, encode};
 use firmware::system::nv_storage::calibration::MAX_BYTES;
 use serde::{Deserialize, Serialize};
 
@@ -102,6 +102,7 @@ pub fn encode_calibration(
     payload.extend_from_slice(description.as_bytes());
     let views: Vec<_> = built.compensations.iter().map(|own| own.view()).collect();
     let tables = built.chosen.tables.tables(&views);
+    let start = payload.len();
     let mut append = |bytes: &[u8]| payload.extend_from_slice(bytes);
     let mut pool = vec![0; POOL_INTEGERS];
     let mut compensations = CompensationMemory::EMPTY;
@@ -109,7 +110,14 @@ pub fn encode_calibration(
     let networks = pack_loadable(networks, built.model.sensor_scale.gauss_per_lsb)?;
     let contents = Payload { tables: &tables, networks: &networks };
     encode(&contents, &mut append);
-    let fits = memory.copy(&contents, &mut compensations, &mut pool);
+    let mut left = &payload[start..];
+    let mut source = |bytes: &mut [u8]| {
+        let (next, rest) = left.split_at_checked(bytes.len())?;
+        bytes.copy_from_slice(next);
+        left = rest;
+        Some(())
+    };
+    let fits = memory.read(&mut Reader::new(&mut source, &mut pool), &mut compensations);
     fits.ok_or(CalibrationError::Memory)?;
     let header = Header { length: payload.len() as u32, crc: CRC32.checksum(&payload) };
     let bytes = [&header.to_bytes()[..], &payload].concat();

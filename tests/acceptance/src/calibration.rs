@@ -40,7 +40,7 @@ const HIDDEN: [&str; 17] = [
 ];
 const QUICK: [&str; 2] = ["magnet_temperature", "hysteresis"];
 /// Length of a recording in seconds.
-const SECONDS: [f64; 2] = [15.0, 9.0];
+const SECONDS: [f64; 2] = [24.0, 9.0];
 /// Largest ratio of the board's error to that of a replay of the same rows.
 const MAX_RATIO: f64 = 1.05;
 /// Least share of campaigns whose effects are named.
@@ -55,7 +55,7 @@ pub struct Args {
     /// Hidden effects as EFFECT or EFFECT=MAGNITUDE, joined by + [default: all that a device compensates, and two pairs].
     #[arg(value_name = "EFFECTS")]
     hidden: Vec<String>,
-    /// Length of each of the three recordings in seconds [default: 15; quick: 9].
+    /// Length of each of the three recordings in seconds [default: 24; quick: 9].
     #[arg(long, value_name = "S")]
     seconds: Option<f64>,
     /// Folder that receives recordings and models.

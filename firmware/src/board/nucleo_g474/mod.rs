@@ -18,6 +18,8 @@
 //! The sensor buses have pull-ups of 1 kOhm (assumed): 1 MHz requires rising edges within 120 ns.
 
 #[cfg(target_os = "none")]
+mod calibration_memory;
+#[cfg(target_os = "none")]
 pub mod can;
 #[cfg(target_os = "none")]
 pub mod clock;

@@ -14,15 +14,16 @@ use embassy_executor::{InterruptExecutor, SpawnError, SpawnToken, Spawner};
 use embassy_stm32::interrupt::{self, InterruptExt, Priority};
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_time::{Duration, Ticker};
-use static_cell::{ConstStaticCell, StaticCell};
+use static_cell::StaticCell;
 
+use crate::board::selected::calibration_memory;
 use crate::board::selected::clock::BoardClock;
 use crate::board::selected::{NucleoG474, crash};
 use crate::board::{Bsp, MotorDrive, MotorMonitor, Peripherals, Thermometer, Watchdog};
 use crate::config::limits::{DetectionLimits, GripLimits};
 use crate::estimator::Estimator;
 use crate::grip::GripController;
-use crate::model::calibration::{CalibrationMemory, CompensationMemory, POOL_INTEGERS, Payload};
+use crate::model::calibration::Payload;
 use crate::model::tables::{DESCRIPTION, NETWORKS, TABLES, TablesCalibration};
 use crate::motor::screw::Screw;
 use crate::parameters::Backdrivability;
@@ -33,9 +34,7 @@ use crate::system::faults::Event;
 use crate::system::nv_storage::calibration::CalibrationSlots;
 use crate::system::nv_storage::{LoadedParameters, ParameterStore};
 use crate::system::task_watchdog::FEED_PERIOD_MS;
-use crate::tasks::calibration::{
-    CalibrationService, LinkedCalibration, Memories, load_calibration,
-};
+use crate::tasks::calibration::{CalibrationService, LinkedCalibration, load_calibration};
 use crate::tasks::{self, HostService, SharedState};
 
 defmt::timestamp!("{=u64:us}", embassy_time::Instant::now().as_micros());
@@ -48,13 +47,8 @@ type Shared = &'static SharedState<CriticalSectionRawMutex>;
 const LIMITS: DetectionLimits = DetectionLimits::GRIPPER;
 /// Initialised at boot: as a constant it would also occupy 2 KB of flash.
 static SHARED: StaticCell<SharedState<CriticalSectionRawMutex>> = StaticCell::new();
-/// The running calibration and what it refers to. Not in one static, because some parts are not zero when empty: as part of
-/// the others these would take their size in flash.
+/// The running calibration.
 static CALIBRATION: StaticCell<Calibration> = StaticCell::new();
-static CALIBRATION_MEMORY: ConstStaticCell<CalibrationMemory<'static>> =
-    ConstStaticCell::new(CalibrationMemory::EMPTY);
-static COMPENSATION_MEMORY: StaticCell<CompensationMemory<'static>> = StaticCell::new();
-static POOL: ConstStaticCell<[i32; POOL_INTEGERS]> = ConstStaticCell::new([0; POOL_INTEGERS]);
 /// Executor of sensing and CAN reception. Both executors use interrupts of unused peripherals.
 static SENSING: InterruptExecutor = InterruptExecutor::new();
 /// Below the interrupts of the buses.
@@ -111,14 +105,10 @@ async fn begin(spawner: Spawner, board: Peripherals<B>) {
     let mut store = ParameterStore::new(board.flash, board.flash_offsets.parameters);
     let loaded = tasks::load_parameters(&mut store, shared).await;
     let slots = CalibrationSlots::new(board.flash_offsets.calibrations);
-    let memories = Memories {
-        calibration: CALIBRATION_MEMORY.take(),
-        compensations: COMPENSATION_MEMORY.init_with(|| CompensationMemory::EMPTY),
-        pool: POOL.take(),
-    };
     let payload = Payload { tables: &TABLES, networks: &NETWORKS };
     let linked = LinkedCalibration { payload, description: DESCRIPTION };
-    let (calibration, origin) = load_calibration(&slots, store.flash(), memories, &linked).await;
+    let (calibration, origin) =
+        load_calibration(&slots, store.flash(), calibration_memory::take(), &linked).await;
     let calibration: &'static Calibration = CALIBRATION.init(calibration);
     let tables = &calibration.tables;
     info!("start {}, tables {:04x}, {} sensors", boot, tables.id, tables.sensors.len());

@@ -67,10 +67,12 @@ impl<const INPUTS: usize, const HIDDEN: usize, const SENSORS: usize>
     }
 }
 
-/// Maximum number of calls of [`Scrubber::step`] per pass.
-pub const CALLS: usize = 1000;
+/// Maximum number of calls of [`Scrubber::step`] per pass while the device runs.
+const CALLS: usize = 100;
+/// The same of a pass without pauses, whose steps must be short.
+const UNPAUSED_CALLS: usize = 1000;
 /// Calls per second for a pass in at most five seconds.
-pub const CALLS_PER_S: u32 = 200;
+pub const CALLS_PER_S: u32 = 20;
 
 /// Result of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -95,23 +97,27 @@ impl<T: Checksummed> Scrub for T {
     }
 }
 
-/// Continuous check in passes of [`CALLS`] steps: three words per step for the ideal model of four sensors.
-#[derive(Clone, Default)]
+/// Continuous check in passes of a number of steps. Each step first finds its place in the value, so that many small ones take
+/// longer than a few large ones.
+#[derive(Clone)]
 pub struct Scrubber {
+    calls: usize,
     at: usize,
     digest: Option<Digest32>,
 }
 
 impl Scrubber {
-    /// State before the first pass.
-    pub const NEW: Self = Self { at: 0, digest: None };
+    /// State before a pass at [`CALLS_PER_S`]: some thirty words per step for the ideal model of four sensors.
+    pub const NEW: Self = Self { calls: CALLS, at: 0, digest: None };
+    /// State before a pass without pauses.
+    pub const UNPAUSED: Self = Self { calls: UNPAUSED_CALLS, ..Self::NEW };
 
     /// Checks the next part of `value`, always the same value. A bit that flips behind the current position is found
     /// at the end of the next pass: at [`CALLS_PER_S`] within ten seconds.
     pub fn step(&mut self, value: &impl Checksummed) -> ScrubResult {
         let value = black_box(value);
         let words = word_count(value);
-        let count = words.div_ceil(CALLS).max(1);
+        let count = words.div_ceil(self.calls).max(1);
         let digest = self.digest.take().unwrap_or_else(|| CRC32.digest());
         let digest = update(value, self.at, count, digest);
         let to = self.at.saturating_add(count);
