@@ -19,8 +19,9 @@ const SERVICE: u16 = 4;
 const PARAM_REQUEST: u16 = 5;
 const HOST_ATTITUDE: u16 = 0x12;
 const HOST_ACCELERATION: u16 = 0x13;
+const CALIBRATION_CHUNK: u16 = 0x14;
 /// Messages of the protocol.
-const MESSAGES: u16 = 0x14;
+const MESSAGES: u16 = 0x15;
 /// Milliseconds between two frames: both sides of every limit.
 const WAITS: [u32; 16] = [0, 0, 0, 1, 2, 5, 10, 20, 50, 99, 100, 101, 500, 501, 1000, 1001];
 /// Longest data of a frame, were it one of CAN FD.
@@ -294,6 +295,7 @@ impl Reference {
                 // Reserved bits are zero.
                 HOST_ATTITUDE if data[7] & !1 == 0 => Verdict::Other,
                 HOST_ACCELERATION if data[7] == 0 => Verdict::Other,
+                CALIBRATION_CHUNK => Verdict::Other,
                 _ => self.drop(now),
             },
             _ => self.drop(now),
