@@ -37,9 +37,10 @@ use firmware::tasks::{self, SharedState};
 use crate::counts::Counter;
 use crate::vectors;
 
-/// Counted milliseconds, after [`START_TICKS`].
+/// Counted milliseconds, after the first check of the tables.
 const TICKS: u64 = 200;
-const START_TICKS: u64 = 20;
+/// Maximum time of that check.
+const MAX_START_TICKS: u64 = 5000;
 /// Frames of a flood in a millisecond: the shortest ones at 1 Mbit/s.
 const FLOOD: u32 = 21;
 
@@ -56,7 +57,7 @@ pub fn print(counter: &Counter, out: &mut impl Write) -> Printed {
 fn count(counter: &Counter, frames: u32) -> Option<[u32; 2]> {
     let world = World::default();
     let shared = &SharedState::<CriticalSectionRawMutex>::new();
-    let mut estimator = Estimator::new(&TABLES, GruBank::new(&NETWORKS));
+    let mut estimator = Estimator::new(&TABLES, GruBank::<_, _, _, SENSORS>::new(&NETWORKS));
     let mut grip = GripController::new(GripLimits::GRIPPER, Screw::A, true);
     let limits = DetectionLimits::GRIPPER;
     let buses = [Bus(&world), Bus(&world)];
@@ -79,18 +80,19 @@ fn count(counter: &Counter, frames: u32) -> Option<[u32; 2]> {
         ),
     ));
     let (mut sum, mut max) = (0, 0);
-    for tick in 0..START_TICKS + TICKS {
+    let mut millisecond = || {
         world.frames.set(frames);
-        let mut millisecond = || {
-            // Sensors answer within the millisecond: all waits in it end at its end.
-            world.time_us.set(world.time_us.get() + 1000);
-            run(&world, all.as_mut());
-        };
-        if tick < START_TICKS {
-            millisecond();
-            continue;
-        }
-        let count = counter.instructions(millisecond);
+        // Sensors answer within the millisecond: all waits in it end at its end.
+        world.time_us.set(world.time_us.get() + 1000);
+        run(&world, all.as_mut());
+    };
+    let mut start = 0..MAX_START_TICKS;
+    while !shared.tables_checked.signaled() {
+        start.next()?;
+        millisecond();
+    }
+    for _ in 0..TICKS {
+        let count = counter.instructions(&mut millisecond);
         sum += count;
         max = max.max(count);
     }
