@@ -28,7 +28,7 @@ const START_MS: u64 = 50;
 const READY_S: f64 = 0.3;
 
 pub fn trials(effort: Effort) -> Vec<Trial> {
-    let cuts = if effort == Effort::Acceptance { 200 } else { 24 };
+    let cuts = if effort == Effort::Acceptance { 200 } else { 12 };
     let of_remains = [Remains::Nothing, Remains::Everything, Remains::Unreadable];
     let mut trials: Vec<Trial> = of_remains
         .into_iter()

@@ -68,7 +68,7 @@ impl Identification {
     }
 }
 
-/// RMS errors of the forces over all sensors and axes of a recording, averaged over [`BLOCK_ROWS`] rows, on the same rows.
+/// RMS errors of the forces over all sensors and axes of a recording, averaged over ten rows, on the same rows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ForceErrors {
     /// Of the board, in newtons.

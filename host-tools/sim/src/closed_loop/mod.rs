@@ -5,7 +5,7 @@
 //! - [`requirements`]: specified figures of drive and grasp next to the simulated ones.
 //! - [`coupling`]: the simulated gripper at the connections of a board.
 //! - [`emulated_board`]: the image in an emulated chip.
-//! - [`bench`]: a gripper with hidden effects on a test bench, for recordings over the serial line.
+//! - [`mod@bench`]: a gripper with hidden effects on a test bench, for recordings over the serial line.
 
 pub mod bench;
 pub mod coupling;
