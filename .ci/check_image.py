@@ -5,8 +5,8 @@
   end in the firmware's own handlers; the record of a crash is in memory that the start leaves alone.
 - From the models' entries and from the motor's interrupts no panic is reachable, and no call whose target is
   unknown; the stack of the deepest way is printed.
-- The kernels are in the memory next to the core; their code, with the tables of the activations, and
-  their stack stay within bounds.
+- The kernels and the motor's interrupts are in the memory next to the core; the kernels' code, with the tables
+  of the activations, and their stack stay within bounds.
 - The image takes no more flash and RAM than was asked for.
 
 `check_image.py --kernels ELF` looks at the kernels alone, wherever they are.
@@ -32,6 +32,7 @@ DRIVE = ("ADC1_2", "CORDIC")
 # Absent from an image without networks.
 NETWORKS = "firmware::estimator::gru::apply"
 TABLE = "firmware::model::kernel::activation::TABLE"
+COPY = "firmware::model::kernel::copy_to_ccm"
 RECORD = "firmware::board::selected::crash::RECORD"
 # Most bytes: of a recurrent network's kernel with its tables, of a kernel's stack, and of the stack from
 # an entry down (a task's own stack and interrupts come on top; 14 KiB hold all).
@@ -177,8 +178,7 @@ def check_kernels(elf, sections):
     size, start, load = sections.get(".ccm", (0, 0, 0))
     if size == 0 or load not in FLASH:
         sys.exit(f"{elf}: no kernels in .ccm: the linker script was lost")
-    places = {name: address for name, address, _ in symbols(elf)}
-    if places.get("__pre_init") in (None, places.get("DefaultPreInit")):
+    if not any(plain(name) == COPY for name, _, _ in symbols(elf)):
         sys.exit(f"{elf}: nobody copies the kernels out of flash")
     table = next((size for name, _, size in symbols(elf) if name.startswith(TABLE)), 0)
     stack = stacks(elf)
@@ -186,6 +186,8 @@ def check_kernels(elf, sections):
     names = {address: name for address, (name, _) in functions(elf).items()}
     for address, end in zip(ends, ends[1:]):
         name, bytes_, used = names[address], end - address, stack[address]
+        if "kernel" not in name:
+            continue
         tables = table if "gru" in name else 0
         print(f"{name}: {bytes_} bytes of code, {tables} of tables, {used} of stack")
         if bytes_ + tables > CODE_LIMIT:
@@ -241,8 +243,9 @@ def main(elf):
     check_vectors(elf, found)
     check_crash(elf, found)
     check_no_panic(elf)
-    if found.get(".ccm", (0, 0, 0))[1] not in CCM:
-        sys.exit(f"{elf}: the kernels are not in the memory next to the core")
+    places = {name: address for name, address, _ in symbols(elf)}
+    if found.get(".ccm", (0, 0, 0))[1] not in CCM or any(places[name] not in CCM for name in DRIVE):
+        sys.exit(f"{elf}: the kernels or the motor's interrupts are not in the memory next to the core")
     check_kernels(elf, found)
     flash = sum(size for name, (size, _, load) in found.items() if load in FLASH and name != ".bss")
     ram = sum(size for size, address, _ in found.values() if address in RAM)

@@ -70,6 +70,7 @@ fn print_counts(out: &mut impl Write) -> core::fmt::Result {
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
+    kernel::copy_to_ccm();
     let mut comparison = Comparison::default();
     let digest = vectors::run(&mut comparison);
     let complete = comparison.steps == STEPS && comparison.sums == SUMS && wrong_copies() == 0;

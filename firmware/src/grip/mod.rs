@@ -97,6 +97,8 @@ pub struct GripController {
     slip: SlipDetector,
     homing: Homing,
     homing_step: HomingStep,
+    /// The opening was set by a homing that has not found the far end yet.
+    is_provisional: bool,
     stall: StallDetector,
     ground_detector: GroundContactDetector,
     ground_contact: GroundContact,
@@ -165,6 +167,7 @@ impl GripController {
             slip: SlipDetector::default(),
             homing: Homing::default(),
             homing_step: HomingStep::Drive(Setpoint::Off),
+            is_provisional: false,
             stall: StallDetector::default(),
             ground_detector: GroundContactDetector::default(),
             ground_contact: GroundContact::default(),
@@ -220,6 +223,11 @@ impl GripController {
         }
         if self.power == PowerState::Enabled {
             self.update_task(inputs, &mut outputs);
+        }
+        let is_homing = self.power == PowerState::Enabled && self.task == TaskState::Homing;
+        if self.is_provisional && !is_homing {
+            self.is_provisional = false;
+            outputs.opening_mm = Some(f32::NAN);
         }
         outputs.setpoint = self.motor_setpoint(&inputs.motor);
         self.report(inputs, &mut outputs);

@@ -258,9 +258,13 @@ impl GripController {
             HomingStep::Drive(_) => None,
             HomingStep::Zeroed(opening_mm) => {
                 outputs.opening_mm = Some(opening_mm);
+                self.is_provisional = true;
                 None
             }
-            HomingStep::Homed => Some(TaskEvent::Homed),
+            HomingStep::Homed => {
+                self.is_provisional = false;
+                Some(TaskEvent::Homed)
+            }
             HomingStep::Stalled => {
                 self.set_stall_fault(inputs, outputs);
                 Some(TaskEvent::HomingFailed)

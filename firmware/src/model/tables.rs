@@ -357,4 +357,4 @@ pub type TablesCalibration<'m> = crate::model::calibration::Calibration<'m, 2, 8
 
 /// Origin of tables and networks, as TOML.
 #[rustfmt::skip]
-pub static DESCRIPTION: &str = "model_sha256 = \"9c8a4abb3f881567bf12d6dca865c9d2a64cd3d23a7a66e76550f7cb0246e1af\"\nnetwork_sha256 = \"14f2eac3770a70c4a1d7cb531e67be9bb4bd8c5193d9060cd044a25ce916a3ee\"\ncampaign = \"demo\"\nrecorded = []\neffects = [\"neighbour_magnet\"]\n\n[conditions]\nneighbour_magnet = [\"after homing\"]\n";
+pub static DESCRIPTION: &str = "model_sha256 = \"9c8a4abb3f881567bf12d6dca865c9d2a64cd3d23a7a66e76550f7cb0246e1af\"\nvariant = \"fitted parameters\"\nnetwork_sha256 = \"14f2eac3770a70c4a1d7cb531e67be9bb4bd8c5193d9060cd044a25ce916a3ee\"\ncampaign = \"demo\"\nrecorded = []\neffects = [\"neighbour_magnet\"]\n\n[conditions]\nneighbour_magnet = [\"after homing\"]\n";

@@ -309,6 +309,7 @@ impl CurrentLoop {
     }
 
     /// Duty cycles for a voltage; trips where it is not finite.
+    #[inline(always)] // As a function of its own it would not be in the memory of the interrupt.
     fn modulate(&mut self, voltage: AlphaBeta, phases: [f32; 3]) -> BridgeCommand {
         let duties = foc::compensate_dead_time(foc::duties(voltage, self.bus_v), phases);
         let [u, v, w] = duties;

@@ -30,7 +30,8 @@ pub enum Fault {
     NetworkDiverged = 107,
     /// Wrong checksum of the tables.
     TablesUnsound = 200,
-    /// Stored parameters are unreadable; defaults are used. Detail: the reason.
+    /// Stored parameters (source 0) are unreadable, and defaults are used; or an uploaded calibration (source 1), and the
+    /// previous or the linked one is used. Detail: the reason.
     StoreUnsound = 201,
     /// Ticks were missed. Detail: how many since boot.
     TicksMissed = 300,

@@ -28,6 +28,16 @@ pub enum CalibrationOrigin {
     Stored(StoredCalibration),
 }
 
+/// Why a stored calibration is not used.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum CalibrationDefect {
+    /// Damaged in flash, or of another format.
+    Invalid = 1,
+    /// Larger than this image has memory for, or with values that no model has.
+    Undecodable = 2,
+}
+
 /// Memory that a calibration is decoded into.
 pub struct Memories<'m> {
     /// Tables and networks.
@@ -38,7 +48,7 @@ pub struct Memories<'m> {
     pub pool: &'m mut [i32],
 }
 
-/// Loads the newest stored calibration, or else the linked one.
+/// Loads the newest valid calibration in flash, or else the linked one. The defect is that of a newer one that is not used.
 pub async fn load_calibration<
     'm,
     F: NorFlash,
@@ -50,10 +60,11 @@ pub async fn load_calibration<
     flash: &mut F,
     memory: Memories<'m>,
     linked: &LinkedCalibration<'m, INPUTS, HIDDEN, HEADS>,
-) -> (Calibration<'m, INPUTS, HIDDEN, HEADS>, CalibrationOrigin) {
+) -> (Calibration<'m, INPUTS, HIDDEN, HEADS>, CalibrationOrigin, Option<CalibrationDefect>) {
     let Memories { calibration, compensations, pool } = memory;
     let Payload { tables, networks } = &linked.payload;
     let stored = slots.newest(flash).await;
+    let invalid = slots.has_invalid(flash).await.then_some(CalibrationDefect::Invalid);
     let is_read = match &stored {
         Some(stored) => match slots.description_bytes(flash, stored).await {
             Some(length) => {
@@ -70,15 +81,17 @@ pub async fn load_calibration<
         },
         None => calibration.copy(&linked.payload, compensations),
     };
-    let origin = match (is_read, stored) {
-        (Some(()), Some(stored)) => CalibrationOrigin::Stored(stored),
-        _ => CalibrationOrigin::Linked(linked.description),
+    let linked_origin = CalibrationOrigin::Linked(linked.description);
+    let (origin, defect) = match (is_read, stored) {
+        (Some(()), Some(stored)) => (CalibrationOrigin::Stored(stored), invalid),
+        (None, Some(_)) => (linked_origin, Some(CalibrationDefect::Undecodable)),
+        (_, None) => (linked_origin, invalid),
     };
     let running = match is_read {
         Some(()) => calibration.calibration(),
         None => Calibration { tables: **tables, networks: Networks::Linked(networks) },
     };
-    (running, origin)
+    (running, origin, defect)
 }
 
 /// Serves the description of the running calibration and uploads.
@@ -87,6 +100,8 @@ pub struct CalibrationService {
     pub slots: CalibrationSlots,
     /// Origin of the running one.
     pub origin: CalibrationOrigin,
+    /// Why a newer one does not run.
+    pub defect: Option<CalibrationDefect>,
 }
 
 impl CalibrationService {

@@ -73,10 +73,11 @@ pub async fn estimate<N: NetworkBank, C: Clock, M: RawMutex>(
             (sensed.begun_us.saturating_sub(last_us) + TICK_US / 2) as u32 / TICK_US as u32
         });
         tick = tick.wrapping_add(ticks);
+        tare(&mut taring, &held, &mut estimates, shared);
+        // After the tare: with the tables of the nominal design the untared forces of both fingers differ.
         diagnostics.update(&sensed.watched, &estimates, shared);
         let diverged = [0, 1, 2, 3].map(|sensor| estimator.network_diverged(sensor));
         diagnostics.update_networks(diverged, shared);
-        tare(&mut taring, &held, &mut estimates, shared);
         shared.grip_inputs.signal(GripInputs {
             estimates,
             motor,

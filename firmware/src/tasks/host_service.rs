@@ -33,6 +33,10 @@ pub async fn load_parameters<F: NorFlash, M: RawMutex>(
     loaded
 }
 
+/// Sources of [`Fault::StoreUnsound`].
+const PARAMETERS: u8 = 0;
+const CALIBRATION: u8 = 1;
+
 /// Resources of the task.
 pub struct HostService<F, R, B> {
     /// Versions of protocol, firmware and tables.
@@ -70,9 +74,17 @@ pub async fn host_service<F: NorFlash, R: FnMut() -> u16, B: FnMut(), C: Clock, 
     shared.update_fault(
         FaultReporter::HostService,
         &mut faults,
-        (Fault::StoreUnsound, 0),
+        (Fault::StoreUnsound, PARAMETERS),
         !is_sound,
         loaded.origin.code(),
+    );
+    let defect = service.calibration.defect;
+    shared.update_fault(
+        FaultReporter::HostService,
+        &mut faults,
+        (Fault::StoreUnsound, CALIBRATION),
+        defect.is_some(),
+        defect.map_or(0, |defect| defect as u32),
     );
     // No frame is processed, and so no host can arm, before the tables have been checked.
     shared.tables_checked.wait().await;

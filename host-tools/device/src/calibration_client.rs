@@ -27,8 +27,8 @@ const REPEAT: Duration = Duration::from_millis(100);
 const REPETITIONS: u32 = 50;
 /// Chunks sent before the first of them is acknowledged: what the gripper can queue.
 const WINDOW: u32 = 2 * CHUNKS_PER_GROUP as u32;
-/// Time for each chunk: the gripper admits 20 messages in 10 ms.
-const CHUNK_TIME: Duration = Duration::from_micros(600);
+/// Time for each chunk: the gripper admits 20 messages in 10 ms, and those of a busy computer come in bursts.
+const CHUNK_TIME: Duration = Duration::from_micros(800);
 /// Time for a reboot with the first check of the tables.
 const REBOOT: Duration = Duration::from_secs(5);
 
@@ -63,6 +63,9 @@ impl RunningCalibration {
                     values => values.join(", "),
                 };
                 line("model", &format!("SHA-256 {}", description.model_sha256));
+                if !description.variant.is_empty() {
+                    line("", &description.variant);
+                }
                 match &description.network_sha256 {
                     Some(sha256) => line("networks", &format!("SHA-256 {sha256}")),
                     None => line("networks", "none"),
@@ -198,6 +201,34 @@ pub fn running(source: &mut dyn Source) -> Result<RunningCalibration> {
     })
 }
 
+/// Defines the present forces as zero, and saves that with all other parameters if wanted.
+///
+/// # Errors
+/// No reply, or the gripper refuses: the previous tare stays.
+pub fn tare(source: &mut dyn Source, saves: bool) -> Result<()> {
+    let reply = request(source, op::TARE, 0, SLOW_PATIENCE)?;
+    let sensor = reply.detail & 0xFF;
+    let why = match (reply.status, reply.detail >> 8) {
+        (status::DONE, _) => {
+            if saves {
+                let reply = request(source, op::SAVE, 0, SLOW_PATIENCE)?;
+                done(source, reply).context("the tare is in effect, but not saved")?;
+            }
+            return Ok(());
+        }
+        (status::ARMED, _) => "a host is armed or the motor is driven".to_owned(),
+        (_, 1) => format!("no reading of sensor {sensor}"),
+        (_, 2) => format!("sensor {sensor} is saturated, or its field is outside the model"),
+        (_, 3) => format!("a magnet disturbs sensor {sensor}"),
+        (_, 4) => format!("the force at sensor {sensor} is not constant: keep the gripper at rest"),
+        (_, 5) => format!(
+            "the force at sensor {sensor} is larger than the model's range: remove the load, or upload tables of this gripper"
+        ),
+        _ => "another tare or calibration is in progress".to_owned(),
+    };
+    bail!("{}: the gripper refuses the tare: {why}", source.name())
+}
+
 fn version(source: &mut dyn Source) -> Result<Version> {
     ask(source, service(op::VERSION, 0), PATIENCE, |message| match message {
         Message::Version(version) => Some(*version),
@@ -282,7 +313,9 @@ fn done(source: &dyn Source, reply: ServiceReply) -> Result<u32> {
     .into();
     let why = match reply.status {
         status::DONE => return Ok(reply.detail),
-        status::ARMED => "a host is armed or the motor is driven: disable it first",
+        status::ARMED => {
+            "a host is armed or the motor is driven: end that program, or the session of one that was killed with `magpie grasp --position`"
+        }
         status::UNKNOWN => "the firmware is older than this tool",
         _ => reasons.get(&reply.detail).copied().unwrap_or("no reason known to this tool"),
     };

@@ -283,6 +283,8 @@ pub fn fault_source(fault: Fault, source: u8) -> String {
         | Fault::OutsideModel
         | Fault::NetworkDiverged => format!("sensor {source}"),
         Fault::BusStuck => format!("sensors' bus {source}"),
+        Fault::StoreUnsound if source == 0 => "parameters".to_owned(),
+        Fault::StoreUnsound => "uploaded calibration".to_owned(),
         Fault::Flooded if source == SERIAL => "serial line".to_owned(),
         Fault::Flooded => "CAN bus".to_owned(),
         _ => String::new(),

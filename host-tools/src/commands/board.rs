@@ -66,9 +66,16 @@ fn text(running: &RunningCalibration, incomplete: &[usize]) -> String {
     let mut text = running.text();
     if !incomplete.is_empty() {
         let sensors: Vec<String> = incomplete.iter().map(usize::to_string).collect();
+        let conditions = running.description.iter().flat_map(|known| &known.conditions);
+        let possible: Vec<&str> = conditions.map(|(effect, _)| effect.as_str()).collect();
         text += &format!(
-            "now          an effect is not compensated at sensor {}, for lack of an input\n",
-            sensors.join(", ")
+            "now          not compensated at sensor {}: {}\n",
+            sensors.join(", "),
+            if possible.is_empty() {
+                "an effect, for lack of an input".to_owned()
+            } else {
+                format!("{}, for lack of an input (conditions above)", possible.join(" or "))
+            }
         );
     }
     text

@@ -21,6 +21,7 @@ pub mod monitor;
 pub mod record;
 pub mod replay;
 pub mod simulate;
+pub mod tare;
 pub mod train;
 pub mod upload;
 
@@ -54,6 +55,7 @@ enum Command {
     Export(export::Args),
     Upload(upload::Args),
     Board(board::Args),
+    Tare(tare::Args),
     Replay(replay::Args),
     Simulate(simulate::Args),
     Train(train::Args),
@@ -92,6 +94,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Export(args) => export::run(&args),
         Command::Upload(args) => upload::run(&args),
         Command::Board(args) => board::run(&args),
+        Command::Tare(args) => tare::run(&args),
         Command::Replay(args) => replay::run(&args),
         Command::Simulate(args) => simulate::run(&args),
         Command::Train(args) => train::run(&args),

@@ -53,6 +53,16 @@ fn an_uploaded_calibration_runs_and_is_described() {
     assert_eq!(calibration["conditions"]["neighbour_magnet"][0], "after homing");
     assert_eq!(second["missing_inputs"], serde_json::json!([0, 1, 2, 3]));
 
+    // The nominal design of the same file is another calibration.
+    let nominal = dir.json(&format!("upload effect.toml --nominal --port {line} --json"));
+    assert_ne!(nominal["tables"], uploaded["tables"]);
+    let shown_nominal = shown(&dir, &line);
+    assert_eq!(shown_nominal["calibration"]["variant"], "nominal design");
+    assert_eq!(second["calibration"]["variant"], "fitted parameters");
+    let tared = dir.json(&format!("tare --port {line} --json"));
+    assert_eq!(tared, serde_json::json!({ "tared": true, "saved": false }));
+    dir.stdout(&format!("upload effect.toml --port {line}"));
+
     // With networks, into the other slot.
     dir.stdout(&[
         "train",

@@ -9,7 +9,10 @@ use libtest_mimic::{Failed, Trial};
 use sim::board::SimulatedBoard;
 
 use crate::Effort;
-use crate::boards::{CONDITIONS, LOAD, WORST_TICK_US, board, image, overload, pressed, violations};
+use crate::boards::{
+    CONDITIONS, LOAD, LOAD_WITHOUT_CACHES, WORST_TICK_US, board, image, overload, pressed,
+    violations,
+};
 use crate::images::Variant;
 use sim::closed_loop::emulated_board::ChipConditions;
 
@@ -17,8 +20,6 @@ use sim::closed_loop::emulated_board::ChipConditions;
 const FIRST_FEED: Time = Time::from_ms(5);
 /// Longest time between feeds: the period and what is more urgent.
 const FEED_GAP: Time = Time::from_ms(7);
-/// Greatest share of the core's time where no access to flash is served by a cache: then the deadlines hold only just.
-const LOAD_WITHOUT_CACHES: f64 = 0.9;
 
 pub fn trials(effort: Effort) -> Vec<Trial> {
     let mut trials = Vec::new();

@@ -57,7 +57,7 @@ fn main() -> ExitCode {
     trials.extend(motion::trials(effort));
     trials.extend(buses::trials(effort));
     trials.extend(covariates::trials());
-    trials.extend(calibration::trials());
+    trials.extend(calibration::trials(effort));
     trials.extend(faults::trials());
     trials.extend(storage::trials());
     trials.extend(uploads::trials(effort));

@@ -6,6 +6,7 @@ use device::source::Source;
 use device_run::networks::NetworkSet;
 use emulator::Halt;
 use emulator::peripherals::flash::{BASE, PowerCut, Remains};
+use firmware::system::faults::Fault;
 use firmware::system::nv_storage::calibration::SLOT_BYTES;
 use libtest_mimic::{Failed, Trial};
 use model_export::gru::network::Network;
@@ -28,16 +29,17 @@ const START_MS: u64 = 50;
 const READY_S: f64 = 0.3;
 
 pub fn trials(effort: Effort) -> Vec<Trial> {
-    let cuts = if effort == Effort::Acceptance { 200 } else { 12 };
+    let cuts: u32 = if effort == Effort::Acceptance { 200 } else { 12 };
     let of_remains = [Remains::Nothing, Remains::Everything, Remains::Unreadable];
     let mut trials: Vec<Trial> = of_remains
         .into_iter()
         .map(|leaves| {
             let name = format!("uploads_power_cut_leaves_{leaves:?}");
-            Trial::test(name, move || power_cuts(leaves, cuts / 3))
+            Trial::test(name, move || power_cuts(leaves, cuts.div_ceil(of_remains.len() as u32)))
         })
         .collect();
     trials.push(Trial::test("uploads_with_networks", with_networks));
+    trials.push(Trial::test("uploads_damaged_in_flash", damaged));
     trials
 }
 
@@ -93,6 +95,28 @@ fn with_networks() -> Result<(), Failed> {
     let mut board = board(&image(Variant::Default)?, TYPICAL, recorded(&made));
     board.chip.soc.load_flash((CALIBRATIONS - BASE) as usize, &flash);
     assert_replays(made, board, START_MS)
+}
+
+/// A damaged calibration is reported, and the previous one runs.
+fn damaged() -> Result<(), Failed> {
+    let made = images::get(Variant::Clean)?;
+    let mut cell = cell(40.0)?;
+    cell.run(READY_S);
+    for campaign in ["old", "new"] {
+        upload(&mut cell, &encoded(&made.built, &[], campaign))?;
+    }
+    let place = CALIBRATIONS + SLOT_BYTES + 1000;
+    let word = cell.board.chip.soc.memory(place, 8).ok_or("no flash")?;
+    let changed: Vec<u8> = word.iter().map(|byte| byte ^ 1).collect();
+    cell.board.chip.soc.load_flash((place - BASE) as usize, &changed);
+    cell.board.chip.power_cycle()?;
+    cell.host.received.faults.clear();
+    cell.run(READY_S);
+    assert_eq!(running(&mut cell)?.as_deref(), Some("old"));
+    let faults: Vec<_> =
+        cell.host.received.faults.iter().map(|(_, event)| (event.code, event.source)).collect();
+    assert_eq!(faults, [(Fault::StoreUnsound as u16, 1)]);
+    Ok(())
 }
 
 /// After a power cut at any moment of an upload the board starts with the old or the new calibration.

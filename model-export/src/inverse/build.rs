@@ -116,6 +116,11 @@ pub fn build_model(
     }
     let digest = Sha256::digest(bytes);
     let id = u16::from_be_bytes([digest[0], digest[1]]);
+    // Both variants of a model file have tables of their own.
+    let id = match variant {
+        ModelVariant::Fitted => id,
+        ModelVariant::Nominal => !id,
+    };
     let mut chosen =
         select_models(&static_models, &numbers, id, scale.gauss_per_lsb, scale.range_gauss)
             .map_err(|overflow| BuildError::TableOverflow {

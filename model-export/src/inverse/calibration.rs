@@ -21,6 +21,9 @@ use crate::inverse::build::DeviceModel;
 pub struct CalibrationDescription {
     /// SHA-256 of the model file.
     pub model_sha256: String,
+    /// Parameters of the model: fitted, or of the nominal design.
+    #[serde(default)]
+    pub variant: String,
     /// SHA-256 of the weights of the networks.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub network_sha256: Option<String>,
@@ -49,6 +52,7 @@ impl CalibrationDescription {
         });
         Self {
             model_sha256: header.inputs_sha256.clone(),
+            variant: header.variant.to_owned(),
             network_sha256: (!networks.is_empty()).then(|| fingerprint(networks)),
             campaign: header.campaign.clone(),
             recorded: header.recorded.clone(),

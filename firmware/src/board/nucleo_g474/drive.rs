@@ -225,15 +225,17 @@ impl MotionLoopState {
     }
 }
 
-/// End of the injected conversions.
+/// End of the injected conversions. In core-coupled memory, where neither branches nor constants wait.
 #[embassy_stm32::interrupt]
+#[unsafe(link_section = ".ccm.current_loop")]
 fn ADC1_2() {
     // SAFETY: written before the interrupt is enabled; not used elsewhere from then on.
     unsafe { (*INNER.0.get()).assume_init_mut() }.period();
 }
 
-/// Raised by the current loop and by orders; its peripheral is unused.
+/// Raised by the current loop and by orders; its peripheral is unused. In core-coupled memory as well.
 #[embassy_stm32::interrupt]
+#[unsafe(link_section = ".ccm.motion_loop")]
 fn CORDIC() {
     // SAFETY: written before the interrupt is enabled; not used elsewhere from then on.
     unsafe { (*OUTER.0.get()).assume_init_mut() }.tick();

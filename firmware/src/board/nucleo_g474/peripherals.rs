@@ -20,6 +20,7 @@ use crate::board::selected::imu::{self, InertialSensor};
 use crate::board::selected::thermometer::{self, BoardThermometer};
 use crate::board::selected::{NucleoG474, drive, pwm, sync};
 use crate::board::{Bsp, Peripherals};
+use crate::model::kernel;
 use crate::protocol::serial::BAUD_RATE;
 
 /// Clock of the I2C peripherals: HSI16.
@@ -67,6 +68,7 @@ impl Bsp for NucleoG474 {
         // The driver library resets PWR and sets the wrong bit for boost mode: its clocks follow afterwards.
         boost();
         rcc::reinit(clocks(), &mut p.RCC);
+        kernel::copy_to_ccm();
         // A failing crystal breaks the motor outputs and raises the NMI; the driver library has no option for it.
         pac::RCC.cr().modify(|w| w.set_csson(true));
         // 20 mA drivers for 1 MHz.

@@ -15,8 +15,7 @@ critical_section::set_impl!(BelowMotor);
 
 // SAFETY: what enters runs at priority 1 or below, so that nothing else that enters can interrupt it.
 unsafe impl Impl for BelowMotor {
-    // Called in a hundred places: a call is shorter than the inlined instructions.
-    #[inline(never)]
+    #[inline]
     unsafe fn acquire() -> RawRestoreState {
         let before = basepri::read();
         // Never lowers the mask.
@@ -25,7 +24,7 @@ unsafe impl Impl for BelowMotor {
         before
     }
 
-    #[inline(never)]
+    #[inline]
     unsafe fn release(before: RawRestoreState) {
         compiler_fence(Ordering::SeqCst);
         // SAFETY: what it was before `acquire`.

@@ -107,7 +107,7 @@ async fn begin(spawner: Spawner, board: Peripherals<B>) {
     let slots = CalibrationSlots::new(board.flash_offsets.calibrations);
     let payload = Payload { tables: &TABLES, networks: &NETWORKS };
     let linked = LinkedCalibration { payload, description: DESCRIPTION };
-    let (calibration, origin) =
+    let (calibration, origin, defect) =
         load_calibration(&slots, store.flash(), calibration_memory::take(), &linked).await;
     let calibration: &'static Calibration = CALIBRATION.init(calibration);
     let tables = &calibration.tables;
@@ -135,7 +135,7 @@ async fn begin(spawner: Spawner, board: Peripherals<B>) {
     spawner.spawn(once(transmit(shared, board.can_tx, node, version)));
     spawner.spawn(once(transmit_serial(shared, board.serial_tx)));
     spawner.spawn(once(receive_serial(shared, board.serial_rx, node)));
-    let calibration = CalibrationService { slots, origin };
+    let calibration = CalibrationService { slots, origin, defect };
     spawner.spawn(once(host_service(shared, store, loaded, calibration, version, board.rng)));
 }
 

@@ -125,7 +125,8 @@ impl<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize> NetworkBank
 }
 
 /// Steps every network on a frame's estimates and merges the predictions into them. Estimates of networks that are
-/// warming up stay unchanged.
+/// warming up stay unchanged, and so do those without an input of the compensation: the networks are trained on
+/// compensated fields.
 ///
 /// Not inlined: the check of the image finds the networks by this function.
 #[inline(never)]
@@ -169,7 +170,7 @@ fn value(estimates: &[Estimate; SENSORS], source: InputSource) -> Option<i32> {
 }
 
 fn merge(estimate: &mut Estimate, target: Target, guard: &Guard, prediction: &Prediction) {
-    if estimate.validity == Validity::Missing {
+    if estimate.validity == Validity::Missing || estimate.missing_inputs {
         return;
     }
     let ideal = estimate.force;

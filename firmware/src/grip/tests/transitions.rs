@@ -387,6 +387,27 @@ proptest! {
 }
 
 #[test]
+fn opening_of_an_aborted_homing_is_unknown() {
+    let abort: [fn(&mut GripRig); 3] = [
+        |rig| rig.fault(Fault::Disturbed, true),
+        |rig| rig.stop = true,
+        |rig| rig.send(mode::STOP, |_| {}),
+    ];
+    for abort in abort {
+        let mut rig = GripRig::enabled_at(true, 10.0);
+        rig.object = Some((0.0, 333.0));
+        rig.send(mode::HOME, |_| {});
+        // Beyond the contact of the fingers, on the way to the far end.
+        rig.run(3000);
+        assert_eq!(rig.grip.task(), TaskState::Homing);
+        assert!(rig.motor.opening_mm.is_some_and(|mm| mm > 1.0));
+        abort(&mut rig);
+        rig.run(3);
+        assert_eq!(rig.motor.opening_mm, None);
+    }
+}
+
+#[test]
 fn shorted_windings_stay_until_cleared() {
     let mut rig = GripRig::holding(false);
     rig.motor.state = MotorState::Tripped(Trip::Encoder);

@@ -10,33 +10,26 @@ pub mod activation;
 pub mod grbf;
 pub mod gru;
 
-#[cfg(target_os = "none")]
-use core::arch::naked_asm;
-
-/// Copies the kernels from flash to the core-coupled memory. Called first by the reset handler, in assembly because
-/// statics are not initialised yet.
+/// Copies the kernels and the motor's interrupts from flash to the core-coupled memory, where they run. Called before
+/// the first use of either, and after the clocks are set: with the clock after a reset it takes ten times as long.
 ///
-/// # Safety
-/// Only for the reset handler. The linker script states the three addresses, in whole words.
+/// Not inlined: the check of the image looks for this function.
 #[cfg(target_os = "none")]
-#[unsafe(naked)]
-#[unsafe(no_mangle)]
-unsafe extern "C" fn __pre_init() {
-    naked_asm!(
-        "ldr r0, =__sccm",
-        "ldr r1, =__eccm",
-        "ldr r2, =__siccm",
-        "2:",
-        "cmp r0, r1",
-        "beq 3f",
-        "ldmia r2!, {{r3}}",
-        "stmia r0!, {{r3}}",
-        "b 2b",
-        "3:",
-        // Completes the writes before the code is executed.
-        "dsb",
-        "isb",
-        "bx lr",
-        ".ltorg",
-    )
+#[inline(never)]
+pub fn copy_to_ccm() {
+    unsafe extern "C" {
+        static mut __sccm: u32;
+        static __eccm: u32;
+        static __siccm: u32;
+    }
+    // SAFETY: the addresses are those of the linker script, aligned to words. No reference to this memory exists, and copying
+    // the same code again would change nothing.
+    unsafe {
+        let to = &raw mut __sccm;
+        let bytes = (&raw const __eccm).addr().saturating_sub(to.addr());
+        to.copy_from_nonoverlapping(&raw const __siccm, bytes / size_of::<u32>());
+    }
+    // Completes the writes before the code is executed.
+    cortex_m::asm::dsb();
+    cortex_m::asm::isb();
 }

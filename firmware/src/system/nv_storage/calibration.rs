@@ -114,6 +114,18 @@ impl CalibrationSlots {
         Some(StoredCalibration { slot, sequence, length, crc, is_finished })
     }
 
+    /// Whether a slot was completed, but its calibration is no longer valid: damaged, or of another format.
+    pub async fn has_invalid<F: NorFlash>(&self, flash: &mut F) -> bool {
+        for slot in 0..SLOTS {
+            let mark = self.mark(flash, slot, 1).await;
+            let is_complete = mark.is_some_and(|(_, constant)| constant == SECOND_MARK);
+            if is_complete && self.stored(flash, slot).await.is_none() {
+                return true;
+            }
+        }
+        false
+    }
+
     /// Sequence and constant of a mark; `None` if it is unreadable.
     async fn mark<F: NorFlash>(
         &self,
@@ -383,6 +395,21 @@ mod tests {
         assert_eq!(block(slots.finish(&mut flash)), Err(UploadError::NotBegun));
         assert_eq!(block(slots.receive(&mut flash, 0, [0; 6])), Err(UploadError::NotBegun));
         assert_eq!(newest(&mut flash), Some(1));
+    }
+
+    #[test]
+    fn a_damaged_calibration_is_reported_and_the_previous_one_counts() {
+        let mut flash = Memory::new(1);
+        let invalid = |flash: &mut Memory| block(CalibrationSlots::new(0).has_invalid(flash));
+        assert!(!invalid(&mut flash));
+        upload(&mut flash, &calibration(1, 500)).unwrap();
+        upload(&mut flash, &calibration(2, 500)).unwrap();
+        assert_eq!((invalid(&mut flash), newest(&mut flash)), (false, Some(2)));
+        flash.flip(SLOT_BYTES as usize + 400, 3);
+        assert_eq!((invalid(&mut flash), newest(&mut flash)), (true, Some(1)));
+        // The next upload overwrites it.
+        upload(&mut flash, &calibration(3, 500)).unwrap();
+        assert_eq!((invalid(&mut flash), newest(&mut flash)), (false, Some(3)));
     }
 
     #[test]

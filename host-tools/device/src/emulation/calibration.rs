@@ -82,7 +82,7 @@ pub struct ForceErrors {
 }
 
 /// Forces that the board reported with each row, by the row's time in microseconds since the first.
-type BoardForces = BTreeMap<u64, [Option<[f64; 2]>; SENSORS]>;
+pub type BoardForces = BTreeMap<u64, [Option<[f64; 2]>; SENSORS]>;
 
 /// Uploads the model of the nominal design, records a campaign, fits the physics, and adds the effects that the diagnosis names.
 /// `nominal` is any model of this design; `folder` receives all files.
@@ -165,8 +165,11 @@ fn upload(bench: &mut EmulatedBench, built: &DeviceModel) -> Result<()> {
     calibration_client::reboot_into(&mut line, built.chosen.tables.id)
 }
 
-/// Records over the serial line, with the loads as the reference.
-fn record(
+/// Records over the serial line, with the loads as the reference; `recording` counts from 0.
+///
+/// # Errors
+/// The board cannot continue, a tick is lost, or the reference cannot be aligned.
+pub fn record(
     bench: &mut EmulatedBench,
     setup: &BenchSetup,
     recording: u32,

@@ -34,7 +34,8 @@ pub struct CycleModel {
     pub refill: u8,
     /// TBB and TBH, on top of the refill.
     pub table_branch: u8,
-    /// Integer multiplication with accumulation.
+    /// MLA and MLS: 1, and 2 in the manual of the core's first revision. All other multiplications with
+    /// accumulation (SMLAL, SMLAD, SMLABB, SMMLA, ...) take one cycle in every revision.
     pub multiply_accumulate: u8,
     /// SDIV and UDIV: 2 to 12, depending on the operands.
     pub divide: u8,
@@ -154,10 +155,9 @@ impl CycleModel {
             | I::Push(list)
             | I::Pop(list) => Timing::new(self.multiple + list.count_ones() as u8),
             I::TableBranch(..) => Timing::new(self.table_branch),
-            I::MultiplyAccumulate(..)
-            | I::MultiplySubtract(..)
-            | I::LongMultiply(..)
-            | I::Dsp(..) => Timing::new(self.multiply_accumulate),
+            I::MultiplyAccumulate(..) | I::MultiplySubtract(..) => {
+                Timing::new(self.multiply_accumulate)
+            }
             I::DivideSigned(..) | I::DivideUnsigned(..) => Timing::new(self.divide),
             I::DataBarrier | I::SynchronisationBarrier => Timing::new(self.barrier),
             I::ReadSpecial(..) | I::WriteSpecial(..) => Timing::new(self.special_register),

@@ -55,7 +55,7 @@ use firmware::system::faults::Event;
 use firmware::system::nv_storage::ParameterStore;
 use firmware::system::nv_storage::calibration::CalibrationSlots;
 use firmware::tasks::calibration::{
-    CalibrationOrigin, CalibrationService, LinkedCalibration, Memories,
+    CalibrationDefect, CalibrationOrigin, CalibrationService, LinkedCalibration, Memories,
 };
 use firmware::tasks::temperatures::BoardTemperatures;
 use firmware::tasks::{self, GripLoop, HostService, SharedState};
@@ -285,12 +285,16 @@ impl VirtualTimeBoard {
     }
 
     /// The newest calibration of the flash, decoded as the device does. Its memory is never freed, as on the device.
-    fn load_calibration(&self) -> (RunningCalibration, CalibrationOrigin) {
+    fn load_calibration(
+        &self,
+    ) -> (RunningCalibration, CalibrationOrigin, Option<CalibrationDefect>) {
         let linked_origin = CalibrationOrigin::Linked(self.program.description);
         let slots = CalibrationSlots::new(flash::CALIBRATIONS);
         let mut flash = self.flash.clone();
         if block_on(slots.newest(&mut flash)).is_none() {
-            return (RunningCalibration::Linked, linked_origin);
+            let invalid = block_on(slots.has_invalid(&mut flash));
+            let defect = invalid.then_some(CalibrationDefect::Invalid);
+            return (RunningCalibration::Linked, linked_origin, defect);
         }
         let memories = Memories {
             calibration: Box::leak(Box::new(CalibrationMemory::EMPTY)),
@@ -303,17 +307,19 @@ impl VirtualTimeBoard {
         let linked = LinkedCalibration { payload, description: "" };
         let loading = tasks::calibration::load_calibration(&slots, &mut flash, memories, &linked);
         match block_on(loading) {
-            (stored, origin @ CalibrationOrigin::Stored(_)) => {
-                (RunningCalibration::Stored(stored), origin)
+            (stored, origin @ CalibrationOrigin::Stored(_), defect) => {
+                (RunningCalibration::Stored(stored), origin, defect)
             }
-            (_, CalibrationOrigin::Linked(_)) => (RunningCalibration::Linked, linked_origin),
+            (_, CalibrationOrigin::Linked(_), defect) => {
+                (RunningCalibration::Linked, linked_origin, defect)
+            }
         }
     }
 
     fn spawn_loops(&mut self) {
         let program = self.program.clone();
         let limits = program.limits;
-        let (running, origin) = self.load_calibration();
+        let (running, origin, defect) = self.load_calibration();
         let tables_id = match &running {
             RunningCalibration::Linked => program.tables.id,
             RunningCalibration::Stored(stored) => stored.tables.id,
@@ -423,6 +429,7 @@ impl VirtualTimeBoard {
                 calibration: CalibrationService {
                     slots: CalibrationSlots::new(flash::CALIBRATIONS),
                     origin,
+                    defect,
                 },
                 random,
                 reboot: || rebooting.set(true),

@@ -135,6 +135,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
         client: Client::new(source, args.port.node()),
         log: CommandLog::new(args.json),
         interrupted: interrupted()?,
+        is_shutting_down: false,
     };
     eprintln!(
         "warning: the gripper at {} moves: keep hands clear of the fingers; Ctrl-C stops it",
@@ -162,6 +163,8 @@ struct Session {
     client: Client,
     log: CommandLog,
     interrupted: Arc<AtomicBool>,
+    /// The motion ends: that the gripper was stopped is no error any more.
+    is_shutting_down: bool,
 }
 
 /// Result of waiting for a condition.
@@ -320,9 +323,22 @@ impl Session {
     fn shut_down(&mut self, request: Request) -> Result<()> {
         // A further Ctrl-C is an emergency stop.
         let was_interrupted = self.interrupted.swap(false, Relaxed);
-        let result = self.release(request);
+        self.is_shutting_down = true;
+        // With an open session the gripper would refuse every service.
+        let result = self.release(request).and(self.end_session());
         self.interrupted.fetch_or(was_interrupted, Relaxed);
         result
+    }
+
+    fn end_session(&mut self) -> Result<()> {
+        if !self.client.is_armed() {
+            return Ok(());
+        }
+        self.client.end_session()?;
+        let is_closed =
+            |session: &Self| session.code().is_some_and(|code| code < PowerState::Armed as u8);
+        // Reported by the next heartbeat; a latched fault remains the state.
+        self.wait(CLOSE_S, is_closed).map(|_| ())
     }
 
     fn release(&mut self, request: Request) -> Result<()> {
@@ -350,12 +366,7 @@ impl Session {
         }
         self.client.command(mode_command(mode::DISABLE));
         let is_off = |session: &Self| session.code().is_some_and(|code| code < TASK_CODE);
-        self.finish(DISABLE_S, is_off, "disabling the drive timed out")?;
-        self.client.end_session()?;
-        let is_closed =
-            |session: &Self| session.code().is_some_and(|code| code < PowerState::Armed as u8);
-        // Reported by the next heartbeat; a latched fault remains the state.
-        self.wait(CLOSE_S, is_closed).map(|_| ())
+        self.finish(DISABLE_S, is_off, "disabling the drive timed out")
     }
 
     /// Waits for a shut-down step; a timeout or Ctrl-C is an emergency stop.
@@ -405,7 +416,7 @@ impl Session {
         let is_stopped = [PowerState::QuickStop, PowerState::FaultReaction, PowerState::Fault]
             .iter()
             .any(|power| *power as u8 == code);
-        if is_stopped && self.client.is_armed() {
+        if is_stopped && self.client.is_armed() && !self.is_shutting_down {
             bail!("the gripper was stopped{}", self.faults());
         }
         match self.client.refused {

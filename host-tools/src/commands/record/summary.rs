@@ -43,7 +43,7 @@ impl Summary<'_> {
             names => terminal::paragraph(&format!("Covariates: {}.", names.join(", "))),
         };
         if !tally.covariates.contains(&"opening_mm") {
-            text += "The opening was unknown: home the gripper first.\n";
+            text += "The opening was unknown: home the gripper first (cargo magpie grasp --port PATH --home --position 40).\n";
         }
         if tally.without_covariates > 0 {
             text += &format!(

@@ -19,7 +19,7 @@ fn cycles(program: &[u16]) -> [u64; 3] {
 
 #[test]
 fn instructions_take_the_cycles_of_their_class() {
-    let cases: [(&str, &[u16], [u64; 3]); 23] = [
+    let cases: [(&str, &[u16], [u64; 3]); 25] = [
         ("nop", &[0xBF00], [1, 1, 1]),
         ("adds r0, #1", &[0x3001], [1, 1, 1]),
         ("ldr r0, [r1]", &[0x6808], [2, 2, 2]),
@@ -34,6 +34,8 @@ fn instructions_take_the_cycles_of_their_class() {
         ("b.n . + 2", &[0xE7FF], [2, 4, 8]),
         ("udiv r0, r2, r3", &[0xFBB2, 0xF0F3], [2, 7, 12]),
         ("mla r0, r1, r2, r3", &[0xFB01, 0x3002], [1, 1, 2]),
+        ("smlad r0, r1, r2, r3", &[0xFB21, 0x3002], [1, 1, 1]),
+        ("smlal r0, r4, r1, r2", &[0xFBC1, 0x0402], [1, 1, 1]),
         ("vadd.f32 s0, s0, s0", &[0xEE30, 0x0A00], [1, 1, 1]),
         ("vmla.f32 s0, s0, s0", &[0xEE00, 0x0A00], [3, 3, 3]),
         ("vdiv.f32 s0, s0, s0", &[0xEE80, 0x0A00], [14, 14, 14]),

@@ -1,0 +1,44 @@
+//! `magpie tare`: defines the present forces of a gripper as zero.
+
+use anyhow::{Result, bail};
+use device::calibration_client;
+use report::text::terminal;
+use serde_json::json;
+
+use crate::commands::connection::PortArgs;
+
+/// Define the present forces of an unloaded gripper as zero.
+///
+/// The gripper must be disabled, at rest and without anything between or at the fingers: a constant load cannot be told from an
+/// offset. Networks and disturbance detection use the forces before the tare.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  cargo magpie tare --port /dev/ttyACM0
+  cargo magpie tare --can can0 --save         # kept over a reboot")]
+pub struct Args {
+    #[command(flatten)]
+    port: PortArgs,
+    /// Save the tare with all other parameters of the gripper in its flash.
+    #[arg(long)]
+    save: bool,
+    /// Print one JSON object on stdout and nothing else.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<()> {
+    let Some(mut source) = args.port.open()? else {
+        bail!("give the gripper's line: --port PATH or --can BUS");
+    };
+    calibration_client::tare(source.as_mut(), args.save)?;
+    terminal::print_result(
+        args.json,
+        || json!({ "tared": true, "saved": args.save }),
+        || {
+            let until = if args.save { "saved" } else { "until the next reboot" };
+            format!("The present forces are zero ({until}).\n")
+        },
+    )
+}
