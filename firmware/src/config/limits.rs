@@ -105,6 +105,10 @@ pub struct GripLimits {
     pub slip_pause_ms: u16,
     /// Factor on the force set-point at a slip.
     pub slip_factor: f32,
+    /// Maximum force set-point after slips as a multiple of the requested one.
+    pub slip_cap: f32,
+    /// Milliseconds without a slip until the force returns to the requested one.
+    pub slip_return_ms: u32,
     /// Time-out from contact to a settled grip in milliseconds.
     pub grip_ms: u32,
     /// Time-out of an approach in milliseconds: the slowest over the whole stroke.
@@ -131,6 +135,24 @@ pub struct GripLimits {
     pub end_stop_ms: u16,
     /// Homing: tolerance of the measured stroke in millimetres.
     pub stroke_mm: f32,
+    /// Closing moves: force in newtons, or its rise since the fingers were last unloaded, that ends them.
+    pub move_n: f32,
+    /// Opening moves: outward force in newtons that ends them.
+    pub outward_n: f32,
+    /// Opening without a valid force: maximum speed in mm/s.
+    pub blind_mm_s: f32,
+    /// Opening without a valid force: maximum current in amperes; enough to loosen the screw under the maximum force.
+    pub blind_a: f32,
+    /// Opening without a valid force: rise of the current in amperes above its minimum that indicates an obstacle.
+    pub blind_rise_a: f32,
+    /// Milliseconds of an opening, or of homing, in which the current loosens the screw and indicates no obstacle.
+    pub loosening_ms: u32,
+    /// Time-out of an opening in milliseconds.
+    pub release_ms: u32,
+    /// Time-out in milliseconds of the opening after excessive force.
+    pub back_off_ms: u32,
+    /// Last valid force in newtons beyond which an estimate outside the range of the model is taken for excessive force.
+    pub beyond_n: f32,
     /// Overtravel beyond the end stops in millimetres that is a fault.
     pub overtravel_mm: f32,
     /// Milliseconds with that overtravel.
@@ -189,6 +211,8 @@ impl GripLimits {
         slip_drop_n: 6.0,
         slip_pause_ms: 200,
         slip_factor: 1.2,
+        slip_cap: 1.5,
+        slip_return_ms: 2_000,
         grip_ms: 5_000,
         approach_ms: 60_000,
         fingers_met_mm: 0.2,
@@ -202,6 +226,15 @@ impl GripLimits {
         end_stop_mm_s: 1.0,
         end_stop_ms: 50,
         stroke_mm: 1.0,
+        move_n: 20.0,
+        outward_n: 15.0,
+        blind_mm_s: 10.0,
+        blind_a: 4.0,
+        blind_rise_a: 0.8,
+        loosening_ms: 100,
+        release_ms: 10_000,
+        back_off_ms: 2_000,
+        beyond_n: 300.0,
         overtravel_mm: 0.8,
         overtravel_ms: 3,
         stall_a: 1.2,

@@ -11,13 +11,17 @@ use crate::sensors::hall::SENSORS;
 /// A difference up to the larger force divided by this is accepted.
 const TOLERANCE_DIVISOR: i32 = 10;
 
-/// Magnitude of a finger's force: the sum of the lateral forces at its two sensors.
-pub fn finger_force(sensors: [&Estimate; 2]) -> Force {
-    let [first, second] = sensors.map(|estimate| {
+/// Forces of the left and the right finger, positive where an object between them presses: the sum of the lateral forces at
+/// two sensors, which has the opposite sign at the right finger.
+pub fn finger_forces(sensors: &[Estimate; SENSORS]) -> [Force; 2] {
+    let lateral = |estimate: &Estimate| {
         let [lateral, _] = estimate.force;
         lateral.0
-    });
-    Force(first.saturating_add(second).saturating_abs())
+    };
+    let [a, b, c, d] = sensors;
+    let left = lateral(a).saturating_add(lateral(b));
+    let right = lateral(c).saturating_add(lateral(d));
+    [Force(left), Force(right.saturating_neg())]
 }
 
 /// Monitor of both fingers.
@@ -42,8 +46,7 @@ impl FingerSymmetry {
     /// difference.
     pub fn update(&mut self, estimates: &[Estimate; SENSORS]) -> Option<Force> {
         let valid = estimates.iter().all(|e| e.validity.is_in_range());
-        let [a, b, c, d] = estimates;
-        let [left, right] = [[a, b], [c, d]].map(|sensors| finger_force(sensors).0);
+        let [left, right] = finger_forces(estimates).map(|force| force.0.saturating_abs());
         let difference = left.saturating_sub(right).saturating_abs();
         let tolerance = left.max(right) / TOLERANCE_DIVISOR;
         let is_unbalanced = valid && difference > self.limit.0.saturating_add(tolerance);

@@ -22,7 +22,7 @@ pub mod mode {
     /// Grip: force, speed (0: maximum for the force), flags; the expected width as position if the flags give
     /// a window.
     pub const GRIP: u8 = 4;
-    /// Open: position, speed.
+    /// Open, from every state but foot mode and under every fault of the sensing: position, speed.
     pub const RELEASE: u8 = 5;
     /// Stop; a held object stays held.
     pub const STOP: u8 = 6;
@@ -254,6 +254,8 @@ pub enum RefusalReason {
     Loaded = 13,
     /// The fingers are not at the opening of foot mode.
     NotParked = 14,
+    /// A stop is latched: clear it first, at rest.
+    Stopped = 15,
 }
 
 impl RefusalReason {

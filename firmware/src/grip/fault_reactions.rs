@@ -33,6 +33,8 @@ pub struct ReactionRow {
     pub moving: Reaction,
     /// Reaction while an object is gripped: on a self-locking screw, on a backdrivable one.
     pub holding: [Reaction; 2],
+    /// Reaction while the fingers open on command.
+    pub releasing: Reaction,
     /// Reaction in foot mode.
     pub foot: Reaction,
 }
@@ -41,18 +43,24 @@ const fn row(
     fault: Fault,
     moving: Reaction,
     holding: [Reaction; 2],
+    releasing: Reaction,
     foot: Reaction,
 ) -> ReactionRow {
-    ReactionRow { fault, moving, holding, foot }
+    ReactionRow { fault, moving, holding, releasing, foot }
 }
 
-/// A sensor fault: the other finger holds the object.
-const fn sensor_fault(fault: Fault) -> ReactionRow {
-    row(fault, Reaction::QuickStop, [Reaction::Hold; 2], Reaction::Warn)
+/// A fault of the forces: a held object stays held, and the fingers can always be opened.
+const fn force_fault(fault: Fault) -> ReactionRow {
+    row(fault, Reaction::QuickStop, [Reaction::Hold; 2], Reaction::Warn, Reaction::Warn)
+}
+
+/// The fingers stop, and can be opened.
+const fn motion_fault(fault: Fault) -> ReactionRow {
+    row(fault, Reaction::QuickStop, [Reaction::QuickStop; 2], Reaction::Warn, Reaction::Warn)
 }
 
 const fn any_phase(fault: Fault, reaction: Reaction) -> ReactionRow {
-    row(fault, reaction, [reaction; 2], reaction)
+    row(fault, reaction, [reaction; 2], reaction, reaction)
 }
 
 const fn warning(fault: Fault) -> ReactionRow {
@@ -61,14 +69,21 @@ const fn warning(fault: Fault) -> ReactionRow {
 
 /// One row per fault, in the order of [`Fault::ALL`].
 pub const REACTION_TABLE: [ReactionRow; Fault::ALL.len()] = [
-    sensor_fault(Fault::SensorLost),
-    sensor_fault(Fault::SensorFrozen),
-    sensor_fault(Fault::SensorSaturated),
-    sensor_fault(Fault::BusStuck),
-    sensor_fault(Fault::OutsideModel),
-    sensor_fault(Fault::Unbalanced),
-    sensor_fault(Fault::Disturbed),
-    any_phase(Fault::TablesUnsound, Reaction::QuickStop),
+    force_fault(Fault::SensorLost),
+    force_fault(Fault::SensorFrozen),
+    force_fault(Fault::SensorSaturated),
+    force_fault(Fault::BusStuck),
+    force_fault(Fault::OutsideModel),
+    // A fixed object, or a hand at one finger, loads the fingers unequally.
+    warning(Fault::Unbalanced),
+    force_fault(Fault::Disturbed),
+    row(
+        Fault::TablesUnsound,
+        Reaction::QuickStop,
+        [Reaction::QuickStop; 2],
+        Reaction::Warn,
+        Reaction::QuickStop,
+    ),
     warning(Fault::StoreUnsound),
     warning(Fault::TicksMissed),
     warning(Fault::Crashed),
@@ -80,20 +95,26 @@ pub const REACTION_TABLE: [ReactionRow; Fault::ALL.len()] = [
     any_phase(Fault::OverCurrent, Reaction::Off),
     any_phase(Fault::OverSpeed, Reaction::Brake),
     // Without its angle the rotor of a backdrivable screw cannot be held; with shorted windings it yields slowly.
-    row(Fault::RotorSensor, Reaction::Brake, [Reaction::Off, Reaction::Brake], Reaction::Off),
+    row(
+        Fault::RotorSensor,
+        Reaction::Brake,
+        [Reaction::Off, Reaction::Brake],
+        Reaction::Brake,
+        Reaction::Off,
+    ),
     any_phase(Fault::CurrentSense, Reaction::Off),
     any_phase(Fault::NotANumber, Reaction::Off),
-    row(Fault::Blind, Reaction::QuickStop, [Reaction::Off, Reaction::QuickStop], Reaction::Warn),
-    row(Fault::OverForce, Reaction::QuickStop, [Reaction::QuickStop; 2], Reaction::Warn),
-    row(Fault::Jammed, Reaction::QuickStop, [Reaction::QuickStop; 2], Reaction::Warn),
-    row(Fault::StrokeWrong, Reaction::QuickStop, [Reaction::QuickStop; 2], Reaction::Warn),
+    force_fault(Fault::Blind),
+    motion_fault(Fault::OverForce),
+    motion_fault(Fault::Jammed),
+    motion_fault(Fault::StrokeWrong),
     warning(Fault::ObjectLost),
     warning(Fault::Slipping),
     warning(Fault::FootOverload),
     // The forces of the ideal model are used instead.
     warning(Fault::NetworkDiverged),
-    row(Fault::Supply, Reaction::Brake, [Reaction::Hold; 2], Reaction::Warn),
-    row(Fault::Hot, Reaction::QuickStop, [Reaction::Hold; 2], Reaction::Warn),
+    row(Fault::Supply, Reaction::Brake, [Reaction::Hold; 2], Reaction::Brake, Reaction::Warn),
+    row(Fault::Hot, Reaction::QuickStop, [Reaction::Hold; 2], Reaction::Warn, Reaction::Warn),
     any_phase(Fault::Runaway, Reaction::Brake),
     any_phase(Fault::PowerStage, Reaction::Off),
 ];
@@ -106,6 +127,7 @@ impl ReactionRow {
             (GripPhase::Moving, _) => self.moving,
             (GripPhase::Holding, true) => locked,
             (GripPhase::Holding, false) => backdrivable,
+            (GripPhase::Releasing, _) => self.releasing,
             (GripPhase::Foot, _) => self.foot,
         }
     }

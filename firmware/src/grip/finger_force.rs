@@ -3,19 +3,21 @@
 //! Control uses the greater of both forces: a finger that reads low has no effect, one that reads high reduces the
 //! grip force.
 
-use crate::estimator::Estimate;
-use crate::estimator::finger_symmetry::finger_force;
+use crate::estimator::finger_symmetry::finger_forces;
+use crate::estimator::{Estimate, Validity};
 use crate::fixed_point::Force;
 use crate::sensors::hall::SENSORS;
 
 /// Force of one finger.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum FingerForce {
-    /// In newtons.
+    /// In newtons; positive where an object between the fingers presses.
     Valid(f32),
     /// A magnetic disturbance was detected: the force may be its effect.
     Disturbed,
-    /// At least one of the two sensors has no valid estimate.
+    /// A field is outside the range of the sensor or of the model.
+    OutOfRange,
+    /// At least one of the two sensors has no estimate.
     Lost,
 }
 
@@ -38,7 +40,8 @@ impl FingerForces {
             FingerForce::Valid(_) => pair.map(|e| newtons(e.force[1])).iter().sum(),
             _ => 0.0,
         };
-        let (left, right) = (finger([a, b]), finger([c, d]));
+        let [left, right] = finger_forces(estimates);
+        let (left, right) = (finger([a, b], left), finger([c, d], right));
         Self { left, right, drag_n: drag(left, [a, b]) + drag(right, [c, d]) }
     }
 
@@ -60,9 +63,20 @@ impl FingerForces {
         }
     }
 
+    /// The greatest force in newtons with which a valid finger is pushed closed, as by a tube around the fingers that open;
+    /// none without a valid finger.
+    pub fn outward_n(&self) -> Option<f32> {
+        match (self.left, self.right) {
+            (FingerForce::Valid(left), FingerForce::Valid(right)) => Some(-left.min(right)),
+            (FingerForce::Valid(one), _) | (_, FingerForce::Valid(one)) => Some(-one),
+            _ => None,
+        }
+    }
+
     /// Both forces are lost, and not because of a disturbance.
     pub fn are_lost(&self) -> bool {
-        self.left == FingerForce::Lost && self.right == FingerForce::Lost
+        let is_lost = |finger| matches!(finger, FingerForce::Lost | FingerForce::OutOfRange);
+        is_lost(self.left) && is_lost(self.right)
     }
 }
 
@@ -71,20 +85,23 @@ pub fn newtons(force: Force) -> f32 {
     force.0 as f32 / Force::PER_NEWTON as f32
 }
 
-fn finger(pair: [&Estimate; 2]) -> FingerForce {
-    if pair.iter().any(|e| !e.validity.is_in_range()) {
+fn finger(pair: [&Estimate; 2], force: Force) -> FingerForce {
+    let is_outside =
+        |e: &Estimate| matches!(e.validity, Validity::Saturated | Validity::OutsideModel);
+    if pair.iter().any(|e| is_outside(e)) {
+        FingerForce::OutOfRange
+    } else if pair.iter().any(|e| !e.validity.is_in_range()) {
         FingerForce::Lost
     } else if pair.iter().any(|e| e.disturbed) {
         FingerForce::Disturbed
     } else {
-        FingerForce::Valid(newtons(finger_force(pair)))
+        FingerForce::Valid(newtons(force))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::estimator::Validity;
     use crate::grip::tests::rig::pressed;
 
     #[test]
@@ -97,7 +114,7 @@ mod tests {
 
     #[test]
     fn invalid_sensor_makes_its_finger_lost() {
-        let mut estimates = pressed([50.0, 50.0, 10.0, 10.0], [0.0; 4]);
+        let mut estimates = pressed([50.0, 50.0, -10.0, -10.0], [0.0; 4]);
         estimates[1].validity = Validity::Saturated;
         let fingers = FingerForces::of(&estimates);
         assert_eq!((fingers.max_n(), fingers.sum_n()), (Some(20.0), Some(40.0)));

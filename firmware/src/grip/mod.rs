@@ -23,6 +23,7 @@ pub mod homing;
 mod interface;
 mod power_layer;
 pub mod redundant_copy;
+mod rise;
 mod setpoint;
 pub mod slip_detector;
 pub mod stall_detector;
@@ -46,6 +47,7 @@ use crate::grip::force_controller::StiffnessEstimator;
 use crate::grip::ground_contact::{GroundContact, GroundContactDetector};
 use crate::grip::hold_current::HoldCurrent;
 use crate::grip::homing::{Homing, HomingStep};
+use crate::grip::rise::RiseDetector;
 use crate::grip::slip_detector::SlipDetector;
 use crate::grip::stall_detector::{StallDetector, VelocityFilter};
 use crate::grip::states::{PowerState, TaskState};
@@ -77,13 +79,21 @@ pub struct GripController {
     target: GraspTarget,
     move_target: MoveTarget,
     is_opening: bool,
-    /// The fingers were in contact when the move began.
+    /// The fingers were in contact when the state was entered, and still are.
     was_touching: bool,
     /// Force set-point in newtons; raised after a slip.
     setpoint_n: f32,
     fingers: FingerForces,
     /// Last valid force.
     force_n: f32,
+    force_rise: RiseDetector,
+    /// Rise of the force in newtons since the fingers were last unloaded.
+    rise_n: f32,
+    /// A finger left the range of the model while its force was high.
+    is_beyond: bool,
+    /// Mean opening current in amperes.
+    opening_a: f32,
+    current_rise: RiseDetector,
     /// Mean force of each finger in newtons; none while it is invalid.
     means_n: [Option<f32>; 2],
     /// The greater of both means: the greater of two noisy forces would be biased.
@@ -125,6 +135,9 @@ pub struct GripController {
     /// The fingers reduce an excessive force.
     backs_off: bool,
     slipping_ms: u16,
+    since_slip_ms: u32,
+    /// A stop frame arrived, and no host has cleared it at rest since.
+    is_stopped: bool,
     implausible_ms: u16,
     clearing_ms: u8,
     copies: [u32; COPY_WORDS],
@@ -156,6 +169,11 @@ impl GripController {
             setpoint_n: 0.0,
             fingers: FingerForces::of(&[Estimate::MISSING; SENSORS]),
             force_n: 0.0,
+            force_rise: RiseDetector::default(),
+            rise_n: 0.0,
+            is_beyond: false,
+            opening_a: 0.0,
+            current_rise: RiseDetector::default(),
             means_n: [None; 2],
             mean_n: 0.0,
             invalid_ticks: 0,
@@ -187,6 +205,8 @@ impl GripController {
             reaction: Reaction::Warn,
             backs_off: false,
             slipping_ms: 0,
+            since_slip_ms: 0,
+            is_stopped: false,
             implausible_ms: 0,
             clearing_ms: 0,
             copies: [0; COPY_WORDS],
@@ -304,6 +324,10 @@ impl GripController {
             self.force_n = force_n;
             self.update_means();
             self.contact.update(force_n, &self.limits);
+            self.rise_n = self.force_rise.update(force_n);
+            if !self.is_gripped && !self.task.moves() {
+                self.force_rise.follow(force_n);
+            }
             let is_loading = matches!(self.task, TaskState::Approach | TaskState::Force);
             // The force lags the opening by one step.
             if let Some(opening_mm) = self.last_mm
@@ -313,6 +337,14 @@ impl GripController {
                 self.stiffness.update(-opening_mm, force_n);
             }
         }
+        if inputs.is_calibrating {
+            // A tare changes all forces.
+            self.force_rise = RiseDetector::default();
+        }
+        let is_outside = |finger| finger == FingerForce::OutOfRange;
+        let has_left_range = is_outside(self.fingers.left) || is_outside(self.fingers.right);
+        self.is_beyond = has_left_range && (self.is_beyond || self.force_n > self.limits.beyond_n);
+        self.opening_a += (-motor.current.q - self.opening_a) / MEAN_TICKS;
         self.last_mm = motor.opening_mm;
         let speed_mm_s = self.velocity.update(motor.closing_mm_s);
         let is_slow = speed_mm_s.abs() < self.limits.resting_mm_s;

@@ -35,7 +35,7 @@ impl GripController {
         self.check_opening(inputs, outputs);
         let is_blind = self.lost_ticks >= self.limits.invalid_ticks;
         self.set_fault(Fault::Blind, is_blind, 0, outputs);
-        let is_over = self.invalid_ticks == 0 && self.force_n > TRIP_N;
+        let is_over = self.is_beyond || (self.invalid_ticks == 0 && self.force_n > TRIP_N);
         let detail = (self.force_n * Force::PER_NEWTON as f32) as u32;
         self.set_fault(Fault::OverForce, is_over, detail, outputs);
         let is_foot = self.power == PowerState::Enabled && self.task == TaskState::Foot;
@@ -81,6 +81,14 @@ impl GripController {
         }
         self.react(bits);
         if inputs.stop {
+            self.is_stopped = true;
+            self.apply_power_event(PowerEvent::QuickStop);
+        } else if inputs.clear && self.power != PowerState::QuickStop && self.is_at_rest() {
+            self.is_stopped = false;
+        }
+        // Only opening is allowed while a fault is latched.
+        let is_latched = self.first_fault.cause().is_some();
+        if is_latched && self.power == PowerState::Enabled && self.task != TaskState::Releasing {
             self.apply_power_event(PowerEvent::QuickStop);
         }
         self.advance(inputs);
@@ -133,7 +141,7 @@ impl GripController {
         let state = self.state();
         if self.apply_power_event(event) {
             self.reaction = reaction;
-            self.backs_off = fault == Fault::OverForce && phase != GripPhase::Foot;
+            self.backs_off = fault == Fault::OverForce;
             self.first_fault.record(FirstFault { fault, state, at_ms: self.now_ms });
         }
     }
@@ -156,8 +164,11 @@ impl GripController {
             PowerState::ArmPending if host.is_open => Some(PowerEvent::SessionOpened),
             PowerState::ArmPending => (!host.is_offered).then_some(PowerEvent::NonceExpired),
             // A load on a backdrivable screw is held without a host.
-            PowerState::Armed => (!host.is_open && (self.self_locking || !self.is_gripped))
-                .then_some(PowerEvent::SessionClosed),
+            PowerState::Armed => {
+                let is_loaded = self.is_gripped || self.task == TaskState::Foot;
+                (!host.is_open && (self.self_locking || !is_loaded))
+                    .then_some(PowerEvent::SessionClosed)
+            }
             PowerState::Enabled => None,
             PowerState::QuickStop => self.has_stopped().then_some(PowerEvent::Stopped),
             PowerState::FaultReaction => {
@@ -182,7 +193,8 @@ impl GripController {
     fn has_stopped(&self) -> bool {
         let has_backed_off =
             !self.backs_off || self.force_n < 1.2 * self.limits.overforce_release_n;
-        (self.has_come_to_rest() && has_backed_off) || self.power_ms >= self.limits.stop_ms
+        let limit_ms = if self.backs_off { self.limits.back_off_ms } else { self.limits.stop_ms };
+        (self.has_come_to_rest() && has_backed_off) || self.power_ms >= limit_ms
     }
 
     /// Applies an event to the power layer; whether the table lists a transition.

@@ -1,6 +1,7 @@
 //! Motor set-point of each state.
 
 use crate::config::constants;
+use crate::grip::commands::MoveTarget;
 use crate::grip::fault_reactions::Reaction;
 use crate::grip::hold_current::MARGIN;
 use crate::grip::homing::HomingStep;
@@ -31,15 +32,14 @@ impl GripController {
             | PowerState::Safe
             | PowerState::ArmPending
             | PowerState::Calibrating => Setpoint::Off,
+            PowerState::Armed if self.task == TaskState::Foot => self.hold_foot(motor),
             PowerState::Armed if self.is_gripped && !self.self_locking => {
                 self.hold_position(motor, self.hold_a.max(self.holding_a() * MARGIN))
             }
             PowerState::Armed => Setpoint::Off,
             PowerState::QuickStop if self.task == TaskState::Foot => self.hold_foot(motor),
             // The stiffness of what causes the excessive force is unknown.
-            PowerState::QuickStop if self.backs_off => {
-                self.press(self.limits.overforce_release_n, force_controller::HARDEST)
-            }
+            PowerState::QuickStop if self.backs_off => self.back_off(),
             PowerState::QuickStop => STOP,
             PowerState::FaultReaction | PowerState::Fault => match self.reaction {
                 Reaction::Brake => Setpoint::Brake,
@@ -56,11 +56,12 @@ impl GripController {
                 HomingStep::Drive(setpoint) => setpoint,
                 _ => STOP,
             },
-            TaskState::Moving | TaskState::Releasing => Setpoint::Position {
+            TaskState::Moving => Setpoint::Position {
                 opening_mm: self.move_target.opening_mm,
                 speed_mm_s: self.move_target.speed_mm_s,
                 max_a: PEAK_A,
             },
+            TaskState::Releasing => self.release(motor),
             TaskState::Approach => self.approach(motor),
             TaskState::Force => self.press(self.setpoint_n, self.stiffness.value().max(SOFTEST)),
             TaskState::HoldActive => self.hold_active(motor),
@@ -74,6 +75,36 @@ impl GripController {
             | TaskState::GripFailed
             | TaskState::Lost
             | TaskState::TimeoutHold => self.hold_position(motor, PEAK_A),
+        }
+    }
+
+    /// Opens; without valid forces slowly and with a limited current, with an unknown opening until an end.
+    fn release(&self, motor: &MotorStatus) -> Setpoint {
+        let MoveTarget { opening_mm, speed_mm_s } = self.move_target;
+        let (speed_mm_s, max_a) = if self.opens_blind() || motor.opening_mm.is_none() {
+            (speed_mm_s.min(self.limits.blind_mm_s), self.limits.blind_a)
+        } else {
+            (speed_mm_s, PEAK_A)
+        };
+        match motor.opening_mm {
+            Some(_) => Setpoint::Position { opening_mm, speed_mm_s, max_a },
+            None => Setpoint::Speed { closing_mm_s: -speed_mm_s, max_a },
+        }
+    }
+
+    /// Opens after excessive force, until the force is low; never closes.
+    fn back_off(&self) -> Setpoint {
+        match self.press(self.limits.overforce_release_n, force_controller::HARDEST) {
+            Setpoint::Speed { closing_mm_s, max_a } => {
+                // Without a valid force the last one is above the range of the model.
+                let fastest = if self.invalid_ticks > 0 {
+                    -self.limits.blind_mm_s
+                } else {
+                    f32::NEG_INFINITY
+                };
+                Setpoint::Speed { closing_mm_s: within(closing_mm_s, fastest, 0.0), max_a }
+            }
+            other => other,
         }
     }
 

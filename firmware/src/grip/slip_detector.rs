@@ -96,7 +96,8 @@ mod tests {
 
     fn forces(force_n: f32, drag_n: f32) -> FingerForces {
         let half = 0.5 * force_n;
-        FingerForces::of(&pressed([half.into(); 4], [(0.25 * drag_n).into(); 4]))
+        let lateral = [half, half, -half, -half].map(f64::from);
+        FingerForces::of(&pressed(lateral, [(0.25 * drag_n).into(); 4]))
     }
 
     /// First millisecond with a state.

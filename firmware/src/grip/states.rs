@@ -76,20 +76,22 @@ states! {
 states! {
     /// State of the task layer; its state code is its number plus [`TASK_CODE`].
     TaskState {
-        /// The opening is unknown; only homing is accepted.
-        Unhomed = 0, from [Homing Stopping], to [Homing];
+        /// The opening is unknown; only homing and opening are accepted.
+        Unhomed = 0, from [Homing Stopping ContactStop Releasing], to [Homing Releasing];
         /// See [`super::homing`].
-        Homing = 1, from [Unhomed Idle], to [Idle Unhomed Stopping];
+        Homing = 1, from [Unhomed Idle], to [Idle Unhomed Stopping Releasing];
         /// Holds its position.
         Idle = 2,
             from [Homing Moving ContactStop Stopping Releasing Foot NoObject Lost TimeoutHold],
-            to [Homing Moving Approach Foot];
+            to [Homing Moving Approach Foot Releasing];
         /// Moves to an opening.
-        Moving = 3, from [Idle NoObject Lost TimeoutHold], to [Idle ContactStop Stopping];
-        /// Stops after a contact during a move.
-        ContactStop = 4, from [Moving], to [Idle];
+        Moving = 3, from [Idle NoObject Lost TimeoutHold], to [Idle ContactStop Stopping Releasing];
+        /// Stops after a contact during a move or while opening.
+        ContactStop = 4, from [Moving Releasing], to [Idle Unhomed Releasing];
         /// Closes at the approach speed of the force.
-        Approach = 5, from [Idle NoObject Lost TimeoutHold], to [Force NoObject GripFailed Stopping];
+        Approach = 5,
+            from [Idle NoObject Lost TimeoutHold],
+            to [Force NoObject GripFailed Stopping Releasing];
         /// Controls the force to its set-point.
         Force = 6,
             from [Approach HoldActive HoldLatched HoldFrozen],
@@ -101,19 +103,24 @@ states! {
         /// Without a valid force: holds the position with the last holding current; a self-locking screw needs none.
         HoldFrozen = 9, from [Force HoldActive HoldLatched], to [Force Releasing];
         /// The fingers closed without an object.
-        NoObject = 10, from [Approach], to [Moving Approach Idle];
+        NoObject = 10, from [Approach], to [Moving Approach Idle Releasing];
         /// Timeout, or the object is wider than the window: holds its position, as an object may be gripped.
-        GripFailed = 11, from [Approach Force], to [Releasing];
+        GripFailed = 11, from [Approach Force Stopping], to [Releasing];
         /// The object was lost: holds its position.
-        Lost = 12, from [Force HoldActive HoldLatched], to [Moving Approach Idle];
-        /// Opens to release the object.
-        Releasing = 13, from [Force HoldActive HoldLatched HoldFrozen GripFailed], to [Idle Stopping];
+        Lost = 12, from [Force HoldActive HoldLatched], to [Moving Approach Idle Releasing];
+        /// Opens: from every state but foot mode, and with an unknown opening or without valid forces as well.
+        Releasing = 13,
+            from [Unhomed Homing Idle Moving ContactStop Approach Force HoldActive HoldLatched HoldFrozen
+                NoObject GripFailed Lost Stopping TimeoutHold],
+            to [Idle Stopping ContactStop Unhomed];
         /// Foot mode: the fingers do not move.
         Foot = 14, from [Idle], to [Idle];
         /// Stops after a command or a timeout of the host.
-        Stopping = 15, from [Homing Moving Approach Releasing], to [Idle TimeoutHold Unhomed];
+        Stopping = 15,
+            from [Homing Moving Approach Releasing],
+            to [Idle TimeoutHold Unhomed GripFailed Releasing];
         /// Holds its position after a timeout of the host during a motion.
-        TimeoutHold = 16, from [Stopping], to [Moving Approach Idle];
+        TimeoutHold = 16, from [Stopping], to [Moving Approach Idle Releasing];
     }
 }
 
@@ -135,6 +142,8 @@ pub enum GripPhase {
     Moving,
     /// An object is gripped.
     Holding,
+    /// The fingers open on command.
+    Releasing,
     /// Foot mode.
     Foot,
 }
@@ -144,6 +153,7 @@ impl TaskState {
     pub const fn phase(self, has_settled: bool) -> GripPhase {
         match self {
             Self::Foot => GripPhase::Foot,
+            Self::Releasing => GripPhase::Releasing,
             Self::HoldActive | Self::HoldLatched | Self::HoldFrozen => GripPhase::Holding,
             Self::Force if has_settled => GripPhase::Holding,
             _ => GripPhase::Moving,

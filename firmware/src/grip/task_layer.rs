@@ -6,13 +6,15 @@ use crate::grip::debounce::next_ms;
 use crate::grip::fault_reactions::{Reaction, strongest_reaction};
 use crate::grip::force_controller::StiffnessEstimator;
 use crate::grip::hold_current::HoldCurrent;
-use crate::grip::homing::{Homing, HomingStep};
+use crate::grip::homing::{Homing, HomingForces, HomingStep};
+use crate::grip::rise::RiseDetector;
 use crate::grip::setpoint::RELAX_BAND;
 use crate::grip::slip_detector::{ObjectState, SlipDetector};
 use crate::grip::stall_detector::StallDetector;
 use crate::grip::states::{GripPhase, PowerState, TaskState};
 use crate::grip::transitions::{self, PowerEvent, TaskEvent};
 use crate::grip::{ControlInputs, ControlOutputs, GripController};
+use crate::math::greater;
 use crate::motor::{MotorState, MotorStatus};
 use crate::protocol::messages::Command;
 use crate::system::faults::Fault;
@@ -43,6 +45,9 @@ impl GripController {
         match decoded {
             GripCommand::Enable => self.enable(inputs)?,
             GripCommand::Disable => self.disable()?,
+            GripCommand::Release(_) if self.power == PowerState::Armed => {
+                self.release_disabled(decoded, inputs)?;
+            }
             _ if self.power != PowerState::Enabled => return Err(RefusalReason::NotEnabled),
             command => self.start_task(command, inputs)?,
         }
@@ -56,24 +61,50 @@ impl GripController {
             PowerState::Armed => {}
             _ => return Err(RefusalReason::NotEnabled),
         }
-        let bits = inputs.faults | self.faults.bits();
-        let worst = strongest_reaction(bits, GripPhase::Moving, self.self_locking);
-        if worst.is_some_and(|(reaction, _)| reaction >= Reaction::QuickStop) {
-            return Err(RefusalReason::FaultActive);
-        }
+        self.check_ready(GripPhase::Moving, inputs)?;
         if self.first_fault.cause().is_some() {
             return Err(RefusalReason::FaultLatched);
+        }
+        if self.apply_power_event(PowerEvent::Enable) {
+            self.enter_task(match (inputs.motor.opening_mm, self.task, self.is_gripped) {
+                // What rests on the fingertips is not known to have gone.
+                (_, TaskState::Foot, _) => TaskState::Foot,
+                (None, ..) => TaskState::Unhomed,
+                (Some(_), _, true) => TaskState::GripFailed,
+                (Some(_), _, false) => TaskState::Idle,
+            });
+        }
+        Ok(())
+    }
+
+    /// Conditions for the drive to be enabled for a phase.
+    fn check_ready(&self, phase: GripPhase, inputs: &ControlInputs) -> Result<(), RefusalReason> {
+        if self.is_stopped {
+            return Err(RefusalReason::Stopped);
+        }
+        let bits = inputs.faults | self.faults.bits();
+        let worst = strongest_reaction(bits, phase, self.self_locking);
+        if worst.is_some_and(|(reaction, _)| reaction >= Reaction::QuickStop) {
+            return Err(RefusalReason::FaultActive);
         }
         if inputs.motor.state != MotorState::Armed {
             return Err(RefusalReason::MotorNotReady);
         }
-        if self.apply_power_event(PowerEvent::Enable) {
-            self.enter_task(match (inputs.motor.opening_mm, self.is_gripped) {
-                (None, _) => TaskState::Unhomed,
-                (Some(_), true) => TaskState::GripFailed,
-                (Some(_), false) => TaskState::Idle,
-            });
+        Ok(())
+    }
+
+    /// Opens while a fault, active or latched, prevents enabling.
+    fn release_disabled(
+        &mut self,
+        command: GripCommand,
+        inputs: &ControlInputs,
+    ) -> Result<(), RefusalReason> {
+        self.check_ready(GripPhase::Releasing, inputs)?;
+        if !inputs.host.is_alive {
+            return Err(RefusalReason::NotEnabled);
         }
+        self.start_task(command, inputs)?;
+        self.apply_power_event(PowerEvent::Enable);
         Ok(())
     }
 
@@ -137,10 +168,11 @@ impl GripController {
         motor: &MotorStatus,
     ) -> Result<(), RefusalReason> {
         let opening_mm = motor.opening_mm.unwrap_or_default();
+        let is_homed = motor.opening_mm.is_some();
         let needs_force = matches!(command, GripCommand::Home | GripCommand::Grip(_));
         match command {
             _ if needs_force && self.is_blind() => Err(RefusalReason::Blind),
-            GripCommand::Release(target) if target.opening_mm <= opening_mm => {
+            GripCommand::Release(target) if is_homed && target.opening_mm <= opening_mm => {
                 Err(RefusalReason::OutOfRange)
             }
             GripCommand::Foot { on_line } if to != self.task => {
@@ -165,13 +197,13 @@ impl GripController {
 
     fn start_move(&mut self, target: MoveTarget, motor: &MotorStatus) {
         self.move_target = target;
-        self.is_opening = motor.opening_mm.is_some_and(|mm| target.opening_mm > mm);
-        self.was_touching = self.contact.is_confirmed();
+        self.is_opening = motor.opening_mm.is_none_or(|mm| target.opening_mm > mm);
     }
 
     /// Detects and applies the event of this millisecond.
     pub(super) fn update_task(&mut self, inputs: &ControlInputs, outputs: &mut ControlOutputs) {
         self.slipping_ms = self.slipping_ms.saturating_sub(1);
+        self.since_slip_ms = self.since_slip_ms.saturating_add(1);
         let is_slipping = self.slipping_ms > 0;
         let detail = (self.setpoint_n * Force::PER_NEWTON as f32) as u32;
         self.set_fault(Fault::Slipping, is_slipping, detail, outputs);
@@ -180,7 +212,7 @@ impl GripController {
             TaskState::Homing => self.home(inputs, outputs),
             TaskState::Moving => self.moving_event(inputs, outputs),
             TaskState::Approach => self.approach_event(inputs, outputs),
-            TaskState::Releasing => self.arrival_event(inputs, outputs),
+            TaskState::Releasing => self.releasing_event(inputs),
             TaskState::ContactStop | TaskState::Stopping => self.stopping_event(inputs),
             TaskState::Force | TaskState::HoldActive | TaskState::HoldLatched => {
                 self.grip_event(inputs)
@@ -197,23 +229,28 @@ impl GripController {
             | TaskState::TimeoutHold => None,
         };
         if let Some(event) = event {
-            self.apply_task_event(event);
+            self.apply_task_event(event, inputs.host.is_alive);
         }
         if self.hold_mm.is_none() && self.is_at_rest() {
             self.hold_mm = inputs.motor.opening_mm;
         }
     }
 
-    fn apply_task_event(&mut self, event: TaskEvent) {
+    fn apply_task_event(&mut self, event: TaskEvent, is_host_alive: bool) {
         let Ok(to) = transitions::next_task_state(self.task, event) else {
             return;
         };
         match event {
             TaskEvent::Slipped => {
                 let raised_n = self.setpoint_n * self.limits.slip_factor;
-                self.setpoint_n = raised_n.min(self.target.cap_n);
+                let cap_n = self.limits.slip_cap * self.target.setpoint_n;
+                // Never below the present one: without a host it is not raised.
+                let cap_n = if is_host_alive { cap_n.min(self.target.cap_n) } else { 0.0 };
+                self.setpoint_n = greater(raised_n.min(cap_n), self.setpoint_n);
                 self.slipping_ms = self.limits.slip_pause_ms;
+                self.since_slip_ms = 0;
             }
+            TaskEvent::SlipEnded => self.setpoint_n = self.target.setpoint_n,
             TaskEvent::ForceDropped => {
                 let [newest, second, _] = self.regrips_ms;
                 self.regrips_ms = [Some(self.now_ms), newest, second];
@@ -230,6 +267,7 @@ impl GripController {
         self.hold_mm = None;
         self.stall = StallDetector::default();
         self.hold = HoldCurrent::default();
+        self.was_touching = self.contact.is_confirmed();
         match to {
             TaskState::Homing => self.homing = Homing::default(),
             TaskState::Approach => {
@@ -246,14 +284,19 @@ impl GripController {
             TaskState::Idle | TaskState::Lost | TaskState::NoObject => {
                 (self.is_gripped, self.has_settled) = (false, false);
             }
-            TaskState::Releasing => self.has_settled = false,
+            TaskState::Releasing => {
+                (self.has_settled, self.current_rise) = (false, RiseDetector::default());
+            }
             _ => {}
         }
     }
 
     fn home(&mut self, inputs: &ControlInputs, outputs: &mut ControlOutputs) -> Option<TaskEvent> {
-        let in_contact = self.contact.is_confirmed();
-        self.homing_step = self.homing.tick(&inputs.motor, self.force_n, in_contact, &self.limits);
+        let forces = HomingForces {
+            closing_n: greater(self.force_n, self.rise_n),
+            outward_n: self.fingers.outward_n(),
+        };
+        self.homing_step = self.homing.tick(&inputs.motor, forces, &self.limits);
         match self.homing_step {
             HomingStep::Drive(_) => None,
             HomingStep::Zeroed(opening_mm) => {
@@ -311,12 +354,60 @@ impl GripController {
         inputs: &ControlInputs,
         outputs: &mut ControlOutputs,
     ) -> Option<TaskEvent> {
-        let in_contact = self.contact.is_confirmed();
-        self.was_touching &= in_contact;
-        if in_contact && !self.was_touching {
+        if self.is_opening {
+            if self.presses_outward() {
+                return Some(TaskEvent::Contact);
+            }
+        } else if self.has_new_contact() || self.force_n.max(self.rise_n) > self.limits.move_n {
             return Some(TaskEvent::Contact);
         }
         self.arrival_event(inputs, outputs)
+    }
+
+    /// Whether a contact began after the state was entered: an offset of the sensors is none.
+    fn has_new_contact(&mut self) -> bool {
+        let in_contact = self.contact.is_confirmed();
+        self.was_touching &= in_contact;
+        in_contact && !self.was_touching
+    }
+
+    fn presses_outward(&self) -> bool {
+        self.fingers.outward_n().is_some_and(|outward_n| outward_n > self.limits.outward_n)
+    }
+
+    /// Arrival at the target, or an obstacle outside of the fingers. Without valid forces, the current indicates it: it
+    /// decreases while a load is released, and increases against an obstacle.
+    fn releasing_event(&mut self, inputs: &ControlInputs) -> Option<TaskEvent> {
+        let motor = &inputs.motor;
+        let reached_mm = self.limits.reached_mm;
+        let target_mm = self.move_target.opening_mm;
+        let has_arrived = motor.opening_mm.is_some_and(|mm| mm >= target_mm - reached_mm);
+        if has_arrived && self.is_at_rest() {
+            return Some(TaskEvent::Reached);
+        }
+        if self.task_ms < self.limits.loosening_ms {
+            return None;
+        }
+        let is_blocked = if self.opens_blind() {
+            // A load that turns a backdrivable screw makes the motor brake: no obstacle.
+            let rise_a = self.current_rise.update(greater(self.opening_a, 0.0));
+            rise_a > self.limits.blind_rise_a
+        } else {
+            self.presses_outward()
+        };
+        let is_late = self.task_ms >= self.limits.release_ms;
+        let is_stalled = self.stall.update(motor, 0.0, &self.limits);
+        match motor.opening_mm {
+            // The end of the stroke, as far as is known.
+            None if is_blocked || is_stalled || is_late => Some(TaskEvent::ReachedUnhomed),
+            _ if is_blocked || is_stalled || is_late => Some(TaskEvent::Contact),
+            _ => None,
+        }
+    }
+
+    /// Whether the fingers open without valid forces.
+    pub(super) const fn opens_blind(&self) -> bool {
+        self.invalid_ticks > 0
     }
 
     fn approach_event(
@@ -327,7 +418,12 @@ impl GripController {
         let motor = &inputs.motor;
         let opening_mm = motor.opening_mm?;
         let window = self.target.window;
-        if self.contact.is_confirmed() {
+        let is_pressed = self.was_touching && self.rise_n > 2.0 * self.limits.contact_n;
+        if !is_pressed && self.rise_n > self.limits.move_n && !self.contact.is_suspected() {
+            // The fingers press, but the forces have a large offset: no force could be controlled.
+            return Some(TaskEvent::Failed);
+        }
+        if self.has_new_contact() || is_pressed {
             let is_too_wide = window.is_some_and(|window| opening_mm > window.max_mm);
             return Some(if is_too_wide { TaskEvent::Failed } else { TaskEvent::Contact });
         }
@@ -355,8 +451,11 @@ impl GripController {
 
     fn stopping_event(&self, inputs: &ControlInputs) -> Option<TaskEvent> {
         let is_over = self.is_at_rest() || self.task_ms >= self.limits.stop_ms;
+        let is_releasing = self.is_gripped && self.task == TaskState::Stopping;
         let event = match (inputs.motor.opening_mm, inputs.host.is_alive) {
             (None, _) => TaskEvent::StoppedUnhomed,
+            // The object may still be held.
+            (Some(_), _) if is_releasing => TaskEvent::StoppedReleasing,
             (Some(_), true) => TaskEvent::Stopped,
             (Some(_), false) => TaskEvent::StoppedWithoutHost,
         };
@@ -397,6 +496,12 @@ impl GripController {
         match self.task {
             TaskState::Force if self.in_band_ms >= limits.settle_ms => Some(TaskEvent::Settled),
             TaskState::Force if self.task_ms >= limits.grip_ms => Some(TaskEvent::Failed),
+            TaskState::HoldActive | TaskState::HoldLatched
+                if self.setpoint_n > self.target.setpoint_n
+                    && self.since_slip_ms >= limits.slip_return_ms =>
+            {
+                Some(TaskEvent::SlipEnded)
+            }
             TaskState::HoldActive if self.may_release_current() => Some(TaskEvent::ReleaseCurrent),
             TaskState::HoldLatched if self.low_force_ms >= limits.force_loss_ms => {
                 Some(TaskEvent::ForceDropped)

@@ -5,7 +5,7 @@ use crate::config::limits::GripLimits;
 use crate::estimator::Estimate;
 use crate::fixed_point::Force;
 use crate::grip::commands::{CommandRefusal, RefusalReason, mode};
-use crate::grip::fault_reactions::{Reaction, reaction};
+use crate::grip::fault_reactions::{REACTION_TABLE, Reaction};
 use crate::grip::states::{GripPhase, PowerState, TaskState};
 use crate::grip::tests::rig::{GripRig, pressed};
 use crate::motor::state::SupplyState;
@@ -14,62 +14,19 @@ use crate::protocol::messages::ServiceReply;
 use crate::system::faults::Fault;
 use Reaction::{Brake, Hold, Off, QuickStop, Warn};
 
-/// Specified reactions: moving, holding with a self-locking and with a backdrivable screw, foot mode.
-const MATRIX: [(Fault, [Reaction; 4]); 32] = [
-    (Fault::SensorLost, [QuickStop, Hold, Hold, Warn]),
-    (Fault::SensorFrozen, [QuickStop, Hold, Hold, Warn]),
-    (Fault::SensorSaturated, [QuickStop, Hold, Hold, Warn]),
-    (Fault::BusStuck, [QuickStop, Hold, Hold, Warn]),
-    (Fault::OutsideModel, [QuickStop, Hold, Hold, Warn]),
-    (Fault::Unbalanced, [QuickStop, Hold, Hold, Warn]),
-    (Fault::Disturbed, [QuickStop, Hold, Hold, Warn]),
-    (Fault::TablesUnsound, [QuickStop; 4]),
-    (Fault::StoreUnsound, [Warn; 4]),
-    (Fault::TicksMissed, [Warn; 4]),
-    (Fault::Crashed, [Warn; 4]),
-    (Fault::BusOff, [Warn; 4]),
-    (Fault::HostSilent, [Warn; 4]),
-    (Fault::Flooded, [Warn; 4]),
-    (Fault::StrangeFrames, [Warn; 4]),
-    (Fault::OverCurrent, [Off; 4]),
-    (Fault::OverSpeed, [Brake; 4]),
-    (Fault::RotorSensor, [Brake, Off, Brake, Off]),
-    (Fault::CurrentSense, [Off; 4]),
-    (Fault::NotANumber, [Off; 4]),
-    (Fault::Blind, [QuickStop, Off, QuickStop, Warn]),
-    (Fault::OverForce, [QuickStop, QuickStop, QuickStop, Warn]),
-    (Fault::Jammed, [QuickStop, QuickStop, QuickStop, Warn]),
-    (Fault::StrokeWrong, [QuickStop, QuickStop, QuickStop, Warn]),
-    (Fault::ObjectLost, [Warn; 4]),
-    (Fault::Slipping, [Warn; 4]),
-    (Fault::FootOverload, [Warn; 4]),
-    (Fault::NetworkDiverged, [Warn; 4]),
-    (Fault::Supply, [Brake, Hold, Hold, Warn]),
-    (Fault::Hot, [QuickStop, Hold, Hold, Warn]),
-    (Fault::Runaway, [Brake; 4]),
-    (Fault::PowerStage, [Off; 4]),
-];
-
-#[test]
-fn reactions_match_the_specified_matrix() {
-    for (fault, expected) in MATRIX {
-        let reactions = [
-            reaction(fault, GripPhase::Moving, true),
-            reaction(fault, GripPhase::Holding, true),
-            reaction(fault, GripPhase::Holding, false),
-            reaction(fault, GripPhase::Foot, true),
-        ];
-        assert_eq!(reactions, expected, "{fault:?}");
-        assert_eq!(reaction(fault, GripPhase::Moving, false), expected[0]);
-        assert_eq!(reaction(fault, GripPhase::Foot, false), expected[3]);
-    }
-}
-
 fn moving(self_locking: bool) -> GripRig {
     let mut rig = GripRig::enabled(self_locking);
     rig.send(mode::MOVE, |command| (command.position, command.speed) = (200, 40));
     rig.run(20);
     assert_eq!(rig.grip.task(), TaskState::Moving);
+    rig
+}
+
+fn releasing(self_locking: bool) -> GripRig {
+    let mut rig = GripRig::holding(self_locking);
+    rig.send(mode::RELEASE, |command| (command.position, command.speed) = (1400, 40));
+    rig.run(20);
+    assert_eq!(rig.grip.task(), TaskState::Releasing);
     rig
 }
 
@@ -83,14 +40,18 @@ fn after(mut rig: GripRig, fault: Fault) -> (PowerState, Setpoint) {
 
 #[test]
 fn reactions_take_effect_in_every_phase() {
-    for (fault, [moves, locked, driven, foot]) in MATRIX {
+    for row in REACTION_TABLE {
+        let fault = row.fault;
+        let [locked, driven] = row.holding;
         for (rig, reaction) in [
-            (moving(true), moves),
-            (moving(false), moves),
+            (moving(true), row.moving),
+            (moving(false), row.moving),
             (GripRig::holding(true), locked),
             (GripRig::holding(false), driven),
-            (GripRig::foot(true), foot),
-            (GripRig::foot(false), foot),
+            (releasing(true), row.releasing),
+            (releasing(false), row.releasing),
+            (GripRig::foot(true), row.foot),
+            (GripRig::foot(false), row.foot),
         ] {
             let (power, setpoint) = after(rig, fault);
             let expected = match reaction {
@@ -166,12 +127,11 @@ fn lost_forces_switch_off_or_hold_by_screw() {
     for self_locking in [true, false] {
         let mut rig = GripRig::holding(self_locking);
         rig.corrupt = Some(|estimates| *estimates = [Estimate::MISSING; 4]);
-        rig.run(2);
-        assert_eq!(rig.grip.power(), PowerState::Enabled);
-        rig.run(100);
+        rig.run(102);
         let place = rig.motor.opening_mm;
-        let expected = if self_locking { PowerState::Fault } else { PowerState::Armed };
-        assert_eq!(rig.grip.power(), expected);
+        // Nothing is latched: the object can be released.
+        assert_eq!(rig.grip.power(), PowerState::Enabled);
+        assert_eq!(rig.grip.task(), TaskState::HoldFrozen);
         assert_eq!(rig.setpoint() == Setpoint::Off, self_locking);
         rig.run(1000);
         assert_eq!(rig.motor.opening_mm, place);

@@ -2,7 +2,7 @@
 
 use crate::estimator::Estimate;
 use crate::fixed_point::Force;
-use crate::grip::commands::mode;
+use crate::grip::commands::{RefusalReason, mode};
 use crate::grip::states::{PowerState, TaskState};
 use crate::grip::tests::rig::GripRig;
 use crate::motor::Setpoint;
@@ -176,6 +176,12 @@ fn stop_frame_keeps_the_object_gripped() {
         assert_eq!(rig.grip.power(), PowerState::Armed);
         assert!((rig.force_n() - 100.0).abs() < 3.0);
         assert_eq!(rig.setpoint() == Setpoint::Off, self_locking);
+        rig.send(mode::RELEASE, |command| (command.position, command.speed) = (1200, 80));
+        rig.send(mode::ENABLE, |_| {});
+        assert_eq!(rig.refused, [RefusalReason::Stopped; 2]);
+        rig.clear = true;
+        rig.tick();
+        rig.clear = false;
         // A gripped object may only be released.
         rig.send(mode::ENABLE, |_| {});
         assert_eq!(rig.grip.task(), TaskState::GripFailed);

@@ -4,4 +4,5 @@ mod faults;
 mod ground_contact;
 mod holding;
 pub(super) mod rig;
+mod safety;
 mod transitions;

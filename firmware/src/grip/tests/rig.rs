@@ -13,6 +13,10 @@ use crate::sensors::hall::SENSORS;
 use crate::system::faults::{Fault, FaultSet};
 use std::vec::Vec;
 
+/// Current of the ideal motor against friction, and per newton of load.
+const FRICTION_A: f32 = 0.3;
+const AMPERES_PER_N: f32 = 0.017;
+
 /// The rig.
 pub struct GripRig {
     pub grip: GripController,
@@ -26,8 +30,17 @@ pub struct GripRig {
     pub others: FaultSet,
     /// Width of the object in millimetres, and its stiffness in N/mm.
     pub object: Option<(f32, f32)>,
+    /// Opening in millimetres at which something around the fingers begins, and its stiffness in N/mm.
+    pub tube: Option<(f32, f32)>,
+    /// Error of the forces of both fingers in newtons.
+    pub offset_n: f32,
     /// Estimates instead of those of the object.
     pub estimates: Option<[Estimate; 4]>,
+    /// Opening in millimetres, also while the motor does not know it, and its end.
+    pub true_mm: f32,
+    pub end_mm: f32,
+    /// True opening where the motor's is zero.
+    zero_mm: f32,
     /// Modification of the estimates.
     pub corrupt: Option<fn(&mut [Estimate; 4])>,
     pub outputs: Option<ControlOutputs>,
@@ -52,7 +65,12 @@ impl GripRig {
             is_calibrating: false,
             others: FaultSet::default(),
             object: None,
+            tube: None,
+            offset_n: 0.0,
             estimates: None,
+            true_mm: 50.0,
+            end_mm: f32::INFINITY,
+            zero_mm: 0.0,
             corrupt: None,
             outputs: None,
             refused: Vec::new(),
@@ -67,7 +85,7 @@ impl GripRig {
     /// As [`Self::enabled`], at an opening in millimetres.
     pub fn enabled_at(self_locking: bool, opening_mm: f32) -> Self {
         let mut rig = Self::new(self_locking);
-        rig.motor.opening_mm = Some(opening_mm);
+        (rig.motor.opening_mm, rig.true_mm) = (Some(opening_mm), opening_mm);
         rig.arm();
         rig.send(mode::ENABLE, |_| {});
         assert_eq!(rig.grip.power(), PowerState::Enabled);
@@ -112,7 +130,7 @@ impl GripRig {
 
     pub fn tick(&mut self) {
         let force_n = self.force_n();
-        let half = f64::from(0.5 * force_n);
+        let half = f64::from(0.5 * (force_n + self.offset_n));
         let of_object = pressed([half, half, -half, -half], [0.0; 4]);
         let mut estimates = self.estimates.unwrap_or(of_object);
         if let Some(corrupt) = self.corrupt {
@@ -138,6 +156,7 @@ impl GripRig {
             None => {}
         }
         if let Some(opening_mm) = outputs.opening_mm {
+            self.zero_mm = self.true_mm - if opening_mm.is_finite() { opening_mm } else { 0.0 };
             self.motor.opening_mm = opening_mm.is_finite().then_some(opening_mm);
         }
         self.follow(outputs.setpoint);
@@ -165,9 +184,14 @@ impl GripRig {
     }
 
     pub fn force_n(&self) -> f32 {
-        let opening_mm = self.motor.opening_mm.unwrap_or_default();
-        self.object
-            .map_or(0.0, |(width_mm, stiffness)| (stiffness * (width_mm - opening_mm)).max(0.0))
+        let opening_mm = self.true_mm;
+        let inward_n = self
+            .object
+            .map_or(0.0, |(width_mm, stiffness)| (stiffness * (width_mm - opening_mm)).max(0.0));
+        let outward_n = self
+            .tube
+            .map_or(0.0, |(width_mm, stiffness)| (stiffness * (opening_mm - width_mm)).max(0.0));
+        inward_n - outward_n
     }
 
     /// Sets or clears an external fault.
@@ -178,18 +202,29 @@ impl GripRig {
     /// Moves the ideal motor.
     fn follow(&mut self, setpoint: Setpoint) {
         const TICK_S: f32 = 1e-3;
-        let Some(opening_mm) = self.motor.opening_mm else {
-            return;
-        };
+        if let Some(opening_mm) = self.motor.opening_mm {
+            self.true_mm = opening_mm + self.zero_mm;
+        }
+        let opening_mm = self.true_mm;
         let closing_mm_s = match setpoint {
             Setpoint::Speed { closing_mm_s, .. } => closing_mm_s,
             Setpoint::Position { opening_mm: to, speed_mm_s, .. } => {
-                ((opening_mm - to) / TICK_S).clamp(-speed_mm_s, speed_mm_s)
+                ((opening_mm - self.zero_mm - to) / TICK_S).clamp(-speed_mm_s, speed_mm_s)
             }
             Setpoint::Off | Setpoint::Brake | Setpoint::Current { .. } => 0.0,
         };
         self.motor.closing_mm_s = closing_mm_s;
-        self.motor.opening_mm = Some(opening_mm - closing_mm_s * TICK_S);
+        self.true_mm = (opening_mm - closing_mm_s * TICK_S).min(self.end_mm);
+        if self.true_mm == self.end_mm {
+            self.motor.closing_mm_s = 0.0;
+        }
+        self.motor.opening_mm = self.motor.opening_mm.map(|_| self.true_mm - self.zero_mm);
+        // Friction, and the load of what is around the fingers.
+        let closing_a = FRICTION_A.copysign(closing_mm_s) + AMPERES_PER_N * self.force_n();
+        self.motor.current.q = match setpoint {
+            Setpoint::Off | Setpoint::Brake => 0.0,
+            _ => closing_a,
+        };
     }
 }
 
