@@ -46,6 +46,8 @@ const SETTLING_FRAMES: u32 = 256;
 const FAST_SHIFT: u32 = 3;
 /// Gain of the mean per frame: 2^-13, larger at the start.
 const SLOW_SHIFT: u32 = 13;
+/// Missing frames in a row that a filter bridges: a second.
+const BRIDGED_FRAMES: u16 = 1_000;
 /// Frames of uninterrupted suspicion after which the means restart.
 const ACCEPTANCE_FRAMES: u32 = 60_000;
 /// Additional fractional bits of the filtered residual.
@@ -107,6 +109,8 @@ pub struct Measures {
 struct ResidualFilter {
     /// Frames since the start, saturating.
     frames: u32,
+    /// Missing frames in a row.
+    missing: u16,
     fast: i32,
     slow: i64,
 }
@@ -222,11 +226,17 @@ impl Debounce {
 }
 
 impl ResidualFilter {
-    /// Filtered residual relative to its mean, in standard deviations; `None` until the mean has formed. A missing
-    /// sensor or an unknown standard deviation restarts the filter, because it breaks the time series.
+    /// Filtered residual relative to its mean, in standard deviations; `None` until the mean has formed, and without a
+    /// reading. An unknown standard deviation, or a sensor that is missing for long, restarts the filter. A short gap must
+    /// not: the field of a magnet would become the mean.
     fn update(&mut self, estimate: &Estimate, suspected: bool) -> Option<i32> {
-        if estimate.validity == Validity::Missing || estimate.parity.sigma == 0 {
-            *self = Self::default();
+        let is_missing = estimate.validity == Validity::Missing;
+        self.missing = if is_missing { self.missing.saturating_add(1) } else { 0 };
+        if is_missing && self.missing <= BRIDGED_FRAMES {
+            return None;
+        }
+        if is_missing || estimate.parity.sigma == 0 {
+            *self = Self { missing: self.missing, ..Self::default() };
             return None;
         }
         let residual = estimate.parity.residual.0;
@@ -367,12 +377,16 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_sensor_restarts_its_filter() {
-        let mut detector = settled();
-        let mut lost = frame(OFFSETS);
-        lost[2] = Estimate::MISSING;
-        detector.update(&lost, &mut lost.clone());
-        assert!(!run(&mut detector, [700, -300, 9000, 50], 400));
+    fn only_a_long_gap_restarts_the_filter() {
+        for (missing, is_detected) in [(1, true), (1000, true), (1001, false)] {
+            let mut detector = settled();
+            let mut lost = frame(OFFSETS);
+            lost[2] = Estimate::MISSING;
+            for _ in 0..missing {
+                detector.update(&lost, &mut lost.clone());
+            }
+            assert_eq!(run(&mut detector, [700, -300, 9000, 50], 400), is_detected, "{missing}");
+        }
     }
 
     #[test]

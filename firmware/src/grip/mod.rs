@@ -273,6 +273,11 @@ impl GripController {
         )
     }
 
+    /// Whether an object is, or may be, gripped, or the gripper is a foot.
+    pub const fn is_loaded(&self) -> bool {
+        self.is_gripped || matches!(self.task, TaskState::Foot)
+    }
+
     /// State code of the heartbeat.
     pub const fn state(&self) -> u8 {
         states::state_code(self.power, self.task)
@@ -337,8 +342,8 @@ impl GripController {
                 self.stiffness.update(-opening_mm, force_n);
             }
         }
-        if inputs.is_calibrating {
-            // A tare changes all forces.
+        if inputs.is_calibrating != (self.power == PowerState::Calibrating) {
+            // It begins or ends; a tare changes all forces.
             self.force_rise = RiseDetector::default();
         }
         let is_outside = |finger| finger == FingerForce::OutOfRange;

@@ -11,6 +11,7 @@ use crate::grip::states::{GripPhase, PowerState, TaskState};
 use crate::grip::transitions::{self, PowerEvent};
 use crate::grip::{ArmingRequest, ControlInputs, ControlOutputs, GripController};
 use crate::motor::MotorState;
+use crate::motor::calibration::{CalibrationFailure, CalibrationKind};
 use crate::motor::state::SupplyState;
 use crate::system::faults::Fault;
 
@@ -116,6 +117,27 @@ impl GripController {
             ) => Some(ArmingRequest::Disarm),
             _ => None,
         };
+    }
+
+    /// Why a calibration of the motor must end, given the faults of other tasks.
+    pub fn calibration_failure(
+        &self,
+        kind: CalibrationKind,
+        faults: u32,
+    ) -> Option<CalibrationFailure> {
+        // The calibration itself reports a trip of the motor.
+        let trips = TRIP_FAULTS.into_iter().fold(0, |bits, fault| bits | 1 << fault.index());
+        let bits = (faults | self.faults.bits()) & !trips;
+        let worst = strongest_reaction(bits, GripPhase::Moving, self.self_locking);
+        let outward_n = self.fingers.outward_n().unwrap_or_default();
+        if worst.is_some_and(|(reaction, _)| reaction >= Reaction::QuickStop) {
+            Some(CalibrationFailure::Fault)
+        } else if self.force_n.max(self.rise_n) > kind.max_n() || outward_n > self.limits.outward_n
+        {
+            Some(CalibrationFailure::Force)
+        } else {
+            None
+        }
     }
 
     const fn is_clearing(&self) -> bool {

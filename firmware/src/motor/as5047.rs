@@ -73,12 +73,17 @@ pub trait PipelinedSpi: SpiBus<u16> {
 pub struct As5047<B, C> {
     bus: B,
     select: C,
+    /// Answers to be discarded while the error register is read, which clears it.
+    discarded: u8,
 }
+
+/// Answers after an error flag that are no angle: the one that was requested meanwhile, and the error register.
+const DISCARDED: u8 = 2;
 
 impl<B: SpiBus<u16>, C: OutputPin> As5047<B, C> {
     /// Driver on a bus with a chip select that is high; no access yet.
     pub const fn new(bus: B, select: C) -> Self {
-        Self { bus, select }
+        Self { bus, select, discarded: 0 }
     }
 
     /// Checks the communication and clears the error register: a reset of the chip within a frame leaves an error that
@@ -135,17 +140,28 @@ impl<B: PipelinedSpi, C: OutputPin> As5047<B, C> {
         self.select.set_low()
     }
 
-    /// Starts the frame that requests the angle and returns before its end.
+    /// Starts the frame that requests the angle, or the error register after an error, and returns before its end.
     pub fn start_frame(&mut self) {
-        self.bus.start_frame(READ_ANGLE);
+        let command = if self.discarded == DISCARDED { READ_ERRORS } else { READ_ANGLE };
+        self.bus.start_frame(command);
     }
 }
 
 impl<B: PipelinedSpi, C: OutputPin> Encoder for As5047<B, C> {
-    /// Deasserts the chip select and decodes the answer of the last frame.
+    /// Deasserts the chip select and decodes the answer of the last frame. The error flag of the sensor stays set until its
+    /// error register is read: three angles are missing then, which [`super::encoder::AngleTracker`] bridges.
     fn angle(&mut self) -> Result<u16, EncoderError> {
         self.select.set_high().map_err(|_| EncoderError::Silent)?;
-        self.bus.take_received().map_or(Err(EncoderError::Silent), angle)
+        let answer = self.bus.take_received();
+        if let Some(discarded) = self.discarded.checked_sub(1) {
+            self.discarded = discarded;
+            return Err(EncoderError::ErrorFlag);
+        }
+        let measured = answer.map_or(Err(EncoderError::Silent), angle);
+        if measured == Err(EncoderError::ErrorFlag) {
+            self.discarded = DISCARDED;
+        }
+        measured
     }
 }
 
@@ -174,5 +190,82 @@ mod tests {
         assert_eq!(angle(0x0001), Err(EncoderError::Checksum));
         assert_eq!(angle(0xC000), Err(EncoderError::ErrorFlag));
         assert_eq!(angle(0xFFFF), Err(EncoderError::Silent));
+    }
+
+    /// Sensor that sets its error flag once.
+    #[derive(Default)]
+    struct FaultySensor {
+        errors: u16,
+        answer: u16,
+        received: u16,
+    }
+
+    impl embedded_hal::spi::ErrorType for FaultySensor {
+        type Error = core::convert::Infallible;
+    }
+
+    impl SpiBus<u16> for FaultySensor {
+        fn read(&mut self, _: &mut [u16]) -> Result<(), Self::Error> {
+            Ok(())
+        }
+        fn write(&mut self, _: &[u16]) -> Result<(), Self::Error> {
+            Ok(())
+        }
+        fn transfer(&mut self, _: &mut [u16], _: &[u16]) -> Result<(), Self::Error> {
+            Ok(())
+        }
+        fn transfer_in_place(&mut self, _: &mut [u16]) -> Result<(), Self::Error> {
+            Ok(())
+        }
+        fn flush(&mut self) -> Result<(), Self::Error> {
+            Ok(())
+        }
+    }
+
+    impl PipelinedSpi for FaultySensor {
+        fn start_frame(&mut self, word: u16) {
+            self.received = self.answer;
+            let flag = if self.errors == 0 { 0 } else { ERROR };
+            self.answer = match word {
+                READ_ERRORS => with_parity(core::mem::take(&mut self.errors) | flag),
+                _ => with_parity(1234 | flag),
+            };
+        }
+
+        fn take_received(&mut self) -> Option<u16> {
+            Some(self.received)
+        }
+    }
+
+    struct Pin;
+
+    impl embedded_hal::digital::ErrorType for Pin {
+        type Error = core::convert::Infallible;
+    }
+
+    impl OutputPin for Pin {
+        fn set_low(&mut self) -> Result<(), Self::Error> {
+            Ok(())
+        }
+        fn set_high(&mut self) -> Result<(), Self::Error> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn error_flag_is_cleared_within_four_periods_and_its_register_is_no_angle() {
+        let mut sensor = As5047::new(FaultySensor::default(), Pin);
+        let mut period = |errors: Option<u16>| {
+            if let Some(errors) = errors {
+                sensor.bus.errors = errors;
+            }
+            sensor.start_frame();
+            sensor.angle().ok()
+        };
+        period(None);
+        assert_eq!(period(None), Some(1234));
+        let answers = [Some(1), None, None, None, None, None, None].map(&mut period);
+        let good = Some(1234);
+        assert_eq!(answers, [good, None, None, None, good, good, good]);
     }
 }

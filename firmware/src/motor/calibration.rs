@@ -3,6 +3,8 @@
 
 use core::ops::ControlFlow;
 
+use crate::config::limits::GripLimits;
+use crate::grip::commands::GripProfile;
 use crate::motor::backdrive_test::{BackdriveResult, BackdriveStep, BackdriveTest};
 use crate::motor::commissioning::CommissioningError;
 use crate::motor::settings::IdentifiedMotor;
@@ -26,6 +28,15 @@ pub enum CalibrationKind {
 }
 
 impl CalibrationKind {
+    /// Maximum force in newtons, or rise of it, between the fingers.
+    pub const fn max_n(self) -> f32 {
+        match self {
+            Self::Motor => GripLimits::GRIPPER.move_n,
+            // The test grips with about 100 N.
+            Self::Screw => 2.0 * GripProfile::Normal.max_n(),
+        }
+    }
+
     /// From the argument of [`crate::protocol::session::op::MEASURE`].
     pub const fn of(argument: u32) -> Option<Self> {
         match argument {
@@ -62,6 +73,10 @@ pub enum CalibrationFailure {
     PolePairs = 10,
     /// See [`CommissioningError::Slipped`].
     Slipped = 11,
+    /// A fault that stops a motion.
+    Fault = 12,
+    /// A force that the calibration does not need: something is between or around the fingers.
+    Force = 13,
 }
 
 impl CalibrationFailure {
@@ -111,6 +126,11 @@ impl Calibration {
     /// Begins a calibration.
     pub const fn new(kind: CalibrationKind) -> Self {
         Self { kind, phase: CalibrationPhase::Start, elapsed_ms: 0 }
+    }
+
+    /// What is calibrated.
+    pub const fn kind(&self) -> CalibrationKind {
+        self.kind
     }
 
     /// One millisecond: the next motor command, none while the motor is busy.

@@ -38,8 +38,9 @@ const LEVEL_TOLERANCE: f32 = 0.1;
 const MAX_V: f32 = 8.0;
 /// Amplitude of the square wave in volts.
 const WAVE_V: f32 = 2.0;
-/// Plausible resistance and inductance relative to the assumed values.
-const PLAUSIBLE: core::ops::RangeInclusive<f32> = 0.25..=4.0;
+/// Largest plausible ratio of resistance or inductance to the assumed value, in either direction.
+pub const PLAUSIBLE_FACTOR: f32 = 4.0;
+const PLAUSIBLE: core::ops::RangeInclusive<f32> = 1.0 / PLAUSIBLE_FACTOR..=PLAUSIBLE_FACTOR;
 /// Maximum pole pairs.
 const MAX_POLE_PAIRS: f32 = 30.0;
 /// Maximum deviation of the measured pole pairs from an integer.

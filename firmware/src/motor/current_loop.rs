@@ -7,7 +7,7 @@ use crate::motor::diagnostics::SensorMonitor;
 use crate::motor::encoder::AngleTracker;
 use crate::motor::foc::{self, AlphaBeta, CurrentController, Dq, VoltageOutput, Windings};
 use crate::motor::power_stage::{BridgeCommand, MotorSamples};
-use crate::motor::settings::{IdentifiedMotor, Settings};
+use crate::motor::settings::{IdentifiedMotor, MotorLimits, Settings};
 use crate::motor::state::{MotorState, Trip};
 use crate::motor::tick_exchange::{
     CurrentLoopAction, CurrentLoopCommand, CurrentLoopReport, StateChange,
@@ -47,6 +47,8 @@ pub struct CurrentLoop {
     is_shorted: bool,
     is_reset: bool,
     is_angle_lost: bool,
+    /// After a trip: the bridges are off for good, not only shorted.
+    is_stage_off: bool,
     /// Periods since the last command of the motion loop.
     missed_periods: u8,
 }
@@ -75,6 +77,7 @@ impl CurrentLoop {
             is_shorted: false,
             is_reset: false,
             is_angle_lost: false,
+            is_stage_off: false,
             missed_periods: 0,
         }
     }
@@ -127,9 +130,7 @@ impl CurrentLoop {
 
     /// Reports that the power stage switched itself off through its break input.
     pub fn trip_power_stage(&mut self) {
-        if !matches!(self.state, MotorState::Tripped(_)) {
-            self.trip(Trip::PowerStage);
-        }
+        self.trip(Trip::PowerStage);
     }
 
     /// Bridge command for the next period from the samples of this one. To be called every period.
@@ -140,7 +141,7 @@ impl CurrentLoop {
         self.is_angle_lost |= tracked.is_err();
         let phases = self.swapped(self.offsets.amperes(samples));
         let checked = match self.state {
-            MotorState::Tripped(trip) => return trip.drive(),
+            MotorState::Tripped(_) => return self.supervise_brake(samples, phases),
             MotorState::Arming => return self.measure_offsets(samples),
             MotorState::Disarmed | MotorState::CommissioningFailed(_) => Ok(()),
             MotorState::Armed | MotorState::Commissioning => tracked
@@ -177,11 +178,24 @@ impl CurrentLoop {
         self.reset_controllers();
     }
 
+    /// Trips. A further cause does not replace the first, but can still switch the bridges off.
     fn trip(&mut self, trip: Trip) -> BridgeCommand {
-        self.state = MotorState::Tripped(trip);
-        self.commissioning = None;
-        self.reset_controllers();
-        trip.drive()
+        if !matches!(self.state, MotorState::Tripped(_)) {
+            self.state = MotorState::Tripped(trip);
+            self.is_stage_off = false;
+            self.commissioning = None;
+            self.reset_controllers();
+        }
+        self.is_stage_off |= trip.drive() == BridgeCommand::Off;
+        if self.is_stage_off { BridgeCommand::Off } else { BridgeCommand::Brake }
+    }
+
+    /// Shorted windings carry current: it is still limited.
+    fn supervise_brake(&mut self, samples: &MotorSamples, phases: [f32; 3]) -> BridgeCommand {
+        match (self.state, check_currents(samples, phases, &self.settings.limits)) {
+            (_, Err(trip)) | (MotorState::Tripped(trip), Ok(())) => self.trip(trip),
+            _ => BridgeCommand::Off,
+        }
     }
 
     fn reset_controllers(&mut self) {
@@ -200,14 +214,10 @@ impl CurrentLoop {
     fn check(&self, samples: &MotorSamples, phases: [f32; 3]) -> Result<(), Trip> {
         let limits = &self.settings.limits;
         let speed = self.tracker.speed();
-        let [u, v, w] = phases;
-        if !(u + v + w + speed).is_finite() {
+        if !speed.is_finite() {
             return Err(Trip::NotANumber);
         }
-        let max_a = greater(u.abs(), greater(v.abs(), w.abs()));
-        if current_sense::is_saturated(samples) || max_a > limits.trip_a {
-            return Err(Trip::OverCurrent);
-        }
+        check_currents(samples, phases, limits)?;
         if self.missed_periods > MAX_MISSED_PERIODS {
             return Err(Trip::CommandTimeout);
         }
@@ -319,4 +329,22 @@ impl CurrentLoop {
             self.trip(Trip::NotANumber)
         }
     }
+}
+
+/// Checks the phase currents.
+#[inline(always)] // As a function of its own it would not be in the memory of the interrupt.
+fn check_currents(
+    samples: &MotorSamples,
+    phases: [f32; 3],
+    limits: &MotorLimits,
+) -> Result<(), Trip> {
+    let [u, v, w] = phases;
+    if !(u + v + w).is_finite() {
+        return Err(Trip::NotANumber);
+    }
+    let max_a = greater(u.abs(), greater(v.abs(), w.abs()));
+    if current_sense::is_saturated(samples) || max_a > limits.trip_a {
+        return Err(Trip::OverCurrent);
+    }
+    Ok(())
 }

@@ -2,6 +2,7 @@
 
 use crate::config::constants;
 use crate::estimator::tare::MAX_OFFSET;
+use crate::motor::commissioning::PLAUSIBLE_FACTOR;
 use crate::protocol::DEFAULT_NODE;
 use crate::sensors::hall::{GripperHallSensor, HallSensor, SENSORS};
 
@@ -209,7 +210,7 @@ pub const PARAMETERS: [Parameter; COUNT] = {
             name: "resistance",
             unit: "uohm",
             default: (constants::PHASE_RESISTANCE.value * UOHM) as i32,
-            range: ValueRange::Between(10_000, 10_000_000),
+            range: plausible(constants::PHASE_RESISTANCE.value * UOHM),
             affects_motion: true,
             description: "phase resistance; measured by the device, takes effect at the next boot",
         },
@@ -218,7 +219,7 @@ pub const PARAMETERS: [Parameter; COUNT] = {
             name: "inductance",
             unit: "nH",
             default: (constants::PHASE_INDUCTANCE.value * 1e6) as i32,
-            range: ValueRange::Between(10_000, 10_000_000),
+            range: plausible(constants::PHASE_INDUCTANCE.value * 1e6),
             affects_motion: true,
             description: "phase inductance; measured by the device, takes effect at the next boot",
         },
@@ -251,6 +252,14 @@ pub const PARAMETERS: [Parameter; COUNT] = {
         tare(7, "tare_3_z"),
     ]
 };
+
+/// Values that commissioning accepts: current control with others would oscillate.
+const fn plausible(assumed: f64) -> ValueRange {
+    ValueRange::Between(
+        (assumed / PLAUSIBLE_FACTOR as f64) as i32,
+        (assumed * PLAUSIBLE_FACTOR as f64) as i32,
+    )
+}
 
 const fn switch(id: u16, name: &'static str, description: &'static str) -> Parameter {
     Parameter {

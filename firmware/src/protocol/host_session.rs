@@ -10,33 +10,30 @@ pub struct HostSession {
     node: u16,
     nonce: Option<u16>,
     counter: u8,
-    /// A received nonce is not confirmed.
-    is_ending: bool,
 }
 
 impl HostSession {
     /// Session with the gripper of this node; not armed.
     pub const fn new(node: u16) -> Self {
-        Self { node, nonce: None, counter: 0, is_ending: false }
+        Self { node, nonce: None, counter: 0 }
     }
 
-    /// Request to arm; ends an earlier session.
+    /// Request to arm.
     pub fn arm(&mut self) -> Message {
-        (self.nonce, self.is_ending) = (None, false);
+        self.nonce = None;
         service(op::ARM, 0)
     }
 
-    /// Request that ends the session, so that the gripper expects no further command: a request for a nonce that is not
-    /// confirmed.
+    /// Request that ends the session, so that the gripper expects no further command.
     pub fn end(&mut self) -> Message {
-        (self.nonce, self.is_ending) = (None, true);
-        service(op::ARM, 0)
+        let nonce = self.nonce.take().unwrap_or_default();
+        Message::Service(Service { op: op::END, magic: SERVICE_MAGIC, nonce, argument: 0 })
     }
 
     /// Evaluates a reply of the gripper; returns the response that the protocol requires.
     pub fn receive(&mut self, reply: &ServiceReply) -> Option<Message> {
         match (reply.op, reply.status) {
-            (op::ARM, status::CHALLENGE) if !self.is_ending => Some(Message::Service(Service {
+            (op::ARM, status::CHALLENGE) => Some(Message::Service(Service {
                 op: op::ARM,
                 magic: SERVICE_MAGIC,
                 nonce: reply.nonce,

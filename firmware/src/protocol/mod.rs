@@ -19,7 +19,7 @@ use crate::fixed_point::Force;
 /// Default node number: identifiers 0x200 to 0x21F.
 pub const DEFAULT_NODE: u16 = 0x10;
 /// Major and minor version of the messages.
-pub const PROTOCOL_VERSION: (u8, u8) = (1, 2);
+pub const PROTOCOL_VERSION: (u8, u8) = (1, 3);
 /// [`messages::GripStatus::position`] of an unknown opening, as before homing.
 pub const OPENING_UNKNOWN: u16 = 0x3FFF;
 /// Value of an unknown temperature in [`messages::Power`].

@@ -50,6 +50,8 @@ pub mod op {
     /// Read the description of the running calibration, four bytes at a time: argument 0 asks for its length in bits 0 to 15
     /// and its origin in bits 16 to 23 (0: linked, 1 and 2: the slot in flash, plus one), n for the bytes from 4 (n - 1).
     pub const DESCRIPTION: u8 = 11;
+    /// End the session that has this nonce.
+    pub const END: u8 = 12;
 }
 
 /// Status of a service reply.
@@ -62,12 +64,14 @@ pub mod status {
     pub const REFUSED: u8 = 2;
     /// Arming is prevented by a fault.
     pub const FAULTY: u8 = 3;
-    /// Not allowed while armed.
+    /// Not allowed while armed, or while a tare or a calibration is in progress.
     pub const ARMED: u8 = 4;
     /// Failed; the detail has the reason.
     pub const FAILED: u8 = 5;
     /// Unknown operation.
     pub const UNKNOWN: u8 = 6;
+    /// Not allowed while an object is, or may be, gripped.
+    pub const GRIPPING: u8 = 7;
 }
 
 /// Rejected frames since boot.
@@ -158,17 +162,13 @@ impl Session {
 
     /// Processes a frame. `random` must be fresh at every call; it becomes the nonce of a challenge.
     pub fn receive(&mut self, now_ms: u32, id: u16, bytes: &[u8], random: u16) -> SessionEvent {
-        if id == ESTOP_ALL_ID {
+        if is_stop(self.node, id) {
             return SessionEvent::Stop;
         }
         if id >> 5 != self.node {
             return SessionEvent::Ignored;
         }
         let number = (id & 0x1F) as u8;
-        if const { EStop::LAYOUT.numbers() }.contains(&number) {
-            // With any content: a malformed stop is still a stop.
-            return SessionEvent::Stop;
-        }
         let message = match Message::from_frame(number, bytes) {
             Ok(message) => message,
             Err(FrameError::Unknown) => {
@@ -188,6 +188,7 @@ impl Session {
                 SessionEvent::Reply { reply, armed: false }
             }
             Message::Service(service) if service.op == op::ARM => self.arm(now_ms, service, random),
+            Message::Service(service) if service.op == op::END => self.end(now_ms, service),
             other if other.direction() == Direction::In => SessionEvent::Other(other),
             // A message that only this node sends.
             _ => self.reject_malformed(now_ms),
@@ -252,7 +253,10 @@ impl Session {
         if service.nonce == 0 {
             // Zero requests a nonce, so it cannot be one.
             let nonce = random.max(1);
-            self.open = None;
+            // It proves nothing, so that it must not end the session of a host that is alive.
+            if !self.is_alive(now_ms) {
+                self.open = None;
+            }
             self.challenge = Some(Challenge { nonce, at_ms: now_ms });
             return SessionEvent::Reply { reply: reply(status::CHALLENGE, nonce), armed: false };
         }
@@ -268,6 +272,18 @@ impl Session {
         };
         self.open = Some(OpenSession { nonce: challenge.nonce, last: None });
         SessionEvent::Reply { reply: reply(status::DONE, challenge.nonce), armed: true }
+    }
+
+    fn end(&mut self, now_ms: u32, service: Service) -> SessionEvent {
+        let is_own = self.open.is_some_and(|open| open.nonce == service.nonce);
+        let status = if is_own {
+            self.close();
+            status::DONE
+        } else {
+            self.record_rejection(now_ms);
+            status::REFUSED
+        };
+        SessionEvent::Reply { reply: service_reply(service, status, 0), armed: false }
     }
 
     fn command(&mut self, now_ms: u32, command: Command) -> SessionEvent {
@@ -305,6 +321,12 @@ impl Session {
         }
         self.oldest = (self.oldest + 1) % FLOOD;
     }
+}
+
+/// Whether a frame stops this node. With any content: a malformed stop is still a stop.
+pub fn is_stop(node: u16, id: u16) -> bool {
+    let number = (id & 0x1F) as u8;
+    id == ESTOP_ALL_ID || (id >> 5 == node && const { EStop::LAYOUT.numbers() }.contains(&number))
 }
 
 /// The reply to a service request.
@@ -379,6 +401,24 @@ mod tests {
         };
         assert!(armed && reply.status == status::DONE && session.is_open());
         assert_eq!(session.dropped().late, 2);
+    }
+
+    #[test]
+    fn only_the_nonce_ends_the_session_of_a_live_host() {
+        let mut session = armed(0);
+        assert!(accepts(&mut session, 10, command(NONCE, 1)));
+        session.receive(20, SERVICE, &service(op::ARM, 0), 0x1234);
+        session.receive(20, SERVICE, &service(op::END, 0), 0);
+        session.receive(20, SERVICE, &service(op::END, 0x1234), 0);
+        assert!(session.is_open());
+        assert!(accepts(&mut session, 30, command(NONCE, 2)));
+        session.receive(40, SERVICE, &service(op::END, NONCE), 0);
+        assert!(!session.is_open());
+        // A silent host is replaced, also by one that only asks.
+        let mut session = armed(0);
+        assert!(accepts(&mut session, 10, command(NONCE, 1)));
+        session.receive(111, SERVICE, &service(op::ARM, 0), 0x1234);
+        assert!(!session.is_open());
     }
 
     #[test]

@@ -83,11 +83,14 @@ pub struct GripSummary {
     pub may_arm: bool,
     /// The motor is or may be driven, with or without a session: no flash access, tare or reboot.
     pub is_driven: bool,
+    /// See [`GripController::is_loaded`].
+    pub is_loaded: bool,
 }
 
 impl GripSummary {
     /// State at boot.
-    pub const INITIAL: Self = Self { state: 0, object: 0, may_arm: false, is_driven: false };
+    pub const INITIAL: Self =
+        Self { state: 0, object: 0, may_arm: false, is_driven: false, is_loaded: false };
 }
 
 /// Supply of the power stage.
@@ -167,7 +170,7 @@ impl GripLoop {
         let is_busy = pending.calibration.is_some();
         let outputs = tick(grip, inputs, (&requests, is_busy), shared);
         let order = if is_busy {
-            pending.calibrate(grip.power(), requests.stop, &inputs.motor, shared)
+            pending.calibrate(grip, requests.stop, &inputs.motor, shared)
         } else {
             Some(pending.order(&outputs))
         };
@@ -182,6 +185,7 @@ impl GripLoop {
             object: outputs.status.object,
             may_arm: outputs.may_arm,
             is_driven: grip.is_driven(),
+            is_loaded: grip.is_loaded(),
         });
         shared.publish_faults(FaultReporter::Grip, grip.fault_bits(), &outputs.events);
     }
@@ -226,13 +230,20 @@ impl Pending {
     /// One tick of a calibration; publishes its result.
     fn calibrate<M: RawMutex>(
         &mut self,
-        power: PowerState,
+        grip: &GripController,
         stop: bool,
         motor: &MotorStatus,
         shared: &SharedState<M>,
     ) -> Option<MotorCommand> {
+        let power = grip.power();
+        let faults = shared.fault_bits_except(FaultReporter::Grip);
         let step = match (&mut self.calibration, power) {
-            (Some(running), PowerState::Calibrating) if !stop => running.tick(motor),
+            (Some(running), PowerState::Calibrating) if !stop => {
+                match grip.calibration_failure(running.kind(), faults) {
+                    Some(failure) => ControlFlow::Break(CalibrationOutcome::Failed(failure)),
+                    None => running.tick(motor),
+                }
+            }
             (_, PowerState::Calibrating) => {
                 ControlFlow::Break(CalibrationOutcome::Failed(CalibrationFailure::Stopped))
             }

@@ -109,15 +109,26 @@ pub async fn host_service<F: NorFlash, R: FnMut() -> u16, B: FnMut(), C: Clock, 
                 let event = session.receive(now_ms, frame.identifier(), frame.data(), random);
                 publish_host_status(&session, &pending, now_ms, shared);
                 let is_armed = session.is_open() || grip.is_driven;
+                let is_calibrating = pending.is_some();
                 match event {
                     SessionEvent::Reply { reply, .. } => Some(Message::ServiceReply(reply)),
+                    // What is gripped would become the zero of the forces, or be dropped.
+                    SessionEvent::Other(Message::Service(request))
+                        if !is_armed
+                            && grip.is_loaded
+                            && matches!(request.op, op::TARE | op::MEASURE) =>
+                    {
+                        let reply = service_reply(request, status::GRIPPING, 0);
+                        Some(Message::ServiceReply(reply))
+                    }
                     SessionEvent::Other(Message::Service(request))
                         if !is_armed && starts_long_service(request, &mut pending, shared) =>
                     {
                         None
                     }
                     SessionEvent::Other(Message::Service(request)) => {
-                        Some(service.handle_request(request, is_armed, shared).await)
+                        let is_busy = is_armed || is_calibrating;
+                        Some(service.handle_request(request, is_busy, shared).await)
                     }
                     SessionEvent::Other(Message::ParamRequest(request))
                         if let Some(count) = shared.counts.counter(request.id) =>
@@ -127,7 +138,8 @@ pub async fn host_service<F: NorFlash, R: FnMut() -> u16, B: FnMut(), C: Clock, 
                     }
                     SessionEvent::Other(Message::ParamRequest(request)) => {
                         let mut parameters = shared.parameters();
-                        let reply = parameters::handle_request(&mut parameters, &request, is_armed);
+                        let is_busy = is_armed || is_calibrating;
+                        let reply = parameters::handle_request(&mut parameters, &request, is_busy);
                         shared.set_parameters(parameters);
                         session.set_timeout_ms(parameters.command_timeout_ms());
                         Some(Message::ParamReply(reply))
@@ -142,7 +154,9 @@ pub async fn host_service<F: NorFlash, R: FnMut() -> u16, B: FnMut(), C: Clock, 
                     }
                     SessionEvent::Other(Message::CalibrationChunk(chunk)) => {
                         let HostService { store, calibration, .. } = &mut service;
-                        let reply = calibration.receive(store.flash(), &chunk, is_armed).await;
+                        let reply = calibration
+                            .receive(store.flash(), &chunk, is_armed || is_calibrating)
+                            .await;
                         reply.map(Message::ServiceReply)
                     }
                     SessionEvent::Other(message) => {
@@ -195,7 +209,8 @@ fn starts_long_service<M: RawMutex>(
 }
 
 impl<F: NorFlash, R, B: FnMut()> HostService<F, R, B> {
-    /// Executes a service that completes at once. `is_armed`: a session is open, or the motor is driven.
+    /// Executes a service that completes at once. `is_armed`: a session is open, the motor is driven, or a tare or a
+    /// calibration is in progress.
     async fn handle_request<M: RawMutex>(
         &mut self,
         request: Service,

@@ -7,11 +7,13 @@ use embedded_io_async::Read;
 
 use crate::clock::{Clock, delay_us, with_timeout_us};
 use crate::config::limits::DetectionLimits;
+use crate::parameters::Parameters;
 use crate::protocol::can::{CanError, CanFrame, CanReceiver};
+use crate::protocol::frame_id;
 use crate::protocol::messages::is_from_host;
 use crate::protocol::rate_limiter::RateLimiter;
 use crate::protocol::serial::{Packet, PacketDecoder};
-use crate::protocol::{ESTOP_ALL_ID, frame_id};
+use crate::protocol::session::is_stop;
 use crate::system::faults::{Fault, FaultSet};
 use crate::tasks::{FaultReporter, SharedState};
 
@@ -53,11 +55,15 @@ impl<'s, M: RawMutex> RxPort<'s, M> {
     }
 
     fn push(&mut self, frame: CanFrame, now_us: u64) {
+        if is_stop(self.shared.parameter(Parameters::node), frame.identifier()) {
+            // Neither a flood nor a full queue may delay a stop.
+            self.shared.requests.modify(|requests| requests.stop = true);
+            return self.update_fault(now_us);
+        }
         let [of_hosts, of_others] = &mut self.limiters;
         let limiter =
             if is_from_host((frame.identifier() & 0x1F) as u8) { of_hosts } else { of_others };
-        // An emergency stop passes in any flood.
-        if limiter.admit(now_us) || frame.identifier() == ESTOP_ALL_ID {
+        if limiter.admit(now_us) {
             let source = self.source;
             let queued = self.shared.rx_frames.try_send(RxFrame { source, frame });
             if queued.is_err() {

@@ -19,7 +19,7 @@ use crate::system::task_watchdog::TaskId;
 use crate::tasks::{FaultReporter, SharedState};
 
 /// A tick that begins later than this is skipped, to keep frames one millisecond apart.
-const MAX_LATENESS_US: u64 = 50;
+const MAX_LATENESS_US: u64 = 200;
 /// Delay of the first tick: the scan of the addresses takes up to 1 ms.
 pub const FIRST_TICK_US: u64 = 2_000;
 /// Ticks between two recoveries of a bus that is free but without answer, as without sensors.

@@ -203,7 +203,7 @@ impl Refusal {
     }
 }
 
-const REASONS: [RefusalReason; 14] = [
+const REASONS: [RefusalReason; 15] = [
     RefusalReason::UnknownMode,
     RefusalReason::NotEnabled,
     RefusalReason::FaultActive,
@@ -218,6 +218,7 @@ const REASONS: [RefusalReason; 14] = [
     RefusalReason::Blind,
     RefusalReason::Loaded,
     RefusalReason::NotParked,
+    RefusalReason::Stopped,
 ];
 
 const fn advice(reason: RefusalReason) -> &'static str {
@@ -245,6 +246,9 @@ const fn advice(reason: RefusalReason) -> &'static str {
         RefusalReason::Loaded => "the fingers are loaded: remove the load",
         RefusalReason::NotParked => {
             "wrong opening for ground-contact mode: close the fingers, or open them fully"
+        }
+        RefusalReason::Stopped => {
+            "a stop is latched: make sure that the gripper may move again, then use --clear-faults"
         }
     }
 }

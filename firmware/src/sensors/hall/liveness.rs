@@ -25,7 +25,7 @@ pub enum SensorCondition {
 pub struct MonitoredReading {
     /// The reading if usable.
     pub reading: Option<HallReading>,
-    /// Ticks since the last reading that changed, saturating.
+    /// Ticks since the last field that changed, saturating.
     pub age: u8,
     /// State of the sensor.
     pub condition: SensorCondition,
@@ -68,7 +68,8 @@ impl LivenessMonitor {
             );
         };
         self.missed = 0;
-        if self.last.replace(reading) == Some(reading) {
+        // The temperature is converted apart: its last bit flickers even if the field is frozen.
+        if self.last.replace(reading).is_some_and(|last| last.field == reading.field) {
             self.repeated = self.repeated.saturating_add(unsaturated_axes(&reading));
         } else {
             (self.age, self.repeated) = (0, 0);
