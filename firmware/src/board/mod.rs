@@ -72,6 +72,8 @@ pub struct Peripherals<B: Bsp> {
     pub flash: B::Flash,
     /// Where they are.
     pub flash_offsets: FlashOffsets,
+    /// The chip's persistent configuration is unsuitable: a non-zero code of the board.
+    pub configuration_defect: Option<u32>,
     /// Temperatures of chip, motor and power stage.
     pub thermometer: B::Thermometer,
     /// Motor.

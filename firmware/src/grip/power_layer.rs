@@ -2,7 +2,7 @@
 
 use crate::config::constants;
 use crate::fixed_point::Force;
-use crate::grip::commands::TRIP_N;
+use crate::grip::commands::{GripProfile, TRIP_N};
 use crate::grip::debounce::next_ms;
 use crate::grip::fault_reactions::{
     FirstFault, Reaction, TRIP_FAULTS, fault_of, is_active, strongest_reaction,
@@ -129,11 +129,15 @@ impl GripController {
         let trips = TRIP_FAULTS.into_iter().fold(0, |bits, fault| bits | 1 << fault.index());
         let bits = (faults | self.faults.bits()) & !trips;
         let worst = strongest_reaction(bits, GripPhase::Moving, self.self_locking);
+        let max_n = match kind {
+            CalibrationKind::Motor => self.limits.move_n,
+            // The test grips with about 100 N.
+            CalibrationKind::Screw => 2.0 * GripProfile::Normal.max_n(),
+        };
         let outward_n = self.fingers.outward_n().unwrap_or_default();
         if worst.is_some_and(|(reaction, _)| reaction >= Reaction::QuickStop) {
             Some(CalibrationFailure::Fault)
-        } else if self.force_n.max(self.rise_n) > kind.max_n() || outward_n > self.limits.outward_n
-        {
+        } else if self.force_n.max(self.rise_n) > max_n || outward_n > self.limits.outward_n {
             Some(CalibrationFailure::Force)
         } else {
             None

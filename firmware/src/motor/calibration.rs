@@ -3,8 +3,6 @@
 
 use core::ops::ControlFlow;
 
-use crate::config::limits::GripLimits;
-use crate::grip::commands::GripProfile;
 use crate::motor::backdrive_test::{BackdriveResult, BackdriveStep, BackdriveTest};
 use crate::motor::commissioning::CommissioningError;
 use crate::motor::settings::IdentifiedMotor;
@@ -28,15 +26,6 @@ pub enum CalibrationKind {
 }
 
 impl CalibrationKind {
-    /// Maximum force in newtons, or rise of it, between the fingers.
-    pub const fn max_n(self) -> f32 {
-        match self {
-            Self::Motor => GripLimits::GRIPPER.move_n,
-            // The test grips with about 100 N.
-            Self::Screw => 2.0 * GripProfile::Normal.max_n(),
-        }
-    }
-
     /// From the argument of [`crate::protocol::session::op::MEASURE`].
     pub const fn of(argument: u32) -> Option<Self> {
         match argument {

@@ -118,7 +118,7 @@ pub enum Trip {
     Runaway,
     /// The power stage switched itself off.
     PowerStage,
-    /// The motion loop missed three ticks, or no set-point arrived for 5 ms.
+    /// The motion loop missed three ticks, no set-point arrived for 5 ms, or the status of the motor is older than that.
     CommandTimeout,
 }
 

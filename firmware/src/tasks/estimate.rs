@@ -11,7 +11,7 @@ use crate::estimator::finger_symmetry::FingerSymmetry;
 use crate::estimator::tare::{TareCollector, TareProgress};
 use crate::estimator::{Estimate, Estimator, NetworkBank, Validity};
 use crate::fixed_point::Force;
-use crate::motor::MotorStatus;
+use crate::motor::{MotorState, MotorStatus, Trip};
 use crate::parameters::Parameters;
 use crate::protocol::serial::Tick;
 use crate::sensors::hall::liveness::{MonitoredReading, SensorCondition};
@@ -20,6 +20,9 @@ use crate::system::faults::{Fault, FaultSet};
 use crate::system::task_watchdog::TaskId;
 use crate::tasks::covariates::CovariateSamples;
 use crate::tasks::{FaultReporter, GripInputs, SharedState};
+
+/// Age of the motor's status in microseconds beyond which it has tripped; it is reported each millisecond.
+const MAX_MOTOR_AGE_US: u64 = 5_000;
 
 /// Forces of one tick.
 #[derive(Clone, Copy, Debug)]
@@ -56,7 +59,14 @@ pub async fn estimate<N: NetworkBank, C: Clock, M: RawMutex>(
         samples.motor = motor().or(samples.motor);
         samples.inertial = shared.inertial.get();
         samples.host = shared.host_motion.get();
-        let motor = samples.motor.map(|motor| motor.value).unwrap_or_default();
+        let mut motor = samples.motor.map(|motor| motor.value).unwrap_or_default();
+        if samples
+            .motor
+            .is_some_and(|motor| motor.time_us.saturating_add(MAX_MOTOR_AGE_US) < sensed.begun_us)
+        {
+            // Its loops have stopped.
+            motor.state = MotorState::Tripped(Trip::CommandTimeout);
+        }
         let covariates = samples.at(sensed.begun_us);
         let auxiliary = covariates.inputs(motor.pole_pairs);
         let mut estimates = estimator.update(&sensed.frame, &auxiliary);

@@ -36,6 +36,7 @@ pub async fn load_parameters<F: NorFlash, M: RawMutex>(
 /// Sources of [`Fault::StoreUnsound`].
 const PARAMETERS: u8 = 0;
 const CALIBRATION: u8 = 1;
+const CONFIGURATION: u8 = 2;
 
 /// Resources of the task.
 pub struct HostService<F, R, B> {
@@ -47,6 +48,8 @@ pub struct HostService<F, R, B> {
     pub loaded: LoadedParameters,
     /// Calibrations in the same flash.
     pub calibration: CalibrationService,
+    /// See [`crate::board::Peripherals::configuration_defect`].
+    pub configuration_defect: Option<u32>,
     /// A fresh random number at every call, for nonces.
     pub random: R,
     /// Resets the chip.
@@ -85,6 +88,14 @@ pub async fn host_service<F: NorFlash, R: FnMut() -> u16, B: FnMut(), C: Clock, 
         (Fault::StoreUnsound, CALIBRATION),
         defect.is_some(),
         defect.map_or(0, |defect| defect as u32),
+    );
+    let defect = service.configuration_defect;
+    shared.update_fault(
+        FaultReporter::HostService,
+        &mut faults,
+        (Fault::StoreUnsound, CONFIGURATION),
+        defect.is_some(),
+        defect.unwrap_or_default(),
     );
     // No frame is processed, and so no host can arm, before the tables have been checked.
     shared.tables_checked.wait().await;

@@ -35,6 +35,9 @@ const ORDERS: usize = 3;
 /// the motion loop itself.
 const REQUESTS: usize = ORDERS + 1;
 
+/// Orders in a row without a report of the current loop after which the outputs are switched off: 3 ms.
+const MAX_UNREPORTED: u8 = 3;
+
 /// Peripherals and pins of the motor.
 pub struct Parts {
     /// PWM timer.
@@ -96,6 +99,8 @@ struct MotionLoopState {
     requests: Writer<CurrentLoopCommand, REQUESTS>,
     status: Writer<Timed<MotorStatus>, 1>,
     ticks: u8,
+    /// Orders in a row without a report of the current loop between them.
+    unreported: u8,
 }
 
 struct Owned<T>(UnsafeCell<MaybeUninit<T>>);
@@ -156,6 +161,7 @@ fn start(parts: Parts, settings: Settings) -> (Orders, StatusReports) {
         requests: request_writer,
         status: status_writer,
         ticks: 0,
+        unreported: 0,
     };
     // SAFETY: the interrupts are not enabled yet.
     unsafe {
@@ -201,7 +207,9 @@ impl CurrentLoopState {
 
 impl MotionLoopState {
     fn tick(&mut self) {
+        let mut orders = 0_u8;
         while let Some(order) = self.orders.pop() {
+            orders = orders.saturating_add(1);
             if let Some(urgent) = self.outer.handle_command(order) {
                 let _ = self.requests.push(urgent);
             }
@@ -210,8 +218,14 @@ impl MotionLoopState {
             self.outer.apply_identification(found);
         }
         let Some(report) = self.state.pop() else {
+            // The current loop reports four times between two orders, unless its trigger is lost: its duties are frozen.
+            self.unreported = self.unreported.saturating_add(orders);
+            if self.unreported >= MAX_UNREPORTED {
+                Stage::break_off();
+            }
             return;
         };
+        self.unreported = 0;
         // The current loop has just sampled it.
         let time_us = BoardClock.now_us();
         // The current loop empties this queue in its next period.

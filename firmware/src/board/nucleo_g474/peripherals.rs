@@ -71,6 +71,7 @@ impl Bsp for NucleoG474 {
         kernel::copy_to_ccm();
         // A failing crystal breaks the motor outputs and raises the NMI; the driver library has no option for it.
         pac::RCC.cr().modify(|w| w.set_csson(true));
+        break_on_chip_faults();
         // 20 mA drivers for 1 MHz.
         pac::SYSCFG.cfgr1().modify(|w| {
             w.set_i2c1_fmp(true);
@@ -108,6 +109,7 @@ impl Bsp for NucleoG474 {
             rng: Rng::new(p.RNG, Interrupts),
             flash,
             flash_offsets,
+            configuration_defect: option_byte_defect(),
             thermometer: BoardThermometer::new(thermometer::Parts {
                 thermistors: p.ADC3,
                 motor: p.PB1,
@@ -136,6 +138,28 @@ impl Bsp for NucleoG474 {
 fn boost() {
     const R1MODE: u32 = 1 << 8;
     pac::PWR.cr5().modify(|w| w.0 &= !R1MODE);
+}
+
+/// Connects lock-up of the core, parity error of SRAM, supply below 2.8 V and a flash word with two wrong bits to the break of
+/// the motor timer, which switches the outputs off without software. The connections stay until a reset.
+fn break_on_chip_faults() {
+    const LEVEL_2_8_V: u8 = 5;
+    pac::PWR.cr2().modify(|w| {
+        w.set_pls(LEVEL_2_8_V);
+        w.set_pvde(true);
+    });
+    pac::SYSCFG.cfgr2().modify(|w| {
+        w.set_cll(true);
+        w.set_spl(true);
+        w.set_pvdl(true);
+        w.set_eccl(true);
+    });
+}
+
+/// The code where the option bytes are unsuitable: 1, the flash has a single bank, so that the image would stand still while
+/// a page is written.
+fn option_byte_defect() -> Option<u32> {
+    (!pac::FLASH.optr().read().dbank()).then_some(1)
 }
 
 /// Crystal 24 MHz / 6 * 80 = 320 MHz: 160 MHz for the core, 80 MHz for CAN.

@@ -44,7 +44,8 @@ pub struct Pins {
         Peri<'static, peripherals::PB14>,
         Peri<'static, peripherals::PB15>,
     ),
-    /// Break input; low on a fault of gate drivers or comparators.
+    /// Break input: low on a fault of gate drivers or comparators, and with an open wire. The stage must pull it high against
+    /// the chip's pull-down of 25 to 55 kilohm.
     pub stop: Peri<'static, peripherals::PB12>,
 }
 
@@ -75,6 +76,11 @@ impl Stage {
         TIMER.ccr(0).write(|to| to.set_ccr(counts(u)));
         TIMER.ccr(1).write(|to| to.set_ccr(counts(v)));
         TIMER.ccr(2).write(|to| to.set_ccr(counts(w)));
+    }
+
+    /// Switches the outputs off from outside of the current loop, which then reports a break of the stage.
+    pub fn break_off() {
+        TIMER.bdtr().modify(|w| w.set_moe(false));
     }
 
     fn switch(&mut self, on: bool) {
@@ -148,7 +154,7 @@ fn configure() {
 /// Assigns the pins to the timer. They are forgotten because dropping them would release them.
 fn connect(pins: Pins) {
     let mut stop = Flex::new(pins.stop);
-    stop.set_as_af_unchecked(BREAK_AF, AfType::input(Pull::Up));
+    stop.set_as_af_unchecked(BREAK_AF, AfType::input(Pull::Down));
     forget(stop);
     let push = OutputType::PushPull;
     let (u, v, w) = pins.high;

@@ -31,8 +31,8 @@ use crate::protocol::PROTOCOL_VERSION;
 use crate::protocol::messages::Version;
 use crate::sensors::hall::{GripperHallSensor, SENSORS};
 use crate::system::faults::Event;
+use crate::system::nv_storage::ParameterStore;
 use crate::system::nv_storage::calibration::CalibrationSlots;
-use crate::system::nv_storage::{LoadedParameters, ParameterStore};
 use crate::system::task_watchdog::FEED_PERIOD_MS;
 use crate::tasks::calibration::{CalibrationService, LinkedCalibration, load_calibration};
 use crate::tasks::{self, HostService, SharedState};
@@ -136,7 +136,16 @@ async fn begin(spawner: Spawner, board: Peripherals<B>) {
     spawner.spawn(once(transmit_serial(shared, board.serial_tx)));
     spawner.spawn(once(receive_serial(shared, board.serial_rx, node)));
     let calibration = CalibrationService { slots, origin, defect };
-    spawner.spawn(once(host_service(shared, store, loaded, calibration, version, board.rng)));
+    let service = HostService {
+        version,
+        store,
+        loaded,
+        calibration,
+        configuration_defect: board.configuration_defect,
+        random: board.rng,
+        reboot: (),
+    };
+    spawner.spawn(once(host_service(shared, service)));
 }
 
 #[embassy_executor::task]
@@ -210,17 +219,16 @@ async fn receive_serial(shared: Shared, line: <B as Bsp>::SerialRx, node: u16) {
 #[embassy_executor::task]
 async fn host_service(
     shared: Shared,
-    store: ParameterStore<<B as Bsp>::Flash>,
-    loaded: LoadedParameters,
-    calibration: CalibrationService,
-    version: Version,
-    mut rng: <B as Bsp>::Rng,
+    service: HostService<<B as Bsp>::Flash, <B as Bsp>::Rng, ()>,
 ) {
+    let HostService { version, store, loaded, calibration, configuration_defect, .. } = service;
+    let mut rng = service.random;
     let service = HostService {
         version,
         store,
         loaded,
         calibration,
+        configuration_defect,
         random: move || rng.next_u32() as u16,
         reboot: || cortex_m::peripheral::SCB::sys_reset(),
     };

@@ -431,6 +431,7 @@ impl VirtualTimeBoard {
                     origin,
                     defect,
                 },
+                configuration_defect: None,
                 random,
                 reboot: || rebooting.set(true),
             };

@@ -2,6 +2,7 @@
 //! Errors of the Hall sensors are not included.
 
 use crate::closed_loop::motor_rig::{MotorRig, periods};
+use crate::drivetrain::fingertips::distribute_forces;
 use crate::drivetrain::mechanics::{Object, PulledObject};
 use crate::drivetrain::parameters::{Lead, PlantParameters};
 use crate::random::{Purpose, normal, stream};
@@ -155,11 +156,12 @@ impl GraspRig {
         let now = self.sense();
         let delayed = std::mem::replace(&mut self.sensed, now);
         let mut estimates = [Estimate::MISSING; SENSORS];
-        let sensors = estimates.iter_mut().zip(self.lost).zip(delayed.along_n);
-        for ((estimate, is_lost), along_n) in sensors {
+        let forces_n = distribute_forces(delayed.grip_n, 0.0, 0.0).into_iter().zip(delayed.along_n);
+        let sensors = estimates.iter_mut().zip(self.lost).zip(forces_n);
+        for ((estimate, is_lost), ([lateral_n, _], along_n)) in sensors {
             let [lateral, along] = [0, 1].map(|_| NOISE_N / 2_f64.sqrt() * normal(&mut self.rng));
             if !is_lost {
-                let newtons = [0.5 * delayed.grip_n + lateral, along_n + along];
+                let newtons = [lateral_n + lateral, along_n + along];
                 estimate.force = newtons.map(|newtons| Force((newtons * Force::PER_NEWTON) as i32));
                 estimate.validity = Validity::Valid;
             }

@@ -6,10 +6,11 @@ use crate::closed_loop::grasp_rig::contact_object;
 use crate::closed_loop::{ClosedLoop, ClosedLoopSetup};
 use crate::drivetrain::fingertips::Impact;
 use crate::drivetrain::sensors::ROOM_C;
+use crate::faults::hazards::HazardTable;
 use crate::faults::operating_state::OperatingState;
 use firmware::config::constants::{self, TICK_US};
 use firmware::config::limits::GripLimits;
-use firmware::grip::fault_reactions::{Reaction, reaction};
+use firmware::grip::fault_reactions::Reaction;
 use firmware::grip::redundant_copy::COPY_WORDS;
 use firmware::motor::as5047;
 use firmware::sensors::hall::a31301::FIELD_LIMITS;
@@ -358,9 +359,9 @@ impl InjectedFault {
         )
     }
 
-    /// Specified reaction.
-    pub fn reaction(self, situation: OperatingState, locks: bool) -> Reaction {
-        reaction(self.specification().fault, situation.phase(), locks)
+    /// Reaction that the hazard table requires.
+    pub fn reaction(self, situation: OperatingState, locks: bool) -> Option<Reaction> {
+        HazardTable::gripper().reaction(self.specification().fault, situation.phase(), locks)
     }
 }
 

@@ -1,5 +1,6 @@
 //! Fault injection: each fault of the fault matrix in each operating state of the whole gripper, in virtual time.
 //!
+//! - [`hazards`]: the hazard table, from which the campaign takes its expectations.
 //! - [`injection`]: the faults, their specification and how each is injected.
 //! - [`operating_state`]: the states in which they are injected.
 //! - [`run`]: one fault in one state, and the transitions that the state tables allow.
@@ -8,6 +9,7 @@
 //! Faults that need hardware or the image are listed in [`injection::HARDWARE_ONLY`] and never counted.
 
 pub mod campaign;
+pub mod hazards;
 pub mod injection;
 pub mod operating_state;
 pub mod run;

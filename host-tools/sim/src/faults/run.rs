@@ -187,9 +187,10 @@ impl FaultCase {
             (InjectedFault::ObjectGone, _) => is(TaskState::Lost),
             (InjectedFault::MemoryCorruption, _) => state == PowerState::Safe as u8,
             _ => match self.fault.reaction(self.state, self.lead == Lead::A) {
-                Reaction::Warn | Reaction::Hold => continues || is(TaskState::Approach),
-                Reaction::QuickStop => stopped,
-                Reaction::Brake | Reaction::Off => off,
+                Some(Reaction::Warn | Reaction::Hold) => continues || is(TaskState::Approach),
+                Some(Reaction::QuickStop) => stopped,
+                Some(Reaction::Brake | Reaction::Off) => off,
+                None => false,
             },
         }
     }
@@ -231,6 +232,8 @@ fn successors(code: u8) -> Vec<u8> {
                 TASK_CODE + TaskState::Unhomed as u8,
                 TASK_CODE + TaskState::GripFailed as u8,
                 TASK_CODE + TaskState::Idle as u8,
+                TASK_CODE + TaskState::Foot as u8,
+                TASK_CODE + TaskState::Releasing as u8,
             ],
             to => vec![*to as u8],
         })
