@@ -20,6 +20,8 @@ pub struct DetectionLimits {
     pub failed_transfers: u8,
     /// Ticks in a row with a line stuck low until a fault.
     pub stuck_ticks: u8,
+    /// Ticks in a row with a field outside the range of the sensor until a fault.
+    pub saturated_ticks: u8,
     /// Ticks in a row with a field outside the range of the model until a fault.
     pub outside_ticks: u8,
     /// Difference of the forces of the fingers in newtons, plus a tenth of the force (control study).
@@ -42,6 +44,7 @@ impl DetectionLimits {
         config_mismatches: 2,
         failed_transfers: 3,
         stuck_ticks: 4,
+        saturated_ticks: 1,
         outside_ticks: 3,
         unbalanced_n: 15,
         unbalanced_ticks: 3,
@@ -119,6 +122,8 @@ pub struct GripLimits {
     pub invalid_ticks: u8,
     /// Milliseconds of valid forces until they are used again.
     pub valid_again_ms: u16,
+    /// Force in newtons above which the fingers back off in every state.
+    pub trip_n: f32,
     /// Force set-point in newtons after an overforce.
     pub overforce_release_n: f32,
     /// Homing: force in newtons at which the fingers meet.
@@ -151,8 +156,13 @@ pub struct GripLimits {
     pub release_ms: u32,
     /// Time-out in milliseconds of the opening after excessive force.
     pub back_off_ms: u32,
-    /// Last valid force in newtons beyond which an estimate outside the range of the model is taken for excessive force.
+    /// Last valid lateral force of a sensor in newtons beyond which its estimate outside the range of the model is taken for
+    /// excessive force.
     pub beyond_n: f32,
+    /// Backdrive test: rise of the force in newtons at which the stiffness of the part is evaluated.
+    pub part_n: f32,
+    /// Backdrive test: minimum stiffness of the part in N/mm; a hand is softer.
+    pub part_n_per_mm: f32,
     /// Overtravel beyond the end stops in millimetres that is a fault.
     pub overtravel_mm: f32,
     /// Milliseconds with that overtravel.
@@ -218,6 +228,7 @@ impl GripLimits {
         fingers_met_mm: 0.2,
         invalid_ticks: 3,
         valid_again_ms: 20,
+        trip_n: 450.0,
         overforce_release_n: 50.0,
         home_n: 10.0,
         home_mm_s: 5.0,
@@ -234,7 +245,9 @@ impl GripLimits {
         loosening_ms: 100,
         release_ms: 10_000,
         back_off_ms: 2_000,
-        beyond_n: 300.0,
+        beyond_n: 0.8 * constants::FORCE_RANGE.value as f32,
+        part_n: 25.0,
+        part_n_per_mm: 30.0,
         overtravel_mm: 0.8,
         overtravel_ms: 3,
         stall_a: 1.2,

@@ -217,10 +217,9 @@ impl GripProfile {
 
 /// Maximum force set-point of any profile in newtons.
 pub const CEILING_N: f32 = 400.0;
-/// Force in newtons above which the fingers back off in every state.
-pub const TRIP_N: f32 = 450.0;
 
-const _: () = assert!(GripProfile::Strong.max_n() <= CEILING_N && CEILING_N < TRIP_N);
+const _: () =
+    assert!(GripProfile::Strong.max_n() <= CEILING_N && CEILING_N < GripLimits::GRIPPER.trip_n);
 
 /// Why a command is refused; the number is sent to the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -3,6 +3,7 @@
 //! Control uses the greater of both forces: a finger that reads low has no effect, one that reads high reduces the
 //! grip force.
 
+use crate::config::limits::GripLimits;
 use crate::estimator::finger_symmetry::finger_forces;
 use crate::estimator::{Estimate, Validity};
 use crate::fixed_point::Force;
@@ -80,15 +81,50 @@ impl FingerForces {
     }
 }
 
+/// Detects a force beyond the range of the model, whose estimate is not valid any more: a sensor leaves the range after a high
+/// force. Up to 50 kN/s it has a valid estimate between the threshold and the end of the range; the gripper itself reaches
+/// 20 kN/s.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct BeyondRange {
+    /// Last valid lateral force of each sensor in newtons.
+    last_n: [f32; SENSORS],
+    is_beyond: bool,
+}
+
+impl BeyondRange {
+    /// Adds the estimates of one millisecond.
+    pub(super) fn update(&mut self, estimates: &[Estimate; SENSORS], limits: &GripLimits) {
+        let (mut is_outside, mut left_high) = (false, false);
+        for (last_n, estimate) in self.last_n.iter_mut().zip(estimates) {
+            if estimate.validity.is_in_range() {
+                let [lateral, _] = estimate.force;
+                *last_n = newtons(lateral).abs();
+            } else if is_out_of_range(estimate) {
+                is_outside = true;
+                // The residuals of such a field resemble a disturbance: only before it has left, the flag counts.
+                left_high |= *last_n > limits.beyond_n && !estimate.disturbed;
+            }
+        }
+        self.is_beyond = is_outside && (self.is_beyond || left_high);
+    }
+
+    /// Whether the force is excessive.
+    pub const fn is_over(&self) -> bool {
+        self.is_beyond
+    }
+}
+
 /// A fixed-point force in newtons.
 pub fn newtons(force: Force) -> f32 {
     force.0 as f32 / Force::PER_NEWTON as f32
 }
 
+const fn is_out_of_range(estimate: &Estimate) -> bool {
+    matches!(estimate.validity, Validity::Saturated | Validity::OutsideModel)
+}
+
 fn finger(pair: [&Estimate; 2], force: Force) -> FingerForce {
-    let is_outside =
-        |e: &Estimate| matches!(e.validity, Validity::Saturated | Validity::OutsideModel);
-    if pair.iter().any(|e| is_outside(e)) {
+    if pair.iter().any(|e| is_out_of_range(e)) {
         FingerForce::OutOfRange
     } else if pair.iter().any(|e| !e.validity.is_in_range()) {
         FingerForce::Lost

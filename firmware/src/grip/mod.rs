@@ -42,7 +42,7 @@ use crate::grip::commands::{CommandRefusal, GraspTarget, GripCommand, MoveTarget
 use crate::grip::contact::ContactDetector;
 use crate::grip::debounce::{next_ms, next_ticks};
 use crate::grip::fault_reactions::{FirstFault, FirstFaultLatch, Reaction};
-use crate::grip::finger_force::{FingerForce, FingerForces};
+use crate::grip::finger_force::{BeyondRange, FingerForce, FingerForces};
 use crate::grip::force_controller::StiffnessEstimator;
 use crate::grip::ground_contact::{GroundContact, GroundContactDetector};
 use crate::grip::hold_current::HoldCurrent;
@@ -89,8 +89,10 @@ pub struct GripController {
     force_rise: RiseDetector,
     /// Rise of the force in newtons since the fingers were last unloaded.
     rise_n: f32,
-    /// A finger left the range of the model while its force was high.
-    is_beyond: bool,
+    /// Force beyond the range of the model.
+    beyond: BeyondRange,
+    /// Rotor position in radians at the contact of a calibration.
+    touched_rad: Option<f32>,
     /// Mean opening current in amperes.
     opening_a: f32,
     current_rise: RiseDetector,
@@ -171,7 +173,8 @@ impl GripController {
             force_n: 0.0,
             force_rise: RiseDetector::default(),
             rise_n: 0.0,
-            is_beyond: false,
+            beyond: BeyondRange::default(),
+            touched_rad: None,
             opening_a: 0.0,
             current_rise: RiseDetector::default(),
             means_n: [None; 2],
@@ -346,9 +349,7 @@ impl GripController {
             // It begins or ends; a tare changes all forces.
             self.force_rise = RiseDetector::default();
         }
-        let is_outside = |finger| finger == FingerForce::OutOfRange;
-        let has_left_range = is_outside(self.fingers.left) || is_outside(self.fingers.right);
-        self.is_beyond = has_left_range && (self.is_beyond || self.force_n > self.limits.beyond_n);
+        self.beyond.update(inputs.estimates, &self.limits);
         self.opening_a += (-motor.current.q - self.opening_a) / MEAN_TICKS;
         self.last_mm = motor.opening_mm;
         let speed_mm_s = self.velocity.update(motor.closing_mm_s);

@@ -2,7 +2,7 @@
 
 use crate::config::constants;
 use crate::fixed_point::Force;
-use crate::grip::commands::{GripProfile, TRIP_N};
+use crate::grip::commands::{GripCommand, GripProfile};
 use crate::grip::debounce::next_ms;
 use crate::grip::fault_reactions::{
     FirstFault, Reaction, TRIP_FAULTS, fault_of, is_active, strongest_reaction,
@@ -10,9 +10,9 @@ use crate::grip::fault_reactions::{
 use crate::grip::states::{GripPhase, PowerState, TaskState};
 use crate::grip::transitions::{self, PowerEvent};
 use crate::grip::{ArmingRequest, ControlInputs, ControlOutputs, GripController};
-use crate::motor::MotorState;
 use crate::motor::calibration::{CalibrationFailure, CalibrationKind};
 use crate::motor::state::SupplyState;
+use crate::motor::{MotorState, MotorStatus};
 use crate::system::faults::Fault;
 
 /// Milliseconds for which a host's clear is in effect: a motor trip ends only once the motor is disarmed.
@@ -36,7 +36,8 @@ impl GripController {
         self.check_opening(inputs, outputs);
         let is_blind = self.lost_ticks >= self.limits.invalid_ticks;
         self.set_fault(Fault::Blind, is_blind, 0, outputs);
-        let is_over = self.is_beyond || (self.invalid_ticks == 0 && self.force_n > TRIP_N);
+        let is_over =
+            self.beyond.is_over() || (self.invalid_ticks == 0 && self.force_n > self.limits.trip_n);
         let detail = (self.force_n * Force::PER_NEWTON as f32) as u32;
         self.set_fault(Fault::OverForce, is_over, detail, outputs);
         let is_foot = self.power == PowerState::Enabled && self.task == TaskState::Foot;
@@ -119,10 +120,12 @@ impl GripController {
         };
     }
 
-    /// Why a calibration of the motor must end, given the faults of other tasks.
+    /// Why a calibration of the motor must end, given the faults of other tasks. To be called once in each of its
+    /// milliseconds.
     pub fn calibration_failure(
-        &self,
+        &mut self,
         kind: CalibrationKind,
+        motor: &MotorStatus,
         faults: u32,
     ) -> Option<CalibrationFailure> {
         // The calibration itself reports a trip of the motor.
@@ -139,9 +142,23 @@ impl GripController {
             Some(CalibrationFailure::Fault)
         } else if self.force_n.max(self.rise_n) > max_n || outward_n > self.limits.outward_n {
             Some(CalibrationFailure::Force)
+        } else if self.presses_soft_part(motor) {
+            Some(CalibrationFailure::SoftPart)
         } else {
             None
         }
+    }
+
+    /// Whether the rise of the force over the rotor's travel since contact is that of something soft, such as a hand.
+    fn presses_soft_part(&mut self, motor: &MotorStatus) -> bool {
+        if self.rise_n < self.limits.contact_n {
+            self.touched_rad = None;
+            return false;
+        }
+        let touched_rad = *self.touched_rad.get_or_insert(motor.rotor_rad);
+        let travel_mm = (motor.rotor_rad - touched_rad) * self.screw.ratio_mm;
+        let stiff_n = self.limits.part_n_per_mm * travel_mm;
+        self.rise_n > self.limits.part_n && self.rise_n - self.limits.contact_n < stiff_n
     }
 
     const fn is_clearing(&self) -> bool {
@@ -229,7 +246,10 @@ impl GripController {
             return false;
         };
         if self.power == PowerState::Enabled {
-            self.last_command = None;
+            // A repeated RELEASE, which needs no ENABLE, must not start again.
+            let is_release =
+                |command: &(GripCommand, bool)| matches!(command, (GripCommand::Release(_), _));
+            self.last_command = self.last_command.filter(is_release);
         }
         if matches!(to, PowerState::QuickStop | PowerState::Armed) {
             self.hold_mm = None;

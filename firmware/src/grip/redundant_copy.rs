@@ -40,8 +40,8 @@ impl GripController {
         both.fold(0, |differing, (word, copy)| differing | !(word ^ copy)) == 0
     }
 
-    /// Updates the copies.
-    pub(super) fn copy(&mut self) {
+    /// Updates the copies; outside of a step only for simulations.
+    pub fn copy(&mut self) {
         self.copies = self.words().map(|word| !word);
     }
 

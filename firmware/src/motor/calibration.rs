@@ -20,8 +20,8 @@ const RELEASE: (f32, u32) = (5.0, 400);
 pub enum CalibrationKind {
     /// Windings, phases and rotor sensor. Nothing may be gripped, and the fingers need room.
     Motor,
-    /// Whether the screw is self-locking. A part of some stiffness is between the fingers, at most 20 mm narrower
-    /// than their opening.
+    /// Whether the screw is self-locking. A part of at least [`crate::config::limits::GripLimits::part_n_per_mm`] is
+    /// between the fingers, at most 20 mm narrower than their opening.
     Screw,
 }
 
@@ -66,6 +66,8 @@ pub enum CalibrationFailure {
     Fault = 12,
     /// A force that the calibration does not need: something is between or around the fingers.
     Force = 13,
+    /// The part between the fingers is too soft for the backdrive test; it might be a hand.
+    SoftPart = 14,
 }
 
 impl CalibrationFailure {

@@ -137,7 +137,7 @@ impl CurrentLoop {
     pub fn tick(&mut self, samples: &MotorSamples) -> BridgeCommand {
         self.missed_periods = self.missed_periods.saturating_add(1);
         self.bus_v = current_sense::bus_v(samples);
-        let tracked = self.tracker.update(samples.angle, self.settings.angle_age_periods);
+        let tracked = self.tracker.update(samples.angle, &self.settings);
         self.is_angle_lost |= tracked.is_err();
         let phases = self.swapped(self.offsets.amperes(samples));
         let checked = match self.state {

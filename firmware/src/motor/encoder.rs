@@ -14,8 +14,6 @@ const SHIFT: u32 = 32 - constants::ENCODER_BITS.value as u32;
 /// Natural frequency of the critically damped loop: no speed error on a ramp of the speed, and a position error of
 /// 0.1 mrad at 16,000 rad/s^2.
 const FREQUENCY: f32 = TAU * constants::ENCODER_BANDWIDTH.value as f32 * PERIOD_S;
-/// Consecutive missing angles that are bridged: half a millisecond.
-const BRIDGED: u8 = 10;
 /// Innovation in radians above which an angle is rejected.
 const MAX_INNOVATION_RAD: f32 = 0.05;
 const MAX_INNOVATION: f32 = MAX_INNOVATION_RAD / TAU * TURN_UNITS;
@@ -36,11 +34,11 @@ pub struct AngleTracker {
 pub struct AngleLost;
 
 impl AngleTracker {
-    /// Adds the angle of one period, of an age in periods.
+    /// Adds the angle of one period; its age is in the settings.
     pub fn update(
         &mut self,
         counts: Result<u16, EncoderError>,
-        age_periods: f32,
+        settings: &Settings,
     ) -> Result<(), AngleLost> {
         let measured = counts.map(|counts| u32::from(counts) << SHIFT);
         let Some(missing) = self.missing else {
@@ -49,7 +47,8 @@ impl AngleTracker {
             return Ok(());
         };
         self.angle = self.angle.wrapping_add((self.speed as i32).into());
-        let expected = (self.angle as u32).wrapping_sub((self.speed * age_periods) as i32 as u32);
+        let expected = (self.angle as u32)
+            .wrapping_sub((self.speed * settings.angle_age_periods) as i32 as u32);
         let innovation = measured.map(|measured| measured.wrapping_sub(expected) as i32 as f32);
         match innovation {
             Ok(innovation) if (-MAX_INNOVATION..MAX_INNOVATION).contains(&innovation) => {
@@ -59,7 +58,7 @@ impl AngleTracker {
                 self.missing = Some(0);
                 Ok(())
             }
-            _ if missing < BRIDGED => {
+            _ if missing < settings.limits.bridged_angles => {
                 self.missing = Some(missing.saturating_add(1));
                 Ok(())
             }
@@ -114,6 +113,11 @@ mod tests {
     use super::*;
     use crate::motor::screw::Screw;
 
+    /// Settings whose angle has an age in PWM periods.
+    fn settings(angle_age_periods: f32) -> Settings {
+        Settings { angle_age_periods, ..Settings::assumed(Screw::A) }
+    }
+
     /// Sensor counts at an angle in radians.
     fn counts(radians: f64) -> Result<u16, EncoderError> {
         Ok((radians / std::f64::consts::TAU * 16384.0).floor() as i64 as u16 & 0x3fff)
@@ -125,7 +129,7 @@ mod tests {
         let mut angle = 0.0;
         for period in 0..periods {
             angle = f64::from(period) * speed * f64::from(PERIOD_S);
-            tracker.update(counts(angle), 0.0).unwrap();
+            tracker.update(counts(angle), &settings(0.0)).unwrap();
         }
         (tracker, angle)
     }
@@ -142,24 +146,26 @@ mod tests {
 
     #[test]
     fn missing_angles_are_bridged_for_half_a_millisecond() {
+        let settings = settings(0.0);
+        let bridged = settings.limits.bridged_angles;
         let (mut tracker, _) = tracked(100.0, 2000);
         let before = tracker.position().since(RotorPosition(0));
-        for _ in 0..BRIDGED {
-            assert_eq!(tracker.update(Err(EncoderError::Checksum), 0.0), Ok(()));
+        for _ in 0..bridged {
+            assert_eq!(tracker.update(Err(EncoderError::Checksum), &settings), Ok(()));
         }
         let turned = tracker.position().since(RotorPosition(0)) - before;
-        assert!((turned - 100.0 * PERIOD_S * f32::from(BRIDGED)).abs() < 1e-3);
-        assert_eq!(tracker.update(Err(EncoderError::Silent), 0.0), Err(AngleLost));
+        assert!((turned - 100.0 * PERIOD_S * f32::from(bridged)).abs() < 1e-3);
+        assert_eq!(tracker.update(Err(EncoderError::Silent), &settings), Err(AngleLost));
     }
 
     #[test]
     fn implausible_jump_is_rejected_then_lost() {
         let (mut tracker, _) = tracked(0.0, 100);
-        assert_eq!(tracker.update(counts(1.0), 0.0), Ok(()));
+        assert_eq!(tracker.update(counts(1.0), &settings(0.0)), Ok(()));
         assert!(
             tracker.speed().abs() < 0.1 && tracker.position().since(RotorPosition(0)).abs() < 1e-3
         );
-        let is_bridged = (0..20).all(|_| tracker.update(counts(1.0), 0.0).is_ok());
+        let is_bridged = (0..20).all(|_| tracker.update(counts(1.0), &settings(0.0)).is_ok());
         assert!(!is_bridged);
     }
 
@@ -168,7 +174,7 @@ mod tests {
         let mut tracker = AngleTracker::default();
         for period in 0..20_000 {
             let angle = 1.0 + f64::from(period - 1) * 114.0 * f64::from(PERIOD_S);
-            tracker.update(counts(angle), 1.0).unwrap();
+            tracker.update(counts(angle), &settings(1.0)).unwrap();
         }
         let angle = 1.0 + 19_999.0 * 114.0 * f64::from(PERIOD_S);
         assert!((f64::from(tracker.position().since(RotorPosition(0))) - angle).abs() < 1e-3);

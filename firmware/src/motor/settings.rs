@@ -96,6 +96,8 @@ pub struct MotorLimits {
     pub sum_a: f32,
     /// Periods above [`Self::sum_a`] that trip.
     pub sum_periods: u16,
+    /// Consecutive missing or implausible angles that are bridged: half a millisecond.
+    pub bridged_angles: u8,
     /// Consecutive equal angle counts that trip. With noise of 0.9 counts a working sensor repeats three times in
     /// ten, and 36 times in a row once in 10^19.
     pub stuck_periods: u16,
@@ -138,6 +140,7 @@ impl MotorLimits {
         overvoltage_v: constants::BUS_VOLTAGE_MAX.value as f32,
         sum_a: 0.8,
         sum_periods: 10,
+        bridged_angles: 10,
         stuck_periods: 36,
         unexplained_v: 2.5,
         unexplained: 0.25,

@@ -129,10 +129,10 @@ fn tare<M: RawMutex>(
 struct SensorDiagnostics {
     faults: FaultSet,
     balance: FingerSymmetry,
-    /// Ticks in a row with the field outside the model's range.
-    outside: [u8; SENSORS],
-    /// Threshold of [`Self::outside`].
-    outside_ticks: u8,
+    /// Ticks in a row with the field outside the range of the sensor, and of the model.
+    outside: [[u8; 2]; SENSORS],
+    /// Thresholds of [`Self::outside`].
+    outside_ticks: [u8; 2],
 }
 
 impl SensorDiagnostics {
@@ -140,8 +140,8 @@ impl SensorDiagnostics {
         Self {
             faults: FaultSet::default(),
             balance: FingerSymmetry::new(limits),
-            outside: [0; SENSORS],
-            outside_ticks: limits.outside_ticks,
+            outside: [[0; 2]; SENSORS],
+            outside_ticks: [limits.saturated_ticks, limits.outside_ticks],
         }
     }
 
@@ -170,16 +170,18 @@ impl SensorDiagnostics {
             let age = u32::from(watched.age);
             let lost = watched.condition == SensorCondition::Lost;
             let frozen = watched.condition == SensorCondition::Frozen;
-            *outside = match estimate.validity {
-                Validity::OutsideModel => outside.saturating_add(1),
-                _ => 0,
-            };
+            let invalid = [Validity::Saturated, Validity::OutsideModel];
+            for (ticks, validity) in outside.iter_mut().zip(invalid) {
+                *ticks = if estimate.validity == validity { ticks.saturating_add(1) } else { 0 };
+            }
+            let ([saturated, beyond], [saturated_ticks, outside_ticks]) =
+                (*outside, self.outside_ticks);
             ok |= u32::from(!lost && !frozen) << sensor;
             for (fault, active) in [
                 (Fault::SensorLost, lost),
                 (Fault::SensorFrozen, frozen),
-                (Fault::SensorSaturated, estimate.validity == Validity::Saturated),
-                (Fault::OutsideModel, *outside >= self.outside_ticks),
+                (Fault::SensorSaturated, saturated >= saturated_ticks),
+                (Fault::OutsideModel, beyond >= outside_ticks),
             ] {
                 shared.update_fault(
                     FaultReporter::Estimate,

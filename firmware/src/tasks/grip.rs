@@ -170,7 +170,8 @@ impl GripLoop {
         let is_busy = pending.calibration.is_some();
         let outputs = tick(grip, inputs, (&requests, is_busy), shared);
         let order = if is_busy {
-            pending.calibrate(grip, requests.stop, &inputs.motor, shared)
+            let order = pending.calibrate(grip, requests.stop, &inputs.motor, shared);
+            pending.new_temperatures().filter(|_| !changes_state(order.as_ref())).or(order)
         } else {
             Some(pending.order(&outputs))
         };
@@ -210,11 +211,15 @@ impl Pending {
             (Some(ArmingRequest::Arm), _) => MotorCommand::Arm,
             (Some(ArmingRequest::Disarm), _) => MotorCommand::Disarm,
             (None, Some(opening_mm)) => MotorCommand::SetOpening { opening_mm },
-            (None, None) if self.temperatures != self.sent_temperatures => {
-                MotorCommand::Temperatures(self.temperatures)
+            (None, None) => {
+                self.new_temperatures().unwrap_or(MotorCommand::Setpoint(outputs.setpoint))
             }
-            (None, None) => MotorCommand::Setpoint(outputs.setpoint),
         }
+    }
+
+    fn new_temperatures(&self) -> Option<MotorCommand> {
+        let is_new = self.temperatures != self.sent_temperatures;
+        is_new.then_some(MotorCommand::Temperatures(self.temperatures))
     }
 
     fn on_sent(&mut self, order: &MotorCommand, is_accepted: bool) {
@@ -230,7 +235,7 @@ impl Pending {
     /// One tick of a calibration; publishes its result.
     fn calibrate<M: RawMutex>(
         &mut self,
-        grip: &GripController,
+        grip: &mut GripController,
         stop: bool,
         motor: &MotorStatus,
         shared: &SharedState<M>,
@@ -239,7 +244,7 @@ impl Pending {
         let faults = shared.fault_bits_except(FaultReporter::Grip);
         let step = match (&mut self.calibration, power) {
             (Some(running), PowerState::Calibrating) if !stop => {
-                match grip.calibration_failure(running.kind(), faults) {
+                match grip.calibration_failure(running.kind(), motor, faults) {
                     Some(failure) => ControlFlow::Break(CalibrationOutcome::Failed(failure)),
                     None => running.tick(motor),
                 }
@@ -259,6 +264,11 @@ impl Pending {
             }
         }
     }
+}
+
+/// Whether an order is more than a set-point, which the next millisecond repeats.
+const fn changes_state(order: Option<&MotorCommand>) -> bool {
+    !matches!(order, None | Some(MotorCommand::Setpoint(_)))
 }
 
 fn tick<M: RawMutex>(

@@ -267,7 +267,7 @@ fn force_beyond_the_range_of_the_model_is_over_force() {
             estimate.validity = Validity::OutsideModel;
         }
     };
-    for (width_mm, is_over) in [(44.5, true), (41.0, false)] {
+    for (width_mm, is_over) in [(46.5, true), (41.0, false)] {
         let mut rig = GripRig::holding(true);
         rig.object = Some((width_mm, 50.0));
         rig.run(2);

@@ -8,7 +8,7 @@ use emulator::devices::{self, CanBus as _, CanEvent, Transmission};
 use firmware::clock::Clock;
 use firmware::protocol::can::{CanError, CanFrame, CanReceiver, CanSender};
 use firmware::protocol::{DEFAULT_NODE, ESTOP_ALL_ID, frame_id};
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
 use std::future::poll_fn;
 use std::rc::Rc;
@@ -189,6 +189,8 @@ pub struct CanController {
     bus: Rc<RefCell<CanBus>>,
     state: RefCell<ControllerState>,
     clock: VirtualClock,
+    /// Bus-off is reported as an error of one frame.
+    pub hides_bus_off: Cell<bool>,
 }
 
 #[derive(Default)]
@@ -246,7 +248,8 @@ impl ControllerState {
 impl CanController {
     /// Connects a controller.
     pub fn new(bus: Rc<RefCell<CanBus>>, clock: VirtualClock) -> Rc<Self> {
-        Rc::new(Self { bus, state: RefCell::default(), clock })
+        let hides_bus_off = Cell::default();
+        Rc::new(Self { bus, state: RefCell::default(), clock, hides_bus_off })
     }
 
     /// Whether the controller is bus-off.
@@ -335,13 +338,17 @@ pub struct CanTx(pub Rc<CanController>);
 impl CanSender for CanTx {
     async fn send(&mut self, frame: &CanFrame) -> Result<(), CanError> {
         let controller = &self.0;
+        let of_bus = |error| match error {
+            CanError::BusOff if controller.hides_bus_off.get() => CanError::Transient,
+            error => error,
+        };
         if controller.is_off() {
-            return Err(CanError::BusOff);
+            return Err(of_bus(CanError::BusOff));
         }
         let frame = devices::CanFrame::standard(frame.identifier(), frame.data());
         controller.set_own(Some(frame));
         let _abort = AbortOnDrop(controller);
-        controller.wait_for(|state| state.sent.take()).await
+        controller.wait_for(|state| state.sent.take()).await.map_err(of_bus)
     }
 
     fn rejoin(&mut self) {
@@ -368,9 +375,10 @@ pub struct CanRx(pub Rc<CanController>);
 
 impl CanReceiver for CanRx {
     async fn receive(&mut self) -> Result<CanFrame, CanError> {
-        self.0
+        let controller = &self.0;
+        controller
             .wait_for(|state| {
-                if state.is_off {
+                if state.is_off && !controller.hides_bus_off.get() {
                     Some(Err(CanError::BusOff))
                 } else {
                     state.fifo.pop_front().map(Ok)

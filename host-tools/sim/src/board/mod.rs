@@ -213,6 +213,8 @@ pub struct VirtualTimeBoard {
     pub events: Rc<RefCell<Vec<(u64, Event)>>>,
     /// Limits; tests corrupt its memory.
     pub grip: Rc<RefCell<GripController>>,
+    /// The redundant copies of the grip follow corruptions of its memory.
+    pub hides_corruption: bool,
     program: Rc<Program>,
     motor: Rc<RefCell<Box<dyn SimulatedMotor>>>,
     screw: Screw,
@@ -258,6 +260,7 @@ impl VirtualTimeBoard {
             exchange: Rc::new(SharedState::new()),
             events: Rc::default(),
             grip: Rc::new(RefCell::new(grip)),
+            hides_corruption: false,
             program: Rc::new(program),
             motor: Rc::new(RefCell::new(motor.motor)),
             screw: motor.screw,
@@ -484,7 +487,11 @@ impl SimulatedBoard for VirtualTimeBoard {
     }
 
     fn corrupt_grasp_memory(&mut self, bit: u32) {
-        self.grip.borrow_mut().flip_bit(bit);
+        let mut grip = self.grip.borrow_mut();
+        grip.flip_bit(bit);
+        if self.hides_corruption {
+            grip.copy();
+        }
     }
 
     fn take_events(&mut self) -> Vec<(u64, Event)> {

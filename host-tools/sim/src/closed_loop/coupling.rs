@@ -82,6 +82,8 @@ pub struct SimulatedGripper {
     pub bench: Option<Rc<BenchProgramme>>,
     /// Peak true grip force in newtons, since its last reset.
     pub peak_n: f64,
+    /// Peak force of something around the fingers in newtons, since its last reset.
+    pub outward_peak_n: f64,
     /// Time at which the motor executed the last order, in microseconds.
     pub last_order_us: u64,
     /// Time of the motor's first trip in microseconds, and its cause.
@@ -115,6 +117,7 @@ impl SimulatedGripper {
             impacts: Vec::new(),
             bench: None,
             peak_n: 0.0,
+            outward_peak_n: 0.0,
             last_order_us: 0,
             tripped: None,
             out_us: None,
@@ -174,6 +177,7 @@ impl SimulatedGripper {
     fn step_fingertips(&mut self) {
         let grip_n = self.rig.plant.grip_n();
         self.peak_n = self.peak_n.max(grip_n);
+        self.outward_peak_n = self.outward_peak_n.max(-grip_n);
         if self.periods.is_multiple_of(FINGERTIP_PERIODS) {
             let time_s = self.rig.plant.time_s();
             let ground_n = self.ground_n(time_s);

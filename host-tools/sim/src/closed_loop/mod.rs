@@ -25,12 +25,14 @@ use crate::board::host::CanHost;
 use crate::board::{MotorConnection, Program, SimulatedBoard, VirtualTimeBoard};
 use crate::closed_loop::coupling::{GripperMotor, GripperWorld, SharedGripper, SimulatedGripper};
 use crate::closed_loop::motor_rig::MotorRig;
-use crate::drivetrain::fingertips::Fingertips;
+use crate::drivetrain::fingertips::{Fingertips, distribute_forces};
 use crate::drivetrain::parameters::{Lead, PlantParameters, SCATTER};
 use crate::hall_sensor::NOISE_G;
 use anyhow::Result;
 use firmware::config::constants::{SENSOR_RANGE, SENSOR_SCALE, TICK_US};
 use firmware::config::limits::{DetectionLimits, GripLimits};
+use firmware::estimator::tare::Tare;
+use firmware::fixed_point::Force;
 use firmware::grip::commands::mode;
 use firmware::grip::states::{PowerState, TaskState, state_code};
 use firmware::motor::{self, MotorCommand};
@@ -66,8 +68,29 @@ pub struct ClosedLoopSetup {
     pub grasp: GripLimits,
     /// Thresholds of the motor.
     pub motor: motor::settings::MotorLimits,
+    /// Error of both fingers' forces in newtons, by a wrong tare.
+    pub offset_n: f64,
+    /// Contact point of objects ([`SimulatedGripper::towards_first`]).
+    pub towards_first: f64,
+    /// Protection that is switched off.
+    pub disabled: Option<DisabledProtection>,
     /// Seed of all noise.
     pub seed: u64,
+}
+
+/// A protection that is no threshold, switched off to check that its absence is noticed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DisabledProtection {
+    /// The redundant copies follow a bit error in memory.
+    MemoryCheck,
+    /// The CAN controller does not report that it has left the bus.
+    BusOffDetection,
+    /// The tables have no standard deviation of the parity residual.
+    DisturbanceDetection,
+    /// Commands are valid for the longest time that a host can set.
+    HostTimeout,
+    /// The screw is declared self-locking, whatever it is.
+    Backdrivability,
 }
 
 impl ClosedLoopSetup {
@@ -81,6 +104,9 @@ impl ClosedLoopSetup {
             limits: DetectionLimits::GRIPPER,
             grasp: GripLimits::GRIPPER,
             motor: motor::settings::MotorLimits::GRIPPER,
+            offset_n: 0.0,
+            towards_first: 0.0,
+            disabled: None,
             seed,
         }
     }
@@ -118,14 +144,27 @@ impl ClosedLoop {
             rig.motor.handle_command(MotorCommand::SetOpening { opening_mm });
         }
         let tips = Fingertips::new(plan.seed, 0.0, &[]).unwrap_or_else(|_| unreachable!());
-        let gripper = Rc::new(RefCell::new(SimulatedGripper::new(rig, tips, plan.seed)));
+        let mut gripper = SimulatedGripper::new(rig, tips, plan.seed);
+        gripper.towards_first = plan.towards_first;
+        let gripper = Rc::new(RefCell::new(gripper));
         let screw = plan.lead.screw();
+        let is_disabled = |protection| plan.disabled == Some(protection);
         let mut parameters = Parameters::DEFAULT;
-        let locks = if screw.self_locking { 1 } else { 2 };
-        // In its range.
-        let _ = parameters.set(id::SELF_LOCKING, locks);
+        let locks = screw.self_locking || is_disabled(DisabledProtection::Backdrivability);
+        // The values are in their ranges.
+        let _ = parameters.set(id::SELF_LOCKING, if locks { 1 } else { 2 });
+        if is_disabled(DisabledProtection::HostTimeout) {
+            let _ = parameters.set(id::COMMAND_TIMEOUT, 500);
+        }
+        let [lateral, ..] = distribute_forces(-plan.offset_n, 0.0, 0.0)[0];
+        let counts = (lateral * Force::PER_NEWTON) as i32;
+        parameters.set_tare(&Tare([1, 1, -1, -1].map(|sign| [Force(sign * counts), Force(0)])));
+        let mut tables = tables.clone();
+        if is_disabled(DisabledProtection::DisturbanceDetection) {
+            tables.sensors.iter_mut().for_each(|sensor| sensor.parity.sigma = 0);
+        }
         let program = Program {
-            tables: tables.clone(),
+            tables,
             compensations: Vec::new(),
             networks: None,
             description: "",
@@ -137,11 +176,13 @@ impl ClosedLoop {
             screw,
             grasp: plan.grasp,
         };
-        let board = VirtualTimeBoard::start_with_motor(
+        let mut board = VirtualTimeBoard::start_with_motor(
             program,
             Box::new(GripperWorld(gripper.clone())),
             driven,
         );
+        board.hides_corruption = is_disabled(DisabledProtection::MemoryCheck);
+        board.controller.hides_bus_off.set(is_disabled(DisabledProtection::BusOffDetection));
         Self::from_board(board, gripper)
     }
 }
@@ -210,13 +251,18 @@ impl<B: SimulatedBoard> ClosedLoop<B> {
         self.until(seconds, |_| false);
     }
 
-    /// Arms and enables over the bus; false on timeout.
-    pub fn enable(&mut self) -> bool {
+    /// Waits until the board may be armed; false on timeout.
+    pub fn is_ready_within(&mut self, seconds: f64) -> bool {
         let is_ready = |cell: &Self| match cell.board.grip_status() {
             Some(grip_status) => grip_status.may_arm,
             None => cell.time_us > READY_US,
         };
-        if self.until(1.0, is_ready).is_none() {
+        self.until(seconds, is_ready).is_some()
+    }
+
+    /// Arms and enables over the bus; false on timeout.
+    pub fn enable(&mut self) -> bool {
+        if !self.is_ready_within(1.0) {
             return false;
         }
         self.host.arm();

@@ -41,19 +41,19 @@ impl DriveTrain {
         }
     }
 
-    /// Advances by `dt_s` with a torque on the rotor; `tips` is the travel at contact, and its model.
+    /// Advances by `dt_s` with a torque on the rotor.
     pub fn step(
         &mut self,
         (rotor, screw, fingers): (&Rotor, &LeadScrew, &FingerPair),
         torque_nm: f64,
-        tips: &(f64, ContactModel),
+        contacts: &FingerContacts,
         (ledger, dt_s): (&mut EnergyLedger, f64),
     ) {
         let ratio = screw.travel_m_per_rad;
         let lead_m = self.angle_rad * ratio - self.travel_m;
         let relative_m_s = self.speed_rad_s * ratio - self.travel_m_s;
         let flank = screw.flank(lead_m, relative_m_s);
-        let contact_forces = fingers.contact_forces(self.travel_m, self.travel_m_s, tips);
+        let contact_forces = contacts.forces(self.travel_m, self.travel_m_s);
 
         let viscous_nm = rotor.viscous_nm_s * self.speed_rad_s;
         let push_nm = torque_nm + screw.load_nm(flank.force_n) - viscous_nm;
@@ -61,7 +61,9 @@ impl DriveTrain {
         let friction_nm = rotor.dry.torque_nm(free) + screw.friction_nm(flank.force_n);
         let turning = apply_coulomb(free, friction_nm / rotor.inertia_kg_m2 * dt_s);
 
-        let push_n = flank.force_n - contact_forces.tips.force_n + contact_forces.stop.force_n;
+        let opposing_n = contact_forces.tips.force_n;
+        let outer_n = contact_forces.outer.force_n + contact_forces.stop.force_n;
+        let push_n = flank.force_n - opposing_n + outer_n;
         let (moving, guides_j) = fingers.accelerate(self.travel_m_s, push_n, dt_s);
 
         let inertia = rotor.inertia_kg_m2;
@@ -70,7 +72,7 @@ impl DriveTrain {
         ledger.guides_j += guides_j;
         ledger.damping_j += (flank.damping_n * relative_m_s
             + contact_forces.tips.damping_n * self.travel_m_s
-            - contact_forces.stop.damping_n * self.travel_m_s)
+            - (contact_forces.outer.damping_n + contact_forces.stop.damping_n) * self.travel_m_s)
             * dt_s;
 
         (self.speed_rad_s, self.travel_m_s) = (turning, moving);
@@ -87,7 +89,8 @@ impl DriveTrain {
 
     /// Elastic energy in J.
     pub fn springs_j(&self) -> f64 {
-        self.flank.stored_j + self.contact_forces.tips.stored_j + self.contact_forces.stop.stored_j
+        let ContactForces { tips, outer, stop } = self.contact_forces;
+        self.flank.stored_j + tips.stored_j + outer.stored_j + stop.stored_j
     }
 }
 
@@ -168,8 +171,32 @@ pub struct FingerPair {
 pub struct ContactForces {
     /// Between the fingertips.
     pub tips: ContactForce,
+    /// Around the fingertips; its force acts towards closing.
+    pub outer: ContactForce,
     /// At the open stop; its force acts towards closing.
     pub stop: ContactForce,
+}
+
+/// What the fingers touch: the travel at each contact in m, and its model.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FingerContacts {
+    /// An object between the fingertips, or the other fingertip.
+    pub inner: (f64, ContactModel),
+    /// Something around the fingertips.
+    pub outer: Option<(f64, ContactModel)>,
+}
+
+impl FingerContacts {
+    /// Contact forces at this travel and speed.
+    pub fn forces(&self, travel_m: f64, speed_m_s: f64) -> ContactForces {
+        let (from_m, inner) = self.inner;
+        let outer = self.outer.map(|(from_m, outer)| outer.push(from_m - travel_m, -speed_m_s));
+        ContactForces {
+            tips: inner.push(travel_m - from_m, speed_m_s),
+            outer: outer.unwrap_or_default(),
+            stop: OPEN_STOP.push(-travel_m, -speed_m_s),
+        }
+    }
 }
 
 impl FingerPair {
@@ -187,20 +214,6 @@ impl FingerPair {
         ContactModel {
             stiffness_n_per_m: self.flexures_n_per_m,
             damping_ns_per_m: Object::DAMPING_NS_PER_M,
-        }
-    }
-
-    /// Contact forces at this travel and speed; `tips` is the travel at contact, and its model.
-    pub fn contact_forces(
-        &self,
-        travel_m: f64,
-        speed_m_s: f64,
-        tips: &(f64, ContactModel),
-    ) -> ContactForces {
-        let (from_m, contact) = tips;
-        ContactForces {
-            tips: contact.push(travel_m - from_m, speed_m_s),
-            stop: OPEN_STOP.push(-travel_m, -speed_m_s),
         }
     }
 

@@ -25,7 +25,9 @@ use firmware::motor::power_stage::{BridgeCommand, MotorSamples};
 use rand_chacha::ChaCha8Rng;
 
 use crate::drivetrain::electrical::{Bus, PhaseCurrents, Phasor, PowerFlow, Terminals};
-use crate::drivetrain::mechanics::{ContactModel, DriveTrain, EnergyLedger, Object, StoredEnergy};
+use crate::drivetrain::mechanics::{
+    DriveTrain, EnergyLedger, FingerContacts, Object, StoredEnergy,
+};
 use crate::drivetrain::parameters::PlantParameters;
 
 /// PWM period in seconds.
@@ -46,7 +48,7 @@ pub struct Plant {
     pub bus: Bus,
     /// Energy balance.
     pub ledger: EnergyLedger,
-    tips: (f64, ContactModel),
+    contacts: FingerContacts,
     rng: ChaCha8Rng,
     half_steps: u32,
     dt_s: f64,
@@ -64,7 +66,7 @@ impl Plant {
             motor: PhaseCurrents::default(),
             bus: Bus::new(&parameters.supply),
             ledger: EnergyLedger::default(),
-            tips: (0.0, parameters.fingers.closed()),
+            contacts: FingerContacts { inner: (0.0, parameters.fingers.closed()), outer: None },
             rng: parameters::noise_stream(seed),
             half_steps: 0,
             dt_s: 0.0,
@@ -88,10 +90,17 @@ impl Plant {
     /// Places an object between the fingers, or removes it.
     pub fn set_object(&mut self, object: Option<&Object>) {
         let fingers = &self.parameters.fingers;
-        self.tips = match object {
+        self.contacts.inner = match object {
             Some(object) => (fingers.stroke_m - object.width_m, fingers.contact(object)),
             None => (fingers.stroke_m, fingers.closed()),
         };
+    }
+
+    /// Places something around the fingers, as wide as an opening, or removes it.
+    pub fn set_outer_object(&mut self, object: Option<&Object>) {
+        let fingers = &self.parameters.fingers;
+        self.contacts.outer =
+            object.map(|object| (fingers.stroke_m - object.width_m, fingers.contact(object)));
     }
 
     /// One PWM period; returns the samples taken in its middle.
@@ -138,7 +147,7 @@ impl Plant {
             let torque_nm = flow.torque_nm + cogging.torque_nm(&cogging_angle);
             let trains = (&rotor, &screw, &fingers);
             let balance = (&mut self.ledger, self.dt_s);
-            self.train.step(trains, torque_nm, &self.tips, balance);
+            self.train.step(trains, torque_nm, &self.contacts, balance);
             self.book(&flow);
             let turned_rad = self.train.speed_rad_s * self.dt_s;
             electrical.rotate(windings.pole_pairs * turned_rad);
@@ -198,9 +207,10 @@ impl Plant {
         self.parameters.fingers.stroke_m - self.train.travel_m
     }
 
-    /// Grip force between the fingertips, in N.
+    /// Force between the fingertips in N, positive where something between them presses, negative where something around
+    /// them does.
     pub fn grip_n(&self) -> f64 {
-        self.train.contact_forces.tips.force_n
+        self.train.contact_forces.tips.force_n - self.train.contact_forces.outer.force_n
     }
 
     /// Direct and quadrature current in A.

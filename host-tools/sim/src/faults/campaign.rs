@@ -20,7 +20,9 @@ pub fn cases(first: u64, seeds: u64) -> Vec<FaultCase> {
     let mut cases = Vec::new();
     for fault in InjectedFault::ALL {
         for &state in fault.specification().states {
-            let is_gripped = matches!(state, OperatingState::Force | OperatingState::Hold);
+            // The backdrive test needs a stiff part.
+            let is_gripped = state.has_object()
+                && !matches!(state, OperatingState::Approach | OperatingState::Calibrating);
             let contacts = if is_gripped { &CONTACTS[..] } else { &CONTACTS[..1] };
             for lead in Lead::BOTH {
                 for &contact_n_per_mm in contacts {

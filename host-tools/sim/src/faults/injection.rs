@@ -3,7 +3,7 @@
 use crate::board::SimulatedBoard;
 use crate::board::i2c::I2cSensor;
 use crate::closed_loop::grasp_rig::contact_object;
-use crate::closed_loop::{ClosedLoop, ClosedLoopSetup};
+use crate::closed_loop::{ClosedLoop, ClosedLoopSetup, DisabledProtection};
 use crate::drivetrain::fingertips::Impact;
 use crate::drivetrain::sensors::ROOM_C;
 use crate::faults::hazards::HazardTable;
@@ -51,6 +51,7 @@ pub enum InjectedFault {
     Hot,
     Jam,
     OverForce,
+    OverForceAside,
     SensorGone,
     SensorFrozen,
     HalfGain,
@@ -78,14 +79,26 @@ pub struct FaultSpecification {
     pub within_ms: f64,
     /// Operating states in which it is detectable.
     pub states: &'static [OperatingState],
-    /// Disables its detector; none where its threshold is no parameter.
-    pub disable_detector: Option<fn(&mut ClosedLoopSetup)>,
+    /// Disables its detector.
+    pub disable_detector: fn(&mut ClosedLoopSetup),
 }
 
 const EVERYWHERE: &[OperatingState] = &OperatingState::ALL;
-const CLOSING: &[OperatingState] = &[OperatingState::Approach];
+/// States with a session: all but the calibration.
+const SESSION: &[OperatingState] = match OperatingState::ALL.split_last() {
+    Some((OperatingState::Calibrating, states)) => states,
+    _ => panic!("the last operating state is the calibration"),
+};
+const CLOSING: &[OperatingState] =
+    &[OperatingState::Approach, OperatingState::Moving, OperatingState::Homing];
 const GRIPPED: &[OperatingState] = &[OperatingState::Force, OperatingState::Hold];
-const FREE: &[OperatingState] = &[OperatingState::Approach, OperatingState::Idle];
+const FREE: &[OperatingState] = &[
+    OperatingState::Approach,
+    OperatingState::Idle,
+    OperatingState::Moving,
+    OperatingState::Homing,
+    OperatingState::Opening,
+];
 const HELD: &[OperatingState] = &[OperatingState::Hold];
 const FOOT: &[OperatingState] = &[OperatingState::Foot];
 
@@ -94,7 +107,7 @@ pub(super) const GROUND: (f64, f64) = (900.0, 0.04);
 
 impl InjectedFault {
     /// All faults.
-    pub const ALL: [Self; 23] = [
+    pub const ALL: [Self; 24] = [
         Self::BusHigh,
         Self::BusLow,
         Self::CurrentOffset,
@@ -105,6 +118,7 @@ impl InjectedFault {
         Self::Hot,
         Self::Jam,
         Self::OverForce,
+        Self::OverForceAside,
         Self::SensorGone,
         Self::SensorFrozen,
         Self::HalfGain,
@@ -126,152 +140,157 @@ impl InjectedFault {
             FaultSpecification { number, description, fault, within_ms, states, disable_detector }
         };
         match self {
-            Self::BusHigh => specification(
-                7,
-                "bus at 34 V",
-                Fault::Supply,
-                0.1,
-                EVERYWHERE,
-                Some(|setup| {
+            Self::BusHigh => {
+                specification(7, "bus at 34 V", Fault::Supply, 0.1, EVERYWHERE, |setup| {
                     setup.motor.overvoltage_v = 1e3;
                     setup.motor.dissipation_v = [1e3, 1e3 + 1.0];
-                }),
-            ),
-            Self::BusLow => specification(
-                7,
-                "bus at 14 V",
-                Fault::Supply,
-                0.1,
-                EVERYWHERE,
-                Some(|setup| {
+                })
+            }
+            Self::BusLow => {
+                specification(7, "bus at 14 V", Fault::Supply, 0.1, EVERYWHERE, |setup| {
                     setup.motor.undervoltage_v = [1.0, 2.0];
-                }),
-            ),
+                })
+            }
             Self::CurrentOffset => specification(
                 8,
                 "current offset of 2 A",
                 Fault::CurrentSense,
                 5.0,
                 EVERYWHERE,
-                Some(|setup| {
+                |setup| {
                     setup.motor.sum_periods = u16::MAX;
                     setup.motor.tracking_error_periods = u16::MAX;
-                }),
+                },
             ),
-            Self::EncoderChecksum => {
-                specification(9, "rotor sensor: parity", Fault::RotorSensor, 2.0, EVERYWHERE, None)
-            }
+            Self::EncoderChecksum => specification(
+                9,
+                "rotor sensor: parity",
+                Fault::RotorSensor,
+                2.0,
+                EVERYWHERE,
+                |setup| {
+                    setup.motor.bridged_angles = u8::MAX;
+                },
+            ),
             Self::EncoderStuck => specification(
                 9,
                 "rotor sensor: stuck",
                 Fault::RotorSensor,
                 2.0,
                 EVERYWHERE,
-                Some(|setup| {
+                |setup| {
                     setup.motor.stuck_periods = u16::MAX;
                     setup.motor.unexplained_periods = u16::MAX;
-                }),
+                },
             ),
-            Self::EncoderJump => {
-                specification(9, "rotor sensor: jump", Fault::RotorSensor, 2.0, EVERYWHERE, None)
-            }
-            Self::OverSpeed => specification(
-                10,
-                "rotor at 220 rad/s",
-                Fault::OverSpeed,
+            Self::EncoderJump => specification(
+                9,
+                "rotor sensor: jump",
+                Fault::RotorSensor,
                 2.0,
-                FREE,
-                Some(|setup| {
+                EVERYWHERE,
+                |setup| {
+                    setup.motor.bridged_angles = u8::MAX;
+                },
+            ),
+            Self::OverSpeed => {
+                specification(10, "rotor at 220 rad/s", Fault::OverSpeed, 2.0, FREE, |setup| {
                     setup.motor.trip_speed = 1e6;
-                }),
-            ),
-            Self::Hot => specification(
-                11,
-                "power stage at 115 C",
-                Fault::Hot,
-                100.0,
-                EVERYWHERE,
-                Some(|setup| {
-                    setup.motor.stage_c = [1e3, 1e3 + 1.0];
-                }),
-            ),
-            Self::Jam => specification(
-                12,
-                "rotor locked",
-                Fault::Jammed,
-                60.0,
-                CLOSING,
-                Some(|setup| {
-                    setup.grasp.stall_ms = u16::MAX;
-                }),
-            ),
-            Self::OverForce => {
-                specification(14, "grip force above 450 N", Fault::OverForce, 2.0, GRIPPED, None)
+                })
             }
-            Self::SensorGone => specification(
-                15,
-                "sensor unplugged",
-                Fault::SensorLost,
-                2.2,
-                EVERYWHERE,
-                Some(|setup| {
+            Self::Hot => {
+                specification(11, "power stage at 115 C", Fault::Hot, 100.0, EVERYWHERE, |setup| {
+                    setup.motor.stage_c = [1e3, 1e3 + 1.0];
+                })
+            }
+            Self::Jam => specification(12, "rotor locked", Fault::Jammed, 60.0, CLOSING, |setup| {
+                setup.grasp.stall_ms = u16::MAX;
+            }),
+            Self::OverForce => specification(
+                14,
+                "grip force above 450 N",
+                Fault::OverForce,
+                2.0,
+                GRIPPED,
+                |setup| {
+                    setup.grasp.trip_n = 1e6;
+                    setup.grasp.beyond_n = 1e6;
+                },
+            ),
+            Self::OverForceAside => specification(
+                14,
+                "grip force above 450 N, off centre",
+                Fault::OverForce,
+                25.0,
+                GRIPPED,
+                |setup| {
+                    setup.grasp.beyond_n = 1e6;
+                },
+            ),
+            Self::SensorGone => {
+                specification(15, "sensor unplugged", Fault::SensorLost, 2.2, EVERYWHERE, |setup| {
                     setup.limits.lost_ticks = u8::MAX;
-                }),
-            ),
-            Self::SensorFrozen => specification(
-                16,
-                "sensor frozen",
-                Fault::SensorFrozen,
-                3.2,
-                EVERYWHERE,
-                Some(|setup| {
+                })
+            }
+            Self::SensorFrozen => {
+                specification(16, "sensor frozen", Fault::SensorFrozen, 3.2, EVERYWHERE, |setup| {
                     setup.limits.frozen_axes = u8::MAX;
-                }),
-            ),
+                })
+            }
             Self::HalfGain => specification(
                 17,
                 "sensor gain halved",
                 Fault::OutsideModel,
                 12.0,
                 EVERYWHERE,
-                Some(|setup| {
+                |setup| {
                     setup.limits.outside_ticks = u8::MAX;
-                }),
+                },
             ),
-            Self::LineLow => specification(
-                18,
-                "sensor bus shorted",
-                Fault::BusStuck,
-                5.0,
-                EVERYWHERE,
-                Some(|setup| {
+            Self::LineLow => {
+                specification(18, "sensor bus shorted", Fault::BusStuck, 5.0, EVERYWHERE, |setup| {
                     setup.limits.stuck_ticks = u8::MAX;
-                }),
-            ),
+                })
+            }
             Self::BrownOut => specification(
                 19,
                 "sensor configuration lost",
                 Fault::SensorLost,
                 100.0,
                 EVERYWHERE,
-                Some(|setup| {
+                |setup| {
                     setup.limits.config_mismatches = u8::MAX;
-                }),
+                },
             ),
-            Self::Saturated => {
-                specification(20, "sensor saturated", Fault::SensorSaturated, 1.0, EVERYWHERE, None)
-            }
+            Self::Saturated => specification(
+                20,
+                "sensor saturated",
+                Fault::SensorSaturated,
+                1.0,
+                EVERYWHERE,
+                |setup| {
+                    setup.limits.saturated_ticks = u8::MAX;
+                },
+            ),
             Self::Magnet => {
-                specification(21, "magnet of 15 G", Fault::Disturbed, 20.0, EVERYWHERE, None)
+                specification(21, "magnet of 15 G", Fault::Disturbed, 20.0, EVERYWHERE, |setup| {
+                    setup.disabled = Some(DisabledProtection::DisturbanceDetection);
+                })
             }
             Self::MemoryCorruption => {
-                specification(24, "bit flip in memory", Fault::Crashed, 1.0, EVERYWHERE, None)
+                specification(24, "bit flip in memory", Fault::Crashed, 1.0, EVERYWHERE, |setup| {
+                    setup.disabled = Some(DisabledProtection::MemoryCheck);
+                })
             }
             Self::BusOff => {
-                specification(25, "CAN disturbed", Fault::BusOff, 1.0, EVERYWHERE, None)
+                specification(25, "CAN disturbed", Fault::BusOff, 1.0, EVERYWHERE, |setup| {
+                    setup.disabled = Some(DisabledProtection::BusOffDetection);
+                })
             }
             Self::HostSilent => {
-                specification(26, "host silent", Fault::HostSilent, 101.0, EVERYWHERE, None)
+                specification(26, "host silent", Fault::HostSilent, 101.0, SESSION, |setup| {
+                    setup.disabled = Some(DisabledProtection::HostTimeout);
+                })
             }
             Self::Flood => specification(
                 27,
@@ -279,30 +298,20 @@ impl InjectedFault {
                 Fault::Flooded,
                 10.0,
                 EVERYWHERE,
-                Some(|setup| {
+                |setup| {
                     setup.limits.flood_frames = u8::MAX;
-                }),
+                },
             ),
-            Self::ObjectGone => specification(
-                30,
-                "object pulled out",
-                Fault::ObjectLost,
-                5.0,
-                HELD,
-                Some(|setup| {
+            Self::ObjectGone => {
+                specification(30, "object pulled out", Fault::ObjectLost, 5.0, HELD, |setup| {
                     setup.grasp.object_lost_ms = u16::MAX;
-                }),
-            ),
-            Self::FootOverload => specification(
-                31,
-                "225 N on a fingertip",
-                Fault::FootOverload,
-                1.0,
-                FOOT,
-                Some(|setup| {
+                })
+            }
+            Self::FootOverload => {
+                specification(31, "225 N on a fingertip", Fault::FootOverload, 1.0, FOOT, |setup| {
                     setup.grasp.overload_n = 1e6;
-                }),
-            ),
+                })
+            }
         }
     }
 
@@ -341,6 +350,7 @@ impl InjectedFault {
             | Self::Magnet
             | Self::MemoryCorruption
             | Self::OverForce
+            | Self::OverForceAside
             | Self::ObjectGone => tick_us,
             _ => at_us,
         }
@@ -369,8 +379,10 @@ impl InjectedFault {
 const BIT_SPACING: u32 = 45;
 /// Jump of the rotor angle in counts: 0.5 rad.
 const JUMP: u16 = 1304;
+/// Contact of an object that expands off centre: one sensor of each finger leaves the range of the model.
+const OFF_CENTRE: f64 = 0.8;
 /// Force in N of an expanding object, and contact stiffness in N/mm.
-const EXPANSION_N: f64 = 470.0;
+pub(super) const EXPANSION_N: f64 = 470.0;
 const RIGID: f64 = constants::CONTACT_STIFFNESS.value;
 /// Field of a magnet at every sensor, in gauss.
 const MAGNET_G: f64 = 15.0;
@@ -419,12 +431,13 @@ impl InjectedFault {
             Self::Hot => cell.gripper.borrow_mut().temperatures_c = [ROOM_C, 115.0],
             Self::Jam => cell.gripper.borrow_mut().errors.is_jammed = true,
             Self::OverForce => {
-                let mut gripper = cell.gripper.borrow_mut();
-                let plant = &mut gripper.rig.plant;
-                // As if the thing swelled into the fingertips: 470 N.
-                let width_mm = 1e3 * plant.opening_m() + EXPANSION_N / RIGID;
-                let object = contact_object(plant.parameters(), width_mm, RIGID);
-                plant.set_object(Some(&object));
+                cell.gripper.borrow_mut().towards_first = 0.0;
+                expand(cell, 1.0);
+            }
+            // Expands during the run.
+            Self::OverForceAside => {
+                let towards_first = OFF_CENTRE.copysign(pick as f64 - 5.5);
+                cell.gripper.borrow_mut().towards_first = towards_first;
             }
             Self::SensorGone => sensor(cell, pick, |sensor| sensor.unplugged = true),
             Self::SensorFrozen => sensor(cell, pick, |sensor| sensor.frozen = true),
@@ -460,6 +473,14 @@ impl InjectedFault {
             }
         }
     }
+}
+
+/// The object swells into the fingertips, by a share of the deflection under 470 N.
+pub(super) fn expand<B>(cell: &mut ClosedLoop<B>, share: f64) {
+    let plant = &mut cell.gripper.borrow_mut().rig.plant;
+    let width_mm = 1e3 * plant.opening_m() + share * EXPANSION_N / RIGID;
+    let object = contact_object(plant.parameters(), width_mm, RIGID);
+    plant.set_object(Some(&object));
 }
 
 fn counts<B>(cell: &mut ClosedLoop<B>, change: impl FnMut([u16; 4]) -> [u16; 4] + 'static) {

@@ -2,7 +2,8 @@
 
 use crate::closed_loop::{ClosedLoop, ClosedLoopSetup};
 use crate::drivetrain::parameters::Lead;
-use crate::faults::injection::InjectedFault;
+use crate::faults::hazards::HazardTable;
+use crate::faults::injection::{EXPANSION_N, InjectedFault, expand};
 use crate::faults::operating_state::{OperatingState, SET_N};
 use crate::random::{Purpose, stream};
 use firmware::config::constants::TICK_US;
@@ -20,6 +21,11 @@ const AFTER_MS: u32 = 400;
 const MOVED_MM: f64 = 0.1;
 /// Frames of a bus flood per millisecond.
 const FLOOD_PER_MS: u32 = 20;
+/// Time in which an object expands off centre, in ms: 18 kN/s.
+const EXPANDS_MS: u32 = 20;
+/// Largest distance of an object from the middle of a finger, as a share of half the sensors' distance, and its random stream.
+const OFF_CENTRE: f64 = 0.8;
+const OFF_CENTRE_DRAW: u32 = u32::MAX;
 
 /// One run of the campaign.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,7 +49,7 @@ pub struct FaultOutcome {
     pub was_reached: bool,
     /// Detection latency in milliseconds; none where it was not detected.
     pub found_ms: Option<f64>,
-    /// Peak true force after the fault, in N.
+    /// Peak true force after the fault in N, between or around the fingers.
     pub peak_n: f64,
     /// True force at the end, in N.
     pub end_n: f64,
@@ -59,6 +65,8 @@ impl FaultCase {
     /// Runs the case; `change` may disable a detector.
     pub fn run(&self, tables: &TableSet, change: Option<fn(&mut ClosedLoopSetup)>) -> FaultOutcome {
         let mut setup = ClosedLoopSetup::scattered(self.lead, self.seed);
+        let mut rng = stream(self.seed, Purpose::FaultInjection, OFF_CENTRE_DRAW);
+        setup.towards_first = rng.random_range(-OFF_CENTRE..=OFF_CENTRE);
         if let Some(change) = change {
             change(&mut setup);
         }
@@ -85,7 +93,7 @@ impl FaultCase {
         cell.board.events.borrow_mut().clear();
         let opening_mm = {
             let gripper = &mut *cell.gripper.borrow_mut();
-            gripper.peak_n = gripper.rig.plant.grip_n();
+            (gripper.peak_n, gripper.outward_peak_n) = (gripper.rig.plant.grip_n(), 0.0);
             (gripper.tripped, gripper.out_us) = (None, None);
             1e3 * gripper.rig.plant.opening_m()
         };
@@ -99,7 +107,7 @@ impl FaultCase {
         FaultOutcome {
             was_reached: true,
             found_ms: found_us.map(|us| 1e-3 * us.saturating_sub(observable_us) as f64),
-            peak_n: gripper.peak_n,
+            peak_n: gripper.peak_n.max(gripper.outward_peak_n),
             end_n: gripper.rig.plant.grip_n(),
             end: cell.state(),
             is_as_specified: self.is_specified(cell.state()),
@@ -116,8 +124,15 @@ impl FaultCase {
             if ms >= AFTER_MS && last != PowerState::QuickStop as u8 {
                 break;
             }
-            if self.fault == InjectedFault::Flood {
-                cell.board.connections.can.borrow_mut().flood(FLOOD_PER_MS);
+            match self.fault {
+                InjectedFault::Flood => {
+                    cell.board.connections.can.borrow_mut().flood(FLOOD_PER_MS);
+                }
+                InjectedFault::OverForceAside if ms <= EXPANDS_MS => {
+                    let first = (SET_N / EXPANSION_N).min(1.0);
+                    expand(cell, first + (1.0 - first) * f64::from(ms) / f64::from(EXPANDS_MS));
+                }
+                _ => {}
             }
             cell.tick();
             if left_us.is_none() && cell.board.controller.is_off() {
@@ -163,30 +178,57 @@ impl FaultCase {
     /// Whether a final state conforms to the specified reaction.
     pub fn is_specified(&self, state: u8) -> bool {
         let is = |task| state == state_code(PowerState::Enabled, task);
+        let is_calibrating = state == PowerState::Calibrating as u8;
+        let is_safe = state == PowerState::Safe as u8;
+        let is_one = |tasks: &[TaskState]| tasks.iter().any(|task| is(*task));
         let continues = match self.state {
-            OperatingState::Approach | OperatingState::Force | OperatingState::Hold => {
-                is(TaskState::HoldActive)
-                    || is(TaskState::HoldLatched)
-                    || is(TaskState::HoldFrozen)
-                    || is(TaskState::Force)
-            }
+            OperatingState::Approach | OperatingState::Force | OperatingState::Hold => is_one(&[
+                TaskState::HoldActive,
+                TaskState::HoldLatched,
+                TaskState::HoldFrozen,
+                TaskState::Force,
+            ]),
             OperatingState::Foot => is(TaskState::Foot),
             OperatingState::Idle => is(TaskState::Idle),
+            OperatingState::Moving => is_one(&[TaskState::Moving, TaskState::Idle]),
+            OperatingState::Homing => is(TaskState::Homing),
+            OperatingState::Releasing | OperatingState::Opening => {
+                is_one(&[TaskState::Releasing, TaskState::ContactStop, TaskState::Idle])
+            }
+            OperatingState::Calibrating => is_calibrating,
+        };
+        let without_host = match self.state {
+            OperatingState::Homing => is_one(&[TaskState::Unhomed, TaskState::TimeoutHold]),
+            OperatingState::Releasing => is(TaskState::GripFailed),
+            OperatingState::Approach | OperatingState::Moving | OperatingState::Opening => {
+                is(TaskState::TimeoutHold)
+            }
+            _ => false,
         };
         let stopped = state == PowerState::Armed as u8;
         let off = state == PowerState::Fault as u8;
         match (self.fault, self.state) {
-            (InjectedFault::HostSilent | InjectedFault::BusOff, OperatingState::Approach) => {
-                is(TaskState::TimeoutHold) || continues
-            }
+            (InjectedFault::HostSilent | InjectedFault::BusOff, _) => without_host || continues,
             // Without current, or with shorted windings, a load backdrives this screw.
             (
                 InjectedFault::Hot | InjectedFault::BusHigh | InjectedFault::BusLow,
                 OperatingState::Hold,
             ) if self.lead == Lead::B => continues || stopped || off,
             (InjectedFault::ObjectGone, _) => is(TaskState::Lost),
-            (InjectedFault::MemoryCorruption, _) => state == PowerState::Safe as u8,
+            (InjectedFault::MemoryCorruption, _) => is_safe,
+            (_, OperatingState::Calibrating) => {
+                // Ends with the motor off.
+                match self.fault.reaction(self.state, self.lead == Lead::A) {
+                    Some(Reaction::Warn | Reaction::Hold) => continues,
+                    Some(Reaction::QuickStop | Reaction::Brake | Reaction::Off) => is_safe,
+                    None => false,
+                }
+            }
             _ => match self.fault.reaction(self.state, self.lead == Lead::A) {
+                // At an obstacle the opening has ended, and the fault stops the fingers.
+                Some(Reaction::Warn) if self.state == OperatingState::Opening => {
+                    continues || stopped
+                }
                 Some(Reaction::Warn | Reaction::Hold) => continues || is(TaskState::Approach),
                 Some(Reaction::QuickStop) => stopped,
                 Some(Reaction::Brake | Reaction::Off) => off,
@@ -195,9 +237,20 @@ impl FaultCase {
         }
     }
 
-    /// Whether the force grew too far after a fault of one sensor.
+    /// Whether the force grew beyond the bound of the hazard table: on a hand outside of a grip, and in a grip after a fault
+    /// of one sensor.
     pub fn is_too_much(&self, outcome: &FaultOutcome) -> bool {
-        self.fault.is_of_sensor() && outcome.peak_n > 1.1 * SET_N
+        let hazard = match self.state {
+            // It is injected as energy of the rotor.
+            _ if self.fault == InjectedFault::OverSpeed => return false,
+            OperatingState::Moving | OperatingState::Homing | OperatingState::Opening => "crushing",
+            // The backdrive test grips with its own force.
+            OperatingState::Calibrating => return false,
+            _ if self.fault.is_of_sensor() => "wrong force",
+            _ => return false,
+        };
+        let bound = HazardTable::gripper().hazard(hazard).ok().and_then(|hazard| hazard.max_n);
+        bound.is_none_or(|max_n| outcome.peak_n > max_n)
     }
 }
 
