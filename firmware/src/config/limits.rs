@@ -150,6 +150,9 @@ pub struct GripLimits {
     pub blind_a: f32,
     /// Opening without a valid force: rise of the current in amperes above its minimum that indicates an obstacle.
     pub blind_rise_a: f32,
+    /// Travel in millimetres by which the fingers must close until an obstacle of such an opening is forgotten; a host that clears
+    /// the faults has it forgotten as well.
+    pub clear_mm: f32,
     /// Milliseconds of an opening, or of homing, in which the current loosens the screw and indicates no obstacle.
     pub loosening_ms: u32,
     /// Time-out of an opening in milliseconds.
@@ -241,7 +244,8 @@ impl GripLimits {
         outward_n: 15.0,
         blind_mm_s: 10.0,
         blind_a: 4.0,
-        blind_rise_a: 0.8,
+        blind_rise_a: 0.7,
+        clear_mm: 1.0,
         loosening_ms: 100,
         release_ms: 10_000,
         back_off_ms: 2_000,

@@ -95,7 +95,12 @@ pub struct GripController {
     touched_rad: Option<f32>,
     /// Mean opening current in amperes.
     opening_a: f32,
+    /// Its rise since the last valid force.
     current_rise: RiseDetector,
+    /// Milliseconds since an opening began.
+    opening_ms: u32,
+    /// Rotor position in radians at which an opening without valid forces met an obstacle.
+    obstacle_rad: Option<f32>,
     /// Mean force of each finger in newtons; none while it is invalid.
     means_n: [Option<f32>; 2],
     /// The greater of both means: the greater of two noisy forces would be biased.
@@ -177,6 +182,8 @@ impl GripController {
             touched_rad: None,
             opening_a: 0.0,
             current_rise: RiseDetector::default(),
+            opening_ms: 0,
+            obstacle_rad: None,
             means_n: [None; 2],
             mean_n: 0.0,
             invalid_ticks: 0,
@@ -350,6 +357,12 @@ impl GripController {
             self.force_rise = RiseDetector::default();
         }
         self.beyond.update(inputs.estimates, &self.limits);
+        let is_clear_of = |obstacle_rad: f32| {
+            (motor.rotor_rad - obstacle_rad) * self.screw.ratio_mm > self.limits.clear_mm
+        };
+        if valid_n.is_some() || inputs.clear || self.obstacle_rad.is_some_and(is_clear_of) {
+            (self.obstacle_rad, self.current_rise) = (None, RiseDetector::default());
+        }
         self.opening_a += (-motor.current.q - self.opening_a) / MEAN_TICKS;
         self.last_mm = motor.opening_mm;
         let speed_mm_s = self.velocity.update(motor.closing_mm_s);

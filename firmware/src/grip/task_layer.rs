@@ -7,7 +7,6 @@ use crate::grip::fault_reactions::{Reaction, strongest_reaction};
 use crate::grip::force_controller::StiffnessEstimator;
 use crate::grip::hold_current::HoldCurrent;
 use crate::grip::homing::{Homing, HomingForces, HomingStep};
-use crate::grip::rise::RiseDetector;
 use crate::grip::setpoint::RELAX_BAND;
 use crate::grip::slip_detector::{ObjectState, SlipDetector};
 use crate::grip::stall_detector::StallDetector;
@@ -285,7 +284,11 @@ impl GripController {
                 (self.is_gripped, self.has_settled) = (false, false);
             }
             TaskState::Releasing => {
-                (self.has_settled, self.current_rise) = (false, RiseDetector::default());
+                self.has_settled = false;
+                // A repeated command does not loosen the screw again.
+                if from != TaskState::Releasing {
+                    self.opening_ms = 0;
+                }
             }
             _ => {}
         }
@@ -375,8 +378,8 @@ impl GripController {
         self.fingers.outward_n().is_some_and(|outward_n| outward_n > self.limits.outward_n)
     }
 
-    /// Arrival at the target, or an obstacle outside of the fingers. Without valid forces, the current indicates it: it
-    /// decreases while a load is released, and increases against an obstacle.
+    /// Arrival at the target, or an obstacle around the fingers. Without valid forces, the current indicates it: it decreases
+    /// while a load is released, and increases against an obstacle.
     fn releasing_event(&mut self, inputs: &ControlInputs) -> Option<TaskEvent> {
         let motor = &inputs.motor;
         let reached_mm = self.limits.reached_mm;
@@ -385,18 +388,23 @@ impl GripController {
         if has_arrived && self.is_at_rest() {
             return Some(TaskEvent::Reached);
         }
-        if self.task_ms < self.limits.loosening_ms {
-            return None;
-        }
+        self.opening_ms = self.opening_ms.saturating_add(1);
+        let is_loosening = self.opening_ms < self.limits.loosening_ms;
+        let is_stalled = !is_loosening && self.stall.update(motor, 0.0, &self.limits);
         let is_blocked = if self.opens_blind() {
             // A load that turns a backdrivable screw makes the motor brake: no obstacle.
-            let rise_a = self.current_rise.update(greater(self.opening_a, 0.0));
-            rise_a > self.limits.blind_rise_a
+            let opening_a = greater(self.opening_a, 0.0);
+            let meets_obstacle =
+                !is_loosening && self.current_rise.update(opening_a) > self.limits.blind_rise_a;
+            if meets_obstacle || is_stalled {
+                self.obstacle_rad.get_or_insert(motor.rotor_rad);
+            }
+            // Repeated openings would each press harder.
+            self.obstacle_rad.is_some_and(|obstacle_rad| motor.rotor_rad <= obstacle_rad)
         } else {
             self.presses_outward()
         };
         let is_late = self.task_ms >= self.limits.release_ms;
-        let is_stalled = self.stall.update(motor, 0.0, &self.limits);
         match motor.opening_mm {
             // The end of the stroke, as far as is known.
             None if is_blocked || is_stalled || is_late => Some(TaskEvent::ReachedUnhomed),

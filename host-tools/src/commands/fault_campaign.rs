@@ -9,14 +9,15 @@ use anyhow::{Result, bail};
 use report::text::fault_campaign::{format_report, summary, to_json};
 use report::text::terminal;
 use sim::closed_loop;
-use sim::faults::campaign::{self, CampaignResult};
+use sim::faults::campaign::{self, CampaignResult, RequirementDraws};
 
-/// Inject faults at their sources into a simulated gripper in every state, and report detection and reaction.
+/// Inject faults at their sources into a simulated gripper in every state, check the bounds of the hazard table, and report
+/// detection, reaction, forces and travel.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   cargo magpie fault-campaign --seeds 1
-  cargo magpie fault-campaign --seeds 20 --false-alarm-hours 1 -o faults.html")]
+  cargo magpie fault-campaign --seeds 20 --draws 100 --false-alarm-hours 1 -o faults.html")]
 pub struct Args {
     /// Grippers with perturbed parameters per fault, state, screw and stiffness.
     #[arg(long, value_name = "N", default_value_t = 2)]
@@ -24,6 +25,12 @@ pub struct Args {
     /// The first seed.
     #[arg(long, value_name = "N", default_value_t = 1)]
     from_seed: u64,
+    /// Random grippers for each motion onto a hand and each stop of a grip.
+    #[arg(long, value_name = "N", default_value_t = 10)]
+    draws: u64,
+    /// Grippers for RELEASE in each state, under each fault and with each screw.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    openings: u64,
     /// Fault-free virtual hours for the false-alarm rate.
     #[arg(long, alias = "quiet-hours", value_name = "HOURS", default_value_t = 0.0)]
     false_alarm_hours: f64,
@@ -44,6 +51,11 @@ pub fn run(args: &Args) -> Result<()> {
     if !(1..=MAX_SEEDS).contains(&args.seeds) {
         bail!("--seeds {} is not possible here; give 1 to {MAX_SEEDS}", args.seeds);
     }
+    for (name, count) in [("--draws", args.draws), ("--openings", args.openings)] {
+        if count > MAX_SEEDS {
+            bail!("{name} {count} is not possible here; give at most {MAX_SEEDS}");
+        }
+    }
     if !(0.0..=MAX_HOURS).contains(&args.false_alarm_hours) {
         bail!(
             "--false-alarm-hours {} is not possible here; give 0 to {MAX_HOURS}",
@@ -56,6 +68,14 @@ pub fn run(args: &Args) -> Result<()> {
     let bar = progress::progress_bar("injecting faults", cases.len());
     let outcomes = campaign::run(&cases, &tables, || bar.inc(1));
     bar.finish_and_clear();
+    let draws = RequirementDraws {
+        first: args.from_seed,
+        grippers: args.draws,
+        openings: args.openings,
+    };
+    let bar = progress::progress_bar("bounds of the hazard table", draws.runs());
+    let requirements = campaign::evaluate_requirements(&draws, &tables, || bar.inc(1))?;
+    bar.finish_and_clear();
     let bar = progress::progress_bar(
         "fault-free operation",
         campaign::fault_free_minutes(args.false_alarm_hours),
@@ -67,13 +87,14 @@ pub fn run(args: &Args) -> Result<()> {
         seeds: (args.from_seed, args.seeds),
         summaries: campaign::summarize(&outcomes),
         runs: outcomes.len(),
+        requirements,
         unreached: outcomes.iter().filter(|(_, o)| !o.was_reached).count(),
         fault_free,
         seconds: start.elapsed().as_secs_f64(),
     };
     if let Some(path) = &args.output {
         let title = "magpie: fault campaign on a simulated gripper";
-        let section = report::html::faults::section(&summary(&result), &result.summaries);
+        let section = report::html::faults::section(&summary(&result), &result);
         report::html::write_sections(path, title, &[section])?;
     }
     let report = args.output.as_deref();

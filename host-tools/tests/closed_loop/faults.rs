@@ -1,21 +1,18 @@
 //! Fault injection into the whole gripper in virtual time, one run per fault; `magpie faults` runs campaigns.
 
-use std::sync::LazyLock;
-
 use firmware::grip::states::PowerState;
 use firmware::motor::MotorState;
 use firmware::system::crash::CrashKind;
 use firmware::system::faults::{Event, Fault};
-use model_export::inverse::quantise::TableSet;
 use rayon::prelude::*;
 use sim::board::i2c::I2cSensor;
-use sim::closed_loop::{self, ClosedLoop, ClosedLoopSetup};
+use sim::closed_loop::{ClosedLoop, ClosedLoopSetup};
 use sim::drivetrain::parameters::Lead;
 use sim::faults::injection::InjectedFault;
 use sim::faults::operating_state::OperatingState;
 use sim::faults::run::{FaultCase, FaultOutcome};
 
-static TABLES: LazyLock<TableSet> = LazyLock::new(|| closed_loop::nominal_tables().unwrap());
+use crate::nominal_tables;
 
 /// Contact stiffness in N/mm.
 const RIGID: f64 = 333.0;
@@ -33,6 +30,7 @@ fn is_met(case: &FaultCase, outcome: &FaultOutcome) -> bool {
 
 #[test]
 fn every_fault_is_detected_in_time_with_its_reaction() {
+    let tables = nominal_tables();
     // The last two are noisier at rest, and retract faster under overload, than most.
     let grippers = [(7, Lead::A), (10, Lead::B), (1, Lead::A)];
     let cases: Vec<FaultCase> = InjectedFault::ALL
@@ -45,7 +43,7 @@ fn every_fault_is_detected_in_time_with_its_reaction() {
     let missed: Vec<String> = cases
         .par_iter()
         .filter_map(|case| {
-            let outcome = case.run(&TABLES, None);
+            let outcome = case.run(tables, None);
             (!is_met(case, &outcome)).then(|| format!("{case:?}: {outcome:?}"))
         })
         .collect();
@@ -54,6 +52,7 @@ fn every_fault_is_detected_in_time_with_its_reaction() {
 
 #[test]
 fn fault_with_disabled_detector_is_missed() {
+    let tables = nominal_tables();
     let rows = InjectedFault::ALL.iter().flat_map(|fault| {
         fault.specification().states.iter().map(|state| case(*fault, *state, Lead::A))
     });
@@ -61,7 +60,7 @@ fn fault_with_disabled_detector_is_missed() {
     let unnoticed: Vec<String> = rows
         .par_iter()
         .filter_map(|case| {
-            let outcome = case.run(&TABLES, Some(case.fault.specification().disable_detector));
+            let outcome = case.run(tables, Some(case.fault.specification().disable_detector));
             let is_noticed = outcome.was_reached && !is_met(case, &outcome);
             (!is_noticed).then(|| format!("{case:?}: {outcome:?}"))
         })
@@ -74,7 +73,7 @@ fn over_force_is_reduced_without_release() {
     for (lead, seed) in [(Lead::A, 1), (Lead::A, 2), (Lead::B, 2), (Lead::B, 3)] {
         for state in [OperatingState::Force, OperatingState::Hold] {
             let outcome = FaultCase { seed, ..case(InjectedFault::OverForce, state, lead) }
-                .run(&TABLES, None);
+                .run(nominal_tables(), None);
             // The reaction reduces the force to 50 N.
             assert!((40.0..60.0).contains(&outcome.end_n), "{outcome:?}");
         }
@@ -84,7 +83,7 @@ fn over_force_is_reduced_without_release() {
 /// A nominal gripper with the self-locking screw.
 fn reached(state: OperatingState) -> ClosedLoop {
     let setup = ClosedLoopSetup::nominal(Lead::A, 0.0, 7);
-    state.reach(&setup, RIGID, &TABLES).unwrap()
+    state.reach(&setup, RIGID, nominal_tables()).unwrap()
 }
 
 #[test]

@@ -6,13 +6,19 @@ use plotters::prelude::*;
 use crate::html::plot::{Along, HALF, Swatch, axes, figure, key, px, stroke};
 use crate::html::tables::table;
 use crate::html::{Section, palette};
+use crate::text::fault_campaign::requirement_cells;
 use analysis::numbers::number;
-use sim::faults::campaign::FaultSummary;
+use sim::faults::campaign::{CampaignResult, FaultSummary};
 use sim::faults::injection::{COVERED_BY_OTHER_TESTS, HARDWARE_ONLY};
 
 /// Table and plot.
-pub fn section(sentence: &str, tallies: &[FaultSummary]) -> Section {
+pub fn section(sentence: &str, result: &CampaignResult) -> Section {
+    let tallies = &result.summaries;
     let rows = tallies.iter().map(row);
+    let requirements = result.requirements.iter().filter(|requirement| requirement.runs > 0);
+    let requirements = requirements
+        .map(|requirement| requirement_cells(requirement).map(|cell| html! { (cell) }).to_vec());
+    let requirement_heads = ["hazard table", "runs", "kept", "quantity", "bound", "worst"];
     let heads = [
         "fault",
         "row",
@@ -40,6 +46,7 @@ pub fn section(sentence: &str, tallies: &[FaultSummary]) -> Section {
         ]))
         (latencies(tallies))
         (table("Result of each fault", &heads, rows))
+        (table("Bounds of the hazard table", &requirement_heads, requirements))
         p.note { "Latency counts from the moment at which the fault is observable: for force sensors from the next tick \
             of sensing, at the CAN bus from the controller's leaving it, else from the moment in which it is done. Peak is the \
             greatest true force between the fingers after it. Simulated; motor constants are assumed." }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use analysis::numbers;
 use serde_json::{Value, json};
-use sim::faults::campaign::{self, CampaignResult};
+use sim::faults::campaign::{self, CampaignResult, RequirementSummary};
 use sim::faults::injection::{COVERED_BY_OTHER_TESTS, HARDWARE_ONLY};
 
 use crate::text::terminal;
@@ -26,6 +26,14 @@ pub fn summary(result: &CampaignResult) -> String {
         campaign::CONTACTS.map(|stiffness| stiffness.to_string()).join(", "),
         result.summaries.len(),
     );
+    let kept = result.requirements.iter().filter(|requirement| requirement.is_met()).count();
+    let runs: usize = result.requirements.iter().map(|requirement| requirement.runs).sum();
+    if runs > 0 {
+        text += &format!(
+            " {kept} of {} bounds of the hazard table are kept, {runs} runs.",
+            result.requirements.len()
+        );
+    }
     if result.unreached > 0 {
         text += &format!(" {} runs did not reach their state.", result.unreached);
     }
@@ -78,6 +86,12 @@ pub fn format_report(result: &CampaignResult, report: Option<&Path>) -> String {
     };
     let mut page = terminal::paragraph(&summary(result));
     page += &format!("{table}\n");
+    let heads = ["hazard table", "runs", "kept", "quantity", "bound", "worst"];
+    let mut table = terminal::table(heads);
+    for requirement in result.requirements.iter().filter(|requirement| requirement.runs > 0) {
+        table.add_row(requirement_cells(requirement));
+    }
+    page += &format!("{table}\n");
     page += &terminal::paragraph(&format!(
         "Reviewed at register level, not simulated: {}.",
         named(&HARDWARE_ONLY)
@@ -89,6 +103,20 @@ pub fn format_report(result: &CampaignResult, report: Option<&Path>) -> String {
     ));
     page += &terminal::report_line(report);
     page
+}
+
+/// Description, runs, runs within the bound, quantity, bound, worst value.
+pub fn requirement_cells(requirement: &RequirementSummary) -> [String; 6] {
+    let failed = if requirement.is_met() { "" } else { " (failed)" };
+    let direction = if requirement.is_minimum { "at least" } else { "at most" };
+    [
+        requirement.description.clone(),
+        requirement.runs.to_string(),
+        format!("{}{failed}", requirement.kept),
+        requirement.quantity.to_owned(),
+        format!("{direction} {}", requirement.bound),
+        numbers::decimal(requirement.worst, 2),
+    ]
 }
 
 /// The object of `--json`.
@@ -114,6 +142,18 @@ pub fn to_json(result: &CampaignResult, report: Option<&Path>) -> Value {
             "is_met": tally.is_met(),
         })
     });
+    let requirements = result.requirements.iter().map(|requirement| {
+        json!({
+            "description": requirement.description,
+            "quantity": requirement.quantity,
+            "bound": requirement.bound,
+            "is_minimum": requirement.is_minimum,
+            "worst": requirement.worst,
+            "runs": requirement.runs,
+            "kept": requirement.kept,
+            "is_met": requirement.is_met(),
+        })
+    });
     json!({
         "simulated": true,
         "from_seed": result.seeds.0,
@@ -125,5 +165,6 @@ pub fn to_json(result: &CampaignResult, report: Option<&Path>) -> Value {
         "false_alarms": result.fault_free.alarms,
         "report": report,
         "rows": rows.collect::<Vec<_>>(),
+        "requirements": requirements.collect::<Vec<_>>(),
     })
 }

@@ -1,15 +1,27 @@
-//! Fault campaign: all faults in all operating states on all cores, and the false alarm rate without faults.
+//! Fault campaign: all faults in all operating states, the bounds of the hazard table, and the false alarms without faults,
+//! on all cores.
 
-use crate::closed_loop::ClosedLoopSetup;
 use crate::closed_loop::grasp_result::GraspResult;
+use crate::closed_loop::grasp_rig::{contact_object, grip_command};
 use crate::closed_loop::requirements::quantile;
+use crate::closed_loop::{ClosedLoop, ClosedLoopSetup};
+use crate::drivetrain::fingertips::Impact;
 use crate::drivetrain::parameters::Lead;
+use crate::faults::contact_force::{ContactCase, ObstructedMotion};
 use crate::faults::injection::InjectedFault;
-use crate::faults::operating_state::OperatingState;
+use crate::faults::opening::OpeningCase;
+use crate::faults::operating_state::{OperatingState, motion};
+use crate::faults::retention::{DROPPED, RetentionCase, StopCause};
 use crate::faults::run::{FaultCase, FaultOutcome, power_of, task_of};
+use crate::random::{Purpose, stream};
+use anyhow::Result;
+use firmware::grip::commands::mode;
 use firmware::grip::states::{PowerState, TaskState};
+use firmware::protocol::messages::Command;
 use firmware::system::faults::Event;
 use model_export::inverse::quantise::TableSet;
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 /// Contact stiffnesses in N/mm.
@@ -63,6 +75,8 @@ pub struct CampaignResult {
     pub summaries: Vec<FaultSummary>,
     /// Number of runs.
     pub runs: usize,
+    /// Bounds of the hazard table.
+    pub requirements: Vec<RequirementSummary>,
     /// Number of runs that did not reach their operating state.
     pub unreached: usize,
     /// False alarms without faults.
@@ -90,7 +104,7 @@ pub struct FaultSummary {
     pub specified: usize,
     /// Number of forbidden events.
     pub forbidden: u32,
-    /// Number of runs with excessive force after a fault of one sensor.
+    /// Number of runs with more force than the hazard table allows.
     pub too_much: usize,
     /// Final states with their counts.
     pub ends: Vec<(u8, usize)>,
@@ -176,10 +190,8 @@ pub fn summarize(outcomes: &[(FaultCase, FaultOutcome)]) -> Vec<FaultSummary> {
     summaries
 }
 
-/// Simulated seconds of one gripper in one operating state.
+/// Simulated seconds of one gripper in fault-free motion.
 const SECONDS: f64 = 60.0;
-/// Contact stiffness in N/mm.
-const CONTACT: f64 = 333.0;
 
 /// False alarms of fault-free runs.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -190,7 +202,7 @@ pub struct FalseAlarms {
     pub alarms: usize,
 }
 
-/// Simulates grippers in hold, as a foot and idle, one minute each.
+/// Simulates grippers that move, grip, release, stand on the ground and rest in random order, one minute each.
 pub fn run_fault_free(
     first: u64,
     hours: f64,
@@ -216,19 +228,202 @@ pub fn fault_free_minutes(hours: f64) -> usize {
     (3600.0 * hours / SECONDS).ceil() as usize
 }
 
-/// Simulated seconds and false alarms of one run.
+/// Simulated seconds and false alarms of one run; a motion that does not end counts as an alarm.
 fn minute(index: usize, seed: u64, tables: &TableSet) -> (f64, usize) {
-    let situations = [OperatingState::Hold, OperatingState::Foot, OperatingState::Idle];
-    let lead = Lead::BOTH[index % 2];
-    let setup = ClosedLoopSetup::scattered(lead, seed);
-    let Some(mut cell) = situations[index / 2 % 3].reach(&setup, CONTACT, tables) else {
-        return (0.0, 1);
+    let setup = ClosedLoopSetup {
+        opening_mm: 60.0,
+        ..ClosedLoopSetup::scattered(Lead::BOTH[index % 2], seed)
     };
-    let start_us = cell.time_us();
-    cell.run(SECONDS);
+    let mut cell = ClosedLoop::new(&setup, tables);
+    let mut rng = stream(seed, Purpose::FaultInjection, MIXED_MOTION_DRAW);
+    if !cell.enable() {
+        return (0.0, 1);
+    }
+    let mut stuck = 0;
+    while 1e-6 * (cell.time_us() as f64) < SECONDS {
+        let has_ended = match rng.random_range(0..4) {
+            0 => Some(()),
+            1 => move_to(&mut cell, rng.random_range(5.0..75.0), rng.random_range(5.0..58.0)),
+            2 => grip(&mut cell, &setup, &mut rng),
+            _ => stand(&mut cell, &mut rng),
+        };
+        if has_ended.is_none() {
+            stuck = 1;
+            break;
+        }
+        cell.run(rng.random_range(0.2..2.0));
+    }
     let events = cell.board.events.borrow();
     let alarms = events
         .iter()
         .filter(|(_, event)| matches!(event, Event::Fault(fault) if fault.active != 0));
-    (1e-6 * (cell.time_us() - start_us) as f64, alarms.count())
+    (1e-6 * cell.time_us() as f64, alarms.count() + stuck)
+}
+
+/// Random stream of the order of motions.
+const MIXED_MOTION_DRAW: u32 = u32::MAX - 1;
+/// Time-out of a motion in s: the stroke at the lowest speed.
+const MOTION_S: f64 = 20.0;
+
+fn move_to(cell: &mut ClosedLoop, opening_mm: f64, speed_mm_s: f64) -> Option<()> {
+    cell.host.order(motion(mode::MOVE, opening_mm, speed_mm_s));
+    cell.run(0.05);
+    cell.until(MOTION_S, |cell| cell.is_in(TaskState::Idle)).map(|_| ())
+}
+
+/// Grips an object of random width, stiffness, force and contact point, and releases it.
+fn grip(cell: &mut ClosedLoop, setup: &ClosedLoopSetup, rng: &mut ChaCha8Rng) -> Option<()> {
+    let set_n: f64 = rng.random_range(10.0..100.0);
+    let contact_n_per_mm = CONTACTS[rng.random_range(0..CONTACTS.len())];
+    let width_mm: f64 = rng.random_range(15.0..50.0);
+    move_to(cell, width_mm + 10.0, 40.0)?;
+    let object = contact_object(&setup.plant, width_mm, contact_n_per_mm);
+    {
+        let mut gripper = cell.gripper.borrow_mut();
+        gripper.towards_first = rng.random_range(-0.8..0.8);
+        gripper.rig.plant.set_object(Some(&object));
+    }
+    cell.host.order(grip_command(set_n));
+    cell.until(MOTION_S, |cell| cell.is_in(TaskState::HoldActive))?;
+    cell.run(rng.random_range(0.5..3.0));
+    cell.host.order(motion(mode::RELEASE, width_mm + 15.0, 40.0));
+    cell.until(MOTION_S, |cell| cell.is_in(TaskState::Idle))?;
+    cell.gripper.borrow_mut().rig.plant.set_object(None);
+    Some(())
+}
+
+/// Closes, lands on the ground and leaves it.
+fn stand(cell: &mut ClosedLoop, rng: &mut ChaCha8Rng) -> Option<()> {
+    move_to(cell, 0.5, 20.0)?;
+    cell.host.order(Command { mode: mode::FOOT, ..Command::default() });
+    cell.until(0.5, |cell| cell.is_in(TaskState::Foot))?;
+    {
+        let mut gripper = cell.gripper.borrow_mut();
+        let start_s = gripper.rig.plant.time_s() + 0.1;
+        let peak_n = rng.random_range(50.0..500.0);
+        gripper.impacts.push(Impact { start_s, lasts_s: 0.05, peak_n });
+    }
+    cell.run(rng.random_range(0.5..2.0));
+    cell.host.order(Command { mode: mode::LEAVE, ..Command::default() });
+    cell.until(0.5, |cell| cell.is_in(TaskState::Idle))?;
+    move_to(cell, 60.0, 40.0)
+}
+
+/// A requirement of the hazard table, evaluated over random grippers.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RequirementSummary {
+    /// What happens.
+    pub description: String,
+    /// Quantity that is bounded, with its unit.
+    pub quantity: &'static str,
+    /// Its bound; [`Self::is_minimum`] states the direction.
+    pub bound: f64,
+    /// The bound is a minimum.
+    pub is_minimum: bool,
+    /// Its worst value.
+    pub worst: f64,
+    /// Number of runs.
+    pub runs: usize,
+    /// Number of runs that keep the bound.
+    pub kept: usize,
+}
+
+impl RequirementSummary {
+    fn of(
+        description: String,
+        (quantity, bound, is_minimum): (&'static str, f64, bool),
+        values: &[Option<f64>],
+    ) -> Self {
+        let keeps = |value: &f64| if is_minimum { *value >= bound } else { *value <= bound };
+        let known = values.iter().flatten();
+        let worst = if is_minimum { f64::min } else { f64::max };
+        Self {
+            description,
+            quantity,
+            bound,
+            is_minimum,
+            worst: known.clone().copied().reduce(worst).unwrap_or(f64::NAN),
+            runs: values.len(),
+            kept: known.filter(|value| keeps(value)).count(),
+        }
+    }
+
+    /// Whether all runs keep the bound.
+    pub const fn is_met(&self) -> bool {
+        self.kept == self.runs
+    }
+}
+
+/// Extent of [`evaluate_requirements`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RequirementDraws {
+    /// The first seed.
+    pub first: u64,
+    /// Grippers for each obstructed motion, and for each cause of a stop.
+    pub grippers: u64,
+    /// Grippers for RELEASE in each state, with each screw and under each fault.
+    pub openings: u64,
+}
+
+impl RequirementDraws {
+    /// Number of runs.
+    pub fn runs(&self) -> usize {
+        let motions = ObstructedMotion::ALL.len() + StopCause::ALL.len();
+        motions * self.grippers as usize + OpeningCase::all(0).len() * self.openings as usize
+    }
+}
+
+/// Evaluates the bounds of the hazard table; `done` is called after each run.
+///
+/// # Errors
+/// The hazard table lacks a bound.
+pub fn evaluate_requirements(
+    draws: &RequirementDraws,
+    tables: &TableSet,
+    done: impl Fn() + Sync,
+) -> Result<Vec<RequirementSummary>> {
+    let mut summaries = Vec::new();
+    let seeds = draws.first..draws.first + draws.grippers;
+    let max_n = ObstructedMotion::max_n()?;
+    for motion in ObstructedMotion::ALL {
+        let peak = |seed: u64| {
+            let peak_n = ContactCase::draw(motion, seed).run(tables, None);
+            done();
+            peak_n
+        };
+        let peaks: Vec<Option<f64>> = seeds.clone().into_par_iter().map(peak).collect();
+        let bound = ("peak force, N", max_n, false);
+        summaries.push(RequirementSummary::of(motion.description().to_owned(), bound, &peaks));
+    }
+    for cause in StopCause::ALL {
+        let share = |seed: u64| {
+            let share = RetentionCase::draw(cause, seed).run(tables, None);
+            done();
+            share
+        };
+        let shares: Vec<Option<f64>> = seeds.clone().into_par_iter().map(share).collect();
+        let bound = ("remaining share of the force", DROPPED, true);
+        summaries.push(RequirementSummary::of(cause.description().to_owned(), bound, &shares));
+    }
+    let (opens_mm, within_s) = OpeningCase::required()?;
+    let seeds = draws.first..draws.first + draws.openings;
+    let cases: Vec<OpeningCase> = seeds.flat_map(OpeningCase::all).collect();
+    let open = |case: &OpeningCase| {
+        let outcome = case.run(tables, None);
+        done();
+        Ok((case.fault, outcome.map(|outcome| outcome.was_reached.then_some(outcome.opened_mm))?))
+    };
+    let opened: Vec<(InjectedFault, Option<f64>)> =
+        cases.par_iter().map(open).collect::<Result<_>>()?;
+    for fault in InjectedFault::ALL {
+        let of_fault = opened.iter().filter(|(of, _)| *of == fault);
+        let values: Vec<Option<f64>> = of_fault.map(|(_, opened_mm)| *opened_mm).collect();
+        if !values.is_empty() {
+            let description =
+                format!("RELEASE for {within_s} s: {}", fault.specification().description);
+            let bound = ("opened by, mm", opens_mm, true);
+            summaries.push(RequirementSummary::of(description, bound, &values));
+        }
+    }
+    Ok(summaries)
 }

@@ -13,6 +13,7 @@ use firmware::config::limits::GripLimits;
 use firmware::grip::fault_reactions::Reaction;
 use firmware::grip::redundant_copy::COPY_WORDS;
 use firmware::motor::as5047;
+use firmware::sensors::hall::SENSORS;
 use firmware::sensors::hall::a31301::FIELD_LIMITS;
 use firmware::system::faults::Fault;
 use std::f64::consts::PI;
@@ -53,6 +54,7 @@ pub enum InjectedFault {
     OverForce,
     OverForceAside,
     SensorGone,
+    AllSensorsGone,
     SensorFrozen,
     HalfGain,
     LineLow,
@@ -107,7 +109,7 @@ pub(super) const GROUND: (f64, f64) = (900.0, 0.04);
 
 impl InjectedFault {
     /// All faults.
-    pub const ALL: [Self; 24] = [
+    pub const ALL: [Self; 25] = [
         Self::BusHigh,
         Self::BusLow,
         Self::CurrentOffset,
@@ -120,6 +122,7 @@ impl InjectedFault {
         Self::OverForce,
         Self::OverForceAside,
         Self::SensorGone,
+        Self::AllSensorsGone,
         Self::SensorFrozen,
         Self::HalfGain,
         Self::LineLow,
@@ -232,6 +235,11 @@ impl InjectedFault {
                     setup.limits.lost_ticks = u8::MAX;
                 })
             }
+            Self::AllSensorsGone => {
+                specification(15, "all sensors unplugged", Fault::Blind, 4.2, EVERYWHERE, |setup| {
+                    setup.grasp.invalid_ticks = u8::MAX;
+                })
+            }
             Self::SensorFrozen => {
                 specification(16, "sensor frozen", Fault::SensorFrozen, 3.2, EVERYWHERE, |setup| {
                     setup.limits.frozen_axes = u8::MAX;
@@ -342,6 +350,7 @@ impl InjectedFault {
                 tick_us + TICK_US * crosses_us.saturating_sub(tick_us).div_ceil(TICK_US)
             }
             Self::SensorGone
+            | Self::AllSensorsGone
             | Self::SensorFrozen
             | Self::HalfGain
             | Self::LineLow
@@ -440,6 +449,10 @@ impl InjectedFault {
                 cell.gripper.borrow_mut().towards_first = towards_first;
             }
             Self::SensorGone => sensor(cell, pick, |sensor| sensor.unplugged = true),
+            Self::AllSensorsGone => {
+                (0..SENSORS)
+                    .for_each(|number| sensor(cell, number, |sensor| sensor.unplugged = true));
+            }
             Self::SensorFrozen => sensor(cell, pick, |sensor| sensor.frozen = true),
             Self::HalfGain => sensor(cell, pick, |sensor| sensor.gain = 0.5),
             Self::BrownOut => sensor(cell, pick, I2cSensor::brown_out),
