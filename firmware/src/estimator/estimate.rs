@@ -33,6 +33,8 @@ pub struct Estimate {
     /// Standard deviations predicted by a network, increased outside its training range
     /// ([`crate::model::formats::Guard`]).
     pub sigma: Option<[Force; 2]>,
+    /// What a network in use adds to the forces of the ideal model.
+    pub network_force: [Force; 2],
     /// Standard deviations as predicted by the network.
     pub network_sigma: Option<[Force; 2]>,
     /// Usability of the forces.
@@ -54,6 +56,7 @@ impl Estimate {
     pub const MISSING: Self = Self {
         force: [Force(0); 2],
         sigma: None,
+        network_force: [Force(0); 2],
         network_sigma: None,
         validity: Validity::Missing,
         field: [Field(0); 3],

@@ -55,6 +55,7 @@ pub fn estimate(
     Estimate {
         force: force.value,
         sigma: None,
+        network_force: [Force(0); 2],
         network_sigma: None,
         validity: match (saturated, ideal.in_range) {
             (true, _) => Validity::Saturated,
@@ -144,6 +145,12 @@ impl<'t, N: NetworkBank> Estimator<'t, N> {
         self.networks.apply(&mut estimates);
         self.detector.update(&ideal, &mut estimates);
         self.monitor.update(&ideal, &mut estimates);
+        for (estimate, ideal) in estimates.iter_mut().zip(&ideal) {
+            let forces = estimate.network_force.iter_mut().zip(estimate.force).zip(ideal.force);
+            for ((added, force), ideal) in forces {
+                *added = Force(force.0.saturating_sub(ideal.0));
+            }
+        }
         estimates
     }
 

@@ -8,6 +8,9 @@
 //! After a load, friction leaves a force at rest that is no offset error. Nor is an error within a network's own
 //! standard deviation, because it differs under load. Subtracting either would bias all later estimates, so both are
 //! excluded ([`offset`]).
+//!
+//! A network that is replaced by the ideal model ([`crate::estimator::network_monitor`]) leaves the tare with what it added
+//! itself during the tare. [`FallbackTare`] corrects that until the next boot.
 
 use crate::config::constants;
 use crate::estimator::estimate::{Estimate, Validity};
@@ -61,6 +64,28 @@ impl Tare {
             for (force, tare) in estimate.force.iter_mut().zip(tare) {
                 *force = Force(force.0.saturating_sub(tare.0));
             }
+        }
+    }
+}
+
+/// Correction of a tare for sensors whose network has been replaced since.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct FallbackTare {
+    /// The tare that it belongs to.
+    tare: Option<Tare>,
+    /// What the networks added during it.
+    added: [[Force; 2]; SENSORS],
+}
+
+impl FallbackTare {
+    /// Corrects the estimate of a sensor without its network, whose `tare` has been subtracted.
+    pub fn apply(&self, sensor: usize, tare: &Tare, estimate: &mut Estimate) {
+        if self.tare != Some(*tare) || estimate.validity == Validity::Missing {
+            return;
+        }
+        let added = self.added.get(sensor).copied().unwrap_or_default();
+        for (force, added) in estimate.force.iter_mut().zip(added) {
+            *force = Force(force.0.saturating_add(added.0));
         }
     }
 }
@@ -128,6 +153,8 @@ pub struct TareCollector {
     deadband: [[Force; 2]; SENSORS],
     frames: u32,
     sums: [[ForceSums; 2]; SENSORS],
+    /// Sums of what the networks add.
+    added: [[i64; 2]; SENSORS],
 }
 
 impl TareCollector {
@@ -157,8 +184,26 @@ impl TareCollector {
                 sums.add(self.frames, force, sigma);
             }
         }
+        for (sums, estimate) in self.added.iter_mut().zip(estimates) {
+            for (sum, force) in sums.iter_mut().zip(estimate.network_force) {
+                *sum = sum.saturating_add(force.0.into());
+            }
+        }
         self.frames = self.frames.saturating_add(1);
         if self.frames < FRAMES { TareProgress::Collecting } else { self.finish() }
+    }
+
+    /// Correction for networks that are replaced after this tare.
+    pub fn fallback(&self, tare: Tare) -> FallbackTare {
+        let frames = i64::from(self.frames.max(1));
+        let mut added = self.added.map(|sums| sums.map(|sum| Force(saturate(sum / frames))));
+        // Where the tare is zero, nothing of the network is in it.
+        for (added, tare) in added.as_flattened_mut().iter_mut().zip(tare.0.as_flattened()) {
+            if tare.0 == 0 {
+                *added = Force(0);
+            }
+        }
+        FallbackTare { tare: Some(tare), added }
     }
 
     fn finish(&self) -> TareProgress {
@@ -314,6 +359,29 @@ mod tests {
             };
             assert_eq!(offsets[0][0].0, expected, "{force} {noise} {deadband}");
         }
+    }
+
+    #[test]
+    fn replaced_network_leaves_nothing_in_the_tare() {
+        // The ideal model is off by 3000, and the network adds 2000 to it.
+        let mut collector = TareCollector::default();
+        let with_network =
+            |estimate: Estimate| Estimate { network_force: [Force(2000), Force(0)], ..estimate };
+        let mut last = TareProgress::Collecting;
+        for _ in 0..FRAMES {
+            last = collector.update(&frame(|_| [5000, 0]).map(with_network));
+        }
+        let TareProgress::Done(tare) = last else { panic!("{last:?}") };
+        let fallback = collector.fallback(tare);
+        let ideal = |tare: &Tare| {
+            let mut estimates = frame(|_| [3000, 0]);
+            tare.apply(&mut estimates);
+            fallback.apply(2, tare, &mut estimates[2]);
+            estimates[2].force[0].0
+        };
+        assert_eq!(ideal(&tare), 0);
+        // Another tare, of a host.
+        assert_eq!(ideal(&Tare([[Force(1000), Force(0)]; SENSORS])), 2000);
     }
 
     #[test]

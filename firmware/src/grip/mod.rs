@@ -288,6 +288,13 @@ impl GripController {
         self.is_gripped || matches!(self.task, TaskState::Foot)
     }
 
+    /// Whether both fingers press as on an object that a self-locking screw holds since before a reboot. Offsets without a tare
+    /// can look the same.
+    pub fn may_be_loaded(&self) -> bool {
+        let presses = |finger| matches!(finger, FingerForce::Valid(n) if n > self.limits.move_n);
+        presses(self.fingers.left) && presses(self.fingers.right)
+    }
+
     /// State code of the heartbeat.
     pub const fn state(&self) -> u8 {
         states::state_code(self.power, self.task)

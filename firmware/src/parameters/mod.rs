@@ -165,6 +165,7 @@ impl Parameters {
                     (id::INDUCTANCE, (found.inductance_h * NH) as i32),
                     (id::ROTOR_OFFSET, (found.wiring.offset >> OFFSET_SHIFT) as i32),
                     (id::SWAPPED, i32::from(found.wiring.is_swapped)),
+                    (id::COMMISSIONED, 1),
                 ] {
                     // Plausible values are in range.
                     let _ = self.set(id, value);
@@ -175,6 +176,11 @@ impl Parameters {
             }
             CalibrationOutcome::Failed(_) => {}
         }
+    }
+
+    /// Whether the motor's parameters were measured by a calibration; else they are assumed.
+    pub fn is_commissioned(&self) -> bool {
+        self.value::<{ id::COMMISSIONED }>() == 1
     }
 
     /// Whether the load can turn the screw back without current.
@@ -396,6 +402,7 @@ mod tests {
             pole_pairs: 11,
             wiring,
         }));
+        assert!(parameters.is_commissioned() && !Parameters::DEFAULT.is_commissioned());
         let settings = parameters.settings();
         assert_eq!((settings.wiring, settings.machine.pole_pairs), (wiring, 11));
         assert_eq!(settings.machine.resistance_ohm, 0.375);

@@ -128,6 +128,8 @@ pub mod id {
     pub const ROTOR_OFFSET: u16 = 0x1C;
     /// Exchange of phases V and W.
     pub const SWAPPED: u16 = 0x1D;
+    /// Whether the motor's parameters were measured.
+    pub const COMMISSIONED: u16 = 0x1E;
     /// First sensor; see [`crate::parameters::Parameters::addresses`].
     pub const ADDRESS: u16 = 0x20;
     /// Fx of the first sensor, then Fz; see [`crate::parameters::Parameters::tare`].
@@ -138,7 +140,7 @@ pub mod id {
 pub(super) const UOHM: f64 = 1e6;
 
 /// Count of the parameters.
-pub const COUNT: usize = 13 + SENSORS + 2 * SENSORS;
+pub const COUNT: usize = 14 + SENSORS + 2 * SENSORS;
 
 /// All parameters.
 pub const PARAMETERS: [Parameter; COUNT] = {
@@ -237,6 +239,12 @@ pub const PARAMETERS: [Parameter; COUNT] = {
             description: "phases V and W are swapped; measured by the device, takes effect at the next boot",
             affects_motion: true,
             ..switch(id::SWAPPED, "swapped", "")
+        },
+        Parameter {
+            id: id::COMMISSIONED,
+            description: "the motor's parameters were measured by a calibration; else they are assumed",
+            affects_motion: true,
+            ..switch(id::COMMISSIONED, "commissioned", "")
         },
         address(0, "address_0", address_0),
         address(1, "address_1", address_1),

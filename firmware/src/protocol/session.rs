@@ -21,12 +21,14 @@ const FLOOD_MS: u32 = 1000;
 
 /// Constant in every service request, "MG", against stray frames.
 pub const SERVICE_MAGIC: u16 = 0x474D;
+/// Argument of [`op::TARE`]: the host has made sure that nothing is gripped, although both fingers seem to press.
+pub const UNLOADED: u32 = 1;
 
 /// Operations of a service request.
 pub mod op {
     /// Clear latched faults whose cause is gone.
     pub const CLEAR_FAULTS: u8 = 1;
-    /// Tare: define the present forces as zero.
+    /// Tare: define the present forces as zero. Argument: 0, or [`super::UNLOADED`].
     pub const TARE: u8 = 2;
     /// Write parameters to flash.
     pub const SAVE: u8 = 3;

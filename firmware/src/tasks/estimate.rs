@@ -8,7 +8,7 @@ use crate::clock::{Clock, Timed};
 use crate::config::constants::TICK_US;
 use crate::config::limits::DetectionLimits;
 use crate::estimator::finger_symmetry::FingerSymmetry;
-use crate::estimator::tare::{TareCollector, TareProgress};
+use crate::estimator::tare::{FallbackTare, TareCollector, TareProgress};
 use crate::estimator::{Estimate, Estimator, NetworkBank, Validity};
 use crate::fixed_point::Force;
 use crate::motor::{MotorState, MotorStatus, Trip};
@@ -46,8 +46,7 @@ pub async fn estimate<N: NetworkBank, C: Clock, M: RawMutex>(
     shared: &SharedState<M>,
 ) -> ! {
     let mut diagnostics = SensorDiagnostics::new(limits);
-    let mut taring = None;
-    let held = estimator.friction_deadband();
+    let mut taring = Taring::new(estimator.friction_deadband());
     let bears_mass = !estimator.compensates_fingertip_mass();
     let mut tick = 0_u32;
     let mut last_us = None;
@@ -83,10 +82,10 @@ pub async fn estimate<N: NetworkBank, C: Clock, M: RawMutex>(
             (sensed.begun_us.saturating_sub(last_us) + TICK_US / 2) as u32 / TICK_US as u32
         });
         tick = tick.wrapping_add(ticks);
-        tare(&mut taring, &held, &mut estimates, shared);
+        let diverged = [0, 1, 2, 3].map(|sensor| estimator.network_diverged(sensor));
+        taring.update(&mut estimates, diverged, shared);
         // After the tare: with the tables of the nominal design the untared forces of both fingers differ.
         diagnostics.update(&sensed.watched, &estimates, shared);
-        let diverged = [0, 1, 2, 3].map(|sensor| estimator.network_diverged(sensor));
         diagnostics.update_networks(diverged, shared);
         shared.grip_inputs.signal(GripInputs {
             estimates,
@@ -106,23 +105,45 @@ pub async fn estimate<N: NetworkBank, C: Clock, M: RawMutex>(
 }
 
 /// Subtracts the tare, and averages a new one on request.
-fn tare<M: RawMutex>(
-    taring: &mut Option<TareCollector>,
-    held: &[[Force; 2]; SENSORS],
-    estimates: &mut [Estimate; SENSORS],
-    shared: &SharedState<M>,
-) {
-    if shared.tare_request.try_take().is_some() {
-        *taring = Some(TareCollector::new(*held));
+struct Taring {
+    /// See [`Estimator::friction_deadband`].
+    deadband: [[Force; 2]; SENSORS],
+    running: Option<TareCollector>,
+    fallback: FallbackTare,
+}
+
+impl Taring {
+    fn new(deadband: [[Force; 2]; SENSORS]) -> Self {
+        Self { deadband, running: None, fallback: FallbackTare::default() }
     }
-    if let Some(running) = taring {
-        let step = running.update(estimates);
-        if step != TareProgress::Collecting {
-            *taring = None;
-            shared.tare_result.signal(step);
+
+    fn update<M: RawMutex>(
+        &mut self,
+        estimates: &mut [Estimate; SENSORS],
+        diverged: [bool; SENSORS],
+        shared: &SharedState<M>,
+    ) {
+        if shared.tare_request.try_take().is_some() {
+            self.running = Some(TareCollector::new(self.deadband));
+        }
+        if let Some(running) = &mut self.running {
+            let step = running.update(estimates);
+            if let TareProgress::Done(tare) = step {
+                self.fallback = running.fallback(tare);
+            }
+            if step != TareProgress::Collecting {
+                self.running = None;
+                shared.tare_result.signal(step);
+            }
+        }
+        let tare = shared.parameter(Parameters::tare);
+        tare.apply(estimates);
+        for (sensor, (estimate, is_replaced)) in estimates.iter_mut().zip(diverged).enumerate() {
+            if is_replaced {
+                self.fallback.apply(sensor, &tare, estimate);
+            }
         }
     }
-    shared.parameter(Parameters::tare).apply(estimates);
 }
 
 /// Fault detection of sensors and forces.

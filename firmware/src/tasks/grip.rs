@@ -85,12 +85,20 @@ pub struct GripSummary {
     pub is_driven: bool,
     /// See [`GripController::is_loaded`].
     pub is_loaded: bool,
+    /// See [`GripController::may_be_loaded`].
+    pub may_be_loaded: bool,
 }
 
 impl GripSummary {
     /// State at boot.
-    pub const INITIAL: Self =
-        Self { state: 0, object: 0, may_arm: false, is_driven: false, is_loaded: false };
+    pub const INITIAL: Self = Self {
+        state: 0,
+        object: 0,
+        may_arm: false,
+        is_driven: false,
+        is_loaded: false,
+        may_be_loaded: false,
+    };
 }
 
 /// Supply of the power stage.
@@ -187,6 +195,7 @@ impl GripLoop {
             may_arm: outputs.may_arm,
             is_driven: grip.is_driven(),
             is_loaded: grip.is_loaded(),
+            may_be_loaded: grip.may_be_loaded(),
         });
         shared.publish_faults(FaultReporter::Grip, grip.fault_bits(), &outputs.events);
     }

@@ -13,12 +13,12 @@ use crate::grip::SessionStatus;
 use crate::motor::calibration::{CalibrationKind, CalibrationOutcome};
 use crate::parameters;
 use crate::protocol::messages::{Message, Service, ServiceReply, Version};
-use crate::protocol::session::{Session, SessionEvent, op, service_reply, status};
+use crate::protocol::session::{self, Session, SessionEvent, op, service_reply, status};
 use crate::system::faults::{Fault, FaultSet};
 use crate::system::nv_storage::{LoadedParameters, ParameterOrigin, ParameterStore};
 use crate::system::task_watchdog::TaskId;
 use crate::tasks::calibration::CalibrationService;
-use crate::tasks::{FaultReporter, HostStatus, SharedState};
+use crate::tasks::{FaultReporter, GripSummary, HostStatus, SharedState};
 
 /// Interval at which the time-out of hosts is checked.
 const CHECK_US: u64 = 1000;
@@ -125,9 +125,7 @@ pub async fn host_service<F: NorFlash, R: FnMut() -> u16, B: FnMut(), C: Clock, 
                     SessionEvent::Reply { reply, .. } => Some(Message::ServiceReply(reply)),
                     // What is gripped would become the zero of the forces, or be dropped.
                     SessionEvent::Other(Message::Service(request))
-                        if !is_armed
-                            && grip.is_loaded
-                            && matches!(request.op, op::TARE | op::MEASURE) =>
+                        if !is_armed && is_prevented_by_load(request, &grip) =>
                     {
                         let reply = service_reply(request, status::GRIPPING, 0);
                         Some(Message::ServiceReply(reply))
@@ -196,6 +194,15 @@ pub async fn host_service<F: NorFlash, R: FnMut() -> u16, B: FnMut(), C: Clock, 
         }
         publish_host_status(&session, &pending, now_ms, shared);
         update_faults(&session, &mut faults, now_ms, shared);
+    }
+}
+
+/// Whether a load forbids a service; that the fingers seem loaded only forbids a tare that does not confirm the contrary.
+const fn is_prevented_by_load(request: Service, grip: &GripSummary) -> bool {
+    match request.op {
+        op::TARE => grip.is_loaded || (grip.may_be_loaded && request.argument != session::UNLOADED),
+        op::MEASURE => grip.is_loaded,
+        _ => false,
     }
 }
 

@@ -7,7 +7,7 @@ use anyhow::{Context, Result, bail};
 use firmware::protocol::host_session::service;
 use firmware::protocol::messages::{CalibrationChunk, Message, ServiceReply, Version};
 use firmware::protocol::serial::Packet;
-use firmware::protocol::session::{op, status};
+use firmware::protocol::session::{UNLOADED, op, status};
 use firmware::system::nv_storage::calibration::{
     CHUNK_BYTES, CHUNKS_PER_GROUP, MAX_BYTES, UploadError,
 };
@@ -205,8 +205,9 @@ pub fn running(source: &mut dyn Source) -> Result<RunningCalibration> {
 ///
 /// # Errors
 /// No reply, or the gripper refuses: the previous tare stays.
-pub fn tare(source: &mut dyn Source, saves: bool) -> Result<()> {
-    let reply = request(source, op::TARE, 0, SLOW_PATIENCE)?;
+pub fn tare(source: &mut dyn Source, is_unloaded: bool, saves: bool) -> Result<()> {
+    let argument = if is_unloaded { UNLOADED } else { 0 };
+    let reply = request(source, op::TARE, argument, SLOW_PATIENCE)?;
     let sensor = reply.detail & 0xFF;
     let why = match (reply.status, reply.detail >> 8) {
         (status::DONE, _) => {
@@ -217,6 +218,9 @@ pub fn tare(source: &mut dyn Source, saves: bool) -> Result<()> {
             return Ok(());
         }
         (status::ARMED, _) => "a host is armed or the motor is driven".to_owned(),
+        (status::GRIPPING, _) => "both fingers press on something, or seem to: remove it; if nothing is there, the tables \
+                                  do not fit and --unloaded tares nevertheless"
+            .to_owned(),
         (_, 1) => format!("no reading of sensor {sensor}"),
         (_, 2) => format!("sensor {sensor} is saturated, or its field is outside the model"),
         (_, 3) => format!("a magnet disturbs sensor {sensor}"),

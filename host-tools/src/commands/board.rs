@@ -1,18 +1,21 @@
-//! `magpie board`: shows which calibration runs on a gripper.
+//! `magpie board`: shows which calibration runs on a gripper, and what was measured of its drive.
 
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
 use device::calibration_client::{self, RunningCalibration};
+use device::params_client;
 use device::source::Source;
 use device::state::GripperState;
 use firmware::estimator::Validity;
+use firmware::parameters::schema::id;
 use report::text::terminal;
 use serde_json::json;
 
 use crate::commands::connection::PortArgs;
 
-/// Show which calibration runs on a gripper: hash, campaign, date, effects, and what it cannot compensate at present.
+/// Show which calibration runs on a gripper: hash, campaign, date, effects, and what it cannot compensate at present; and
+/// whether motor and screw were measured.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -36,11 +39,33 @@ pub fn run(args: &Args) -> Result<()> {
     };
     let running = calibration_client::running(source.as_mut())?;
     let incomplete = incomplete_sensors(source.as_mut())?;
+    let is_commissioned = params_client::read(source.as_mut(), id::COMMISSIONED)? == 1;
+    let screw = match params_client::read(source.as_mut(), id::SELF_LOCKING)? {
+        1 => "self-locking",
+        2 => "backdrivable",
+        _ => "unknown",
+    };
     terminal::print_result(
         args.json,
-        || json!({ "calibration": running, "missing_inputs": incomplete }),
-        || text(&running, &incomplete),
+        || {
+            json!({
+                "calibration": running,
+                "missing_inputs": incomplete,
+                "motor": if is_commissioned { "measured" } else { "assumed" },
+                "screw": screw,
+            })
+        },
+        || text(&running, &incomplete) + &drive_text(is_commissioned, screw),
     )
+}
+
+fn drive_text(is_commissioned: bool, screw: &str) -> String {
+    let motor = if is_commissioned { "measured" } else { "assumed constants, not calibrated" };
+    let screw = match screw {
+        "unknown" => "unknown, treated as backdrivable; not calibrated",
+        known => known,
+    };
+    format!("motor        {motor}\nscrew        {screw}\n")
 }
 
 /// Sensors whose forces are at present not compensated for an effect, for lack of an input.

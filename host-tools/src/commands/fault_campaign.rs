@@ -68,11 +68,8 @@ pub fn run(args: &Args) -> Result<()> {
     let bar = progress::progress_bar("injecting faults", cases.len());
     let outcomes = campaign::run(&cases, &tables, || bar.inc(1));
     bar.finish_and_clear();
-    let draws = RequirementDraws {
-        first: args.from_seed,
-        grippers: args.draws,
-        openings: args.openings,
-    };
+    let draws =
+        RequirementDraws { first: args.from_seed, grippers: args.draws, openings: args.openings };
     let bar = progress::progress_bar("bounds of the hazard table", draws.runs());
     let requirements = campaign::evaluate_requirements(&draws, &tables, || bar.inc(1))?;
     bar.finish_and_clear();

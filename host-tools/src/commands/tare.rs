@@ -19,6 +19,9 @@ Examples:
 pub struct Args {
     #[command(flatten)]
     port: PortArgs,
+    /// Nothing is gripped, although both fingers report a closing force.
+    #[arg(long)]
+    unloaded: bool,
     /// Save the tare with all other parameters of the gripper in its flash.
     #[arg(long)]
     save: bool,
@@ -32,7 +35,7 @@ pub fn run(args: &Args) -> Result<()> {
     let Some(mut source) = args.port.open()? else {
         bail!("give the gripper's line: --port PATH or --can BUS");
     };
-    calibration_client::tare(source.as_mut(), args.save)?;
+    calibration_client::tare(source.as_mut(), args.unloaded, args.save)?;
     terminal::print_result(
         args.json,
         || json!({ "tared": true, "saved": args.save }),

@@ -35,6 +35,7 @@ fn an_uploaded_calibration_runs_and_is_described() {
     assert_eq!(calibration["slot"], Value::Null);
     assert_eq!(calibration["model_sha256"], sha256(&fitted_model("clean")));
     assert_eq!(calibration["effects"], Value::Array(Vec::new()));
+    assert_eq!((&first["motor"], &first["screw"]), (&"assumed".into(), &"unknown".into()));
 
     // A model with an effect that the board without a motor cannot compensate.
     let demo = fitted_model("demo").display().to_string();

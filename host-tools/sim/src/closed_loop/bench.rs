@@ -17,7 +17,7 @@ use firmware::grip::commands::{flag, mode};
 use firmware::grip::states::TaskState;
 use firmware::protocol::messages::{Command, HostAttitude, Message};
 use firmware::protocol::serial::{Packet, PacketDecoder};
-use firmware::protocol::session::{op, status};
+use firmware::protocol::session::{UNLOADED, op, status};
 use firmware::sensors::hall::SENSORS;
 use firmware::system::faults::Fault;
 use nalgebra::Vector3;
@@ -267,7 +267,8 @@ impl EmulatedBench {
     /// Defines the present forces as zero.
     fn tare(&mut self) -> Result<()> {
         let replies = self.cell.host.received.replies.len();
-        self.cell.host.service(op::TARE, 0);
+        // With the tables of another gripper the unloaded fingers may seem to press.
+        self.cell.host.service(op::TARE, UNLOADED);
         for _ in 0..3000 {
             self.tick()?;
             let replies = self.cell.host.received.replies.get(replies..).unwrap_or_default();
