@@ -60,7 +60,7 @@ fn an_uploaded_calibration_runs_and_is_described() {
     let shown_nominal = shown(&dir, &line);
     assert_eq!(shown_nominal["calibration"]["variant"], "nominal design");
     assert_eq!(second["calibration"]["variant"], "fitted parameters");
-    let tared = dir.json(&format!("tare --port {line} --json"));
+    let tared = dir.json(&format!("tare --unloaded --port {line} --json"));
     assert_eq!(tared, serde_json::json!({ "tared": true, "saved": false }));
     dir.stdout(&format!("upload effect.toml --port {line}"));
 
