@@ -79,8 +79,9 @@ fn stop_of_all_is_latched() -> Result<(), Failed> {
     cell.host.service(op::CLEAR_FAULTS, 0);
     let enabled_s = cell.until(0.5, |cell| cell.state() >= TASK_CODE);
     assert!(enabled_s.is_some(), "{}: {:?}", cell.state(), cell.host.received.replies);
-    // The reset starts no motion.
-    cell.run(0.3);
+    // The reset starts no motion, and ENABLE does not continue the one that was stopped.
+    cell.run(1.0);
+    println!("moved by {:.3} mm", opening_mm(&cell) - stopped_mm);
     assert!((opening_mm(&cell) - stopped_mm).abs() < 0.05, "{}", opening_mm(&cell));
     Ok(())
 }
