@@ -27,8 +27,6 @@ const LIMIT_MS: f64 = 5.0;
 const WATCHED_MS: u64 = 40;
 /// Resolution of the time, in microseconds: half a period.
 const STEP_US: u64 = 25;
-/// Times of a loss within a millisecond, in microseconds.
-const PHASE_US: u64 = 375;
 /// Peak current of a phase in amperes, with a margin for the periods until a reaction; the motor is driven with up to 10.
 const MAX_A: f64 = 25.0;
 
@@ -37,10 +35,18 @@ const MAX_A: f64 = 25.0;
 enum Motion {
     /// They close at the highest speed, to a position.
     Moving,
-    /// They close, without contact yet.
-    Approach,
     /// They press on an object with a rising force.
     Pressing,
+}
+
+impl Motion {
+    /// When within a millisecond the loss comes, in microseconds.
+    const fn phase_us(self) -> u64 {
+        match self {
+            Self::Moving => 375,
+            Self::Pressing => 825,
+        }
+    }
 }
 
 /// What is lost.
@@ -92,12 +98,12 @@ impl Loss {
     /// Motions in which it is tested: all that differ by what detects it.
     fn motions(self) -> &'static [Motion] {
         match self {
-            Self::Trigger | Self::MotionLoop | Self::GripTask => {
-                &[Motion::Moving, Motion::Approach, Motion::Pressing]
-            }
-            Self::Crystal | Self::RotorSilent | Self::ChipSupply => {
-                &[Motion::Moving, Motion::Pressing]
-            }
+            Self::Trigger
+            | Self::Crystal
+            | Self::RotorSilent
+            | Self::ChipSupply
+            | Self::MotionLoop
+            | Self::GripTask => &[Motion::Moving, Motion::Pressing],
             _ => &[Motion::Moving],
         }
     }
@@ -174,7 +180,8 @@ pub fn trials() -> Vec<Trial> {
             Trial::test(name, move || loses(loss, *motion))
         })
     });
-    let others: [(&str, fn() -> Result<(), Failed>); 4] = [
+    let others: [(&str, fn() -> Result<(), Failed>); 5] = [
+        ("supervision_Trigger_lost_while_Commissioning", trigger_lost_while_commissioning),
         ("supervision_trigger_returns_then_drive_works", trigger_returns),
         ("supervision_break_wire_open_at_start_no_duties", break_wire_open_at_start),
         ("supervision_brown_out_resets_without_duties", brown_out),
@@ -265,12 +272,6 @@ fn in_motion(motion: Motion) -> Result<Cell, Failed> {
             let is_fast = cell.until(2.0, |cell| speed_mm_s(cell) > 55.0);
             assert!(is_fast.is_some(), "{} mm/s", speed_mm_s(&cell));
         }
-        Motion::Approach => {
-            move_to(&mut cell, 40.0);
-            cell.host.order(grip_command(SET_N));
-            let is_closing = cell.until(1.0, |cell| speed_mm_s(cell) > 10.0);
-            assert!(is_closing.is_some(), "{} mm/s", speed_mm_s(&cell));
-        }
         Motion::Pressing => {
             move_to(&mut cell, 42.0);
             let object =
@@ -331,7 +332,7 @@ fn loses(loss: Loss, motion: Motion) -> Result<(), Failed> {
     let mut cell = in_motion(motion)?;
     let code = Code::of(&cell);
     cell.gripper.borrow_mut().peak_n = 0.0;
-    cell.advance_us(PHASE_US);
+    cell.advance_us(motion.phase_us());
     assert!(has_duties(&cell), "{loss:?}: not driven");
     loss.inject(&mut cell);
     let from_us = 1e6 * cell.board.chip.now().as_s();
@@ -373,6 +374,24 @@ fn check_record(loss: Loss, cell: &mut Cell, resets: usize) -> Result<(), Failed
             assert!(state < TASK_CODE && state != 0, "{loss:?}: {state}");
         }
     }
+    Ok(())
+}
+
+/// The motor identifies its windings: the current loop alone drives, and the grip task has no order.
+fn trigger_lost_while_commissioning() -> Result<(), Failed> {
+    let mut cell = cell(40.0)?;
+    cell.run(0.4);
+    cell.host.service(op::MEASURE, 0);
+    cell.run(0.2);
+    assert!(has_duties(&cell), "{}", cell.state());
+    cell.board.chip.soc.set_motor_trigger(false);
+    let from_us = 1e6 * cell.board.chip.now().as_s();
+    let Observed { off_ms, peak_a } = observe(&mut cell, from_us, WATCHED_MS, |_| ());
+    println!("trigger lost while commissioning: no duties after {off_ms:.2} ms, {peak_a:.1} A");
+    assert!(off_ms <= LIMIT_MS, "duties for {off_ms:.2} ms");
+    cell.run(0.3);
+    assert!(cell.state() < PowerState::Armed as u8, "{}", cell.state());
+    assert!(came(&mut cell, Fault::Runaway).is_some(), "{:?}", cell.host.received.faults);
     Ok(())
 }
 
