@@ -27,8 +27,10 @@ const STOP_MS: u32 = 15;
 /// Frames of a flood in a millisecond.
 const FLOOD: u32 = 8;
 
+type Test = fn() -> Result<(), Failed>;
+
 pub fn trials() -> Vec<Trial> {
-    let tests: [(&str, fn() -> Result<(), Failed>); 8] = [
+    let tests: [(&str, Test); 8] = [
         ("stops_release_opens_after_sensor_unplugged", || release_without(&[1])),
         ("stops_release_opens_after_all_sensors_unplugged", || release_without(&[0, 1, 2, 3])),
         ("stops_stop_of_all_stays_until_cleared_at_rest", stop_of_all_is_latched),

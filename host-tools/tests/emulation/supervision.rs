@@ -173,6 +173,8 @@ impl Loss {
     }
 }
 
+type Test = fn() -> Result<(), Failed>;
+
 pub fn trials() -> Vec<Trial> {
     let losses = Loss::ALL.into_iter().flat_map(|loss| {
         loss.motions().iter().map(move |motion| {
@@ -180,7 +182,7 @@ pub fn trials() -> Vec<Trial> {
             Trial::test(name, move || loses(loss, *motion))
         })
     });
-    let others: [(&str, fn() -> Result<(), Failed>); 5] = [
+    let others: [(&str, Test); 5] = [
         ("supervision_Trigger_lost_while_Commissioning", trigger_lost_while_commissioning),
         ("supervision_trigger_returns_then_drive_works", trigger_returns),
         ("supervision_break_wire_open_at_start_no_duties", break_wire_open_at_start),
