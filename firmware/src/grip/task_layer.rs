@@ -72,6 +72,8 @@ impl GripController {
                 (Some(_), _, true) => TaskState::GripFailed,
                 (Some(_), _, false) => TaskState::Idle,
             });
+            // The target of a motion that was interrupted: the fingers stay where they rest.
+            self.hold_mm = None;
         }
         Ok(())
     }

@@ -21,7 +21,7 @@ const NO_OPERATION: u16 = read_command(0x0000);
 /// Error bit of an answer: a previous command frame was invalid.
 const ERROR: u16 = 1 << 14;
 /// Data bits of an answer.
-const DATA: u16 = 0x3FFF;
+pub const DATA: u16 = 0x3FFF;
 
 /// Time from the chip select to the clock, and between two frames, in nanoseconds.
 const SELECT_NS: u32 = 350;

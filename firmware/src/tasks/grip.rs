@@ -183,10 +183,10 @@ impl GripLoop {
         } else {
             Some(pending.order(&outputs))
         };
-        if let Some(order) = order {
-            let is_accepted = motor.order(order).is_ok();
-            pending.on_sent(&order, is_accepted);
-        }
+        // One in each tick: the motion loop detects by them that the current loop has stopped.
+        let order = order.unwrap_or(MotorCommand::Temperatures(pending.temperatures));
+        let is_accepted = motor.order(order).is_ok();
+        pending.on_sent(&order, is_accepted);
         self.ticks = (self.ticks + 1) % STATUS_TICKS;
         send_messages(&outputs, self.ticks == 0, &mut self.counters, shared);
         shared.grip_summary.set(GripSummary {

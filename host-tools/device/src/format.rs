@@ -62,7 +62,9 @@ pub fn fault_line((&(code, source), active): (&(u16, Option<u8>), &ActiveFault))
         return format!("fault {code}, unknown to this tool");
     };
     let origin = source.map_or("of unknown source".to_owned(), |source| fault_source(kind, source));
-    let detail = active.detail.map_or(String::new(), |detail| fault_detail(kind, detail));
+    let detail = active
+        .detail
+        .map_or(String::new(), |detail| fault_detail(kind, source.unwrap_or_default(), detail));
     let mut text = fault_name(kind);
     for part in [origin, detail] {
         if !part.is_empty() {
@@ -283,17 +285,34 @@ pub fn fault_source(fault: Fault, source: u8) -> String {
         | Fault::OutsideModel
         | Fault::NetworkDiverged => format!("sensor {source}"),
         Fault::BusStuck => format!("sensors' bus {source}"),
-        Fault::StoreUnsound if source == 0 => "parameters".to_owned(),
-        Fault::StoreUnsound => "uploaded calibration".to_owned(),
+        Fault::StoreUnsound => match source {
+            0 => "parameters",
+            1 => "uploaded calibration",
+            _ => "option bytes of the chip",
+        }
+        .to_owned(),
         Fault::Flooded if source == SERIAL => "serial line".to_owned(),
         Fault::Flooded => "CAN bus".to_owned(),
         _ => String::new(),
     }
 }
 
+/// Source of [`Fault::StoreUnsound`] for the chip's option bytes.
+const OPTION_BYTES: u8 = 2;
+
+/// Which option byte is unsuitable, and what to program.
+const fn option_byte_defect(detail: u32) -> &'static str {
+    match detail {
+        1 => "the flash has one bank: set DBANK = 1",
+        2 => "the boot loader may choose bank 2, where settings are stored: set BFB2 = 0",
+        _ => "unknown reason",
+    }
+}
+
 /// Detail of a fault; empty where there is none.
-pub fn fault_detail(fault: Fault, detail: u32) -> String {
+pub fn fault_detail(fault: Fault, source: u8, detail: u32) -> String {
     match fault {
+        Fault::StoreUnsound if source == OPTION_BYTES => option_byte_defect(detail).to_owned(),
         Fault::SensorLost | Fault::SensorFrozen => format!("{detail} ticks old"),
         Fault::Unbalanced => format!("by {:.1} N", f64::from(detail) / Force::PER_NEWTON),
         Fault::StoreUnsound => format!("reason {detail}"),
@@ -331,10 +350,14 @@ mod tests {
     fn fault_shows_source_and_detail() {
         assert_eq!(fault_name(Fault::SensorLost), "sensor lost");
         assert_eq!(fault_source(Fault::SensorLost, 2), "sensor 2");
-        assert_eq!(fault_detail(Fault::SensorLost, 2), "2 ticks old");
+        assert_eq!(fault_detail(Fault::SensorLost, 2, 2), "2 ticks old");
         assert_eq!(fault_name(Fault::BusOff), "bus off");
         assert_eq!(fault_source(Fault::BusOff, 0), "");
-        assert_eq!(fault_detail(Fault::Unbalanced, 17 << 10), "by 17.0 N");
+        assert_eq!(fault_detail(Fault::Unbalanced, 0, 17 << 10), "by 17.0 N");
         assert_eq!(fault_source(Fault::Flooded, SERIAL), "serial line");
+        assert_eq!(fault_source(Fault::StoreUnsound, OPTION_BYTES), "option bytes of the chip");
+        assert_eq!(fault_detail(Fault::StoreUnsound, 1, 2), "reason 2");
+        let bank = fault_detail(Fault::StoreUnsound, OPTION_BYTES, 1);
+        assert_eq!(bank, "the flash has one bank: set DBANK = 1");
     }
 }

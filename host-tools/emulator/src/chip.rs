@@ -49,6 +49,8 @@ enum CoreState {
     Running,
     /// A fault where none can be handled: it waits for a reset.
     LockedUp,
+    /// In reset while the supply is too low.
+    Held,
 }
 
 /// The chip.
@@ -111,6 +113,10 @@ impl Chip {
 
     fn start(&mut self) -> Result<(), Halt> {
         self.log.restart();
+        if self.soc.is_browned_out() {
+            self.state = CoreState::Held;
+            return Ok(());
+        }
         self.state = CoreState::Running;
         if !self.soc.boots_from_flash() {
             return Err(Halt::BootLoader);
@@ -136,6 +142,9 @@ impl Chip {
     /// calling again.
     pub fn run_until(&mut self, end: Time) -> Result<(), Halt> {
         while self.now() < end {
+            if self.state == CoreState::Held && !self.soc.is_browned_out() {
+                self.start()?;
+            }
             let sample = self.sampler.as_ref().map_or(Time::NEVER, |sampler| sampler.next);
             self.soc.run_to(end.min(self.logged + LOG_PERIOD).min(sample));
             let asleep = self.asleep;
@@ -223,7 +232,11 @@ impl Chip {
             feeds: *self.soc.iwdg.feeds(),
         };
         self.resets.push(record);
-        self.soc.reset(cause);
+        match cause {
+            // A brown-out: memories but flash are lost.
+            ResetCause::PowerOn => self.soc.power_on(),
+            _ => self.soc.reset(cause),
+        }
         self.start()
     }
 

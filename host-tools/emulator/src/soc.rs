@@ -231,6 +231,10 @@ pub struct Soc {
     reset: Option<ResetCause>,
     /// Level of the gate drivers' output.
     gate_fault: bool,
+    /// The wire from the gate drivers is open.
+    is_break_wire_open: bool,
+    /// The trigger of the motor's timer reaches the converter.
+    has_motor_trigger: bool,
     /// Alternate functions of the six bridge pins, the break, the serial line, CAN, and both SPI devices.
     functions: Functions,
 }
@@ -342,6 +346,8 @@ impl Soc {
             modified: None,
             reset: None,
             gate_fault: false,
+            is_break_wire_open: false,
+            has_motor_trigger: true,
             functions,
             options,
         };
@@ -362,7 +368,7 @@ impl Soc {
         self.reset = None;
         self.rcc.reset(self.now, cause);
         self.system.reset();
-        self.pwr = Pwr::new();
+        self.pwr.reset();
         self.syscfg = Syscfg::default();
         self.dbgmcu = Dbgmcu::default();
         self.exti = Exti::new();
@@ -387,6 +393,7 @@ impl Soc {
         self.connect_board();
         self.update_clocks();
         self.update_connections();
+        self.update_supply_break();
         self.plan();
     }
 
@@ -397,8 +404,13 @@ impl Soc {
                 self.gpio[pin.port].drive_externally(pin.number, Some(true));
             }
         }
+        self.connect_gate_drivers();
+    }
+
+    fn connect_gate_drivers(&mut self) {
         let pin = self.options.wiring.gate_fault;
-        self.gpio[pin.port].drive_externally(pin.number, Some(!self.gate_fault));
+        let level = (!self.is_break_wire_open).then_some(!self.gate_fault);
+        self.gpio[pin.port].drive_externally(pin.number, level);
     }
 
     /// Whether the chip starts from flash, by BOOT0 at this moment.
@@ -453,10 +465,55 @@ impl Soc {
     /// The gate drivers report a fault, or no more: their output is low where they do.
     pub fn set_gate_fault(&mut self, is_active: bool) {
         self.gate_fault = is_active;
-        let pin = self.options.wiring.gate_fault;
-        self.gpio[pin.port].drive_externally(pin.number, Some(!is_active));
+        self.connect_gate_drivers();
         self.update_connections();
         self.plan();
+    }
+
+    /// The wire between gate drivers and break input opens, or is connected again: the level of an open one is that of the
+    /// chip's own pull resistor, low without any.
+    pub fn set_break_wire_open(&mut self, is_open: bool) {
+        self.is_break_wire_open = is_open;
+        self.connect_gate_drivers();
+        self.update_connections();
+        self.plan();
+    }
+
+    /// The trigger of the motor's timer no longer reaches the converter, or does again: the pulses continue, and no conversion
+    /// begins.
+    pub fn set_motor_trigger(&mut self, reaches_converter: bool) {
+        self.has_motor_trigger = reaches_converter;
+    }
+
+    /// Duties of the motor's half bridges in use, as shares of the period; none where all switches are off.
+    pub fn motor_duties(&self) -> Option<[f64; 3]> {
+        self.tim1.duties()
+    }
+
+    /// Changes the supply (VDD), 3300 millivolts at first: below the threshold of its detector, and below the brown-out level
+    /// of the option bytes, where the chip is held in reset (6.2).
+    pub fn set_supply(&mut self, millivolts: u32) {
+        self.pwr.set_supply(millivolts);
+        self.update_supply_break();
+        if self.is_browned_out() {
+            self.request_reset(ResetCause::PowerOn);
+        }
+        self.plan();
+    }
+
+    /// The supply is too low for the chip.
+    pub(crate) fn is_browned_out(&self) -> bool {
+        self.pwr.supply_mv() < self.flash.brown_out_mv()
+    }
+
+    fn update_supply_break(&mut self) {
+        let is_low = self.pwr.is_supply_low() && self.syscfg.breaks_on(BreakSource::Supply);
+        self.tim1.set_supply_break(is_low, self.now);
+    }
+
+    /// Programs the option bytes (OPTR) as a debugger does; the chip loads them at its next start.
+    pub fn set_option_bytes(&mut self, options: u32) {
+        self.flash.set_options(options);
     }
 
     /// The crystal stops.
@@ -615,7 +672,7 @@ impl Soc {
     fn advance_motor(&mut self) {
         let (duties, half) = (self.tim1.duties(), self.tim1.half_period());
         match self.tim1.advance(self.now) {
-            Some(Moment::Trigger) if self.tim1.triggers_converter() => {
+            Some(Moment::Trigger) if self.has_motor_trigger && self.tim1.triggers_converter() => {
                 let adc_base = base_of(&self.entries, Block::Adc12);
                 self.adc.trigger(context!(self, adc_base));
             }
@@ -936,7 +993,10 @@ impl Soc {
                     self.rcc.start_lsi(self.now);
                 }
             }
-            Block::Pwr => self.pwr.write(offset, value, context),
+            Block::Pwr => {
+                self.pwr.write(offset, value, context);
+                self.update_supply_break();
+            }
             Block::Rcc => self.store_rcc(offset, value, entry.base),
             Block::Rng => self.rng.write(offset, value, context),
             Block::Spi(number) => {
@@ -948,7 +1008,10 @@ impl Soc {
                 let cycles = |count| bus.cycles(count);
                 self.spi[number].write(offset, value, width, pins, cycles, context);
             }
-            Block::Syscfg => self.syscfg.write(offset, value, context),
+            Block::Syscfg => {
+                self.syscfg.write(offset, value, context);
+                self.update_supply_break();
+            }
             Block::Tim1 => {
                 let has_pins = has(&functions.bridges);
                 self.tim1.write(offset, value, has_pins, context);
@@ -1006,7 +1069,7 @@ impl Soc {
             Block::Tim1 => self.tim1.reset(self.now),
             Block::Tim5 => self.tim5 = Timer::new(),
             Block::Usart => self.usart = Usart::new(),
-            Block::Pwr => self.pwr = Pwr::new(),
+            Block::Pwr => self.pwr.reset(),
             Block::DmaMux
             | Block::Exti
             | Block::FdcanRam
@@ -1017,6 +1080,7 @@ impl Soc {
         self.refresh(block);
         self.update_clocks();
         self.update_connections();
+        self.update_supply_break();
     }
 
     fn update_clocks(&mut self) {

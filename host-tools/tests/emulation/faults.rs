@@ -18,7 +18,7 @@ use sim::faults::run::FaultCase;
 use crate::motion::{Cell, cell, homed, move_to};
 
 /// Newtons to the millimetre of what is held.
-const CONTACT: f64 = 333.0;
+pub const CONTACT: f64 = 333.0;
 /// What the emulator's reading of the log, and the image's own time, add to the time within which a fault is found.
 const REPORT_MS: f64 = 1.5;
 /// Milliseconds after a fault.
@@ -54,7 +54,7 @@ pub fn trials() -> Vec<Trial> {
 }
 
 /// A gripper that holds an object of 40 mm.
-fn holding() -> Result<Cell, Failed> {
+pub fn holding() -> Result<Cell, Failed> {
     let mut cell = homed()?;
     move_to(&mut cell, 42.0);
     let thing = contact_object(cell.gripper.borrow().rig.plant.parameters(), 40.0, CONTACT);
@@ -68,7 +68,7 @@ fn holding() -> Result<Cell, Failed> {
 }
 
 /// When a fault came, in milliseconds since the board was switched on.
-fn came(cell: &mut Cell, fault: Fault) -> Option<(f64, FaultEvent)> {
+pub fn came(cell: &mut Cell, fault: Fault) -> Option<(f64, FaultEvent)> {
     let events = cell.board.take_dated_events().into_iter();
     events.into_iter().find_map(|(time, event)| match event {
         Event::Fault(event) if event.code == fault as u16 && event.active != 0 => {
@@ -170,7 +170,7 @@ fn crashes(kind: CrashKind, cause: ResetCause, crash: fn(&mut Cell)) -> Result<(
 }
 
 /// Goes on in thread mode.
-fn go_to(cell: &mut Cell, address: u32) {
+pub fn go_to(cell: &mut Cell, address: u32) {
     while cell.board.chip.core().current_exception() != 0 {
         let next = cell.board.chip.now() + Time::from_us(1);
         cell.board.chip.run_until(next).expect("the chip runs");

@@ -20,7 +20,9 @@ mod replay;
 #[path = "../scenarios/rig.rs"]
 mod rig;
 mod scenarios;
+mod stops;
 mod storage;
+mod supervision;
 mod uploads;
 #[path = "../workdir/mod.rs"]
 mod workdir;
@@ -59,6 +61,8 @@ fn main() -> ExitCode {
     trials.extend(covariates::trials());
     trials.extend(calibration::trials(effort));
     trials.extend(faults::trials());
+    trials.extend(supervision::trials());
+    trials.extend(stops::trials());
     trials.extend(storage::trials());
     trials.extend(uploads::trials(effort));
     let trials =

@@ -141,7 +141,8 @@ fn boost() {
 }
 
 /// Connects lock-up of the core, parity error of SRAM, supply below 2.8 V and a flash word with two wrong bits to the break of
-/// the motor timer, which switches the outputs off without software. The connections stay until a reset.
+/// the motor timer, which switches the outputs off without software. The connections stay until a reset. Parity is not checked
+/// by a chip as shipped (option SRAM_PE = 1), and must not be: memory that survives a reset is read before it is written.
 fn break_on_chip_faults() {
     const LEVEL_2_8_V: u8 = 5;
     pac::PWR.cr2().modify(|w| {
@@ -157,9 +158,16 @@ fn break_on_chip_faults() {
 }
 
 /// The code where the option bytes are unsuitable: 1, the flash has a single bank, so that the image would stand still while
-/// a page is written.
+/// a page is written; 2, each start goes through the boot loader, which may choose the second bank, where settings are stored.
+/// The brown-out level may be as shipped, 1.7 V, as the outputs are off below 2.8 V; nSWBOOT0 and nBOOT0 as well, as this
+/// board does not use PB8.
 fn option_byte_defect() -> Option<u32> {
-    (!pac::FLASH.optr().read().dbank()).then_some(1)
+    let options = pac::FLASH.optr().read();
+    match (options.dbank(), options.bfb2()) {
+        (false, _) => Some(1),
+        (true, true) => Some(2),
+        (true, false) => None,
+    }
 }
 
 /// Crystal 24 MHz / 6 * 80 = 320 MHz: 160 MHz for the core, 80 MHz for CAN.

@@ -132,6 +132,13 @@ impl Flash {
         self.options = options;
     }
 
+    /// Supply in millivolts below which the chip is held in reset, by BOR_LEV (3.7.8); falling, without the hysteresis.
+    pub(crate) fn brown_out_mv(&self) -> u32 {
+        const LEVELS_MV: [u32; 5] = [1700, 2000, 2200, 2500, 2800];
+        let level = usize::from(Optr(self.options).bor_lev());
+        LEVELS_MV.get(level).copied().unwrap_or(2800)
+    }
+
     /// Whether the chip starts from this memory: BOOT0 is the pin PB8 or nBOOT0, by nSWBOOT0 (2.6.1). Where it is high,
     /// nBOOT1 = 1 selects the boot loader and 0 SRAM.
     pub(crate) fn boots(&self, boot0_pin: bool) -> bool {

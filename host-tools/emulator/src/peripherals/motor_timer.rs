@@ -55,6 +55,8 @@ pub struct MotorTimer {
     is_locked: bool,
     /// Levels at the break inputs; an input whose pin is not connected is low.
     break_inputs: [bool; 2],
+    /// Level of the supply's detector, where it is connected to the break.
+    is_supply_low: bool,
     /// When the outputs were switched on (true) or off.
     pub switched: Vec<(Time, bool)>,
 }
@@ -71,6 +73,7 @@ impl MotorTimer {
             next: None,
             is_locked: false,
             break_inputs: [false; 2],
+            is_supply_low: false,
             switched: Vec::new(),
         };
         *timer.word_mut(ARR) = 0xFFFF;
@@ -184,10 +187,18 @@ impl MotorTimer {
         self.check_breaks(now);
     }
 
-    /// An internal source of the break; the clock security system always is one.
+    /// An internal source of the break; the clock security system always is one. BKE enables all of them (28.6.20).
     pub(crate) fn system_break(&mut self, _: Option<BreakSource>, now: Time) {
-        *self.word_mut(SR) |= SYSTEM_BREAK;
-        self.switch_off(now);
+        if self.bdtr().bke(0) {
+            *self.word_mut(SR) |= SYSTEM_BREAK;
+            self.switch_off(now);
+        }
+    }
+
+    /// The supply's detector, connected to the break: as long as it is active the outputs cannot be switched on.
+    pub(crate) fn set_supply_break(&mut self, is_low: bool, now: Time) {
+        self.is_supply_low = is_low;
+        self.check_breaks(now);
     }
 
     fn switch_off(&mut self, now: Time) {
@@ -221,6 +232,9 @@ impl MotorTimer {
         }
         if broken.contains(&true) && self.bdtr().moe() {
             self.switch_off(now);
+        }
+        if self.is_supply_low {
+            self.system_break(Some(BreakSource::Supply), now);
         }
     }
 

@@ -13,7 +13,7 @@ registers! { "SYSCFG":
 pub enum BreakSource {
     /// The core has locked up.
     LockUp = 0,
-    /// A parity error in SRAM.
+    /// A parity error in SRAM: none occurs here, as chips are shipped with its check off (option SRAM_PE = 1).
     Parity = 1,
     /// The supply is below the detector's threshold.
     Supply = 2,

@@ -35,6 +35,8 @@ const FINGERTIP_PERIODS: u64 = 5;
 pub struct SensingErrors {
     /// Modifies each frame of the rotor sensor.
     pub frame: Option<Box<dyn FnMut(u16) -> u16>>,
+    /// Modifies each command to the rotor sensor; of an emulated chip only.
+    pub command: Option<Box<dyn FnMut(u16) -> u16>>,
     /// Modifies the ADC counts: phases U, V, W, bus.
     pub counts: Option<CountsTransform>,
     /// The rotor is locked.
@@ -212,12 +214,6 @@ impl SimulatedGripper {
         self.errors.convert(self.rig.plant.convert())
     }
 
-    /// Answer of the rotor sensor.
-    pub fn answer(&mut self) -> u16 {
-        let answer = as5047::answer(self.rig.plant.angle());
-        self.errors.frame.as_mut().map_or(answer, |frame| frame(answer))
-    }
-
     /// Records when the motor detected a fault, to a PWM period.
     fn record_detections(&mut self) {
         let telling = self.rig.motor.status();
@@ -291,24 +287,65 @@ impl Drivetrain for PowerStagePins {
     }
 }
 
-/// Its rotor sensor, an AS5047P: each frame returns the answer to the previous one.
+/// Its rotor sensor, an AS5047P (datasheet, tables 12 to 22): each frame returns the answer to the previous one. After an
+/// invalid command every answer has the error flag, until the error register is read.
 pub struct RotorSensor {
     gripper: SharedGripper,
     command: u16,
     answer: u16,
+    /// Bits of the error register, ERRFL.
+    errors: u16,
 }
+
+/// Bits of ERRFL: a register that does not exist, wrong parity of a command.
+const INVALID_COMMAND: u16 = 1 << 1;
+const PARITY_ERROR: u16 = 1 << 2;
+/// Of a command: read, and its address. Of an answer: error flag. Of both: even parity.
+const READ: u16 = 1 << 14;
+const ADDRESS: u16 = 0x3FFF;
+const ERROR_FLAG: u16 = 1 << 14;
+const PARITY: u16 = 1 << 15;
+/// Registers NOP, ERRFL, ANGLECOM; the sensor has more.
+const NO_OPERATION: u16 = 0x0000;
+const ERROR_REGISTER: u16 = 0x0001;
+const ANGLE_REGISTER: u16 = 0x3FFF;
 
 impl RotorSensor {
     /// Before the first frame.
     pub fn new(gripper: SharedGripper) -> Self {
-        Self { gripper, command: 0, answer: 0 }
+        Self { gripper, command: 0, answer: 0, errors: 0 }
+    }
+
+    /// Executes a command; returns the answer of the next frame.
+    fn execute(&mut self, command: u16) -> u16 {
+        let gripper = &mut *self.gripper.borrow_mut();
+        let command = gripper.errors.command.as_mut().map_or(command, |change| change(command));
+        if command.count_ones() % 2 == 1 {
+            self.errors |= PARITY_ERROR;
+        } else if command & READ == 0 && command != NO_OPERATION {
+            self.errors |= INVALID_COMMAND;
+        }
+        let flag = if self.errors == 0 { 0 } else { ERROR_FLAG };
+        let data = match command & ADDRESS {
+            ANGLE_REGISTER => gripper.rig.plant.angle(),
+            // Reading it clears it.
+            ERROR_REGISTER => std::mem::take(&mut self.errors),
+            NO_OPERATION => 0,
+            _ => {
+                self.errors |= INVALID_COMMAND;
+                0
+            }
+        };
+        let word = data & as5047::DATA | flag;
+        let answer = if word.count_ones() % 2 == 1 { word | PARITY } else { word };
+        gripper.errors.frame.as_mut().map_or(answer, |frame| frame(answer))
     }
 }
 
 impl SpiDevice for RotorSensor {
     fn select(&mut self, _: Time, is_selected: bool) {
-        if !is_selected && self.command == as5047::READ_ANGLE {
-            self.answer = self.gripper.borrow_mut().answer();
+        if !is_selected {
+            self.answer = self.execute(self.command);
         }
     }
 
