@@ -142,6 +142,10 @@ pub struct GripLimits {
     pub stroke_mm: f32,
     /// Closing moves: force in newtons, or its rise since the fingers were last unloaded, that ends them.
     pub move_n: f32,
+    /// Moves without believed forces: maximum speed in mm/s.
+    pub uncalibrated_mm_s: f32,
+    /// Moves without believed forces: maximum current in amperes, which presses with 22 to 40 N.
+    pub uncalibrated_a: f32,
     /// Opening moves: outward force in newtons that ends them.
     pub outward_n: f32,
     /// Opening without a valid force: maximum speed in mm/s.
@@ -241,6 +245,8 @@ impl GripLimits {
         end_stop_ms: 50,
         stroke_mm: 1.0,
         move_n: 20.0,
+        uncalibrated_mm_s: 40.0,
+        uncalibrated_a: 0.6,
         outward_n: 15.0,
         blind_mm_s: 10.0,
         blind_a: 4.0,

@@ -34,7 +34,10 @@ pub mod mode {
 
 /// Flags of a [`Command`].
 pub mod flag {
-    /// Two bits: a [`super::GripProfile`].
+    /// MOVE: the forces are not believed, as before a calibration. Slower, with little current, until the current finds an
+    /// obstacle.
+    pub const UNCALIBRATED: u8 = 0b0000_0001;
+    /// GRIP, two bits: a [`super::GripProfile`].
     pub const PROFILE: u8 = 0b0000_0011;
     /// Three bits: 0 accepts any width; n a window of 2^(n-1) mm on either side of the expected width.
     pub const WINDOW: u8 = 0b0001_1100;
@@ -87,6 +90,8 @@ pub struct MoveTarget {
     pub opening_mm: f32,
     /// Maximum speed in mm/s.
     pub speed_mm_s: f32,
+    /// See [`flag::UNCALIBRATED`].
+    pub is_uncalibrated: bool,
 }
 
 /// A decoded command.
@@ -141,7 +146,9 @@ fn move_target(command: &Command) -> Result<MoveTarget, RefusalReason> {
     let opening_mm = f32::from(command.position) / per_mm;
     let speed_mm_s = f32::from(command.speed) / per_mm_s;
     let is_in_range = opening_mm <= constants::STROKE.value as f32 && command.speed > 0;
-    is_in_range.then_some(MoveTarget { opening_mm, speed_mm_s }).ok_or(RefusalReason::OutOfRange)
+    let is_uncalibrated = command.mode == mode::MOVE && command.flags & flag::UNCALIBRATED != 0;
+    let target = MoveTarget { opening_mm, speed_mm_s, is_uncalibrated };
+    is_in_range.then_some(target).ok_or(RefusalReason::OutOfRange)
 }
 
 fn grasp_target(command: &Command, limits: &GripLimits) -> Result<GraspTarget, RefusalReason> {

@@ -170,7 +170,7 @@ impl GripController {
                 window: None,
                 is_fast: false,
             },
-            move_target: MoveTarget { opening_mm: 0.0, speed_mm_s: 0.0 },
+            move_target: MoveTarget { opening_mm: 0.0, speed_mm_s: 0.0, is_uncalibrated: false },
             is_opening: false,
             was_touching: false,
             setpoint_n: 0.0,

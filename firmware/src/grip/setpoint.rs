@@ -7,7 +7,7 @@ use crate::grip::hold_current::MARGIN;
 use crate::grip::homing::HomingStep;
 use crate::grip::states::{PowerState, TaskState};
 use crate::grip::{GripController, force_controller};
-use crate::math::within;
+use crate::math::{lesser, within};
 use crate::motor::settings::PEAK_A;
 use crate::motor::{MotorStatus, Setpoint};
 
@@ -56,11 +56,7 @@ impl GripController {
                 HomingStep::Drive(setpoint) => setpoint,
                 _ => STOP,
             },
-            TaskState::Moving => Setpoint::Position {
-                opening_mm: self.move_target.opening_mm,
-                speed_mm_s: self.move_target.speed_mm_s,
-                max_a: PEAK_A,
-            },
+            TaskState::Moving => self.move_to_target(),
             TaskState::Releasing => self.release(motor),
             TaskState::Approach => self.approach(motor),
             TaskState::Force => self.press(self.setpoint_n, self.stiffness.value().max(SOFTEST)),
@@ -78,9 +74,21 @@ impl GripController {
         }
     }
 
+    /// Moves; where the forces are not believed, the current limits them.
+    fn move_to_target(&self) -> Setpoint {
+        let MoveTarget { opening_mm, speed_mm_s, is_uncalibrated } = self.move_target;
+        if is_uncalibrated {
+            let speed_mm_s = lesser(speed_mm_s, self.limits.uncalibrated_mm_s);
+            let max_a = self.limits.uncalibrated_a;
+            Setpoint::Position { opening_mm, speed_mm_s, max_a }
+        } else {
+            Setpoint::Position { opening_mm, speed_mm_s, max_a: PEAK_A }
+        }
+    }
+
     /// Opens; without valid forces slowly and with a limited current, with an unknown opening until an end.
     fn release(&self, motor: &MotorStatus) -> Setpoint {
-        let MoveTarget { opening_mm, speed_mm_s } = self.move_target;
+        let MoveTarget { opening_mm, speed_mm_s, .. } = self.move_target;
         let (speed_mm_s, max_a) = if self.opens_blind() || motor.opening_mm.is_none() {
             (speed_mm_s.min(self.limits.blind_mm_s), self.limits.blind_a)
         } else {

@@ -1,5 +1,6 @@
 //! Task layer: execution of commands, and the events of each state.
 
+use crate::config::limits::GripLimits;
 use crate::fixed_point::Force;
 use crate::grip::commands::{GripCommand, MoveTarget, RefusalReason, flag};
 use crate::grip::debounce::next_ms;
@@ -23,6 +24,8 @@ const LOOK_AHEAD_S: f32 = 0.004;
 /// A self-locking screw holds alone at the latest after this multiple of [`crate::config::limits::GripLimits::lock_ms`], whatever
 /// the force error.
 const LATEST: u32 = 5;
+/// Share of its current limit with which a move without believed forces is stalled.
+const STALL_SHARE: f32 = 0.9;
 /// Millimetres before the window at which a fast approach slows down.
 const SLOW_DOWN_MM: f32 = 2.0;
 
@@ -344,14 +347,18 @@ impl GripController {
         inputs: &ControlInputs,
         outputs: &mut ControlOutputs,
     ) -> Option<TaskEvent> {
-        let reached_mm = self.limits.reached_mm;
-        let target_mm = self.move_target.opening_mm;
-        let is_near = |mm: f32| (mm - target_mm).abs() <= reached_mm;
-        if inputs.motor.opening_mm.is_some_and(is_near) && self.is_at_rest() {
+        if self.has_arrived(&inputs.motor) {
             return Some(TaskEvent::Reached);
         }
         self.check_stall(inputs, outputs);
         None
+    }
+
+    fn has_arrived(&self, motor: &MotorStatus) -> bool {
+        let reached_mm = self.limits.reached_mm;
+        let target_mm = self.move_target.opening_mm;
+        let is_near = |mm: f32| (mm - target_mm).abs() <= reached_mm;
+        motor.opening_mm.is_some_and(is_near) && self.is_at_rest()
     }
 
     fn moving_event(
@@ -359,6 +366,9 @@ impl GripController {
         inputs: &ControlInputs,
         outputs: &mut ControlOutputs,
     ) -> Option<TaskEvent> {
+        if self.move_target.is_uncalibrated {
+            return self.uncalibrated_event(&inputs.motor);
+        }
         if self.is_opening {
             if self.presses_outward() {
                 return Some(TaskEvent::Contact);
@@ -367,6 +377,17 @@ impl GripController {
             return Some(TaskEvent::Contact);
         }
         self.arrival_event(inputs, outputs)
+    }
+
+    /// Arrival of a move without believed forces, or an obstacle: the current is at its limit, and nothing moves.
+    fn uncalibrated_event(&mut self, motor: &MotorStatus) -> Option<TaskEvent> {
+        let limits =
+            GripLimits { stall_a: STALL_SHARE * self.limits.uncalibrated_a, ..self.limits };
+        if self.has_arrived(motor) {
+            Some(TaskEvent::Reached)
+        } else {
+            self.stall.update(motor, 0.0, &limits).then_some(TaskEvent::Contact)
+        }
     }
 
     /// Whether a contact began after the state was entered: an offset of the sensors is none.

@@ -1,7 +1,8 @@
 //! Reactions that protect a person: opening under faults, bounded forces, latched stops.
 
+use crate::config::limits::GripLimits;
 use crate::estimator::{Estimate, Validity};
-use crate::grip::commands::{RefusalReason, mode};
+use crate::grip::commands::{RefusalReason, flag, mode};
 use crate::grip::fault_reactions::{REACTION_TABLE, Reaction};
 use crate::grip::states::{GripPhase, PowerState, TaskState};
 use crate::grip::tests::rig::GripRig;
@@ -336,4 +337,41 @@ fn approach_with_an_offset_does_not_mistake_it_for_the_object() {
     rig.send(mode::GRIP, |command| command.force = 500);
     rig.run_until(TaskState::GripFailed);
     assert!(rig.force_n() < 25.0, "{}", rig.force_n());
+}
+
+#[test]
+fn enable_after_a_stop_does_not_continue_a_move() {
+    let mut rig = GripRig::enabled(true);
+    rig.send(mode::MOVE, close);
+    rig.run(50);
+    rig.stop = true;
+    rig.tick();
+    rig.stop = false;
+    rig.run(300);
+    rig.clear = true;
+    rig.tick();
+    rig.clear = false;
+    let from_mm = rig.true_mm;
+    rig.send(mode::ENABLE, |_| {});
+    assert_eq!(rig.grip.task(), TaskState::Idle);
+    rig.run(1000);
+    assert!((rig.true_mm - from_mm).abs() < 0.05, "{from_mm} {}", rig.true_mm);
+}
+
+#[test]
+fn move_without_believed_forces_has_little_current_and_no_force_limit() {
+    let mut rig = GripRig::enabled(true);
+    // As the field of a neighbouring magnet without its compensation.
+    rig.object = Some((49.0, 1.0));
+    rig.send(mode::MOVE, |command| {
+        close(command);
+        command.flags = flag::UNCALIBRATED;
+    });
+    let Setpoint::Position { speed_mm_s, max_a, .. } = rig.setpoint() else {
+        panic!("{:?}", rig.setpoint());
+    };
+    assert_eq!((speed_mm_s, max_a), (20.0, GripLimits::GRIPPER.uncalibrated_a));
+    rig.run(1500);
+    assert!(rig.force_n() > 25.0, "{}", rig.force_n());
+    assert_eq!(rig.grip.task(), TaskState::Moving);
 }

@@ -382,7 +382,7 @@ impl EmulatedBench {
                 self.order(mode::MOVE);
                 self.task = HostTask::Moving;
             }
-            // A contact that an effect simulates stops the motion: it is commanded again.
+            // A motion that did not begin is commanded again.
             HostTask::Moving
                 if self.cell.time_us() > self.ordered_us + RETRY_US
                     && self.cell.is_in(TaskState::Idle)
@@ -402,11 +402,13 @@ impl EmulatedBench {
     fn order(&mut self, mode: u8) {
         self.toggled = !self.toggled;
         self.ordered_us = self.cell.time_us();
+        // Until the calibration, effects look like contacts.
+        let uncalibrated = if mode == mode::MOVE { flag::UNCALIBRATED } else { 0 };
         self.cell.host.order(Command {
             mode,
             position: (20.0 * self.target.0) as u16,
             speed: 230,
-            flags: if self.toggled { flag::AGAIN } else { 0 },
+            flags: uncalibrated | if self.toggled { flag::AGAIN } else { 0 },
             ..Command::default()
         });
     }

@@ -35,6 +35,8 @@ pub enum ObstructedMotion {
     Move,
     /// Moves that begin in contact, eight times.
     RepeatedMove,
+    /// A move whose host does not believe the forces, eight times.
+    UncalibratedMove,
     /// Homing closes on a hand, twice.
     Home,
     /// Homing opens inside of something soft.
@@ -51,9 +53,10 @@ pub enum ObstructedMotion {
 
 impl ObstructedMotion {
     /// All motions.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Move,
         Self::RepeatedMove,
+        Self::UncalibratedMove,
         Self::Home,
         Self::HomeInside,
         Self::Release,
@@ -67,6 +70,7 @@ impl ObstructedMotion {
         match self {
             Self::Move => "MOVE closes on a hand",
             Self::RepeatedMove => "MOVE begins on a hand, 8 times",
+            Self::UncalibratedMove => "MOVE without believed forces closes on a hand, 8 times",
             Self::Home => "HOME closes on a hand, twice",
             Self::HomeInside => "HOME opens inside of a soft ring",
             Self::Release => "RELEASE inside of a soft ring, 4 times",
@@ -81,6 +85,7 @@ impl ObstructedMotion {
         match self {
             Self::Move => |setup| (setup.grasp.contact_n, setup.grasp.move_n) = (1e6, 1e6),
             Self::RepeatedMove | Self::CalibrateMotor => |setup| setup.grasp.move_n = 1e6,
+            Self::UncalibratedMove => |setup| setup.grasp.uncalibrated_a = 9.6,
             Self::Home => |setup| setup.grasp.home_n = 1e6,
             Self::HomeInside | Self::Release => |setup| setup.grasp.outward_n = 1e6,
             Self::ReleaseWithoutSensors => |setup| setup.grasp.blind_rise_a = 1e6,
@@ -190,7 +195,9 @@ impl ContactCase {
         let closing_s = self.distance_mm / 5.0;
         match self.motion {
             ObstructedMotion::Move => self.repeat(cell, mode::MOVE, 1, self.reach_s()),
-            ObstructedMotion::RepeatedMove => self.repeat(cell, mode::MOVE, 8, self.reach_s()),
+            ObstructedMotion::RepeatedMove | ObstructedMotion::UncalibratedMove => {
+                self.repeat(cell, mode::MOVE, 8, self.reach_s());
+            }
             ObstructedMotion::Home => self.repeat(cell, mode::HOME, 2, closing_s + 1.0),
             ObstructedMotion::HomeInside => self.repeat(cell, mode::HOME, 1, 4.0),
             ObstructedMotion::Release => self.repeat(cell, mode::RELEASE, 4, self.reach_s()),
@@ -215,7 +222,9 @@ impl ContactCase {
     fn repeat(&self, cell: &mut ClosedLoop, mode: u8, times: u8, first_s: f64) {
         let target_mm = if self.motion.opens() { 75.0 } else { 2.0 };
         for round in 0..times {
-            let flags = if round % 2 == 0 { 0 } else { flag::AGAIN };
+            let again = if round % 2 == 0 { 0 } else { flag::AGAIN };
+            let is_uncalibrated = self.motion == ObstructedMotion::UncalibratedMove;
+            let flags = again | if is_uncalibrated { flag::UNCALIBRATED } else { 0 };
             let command = match mode {
                 mode::HOME => Command { mode, ..Command::default() },
                 mode => motion(mode, target_mm, self.speed_mm_s),
