@@ -245,7 +245,7 @@ impl GripLimits {
         end_stop_ms: 50,
         stroke_mm: 1.0,
         move_n: 20.0,
-        uncalibrated_mm_s: 40.0,
+        uncalibrated_mm_s: 30.0,
         uncalibrated_a: 0.6,
         outward_n: 15.0,
         blind_mm_s: 10.0,

@@ -20,6 +20,8 @@ const HOLD_MM_S: f32 = 5.0;
 /// The holding current decreases, and a self-locking screw may hold alone, while the mean force error is below this
 /// multiple of the deadband.
 pub(super) const RELAX_BAND: f32 = 1.5;
+/// Distance from an end of the stroke in millimetres within which the screw may be jammed.
+const END_MM: f32 = 1.0;
 /// Stop at zero speed.
 const STOP: Setpoint = Setpoint::Speed { closing_mm_s: 0.0, max_a: PEAK_A };
 
@@ -56,7 +58,7 @@ impl GripController {
                 HomingStep::Drive(setpoint) => setpoint,
                 _ => STOP,
             },
-            TaskState::Moving => self.move_to_target(),
+            TaskState::Moving => self.move_to_target(motor),
             TaskState::Releasing => self.release(motor),
             TaskState::Approach => self.approach(motor),
             TaskState::Force => self.press(self.setpoint_n, self.stiffness.value().max(SOFTEST)),
@@ -75,14 +77,24 @@ impl GripController {
     }
 
     /// Moves; where the forces are not believed, the current limits them.
-    fn move_to_target(&self) -> Setpoint {
+    fn move_to_target(&self, motor: &MotorStatus) -> Setpoint {
         let MoveTarget { opening_mm, speed_mm_s, is_uncalibrated } = self.move_target;
-        if is_uncalibrated {
-            let speed_mm_s = lesser(speed_mm_s, self.limits.uncalibrated_mm_s);
-            let max_a = self.limits.uncalibrated_a;
-            Setpoint::Position { opening_mm, speed_mm_s, max_a }
-        } else {
-            Setpoint::Position { opening_mm, speed_mm_s, max_a: PEAK_A }
+        let (max_mm_s, max_a) =
+            if is_uncalibrated { self.uncalibrated_limits(motor) } else { (speed_mm_s, PEAK_A) };
+        Setpoint::Position { opening_mm, speed_mm_s: lesser(speed_mm_s, max_mm_s), max_a }
+    }
+
+    /// Speed in mm/s and current in amperes of a move without believed forces. At an end of the stroke the screw may be
+    /// jammed: slowly, it has the current that loosens it.
+    pub(super) fn uncalibrated_limits(&self, motor: &MotorStatus) -> (f32, f32) {
+        const STROKE_MM: f32 = constants::STROKE.value as f32;
+        let limits = &self.limits;
+        let ends_mm = END_MM..STROKE_MM - END_MM;
+        match motor.opening_mm {
+            Some(opening_mm) if !ends_mm.contains(&opening_mm) => {
+                (limits.home_mm_s, limits.blind_a)
+            }
+            _ => (limits.uncalibrated_mm_s, limits.uncalibrated_a),
         }
     }
 

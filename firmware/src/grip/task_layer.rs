@@ -381,8 +381,8 @@ impl GripController {
 
     /// Arrival of a move without believed forces, or an obstacle: the current is at its limit, and nothing moves.
     fn uncalibrated_event(&mut self, motor: &MotorStatus) -> Option<TaskEvent> {
-        let limits =
-            GripLimits { stall_a: STALL_SHARE * self.limits.uncalibrated_a, ..self.limits };
+        let (_, max_a) = self.uncalibrated_limits(motor);
+        let limits = GripLimits { stall_a: STALL_SHARE * max_a, ..self.limits };
         if self.has_arrived(motor) {
             Some(TaskEvent::Reached)
         } else {

@@ -6,6 +6,7 @@
 
 pub mod schema;
 
+use crate::config::constants::TICK_US;
 use crate::estimator::tare::{MAX_OFFSET, Tare};
 use crate::fixed_point::Force;
 use crate::motor;
@@ -121,6 +122,12 @@ impl Parameters {
     /// Rate of the force messages in Hz; 0: off.
     pub fn force_rate_hz(&self) -> u32 {
         self.value::<{ id::FORCE_RATE }>() as u32
+    }
+
+    /// Ticks between force messages; none where they are off.
+    pub fn force_period(&self) -> Option<u32> {
+        const TICKS_PER_SECOND: u32 = (1_000_000 / TICK_US) as u32;
+        TICKS_PER_SECOND.checked_div(self.force_rate_hz())
     }
 
     /// Whether raw readings are sent on the CAN bus.

@@ -12,7 +12,6 @@ use embassy_sync::blocking_mutex::raw::RawMutex;
 use embedded_io_async::Write;
 
 use crate::clock::{Clock, with_timeout_us};
-use crate::config::constants::TICK_US;
 use crate::parameters::Parameters;
 use crate::protocol::can::{CanError, CanFrame, CanSender};
 use crate::protocol::messages::{self, HallRaw, Heartbeat, Message, Power, Timing};
@@ -33,7 +32,6 @@ const RECOVERY_US: u64 = 3000;
 const HEARTBEAT_US: u64 = Heartbeat::LAYOUT.period_ms as u64 * 1000;
 /// Heartbeats for each [`Timing`] message.
 const HEARTBEATS_PER_TIMING: u16 = Timing::LAYOUT.period_ms / Heartbeat::LAYOUT.period_ms;
-const TICK_MS: u32 = (TICK_US / 1000) as u32;
 
 /// Transmits all messages; `log` receives every event.
 pub async fn transmit<S: CanSender, C: Clock, M: RawMutex>(
@@ -155,8 +153,7 @@ struct TxPort<'s, S, C, M: RawMutex> {
 impl<S: CanSender, C: Clock, M: RawMutex> TxPort<'_, S, C, M> {
     /// Sends forces and raw readings when they are due.
     async fn send_forces(&mut self, sample: &ForceSample, counters: &mut Counters) {
-        let rate_hz = self.shared.parameter(Parameters::force_rate_hz);
-        let period = 1000_u32.checked_div(rate_hz * TICK_MS);
+        let period = self.shared.parameter(Parameters::force_period);
         if !period.is_some_and(|period| sample.tick.is_multiple_of(period)) {
             return;
         }

@@ -42,7 +42,7 @@ const LOADED_S: [f64; 2] = [0.85, 1.1];
 /// Time in which the load falls at the end of a period, in seconds.
 const UNLOADING_S: f64 = 0.25;
 /// Rest before the first recording, in which the gripper is homed, and between recordings, in seconds.
-const HOMING_S: f64 = 11.0;
+const HOMING_S: f64 = 14.0;
 const BETWEEN_S: f64 = 0.5;
 /// Time until the tables have been checked after a boot, in seconds.
 const START_S: f64 = 0.4;
@@ -294,7 +294,12 @@ impl EmulatedBench {
             }
         }
         let [commanded, reached] = self.moves;
-        format!("{reached} of {commanded} motions, faults: {}", names.join(", "))
+        let opening_mm = 1e3 * self.cell.gripper.borrow().rig.plant.opening_m();
+        format!(
+            "state {}, opening {opening_mm:.2} mm, {reached} of {commanded} motions, faults: {}",
+            self.cell.state(),
+            names.join(", ")
+        )
     }
 
     /// Runs until a recording, counted from 0, begins.
