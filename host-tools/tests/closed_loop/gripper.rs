@@ -1,8 +1,6 @@
 //! The whole gripper in virtual time: Hall sensors, sensor buses, force estimation, grasp and motor, commanded over
 //! CAN. Motor constants are assumed; fingertips and tables are nominal.
 
-use std::sync::LazyLock;
-
 use firmware::config::constants::TICK_US;
 use firmware::grip::commands::mode;
 use firmware::grip::states::{PowerState, TaskState};
@@ -12,12 +10,11 @@ use firmware::protocol::messages::{Command, FaultEvent};
 use firmware::protocol::session::{op, status};
 use firmware::system::faults::Fault;
 use firmware::tasks::FIRST_TICK_US;
-use model_export::inverse::quantise::TableSet;
 use sim::closed_loop::grasp_rig::{contact_object, grip_command};
-use sim::closed_loop::{self, ClosedLoop, ClosedLoopSetup};
+use sim::closed_loop::{ClosedLoop, ClosedLoopSetup};
 use sim::drivetrain::parameters::Lead;
 
-static TABLES: LazyLock<TableSet> = LazyLock::new(|| closed_loop::nominal_tables().unwrap());
+use crate::nominal_tables;
 
 /// Force set-point in newtons.
 const SET_N: f64 = 100.0;
@@ -25,7 +22,7 @@ const SET_N: f64 = 100.0;
 /// Enabled at an opening of 42 mm around a rigid object of 40 mm.
 fn before_object(lead: Lead) -> ClosedLoop {
     let setup = ClosedLoopSetup::nominal(lead, 42.0, 1);
-    let mut cell = ClosedLoop::new(&setup, &TABLES);
+    let mut cell = ClosedLoop::new(&setup, nominal_tables());
     let object = contact_object(&setup.plant, 40.0, 333.0);
     cell.gripper.borrow_mut().rig.plant.set_object(Some(&object));
     assert!(cell.enable(), "{}", cell.state());
@@ -94,7 +91,7 @@ fn force_sample_reaches_the_motor_within_1_ms() {
 #[test]
 fn homing_over_can_finds_the_opening() {
     let setup = ClosedLoopSetup { is_homed: false, ..ClosedLoopSetup::nominal(Lead::A, 6.0, 1) };
-    let mut cell = ClosedLoop::new(&setup, &TABLES);
+    let mut cell = ClosedLoop::new(&setup, nominal_tables());
     assert!(cell.enable() && cell.is_in(TaskState::Unhomed));
     cell.host.order(Command { mode: mode::HOME, ..Command::default() });
     let took_s = cell.until(20.0, |cell| cell.is_in(TaskState::Idle));
@@ -153,7 +150,7 @@ fn service_reply(cell: &mut ClosedLoop, op: u8, argument: u32) -> Option<(u8, u3
 fn commissioning_identifies_motor_and_screw() {
     for lead in Lead::BOTH {
         let setup = ClosedLoopSetup::nominal(lead, 42.0, 1);
-        let cell = &mut ClosedLoop::new(&setup, &TABLES);
+        let cell = &mut ClosedLoop::new(&setup, nominal_tables());
         cell.run(0.05);
         assert_eq!(service_reply(cell, op::MEASURE, 0), Some((status::DONE, 0)));
         let found = cell.board.exchange.parameters().settings();

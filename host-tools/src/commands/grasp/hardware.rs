@@ -6,7 +6,7 @@ use std::sync::atomic::Ordering::Relaxed;
 
 use anyhow::{Error, Result, anyhow, bail};
 use firmware::config::constants;
-use firmware::grip::commands::mode;
+use firmware::grip::commands::{flag, mode};
 use firmware::grip::states::{PowerState, TASK_CODE, TaskState};
 use firmware::protocol::messages::Command;
 use firmware::protocol::opening_mm;
@@ -46,7 +46,7 @@ const SPEED_RANGE_MM_S: std::ops::RangeInclusive<f64> = 0.25..=58.0;
 /// The set-point of the command.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Request {
-    Position { opening_mm: f64, speed_mm_s: f64 },
+    Position { opening_mm: f64, speed_mm_s: f64, is_uncalibrated: bool },
     Force { set_n: f64 },
     Foot(FootContact),
 }
@@ -72,12 +72,15 @@ impl Request {
             let (min, max) = (SPEED_RANGE_MM_S.start(), SPEED_RANGE_MM_S.end());
             bail!("--speed {speed_mm_s} is not possible here; give {min} to {max} mm/s");
         }
-        Ok(Self::Position { opening_mm, speed_mm_s })
+        Ok(Self::Position { opening_mm, speed_mm_s, is_uncalibrated: args.uncalibrated })
     }
 
     fn command(&self) -> Command {
         match *self {
-            Self::Position { opening_mm, speed_mm_s } => motion(mode::MOVE, opening_mm, speed_mm_s),
+            Self::Position { opening_mm, speed_mm_s, is_uncalibrated } => Command {
+                flags: if is_uncalibrated { flag::UNCALIBRATED } else { 0 },
+                ..motion(mode::MOVE, opening_mm, speed_mm_s)
+            },
             Self::Force { set_n } => grip_command(set_n),
             Self::Foot(contact) => contact.command(),
         }
@@ -100,7 +103,9 @@ impl Request {
             (Self::Force { .. }, TaskState::NoObject) => Some("no object: the fingers met"),
             (Self::Force { .. }, TaskState::GripFailed) => Some("no stable grasp in time"),
             (Self::Force { .. }, TaskState::Lost) => Some("the object was lost"),
-            (_, TaskState::ContactStop) => Some("unexpected contact during the motion"),
+            (_, TaskState::ContactStop) => Some(
+                "unexpected contact during the motion; without a calibration, effects look like contacts: --uncalibrated",
+            ),
             (_, TaskState::TimeoutHold) => Some(
                 "command timeout (100 ms): the connection is too slow, or this machine is busy",
             ),

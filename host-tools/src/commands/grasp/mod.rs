@@ -36,6 +36,7 @@ Examples:
   cargo magpie grasp --foot 150 --lasts 10 -o landing.html
   cargo magpie grasp --foot 150 --contact line
   cargo magpie grasp --port /dev/ttyACM0 --home --position 40    # moves a real gripper
+  cargo magpie grasp --port /dev/ttyACM0 --position 20 --uncalibrated
   cargo magpie grasp --can can0 --force 80 --seconds 10
   cargo magpie grasp --can 127.0.0.1:29536 --home --force 80     # `magpie emulate`
 
@@ -55,6 +56,9 @@ pub struct Args {
     /// Clear latched faults first.
     #[arg(long, requires = "hardware")]
     clear_faults: bool,
+    /// The forces are not believed, as before a calibration: the move ends where the current, at most 0.6 A, finds an obstacle.
+    #[arg(long, requires_all = ["hardware", "position"])]
+    uncalibrated: bool,
     /// Hold time at the set-point [default: until Ctrl-C; 0 for a position].
     #[arg(long, value_name = "S", requires = "hardware", value_parser = parse_seconds)]
     seconds: Option<f64>,
