@@ -50,9 +50,9 @@ pub fn section(sentence: &str, result: &CampaignResult) -> Section {
         p.note { "Latency counts from the moment at which the fault is observable: for force sensors from the next tick \
             of sensing, at the CAN bus from the controller's leaving it, else from the moment in which it is done. Peak is the \
             greatest true force between the fingers after it. Simulated; motor constants are assumed." }
-        p { "Reviewed at register level only:" }
+        p { "Not simulated, needs hardware:" }
         (listed(&HARDWARE_ONLY))
-        p { "Not in these runs:" }
+        p { "Covered by other tests:" }
         (listed(&COVERED_BY_OTHER_TESTS))
     };
     Section { id: "faults", heading: "Faults".to_owned(), body }

@@ -92,11 +92,12 @@ pub fn format_report(result: &CampaignResult, report: Option<&Path>) -> String {
         table.add_row(requirement_cells(requirement));
     }
     page += &format!("{table}\n");
+    page +=
+        &terminal::paragraph(&format!("Not simulated, needs hardware: {}.", named(&HARDWARE_ONLY)));
     page += &terminal::paragraph(&format!(
-        "Reviewed at register level, not simulated: {}.",
-        named(&HARDWARE_ONLY)
+        "Covered by other tests: {}.",
+        named(&COVERED_BY_OTHER_TESTS)
     ));
-    page += &terminal::paragraph(&format!("Not covered: {}.", named(&COVERED_BY_OTHER_TESTS)));
     page += &terminal::paragraph(&format!(
         "Simulated; motor constants assumed. {} s.",
         numbers::decimal(result.seconds, 0)

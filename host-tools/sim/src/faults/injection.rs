@@ -18,18 +18,16 @@ use firmware::sensors::hall::a31301::FIELD_LIMITS;
 use firmware::system::faults::Fault;
 use std::f64::consts::PI;
 
-/// Faults that need hardware or the image; they are tested there and not counted here.
-pub const HARDWARE_ONLY: [(u8, &str); 5] = [
-    (1, "phase over-current, at the comparators"),
-    (2, "locked-up core, clock, memory parity, flash errors"),
-    (4, "the motor's interrupt late or gone"),
-    (5, "the force loop gone: watchdog"),
-    (6, "a clock that is wrong"),
-];
+/// Faults that need hardware; they are not counted here.
+pub const HARDWARE_ONLY: [(u8, &str); 2] =
+    [(1, "phase over-current, at the gate drivers"), (6, "a clock that is wrong")];
 
 /// Faults that are covered by other tests.
-pub const COVERED_BY_OTHER_TESTS: [(u8, &str); 7] = [
+pub const COVERED_BY_OTHER_TESTS: [(u8, &str); 10] = [
+    (2, "locked-up core, clock, supply, flash errors: host-tools/tests/emulation/supervision.rs"),
     (3, "panics: firmware/src/system/crash.rs"),
+    (4, "loops and trigger of the motor: host-tools/tests/emulation/supervision.rs"),
+    (5, "the grip task: host-tools/tests/emulation/supervision.rs"),
     (13, "the stroke: firmware/src/grip/tests/transitions.rs"),
     (22, "a diverging network: firmware/src/estimator/network_monitor.rs"),
     (23, "tables: firmware/src/tasks/scrub.rs"),
