@@ -417,7 +417,7 @@ fn check_names_what_a_recording_can_decide() {
         effects.iter().find(|effect| effect["effect"] == name).unwrap().clone()
     };
     // A constant load decides nothing.
-    let little = checked("--press 10,5 --seconds 2 -o little");
+    let little = checked("--press 10,5 --seconds 6 -o little");
     assert_eq!(effect(&little, "hysteresis")["decidable"], false);
     let reason = effect(&little, "hysteresis")["reason"].to_string();
     assert!(reason.contains("a constant load does not determine the response"), "{reason}");
