@@ -215,10 +215,14 @@ impl Recorder {
                 "no sensor gave a reading, so nothing is recorded: `magpie monitor` shows the faults"
             );
         }
-        // A column needs a value in every row.
+        // A column needs a value in every row: rows without it are omitted. One late message of a host must not omit the
+        // column instead.
+        let rows = self.waiting.len();
         let covariates: Vec<usize> = (0..COVARIATES.len())
             .filter(|&place| {
-                self.waiting.iter().all(|row| covariate_values(&row.covariates)[place].is_some())
+                let has_value =
+                    |row: &&SensorRow| covariate_values(&row.covariates)[place].is_some();
+                2 * self.waiting.iter().filter(has_value).count() > rows
             })
             .collect();
         let unwritable = || format!("{} cannot be written", self.target.display());

@@ -122,6 +122,22 @@ fn existing_folders_and_silent_sensors_are_errors() {
 }
 
 #[test]
+fn late_covariate_omits_its_rows_and_not_its_column() {
+    let folder = TempDir::new().unwrap();
+    let mut recorder = recorder(folder.path());
+    for ms in 0..1000 {
+        let mut row = row(ms, &[0, 1, 2, 3]);
+        if (10..20).contains(&ms) {
+            row.covariates.opening_um = None;
+        }
+        recorder.take(row).unwrap();
+    }
+    let tally = recorder.finish().unwrap();
+    assert_eq!((tally.covariates, tally.without_covariates), (vec!["opening_mm"], 10));
+    assert_eq!((tally.rows, tally.left_out), (990, 10));
+}
+
+#[test]
 fn covariates_are_recorded_while_the_board_has_them() {
     let folder = TempDir::new().unwrap();
     let mut recorder = recorder(folder.path());
