@@ -282,6 +282,7 @@ impl Session {
             self.close();
             status::DONE
         } else {
+            self.dropped.late = self.dropped.late.saturating_add(1);
             self.record_rejection(now_ms);
             status::REFUSED
         };

@@ -143,7 +143,11 @@ fn frame(kind: u8, bytes: &mut Bytes, reference: &Reference) -> (u16, Vec<u8>) {
             data[1..3].copy_from_slice(&row.id.to_le_bytes());
             (of(PARAM_REQUEST), data.to_vec())
         }
-        4 => service(bytes.byte() % 8, bytes.word()),
+        4 => {
+            let (op, nonce) = (bytes.byte() % 16, bytes.word());
+            let own = reference.open.filter(|_| op == op::END && nonce & 1 == 0);
+            service(op, own.unwrap_or(nonce))
+        }
         5 | 6 => {
             let mut data = bytes.array::<8>();
             if kind & 7 == 5 {
@@ -205,6 +209,8 @@ enum Verdict {
     /// Nobody may arm now.
     Faulty,
     Armed(u16),
+    /// The session ended.
+    Ended,
     /// The command of these very bytes.
     Command,
     Other,
@@ -224,12 +230,13 @@ impl Verdict {
                 Self::Other
             }
             SessionEvent::Reply { reply, armed } => {
-                assert_eq!((reply.op, reply.detail), (op::ARM, 0));
-                match (reply.status, armed) {
-                    (status::CHALLENGE, false) => Self::Offered(reply.nonce),
-                    (status::REFUSED, false) => Self::Refused,
-                    (status::FAULTY, false) => Self::Faulty,
-                    (status::DONE, true) => Self::Armed(reply.nonce),
+                assert_eq!(reply.detail, 0);
+                match (reply.op, reply.status, armed) {
+                    (op::ARM, status::CHALLENGE, false) => Self::Offered(reply.nonce),
+                    (op::ARM | op::END, status::REFUSED, false) => Self::Refused,
+                    (op::ARM, status::FAULTY, false) => Self::Faulty,
+                    (op::ARM, status::DONE, true) => Self::Armed(reply.nonce),
+                    (op::END, status::DONE, false) => Self::Ended,
                     other => panic!("a reply of no kind: {other:?}"),
                 }
             }
@@ -307,6 +314,14 @@ impl Reference {
         if data[1..3] != *b"MG" {
             return self.drop(now);
         }
+        if data[0] == op::END {
+            if self.open == Some(nonce) {
+                self.close();
+                return Verdict::Ended;
+            }
+            self.drop(now);
+            return Verdict::Refused;
+        }
         if data[0] != 5 {
             return Verdict::Other;
         }
@@ -315,7 +330,10 @@ impl Reference {
             return Verdict::Faulty;
         }
         if nonce == 0 {
-            self.close();
+            // Whoever asks has proved nothing: a host that is alive keeps its session.
+            if !self.is_alive(now) {
+                self.close();
+            }
             let nonce = if random == 0 { 1 } else { random };
             self.offer = Some((nonce, now));
             return Verdict::Offered(nonce);
