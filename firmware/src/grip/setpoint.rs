@@ -85,16 +85,17 @@ impl GripController {
     }
 
     /// Speed in mm/s and current in amperes of a move without believed forces. At an end of the stroke the screw may be
-    /// jammed: slowly, it has the current that loosens it.
+    /// jammed: away from it, slowly, it has the current that loosens it.
     pub(super) fn uncalibrated_limits(&self, motor: &MotorStatus) -> (f32, f32) {
         const STROKE_MM: f32 = constants::STROKE.value as f32;
         let limits = &self.limits;
-        let ends_mm = END_MM..STROKE_MM - END_MM;
-        match motor.opening_mm {
-            Some(opening_mm) if !ends_mm.contains(&opening_mm) => {
-                (limits.home_mm_s, limits.blind_a)
-            }
-            _ => (limits.uncalibrated_mm_s, limits.uncalibrated_a),
+        let leaves_end = motor.opening_mm.is_some_and(|opening_mm| {
+            if self.is_opening { opening_mm < END_MM } else { opening_mm > STROKE_MM - END_MM }
+        });
+        if leaves_end {
+            (limits.home_mm_s, limits.blind_a)
+        } else {
+            (limits.uncalibrated_mm_s, limits.uncalibrated_a)
         }
     }
 

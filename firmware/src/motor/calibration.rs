@@ -15,22 +15,24 @@ const GRIP_A: f32 = 2.0;
 /// Speed in mm/s and duration in milliseconds of the release after the test.
 const RELEASE: (f32, u32) = (5.0, 400);
 
-/// What to calibrate.
+/// What to calibrate; the number is the argument of the service.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CalibrationKind {
     /// Windings, phases and rotor sensor. Nothing may be gripped, and the fingers need room.
-    Motor,
+    Motor = 0,
     /// Whether the screw is self-locking. A part of at least [`crate::config::limits::GripLimits::part_n_per_mm`] is
     /// between the fingers, at most 20 mm narrower than their opening.
-    Screw,
+    Screw = 1,
 }
 
 impl CalibrationKind {
     /// From the argument of [`crate::protocol::session::op::MEASURE`].
     pub const fn of(argument: u32) -> Option<Self> {
+        const MOTOR: u32 = CalibrationKind::Motor as u32;
+        const SCREW: u32 = CalibrationKind::Screw as u32;
         match argument {
-            0 => Some(Self::Motor),
-            1 => Some(Self::Screw),
+            MOTOR => Some(Self::Motor),
+            SCREW => Some(Self::Screw),
             _ => None,
         }
     }

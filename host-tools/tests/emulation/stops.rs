@@ -5,7 +5,7 @@ use embedded_can::{Frame, StandardId};
 use emulator::peripherals::flash::OPTIONS_AS_SHIPPED;
 use firmware::grip::commands::mode;
 use firmware::grip::states::{PowerState, TASK_CODE};
-use firmware::motor::calibration::CalibrationFailure;
+use firmware::motor::calibration::{CalibrationFailure, CalibrationKind};
 use firmware::protocol::ESTOP_ALL_ID;
 use firmware::protocol::can::CanFrame;
 use firmware::protocol::messages::Command;
@@ -123,7 +123,7 @@ fn calibration_ends(failure: CalibrationFailure) -> Result<(), Failed> {
     let object = contact_object(cell.gripper.borrow().rig.plant.parameters(), 40.0, CONTACT);
     cell.gripper.borrow_mut().rig.plant.set_object(Some(&object));
     cell.run(0.4);
-    cell.host.service(op::MEASURE, 1);
+    cell.host.service(op::MEASURE, CalibrationKind::Screw as u32);
     cell.run(0.15);
     assert_eq!(cell.state(), PowerState::Calibrating as u8);
     assert!(cell.board.chip.soc.motor_duties().is_some());

@@ -9,6 +9,7 @@ use emulator::registers::interrupt;
 use firmware::grip::commands::mode;
 use firmware::grip::states::{PowerState, TASK_CODE, TaskState};
 use firmware::motor::as5047;
+use firmware::motor::calibration::CalibrationKind;
 use firmware::motor::settings::MotorLimits;
 use firmware::protocol::messages::Command;
 use firmware::protocol::session::op;
@@ -383,7 +384,7 @@ fn check_record(loss: Loss, cell: &mut Cell, resets: usize) -> Result<(), Failed
 fn trigger_lost_while_commissioning() -> Result<(), Failed> {
     let mut cell = cell(40.0)?;
     cell.run(0.4);
-    cell.host.service(op::MEASURE, 0);
+    cell.host.service(op::MEASURE, CalibrationKind::Motor as u32);
     cell.run(0.2);
     assert!(has_duties(&cell), "{}", cell.state());
     cell.board.chip.soc.set_motor_trigger(false);

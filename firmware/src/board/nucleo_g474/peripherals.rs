@@ -157,7 +157,7 @@ fn break_on_chip_faults() {
     });
 }
 
-/// The code where the option bytes are unsuitable: 1, the flash has a single bank, so that the image would stand still while
+/// The code where the option bytes are unsuitable: 1, the flash has a single bank, so that the image would stop while
 /// a page is written; 2, each start goes through the boot loader, which may choose the second bank, where settings are stored.
 /// The brown-out level may be as shipped, 1.7 V, as the outputs are off below 2.8 V; nSWBOOT0 and nBOOT0 as well, as this
 /// board does not use PB8.

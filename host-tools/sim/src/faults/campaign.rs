@@ -202,7 +202,7 @@ pub struct FalseAlarms {
     pub alarms: usize,
 }
 
-/// Simulates grippers that move, grip, release, stand on the ground and rest in random order, one minute each.
+/// Simulates grippers that move, grip, release, land on the ground and rest in random order, one minute each.
 pub fn run_fault_free(
     first: u64,
     hours: f64,
@@ -245,7 +245,7 @@ fn minute(index: usize, seed: u64, tables: &TableSet) -> (f64, usize) {
             0 => Some(()),
             1 => move_to(&mut cell, rng.random_range(5.0..75.0), rng.random_range(5.0..58.0)),
             2 => grip(&mut cell, &setup, &mut rng),
-            _ => stand(&mut cell, &mut rng),
+            _ => land(&mut cell, &mut rng),
         };
         if has_ended.is_none() {
             stuck = 1;
@@ -293,7 +293,7 @@ fn grip(cell: &mut ClosedLoop, setup: &ClosedLoopSetup, rng: &mut ChaCha8Rng) ->
 }
 
 /// Closes, lands on the ground and leaves it.
-fn stand(cell: &mut ClosedLoop, rng: &mut ChaCha8Rng) -> Option<()> {
+fn land(cell: &mut ClosedLoop, rng: &mut ChaCha8Rng) -> Option<()> {
     move_to(cell, 0.5, 20.0)?;
     cell.host.order(Command { mode: mode::FOOT, ..Command::default() });
     cell.until(0.5, |cell| cell.is_in(TaskState::Foot))?;
@@ -376,7 +376,7 @@ impl RequirementDraws {
 /// Evaluates the bounds of the hazard table; `done` is called after each run.
 ///
 /// # Errors
-/// The hazard table lacks a bound.
+/// The hazard table has no such bound.
 pub fn evaluate_requirements(
     draws: &RequirementDraws,
     tables: &TableSet,

@@ -4,15 +4,16 @@ use crate::closed_loop::grasp_rig::contact_object;
 use crate::closed_loop::{ClosedLoop, ClosedLoopSetup};
 use crate::drivetrain::parameters::Lead;
 use crate::faults::hazards::HazardTable;
-use crate::faults::operating_state::{HAND_N_PER_MM, SCREW, motion};
+use crate::faults::injection::InjectedFault;
+use crate::faults::operating_state::{HAND_N_PER_MM, motion};
 use crate::random::{Purpose, stream};
 use anyhow::{Context, Result};
 use firmware::config::constants;
 use firmware::grip::commands::{flag, mode};
 use firmware::grip::states::PowerState;
+use firmware::motor::calibration::CalibrationKind;
 use firmware::protocol::messages::Command;
 use firmware::protocol::session::op;
-use firmware::sensors::hall::SENSORS;
 use model_export::inverse::quantise::TableSet;
 use rand::RngExt;
 
@@ -23,8 +24,6 @@ const DISTANCES_MM: [f64; 2] = [2.0, 20.0];
 const SPEEDS_MM_S: [f64; 2] = [5.0, 58.0];
 /// Stiffness of a rigid part in N/mm: the motor's calibration moves the fingers too little to press on a hand.
 const RIGID: f64 = constants::CONTACT_STIFFNESS.value;
-/// Argument of [`op::MEASURE`]: the motor.
-const MOTOR: u32 = 0;
 /// Time between repeated commands in s.
 const REPEAT_S: f64 = 0.5;
 
@@ -202,14 +201,14 @@ impl ContactCase {
             ObstructedMotion::HomeInside => self.repeat(cell, mode::HOME, 1, 4.0),
             ObstructedMotion::Release => self.repeat(cell, mode::RELEASE, 4, self.reach_s()),
             ObstructedMotion::ReleaseWithoutSensors => {
-                for number in 0..SENSORS {
-                    cell.board.connections.change_sensor(number, |sensor| sensor.unplugged = true);
-                }
+                InjectedFault::AllSensorsGone.inject(cell, 0);
                 cell.run(0.3);
                 self.repeat(cell, mode::RELEASE, 4, self.distance_mm / 5.0 + 0.5);
             }
-            ObstructedMotion::CalibrateMotor => calibrate(cell, MOTOR, 4.0)?,
-            ObstructedMotion::CalibrateScrew => calibrate(cell, SCREW, closing_s + 3.0)?,
+            ObstructedMotion::CalibrateMotor => calibrate(cell, CalibrationKind::Motor, 4.0)?,
+            ObstructedMotion::CalibrateScrew => {
+                calibrate(cell, CalibrationKind::Screw, closing_s + 3.0)?
+            }
         }
         Some(())
     }
@@ -235,8 +234,8 @@ impl ContactCase {
     }
 }
 
-fn calibrate(cell: &mut ClosedLoop, kind: u32, seconds: f64) -> Option<()> {
-    cell.host.service(op::MEASURE, kind);
+fn calibrate(cell: &mut ClosedLoop, kind: CalibrationKind, seconds: f64) -> Option<()> {
+    cell.host.service(op::MEASURE, kind as u32);
     cell.until(0.2, |cell| cell.state() == PowerState::Calibrating as u8)?;
     cell.until(seconds, |cell| cell.state() != PowerState::Calibrating as u8);
     cell.run(0.1);

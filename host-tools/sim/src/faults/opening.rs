@@ -12,7 +12,6 @@ use firmware::grip::commands::{flag, mode};
 use firmware::grip::fault_reactions::Reaction;
 use firmware::grip::states::{GripPhase, PowerState, TaskState};
 use firmware::protocol::messages::Command;
-use firmware::sensors::hall::SENSORS;
 use model_export::inverse::quantise::TableSet;
 
 /// Contact stiffness of the object in N/mm, its width in mm, and the initial distance to it.
@@ -136,19 +135,13 @@ fn enter(cell: &mut ClosedLoop, task: TaskState) -> Option<()> {
         TaskState::HoldFrozen | TaskState::Lost | TaskState::Releasing => {
             enter(cell, TaskState::HoldActive)?;
             match task {
-                TaskState::HoldFrozen => unplug_all(cell),
+                TaskState::HoldFrozen => InjectedFault::AllSensorsGone.inject(cell, 0),
                 TaskState::Lost => cell.gripper.borrow_mut().rig.plant.set_object(None),
                 _ => cell.host.order(motion(mode::RELEASE, WIDTH_MM + FARTHER_MM, SPEED_MM_S)),
             }
         }
     }
     cell.until(4.0, |cell| cell.is_in(task)).map(|_| ())
-}
-
-fn unplug_all(cell: &ClosedLoop) {
-    for number in 0..SENSORS {
-        cell.board.connections.change_sensor(number, |sensor| sensor.unplugged = true);
-    }
 }
 
 /// One RELEASE under a fault.

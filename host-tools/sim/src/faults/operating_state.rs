@@ -5,6 +5,7 @@ use crate::closed_loop::{ClosedLoop, ClosedLoopSetup};
 use crate::drivetrain::parameters::Lead;
 use firmware::grip::commands::mode;
 use firmware::grip::states::{GripPhase, PowerState, TaskState};
+use firmware::motor::calibration::CalibrationKind;
 use firmware::protocol::messages::Command;
 use firmware::protocol::session::op;
 use model_export::inverse::quantise::TableSet;
@@ -24,8 +25,6 @@ const HAND_MM: f64 = 45.0;
 /// Openings: initial opening, target, and the width inside of what is around the fingers, in mm.
 const INSIDE_MM: f64 = 30.0;
 const TUBE_MM: f64 = 40.0;
-/// Argument of [`op::MEASURE`]: backdrive test of the screw.
-pub const SCREW: u32 = 1;
 
 /// Operating state at the injection of a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -169,7 +168,7 @@ fn calibrating(mut cell: ClosedLoop) -> Option<ClosedLoop> {
         return None;
     }
     cell.run(0.3);
-    cell.host.service(op::MEASURE, SCREW);
+    cell.host.service(op::MEASURE, CalibrationKind::Screw as u32);
     cell.until(0.2, |cell| cell.state() == PowerState::Calibrating as u8)?;
     cell.run(0.45);
     (cell.state() == PowerState::Calibrating as u8).then_some(cell)
