@@ -45,6 +45,12 @@ impl Polynomial {
         terms
     }
 
+    /// Number of [`Polynomial::terms`], the binomial coefficient; `None` beyond the range of an integer.
+    pub fn term_count(forces: usize, degree: usize) -> Option<usize> {
+        (1..=forces)
+            .try_fold(1_usize, |count, i| Some(count.checked_mul(degree.checked_add(i)?)? / i))
+    }
+
     /// Field in gauss under `force_n`, in the order of [`Polynomial::forces`].
     pub fn field(&self, force_n: &[f64]) -> Vector3<f64> {
         self.combine(&self.basis(force_n))
@@ -257,6 +263,15 @@ mod tests {
         assert_eq!(terms.len(), 6);
         assert_eq!(terms[0], [0, 0]);
         assert!(terms.contains(&vec![1, 1]) && terms.contains(&vec![0, 2]));
+    }
+
+    #[test]
+    fn number_of_terms_is_known_without_listing_them() {
+        for (forces, degree) in [(0, 3), (1, 0), (1, 9), (2, 2), (3, 9), (8, 4)] {
+            let count = Polynomial::terms(forces, degree).len();
+            assert_eq!(Polynomial::term_count(forces, degree), Some(count));
+        }
+        assert_eq!(Polynomial::term_count(60, usize::MAX), None);
     }
 
     #[test]

@@ -10,8 +10,9 @@ use anyhow::{Context, Result, bail};
 use csv::ByteRecord;
 use flate2::Compression;
 use flate2::write::GzEncoder;
+use model_export::input;
 use model_export::recordings::campaign::recording_folders;
-use model_export::recordings::csv_table::{column_names, is_compressed, open_csv};
+use model_export::recordings::csv_table::{CsvReader, column_names, is_compressed};
 use model_export::recordings::description::RECORDING_FILE;
 use serde::Serialize;
 use toml_edit::{DocumentMut, value};
@@ -224,10 +225,10 @@ fn rewrite(from: &Path, to: &Path, changes: &[&Change]) -> Result<Vec<String>> {
 }
 
 fn rewrite_into(from: &Path, out: &mut impl Write, changes: &[&Change]) -> Result<Vec<String>> {
-    let mut reader = open_csv(from)?;
+    let mut reader = CsvReader::open(from)?;
     let mut writer = csv::WriterBuilder::new().flexible(true).from_writer(out);
     let mut header = ByteRecord::new();
-    reader.read_byte_record(&mut header)?;
+    reader.read(&mut header)?;
     writer.write_byte_record(&header)?;
     let names = column_names(&header);
     let cells = Cells::plan(&names, changes)?;
@@ -236,7 +237,7 @@ fn rewrite_into(from: &Path, out: &mut impl Write, changes: &[&Change]) -> Resul
     let drop = changes.contains(&&Change::DropCopies);
     let mut order = Order::new(time_column.context("there is no t_us")?, sort, drop);
     let mut record = ByteRecord::new();
-    while reader.read_byte_record(&mut record)? {
+    while reader.read(&mut record)? {
         for ready in order.push(record.clone()) {
             writer.write_byte_record(&cells.apply(&ready))?;
         }
@@ -353,7 +354,7 @@ impl Order {
 /// Appends the corrections to the key `description`; the rest of the file is unchanged.
 fn extend_description(path: &Path, done: &[String]) -> Result<()> {
     let named = || format!("{}", path.display());
-    let text = fs::read_to_string(path).with_context(named)?;
+    let text = input::read_text(path)?;
     let extended = with_words(&text, &done.join("; ")).with_context(named)?;
     fs::write(path, extended).with_context(named)
 }
