@@ -10,6 +10,7 @@ use firmware::protocol::{DEFAULT_NODE, PROTOCOL_VERSION};
 use model_export::fit::FitOptions;
 use model_export::inverse::build::{DeviceModel, ModelVariant, build};
 use model_export::model_file::{BaseKind, ModelFile, Provenance};
+use model_export::output::StagingDir;
 use model_export::recordings::align::Alignment;
 
 use crate::commands::demo::CAMPAIGN;
@@ -143,7 +144,7 @@ fn fit_demo() -> Result<DeviceModel> {
     let campaign = read_campaign(Path::new(CAMPAIGN), alignment)?;
     let (fits, _) = fit_campaign(&campaign, BaseKind::Cylinder, None, options)?;
     let provenance = Provenance::of(&campaign, alignment.delay_us, options)?;
-    let folder = tempfile::tempdir().context("no temporary directory for a model")?;
+    let folder = StagingDir::new(&std::env::temp_dir().join("model"), "demo")?;
     let path = folder.path().join("model.toml");
     ModelFile::of(&campaign, &fits, provenance).write(&path)?;
     Ok(build(&path, ModelVariant::Fitted)?)

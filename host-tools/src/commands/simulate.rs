@@ -3,13 +3,12 @@
 use analysis::progress;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use model_export::design::SensorDesign;
-use model_export::output::write_output;
 use model_export::physics::ForwardModel;
 
 use crate::commands::args::read_design;
-use model_export::output::{check_absent, check_vacant, staging_dir};
+use model_export::output::{StagingDir, check_absent, check_vacant, write_new};
 use report::text::simulate::{format_report, to_json};
 use report::text::terminal;
 use sim::campaign;
@@ -115,13 +114,16 @@ pub fn run(args: &Args) -> Result<()> {
     };
     truth::check_outside(&truth_path, &args.output)?;
     check_free(&args.output, &truth_path)?;
-    let staging = staging_dir(&args.output, ".magpie-simulate-")?;
+    let staging = StagingDir::new(&args.output, "simulate")?;
     let bar = progress::progress_bar("simulating recordings", settings.recordings as usize);
     let truth = campaign::simulate(&settings, staging.path(), || bar.inc(1))?;
     bar.finish_and_clear();
-    write_output(&truth_path, truth.text()?.as_bytes(), truth::MARK)?;
-    std::fs::rename(staging.keep(), &args.output)
-        .with_context(|| format!("{} cannot be written", args.output.display()))?;
+    // Both are new, or neither is: another process may have written them in the meantime.
+    write_new(&truth_path, truth.text()?.as_bytes())?;
+    if let Err(error) = staging.commit(&args.output) {
+        let _ = std::fs::remove_file(&truth_path);
+        return Err(error.into());
+    }
     terminal::print_result(
         args.json,
         || to_json(&settings, &truth, &args.output, &truth_path),

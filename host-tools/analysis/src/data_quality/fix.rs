@@ -11,6 +11,7 @@ use csv::ByteRecord;
 use flate2::Compression;
 use flate2::write::GzEncoder;
 use model_export::input;
+use model_export::output::StagingDir;
 use model_export::recordings::campaign::recording_folders;
 use model_export::recordings::csv_table::{CsvReader, column_names, is_compressed};
 use model_export::recordings::description::RECORDING_FILE;
@@ -124,16 +125,8 @@ pub fn write(campaign: &Path, findings: &[Finding], to: &Path) -> Result<Vec<Str
         bail!("no finding has an unambiguous correction, so nothing is written");
     }
     let folders = recording_folders(campaign)?;
-    let parent = match to.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    };
     let unwritable = || format!("{}: cannot be written", to.display());
-    fs::create_dir_all(parent).with_context(unwritable)?;
-    let draft = tempfile::Builder::new()
-        .prefix(".magpie-fix-")
-        .tempdir_in(parent)
-        .with_context(unwritable)?;
+    let draft = StagingDir::new(to, "fix")?;
     let mut said = Vec::new();
     for folder in &folders {
         let inside = folder.strip_prefix(campaign).unwrap_or(Path::new(""));
@@ -144,9 +137,7 @@ pub fn write(campaign: &Path, findings: &[Finding], to: &Path) -> Result<Vec<Str
     if folders.iter().all(|folder| folder != campaign) {
         copy_files(campaign, draft.path())?;
     }
-    open_to_others(draft.path()).with_context(unwritable)?;
-    // Renaming would replace an empty folder created in the meantime.
-    fs::rename(draft.path(), to).with_context(unwritable)?;
+    draft.commit(to)?;
     Ok(said)
 }
 
@@ -194,18 +185,6 @@ fn files_of(folder: &Path) -> Result<Vec<PathBuf>> {
         .collect();
     files.sort();
     Ok(files)
-}
-
-/// Temporary folders are private; the campaign gets the permissions of a normal folder.
-#[cfg(unix)]
-fn open_to_others(folder: &Path) -> std::io::Result<()> {
-    use std::os::unix::fs::PermissionsExt;
-    fs::set_permissions(folder, fs::Permissions::from_mode(0o755))
-}
-
-#[cfg(not(unix))]
-fn open_to_others(_: &Path) -> std::io::Result<()> {
-    Ok(())
 }
 
 /// Copies `from` to `to` with these changes; returns descriptions with counts.
