@@ -50,6 +50,9 @@ pub const MAX_IMAGE_BYTES: u64 = 64 * MIB;
 pub const MAX_SENSORS: usize = 64;
 /// Maximum number of effects of a model. The catalogue has 22; the time of a fit grows with the cube of the parameters.
 pub const MAX_EFFECTS: usize = 64;
+/// Maximum number of terms of a polynomial: three forces of degree 9 have 220, eight of degree 4 have 495. The memory of a fit
+/// grows with their square, its time with their cube.
+pub const MAX_POLYNOMIAL_TERMS: usize = 1000;
 /// Maximum number of units of a layer of a network; networks on the device have at most 32.
 pub const MAX_HIDDEN: usize = 1024;
 /// Maximum length of a user-defined effect in bytes: ten lines of a terminal.
