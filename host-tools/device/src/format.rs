@@ -5,11 +5,11 @@ use device_run::channel_map::turn_rad;
 use firmware::compensation::covariates::Covariates;
 use firmware::estimator::Validity;
 use firmware::fixed_point::Force;
+use firmware::protocol::SERIAL;
 use firmware::protocol::TEMPERATURE_UNKNOWN;
 use firmware::protocol::messages::{FaultEvent, Power};
 use firmware::sensors::hall;
 use firmware::system::faults::Fault;
-use firmware::tasks::SERIAL;
 use serde_json::{Value, json};
 use std::fmt::Debug;
 

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, Result, bail};
+use firmware::protocol::authentication::Key;
 use firmware::protocol::{DEFAULT_NODE, PROTOCOL_VERSION};
 use model_export::fit::FitOptions;
 use model_export::inverse::build::{DeviceModel, ModelVariant, build};
@@ -15,7 +16,9 @@ use model_export::recordings::align::Alignment;
 use crate::commands::demo::CAMPAIGN;
 use analysis::compare::campaign_reader::read_campaign;
 use analysis::fit::fit_campaign;
+use device::key_file;
 use device::serial_port::SerialLine;
+use device::session::Credentials;
 use device::socket_can::CanBus;
 use device::socketcand::client::RemoteBus;
 use device::source::Source;
@@ -36,6 +39,9 @@ pub struct PortArgs {
     /// Node number of the gripper on the CAN bus.
     #[arg(long, default_value_t = DEFAULT_NODE, requires = "can", value_parser = clap::value_parser!(u16).range(1..=63))]
     node: u16,
+    /// File with the key of the gripper [default: $MAGPIE_KEY_FILE, then magpie/key in the configuration folder, then none].
+    #[arg(long, value_name = "FILE")]
+    key: Option<PathBuf>,
 }
 
 impl PortArgs {
@@ -56,9 +62,16 @@ impl PortArgs {
         self.port.is_some() || self.can.is_some()
     }
 
-    /// Node number, part of the authentication of commands on serial lines too.
-    pub const fn node(&self) -> u16 {
-        self.node
+    /// True for a gripper on a CAN bus.
+    pub const fn is_bus(&self) -> bool {
+        self.can.is_some()
+    }
+
+    /// Node number and key, for a session.
+    pub fn credentials(&self) -> Result<Credentials> {
+        let path = self.key.clone().or_else(key_file::default_path);
+        let key = path.map_or(Ok(Key::NONE), |path| key_file::read(&path))?;
+        Ok(Credentials { node: self.node, key })
     }
 }
 
@@ -97,9 +110,14 @@ impl GripperArgs {
         }
     }
 
+    /// Node number and key, for a session; a virtual board is unprotected.
+    pub fn credentials(&self) -> Result<Credentials> {
+        if self.port.is_given() { self.port.credentials() } else { Ok(Credentials::UNPROTECTED) }
+    }
+
     /// True for a gripper on a CAN bus.
     pub fn is_on_bus(&self) -> bool {
-        self.port.can.is_some()
+        self.port.is_bus()
     }
 
     #[cfg(unix)]

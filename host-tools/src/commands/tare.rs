@@ -2,6 +2,7 @@
 
 use anyhow::{Result, bail};
 use device::calibration_client;
+use device::session::with_session;
 use report::text::terminal;
 use serde_json::json;
 
@@ -35,7 +36,9 @@ pub fn run(args: &Args) -> Result<()> {
     let Some(mut source) = args.port.open()? else {
         bail!("give the gripper's line: --port PATH or --can BUS");
     };
-    calibration_client::tare(source.as_mut(), args.unloaded, args.save)?;
+    with_session(source.as_mut(), args.port.credentials()?, |session| {
+        calibration_client::tare(session, args.unloaded, args.save)
+    })?;
     terminal::print_result(
         args.json,
         || json!({ "tared": true, "saved": args.save }),

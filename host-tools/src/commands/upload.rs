@@ -7,6 +7,7 @@ use analysis::notes::{Note, UncompensatedEffect};
 use analysis::progress;
 use anyhow::{Context, Result, bail};
 use device::calibration_client;
+use device::session::with_session;
 use device_run::networks::NetworkSet;
 use model_export::inverse::build::{ModelVariant, build};
 use model_export::inverse::calibration::{CalibrationDescription, encode_calibration};
@@ -77,15 +78,17 @@ pub fn run(args: &Args) -> Result<()> {
     print_conditions(&built);
     let bar = progress::progress_bar("uploading", bytes.len());
     let begun = Instant::now();
-    let sequence = calibration_client::upload(source.as_mut(), &bytes, |done| {
-        bar.set_position(done as u64);
-    })?;
-    let took = begun.elapsed();
-    bar.finish_and_clear();
     let tables = built.chosen.tables.id;
-    if !args.no_reboot {
-        calibration_client::reboot_into(source.as_mut(), tables)?;
-    }
+    let (sequence, took) = with_session(source.as_mut(), args.port.credentials()?, |session| {
+        let sequence =
+            calibration_client::upload(session, &bytes, |done| bar.set_position(done as u64))?;
+        let took = begun.elapsed();
+        bar.finish_and_clear();
+        if !args.no_reboot {
+            calibration_client::reboot_into(session, tables)?;
+        }
+        Ok((sequence, took))
+    })?;
     terminal::print_result(
         args.json,
         || {

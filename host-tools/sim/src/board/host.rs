@@ -1,13 +1,15 @@
-//! A host on the CAN bus: arms with a nonce, repeats its command, records the board's messages.
+//! A host on the CAN bus: opens sessions, repeats its command, records the board's messages.
 
 use crate::board::can::CanBus;
 use embedded_can::Frame;
+use firmware::protocol::authentication::Key;
 use firmware::protocol::can::CanFrame;
-use firmware::protocol::host_session::{HostSession, service};
+use firmware::protocol::host_session::{HostSession, needs_owner, service};
 use firmware::protocol::messages::{
     Command, EStop, FaultEvent, Foot, Force, GripStatus, Heartbeat, Message, ParamReply,
     ParamRequest, Power, ServiceReply,
 };
+use firmware::protocol::session::{op, status};
 use firmware::protocol::{DEFAULT_NODE, frame_id};
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -44,6 +46,8 @@ pub struct CanHost {
     session: HostSession,
     command: Option<Command>,
     wait_ms: u32,
+    /// Requests for which a session is being opened.
+    waiting: Vec<Message>,
     /// Stops all transmissions.
     pub is_silent: bool,
     /// Received messages.
@@ -55,28 +59,58 @@ impl CanHost {
     pub fn new(bus: Rc<RefCell<CanBus>>) -> Self {
         Self {
             bus,
-            session: HostSession::new(DEFAULT_NODE),
+            session: HostSession::new(DEFAULT_NODE, Key::NONE),
             command: None,
             wait_ms: 0,
+            waiting: Vec::new(),
             is_silent: false,
             received: ReceivedMessages::default(),
         }
     }
 
-    /// Requests a nonce and confirms it when it arrives.
+    /// Opens a session with motion, as soon as the challenge arrives.
     pub fn arm(&mut self) {
-        let request = self.session.arm();
-        self.send(request);
+        self.waiting.clear();
+        for request in self.session.open(op::ARM) {
+            self.send(request);
+        }
     }
 
     /// Requests a service.
     pub fn service(&mut self, op: u8, argument: u32) {
-        self.send(service(op, argument));
+        self.request(service(op, argument));
     }
 
     /// Reads or writes a parameter.
     pub fn request_parameter(&mut self, request: ParamRequest) {
-        self.send(Message::ParamRequest(request));
+        self.request(Message::ParamRequest(request));
+    }
+
+    /// Sends a request; if it needs a session, in the open one, or in one that it opens.
+    fn request(&mut self, request: Message) {
+        if !needs_owner(&request) {
+            return self.send(request);
+        }
+        self.waiting.push(request);
+        if self.session.is_open() {
+            self.send_waiting();
+        } else {
+            for request in self.session.open(op::OPEN) {
+                self.send(request);
+            }
+        }
+    }
+
+    fn send_waiting(&mut self) {
+        for request in std::mem::take(&mut self.waiting) {
+            self.send_sealed(request);
+        }
+    }
+
+    fn send_sealed(&mut self, message: Message) {
+        for message in self.session.seal(message).into_iter().flatten() {
+            self.send(message);
+        }
     }
 
     /// Sets the command to repeat, sent immediately.
@@ -101,9 +135,7 @@ impl CanHost {
             return;
         }
         self.wait_ms = EVERY_MS - 1;
-        if let Some(message) = self.session.seal(command) {
-            self.send(message);
-        }
+        self.send_sealed(Message::Command(command));
     }
 
     fn receive(&mut self) {
@@ -135,8 +167,15 @@ impl CanHost {
     }
 
     fn handle_reply(&mut self, time_us: u64, reply: ServiceReply) {
-        if let Some(message) = self.session.receive(&reply) {
+        for message in self.session.receive(&reply) {
             self.send(message);
+        }
+        if reply.status == status::UNAUTHENTICATED {
+            // The gripper has ended the session.
+            self.session.forget();
+        }
+        if self.session.is_open() {
+            self.send_waiting();
         }
         self.received.replies.push((time_us, reply));
     }

@@ -115,7 +115,7 @@ impl Request {
 }
 
 const fn mode_command(mode: u8) -> Command {
-    Command { mode, counter: 0, position: 0, speed: 0, force: 0, flags: 0, crc: 0 }
+    Command { mode, position: 0, speed: 0, force: 0, flags: 0 }
 }
 
 fn motion(mode: u8, opening_mm: f64, speed_mm_s: f64) -> Command {
@@ -137,7 +137,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let request = Request::of(args)?;
     let source = args.port.open()?.ok_or_else(|| anyhow!("give --port or --can"))?;
     let mut session = Session {
-        client: Client::new(source, args.port.node()),
+        client: Client::new(source, args.port.credentials()?),
         log: CommandLog::new(args.json),
         interrupted: interrupted()?,
         is_shutting_down: false,
@@ -251,6 +251,14 @@ impl Session {
         let has_fault = |session: &Self| session.code() == Some(PowerState::Fault as u8);
         if args.clear_faults {
             self.client.request(op::CLEAR_FAULTS)?;
+            let waited = self.wait(ARM_S, |session| session.client.is_answered())?;
+            match (waited, self.client.not_armed) {
+                (WaitResult::TimedOut, _) => {
+                    bail!("the gripper does not answer the request to clear its faults")
+                }
+                (WaitResult::Interrupted, _) => return Ok(waited),
+                _ => {}
+            }
         }
         if !has_fault(self) {
             return Ok(WaitResult::Done);
@@ -280,7 +288,7 @@ impl Session {
         match self.client.not_armed {
             Some(status) => bail!(
                 "the gripper does not arm: {}{}",
-                session::arming_refusal(status),
+                session::session_refusal(status),
                 self.faults()
             ),
             None => bail!("no response to the arming request: does the firmware drive a motor?"),
