@@ -28,7 +28,7 @@ fn can_sessions_agree_with_the_reference_model() {
         dropped += tally.dropped;
     }
     // The inputs reach the code behind the checksums.
-    assert!(armed > 5_000 && commands > 1_000 && dropped > 100_000, "{armed} {commands} {dropped}");
+    assert!(armed > 3_000 && commands > 3_000 && dropped > 100_000, "{armed} {commands} {dropped}");
 }
 
 #[test]

@@ -7,11 +7,13 @@
 //! of which the lower 24 are transmitted: it cannot be exhausted, and 16 million messages in a row may be lost.
 //!
 //! A code has 40 bits, which leaves a frame of eight bytes for code and counter. A random code is accepted with a probability of
-//! 2^-40. The rate limiter admits 1000 attempts per second on each line: one forged message in 35 years, against a period
-//! of 50 ms between two commands of the owner.
+//! 2^-40. At most 400 codes are checked in a second ([`crate::protocol::session`]): one forged message in 87 years.
 
 use aes::Aes128;
-use cmac::{Cmac, KeyInit, Mac};
+use aes::cipher::{Array, BlockCipherEncrypt, KeyInit};
+use cmac::digest::InnerInit;
+use cmac::{Cmac, Mac};
+use dbl::Dbl;
 
 /// Bytes of a key.
 pub const KEY_BYTES: usize = 16;
@@ -54,7 +56,11 @@ impl core::fmt::Debug for Key {
 
 /// Computes the codes of one session.
 #[derive(Clone)]
-pub struct SessionMac(Cmac<Aes128>);
+pub struct SessionMac {
+    cipher: Aes128,
+    /// Subkey K1 of CMAC, by which the code of a single block takes one call of the cipher instead of two.
+    subkey: [u8; 16],
+}
 
 impl SessionMac {
     /// Codes of the session of this node that began with this challenge.
@@ -63,32 +69,37 @@ impl SessionMac {
         mac.update(b"session");
         mac.update(&node.to_le_bytes());
         mac.update(&challenge.to_le_bytes());
-        Self(Cmac::new(&mac.finalize().into_bytes()))
+        let cipher = Aes128::new(&mac.finalize().into_bytes());
+        let mut subkey = Array::default();
+        cipher.encrypt_block(&mut subkey);
+        Self { cipher, subkey: subkey.dbl().into() }
     }
 
     /// Code of a message: over the identifier of its frame, the lower 48 bits of the counter, and its bytes, together one block
     /// of the cipher.
     pub fn tag(&self, counter: u64, id: u16, message: [u8; 8]) -> Tag {
-        truncate(self.over(counter, id, message))
+        let [i0, i1] = id.to_le_bytes();
+        let [c0, c1, c2, c3, c4, c5, ..] = counter.to_le_bytes();
+        let [m0, m1, m2, m3, m4, m5, m6, m7] = message;
+        let mut block = [i0, i1, c0, c1, c2, c3, c4, c5, m0, m1, m2, m3, m4, m5, m6, m7];
+        for (byte, mask) in block.iter_mut().zip(self.subkey) {
+            *byte ^= mask;
+        }
+        let mut block = Array::from(block);
+        self.cipher.encrypt_block(&mut block);
+        truncate(block.into())
     }
 
     /// Whether a code is that of the message, in a time that does not depend on its content.
     pub fn is_valid(&self, counter: u64, id: u16, message: [u8; 8], tag: Tag) -> bool {
-        self.over(counter, id, message).verify_truncated_left(&tag).is_ok()
-    }
-
-    fn over(&self, counter: u64, id: u16, message: [u8; 8]) -> Cmac<Aes128> {
-        let mut mac = self.0.clone();
-        let [c0, c1, c2, c3, c4, c5, ..] = counter.to_le_bytes();
-        mac.update(&id.to_le_bytes());
-        mac.update(&[c0, c1, c2, c3, c4, c5]);
-        mac.update(&message);
-        mac
+        let expected = self.tag(counter, id, message);
+        let differing = expected.into_iter().zip(tag).fold(0, |bits, (a, b)| bits | (a ^ b));
+        core::hint::black_box(differing) == 0
     }
 
     /// Code of data that is longer than a message.
     pub fn digest(&self) -> DataMac {
-        DataMac(self.0.clone())
+        DataMac(Cmac::inner_init(self.cipher.clone()))
     }
 }
 
@@ -110,7 +121,7 @@ impl DataMac {
 
     /// First four bytes of the code, as a number.
     pub fn finish(self) -> u32 {
-        let [b0, b1, b2, b3, ..] = truncate(self.0);
+        let [b0, b1, b2, b3, ..]: [u8; 16] = self.0.finalize().into_bytes().into();
         u32::from_le_bytes([b0, b1, b2, b3])
     }
 }
@@ -128,9 +139,7 @@ pub const fn next_counter(last: u64, low: u32) -> u64 {
     if counter > last { counter } else { counter.saturating_add(1 << COUNTER_BITS) }
 }
 
-fn truncate(mac: Cmac<Aes128>) -> Tag {
-    let code: [u8; 16] = mac.finalize().into_bytes().into();
-    let [b0, b1, b2, b3, b4, ..] = code;
+const fn truncate([b0, b1, b2, b3, b4, ..]: [u8; 16]) -> Tag {
     [b0, b1, b2, b3, b4]
 }
 
@@ -153,6 +162,20 @@ mod tests {
     }
 
     proptest! {
+        /// The code of a single block agrees with the library's for data of any length.
+        #[test]
+        fn code_of_a_message_is_that_of_its_bytes(
+            key in any::<[u8; 16]>(), counter in 0_u64..1 << 48, id in 0_u16..0x800, message in any::<[u8; 8]>(),
+        ) {
+            let session = SessionMac::new(&Key(key), 16, 77);
+            let mut all = session.digest();
+            all.update(&id.to_le_bytes());
+            all.update(&counter.to_le_bytes()[..6]);
+            all.update(&message);
+            let [b0, b1, b2, b3, _] = session.tag(counter, id, message);
+            prop_assert_eq!(all.finish(), u32::from_le_bytes([b0, b1, b2, b3]));
+        }
+
         #[test]
         fn counter_is_the_next_with_its_lower_bits(last in 0_u64..1 << 47, ahead in 1_u64..1 << 24) {
             let sent = last + ahead;

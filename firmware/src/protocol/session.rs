@@ -26,6 +26,9 @@ pub const CHALLENGE_TIMEOUT_MS: u64 = 500;
 pub const TAKEOVER_MS: u64 = 1000;
 /// Silence of the owner that ends the session.
 pub const EXPIRY_MS: u64 = 10_000;
+/// Codes that are checked in [`CODE_WINDOW_MS`]: a flood of forged messages takes at most 2 % of the processor.
+const MAX_CODES: u8 = 4;
+const CODE_WINDOW_MS: u64 = 10;
 /// Rejected frames within `FLOOD_MS` that are a fault of a sender.
 const FLOOD: usize = 16;
 /// Time window of [`FLOOD`].
@@ -146,6 +149,8 @@ pub struct Session {
     is_abandoned: bool,
     /// Latest [`Authentication`] of each line that no request has used.
     authentications: [Option<Authentication>; SOURCES],
+    /// Checked codes in the present window, and its begin.
+    checked: (u8, u64),
     dropped: DroppedFrames,
     /// Ring of the times of the latest rejected frames.
     rejected_ms: [Option<u64>; FLOOD],
@@ -153,9 +158,11 @@ pub struct Session {
     oldest: usize,
 }
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 struct Challenge {
     number: u64,
+    /// Computed for the first answer: forged ones must not cost it again.
+    mac: Option<SessionMac>,
     /// Time and operation of its last request.
     at_ms: u64,
     op: u8,
@@ -186,6 +193,7 @@ impl Session {
             open: None,
             is_abandoned: false,
             authentications: [None; SOURCES],
+            checked: (0, 0),
             dropped: DroppedFrames { unknown: 0, malformed: 0, unauthenticated: 0 },
             rejected_ms: [None; FLOOD],
             oldest: 0,
@@ -312,6 +320,7 @@ impl Session {
     /// Whether a challenge for arming is pending and not expired.
     pub fn is_arming(&self, now_ms: u64) -> bool {
         self.challenge
+            .as_ref()
             .is_some_and(|challenge| challenge.op == op::ARM && challenge.is_valid(now_ms))
     }
 
@@ -353,14 +362,19 @@ impl Session {
         if service.op == op::ARM && !self.may_arm {
             return reply(&request, status::FAULTY);
         }
-        let pending = self.challenge.filter(|challenge| challenge.is_valid(now_ms));
+        if self.challenge.as_ref().is_some_and(|challenge| !challenge.is_valid(now_ms)) {
+            self.challenge = None;
+        }
         let Some(authentication) = self.take_authentication(source) else {
             // One that nobody has answered stays: requests of others must not invalidate it.
-            let number = match pending {
-                Some(challenge) => challenge.number,
-                None => random() & CHALLENGE_MASK,
-            };
-            self.challenge = Some(Challenge { number, at_ms: now_ms, op: service.op });
+            let challenge = self.challenge.get_or_insert_with(|| Challenge {
+                number: random() & CHALLENGE_MASK,
+                mac: None,
+                at_ms: now_ms,
+                op: service.op,
+            });
+            (challenge.at_ms, challenge.op) = (now_ms, service.op);
+            let number = challenge.number;
             let reply = ServiceReply {
                 op: service.op,
                 status: status::CHALLENGE,
@@ -369,12 +383,7 @@ impl Session {
             };
             return SessionEvent::Reply(Message::ServiceReply(reply));
         };
-        let answered = pending.and_then(|challenge| {
-            let mac = SessionMac::new(&self.key, self.node, challenge.number);
-            let counter = self.counter_of(&mac, 0, &request, &authentication)?;
-            Some((mac, counter))
-        });
-        let Some((mac, counter)) = answered else {
+        let Some((mac, counter)) = self.answered(now_ms, &request, &authentication) else {
             self.reject_unauthenticated(now_ms);
             return reply(&request, status::REFUSED);
         };
@@ -384,6 +393,34 @@ impl Session {
         self.open =
             Some(OpenSession { mac, counter, active_ms: now_ms, is_armed, commanded_ms: None });
         reply(&request, status::DONE)
+    }
+
+    /// Codes and counter of the session that an answer to the challenge opens, if it is right.
+    fn answered(
+        &mut self,
+        now_ms: u64,
+        request: &Message,
+        authentication: &Authentication,
+    ) -> Option<(SessionMac, u64)> {
+        if !self.may_check(now_ms) {
+            return None;
+        }
+        let (key, node) = (self.key, self.node);
+        let challenge = self.challenge.as_mut()?;
+        let mac =
+            challenge.mac.get_or_insert_with(|| SessionMac::new(&key, node, challenge.number));
+        let counter = counter_of(mac, node, 0, request, authentication)?;
+        Some((mac.clone(), counter))
+    }
+
+    /// Whether another code may be checked now.
+    fn may_check(&mut self, now_ms: u64) -> bool {
+        let (count, begun_ms) = &mut self.checked;
+        if now_ms.saturating_sub(*begun_ms) >= CODE_WINDOW_MS {
+            (*count, *begun_ms) = (0, now_ms);
+        }
+        *count = count.saturating_add(1);
+        *count <= MAX_CODES
     }
 
     /// Whether nobody else may open a session.
@@ -397,35 +434,21 @@ impl Session {
     /// Uses up the authentication of a line, and checks the request by it.
     fn is_of_owner(&mut self, now_ms: u64, source: u8, message: &Message) -> bool {
         let authentication = self.take_authentication(source);
-        let (Some(open), Some(authentication)) = (&self.open, authentication) else {
+        if authentication.is_none() || self.open.is_none() || !self.may_check(now_ms) {
+            return false;
+        }
+        let (Some(open), Some(authentication)) = (&mut self.open, authentication) else {
             return false;
         };
-        let counter = self.counter_of(&open.mac, open.counter, message, &authentication);
-        match (&mut self.open, counter) {
-            (Some(open), Some(counter)) => {
-                (open.counter, open.active_ms) = (counter, now_ms);
-                true
-            }
-            _ => false,
+        let counter = counter_of(&open.mac, self.node, open.counter, message, &authentication);
+        if let Some(counter) = counter {
+            (open.counter, open.active_ms) = (counter, now_ms);
         }
+        counter.is_some()
     }
 
     fn take_authentication(&mut self, source: u8) -> Option<Authentication> {
         self.authentications.get_mut(usize::from(source))?.take()
-    }
-
-    /// The freshness counter of a message, if its code is valid.
-    fn counter_of(
-        &self,
-        mac: &SessionMac,
-        last: u64,
-        message: &Message,
-        authentication: &Authentication,
-    ) -> Option<u64> {
-        let counter = next_counter(last, authentication.counter);
-        let id = frame_id(self.node, message.number());
-        let is_valid = mac.is_valid(counter, id, message.to_bytes(), authentication.tag());
-        is_valid.then_some(counter)
     }
 
     /// A request of the owner.
@@ -482,6 +505,19 @@ impl Authentication {
         let [t0, t1, t2, t3] = self.tag_low.to_le_bytes();
         [t0, t1, t2, t3, self.tag_high]
     }
+}
+
+/// The freshness counter of a message, if its code is valid.
+fn counter_of(
+    mac: &SessionMac,
+    node: u16,
+    last: u64,
+    message: &Message,
+    authentication: &Authentication,
+) -> Option<u64> {
+    let counter = next_counter(last, authentication.counter);
+    let id = frame_id(node, message.number());
+    mac.is_valid(counter, id, message.to_bytes(), authentication.tag()).then_some(counter)
 }
 
 /// Whether a frame stops this node. With any content: a malformed stop is still a stop.
@@ -685,16 +721,30 @@ mod tests {
     #[test]
     fn lost_messages_do_not_end_the_session() {
         let mut pair = Pair::opened(op::ARM, 0);
-        for lost in [0, 1, 100, 70_000] {
+        for (at_ms, lost) in [(10, 0), (20, 1), (30, 100), (40, 70_000)] {
             for _ in 0..lost {
                 pair.host.seal(COMMAND);
             }
-            assert!(matches!(pair.send_sealed(1, COMMAND), SessionEvent::Command(_)), "{lost}");
+            let event = pair.send_sealed(at_ms, COMMAND);
+            assert!(matches!(event, SessionEvent::Command(_)), "{lost}");
         }
         // Only the code arrives; the next message is another one.
         let [authentication, _] = pair.host.seal(COMMAND).unwrap();
-        pair.send(2, authentication);
-        assert!(matches!(pair.send_sealed(3, COMMAND), SessionEvent::Command(_)));
+        pair.send(50, authentication);
+        assert!(matches!(pair.send_sealed(60, COMMAND), SessionEvent::Command(_)));
+    }
+
+    #[test]
+    fn at_most_four_codes_are_checked_in_ten_milliseconds() {
+        let mut pair = Pair::opened(op::ARM, 0);
+        let mut forged = pair.host.seal(COMMAND).unwrap();
+        let Message::Authentication(code) = &mut forged[0] else { unreachable!() };
+        code.tag_high ^= 1;
+        for _ in 0..4 {
+            pair.send_both(20, forged);
+        }
+        assert_eq!(pair.send_sealed(29, COMMAND), SessionEvent::Ignored);
+        assert!(matches!(pair.send_sealed(30, COMMAND), SessionEvent::Command(_)));
     }
 
     #[test]

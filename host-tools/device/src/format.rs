@@ -113,6 +113,7 @@ pub fn state_json(state: &GripperState, now_s: f64) -> Value {
             "age_s": rounded(now_s - latest.at_s),
             "command_alive": latest.value.command_alive,
             "sensors_ok": latest.value.sensors_ok,
+            "unprotected": latest.value.unprotected,
             "counter": latest.value.counter,
         })),
         "load": state.timing.map(|latest| json!({

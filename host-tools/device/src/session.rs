@@ -148,7 +148,7 @@ pub struct Client {
     requested: Option<u8>,
     /// Latest state of the gripper.
     pub state: GripperState,
-    /// Status of the last failed request to arm.
+    /// Status of the last refused session.
     pub not_armed: Option<u8>,
     /// Last refused command since [`Self::command`].
     pub refused: Option<Refusal>,
@@ -270,8 +270,8 @@ impl Client {
 
     fn reply(&mut self, reply: &ServiceReply) -> Result<()> {
         match (reply.op, reply.status) {
-            (op::ARM, status::CHALLENGE | status::DONE) => {}
-            (op::ARM, status) => self.not_armed = Some(status),
+            (op::ARM | op::OPEN, status::CHALLENGE | status::DONE) => {}
+            (op::ARM | op::OPEN, status) => self.not_armed = Some(status),
             (op::COMMAND, status::REFUSED) => {
                 let refusal = Refusal::of(reply.detail);
                 // A late reply to the previous command.

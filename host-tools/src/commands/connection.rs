@@ -18,7 +18,7 @@ use analysis::compare::campaign_reader::read_campaign;
 use analysis::fit::fit_campaign;
 use device::key_file;
 use device::serial_port::SerialLine;
-use device::session::Credentials;
+use device::session::{Credentials, SessionSource, with_session};
 use device::socket_can::CanBus;
 use device::socketcand::client::RemoteBus;
 use device::source::Source;
@@ -54,6 +54,26 @@ impl PortArgs {
             }
             (None, Some(interface)) => Some(Box::new(CanBus::open(interface, self.node)?)),
             (None, None) => None,
+        })
+    }
+
+    /// Does some work in a session with the gripper; states that it is unprotected if it is.
+    ///
+    /// # Errors
+    /// As [`with_session`].
+    pub fn in_session<T>(
+        &self,
+        source: &mut dyn Source,
+        work: impl FnOnce(&mut SessionSource<'_>) -> Result<T>,
+    ) -> Result<T> {
+        let credentials = self.credentials()?;
+        let name = source.name();
+        with_session(source, credentials, |session| {
+            // A gripper with a key would have refused.
+            if credentials.key == Key::NONE {
+                print_unprotected(&name);
+            }
+            work(session)
         })
     }
 
@@ -165,6 +185,13 @@ fn fit_demo() -> Result<DeviceModel> {
     let path = folder.path().join("model.toml");
     ModelFile::of(&campaign, &fits, provenance).write(&path)?;
     Ok(build(&path, ModelVariant::Fitted)?)
+}
+
+/// States that a gripper has no key.
+pub fn print_unprotected(name: &str) {
+    eprintln!(
+        "note: {name}: the gripper is unprotected, everybody on its bus can move it; see `magpie key --help`"
+    );
 }
 
 /// Fails if the gripper has another major protocol version: its messages would be misinterpreted.

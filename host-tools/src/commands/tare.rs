@@ -2,7 +2,6 @@
 
 use anyhow::{Result, bail};
 use device::calibration_client;
-use device::session::with_session;
 use report::text::terminal;
 use serde_json::json;
 
@@ -36,7 +35,7 @@ pub fn run(args: &Args) -> Result<()> {
     let Some(mut source) = args.port.open()? else {
         bail!("give the gripper's line: --port PATH or --can BUS");
     };
-    with_session(source.as_mut(), args.port.credentials()?, |session| {
+    args.port.in_session(source.as_mut(), |session| {
         calibration_client::tare(session, args.unloaded, args.save)
     })?;
     terminal::print_result(

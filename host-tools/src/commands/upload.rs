@@ -7,7 +7,6 @@ use analysis::notes::{Note, UncompensatedEffect};
 use analysis::progress;
 use anyhow::{Context, Result, bail};
 use device::calibration_client;
-use device::session::with_session;
 use device_run::networks::NetworkSet;
 use model_export::inverse::build::{ModelVariant, build};
 use model_export::inverse::calibration::{CalibrationDescription, encode_calibration};
@@ -79,7 +78,7 @@ pub fn run(args: &Args) -> Result<()> {
     let bar = progress::progress_bar("uploading", bytes.len());
     let begun = Instant::now();
     let tables = built.chosen.tables.id;
-    let (sequence, took) = with_session(source.as_mut(), args.port.credentials()?, |session| {
+    let (sequence, took) = args.port.in_session(source.as_mut(), |session| {
         let sequence =
             calibration_client::upload(session, &bytes, |done| bar.set_position(done as u64))?;
         let took = begun.elapsed();

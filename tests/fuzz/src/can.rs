@@ -307,6 +307,8 @@ struct Reference {
     is_abandoned: bool,
     /// Counter and code that were received last on each line.
     codes: [Option<(u32, [u8; 5])>; 2],
+    /// Codes that were checked in the present ten milliseconds, and when these began.
+    checked: (u32, u64),
     dropped: u32,
     /// When frames of a broken sender were dropped: the latest sixteen.
     latest: VecDeque<u64>,
@@ -323,6 +325,7 @@ impl Reference {
             open: None,
             is_abandoned: false,
             codes: [None; 2],
+            checked: (0, 0),
             dropped: 0,
             latest: VecDeque::new(),
         }
@@ -438,7 +441,8 @@ impl Reference {
             self.offer = Some((number, now));
             return Verdict::Challenge(number);
         };
-        let opened = offer.and_then(|(number, _)| {
+        let may_check = self.may_check(now);
+        let opened = offer.filter(|_| may_check).and_then(|(number, _)| {
             let key = session_key(&KEY, self.node, number);
             let counter = if low == 0 { 1 << 24 } else { u64::from(low) };
             (code(&key, counter, id, data) == tag).then_some((key, counter))
@@ -470,6 +474,9 @@ impl Reference {
     /// Whether the last code of the line is that of the message, and its counter is new.
     fn is_owner(&mut self, now: u64, source: u8, id: u16, data: &[u8]) -> bool {
         let received = self.codes[usize::from(source)].take();
+        if received.is_none() || self.open.is_none() || !self.may_check(now) {
+            return false;
+        }
         let (Some(open), Some((low, tag))) = (&mut self.open, received) else {
             return false;
         };
@@ -482,6 +489,15 @@ impl Reference {
         }
         (open.counter, open.active) = (counter, now);
         true
+    }
+
+    /// Four codes are checked in ten milliseconds.
+    fn may_check(&mut self, now: u64) -> bool {
+        if now - self.checked.1 >= 10 {
+            self.checked = (0, now);
+        }
+        self.checked.0 += 1;
+        self.checked.0 <= 4
     }
 
     fn drop(&mut self, now: u64) -> Verdict {

@@ -13,7 +13,7 @@ use firmware::protocol::opening_mm;
 use firmware::protocol::session::op;
 use serde_json::{Value, json};
 
-use crate::commands::connection::{check_protocol, interrupted};
+use crate::commands::connection::{check_protocol, interrupted, print_unprotected};
 use crate::commands::grasp::simulated::check_force;
 use crate::commands::grasp::{Args, MARGIN_MM, check_opening};
 use device::session::{self, Client};
@@ -252,12 +252,12 @@ impl Session {
         if args.clear_faults {
             self.client.request(op::CLEAR_FAULTS)?;
             let waited = self.wait(ARM_S, |session| session.client.is_answered())?;
-            match (waited, self.client.not_armed) {
-                (WaitResult::TimedOut, _) => {
-                    bail!("the gripper does not answer the request to clear its faults")
+            match waited {
+                WaitResult::Done => {}
+                WaitResult::Interrupted => return Ok(waited),
+                WaitResult::TimedOut => {
+                    bail!("the gripper does not clear its faults: {}", self.no_session())
                 }
-                (WaitResult::Interrupted, _) => return Ok(waited),
-                _ => {}
             }
         }
         if !has_fault(self) {
@@ -282,17 +282,21 @@ impl Session {
             self.client.arm()?;
             let waited = self.wait(ARM_RETRY_S, |session| session.client.is_armed())?;
             if waited != WaitResult::TimedOut {
+                if self.client.state.is_unprotected() {
+                    print_unprotected(&self.client.name());
+                }
                 return Ok(waited);
             }
         }
-        match self.client.not_armed {
-            Some(status) => bail!(
-                "the gripper does not arm: {}{}",
-                session::session_refusal(status),
-                self.faults()
-            ),
-            None => bail!("no response to the arming request: does the firmware drive a motor?"),
-        }
+        bail!("the gripper does not arm: {}{}", self.no_session(), self.faults())
+    }
+
+    /// Why no session was opened.
+    fn no_session(&self) -> &'static str {
+        self.client.not_armed.map_or(
+            "it does not answer: does the firmware drive a motor?",
+            session::session_refusal,
+        )
     }
 
     fn enable(&mut self, _: &Args) -> Result<WaitResult> {
