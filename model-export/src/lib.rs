@@ -4,6 +4,7 @@
 //! Modules in the order of the data flow:
 //!
 //! - [`recordings`]: campaigns on disk: validation, units, clock alignment, import.
+//! - [`input`]: regular files only, and the limits of all inputs.
 //! - [`output`]: atomic writes that never overwrite foreign files.
 //! - [`physics`]: forward model from forces to the field at each Hall sensor.
 //! - [`design`]: flexures, materials, and the measurement limits of a design.
@@ -17,6 +18,7 @@ pub mod design;
 pub mod effects;
 pub mod fit;
 pub mod gru;
+pub mod input;
 pub mod inverse;
 pub mod model_file;
 pub mod output;

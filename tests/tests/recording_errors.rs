@@ -236,6 +236,45 @@ fn an_invalid_number_is_reported_with_line_and_column() {
 }
 
 #[test]
+fn an_implausible_force_or_time_is_reported() {
+    for (line, column, cell, expected) in [
+        (8, 1, "-1e12", None),
+        (8, 1, "-1.1e12", Some("line 8, column f0_x_n: -1100000000000.0 is implausible")),
+        (8, 1, "1e308", Some("line 8, column f0_x_n: 1e308 is implausible")),
+        (21, 0, "9007199254740992", None),
+        (
+            21,
+            0,
+            "9007199254740994",
+            Some("line 21, column t_us: 9007199254740994.0 is implausible"),
+        ),
+    ] {
+        let folder = TempDir::new().unwrap();
+        let (hall, force) = valid();
+        let force = with_cell(&force, line, column, cell);
+        write_recording(folder.path(), RECORDING_TOML, &hall, &force);
+        let message = Recording::read(folder.path(), NO_DELAY).err().map(|e| e.to_string());
+        assert_eq!(message.is_some(), expected.is_some(), "{cell}: {message:?}");
+        assert_contains(&message.unwrap_or_default(), expected.unwrap_or_default());
+    }
+}
+
+#[test]
+fn a_reference_slower_than_its_window_allows_is_reported() {
+    // 500 columns by 33,000 rows of the board between two rows of the reference.
+    let names: Vec<String> =
+        (0..500).map(|i| format!("s{}_{}_lsb", i / 3, ["x", "y", "z"][i % 3])).collect();
+    let names = &names[..498];
+    let zeros = ",0".repeat(names.len());
+    let hall: String = (0..33_000).map(|i| format!("{i}000{zeros}\n")).collect();
+    let message = error_of(|path, _, _| {
+        write_hall(path, &format!("t_us,{}\n{hall}", names.join(",")));
+        write_force(path, "t_us,f0_x_n\n40000000,0\n120000000,0\n");
+    });
+    assert_contains(&message, "a row of the reference spans more than 16000000 values");
+}
+
+#[test]
 fn an_empty_force_cell_is_a_missing_value() {
     let folder = TempDir::new().unwrap();
     let (hall, force) = valid();
@@ -271,7 +310,19 @@ fn a_wrong_key_of_the_description_is_reported_with_its_line() {
             "column format: 2 is not allowed here; this tool reads format = 1",
         ),
         ("gauss_per_lsb = 0.125\n", "", "column gauss_per_lsb: the key is missing"),
+        ("start_s = 0.0", "start_s = nan", "column start_s: NaN is not allowed here"),
+        (
+            "start_s = 0.0",
+            "start_s = -1.1e10",
+            "column start_s: -11000000000.0 is not allowed here",
+        ),
         ("gap_mm = 1.5", "gap_mm = -1.5", "column design.gap_mm: -1.5 is not allowed here"),
+        ("gap_mm = 1.5", "gap_mm = 1e-320", "column design.gap_mm: 1e-320 is not allowed here"),
+        (
+            "gauss_per_lsb = 0.125",
+            "gauss_per_lsb = 1e308",
+            "column gauss_per_lsb: 1e308 is not allowed here; give 1e-9 to 1e6",
+        ),
         ("\"cylinder\"", "\"banana\"", "line 7: is invalid: unknown variant `banana`"),
     ] {
         let message = error_of(|path, _, _| {

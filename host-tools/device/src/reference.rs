@@ -6,13 +6,14 @@ use std::io::{BufRead, BufReader, Read};
 use std::net::TcpStream;
 use std::path::Path;
 use std::str::FromStr;
-use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use device_run::channel_map::euler_counts;
 use firmware::protocol::messages::{HostAcceleration, HostAttitude, Message};
+use model_export::input::{self, MAX_MAGNITUDE, MAX_ROW_BYTES, MAX_TIME_US, plausible_range};
 use model_export::recordings::columns::{Axis, ForceColumn, force_column};
 use model_export::recordings::units::{UNITS, Unit, column_unit, find_unit};
 use serde::Deserialize;
@@ -23,6 +24,9 @@ const BAUD_RATE: u32 = 115_200;
 const WAIT: Duration = Duration::from_millis(200);
 /// Lines that cannot be read before the reading fails: the first of a stream is often cut off.
 const MAX_BAD_LINES: u64 = 10;
+
+/// Rows that wait for the recording, a second of the fastest reference: beyond it the source waits, and memory stays bounded.
+pub const MAX_WAITING_ROWS: usize = 10_000;
 
 /// Where the lines come from.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -189,7 +193,7 @@ impl ReferenceMapping {
     /// The file cannot be read, or a column, unit or factor is invalid.
     pub fn read(path: &Path) -> Result<Self> {
         let place = || path.display().to_string();
-        let text = std::fs::read_to_string(path).with_context(place)?;
+        let text = input::read_text(path)?;
         let mapping: Self = toml::from_str(&text).with_context(place)?;
         mapping.check().with_context(place)?;
         Ok(mapping)
@@ -212,6 +216,10 @@ impl ReferenceMapping {
             unit(&column.unit, column.canonical_unit()).with_context(|| to.clone())?;
             if !column.scale.is_finite() || column.scale == 0.0 {
                 bail!("{to}: scale = {}: give a number other than zero", column.scale);
+            }
+            let (min, max) = plausible_range("scale");
+            if !(min..=max).contains(&column.scale.abs()) {
+                bail!("{to}: scale = {:e}: give a factor of {min:e} to {max:e}", column.scale);
             }
         }
         let is_mapped = POSE_COLUMNS.map(|name| self.columns.iter().any(|c| c.to == name));
@@ -266,20 +274,28 @@ impl ReferenceMapping {
                 .filter(|cell| !cell.is_empty())
                 .collect(),
         };
-        let number = |column: usize| {
+        let number = |column: usize, max: f64| {
             let cell = cells.get(column - 1).copied();
             let cell = cell.with_context(|| format!("column {column} is missing in {line:?}"))?;
             let value = cell.parse().ok().filter(|value: &f64| value.is_finite());
-            value.with_context(|| format!("column {column} is not a number: {cell:?}"))
+            let value =
+                value.with_context(|| format!("column {column} is not a number: {cell:?}"))?;
+            if value.abs() > max {
+                bail!("column {column} is implausible: {value:e}, the limit is ±{max:e}");
+            }
+            Ok(value)
         };
         let clock_s = match &self.clock {
             None => None,
-            Some(clock) => Some(1e-6 * number(clock.column)? * unit(&clock.unit, "us")?.factor),
+            Some(clock) => {
+                let factor = unit(&clock.unit, "us")?.factor;
+                Some(1e-6 * number(clock.column, MAX_TIME_US / factor)? * factor)
+            }
         };
         let (mut force_n, mut pose) = (Vec::new(), [None; POSE_COLUMNS.len()]);
         for column in &self.columns {
             let unit = unit(&column.unit, column.canonical_unit())?;
-            let value = number(column.column)? * unit.factor * column.scale;
+            let value = number(column.column, MAX_MAGNITUDE)? * unit.factor * column.scale;
             match pose.iter_mut().zip(POSE_COLUMNS).find(|(_, name)| column.to == *name) {
                 Some((place, _)) => *place = Some(value),
                 None => force_n.push(value),
@@ -364,7 +380,7 @@ impl ReferenceReader {
                 Box::new(BlockingPort(port.with_context(|| name.clone())?))
             }
         };
-        let (sender, rows) = channel();
+        let (sender, rows) = sync_channel(MAX_WAITING_ROWS);
         // Ends with its stream, or when nobody listens.
         thread::spawn(move || listen(stream, &name, &mapping, begun, &sender));
         Ok(Self { rows })
@@ -390,14 +406,23 @@ fn listen(
     name: &str,
     mapping: &ReferenceMapping,
     begun: Instant,
-    sender: &Sender<Result<ReferenceRow>>,
+    sender: &SyncSender<Result<ReferenceRow>>,
 ) {
     let mut lines = BufReader::new(stream);
     let (mut line, mut number, mut bad) = (Vec::new(), 0_u64, 0);
     loop {
         line.clear();
-        match lines.read_until(b'\n', &mut line) {
+        let mut limited = lines.by_ref().take(MAX_ROW_BYTES + 1);
+        match limited.read_until(b'\n', &mut line) {
             Ok(0) => return,
+            Ok(length) if length as u64 > MAX_ROW_BYTES => {
+                let error = anyhow::anyhow!(
+                    "{name}: line {}: the line is longer than {MAX_ROW_BYTES} bytes, the limit; check the rate of the port and that lines end with a line break",
+                    number + 1
+                );
+                let _ = sender.send(Err(error));
+                return;
+            }
             Ok(_) => {}
             Err(error) => {
                 let _ = sender.send(Err(error).with_context(|| name.to_owned()));
@@ -472,6 +497,32 @@ mod tests {
     }
 
     #[test]
+    fn line_of_a_source_is_limited_to_its_length() {
+        let mapping =
+            || mapping("columns = [{ column = 1, unit = \"N\", to = \"f0_x_n\" }]").unwrap();
+        let last = |length: usize| {
+            let (sender, rows) = sync_channel(MAX_WAITING_ROWS);
+            let line = format!("1\n2{}\n3\n", " ".repeat(length - 2));
+            listen(
+                Box::new(std::io::Cursor::new(line)),
+                "source",
+                &mapping(),
+                Instant::now(),
+                &sender,
+            );
+            drop(sender);
+            rows.iter().last().unwrap()
+        };
+        assert_eq!(last(MAX_ROW_BYTES as usize).unwrap().force_n, [3.0]);
+        let message = last(MAX_ROW_BYTES as usize + 1).unwrap_err().to_string();
+        assert!(message.starts_with("source: line 2: the line is longer than 65536"), "{message}");
+        let mapping = mapping();
+        for (cell, is_valid) in [("1e12", true), ("-1.1e12", false), ("1e308", false)] {
+            assert_eq!(mapping.parse(cell, 0.0).is_ok(), is_valid, "{cell}");
+        }
+    }
+
+    #[test]
     fn pose_of_a_line_becomes_messages_with_its_age() {
         let columns = |names: &[&str]| {
             let column = |(i, name): (usize, &&str)| {
@@ -519,6 +570,7 @@ mod tests {
             (column("column = 1, unit = \"N\", to = \"fx\""), "fx"),
             (column("column = 1, unit = \"N\", to = \"t_us\""), "[clock]"),
             (column("column = 1, unit = \"N\", to = \"f0_x_n\", scale = 0"), "scale = 0"),
+            (column("column = 1, unit = \"N\", to = \"f0_x_n\", scale = 1e-320"), "give a factor"),
             (column("column = 1, unit = \"N\", to = \"f0_x_n\", gain = 2"), "unknown field"),
         ] {
             let error = format!("{:#}", mapping(&text).unwrap_err());

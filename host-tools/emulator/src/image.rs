@@ -78,7 +78,11 @@ impl Image {
         Self::parse(elf, path)
     }
 
-    fn parse(elf: Vec<u8>, path: &Path) -> Result<Self, ImageError> {
+    /// Parses the content of an ELF file; `path` is for messages.
+    ///
+    /// # Errors
+    /// [`ImageError`].
+    pub fn parse(elf: Vec<u8>, path: &Path) -> Result<Self, ImageError> {
         let not_arm = || ImageError::NotArm { path: path.to_owned() };
         let file = ElfFile32::<Endianness>::parse(&*elf).map_err(|_| not_arm())?;
         let endian = file.endian();

@@ -8,6 +8,7 @@ use model_export::design::SensorDesign;
 use model_export::effects::expression::ParameterRange;
 use model_export::effects::{EffectTerm, Expression};
 use model_export::fit::FitOptions;
+use model_export::input::MAX_EFFECTS;
 use model_export::output::check_output;
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
@@ -24,11 +25,17 @@ pub struct AlignArgs {
     delay_ms: f64,
 }
 
+/// Maximum delay: an hour, as between time zones.
+const MAX_DELAY_MS: f64 = 3.6e6;
+
 impl AlignArgs {
     /// The alignment for the readers of recordings.
     pub fn alignment(self) -> Result<Alignment> {
-        if !self.delay_ms.is_finite() {
-            bail!("--delay-ms must be a finite number of milliseconds");
+        if !(-MAX_DELAY_MS..=MAX_DELAY_MS).contains(&self.delay_ms) {
+            bail!(
+                "--delay-ms {:?} is not possible here; give up to {MAX_DELAY_MS} ms either way",
+                self.delay_ms
+            );
         }
         Ok(Alignment { delay_us: self.delay_ms * 1e3 })
     }
@@ -107,6 +114,12 @@ pub fn read_design(path: Option<&Path>) -> Result<SensorDesign> {
     })
 }
 
+/// Parses a number within an inclusive range.
+pub fn parse_number(text: &str, (min, max): (f64, f64)) -> Result<f64, String> {
+    let number = text.trim().parse().ok().filter(|number| (min..=max).contains(number));
+    number.ok_or_else(|| format!("give a number from {min:e} to {max:e}"))
+}
+
 /// User-defined effects: formulas and the ranges of their nonlinear parameters.
 #[derive(Debug, clap::Args)]
 pub struct ExprArgs {
@@ -144,6 +157,9 @@ impl ExprArgs {
                 .map_err(|error| anyhow!("--expr: {error}"))?;
             Ok(EffectTerm::Expression(Arc::new(effect)))
         };
+        if self.expr.len() > MAX_EFFECTS {
+            bail!("there are {} --expr, and the limit is {MAX_EFFECTS}", self.expr.len());
+        }
         self.expr.iter().map(parse).collect()
     }
 }

@@ -50,7 +50,7 @@ pub fn run(args: &Args) -> Result<()> {
     common.check()?;
     if !(0.0..=MAX_DISTURBANCE_HOURS).contains(&args.disturbance_hours) {
         bail!(
-            "--disturbance-hours {} is not possible here; give 0 to {MAX_DISTURBANCE_HOURS}",
+            "--disturbance-hours {:?} is not possible here; give 0 to {MAX_DISTURBANCE_HOURS}",
             args.disturbance_hours
         );
     }

@@ -11,8 +11,10 @@ use firmware::protocol::{DEFAULT_NODE, PROTOCOL_VERSION};
 use model_export::fit::FitOptions;
 use model_export::inverse::build::{DeviceModel, ModelVariant, build};
 use model_export::model_file::{BaseKind, ModelFile, Provenance};
+use model_export::output::StagingDir;
 use model_export::recordings::align::Alignment;
 
+use crate::commands::args::parse_number;
 use crate::commands::demo::CAMPAIGN;
 use analysis::compare::campaign_reader::read_campaign;
 use analysis::fit::fit_campaign;
@@ -181,7 +183,7 @@ fn fit_demo() -> Result<DeviceModel> {
     let campaign = read_campaign(Path::new(CAMPAIGN), alignment)?;
     let (fits, _) = fit_campaign(&campaign, BaseKind::Cylinder, None, options)?;
     let provenance = Provenance::of(&campaign, alignment.delay_us, options)?;
-    let folder = tempfile::tempdir().context("no temporary directory for a model")?;
+    let folder = StagingDir::new(&std::env::temp_dir().join("model"), "demo")?;
     let path = folder.path().join("model.toml");
     ModelFile::of(&campaign, &fits, provenance).write(&path)?;
     Ok(build(&path, ModelVariant::Fitted)?)
@@ -216,15 +218,18 @@ pub fn interrupted() -> Result<Arc<AtomicBool>> {
     Ok(flag)
 }
 
+/// Durations in seconds: a millisecond to a year.
+const SECONDS: (f64, f64) = (1e-3, 3.2e7);
+/// Maximum force on a finger of the virtual board in newtons, four times the design force.
+const MAX_PRESS_N: f64 = 1000.0;
+
 /// Parses a positive time in seconds.
 pub fn parse_seconds(text: &str) -> Result<f64, String> {
-    let seconds = text.parse().ok();
-    let seconds = seconds.filter(|seconds: &f64| seconds.is_finite() && *seconds > 0.0);
-    seconds.ok_or_else(|| "give a number of seconds above zero".to_owned())
+    parse_number(text, SECONDS).map_err(|advice| format!("{advice}, in seconds"))
 }
 
 fn parse_forces(text: &str) -> Result<[f64; 2], String> {
-    let number = |text: &str| text.trim().parse().ok().filter(|n: &f64| n.is_finite());
+    let number = |text: &str| parse_number(text, (-MAX_PRESS_N, MAX_PRESS_N)).ok();
     let forces = text.split_once(',').and_then(|(x, z)| Some([number(x)?, number(z)?]));
-    forces.ok_or_else(|| "write FX,FZ in newtons, as 20,-5".to_owned())
+    forces.ok_or_else(|| format!("write FX,FZ in newtons, up to {MAX_PRESS_N}, as 20,-5"))
 }

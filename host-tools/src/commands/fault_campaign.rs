@@ -23,7 +23,7 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 2)]
     seeds: u64,
     /// The first seed.
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
     from_seed: u64,
     /// Random grippers for each motion onto a hand and each stop of a grip.
     #[arg(long, value_name = "N", default_value_t = 10)]
@@ -58,7 +58,7 @@ pub fn run(args: &Args) -> Result<()> {
     }
     if !(0.0..=MAX_HOURS).contains(&args.false_alarm_hours) {
         bail!(
-            "--false-alarm-hours {} is not possible here; give 0 to {MAX_HOURS}",
+            "--false-alarm-hours {:?} is not possible here; give 0 to {MAX_HOURS}",
             args.false_alarm_hours
         );
     }

@@ -3,13 +3,12 @@
 use analysis::progress;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use model_export::design::SensorDesign;
-use model_export::output::write_output;
 use model_export::physics::ForwardModel;
 
 use crate::commands::args::read_design;
-use model_export::output::{check_absent, check_vacant, staging_dir};
+use model_export::output::{StagingDir, check_absent, check_vacant, write_new};
 use report::text::simulate::{format_report, to_json};
 use report::text::terminal;
 use sim::campaign;
@@ -115,13 +114,16 @@ pub fn run(args: &Args) -> Result<()> {
     };
     truth::check_outside(&truth_path, &args.output)?;
     check_free(&args.output, &truth_path)?;
-    let staging = staging_dir(&args.output, ".magpie-simulate-")?;
+    let staging = StagingDir::new(&args.output, "simulate")?;
     let bar = progress::progress_bar("simulating recordings", settings.recordings as usize);
     let truth = campaign::simulate(&settings, staging.path(), || bar.inc(1))?;
     bar.finish_and_clear();
-    write_output(&truth_path, truth.text()?.as_bytes(), truth::MARK)?;
-    std::fs::rename(staging.keep(), &args.output)
-        .with_context(|| format!("{} cannot be written", args.output.display()))?;
+    // Both are new, or neither is: another process may have written them in the meantime.
+    write_new(&truth_path, truth.text()?.as_bytes())?;
+    if let Err(error) = staging.commit(&args.output) {
+        let _ = std::fs::remove_file(&truth_path);
+        return Err(error.into());
+    }
     terminal::print_result(
         args.json,
         || to_json(&settings, &truth, &args.output, &truth_path),
@@ -139,25 +141,35 @@ fn settings(args: &Args) -> Result<CampaignSettings> {
     ];
     for (option, value) in at_least_zero {
         if !(value.is_finite() && value >= 0.0) {
-            bail!("{option} {value} is not possible here; give a number that is not below zero");
+            bail!("{option} {value:?} is not possible here; give a number that is not below zero");
+        }
+    }
+    let at_most = [
+        ("--strength", args.strength, MAX_STRENGTH),
+        ("--field-noise", args.field_noise.unwrap_or_default(), MAX_FIELD_NOISE_G),
+        ("--reference-noise", args.reference_noise, MAX_REFERENCE_NOISE_N),
+    ];
+    for (option, value, max) in at_most {
+        if value > max {
+            bail!("{option} {value:?} is not possible here; give at most {max}");
         }
     }
     if args.scatter > MAX_SCATTER {
         bail!(
-            "--scatter {} is not possible here; beyond {MAX_SCATTER} the parts collide",
+            "--scatter {:?} is not possible here; beyond {MAX_SCATTER} the parts collide",
             args.scatter
         );
     }
     if args.load > MAX_LOAD || !args.warmer.is_finite() || args.warmer.abs() > MAX_WARMER_K {
         bail!(
-            "--load {} --warmer {} is not possible here; give a load of up to {MAX_LOAD} and up to {MAX_WARMER_K} K either way",
+            "--load {:?} --warmer {:?} is not possible here; give a load of up to {MAX_LOAD} and up to {MAX_WARMER_K} K either way",
             args.load,
             args.warmer
         );
     }
     if !(MIN_SECONDS..=MAX_SECONDS).contains(&args.seconds) {
         bail!(
-            "--seconds {} is not possible here; give {} to {}",
+            "--seconds {:?} is not possible here; give {} to {}",
             args.seconds,
             MIN_SECONDS,
             MAX_SECONDS
@@ -193,6 +205,13 @@ fn settings(args: &Args) -> Result<CampaignSettings> {
         hidden: args.random_effects.is_some(),
     })
 }
+
+/// Maximum factor on random effects: beyond it all have their maximum.
+const MAX_STRENGTH: f64 = 100.0;
+/// Maximum white noise of the field: a thousand times that of the sensor.
+const MAX_FIELD_NOISE_G: f64 = 350.0;
+/// Maximum white noise of the reference: the design force.
+const MAX_REFERENCE_NOISE_N: f64 = 250.0;
 
 /// Maximum number of simulated sensors; the board reads four.
 const MAX_SENSORS: u32 = 8;

@@ -28,6 +28,9 @@ pub const DEFAULT_HIDDEN: usize = 16;
 /// The same for one network of all sensors.
 const DEFAULT_HIDDEN_SHARED: usize = 32;
 
+/// Learning rates: below, the weights do not change; above, the training diverges.
+const MIN_RATE: f64 = 1e-9;
+const MAX_RATE: f64 = 1.0;
 /// Maximum weight of rows without force; its inverse is the minimum.
 const MAX_ZERO_WEIGHT: f64 = 100.0;
 
@@ -71,13 +74,13 @@ pub struct TrainingArgs {
 impl TrainingArgs {
     /// Checks the ranges that the parser does not check.
     pub fn check(&self) -> Result<()> {
-        if !(self.rate.is_finite() && self.rate > 0.0) {
-            bail!("--rate must be a positive number");
+        if !(MIN_RATE..=MAX_RATE).contains(&self.rate) {
+            bail!("--rate {:?} is not possible here; give {MIN_RATE:e} to {MAX_RATE}", self.rate);
         }
         if let Some(weight) = self.zero_weight
             && !(MAX_ZERO_WEIGHT.recip()..=MAX_ZERO_WEIGHT).contains(&weight)
         {
-            bail!("--zero-weight {weight} is not possible here; give 0.01 to {MAX_ZERO_WEIGHT}");
+            bail!("--zero-weight {weight:?} is not possible here; give 0.01 to {MAX_ZERO_WEIGHT}");
         }
         Ok(())
     }

@@ -151,7 +151,7 @@ fn invalid_model_parameter_is_rejected_by_name() {
         (
             "gauss_per_lsb = 0.125",
             "gauss_per_lsb = 0.0",
-            "column sensor_scale.gauss_per_lsb: 0 is not allowed here",
+            "column sensor_scale.gauss_per_lsb: 0.0 is not allowed here",
         ),
         ("number = 1", "number = 0", "duplicate number"),
     ] {

@@ -1,5 +1,6 @@
 //! The command line of `magpie` and the commands without a campaign of their own in `tests/data`.
 
+mod bounded_input;
 mod command_line;
 mod dbc;
 mod design;

@@ -60,6 +60,10 @@ pub enum FitError {
     )]
     DegreeWithoutForce { sensor: u32, degree: usize },
     #[error(
+        "sensor {sensor}: a polynomial of degree {degree} in {forces} forces has more than {max} terms, the limit; reduce --degree, or remove columns of force.csv"
+    )]
+    TooManyTerms { sensor: u32, degree: usize, forces: usize, max: usize },
+    #[error(
         "{place}: sensor {sensor} has {rows} usable rows and the fit needs {needed}; record longer"
     )]
     TooFewRows { place: Location, sensor: u32, rows: usize, needed: usize },

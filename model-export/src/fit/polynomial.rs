@@ -6,6 +6,7 @@ use crate::fit::block_bootstrap::{self, Block};
 use crate::fit::cross_validation::{CvSplit, ErrorSums, RowRange, all_rows, time_slices};
 use crate::fit::rows::SensorRows;
 use crate::fit::{AxisScore, FitError, FitOptions};
+use crate::input::MAX_POLYNOMIAL_TERMS;
 use crate::recordings::columns::Axis;
 
 /// Maximum degree of the automatic choice.
@@ -43,6 +44,12 @@ impl Polynomial {
         }
         terms.sort_by_key(|term: &Vec<usize>| term.iter().sum::<usize>());
         terms
+    }
+
+    /// Number of [`Polynomial::terms`], the binomial coefficient; `None` beyond the range of an integer.
+    pub fn term_count(forces: usize, degree: usize) -> Option<usize> {
+        (1..=forces)
+            .try_fold(1_usize, |count, i| Some(count.checked_mul(degree.checked_add(i)?)? / i))
     }
 
     /// Field in gauss under `force_n`, in the order of [`Polynomial::forces`].
@@ -131,8 +138,17 @@ pub fn fit(
         }
         (_, true) => 0..=0,
         (Some(stated), false) => stated..=stated,
-        (None, false) => 1..=MAX_DEGREE,
+        // At least the first, for the error.
+        (None, false) => {
+            let largest =
+                (2..=MAX_DEGREE).take_while(|degree| is_small(spans.len(), *degree)).last();
+            1..=largest.unwrap_or(1)
+        }
     };
+    if let Some(degree) = degrees.clone().find(|degree| !is_small(spans.len(), *degree)) {
+        let (sensor, forces, max) = (rows.sensor, spans.len(), MAX_POLYNOMIAL_TERMS);
+        return Err(FitError::TooManyTerms { sensor, degree, forces, max });
+    }
     let tried: Vec<(usize, ErrorSums)> = degrees
         .map(|degree| Ok((degree, held_out(rows, &spans, degree)?)))
         .collect::<Result<_, FitError>>()?;
@@ -156,6 +172,10 @@ pub fn fit(
         tried: tried.iter().map(|(d, sums)| (*d, sums.mean_square().sqrt())).collect(),
         block_s,
     })
+}
+
+fn is_small(forces: usize, degree: usize) -> bool {
+    Polynomial::term_count(forces, degree).is_some_and(|terms| terms <= MAX_POLYNOMIAL_TERMS)
 }
 
 fn held_out(rows: &SensorRows, spans: &[(f64, f64)], degree: usize) -> Result<ErrorSums, FitError> {
@@ -257,6 +277,21 @@ mod tests {
         assert_eq!(terms.len(), 6);
         assert_eq!(terms[0], [0, 0]);
         assert!(terms.contains(&vec![1, 1]) && terms.contains(&vec![0, 2]));
+    }
+
+    #[test]
+    fn number_of_terms_is_known_without_listing_them() {
+        for (forces, degree) in [(0, 3), (1, 0), (1, 9), (2, 2), (3, 9), (8, 4)] {
+            let count = Polynomial::terms(forces, degree).len();
+            assert_eq!(Polynomial::term_count(forces, degree), Some(count));
+        }
+        assert_eq!(Polynomial::term_count(60, usize::MAX), None);
+        // 715 and 1001 terms of four forces; 1000 and 1001 of a plane.
+        for (forces, degree, expected) in
+            [(4, 9, true), (4, 10, false), (999, 1, true), (1000, 1, false)]
+        {
+            assert_eq!(is_small(forces, degree), expected, "{forces} {degree}");
+        }
     }
 
     #[test]

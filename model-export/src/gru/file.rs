@@ -9,6 +9,7 @@ use crate::gru::network::{GATES, Layer, Network, OUTPUTS, ScaledInput, Target, T
 use crate::gru::tensors::{self, NamedTensor, TensorFile, TensorFileKind};
 use crate::gru::train::dataset::Topology;
 use crate::gru::train::trainer::{BestEpoch, TrainingSettings};
+use crate::input::MAX_HIDDEN;
 use crate::recordings::error::ErrorKind;
 use crate::recordings::recording::hex;
 use crate::recordings::{DataError, Location};
@@ -111,6 +112,11 @@ impl NetworkFile {
         if description.format != FORMAT {
             let found = format!("format {}", description.format);
             let advice = format!("this version reads format {FORMAT}: train again");
+            return Err(ErrorKind::BadValue { found, advice }.at(Location::file(path)));
+        }
+        if let Some(large) = description.networks.iter().find(|scales| scales.hidden > MAX_HIDDEN) {
+            let found = format!("a layer of {} units", large.hidden);
+            let advice = format!("the limit is {MAX_HIDDEN}: train again");
             return Err(ErrorKind::BadValue { found, advice }.at(Location::file(path)));
         }
         let networks = description.networks.into_iter().enumerate();
@@ -330,6 +336,27 @@ mod tests {
         assert!(refused(&path).contains("this is not a network"));
         assert!(file().write(&path).is_err());
         assert_eq!(std::fs::read(&path).unwrap(), bytes);
+    }
+
+    #[test]
+    fn number_of_units_is_limited() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let path = folder.path().join("network.safetensors");
+        for (hidden, words) in
+            [(MAX_HIDDEN + 1, "the limit is 1024"), (MAX_HIDDEN, "has the shape")]
+        {
+            let mut one = file();
+            one.networks.iter_mut().for_each(|network| network.hidden = hidden);
+            let scales = one.networks.iter().map(Scales::of).collect();
+            let description = Description {
+                format: FORMAT,
+                provenance: one.provenance.clone(),
+                networks: scales,
+            };
+            let arrays = arrays(0, &network(2, 3));
+            tensors::write(&path, TensorFileKind::Network, &description, &arrays).unwrap();
+            assert!(refused(&path).contains(words), "{}", refused(&path));
+        }
     }
 
     #[test]

@@ -10,6 +10,7 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
+use crate::input;
 use crate::output::{FileSignature, write_output};
 use crate::recordings::error::ErrorKind;
 use crate::recordings::{DataError, Location};
@@ -103,7 +104,7 @@ pub fn read<D: DeserializeOwned>(
     if path.is_dir() {
         return Err(at(foreign(kind)));
     }
-    let bytes = std::fs::read(path).map_err(|error| at(ErrorKind::Unreadable(error)))?;
+    let bytes = input::read_bytes(path, input::MAX_TENSORS_BYTES)?;
     let mark = kind.mark();
     let ours = bytes.get(mark.offset..).is_some_and(|rest| rest.starts_with(mark.text.as_bytes()));
     if !ours {

@@ -5,6 +5,7 @@ use std::path::Path;
 use sha2::{Digest, Sha256};
 
 use crate::effects::{DeviceForm, Effect, EffectTerm};
+use crate::input;
 use crate::inverse::compensation::{NotCompensable, OwnedCompensation, board_conditions};
 use crate::inverse::model_selection::{SelectedModels, select_models};
 use crate::inverse::quantise::TableOverflow;
@@ -76,8 +77,7 @@ pub struct DeviceModel {
 /// Reads the model at `path` and builds the tables of all sensors.
 pub fn build(path: &Path, variant: ModelVariant) -> Result<DeviceModel, BuildError> {
     let model = ModelFile::read(path)?;
-    let bytes = std::fs::read(path)
-        .map_err(|error| ErrorKind::Unreadable(error).at(Location::file(path)))?;
+    let bytes = input::read_bytes(path, input::MAX_DOCUMENT_BYTES)?;
     build_model(model, path, &bytes, variant)
 }
 

@@ -1,6 +1,7 @@
 //! `model.toml`: a fitted model with standard errors, nominal design and provenance, human-readable. The device
 //! uses exported tables instead.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use firmware::config::constants::{self, FORCE_RANGE};
@@ -11,6 +12,9 @@ use crate::fit::campaign::FitSetup;
 use crate::fit::joint::{JointFit, SensorFit};
 use crate::fit::parameters::{self, PARAMETERS};
 use crate::fit::{CampaignFits, FitError, FitOptions};
+use crate::input::{
+    self, MAX_EFFECTS, MAX_MAGNITUDE, MAX_SENSORS, check_plausible, plausible_range,
+};
 use crate::output::write_output;
 use crate::physics::ForwardModel;
 use crate::recordings::description::{NominalDesign, parse_toml};
@@ -166,8 +170,7 @@ impl ModelFile {
         if path.is_dir() {
             return Err(ErrorKind::ModelIsFolder.at(Location::file(path)));
         }
-        let text = std::fs::read_to_string(path)
-            .map_err(|error| ErrorKind::Unreadable(error).at(Location::file(path)))?;
+        let text = input::read_text(path)?;
         let is_model =
             |table: &toml::Table| table.contains_key("base") && table.contains_key("sensor");
         if text.parse::<toml::Table>().is_ok_and(|table| !is_model(&table)) {
@@ -201,14 +204,35 @@ impl ModelFile {
             if !(value.is_finite() && value > 0.0) {
                 return bad(
                     key.to_owned(),
-                    value.to_string(),
+                    format!("{value:?}"),
                     "give a positive number, or repeat the fit",
                 );
             }
+            check_plausible(key, value).map_err(|kind| kind.at(location(key.to_owned())))?;
         }
-        for (i, sensor) in self.sensors.iter().enumerate() {
+        for (key, count, max) in [
+            ("sensor", self.sensors.len(), MAX_SENSORS),
+            ("effect", self.effects.len(), MAX_EFFECTS),
+        ] {
+            if count > max {
+                let advice = format!("the limit is {max}: repeat the fit");
+                return bad(key.to_owned(), format!("{count} entries"), &advice);
+            }
+        }
+        for effect in &self.effects {
+            let parameters = effect.sensors.iter().flat_map(|sensor| &sensor.parameters);
+            if let Some((name, value)) = parameters
+                .map(|(name, value)| (name, value.value))
+                .find(|(_, value)| !(-MAX_MAGNITUDE..=MAX_MAGNITUDE).contains(value))
+            {
+                let key = format!("{name} of {}", effect.name);
+                return bad(key, format!("{value:?}"), "correct it, or add the effect again");
+            }
+        }
+        let mut numbers = BTreeSet::new();
+        for sensor in &self.sensors {
             let key = |name: &str| format!("{name} of sensor {}", sensor.number);
-            if self.sensors.iter().take(i).any(|other| other.number == sensor.number) {
+            if !numbers.insert(sensor.number) {
                 return bad(
                     key("number"),
                     sensor.number.to_string(),
@@ -233,11 +257,17 @@ impl ModelFile {
                 };
                 let must_be_positive =
                     parameter.name == "gap" || parameter.name.starts_with("stiffness");
-                let is_zero_remanence = parameter.name == "remanence" && value == 0.0;
-                if !value.is_finite() || (must_be_positive && value <= 0.0) || is_zero_remanence {
+                let (min, max) = plausible_range(parameter.name);
+                let min = match parameter.name {
+                    "remanence" => min,
+                    _ if must_be_positive => 1e-9,
+                    _ => 0.0,
+                };
+                let is_plausible = (min..=max).contains(&value.abs());
+                if !is_plausible || (must_be_positive && value <= 0.0) {
                     return bad(
                         key(parameter.name),
-                        value.to_string(),
+                        format!("{value:?}"),
                         "correct it, or repeat the fit",
                     );
                 }

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::fit::AxisScore;
 use crate::fit::joint::SensorFit;
 use crate::fit::polynomial::{Polynomial, PolynomialFit};
+use crate::input::MAX_POLYNOMIAL_TERMS;
 use crate::model_file::digits;
 use crate::recordings::columns::{Axis, ForceColumn, force_column};
 
@@ -169,11 +170,17 @@ impl SensorModel {
             _ => None,
         };
         let forces: Vec<(u32, Axis)> = table.forces.iter().map(force).collect::<Option<_>>()?;
+        if Polynomial::term_count(forces.len(), table.degree) != Some(table.terms.len())
+            || table.terms.len() > MAX_POLYNOMIAL_TERMS
+        {
+            return None;
+        }
         let terms = Polynomial::terms(forces.len(), table.degree);
         let finite = table.coefficients_g.iter().flatten().all(|value| value.is_finite());
         let consistent = terms == table.terms
             && table.coefficients_g.len() == terms.len()
-            && table.spans_n.len() == forces.len();
+            && table.spans_n.len() == forces.len()
+            && table.spans_n.iter().all(|(from, to)| (to - from).is_finite() && from < to);
         (finite && consistent).then(|| Polynomial {
             degree: table.degree,
             forces,

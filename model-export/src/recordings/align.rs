@@ -62,6 +62,11 @@ impl Aligner {
         self.samples.push_back(sample);
     }
 
+    /// Number of stored values.
+    pub fn stored_values(&self) -> usize {
+        self.samples.len() * self.samples.front().map_or(0, |sample| sample.values.len())
+    }
+
     /// Mean over the window around `centre_us`; calls must be in ascending order of time.
     pub fn mean_around(&mut self, centre_us: f64) -> Window {
         let (from, to) = (centre_us - self.half_width_us, centre_us + self.half_width_us);

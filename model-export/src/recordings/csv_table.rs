@@ -1,10 +1,13 @@
 //! Streaming reader of numeric `.csv` and `.csv.gz` tables: cells, row lengths and the clock are validated.
 
-use std::collections::VecDeque;
-use std::fs::File;
+use std::collections::{BTreeSet, VecDeque};
 use std::io::{Read, Seek};
 use std::path::{Path, PathBuf};
 
+use crate::input::{
+    self, BoundedReader, MAX_COLUMNS, MAX_MAGNITUDE, MAX_RATIO, MAX_ROW_BYTES, MAX_TABLE_BYTES,
+    MAX_TIME_US, TableLimit,
+};
 use crate::recordings::error::{DataError, ErrorKind, Location, Notice};
 
 /// A row of numbers; an empty cell is NaN.
@@ -30,8 +33,14 @@ pub enum CellRule {
     Ignored,
 }
 
-/// Reader of the records of a table, the header being the first.
-pub type CsvReader = csv::Reader<Box<dyn Read + Send>>;
+/// Length of the reader's buffer in bytes.
+const BUFFER_BYTES: usize = 1 << 16;
+
+/// Reader of the records of a table, the header being the first; refuses tables beyond the limits of [`input`].
+pub struct CsvReader {
+    path: PathBuf,
+    reader: csv::Reader<BoundedReader>,
+}
 
 /// Number of rows from which the typical period of a clock is estimated.
 pub const PERIOD_ROWS: usize = 1000;
@@ -59,31 +68,63 @@ pub fn is_compressed(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension == "gz")
 }
 
-/// Opens a file for reading records of any length, decompressing it where its name ends in `.gz`.
-///
-/// # Errors
-/// It cannot be opened, or is not compressed although its name says so.
-pub fn open_csv(path: &Path) -> Result<CsvReader, DataError> {
-    let unreadable = |error| ErrorKind::Unreadable(error).at(Location::file(path));
-    let mut file = File::open(path).map_err(unreadable)?;
-    if !is_compressed(path) {
-        return Ok(csv_reader(Box::new(file)));
+impl CsvReader {
+    /// Opens a regular file, decompressing it where its name ends in `.gz`.
+    ///
+    /// # Errors
+    /// It cannot be opened, or is not compressed although its name says so.
+    pub fn open(path: &Path) -> Result<Self, DataError> {
+        let unreadable = |error| ErrorKind::Unreadable(error).at(Location::file(path));
+        let mut file = input::open(path)?;
+        if !is_compressed(path) {
+            return Ok(Self::new(path, BoundedReader::new(Box::new(file), None)));
+        }
+        let mut magic = [0; 2];
+        let length = file.read(&mut magic).map_err(unreadable)?;
+        file.rewind().map_err(unreadable)?;
+        if length == 2 && magic != GZIP_MAGIC {
+            return Err(ErrorKind::NotGzip.at(Location::file(path)));
+        }
+        let compressed = file.metadata().map_err(unreadable)?.len();
+        let decoder = Box::new(flate2::read::MultiGzDecoder::new(file));
+        Ok(Self::new(path, BoundedReader::new(decoder, Some(compressed))))
     }
-    let mut magic = [0; 2];
-    let length = file.read(&mut magic).map_err(unreadable)?;
-    file.rewind().map_err(unreadable)?;
-    if length == 2 && magic != GZIP_MAGIC {
-        return Err(ErrorKind::NotGzip.at(Location::file(path)));
-    }
-    Ok(csv_reader(Box::new(flate2::read::MultiGzDecoder::new(file))))
-}
 
-fn csv_reader(input: Box<dyn Read + Send>) -> CsvReader {
-    csv::ReaderBuilder::new()
-        .has_headers(false)
-        .flexible(true)
-        .buffer_capacity(1 << 16)
-        .from_reader(input)
+    fn new(path: &Path, input: BoundedReader) -> Self {
+        let reader = csv::ReaderBuilder::new()
+            .has_headers(false)
+            .flexible(true)
+            .buffer_capacity(BUFFER_BYTES)
+            .from_reader(input);
+        Self { path: path.to_path_buf(), reader }
+    }
+
+    /// Line of the next record.
+    pub fn line(&self) -> u64 {
+        self.reader.position().line()
+    }
+
+    /// Reads the next record; false at the end.
+    ///
+    /// # Errors
+    /// The file cannot be read, or exceeds a limit; the error has the line.
+    pub fn read(&mut self, record: &mut csv::ByteRecord) -> Result<bool, DataError> {
+        let place = Location::file(&self.path).line(self.line());
+        self.reader.get_mut().start_row(BUFFER_BYTES as u64);
+        let found = match self.reader.read_byte_record(record) {
+            Ok(found) => found,
+            Err(error) => return Err(read_error(error).at(place)),
+        };
+        // With its separators.
+        if (record.as_slice().len() + record.len()) as u64 > MAX_ROW_BYTES {
+            return Err(ErrorKind::RowTooLong { max: MAX_ROW_BYTES }.at(place));
+        }
+        if record.len() > MAX_COLUMNS {
+            let kind = ErrorKind::TooManyColumns { found: record.len(), max: MAX_COLUMNS };
+            return Err(kind.at(place));
+        }
+        Ok(found)
+    }
 }
 
 /// Names of the columns in a header record.
@@ -108,6 +149,7 @@ pub struct CsvTable {
     record: csv::ByteRecord,
     time_column: usize,
     rules: Vec<CellRule>,
+    has_limits: bool,
     previous: Option<CsvRow>,
     /// Rows that were read ahead of [`CsvTable::next_row`].
     buffered: VecDeque<CsvRow>,
@@ -124,12 +166,9 @@ impl CsvTable {
 
     /// Opens one file, decompressing it where its name ends in `.gz`.
     pub fn open_file(path: &Path) -> Result<Self, DataError> {
-        let mut reader = open_csv(path)?;
+        let mut reader = CsvReader::open(path)?;
         let mut record = csv::ByteRecord::new();
-        let found = reader
-            .read_byte_record(&mut record)
-            .map_err(|error| read_error(error).at(Location::file(path)))?;
-        if !found {
+        if !reader.read(&mut record)? {
             return Err(ErrorKind::Empty.at(Location::file(path)));
         }
         let is_text = record.iter().all(|cell| {
@@ -145,8 +184,9 @@ impl CsvTable {
         {
             return Err(ErrorKind::WrongSeparator { separator }.at(Location::file(path).line(1)));
         }
-        for (i, name) in header.iter().enumerate() {
-            if header.get(..i).is_some_and(|before| before.contains(name)) {
+        let mut before = BTreeSet::new();
+        for name in &header {
+            if !before.insert(name) {
                 let place = Location::file(path).line(1).column(name.as_str());
                 return Err(ErrorKind::DuplicateColumn.at(place));
             }
@@ -155,6 +195,7 @@ impl CsvTable {
             path: path.to_path_buf(),
             reader,
             rules: vec![CellRule::Number; header.len()],
+            has_limits: false,
             header,
             record,
             time_column: 0,
@@ -191,6 +232,12 @@ impl CsvTable {
     pub fn set_rules(&mut self, time_column: usize, rules: Vec<CellRule>) {
         self.time_column = time_column;
         self.rules = rules;
+    }
+
+    /// Checks every number against [`MAX_MAGNITUDE`] and the clock against [`MAX_TIME_US`]; without it the units of the columns
+    /// are unknown.
+    pub fn limit_magnitudes(&mut self) {
+        self.has_limits = true;
     }
 
     /// Median period of the first [`PERIOD_ROWS`] rows, in the unit of the clock; the rows are buffered for
@@ -230,12 +277,8 @@ impl CsvTable {
     }
 
     fn read_row(&mut self) -> Result<Option<CsvRow>, DataError> {
-        let line = self.reader.position().line();
-        let found = self
-            .reader
-            .read_byte_record(&mut self.record)
-            .map_err(|error| read_error(error).at(Location::file(&self.path).line(line)))?;
-        if !found {
+        let line = self.reader.line();
+        if !self.reader.read(&mut self.record)? {
             return Ok(None);
         }
         let line = self.record.position().map_or(line, csv::Position::line);
@@ -248,6 +291,10 @@ impl CsvTable {
         for (i, cell) in self.record.iter().enumerate() {
             let value = parse_cell(cell, self.rules[i])
                 .map_err(|kind| kind.at(self.cell_location(line, i)))?;
+            let max = if i == self.time_column { MAX_TIME_US } else { MAX_MAGNITUDE };
+            if self.has_limits && value.abs() > max {
+                return Err(ErrorKind::Implausible { value, max }.at(self.cell_location(line, i)));
+            }
             cells.push(value);
         }
         let row = CsvRow { line, cells };
@@ -302,6 +349,13 @@ fn read_error(error: csv::Error) -> ErrorKind {
     let text = error.to_string();
     match error.into_kind() {
         csv::ErrorKind::Io(io) => match io.kind() {
+            _ if let Some(limit) = io.get_ref().and_then(|inner| inner.downcast_ref()) => {
+                match limit {
+                    TableLimit::Row => ErrorKind::RowTooLong { max: MAX_ROW_BYTES },
+                    TableLimit::Table => ErrorKind::TableTooLong { max_gib: MAX_TABLE_BYTES >> 30 },
+                    TableLimit::Ratio => ErrorKind::RatioTooHigh { max: MAX_RATIO },
+                }
+            }
             std::io::ErrorKind::UnexpectedEof
             | std::io::ErrorKind::InvalidInput
             | std::io::ErrorKind::InvalidData => ErrorKind::DamagedGzip(io),

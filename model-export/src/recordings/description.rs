@@ -6,6 +6,7 @@ use firmware::config::constants;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
+use crate::input::{self, MAX_COLUMNS, MAX_START_S, check_plausible};
 use crate::recordings::error::{DataError, ErrorKind, Location, Notice};
 use crate::recordings::units::{column_unit, column_units};
 
@@ -234,13 +235,15 @@ impl RecordingDescription {
     /// Reads and validates `recording.toml` in `folder`; unrecognised keys become notices.
     pub fn read(folder: &Path) -> Result<(Self, Vec<Notice>), DataError> {
         let path = folder.join(RECORDING_FILE);
-        let text = std::fs::read_to_string(&path).map_err(|error| match error.kind() {
-            std::io::ErrorKind::NotFound => ErrorKind::MissingFile {
-                name: RECORDING_FILE,
-                advice: "it needs at least `format = 1`, `start_s` and, for raw counts, `gauss_per_lsb`",
+        let text = input::read_text(&path).map_err(|error| match &*error.kind {
+            ErrorKind::Unreadable(cause) if cause.kind() == std::io::ErrorKind::NotFound => {
+                ErrorKind::MissingFile {
+                    name: RECORDING_FILE,
+                    advice: "it needs at least `format = 1`, `start_s` and, for raw counts, `gauss_per_lsb`",
+                }
+                .at(Location::file(folder))
             }
-            .at(Location::file(folder)),
-            _ => ErrorKind::Unreadable(error).at(Location::file(&path)),
+            _ => error,
         })?;
         let description: Self = parse_toml(&path, &text)?;
         description.check(&path)?;
@@ -276,17 +279,24 @@ impl RecordingDescription {
             let advice = format!("this tool reads format = {FORMAT}");
             return bad("format", self.format.to_string(), &advice);
         }
-        if !self.start_s.is_finite() {
-            let advice = "give the seconds since the start of the campaign";
-            return bad("start_s", self.start_s.to_string(), advice);
+        if !(-MAX_START_S..=MAX_START_S).contains(&self.start_s) {
+            let advice =
+                format!("give the seconds since the start of the campaign, up to {MAX_START_S:e}");
+            return bad("start_s", format!("{:?}", self.start_s), &advice);
         }
         let scale = [("gauss_per_lsb", self.gauss_per_lsb), ("range_gauss", self.range_gauss)];
         let design = self.design.as_ref().map_or_else(Vec::new, NominalDesign::positive_values);
         let stated = scale.into_iter().filter_map(|(key, value)| Some((key, value?)));
         for (key, value) in stated.chain(design) {
             if !(value.is_finite() && value > 0.0) {
-                return bad(key, value.to_string(), "give a positive number");
+                return bad(key, format!("{value:?}"), "give a positive number");
             }
+            check_plausible(key, value)
+                .map_err(|kind| kind.at(Location::file(path).column(key)))?;
+        }
+        if self.covariates.len() > MAX_COLUMNS {
+            let kind = ErrorKind::TooManyColumns { found: self.covariates.len(), max: MAX_COLUMNS };
+            return Err(kind.at(Location::file(path).column("covariates")));
         }
         for name in &self.covariates {
             if column_unit(name).is_none() {

@@ -5,6 +5,9 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
+/// Maximum number of characters of a name in a message, and of a name with a suggestion.
+const MAX_NAME: usize = 80;
+
 /// A position in the input.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Location {
@@ -30,7 +33,12 @@ impl Location {
 
     /// Adds the column or key.
     pub fn column(mut self, column: impl Into<String>) -> Self {
-        self.column = Some(column.into());
+        let mut column = column.into();
+        if let Some((end, _)) = column.char_indices().nth(MAX_NAME) {
+            column.truncate(end);
+            column.push_str("...");
+        }
+        self.column = Some(column);
         self
     }
 }
@@ -72,6 +80,34 @@ pub enum ErrorKind {
     AmbiguousFile { name: &'static str },
     #[error("cannot be read: {0}; check the path and the permissions")]
     Unreadable(std::io::Error),
+    #[error("this is {found}, not a regular file; copy its content to a file and give that path")]
+    NotRegular { found: &'static str },
+    #[error("the file is longer than {max_mib} MiB, the limit for its kind; check the path")]
+    FileTooLong { max_mib: u64 },
+    #[error(
+        "the row is longer than {max} bytes, the limit of a row; check that each row ends with a line break and each quotation mark is closed"
+    )]
+    RowTooLong { max: u64 },
+    #[error("the table is longer than {max_gib} GiB, the limit of a table; split the recording")]
+    TableTooLong { max_gib: u64 },
+    #[error(
+        "the table is more than {max} times as long as its compressed file, the limit for measurements; check the file, or decompress it"
+    )]
+    RatioTooHigh { max: u64 },
+    #[error("there are {found} columns, and the limit is {max}; remove those that are not needed")]
+    TooManyColumns { found: usize, max: usize },
+    #[error(
+        "the recording has more than {max} values in memory, the limit of one recording; split it, or reduce the rate of force.csv to 100 Hz"
+    )]
+    TooManyValues { max: usize },
+    #[error(
+        "a row of the reference spans more than {max} values of the board, the limit of its window; check that t_us is in microseconds in both tables"
+    )]
+    WindowTooLong { max: usize },
+    #[error(
+        "{value:?} is implausible, the limit is ±{max:e}; check the column and its unit, or remove the row"
+    )]
+    Implausible { value: f64, max: f64 },
     #[error(
         "the columns are separated by {separator:?} and not by commas; export the table with commas (and points in its numbers)"
     )]
@@ -227,8 +263,11 @@ pub fn closest_match<'a>(
     written: &str,
     candidates: impl IntoIterator<Item = &'a str>,
 ) -> Option<&'a str> {
+    // The distance takes the product of both lengths.
+    let is_short = written.len() <= MAX_NAME;
     candidates
         .into_iter()
+        .filter(|candidate| is_short && candidate.len() <= MAX_NAME)
         .map(|candidate| {
             let distance = strsim::damerau_levenshtein(written, candidate);
             (distance, !candidate.eq_ignore_ascii_case(written), candidate)

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use flate2::Compression;
 use flate2::write::GzEncoder;
 
+use crate::output::StagingDir;
 use crate::recordings::align::Alignment;
 use crate::recordings::campaign::Campaign;
 use crate::recordings::csv_table::{CellRule, CsvTable};
@@ -39,26 +40,18 @@ pub fn import(
     done: impl Fn(&Path),
 ) -> Result<(Vec<Imported>, Vec<Notice>), DataError> {
     let mapping = Mapping::read(mapping_path)?;
-    let unwritable = |error| ErrorKind::Unwritable(error).at(Location::file(target));
     if target.exists() {
         let advice = "choose another folder or remove this one: an import never overwrites";
         return Err(ErrorKind::bad_value("an existing folder", advice).at(Location::file(target)));
     }
-    let parent = match target.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    };
-    std::fs::create_dir_all(parent).map_err(unwritable)?;
-    let draft = tempfile::Builder::new()
-        .prefix(".magpie-import-")
-        .tempdir_in(parent)
-        .map_err(unwritable)?;
+    let draft = StagingDir::new(target, "import")?;
     let mut start = CampaignStart::default();
     let mut imported = Vec::new();
     for (i, source) in sources.iter().enumerate() {
         let name = (i + 1).to_string();
         let folder = draft.path().join(&name);
-        std::fs::create_dir(&folder).map_err(unwritable)?;
+        std::fs::create_dir(&folder)
+            .map_err(|error| ErrorKind::Unwritable(error).at(Location::file(target)))?;
         let rows = import_one(&mapping, mapping_path, source, &folder, &mut start)?;
         imported.push(Imported { folder: target.join(name), rows });
         done(source);
@@ -67,7 +60,7 @@ pub fn import(
     let campaign = Campaign::read(draft.path(), Alignment { delay_us: 0.0 }, |_| ())
         .map_err(|error| error.moved(draft.path(), target))?;
     let notices = campaign.notices().map(|notice| notice.moved(draft.path(), target)).collect();
-    std::fs::rename(draft.keep(), target).map_err(unwritable)?;
+    draft.commit(target)?;
     Ok((imported, notices))
 }
 

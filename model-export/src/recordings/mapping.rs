@@ -6,6 +6,7 @@ use std::path::Path;
 use nalgebra::{Quaternion, UnitQuaternion};
 use serde::Deserialize;
 
+use crate::input::{self, MAX_COLUMNS, MAX_START_S, plausible_range};
 use crate::recordings::columns::{force_column, hall_column};
 use crate::recordings::description::{NominalDesign, parse_toml};
 use crate::recordings::error::{DataError, ErrorKind, Location, closest_match};
@@ -90,8 +91,7 @@ fn one() -> f64 {
 impl Mapping {
     /// Reads and validates a mapping file.
     pub fn read(path: &Path) -> Result<Self, DataError> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|error| ErrorKind::Unreadable(error).at(Location::file(path)))?;
+        let text = input::read_text(path)?;
         let mapping: Self = parse_toml(path, &text)?;
         let location = |column: &str| Location::file(path).column(column);
         for table in [&mapping.hall, &mapping.force] {
@@ -103,6 +103,24 @@ impl Mapping {
                     let kind = ErrorKind::bad_value(found, "give a number other than zero");
                     return Err(kind.at(location(&column.to)));
                 }
+                let (min, max) = plausible_range("scale");
+                if !(min..=max).contains(&column.scale.abs()) {
+                    let found = format!("scale = {:?}", column.scale);
+                    let advice = format!("give a factor of {min:e} to {max:e}");
+                    return Err(ErrorKind::bad_value(found, advice).at(location(&column.to)));
+                }
+            }
+            let offset_s = table.clock.offset_s;
+            if !(-MAX_START_S..=MAX_START_S).contains(&offset_s) {
+                let found = format!("offset_s = {offset_s:?}");
+                let kind =
+                    ErrorKind::bad_value(found, format!("give seconds up to {MAX_START_S:e}"));
+                return Err(kind.at(location(&table.clock.from)));
+            }
+            if table.columns.len() > MAX_COLUMNS {
+                let kind =
+                    ErrorKind::TooManyColumns { found: table.columns.len(), max: MAX_COLUMNS };
+                return Err(kind.at(location("columns")));
             }
         }
         let declared = mapping.covariates();
@@ -241,6 +259,34 @@ mod tests {
         let before = euler_angles(at(3.1), None).unwrap();
         let after = euler_angles(at(3.2), Some(before)).unwrap();
         assert!((after[2] - 3.2).abs() < 1e-9, "{}", after[2]);
+    }
+
+    #[test]
+    fn numbers_of_a_mapping_are_limited() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let path = folder.path().join("mapping.toml");
+        let read = |scale: &str, offset: &str| {
+            let clock =
+                |offset: &str| format!("{{ from = \"t\", unit = \"s\", offset_s = {offset} }}");
+            let text = format!(
+                "description = \"\"\n[hall]\nclock = {}\ncolumns = [{{ from = \"b\", unit = \"G\", to = \"s0_x_gauss\", scale = {scale} }}]\n[force]\nclock = {}\ncolumns = []\n",
+                clock(offset),
+                clock("0.0")
+            );
+            std::fs::write(&path, text).unwrap();
+            Mapping::read(&path)
+        };
+        for (scale, offset, is_valid) in [
+            ("-1e-12", "-1e10", true),
+            ("1e12", "1e10", true),
+            ("1e13", "0.0", false),
+            ("1e-320", "0.0", false),
+            ("nan", "0.0", false),
+            ("1.0", "nan", false),
+            ("1.0", "1.1e10", false),
+        ] {
+            assert_eq!(read(scale, offset).is_ok(), is_valid, "{scale} {offset}");
+        }
     }
 
     #[test]

@@ -113,6 +113,7 @@ impl HallReader {
             (_, scale) => scale.unwrap_or(1.0),
         };
         table.set_rules(time_column, vec![CellRule::Number; table.header().len()]);
+        table.limit_magnitudes();
         let period_us = period_us(&mut table, time_column)?;
         Ok(Self {
             time_column,
@@ -264,6 +265,7 @@ impl ForceReader {
         let mut rules = vec![CellRule::Optional; table.header().len()];
         rules[time_column] = CellRule::Number;
         table.set_rules(time_column, rules);
+        table.limit_magnitudes();
         let period_us = period_us(&mut table, time_column)?;
         Ok(Self {
             time_column,

@@ -8,6 +8,7 @@ use std::sync::OnceLock;
 
 use sha2::{Digest, Sha256};
 
+use crate::input::{self, check_recording_values};
 use crate::recordings::align::Alignment;
 use crate::recordings::columns::{Axis, ChannelLayout, ForceColumn, HallColumn};
 use crate::recordings::description::RecordingDescription;
@@ -84,6 +85,9 @@ impl Recording {
         let layout = stream.layout().clone();
         let mut squares = 0.0;
         while let Some(row) = stream.next_row()? {
+            let values = 1 + row.hall.len() + row.forces.len();
+            check_recording_values(recording.time_s.len(), values)
+                .map_err(|kind| kind.at(Location::file(folder)))?;
             squares += row.noise_gain * row.noise_gain;
             recording.push(&layout, &row);
         }
@@ -214,7 +218,7 @@ pub fn fingerprint(folder: &Path) -> Result<String, DataError> {
         .filter(|path| path.is_file())
         .collect();
     for path in files {
-        let mut file = fs::File::open(&path).map_err(unreadable)?;
+        let mut file = input::open(&path)?;
         let mut chunk = [0; 1 << 16];
         loop {
             match file.read(&mut chunk).map_err(unreadable)? {

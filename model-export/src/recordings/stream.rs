@@ -3,6 +3,7 @@
 
 use std::path::Path;
 
+use crate::input::check_window_values;
 use crate::recordings::align::{Aligner, Alignment, Window};
 use crate::recordings::columns::ChannelLayout;
 use crate::recordings::csv_table::{CsvRow, CsvTable, GAP_STEPS};
@@ -124,6 +125,9 @@ impl AlignedStream {
                 Window::Uncovered => self.uncovered += 1,
                 Window::NeedsMore if self.hall_done => self.uncovered += 1,
                 Window::NeedsMore => {
+                    check_window_values(self.aligner.stored_values()).map_err(|kind| {
+                        kind.at(self.force.table.cell_location(row.line, self.force.time_column))
+                    })?;
                     self.pending = Some(row);
                     match self.hall.next_sample()? {
                         Some(sample) => self.aligner.push(sample),

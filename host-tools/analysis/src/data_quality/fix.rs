@@ -10,8 +10,10 @@ use anyhow::{Context, Result, bail};
 use csv::ByteRecord;
 use flate2::Compression;
 use flate2::write::GzEncoder;
+use model_export::input;
+use model_export::output::StagingDir;
 use model_export::recordings::campaign::recording_folders;
-use model_export::recordings::csv_table::{column_names, is_compressed, open_csv};
+use model_export::recordings::csv_table::{CsvReader, column_names, is_compressed};
 use model_export::recordings::description::RECORDING_FILE;
 use serde::Serialize;
 use toml_edit::{DocumentMut, value};
@@ -123,16 +125,8 @@ pub fn write(campaign: &Path, findings: &[Finding], to: &Path) -> Result<Vec<Str
         bail!("no finding has an unambiguous correction, so nothing is written");
     }
     let folders = recording_folders(campaign)?;
-    let parent = match to.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    };
     let unwritable = || format!("{}: cannot be written", to.display());
-    fs::create_dir_all(parent).with_context(unwritable)?;
-    let draft = tempfile::Builder::new()
-        .prefix(".magpie-fix-")
-        .tempdir_in(parent)
-        .with_context(unwritable)?;
+    let draft = StagingDir::new(to, "fix")?;
     let mut said = Vec::new();
     for folder in &folders {
         let inside = folder.strip_prefix(campaign).unwrap_or(Path::new(""));
@@ -143,9 +137,7 @@ pub fn write(campaign: &Path, findings: &[Finding], to: &Path) -> Result<Vec<Str
     if folders.iter().all(|folder| folder != campaign) {
         copy_files(campaign, draft.path())?;
     }
-    open_to_others(draft.path()).with_context(unwritable)?;
-    // Renaming would replace an empty folder created in the meantime.
-    fs::rename(draft.path(), to).with_context(unwritable)?;
+    draft.commit(to)?;
     Ok(said)
 }
 
@@ -195,18 +187,6 @@ fn files_of(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// Temporary folders are private; the campaign gets the permissions of a normal folder.
-#[cfg(unix)]
-fn open_to_others(folder: &Path) -> std::io::Result<()> {
-    use std::os::unix::fs::PermissionsExt;
-    fs::set_permissions(folder, fs::Permissions::from_mode(0o755))
-}
-
-#[cfg(not(unix))]
-fn open_to_others(_: &Path) -> std::io::Result<()> {
-    Ok(())
-}
-
 /// Copies `from` to `to` with these changes; returns descriptions with counts.
 fn rewrite(from: &Path, to: &Path, changes: &[&Change]) -> Result<Vec<String>> {
     let out = BufWriter::new(File::create_new(to)?);
@@ -224,10 +204,10 @@ fn rewrite(from: &Path, to: &Path, changes: &[&Change]) -> Result<Vec<String>> {
 }
 
 fn rewrite_into(from: &Path, out: &mut impl Write, changes: &[&Change]) -> Result<Vec<String>> {
-    let mut reader = open_csv(from)?;
+    let mut reader = CsvReader::open(from)?;
     let mut writer = csv::WriterBuilder::new().flexible(true).from_writer(out);
     let mut header = ByteRecord::new();
-    reader.read_byte_record(&mut header)?;
+    reader.read(&mut header)?;
     writer.write_byte_record(&header)?;
     let names = column_names(&header);
     let cells = Cells::plan(&names, changes)?;
@@ -236,7 +216,7 @@ fn rewrite_into(from: &Path, out: &mut impl Write, changes: &[&Change]) -> Resul
     let drop = changes.contains(&&Change::DropCopies);
     let mut order = Order::new(time_column.context("there is no t_us")?, sort, drop);
     let mut record = ByteRecord::new();
-    while reader.read_byte_record(&mut record)? {
+    while reader.read(&mut record)? {
         for ready in order.push(record.clone()) {
             writer.write_byte_record(&cells.apply(&ready))?;
         }
@@ -353,7 +333,7 @@ impl Order {
 /// Appends the corrections to the key `description`; the rest of the file is unchanged.
 fn extend_description(path: &Path, done: &[String]) -> Result<()> {
     let named = || format!("{}", path.display());
-    let text = fs::read_to_string(path).with_context(named)?;
+    let text = input::read_text(path)?;
     let extended = with_words(&text, &done.join("; ")).with_context(named)?;
     fs::write(path, extended).with_context(named)
 }

@@ -13,11 +13,11 @@ use firmware::fixed_point::Force;
 use firmware::protocol::messages::{HallRaw, Message};
 use firmware::protocol::serial::Packet;
 use firmware::sensors::hall::{HallReading, SENSORS};
-use model_export::output::{check_vacant, staging_dir};
+use model_export::output::{StagingDir, check_vacant};
 use model_export::recordings::columns::COVARIATES;
 use model_export::recordings::description::RecordingDescription;
 use sim::campaign::recording::{force_columns, sensor_columns};
-use std::fs::{self, File};
+use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -226,7 +226,7 @@ impl Recorder {
             })
             .collect();
         let unwritable = || format!("{} cannot be written", self.target.display());
-        let draft = staging_dir(&self.target, ".magpie-record-")?;
+        let draft = StagingDir::new(&self.target, "record")?;
         self.description.write(draft.path())?;
         let names = covariates.iter().map(|&place| COVARIATES[place]);
         self.tally.covariates = names.collect();
@@ -244,9 +244,8 @@ impl Recorder {
             self.write(&row)?;
         }
         self.flush()?;
-        check_vacant(&self.target)?;
-        fs::rename(draft.keep(), &self.target)
-            .with_context(|| format!("{} cannot be written", self.target.display()))
+        draft.commit(&self.target)?;
+        Ok(())
     }
 
     fn write(&mut self, row: &SensorRow) -> Result<()> {

@@ -2,6 +2,8 @@ use firmware::sensors::hall::HallReading;
 use model_export::recordings::Recording;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::stream::{RawRow, RawStream};
+use std::fs;
+
 use tempfile::TempDir;
 
 use super::*;

@@ -12,6 +12,7 @@ use model_export::effects::catalogue::{
     CREEP, DEMAGNETISATION, EARTH_FIELD, EXTERNAL_MAGNET, FIELD_DRIFT, HYSTERESIS, MOTOR_LEAKAGE,
     NEIGHBOUR_MAGNET, SENSOR_TEMPERATURE, SOFTENING,
 };
+use model_export::input;
 use model_export::recordings::description::NominalDesign;
 use serde::{Deserialize, Serialize};
 use std::ffi::OsString;
@@ -192,6 +193,11 @@ pub fn check_outside(truth: &Path, campaign: &Path) -> Result<()> {
     Ok(())
 }
 
+/// Maximum magnitude of a number in a truth file: the length of a recording in seconds.
+const MAX_NUMBER: f64 = 3600.0;
+/// Maximum number of recordings or sensors in a truth file.
+const MAX_COUNT: u32 = 100;
+
 /// Settings in a truth file; all other values follow from them.
 #[derive(Deserialize)]
 struct TruthSettings {
@@ -229,13 +235,24 @@ struct TruthEffect {
 /// # Errors
 /// The file cannot be read, is not a truth file, or contains an unknown effect.
 pub fn read_settings(truth: &Path) -> Result<CampaignSettings> {
-    let text = std::fs::read_to_string(truth)
-        .with_context(|| format!("cannot read {}", truth.display()))?;
+    let text = input::read_text(truth)?;
     if !text.starts_with(MARK) {
         bail!("{}: not the truth file of a campaign", truth.display());
     }
     let truth_settings: TruthSettings =
         toml::from_str(&text).with_context(|| truth.display().to_string())?;
+    let TruthSettings { recordings, sensors, seconds, scatter, load, warmer_k, .. } =
+        truth_settings;
+    let TruthSettings { field_noise_g, reference_noise_n, .. } = truth_settings;
+    let numbers = [seconds, scatter, load, warmer_k, field_noise_g, reference_noise_n];
+    if numbers.iter().any(|number| !(-MAX_NUMBER..=MAX_NUMBER).contains(number))
+        || recordings.max(sensors) > MAX_COUNT
+    {
+        bail!(
+            "{}: a number is implausible, the limits are {MAX_NUMBER} and {MAX_COUNT} recordings or sensors; simulate the campaign again",
+            truth.display()
+        );
+    }
     // Implicit effects are added again by the effects that need them.
     let effects = truth_settings.effect.iter().filter(|one| one.needed_by.is_none());
     let effect = |one: &TruthEffect| -> Result<Effect> {

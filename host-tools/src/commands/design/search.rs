@@ -8,6 +8,7 @@ use anyhow::{Result, bail};
 use model_export::design::design_file;
 use model_export::design::optimise::optimise;
 use model_export::design::sweep::{self, pareto_front, sweep};
+use model_export::input::plausible_range;
 use model_export::output::check_output;
 
 use crate::commands::design::space::SpaceArgs;
@@ -83,8 +84,11 @@ pub struct OptimizeArgs {
 /// Runs the command.
 pub fn run_optimize(args: &OptimizeArgs) -> Result<()> {
     let force_n = args.range;
-    if !(force_n.is_finite() && force_n > 0.0) {
-        bail!("--range {force_n} is not possible here; give the force in newtons");
+    let (min_n, max_n) = plausible_range("range_n");
+    if !(min_n..=max_n).contains(&force_n) {
+        bail!(
+            "--range {force_n:?} is not possible here; give the force in newtons, {min_n} to {max_n:e}"
+        );
     }
     if let Some(path) = &args.output {
         check_output(path, design_file::MARK)?;

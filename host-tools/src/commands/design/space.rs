@@ -9,6 +9,7 @@ use model_export::design::interference::{DRAWS, InterferenceSources};
 use model_export::design::material::{MATERIALS, Material};
 use model_export::design::sampling::SamplingMethod;
 use model_export::design::sweep::{DEFAULT_COUNT, DesignSpace, SIZES};
+use model_export::input::plausible_range;
 
 use crate::commands::args::read_design;
 
@@ -59,10 +60,15 @@ impl SpaceArgs {
     /// The fixed properties of the designs.
     pub fn base(&self) -> Result<SensorDesign> {
         let mut base = read_design(self.base.as_deref())?;
-        let options = [("--stroke", self.stroke), ("--life", self.life), ("--safety", self.safety)];
-        for (option, value) in options {
-            if let Some(value) = value.filter(|value| !(value.is_finite() && *value > 0.0)) {
-                bail!("{option} {value} is not possible here; give a number above zero");
+        let options = [
+            ("--stroke", "stroke_mm", self.stroke),
+            ("--life", "life_cycles", self.life),
+            ("--safety", "safety", self.safety),
+        ];
+        for (option, key, value) in options {
+            let (min, max) = plausible_range(key);
+            if let Some(value) = value.filter(|value| !(min..=max).contains(value)) {
+                bail!("{option} {value:?} is not possible here; give {min} to {max:e}");
             }
         }
         let limits = &mut base.limits;
@@ -108,16 +114,17 @@ fn parse_size(text: &str) -> Result<Size, String> {
         .position(|size| *size == name)
         .ok_or_else(|| format!("{name:?} is no size; use one of {}", names()))?;
     let number = |text: &str| text.trim().parse::<f64>().ok();
+    let (least, most) = plausible_range("size_mm");
     let range_mm = match range.split_once("..") {
         Some((min, max)) => [number(min), number(max)],
         None => [number(range); 2],
     };
     match range_mm {
-        [Some(min), Some(max)] if min > 0.0 && max >= min && max.is_finite() => {
+        [Some(min), Some(max)] if min >= least && max >= min && max <= most => {
             Ok(Size { index, range_mm: [min, max] })
         }
         _ => Err(format!(
-            "{range:?} is no range; write minimum and maximum in mm, as in 1.5..3, or one number"
+            "{range:?} is no range of {least} to {most} mm; write minimum and maximum, as in 1.5..3, or one number"
         )),
     }
 }
@@ -155,7 +162,15 @@ mod tests {
         let size = |text| parse_size(text).map(|size| (size.index, size.range_mm));
         assert_eq!(size("gap=1.5..3"), Ok((3, [1.5, 3.0])));
         assert_eq!(size("width=15"), Ok((1, [15.0, 15.0])));
-        for wrong in ["gap", "gap=3..1", "gap=0..1", "hole=1..2", "gap=a..b"] {
+        for wrong in [
+            "gap",
+            "gap=3..1",
+            "gap=0..1",
+            "gap=1e-320..1",
+            "gap=1..1e308",
+            "hole=1..2",
+            "gap=a..b",
+        ] {
             assert!(size(wrong).is_err(), "{wrong}");
         }
     }

@@ -9,6 +9,7 @@ use std::sync::atomic::Ordering::Relaxed;
 use anyhow::{Context, Result, anyhow};
 use emulator::{Image, Time};
 use indicatif::ProgressBar;
+use model_export::input;
 use model_export::inverse::build::{ModelVariant, build};
 
 use crate::commands::connection::interrupted;
@@ -46,7 +47,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
         Some(path) => path.clone(),
         None => default_image()?,
     };
-    let image = Image::read(&path)?;
+    let image = Image::parse(input::read_bytes(&path, input::MAX_IMAGE_BYTES)?, &path)?;
     let length = image.length();
     let gripper = gripper(args);
     let board =

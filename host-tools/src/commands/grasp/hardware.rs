@@ -70,7 +70,7 @@ impl Request {
         let speed_mm_s = args.speed.unwrap_or(DEFAULT_SPEED_MM_S);
         if !SPEED_RANGE_MM_S.contains(&speed_mm_s) {
             let (min, max) = (SPEED_RANGE_MM_S.start(), SPEED_RANGE_MM_S.end());
-            bail!("--speed {speed_mm_s} is not possible here; give {min} to {max} mm/s");
+            bail!("--speed {speed_mm_s:?} is not possible here; give {min} to {max} mm/s");
         }
         Ok(Self::Position { opening_mm, speed_mm_s, is_uncalibrated: args.uncalibrated })
     }

@@ -156,7 +156,7 @@ pub fn run(args: &Args) -> Result<()> {
         fraction if fraction > 0.0 && fraction <= MAX_SCATTER => {
             DriveCase::scattered(lead, fraction, args.seed)
         }
-        fraction => bail!("--scatter {fraction} is not possible here; give 0 to {MAX_SCATTER}"),
+        fraction => bail!("--scatter {fraction:?} is not possible here; give 0 to {MAX_SCATTER}"),
     };
     if let Some(set_n) = args.force {
         return simulated::grasp(args, case, set_n);
@@ -186,7 +186,7 @@ pub fn run(args: &Args) -> Result<()> {
 fn check_opening(option: &str, mm: f64) -> Result<()> {
     let max_mm = constants::STROKE.value - MARGIN_MM;
     if !(MARGIN_MM..=max_mm).contains(&mm) {
-        bail!("{option} {mm} is not possible here; give {MARGIN_MM} to {max_mm} mm");
+        bail!("{option} {mm:?} is not possible here; give {MARGIN_MM} to {max_mm} mm");
     }
     Ok(())
 }
@@ -200,7 +200,9 @@ fn setpoint(args: &Args, lead: Lead) -> Result<DriveTarget> {
     let stroke_mm = constants::STROKE.value;
     let full_mm_s = lead.closing_mm_s();
     if let Some(speed) = args.speed.filter(|mm_s| !(0.1..=full_mm_s).contains(&mm_s.abs())) {
-        bail!("--speed {speed} is not possible here; give 0.1 to {full_mm_s} mm/s with this screw");
+        bail!(
+            "--speed {speed:?} is not possible here; give 0.1 to {full_mm_s} mm/s with this screw"
+        );
     }
     match (args.position, args.speed) {
         (Some(_), Some(speed)) if speed < 0.0 => {

@@ -37,7 +37,7 @@ impl ObjectStiffness {
 pub(super) fn check_force(set_n: f64) -> Result<()> {
     let max_n = f64::from(GripProfile::Strong.max_n());
     if !(MIN_FORCE_N..=max_n).contains(&set_n) {
-        bail!("--force {set_n} is not possible here; give {MIN_FORCE_N} to {max_n} N");
+        bail!("--force {set_n:?} is not possible here; give {MIN_FORCE_N} to {max_n} N");
     }
     Ok(())
 }
@@ -96,7 +96,7 @@ pub(super) fn run_landing(args: &Args, case: DriveCase, peak_n: f64) -> Result<(
     {
         if !range.contains(&value) {
             let (min, max) = (range.start(), range.end());
-            bail!("{option} {value} is not possible here; give {min} to {max}");
+            bail!("{option} {value:?} is not possible here; give {min} to {max}");
         }
     }
     let landing = Landing {

@@ -14,6 +14,7 @@ use firmware::config::constants;
 use firmware::parameters::schema::id;
 use indicatif::ProgressBar;
 use model_export::fit::FitOptions;
+use model_export::input::MAX_START_S;
 use model_export::output::check_vacant;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::campaign::recording_folders;
@@ -32,7 +33,7 @@ use device::recorder::{
     SensorRowAssembler,
 };
 use device::reference::{
-    HostPose, ReferenceClock, ReferenceMapping, ReferenceReader, ReferenceSource,
+    HostPose, MAX_WAITING_ROWS, ReferenceClock, ReferenceMapping, ReferenceReader, ReferenceSource,
 };
 use device::session::{Credentials, with_session};
 use device::source::Source;
@@ -257,6 +258,9 @@ impl RecordingProgress {
 fn description(args: &Args) -> Result<RecordingDescription> {
     let now = SystemTime::now();
     let start_s = match args.start_s {
+        Some(start_s) if !(-MAX_START_S..=MAX_START_S).contains(&start_s) => {
+            bail!("--start-s {start_s:?} is not possible here; give seconds up to {MAX_START_S:e}")
+        }
         Some(start_s) => start_s,
         None => campaign_time_s(&args.output, now)?,
     };
@@ -382,7 +386,7 @@ fn take_reference(
     recorder: &mut Recorder,
 ) -> Result<()> {
     let mut newest = None;
-    for row in reference.rows.try_iter() {
+    for row in reference.rows.try_iter().take(MAX_WAITING_ROWS) {
         let row = row?;
         newest = Some((row.pose, row.at_s));
         if let Some(board_us) = recorded.clock.board_us(row.at_s, row.clock_s)

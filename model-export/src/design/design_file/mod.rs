@@ -7,6 +7,7 @@
 use crate::design::beam::{Beam, Support};
 use crate::design::material::{MATERIALS, Material, Strength};
 use crate::fit::parameters;
+use crate::input::{self, check_plausible};
 use crate::output::write_output;
 use crate::recordings::description::{MagnetSpec, NominalDesign as Nominal, parse_toml};
 use crate::recordings::error::{DataError, ErrorKind, Location, closest_match};
@@ -267,8 +268,7 @@ impl SensorDesign {
     /// # Errors
     /// Unreadable file, unknown key, or invalid value.
     pub fn read(path: &Path) -> Result<Self, DataError> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|error| ErrorKind::Unreadable(error).at(Location::file(path)))?;
+        let text = input::read_text(path)?;
         let design: Self = parse_toml(path, &text)?;
         design.check(path)?;
         Ok(design)
@@ -305,17 +305,23 @@ impl SensorDesign {
         };
         for (key, value) in self.above_zero() {
             if !(value.is_finite() && value > 0.0) {
-                return bad(&key, value.to_string(), "give a number above zero".to_owned());
+                return bad(&key, format!("{value:?}"), "give a number above zero".to_owned());
             }
+            check_plausible(&key, value)
+                .map_err(|kind| kind.at(Location::file(path).column(&*key)))?;
         }
         for (key, value) in self.not_below_zero() {
             if !(value.is_finite() && value >= 0.0) {
-                return bad(key, value.to_string(), "give zero or more".to_owned());
+                return bad(key, format!("{value:?}"), "give zero or more".to_owned());
+            }
+            if value > 0.0 {
+                check_plausible(key, value)
+                    .map_err(|kind| kind.at(Location::file(path).column(key)))?;
             }
         }
         for (name, own) in &self.material {
-            if !(own.fatigue_exponent.is_finite() && own.fatigue_exponent < 0.0) {
-                let advice = "the fatigue strength falls with the number of cycles: give a number below zero";
+            if !(-2.0..0.0).contains(&own.fatigue_exponent) {
+                let advice = "the fatigue strength falls with the number of cycles: give a number below zero, down to -2";
                 return bad(
                     &format!("material.{name}.fatigue_exponent"),
                     own.fatigue_exponent.to_string(),

@@ -12,13 +12,14 @@ use nalgebra::Vector3;
 use crate::effects::excitation::{BUILT_IN_COVARIATES, ExcitationSeries};
 use crate::effects::parameter::{EffectParameter, MagnitudeSpec, ParameterKind};
 use crate::effects::state_series::{EffectStage, StateSeries};
+use crate::input::MAX_MAGNITUDE;
 use crate::recordings::error::closest_match;
 use crate::recordings::units::column_unit;
 
 mod syntax;
 
 pub use syntax::ExpressionError;
-use syntax::{NamePositions, check_syntax};
+use syntax::{NamePositions, check_parameter_count, check_syntax};
 
 /// Grid intervals of the search over a range: resolves the phase of a ripple.
 const GRID_STEPS: usize = 60;
@@ -41,6 +42,12 @@ pub struct ParameterRange {
     pub from: f64,
     /// Upper bound.
     pub to: f64,
+}
+
+/// The search divides the range; bounds that are equal up to rounding have no steps.
+fn is_valid(range: &ParameterRange) -> bool {
+    let max = range.from.abs().max(range.to.abs());
+    max <= MAX_MAGNITUDE && range.to - range.from > 1e-6 * max && max > 1.0 / MAX_MAGNITUDE
 }
 
 /// A user-defined effect.
@@ -92,6 +99,8 @@ impl Expression {
         };
         expression.assign_roles(text, &names, columns)?;
         expression.check_ranges(text)?;
+        let parameters = expression.coefficients.len() + ranges.len();
+        check_parameter_count(text, &names, parameters)?;
         expression.check_linear(text, &names)?;
         Ok(expression)
     }
@@ -158,9 +167,9 @@ impl Expression {
         for (i, range) in self.ranges.iter().enumerate() {
             let message = if !self.roles.contains(&Role::Shape(i)) {
                 format!("--range {}: the formula has no such name", range.name)
-            } else if !(range.from < range.to && range.from.is_finite() && range.to.is_finite()) {
+            } else if !is_valid(range) {
                 format!(
-                    "--range {}: {} to {} is not a valid range",
+                    "--range {}: {:e} to {:e} is not a valid range; give finite bounds, the lower first, of at most {MAX_MAGNITUDE:e}",
                     range.name, range.from, range.to
                 )
             } else {

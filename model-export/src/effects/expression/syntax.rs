@@ -1,5 +1,9 @@
 //! Syntax check of formulas with error positions, which the expression parser does not provide.
 
+use crate::input::{
+    MAX_FORMULA_BYTES, MAX_FORMULA_DEPTH, MAX_FORMULA_OPERATORS, MAX_FORMULA_PARAMETERS,
+};
+
 /// An invalid formula with the position of the error.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{message}\n  {text}\n  {caret}", caret = caret(text, *at))]
@@ -47,6 +51,15 @@ pub(super) struct Parts<'a> {
 
 /// `NAME: TARGET = FORMULA`.
 pub(super) fn split(text: &str) -> Result<Parts<'_>, ExpressionError> {
+    if text.len() > MAX_FORMULA_BYTES {
+        let found = text.len();
+        // Only the part that fits in a terminal.
+        let start: String = text.chars().take(60).collect();
+        let advice = format!(
+            "the formula has {found} characters, and the limit is {MAX_FORMULA_BYTES}; divide it into several effects"
+        );
+        return Err(ExpressionError::at(&format!("{start}..."), 0, advice));
+    }
     let shape = |at| {
         let advice =
             "write NAME: TARGET = FORMULA, for example 'ripple: dz_um = a*sin(2*pi*opening_mm/p)'";
@@ -99,9 +112,26 @@ pub(super) fn check_syntax(
     let mut names = NamePositions { found: Vec::new(), start: formula.start };
     let (mut open, mut expects_value, mut at) = (Vec::new(), true, 0);
     let bytes = formula.text.as_bytes();
+    let mut operators = 0;
     while let Some(&byte) = bytes.get(at) {
         let here = formula.start + at;
         let rest = &formula.text[at..];
+        if operators > MAX_FORMULA_OPERATORS {
+            return fail(
+                here,
+                format!(
+                    "the formula has more than {MAX_FORMULA_OPERATORS} operators and functions; divide it into several effects"
+                ),
+            );
+        }
+        if open.len() > MAX_FORMULA_DEPTH {
+            return fail(
+                here,
+                format!(
+                    "more than {MAX_FORMULA_DEPTH} brackets are open here; simplify the formula"
+                ),
+            );
+        }
         match byte {
             b' ' | b'\t' => at += 1,
             b'0'..=b'9' | b'.' | b'a'..=b'z' | b'A'..=b'Z' | b'_' if !expects_value => {
@@ -117,7 +147,7 @@ pub(super) fn check_syntax(
                 let name = &rest[..length];
                 let is_call = rest[length..].trim_start().starts_with('(');
                 match (is_call, FUNCTIONS.contains(&name)) {
-                    (true, true) => {}
+                    (true, true) => operators += 1,
                     (true, false) => {
                         return fail(
                             here,
@@ -137,8 +167,12 @@ pub(super) fn check_syntax(
                 }
                 at += length;
             }
-            b'+' | b'-' if expects_value => at += 1,
+            b'+' | b'-' if expects_value => {
+                operators += 1;
+                at += 1;
+            }
             b'+' | b'-' | b'*' | b'/' | b'^' if !expects_value => {
+                operators += 1;
                 expects_value = true;
                 at += 1;
             }
@@ -171,6 +205,21 @@ pub(super) fn check_syntax(
         );
     }
     Ok(names)
+}
+
+/// Checks the number of coefficients and nonlinear parameters.
+pub(super) fn check_parameter_count(
+    text: &str,
+    names: &NamePositions,
+    count: usize,
+) -> Result<(), ExpressionError> {
+    if count > MAX_FORMULA_PARAMETERS {
+        let advice = format!(
+            "the formula has {count} coefficients and ranges, and the limit is {MAX_FORMULA_PARAMETERS}; divide it into several effects"
+        );
+        return Err(ExpressionError::at(text, names.start, advice));
+    }
+    Ok(())
 }
 
 /// Length of the number at the start of `text`.

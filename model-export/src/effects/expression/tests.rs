@@ -1,6 +1,9 @@
 //! Valid formulas, and error messages of invalid ones.
 
 use super::*;
+use crate::input::{
+    MAX_FORMULA_BYTES, MAX_FORMULA_DEPTH, MAX_FORMULA_OPERATORS, MAX_FORMULA_PARAMETERS,
+};
 
 const RIPPLE: &str = "ripple: dz_um = a*sin(2*pi*opening_mm/p) + b*cos(2*pi*opening_mm/p)";
 
@@ -59,4 +62,64 @@ fn invalid_formulas_yield_advice() {
         assert!(message.contains(expected), "{text}: {message}");
     }
     assert!(error("ripple: dz_um = a*opening_mm", &period()).contains("no such name"));
+}
+
+/// Error message of a formula; empty if it is valid.
+fn message(formula: &str) -> String {
+    let result = Expression::parse(&format!("r: dz_um = {formula}"), &[], &columns());
+    result.err().map_or_else(String::new, |error| error.to_string())
+}
+
+#[test]
+fn length_operators_depth_and_parameters_are_limited() {
+    let sum = |terms: usize| format!("a*({})", vec!["opening_mm"; terms].join("+"));
+    let nested = |depth: usize| format!("a*{}opening_mm{}", "(".repeat(depth), ")".repeat(depth));
+    let parameters = |count: usize| {
+        let terms: Vec<String> = (0..count).map(|i| format!("a{i}*opening_mm")).collect();
+        terms.join("+")
+    };
+    let spaces = |length: usize| format!("a*opening_mm{}", " ".repeat(length - 12));
+    let start = "r: dz_um = ".len();
+    for (valid, invalid, words) in [
+        (sum(MAX_FORMULA_OPERATORS), sum(MAX_FORMULA_OPERATORS + 1), "more than 64 operators"),
+        (nested(MAX_FORMULA_DEPTH), nested(MAX_FORMULA_DEPTH + 1), "more than 16 brackets"),
+        (
+            parameters(MAX_FORMULA_PARAMETERS),
+            parameters(MAX_FORMULA_PARAMETERS + 1),
+            "17 coefficients and ranges, and the limit is 16",
+        ),
+        (
+            spaces(MAX_FORMULA_BYTES - start),
+            spaces(MAX_FORMULA_BYTES - start + 1),
+            "1001 characters, and the limit is 1000",
+        ),
+    ] {
+        assert_eq!(message(&valid), "", "{words}");
+        let message = message(&invalid);
+        assert!(message.contains(words) && message.len() < 2500, "{message}");
+    }
+    // Signs and functions count too.
+    assert!(message(&format!("a*{}opening_mm", "-".repeat(64))).contains("more than 64 operators"));
+    assert!(message(&"1".repeat(10_000_000)).contains("10000011 characters"));
+}
+
+#[test]
+fn range_needs_finite_bounds_that_can_be_divided() {
+    let text = "ripple: dz_um = a*sin(opening_mm/p)";
+    for (from, to, is_valid) in [
+        (2.0, 5.0, true),
+        (-1e12, 1e12, true),
+        (0.0, 1e-9, true),
+        (0.0, 1e13, false),
+        (0.0, 1e-320, false),
+        (1.0, 1.0 + 1e-9, false),
+        (f64::NAN, 1.0, false),
+        (1.0, f64::NAN, false),
+        (0.0, f64::INFINITY, false),
+        (5.0, 2.0, false),
+    ] {
+        let ranges = [ParameterRange { name: "p".to_owned(), from, to }];
+        let result = Expression::parse(text, &ranges, &columns());
+        assert_eq!(result.is_ok(), is_valid, "{from} {to}");
+    }
 }

@@ -15,7 +15,7 @@ use csv::ByteRecord;
 use firmware::sensors::hall::a31301::FIELD_LIMITS;
 use model_export::recordings::columns::{FieldUnit, force_column, hall_column};
 use model_export::recordings::csv_table::{
-    CsvReader, PERIOD_ROWS, column_names, number, open_csv, table_path,
+    CsvReader, PERIOD_ROWS, column_names, number, table_path,
 };
 use model_export::recordings::description::RecordingDescription;
 use realfft::RealFftPlanner;
@@ -257,9 +257,9 @@ pub struct TolerantReader {
 impl TolerantReader {
     /// Opens the file; `None` without a readable header.
     pub fn open(path: &Path) -> Option<Self> {
-        let mut reader = open_csv(path).ok()?;
+        let mut reader = CsvReader::open(path).ok()?;
         let mut record = ByteRecord::new();
-        reader.read_byte_record(&mut record).ok().filter(|found| *found)?;
+        reader.read(&mut record).ok().filter(|found| *found)?;
         Some(Self { header: column_names(&record), reader })
     }
 
@@ -267,7 +267,7 @@ impl TolerantReader {
     /// unreadable place.
     pub fn next_into(&mut self, row: &mut ScannedRow) -> bool {
         loop {
-            match self.reader.read_byte_record(&mut row.record) {
+            match self.reader.read(&mut row.record) {
                 Ok(true) if row.record.len() == self.header.len() => {
                     row.line = row.record.position().map_or(0, csv::Position::line);
                     return true;
