@@ -2,6 +2,7 @@
 
 use crate::board::can::CanBus;
 use embedded_can::Frame;
+use firmware::parameters;
 use firmware::protocol::authentication::Key;
 use firmware::protocol::can::CanFrame;
 use firmware::protocol::host_session::{HostSession, needs_owner, service};
@@ -48,6 +49,8 @@ pub struct CanHost {
     wait_ms: u32,
     /// Requests for which a session is being opened.
     waiting: Vec<Message>,
+    /// The last request in a session, to be repeated if the session has ended meanwhile.
+    last: Option<Message>,
     /// Stops all transmissions.
     pub is_silent: bool,
     /// Received messages.
@@ -63,6 +66,7 @@ impl CanHost {
             command: None,
             wait_ms: 0,
             waiting: Vec::new(),
+            last: None,
             is_silent: false,
             received: ReceivedMessages::default(),
         }
@@ -91,14 +95,31 @@ impl CanHost {
         if !needs_owner(&request) {
             return self.send(request);
         }
+        self.last = Some(request);
         self.waiting.push(request);
         if self.session.is_open() {
             self.send_waiting();
         } else {
-            for request in self.session.open(op::OPEN) {
-                self.send(request);
-            }
+            self.open();
         }
+    }
+
+    fn open(&mut self) {
+        for request in self.session.open(op::OPEN) {
+            self.send(request);
+        }
+    }
+
+    /// Repeats the last request in a new session, because the gripper has ended the one that it was sent in; false if there is
+    /// none.
+    fn repeats_last(&mut self) -> bool {
+        self.session.forget();
+        let Some(last) = self.last.take() else {
+            return false;
+        };
+        self.waiting.push(last);
+        self.open();
+        true
     }
 
     fn send_waiting(&mut self) {
@@ -159,6 +180,9 @@ impl CanHost {
                     self.received.worst_tick_us =
                         self.received.worst_tick_us.max(timing.worst_loop);
                 }
+                Message::ParamReply(reply)
+                    if reply.status == parameters::status::UNAUTHENTICATED
+                        && self.repeats_last() => {}
                 Message::ParamReply(reply) => self.received.parameters.push((time_us, reply)),
                 Message::ServiceReply(reply) => self.handle_reply(time_us, reply),
                 _ => {}
@@ -170,12 +194,13 @@ impl CanHost {
         for message in self.session.receive(&reply) {
             self.send(message);
         }
-        if reply.status == status::UNAUTHENTICATED {
-            // The gripper has ended the session.
-            self.session.forget();
-        }
         if self.session.is_open() {
             self.send_waiting();
+        }
+        let opens =
+            reply.op == op::OPEN && matches!(reply.status, status::CHALLENGE | status::DONE);
+        if opens || (reply.status == status::UNAUTHENTICATED && self.repeats_last()) {
+            return;
         }
         self.received.replies.push((time_us, reply));
     }
