@@ -10,9 +10,9 @@ use crate::config::constants;
 pub struct DetectionLimits {
     /// Ticks in a row without a reading until a sensor is lost.
     pub lost_ticks: u8,
-    /// Axes with repeated words, summed over consecutive readings, until a sensor is frozen: three readings after the last
-    /// change. Four equal words in a row have, for Gaussian noise of s counts, a probability of 1 in 2 (2 pi)^(3/2) s^3 per
-    /// axis: 3 in 10^9 readings for three axes, one tick a day.
+    /// Axes with repeated words, summed over consecutive readings, until a sensor is frozen: four readings after the last
+    /// change. Five equal words in a row have, for Gaussian noise of s counts, a probability of 1 in 5^(1/2) (2 pi)^2 s^4 per
+    /// axis: 6 in 10^12 readings for three axes, one in 460 days of four sensors. With one reading less it would be one a day.
     pub frozen_axes: u8,
     /// Read-backs in a row with a changed configuration until a sensor is lost.
     pub config_mismatches: u8,
@@ -40,7 +40,7 @@ impl DetectionLimits {
     /// Thresholds of the gripper.
     pub const GRIPPER: Self = Self {
         lost_ticks: 2,
-        frozen_axes: 9,
+        frozen_axes: 12,
         config_mismatches: 2,
         failed_transfers: 3,
         stuck_ticks: 4,
@@ -144,7 +144,7 @@ pub struct GripLimits {
     pub move_n: f32,
     /// Moves without believed forces: maximum speed in mm/s.
     pub uncalibrated_mm_s: f32,
-    /// Moves without believed forces: maximum current in amperes, which presses with 22 to 40 N.
+    /// Moves without believed forces: maximum current in amperes, which presses with 22 to 40 N; the moving rotor adds up to 20 N.
     pub uncalibrated_a: f32,
     /// Opening moves: outward force in newtons that ends them.
     pub outward_n: f32,
@@ -154,8 +154,8 @@ pub struct GripLimits {
     pub blind_a: f32,
     /// Opening without a valid force: rise of the current in amperes above its minimum that indicates an obstacle.
     pub blind_rise_a: f32,
-    /// Travel in millimetres by which the fingers must close until an obstacle of such an opening is forgotten; a host that clears
-    /// the faults has it forgotten as well.
+    /// Travel in millimetres by which the fingers must close until an obstacle of such an opening is forgotten: more than a hand that
+    /// was pressed with 60 N pushes a backdrivable screw back. A host that clears the faults has it forgotten as well.
     pub clear_mm: f32,
     /// Milliseconds of an opening, or of homing, in which the current loosens the screw and indicates no obstacle.
     pub loosening_ms: u32,
@@ -245,13 +245,13 @@ impl GripLimits {
         end_stop_ms: 50,
         stroke_mm: 1.0,
         move_n: 20.0,
-        uncalibrated_mm_s: 30.0,
+        uncalibrated_mm_s: 25.0,
         uncalibrated_a: 0.6,
         outward_n: 15.0,
         blind_mm_s: 10.0,
         blind_a: 4.0,
         blind_rise_a: 0.7,
-        clear_mm: 1.0,
+        clear_mm: 6.0,
         loosening_ms: 100,
         release_ms: 10_000,
         back_off_ms: 2_000,

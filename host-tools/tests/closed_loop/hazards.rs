@@ -13,6 +13,15 @@ use crate::nominal_tables;
 
 /// Random grippers of each motion.
 const DRAWS: u64 = 8;
+/// Worst grippers of a thousand: a rotor with much energy, and a backdrivable screw that something around the fingers pushes
+/// back.
+const WORST: [(ObstructedMotion, u64); 5] = [
+    (ObstructedMotion::UncalibratedMove, 90),
+    (ObstructedMotion::UncalibratedMove, 184),
+    (ObstructedMotion::UncalibratedMove, 624),
+    (ObstructedMotion::ReleaseWithoutSensors, 155),
+    (ObstructedMotion::ReleaseWithoutSensors, 458),
+];
 
 /// Descriptions of the failed ones.
 fn failures<C: Sync + std::fmt::Debug>(
@@ -28,7 +37,9 @@ fn hand_is_pressed_with_at_most_60_n_outside_of_a_grip() {
     let tables = nominal_tables();
     let cases: Vec<ContactCase> = ObstructedMotion::ALL
         .into_iter()
-        .flat_map(|motion| (1..=DRAWS).map(move |seed| ContactCase::draw(motion, seed)))
+        .flat_map(|motion| (1..=DRAWS).map(move |seed| (motion, seed)))
+        .chain(WORST)
+        .map(|(motion, seed)| ContactCase::draw(motion, seed))
         .collect();
     let limit_n = ObstructedMotion::max_n().unwrap();
     assert_eq!(limit_n, 60.0);

@@ -108,10 +108,10 @@ mod tests {
     fn conditions_follow_repeated_missed_and_stale_samples() {
         let stale = Some(HallSample::Stale);
         for (samples, expected) in [
-            // Frozen after three repetitions of three axes, live again after the first change.
+            // Frozen after four repetitions of three axes, live again after the first change.
             (
                 [at(1), at(2), at(2), at(2), at(2), at(2), at(3)],
-                [Live, Live, Live, Live, Frozen, Frozen, Live],
+                [Live, Live, Live, Live, Live, Frozen, Live],
             ),
             (
                 [at(1), None, at(2), None, stale, None, at(3)],
@@ -132,8 +132,8 @@ mod tests {
             monitor.update(Some(HallSample::New(HallReading { field, temperature: 3 }))).condition
         };
         assert!((0..1000).all(|_| condition(max) == Live));
-        // One unsaturated axis needs nine repetitions: three would occur by noise every second.
-        assert_eq!((0..20).take_while(|_| condition(12) == Live).count(), 9);
+        // One unsaturated axis needs twelve repetitions: four would occur by noise every five seconds.
+        assert_eq!((0..20).take_while(|_| condition(12) == Live).count(), 12);
     }
 
     #[test]

@@ -239,7 +239,7 @@ impl InjectedFault {
                 })
             }
             Self::SensorFrozen => {
-                specification(16, "sensor frozen", Fault::SensorFrozen, 3.2, EVERYWHERE, |setup| {
+                specification(16, "sensor frozen", Fault::SensorFrozen, 4.2, EVERYWHERE, |setup| {
                     setup.limits.frozen_axes = u8::MAX;
                 })
             }
