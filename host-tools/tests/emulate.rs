@@ -170,7 +170,7 @@ mod unix {
         let line = format!("monitor --can {} --seconds 1.5 --json", emulation.can);
         let output = String::from_utf8(dir.stdout(&line))?;
         let last: Value = serde_json::from_str(output.lines().last().unwrap())?;
-        assert_eq!(last["version"]["protocol"][0], 1, "{last}");
+        assert_eq!(last["version"]["protocol"][0], 2, "{last}");
         assert_eq!(last["heartbeat"]["sensors_ok"], 0b1111);
         is_clean(&emulation.end());
         Ok(())
