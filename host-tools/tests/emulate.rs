@@ -199,6 +199,13 @@ mod unix {
         let line = format!("grip --port {} --position 60 --json", emulation.serial);
         let moved = dir.json(&line);
         assert_eq!(moved["reached"], true, "{moved}");
+        let line = format!("grip --port {} --release 75 --json", emulation.serial);
+        let opened = dir.json(&line);
+        assert_eq!(opened["reached"], true, "{opened}");
+        let last = opened["points"].as_array().unwrap().last().unwrap();
+        assert!(number(&last["opening_mm"]) > 70.0, "{last}");
+        let stopped = dir.json(&format!("grip --can {} --stop --json", emulation.can));
+        assert_eq!(stopped["stopped"], true, "{stopped}");
         is_clean(&emulation.end());
         Ok(())
     }

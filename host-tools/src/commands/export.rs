@@ -4,12 +4,11 @@ use std::path::PathBuf;
 
 use analysis::notes::{Note, UncompensatedEffect};
 use anyhow::{Result, bail};
-use firmware::sensors::hall::SENSORS;
 use model_export::inverse::build::{DeviceModel, ModelVariant, build};
 use model_export::inverse::codegen::{MARK, source_with_networks, tables_source};
 use model_export::output::{check_output, write_output};
 
-use crate::commands::{print_conditions, print_notes};
+use crate::commands::{print_conditions, print_missing_sensors, print_notes};
 use device_run::networks::NetworkSet;
 use report::text::export::{format_tables, to_json, worst_map};
 use report::text::terminal;
@@ -65,13 +64,7 @@ pub fn run(args: &Args) -> Result<()> {
     print_notes(&uncompensated.collect::<Vec<_>>());
     print_conditions(&built);
     let DeviceModel { model, chosen, header, .. } = built;
-    let image: Vec<u32> = (0..SENSORS as u32).collect();
-    if header.sensors != image {
-        eprintln!(
-            "note: the image reads sensors {image:?}, these tables have {:?}: the image reports the others as missing",
-            header.sensors
-        );
-    }
+    print_missing_sensors(&header);
     terminal::print_result(
         args.json,
         || to_json(&chosen, &header),

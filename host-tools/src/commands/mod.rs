@@ -31,7 +31,8 @@ use std::process::ExitCode;
 
 use analysis::notes::{ErrorWithNotes, Note};
 use clap::{CommandFactory, Parser, Subcommand};
-use model_export::inverse::build::DeviceModel;
+use firmware::sensors::hall::SENSORS;
+use model_export::inverse::build::{DeviceModel, ExportHeader};
 
 /// Calibrates Hall-effect force sensors of a robot gripper, diagnoses missing physical effects, and operates the
 /// gripper.
@@ -133,6 +134,17 @@ fn print_notes(notes: &[Note]) {
 fn print_conditions(built: &DeviceModel) {
     for (effect, conditions) in &built.conditions {
         eprintln!("note: the board compensates {effect} {}", conditions.join("; "));
+    }
+}
+
+/// States that the board reads sensors that the tables do not have.
+fn print_missing_sensors(header: &ExportHeader) {
+    let image: Vec<u32> = (0..SENSORS as u32).collect();
+    if header.sensors != image {
+        eprintln!(
+            "note: the board reads sensors {image:?}, these tables have {:?}: it reports the forces of the others as missing",
+            header.sensors
+        );
     }
 }
 

@@ -14,7 +14,7 @@ use report::text::terminal;
 use serde_json::json;
 
 use crate::commands::connection::PortArgs;
-use crate::commands::{print_conditions, print_notes};
+use crate::commands::{print_conditions, print_missing_sensors, print_notes};
 
 /// Upload a calibration to a gripper: force model, compensation and networks, without a compiler.
 ///
@@ -75,6 +75,7 @@ pub fn run(args: &Args) -> Result<()> {
     let uncompensated = UncompensatedEffect::of(&built).map(Note::Uncompensated);
     print_notes(&uncompensated.collect::<Vec<_>>());
     print_conditions(&built);
+    print_missing_sensors(&built.header);
     let bar = progress::progress_bar("uploading", bytes.len());
     let begun = Instant::now();
     let tables = built.chosen.tables.id;

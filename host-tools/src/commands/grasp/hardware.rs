@@ -17,6 +17,7 @@ use crate::commands::connection::{check_protocol, interrupted, print_unprotected
 use crate::commands::grasp::simulated::check_force;
 use crate::commands::grasp::{Args, MARGIN_MM, check_opening};
 use device::session::{self, Client};
+use device::source::Source;
 use device::{format as live_json, format};
 use report::text::terminal;
 use sim::closed_loop::grasp_rig::grip_command;
@@ -30,6 +31,7 @@ const HOME_S: f64 = 180.0;
 const RELEASE_S: f64 = 60.0;
 const DISABLE_S: f64 = 10.0;
 const CLOSE_S: f64 = 2.0;
+const STOP_S: f64 = 1.0;
 /// Timeout for reaching the set-point.
 const REACH_S: f64 = 120.0;
 /// Period of arming requests.
@@ -49,10 +51,16 @@ enum Request {
     Position { opening_mm: f64, speed_mm_s: f64, is_uncalibrated: bool },
     Force { set_n: f64 },
     Foot(FootContact),
+    Release { opening_mm: f64 },
 }
 
 impl Request {
     fn of(args: &Args) -> Result<Self> {
+        if let Some(opening_mm) = args.release {
+            let opening_mm = opening_mm.unwrap_or(constants::STROKE.value - MARGIN_MM);
+            check_opening("--release", opening_mm)?;
+            return Ok(Self::Release { opening_mm });
+        }
         if args.foot.flatten().is_some() {
             bail!("--foot takes no force with --port or --can");
         }
@@ -83,6 +91,7 @@ impl Request {
             },
             Self::Force { set_n } => grip_command(set_n),
             Self::Foot(contact) => contact.command(),
+            Self::Release { opening_mm } => motion(mode::RELEASE, opening_mm, DEFAULT_SPEED_MM_S),
         }
     }
 
@@ -94,6 +103,8 @@ impl Request {
             }
             Self::Force { .. } => matches!(task, TaskState::HoldActive | TaskState::HoldLatched),
             Self::Foot(_) => task == TaskState::Foot,
+            // See [`Session::open`].
+            Self::Release { .. } => false,
         }
     }
 
@@ -134,16 +145,15 @@ fn counts(field: &str, value: f64) -> f64 {
 }
 
 pub(super) fn run(args: &Args) -> Result<()> {
+    if args.stop {
+        return stop(args);
+    }
     let request = Request::of(args)?;
     let source = args.port.open()?.ok_or_else(|| anyhow!("give --port or --can"))?;
-    let mut session = Session {
-        client: Client::new(source, args.port.credentials()?),
-        log: CommandLog::new(args.json),
-        interrupted: interrupted()?,
-        is_shutting_down: false,
-    };
+    let mut session = Session::new(source, args)?;
     eprintln!(
-        "warning: the gripper at {} moves: keep hands clear of the fingers; Ctrl-C stops it",
+        "warning: the gripper at {} moves: keep hands clear of the fingers; Ctrl-C ends the motion and opens a grasp, a \
+         second one is an emergency stop",
         session.client.name()
     );
     let result = session.perform(args, request);
@@ -162,6 +172,25 @@ pub(super) fn run(args: &Args) -> Result<()> {
         (Err(error), Ok(())) | (Ok(_), Err(error)) => Err(error),
         (Ok(_), Ok(())) => Ok(()),
     }
+}
+
+/// Stops the gripper; needs no session.
+fn stop(args: &Args) -> Result<()> {
+    let source = args.port.open()?.ok_or_else(|| anyhow!("give --port or --can"))?;
+    let mut session = Session::new(source, args)?;
+    session.is_shutting_down = true;
+    session.connect(args)?;
+    session.client.stop()?;
+    let is_stopped = |session: &Session| !session.task().is_some_and(TaskState::moves);
+    if session.wait(STOP_S, is_stopped)? != WaitResult::Done {
+        bail!("the gripper still moves: switch its supply off");
+    }
+    let state = session.code().map_or_else(String::new, session::state_name);
+    terminal::print_result(
+        args.json,
+        || json!({ "stopped": true, "state": state }),
+        || format!("The gripper has stopped, state: {state}.\n"),
+    )
 }
 
 struct Session {
@@ -184,15 +213,33 @@ enum WaitResult {
 }
 
 impl Session {
+    fn new(source: Box<dyn Source + Send>, args: &Args) -> Result<Self> {
+        Ok(Self {
+            client: Client::new(source, args.port.credentials()?),
+            log: CommandLog::new(args.json),
+            interrupted: interrupted()?,
+            is_shutting_down: false,
+        })
+    }
+
     /// Arms, enables, homes and commands; true if the set-point was reached before Ctrl-C.
     fn perform(&mut self, args: &Args, request: Request) -> Result<bool> {
-        let steps = [Self::connect, Self::clear_faults, Self::arm, Self::enable, Self::home];
+        let all = [Self::connect, Self::clear_faults, Self::arm, Self::enable, Self::home];
+        let to_release = [Self::connect, Self::arm];
+        let steps = match request {
+            Request::Release { .. } if !args.clear_faults => &to_release[..],
+            Request::Release { .. } => &all[..3],
+            _ => &all[..],
+        };
         for step in steps {
             if step(self, args)? == WaitResult::Interrupted {
                 return Ok(false);
             }
         }
         self.client.command(request.command());
+        if let Request::Release { .. } = request {
+            return self.open();
+        }
         let mut failure = None;
         let waited = self.wait(REACH_S, |session| {
             let task = session.task();
@@ -224,6 +271,22 @@ impl Session {
         match failure {
             Some(failure) => bail!("{failure}"),
             None => Ok(true),
+        }
+    }
+
+    /// Waits for the end of an opening, which faults do not prevent; true if it ended before Ctrl-C.
+    fn open(&mut self) -> Result<bool> {
+        self.is_shutting_down = true;
+        let opens = |session: &Self| session.task() == Some(TaskState::Releasing);
+        if self.wait(ENABLE_S, opens)? == WaitResult::TimedOut {
+            let refusal = self.client.refused;
+            let reason = refusal.map_or(String::new(), |refusal| format!(": {}", refusal.words()));
+            bail!("the gripper does not open{reason}{}", self.faults());
+        }
+        match self.wait(RELEASE_S, |session| !opens(session))? {
+            WaitResult::Done => Ok(true),
+            WaitResult::Interrupted => Ok(false),
+            WaitResult::TimedOut => bail!("the opening does not end{}", self.faults()),
         }
     }
 

@@ -39,13 +39,15 @@ Examples:
   cargo magpie grasp --port /dev/ttyACM0 --position 20 --uncalibrated
   cargo magpie grasp --can can0 --force 80 --seconds 10
   cargo magpie grasp --can 127.0.0.1:29536 --home --force 80     # `magpie emulate`
+  cargo magpie grasp --port /dev/ttyACM0 --release               # frees what is gripped, also under a fault of the sensors
+  cargo magpie grasp --can can0 --stop
 
 With --port or --can it arms, enables, homes (only with --home) and commands the gripper, and prints state, force and
-opening. Ctrl-C or the end of --seconds releases a grasp or leaves ground contact, and disables the drive. A second
-Ctrl-C is an emergency stop."
+opening. Ctrl-C or the end of --seconds releases a grasp or leaves ground contact, and disables the drive: the fingers open
+then. A second Ctrl-C is an emergency stop, after which they do not move."
 )]
 #[command(group = clap::ArgGroup::new("setpoint").required(true).multiple(true)
-    .args(["position", "speed", "force", "foot"]))]
+    .args(["position", "speed", "force", "foot", "release", "stop"]))]
 #[command(group = clap::ArgGroup::new("hardware").args(["port", "can"]))]
 pub struct Args {
     #[command(flatten)]
@@ -86,6 +88,12 @@ pub struct Args {
     /// Ground contact (landing); the value is the peak ground force of the simulation.
     #[arg(long, value_name = "N", conflicts_with_all = ["position", "speed", "from"])]
     foot: Option<Option<f64>>,
+    /// Open without enabling, homing or valid forces, to this opening [default: fully].
+    #[arg(long, value_name = "MM", requires = "hardware", conflicts_with_all = ["position", "speed", "force", "foot"])]
+    release: Option<Option<f64>>,
+    /// Stop the gripper, whoever controls it; it keeps what it holds until the stop is cleared (--clear-faults).
+    #[arg(long, requires = "hardware", conflicts_with_all = ["position", "speed", "force", "foot", "release", "clear_faults"])]
+    stop: bool,
     /// Contact with the ground: flat on closed fingers, or on the line between open ones.
     #[arg(long, value_enum, default_value = "flat", requires = "foot")]
     contact: FootContact,
