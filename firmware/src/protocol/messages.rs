@@ -163,22 +163,15 @@ macro_rules! messages {
 }
 
 messages! {
-    /// Versions of protocol, firmware, hardware and tables; sent at boot and on request.
-    0x00 Version Out every 0 {
-        /// Major version of the messages; different ones are incompatible.
-        protocol_major: u8 @ 0..8;
-        /// Minor version of the messages; incremented with every new message.
-        protocol_minor: u8 @ 8..16;
-        /// Version of the firmware.
-        firmware_major: u8 @ 16..24;
-        /// Version of the firmware.
-        firmware_minor: u8 @ 24..32;
-        /// Version of the firmware.
-        firmware_patch: u8 @ 32..40;
-        /// Identifier of the board.
-        hardware: u8 @ 40..48;
-        /// Identifier of the model tables.
-        tables: u16 @ 48..64;
+    /// Authentication of the next message of the same sender that needs one. Its identifier is below those of all requests:
+    /// a controller that sends the lowest identifier first does not exchange the two.
+    0x00 Authentication In every 0 {
+        /// Lower 24 bits of the freshness counter.
+        counter: u32 @ 0..24;
+        /// First four bytes of the code, little-endian.
+        tag_low: u32 @ 24..56;
+        /// Its last byte.
+        tag_high: u8 @ 56..64;
     }
 
     /// Heartbeat.
@@ -412,14 +405,22 @@ messages! {
         high: u16 @ 48..64;
     }
 
-    /// Authentication of the next message of the same sender that needs one.
-    0x15 Authentication In every 0 {
-        /// Lower 24 bits of the freshness counter.
-        counter: u32 @ 0..24;
-        /// First four bytes of the code, little-endian.
-        tag_low: u32 @ 24..56;
-        /// Its last byte.
-        tag_high: u8 @ 56..64;
+    /// Versions of protocol, firmware, hardware and tables; sent at boot and on request.
+    0x15 Version Out every 0 {
+        /// Major version of the messages; different ones are incompatible.
+        protocol_major: u8 @ 0..8;
+        /// Minor version of the messages; incremented with every new message.
+        protocol_minor: u8 @ 8..16;
+        /// Version of the firmware.
+        firmware_major: u8 @ 16..24;
+        /// Version of the firmware.
+        firmware_minor: u8 @ 24..32;
+        /// Version of the firmware.
+        firmware_patch: u8 @ 32..40;
+        /// Identifier of the board.
+        hardware: u8 @ 40..48;
+        /// Identifier of the model tables.
+        tables: u16 @ 48..64;
     }
 
     /// Part of a new key, on the serial line only.

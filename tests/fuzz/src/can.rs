@@ -15,6 +15,7 @@ use firmware::protocol::session::{Session, SessionEvent, op, status};
 use super::bytes::Bytes;
 
 /// Numbers of the messages that a host sends, by the table of the protocol.
+const AUTHENTICATION: u16 = 0;
 const STOP: u16 = 2;
 const COMMAND: u16 = 3;
 const SERVICE: u16 = 4;
@@ -22,7 +23,6 @@ const PARAM_REQUEST: u16 = 5;
 const HOST_ATTITUDE: u16 = 0x12;
 const HOST_ACCELERATION: u16 = 0x13;
 const CALIBRATION_CHUNK: u16 = 0x14;
-const AUTHENTICATION: u16 = 0x15;
 const KEY_PART: u16 = 0x16;
 /// Messages of the protocol.
 const MESSAGES: u16 = 0x17;

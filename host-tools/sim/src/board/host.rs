@@ -18,6 +18,9 @@ use std::rc::Rc;
 /// Period of the command in milliseconds.
 const EVERY_MS: u32 = Command::LAYOUT.period_ms as u32;
 
+/// Milliseconds until a session is requested again.
+const OPEN_MS: u32 = 50;
+
 /// Messages of the board, the last of each kind, with the end time of the frame in microseconds.
 #[derive(Clone, Debug, Default)]
 pub struct ReceivedMessages {
@@ -47,10 +50,11 @@ pub struct CanHost {
     session: HostSession,
     command: Option<Command>,
     wait_ms: u32,
-    /// Requests for which a session is being opened.
+    /// Requests for which a session is being opened, and milliseconds since it was requested.
     waiting: Vec<Message>,
-    /// The last request in a session, to be repeated if the session has ended meanwhile.
-    last: Option<Message>,
+    opening_ms: u32,
+    /// Requests in a session without a reply, to be repeated if the session has ended meanwhile.
+    unanswered: Vec<Message>,
     /// Stops all transmissions.
     pub is_silent: bool,
     /// Received messages.
@@ -66,7 +70,8 @@ impl CanHost {
             command: None,
             wait_ms: 0,
             waiting: Vec::new(),
-            last: None,
+            opening_ms: 0,
+            unanswered: Vec::new(),
             is_silent: false,
             received: ReceivedMessages::default(),
         }
@@ -95,35 +100,39 @@ impl CanHost {
         if !needs_owner(&request) {
             return self.send(request);
         }
-        self.last = Some(request);
+        let is_opening = !self.waiting.is_empty();
         self.waiting.push(request);
         if self.session.is_open() {
             self.send_waiting();
-        } else {
+        } else if !is_opening {
             self.open();
         }
     }
 
     fn open(&mut self) {
+        self.opening_ms = 0;
         for request in self.session.open(op::OPEN) {
             self.send(request);
         }
     }
 
-    /// Repeats the last request in a new session, because the gripper has ended the one that it was sent in; false if there is
-    /// none.
-    fn repeats_last(&mut self) -> bool {
-        self.session.forget();
-        let Some(last) = self.last.take() else {
+    /// Takes the request that a reply answers. If the gripper did not accept its session, the request is repeated in a new one
+    /// and true is returned.
+    fn take_answered(&mut self, is_refused: bool, answers: impl Fn(&Message) -> bool) -> bool {
+        let Some(place) = self.unanswered.iter().position(answers) else {
             return false;
         };
-        self.waiting.push(last);
-        self.open();
-        true
+        let request = self.unanswered.remove(place);
+        if is_refused {
+            self.session.forget();
+            self.request(request);
+        }
+        is_refused
     }
 
     fn send_waiting(&mut self) {
         for request in std::mem::take(&mut self.waiting) {
+            self.unanswered.push(request);
             self.send_sealed(request);
         }
     }
@@ -148,6 +157,10 @@ impl CanHost {
     /// Advances by a millisecond: receives, then sends.
     pub fn tick(&mut self) {
         self.receive();
+        self.opening_ms += 1;
+        if !self.waiting.is_empty() && self.opening_ms > OPEN_MS {
+            self.open();
+        }
         let Some(command) = self.command.filter(|_| self.session.is_armed()) else {
             return;
         };
@@ -181,8 +194,10 @@ impl CanHost {
                         self.received.worst_tick_us.max(timing.worst_loop);
                 }
                 Message::ParamReply(reply)
-                    if reply.status == parameters::status::UNAUTHENTICATED
-                        && self.repeats_last() => {}
+                    if self.take_answered(
+                        reply.status == parameters::status::UNAUTHENTICATED,
+                        |request| matches!(request, Message::ParamRequest(request) if request.id == reply.id),
+                    ) => {}
                 Message::ParamReply(reply) => self.received.parameters.push((time_us, reply)),
                 Message::ServiceReply(reply) => self.handle_reply(time_us, reply),
                 _ => {}
@@ -199,7 +214,9 @@ impl CanHost {
         }
         let opens =
             reply.op == op::OPEN && matches!(reply.status, status::CHALLENGE | status::DONE);
-        if opens || (reply.status == status::UNAUTHENTICATED && self.repeats_last()) {
+        let is_refused = reply.status == status::UNAUTHENTICATED;
+        let answers = |request: &Message| matches!(request, Message::Service(request) if request.op == reply.op);
+        if opens || self.take_answered(is_refused, answers) {
             return;
         }
         self.received.replies.push((time_us, reply));
