@@ -57,7 +57,7 @@ pub fn create(path: &Path) -> Result<Key> {
 
 fn parse(digits: &str) -> Option<Key> {
     let mut key = Key::NONE;
-    if digits.len() != 2 * KEY_BYTES || !digits.is_ascii() {
+    if digits.len() != 2 * KEY_BYTES || !digits.bytes().all(|digit| digit.is_ascii_hexdigit()) {
         return None;
     }
     for (place, byte) in key.0.iter_mut().enumerate() {
