@@ -321,14 +321,8 @@ mod tests {
     #[test]
     fn grip_command_decodes_to_newtons_and_millimetres() {
         // 35 mm, 10 mm/s, 80 N, normal, a window of 4 mm on either side.
-        let command = Command {
-            mode: mode::GRIP,
-            position: 700,
-            speed: 40,
-            force: 800,
-            flags: 3 << 2,
-            ..Command::default()
-        };
+        let command =
+            Command { mode: mode::GRIP, position: 700, speed: 40, force: 800, flags: 3 << 2 };
         let expected = GraspTarget {
             setpoint_n: 80.0,
             max_mm_s: 10.0,

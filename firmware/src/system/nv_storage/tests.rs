@@ -247,7 +247,6 @@ fn key_stays_over_saves_of_parameters_and_its_own_saves_keep_them() {
     block(store.load());
     block(store.save_key(key)).unwrap();
     block(store.save(&parameters(2))).unwrap();
-    drop(store);
     let loaded = load(&mut flash);
     assert_eq!((loaded.key, loaded.parameters), (key, parameters(2)));
     save(&mut flash, &parameters(3)).unwrap();
