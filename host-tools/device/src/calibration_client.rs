@@ -31,6 +31,8 @@ const REPETITIONS: u32 = 50;
 const WINDOW: u32 = 2 * CHUNKS_PER_GROUP as u32;
 /// Time for each chunk: the gripper admits 20 messages in 10 ms, and those of a busy computer come in bursts.
 const CHUNK_TIME: Duration = Duration::from_micros(800);
+/// Time for each part of a key: the gripper checks four codes in 10 ms.
+const KEY_PART_TIME: Duration = Duration::from_millis(5);
 /// Time for a reboot with the first check of the tables.
 const REBOOT: Duration = Duration::from_secs(5);
 
@@ -251,6 +253,7 @@ pub fn write_key(source: &mut dyn Source, key: Key) -> Result<bool> {
     for (number, part) in (0..).zip(parts).filter(|_| key != Key::NONE) {
         let part = u32::from_le_bytes(*part);
         source.send(Message::KeyPart(KeyPart { number, part }))?;
+        source.pause(KEY_PART_TIME)?;
     }
     let reply = ask_once(source, service(op, check), SLOW_PATIENCE, |message| reply(message, op))?;
     let why = match reply.map(|reply| reply.status) {
