@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""Reads the golden frames through the .dbc with cantools, as a user's tool does, and writes them back.
+"""Reads the golden frames through the .dbc with cantools, as a user's tool does, and writes them back; runs the example of
+firmware/SECURITY.md on a session that the gripper's own code has accepted.
 
     golden_frames.py [FRAMES.csv [FILE.dbc]]
 """
@@ -38,6 +39,22 @@ def faults(bus, row):
         yield f"written as {written.hex(' ').upper()} instead of {row['bytes']}"
 
 
+def session_faults(bus):
+    """What the documented example computes otherwise than the gripper's code does (tests/data/golden_session.csv)."""
+    text = (ROOT / "firmware/SECURITY.md").read_text()
+    example = {}
+    exec(text.split("```python\n")[1].split("```")[0], example)
+    with open(ROOT / "tests/data/golden_session.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    key = bytes.fromhex(rows[0]["key"])
+    reply = bus.decode_message("ServiceReply", bytes.fromhex(rows[0]["reply"]))
+    session = example["Session"](bus, key, example["challenge"](reply))
+    for row in rows:
+        for name, value in zip(("authentication", "message"), session.sealed(row["name"], **meant(row["fields"]))):
+            if value[1] != bytes.fromhex(row[name]):
+                yield f"session, {row['name']}: {name} {value[1].hex(' ')} instead of {row[name]}"
+
+
 def main(frames=ROOT / "tests/data/golden_frames.csv", dbc=ROOT / "firmware/magpie.dbc"):
     bus = cantools.database.load_file(dbc)
     with open(frames, newline="") as file:
@@ -47,6 +64,7 @@ def main(frames=ROOT / "tests/data/golden_frames.csv", dbc=ROOT / "firmware/magp
     ]
     absent = {message.name for message in bus.messages} - {row["message"] for row in rows}
     wrong += [f"no frame of {name}" for name in sorted(absent)]
+    wrong += session_faults(bus)
     for line in wrong:
         print(line, file=sys.stderr)
     signals = sum(len(meant(row["fields"])) for row in rows)

@@ -44,6 +44,7 @@ mod unix {
             Trial::test("record_receives_every_tick_on_the_serial_line", record),
             Trial::test("a_socketcand_client_receives_heartbeats_until_ctrl_c", socketcand),
             Trial::test("grip_homes_and_holds_a_force_over_the_can_bus", grip),
+            Trial::test("only_hosts_with_the_key_change_a_protected_gripper", keys),
             Trial::test("an_image_that_is_none_is_refused", refused),
         ];
         let trials =
@@ -170,7 +171,7 @@ mod unix {
         let line = format!("monitor --can {} --seconds 1.5 --json", emulation.can);
         let output = String::from_utf8(dir.stdout(&line))?;
         let last: Value = serde_json::from_str(output.lines().last().unwrap())?;
-        assert_eq!(last["version"]["protocol"][0], 1, "{last}");
+        assert_eq!(last["version"]["protocol"][0], 2, "{last}");
         assert_eq!(last["heartbeat"]["sensors_ok"], 0b1111);
         is_clean(&emulation.end());
         Ok(())
@@ -206,6 +207,35 @@ mod unix {
         assert!(number(&last["opening_mm"]) > 70.0, "{last}");
         let stopped = dir.json(&format!("grip --can {} --stop --json", emulation.can));
         assert_eq!(stopped["stopped"], true, "{stopped}");
+        is_clean(&emulation.end());
+        Ok(())
+    }
+
+    fn keys() -> Result<(), Failed> {
+        let dir = WorkDir::empty();
+        let emulation = Emulation::start(&dir, &path(Variant::Nominal)?, "--json");
+        let port = format!("--port {}", emulation.serial);
+        dir.json("key new key.txt --json");
+        dir.json("key new other.txt --json");
+        assert_eq!(dir.json(&format!("board {port} --json"))["unprotected"], true);
+        dir.json(&format!("key write key.txt {port} --json"));
+        assert_eq!(dir.json(&format!("board {port} --json"))["unprotected"], false);
+        for (line, reason) in [
+            (format!("tare {port}"), "another key"),
+            (format!("tare {port} --key other.txt"), "another key"),
+            (format!("grasp {port} --release"), "another key"),
+            (format!("key erase {port}"), "the gripper has a key"),
+            (format!("key write other.txt {port} --key other.txt"), "another key"),
+            (format!("key erase --can {} --key key.txt", emulation.can), "never sent over a bus"),
+        ] {
+            let message = dir.failure(&line);
+            assert!(message.contains(reason), "{line}: {message}");
+        }
+        dir.json(&format!("tare {port} --key key.txt --json"));
+        dir.json(&format!("grasp {port} --stop --json"));
+        dir.json(&format!("key write other.txt {port} --key key.txt --json"));
+        dir.json(&format!("key erase {port} --key other.txt --json"));
+        assert_eq!(dir.json(&format!("board {port} --json"))["unprotected"], true);
         is_clean(&emulation.end());
         Ok(())
     }

@@ -21,14 +21,14 @@ fn inputs(seed: u64, count: usize, longest: usize) -> impl Iterator<Item = Vec<u
 #[test]
 fn can_sessions_agree_with_the_reference_model() {
     let (mut armed, mut commands, mut dropped) = (0, 0, 0);
-    for input in inputs(1, 20_000, 400) {
+    for input in inputs(1, 20_000, 800) {
         let tally = fuzz::can::receive(&input);
         armed += tally.armed;
         commands += tally.commands;
         dropped += tally.dropped;
     }
     // The inputs reach the code behind the checksums.
-    assert!(armed > 5_000 && commands > 1_000 && dropped > 100_000, "{armed} {commands} {dropped}");
+    assert!(armed > 3_000 && commands > 3_000 && dropped > 100_000, "{armed} {commands} {dropped}");
 }
 
 #[test]

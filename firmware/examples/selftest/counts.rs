@@ -8,6 +8,7 @@ use cortex_m::peripheral::syst::SystClkSource;
 use cortex_m::peripheral::{Peripherals, SYST};
 use firmware::model::formats::{GruState, Weights};
 use firmware::model::kernel::{grbf, gru};
+use firmware::protocol::authentication::{Key, SessionMac};
 
 use crate::vectors::{self, Random};
 
@@ -27,7 +28,28 @@ pub fn print(counter: &Counter, out: &mut impl Write) -> Result {
     for (name, pairs) in [("grbf_25", 13), ("grbf_50", 25), ("grbf_100", 50)] {
         basis_functions(name, pairs, counter, out)?;
     }
-    Ok(())
+    authentication(counter, out)
+}
+
+/// Check of the code of a message, and the keys of a session.
+fn authentication(counter: &Counter, out: &mut impl Write) -> Result {
+    let mut random = Random(13);
+    let (mut check, mut open) = (Counts::default(), Counts::default());
+    for trial in 0..TRIALS {
+        let key = Key([random.word() as u8; 16]);
+        let challenge = random.word() as u64;
+        open.add(counter.instructions(|| {
+            black_box(SessionMac::new(&key, 16, black_box(challenge)));
+        }));
+        let mac = SessionMac::new(&key, 16, challenge);
+        let message = (random.word() as u64).to_le_bytes();
+        let tag = mac.tag(trial.into(), 0x203, message);
+        check.add(counter.instructions(|| {
+            black_box(mac.is_valid(trial.into(), 0x203, black_box(message), tag));
+        }));
+    }
+    open.print("session_keys", out)?;
+    check.print("message_code", out)
 }
 
 /// A whole call of [`gru::step`].

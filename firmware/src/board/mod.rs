@@ -6,6 +6,7 @@ pub mod i2c_timing;
 #[path = "nucleo_g474/mod.rs"]
 pub mod selected;
 
+use embedded_hal::digital::InputPin;
 use embedded_io_async::{Read, Write};
 use embedded_storage_async::nor_flash::NorFlash;
 
@@ -39,8 +40,10 @@ pub trait Bsp: Sized {
     type SerialRx: Read;
     /// Flash of parameters and calibrations.
     type Flash: NorFlash;
-    /// Source of the nonces.
+    /// Source of the challenges.
     type Rng;
+    /// Button that a person presses to allow a new key; high while pressed.
+    type Button: InputPin;
     /// Temperature sensors.
     type Thermometer: Thermometer;
     /// Power stage, current sensors and rotor sensor.
@@ -66,8 +69,10 @@ pub struct Peripherals<B: Bsp> {
     pub serial_tx: B::SerialTx,
     /// Receiving half.
     pub serial_rx: B::SerialRx,
-    /// Source of the nonces.
+    /// Source of the challenges.
     pub rng: B::Rng,
+    /// Button.
+    pub button: B::Button,
     /// Flash of parameters and calibrations.
     pub flash: B::Flash,
     /// Where they are.

@@ -51,12 +51,12 @@ pub mod flag {
 
 /// Bus counts per unit of position, speed and force.
 const PER_UNIT: [f32; 3] = match Command::LAYOUT.signals {
-    [_, _, position, speed, force, ..] => [
+    [_, position, speed, force, ..] => [
         position.counts_per_unit() as f32,
         speed.counts_per_unit() as f32,
         force.counts_per_unit() as f32,
     ],
-    _ => [0.0; 3],
+    _ => panic!("the layout needs position, speed and force"),
 };
 
 /// Widths in millimetres at which an object is expected.
@@ -306,7 +306,7 @@ impl CommandRefusal {
         ServiceReply {
             op: op::COMMAND,
             status: status::REFUSED,
-            nonce: 0,
+            extra: 0,
             detail: mode << 16 | state << 8 | reason,
         }
     }
@@ -321,14 +321,8 @@ mod tests {
     #[test]
     fn grip_command_decodes_to_newtons_and_millimetres() {
         // 35 mm, 10 mm/s, 80 N, normal, a window of 4 mm on either side.
-        let command = Command {
-            mode: mode::GRIP,
-            position: 700,
-            speed: 40,
-            force: 800,
-            flags: 3 << 2,
-            ..Command::default()
-        };
+        let command =
+            Command { mode: mode::GRIP, position: 700, speed: 40, force: 800, flags: 3 << 2 };
         let expected = GraspTarget {
             setpoint_n: 80.0,
             max_mm_s: 10.0,

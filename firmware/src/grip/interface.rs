@@ -12,9 +12,9 @@ const EVENTS: usize = 24;
 /// Status of the session with a host.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SessionStatus {
-    /// A nonce is offered ([`crate::protocol::session::Session::is_challenge_pending`]).
+    /// A challenge for arming is pending ([`crate::protocol::session::Session::is_arming`]).
     pub is_offered: bool,
-    /// A session is open ([`crate::protocol::session::Session::is_open`]).
+    /// A host is armed ([`crate::protocol::session::Session::is_armed`]).
     pub is_open: bool,
     /// Commands arrive in time ([`crate::protocol::session::Session::is_alive`]).
     pub is_alive: bool,

@@ -283,6 +283,14 @@ impl GripController {
         )
     }
 
+    /// Whether the fingers move, or are being stopped.
+    pub fn is_moving(&self) -> bool {
+        match self.power {
+            PowerState::Enabled => self.task.moves(),
+            power => matches!(power, PowerState::QuickStop | PowerState::FaultReaction),
+        }
+    }
+
     /// Whether an object is, or may be, gripped, or the gripper is a foot.
     pub const fn is_loaded(&self) -> bool {
         self.is_gripped || matches!(self.task, TaskState::Foot)

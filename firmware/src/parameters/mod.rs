@@ -45,6 +45,8 @@ pub mod status {
     pub const NO_SUCH_OP: u8 = 4;
     /// The counter is read-only.
     pub const READ_ONLY: u8 = 5;
+    /// Not from the owner of a session.
+    pub const UNAUTHENTICATED: u8 = 6;
 }
 
 /// Whether the load can turn the screw back without current.
@@ -227,18 +229,13 @@ impl Parameters {
     }
 }
 
-/// Executes a request and returns the reply. A write takes effect at once, and is lost at the next boot unless the host
-/// saves.
-pub fn handle_request(
-    parameters: &mut Parameters,
-    request: &ParamRequest,
-    is_armed: bool,
-) -> ParamReply {
+/// Executes a request that is allowed by [`crate::protocol::rules`], and returns the reply. A write takes effect at once, and is
+/// lost at the next boot unless the host saves.
+pub fn handle_request(parameters: &mut Parameters, request: &ParamRequest) -> ParamReply {
     let rule = RULES.iter().find(|rule| rule.id == request.id);
     let status = match (rule, request.op) {
         (None, _) => status::UNKNOWN,
         (_, op::READ) => status::DONE,
-        (Some(rule), op::WRITE) if rule.affects_motion && is_armed => status::ARMED,
         (_, op::WRITE) => match parameters.set(request.id, request.value as i32) {
             Ok(()) => status::DONE,
             Err(status) => status,
@@ -271,9 +268,9 @@ mod tests {
     use crate::protocol::frame_id;
     use std::vec::Vec;
 
-    fn request(parameters: &mut Parameters, op: u8, id: u16, value: i32, armed: bool) -> (u8, i32) {
+    fn request(parameters: &mut Parameters, op: u8, id: u16, value: i32) -> (u8, i32) {
         let message = ParamRequest { op, id, status: 0, value: value as u32 };
-        let reply = handle_request(parameters, &message, armed);
+        let reply = handle_request(parameters, &message);
         assert_eq!((reply.op, reply.id), (op, id));
         (reply.status, reply.value as i32)
     }
@@ -308,9 +305,9 @@ mod tests {
             };
             for value in values {
                 let mut changed = Parameters::DEFAULT;
-                let written = request(&mut changed, op::WRITE, parameter.id, value, false);
+                let written = request(&mut changed, op::WRITE, parameter.id, value);
                 assert_eq!(written, (status::DONE, value), "{}", parameter.name);
-                let read = request(&mut changed, op::READ, parameter.id, 0, true);
+                let read = request(&mut changed, op::READ, parameter.id, 0);
                 assert_eq!(read, (status::DONE, value));
                 for ((id, now), (_, before)) in changed.all().zip(Parameters::DEFAULT.all()) {
                     assert_eq!(now, if id == parameter.id { value } else { before });
@@ -328,7 +325,7 @@ mod tests {
             };
             for value in beyond {
                 let mut same = Parameters::DEFAULT;
-                let reply = request(&mut same, op::WRITE, parameter.id, value, false);
+                let reply = request(&mut same, op::WRITE, parameter.id, value);
                 assert_eq!(reply, (status::OUT_OF_RANGE, parameter.default));
                 assert_eq!(same, Parameters::DEFAULT);
             }
@@ -336,29 +333,13 @@ mod tests {
     }
 
     #[test]
-    fn only_parameters_without_motion_are_writable_while_armed() {
-        let open: Vec<&str> = PARAMETERS
-            .iter()
-            .filter(|parameter| {
-                let value = parameter.default;
-                let mut same = Parameters::DEFAULT;
-                let reply = request(&mut same, op::WRITE, parameter.id, value, true);
-                assert!(reply == (status::DONE, value) || reply == (status::ARMED, value));
-                reply.0 == status::DONE
-            })
-            .map(|parameter| parameter.name)
-            .collect();
-        assert_eq!(open, ["force_rate", "raw", "foot", "telemetry"]);
-    }
-
-    #[test]
     fn unknown_identifier_or_operation_is_reported() {
         let mut same = Parameters::DEFAULT;
         let unknown = (status::UNKNOWN, 0);
-        assert_eq!(request(&mut same, op::READ, 0, 0, false), unknown);
-        assert_eq!(request(&mut same, op::WRITE, 0x38, 1, false), unknown);
+        assert_eq!(request(&mut same, op::READ, 0, 0), unknown);
+        assert_eq!(request(&mut same, op::WRITE, 0x38, 1), unknown);
         let no_op = (status::NO_SUCH_OP, 16);
-        assert_eq!(request(&mut same, 2, id::NODE, 17, false), no_op);
+        assert_eq!(request(&mut same, 2, id::NODE, 17), no_op);
         assert_eq!(same, Parameters::DEFAULT);
     }
 

@@ -163,22 +163,15 @@ macro_rules! messages {
 }
 
 messages! {
-    /// Versions of protocol, firmware, hardware and tables; sent at boot and on request.
-    0x00 Version Out every 0 {
-        /// Major version of the messages; different ones are incompatible.
-        protocol_major: u8 @ 0..8;
-        /// Minor version of the messages; incremented with every new message.
-        protocol_minor: u8 @ 8..16;
-        /// Version of the firmware.
-        firmware_major: u8 @ 16..24;
-        /// Version of the firmware.
-        firmware_minor: u8 @ 24..32;
-        /// Version of the firmware.
-        firmware_patch: u8 @ 32..40;
-        /// Identifier of the board.
-        hardware: u8 @ 40..48;
-        /// Identifier of the model tables.
-        tables: u16 @ 48..64;
+    /// Authentication of the next message of the same sender that needs one. Its identifier is below those of all requests:
+    /// a controller that sends the lowest identifier first does not exchange the two.
+    0x00 Authentication In every 0 {
+        /// Lower 24 bits of the freshness counter.
+        counter: u32 @ 0..24;
+        /// First four bytes of the code, little-endian.
+        tag_low: u32 @ 24..56;
+        /// Its last byte.
+        tag_high: u8 @ 56..64;
     }
 
     /// Heartbeat.
@@ -193,6 +186,8 @@ messages! {
         command_alive: bool @ 42..43;
         /// Sensors with valid readings, one bit each.
         sensors_ok: u8 @ 43..47;
+        /// No key is stored: everybody on the bus may open a session.
+        unprotected: bool @ 47..48;
         /// Major version of the messages.
         protocol_major: u8 @ 48..56;
         /// Counts heartbeats.
@@ -202,12 +197,10 @@ messages! {
     /// Emergency stop, accepted from any sender.
     0x02 EStop In every 0 {}
 
-    /// Command; without one for 100 ms the gripper holds.
+    /// Command, authenticated; without one for 100 ms the gripper holds.
     0x03 Command In every 50 {
         /// Mode.
         mode: u8 @ 0..4;
-        /// Incremented with every command.
-        counter: u8 @ 4..8;
         /// Set-point of the opening.
         position: u16 @ 8..20, 0.05 "mm";
         /// Speed limit.
@@ -216,23 +209,17 @@ messages! {
         force: u16 @ 28..40, 0.1 "N";
         /// Flags of the mode.
         flags: u8 @ 40..48;
-        /// Checksum over nonce, identifier and the bytes before it.
-        crc: u16 @ 48..64;
     }
 
-    /// Service request: clear faults, tare, save, reboot, arm.
+    /// Service request: sessions, clear faults, tare, save, reboot, calibrations; mostly authenticated.
     0x04 Service In every 0 {
         /// Operation.
         op: u8 @ 0..8;
-        /// Constant that protects against stray frames.
-        magic: u16 @ 8..24;
-        /// Nonce of the challenge, for arming.
-        nonce: u16 @ 24..40;
         /// Argument of the operation.
-        argument: u32 @ 40..64;
+        argument: u32 @ 8..40;
     }
 
-    /// Request to read or write a parameter.
+    /// Request to read or write a parameter; writing is authenticated.
     0x05 ParamRequest In every 0 {
         /// 0 reads, 1 writes.
         op: u8 @ 0..8;
@@ -374,11 +361,11 @@ messages! {
     0x11 ServiceReply Out every 0 {
         /// Operation.
         op: u8 @ 0..8;
-        /// 0: done, 1: return this nonce, else the reason of the failure.
+        /// 0: done, 1: a challenge, else the reason of the failure.
         status: u8 @ 8..16;
-        /// Nonce to return; in the reply to a request for the description: its argument.
-        nonce: u16 @ 16..32;
-        /// Detail of the operation.
+        /// Upper 16 bits of the challenge; in the reply to a request for the description: its argument.
+        extra: u16 @ 16..32;
+        /// Detail of the operation; lower 32 bits of the challenge.
         detail: u32 @ 32..64;
     }
 
@@ -416,5 +403,31 @@ messages! {
         low: u32 @ 16..48;
         /// The other two.
         high: u16 @ 48..64;
+    }
+
+    /// Versions of protocol, firmware, hardware and tables; sent at boot and on request.
+    0x15 Version Out every 0 {
+        /// Major version of the messages; different ones are incompatible.
+        protocol_major: u8 @ 0..8;
+        /// Minor version of the messages; incremented with every new message.
+        protocol_minor: u8 @ 8..16;
+        /// Version of the firmware.
+        firmware_major: u8 @ 16..24;
+        /// Version of the firmware.
+        firmware_minor: u8 @ 24..32;
+        /// Version of the firmware.
+        firmware_patch: u8 @ 32..40;
+        /// Identifier of the board.
+        hardware: u8 @ 40..48;
+        /// Identifier of the model tables.
+        tables: u16 @ 48..64;
+    }
+
+    /// Part of a new key, on the serial line only.
+    0x16 KeyPart In every 0 {
+        /// Number of the part, from 0.
+        number: u8 @ 0..8;
+        /// Four bytes, little-endian.
+        part: u32 @ 8..40;
     }
 }

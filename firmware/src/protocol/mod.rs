@@ -2,14 +2,16 @@
 //!
 //! CAN: classic frames of eight bytes at 1 Mbit/s, little-endian, reserved bits zero; an identifier is
 //! `node << 5 | number`. [`messages`] defines them; `magpie dbc` exports the definition.
-//! Serial line: [`serial`]. Arming and authentication of commands: [`session`], with the
-//! host's side in [`host_session`].
+//! Serial line: [`serial`]. Sessions of hosts: [`session`], with the host's side in [`host_session`]; what a message needs:
+//! [`rules`]; how it is authenticated: [`authentication`].
 
+pub mod authentication;
 pub mod can;
 pub mod host_session;
 pub mod layout;
 pub mod messages;
 pub mod rate_limiter;
+pub mod rules;
 pub mod serial;
 pub mod session;
 
@@ -19,11 +21,17 @@ use crate::fixed_point::Force;
 /// Default node number: identifiers 0x200 to 0x21F.
 pub const DEFAULT_NODE: u16 = 0x10;
 /// Major and minor version of the messages.
-pub const PROTOCOL_VERSION: (u8, u8) = (1, 3);
+pub const PROTOCOL_VERSION: (u8, u8) = (2, 0);
 /// [`messages::GripStatus::position`] of an unknown opening, as before homing.
 pub const OPENING_UNKNOWN: u16 = 0x3FFF;
 /// Value of an unknown temperature in [`messages::Power`].
 pub const TEMPERATURE_UNKNOWN: i8 = i8::MIN;
+/// Source of a frame: the CAN bus.
+pub const CAN: u8 = 0;
+/// Source of a frame: the serial line.
+pub const SERIAL: u8 = 1;
+/// Sources of frames.
+pub const SOURCES: usize = 2;
 /// Identifier of the emergency stop for all nodes.
 pub const ESTOP_ALL_ID: u16 = 0x002;
 
@@ -177,10 +185,7 @@ mod tests {
         use layout::FrameError;
         assert_eq!(Message::from_frame(0x1F, &[0; 8]), Err(FrameError::Unknown));
         assert_eq!(Message::from_frame(0x03, &[0; 7]), Err(FrameError::Length));
-        // Bit 47 of a heartbeat is reserved.
-        assert_eq!(
-            Message::from_frame(0x01, &[0, 0, 0, 0, 0, 0x80, 0, 0]),
-            Err(FrameError::Reserved)
-        );
+        // Bit 48 of a command is reserved.
+        assert_eq!(Message::from_frame(0x03, &[0, 0, 0, 0, 0, 0, 1, 0]), Err(FrameError::Reserved));
     }
 }

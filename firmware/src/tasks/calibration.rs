@@ -7,6 +7,7 @@ use crate::model::calibration::{
     Calibration, CalibrationMemory, CompensationMemory, Networks, Payload,
 };
 use crate::model::encoding::Reader;
+use crate::protocol::authentication::SessionMac;
 use crate::protocol::messages::{CalibrationChunk, Service, ServiceReply};
 use crate::protocol::session::{op, service_reply, status};
 use crate::system::nv_storage::calibration::{CalibrationSlots, StoredCalibration};
@@ -105,25 +106,28 @@ pub struct CalibrationService {
 }
 
 impl CalibrationService {
-    /// Executes a service request. `is_armed`: a session is open, or the motor is driven.
+    /// Executes a service request; an upload gets its code from the session that begins it.
     pub async fn handle_request<F: NorFlash>(
         &mut self,
         flash: &mut F,
         request: Service,
-        is_armed: bool,
+        session: Option<&SessionMac>,
     ) -> ServiceReply {
-        let result = match request.op {
-            op::DESCRIPTION => {
+        let result = match (request.op, session) {
+            (op::DESCRIPTION, _) => {
                 let detail = self.description(flash, request.argument).await;
                 let status = if detail.is_some() { status::DONE } else { status::FAILED };
                 return ServiceReply {
-                    nonce: request.argument as u16,
+                    extra: request.argument as u16,
                     ..service_reply(request, status, detail.unwrap_or(0))
                 };
             }
-            _ if is_armed => return service_reply(request, status::ARMED, 0),
-            op::UPLOAD => self.slots.begin(flash, request.argument).await.map(|()| 0),
-            op::FINISH_UPLOAD => self.slots.finish(flash).await.map(|stored| stored.sequence),
+            (op::UPLOAD, Some(mac)) => {
+                self.slots.begin(flash, request.argument, mac.digest()).await.map(|()| 0)
+            }
+            (op::FINISH_UPLOAD, _) => {
+                self.slots.finish(flash, request.argument).await.map(|stored| stored.sequence)
+            }
             _ => return service_reply(request, status::UNKNOWN, 0),
         };
         match result {
@@ -137,12 +141,8 @@ impl CalibrationService {
         &mut self,
         flash: &mut F,
         chunk: &CalibrationChunk,
-        is_armed: bool,
     ) -> Option<ServiceReply> {
-        let request = Service { op: op::UPLOAD, ..Service::default() };
-        if is_armed {
-            return Some(service_reply(request, status::ARMED, 0));
-        }
+        let request = Service { op: op::UPLOAD, argument: 0 };
         match self.slots.receive(flash, chunk.number.into(), chunk.bytes()).await {
             Ok(next) => Some(service_reply(request, status::DONE, next?)),
             Err(error) => Some(service_reply(request, status::FAILED, error as u32)),

@@ -61,6 +61,8 @@ pub struct HostStatus {
     pub is_checked: bool,
     /// A tare is in progress.
     pub is_taring: bool,
+    /// No key is stored ([`crate::protocol::messages::Heartbeat::unprotected`]).
+    pub is_unprotected: bool,
 }
 
 impl HostStatus {
@@ -69,6 +71,7 @@ impl HostStatus {
         host: SessionStatus { is_offered: false, is_open: false, is_alive: false },
         is_checked: false,
         is_taring: false,
+        is_unprotected: false,
     };
 }
 
@@ -83,6 +86,8 @@ pub struct GripSummary {
     pub may_arm: bool,
     /// The motor is or may be driven, with or without a session: no flash access, tare or reboot.
     pub is_driven: bool,
+    /// The fingers should move.
+    pub is_moving: bool,
     /// See [`GripController::is_loaded`].
     pub is_loaded: bool,
     /// See [`GripController::may_be_loaded`].
@@ -96,6 +101,7 @@ impl GripSummary {
         object: 0,
         may_arm: false,
         is_driven: false,
+        is_moving: false,
         is_loaded: false,
         may_be_loaded: false,
     };
@@ -194,6 +200,7 @@ impl GripLoop {
             object: outputs.status.object,
             may_arm: outputs.may_arm,
             is_driven: grip.is_driven(),
+            is_moving: grip.is_moving(),
             is_loaded: grip.is_loaded(),
             may_be_loaded: grip.may_be_loaded(),
         });

@@ -12,13 +12,15 @@ use crate::estimator::tare::TareProgress;
 use crate::grip::SessionStatus;
 use crate::motor::calibration::{CalibrationKind, CalibrationOutcome};
 use crate::parameters;
-use crate::protocol::messages::{Message, Service, ServiceReply, Version};
-use crate::protocol::session::{self, Session, SessionEvent, op, service_reply, status};
+use crate::protocol::authentication::{KEY_BYTES, Key};
+use crate::protocol::messages::{KeyPart, Message, Service, ServiceReply, Version};
+use crate::protocol::rules::{RequestKind, Situation};
+use crate::protocol::session::{Session, SessionEvent, op, refusal, service_reply, status};
 use crate::system::faults::{Fault, FaultSet};
 use crate::system::nv_storage::{LoadedParameters, ParameterOrigin, ParameterStore};
 use crate::system::task_watchdog::TaskId;
 use crate::tasks::calibration::CalibrationService;
-use crate::tasks::{FaultReporter, GripSummary, HostStatus, SharedState};
+use crate::tasks::{FaultReporter, HostStatus, RxFrame, SharedState};
 
 /// Interval at which the time-out of hosts is checked.
 const CHECK_US: u64 = 1000;
@@ -33,13 +35,15 @@ pub async fn load_parameters<F: NorFlash, M: RawMutex>(
     loaded
 }
 
+/// Parts of a key.
+const KEY_PARTS: usize = KEY_BYTES / size_of::<u32>();
 /// Sources of [`Fault::StoreUnsound`].
 const PARAMETERS: u8 = 0;
 const CALIBRATION: u8 = 1;
 const CONFIGURATION: u8 = 2;
 
 /// Resources of the task.
-pub struct HostService<F, R, B> {
+pub struct HostService<F, R, P, B> {
     /// Versions of protocol, firmware and tables.
     pub version: Version,
     /// Store of the parameters.
@@ -50,22 +54,33 @@ pub struct HostService<F, R, B> {
     pub calibration: CalibrationService,
     /// See [`crate::board::Peripherals::configuration_defect`].
     pub configuration_defect: Option<u32>,
-    /// A fresh random number at every call, for nonces.
+    /// A fresh random number at every call, for challenges.
     pub random: R,
+    /// Whether the button is pressed, which allows to write the key.
+    pub is_pressed: P,
     /// Resets the chip.
     pub reboot: B,
 }
 
 /// Serves hosts.
-pub async fn host_service<F: NorFlash, R: FnMut() -> u16, B: FnMut(), C: Clock, M: RawMutex>(
-    mut service: HostService<F, R, B>,
+pub async fn host_service<F, R, P, B, C, M>(
+    mut service: HostService<F, R, P, B>,
     clock: &C,
     shared: &SharedState<M>,
-) -> ! {
+) -> !
+where
+    F: NorFlash,
+    R: FnMut() -> u64,
+    P: FnMut() -> bool,
+    B: FnMut(),
+    C: Clock,
+    M: RawMutex,
+{
     let parameters = shared.parameters();
-    let mut session = Session::new(parameters.node(), parameters.command_timeout_ms());
-    let mut faults = FaultSet::default();
     let loaded = service.loaded;
+    let mut session = Session::new(parameters.node(), loaded.key, parameters.command_timeout_ms());
+    let mut key_parts = [None; KEY_PARTS];
+    let mut faults = FaultSet::default();
     if !loaded.is_settled {
         // On failure the loaded values stay in use, and the next save tries again.
         let _ = service.store.save(&loaded.parameters).await;
@@ -110,71 +125,45 @@ pub async fn host_service<F: NorFlash, R: FnMut() -> u16, B: FnMut(), C: Clock, 
         );
         let next = next.await;
         shared.progress.check_in(TaskId::HostService);
-        let now_ms = (clock.now_us() / 1000) as u32;
+        let now_ms = clock.now_us() / 1000;
         let grip = shared.grip_summary.get();
         session.set_may_arm(grip.may_arm);
+        session.set_is_moving(grip.is_moving);
+        session.set_is_present(session.key() == Key::NONE || (service.is_pressed)());
+        session.expire(now_ms);
         let reply = match next {
             Either4::First(received) => {
-                let frame = received.frame;
-                let random = (service.random)();
-                let event = session.receive(now_ms, frame.identifier(), frame.data(), random);
+                let RxFrame { source, frame } = received;
+                let frame = (frame.identifier(), frame.data());
+                let event = session.receive(now_ms, source, frame, &mut service.random);
                 publish_host_status(&session, &pending, now_ms, shared);
-                let is_armed = session.is_open() || grip.is_driven;
-                let is_calibrating = pending.is_some();
                 match event {
-                    SessionEvent::Reply { reply, .. } => Some(Message::ServiceReply(reply)),
-                    // What is gripped would become the zero of the forces, or be dropped.
-                    SessionEvent::Other(Message::Service(request))
-                        if !is_armed && is_prevented_by_load(request, &grip) =>
-                    {
-                        let reply = service_reply(request, status::GRIPPING, 0);
-                        Some(Message::ServiceReply(reply))
-                    }
-                    SessionEvent::Other(Message::Service(request))
-                        if !is_armed && starts_long_service(request, &mut pending, shared) =>
-                    {
+                    SessionEvent::Ignored => None,
+                    SessionEvent::Reply(reply) => Some(reply),
+                    SessionEvent::Stop => {
+                        shared.requests.modify(|requests| requests.stop = true);
                         None
-                    }
-                    SessionEvent::Other(Message::Service(request)) => {
-                        let is_busy = is_armed || is_calibrating;
-                        Some(service.handle_request(request, is_busy, shared).await)
-                    }
-                    SessionEvent::Other(Message::ParamRequest(request))
-                        if let Some(count) = shared.counts.counter(request.id) =>
-                    {
-                        let reply = parameters::handle_counter_request(count, &request);
-                        Some(Message::ParamReply(reply))
-                    }
-                    SessionEvent::Other(Message::ParamRequest(request)) => {
-                        let mut parameters = shared.parameters();
-                        let is_busy = is_armed || is_calibrating;
-                        let reply = parameters::handle_request(&mut parameters, &request, is_busy);
-                        shared.set_parameters(parameters);
-                        session.set_timeout_ms(parameters.command_timeout_ms());
-                        Some(Message::ParamReply(reply))
                     }
                     SessionEvent::Command(command) => {
                         shared.requests.modify(|requests| requests.command = Some(command));
                         None
                     }
-                    SessionEvent::Stop => {
-                        shared.requests.modify(|requests| requests.stop = true);
-                        None
+                    SessionEvent::Other(request) => {
+                        let situation = Situation {
+                            is_armed: session.is_armed() || grip.is_driven,
+                            is_calibrating: pending.is_some(),
+                            is_loaded: grip.is_loaded,
+                            may_be_loaded: grip.may_be_loaded,
+                        };
+                        let rule = RequestKind::of(&request).map(RequestKind::rule);
+                        match rule.and_then(|rule| rule.refusal(&request, &situation)) {
+                            Some(status) => refusal(&request, status),
+                            None => {
+                                let state = (&mut session, &mut pending, &mut key_parts);
+                                service.handle_request(request, state, clock.now_us(), shared).await
+                            }
+                        }
                     }
-                    SessionEvent::Other(Message::CalibrationChunk(chunk)) => {
-                        let HostService { store, calibration, .. } = &mut service;
-                        let reply = calibration
-                            .receive(store.flash(), &chunk, is_armed || is_calibrating)
-                            .await;
-                        reply.map(Message::ServiceReply)
-                    }
-                    SessionEvent::Other(message) => {
-                        shared.host_motion.modify(|motion| {
-                            motion.update(&message, clock.now_us());
-                        });
-                        None
-                    }
-                    SessionEvent::Ignored => None,
                 }
             }
             Either4::Second(step) => pending
@@ -197,24 +186,12 @@ pub async fn host_service<F: NorFlash, R: FnMut() -> u16, B: FnMut(), C: Clock, 
     }
 }
 
-/// Whether a load forbids a service; that the fingers seem loaded only forbids a tare that does not confirm the contrary.
-const fn is_prevented_by_load(request: Service, grip: &GripSummary) -> bool {
-    match request.op {
-        op::TARE => grip.is_loaded || (grip.may_be_loaded && request.argument != session::UNLOADED),
-        op::MEASURE => grip.is_loaded,
-        _ => false,
-    }
-}
-
-/// Starts a tare or a calibration; false if the request is another service or one is in progress.
+/// Starts a tare or a calibration; false if the request is another service.
 fn starts_long_service<M: RawMutex>(
     request: Service,
     pending: &mut Option<Service>,
     shared: &SharedState<M>,
 ) -> bool {
-    if pending.is_some() {
-        return false;
-    }
     match (request.op, CalibrationKind::of(request.argument)) {
         (op::TARE, _) => shared.tare_request.signal(()),
         (op::MEASURE, Some(measure)) => {
@@ -226,13 +203,67 @@ fn starts_long_service<M: RawMutex>(
     true
 }
 
-impl<F: NorFlash, R, B: FnMut()> HostService<F, R, B> {
-    /// Executes a service that completes at once. `is_armed`: a session is open, the motor is driven, or a tare or a
-    /// calibration is in progress.
+impl<F: NorFlash, R, P, B: FnMut()> HostService<F, R, P, B> {
+    /// Carries out a request that has the authority it needs and is allowed in the present situation; returns the reply, if
+    /// any.
     async fn handle_request<M: RawMutex>(
         &mut self,
+        request: Message,
+        (session, pending, key_parts): (
+            &mut Session,
+            &mut Option<Service>,
+            &mut [Option<u32>; KEY_PARTS],
+        ),
+        now_us: u64,
+        shared: &SharedState<M>,
+    ) -> Option<Message> {
+        let Self { store, calibration, .. } = self;
+        match request {
+            Message::Service(request) if starts_long_service(request, pending, shared) => None,
+            Message::Service(Service { op: op::WRITE_KEY, argument }) => {
+                let key = assemble(key_parts, argument);
+                *key_parts = [None; KEY_PARTS];
+                Some(self.write_key(op::WRITE_KEY, key, session).await)
+            }
+            Message::Service(Service { op: op::ERASE_KEY, .. }) => {
+                Some(self.write_key(op::ERASE_KEY, Some(Key::NONE), session).await)
+            }
+            Message::Service(request) => Some(self.handle_service(request, session, shared).await),
+            Message::KeyPart(KeyPart { number, part }) => {
+                if let Some(place) = key_parts.get_mut(usize::from(number)) {
+                    *place = Some(part);
+                }
+                None
+            }
+            Message::ParamRequest(request) => {
+                if let Some(count) = shared.counts.counter(request.id) {
+                    let reply = parameters::handle_counter_request(count, &request);
+                    return Some(Message::ParamReply(reply));
+                }
+                let mut parameters = shared.parameters();
+                let reply = parameters::handle_request(&mut parameters, &request);
+                shared.set_parameters(parameters);
+                session.set_timeout_ms(parameters.command_timeout_ms());
+                Some(Message::ParamReply(reply))
+            }
+            Message::CalibrationChunk(chunk) => {
+                let reply = calibration.receive(store.flash(), &chunk).await;
+                reply.map(Message::ServiceReply)
+            }
+            message => {
+                shared.host_motion.modify(|motion| {
+                    motion.update(&message, now_us);
+                });
+                None
+            }
+        }
+    }
+
+    /// Carries out a service that completes at once.
+    async fn handle_service<M: RawMutex>(
+        &mut self,
         request: Service,
-        is_armed: bool,
+        session: &Session,
         shared: &SharedState<M>,
     ) -> Message {
         let reply = |status| Message::ServiceReply(service_reply(request, status, 0));
@@ -243,8 +274,7 @@ impl<F: NorFlash, R, B: FnMut()> HostService<F, R, B> {
                 shared.requests.modify(|requests| requests.clear = true);
                 reply(status::DONE)
             }
-            op::TARE | op::SAVE | op::REBOOT | op::MEASURE if is_armed => reply(status::ARMED),
-            // Another one is in progress, or the argument is invalid.
+            // The argument is invalid.
             op::TARE | op::MEASURE => reply(status::FAILED),
             op::SAVE => match self.store.save(&shared.parameters()).await {
                 Ok(()) => reply(status::DONE),
@@ -256,12 +286,35 @@ impl<F: NorFlash, R, B: FnMut()> HostService<F, R, B> {
             }
             op::UPLOAD | op::FINISH_UPLOAD | op::DESCRIPTION => {
                 let Self { store, calibration, .. } = self;
-                let reply = calibration.handle_request(store.flash(), request, is_armed).await;
+                let reply = calibration.handle_request(store.flash(), request, session.mac()).await;
                 Message::ServiceReply(reply)
             }
             _ => reply(status::UNKNOWN),
         }
     }
+
+    /// Stores a key, which is valid at once. None: the parts are incomplete or not those of the host.
+    async fn write_key(&mut self, op: u8, key: Option<Key>, session: &mut Session) -> Message {
+        let request = Service { op, argument: 0 };
+        let status = match key {
+            Some(key) if self.store.save_key(key).await.is_ok() => {
+                session.set_key(key);
+                status::DONE
+            }
+            _ => status::FAILED,
+        };
+        Message::ServiceReply(service_reply(request, status, 0))
+    }
+}
+
+/// The key of these parts, if its check value is that of the host.
+fn assemble(parts: &[Option<u32>; KEY_PARTS], check: u32) -> Option<Key> {
+    let mut key = Key::NONE;
+    let (places, _) = key.0.as_chunks_mut::<4>();
+    for (place, part) in places.iter_mut().zip(parts) {
+        *place = (*part)?.to_le_bytes();
+    }
+    (key != Key::NONE && key.check_number() == check).then_some(key)
 }
 
 /// Applies the result of a tare, and returns the reply.
@@ -306,24 +359,25 @@ fn finish_calibration<M: RawMutex>(
 fn publish_host_status<M: RawMutex>(
     session: &Session,
     pending: &Option<Service>,
-    now_ms: u32,
+    now_ms: u64,
     shared: &SharedState<M>,
 ) {
     shared.host_status.set(HostStatus {
         host: SessionStatus {
-            is_offered: session.is_challenge_pending(now_ms),
-            is_open: session.is_open(),
+            is_offered: session.is_arming(now_ms),
+            is_open: session.is_armed(),
             is_alive: session.is_alive(now_ms),
         },
         is_checked: true,
         is_taring: pending.is_some_and(|request| request.op == op::TARE),
+        is_unprotected: session.key() == Key::NONE,
     });
 }
 
 fn update_faults<M: RawMutex>(
     session: &Session,
     faults: &mut FaultSet,
-    now_ms: u32,
+    now_ms: u64,
     shared: &SharedState<M>,
 ) {
     let counts = &shared.counts;

@@ -37,7 +37,7 @@ use embassy_sync::signal::Signal;
 pub use estimate::{ForceSample, estimate};
 pub use grip::{GripInputs, GripLoop, GripSummary, HostStatus, PendingRequests, Supply, grip};
 pub use host_service::{HostService, host_service, load_parameters};
-pub use receive::{CAN, RxFrame, SERIAL, receive_can, receive_serial};
+pub use receive::{RxFrame, receive_can, receive_serial};
 pub use scrub::scrub;
 pub use sense::{FIRST_TICK_US, SensedFrame, sense};
 pub use transmit::{transmit, transmit_serial};

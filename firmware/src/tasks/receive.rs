@@ -9,18 +9,14 @@ use crate::clock::{Clock, delay_us, with_timeout_us};
 use crate::config::limits::DetectionLimits;
 use crate::parameters::Parameters;
 use crate::protocol::can::{CanError, CanFrame, CanReceiver};
-use crate::protocol::frame_id;
 use crate::protocol::messages::is_from_host;
 use crate::protocol::rate_limiter::RateLimiter;
 use crate::protocol::serial::{Packet, PacketDecoder};
 use crate::protocol::session::is_stop;
+use crate::protocol::{CAN, SERIAL, frame_id};
 use crate::system::faults::{Fault, FaultSet};
 use crate::tasks::{FaultReporter, SharedState};
 
-/// Fault source: CAN bus.
-pub const CAN: u8 = 0;
-/// Fault source: serial line.
-pub const SERIAL: u8 = 1;
 /// Pause after an error: the driver would return the same error at once and starve the other tasks.
 const ERROR_PAUSE_US: u64 = 1000;
 /// Without traffic, the end of a flood is checked at this interval.

@@ -187,6 +187,7 @@ impl<S: CanSender, C: Clock, M: RawMutex> TxPort<'_, S, C, M> {
             faults: self.shared.fault_bits(),
             command_alive: counts.command_alive.load(Ordering::Relaxed) != 0,
             sensors_ok: counts.sensors_ok.load(Ordering::Relaxed) as u8,
+            unprotected: self.shared.host_status.get().is_unprotected,
             protocol_major: PROTOCOL_VERSION.0,
             counter: counters.heartbeat,
         };

@@ -1,11 +1,12 @@
-//! Client that uploads calibrations to a gripper and reads what is on it.
+//! Client that uploads calibrations to a gripper, reads what is on it, and writes its key.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
+use firmware::protocol::authentication::Key;
 use firmware::protocol::host_session::service;
-use firmware::protocol::messages::{CalibrationChunk, Message, ServiceReply, Version};
+use firmware::protocol::messages::{CalibrationChunk, KeyPart, Message, ServiceReply, Version};
 use firmware::protocol::serial::Packet;
 use firmware::protocol::session::{UNLOADED, op, status};
 use firmware::system::nv_storage::calibration::{
@@ -14,6 +15,7 @@ use firmware::system::nv_storage::calibration::{
 use model_export::inverse::calibration::CalibrationDescription;
 use serde::Serialize;
 
+use crate::session::SessionSource;
 use crate::source::Source;
 
 /// Timeout of a request and number of attempts.
@@ -29,6 +31,8 @@ const REPETITIONS: u32 = 50;
 const WINDOW: u32 = 2 * CHUNKS_PER_GROUP as u32;
 /// Time for each chunk: the gripper admits 20 messages in 10 ms, and those of a busy computer come in bursts.
 const CHUNK_TIME: Duration = Duration::from_micros(800);
+/// Time for each part of a key: the gripper checks four codes in 10 ms.
+const KEY_PART_TIME: Duration = Duration::from_millis(5);
 /// Time for a reboot with the first check of the tables.
 const REBOOT: Duration = Duration::from_secs(5);
 
@@ -92,7 +96,7 @@ impl RunningCalibration {
 /// # Errors
 /// The connection is lost, or the gripper refuses the calibration: the previous one stays.
 pub fn upload(
-    source: &mut dyn Source,
+    source: &mut SessionSource<'_>,
     bytes: &[u8],
     mut progress: impl FnMut(usize),
 ) -> Result<u32> {
@@ -141,7 +145,9 @@ pub fn upload(
             (heard, sent, repeated) = (source.now(), acknowledged, None);
         }
     }
-    let reply = request(source, op::FINISH_UPLOAD, 0, SLOW_PATIENCE)?;
+    let mut code = source.digest().context("no session is open")?;
+    code.update(bytes);
+    let reply = request(source, op::FINISH_UPLOAD, code.finish(), SLOW_PATIENCE)?;
     done(source, reply)
 }
 
@@ -149,7 +155,7 @@ pub fn upload(
 ///
 /// # Errors
 /// It runs other tables, or does not answer.
-pub fn reboot_into(source: &mut dyn Source, tables: u16) -> Result<()> {
+pub fn reboot_into(source: &mut SessionSource<'_>, tables: u16) -> Result<()> {
     source.send(service(op::REBOOT, 0))?;
     let rebooted = source.now();
     let mut found = None;
@@ -205,7 +211,7 @@ pub fn running(source: &mut dyn Source) -> Result<RunningCalibration> {
 ///
 /// # Errors
 /// No reply, or the gripper refuses: the previous tare stays.
-pub fn tare(source: &mut dyn Source, is_unloaded: bool, saves: bool) -> Result<()> {
+pub fn tare(source: &mut SessionSource<'_>, is_unloaded: bool, saves: bool) -> Result<()> {
     let argument = if is_unloaded { UNLOADED } else { 0 };
     let reply = request(source, op::TARE, argument, SLOW_PATIENCE)?;
     let sensor = reply.detail & 0xFF;
@@ -233,6 +239,36 @@ pub fn tare(source: &mut dyn Source, is_unloaded: bool, saves: bool) -> Result<(
     bail!("{}: the gripper refuses the tare: {why}", source.name())
 }
 
+/// Stores a key on the gripper, or erases the one that is there; the session is over then. False if this host may not: it has
+/// no session, and nobody presses the button.
+///
+/// # Errors
+/// No reply, or the gripper cannot: the previous key stays.
+pub fn write_key(source: &mut dyn Source, key: Key) -> Result<bool> {
+    let (op, check) = match key {
+        Key::NONE => (op::ERASE_KEY, 0),
+        key => (op::WRITE_KEY, key.check_number()),
+    };
+    let (parts, _) = key.0.as_chunks::<4>();
+    for (number, part) in (0..).zip(parts).filter(|_| key != Key::NONE) {
+        let part = u32::from_le_bytes(*part);
+        source.send(Message::KeyPart(KeyPart { number, part }))?;
+        source.pause(KEY_PART_TIME)?;
+    }
+    let reply = ask_once(source, service(op, check), SLOW_PATIENCE, |message| reply(message, op))?;
+    let why = match reply.map(|reply| reply.status) {
+        Some(status::DONE) => return Ok(true),
+        Some(status::NOT_PRESENT) => return Ok(false),
+        Some(status::ARMED) => "a host is armed, or the motor is driven",
+        Some(status::UNKNOWN) => "its firmware is older than this tool",
+        Some(_) => {
+            "the key did not arrive as it was sent, or the flash cannot be written: try again"
+        }
+        None => "it does not reply",
+    };
+    bail!("{}: the gripper does not change its key: {why}", source.name())
+}
+
 fn version(source: &mut dyn Source) -> Result<Version> {
     ask(source, service(op::VERSION, 0), PATIENCE, |message| match message {
         Message::Version(version) => Some(*version),
@@ -244,7 +280,7 @@ fn version(source: &mut dyn Source) -> Result<Version> {
 fn describe(source: &mut dyn Source, argument: u32) -> Result<ServiceReply> {
     ask(source, service(op::DESCRIPTION, argument), PATIENCE, |message| {
         let reply = reply(message, op::DESCRIPTION)?;
-        (u32::from(reply.nonce) == argument || reply.status == status::UNKNOWN).then_some(reply)
+        (u32::from(reply.extra) == argument || reply.status == status::UNKNOWN).then_some(reply)
     })
 }
 
@@ -265,18 +301,31 @@ fn ask<T>(
     answer: impl Fn(&Message) -> Option<T>,
 ) -> Result<T> {
     for _ in 0..TIMES {
-        source.send(message)?;
-        let asked = source.now();
-        while source.now() < asked + patience {
-            if let Some(answer) = messages(source)?.iter().find_map(&answer) {
-                return Ok(answer);
-            }
+        if let Some(answer) = ask_once(source, message, patience, &answer)? {
+            return Ok(answer);
         }
     }
     bail!(
         "{}: no gripper replies; is this the right line or bus, is the board powered, and is its firmware running?",
         source.name()
     )
+}
+
+/// Sends a request once; none without an answer in time.
+fn ask_once<T>(
+    source: &mut dyn Source,
+    message: Message,
+    patience: Duration,
+    answer: impl Fn(&Message) -> Option<T>,
+) -> Result<Option<T>> {
+    source.send(message)?;
+    let asked = source.now();
+    while source.now() < asked + patience {
+        if let Some(answer) = messages(source)?.iter().find_map(&answer) {
+            return Ok(Some(answer));
+        }
+    }
+    Ok(None)
 }
 
 fn replies(source: &mut dyn Source, op: u8) -> Result<Vec<ServiceReply>> {
@@ -312,6 +361,7 @@ fn done(source: &dyn Source, reply: ServiceReply) -> Result<u32> {
             UploadError::Corrupt,
             "what arrived is not a calibration of the firmware's format: update firmware and tool",
         ),
+        (UploadError::Code, "another host has inserted data: find it, then try again"),
     ]
     .map(|(error, why)| (error as u32, why))
     .into();
@@ -321,6 +371,7 @@ fn done(source: &dyn Source, reply: ServiceReply) -> Result<u32> {
             "a host is armed or the motor is driven: end that program, or the session of one that was killed with `magpie grasp --position`"
         }
         status::UNKNOWN => "the firmware is older than this tool",
+        status::UNAUTHENTICATED => "the session has ended: try again",
         _ => reasons.get(&reply.detail).copied().unwrap_or("no reason known to this tool"),
     };
     bail!("{}: the gripper refuses: {why}; its calibration is unchanged", source.name())

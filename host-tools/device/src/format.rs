@@ -5,11 +5,11 @@ use device_run::channel_map::turn_rad;
 use firmware::compensation::covariates::Covariates;
 use firmware::estimator::Validity;
 use firmware::fixed_point::Force;
+use firmware::protocol::SERIAL;
 use firmware::protocol::TEMPERATURE_UNKNOWN;
 use firmware::protocol::messages::{FaultEvent, Power};
 use firmware::sensors::hall;
 use firmware::system::faults::Fault;
-use firmware::tasks::SERIAL;
 use serde_json::{Value, json};
 use std::fmt::Debug;
 
@@ -113,6 +113,7 @@ pub fn state_json(state: &GripperState, now_s: f64) -> Value {
             "age_s": rounded(now_s - latest.at_s),
             "command_alive": latest.value.command_alive,
             "sensors_ok": latest.value.sensors_ok,
+            "unprotected": latest.value.unprotected,
             "counter": latest.value.counter,
         })),
         "load": state.timing.map(|latest| json!({

@@ -5,7 +5,8 @@
 //! - [`pty`]: pseudo terminal.
 //! - [`virtual_board`]: the firmware's tasks in virtual time, synchronised to the wall clock, behind pseudo terminals.
 //! - [`emulation`]: the image in the emulated chip, with its serial line and CAN bus as ports of this machine.
-//! - [`session`]: arming, authenticated commands, refusals.
+//! - [`session`]: sessions, authenticated requests, refusals.
+//! - [`key_file`]: the key that a gripper and its hosts share.
 //! - [`reader`]: a transport read in its own thread.
 //! - [`calibration_client`]: upload of calibrations, and what is on a gripper.
 //! - [`params_client`]: reading and writing parameters.
@@ -20,6 +21,7 @@ pub mod csv_writer;
 #[cfg(unix)]
 pub mod emulation;
 pub mod format;
+pub mod key_file;
 pub mod params_client;
 #[cfg(unix)]
 pub mod pty;

@@ -8,6 +8,7 @@ use firmware::parameters::{op, status};
 use firmware::protocol::messages::{Message, ParamReply, ParamRequest};
 use firmware::protocol::serial::Packet;
 
+use crate::session::SessionSource;
 use crate::source::Source;
 
 /// Timeout of a request and number of attempts.
@@ -26,7 +27,7 @@ pub fn read(source: &mut dyn Source, id: u16) -> Result<i32> {
 ///
 /// # Errors
 /// No reply, or refused.
-pub fn write(source: &mut dyn Source, id: u16, value: i32) -> Result<()> {
+pub fn write(source: &mut SessionSource<'_>, id: u16, value: i32) -> Result<()> {
     ask(source, op::WRITE, id, value).map(|_| ())
 }
 
@@ -71,6 +72,7 @@ fn refused(source: &dyn Source, reply: &ParamReply) -> String {
         status::UNKNOWN => "unknown parameter: the firmware is older than this tool",
         status::OUT_OF_RANGE => "the value is out of range",
         status::ARMED => "a host is armed: disarm first",
+        status::UNAUTHENTICATED => "the session has ended: try again",
         _ => "no reason known to this tool",
     };
     format!("{}: the gripper refuses parameter {name}: {why}", source.name())

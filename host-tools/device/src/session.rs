@@ -1,5 +1,5 @@
-//! Session of a host with a gripper: arming with a nonce, commands with a counter and an authentication tag,
-//! repetition of commands, refusals as text.
+//! Sessions of this machine with a gripper: a client that repeats a command, a connection whose requests are authenticated,
+//! refusals as text.
 
 use crate::format::spaced;
 use crate::source::Source;
@@ -7,14 +7,135 @@ use crate::state::GripperState;
 use anyhow::{Result, bail};
 use firmware::grip::commands::RefusalReason;
 use firmware::grip::states::{PowerState, TASK_CODE, TaskState};
-use firmware::protocol::host_session::{HostSession, service};
+use firmware::protocol::authentication::{DataMac, Key};
+use firmware::protocol::host_session::{HostSession, needs_owner, service};
 use firmware::protocol::messages::{Command, EStop, Message, ServiceReply};
 use firmware::protocol::serial::Packet;
-use firmware::protocol::session::{op, status};
+use firmware::protocol::session::{TAKEOVER_MS, op, status};
 use std::time::{Duration, Instant};
 
 /// Period of commands: the gripper stops after 100 ms without one.
 const PERIOD: Duration = Duration::from_millis(20);
+
+/// Time between two requests for a session, and until no further one is made: another host may have left one open.
+const REQUEST: Duration = Duration::from_millis(250);
+const REQUESTS: Duration = Duration::from_millis(TAKEOVER_MS + 2000);
+
+/// What a host needs for a session with a gripper.
+#[derive(Clone, Copy, Debug)]
+pub struct Credentials {
+    /// Node number of the gripper.
+    pub node: u16,
+    /// Key that host and gripper share; [`Key::NONE`] for an unprotected gripper.
+    pub key: Key,
+}
+
+impl Credentials {
+    /// Of an unprotected gripper with the default node number.
+    pub const UNPROTECTED: Self = Self { node: firmware::protocol::DEFAULT_NODE, key: Key::NONE };
+}
+
+/// A connection in a session without motion: requests that need a code get one.
+pub struct SessionSource<'s> {
+    source: &'s mut dyn Source,
+    session: HostSession,
+}
+
+impl SessionSource<'_> {
+    /// Code of data in this session.
+    pub fn digest(&self) -> Option<DataMac> {
+        self.session.mac().map(|mac| mac.digest())
+    }
+
+    fn open(&mut self) -> Result<()> {
+        let begun = self.source.now();
+        let mut refused = None;
+        while self.source.now() < begun + REQUESTS {
+            for message in self.session.open(op::OPEN) {
+                self.source.send(message)?;
+            }
+            let asked = self.source.now();
+            while self.source.now() < asked + REQUEST {
+                let mut packets = Vec::new();
+                let goes_on = self.source.receive(&mut packets)?;
+                for packet in packets {
+                    let Packet::Message { message: Message::ServiceReply(reply), .. } = packet
+                    else {
+                        continue;
+                    };
+                    if reply.op == op::OPEN {
+                        refused = Some(reply.status);
+                    }
+                    for answer in self.session.receive(&reply) {
+                        self.source.send(answer)?;
+                    }
+                }
+                if self.session.is_open() {
+                    return Ok(());
+                }
+                if !goes_on {
+                    bail!("{}: connection closed", self.source.name());
+                }
+            }
+        }
+        let name = self.source.name();
+        match refused {
+            Some(status) => {
+                bail!("{name}: the gripper opens no session: {}", session_refusal(status))
+            }
+            None => bail!(
+                "{name}: no gripper replies; is this the right line or bus, is the board powered, and is its firmware \
+                 running?"
+            ),
+        }
+    }
+}
+
+impl Source for SessionSource<'_> {
+    fn receive(&mut self, packets: &mut Vec<Packet>) -> Result<bool> {
+        self.source.receive(packets)
+    }
+
+    fn send(&mut self, message: Message) -> Result<()> {
+        match self.session.seal(message).filter(|_| needs_owner(&message)) {
+            Some(sealed) => sealed.into_iter().try_for_each(|message| self.source.send(message)),
+            None => self.source.send(message),
+        }
+    }
+
+    fn broken(&self) -> u32 {
+        self.source.broken()
+    }
+
+    fn name(&self) -> String {
+        self.source.name()
+    }
+
+    fn now(&self) -> Duration {
+        self.source.now()
+    }
+
+    fn pause(&mut self, time: Duration) -> Result<()> {
+        self.source.pause(time)
+    }
+}
+
+/// Opens a session without motion, does some work in it, and ends it.
+///
+/// # Errors
+/// The connection is lost, the gripper opens no session, or the error of the work.
+pub fn with_session<T>(
+    source: &mut dyn Source,
+    Credentials { node, key }: Credentials,
+    work: impl FnOnce(&mut SessionSource<'_>) -> Result<T>,
+) -> Result<T> {
+    let mut session = SessionSource { source, session: HostSession::new(node, key) };
+    session.open()?;
+    let result = work(&mut session);
+    let ended =
+        session.session.end().into_iter().try_for_each(|message| session.source.send(message));
+    result.and_then(|value| ended.map(|()| value))
+}
 
 /// Host that controls a gripper.
 pub struct Client {
@@ -23,23 +144,26 @@ pub struct Client {
     begun: Instant,
     command: Option<Command>,
     sent: Option<Instant>,
+    /// Service that the gripper has not answered.
+    requested: Option<u8>,
     /// Latest state of the gripper.
     pub state: GripperState,
-    /// Status of the last failed request to arm.
+    /// Status of the last refused session.
     pub not_armed: Option<u8>,
     /// Last refused command since [`Self::command`].
     pub refused: Option<Refusal>,
 }
 
 impl Client {
-    /// Host of the gripper of this node; sends nothing yet.
-    pub fn new(source: Box<dyn Source + Send>, node: u16) -> Self {
+    /// Host of a gripper; sends nothing yet.
+    pub fn new(source: Box<dyn Source + Send>, Credentials { node, key }: Credentials) -> Self {
         Self {
             source,
-            session: HostSession::new(node),
+            session: HostSession::new(node, key),
             begun: Instant::now(),
             command: None,
             sent: None,
+            requested: None,
             state: GripperState::default(),
             not_armed: None,
             refused: None,
@@ -56,14 +180,14 @@ impl Client {
         self.begun.elapsed().as_secs_f64()
     }
 
-    /// Requests a session.
+    /// Requests a session with motion.
     ///
     /// # Errors
     /// The connection is lost.
     pub fn arm(&mut self) -> Result<()> {
         self.not_armed = None;
-        let request = self.session.arm();
-        self.source.send(request)
+        let request = self.session.open(op::ARM);
+        self.send_all(request)
     }
 
     /// Ends the session.
@@ -73,20 +197,39 @@ impl Client {
     pub fn end_session(&mut self) -> Result<()> {
         self.command = None;
         let request = self.session.end();
-        self.source.send(request)
+        self.send_all(request)
     }
 
     /// True once the gripper has confirmed the session.
-    pub const fn is_armed(&self) -> bool {
+    pub fn is_armed(&self) -> bool {
         self.session.is_armed()
     }
 
-    /// Requests a service.
+    /// Requests a service, in a session of its own if none is open.
     ///
     /// # Errors
     /// The connection is lost.
     pub fn request(&mut self, op: u8) -> Result<()> {
-        self.source.send(service(op, 0))
+        self.requested = Some(op);
+        if self.session.is_open() {
+            return self.send_requested();
+        }
+        let request = self.session.open(op::OPEN);
+        self.send_all(request)
+    }
+
+    /// Whether the gripper has answered the last request.
+    pub const fn is_answered(&self) -> bool {
+        self.requested.is_none()
+    }
+
+    fn send_requested(&mut self) -> Result<()> {
+        let sealed = self.requested.and_then(|op| self.session.seal(service(op, 0)));
+        self.send_all(sealed.into_iter().flatten())
+    }
+
+    fn send_all(&mut self, messages: impl IntoIterator<Item = Message>) -> Result<()> {
+        messages.into_iter().try_for_each(|message| self.source.send(message))
     }
 
     /// Command to repeat from now on.
@@ -127,8 +270,8 @@ impl Client {
 
     fn reply(&mut self, reply: &ServiceReply) -> Result<()> {
         match (reply.op, reply.status) {
-            (op::ARM, status::CHALLENGE | status::DONE) => {}
-            (op::ARM, status) => self.not_armed = Some(status),
+            (op::ARM | op::OPEN, status::CHALLENGE | status::DONE) => {}
+            (op::ARM | op::OPEN, status) => self.not_armed = Some(status),
             (op::COMMAND, status::REFUSED) => {
                 let refusal = Refusal::of(reply.detail);
                 // A late reply to the previous command.
@@ -138,10 +281,13 @@ impl Client {
             }
             _ => {}
         }
-        match self.session.receive(reply) {
-            Some(answer) => self.source.send(answer),
-            None => Ok(()),
+        if self.requested == Some(reply.op) {
+            self.requested = None;
         }
+        let was_open = self.session.is_open();
+        let answer = self.session.receive(reply);
+        self.send_all(answer)?;
+        if self.session.is_open() && !was_open { self.send_requested() } else { Ok(()) }
     }
 
     fn send_due(&mut self) -> Result<()> {
@@ -149,8 +295,10 @@ impl Client {
         let Some(command) = self.command.filter(|_| is_due) else {
             return Ok(());
         };
-        if let Some(message) = self.session.seal(command) {
-            self.source.send(message)?;
+        if self.session.is_armed()
+            && let Some(sealed) = self.session.seal(Message::Command(command))
+        {
+            self.send_all(sealed)?;
             self.sent = Some(Instant::now());
         }
         Ok(())
@@ -253,14 +401,20 @@ const fn advice(reason: RefusalReason) -> &'static str {
     }
 }
 
-/// Reason of a failed request to arm.
-pub const fn arming_refusal(code: u8) -> &'static str {
+/// Reason of a refused session.
+pub const fn session_refusal(code: u8) -> &'static str {
     match code {
-        status::REFUSED => "the nonce was wrong or too late: is the connection slow?",
+        status::CHALLENGE => {
+            "it does not confirm the answer to its challenge: is the connection slow?"
+        }
+        status::REFUSED => {
+            "it has another key than this host: give its key with --key FILE, or none if it is unprotected"
+        }
         status::FAULTY => {
             "a fault prevents it: check with `magpie monitor`, remove its cause, and use --clear-faults"
         }
-        status::ARMED => "another host has armed it: end that session first",
+        status::ARMED => "another host owns its session: end that program first",
+        status::UNKNOWN => "its firmware is older than this tool",
         _ => "the firmware gives no reason known to this tool",
     }
 }

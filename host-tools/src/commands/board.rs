@@ -38,7 +38,8 @@ pub fn run(args: &Args) -> Result<()> {
         bail!("give the gripper's line: --port PATH or --can BUS");
     };
     let running = calibration_client::running(source.as_mut())?;
-    let incomplete = incomplete_sensors(source.as_mut())?;
+    let state = observe(source.as_mut())?;
+    let incomplete = incomplete_sensors(&state);
     let is_commissioned = params_client::read(source.as_mut(), id::COMMISSIONED)? == 1;
     let screw = match params_client::read(source.as_mut(), id::SELF_LOCKING)? {
         1 => "self-locking",
@@ -53,9 +54,10 @@ pub fn run(args: &Args) -> Result<()> {
                 "missing_inputs": incomplete,
                 "motor": if is_commissioned { "measured" } else { "assumed" },
                 "screw": screw,
+                "unprotected": state.heartbeat.map(|latest| latest.value.unprotected),
             })
         },
-        || text(&running, &incomplete) + &drive_text(is_commissioned, screw),
+        || text(&running, &incomplete) + &drive_text(is_commissioned, screw) + key_text(&state),
     )
 }
 
@@ -68,8 +70,18 @@ fn drive_text(is_commissioned: bool, screw: &str) -> String {
     format!("motor        {motor}\nscrew        {screw}\n")
 }
 
-/// Sensors whose forces are at present not compensated for an effect, for lack of an input.
-fn incomplete_sensors(source: &mut dyn Source) -> Result<Vec<usize>> {
+fn key_text(state: &GripperState) -> &'static str {
+    match state.heartbeat {
+        Some(latest) if latest.value.unprotected => {
+            "key          none: everybody on the bus can move the gripper (`magpie key --help`)\n"
+        }
+        Some(_) => "key          stored\n",
+        None => "key          unknown: no heartbeat\n",
+    }
+}
+
+/// Observes the gripper until it has sent all forces and a heartbeat.
+fn observe(source: &mut dyn Source) -> Result<GripperState> {
     let mut state = GripperState::default();
     let begun = Instant::now();
     while begun.elapsed() < FORCES {
@@ -80,11 +92,16 @@ fn incomplete_sensors(source: &mut dyn Source) -> Result<Vec<usize>> {
         let now_s = begun.elapsed().as_secs_f64();
         packets.iter().for_each(|packet| state.update(now_s, packet));
     }
+    Ok(state)
+}
+
+/// Sensors whose forces are at present not compensated for an effect, for lack of an input.
+fn incomplete_sensors(state: &GripperState) -> Vec<usize> {
     let sensors = state.sensors.iter().enumerate();
-    Ok(sensors
+    sensors
         .filter(|(_, sensor)| sensor.validity == Validity::MissingInputs)
         .map(|(number, _)| number)
-        .collect())
+        .collect()
 }
 
 fn text(running: &RunningCalibration, incomplete: &[usize]) -> String {

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, Result, bail};
+use firmware::protocol::authentication::Key;
 use firmware::protocol::{DEFAULT_NODE, PROTOCOL_VERSION};
 use model_export::fit::FitOptions;
 use model_export::inverse::build::{DeviceModel, ModelVariant, build};
@@ -17,7 +18,9 @@ use crate::commands::args::parse_number;
 use crate::commands::demo::CAMPAIGN;
 use analysis::compare::campaign_reader::read_campaign;
 use analysis::fit::fit_campaign;
+use device::key_file;
 use device::serial_port::SerialLine;
+use device::session::{Credentials, SessionSource, with_session};
 use device::socket_can::CanBus;
 use device::socketcand::client::RemoteBus;
 use device::source::Source;
@@ -38,6 +41,9 @@ pub struct PortArgs {
     /// Node number of the gripper on the CAN bus.
     #[arg(long, default_value_t = DEFAULT_NODE, requires = "can", value_parser = clap::value_parser!(u16).range(1..=63))]
     node: u16,
+    /// File with the key of the gripper [default: $MAGPIE_KEY_FILE, then magpie/key in the configuration folder, then none].
+    #[arg(long, value_name = "FILE")]
+    key: Option<PathBuf>,
 }
 
 impl PortArgs {
@@ -53,14 +59,41 @@ impl PortArgs {
         })
     }
 
+    /// Does some work in a session with the gripper; states that it is unprotected if it is.
+    ///
+    /// # Errors
+    /// As [`with_session`].
+    pub fn in_session<T>(
+        &self,
+        source: &mut dyn Source,
+        work: impl FnOnce(&mut SessionSource<'_>) -> Result<T>,
+    ) -> Result<T> {
+        let credentials = self.credentials()?;
+        let name = source.name();
+        with_session(source, credentials, |session| {
+            // A gripper with a key would have refused.
+            if credentials.key == Key::NONE {
+                print_unprotected(&name);
+            }
+            work(session)
+        })
+    }
+
     /// True if a port or bus is given.
     pub const fn is_given(&self) -> bool {
         self.port.is_some() || self.can.is_some()
     }
 
-    /// Node number, part of the authentication of commands on serial lines too.
-    pub const fn node(&self) -> u16 {
-        self.node
+    /// True for a gripper on a CAN bus.
+    pub const fn is_bus(&self) -> bool {
+        self.can.is_some()
+    }
+
+    /// Node number and key, for a session.
+    pub fn credentials(&self) -> Result<Credentials> {
+        let path = self.key.clone().or_else(key_file::default_path);
+        let key = path.map_or(Ok(Key::NONE), |path| key_file::read(&path))?;
+        Ok(Credentials { node: self.node, key })
     }
 }
 
@@ -99,9 +132,14 @@ impl GripperArgs {
         }
     }
 
+    /// Node number and key, for a session; a virtual board is unprotected.
+    pub fn credentials(&self) -> Result<Credentials> {
+        if self.port.is_given() { self.port.credentials() } else { Ok(Credentials::UNPROTECTED) }
+    }
+
     /// True for a gripper on a CAN bus.
     pub fn is_on_bus(&self) -> bool {
-        self.port.can.is_some()
+        self.port.is_bus()
     }
 
     #[cfg(unix)]
@@ -149,6 +187,13 @@ fn fit_demo() -> Result<DeviceModel> {
     let path = folder.path().join("model.toml");
     ModelFile::of(&campaign, &fits, provenance).write(&path)?;
     Ok(build(&path, ModelVariant::Fitted)?)
+}
+
+/// States that a gripper has no key.
+pub fn print_unprotected(name: &str) {
+    eprintln!(
+        "note: {name}: the gripper is unprotected, everybody on its bus can move it; see `magpie key --help`"
+    );
 }
 
 /// Fails if the gripper has another major protocol version: its messages would be misinterpreted.

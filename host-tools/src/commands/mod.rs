@@ -17,6 +17,7 @@ pub mod fault_campaign;
 pub mod fit;
 pub mod grasp;
 pub mod import;
+pub mod key;
 pub mod monitor;
 pub mod record;
 pub mod replay;
@@ -57,6 +58,7 @@ enum Command {
     Upload(upload::Args),
     Board(board::Args),
     Tare(tare::Args),
+    Key(key::Args),
     Replay(replay::Args),
     Simulate(simulate::Args),
     Train(train::Args),
@@ -96,6 +98,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Upload(args) => upload::run(&args),
         Command::Board(args) => board::run(&args),
         Command::Tare(args) => tare::run(&args),
+        Command::Key(args) => key::run(&args),
         Command::Replay(args) => replay::run(&args),
         Command::Simulate(args) => simulate::run(&args),
         Command::Train(args) => train::run(&args),

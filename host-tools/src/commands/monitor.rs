@@ -10,7 +10,9 @@ use firmware::protocol::session::op;
 use ratatui::DefaultTerminal;
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyModifiers};
 
-use crate::commands::connection::{GripperArgs, check_protocol, interrupted, parse_seconds};
+use crate::commands::connection::{
+    GripperArgs, check_protocol, interrupted, parse_seconds, print_unprotected,
+};
 use device::reader::{ReaderEvent, SourceReader};
 use device::state::GripperState;
 use device::{format, view};
@@ -77,6 +79,9 @@ pub fn run(args: &Args) -> Result<()> {
         bail!(
             "{name}: nothing was received; is it this line or bus, is the board powered, and does its firmware run?"
         );
+    }
+    if state.is_unprotected() && !args.json {
+        print_unprotected(&name);
     }
     if let Some(lost) = format::loss_line(&state) {
         eprintln!("lost: {lost}");

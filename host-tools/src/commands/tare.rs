@@ -35,7 +35,9 @@ pub fn run(args: &Args) -> Result<()> {
     let Some(mut source) = args.port.open()? else {
         bail!("give the gripper's line: --port PATH or --can BUS");
     };
-    calibration_client::tare(source.as_mut(), args.unloaded, args.save)?;
+    args.port.in_session(source.as_mut(), |session| {
+        calibration_client::tare(session, args.unloaded, args.save)
+    })?;
     terminal::print_result(
         args.json,
         || json!({ "tared": true, "saved": args.save }),

@@ -78,15 +78,17 @@ pub fn run(args: &Args) -> Result<()> {
     print_missing_sensors(&built.header);
     let bar = progress::progress_bar("uploading", bytes.len());
     let begun = Instant::now();
-    let sequence = calibration_client::upload(source.as_mut(), &bytes, |done| {
-        bar.set_position(done as u64);
-    })?;
-    let took = begun.elapsed();
-    bar.finish_and_clear();
     let tables = built.chosen.tables.id;
-    if !args.no_reboot {
-        calibration_client::reboot_into(source.as_mut(), tables)?;
-    }
+    let (sequence, took) = args.port.in_session(source.as_mut(), |session| {
+        let sequence =
+            calibration_client::upload(session, &bytes, |done| bar.set_position(done as u64))?;
+        let took = begun.elapsed();
+        bar.finish_and_clear();
+        if !args.no_reboot {
+            calibration_client::reboot_into(session, tables)?;
+        }
+        Ok((sequence, took))
+    })?;
     terminal::print_result(
         args.json,
         || {

@@ -63,7 +63,7 @@ fn force_is_reported_within_its_noise_until_the_reader_ends() {
     assert_eq!(last["lost"]["broken_packets"], 0);
     // A busy machine may lose one; what is counted but not sent would be a thousand a second.
     assert!(last["lost"]["messages"].as_u64() < Some(20), "{last}");
-    assert_eq!(last["version"]["protocol"][0], 1);
+    assert_eq!(last["version"]["protocol"][0], 2);
     assert_eq!(last["heartbeat"]["sensors_ok"], 0b1111);
     assert!(last["load"]["worst_tick_us"].as_u64() > Some(200));
     // The objects' reader is gone.

@@ -1,18 +1,18 @@
 //! Services of the board over the CAN bus.
 
-use embedded_can::Frame;
+use firmware::clock::Clock;
 use firmware::config::limits::DetectionLimits;
 use firmware::fixed_point::Force;
-use firmware::parameters::schema::id;
+use firmware::grip::states::PowerState;
+use firmware::parameters::schema::{PARAMETERS, id};
 use firmware::parameters::{Parameters, op as parameter, status as parameters};
-use firmware::protocol::can::CanFrame;
-use firmware::protocol::messages::{Message, ParamReply, ParamRequest, Service, ServiceReply};
+use firmware::protocol::messages::{Message, ParamRequest, Service};
 use firmware::protocol::serial::{Packet, PacketDecoder, Tick};
-use firmware::protocol::session::{SERVICE_MAGIC, op, status};
-use firmware::protocol::{DEFAULT_NODE, frame_id};
+use firmware::protocol::session::{op, status};
 use firmware::system::faults::{Fault, FaultSet};
 use firmware::tasks::{FIRST_TICK_US, FaultReporter};
 use model_export::inverse::build::{ModelVariant, build};
+use sim::board::host::CanHost;
 use sim::board::world::PressedWorld;
 use sim::board::{Program, VirtualTimeBoard};
 
@@ -33,36 +33,19 @@ fn board() -> VirtualTimeBoard {
     VirtualTimeBoard::start(program, Box::new(world))
 }
 
-fn run_to(board: &mut VirtualTimeBoard, ms: u64) {
-    board.run_until(FIRST_TICK_US + 1000 * ms);
+/// Runs board and host.
+fn run_to(board: &mut VirtualTimeBoard, host: &mut CanHost, ms: u64) {
+    let from_ms = board.clock.now_us().saturating_sub(FIRST_TICK_US) / 1000;
+    for ms in from_ms..ms {
+        board.run_until(FIRST_TICK_US + 1000 * (ms + 1));
+        host.tick();
+    }
 }
 
-fn send(board: &VirtualTimeBoard, message: &Message) {
-    let id = frame_id(DEFAULT_NODE, message.layout().number);
-    let frame = CanFrame::from_bytes(id, message.to_bytes());
-    board.connections.can.borrow_mut().put(frame);
-}
-
-fn service(op: u8, nonce: u16) -> Message {
-    Message::Service(Service { op, magic: SERVICE_MAGIC, nonce, argument: 0 })
-}
-
-/// Messages of the board since the last call.
-fn messages(board: &VirtualTimeBoard) -> Vec<Message> {
-    let frames = std::mem::take(&mut board.connections.can.borrow_mut().board_frames);
-    let messages = frames.iter().map(|(_, frame)| {
-        let number = (frame.identifier() & 0x1F) as u8;
-        Message::from_frame(number, frame.data()).unwrap()
-    });
-    messages.collect()
-}
-
-fn replies(board: &VirtualTimeBoard) -> Vec<ServiceReply> {
-    let reply = |message| match message {
-        Message::ServiceReply(reply) => Some(reply),
-        _ => None,
-    };
-    messages(board).into_iter().filter_map(reply).collect()
+/// Status of each reply to this operation since the last call.
+fn statuses(host: &mut CanHost, op: u8) -> Vec<u8> {
+    let replies = std::mem::take(&mut host.received.replies);
+    replies.iter().filter(|(_, reply)| reply.op == op).map(|(_, reply)| reply.status).collect()
 }
 
 /// Mean Fz of the first sensor since the last call, in newtons.
@@ -83,61 +66,75 @@ fn fz_n(board: &VirtualTimeBoard) -> f64 {
 #[test]
 fn tare_removes_a_constant_load_and_is_saved() {
     let mut board = board();
-    run_to(&mut board, 200);
+    let mut host = CanHost::new(board.connections.can.clone());
+    run_to(&mut board, &mut host, 200);
     assert!((fz_n(&board) - 20.0).abs() < 1.0);
-    send(&board, &service(op::TARE, 0));
-    run_to(&mut board, 500);
-    let [reply] = replies(&board)[..] else {
-        panic!("one reply");
-    };
-    assert_eq!((reply.op, reply.status), (op::TARE, status::DONE));
+    host.service(op::TARE, 0);
+    run_to(&mut board, &mut host, 500);
+    assert_eq!(statuses(&mut host, op::TARE), [status::DONE]);
     fz_n(&board);
-    run_to(&mut board, 1000);
+    run_to(&mut board, &mut host, 1000);
     assert!(fz_n(&board).abs() < 0.3);
     let read = ParamRequest { op: parameter::READ, id: id::TARE + 1, ..ParamRequest::default() };
-    send(&board, &Message::ParamRequest(read));
-    send(&board, &service(op::SAVE, 0));
-    run_to(&mut board, 1010);
-    let messages = messages(&board);
-    let tare = messages.iter().find_map(|message| match message {
-        Message::ParamReply(ParamReply { value, status, .. }) if *status == parameters::DONE => {
-            Some(f64::from(*value as i32) / Force::PER_NEWTON)
-        }
-        _ => None,
-    });
-    assert!((tare.unwrap() - 20.0).abs() < 1.0);
-    let saved = |message: &&Message| {
-        matches!(message, Message::ServiceReply(reply)
-            if reply.op == op::SAVE && reply.status == status::DONE)
-    };
-    assert!(messages.iter().find(saved).is_some());
+    host.request_parameter(read);
+    host.service(op::SAVE, 0);
+    run_to(&mut board, &mut host, 1020);
+    let (_, tare) = host.received.parameters[0];
+    assert_eq!(tare.status, parameters::DONE);
+    assert!((f64::from(tare.value as i32) / Force::PER_NEWTON - 20.0).abs() < 1.0);
+    assert_eq!(statuses(&mut host, op::SAVE), [status::DONE]);
 }
 
 #[test]
 fn unsound_tables_end_the_session_and_prevent_arming() {
     let mut board = board();
-    let arm = |board: &mut VirtualTimeBoard, ms| {
-        send(board, &service(op::ARM, 0));
-        run_to(board, ms);
-        let offer = replies(board)[0];
-        if offer.status == status::CHALLENGE {
-            send(board, &service(op::ARM, offer.nonce));
-            run_to(board, ms + 10);
-            return replies(board)[0].status;
-        }
-        offer.status
-    };
-    run_to(&mut board, 100);
-    assert_eq!(arm(&mut board, 110), status::DONE);
+    let mut host = CanHost::new(board.connections.can.clone());
+    run_to(&mut board, &mut host, 100);
+    host.arm();
+    run_to(&mut board, &mut host, 120);
+    assert_eq!(statuses(&mut host, op::ARM), [status::CHALLENGE, status::DONE]);
     // Saving is refused while armed.
-    send(&board, &service(op::SAVE, 0));
-    run_to(&mut board, 130);
-    assert_eq!(replies(&board)[0].status, status::ARMED);
+    host.service(op::SAVE, 0);
+    run_to(&mut board, &mut host, 130);
+    assert_eq!(statuses(&mut host, op::SAVE), [status::ARMED]);
     let unsound = (Fault::TablesUnsound, 0);
     let mut faults = FaultSet::default();
     board.exchange.update_fault(FaultReporter::Scrub, &mut faults, unsound, true, 0);
-    assert_eq!(arm(&mut board, 150), status::FAULTY);
-    send(&board, &service(op::SAVE, 0));
-    run_to(&mut board, 170);
-    assert_eq!(replies(&board)[0].status, status::DONE);
+    run_to(&mut board, &mut host, 140);
+    host.arm();
+    run_to(&mut board, &mut host, 150);
+    assert_eq!(statuses(&mut host, op::ARM), [status::FAULTY]);
+    host.service(op::SAVE, 0);
+    run_to(&mut board, &mut host, 170);
+    assert_eq!(statuses(&mut host, op::SAVE), [status::DONE]);
+}
+
+/// One frame without a session neither moves the motor nor changes anything.
+#[test]
+fn requests_without_a_session_change_nothing() {
+    let mut board = board();
+    let mut host = CanHost::new(board.connections.can.clone());
+    run_to(&mut board, &mut host, 100);
+    let before = board.exchange.parameters();
+    // The host would open a session by these.
+    for op in (0..=255).filter(|op| ![op::ARM, op::OPEN].contains(op)) {
+        host.send(Message::Service(Service { op, argument: u32::from(op % 2) }));
+        run_to(&mut board, &mut host, 101 + u64::from(op));
+    }
+    for (ms, row) in (360..).zip(PARAMETERS.iter()) {
+        run_to(&mut board, &mut host, ms);
+        let value = row.default as u32 ^ 1;
+        let request = ParamRequest { op: parameter::WRITE, id: row.id, status: 0, value };
+        host.send(Message::ParamRequest(request));
+    }
+    run_to(&mut board, &mut host, 400);
+    assert_eq!(board.exchange.parameters(), before);
+    let replies = &host.received.replies;
+    let accepted = replies.iter().filter(|(_, reply)| reply.status == status::DONE);
+    assert_eq!(accepted.count(), 0, "{replies:?}");
+    assert_eq!(replies.len(), 253);
+    assert_eq!(board.exchange.grip_summary.get().state, PowerState::Safe as u8);
+    let refused = host.received.parameters.iter();
+    assert_eq!(refused.clone().count(), PARAMETERS.len());
+    assert!(refused.clone().all(|(_, reply)| reply.status == parameters::UNAUTHENTICATED));
 }

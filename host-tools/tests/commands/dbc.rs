@@ -3,9 +3,11 @@
 use can_dbc::{Dbc, MessageId, MultiplexIndicator, Signal, ValueType};
 use firmware::estimator::{Estimate, Validity};
 use firmware::fixed_point::Force;
+use firmware::protocol::authentication::Key;
 use firmware::protocol::layout::{MessageLayout, SignalLayout, encode};
 use firmware::protocol::messages::{LAYOUTS, Message};
-use firmware::protocol::{self, DEFAULT_NODE, frame_id};
+use firmware::protocol::session::{Session, SessionEvent};
+use firmware::protocol::{self, CAN, DEFAULT_NODE, frame_id};
 use host_tools::commands::dbc::dbc;
 
 /// The value of a signal in a frame, by what the file says of it.
@@ -126,6 +128,42 @@ fn forces_of_the_third_sensor_are_read_in_newtons() {
     close(read("counter"), 200.0);
 }
 
+/// Frames of a session that another program has computed (`tests/data/README.md`).
+#[test]
+fn session_of_another_program_is_accepted() {
+    let mut file = csv::Reader::from_path(tests::data("golden_session.csv")).unwrap();
+    let rows: Vec<csv::StringRecord> = file.records().map(Result::unwrap).collect();
+    let key: Vec<u8> =
+        (0..16).map(|i| u8::from_str_radix(&rows[0][0][2 * i..2 * i + 2], 16).unwrap()).collect();
+    let frame = |text: &str| -> [u8; 8] {
+        let bytes: Vec<u8> =
+            text.split(' ').map(|byte| u8::from_str_radix(byte, 16).unwrap()).collect();
+        bytes.try_into().unwrap()
+    };
+    let mut session = Session::new(DEFAULT_NODE, Key(key.try_into().unwrap()), 100);
+    let mut now_ms = 0;
+    let mut receive = |number, bytes: [u8; 8]| {
+        now_ms += 10;
+        session.receive(now_ms, CAN, (frame_id(DEFAULT_NODE, number), &bytes), || 0x1122_3344_5566)
+    };
+    let SessionEvent::Reply(reply) = receive(4, [5, 0, 0, 0, 0, 0, 0, 0]) else {
+        panic!("no challenge");
+    };
+    assert_eq!(reply.to_bytes(), frame(&rows[0][1]));
+    let events: Vec<SessionEvent> = rows
+        .iter()
+        .map(|row| {
+            let layout = LAYOUTS.iter().find(|layout| layout.name == &row[2]).unwrap();
+            assert_eq!(receive(0, frame(&row[4])), SessionEvent::Ignored);
+            receive(layout.number, frame(&row[5]))
+        })
+        .collect();
+    let done = |event: &SessionEvent| matches!(event, SessionEvent::Reply(Message::ServiceReply(reply)) if reply.status == 0);
+    assert!(done(&events[0]) && done(&events[5]), "{events:?}");
+    assert!(events[1..4].iter().all(|event| matches!(event, SessionEvent::Command(_))));
+    assert!(matches!(events[4], SessionEvent::Other(Message::ParamRequest(_))));
+}
+
 #[test]
 fn every_golden_frame_is_what_the_gripper_sends() {
     for row in golden_frames() {
@@ -190,7 +228,7 @@ fn golden_frames_contain_every_message_at_zero_ends_and_between() {
 #[test]
 fn another_node_has_other_identifiers_and_the_same_messages() {
     let other = dbc(1);
-    assert!(other.contains("BO_ 32 Version:"), "{other}");
-    assert!(dbc(DEFAULT_NODE).contains("BO_ 512 Version:"));
+    assert!(other.contains("BO_ 33 Heartbeat:"), "{other}");
+    assert!(dbc(DEFAULT_NODE).contains("BO_ 513 Heartbeat:"));
     assert_eq!(other.matches("BO_ ").count(), dbc(DEFAULT_NODE).matches("BO_ ").count());
 }

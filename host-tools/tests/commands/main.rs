@@ -7,6 +7,7 @@ mod design;
 mod disturbance;
 mod grasp;
 mod readme_tutorial;
+mod session_rules;
 mod simulate;
 #[path = "../workdir/mod.rs"]
 mod workdir;

@@ -5,6 +5,7 @@ use anyhow::{Result, anyhow, ensure};
 use device::calibration_client;
 use device::emulation::calibration::{evaluate, identify, record};
 use device::emulation::line::EmulatedLine;
+use device::session::{Credentials, with_session};
 use device_run::networks::NetworkSet;
 use emulator::Image;
 use firmware::config::constants::TICK_US;
@@ -120,8 +121,10 @@ fn grips_with_networks(image: Image, dir: &WorkDir, setup: &BenchSetup) -> Resul
     let cell = &mut bench.cell;
     let link = cell.board.connections.line.clone();
     let mut line = EmulatedLine::new(link, || cell.step());
-    calibration_client::upload(&mut line, &bytes, |_| ())?;
-    calibration_client::reboot_into(&mut line, built.chosen.tables.id)?;
+    with_session(&mut line, Credentials::UNPROTECTED, |session| {
+        calibration_client::upload(session, &bytes, |_| ())?;
+        calibration_client::reboot_into(session, built.chosen.tables.id)
+    })?;
     drop(line);
     println!("{} bytes in {:.2} s", bytes.len(), bench.time_s() - begun_s);
     bench.start()?;

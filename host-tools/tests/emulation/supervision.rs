@@ -167,8 +167,9 @@ impl Loss {
             // The motion to a position ends by itself; the watchdog ends it before: 10 ms of the task, 5 ms of feeding,
             // 20 ms of its own.
             (Self::GripTask, Motion::Moving) => 35.0,
-            // Five milliseconds after the last set-point, which came up to one before the loss, a tick and a period.
-            (Self::GripTask, _) => LIMIT_MS + 0.3,
+            // Five milliseconds after the last set-point, a tick of the motion loop, a period of the current loop, and a step of the
+            // observation.
+            (Self::GripTask, _) => LIMIT_MS + 0.3 + 1e-3 * STEP_US as f64,
             _ => LIMIT_MS,
         }
     }
@@ -408,9 +409,10 @@ fn trigger_returns() -> Result<(), Failed> {
     assert_eq!(cell.state(), PowerState::Fault as u8);
     assert!(!has_duties(&cell));
     cell.host.service(op::CLEAR_FAULTS, 0);
+    cell.run(0.1);
     // Commands of the session that has ended are counted as strange for a second.
     cell.host.is_silent = true;
-    cell.run(1.3);
+    cell.run(1.2);
     assert!(cell.state() < PowerState::Armed as u8, "{}", cell.state());
     cell.host.is_silent = false;
     home(&mut cell);

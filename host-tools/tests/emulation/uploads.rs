@@ -2,6 +2,7 @@
 
 use device::calibration_client;
 use device::emulation::line::EmulatedLine;
+use device::session::{Credentials, SessionSource, with_session};
 use device::source::Source;
 use device_run::networks::NetworkSet;
 use emulator::Halt;
@@ -60,8 +61,16 @@ fn on_line<T>(
     run(&mut EmulatedLine::new(line, || cell.step()))
 }
 
+/// As [`on_line`] in a session.
+fn in_session<T>(
+    cell: &mut Cell,
+    run: impl FnOnce(&mut SessionSource<'_>) -> anyhow::Result<T>,
+) -> anyhow::Result<T> {
+    on_line(cell, |line| with_session(line, Credentials::UNPROTECTED, run))
+}
+
 fn upload(cell: &mut Cell, bytes: &[u8]) -> anyhow::Result<u32> {
-    on_line(cell, |line| calibration_client::upload(line, bytes, |_| ()))
+    in_session(cell, |session| calibration_client::upload(session, bytes, |_| ()))
 }
 
 /// Campaign of the running calibration; none for that of the image.
@@ -87,7 +96,7 @@ fn with_networks() -> Result<(), Failed> {
     let worst_us = cell.host.received.worst_tick_us;
     assert!((1..WORST_TICK_US).contains(&worst_us), "{worst_us} us");
     let tables = made.built.chosen.tables.id;
-    on_line(&mut cell, |line| calibration_client::reboot_into(line, tables))?;
+    in_session(&mut cell, |session| calibration_client::reboot_into(session, tables))?;
     assert_eq!(running(&mut cell)?, Some("with networks".to_owned()));
     assert_eq!(violations(&cell.board), [""; 0]);
     let flash = cell.board.chip.soc.memory(CALIBRATIONS, 2 * SLOT_BYTES as usize);

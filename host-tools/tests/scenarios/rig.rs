@@ -5,10 +5,12 @@ use std::collections::VecDeque;
 use embedded_can::Frame;
 use firmware::parameters::op as parameter_op;
 use firmware::parameters::schema::counter;
+use firmware::protocol::authentication::Key;
 use firmware::protocol::can::CanFrame;
 use firmware::protocol::host_session::HostSession;
 use firmware::protocol::messages::{Command, FaultEvent, Message, ParamRequest};
 use firmware::protocol::serial::{MAX_PACKET_BYTES, Packet, PacketDecoder, Tick, encode};
+use firmware::protocol::session::op;
 use firmware::protocol::{DEFAULT_NODE, frame_id};
 use firmware::system::faults::Event;
 use firmware::tasks::FIRST_TICK_US;
@@ -102,8 +104,8 @@ struct Host {
     garbage_per_s: u32,
     /// Number of processed frames of the board.
     looked: usize,
-    /// Last command, for repetition.
-    last: Option<CanFrame>,
+    /// Last command with its authentication, for repetition.
+    last: Option<[CanFrame; 2]>,
     noise: u32,
 }
 
@@ -253,7 +255,7 @@ impl ScenarioRig {
 impl Host {
     fn new() -> Self {
         Self {
-            session: HostSession::new(DEFAULT_NODE),
+            session: HostSession::new(DEFAULT_NODE, Key::NONE),
             commands_per_s: 0,
             flood_per_s: 0,
             garbage_per_s: 0,
@@ -264,7 +266,9 @@ impl Host {
     }
 
     fn arm(&mut self, board: &Connections) {
-        send(self.session.arm(), board);
+        for message in self.session.open(op::ARM) {
+            send(message, board);
+        }
     }
 
     /// Advances the host by a millisecond.
@@ -272,9 +276,10 @@ impl Host {
         self.listen(board);
         let due = |per_s: u32| per_s > 0 && (ms * u64::from(per_s)) % 1000 < u64::from(per_s);
         if due(self.commands_per_s)
-            && let Some(command) = self.session.seal(Command::default())
+            && self.session.is_armed()
+            && let Some(sealed) = self.session.seal(Message::Command(Command::default()))
         {
-            self.last = Some(send(command, board));
+            self.last = Some(sealed.map(|message| send(message, board)));
         }
         board.can.borrow_mut().flood(self.flood_per_s / 1000);
         let mut line = board.line.borrow_mut();
@@ -284,7 +289,7 @@ impl Host {
         }
     }
 
-    /// Confirms the board's nonce.
+    /// Answers the board's challenge.
     fn listen(&mut self, board: &Connections) {
         let frames: Vec<CanFrame> = {
             let can = board.can.borrow();
@@ -294,21 +299,24 @@ impl Host {
         self.looked += frames.len();
         for frame in frames {
             let number = (frame.identifier() & 0x1F) as u8;
-            if let Ok(Message::ServiceReply(reply)) = Message::from_frame(number, frame.data())
-                && let Some(response) = self.session.receive(&reply)
-            {
-                send(response, board);
+            if let Ok(Message::ServiceReply(reply)) = Message::from_frame(number, frame.data()) {
+                for response in self.session.receive(&reply) {
+                    send(response, board);
+                }
             }
         }
     }
 
     /// Repeats the last command, with a flipped bit if `is_corrupt`.
     fn repeat(&self, frames: u32, is_corrupt: bool, board: &Connections) {
-        let last = self.last.expect("no command yet");
+        let [authentication, command] = self.last.expect("no command yet");
         for i in 0..frames {
-            let mut bytes: [u8; 8] = last.data().try_into().unwrap();
-            bytes[(i % 6) as usize] ^= if is_corrupt { 0x10 } else { 0 };
-            board.can.borrow_mut().put(CanFrame::from_bytes(last.identifier(), bytes));
+            let mut bytes: [u8; 8] = command.data().try_into().unwrap();
+            // Bits that every command has.
+            bytes[1 + (i % 4) as usize] ^= if is_corrupt { 0x10 } else { 0 };
+            let mut can = board.can.borrow_mut();
+            can.put(authentication);
+            can.put(CanFrame::from_bytes(command.identifier(), bytes));
         }
     }
 }

@@ -1,18 +1,21 @@
-//! Frames on the CAN bus, with their times, into a session and the table of messages.
+//! Frames on the CAN bus and the serial line, with their times, into a session and the table of messages.
 
 use std::collections::VecDeque;
 
+use aes::Aes128;
+use cmac::{Cmac, KeyInit, Mac};
 use firmware::parameters::schema::PARAMETERS;
-use firmware::parameters::{Parameters, handle_request};
+use firmware::parameters::{self, Parameters, handle_request};
 use firmware::protocol::ESTOP_ALL_ID;
+use firmware::protocol::authentication::Key;
 use firmware::protocol::layout::FrameError;
 use firmware::protocol::messages::{LAYOUTS, Message, ParamRequest};
-use firmware::protocol::session::{SERVICE_MAGIC, Session, SessionEvent, op, status};
+use firmware::protocol::session::{Session, SessionEvent, op, status};
 
 use super::bytes::Bytes;
-use super::check::crc16;
 
 /// Numbers of the messages that a host sends, by the table of the protocol.
+const AUTHENTICATION: u16 = 0;
 const STOP: u16 = 2;
 const COMMAND: u16 = 3;
 const SERVICE: u16 = 4;
@@ -20,14 +23,21 @@ const PARAM_REQUEST: u16 = 5;
 const HOST_ATTITUDE: u16 = 0x12;
 const HOST_ACCELERATION: u16 = 0x13;
 const CALIBRATION_CHUNK: u16 = 0x14;
+const KEY_PART: u16 = 0x16;
 /// Messages of the protocol.
-const MESSAGES: u16 = 0x15;
+const MESSAGES: u16 = 0x17;
+/// Lines.
+const CAN: u8 = 0;
+const SERIAL: u8 = 1;
 /// Milliseconds between two frames: both sides of every limit.
-const WAITS: [u32; 16] = [0, 0, 0, 1, 2, 5, 10, 20, 50, 99, 100, 101, 500, 501, 1000, 1001];
+const WAITS: [u64; 16] = [0, 0, 0, 1, 2, 5, 20, 50, 100, 101, 500, 501, 1000, 1001, 10_000, 10_001];
 /// Longest data of a frame, were it one of CAN FD.
 const LONGEST: usize = 64;
+/// The key of gripper and honest hosts, and one that is guessed.
+const KEY: [u8; 16] = *b"sixteen byte key";
+const GUESSED: [u8; 16] = [0; 16];
 
-/// What a story came to.
+/// What a sequence came to.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Tally {
     /// Sessions that began.
@@ -38,23 +48,22 @@ pub struct Tally {
     pub dropped: u32,
 }
 
-/// A bus with a gripper, and a reference who knows the rules.
+/// A bus with a gripper, and a reference that knows the rules.
 pub fn receive(bytes: &[u8]) -> Tally {
     let mut bytes = Bytes::new(bytes);
-    let mut now = u32::from_le_bytes(bytes.array());
+    // Around the overflow of 32 bits as well, which is after 49.7 days.
+    let mut now = u64::from(u32::from_le_bytes(bytes.array())) << (bytes.byte() % 12);
     let node = 1 + u16::from(bytes.byte()) % 63;
-    let mut session = Session::new(node, 100);
+    let mut session = Session::new(node, Key(KEY), 100);
     let mut reference = Reference::new(node);
     let mut parameters = Parameters::DEFAULT;
     let mut tally = Tally::default();
     while !bytes.is_empty() {
         let kind = bytes.byte();
-        let waited = match bytes.byte() {
-            // A minute at most, so that no story lasts until the clock comes round.
-            choice @ 0xF0.. => u32::from(choice & 1) * u32::from(bytes.word()),
+        now += match bytes.byte() {
+            choice @ 0xF0.. => u64::from(choice & 1) * u64::from(bytes.word()),
             choice => WAITS[usize::from(choice & 0xF)],
         };
-        now = now.wrapping_add(waited);
         // The gripper's own doing.
         match kind {
             0x47 => {
@@ -67,25 +76,39 @@ pub fn receive(bytes: &[u8]) -> Tally {
                 session.set_may_arm(kind == 0x87);
                 continue;
             }
+            0xC7 | 0xCF => {
+                reference.is_moving = kind == 0xC7;
+                session.set_is_moving(kind == 0xC7);
+                continue;
+            }
+            0xD7 | 0xDF => {
+                reference.is_present = kind == 0xD7;
+                session.set_is_present(kind == 0xD7);
+                continue;
+            }
             _ => {}
         }
-        let (id, data) = frame(kind, &mut bytes, &reference);
-        let random = bytes.word();
-        message(id, &data);
-        let event = session.receive(now, id, &data, random);
-        let expected = reference.receive(now, id, &data, random);
-        assert_eq!(Verdict::of(&event, &data), expected, "{id:#x} {data:x?}");
-        assert_eq!(session.is_open(), reference.open.is_some());
-        assert_eq!(session.is_alive(now), reference.is_alive(now));
-        assert_eq!(session.is_silent(now), reference.is_silent(now));
-        assert_eq!(session.is_flooded(now), reference.is_flooded(now));
-        if let SessionEvent::Other(Message::ParamRequest(request)) = event {
-            answered_rightly(&mut parameters, &request, session.is_open());
-        }
-        match expected {
-            Verdict::Armed(_) => tally.armed += 1,
-            Verdict::Command => tally.commands += 1,
-            _ => {}
+        session.expire(now);
+        reference.expire(now);
+        let source = if kind & 0x20 == 0 { CAN } else { SERIAL };
+        for (id, data) in frames(kind, &mut bytes, &reference) {
+            let random = u64::from(bytes.word()).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+            message(id, &data);
+            let event = session.receive(now, source, (id, &data), || random);
+            let expected = reference.receive(now, source, id, &data, random);
+            assert_eq!(Verdict::of(&event, &data), expected, "{id:#x} {data:x?}");
+            assert_eq!(session.is_armed(), reference.open.as_ref().is_some_and(|o| o.is_armed));
+            assert_eq!(session.is_alive(now), reference.is_alive(now));
+            assert_eq!(session.is_silent(now), reference.is_silent(now));
+            assert_eq!(session.is_flooded(now), reference.is_flooded(now));
+            if let SessionEvent::Other(Message::ParamRequest(request)) = event {
+                answered_rightly(&mut parameters, &request);
+            }
+            match expected {
+                Verdict::Opened(op::ARM) => tally.armed += 1,
+                Verdict::Command => tally.commands += 1,
+                _ => {}
+            }
         }
     }
     tally.dropped = session.dropped().all();
@@ -93,21 +116,16 @@ pub fn receive(bytes: &[u8]) -> Tally {
     tally
 }
 
-/// A host's request changes one parameter within its range, or none; and none that moves while somebody is
-/// armed.
-fn answered_rightly(parameters: &mut Parameters, request: &ParamRequest, is_armed: bool) {
+/// A host's request changes one parameter within its range, or none.
+fn answered_rightly(parameters: &mut Parameters, request: &ParamRequest) {
     let before = *parameters;
-    let reply = handle_request(parameters, request, is_armed);
+    let reply = handle_request(parameters, request);
     assert_eq!((reply.op, reply.id), (request.op, request.id));
     let now = parameters.get(request.id);
     assert_eq!(reply.value, now.unwrap_or(0) as u32);
     let mut expected = before;
     let row = PARAMETERS.iter().find(|row| row.id == request.id);
-    let may = row.is_some_and(|row| {
-        request.op == 1
-            && row.range.contains(request.value as i32)
-            && !(row.affects_motion && is_armed)
-    });
+    let may = row.is_some_and(|row| request.op == 1 && row.range.contains(request.value as i32));
     if may {
         assert_eq!(expected.set(request.id, request.value as i32), Ok(()));
     }
@@ -115,65 +133,85 @@ fn answered_rightly(parameters: &mut Parameters, request: &ParamRequest, is_arme
     assert_eq!(reply.status == 0, may || (row.is_some() && request.op == 0));
 }
 
-/// The next frame of a sequence: random, or of a host that follows the protocol.
-fn frame(kind: u8, bytes: &mut Bytes, reference: &Reference) -> (u16, Vec<u8>) {
+/// The next frames of a sequence: random, or of a host that follows the protocol.
+fn frames(kind: u8, bytes: &mut Bytes, reference: &Reference) -> Vec<(u16, Vec<u8>)> {
     let of = |number: u16| (reference.node << 5) | number;
-    let service = |op: u8, nonce: u16| {
-        let mut data = [op, 0, 0, 0, 0, 0, 0, 0];
-        data[1..3].copy_from_slice(&SERVICE_MAGIC.to_le_bytes());
-        data[3..5].copy_from_slice(&nonce.to_le_bytes());
-        (of(SERVICE), data.to_vec())
-    };
-    let offered = reference.offer.map_or(0, |(nonce, _)| nonce);
-    match kind & 7 {
+    let service = |op: u8| (of(SERVICE), vec![op, 0, 0, 0, 0, 0, 0, 0]);
+    let begin = if kind & 0x40 == 0 { op::ARM } else { op::OPEN };
+    let plain = match kind & 7 {
         0 => {
             let id = bytes.word();
             let length = usize::from(bytes.byte()) % (LONGEST + 1);
-            (id, bytes.some(length).to_vec())
+            return vec![(id, bytes.some(length).to_vec())];
         }
         1 => {
             let number = u16::from(bytes.byte()) & 0x1F;
-            (of(number), bytes.array::<8>().to_vec())
+            return vec![(of(number), bytes.array::<8>().to_vec())];
         }
-        2 => service(op::ARM, 0),
-        3 => service(op::ARM, offered),
+        2 => return vec![service(begin)],
+        3 => service(begin),
         4 if kind & 0x40 != 0 => {
             let mut data = bytes.array::<8>();
             let row = PARAMETERS[usize::from(data[1]) % PARAMETERS.len()];
+            data[0] &= 3;
             data[1..3].copy_from_slice(&row.id.to_le_bytes());
             (of(PARAM_REQUEST), data.to_vec())
         }
-        4 => {
-            let (op, nonce) = (bytes.byte() % 16, bytes.word());
-            let own = reference.open.filter(|_| op == op::END && nonce & 1 == 0);
-            service(op, own.unwrap_or(nonce))
-        }
+        4 => service(bytes.byte() % 20),
         5 | 6 => {
             let mut data = bytes.array::<8>();
-            if kind & 7 == 5 {
-                // A counter that goes on, or nearly.
-                let last = reference.last.map_or(0, |(counter, _)| counter);
-                let counter = last.wrapping_add(data[0] & 3);
-                data[0] = (data[0] & 0xF) | (counter << 4);
-            }
-            let nonce = reference.open.unwrap_or(offered);
-            let seal = seal(nonce, of(COMMAND), &data);
-            data[6..].copy_from_slice(&seal.to_le_bytes());
-            // A bit may flip on the way.
-            if kind & 0x40 != 0 {
-                let bit = bytes.byte() & 63;
-                data[usize::from(bit >> 3)] ^= 1 << (bit & 7);
-            }
+            data[0] &= 0xF;
+            (data[6], data[7]) = (0, 0);
             (of(COMMAND), data.to_vec())
         }
-        _ => (ESTOP_ALL_ID, bytes.some(usize::from((kind >> 3) & 7)).to_vec()),
+        _ => return vec![(ESTOP_ALL_ID, bytes.some(usize::from((kind >> 3) & 7)).to_vec())],
+    };
+    let choice = bytes.byte();
+    if choice == 0 {
+        // Without a code.
+        return vec![plain];
     }
+    let (key, last) = match (kind & 7, &reference.open, &reference.offer) {
+        (3, _, Some((number, ..))) => (session_key(&KEY, reference.node, *number), 0),
+        (_, Some(open), _) => (open.key, open.counter),
+        (_, None, Some((number, ..))) => (session_key(&GUESSED, reference.node, *number), 0),
+        (_, None, None) => (GUESSED, 0),
+    };
+    let counter = match choice {
+        // A counter that was used already.
+        1..4 => last.saturating_sub(u64::from(choice - 1)),
+        4..8 => last + (u64::from(choice) << 20),
+        _ => last + 1 + u64::from(choice & 1),
+    };
+    let (id, data) = plain;
+    let mut tag = code(&key, counter, id, &data);
+    // A bit may flip on the way.
+    if choice & 0xF0 == 0xF0 {
+        tag[0] ^= 1;
+    }
+    let mut authentication = [0; 8];
+    authentication[..3].copy_from_slice(&counter.to_le_bytes()[..3]);
+    authentication[3..].copy_from_slice(&tag);
+    vec![(of(AUTHENTICATION), authentication.to_vec()), (id, data)]
 }
 
-/// Checksum of a command: over the nonce, the identifier and the bytes before it.
-fn seal(nonce: u16, id: u16, data: &[u8]) -> u16 {
-    let head = [nonce.to_le_bytes(), id.to_le_bytes()].into_iter().flatten();
-    crc16(head.chain(data[..6].iter().copied()))
+/// Key of a session: over a label, the node and the challenge.
+fn session_key(key: &[u8; 16], node: u16, challenge: u64) -> [u8; 16] {
+    let label = b"session".iter().copied();
+    cmac(key, label.chain(node.to_le_bytes()).chain(challenge.to_le_bytes()))
+}
+
+/// Code of a message: over its identifier, six bytes of the counter, and its bytes.
+fn code(key: &[u8; 16], counter: u64, id: u16, data: &[u8]) -> [u8; 5] {
+    let counter = counter.to_le_bytes().into_iter().take(6);
+    let all = cmac(key, id.to_le_bytes().into_iter().chain(counter).chain(data.iter().copied()));
+    [all[0], all[1], all[2], all[3], all[4]]
+}
+
+fn cmac(key: &[u8; 16], data: impl Iterator<Item = u8>) -> [u8; 16] {
+    let mut mac = Cmac::<Aes128>::new(key.into());
+    mac.update(&data.collect::<Vec<u8>>());
+    mac.finalize().into_bytes().into()
 }
 
 /// A message that is understood is these bytes and no others, and what is not says why.
@@ -198,19 +236,21 @@ fn message(id: u16, data: &[u8]) {
     assert_eq!(understood.map(|m| (m.to_bytes(), m.layout())), expected, "{number:#x} {data:x?}");
 }
 
-/// What a frame was good for, as far as anybody may rely on it.
+/// Effect of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Verdict {
     Nothing,
     Stop,
-    /// Say this number back.
-    Offered(u16),
-    Refused,
-    /// Nobody may arm now.
-    Faulty,
-    Armed(u16),
+    /// A challenge with this number.
+    Challenge(u64),
+    /// A session by this operation.
+    Opened(u8),
     /// The session ended.
     Ended,
+    /// A refused service, with its status.
+    Refused(u8),
+    /// A refused parameter.
+    ParameterRefused,
     /// The command of these very bytes.
     Command,
     Other,
@@ -229,34 +269,49 @@ impl Verdict {
                 assert_eq!(message.to_bytes(), data);
                 Self::Other
             }
-            SessionEvent::Reply { reply, armed } => {
-                assert_eq!(reply.detail, 0);
-                match (reply.op, reply.status, armed) {
-                    (op::ARM, status::CHALLENGE, false) => Self::Offered(reply.nonce),
-                    (op::ARM | op::END, status::REFUSED, false) => Self::Refused,
-                    (op::ARM, status::FAULTY, false) => Self::Faulty,
-                    (op::ARM, status::DONE, true) => Self::Armed(reply.nonce),
-                    (op::END, status::DONE, false) => Self::Ended,
-                    other => panic!("a reply of no kind: {other:?}"),
-                }
+            SessionEvent::Reply(Message::ParamReply(reply)) => {
+                assert_eq!(reply.status, parameters::status::UNAUTHENTICATED);
+                Self::ParameterRefused
             }
+            SessionEvent::Reply(Message::ServiceReply(reply)) => match (reply.op, reply.status) {
+                (op::ARM | op::OPEN, status::CHALLENGE) => {
+                    Self::Challenge(u64::from(reply.extra) << 32 | u64::from(reply.detail))
+                }
+                (op::ARM | op::OPEN, status::DONE) => Self::Opened(reply.op),
+                (op::END, status::DONE) => Self::Ended,
+                (_, status) => Self::Refused(status),
+            },
+            SessionEvent::Reply(other) => panic!("no reply: {other:?}"),
         }
     }
+}
+
+/// An open session.
+struct Open {
+    key: [u8; 16],
+    counter: u64,
+    active: u64,
+    is_armed: bool,
+    commanded: Option<u64>,
 }
 
 /// The rules of a session, implemented from its documentation.
 struct Reference {
     node: u16,
     may_arm: bool,
-    /// A nonce that was offered, and when.
-    offer: Option<(u16, u32)>,
-    /// The nonce of the session.
-    open: Option<u16>,
-    /// Counter and time of the last command that counted.
-    last: Option<(u8, u32)>,
+    is_moving: bool,
+    is_present: bool,
+    /// A challenge, when it was last asked for.
+    offer: Option<(u64, u64)>,
+    open: Option<Open>,
+    is_abandoned: bool,
+    /// Counter and code that were received last on each line.
+    codes: [Option<(u32, [u8; 5])>; 2],
+    /// Codes that were checked in the present ten milliseconds, and when these began.
+    checked: (u32, u64),
     dropped: u32,
     /// When frames of a broken sender were dropped: the latest sixteen.
-    latest: VecDeque<u32>,
+    latest: VecDeque<u64>,
 }
 
 impl Reference {
@@ -264,26 +319,37 @@ impl Reference {
         Self {
             node,
             may_arm: true,
+            is_moving: false,
+            is_present: false,
             offer: None,
             open: None,
-            last: None,
+            is_abandoned: false,
+            codes: [None; 2],
+            checked: (0, 0),
             dropped: 0,
             latest: VecDeque::new(),
         }
     }
 
     fn close(&mut self) {
-        (self.offer, self.open, self.last) = (None, None, None);
+        (self.offer, self.open) = (None, None);
     }
 
     fn allow(&mut self, may_arm: bool) {
         self.may_arm = may_arm;
-        if !may_arm {
+        if !may_arm && self.open.as_ref().is_some_and(|open| open.is_armed) {
             self.close();
         }
     }
 
-    fn receive(&mut self, now: u32, id: u16, data: &[u8], random: u16) -> Verdict {
+    fn expire(&mut self, now: u64) {
+        if self.open.as_ref().is_some_and(|open| now - open.active > 10_000) {
+            self.is_abandoned |= self.open.as_ref().is_some_and(|open| open.commanded.is_some());
+            self.close();
+        }
+    }
+
+    fn receive(&mut self, now: u64, source: u8, id: u16, data: &[u8], random: u64) -> Verdict {
         let number = id & 0x1F;
         match (id >> 5 == self.node, data.len()) {
             _ if id == ESTOP_ALL_ID => Verdict::Stop,
@@ -296,75 +362,145 @@ impl Reference {
                 Verdict::Nothing
             }
             (true, 8) => match number {
-                COMMAND => self.command(now, id, data),
-                SERVICE => self.service(now, data, random),
-                PARAM_REQUEST => Verdict::Other,
                 // Reserved bits are zero.
+                COMMAND if data[0] >> 4 == 0 && data[6..] == [0; 2] => {
+                    if !self.is_owner(now, source, id, data) {
+                        return self.drop(now);
+                    }
+                    match &mut self.open {
+                        Some(open) if open.is_armed => {
+                            open.commanded = Some(now);
+                            Verdict::Command
+                        }
+                        _ => Verdict::Nothing,
+                    }
+                }
+                SERVICE if data[5..] == [0; 3] => self.service(now, source, id, data, random),
+                PARAM_REQUEST if data[0] != 1 => Verdict::Other,
+                PARAM_REQUEST => {
+                    if self.is_owner(now, source, id, data) {
+                        return Verdict::Other;
+                    }
+                    self.drop(now);
+                    Verdict::ParameterRefused
+                }
                 HOST_ATTITUDE if data[7] & !1 == 0 => Verdict::Other,
                 HOST_ACCELERATION if data[7] == 0 => Verdict::Other,
                 CALIBRATION_CHUNK => Verdict::Other,
+                AUTHENTICATION => {
+                    let counter = u32::from_le_bytes([data[0], data[1], data[2], 0]);
+                    let tag = [data[3], data[4], data[5], data[6], data[7]];
+                    self.codes[usize::from(source)] = Some((counter, tag));
+                    Verdict::Nothing
+                }
+                KEY_PART if data[5..] == [0; 3] => match self.writes_key(now, source, id, data) {
+                    Verdict::Refused(_) => Verdict::Nothing,
+                    verdict => verdict,
+                },
                 _ => self.drop(now),
             },
             _ => self.drop(now),
         }
     }
 
-    fn service(&mut self, now: u32, data: &[u8], random: u16) -> Verdict {
-        let nonce = u16::from_le_bytes([data[3], data[4]]);
-        if data[1..3] != *b"MG" {
-            return self.drop(now);
-        }
-        if data[0] == op::END {
-            if self.open == Some(nonce) {
-                self.close();
-                return Verdict::Ended;
+    fn service(&mut self, now: u64, source: u8, id: u16, data: &[u8], random: u64) -> Verdict {
+        match data[0] {
+            op::VERSION | op::DESCRIPTION => Verdict::Other,
+            op::ARM | op::OPEN => self.begin(now, source, id, data, random),
+            op::WRITE_KEY | op::ERASE_KEY => self.writes_key(now, source, id, data),
+            op::COMMAND | 0 | 16.. => Verdict::Refused(status::UNKNOWN),
+            op => {
+                if !self.is_owner(now, source, id, data) {
+                    self.drop(now);
+                    return Verdict::Refused(status::UNAUTHENTICATED);
+                }
+                if op == op::END {
+                    self.close();
+                    return Verdict::Ended;
+                }
+                Verdict::Other
             }
-            self.drop(now);
-            return Verdict::Refused;
         }
-        if data[0] != 5 {
+    }
+
+    fn begin(&mut self, now: u64, source: u8, id: u16, data: &[u8], random: u64) -> Verdict {
+        // The owner has been silent for a second, and nothing moves.
+        let is_owned = self
+            .open
+            .as_ref()
+            .is_some_and(|open| now - open.active <= 1000 || (open.is_armed && self.is_moving));
+        if is_owned {
+            return Verdict::Refused(status::ARMED);
+        }
+        if data[0] == op::ARM && !self.may_arm {
+            return Verdict::Refused(status::FAULTY);
+        }
+        let offer = self.offer.filter(|(_, at)| now - at <= 500);
+        let Some((low, tag)) = self.codes[usize::from(source)].take() else {
+            let number = offer.map_or(random & 0xFFFF_FFFF_FFFF, |(number, _)| number);
+            self.offer = Some((number, now));
+            return Verdict::Challenge(number);
+        };
+        let may_check = self.may_check(now);
+        let opened = offer.filter(|_| may_check).and_then(|(number, _)| {
+            let key = session_key(&KEY, self.node, number);
+            let counter = if low == 0 { 1 << 24 } else { u64::from(low) };
+            (code(&key, counter, id, data) == tag).then_some((key, counter))
+        });
+        let Some((key, counter)) = opened else {
+            self.drop(now);
+            return Verdict::Refused(status::REFUSED);
+        };
+        let is_armed = data[0] == op::ARM;
+        self.offer = None;
+        self.is_abandoned &= !is_armed;
+        self.open = Some(Open { key, counter, active: now, is_armed, commanded: None });
+        Verdict::Opened(data[0])
+    }
+
+    fn writes_key(&mut self, now: u64, source: u8, id: u16, data: &[u8]) -> Verdict {
+        if source == SERIAL && self.is_present {
             return Verdict::Other;
         }
-        if !self.may_arm {
-            self.close();
-            return Verdict::Faulty;
-        }
-        if nonce == 0 {
-            // Whoever asks has proved nothing: a host that is alive keeps its session.
-            if !self.is_alive(now) {
-                self.close();
+        if source == SERIAL {
+            if self.is_owner(now, source, id, data) {
+                return Verdict::Other;
             }
-            let nonce = if random == 0 { 1 } else { random };
-            self.offer = Some((nonce, now));
-            return Verdict::Offered(nonce);
+            self.drop(now);
         }
-        match self.offer.take() {
-            Some((offered, at)) if offered == nonce && now.wrapping_sub(at) <= 500 => {
-                (self.open, self.last) = (Some(nonce), None);
-                Verdict::Armed(nonce)
-            }
-            _ => {
-                self.drop(now);
-                Verdict::Refused
-            }
-        }
+        Verdict::Refused(status::NOT_PRESENT)
     }
 
-    fn command(&mut self, now: u32, id: u16, data: &[u8]) -> Verdict {
-        let Some(nonce) = self.open else {
-            return self.drop(now);
+    /// Whether the last code of the line is that of the message, and its counter is new.
+    fn is_owner(&mut self, now: u64, source: u8, id: u16, data: &[u8]) -> bool {
+        let received = self.codes[usize::from(source)].take();
+        if received.is_none() || self.open.is_none() || !self.may_check(now) {
+            return false;
+        }
+        let (Some(open), Some((low, tag))) = (&mut self.open, received) else {
+            return false;
         };
-        let counter = data[0] >> 4;
-        let goes_on =
-            self.last.is_none_or(|(last, _)| [(last + 1) % 16, (last + 2) % 16].contains(&counter));
-        if data[6..] != seal(nonce, id, data).to_le_bytes() || !goes_on {
-            return self.drop(now);
+        let mut counter = (open.counter & !0xFF_FFFF) + u64::from(low);
+        if counter <= open.counter {
+            counter += 1 << 24;
         }
-        self.last = Some((counter, now));
-        Verdict::Command
+        if code(&open.key, counter, id, data) != tag {
+            return false;
+        }
+        (open.counter, open.active) = (counter, now);
+        true
     }
 
-    fn drop(&mut self, now: u32) -> Verdict {
+    /// Four codes are checked in ten milliseconds.
+    fn may_check(&mut self, now: u64) -> bool {
+        if now - self.checked.1 >= 10 {
+            self.checked = (0, now);
+        }
+        self.checked.0 += 1;
+        self.checked.0 <= 4
+    }
+
+    fn drop(&mut self, now: u64) -> Verdict {
         self.dropped += 1;
         self.latest.push_back(now);
         if self.latest.len() > 16 {
@@ -373,17 +509,18 @@ impl Reference {
         Verdict::Nothing
     }
 
-    fn is_alive(&self, now: u32) -> bool {
-        let event = |(_, at): (u8, u32)| now.wrapping_sub(at) <= 100;
-        self.open.is_some() && self.last.is_some_and(event)
+    fn is_alive(&self, now: u64) -> bool {
+        let commanded = self.open.as_ref().and_then(|open| open.commanded);
+        commanded.is_some_and(|at| now - at <= 100)
     }
 
-    fn is_silent(&self, now: u32) -> bool {
-        self.open.is_some() && self.last.is_some() && !self.is_alive(now)
+    fn is_silent(&self, now: u64) -> bool {
+        let commanded = self.open.as_ref().and_then(|open| open.commanded);
+        self.is_abandoned || (commanded.is_some() && !self.is_alive(now))
     }
 
-    fn is_flooded(&self, now: u32) -> bool {
-        let lately = |at: &u32| now.wrapping_sub(*at) <= 1000;
+    fn is_flooded(&self, now: u64) -> bool {
+        let lately = |at: &u64| now - at <= 1000;
         self.latest.len() == 16 && self.latest.front().is_some_and(lately)
     }
 }

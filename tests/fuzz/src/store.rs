@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use embedded_storage_async::nor_flash::NorFlash;
 use firmware::parameters::Parameters;
 use firmware::parameters::schema::PARAMETERS;
+use firmware::protocol::authentication::Key;
 use firmware::system::nv_storage::record::{
     BODY_BYTES, FIRST_MARK, SECOND_MARK, SLOT_BYTES, VERSION, encode,
 };
@@ -127,7 +128,8 @@ fn fill(memory: &mut FlashModel, bytes: &mut Bytes) -> (Option<(u32, u16)>, Opti
                 said.extend_from_slice(&crc32(said.iter().copied()).to_le_bytes());
                 slot[..said.len()].copy_from_slice(&said);
             }
-            _ => slot[..BODY_BYTES].copy_from_slice(&encode(sequence, &Parameters::DEFAULT).0),
+            _ => slot[..BODY_BYTES]
+                .copy_from_slice(&encode(sequence, &Parameters::DEFAULT, Key::NONE).0),
         }
         let marks = &mut slot[BODY_BYTES..];
         if kind & 32 == 0 {

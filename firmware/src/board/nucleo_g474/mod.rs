@@ -10,6 +10,7 @@
 //! | phase currents, bus voltage | ADC1: PC0, PC1, PC2; PC3 |
 //! | thermistors of motor and power stage | ADC3: PB1, PB0 |
 //! | rotor angle | SPI1: SCK PA5, MOSI PA7, MISO PA6, CS PA4 |
+//! | button B1, high while pressed | PC13 |
 //! | inertial sensor, optional | SPI3: SCK PC10, MOSI PC12, MISO PC11, CS PD2 |
 //!
 //! SCL of I2C1 is at PA15 because PB8 is also BOOT0: a pull-up there starts the boot loader at each reset of a chip with

@@ -2,6 +2,7 @@
 
 use embassy_stm32::can::config::{FdCanConfig, GlobalFilter, NominalBitTiming};
 use embassy_stm32::can::{self, CanConfigurator};
+use embassy_stm32::gpio::{Input, Pull};
 use embassy_stm32::interrupt::Priority;
 use embassy_stm32::mode::Async;
 use embassy_stm32::rng::{self, Rng};
@@ -55,6 +56,7 @@ impl Bsp for NucleoG474 {
     type SerialRx = RingBufferedUartRx<'static>;
     type Flash = SettingsFlash;
     type Rng = Rng<'static, peripherals::RNG>;
+    type Button = Input<'static>;
     type Thermometer = BoardThermometer;
     type Drive = drive::Parts;
     type Watchdog = IndependentWatchdog;
@@ -107,6 +109,7 @@ impl Bsp for NucleoG474 {
             serial_tx,
             serial_rx: serial_rx.into_ring_buffered(BUFFER.take()),
             rng: Rng::new(p.RNG, Interrupts),
+            button: Input::new(p.PC13, Pull::Down),
             flash,
             flash_offsets,
             configuration_defect: option_byte_defect(),

@@ -14,6 +14,7 @@ use embassy_executor::{InterruptExecutor, SpawnError, SpawnToken, Spawner};
 use embassy_stm32::interrupt::{self, InterruptExt, Priority};
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_time::{Duration, Ticker};
+use embedded_hal::digital::InputPin;
 use static_cell::StaticCell;
 
 use crate::board::selected::calibration_memory;
@@ -143,6 +144,7 @@ async fn begin(spawner: Spawner, board: Peripherals<B>) {
         calibration,
         configuration_defect: board.configuration_defect,
         random: board.rng,
+        is_pressed: board.button,
         reboot: (),
     };
     spawner.spawn(once(host_service(shared, service)));
@@ -219,17 +221,18 @@ async fn receive_serial(shared: Shared, line: <B as Bsp>::SerialRx, node: u16) {
 #[embassy_executor::task]
 async fn host_service(
     shared: Shared,
-    service: HostService<<B as Bsp>::Flash, <B as Bsp>::Rng, ()>,
+    service: HostService<<B as Bsp>::Flash, <B as Bsp>::Rng, <B as Bsp>::Button, ()>,
 ) {
     let HostService { version, store, loaded, calibration, configuration_defect, .. } = service;
-    let mut rng = service.random;
+    let (mut rng, mut button) = (service.random, service.is_pressed);
     let service = HostService {
         version,
         store,
         loaded,
         calibration,
         configuration_defect,
-        random: move || rng.next_u32() as u16,
+        random: move || rng.next_u64(),
+        is_pressed: move || InputPin::is_high(&mut button).unwrap_or(false),
         reboot: || cortex_m::peripheral::SCB::sys_reset(),
     };
     tasks::host_service(service, &BoardClock, shared).await;

@@ -316,7 +316,7 @@ fn refusal_detail_has_reason_state_and_mode() {
         CommandRefusal { mode: mode::GRIP, reason: RefusalReason::NotEnabled, state: 0x13 };
     let detail = 0x0004_1300 | RefusalReason::NotEnabled as u32;
     let reply = refused.reply();
-    assert_eq!((mode::GRIP, reply.detail, reply.nonce), (4, detail, 0));
+    assert_eq!((mode::GRIP, reply.detail, reply.extra), (4, detail, 0));
     assert_ne!(reply, ServiceReply::default());
     assert_ne!(RefusalReason::NotEnabled as u32, 0);
 }

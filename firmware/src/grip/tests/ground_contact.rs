@@ -94,7 +94,6 @@ proptest! {
                 speed,
                 force: force & 0xFFF,
                 flags,
-                ..Command::default()
             });
             rig.estimates = Some(pressed(lateral, longitudinal));
             for (bit, fault) in Fault::ALL.into_iter().enumerate() {

@@ -327,14 +327,8 @@ fn stretches() -> impl Strategy<Value = Vec<Stretch>> {
 /// Applies the inputs of a stretch; the session is open more often than not.
 fn begin(rig: &mut GripRig, stretch: &Stretch) {
     let (mode, position, speed, force, flags) = stretch.command;
-    rig.command = Some(Command {
-        mode,
-        position: position & 0x7FF,
-        speed,
-        force: force & 0xFFF,
-        flags,
-        ..Command::default()
-    });
+    rig.command =
+        Some(Command { mode, position: position & 0x7FF, speed, force: force & 0xFFF, flags });
     for (number, fault) in Fault::ALL.into_iter().enumerate() {
         rig.fault(fault, stretch.fault == Some(number));
     }

@@ -11,6 +11,7 @@ use heapless::Vec;
 
 use crate::checksum::CRC32;
 use crate::model::calibration::{HEADER_BYTES, Header, MAX_DESCRIPTION_BYTES};
+use crate::protocol::authentication::DataMac;
 
 /// Bytes of a slot: 32 pages.
 pub const SLOT_BYTES: u32 = 64 * 1024;
@@ -58,6 +59,8 @@ pub enum UploadError {
     Flash = 3,
     /// The bytes in flash are not a calibration of this format, or differ from their checksum.
     Corrupt = 4,
+    /// The bytes are not those that the host has sent: others were inserted.
+    Code = 5,
 }
 
 /// An upload in progress.
@@ -71,6 +74,8 @@ struct Upload {
     written: u32,
     /// Bytes received after those.
     buffer: Vec<u8, GROUP_BYTES>,
+    /// Code of all received bytes.
+    mac: DataMac,
 }
 
 /// The slots.
@@ -190,7 +195,8 @@ impl CalibrationSlots {
         (usize::from(length) <= MAX_DESCRIPTION_BYTES).then_some(length)
     }
 
-    /// Begins an upload of `length` bytes; an earlier one in progress is lost. Erases one page, which takes 25 ms.
+    /// Begins an upload of `length` bytes, whose code `mac` computes; an earlier one in progress is lost. Erases one page, which
+    /// takes 25 ms.
     ///
     /// # Errors
     /// Invalid length, or the flash cannot be erased.
@@ -198,6 +204,7 @@ impl CalibrationSlots {
         &mut self,
         flash: &mut F,
         length: u32,
+        mac: DataMac,
     ) -> Result<(), UploadError> {
         self.upload = None;
         if !(HEADER_BYTES as u32..=MAX_BYTES).contains(&length) {
@@ -217,7 +224,7 @@ impl CalibrationSlots {
         let from = self.address(slot);
         let erased = flash.erase(from, from.saturating_add(F::ERASE_SIZE as u32)).await;
         erased.map_err(|_| UploadError::Flash)?;
-        self.upload = Some(Upload { slot, sequence, length, written: 0, buffer: Vec::new() });
+        self.upload = Some(Upload { slot, sequence, length, written: 0, buffer: Vec::new(), mac });
         Ok(())
     }
 
@@ -253,6 +260,7 @@ impl CalibrationSlots {
         let used = bytes.get(..left.min(CHUNK_BYTES as u32) as usize).unwrap_or_default();
         // The buffer is emptied when it is full.
         let _ = upload.buffer.extend_from_slice(used);
+        upload.mac.update(used);
         let is_last = left <= CHUNK_BYTES as u32;
         if upload.buffer.is_full() || is_last {
             let at = start.saturating_add(upload.slot.saturating_mul(SLOT_BYTES));
@@ -265,15 +273,19 @@ impl CalibrationSlots {
         Ok(None)
     }
 
-    /// Verifies the received calibration and activates it for the next boot.
+    /// Verifies the received calibration, whose code must be this one, and activates it for the next boot.
     ///
     /// # Errors
-    /// Incomplete or corrupt: the previous calibration stays.
+    /// Incomplete, corrupt or of somebody else: the previous calibration stays.
     pub async fn finish<F: NorFlash>(
         &mut self,
         flash: &mut F,
+        code: u32,
     ) -> Result<StoredCalibration, UploadError> {
         let upload = self.upload.take().ok_or(UploadError::NotBegun)?;
+        if upload.mac.clone().finish() != code {
+            return Err(UploadError::Code);
+        }
         let header = self.verify(flash, upload.slot).await.ok_or(UploadError::Corrupt)?;
         let is_complete = upload.written == upload.length
             && header.length.saturating_add(HEADER_BYTES as u32) == upload.length;
@@ -333,6 +345,17 @@ mod tests {
 
     use super::super::flash_model::{Cut, FlashModel, PAGE, Torn, block};
     use super::*;
+    use crate::protocol::authentication::{Key, SessionMac};
+
+    fn mac() -> DataMac {
+        SessionMac::new(&Key::NONE, 1, 2).digest()
+    }
+
+    fn code(bytes: &[u8]) -> u32 {
+        let mut mac = mac();
+        mac.update(bytes);
+        mac.finish()
+    }
 
     const PAGES: usize = (SLOTS * SLOT_BYTES) as usize / PAGE;
     type Memory = FlashModel<PAGES>;
@@ -347,13 +370,13 @@ mod tests {
     /// Uploads as a host does, which repeats nothing.
     fn upload(flash: &mut Memory, bytes: &[u8]) -> Result<StoredCalibration, UploadError> {
         let mut slots = CalibrationSlots::new(0);
-        block(slots.begin(flash, bytes.len() as u32))?;
+        block(slots.begin(flash, bytes.len() as u32, mac()))?;
         for (number, chunk) in (0..).zip(bytes.chunks(CHUNK_BYTES)) {
             let mut padded = [0; CHUNK_BYTES];
             padded[..chunk.len()].copy_from_slice(chunk);
             block(slots.receive(flash, number, padded))?;
         }
-        block(slots.finish(flash))
+        block(slots.finish(flash, code(bytes)))
     }
 
     fn newest(flash: &mut Memory) -> Option<u32> {
@@ -392,8 +415,24 @@ mod tests {
         let too_long = std::vec![0; MAX_BYTES as usize + 1];
         assert_eq!(upload(&mut flash, &too_long), Err(UploadError::Length));
         let mut slots = CalibrationSlots::new(0);
-        assert_eq!(block(slots.finish(&mut flash)), Err(UploadError::NotBegun));
+        assert_eq!(block(slots.finish(&mut flash, 0)), Err(UploadError::NotBegun));
         assert_eq!(block(slots.receive(&mut flash, 0, [0; 6])), Err(UploadError::NotBegun));
+        assert_eq!(newest(&mut flash), Some(1));
+    }
+
+    #[test]
+    fn a_chunk_of_somebody_else_is_detected() {
+        let mut flash = Memory::new(1);
+        upload(&mut flash, &calibration(1, 500)).unwrap();
+        let (sent, forged) = (calibration(2, 500), calibration(3, 500));
+        let mut slots = CalibrationSlots::new(0);
+        block(slots.begin(&mut flash, 500, mac())).unwrap();
+        for (number, chunk) in (0..).zip(forged.chunks(CHUNK_BYTES)) {
+            let mut padded = [0; CHUNK_BYTES];
+            padded[..chunk.len()].copy_from_slice(chunk);
+            block(slots.receive(&mut flash, number, padded)).unwrap();
+        }
+        assert_eq!(block(slots.finish(&mut flash, code(&sent))), Err(UploadError::Code));
         assert_eq!(newest(&mut flash), Some(1));
     }
 
@@ -417,7 +456,7 @@ mod tests {
         let mut flash = Memory::new(1);
         let bytes = calibration(7, 100);
         let mut slots = CalibrationSlots::new(0);
-        block(slots.begin(&mut flash, 100)).unwrap();
+        block(slots.begin(&mut flash, 100, mac())).unwrap();
         let chunk = |number: usize| {
             let mut padded = [0; CHUNK_BYTES];
             let chunk = &bytes[6 * number..(6 * number + 6).min(100)];
@@ -434,7 +473,8 @@ mod tests {
         (8..16).for_each(|number| assert!(send(number).is_ok()));
         // Four bytes are left.
         assert_eq!(send(16), Ok(Some(17)));
-        assert_eq!(block(slots.finish(&mut flash)).map(|stored| stored.length), Ok(84));
+        let stored = block(slots.finish(&mut flash, code(&bytes)));
+        assert_eq!(stored.map(|stored| stored.length), Ok(84));
     }
 
     /// After a power cut in any operation of an upload the old or the new calibration counts, and keeps counting over a

@@ -1,7 +1,7 @@
 //! Non-volatile storage of the parameters, safe against power loss at any time: a load gives the old or the new values,
 //! never a mixture.
 //!
-//! All parameters are one record ([`record`]) with a sequence number and a checksum. Records follow each other through the
+//! All parameters and the key of the hosts are one record ([`record`]) with a sequence number and a checksum. Records follow each other through the
 //! slots of [`PAGES`] pages in a ring. 10,000 saves without a reboot erase each of four pages of 2 KiB 313 times; the first
 //! save after a boot erases one page more. The chip is specified for 10,000 erasures, hence 40,000 boots with saves.
 //!
@@ -36,6 +36,7 @@ pub mod record;
 use embedded_storage_async::nor_flash::NorFlash;
 
 use crate::parameters::Parameters;
+use crate::protocol::authentication::Key;
 use record::{BODY_BYTES, ERASED, FIRST_MARK, SECOND_MARK, SLOT_BYTES, VERSION};
 
 /// Pages of the ring.
@@ -74,6 +75,8 @@ impl ParameterOrigin {
 pub struct LoadedParameters {
     /// The values.
     pub parameters: Parameters,
+    /// The key; [`Key::NONE`] if none is stored.
+    pub key: Key,
     /// Their origin.
     pub origin: ParameterOrigin,
     /// False after an interrupted save: the caller must save these values again.
@@ -92,6 +95,8 @@ pub struct ParameterStore<F> {
     start: u32,
     /// Sequence of the next record, if its page was erased since the boot.
     next: Option<u32>,
+    /// The key of the newest record, which the next one repeats.
+    key: Key,
 }
 
 /// Progress of the write of a record.
@@ -111,6 +116,7 @@ struct ValidRecord {
     sequence: u32,
     version: u16,
     parameters: Parameters,
+    key: Key,
     stage: Stage,
 }
 
@@ -150,7 +156,7 @@ impl<F: NorFlash> ParameterStore<F> {
 
     /// The store whose first page begins at `start`, aligned to a page.
     pub const fn new(flash: F, start: u32) -> Self {
-        Self { flash, start, next: None }
+        Self { flash, start, next: None, key: Key::NONE }
     }
 
     /// The flash, for other stores in it.
@@ -184,13 +190,29 @@ impl<F: NorFlash> ParameterStore<F> {
             None if found.has_invalid => (Parameters::DEFAULT, ParameterOrigin::Corrupt),
             None => (Parameters::DEFAULT, ParameterOrigin::Empty),
         };
+        self.key = found.newest.map_or(Key::NONE, |newest| newest.key);
         LoadedParameters {
             parameters,
+            key: self.key,
             origin,
             // Records of newer firmware stay until the host requests a save.
             is_settled: is_settled && origin != ParameterOrigin::Corrupt
                 || origin == ParameterOrigin::Newer,
         }
+    }
+
+    /// Saves a key, or its absence, with the parameters as they were saved last.
+    ///
+    /// # Errors
+    /// As [`Self::save`]; the previous key still counts.
+    pub async fn save_key(&mut self, key: Key) -> Result<(), SaveError> {
+        let parameters = self.scan().await.newest.map(|newest| newest.parameters);
+        let previous = core::mem::replace(&mut self.key, key);
+        let saved = self.save(&parameters.unwrap_or(Parameters::DEFAULT)).await;
+        if saved.is_err() {
+            self.key = previous;
+        }
+        saved
     }
 
     /// Saves all parameters. Takes about 2 ms, and 25 ms more for the erasure of a page (data sheet).
@@ -282,6 +304,7 @@ impl<F: NorFlash> ParameterStore<F> {
                 sequence: record.sequence,
                 version: record.version,
                 parameters: record.parameters(),
+                key: record.key(),
                 stage,
             }),
             _ => Slot::Invalid(stage),
@@ -302,7 +325,7 @@ impl<F: NorFlash> ParameterStore<F> {
 
     /// Writes a record, then its marks; verifies each before the next.
     async fn write(&mut self, slot: u32, sequence: u32, parameters: &Parameters) -> Option<()> {
-        let (body, used) = record::encode(sequence, parameters);
+        let (body, used) = record::encode(sequence, parameters, self.key);
         let words = body.get(..used.next_multiple_of(F::WRITE_SIZE))?;
         let mut at = self.address(slot);
         self.flash.write(at, words).await.ok()?;

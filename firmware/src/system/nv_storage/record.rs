@@ -1,11 +1,11 @@
-//! Encoding of a record: all parameters in the bytes of a slot.
+//! Encoding of a record: all parameters and the key of the hosts in the bytes of a slot.
 //!
 //! | bytes | content |
 //! | --- | --- |
 //! | 0..4 | sequence: that of the previous record plus one |
 //! | 4..6 | version of the parameter schema |
 //! | 6..8 | length of the pairs |
-//! | 8.. | pairs of identifier and value, postcard |
+//! | 8.. | pairs of identifier and value, postcard; the key is four of them ([`KEY`]) |
 //! | next 4 | CRC-32 over all bytes before |
 //! | 240..248 | [`FIRST_MARK`] |
 //! | 248..256 | [`SECOND_MARK`] |
@@ -14,7 +14,8 @@
 
 use crate::checksum::CRC32;
 use crate::parameters::Parameters;
-use crate::parameters::schema::COUNT;
+use crate::parameters::schema::{COUNT, PARAMETERS};
+use crate::protocol::authentication::{KEY_BYTES, Key};
 
 /// Version of the parameter schema: incremented when an identifier or a meaning changes.
 pub const VERSION: u16 = 1;
@@ -31,9 +32,21 @@ pub const ERASED: u8 = 0xFF;
 
 const HEADER: usize = 8;
 const CRC_BYTES: usize = size_of::<u32>();
-/// Longest encoding of a pair: 16 bits in three groups of seven, 32 bits in five.
-const MAX_PAIR_BYTES: usize = 3 + 5;
-const _: () = assert!(HEADER + COUNT * MAX_PAIR_BYTES + CRC_BYTES <= BODY_BYTES);
+/// Identifier of the first four bytes of the key, as a little-endian number; the others follow. No parameter: it cannot be
+/// read by a host.
+pub const KEY: u16 = 0x70;
+/// Pairs of the key.
+const KEY_PAIRS: usize = KEY_BYTES / size_of::<i32>();
+/// Longest encoding of a pair: an identifier below 128, and 32 bits in five groups of seven.
+const MAX_PAIR_BYTES: usize = 1 + 5;
+const _: () = assert!(HEADER + (COUNT + KEY_PAIRS) * MAX_PAIR_BYTES + CRC_BYTES <= BODY_BYTES);
+const _: () = {
+    let mut rest: &[crate::parameters::schema::Parameter] = &PARAMETERS;
+    while let Some((row, others)) = rest.split_first() {
+        assert!(row.id < KEY, "identifiers of the key follow those of the parameters");
+        rest = others;
+    }
+};
 
 /// A decoded record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -46,8 +59,11 @@ pub struct Record<'b> {
 }
 
 /// Encodes a record; also returns the number of bytes that are not erased.
-pub fn encode(sequence: u32, parameters: &Parameters) -> ([u8; BODY_BYTES], usize) {
-    encode_as(VERSION, sequence, parameters.all())
+pub fn encode(sequence: u32, parameters: &Parameters, key: Key) -> ([u8; BODY_BYTES], usize) {
+    let (parts, _) = key.0.as_chunks::<4>();
+    let parts = parts.iter().map(|part| i32::from_le_bytes(*part));
+    let key = (KEY..).zip(parts).filter(|_| key != Key::NONE);
+    encode_as(VERSION, sequence, parameters.all().chain(key))
 }
 
 /// As [`encode`] with any version and pairs; pairs beyond the capacity are omitted.
@@ -98,12 +114,32 @@ impl Record<'_> {
     /// The parameters; defaults for those that are missing or outside their present range.
     pub fn parameters(&self) -> Parameters {
         let mut parameters = Parameters::DEFAULT;
-        let mut rest = self.pairs;
-        while let Ok(((id, value), tail)) = postcard::take_from_bytes::<(u16, i32)>(rest) {
+        for (id, value) in self.pairs() {
             // Fails for removed parameters and changed ranges: the default stays.
             let _ = parameters.set(id, value);
-            rest = tail;
         }
         parameters
+    }
+
+    /// The key; [`Key::NONE`] without one.
+    pub fn key(&self) -> Key {
+        let mut key = Key::NONE;
+        let (parts, _) = key.0.as_chunks_mut::<4>();
+        for (id, value) in self.pairs() {
+            let index = id.checked_sub(KEY).map(usize::from);
+            if let Some(part) = index.and_then(|index| parts.get_mut(index)) {
+                *part = value.to_le_bytes();
+            }
+        }
+        key
+    }
+
+    fn pairs(&self) -> impl Iterator<Item = (u16, i32)> {
+        let mut rest = self.pairs;
+        core::iter::from_fn(move || {
+            let (pair, tail) = postcard::take_from_bytes(rest).ok()?;
+            rest = tail;
+            Some(pair)
+        })
     }
 }

@@ -3,6 +3,7 @@ use std::vec::Vec;
 use super::*;
 use crate::fixed_point::Force;
 use crate::parameters::schema::{PARAMETERS, id};
+use crate::protocol::authentication::Key;
 use crate::system::nv_storage::flash_model::{Cut, FlashModel, PAGES, Torn, block};
 use crate::system::nv_storage::record::{decode, encode, encode_as};
 
@@ -211,6 +212,7 @@ fn boots_10000_with_save_erase_a_page_2500_times() {
 fn empty_flash_loads_defaults_with_origin_empty() {
     let expected = LoadedParameters {
         parameters: Parameters::DEFAULT,
+        key: Key::NONE,
         origin: ParameterOrigin::Empty,
         is_settled: true,
     };
@@ -220,7 +222,7 @@ fn empty_flash_loads_defaults_with_origin_empty() {
 #[test]
 fn record_with_bit_error_gives_the_previous_record() {
     let flash = saved(2);
-    let (_, used) = encode(1, &parameters(2));
+    let (_, used) = encode(1, &parameters(2), Key::NONE);
     for byte in 0..used {
         for bit in 0..8 {
             let mut flash = flash.clone();
@@ -235,6 +237,21 @@ fn record_with_bit_error_gives_the_previous_record() {
     let loaded = load(&mut only);
     assert_eq!(loaded.origin, ParameterOrigin::Corrupt);
     assert_eq!(loaded.parameters, Parameters::DEFAULT);
+}
+
+#[test]
+fn key_stays_over_saves_of_parameters_and_its_own_saves_keep_them() {
+    let mut flash = saved(1);
+    let key = Key(*b"\x80\xFFkey of 14 byte");
+    let mut store = store(&mut flash);
+    block(store.load());
+    block(store.save_key(key)).unwrap();
+    block(store.save(&parameters(2))).unwrap();
+    let loaded = load(&mut flash);
+    assert_eq!((loaded.key, loaded.parameters), (key, parameters(2)));
+    save(&mut flash, &parameters(3)).unwrap();
+    let mut again = self::store(&mut flash);
+    assert_eq!(block(again.load()).key, Key::NONE);
 }
 
 #[test]
@@ -267,7 +284,7 @@ fn longest_record_fits_slot_and_round_trips() {
         let widest = [i32::from(u8::MAX), 500, 256_000, 0x77, 0x3F, 2, 1];
         let _ = widest.iter().find(|value| all.set(row.id, **value).is_ok());
     }
-    let (body, used) = encode(u32::MAX, &all);
+    let (body, used) = encode(u32::MAX, &all, Key([0xFF; 16]));
     assert!(used <= BODY_BYTES);
     let record = decode(&body).unwrap();
     assert_eq!((record.sequence, record.parameters()), (u32::MAX, all), "{used}");

@@ -33,6 +33,7 @@ use crate::calibration_client;
 use crate::emulation::line::EmulatedLine;
 use crate::recorder::{Recorder, SensorRowAssembler};
 use crate::reference::ReferenceClock;
+use crate::session::{Credentials, with_session};
 
 /// Period of the reference, its delay and its white noise, as of a load cell with an amplifier.
 const REFERENCE_S: f64 = 0.01;
@@ -161,8 +162,10 @@ fn upload(bench: &mut EmulatedBench, built: &DeviceModel) -> Result<()> {
     let bytes = encode_calibration(built, &[], &CalibrationDescription::of(built, &[]))?;
     let link = bench.cell.board.connections.line.clone();
     let mut line = EmulatedLine::new(link, || bench.step());
-    calibration_client::upload(&mut line, &bytes, |_| ())?;
-    calibration_client::reboot_into(&mut line, built.chosen.tables.id)
+    with_session(&mut line, Credentials::UNPROTECTED, |session| {
+        calibration_client::upload(session, &bytes, |_| ())?;
+        calibration_client::reboot_into(session, built.chosen.tables.id)
+    })
 }
 
 /// Records over the serial line, with the loads as the reference; `recording` counts from 0.

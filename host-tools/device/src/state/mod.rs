@@ -255,6 +255,11 @@ impl GripperState {
         }
     }
 
+    /// Whether the gripper has reported that it has no key.
+    pub fn is_unprotected(&self) -> bool {
+        self.heartbeat.is_some_and(|latest| latest.value.unprotected)
+    }
+
     /// Board time in seconds.
     pub fn board_s(&self) -> Option<f64> {
         self.board_us.map(|time_us| time_us as f64 * 1e-6)

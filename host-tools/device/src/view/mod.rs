@@ -64,6 +64,10 @@ fn heading(name: &str, state: &GripperState, now_s: f64) -> Paragraph<'static> {
     if state.heartbeat.is_some_and(|latest| latest.value.command_alive) {
         about += ", commanded";
     }
+    let mut about = vec![Span::from(about)];
+    if state.is_unprotected() {
+        about.push(", unprotected: no key".yellow());
+    }
     let covariates =
         state.covariates.map_or_else(String::new, |latest| covariates_line(&latest.value));
     Paragraph::new(vec![first, Line::from(about), Line::from(covariates)])

@@ -1,19 +1,25 @@
-//! A host on the CAN bus: arms with a nonce, repeats its command, records the board's messages.
+//! A host on the CAN bus: opens sessions, repeats its command, records the board's messages.
 
 use crate::board::can::CanBus;
 use embedded_can::Frame;
+use firmware::parameters;
+use firmware::protocol::authentication::Key;
 use firmware::protocol::can::CanFrame;
-use firmware::protocol::host_session::{HostSession, service};
+use firmware::protocol::host_session::{HostSession, needs_owner, service};
 use firmware::protocol::messages::{
     Command, EStop, FaultEvent, Foot, Force, GripStatus, Heartbeat, Message, ParamReply,
     ParamRequest, Power, ServiceReply,
 };
+use firmware::protocol::session::{op, status};
 use firmware::protocol::{DEFAULT_NODE, frame_id};
 use std::cell::RefCell;
 use std::rc::Rc;
 
 /// Period of the command in milliseconds.
 const EVERY_MS: u32 = Command::LAYOUT.period_ms as u32;
+
+/// Milliseconds until a session is requested again.
+const OPEN_MS: u32 = 50;
 
 /// Messages of the board, the last of each kind, with the end time of the frame in microseconds.
 #[derive(Clone, Debug, Default)]
@@ -44,6 +50,11 @@ pub struct CanHost {
     session: HostSession,
     command: Option<Command>,
     wait_ms: u32,
+    /// Requests for which a session is being opened, and milliseconds since it was requested.
+    waiting: Vec<Message>,
+    opening_ms: u32,
+    /// Requests in a session without a reply, to be repeated if the session has ended meanwhile.
+    unanswered: Vec<Message>,
     /// Stops all transmissions.
     pub is_silent: bool,
     /// Received messages.
@@ -55,28 +66,81 @@ impl CanHost {
     pub fn new(bus: Rc<RefCell<CanBus>>) -> Self {
         Self {
             bus,
-            session: HostSession::new(DEFAULT_NODE),
+            session: HostSession::new(DEFAULT_NODE, Key::NONE),
             command: None,
             wait_ms: 0,
+            waiting: Vec::new(),
+            opening_ms: 0,
+            unanswered: Vec::new(),
             is_silent: false,
             received: ReceivedMessages::default(),
         }
     }
 
-    /// Requests a nonce and confirms it when it arrives.
+    /// Opens a session with motion, as soon as the challenge arrives.
     pub fn arm(&mut self) {
-        let request = self.session.arm();
-        self.send(request);
+        self.waiting.clear();
+        for request in self.session.open(op::ARM) {
+            self.send(request);
+        }
     }
 
     /// Requests a service.
     pub fn service(&mut self, op: u8, argument: u32) {
-        self.send(service(op, argument));
+        self.request(service(op, argument));
     }
 
     /// Reads or writes a parameter.
     pub fn request_parameter(&mut self, request: ParamRequest) {
-        self.send(Message::ParamRequest(request));
+        self.request(Message::ParamRequest(request));
+    }
+
+    /// Sends a request; if it needs a session, in the open one, or in one that it opens.
+    fn request(&mut self, request: Message) {
+        if !needs_owner(&request) {
+            return self.send(request);
+        }
+        let is_opening = !self.waiting.is_empty();
+        self.waiting.push(request);
+        if self.session.is_open() {
+            self.send_waiting();
+        } else if !is_opening {
+            self.open();
+        }
+    }
+
+    fn open(&mut self) {
+        self.opening_ms = 0;
+        for request in self.session.open(op::OPEN) {
+            self.send(request);
+        }
+    }
+
+    /// Takes the request that a reply answers. If the gripper did not accept its session, the request is repeated in a new one
+    /// and true is returned.
+    fn take_answered(&mut self, is_refused: bool, answers: impl Fn(&Message) -> bool) -> bool {
+        let Some(place) = self.unanswered.iter().position(answers) else {
+            return false;
+        };
+        let request = self.unanswered.remove(place);
+        if is_refused {
+            self.session.forget();
+            self.request(request);
+        }
+        is_refused
+    }
+
+    fn send_waiting(&mut self) {
+        for request in std::mem::take(&mut self.waiting) {
+            self.unanswered.push(request);
+            self.send_sealed(request);
+        }
+    }
+
+    fn send_sealed(&mut self, message: Message) {
+        for message in self.session.seal(message).into_iter().flatten() {
+            self.send(message);
+        }
     }
 
     /// Sets the command to repeat, sent immediately.
@@ -93,6 +157,10 @@ impl CanHost {
     /// Advances by a millisecond: receives, then sends.
     pub fn tick(&mut self) {
         self.receive();
+        self.opening_ms += 1;
+        if !self.waiting.is_empty() && self.opening_ms > OPEN_MS {
+            self.open();
+        }
         let Some(command) = self.command.filter(|_| self.session.is_armed()) else {
             return;
         };
@@ -101,9 +169,7 @@ impl CanHost {
             return;
         }
         self.wait_ms = EVERY_MS - 1;
-        if let Some(message) = self.session.seal(command) {
-            self.send(message);
-        }
+        self.send_sealed(Message::Command(command));
     }
 
     fn receive(&mut self) {
@@ -127,6 +193,11 @@ impl CanHost {
                     self.received.worst_tick_us =
                         self.received.worst_tick_us.max(timing.worst_loop);
                 }
+                Message::ParamReply(reply)
+                    if self.take_answered(
+                        reply.status == parameters::status::UNAUTHENTICATED,
+                        |request| matches!(request, Message::ParamRequest(request) if request.id == reply.id),
+                    ) => {}
                 Message::ParamReply(reply) => self.received.parameters.push((time_us, reply)),
                 Message::ServiceReply(reply) => self.handle_reply(time_us, reply),
                 _ => {}
@@ -135,8 +206,18 @@ impl CanHost {
     }
 
     fn handle_reply(&mut self, time_us: u64, reply: ServiceReply) {
-        if let Some(message) = self.session.receive(&reply) {
+        for message in self.session.receive(&reply) {
             self.send(message);
+        }
+        if self.session.is_open() {
+            self.send_waiting();
+        }
+        let opens =
+            reply.op == op::OPEN && matches!(reply.status, status::CHALLENGE | status::DONE);
+        let is_refused = reply.status == status::UNAUTHENTICATED;
+        let answers = |request: &Message| matches!(request, Message::Service(request) if request.op == reply.op);
+        if opens || self.take_answered(is_refused, answers) {
+            return;
         }
         self.received.replies.push((time_us, reply));
     }

@@ -419,11 +419,13 @@ impl VirtualTimeBoard {
         let (clock, exchange) = parts();
         let rebooting = self.rebooting.clone();
         self.spawn(async move {
-            let mut state = 1_u16;
-            // A pseudo-random sequence; nonces need not be secret here.
+            let mut state = 1_u64;
+            // A pseudo-random sequence; challenges need not be secret here.
             let random = move || {
-                state = state.wrapping_mul(25_173).wrapping_add(13_849);
-                state
+                state = state
+                    .wrapping_mul(6_364_136_223_846_793_005)
+                    .wrapping_add(1_442_695_040_888_963_407);
+                state >> 16
             };
             let service = HostService {
                 version: version(tables_id),
@@ -436,6 +438,7 @@ impl VirtualTimeBoard {
                 },
                 configuration_defect: None,
                 random,
+                is_pressed: || false,
                 reboot: || rebooting.set(true),
             };
             tasks::host_service(service, &clock, &exchange).await;

@@ -13,7 +13,7 @@ use firmware::protocol::opening_mm;
 use firmware::protocol::session::op;
 use serde_json::{Value, json};
 
-use crate::commands::connection::{check_protocol, interrupted};
+use crate::commands::connection::{check_protocol, interrupted, print_unprotected};
 use crate::commands::grasp::simulated::check_force;
 use crate::commands::grasp::{Args, MARGIN_MM, check_opening};
 use device::session::{self, Client};
@@ -126,7 +126,7 @@ impl Request {
 }
 
 const fn mode_command(mode: u8) -> Command {
-    Command { mode, counter: 0, position: 0, speed: 0, force: 0, flags: 0, crc: 0 }
+    Command { mode, position: 0, speed: 0, force: 0, flags: 0 }
 }
 
 fn motion(mode: u8, opening_mm: f64, speed_mm_s: f64) -> Command {
@@ -215,7 +215,7 @@ enum WaitResult {
 impl Session {
     fn new(source: Box<dyn Source + Send>, args: &Args) -> Result<Self> {
         Ok(Self {
-            client: Client::new(source, args.port.node()),
+            client: Client::new(source, args.port.credentials()?),
             log: CommandLog::new(args.json),
             interrupted: interrupted()?,
             is_shutting_down: false,
@@ -314,6 +314,14 @@ impl Session {
         let has_fault = |session: &Self| session.code() == Some(PowerState::Fault as u8);
         if args.clear_faults {
             self.client.request(op::CLEAR_FAULTS)?;
+            let waited = self.wait(ARM_S, |session| session.client.is_answered())?;
+            match waited {
+                WaitResult::Done => {}
+                WaitResult::Interrupted => return Ok(waited),
+                WaitResult::TimedOut => {
+                    bail!("the gripper does not clear its faults: {}", self.no_session())
+                }
+            }
         }
         if !has_fault(self) {
             return Ok(WaitResult::Done);
@@ -337,17 +345,21 @@ impl Session {
             self.client.arm()?;
             let waited = self.wait(ARM_RETRY_S, |session| session.client.is_armed())?;
             if waited != WaitResult::TimedOut {
+                if self.client.state.is_unprotected() {
+                    print_unprotected(&self.client.name());
+                }
                 return Ok(waited);
             }
         }
-        match self.client.not_armed {
-            Some(status) => bail!(
-                "the gripper does not arm: {}{}",
-                session::arming_refusal(status),
-                self.faults()
-            ),
-            None => bail!("no response to the arming request: does the firmware drive a motor?"),
-        }
+        bail!("the gripper does not arm: {}{}", self.no_session(), self.faults())
+    }
+
+    /// Why no session was opened.
+    fn no_session(&self) -> &'static str {
+        self.client.not_armed.map_or(
+            "it does not answer: does the firmware drive a motor?",
+            session::session_refusal,
+        )
     }
 
     fn enable(&mut self, _: &Args) -> Result<WaitResult> {

@@ -35,6 +35,7 @@ use device::recorder::{
 use device::reference::{
     HostPose, MAX_WAITING_ROWS, ReferenceClock, ReferenceMapping, ReferenceReader, ReferenceSource,
 };
+use device::session::{Credentials, with_session};
 use device::source::Source;
 use report::text::terminal;
 
@@ -133,7 +134,8 @@ pub fn run(args: &Args) -> Result<()> {
         design.more.insert("motor_pole_pairs".to_owned(), i64::from(pole_pairs).into());
     }
     let recorder = Recorder::new(&args.output, description, rows.period_us(), columns)?;
-    let previous = enable_readings(source.as_mut(), args)?;
+    let credentials = args.gripper.credentials()?;
+    let previous = enable_readings(source.as_mut(), args, credentials)?;
     let hearing = SourceReader::start(source);
     let reference = args.reference.as_ref().zip(mapping);
     let reference = reference
@@ -154,10 +156,8 @@ pub fn run(args: &Args) -> Result<()> {
     let written = reference
         .and_then(|reference| write_rows(&hearing, reference, rows, recorder, &mut progress, args));
     let mut source = hearing.stop()?;
-    for (id, value) in previous {
-        // After a loss of connection the gripper restarts with its stored settings.
-        let _ = params_client::write(source.as_mut(), id, value);
-    }
+    // After a loss of connection the gripper restarts with its stored settings.
+    let _ = write_settings(source.as_mut(), &previous, credentials);
     let (tally, ended) = written?;
     let alignment = has_forces.then(|| align_recording(&args.output)).transpose()?;
     let ranges = progress.coverage.ranges();
@@ -275,21 +275,39 @@ fn description(args: &Args) -> Result<RecordingDescription> {
 }
 
 /// Enables transmission of raw readings; returns the previous settings, to be restored.
-fn enable_readings(source: &mut dyn Source, args: &Args) -> Result<Vec<(u16, i32)>> {
+fn enable_readings(
+    source: &mut dyn Source,
+    args: &Args,
+    credentials: Credentials,
+) -> Result<Vec<(u16, i32)>> {
     let settings = if args.gripper.is_on_bus() {
         vec![(id::RAW, 1), (id::FORCE_RATE, args.rate as i32)]
     } else {
         vec![(id::TELEMETRY, 1)]
     };
-    let mut previous = Vec::new();
+    let (mut changed, mut previous) = (Vec::new(), Vec::new());
     for (id, value) in settings {
         let old = params_client::read(source, id)?;
         if old != value {
-            params_client::write(source, id, value)?;
+            changed.push((id, value));
             previous.push((id, old));
         }
     }
+    write_settings(source, &changed, credentials)?;
     Ok(previous)
+}
+
+fn write_settings(
+    source: &mut dyn Source,
+    settings: &[(u16, i32)],
+    credentials: Credentials,
+) -> Result<()> {
+    if settings.is_empty() {
+        return Ok(());
+    }
+    with_session(source, credentials, |session| {
+        settings.iter().try_for_each(|(id, value)| params_client::write(session, *id, *value))
+    })
 }
 
 /// Writes rows until the time limit, Ctrl-C or the end of the stream; returns the row counts and the reason of

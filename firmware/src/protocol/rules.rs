@@ -1,0 +1,206 @@
+//! Who may request what, and in which state of the gripper: the one table that the session, the service of hosts, the
+//! documentation and the tests read.
+
+use crate::parameters;
+use crate::parameters::schema;
+use crate::protocol::layout::Direction;
+use crate::protocol::messages::{Message, ParamRequest, Service};
+use crate::protocol::session::{UNLOADED, op, status};
+
+/// What a request must prove.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Authority {
+    /// Nothing: anybody may request it.
+    Anyone,
+    /// That it knows the key: its code answers a challenge.
+    KeyHolder,
+    /// That it is the owner of the session: its code and freshness counter belong to it.
+    Owner,
+    /// On the serial line only: as the owner, or physical presence, which is a pressed button or a gripper without a key.
+    OwnerOrPresence,
+}
+
+/// Kinds of requests.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RequestKind {
+    /// Emergency stop.
+    Stop,
+    /// Version, description of the calibration, a parameter, a counter.
+    Read,
+    /// Motion of the gripper as a host knows it.
+    ReportMotion,
+    /// Part of an upload that the owner has begun, and whose end has a code over all parts.
+    UploadPart,
+    /// A session without motion, for services and parameters.
+    OpenSession,
+    /// A session with motion.
+    Arm,
+    /// End of the session.
+    EndSession,
+    /// A command.
+    Command,
+    /// Clear latched faults.
+    ClearFaults,
+    /// Tare.
+    Tare,
+    /// Measure motor or screw.
+    Measure,
+    /// Write the parameters to flash.
+    Save,
+    /// Reset.
+    Reboot,
+    /// Begin or finish an upload.
+    Upload,
+    /// Write a parameter that does not affect motion.
+    WriteParameter,
+    /// Write one that does.
+    WriteMotionParameter,
+    /// Write or erase the key.
+    WriteKey,
+}
+
+/// Rule for a kind of requests.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Rule {
+    /// Kind of the request.
+    pub kind: RequestKind,
+    /// What it must prove.
+    pub authority: Authority,
+    /// Allowed while a host is armed or the motor is driven.
+    pub while_armed: bool,
+    /// Allowed during a tare or a calibration.
+    pub while_calibrating: bool,
+    /// Allowed while an object is gripped or the fingers are loaded.
+    pub while_loaded: bool,
+}
+
+const fn rule(
+    kind: RequestKind,
+    authority: Authority,
+    [while_armed, while_calibrating, while_loaded]: [bool; 3],
+) -> Rule {
+    Rule { kind, authority, while_armed, while_calibrating, while_loaded }
+}
+
+const YES: [bool; 3] = [true; 3];
+const AT_REST: [bool; 3] = [false, false, true];
+const UNLOADED_AT_REST: [bool; 3] = [false; 3];
+
+/// The rules, in the order of [`RequestKind`].
+pub const RULES: [Rule; 17] = [
+    rule(RequestKind::Stop, Authority::Anyone, YES),
+    rule(RequestKind::Read, Authority::Anyone, YES),
+    rule(RequestKind::ReportMotion, Authority::Anyone, YES),
+    rule(RequestKind::UploadPart, Authority::Anyone, AT_REST),
+    rule(RequestKind::OpenSession, Authority::KeyHolder, YES),
+    rule(RequestKind::Arm, Authority::KeyHolder, YES),
+    rule(RequestKind::EndSession, Authority::Owner, YES),
+    rule(RequestKind::Command, Authority::Owner, YES),
+    rule(RequestKind::ClearFaults, Authority::Owner, YES),
+    rule(RequestKind::Tare, Authority::Owner, UNLOADED_AT_REST),
+    rule(RequestKind::Measure, Authority::Owner, UNLOADED_AT_REST),
+    rule(RequestKind::Save, Authority::Owner, AT_REST),
+    rule(RequestKind::Reboot, Authority::Owner, AT_REST),
+    rule(RequestKind::Upload, Authority::Owner, AT_REST),
+    rule(RequestKind::WriteParameter, Authority::Owner, YES),
+    rule(RequestKind::WriteMotionParameter, Authority::Owner, AT_REST),
+    rule(RequestKind::WriteKey, Authority::OwnerOrPresence, AT_REST),
+];
+
+/// State of the gripper that rules depend on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Situation {
+    /// A host is armed, or the motor is driven.
+    pub is_armed: bool,
+    /// A tare or a calibration is in progress.
+    pub is_calibrating: bool,
+    /// An object is gripped.
+    pub is_loaded: bool,
+    /// Both fingers seem to press; their forces may be wrong.
+    pub may_be_loaded: bool,
+}
+
+impl RequestKind {
+    /// Kind of a message of a host; `None` for an unknown operation, and for messages of the gripper.
+    pub fn of(message: &Message) -> Option<Self> {
+        Some(match message {
+            Message::EStop(_) => Self::Stop,
+            Message::Command(_) => Self::Command,
+            Message::Service(service) => Self::of_service(service)?,
+            Message::ParamRequest(request) => Self::of_parameter(request),
+            Message::CalibrationChunk(_) => Self::UploadPart,
+            Message::KeyPart(_) => Self::WriteKey,
+            other if other.direction() == Direction::In => Self::ReportMotion,
+            _ => return None,
+        })
+    }
+
+    const fn of_service(service: &Service) -> Option<Self> {
+        Some(match service.op {
+            op::VERSION | op::DESCRIPTION => Self::Read,
+            op::OPEN => Self::OpenSession,
+            op::ARM => Self::Arm,
+            op::END => Self::EndSession,
+            op::CLEAR_FAULTS => Self::ClearFaults,
+            op::TARE => Self::Tare,
+            op::MEASURE => Self::Measure,
+            op::SAVE => Self::Save,
+            op::REBOOT => Self::Reboot,
+            op::UPLOAD | op::FINISH_UPLOAD => Self::Upload,
+            op::WRITE_KEY | op::ERASE_KEY => Self::WriteKey,
+            _ => return None,
+        })
+    }
+
+    fn of_parameter(request: &ParamRequest) -> Self {
+        if request.op != parameters::op::WRITE {
+            return Self::Read;
+        }
+        match schema::RULES.iter().find(|rule| rule.id == request.id) {
+            Some(rule) if rule.affects_motion => Self::WriteMotionParameter,
+            _ => Self::WriteParameter,
+        }
+    }
+
+    /// Its rule.
+    pub fn rule(self) -> Rule {
+        // The order is tested; an unlisted kind would need the most.
+        let most = rule(self, Authority::Owner, UNLOADED_AT_REST);
+        RULES.get(self as usize).copied().unwrap_or(most)
+    }
+}
+
+impl Rule {
+    /// Why the gripper refuses the request in this situation, as a [`status`]; `None` if it does not.
+    pub fn refusal(&self, message: &Message, situation: &Situation) -> Option<u8> {
+        let is_confirmed = matches!(
+            message,
+            Message::Service(
+                Service { op: op::MEASURE, .. } | Service { op: op::TARE, argument: UNLOADED }
+            )
+        );
+        let is_loaded = situation.is_loaded || (situation.may_be_loaded && !is_confirmed);
+        if (situation.is_armed && !self.while_armed)
+            || (situation.is_calibrating && !self.while_calibrating)
+        {
+            Some(status::ARMED)
+        } else if is_loaded && !self.while_loaded {
+            Some(status::GRIPPING)
+        } else {
+            None
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rules_are_in_the_order_of_their_kinds() {
+        for (index, rule) in RULES.iter().enumerate() {
+            assert_eq!(rule.kind as usize, index);
+            assert_eq!(rule.kind.rule(), *rule);
+        }
+    }
+}
