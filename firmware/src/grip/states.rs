@@ -29,6 +29,13 @@ macro_rules! states {
             /// All states.
             pub const ALL: &[Self] = &[$(Self::$state,)*];
 
+            /// Meaning in words, for documents.
+            pub const fn meaning(self) -> &'static str {
+                match self {
+                    $(Self::$state => concat!($($words),+),)*
+                }
+            }
+
             /// Predecessors.
             pub const fn entered_from(self) -> &'static [Self] {
                 match self {
@@ -78,7 +85,7 @@ states! {
     TaskState {
         /// The opening is unknown; only homing and opening are accepted.
         Unhomed = 0, from [Homing Stopping ContactStop Releasing], to [Homing Releasing];
-        /// See [`super::homing`].
+        /// Finds the zero of the opening: closes until the fingers meet, then opens to the other end.
         Homing = 1, from [Unhomed Idle], to [Idle Unhomed Stopping Releasing];
         /// Holds its position.
         Idle = 2,

@@ -8,115 +8,105 @@ use core::sync::atomic::{AtomicU32, Ordering};
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_sync::channel::Channel;
 
-/// Kinds of faults with their codes on the bus.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u16)]
-pub enum Fault {
-    /// No reading of a sensor for several ticks. Source: the sensor; detail: its age in ticks.
-    SensorLost = 100,
-    /// A sensor repeats its reading. Source: the sensor; detail: its age in ticks.
-    SensorFrozen = 101,
-    /// A sensor is saturated. Source: the sensor.
-    SensorSaturated = 102,
-    /// A bus line is stuck low. Source: the bus.
-    BusStuck = 103,
-    /// A field outside the range of the model. Source: the sensor.
-    OutsideModel = 106,
-    /// The forces of the fingers differ. Detail: the difference in 1/1024 N.
-    Unbalanced = 104,
-    /// Magnetic disturbance.
-    Disturbed = 105,
-    /// A network deviates from the ideal model, which is used instead. Source: the sensor.
-    NetworkDiverged = 107,
-    /// Wrong checksum of the tables.
-    TablesUnsound = 200,
-    /// Stored parameters (source 0) are unreadable, and defaults are used; or an uploaded calibration (source 1), and the
-    /// previous or the linked one is used; or the chip's option bytes (source 2) are unsuitable. Detail: the reason.
-    StoreUnsound = 201,
-    /// Ticks were missed. Detail: how many since boot.
-    TicksMissed = 300,
-    /// The previous run ended in a crash. Detail: kind and address.
-    Crashed = 301,
-    /// The CAN controller was bus-off.
-    BusOff = 400,
-    /// No commands from a host that had armed.
-    HostSilent = 401,
-    /// Too many frames. Detail: dropped frames.
-    Flooded = 402,
-    /// Malformed, late or repeated frames. Detail: rejected frames since boot.
-    StrangeFrames = 403,
-    /// Phase current above its limit.
-    OverCurrent = 500,
-    /// Rotor speed above its limit.
-    OverSpeed = 501,
-    /// Rotor angle unknown.
-    RotorSensor = 502,
-    /// Current offset too large, sum of the currents not zero, or currents do not follow the set-point.
-    CurrentSense = 503,
-    /// NaN in the motor control.
-    NotANumber = 504,
-    /// Bus voltage out of range. Detail: in millivolts.
-    Supply = 505,
-    /// Motor or power stage above its temperature limit.
-    Hot = 506,
-    /// The braking current does not slow the rotor, or a control loop has missed its ticks.
-    Runaway = 507,
-    /// The power stage has tripped.
-    PowerStage = 508,
-    /// No valid force of any finger.
-    Blind = 600,
-    /// Force above its limit. Detail: the force in 1/1024 N.
-    OverForce = 601,
-    /// Stall: current without motion or force. Detail: the current in milliamperes.
-    Jammed = 602,
-    /// Homing time-out, wrong distance between the end stops, or opening beyond them.
-    /// Detail: in micrometres.
-    StrokeWrong = 603,
-    /// Object lost.
-    ObjectLost = 604,
-    /// Object slips. Detail: the new force set-point in 1/1024 N.
-    Slipping = 605,
-    /// Overload of a fingertip in ground contact. Detail: the peak in 1/1024 N.
-    FootOverload = 606,
+/// Declares the kinds of faults with meaning and code.
+macro_rules! faults {
+    ($(#[doc = $about:literal])+ $name:ident {
+        $($(#[doc = $words:literal])+ $fault:ident = $code:literal;)*
+    }) => {
+        $(#[doc = $about])+
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        #[repr(u16)]
+        pub enum $name {
+            $($(#[doc = $words])+ $fault = $code,)*
+        }
+
+        impl $name {
+            /// All kinds, in the order of the bits of the heartbeat.
+            pub const ALL: [Self; 32] = [$(Self::$fault,)*];
+
+            /// Meaning in words, for documents.
+            pub const fn meaning(self) -> &'static str {
+                match self {
+                    $(Self::$fault => concat!($($words),+),)*
+                }
+            }
+        }
+    };
+}
+
+faults! {
+    /// Kinds of faults with their codes on the bus, in the order of the bits of the heartbeat.
+    Fault {
+        /// No reading of a sensor for several ticks. Source: the sensor; detail: its age in ticks.
+        SensorLost = 100;
+        /// A sensor repeats its reading. Source: the sensor; detail: its age in ticks.
+        SensorFrozen = 101;
+        /// A sensor is saturated. Source: the sensor.
+        SensorSaturated = 102;
+        /// A bus line is stuck low. Source: the bus.
+        BusStuck = 103;
+        /// A field outside the range of the model. Source: the sensor.
+        OutsideModel = 106;
+        /// The forces of the fingers differ. Detail: the difference in 1/1024 N.
+        Unbalanced = 104;
+        /// Magnetic disturbance.
+        Disturbed = 105;
+        /// Wrong checksum of the tables.
+        TablesUnsound = 200;
+        /// Stored parameters (source 0) are unreadable, and defaults are used; or an uploaded calibration (source 1), and the
+        /// previous or the linked one is used; or the chip's option bytes (source 2) are unsuitable. Detail: the reason.
+        StoreUnsound = 201;
+        /// Ticks were missed. Detail: how many since boot.
+        TicksMissed = 300;
+        /// The previous run ended in a crash. Detail: kind and address.
+        Crashed = 301;
+        /// The CAN controller was bus-off.
+        BusOff = 400;
+        /// No commands from a host that had armed.
+        HostSilent = 401;
+        /// Too many frames. Detail: dropped frames.
+        Flooded = 402;
+        /// Malformed, late or repeated frames. Detail: rejected frames since boot.
+        StrangeFrames = 403;
+        /// Phase current above its limit.
+        OverCurrent = 500;
+        /// Rotor speed above its limit.
+        OverSpeed = 501;
+        /// Rotor angle unknown.
+        RotorSensor = 502;
+        /// Current offset too large, sum of the currents not zero, or currents do not follow the set-point.
+        CurrentSense = 503;
+        /// NaN in the motor control.
+        NotANumber = 504;
+        /// No valid force of any finger.
+        Blind = 600;
+        /// Force above its limit. Detail: the force in 1/1024 N.
+        OverForce = 601;
+        /// Stall: current without motion or force. Detail: the current in milliamperes.
+        Jammed = 602;
+        /// Homing time-out, wrong distance between the end stops, or opening beyond them.
+        /// Detail: in micrometres.
+        StrokeWrong = 603;
+        /// Object lost.
+        ObjectLost = 604;
+        /// Object slips. Detail: the new force set-point in 1/1024 N.
+        Slipping = 605;
+        /// Overload of a fingertip in ground contact. Detail: the peak in 1/1024 N.
+        FootOverload = 606;
+        /// A network deviates from the ideal model, which is used instead. Source: the sensor.
+        NetworkDiverged = 107;
+        /// Bus voltage out of range. Detail: in millivolts.
+        Supply = 505;
+        /// Motor or power stage above its temperature limit.
+        Hot = 506;
+        /// The braking current does not slow the rotor, or a control loop has missed its ticks.
+        Runaway = 507;
+        /// The power stage has tripped.
+        PowerStage = 508;
+    }
 }
 
 impl Fault {
-    /// All kinds, in the order of the bits of the heartbeat.
-    pub const ALL: [Self; 32] = [
-        Self::SensorLost,
-        Self::SensorFrozen,
-        Self::SensorSaturated,
-        Self::BusStuck,
-        Self::OutsideModel,
-        Self::Unbalanced,
-        Self::Disturbed,
-        Self::TablesUnsound,
-        Self::StoreUnsound,
-        Self::TicksMissed,
-        Self::Crashed,
-        Self::BusOff,
-        Self::HostSilent,
-        Self::Flooded,
-        Self::StrangeFrames,
-        Self::OverCurrent,
-        Self::OverSpeed,
-        Self::RotorSensor,
-        Self::CurrentSense,
-        Self::NotANumber,
-        Self::Blind,
-        Self::OverForce,
-        Self::Jammed,
-        Self::StrokeWrong,
-        Self::ObjectLost,
-        Self::Slipping,
-        Self::FootOverload,
-        Self::NetworkDiverged,
-        Self::Supply,
-        Self::Hot,
-        Self::Runaway,
-        Self::PowerStage,
-    ];
-
     /// Index in [`Self::ALL`]. A look-up table, as it is needed some thirty times per millisecond; constant for a constant.
     #[inline(always)]
     pub fn index(self) -> usize {

@@ -71,7 +71,8 @@ pub fn run(args: &Args) -> Result<()> {
     let draws =
         RequirementDraws { first: args.from_seed, grippers: args.draws, openings: args.openings };
     let bar = progress::progress_bar("bounds of the hazard table", draws.runs());
-    let requirements = campaign::evaluate_requirements(&draws, &tables, || bar.inc(1))?;
+    let mut requirements = campaign::fault_requirements(&outcomes);
+    requirements.extend(campaign::evaluate_requirements(&draws, &tables, || bar.inc(1)));
     bar.finish_and_clear();
     let bar = progress::progress_bar(
         "fault-free operation",

@@ -25,7 +25,7 @@ fn case(fault: InjectedFault, state: OperatingState, lead: Lead) -> FaultCase {
 fn is_met(case: &FaultCase, outcome: &FaultOutcome) -> bool {
     let within_ms = case.fault.specification().within_ms;
     let in_time = outcome.found_ms.is_some_and(|ms| ms <= within_ms);
-    in_time && outcome.is_as_specified && outcome.forbidden == 0 && !case.is_too_much(outcome)
+    in_time && outcome.is_as_specified && outcome.forbidden == 0 && case.is_bounded(outcome)
 }
 
 #[test]

@@ -5,9 +5,10 @@ use rayon::prelude::*;
 use sim::closed_loop::DisabledProtection;
 use sim::drivetrain::parameters::Lead;
 use sim::faults::contact_force::{ContactCase, ObstructedMotion};
+use sim::faults::hazards::HazardTable;
 use sim::faults::injection::InjectedFault;
 use sim::faults::opening::{OpeningCase, StartState};
-use sim::faults::retention::{DROPPED, RetentionCase, StopCause};
+use sim::faults::retention::{RetentionCase, StopCause};
 
 use crate::nominal_tables;
 
@@ -41,7 +42,7 @@ fn hand_is_pressed_with_at_most_60_n_outside_of_a_grip() {
         .chain(WORST)
         .map(|(motion, seed)| ContactCase::draw(motion, seed))
         .collect();
-    let limit_n = ObstructedMotion::max_n().unwrap();
+    let limit_n = HazardTable::gripper().bounds().hand_n;
     assert_eq!(limit_n, 60.0);
     let failed = failures(&cases, |case| match case.run(tables, None) {
         Some(peak_n) if (1.0..=limit_n).contains(&peak_n) => None,
@@ -53,7 +54,7 @@ fn hand_is_pressed_with_at_most_60_n_outside_of_a_grip() {
 #[test]
 fn hand_is_pressed_harder_without_each_protection() {
     let tables = nominal_tables();
-    let limit_n = ObstructedMotion::max_n().unwrap();
+    let limit_n = HazardTable::gripper().bounds().hand_n;
     let failed = failures(&ObstructedMotion::ALL, |motion| {
         let mut cases = (1..=4).map(|seed| ContactCase::draw(*motion, seed));
         let is_exceeded = cases.any(|case| {
@@ -67,11 +68,11 @@ fn hand_is_pressed_harder_without_each_protection() {
 #[test]
 fn release_opens_by_10_mm_within_3_s_under_every_fault() {
     let tables = nominal_tables();
-    let (least_mm, _) = OpeningCase::required().unwrap();
+    let (least_mm, _) = HazardTable::gripper().bounds().opens;
     // Every other case: the screws alternate over faults and states.
     let cases: Vec<OpeningCase> = OpeningCase::all(1).into_iter().step_by(2).collect();
     let failed = failures(&cases, |case| {
-        let outcome = case.run(tables, None).unwrap();
+        let outcome = case.run(tables, None);
         let is_open = outcome.was_reached && outcome.opened_mm >= least_mm;
         (!is_open).then(|| format!("{outcome:?}"))
     });
@@ -85,8 +86,9 @@ fn gripped_part_is_not_dropped_by_a_stop() {
         .into_iter()
         .flat_map(|cause| (1..=8).map(move |seed| RetentionCase::draw(cause, seed)))
         .collect();
+    let least = HazardTable::gripper().bounds().kept_share;
     let failed = failures(&cases, |case| match case.run(tables, None) {
-        Some(share) if share > DROPPED => None,
+        Some(share) if share >= least => None,
         share => Some(format!("{share:?}")),
     });
     assert!(failed.is_empty(), "{failed}");
@@ -103,18 +105,19 @@ fn backdrivable_screw_declared_self_locking_drops_the_part() {
             setup.disabled = Some(DisabledProtection::Backdrivability);
         }),
     );
-    assert!(share.is_some_and(|share| share < DROPPED), "{share:?}");
+    let least = HazardTable::gripper().bounds().kept_share;
+    assert!(share.is_some_and(|share| share < least), "{share:?}");
 }
 
 #[test]
 fn release_without_sensors_needs_current() {
     let tables = nominal_tables();
-    let (least_mm, _) = OpeningCase::required().unwrap();
+    let (least_mm, _) = HazardTable::gripper().bounds().opens;
     let cases = OpeningCase::all(1).into_iter().filter(|case| {
         case.fault == InjectedFault::AllSensorsGone && case.state == StartState::Armed
     });
     for case in cases {
-        let outcome = case.run(tables, Some(|setup| setup.grasp.blind_a = 0.1)).unwrap();
+        let outcome = case.run(tables, Some(|setup| setup.grasp.blind_a = 0.1));
         assert!(outcome.was_reached && outcome.opened_mm < least_mm, "{case:?}: {outcome:?}");
     }
 }

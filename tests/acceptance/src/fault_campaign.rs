@@ -48,7 +48,7 @@ pub fn evaluate(args: &Args, options: &Options) -> Result<Section> {
     let rows = output["rows"].as_array().context("rows")?;
     let sum = |name: &str| rows.iter().filter_map(|row| row[name].as_u64()).sum::<u64>() as usize;
     let met = rows.iter().filter(|row| row["is_met"] == true).count();
-    let [found, runs] = [sum("found"), sum("runs")];
+    let [found, runs] = [sum("detected"), sum("runs")];
     let forbidden = sum("forbidden");
     let alarms = output["false_alarms"].as_u64().context("false alarms")? as usize;
     let (share, closest) = closest(rows).context("a row with a latency")?;
@@ -109,7 +109,7 @@ fn requirement_cells(requirement: &Value) -> Option<[String; 4]> {
 
 /// Maximum ratio of a p99 latency to its limit, and its fault.
 fn closest(rows: &[Value]) -> Option<(f64, &str)> {
-    let share = |row: &Value| Some(row["p99_ms"].as_f64()? / row["asked_ms"].as_f64()?);
+    let share = |row: &Value| Some(row["p99_ms"].as_f64()? / row["limit_ms"].as_f64()?);
     let shares = rows.iter().filter_map(|row| Some((share(row)?, row["fault"].as_str()?)));
     shares.max_by(|(a, _), (b, _)| a.partial_cmp(b).unwrap_or(Ordering::Equal))
 }

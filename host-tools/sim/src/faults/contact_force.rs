@@ -3,11 +3,9 @@
 use crate::closed_loop::grasp_rig::contact_object;
 use crate::closed_loop::{ClosedLoop, ClosedLoopSetup};
 use crate::drivetrain::parameters::Lead;
-use crate::faults::hazards::HazardTable;
 use crate::faults::injection::InjectedFault;
 use crate::faults::operating_state::{HAND_N_PER_MM, motion};
 use crate::random::{Purpose, stream};
-use anyhow::{Context, Result};
 use firmware::config::constants;
 use firmware::grip::commands::{flag, mode};
 use firmware::grip::states::PowerState;
@@ -94,14 +92,6 @@ impl ObstructedMotion {
 
     const fn opens(self) -> bool {
         matches!(self, Self::HomeInside | Self::Release | Self::ReleaseWithoutSensors)
-    }
-
-    /// Maximum force in N by the hazard table.
-    ///
-    /// # Errors
-    /// The hazard table has none.
-    pub fn max_n() -> Result<f64> {
-        HazardTable::gripper().hazard("crushing")?.max_n.context("\"crushing\" has no max_n")
     }
 }
 

@@ -1,5 +1,6 @@
 //! Hazard table: what is required in each state and under each fault ([`TEXT`]), independent of the firmware's own tables.
 
+use std::collections::HashMap;
 use std::fmt::Write as _;
 use std::sync::LazyLock;
 
@@ -25,6 +26,23 @@ pub struct HazardTable {
     hazard: Vec<Hazard>,
     state: Vec<StateRow>,
     fault: Vec<FaultRow>,
+    #[serde(skip)]
+    bounds: Bounds,
+}
+
+/// The figures of the hazards.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Bounds {
+    /// "crushing": maximum force on a hand outside of a grip, in N.
+    pub hand_n: f64,
+    /// "trapping": minimum travel of an opening in mm, and its time in s.
+    pub opens: (f64, f64),
+    /// "dropping": minimum remaining share of the grip force.
+    pub kept_share: f64,
+    /// "collapse": maximum motion of the fingers in foot mode, in mm.
+    pub foot_mm: f64,
+    /// "wrong force": maximum force of a grip of 100 N after a fault of one sensor, in N.
+    pub grip_n: f64,
 }
 
 /// Standard or document that a requirement follows.
@@ -53,6 +71,10 @@ pub struct Hazard {
     pub opens_mm: Option<f64>,
     /// Maximum time of an opening in seconds.
     pub within_s: Option<f64>,
+    /// Minimum remaining share of a grip force.
+    pub min_share: Option<f64>,
+    /// Maximum motion of the fingers in millimetres.
+    pub moves_mm: Option<f64>,
 }
 
 /// What RELEASE does in a state.
@@ -131,9 +153,11 @@ impl HazardTable {
     /// Parses a table.
     ///
     /// # Errors
-    /// Wrong syntax, with line and column; an unknown hazard; a state or fault that is unknown, missing or listed twice.
+    /// Wrong syntax, with line and column; an unknown hazard, or one without its figure; a state or fault that is unknown,
+    /// missing or listed twice.
     pub fn parse(text: &str) -> Result<Self> {
-        let table: Self = toml::from_str(text)?;
+        let mut table: Self = toml::from_str(text)?;
+        table.bounds = table.read_bounds()?;
         let faults = Fault::ALL.map(|fault| format!("{fault:?}"));
         let states = PowerState::ALL.iter().filter(|state| **state != PowerState::Enabled);
         let states = states.map(|state| format!("{state:?}"));
@@ -153,13 +177,30 @@ impl HazardTable {
         Ok(table)
     }
 
-    /// A hazard.
-    ///
-    /// # Errors
-    /// The table has no hazard of this name.
-    pub fn hazard(&self, id: &str) -> Result<&Hazard> {
+    fn read_bounds(&self) -> Result<Bounds> {
+        let figure = |id: &str, name: &str, of: fn(&Hazard) -> Option<f64>| {
+            of(self.hazard(id)?).with_context(|| format!("hazard \"{id}\" has no {name}"))
+        };
+        Ok(Bounds {
+            hand_n: figure("crushing", "max_n", |hazard| hazard.max_n)?,
+            opens: (
+                figure("trapping", "opens_mm", |hazard| hazard.opens_mm)?,
+                figure("trapping", "within_s", |hazard| hazard.within_s)?,
+            ),
+            kept_share: figure("dropping", "min_share", |hazard| hazard.min_share)?,
+            foot_mm: figure("collapse", "moves_mm", |hazard| hazard.moves_mm)?,
+            grip_n: figure("wrong force", "max_n", |hazard| hazard.max_n)?,
+        })
+    }
+
+    fn hazard(&self, id: &str) -> Result<&Hazard> {
         let mut hazards = self.hazard.iter();
         hazards.find(|hazard| hazard.id == id).with_context(|| format!("no hazard \"{id}\""))
+    }
+
+    /// The figures of the hazards.
+    pub const fn bounds(&self) -> &Bounds {
+        &self.bounds
     }
 
     /// States with their requirements.
@@ -188,26 +229,44 @@ impl HazardTable {
             let _ = writeln!(text, "| {id} | {harm} | {required} |");
         }
         text.push_str(
-            "\n| state | hazards | RELEASE | how a person gets free |\n| --- | --- | --- | --- |\n",
+            "\n| state | meaning | hazards | RELEASE | how a person gets free |\n| --- | --- | --- | --- | --- |\n",
         );
+        let powers = PowerState::ALL.iter().map(|state| (format!("{state:?}"), state.meaning()));
+        let tasks = TaskState::ALL.iter().map(|state| (format!("{state:?}"), state.meaning()));
+        let meanings: HashMap<String, &str> = powers.chain(tasks).collect();
+
         for StateRow { name, hazards, release, free } in &self.state {
             let release = if *release == Release::Opens { "opens" } else { "refused" };
             let _ = writeln!(
                 text,
-                "| {} | {} | {release} | {free} |",
+                "| {} | {} | {} | {release} | {free} |",
                 spaced(name),
+                meanings.get(name).map_or("", |meaning| phrase(meaning)),
                 hazards.join(", ")
             );
         }
         text.push_str(
-            "\n| fault | nothing gripped | held, self-locking | held, backdrivable | opening | foot | reason |\n\
-             | --- | --- | --- | --- | --- | --- | --- |\n",
+            "\n| fault | meaning | nothing gripped | held, self-locking | held, backdrivable | opening | foot | reason |\n\
+             | --- | --- | --- | --- | --- | --- | --- | --- |\n",
         );
+        let meanings: HashMap<String, &str> =
+            Fault::ALL.map(|fault| (format!("{fault:?}"), fault.meaning())).into();
+
         for row in &self.fault {
             let columns = [row.moving, row.self_locking, row.backdrivable, row.releasing, row.foot];
             let columns = columns.map(|required| spaced(&format!("{required:?}")));
-            let _ =
-                writeln!(text, "| {} | {} | {} |", spaced(&row.name), columns.join(" | "), row.why);
+            let meaning = meanings.get(&row.name).map_or("", |meaning| phrase(meaning));
+            // Source and detail of the event are for programmers.
+            let meaning = meaning.split(" Source:").next().unwrap_or(meaning);
+            let meaning = meaning.split(" Detail:").next().unwrap_or(meaning);
+            let _ = writeln!(
+                text,
+                "| {} | {} | {} | {} |",
+                spaced(&row.name),
+                phrase(meaning),
+                columns.join(" | "),
+                row.why
+            );
         }
         text.push('\n');
         for Source { id, text: says } in &self.source {
@@ -215,6 +274,11 @@ impl HazardTable {
         }
         text
     }
+}
+
+/// A sentence as an entry of a table.
+fn phrase(sentence: &str) -> &str {
+    sentence.trim().trim_end_matches('.')
 }
 
 /// "QuickStop" as "quick stop".
@@ -299,6 +363,7 @@ mod tests {
             ("name = \"Hot\"", "name = \"Blind\"", "fault Blind is listed 2 times"),
             ("moving = \"brake\"", "moving = \"pray\"", "line"),
             ("hazards = [\"collapse\"]", "hazards = [\"rain\"]", "no hazard \"rain\""),
+            ("moves_mm = 0.1", "", "hazard \"collapse\" has no moves_mm"),
         ] {
             let error = HazardTable::parse(&TEXT.replacen(from, to, 1)).unwrap_err();
             assert!(format!("{error:#}").contains(message), "{error:#}");

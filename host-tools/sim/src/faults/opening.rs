@@ -7,7 +7,6 @@ use crate::faults::hazards::HazardTable;
 use crate::faults::injection::InjectedFault;
 use crate::faults::operating_state::{SET_N, motion};
 use crate::faults::run::task_of;
-use anyhow::{Context, Result};
 use firmware::grip::commands::{flag, mode};
 use firmware::grip::fault_reactions::Reaction;
 use firmware::grip::states::{GripPhase, PowerState, TaskState};
@@ -182,27 +181,15 @@ impl OpeningCase {
         cases.collect()
     }
 
-    /// Minimum travel in mm, and time in s, by the hazard table.
-    ///
-    /// # Errors
-    /// The hazard table has none.
-    pub fn required() -> Result<(f64, f64)> {
-        let hazard = HazardTable::gripper().hazard("trapping")?;
-        hazard.opens_mm.zip(hazard.within_s).context("\"trapping\" has no opens_mm and within_s")
-    }
-
     /// Runs the case; `change` may disable a protection.
-    ///
-    /// # Errors
-    /// The hazard table states no time.
     pub fn run(
         &self,
         tables: &TableSet,
         change: Option<fn(&mut ClosedLoopSetup)>,
-    ) -> Result<OpeningOutcome> {
-        let (_, within_s) = Self::required()?;
+    ) -> OpeningOutcome {
+        let (_, within_s) = HazardTable::gripper().bounds().opens;
         let Some(mut cell) = self.state.reach(self.lead, self.seed, (tables, change)) else {
-            return Ok(OpeningOutcome { was_reached: false, opened_mm: 0.0, end: 0 });
+            return OpeningOutcome { was_reached: false, opened_mm: 0.0, end: 0 };
         };
         self.fault.inject(&mut cell, self.seed as usize % 12);
         cell.run(PAUSE_S);
@@ -218,11 +205,11 @@ impl OpeningCase {
         let release = motion(mode::RELEASE, from_mm + FARTHER_MM, SPEED_MM_S);
         cell.host.order(Command { flags: flag::AGAIN, ..release });
         cell.run(within_s);
-        Ok(OpeningOutcome {
+        OpeningOutcome {
             was_reached: true,
             opened_mm: opening_mm(&cell) - from_mm,
             end: cell.state(),
-        })
+        }
     }
 }
 

@@ -18,8 +18,6 @@ const CONTACTS: [f64; 2] = [50.0, 333.0];
 const DISTANCE_MM: f64 = 1.5;
 /// Time after the stop in s.
 const AFTER_S: f64 = 2.0;
-/// Share of the force below which a part is dropped (control study).
-pub const DROPPED: f64 = 0.5;
 
 /// What stops the gripper.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

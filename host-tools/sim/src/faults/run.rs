@@ -17,8 +17,6 @@ use rand::RngExt;
 
 /// Simulated time after the fault in ms: the host timeout of 100 ms, and a stop.
 const AFTER_MS: u32 = 400;
-/// Motion of a foot's fingers that counts as one, in mm.
-const MOVED_MM: f64 = 0.1;
 /// Frames of a bus flood per millisecond.
 const FLOOD_PER_MS: u32 = 20;
 /// Time in which an object expands off centre, in ms: 18 kN/s.
@@ -42,6 +40,15 @@ pub struct FaultCase {
     pub seed: u64,
 }
 
+/// What is seen after the fault: travel, forbidden transitions and restarts as in [`FaultOutcome`], and when the controller
+/// left the CAN bus, in microseconds.
+struct Observation {
+    travel_mm: f64,
+    forbidden: u32,
+    restarts: u32,
+    left_us: Option<u64>,
+}
+
 /// Result of one run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FaultOutcome {
@@ -57,8 +64,12 @@ pub struct FaultOutcome {
     pub end: u8,
     /// The final state is one that the specified reaction leads to.
     pub is_as_specified: bool,
-    /// Transitions outside the state tables, motion of a foot, drives that restarted on their own.
+    /// Greatest distance of the fingers from their opening before the fault, in mm.
+    pub travel_mm: f64,
+    /// Transitions outside the state tables.
     pub forbidden: u32,
+    /// Starts of the drive on its own after the fault had switched it off, while the host repeated its command.
+    pub restarts: u32,
 }
 
 impl FaultCase {
@@ -79,7 +90,9 @@ impl FaultCase {
                 end_n: 0.0,
                 end: 0,
                 is_as_specified: false,
+                travel_mm: 0.0,
                 forbidden: 0,
+                restarts: 0,
             },
         }
     }
@@ -98,7 +111,8 @@ impl FaultCase {
             1e3 * gripper.rig.plant.opening_m()
         };
         self.fault.inject(&mut cell, pick);
-        let (forbidden, left_us) = self.observe(&mut cell, opening_mm);
+        let Observation { travel_mm, forbidden, restarts, left_us } =
+            self.observe(&mut cell, opening_mm);
         if let (InjectedFault::BusOff, Some(left_us)) = (self.fault, left_us) {
             observable_us = left_us;
         }
@@ -111,14 +125,15 @@ impl FaultCase {
             end_n: gripper.rig.plant.grip_n(),
             end: cell.state(),
             is_as_specified: self.is_specified(cell.state()),
+            travel_mm,
             forbidden,
+            restarts,
         }
     }
 
-    /// Observes the gripper; returns the number of forbidden events, and when the controller left the CAN bus.
-    fn observe(&self, cell: &mut ClosedLoop, opening_mm: f64) -> (u32, Option<u64>) {
-        let (mut forbidden, mut left_us) = (0, None);
-        let (mut last, mut was_off, mut has_moved) = (cell.state(), false, false);
+    fn observe(&self, cell: &mut ClosedLoop, opening_mm: f64) -> Observation {
+        let mut seen = Observation { travel_mm: 0.0, forbidden: 0, restarts: 0, left_us: None };
+        let (mut last, mut was_off) = (cell.state(), false);
         for ms in 0..AFTER_MS + GripLimits::GRIPPER.stop_ms {
             // A stop is simulated to its end.
             if ms >= AFTER_MS && last != PowerState::QuickStop as u8 {
@@ -135,23 +150,22 @@ impl FaultCase {
                 _ => {}
             }
             cell.tick();
-            if left_us.is_none() && cell.board.controller.is_off() {
-                left_us = Some(cell.time_us() - TICK_US);
+            if seen.left_us.is_none() && cell.board.controller.is_off() {
+                seen.left_us = Some(cell.time_us() - TICK_US);
             }
             let state = cell.state();
             // A restart may lead from any state to one without drive.
             let restarts =
                 self.fault == InjectedFault::MemoryCorruption && state <= PowerState::Safe as u8;
-            forbidden += u32::from(!may_follow(last, state) && !restarts);
+            seen.forbidden += u32::from(!may_follow(last, state) && !restarts);
             // The host repeats its command; it must not restart the drive.
             was_off |= state < TASK_CODE;
-            forbidden += u32::from(was_off && state >= TASK_CODE && last < TASK_CODE);
+            seen.restarts += u32::from(was_off && state >= TASK_CODE && last < TASK_CODE);
             let now_mm = 1e3 * cell.gripper.borrow().rig.plant.opening_m();
-            has_moved |= (now_mm - opening_mm).abs() > MOVED_MM;
+            seen.travel_mm = seen.travel_mm.max((now_mm - opening_mm).abs());
             last = state;
         }
-        forbidden += u32::from(self.state == OperatingState::Foot && has_moved);
-        (forbidden, left_us)
+        seen
     }
 
     fn found_us(&self, cell: &ClosedLoop) -> Option<u64> {
@@ -237,20 +251,28 @@ impl FaultCase {
         }
     }
 
-    /// Whether the force grew beyond the bound of the hazard table: on a hand outside of a grip, and in a grip after a fault
-    /// of one sensor.
-    pub fn is_too_much(&self, outcome: &FaultOutcome) -> bool {
-        let hazard = match self.state {
+    /// Maximum force in N by the hazard table: on a hand outside of a grip, and in a grip after a fault of one sensor. None
+    /// elsewhere: in a grip something rigid is meant to be pressed.
+    pub fn max_n(&self) -> Option<f64> {
+        let bounds = HazardTable::gripper().bounds();
+        match self.state {
             // It is injected as energy of the rotor.
-            _ if self.fault == InjectedFault::OverSpeed => return false,
-            OperatingState::Moving | OperatingState::Homing | OperatingState::Opening => "crushing",
+            _ if self.fault == InjectedFault::OverSpeed => None,
+            OperatingState::Moving | OperatingState::Homing | OperatingState::Opening => {
+                Some(bounds.hand_n)
+            }
             // The backdrive test grips with its own force.
-            OperatingState::Calibrating => return false,
-            _ if self.fault.is_of_sensor() => "wrong force",
-            _ => return false,
-        };
-        let bound = HazardTable::gripper().hazard(hazard).ok().and_then(|hazard| hazard.max_n);
-        bound.is_none_or(|max_n| outcome.peak_n > max_n)
+            OperatingState::Calibrating => None,
+            _ => self.fault.is_of_sensor().then_some(bounds.grip_n),
+        }
+    }
+
+    /// Whether force, travel of a foot and restarts are within the bounds of the hazard table.
+    pub fn is_bounded(&self, outcome: &FaultOutcome) -> bool {
+        self.max_n().is_none_or(|max_n| outcome.peak_n <= max_n)
+            && (self.state != OperatingState::Foot
+                || outcome.travel_mm <= HazardTable::gripper().bounds().foot_mm)
+            && outcome.restarts == 0
     }
 }
 
