@@ -22,6 +22,7 @@ mod unix {
     use std::net::TcpStream;
     use std::process::ExitCode;
 
+    use firmware::config::constants;
     use libtest_mimic::{Arguments, Failed, Trial};
     use rustix::process::Signal;
     use serde_json::Value;
@@ -44,6 +45,7 @@ mod unix {
             Trial::test("record_receives_every_tick_on_the_serial_line", record),
             Trial::test("a_socketcand_client_receives_heartbeats_until_ctrl_c", socketcand),
             Trial::test("grip_homes_and_holds_a_force_over_the_can_bus", grip),
+            Trial::test("motor_and_screw_are_identified", identification),
             Trial::test("only_hosts_with_the_key_change_a_protected_gripper", keys),
             Trial::test("an_image_that_is_none_is_refused", refused),
         ];
@@ -207,6 +209,34 @@ mod unix {
         assert!(number(&last["opening_mm"]) > 70.0, "{last}");
         let stopped = dir.json(&format!("grip --can {} --stop --json", emulation.can));
         assert_eq!(stopped["stopped"], true, "{stopped}");
+        is_clean(&emulation.end());
+        Ok(())
+    }
+
+    fn identification() -> Result<(), Failed> {
+        let dir = WorkDir::empty();
+        let image = path(Variant::Nominal)?;
+        let emulation = Emulation::start(&dir, &image, "--opening 50 --object 40 --json");
+        let port = format!("--port {}", emulation.serial);
+        let found = dir.json(&format!("identify motor {port} --save --json"));
+        let value = |name: &str| {
+            let rows = found["motor"].as_array().unwrap();
+            number(&rows.iter().find(|row| row["name"] == name).unwrap()["value"])
+        };
+        let resistance_ohm = constants::PHASE_RESISTANCE.value;
+        assert!((value("phase resistance") / resistance_ohm - 1.0).abs() < 0.05, "{found}");
+        assert_eq!(value("pole pairs"), constants::POLE_PAIRS.value, "{found}");
+        let found = dir.json(&format!("identify screw --can {} --json", emulation.can));
+        assert_eq!((&found["screw"], &found["saved"]), (&"self-locking".into(), &false.into()));
+        let board = dir.json(&format!("board {port} --json"));
+        assert_eq!(
+            (&board["motor"], &board["screw"]),
+            (&"measured".into(), &"self-locking".into())
+        );
+        is_clean(&emulation.end());
+        let emulation = Emulation::start(&dir, &image, "--opening 50 --json");
+        let message = dir.failure(&format!("identify screw --port {}", emulation.serial));
+        assert!(message.contains("nothing was gripped"), "{message}");
         is_clean(&emulation.end());
         Ok(())
     }

@@ -73,6 +73,24 @@ pub enum CalibrationFailure {
 }
 
 impl CalibrationFailure {
+    /// All reasons.
+    pub const ALL: [Self; 14] = [
+        Self::NotAllowed,
+        Self::NotReady,
+        Self::Tripped,
+        Self::Stopped,
+        Self::NothingGripped,
+        Self::NoCurrent,
+        Self::Resistance,
+        Self::Inductance,
+        Self::Stuck,
+        Self::PolePairs,
+        Self::Slipped,
+        Self::Fault,
+        Self::Force,
+        Self::SoftPart,
+    ];
+
     const fn of(error: CommissioningError) -> Self {
         match error {
             CommissioningError::NoCurrent { .. } => Self::NoCurrent,

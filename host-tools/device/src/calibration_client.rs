@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
+use firmware::motor::calibration::{CalibrationFailure, CalibrationKind};
 use firmware::protocol::authentication::Key;
 use firmware::protocol::host_session::service;
 use firmware::protocol::messages::{CalibrationChunk, KeyPart, Message, ServiceReply, Version};
@@ -23,6 +24,8 @@ const PATIENCE: Duration = Duration::from_millis(500);
 const TIMES: u32 = 6;
 /// The gripper erases two pages and verifies all bytes in this time.
 const SLOW_PATIENCE: Duration = Duration::from_secs(2);
+/// Timeout of a measurement of motor or screw.
+const IDENTIFICATION: Duration = Duration::from_secs(15);
 /// Time without an acknowledgement after which chunks are repeated.
 const REPEAT: Duration = Duration::from_millis(100);
 /// Repetitions without progress until the upload is given up.
@@ -237,6 +240,76 @@ pub fn tare(source: &mut SessionSource<'_>, is_unloaded: bool, saves: bool) -> R
         _ => "another tare or calibration is in progress".to_owned(),
     };
     bail!("{}: the gripper refuses the tare: {why}", source.name())
+}
+
+/// Measures motor or screw, and saves the result with all other parameters if wanted; the fingers move. Returns whether the
+/// screw is self-locking. The request is sent only once.
+///
+/// # Errors
+/// No reply, or the gripper refuses or fails: the previous parameters stay.
+pub fn identify(
+    source: &mut SessionSource<'_>,
+    kind: CalibrationKind,
+    saves: bool,
+) -> Result<bool> {
+    let (op, argument) = (op::MEASURE, kind as u32);
+    let answer = |message: &Message| reply(message, op);
+    let reply = ask_once(source, service(op, argument), IDENTIFICATION, answer)?;
+    let Some(ServiceReply { status, detail, .. }) = reply else {
+        bail!("{}: no reply; the fingers may have moved", source.name());
+    };
+    let failure = CalibrationFailure::ALL.iter().find(|failure| **failure as u32 == detail);
+    match (status, failure) {
+        (status::DONE, _) => {}
+        (status::FAILED, Some(failure)) => {
+            bail!("{}: the measurement failed: {}", source.name(), failure_text(*failure))
+        }
+        (status::ARMED, _) => bail!(
+            "{}: the gripper refuses: a host is armed, the motor is driven, or a calibration is in progress",
+            source.name()
+        ),
+        (status, _) => bail!("{}: the gripper refuses with status {status}", source.name()),
+    }
+    if saves {
+        let saved = request(source, op::SAVE, 0, SLOW_PATIENCE)?;
+        done(source, saved).context("the result is in effect, but not saved")?;
+    }
+    Ok(detail == 1)
+}
+
+const fn failure_text(failure: CalibrationFailure) -> &'static str {
+    match failure {
+        CalibrationFailure::NotAllowed => {
+            "a session is armed, a fault is latched, or a tare is in progress"
+        }
+        CalibrationFailure::NotReady => {
+            "the motor does not begin: see the faults in `magpie monitor`"
+        }
+        CalibrationFailure::Tripped => {
+            "the motor's protection tripped: see the faults in `magpie monitor`"
+        }
+        CalibrationFailure::Stopped => "a stop frame ended it",
+        CalibrationFailure::NothingGripped => {
+            "nothing was gripped: put a rigid part between the fingers, at most 20 mm narrower than their opening"
+        }
+        CalibrationFailure::NoCurrent => "no current flows: check the motor's wires",
+        CalibrationFailure::Resistance => {
+            "the resistance is not plausible: check the motor's wires"
+        }
+        CalibrationFailure::Inductance => {
+            "the inductance is not plausible: check the motor's wires"
+        }
+        CalibrationFailure::Stuck => {
+            "the rotor does not turn: give the fingers room, and check the rotor sensor"
+        }
+        CalibrationFailure::PolePairs => {
+            "the number of pole pairs is not plausible: check the rotor sensor's magnet"
+        }
+        CalibrationFailure::Slipped => "the rotor did not follow the field: nothing may be gripped",
+        CalibrationFailure::Fault => "a fault stopped it: see the faults in `magpie monitor`",
+        CalibrationFailure::Force => "something presses on the fingers: remove it",
+        CalibrationFailure::SoftPart => "the part is too soft; it might be a hand: use a rigid one",
+    }
 }
 
 /// Stores a key on the gripper, or erases the one that is there; the session is over then. False if this host may not: it has

@@ -62,9 +62,13 @@ pub fn run(args: &Args) -> Result<()> {
 }
 
 fn drive_text(is_commissioned: bool, screw: &str) -> String {
-    let motor = if is_commissioned { "measured" } else { "assumed constants, not calibrated" };
+    let motor = if is_commissioned {
+        "measured"
+    } else {
+        "assumed constants, not measured (`magpie identify motor`)"
+    };
     let screw = match screw {
-        "unknown" => "unknown, treated as backdrivable; not calibrated",
+        "unknown" => "unknown, treated as backdrivable (`magpie identify screw`)",
         known => known,
     };
     format!("motor        {motor}\nscrew        {screw}\n")

@@ -137,6 +137,11 @@ impl GripperArgs {
         if self.port.is_given() { self.port.credentials() } else { Ok(Credentials::UNPROTECTED) }
     }
 
+    /// True for a virtual board, which has sensors and no drive.
+    pub const fn is_virtual(&self) -> bool {
+        self.is_virtual
+    }
+
     /// True for a gripper on a CAN bus.
     pub fn is_on_bus(&self) -> bool {
         self.port.is_bus()

@@ -16,6 +16,7 @@ pub mod export;
 pub mod fault_campaign;
 pub mod fit;
 pub mod grasp;
+pub mod identify;
 pub mod import;
 pub mod key;
 pub mod monitor;
@@ -58,6 +59,7 @@ enum Command {
     Upload(upload::Args),
     Board(board::Args),
     Tare(tare::Args),
+    Identify(identify::Args),
     Key(key::Args),
     Replay(replay::Args),
     Simulate(simulate::Args),
@@ -98,6 +100,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Upload(args) => upload::run(&args),
         Command::Board(args) => board::run(&args),
         Command::Tare(args) => tare::run(&args),
+        Command::Identify(args) => identify::run(&args),
         Command::Key(args) => key::run(&args),
         Command::Replay(args) => replay::run(&args),
         Command::Simulate(args) => simulate::run(&args),

@@ -11,6 +11,9 @@ use crate::commands::connection::PortArgs;
 ///
 /// The gripper must be disabled, at rest and without anything between or at the fingers: a constant load cannot be told from an
 /// offset. Networks and disturbance detection use the forces before the tare.
+///
+/// Without --save the tare lasts until the next reboot. A saved one belongs to the calibration that ran: repeat it after an
+/// upload, which does not change it.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:

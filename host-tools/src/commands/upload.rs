@@ -108,7 +108,8 @@ pub fn run(args: &Args) -> Result<()> {
 fn text(tables: u16, bytes: usize, took: Duration, waits: bool) -> String {
     let state = if waits { "runs after the next reboot" } else { "runs on the gripper" };
     format!(
-        "Calibration {tables:04x} {state}: {:.1} KiB uploaded in {:.1} s.\n",
+        "Calibration {tables:04x} {state}: {:.1} KiB uploaded in {:.1} s.\n\
+         A tare belongs to the former calibration: repeat it without load (`magpie tare`).\n",
         bytes as f64 / 1024.0,
         took.as_secs_f64()
     )

@@ -56,6 +56,10 @@ pub enum FitError {
     )]
     NoForce { place: Location, sensor: u32, axis: &'static str },
     #[error(
+        "{place}: no forces; replace force.csv by the table of the reference sensor, with t_us from the same start"
+    )]
+    NoForces { place: Location },
+    #[error(
         "sensor {sensor}: a polynomial of degree {degree} needs a force, and none was recorded; leave out --degree (constants alone are then fitted), or record a force"
     )]
     DegreeWithoutForce { sensor: u32, degree: usize },

@@ -39,6 +39,17 @@ pub struct RecordingRows {
     pub track: ExcitationSeries,
 }
 
+/// Checks that a recording has any forces; `record` without a reference writes their times only.
+///
+/// # Errors
+/// It has none.
+pub fn check_forces(recording: &Recording) -> Result<(), FitError> {
+    if recording.forces.is_empty() {
+        return Err(FitError::NoForces { place: Location::file(&recording.folder) });
+    }
+    Ok(())
+}
+
 impl SensorRows {
     /// Rows of `sensor` with the lateral and longitudinal force at its own place.
     ///
@@ -47,6 +58,7 @@ impl SensorRows {
     pub fn with_own_forces(campaign: &Campaign, sensor: u32) -> Result<Self, FitError> {
         let forces = own_forces(sensor);
         for recording in &campaign.recordings {
+            check_forces(recording)?;
             if let Some((_, axis)) =
                 forces.iter().find(|force| !recording.forces.contains_key(force))
             {

@@ -11,7 +11,7 @@ use crate::statistics::ErrorAccumulator;
 use anyhow::{Result, bail};
 use model_export::effects::excitation::LoadCycleCounter;
 use model_export::fit::cross_validation::noise_variance;
-use model_export::fit::rows::{RecordingRows, own_forces};
+use model_export::fit::rows::{RecordingRows, check_forces, own_forces};
 use model_export::model_file::{FieldPrediction, ModelFile};
 use model_export::recordings::columns::Axis;
 use model_export::recordings::{Campaign, DataError, Notice, Recording};
@@ -118,6 +118,7 @@ fn sensors(
     recording: &Recording,
     campaign: &Path,
 ) -> Result<Vec<SensorEvaluation>> {
+    check_forces(recording)?;
     let mut list = Vec::new();
     let covariates = all_covariates(recording);
     for sensor in &model.sensors {

@@ -100,7 +100,7 @@ pub fn evaluate(
     }
     if sensors().all(|sensor| sensor.axes[0].error.rows() == 0.0) {
         bail!(
-            "{}: no row has both a valid estimate and a measured force; check that force.csv has forces, and the scale and unit of hall.csv",
+            "{}: no row has both a valid estimate and a measured force; if force.csv has forces, check the scale and unit of hall.csv, else replace it by the table of the reference sensor",
             campaign.display()
         );
     }

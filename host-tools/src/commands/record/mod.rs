@@ -174,6 +174,7 @@ pub fn run(args: &Args) -> Result<()> {
         alignment: alignment.as_ref(),
         poses: has_pose.then_some(progress.poses),
         check: check.as_ref(),
+        has_drive: !args.gripper.is_virtual(),
     };
     terminal::print_result(args.json, || summary.to_json(), || summary.format())?;
     ended.and(failed)
@@ -189,6 +190,8 @@ struct Summary<'a> {
     /// Number of poses sent to the board; none where the source has none.
     poses: Option<u64>,
     check: Option<&'a CheckResult>,
+    /// False for a virtual board.
+    has_drive: bool,
 }
 
 /// Covered ranges, and the effects on which the recording can decide.

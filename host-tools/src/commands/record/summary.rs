@@ -10,7 +10,7 @@ use super::{CheckResult, ReferenceAlignment, Summary};
 impl Summary<'_> {
     /// As text.
     pub(super) fn format(&self) -> String {
-        let Self { output, start_s, tally, alignment, poses, check } = *self;
+        let Self { output, start_s, tally, alignment, poses, check, has_drive } = *self;
         let seconds = |us: u64| us as f64 * 1e-6;
         let numbers = |sensors: &[usize]| {
             let numbers: Vec<String> = sensors.iter().map(usize::to_string).collect();
@@ -38,11 +38,15 @@ impl Summary<'_> {
             }
         }
         text += &match tally.covariates.as_slice() {
-            [] => "No covariates: effects of opening, motor and orientation cannot be diagnosed.\n"
-                .to_owned(),
+            [] => {
+                let why = if has_drive { "" } else { " (a virtual board has none)" };
+                format!(
+                    "No covariates{why}: effects of opening, motor and orientation cannot be diagnosed.\n"
+                )
+            }
             names => terminal::paragraph(&format!("Covariates: {}.", names.join(", "))),
         };
-        if !tally.covariates.contains(&"opening_mm") {
+        if has_drive && !tally.covariates.contains(&"opening_mm") {
             text += "The opening was unknown: home the gripper first (cargo magpie grasp --port PATH --home --position 40).\n";
         }
         if tally.without_covariates > 0 {
@@ -109,7 +113,7 @@ impl Summary<'_> {
 
     /// As one JSON object.
     pub(super) fn to_json(&self) -> Value {
-        let Self { output, start_s, tally, alignment, poses, check } = *self;
+        let Self { output, start_s, tally, alignment, poses, check, .. } = *self;
         json!({
             "recording": output,
             "start_s": start_s,
