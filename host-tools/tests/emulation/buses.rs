@@ -1,4 +1,4 @@
-//! Many frames of other nodes on the CAN bus, and an hour at rest.
+//! Many frames of other nodes on the CAN bus, forged ones, and an hour at rest.
 
 use embedded_can::{Frame, StandardId};
 use emulator::Halt;
@@ -13,8 +13,9 @@ use sim::board::SimulatedBoard;
 use sim::closed_loop::emulated_board::{ChipConditions, EmulatedBoard};
 
 use crate::Effort;
-use crate::boards::{at_rest, board, image, pressed, violations};
+use crate::boards::{LOAD_WITHOUT_CACHES, at_rest, board, image, overload, pressed, violations};
 use crate::images::Variant;
+use crate::stops::{FORGED, Forger};
 
 /// Frames of other nodes in a millisecond.
 const FOREIGN: u64 = 8;
@@ -22,6 +23,7 @@ const FOREIGN: u64 = 8;
 pub fn trials(effort: Effort) -> Vec<Trial> {
     let mut trials = vec![
         Trial::test("can_foreign_frames", foreign_frames),
+        Trial::test("can_forged_frames", forged_frames),
         Trial::test("boot_pin_that_is_pulled_up", boot_pin),
     ];
     if effort == Effort::Acceptance {
@@ -87,6 +89,30 @@ fn foreign_frames() -> Result<(), Failed> {
     assert!(flooded.idle > idle - 0.02, "{} {idle}", flooded.idle);
     let flooded = format!("fault {} of", Fault::Flooded as u16);
     assert!(!board.chip.log().iter().any(|line| line.text.contains(&flooded)));
+    assert_eq!(violations(&board), [""; 0]);
+    Ok(())
+}
+
+/// A bus full of forged frames for two seconds, with caches that never hit: their codes are checked at a limited rate, so
+/// that no tick is missed and the load stays within its limit.
+fn forged_frames() -> Result<(), Failed> {
+    const MS: u64 = 2000;
+    let made = image(Variant::Default)?;
+    let mut board = board(&made, ChipConditions::SLOW, pressed(&made.built));
+    board.run_until(500_000)?;
+    let (mut receiver, mut last_us) = (PacketDecoder::default(), None);
+    ticks(&board, &mut receiver, &mut last_us);
+    board.chip.clear_profile();
+    let mut forger = Forger::new(1);
+    for ms in 0..MS {
+        forger.flood(&board.connections.can, FORGED);
+        board.run_until(501_000 + 1000 * ms)?;
+    }
+    let (count, gaps) = ticks(&board, &mut receiver, &mut last_us);
+    let profile = board.chip.profile();
+    println!("core {:.1} % busy, {count} ticks", 100.0 * (1.0 - profile.idle));
+    assert!(count >= MS - 1 && gaps == 0, "{count} ticks, {gaps} gaps");
+    assert_eq!(overload(&profile, LOAD_WITHOUT_CACHES), [""; 0]);
     assert_eq!(violations(&board), [""; 0]);
     Ok(())
 }

@@ -62,7 +62,7 @@ fn main() -> ExitCode {
     trials.extend(calibration::trials(effort));
     trials.extend(faults::trials());
     trials.extend(supervision::trials());
-    trials.extend(stops::trials());
+    trials.extend(stops::trials(effort));
     trials.extend(storage::trials());
     trials.extend(uploads::trials(effort));
     let trials =

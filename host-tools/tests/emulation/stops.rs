@@ -1,21 +1,28 @@
-//! What a host can rely on: release after a lost sensor, stop frames that stay in effect and pass a flood, calibrations that end;
-//! and option bytes of the chip that do not suit.
+//! What a host can rely on: release after a lost sensor, stop frames that stay in effect and pass a flood, also one of forged
+//! frames, calibrations that end; and option bytes of the chip that do not suit.
+
+use std::cell::RefCell;
 
 use embedded_can::{Frame, StandardId};
 use emulator::peripherals::flash::OPTIONS_AS_SHIPPED;
 use firmware::grip::commands::mode;
-use firmware::grip::states::{PowerState, TASK_CODE};
+use firmware::grip::states::{PowerState, TASK_CODE, TaskState};
 use firmware::motor::calibration::{CalibrationFailure, CalibrationKind};
-use firmware::protocol::ESTOP_ALL_ID;
 use firmware::protocol::can::CanFrame;
-use firmware::protocol::messages::Command;
+use firmware::protocol::messages::{Authentication, Command, Message};
 use firmware::protocol::session::{op, status};
+use firmware::protocol::{DEFAULT_NODE, ESTOP_ALL_ID, frame_id};
 use firmware::system::faults::{Event, Fault};
 use libtest_mimic::{Failed, Trial};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
 use sim::board::SimulatedBoard;
+use sim::board::can::CanBus;
 use sim::closed_loop::grasp_rig::contact_object;
 use sim::faults::injection::InjectedFault;
+use sim::random::{Purpose, stream};
 
+use crate::Effort;
 use crate::faults::{CONTACT, holding};
 use crate::motion::{Cell, cell, homed};
 
@@ -26,10 +33,18 @@ const OPENS_S: f64 = 3.0;
 const STOP_MS: u32 = 15;
 /// Frames of a flood in a millisecond.
 const FLOOD: u32 = 8;
+/// Forged frames of eight bytes in a millisecond: they take at most 95 % of a bus of 1 Mbit/s.
+pub const FORGED: u32 = 7;
+/// Stops in a flood of forged frames: usually, and in an acceptance run.
+const STOPS: [u64; 2] = [6, 1000];
 
 type Test = fn() -> Result<(), Failed>;
 
-pub fn trials() -> Vec<Trial> {
+pub fn trials(effort: Effort) -> Vec<Trial> {
+    let stops = STOPS[usize::from(effort == Effort::Acceptance)];
+    let forged = Trial::test("stops_either_stop_passes_forged_frames", move || {
+        stops_in_forged_frames(stops)
+    });
     let tests: [(&str, Test); 8] = [
         ("stops_release_opens_after_sensor_unplugged", || release_without(&[1])),
         ("stops_release_opens_after_all_sensors_unplugged", || release_without(&[0, 1, 2, 3])),
@@ -40,7 +55,20 @@ pub fn trials() -> Vec<Trial> {
         ("option_bytes_that_suit_report_no_fault", suitable_options),
         ("option_bytes_that_do_not_suit_are_reported", unsuitable_options),
     ];
-    tests.into_iter().map(|(name, test)| Trial::test(name, test)).collect()
+    let tests = tests.into_iter().map(|(name, test)| Trial::test(name, test));
+    tests.chain([forged]).collect()
+}
+
+/// A stop of this node, or of all.
+fn stop(cell: &mut Cell, is_for_all: bool) -> Result<(), Failed> {
+    if !is_for_all {
+        cell.host.stop();
+        return Ok(());
+    }
+    let id = StandardId::new(ESTOP_ALL_ID).ok_or("no identifier")?;
+    let stop = CanFrame::new(id, &[]).ok_or("no frame")?;
+    cell.board.connections.can.borrow_mut().put(stop);
+    Ok(())
 }
 
 fn opening_mm(cell: &Cell) -> f64 {
@@ -69,9 +97,7 @@ fn stop_of_all_is_latched() -> Result<(), Failed> {
     let mut cell = homed()?;
     cell.host.order(Command { mode: mode::MOVE, position: 100, speed: 160, ..Command::default() });
     cell.run(0.3);
-    let id = StandardId::new(ESTOP_ALL_ID).ok_or("no identifier")?;
-    let stop = CanFrame::new(id, &[]).ok_or("no frame")?;
-    cell.board.connections.can.borrow_mut().put(stop);
+    stop(&mut cell, true)?;
     cell.host.order(Command { mode: mode::ENABLE, ..Command::default() });
     cell.run(0.5);
     let stopped_mm = opening_mm(&cell);
@@ -113,6 +139,99 @@ fn stop_in_flood() -> Result<(), Failed> {
     println!("decelerates after {stopped_ms:?} ms in a flood");
     assert!(stopped_ms.is_some_and(|ms| ms <= STOP_MS), "{stopped_ms:?} ms");
     assert!(speed_mm_s(&cell).abs() < 0.5, "{}", speed_mm_s(&cell));
+    assert_eq!(cell.board.chip.resets, []);
+    Ok(())
+}
+
+/// A host without the key: authentications with counters that follow on each other and codes by chance, each before a
+/// command that would open the fingers at full speed.
+pub struct Forger {
+    rng: ChaCha8Rng,
+    counter: u32,
+    is_command: bool,
+}
+
+impl Forger {
+    pub fn new(seed: u64) -> Self {
+        let rng = stream(seed, Purpose::FaultInjection, 0);
+        Self { rng, counter: 0, is_command: false }
+    }
+
+    /// Puts frames on the bus.
+    pub fn flood(&mut self, bus: &RefCell<CanBus>, frames: u32) {
+        for _ in 0..frames {
+            let message = if self.is_command {
+                Message::Command(Command {
+                    mode: mode::MOVE,
+                    position: 1600,
+                    speed: 232,
+                    ..Command::default()
+                })
+            } else {
+                self.counter = (self.counter + 1) & 0xFF_FFFF;
+                let (counter, tag_low, tag_high) =
+                    (self.counter, self.rng.random(), self.rng.random());
+                Message::Authentication(Authentication { counter, tag_low, tag_high })
+            };
+            self.is_command = !self.is_command;
+            let id = frame_id(DEFAULT_NODE, message.number());
+            let frame = CanFrame::from_bytes(id, message.to_bytes());
+            bus.borrow_mut().put(frame);
+        }
+    }
+}
+
+/// The gripper moves to and fro; in each motion forged frames begin, and a stop follows at a random time before the host,
+/// whose own codes are no longer checked, counts as silent. The two stops alternate.
+fn stops_in_forged_frames(stops: u64) -> Result<(), Failed> {
+    let mut cell = homed()?;
+    let mut rng = stream(1, Purpose::FaultInjection, 1);
+    let mut forger = Forger::new(2);
+    let speed_mm_s = |cell: &Cell| 1e3 * cell.gripper.borrow().rig.plant.train.travel_m_s;
+    let mut latencies_ms = Vec::new();
+    for number in 0..stops {
+        let target_mm = if opening_mm(&cell) > 40.0 { 5.0 } else { 75.0 };
+        let position = (20.0 * target_mm) as u16;
+        // So many strange frames end the session of a gripper at rest.
+        if !cell.is_in(TaskState::Idle) {
+            assert!(
+                cell.enable(),
+                "{number}: {} {:?}",
+                cell.state(),
+                cell.host.received.replies.last()
+            );
+        }
+        cell.host.order(Command { mode: mode::MOVE, position, speed: 232, ..Command::default() });
+        let fast = cell.until(1.0, |cell| speed_mm_s(cell).abs() > 50.0);
+        assert!(fast.is_some(), "{number}: {} mm/s", speed_mm_s(&cell));
+        for _ in 0..rng.random_range(5..40) {
+            forger.flood(&cell.board.connections.can, FORGED);
+            cell.tick();
+        }
+        let before_mm_s = speed_mm_s(&cell).abs();
+        assert!(before_mm_s > 50.0, "{number}: {before_mm_s} mm/s");
+        stop(&mut cell, number % 2 == 0)?;
+        let mut latency_ms = None;
+        for ms in 1..=100 {
+            forger.flood(&cell.board.connections.can, FORGED);
+            cell.tick();
+            if latency_ms.is_none() && speed_mm_s(&cell).abs() < 0.8 * before_mm_s {
+                latency_ms = Some(ms);
+            }
+        }
+        assert!(speed_mm_s(&cell).abs() < 0.5, "{number}: {}", speed_mm_s(&cell));
+        latencies_ms.push(latency_ms.unwrap_or(u32::MAX));
+        // The stop is cleared at rest; no session opens within a second of so many strange frames.
+        cell.run(1.1);
+        cell.host.service(op::CLEAR_FAULTS, 0);
+        cell.run(0.1);
+    }
+    let within = latencies_ms.iter().filter(|ms| **ms <= STOP_MS).count();
+    let max_ms = latencies_ms.iter().max();
+    println!(
+        "{within} of {stops} stops decelerate within {STOP_MS} ms, the last after {max_ms:?} ms"
+    );
+    assert_eq!(within as u64, stops, "{latencies_ms:?}");
     assert_eq!(cell.board.chip.resets, []);
     Ok(())
 }
