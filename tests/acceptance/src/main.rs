@@ -6,6 +6,7 @@ mod diagnosis;
 mod drive;
 mod fault_campaign;
 mod force_estimators;
+mod forged_frames;
 mod grasp;
 mod intervals;
 mod magnetic_disturbance;
@@ -91,6 +92,9 @@ enum Run {
     FaultCampaign(fault_campaign::Args),
     BusLoad(bus_load::Args),
     Calibration(calibration::Args),
+    /// Send crafted and random frames to a gripper whose session another host owns.
+    #[command(after_help = "Example:\n  cargo acceptance forged-frames --seeds 3")]
+    ForgedFrames,
 }
 
 impl Run {
@@ -104,6 +108,7 @@ impl Run {
             Self::FaultCampaign(args) => fault_campaign::evaluate(args, options),
             Self::BusLoad(args) => bus_load::evaluate(args, options),
             Self::Calibration(args) => calibration::evaluate(args, options),
+            Self::ForgedFrames => forged_frames::evaluate(options),
         }
     }
 }
