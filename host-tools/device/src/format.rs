@@ -13,9 +13,12 @@ use firmware::system::faults::Fault;
 use serde_json::{Value, json};
 use std::fmt::Debug;
 
-/// Column headings of the status lines.
+/// Legend and column headings of the status lines.
 pub fn status_header() -> String {
-    let mut text = format!("{:>7}", "s");
+    let mut text = String::from(
+        "~ an effect is not compensated, for lack of an input; ? not valid; - no reading\n",
+    );
+    text += &format!("{:>7}", "s");
     for sensor in 0..GripperState::default().sensors.len() {
         text += &format!("  {:>14}", format!("Fx, Fz {sensor} / N"));
     }

@@ -21,8 +21,12 @@ pub fn catalogue_table() -> String {
             effect.device.label().to_owned(),
         ]);
     }
+    let legend = terminal::paragraph(
+        "compensated: tables, by the tables of the ideal model; device, by a compensation on the device; settled, the tables \
+         are those of the final state; bench, an error of the test bench, which the device does not have; no, the error stays.",
+    );
     format!(
-        "{table}\n`magpie effects NAME` describes one; `magpie add MODEL CAMPAIGN NAME` adds it to a model.\n"
+        "{table}\n{legend}`magpie effects NAME` describes one; `magpie add MODEL CAMPAIGN NAME` adds it to a model.\n"
     )
 }
 
