@@ -161,6 +161,21 @@ mod tests {
         assert_eq!(key.check_number(), 0x98F6_A80E);
     }
 
+    #[test]
+    fn neither_key_nor_codes_are_printed() {
+        let key = Key([0xAB; KEY_BYTES]);
+        let session = SessionMac::new(&key, 16, 1);
+        let printed = std::format!("{key:?} {:?} {session:?} {:?}", Key::NONE, session.digest());
+        assert_eq!(printed, "Key(..) Key(none) SessionMac(..) DataMac(..)");
+    }
+
+    #[test]
+    fn lengths_are_those_of_the_messages() {
+        // A challenge is sent in 16 and 32 bits, a counter in 24, a code in 32 and 8.
+        assert_eq!(CHALLENGE_MASK, 0xFFFF_FFFF_FFFF);
+        assert_eq!((COUNTER_MASK, TAG_BYTES), (0xFF_FFFF, 5));
+    }
+
     proptest! {
         /// The code of a single block agrees with the library's for data of any length.
         #[test]

@@ -102,3 +102,76 @@ pub fn needs_owner(message: &Message) -> bool {
 pub const fn service(op: u8, argument: u32) -> Message {
     Message::Service(Service { op, argument })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::protocol::DEFAULT_NODE;
+    use crate::protocol::authentication::CHALLENGE_MASK;
+    use crate::protocol::messages::{Command, EStop, HostAttitude, ParamRequest};
+
+    const KEY: Key = Key(*b"key of the tests");
+
+    fn reply(op: u8, status: u8, challenge: u64) -> ServiceReply {
+        ServiceReply { op, status, extra: (challenge >> 32) as u16, detail: challenge as u32 }
+    }
+
+    #[test]
+    fn session_is_open_from_the_confirmation_until_its_end() {
+        for (operation, is_armed) in [(op::ARM, true), (op::OPEN, false)] {
+            let mut host = HostSession::new(DEFAULT_NODE, KEY);
+            let command = Message::Command(Command::default());
+            // Before a challenge there is no code, and nothing to end.
+            assert!(host.seal(command).is_none() && host.mac().is_none());
+            assert_eq!(host.open(operation)[..], [service(operation, 0)]);
+            host.receive(&reply(operation, status::DONE, 0));
+            assert!(!host.is_open());
+            // Replies to other requests are none to this one.
+            assert!(host.receive(&reply(op::SAVE, status::CHALLENGE, 1)).is_empty());
+            let challenge = 0x1234_5678_9ABC & CHALLENGE_MASK;
+            let answer = host.receive(&reply(operation, status::CHALLENGE, challenge));
+            let mac = SessionMac::new(&KEY, DEFAULT_NODE, challenge);
+            let sealed = |counter, message: Message| {
+                let id = frame_id(DEFAULT_NODE, message.number());
+                let tag = mac.tag(counter, id, message.to_bytes());
+                [Message::Authentication(Authentication::new(counter, tag)), message]
+            };
+            assert_eq!(answer[..], sealed(1, service(operation, 0)));
+            assert!(!host.is_open() && !host.is_armed());
+            host.receive(&reply(operation, status::DONE, 0));
+            assert!(host.is_open());
+            assert_eq!(host.is_armed(), is_armed);
+            assert!(host.mac().is_some());
+            assert_eq!(host.seal(command), Some(sealed(2, command)));
+            assert_eq!(host.end()[..], sealed(3, service(op::END, 0)));
+            assert!(!host.is_open() && host.seal(command).is_none());
+            assert!(host.end().is_empty());
+        }
+    }
+
+    #[test]
+    fn forgotten_session_needs_a_new_challenge() {
+        let mut host = HostSession::new(DEFAULT_NODE, KEY);
+        host.receive(&reply(op::OPEN, status::CHALLENGE, 5));
+        host.receive(&reply(op::OPEN, status::DONE, 0));
+        host.forget();
+        assert!(!host.is_open() && host.mac().is_none());
+    }
+
+    #[test]
+    fn requests_of_an_owner_need_its_code() {
+        let write = ParamRequest { op: 1, id: 2, ..ParamRequest::default() };
+        for (message, needs) in [
+            (Message::EStop(EStop::default()), false),
+            (Message::HostAttitude(HostAttitude::default()), false),
+            (service(op::VERSION, 0), false),
+            (service(op::ARM, 0), false),
+            (service(op::TARE, 0), true),
+            (service(op::WRITE_KEY, 0), true),
+            (Message::Command(Command::default()), true),
+            (Message::ParamRequest(write), true),
+        ] {
+            assert_eq!(needs_owner(&message), needs, "{message:?}");
+        }
+    }
+}

@@ -196,6 +196,92 @@ impl Rule {
 mod tests {
     use super::*;
 
+    use crate::protocol::messages::{
+        CalibrationChunk, Command, EStop, Heartbeat, HostAcceleration, HostAttitude, KeyPart,
+    };
+
+    fn service(op: u8, argument: u32) -> Message {
+        Message::Service(Service { op, argument })
+    }
+
+    fn parameter(op: u8, id: u16) -> Message {
+        Message::ParamRequest(ParamRequest { op, id, ..ParamRequest::default() })
+    }
+
+    /// Requests with the columns of the table in SECURITY.md: what they must prove, and whether they are allowed while armed,
+    /// while calibrating, and with a gripped object.
+    #[test]
+    fn requests_have_the_rules_of_the_document() {
+        use Authority::{Anyone, KeyHolder, Owner, OwnerOrPresence};
+        const MOVES: u16 = schema::id::COMMAND_TIMEOUT;
+        const SENDS: u16 = schema::id::FORCE_RATE;
+        let cases = [
+            (Message::EStop(EStop::default()), Anyone, [true; 3]),
+            (service(op::VERSION, 0), Anyone, [true; 3]),
+            (service(op::DESCRIPTION, 3), Anyone, [true; 3]),
+            (parameter(parameters::op::READ, MOVES), Anyone, [true; 3]),
+            (Message::HostAttitude(HostAttitude::default()), Anyone, [true; 3]),
+            (Message::HostAcceleration(HostAcceleration::default()), Anyone, [true; 3]),
+            (Message::CalibrationChunk(CalibrationChunk::default()), Anyone, [false, false, true]),
+            (service(op::OPEN, 0), KeyHolder, [true; 3]),
+            (service(op::ARM, 0), KeyHolder, [true; 3]),
+            (service(op::END, 0), Owner, [true; 3]),
+            (Message::Command(Command::default()), Owner, [true; 3]),
+            (service(op::CLEAR_FAULTS, 0), Owner, [true; 3]),
+            (service(op::TARE, 0), Owner, [false; 3]),
+            (service(op::TARE, UNLOADED), Owner, [false; 3]),
+            (service(op::MEASURE, 0), Owner, [false; 3]),
+            (service(op::SAVE, 0), Owner, [false, false, true]),
+            (service(op::REBOOT, 0), Owner, [false, false, true]),
+            (service(op::UPLOAD, 9), Owner, [false, false, true]),
+            (service(op::FINISH_UPLOAD, 9), Owner, [false, false, true]),
+            (parameter(parameters::op::WRITE, SENDS), Owner, [true; 3]),
+            (parameter(parameters::op::WRITE, MOVES), Owner, [false, false, true]),
+            (parameter(parameters::op::WRITE, 0xFFFF), Owner, [true; 3]),
+            (service(op::WRITE_KEY, 7), OwnerOrPresence, [false, false, true]),
+            (service(op::ERASE_KEY, 0), OwnerOrPresence, [false, false, true]),
+            (Message::KeyPart(KeyPart::default()), OwnerOrPresence, [false, false, true]),
+        ];
+        let rest = Situation::default();
+        for (message, authority, [armed, calibrating, loaded]) in cases {
+            let rule = RequestKind::of(&message).map(RequestKind::rule);
+            let Some(rule) = rule else { panic!("{message:?} has no rule") };
+            assert_eq!(rule.authority, authority, "{message:?}");
+            assert_eq!(rule.refusal(&message, &rest), None, "{message:?}");
+            for (situation, is_allowed, reason) in [
+                (Situation { is_armed: true, ..rest }, armed, status::ARMED),
+                (Situation { is_calibrating: true, ..rest }, calibrating, status::ARMED),
+                (Situation { is_loaded: true, ..rest }, loaded, status::GRIPPING),
+            ] {
+                let expected = (!is_allowed).then_some(reason);
+                assert_eq!(
+                    rule.refusal(&message, &situation),
+                    expected,
+                    "{message:?} {situation:?}"
+                );
+            }
+        }
+        for message in [service(0, 0), service(99, 0), Message::Heartbeat(Heartbeat::default())] {
+            assert_eq!(RequestKind::of(&message), None, "{message:?}");
+        }
+    }
+
+    /// Forces that may be wrong refuse a tare, unless the host states that nothing is gripped; a measurement does without forces.
+    #[test]
+    fn seeming_load_refuses_a_tare_that_is_not_confirmed() {
+        let situation = Situation { may_be_loaded: true, ..Situation::default() };
+        for (message, refusal) in [
+            (service(op::TARE, 0), Some(status::GRIPPING)),
+            (service(op::TARE, UNLOADED), None),
+            (service(op::MEASURE, 0), None),
+            (service(op::SAVE, 0), None),
+        ] {
+            let rule = RequestKind::of(&message).map(RequestKind::rule);
+            let found = rule.and_then(|rule| rule.refusal(&message, &situation));
+            assert_eq!(found, refusal, "{message:?}");
+        }
+    }
+
     #[test]
     fn rules_are_in_the_order_of_their_kinds() {
         for (index, rule) in RULES.iter().enumerate() {
