@@ -574,6 +574,9 @@ mod tests {
     const COMMAND: Message =
         Message::Command(Command { mode: 2, position: 400, speed: 0, force: 0, flags: 0 });
 
+    /// Random number before the first challenge; more bits than a challenge has.
+    const RANDOM: u64 = 0xFEDC_BA98_7654_3210;
+
     /// A gripper and a host that know the same key, and what the gripper answered.
     struct Pair {
         gripper: Session,
@@ -584,7 +587,7 @@ mod tests {
     impl Pair {
         fn new() -> Self {
             let gripper = Session::new(DEFAULT_NODE, KEY, 100);
-            Self { gripper, host: HostSession::new(DEFAULT_NODE, KEY), random: 1000 }
+            Self { gripper, host: HostSession::new(DEFAULT_NODE, KEY), random: RANDOM }
         }
 
         /// With an open session.
@@ -679,13 +682,60 @@ mod tests {
             assert_eq!(is_free, rule == Some(Authority::Anyone), "{request:?}");
             let mut other = Pair::opened(op::OPEN, 0);
             let mut host = HostSession::new(DEFAULT_NODE, Key([1; 16]));
-            host.receive(&ServiceReply { op: op::OPEN, status: 1, extra: 0, detail: 1001 });
+            // The same challenge, but another key.
+            let (extra, detail) = ((RANDOM >> 32) as u16, RANDOM as u32 + 1);
+            host.receive(&ServiceReply { op: op::OPEN, status: 1, extra, detail });
             host.receive(&ServiceReply { op: op::OPEN, status: 0, extra: 0, detail: 0 });
             let [authentication, request] = host.seal(request).unwrap();
             other.send(1, authentication);
             let is_accepted = matches!(other.send(1, request), SessionEvent::Other(_));
             assert_eq!(is_accepted, rule == Some(Authority::Anyone), "{request:?}");
         }
+    }
+
+    #[test]
+    fn challenge_has_48_random_bits() {
+        let mut pair = Pair::new();
+        let SessionEvent::Reply(Message::ServiceReply(reply)) = pair.send(0, service(op::ARM))
+        else {
+            panic!("no reply");
+        };
+        assert_eq!((reply.status, reply.extra, reply.detail), (1, 0xBA98, 0x7654_3211));
+    }
+
+    #[test]
+    fn another_key_or_time_out_is_in_effect_at_once() {
+        let mut pair = Pair::opened(op::ARM, 0);
+        assert!(pair.gripper.mac().is_some());
+        pair.send_sealed(1, COMMAND);
+        assert!(pair.gripper.is_alive(101) && !pair.gripper.is_alive(102));
+        pair.gripper.set_timeout_ms(300);
+        assert!(pair.gripper.is_alive(301) && !pair.gripper.is_alive(302));
+        pair.gripper.set_key(Key([9; 16]));
+        assert_eq!(pair.gripper.key(), Key([9; 16]));
+        assert!(!pair.gripper.is_armed() && pair.gripper.mac().is_none());
+        assert_eq!(pair.send_sealed(2, COMMAND), SessionEvent::Ignored);
+        pair.open(3, op::ARM);
+        assert!(!pair.gripper.is_armed());
+    }
+
+    #[test]
+    fn dropped_frames_are_counted_by_their_reason() {
+        let mut pair = Pair::new();
+        let frames: [(u8, &[u8]); 6] = [
+            (0x1F, &[0; 8]),
+            (3, &[0; 7]),
+            (3, &[0xFF; 8]),
+            (1, &[0; 8]),
+            (3, &[0; 8]),
+            (3, &[0; 8]),
+        ];
+        for (number, bytes) in frames {
+            pair.gripper.receive(0, CAN, (frame_id(DEFAULT_NODE, number), bytes), || 0);
+        }
+        let dropped = pair.gripper.dropped();
+        assert_eq!(dropped, DroppedFrames { unknown: 1, malformed: 3, unauthenticated: 2 });
+        assert_eq!(dropped.all(), 6);
     }
 
     #[test]
