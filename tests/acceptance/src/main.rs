@@ -12,6 +12,7 @@ mod intervals;
 mod magnetic_disturbance;
 mod magpie;
 mod results;
+mod robustness;
 #[cfg(test)]
 #[path = "tests.rs"]
 mod unit_tests;
@@ -95,6 +96,7 @@ enum Run {
     /// Send crafted and random frames to a gripper whose session another host owns.
     #[command(after_help = "Example:\n  cargo acceptance forged-frames --seeds 3")]
     ForgedFrames,
+    Robustness(robustness::Args),
 }
 
 impl Run {
@@ -109,6 +111,7 @@ impl Run {
             Self::BusLoad(args) => bus_load::evaluate(args, options),
             Self::Calibration(args) => calibration::evaluate(args, options),
             Self::ForgedFrames => forged_frames::evaluate(options),
+            Self::Robustness(args) => robustness::evaluate(args, options),
         }
     }
 }
