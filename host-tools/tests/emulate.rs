@@ -233,6 +233,23 @@ mod unix {
             (&board["motor"], &board["screw"]),
             (&"measured".into(), &"self-locking".into())
         );
+        let line = format!("parameter command_timeout 200 {port} --save --json");
+        assert_eq!(dir.json(&line)["parameters"][0]["value"], 200);
+        let all = dir.json(&format!("parameter --can {} --json", emulation.can));
+        assert!(all["parameters"].as_array().unwrap().len() > 20, "{all}");
+        let message = dir.failure(&format!("parameter command_timeout 9999 {port}"));
+        assert!(message.contains("20 to 500"), "{message}");
+        // A latched stop is shown, and prevents a measurement.
+        dir.json(&format!("grasp {port} --stop --json"));
+        let board = dir.json(&format!("board {port} --json"));
+        assert_eq!((&board["state"], &board["stopped"]), (&"safe".into(), &true.into()));
+        for (line, reason) in [
+            (format!("identify motor {port}"), "a stop is latched"),
+            (format!("grasp {port} --release"), "a stop is latched"),
+        ] {
+            let message = dir.failure(&line);
+            assert!(message.contains(reason), "{line}: {message}");
+        }
         is_clean(&emulation.end());
         let emulation = Emulation::start(&dir, &image, "--opening 50 --json");
         let message = dir.failure(&format!("identify screw --port {}", emulation.serial));

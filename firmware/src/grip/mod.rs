@@ -308,6 +308,11 @@ impl GripController {
         states::state_code(self.power, self.task)
     }
 
+    /// Whether a stop is latched.
+    pub const fn is_stopped(&self) -> bool {
+        self.is_stopped
+    }
+
     /// State of the power layer.
     pub const fn power(&self) -> PowerState {
         self.power

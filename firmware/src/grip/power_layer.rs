@@ -197,7 +197,9 @@ impl GripController {
             PowerState::SelfTest => inputs.is_sound.map(|is_sound| {
                 if is_sound { PowerEvent::SelfTestPassed } else { PowerEvent::SelfTestFailed }
             }),
-            PowerState::Safe if inputs.is_calibrating => Some(PowerEvent::CalibrationBegan),
+            PowerState::Safe if inputs.is_calibrating && !self.is_stopped => {
+                Some(PowerEvent::CalibrationBegan)
+            }
             PowerState::Calibrating => {
                 (!inputs.is_calibrating).then_some(PowerEvent::CalibrationEnded)
             }

@@ -48,7 +48,7 @@ pub enum CalibrationFailure {
     NotReady = 2,
     /// The motor tripped.
     Tripped = 3,
-    /// A stop frame arrived.
+    /// A stop frame arrived, or a stop is latched.
     Stopped = 4,
     /// Timeout without a grip.
     NothingGripped = 5,

@@ -179,7 +179,9 @@ messages! {
         /// Active faults, one bit each.
         faults: u32 @ 0..32;
         /// State of the state machine.
-        state: u8 @ 32..40;
+        state: u8 @ 32..39;
+        /// A stop is latched: nothing moves until it is cleared at rest.
+        stopped: bool @ 39..40;
         /// 0 moving, 1 contact while opening, 2 contact while closing, 3 at position.
         object: u8 @ 40..42;
         /// Whether commands arrive in time.

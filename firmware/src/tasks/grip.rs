@@ -82,6 +82,8 @@ pub struct GripSummary {
     pub state: u8,
     /// Object detection as in the heartbeat.
     pub object: u8,
+    /// A stop is latched.
+    pub is_stopped: bool,
     /// Whether arming is allowed.
     pub may_arm: bool,
     /// The motor is or may be driven, with or without a session: no flash access, tare or reboot.
@@ -99,6 +101,7 @@ impl GripSummary {
     pub const INITIAL: Self = Self {
         state: 0,
         object: 0,
+        is_stopped: false,
         may_arm: false,
         is_driven: false,
         is_moving: false,
@@ -198,6 +201,7 @@ impl GripLoop {
         shared.grip_summary.set(GripSummary {
             state: outputs.state,
             object: outputs.status.object,
+            is_stopped: grip.is_stopped(),
             may_arm: outputs.may_arm,
             is_driven: grip.is_driven(),
             is_moving: grip.is_moving(),
@@ -266,6 +270,9 @@ impl Pending {
                 }
             }
             (_, PowerState::Calibrating) => {
+                ControlFlow::Break(CalibrationOutcome::Failed(CalibrationFailure::Stopped))
+            }
+            _ if grip.is_stopped() => {
                 ControlFlow::Break(CalibrationOutcome::Failed(CalibrationFailure::Stopped))
             }
             _ => ControlFlow::Break(CalibrationOutcome::Failed(CalibrationFailure::NotAllowed)),

@@ -183,6 +183,7 @@ impl<S: CanSender, C: Clock, M: RawMutex> TxPort<'_, S, C, M> {
         let grip = self.shared.grip_summary.get();
         let heartbeat = Heartbeat {
             state: grip.state,
+            stopped: grip.is_stopped,
             object: grip.object,
             faults: self.shared.fault_bits(),
             command_alive: counts.command_alive.load(Ordering::Relaxed) != 0,

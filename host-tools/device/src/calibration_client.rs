@@ -221,8 +221,7 @@ pub fn tare(source: &mut SessionSource<'_>, is_unloaded: bool, saves: bool) -> R
     let why = match (reply.status, reply.detail >> 8) {
         (status::DONE, _) => {
             if saves {
-                let reply = request(source, op::SAVE, 0, SLOW_PATIENCE)?;
-                done(source, reply).context("the tare is in effect, but not saved")?;
+                save(source).context("the tare is in effect, but not saved")?;
             }
             return Ok(());
         }
@@ -240,6 +239,15 @@ pub fn tare(source: &mut SessionSource<'_>, is_unloaded: bool, saves: bool) -> R
         _ => "another tare or calibration is in progress".to_owned(),
     };
     bail!("{}: the gripper refuses the tare: {why}", source.name())
+}
+
+/// Saves all parameters in flash.
+///
+/// # Errors
+/// No reply, or the gripper refuses: the flash holds the previous ones.
+pub fn save(source: &mut SessionSource<'_>) -> Result<()> {
+    let reply = request(source, op::SAVE, 0, SLOW_PATIENCE)?;
+    done(source, reply).map(|_| ())
 }
 
 /// Measures motor or screw, and saves the result with all other parameters if wanted; the fingers move. Returns whether the
@@ -271,8 +279,7 @@ pub fn identify(
         (status, _) => bail!("{}: the gripper refuses with status {status}", source.name()),
     }
     if saves {
-        let saved = request(source, op::SAVE, 0, SLOW_PATIENCE)?;
-        done(source, saved).context("the result is in effect, but not saved")?;
+        save(source).context("the result is in effect, but not saved")?;
     }
     Ok(detail == 1)
 }
@@ -288,7 +295,9 @@ const fn failure_text(failure: CalibrationFailure) -> &'static str {
         CalibrationFailure::Tripped => {
             "the motor's protection tripped: see the faults in `magpie monitor`"
         }
-        CalibrationFailure::Stopped => "a stop frame ended it",
+        CalibrationFailure::Stopped => {
+            "a stop frame ended it, or a stop is latched: clear it first (`magpie grasp --clear-faults`)"
+        }
         CalibrationFailure::NothingGripped => {
             "nothing was gripped: put a rigid part between the fingers, at most 20 mm narrower than their opening"
         }

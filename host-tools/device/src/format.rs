@@ -1,5 +1,6 @@
 //! State and faults as text and JSON.
 
+use crate::session::state_name;
 use crate::state::{ActiveFault, GripperState, SensorState};
 use device_run::channel_map::turn_rad;
 use firmware::compensation::covariates::Covariates;
@@ -31,9 +32,14 @@ pub fn status_line(state: &GripperState, now_s: f64) -> String {
     for sensor in &state.sensors {
         text += &format!("  {:>14}", forces(sensor));
     }
-    let faults: Vec<String> = state.faults.iter().map(fault_line).collect();
-    if !faults.is_empty() {
-        text += &format!("  {}", faults.join("; "));
+    if let Some(beat) = &state.heartbeat {
+        text += &format!("  {}", state_name(beat.value.state));
+    }
+    let stopped = state.is_stopped().then(|| "a stop is latched".to_owned());
+    let notes: Vec<String> =
+        stopped.into_iter().chain(state.faults.iter().map(fault_line)).collect();
+    if !notes.is_empty() {
+        text += &format!("; {}", notes.join("; "));
     }
     match state.received_s {
         None => text + "  no message yet",
@@ -114,6 +120,8 @@ pub fn state_json(state: &GripperState, now_s: f64) -> Value {
         "faults": state.faults.iter().map(fault_json).collect::<Vec<_>>(),
         "heartbeat": state.heartbeat.map(|latest| json!({
             "age_s": rounded(now_s - latest.at_s),
+            "state": state_name(latest.value.state),
+            "stopped": latest.value.stopped,
             "command_alive": latest.value.command_alive,
             "sensors_ok": latest.value.sensors_ok,
             "unprotected": latest.value.unprotected,

@@ -340,6 +340,11 @@ impl Refusal {
         Self { mode, state, reason }
     }
 
+    /// Whether the reason is a latched stop.
+    pub const fn is_stopped(&self) -> bool {
+        self.reason == RefusalReason::Stopped as u8
+    }
+
     /// Reason, state and remedy as text.
     pub fn words(&self) -> String {
         let reason = REASONS.into_iter().find(|reason| *reason as u8 == self.reason);

@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Result, bail};
 use device::calibration_client::{self, RunningCalibration};
 use device::params_client;
+use device::session::state_name;
 use device::source::Source;
 use device::state::GripperState;
 use firmware::estimator::Validity;
@@ -54,10 +55,17 @@ pub fn run(args: &Args) -> Result<()> {
                 "missing_inputs": incomplete,
                 "motor": if is_commissioned { "measured" } else { "assumed" },
                 "screw": screw,
+                "state": state.heartbeat.map(|latest| state_name(latest.value.state)),
+                "stopped": state.is_stopped(),
                 "unprotected": state.heartbeat.map(|latest| latest.value.unprotected),
             })
         },
-        || text(&running, &incomplete) + &drive_text(is_commissioned, screw) + key_text(&state),
+        || {
+            text(&running, &incomplete)
+                + &drive_text(is_commissioned, screw)
+                + key_text(&state)
+                + &state_text(&state)
+        },
     )
 }
 
@@ -72,6 +80,15 @@ fn drive_text(is_commissioned: bool, screw: &str) -> String {
         known => known,
     };
     format!("motor        {motor}\nscrew        {screw}\n")
+}
+
+fn state_text(state: &GripperState) -> String {
+    let Some(beat) = &state.heartbeat else { return String::new() };
+    let stopped = match beat.value.stopped {
+        true => "; a stop is latched (`magpie grasp --clear-faults`)",
+        false => "",
+    };
+    format!("state        {}{stopped}\n", state_name(beat.value.state))
 }
 
 fn key_text(state: &GripperState) -> &'static str {

@@ -59,6 +59,16 @@ impl PortArgs {
         })
     }
 
+    /// The connection as it is typed.
+    pub fn words(&self) -> String {
+        match (&self.port, &self.can) {
+            (Some(port), _) => format!("--port {port}"),
+            (None, Some(bus)) if self.node == DEFAULT_NODE => format!("--can {bus}"),
+            (None, Some(bus)) => format!("--can {bus} --node {}", self.node),
+            (None, None) => String::new(),
+        }
+    }
+
     /// Does some work in a session with the gripper; states that it is unprotected if it is.
     ///
     /// # Errors

@@ -5,9 +5,14 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use anyhow::Result;
+use device::format::fault_name;
+use device::session::state_name;
+use firmware::grip::commands::mode;
+use firmware::grip::states::{PowerState, TaskState, state_code};
 use firmware::protocol::layout::{Direction, MessageLayout, SignalLayout};
 use firmware::protocol::messages::LAYOUTS;
 use firmware::protocol::{DEFAULT_NODE, PROTOCOL_VERSION, frame_id};
+use firmware::system::faults::Fault;
 use model_export::output::{check_output, write_output};
 
 use report::text::terminal;
@@ -50,6 +55,7 @@ pub fn dbc(node: u16) -> String {
     let (major, minor) = PROTOCOL_VERSION;
     let mut text = format!("{MARK}{major}.{minor}\"\n\nNS_ :\n\nBS_:\n\nBU_: GRIPPER HOST\n");
     let mut comments = format!("\nCM_ \"Messages of the MAGPIE gripper, node {node}.\";\n");
+    let mut values = String::from("\n");
     let mut periods = String::from(
         "\nBA_DEF_ BO_ \"GenMsgCycleTime\" INT 0 65535;\nBA_DEF_DEF_ \"GenMsgCycleTime\" 0;\n",
     );
@@ -75,9 +81,43 @@ pub fn dbc(node: u16) -> String {
             let _ = writeln!(text, " SG_ {signal}{select} : {} {receiver}", signal_format(field));
             let _ =
                 writeln!(comments, "CM_ SG_ {id} {signal} \"{}\";", one_line(field.description));
+            let names = value_names(layout.name, field.name);
+            if !names.is_empty() {
+                let names = names.iter().map(|(value, name)| format!(" {value} \"{name}\""));
+                let _ = writeln!(values, "VAL_ {id} {signal}{} ;", names.collect::<String>());
+            }
         }
     }
-    text + &comments + &periods
+    text + &comments + &periods + &values
+}
+
+/// Names of a signal's values; empty for a number.
+fn value_names(message: &str, signal: &str) -> Vec<(u16, String)> {
+    match (message, signal) {
+        ("Heartbeat", "state") => {
+            let powers = PowerState::ALL.iter().filter(|state| **state != PowerState::Enabled);
+            let powers = powers.map(|power| *power as u8);
+            let tasks = TaskState::ALL.iter().map(|task| state_code(PowerState::Enabled, *task));
+            powers.chain(tasks).map(|code| (code.into(), state_name(code))).collect()
+        }
+        ("FaultEvent", "code") => {
+            Fault::ALL.iter().map(|fault| (*fault as u16, fault_name(*fault))).collect()
+        }
+        ("Command", "mode") => [
+            (mode::DISABLE, "disable"),
+            (mode::ENABLE, "enable"),
+            (mode::HOME, "home"),
+            (mode::MOVE, "move"),
+            (mode::GRIP, "grip"),
+            (mode::RELEASE, "release"),
+            (mode::STOP, "stop"),
+            (mode::FOOT, "foot"),
+            (mode::LEAVE, "leave foot"),
+        ]
+        .map(|(mode, name)| (mode.into(), name.to_owned()))
+        .into(),
+        _ => Vec::new(),
+    }
 }
 
 /// The signals of a message: name, multiplex marker and field. A multiplexed field gives one signal for each

@@ -1,5 +1,6 @@
 //! `magpie identify`: measures the motor or the screw of a gripper.
 
+use analysis::numbers;
 use anyhow::{Result, bail};
 use device::{calibration_client, params_client};
 use firmware::motor::calibration::CalibrationKind;
@@ -11,11 +12,11 @@ use crate::commands::connection::PortArgs;
 
 /// Measure the motor or the screw of a gripper; THE FINGERS MOVE.
 ///
-/// Once after assembly: without it, motor constants are assumed and the screw counts as backdrivable, so that a grip needs
-/// current all the time. The gripper must be disabled. `motor` measures windings, phase order and rotor sensor: nothing may
-/// be gripped, and the fingers need room. `screw` grips a part with about 100 N, takes the current away and observes whether
-/// the fingers yield: a rigid part must be between the fingers, at most 20 mm narrower than their opening. Forces, faults and
-/// stop frames end either.
+/// Once after assembly: without it, motor constants are assumed, and the screw counts as backdrivable: a fault that switches
+/// the current off is then expected to drop the part. The gripper must be disabled. `motor` measures windings, phase order
+/// and rotor sensor: nothing may be gripped, and the fingers need room. `screw` grips a part with 2 A, 100 to 150 N, takes
+/// the current away and observes whether the fingers yield: a rigid part must be between the fingers, at most 20 mm narrower
+/// than their opening. Forces, faults and stops end either.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -49,7 +50,7 @@ const MOTOR: [(u16, &str, &str, f64); 5] = [
     (id::INDUCTANCE, "phase inductance", "mH", 1e-6),
     (id::POLE_PAIRS, "pole pairs", "", 1.0),
     (id::ROTOR_OFFSET, "offset of the rotor sensor", "turns", 1.0 / 65536.0),
-    (id::SWAPPED, "phases V and W swapped", "(1: yes)", 1.0),
+    (id::SWAPPED, "phases V and W swapped (1: yes)", "", 1.0),
 ];
 
 /// Runs the command.
@@ -57,6 +58,7 @@ pub fn run(args: &Args) -> Result<()> {
     let Some(mut source) = args.port.open()? else {
         bail!("give the gripper's line: --port PATH or --can BUS");
     };
+    eprintln!("warning: the gripper at {} moves: keep hands clear of the fingers", source.name());
     let kind = match args.what {
         Measured::Motor => CalibrationKind::Motor,
         Measured::Screw => CalibrationKind::Screw,
@@ -87,7 +89,8 @@ pub fn run(args: &Args) -> Result<()> {
         },
         || {
             let lines = found.iter().map(|(name, unit, value)| {
-                format!("{name:<28}{value:.4} {unit}").trim_end().to_owned() + "\n"
+                format!("{name:<34}{} {unit}", numbers::decimal(*value, 4)).trim_end().to_owned()
+                    + "\n"
             });
             lines.collect::<String>() + &format!("Measured, and in use ({saved}).\n")
         },

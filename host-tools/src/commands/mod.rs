@@ -20,6 +20,7 @@ pub mod identify;
 pub mod import;
 pub mod key;
 pub mod monitor;
+pub mod parameter;
 pub mod record;
 pub mod replay;
 pub mod simulate;
@@ -60,6 +61,7 @@ enum Command {
     Board(board::Args),
     Tare(tare::Args),
     Identify(identify::Args),
+    Parameter(parameter::Args),
     Key(key::Args),
     Replay(replay::Args),
     Simulate(simulate::Args),
@@ -101,6 +103,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Board(args) => board::run(&args),
         Command::Tare(args) => tare::run(&args),
         Command::Identify(args) => identify::run(&args),
+        Command::Parameter(args) => parameter::run(&args),
         Command::Key(args) => key::run(&args),
         Command::Replay(args) => replay::run(&args),
         Command::Simulate(args) => simulate::run(&args),

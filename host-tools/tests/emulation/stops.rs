@@ -104,7 +104,24 @@ fn stop_of_all_is_latched() -> Result<(), Failed> {
     cell.run(1.0);
     assert_eq!(cell.state(), PowerState::Armed as u8);
     assert!((opening_mm(&cell) - stopped_mm).abs() < 0.05, "{}", opening_mm(&cell));
+    // Neither does it measure the motor, once it is disarmed.
+    cell.host.service(op::END, 0);
+    cell.run(0.2);
+    assert_eq!(cell.state(), PowerState::Safe as u8);
+    cell.host.service(op::MEASURE, CalibrationKind::Motor as u32);
+    for _ in 0..300 {
+        cell.tick();
+        assert!(cell.board.chip.soc.motor_duties().is_none());
+    }
+    let refusal =
+        cell.host.received.replies.last().map(|(_, reply)| (reply.op, reply.status, reply.detail));
+    let reason = CalibrationFailure::Stopped as u32;
+    assert_eq!(refusal, Some((op::MEASURE, status::FAILED, reason)));
+    let beat = cell.host.received.heartbeat.as_ref().map(|(_, beat)| beat.stopped);
+    assert_eq!(beat, Some(true));
     cell.host.service(op::CLEAR_FAULTS, 0);
+    cell.run(0.3);
+    assert!(cell.enable());
     let enabled_s = cell.until(0.5, |cell| cell.state() >= TASK_CODE);
     assert!(enabled_s.is_some(), "{}: {:?}", cell.state(), cell.host.received.replies);
     // The reset starts no motion, and ENABLE does not continue the one that was stopped.

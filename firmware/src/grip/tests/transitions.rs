@@ -127,6 +127,27 @@ fn failed_self_test_and_calibration_prevent_arming() {
 }
 
 #[test]
+fn latched_stop_prevents_a_calibration_until_it_is_cleared() {
+    let mut rig = GripRig::new(true);
+    rig.run(5);
+    rig.stop = true;
+    rig.run(1);
+    rig.stop = false;
+    rig.is_calibrating = true;
+    rig.run(5);
+    assert!(rig.grip.is_stopped());
+    assert_eq!(rig.grip.power(), PowerState::Safe);
+    rig.is_calibrating = false;
+    rig.clear = true;
+    rig.run(1);
+    rig.clear = false;
+    rig.is_calibrating = true;
+    rig.run(5);
+    assert!(!rig.grip.is_stopped());
+    assert_eq!(rig.grip.power(), PowerState::Calibrating);
+}
+
+#[test]
 fn grip_and_release_pass_through_their_states() {
     let mut rig = GripRig::enabled(true);
     rig.object = Some((40.0, 50.0));

@@ -260,6 +260,11 @@ impl GripperState {
         self.heartbeat.is_some_and(|latest| latest.value.unprotected)
     }
 
+    /// Whether a stop is latched.
+    pub fn is_stopped(&self) -> bool {
+        self.heartbeat.is_some_and(|latest| latest.value.stopped)
+    }
+
     /// Board time in seconds.
     pub fn board_s(&self) -> Option<f64> {
         self.board_us.map(|time_us| time_us as f64 * 1e-6)

@@ -10,6 +10,7 @@ use ratatui::text::{Line, Span};
 use ratatui::widgets::{Axis, Block, Cell, Chart, Dataset, GraphType, Paragraph, Row, Table, Wrap};
 
 use crate::format::{covariates_line, degrees, fault_line, loss_line, power_line, validity_name};
+use crate::session::state_name;
 use crate::state::{GripperState, HISTORY_S, SensorState};
 
 /// Reported silence in seconds.
@@ -180,14 +181,20 @@ fn faults(state: &GripperState, now_s: f64) -> Paragraph<'static> {
         let since = age(now_s - active.since_s);
         Line::from(format!("{} ({since})", fault_line((place, active)))).red()
     });
-    let mut lines: Vec<Line> = lines.collect();
-    if lines.is_empty() {
+    let stopped = state.is_stopped().then(|| Line::from("a stop is latched").red());
+    let mut lines: Vec<Line> = stopped.into_iter().chain(lines).collect();
+    if let Some(beat) = &state.heartbeat {
+        lines.insert(0, Line::from(format!("state: {}", state_name(beat.value.state))));
+    }
+    if state.faults.is_empty() && !state.is_stopped() {
         lines.push(match state.heartbeat {
-            Some(_) => Line::from("none").green(),
+            Some(_) => Line::from("no fault").green(),
             None => Line::from("no heartbeat yet").yellow(),
         });
     }
-    Paragraph::new(lines).wrap(Wrap { trim: true }).block(Block::bordered().title(" faults "))
+    Paragraph::new(lines)
+        .wrap(Wrap { trim: true })
+        .block(Block::bordered().title(" state, faults "))
 }
 
 fn load(state: &GripperState) -> Paragraph<'static> {

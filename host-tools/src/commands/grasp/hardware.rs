@@ -10,7 +10,7 @@ use firmware::grip::commands::{flag, mode};
 use firmware::grip::states::{PowerState, TASK_CODE, TaskState};
 use firmware::protocol::messages::Command;
 use firmware::protocol::opening_mm;
-use firmware::protocol::session::op;
+use firmware::protocol::session::{op, status};
 use serde_json::{Value, json};
 
 use crate::commands::connection::{check_protocol, interrupted, print_unprotected};
@@ -189,7 +189,13 @@ fn stop(args: &Args) -> Result<()> {
     terminal::print_result(
         args.json,
         || json!({ "stopped": true, "state": state }),
-        || format!("The gripper has stopped, state: {state}.\n"),
+        || {
+            format!(
+                "The gripper has stopped, state: {state}. The stop is latched; to open the fingers:\n  \
+                 magpie grasp {} --release --clear-faults\n",
+                args.port.words()
+            )
+        },
     )
 }
 
@@ -322,6 +328,11 @@ impl Session {
                     bail!("the gripper does not clear its faults: {}", self.no_session())
                 }
             }
+            if self.wait(ARM_S, |session| !session.client.state.is_stopped())?
+                == WaitResult::TimedOut
+            {
+                bail!("the stop stays latched: the fingers do not rest");
+            }
         }
         if !has_fault(self) {
             return Ok(WaitResult::Done);
@@ -340,6 +351,11 @@ impl Session {
     }
 
     fn arm(&mut self, _: &Args) -> Result<WaitResult> {
+        if self.client.state.is_stopped() {
+            bail!(
+                "a stop is latched: make sure that the gripper may move again, and add --clear-faults"
+            );
+        }
         let end_s = self.client.elapsed_s() + ARM_S;
         while self.client.elapsed_s() < end_s {
             self.client.arm()?;
@@ -349,6 +365,10 @@ impl Session {
                     print_unprotected(&self.client.name());
                 }
                 return Ok(waited);
+            }
+            // It does not become right by repetition.
+            if self.client.not_armed == Some(status::REFUSED) {
+                break;
             }
         }
         bail!("the gripper does not arm: {}{}", self.no_session(), self.faults())
@@ -500,6 +520,7 @@ impl Session {
             bail!("the gripper was stopped{}", self.faults());
         }
         match self.client.refused {
+            Some(refusal) if refusal.is_stopped() => bail!("{}", refusal.words()),
             // Enabling measures the current offsets, and the motor may still move during a release or disable.
             Some(refusal)
                 if ![mode::ENABLE, mode::RELEASE, mode::DISABLE].contains(&refusal.mode) =>

@@ -174,7 +174,8 @@ pub fn run(args: &Args) -> Result<()> {
         alignment: alignment.as_ref(),
         poses: has_pose.then_some(progress.poses),
         check: check.as_ref(),
-        has_drive: !args.gripper.is_virtual(),
+        is_on_bus: args.gripper.is_on_bus(),
+        is_virtual: args.gripper.is_virtual(),
     };
     terminal::print_result(args.json, || summary.to_json(), || summary.format())?;
     ended.and(failed)
@@ -190,8 +191,9 @@ struct Summary<'a> {
     /// Number of poses sent to the board; none where the source has none.
     poses: Option<u64>,
     check: Option<&'a CheckResult>,
-    /// False for a virtual board.
-    has_drive: bool,
+    /// Which has no covariates, as a virtual board.
+    is_on_bus: bool,
+    is_virtual: bool,
 }
 
 /// Covered ranges, and the effects on which the recording can decide.

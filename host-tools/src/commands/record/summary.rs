@@ -10,7 +10,7 @@ use super::{CheckResult, ReferenceAlignment, Summary};
 impl Summary<'_> {
     /// As text.
     pub(super) fn format(&self) -> String {
-        let Self { output, start_s, tally, alignment, poses, check, has_drive } = *self;
+        let Self { output, start_s, tally, alignment, poses, check, is_on_bus, is_virtual } = *self;
         let seconds = |us: u64| us as f64 * 1e-6;
         let numbers = |sensors: &[usize]| {
             let numbers: Vec<String> = sensors.iter().map(usize::to_string).collect();
@@ -39,14 +39,18 @@ impl Summary<'_> {
         }
         text += &match tally.covariates.as_slice() {
             [] => {
-                let why = if has_drive { "" } else { " (a virtual board has none)" };
+                let why = match (is_virtual, is_on_bus) {
+                    (true, _) => " (a virtual board has none)",
+                    (_, true) => " (only a serial line carries them)",
+                    _ => "",
+                };
                 format!(
                     "No covariates{why}: effects of opening, motor and orientation cannot be diagnosed.\n"
                 )
             }
             names => terminal::paragraph(&format!("Covariates: {}.", names.join(", "))),
         };
-        if has_drive && !tally.covariates.contains(&"opening_mm") {
+        if !is_virtual && !is_on_bus && !tally.covariates.contains(&"opening_mm") {
             text += "The opening was unknown: home the gripper first (cargo magpie grasp --port PATH --home --position 40).\n";
         }
         if tally.without_covariates > 0 {
