@@ -216,8 +216,10 @@ mod unix {
     fn identification() -> Result<(), Failed> {
         let dir = WorkDir::empty();
         let image = path(Variant::Nominal)?;
-        let emulation = Emulation::start(&dir, &image, "--opening 50 --object 40 --json");
+        let emulation = Emulation::start(&dir, &image, "--opening 3 --object 40 --json");
         let port = format!("--port {}", emulation.serial);
+        // The object is between the fingers once they are open.
+        dir.json(&format!("grasp {port} --home --position 50 --json"));
         let found = dir.json(&format!("identify motor {port} --save --json"));
         let value = |name: &str| {
             let rows = found["motor"].as_array().unwrap();

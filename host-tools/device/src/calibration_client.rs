@@ -35,7 +35,7 @@ const WINDOW: u32 = 2 * CHUNKS_PER_GROUP as u32;
 /// Time for each chunk: the gripper admits 20 messages in 10 ms, and those of a busy computer come in bursts.
 const CHUNK_TIME: Duration = Duration::from_micros(800);
 /// Time for each part of a key: the gripper checks four codes in 10 ms.
-const KEY_PART_TIME: Duration = Duration::from_millis(5);
+const KEY_PART_TIME: Duration = Duration::from_millis(20);
 /// Time for a reboot with the first check of the tables.
 const REBOOT: Duration = Duration::from_secs(5);
 
