@@ -785,6 +785,42 @@ mod tests {
     }
 
     #[test]
+    fn requests_without_a_code_use_up_none_of_the_checks() {
+        let mut pair = Pair::opened(op::ARM, 0);
+        for _ in 0..100 {
+            pair.send(20, COMMAND);
+        }
+        assert!(matches!(pair.send_sealed(20, COMMAND), SessionEvent::Command(_)));
+    }
+
+    #[test]
+    fn refused_requests_are_answered_with_their_kind() {
+        let parameter = |status| ParamReply { op: parameters::op::WRITE, id: 2, status, value: 0 };
+        let request = Message::ParamRequest(crate::protocol::messages::ParamRequest {
+            op: parameters::op::WRITE,
+            id: 2,
+            ..Default::default()
+        });
+        for (given, expected) in [
+            (status::UNAUTHENTICATED, parameters::status::UNAUTHENTICATED),
+            (status::ARMED, parameters::status::ARMED),
+        ] {
+            let reply = refusal(&request, given);
+            assert_eq!(reply, Some(Message::ParamReply(parameter(expected))));
+        }
+        let upload = ServiceReply { op: op::UPLOAD, status: status::ARMED, extra: 0, detail: 0 };
+        let chunk =
+            Message::CalibrationChunk(crate::protocol::messages::CalibrationChunk::default());
+        assert_eq!(refusal(&chunk, status::ARMED), Some(Message::ServiceReply(upload)));
+        let save = ServiceReply { op: op::SAVE, status: status::GRIPPING, extra: 0, detail: 0 };
+        assert_eq!(
+            refusal(&service(op::SAVE), status::GRIPPING),
+            Some(Message::ServiceReply(save))
+        );
+        assert_eq!(refusal(&COMMAND, status::ARMED), None);
+    }
+
+    #[test]
     fn at_most_four_codes_are_checked_in_ten_milliseconds() {
         let mut pair = Pair::opened(op::ARM, 0);
         let mut forged = pair.host.seal(COMMAND).unwrap();

@@ -412,6 +412,8 @@ mod tests {
         let mut longer = calibration(2, 500);
         longer.push(0);
         assert_eq!(upload(&mut flash, &longer), Err(UploadError::Corrupt));
+        // Behind it are two marks of eight bytes.
+        assert_eq!(MAX_BYTES, 65_520);
         let too_long = std::vec![0; MAX_BYTES as usize + 1];
         assert_eq!(upload(&mut flash, &too_long), Err(UploadError::Length));
         let mut slots = CalibrationSlots::new(0);

@@ -1,6 +1,8 @@
 use std::vec::Vec;
 
 use super::*;
+use embedded_storage_async::nor_flash::{NorFlash, ReadNorFlash};
+
 use crate::fixed_point::Force;
 use crate::parameters::schema::{PARAMETERS, id};
 use crate::protocol::authentication::Key;
@@ -217,6 +219,25 @@ fn empty_flash_loads_defaults_with_origin_empty() {
         is_settled: true,
     };
     assert_eq!(load(&mut FlashModel::new(0)), expected);
+}
+
+#[test]
+fn origins_have_the_details_of_the_protocol() {
+    use ParameterOrigin::{Corrupt, Empty, Newer, Older, Stored};
+    let codes = [Stored, Older, Newer, Empty, Corrupt].map(ParameterOrigin::code);
+    assert_eq!(codes, [0, 1, 2, 3, 4]);
+}
+
+/// As a flash with another division would have it.
+#[test]
+fn record_in_another_slot_does_not_count() {
+    let flash = saved(1);
+    let mut moved = FlashModel::new(2);
+    let mut slot = [0; SLOT_BYTES];
+    block(flash.clone().read(0, &mut slot)).unwrap();
+    block(moved.write(5 * SLOT_BYTES as u32, &slot)).unwrap();
+    let loaded = load(&mut moved);
+    assert_eq!((loaded.parameters, loaded.origin), (Parameters::DEFAULT, ParameterOrigin::Corrupt));
 }
 
 #[test]
