@@ -119,6 +119,12 @@ fn unknown_effect_is_attributed_but_not_named() {
     let first = &diagnosis["unexplained"][0];
     assert_eq!(first["covariate"], "motor_angle_rad");
     assert!(first["share"].as_f64().unwrap() > 0.8, "{first}");
+    // The rest is described as well: of a residual above the floor something is always said.
+    let rest = diagnosis["unexplained"].as_array().unwrap().last().unwrap();
+    assert_eq!(rest["covariate"], Value::Null);
+    assert!(rest["share"].as_f64().unwrap() < 0.2, "{rest}");
+    assert!(rest["correlation_s"].as_f64().unwrap() > 0.0, "{rest}");
+    assert_eq!(rest["channels"][0]["sensor"], 0, "{rest}");
 }
 
 #[test]

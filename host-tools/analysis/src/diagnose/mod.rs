@@ -9,6 +9,7 @@
 //! - [`mod@forward_selection`]: forward selection, equivalent effects, backward elimination.
 //! - [`confusable_effects`]: effects that depend on the same covariates, and data that cannot separate them.
 //! - [`residuals`]: the remaining residual, and what each effect removed of it.
+//! - [`remaining_structure`]: what follows no covariate.
 //! - [`verdicts`]: a verdict on every candidate.
 //! - [`recording_check`]: effects on which recordings can decide, before a diagnosis.
 //! - [`suggestions`]: the next command.
@@ -17,8 +18,9 @@ use crate::compare::cv_plan::ModelRefit;
 use crate::data_quality::Finding;
 use crate::diagnose::candidates::candidates;
 use crate::diagnose::forward_selection::forward_selection;
+use crate::diagnose::remaining_structure::RemainingStructure;
 pub use crate::diagnose::residuals::EffectShape;
-use crate::diagnose::residuals::shapes;
+use crate::diagnose::residuals::{residuals_against, shapes};
 pub use crate::diagnose::suggestions::{Suggestion, SuggestionKind};
 use crate::diagnose::verdicts::conclude;
 use anyhow::Result;
@@ -34,6 +36,7 @@ pub mod candidates;
 pub mod confusable_effects;
 pub mod forward_selection;
 pub mod recording_check;
+pub mod remaining_structure;
 pub mod residuals;
 pub mod selection;
 pub mod suggestions;
@@ -54,6 +57,8 @@ pub struct Diagnosis {
     pub accepted: Vec<Vec<String>>,
     /// Residual structure that no effect explains, largest share first.
     pub unexplained: Vec<Unexplained>,
+    /// What of the residual follows no covariate; none at the noise floor.
+    pub remaining: Option<RemainingStructure>,
     /// True if the residual is indistinguishable from noise.
     pub at_floor: bool,
     /// Cross-validated error after every step.
@@ -214,6 +219,11 @@ pub fn diagnose(
         candidates(campaign, model.base, model.force_axes(), &present, own);
     let selection = forward_selection(campaign, &prepared, &present, &testable, options, on_stage)?;
     let mut diagnosis = conclude(&selection, &untestable, campaign.recordings.len());
+    if let Some(last) = selection.stages.last().filter(|_| !diagnosis.at_floor) {
+        let located = selection.attributed.iter().map(|(_, share)| share).sum();
+        let columns = residuals_against(&prepared, last, &[]);
+        diagnosis.remaining = Some(RemainingStructure::of(&columns, located));
+    }
     diagnosis.shapes = shapes(campaign, &prepared, &selection, options.seed);
     diagnosis.model = path.display().to_string();
     diagnosis.campaign = campaign.folder.display().to_string();

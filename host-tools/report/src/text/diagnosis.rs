@@ -1,5 +1,6 @@
 //! Text and JSON of a diagnosis.
 
+use analysis::diagnose::remaining_structure::RemainingStructure;
 use analysis::diagnose::{
     Diagnosis, Reason, StaircaseStep, Suggestion, SuggestionKind, Unexplained, Verdict, VerdictKind,
 };
@@ -154,7 +155,13 @@ fn unexplained_residual(diagnosis: &Diagnosis) -> String {
     for one in &diagnosis.unexplained {
         page += &styled(WARNING, &unexplained(one));
     }
-    if page.is_empty() { page } else { page + &paragraph(&format!("  {}", EXPR_HINT)) + "\n" }
+    if let Some(structure) = &diagnosis.remaining {
+        page += &styled(WARNING, &remaining(structure));
+    }
+    match diagnosis.unexplained.is_empty() {
+        true => page,
+        false => page + &paragraph(&format!("  {}", EXPR_HINT)) + "\n",
+    }
 }
 
 /// Commands are not wrapped, so that they can be copied.
@@ -202,7 +209,7 @@ pub fn to_json(diagnosis: &Diagnosis) -> Value {
         "findings": findings.collect::<Vec<_>>(),
         "verdicts": diagnosis.verdicts.iter().map(verdict_json).collect::<Vec<_>>(),
         "accepted": diagnosis.accepted,
-        "unexplained": diagnosis.unexplained,
+        "unexplained": unexplained_json(diagnosis),
         "at_floor": diagnosis.at_floor,
         "staircase": diagnosis.staircase,
         "blocks": diagnosis.blocks,
@@ -211,6 +218,17 @@ pub fn to_json(diagnosis: &Diagnosis) -> Value {
         "next": diagnosis.next.commands,
         "verdict": verdict(diagnosis),
     })
+}
+
+/// Located shares, then what follows no covariate; empty at the noise floor only.
+fn unexplained_json(diagnosis: &Diagnosis) -> Vec<Value> {
+    let located = diagnosis.unexplained.iter().map(|one| json!(one));
+    let remaining = diagnosis.remaining.iter().map(|structure| {
+        let mut object = json!(structure);
+        object["covariate"] = Value::Null;
+        object
+    });
+    located.chain(remaining).collect()
 }
 
 fn verdict_json(verdict: &Verdict) -> Value {
@@ -530,6 +548,26 @@ pub const SEE_BELOW: &str = "see below";
 /// "UNEXPLAINED: 84 % of the residual follows the rotor angle (motor_angle_rad)".
 pub fn unexplained(of: &Unexplained) -> String {
     format!("UNEXPLAINED: {} ({})", residual_follows(of), of.covariate)
+}
+
+/// "NOT LOCATED: 40 % of the excess of 0.31 G follows no covariate; it stays alike for 1.2 s, oscillates at 0.4 Hz, and is on
+/// sensor 0 z (60 %), sensor 2 z (30 %)".
+pub fn remaining(structure: &RemainingStructure) -> String {
+    let oscillates = match structure.peak_hz {
+        Some(hz) => format!("oscillates at {} Hz", numbers::decimal(hz, 2)),
+        None => "has no frequency that stands out".to_owned(),
+    };
+    let channels = structure.channels.iter().map(|channel| {
+        format!("sensor {} {} ({:.0} %)", channel.sensor, channel.axis, 100.0 * channel.share)
+    });
+    format!(
+        "NOT LOCATED: {:.0} % of the excess of {} over the noise follows no covariate. The residual stays alike for {} s, \
+         {oscillates}, and is on {}",
+        100.0 * structure.share,
+        field(structure.excess_g),
+        numbers::decimal(structure.correlation_s, 2),
+        channels.collect::<Vec<_>>().join(", ")
+    )
 }
 
 /// Hint where structure is unexplained.

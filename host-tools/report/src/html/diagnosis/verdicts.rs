@@ -4,7 +4,7 @@ use crate::html::Section;
 use crate::html::diagnosis::effect;
 use crate::html::tables::table;
 use crate::text::diagnosis::{self as text, EquivalentSet, InconclusiveGroup};
-use analysis::diagnose::{Diagnosis, EffectShape, Unexplained, Verdict};
+use analysis::diagnose::{Diagnosis, EffectShape, Verdict};
 use analysis::numbers::{number, percent};
 use maud::{Markup, html};
 
@@ -91,12 +91,13 @@ fn part(verdict: &Verdict, shape: Option<&EffectShape>) -> Markup {
 /// `None` without open questions.
 pub fn open_section(diagnosis: &Diagnosis) -> Option<Section> {
     let (ties, unjudged) = (text::equivalent_sets(diagnosis), text::inconclusive_groups(diagnosis));
-    let none = ties.is_empty() && unjudged.is_empty() && diagnosis.unexplained.is_empty();
+    let is_explained = diagnosis.unexplained.is_empty() && diagnosis.remaining.is_none();
+    let none = ties.is_empty() && unjudged.is_empty() && is_explained;
     (!none).then(|| Section {
         id: "open",
         heading: "Open questions".to_owned(),
         body: html! {
-            (unexplained(&diagnosis.unexplained))
+            (unexplained(diagnosis))
             @for tie in &ties { (equivalence(tie)) }
             @if !unjudged.is_empty() {
                 h3 { "Inconclusive from these recordings" }
@@ -106,12 +107,15 @@ pub fn open_section(diagnosis: &Diagnosis) -> Option<Section> {
     })
 }
 
-fn unexplained(list: &[Unexplained]) -> Markup {
+fn unexplained(Diagnosis { unexplained, remaining, .. }: &Diagnosis) -> Markup {
     html! {
-        @if !list.is_empty() {
+        @if !unexplained.is_empty() || remaining.is_some() {
             h3 { "Unexplained" }
-            ul { @for one in list { li { (text::unexplained(one)) } } }
-            p { (text::EXPR_HINT) }
+            ul {
+                @for one in unexplained { li { (text::unexplained(one)) } }
+                @if let Some(structure) = remaining { li { (text::remaining(structure)) } }
+            }
+            @if !unexplained.is_empty() { p { (text::EXPR_HINT) } }
         }
     }
 }
