@@ -42,8 +42,6 @@ RECORD = "firmware::board::selected::crash::RECORD"
 # Most bytes: of a recurrent network's kernel with its tables, of a kernel's stack, and of the stack from
 # an entry of the models or the motor down.
 CODE_LIMIT, KERNEL_STACK_LIMIT, STACK_LIMIT = 7 * 1024, 200, 1280
-# Stack that the fault handler has (`HANDLER_STACK` in crash.rs).
-HANDLER_STACK = 512
 # Most bytes of the image: one of the two banks of flash, because the other is erased and written while it runs.
 FLASH_LIMIT = 256 * 1024
 
@@ -94,7 +92,7 @@ def check_entries(image):
     elf, graph = image.elf, image.graph
     handlers, reset = entries.vectors(elf)
     spawned = entries.spawned()
-    polls = [start for start in image.polls if elf.names[start].endswith("::poll")]
+    polls = [start for start in image.polls if elf.places[start].endswith("::poll")]
     tasks = entries.tasks(elf, graph, polls)
     if tasks.keys() != spawned.keys() or any(len(places) != 1 for places in tasks.values()):
         sys.exit(f"{elf.path}: poll functions of tasks {sorted(tasks)}, but the sources have {sorted(spawned)}")
@@ -112,10 +110,9 @@ def check_panics(image, places):
         rules = [rule for rule in allowed_panics.RULES if rule.applies(panic)]
         used.update(rules)
         if not rules:
-            refused.setdefault((panic.kind, *panic.frames[:3]), panic)
+            refused.setdefault(panic.text, panic)
     for panic in refused.values():
-        where = " < ".join(f"{name} ({file.rsplit('/', 1)[-1]}:{line})" for name, file, line in panic.frames[:6])
-        print(f"{panic.kind} at {panic.site:#010x}: {where}")
+        print(f"at {panic.site:#010x}, line {panic.frames[0].line}, {panic.text}")
         print("    path: " + " > ".join(path(image, reached, panic)))
     stale = [rule.pattern for rule in allowed_panics.RULES if rule not in used]
     problems = sorted(set(image.problems)) + [f"no panic is {pattern}: remove the rule" for pattern in stale]
@@ -166,8 +163,8 @@ def check_stack(image, handlers, tasks, spawned, reset, kernels):
     print(f", {fatal['NonMaskableInt']} non-maskable; with the frames of the exceptions {total} of {len(STACK)} bytes")
     if total > len(STACK):
         sys.exit(f"{elf.path}: the stack is too short")
-    if fatal["HardFault"] > HANDLER_STACK:
-        sys.exit(f"{elf.path}: the fault handler takes {fatal['HardFault']} bytes of stack, more than {HANDLER_STACK}")
+    if fatal["HardFault"] > entries.handler_stack():
+        sys.exit(f"{elf.path}: the fault handler takes {fatal['HardFault']} bytes of stack")
     for start in kernels:
         if stack[start] > STACK_LIMIT:
             sys.exit(f"{elf.path}: {stack[start]} bytes of stack from {elf.names[start]} down, more than {STACK_LIMIT}")

@@ -1,6 +1,8 @@
 """An ELF of the Cortex-M4 as instructions, words and names, read by the binutils of arm-none-eabi."""
 
 import bisect
+import functools
+import posixpath
 import re
 import subprocess
 from dataclasses import dataclass
@@ -14,6 +16,47 @@ def binutils(tool, *arguments, text=None):
 def plain(name):
     """A function's name in either mangling of Rust's: legacy gives `a::Type::f::h0123456789abcdef`, v0 `<a::Type>::f`."""
     return re.sub(r"^<([\w:]+)>", r"\1", re.sub(r"::h[0-9a-f]{16}$", "", name))
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A function that is inlined somewhere, or contains it."""
+
+    name: str
+    file: str
+    line: str
+
+    @property
+    def place(self):
+        """Crate, file and function, which do not depend on the mangling of names: `core/src/cell.rs::borrow_mut`."""
+        return f"{short(self.file)}::{last(self.name)}"
+
+
+def short(file):
+    """Path of a source file from its crate."""
+    file = posixpath.normpath(file)
+    for pattern in (
+        r"/registry/src/[^/]+/(.+?)-\d+\.\d+\.\d+[^/]*(/.*)$",
+        r"/library/([\w-]+)(/.*)$",
+        r"/build/([\w-]+)-[0-9a-f]+(/out/.*)$",
+        r"/(firmware)(/src/.*)$",
+    ):
+        if match := re.search(pattern, file):
+            return match[1] + match[2]
+    return file
+
+
+def last(name):
+    """Function in a path, without its types and the numbers of closures in it."""
+    parts = without_types(name.replace("{{vtable.shim}}", "")).split("::")
+    return [part for part in parts if part and not part.startswith("{")][-1]
+
+
+def without_types(name):
+    name = name.replace("->", "")
+    while (bare := re.sub(r"<[^<>]*>", "", name)) != name:
+        name = bare
+    return name
 
 
 @dataclass(frozen=True)
@@ -67,6 +110,16 @@ class Elf:
                 return int.from_bytes(contents[offset : offset + size], "little")
         return None
 
+    @functools.cached_property
+    def places(self):
+        """Start of each function to its place, or its name where there is no debug information."""
+        frames = self.frames(self.starts)
+        found = dict(self.names)
+        for start in self.starts:
+            if frames.get(start) and frames[start][-1].file not in ("??", ""):
+                found[start] = frames[start][-1].place
+        return found
+
     def is_data(self, address):
         """Whether an address is in a section without code."""
         sections = (self.sections[name] for name in (".rodata", ".data") if name in self.sections)
@@ -80,7 +133,7 @@ class Elf:
                 yield start + offset, int.from_bytes(contents[offset : offset + 4], "little")
 
     def frames(self, addresses):
-        """Address to the functions inlined there, innermost first: (name, file, line)."""
+        """Address to the functions inlined there, innermost first."""
         addresses = sorted(set(addresses))
         if not addresses:
             return {}
@@ -94,7 +147,7 @@ class Elf:
                 name = plain(line)
             else:
                 file, _, number = line.partition(" (")[0].rpartition(":")
-                frames.append((name, file, number))
+                frames.append(Frame(name, file, number))
                 name = None
         return found
 

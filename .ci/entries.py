@@ -7,6 +7,8 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+from disassembly import without_types
+
 BOARD = Path(__file__).parent.parent / "firmware/src/board/nucleo_g474"
 # Task that `main` becomes.
 MAIN = "main"
@@ -18,7 +20,7 @@ FIXED = {RESET: -3, NON_MASKABLE: -2, HARD_FAULT: -1}
 # `sync::lower_all_interrupts`.
 DEFAULT_PRIORITY = 1
 THREAD = "thread mode"
-THREAD_EXECUTOR = r"^embassy_executor::platform::thread::Executor::run$"
+THREAD_EXECUTOR = r"^embassy-executor/src/platform/cortex_m\.rs::run$"
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,11 @@ def priorities():
     return found
 
 
+def handler_stack():
+    """Bytes of stack that the fault handler has at least."""
+    return int(re.search(r"const HANDLER_STACK: usize = (\d+);", (BOARD / "crash.rs").read_text())[1])
+
+
 def spawned():
     """Task to the interrupt of its executor, or thread mode."""
     text = (BOARD / "tasks.rs").read_text()
@@ -77,13 +84,14 @@ def spawned():
 
 def tasks(elf, graph, polls):
     """Task to its poll function, by the task's body that is inlined or called there."""
-    sites = {start: list(graph.functions[start].successors) for start in polls}
+    sites = {start: [call.site for call in graph.functions[start].calls] for start in polls}
     frames = elf.frames(site for places in sites.values() for site in places)
     found = {}
     for start, places in sites.items():
-        texts = {name for place in places for name, _, _ in frames.get(place, ())}
-        texts |= {elf.names[call.target] for call in graph.functions[start].calls if call.target}
-        names = {match[1] for match in map(re.compile(r"::__(\w+)_task::").search, texts) if match}
+        texts = {frame.name for place in places for frame in frames.get(place, ())}
+        texts |= {elf.names[call.target] for call in graph.functions[start].calls if call.target in elf.names}
+        matches = (re.search(r"::__(\w+)_task::", without_types(text)) for text in texts)
+        names = {match[1] for match in matches if match}
         names = {MAIN if name == "__embassy_main" else name for name in names}
         if len(names) != 1:
             raise ValueError(f"the poll function at {start:#x} belongs to the tasks {sorted(names)}")

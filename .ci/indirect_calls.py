@@ -11,51 +11,50 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Rule:
-    site: str  # Pattern of the functions inlined at the call, innermost first, joined by " < ".
-    targets: str  # Pattern of function names; empty: none exists.
+    site: str  # Pattern of the places of the functions inlined at the call, innermost first, joined by " < ".
+    targets: str  # Pattern of the places of functions; empty: none exists.
     reason: str
 
 
-TASK_POLL = r"^embassy_executor::raw::(TaskStorage<F>::poll|poll_exited)$"
+TASK_POLL = r"^embassy-executor/src/raw/mod\.rs::poll(_exited)?$"
 
 RULES = (
     Rule(
-        r"\bembassy_executor::raw::SyncExecutor::poll\b",
+        r"^embassy-executor/src/raw/mod\.rs::poll < embassy-executor/src/raw/run_queue\.rs::dequeue_all\b",
         TASK_POLL,
         "An executor polls the tasks spawned on it.",
     ),
     Rule(
-        r"\bfirmware::model::encoding::",
-        r"^core::ops::function::FnOnce::call_once\{\{vtable\.shim\}\}$"
-        r"|^firmware::tasks::calibration::load_calibration::\{\{closure\}\}::\{\{closure\}\}$"
-        r"|^firmware::model::(integrity|encoding)::\w+::\{\{closure\}\}$",
+        r"^firmware/src/model/encoding\.rs::(bytes|word|visit)\b",
+        r"^core/src/ops/function\.rs::call_once$|^firmware/src/tasks/calibration\.rs::load_calibration$"
+        r"|^firmware/src/model/(integrity/mod\.rs::update|encoding\.rs::word_count)$",
         "The encoding of a calibration reads and visits words through closures.",
     ),
     Rule(
-        r"\bfirmware::tasks::scrub::",
-        r"^<T as firmware::model::integrity::Scrub>::scrub$",
+        r"^firmware/src/tasks/scrub\.rs::",
+        r"^firmware/src/model/integrity/mod\.rs::scrub$",
         "The task checks each of the tables that it is given.",
     ),
     Rule(
-        r"\bdefmt_rtt::channel::Channel::write_all\b",
-        r"^defmt_rtt::channel::Channel::(blocking|nonblocking)_write$",
+        r"^defmt-rtt/src/channel\.rs::write_all\b",
+        r"^defmt-rtt/src/channel\.rs::(non)?blocking_write$",
         "The log waits for a debugger or not.",
     ),
     Rule(
-        r"\bembassy_sync::channel::SendDynamic|^embassy_stm32::can::\w+::RxMode::on_interrupt$",
+        r"^(embassy-sync/src/channel\.rs::try_(send|receive) < )?embassy-stm32/src/can/fdcan\.rs::on_interrupt\b",
         "",
         "Buffered CAN is not used, and the image has no implementation of its queues.",
     ),
     Rule(
-        r"\bcore::task::wake::Waker\b|^embassy_sync::signal::Signal<M,T>::poll_wait\b",
-        r"^embassy_executor::raw::waker::(clone|wake|drop)$",
+        r"^core/src/task/wake\.rs::(clone|wake|wake_by_ref|drop)\b|^embassy-sync/src/signal\.rs::poll_wait\b",
+        r"^embassy-executor/src/raw/waker\.rs::(clone|wake|drop)$",
         "All wakers are those of embassy-executor: no other table of waker functions is in the image.",
     ),
 )
 # Stored addresses of functions that are never called through them.
 NEVER_CALLED = (
     (
-        r"^embassy_stm32::_generated::interrupt::typelevel::Interrupt::pend$",
+        r"^embassy-hal-internal/src/interrupt\.rs::pend$",
         "The CAN driver's `tx_waker`, which only buffered CAN calls.",
     ),
 )
@@ -63,5 +62,5 @@ NEVER_CALLED = (
 
 def find(frames):
     """The rule for a call site, or None."""
-    text = " < ".join(name for name, _, _ in frames)
+    text = " < ".join(frame.place for frame in frames)
     return next((rule for rule in RULES if re.search(rule.site, text)), None)

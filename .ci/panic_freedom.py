@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import indirect_calls
 from call_graph import CallGraph
+from disassembly import Frame
 
 HANDLER = re.compile(r"\brust_begin_unwind$")
 # An exception's frame with floating-point state (ARMv7-M B1.5.7), and alignment to 8 bytes.
@@ -29,7 +30,7 @@ class Panic:
 
     @property
     def text(self):
-        return f"{self.kind}: " + " < ".join(name for name, _, _ in self.frames)
+        return f"{self.kind}: " + " < ".join(frame.place for frame in self.frames)
 
 
 class Image:
@@ -42,12 +43,13 @@ class Image:
         self.handler = [start for start, name in elf.names.items() if HANDLER.search(name)]
         if len(self.handler) != 1:
             self.problems.append(f"{len(self.handler)} panic handlers")
-        self.polls = self.matching(indirect_calls.TASK_POLL)
+        stored = self.stored_functions()
+        self.polls = [start for start in self.matching(indirect_calls.TASK_POLL) if start in stored]
         self.resolve()
         self.panicking = self.panicking_functions()
 
     def matching(self, pattern):
-        return [start for start, name in self.elf.names.items() if re.search(pattern, name)]
+        return [start for start, place in self.elf.places.items() if re.search(pattern, place)]
 
     def resolve(self):
         """Targets of each call site: (function, target, depth, whether an executor polls a task there)."""
@@ -58,7 +60,7 @@ class Image:
         stored = self.stored_functions()
         used, targets = set(), {}
         for rule in indirect_calls.RULES:
-            targets[rule] = {t for t in stored if rule.targets and re.search(rule.targets, self.elf.names[t])}
+            targets[rule] = {t for t in stored if rule.targets and re.search(rule.targets, self.elf.places[t])}
         self.edges = {}
         for start, function in functions.items():
             edges = self.edges[start] = []
@@ -72,7 +74,7 @@ class Image:
                     continue
                 rule = indirect_calls.find(frames.get(call.site, ()))
                 if rule is None:
-                    text = " < ".join(name for name, _, _ in frames.get(call.site, ())[:4])
+                    text = " < ".join(frame.place for frame in frames.get(call.site, ())[:6])
                     self.problems.append(f"call through a pointer at {call.site:#x} in {self.elf.names[start]}: {text}")
                     continue
                 used.add(rule)
@@ -86,7 +88,7 @@ class Image:
         called = set().union(*targets.values())
         direct = {target for edges in self.edges.values() for target, _, _ in edges}
         for target, is_data in stored.items():
-            name = self.elf.names[target]
+            name = self.elf.places[target]
             never = any(re.search(pattern, name) for pattern, _ in indirect_calls.NEVER_CALLED)
             if target not in called and not never and (is_data or target not in direct):
                 self.problems.append(f"the address of {name} is stored, and no rule says what calls it")
@@ -210,8 +212,8 @@ def has_cycle(function):
 def is_resumed_future(frames):
     """Whether a branch is the choice by the state of a future that an `async` block or function is compiled to: it has
     the line where the block begins."""
-    name, file, line = frames[0]
-    if not name.endswith("{{closure}}") or not line.isdigit():
+    file, line = frames[0].file, frames[0].line
+    if not re.search(r"\{closure[^{}]*\}+$", frames[0].name) or not line.isdigit():
         return False
     # An attribute that makes the block is before the signature.
     if linecache.getline(file, int(line)).startswith("#["):
@@ -237,7 +239,7 @@ def find_panics(image, entries):
     panics = []
     for start, found in places.items():
         for kind, site in found:
-            inlined = frames.get(site) or [(image.elf.names[start], "", "")]
+            inlined = frames.get(site) or [Frame(image.elf.names[start], "", "")]
             if kind != "trap" or is_resumed_future(inlined):
                 kind = "resumed future" if is_resumed_future(inlined) else "panic"
             panics.append(Panic(kind, start, site, inlined, set(reached[start])))
