@@ -1,4 +1,4 @@
-"""Checks a firmware image and prints its sizes: check_image.py ELF
+"""Checks a firmware image and prints its sizes: check_image.py ELF [PROFILE]
 
 - The vector table is at the start of flash and points into RAM and flash.
 - The stack is at the start of RAM, below the statics; a fault of the core and the non-maskable interrupt
@@ -6,7 +6,8 @@
 - From every handler of the vector table and every task no panic and no trap is reachable except the listed ones
   (`allowed_panics.py`), and every call through a pointer has known targets (`indirect_calls.py`); from the models and
   the motor's interrupts none at all.
-- The deepest stack of all levels of priority, nested, fits.
+- The deepest stack of all levels of priority, nested, fits, and is no less than the measured one in PROFILE, the output of
+  `magpie emulate --json`.
 - The kernels and the motor's interrupts are in the memory next to the core; the kernels' code, with the tables
   of the activations, and their stack stay within bounds.
 - The image takes no more flash and RAM than was asked for.
@@ -16,8 +17,9 @@
 Needs objdump and addr2line for arm-none-eabi (Debian: binutils-arm-none-eabi).
 """
 
-import re
+import json
 import sys
+from pathlib import Path
 
 import allowed_panics
 import entries
@@ -137,7 +139,7 @@ def check_panics(image, places):
     return kernels
 
 
-def check_stack(image, handlers, tasks, spawned, reset, kernels):
+def check_stack(image, handlers, tasks, spawned, reset, kernels, profile):
     elf = image.elf
     executors = {}
     for task, start in tasks.items():
@@ -161,6 +163,11 @@ def check_stack(image, handlers, tasks, spawned, reset, kernels):
     fatal = {handler.name: stack[handler.address] for handler in handlers if handler.priority < 0}
     total += fatal["NonMaskableInt"] + EXCEPTION_FRAME
     print(f", {fatal['NonMaskableInt']} non-maskable; with the frames of the exceptions {total} of {len(STACK)} bytes")
+    if profile:
+        used = json.loads(Path(profile).read_text())["profile"]["stack"]["used"]
+        print(f"{used} bytes of stack measured")
+        if used > total:
+            sys.exit(f"{elf.path}: the measured stack is above the bound")
     if total > len(STACK):
         sys.exit(f"{elf.path}: the stack is too short")
     if fatal["HardFault"] > entries.handler_stack():
@@ -170,14 +177,14 @@ def check_stack(image, handlers, tasks, spawned, reset, kernels):
             sys.exit(f"{elf.path}: {stack[start]} bytes of stack from {elf.names[start]} down, more than {STACK_LIMIT}")
 
 
-def main(path_):
+def main(path_, profile=None):
     elf = Elf(path_)
     check_vectors(elf)
     check_crash(elf)
     image = Image(elf)
     places, handlers, tasks, spawned = check_entries(image)
     kernels = check_panics(image, places)
-    check_stack(image, handlers, tasks, spawned, places["Reset"], kernels)
+    check_stack(image, handlers, tasks, spawned, places["Reset"], kernels, profile)
     addresses = {name: address for name, address, _ in elf.symbols}
     sections = elf.sections
     if sections[".ccm"].address not in CCM or any(addresses[name] not in CCM for name in DRIVE):
@@ -199,4 +206,4 @@ if __name__ == "__main__":
         kernels_elf = Elf(sys.argv[2])
         check_kernels(kernels_elf, CallGraph(kernels_elf))
     else:
-        main(sys.argv[1])
+        main(*sys.argv[1:])
