@@ -215,15 +215,20 @@ def is_resumed_future(frames):
     file, line = frames[0].file, frames[0].line
     if not re.search(r"\{closure[^{}]*\}+$", frames[0].name) or not line.isdigit():
         return False
+    line = int(line)
+    text = linecache.getline(file, line)
     # An attribute that makes the block is before the signature.
-    if linecache.getline(file, int(line)).startswith("#["):
-        line = str(int(line) + 1)
-    for number in range(int(line), max(0, int(line) - SIGNATURE), -1):
+    if re.search(r"\basync\b", text) or text.startswith("#["):
+        return True
+    if not re.match(r"\s*[){]", text):
+        return False
+    # The last line of a signature of several.
+    for number in range(line - 1, max(0, line - SIGNATURE), -1):
         text = linecache.getline(file, number)
+        if re.search(r"[;{}]\s*$", text):
+            return False
         if re.search(r"\basync\b", text):
             return True
-        if number < int(line) and re.search(r"[;}]\s*$", text):
-            return False
     return False
 
 

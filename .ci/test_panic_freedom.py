@@ -15,7 +15,7 @@ import allowed_panics
 import check_image
 import indirect_calls
 import panic_freedom
-from disassembly import Elf, binutils
+from disassembly import Elf, Frame, binutils
 
 START = """
     .syntax unified
@@ -132,6 +132,18 @@ class Walk(unittest.TestCase):
     def test_rule_without_calls_is_a_problem(self):
         image = self.image("function reset\nb .\n", (indirect_calls.Rule("^never$", "", "example"),))
         self.assertTrue(any("remove the rule" in problem for problem in image.problems))
+
+    def test_only_the_signature_of_an_async_function_is_a_resumed_future(self):
+        folder = Path(self.enterContext(tempfile.TemporaryDirectory()))
+        source = ["async fn f(", "    a: usize,", ") -> u8 {", "    let b = c[a];", "    d(", "    )", "}", "fn g() {", "}"]
+        (folder / "f.rs").write_text("\n".join(source) + "\n")
+        for name, lines in (("f::{{closure}}", {1, 3}), ("f::{closure#0}", {1, 3}), ("f", set())):
+            found = {
+                line
+                for line in range(1, len(source) + 1)
+                if panic_freedom.is_resumed_future([Frame(name, str(folder / "f.rs"), str(line))])
+            }
+            self.assertEqual(found, lines, name)
 
     def test_stack_is_that_of_the_deepest_path(self):
         image = self.image(

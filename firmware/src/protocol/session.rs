@@ -85,7 +85,7 @@ pub mod status {
     pub const CHALLENGE: u8 = 1;
     /// Wrong code for the challenge, or no challenge was requested in time.
     pub const REFUSED: u8 = 2;
-    /// Arming is prevented by a fault.
+    /// Arming is prevented by a fault, or the source of random numbers for challenges fails.
     pub const FAULTY: u8 = 3;
     /// Not allowed while armed, while another host owns the session, or while a tare or a calibration is in progress.
     pub const ARMED: u8 = 4;
@@ -775,6 +775,17 @@ mod tests {
         let event = pair.gripper.receive(1, SERIAL, (id, &message.to_bytes()), || Some(0));
         assert_eq!(event, SessionEvent::Ignored);
         assert!(matches!(pair.send(1, message), SessionEvent::Command(_)));
+    }
+
+    #[test]
+    fn no_challenge_without_a_random_number() {
+        let mut pair = Pair::new();
+        let request = service(op::ARM);
+        let frame = (frame_id(DEFAULT_NODE, request.number()), &request.to_bytes()[..]);
+        let reply = pair.gripper.receive(0, CAN, frame, || None);
+        assert_eq!(status_of(reply), Some(status::FAULTY));
+        pair.open(1, op::ARM);
+        assert!(pair.host.is_open());
     }
 
     #[test]
