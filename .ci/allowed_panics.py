@@ -111,7 +111,8 @@ RULES = (
     ),
     Allowed(
         r"\bembassy-stm32/src/flash/(common\.rs::get_sector|asynch\.rs::write_chunked|mod\.rs::(sectors|base))\b",
-        "Pages and words are those of the parameters and of the calibration slots, whose size limits an upload; a write is one word.",
+        "Pages and words are those of the parameters and of the calibration slots, whose size limits an upload; a write is "
+        "one word.",
     ),
     Allowed(
         r"\bembassy-stm32/src/adc/g4\.rs::configure_sequence\b",

@@ -1,6 +1,5 @@
 """An ELF of the Cortex-M4 as instructions, words and names, read by the binutils of arm-none-eabi."""
 
-import bisect
 import functools
 import posixpath
 import re
@@ -93,11 +92,6 @@ class Elf:
     def address(self, name):
         """Of the symbol, or None."""
         return next((address for symbol, address, _ in self.symbols if plain(symbol) == name), None)
-
-    def function(self, address):
-        """Start of the function that contains an address, or None."""
-        place = bisect.bisect_right(self.starts, address) - 1
-        return self.starts[place] if place >= 0 else None
 
     def read(self, address, size, is_constant=False):
         """An unsigned number, or None where nothing is loaded or, if required, where it may change."""

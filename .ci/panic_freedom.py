@@ -66,11 +66,10 @@ class Image:
             edges = self.edges[start] = []
             for call in function.calls:
                 if call.target is not None:
-                    target = self.elf.function(call.target)
-                    if target is None or call.target not in self.elf.instructions:
-                        self.problems.append(f"{self.elf.names[start]} calls {call.target:#x}, where no code is")
+                    if call.target in functions:
+                        edges.append((call.target, call.depth, False))
                     else:
-                        edges.append((target, call.depth, False))
+                        self.problems.append(f"{self.elf.names[start]} calls {call.target:#x}, where no function begins")
                     continue
                 rule = indirect_calls.find(frames.get(call.site, ()))
                 if rule is None:
@@ -87,11 +86,12 @@ class Image:
                 self.problems.append(f"no stored function is {rule.targets}: correct the rule")
         called = set().union(*targets.values())
         direct = {target for edges in self.edges.values() for target, _, _ in edges}
+        never = {pattern: set(self.matching(pattern)) & stored.keys() for pattern, _ in indirect_calls.NEVER_CALLED}
+        self.problems += [f"no stored function is {pattern}: remove it" for pattern, found in never.items() if not found]
+        called = called.union(*never.values())
         for target, is_data in stored.items():
-            name = self.elf.places[target]
-            never = any(re.search(pattern, name) for pattern, _ in indirect_calls.NEVER_CALLED)
-            if target not in called and not never and (is_data or target not in direct):
-                self.problems.append(f"the address of {name} is stored, and no rule says what calls it")
+            if target not in called and (is_data or target not in direct):
+                self.problems.append(f"the address of {self.elf.places[target]} is stored, and no rule says what calls it")
 
     def stored_functions(self):
         """Functions whose address is in data, apart from the vector table, or built by code; whether it is in data."""
@@ -146,7 +146,8 @@ class Image:
         found = []
         for site, kind in sites.items():
             deciding, seen, waiting = set(), set(), [site]
-            if self.elf.instructions[site].is_conditional:
+            instruction = self.elf.instructions[site]
+            if instruction.is_conditional or instruction.name in ("cbz", "cbnz"):
                 deciding.add(site)
                 waiting = []
             while waiting:
@@ -211,7 +212,7 @@ def has_cycle(function):
 
 def is_resumed_future(frames):
     """Whether a branch is the choice by the state of a future that an `async` block or function is compiled to: it has
-    the line where the block begins."""
+    the line where the block begins, in the sources that the image was built from."""
     file, line = frames[0].file, frames[0].line
     if not re.search(r"\{closure[^{}]*\}+$", frames[0].name) or not line.isdigit():
         return False
