@@ -109,9 +109,10 @@ def check_panics(image, places):
     panics, reached = find_panics(image, places)
     used, refused = set(), {}
     for panic in panics:
-        rules = [rule for rule in allowed_panics.RULES if rule.applies(panic)]
-        used.update(rules)
-        if not rules:
+        rule = next((rule for rule in allowed_panics.RULES if rule.applies(panic)), None)
+        if rule:
+            used.add(rule)
+        else:
             refused.setdefault(panic.text, panic)
     for panic in refused.values():
         print(f"at {panic.site:#010x}, line {panic.frames[0].line}, {panic.text}")
