@@ -1,8 +1,8 @@
 """Panics of libraries that stay in the image, each with the reason why nothing that the device receives reaches it.
 
-The first rule that applies counts. A rule applies where its pattern is found in "kind: place < place ...", the functions inlined at the branch that decides
-for the panic, innermost first, and where, if it names entries, no other entry reaches the branch. A rule that applies nowhere
-is an error: remove it.
+A rule applies where its pattern is found in "kind: place < place ...", the functions inlined at the branch that decides for
+the panic, innermost first, and where, if it names entries, no other entry reaches the branch. The first rule that applies
+counts. A rule that applies nowhere is an error: remove it.
 """
 
 import re

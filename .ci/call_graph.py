@@ -15,6 +15,8 @@ READS = {
     "dsb", "isb", "nop", "wfe", "wfi", "sev", "clrex", "cpsid", "cpsie", "pld", "yield",
 }
 WORD = 0xFFFF_FFFF
+# Depths of the stack at one instruction on different paths, at the most: more are a loop.
+MOST_DEPTHS = 8
 CLOBBERED = ("r0", "r1", "r2", "r3", "ip", "lr")
 
 
@@ -68,7 +70,7 @@ class CallGraph:
     def analyse(self, start):
         function = Function(start)
         states = {start: {"sp": Offset(0)}}
-        calls, waiting = {}, [start]
+        calls, waiting, deeper = {}, [start], {}
         while waiting:
             address = waiting.pop()
             instruction = self.elf.instructions.get(address)
@@ -88,10 +90,17 @@ class CallGraph:
             following = self.step(function, instruction, state, calls, -before.bytes)
             function.successors[address] = following
             for next_ in following:
-                joined = join(states.get(next_), after)
-                if joined != states.get(next_):
-                    states[next_] = joined
-                    waiting.append(next_)
+                known = states.get(next_)
+                joined = join(known, after)
+                if joined == known:
+                    continue
+                if known is not None and joined.get("sp") != known.get("sp"):
+                    deeper[next_] = deeper.get(next_, 0) + 1
+                    if deeper[next_] > MOST_DEPTHS:
+                        function.problems.append(f"the stack grows in a loop at {next_:#x}")
+                        continue
+                states[next_] = joined
+                waiting.append(next_)
         function.calls = list(calls.values())
         function.problems = sorted(set(function.problems))
         function.traps = sorted(set(function.traps))
