@@ -262,8 +262,10 @@ impl ForceSums {
 
     /// Variance of the mean for uncorrelated frames.
     fn variance(&self, frames: u32) -> i64 {
-        let frames = i64::from(frames.max(1));
-        self.scaled_variance(frames as u32) / frames.saturating_mul(frames).saturating_mul(frames)
+        let frames = frames.max(1);
+        let squared = i64::from(frames).saturating_mul(frames.into());
+        let cubed = squared.saturating_mul(frames.into());
+        self.scaled_variance(frames).checked_div(cubed).unwrap_or(i64::MAX)
     }
 
     /// Mean standard deviation predicted by a network.

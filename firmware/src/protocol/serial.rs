@@ -159,9 +159,33 @@ impl PacketDecoder {
     }
 }
 
+/// Decodes COBS in place and returns the length, as [`cobs::decode_in_place`] does, which indexes without a check.
+fn unstuff(bytes: &mut [u8]) -> Option<usize> {
+    let (mut from, mut to) = (0_usize, 0_usize);
+    while let Some(code) = bytes.get(from).copied() {
+        // A group: its length, itself included, and its bytes.
+        let end = from.saturating_add(code.into());
+        if code == 0 || end > bytes.len() {
+            return None;
+        }
+        for index in from.saturating_add(1)..end {
+            let byte = *bytes.get(index)?;
+            *bytes.get_mut(to)? = byte;
+            to = to.saturating_add(1);
+        }
+        from = end;
+        // A zero is between two groups, except after one of full length.
+        if code != u8::MAX && from < bytes.len() {
+            *bytes.get_mut(to)? = 0;
+            to = to.saturating_add(1);
+        }
+    }
+    Some(to)
+}
+
 /// Decodes a packet without its zero.
 fn decode(bytes: &mut [u8]) -> Option<Packet> {
-    let length = cobs::decode_in_place(bytes).ok()?;
+    let length = unstuff(bytes)?;
     let bytes = bytes.get(..length)?;
     let (packet, left) =
         postcard::de_flavors::crc::take_from_bytes_u16(bytes, CRC16.digest()).ok()?;
@@ -179,6 +203,9 @@ const fn is_valid(packet: &Packet) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use proptest::collection::vec;
+    use proptest::prelude::*;
+
     use super::super::messages::{EStop, Force, Power};
     use super::*;
     use crate::compensation::covariates::{AccelerationSample, AttitudeSample, MotorSample};
@@ -252,6 +279,28 @@ mod tests {
             let line = [&corrupt[..], &bytes[..]].concat();
             assert_eq!(received(&mut receiver, &line), [packet()], "bit {bit}");
             assert!(receiver.broken >= 1, "bit {bit}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn unstuffing_agrees_with_the_library(
+            bytes in vec(prop_oneof![1_u8..=6, 1_u8..=u8::MAX, Just(u8::MAX)], 1..600)
+        ) {
+            let (mut ours, mut theirs) = (bytes.clone(), bytes);
+            let length = cobs::decode_in_place(&mut theirs).ok();
+            prop_assert_eq!(unstuff(&mut ours), length);
+            let length = length.unwrap_or(0);
+            prop_assert_eq!(ours.get(..length), theirs.get(..length));
+        }
+
+        #[test]
+        fn stuffed_bytes_are_restored(bytes in vec(prop_oneof![Just(0_u8), 0..=u8::MAX], 0..600)) {
+            let mut stuffed = std::vec![0; cobs::max_encoding_length(bytes.len())];
+            let length = cobs::try_encode(&bytes, &mut stuffed).unwrap();
+            stuffed.truncate(length);
+            let length = unstuff(&mut stuffed);
+            prop_assert_eq!(length.and_then(|length| stuffed.get(..length)), Some(&bytes[..]));
         }
     }
 

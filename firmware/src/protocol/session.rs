@@ -85,7 +85,7 @@ pub mod status {
     pub const CHALLENGE: u8 = 1;
     /// Wrong code for the challenge, or no challenge was requested in time.
     pub const REFUSED: u8 = 2;
-    /// Arming is prevented by a fault.
+    /// Arming is prevented by a fault, or the source of random numbers for challenges fails.
     pub const FAULTY: u8 = 3;
     /// Not allowed while armed, while another host owns the session, or while a tare or a calibration is in progress.
     pub const ARMED: u8 = 4;
@@ -200,13 +200,13 @@ impl Session {
         }
     }
 
-    /// Processes a frame of a line. `random` gives a fresh random number for a challenge.
+    /// Processes a frame of a line. `random` gives a fresh random number for a challenge; without one the request fails.
     pub fn receive(
         &mut self,
         now_ms: u64,
         source: u8,
         (id, bytes): (u16, &[u8]),
-        random: impl FnOnce() -> u64,
+        random: impl FnOnce() -> Option<u64>,
     ) -> SessionEvent {
         if is_stop(self.node, id) {
             return SessionEvent::Stop;
@@ -353,7 +353,7 @@ impl Session {
         now_ms: u64,
         source: u8,
         service: Service,
-        random: impl FnOnce() -> u64,
+        random: impl FnOnce() -> Option<u64>,
     ) -> SessionEvent {
         let request = Message::Service(service);
         if self.is_owned(now_ms) {
@@ -367,14 +367,17 @@ impl Session {
         }
         let Some(authentication) = self.take_authentication(source) else {
             // One that nobody has answered stays: requests of others must not invalidate it.
-            let challenge = self.challenge.get_or_insert_with(|| Challenge {
-                number: random() & CHALLENGE_MASK,
+            let known = self.challenge.as_ref().map(|challenge| challenge.number);
+            let Some(number) = known.or_else(|| Some(random()? & CHALLENGE_MASK)) else {
+                return reply(&request, status::FAULTY);
+            };
+            let challenge = self.challenge.get_or_insert(Challenge {
+                number,
                 mac: None,
                 at_ms: now_ms,
                 op: service.op,
             });
             (challenge.at_ms, challenge.op) = (now_ms, service.op);
-            let number = challenge.number;
             let reply = ServiceReply {
                 op: service.op,
                 status: status::CHALLENGE,
@@ -612,7 +615,7 @@ mod tests {
             self.random += 1;
             let random = self.random;
             let id = frame_id(DEFAULT_NODE, message.number());
-            self.gripper.receive(at_ms, CAN, (id, &message.to_bytes()), || random)
+            self.gripper.receive(at_ms, CAN, (id, &message.to_bytes()), || Some(random))
         }
 
         /// Requests a challenge; returns the answer to it.
@@ -843,7 +846,7 @@ mod tests {
             let mut last = SessionEvent::Ignored;
             for (message, bytes) in sealed.iter().zip(bytes) {
                 let id = frame_id(DEFAULT_NODE, message.number());
-                last = pair.gripper.receive(1, CAN, (id, &bytes), || 0);
+                last = pair.gripper.receive(1, CAN, (id, &bytes), || Some(0));
             }
             assert_eq!(last, SessionEvent::Ignored, "bit {bit}");
         }
@@ -855,9 +858,20 @@ mod tests {
         let [authentication, message] = pair.host.seal(COMMAND).unwrap();
         pair.send(1, authentication);
         let id = frame_id(DEFAULT_NODE, message.number());
-        let event = pair.gripper.receive(1, SERIAL, (id, &message.to_bytes()), || 0);
+        let event = pair.gripper.receive(1, SERIAL, (id, &message.to_bytes()), || Some(0));
         assert_eq!(event, SessionEvent::Ignored);
         assert!(matches!(pair.send(1, message), SessionEvent::Command(_)));
+    }
+
+    #[test]
+    fn no_challenge_without_a_random_number() {
+        let mut pair = Pair::new();
+        let request = service(op::ARM);
+        let frame = (frame_id(DEFAULT_NODE, request.number()), &request.to_bytes()[..]);
+        let reply = pair.gripper.receive(0, CAN, frame, || None);
+        assert_eq!(status_of(reply), Some(status::FAULTY));
+        pair.open(1, op::ARM);
+        assert!(pair.host.is_open());
     }
 
     #[test]
@@ -912,7 +926,7 @@ mod tests {
         let message = service(op::WRITE_KEY);
         let id = frame_id(DEFAULT_NODE, message.number());
         let frame = (id, &message.to_bytes()[..]);
-        let on_serial = |pair: &mut Pair| pair.gripper.receive(0, SERIAL, frame, || 0);
+        let on_serial = |pair: &mut Pair| pair.gripper.receive(0, SERIAL, frame, || Some(0));
         assert_eq!(status_of(on_serial(&mut pair)), Some(status::NOT_PRESENT));
         pair.gripper.set_is_present(true);
         assert_eq!(on_serial(&mut pair), SessionEvent::Other(message));
@@ -924,7 +938,7 @@ mod tests {
         let mut session = Session::new(DEFAULT_NODE, KEY, 100);
         let stop = frame_id(DEFAULT_NODE, EStop::LAYOUT.number);
         for content in [&[][..], &[0; 8], &[0xFF; 8], &[1, 2, 3], &[0; 64]] {
-            let mut event = |id| session.receive(0, CAN, (id, content), || 0);
+            let mut event = |id| session.receive(0, CAN, (id, content), || Some(0));
             assert_eq!(event(ESTOP_ALL_ID), SessionEvent::Stop);
             assert_eq!(event(stop), SessionEvent::Stop);
             assert_eq!(event(frame_id(3, EStop::LAYOUT.number)), SessionEvent::Ignored);
@@ -947,10 +961,13 @@ mod tests {
     fn message_of_own_node_is_counted_as_malformed() {
         let mut session = Session::new(DEFAULT_NODE, KEY, 100);
         let heartbeat = frame_id(DEFAULT_NODE, 1);
-        assert_eq!(session.receive(0, CAN, (heartbeat, &[0; 8]), || 0), SessionEvent::Ignored);
+        assert_eq!(
+            session.receive(0, CAN, (heartbeat, &[0; 8]), || Some(0)),
+            SessionEvent::Ignored
+        );
         assert_eq!(session.dropped().malformed, 1);
         let unknown = frame_id(DEFAULT_NODE, 0x1F);
-        assert_eq!(session.receive(0, CAN, (unknown, &[0; 8]), || 0), SessionEvent::Ignored);
+        assert_eq!(session.receive(0, CAN, (unknown, &[0; 8]), || Some(0)), SessionEvent::Ignored);
         assert_eq!(session.dropped().unknown, 1);
     }
 

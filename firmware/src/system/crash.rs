@@ -28,7 +28,7 @@ pub enum CrashKind {
     Watchdog,
     /// Flash ECC error or crystal failure.
     NonMaskable,
-    /// Corrupt memory of the grasp ([`crate::grip::redundant_copy`]).
+    /// Corrupt memory of the grasp ([`crate::grip::redundant_copy`]), or at boot of what is taken once.
     Corruption,
 }
 

@@ -54,7 +54,7 @@ pub struct HostService<F, R, P, B> {
     pub calibration: CalibrationService,
     /// See [`crate::board::Peripherals::configuration_defect`].
     pub configuration_defect: Option<u32>,
-    /// A fresh random number at every call, for challenges.
+    /// A fresh random number at every call, for challenges; none if the source fails.
     pub random: R,
     /// Whether the button is pressed, which allows to write the key.
     pub is_pressed: P,
@@ -70,7 +70,7 @@ pub async fn host_service<F, R, P, B, C, M>(
 ) -> !
 where
     F: NorFlash,
-    R: FnMut() -> u64,
+    R: FnMut() -> Option<u64>,
     P: FnMut() -> bool,
     B: FnMut(),
     C: Clock,

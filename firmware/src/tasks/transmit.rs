@@ -83,8 +83,11 @@ pub async fn transmit<S: CanSender, C: Clock, M: RawMutex>(
                 port.send_heartbeat(&mut counters).await;
             }
             // Signalled every millisecond during bus-off.
-            Either6::Sixth(()) if port.bus_off.is_none() => port.on_bus_off(),
-            Either6::Sixth(()) => {}
+            Either6::Sixth(()) => {
+                if port.bus_off.is_none() {
+                    port.on_bus_off();
+                }
+            }
         }
     }
 }
@@ -99,7 +102,7 @@ pub async fn transmit_serial<W: Write, M: RawMutex>(mut line: W, shared: &Shared
         let write = async {
             match sending.get(..length) {
                 Some([]) | None => true,
-                Some(bytes) => line.write_all(bytes).await.is_ok(),
+                Some(bytes) => write_all(&mut line, bytes).await,
             }
         };
         let encode = async {
@@ -112,6 +115,17 @@ pub async fn transmit_serial<W: Write, M: RawMutex>(mut line: W, shared: &Shared
         length = encoded.unwrap_or(0);
         swap(&mut sending, &mut next);
     }
+}
+
+/// Writes all bytes; false if the line fails.
+async fn write_all<W: Write>(line: &mut W, mut bytes: &[u8]) -> bool {
+    while !bytes.is_empty() {
+        match line.write(bytes).await {
+            Ok(count @ 1..) => bytes = bytes.get(count..).unwrap_or_default(),
+            Ok(0) | Err(_) => return false,
+        }
+    }
+    true
 }
 
 /// The next tick, if telemetry is enabled, or message.

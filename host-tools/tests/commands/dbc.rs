@@ -144,7 +144,9 @@ fn session_of_another_program_is_accepted() {
     let mut now_ms = 0;
     let mut receive = |number, bytes: [u8; 8]| {
         now_ms += 10;
-        session.receive(now_ms, CAN, (frame_id(DEFAULT_NODE, number), &bytes), || 0x1122_3344_5566)
+        session.receive(now_ms, CAN, (frame_id(DEFAULT_NODE, number), &bytes), || {
+            Some(0x1122_3344_5566)
+        })
     };
     let SessionEvent::Reply(reply) = receive(4, [5, 0, 0, 0, 0, 0, 0, 0]) else {
         panic!("no challenge");

@@ -94,7 +94,7 @@ pub fn receive(bytes: &[u8]) -> Tally {
         for (id, data) in frames(kind, &mut bytes, &reference) {
             let random = u64::from(bytes.word()).wrapping_mul(0x9E37_79B9_7F4A_7C15);
             message(id, &data);
-            let event = session.receive(now, source, (id, &data), || random);
+            let event = session.receive(now, source, (id, &data), || Some(random));
             let expected = reference.receive(now, source, id, &data, random);
             assert_eq!(Verdict::of(&event, &data), expected, "{id:#x} {data:x?}");
             assert_eq!(session.is_armed(), reference.open.as_ref().is_some_and(|o| o.is_armed));

@@ -5,8 +5,9 @@
 use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
 
-use static_cell::StaticCell;
+use static_cell::ConstStaticCell;
 
+use crate::board::selected::crash;
 use crate::model::calibration::{CalibrationMemory, CompensationMemory, POOL_INTEGERS};
 use crate::tasks::calibration::Memories;
 
@@ -40,8 +41,8 @@ static POOL: Uncleared<[i32; POOL_INTEGERS]> = Uncleared::new();
 
 /// Empty memory. Must be called once.
 pub fn take() -> Memories<'static> {
-    static TAKEN: StaticCell<()> = StaticCell::new();
-    TAKEN.init(());
+    static ONCE: ConstStaticCell<()> = ConstStaticCell::new(());
+    crash::once(ONCE.try_take());
     // SAFETY: a second call would not come this far.
     unsafe {
         Memories {

@@ -6,7 +6,7 @@
 //! | any fault exception of the core: none has its own handler | `HardFault` |
 //! | stack overflow | `HardFault`: the stack is below the statics, at the start of RAM (`memory.x`), and there is no memory below it |
 //! | double bit error in flash outside [`super::flash`], crystal failure | `NonMaskableInt` |
-//! | corrupt memory of the grasp | [`reset`], called by the grip task |
+//! | corrupt memory of the grasp, or of what boot takes once | [`reset`], called by the grip task and by boot |
 //! | a task hangs | [`IndependentWatchdog`] writes the record and resets |
 //!
 //! Outputs are off when the main output enable of TIM1 (MOE) is cleared: the pins of the power stage are at their idle
@@ -192,6 +192,21 @@ unsafe fn NonMaskableInt() {
         return;
     }
     reset(CrashKind::NonMaskable)
+}
+
+/// What can be taken once, at boot; if it was taken before, memory is corrupt.
+#[inline]
+pub fn once<T>(value: Option<T>) -> T {
+    match value {
+        Some(value) => value,
+        None => taken_twice(),
+    }
+}
+
+#[cold]
+#[inline(never)]
+fn taken_twice() -> ! {
+    reset(CrashKind::Corruption)
 }
 
 /// Switches the outputs off, records the kind of crash, and resets.

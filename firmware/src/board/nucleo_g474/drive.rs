@@ -132,11 +132,11 @@ fn start(parts: Parts, settings: Settings) -> (Orders, StatusReports) {
         ConstStaticCell::new(Queue::new());
     static REQUEST_QUEUE: ConstStaticCell<Queue<CurrentLoopCommand, REQUESTS>> =
         ConstStaticCell::new(Queue::new());
-    let (orders, order_reader) = ORDER_QUEUE.take().split();
-    let (status_writer, status) = STATUS_QUEUE.take().split();
-    let (state_writer, state_reader) = STATE_QUEUE.take().split();
-    let (result_writer, result_reader) = RESULT_QUEUE.take().split();
-    let (request_writer, request_reader) = REQUEST_QUEUE.take().split();
+    let (orders, order_reader) = crash::once(ORDER_QUEUE.try_take()).split();
+    let (status_writer, status) = crash::once(STATUS_QUEUE.try_take()).split();
+    let (state_writer, state_reader) = crash::once(STATE_QUEUE.try_take()).split();
+    let (result_writer, result_reader) = crash::once(RESULT_QUEUE.try_take()).split();
+    let (request_writer, request_reader) = crash::once(REQUEST_QUEUE.try_take()).split();
     let settings = Settings { angle_age_periods: ANGLE_AGE_PERIODS, ..settings };
     let mut sensor = rotor_sensor(parts.port, parts.sensor);
     if sensor.start(&mut Delay).is_err() {

@@ -56,11 +56,19 @@ impl embedded_hal_async::i2c::Error for Error {
     }
 }
 
+/// Receive channel of DMA1. Its number is a constant where it is used: the register blocks panic for one out of range.
+#[derive(Clone, Copy)]
+enum Channel {
+    /// Channel 1.
+    First,
+    /// Channel 2.
+    Second,
+}
+
 /// State shared with the interrupts and the DMA channel.
 pub struct Controller {
     registers: pac::i2c::I2c,
-    /// Receive channel of DMA1, from 0.
-    channel: u8,
+    channel: Channel,
     /// Request number at the DMA multiplexer (RM0440 table 91).
     request: u8,
     waker: AtomicWaker,
@@ -71,7 +79,7 @@ pub struct Controller {
 }
 
 impl Controller {
-    const fn new(registers: pac::i2c::I2c, channel: u8, request: u8) -> Self {
+    const fn new(registers: pac::i2c::I2c, channel: Channel, request: u8) -> Self {
         Self {
             registers,
             channel,
@@ -83,11 +91,17 @@ impl Controller {
     }
 
     fn dma(&self) -> bdma::Ch {
-        pac::DMA1.ch(self.channel.into())
+        match self.channel {
+            Channel::First => pac::DMA1.ch(0),
+            Channel::Second => pac::DMA1.ch(1),
+        }
     }
 
     fn multiplexer(&self) -> pac::common::Reg<dmamux::regs::Ccr, pac::common::RW> {
-        pac::DMAMUX1.ccr(self.channel.into())
+        match self.channel {
+            Channel::First => pac::DMAMUX1.ccr(0),
+            Channel::Second => pac::DMAMUX1.ccr(1),
+        }
     }
 
     /// Starts the read phase after the register number was sent, or wakes the task at the end of the transfer.
@@ -112,8 +126,8 @@ fn has_ended(status: Isr) -> bool {
     status.stopf() || status.berr() || status.arlo() || status.ovr()
 }
 
-static FIRST: Controller = Controller::new(pac::I2C1, 0, 16);
-static SECOND: Controller = Controller::new(pac::I2C3, 1, 20);
+static FIRST: Controller = Controller::new(pac::I2C1, Channel::First, 16);
+static SECOND: Controller = Controller::new(pac::I2C3, Channel::Second, 20);
 
 #[embassy_stm32::interrupt]
 fn I2C1_EV() {

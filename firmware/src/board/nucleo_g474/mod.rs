@@ -43,6 +43,8 @@ pub mod peripherals;
 #[cfg(target_os = "none")]
 pub mod pwm;
 #[cfg(target_os = "none")]
+pub mod random;
+#[cfg(target_os = "none")]
 pub mod sync;
 #[cfg(target_os = "none")]
 pub mod tasks;

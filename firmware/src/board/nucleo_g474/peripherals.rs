@@ -5,7 +5,6 @@ use embassy_stm32::can::{self, CanConfigurator};
 use embassy_stm32::gpio::{Input, Pull};
 use embassy_stm32::interrupt::Priority;
 use embassy_stm32::mode::Async;
-use embassy_stm32::rng::{self, Rng};
 use embassy_stm32::time::Hertz;
 use embassy_stm32::usart::{self, RingBufferedUartRx, Uart, UartTx};
 use embassy_stm32::{bind_interrupts, dma, pac, peripherals, rcc};
@@ -18,8 +17,9 @@ use crate::board::selected::crash::IndependentWatchdog;
 use crate::board::selected::flash::{self, SettingsFlash};
 use crate::board::selected::i2c::I2cBus;
 use crate::board::selected::imu::{self, InertialSensor};
+use crate::board::selected::random::RandomNumbers;
 use crate::board::selected::thermometer::{self, BoardThermometer};
-use crate::board::selected::{NucleoG474, drive, pwm, sync};
+use crate::board::selected::{NucleoG474, crash, drive, pwm, sync};
 use crate::board::{Bsp, Peripherals};
 use crate::model::kernel;
 use crate::protocol::serial::BAUD_RATE;
@@ -38,7 +38,6 @@ const SERIAL_RX_BYTES: usize = 512;
 
 bind_interrupts!(struct Interrupts {
     USART2 => usart::InterruptHandler<peripherals::USART2>;
-    RNG => rng::InterruptHandler<peripherals::RNG>;
     DMA1_CHANNEL5 => dma::InterruptHandler<peripherals::DMA1_CH5>;
     DMA1_CHANNEL6 => dma::InterruptHandler<peripherals::DMA1_CH6>;
     FDCAN1_IT0 => can::IT0InterruptHandler<peripherals::FDCAN1>;
@@ -55,7 +54,7 @@ impl Bsp for NucleoG474 {
     type SerialTx = UartTx<'static, Async>;
     type SerialRx = RingBufferedUartRx<'static>;
     type Flash = SettingsFlash;
-    type Rng = Rng<'static, peripherals::RNG>;
+    type Rng = RandomNumbers;
     type Button = Input<'static>;
     type Thermometer = BoardThermometer;
     type Drive = drive::Parts;
@@ -88,7 +87,7 @@ impl Bsp for NucleoG474 {
             ConstStaticCell::new([0; SERIAL_RX_BYTES]);
         let uart = Uart::new(p.USART2, p.PA3, p.PA2, p.DMA1_CH5, p.DMA1_CH6, Interrupts, config);
         // The configuration is constant and valid.
-        let Ok(uart) = uart else { defmt::panic!("invalid serial configuration") };
+        let uart = crash::once(uart.ok());
         let (serial_tx, serial_rx) = uart.split();
         let (flash, flash_offsets) = flash::settings_flash(p.FLASH);
         Peripherals {
@@ -107,8 +106,8 @@ impl Bsp for NucleoG474 {
             can_tx: Sender { half: sender, properties },
             can_rx: Receiver(receiver),
             serial_tx,
-            serial_rx: serial_rx.into_ring_buffered(BUFFER.take()),
-            rng: Rng::new(p.RNG, Interrupts),
+            serial_rx: serial_rx.into_ring_buffered(crash::once(BUFFER.try_take()).as_mut_slice()),
+            rng: RandomNumbers::new(p.RNG),
             button: Input::new(p.PC13, Pull::Down),
             flash,
             flash_offsets,

@@ -13,7 +13,6 @@ use defmt::info;
 use embassy_executor::{InterruptExecutor, SpawnError, SpawnToken, Spawner};
 use embassy_stm32::interrupt::{self, InterruptExt, Priority};
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
-use embassy_time::{Duration, Ticker};
 use embedded_hal::digital::InputPin;
 use static_cell::StaticCell;
 
@@ -21,6 +20,7 @@ use crate::board::selected::calibration_memory;
 use crate::board::selected::clock::BoardClock;
 use crate::board::selected::{NucleoG474, crash};
 use crate::board::{Bsp, MotorDrive, MotorMonitor, Peripherals, Thermometer, Watchdog};
+use crate::clock::Clock;
 use crate::config::limits::{DetectionLimits, GripLimits};
 use crate::estimator::Estimator;
 use crate::grip::GripController;
@@ -79,15 +79,9 @@ fn FMAC() {
     }
 }
 
-/// The token of a task that is spawned once. One function for all, because a panic message at each call costs flash.
+/// The token of a task that is spawned once.
 fn once<S>(token: Result<SpawnToken<S>, SpawnError>) -> SpawnToken<S> {
-    token.unwrap_or_else(|_| spawned_twice())
-}
-
-#[cold]
-#[inline(never)]
-fn spawned_twice() -> ! {
-    defmt::panic!("a task is spawned twice")
+    crash::once(token.ok())
 }
 
 /// Initialises the board and spawns every task.
@@ -98,7 +92,7 @@ pub fn start(spawner: Spawner) {
 
 #[embassy_executor::task]
 async fn begin(spawner: Spawner, board: Peripherals<B>) {
-    let shared: Shared = SHARED.init_with(SharedState::new);
+    let shared: Shared = &*crash::once(SHARED.try_init_with(SharedState::new));
     let (boot, crash) = crash::take_record();
     if let Some(crash) = &crash {
         shared.record_crash(crash);
@@ -110,7 +104,7 @@ async fn begin(spawner: Spawner, board: Peripherals<B>) {
     let linked = LinkedCalibration { payload, description: DESCRIPTION };
     let (calibration, origin, defect) =
         load_calibration(&slots, store.flash(), calibration_memory::take(), &linked).await;
-    let calibration: &'static Calibration = CALIBRATION.init(calibration);
+    let calibration: &'static Calibration = &*crash::once(CALIBRATION.try_init(calibration));
     let tables = &calibration.tables;
     info!("start {}, tables {:04x}, {} sensors", boot, tables.id, tables.sensors.len());
     let parameters = shared.parameters();
@@ -180,10 +174,11 @@ async fn grip(shared: Shared, screw: Screw, motor: <Drive as MotorDrive>::Port) 
 
 #[embassy_executor::task]
 async fn feed(shared: Shared, mut watchdog: <B as Bsp>::Watchdog) {
-    let mut ticker = Ticker::every(Duration::from_millis(FEED_PERIOD_MS.into()));
+    let mut time_us = BoardClock.now_us();
     loop {
         watchdog.feed(&shared.progress);
-        ticker.next().await;
+        time_us = time_us.saturating_add(1000 * u64::from(FEED_PERIOD_MS));
+        BoardClock.until(time_us).await;
     }
 }
 

@@ -117,7 +117,7 @@ impl Scrubber {
     pub fn step(&mut self, value: &impl Checksummed) -> ScrubResult {
         let value = black_box(value);
         let words = word_count(value);
-        let count = words.div_ceil(self.calls).max(1);
+        let count = words.div_ceil(self.calls.max(1)).max(1);
         let digest = self.digest.take().unwrap_or_else(|| CRC32.digest());
         let digest = update(value, self.at, count, digest);
         let to = self.at.saturating_add(count);

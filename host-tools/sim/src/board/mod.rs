@@ -425,7 +425,7 @@ impl VirtualTimeBoard {
                 state = state
                     .wrapping_mul(6_364_136_223_846_793_005)
                     .wrapping_add(1_442_695_040_888_963_407);
-                state >> 16
+                Some(state >> 16)
             };
             let service = HostService {
                 version: version(tables_id),

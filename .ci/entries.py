@@ -1,0 +1,99 @@
+"""Where execution of the firmware begins: the vector table, and the tasks that the executors poll.
+
+Tasks, the executor of each, and the priorities of interrupts are read from the sources of the board.
+"""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from disassembly import without_types
+
+BOARD = Path(__file__).parent.parent / "firmware/src/board/nucleo_g474"
+# Task that `main` becomes.
+MAIN = "main"
+# Exceptions before the first interrupt, in words of the vector table: the first is the stack.
+EXCEPTIONS = 16
+RESET, NON_MASKABLE, HARD_FAULT = 1, 2, 3
+# Priorities of the exceptions without a settable one.
+FIXED = {RESET: -3, NON_MASKABLE: -2, HARD_FAULT: -1}
+# `sync::lower_all_interrupts`.
+DEFAULT_PRIORITY = 1
+THREAD = "thread mode"
+THREAD_EXECUTOR = r"^embassy-executor/src/platform/cortex_m\.rs::run$"
+
+
+@dataclass(frozen=True)
+class Handler:
+    address: int
+    name: str
+    priority: int
+
+
+def vectors(elf):
+    """Each handler in the vector table once, at its most urgent priority, and the address of the reset handler."""
+    section = elf.sections[".vector_table"]
+    names = {}
+    for name, address, _ in elf.symbols:
+        names.setdefault(address & ~1, set()).add(name)
+    urgent, found = priorities(), {}
+    for word in range(1, section.size // 4):
+        target = elf.read(section.address + 4 * word, 4)
+        if not target:
+            continue
+        address = target & ~1
+        all_names = names.get(address, {f"{address:#x}"})
+        priority = FIXED.get(word, min((urgent.get(name, DEFAULT_PRIORITY) for name in all_names)))
+        if address not in found or priority < found[address].priority:
+            capitals = {name for name in all_names if name.isupper()}
+            name = min(all_names & urgent.keys() or capitals or all_names)
+            found[address] = Handler(address, name, priority)
+    reset = elf.read(section.address + 4 * RESET, 4) & ~1
+    return [handler for handler in found.values() if handler.address != reset], reset
+
+
+def priorities():
+    """Interrupt to its priority, where the board's sources set one."""
+    found = {}
+    for file in BOARD.glob("*.rs"):
+        text = file.read_text()
+        constants = dict(re.findall(r"const (\w+): Priority = Priority::P(\d+);", text))
+        for interrupt, value in re.findall(r"interrupt::(\w+)\.set_priority\(([\w:]+)\)", text):
+            number = constants.get(value, value.removeprefix("Priority::P"))
+            found[interrupt] = int(number)
+    return found
+
+
+def handler_stack():
+    """Bytes of stack that the fault handler has at least."""
+    return int(re.search(r"const HANDLER_STACK: usize = (\d+);", (BOARD / "crash.rs").read_text())[1])
+
+
+def spawned():
+    """Task to the interrupt of its executor, or thread mode."""
+    text = (BOARD / "tasks.rs").read_text()
+    declared = set(re.findall(r"#\[embassy_executor::task\]\s*(?:pub )?async fn (\w+)", text))
+    interrupts = dict(re.findall(r"let (\w+) = \w+\.start\(interrupt::(\w+)\);", text))
+    found = {MAIN: THREAD}
+    for spawner, task in re.findall(r"\b(\w+)\.spawn\(once\((\w+)\(", text):
+        found[task] = interrupts.get(spawner, THREAD)
+    if declared != found.keys() - {MAIN}:
+        raise ValueError(f"tasks declared and spawned differ: {sorted(declared ^ (found.keys() - {MAIN}))}")
+    return found
+
+
+def tasks(elf, graph, polls):
+    """Task to its poll function, by the task's body that is inlined or called there."""
+    sites = {start: [call.site for call in graph.functions[start].calls] for start in polls}
+    frames = elf.frames(site for places in sites.values() for site in places)
+    found = {}
+    for start, places in sites.items():
+        texts = {frame.name for place in places for frame in frames.get(place, ())}
+        texts |= {elf.names[call.target] for call in graph.functions[start].calls if call.target in elf.names}
+        matches = (re.search(r"::__(\w+)_task::", without_types(text)) for text in texts)
+        names = {match[1] for match in matches if match}
+        names = {MAIN if name == "__embassy_main" else name for name in names}
+        if len(names) != 1:
+            raise ValueError(f"the poll function at {start:#x} belongs to the tasks {sorted(names)}")
+        found.setdefault(names.pop(), []).append(start)
+    return found
