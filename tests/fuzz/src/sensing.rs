@@ -200,7 +200,7 @@ fn greatest(table: &SensorTable) -> [i64; 2] {
     })
 }
 
-fn auxiliary_inputs(bytes: &mut Bytes) -> AuxiliaryInputs {
+pub(super) fn auxiliary_inputs(bytes: &mut Bytes) -> AuxiliaryInputs {
     let known = bytes.byte();
     let number = |bytes: &mut Bytes| i32::from_le_bytes(bytes.array());
     AuxiliaryInputs {
