@@ -4,6 +4,7 @@
 //! - [`blob`]: encoded calibrations, to forces.
 //! - [`can`]: frames on the CAN bus, with their times.
 //! - [`serial`]: bytes on the serial line.
+//! - [`formula`]: formulas of user-defined effects.
 //! - [`sensing`]: bytes of the sensors, to forces.
 //! - [`store`]: pages of flash, and saves that are cut short.
 //! - [`upload`]: uploads of calibrations, with power cuts.
@@ -16,6 +17,7 @@ pub mod bytes;
 pub mod can;
 pub mod check;
 pub mod counters;
+pub mod formula;
 pub mod sensing;
 pub mod serial;
 pub mod store;
