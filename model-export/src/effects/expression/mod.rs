@@ -6,7 +6,7 @@
 
 use std::borrow::Cow;
 
-use exmex::{Express, FlatEx};
+use exmex::{Express, FlatEx, FloatOpsFactory, MakeOperators, MatchLiteral, Operator};
 use nalgebra::Vector3;
 
 use crate::effects::excitation::{BUILT_IN_COVARIATES, ExcitationSeries};
@@ -19,10 +19,38 @@ use crate::recordings::units::column_unit;
 mod syntax;
 
 pub use syntax::ExpressionError;
-use syntax::{NamePositions, check_parameter_count, check_syntax};
+use syntax::{
+    FUNCTIONS, NamePositions, OPERATORS, check_parameter_count, check_syntax, number_length,
+};
 
 /// Grid intervals of the search over a range: resolves the phase of a ripple.
 const GRID_STEPS: usize = 60;
+
+/// Operators and functions of formulas. The parser has more, and constants such as `e`, which are free names here.
+#[derive(Clone, Debug)]
+struct FormulaOperators;
+
+impl MakeOperators<f64> for FormulaOperators {
+    fn make<'a>() -> Vec<Operator<'a, f64>> {
+        let mut all = FloatOpsFactory::<f64>::make();
+        all.retain(|operator| {
+            OPERATORS.contains(&operator.repr()) || FUNCTIONS.contains(&operator.repr())
+        });
+        all
+    }
+}
+
+/// Numbers of formulas, also with an exponent.
+#[derive(Clone, Debug)]
+struct FormulaNumbers;
+
+impl MatchLiteral for FormulaNumbers {
+    fn is_literal(text: &str) -> Option<&str> {
+        text.get(..number_length(text)).filter(|number| !number.is_empty())
+    }
+}
+
+type Formula = FlatEx<f64, FormulaOperators, FormulaNumbers>;
 
 /// Meaning of a name in a formula.
 #[derive(Clone, Debug, PartialEq)]
@@ -63,7 +91,7 @@ pub struct Expression {
     pub covariates: Vec<String>,
     coefficients: Vec<String>,
     target: Target,
-    formula: FlatEx<f64>,
+    formula: Formula,
     roles: Vec<Role>,
 }
 
@@ -85,7 +113,9 @@ impl Expression {
             parts.target.error(text, format!("{:?} is not a target; {hint}", parts.target.text))
         })?;
         let names = check_syntax(text, &parts.formula)?;
-        let formula: FlatEx<f64> = exmex::parse(parts.formula.text)
+        // Not compiled: the compiler of exmex 0.21 applies a function to the product of two constants, and not to that of all
+        // factors, in `sin(x*2*3)`.
+        let formula = Formula::parse_wo_compile(parts.formula.text)
             .map_err(|error| parts.formula.error(text, format!("invalid formula ({error})")))?;
         let mut expression = Self {
             name: parts.name.text.to_owned(),

@@ -97,13 +97,25 @@ impl NamePositions {
     }
 }
 
+/// Supported operators.
+pub(super) const OPERATORS: [&str; 5] = ["+", "-", "*", "/", "^"];
 /// Supported functions, all of one argument.
-const FUNCTIONS: [&str; 16] = [
+pub(super) const FUNCTIONS: [&str; 16] = [
     "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp", "ln", "log2",
     "log10", "sqrt", "abs", "signum",
 ];
 
-/// Checks operators, values and brackets; returns the names.
+/// Signs and powers of the operand that is read.
+#[derive(Clone, Copy, Default)]
+struct Operand {
+    /// It has a sign.
+    is_signed: bool,
+    /// It is the exponent of a power.
+    is_exponent: bool,
+}
+
+/// Checks operators, values and brackets; returns the names. A power of a signed value and a power of a power need brackets:
+/// the parser reads `-x^2` as `(-x)^2` and `x^2^3` as `(x^2)^3`, mathematics as `-(x^2)` and `x^(2^3)`.
 pub(super) fn check_syntax(
     text: &str,
     formula: &Section,
@@ -113,6 +125,7 @@ pub(super) fn check_syntax(
     let (mut open, mut expects_value, mut at) = (Vec::new(), true, 0);
     let bytes = formula.text.as_bytes();
     let mut operators = 0;
+    let mut operand = Operand::default();
     while let Some(&byte) = bytes.get(at) {
         let here = formula.start + at;
         let rest = &formula.text[at..];
@@ -168,10 +181,18 @@ pub(super) fn check_syntax(
                 at += length;
             }
             b'+' | b'-' if expects_value => {
+                operand.is_signed = true;
                 operators += 1;
                 at += 1;
             }
+            b'^' if !expects_value && operand.is_exponent => {
+                return fail(here, "write brackets: (x^a)^b or x^(a^b)".to_owned());
+            }
+            b'^' if !expects_value && operand.is_signed => {
+                return fail(here, "write brackets: -(x^a) or (-x)^a".to_owned());
+            }
             b'+' | b'-' | b'*' | b'/' | b'^' if !expects_value => {
+                operand = Operand { is_signed: false, is_exponent: byte == b'^' };
                 operators += 1;
                 expects_value = true;
                 at += 1;
@@ -180,7 +201,8 @@ pub(super) fn check_syntax(
                 return fail(here, "a value is missing before this".to_owned());
             }
             b'(' if expects_value => {
-                open.push(here);
+                open.push((here, operand));
+                operand = Operand::default();
                 at += 1;
             }
             b'(' => return fail(here, "an operator is missing before this".to_owned()),
@@ -189,13 +211,13 @@ pub(super) fn check_syntax(
                 return fail(here, "a value is missing before this".to_owned());
             }
             b')' => {
-                open.pop();
+                operand = open.pop().map_or(operand, |(_, outside)| outside);
                 at += 1;
             }
             _ => return fail(here, "this character is not allowed here".to_owned()),
         }
     }
-    if let Some(bracket) = open.pop() {
+    if let Some((bracket, _)) = open.pop() {
         return fail(bracket, "this bracket is not closed".to_owned());
     }
     if expects_value {
@@ -223,7 +245,7 @@ pub(super) fn check_parameter_count(
 }
 
 /// Length of the number at the start of `text`.
-fn number_length(text: &str) -> usize {
+pub(super) fn number_length(text: &str) -> usize {
     let digits =
         |from: usize| text[from..].bytes().take_while(|b| b.is_ascii_digit() || *b == b'.').count();
     let mantissa = digits(0);
