@@ -48,6 +48,13 @@ pub struct Tally {
     pub dropped: u32,
 }
 
+impl Tally {
+    /// The counters with their names.
+    pub fn counts(&self) -> super::counters::Counts<3> {
+        [("armed", self.armed), ("commands", self.commands), ("dropped", self.dropped)]
+    }
+}
+
 /// A bus with a gripper, and a reference that knows the rules.
 pub fn receive(bytes: &[u8]) -> Tally {
     let mut bytes = Bytes::new(bytes);

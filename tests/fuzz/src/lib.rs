@@ -5,6 +5,7 @@
 //! - [`can`]: frames on the CAN bus, with their times.
 //! - [`serial`]: bytes on the serial line.
 //! - [`formula`]: formulas of user-defined effects.
+//! - [`mapping`]: mapping files and tables of other test benches.
 //! - [`sensing`]: bytes of the sensors, to forces.
 //! - [`store`]: pages of flash, and saves that are cut short.
 //! - [`upload`]: uploads of calibrations, with power cuts.
@@ -18,6 +19,7 @@ pub mod can;
 pub mod check;
 pub mod counters;
 pub mod formula;
+pub mod mapping;
 pub mod sensing;
 pub mod serial;
 pub mod store;

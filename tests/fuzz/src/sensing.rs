@@ -274,6 +274,17 @@ fn ticked_rightly(frame: &HallFrame, estimates: &[Estimate; SENSORS]) {
 }
 
 impl Tally {
+    /// The counters with their names.
+    pub fn counts(&self) -> super::counters::Counts<5> {
+        [
+            ("ticks", self.ticks),
+            ("valid", self.valid),
+            ("doubtful", self.doubtful),
+            ("reported", self.reported),
+            ("disturbed", self.disturbed),
+        ]
+    }
+
     fn count(&mut self, estimates: &[Estimate; SENSORS]) {
         self.ticks += 1;
         self.disturbed += u32::from(estimates[0].disturbed);

@@ -38,6 +38,13 @@ pub struct Tally {
     pub saved: u32,
 }
 
+impl Tally {
+    /// The counters with their names.
+    pub fn counts(&self) -> super::counters::Counts<3> {
+        [("found", self.found), ("cut", self.cut), ("saved", self.saved)]
+    }
+}
+
 /// A flash that holds anything, then saves.
 pub fn keep(bytes: &[u8]) -> Tally {
     let mut bytes = Bytes::new(bytes);

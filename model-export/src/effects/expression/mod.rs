@@ -6,7 +6,6 @@
 
 use std::borrow::Cow;
 
-use exmex::{Express, FlatEx, FloatOpsFactory, MakeOperators, MatchLiteral, Operator};
 use nalgebra::Vector3;
 
 use crate::effects::excitation::{BUILT_IN_COVARIATES, ExcitationSeries};
@@ -16,41 +15,15 @@ use crate::input::MAX_MAGNITUDE;
 use crate::recordings::error::closest_match;
 use crate::recordings::units::column_unit;
 
+mod evaluator;
 mod syntax;
 
+use evaluator::Formula;
 pub use syntax::ExpressionError;
-use syntax::{
-    FUNCTIONS, NamePositions, OPERATORS, check_parameter_count, check_syntax, number_length,
-};
+use syntax::{NamePositions, check_parameter_count, check_syntax};
 
 /// Grid intervals of the search over a range: resolves the phase of a ripple.
 const GRID_STEPS: usize = 60;
-
-/// Operators and functions of formulas. The parser has more, and constants such as `e`, which are free names here.
-#[derive(Clone, Debug)]
-struct FormulaOperators;
-
-impl MakeOperators<f64> for FormulaOperators {
-    fn make<'a>() -> Vec<Operator<'a, f64>> {
-        let mut all = FloatOpsFactory::<f64>::make();
-        all.retain(|operator| {
-            OPERATORS.contains(&operator.repr()) || FUNCTIONS.contains(&operator.repr())
-        });
-        all
-    }
-}
-
-/// Numbers of formulas, also with an exponent.
-#[derive(Clone, Debug)]
-struct FormulaNumbers;
-
-impl MatchLiteral for FormulaNumbers {
-    fn is_literal(text: &str) -> Option<&str> {
-        text.get(..number_length(text)).filter(|number| !number.is_empty())
-    }
-}
-
-type Formula = FlatEx<f64, FormulaOperators, FormulaNumbers>;
 
 /// Meaning of a name in a formula.
 #[derive(Clone, Debug, PartialEq)]
@@ -113,10 +86,8 @@ impl Expression {
             parts.target.error(text, format!("{:?} is not a target; {hint}", parts.target.text))
         })?;
         let names = check_syntax(text, &parts.formula)?;
-        // Not compiled: the compiler of exmex 0.21 applies a function to the product of two constants, and not to that of all
-        // factors, in `sin(x*2*3)`.
-        let formula = Formula::parse_wo_compile(parts.formula.text)
-            .map_err(|error| parts.formula.error(text, format!("invalid formula ({error})")))?;
+        let formula = Formula::parse(parts.formula.text)
+            .map_err(|number| parts.formula.error(text, format!("{number:?} is not a number")))?;
         let mut expression = Self {
             name: parts.name.text.to_owned(),
             text: text.trim().to_owned(),
@@ -149,7 +120,7 @@ impl Expression {
         names: &NamePositions,
         columns: &[String],
     ) -> Result<(), ExpressionError> {
-        for name in self.formula.var_names().to_vec() {
+        for name in self.formula.names().to_vec() {
             let position = names.position(&name);
             let range = self.ranges.iter().position(|range| range.name == name);
             let available =
@@ -258,7 +229,7 @@ impl Expression {
                 Role::Covariate(i) => covariates[*i],
             })
             .collect();
-        self.formula.eval(&values).unwrap_or(f64::NAN)
+        self.formula.evaluate(&values)
     }
 
     /// Position in the chain from force to field.

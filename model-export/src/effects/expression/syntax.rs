@@ -97,12 +97,24 @@ impl NamePositions {
     }
 }
 
-/// Supported operators.
-pub(super) const OPERATORS: [&str; 5] = ["+", "-", "*", "/", "^"];
 /// Supported functions, all of one argument.
-pub(super) const FUNCTIONS: [&str; 16] = [
-    "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp", "ln", "log2",
-    "log10", "sqrt", "abs", "signum",
+pub(super) const FUNCTIONS: [(&str, fn(f64) -> f64); 16] = [
+    ("sin", f64::sin),
+    ("cos", f64::cos),
+    ("tan", f64::tan),
+    ("asin", f64::asin),
+    ("acos", f64::acos),
+    ("atan", f64::atan),
+    ("sinh", f64::sinh),
+    ("cosh", f64::cosh),
+    ("tanh", f64::tanh),
+    ("exp", f64::exp),
+    ("ln", f64::ln),
+    ("log2", f64::log2),
+    ("log10", f64::log10),
+    ("sqrt", f64::sqrt),
+    ("abs", f64::abs),
+    ("signum", f64::signum),
 ];
 
 /// Signs and powers of the operand that is read.
@@ -114,8 +126,8 @@ struct Operand {
     is_exponent: bool,
 }
 
-/// Checks operators, values and brackets; returns the names. A power of a signed value and a power of a power need brackets:
-/// the parser reads `-x^2` as `(-x)^2` and `x^2^3` as `(x^2)^3`, mathematics as `-(x^2)` and `x^(2^3)`.
+/// Checks operators, values and brackets; returns the names. A power of a signed value and a power of a power need brackets,
+/// because tools differ in `-x^2` and `x^2^3`.
 pub(super) fn check_syntax(
     text: &str,
     formula: &Section,
@@ -155,18 +167,17 @@ pub(super) fn check_syntax(
                 expects_value = false;
             }
             b'a'..=b'z' | b'A'..=b'Z' | b'_' => {
-                let length =
-                    rest.bytes().take_while(|b| b.is_ascii_alphanumeric() || *b == b'_').count();
+                let length = name_length(rest);
                 let name = &rest[..length];
                 let is_call = rest[length..].trim_start().starts_with('(');
-                match (is_call, FUNCTIONS.contains(&name)) {
+                match (is_call, FUNCTIONS.iter().any(|(own, _)| *own == name)) {
                     (true, true) => operators += 1,
                     (true, false) => {
                         return fail(
                             here,
                             format!(
                                 "there is no function {name}; available: {}",
-                                FUNCTIONS.join(", ")
+                                FUNCTIONS.map(|(name, _)| name).join(", ")
                             ),
                         );
                     }
@@ -242,6 +253,11 @@ pub(super) fn check_parameter_count(
         return Err(ExpressionError::at(text, names.start, advice));
     }
     Ok(())
+}
+
+/// Length of the name at the start of `text`.
+pub(super) fn name_length(text: &str) -> usize {
+    text.bytes().take_while(|b| b.is_ascii_alphanumeric() || *b == b'_').count()
 }
 
 /// Length of the number at the start of `text`.

@@ -51,6 +51,7 @@ fn invalid_formulas_yield_advice() {
         ("ripple: dz_um = a**opening_mm", "a value is missing"),
         ("ripple: dz_um = a opening_mm", "an operator is missing"),
         ("ripple: dz_um = a*opening_mm $", "not allowed here"),
+        ("ripple: dz_um = a*1.2.3", "\"1.2.3\" is not a number"),
         ("ripple: dz_um = -a*-opening_mm^2", "write brackets: -(x^a) or (-x)^a"),
         ("ripple: dz_um = a*-sin(opening_mm)^2", "write brackets: -(x^a) or (-x)^a"),
         ("ripple: dz_um = a*(-opening_mm)^2^2", "write brackets: (x^a)^b or x^(a^b)"),
@@ -135,6 +136,7 @@ fn names_of_constants_are_free_and_values_are_those_of_mathematics() {
         ("e*opening_mm - E*opening_mm^2", 2.0 * 3.0 - 5.0 * 9.0),
         ("-e*(opening_mm)^2 + E*opening_mm^-2", -2.0 * 9.0 + 5.0 / 9.0),
         ("e*cos(opening_mm*2*2) + E*opening_mm*0.5*2", 2.0 * 12_f64.cos() + 5.0 * 3.0),
+        ("e*sin(opening_mm*2*3.5/2)*2/4*2 - E*3-E*3", 2.0 * 10.5_f64.sin() - 5.0 * 6.0),
         ("e*1.5e-1*2E1 + E*.5e+1", 2.0 * 3.0 + 5.0 * 5.0),
         ("-(e*opening_mm^2) + E*(-opening_mm)^2", -2.0 * 9.0 + 5.0 * 9.0),
     ] {
