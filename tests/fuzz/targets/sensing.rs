@@ -10,7 +10,7 @@ use fuzz::sensing::Chain;
 #[allow(unused_imports)]
 use firmware::*;
 
-#[allow(unused_imports, clippy::all)]
+#[allow(unused_imports, dead_code, clippy::all)]
 mod tables {
     include!(env!("MAGPIE_TABLES"));
 }
