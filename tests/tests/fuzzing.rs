@@ -55,18 +55,18 @@ fn the_serial_receiver_resynchronises_after_any_bytes() {
 
 #[test]
 fn interrupted_saves_preserve_old_or_new_parameters() {
-    let least = [("found", 0.1), ("cut", 0.1), ("saved", 0.1)];
+    let least = [("found", 0.2), ("cut", 0.5), ("saved", 1.0)];
     assert_reached((5, 5_000, 400), |input| fuzz::store::keep(input).counts(), least);
 }
 
 #[test]
 fn interrupted_uploads_preserve_old_or_new_calibration() {
     let least = [
-        ("accepted", 0.05),
-        ("wrong_codes", 0.01),
-        ("corrupt", 0.01),
-        ("interrupted", 0.1),
-        ("found", 1.0),
+        ("accepted", 1.0),
+        ("wrong_codes", 0.2),
+        ("corrupt", 0.3),
+        ("interrupted", 0.3),
+        ("found", 10.0),
     ];
     assert_reached((6, 5_000, 600), |input| fuzz::upload::upload(input).counts(), least);
 }
@@ -75,25 +75,25 @@ fn interrupted_uploads_preserve_old_or_new_calibration() {
 fn any_calibration_is_decoded_or_refused_without_a_panic() {
     let seeds = fuzz::blob::Seeds::new(&tables::TABLES);
     let least = [
-        ("decoded", 0.25),
-        ("effects", 0.1),
-        ("networks", 0.05),
-        ("invalid", 0.02),
-        ("undecodable", 0.1),
-        ("estimates", 5.0),
+        ("decoded", 0.3),
+        ("effects", 0.15),
+        ("networks", 0.08),
+        ("invalid", 0.05),
+        ("undecodable", 0.2),
+        ("estimates", 8.0),
     ];
     assert_reached((7, 3_000, 300), |input| seeds.decode(input).counts(), least);
 }
 
 #[test]
 fn formulas_have_the_values_of_a_second_evaluator() {
-    let least = [("accepted", 0.2), ("refused", 0.1), ("compared", 0.4), ("operators", 1.0)];
+    let least = [("accepted", 0.4), ("refused", 0.2), ("compared", 1.0), ("operators", 1.5)];
     assert_reached((8, 20_000, 200), |input| fuzz::formula::parse(input).counts(), least);
 }
 
 #[test]
 fn an_import_has_all_values_of_its_source_or_leaves_nothing() {
-    let least = [("imported", 0.1), ("refused", 0.2), ("compared", 1.0)];
+    let least = [("imported", 0.4), ("refused", 0.15), ("compared", 10.0)];
     assert_reached((9, 300, 300), |input| fuzz::mapping::convert(input).counts(), least);
 }
 
