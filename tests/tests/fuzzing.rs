@@ -9,6 +9,13 @@ use firmware::*;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use fuzz::counters::{Counts, Sums};
+
+#[allow(missing_docs, unused_imports, dead_code, clippy::all)]
+mod tables {
+    include!("../../firmware/src/model/tables.rs");
+}
+
 /// Random inputs of up to `longest` bytes.
 fn inputs(seed: u64, count: usize, longest: usize) -> impl Iterator<Item = Vec<u8>> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -18,51 +25,82 @@ fn inputs(seed: u64, count: usize, longest: usize) -> impl Iterator<Item = Vec<u
     })
 }
 
+/// Runs a target on random inputs; checks the minimum of each counter in an execution, on average.
+fn assert_reached<const N: usize>(
+    (seed, count, longest): (u64, usize, usize),
+    target: impl Fn(&[u8]) -> Counts<N>,
+    least: [(&str, f64); N],
+) {
+    let mut sums = Sums::default();
+    for input in inputs(seed, count, longest) {
+        sums.add(target(&input));
+    }
+    println!("{sums}");
+    for (name, least) in least {
+        assert!(sums.average(name) >= least, "{name} below {least}: {sums}");
+    }
+}
+
 #[test]
 fn can_sessions_agree_with_the_reference_model() {
-    let (mut armed, mut commands, mut dropped) = (0, 0, 0);
-    for input in inputs(1, 20_000, 800) {
-        let tally = fuzz::can::receive(&input);
-        armed += tally.armed;
-        commands += tally.commands;
-        dropped += tally.dropped;
-    }
-    // The inputs reach the code behind the checksums.
-    assert!(armed > 3_000 && commands > 3_000 && dropped > 100_000, "{armed} {commands} {dropped}");
+    let least = [("armed", 0.15), ("commands", 0.15), ("dropped", 5.0)];
+    assert_reached((1, 20_000, 800), |input| fuzz::can::receive(input).counts(), least);
 }
 
 #[test]
 fn the_serial_receiver_resynchronises_after_any_bytes() {
-    let (mut packets, mut broken) = (0, 0);
-    for input in inputs(2, 20_000, 400) {
-        let tally = fuzz::serial::receive(&input);
-        packets += tally.packets;
-        broken += tally.broken;
-    }
-    assert!(packets > 40_000 && broken > 20_000, "{packets} {broken}");
+    let least = [("packets", 2.0), ("broken", 1.0)];
+    assert_reached((2, 20_000, 400), |input| fuzz::serial::receive(input).counts(), least);
 }
 
 #[test]
 fn interrupted_saves_preserve_old_or_new_parameters() {
-    let (mut found, mut cut, mut saved) = (0, 0, 0);
-    for input in inputs(5, 5_000, 400) {
-        let tally = fuzz::store::keep(&input);
-        found += tally.found;
-        cut += tally.cut;
-        saved += tally.saved;
-    }
-    assert!(found > 500 && cut > 500 && saved > 500, "{found} {cut} {saved}");
+    let least = [("found", 0.2), ("cut", 0.5), ("saved", 1.0)];
+    assert_reached((5, 5_000, 400), |input| fuzz::store::keep(input).counts(), least);
+}
+
+#[test]
+fn interrupted_uploads_preserve_old_or_new_calibration() {
+    let least = [
+        ("accepted", 1.0),
+        ("wrong_codes", 0.2),
+        ("corrupt", 0.3),
+        ("interrupted", 0.3),
+        ("found", 10.0),
+    ];
+    assert_reached((6, 5_000, 600), |input| fuzz::upload::upload(input).counts(), least);
+}
+
+#[test]
+fn any_calibration_is_decoded_or_refused_without_a_panic() {
+    let seeds = fuzz::blob::Seeds::new(&tables::TABLES);
+    let least = [
+        ("decoded", 0.3),
+        ("effects", 0.15),
+        ("networks", 0.08),
+        ("invalid", 0.05),
+        ("undecodable", 0.2),
+        ("estimates", 8.0),
+    ];
+    assert_reached((7, 3_000, 300), |input| seeds.decode(input).counts(), least);
+}
+
+#[test]
+fn formulas_have_the_values_of_a_second_evaluator() {
+    let least = [("accepted", 0.4), ("refused", 0.2), ("compared", 1.0), ("operators", 1.5)];
+    assert_reached((8, 20_000, 200), |input| fuzz::formula::parse(input).counts(), least);
+}
+
+#[test]
+fn an_import_has_all_values_of_its_source_or_leaves_nothing() {
+    let least = [("imported", 0.4), ("refused", 0.15), ("compared", 10.0)];
+    assert_reached((9, 300, 300), |input| fuzz::mapping::convert(input).counts(), least);
 }
 
 mod sensing {
     use super::fuzz::sensing::Chain;
-    use super::inputs;
+    use super::{inputs, tables};
     use firmware::model::formats::Tables;
-
-    #[allow(missing_docs, unused_imports, dead_code, clippy::all)]
-    mod tables {
-        include!("../../firmware/src/model/tables.rs");
-    }
 
     #[test]
     fn forces_are_bounded_for_any_sensor_data() {

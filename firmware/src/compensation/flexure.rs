@@ -37,9 +37,9 @@ impl ViscousLagTable {
         let now = i64::from(force.0) << LAG_STATE_BITS;
         let [first, second] = filters.unwrap_or([now; 2]);
         let low_pass = |from: i64, to: i64| {
-            from.saturating_add(
-                ((to.saturating_sub(from) >> 8) * i64::from(self.rate)) >> (LAG_BITS - 8),
-            )
+            // 131 kN at most, so that the product with the rate fits 64 bits.
+            let step = i64::from(saturate(to.saturating_sub(from) >> 8));
+            from.saturating_add((step * i64::from(self.rate)) >> (LAG_BITS - 8))
         };
         let first = low_pass(first, now);
         let second = low_pass(second, first);
@@ -134,7 +134,8 @@ impl HardStopTable {
             let factor = if is_negative { negative } else { positive };
             let excess = force.0.saturating_abs().saturating_sub(knee).max(0);
             let added = mul_q(excess, factor, HARD_STOP_BITS);
-            Force(force.0.saturating_add(if is_negative { -added } else { added }))
+            let added = if is_negative { added.saturating_neg() } else { added };
+            Force(force.0.saturating_add(added))
         })
     }
 }
@@ -164,6 +165,24 @@ impl FingertipMassTable {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn any_numbers_in_the_tables_saturate_instead_of_overflowing() {
+        let ends = [i32::MIN, -1, 0, 1, i32::MAX];
+        for (a, b) in ends.into_iter().flat_map(|a| ends.map(|b| (a, b))) {
+            let stop = HardStopTable { knee: [a; 2], beyond: [[b; 2]; 2] };
+            let lag = ViscousLagTable { lead: [a; 2], rate: b };
+            let creep = CreepTable { share: [[a; CREEP_PARTS]; 2], rate: [b; CREEP_PARTS] };
+            let (mut lag_state, mut creep_state) = Default::default();
+            for force in ends.repeat(4) {
+                let [added, _] = stop.compensate([Force(force); 2]);
+                // Factors below zero reduce a force above the knee.
+                assert!(b < 0 || force == 0 || i64::from(added.0) * i64::from(force) > 0);
+                lag.compensate([Force(force); 2], &mut lag_state);
+                creep.compensate([Force(force); 2], &mut creep_state);
+            }
+        }
+    }
 
     #[test]
     fn a_ramp_with_10_ms_of_viscous_lag_is_corrected() {

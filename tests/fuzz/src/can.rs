@@ -48,6 +48,13 @@ pub struct Tally {
     pub dropped: u32,
 }
 
+impl Tally {
+    /// The counters with their names.
+    pub fn counts(&self) -> super::counters::Counts<3> {
+        [("armed", self.armed), ("commands", self.commands), ("dropped", self.dropped)]
+    }
+}
+
 /// A bus with a gripper, and a reference that knows the rules.
 pub fn receive(bytes: &[u8]) -> Tally {
     let mut bytes = Bytes::new(bytes);
@@ -196,7 +203,7 @@ fn frames(kind: u8, bytes: &mut Bytes, reference: &Reference) -> Vec<(u16, Vec<u
 }
 
 /// Key of a session: over a label, the node and the challenge.
-fn session_key(key: &[u8; 16], node: u16, challenge: u64) -> [u8; 16] {
+pub(super) fn session_key(key: &[u8; 16], node: u16, challenge: u64) -> [u8; 16] {
     let label = b"session".iter().copied();
     cmac(key, label.chain(node.to_le_bytes()).chain(challenge.to_le_bytes()))
 }
@@ -208,7 +215,7 @@ fn code(key: &[u8; 16], counter: u64, id: u16, data: &[u8]) -> [u8; 5] {
     [all[0], all[1], all[2], all[3], all[4]]
 }
 
-fn cmac(key: &[u8; 16], data: impl Iterator<Item = u8>) -> [u8; 16] {
+pub(super) fn cmac(key: &[u8; 16], data: impl Iterator<Item = u8>) -> [u8; 16] {
     let mut mac = Cmac::<Aes128>::new(key.into());
     mac.update(&data.collect::<Vec<u8>>());
     mac.finalize().into_bytes().into()

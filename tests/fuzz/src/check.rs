@@ -11,16 +11,28 @@ pub fn crc16(bytes: impl IntoIterator<Item = u8>) -> u16 {
         .fold(0xFFFF, |crc, byte| (0..8).fold(crc ^ (u16::from(byte) << 8), |crc, _| bit(crc)))
 }
 
-/// CRC-32/ISO-HDLC: polynomial 0x04C11DB7 from all ones, bit by bit, the lowest first, turned over.
+/// CRC-32/ISO-HDLC: polynomial 0x04C11DB7 from all ones, the lowest bit first, inverted.
 pub fn crc32(bytes: impl IntoIterator<Item = u8>) -> u32 {
-    let bit = |crc: u32| match crc & 1 {
-        0 => crc >> 1,
-        _ => (crc >> 1) ^ 0xEDB8_8320,
-    };
     !bytes
         .into_iter()
-        .fold(u32::MAX, |crc, byte| (0..8).fold(crc ^ u32::from(byte), |crc, _| bit(crc)))
+        .fold(u32::MAX, |crc, byte| (crc >> 8) ^ CRC32_OF_BYTE[usize::from(crc as u8 ^ byte)])
 }
+
+/// The remainder of each byte, bit by bit. Calibrations of 25 KB are too long for single bits.
+const CRC32_OF_BYTE: [u32; 256] = {
+    let mut all = [0; 256];
+    let mut byte = 0;
+    while byte < all.len() {
+        let (mut crc, mut bit) = (byte as u32, 0);
+        while bit < 8 {
+            crc = if crc & 1 == 0 { crc >> 1 } else { (crc >> 1) ^ 0xEDB8_8320 };
+            bit += 1;
+        }
+        all[byte] = crc;
+        byte += 1;
+    }
+    all
+};
 
 /// Consistent overhead byte stuffing (Cheshire and Baker 1999), with the zero that ends it: each run of
 /// bytes without a zero follows its length plus one; a run of 254 has no zero after it.

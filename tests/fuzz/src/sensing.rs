@@ -200,7 +200,7 @@ fn greatest(table: &SensorTable) -> [i64; 2] {
     })
 }
 
-fn auxiliary_inputs(bytes: &mut Bytes) -> AuxiliaryInputs {
+pub(super) fn auxiliary_inputs(bytes: &mut Bytes) -> AuxiliaryInputs {
     let known = bytes.byte();
     let number = |bytes: &mut Bytes| i32::from_le_bytes(bytes.array());
     AuxiliaryInputs {
@@ -274,6 +274,18 @@ fn ticked_rightly(frame: &HallFrame, estimates: &[Estimate; SENSORS]) {
 }
 
 impl Tally {
+    /// The counters with their names.
+    #[allow(dead_code)] // A test has its own minimum for each of its chains.
+    pub fn counts(&self) -> super::counters::Counts<5> {
+        [
+            ("ticks", self.ticks),
+            ("valid", self.valid),
+            ("doubtful", self.doubtful),
+            ("reported", self.reported),
+            ("disturbed", self.disturbed),
+        ]
+    }
+
     fn count(&mut self, estimates: &[Estimate; SENSORS]) {
         self.ticks += 1;
         self.disturbed += u32::from(estimates[0].disturbed);

@@ -21,6 +21,13 @@ pub struct Tally {
     pub broken: u32,
 }
 
+impl Tally {
+    /// The counters with their names.
+    pub fn counts(&self) -> super::counters::Counts<2> {
+        [("packets", self.packets), ("broken", self.broken)]
+    }
+}
+
 /// A line on which anything may come.
 pub fn receive(bytes: &[u8]) -> Tally {
     let mut bytes = Bytes::new(bytes);

@@ -17,7 +17,7 @@ use super::check::crc32;
 /// The flash of the store's own tests: its power goes at any operation, and what it leaves is anything.
 #[allow(dead_code)]
 #[path = "../../../firmware/src/system/nv_storage/flash_model.rs"]
-mod memory;
+pub(super) mod memory;
 
 use memory::{Cut, FlashModel, PAGE, Torn, WORD, block};
 
@@ -25,7 +25,7 @@ const SLOTS: u32 = PAGES * (PAGE / SLOT_BYTES) as u32;
 /// Most saves of a story.
 const SAVES: u32 = 16;
 /// Operations in which the power may go: those of a few saves.
-const OPERATIONS: u32 = 50;
+pub(super) const OPERATIONS: u32 = 50;
 
 /// What a story came to.
 #[derive(Clone, Copy, Debug, Default)]
@@ -36,6 +36,13 @@ pub struct Tally {
     pub cut: u32,
     /// Saves that were done.
     pub saved: u32,
+}
+
+impl Tally {
+    /// The counters with their names.
+    pub fn counts(&self) -> super::counters::Counts<3> {
+        [("found", self.found), ("cut", self.cut), ("saved", self.saved)]
+    }
 }
 
 /// A flash that holds anything, then saves.
@@ -78,7 +85,7 @@ fn session(
     tally: &mut Tally,
 ) -> bool {
     let mut parameters = loaded.parameters;
-    memory.cut = cut(bytes, memory.operations);
+    memory.cut = cut(bytes, memory.operations, OPERATIONS);
     let mut store = ParameterStore::new(&mut *memory, 0);
     let mut is_saved = true;
     for number in 0..=bytes.byte() % 4 {
@@ -197,10 +204,10 @@ fn load(memory: &mut FlashModel) -> LoadedParameters {
     loaded
 }
 
-/// When and how the power goes.
-fn cut(bytes: &mut Bytes, from: u32) -> Option<(u32, Cut)> {
+/// Operation and kind of the next power cut, one of the next `count` operations.
+pub(super) fn cut(bytes: &mut Bytes, from: u32, count: u32) -> Option<(u32, Cut)> {
     let kind = bytes.byte();
-    let at = from + u32::from(bytes.byte()) % OPERATIONS;
+    let at = from + u32::from(bytes.byte()) % count;
     let cut = match kind % 11 {
         0 | 1 => return None,
         2 => Cut::Before,

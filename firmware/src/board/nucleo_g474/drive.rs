@@ -17,7 +17,6 @@ use crate::board::selected::feedback::{
     ANGLE_AGE_PERIODS, AnalogPins, PhaseCurrents, RotorSensor, SpiPins, rotor_sensor,
 };
 use crate::board::selected::pwm::{self, Stage};
-use crate::board::selected::sync::{Queue, Reader, Writer};
 use crate::board::{MotorDrive, MotorMonitor, MotorPort};
 use crate::clock::{Clock, Timed};
 use crate::motor::power_stage::{Encoder, MotorSamples, PowerStage};
@@ -26,6 +25,7 @@ use crate::motor::state::{MotorCommand, MotorStatus};
 use crate::motor::tick_exchange::{CurrentLoopCommand, CurrentLoopReport};
 use crate::motor::{CurrentLoop, MOTION_HZ, MOTION_PERIODS, MotionLoop, Settings};
 use crate::system::crash::CrashKind;
+use crate::system::queue::{Queue, Reader, Writer};
 
 /// Motion loop ticks between two status reports: 1 ms.
 const STATUS_TICKS: u8 = (MOTION_HZ * 1e-3) as u8;

@@ -6,7 +6,6 @@
 
 use std::borrow::Cow;
 
-use exmex::{Express, FlatEx};
 use nalgebra::Vector3;
 
 use crate::effects::excitation::{BUILT_IN_COVARIATES, ExcitationSeries};
@@ -16,8 +15,10 @@ use crate::input::MAX_MAGNITUDE;
 use crate::recordings::error::closest_match;
 use crate::recordings::units::column_unit;
 
+mod evaluator;
 mod syntax;
 
+use evaluator::Formula;
 pub use syntax::ExpressionError;
 use syntax::{NamePositions, check_parameter_count, check_syntax};
 
@@ -63,7 +64,7 @@ pub struct Expression {
     pub covariates: Vec<String>,
     coefficients: Vec<String>,
     target: Target,
-    formula: FlatEx<f64>,
+    formula: Formula,
     roles: Vec<Role>,
 }
 
@@ -85,8 +86,8 @@ impl Expression {
             parts.target.error(text, format!("{:?} is not a target; {hint}", parts.target.text))
         })?;
         let names = check_syntax(text, &parts.formula)?;
-        let formula: FlatEx<f64> = exmex::parse(parts.formula.text)
-            .map_err(|error| parts.formula.error(text, format!("invalid formula ({error})")))?;
+        let formula = Formula::parse(parts.formula.text)
+            .map_err(|number| parts.formula.error(text, format!("{number:?} is not a number")))?;
         let mut expression = Self {
             name: parts.name.text.to_owned(),
             text: text.trim().to_owned(),
@@ -119,7 +120,7 @@ impl Expression {
         names: &NamePositions,
         columns: &[String],
     ) -> Result<(), ExpressionError> {
-        for name in self.formula.var_names().to_vec() {
+        for name in self.formula.names().to_vec() {
             let position = names.position(&name);
             let range = self.ranges.iter().position(|range| range.name == name);
             let available =
@@ -228,7 +229,7 @@ impl Expression {
                 Role::Covariate(i) => covariates[*i],
             })
             .collect();
-        self.formula.eval(&values).unwrap_or(f64::NAN)
+        self.formula.evaluate(&values)
     }
 
     /// Position in the chain from force to field.

@@ -98,12 +98,36 @@ impl NamePositions {
 }
 
 /// Supported functions, all of one argument.
-const FUNCTIONS: [&str; 16] = [
-    "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp", "ln", "log2",
-    "log10", "sqrt", "abs", "signum",
+pub(super) const FUNCTIONS: [(&str, fn(f64) -> f64); 16] = [
+    ("sin", f64::sin),
+    ("cos", f64::cos),
+    ("tan", f64::tan),
+    ("asin", f64::asin),
+    ("acos", f64::acos),
+    ("atan", f64::atan),
+    ("sinh", f64::sinh),
+    ("cosh", f64::cosh),
+    ("tanh", f64::tanh),
+    ("exp", f64::exp),
+    ("ln", f64::ln),
+    ("log2", f64::log2),
+    ("log10", f64::log10),
+    ("sqrt", f64::sqrt),
+    ("abs", f64::abs),
+    ("signum", f64::signum),
 ];
 
-/// Checks operators, values and brackets; returns the names.
+/// Signs and powers of the operand that is read.
+#[derive(Clone, Copy, Default)]
+struct Operand {
+    /// It has a sign.
+    is_signed: bool,
+    /// It is the exponent of a power.
+    is_exponent: bool,
+}
+
+/// Checks operators, values and brackets; returns the names. A power of a signed value and a power of a power need brackets,
+/// because tools differ in `-x^2` and `x^2^3`.
 pub(super) fn check_syntax(
     text: &str,
     formula: &Section,
@@ -113,6 +137,7 @@ pub(super) fn check_syntax(
     let (mut open, mut expects_value, mut at) = (Vec::new(), true, 0);
     let bytes = formula.text.as_bytes();
     let mut operators = 0;
+    let mut operand = Operand::default();
     while let Some(&byte) = bytes.get(at) {
         let here = formula.start + at;
         let rest = &formula.text[at..];
@@ -142,18 +167,17 @@ pub(super) fn check_syntax(
                 expects_value = false;
             }
             b'a'..=b'z' | b'A'..=b'Z' | b'_' => {
-                let length =
-                    rest.bytes().take_while(|b| b.is_ascii_alphanumeric() || *b == b'_').count();
+                let length = name_length(rest);
                 let name = &rest[..length];
                 let is_call = rest[length..].trim_start().starts_with('(');
-                match (is_call, FUNCTIONS.contains(&name)) {
+                match (is_call, FUNCTIONS.iter().any(|(own, _)| *own == name)) {
                     (true, true) => operators += 1,
                     (true, false) => {
                         return fail(
                             here,
                             format!(
                                 "there is no function {name}; available: {}",
-                                FUNCTIONS.join(", ")
+                                FUNCTIONS.map(|(name, _)| name).join(", ")
                             ),
                         );
                     }
@@ -168,10 +192,18 @@ pub(super) fn check_syntax(
                 at += length;
             }
             b'+' | b'-' if expects_value => {
+                operand.is_signed = true;
                 operators += 1;
                 at += 1;
             }
+            b'^' if !expects_value && operand.is_exponent => {
+                return fail(here, "write brackets: (x^a)^b or x^(a^b)".to_owned());
+            }
+            b'^' if !expects_value && operand.is_signed => {
+                return fail(here, "write brackets: -(x^a) or (-x)^a".to_owned());
+            }
             b'+' | b'-' | b'*' | b'/' | b'^' if !expects_value => {
+                operand = Operand { is_signed: false, is_exponent: byte == b'^' };
                 operators += 1;
                 expects_value = true;
                 at += 1;
@@ -180,7 +212,8 @@ pub(super) fn check_syntax(
                 return fail(here, "a value is missing before this".to_owned());
             }
             b'(' if expects_value => {
-                open.push(here);
+                open.push((here, operand));
+                operand = Operand::default();
                 at += 1;
             }
             b'(' => return fail(here, "an operator is missing before this".to_owned()),
@@ -189,13 +222,13 @@ pub(super) fn check_syntax(
                 return fail(here, "a value is missing before this".to_owned());
             }
             b')' => {
-                open.pop();
+                operand = open.pop().map_or(operand, |(_, outside)| outside);
                 at += 1;
             }
             _ => return fail(here, "this character is not allowed here".to_owned()),
         }
     }
-    if let Some(bracket) = open.pop() {
+    if let Some((bracket, _)) = open.pop() {
         return fail(bracket, "this bracket is not closed".to_owned());
     }
     if expects_value {
@@ -222,8 +255,13 @@ pub(super) fn check_parameter_count(
     Ok(())
 }
 
+/// Length of the name at the start of `text`.
+pub(super) fn name_length(text: &str) -> usize {
+    text.bytes().take_while(|b| b.is_ascii_alphanumeric() || *b == b'_').count()
+}
+
 /// Length of the number at the start of `text`.
-fn number_length(text: &str) -> usize {
+pub(super) fn number_length(text: &str) -> usize {
     let digits =
         |from: usize| text[from..].bytes().take_while(|b| b.is_ascii_digit() || *b == b'.').count();
     let mantissa = digits(0);

@@ -51,6 +51,11 @@ fn invalid_formulas_yield_advice() {
         ("ripple: dz_um = a**opening_mm", "a value is missing"),
         ("ripple: dz_um = a opening_mm", "an operator is missing"),
         ("ripple: dz_um = a*opening_mm $", "not allowed here"),
+        ("ripple: dz_um = a*1.2.3", "\"1.2.3\" is not a number"),
+        ("ripple: dz_um = -a*-opening_mm^2", "write brackets: -(x^a) or (-x)^a"),
+        ("ripple: dz_um = a*-sin(opening_mm)^2", "write brackets: -(x^a) or (-x)^a"),
+        ("ripple: dz_um = a*(-opening_mm)^2^2", "write brackets: (x^a)^b or x^(a^b)"),
+        ("ripple: dz_um = a*opening_mm^-2^2", "write brackets: (x^a)^b or x^(a^b)"),
         ("ripple: dz_um = a*sin(opening_mm*b)", "does not enter linearly"),
         ("ripple: dz_um = a*b*opening_mm", "exactly one coefficient"),
         ("ripple: dz_um = 2*opening_mm", "no coefficient"),
@@ -121,5 +126,26 @@ fn range_needs_finite_bounds_that_can_be_divided() {
         let ranges = [ParameterRange { name: "p".to_owned(), from, to }];
         let result = Expression::parse(text, &ranges, &columns());
         assert_eq!(result.is_ok(), is_valid, "{from} {to}");
+    }
+}
+
+#[test]
+fn names_of_constants_are_free_and_values_are_those_of_mathematics() {
+    for (formula, expected) in [
+        ("e*opening_mm + E*opening_mm^2", 2.0 * 3.0 + 5.0 * 9.0),
+        ("e*opening_mm - E*opening_mm^2", 2.0 * 3.0 - 5.0 * 9.0),
+        ("-e*(opening_mm)^2 + E*opening_mm^-2", -2.0 * 9.0 + 5.0 / 9.0),
+        ("e*cos(opening_mm*2*2) + E*opening_mm*0.5*2", 2.0 * 12_f64.cos() + 5.0 * 3.0),
+        ("e*sin(opening_mm*2*3.5/2)*2/4*2 - E*3-E*3", 2.0 * 10.5_f64.sin() - 5.0 * 6.0),
+        ("e*1.5e-1*2E1 + E*.5e+1", 2.0 * 3.0 + 5.0 * 5.0),
+        ("-(e*opening_mm^2) + E*(-opening_mm)^2", -2.0 * 9.0 + 5.0 * 9.0),
+    ] {
+        let parsed = Expression::parse(&format!("r: dz_um = {formula}"), &[], &columns());
+        let parsed = parsed.unwrap();
+        let names: Vec<String> = parsed.parameters().iter().map(|p| p.name.to_string()).collect();
+        // In the order of the alphabet, capitals first.
+        assert_eq!(names, ["E", "e"], "{formula}");
+        let (value, _) = parsed.value(&[5.0, 2.0], &[3.0]);
+        assert!((value - expected).abs() < 1e-12, "{formula}: {value}");
     }
 }
