@@ -734,7 +734,7 @@ mod tests {
             (3, &[0; 8]),
         ];
         for (number, bytes) in frames {
-            pair.gripper.receive(0, CAN, (frame_id(DEFAULT_NODE, number), bytes), || 0);
+            pair.gripper.receive(0, CAN, (frame_id(DEFAULT_NODE, number), bytes), || Some(0));
         }
         let dropped = pair.gripper.dropped();
         assert_eq!(dropped, DroppedFrames { unknown: 1, malformed: 3, unauthenticated: 2 });

@@ -73,7 +73,7 @@ impl Bus {
 
     fn send_frame(&mut self, id: u16, bytes: &[u8]) -> (bool, Option<ServiceReply>) {
         let random = self.rng.random();
-        match self.gripper.receive(self.now_ms, CAN, (id, bytes), || random) {
+        match self.gripper.receive(self.now_ms, CAN, (id, bytes), || Some(random)) {
             SessionEvent::Command(_) => (true, None),
             SessionEvent::Other(message) => (needs_owner(&message), None),
             SessionEvent::Reply(Message::ServiceReply(reply)) => {

@@ -219,11 +219,14 @@ fn mutate(valid: &mut Vec<u8>, parts: &[usize], bytes: &mut Bytes) {
     }
 }
 
+/// Hands the parts of an encoding to a sink.
+type Encoder<'e> = dyn Fn(&mut dyn FnMut(&[u8])) + 'e;
+
 /// Tables and networks as bytes, with the offsets of their parts: tables, exponential, sensors, compensations, single
 /// effects, networks.
 fn parts(tables: &Tables, networks: &[LoadableNetwork]) -> (Vec<u8>, Vec<usize>) {
     let bytes = bytes_of(&Payload { tables, networks });
-    let length = |value: &dyn Fn(&mut dyn FnMut(&[u8]))| {
+    let length = |value: &Encoder<'_>| {
         let mut length = 0;
         value(&mut |part| length += part.len());
         length

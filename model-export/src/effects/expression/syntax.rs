@@ -97,23 +97,26 @@ impl NamePositions {
     }
 }
 
-/// Supported functions, all of one argument.
-pub(super) const FUNCTIONS: [(&str, fn(f64) -> f64); 16] = [
-    ("sin", f64::sin),
-    ("cos", f64::cos),
-    ("tan", f64::tan),
-    ("asin", f64::asin),
-    ("acos", f64::acos),
-    ("atan", f64::atan),
-    ("sinh", f64::sinh),
-    ("cosh", f64::cosh),
-    ("tanh", f64::tanh),
-    ("exp", f64::exp),
-    ("ln", f64::ln),
-    ("log2", f64::log2),
-    ("log10", f64::log10),
-    ("sqrt", f64::sqrt),
-    ("abs", f64::abs),
+/// A function of one argument.
+pub(super) type Function = fn(f64) -> f64;
+
+/// Supported functions; not those of the platform, so that results are the same bytes everywhere.
+pub(super) const FUNCTIONS: [(&str, Function); 16] = [
+    ("sin", libm::sin),
+    ("cos", libm::cos),
+    ("tan", libm::tan),
+    ("asin", libm::asin),
+    ("acos", libm::acos),
+    ("atan", libm::atan),
+    ("sinh", libm::sinh),
+    ("cosh", libm::cosh),
+    ("tanh", libm::tanh),
+    ("exp", libm::exp),
+    ("ln", libm::log),
+    ("log2", libm::log2),
+    ("log10", libm::log10),
+    ("sqrt", libm::sqrt),
+    ("abs", libm::fabs),
     ("signum", f64::signum),
 ];
 
