@@ -1,6 +1,6 @@
 //! Evaluation of formulas whose syntax was checked: operators in postfix order.
 
-use crate::effects::expression::syntax::{FUNCTIONS, name_length, number_length};
+use crate::effects::expression::syntax::{FUNCTIONS, Function, name_length, number_length};
 
 /// A formula in postfix order.
 #[derive(Clone, Debug)]
@@ -15,7 +15,7 @@ enum Step {
     Number(f64),
     /// Index of the name.
     Variable(usize),
-    Unary(fn(f64) -> f64),
+    Unary(Function),
     Binary(fn(f64, f64) -> f64),
 }
 
@@ -23,7 +23,7 @@ enum Step {
 #[derive(Clone, Copy, Debug)]
 enum Pending {
     Bracket,
-    Function(fn(f64) -> f64),
+    Function(Function),
     Sign,
     Binary(u8),
 }

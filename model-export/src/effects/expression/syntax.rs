@@ -97,8 +97,11 @@ impl NamePositions {
     }
 }
 
-/// Supported functions, all of one argument.
-pub(super) const FUNCTIONS: [(&str, fn(f64) -> f64); 16] = [
+/// A function of one argument.
+pub(super) type Function = fn(f64) -> f64;
+
+/// Supported functions.
+pub(super) const FUNCTIONS: [(&str, Function); 16] = [
     ("sin", f64::sin),
     ("cos", f64::cos),
     ("tan", f64::tan),
