@@ -219,23 +219,15 @@ fn mutate(valid: &mut Vec<u8>, parts: &[usize], bytes: &mut Bytes) {
     }
 }
 
-/// Hands the parts of an encoding to a sink.
-type Encoder<'e> = dyn Fn(&mut dyn FnMut(&[u8])) + 'e;
-
 /// Tables and networks as bytes, with the offsets of their parts: tables, exponential, sensors, compensations, single
 /// effects, networks.
 fn parts(tables: &Tables, networks: &[LoadableNetwork]) -> (Vec<u8>, Vec<usize>) {
     let bytes = bytes_of(&Payload { tables, networks });
-    let length = |value: &Encoder<'_>| {
-        let mut length = 0;
-        value(&mut |part| length += part.len());
-        length
-    };
     let mut parts = vec![0];
     let mut at = 2 + 4 * tables.exp.len();
     for sensor in tables.sensors {
         parts.push(at);
-        at += length(&|sink| encode(sensor, sink));
+        at += bytes_of(sensor).len();
         // Behind the pairs of centres.
         parts.push(at - 130);
     }
@@ -245,18 +237,18 @@ fn parts(tables: &Tables, networks: &[LoadableNetwork]) -> (Vec<u8>, Vec<usize>)
         let mut effect = at + 5;
         for field in &compensation.field {
             parts.push(effect);
-            effect += length(&|sink| encode(field, sink));
+            effect += bytes_of(field).len();
         }
         for force in &compensation.force {
             parts.push(effect);
-            effect += length(&|sink| encode(force, sink));
+            effect += bytes_of(force).len();
         }
-        at += length(&|sink| encode(compensation, sink));
+        at += bytes_of(compensation).len();
     }
     parts.push(at);
     for network in networks {
         parts.push(at + 8);
-        at += length(&|sink| encode(network, sink));
+        at += bytes_of(network).len();
     }
     (bytes, parts)
 }
