@@ -32,14 +32,12 @@ pub fn status_line(state: &GripperState, now_s: f64) -> String {
     for sensor in &state.sensors {
         text += &format!("  {:>14}", forces(sensor));
     }
-    if let Some(beat) = &state.heartbeat {
-        text += &format!("  {}", state_name(beat.value.state));
-    }
+    let power = state.heartbeat.map(|beat| state_name(beat.value.state));
     let stopped = state.is_stopped().then(|| "a stop is latched".to_owned());
-    let notes: Vec<String> =
-        stopped.into_iter().chain(state.faults.iter().map(fault_line)).collect();
+    let faults = state.faults.iter().map(fault_line);
+    let notes: Vec<String> = power.into_iter().chain(stopped).chain(faults).collect();
     if !notes.is_empty() {
-        text += &format!("; {}", notes.join("; "));
+        text += &format!("  {}", notes.join("; "));
     }
     match state.received_s {
         None => text + "  no message yet",

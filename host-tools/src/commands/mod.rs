@@ -1,6 +1,7 @@
 //! The command line: one module for each command; [`args`] and [`connection`] are shared by several.
 
 pub mod args;
+pub mod bench;
 pub mod benchmark;
 pub mod board;
 pub mod compare;
@@ -70,6 +71,7 @@ enum Command {
     Monitor(monitor::Args),
     Record(record::Args),
     Emulate(emulate::Args),
+    Bench(bench::Args),
     Dbc(dbc::Args),
     #[command(alias = "grip")]
     Grasp(grasp::Args),
@@ -112,6 +114,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Monitor(args) => monitor::run(&args),
         Command::Record(args) => record::run(&args),
         Command::Emulate(args) => emulate::run(&args),
+        Command::Bench(args) => bench::run(&args),
         Command::Dbc(args) => dbc::run(&args),
         Command::Grasp(args) => grasp::run(&args),
         Command::Design(args) => design::run(&args),

@@ -101,7 +101,11 @@ Effects with typical magnitudes (friction accepts the suffix :lateral, :longitud
     text
 }
 
-fn parse_effect(text: &str) -> Result<Effect, String> {
+/// Reads `ID` or `ID=MAGNITUDE`.
+///
+/// # Errors
+/// An unknown effect, or a magnitude that is no number.
+pub fn parse_effect(text: &str) -> Result<Effect, String> {
     text.parse().map_err(|error: anyhow::Error| format!("{error:#}"))
 }
 

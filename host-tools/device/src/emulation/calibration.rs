@@ -85,6 +85,29 @@ pub struct ForceErrors {
 /// Forces that the board reported with each row, by the row's time in microseconds since the first.
 pub type BoardForces = BTreeMap<u64, [Option<[f64; 2]>; SENSORS]>;
 
+/// Uploads the model of the nominal design, and records a campaign. `nominal` is any model of this design; `done` is called after
+/// each recording.
+///
+/// # Errors
+/// A step fails, as it would on a real gripper.
+pub fn record_campaign(
+    image: Image,
+    nominal: &Path,
+    setup: &BenchSetup,
+    conditions: ChipConditions,
+    campaign: &Path,
+    done: impl Fn(),
+) -> Result<()> {
+    let mut bench = EmulatedBench::power_on(image, conditions, setup)?;
+    upload(&mut bench, &build(nominal, ModelVariant::Nominal)?)?;
+    bench.home(true).context("with the nominal tables")?;
+    for recording in 0..setup.recordings {
+        record(&mut bench, setup, recording, &campaign.join((recording + 1).to_string()))?;
+        done();
+    }
+    Ok(())
+}
+
 /// Uploads the model of the nominal design, records a campaign, fits the physics, and adds the effects that the diagnosis names.
 /// `nominal` is any model of this design; `folder` receives all files.
 ///
@@ -98,12 +121,7 @@ pub fn identify(
     folder: &Path,
 ) -> Result<Identification> {
     let campaign = folder.join("campaign");
-    let mut bench = EmulatedBench::power_on(image, conditions, setup)?;
-    upload(&mut bench, &build(nominal, ModelVariant::Nominal)?)?;
-    bench.home(true).context("with the nominal tables")?;
-    for recording in 0..setup.recordings {
-        record(&mut bench, setup, recording, &campaign.join((recording + 1).to_string()))?;
-    }
+    record_campaign(image, nominal, setup, conditions, &campaign, || ())?;
     let options = FitOptions::default();
     let [plain, better] = ["plain.toml", "model.toml"].map(|name| folder.join(name));
     let fit = fit_model(&campaign, BaseKind::Cylinder, None, ALIGNED, options)?;

@@ -107,7 +107,12 @@ fn silence_is_reported_and_no_force_without_messages() {
     state.update(12.0, &Packet::Message { copy: 0, message });
     let page = drawn(100, 30, &state, 14.0);
     assert!(page.contains("silent for 2.0 s"), "{page}");
-    assert!(page.contains("none"));
+    assert!(page.contains("state: boot") && page.contains("no fault"), "{page}");
+    let stopped = Heartbeat { state: 2, stopped: true, ..Heartbeat::default() };
+    state.update(14.1, &Packet::Message { copy: 0, message: Message::Heartbeat(stopped) });
+    let page = drawn(100, 30, &state, 14.2);
+    assert!(page.contains("state: safe") && page.contains("a stop is latched"), "{page}");
+    assert!(!page.contains("no fault"), "{page}");
 }
 
 #[test]

@@ -7,7 +7,7 @@ mod text;
 
 use std::path::PathBuf;
 
-use anyhow::Result;
+use anyhow::{Result, anyhow};
 
 use crate::commands::connection::parse_seconds;
 
@@ -72,6 +72,30 @@ pub struct Args {
     /// Print one JSON object at the end on stdout and nothing else.
     #[arg(long)]
     json: bool,
+}
+
+/// Output paths of the image builds.
+const IMAGES: [&str; 2] = [
+    "target/thumbv7em-none-eabihf/image/firmware",
+    "target/debian/thumbv7em-none-eabihf/image/firmware",
+];
+
+/// The newest image build.
+///
+/// # Errors
+/// There is none.
+pub fn default_image() -> Result<PathBuf> {
+    let existing = IMAGES.iter().map(PathBuf::from).filter(|path| path.is_file());
+    let newest =
+        existing.max_by_key(|path| path.metadata().and_then(|metadata| metadata.modified()).ok());
+    newest.ok_or_else(|| {
+        anyhow!(
+            "no image at {} or {}: build one with `cargo image` (or `.ci/image debian`, with Debian's \
+             compiler), or give an ELF file",
+            IMAGES[0],
+            IMAGES[1]
+        )
+    })
 }
 
 /// Execution time models.

@@ -2,11 +2,10 @@
 
 use analysis::progress;
 use std::cell::RefCell;
-use std::path::PathBuf;
 use std::rc::Rc;
 use std::sync::atomic::Ordering::Relaxed;
 
-use anyhow::{Context, Result, anyhow};
+use anyhow::{Context, Result};
 use emulator::{Image, Time};
 use indicatif::ProgressBar;
 use model_export::input;
@@ -14,7 +13,7 @@ use model_export::inverse::build::{ModelVariant, build};
 
 use crate::commands::connection::interrupted;
 use crate::commands::emulate::text::{End, Setup, format_fault, format_reset};
-use crate::commands::emulate::{Args, Timing, text};
+use crate::commands::emulate::{Args, Timing, default_image, text};
 use device::emulation::pace::Pace;
 use device::emulation::{CanPort, Emulation, Notice};
 use device::pty::Pty;
@@ -30,11 +29,6 @@ use sim::closed_loop::motor_rig::MotorRig;
 use sim::drivetrain::fingertips::Fingertips;
 use sim::drivetrain::parameters::{Lead, PlantParameters};
 
-/// Output paths of the image builds.
-const IMAGES: [&str; 2] = [
-    "target/thumbv7em-none-eabihf/image/firmware",
-    "target/debian/thumbv7em-none-eabihf/image/firmware",
-];
 /// Sampling period of the program counter, no divisor of the task periods.
 const SAMPLE_PERIOD: Time = Time::from_ns(7_411);
 /// Update period of the progress line in real seconds.
@@ -72,21 +66,6 @@ pub(super) fn run(args: &Args) -> Result<()> {
         End::Failed(error) => Err(error),
         _ => Ok(()),
     }
-}
-
-/// The newest image build.
-fn default_image() -> Result<PathBuf> {
-    let existing = IMAGES.iter().map(PathBuf::from).filter(|path| path.is_file());
-    let newest =
-        existing.max_by_key(|path| path.metadata().and_then(|metadata| metadata.modified()).ok());
-    newest.ok_or_else(|| {
-        anyhow!(
-            "no image at {} or {}: build one with `cargo image` (or `.ci/image debian`, with Debian's \
-             compiler), or give an ELF file",
-            IMAGES[0],
-            IMAGES[1]
-        )
-    })
 }
 
 const fn conditions(args: &Args) -> ChipConditions {
