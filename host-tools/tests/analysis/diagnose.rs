@@ -124,7 +124,7 @@ fn unknown_effect_is_attributed_but_not_named() {
     assert_eq!(rest["covariate"], Value::Null);
     assert!(rest["share"].as_f64().unwrap() < 0.2, "{rest}");
     assert!(rest["correlation_s"].as_f64().unwrap() > 0.0, "{rest}");
-    assert_eq!(rest["channels"][0]["sensor"], 0, "{rest}");
+    assert_eq!(rest["channels"][0]["axis"], "z", "{rest}");
 }
 
 #[test]
