@@ -94,8 +94,9 @@ fn without_a_terminal_one_line_per_second_is_printed() {
     let line = "monitor --virtual --model model.toml --press 30,5 --seconds 2.5";
     let output = String::from_utf8(dir.stdout(line)).unwrap();
     let lines: Vec<&str> = output.lines().collect();
-    assert!(lines[0].contains("Fx, Fz 3 / N"), "{output}");
-    assert!((2..=3).contains(&lines.len()), "{output}");
+    assert!(lines[0].starts_with("~ ") && lines[1].contains("Fx, Fz 3 / N"), "{output}");
+    assert!((3..=4).contains(&lines.len()), "{output}");
+    assert!(lines[2].ends_with("  safe"), "{output}");
     assert!(!output.contains('\u{1b}'));
 }
 
