@@ -400,6 +400,24 @@ mod tests {
     }
 
     #[test]
+    fn either_mark_is_sufficient_for_a_valid_calibration() {
+        for (damaged, expected) in [
+            (&[][..], Some((1, true))),
+            // Of the first mark, of the second, of both.
+            (&[4], Some((1, true))),
+            (&[12], Some((1, false))),
+            (&[4, 12], None),
+        ] {
+            let mut flash = Memory::new(1);
+            upload(&mut flash, &calibration(1, 500)).unwrap();
+            damaged.iter().for_each(|byte| flash.flip(*byte, 0));
+            let stored = block(CalibrationSlots::new(0).newest(&mut flash));
+            let found = stored.map(|stored| (stored.sequence, stored.is_finished));
+            assert_eq!(found, expected, "{damaged:?}");
+        }
+    }
+
+    #[test]
     fn an_invalid_upload_leaves_the_previous_calibration() {
         let mut flash = Memory::new(1);
         upload(&mut flash, &calibration(1, 500)).unwrap();
