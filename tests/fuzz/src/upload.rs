@@ -89,6 +89,8 @@ struct Board {
     upload: Option<Upload>,
     /// Encoded calibrations one of which must be the newest one; `None`: no calibration.
     possible: Vec<Option<Vec<u8>>>,
+    /// A slot has both marks: since then a calibration is always found.
+    is_certain: bool,
     tally: Tally,
 }
 
@@ -96,7 +98,7 @@ impl Board {
     fn new(bytes: &mut Bytes) -> Self {
         let challenge = 7;
         let mut flash = Flash::new(u64::from_le_bytes(bytes.array()));
-        let possible = fill(&mut flash, bytes);
+        let (possible, is_certain) = fill(&mut flash, bytes);
         Self {
             flash,
             service: service(),
@@ -104,6 +106,7 @@ impl Board {
             session_key: session_key(&KEY, NODE, challenge),
             upload: None,
             possible,
+            is_certain,
             tally: Tally::default(),
         }
     }
@@ -258,6 +261,7 @@ impl Board {
             None => {
                 assert!(has_code && is_valid && !was_off, "{upload:?}", upload = upload.received);
                 self.tally.accepted += 1;
+                self.is_certain = true;
                 self.possible = vec![Some(upload.received)];
                 assert_eq!(self.newest(), self.possible[0]);
             }
@@ -274,6 +278,10 @@ impl Board {
                 // Cut while its marks were written.
                 if !was_off {
                     self.possible.push(Some(upload.received));
+                    // The next upload may overwrite the other slot, if this one's mark is read then.
+                    if !self.is_certain {
+                        self.possible.push(None);
+                    }
                 }
                 return;
             }
@@ -363,8 +371,8 @@ pub(super) fn encoded(payload: &[u8]) -> Vec<u8> {
     all
 }
 
-/// Writes any content into the slots; returns the calibrations one of which must count.
-fn fill(flash: &mut Flash, bytes: &mut Bytes) -> Vec<Option<Vec<u8>>> {
+/// Writes any content into the slots; returns the calibrations one of which must count, and whether one has both marks.
+fn fill(flash: &mut Flash, bytes: &mut Bytes) -> (Vec<Option<Vec<u8>>>, bool) {
     // Sequence, whether it has its second mark, calibration.
     let mut valid: Vec<(u8, bool, Vec<u8>)> = Vec::new();
     let mut last = None;
@@ -410,5 +418,5 @@ fn fill(flash: &mut Flash, bytes: &mut Bytes) -> Vec<Option<Vec<u8>>> {
     let certain = valid.iter().position(|(_, is_finished, _)| *is_finished);
     let count = certain.map_or(valid.len(), |at| at + 1);
     let possible: Vec<_> = valid.into_iter().take(count).map(|(.., own)| Some(own)).collect();
-    if possible.is_empty() { vec![None] } else { possible }
+    (if possible.is_empty() { vec![None] } else { possible }, certain.is_some())
 }

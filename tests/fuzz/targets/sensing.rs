@@ -4,6 +4,7 @@
 
 use std::sync::OnceLock;
 
+use firmware::model::formats::Tables;
 use fuzz::sensing::Chain;
 
 // The file of the tables names what it needs as the firmware does.
@@ -17,13 +18,16 @@ mod tables {
 
 type Body = Box<dyn Fn(&[u8]) + Send + Sync>;
 
-/// The chain after a reset and after a rest, which takes long.
-static BODIES: OnceLock<[Body; 2]> = OnceLock::new();
+/// The chain after a reset, after a rest, which takes long, and after a rest without the effects: with those of the opening no
+/// foreign magnet is detected before homing.
+static BODIES: OnceLock<[Body; 3]> = OnceLock::new();
+static IDEAL: Tables = Tables { compensations: &[], ..tables::TABLES };
 
-fn bodies() -> [Body; 2] {
+fn bodies() -> [Body; 3] {
     let new = Chain::new(&tables::TABLES, &tables::NETWORKS);
     let rested = new.clone().rested();
-    [new, rested].map(|chain| -> Body {
+    let ideal = Chain::new(&IDEAL, &tables::NETWORKS).rested();
+    [new, rested, ideal].map(|chain| -> Body {
         Box::new(move |bytes| {
             fuzz::counters::add(chain.clone().sense(bytes).counts());
         })
@@ -31,10 +35,8 @@ fn bodies() -> [Body; 2] {
 }
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
-    let [new, rested] = BODIES.get_or_init(bodies);
-    match bytes {
-        [choice, story @ ..] if choice & 1 == 0 => new(story),
-        [_, story @ ..] => rested(story),
-        [] => {}
+    let bodies = BODIES.get_or_init(bodies);
+    if let [choice, story @ ..] = bytes {
+        bodies[usize::from(*choice) % bodies.len()](story);
     }
 });

@@ -4,7 +4,8 @@
 //! A slot begins with two marks, each a sequence number and a constant, then follows the encoded calibration
 //! ([`crate::model::calibration`]). As in the store of the parameters ([`super`]), the first mark is written after the
 //! calibration was read back, the second after the first was. A slot with one mark counts, but perhaps not at the next boot,
-//! if the power failed within the mark: then the other slot is not overwritten.
+//! if the power failed within the mark: then the other slot is not overwritten. Only while no upload was ever reported as done
+//! may two uploads that were both cut within their marks leave none, and the calibration of the image runs.
 
 use embedded_storage_async::nor_flash::NorFlash;
 use heapless::Vec;
