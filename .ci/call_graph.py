@@ -149,7 +149,7 @@ class CallGraph:
         return following
 
     def table(self, instruction):
-        """Targets of a jump by a table behind the instruction, which lie behind the table."""
+        """Targets of a jump by a table behind the instruction, which follow the table."""
         if not instruction.operands.startswith("[pc"):
             return []
         base, width = instruction.address + 4, 1 if instruction.name == "tbb" else 2

@@ -142,6 +142,21 @@ pub const fn state_code(power: PowerState, task: TaskState) -> u8 {
     }
 }
 
+impl PowerState {
+    /// State of the power layer of a state code; none for the code of a task state.
+    pub fn of_code(code: u8) -> Option<Self> {
+        Self::ALL.iter().copied().find(|state| *state as u8 == code)
+    }
+}
+
+impl TaskState {
+    /// Task state of a state code; none where the drive is not enabled.
+    pub fn of_code(code: u8) -> Option<Self> {
+        let number = code.checked_sub(TASK_CODE)?;
+        Self::ALL.iter().copied().find(|state| *state as u8 == number)
+    }
+}
+
 /// Situation in which a fault occurs: the columns of the reaction table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GripPhase {

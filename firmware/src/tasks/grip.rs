@@ -269,13 +269,15 @@ impl Pending {
                     None => running.tick(motor),
                 }
             }
-            (_, PowerState::Calibrating) => {
-                ControlFlow::Break(CalibrationOutcome::Failed(CalibrationFailure::Stopped))
+            (_, power) => {
+                let is_stopped = power == PowerState::Calibrating || grip.is_stopped();
+                let failure = if is_stopped {
+                    CalibrationFailure::Stopped
+                } else {
+                    CalibrationFailure::NotAllowed
+                };
+                ControlFlow::Break(CalibrationOutcome::Failed(failure))
             }
-            _ if grip.is_stopped() => {
-                ControlFlow::Break(CalibrationOutcome::Failed(CalibrationFailure::Stopped))
-            }
-            _ => ControlFlow::Break(CalibrationOutcome::Failed(CalibrationFailure::NotAllowed)),
         };
         match step {
             ControlFlow::Continue(order) => order,

@@ -117,7 +117,7 @@ pub async fn transmit_serial<W: Write, M: RawMutex>(mut line: W, shared: &Shared
     }
 }
 
-/// Writes all bytes; false if the line fails.
+/// Writes all bytes; false if the line fails. That of `embedded-io-async` panics where a line takes no byte.
 async fn write_all<W: Write>(line: &mut W, mut bytes: &[u8]) -> bool {
     while !bytes.is_empty() {
         match line.write(bytes).await {

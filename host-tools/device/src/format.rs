@@ -1,11 +1,11 @@
 //! State and faults as text and JSON.
 
-use crate::session::state_name;
 use crate::state::{ActiveFault, GripperState, SensorState};
 use device_run::channel_map::turn_rad;
 use firmware::compensation::covariates::Covariates;
 use firmware::estimator::Validity;
 use firmware::fixed_point::Force;
+use firmware::grip::states::{PowerState, TaskState};
 use firmware::protocol::SERIAL;
 use firmware::protocol::TEMPERATURE_UNKNOWN;
 use firmware::protocol::messages::{FaultEvent, Power};
@@ -286,6 +286,16 @@ pub fn spaced(variant: impl Debug) -> String {
     words
 }
 
+/// State code of the heartbeat as text: "armed", "hold active".
+pub fn state_name(code: u8) -> String {
+    let power = PowerState::of_code(code).filter(|power| *power != PowerState::Enabled);
+    match (power, TaskState::of_code(code)) {
+        (Some(power), _) => spaced(power),
+        (None, Some(task)) => spaced(task),
+        (None, None) => format!("state {code}"),
+    }
+}
+
 /// Source of a fault; empty where only one exists.
 pub fn fault_source(fault: Fault, source: u8) -> String {
     match fault {
@@ -335,6 +345,8 @@ pub fn fault_detail(fault: Fault, source: u8, detail: u32) -> String {
 
 #[cfg(test)]
 mod tests {
+    use firmware::grip::states::state_code;
+
     use super::*;
 
     #[test]
@@ -354,6 +366,21 @@ mod tests {
         );
         assert!(status_line(&state, 5.0).ends_with("  silent for 3 s"));
         assert!(status_line(&GripperState::default(), 5.0).ends_with("  no message yet"));
+    }
+
+    #[test]
+    fn each_state_has_a_unique_name() {
+        assert_eq!(state_name(state_code(PowerState::QuickStop, TaskState::Idle)), "quick stop");
+        assert_eq!(
+            state_name(state_code(PowerState::Enabled, TaskState::HoldActive)),
+            "hold active"
+        );
+        assert_eq!(
+            TaskState::of_code(state_code(PowerState::Enabled, TaskState::Foot)),
+            Some(TaskState::Foot)
+        );
+        assert_eq!(TaskState::of_code(state_code(PowerState::Armed, TaskState::Foot)), None);
+        assert_eq!(state_name(99), "state 99");
     }
 
     #[test]

@@ -1,12 +1,11 @@
 //! Sessions of this machine with a gripper: a client that repeats a command, a connection whose requests are authenticated,
 //! refusals as text.
 
-use crate::format::spaced;
+use crate::format::state_name;
 use crate::source::Source;
 use crate::state::GripperState;
 use anyhow::{Result, bail};
 use firmware::grip::commands::RefusalReason;
-use firmware::grip::states::{PowerState, TASK_CODE, TaskState};
 use firmware::protocol::authentication::{DataMac, Key};
 use firmware::protocol::host_session::{HostSession, needs_owner, service};
 use firmware::protocol::messages::{Command, EStop, Message, ServiceReply};
@@ -305,25 +304,6 @@ impl Client {
     }
 }
 
-/// State of the heartbeat as text: "armed", "hold active".
-pub fn state_name(code: u8) -> String {
-    if let Some(power) =
-        PowerState::ALL.iter().find(|power| **power as u8 == code && **power != PowerState::Enabled)
-    {
-        return spaced(power);
-    }
-    match fault_reporting_task(code) {
-        Some(fault_reporting_task) => spaced(fault_reporting_task),
-        None => format!("state {code}"),
-    }
-}
-
-/// Gripping task of an enabled gripper.
-pub fn fault_reporting_task(code: u8) -> Option<TaskState> {
-    let code = code.checked_sub(TASK_CODE)?;
-    TaskState::ALL.iter().copied().find(|fault_reporting_task| *fault_reporting_task as u8 == code)
-}
-
 /// Refused command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Refusal {
@@ -427,24 +407,9 @@ pub const fn session_refusal(code: u8) -> &'static str {
 #[cfg(test)]
 mod tests {
     use firmware::grip::commands::CommandRefusal;
-    use firmware::grip::states::state_code;
+    use firmware::grip::states::{PowerState, TaskState, state_code};
 
     use super::*;
-
-    #[test]
-    fn each_state_has_a_unique_name() {
-        assert_eq!(state_name(state_code(PowerState::QuickStop, TaskState::Idle)), "quick stop");
-        assert_eq!(
-            state_name(state_code(PowerState::Enabled, TaskState::HoldActive)),
-            "hold active"
-        );
-        assert_eq!(
-            fault_reporting_task(state_code(PowerState::Enabled, TaskState::Foot)),
-            Some(TaskState::Foot)
-        );
-        assert_eq!(fault_reporting_task(state_code(PowerState::Armed, TaskState::Foot)), None);
-        assert_eq!(state_name(99), "state 99");
-    }
 
     #[test]
     fn refusal_names_reason_and_state() {

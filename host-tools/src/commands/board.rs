@@ -2,10 +2,10 @@
 
 use std::time::{Duration, Instant};
 
-use anyhow::{Result, bail};
+use anyhow::Result;
 use device::calibration_client::{self, RunningCalibration};
+use device::format::state_name;
 use device::params_client;
-use device::session::state_name;
 use device::source::Source;
 use device::state::GripperState;
 use firmware::estimator::Validity;
@@ -35,9 +35,7 @@ const FORCES: Duration = Duration::from_millis(300);
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
-    let Some(mut source) = args.port.open()? else {
-        bail!("give the gripper's line: --port PATH or --can BUS");
-    };
+    let mut source = args.port.open_given()?;
     let running = calibration_client::running(source.as_mut())?;
     let state = observe(source.as_mut())?;
     let incomplete = incomplete_sensors(&state);

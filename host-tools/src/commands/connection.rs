@@ -59,6 +59,14 @@ impl PortArgs {
         })
     }
 
+    /// Opens the connection.
+    ///
+    /// # Errors
+    /// Neither port nor bus is given, or it cannot be opened.
+    pub fn open_given(&self) -> Result<Box<dyn Source + Send>> {
+        self.open()?.context("give the gripper's line: --port PATH or --can BUS")
+    }
+
     /// The connection as it is typed.
     pub fn words(&self) -> String {
         match (&self.port, &self.can) {

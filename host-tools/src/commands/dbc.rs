@@ -5,8 +5,7 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use anyhow::Result;
-use device::format::fault_name;
-use device::session::state_name;
+use device::format::{fault_name, state_name};
 use firmware::grip::commands::mode;
 use firmware::grip::states::{PowerState, TaskState, state_code};
 use firmware::protocol::layout::{Direction, MessageLayout, SignalLayout};

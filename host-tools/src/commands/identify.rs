@@ -1,7 +1,7 @@
 //! `magpie identify`: measures the motor or the screw of a gripper.
 
 use analysis::numbers;
-use anyhow::{Result, bail};
+use anyhow::Result;
 use device::{calibration_client, params_client};
 use firmware::motor::calibration::CalibrationKind;
 use firmware::parameters::schema::id;
@@ -14,7 +14,7 @@ use crate::commands::connection::PortArgs;
 ///
 /// Once after assembly: without it, motor constants are assumed, and the screw counts as backdrivable: a fault that switches
 /// the current off is then expected to drop the part. The gripper must be disabled. `motor` measures windings, phase order
-/// and rotor sensor: nothing may be gripped, and the fingers need room. `screw` grips a part with 2 A, 100 to 150 N, takes
+/// and rotor sensor: nothing may be gripped, and the fingers need room. `screw` grips a part with 2 A, up to 150 N with the assumed motor, takes
 /// the current away and observes whether the fingers yield: a rigid part must be between the fingers, at most 20 mm narrower
 /// than their opening. Forces, faults and stops end either.
 #[derive(Debug, clap::Args)]
@@ -55,9 +55,7 @@ const MOTOR: [(u16, &str, &str, f64); 5] = [
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
-    let Some(mut source) = args.port.open()? else {
-        bail!("give the gripper's line: --port PATH or --can BUS");
-    };
+    let mut source = args.port.open_given()?;
     eprintln!("warning: the gripper at {} moves: keep hands clear of the fingers", source.name());
     let kind = match args.what {
         Measured::Motor => CalibrationKind::Motor,

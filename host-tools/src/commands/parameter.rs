@@ -36,9 +36,7 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
-    let Some(mut source) = args.port.open()? else {
-        bail!("give the gripper's line: --port PATH or --can BUS");
-    };
+    let mut source = args.port.open_given()?;
     let shown: Vec<&Parameter> = match &args.name {
         None => PARAMETERS.iter().collect(),
         Some(name) => vec![find(name)?],

@@ -1,6 +1,6 @@
 //! `magpie tare`: defines the present forces of a gripper as zero.
 
-use anyhow::{Result, bail};
+use anyhow::Result;
 use device::calibration_client;
 use report::text::terminal;
 use serde_json::json;
@@ -35,9 +35,7 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
-    let Some(mut source) = args.port.open()? else {
-        bail!("give the gripper's line: --port PATH or --can BUS");
-    };
+    let mut source = args.port.open_given()?;
     args.port.in_session(source.as_mut(), |session| {
         calibration_client::tare(session, args.unloaded, args.save)
     })?;

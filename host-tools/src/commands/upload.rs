@@ -50,9 +50,7 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
-    let Some(mut source) = args.port.open()? else {
-        bail!("give the gripper's line: --port PATH or --can BUS");
-    };
+    let mut source = args.port.open_given()?;
     let variant = if args.nominal { ModelVariant::Nominal } else { ModelVariant::Fitted };
     let built = build(&args.model, variant)?;
     if let Some((effect, why)) = built.uncompensated.first()

@@ -160,7 +160,7 @@ fn stop_in_flood() -> Result<(), Failed> {
     Ok(())
 }
 
-/// A host without the key: authentications with counters that follow on each other and codes by chance, each before a
+/// A host without the key: authentications with counters that follow on each other and random codes, each before a
 /// command that would open the fingers at full speed.
 pub struct Forger {
     rng: ChaCha8Rng,

@@ -1,4 +1,4 @@
-//! Commands of `magpie` with mutated files, killed while they write, and on a full disk.
+//! Commands of `magpie` with mutated files, killed while they write, and where files must not grow.
 
 use std::fs;
 use std::io::Read;
@@ -30,7 +30,7 @@ const PATIENCE: Duration = Duration::from_secs(60);
 /// Largest absolute value of a plausible result.
 const PLAUSIBLE: f64 = 1e30;
 
-/// Give mutated files to all commands that read files, kill the commands that write some, and let their disk be full.
+/// Give mutated files to the commands that read files, kill the commands that write some, and limit the size of their files.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  cargo acceptance robustness --inputs 100 --seeds 3")]
 pub struct Args {
@@ -42,8 +42,8 @@ pub struct Args {
 /// Runs all seeds.
 pub fn evaluate(args: &Args, options: &Options) -> Result<Section> {
     let seeds = options.seeds(SEEDS);
-    let full = usize::from(options.quick);
-    let inputs = args.inputs.unwrap_or(INPUTS[full]);
+    let extent = usize::from(options.quick);
+    let inputs = args.inputs.unwrap_or(INPUTS[extent]);
     let valid = tempfile::tempdir()?;
     prepare(valid.path())?;
     let mut rows = Vec::new();
@@ -51,8 +51,8 @@ pub fn evaluate(args: &Args, options: &Options) -> Result<Section> {
     for seed in seeds.clone() {
         for (kind, count, run) in [
             ("mutated inputs", inputs, mutate as Case),
-            ("killed while writing", KILLS[full], kill as Case),
-            ("full disk", LIMITS[full], fill as Case),
+            ("killed while writing", KILLS[extent], kill as Case),
+            ("limited file size", LIMITS[extent], limit as Case),
         ] {
             let bar = progress::progress_bar(kind, count as usize);
             let findings: Vec<Option<String>> = (0..count)
@@ -327,11 +327,11 @@ fn kill(dir: &Path, rng: &mut ChaCha8Rng) -> Result<Option<String>> {
 }
 
 const SIGKILL: i32 = 9;
-/// The truth of a simulated campaign, beside its folder.
+/// The truth of a simulated campaign, next to its folder.
 const TRUTH: &str = "s-truth.toml";
 
 /// A writer whose files may not grow beyond a limit: it fails with a sentence, or writes the whole result.
-fn fill(dir: &Path, rng: &mut ChaCha8Rng) -> Result<Option<String>> {
+fn limit(dir: &Path, rng: &mut ChaCha8Rng) -> Result<Option<String>> {
     let (writer, file, reader) = WRITERS[rng.random_range(0..WRITERS.len())];
     let before = earlier(dir, file)?;
     // Messages are files too, and need one.

@@ -19,7 +19,7 @@ mod tables {
 type Body = Box<dyn Fn(&[u8]) + Send + Sync>;
 
 /// The chain after a reset, after a rest, which takes long, and after a rest without the effects: with those of the opening no
-/// foreign magnet is detected before homing.
+/// magnetic disturbance is detected before homing.
 static BODIES: OnceLock<[Body; 3]> = OnceLock::new();
 static IDEAL: Tables = Tables { compensations: &[], ..tables::TABLES };
 

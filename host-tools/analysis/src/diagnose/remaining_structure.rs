@@ -13,8 +13,9 @@ use model_export::recordings::columns::Axis;
 const SPECTRUM_HZ: f64 = 25.0;
 /// Minimum rows of a recording for a spectrum.
 const MIN_ROWS: usize = 32;
-/// Minimum ratio of the spectrum's peak to its median for a statement about an oscillation: white noise of a hundred
-/// channels and frequencies stays below 20 with 99.9 %.
+/// Minimum ratio of the spectrum's peak to its median for a statement about an oscillation. The periodogram of white noise is
+/// exponentially distributed: on a single channel each of some 400 frequencies exceeds 20 medians with probability 2^-20, any of
+/// them with 4e-4; sums over channels vary less.
 const MIN_PEAK: f64 = 20.0;
 /// Channels that together have this fraction of the excess are listed.
 const LISTED: f64 = 0.8;
@@ -28,7 +29,7 @@ pub struct RemainingStructure {
     pub share: f64,
     /// Time in seconds in which the residual stays alike.
     pub correlation_s: f64,
-    /// Frequency in Hz of its strongest oscillation; none if no frequency stands out.
+    /// Frequency in Hz of its strongest oscillation; none if no frequency dominates.
     pub peak_hz: Option<f64>,
     /// Channels with the largest parts of the squared excess, largest first.
     pub channels: Vec<ChannelShare>,
@@ -91,7 +92,7 @@ fn recordings(table: &ResidualTable) -> Vec<Range<usize>> {
         .collect()
 }
 
-/// Frequency of the largest value of the periodogram, summed over channels and recordings; none if it does not stand out.
+/// Frequency of the largest value of the periodogram, summed over channels and recordings; none if it does not dominate.
 /// Each recording is averaged to [`SPECTRUM_HZ`], and padded to the length of the longest.
 fn peak_hz(columns: &[ResidualTable]) -> Option<f64> {
     let first = columns.first()?;

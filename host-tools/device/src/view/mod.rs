@@ -9,8 +9,9 @@ use ratatui::symbols::Marker;
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Axis, Block, Cell, Chart, Dataset, GraphType, Paragraph, Row, Table, Wrap};
 
-use crate::format::{covariates_line, degrees, fault_line, loss_line, power_line, validity_name};
-use crate::session::state_name;
+use crate::format::{
+    covariates_line, degrees, fault_line, loss_line, power_line, state_name, validity_name,
+};
 use crate::state::{GripperState, HISTORY_S, SensorState};
 
 /// Reported silence in seconds.

@@ -555,7 +555,7 @@ pub fn unexplained(of: &Unexplained) -> String {
 pub fn remaining(structure: &RemainingStructure) -> String {
     let oscillates = match structure.peak_hz {
         Some(hz) => format!("oscillates at {} Hz", numbers::decimal(hz, 2)),
-        None => "has no frequency that stands out".to_owned(),
+        None => "has no dominant frequency".to_owned(),
     };
     let channels = structure.channels.iter().map(|channel| {
         format!("sensor {} {} ({:.0} %)", channel.sensor, channel.axis, 100.0 * channel.share)

@@ -13,7 +13,7 @@ use crate::faults::injection::InjectedFault;
 use crate::faults::opening::OpeningCase;
 use crate::faults::operating_state::{OperatingState, motion};
 use crate::faults::retention::{RetentionCase, StopCause};
-use crate::faults::run::{FaultCase, FaultOutcome, power_of, task_of};
+use crate::faults::run::{FaultCase, FaultOutcome};
 use crate::random::{Purpose, stream};
 use firmware::grip::commands::mode;
 use firmware::grip::states::{PowerState, TaskState};
@@ -169,7 +169,7 @@ impl FaultSummary {
 
 /// Readable name of a heartbeat code.
 fn state_name(code: u8) -> String {
-    match (power_of(code), task_of(code)) {
+    match (PowerState::of_code(code), TaskState::of_code(code)) {
         (_, Some(task)) => GraspResult::state_name((PowerState::Enabled, task)),
         (Some(power), None) => GraspResult::state_name((power, TaskState::Idle)),
         (None, None) => code.to_string(),

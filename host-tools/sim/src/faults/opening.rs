@@ -6,7 +6,6 @@ use crate::drivetrain::parameters::Lead;
 use crate::faults::hazards::HazardTable;
 use crate::faults::injection::InjectedFault;
 use crate::faults::operating_state::{SET_N, motion};
-use crate::faults::run::task_of;
 use firmware::grip::commands::{flag, mode};
 use firmware::grip::fault_reactions::Reaction;
 use firmware::grip::states::{GripPhase, PowerState, TaskState};
@@ -216,7 +215,7 @@ impl OpeningCase {
 /// Opens a session where the board has none.
 fn open_session(cell: &mut ClosedLoop) {
     let has_session = |cell: &ClosedLoop| {
-        task_of(cell.state()).is_some() || cell.state() == PowerState::Armed as u8
+        TaskState::of_code(cell.state()).is_some() || cell.state() == PowerState::Armed as u8
     };
     if !has_session(cell) {
         cell.host.arm();

@@ -279,22 +279,11 @@ impl FaultCase {
 /// Maximum number of transitions within a tick.
 const MAX_TRANSITIONS: u32 = 2;
 
-/// Power state of a heartbeat code.
-pub fn power_of(code: u8) -> Option<PowerState> {
-    PowerState::ALL.iter().copied().find(|power| *power as u8 == code)
-}
-
-/// Task state of a heartbeat code; none where the drive is not enabled.
-pub fn task_of(code: u8) -> Option<TaskState> {
-    let task = code.checked_sub(TASK_CODE)?;
-    TaskState::ALL.iter().copied().find(|state| *state as u8 == task)
-}
-
 /// States reachable by one transition of the tables, as heartbeat codes.
 fn successors(code: u8) -> Vec<u8> {
-    let (power, task) = match task_of(code) {
+    let (power, task) = match TaskState::of_code(code) {
         Some(task) => (PowerState::Enabled, Some(task)),
-        None => match power_of(code) {
+        None => match PowerState::of_code(code) {
             Some(power) => (power, None),
             None => return Vec::new(),
         },

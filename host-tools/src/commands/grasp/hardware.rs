@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::Relaxed;
 
-use anyhow::{Error, Result, anyhow, bail};
+use anyhow::{Error, Result, bail};
 use firmware::config::constants;
 use firmware::grip::commands::{flag, mode};
 use firmware::grip::states::{PowerState, TASK_CODE, TaskState};
@@ -16,9 +16,9 @@ use serde_json::{Value, json};
 use crate::commands::connection::{check_protocol, interrupted, print_unprotected};
 use crate::commands::grasp::simulated::check_force;
 use crate::commands::grasp::{Args, MARGIN_MM, check_opening};
+use device::format;
 use device::session::{self, Client};
 use device::source::Source;
-use device::{format as live_json, format};
 use report::text::terminal;
 use sim::closed_loop::grasp_rig::grip_command;
 use sim::closed_loop::landing::FootContact;
@@ -149,7 +149,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
         return stop(args);
     }
     let request = Request::of(args)?;
-    let source = args.port.open()?.ok_or_else(|| anyhow!("give --port or --can"))?;
+    let source = args.port.open_given()?;
     let mut session = Session::new(source, args)?;
     eprintln!(
         "warning: the gripper at {} moves: keep hands clear of the fingers; Ctrl-C ends the motion and opens a grasp, a \
@@ -176,7 +176,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
 
 /// Stops the gripper; needs no session.
 fn stop(args: &Args) -> Result<()> {
-    let source = args.port.open()?.ok_or_else(|| anyhow!("give --port or --can"))?;
+    let source = args.port.open_given()?;
     let mut session = Session::new(source, args)?;
     session.is_shutting_down = true;
     session.connect(args)?;
@@ -185,7 +185,7 @@ fn stop(args: &Args) -> Result<()> {
     if session.wait(STOP_S, is_stopped)? != WaitResult::Done {
         bail!("the gripper still moves: switch its supply off");
     }
-    let state = session.code().map_or_else(String::new, session::state_name);
+    let state = session.code().map_or_else(String::new, format::state_name);
     terminal::print_result(
         args.json,
         || json!({ "stopped": true, "state": state }),
@@ -305,7 +305,7 @@ impl Session {
             let name = self.client.name();
             match self.code() {
                 Some(code) => {
-                    bail!("{name}: the gripper remains in state {}", session::state_name(code))
+                    bail!("{name}: the gripper remains in state {}", format::state_name(code))
                 }
                 None => bail!(
                     "{name}: nothing was received; is it this line or bus, is the board powered, and does its firmware \
@@ -537,7 +537,7 @@ impl Session {
     }
 
     fn task(&self) -> Option<TaskState> {
-        self.code().and_then(session::fault_reporting_task)
+        self.code().and_then(TaskState::of_code)
     }
 
     fn opening_mm(&self) -> Option<f64> {
@@ -599,7 +599,7 @@ impl CommandLog {
         let is_new = state.is_some() && (state != self.state || faults != self.faults);
         if state != self.state {
             self.states.extend(state.map(|code| {
-                json!({ "time_s": rounded(now_s), "state": session::state_name(code), "code": code })
+                json!({ "time_s": rounded(now_s), "state": format::state_name(code), "code": code })
             }));
         }
         (self.state, self.faults) = (state, faults);
@@ -616,7 +616,7 @@ impl CommandLog {
     }
 
     fn line(&self, client: &Client, now_s: f64) -> String {
-        let state = self.state.map_or("-".to_owned(), session::state_name);
+        let state = self.state.map_or("-".to_owned(), format::state_name);
         let mut text = format!("{now_s:>7.2} s  {state:<14}");
         if let Some(([force_n, current_a], opening_mm)) = measurements(client) {
             let opening =
@@ -628,7 +628,7 @@ impl CommandLog {
     }
 
     fn text(&self, is_reached: bool) -> String {
-        let state = self.state.map_or("unknown".to_owned(), session::state_name);
+        let state = self.state.map_or("unknown".to_owned(), format::state_name);
         if is_reached {
             format!("Done. The gripper is in state {state}.\n")
         } else {
@@ -645,7 +645,7 @@ impl CommandLog {
             "disabled": is_off,
             "states": self.states,
             "points": self.points,
-            "faults": client.state.faults.iter().map(live_json::fault_json).collect::<Vec<_>>(),
+            "faults": client.state.faults.iter().map(format::fault_json).collect::<Vec<_>>(),
         })
     }
 }
@@ -659,7 +659,7 @@ fn measurements(client: &Client) -> Option<([f64; 2], Option<f64>)> {
 
 fn point(client: &Client, now_s: f64) -> Option<Value> {
     let ([force_n, current_a], opening_mm) = measurements(client)?;
-    let state = client.state.heartbeat.map(|beat| session::state_name(beat.value.state));
+    let state = client.state.heartbeat.map(|beat| format::state_name(beat.value.state));
     Some(json!({
         "time_s": rounded(now_s),
         "state": state,
