@@ -296,7 +296,7 @@ const fn failure_text(failure: CalibrationFailure) -> &'static str {
             "the motor's protection tripped: see the faults in `magpie monitor`"
         }
         CalibrationFailure::Stopped => {
-            "a stop frame ended it, or a stop is latched: clear it first (`magpie grasp --clear-faults`)"
+            "a stop frame ended it, or a stop is latched: clear it first (`magpie grasp` with --clear-faults)"
         }
         CalibrationFailure::NothingGripped => {
             "nothing was gripped: put a rigid part between the fingers, at most 20 mm narrower than their opening"

@@ -83,7 +83,7 @@ fn drive_text(is_commissioned: bool, screw: &str) -> String {
 fn state_text(state: &GripperState) -> String {
     let Some(beat) = &state.heartbeat else { return String::new() };
     let stopped = match beat.value.stopped {
-        true => "; a stop is latched (`magpie grasp --clear-faults`)",
+        true => "; a stop is latched (`magpie grasp` with --clear-faults)",
         false => "",
     };
     format!("state        {}{stopped}\n", state_name(beat.value.state))

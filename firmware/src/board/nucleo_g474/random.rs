@@ -21,7 +21,7 @@ impl RandomNumbers {
         Self { has_started: true }
     }
 
-    /// A number that was not given out before; none while the noise source or its clock fails, which restarts it.
+    /// A random number; none while the noise source or its clock fails, which restarts it.
     pub fn next_u64(&mut self) -> Option<u64> {
         if self.has_started {
             let _ = self.next_u32()?;

@@ -158,10 +158,10 @@ fn unexplained_residual(diagnosis: &Diagnosis) -> String {
     if let Some(structure) = &diagnosis.remaining {
         page += &styled(WARNING, &remaining(structure));
     }
-    match diagnosis.unexplained.is_empty() {
-        true => page,
-        false => page + &paragraph(&format!("  {}", EXPR_HINT)) + "\n",
+    if diagnosis.unexplained.is_empty() {
+        return page;
     }
+    page + &paragraph(&format!("  {}", EXPR_HINT)) + "\n"
 }
 
 /// Commands are not wrapped, so that they can be copied.
@@ -550,8 +550,8 @@ pub fn unexplained(of: &Unexplained) -> String {
     format!("UNEXPLAINED: {} ({})", residual_follows(of), of.covariate)
 }
 
-/// "NOT LOCATED: 40 % of the excess of 0.31 G follows no covariate; it stays alike for 1.2 s, oscillates at 0.4 Hz, and is on
-/// sensor 0 z (60 %), sensor 2 z (30 %)".
+/// "NOT LOCATED: 40 % of the excess of 0.31 G over the noise follows no covariate. The residual stays alike for 1.2 s, oscillates
+/// at 0.4 Hz, and is on sensor 0 z (60 %), sensor 2 z (30 %)".
 pub fn remaining(structure: &RemainingStructure) -> String {
     let oscillates = match structure.peak_hz {
         Some(hz) => format!("oscillates at {} Hz", numbers::decimal(hz, 2)),
