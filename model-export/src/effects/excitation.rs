@@ -125,6 +125,8 @@ impl ExcitationSeries {
             "fz_n" => Some(force(1)),
             "temp_c" => (!self.temperature_c.is_empty()).then(|| self.temperature_c.clone()),
             "time_s" => Some(self.time_s.clone()),
+            "fx_rate_n_per_s" => Some(self.rate_n_per_s.iter().map(|rate| rate[0]).collect()),
+            "fz_rate_n_per_s" => Some(self.rate_n_per_s.iter().map(|rate| rate[1]).collect()),
             "session_s" => Some(self.time_s.iter().map(|t| t + self.start_s).collect()),
             _ => self.covariates.get(name).cloned(),
         }
@@ -137,9 +139,10 @@ pub(super) fn select_rows<T: Copy>(values: &[T], rows: &[usize]) -> Vec<T> {
     found.copied().collect()
 }
 
-/// Covariates of every sensor: its two forces, its temperature, time since the start of the recording and of the
-/// campaign.
-pub const BUILT_IN_COVARIATES: [&str; 5] = ["fx_n", "fz_n", "temp_c", "time_s", "session_s"];
+/// Covariates of every sensor: its two forces and their rates, its temperature, time since the start of the recording and
+/// of the campaign.
+pub const BUILT_IN_COVARIATES: [&str; 7] =
+    ["fx_n", "fz_n", "fx_rate_n_per_s", "fz_rate_n_per_s", "temp_c", "time_s", "session_s"];
 
 /// Deadband relative to the amplitude of the load: smaller reversals count as noise.
 const DEADBAND: f64 = 0.05;

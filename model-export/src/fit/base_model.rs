@@ -201,6 +201,7 @@ impl BaseModel for PolynomialBase {
                 per_strength: Vector3::zeros(),
                 per_external: reading.per_field,
                 per_gain: reading.per_gain,
+                per_rotation: reading.per_rotation,
                 per_offset: reading.per_offset,
                 per_compression: reading.per_compression,
             }

@@ -171,12 +171,7 @@ fn with_effects<'a>(
     search_all(&mut searches);
     searches
         .into_par_iter()
-        .map(|search| {
-            let start = search.problem.to_scaled(&search.values);
-            let near = sensor_fit::fit_all_free(&search.problem, &start)?;
-            let state = sensor_fit::fit_identifiable(&search.problem, &near, &[])?;
-            Ok((search.problem, state))
-        })
+        .map(|search| sensor_fit::fit_from_base(search.problem, &search.values))
         .collect()
 }
 
@@ -279,7 +274,8 @@ fn cross_validate_fold(
             let mut problem = problems[s].clone();
             let values = problem.values(&states[s].scaled);
             problem.set_shape_start(&values);
-            if let Some((base, state)) = base_fits.and_then(|base_fits| base_fits.get(s)) {
+            let base_fit = base_fits.and_then(|base_fits| base_fits.get(s));
+            if let Some((base, state)) = base_fit.filter(|_| !problem.starts_nominal) {
                 let found = state.refit(base, &folds[s].training, &state.scaled)?;
                 problem.set_base_start(&base.values(&found));
             }

@@ -32,6 +32,10 @@ pub struct SensorProblem<'a> {
     pub parameters: Vec<FreeParameter>,
     /// Number of base parameters.
     pub base_count: usize,
+    /// Values of the base parameters by design.
+    pub nominal: Vec<f64>,
+    /// Whether the base parameters start at their nominal values, not at those of the base alone.
+    pub starts_nominal: bool,
     /// Number of leading parameters that are the sensor's offset next to an effect that models the ambient
     /// field; their start is zero.
     pub offset_count: usize,
@@ -62,6 +66,8 @@ impl<'a> SensorProblem<'a> {
             rows,
             base,
             effects,
+            nominal: parameters[..base_count].iter().map(|index| index.start).collect(),
+            starts_nominal: false,
             parameters,
             base_count,
             offset_count: if effects.iter().any(EffectTerm::includes_ambient_field) {
@@ -83,6 +89,13 @@ impl<'a> SensorProblem<'a> {
     pub fn set_base_start(&mut self, values: &[f64]) {
         let parameters = self.parameters.iter_mut().zip(values).take(self.base_count);
         parameters.skip(self.offset_count).for_each(|(index, value)| index.start = *value);
+    }
+
+    /// Sets the start of the base parameters to their nominal values.
+    pub fn set_nominal_start(&mut self) {
+        let nominal = self.nominal.clone();
+        self.set_base_start(&nominal);
+        self.starts_nominal = true;
     }
 
     /// Sets the start of shapes and initial states.

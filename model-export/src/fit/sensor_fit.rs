@@ -56,11 +56,49 @@ pub fn fit_from_nominal(problem: &SensorProblem) -> Result<SensorSolution, FitEr
     fit_identifiable(problem, &second, &[])
 }
 
+/// Departure of a base parameter from nominal, in prior widths, beyond which it probably imitates an effect.
+const IMITATES: f64 = 3.0;
+/// Maximum squared error of a fit from nominal that replaces the fit from the base, relative to that.
+const BETTER: f64 = 0.9;
+
+/// Fit of a base with effects, started at the fit of the base alone, where the priors of its parameters are centred. Where one of
+/// them is far from nominal, the base may imitate the effects (tilts of 8 degrees instead of a coupling of the flexures),
+/// and the priors and the directions that the data do not determine keep it there. Priors centred at nominal are then tried
+/// as well, and taken if the fit is better.
+pub fn fit_from_base<'a>(
+    problem: SensorProblem<'a>,
+    values: &[f64],
+) -> Result<(SensorProblem<'a>, SensorSolution), FitError> {
+    let fit = |problem: &SensorProblem, values: &[f64]| {
+        let near = fit_all_free(problem, &problem.to_scaled(values))?;
+        fit_identifiable(problem, &near, &[])
+    };
+    let found = fit(&problem, values)?;
+    let departs = |index: usize| {
+        let parameter = &problem.parameters[index];
+        (parameter.start - problem.nominal[index]).abs() > IMITATES * parameter.scale.abs()
+    };
+    if !(problem.offset_count..problem.base_count).any(departs) {
+        return Ok((problem, found));
+    }
+    let mut nominal = problem.clone();
+    nominal.set_nominal_start();
+    let mut start = values.to_vec();
+    start[..problem.base_count].copy_from_slice(&problem.nominal);
+    let Ok(other) = fit(&nominal, &start) else {
+        return Ok((problem, found));
+    };
+    let mean_square = |problem: &SensorProblem, solution: &SensorSolution| {
+        let mut sums = ErrorSums::default();
+        add_errors(&mut sums, problem, &all_rows(problem.rows), &solution.scaled);
+        sums.mean_square()
+    };
+    let is_better = mean_square(&nominal, &other) < BETTER * mean_square(&problem, &found);
+    Ok(if is_better { (nominal, other) } else { (problem, found) })
+}
+
 /// Fit from a nearby start with all directions free.
-pub fn fit_all_free(
-    problem: &SensorProblem,
-    start: &DVector<f64>,
-) -> Result<DVector<f64>, FitError> {
+fn fit_all_free(problem: &SensorProblem, start: &DVector<f64>) -> Result<DVector<f64>, FitError> {
     let whole = FreeDirections::except(&problem.preset(), problem.parameters.len());
     let all = all_rows(problem.rows);
     let mut scaled = start.clone();

@@ -33,7 +33,13 @@ impl StaticModel {
 
     /// With the static ones of `effects`, fitted to this many recordings.
     pub fn new(model: ForwardModel, effects: &[(EffectTerm, Vec<f64>)], recordings: usize) -> Self {
-        let belongs = |effect: &EffectTerm| matches!(effect, EffectTerm::Catalogue(effect) if matches!(effect.device, DeviceForm::Tables | DeviceForm::Settled));
+        let belongs = |effect: &EffectTerm| match effect {
+            EffectTerm::Catalogue(effect) => {
+                matches!(effect.device, DeviceForm::Tables | DeviceForm::Settled)
+            }
+            EffectTerm::Expression(formula) => formula.depends_on_forces_alone(),
+            EffectTerm::Channelwise(_) => false,
+        };
         let mut own: Vec<_> =
             effects.iter().filter(|(effect, _)| belongs(effect)).cloned().collect();
         own.sort_by_key(|(effect, _)| effect.stage());

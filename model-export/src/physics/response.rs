@@ -20,8 +20,10 @@ pub struct FieldResponse {
     pub per_strength: Vector3<f64>,
     /// With respect to the external field: column j for axis j of the gripper.
     pub per_external: Matrix3<f64>,
-    /// With respect to the relative gain in gauss.
+    /// With respect to the relative gain in gauss: each axis to its own.
     pub per_gain: Vector3<f64>,
+    /// With respect to a rotation of the element in G/rad: column j about axis j of the sensor.
+    pub per_rotation: Matrix3<f64>,
     /// With respect to the offset.
     pub per_offset: Matrix3<f64>,
     /// With respect to the compression in gauss.
@@ -38,7 +40,8 @@ impl FieldResponse {
             + tilt[1]
             + self.per_strength * (to.strength - from.strength)
             + self.per_external * (to.external_g - from.external_g)
-            + self.per_gain * (to.gain - from.gain)
+            + self.per_gain.component_mul(&(to.gain - from.gain))
+            + self.per_rotation * (to.rotation_rad - from.rotation_rad)
             + self.per_offset * (to.offset_g - from.offset_g)
             + self.per_compression * (to.compression - from.compression)
     }
@@ -54,25 +57,32 @@ pub(crate) struct Reading {
     pub(crate) per_offset: Matrix3<f64>,
     /// d reading / d gain.
     pub(crate) per_gain: Vector3<f64>,
+    /// d reading / d rotation.
+    pub(crate) per_rotation: Matrix3<f64>,
     /// d reading / d compression.
     pub(crate) per_compression: Vector3<f64>,
 }
 
-/// Applies gain, bias, offset and compression to the field `at_element_g` (sensor's axes). Each axis has its
-/// own plate and amplifier, so its compression depends on its reading alone.
+/// Applies rotation, gain, bias, offset and compression to the field `at_element_g` (sensor's axes). Each axis has its
+/// own plate and amplifier, so its compression depends on its reading alone. The rotation is of first order: it is of
+/// milliradians.
 pub(crate) fn reading_of(
     at_element_g: Vector3<f64>,
     bias_g: Vector3<f64>,
     state: &PhysicalState,
 ) -> Reading {
-    let linear = at_element_g * state.gain + bias_g + state.offset_g;
+    let turned = at_element_g + state.rotation_rad.cross(&at_element_g);
+    let linear = turned.component_mul(&state.gain) + bias_g + state.offset_g;
     let loss = linear.map(|b| (b / COMPRESSION_REFERENCE_G).powi(2));
     let per_offset = Matrix3::from_diagonal(&loss.map(|s| 1.0 - 3.0 * state.compression * s));
+    let per_turned = per_offset * Matrix3::from_diagonal(&state.gain);
     Reading {
         field_g: linear.zip_map(&loss, |b, s| b * (1.0 - state.compression * s)),
-        per_field: per_offset * state.gain,
+        per_field: per_turned * (Matrix3::identity() + state.rotation_rad.cross_matrix()),
         per_offset,
-        per_gain: per_offset * at_element_g,
+        per_gain: per_offset * turned,
+        // A rotation w adds w x B, and its derivative to w is -[B]x.
+        per_rotation: -per_turned * at_element_g.cross_matrix(),
         per_compression: -linear.component_mul(&loss),
     }
 }
@@ -92,8 +102,10 @@ pub struct PhysicalState {
     pub strength: f64,
     /// Field of other sources at the Hall element in gauss, gripper's axes.
     pub external_g: Vector3<f64>,
-    /// Gain of the sensor relative to 1.
-    pub gain: f64,
+    /// Gain of each axis of the sensor relative to 1.
+    pub gain: Vector3<f64>,
+    /// Rotation of the Hall element in addition to its orientation: rotation vector in rad, sensor's axes.
+    pub rotation_rad: Vector3<f64>,
     /// Offset of the sensor in addition to its bias in gauss, sensor's axes.
     pub offset_g: Vector3<f64>,
     /// Relative loss of an axis' reading at [`COMPRESSION_REFERENCE_G`]; proportional to the square of the
@@ -109,7 +121,8 @@ impl PhysicalState {
             extra_tilt_rad: [0.0; 2],
             strength: 1.0,
             external_g: Vector3::zeros(),
-            gain: 1.0,
+            gain: Vector3::repeat(1.0),
+            rotation_rad: Vector3::zeros(),
             offset_g: Vector3::zeros(),
             compression: 0.0,
         }

@@ -131,6 +131,7 @@ impl ForwardModel {
             per_strength: per_field * (unit_g * self.remanence_t),
             per_external: per_field,
             per_gain: reading.per_gain,
+            per_rotation: reading.per_rotation,
             per_offset: reading.per_offset,
             per_compression: reading.per_compression,
         }
@@ -341,7 +342,7 @@ mod tests {
         #[test]
         fn first_order_change_matches_differences_of_the_field(
             d in proptest::array::uniform3(-0.3..0.3_f64), outside in proptest::array::uniform3(-20.0..20.0_f64),
-            step in proptest::array::uniform11(-1.0..1.0_f64),
+            step in proptest::array::uniform14(-1.0..1.0_f64),
         ) {
             let model = ForwardModel { tilt_rad: [0.03, -0.02], rotation_rad: Vector3::new(0.02, -0.01, 0.03), ..nominal() };
             let frames = model.frames();
@@ -349,7 +350,8 @@ mod tests {
                 extra_tilt_rad: [0.01, -0.005],
                 strength: 0.99,
                 external_g: outside.into(),
-                gain: 1.01,
+                gain: Vector3::new(1.01, 0.99, 1.02),
+                rotation_rad: Vector3::new(0.003, -0.002, 0.004),
                 offset_g: Vector3::new(0.3, -0.2, 0.1),
                 compression: 0.01,
                 ..PhysicalState::displaced(d.into())
@@ -359,7 +361,8 @@ mod tests {
                 extra_tilt_rad: [at.extra_tilt_rad[0] + by * step[3] * 1e-3, at.extra_tilt_rad[1] + by * step[4] * 1e-3],
                 strength: at.strength + by * step[5] * 1e-3,
                 external_g: at.external_g + Vector3::new(step[6], step[7], 1.0) * by,
-                gain: at.gain + by * step[8] * 1e-3,
+                gain: at.gain + Vector3::new(step[8], -0.5 * step[8], step[11]) * by * 1e-3,
+                rotation_rad: at.rotation_rad + Vector3::new(step[11], step[12], step[13]) * by * 1e-3,
                 offset_g: at.offset_g + Vector3::new(step[9], 1.0, -1.0) * by,
                 compression: at.compression + by * step[10] * 1e-3,
             };

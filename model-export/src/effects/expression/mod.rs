@@ -234,7 +234,7 @@ impl Expression {
 
     /// Position in the chain from force to field.
     pub fn stage(&self) -> EffectStage {
-        self.target.stage
+        self.target.stage()
     }
 
     /// Coefficients, followed by nonlinear parameters.
@@ -291,6 +291,16 @@ impl Expression {
         None
     }
 
+    /// True where it is a function of the present forces alone, so that the tables of the inverse model contain it.
+    pub fn depends_on_forces_alone(&self) -> bool {
+        self.covariates.iter().all(|covariate| matches!(covariate.as_str(), "fx_n" | "fz_n"))
+    }
+
+    /// True where it changes a gain, an orientation or a tilt, which the tables of the device do not hold.
+    pub fn changes_sensor(&self) -> bool {
+        matches!(self.stage(), EffectStage::Magnet | EffectStage::Sensor)
+    }
+
     /// Adds the value of the formula to every row.
     pub fn apply(&self, values: &[f64], excitation: &ExcitationSeries, series: &mut StateSeries) {
         let columns: Option<Vec<Vec<f64>>> =
@@ -303,39 +313,89 @@ impl Expression {
             let value = if value.is_finite() { value } else { 0.0 };
             let mut along = Vector3::zeros();
             along[axis] = value;
-            match self.target.stage {
-                EffectStage::Load => series.force_n[row][axis / 2] += value,
-                EffectStage::Displacement => series.states[row].displacement_mm += 1e-3 * along,
-                _ => series.states[row].external_g += along,
+            let state = series.states.get_mut(row);
+            match (self.target.quantity, state) {
+                (Quantity::Force, _) => {
+                    if let Some(force) = series.force_n.get_mut(row) {
+                        force[axis / 2] += value;
+                    }
+                }
+                (Quantity::Displacement, Some(state)) => state.displacement_mm += 1e-3 * along,
+                (Quantity::Tilt, Some(state)) => state.extra_tilt_rad[axis / 2] += 1e-3 * value,
+                (Quantity::Field, Some(state)) => state.external_g += along,
+                (Quantity::Gain, Some(state)) => state.gain += Vector3::repeat(0.01 * value),
+                (Quantity::AxisGain, Some(state)) => state.gain += 0.01 * along,
+                (Quantity::Rotation, Some(state)) => state.rotation_rad += 1e-3 * along,
+                (_, None) => {}
             }
         }
     }
 }
 
-/// Output of a formula: a force, a displacement of the magnet, or a field.
+/// Quantity that a formula changes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Quantity {
+    /// Force on a flexure.
+    Force,
+    /// Displacement of the magnet.
+    Displacement,
+    /// Tilt of the magnet.
+    Tilt,
+    /// External field.
+    Field,
+    /// Gain of all axes of the sensor.
+    Gain,
+    /// Gain of one axis.
+    AxisGain,
+    /// Rotation of the Hall element.
+    Rotation,
+}
+
+/// Output of a formula.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Target {
     name: &'static str,
     unit: &'static str,
-    stage: EffectStage,
-    /// Index of the gripper's axis.
+    quantity: Quantity,
+    /// Index of the gripper's axis; of a gain or rotation, the sensor's.
     axis: usize,
 }
 
-const fn target(name: &'static str, unit: &'static str, stage: EffectStage, axis: usize) -> Target {
-    Target { name, unit, stage, axis }
+impl Target {
+    fn stage(self) -> EffectStage {
+        match self.quantity {
+            Quantity::Force => EffectStage::Load,
+            Quantity::Displacement => EffectStage::Displacement,
+            Quantity::Tilt => EffectStage::Magnet,
+            Quantity::Field => EffectStage::Outside,
+            Quantity::Gain | Quantity::AxisGain | Quantity::Rotation => EffectStage::Sensor,
+        }
+    }
+}
+
+const fn target(name: &'static str, unit: &'static str, quantity: Quantity, axis: usize) -> Target {
+    Target { name, unit, quantity, axis }
 }
 
 /// Targets of formulas.
-const TARGETS: [Target; 8] = [
-    target("fx_n", "N", EffectStage::Load, 0),
-    target("fz_n", "N", EffectStage::Load, 2),
-    target("dx_um", "um", EffectStage::Displacement, 0),
-    target("dy_um", "um", EffectStage::Displacement, 1),
-    target("dz_um", "um", EffectStage::Displacement, 2),
-    target("bx_g", "G", EffectStage::Outside, 0),
-    target("by_g", "G", EffectStage::Outside, 1),
-    target("bz_g", "G", EffectStage::Outside, 2),
+const TARGETS: [Target; 17] = [
+    target("fx_n", "N", Quantity::Force, 0),
+    target("fz_n", "N", Quantity::Force, 2),
+    target("dx_um", "um", Quantity::Displacement, 0),
+    target("dy_um", "um", Quantity::Displacement, 1),
+    target("dz_um", "um", Quantity::Displacement, 2),
+    target("tilt_x_mrad", "mrad", Quantity::Tilt, 0),
+    target("tilt_z_mrad", "mrad", Quantity::Tilt, 2),
+    target("bx_g", "G", Quantity::Field, 0),
+    target("by_g", "G", Quantity::Field, 1),
+    target("bz_g", "G", Quantity::Field, 2),
+    target("gain_percent", "%", Quantity::Gain, 0),
+    target("gain_x_percent", "%", Quantity::AxisGain, 0),
+    target("gain_y_percent", "%", Quantity::AxisGain, 1),
+    target("gain_z_percent", "%", Quantity::AxisGain, 2),
+    target("rotation_x_mrad", "mrad", Quantity::Rotation, 0),
+    target("rotation_y_mrad", "mrad", Quantity::Rotation, 1),
+    target("rotation_z_mrad", "mrad", Quantity::Rotation, 2),
 ];
 
 #[cfg(test)]

@@ -48,6 +48,11 @@ struct CovariateFormat {
 
 impl Converter<'_> {
     pub(super) fn map(&self, formula: &Expression, values: &[f64]) -> Result<Maps, NotCompensable> {
+        if formula.changes_sensor() {
+            return Err(self.error(
+                "the device's tables hold forces, displacements and fields, not gains, rotations or tilts; write it as a field (bx_g, by_g, bz_g)",
+            ));
+        }
         let known: Vec<CovariateFormat> = formula
             .covariates
             .iter()

@@ -106,6 +106,8 @@ impl OwnedCompensation {
                 },
                 // A polynomial, the only base with channel-wise effects, has no inverse.
                 EffectTerm::Channelwise(_) => {}
+                // In the tables of the inverse model.
+                EffectTerm::Expression(formula) if formula.depends_on_forces_alone() => {}
                 EffectTerm::Expression(formula) => match converter.map(formula, values)? {
                     lookup_table::Maps::Field(maps) => own.field.push(OwnedOnField::Map(maps)),
                     lookup_table::Maps::Force(maps) => own.force.push(OwnedOnForce::Map(maps)),
