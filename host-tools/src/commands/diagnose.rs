@@ -47,6 +47,8 @@ pub fn run(args: &Args) -> Result<()> {
                 diagnose(&campaign, &model, &input.model, &own, options, &on_stage)?;
             bar.finish_and_clear();
             diagnosis.findings.clone_from(&scanned.findings);
+            let discovered = diagnosis.formulas.iter().flat_map(|formula| &formula.effects);
+            let own: Vec<_> = own.iter().chain(discovered).cloned().collect();
             diagnosis.next = suggest(
                 &diagnosis,
                 &Invocation {

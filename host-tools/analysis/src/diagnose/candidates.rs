@@ -3,6 +3,7 @@
 
 use crate::diagnose::Reason;
 use crate::statistics::mean_and_std;
+use model_export::effects::excitation::BUILT_IN_COVARIATES;
 use model_export::effects::{CATALOGUE, EffectTerm};
 use model_export::fit::score_test::{CandidateScore, ScoreTest};
 use model_export::model_file::BaseKind;
@@ -89,6 +90,29 @@ fn values(recording: &Recording, column: &str) -> Vec<f64> {
         "fx_n" | "fz_n" | "time_s" | "session_s" => recording.time_s.clone(),
         _ => recording.covariates.get(column).cloned().unwrap_or_default(),
     }
+}
+
+/// Covariates of formulas that vary over these recordings; `axes`: whether a lateral and a longitudinal force were recorded.
+pub fn varying_covariates(campaign: &Campaign, axes: [bool; 2]) -> Vec<String> {
+    let Some(first) = campaign.recordings.first() else {
+        return Vec::new();
+    };
+    let recorded = first.covariates.keys().map(String::as_str);
+    let names = BUILT_IN_COVARIATES.into_iter().chain(recorded);
+    names
+        .filter(|name| match *name {
+            // The load varies, else it could not be fitted.
+            "fx_n" | "fx_rate_n_per_s" => axes[0],
+            "fz_n" | "fz_rate_n_per_s" => axes[1],
+            "session_s" => false,
+            name => {
+                let columns = campaign.recordings.iter().map(|recording| values(recording, name));
+                let columns: Vec<Vec<f64>> = columns.collect();
+                columns.iter().all(|column| !column.is_empty()) && varies(&columns)
+            }
+        })
+        .map(str::to_owned)
+        .collect()
 }
 
 /// Minimum ratio of a column's standard deviation to its noise.

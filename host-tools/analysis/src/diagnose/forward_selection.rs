@@ -46,19 +46,12 @@ pub fn forward_selection(
         blocks: 0,
     };
     loop {
-        let stage = &selection.stages[selection.stages.len() - 1];
-        let remaining: Vec<EffectTerm> =
-            candidates.iter().filter(|c| !stage.effects.contains(c)).cloned().collect();
         on_stage("screening candidates");
-        let columns = residual_tables(campaign, prepared, stage);
-        selection.block_s = block_s(&columns);
-        let around = ScoreTest::new(prepared, &stage.effects, &stage.fit, selection.block_s);
-        selection.blocks = around.blocks;
-        selection.last = screen(&around, &remaining, options.seed);
-        selection.attributed = attributed_covariates(&columns, selection.block_s);
+        let around = screen_last(campaign, prepared, candidates, &mut selection, options);
         if selection.steps.len() >= MAX_STEPS {
             break;
         }
+        let stage = &selection.stages[selection.stages.len() - 1];
         on_stage("fitting candidates");
         let Some((step, next)) = best_candidate(prepared, stage, &around, &selection, options)?
         else {
@@ -79,6 +72,27 @@ pub fn forward_selection(
     eliminate_backward(prepared, &mut selection, options)?;
     align_validation(prepared, &mut selection.stages, options)?;
     Ok(selection)
+}
+
+/// Screens the candidates that the last model does not contain, and locates its residual; returns the score test.
+pub fn screen_last<'a>(
+    campaign: &Campaign,
+    prepared: &'a FitSetup,
+    candidates: &[EffectTerm],
+    selection: &mut Selection,
+    options: FitOptions,
+) -> ScoreTest<'a> {
+    let stage = &selection.stages[selection.stages.len() - 1];
+    let remaining: Vec<EffectTerm> =
+        candidates.iter().filter(|c| !stage.effects.contains(c)).cloned().collect();
+    let columns = residual_tables(campaign, prepared, stage);
+    let block_s = block_s(&columns);
+    let around = ScoreTest::new(prepared, &stage.effects, &stage.fit, block_s);
+    selection.block_s = block_s;
+    selection.blocks = around.blocks;
+    selection.last = screen(&around, &remaining, options.seed);
+    selection.attributed = attributed_covariates(&columns, block_s);
+    around
 }
 
 /// Cross-validates every model like the last one, so that their errors are comparable.

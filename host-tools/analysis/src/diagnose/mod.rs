@@ -10,6 +10,7 @@
 //! - [`confusable_effects`]: effects that depend on the same covariates, and data that cannot separate them.
 //! - [`residuals`]: the remaining residual, and what each effect removed of it.
 //! - [`remaining_structure`]: what follows no covariate.
+//! - [`formulas`]: formulas of the covariates, where the catalogue leaves structure.
 //! - [`verdicts`]: a verdict on every candidate.
 //! - [`recording_check`]: effects on which recordings can decide, before a diagnosis.
 //! - [`suggestions`]: the next command.
@@ -17,6 +18,8 @@
 use crate::compare::cv_plan::ModelRefit;
 use crate::data_quality::Finding;
 use crate::diagnose::candidates::candidates;
+pub use crate::diagnose::formulas::DiscoveredFormula;
+use crate::diagnose::formulas::discover;
 use crate::diagnose::forward_selection::forward_selection;
 use crate::diagnose::remaining_structure::RemainingStructure;
 pub use crate::diagnose::residuals::EffectShape;
@@ -34,6 +37,7 @@ use std::path::Path;
 pub mod candidate_fit;
 pub mod candidates;
 pub mod confusable_effects;
+pub mod formulas;
 pub mod forward_selection;
 pub mod recording_check;
 pub mod remaining_structure;
@@ -55,6 +59,8 @@ pub struct Diagnosis {
     pub verdicts: Vec<Verdict>,
     /// Accepted steps, each one effect or several equivalent ones.
     pub accepted: Vec<Vec<String>>,
+    /// Formulas of the covariates that explain what no effect of the catalogue does.
+    pub formulas: Vec<DiscoveredFormula>,
     /// Residual structure that no effect explains, largest share first.
     pub unexplained: Vec<Unexplained>,
     /// What of the residual follows no covariate; none at the noise floor.
@@ -217,8 +223,11 @@ pub fn diagnose(
     let present: Vec<EffectTerm> = model.effect_terms(path)?;
     let (testable, untestable) =
         candidates(campaign, model.base, model.force_axes(), &present, own);
-    let selection = forward_selection(campaign, &prepared, &present, &testable, options, on_stage)?;
-    let mut diagnosis = conclude(&selection, &untestable, campaign.recordings.len());
+    let mut selection =
+        forward_selection(campaign, &prepared, &present, &testable, options, on_stage)?;
+    let formulas = discover(campaign, &prepared, &testable, &mut selection, options, on_stage)?;
+    let mut diagnosis = conclude(&selection, &formulas, &untestable, campaign.recordings.len());
+    diagnosis.formulas = formulas;
     if let Some(last) = selection.stages.last().filter(|_| !diagnosis.at_floor) {
         let located = selection.attributed.iter().map(|(_, share)| share).sum();
         let columns = residuals_against(&prepared, last, &[]);

@@ -80,7 +80,7 @@ const MIN_MAGNITUDE: f64 = 0.03;
 const MAX_RELATIVE_ERROR: f64 = 10.0;
 
 /// A model while effects are added to it.
-#[derive(Clone)]
+#[derive(Clone, Debug)]
 pub struct FittedModel {
     /// Effects of the model.
     pub effects: Vec<EffectTerm>,

@@ -5,7 +5,9 @@ use crate::diagnose::candidates::{ScreenedEffect, UntestableEffect};
 use crate::diagnose::confusable_effects::are_confusable;
 use crate::diagnose::selection::FittedModel;
 use crate::diagnose::selection::{AcceptedStep, Selection};
-use crate::diagnose::{Diagnosis, Reason, StaircaseStep, Unexplained, Verdict, VerdictKind};
+use crate::diagnose::{
+    Diagnosis, DiscoveredFormula, Reason, StaircaseStep, Unexplained, Verdict, VerdictKind,
+};
 use model_export::effects::EffectTerm;
 use model_export::fit::effect_size::effect_sizes;
 use model_export::fit::score_test::CandidateScore;
@@ -16,6 +18,7 @@ const MIN_Z: f64 = 4.0;
 /// Verdicts on all candidates, and the summary.
 pub fn conclude(
     selection: &Selection,
+    formulas: &[DiscoveredFormula],
     unjudged: &[UntestableEffect],
     recordings: usize,
 ) -> Diagnosis {
@@ -25,7 +28,13 @@ pub fn conclude(
     let complete = selection.is_complete();
     let mut diagnosis = Diagnosis {
         at_floor: last.floors() <= AT_FLOOR,
-        accepted: if complete { selection.steps.iter().map(names).collect() } else { Vec::new() },
+        accepted: if complete {
+            let of_formulas = formulas.iter().flat_map(|formula| &formula.effects);
+            let of_formulas = of_formulas.map(|effect| vec![effect.name().to_owned()]);
+            selection.steps.iter().map(names).chain(of_formulas).collect()
+        } else {
+            Vec::new()
+        },
         unexplained: selection
             .attributed
             .iter()
@@ -36,7 +45,7 @@ pub fn conclude(
                 share: *share,
             })
             .collect(),
-        staircase: stairs(selection),
+        staircase: stairs(selection, formulas),
         is_complete: complete,
         block_s: selection.block_s,
         blocks: selection.blocks,
@@ -66,8 +75,9 @@ fn names(step: &AcceptedStep) -> Vec<String> {
     all.map(|effect| effect.name().to_owned()).collect()
 }
 
-fn stairs(selection: &Selection) -> Vec<StaircaseStep> {
+fn stairs(selection: &Selection, formulas: &[DiscoveredFormula]) -> Vec<StaircaseStep> {
     let added = std::iter::once(Vec::new()).chain(selection.steps.iter().map(names));
+    let added = added.chain(formulas.iter().map(|formula| vec![formula.name.clone()]));
     let stair = |(stage, added): (&FittedModel, Vec<String>)| StaircaseStep {
         added,
         held_out_rms_g: stage.mean_square().sqrt(),

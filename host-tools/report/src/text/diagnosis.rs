@@ -2,7 +2,8 @@
 
 use analysis::diagnose::remaining_structure::RemainingStructure;
 use analysis::diagnose::{
-    Diagnosis, Reason, StaircaseStep, Suggestion, SuggestionKind, Unexplained, Verdict, VerdictKind,
+    Diagnosis, DiscoveredFormula, Reason, StaircaseStep, Suggestion, SuggestionKind, Unexplained,
+    Verdict, VerdictKind,
 };
 use analysis::numbers::{self, field};
 use anstyle::Style;
@@ -22,6 +23,7 @@ pub fn format_report(diagnosis: &Diagnosis) -> String {
     page += &verdict_table(diagnosis);
     page += &step_table(diagnosis);
     page += &accepted_effects(diagnosis);
+    page += &discovered_formulas(diagnosis);
     page += &equivalent_effects(diagnosis);
     page += &inconclusive_effects(diagnosis);
     page += &unexplained_residual(diagnosis);
@@ -34,6 +36,7 @@ pub fn format_report(diagnosis: &Diagnosis) -> String {
 pub fn format_summary(diagnosis: &Diagnosis) -> String {
     let mut page = step_table(diagnosis);
     page += &accepted_effects(diagnosis);
+    page += &discovered_formulas(diagnosis);
     page += &equivalent_effects(diagnosis);
     page += &unexplained_residual(diagnosis);
     page + "\n"
@@ -98,6 +101,93 @@ fn accepted_effects(diagnosis: &Diagnosis) -> String {
         page += &paragraph(&format!("  {}\n", reason_sentence(verdict)));
     }
     page
+}
+
+/// Formulas beyond the catalogue: text, evidence, values of each sensor.
+fn discovered_formulas(diagnosis: &Diagnosis) -> String {
+    let mut page = String::new();
+    for formula in &diagnosis.formulas {
+        page += &styled(HEADING, &formula_heading(diagnosis, formula));
+        // Not wrapped, so that they can be copied.
+        for model in &formula.models {
+            page += &format!("  {}\n", model.expression.as_deref().unwrap_or_default());
+        }
+        page += &paragraph(&format!("  {}", formula_evidence(diagnosis, formula)));
+        page += &paragraph(&format!("  {}", formula_alternatives(formula)));
+        let numbers = formula.models.iter().flat_map(|model| &model.sensors);
+        let mut numbers: Vec<u32> = numbers.map(|sensor| sensor.number).collect();
+        numbers.sort_unstable();
+        numbers.dedup();
+        let heads = numbers.iter().map(|number| format!("sensor {number}"));
+        let mut table = terminal::table(std::iter::once("parameter".to_owned()).chain(heads));
+        table.set_width(NARROW_WIDTH);
+        for row in formula_values(formula) {
+            table.add_row(row);
+        }
+        page += &format!("{table}\n\n");
+    }
+    page
+}
+
+/// "formula_1, a function of fx_n and opening_mm (partial)".
+pub fn formula_heading(diagnosis: &Diagnosis, formula: &DiscoveredFormula) -> String {
+    let partial = if diagnosis.at_floor { "" } else { ", PARTIAL: structure remains" };
+    format!("{}, a formula of {}{partial}", formula.name, formula.covariates.join(" and "))
+}
+
+/// What a formula explains.
+pub fn formula_evidence(diagnosis: &Diagnosis, formula: &DiscoveredFormula) -> String {
+    let floors = formula_floors(diagnosis, formula);
+    format!(
+        "No effect of the catalogue has this form. It reduces the held-out squared error by {:.1} % (family-wise p {:.3}), to \
+         {floors:.2} times the noise floor. It is a formula, not a cause: find what moves with it.",
+        100.0 * formula.gain,
+        formula.p_value
+    )
+}
+
+/// Where else the same function can act.
+pub fn formula_alternatives(formula: &DiscoveredFormula) -> String {
+    if formula.other_targets.is_empty() {
+        return format!(
+            "It acts on {}: on no other quantity it explains as much.",
+            formula.targets.join(", ")
+        );
+    }
+    let others: Vec<String> =
+        formula.other_targets.iter().map(|targets| targets.join(" with ")).collect();
+    format!(
+        "It acts on {}. On these recordings the same function of {} explains the same within 2 %.",
+        formula.targets.join(", "),
+        others.join(", or of ")
+    )
+}
+
+/// Error after the step of a formula, in noise floors.
+fn formula_floors(diagnosis: &Diagnosis, formula: &DiscoveredFormula) -> f64 {
+    let mut steps = diagnosis.staircase.iter();
+    let step = steps.find(|step| step.added.contains(&formula.name));
+    step.map_or(f64::NAN, |step| step.held_out_rms_g / step.floor_g)
+}
+
+/// Name and unit of each parameter of a formula, and its value at each sensor.
+pub fn formula_values(formula: &DiscoveredFormula) -> Vec<Vec<String>> {
+    let mut rows = Vec::new();
+    for model in &formula.models {
+        let Some(first) = model.sensors.first() else { continue };
+        for (name, parameter) in &first.parameters {
+            let target = model.name.strip_prefix(&format!("{}_", formula.name));
+            let of = target.map_or_else(String::new, |target| format!("{target}: "));
+            let mut row = vec![format!("{of}{name} {}", parameter.unit).trim_end().to_owned()];
+            row.extend(model.sensors.iter().map(|sensor| {
+                sensor.parameters.get(name).map_or_else(String::new, |parameter| {
+                    numbers::with_error(parameter.value, parameter.std_error, parameter.value.abs())
+                })
+            }));
+            rows.push(row);
+        }
+    }
+    rows
 }
 
 fn heading(verdict: &Verdict) -> String {
@@ -209,6 +299,7 @@ pub fn to_json(diagnosis: &Diagnosis) -> Value {
         "findings": findings.collect::<Vec<_>>(),
         "verdicts": diagnosis.verdicts.iter().map(verdict_json).collect::<Vec<_>>(),
         "accepted": diagnosis.accepted,
+        "formulas": diagnosis.formulas.iter().map(|one| formula_json(diagnosis, one)).collect::<Vec<_>>(),
         "unexplained": unexplained_json(diagnosis),
         "at_floor": diagnosis.at_floor,
         "staircase": diagnosis.staircase,
@@ -229,6 +320,21 @@ fn unexplained_json(diagnosis: &Diagnosis) -> Vec<Value> {
         object
     });
     located.chain(remaining).collect()
+}
+
+/// Expressions and ranges are those of `magpie add --expr` and `--range`.
+fn formula_json(diagnosis: &Diagnosis, formula: &DiscoveredFormula) -> Value {
+    json!({
+        "name": formula.name,
+        "partial": !diagnosis.at_floor,
+        "covariates": formula.covariates,
+        "targets": formula.targets,
+        "other_targets": formula.other_targets,
+        "gain": formula.gain,
+        "p_value": formula.p_value,
+        "floors_after": formula_floors(diagnosis, formula),
+        "effects": formula.models,
+    })
 }
 
 fn verdict_json(verdict: &Verdict) -> Value {

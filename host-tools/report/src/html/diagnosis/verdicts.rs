@@ -4,7 +4,7 @@ use crate::html::Section;
 use crate::html::diagnosis::effect;
 use crate::html::tables::table;
 use crate::text::diagnosis::{self as text, EquivalentSet, InconclusiveGroup};
-use analysis::diagnose::{Diagnosis, EffectShape, Verdict};
+use analysis::diagnose::{Diagnosis, DiscoveredFormula, EffectShape, Verdict};
 use analysis::numbers::{number, percent};
 use maud::{Markup, html};
 
@@ -66,11 +66,34 @@ pub fn found_section(diagnosis: &Diagnosis) -> Option<Section> {
         drawn.extend(new);
         parts.push(part(verdict, new));
     }
-    (!there.is_empty()).then(|| Section {
+    let formulas = &diagnosis.formulas;
+    (!there.is_empty() || !formulas.is_empty()).then(|| Section {
         id: "found",
         heading: "Accepted effects".to_owned(),
-        body: html! { @for part in parts { (part) } },
+        body: html! {
+            @for part in parts { (part) }
+            @for formula in formulas { (formula_part(diagnosis, formula)) }
+        },
     })
+}
+
+fn formula_part(diagnosis: &Diagnosis, formula: &DiscoveredFormula) -> Markup {
+    let numbers = formula.models.first().map_or(&[][..], |model| &model.sensors);
+    let heads: Vec<String> = std::iter::once("parameter".to_owned())
+        .chain(numbers.iter().map(|sensor| format!("sensor {}", sensor.number)))
+        .collect();
+    let heads: Vec<&str> = heads.iter().map(String::as_str).collect();
+    let rows = text::formula_values(formula).into_iter();
+    let rows = rows.map(|row| row.into_iter().map(|cell| html! { (cell) }).collect::<Vec<_>>());
+    html! {
+        h3 { (text::formula_heading(diagnosis, formula)) }
+        @for model in &formula.models {
+            @if let Some(expression) = &model.expression { pre.command tabindex="0" { (expression) } }
+        }
+        p { (text::formula_evidence(diagnosis, formula)) }
+        p.note { (text::formula_alternatives(formula)) }
+        (table("Values at each sensor, with standard errors", &heads, rows))
+    }
 }
 
 fn part(verdict: &Verdict, shape: Option<&EffectShape>) -> Markup {

@@ -1,0 +1,262 @@
+//! Functions of one covariate from which formulas are made, as text and as values. The values are those of the text,
+//! by the evaluator of user-defined effects.
+
+use model_export::effects::expression::ParameterRange;
+use model_export::effects::{ExcitationSeries, Expression};
+use model_export::recordings::units::round_significant;
+
+/// Harmonics of a rotor's turn: one to four, and the pole pairs.
+const HARMONICS: [u32; 5] = [1, 2, 3, 4, 7];
+/// Highest number of periods within the travel of the opening, and the step of the search.
+const PERIODS: (f64, f64) = (40.0, 0.5);
+/// Shortest period in mm.
+const MIN_PERIOD: f64 = 0.8;
+
+/// A function of one covariate.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Atom {
+    /// Name of the covariate.
+    pub covariate: String,
+    /// Text, with `p` and `q` for the nonlinear parameters.
+    text: String,
+    /// Nonlinear parameters with their bounds.
+    pub parameters: Vec<Nonlinear>,
+    /// Complexity: one for the covariate itself.
+    pub complexity: f64,
+    /// The other phase of a harmonic, by its text.
+    partner: Option<String>,
+    /// Whether it is multiplied with functions of other covariates.
+    pub is_factor: bool,
+}
+
+/// A nonlinear parameter.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Nonlinear {
+    /// Value.
+    pub value: f64,
+    /// Lower bound.
+    pub from: f64,
+    /// Upper bound.
+    pub to: f64,
+}
+
+/// Names of nonlinear parameters in the text of an atom.
+const PARAMETER_NAMES: [&str; 2] = ["p", "q"];
+
+impl Atom {
+    fn new(covariate: &str, text: &str, complexity: f64) -> Self {
+        Self {
+            covariate: covariate.to_owned(),
+            text: replace_name(text, "x", covariate),
+            parameters: Vec::new(),
+            complexity,
+            partner: None,
+            is_factor: false,
+        }
+    }
+
+    fn with(mut self, parameters: &[(f64, f64, f64)]) -> Self {
+        let parameter = |&(value, from, to): &(f64, f64, f64)| Nonlinear { value, from, to };
+        self.parameters = parameters.iter().map(parameter).collect();
+        self
+    }
+
+    fn factor(mut self) -> Self {
+        self.is_factor = true;
+        self
+    }
+
+    /// With the other phase of a harmonic.
+    fn phase(mut self, other: &str) -> Self {
+        self.partner = Some(replace_name(other, "x", &self.covariate));
+        self
+    }
+
+    /// The other phase of a harmonic, with the same parameters.
+    pub fn partner(&self) -> Option<Self> {
+        let text = self.partner.clone()?;
+        Some(Self { partner: Some(self.text.clone()), text, ..self.clone() })
+    }
+
+    /// Text with the parameters as numbers, or with names: those of `names` in their order.
+    pub fn text(&self, names: &mut dyn Iterator<Item = String>) -> String {
+        let mut text = self.text.clone();
+        for (own, parameter) in PARAMETER_NAMES.iter().zip(&self.parameters) {
+            let value = names
+                .next()
+                .unwrap_or_else(|| format!("{}", round_significant(parameter.value, 6)));
+            text = replace_name(&text, own, &value);
+        }
+        text
+    }
+
+    /// Values over the rows of a series; `None` where the covariate was not recorded or a value is not finite.
+    pub fn values(&self, series: &ExcitationSeries) -> Option<Vec<f64>> {
+        let ranges: Vec<ParameterRange> = PARAMETER_NAMES
+            .iter()
+            .zip(&self.parameters)
+            .map(|(name, parameter)| ParameterRange {
+                name: (*name).to_owned(),
+                from: parameter.from,
+                to: parameter.to,
+            })
+            .collect();
+        let text = format!("atom: by_g = a*({})", self.text);
+        let expression =
+            Expression::parse(&text, &ranges, std::slice::from_ref(&self.covariate)).ok()?;
+        let column = series.covariate(&self.covariate)?;
+        let mut values = vec![1.0];
+        values.extend(self.parameters.iter().map(|parameter| parameter.value));
+        let all: Vec<f64> = column.iter().map(|x| expression.value(&values, &[*x]).0).collect();
+        all.iter().all(|value| value.is_finite()).then_some(all)
+    }
+}
+
+/// Replaces a whole name in a formula.
+fn replace_name(text: &str, name: &str, value: &str) -> String {
+    let is_name = |c: char| c.is_ascii_alphanumeric() || c == '_';
+    let mut replaced = String::new();
+    let mut rest = text;
+    while let Some(at) = rest.find(name) {
+        let (before, after) = (&rest[..at], &rest[at + name.len()..]);
+        let is_whole = !before.ends_with(is_name) && !after.starts_with(is_name);
+        replaced.push_str(before);
+        replaced.push_str(if is_whole { value } else { name });
+        rest = after;
+    }
+    replaced + rest
+}
+
+/// Range of a covariate over all recordings: 2nd and 98th percentile.
+#[derive(Clone, Copy, Debug)]
+pub struct Span {
+    /// Lower end.
+    pub low: f64,
+    /// Upper end.
+    pub high: f64,
+}
+
+impl Span {
+    /// Of values in any order.
+    pub fn of(mut values: Vec<f64>) -> Option<Self> {
+        values.sort_unstable_by(f64::total_cmp);
+        let quantile =
+            |q: f64| values.get((q * (values.len().max(1) - 1) as f64) as usize).copied();
+        let span = Self { low: quantile(0.02)?, high: quantile(0.98)? };
+        (span.high > span.low).then_some(span)
+    }
+
+    fn width(self) -> f64 {
+        self.high - self.low
+    }
+
+    /// Whether zero lies well within.
+    fn is_signed(self) -> bool {
+        -self.low > 0.1 * self.width() && self.high > 0.1 * self.width()
+    }
+
+    fn at(self, fraction: f64) -> f64 {
+        self.low + fraction * self.width()
+    }
+}
+
+/// All functions of a covariate.
+pub fn atoms_of(covariate: &str, span: Span) -> Vec<Atom> {
+    if covariate == "motor_angle_rad" {
+        return angle_atoms(covariate, &HARMONICS, true);
+    }
+    let atom = |text: &str, complexity: f64| Atom::new(covariate, text, complexity);
+    let is_time = matches!(covariate, "time_s" | "session_s");
+    let mut atoms = vec![atom("x", 1.0).factor(), atom("x^2", 1.2), atom("x^3", 1.4)];
+    if let Some(square) = atoms.get_mut(1) {
+        square.is_factor = !is_time;
+    }
+    let scale = span.high.max(-span.low);
+    if span.is_signed() {
+        atoms.push(atom("abs(x)", 1.2).factor());
+        atoms.push(if covariate.contains("rate") {
+            atom("signum(x)", 1.3).factor()
+        } else {
+            atom("signum(x)", 1.3)
+        });
+        atoms.push(atom("signum(x)*sqrt(abs(x))", 1.4));
+        atoms.push(atom("sqrt(abs(x))", 1.5));
+        atoms.push(atom("x*abs(x)", 1.4));
+        for fraction in [0.15, 0.3, 0.6] {
+            let p = fraction * scale;
+            atoms.push(atom("tanh(x/p)", 1.5).with(&[(p, 0.02 * scale, 2.0 * scale)]));
+        }
+        for fraction in [0.15, 0.3, 0.45, 0.6] {
+            let p = fraction * scale;
+            let text = "(x-0.5*(abs(x+p)-abs(x-p)))";
+            atoms.push(atom(text, 1.6).with(&[(p, 0.05 * scale, 0.85 * scale)]));
+        }
+    } else {
+        let middle = round_significant(span.at(0.5), 2);
+        atoms.push(atom(&format!("(x-{middle})"), 1.1).factor());
+    }
+    for fraction in [0.1, 0.25, 0.4, 0.55, 0.7, 0.85] {
+        let (p, half) = (span.at(fraction), 0.15 * span.width());
+        let within = [(p, p - half, p + half)];
+        atoms.push(atom("(x-p+abs(x-p))", 1.6).with(&within));
+        atoms.push(atom("(p-x+abs(x-p))", 1.6).with(&within));
+        if !is_time {
+            atoms.push(atom("signum(x-p)", 1.6).with(&within));
+        }
+    }
+    for fraction in [0.15, 0.325, 0.5, 0.675, 0.85] {
+        let w = span.width();
+        let (m, b) = (span.at(fraction), 0.2 * w);
+        let bounds = [(m, span.low, span.high), (b, 0.03 * w, 0.5 * w)];
+        atoms.push(atom("exp(-((x-p)/q)^2)", 1.8).with(&bounds));
+        let bounds = [(m, span.low, span.high), (0.08 * w, 0.01 * w, 0.3 * w)];
+        atoms.push(atom("tanh((x-p)/q)", 1.8).with(&bounds));
+    }
+    if is_time {
+        for tau in [0.3, 0.8, 2.0, 5.0, 12.0] {
+            atoms.push(atom("exp(-x/p)", 1.5).with(&[(tau, 0.4 * tau, 2.5 * tau)]));
+        }
+    }
+    if covariate.ends_with("_rad") {
+        atoms.extend(angle_atoms(covariate, &[1, 2], covariate == "yaw_rad"));
+    }
+    if covariate == "opening_mm" {
+        atoms.extend(periodic_atoms(covariate, span));
+    }
+    atoms
+}
+
+/// Harmonics of an angle.
+fn angle_atoms(covariate: &str, harmonics: &[u32], is_factor: bool) -> Vec<Atom> {
+    let mut atoms = Vec::new();
+    for harmonic in harmonics {
+        let argument = if *harmonic == 1 { "x".to_owned() } else { format!("{harmonic}*x") };
+        let [sin, cos] = ["sin", "cos"].map(|function| format!("{function}({argument})"));
+        let complexity = 1.2 + 0.02 * f64::from(*harmonic);
+        for (text, other) in [(&sin, &cos), (&cos, &sin)] {
+            let mut atom = Atom::new(covariate, text, complexity).phase(other);
+            atom.is_factor = is_factor;
+            atoms.push(atom);
+        }
+    }
+    atoms
+}
+
+/// Sines and cosines of a length, of periods in even steps of the frequency.
+fn periodic_atoms(covariate: &str, span: Span) -> Vec<Atom> {
+    let (most, step) = PERIODS;
+    let most = most.min(span.width() / MIN_PERIOD);
+    let mut atoms = Vec::new();
+    let mut periods = 1.5;
+    while periods <= most {
+        let period = span.width() / periods;
+        let bounds =
+            [(period, span.width() / (periods + step), span.width() / (periods - step).max(0.5))];
+        let [sin, cos] = ["sin(2*pi*x/p)", "cos(2*pi*x/p)"];
+        for (text, other) in [(sin, cos), (cos, sin)] {
+            atoms.push(Atom::new(covariate, text, 1.6).with(&bounds).phase(other));
+        }
+        periods += step;
+    }
+    atoms
+}

@@ -1,0 +1,220 @@
+//! A candidate formula: terms at points of the chain, as columns of a regression and as user-defined effects.
+
+use std::sync::Arc;
+
+use anyhow::{Context, Result};
+use model_export::effects::expression::ParameterRange;
+use model_export::effects::{EffectTerm, Expression};
+use model_export::fit::campaign::FitSetup;
+use model_export::recordings::units::round_significant;
+use nalgebra::DMatrix;
+use rayon::prelude::*;
+
+use crate::diagnose::formulas::atoms::{Atom, Nonlinear};
+use crate::diagnose::formulas::chain_points::ChainPoint;
+use crate::diagnose::formulas::rows::{SensorRows, Windows, averaged, excitations};
+use crate::diagnose::formulas::scan::{Columns, Scan};
+
+/// Complexity of each column after the first.
+const COLUMN_COMPLEXITY: f64 = 0.2;
+/// Width of the range in which a nonlinear parameter of a discovered formula is fitted, relative to its bounds.
+const RANGE: f64 = 0.1;
+/// Names of coefficients and of nonlinear parameters.
+const COEFFICIENTS: [&str; 6] = ["a", "b", "c", "d", "f", "g"];
+const NONLINEAR: [&str; 6] = ["p", "q", "r", "s", "t", "u"];
+
+/// Terms at points of the chain: each term has a coefficient at each point.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Candidate {
+    /// Factors of each term.
+    pub terms: Vec<Vec<Atom>>,
+    /// Points of the chain.
+    pub points: Vec<ChainPoint>,
+}
+
+impl Candidate {
+    /// Complexity of its functions, and of their number of coefficients.
+    pub fn complexity(&self) -> f64 {
+        let of_term = |term: &Vec<Atom>| term.iter().map(|atom| atom.complexity).sum::<f64>();
+        let functions = self.terms.iter().map(of_term).fold(0.0, f64::max);
+        let columns = self.terms.len() * self.points.len();
+        let compliance = self.points.iter().any(|point| point.target().1.is_some());
+        functions
+            + COLUMN_COMPLEXITY * (columns.max(1) - 1) as f64
+            + if compliance { 0.5 } else { 0.0 }
+    }
+
+    /// Covariates, each once, in the order of their names.
+    pub fn covariates(&self) -> Vec<String> {
+        let factors = self.terms.iter().flatten().map(|atom| atom.covariate.clone());
+        let loads = self.points.iter().filter_map(|point| point.target().1.map(str::to_owned));
+        let mut names: Vec<String> = factors.chain(loads).collect();
+        names.sort();
+        names.dedup();
+        names
+    }
+
+    /// Quantities that it changes.
+    pub fn targets(&self) -> Vec<&'static str> {
+        self.points.iter().map(|point| point.target().0).collect()
+    }
+
+    /// Nonlinear parameters. The phases of a harmonic share theirs, so those of the first term count.
+    pub fn nonlinear(&self) -> Vec<Nonlinear> {
+        let first = self.terms.first().into_iter().flatten();
+        first.flat_map(|atom| atom.parameters.iter().copied()).collect()
+    }
+
+    /// With another value of a nonlinear parameter, in all terms with the same function.
+    pub fn with_nonlinear(&self, index: usize, value: f64) -> Self {
+        let mut changed = self.clone();
+        let mut at = 0;
+        let mut place = None;
+        for (factor, atom) in self.terms.first().into_iter().flatten().enumerate() {
+            if index < at + atom.parameters.len() {
+                place = Some((factor, index - at));
+                break;
+            }
+            at += atom.parameters.len();
+        }
+        let Some((factor, parameter)) = place else {
+            return changed;
+        };
+        let covariate = self.terms[0][factor].covariate.clone();
+        for atom in changed.terms.iter_mut().flatten() {
+            if atom.covariate == covariate
+                && let Some(own) = atom.parameters.get_mut(parameter)
+            {
+                own.value = value;
+            }
+        }
+        changed
+    }
+
+    /// The candidate, if it is a product of two, with one of the factors as another term.
+    pub fn with_lower_terms(&self) -> Vec<Self> {
+        let [term] = &self.terms[..] else {
+            return Vec::new();
+        };
+        if term.len() != 2 {
+            return Vec::new();
+        }
+        let with = |factor: &Atom| Self {
+            terms: vec![term.clone(), vec![factor.clone()]],
+            points: self.points.clone(),
+        };
+        term.iter().map(with).collect()
+    }
+
+    /// Columns at each sensor.
+    pub fn columns(
+        &self,
+        setup: &FitSetup,
+        scan: &Scan,
+        points: &[ChainPoint],
+        windows: &[Vec<Windows>],
+    ) -> Columns {
+        let of_sensor = |sensor: usize| {
+            let of_term = |term: &Vec<Atom>| {
+                let mut values = Vec::with_capacity(scan.rows[sensor].len());
+                for (series, windows) in excitations(setup, sensor).zip(&windows[sensor]) {
+                    let mut product = vec![1.0; series.len()];
+                    for atom in term {
+                        let Some(own) = atom.values(series) else { continue };
+                        product.iter_mut().zip(own).for_each(|(product, value)| *product *= value);
+                    }
+                    values.extend(averaged(&product, windows));
+                }
+                values
+            };
+            let terms: Vec<Vec<f64>> = self.terms.iter().map(of_term).collect();
+            columns_at(&scan.rows[sensor], &terms, &self.points, points)
+        };
+        (0..scan.rows.len()).into_par_iter().map(of_sensor).collect()
+    }
+
+    /// As user-defined effects, one for each point of the chain: with the nonlinear parameters as numbers, or with a range to
+    /// be fitted.
+    ///
+    /// # Errors
+    /// The text exceeds the limits of formulas.
+    pub fn effects(&self, name: &str, has_ranges: bool) -> Result<Vec<EffectTerm>> {
+        self.points.iter().map(|point| self.effect(*point, name, has_ranges)).collect()
+    }
+
+    fn effect(&self, point: ChainPoint, name: &str, has_ranges: bool) -> Result<EffectTerm> {
+        let mut ranges = Vec::new();
+        let mut terms = Vec::new();
+        let (target, load) = point.target();
+        for (term, coefficient) in self.terms.iter().zip(COEFFICIENTS) {
+            let mut factors = vec![coefficient.to_owned()];
+            factors.extend(load.map(str::to_owned));
+            let mut used = 0;
+            for atom in term {
+                let own: Vec<String> = if has_ranges {
+                    let names = NONLINEAR.iter().skip(used).take(atom.parameters.len());
+                    names.map(|name| (*name).to_owned()).collect()
+                } else {
+                    Vec::new()
+                };
+                for (name, parameter) in own.iter().zip(&atom.parameters) {
+                    if ranges.iter().all(|range: &ParameterRange| range.name != *name) {
+                        ranges.push(range_of(name, *parameter));
+                    }
+                }
+                used += own.len();
+                factors.push(atom.text(&mut own.into_iter()));
+            }
+            terms.push(factors.join("*"));
+        }
+        let name = match self.points.len() {
+            1 => name.to_owned(),
+            _ => format!("{name}_{target}"),
+        };
+        let text = format!("{name}: {target} = {}", terms.join(" + "));
+        let covariates = Expression::covariate_names(&text);
+        let expression = Expression::parse(&text, &ranges, &covariates)
+            .map_err(|error| anyhow::anyhow!("{error}"))
+            .context("a discovered formula is not valid")?;
+        Ok(EffectTerm::Expression(Arc::new(expression)))
+    }
+}
+
+/// Columns of these terms at `own` points of the chain, scaled to terms of unit mean square.
+pub fn columns_at(
+    rows: &SensorRows,
+    terms: &[Vec<f64>],
+    own: &[ChainPoint],
+    points: &[ChainPoint],
+) -> DMatrix<f64> {
+    let places: Vec<usize> =
+        own.iter().filter_map(|point| points.iter().position(|other| other == point)).collect();
+    let mut columns = Vec::with_capacity(3 * rows.len() * terms.len() * places.len());
+    for values in terms {
+        let squares: f64 = values.iter().map(|value| value * value).sum();
+        let scale = (squares / values.len().max(1) as f64).sqrt().max(f64::MIN_POSITIVE);
+        for place in &places {
+            let pattern = rows.patterns[*place].as_slice().chunks_exact(3);
+            for (pattern, value) in pattern.zip(values) {
+                columns.extend(pattern.iter().map(|entry| entry * value / scale));
+            }
+        }
+    }
+    DMatrix::from_vec(3 * rows.len(), terms.len() * places.len(), columns)
+}
+
+/// Range around the value of a nonlinear parameter.
+fn range_of(name: &str, parameter: Nonlinear) -> ParameterRange {
+    let half = 0.5 * RANGE * (parameter.to - parameter.from);
+    // Positive parameters stay positive.
+    let from = (parameter.value - half).max(if parameter.from > 0.0 {
+        0.5 * parameter.value
+    } else {
+        f64::NEG_INFINITY
+    });
+    ParameterRange {
+        name: name.to_owned(),
+        from: round_significant(from, 4),
+        to: round_significant(parameter.value + half, 4),
+    }
+}

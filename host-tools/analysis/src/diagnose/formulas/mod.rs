@@ -1,0 +1,563 @@
+//! Search for formulas of the covariates, where the effects of the catalogue leave structure.
+//!
+//! A formula is a product of functions of the recorded covariates that acts at a point of the chain from force to field. Forward
+//! selection on held-out rows: all terms of a dictionary are scored exactly at all points of the chain, the best candidates are
+//! refined, and the simplest within 2 % of the least remaining error is accepted if its family-wise p-value is below 1 % and
+//! every fold improves. Then the whole model is fitted again with the formula as a user-defined effect. At the end terms
+//! without effect are dropped, and the point of the chain is decided by full fits. A formula is never called by a physical
+//! name.
+//!
+//! - [`chain_points`]: where a formula can act.
+//! - [`atoms`]: functions of one covariate.
+//! - [`dictionary`]: their products, and their values.
+//! - [`rows`]: a fitted model linearised, whitened and averaged.
+//! - [`scan`]: scores and significance.
+//! - [`candidate`]: terms at points of the chain, as columns and as text.
+
+pub mod atoms;
+pub mod candidate;
+pub mod chain_points;
+pub mod dictionary;
+pub mod rows;
+pub mod scan;
+
+use anyhow::Result;
+use model_export::effects::EffectTerm;
+use model_export::fit::FitOptions;
+use model_export::fit::campaign::FitSetup;
+use model_export::model_file::EffectModel;
+use model_export::recordings::Campaign;
+use model_export::recordings::columns::{Axis, STATOR_CURRENTS};
+use rayon::prelude::*;
+
+use crate::compare::AT_FLOOR;
+use crate::diagnose::candidates::varying_covariates;
+use crate::diagnose::forward_selection::screen_last;
+use crate::diagnose::selection::{FittedModel, Selection};
+use candidate::{Candidate, columns_at};
+use chain_points::ChainPoint;
+use dictionary::{Dictionary, RankedCandidate};
+use rows::{SensorRows, Windows};
+use scan::{Scan, Score};
+
+/// Maximum number of formulas.
+const MAX_FORMULAS: usize = 4;
+/// Squared error relative to the noise below which nothing is searched.
+const AT_NOISE: f64 = 1.03;
+/// Candidates within this fraction of the least remaining squared error are equivalent; the simplest is taken.
+const NEAR: f64 = 0.02;
+/// Candidates with points of the chain within this fraction are ranked by the number of their coefficients.
+const NEAR_POINT: f64 = 0.01;
+/// Points of the chain within this fraction in the linearised model are fitted fully.
+const NEAR_LINEAR: f64 = 0.2;
+/// Minimum reduction of the held-out squared error.
+const MIN_GAIN: f64 = 0.004;
+/// Maximum family-wise p-value.
+const MAX_P: f64 = 0.01;
+/// A formula that reduces the squared error by less is dropped at the end.
+const MIN_KEPT: f64 = 0.01;
+/// Candidates of each class of complexity and number of columns that are scored exactly.
+const EXACT: usize = 8;
+/// Candidates whose nonlinear parameters are refined.
+const REFINED: usize = 5;
+/// Points of the chain that are fitted fully.
+const FINALISTS: usize = 4;
+
+/// A discovered formula.
+#[derive(Clone, Debug)]
+pub struct DiscoveredFormula {
+    /// Name.
+    pub name: String,
+    /// Effects of the model: one for each point of the chain at which it acts.
+    pub effects: Vec<EffectTerm>,
+    /// Covariates, by column name.
+    pub covariates: Vec<String>,
+    /// Quantities that it changes.
+    pub targets: Vec<&'static str>,
+    /// Its effects with the values of each sensor, in the last model.
+    pub models: Vec<EffectModel>,
+    /// Reduction of the held-out squared error when it was added, as a fraction.
+    pub gain: f64,
+    /// Family-wise p-value.
+    pub p_value: f64,
+    /// Quantities that the same function can change with an error within 2 %.
+    pub other_targets: Vec<Vec<&'static str>>,
+}
+
+/// Result of a search.
+#[derive(Clone, Debug)]
+pub struct Discovery {
+    /// The formulas in the order of their acceptance.
+    pub formulas: Vec<DiscoveredFormula>,
+    /// The models with the first, the first two, ... of them.
+    pub stages: Vec<FittedModel>,
+}
+
+impl Discovery {
+    fn mean_square(&self) -> f64 {
+        self.stages.last().map_or(f64::INFINITY, FittedModel::mean_square)
+    }
+
+    fn is_at_floor(&self) -> bool {
+        self.stages.last().is_some_and(|model| model.floors() <= AT_FLOOR)
+    }
+}
+
+/// Searches formulas where the effects of a selection leave more than noise: from the initial model, where the effects may only
+/// imitate the cause, and from the last one. The result of the first replaces the effects where it is at the noise floor with
+/// fewer terms; else effects that the formulas make needless are removed. The candidates are then screened again.
+///
+/// # Errors
+/// A fit fails.
+pub fn discover(
+    campaign: &Campaign,
+    setup: &FitSetup,
+    candidates: &[EffectTerm],
+    selection: &mut Selection,
+    options: FitOptions,
+    on_stage: &dyn Fn(&str),
+) -> Result<Vec<DiscoveredFormula>> {
+    let (Some(first), Some(last)) = (selection.stages.first(), selection.stages.last()) else {
+        return Ok(Vec::new());
+    };
+    if last.floors() <= AT_FLOOR {
+        return Ok(Vec::new());
+    }
+    on_stage("searching formulas");
+    let has =
+        |axis: Axis| setup.rows.iter().any(|rows| rows.forces.iter().any(|(_, own)| *own == axis));
+    let axes = [has(Axis::X), has(Axis::Z)];
+    let covariates: Vec<String> = varying_covariates(campaign, axes)
+        .into_iter()
+        .filter(|name| !STATOR_CURRENTS.contains(&name.as_str()))
+        .collect();
+    let search = FormulaSearch::new(setup, &covariates, axes, options);
+    let alone = search.run(first, on_stage)?;
+    let is_enough =
+        |found: &Discovery| found.is_at_floor() && found.formulas.len() <= selection.steps.len();
+    let beside = if selection.steps.is_empty() || alone.as_ref().is_some_and(is_enough) {
+        None
+    } else {
+        search.run(last, on_stage)?
+    };
+    let (steps, found) = match (alone, beside) {
+        (None, None) => return Ok(Vec::new()),
+        (Some(alone), None) => {
+            if last.mean_square() < alone.mean_square() {
+                return Ok(Vec::new());
+            }
+            (0, alone)
+        }
+        (None, Some(beside)) => (selection.steps.len(), beside),
+        (Some(alone), Some(beside)) => {
+            let count = selection.steps.len();
+            let is_simpler = alone.formulas.len() < count + beside.formulas.len();
+            let limit = if is_simpler { 1.0 + NEAR } else { 1.0 - NEAR };
+            if alone.mean_square() < limit * beside.mean_square() {
+                (0, alone)
+            } else {
+                (count, beside)
+            }
+        }
+    };
+    selection.steps.truncate(steps);
+    selection.stages.truncate(1 + steps);
+    selection.stages.extend(found.stages);
+    remove_needless(setup, selection, options)?;
+    on_stage("screening candidates");
+    screen_last(campaign, setup, candidates, selection, options);
+    let mut formulas = found.formulas;
+    if let Some(last) = selection.stages.last() {
+        let recordings = setup.rows.first().map_or(0, |rows| rows.parts.len());
+        let models = EffectModel::all_of(&last.fit, &last.effects, recordings);
+        for formula in &mut formulas {
+            let is_own = |model: &&EffectModel| {
+                formula.effects.iter().any(|effect| effect.name() == model.name)
+            };
+            formula.models = models.iter().filter(is_own).cloned().collect();
+        }
+    }
+    Ok(formulas)
+}
+
+/// Removes the effects of a selection that its last model, with formulas, does not need.
+fn remove_needless(setup: &FitSetup, selection: &mut Selection, options: FitOptions) -> Result<()> {
+    let mut place = 0;
+    while place < selection.steps.len() {
+        let Some(last) = selection.stages.last() else {
+            return Ok(());
+        };
+        let removed = &selection.steps[place].chosen;
+        let others = |model: &FittedModel| -> Vec<EffectTerm> {
+            model.effects.iter().filter(|effect| *effect != removed).cloned().collect()
+        };
+        let split = last.fit.split;
+        let without = FittedModel::new(setup, others(last), split, options)?;
+        if without.mean_square() > (1.0 + MIN_KEPT) * last.mean_square() {
+            place += 1;
+            continue;
+        }
+        let last = selection.stages.len() - 1;
+        let mut stages = selection.stages[..=place].to_vec();
+        for stage in &selection.stages[place + 2..last] {
+            stages.push(FittedModel::new(setup, others(stage), split, options)?);
+        }
+        stages.push(without);
+        selection.stages = stages;
+        selection.steps.remove(place);
+    }
+    Ok(())
+}
+
+/// An accepted candidate.
+#[derive(Clone)]
+struct Accepted {
+    candidate: Candidate,
+    gain: f64,
+    p_value: f64,
+    others: Vec<Vec<ChainPoint>>,
+}
+
+/// Search on one campaign.
+pub struct FormulaSearch<'a> {
+    setup: &'a FitSetup,
+    options: FitOptions,
+    points: Vec<ChainPoint>,
+    windows: Vec<Vec<Windows>>,
+    dictionary: Dictionary,
+}
+
+impl<'a> FormulaSearch<'a> {
+    /// Over these covariates; `axes`: whether a lateral and a longitudinal force were recorded.
+    pub fn new(
+        setup: &'a FitSetup,
+        covariates: &[String],
+        axes: [bool; 2],
+        options: FitOptions,
+    ) -> Self {
+        let windows = rows::windows(setup);
+        let dictionary = Dictionary::new(setup, covariates, &windows);
+        Self {
+            setup,
+            options,
+            points: ChainPoint::all(setup.design.is_some(), axes),
+            windows,
+            dictionary,
+        }
+    }
+
+    /// Number of terms.
+    pub fn size(&self) -> usize {
+        self.dictionary.values().first().map_or(0, nalgebra::DMatrix::nrows)
+    }
+
+    /// Searches from the model `start`; `None` where nothing is found.
+    ///
+    /// # Errors
+    /// A fit fails.
+    pub fn run(&self, start: &FittedModel, on_stage: &dyn Fn(&str)) -> Result<Option<Discovery>> {
+        let mut accepted: Vec<Accepted> = Vec::new();
+        let mut model = start.clone();
+        while accepted.len() < MAX_FORMULAS {
+            on_stage(&format!("searching formulas, step {}", accepted.len() + 1));
+            let scan = self.scan(&model);
+            let before = scan.score(&[]);
+            if before.held_out() < AT_NOISE * scan.entries() as f64 {
+                break;
+            }
+            let Some((candidate, score)) = self.best(&scan, &before) else {
+                break;
+            };
+            let gain = 1.0 - score.held_out() / before.held_out();
+            let improves = score.folds.iter().zip(&before.folds).all(|(new, old)| new < old);
+            if gain < MIN_GAIN || !improves {
+                break;
+            }
+            let columns = self.columns(&scan, &candidate);
+            let p_value = scan.p_value(&columns, self.dictionary.values(), self.options.seed);
+            if p_value >= MAX_P {
+                break;
+            }
+            let new = Accepted { candidate, gain, p_value, others: Vec::new() };
+            let mut all = accepted.clone();
+            all.push(new);
+            let Ok(next) = self.fitted(start, &all) else {
+                break;
+            };
+            if next.gain(&model) < MIN_GAIN || !next.improves_all_folds(&model) {
+                break;
+            }
+            (accepted, model) = (all, next);
+        }
+        if accepted.is_empty() {
+            return Ok(None);
+        }
+        on_stage("deciding where the formulas act");
+        self.drop_needless(start, &mut accepted)?;
+        for place in 0..accepted.len() {
+            self.decide_points(start, &mut accepted, place)?;
+        }
+        let mut discovery = Discovery { formulas: Vec::new(), stages: Vec::new() };
+        let mut effects = start.effects.clone();
+        for (number, accepted) in accepted.into_iter().enumerate() {
+            let name = self.name(start, number);
+            let own = accepted.candidate.effects(&name, true)?;
+            effects.extend(own.iter().cloned());
+            let split = self.setup.split(&effects);
+            discovery.stages.push(FittedModel::new(
+                self.setup,
+                effects.clone(),
+                split,
+                self.options,
+            )?);
+            discovery.formulas.push(DiscoveredFormula {
+                name,
+                effects: own,
+                models: Vec::new(),
+                covariates: accepted.candidate.covariates(),
+                targets: accepted.candidate.targets(),
+                gain: accepted.gain,
+                p_value: accepted.p_value,
+                other_targets: accepted
+                    .others
+                    .iter()
+                    .map(|points| points.iter().map(|point| point.target().0).collect())
+                    .collect(),
+            });
+        }
+        Ok(Some(discovery))
+    }
+
+    /// Name of the formula with this index, which no effect of the model has.
+    fn name(&self, start: &FittedModel, number: usize) -> String {
+        let taken = |name: &str| start.effects.iter().any(|effect| effect.name().starts_with(name));
+        let names = (number + 1..).map(|number| format!("formula_{number}"));
+        let mut free = names.filter(|name| !taken(name));
+        free.next().unwrap_or_default()
+    }
+
+    fn scan(&self, model: &FittedModel) -> Scan {
+        self.scan_without(model, &[])
+    }
+
+    /// The model linearised, without the columns of some of its formulas.
+    fn scan_without(&self, model: &FittedModel, without: &[EffectTerm]) -> Scan {
+        Scan::new(rows::of_model(self.setup, model, without, &self.points, &self.windows))
+    }
+
+    fn columns(&self, scan: &Scan, candidate: &Candidate) -> scan::Columns {
+        candidate.columns(self.setup, scan, &self.points, &self.windows)
+    }
+
+    /// The model with these formulas.
+    fn fitted(&self, start: &FittedModel, accepted: &[Accepted]) -> Result<FittedModel> {
+        let effects = self.effects(start, accepted)?;
+        let split = self.setup.split(&effects);
+        FittedModel::new(self.setup, effects, split, self.options)
+    }
+
+    fn effects(&self, start: &FittedModel, accepted: &[Accepted]) -> Result<Vec<EffectTerm>> {
+        let mut effects = start.effects.clone();
+        for (number, accepted) in accepted.iter().enumerate() {
+            effects.extend(accepted.candidate.effects(&self.name(start, number), false)?);
+        }
+        Ok(effects)
+    }
+
+    /// The simplest candidate within 2 % of the least remaining squared error, with its score.
+    fn best(&self, scan: &Scan, before: &Score) -> Option<(Candidate, Score)> {
+        let gains = scan.gains(self.dictionary.values());
+        let ranked = self.dictionary.ranked(&gains, &self.points, EXACT);
+        let mut scored: Vec<(Candidate, Score)> = ranked
+            .into_par_iter()
+            .map(|RankedCandidate { candidate, terms }| {
+                let of_sensor = |(sensor, rows): (usize, &SensorRows)| {
+                    let values = self.dictionary.values_of(sensor, &terms);
+                    columns_at(rows, &values, &candidate.points, &self.points)
+                };
+                let columns: scan::Columns = scan.rows.iter().enumerate().map(of_sensor).collect();
+                (candidate, scan.score(&columns))
+            })
+            .collect();
+        scored.sort_by(|a, b| a.1.held_out().total_cmp(&b.1.held_out()));
+        let refined: Vec<(Candidate, Score)> = scored
+            .iter()
+            .take(REFINED)
+            .flat_map(|(candidate, _)| {
+                let refined = self.refined(scan, candidate);
+                let extended = self.extended(scan, &refined.0, refined.1.held_out());
+                extended.into_iter().chain([refined])
+            })
+            .collect();
+        scored.extend(refined);
+        let least = scored.iter().map(|(_, score)| score.held_out()).fold(f64::INFINITY, f64::min);
+        if !least.is_finite() || least >= before.held_out() {
+            return None;
+        }
+        let is_near = |(_, score): &&(Candidate, Score)| score.held_out() <= (1.0 + NEAR) * least;
+        let order = |a: &&(Candidate, Score), b: &&(Candidate, Score)| {
+            let complexity = a.0.complexity().total_cmp(&b.0.complexity());
+            complexity.then(a.1.held_out().total_cmp(&b.1.held_out()))
+        };
+        scored.iter().filter(is_near).min_by(order).cloned()
+    }
+
+    /// The candidate with its nonlinear parameters at the least squared error on the fitted rows.
+    fn refined(&self, scan: &Scan, candidate: &Candidate) -> (Candidate, Score) {
+        let mut best = candidate.clone();
+        let mut score = scan.score(&self.columns(scan, &best));
+        for _ in 0..2 {
+            let start = score.fitted;
+            for parameter in 0..best.nonlinear().len() {
+                let at = |value: f64| {
+                    let moved = best.with_nonlinear(parameter, value);
+                    let score = scan.score(&self.columns(scan, &moved));
+                    (moved, score)
+                };
+                let bounds = best.nonlinear()[parameter];
+                let Some(found) = minimum(bounds.from, bounds.to, |value| at(value).1.fitted)
+                else {
+                    continue;
+                };
+                let (moved, new) = at(found);
+                if new.fitted < score.fitted {
+                    (best, score) = (moved, new);
+                }
+            }
+            if score.fitted > 0.99 * start {
+                break;
+            }
+        }
+        (best, score)
+    }
+
+    /// A product with one of its factors as a term of its own, where the remaining squared error falls by more than 2 %.
+    fn extended(
+        &self,
+        scan: &Scan,
+        candidate: &Candidate,
+        held_out: f64,
+    ) -> Option<(Candidate, Score)> {
+        let scored = candidate.with_lower_terms().into_iter().map(|extended| {
+            let score = scan.score(&self.columns(scan, &extended));
+            (extended, score)
+        });
+        let best = scored.min_by(|a, b| a.1.held_out().total_cmp(&b.1.held_out()))?;
+        (best.1.held_out() < (1.0 - NEAR) * held_out).then_some(best)
+    }
+
+    /// Drops formulas without which the squared error is hardly larger.
+    fn drop_needless(&self, start: &FittedModel, accepted: &mut Vec<Accepted>) -> Result<()> {
+        let mut place = 0;
+        while accepted.len() > 1 && place < accepted.len() {
+            let all = self.fitted(start, accepted)?;
+            let mut fewer = accepted.clone();
+            fewer.remove(place);
+            let without = self.fitted(start, &fewer)?;
+            if without.mean_square() < (1.0 + MIN_KEPT) * all.mean_square() {
+                *accepted = fewer;
+            } else {
+                place += 1;
+            }
+        }
+        Ok(())
+    }
+
+    /// Decides at which points of the chain a formula acts: by the whole model linearised with the formula at its present point,
+    /// and by full fits where other points are near.
+    fn decide_points(
+        &self,
+        start: &FittedModel,
+        accepted: &mut [Accepted],
+        place: usize,
+    ) -> Result<()> {
+        let fit = |candidate: &Candidate| {
+            let mut all = accepted.to_vec();
+            all[place].candidate = candidate.clone();
+            let effects = self.effects(start, &all)?;
+            FittedModel::without_validation(self.setup, effects, self.options)
+        };
+        let current = accepted[place].candidate.clone();
+        let model = fit(&current)?;
+        let own = current.effects(&self.name(start, place), false)?;
+        let scan = self.scan_without(&model, &own);
+        let mut options: Vec<Vec<ChainPoint>> =
+            self.points.iter().map(|point| vec![*point]).collect();
+        options.extend(ChainPoint::vectors(&self.points));
+        if !options.contains(&current.points) {
+            options.push(current.points.clone());
+        }
+        let mut scored: Vec<(Candidate, f64)> = options
+            .into_par_iter()
+            .map(|points| {
+                let candidate = Candidate { points, ..current.clone() };
+                let score = scan.score(&self.columns(&scan, &candidate)).fitted;
+                (candidate, score)
+            })
+            .collect();
+        scored.sort_by(|a, b| a.1.total_cmp(&b.1));
+        let least = scored.first().map_or(0.0, |(_, score)| *score);
+        let is_current = |candidate: &Candidate| candidate.points == current.points;
+        let near = scored.into_iter().filter(|(candidate, score)| {
+            *score < (1.0 + NEAR_LINEAR) * least || is_current(candidate)
+        });
+        let mut finalists: Vec<(Candidate, f64)> = near
+            .enumerate()
+            .filter(|(rank, (candidate, _))| *rank < FINALISTS || is_current(candidate))
+            .filter_map(|(_, (candidate, _))| {
+                let score = |model: &FittedModel| self.scan(model).score(&[]).fitted;
+                let score = if is_current(&candidate) {
+                    score(&model)
+                } else {
+                    score(&fit(&candidate).ok()?)
+                };
+                Some((candidate, score))
+            })
+            .collect();
+        finalists.sort_by(|a, b| a.1.total_cmp(&b.1));
+        let Some(least) = finalists.first().map(|(_, score)| *score) else {
+            return Ok(());
+        };
+        let near =
+            |limit: f64| finalists.iter().filter(move |(_, score)| *score <= (1.0 + limit) * least);
+        let order = |a: &&(Candidate, f64), b: &&(Candidate, f64)| {
+            let columns = a.0.points.len().cmp(&b.0.points.len());
+            columns.then(a.1.total_cmp(&b.1))
+        };
+        let Some(chosen) = near(NEAR_POINT).min_by(order) else {
+            return Ok(());
+        };
+        let others = near(NEAR).filter(|(other, _)| other.points != chosen.0.points);
+        accepted[place].others = others.map(|(other, _)| other.points.clone()).collect();
+        accepted[place].candidate = chosen.0.clone();
+        Ok(())
+    }
+}
+
+/// Place of the minimum of a function between two bounds: a grid, then a golden-section search.
+fn minimum(from: f64, to: f64, value: impl Fn(f64) -> f64) -> Option<f64> {
+    const GRID: usize = 7;
+    const STEPS: usize = 12;
+    let grid: Vec<f64> =
+        (0..GRID).map(|i| from + (to - from) * i as f64 / (GRID - 1) as f64).collect();
+    let values: Vec<f64> = grid.iter().map(|at| value(*at)).collect();
+    let best = (0..GRID).min_by(|a, b| values[*a].total_cmp(&values[*b]))?;
+    let (mut low, mut high) = (grid[best.saturating_sub(1)], grid[(best + 1).min(GRID - 1)]);
+    let golden = 0.5 * (5.0_f64.sqrt() - 1.0);
+    let inner = |low: f64, high: f64| (high - golden * (high - low), low + golden * (high - low));
+    let (mut left, mut right) = inner(low, high);
+    let (mut at_left, mut at_right) = (value(left), value(right));
+    for _ in 0..STEPS {
+        if at_left < at_right {
+            (high, right, at_right) = (right, left, at_left);
+            left = inner(low, high).0;
+            at_left = value(left);
+        } else {
+            (low, left, at_left) = (left, right, at_right);
+            right = inner(low, high).1;
+            at_right = value(right);
+        }
+    }
+    let (at, least) = if at_left < at_right { (left, at_left) } else { (right, at_right) };
+    Some(if least < values[best] { at } else { grid[best] })
+}
