@@ -7,6 +7,7 @@ use crate::effects::{AssignedEffect, Effect, Effects, Flexures};
 use crate::finger::SensorSpecimen;
 use crate::hall_sensor::{DRIFT_S, HallScale, NoiseKind};
 use crate::motion::Programme;
+use crate::uncatalogued::Law;
 use anyhow::{Context, Result, bail};
 use model_export::effects::catalogue::{
     CREEP, DEMAGNETISATION, EARTH_FIELD, EXTERNAL_MAGNET, FIELD_DRIFT, HYSTERESIS, MOTOR_LEAKAGE,
@@ -138,8 +139,17 @@ fn details(chosen: &AssignedEffect, effects: &Effects, gripper: &CampaignGripper
         table.insert(key.to_owned(), value?);
         Ok(())
     };
-    let id = chosen.effect.kind.id;
-    if id == HYSTERESIS.id {
+    let kind = chosen.effect.kind;
+    let id = kind.id;
+    if !kind.is_in_catalogue {
+        insert("outside_catalogue", Value::try_from(true))?;
+        insert("equation", Value::try_from(kind.equation))?;
+        insert("covariates", Value::try_from(kind.covariates))?;
+        let laws: Vec<&Law> = sensors().filter_map(|s| s.uncatalogued.law(id)).collect();
+        if !laws.is_empty() {
+            insert("drawn", Value::try_from(laws))?;
+        }
+    } else if id == HYSTERESIS.id {
         insert("flexures", Value::try_from(chosen.effect.flexures))?;
     } else if id == CREEP.id {
         insert("time_constant_s", Value::try_from(effects.creep_s))?;
