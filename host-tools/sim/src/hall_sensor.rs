@@ -286,4 +286,41 @@ mod tests {
         let field = Vector3::new(1.0, 2500.0, -0.07);
         assert_eq!(HallScale::a31301().counts(field), [8, 16_000, -1]);
     }
+
+    #[test]
+    fn displacement_outside_the_catalogue_moves_the_magnet() {
+        let effects = Effects::new(&[], 5, 1, 0.0).unwrap();
+        let specimen = SensorSpecimen::draw(&NominalDesign::magpie(), 0, 5, 1.0);
+        let mut unit = SensorUnit::new(&NominalDesign::magpie(), 0, (5, 1.0), &effects, [200.0; 2]);
+        let moved = SensorSpecimen {
+            offset_mm: [specimen.offset_mm[0] + 0.02, specimen.offset_mm[1] - 0.03],
+            gap_mm: specimen.gap_mm + 0.01,
+            ..specimen
+        };
+        let displacement_mm = Vector3::new(0.02, 0.01, -0.03);
+        let uncatalogued = Contribution { displacement_mm, ..Contribution::default() };
+        let conditions = FieldConditions::default();
+        let displaced = unit.field(&FieldConditions { uncatalogued, ..conditions });
+        let before = unit.field(&conditions);
+        unit.finger = SensorFinger::new(&moved, &effects, [200.0; 2]);
+        assert!((unit.field(&conditions) - displaced).amax() < 1e-9);
+        assert!((displaced - before).amax() > 5.0);
+    }
+
+    #[test]
+    fn rotation_and_gain_outside_the_catalogue_act_on_the_element() {
+        let read = |uncatalogued| {
+            let conditions = FieldConditions { uncatalogued, ..FieldConditions::default() };
+            let element = element("sensor_compression=0");
+            element.reading(Vector3::new(200.0, 1000.0, 0.0), &conditions, 0.0)
+        };
+        let rotation_rad = Vector3::new(0.01, 0.0, 0.0);
+        let turned = read(Contribution { rotation_rad, ..Contribution::default() });
+        // The element turns from y towards z, and the field in its axes from y towards -z.
+        let (sin, cos) = libm::sincos(0.01);
+        assert!((turned - Vector3::new(200.0, 1000.0 * cos, -1000.0 * sin)).amax() < 1e-9);
+        let gain = Vector3::new(-0.03, 0.0, 0.0);
+        let amplified = read(Contribution { gain, ..Contribution::default() });
+        assert!((amplified - Vector3::new(194.0, 1000.0, 0.0)).amax() < 1e-9);
+    }
 }

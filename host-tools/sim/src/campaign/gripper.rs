@@ -148,8 +148,8 @@ mod tests {
     use crate::motion::Programme;
     use model_export::recordings::description::NominalDesign;
 
-    fn gripper(effects: &[&str]) -> CampaignGripper {
-        let settings = CampaignSettings {
+    fn settings(effects: &[&str]) -> CampaignSettings {
+        CampaignSettings {
             seed: 1,
             programme: Programme::Bench,
             recordings: 3,
@@ -165,7 +165,11 @@ mod tests {
             reference_noise_n: 0.0,
             effects: effects.iter().map(|id| id.parse().unwrap()).collect(),
             hidden: false,
-        };
+        }
+    }
+
+    fn gripper(effects: &[&str]) -> CampaignGripper {
+        let settings = settings(effects);
         let effects = Effects::new(&settings.effects, 1, 1, 0.0).unwrap();
         CampaignGripper::new(&settings, &effects, &[])
     }
@@ -189,5 +193,40 @@ mod tests {
         };
         assert!((at(gripper.losses[1]) / at(gripper.losses[0]) - 0.995).abs() < 1e-12);
         assert_eq!(gripper.losses[2], gripper.losses[1]);
+    }
+
+    /// Position of the magnet and reading after four seconds of the first recording, with the excitation at that time.
+    fn after_four_seconds(effects: &[&str]) -> (Vector3<f64>, Vector3<f64>, Excitation) {
+        let settings = settings(effects);
+        let excitation = settings.excitation(1);
+        let mut gripper = gripper(effects);
+        let mut reading = Vector3::zeros();
+        for step in 0..=4000 {
+            let time = CampaignTime { recording: 1, time_s: 1e-3 * f64::from(step), since_s: 1e-3 };
+            reading = gripper.advance(&settings, &excitation, time)[0];
+        }
+        let centre_mm = gripper.sensors[0].finger.magnet(0.0, 0.0).centre_mm;
+        (centre_mm, reading, excitation)
+    }
+
+    #[test]
+    fn force_outside_the_catalogue_deflects_its_flexure() {
+        let (centre_mm, _, excitation) = after_four_seconds(&["overhang=5"]);
+        let [fx_n, fz_n] = excitation.load(0, 4.0);
+        let compliance = 1.0 + 0.05 * (excitation.motion(4.0).opening_mm - 25.0) / 20.0;
+        assert!((centre_mm.x * 500.0 - fx_n).abs() < 1e-6, "{centre_mm}");
+        assert!((centre_mm.z * 800.0 - fz_n * compliance).abs() < 1e-6, "{centre_mm}");
+        assert!((compliance - 1.0).abs() > 0.005 && fz_n.abs() > 5.0, "{compliance} {fz_n}");
+    }
+
+    #[test]
+    fn field_outside_the_catalogue_is_added_to_the_reading() {
+        let (clean_mm, clean, excitation) = after_four_seconds(&[]);
+        let (centre_mm, reading, _) = after_four_seconds(&["warm_leakage=6"]);
+        let current_a = excitation.motion(4.0).current_a;
+        let warm_k = excitation.temperature_c(0, 4.0) - REFERENCE_C;
+        let expected_g = (6.0 * current_a / 10.0 * warm_k / 10.0).abs();
+        assert!(((reading - clean).norm() - expected_g).abs() < 1e-9);
+        assert!(centre_mm == clean_mm && expected_g > 0.01, "{expected_g}");
     }
 }

@@ -306,7 +306,7 @@ mod tests {
     #[test]
     fn settings_of_a_truth_reproduce_the_campaign() {
         let folder = tempfile::TempDir::new().unwrap();
-        let effects = ["hysteresis=0.5:both", "screw_backlash", "creep=3"];
+        let effects = ["hysteresis=0.5:both", "screw_backlash", "creep=3", "bracket_lag"];
         let original = CampaignSettings {
             seed: 7,
             programme: Programme::Level,
@@ -329,5 +329,15 @@ mod tests {
         std::fs::write(&path, truth.text().unwrap()).unwrap();
         let again = simulate(&read_settings(&path).unwrap(), &folder.path().join("again"), || ());
         assert_eq!(again.unwrap().text().unwrap(), truth.text().unwrap());
+        let text: Table = truth.text().unwrap().parse().unwrap();
+        let of = |id: &str| {
+            let mut effects = text["effect"].as_array().unwrap().iter();
+            effects.find(|effect| effect["id"].as_str() == Some(id)).unwrap().as_table().unwrap()
+        };
+        let outside = of("bracket_lag");
+        assert_eq!(outside["covariates"], Value::from(vec!["temp_c"]));
+        assert_eq!(outside["drawn"].as_array().unwrap().len(), 2);
+        assert!((3.0..8.0).contains(&outside["drawn"][0]["tau_s"].as_float().unwrap()));
+        assert!(!of("creep").contains_key("covariates"));
     }
 }

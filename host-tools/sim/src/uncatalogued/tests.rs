@@ -1,7 +1,7 @@
 //! Each effect outside the catalogue acts at one point of the chain, on its own covariates, and vanishes without them.
 
 use super::*;
-use crate::effects::Effects;
+use crate::effects::{EffectKind, Effects};
 use std::f64::consts::TAU;
 
 /// One sensor of a gripper of four, with one effect.
@@ -37,10 +37,10 @@ const BUSY: Covariates = Covariates {
 /// Shortly before it.
 const EARLIER: Covariates = Covariates { opening_mm: 37.2, warm_k: 7.9, ..BUSY };
 
-/// Contribution after `before`, a tenth of a second earlier, in the same recording.
+/// Contribution after `before`, an eighth of a second earlier, in the same recording.
 fn after(effects: &UncataloguedEffects, before: Covariates, now: Covariates) -> Contribution {
     let mut effects = effects.clone();
-    effects.advance(Covariates { session_s: now.session_s - 0.1, ..before });
+    effects.advance(Covariates { session_s: now.session_s - 0.125, ..before });
     effects.advance(now)
 }
 
@@ -57,7 +57,7 @@ fn with_changed(at: Covariates, column: &str) -> Covariates {
         "accel_y_mps2" => at.specific_force.y += 1.7,
         "accel_z_mps2" => at.specific_force.z += 1.7,
         "roll_rad" => at.roll_rad += 0.21,
-        "session_s" => at.session_s += 1.3,
+        "session_s" => at.session_s += 2.0,
         other => panic!("{other}"),
     }
     at
@@ -205,8 +205,8 @@ fn magnitude_is_that_of_the_definition() {
     near(at(&BRACKET_SOFTENING, upright).rotation_rad.x, &BRACKET_SOFTENING, 1e-3);
     let open = Covariates { load_n: [0.0, 80.0], opening_mm: 45.0, ..REST };
     near(at(&OVERHANG, open).force_n[1], &OVERHANG, 0.8);
-    // A tenth of a second after the unloaded, closed gripper: 500 N/s and 1000 mm/s.
-    near(at(&RATE_GAIN, Covariates { load_n: [50.0, 0.0], ..REST }).gain.x, &RATE_GAIN, 0.01);
+    // An eighth of a second after the unloaded gripper at rest: 500 N/s and 800 mm/s.
+    near(at(&RATE_GAIN, Covariates { load_n: [62.5, 0.0], ..REST }).gain.x, &RATE_GAIN, 0.01);
     near(at(&WIPER_DRAG, Covariates { opening_mm: 115.0, ..REST }).force_n[0], &WIPER_DRAG, 1.0);
     let at_force =
         |fz_n: f64| at(&CLEARANCE, Covariates { load_n: [0.0, fz_n], ..REST }).force_n[1];
