@@ -89,7 +89,7 @@ Examples:
   cargo magpie simulate -o disturbed --effect external_magnet=60   # times in disturbed-truth.toml
   cargo magpie simulate -o hard --load 1.3 --warmer 15    # the same gripper beyond the fitted range
   cargo magpie simulate -o other --design design.toml     # another magnet, stiffness, number of sensors
-  cargo magpie simulate -o ripple --effect guide_ripple   # outside the catalogue: equation in ripple-truth.toml
+  cargo magpie simulate -o ripple --effect guide_ripple   # no effect of the catalogue
   cargo magpie simulate -o blind --random-effects 2 --seed 7    # the solution is in blind-truth.toml
 
 Effects with typical magnitudes (friction accepts the suffix :lateral, :longitudinal or :both):
