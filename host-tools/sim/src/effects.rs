@@ -1,6 +1,7 @@
 //! Simulated effects: units and valid magnitudes, selection, variation between sensors.
 
 use crate::random::{Purpose, stream, uniform};
+use crate::uncatalogued;
 use anyhow::{Context, Result, bail};
 use model_export::effects::catalogue::{HYSTERESIS, NEIGHBOUR_MAGNET, SCREW_BACKLASH};
 use model_export::effects::{CATALOGUE, SimulatedMagnitude, Simulation};
@@ -11,7 +12,9 @@ use std::str::FromStr;
 use std::sync::LazyLock;
 
 /// Relative variation between sensors of effects that are not a material property.
-const VARIATION: f64 = 0.1;
+pub const VARIATION: f64 = 0.1;
+/// Limit of the variation: no sensor loses an effect, and none has it with the opposite sign.
+const MAX_VARIATION: f64 = 0.8;
 
 /// Range of random magnitudes, as multiples of the typical one.
 const RANDOM_RANGE: [f64; 2] = [0.8, 1.25];
@@ -161,12 +164,17 @@ impl Effects {
             if same.next().is_some() {
                 bail!("{} is given twice", kind.id);
             }
-            let variation = if kind.magnitude.shared { 0.0 } else { VARIATION * scatter };
+            let variation = if kind.magnitude.shared { 0.0 } else { kind.variation * scatter };
             chosen.push(AssignedEffect {
-                each: each(seed, kind.magnitude.random_stream, sensors, variation)
-                    .iter()
-                    .map(|share| share * effect.size)
-                    .collect(),
+                each: each(
+                    seed,
+                    kind.magnitude.random_stream,
+                    sensors,
+                    variation.min(MAX_VARIATION),
+                )
+                .iter()
+                .map(|share| share * effect.size)
+                .collect(),
                 effect: effect.clone(),
                 needed_by: needed_by.filter(|_| kind.id == NEIGHBOUR_MAGNET.id),
             });
@@ -231,11 +239,24 @@ pub struct EffectKind {
     pub unit: &'static str,
     /// Range and definition of the magnitude.
     pub magnitude: SimulatedMagnitude,
+    /// Relative variation between sensors; unused where the magnitude is shared.
+    pub variation: f64,
     /// May be drawn at random; effects outside the catalogue are simulated by name only.
     pub is_in_catalogue: bool,
+    /// Equation, gripper axes.
+    pub equation: &'static str,
+    /// Recorded columns on which an effect outside the catalogue depends; for the others, see the catalogue.
+    pub covariates: &'static [&'static str],
 }
 
-/// All simulated effects in the order of their random streams: those of the catalogue, and three outside of it.
+impl EffectKind {
+    /// True for an effect that [`crate::campaign`] simulates and the closed loop does not.
+    pub fn is_campaign_only(&self) -> bool {
+        !self.is_in_catalogue && self.id != uncatalogued::SCREW_RIPPLE.id
+    }
+}
+
+/// All simulated effects in the order of their random streams: those of the catalogue, and those outside of it.
 pub static EFFECT_KINDS: LazyLock<Vec<EffectKind>> = LazyLock::new(|| {
     let simulated = CATALOGUE.into_iter().filter_map(|effect| match effect.simulation {
         Simulation::Magnitude(magnitude) => Some(EffectKind {
@@ -243,57 +264,17 @@ pub static EFFECT_KINDS: LazyLock<Vec<EffectKind>> = LazyLock::new(|| {
             typical: effect.size.typical,
             unit: effect.size.unit,
             magnitude,
+            variation: VARIATION,
             is_in_catalogue: true,
+            equation: effect.equation,
+            covariates: &[],
         }),
         Simulation::Never(_) => None,
     });
-    let mut kinds: Vec<EffectKind> =
-        simulated.chain([SCREW_RIPPLE, CROSS_TERM, UNLOGGED]).collect();
+    let mut kinds: Vec<EffectKind> = simulated.chain(uncatalogued::KINDS).collect();
     kinds.sort_by_key(|kind| kind.magnitude.random_stream);
     kinds
 });
-
-/// Longitudinal motion of the magnet with the screw's turn.
-pub const SCREW_RIPPLE: EffectKind = EffectKind {
-    id: "screw_ripple",
-    typical: 2.0,
-    unit: "um",
-    magnitude: SimulatedMagnitude {
-        random_stream: 23,
-        range: (-50.0, 50.0),
-        meaning: "longitudinal motion of the magnet with the screw's turn",
-        shared: false,
-    },
-    is_in_catalogue: false,
-};
-
-/// Field proportional to a product of two covariates.
-pub const CROSS_TERM: EffectKind = EffectKind {
-    id: "cross_term",
-    typical: 1.0,
-    unit: "G",
-    magnitude: SimulatedMagnitude {
-        random_stream: 24,
-        range: (-50.0, 50.0),
-        meaning: "field of current times opening: 10 A, 10 mm off the middle",
-        shared: true,
-    },
-    is_in_catalogue: false,
-};
-
-/// Field of which no covariate is recorded.
-pub const UNLOGGED: EffectKind = EffectKind {
-    id: "unlogged",
-    typical: 3.0,
-    unit: "G",
-    magnitude: SimulatedMagnitude {
-        random_stream: 25,
-        range: (0.0, 50.0),
-        meaning: "greatest field of a disturbance that nobody records",
-        shared: true,
-    },
-    is_in_catalogue: false,
-};
 
 /// The effect with this identifier.
 pub fn find_kind(id: &str) -> Option<&'static EffectKind> {

@@ -1,9 +1,9 @@
-//! Fields from outside the finger: opposite finger, motor, Earth, a passing magnet, and effects outside the catalogue.
+//! Fields from outside the finger: opposite finger, motor, Earth, a passing magnet.
 
-use crate::effects::{CROSS_TERM, Effects, UNLOGGED};
+use crate::effects::Effects;
 use crate::finger::{MagnetPose, SensorSpecimen};
 use crate::motion::{MotionState, Orientation, POLE_PAIRS};
-use crate::random::{Purpose, SineSum, normal, stream, uniform, unit_vector};
+use crate::random::{Purpose, normal, stream, uniform, unit_vector};
 use model_export::effects::catalogue::{EARTH_FIELD, MOTOR_LEAKAGE};
 use model_export::physics::{Cylinder, Magnet, MagnetBody, Magnetisation};
 use nalgebra::{Matrix3, Rotation3, Vector3};
@@ -218,39 +218,6 @@ impl PassingMagnet {
     }
 }
 
-/// Current in A and opening offset in mm at which the product is specified.
-const PRODUCT_AT: (f64, f64) = (10.0, 10.0);
-/// Opening at which the product is zero, in mm.
-const PRODUCT_ZERO_MM: f64 = 15.0;
-/// Frequency range of the disturbance: that of the loads, and slower.
-const DISTURBANCE_HZ: [f64; 2] = [0.03, 0.6];
-/// Sines of each axis.
-const SINES: u32 = 6;
-
-/// Fields outside the catalogue, equal for all sensors: a product of two covariates and an unlogged disturbance.
-pub struct UncataloguedField {
-    product_g: Vector3<f64>,
-    disturbance: [SineSum; 3],
-}
-
-impl UncataloguedField {
-    /// Draws directions, frequencies and phases.
-    pub fn draw(effects: &Effects, seed: u64) -> Self {
-        let mut rng = stream(seed, Purpose::Uncatalogued, 0);
-        let product_g = unit_vector(&mut rng) * effects.size(CROSS_TERM.id);
-        let peaks = unit_vector(&mut rng) * effects.size(UNLOGGED.id);
-        let mut waves = |peak: f64| SineSum::draw(&mut rng, SINES, DISTURBANCE_HZ, peak);
-        Self { product_g, disturbance: [waves(peaks.x), waves(peaks.y), waves(peaks.z)] }
-    }
-
-    /// Field in gauss, gripper axes, `session_s` after the start of the campaign.
-    pub fn field(&self, motion: &MotionState, session_s: f64) -> Vector3<f64> {
-        let off = (motion.opening_mm - PRODUCT_ZERO_MM) / PRODUCT_AT.1;
-        let disturbance = self.disturbance.each_ref().map(|waves| waves.at(session_s));
-        self.product_g * (motion.current_a / PRODUCT_AT.0 * off) + Vector3::from(disturbance)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -315,32 +282,5 @@ mod tests {
         let mut peaks: Vec<f64> = (1..=3).map(max_field).collect();
         peaks.sort_by(f64::total_cmp);
         assert!(peaks[1] == 0.0 && (peaks[2] - 5.0).abs() < 0.01, "{peaks:?}");
-    }
-
-    fn drawn(effect: &str) -> UncataloguedField {
-        let effects = Effects::new(&[effect.parse().unwrap()], 3, 1, 0.0).unwrap();
-        UncataloguedField::draw(&effects, 3)
-    }
-
-    fn motion(opening_mm: f64, current_a: f64) -> MotionState {
-        MotionState { opening_mm, angle_rad: 0.0, current_a }
-    }
-
-    #[test]
-    fn product_field_vanishes_with_either_factor() {
-        let drawn = drawn("cross_term=2");
-        assert!((drawn.field(&motion(25.0, 10.0), 7.0).norm() - 2.0).abs() < 1e-12);
-        assert_eq!(drawn.field(&motion(25.0, 0.0), 7.0).norm(), 0.0);
-        assert_eq!(drawn.field(&motion(15.0, 10.0), 7.0).norm(), 0.0);
-    }
-
-    #[test]
-    fn disturbance_depends_on_time_only_and_is_bounded() {
-        let drawn = drawn("unlogged=3");
-        let at = |s: f64| drawn.field(&motion(0.0, 5.0), s);
-        assert_eq!(at(2.0), drawn.field(&motion(20.0, -5.0), 2.0));
-        let max_field = (0..2000).map(|i| at(0.1 * f64::from(i)).norm());
-        let max_field = max_field.fold(0.0, f64::max);
-        assert!((0.5..=3.0).contains(&max_field), "{max_field}");
     }
 }

@@ -15,6 +15,7 @@ use crate::effects::Effects;
 use crate::external_fields::{NeighbourMagnet, motor_leakage};
 use crate::finger::{SensorFinger, SensorSpecimen};
 use crate::random::{Purpose, normal_vector, stream, unit_vector};
+use crate::uncatalogued::{Contribution, UncataloguedEffects};
 
 /// RMS noise of the A31301 at full rate, in gauss.
 pub const NOISE_G: f64 = constants::SENSOR_NOISE.value;
@@ -45,7 +46,7 @@ pub enum NoiseKind {
 }
 
 /// What determines the field of a sensor, besides its load.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FieldConditions {
     /// Temperature above the reference, in kelvin.
     pub warm_k: f64,
@@ -57,6 +58,8 @@ pub struct FieldConditions {
     pub currents_a: Vector3<f64>,
     /// Share of the demagnetisation.
     pub lost: f64,
+    /// Effects outside the catalogue.
+    pub uncatalogued: Contribution,
 }
 
 /// A sensor with its finger and the sources that depend on its place.
@@ -71,6 +74,8 @@ pub struct SensorUnit {
     pub neighbour: NeighbourMagnet,
     /// Motor leakage in G/A: axes by alpha, beta and quadrature current.
     pub leakage: Matrix3<f64>,
+    /// Effects outside the catalogue; without influence until they are advanced.
+    pub uncatalogued: UncataloguedEffects,
     /// Change of remanence with temperature, in 1/K.
     per_kelvin: f64,
     /// Loss of remanence by demagnetisation.
@@ -93,6 +98,7 @@ impl SensorUnit {
             element: HallElement::draw(&specimen, effects, seed),
             neighbour: NeighbourMagnet::draw(&specimen, seed, scatter, neighbour_g),
             leakage: motor_leakage(&specimen, effects, seed),
+            uncatalogued: UncataloguedEffects::draw(effects, seed, number),
             per_kelvin: 0.01 * effects.size(MAGNET_TEMPERATURE.id),
             loss: 0.01 * effects.each(DEMAGNETISATION.id, number),
             specimen,
@@ -101,16 +107,19 @@ impl SensorUnit {
 
     /// Field of both fingers' magnets and of the motor in gauss, gripper axes.
     pub fn field(&self, at: &FieldConditions) -> Vector3<f64> {
-        self.own_field(at.warm_k, at.screw_turns, at.lost)
+        self.own_field(at)
             + self.neighbour.field(at.opening_mm)
             + self.leakage * at.currents_a
+            + at.uncatalogued.field_g
     }
 
-    /// Field of the finger's own magnet in gauss, gripper axes; `lost` is the share of the demagnetisation.
-    pub fn own_field(&self, warm_k: f64, screw_turns: f64, lost: f64) -> Vector3<f64> {
-        let remanence =
-            self.specimen.remanence_t * (1.0 + self.per_kelvin * warm_k) * (1.0 - self.loss * lost);
-        let pose = self.finger.magnet(warm_k, screw_turns);
+    /// Field of the finger's own magnet in gauss, gripper axes.
+    pub fn own_field(&self, at: &FieldConditions) -> Vector3<f64> {
+        let remanence = self.specimen.remanence_t
+            * (1.0 + self.per_kelvin * at.warm_k)
+            * (1.0 - self.loss * at.lost);
+        let mut pose = self.finger.magnet(at.warm_k, at.screw_turns);
+        pose.centre_mm += at.uncatalogued.displacement_mm;
         pose.unit_field(&self.specimen.magnet) * remanence
     }
 }
@@ -146,14 +155,21 @@ impl HallElement {
         self.rotation * field_g
     }
 
-    /// Reading in gauss of a field in gripper axes, `warm_k` above the reference temperature, `session_s` after the
-    /// start of the campaign.
-    pub fn reading(&self, field_g: Vector3<f64>, warm_k: f64, session_s: f64) -> Vector3<f64> {
-        let own = self.rotation * field_g;
+    /// Reading in gauss of a field in gripper axes, `session_s` after the start of the campaign.
+    pub fn reading(
+        &self,
+        field_g: Vector3<f64>,
+        at: &FieldConditions,
+        session_s: f64,
+    ) -> Vector3<f64> {
+        let Contribution { rotation_rad, gain, .. } = at.uncatalogued;
+        let turned = Rotation3::from_scaled_axis(-rotation_rad) * field_g;
+        let own = self.rotation * turned;
+        let own = own + own.component_mul(&gain);
         let compressed =
             own.map(|b| b * (1.0 - self.compression * (b / COMPRESSION_FIELD_G).powi(2)));
         let drifted = -libm::expm1(-session_s / DRIFT_S);
-        compressed + self.bias_g + self.per_kelvin_g * warm_k + self.drift_g * drifted
+        compressed + self.bias_g + self.per_kelvin_g * at.warm_k + self.drift_g * drifted
     }
 }
 
@@ -237,15 +253,17 @@ mod tests {
 
     #[test]
     fn compression_reduces_the_reading_by_1_percent_at_1300_g() {
-        let read = element("sensor_compression").reading(Vector3::new(0.0, 1300.0, 0.0), 0.0, 0.0);
+        let field_g = Vector3::new(0.0, 1300.0, 0.0);
+        let read = element("sensor_compression").reading(field_g, &FieldConditions::default(), 0.0);
         assert!((read.y - 0.99 * 1300.0).abs() < 1e-9);
     }
 
     #[test]
     fn drifts_have_the_specified_norm() {
-        let zero = Vector3::zeros();
-        let warm = element("sensor_temperature=0.2").reading(zero, 10.0, 0.0);
-        let late = element("field_drift=0.7").reading(zero, 0.0, 600.0);
+        let (zero, cool) = (Vector3::zeros(), FieldConditions::default());
+        let ten_k = FieldConditions { warm_k: 10.0, ..cool };
+        let warm = element("sensor_temperature=0.2").reading(zero, &ten_k, 0.0);
+        let late = element("field_drift=0.7").reading(zero, &cool, 600.0);
         assert!((warm.norm() - 2.0).abs() < 1e-12);
         assert!((late.norm() - 0.7 * (1.0 - libm::exp(-1.0))).abs() < 1e-12);
     }
@@ -267,5 +285,42 @@ mod tests {
     fn counts_are_eighths_of_a_gauss_and_saturate() {
         let field = Vector3::new(1.0, 2500.0, -0.07);
         assert_eq!(HallScale::a31301().counts(field), [8, 16_000, -1]);
+    }
+
+    #[test]
+    fn displacement_outside_the_catalogue_moves_the_magnet() {
+        let effects = Effects::new(&[], 5, 1, 0.0).unwrap();
+        let specimen = SensorSpecimen::draw(&NominalDesign::magpie(), 0, 5, 1.0);
+        let mut unit = SensorUnit::new(&NominalDesign::magpie(), 0, (5, 1.0), &effects, [200.0; 2]);
+        let moved = SensorSpecimen {
+            offset_mm: [specimen.offset_mm[0] + 0.02, specimen.offset_mm[1] - 0.03],
+            gap_mm: specimen.gap_mm + 0.01,
+            ..specimen
+        };
+        let displacement_mm = Vector3::new(0.02, 0.01, -0.03);
+        let uncatalogued = Contribution { displacement_mm, ..Contribution::default() };
+        let conditions = FieldConditions::default();
+        let displaced = unit.field(&FieldConditions { uncatalogued, ..conditions });
+        let before = unit.field(&conditions);
+        unit.finger = SensorFinger::new(&moved, &effects, [200.0; 2]);
+        assert!((unit.field(&conditions) - displaced).amax() < 1e-9);
+        assert!((displaced - before).amax() > 5.0);
+    }
+
+    #[test]
+    fn rotation_and_gain_outside_the_catalogue_act_on_the_element() {
+        let read = |uncatalogued| {
+            let conditions = FieldConditions { uncatalogued, ..FieldConditions::default() };
+            let element = element("sensor_compression=0");
+            element.reading(Vector3::new(200.0, 1000.0, 0.0), &conditions, 0.0)
+        };
+        let rotation_rad = Vector3::new(0.01, 0.0, 0.0);
+        let turned = read(Contribution { rotation_rad, ..Contribution::default() });
+        // The element turns from y towards z, and the field in its axes from y towards -z.
+        let (sin, cos) = libm::sincos(0.01);
+        assert!((turned - Vector3::new(200.0, 1000.0 * cos, -1000.0 * sin)).amax() < 1e-9);
+        let gain = Vector3::new(-0.03, 0.0, 0.0);
+        let amplified = read(Contribution { gain, ..Contribution::default() });
+        assert!((amplified - Vector3::new(194.0, 1000.0, 0.0)).amax() < 1e-9);
     }
 }

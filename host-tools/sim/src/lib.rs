@@ -4,6 +4,7 @@
 //!
 //! - [`finger`], [`flexure`], [`friction`], [`hall_sensor`], [`external_fields`], [`effects`], [`motion`]: one sensor and
 //!   what acts on it; shared by all simulators.
+//! - [`uncatalogued`]: effects that are not in the catalogue; all but one act in campaigns only.
 //! - [`campaign`]: data sets of calibration recordings, written as files.
 //! - [`drivetrain`]: motor, screw, fingers and object in time.
 //! - [`board`]: buses, flash and tasks of the firmware in virtual time.
@@ -23,3 +24,4 @@ pub mod friction;
 pub mod hall_sensor;
 pub mod motion;
 pub mod random;
+pub mod uncatalogued;

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use analysis::{numbers, progress};
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result, bail, ensure};
 use clap::Subcommand;
 use device::emulation::calibration::{evaluate, record_campaign};
 use emulator::Image;
@@ -118,6 +118,12 @@ impl HiddenArgs {
             Some(count) => draw_random_effects(self.seed, count, 1.0)?,
             None => self.effects.clone(),
         };
+        if let Some(effect) = effects.iter().find(|effect| effect.kind.is_campaign_only()) {
+            bail!(
+                "{} is simulated in campaigns only; use cargo magpie simulate --effect {0}",
+                effect.kind.id
+            );
+        }
         Ok(BenchSetup {
             seed: self.seed,
             excitation_seed: self.seed.wrapping_mul(2).wrapping_add(excitation),

@@ -14,7 +14,7 @@ use report::text::terminal;
 use sim::campaign;
 use sim::campaign::settings::CampaignSettings;
 use sim::campaign::truth;
-use sim::effects::{EFFECT_KINDS, Effect, draw_random_effects};
+use sim::effects::{EFFECT_KINDS, Effect, EffectKind, draw_random_effects};
 use sim::hall_sensor::{HallScale, NoiseKind};
 use sim::motion::Programme;
 
@@ -89,16 +89,26 @@ Examples:
   cargo magpie simulate -o disturbed --effect external_magnet=60   # times in disturbed-truth.toml
   cargo magpie simulate -o hard --load 1.3 --warmer 15    # the same gripper beyond the fitted range
   cargo magpie simulate -o other --design design.toml     # another magnet, stiffness, number of sensors
+  cargo magpie simulate -o ripple --effect guide_ripple   # no effect of the catalogue
   cargo magpie simulate -o blind --random-effects 2 --seed 7    # the solution is in blind-truth.toml
 
 Effects with typical magnitudes (friction accepts the suffix :lateral, :longitudinal or :both):
 "
     .to_owned();
-    for kind in EFFECT_KINDS.iter() {
-        let typical = format!("{}={}", kind.id, kind.typical);
-        text += &format!("  {typical:<28} {:<6} {}\n", kind.unit, kind.magnitude.meaning);
-    }
+    text += &effect_list(true);
+    text += "\nEffects that no effect of the catalogue represents; never drawn at random:\n";
+    text += &effect_list(false);
     text
+}
+
+/// Lines of the effects with their typical magnitudes.
+fn effect_list(is_in_catalogue: bool) -> String {
+    let kinds = EFFECT_KINDS.iter().filter(|kind| kind.is_in_catalogue == is_in_catalogue);
+    let line = |kind: &EffectKind| {
+        let typical = format!("{}={}", kind.id, kind.typical);
+        format!("  {typical:<28} {:<6} {}\n", kind.unit, kind.magnitude.meaning)
+    };
+    kinds.map(line).collect()
 }
 
 /// Reads `ID` or `ID=MAGNITUDE`.

@@ -7,6 +7,7 @@ use crate::effects::{AssignedEffect, Effect, Effects, Flexures};
 use crate::finger::SensorSpecimen;
 use crate::hall_sensor::{DRIFT_S, HallScale, NoiseKind};
 use crate::motion::Programme;
+use crate::uncatalogued::Law;
 use anyhow::{Context, Result, bail};
 use model_export::effects::catalogue::{
     CREEP, DEMAGNETISATION, EARTH_FIELD, EXTERNAL_MAGNET, FIELD_DRIFT, HYSTERESIS, MOTOR_LEAKAGE,
@@ -138,8 +139,17 @@ fn details(chosen: &AssignedEffect, effects: &Effects, gripper: &CampaignGripper
         table.insert(key.to_owned(), value?);
         Ok(())
     };
-    let id = chosen.effect.kind.id;
-    if id == HYSTERESIS.id {
+    let kind = chosen.effect.kind;
+    let id = kind.id;
+    if !kind.is_in_catalogue {
+        insert("outside_catalogue", Value::try_from(true))?;
+        insert("equation", Value::try_from(kind.equation))?;
+        insert("covariates", Value::try_from(kind.covariates))?;
+        let laws: Vec<&Law> = sensors().filter_map(|s| s.uncatalogued.law(id)).collect();
+        if !laws.is_empty() {
+            insert("drawn", Value::try_from(laws))?;
+        }
+    } else if id == HYSTERESIS.id {
         insert("flexures", Value::try_from(chosen.effect.flexures))?;
     } else if id == CREEP.id {
         insert("time_constant_s", Value::try_from(effects.creep_s))?;
@@ -296,7 +306,7 @@ mod tests {
     #[test]
     fn settings_of_a_truth_reproduce_the_campaign() {
         let folder = tempfile::TempDir::new().unwrap();
-        let effects = ["hysteresis=0.5:both", "screw_backlash", "creep=3"];
+        let effects = ["hysteresis=0.5:both", "screw_backlash", "creep=3", "bracket_lag"];
         let original = CampaignSettings {
             seed: 7,
             programme: Programme::Level,
@@ -319,5 +329,15 @@ mod tests {
         std::fs::write(&path, truth.text().unwrap()).unwrap();
         let again = simulate(&read_settings(&path).unwrap(), &folder.path().join("again"), || ());
         assert_eq!(again.unwrap().text().unwrap(), truth.text().unwrap());
+        let text: Table = truth.text().unwrap().parse().unwrap();
+        let of = |id: &str| {
+            let mut effects = text["effect"].as_array().unwrap().iter();
+            effects.find(|effect| effect["id"].as_str() == Some(id)).unwrap().as_table().unwrap()
+        };
+        let outside = of("bracket_lag");
+        assert_eq!(outside["covariates"], Value::from(vec!["temp_c"]));
+        assert_eq!(outside["drawn"].as_array().unwrap().len(), 2);
+        assert!((3.0..8.0).contains(&outside["drawn"][0]["tau_s"].as_float().unwrap()));
+        assert!(!of("creep").contains_key("covariates"));
     }
 }

@@ -104,17 +104,17 @@ impl Fingertips {
     ) -> [Option<HallReading>; SENSORS] {
         let mut readings = [None; SENSORS];
         let conditions = FieldConditions {
-            warm_k: 0.0,
             screw_turns: motion.opening_mm / LEAD_MM,
             opening_mm: motion.opening_mm,
             currents_a: motor_currents(motion),
-            lost: 0.0,
+            ..FieldConditions::default()
         };
         let sensors = readings.iter_mut().zip(&self.sensors).zip(ambient.temperature_c);
         for ((reading, sensor), temperature_c) in sensors {
             let warm_k = temperature_c - REFERENCE_C;
-            let field_g = sensor.field(&FieldConditions { warm_k, ..conditions }) + ambient.field_g;
-            let measured_g = sensor.element.reading(field_g, warm_k, time_s);
+            let conditions = FieldConditions { warm_k, ..conditions };
+            let field_g = sensor.field(&conditions) + ambient.field_g;
+            let measured_g = sensor.element.reading(field_g, &conditions, time_s);
             let noisy_g = measured_g + normal_vector(&mut self.rng) * NOISE_G;
             *reading = Some(HallReading {
                 // The range fits into the sensor's word.

@@ -2,6 +2,12 @@
 
 use std::ops::Range;
 
+use sim::effects::EffectKind;
+use sim::uncatalogued::{
+    BODY_BENDING, BRACKET_LAG, BRACKET_SOFTENING, CABLE_PULL, CLEARANCE, GUIDE_RIPPLE, OVERHANG,
+    RATE_GAIN, STRESSED_PIN, WARM_LEAKAGE, WIPER_DRAG, WRIST_POLES,
+};
+
 /// Cases with a common rate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Group {
@@ -44,7 +50,7 @@ impl Group {
             // Under each of three noises.
             Self::Nothing => 67,
             Self::Pairs => 1,
-            Self::Outside => 5,
+            Self::Outside => 3,
             Self::Always => 1,
         }
     }
@@ -72,6 +78,8 @@ pub enum Expected {
     Names,
     /// No effect; the residual is attributed to the covariate, if one is given.
     NoName(Option<&'static str>),
+    /// No effect; formulas of exactly these recorded columns.
+    Formula(&'static [&'static str]),
     /// One of these verdicts on this effect, and no wrong effect.
     Verdict(&'static str, &'static [&'static str]),
 }
@@ -126,6 +134,22 @@ const KINDS: [&str; 8] = [
     "creep",
 ];
 
+/// Effects outside the catalogue that a formula of recorded columns represents.
+pub const FORMULAS: [EffectKind; 12] = [
+    STRESSED_PIN,
+    WARM_LEAKAGE,
+    WRIST_POLES,
+    GUIDE_RIPPLE,
+    BODY_BENDING,
+    BRACKET_LAG,
+    OVERHANG,
+    CLEARANCE,
+    CABLE_PULL,
+    WIPER_DRAG,
+    RATE_GAIN,
+    BRACKET_SOFTENING,
+];
+
 /// The cases of a group.
 pub fn of(group: Group, seeds: Range<u64>) -> Vec<Case> {
     seeds.flat_map(|seed| with_seed(group, seed)).collect()
@@ -144,9 +168,15 @@ fn with_seed(group: Group, seed: u64) -> Vec<Case> {
             .to_vec(),
         Group::Pairs => pairs(seed),
         Group::Outside => {
-            [("screw_ripple", Some("motor_angle_rad")), ("cross_term", None), ("unlogged", None)]
-                .map(|(id, follows)| Case::new(&[(id, 1.0)], seed, Expected::NoName(follows)))
-                .to_vec()
+            let case = |id, expected| Case::new(&[(id, 1.0)], seed, expected);
+            let unnamed = [
+                ("screw_ripple", Some("motor_angle_rad")),
+                ("cross_term", None),
+                ("unlogged", None),
+            ]
+            .map(|(id, follows)| case(id, Expected::NoName(follows)));
+            let formulas = FORMULAS.map(|kind| case(kind.id, Expected::Formula(kind.covariates)));
+            unnamed.into_iter().chain(formulas).collect()
         }
         Group::Always => always(seed),
     }

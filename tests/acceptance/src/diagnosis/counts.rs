@@ -1,6 +1,7 @@
 //! Rates with their confidence intervals and specifications.
 
 use super::cases::Group;
+use super::evaluate::FormulaEvaluation;
 use super::run::Outcome;
 use crate::intervals;
 
@@ -16,39 +17,51 @@ pub struct Rate {
     value: f64,
     /// Hits and number of cases; none of a mean.
     counts: Option<(usize, usize)>,
-    /// At least (true) or at most this value.
+    /// At least (true) or at most the specified value.
     at_least: bool,
-    specified: f64,
+    /// None of a figure without a requirement.
+    specified: Option<f64>,
 }
 
 impl Rate {
     fn of(name: &'static str, hits: usize, of: usize, at_least: bool, specified: f64) -> Self {
         let value = hits as f64 / of.max(1) as f64;
-        Self { name, value, counts: Some((hits, of)), at_least, specified }
+        Self { name, value, counts: Some((hits, of)), at_least, specified: Some(specified) }
+    }
+
+    /// A figure without a requirement.
+    fn figure(name: &'static str, hits: usize, of: usize) -> Self {
+        Self { specified: None, ..Self::of(name, hits, of, true, 0.0) }
     }
 
     /// Whether the specification is met.
     pub fn is_reached(&self) -> bool {
-        if self.at_least { self.value >= self.specified } else { self.value <= self.specified }
+        self.specified.is_none_or(|specified| {
+            if self.at_least { self.value >= specified } else { self.value <= specified }
+        })
     }
 
     /// Row of the table.
     pub fn cells(&self, group: Group, seeds: u64) -> [String; 6] {
         let relation = if self.at_least { "at least" } else { "at most" };
         let missed = if self.is_reached() { "" } else { " (not met)" };
+        let specified = |text: &dyn Fn(f64) -> String| {
+            self.specified
+                .map_or_else(|| "-".to_owned(), |value| format!("{relation} {}", text(value)))
+        };
         let (rate, limits, specified) = match self.counts {
             Some((hits, of)) => {
                 let [lower, upper] = intervals::proportion(hits, of).map(|share| 100.0 * share);
                 (
                     format!("{hits} of {of}{missed}"),
                     format!("{lower:.1} to {upper:.1} %"),
-                    format!("{relation} {:.0} %", 100.0 * self.specified),
+                    specified(&|share| format!("{:.0} %", 100.0 * share)),
                 )
             }
             None => (
                 format!("{:.2}{missed}", self.value),
                 "-".to_owned(),
-                format!("{relation} {}", self.specified),
+                specified(&|value| value.to_string()),
             ),
         };
         [
@@ -75,18 +88,34 @@ pub fn rates(group: Group, outcomes: &[Outcome]) -> Vec<Rate> {
         Rate::of("correct, alone or among equivalent effects", right, all, true, specified)
     };
     let only_wrong = |specified| Rate::of("only a wrong effect", wrong, all, false, specified);
+    let formulas: Vec<FormulaEvaluation> =
+        outcomes.iter().filter_map(|outcome| outcome.evaluation.formulas).collect();
     let mut rates = match group {
         Group::Typical => vec![correct(0.96), only_wrong(0.02)],
         Group::Small => vec![correct(0.85), only_wrong(0.03)],
         Group::Nothing => vec![Rate::of("an effect named", all - right, all, false, 0.03)],
         Group::Pairs => vec![Rate::of("both correct", right, all, true, 0.9)],
-        Group::Outside => vec![Rate::of("no wrong effect alone", all - wrong, all, true, 0.92)],
+        Group::Outside => {
+            let is_unnamed = |outcome: &Outcome| outcome.evaluation.formulas.is_none();
+            let unnamed = count(&is_unnamed);
+            let wrong = count(&|o| is_unnamed(o) && o.evaluation.wrong_alone);
+            let rate = Rate::of("no wrong effect alone", unnamed - wrong, unnamed, true, 0.92);
+            if unnamed > 0 { vec![rate] } else { Vec::new() }
+        }
         Group::Always => vec![Rate::of("reported as inconclusive", right, all, true, 1.0)],
     };
     let located: Vec<bool> = outcomes.iter().filter_map(|o| o.evaluation.located).collect();
     if !located.is_empty() {
         let hits = located.iter().filter(|located| **located).count();
         rates.push(Rate::of("attributed to its covariate", hits, located.len(), true, 0.85));
+    }
+    if !formulas.is_empty() {
+        let figure = |name, is: fn(&FormulaEvaluation) -> bool| {
+            Rate::figure(name, formulas.iter().filter(|of| is(of)).count(), formulas.len())
+        };
+        rates.push(figure("formula with the right covariates", |of| of.right_covariates));
+        rates.push(figure("held-out error with it at most 1.15 floors", |of| of.explains));
+        rates.push(figure("an effect of the catalogue named", |of| of.false_name));
     }
     if group == Group::Typical {
         let sizes: Vec<usize> = detectable.iter().filter_map(|o| o.evaluation.tied).collect();
@@ -95,7 +124,7 @@ pub fn rates(group: Group, outcomes: &[Outcome]) -> Vec<Rate> {
             value: sizes.iter().sum::<usize>() as f64 / sizes.len().max(1) as f64,
             counts: None,
             at_least: false,
-            specified: MAX_EQUIVALENT,
+            specified: Some(MAX_EQUIVALENT),
         });
     }
     rates

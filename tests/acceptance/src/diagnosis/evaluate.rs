@@ -1,5 +1,8 @@
 //! Comparison of a diagnosis with the simulated effects.
 
+use std::collections::BTreeSet;
+
+use model_export::recordings::columns::STATOR_CURRENTS;
 use serde_json::Value;
 
 use super::cases::{Case, Expected};
@@ -15,12 +18,62 @@ pub struct Evaluation {
     pub tied: Option<usize>,
     /// Whether the expected covariate was located; none without one.
     pub located: Option<bool>,
+    /// Comparison of the discovered formulas with the simulated effect; none where no formula is expected.
+    pub formulas: Option<FormulaEvaluation>,
+}
+
+/// Maximum held-out error in noise floors of a campaign that the model explains.
+pub const EXPLAINED_FLOORS: f64 = 1.15;
+
+/// Comparison of all formulas of a diagnosis with the simulated effect. Without formulas the first two are false.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FormulaEvaluation {
+    /// Together they depend on exactly the columns of the simulated effect.
+    pub right_covariates: bool,
+    /// With all of them the held-out error is at most [`EXPLAINED_FLOORS`].
+    pub explains: bool,
+    /// An effect of the catalogue is reported as found, and not provisionally: a wrong name, since none is simulated.
+    pub false_name: bool,
+}
+
+impl FormulaEvaluation {
+    fn new(expected: &[&str], output: &Value) -> Self {
+        let formulas: &[Value] = output["formulas"].as_array().map_or(&[], Vec::as_slice);
+        let columns = formulas.iter().flat_map(|formula| formula["covariates"].as_array());
+        let names = columns.flatten().filter_map(Value::as_str);
+        let found: BTreeSet<&str> = names.flat_map(recorded_columns).collect();
+        // Every formula reports the error after all of them.
+        let floors = formulas.last().and_then(|formula| formula["floors_after"].as_f64());
+        let mut verdicts = output["verdicts"].as_array().into_iter().flatten();
+        Self {
+            false_name: verdicts.any(|verdict| {
+                verdict["verdict"] == "found" && verdict["provisional"] != Value::Bool(true)
+            }),
+            right_covariates: !formulas.is_empty()
+                && found.iter().eq(&BTreeSet::from_iter(expected.iter().copied())),
+            explains: floors.is_some_and(|floors| floors <= EXPLAINED_FLOORS),
+        }
+    }
+}
+
+/// Recorded columns from which a covariate is derived, such as the rate of a force.
+fn recorded_columns(covariate: &str) -> Vec<&str> {
+    match covariate {
+        "fx_rate_n_per_s" | "loading_x" => vec!["fx_n"],
+        "fz_rate_n_per_s" | "loading_z" => vec!["fz_n"],
+        name if STATOR_CURRENTS.contains(&name) => vec!["motor_iq_a", "motor_angle_rad"],
+        name => vec![name],
+    }
 }
 
 impl Evaluation {
     /// Word in the log.
     pub fn word(&self) -> &'static str {
         match (self.right, self.wrong_alone) {
+            _ if self.formulas.is_some_and(|of| of.false_name) => "WRONG NAME",
+            _ if self.formulas.is_some_and(|of| !of.right_covariates) => "NO FORMULA",
+            _ if self.formulas.is_some_and(|of| !of.explains) => "UNEXPLAINED",
+            _ if self.formulas.is_some() => "right",
             (_, true) => "WRONG NAME",
             (true, _) if self.located == Some(false) => "NOT LOCATED",
             (true, _) => "right",
@@ -48,7 +101,7 @@ pub fn evaluate(case: &Case, output: &Value) -> Evaluation {
     let right = false_steps().count() == 0
         && match &case.expected {
             Expected::Names => case.hidden.iter().all(|(id, _)| holds(id).is_some()),
-            Expected::NoName(_) => true,
+            Expected::NoName(_) | Expected::Formula(_) => true,
             Expected::Verdict(id, output) => output.contains(&verdict(id)),
         };
     let located = match &case.expected {
@@ -63,5 +116,93 @@ pub fn evaluate(case: &Case, output: &Value) -> Evaluation {
         wrong_alone: false_steps().any(|step| step.len() == 1),
         tied: case.hidden.first().and_then(|(id, _)| holds(id)).map(Vec::len),
         located,
+        formulas: match case.expected {
+            Expected::Formula(covariates) => Some(FormulaEvaluation::new(covariates, output)),
+            _ => None,
+        },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::super::cases::{FORMULAS, Group, of};
+    use super::*;
+
+    fn formulas(output: &Value) -> FormulaEvaluation {
+        let cases = of(Group::Outside, 1..2);
+        let case = cases.iter().find(|case| case.hides("cable_pull")).unwrap();
+        evaluate(case, output).formulas.unwrap()
+    }
+
+    fn formula(covariates: &[&str], floors_after: f64) -> Value {
+        json!({ "expression": "f: fx_n = a*x", "covariates": covariates, "floors_after": floors_after })
+    }
+
+    #[test]
+    fn formulas_together_need_exactly_the_true_covariates() {
+        let [opening, acceleration, other] =
+            ["opening_mm", "accel_y_mps2", "temp_c"].map(|name| formula(&[name], 1.1));
+        let both = formula(&["accel_y_mps2", "opening_mm"], 1.1);
+        for (found, right) in [
+            (json!([both]), true),
+            (json!([opening, acceleration]), true),
+            (json!([both, opening]), true),
+            (json!([opening]), false),
+            (json!([both, other]), false),
+            (json!([]), false),
+            (Value::Null, false),
+        ] {
+            let found = formulas(&json!({ "formulas": found }));
+            assert_eq!((found.right_covariates, found.false_name), (right, false));
+        }
+        assert!(!formulas(&json!({})).explains);
+    }
+
+    #[test]
+    fn derived_covariates_count_as_their_recorded_columns() {
+        let columns: BTreeSet<&str> = ["fz_rate_n_per_s", "motor_alpha_a", "temp_c"]
+            .iter()
+            .flat_map(|name| recorded_columns(name))
+            .collect();
+        assert_eq!(columns, BTreeSet::from(["fz_n", "motor_angle_rad", "motor_iq_a", "temp_c"]));
+    }
+
+    #[test]
+    fn error_after_all_formulas_decides_whether_they_explain() {
+        for (floors, explains) in [(1.15, true), (1.16, false)] {
+            let found = json!({ "formulas": [formula(&["opening_mm"], 3.0), formula(&["temp_c"], floors)] });
+            assert_eq!(formulas(&found).explains, explains);
+        }
+    }
+
+    #[test]
+    fn only_a_definite_catalogue_effect_is_a_false_name() {
+        for (verdict, provisional, expected) in [
+            ("found", false, true),
+            ("found", true, false),
+            ("tied", false, false),
+            ("absent", false, false),
+        ] {
+            let verdicts =
+                [json!({ "effect": "creep", "verdict": verdict, "provisional": provisional })];
+            assert_eq!(
+                formulas(&json!({ "verdicts": verdicts })).false_name,
+                expected,
+                "{verdict}"
+            );
+        }
+    }
+
+    #[test]
+    fn outside_group_has_every_effect_outside_the_catalogue() {
+        let cases = of(Group::Outside, 1..4);
+        let outside = sim::effects::EFFECT_KINDS.iter().filter(|kind| !kind.is_in_catalogue);
+        assert!(outside.clone().all(|kind| cases.iter().any(|case| case.hides(kind.id))));
+        assert_eq!(cases.len(), 3 * outside.count());
+        let with_formula =
+            cases.iter().filter(|case| matches!(case.expected, Expected::Formula(_)));
+        assert_eq!(with_formula.count(), 3 * FORMULAS.len());
     }
 }

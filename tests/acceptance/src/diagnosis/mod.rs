@@ -60,9 +60,14 @@ pub fn evaluate_groups(args: &Args, options: &Options) -> Result<Section> {
             rows.push(rate.cells(group, count));
         }
     }
+    // Alone, the effects outside the catalogue have a section of their own: their run must not replace the table of all.
+    let (id, title) = match *args.groups {
+        [Group::Outside] => ("diagnosis-outside", "Diagnosis of effects outside the catalogue"),
+        _ => ("diagnosis", "Diagnosis"),
+    };
     Ok(Section {
-        id: "diagnosis",
-        title: "Diagnosis",
+        id,
+        title,
         extent: format!(
             "{campaigns} campaigns, seeds from {}",
             options.seeds(default_seeds(Group::Typical)).start
