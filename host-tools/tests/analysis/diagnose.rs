@@ -112,19 +112,28 @@ fn friction_and_magnet_temperature_are_both_found() {
 }
 
 #[test]
-fn unknown_effect_is_attributed_but_not_named() {
-    let diagnosis = diagnosed("ripple", &[]);
-    assert_eq!(diagnosis["accepted"], Value::Array(Vec::new()), "{}", diagnosis["verdict"]);
-    assert_eq!(diagnosis["at_floor"], false);
-    let first = &diagnosis["unexplained"][0];
-    assert_eq!(first["covariate"], "motor_angle_rad");
-    assert!(first["share"].as_f64().unwrap() > 0.8, "{first}");
-    // The rest is described as well: of a residual above the floor something is always said.
-    let rest = diagnosis["unexplained"].as_array().unwrap().last().unwrap();
-    assert_eq!(rest["covariate"], Value::Null);
-    assert!(rest["share"].as_f64().unwrap() < 0.2, "{rest}");
-    assert!(rest["correlation_s"].as_f64().unwrap() > 0.0, "{rest}");
-    assert_eq!(rest["channels"][0]["axis"], "z", "{rest}");
+fn formula_is_found_where_no_effect_of_the_catalogue_explains_the_residual() {
+    let (dir, campaign) = (WorkDir::with_model("ripple"), campaign("ripple"));
+    let diagnosis = dir.json(&["diagnose", "model.toml", &campaign, "--json"]);
+    let accepted = serde_json::json!([["formula_1"]]);
+    assert_eq!(diagnosis["accepted"], accepted, "{}", diagnosis["verdict"]);
+    assert_eq!(diagnosis["at_floor"], true);
+    assert_eq!(diagnosis["unexplained"], Value::Array(Vec::new()));
+    let formula = &diagnosis["formulas"][0];
+    // The hidden effect is a displacement along z, periodic in the pitch of the screw: one turn of the rotor.
+    assert_eq!(formula["covariates"], serde_json::json!(["motor_angle_rad"]), "{formula}");
+    assert_eq!(formula["targets"], serde_json::json!(["dz_um"]), "{formula}");
+    assert_eq!(formula["partial"], false);
+    assert!(formula["p_value"].as_f64().unwrap() < 0.01, "{formula}");
+    let stairs = staircase(&diagnosis);
+    assert!(stairs[0] > 2.0 && *stairs.last().unwrap() < 1.15, "{stairs:?}");
+    // The proposed command does what it states.
+    let expression = formula["effects"][0]["expression"].as_str().unwrap();
+    let next = diagnosis["next"][0].as_str().unwrap();
+    assert!(next.contains(&format!(" --expr '{expression}' -o ")), "{next}");
+    dir.stdout(&["add", "model.toml", &campaign, "--expr", expression, "-o", "better.toml"]);
+    let after = dir.json(&["diagnose", "better.toml", &campaign, "--json"]);
+    assert_eq!((&after["at_floor"], &after["formulas"]), (&true.into(), &serde_json::json!([])));
 }
 
 #[test]

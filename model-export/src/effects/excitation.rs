@@ -127,6 +127,10 @@ impl ExcitationSeries {
             "time_s" => Some(self.time_s.clone()),
             "fx_rate_n_per_s" => Some(self.rate_n_per_s.iter().map(|rate| rate[0]).collect()),
             "fz_rate_n_per_s" => Some(self.rate_n_per_s.iter().map(|rate| rate[1]).collect()),
+            OPENING_RATE => {
+                let opening_mm = self.covariates.get("opening_mm")?;
+                Some(operators::smooth(&self.time_s, opening_mm).1)
+            }
             "session_s" => Some(self.time_s.iter().map(|t| t + self.start_s).collect()),
             _ => self.covariates.get(name).cloned(),
         }
@@ -143,6 +147,9 @@ pub(super) fn select_rows<T: Copy>(values: &[T], rows: &[usize]) -> Vec<T> {
 /// of the campaign.
 pub const BUILT_IN_COVARIATES: [&str; 7] =
     ["fx_n", "fz_n", "fx_rate_n_per_s", "fz_rate_n_per_s", "temp_c", "time_s", "session_s"];
+
+/// Covariate of recordings with an opening: its rate.
+pub const OPENING_RATE: &str = "opening_rate_mm_per_s";
 
 /// Deadband relative to the amplitude of the load: smaller reversals count as noise.
 const DEADBAND: f64 = 0.05;

@@ -242,7 +242,7 @@ impl EffectTerm {
     /// Required columns besides force and field.
     pub fn needs(&self) -> Vec<String> {
         match (self, self.effect()) {
-            (Self::Expression(expression), _) => expression.covariates.clone(),
+            (Self::Expression(expression), _) => expression.recorded_columns(),
             (_, Some(effect)) => effect.needs.iter().map(|&name| name.to_owned()).collect(),
             _ => Vec::new(),
         }
@@ -267,7 +267,18 @@ impl EffectTerm {
     pub fn is_pointwise(&self) -> bool {
         let on_force_or_opening =
             self.stage() <= EffectStage::Flexure || self.stage() == EffectStage::Opening;
-        matches!(self, Self::Catalogue(_)) && !on_force_or_opening
+        let has_memory = match self {
+            Self::Catalogue(_) => false,
+            Self::Channelwise(_) => true,
+            Self::Expression(formula) => formula.has_memory(),
+        };
+        !has_memory && !on_force_or_opening
+    }
+
+    /// True where it adds to the states what depends on the excitation alone: independent of the stiffness and of all other
+    /// effects.
+    pub fn adds_to_states(&self) -> bool {
+        matches!(self, Self::Expression(formula) if formula.stage() > EffectStage::Flexure)
     }
 
     /// The underlying effect of the catalogue; `None` for a user-defined one.

@@ -4,14 +4,14 @@
 //! Whole blocks of time are drawn with replacement (Künsch 1989). Each draw solves the problem linearised at
 //! the solution: one small matrix instead of a new fit.
 
-use nalgebra::{Cholesky, DMatrix, DMatrixView, DVector, DVectorView};
+use std::ops::Range;
+
+use nalgebra::{Cholesky, DMatrix, DVector};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::fit::rows::SensorRows;
-
-/// Rows per partial product: few enough for the processor's cache.
-const CACHE_ROWS: usize = 256;
+use crate::fit::tall_products::{columns, gram, products};
 
 /// Contribution of a block of rows to the normal equations `H = J'J` and `g = J'r`.
 #[derive(Clone, Debug)]
@@ -23,25 +23,12 @@ pub struct Block {
 }
 
 impl Block {
-    /// From weighted derivatives and residuals.
-    pub fn of(jacobian: DMatrixView<'_, f64>, residuals: &[f64]) -> Self {
-        let size = jacobian.ncols();
-        let residuals = DVectorView::from_slice(residuals, residuals.len());
-        let mut block = Self::zeros(size);
-        for start in (0..jacobian.nrows()).step_by(CACHE_ROWS) {
-            let count = CACHE_ROWS.min(jacobian.nrows() - start);
-            let rows = jacobian.rows(start, count);
-            let right = residuals.rows(start, count);
-            for i in 0..size {
-                let column = rows.column(i);
-                block.score[i] += column.dot(&right);
-                for j in 0..=i {
-                    block.normal[(i, j)] += column.dot(&rows.column(j));
-                }
-            }
-        }
-        block.normal.fill_upper_triangle_with_lower_triangle();
-        block
+    /// From these rows of weighted derivatives and residuals.
+    pub fn of(jacobian: &DMatrix<f64>, residuals: &[f64], rows: Range<usize>) -> Self {
+        let columns = columns(jacobian, rows.clone());
+        let residuals = residuals.get(rows).unwrap_or_default();
+        let score = products(&columns, &[residuals]).column(0).into_owned();
+        Self { normal: gram(&columns), score }
     }
 
     /// Empty block.

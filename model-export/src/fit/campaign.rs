@@ -7,10 +7,9 @@ use rayon::prelude::*;
 use crate::effects::EffectTerm;
 use crate::fit::base_model::{BaseModel, CylinderBase, PolynomialBase};
 use crate::fit::cross_validation::CvSplit;
-use crate::fit::joint::{self, JointFit};
+use crate::fit::joint::{self, BaseFits, JointFit};
 use crate::fit::polynomial::{self, PolynomialFit};
 use crate::fit::rows::SensorRows;
-use crate::fit::sensor_fit::SensorSolution;
 use crate::fit::{AxisScore, FitError, FitOptions, orientation};
 use crate::physics::ForwardModel;
 use crate::recordings::description::NominalDesign;
@@ -50,7 +49,7 @@ pub struct FitSetup {
     /// One notice for each sensor that was not fitted.
     pub notices: Vec<Notice>,
     /// Fits without effects, computed on first use.
-    base_fits: OnceLock<Vec<SensorSolution>>,
+    base_fits: OnceLock<BaseFits>,
 }
 
 impl FitSetup {
@@ -129,7 +128,7 @@ impl FitSetup {
         let base_fits = match self.base_fits.get() {
             Some(base_fits) => base_fits,
             None => {
-                let base_fits = joint::bases(&self.rows, &self.bases)?;
+                let base_fits = BaseFits::new(&self.rows, &self.bases)?;
                 self.base_fits.get_or_init(|| base_fits)
             }
         };

@@ -13,7 +13,7 @@ const FOLDS: usize = 6;
 const SLICE_S: f64 = 0.25;
 
 /// A range of rows of one recording.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct RowRange {
     /// Index of the recording in the campaign.
     pub part: usize,

@@ -2,7 +2,7 @@
 
 use crate::effects::EffectTerm;
 use crate::fit::base_model::BaseModel;
-use crate::fit::cross_validation::{CvSplit, ErrorSums, Fold, all_rows};
+use crate::fit::cross_validation::{CvSplit, ErrorSums, Fold, RowRange, all_rows};
 use crate::fit::identifiability::{MAX_UNCERTAINTY, Unidentifiable, variance_inflation};
 use crate::fit::initial_guess::{ShapeSearch, search_all};
 use crate::fit::parameters::FreeParameter;
@@ -12,6 +12,8 @@ use crate::fit::sensor_fit::{self, SensorSolution, add_errors, held_out_errors};
 use crate::fit::{AxisScore, FitError, FitOptions};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
+use std::collections::HashMap;
+use std::sync::{Mutex, PoisonError};
 
 /// Variance inflation factor from which a parameter counts as confounded (usual limit in regression).
 const MAX_VARIANCE_INFLATION: f64 = 10.0;
@@ -93,18 +95,46 @@ impl JointFit {
     }
 }
 
-/// Fit of each sensor without effects.
-pub fn bases(
-    rows: &[SensorRows],
-    bases: &[Box<dyn BaseModel>],
-) -> Result<Vec<SensorSolution>, FitError> {
-    let pairs: Vec<_> = rows.iter().zip(bases).collect();
-    pairs
-        .par_iter()
-        .map(|(rows, base)| {
-            sensor_fit::fit_from_nominal(&SensorProblem::new(rows, base.as_ref(), &[]))
-        })
-        .collect()
+/// Fits of the sensors without effects, from which every fit with effects starts.
+pub struct BaseFits {
+    solutions: Vec<SensorSolution>,
+    /// Of each sensor: values fitted on the training rows of a fold.
+    of_training: Vec<Mutex<HashMap<Vec<RowRange>, Vec<f64>>>>,
+}
+
+impl BaseFits {
+    /// Fits every sensor.
+    ///
+    /// # Errors
+    /// A fit fails.
+    pub fn new(rows: &[SensorRows], bases: &[Box<dyn BaseModel>]) -> Result<Self, FitError> {
+        let pairs: Vec<_> = rows.iter().zip(bases).collect();
+        let solutions: Vec<SensorSolution> = pairs
+            .par_iter()
+            .map(|(rows, base)| {
+                sensor_fit::fit_from_nominal(&SensorProblem::new(rows, base.as_ref(), &[]))
+            })
+            .collect::<Result<_, _>>()?;
+        let of_training = solutions.iter().map(|_| Mutex::default()).collect();
+        Ok(Self { solutions, of_training })
+    }
+
+    /// Values of one sensor on these rows: fitted once for all models.
+    fn on(
+        &self,
+        sensor: usize,
+        problem: &SensorProblem,
+        training: &[RowRange],
+    ) -> Result<Vec<f64>, FitError> {
+        let known = || self.of_training[sensor].lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(values) = known().get(training) {
+            return Ok(values.clone());
+        }
+        let solution = &self.solutions[sensor];
+        let values = problem.values(&solution.refit(problem, training, &solution.scaled)?);
+        known().insert(training.to_vec(), values.clone());
+        Ok(values)
+    }
 }
 
 /// Fits every sensor with its base and the effects (in any order), starting from `base_fits` without
@@ -112,7 +142,7 @@ pub fn bases(
 pub fn fit(
     rows: &[SensorRows],
     bases: &[Box<dyn BaseModel>],
-    base_fits: &[SensorSolution],
+    base_fits: &BaseFits,
     effects: &[EffectTerm],
     split: CvSplit,
     options: FitOptions,
@@ -120,19 +150,21 @@ pub fn fit(
 ) -> Result<JointFit, FitError> {
     let mut effects = effects.to_vec();
     effects.sort_by_key(EffectTerm::stage);
-    let problems =
-        rows.iter().zip(bases).map(|(rows, base)| SensorProblem::new(rows, base.as_ref(), &[]));
-    let base_fits: SensorStates = problems.zip(base_fits.iter().cloned()).collect();
+    let alone: Vec<SensorProblem> = rows
+        .iter()
+        .zip(bases)
+        .map(|(rows, base)| SensorProblem::new(rows, base.as_ref(), &[]))
+        .collect();
     let folds = if effects.is_empty() {
-        let (problems, states): (Vec<_>, Vec<_>) = base_fits.into_iter().unzip();
+        let states = base_fits.solutions.clone();
         let covariances = states.par_iter().map(|state| state.covariance(options)).collect();
-        let folds = cross_validate(&problems, &states, split, None)?;
-        (problems, states, covariances, folds)
+        let folds = cross_validate(&alone, &states, split, None)?;
+        (alone, states, covariances, folds)
     } else {
         let (problems, states): (Vec<_>, Vec<_>) =
-            with_effects(&base_fits, &effects)?.into_iter().unzip();
+            with_effects(&alone, base_fits, &effects)?.into_iter().unzip();
         let (states, covariances) = pool_shared(&problems, states, options)?;
-        let folds = cross_validate(&problems, &states, split, Some(&base_fits))?;
+        let folds = cross_validate(&problems, &states, split, Some((base_fits, &alone[..])))?;
         (problems, states, covariances, folds)
     };
     let (problems, states, covariances, folds): (
@@ -158,11 +190,13 @@ type FoldResults = (Vec<Vec<f64>>, Vec<ErrorSums>);
 
 /// Adds effects to the fits of the bases.
 fn with_effects<'a>(
-    base_fits: &SensorStates<'a>,
+    bases: &[SensorProblem<'a>],
+    base_fits: &BaseFits,
     effects: &'a [EffectTerm],
 ) -> Result<SensorStates<'a>, FitError> {
-    let mut searches: Vec<ShapeSearch> = base_fits
+    let mut searches: Vec<ShapeSearch> = bases
         .par_iter()
+        .zip(&base_fits.solutions)
         .map(|(problem, state)| {
             let base_values = problem.values(&state.scaled);
             ShapeSearch::new(SensorProblem::new(problem.rows, problem.base, effects), &base_values)
@@ -236,13 +270,13 @@ fn pool_shared(
     Ok(fixed.into_iter().unzip())
 }
 
-/// Cross-validates every sensor. Shared parameters and the base (`base_fits`, where there are effects) are
+/// Cross-validates every sensor. Shared parameters and the base (`base_fits` with their problems, where there are effects) are
 /// estimated anew in each fold.
 fn cross_validate(
     problems: &[SensorProblem],
     states: &[SensorSolution],
     split: CvSplit,
-    base_fits: Option<&SensorStates>,
+    base_fits: Option<(&BaseFits, &[SensorProblem])>,
 ) -> Result<Vec<FoldResults>, FitError> {
     let folds: Vec<_> = problems
         .iter()
@@ -266,7 +300,7 @@ fn cross_validate_fold(
     problems: &[SensorProblem],
     states: &[SensorSolution],
     folds: &[&Fold],
-    base_fits: Option<&SensorStates>,
+    base_fits: Option<(&BaseFits, &[SensorProblem])>,
 ) -> Result<Vec<(Vec<f64>, ErrorSums)>, FitError> {
     let prepared: Vec<(SensorProblem, DVector<f64>)> = (0..problems.len())
         .into_par_iter()
@@ -274,10 +308,8 @@ fn cross_validate_fold(
             let mut problem = problems[s].clone();
             let values = problem.values(&states[s].scaled);
             problem.set_shape_start(&values);
-            let base_fit = base_fits.and_then(|base_fits| base_fits.get(s));
-            if let Some((base, state)) = base_fit.filter(|_| !problem.starts_nominal) {
-                let found = state.refit(base, &folds[s].training, &state.scaled)?;
-                problem.set_base_start(&base.values(&found));
+            if let Some((base_fits, bases)) = base_fits.filter(|_| !problem.starts_nominal) {
+                problem.set_base_start(&base_fits.on(s, &bases[s], &folds[s].training)?);
             }
             let start = problem.to_scaled(&values);
             Ok((problem, start))

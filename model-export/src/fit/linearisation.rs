@@ -3,6 +3,7 @@
 use crate::effects::{EffectTerm, ExcitationSeries, StateSeries};
 use crate::fit::problem::SensorProblem;
 use crate::fit::rows::SensorRows;
+use crate::fit::tall_products::{columns, gram, products};
 use crate::physics::{FieldResponse, PhysicalState};
 use nalgebra::{DMatrix, DVector, Vector3};
 use std::ops::Range;
@@ -160,8 +161,8 @@ const RIDGE: f64 = 1e-6;
 /// Normal equations of one recording.
 #[derive(Clone, Debug)]
 pub struct NormalEquations {
-    matrix: DMatrix<f64>,
-    right: DVector<f64>,
+    pub(super) matrix: DMatrix<f64>,
+    pub(super) right: DVector<f64>,
     /// Sum of squares of the target.
     squares: f64,
 }
@@ -192,55 +193,51 @@ impl RecordingNormals {
 
     /// Normal equations of each recording with these columns appended.
     pub fn with(&self, columns: &DMatrix<f64>) -> Vec<NormalEquations> {
-        let (fixed, size) = (self.fixed.ncols(), self.fixed.ncols() + columns.ncols());
-        let bordered = |(rows, inner): &(Range<usize>, NormalEquations)| {
-            let own = NormalEquations::of(columns, &self.target, rows.clone());
-            let mut matrix = DMatrix::zeros(size, size);
-            matrix.view_mut((0, 0), (fixed, fixed)).copy_from(&inner.matrix);
-            let last = columns.ncols();
-            matrix.view_mut((fixed, fixed), (last, last)).copy_from(&own.matrix);
-            for i in 0..last {
-                let column = columns.column(i);
-                let column = column.rows(rows.start, rows.len());
-                for j in 0..fixed {
-                    let other = self.fixed.column(j);
-                    let product = column.dot(&other.rows(rows.start, rows.len()));
-                    matrix[(fixed + i, j)] = product;
-                    matrix[(j, fixed + i)] = product;
-                }
-            }
-            let right = inner.right.iter().chain(own.right.iter()).copied();
-            NormalEquations {
-                matrix,
-                right: DVector::from_iterator(size, right),
-                squares: inner.squares,
-            }
-        };
-        self.recordings.iter().map(bordered).collect()
+        let recordings = self.recordings.iter();
+        recordings
+            .map(|(rows, inner)| inner.with(&self.fixed, columns, &self.target, rows.clone()))
+            .collect()
     }
 }
 
 impl NormalEquations {
-    fn of(columns: &DMatrix<f64>, target: &DVector<f64>, rows: Range<usize>) -> Self {
-        let part =
-            |column: usize| columns.column(column).rows(rows.start, rows.len()).clone_owned();
-        let target = target.rows(rows.start, rows.len());
-        let parts: Vec<DVector<f64>> = (0..columns.ncols()).map(part).collect();
-        let mut matrix = DMatrix::zeros(parts.len(), parts.len());
-        for (i, one) in parts.iter().enumerate() {
-            for (j, other) in parts.iter().enumerate().take(i + 1) {
-                matrix[(i, j)] = one.dot(other);
-                matrix[(j, i)] = matrix[(i, j)];
-            }
-        }
+    /// Of no rows.
+    pub(super) fn zeros(size: usize) -> Self {
+        Self { matrix: DMatrix::zeros(size, size), right: DVector::zeros(size), squares: 0.0 }
+    }
+
+    /// Of columns and a target over these rows.
+    pub(super) fn of(matrix: &DMatrix<f64>, target: &DVector<f64>, rows: Range<usize>) -> Self {
+        let target = &target.as_slice()[rows.clone()];
+        let columns = columns(matrix, rows);
         Self {
-            matrix,
-            right: DVector::from_iterator(parts.len(), parts.iter().map(|part| part.dot(&target))),
-            squares: target.norm_squared(),
+            matrix: gram(&columns),
+            right: products(&columns, &[target]).column(0).into_owned(),
+            squares: target.iter().map(|value| value * value).sum(),
         }
     }
 
-    fn sum<'a>(of: impl Iterator<Item = &'a Self>) -> Option<Self> {
+    /// Those of `fixed` and more columns, over the same rows.
+    pub(super) fn with(
+        &self,
+        fixed: &DMatrix<f64>,
+        more: &DMatrix<f64>,
+        target: &DVector<f64>,
+        rows: Range<usize>,
+    ) -> Self {
+        let (first, count) = (fixed.ncols(), more.ncols());
+        let own = Self::of(more, target, rows.clone());
+        let across = products(&columns(more, rows.clone()), &columns(fixed, rows));
+        let mut matrix = DMatrix::zeros(first + count, first + count);
+        matrix.view_mut((0, 0), (first, first)).copy_from(&self.matrix);
+        matrix.view_mut((first, first), (count, count)).copy_from(&own.matrix);
+        matrix.view_mut((first, 0), (count, first)).copy_from(&across);
+        matrix.view_mut((0, first), (first, count)).copy_from(&across.transpose());
+        let right = self.right.iter().chain(own.right.iter()).copied();
+        Self { matrix, right: DVector::from_iterator(first + count, right), squares: self.squares }
+    }
+
+    pub(super) fn sum<'a>(of: impl Iterator<Item = &'a Self>) -> Option<Self> {
         of.cloned().reduce(|sum, next| Self {
             matrix: sum.matrix + next.matrix,
             right: sum.right + next.right,
@@ -259,7 +256,7 @@ impl NormalEquations {
     }
 
     /// Residual sum of squares with these coefficients.
-    fn residual_squares(&self, coefficients: &DVector<f64>) -> f64 {
+    pub(super) fn residual_squares(&self, coefficients: &DVector<f64>) -> f64 {
         self.squares - 2.0 * coefficients.dot(&self.right)
             + coefficients.dot(&(&self.matrix * coefficients))
     }

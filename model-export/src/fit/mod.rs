@@ -35,6 +35,7 @@ pub mod rows;
 pub mod score_test;
 pub mod sensor_fit;
 pub mod solver;
+pub mod tall_products;
 
 pub use campaign::CampaignFits;
 pub use cross_validation::AxisScore;

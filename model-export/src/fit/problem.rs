@@ -156,6 +156,15 @@ impl<'a> SensorProblem<'a> {
         StateSeries::of(&self.rows.parts[part].track, self.base.stiffness(values), &effects)
     }
 
+    /// What an effect that adds to the states adds over a recording.
+    fn states_alone(&self, part: usize, effect: &EffectTerm, values: &[f64]) -> Vec<PhysicalState> {
+        let track = &self.rows.parts[part].track;
+        let states = vec![PhysicalState::displaced(Vector3::zeros()); track.len()];
+        let mut series = StateSeries { force_n: Vec::new(), opening_mm: Vec::new(), states };
+        effect.apply(values, track, &mut series);
+        series.states
+    }
+
     /// Modelled fields over a recording.
     pub fn fields(&self, part: usize, scaled: &DVector<f64>) -> Vec<Vector3<f64>> {
         let values = self.values(scaled);
@@ -193,14 +202,33 @@ impl<'a> SensorProblem<'a> {
                 .push([response.per_mm.column(0) / kx, response.per_mm.column(2) / kz]);
             responses.push(response);
         }
-        for index in (0..self.base.stiffness_count()).chain(self.base_count..self.parameters.len())
-        {
+        let mut set_columns = |index: usize, from: &[PhysicalState], moved: &[PhysicalState]| {
+            for (row, response) in responses.iter().enumerate() {
+                let change = response.change(&from[row], &moved[row]) / STEP;
+                set_column(&mut linear.jacobian, row, index, change);
+            }
+        };
+        let moved = |index: usize| {
             let mut moved = scaled.clone();
             moved[index] += STEP;
-            let moved = self.states(part, &self.values(&moved));
-            for (row, response) in responses.iter().enumerate() {
-                let change = response.change(&states[row], &moved[row]) / STEP;
-                set_column(&mut linear.jacobian, row, index, change);
+            self.values(&moved)
+        };
+        for index in 0..self.base.stiffness_count() {
+            set_columns(index, &states, &self.states(part, &moved(index)));
+        }
+        for (effect, range) in self.effects.iter().zip(self.ranges()) {
+            let alone = effect
+                .adds_to_states()
+                .then(|| self.states_alone(part, effect, &values[range.clone()]));
+            for index in range.clone() {
+                let moved = moved(index);
+                match &alone {
+                    Some(alone) => {
+                        let moved = self.states_alone(part, effect, &moved[range.clone()]);
+                        set_columns(index, alone, &moved);
+                    }
+                    None => set_columns(index, &states, &self.states(part, &moved)),
+                }
             }
         }
         linear

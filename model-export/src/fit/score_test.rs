@@ -10,12 +10,12 @@ use crate::fit::campaign::FitSetup;
 use crate::fit::cross_validation::{CvSplit, Fold};
 use crate::fit::initial_guess::{ShapeSearch, search_one};
 use crate::fit::joint::JointFit;
-use crate::fit::linearisation::Linearisation;
+use crate::fit::linearisation::{Linearisation, NormalEquations};
 use crate::fit::problem::SensorProblem;
+use crate::fit::tall_products::{columns, gram, products};
 use crate::physics::FieldResponse;
 use nalgebra::{DMatrix, DVector, Vector3};
 use rayon::prelude::*;
-use std::collections::BTreeMap;
 
 /// Rows of a recording that are used.
 const ROWS: usize = 1500;
@@ -216,7 +216,7 @@ impl<'a> ScoreTest<'a> {
     ) -> Vec<Vec<DVector<f64>>> {
         let one = |s: usize| {
             let sensor = &self.sensors[s];
-            let mut residual = sensor.residual();
+            let mut residual = sensor.residual.clone();
             if let Some(fitted) = best {
                 let orthogonal = &fitted.orthogonal[s];
                 let coefficients = &fitted.inverse[s] * orthogonal.tr_mul(&residual);
@@ -290,11 +290,10 @@ impl<'a> ScoreTest<'a> {
             for (sensor, orthogonal) in self.sensors.iter().zip(&score.orthogonal) {
                 // Columns are per prior width, ten typical magnitudes.
                 let column = orthogonal.column(j) * 0.1;
-                let residual = sensor.residual();
                 norm += column.norm_squared();
                 for (row, &block) in sensor.block.iter().enumerate() {
                     for entry in 3 * row..3 * row + 3 {
-                        by_block[block] += column[entry] * residual[entry];
+                        by_block[block] += column[entry] * sensor.residual[entry];
                     }
                 }
             }
@@ -361,7 +360,10 @@ pub(super) struct SensorScore {
     inverse: DMatrix<f64>,
     /// Block of each row (three entries of the residual).
     pub(super) block: Vec<usize>,
-    parts: [Vec<usize>; 2],
+    /// By recordings, and within them.
+    folds: [Vec<FoldRows>; 2],
+    /// After one more linear step of the fitted parameters.
+    residual: DVector<f64>,
     /// Weight of the prior: rows per independent row.
     prior: f64,
 }
@@ -370,33 +372,30 @@ impl SensorScore {
     pub(super) fn new(
         linearisation: Linearisation,
         block: Vec<usize>,
-        parts: [Vec<usize>; 2],
+        fold_of: [Vec<usize>; 2],
     ) -> Self {
         let (residual, fixed) = (linearisation.residual(), linearisation.fixed());
         let mean_square = residual.norm_squared() / residual.len().max(1) as f64;
         let prior = mean_square.max(1.0);
-        let normal = fixed.tr_mul(fixed);
+        let normal = NormalEquations::of(fixed, residual, 0..residual.len());
+        let inverse = inverse(normal.matrix, prior);
+        let left = residual - fixed * (&inverse * normal.right);
         Self {
-            inverse: inverse(normal, prior),
+            inverse,
+            residual: left,
+            folds: fold_of.map(|fold_of| FoldRows::all(&linearisation, &fold_of)),
             coarse: linearisation.thinned(COARSE),
             linearisation,
             block,
-            parts,
             prior,
         }
     }
 
-    /// Residual after one more linear step of the fitted parameters.
-    pub(super) fn residual(&self) -> DVector<f64> {
-        let coefficients =
-            &self.inverse * self.linearisation.fixed().tr_mul(self.linearisation.residual());
-        self.linearisation.residual() - self.linearisation.fixed() * coefficients
-    }
-
     /// Component orthogonal to the fitted columns.
     pub(super) fn orthogonal(&self, regressors: &DMatrix<f64>) -> DMatrix<f64> {
-        let explained = &self.inverse * self.linearisation.fixed().tr_mul(regressors);
-        regressors - self.linearisation.fixed() * explained
+        let fixed = self.linearisation.fixed();
+        let all = |matrix| columns(matrix, 0..regressors.nrows());
+        regressors - fixed * (&self.inverse * products(&all(fixed), &all(regressors)))
     }
 
     /// Orthogonalised regressors, their inverse normal equations, and the held-out squares by fold.
@@ -406,7 +405,7 @@ impl SensorScore {
         kind: usize,
     ) -> (DMatrix<f64>, DMatrix<f64>, Vec<(f64, f64)>) {
         let orthogonal = self.orthogonal(regressors);
-        let inverse = inverse(orthogonal.tr_mul(&orthogonal), self.prior);
+        let inverse = inverse(gram(&columns(&orthogonal, 0..orthogonal.nrows())), self.prior);
         (orthogonal, inverse, self.held_out_squares(regressors, kind))
     }
 
@@ -416,45 +415,54 @@ impl SensorScore {
         regressors: &DMatrix<f64>,
         kind: usize,
     ) -> Vec<(f64, f64)> {
-        let all = DMatrix::from_columns(
-            &self
-                .linearisation
-                .fixed()
-                .column_iter()
-                .chain(regressors.column_iter())
-                .collect::<Vec<_>>(),
-        );
-        let parts = self.parts[kind].iter().max().map_or(0, |last| last + 1);
-        let size = all.ncols();
-        let mut sums = vec![(DMatrix::zeros(size, size), DVector::zeros(size), 0.0); parts];
-        let mut by_part: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
-        for (row, part) in self.parts[kind].iter().enumerate() {
-            by_part.entry(*part).or_default().extend(3 * row..3 * row + 3);
-        }
-        for (part, entries) in by_part {
-            let own = all.select_rows(&entries);
-            let residual = self.linearisation.residual().select_rows(&entries);
-            sums[part] = (own.tr_mul(&own), own.tr_mul(&residual), residual.norm_squared());
-        }
-        let base = self.linearisation.fixed().ncols();
-        let one = |k: usize| {
-            let mut normal = DMatrix::zeros(size, size);
-            let mut right = DVector::zeros(size);
-            for (i, (n, r, _)) in sums.iter().enumerate() {
-                if i != k {
-                    normal += n;
-                    right += r;
-                }
-            }
-            let scored = |count: usize| {
-                let n = normal.view((0, 0), (count, count)).into_owned();
-                let x = inverse(n, self.prior) * right.rows(0, count);
-                let own = sums[k].0.view((0, 0), (count, count));
-                sums[k].2 - 2.0 * x.dot(&sums[k].1.rows(0, count)) + x.dot(&(own * &x))
-            };
-            (scored(base), scored(size))
+        let folds = &self.folds[kind];
+        let bordered: Vec<NormalEquations> =
+            folds.iter().map(|fold| fold.with(regressors)).collect();
+        let alone: Vec<&NormalEquations> = folds.iter().map(|fold| &fold.normals).collect();
+        let with: Vec<&NormalEquations> = bordered.iter().collect();
+        let held_out = |k: usize| {
+            (held_out_square(&alone, k, self.prior), held_out_square(&with, k, self.prior))
         };
-        (0..parts).map(one).collect()
+        (0..folds.len()).map(held_out).collect()
+    }
+}
+
+/// Residual sum of squares of one fold, with the coefficients fitted to all others.
+fn held_out_square(folds: &[&NormalEquations], k: usize, prior: f64) -> f64 {
+    let others = folds.iter().enumerate().filter(|(i, _)| *i != k).map(|(_, fold)| *fold);
+    let own = folds[k];
+    let sum =
+        NormalEquations::sum(others).unwrap_or_else(|| NormalEquations::zeros(own.right.len()));
+    own.residual_squares(&(inverse(sum.matrix, prior) * sum.right))
+}
+
+/// Rows of one fold, with the normal equations of the fitted columns.
+struct FoldRows {
+    entries: Vec<usize>,
+    fixed: DMatrix<f64>,
+    residual: DVector<f64>,
+    normals: NormalEquations,
+}
+
+impl FoldRows {
+    /// All folds; `fold_of` is the fold of each row.
+    fn all(linearisation: &Linearisation, fold_of: &[usize]) -> Vec<Self> {
+        let count = fold_of.iter().max().map_or(0, |last| last + 1);
+        let of_fold = |fold: usize| {
+            let rows = fold_of.iter().enumerate().filter(|(_, own)| **own == fold);
+            let entries: Vec<usize> = rows.flat_map(|(row, _)| 3 * row..3 * row + 3).collect();
+            let fixed = linearisation.fixed().select_rows(&entries);
+            let residual = linearisation.residual().select_rows(&entries);
+            let normals = NormalEquations::of(&fixed, &residual, 0..entries.len());
+            Self { entries, fixed, residual, normals }
+        };
+        (0..count).map(of_fold).collect()
+    }
+
+    /// With these columns, over all rows, appended.
+    fn with(&self, columns: &DMatrix<f64>) -> NormalEquations {
+        let own = columns.select_rows(&self.entries);
+        self.normals.with(&self.fixed, &own, &self.residual, 0..self.entries.len())
     }
 }
 

@@ -140,7 +140,7 @@ impl SensorSolution {
         training: &[RowRange],
         start: &DVector<f64>,
     ) -> Result<DVector<f64>, FitError> {
-        minimise(problem, training, self.weights, &self.space, start, FINE_TOLERANCE)
+        minimise(problem, training, self.weights, &self.space, start, COARSE_TOLERANCE)
     }
 
     /// The same with these frozen parameters freed.
@@ -194,8 +194,7 @@ fn linearised(problem: &SensorProblem, scaled: &DVector<f64>) -> (f64, Vec<Block
     let mut list = Vec::new();
     for (part, (jacobian, residuals)) in rows.parts.iter().zip(&evaluated) {
         for range in time_slices(&part.time_s, length_s) {
-            let rows = 3 * range.start..3 * range.end;
-            list.push(Block::of(jacobian.rows_range(rows.clone()), &residuals[rows]));
+            list.push(Block::of(jacobian, residuals, 3 * range.start..3 * range.end));
         }
     }
     (length_s, list)

@@ -68,7 +68,7 @@ impl Descent<'_> {
                 weighted_jacobian(self.problem, part, &scaled, &self.weights);
             for range in self.ranges.iter().filter(|range| range.part == part) {
                 let rows = 3 * range.rows.start..3 * range.rows.end;
-                let block = Block::of(jacobian.rows_range(rows.clone()), &residuals[rows.clone()]);
+                let block = Block::of(&jacobian, &residuals, rows.clone());
                 sum.normal += block.normal;
                 sum.score += block.score;
                 squares += residuals[rows].iter().map(|r| r * r).sum::<f64>();

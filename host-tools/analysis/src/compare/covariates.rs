@@ -98,7 +98,20 @@ pub fn all_covariates(recording: &Recording) -> Vec<Covariate> {
     STANDARD.iter().cloned().chain(own).collect()
 }
 
+/// Between the columns of a product.
+const PRODUCT: char = '*';
+
 impl Covariate {
+    /// The product of several recorded or built-in columns.
+    pub fn product(columns: &[String]) -> Self {
+        Self {
+            name: Cow::Owned(columns.join("*")),
+            words: Cow::Owned(columns.join(" times ")),
+            unit: "",
+            kind: CovariateKind::Quantity,
+        }
+    }
+
     /// Values over a recording; `None` where it was not recorded. `place` is the recording's number from 1.
     pub fn values(&self, track: &ExcitationSeries, place: usize) -> Option<Vec<f64>> {
         let of_force = |f: &dyn Fn(&[f64; 2]) -> f64| Some(track.force_n.iter().map(f).collect());
@@ -116,6 +129,14 @@ impl Covariate {
             }
             "recording" => Some(vec![place as f64; track.len()]),
             "constant" => Some(vec![0.0; track.len()]),
+            name if name.contains(PRODUCT) => {
+                let factors: Option<Vec<Vec<f64>>> =
+                    name.split(PRODUCT).map(|factor| track.covariate(factor)).collect();
+                factors?.into_iter().reduce(|mut product, factor| {
+                    product.iter_mut().zip(factor).for_each(|(product, value)| *product *= value);
+                    product
+                })
+            }
             name => track.covariate(name),
         }
     }

@@ -22,6 +22,9 @@ const NEAR: f64 = 0.05;
 const COLLINEAR_GAIN: f64 = 0.5;
 /// Minimum gain of a transient effect relative to an arbitrary function of time.
 const MIN_OF_FREE: f64 = 0.8;
+/// Minimum gain of a transient effect relative to everything that is not noise: with less, it imitates something in time, and
+/// its many coefficients take long to fit.
+const MIN_OF_EXCESS: f64 = 0.2;
 /// A confusable effect below this fraction of an accepted one's reduction is the remainder of that one.
 const MAX_REMAINDER: f64 = 0.2;
 
@@ -66,7 +69,8 @@ pub fn best_candidate(
     selection: &Selection,
     options: FitOptions,
 ) -> Result<Option<(AcceptedStep, FittedModel)>> {
-    let significant = significant_candidates(&selection.last, || around.time_spline_gain());
+    let excess = 1.0 - stage.floors().powi(-2);
+    let significant = significant_candidates(&selection.last, excess, || around.time_spline_gain());
     let (within, ordinary): (Vec<_>, Vec<_>) =
         significant.into_iter().partition(|screened| screened.candidate.is_transient());
     let ordinary =
@@ -210,9 +214,11 @@ fn equivalent_gain(one: &ScreenedEffect, other: &ScreenedEffect, selection: &Sel
     }
 }
 
-/// Significant candidates that are fitted, sorted by the gain of the score test.
+/// Significant candidates that are fitted, sorted by the gain of the score test; `excess` is the fraction of the squared error
+/// that is not noise.
 fn significant_candidates(
     screened: &[ScreenedEffect],
+    excess: f64,
     time_spline_gain: impl FnOnce() -> f64,
 ) -> Vec<&ScreenedEffect> {
     let significant: Vec<&ScreenedEffect> =
@@ -223,7 +229,8 @@ fn significant_candidates(
     let free = if significant.iter().any(|s| within(s)) { time_spline_gain() } else { 0.0 };
     let is_fitted = |s: &&ScreenedEffect| {
         if within(s) {
-            s.evidence.gain() >= (1.0 - NEAR) * ordinary && s.evidence.gain() >= MIN_OF_FREE * free
+            let least = ordinary.max(MIN_OF_EXCESS * excess) * (1.0 - NEAR);
+            s.evidence.gain() >= least.max(MIN_OF_FREE * free)
         } else {
             s.evidence.gain() >= MIN_RELATIVE_GAIN * ordinary
         }

@@ -227,13 +227,13 @@ pub fn diagnose(
         forward_selection(campaign, &prepared, &present, &testable, options, on_stage)?;
     let formulas = discover(campaign, &prepared, &testable, &mut selection, options, on_stage)?;
     let mut diagnosis = conclude(&selection, &formulas, &untestable, campaign.recordings.len());
-    diagnosis.formulas = formulas;
     if let Some(last) = selection.stages.last().filter(|_| !diagnosis.at_floor) {
         let located = selection.attributed.iter().map(|(_, share)| share).sum();
         let columns = residuals_against(&prepared, last, &[]);
         diagnosis.remaining = Some(RemainingStructure::of(&columns, located));
     }
-    diagnosis.shapes = shapes(campaign, &prepared, &selection, options.seed);
+    diagnosis.shapes = shapes(campaign, &prepared, &selection, &formulas, options.seed);
+    diagnosis.formulas = formulas;
     diagnosis.model = path.display().to_string();
     diagnosis.campaign = campaign.folder.display().to_string();
     diagnosis.seed = options.seed;

@@ -6,8 +6,8 @@ use crate::compare::bootstrap_bands::BlockBootstrap;
 use crate::compare::covariates::{Covariate, all_covariates};
 use crate::compare::pipeline::correlation_s;
 use crate::compare::residual_table::ResidualTable;
-use crate::diagnose::selection::FittedModel;
-use crate::diagnose::selection::{AcceptedStep, Selection};
+use crate::diagnose::formulas::DiscoveredFormula;
+use crate::diagnose::selection::{AcceptedStep, FittedModel, Selection};
 use model_export::effects::EffectTerm;
 use model_export::fit::campaign::FitSetup;
 use model_export::fit::cross_validation::noise_variance;
@@ -138,46 +138,58 @@ fn variance(means: &[f64], rows: &[f64]) -> f64 {
     pairs().map(|(mean, rows)| rows * (mean - middle).powi(2)).sum::<f64>() / count
 }
 
-/// Shape of every step over the covariate on which it depends most; steps without a varying covariate are
+/// Shape of every step and every formula over the covariate on which it depends most; those without a varying covariate are
 /// skipped.
 pub fn shapes(
     campaign: &Campaign,
     prepared: &FitSetup,
     selection: &Selection,
+    formulas: &[DiscoveredFormula],
     seed: u64,
 ) -> Vec<EffectShape> {
     let Some(first) = campaign.recordings.first() else {
         return Vec::new();
     };
     let known = all_covariates(first);
+    let find = |name: &String| known.iter().find(|own| own.name == name.as_str()).cloned();
+    let of_step = |step: &AcceptedStep| {
+        let all = std::iter::once(&step.chosen).chain(&step.tied);
+        let names = all.map(|effect| effect.name().to_owned()).collect();
+        (names, step.chosen.plot_against().iter().filter_map(find).collect::<Vec<Covariate>>())
+    };
+    let of_formula = |formula: &DiscoveredFormula| {
+        let alone =
+            |name: &String| find(name).unwrap_or_else(|| Covariate::product(&[name.clone()]));
+        let mut over: Vec<Covariate> = formula.covariates.iter().map(alone).collect();
+        if formula.covariates.len() > 1 {
+            over.push(Covariate::product(&formula.covariates));
+        }
+        (vec![formula.name.clone()], over)
+    };
+    let added = selection.steps.iter().map(of_step).chain(formulas.iter().map(of_formula));
     let stages = selection.stages.windows(2);
     stages
-        .zip(&selection.steps)
-        .filter_map(|(stages, step)| shape(prepared, &known, stages, step, seed))
+        .zip(added)
+        .filter_map(|(stages, (effects, over))| shape(prepared, stages, &effects, &over, seed))
         .collect()
 }
 
 fn shape(
     prepared: &FitSetup,
-    known: &[Covariate],
     stages: &[FittedModel],
-    step: &AcceptedStep,
+    effects: &[String],
+    covariates: &[Covariate],
     seed: u64,
 ) -> Option<EffectShape> {
-    let names = step.chosen.plot_against();
-    let of_name = |name: &String| known.iter().find(|c| c.name == name.as_str()).cloned();
-    let covariates: Vec<Covariate> = names.iter().filter_map(of_name).collect();
-    let before = residuals_against(prepared, stages.first()?, &covariates);
+    let before = residuals_against(prepared, stages.first()?, covariates);
     let after = residuals_against(prepared, stages.last()?, &[]);
     let bands = BlockBootstrap::new(&before, block_s(&before), seed);
-    let all = std::iter::once(&step.chosen).chain(&step.tied);
-    let effects: Vec<String> = all.map(|effect| effect.name().to_owned()).collect();
     let over = |(i, covariate): (usize, &Covariate)| {
         let values: Vec<&[f32]> =
             before.iter().map(|sensor| sensor.covariates[i].values.as_slice()).collect();
         let binning = Binning::of(&values)?;
         Some(EffectShape {
-            effects: effects.clone(),
+            effects: effects.to_vec(),
             covariate: covariate.name.to_string(),
             words: covariate.words.to_string(),
             unit: covariate.unit,

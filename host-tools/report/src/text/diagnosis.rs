@@ -170,7 +170,8 @@ fn formula_floors(diagnosis: &Diagnosis, formula: &DiscoveredFormula) -> f64 {
     step.map_or(f64::NAN, |step| step.held_out_rms_g / step.floor_g)
 }
 
-/// Name and unit of each parameter of a formula, and its value at each sensor.
+/// Name and unit of each parameter of a formula, and its value at each sensor, in units of a power of ten where it is small or
+/// large.
 pub fn formula_values(formula: &DiscoveredFormula) -> Vec<Vec<String>> {
     let mut rows = Vec::new();
     for model in &formula.models {
@@ -178,10 +179,20 @@ pub fn formula_values(formula: &DiscoveredFormula) -> Vec<Vec<String>> {
         for (name, parameter) in &first.parameters {
             let target = model.name.strip_prefix(&format!("{}_", formula.name));
             let of = target.map_or_else(String::new, |target| format!("{target}: "));
-            let mut row = vec![format!("{of}{name} {}", parameter.unit).trim_end().to_owned()];
-            row.extend(model.sensors.iter().map(|sensor| {
-                sensor.parameters.get(name).map_or_else(String::new, |parameter| {
-                    numbers::with_error(parameter.value, parameter.std_error, parameter.value.abs())
+            let all = model.sensors.iter().map(|sensor| sensor.parameters.get(name));
+            let largest =
+                all.clone().flatten().fold(0.0, |most: f64, own| most.max(own.value.abs()));
+            let exponent = if largest > 0.0 { largest.log10().floor() as i32 } else { 0 };
+            let (factor, unit) = match exponent {
+                -1..=3 => (1.0, parameter.unit.clone()),
+                _ => (10_f64.powi(exponent), format!("1e{exponent} {}", parameter.unit)),
+            };
+            let mut row =
+                vec![format!("{of}{name} / {unit}").trim_end_matches([' ', '/']).to_owned()];
+            row.extend(all.map(|own| {
+                own.map_or_else(String::new, |own| {
+                    let (value, error) = (own.value / factor, own.std_error / factor);
+                    numbers::with_error(value, error, value.abs())
                 })
             }));
             rows.push(row);
@@ -700,7 +711,7 @@ pub fn significance_note(diagnosis: &Diagnosis) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::text::diagnosis_fixture::{full, verdict_of};
+    use crate::text::diagnosis_fixture::{formula, full, verdict_of};
 
     #[test]
     fn equivalent_set_lists_reasons_and_experiments() {
@@ -766,6 +777,46 @@ mod tests {
         assert!(text.starts_with("7.982±0.010 N, friction"), "{text}");
         assert!(text.ends_with("; typical is 2.5 N"), "{text}");
         assert_eq!(magnitude(&verdict_of("my_own", VerdictKind::Found, Reason::ReducesError)), "");
+    }
+
+    #[test]
+    fn formula_is_listed_with_its_line_its_values_and_its_other_targets() {
+        let step = |added: &[&str], rms: f64| StaircaseStep {
+            added: added.iter().map(|&name| name.to_owned()).collect(),
+            held_out_rms_g: rms,
+            held_out_rmse_n: None,
+            floor_g: 0.16,
+        };
+        let diagnosis = Diagnosis {
+            formulas: vec![formula()],
+            staircase: vec![step(&[], 0.521), step(&["formula_1"], 0.1632)],
+            at_floor: true,
+            ..Diagnosis::default()
+        };
+        let page = uncolored(&diagnosis);
+        assert!(page.contains("  formula_1: by_g = a*fx_n*opening_mm + b*fx_n\n"), "{page}");
+        // In units of a power of ten, both numbers to two digits of the error.
+        for cells in [
+            ["a / 1e-3 G", "1.2044±0.0023", "1.1987±0.0023"],
+            ["b / G", "-0.251±0.012", "0.020±0.012"],
+        ] {
+            let has_all = |line: &&str| cells.iter().all(|cell| line.contains(cell));
+            assert!(page.lines().any(|line| has_all(&line)), "{cells:?}: {page}");
+        }
+        let words = unwrapped(&page);
+        assert!(words.contains("by 98.4 % (family-wise p 0.001), to 1.02 times"), "{words}");
+        let others =
+            "the same function of dy_um, or of gain_x_percent with gain_y_percent explains";
+        assert!(words.contains(others), "{words}");
+        assert!(!words.contains("PARTIAL"), "{words}");
+        let partial = Diagnosis { at_floor: false, ..diagnosis };
+        assert!(uncolored(&partial).contains("PARTIAL: structure remains"));
+        let json = to_json(&partial);
+        assert_eq!(json["formulas"][0]["partial"], true);
+        assert_eq!(json["formulas"][0]["covariates"], json!(["fx_n", "opening_mm"]));
+        assert!((json["formulas"][0]["floors_after"].as_f64().unwrap() - 1.02).abs() < 1e-9);
+        let effect = &json["formulas"][0]["effects"][0];
+        assert_eq!(effect["expression"], "formula_1: by_g = a*fx_n*opening_mm + b*fx_n");
     }
 
     /// The report without colors.

@@ -1,6 +1,7 @@
 //! A made-up diagnosis with everything in it, for tests of what is shown of it.
 
 use model_export::effects::find;
+use model_export::model_file::{EffectModel, FittedValue, SensorEffect};
 
 use analysis::compare::Bin;
 use analysis::diagnose::*;
@@ -125,5 +126,42 @@ pub fn full() -> Diagnosis {
         block_s: 5.0,
         seed: 1,
         ..Diagnosis::default()
+    }
+}
+
+/// A formula that acts at one point of the chain, at two sensors, and at another point explains the same.
+pub fn formula() -> DiscoveredFormula {
+    let parameter = |value: f64, std_error: f64| FittedValue {
+        value,
+        std_error,
+        unit: "G".to_owned(),
+        identifiable: true,
+    };
+    let sensor = |number: u32, a: f64, b: f64| SensorEffect {
+        number,
+        parameters: [
+            ("a".to_owned(), parameter(a, 2.3e-6)),
+            ("b".to_owned(), parameter(b, 0.0121)),
+        ]
+        .into(),
+    };
+    DiscoveredFormula {
+        name: "formula_1".to_owned(),
+        effects: Vec::new(),
+        covariates: vec!["fx_n".to_owned(), "opening_mm".to_owned()],
+        targets: vec!["by_g"],
+        models: vec![EffectModel {
+            name: "formula_1".to_owned(),
+            expression: Some("formula_1: by_g = a*fx_n*opening_mm + b*fx_n".to_owned()),
+            ranges: Vec::new(),
+            quantity: "norm of the coefficients".to_owned(),
+            value: 0.2,
+            std_error: 0.01,
+            unit: "G".to_owned(),
+            sensors: vec![sensor(0, 1.2044e-3, -0.251), sensor(3, 1.1987e-3, 0.02)],
+        }],
+        gain: 0.984,
+        p_value: 0.001,
+        other_targets: vec![vec!["dy_um"], vec!["gain_x_percent", "gain_y_percent"]],
     }
 }

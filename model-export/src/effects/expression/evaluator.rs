@@ -122,22 +122,69 @@ impl Formula {
         &self.names
     }
 
-    /// Value for values in the order of the names.
-    pub(super) fn evaluate(&self, values: &[f64]) -> f64 {
-        let mut stack = Vec::with_capacity(self.steps.len());
+    /// Values for values in the order of the names.
+    pub(super) fn evaluate(&self, values: &[Values]) -> Values {
+        let mut stack: Vec<Values> = Vec::with_capacity(self.steps.len());
         for step in &self.steps {
+            let mut operand = || stack.pop().unwrap_or(Values::Same(f64::NAN));
             let value = match *step {
-                Step::Number(number) => number,
-                Step::Variable(index) => values.get(index).copied().unwrap_or(f64::NAN),
-                Step::Unary(function) => function(stack.pop().unwrap_or(f64::NAN)),
+                Step::Number(number) => Values::Same(number),
+                Step::Variable(index) => {
+                    values.get(index).cloned().unwrap_or(Values::Same(f64::NAN))
+                }
+                Step::Unary(function) => operand().map(function),
                 Step::Binary(function) => {
-                    let right = stack.pop().unwrap_or(f64::NAN);
-                    function(stack.pop().unwrap_or(f64::NAN), right)
+                    let right = operand();
+                    operand().zip(right, function)
                 }
             };
             stack.push(value);
         }
-        stack.pop().unwrap_or(f64::NAN)
+        stack.pop().unwrap_or(Values::Same(f64::NAN))
+    }
+}
+
+/// The value of a name or of a part of a formula over some rows.
+#[derive(Clone, Debug)]
+pub(super) enum Values {
+    /// The same in every row.
+    Same(f64),
+    /// One for each row.
+    Each(Vec<f64>),
+}
+
+impl Values {
+    /// The value in this row.
+    pub(super) fn at(&self, row: usize) -> f64 {
+        match self {
+            Self::Same(value) => *value,
+            Self::Each(values) => values.get(row).copied().unwrap_or(f64::NAN),
+        }
+    }
+
+    fn map(self, function: fn(f64) -> f64) -> Self {
+        match self {
+            Self::Same(value) => Self::Same(function(value)),
+            Self::Each(mut values) => {
+                values.iter_mut().for_each(|value| *value = function(*value));
+                Self::Each(values)
+            }
+        }
+    }
+
+    fn zip(self, right: Self, function: fn(f64, f64) -> f64) -> Self {
+        match (self, right) {
+            (Self::Same(left), Self::Same(right)) => Self::Same(function(left, right)),
+            (Self::Each(mut left), right) => {
+                let rows = left.iter_mut().enumerate();
+                rows.for_each(|(row, left)| *left = function(*left, right.at(row)));
+                Self::Each(left)
+            }
+            (Self::Same(left), Self::Each(mut right)) => {
+                right.iter_mut().for_each(|right| *right = function(left, *right));
+                Self::Each(right)
+            }
+        }
     }
 }
 

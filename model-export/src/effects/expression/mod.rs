@@ -2,13 +2,15 @@
 //! `ripple: dz_um = a*sin(2*pi*opening_mm/p) + b*cos(2*pi*opening_mm/p)`.
 //!
 //! Names that end in a unit are covariates, names with a range are nonlinear parameters, all others are
-//! coefficients, which must enter linearly. Each sensor has its own values.
+//! coefficients, which must enter linearly. `lag(COVARIATE, SECONDS)` is the covariate after a first-order low pass. Each sensor
+//! has its own values.
 
 use std::borrow::Cow;
 
 use nalgebra::Vector3;
 
-use crate::effects::excitation::{BUILT_IN_COVARIATES, ExcitationSeries};
+use crate::effects::excitation::{BUILT_IN_COVARIATES, ExcitationSeries, OPENING_RATE};
+use crate::effects::operators::low_pass;
 use crate::effects::parameter::{EffectParameter, MagnitudeSpec, ParameterKind};
 use crate::effects::state_series::{EffectStage, StateSeries};
 use crate::input::MAX_MAGNITUDE;
@@ -18,9 +20,9 @@ use crate::recordings::units::column_unit;
 mod evaluator;
 mod syntax;
 
-use evaluator::Formula;
+use evaluator::{Formula, Values};
 pub use syntax::ExpressionError;
-use syntax::{NamePositions, check_parameter_count, check_syntax};
+use syntax::{Lag, NamePositions, check_parameter_count, check_syntax};
 
 /// Grid intervals of the search over a range: resolves the phase of a ripple.
 const GRID_STEPS: usize = 60;
@@ -31,7 +33,28 @@ enum Role {
     Pi,
     Coefficient(usize),
     Shape(usize),
-    Covariate(usize),
+    Input(usize),
+}
+
+/// A covariate at a row, or its past.
+#[derive(Clone, Debug, PartialEq)]
+struct Input {
+    /// Index of the covariate.
+    covariate: usize,
+    lag: Option<TimeConstant>,
+}
+
+/// Time constant of a low pass.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum TimeConstant {
+    Seconds(f64),
+    /// Index of a nonlinear parameter.
+    Shape(usize),
+}
+
+/// True for names of covariates, recorded or not: they end in a unit.
+fn is_covariate(name: &str) -> bool {
+    column_unit(name).is_some() || name == OPENING_RATE
 }
 
 /// A nonlinear parameter and its search range.
@@ -62,6 +85,7 @@ pub struct Expression {
     pub ranges: Vec<ParameterRange>,
     /// Covariates in the formula.
     pub covariates: Vec<String>,
+    inputs: Vec<Input>,
     coefficients: Vec<String>,
     target: Target,
     formula: Formula,
@@ -85,20 +109,24 @@ impl Expression {
             );
             parts.target.error(text, format!("{:?} is not a target; {hint}", parts.target.text))
         })?;
-        let names = check_syntax(text, &parts.formula)?;
-        let formula = Formula::parse(parts.formula.text)
-            .map_err(|number| parts.formula.error(text, format!("{number:?} is not a number")))?;
+        // Lags become names of the same length, so that positions stay.
+        let (named, lags) = syntax::name_lags(text, &parts.formula)?;
+        let section = parts.formula.with_text(&named);
+        let names = check_syntax(text, &section)?;
+        let formula = Formula::parse(section.text)
+            .map_err(|number| section.error(text, format!("{number:?} is not a number")))?;
         let mut expression = Self {
             name: parts.name.text.to_owned(),
             text: text.trim().to_owned(),
             ranges: ranges.to_vec(),
             covariates: Vec::new(),
+            inputs: Vec::new(),
             coefficients: Vec::new(),
             target,
             formula,
             roles: Vec::new(),
         };
-        expression.assign_roles(text, &names, columns)?;
+        expression.assign_roles(text, &names, &lags, columns)?;
         expression.check_ranges(text)?;
         let parameters = expression.coefficients.len() + ranges.len();
         check_parameter_count(text, &names, parameters)?;
@@ -109,8 +137,18 @@ impl Expression {
     /// All names of a validated formula that end in a unit: its covariates.
     pub fn covariate_names(text: &str) -> Vec<String> {
         let separator = |c: char| !(c.is_ascii_alphanumeric() || c == '_');
-        let names = text.split(separator).filter(|name| column_unit(name).is_some());
-        names.map(str::to_owned).collect()
+        text.split(separator).filter(|name| is_covariate(name)).map(str::to_owned).collect()
+    }
+
+    /// Columns that its covariates need.
+    pub fn recorded_columns(&self) -> Vec<String> {
+        let source = |name: &String| match name.as_str() {
+            OPENING_RATE => "opening_mm".to_owned(),
+            _ => name.clone(),
+        };
+        let mut columns: Vec<String> = self.covariates.iter().map(source).collect();
+        columns.dedup();
+        columns
     }
 
     /// Assigns a role to each name of the formula.
@@ -118,20 +156,49 @@ impl Expression {
         &mut self,
         text: &str,
         names: &NamePositions,
+        lags: &[Lag],
         columns: &[String],
     ) -> Result<(), ExpressionError> {
         for name in self.formula.names().to_vec() {
             let position = names.position(&name);
-            let range = self.ranges.iter().position(|range| range.name == name);
-            let available =
-                || BUILT_IN_COVARIATES.into_iter().chain(columns.iter().map(String::as_str));
+            let shape = |name: &str| self.ranges.iter().position(|range| range.name == name);
+            let range = shape(&name);
+            let has_opening = columns.iter().any(|column| column == "opening_mm");
+            let rate = has_opening.then_some(OPENING_RATE);
+            let available = || {
+                let recorded = columns.iter().map(String::as_str);
+                BUILT_IN_COVARIATES.into_iter().chain(recorded).chain(rate)
+            };
+            let lag = lags.iter().find(|lag| lag.name == name);
+            let time_constant = match lag.map(|lag| (lag, lag.seconds.parse().ok())) {
+                None => None,
+                Some((_, Some(seconds))) if seconds > 0.0 && f64::is_finite(seconds) => {
+                    Some(TimeConstant::Seconds(seconds))
+                }
+                Some((lag, _)) => {
+                    let index = shape(&lag.seconds).ok_or_else(|| {
+                        let advice = format!(
+                            "the time constant {:?} is neither a positive number of seconds nor a name with a range, as in --range {}=1..10",
+                            lag.seconds, lag.seconds
+                        );
+                        position.error(text, advice)
+                    })?;
+                    Some(TimeConstant::Shape(index))
+                }
+            };
+            let name = lag.map_or(name, |lag| lag.covariate.clone());
             let role = if name == "pi" {
                 Role::Pi
             } else if let Some(range) = range {
                 Role::Shape(range)
             } else if available().any(|column| column == name) {
-                self.covariates.push(name);
-                Role::Covariate(self.covariates.len() - 1)
+                let known = self.covariates.iter().position(|covariate| *covariate == name);
+                let covariate = known.unwrap_or(self.covariates.len());
+                if known.is_none() {
+                    self.covariates.push(name);
+                }
+                self.inputs.push(Input { covariate, lag: time_constant });
+                Role::Input(self.inputs.len() - 1)
             } else if let Some(candidate) =
                 closest_match(&name, available()).filter(|_| name.len() > 3)
             {
@@ -141,7 +208,7 @@ impl Expression {
                         "{name:?} is not a covariate of these recordings; did you mean {candidate}?"
                     ),
                 ));
-            } else if column_unit(&name).is_some() {
+            } else if lag.is_some() || is_covariate(&name) {
                 let all: Vec<&str> = available().collect();
                 return Err(position.error(
                     text,
@@ -166,7 +233,10 @@ impl Expression {
 
     fn check_ranges(&self, text: &str) -> Result<(), ExpressionError> {
         for (i, range) in self.ranges.iter().enumerate() {
-            let message = if !self.roles.contains(&Role::Shape(i)) {
+            let of_lag = Some(TimeConstant::Shape(i));
+            let is_used = self.roles.contains(&Role::Shape(i))
+                || self.inputs.iter().any(|input| input.lag == of_lag);
+            let message = if !is_used {
                 format!("--range {}: the formula has no such name", range.name)
             } else if !is_valid(range) {
                 format!(
@@ -185,9 +255,9 @@ impl Expression {
     /// with all coefficients zero.
     fn check_linear(&self, text: &str, names: &NamePositions) -> Result<(), ExpressionError> {
         let shapes: Vec<f64> = self.ranges.iter().map(|r| 0.37 * r.from + 0.63 * r.to).collect();
-        let covariates: Vec<f64> =
-            (0..self.covariates.len()).map(|i| 0.71 + 0.13 * i as f64).collect();
-        let value = |coefficients: &[f64]| self.evaluate(coefficients, &shapes, &covariates);
+        let inputs: Vec<Values> =
+            (0..self.inputs.len()).map(|i| Values::Same(0.71 + 0.13 * i as f64)).collect();
+        let value = |coefficients: &[f64]| self.evaluate(coefficients, &shapes, &inputs).at(0);
         let all: Vec<f64> = (0..self.coefficients.len()).map(|i| 1.0 + 0.5 * i as f64).collect();
         let differs = |a: f64, b: f64, scale: f64| {
             a.is_finite() && b.is_finite() && (a - b).abs() > 1e-9 * scale
@@ -218,15 +288,18 @@ impl Expression {
         Ok(())
     }
 
-    fn evaluate(&self, coefficients: &[f64], shapes: &[f64], covariates: &[f64]) -> f64 {
-        let values: Vec<f64> = self
+    fn evaluate(&self, coefficients: &[f64], shapes: &[f64], inputs: &[Values]) -> Values {
+        let same = |values: &[f64], index: usize| {
+            Values::Same(values.get(index).copied().unwrap_or(f64::NAN))
+        };
+        let values: Vec<Values> = self
             .roles
             .iter()
             .map(|role| match role {
-                Role::Pi => std::f64::consts::PI,
-                Role::Coefficient(i) => coefficients[*i],
-                Role::Shape(i) => shapes[*i],
-                Role::Covariate(i) => covariates[*i],
+                Role::Pi => Values::Same(std::f64::consts::PI),
+                Role::Coefficient(i) => same(coefficients, *i),
+                Role::Shape(i) => same(shapes, *i),
+                Role::Input(i) => inputs.get(*i).cloned().unwrap_or(Values::Same(f64::NAN)),
             })
             .collect();
         self.formula.evaluate(&values)
@@ -261,31 +334,29 @@ impl Expression {
         MagnitudeSpec::norm_without_prior("norm of the coefficients", self.target.unit)
     }
 
-    /// Value of the formula (`covariates` in the order of [`Expression::covariates`]) and axis of the gripper.
+    /// Value of a formula without lags (`covariates` in the order of [`Expression::covariates`]) and axis of the gripper.
     pub fn value(&self, values: &[f64], covariates: &[f64]) -> (f64, usize) {
         let (coefficients, shapes) = values.split_at(self.coefficients.len().min(values.len()));
-        (self.evaluate(coefficients, shapes, covariates), self.target.axis)
+        let inputs: Vec<Values> = covariates.iter().copied().map(Values::Same).collect();
+        (self.evaluate(coefficients, shapes, &inputs).at(0), self.target.axis)
     }
 
     /// The first row with a non-finite value at the ends or the middle of the ranges, as text; `None` if all are
     /// finite.
     pub fn first_undefined(&self, excitation: &ExcitationSeries) -> Option<String> {
-        let columns: Vec<Vec<f64>> =
-            self.covariates.iter().map(|name| excitation.covariate(name)).collect::<Option<_>>()?;
         for fraction in [0.0, 0.5, 1.0] {
             let shapes: Vec<f64> =
                 self.ranges.iter().map(|r| r.from + fraction * (r.to - r.from)).collect();
-            for row in 0..excitation.len() {
-                let at: Vec<f64> = columns.iter().map(|column| column[row]).collect();
-                if !self.evaluate(&vec![1.0; self.coefficients.len()], &shapes, &at).is_finite() {
-                    let named = self.covariates.iter().zip(&at);
-                    let ranged = self.ranges.iter().map(|range| &range.name).zip(&shapes);
-                    let assignments: Vec<String> = named
-                        .chain(ranged)
-                        .map(|(name, value)| format!("{name} = {value}"))
-                        .collect();
-                    return Some(assignments.join(", "));
-                }
+            let columns = self.columns(&shapes, excitation)?;
+            let values = self.evaluate(&vec![1.0; self.coefficients.len()], &shapes, &columns);
+            if let Some(row) = (0..excitation.len()).find(|row| !values.at(*row).is_finite()) {
+                let named = self.inputs.iter().zip(&columns);
+                let named = named
+                    .map(|(input, column)| (&self.covariates[input.covariate], column.at(row)));
+                let ranged = self.ranges.iter().map(|range| &range.name).zip(shapes.clone());
+                let assignments: Vec<String> =
+                    named.chain(ranged).map(|(name, value)| format!("{name} = {value}")).collect();
+                return Some(assignments.join(", "));
             }
         }
         None
@@ -293,7 +364,8 @@ impl Expression {
 
     /// True where it is a function of the present forces alone, so that the tables of the inverse model contain it.
     pub fn depends_on_forces_alone(&self) -> bool {
-        self.covariates.iter().all(|covariate| matches!(covariate.as_str(), "fx_n" | "fz_n"))
+        let mut names = self.covariates.iter();
+        !self.has_memory() && names.all(|name| matches!(name.as_str(), "fx_n" | "fz_n"))
     }
 
     /// True where it changes a gain, an orientation or a tilt, which the tables of the device do not hold.
@@ -301,15 +373,39 @@ impl Expression {
         matches!(self.stage(), EffectStage::Magnet | EffectStage::Sensor)
     }
 
+    /// True where it depends on the past: by a lag, or by a rate that rows on both sides determine.
+    pub fn has_memory(&self) -> bool {
+        self.inputs.iter().any(|input| input.lag.is_some())
+            || self.covariates.iter().any(|covariate| covariate == OPENING_RATE)
+    }
+
+    /// Columns of the inputs; `None` where one was not recorded.
+    fn columns(&self, shapes: &[f64], excitation: &ExcitationSeries) -> Option<Vec<Values>> {
+        let column = |input: &Input| {
+            let values = excitation.covariate(&self.covariates[input.covariate])?;
+            let seconds = match input.lag {
+                None => return Some(Values::Each(values)),
+                Some(TimeConstant::Seconds(seconds)) => seconds,
+                Some(TimeConstant::Shape(index)) => shapes.get(index).copied()?,
+            };
+            Some(Values::Each(low_pass(&excitation.time_s, &values, seconds)))
+        };
+        self.inputs.iter().map(column).collect()
+    }
+
+    /// Value of the formula at every row; `None` where a covariate was not recorded.
+    pub fn series(&self, values: &[f64], excitation: &ExcitationSeries) -> Option<Vec<f64>> {
+        let (coefficients, shapes) = values.split_at(self.coefficients.len().min(values.len()));
+        let columns = self.columns(shapes, excitation)?;
+        let found = self.evaluate(coefficients, shapes, &columns);
+        Some((0..excitation.len()).map(|row| found.at(row)).collect())
+    }
+
     /// Adds the value of the formula to every row.
     pub fn apply(&self, values: &[f64], excitation: &ExcitationSeries, series: &mut StateSeries) {
-        let columns: Option<Vec<Vec<f64>>> =
-            self.covariates.iter().map(|name| excitation.covariate(name)).collect();
-        let Some(columns) = columns else { return };
-        let mut at = vec![0.0; columns.len()];
-        for row in 0..excitation.len() {
-            at.iter_mut().zip(&columns).for_each(|(at, column)| *at = column[row]);
-            let (value, axis) = self.value(values, &at);
+        let Some(all) = self.series(values, excitation) else { return };
+        let axis = self.target.axis;
+        for (row, value) in all.into_iter().enumerate() {
             let value = if value.is_finite() { value } else { 0.0 };
             let mut along = Vector3::zeros();
             along[axis] = value;

@@ -32,7 +32,15 @@ pub(super) struct Section<'a> {
     start: usize,
 }
 
-impl Section<'_> {
+impl<'a> Section<'a> {
+    /// Another text of the same length.
+    pub(super) fn with_text<'b>(&self, text: &'b str) -> Section<'b>
+    where
+        'a: 'b,
+    {
+        Section { text, start: self.start }
+    }
+
     pub(super) fn error(&self, text: &str, message: String) -> ExpressionError {
         ExpressionError::at(text, self.start, message)
     }
@@ -256,6 +264,60 @@ pub(super) fn check_parameter_count(
         return Err(ExpressionError::at(text, names.start, advice));
     }
     Ok(())
+}
+
+/// `lag(COVARIATE, SECONDS)` in a formula.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Lag {
+    /// Name that replaces it.
+    pub(super) name: String,
+    /// Covariate.
+    pub(super) covariate: String,
+    /// Number, or name of a nonlinear parameter.
+    pub(super) seconds: String,
+}
+
+/// The formula with every lag replaced by a name of the same length, and the lags.
+pub(super) fn name_lags(
+    text: &str,
+    formula: &Section,
+) -> Result<(String, Vec<Lag>), ExpressionError> {
+    const CALL: &str = "lag(";
+    let (mut named, mut lags, mut at) = (String::new(), Vec::new(), 0);
+    while let Some(found) = formula.text[at..].find(CALL) {
+        let start = at + found;
+        let is_whole =
+            !formula.text[..start].ends_with(|c: char| c.is_ascii_alphanumeric() || c == '_');
+        let arguments = &formula.text[start + CALL.len()..];
+        if !is_whole {
+            named.push_str(&formula.text[at..start + CALL.len()]);
+            at = start + CALL.len();
+            continue;
+        }
+        let fail = || {
+            let advice = "write lag(COVARIATE, SECONDS), for example lag(temp_c, 5)".to_owned();
+            ExpressionError::at(text, formula.start + start, advice)
+        };
+        let end = arguments.find(')').ok_or_else(fail)?;
+        let (covariate, seconds) = arguments[..end].split_once(',').ok_or_else(fail)?;
+        let (covariate, seconds) = (covariate.trim(), seconds.trim());
+        let is_name = |name: &str| !name.is_empty() && name_length(name) == name.len();
+        let is_number = !seconds.is_empty() && number_length(seconds) == seconds.len();
+        if !is_name(covariate) || !(is_name(seconds) || is_number) {
+            return Err(fail());
+        }
+        let whole = &formula.text[start..start + CALL.len() + end + 1];
+        let name: String = whole
+            .bytes()
+            .map(|b| if b.is_ascii_alphanumeric() { char::from(b) } else { '_' })
+            .collect();
+        named.push_str(&formula.text[at..start]);
+        named.push_str(&name);
+        at = start + whole.len();
+        lags.push(Lag { name, covariate: covariate.to_owned(), seconds: seconds.to_owned() });
+    }
+    named.push_str(&formula.text[at..]);
+    Ok((named, lags))
 }
 
 /// Length of the name at the start of `text`.

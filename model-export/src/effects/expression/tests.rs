@@ -4,6 +4,7 @@ use super::*;
 use crate::input::{
     MAX_FORMULA_BYTES, MAX_FORMULA_DEPTH, MAX_FORMULA_OPERATORS, MAX_FORMULA_PARAMETERS,
 };
+use crate::physics::PhysicalState;
 
 const RIPPLE: &str = "ripple: dz_um = a*sin(2*pi*opening_mm/p) + b*cos(2*pi*opening_mm/p)";
 
@@ -62,6 +63,14 @@ fn invalid_formulas_yield_advice() {
         ("ripple: dz_um = a*height_mm", "is not a covariate"),
         ("hysteresis: dz_um = a*opening_mm", "catalogue"),
         ("ripple: dz_um = a*foo(opening_mm)", "no function"),
+        ("warm: dz_um = a*lag(opening_mm)", "write lag(COVARIATE, SECONDS)"),
+        ("warm: dz_um = a*lag(opening_mm, 1, 2)", "write lag(COVARIATE, SECONDS)"),
+        ("warm: dz_um = a*lag(2*opening_mm, 1)", "write lag(COVARIATE, SECONDS)"),
+        ("warm: dz_um = a*lag(opening_mm, 1", "write lag(COVARIATE, SECONDS)"),
+        ("warm: dz_um = a*lag(opening_mm, 0)", "neither a positive number of seconds nor"),
+        ("warm: dz_um = a*lag(opening_mm, tau)", "as in --range tau=1..10"),
+        ("warm: dz_um = a*lag(openning_mm, 1)", "did you mean opening_mm?"),
+        ("warm: dz_um = a*lag(b, 1)", "available: fx_n, fz_n,"),
     ] {
         let message = error(text, &[]);
         assert!(message.contains(expected), "{text}: {message}");
@@ -148,4 +157,70 @@ fn names_of_constants_are_free_and_values_are_those_of_mathematics() {
         let (value, _) = parsed.value(&[5.0, 2.0], &[3.0]);
         assert!((value - expected).abs() < 1e-12, "{formula}: {value}");
     }
+}
+
+#[test]
+fn lag_is_a_first_order_low_pass() {
+    let time_s: Vec<f64> = (0..=400).map(|i| 0.01 * f64::from(i)).collect();
+    // A step of 3 mm within the first 10 ms.
+    let opening = time_s.iter().map(|t| if *t > 0.0 { 13.0 } else { 10.0 }).collect();
+    let excitation = ExcitationSeries {
+        covariates: [("opening_mm".to_owned(), opening)].into(),
+        time_s,
+        ..ExcitationSeries::default()
+    };
+    let range = |name: &str| ParameterRange { name: name.to_owned(), from: 0.5, to: 2.0 };
+    let text = "slow: by_g = a*(opening_mm - lag(opening_mm,tau)) + b*lag( opening_mm , 2.5 )";
+    let formula = Expression::parse(text, &[range("tau")], &columns()).unwrap();
+    assert_eq!(formula.covariates, ["opening_mm"]);
+    assert!(formula.has_memory() && !formula.depends_on_forces_alone());
+    // a = 2, b = 0, tau = 0.8 s: after the step 2*3*exp(-t/tau), to the length of the step.
+    let values = formula.series(&[2.0, 0.0, 0.8], &excitation).unwrap();
+    for (row, expected) in [(80, 2.2073), (160, 0.81201), (400, 0.040428)] {
+        assert!((values[row] / expected - 1.0).abs() < 0.01, "{row}: {}", values[row]);
+    }
+    // b = 1: 10 + 3*(1 - exp(-t/2.5)).
+    let values = formula.series(&[0.0, 1.0, 0.8], &excitation).unwrap();
+    for (row, expected) in [(0, 10.0), (100, 10.98904), (400, 12.39431)] {
+        assert!((values[row] - expected).abs() < 0.005, "{row}: {}", values[row]);
+    }
+    // What was not recorded has no values.
+    assert_eq!(formula.series(&[1.0, 1.0, 1.0], &ExcitationSeries::default()), None);
+}
+
+#[test]
+fn rate_of_the_opening_is_available_with_the_opening() {
+    let text = "drag: bx_g = a*opening_rate_mm_per_s";
+    let formula = Expression::parse(text, &[], &columns()).unwrap();
+    let time_s: Vec<f64> = (0..50).map(|i| 0.01 * f64::from(i)).collect();
+    let excitation = ExcitationSeries {
+        covariates: [("opening_mm".to_owned(), time_s.iter().map(|t| 30.0 - 8.0 * t).collect())]
+            .into(),
+        time_s,
+        ..ExcitationSeries::default()
+    };
+    let values = formula.series(&[0.5], &excitation).unwrap();
+    assert!(values.iter().all(|value| (value + 4.0).abs() < 1e-6), "{values:?}");
+    let message = Expression::parse(text, &[], &[]).unwrap_err().to_string();
+    assert!(message.contains("is not a covariate"), "{message}");
+}
+
+#[test]
+fn every_target_changes_its_own_quantity() {
+    let excitation = ExcitationSeries { time_s: vec![0.0], ..ExcitationSeries::default() };
+    let applied = |target: &str| {
+        let text = format!("own: {target} = a*(1 + time_s)");
+        let formula = Expression::parse(&text, &[], &[]).unwrap();
+        let states = vec![PhysicalState::displaced(Vector3::zeros())];
+        let mut series = StateSeries { force_n: vec![[0.0; 2]], opening_mm: Vec::new(), states };
+        formula.apply(&[2.0], &excitation, &mut series);
+        (series.force_n[0], series.states[0])
+    };
+    assert_eq!(applied("fz_n").0, [0.0, 2.0]);
+    assert_eq!(applied("dy_um").1.displacement_mm, Vector3::new(0.0, 2e-3, 0.0));
+    assert_eq!(applied("tilt_z_mrad").1.extra_tilt_rad, [0.0, 2e-3]);
+    assert_eq!(applied("bz_g").1.external_g, Vector3::new(0.0, 0.0, 2.0));
+    assert_eq!(applied("gain_percent").1.gain, Vector3::repeat(1.02));
+    assert_eq!(applied("gain_y_percent").1.gain, Vector3::new(1.0, 1.02, 1.0));
+    assert_eq!(applied("rotation_x_mrad").1.rotation_rad, Vector3::new(2e-3, 0.0, 0.0));
 }

@@ -53,6 +53,11 @@ impl Converter<'_> {
                 "the device's tables hold forces, displacements and fields, not gains, rotations or tilts; write it as a field (bx_g, by_g, bz_g)",
             ));
         }
+        if formula.has_memory() {
+            return Err(
+                self.error("the device's tables are functions of the present, without lags and rates of the opening")
+            );
+        }
         let known: Vec<CovariateFormat> = formula
             .covariates
             .iter()

@@ -9,6 +9,8 @@ use model_export::recordings::units::round_significant;
 const HARMONICS: [u32; 5] = [1, 2, 3, 4, 7];
 /// Highest number of periods within the travel of the opening, and the step of the search.
 const PERIODS: (f64, f64) = (40.0, 0.5);
+/// Covariates whose past matters: warming, relaxation.
+const LAGGED: [&str; 5] = ["temp_c", "motor_iq_a", "fx_n", "fz_n", "opening_mm"];
 /// Shortest period in mm.
 const MIN_PERIOD: f64 = 0.8;
 
@@ -103,11 +105,10 @@ impl Atom {
             .collect();
         let text = format!("atom: by_g = a*({})", self.text);
         let expression =
-            Expression::parse(&text, &ranges, std::slice::from_ref(&self.covariate)).ok()?;
-        let column = series.covariate(&self.covariate)?;
+            Expression::parse(&text, &ranges, &Expression::covariate_names(&text)).ok()?;
         let mut values = vec![1.0];
         values.extend(self.parameters.iter().map(|parameter| parameter.value));
-        let all: Vec<f64> = column.iter().map(|x| expression.value(&values, &[*x]).0).collect();
+        let all = expression.series(&values, series)?;
         all.iter().all(|value| value.is_finite()).then_some(all)
     }
 }
@@ -208,7 +209,7 @@ pub fn atoms_of(covariate: &str, span: Span) -> Vec<Atom> {
         let w = span.width();
         let (m, b) = (span.at(fraction), 0.2 * w);
         let bounds = [(m, span.low, span.high), (b, 0.03 * w, 0.5 * w)];
-        atoms.push(atom("exp(-((x-p)/q)^2)", 1.8).with(&bounds));
+        atoms.push(atom("exp(-(((x-p)/q)^2))", 1.8).with(&bounds));
         let bounds = [(m, span.low, span.high), (0.08 * w, 0.01 * w, 0.3 * w)];
         atoms.push(atom("tanh((x-p)/q)", 1.8).with(&bounds));
     }
@@ -218,7 +219,14 @@ pub fn atoms_of(covariate: &str, span: Span) -> Vec<Atom> {
         }
     }
     if covariate.ends_with("_rad") {
-        atoms.extend(angle_atoms(covariate, &[1, 2], covariate == "yaw_rad"));
+        let is_factor = covariate == "yaw_rad";
+        atoms.extend(angle_atoms(covariate, &[1, 2], is_factor));
+        atoms.extend(angle_atoms(covariate, &[3, 4, 5, 6], false));
+    }
+    if LAGGED.contains(&covariate) {
+        for tau in [0.3, 1.0, 3.0, 10.0] {
+            atoms.push(atom("lag(x, p)", 1.7).with(&[(tau, 0.3 * tau, 3.0 * tau)]));
+        }
     }
     if covariate == "opening_mm" {
         atoms.extend(periodic_atoms(covariate, span));
@@ -259,4 +267,80 @@ fn periodic_atoms(covariate: &str, span: Span) -> Vec<Atom> {
         periods += step;
     }
     atoms
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    fn opening() -> ExcitationSeries {
+        let time_s: Vec<f64> = (0..200).map(|i| 0.05 * f64::from(i)).collect();
+        ExcitationSeries {
+            covariates: [
+                ("opening_mm".to_owned(), time_s.iter().map(|t| 30.0 + 20.0 * t.sin()).collect()),
+                ("motor_angle_rad".to_owned(), time_s.iter().map(|t| (9.0 * t) % 6.28).collect()),
+            ]
+            .into(),
+            force_n: time_s.iter().map(|t| [40.0 * (1.3 * t).cos(), 0.0]).collect(),
+            time_s,
+            ..ExcitationSeries::default()
+        }
+    }
+
+    /// All functions of a covariate over its own range.
+    fn atoms(covariate: &str) -> Vec<Atom> {
+        atoms_of(covariate, Span::of(opening().covariate(covariate).unwrap()).unwrap())
+    }
+
+    #[test]
+    fn text_with_numbers_has_the_values_of_the_atom() {
+        for covariate in ["opening_mm", "motor_angle_rad", "fx_n", "time_s"] {
+            for atom in atoms(covariate) {
+                let text = atom.text(&mut std::iter::empty());
+                let formula = format!("own: by_g = a*({text})");
+                let names = [covariate.to_owned()];
+                let expression = Expression::parse(&formula, &[], &names).unwrap();
+                let expected = expression.series(&[1.0], &opening()).unwrap();
+                let values = atom.values(&opening()).unwrap();
+                // Numbers have six digits.
+                for (value, expected) in values.iter().zip(&expected) {
+                    assert!((value - expected).abs() < 2e-3 * (1.0 + expected.abs()), "{text}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn texts_are_unique_and_bounds_contain_the_values() {
+        for covariate in ["opening_mm", "motor_angle_rad", "fx_n", "time_s"] {
+            let all = atoms(covariate);
+            let texts: BTreeSet<String> =
+                all.iter().map(|atom| atom.text(&mut std::iter::empty())).collect();
+            assert_eq!(texts.len(), all.len(), "{covariate}");
+            for parameter in all.iter().flat_map(|atom| &atom.parameters) {
+                assert!(parameter.from <= parameter.value && parameter.value <= parameter.to);
+            }
+        }
+    }
+
+    #[test]
+    fn partner_of_a_harmonic_is_its_other_phase() {
+        for atom in atoms("opening_mm").iter().chain(&atoms("motor_angle_rad")) {
+            let Some(partner) = atom.partner() else { continue };
+            let (one, other) =
+                (atom.values(&opening()).unwrap(), partner.values(&opening()).unwrap());
+            for (one, other) in one.iter().zip(other) {
+                assert!((one * one + other * other - 1.0).abs() < 1e-9);
+            }
+            assert_eq!(partner.partner().unwrap(), *atom);
+        }
+        assert!(atoms("fx_n").iter().all(|atom| atom.partner().is_none()));
+    }
+
+    #[test]
+    fn names_are_replaced_as_a_whole() {
+        assert_eq!(replace_name("exp(-x/p)*x", "x", "fx_n"), "exp(-fx_n/p)*fx_n");
+        assert_eq!(replace_name("p + pi + opening_mm/p", "p", "2.5"), "2.5 + pi + opening_mm/2.5");
+    }
 }

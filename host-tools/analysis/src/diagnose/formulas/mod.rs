@@ -38,7 +38,7 @@ use candidate::{Candidate, columns_at};
 use chain_points::ChainPoint;
 use dictionary::{Dictionary, RankedCandidate};
 use rows::{SensorRows, Windows};
-use scan::{Scan, Score};
+use scan::{Scan, Score, TermScan};
 
 /// Maximum number of formulas.
 const MAX_FORMULAS: usize = 4;
@@ -265,7 +265,8 @@ impl<'a> FormulaSearch<'a> {
             if before.held_out() < AT_NOISE * scan.entries() as f64 {
                 break;
             }
-            let Some((candidate, score)) = self.best(&scan, &before) else {
+            let terms = TermScan::new(&scan, self.dictionary.values());
+            let Some((candidate, score)) = self.best(&terms, &scan, &before) else {
                 break;
             };
             let gain = 1.0 - score.held_out() / before.held_out();
@@ -274,7 +275,7 @@ impl<'a> FormulaSearch<'a> {
                 break;
             }
             let columns = self.columns(&scan, &candidate);
-            let p_value = scan.p_value(&columns, self.dictionary.values(), self.options.seed);
+            let p_value = terms.p_value(&columns, self.options.seed);
             if p_value >= MAX_P {
                 break;
             }
@@ -292,10 +293,13 @@ impl<'a> FormulaSearch<'a> {
         if accepted.is_empty() {
             return Ok(None);
         }
-        on_stage("deciding where the formulas act");
-        self.drop_needless(start, &mut accepted)?;
-        for place in 0..accepted.len() {
-            self.decide_points(start, &mut accepted, place)?;
+        // Where structure remains, the formulas are approximations, and so are their points of the chain.
+        if model.floors() <= AT_FLOOR {
+            on_stage("deciding where the formulas act");
+            self.drop_needless(start, &mut model, &mut accepted)?;
+            for place in 0..accepted.len() {
+                self.decide_points(start, &mut model, &mut accepted, place)?;
+            }
         }
         let mut discovery = Discovery { formulas: Vec::new(), stages: Vec::new() };
         let mut effects = start.effects.clone();
@@ -304,12 +308,13 @@ impl<'a> FormulaSearch<'a> {
             let own = accepted.candidate.effects(&name, true)?;
             effects.extend(own.iter().cloned());
             let split = self.setup.split(&effects);
-            discovery.stages.push(FittedModel::new(
-                self.setup,
-                effects.clone(),
-                split,
-                self.options,
-            )?);
+            // Without nonlinear parameters nothing changes.
+            let stage = if model.effects == effects && model.fit.split == split {
+                model.clone()
+            } else {
+                FittedModel::new(self.setup, effects.clone(), split, self.options)?
+            };
+            discovery.stages.push(stage);
             discovery.formulas.push(DiscoveredFormula {
                 name,
                 effects: own,
@@ -365,8 +370,8 @@ impl<'a> FormulaSearch<'a> {
     }
 
     /// The simplest candidate within 2 % of the least remaining squared error, with its score.
-    fn best(&self, scan: &Scan, before: &Score) -> Option<(Candidate, Score)> {
-        let gains = scan.gains(self.dictionary.values());
+    fn best(&self, terms: &TermScan, scan: &Scan, before: &Score) -> Option<(Candidate, Score)> {
+        let gains = terms.gains();
         let ranked = self.dictionary.ranked(&gains, &self.points, EXACT);
         let mut scored: Vec<(Candidate, Score)> = ranked
             .into_par_iter()
@@ -447,15 +452,19 @@ impl<'a> FormulaSearch<'a> {
     }
 
     /// Drops formulas without which the squared error is hardly larger.
-    fn drop_needless(&self, start: &FittedModel, accepted: &mut Vec<Accepted>) -> Result<()> {
+    fn drop_needless(
+        &self,
+        start: &FittedModel,
+        model: &mut FittedModel,
+        accepted: &mut Vec<Accepted>,
+    ) -> Result<()> {
         let mut place = 0;
         while accepted.len() > 1 && place < accepted.len() {
-            let all = self.fitted(start, accepted)?;
             let mut fewer = accepted.clone();
             fewer.remove(place);
             let without = self.fitted(start, &fewer)?;
-            if without.mean_square() < (1.0 + MIN_KEPT) * all.mean_square() {
-                *accepted = fewer;
+            if without.mean_square() < (1.0 + MIN_KEPT) * model.mean_square() {
+                (*accepted, *model) = (fewer, without);
             } else {
                 place += 1;
             }
@@ -464,10 +473,11 @@ impl<'a> FormulaSearch<'a> {
     }
 
     /// Decides at which points of the chain a formula acts: by the whole model linearised with the formula at its present point,
-    /// and by full fits where other points are near.
+    /// and by full fits where other points are near. `model` has the formulas, before and after.
     fn decide_points(
         &self,
         start: &FittedModel,
+        model: &mut FittedModel,
         accepted: &mut [Accepted],
         place: usize,
     ) -> Result<()> {
@@ -478,9 +488,8 @@ impl<'a> FormulaSearch<'a> {
             FittedModel::without_validation(self.setup, effects, self.options)
         };
         let current = accepted[place].candidate.clone();
-        let model = fit(&current)?;
         let own = current.effects(&self.name(start, place), false)?;
-        let scan = self.scan_without(&model, &own);
+        let scan = self.scan_without(model, &own);
         let mut options: Vec<Vec<ChainPoint>> =
             self.points.iter().map(|point| vec![*point]).collect();
         options.extend(ChainPoint::vectors(&self.points));
@@ -507,7 +516,7 @@ impl<'a> FormulaSearch<'a> {
             .filter_map(|(_, (candidate, _))| {
                 let score = |model: &FittedModel| self.scan(model).score(&[]).fitted;
                 let score = if is_current(&candidate) {
-                    score(&model)
+                    score(model)
                 } else {
                     score(&fit(&candidate).ok()?)
                 };
@@ -529,7 +538,11 @@ impl<'a> FormulaSearch<'a> {
         };
         let others = near(NEAR).filter(|(other, _)| other.points != chosen.0.points);
         accepted[place].others = others.map(|(other, _)| other.points.clone()).collect();
-        accepted[place].candidate = chosen.0.clone();
+        let chosen = chosen.0.clone();
+        if chosen != current {
+            accepted[place].candidate = chosen;
+            *model = self.fitted(start, accepted)?;
+        }
         Ok(())
     }
 }

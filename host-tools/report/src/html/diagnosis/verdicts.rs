@@ -78,6 +78,7 @@ pub fn found_section(diagnosis: &Diagnosis) -> Option<Section> {
 }
 
 fn formula_part(diagnosis: &Diagnosis, formula: &DiscoveredFormula) -> Markup {
+    let shape = diagnosis.shapes.iter().find(|shape| shape.effects.contains(&formula.name));
     let numbers = formula.models.first().map_or(&[][..], |model| &model.sensors);
     let heads: Vec<String> = std::iter::once("parameter".to_owned())
         .chain(numbers.iter().map(|sensor| format!("sensor {}", sensor.number)))
@@ -92,6 +93,7 @@ fn formula_part(diagnosis: &Diagnosis, formula: &DiscoveredFormula) -> Markup {
         }
         p { (text::formula_evidence(diagnosis, formula)) }
         p.note { (text::formula_alternatives(formula)) }
+        @if let Some(shape) = shape { (effect::strongest(shape)) (effect::all(shape)) }
         (table("Values at each sensor, with standard errors", &heads, rows))
     }
 }
