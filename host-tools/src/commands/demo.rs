@@ -19,6 +19,7 @@ use analysis::compare::campaign_reader::{
     Caching, CampaignReader, ScannedCampaign, scan_with_progress,
 };
 use analysis::compare::pipeline::compare_scanned;
+use analysis::diagnose::observer::Observer;
 use analysis::diagnose::{Diagnosis, diagnose};
 use analysis::edit_model::{find_effects, refit};
 use analysis::fit::fit_campaign;
@@ -176,17 +177,12 @@ fn improve(fitted: &Fitted, scanned: ScannedCampaign) -> Result<()> {
         "5. The residual. Model and measurement over all recordings.\n\n{}\n",
         terminal::paragraph(&text::comparison::verdict(&comparison))
     ))?;
-    let bar = progress::row_spinner("diagnosing");
-    let report_step = |step: &str| bar.set_message(step.to_owned());
-    let (mut diagnosis, _) = diagnose(
-        fitted.campaign,
-        fitted.model,
-        fitted.model_path,
-        &[],
-        fitted.options,
-        &report_step,
-    )?;
-    bar.finish_and_clear();
+    let bar = progress::Stages::new();
+    let observer = Observer::new(|stage, share| bar.set(stage, share), |_| (), || false);
+    let (mut diagnosis, _) =
+        diagnose(fitted.campaign, fitted.model, fitted.model_path, &[], fitted.options, &observer)?;
+    drop(observer);
+    bar.finish();
     diagnosis.campaign = fitted.folder.display().to_string();
     terminal::print(&format!(
         "{}\n{}",
@@ -210,8 +206,12 @@ fn add_effects(fitted: &Fitted, diagnosis: &Diagnosis) -> Result<ErrorSteps> {
     let mut added: Vec<EffectTerm> = Vec::new();
     for (i, step) in diagnosis.accepted.iter().enumerate() {
         // The first of several equivalent effects; a user would choose, or record data that separate them.
-        let first = step.first().context("an empty step")?.clone();
-        added.extend(find_effects(&[first], &[])?);
+        let first = step.first().context("an empty step")?;
+        let formulas = diagnosis.formulas.iter().flat_map(|formula| &formula.effects);
+        match formulas.into_iter().find(|formula| formula.name() == first) {
+            Some(formula) => added.push(formula.clone()),
+            None => added.extend(find_effects(std::slice::from_ref(first), &[])?),
+        }
         let edit = refit(
             fitted.campaign.clone(),
             fitted.model,

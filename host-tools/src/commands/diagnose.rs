@@ -1,17 +1,25 @@
 //! `magpie diagnose`: which physical effect is missing from a model.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use analysis::progress;
-use anyhow::Result;
+use anyhow::{Context, Result};
 use model_export::model_file::ModelFile;
+use signal_hook::consts::SIGINT;
 
 use crate::commands::args::{CompareArgs, ExprArgs};
 use crate::commands::print_notes;
 use analysis::compare::campaign_reader::{Caching, ScannedCampaign};
 use analysis::compare::pipeline::compare_scanned;
+use analysis::diagnose::observer::{FirstCandidate, Observer};
 use analysis::diagnose::suggestions::{Invocation, suggest};
 use analysis::diagnose::{Diagnosis, diagnose};
 use report::text::diagnosis::{format_report, to_json};
 use report::text::terminal;
+
+/// Exit status of a process that Ctrl-C ended.
+const INTERRUPTED: i32 = 130;
 
 /// Identify the physical effects that are missing from a model, with the evidence.
 #[derive(Debug, clap::Args)]
@@ -28,6 +36,33 @@ pub struct Args {
     exprs: ExprArgs,
 }
 
+/// A flag that the first Ctrl-C sets; the second ends the process.
+fn first_interrupt() -> Result<Arc<AtomicBool>> {
+    let flag = Arc::new(AtomicBool::new(false));
+    let context = "cannot install the handler for Ctrl-C";
+    // In this order: the first one only arms the end.
+    signal_hook::flag::register_conditional_shutdown(SIGINT, INTERRUPTED, flag.clone())
+        .context(context)?;
+    signal_hook::flag::register(SIGINT, flag.clone()).context(context)?;
+    Ok(flag)
+}
+
+/// What the screening says, before anything was fitted.
+fn first_answer(first: &[FirstCandidate]) -> String {
+    const SHOWN: usize = 3;
+    if first.is_empty() {
+        return "First answer: no effect of the catalogue is significant by itself. Refining."
+            .to_owned();
+    }
+    let shown = first.iter().take(SHOWN);
+    let names: Vec<String> =
+        shown.map(|one| format!("{} ({:.0} %)", one.effect, 100.0 * one.gain)).collect();
+    format!(
+        "First answer, provisional: the linearised model improves most with {} of its squared error. Refining.",
+        names.join(", ")
+    )
+}
+
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     let common = &args.common;
@@ -41,11 +76,17 @@ pub fn run(args: &Args) -> Result<()> {
         Some(reader) => {
             let campaign = reader.whole()?;
             let own = args.exprs.parse(&campaign)?;
-            let bar = progress::row_spinner("diagnosing");
-            let on_stage = |stage: &str| bar.set_message(stage.to_owned());
+            let bar = progress::Stages::new();
+            let stop = first_interrupt()?;
+            let observer = Observer::new(
+                |stage, share| bar.set(stage, share),
+                |first| bar.line(&first_answer(first)),
+                || stop.load(Ordering::Relaxed),
+            );
             let (mut diagnosis, refit) =
-                diagnose(&campaign, &model, &input.model, &own, options, &on_stage)?;
-            bar.finish_and_clear();
+                diagnose(&campaign, &model, &input.model, &own, options, &observer)?;
+            drop(observer);
+            bar.finish();
             diagnosis.findings.clone_from(&scanned.findings);
             let discovered = diagnosis.formulas.iter().flat_map(|formula| &formula.effects);
             let own: Vec<_> = own.iter().chain(discovered).cloned().collect();
@@ -69,6 +110,9 @@ pub fn run(args: &Args) -> Result<()> {
             compare_scanned(&input.model, &model, None, scanned, refit.as_ref(), options)?;
         print_notes(&comparison.notes);
         common.write_report(&comparison, &report::html::diagnosis::sections(&diagnosis))?;
+    }
+    if diagnosis.is_interrupted {
+        std::process::exit(INTERRUPTED);
     }
     Ok(())
 }

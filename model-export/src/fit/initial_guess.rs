@@ -8,7 +8,7 @@
 use nalgebra::DMatrix;
 use rayon::prelude::*;
 
-use crate::effects::{EffectParameter, ParameterKind};
+use crate::effects::{EffectParameter, EffectTerm, ParameterKind};
 use crate::fit::linearisation::{Linearisation, held_out_residuals, least_residual};
 use crate::fit::problem::SensorProblem;
 use crate::physics::PhysicalState;
@@ -23,6 +23,8 @@ const FINE: i32 = 4;
 const INSTANT_S: [f64; 2] = [0.5, 0.05];
 /// Refinement steps on each side of the best instant.
 const FINE_STEPS: usize = 12;
+/// Minimum reduction of a sensor's squared residual by a shape of its own.
+const OWN_GAIN: f64 = 0.05;
 /// Scale of a coefficient without a typical value: what moves the field by this multiple of its residual.
 const EXPECTED: f64 = 10.0;
 
@@ -235,24 +237,34 @@ fn refined(grid: &[f64]) -> Vec<f64> {
 }
 
 /// Selects the value of parameter `j` of effect `i` with the smallest residual over all sensors; with `across`
-/// by leave-one-recording-out error, and fixes it.
+/// by leave-one-recording-out error, and fixes it. A sensor has another value of a user-defined effect where that leaves clearly
+/// less there: the load at which a joint closes differs from finger to finger.
 fn select_value(searches: &mut [ShapeSearch], i: usize, j: usize, tried: &[f64], across: bool) {
-    let left: Vec<Vec<f64>> = tried
+    let by_sensor: Vec<Vec<Vec<f64>>> = tried
         .par_iter()
-        .map(|&value| {
-            let mut sum: Vec<f64> = Vec::new();
-            for left in searches.iter().map(|s| s.residuals(i, j, value, across)) {
-                sum.resize(left.len(), 0.0);
-                sum.iter_mut().zip(left).for_each(|(sum, own)| *sum += own);
-            }
-            sum
-        })
+        .map(|&value| searches.iter().map(|s| s.residuals(i, j, value, across)).collect())
         .collect();
-    let Some(value) = argmin(tried, &left, None) else {
+    let sum = |of_sensors: &Vec<Vec<f64>>| {
+        let mut sum: Vec<f64> = Vec::new();
+        for left in of_sensors {
+            sum.resize(left.len(), 0.0);
+            sum.iter_mut().zip(left).for_each(|(sum, own)| *sum += own);
+        }
+        sum
+    };
+    let left: Vec<Vec<f64>> = by_sensor.iter().map(sum).collect();
+    let Some(place) = argmin(&left, None) else {
         return;
     };
     let std_error = across.then(|| jackknife(tried, &left));
-    for search in searches {
+    for (sensor, search) in searches.iter_mut().enumerate() {
+        let mut value = tried[place];
+        if !across && matches!(search.problem.effects[i], EffectTerm::Expression(_)) {
+            let own = |place: usize| by_sensor[place][sensor].iter().sum::<f64>();
+            let best = (0..tried.len()).min_by(|a, b| own(*a).total_cmp(&own(*b)));
+            let is_better = |best: &usize| own(*best) < (1.0 - OWN_GAIN) * own(place);
+            value = best.filter(is_better).map_or(value, |best| tried[best]);
+        }
         let index = search.problem.ranges()[i].start + j;
         search.values[index] = value;
         search.problem.parameters[index].start = value;
@@ -261,21 +273,21 @@ fn select_value(searches: &mut [ShapeSearch], i: usize, j: usize, tried: &[f64],
     }
 }
 
-/// Value with the smallest residual over all recordings except `without`.
-fn argmin(tried: &[f64], left: &[Vec<f64>], without: Option<usize>) -> Option<f64> {
+/// Place of the smallest residual over all recordings except `without`.
+fn argmin(left: &[Vec<f64>], without: Option<usize>) -> Option<usize> {
     let sum = |left: &Vec<f64>| -> f64 {
         let counted = left.iter().enumerate().filter(|(k, _)| Some(*k) != without);
         counted.map(|(_, left)| left).sum()
     };
-    let pairs = left.iter().map(sum).zip(tried);
-    pairs.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, value)| *value)
+    let sums: Vec<f64> = left.iter().map(sum).collect();
+    (0..sums.len()).min_by(|a, b| sums[*a].total_cmp(&sums[*b]))
 }
 
 /// Jackknife standard error of the logarithm of the selected value over recordings.
 fn jackknife(tried: &[f64], left: &[Vec<f64>]) -> f64 {
     let count = left.first().map_or(0, Vec::len);
     let logs: Vec<f64> =
-        (0..count).filter_map(|k| argmin(tried, left, Some(k)).map(f64::ln)).collect();
+        (0..count).filter_map(|k| argmin(left, Some(k)).map(|place| tried[place].ln())).collect();
     let n = logs.len().max(1) as f64;
     let mean = logs.iter().sum::<f64>() / n;
     let squares: f64 = logs.iter().map(|log| (log - mean).powi(2)).sum();

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use model_export::effects::ExcitationSeries;
 use model_export::effects::expression::{Expression, ParameterRange};
 
 use super::bytes::Bytes;
@@ -14,12 +15,34 @@ const MAX_PARAMETERS: usize = 16;
 
 /// Depth of generated terms.
 const DEPTH: u32 = 4;
-const TARGETS: [&str; 9] =
-    ["fx_n", "fz_n", "dx_um", "dy_um", "dz_um", "bx_g", "by_g", "bz_g", "fy_n"];
+const TARGETS: [&str; 12] = [
+    "fx_n",
+    "fz_n",
+    "dx_um",
+    "dy_um",
+    "dz_um",
+    "bx_g",
+    "by_g",
+    "bz_g",
+    "gain_y_percent",
+    "rotation_x_mrad",
+    "tilt_z_mrad",
+    "fy_n",
+];
 const COLUMNS: [&str; 3] = ["opening_mm", "motor_iq_a", "accel_x_mps2"];
 /// Variables of terms: covariates, ranges, constants; also names that resemble functions.
-const VARIABLES: [&str; 8] =
-    ["opening_mm", "motor_iq_a", "fx_n", "time_s", "temp_c", "p", "lnq", "pi"];
+const VARIABLES: [&str; 10] = [
+    "opening_mm",
+    "motor_iq_a",
+    "fx_n",
+    "time_s",
+    "temp_c",
+    "p",
+    "lnq",
+    "pi",
+    "lag(opening_mm,2)",
+    "lag( temp_c , p)",
+];
 const COEFFICIENTS: [&str; 12] =
     ["a", "b", "c", "e", "E", "PI", "TAU", "min", "cbrt", "sina", "e1", "_k"];
 const FUNCTIONS: [&str; 16] = [
@@ -78,7 +101,7 @@ pub fn parse(bytes: &[u8]) -> Tally {
         }
     };
     tally.accepted = 1;
-    let parsed = Reference::parse(&text)
+    let parsed = Reference::parse(&without_lags(&text))
         .unwrap_or_else(|| panic!("accepted, but not by the second parser: {text}"));
     let parameters = expression.parameters();
     assert!(text.len() <= MAX_BYTES && parsed.depth <= MAX_DEPTH, "{text}");
@@ -103,8 +126,14 @@ pub fn parse(bytes: &[u8]) -> Tally {
         let mut number = |_: &String| f64::from(bytes.word() as i16) / 4096.0;
         let values: Vec<f64> = names.iter().map(&mut number).collect();
         let at: Vec<f64> = expression.covariates.iter().map(&mut number).collect();
-        let (value, axis) = expression.value(&values, &at);
-        let (repeated, _) = again.value(&values, &at);
+        let (mut value, axis) = expression.value(&values, &at);
+        let (mut repeated, _) = again.value(&values, &at);
+        if expression.has_memory() {
+            let Some(series) = constant(&expression.covariates, &at) else { continue };
+            let last = |formula: &Expression| formula.series(&values, &series).map(|all| all[1]);
+            (value, repeated) =
+                (last(&expression).unwrap_or(f64::NAN), last(&again).unwrap_or(f64::NAN));
+        }
         assert!(value.to_bits() == repeated.to_bits() || (value.is_nan() && repeated.is_nan()));
         assert!(axis < 3);
         let all = names.iter().zip(&values).chain(expression.covariates.iter().zip(&at));
@@ -123,6 +152,48 @@ pub fn parse(bytes: &[u8]) -> Tally {
         }
     }
     tally
+}
+
+/// The text with the covariate in place of each lag, which it equals where nothing changes.
+fn without_lags(text: &str) -> String {
+    let (mut plain, mut rest) = (String::new(), text);
+    while let Some(at) = rest.find("lag(") {
+        let (before, call) = rest.split_at(at);
+        let is_whole = !before.ends_with(|c: char| c.is_ascii_alphanumeric() || c == '_');
+        plain.push_str(before);
+        match call[4..].split_once(')').filter(|_| is_whole) {
+            Some((arguments, after)) => {
+                plain.push_str(arguments.split(',').next().unwrap_or_default().trim());
+                rest = after;
+            }
+            None => {
+                plain.push_str("lag(");
+                rest = &call[4..];
+            }
+        }
+    }
+    plain + rest
+}
+
+/// Two rows with these values of the covariates; `None` where one of them cannot be constant.
+fn constant(covariates: &[String], values: &[f64]) -> Option<ExcitationSeries> {
+    let mut series = ExcitationSeries {
+        time_s: vec![0.0, 1.0],
+        force_n: vec![[0.0; 2]; 2],
+        ..ExcitationSeries::default()
+    };
+    for (name, value) in covariates.iter().zip(values) {
+        match name.as_str() {
+            "fx_n" => series.force_n.iter_mut().for_each(|force| force[0] = *value),
+            "fz_n" => series.force_n.iter_mut().for_each(|force| force[1] = *value),
+            "temp_c" => series.temperature_c = vec![*value; 2],
+            own if COLUMNS.contains(&own) => {
+                series.covariates.insert(name.clone(), vec![*value; 2]);
+            }
+            _ => return None,
+        }
+    }
+    Some(series)
 }
 
 /// Names and numbers of a text.

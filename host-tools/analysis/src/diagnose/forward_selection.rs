@@ -4,6 +4,7 @@
 use crate::diagnose::candidate_fit::best_candidate;
 use crate::diagnose::candidates::{MIN_GAIN, screen};
 use crate::diagnose::confusable_effects::Collinearity;
+use crate::diagnose::observer::Observer;
 use crate::diagnose::residuals::{attributed_covariates, block_s, residual_tables};
 use crate::diagnose::selection::{FittedModel, SMALL, Selection};
 use anyhow::Result;
@@ -19,7 +20,11 @@ const MAX_STEPS: usize = 6;
 /// If a covariate explains more than this fraction of the residual and the best effect less than [`SMALL`] of that,
 /// the effect is not named: it would approximate something else.
 const ATTRIBUTED: f64 = 0.3;
-/// Runs the selection from a model with the effects `present`. `on_stage` receives the stage of the work.
+/// Fractions of the remaining work that a screening and the fits of a step take.
+const SCREENING: f64 = 0.25;
+const FITTING: f64 = 0.2;
+
+/// Runs the selection from a model with the effects `present`.
 ///
 /// # Errors
 /// The initial model cannot be fitted.
@@ -29,7 +34,7 @@ pub fn forward_selection(
     present: &[EffectTerm],
     candidates: &[EffectTerm],
     options: FitOptions,
-    on_stage: &dyn Fn(&str),
+    observer: &Observer,
 ) -> Result<Selection> {
     let mut selection = Selection {
         steps: Vec::new(),
@@ -46,13 +51,16 @@ pub fn forward_selection(
         blocks: 0,
     };
     loop {
-        on_stage("screening candidates");
+        observer.stage("screening candidates", SCREENING);
         let around = screen_last(campaign, prepared, candidates, &mut selection, options);
-        if selection.steps.len() >= MAX_STEPS {
+        if selection.steps.is_empty() {
+            observer.screened(&selection.last);
+        }
+        if selection.steps.len() >= MAX_STEPS || observer.is_stopped() {
             break;
         }
         let stage = &selection.stages[selection.stages.len() - 1];
-        on_stage("fitting candidates");
+        observer.stage("fitting candidates", FITTING);
         let Some((step, next)) = best_candidate(prepared, stage, &around, &selection, options)?
         else {
             break;
@@ -66,10 +74,12 @@ pub fn forward_selection(
         selection.steps.push(step);
         selection.stages.push(next);
     }
-    on_stage("separating equivalent effects");
-    resolve_equivalences(prepared, &mut selection, options);
-    on_stage("eliminating effects");
-    eliminate_backward(prepared, &mut selection, options)?;
+    if !observer.is_stopped() {
+        observer.stage("separating equivalent effects", FITTING);
+        resolve_equivalences(prepared, &mut selection, options);
+        observer.stage("eliminating effects", FITTING);
+        eliminate_backward(prepared, &mut selection, options)?;
+    }
     align_validation(prepared, &mut selection.stages, options)?;
     Ok(selection)
 }

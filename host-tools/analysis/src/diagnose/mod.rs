@@ -11,6 +11,7 @@
 //! - [`residuals`]: the remaining residual, and what each effect removed of it.
 //! - [`remaining_structure`]: what follows no covariate.
 //! - [`formulas`]: formulas of the covariates, where the catalogue leaves structure.
+//! - [`observer`]: progress, first answer, early end.
 //! - [`verdicts`]: a verdict on every candidate.
 //! - [`recording_check`]: effects on which recordings can decide, before a diagnosis.
 //! - [`suggestions`]: the next command.
@@ -21,6 +22,7 @@ use crate::diagnose::candidates::candidates;
 pub use crate::diagnose::formulas::DiscoveredFormula;
 use crate::diagnose::formulas::discover;
 use crate::diagnose::forward_selection::forward_selection;
+use crate::diagnose::observer::Observer;
 use crate::diagnose::remaining_structure::RemainingStructure;
 pub use crate::diagnose::residuals::EffectShape;
 use crate::diagnose::residuals::{residuals_against, shapes};
@@ -39,6 +41,7 @@ pub mod candidates;
 pub mod confusable_effects;
 pub mod formulas;
 pub mod forward_selection;
+pub mod observer;
 pub mod recording_check;
 pub mod remaining_structure;
 pub mod residuals;
@@ -73,6 +76,8 @@ pub struct Diagnosis {
     pub shapes: Vec<EffectShape>,
     /// Suggested next command.
     pub next: Suggestion,
+    /// True if it was ended early: candidates and formulas that would have been tried later are missing.
+    pub is_interrupted: bool,
     /// True if the effects explain the residual except noise; otherwise names are provisional.
     pub is_complete: bool,
     /// Number of bootstrap blocks.
@@ -206,7 +211,7 @@ pub struct StaircaseStep {
 }
 
 /// Diagnoses which effects `model` (read from `path`) does not contain on `campaign`: those of the catalogue and the user's
-/// `own`. `on_stage` receives the stage of the work. The second value is the fit of `model` to the campaign, where its
+/// `own`. `observer` is told of the progress and can end it early. The second value is the fit of `model` to the campaign, where its
 /// cross-validation is that of a comparison.
 ///
 /// # Errors
@@ -217,15 +222,16 @@ pub fn diagnose(
     path: &Path,
     own: &[EffectTerm],
     options: FitOptions,
-    on_stage: &dyn Fn(&str),
+    observer: &Observer,
 ) -> Result<(Diagnosis, Option<ModelRefit>)> {
+    observer.begin();
     let prepared = model.fit_setup(campaign, options)?;
     let present: Vec<EffectTerm> = model.effect_terms(path)?;
     let (testable, untestable) =
         candidates(campaign, model.base, model.force_axes(), &present, own);
     let mut selection =
-        forward_selection(campaign, &prepared, &present, &testable, options, on_stage)?;
-    let formulas = discover(campaign, &prepared, &testable, &mut selection, options, on_stage)?;
+        forward_selection(campaign, &prepared, &present, &testable, options, observer)?;
+    let formulas = discover(campaign, &prepared, &testable, &mut selection, options, observer)?;
     let mut diagnosis = conclude(&selection, &formulas, &untestable, campaign.recordings.len());
     if let Some(last) = selection.stages.last().filter(|_| !diagnosis.at_floor) {
         let located = selection.attributed.iter().map(|(_, share)| share).sum();
@@ -237,6 +243,7 @@ pub fn diagnose(
     diagnosis.model = path.display().to_string();
     diagnosis.campaign = campaign.folder.display().to_string();
     diagnosis.seed = options.seed;
+    diagnosis.is_interrupted = observer.was_stopped();
     let own_split = prepared.split(&present);
     let first = selection.stages.into_iter().next().map(|stage| stage.fit);
     let refit =

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use analysis::compare::campaign_reader::read_campaign;
+use analysis::diagnose::observer::Observer;
 use analysis::diagnose::{StaircaseStep, diagnose};
 use analysis::edit_model::{find_effects, refit};
 use analysis::fit::fit_model;
@@ -127,7 +128,8 @@ pub fn identify(
     let fit = fit_model(&campaign, BaseKind::Cylinder, None, ALIGNED, options)?;
     fit.model.write(&plain)?;
     let recordings = read_campaign(&campaign, ALIGNED)?;
-    let (diagnosis, _) = diagnose(&recordings, &fit.model, &plain, &[], options, &|_| ())?;
+    let (diagnosis, _) =
+        diagnose(&recordings, &fit.model, &plain, &[], options, &Observer::default())?;
     let added: Vec<String> =
         diagnosis.accepted.iter().filter_map(|step| step.first().cloned()).collect();
     let model = if added.is_empty() {

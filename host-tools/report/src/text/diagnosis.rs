@@ -27,10 +27,17 @@ pub fn format_report(diagnosis: &Diagnosis) -> String {
     page += &equivalent_effects(diagnosis);
     page += &inconclusive_effects(diagnosis);
     page += &unexplained_residual(diagnosis);
+    if diagnosis.is_interrupted {
+        page += &styled(WARNING, INTERRUPTED_NOTE);
+    }
     let style = if diagnosis.at_floor { GOOD } else { WARNING };
     page += &styled(style, &verdict(diagnosis));
     page + &next_commands(&diagnosis.next)
 }
+
+/// Of a diagnosis that was ended early.
+pub const INTERRUPTED_NOTE: &str =
+    "INTERRUPTED: what was not tried until then is missing, and all names are provisional.";
 
 /// The accepted effects, without the table of all candidates.
 pub fn format_summary(diagnosis: &Diagnosis) -> String {
@@ -313,6 +320,7 @@ pub fn to_json(diagnosis: &Diagnosis) -> Value {
         "formulas": diagnosis.formulas.iter().map(|one| formula_json(diagnosis, one)).collect::<Vec<_>>(),
         "unexplained": unexplained_json(diagnosis),
         "at_floor": diagnosis.at_floor,
+        "interrupted": diagnosis.is_interrupted,
         "staircase": diagnosis.staircase,
         "blocks": diagnosis.blocks,
         "block_s": diagnosis.block_s,

@@ -9,8 +9,10 @@ use model_export::recordings::units::round_significant;
 const HARMONICS: [u32; 5] = [1, 2, 3, 4, 7];
 /// Highest number of periods within the travel of the opening, and the step of the search.
 const PERIODS: (f64, f64) = (40.0, 0.5);
-/// Covariates whose past matters: warming, relaxation.
+/// Covariates whose past matters: warming, relaxation. With a lag, and without what the lag follows.
 const LAGGED: [&str; 5] = ["temp_c", "motor_iq_a", "fx_n", "fz_n", "opening_mm"];
+/// Time constants in seconds at which the search for that of a lag starts.
+const TIME_CONSTANTS: [f64; 5] = [0.3, 1.2, 5.0, 20.0, 80.0];
 /// Shortest period in mm.
 const MIN_PERIOD: f64 = 0.8;
 
@@ -89,7 +91,8 @@ impl Atom {
                 .unwrap_or_else(|| format!("{}", round_significant(parameter.value, 6)));
             text = replace_name(&text, own, &value);
         }
-        text
+        // Of negative parameters.
+        text.replace("--", "+").replace("+-", "-")
     }
 
     /// Values over the rows of a series; `None` where the covariate was not recorded or a value is not finite.
@@ -221,11 +224,19 @@ pub fn atoms_of(covariate: &str, span: Span) -> Vec<Atom> {
     if covariate.ends_with("_rad") {
         let is_factor = covariate == "yaw_rad";
         atoms.extend(angle_atoms(covariate, &[1, 2], is_factor));
-        atoms.extend(angle_atoms(covariate, &[3, 4, 5, 6], false));
+        for twice in 5..=16 {
+            let per_turn = 0.5 * f64::from(twice);
+            let bounds = [(per_turn, per_turn - 0.5, per_turn + 0.5)];
+            for (text, other) in [("sin(p*x)", "cos(p*x)"), ("cos(p*x)", "sin(p*x)")] {
+                atoms.push(atom(text, 1.6).with(&bounds).phase(other));
+            }
+        }
     }
     if LAGGED.contains(&covariate) {
-        for tau in [0.3, 1.0, 3.0, 10.0] {
-            atoms.push(atom("lag(x, p)", 1.7).with(&[(tau, 0.3 * tau, 3.0 * tau)]));
+        for tau in TIME_CONSTANTS {
+            let bounds = [(tau, 0.5 * tau, 2.0 * tau)];
+            atoms.push(atom("lag(x, p)", 1.7).with(&bounds));
+            atoms.push(atom("(x-lag(x, p))", 1.7).with(&bounds));
         }
     }
     if covariate == "opening_mm" {

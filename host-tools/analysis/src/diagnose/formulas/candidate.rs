@@ -17,6 +17,8 @@ use crate::diagnose::formulas::scan::{Columns, Scan};
 
 /// Complexity of each column after the first.
 const COLUMN_COMPLEXITY: f64 = 0.2;
+/// Complexity of nonlinear parameters that differ between sensors.
+const OWN_COMPLEXITY: f64 = 0.4;
 /// Width of the range in which a nonlinear parameter of a discovered formula is fitted, relative to its bounds.
 const RANGE: f64 = 0.1;
 /// Names of coefficients and of nonlinear parameters.
@@ -30,6 +32,8 @@ pub struct Candidate {
     pub terms: Vec<Vec<Atom>>,
     /// Points of the chain.
     pub points: Vec<ChainPoint>,
+    /// Nonlinear parameters of each sensor, where they differ; empty where all sensors have the same.
+    pub own: Vec<Vec<f64>>,
 }
 
 impl Candidate {
@@ -41,6 +45,7 @@ impl Candidate {
         let compliance = self.points.iter().any(|point| point.target().1.is_some());
         functions
             + COLUMN_COMPLEXITY * (columns.max(1) - 1) as f64
+            + if self.own.is_empty() { 0.0 } else { OWN_COMPLEXITY }
             + if compliance { 0.5 } else { 0.0 }
     }
 
@@ -101,7 +106,7 @@ impl Candidate {
         }
         let with = |factor: &Atom| Self {
             terms: vec![term.clone(), vec![factor.clone()]],
-            points: self.points.clone(),
+            ..self.clone()
         };
         term.iter().map(with).collect()
     }
@@ -114,37 +119,55 @@ impl Candidate {
         points: &[ChainPoint],
         windows: &[Vec<Windows>],
     ) -> Columns {
-        let of_sensor = |sensor: usize| {
-            let of_term = |term: &Vec<Atom>| {
-                let mut values = Vec::with_capacity(scan.rows[sensor].len());
-                for (series, windows) in excitations(setup, sensor).zip(&windows[sensor]) {
-                    let mut product = vec![1.0; series.len()];
-                    for atom in term {
-                        let Some(own) = atom.values(series) else { continue };
-                        product.iter_mut().zip(own).for_each(|(product, value)| *product *= value);
-                    }
-                    values.extend(averaged(&product, windows));
+        let sensors = (0..scan.rows.len()).into_par_iter();
+        sensors.map(|sensor| self.columns_of(sensor, setup, scan, points, windows)).collect()
+    }
+
+    /// Columns at one sensor.
+    pub fn columns_of(
+        &self,
+        sensor: usize,
+        setup: &FitSetup,
+        scan: &Scan,
+        points: &[ChainPoint],
+        windows: &[Vec<Windows>],
+    ) -> DMatrix<f64> {
+        let own = self.own.get(sensor).into_iter().flatten().enumerate();
+        let at = own.fold(self.clone(), |at, (index, value)| at.with_nonlinear(index, *value));
+        let of_term = |term: &Vec<Atom>| {
+            let mut values = Vec::with_capacity(scan.rows[sensor].len());
+            for (series, windows) in excitations(setup, sensor).zip(&windows[sensor]) {
+                let mut product = vec![1.0; series.len()];
+                for atom in term {
+                    let Some(own) = atom.values(series) else { continue };
+                    product.iter_mut().zip(own).for_each(|(product, value)| *product *= value);
                 }
-                values
-            };
-            let terms: Vec<Vec<f64>> = self.terms.iter().map(of_term).collect();
-            columns_at(&scan.rows[sensor], &terms, &self.points, points)
+                values.extend(averaged(&product, windows));
+            }
+            values
         };
-        (0..scan.rows.len()).into_par_iter().map(of_sensor).collect()
+        let terms: Vec<Vec<f64>> = at.terms.iter().map(of_term).collect();
+        columns_at(&scan.rows[sensor], &terms, &self.points, points)
     }
 
     /// As user-defined effects, one for each point of the chain: with the nonlinear parameters as numbers, or with a range to
-    /// be fitted.
+    /// be fitted, as always where they differ between sensors.
     ///
     /// # Errors
     /// The text exceeds the limits of formulas.
     pub fn effects(&self, name: &str, has_ranges: bool) -> Result<Vec<EffectTerm>> {
+        let has_ranges = has_ranges || !self.own.is_empty();
         self.points.iter().map(|point| self.effect(*point, name, has_ranges)).collect()
     }
 
     fn effect(&self, point: ChainPoint, name: &str, has_ranges: bool) -> Result<EffectTerm> {
         let mut ranges = Vec::new();
         let mut terms = Vec::new();
+        // Of the values at all sensors, or the one that they share.
+        let span = |index: usize, value: f64| {
+            let own = || self.own.iter().filter_map(|own| own.get(index).copied());
+            (own().fold(value, f64::min), own().fold(value, f64::max))
+        };
         let (target, load) = point.target();
         for (term, coefficient) in self.terms.iter().zip(COEFFICIENTS) {
             let mut factors = vec![coefficient.to_owned()];
@@ -157,9 +180,10 @@ impl Candidate {
                 } else {
                     Vec::new()
                 };
-                for (name, parameter) in own.iter().zip(&atom.parameters) {
+                for (index, (name, parameter)) in own.iter().zip(&atom.parameters).enumerate() {
                     if ranges.iter().all(|range: &ParameterRange| range.name != *name) {
-                        ranges.push(range_of(name, *parameter));
+                        let values = span(used + index, parameter.value);
+                        ranges.push(range_of(name, *parameter, values));
                     }
                 }
                 used += own.len();
@@ -203,18 +227,15 @@ pub fn columns_at(
     DMatrix::from_vec(3 * rows.len(), terms.len() * places.len(), columns)
 }
 
-/// Range around the value of a nonlinear parameter.
-fn range_of(name: &str, parameter: Nonlinear) -> ParameterRange {
+/// Range around the values of a nonlinear parameter.
+fn range_of(name: &str, parameter: Nonlinear, (least, most): (f64, f64)) -> ParameterRange {
     let half = 0.5 * RANGE * (parameter.to - parameter.from);
     // Positive parameters stay positive.
-    let from = (parameter.value - half).max(if parameter.from > 0.0 {
-        0.5 * parameter.value
-    } else {
-        f64::NEG_INFINITY
-    });
+    let from =
+        (least - half).max(if parameter.from > 0.0 { 0.5 * least } else { f64::NEG_INFINITY });
     ParameterRange {
         name: name.to_owned(),
         from: round_significant(from, 4),
-        to: round_significant(parameter.value + half, 4),
+        to: round_significant(most + half, 4),
     }
 }

@@ -185,6 +185,7 @@ impl Dictionary {
             let candidate = Candidate {
                 terms: terms.iter().map(|term| self.factors(*term)).collect(),
                 points: set.iter().map(|point| points[*point]).collect(),
+                own: Vec::new(),
             };
             ranked.push(RankedCandidate { candidate, terms });
         }

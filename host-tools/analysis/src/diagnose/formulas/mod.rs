@@ -33,6 +33,7 @@ use rayon::prelude::*;
 use crate::compare::AT_FLOOR;
 use crate::diagnose::candidates::varying_covariates;
 use crate::diagnose::forward_selection::screen_last;
+use crate::diagnose::observer::Observer;
 use crate::diagnose::selection::{FittedModel, Selection};
 use candidate::{Candidate, columns_at};
 use chain_points::ChainPoint;
@@ -60,8 +61,13 @@ const MIN_KEPT: f64 = 0.01;
 const EXACT: usize = 8;
 /// Candidates whose nonlinear parameters are refined.
 const REFINED: usize = 5;
+/// Minimum reduction of the held-out squared error by nonlinear parameters that differ between sensors.
+const OWN_GAIN: f64 = 0.1;
 /// Points of the chain that are fitted fully.
 const FINALISTS: usize = 4;
+/// Fraction of the remaining work that a step takes, and the last screening.
+const STEP: f64 = 0.25;
+const FINAL: f64 = 0.8;
 
 /// A discovered formula.
 #[derive(Clone, Debug)]
@@ -115,15 +121,15 @@ pub fn discover(
     candidates: &[EffectTerm],
     selection: &mut Selection,
     options: FitOptions,
-    on_stage: &dyn Fn(&str),
+    observer: &Observer,
 ) -> Result<Vec<DiscoveredFormula>> {
     let (Some(first), Some(last)) = (selection.stages.first(), selection.stages.last()) else {
         return Ok(Vec::new());
     };
-    if last.floors() <= AT_FLOOR {
+    if last.floors() <= AT_FLOOR || observer.is_stopped() {
         return Ok(Vec::new());
     }
-    on_stage("searching formulas");
+    observer.stage("preparing the search for formulas", STEP);
     let has =
         |axis: Axis| setup.rows.iter().any(|rows| rows.forces.iter().any(|(_, own)| *own == axis));
     let axes = [has(Axis::X), has(Axis::Z)];
@@ -132,13 +138,13 @@ pub fn discover(
         .filter(|name| !STATOR_CURRENTS.contains(&name.as_str()))
         .collect();
     let search = FormulaSearch::new(setup, &covariates, axes, options);
-    let alone = search.run(first, on_stage)?;
+    let alone = search.run(first, observer)?;
     let is_enough =
         |found: &Discovery| found.is_at_floor() && found.formulas.len() <= selection.steps.len();
     let beside = if selection.steps.is_empty() || alone.as_ref().is_some_and(is_enough) {
         None
     } else {
-        search.run(last, on_stage)?
+        search.run(last, observer)?
     };
     let (steps, found) = match (alone, beside) {
         (None, None) => return Ok(Vec::new()),
@@ -164,7 +170,7 @@ pub fn discover(
     selection.stages.truncate(1 + steps);
     selection.stages.extend(found.stages);
     remove_needless(setup, selection, options)?;
-    on_stage("screening candidates");
+    observer.stage("screening candidates", FINAL);
     screen_last(campaign, setup, candidates, selection, options);
     let mut formulas = found.formulas;
     if let Some(last) = selection.stages.last() {
@@ -255,11 +261,11 @@ impl<'a> FormulaSearch<'a> {
     ///
     /// # Errors
     /// A fit fails.
-    pub fn run(&self, start: &FittedModel, on_stage: &dyn Fn(&str)) -> Result<Option<Discovery>> {
+    pub fn run(&self, start: &FittedModel, observer: &Observer) -> Result<Option<Discovery>> {
         let mut accepted: Vec<Accepted> = Vec::new();
         let mut model = start.clone();
-        while accepted.len() < MAX_FORMULAS {
-            on_stage(&format!("searching formulas, step {}", accepted.len() + 1));
+        while accepted.len() < MAX_FORMULAS && !observer.is_stopped() {
+            observer.stage(&format!("searching formulas, step {}", accepted.len() + 1), STEP);
             let scan = self.scan(&model);
             let before = scan.score(&[]);
             if before.held_out() < AT_NOISE * scan.entries() as f64 {
@@ -294,8 +300,8 @@ impl<'a> FormulaSearch<'a> {
             return Ok(None);
         }
         // Where structure remains, the formulas are approximations, and so are their points of the chain.
-        if model.floors() <= AT_FLOOR {
-            on_stage("deciding where the formulas act");
+        if model.floors() <= AT_FLOOR && !observer.is_stopped() {
+            observer.stage("deciding where the formulas act", STEP);
             self.drop_needless(start, &mut model, &mut accepted)?;
             for place in 0..accepted.len() {
                 self.decide_points(start, &mut model, &mut accepted, place)?;
@@ -389,7 +395,7 @@ impl<'a> FormulaSearch<'a> {
             .iter()
             .take(REFINED)
             .flat_map(|(candidate, _)| {
-                let refined = self.refined(scan, candidate);
+                let refined = self.refined_by_sensor(scan, self.refined(scan, candidate));
                 let extended = self.extended(scan, &refined.0, refined.1.held_out());
                 extended.into_iter().chain([refined])
             })
@@ -434,6 +440,41 @@ impl<'a> FormulaSearch<'a> {
             }
         }
         (best, score)
+    }
+
+    /// With nonlinear parameters that differ between sensors, where that removes clearly more.
+    fn refined_by_sensor(&self, scan: &Scan, shared: (Candidate, Score)) -> (Candidate, Score) {
+        let count = shared.0.nonlinear().len();
+        if count == 0 || scan.rows.len() < 2 {
+            return shared;
+        }
+        let of_sensor = |sensor: usize| {
+            let mut best = shared.0.clone();
+            let fitted = |candidate: &Candidate| {
+                let (points, windows) = (&self.points, &self.windows);
+                let columns = candidate.columns_of(sensor, self.setup, scan, points, windows);
+                scan.score_of(sensor, Some(&columns)).fitted
+            };
+            let mut least = fitted(&best);
+            for _ in 0..2 {
+                for parameter in 0..count {
+                    let bounds = best.nonlinear()[parameter];
+                    let at = |value: f64| fitted(&best.with_nonlinear(parameter, value));
+                    let Some(found) = minimum(bounds.from, bounds.to, at) else { continue };
+                    let moved = best.with_nonlinear(parameter, found);
+                    let new = fitted(&moved);
+                    if new < least {
+                        (best, least) = (moved, new);
+                    }
+                }
+            }
+            best.nonlinear().iter().map(|parameter| parameter.value).collect()
+        };
+        let own = (0..scan.rows.len()).into_par_iter().map(of_sensor).collect();
+        let candidate = Candidate { own, ..shared.0.clone() };
+        let score = scan.score(&self.columns(scan, &candidate));
+        let is_better = score.held_out() < (1.0 - OWN_GAIN) * shared.1.held_out();
+        if is_better { (candidate, score) } else { shared }
     }
 
     /// A product with one of its factors as a term of its own, where the remaining squared error falls by more than 2 %.
@@ -488,6 +529,10 @@ impl<'a> FormulaSearch<'a> {
             FittedModel::without_validation(self.setup, effects, self.options)
         };
         let current = accepted[place].candidate.clone();
+        if !current.own.is_empty() {
+            // Not linear in its parameters: the point of the search stays.
+            return Ok(());
+        }
         let own = current.effects(&self.name(start, place), false)?;
         let scan = self.scan_without(model, &own);
         let mut options: Vec<Vec<ChainPoint>> =

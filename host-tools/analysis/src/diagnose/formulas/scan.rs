@@ -90,7 +90,8 @@ impl Scan {
         sum
     }
 
-    fn score_of(&self, sensor: usize, columns: Option<&DMatrix<f64>>) -> Score {
+    /// Score of a candidate at one sensor.
+    pub fn score_of(&self, sensor: usize, columns: Option<&DMatrix<f64>>) -> Score {
         let rows = &self.rows[sensor];
         let bordered = self.bordered(sensor, columns);
         let size = rows.prior.len() + columns.map_or(0, DMatrix::ncols);

@@ -13,6 +13,7 @@ pub fn verdict_section(diagnosis: &Diagnosis) -> Section {
     let there = diagnosis.verdicts.iter().filter(|v| text::is_present(v));
     let provisional = there.clone().any(|verdict| verdict.provisional);
     let body = html! {
+        @if diagnosis.is_interrupted { p { strong { (text::INTERRUPTED_NOTE) } } }
         p.verdict { (text::verdict(diagnosis)) }
         @if diagnosis.at_floor { p { strong { (text::at_floor_note(diagnosis)) } } }
         (next(diagnosis))
