@@ -13,8 +13,9 @@ const CACHE_ROWS: usize = 256;
 
 /// Columns of a matrix over these rows.
 pub fn columns(matrix: &DMatrix<f64>, rows: Range<usize>) -> Vec<&[f64]> {
-    let all = matrix.as_slice().chunks_exact(matrix.nrows().max(1));
-    all.map(|column| column.get(rows.clone()).unwrap_or_default()).collect()
+    let (all, height) = (matrix.as_slice(), matrix.nrows());
+    let of = |column: usize| height * column + rows.start..height * column + rows.end.min(height);
+    (0..matrix.ncols()).map(|column| all.get(of(column)).unwrap_or_default()).collect()
 }
 
 /// Products of every column on the left with every column on the right.

@@ -1,5 +1,6 @@
 //! Text and JSON of a diagnosis.
 
+use analysis::diagnose::candidates::{LEVEL, MIN_GAIN};
 use analysis::diagnose::remaining_structure::RemainingStructure;
 use analysis::diagnose::{
     Diagnosis, DiscoveredFormula, Reason, StaircaseStep, Suggestion, SuggestionKind, Unexplained,
@@ -20,6 +21,7 @@ pub fn format_report(diagnosis: &Diagnosis) -> String {
     if diagnosis.staircase.is_empty() {
         return page + &paragraph(&verdict(diagnosis));
     }
+    page += &paragraph(&missing_columns(diagnosis));
     page += &verdict_table(diagnosis);
     page += &step_table(diagnosis);
     page += &accepted_effects(diagnosis);
@@ -47,6 +49,27 @@ pub fn format_summary(diagnosis: &Diagnosis) -> String {
     page += &equivalent_effects(diagnosis);
     page += &unexplained_residual(diagnosis);
     page + "\n"
+}
+
+/// What was not recorded or does not vary, and the effects on which it would decide; empty if nothing is missing.
+pub fn missing_columns(diagnosis: &Diagnosis) -> String {
+    let mut columns: Vec<(String, Vec<&str>)> = Vec::new();
+    for verdict in &diagnosis.verdicts {
+        let what = match &verdict.reason {
+            Reason::NotRecorded(column) => format!("{column} was not recorded"),
+            Reason::DoesNotVary(column) => format!("{column} does not vary"),
+            _ => continue,
+        };
+        match columns.iter_mut().find(|(own, _)| *own == what) {
+            Some((_, effects)) => effects.push(&verdict.effect),
+            None => columns.push((what, vec![&verdict.effect])),
+        }
+    }
+    let missing: Vec<String> = columns
+        .iter()
+        .map(|(what, effects)| format!("{what}: nothing can be said on {}", effects.join(", ")))
+        .collect();
+    if missing.is_empty() { String::new() } else { format!("{}.\n\n", missing.join("; ")) }
 }
 
 fn paragraph(text: &str) -> String {
@@ -547,7 +570,15 @@ pub fn short_reason(verdict: &Verdict) -> String {
         Reason::HardlyChangesField => "not detectable here".to_owned(),
         Reason::Confounded => "confounded".to_owned(),
         Reason::Masked => "masked by other causes".to_owned(),
-        Reason::BelowBound(bound) => format!("< {bound:.2} of typical"),
+        Reason::BelowBound(bound) => {
+            // Why a small p-value is not enough.
+            let rule = match verdict.p_adjusted < LEVEL {
+                true if verdict.gain <= MIN_GAIN => "no held-out gain, ",
+                true => "not in every fold, ",
+                false => "",
+            };
+            format!("{rule}< {bound:.2} of typical")
+        }
         Reason::NotRecorded(column) => format!("no {column}"),
         Reason::NeedsGeometry | Reason::NeedsForce | Reason::DoesNotVary(_) => SEE_BELOW.to_owned(),
         Reason::Unfitted(_) => "base model not fitted".to_owned(),
@@ -711,8 +742,12 @@ pub fn added_effects(stair: &StaircaseStep) -> String {
 pub fn significance_note(diagnosis: &Diagnosis) -> String {
     format!(
         "Gain: reduction of the cross-validated squared error. p: p-value adjusted for all candidates \
-         (wild bootstrap over {} blocks of {:.1} s, seed {}).",
-        diagnosis.blocks, diagnosis.block_s, diagnosis.seed
+         (wild bootstrap over {} blocks of {:.1} s, seed {}). Present: p below {LEVEL}, gain above {} %, and a lower \
+         error in every fold. < b of typical: 95 % upper bound of the magnitude.",
+        diagnosis.blocks,
+        diagnosis.block_s,
+        diagnosis.seed,
+        100.0 * MIN_GAIN
     )
 }
 
@@ -803,11 +838,10 @@ mod tests {
         };
         let page = uncolored(&diagnosis);
         assert!(page.contains("  formula_1: by_g = a*fx_n*opening_mm + b*fx_n\n"), "{page}");
-        // In units of a power of ten, both numbers to two digits of the error.
-        for cells in [
-            ["a / 1e-3 G", "1.2044±0.0023", "1.1987±0.0023"],
-            ["b / G", "-0.251±0.012", "0.020±0.012"],
-        ] {
+        // In units of a power of ten; no finer than a thousandth of the value.
+        for cells in
+            [["a / 1e-3 G", "1.204±0.002", "1.199±0.002"], ["b / G", "-0.251±0.012", "0.020±0.012"]]
+        {
             let has_all = |line: &&str| cells.iter().all(|cell| line.contains(cell));
             assert!(page.lines().any(|line| has_all(&line)), "{cells:?}: {page}");
         }
