@@ -60,7 +60,7 @@ pub struct Diagnosis {
     pub findings: Vec<Finding>,
     /// A verdict on each candidate, sorted by kind and gain.
     pub verdicts: Vec<Verdict>,
-    /// Accepted steps, each one effect or several equivalent ones.
+    /// Accepted steps, each one effect or several equivalent ones; the effects of formulas last.
     pub accepted: Vec<Vec<String>>,
     /// Formulas of the covariates that explain what no effect of the catalogue does.
     pub formulas: Vec<DiscoveredFormula>,

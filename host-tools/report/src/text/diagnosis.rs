@@ -339,7 +339,7 @@ pub fn to_json(diagnosis: &Diagnosis) -> Value {
         "campaign": diagnosis.campaign,
         "findings": findings.collect::<Vec<_>>(),
         "verdicts": diagnosis.verdicts.iter().map(verdict_json).collect::<Vec<_>>(),
-        "accepted": diagnosis.accepted,
+        "accepted": accepted_of_catalogue(diagnosis),
         "formulas": diagnosis.formulas.iter().map(|one| formula_json(diagnosis, one)).collect::<Vec<_>>(),
         "unexplained": unexplained_json(diagnosis),
         "at_floor": diagnosis.at_floor,
@@ -351,6 +351,13 @@ pub fn to_json(diagnosis: &Diagnosis) -> Value {
         "next": diagnosis.next.commands,
         "verdict": verdict(diagnosis),
     })
+}
+
+/// Accepted steps without those of the formulas, which are listed by themselves.
+fn accepted_of_catalogue(diagnosis: &Diagnosis) -> Vec<&Vec<String>> {
+    let formulas = || diagnosis.formulas.iter().flat_map(|formula| &formula.effects);
+    let is_formula = |name: &String| formulas().any(|formula| formula.name() == name);
+    diagnosis.accepted.iter().filter(|step| !step.iter().any(is_formula)).collect()
 }
 
 /// Located shares, then what follows no covariate; empty at the noise floor only.

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 
+use model_export::effects::excitation::OPENING_RATE;
 use model_export::recordings::columns::STATOR_CURRENTS;
 use serde_json::Value;
 
@@ -61,6 +62,7 @@ fn recorded_columns(covariate: &str) -> Vec<&str> {
     match covariate {
         "fx_rate_n_per_s" | "loading_x" => vec!["fx_n"],
         "fz_rate_n_per_s" | "loading_z" => vec!["fz_n"],
+        OPENING_RATE => vec!["opening_mm"],
         name if STATOR_CURRENTS.contains(&name) => vec!["motor_iq_a", "motor_angle_rad"],
         name => vec![name],
     }
@@ -107,7 +109,11 @@ pub fn evaluate(case: &Case, output: &Value) -> Evaluation {
     let located = match &case.expected {
         Expected::NoName(Some(covariate)) => {
             let mut unexplained = output["unexplained"].as_array().into_iter().flatten();
-            Some(unexplained.any(|one| one["covariate"] == *covariate))
+            let is_unexplained = unexplained.any(|one| one["covariate"] == *covariate);
+            let formulas = output["formulas"].as_array().into_iter().flatten();
+            let names = formulas.filter_map(|formula| formula["covariates"].as_array()).flatten();
+            let mut columns = names.filter_map(Value::as_str).flat_map(recorded_columns);
+            Some(is_unexplained || columns.any(|column| column == *covariate))
         }
         _ => None,
     };
