@@ -80,10 +80,37 @@ fn styled(style: Style, text: &str) -> String {
     terminal::styled(style, text, NARROW_WIDTH)
 }
 
+/// Minimum gain that is shown where a large unexplained residual prevents the verdicts.
+const MIN_SHOWN: f64 = 0.01;
+/// Maximum number of effects in a list.
+const MAX_LISTED: usize = 6;
+
+/// The verdicts with something to say, and how many others a large unexplained residual prevents.
+pub fn shown_verdicts(diagnosis: &Diagnosis) -> (Vec<&Verdict>, usize) {
+    let says_nothing = |verdict: &&Verdict| {
+        matches!(verdict.reason, Reason::UnexplainedResidual(_)) && verdict.gain < MIN_SHOWN
+    };
+    let (hidden, shown): (Vec<_>, Vec<_>) = diagnosis.verdicts.iter().partition(says_nothing);
+    if hidden.len() > MAX_LISTED {
+        (shown, hidden.len())
+    } else {
+        (diagnosis.verdicts.iter().collect(), 0)
+    }
+}
+
+/// The names, or how many they are.
+pub fn listed(effects: &[String]) -> String {
+    match effects.len() {
+        count if count > MAX_LISTED => format!("{count} effects"),
+        _ => effects.join(", "),
+    }
+}
+
 fn verdict_table(diagnosis: &Diagnosis) -> String {
     let mut table = terminal::table(["effect", "verdict", "gain", "p", "magnitude or reason"]);
     table.set_width(NARROW_WIDTH);
-    for verdict in &diagnosis.verdicts {
+    let (shown, hidden) = shown_verdicts(diagnosis);
+    for verdict in shown {
         table.add_row([
             verdict.effect.clone(),
             verdict_label(verdict),
@@ -98,6 +125,15 @@ fn verdict_table(diagnosis: &Diagnosis) -> String {
                 "-".to_owned()
             },
             short_reason(verdict),
+        ]);
+    }
+    if hidden > 0 {
+        table.add_row([
+            format!("{hidden} others"),
+            "INCONCLUSIVE".to_owned(),
+            format!("< {:.0} %", 100.0 * MIN_SHOWN),
+            "-".to_owned(),
+            "much is unexplained".to_owned(),
         ]);
     }
     let mut page = format!("{table}\n");
@@ -260,7 +296,7 @@ fn inconclusive_effects(diagnosis: &Diagnosis) -> String {
     }
     let mut page = format!("{HEADING}Inconclusive from these recordings{HEADING:#}\n");
     for group in groups {
-        page += &paragraph(&format!("  {}: {}.", group.effects.join(", "), group.why));
+        page += &paragraph(&format!("  {}: {}.", listed(&group.effects), group.why));
         page += &suggested_recordings("Record", &group.record);
     }
     page + "\n"
@@ -816,6 +852,56 @@ mod tests {
         blocked.provisional = true;
         let diagnosis = Diagnosis { verdicts: vec![blocked], ..Diagnosis::default() };
         assert_eq!(inconclusive_groups(&diagnosis)[0].record, []);
+    }
+
+    #[test]
+    fn one_large_unknown_is_one_row_and_missing_columns_come_first() {
+        let blocked = |effect: &str, gain: f64| Verdict {
+            gain,
+            ..verdict_of(effect, VerdictKind::Inconclusive, Reason::UnexplainedResidual(None))
+        };
+        let names = [
+            "creep",
+            "hysteresis",
+            "softening",
+            "hard_stop",
+            "tip_slope",
+            "viscous_lag",
+            "earth_field",
+        ];
+        let mut verdicts = vec![blocked("external_magnet", 0.13)];
+        verdicts.extend(names.iter().map(|name| blocked(name, 0.001)));
+        let missing = Reason::NotRecorded("opening_mm".to_owned());
+        verdicts.push(verdict_of("neighbour_magnet", VerdictKind::Inconclusive, missing));
+        let step = StaircaseStep {
+            added: Vec::new(),
+            held_out_rms_g: 0.7,
+            held_out_rmse_n: None,
+            floor_g: 0.16,
+        };
+        let diagnosis = Diagnosis { verdicts, staircase: vec![step], ..Diagnosis::default() };
+        let page = uncolored(&diagnosis);
+        let row = page.lines().find(|line| line.contains("7 others")).unwrap();
+        assert!(row.contains("INCONCLUSIVE") && row.contains("much is unexplained"), "{row}");
+        assert!(!page.contains("hard_stop") && page.contains("external_magnet"), "{page}");
+        assert!(page.contains("8 effects: much more than noise"), "{page}");
+        let first =
+            page.find("opening_mm was not recorded: nothing can be said on neighbour_magnet.");
+        assert!(first.unwrap() < page.find("verdict").unwrap(), "{page}");
+    }
+
+    #[test]
+    fn rule_behind_absent_is_stated_where_the_p_value_is_small() {
+        let absent = |p_adjusted: f64, gain: f64| {
+            short_reason(&Verdict {
+                p_adjusted,
+                gain,
+                ..verdict_of("creep", VerdictKind::Absent, Reason::BelowBound(0.08))
+            })
+        };
+        assert_eq!(absent(0.4, 0.0), "< 0.08 of typical");
+        assert_eq!(absent(0.002, 0.0), "no held-out gain, < 0.08 of typical");
+        assert_eq!(absent(0.002, 0.004), "not in every fold, < 0.08 of typical");
     }
 
     #[test]

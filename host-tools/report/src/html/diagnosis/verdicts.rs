@@ -157,7 +157,7 @@ fn equivalence(tie: &EquivalentSet) -> Markup {
 fn inconclusive(group: &InconclusiveGroup) -> Markup {
     html! {
         li {
-            strong { (group.effects.join(", ")) } ": " (group.why) "."
+            strong { (text::listed(&group.effects)) } ": " (group.why) "."
             (recordings("To test it, record", &group.record))
         }
     }
