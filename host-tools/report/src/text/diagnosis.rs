@@ -21,7 +21,10 @@ pub fn format_report(diagnosis: &Diagnosis) -> String {
     if diagnosis.staircase.is_empty() {
         return page + &paragraph(&verdict(diagnosis));
     }
-    page += &paragraph(&missing_columns(diagnosis));
+    let missing = missing_columns(diagnosis);
+    if !missing.is_empty() {
+        page += &(paragraph(&missing) + "\n");
+    }
     page += &verdict_table(diagnosis);
     page += &step_table(diagnosis);
     page += &accepted_effects(diagnosis);
@@ -69,7 +72,7 @@ pub fn missing_columns(diagnosis: &Diagnosis) -> String {
         .iter()
         .map(|(what, effects)| format!("{what}: nothing can be said on {}", effects.join(", ")))
         .collect();
-    if missing.is_empty() { String::new() } else { format!("{}.\n\n", missing.join("; ")) }
+    if missing.is_empty() { String::new() } else { format!("{}.", missing.join("; ")) }
 }
 
 fn paragraph(text: &str) -> String {
