@@ -65,4 +65,9 @@ mod tests {
         assert!(!after(&[&ended[..], &[2.4]].concat()).is_confirmed());
         assert!(after(&[&ended[..], &[2.6, 2.4, 2.4, 2.4, 2.4]].concat()).is_confirmed());
     }
+
+    #[test]
+    fn force_at_the_lower_threshold_does_not_end_a_contact() {
+        assert!(after(&[&[6.0, 6.0][..], &[2.5; 20]].concat()).is_confirmed());
+    }
 }

@@ -160,4 +160,52 @@ mod tests {
         estimates[2] = Estimate::MISSING;
         assert!(FingerForces::of(&estimates).are_lost());
     }
+
+    #[test]
+    fn one_valid_finger_counts_for_both() {
+        let mut estimates = pressed([5.0, 5.0, 8.0, 8.0], [1.0, 2.0, 3.0, 4.0]);
+        // Left 10 N, right -16 N: pushed closed with 16 N.
+        let fingers = FingerForces::of(&estimates);
+        assert_eq!((fingers.outward_n(), fingers.drag_n), (Some(16.0), 10.0));
+        estimates[0] = Estimate::MISSING;
+        let fingers = FingerForces::of(&estimates);
+        assert_eq!((fingers.outward_n(), fingers.max_n()), (Some(16.0), Some(-16.0)));
+        assert_eq!((fingers.sum_n(), fingers.drag_n), (Some(-32.0), 7.0));
+        estimates[0].validity = Validity::OutsideModel;
+        assert_eq!(FingerForces::of(&estimates).left, FingerForce::OutOfRange);
+        estimates[3] = Estimate::MISSING;
+        let fingers = FingerForces::of(&estimates);
+        assert_eq!((fingers.outward_n(), fingers.max_n(), fingers.sum_n()), (None, None, None));
+        assert_eq!((fingers.right, fingers.drag_n), (FingerForce::Lost, 0.0));
+        let mut estimates = pressed([5.0, 5.0, 8.0, 8.0], [0.0; 4]);
+        estimates[3] = Estimate::MISSING;
+        assert_eq!(FingerForces::of(&estimates).outward_n(), Some(-10.0));
+    }
+
+    #[test]
+    fn field_that_leaves_the_range_after_a_high_force_is_excessive_force() {
+        // 200 N: 0.8 of the range of 250 N.
+        for (newtons, disturbed, is_over) in [
+            (200.0, false, false),
+            (201.0, false, true),
+            (-201.0, false, true),
+            (201.0, true, false),
+        ] {
+            let mut beyond = BeyondRange::default();
+            let mut estimates = pressed([newtons, 0.0, 0.0, 0.0], [0.0; 4]);
+            beyond.update(&estimates, &GripLimits::GRIPPER);
+            assert!(!beyond.is_over());
+            estimates[0].validity = Validity::OutsideModel;
+            estimates[0].disturbed = disturbed;
+            beyond.update(&estimates, &GripLimits::GRIPPER);
+            assert_eq!(beyond.is_over(), is_over, "{newtons} {disturbed}");
+            // It stays until the field is in range again, also with a flag that comes later.
+            estimates[0].disturbed = true;
+            beyond.update(&estimates, &GripLimits::GRIPPER);
+            assert_eq!(beyond.is_over(), is_over);
+            estimates[0] = Estimate::MISSING;
+            beyond.update(&estimates, &GripLimits::GRIPPER);
+            assert!(!beyond.is_over());
+        }
+    }
 }

@@ -190,4 +190,22 @@ mod tests {
             }
         }
     }
+
+    #[test]
+    fn stiffness_of_three_samples_is_their_weighted_regression() {
+        // Weights 1, 1.95, 2.8525. After (0, 0), (1, 100): covariance 48.7179, variance 0.487179 of the travel, both with the
+        // guess of 333 N/mm over 1e-4 mm^2. After (2, 300): 286.4985 and 1.899166.
+        let mut estimate = StiffnessEstimator::default();
+        for (travel_mm, force_n, expected) in
+            [(0.0, 0.0, 333.0), (1.0, 100.0, 100.048), (2.0, 300.0, 150.865)]
+        {
+            estimate.update(travel_mm, force_n);
+            assert!((estimate.value() - expected).abs() < 0.01, "{}", estimate.value());
+        }
+        // Less than 2 um of travel adds nothing.
+        estimate.update(2.0015, 900.0);
+        assert!((estimate.value() - 150.865).abs() < 0.01);
+        estimate.update(1.9975, 900.0);
+        assert!((estimate.value() - 150.865).abs() > 1.0);
+    }
 }

@@ -257,4 +257,82 @@ mod tests {
         assert_eq!((ground.contacts, ground.total_n), (0b1111, 150.0));
         assert!(!ground.is_unloaded);
     }
+
+    #[test]
+    fn force_at_the_threshold_begins_no_contact_and_ends_one() {
+        let mut detector = GroundContactDetector::default();
+        let contacts = [15.0, 15.25, 7.25, 7.0].map(|n| {
+            let forces = pressed([0.0; 4], [0.0, 0.0, n, 0.0]);
+            detector.update(&forces, None, Some(20.0), &LIMITS).contacts
+        });
+        assert_eq!(contacts, [0, 0b100, 0b100, 0]);
+    }
+
+    #[test]
+    fn centre_is_the_middle_without_contact() {
+        let ground = ground_at([1.0, 2.0, 3.0, 4.0]);
+        assert_eq!((ground.contacts, ground.total_n), (0, 10.0));
+        assert_eq!((ground.along_mm, ground.across_mm), (0.0, Some(0.0)));
+        assert!(ground.is_unloaded);
+        assert!(!ground_at([1.0, -20.0, 3.0, 4.0]).is_unloaded);
+        // A contact whose sum is below the release threshold has no centre.
+        let ground = ground_at([16.0, -9.0, 0.0, 0.0]);
+        assert_eq!((ground.contacts, ground.along_mm, ground.total_n), (1, 0.0, 7.0));
+    }
+
+    #[test]
+    fn sigma_is_the_root_of_the_sum_of_variances() {
+        let mut estimates = pressed([0.0; 4], [20.0; 4]);
+        let sigmas = [1.0, 2.0, 2.0, 4.5];
+        for (estimate, sigma_n) in estimates.iter_mut().zip(sigmas) {
+            estimate.sigma =
+                Some([0.0, sigma_n * Force::PER_NEWTON].map(|force| Force(force as i32)));
+        }
+        let mut detector = GroundContactDetector::default();
+        let ground = detector.update(&estimates, None, None, &LIMITS);
+        // (1 + 4 + 4 + 20.25)^0.5 = 5.4083 N: 21.6 counts of 0.25 N, rounded up.
+        assert!(ground.sigma_n.is_some_and(|sigma_n| (sigma_n - 5.4083).abs() < 1e-3));
+        assert_eq!(ground.message().sigma, 22);
+        estimates[2].sigma = None;
+        let ground = detector.update(&estimates, None, None, &LIMITS);
+        assert_eq!((ground.sigma_n, ground.message().sigma), (None, 255));
+    }
+
+    #[test]
+    fn message_rounds_and_saturates_the_centre() {
+        for (across_mm, count) in [
+            (Some(1.2), 2),
+            (Some(1.4), 3),
+            (Some(-1.2), -2),
+            (Some(-1.4), -3),
+            (Some(100.0), 127),
+            (Some(-100.0), -127),
+            (None, -128),
+        ] {
+            let ground = GroundContact { across_mm, sigma_n: Some(100.0), ..Default::default() };
+            let message = ground.message();
+            assert_eq!((message.across, message.sigma), (count, 254), "{across_mm:?}");
+        }
+        let ground = GroundContact {
+            contacts: 0b1001,
+            total_n: -12.5,
+            along_mm: -3.25,
+            peak_n: 200.25,
+            ..Default::default()
+        };
+        let message = ground.message();
+        assert_eq!((message.contacts, message.total_fz, message.centre), (0b1001, -125, -325));
+        // 200.25 N * 1024.
+        assert_eq!(ground.peak_detail(), 205_056);
+    }
+
+    #[test]
+    fn gravity_along_the_fingers_is_subtracted_and_peaks_have_no_sign() {
+        let mut detector = GroundContactDetector::default();
+        // 50 g at 100 m/s^2 are 5 N.
+        let forces = pressed([0.0; 4], [25.0, -30.0, 5.0, 5.0]);
+        let ground = detector.update(&forces, Some([7, 7, 100_000]), None, &LIMITS);
+        assert!((ground.total_n + 15.0).abs() < 1e-3, "{ground:?}");
+        assert!((ground.peak_n - 35.0).abs() < 1e-3, "{ground:?}");
+    }
 }

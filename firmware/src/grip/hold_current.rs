@@ -45,3 +45,60 @@ impl HoldCurrent {
         self.max_a
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Peak current: 0.96 N m / 0.1 N m/A.
+    const LIMIT_A: f32 = 9.6;
+
+    fn near(found: f32, expected: f32) {
+        assert!((found - expected).abs() < 1e-4, "{found} instead of {expected}");
+    }
+
+    /// After this many milliseconds within the band, at 1 A computed and 2 A present.
+    fn held(ticks: u32) -> (HoldCurrent, f32) {
+        let mut hold = HoldCurrent::default();
+        let last_a = (0..ticks).map(|_| hold.update(true, 1.0, 2.0)).last();
+        (hold, last_a.unwrap_or(LIMIT_A))
+    }
+
+    #[test]
+    fn current_decays_to_the_margin_after_100_ms() {
+        near(held(1).1, LIMIT_A);
+        near(held(100).1, LIMIT_A);
+        // From 2 A to 1.4 times 1 A: 1.4 + 0.6 * 0.99, then 1.4 + 0.594 * 0.99.
+        near(held(101).1, 1.994);
+        near(held(102).1, 1.988_06);
+        near(held(5000).1, 1.4);
+    }
+
+    #[test]
+    fn decay_begins_at_the_greater_of_present_and_computed_current() {
+        let mut hold = held(100).0;
+        // 1.4 * 3 A is more than either: no decay.
+        near(hold.update(true, 3.0, 2.0), 4.2);
+        let mut hold = held(100).0;
+        near(hold.update(true, 1.0, 0.5), 1.4);
+        let mut hold = held(100).0;
+        near(hold.update(true, 10.0, 2.0), LIMIT_A);
+    }
+
+    #[test]
+    fn margin_grows_each_time_the_force_leaves_the_band_afterwards() {
+        let mut hold = held(100).0;
+        near(hold.update(false, 1.0, 2.0), LIMIT_A);
+        for _ in 0..100 {
+            near(hold.update(true, 1.0, 2.0), LIMIT_A);
+        }
+        // The current had not decreased yet.
+        near(hold.update(true, 1.0, 2.0), 1.994);
+        near(hold.update(false, 1.0, 2.0), LIMIT_A);
+        for _ in 0..100 {
+            hold.update(true, 1.0, 2.0);
+        }
+        // 1.4 * 1.25 = 1.75: 1.75 + 0.25 * 0.99.
+        near(hold.update(true, 1.0, 2.0), 1.9975);
+    }
+}

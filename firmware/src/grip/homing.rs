@@ -121,3 +121,114 @@ impl Homing {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LIMITS: GripLimits = GripLimits::GRIPPER;
+
+    fn at(opening_mm: f32, closing_mm_s: f32, current_a: f32) -> MotorStatus {
+        MotorStatus {
+            opening_mm: Some(opening_mm),
+            closing_mm_s,
+            current: crate::motor::foc::Dq { d: 0.0, q: current_a },
+            ..MotorStatus::default()
+        }
+    }
+
+    const fn forces(closing_n: f32, outward_n: f32) -> HomingForces {
+        HomingForces { closing_n, outward_n: Some(outward_n) }
+    }
+
+    fn speed(closing_mm_s: f32, max_a: f32) -> HomingStep {
+        HomingStep::Drive(Setpoint::Speed { closing_mm_s, max_a })
+    }
+
+    /// A run whose fingers have pressed on each other.
+    fn opening() -> Homing {
+        let mut homing = Homing::default();
+        homing.tick(&at(5.0, 5.0, 0.5), forces(10.0, 0.0), &LIMITS);
+        let zeroed = homing.tick(&at(5.0, 5.0, 0.5), forces(20.0, 0.0), &LIMITS);
+        // 20 N over 500 N/mm.
+        assert_eq!(zeroed, HomingStep::Zeroed(-0.04));
+        homing
+    }
+
+    #[test]
+    fn fingers_meet_at_10_n_for_two_samples() {
+        let mut homing = Homing::default();
+        let steps = [10.0, 9.9, 10.0, 10.0]
+            .map(|force_n| homing.tick(&at(5.0, 5.0, 0.5), forces(force_n, 0.0), &LIMITS));
+        let closing = speed(5.0, 4.0);
+        assert_eq!(steps, [closing, closing, closing, HomingStep::Zeroed(-0.02)]);
+    }
+
+    #[test]
+    fn closing_has_more_current_for_100_ms_and_stalls_after_40_more() {
+        let mut homing = Homing::default();
+        let stalled = at(50.0, 0.0, 1.5);
+        for tick in 1..=139 {
+            let max_a = if tick <= 100 { 4.0 } else { 1.5 };
+            let step = homing.tick(&stalled, forces(0.0, 0.0), &LIMITS);
+            assert_eq!(step, speed(5.0, max_a), "{tick}");
+        }
+        assert_eq!(homing.tick(&stalled, forces(0.0, 0.0), &LIMITS), HomingStep::Stalled);
+    }
+
+    #[test]
+    fn homing_fails_after_30_s() {
+        let mut homing = Homing::default();
+        let closing = at(50.0, 5.0, 0.5);
+        let failed = |step| matches!(step, HomingStep::Failed(50.0));
+        let mut steps = (0..30_002).map(|_| homing.tick(&closing, forces(0.0, 0.0), &LIMITS));
+        assert!(!steps.by_ref().take(30_000).any(failed));
+        assert!(steps.all(failed));
+    }
+
+    #[test]
+    fn opening_ends_at_15_n_outward_for_two_samples() {
+        for (outward_n, fails) in [(15.0, false), (15.1, true)] {
+            let mut homing = opening();
+            let moving = at(30.0, -20.0, -0.5);
+            let steps = [(); 2].map(|()| homing.tick(&moving, forces(0.0, outward_n), &LIMITS));
+            assert_eq!(steps[0], speed(-20.0, 1.5));
+            assert_eq!(steps[1] == HomingStep::Failed(30.0), fails, "{outward_n}");
+        }
+        let mut homing = opening();
+        let unknown = HomingForces { closing_n: 0.0, outward_n: None };
+        for _ in 0..5 {
+            let step = homing.tick(&at(30.0, -20.0, -0.5), unknown, &LIMITS);
+            assert_eq!(step, speed(-20.0, 1.5));
+        }
+    }
+
+    #[test]
+    fn opening_slows_down_3_mm_before_the_far_end() {
+        let mut homing = opening();
+        for (opening_mm, opening_mm_s) in [(30.0, 20.0), (77.0, 20.0), (77.1, 5.0), (79.0, 5.0)] {
+            let step = homing.tick(&at(opening_mm, -20.0, -0.5), forces(0.0, 0.0), &LIMITS);
+            assert_eq!(step, speed(-opening_mm_s, 1.5), "{opening_mm}");
+        }
+    }
+
+    /// Steps after the reversal until the run ends at an opening, with a speed, and how it ends.
+    fn end_at(opening_mm: f32, closing_mm_s: f32) -> Option<(usize, HomingStep)> {
+        let mut homing = opening();
+        let motor = at(opening_mm, closing_mm_s, -0.5);
+        let mut steps = (1..400).map(|tick| (tick, homing.tick(&motor, forces(0.0, 0.0), &LIMITS)));
+        steps.find(|(_, step)| !matches!(step, HomingStep::Drive(_)))
+    }
+
+    #[test]
+    fn rest_of_50_ms_is_the_far_end_100_ms_after_the_reversal() {
+        // Steps 102 to 151 count: the time before the first one is 0.
+        assert_eq!(end_at(80.0, 0.0), Some((151, HomingStep::Homed)));
+        assert_eq!(end_at(80.0, -0.9), Some((151, HomingStep::Homed)));
+        assert_eq!(end_at(80.0, -1.0), None);
+        assert_eq!(end_at(79.0, 0.0), Some((151, HomingStep::Homed)));
+        assert_eq!(end_at(81.0, 0.0), Some((151, HomingStep::Homed)));
+        assert_eq!(end_at(78.9, 0.0), Some((151, HomingStep::Failed(78.9))));
+        assert_eq!(end_at(81.1, 0.0), Some((151, HomingStep::Failed(81.1))));
+    }
+}

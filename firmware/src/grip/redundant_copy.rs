@@ -124,6 +124,26 @@ mod tests {
     }
 
     #[test]
+    fn flipped_bit_belongs_to_its_word() {
+        let grip = GripRig::holding(true).grip;
+        for bit in [0, 5, 31] {
+            let mut flipped = grip.clone();
+            flipped.flip_bit(bit);
+            assert_eq!(flipped.words(), grip.words());
+            assert_eq!(flipped.copies[0] ^ grip.copies[0], 1 << bit);
+        }
+        for word in 1..COPY_WORDS {
+            for place in [0, 5, 31] {
+                let mut flipped = grip.clone();
+                flipped.flip_bit(32 * word as u32 + place);
+                let mut expected = grip.words();
+                expected[word] ^= 1 << place;
+                assert_eq!(flipped.words(), expected, "{word} {place}");
+            }
+        }
+    }
+
+    #[test]
     fn copies_are_bitwise_inverse() {
         let mut grip = GripRig::new(true).grip;
         grip.setpoint_n = 100.0;

@@ -153,4 +153,36 @@ mod tests {
         let lost = FingerForces::of(&[crate::estimator::Estimate::MISSING; 4]);
         assert_eq!(first(ObjectState::Lost, (0..50).map(|_| (lost, 5.0))), None);
     }
+
+    #[test]
+    fn values_at_their_thresholds_are_neither_slip_nor_loss() {
+        // Half of 100 N while closing, and 3 N at rest.
+        assert_eq!(first(ObjectState::Lost, (0..50).map(|_| (forces(50.0, 0.0), 5.0))), None);
+        assert_eq!(first(ObjectState::Lost, (0..50).map(|_| (forces(3.0, 0.0), 0.0))), None);
+        // 0.5 mm/s is rest.
+        assert_eq!(first(ObjectState::Lost, (0..50).map(|_| (forces(49.0, 0.0), 0.5))), None);
+        let falling = |from: f32, to: f32| {
+            let drag = move |tick: usize| if tick < 400 { from } else { to };
+            first(ObjectState::Slipping, (0..600).map(move |tick| (forces(100.0, drag(tick)), 0.0)))
+        };
+        // 0.9 and 0.5 of the friction limit of 100 N, and a drop of 6 N.
+        assert_eq!(falling(90.0, 90.0), None);
+        assert_eq!(falling(50.0, 20.0), None);
+        assert_eq!(falling(80.0, 74.0), None);
+        assert!(falling(80.0, 73.0).is_some());
+    }
+
+    #[test]
+    fn drag_counts_by_its_magnitude_and_as_a_mean_of_three() {
+        let at = |drags: &[f32]| {
+            let ticks = (0..400).map(|_| 80.0).chain(drags.iter().copied());
+            first(ObjectState::Slipping, ticks.map(|drag| (forces(100.0, drag), 0.0)))
+        };
+        // The mean falls below 74 N with the second of 68 N: (80 + 68 + 68) / 3 = 72.
+        assert_eq!(at(&[68.0, 68.0, 68.0]), Some(401));
+        assert_eq!(at(&[-80.0, -80.0, -80.0, -80.0]), Some(400));
+        let opposite = (0..300).map(|_| (forces(100.0, -91.0), 0.0));
+        let expected = usize::from(LIMITS.slip_pause_ms) - 1;
+        assert_eq!(first(ObjectState::Slipping, opposite), Some(expected));
+    }
 }

@@ -73,4 +73,21 @@ mod tests {
         // 0.5 times 0.75^10.
         assert!(after.is_some_and(|mean| (mean - 0.028).abs() < 0.001));
     }
+
+    #[test]
+    fn current_speed_and_force_at_their_thresholds_are_no_stall() {
+        assert!(!after(500, 1.2, 0.1, 1.0));
+        assert!(!after(500, 1.3, 0.1, 5.0));
+        assert!(after(500, 1.3, 0.1, 4.9));
+        // The velocity filter begins with a quarter: 0.8 mm/s is not slow, and the second sample is the first that counts.
+        let motor = |closing_mm_s| MotorStatus {
+            closing_mm_s,
+            current: Dq { d: 0.0, q: 1.3 },
+            ..MotorStatus::default()
+        };
+        let mut stall = StallDetector::default();
+        let limits = GripLimits { stall_mm_s: 1.0, stall_ms: 1, ..GripLimits::GRIPPER };
+        assert!(!stall.update(&motor(4.0), 0.0, &limits));
+        assert!(stall.update(&motor(0.0), 0.0, &limits));
+    }
 }

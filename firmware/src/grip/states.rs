@@ -192,3 +192,39 @@ impl TaskState {
         matches!(self, Self::Force | Self::HoldActive | Self::HoldLatched | Self::HoldFrozen)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn state_codes_decode_to_their_states() {
+        for power in PowerState::ALL {
+            assert_eq!(PowerState::of_code(*power as u8), Some(*power));
+            assert_eq!(TaskState::of_code(*power as u8), None);
+        }
+        for (task, code) in TaskState::ALL.iter().zip(16..) {
+            assert_eq!(TaskState::of_code(code), Some(*task));
+            assert_eq!(PowerState::of_code(code), None);
+        }
+        assert_eq!((TaskState::of_code(33), PowerState::of_code(10)), (None, None));
+    }
+
+    #[test]
+    fn states_that_move_or_hold() {
+        use TaskState::*;
+        let moving: [TaskState; 4] = [Homing, Moving, Approach, Releasing];
+        let holding: [TaskState; 4] = [Force, HoldActive, HoldLatched, HoldFrozen];
+        for task in TaskState::ALL {
+            assert_eq!(task.moves(), moving.contains(task), "{task:?}");
+            assert_eq!(task.holds(), holding.contains(task), "{task:?}");
+            let phase = match task {
+                Foot => GripPhase::Foot,
+                Releasing => GripPhase::Releasing,
+                task if holding.contains(task) => GripPhase::Holding,
+                _ => GripPhase::Moving,
+            };
+            assert_eq!(task.phase(true), phase, "{task:?}");
+        }
+    }
+}

@@ -240,7 +240,7 @@ impl GripController {
         }
     }
 
-    fn apply_task_event(&mut self, event: TaskEvent, is_host_alive: bool) {
+    pub(super) fn apply_task_event(&mut self, event: TaskEvent, is_host_alive: bool) {
         let Ok(to) = transitions::next_task_state(self.task, event) else {
             return;
         };
@@ -264,7 +264,7 @@ impl GripController {
         self.enter_task(to);
     }
 
-    fn enter_task(&mut self, to: TaskState) {
+    pub(super) fn enter_task(&mut self, to: TaskState) {
         let from = self.task;
         (self.task, self.task_ms) = (to, 0);
         (self.in_band_ms, self.low_force_ms) = (0, 0);
@@ -542,7 +542,7 @@ impl GripController {
     }
 
     /// Whether the screw may hold alone: it is self-locking, and the force has not dropped too often lately.
-    fn may_release_current(&self) -> bool {
+    pub(super) fn may_release_current(&self) -> bool {
         let all = self.regrips_ms.iter().flatten();
         let recent = all.filter(|at_ms| self.now_ms.wrapping_sub(**at_ms) < self.limits.regrip_ms);
         let is_spent = recent.count() >= usize::from(self.limits.regrips);

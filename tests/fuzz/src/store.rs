@@ -21,7 +21,9 @@ pub(super) mod memory;
 
 use memory::{Cut, FlashModel, PAGE, Torn, WORD, block};
 
-const SLOTS: u32 = PAGES * (PAGE / SLOT_BYTES) as u32;
+/// The smallest page that has more than one slot. Most stories use it: a start reads a quarter of the slots, and a story
+/// reaches every page.
+const SMALL_PAGE: usize = 2 * SLOT_BYTES;
 /// Most saves of a story.
 const SAVES: u32 = 16;
 /// Operations in which the power may go: those of a few saves.
@@ -45,10 +47,20 @@ impl Tally {
     }
 }
 
-/// A flash that holds anything, then saves.
+/// A flash that holds anything, then saves: in one of eight stories with the pages of the chip.
 pub fn keep(bytes: &[u8]) -> Tally {
     let mut bytes = Bytes::new(bytes);
-    let mut memory = FlashModel::new(u64::from_le_bytes(bytes.array()));
+    let seed = u64::from_le_bytes(bytes.array());
+    match seed & 7 {
+        7 => keep_in(FlashModel::<_, PAGE>::new(seed), bytes),
+        _ => keep_in(FlashModel::<_, SMALL_PAGE>::new(seed), bytes),
+    }
+}
+
+/// The flash of the store with pages of so many bytes.
+type Flash<const PAGE_BYTES: usize> = FlashModel<{ PAGES as usize }, PAGE_BYTES>;
+
+fn keep_in<const PAGE_BYTES: usize>(mut memory: Flash<PAGE_BYTES>, mut bytes: Bytes) -> Tally {
     let (newest, last) = fill(&mut memory, &mut bytes);
     let mut tally = Tally::default();
     let loaded = load(&mut memory);
@@ -77,8 +89,8 @@ pub fn keep(bytes: &[u8]) -> Tally {
 
 /// Saves without a start between them, until the power goes or the host has enough; tells whether the last
 /// was done.
-fn session(
-    memory: &mut FlashModel,
+fn session<const PAGE_BYTES: usize>(
+    memory: &mut Flash<PAGE_BYTES>,
     bytes: &mut Bytes,
     loaded: &LoadedParameters,
     possible: &mut Vec<Parameters>,
@@ -110,7 +122,11 @@ fn session(
 
 /// Writes what a story begins with; tells sequence and version of the newest record that counts, and the
 /// newest sequence of all.
-fn fill(memory: &mut FlashModel, bytes: &mut Bytes) -> (Option<(u32, u16)>, Option<u32>) {
+fn fill<const PAGE_BYTES: usize>(
+    memory: &mut Flash<PAGE_BYTES>,
+    bytes: &mut Bytes,
+) -> (Option<(u32, u16)>, Option<u32>) {
+    let slot_count = PAGES * (PAGE_BYTES / SLOT_BYTES) as u32;
     let mut slots = BTreeMap::new();
     for _ in 0..bytes.byte() % 8 {
         let kind = bytes.byte();
@@ -132,7 +148,7 @@ fn fill(memory: &mut FlashModel, bytes: &mut Bytes) -> (Option<(u32, u16)>, Opti
                 said.extend_from_slice(&(VERSION + u16::from(kind >> 6) - 1).to_le_bytes());
                 said.extend_from_slice(&(some.len() as u16).to_le_bytes());
                 said.extend_from_slice(some);
-                said.extend_from_slice(&crc32(said.iter().copied()).to_le_bytes());
+                said.extend_from_slice(&crc32(&said).to_le_bytes());
                 slot[..said.len()].copy_from_slice(&said);
             }
             _ => slot[..BODY_BYTES]
@@ -146,8 +162,8 @@ fn fill(memory: &mut FlashModel, bytes: &mut Bytes) -> (Option<(u32, u16)>, Opti
             marks[FIRST_MARK.len()..].copy_from_slice(&SECOND_MARK);
         }
         let place = match kind & 16 {
-            0 => sequence % SLOTS,
-            _ => u32::from(bytes.byte()) % SLOTS,
+            0 => sequence % slot_count,
+            _ => u32::from(bytes.byte()) % slot_count,
         };
         slots.entry(place).or_insert(slot);
     }
@@ -163,7 +179,7 @@ fn fill(memory: &mut FlashModel, bytes: &mut Bytes) -> (Option<(u32, u16)>, Opti
         let (sequence, version) = record(slot)?;
         let (written, end) = slot[BODY_BYTES..].split_at(FIRST_MARK.len());
         let counts = written == FIRST_MARK || end == SECOND_MARK;
-        (sequence % SLOTS == *place).then_some((sequence, version, counts))
+        (sequence % slot_count == *place).then_some((sequence, version, counts))
     });
     let right: Vec<_> = right.collect();
     let newest = right.iter().filter(|(.., counts)| *counts).max();
@@ -178,7 +194,7 @@ fn record(slot: &[u8; SLOT_BYTES]) -> Option<(u32, u16)> {
     let check = u32::from_le_bytes(*behind.first_chunk()?);
     let sequence = u32::from_le_bytes(*slot.first_chunk()?);
     let version = u16::from_le_bytes([slot[4], slot[5]]);
-    (check == crc32(said.iter().copied())).then_some((sequence, version))
+    (check == crc32(said)).then_some((sequence, version))
 }
 
 fn found_rightly(loaded: &LoadedParameters, newest: Option<(u32, u16)>) {
@@ -195,7 +211,7 @@ fn found_rightly(loaded: &LoadedParameters, newest: Option<(u32, u16)>) {
 }
 
 /// A start. Whatever it finds is within its range.
-fn load(memory: &mut FlashModel) -> LoadedParameters {
+fn load<const PAGE_BYTES: usize>(memory: &mut Flash<PAGE_BYTES>) -> LoadedParameters {
     let loaded = block(ParameterStore::new(memory, 0).load());
     for row in PARAMETERS {
         let value = loaded.parameters.get(row.id);

@@ -299,7 +299,7 @@ impl Board {
         let start = stored.slot * SLOT_BYTES + 2 * WORD as u32;
         block(self.flash.read(start, &mut whole)).expect("a valid calibration can be read");
         assert!(is_valid(&whole), "accepted with a wrong header or checksum");
-        assert_eq!(crc32(whole[HEADER_BYTES..].iter().copied()), stored.crc);
+        assert_eq!(crc32(&whole[HEADER_BYTES..]), stored.crc);
         Some(whole)
     }
 
@@ -334,7 +334,7 @@ pub(super) fn is_valid(bytes: &[u8]) -> bool {
     header[..4] == *b"MGPC"
         && number(4) == 1
         && number(8) as usize == payload.len()
-        && number(12) == crc32(payload.iter().copied())
+        && number(12) == crc32(payload)
 }
 
 /// An encoded calibration with any payload; one in four has a defect.
@@ -364,7 +364,7 @@ fn calibration(bytes: &mut Bytes) -> Vec<u8> {
 /// Header and payload.
 pub(super) fn encoded(payload: &[u8]) -> Vec<u8> {
     let mut all = b"MGPC".to_vec();
-    for number in [1, payload.len() as u32, crc32(payload.iter().copied())] {
+    for number in [1, payload.len() as u32, crc32(payload)] {
         all.extend_from_slice(&number.to_le_bytes());
     }
     all.extend_from_slice(payload);

@@ -3,6 +3,9 @@
 mod faults;
 mod ground_contact;
 mod holding;
+mod power_layer;
 pub(super) mod rig;
 mod safety;
+mod setpoints;
+mod task_layer;
 mod transitions;

@@ -52,9 +52,9 @@ enum Word {
     Weak([u8; WORD]),
 }
 
-/// The flash.
+/// The flash: pages, and bytes of a page, which simulations may choose smaller than those of the chip.
 #[derive(Clone)]
-pub struct FlashModel<const COUNT: usize = PAGES> {
+pub struct FlashModel<const COUNT: usize = PAGES, const PAGE_BYTES: usize = PAGE> {
     words: Vec<Word>,
     /// Read values of the defined words, for a fast copy.
     image: Vec<u8>,
@@ -84,11 +84,11 @@ impl NorFlashError for Failed {
     }
 }
 
-impl<const COUNT: usize> FlashModel<COUNT> {
+impl<const COUNT: usize, const PAGE_BYTES: usize> FlashModel<COUNT, PAGE_BYTES> {
     pub fn new(seed: u64) -> Self {
         Self {
-            words: [Word::Erased].repeat(COUNT * PAGE / WORD),
-            image: [0xFF].repeat(COUNT * PAGE),
+            words: [Word::Erased].repeat(COUNT * PAGE_BYTES / WORD),
+            image: [0xFF].repeat(COUNT * PAGE_BYTES),
             undefined: BTreeSet::new(),
             erasures: [0; COUNT],
             operations: 0,
@@ -201,7 +201,7 @@ impl<const COUNT: usize> FlashModel<COUNT> {
             return Err(Failed);
         }
         self.erasures[page] += 1;
-        let words = PAGE / WORD;
+        let words = PAGE_BYTES / WORD;
         for (number, index) in (page * words..).take(words).enumerate() {
             let was = match self.words[index] {
                 Word::Erased => [0xFF; WORD],
@@ -217,11 +217,11 @@ impl<const COUNT: usize> FlashModel<COUNT> {
     }
 }
 
-impl<const COUNT: usize> ErrorType for FlashModel<COUNT> {
+impl<const COUNT: usize, const PAGE_BYTES: usize> ErrorType for FlashModel<COUNT, PAGE_BYTES> {
     type Error = Failed;
 }
 
-impl<const COUNT: usize> ReadNorFlash for FlashModel<COUNT> {
+impl<const COUNT: usize, const PAGE_BYTES: usize> ReadNorFlash for FlashModel<COUNT, PAGE_BYTES> {
     const READ_SIZE: usize = 1;
 
     async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Failed> {
@@ -231,6 +231,9 @@ impl<const COUNT: usize> ReadNorFlash for FlashModel<COUNT> {
         }
         let end = offset + bytes.len();
         bytes.copy_from_slice(&self.image[offset..end]);
+        if self.undefined.is_empty() {
+            return Ok(());
+        }
         let undefined: Vec<usize> =
             self.undefined.range(offset / WORD..end.div_ceil(WORD)).copied().collect();
         for index in undefined {
@@ -243,18 +246,18 @@ impl<const COUNT: usize> ReadNorFlash for FlashModel<COUNT> {
     }
 
     fn capacity(&self) -> usize {
-        COUNT * PAGE
+        COUNT * PAGE_BYTES
     }
 }
 
-impl<const COUNT: usize> NorFlash for FlashModel<COUNT> {
+impl<const COUNT: usize, const PAGE_BYTES: usize> NorFlash for FlashModel<COUNT, PAGE_BYTES> {
     const WRITE_SIZE: usize = WORD;
-    const ERASE_SIZE: usize = PAGE;
+    const ERASE_SIZE: usize = PAGE_BYTES;
 
     async fn erase(&mut self, from: u32, to: u32) -> Result<(), Failed> {
         let (from, to) = (from as usize, to as usize);
-        assert!(from.is_multiple_of(PAGE) && to.is_multiple_of(PAGE));
-        (from / PAGE..to / PAGE).try_for_each(|page| self.erase_page(page))
+        assert!(from.is_multiple_of(PAGE_BYTES) && to.is_multiple_of(PAGE_BYTES));
+        (from / PAGE_BYTES..to / PAGE_BYTES).try_for_each(|page| self.erase_page(page))
     }
 
     async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Failed> {
