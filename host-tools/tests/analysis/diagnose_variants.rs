@@ -128,12 +128,22 @@ fn indistinguishable_effects_are_tied() {
 
 #[test]
 fn unrecorded_disturbance_gives_no_effect() {
-    for effect in ["unlogged", "cross_term"] {
-        let diagnosis = simulated(&format!("--seed 2 --effect {effect}"));
-        let none: [[&str; 1]; 0] = [];
-        assert_eq!(accepted(&diagnosis), none, "{effect}");
-        assert_eq!(diagnosis["at_floor"], false);
-    }
+    let diagnosis = simulated("--seed 2 --effect unlogged");
+    let none: [[&str; 1]; 0] = [];
+    assert_eq!(accepted(&diagnosis), none);
+    assert_eq!(diagnosis["formulas"], serde_json::json!([]));
+    assert_eq!(diagnosis["at_floor"], false);
+}
+
+#[test]
+fn product_of_two_covariates_is_found_as_a_formula() {
+    let diagnosis = simulated("--seed 2 --effect cross_term");
+    let none: [[&str; 1]; 0] = [];
+    assert_eq!(accepted(&diagnosis), none);
+    assert_eq!(diagnosis["at_floor"], true);
+    let covariates = serde_json::json!(["motor_iq_a", "opening_mm"]);
+    assert_eq!(diagnosis["formulas"][0]["covariates"], covariates);
+    assert_eq!(diagnosis["formulas"][0]["partial"], false);
 }
 
 #[test]
