@@ -16,12 +16,15 @@ pub struct FirstCandidate {
     pub gain: f64,
 }
 
+type OnStage<'a> = Box<dyn Fn(&str, f64) + 'a>;
+type OnScreening<'a> = Box<dyn Fn(&[FirstCandidate]) + 'a>;
+
 /// What a diagnosis reports while it runs, and asks.
 pub struct Observer<'a> {
     /// Receives the stage of the work and the estimated share that is done.
-    on_stage: Box<dyn Fn(&str, f64) + 'a>,
+    on_stage: OnStage<'a>,
     /// Receives the significant candidates of the first screening, best first.
-    on_screening: Box<dyn Fn(&[FirstCandidate]) + 'a>,
+    on_screening: OnScreening<'a>,
     /// Whether to end with what is known.
     is_stopped: Box<dyn Fn() -> bool + 'a>,
     share: Cell<f64>,

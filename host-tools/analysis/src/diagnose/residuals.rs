@@ -158,8 +158,9 @@ pub fn shapes(
         (names, step.chosen.plot_against().iter().filter_map(find).collect::<Vec<Covariate>>())
     };
     let of_formula = |formula: &DiscoveredFormula| {
-        let alone =
-            |name: &String| find(name).unwrap_or_else(|| Covariate::product(&[name.clone()]));
+        let alone = |name: &String| {
+            find(name).unwrap_or_else(|| Covariate::product(std::slice::from_ref(name)))
+        };
         let mut over: Vec<Covariate> = formula.covariates.iter().map(alone).collect();
         if formula.covariates.len() > 1 {
             over.push(Covariate::product(&formula.covariates));

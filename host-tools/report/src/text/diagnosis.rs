@@ -861,6 +861,7 @@ mod tests {
     fn one_large_unknown_is_one_row_and_missing_columns_come_first() {
         let blocked = |effect: &str, gain: f64| Verdict {
             gain,
+            provisional: true,
             ..verdict_of(effect, VerdictKind::Inconclusive, Reason::UnexplainedResidual(None))
         };
         let names = [

@@ -290,7 +290,10 @@ mod tests {
         ExcitationSeries {
             covariates: [
                 ("opening_mm".to_owned(), time_s.iter().map(|t| 30.0 + 20.0 * t.sin()).collect()),
-                ("motor_angle_rad".to_owned(), time_s.iter().map(|t| (9.0 * t) % 6.28).collect()),
+                (
+                    "motor_angle_rad".to_owned(),
+                    time_s.iter().map(|t| (9.0 * t) % std::f64::consts::TAU).collect(),
+                ),
             ]
             .into(),
             force_n: time_s.iter().map(|t| [40.0 * (1.3 * t).cos(), 0.0]).collect(),

@@ -135,7 +135,7 @@ impl Candidate {
         let own = self.own.get(sensor).into_iter().flatten().enumerate();
         let at = own.fold(self.clone(), |at, (index, value)| at.with_nonlinear(index, *value));
         let of_term = |term: &Vec<Atom>| {
-            let mut values = Vec::with_capacity(scan.rows[sensor].len());
+            let mut values = Vec::with_capacity(scan.rows[sensor].count());
             for (series, windows) in excitations(setup, sensor).zip(&windows[sensor]) {
                 let mut product = vec![1.0; series.len()];
                 for atom in term {
@@ -213,7 +213,7 @@ pub fn columns_at(
 ) -> DMatrix<f64> {
     let places: Vec<usize> =
         own.iter().filter_map(|point| points.iter().position(|other| other == point)).collect();
-    let mut columns = Vec::with_capacity(3 * rows.len() * terms.len() * places.len());
+    let mut columns = Vec::with_capacity(3 * rows.count() * terms.len() * places.len());
     for values in terms {
         let squares: f64 = values.iter().map(|value| value * value).sum();
         let scale = (squares / values.len().max(1) as f64).sqrt().max(f64::MIN_POSITIVE);
@@ -224,7 +224,7 @@ pub fn columns_at(
             }
         }
     }
-    DMatrix::from_vec(3 * rows.len(), terms.len() * places.len(), columns)
+    DMatrix::from_vec(3 * rows.count(), terms.len() * places.len(), columns)
 }
 
 /// Range around the values of a nonlinear parameter.

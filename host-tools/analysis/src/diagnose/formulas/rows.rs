@@ -69,7 +69,7 @@ pub struct SensorRows {
 
 impl SensorRows {
     /// Number of averaged rows.
-    pub fn len(&self) -> usize {
+    pub fn count(&self) -> usize {
         self.residual.len() / 3
     }
 }
