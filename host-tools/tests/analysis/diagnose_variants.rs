@@ -94,9 +94,10 @@ fn third_of_a_typical_mass_is_found() {
 #[test]
 fn correlated_noise_gives_no_effect() {
     for (noise, seed) in [("ar1", 3), ("walk", 4), ("walk", 5)] {
-        let diagnosis = simulated(&format!("--seed {seed} --noise {noise}"));
+        let diagnosis = simulated(&format!("--seed {seed} --noise {noise} --sensors 2"));
         let none: [[&str; 1]; 0] = [];
         assert_eq!(accepted(&diagnosis), none, "{noise}");
+        assert_eq!(diagnosis["formulas"], serde_json::json!([]), "{noise}");
     }
 }
 
@@ -128,7 +129,7 @@ fn indistinguishable_effects_are_tied() {
 
 #[test]
 fn unrecorded_disturbance_gives_no_effect() {
-    let diagnosis = simulated("--seed 2 --effect unlogged");
+    let diagnosis = simulated("--seed 2 --effect unlogged --sensors 2");
     let none: [[&str; 1]; 0] = [];
     assert_eq!(accepted(&diagnosis), none);
     assert_eq!(diagnosis["formulas"], serde_json::json!([]));
@@ -137,7 +138,7 @@ fn unrecorded_disturbance_gives_no_effect() {
 
 #[test]
 fn product_of_two_covariates_is_found_as_a_formula() {
-    let diagnosis = simulated("--seed 2 --effect cross_term");
+    let diagnosis = simulated("--seed 2 --effect cross_term --sensors 2");
     let none: [[&str; 1]; 0] = [];
     assert_eq!(accepted(&diagnosis), none);
     assert_eq!(diagnosis["at_floor"], true);

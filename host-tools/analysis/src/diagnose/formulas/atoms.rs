@@ -170,11 +170,16 @@ pub fn atoms_of(covariate: &str, span: Span) -> Vec<Atom> {
         return angle_atoms(covariate, &HARMONICS, true);
     }
     let atom = |text: &str, complexity: f64| Atom::new(covariate, text, complexity);
-    let is_time = matches!(covariate, "time_s" | "session_s");
-    let mut atoms = vec![atom("x", 1.0).factor(), atom("x^2", 1.2), atom("x^3", 1.4)];
-    if let Some(square) = atoms.get_mut(1) {
-        square.is_factor = !is_time;
+    if matches!(covariate, "time_s" | "session_s") {
+        // Drift and relaxation only: any other function of time imitates what nobody recorded.
+        let relaxations = [0.3, 0.8, 2.0, 5.0, 12.0];
+        let relaxations =
+            relaxations.map(|tau| atom("exp(-x/p)", 1.5).with(&[(tau, 0.4 * tau, 2.5 * tau)]));
+        let mut atoms = vec![atom("x", 1.0).factor(), atom("x^2", 1.2)];
+        atoms.extend(relaxations);
+        return atoms;
     }
+    let mut atoms = vec![atom("x", 1.0).factor(), atom("x^2", 1.2).factor(), atom("x^3", 1.4)];
     let scale = span.high.max(-span.low);
     if span.is_signed() {
         atoms.push(atom("abs(x)", 1.2).factor());
@@ -204,9 +209,7 @@ pub fn atoms_of(covariate: &str, span: Span) -> Vec<Atom> {
         let within = [(p, p - half, p + half)];
         atoms.push(atom("(x-p+abs(x-p))", 1.6).with(&within));
         atoms.push(atom("(p-x+abs(x-p))", 1.6).with(&within));
-        if !is_time {
-            atoms.push(atom("signum(x-p)", 1.6).with(&within));
-        }
+        atoms.push(atom("signum(x-p)", 1.6).with(&within));
     }
     for fraction in [0.15, 0.325, 0.5, 0.675, 0.85] {
         let w = span.width();
@@ -215,11 +218,6 @@ pub fn atoms_of(covariate: &str, span: Span) -> Vec<Atom> {
         atoms.push(atom("exp(-(((x-p)/q)^2))", 1.8).with(&bounds));
         let bounds = [(m, span.low, span.high), (0.08 * w, 0.01 * w, 0.3 * w)];
         atoms.push(atom("tanh((x-p)/q)", 1.8).with(&bounds));
-    }
-    if is_time {
-        for tau in [0.3, 0.8, 2.0, 5.0, 12.0] {
-            atoms.push(atom("exp(-x/p)", 1.5).with(&[(tau, 0.4 * tau, 2.5 * tau)]));
-        }
     }
     if covariate.ends_with("_rad") {
         let is_factor = covariate == "yaw_rad";

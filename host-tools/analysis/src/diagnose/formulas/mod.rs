@@ -137,7 +137,7 @@ pub fn discover(
         .into_iter()
         .filter(|name| !STATOR_CURRENTS.contains(&name.as_str()))
         .collect();
-    let search = FormulaSearch::new(setup, &covariates, axes, options);
+    let search = FormulaSearch::new(setup, &covariates, axes, selection.block_s, options);
     let alone = search.run(first, observer)?;
     let is_enough =
         |found: &Discovery| found.is_at_floor() && found.formulas.len() <= selection.steps.len();
@@ -230,15 +230,18 @@ pub struct FormulaSearch<'a> {
     options: FitOptions,
     points: Vec<ChainPoint>,
     windows: Vec<Vec<Windows>>,
+    block_s: f64,
     dictionary: Dictionary,
 }
 
 impl<'a> FormulaSearch<'a> {
-    /// Over these covariates; `axes`: whether a lateral and a longitudinal force were recorded.
+    /// Over these covariates; `axes`: whether a lateral and a longitudinal force were recorded; `block_s`: length in seconds
+    /// of the blocks of residuals that are independent.
     pub fn new(
         setup: &'a FitSetup,
         covariates: &[String],
         axes: [bool; 2],
+        block_s: f64,
         options: FitOptions,
     ) -> Self {
         let windows = rows::windows(setup);
@@ -248,6 +251,7 @@ impl<'a> FormulaSearch<'a> {
             options,
             points: ChainPoint::all(setup.design.is_some(), axes),
             windows,
+            block_s,
             dictionary,
         }
     }
@@ -353,7 +357,8 @@ impl<'a> FormulaSearch<'a> {
 
     /// The model linearised, without the columns of some of its formulas.
     fn scan_without(&self, model: &FittedModel, without: &[EffectTerm]) -> Scan {
-        Scan::new(rows::of_model(self.setup, model, without, &self.points, &self.windows))
+        let (points, windows) = (&self.points, &self.windows);
+        Scan::new(rows::of_model(self.setup, model, without, points, windows, self.block_s))
     }
 
     fn columns(&self, scan: &Scan, candidate: &Candidate) -> scan::Columns {

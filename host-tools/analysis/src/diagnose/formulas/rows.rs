@@ -17,8 +17,8 @@ const RATE_HZ: f64 = 25.0;
 const MAX_ROWS: usize = 4000;
 /// Folds where there is one recording.
 const FOLDS: usize = 6;
-/// Length of the blocks of the sign-flip test in seconds.
-const BLOCK_S: f64 = 5.0;
+/// Minimum length of the blocks of the sign-flip test in seconds.
+const MIN_BLOCK_S: f64 = 5.0;
 
 /// Averaged rows of one recording: ranges of its rows.
 pub type Windows = Vec<Range<usize>>;
@@ -75,13 +75,14 @@ impl SensorRows {
 }
 
 /// Rows of all sensors. Of the effects `without`, whose parameters are coefficients, the columns are left out and their share
-/// is part of the residual: the linearisation is that of the whole model.
+/// is part of the residual: the linearisation is that of the whole model. Blocks of time have at least `block_s` seconds.
 pub fn of_model(
     setup: &FitSetup,
     model: &FittedModel,
     without: &[EffectTerm],
     points: &[ChainPoint],
     windows: &[Vec<Windows>],
+    block_s: f64,
 ) -> Vec<SensorRows> {
     let mut effects = model.effects.clone();
     effects.sort_by_key(EffectTerm::stage);
@@ -91,7 +92,7 @@ pub fn of_model(
             let problem =
                 SensorProblem::new(&setup.rows[sensor], setup.bases[sensor].as_ref(), &effects);
             let values = &model.fit.sensors[sensor].values;
-            of_sensor(&problem, values, without, points, &windows[sensor])
+            of_sensor(&problem, values, without, points, &windows[sensor], block_s)
         })
         .collect()
 }
@@ -102,6 +103,7 @@ fn of_sensor(
     without: &[EffectTerm],
     points: &[ChainPoint],
     windows: &[Windows],
+    block_s: f64,
 ) -> SensorRows {
     let rows = problem.rows;
     let scaled = problem.to_scaled(values);
@@ -166,7 +168,7 @@ fn of_sensor(
             }
             count += 1;
             let time_s = |row: usize| part.time_s[windows[row - first].start];
-            if time_s(count - 1) - time_s(block) >= BLOCK_S {
+            if time_s(count - 1) - time_s(block) >= block_s.max(MIN_BLOCK_S) {
                 blocks.push(block..count - 1);
                 block = count - 1;
             }
