@@ -38,7 +38,7 @@ pub fn growing_bar() -> ProgressBar {
 }
 
 /// Stage, share done and time left of work whose length is estimated: a bar on a terminal, else a line at most every
-/// [`LINE_S`] seconds.
+/// ten seconds.
 pub struct Stages {
     bar: ProgressBar,
     start: Instant,
