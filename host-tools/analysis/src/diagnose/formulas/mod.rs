@@ -57,6 +57,9 @@ const MIN_GAIN: f64 = 0.004;
 const MAX_P: f64 = 0.01;
 /// A formula that reduces the squared error by less is dropped at the end.
 const MIN_KEPT: f64 = 0.01;
+/// Minimum fraction of the excess over the noise that all formulas explain together. Noise that wanders as slowly as a covariate
+/// follows it by chance, and signs of blocks do not show that.
+const MIN_EXPLAINED: f64 = 0.5;
 /// Candidates of each class of complexity and number of columns that are scored exactly.
 const EXACT: usize = 8;
 /// Candidates whose nonlinear parameters are refined.
@@ -300,7 +303,10 @@ impl<'a> FormulaSearch<'a> {
             }
             (accepted, model) = (all, next);
         }
-        if accepted.is_empty() {
+        let excess = |model: &FittedModel| {
+            (model.mean_square() - model.fit.tally().floor_g().powi(2)).max(0.0)
+        };
+        if accepted.is_empty() || excess(&model) > (1.0 - MIN_EXPLAINED) * excess(start) {
             return Ok(None);
         }
         // Where structure remains, the formulas are approximations, and so are their points of the chain.
