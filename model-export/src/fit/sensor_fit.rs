@@ -56,7 +56,7 @@ pub fn fit_from_nominal(problem: &SensorProblem) -> Result<SensorSolution, FitEr
     fit_identifiable(problem, &second, &[])
 }
 
-/// Departure of a base parameter from nominal, in prior widths, beyond which it probably imitates an effect.
+/// Offset of a base parameter from nominal, in prior widths, beyond which it probably imitates an effect.
 const IMITATES: f64 = 3.0;
 /// Maximum squared error of a fit from nominal that replaces the fit from the base, relative to that.
 const BETTER: f64 = 0.9;
@@ -74,11 +74,11 @@ pub fn fit_from_base<'a>(
         fit_identifiable(problem, &near, &[])
     };
     let found = fit(&problem, values)?;
-    let departs = |index: usize| {
+    let is_far = |index: usize| {
         let parameter = &problem.parameters[index];
         (parameter.start - problem.nominal[index]).abs() > IMITATES * parameter.scale.abs()
     };
-    if !(problem.offset_count..problem.base_count).any(departs) {
+    if !(problem.offset_count..problem.base_count).any(is_far) {
         return Ok((problem, found));
     }
     let mut nominal = problem.clone();

@@ -211,8 +211,8 @@ pub struct StaircaseStep {
 }
 
 /// Diagnoses which effects `model` (read from `path`) does not contain on `campaign`: those of the catalogue and the user's
-/// `own`. `observer` is told of the progress and can end it early. The second value is the fit of `model` to the campaign, where its
-/// cross-validation is that of a comparison.
+/// `own`. `observer` receives the progress and can end it early. The second value is the fit of `model` to the campaign, where
+/// its cross-validation is that of a comparison.
 ///
 /// # Errors
 /// A fit fails.

@@ -217,14 +217,19 @@ pub fn formula_evidence(diagnosis: &Diagnosis, formula: &DiscoveredFormula) -> S
 
 /// Where else the same function can act.
 pub fn formula_alternatives(formula: &DiscoveredFormula) -> String {
-    if formula.other_targets.is_empty() {
+    let Some(other_targets) = &formula.other_targets else {
+        return format!(
+            "It acts on {}. Other quantities were not compared.",
+            formula.targets.join(", ")
+        );
+    };
+    if other_targets.is_empty() {
         return format!(
             "It acts on {}: on no other quantity it explains as much.",
             formula.targets.join(", ")
         );
     }
-    let others: Vec<String> =
-        formula.other_targets.iter().map(|targets| targets.join(" with ")).collect();
+    let others: Vec<String> = other_targets.iter().map(|targets| targets.join(" with ")).collect();
     format!(
         "It acts on {}. On these recordings the same function of {} explains the same within 2 %.",
         formula.targets.join(", "),
@@ -948,6 +953,9 @@ mod tests {
             "the same function of dy_um, or of gain_x_percent with gain_y_percent explains";
         assert!(words.contains(others), "{words}");
         assert!(!words.contains("PARTIAL"), "{words}");
+        let unknown = DiscoveredFormula { other_targets: None, ..formula() };
+        let expected = "It acts on by_g. Other quantities were not compared.";
+        assert_eq!(formula_alternatives(&unknown), expected);
         let partial = Diagnosis { at_floor: false, ..diagnosis };
         assert!(uncolored(&partial).contains("PARTIAL: structure remains"));
         let json = to_json(&partial);

@@ -162,6 +162,6 @@ pub fn formula() -> DiscoveredFormula {
         }],
         gain: 0.984,
         p_value: 0.001,
-        other_targets: vec![vec!["dy_um"], vec!["gain_x_percent", "gain_y_percent"]],
+        other_targets: Some(vec![vec!["dy_um"], vec!["gain_x_percent", "gain_y_percent"]]),
     }
 }

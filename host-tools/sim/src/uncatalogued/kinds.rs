@@ -186,7 +186,7 @@ pub const CABLE_PULL: EffectKind = kind(
     &["accel_y_mps2", "opening_mm"],
 );
 
-/// A felt wiper on the screw drags the finger in the direction of its motion, almost independently of the speed.
+/// A textile wiper on the screw drags the finger in the direction of its motion, almost independently of the speed.
 pub const WIPER_DRAG: EffectKind = kind(
     "wiper_drag",
     (1.5, "N"),

@@ -154,7 +154,7 @@ impl Span {
         self.high - self.low
     }
 
-    /// Whether zero lies well within.
+    /// Whether zero is well within.
     fn is_signed(self) -> bool {
         -self.low > 0.1 * self.width() && self.high > 0.1 * self.width()
     }

@@ -58,7 +58,7 @@ const MAX_P: f64 = 0.01;
 /// A formula that reduces the squared error by less is dropped at the end.
 const MIN_KEPT: f64 = 0.01;
 /// Minimum fraction of the excess over the noise that all formulas explain together. Noise that wanders as slowly as a covariate
-/// follows it by chance, and signs of blocks do not show that.
+/// is correlated with it without a cause, and signs of blocks do not show that.
 const MIN_EXPLAINED: f64 = 0.5;
 /// Candidates of each class of complexity and number of columns that are scored exactly.
 const EXACT: usize = 8;
@@ -89,8 +89,8 @@ pub struct DiscoveredFormula {
     pub gain: f64,
     /// Family-wise p-value.
     pub p_value: f64,
-    /// Quantities that the same function can change with an error within 2 %.
-    pub other_targets: Vec<Vec<&'static str>>,
+    /// Quantities that the same function can change with an error within 2 %; `None` where no others were compared.
+    pub other_targets: Option<Vec<Vec<&'static str>>>,
 }
 
 /// Result of a search.
@@ -144,12 +144,12 @@ pub fn discover(
     let alone = search.run(first, observer)?;
     let is_enough =
         |found: &Discovery| found.is_at_floor() && found.formulas.len() <= selection.steps.len();
-    let beside = if selection.steps.is_empty() || alone.as_ref().is_some_and(is_enough) {
+    let joined = if selection.steps.is_empty() || alone.as_ref().is_some_and(is_enough) {
         None
     } else {
         search.run(last, observer)?
     };
-    let (steps, found) = match (alone, beside) {
+    let (steps, found) = match (alone, joined) {
         (None, None) => return Ok(Vec::new()),
         (Some(alone), None) => {
             if last.mean_square() < alone.mean_square() {
@@ -157,15 +157,15 @@ pub fn discover(
             }
             (0, alone)
         }
-        (None, Some(beside)) => (selection.steps.len(), beside),
-        (Some(alone), Some(beside)) => {
+        (None, Some(joined)) => (selection.steps.len(), joined),
+        (Some(alone), Some(joined)) => {
             let count = selection.steps.len();
-            let is_simpler = alone.formulas.len() < count + beside.formulas.len();
+            let is_simpler = alone.formulas.len() < count + joined.formulas.len();
             let limit = if is_simpler { 1.0 + NEAR } else { 1.0 - NEAR };
-            if alone.mean_square() < limit * beside.mean_square() {
+            if alone.mean_square() < limit * joined.mean_square() {
                 (0, alone)
             } else {
-                (count, beside)
+                (count, joined)
             }
         }
     };
@@ -224,7 +224,8 @@ struct Accepted {
     candidate: Candidate,
     gain: f64,
     p_value: f64,
-    others: Vec<Vec<ChainPoint>>,
+    /// Other points of the chain that explain as much; `None` where they were not compared.
+    others: Option<Vec<Vec<ChainPoint>>>,
 }
 
 /// Search on one campaign.
@@ -292,7 +293,7 @@ impl<'a> FormulaSearch<'a> {
             if p_value >= MAX_P {
                 break;
             }
-            let new = Accepted { candidate, gain, p_value, others: Vec::new() };
+            let new = Accepted { candidate, gain, p_value, others: None };
             let mut all = accepted.clone();
             all.push(new);
             let Ok(next) = self.fitted(start, &all) else {
@@ -339,11 +340,12 @@ impl<'a> FormulaSearch<'a> {
                 targets: accepted.candidate.targets(),
                 gain: accepted.gain,
                 p_value: accepted.p_value,
-                other_targets: accepted
-                    .others
-                    .iter()
-                    .map(|points| points.iter().map(|point| point.target().0).collect())
-                    .collect(),
+                other_targets: accepted.others.map(|others| {
+                    let targets = |points: &Vec<ChainPoint>| {
+                        points.iter().map(|point| point.target().0).collect()
+                    };
+                    others.iter().map(targets).collect()
+                }),
             });
         }
         Ok(Some(discovery))
@@ -593,7 +595,7 @@ impl<'a> FormulaSearch<'a> {
             return Ok(());
         };
         let others = near(NEAR).filter(|(other, _)| other.points != chosen.0.points);
-        accepted[place].others = others.map(|(other, _)| other.points.clone()).collect();
+        accepted[place].others = Some(others.map(|(other, _)| other.points.clone()).collect());
         let chosen = chosen.0.clone();
         if chosen != current {
             accepted[place].candidate = chosen;
