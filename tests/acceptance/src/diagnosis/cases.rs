@@ -2,11 +2,7 @@
 
 use std::ops::Range;
 
-use sim::effects::EffectKind;
-use sim::uncatalogued::{
-    BODY_BENDING, BRACKET_LAG, BRACKET_SOFTENING, CABLE_PULL, CLEARANCE, GUIDE_RIPPLE, OVERHANG,
-    RATE_GAIN, STRESSED_PIN, WARM_LEAKAGE, WIPER_DRAG, WRIST_POLES,
-};
+use sim::effects::{EFFECT_KINDS, EffectKind};
 
 /// Cases with a common rate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -134,21 +130,15 @@ const KINDS: [&str; 8] = [
     "creep",
 ];
 
-/// Effects outside the catalogue that a formula of recorded columns represents.
-pub const FORMULAS: [EffectKind; 12] = [
-    STRESSED_PIN,
-    WARM_LEAKAGE,
-    WRIST_POLES,
-    GUIDE_RIPPLE,
-    BODY_BENDING,
-    BRACKET_LAG,
-    OVERHANG,
-    CLEARANCE,
-    CABLE_PULL,
-    WIPER_DRAG,
-    RATE_GAIN,
-    BRACKET_SOFTENING,
-];
+/// Effects outside the catalogue of which no name is expected, and the covariate that the residual follows.
+const UNNAMED: [(&str, Option<&str>); 3] =
+    [("screw_ripple", Some("motor_angle_rad")), ("cross_term", None), ("unlogged", None)];
+
+/// Effects outside the catalogue that a formula of recorded columns represents: all others.
+fn formulas() -> impl Iterator<Item = &'static EffectKind> {
+    let is_unnamed = |kind: &&EffectKind| UNNAMED.iter().any(|(id, _)| *id == kind.id);
+    EFFECT_KINDS.iter().filter(move |kind| !kind.is_in_catalogue && !is_unnamed(kind))
+}
 
 /// The cases of a group.
 pub fn of(group: Group, seeds: Range<u64>) -> Vec<Case> {
@@ -169,13 +159,8 @@ fn with_seed(group: Group, seed: u64) -> Vec<Case> {
         Group::Pairs => pairs(seed),
         Group::Outside => {
             let case = |id, expected| Case::new(&[(id, 1.0)], seed, expected);
-            let unnamed = [
-                ("screw_ripple", Some("motor_angle_rad")),
-                ("cross_term", None),
-                ("unlogged", None),
-            ]
-            .map(|(id, follows)| case(id, Expected::NoName(follows)));
-            let formulas = FORMULAS.map(|kind| case(kind.id, Expected::Formula(kind.covariates)));
+            let unnamed = UNNAMED.map(|(id, follows)| case(id, Expected::NoName(follows)));
+            let formulas = formulas().map(|kind| case(kind.id, Expected::Formula(kind.covariates)));
             unnamed.into_iter().chain(formulas).collect()
         }
         Group::Always => always(seed),
