@@ -6,7 +6,7 @@ use anyhow::{Result, bail};
 use device_run::ReplayModels;
 use model_export::effects::EffectTerm;
 use model_export::effects::catalogue::{NEIGHBOUR_MAGNET, SCREW_BACKLASH};
-use model_export::effects::excitation::{BUILT_IN_COVARIATES, OPENING_RATE};
+use model_export::effects::excitation::{BUILT_IN_COVARIATES, source_column};
 use model_export::fit::FitOptions;
 use model_export::fit::campaign::FitSetup;
 use model_export::fit::cross_validation::CvSplit;
@@ -172,9 +172,8 @@ fn peak_to_peak(campaign: &Campaign, column: &str) -> Result<f64> {
         let temperatures = recording.sensors.values().map(|track| &track.temperature_c);
         let columns: Vec<&Vec<f64>> = match column {
             "temp_c" => temperatures.filter(|t| !t.is_empty()).collect(),
-            OPENING_RATE => recording.covariates.get("opening_mm").into_iter().collect(),
             own if BUILT_IN_COVARIATES.contains(&own) => return Ok(f64::NAN),
-            _ => recording.covariates.get(column).into_iter().collect(),
+            _ => recording.covariates.get(source_column(column)).into_iter().collect(),
         };
         if columns.is_empty() {
             let header = if column == "temp_c" { "sN_temp_c" } else { column };

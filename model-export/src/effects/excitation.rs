@@ -151,6 +151,14 @@ pub const BUILT_IN_COVARIATES: [&str; 7] =
 /// Covariate of recordings with an opening: its rate.
 pub const OPENING_RATE: &str = "opening_rate_mm_per_s";
 
+/// Recorded or built-in column from which a covariate is computed.
+pub fn source_column(covariate: &str) -> &str {
+    match covariate {
+        OPENING_RATE => "opening_mm",
+        own => own,
+    }
+}
+
 /// Deadband relative to the amplitude of the load: smaller reversals count as noise.
 const DEADBAND: f64 = 0.05;
 

@@ -3,7 +3,7 @@
 
 use crate::diagnose::Reason;
 use crate::statistics::mean_and_std;
-use model_export::effects::excitation::{BUILT_IN_COVARIATES, OPENING_RATE};
+use model_export::effects::excitation::{BUILT_IN_COVARIATES, OPENING_RATE, source_column};
 use model_export::effects::{CATALOGUE, EffectTerm};
 use model_export::fit::score_test::{CandidateScore, ScoreTest};
 use model_export::model_file::BaseKind;
@@ -108,7 +108,7 @@ pub fn varying_covariates(campaign: &Campaign, axes: [bool; 2]) -> Vec<String> {
             "fz_n" | "fz_rate_n_per_s" => axes[1],
             "session_s" => false,
             name => {
-                let name = if name == OPENING_RATE { "opening_mm" } else { name };
+                let name = source_column(name);
                 let columns = campaign.recordings.iter().map(|recording| values(recording, name));
                 let columns: Vec<Vec<f64>> = columns.collect();
                 columns.iter().all(|column| !column.is_empty()) && varies(&columns)

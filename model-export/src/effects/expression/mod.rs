@@ -9,7 +9,9 @@ use std::borrow::Cow;
 
 use nalgebra::Vector3;
 
-use crate::effects::excitation::{BUILT_IN_COVARIATES, ExcitationSeries, OPENING_RATE};
+use crate::effects::excitation::{
+    BUILT_IN_COVARIATES, ExcitationSeries, OPENING_RATE, source_column,
+};
 use crate::effects::operators::low_pass;
 use crate::effects::parameter::{EffectParameter, MagnitudeSpec, ParameterKind};
 use crate::effects::state_series::{EffectStage, StateSeries};
@@ -142,10 +144,7 @@ impl Expression {
 
     /// Columns that its covariates need.
     pub fn recorded_columns(&self) -> Vec<String> {
-        let source = |name: &String| match name.as_str() {
-            OPENING_RATE => "opening_mm".to_owned(),
-            _ => name.clone(),
-        };
+        let source = |name: &String| source_column(name).to_owned();
         let mut columns: Vec<String> = self.covariates.iter().map(source).collect();
         columns.dedup();
         columns

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use model_export::effects::excitation::OPENING_RATE;
+use model_export::effects::excitation::source_column;
 use model_export::recordings::columns::STATOR_CURRENTS;
 use serde_json::Value;
 
@@ -62,9 +62,8 @@ fn recorded_columns(covariate: &str) -> Vec<&str> {
     match covariate {
         "fx_rate_n_per_s" | "loading_x" => vec!["fx_n"],
         "fz_rate_n_per_s" | "loading_z" => vec!["fz_n"],
-        OPENING_RATE => vec!["opening_mm"],
         name if STATOR_CURRENTS.contains(&name) => vec!["motor_iq_a", "motor_angle_rad"],
-        name => vec![name],
+        name => vec![source_column(name)],
     }
 }
 
