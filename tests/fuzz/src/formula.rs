@@ -124,7 +124,14 @@ pub fn parse(bytes: &[u8]) -> Tally {
     let names = names(&expression);
     for _ in 0..4 {
         let mut number = |_: &String| f64::from(bytes.word() as i16) / 4096.0;
-        let values: Vec<f64> = names.iter().map(&mut number).collect();
+        let mut values: Vec<f64> = names.iter().map(&mut number).collect();
+        // A fit keeps these parameters within their ranges.
+        for range in &ranges {
+            for (_, value) in names.iter().zip(&mut values).filter(|(name, _)| **name == range.name)
+            {
+                *value = range.from + (*value / 16.0 + 0.5) * (range.to - range.from);
+            }
+        }
         let at: Vec<f64> = expression.covariates.iter().map(&mut number).collect();
         let (mut value, axis) = expression.value(&values, &at);
         let (mut repeated, _) = again.value(&values, &at);

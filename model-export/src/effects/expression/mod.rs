@@ -233,13 +233,18 @@ impl Expression {
     fn check_ranges(&self, text: &str) -> Result<(), ExpressionError> {
         for (i, range) in self.ranges.iter().enumerate() {
             let of_lag = Some(TimeConstant::Shape(i));
-            let is_used = self.roles.contains(&Role::Shape(i))
-                || self.inputs.iter().any(|input| input.lag == of_lag);
+            let is_time_constant = self.inputs.iter().any(|input| input.lag == of_lag);
+            let is_used = is_time_constant || self.roles.contains(&Role::Shape(i));
             let message = if !is_used {
                 format!("--range {}: the formula has no such name", range.name)
             } else if !is_valid(range) {
                 format!(
                     "--range {}: {:e} to {:e} is not a valid range; give finite bounds, the lower first, of at most {MAX_MAGNITUDE:e}",
+                    range.name, range.from, range.to
+                )
+            } else if is_time_constant && range.from <= 0.0 {
+                format!(
+                    "--range {}: {:e} to {:e} is not a range of a time constant; give positive bounds in seconds",
                     range.name, range.from, range.to
                 )
             } else {

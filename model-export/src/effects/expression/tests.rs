@@ -76,6 +76,14 @@ fn invalid_formulas_yield_advice() {
         assert!(message.contains(expected), "{text}: {message}");
     }
     assert!(error("ripple: dz_um = a*opening_mm", &period()).contains("no such name"));
+    for (from, valid) in [(-0.5, false), (0.0, false), (0.1, true)] {
+        let range = [ParameterRange { name: "tau".to_owned(), from, to: 5.0 }];
+        let columns = ["opening_mm".to_owned()];
+        let found = Expression::parse("warm: dz_um = a*lag(opening_mm, tau)", &range, &columns);
+        let message = found.err().map_or_else(String::new, |error| error.to_string());
+        assert!(message.is_empty() == valid, "{from}: {message}");
+        assert!(valid || message.contains("positive bounds in seconds"), "{message}");
+    }
 }
 
 /// Error message of a formula; empty if it is valid.
