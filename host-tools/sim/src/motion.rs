@@ -47,6 +47,9 @@ const CURRENT_A: f64 = 10.0;
 const DRIVING_A: f64 = 4.0;
 const HOLDING_A: f64 = 7.0;
 
+/// Frequency of the holding current of a planned recording.
+const HOLDING_HZ: f64 = 0.23;
+
 /// Current at constant opening.
 const STILL_A: f64 = 3.0;
 
@@ -82,7 +85,7 @@ pub struct MotionState {
 impl OpeningProfile {
     /// Draws the strokes of a recording.
     pub fn draw(programme: Programme, seed: u64, recording: u32, seconds: f64) -> Self {
-        let rotor_rad = uniform(&mut stream(seed, Purpose::Motor, 0), 0.0, TAU);
+        let rotor_rad = Self::rotor_rad(seed);
         let mut rng = stream(seed, Purpose::Strokes, recording);
         let still = programme == Programme::Still;
         let mut strokes = Vec::new();
@@ -100,6 +103,24 @@ impl OpeningProfile {
         let mut rng = stream(seed, Purpose::Motor, recording);
         let holding = (!still).then(|| SineSum::draw(&mut rng, 3, [0.05, 0.6], HOLDING_A));
         Self { strokes, holding, rotor_rad }
+    }
+
+    /// Draws the rotor's angle at the screw's zero.
+    pub fn rotor_rad(seed: u64) -> f64 {
+        uniform(&mut stream(seed, Purpose::Motor, 0), 0.0, TAU)
+    }
+
+    /// At rest at an opening in mm; `rotor_rad` is the rotor's angle at the screw's zero.
+    pub fn resting(opening_mm: f64, rotor_rad: f64) -> Self {
+        let at_rest = Stroke { start_s: 0.0, seconds: 1.0, from_mm: opening_mm, to_mm: opening_mm };
+        Self { strokes: vec![at_rest], holding: None, rotor_rad }
+    }
+
+    /// Adds a move after all others, during which and after which the motor's current varies.
+    pub fn add_stroke(&mut self, start_s: f64, seconds: f64, to_mm: f64) {
+        let from_mm = self.strokes.last().map_or(to_mm, |stroke| stroke.to_mm);
+        self.strokes.push(Stroke { start_s, seconds, from_mm, to_mm });
+        self.holding.get_or_insert_with(|| SineSum::one(HOLDING_A, HOLDING_HZ, 0.0));
     }
 
     /// Opening and motor state at a time in seconds.
@@ -212,23 +233,26 @@ impl AttitudeProfile {
                 [roll, pitch, wrapped(start + speed * time_s + yaw)]
             }
         };
+        Orientation::new(angles_rad, Vector3::from_fn(|i, _| self.acceleration[i].at(time_s)))
+    }
+}
+
+impl Orientation {
+    /// From roll, pitch and yaw, and the acceleration in m/s^2 in body axes.
+    pub fn new(angles_rad: [f64; 3], acceleration: Vector3<f64>) -> Self {
         let [roll, pitch, yaw] = angles_rad;
         let to_world = Rotation3::from_euler_angles(roll, pitch, yaw);
-        let acceleration = Vector3::from_fn(|i, _| self.acceleration[i].at(time_s));
-        Orientation {
+        Self {
             angles_rad,
             to_world,
             specific_force: to_world.inverse() * Vector3::new(0.0, 0.0, GRAVITY) + acceleration,
         }
     }
-}
 
-impl AttitudeProfile {
-    /// Angular rate in rad/s, body axes, at a time in seconds.
-    pub fn rate_rad_s(&self, time_s: f64) -> Vector3<f64> {
+    /// Angular rate in rad/s, body axes, of an orientation over time in seconds.
+    pub fn rate_rad_s(at: impl Fn(f64) -> Self, time_s: f64) -> Vector3<f64> {
         const STEP_S: f64 = 1e-4;
-        let [before, after] =
-            [-STEP_S, STEP_S].map(|step_s| self.at(time_s + 0.5 * step_s).to_world);
+        let [before, after] = [-STEP_S, STEP_S].map(|step_s| at(time_s + 0.5 * step_s).to_world);
         (before.inverse() * after).scaled_axis() / STEP_S
     }
 }
@@ -302,7 +326,10 @@ mod tests {
         let attitude = AttitudeProfile::draw(Programme::Bench, 1, 1);
         let mut to_world = attitude.at(0.0).to_world;
         for step in 0..2000 {
-            let rate = attitude.rate_rad_s((f64::from(step) + 0.5) * 1e-3);
+            let rate = Orientation::rate_rad_s(
+                |time_s| attitude.at(time_s),
+                (f64::from(step) + 0.5) * 1e-3,
+            );
             to_world *= Rotation3::from_scaled_axis(rate * 1e-3);
         }
         let error_rad = (to_world.inverse() * attitude.at(2.0).to_world).angle();

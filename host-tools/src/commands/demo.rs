@@ -179,8 +179,15 @@ fn improve(fitted: &Fitted, scanned: ScannedCampaign) -> Result<()> {
     ))?;
     let bar = progress::Stages::new();
     let observer = Observer::new(|stage, share| bar.set(stage, share), |_| (), || false);
-    let (mut diagnosis, _) =
-        diagnose(fitted.campaign, fitted.model, fitted.model_path, &[], fitted.options, &observer)?;
+    let (mut diagnosis, _) = diagnose(
+        fitted.campaign,
+        fitted.model,
+        fitted.model_path,
+        &[],
+        false,
+        fitted.options,
+        &observer,
+    )?;
     drop(observer);
     bar.finish();
     diagnosis.campaign = fitted.folder.display().to_string();

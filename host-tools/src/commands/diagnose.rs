@@ -1,11 +1,13 @@
 //! `magpie diagnose`: which physical effect is missing from a model.
 
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use analysis::progress;
 use anyhow::{Context, Result};
 use model_export::model_file::ModelFile;
+use model_export::output::{check_output, write_output};
 use signal_hook::consts::SIGINT;
 
 use crate::commands::args::{CompareArgs, ExprArgs};
@@ -13,6 +15,7 @@ use crate::commands::print_notes;
 use analysis::compare::campaign_reader::{Caching, ScannedCampaign};
 use analysis::compare::pipeline::compare_scanned;
 use analysis::diagnose::observer::{FirstCandidate, Observer};
+use analysis::diagnose::recording_plan::RecordingProposal;
 use analysis::diagnose::suggestions::{Invocation, suggest};
 use analysis::diagnose::{Diagnosis, diagnose};
 use report::text::diagnosis::{format_report, to_json};
@@ -28,12 +31,16 @@ Examples:
   cargo magpie diagnose model.toml tests/data/friction -o report.html
   cargo magpie diagnose model.toml my-campaign --range p=2..5 \\
     --expr 'ripple: dz_um = a*sin(2*pi*opening_mm/p) + b*cos(2*pi*opening_mm/p)'
+  cargo magpie diagnose model.toml tests/data/demo --plan plan.toml    # the recording that decides what is open
   cargo magpie diagnose model.toml tests/data/demo --json | jq '.accepted'")]
 pub struct Args {
     #[command(flatten)]
     common: CompareArgs,
     #[command(flatten)]
     exprs: ExprArgs,
+    /// Write a plan of the shortest recording that decides what is open (for record --plan and simulate --plan).
+    #[arg(long, value_name = "PLAN")]
+    plan: Option<PathBuf>,
 }
 
 /// A flag that the first Ctrl-C sets; the second ends the process.
@@ -63,10 +70,30 @@ fn first_answer(first: &[FirstCandidate]) -> String {
     )
 }
 
+/// First line of a plan.
+const PLAN_MARK: &str = "# Plan of a recording, by magpie diagnose.";
+
+/// Writes the proposed plan, if it has steps, and names the commands that carry it out.
+fn write_plan(args: &Args, path: &Path, proposal: &RecordingProposal) -> Result<()> {
+    if proposal.plan.steps.is_empty() {
+        return args.common.print_line(&format!("{} was not written: no plan.", path.display()));
+    }
+    let text = format!("{PLAN_MARK}\n{}", proposal.plan.to_toml()?);
+    write_output(path, text.as_bytes(), PLAN_MARK)?;
+    let campaign = args.common.input.campaign.display();
+    args.common.print_line(&format!(
+        "Plan: {0}. Record it into the same campaign, then diagnose again:\n  cargo magpie record --port PATH --plan {0} -o {campaign}/NAME",
+        path.display()
+    ))
+}
+
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     let common = &args.common;
     common.check_output()?;
+    if let Some(path) = &args.plan {
+        check_output(path, PLAN_MARK)?;
+    }
     let input = &common.input;
     let model = ModelFile::read(&input.model)?;
     let options = input.options();
@@ -83,8 +110,15 @@ pub fn run(args: &Args) -> Result<()> {
                 |first| bar.line(&first_answer(first)),
                 || stop.load(Ordering::Relaxed),
             );
-            let (mut diagnosis, refit) =
-                diagnose(&campaign, &model, &input.model, &own, options, &observer)?;
+            let (mut diagnosis, refit) = diagnose(
+                &campaign,
+                &model,
+                &input.model,
+                &own,
+                args.plan.is_some(),
+                options,
+                &observer,
+            )?;
             drop(observer);
             bar.finish();
             diagnosis.findings.clone_from(&scanned.findings);
@@ -105,6 +139,9 @@ pub fn run(args: &Args) -> Result<()> {
         None => (Diagnosis { findings: scanned.findings.clone(), ..Diagnosis::default() }, None),
     };
     terminal::print_result(input.json, || to_json(&diagnosis), || format_report(&diagnosis))?;
+    if let Some((path, proposal)) = args.plan.as_ref().zip(diagnosis.proposal.as_ref()) {
+        write_plan(args, path, proposal)?;
+    }
     if common.output.is_some() {
         let comparison =
             compare_scanned(&input.model, &model, None, scanned, refit.as_ref(), options)?;

@@ -12,6 +12,7 @@ use model_export::output::{StagingDir, check_absent, check_vacant, write_new};
 use report::text::simulate::{format_report, to_json};
 use report::text::terminal;
 use sim::campaign;
+use sim::campaign::plan::RecordingPlan;
 use sim::campaign::settings::CampaignSettings;
 use sim::campaign::truth;
 use sim::effects::{EFFECT_KINDS, Effect, EffectKind, draw_random_effects};
@@ -43,6 +44,9 @@ pub struct Args {
     /// Length of each recording.
     #[arg(long, value_name = "S", default_value_t = 30.0)]
     seconds: f64,
+    /// Plan of one more recording of the same gripper, after the others.
+    #[arg(long, value_name = "PLAN")]
+    plan: Option<PathBuf>,
     /// Nominal design of the gripper [default: MAGPIE].
     #[arg(long, value_name = "PATH")]
     design: Option<PathBuf>,
@@ -90,6 +94,7 @@ Examples:
   cargo magpie simulate -o hard --load 1.3 --warmer 15    # the same gripper beyond the fitted range
   cargo magpie simulate -o other --design design.toml     # another magnet, stiffness, number of sensors
   cargo magpie simulate -o ripple --effect guide_ripple   # no effect of the catalogue
+  cargo magpie simulate -o decided --programme single-sine --effect viscous_lag --plan plan.toml    # of diagnose --plan
   cargo magpie simulate -o blind --random-effects 2 --seed 7    # the solution is in blind-truth.toml
 
 Effects with typical magnitudes (friction accepts the suffix :lateral, :longitudinal or :both):
@@ -129,7 +134,7 @@ pub fn run(args: &Args) -> Result<()> {
     truth::check_outside(&truth_path, &args.output)?;
     check_free(&args.output, &truth_path)?;
     let staging = StagingDir::new(&args.output, "simulate")?;
-    let bar = progress::progress_bar("simulating recordings", settings.recordings as usize);
+    let bar = progress::progress_bar("simulating recordings", settings.numbers().count());
     let truth = campaign::simulate(&settings, staging.path(), || bar.inc(1))?;
     bar.finish_and_clear();
     // Both are new, or neither is: another process may have written them in the meantime.
@@ -217,6 +222,7 @@ fn settings(args: &Args) -> Result<CampaignSettings> {
             None => args.effects.clone(),
         },
         hidden: args.random_effects.is_some(),
+        plan: args.plan.as_deref().map(RecordingPlan::read).transpose()?,
     })
 }
 

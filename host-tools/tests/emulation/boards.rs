@@ -2,6 +2,7 @@
 
 use std::cell::RefCell;
 use std::rc::Rc;
+use std::sync::Arc;
 
 use emulator::Kind;
 use emulator::chip::Profile;
@@ -73,7 +74,7 @@ pub fn board(made: &Made, conditions: ChipConditions, world: Box<dyn World>) -> 
 }
 
 /// The image, or why there is none.
-pub fn image(variant: Variant) -> Result<Made, Failed> {
+pub fn image(variant: Variant) -> Result<Arc<Made>, Failed> {
     images::get(variant).map_err(Failed::from)
 }
 

@@ -54,7 +54,7 @@ fn records(seconds: u32) -> Result<(), Failed> {
         seconds: seconds.into(),
     };
     let folder = tempfile::tempdir()?;
-    let image = image(Variant::Nominal)?.image;
+    let image = image(Variant::Nominal)?.image.clone();
     let mut bench = EmulatedBench::power_on(image, ChipConditions::SLOW, &setup)?;
     bench.home(true)?;
     let forces = record(&mut bench, &setup, 0, folder.path())?;
@@ -89,7 +89,7 @@ fn calibrates(effect: &str) -> Result<(), Failed> {
     let run = || -> Result<()> {
         let dir = WorkDir::empty();
         let folder = dir.0.path();
-        let image = image(Variant::Default).map_err(|failed| anyhow!("{failed:?}"))?.image;
+        let image = image(Variant::Default).map_err(|failed| anyhow!("{failed:?}"))?.image.clone();
         let nominal = data("default/model.toml");
         let found = identify(image.clone(), &nominal, &setup, TYPICAL, folder)?;
         println!("{effect}: {:?}, {:.2?} noise floors", found.accepted, found.floors);

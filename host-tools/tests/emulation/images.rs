@@ -1,7 +1,7 @@
 //! The images that the tests run: built with the compiler of this machine, once for each set of sources and tables.
 
 use std::path::PathBuf;
-use std::sync::{Mutex, OnceLock};
+use std::sync::{Arc, OnceLock};
 
 use device_run::networks::NetworkSet;
 use emulator::Image;
@@ -30,6 +30,9 @@ pub enum Variant {
     /// The nominal design: what fits the fingertips of a simulated gripper.
     Nominal,
 }
+
+/// Number of variants.
+const VARIANTS: usize = Variant::Nominal as usize + 1;
 
 impl Variant {
     /// Those that are fitted to a campaign.
@@ -99,21 +102,19 @@ pub struct Made {
     pub campaign: PathBuf,
 }
 
-/// An image with the model that its tables come from. Built on first use; others wait meanwhile.
+/// An image with the model that its tables come from. Built on first use; others of the same tables wait meanwhile.
 ///
 /// # Errors
 /// This machine has no compiler for the chip, or the image does not build: what the tools print.
-pub fn get(variant: Variant) -> Result<Made, String> {
-    static BUILDING: Mutex<()> = Mutex::new(());
-    static DESKS: OnceLock<Mutex<Vec<(Variant, WorkDir)>>> = OnceLock::new();
-    let _building = BUILDING.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-    let mut dirs = DESKS.get_or_init(Mutex::default).lock().unwrap();
-    if !dirs.iter().any(|(known, _)| *known == variant) {
-        let dir = WorkDir::empty();
-        model(&dir, variant);
-        dirs.push((variant, dir));
-    }
-    let (_, dir) = dirs.iter().find(|(known, _)| *known == variant).unwrap();
+pub fn get(variant: Variant) -> Result<Arc<Made>, String> {
+    type Result<T> = std::result::Result<T, String>;
+    static MADE: [OnceLock<Result<Arc<Made>>>; VARIANTS] = [const { OnceLock::new() }; VARIANTS];
+    MADE[variant as usize].get_or_init(|| make(variant).map(Arc::new)).clone()
+}
+
+fn make(variant: Variant) -> Result<Made, String> {
+    let dir = WorkDir::empty();
+    model(&dir, variant);
     let file = |name: &str| dir.0.path().join(name);
     let fit = if variant == Variant::Nominal { Fit::Nominal } else { Fit::Fitted };
     let built = build(&file("model.toml"), fit).map_err(|error| format!("{error:#}"))?;

@@ -30,7 +30,7 @@ pub fn cell(opening_mm: f64) -> Result<Cell, Failed> {
     let made = image(Variant::Nominal)?;
     let gripper = gripper(PlantParameters::nominal(Lead::A), opening_mm, 1);
     let world = Box::new(GripperWorld(gripper.clone()));
-    let board = EmulatedBoard::start(made.image, TYPICAL, world, gripper.clone())?;
+    let board = EmulatedBoard::start(made.image.clone(), TYPICAL, world, gripper.clone())?;
     Ok(ClosedLoop::from_board(board, gripper))
 }
 

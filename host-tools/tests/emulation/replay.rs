@@ -3,6 +3,7 @@
 
 use std::path::Path;
 
+use device_run::networks::NetworkSet;
 use embedded_can::Frame;
 use firmware::config::limits::DetectionLimits;
 use firmware::parameters::Parameters;
@@ -53,11 +54,11 @@ pub fn recorded(made: &Made) -> Box<dyn World> {
 fn replays(variant: Variant, conditions: ChipConditions) -> Result<(), Failed> {
     let made = image(variant)?;
     let board = board(&made, conditions, recorded(&made));
-    assert_replays(made, board, 16)
+    assert_replays(&made, board, 16)
 }
 
 /// Runs a board that measures the recording of `made`; it starts within so many milliseconds.
-pub fn assert_replays(made: Made, mut board: EmulatedBoard, start_ms: u64) -> Result<(), Failed> {
+pub fn assert_replays(made: &Made, mut board: EmulatedBoard, start_ms: u64) -> Result<(), Failed> {
     let mut receiver = PacketDecoder::default();
     let mut packets = Vec::new();
     for step in 1..=SECONDS {
@@ -99,12 +100,16 @@ struct Reported {
 }
 
 /// The same by the firmware's loops in virtual time, which `host-tools/tests/board` compares with `replay`.
-fn in_virtual_time(made: Made) -> Reported {
-    let world = recorded(&made);
+fn in_virtual_time(made: &Made) -> Reported {
+    let world = recorded(made);
+    let networks = made
+        .networks
+        .as_ref()
+        .map(|networks| NetworkSet::of(networks.file.clone(), &made.path, &made.built).unwrap());
     let program = Program {
-        tables: made.built.chosen.tables,
-        compensations: made.built.compensations,
-        networks: made.networks.map(|networks| networks.packed),
+        tables: made.built.chosen.tables.clone(),
+        compensations: made.built.compensations.clone(),
+        networks: networks.map(|networks| networks.packed),
         description: "",
         parameters: Parameters::DEFAULT,
         limits: DetectionLimits::GRIPPER,

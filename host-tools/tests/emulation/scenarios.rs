@@ -41,7 +41,8 @@ fn play(scenario: &Scenario) -> Result<(), Failed> {
     let world = PressedWorld::new(&made.built.model, 1, move |_| forces);
     // The motor is armed: a rotor sensor without noise would be one that is stuck.
     let gripper = gripper(PlantParameters::nominal(Lead::A), 40.0, 1);
-    let board = EmulatedBoard::start(made.image, ChipConditions::SLOW, Box::new(world), gripper)?;
+    let board =
+        EmulatedBoard::start(made.image.clone(), ChipConditions::SLOW, Box::new(world), gripper)?;
     let (seen, layer) = ScenarioRig::new(Layer::Image(Box::new(board))).play(scenario);
     let (mut wrong, latencies) = evaluate(scenario, &seen, EXECUTION_MS);
     for (fault, ms) in latencies {

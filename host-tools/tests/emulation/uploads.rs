@@ -101,9 +101,10 @@ fn with_networks() -> Result<(), Failed> {
     assert_eq!(violations(&cell.board), [""; 0]);
     let flash = cell.board.chip.soc.memory(CALIBRATIONS, 2 * SLOT_BYTES as usize);
     let flash = flash.ok_or("no flash")?.to_vec();
-    let mut board = board(&image(Variant::Default)?, TYPICAL, recorded(&made));
+    let linked = image(Variant::Default)?;
+    let mut board = board(&linked, TYPICAL, recorded(&made));
     board.chip.soc.load_flash((CALIBRATIONS - BASE) as usize, &flash);
-    assert_replays(made, board, START_MS)
+    assert_replays(&made, board, START_MS)
 }
 
 /// A damaged calibration is reported, and the previous one runs.

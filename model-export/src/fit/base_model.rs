@@ -17,7 +17,7 @@ pub type FieldFn<'a> = Box<dyn Fn(&PhysicalState) -> Vector3<f64> + 'a>;
 pub type LinearFn<'a> = Box<dyn Fn(&PhysicalState, &mut [Vector3<f64>]) -> FieldResponse + 'a>;
 
 /// The base of one sensor's model, as a fit sees it.
-pub trait BaseModel: Sync {
+pub trait BaseModel: Send + Sync {
     /// Free parameters with start and prior width.
     fn parameters(&self) -> Vec<FreeParameter>;
 

@@ -1,6 +1,6 @@
 //! Fits of a whole campaign.
 
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 use rayon::prelude::*;
 
@@ -41,7 +41,7 @@ pub struct FitSetup {
     /// Rows of each sensor that can be fitted.
     pub rows: Vec<SensorRows>,
     /// Base model of each sensor.
-    pub bases: Vec<Box<dyn BaseModel>>,
+    pub bases: Vec<Arc<dyn BaseModel>>,
     /// The nominal design; `None` with the polynomial base.
     pub design: Option<NominalDesign>,
     /// Start polynomials of the polynomial base.
@@ -76,7 +76,7 @@ impl FitSetup {
             rows.check_excitation(campaign)?;
             orientation::check(campaign, rows.sensor, &nominal)?;
         }
-        let base = || Box::new(CylinderBase { nominal }) as Box<dyn BaseModel>;
+        let base = || Arc::new(CylinderBase { nominal }) as Arc<dyn BaseModel>;
         Ok(Self {
             bases: rows.iter().map(|_| base()).collect(),
             notices: left_out(campaign, &rows),
@@ -102,7 +102,7 @@ impl FitSetup {
         let base = |(fit, rows): (&PolynomialFit, &SensorRows)| {
             let width_g = rows.field_span().amax();
             let base = PolynomialBase::new(fit.model.clone(), width_g);
-            base.map(|base| Box::new(base) as Box<dyn BaseModel>).ok_or_else(|| {
+            base.map(|base| Arc::new(base) as Arc<dyn BaseModel>).ok_or_else(|| {
                 FitError::ManyForces { place: Location::file(&campaign.folder), sensor: fit.sensor }
             })
         };
@@ -114,6 +114,24 @@ impl FitSetup {
             notices: Vec::new(),
             base_fits: OnceLock::new(),
         })
+    }
+
+    /// The same bases with other rows; sensors without a base are left out.
+    pub fn with_rows(&self, rows: Vec<SensorRows>) -> Self {
+        let base = |rows: &SensorRows| {
+            let place = self.rows.iter().position(|own| own.sensor == rows.sensor)?;
+            self.bases.get(place).cloned()
+        };
+        let (rows, bases): (Vec<_>, Vec<_>) =
+            rows.into_iter().filter_map(|rows| base(&rows).map(|base| (rows, base))).unzip();
+        Self {
+            rows,
+            bases,
+            design: self.design.clone(),
+            polynomials: self.polynomials.clone(),
+            notices: Vec::new(),
+            base_fits: OnceLock::new(),
+        }
     }
 
     /// Fits the base with these effects, cross-validated by `split`. `done` is called after each sensor, from

@@ -13,7 +13,7 @@ use crate::fit::{AxisScore, FitError, FitOptions};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use std::collections::HashMap;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Variance inflation factor from which a parameter counts as confounded (usual limit in regression).
 const MAX_VARIANCE_INFLATION: f64 = 10.0;
@@ -107,7 +107,7 @@ impl BaseFits {
     ///
     /// # Errors
     /// A fit fails.
-    pub fn new(rows: &[SensorRows], bases: &[Box<dyn BaseModel>]) -> Result<Self, FitError> {
+    pub fn new(rows: &[SensorRows], bases: &[Arc<dyn BaseModel>]) -> Result<Self, FitError> {
         let pairs: Vec<_> = rows.iter().zip(bases).collect();
         let solutions: Vec<SensorSolution> = pairs
             .par_iter()
@@ -141,7 +141,7 @@ impl BaseFits {
 /// effects. `done` is called after each sensor, from any thread.
 pub fn fit(
     rows: &[SensorRows],
-    bases: &[Box<dyn BaseModel>],
+    bases: &[Arc<dyn BaseModel>],
     base_fits: &BaseFits,
     effects: &[EffectTerm],
     split: CvSplit,

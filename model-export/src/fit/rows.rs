@@ -261,6 +261,19 @@ impl RecordingRows {
         }
     }
 
+    /// Every `stride`-th row.
+    pub fn thinned(&self, stride: usize) -> Self {
+        let rows: Vec<usize> = (0..self.len()).step_by(stride.max(1)).collect();
+        Self {
+            time_s: rows.iter().map(|&row| self.time_s[row]).collect(),
+            force_n: rows.iter().map(|&row| self.force_n[row].clone()).collect(),
+            field_g: rows.iter().map(|&row| self.field_g[row]).collect(),
+            field_noise_g: self.field_noise_g,
+            force_noise_n: self.force_noise_n.clone(),
+            track: self.track.at(&rows),
+        }
+    }
+
     /// Number of rows.
     pub fn len(&self) -> usize {
         self.time_s.len()

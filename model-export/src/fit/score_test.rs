@@ -182,6 +182,13 @@ impl<'a> ScoreTest<'a> {
         squares.sqrt()
     }
 
+    /// Mean square of the residual after one more linear step of the fitted parameters, in units of the noise variance.
+    pub fn mean_square(&self) -> f64 {
+        let squares: f64 = self.sensors.iter().map(|s| s.residual.norm_squared()).sum();
+        let entries: usize = self.sensors.iter().map(|s| s.residual.len()).sum();
+        squares / entries.max(1) as f64
+    }
+
     /// Relative reduction of the held-out squared residual, by interleaved slices, by a spline in time for each
     /// axis, sensor and recording.
     ///

@@ -100,27 +100,20 @@ fn profile(column: &[f64]) -> Vec<f64> {
     }
 }
 
-/// True if every force is a sine of constant amplitude over the whole campaign: delay, lag and friction then
-/// have the same elliptic response.
+/// True if every force is a sine of constant amplitude in every recording: delay, lag and friction then have the same elliptic
+/// response.
 fn is_single_sine(prepared: &FitSetup) -> bool {
-    let axes = prepared.rows.iter().flat_map(|rows| {
-        let tracks = || rows.parts.iter().map(|part| &part.track);
-        [0, 1].map(|axis| is_steady(tracks(), axis))
-    });
+    let parts = prepared.rows.iter().flat_map(|rows| &rows.parts);
+    let axes = parts.flat_map(|part| [0, 1].map(|axis| is_steady(&part.track, axis)));
     let moving: Vec<bool> = axes.flatten().collect();
     !moving.is_empty() && moving.iter().all(|steady| *steady)
 }
 
 /// Whether the amplitude of one axis is constant; `None` without load.
-fn is_steady<'a>(
-    tracks: impl Iterator<Item = &'a ExcitationSeries> + Clone,
-    axis: usize,
-) -> Option<bool> {
+fn is_steady(track: &ExcitationSeries, axis: usize) -> Option<bool> {
     let pairs = || {
-        tracks.clone().flat_map(move |track| {
-            let rows = track.smooth_n.iter().zip(&track.rate_n_per_s);
-            rows.map(move |(force, rate)| (force[axis], rate[axis]))
-        })
+        let rows = track.smooth_n.iter().zip(&track.rate_n_per_s);
+        rows.map(move |(force, rate)| (force[axis], rate[axis]))
     };
     let count = pairs().count().max(1) as f64;
     let mean = pairs().map(|(force, _)| force).sum::<f64>() / count;
@@ -158,7 +151,7 @@ mod tests {
         let time_s: Vec<f64> = (0..3000).map(|i| 0.01 * f64::from(i)).collect();
         let force_n = time_s.iter().map(|t| [force(*t), 0.0]).collect();
         let track = ExcitationSeries { time_s, ..ExcitationSeries::default() };
-        is_steady([&track.with_forces(force_n)].into_iter(), 0)
+        is_steady(&track.with_forces(force_n), 0)
     }
 
     #[test]

@@ -165,7 +165,7 @@ pub fn eliminate_backward(
 
 /// Minimum relative difference of the squared errors of two distinguishable effects. (A shift and a derivative
 /// propagate the reference's noise differently: 0.25 % between clock skew and a filter of 4 ms.)
-const DISTINGUISHABLE: f64 = 0.005;
+pub const DISTINGUISHABLE: f64 = 0.005;
 
 /// Separates provisionally equivalent effects in the last model, where no larger effect hides their difference.
 ///

@@ -13,6 +13,7 @@
 //! - [`formulas`]: formulas of the covariates, where the catalogue leaves structure.
 //! - [`observer`]: progress, first answer, early end.
 //! - [`verdicts`]: a verdict on every candidate.
+//! - [`recording_plan`]: the shortest recording that decides what is open.
 //! - [`recording_check`]: effects on which recordings can decide, before a diagnosis.
 //! - [`suggestions`]: the next command.
 
@@ -23,6 +24,7 @@ pub use crate::diagnose::formulas::DiscoveredFormula;
 use crate::diagnose::formulas::discover;
 use crate::diagnose::forward_selection::forward_selection;
 use crate::diagnose::observer::Observer;
+use crate::diagnose::recording_plan::{RecordingProposal, propose};
 use crate::diagnose::remaining_structure::RemainingStructure;
 pub use crate::diagnose::residuals::EffectShape;
 use crate::diagnose::residuals::{residuals_against, shapes};
@@ -43,6 +45,7 @@ pub mod formulas;
 pub mod forward_selection;
 pub mod observer;
 pub mod recording_check;
+pub mod recording_plan;
 pub mod remaining_structure;
 pub mod residuals;
 pub mod selection;
@@ -74,6 +77,8 @@ pub struct Diagnosis {
     pub staircase: Vec<StaircaseStep>,
     /// Residual removed by each step, in order.
     pub shapes: Vec<EffectShape>,
+    /// Proposed recording for what is open, where it was asked for.
+    pub proposal: Option<RecordingProposal>,
     /// Suggested next command.
     pub next: Suggestion,
     /// True if it was ended early: candidates and formulas that would have been tried later are missing.
@@ -211,7 +216,7 @@ pub struct StaircaseStep {
 }
 
 /// Diagnoses which effects `model` (read from `path`) does not contain on `campaign`: those of the catalogue and the user's
-/// `own`. `observer` receives the progress and can end it early. The second value is the fit of `model` to the campaign, where
+/// `own`. With `plans` it proposes a recording for what is open. `observer` receives the progress and can end it early. The second value is the fit of `model` to the campaign, where
 /// its cross-validation is that of a comparison.
 ///
 /// # Errors
@@ -221,6 +226,7 @@ pub fn diagnose(
     model: &ModelFile,
     path: &Path,
     own: &[EffectTerm],
+    plans: bool,
     options: FitOptions,
     observer: &Observer,
 ) -> Result<(Diagnosis, Option<ModelRefit>)> {
@@ -237,6 +243,11 @@ pub fn diagnose(
         let located = selection.attributed.iter().map(|(_, share)| share).sum();
         let columns = residuals_against(&prepared, last, &[]);
         diagnosis.remaining = Some(RemainingStructure::of(&columns, located));
+    }
+    if plans && !observer.is_stopped() {
+        let verdicts = &diagnosis.verdicts;
+        diagnosis.proposal =
+            Some(propose(&prepared, &selection, verdicts, &untestable, options, observer)?);
     }
     diagnosis.shapes = shapes(campaign, &prepared, &selection, &formulas, options.seed);
     diagnosis.formulas = formulas;

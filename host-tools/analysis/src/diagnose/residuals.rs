@@ -3,16 +3,17 @@
 use crate::compare::Bin;
 use crate::compare::attribution::{Attributor, Binning};
 use crate::compare::bootstrap_bands::BlockBootstrap;
-use crate::compare::covariates::{Covariate, all_covariates};
+use crate::compare::covariates::{Covariate, all_covariates, standard_covariates};
 use crate::compare::pipeline::correlation_s;
 use crate::compare::residual_table::ResidualTable;
 use crate::diagnose::formulas::DiscoveredFormula;
 use crate::diagnose::selection::{AcceptedStep, FittedModel, Selection};
-use model_export::effects::EffectTerm;
+use model_export::effects::{EffectTerm, Signature};
 use model_export::fit::campaign::FitSetup;
 use model_export::fit::cross_validation::noise_variance;
 use model_export::fit::problem::SensorProblem;
 use model_export::recordings::Campaign;
+use model_export::recordings::columns::Axis;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
@@ -98,6 +99,80 @@ pub struct EffectShape {
     pub bins: Vec<Bin>,
     /// Mean residual removed by the step, by bin, sensor and axis, in gauss; NaN without rows.
     pub taken_g: Vec<Vec<[f64; 3]>>,
+    /// The hysteresis loop of an effect of the history of the load.
+    pub load_loop: Option<LoadLoop>,
+}
+
+/// Mean field in gauss by bin, sensor and axis; NaN without rows.
+type MeansByBin = Vec<Vec<[f64; 3]>>;
+
+/// Residual over a force, apart for rising and falling force.
+#[derive(Clone, Debug, Default)]
+pub struct LoadLoop {
+    /// The force, in words.
+    pub words: String,
+    /// Centres of the bins in newtons.
+    pub force_n: Vec<f64>,
+    /// Residual before the step, with rising and with falling force.
+    pub before_g: [MeansByBin; 2],
+    /// What the step removed of it.
+    pub taken_g: [MeansByBin; 2],
+}
+
+impl LoadLoop {
+    /// Over one of the two forces; `None` where it does not vary.
+    fn new(before: &[ResidualTable], after: &[ResidualTable], axis: Axis) -> Option<Self> {
+        let letter = axis.letter();
+        let column = |table: &'_ ResidualTable, name: &str| {
+            table.column(name).map_or_else(Vec::new, |column| column.values.clone())
+        };
+        let forces: Vec<Vec<f32>> =
+            before.iter().map(|table| column(table, &format!("f{letter}_n"))).collect();
+        let binning = Binning::of(&forces.iter().map(Vec::as_slice).collect::<Vec<_>>())?;
+        let direction = |sign: f32| {
+            let mut own = binning.clone();
+            for (table, of) in before.iter().zip(&mut own.of) {
+                let directions = column(table, &format!("loading_{letter}"));
+                for (bin, _) in of.iter_mut().zip(directions).filter(|(_, own)| *own != sign) {
+                    *bin = Binning::NONE;
+                }
+            }
+            own
+        };
+        let branches = [1.0, -1.0].map(direction);
+        let none: Vec<ResidualTable> = before
+            .iter()
+            .map(|table| ResidualTable {
+                residual_g: vec![Vector3::zeros(); table.len()],
+                ..table.clone()
+            })
+            .collect();
+        Some(Self {
+            words: match axis {
+                Axis::X => "lateral force".to_owned(),
+                _ => "longitudinal force".to_owned(),
+            },
+            before_g: branches.each_ref().map(|branch| taken(before, &none, branch)),
+            taken_g: branches.each_ref().map(|branch| taken(before, after, branch)),
+            force_n: binning.centres,
+        })
+    }
+
+    /// Sensor (by place) and axis of the widest loop, and the mean square of its width in gauss squared.
+    pub fn widest(&self) -> Option<((usize, usize), f64)> {
+        let sensors = self.before_g.iter().flatten().map(Vec::len).max().unwrap_or(0);
+        let channels = (0..sensors).flat_map(|sensor| [0, 1, 2].map(|axis| (sensor, axis)));
+        let width = |(sensor, axis): (usize, usize)| {
+            let [rising, falling] = &self.before_g;
+            let pairs = rising.iter().zip(falling);
+            let apart = pairs.filter_map(|(rising, falling)| {
+                Some(rising.get(sensor)?[axis] - falling.get(sensor)?[axis])
+            });
+            let squares: Vec<f64> = apart.filter(|g| g.is_finite()).map(|g| g * g).collect();
+            squares.iter().sum::<f64>() / squares.len().max(1) as f64
+        };
+        channels.map(|channel| (channel, width(channel))).max_by(|a, b| a.1.total_cmp(&b.1))
+    }
 }
 
 impl EffectShape {
@@ -185,6 +260,7 @@ fn shape(
     let before = residuals_against(prepared, stages.first()?, covariates);
     let after = residuals_against(prepared, stages.last()?, &[]);
     let bands = BlockBootstrap::new(&before, block_s(&before), seed);
+    let load_loop = load_loop(prepared, stages, effects);
     let over = |(i, covariate): (usize, &Covariate)| {
         let values: Vec<&[f32]> =
             before.iter().map(|sensor| sensor.covariates[i].values.as_slice()).collect();
@@ -197,10 +273,29 @@ fn shape(
             sensors: before.iter().map(|sensor| sensor.sensor).collect(),
             bins: bands.bins(&before, &binning),
             taken_g: taken(&before, &after, &binning),
+            load_loop: load_loop.clone(),
         })
     };
     let drawn = covariates.iter().enumerate().filter_map(over);
     drawn.max_by(|a, b| a.follows().total_cmp(&b.follows()))
+}
+
+/// The wider of the two loops of a step with an effect of the history of the load.
+fn load_loop(prepared: &FitSetup, stages: &[FittedModel], effects: &[String]) -> Option<LoadLoop> {
+    let effect = model_export::effects::find(effects.first()?).ok()?;
+    if !effect.signatures.contains(&Signature::LoadHistory) {
+        return None;
+    }
+    let names = ["fx_n", "loading_x", "fz_n", "loading_z"];
+    let is_needed = |covariate: &&Covariate| names.contains(&&*covariate.name);
+    let covariates: Vec<Covariate> =
+        standard_covariates().iter().filter(is_needed).cloned().collect();
+    let before = residuals_against(prepared, stages.first()?, &covariates);
+    let after = residuals_against(prepared, stages.last()?, &[]);
+    let loops =
+        [Axis::X, Axis::Z].into_iter().filter_map(|axis| LoadLoop::new(&before, &after, axis));
+    let width = |one: &LoadLoop| one.widest().map_or(0.0, |(_, width)| width);
+    loops.max_by(|a, b| width(a).total_cmp(&width(b)))
 }
 
 /// Means of the difference of two residuals of the same rows: each bin, each sensor, each axis.
@@ -229,7 +324,6 @@ fn taken(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::compare::covariates::standard_covariates;
     use model_export::effects::CATALOGUE;
     use model_export::recordings::columns::STATOR_CURRENTS;
 
@@ -248,6 +342,40 @@ mod tests {
         };
         let (before, after) = (sensor(0, [5.0, 7.0, 1.0, 90.0]), sensor(0, [1.0, 1.0, 4.0, 0.0]));
         assert_eq!(taken(&[before], &[after], &binning), [[[5.0, 0.0, -5.0]], [[-3.0, 0.0, 3.0]]]);
+    }
+
+    #[test]
+    fn loop_separates_rising_from_falling_force() {
+        let covariates: Vec<Covariate> = standard_covariates()
+            .iter()
+            .filter(|covariate| ["fx_n", "loading_x"].contains(&&*covariate.name))
+            .cloned()
+            .collect();
+        let mut before = ResidualTable::new(0, &covariates);
+        // Up and down between -10 and 10 N; 2 G more on the way down.
+        for row in 0..400 {
+            let (rising, place) = (row < 200, row % 200);
+            let force = if rising { place as f32 - 100.0 } else { 100.0 - place as f32 } / 10.0;
+            before.time_s.push(0.01 * f64::from(row));
+            before.residual_g.push(Vector3::new(0.0, if rising { 1.0 } else { 3.0 }, 0.0));
+            for column in &mut before.covariates {
+                let is_force = column.of.name == "fx_n";
+                column.values.push(if is_force {
+                    force
+                } else if rising {
+                    1.0
+                } else {
+                    -1.0
+                });
+            }
+        }
+        let after = ResidualTable { residual_g: vec![Vector3::zeros(); 400], ..before.clone() };
+        let found = LoadLoop::new(&[before.clone()], &[after], Axis::X).unwrap();
+        assert_eq!(found.widest(), Some(((0, 1), 4.0)));
+        assert!(found.before_g[0].iter().all(|bin| bin[0] == [0.0, 1.0, 0.0]));
+        assert!(found.taken_g[1].iter().all(|bin| bin[0] == [0.0, 3.0, 0.0]));
+        // Its covariates have no longitudinal force.
+        assert!(LoadLoop::new(&[before.clone()], &[before], Axis::Z).is_none());
     }
 
     #[test]

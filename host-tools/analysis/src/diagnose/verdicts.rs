@@ -13,7 +13,7 @@ use model_export::fit::effect_size::effect_sizes;
 use model_export::fit::score_test::CandidateScore;
 
 /// Minimum typical magnitude in standard errors for a conclusive verdict.
-const MIN_Z: f64 = 4.0;
+pub(super) const MIN_Z: f64 = 4.0;
 
 /// Verdicts on all candidates, and the summary.
 pub fn conclude(

@@ -204,6 +204,7 @@ impl SimulatedGripper {
             settings: CampaignSettings {
                 seconds: SECONDS,
                 recordings: MAX_RECORDINGS,
+                plan: None,
                 ..campaign.clone()
             },
             campaign,

@@ -129,7 +129,7 @@ pub fn identify(
     fit.model.write(&plain)?;
     let recordings = read_campaign(&campaign, ALIGNED)?;
     let (diagnosis, _) =
-        diagnose(&recordings, &fit.model, &plain, &[], options, &Observer::default())?;
+        diagnose(&recordings, &fit.model, &plain, &[], false, options, &Observer::default())?;
     let added: Vec<String> =
         diagnosis.accepted.iter().filter_map(|step| step.first().cloned()).collect();
     let model = if added.is_empty() {

@@ -13,6 +13,7 @@ use serde_json::{Value, json};
 
 use crate::text::comparison::{data_findings, stopped_verdict};
 use crate::text::findings;
+use crate::text::recording_plan::{self, format_proposal};
 use crate::text::terminal::{self, GOOD, HEADING, NARROW_WIDTH, WARNING};
 
 /// Result as tables and text.
@@ -37,6 +38,9 @@ pub fn format_report(diagnosis: &Diagnosis) -> String {
     }
     let style = if diagnosis.at_floor { GOOD } else { WARNING };
     page += &styled(style, &verdict(diagnosis));
+    if let Some(proposal) = &diagnosis.proposal {
+        page += &format!("\n{}", format_proposal(proposal));
+    }
     page + &next_commands(&diagnosis.next)
 }
 
@@ -392,6 +396,7 @@ pub fn to_json(diagnosis: &Diagnosis) -> Value {
         "blocks": diagnosis.blocks,
         "block_s": diagnosis.block_s,
         "seed": diagnosis.seed,
+        "proposal": diagnosis.proposal.as_ref().map(recording_plan::to_json),
         "next": diagnosis.next.commands,
         "verdict": verdict(diagnosis),
     })

@@ -48,6 +48,7 @@ pub fn shape(effects: &[&str], words: &str, unit: &'static str) -> EffectShape {
         unit,
         sensors: vec![0, 3],
         taken_g: bins.iter().map(|bin| bin.mean_g.clone()).collect(),
+        load_loop: None,
         bins,
     }
 }

@@ -20,6 +20,7 @@ pub mod fit;
 pub mod grasp;
 pub mod notes;
 pub mod recording_check;
+pub mod recording_plan;
 pub mod replay;
 pub mod simulate;
 pub mod terminal;

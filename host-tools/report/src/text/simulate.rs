@@ -5,6 +5,7 @@ use std::path::Path;
 use analysis::numbers;
 use serde::Serialize;
 use serde_json::{Value, json};
+use sim::campaign::plan::RecordingPlan;
 use sim::campaign::settings::CampaignSettings;
 use sim::campaign::truth::Truth;
 
@@ -35,11 +36,15 @@ pub fn format_report(
     truth_path: &Path,
 ) -> String {
     format!(
-        "Simulated: {} recordings of {} s, {} sensors, programme {}, noise {}, seed {}.\n{}\
+        "Simulated: {} recordings of {} s, {}{} sensors, programme {}, noise {}, seed {}.\n{}\
          Written to {}; true parameters in {}.\n\
          Next: cargo magpie fit {:?} -o model.toml\n",
         settings.recordings,
         numbers::decimal(settings.seconds, 3),
+        settings.plan.as_ref().map_or_else(String::new, |plan| format!(
+            "one of {} s by the plan, ",
+            numbers::decimal(plan.seconds(), 3)
+        )),
         settings.sensors,
         value_name(&settings.programme),
         value_name(&settings.noise),
@@ -71,6 +76,7 @@ pub fn to_json(
         "noise": settings.noise,
         "recordings": settings.recordings,
         "seconds": settings.seconds,
+        "planned_seconds": settings.plan.as_ref().map(RecordingPlan::seconds),
         "sensors": settings.sensors,
         "hidden": settings.hidden.then_some(settings.effects.len()),
         "effects": effects,

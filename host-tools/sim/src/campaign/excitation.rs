@@ -1,5 +1,6 @@
 //! Excitation of a recording: load, motion, orientation and temperature over time.
 
+use crate::campaign::plan::RecordingPlan;
 use crate::motion::{AttitudeProfile, MotionState, OpeningProfile, Orientation, Programme};
 use crate::random::{Purpose, SineSum, smoothstep, stream, uniform};
 use model_export::effects::REFERENCE_C;
@@ -9,13 +10,22 @@ use std::f64::consts::TAU;
 /// Excitation of one recording as a function of time.
 #[derive(Clone, Debug)]
 pub struct Excitation {
-    loads: Vec<[LoadProfile; 2]>,
+    source: Source,
     opening: OpeningProfile,
-    attitude: AttitudeProfile,
-    temperature: TemperatureProfile,
     seconds: f64,
     load_scale: f64,
     offset_k: f64,
+}
+
+/// Loads, orientation and temperatures.
+#[derive(Clone, Debug)]
+enum Source {
+    Drawn {
+        loads: Vec<[LoadProfile; 2]>,
+        attitude: AttitudeProfile,
+        temperature: TemperatureProfile,
+    },
+    Planned(RecordingPlan),
 }
 
 impl Excitation {
@@ -30,11 +40,24 @@ impl Excitation {
         let load =
             |sensor, axis| LoadProfile::draw(programme, seed, (recording, sensor, axis), seconds);
         Self {
-            loads: (0..sensors).map(|s| [load(s, 0), load(s, 1)]).collect(),
+            source: Source::Drawn {
+                loads: (0..sensors).map(|s| [load(s, 0), load(s, 1)]).collect(),
+                attitude: AttitudeProfile::draw(programme, seed, recording),
+                temperature: TemperatureProfile::draw(programme, seed, recording, sensors, seconds),
+            },
             opening: OpeningProfile::draw(programme, seed, recording, seconds),
-            attitude: AttitudeProfile::draw(programme, seed, recording),
-            temperature: TemperatureProfile::draw(programme, seed, recording, sensors, seconds),
             seconds,
+            load_scale: 1.0,
+            offset_k: 0.0,
+        }
+    }
+
+    /// The excitation of a plan; `rotor_rad` is the rotor's angle at the screw's zero.
+    pub fn planned(plan: &RecordingPlan, rotor_rad: f64) -> Self {
+        Self {
+            opening: plan.opening(rotor_rad),
+            seconds: plan.seconds(),
+            source: Source::Planned(plan.clone()),
             load_scale: 1.0,
             offset_k: 0.0,
         }
@@ -45,16 +68,27 @@ impl Excitation {
         Self { load_scale, offset_k, ..self }
     }
 
+    /// Duration in seconds.
+    pub fn seconds(&self) -> f64 {
+        self.seconds
+    }
+
     /// Lateral and longitudinal load on a sensor in newtons.
     pub fn load(&self, sensor: usize, time_s: f64) -> [f64; 2] {
-        let [x, z] = &self.loads[sensor];
-        [x, z].map(|load| self.load_scale * load.at(time_s))
+        let newtons = match &self.source {
+            Source::Drawn { loads, .. } => loads[sensor].each_ref().map(|load| load.at(time_s)),
+            Source::Planned(plan) => plan.load_n(sensor, time_s),
+        };
+        newtons.map(|newtons| self.load_scale * newtons)
     }
 
     /// Maximum absolute load of each axis of a sensor, in newtons.
     pub fn max_load(&self, sensor: usize) -> [f64; 2] {
-        let [x, z] = &self.loads[sensor];
-        [x, z].map(|load| (self.load_scale * load.max(self.seconds)).abs())
+        let steps = (self.seconds * 100.0) as u32;
+        let loads = (0..=steps).map(|step| self.load(sensor, f64::from(step) * 0.01));
+        loads.fold([f64::MIN_POSITIVE; 2], |[max_x, max_z], [x, z]| {
+            [max_x.max(x.abs()), max_z.max(z.abs())]
+        })
     }
 
     /// Opening and motor state.
@@ -64,22 +98,29 @@ impl Excitation {
 
     /// Orientation and specific force.
     pub fn orientation(&self, time_s: f64) -> Orientation {
-        self.attitude.at(time_s)
+        match &self.source {
+            Source::Drawn { attitude, .. } => attitude.at(time_s),
+            Source::Planned(plan) => plan.orientation(time_s),
+        }
     }
 
     /// Specific force in body axes, in m/s^2.
     pub fn specific_force(&self, time_s: f64) -> Vector3<f64> {
-        self.attitude.at(time_s).specific_force
+        self.orientation(time_s).specific_force
     }
 
     /// Angular rate in body axes, in rad/s.
     pub fn rate_rad_s(&self, time_s: f64) -> Vector3<f64> {
-        self.attitude.rate_rad_s(time_s)
+        Orientation::rate_rad_s(|time_s| self.orientation(time_s), time_s)
     }
 
     /// Temperature of a sensor in C.
     pub fn temperature_c(&self, sensor: usize, time_s: f64) -> f64 {
-        self.temperature.at(sensor, time_s) + self.offset_k
+        self.offset_k
+            + match &self.source {
+                Source::Drawn { temperature, .. } => temperature.at(sensor, time_s),
+                Source::Planned(plan) => REFERENCE_C + plan.warming_k(time_s),
+            }
     }
 }
 

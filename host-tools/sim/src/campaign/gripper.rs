@@ -61,7 +61,8 @@ impl CampaignGripper {
                 settings.seconds,
             ),
             // None in the first recording, all of it in the others.
-            losses: (1..=settings.recordings)
+            losses: settings
+                .numbers()
                 .map(|recording| f64::from(u8::from(recording > 1)))
                 .collect(),
             backlash: Backlash::new(effects.size(SCREW_BACKLASH.id)),
@@ -165,6 +166,7 @@ mod tests {
             reference_noise_n: 0.0,
             effects: effects.iter().map(|id| id.parse().unwrap()).collect(),
             hidden: false,
+            plan: None,
         }
     }
 

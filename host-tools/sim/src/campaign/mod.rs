@@ -10,11 +10,13 @@
 //! - [`settings`]: size, noise and effects of a campaign.
 //! - [`excitation`]: load, motion and temperature over time.
 //! - [`gripper`]: all sensors in time.
+//! - [`plan`]: steps of a planned recording.
 //! - [`recording`]: clocks, reference sensor, files.
 //! - [`truth`]: the simulated effects, written outside the campaign.
 
 pub mod excitation;
 pub mod gripper;
+pub mod plan;
 pub mod recording;
 pub mod settings;
 pub mod truth;
@@ -37,7 +39,7 @@ use crate::campaign::truth::Truth;
 pub fn simulate(settings: &CampaignSettings, folder: &Path, done: impl Fn()) -> Result<Truth> {
     let (seed, seconds) = (settings.seed, settings.seconds);
     let effects = settings.effects()?;
-    let numbers = 1..=settings.recordings;
+    let numbers = settings.numbers();
     let excitations: Vec<Excitation> = numbers.clone().map(|n| settings.excitation(n)).collect();
     let rates_hz = [constants::SENSE_RATE.value, constants::REFERENCE_RATE.value];
     let clocks: Vec<[SampleClock; 2]> =
@@ -46,7 +48,8 @@ pub fn simulate(settings: &CampaignSettings, folder: &Path, done: impl Fn()) -> 
     for ((recording, excitation), &clocks) in numbers.zip(&excitations).zip(&clocks) {
         let writer = RecordingWriter { settings, effects: &effects, recording, excitation, clocks };
         writer.write(&folder.join(recording.to_string()), &mut gripper)?;
-        gripper.pause(start_s(seconds, recording + 1) - start_s(seconds, recording) - seconds);
+        let next_s = start_s(seconds, recording + 1) - start_s(seconds, recording);
+        gripper.pause((next_s - excitation.seconds()).max(0.0));
         done();
     }
     Truth::new(settings, &effects, &gripper, &clocks)

@@ -85,7 +85,7 @@ impl RecordingWriter<'_> {
         // With clock skew the board records the field of an earlier time.
         let skew_s = 1e-3 * self.effects.size(CLOCK_SKEW.id);
         let mut last_s = f64::NAN;
-        for (stamp_us, true_s) in self.clocks[0].ticks(self.settings.seconds) {
+        for (stamp_us, true_s) in self.clocks[0].ticks(self.excitation.seconds()) {
             let time_s = true_s - skew_s;
             let since_s = if last_s.is_nan() { SETTLING_S } else { time_s - last_s };
             last_s = time_s;
@@ -110,7 +110,7 @@ impl RecordingWriter<'_> {
         let mut rng = stream(self.settings.seed, Purpose::ReferenceNoise, self.recording);
         let mut references =
             vec![ReferenceSensor::new(self.effects); self.settings.sensors as usize];
-        for (stamp_us, true_s) in self.clocks[1].ticks(self.settings.seconds) {
+        for (stamp_us, true_s) in self.clocks[1].ticks(self.excitation.seconds()) {
             let mut row = vec![stamp_us.to_string()];
             for (sensor, reference) in references.iter_mut().enumerate() {
                 let load = |time_s| self.excitation.load(sensor, time_s);

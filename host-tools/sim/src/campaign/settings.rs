@@ -1,13 +1,16 @@
 //! Settings of a simulated campaign.
 
+use std::ops::RangeInclusive;
+
 use anyhow::Result;
 use firmware::config::constants;
 use model_export::recordings::description::NominalDesign;
 
 use crate::campaign::excitation::Excitation;
+use crate::campaign::plan::RecordingPlan;
 use crate::effects::{Effect, Effects};
 use crate::hall_sensor::{HallNoise, HallScale, NoiseKind};
-use crate::motion::Programme;
+use crate::motion::{OpeningProfile, Programme};
 
 /// Recordings start at multiples of this interval, in seconds.
 const SPACING_S: f64 = 600.0;
@@ -19,10 +22,12 @@ pub struct CampaignSettings {
     pub seed: u64,
     /// Excitation programme.
     pub programme: Programme,
-    /// Number of recordings.
+    /// Number of recordings of the programme.
     pub recordings: u32,
-    /// Length of each recording in seconds.
+    /// Length of each of them in seconds.
     pub seconds: f64,
+    /// Plan of one more recording after them.
+    pub plan: Option<RecordingPlan>,
     /// Nominal design; each sensor deviates from it.
     pub design: NominalDesign,
     /// Scale and range of the Hall sensors.
@@ -60,9 +65,18 @@ impl CampaignSettings {
     /// Excitation of a recording, numbered from 1.
     pub fn excitation(&self, recording: u32) -> Excitation {
         let (seed, sensors) = (self.seed, self.sensors);
+        if let Some(plan) = self.plan.as_ref().filter(|_| recording > self.recordings) {
+            return Excitation::planned(plan, OpeningProfile::rotor_rad(seed))
+                .scaled(1.0, self.warmer_k);
+        }
         let range = self.design.force_range_n() / constants::FORCE_RANGE.value;
         Excitation::draw(self.programme, seed, recording, sensors, self.seconds)
             .scaled(self.harder * range, self.warmer_k)
+    }
+
+    /// Numbers of all recordings.
+    pub fn numbers(&self) -> RangeInclusive<u32> {
+        1..=self.recordings + u32::from(self.plan.is_some())
     }
 
     /// Noise of a sensor in a recording.

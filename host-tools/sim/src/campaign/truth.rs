@@ -1,6 +1,7 @@
 //! Truth file of a simulated campaign: its settings and drawn values, stored outside its folder.
 
 use crate::campaign::gripper::CampaignGripper;
+use crate::campaign::plan::RecordingPlan;
 use crate::campaign::recording::SampleClock;
 use crate::campaign::settings::CampaignSettings;
 use crate::effects::{AssignedEffect, Effect, Effects, Flexures};
@@ -41,6 +42,9 @@ pub struct Truth {
     /// Nominal design.
     design: NominalDesign,
     part: HallScale,
+    /// Plan of the last recording, after those of the programme.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    plan: Option<RecordingPlan>,
     /// Simulated effects.
     pub effect: Vec<EffectTruth>,
     sensor: Vec<SensorSpecimen>,
@@ -94,6 +98,7 @@ impl Truth {
             hidden: settings.hidden,
             design: settings.design.clone(),
             part: settings.part,
+            plan: settings.plan.clone(),
             effect: effects
                 .chosen
                 .iter()
@@ -229,6 +234,8 @@ struct TruthSettings {
     #[serde(default = "HallScale::a31301")]
     part: HallScale,
     #[serde(default)]
+    plan: Option<RecordingPlan>,
+    #[serde(default)]
     effect: Vec<TruthEffect>,
 }
 
@@ -285,12 +292,14 @@ pub fn read_settings(truth: &Path) -> Result<CampaignSettings> {
         hidden: truth_settings.hidden,
         design: truth_settings.design,
         part: truth_settings.part,
+        plan: truth_settings.plan,
     })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::campaign::plan::{AttitudePattern, LoadPattern, PlanStep};
     use crate::campaign::simulate;
 
     #[test]
@@ -323,12 +332,30 @@ mod tests {
             hidden: true,
             design: NominalDesign { force_range_n: Some(90.0), ..NominalDesign::magpie() },
             part: HallScale { gauss_per_lsb: 0.25, range_gauss: 4000.0 },
+            plan: Some(RecordingPlan {
+                decides: Vec::new(),
+                steps: vec![PlanStep {
+                    seconds: 4.0,
+                    load: LoadPattern::Cycles,
+                    load_n: [80.0, 60.0],
+                    opening_mm: [10.0, 30.0],
+                    temperature_k: 2.0,
+                    attitude: AttitudePattern::Turning,
+                }],
+            }),
         };
         let truth = simulate(&original, &folder.path().join("then"), || ()).unwrap();
         let path = folder.path().join("truth.toml");
         std::fs::write(&path, truth.text().unwrap()).unwrap();
         let again = simulate(&read_settings(&path).unwrap(), &folder.path().join("again"), || ());
         assert_eq!(again.unwrap().text().unwrap(), truth.text().unwrap());
+        for recording in ["1", "2"] {
+            let of = |campaign: &str| {
+                let file = folder.path().join(campaign).join(recording).join("hall.csv.gz");
+                std::fs::read(file).unwrap()
+            };
+            assert_eq!(of("then"), of("again"));
+        }
         let text: Table = truth.text().unwrap().parse().unwrap();
         let of = |id: &str| {
             let mut effects = text["effect"].as_array().unwrap().iter();

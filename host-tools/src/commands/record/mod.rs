@@ -22,6 +22,7 @@ use model_export::recordings::columns::Axis;
 use model_export::recordings::description::{NominalDesign, RecordingDescription};
 use model_export::recordings::{Campaign, Recording};
 
+mod guide;
 mod summary;
 
 use crate::commands::args::read_design;
@@ -37,7 +38,9 @@ use device::reference::{
 };
 use device::session::{Credentials, with_session};
 use device::source::Source;
+use guide::{Guide, StepResult};
 use report::text::terminal;
+use sim::campaign::plan::RecordingPlan;
 
 /// Write sensor readings of a running gripper to a recording.
 #[derive(Debug, clap::Args)]
@@ -46,6 +49,7 @@ Examples:
   cargo magpie record --port /dev/ttyACM0 -o bench/1 --seconds 30 --note 'lateral, by hand'
   cargo magpie record --can can0 --rate 500 -o bench/2
   cargo magpie record --port /dev/ttyACM0 --reference /dev/ttyUSB0 --reference-map load-cell.toml -o bench/3
+  cargo magpie record --port /dev/ttyACM0 --plan plan.toml -o bench/4      # the recording of diagnose --plan
   cargo magpie record --virtual -o rehearsal/1 --seconds 10 --check    # without hardware
 
 Ctrl-C ends the recording. A killed process leaves a valid recording up to the last second. A serial line
@@ -75,6 +79,9 @@ pub struct Args {
     /// End after this time.
     #[arg(long, value_name = "S", value_parser = parse_seconds)]
     seconds: Option<f64>,
+    /// Plan of the recording, step by step; ends after the last one.
+    #[arg(long, value_name = "PLAN", conflicts_with = "seconds")]
+    plan: Option<PathBuf>,
     /// Description of the recording.
     #[arg(long, value_name = "TEXT", default_value = "recorded live")]
     note: String,
@@ -113,6 +120,7 @@ const COVERAGE_PERIOD: Duration = Duration::from_secs(1);
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     check_vacant(&args.output)?;
+    let plan = args.plan.as_deref().map(RecordingPlan::read).transpose()?;
     let mut description = description(args)?;
     let start_s = description.start_s;
     let rows = if args.gripper.is_on_bus() {
@@ -146,6 +154,9 @@ pub fn run(args: &Args) -> Result<()> {
             force_range_n.unwrap_or(constants::FORCE_RANGE.value),
             forces.clone(),
         ),
+        guide: plan.map(|plan| {
+            Guide::new(plan, force_range_n.unwrap_or(constants::FORCE_RANGE.value), forces.clone())
+        }),
         forces,
         clock: ReferenceClock::default(),
         pose_sent_s: f64::NEG_INFINITY,
@@ -172,6 +183,7 @@ pub fn run(args: &Args) -> Result<()> {
         start_s,
         tally: &tally,
         alignment: alignment.as_ref(),
+        steps: progress.guide.as_ref().map(|guide| guide.results.as_slice()),
         poses: has_pose.then_some(progress.poses),
         check: check.as_ref(),
         is_on_bus: args.gripper.is_on_bus(),
@@ -188,6 +200,8 @@ struct Summary<'a> {
     tally: &'a RecordingCounts,
     /// None without a reference force.
     alignment: Option<&'a ReferenceAlignment>,
+    /// Steps of the plan, if there was one.
+    steps: Option<&'a [StepResult]>,
     /// Number of poses sent to the board; none where the source has none.
     poses: Option<u64>,
     check: Option<&'a CheckResult>,
@@ -230,6 +244,7 @@ struct RecordingProgress {
     coverage: Coverage,
     /// Forces of the reference, in the order of its rows.
     forces: Vec<(u32, Axis)>,
+    guide: Option<Guide>,
     clock: ReferenceClock,
     /// Time of the last pose sent to the board.
     pose_sent_s: f64,
@@ -244,6 +259,14 @@ impl RecordingProgress {
         let has_pose = row.covariates.attitude.is_some();
         self.waits_for_pose &= !has_pose && at_s < POSE_TIMEOUT_S;
         !self.waits_for_pose
+    }
+
+    /// Adds a row to the present step of the plan; at its end, shows the next one.
+    fn guide(&mut self, row: &SensorRow, spinner: &ProgressBar) {
+        let Some(guide) = &mut self.guide else { return };
+        if guide.update(row) && !guide.is_finished() {
+            spinner.suspend(|| eprintln!("Enough. {}", guide.instruction()));
+        }
     }
 
     /// Sends a pose that arrived at `at_s` to the board, at most at 100 Hz.
@@ -328,18 +351,25 @@ fn write_rows(
     let interrupted = interrupted()?;
     let spinner = progress::row_spinner("recording");
     let end_s = args.seconds.unwrap_or(f64::INFINITY);
+    if let Some(guide) = &recorded.guide {
+        spinner.suspend(|| eprintln!("{}", guide.instruction()));
+    }
     let mut shown = Instant::now();
     let ended = loop {
-        if args.check && shown.elapsed() >= COVERAGE_PERIOD {
+        if (args.check || recorded.guide.is_some()) && shown.elapsed() >= COVERAGE_PERIOD {
             shown = Instant::now();
-            let line = coverage_line(&recorded.coverage.ranges());
+            let line = match &recorded.guide {
+                Some(guide) => guide.status(),
+                None => coverage_line(&recorded.coverage.ranges()),
+            };
             if std::io::stderr().is_terminal() {
                 spinner.set_message(line);
             } else {
                 eprintln!("covered: {line}");
             }
         }
-        if hearing.elapsed_s() >= end_s || interrupted.load(Relaxed) {
+        let is_finished = recorded.guide.as_ref().is_some_and(Guide::is_finished);
+        if is_finished || hearing.elapsed_s() >= end_s || interrupted.load(Relaxed) {
             break Ok(());
         }
         match hearing.news.recv_timeout(FLUSH_TIMEOUT) {
@@ -352,6 +382,7 @@ fn write_rows(
                         Ok(Some(row)) => {
                             recorded.clock.board(at_s, row.time_us);
                             recorded.coverage.update(&row);
+                            recorded.guide(&row, &spinner);
                             recorder.take(row)?;
                             spinner.inc(1);
                         }
@@ -400,6 +431,9 @@ fn take_reference(
             recorder.take_reference(board_us, &row.force_n)?;
             for (key, newtons) in recorded.forces.iter().zip(&row.force_n) {
                 recorded.coverage.update_force(*key, *newtons);
+                if let Some(guide) = &mut recorded.guide {
+                    guide.update_force(*key, *newtons);
+                }
             }
         }
     }

@@ -5,12 +5,13 @@ use device::recorder::CoveredRange;
 use report::text::{recording_check, terminal};
 use serde_json::{Value, json};
 
-use super::{CheckResult, ReferenceAlignment, Summary};
+use super::{CheckResult, ReferenceAlignment, StepResult, Summary};
 
 impl Summary<'_> {
     /// As text.
     pub(super) fn format(&self) -> String {
-        let Self { output, start_s, tally, alignment, poses, check, is_on_bus, is_virtual } = *self;
+        let Self { output, start_s, tally, alignment, steps, poses, check, is_on_bus, is_virtual } =
+            *self;
         let seconds = |us: u64| us as f64 * 1e-6;
         let numbers = |sensors: &[usize]| {
             let numbers: Vec<String> = sensors.iter().map(usize::to_string).collect();
@@ -37,6 +38,7 @@ impl Summary<'_> {
                 );
             }
         }
+        text += &steps.map_or_else(String::new, format_steps);
         text += &match tally.covariates.as_slice() {
             [] => {
                 let why = match (is_virtual, is_on_bus) {
@@ -117,7 +119,7 @@ impl Summary<'_> {
 
     /// As one JSON object.
     pub(super) fn to_json(&self) -> Value {
-        let Self { output, start_s, tally, alignment, poses, check, .. } = *self;
+        let Self { output, start_s, tally, alignment, steps, poses, check, .. } = *self;
         json!({
             "recording": output,
             "start_s": start_s,
@@ -133,6 +135,7 @@ impl Summary<'_> {
             "rows_without_covariates": tally.without_covariates,
             "silent_rows": tally.silent,
             "reference": alignment.is_some(),
+            "steps": steps.map(|steps| steps.iter().map(step_json).collect::<Vec<_>>()),
             "pose_messages": poses,
             "check": check.map(check_json),
             "reference_rows": tally.reference_rows,
@@ -140,6 +143,30 @@ impl Summary<'_> {
             "reference_delay_applied": alignment.map(|alignment| alignment.is_applied),
         })
     }
+}
+
+/// Steps of a plan whose ranges were not covered.
+fn format_steps(steps: &[StepResult]) -> String {
+    let lacking = (1..).zip(steps).filter(|(_, step)| !step.lacking.is_empty());
+    let lines: Vec<String> = lacking
+        .map(|(number, step)| {
+            let ranges = step.lacking.iter();
+            let ranges = ranges.map(|(name, share)| format!("{name} {:.0} %", 100.0 * share));
+            format!("step {number} ({})", ranges.collect::<Vec<_>>().join(", "))
+        })
+        .collect();
+    match lines.as_slice() {
+        [] => format!("Plan: all {} steps are covered.\n", steps.len()),
+        lines => terminal::paragraph(&format!("Plan: not covered: {}.", lines.join("; "))),
+    }
+}
+
+/// Duration, and the ranges that were not covered with their shares.
+fn step_json(step: &StepResult) -> Value {
+    let lacking = step.lacking.iter();
+    let lacking: Vec<Value> =
+        lacking.map(|(quantity, share)| json!({ "quantity": quantity, "share": share })).collect();
+    json!({ "seconds": step.seconds, "not_covered": lacking })
 }
 
 /// Covered ranges, then the effects.

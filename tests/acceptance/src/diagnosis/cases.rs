@@ -19,12 +19,21 @@ pub enum Group {
     Outside,
     /// Inconclusive recordings, which must be reported as such.
     Always,
+    /// The same with the recording that the diagnosis proposes.
+    Planned,
 }
 
 impl Group {
     /// All, in the order of the table.
-    pub const ALL: [Self; 6] =
-        [Self::Typical, Self::Small, Self::Nothing, Self::Pairs, Self::Outside, Self::Always];
+    pub const ALL: [Self; 7] = [
+        Self::Typical,
+        Self::Small,
+        Self::Nothing,
+        Self::Pairs,
+        Self::Outside,
+        Self::Always,
+        Self::Planned,
+    ];
 
     /// Description in the table.
     pub fn description(self) -> &'static str {
@@ -35,6 +44,7 @@ impl Group {
             Self::Pairs => "two effects without a common covariate",
             Self::Outside => "one that is not in the catalogue",
             Self::Always => "inconclusive recordings",
+            Self::Planned => "inconclusive recordings and the proposed one",
         }
     }
 
@@ -48,6 +58,7 @@ impl Group {
             Self::Pairs => 1,
             Self::Outside => 3,
             Self::Always => 1,
+            Self::Planned => 3,
         }
     }
 }
@@ -78,6 +89,8 @@ pub enum Expected {
     Formula(&'static [&'static str]),
     /// One of these verdicts on this effect, and no wrong effect.
     Verdict(&'static str, &'static [&'static str]),
+    /// This effect is found, alone, together with the recording that the diagnosis of the others proposes.
+    FoundWithPlan(&'static str),
 }
 
 impl Case {
@@ -164,6 +177,15 @@ fn with_seed(group: Group, seed: u64) -> Vec<Case> {
             unnamed.into_iter().chain(formulas).collect()
         }
         Group::Always => always(seed),
+        Group::Planned => always(seed)
+            .into_iter()
+            .filter_map(|case| match case.expected {
+                Expected::Verdict(effect, _) => {
+                    Some(Case { expected: Expected::FoundWithPlan(effect), ..case })
+                }
+                _ => None,
+            })
+            .collect(),
     }
 }
 

@@ -103,6 +103,10 @@ pub fn rates(group: Group, outcomes: &[Outcome]) -> Vec<Rate> {
             if unnamed > 0 { vec![rate] } else { Vec::new() }
         }
         Group::Always => vec![Rate::of("reported as inconclusive", right, all, true, 1.0)],
+        Group::Planned => vec![
+            Rate::of("found alone with it, at most 60 s", right, all, true, 0.95),
+            Rate::of("only a wrong effect", wrong, all, false, 0.02),
+        ],
     };
     let located: Vec<bool> = outcomes.iter().filter_map(|o| o.evaluation.located).collect();
     if !located.is_empty() {

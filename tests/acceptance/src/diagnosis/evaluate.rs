@@ -104,6 +104,7 @@ pub fn evaluate(case: &Case, output: &Value) -> Evaluation {
             Expected::Names => case.hidden.iter().all(|(id, _)| holds(id).is_some()),
             Expected::NoName(_) | Expected::Formula(_) => true,
             Expected::Verdict(id, output) => output.contains(&verdict(id)),
+            Expected::FoundWithPlan(id) => verdict(id) == "found",
         };
     let located = match &case.expected {
         Expected::NoName(Some(covariate)) => {

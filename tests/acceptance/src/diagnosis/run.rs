@@ -56,14 +56,17 @@ pub fn run(case: &Case) -> Result<Outcome> {
     let folder = TempDir::new()?;
     let campaign = folder.path().join("campaign");
     let model = folder.path().join("model.toml");
-    simulate(case, true, &campaign)?;
+    simulate(case, true, None, &campaign)?;
     // All cores are busy with campaigns.
     magpie::run(&["fit".as_ref(), &*campaign, "-o".as_ref(), &*model], Some(1))?;
-    let output = magpie::json(&["diagnose".as_ref(), &*model, &*campaign], Some(1))?;
+    let output = match case.expected {
+        Expected::FoundWithPlan(_) => with_plan(case, folder.path(), &campaign, &model)?,
+        _ => magpie::json(&["diagnose".as_ref(), &*model, &*campaign], Some(1))?,
+    };
     let z = match (&case.expected, case.hidden.is_empty()) {
         (Expected::Names, false) => {
             let clean = folder.path().join("clean");
-            simulate(case, false, &clean)?;
+            simulate(case, false, None, &clean)?;
             effect_size(&clean, &campaign)?
         }
         _ => f64::NAN,
@@ -81,7 +84,21 @@ pub fn run(case: &Case) -> Result<Outcome> {
     })
 }
 
-fn simulate(case: &Case, hidden: bool, to: &Path) -> Result<()> {
+/// Diagnosis of the recordings together with the one that a first diagnosis proposes; the first one where it proposes none.
+fn with_plan(case: &Case, folder: &Path, campaign: &Path, model: &Path) -> Result<Value> {
+    let plan = folder.join("plan.toml");
+    let first =
+        magpie::json(&["diagnose".as_ref(), model, campaign, "--plan".as_ref(), &*plan], Some(1))?;
+    if !plan.exists() {
+        return Ok(first);
+    }
+    let (longer, again) = (folder.join("longer"), folder.join("again.toml"));
+    simulate(case, true, Some(&plan), &longer)?;
+    magpie::run(&["fit".as_ref(), &*longer, "-o".as_ref(), &*again], Some(1))?;
+    magpie::json(&["diagnose".as_ref(), &*again, &*longer], Some(1))
+}
+
+fn simulate(case: &Case, hidden: bool, plan: Option<&Path>, to: &Path) -> Result<()> {
     let seed = case.seed.to_string();
     let mut arguments = vec!["simulate", "--programme", case.programme, "--noise", case.noise];
     arguments.extend(["--seed", &seed, "-o"]);
@@ -97,6 +114,9 @@ fn simulate(case: &Case, hidden: bool, to: &Path) -> Result<()> {
         .collect();
     for effect in effects.iter().filter(|_| hidden) {
         arguments.extend([Path::new("--effect"), Path::new(effect)]);
+    }
+    if let Some(plan) = plan {
+        arguments.extend([Path::new("--plan"), plan]);
     }
     magpie::run(&arguments, Some(1)).map(drop)
 }

@@ -17,6 +17,8 @@ const SMALL: (u32, u32) = (340, 200);
 const DOT: i32 = 12;
 /// A band that reaches further than this many times the greatest mean is cut.
 const FURTHEST_BAND: f64 = 1.6;
+/// Colours of rising and falling force.
+const BRANCHES: [palette::Role; 2] = [palette::FIRST, palette::THIRD];
 /// Letters of the axes of the field.
 const AXES: [&str; 3] = ["x", "y", "z"];
 
@@ -35,6 +37,55 @@ pub fn strongest(shape: &EffectShape) -> Markup {
             (key(&[
                 (Swatch::Framed, palette::FIRST, "residual before it was added: mean and 95 % band".to_owned()),
                 (Swatch::Line, palette::SECOND, format!("what {name} took away")),
+            ]))
+        }
+    }
+}
+
+/// The hysteresis loop, where there is one: residual over the force, apart for rising and falling force.
+pub fn load_loop(shape: &EffectShape) -> Markup {
+    let Some((load_loop, (of, _))) = shape.load_loop.as_ref().and_then(|l| Some((l, l.widest()?)))
+    else {
+        return html! {};
+    };
+    let branch = |means: &[Vec<[f64; 3]>]| -> Vec<(f64, f64)> {
+        let pairs = load_loop.force_n.iter().zip(means);
+        pairs.filter_map(|(force, bin)| Some((*force, bin.get(of.0)?[of.1]))).collect()
+    };
+    let before = load_loop.before_g.each_ref().map(|means| branch(means));
+    let taken = load_loop.taken_g.each_ref().map(|means| branch(means));
+    let all = || before.iter().chain(&taken).flatten();
+    let across =
+        Along::holding(format!("{} in N", load_loop.words), load_loop.force_n.iter().copied());
+    let upwards = Along { labels: 4, ..Along::holding("G", all().map(|(_, g)| *g)) };
+    let says = format!(
+        "Mean residual of {} in gauss over the {}, apart for rising and falling force, before {} was added, and what that took away.",
+        channel(shape, of),
+        load_loop.words,
+        shape.effects.join(" or ")
+    );
+    let draw = |paper: &Paper| -> Result<(), Failure> {
+        let mut chart = axes(paper, &across, &upwards)?;
+        for (branch, role) in taken.iter().zip(BRANCHES) {
+            for run in lines(branch) {
+                chart.draw_series([PathElement::new(run, stroke(role, 2.2))])?;
+            }
+        }
+        for (branch, role) in before.iter().zip(BRANCHES) {
+            let finite = branch.iter().filter(|(force, g)| force.is_finite() && g.is_finite());
+            let dots = finite.map(|point| Circle::new(*point, DOT, role.light.filled()));
+            chart.draw_series(dots)?;
+        }
+        Ok(())
+    };
+    html! {
+        figure {
+            figcaption { "The loop: " (channel(shape, of)) " over the " (load_loop.words) }
+            (figure(LARGE, &says, draw))
+            (key(&[
+                (Swatch::Framed, BRANCHES[0], "residual while the force rises, before it was added".to_owned()),
+                (Swatch::Framed, BRANCHES[1], "while the force falls".to_owned()),
+                (Swatch::Line, BRANCHES[0], "lines: what was taken away".to_owned()),
             ]))
         }
     }

@@ -110,7 +110,7 @@ fn part(verdict: &Verdict, shape: Option<&EffectShape>) -> Markup {
             }
             @if let Some(shape) = shape { (effect::strongest(shape)) }
         }
-        @if let Some(shape) = shape { (effect::all(shape)) }
+        @if let Some(shape) = shape { (effect::load_loop(shape)) (effect::all(shape)) }
     }
 }
 

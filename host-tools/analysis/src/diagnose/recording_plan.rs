@@ -1,0 +1,630 @@
+//! The shortest recording that decides what a diagnosis leaves open: equivalent effects, and effects of which these recordings
+//! would not show a typical magnitude.
+//!
+//! A planned recording is computed with the model at hand and appended to the recordings. For an effect, the score test on all of
+//! them gives its typical magnitude in standard errors. For two equivalent effects, the fields of the model with the first are
+//! what the model with the second is fitted to (linearised, with all its parameters): the squared error that remains is what
+//! distinguishes them (the expected log-likelihood ratio is half of it, in units of the noise variance). Steps of a few
+//! patterns are added one by one, each time the one that decides most, and shortened at the end.
+
+use std::f64::consts::TAU;
+
+use anyhow::Result;
+use model_export::effects::excitation::LoadCycleCounter;
+use model_export::effects::operators::SmoothingImpulse;
+use model_export::effects::{EffectTerm, ExcitationSeries, find};
+use model_export::fit::FitOptions;
+use model_export::fit::campaign::FitSetup;
+use model_export::fit::joint::SensorFit;
+use model_export::fit::problem::SensorProblem;
+use model_export::fit::rows::{RecordingRows, SensorRows};
+use model_export::fit::score_test::ScoreTest;
+use model_export::recordings::columns::{Axis, COVARIATES, STATOR_CURRENTS};
+use nalgebra::Vector3;
+use rayon::prelude::*;
+use serde::Serialize;
+use sim::campaign::excitation::Excitation;
+use sim::campaign::plan::{AttitudePattern, LoadPattern, PlanStep, RecordingPlan};
+use sim::external_fields::motor_currents;
+use sim::motion::LEAD_MM;
+use statrs::distribution::{ContinuousCDF, Normal};
+
+use crate::diagnose::candidates::UntestableEffect;
+use crate::diagnose::forward_selection::DISTINGUISHABLE;
+use crate::diagnose::observer::Observer;
+use crate::diagnose::selection::{FittedModel, Selection};
+use crate::diagnose::verdicts::MIN_Z;
+use crate::diagnose::{Reason, Verdict, VerdictKind};
+
+/// Standard errors that a test of all candidates together needs at its level.
+const DETECTED: f64 = 3.0;
+/// Pause before the planned recording in seconds (assumed; it matters to drifts alone).
+const PAUSE_S: f64 = 600.0;
+/// Wanted probability of a right decision.
+const WANTED: f64 = 0.95;
+/// Duration of a step before it is shortened, and the shorter ones that are tried, in seconds.
+const STEP_S: f64 = 10.0;
+const SHORTER_S: [f64; 2] = [5.0, 7.0];
+/// Maximum duration of a plan in seconds.
+const MAX_S: f64 = 60.0;
+/// A step must add this much to the sum of the decided shares.
+const MIN_PROGRESS: f64 = 0.02;
+/// Steps within this of the best are equivalent; the one with the fewest quantities that vary is taken.
+const NEAR: f64 = 0.02;
+/// Rows of each recording during the search, and at the end: as many as the screening uses.
+const SEARCH_ROWS: usize = 500;
+const FINAL_ROWS: usize = 1500;
+/// Loads relative to the largest recorded ones.
+const LOAD: f64 = 0.8;
+/// Change of the temperature in a step, and its limits since the start, in kelvin.
+const CHANGE_K: f64 = 8.0;
+const WARMING_K: [f64; 2] = [0.0, 10.0];
+/// Opening where none was recorded or it hardly varies, in mm.
+const OPENING_MM: [f64; 2] = [10.0, 40.0];
+const MIN_STROKE_MM: f64 = 10.0;
+/// Variance of the error difference of two models, relative to that of independent noise on all channels: the noise of the
+/// reference moves the three axes of a sensor together.
+const CORRELATED: f64 = 3.0;
+
+/// What a planned recording decides.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PlannedDecision {
+    /// One effect, or two of which one is present.
+    pub effects: Vec<String>,
+    /// Predicted probability of the right decision with the recordings at hand.
+    pub power_now: f64,
+    /// The same together with the planned recording.
+    pub power_planned: f64,
+}
+
+/// A proposed recording.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct RecordingProposal {
+    /// The steps; none where no recording decides more.
+    pub plan: RecordingPlan,
+    /// What it decides, and what it cannot decide (with a low probability).
+    pub decisions: Vec<PlannedDecision>,
+    /// Inconclusive effects for another reason than the excitation, for which nothing was planned.
+    pub left: Vec<String>,
+}
+
+/// What is open.
+enum Question<'a> {
+    /// Which of two effects is present: the last model, and the same with the other effect.
+    Which { truth: &'a FittedModel, rival: FittedModel, effects: [String; 2] },
+    /// Whether an effect is present.
+    Whether(EffectTerm),
+}
+
+impl Question<'_> {
+    fn effects(&self) -> Vec<String> {
+        match self {
+            Self::Which { effects, .. } => effects.to_vec(),
+            Self::Whether(effect) => vec![effect.name().to_owned()],
+        }
+    }
+}
+
+/// Evidence on a question, and the probability of a right decision.
+#[derive(Clone, Copy, Debug)]
+struct Evidence {
+    /// Relative to what is wanted, at most 1.
+    share: f64,
+    power: f64,
+}
+
+/// Proposes a recording for what the verdicts leave open.
+///
+/// # Errors
+/// A model cannot be fitted.
+pub fn propose(
+    setup: &FitSetup,
+    selection: &Selection,
+    verdicts: &[Verdict],
+    untestable: &[UntestableEffect],
+    options: FitOptions,
+    observer: &Observer,
+) -> Result<RecordingProposal> {
+    let Some(last) = selection.stages.last() else {
+        return Ok(RecordingProposal::default());
+    };
+    observer.stage("planning a recording", 0.5);
+    let mut proposal = RecordingProposal::default();
+    let questions = questions(setup, selection, verdicts, untestable, options, &mut proposal)?;
+    let planner = Planner {
+        setup,
+        last,
+        block_s: selection.block_s,
+        noise: Normal::standard(),
+        limits: Limits::of(setup),
+    };
+    if questions.is_empty() {
+        return Ok(proposal);
+    }
+    let plan = planner.search(&questions, observer);
+    let all: Vec<usize> = (0..setup.rows.len()).collect();
+    let now = planner.evidence(&questions, None, &all, FINAL_ROWS);
+    let planned = match plan.steps.is_empty() {
+        true => now.clone(),
+        false => planner.evidence(&questions, Some(&plan), &all, FINAL_ROWS),
+    };
+    proposal.plan = plan;
+    for ((question, now), planned) in questions.iter().zip(now).zip(planned) {
+        proposal.decisions.push(PlannedDecision {
+            effects: question.effects(),
+            power_now: now.power,
+            power_planned: planned.power,
+        });
+    }
+    proposal.decisions.sort_by(|a, b| b.power_planned.total_cmp(&a.power_planned));
+    let decided = proposal.decisions.iter().filter(|decision| decision.power_planned >= WANTED);
+    proposal.plan.decides = decided.map(|decision| decision.effects.join(" or ")).collect();
+    Ok(proposal)
+}
+
+/// Questions that a recording can answer; the others are added to `proposal.left`.
+fn questions<'a>(
+    setup: &FitSetup,
+    selection: &'a Selection,
+    verdicts: &[Verdict],
+    untestable: &[UntestableEffect],
+    options: FitOptions,
+    proposal: &mut RecordingProposal,
+) -> Result<Vec<Question<'a>>> {
+    let mut questions = Vec::new();
+    let Some(last) = selection.stages.last() else {
+        return Ok(questions);
+    };
+    for step in &selection.steps {
+        for other in &step.tied {
+            let mut effects = last.effects.clone();
+            for effect in effects.iter_mut().filter(|effect| **effect == step.chosen) {
+                *effect = other.clone();
+            }
+            questions.push(Question::Which {
+                truth: last,
+                rival: FittedModel::without_validation(setup, effects, options)?,
+                effects: [step.chosen.name(), other.name()].map(str::to_owned),
+            });
+        }
+    }
+    let screened = |name: &str| {
+        let mut all = selection.last.iter().map(|screened| &screened.candidate);
+        all.find(|candidate| candidate.name() == name).cloned()
+    };
+    for verdict in verdicts.iter().filter(|verdict| verdict.kind == VerdictKind::Inconclusive) {
+        let known = screened(&verdict.effect);
+        let effect = match verdict.reason {
+            Reason::HardlyChangesField | Reason::Confounded | Reason::Masked => known,
+            Reason::DoesNotVary(_) => {
+                let named = untestable.iter().find(|one| one.effect == verdict.effect);
+                named.and_then(|one| find(&one.effect).ok()).map(EffectTerm::Catalogue)
+            }
+            _ => None,
+        };
+        match effect {
+            Some(effect) if !effect.is_transient() => questions.push(Question::Whether(effect)),
+            _ => proposal.left.push(verdict.effect.clone()),
+        }
+    }
+    Ok(questions)
+}
+
+/// Ranges of a planned recording.
+struct Limits {
+    /// Amplitudes of the lateral and the longitudinal load.
+    load_n: [f64; 2],
+    opening_mm: [f64; 2],
+    /// Rotor's angle at the screw's zero.
+    rotor_rad: f64,
+}
+
+impl Limits {
+    fn of(setup: &FitSetup) -> Self {
+        let parts = || setup.rows.iter().flat_map(|rows| &rows.parts);
+        let peak = |axis: usize| {
+            let forces = parts().flat_map(|part| &part.track.force_n);
+            forces.map(|force| force[axis].abs()).fold(0.0, f64::max)
+        };
+        let column = |name: &str| {
+            let columns = parts().filter_map(|part| part.track.covariates.get(name));
+            columns.flatten().copied().collect::<Vec<f64>>()
+        };
+        let opening = column("opening_mm");
+        let low = opening.iter().copied().fold(f64::INFINITY, f64::min);
+        let high = opening.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let (mut sin, mut cos) = (0.0, 0.0);
+        for (angle, opening) in column("motor_angle_rad").iter().zip(&opening) {
+            let rotor = angle - TAU * opening / LEAD_MM;
+            (sin, cos) = (sin + rotor.sin(), cos + rotor.cos());
+        }
+        let whole = |mm: f64| mm.round().max(0.0);
+        Self {
+            load_n: [peak(0), peak(1)].map(|peak| (LOAD * peak / 5.0).floor() * 5.0),
+            opening_mm: match (low, high) {
+                _ if opening.is_empty() => OPENING_MM,
+                (low, high) if high - low >= MIN_STROKE_MM => [whole(low), whole(high)],
+                (low, _) => [whole(low), whole(low) + OPENING_MM[1] - OPENING_MM[0]],
+            },
+            rotor_rad: f64::atan2(sin, cos),
+        }
+    }
+
+    /// Steps that can follow a plan: every pattern of the loads, with every change of the quantities on which the effects depend.
+    fn steps(&self, plan: &RecordingPlan, needs: &[String]) -> Vec<PlanStep> {
+        let depends = |names: &[&str]| {
+            needs.iter().any(|need| names.iter().any(|name| need.starts_with(name)))
+        };
+        let still = [self.opening_mm[0]; 2];
+        let openings = match depends(&["opening", "motor"]) {
+            true => vec![still, self.opening_mm],
+            false => vec![still],
+        };
+        let so_far = plan.warming_k(plan.seconds());
+        let mut changes = vec![0.0];
+        if depends(&["temp"]) {
+            let possible =
+                |change: &f64| (WARMING_K[0]..=WARMING_K[1]).contains(&(so_far + change));
+            changes.extend([CHANGE_K, -CHANGE_K].into_iter().filter(possible));
+        }
+        let mut attitudes = vec![AttitudePattern::Level];
+        if depends(&["roll", "pitch", "yaw", "accel"]) {
+            attitudes.push(AttitudePattern::Turning);
+        }
+        if depends(&["accel"]) {
+            attitudes.push(AttitudePattern::Shaken);
+        }
+        let mut steps = Vec::new();
+        for load in [LoadPattern::Cycles, LoadPattern::None, LoadPattern::Fast, LoadPattern::Hold] {
+            for &opening_mm in &openings {
+                for &temperature_k in &changes {
+                    for &attitude in &attitudes {
+                        steps.push(PlanStep {
+                            seconds: STEP_S,
+                            load,
+                            load_n: match load {
+                                LoadPattern::None => [0.0; 2],
+                                _ => self.load_n,
+                            },
+                            opening_mm,
+                            temperature_k,
+                            attitude,
+                        });
+                    }
+                }
+            }
+        }
+        steps
+    }
+}
+
+/// Number of quantities that vary in a step.
+fn effort(step: &PlanStep) -> usize {
+    let varies = [
+        step.load != LoadPattern::None,
+        step.opening_mm[0] != step.opening_mm[1],
+        step.temperature_k != 0.0,
+        step.attitude != AttitudePattern::Level,
+    ];
+    varies.into_iter().filter(|varies| *varies).count()
+}
+
+/// Search for a plan.
+struct Planner<'a> {
+    setup: &'a FitSetup,
+    last: &'a FittedModel,
+    block_s: f64,
+    noise: Normal,
+    limits: Limits,
+}
+
+impl Planner<'_> {
+    /// The best plan; without steps where none decides more than the recordings at hand.
+    fn search(&self, questions: &[Question], observer: &Observer) -> RecordingPlan {
+        let mut needs: Vec<String> = Vec::new();
+        for name in questions.iter().flat_map(Question::effects) {
+            needs.extend(
+                find(&name).into_iter().flat_map(|e| e.needs.iter().map(|n| (*n).to_owned())),
+            );
+        }
+        let total = |plan: Option<&RecordingPlan>| -> f64 {
+            let evidence = self.evidence(questions, plan, &[0], SEARCH_ROWS);
+            evidence.iter().map(|one| one.share).sum()
+        };
+        let enough = questions.len() as f64 - 1e-9;
+        let mut plan = RecordingPlan::default();
+        let mut reached = total(None);
+        while reached < enough && plan.seconds() + STEP_S <= MAX_S && !observer.is_stopped() {
+            observer.stage(&format!("planning a recording, step {}", plan.steps.len() + 1), 0.3);
+            let steps = self.limits.steps(&plan, &needs);
+            let scored: Vec<(f64, RecordingPlan)> = steps
+                .into_par_iter()
+                .map(|step| {
+                    let mut longer = plan.clone();
+                    longer.steps.push(step);
+                    (total(Some(&longer)), longer)
+                })
+                .collect();
+            let best = scored.iter().map(|(score, _)| *score).fold(0.0, f64::max);
+            if best < reached + MIN_PROGRESS {
+                break;
+            }
+            let near = scored.into_iter().filter(|(score, _)| *score >= best - NEAR);
+            let Some((score, simplest)) =
+                near.min_by_key(|(_, plan)| plan.steps.last().map_or(0, effort))
+            else {
+                break;
+            };
+            (reached, plan) = (score, simplest);
+        }
+        for place in 0..plan.steps.len() {
+            for seconds in SHORTER_S {
+                let mut shorter = plan.clone();
+                shorter.steps[place].seconds = seconds;
+                if total(Some(&shorter)) >= reached - 1e-9 {
+                    plan = shorter;
+                    break;
+                }
+            }
+        }
+        plan
+    }
+
+    /// Evidence on each question by the recordings, with a planned one, of some sensors.
+    fn evidence(
+        &self,
+        questions: &[Question],
+        plan: Option<&RecordingPlan>,
+        sensors: &[usize],
+        max_rows: usize,
+    ) -> Vec<Evidence> {
+        // Of all sensors together; the search has some of the rows of some of them.
+        let scale = (self.setup.rows.len() as f64 / sensors.len().max(1) as f64).sqrt()
+            * (FINAL_ROWS as f64 / max_rows as f64).sqrt();
+        let is_whether = |question: &Question| matches!(question, Question::Whether(_));
+        let setup = questions.iter().any(is_whether).then(|| {
+            let rows = self.rows(plan, sensors, |rows| rows / max_rows);
+            let mut setup = self.setup.with_rows(rows);
+            let fit = extended(&setup, self.last);
+            let planned = self.setup.rows.first().map_or(0, |rows| rows.parts.len());
+            set_fields(&mut setup, &fit, planned);
+            (setup, fit)
+        });
+        let test = setup
+            .as_ref()
+            .map(|(setup, model)| ScoreTest::new(setup, &model.effects, &model.fit, self.block_s));
+        let evidence = |question: &Question| match question {
+            Question::Whether(effect) => {
+                let score = test.as_ref().and_then(|test| test.score(effect));
+                let z = scale * score.map_or(0.0, |score| score.z_typical);
+                let wanted = MIN_Z.max(DETECTED + self.noise.inverse_cdf(WANTED));
+                Evidence { share: (z / wanted).min(1.0), power: self.noise.cdf(z - DETECTED) }
+            }
+            Question::Which { truth, rival, .. } => {
+                let longest = |rows: &SensorRows| rows.parts.iter().map(RecordingRows::len).max();
+                let longest = self.setup.rows.iter().filter_map(longest).max().unwrap_or(0);
+                let mut setup =
+                    self.setup.with_rows(self.rows(plan, sensors, |_| longest / max_rows));
+                let truth = extended(&setup, truth);
+                set_fields(&mut setup, &truth, 0);
+                let rival = extended(&setup, rival);
+                let test = ScoreTest::new(&setup, &rival.effects, &rival.fit, self.block_s);
+                let difference = test.mean_square();
+                let stride = (longest / max_rows).max(1) as f64;
+                let rows: usize = setup.rows.iter().map(SensorRows::len).sum();
+                let entries = 3.0 * stride * rows as f64 * self.setup.rows.len() as f64
+                    / sensors.len().max(1) as f64;
+                let sigma = 2.0 * (difference * CORRELATED / entries).sqrt();
+                let z = (difference - DISTINGUISHABLE) / sigma.max(f64::MIN_POSITIVE);
+                let power = self.noise.cdf(z);
+                let share = if power >= WANTED {
+                    1.0
+                } else {
+                    (0.5 * difference / DISTINGUISHABLE).min(1.0 - MIN_PROGRESS)
+                };
+                Evidence { share, power }
+            }
+        };
+        questions.iter().map(evidence).collect()
+    }
+
+    /// Rows of some sensors, thinned by the stride of their number, with those of the planned recording, without fields.
+    fn rows(
+        &self,
+        plan: Option<&RecordingPlan>,
+        sensors: &[usize],
+        stride: impl Fn(usize) -> usize,
+    ) -> Vec<SensorRows> {
+        let excitation = plan.map(|plan| Excitation::planned(plan, self.limits.rotor_rad));
+        let of_sensor = |&s: &usize| {
+            let rows = self.setup.rows.get(s)?;
+            let mut parts: Vec<RecordingRows> =
+                rows.parts.iter().map(|part| part.thinned(stride(part.len()))).collect();
+            if let Some(excitation) = &excitation {
+                let planned = planned_rows(rows, excitation);
+                parts.push(planned.thinned(stride(planned.len())));
+            }
+            Some(SensorRows { sensor: rows.sensor, forces: rows.forces.clone(), parts })
+        };
+        sensors.iter().filter_map(of_sensor).collect()
+    }
+}
+
+/// Rows of a planned recording after those of a sensor, without fields.
+fn planned_rows(rows: &SensorRows, excitation: &Excitation) -> RecordingRows {
+    let mut cycles = LoadCycleCounter::default();
+    for part in &rows.parts {
+        cycles.update(&mut part.track.clone());
+    }
+    let last = rows.parts.last();
+    let duration_s = |part: &RecordingRows| {
+        part.time_s.first().zip(part.time_s.last()).map_or(0.0, |(first, last)| last - first)
+    };
+    let period_s = last.map_or(0.01, |part| duration_s(part) / part.len().max(2) as f64).max(1e-4);
+    let count = (excitation.seconds() / period_s) as usize;
+    let time_s: Vec<f64> = (0..count).map(|row| row as f64 * period_s).collect();
+    let load = |time_s: &f64, (place, axis): &(u32, Axis)| {
+        excitation.load(*place as usize, *time_s)[usize::from(*axis == Axis::Z)]
+    };
+    let pair = [Axis::X, Axis::Z].map(|axis| rows.forces.iter().find(|(_, own)| *own == axis));
+    let force_n: Vec<[f64; 2]> = time_s
+        .iter()
+        .map(|time_s| pair.map(|force| force.map_or(0.0, |force| load(time_s, force))))
+        .collect();
+    let old = last.map(|part| part.track.clone()).unwrap_or_default();
+    let of_time = |name: &str, old: &[f64]| -> Vec<f64> {
+        let mean = old.iter().sum::<f64>() / old.len().max(1) as f64;
+        time_s.iter().map(|time_s| covariate(name, excitation, *time_s).unwrap_or(mean)).collect()
+    };
+    let covariates = old.covariates.iter();
+    let mut track = ExcitationSeries {
+        recording: rows.parts.len(),
+        start_s: old.start_s + PAUSE_S,
+        before_s: rows.parts.iter().map(duration_s).sum(),
+        smoothing_impulse: SmoothingImpulse::new(&time_s),
+        temperature_c: match old.temperature_c.is_empty() {
+            true => Vec::new(),
+            false => {
+                let sensor = rows.sensor as usize;
+                time_s.iter().map(|time_s| excitation.temperature_c(sensor, *time_s)).collect()
+            }
+        },
+        covariates: covariates.map(|(name, old)| (name.clone(), of_time(name, old))).collect(),
+        time_s: time_s.clone(),
+        ..ExcitationSeries::default()
+    }
+    .with_forces(force_n);
+    cycles.update(&mut track);
+    RecordingRows {
+        force_n: time_s
+            .iter()
+            .map(|time_s| rows.forces.iter().map(|force| load(time_s, force)).collect())
+            .collect(),
+        field_g: vec![Vector3::zeros(); count],
+        field_noise_g: last.map_or_else(Vector3::zeros, |part| part.field_noise_g),
+        force_noise_n: last.map_or_else(Vec::new, |part| part.force_noise_n.clone()),
+        track,
+        time_s,
+    }
+}
+
+/// Value of a covariate of the gripper in a planned recording; `None` for one that a plan does not have.
+fn covariate(name: &str, excitation: &Excitation, time_s: f64) -> Option<f64> {
+    let motion = excitation.motion(time_s);
+    if let Some(place) = STATOR_CURRENTS.iter().position(|own| *own == name) {
+        return motor_currents(&motion).get(place).copied();
+    }
+    let orientation = excitation.orientation(time_s);
+    let force = orientation.specific_force;
+    let [roll, pitch, yaw] = orientation.angles_rad;
+    let values = [
+        motion.opening_mm,
+        motion.current_a,
+        motion.angle_rad.rem_euclid(TAU),
+        force.x,
+        force.y,
+        force.z,
+        roll,
+        pitch,
+        yaw,
+    ];
+    let place = COVARIATES.iter().position(|own| *own == name)?;
+    values.get(place).copied()
+}
+
+/// A model with values for the recordings of `setup`; initial states of further recordings have their start values.
+fn extended(setup: &FitSetup, model: &FittedModel) -> FittedModel {
+    let mut model = model.clone();
+    model.effects.sort_by_key(EffectTerm::stage);
+    let mut sensors = Vec::new();
+    for (rows, base) in setup.rows.iter().zip(&setup.bases) {
+        let Some(old) = model.fit.sensors.iter().find(|fit| fit.sensor == rows.sensor) else {
+            continue;
+        };
+        let problem = SensorProblem::new(rows, base.as_ref(), &model.effects);
+        let mut known = old.parameters.iter().zip(&old.values).peekable();
+        let values = problem.parameters.iter().map(|parameter| {
+            match known.next_if(|(old, _)| old.name == parameter.name) {
+                Some((_, value)) => *value,
+                None => parameter.start,
+            }
+        });
+        let values = values.collect();
+        sensors.push(SensorFit { values, ..old.clone() });
+    }
+    model.fit.sensors = sensors;
+    model
+}
+
+/// Sets the fields of the recordings from the index `first` to those of a model.
+fn set_fields(setup: &mut FitSetup, model: &FittedModel, first: usize) {
+    let fields: Vec<Vec<Vec<Vector3<f64>>>> = setup
+        .rows
+        .iter()
+        .zip(&setup.bases)
+        .zip(&model.fit.sensors)
+        .map(|((rows, base), fit)| {
+            let problem = SensorProblem::new(rows, base.as_ref(), &model.effects);
+            let scaled = problem.to_scaled(&fit.values);
+            (first..rows.parts.len()).map(|part| problem.fields(part, &scaled)).collect()
+        })
+        .collect();
+    for (rows, fields) in setup.rows.iter_mut().zip(fields) {
+        for (part, field_g) in rows.parts.iter_mut().skip(first).zip(fields) {
+            part.field_g = field_g;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn limits() -> Limits {
+        Limits { load_n: [150.0, 140.0], opening_mm: [10.0, 40.0], rotor_rad: 0.0 }
+    }
+
+    #[test]
+    fn steps_vary_only_what_the_effects_depend_on() {
+        let empty = RecordingPlan::default();
+        let of = |needs: &[&str]| {
+            let needs: Vec<String> = needs.iter().map(|need| (*need).to_owned()).collect();
+            limits().steps(&empty, &needs)
+        };
+        // Four patterns of loads.
+        assert_eq!(of(&[]).len(), 4);
+        assert_eq!(of(&["opening_mm"]).len(), 8);
+        // Warming or none: it is not colder than at the start.
+        assert_eq!(of(&["temp_c"]).len(), 8);
+        assert_eq!(of(&["accel_x_mps2", "roll_rad"]).len(), 12);
+        let warm = RecordingPlan { steps: vec![of(&["temp_c"])[1].clone()], ..empty };
+        assert_eq!(warm.warming_k(warm.seconds()), CHANGE_K);
+        let next = limits().steps(&warm, &["temp_c".to_owned()]);
+        assert!(next.iter().all(|step| [0.0, -CHANGE_K].contains(&step.temperature_k)));
+    }
+
+    #[test]
+    fn covariates_of_a_plan_are_those_of_its_motion() {
+        let plan = RecordingPlan {
+            steps: vec![PlanStep {
+                seconds: 10.0,
+                load: LoadPattern::None,
+                load_n: [0.0; 2],
+                opening_mm: [10.0, 40.0],
+                temperature_k: 0.0,
+                attitude: AttitudePattern::Level,
+            }],
+            ..RecordingPlan::default()
+        };
+        let excitation = Excitation::planned(&plan, 0.5);
+        let at = |name: &str, time_s: f64| covariate(name, &excitation, time_s);
+        assert_eq!(at("opening_mm", 0.0), Some(10.0));
+        // The first stroke takes 1.6 s, the second one begins at 2 s.
+        assert_eq!(at("opening_mm", 1.8), Some(40.0));
+        assert!((at("opening_mm", 3.9).unwrap() - 10.0).abs() < 1e-9);
+        assert_eq!(at("accel_z_mps2", 1.0), Some(9.81));
+        let angle = (0.5 + TAU * 40.0 / LEAD_MM).rem_euclid(TAU);
+        assert!((at("motor_angle_rad", 1.8).unwrap() - angle).abs() < 1e-9);
+        assert_eq!(at("hose_pressure_kpa", 1.0), None);
+    }
+}

@@ -1,0 +1,324 @@
+//! Plan of a recording: loads, motion, orientation and temperature, step by step. `diagnose --plan` proposes one, `record --plan`
+//! carries it out with a person, `simulate --plan` with a simulated gripper.
+
+use std::f64::consts::{PI, TAU};
+use std::path::Path;
+
+use anyhow::{Context, Result, bail};
+use model_export::input;
+use serde::{Deserialize, Serialize};
+
+use crate::motion::{OpeningProfile, Orientation};
+use crate::random::smoothstep;
+
+/// Loads of a step.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum LoadPattern {
+    /// No load.
+    #[default]
+    None,
+    /// Cycles that become smaller, about one in two seconds: friction, stiffness, coupling.
+    Cycles,
+    /// Cycles of 1.5 to 2.1 Hz at 60 % of the amplitude: delays and damping.
+    Fast,
+    /// Constant load over the first 60 % of the step, then none: creep.
+    Hold,
+}
+
+/// Orientation during a step.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum AttitudePattern {
+    /// Level and at rest.
+    #[default]
+    Level,
+    /// Turned about all axes and back.
+    Turning,
+    /// Level, shaken along all axes.
+    Shaken,
+}
+
+/// One step of a plan.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlanStep {
+    /// Duration in seconds.
+    pub seconds: f64,
+    /// Loads on every finger.
+    #[serde(default)]
+    pub load: LoadPattern,
+    /// Amplitude of the lateral and the longitudinal load in newtons.
+    #[serde(default)]
+    pub load_n: [f64; 2],
+    /// Limits in mm between which the opening moves; equal where it rests.
+    pub opening_mm: [f64; 2],
+    /// Change of the temperature during the step, in kelvin.
+    #[serde(default)]
+    pub temperature_k: f64,
+    /// Orientation.
+    #[serde(default)]
+    pub attitude: AttitudePattern,
+}
+
+/// Plan of a recording.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RecordingPlan {
+    /// What the recording decides, for people.
+    #[serde(default)]
+    pub decides: Vec<String>,
+    /// Steps in their order.
+    #[serde(rename = "step")]
+    pub steps: Vec<PlanStep>,
+}
+
+/// Ranges of the values of a plan (those of the time and the number of steps are for a person's patience).
+const SECONDS: [f64; 2] = [2.0, 120.0];
+const MAX_STEPS: usize = 30;
+const MAX_LOAD_N: f64 = 2000.0;
+const MAX_OPENING_MM: f64 = 500.0;
+const MAX_CHANGE_K: f64 = 60.0;
+
+/// A stroke of the opening and the rest after it, in seconds.
+const STROKE_S: f64 = 1.6;
+const REST_S: f64 = 0.4;
+/// Time in which a load begins and ends.
+const RAMP_S: f64 = 0.5;
+/// Frequencies of the lateral and the longitudinal load.
+const CYCLES_HZ: [f64; 2] = [0.43, 0.57];
+const FAST_HZ: [f64; 2] = [1.5, 2.1];
+/// Amplitude of fast cycles, and of the smallest slow cycle, relative to the load of the step.
+const FAST_SHARE: f64 = 0.6;
+const LEAST_SHARE: f64 = 0.3;
+/// Fraction of a step during which a constant load is held.
+const HELD: f64 = 0.6;
+/// Phase between the loads of two sensors.
+const SENSOR_PHASE_RAD: f64 = 0.7;
+/// Largest roll, pitch and yaw while turning.
+const TURN_RAD: [f64; 3] = [1.4, 1.0, 2.5];
+/// Amplitude in m/s^2 and frequencies while shaken.
+const SHAKE_MPS2: f64 = 3.0;
+const SHAKE_HZ: [f64; 3] = [1.3, 1.9, 1.6];
+
+impl RecordingPlan {
+    /// Reads and checks a plan.
+    ///
+    /// # Errors
+    /// No file, no plan, or a value that no recording can have.
+    pub fn read(path: &Path) -> Result<Self> {
+        let text = input::read_text(path)?;
+        let plan: Self = toml::from_str(&text)
+            .with_context(|| format!("{}: not a plan of a recording", path.display()))?;
+        plan.check().with_context(|| format!("{}: not a plan of a recording", path.display()))?;
+        Ok(plan)
+    }
+
+    fn check(&self) -> Result<()> {
+        if self.steps.is_empty() || self.steps.len() > MAX_STEPS {
+            bail!("{} steps; give 1 to {MAX_STEPS} tables [[step]]", self.steps.len());
+        }
+        for (number, step) in (1..).zip(&self.steps) {
+            let within = |name: &str, value: f64, [low, high]: [f64; 2]| {
+                if (low..=high).contains(&value) {
+                    return Ok(());
+                }
+                bail!("step {number}: {name} = {value:?}; give {low} to {high}")
+            };
+            within("seconds", step.seconds, SECONDS)?;
+            within("temperature_k", step.temperature_k, [-MAX_CHANGE_K, MAX_CHANGE_K])?;
+            for value in step.load_n {
+                within("load_n", value, [0.0, MAX_LOAD_N])?;
+            }
+            for value in step.opening_mm {
+                within("opening_mm", value, [0.0, MAX_OPENING_MM])?;
+            }
+            if step.load == LoadPattern::None && step.load_n != [0.0; 2] {
+                bail!(
+                    "step {number}: load_n without a load; add load = \"cycles\", \"fast\" or \"hold\""
+                );
+            }
+        }
+        Ok(())
+    }
+
+    /// As a file.
+    ///
+    /// # Errors
+    /// The values cannot be written as TOML.
+    pub fn to_toml(&self) -> Result<String> {
+        toml::to_string(self).context("cannot write the plan as TOML")
+    }
+
+    /// Duration in seconds.
+    pub fn seconds(&self) -> f64 {
+        self.steps.iter().map(|step| step.seconds).sum()
+    }
+
+    /// Index of the step at a time, and the time since its start; the last step also after its end.
+    pub fn step_at(&self, time_s: f64) -> Option<(usize, f64)> {
+        let mut start_s = 0.0;
+        for (index, step) in self.steps.iter().enumerate() {
+            if time_s < start_s + step.seconds || index + 1 == self.steps.len() {
+                return Some((index, time_s - start_s));
+            }
+            start_s += step.seconds;
+        }
+        None
+    }
+
+    /// Lateral and longitudinal load on a sensor in newtons.
+    pub fn load_n(&self, sensor: usize, time_s: f64) -> [f64; 2] {
+        let Some((index, since_s)) = self.step_at(time_s) else { return [0.0; 2] };
+        let step = &self.steps[index];
+        let share = (since_s / step.seconds).clamp(0.0, 1.0);
+        let phase = SENSOR_PHASE_RAD * sensor as f64;
+        let ramp = |until_s: f64| {
+            smoothstep(since_s, 0.0, RAMP_S)
+                * (1.0 - smoothstep(since_s, until_s - RAMP_S, until_s))
+        };
+        std::array::from_fn(|axis| {
+            let wave = |hz: f64| libm::sin(TAU * hz * since_s + phase + axis as f64);
+            let relative = match step.load {
+                LoadPattern::None => 0.0,
+                LoadPattern::Cycles => {
+                    let smaller = 1.0 - (1.0 - LEAST_SHARE) * share;
+                    ramp(step.seconds) * smaller * wave(CYCLES_HZ[axis])
+                }
+                LoadPattern::Fast => ramp(step.seconds) * FAST_SHARE * wave(FAST_HZ[axis]),
+                LoadPattern::Hold => ramp(HELD * step.seconds),
+            };
+            step.load_n[axis] * relative
+        })
+    }
+
+    /// Change of the temperature since the start, in kelvin.
+    pub fn warming_k(&self, time_s: f64) -> f64 {
+        let mut start_s = 0.0;
+        let mut sum = 0.0;
+        for step in &self.steps {
+            sum += step.temperature_k * smoothstep(time_s, start_s, start_s + step.seconds);
+            start_s += step.seconds;
+        }
+        sum
+    }
+
+    /// Orientation and specific force.
+    pub fn orientation(&self, time_s: f64) -> Orientation {
+        let (step, since_s) = match self.step_at(time_s) {
+            Some((index, since_s)) => (self.steps.get(index), since_s),
+            None => (None, 0.0),
+        };
+        let pattern = step.map(|step| (step.attitude, step.seconds));
+        let (mut angles_rad, mut acceleration) = ([0.0; 3], [0.0; 3]);
+        match pattern {
+            Some((AttitudePattern::Turning, seconds)) => {
+                let share = (since_s / seconds).clamp(0.0, 1.0);
+                // All are zero at both ends, where the next step begins.
+                let turns = [1.0, 2.0, 0.5];
+                angles_rad =
+                    std::array::from_fn(|i| TURN_RAD[i] * libm::sin(TAU * turns[i] * share));
+            }
+            Some((AttitudePattern::Shaken, seconds)) => {
+                let window = libm::sin(PI * (since_s / seconds).clamp(0.0, 1.0));
+                acceleration =
+                    SHAKE_HZ.map(|hz| SHAKE_MPS2 * window * libm::sin(TAU * hz * since_s));
+            }
+            Some((AttitudePattern::Level, _)) | None => {}
+        }
+        Orientation::new(angles_rad, acceleration.into())
+    }
+
+    /// Opening and motor; `rotor_rad` is the rotor's angle at the screw's zero.
+    pub fn opening(&self, rotor_rad: f64) -> OpeningProfile {
+        let mut at_mm = self.steps.first().map_or(0.0, |step| step.opening_mm[0]);
+        let mut profile = OpeningProfile::resting(at_mm, rotor_rad);
+        let mut start_s = 0.0;
+        for step in &self.steps {
+            let end_s = start_s + step.seconds;
+            let [from_mm, to_mm] = step.opening_mm;
+            let mut time_s = start_s;
+            while time_s + STROKE_S <= end_s {
+                let next_mm = if at_mm == from_mm { to_mm } else { from_mm };
+                if next_mm != at_mm {
+                    profile.add_stroke(time_s, STROKE_S, next_mm);
+                    at_mm = next_mm;
+                }
+                time_s += STROKE_S + REST_S;
+            }
+            start_s = end_s;
+        }
+        profile
+    }
+}
+
+impl PlanStep {
+    /// Quantities that vary, by their names in the coverage of a recording, with the width of their range in N, mm, K, rad and
+    /// m/s^2.
+    pub fn ranges(&self) -> Vec<(&'static str, f64)> {
+        let peak_to_peak = match self.load {
+            LoadPattern::None => 0.0,
+            LoadPattern::Cycles => 2.0,
+            LoadPattern::Fast => 2.0 * FAST_SHARE,
+            LoadPattern::Hold => 1.0,
+        };
+        let [x_n, z_n] = self.load_n.map(|newtons| newtons * peak_to_peak);
+        let [from_mm, to_mm] = self.opening_mm;
+        let mut ranges = vec![
+            ("lateral force", x_n),
+            ("longitudinal force", z_n),
+            ("opening", (to_mm - from_mm).abs()),
+            ("temperature", self.temperature_k.abs()),
+        ];
+        match self.attitude {
+            AttitudePattern::Level => {}
+            AttitudePattern::Turning => {
+                let widths = TURN_RAD.map(|peak| 2.0 * peak);
+                ranges.extend(["roll", "pitch", "yaw"].into_iter().zip(widths));
+            }
+            AttitudePattern::Shaken => {
+                let along = ["acceleration along x", "acceleration along z"];
+                ranges.extend(along.map(|quantity| (quantity, 2.0 * SHAKE_MPS2)));
+            }
+        }
+        ranges.retain(|(_, width)| *width > 0.0);
+        ranges
+    }
+
+    /// What a person does.
+    pub fn instruction(&self) -> String {
+        let [x, z] = self.load_n;
+        let mut parts = vec![match self.load {
+            LoadPattern::None => "do not load the fingers".to_owned(),
+            LoadPattern::Cycles => format!(
+                "load each finger to and fro, about two seconds a cycle, first up to {x:.0} N lateral and {z:.0} N longitudinal, then less and less"
+            ),
+            LoadPattern::Fast => format!(
+                "load each finger to and fro, two cycles a second, up to {:.0} N lateral and {:.0} N longitudinal",
+                FAST_SHARE * x,
+                FAST_SHARE * z
+            ),
+            LoadPattern::Hold => format!(
+                "hold {x:.0} N lateral and {z:.0} N longitudinal for {:.0} s, then release",
+                HELD * self.seconds
+            ),
+        }];
+        let [from, to] = self.opening_mm;
+        if from == to {
+            parts.push(format!("keep the opening at {from:.0} mm"));
+        } else {
+            parts.push(format!("open and close between {from:.0} and {to:.0} mm"));
+        }
+        match self.temperature_k {
+            0.0 => {}
+            change if change > 0.0 => parts.push(format!("warm by {change:.0} K")),
+            change => parts.push(format!("cool by {:.0} K", -change)),
+        }
+        match self.attitude {
+            AttitudePattern::Level => {}
+            AttitudePattern::Turning => parts.push("turn the gripper about all axes".to_owned()),
+            AttitudePattern::Shaken => parts.push("shake the gripper along all axes".to_owned()),
+        }
+        parts.join("; ")
+    }
+}
