@@ -81,10 +81,16 @@ fn write_plan(args: &Args, path: &Path, proposal: &RecordingProposal) -> Result<
     let text = format!("{PLAN_MARK}\n{}", proposal.plan.to_toml()?);
     write_output(path, text.as_bytes(), PLAN_MARK)?;
     let campaign = args.common.input.campaign.display();
-    args.common.print_line(&format!(
-        "Plan: {0}. Record it into the same campaign, then diagnose again:\n  cargo magpie record --port PATH --plan {0} -o {campaign}/NAME",
-        path.display()
-    ))
+    let path = path.display();
+    let mut text =
+        format!("Plan: {path}. Record it into the same campaign, then fit and diagnose again:");
+    for number in 1..=proposal.plan.recordings {
+        let which = if number == 1 { String::new() } else { format!(" --plan-recording {number}") };
+        text += &format!(
+            "\n  cargo magpie record --port PATH --plan {path}{which} -o {campaign}/planned-{number}"
+        );
+    }
+    args.common.print_line(&text)
 }
 
 /// Runs the command.

@@ -44,7 +44,7 @@ pub struct Args {
     /// Length of each recording.
     #[arg(long, value_name = "S", default_value_t = 30.0)]
     seconds: f64,
-    /// Plan of one more recording of the same gripper, after the others.
+    /// Plan of more recordings of the same gripper, after the others.
     #[arg(long, value_name = "PLAN")]
     plan: Option<PathBuf>,
     /// Nominal design of the gripper [default: MAGPIE].

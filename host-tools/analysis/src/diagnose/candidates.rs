@@ -125,7 +125,7 @@ const MIN_VARIATION: f64 = 2.0;
 const NOISE_QUANTILE: (f64, f64) = (0.75, 1.150_349);
 
 /// Whether a column varies beyond its noise over all recordings.
-fn varies(columns: &[Vec<f64>]) -> bool {
+pub fn varies(columns: &[Vec<f64>]) -> bool {
     let all = || columns.iter().flatten();
     let count = all().count().max(1) as f64;
     let mean = all().sum::<f64>() / count;

@@ -7,6 +7,7 @@
 //! distinguishes them (the expected log-likelihood ratio is half of it, in units of the noise variance). Steps of a few
 //! patterns are added one by one, each time the one that decides most, and shortened at the end.
 
+use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
 use anyhow::Result;
@@ -29,7 +30,8 @@ use sim::external_fields::motor_currents;
 use sim::motion::LEAD_MM;
 use statrs::distribution::{ContinuousCDF, Normal};
 
-use crate::diagnose::candidates::UntestableEffect;
+use crate::diagnose::candidates::{UntestableEffect, varies};
+use crate::diagnose::confusable_effects::Collinearity;
 use crate::diagnose::forward_selection::DISTINGUISHABLE;
 use crate::diagnose::observer::Observer;
 use crate::diagnose::selection::{FittedModel, Selection};
@@ -45,6 +47,8 @@ const WANTED: f64 = 0.95;
 /// Duration of a step before it is shortened, and the shorter ones that are tried, in seconds.
 const STEP_S: f64 = 10.0;
 const SHORTER_S: [f64; 2] = [5.0, 7.0];
+/// Duration of a step in which the temperature changes (assumed: a heat gun or a fan changes it by 0.3 K/s).
+const WARMING_S: f64 = 25.0;
 /// Maximum duration of a plan in seconds.
 const MAX_S: f64 = 60.0;
 /// A step must add this much to the sum of the decided shares.
@@ -78,7 +82,7 @@ pub struct PlannedDecision {
 }
 
 /// A proposed recording.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RecordingProposal {
     /// The steps; none where no recording decides more.
     pub plan: RecordingPlan,
@@ -88,19 +92,26 @@ pub struct RecordingProposal {
     pub left: Vec<String>,
 }
 
+impl RecordingProposal {
+    fn none() -> Self {
+        let plan = RecordingPlan::new(Vec::new());
+        Self { plan, decisions: Vec::new(), left: Vec::new() }
+    }
+}
+
 /// What is open.
 enum Question<'a> {
     /// Which of two effects is present: the last model, and the same with the other effect.
     Which { truth: &'a FittedModel, rival: FittedModel, effects: [String; 2] },
-    /// Whether an effect is present.
-    Whether(EffectTerm),
+    /// Whether an effect is present, and the column that must vary for that, if it does not.
+    Whether(EffectTerm, Option<String>),
 }
 
 impl Question<'_> {
     fn effects(&self) -> Vec<String> {
         match self {
             Self::Which { effects, .. } => effects.to_vec(),
-            Self::Whether(effect) => vec![effect.name().to_owned()],
+            Self::Whether(effect, _) => vec![effect.name().to_owned()],
         }
     }
 }
@@ -126,10 +137,10 @@ pub fn propose(
     observer: &Observer,
 ) -> Result<RecordingProposal> {
     let Some(last) = selection.stages.last() else {
-        return Ok(RecordingProposal::default());
+        return Ok(RecordingProposal::none());
     };
     observer.stage("planning a recording", 0.5);
-    let mut proposal = RecordingProposal::default();
+    let mut proposal = RecordingProposal::none();
     let questions = questions(setup, selection, verdicts, untestable, options, &mut proposal)?;
     let planner = Planner {
         setup,
@@ -137,6 +148,7 @@ pub fn propose(
         block_s: selection.block_s,
         noise: Normal::standard(),
         limits: Limits::of(setup),
+        templates: setup.rows.iter().map(Template::of).collect(),
     };
     if questions.is_empty() {
         return Ok(proposal);
@@ -194,16 +206,19 @@ fn questions<'a>(
     };
     for verdict in verdicts.iter().filter(|verdict| verdict.kind == VerdictKind::Inconclusive) {
         let known = screened(&verdict.effect);
-        let effect = match verdict.reason {
-            Reason::HardlyChangesField | Reason::Confounded | Reason::Masked => known,
-            Reason::DoesNotVary(_) => {
+        let (effect, column) = match &verdict.reason {
+            Reason::HardlyChangesField | Reason::Confounded | Reason::Masked => (known, None),
+            Reason::DoesNotVary(column) => {
                 let named = untestable.iter().find(|one| one.effect == verdict.effect);
-                named.and_then(|one| find(&one.effect).ok()).map(EffectTerm::Catalogue)
+                let effect = named.and_then(|one| find(&one.effect).ok());
+                (effect.map(EffectTerm::Catalogue), Some(column.clone()))
             }
-            _ => None,
+            _ => (None, None),
         };
         match effect {
-            Some(effect) if !effect.is_transient() => questions.push(Question::Whether(effect)),
+            Some(effect) if !effect.is_transient() => {
+                questions.push(Question::Whether(effect, column));
+            }
             _ => proposal.left.push(verdict.effect.clone()),
         }
     }
@@ -274,13 +289,14 @@ impl Limits {
         if depends(&["accel"]) {
             attitudes.push(AttitudePattern::Shaken);
         }
+        let left_s = MAX_S / f64::from(plan.recordings) - plan.seconds();
         let mut steps = Vec::new();
         for load in [LoadPattern::Cycles, LoadPattern::None, LoadPattern::Fast, LoadPattern::Hold] {
             for &opening_mm in &openings {
                 for &temperature_k in &changes {
                     for &attitude in &attitudes {
                         steps.push(PlanStep {
-                            seconds: STEP_S,
+                            seconds: if temperature_k == 0.0 { STEP_S } else { WARMING_S },
                             load,
                             load_n: match load {
                                 LoadPattern::None => [0.0; 2],
@@ -294,6 +310,7 @@ impl Limits {
                 }
             }
         }
+        steps.retain(|step: &PlanStep| step.seconds <= left_s);
         steps
     }
 }
@@ -316,6 +333,8 @@ struct Planner<'a> {
     block_s: f64,
     noise: Normal,
     limits: Limits,
+    /// Of every sensor.
+    templates: Vec<Template>,
 }
 
 impl Planner<'_> {
@@ -332,9 +351,13 @@ impl Planner<'_> {
             evidence.iter().map(|one| one.share).sum()
         };
         let enough = questions.len() as f64 - 1e-9;
-        let mut plan = RecordingPlan::default();
+        // Whether an effect is present shows in the error of recordings that were not fitted.
+        let is_whether = |question: &Question| matches!(question, Question::Whether(..));
+        let recordings = if questions.iter().any(is_whether) { 2 } else { 1 };
+        let mut plan = RecordingPlan::new(Vec::new());
+        plan.recordings = recordings;
         let mut reached = total(None);
-        while reached < enough && plan.seconds() + STEP_S <= MAX_S && !observer.is_stopped() {
+        while reached < enough && !observer.is_stopped() {
             observer.stage(&format!("planning a recording, step {}", plan.steps.len() + 1), 0.3);
             let steps = self.limits.steps(&plan, &needs);
             let scored: Vec<(f64, RecordingPlan)> = steps
@@ -358,7 +381,8 @@ impl Planner<'_> {
             (reached, plan) = (score, simplest);
         }
         for place in 0..plan.steps.len() {
-            for seconds in SHORTER_S {
+            let is_warming = plan.steps[place].temperature_k != 0.0;
+            for seconds in SHORTER_S.into_iter().filter(|_| !is_warming) {
                 let mut shorter = plan.clone();
                 shorter.steps[place].seconds = seconds;
                 if total(Some(&shorter)) >= reached - 1e-9 {
@@ -381,7 +405,7 @@ impl Planner<'_> {
         // Of all sensors together; the search has some of the rows of some of them.
         let scale = (self.setup.rows.len() as f64 / sensors.len().max(1) as f64).sqrt()
             * (FINAL_ROWS as f64 / max_rows as f64).sqrt();
-        let is_whether = |question: &Question| matches!(question, Question::Whether(_));
+        let is_whether = |question: &Question| matches!(question, Question::Whether(..));
         let setup = questions.iter().any(is_whether).then(|| {
             let rows = self.rows(plan, sensors, |rows| rows / max_rows);
             let mut setup = self.setup.with_rows(rows);
@@ -394,17 +418,25 @@ impl Planner<'_> {
             .as_ref()
             .map(|(setup, model)| ScoreTest::new(setup, &model.effects, &model.fit, self.block_s));
         let evidence = |question: &Question| match question {
-            Question::Whether(effect) => {
+            Question::Whether(_, Some(column))
+                if !setup.as_ref().is_some_and(|(setup, _)| has_variation(setup, column)) =>
+            {
+                Evidence { share: 0.0, power: 0.0 }
+            }
+            Question::Whether(effect, _) => {
                 let score = test.as_ref().and_then(|test| test.score(effect));
                 let z = scale * score.map_or(0.0, |score| score.z_typical);
                 let wanted = MIN_Z.max(DETECTED + self.noise.inverse_cdf(WANTED));
                 Evidence { share: (z / wanted).min(1.0), power: self.noise.cdf(z - DETECTED) }
             }
-            Question::Which { truth, rival, .. } => {
+            Question::Which { truth, rival, effects } => {
                 let longest = |rows: &SensorRows| rows.parts.iter().map(RecordingRows::len).max();
                 let longest = self.setup.rows.iter().filter_map(longest).max().unwrap_or(0);
                 let mut setup =
                     self.setup.with_rows(self.rows(plan, sensors, |_| longest / max_rows));
+                if self.hides_the_difference(&setup, effects) {
+                    return Evidence { share: 0.0, power: 0.0 };
+                }
                 let truth = extended(&setup, truth);
                 set_fields(&mut setup, &truth, 0);
                 let rival = extended(&setup, rival);
@@ -428,20 +460,31 @@ impl Planner<'_> {
         questions.iter().map(evidence).collect()
     }
 
-    /// Rows of some sensors, thinned by the stride of their number, with those of the planned recording, without fields.
+    /// Whether the excitation gives both effects nearly the same response, by the rule of the diagnosis.
+    fn hides_the_difference(&self, setup: &FitSetup, effects: &[String; 2]) -> bool {
+        let named = |name: &String| find(name).ok().map(EffectTerm::Catalogue);
+        let pair = named(&effects[0]).zip(named(&effects[1]));
+        pair.is_some_and(|(one, other)| Collinearity::of(setup).hides_the_difference(&one, &other))
+    }
+
+    /// Rows of some sensors, thinned by the stride of their number, with those of the planned recordings, without fields.
     fn rows(
         &self,
         plan: Option<&RecordingPlan>,
         sensors: &[usize],
         stride: impl Fn(usize) -> usize,
     ) -> Vec<SensorRows> {
-        let excitation = plan.map(|plan| Excitation::planned(plan, self.limits.rotor_rad));
+        let numbers =
+            plan.into_iter().flat_map(|plan| (1..=plan.recordings).map(move |n| (plan, n)));
+        let planned = numbers.filter_map(|(plan, number)| plan.recording(number));
+        let excitations: Vec<Excitation> =
+            planned.map(|plan| Excitation::planned(&plan, self.limits.rotor_rad)).collect();
         let of_sensor = |&s: &usize| {
-            let rows = self.setup.rows.get(s)?;
+            let (rows, mut template) = (self.setup.rows.get(s)?, self.templates.get(s)?.clone());
             let mut parts: Vec<RecordingRows> =
                 rows.parts.iter().map(|part| part.thinned(stride(part.len()))).collect();
-            if let Some(excitation) = &excitation {
-                let planned = planned_rows(rows, excitation);
+            for excitation in &excitations {
+                let planned = template.rows(rows, excitation);
                 parts.push(planned.thinned(stride(planned.len())));
             }
             Some(SensorRows { sensor: rows.sensor, forces: rows.forces.clone(), parts })
@@ -450,61 +493,107 @@ impl Planner<'_> {
     }
 }
 
-/// Rows of a planned recording after those of a sensor, without fields.
-fn planned_rows(rows: &SensorRows, excitation: &Excitation) -> RecordingRows {
-    let mut cycles = LoadCycleCounter::default();
-    for part in &rows.parts {
-        cycles.update(&mut part.track.clone());
+/// Whether a column varies over all recordings, as the diagnosis demands.
+fn has_variation(setup: &FitSetup, column: &str) -> bool {
+    let parts = setup.rows.iter().flat_map(|rows| &rows.parts);
+    let columns: Vec<Vec<f64>> =
+        parts.map(|part| part.track.covariate(column).unwrap_or_default()).collect();
+    varies(&columns)
+}
+
+/// What planned recordings of a sensor take from the recordings before them.
+#[derive(Clone)]
+struct Template {
+    /// Index of the next recording, its start and the time before it in seconds.
+    recording: usize,
+    start_s: f64,
+    before_s: f64,
+    /// Period of the rows in seconds.
+    period_s: f64,
+    cycles: LoadCycleCounter,
+    has_temperature: bool,
+    /// Means of the covariates of the gripper.
+    covariates: BTreeMap<String, f64>,
+    field_noise_g: Vector3<f64>,
+    force_noise_n: Vec<f64>,
+}
+
+impl Template {
+    fn of(rows: &SensorRows) -> Self {
+        let mut cycles = LoadCycleCounter::default();
+        for part in &rows.parts {
+            cycles.update(&mut part.track.clone());
+        }
+        let duration_s = |part: &RecordingRows| {
+            part.time_s.first().zip(part.time_s.last()).map_or(0.0, |(first, last)| last - first)
+        };
+        let last = rows.parts.last();
+        let mean = |values: &Vec<f64>| values.iter().sum::<f64>() / values.len().max(1) as f64;
+        Self {
+            recording: rows.parts.len(),
+            start_s: last.map_or(0.0, |part| part.track.start_s) + PAUSE_S,
+            before_s: rows.parts.iter().map(duration_s).sum(),
+            period_s: last
+                .map_or(0.01, |part| duration_s(part) / part.len().max(2) as f64)
+                .max(1e-4),
+            cycles,
+            has_temperature: last.is_some_and(|part| !part.track.temperature_c.is_empty()),
+            covariates: last.map_or_else(BTreeMap::new, |part| {
+                let columns = part.track.covariates.iter();
+                columns.map(|(name, values)| (name.clone(), mean(values))).collect()
+            }),
+            field_noise_g: last.map_or_else(Vector3::zeros, |part| part.field_noise_g),
+            force_noise_n: last.map_or_else(Vec::new, |part| part.force_noise_n.clone()),
+        }
     }
-    let last = rows.parts.last();
-    let duration_s = |part: &RecordingRows| {
-        part.time_s.first().zip(part.time_s.last()).map_or(0.0, |(first, last)| last - first)
-    };
-    let period_s = last.map_or(0.01, |part| duration_s(part) / part.len().max(2) as f64).max(1e-4);
-    let count = (excitation.seconds() / period_s) as usize;
-    let time_s: Vec<f64> = (0..count).map(|row| row as f64 * period_s).collect();
-    let load = |time_s: &f64, (place, axis): &(u32, Axis)| {
-        excitation.load(*place as usize, *time_s)[usize::from(*axis == Axis::Z)]
-    };
-    let pair = [Axis::X, Axis::Z].map(|axis| rows.forces.iter().find(|(_, own)| *own == axis));
-    let force_n: Vec<[f64; 2]> = time_s
-        .iter()
-        .map(|time_s| pair.map(|force| force.map_or(0.0, |force| load(time_s, force))))
-        .collect();
-    let old = last.map(|part| part.track.clone()).unwrap_or_default();
-    let of_time = |name: &str, old: &[f64]| -> Vec<f64> {
-        let mean = old.iter().sum::<f64>() / old.len().max(1) as f64;
-        time_s.iter().map(|time_s| covariate(name, excitation, *time_s).unwrap_or(mean)).collect()
-    };
-    let covariates = old.covariates.iter();
-    let mut track = ExcitationSeries {
-        recording: rows.parts.len(),
-        start_s: old.start_s + PAUSE_S,
-        before_s: rows.parts.iter().map(duration_s).sum(),
-        smoothing_impulse: SmoothingImpulse::new(&time_s),
-        temperature_c: match old.temperature_c.is_empty() {
-            true => Vec::new(),
-            false => {
-                let sensor = rows.sensor as usize;
-                time_s.iter().map(|time_s| excitation.temperature_c(sensor, *time_s)).collect()
-            }
-        },
-        covariates: covariates.map(|(name, old)| (name.clone(), of_time(name, old))).collect(),
-        time_s: time_s.clone(),
-        ..ExcitationSeries::default()
-    }
-    .with_forces(force_n);
-    cycles.update(&mut track);
-    RecordingRows {
-        force_n: time_s
+
+    /// Rows of the next recording of `sensor`, without fields.
+    fn rows(&mut self, sensor: &SensorRows, excitation: &Excitation) -> RecordingRows {
+        let count = (excitation.seconds() / self.period_s) as usize;
+        let time_s: Vec<f64> = (0..count).map(|row| row as f64 * self.period_s).collect();
+        let load = |time_s: &f64, (place, axis): &(u32, Axis)| {
+            excitation.load(*place as usize, *time_s)[usize::from(*axis == Axis::Z)]
+        };
+        let pair =
+            [Axis::X, Axis::Z].map(|axis| sensor.forces.iter().find(|(_, own)| *own == axis));
+        let force_n: Vec<[f64; 2]> = time_s
             .iter()
-            .map(|time_s| rows.forces.iter().map(|force| load(time_s, force)).collect())
-            .collect(),
-        field_g: vec![Vector3::zeros(); count],
-        field_noise_g: last.map_or_else(Vector3::zeros, |part| part.field_noise_g),
-        force_noise_n: last.map_or_else(Vec::new, |part| part.force_noise_n.clone()),
-        track,
-        time_s,
+            .map(|time_s| pair.map(|force| force.map_or(0.0, |force| load(time_s, force))))
+            .collect();
+        let of_time = |(name, mean): (&String, &f64)| {
+            let value = |time_s: &f64| covariate(name, excitation, *time_s).unwrap_or(*mean);
+            (name.clone(), time_s.iter().map(value).collect())
+        };
+        let temperature = |time_s: &f64| excitation.temperature_c(sensor.sensor as usize, *time_s);
+        let mut track = ExcitationSeries {
+            recording: self.recording,
+            start_s: self.start_s,
+            before_s: self.before_s,
+            smoothing_impulse: SmoothingImpulse::new(&time_s),
+            temperature_c: match self.has_temperature {
+                true => time_s.iter().map(temperature).collect(),
+                false => Vec::new(),
+            },
+            covariates: self.covariates.iter().map(of_time).collect(),
+            time_s: time_s.clone(),
+            ..ExcitationSeries::default()
+        }
+        .with_forces(force_n);
+        self.cycles.update(&mut track);
+        self.recording += 1;
+        self.start_s += PAUSE_S;
+        self.before_s += excitation.seconds();
+        RecordingRows {
+            force_n: time_s
+                .iter()
+                .map(|time_s| sensor.forces.iter().map(|force| load(time_s, force)).collect())
+                .collect(),
+            field_g: vec![Vector3::zeros(); count],
+            field_noise_g: self.field_noise_g,
+            force_noise_n: self.force_noise_n.clone(),
+            track,
+            time_s,
+        }
     }
 }
 
@@ -586,7 +675,7 @@ mod tests {
 
     #[test]
     fn steps_vary_only_what_the_effects_depend_on() {
-        let empty = RecordingPlan::default();
+        let empty = RecordingPlan::new(Vec::new());
         let of = |needs: &[&str]| {
             let needs: Vec<String> = needs.iter().map(|need| (*need).to_owned()).collect();
             limits().steps(&empty, &needs)
@@ -597,7 +686,7 @@ mod tests {
         // Warming or none: it is not colder than at the start.
         assert_eq!(of(&["temp_c"]).len(), 8);
         assert_eq!(of(&["accel_x_mps2", "roll_rad"]).len(), 12);
-        let warm = RecordingPlan { steps: vec![of(&["temp_c"])[1].clone()], ..empty };
+        let warm = RecordingPlan::new(vec![of(&["temp_c"])[1].clone()]);
         assert_eq!(warm.warming_k(warm.seconds()), CHANGE_K);
         let next = limits().steps(&warm, &["temp_c".to_owned()]);
         assert!(next.iter().all(|step| [0.0, -CHANGE_K].contains(&step.temperature_k)));
@@ -605,17 +694,14 @@ mod tests {
 
     #[test]
     fn covariates_of_a_plan_are_those_of_its_motion() {
-        let plan = RecordingPlan {
-            steps: vec![PlanStep {
-                seconds: 10.0,
-                load: LoadPattern::None,
-                load_n: [0.0; 2],
-                opening_mm: [10.0, 40.0],
-                temperature_k: 0.0,
-                attitude: AttitudePattern::Level,
-            }],
-            ..RecordingPlan::default()
-        };
+        let plan = RecordingPlan::new(vec![PlanStep {
+            seconds: 10.0,
+            load: LoadPattern::None,
+            load_n: [0.0; 2],
+            opening_mm: [10.0, 40.0],
+            temperature_k: 0.0,
+            attitude: AttitudePattern::Level,
+        }]);
         let excitation = Excitation::planned(&plan, 0.5);
         let at = |name: &str, time_s: f64| covariate(name, &excitation, time_s);
         assert_eq!(at("opening_mm", 0.0), Some(10.0));

@@ -14,7 +14,12 @@ pub fn format_proposal(proposal: &RecordingProposal) -> String {
         text += "Plan: no recording of up to 60 s would decide more.\n";
     } else {
         text += &format!(
-            "Plan: a recording of {:.0} s, with the predicted probability of the right decision:\n",
+            "Plan: {} of {:.0} s, with the predicted probability of the right decision:\n",
+            if plan.recordings == 1 {
+                "a recording".to_owned()
+            } else {
+                format!("{} recordings", plan.recordings)
+            },
             plan.seconds()
         );
     }
@@ -31,6 +36,11 @@ pub fn format_proposal(proposal: &RecordingProposal) -> String {
         text += &format!("{table}\n");
     }
     text += &format_steps(plan);
+    if plan.recordings > 1 {
+        text += &terminal::paragraph(
+            "In the second recording the temperature changes the other way. Two are needed: what a model learns from one is validated on the other.",
+        );
+    }
     if !left.is_empty() {
         text += &terminal::paragraph(&format!(
             "Not planned for: {} (see the reasons above).",
@@ -59,7 +69,7 @@ pub fn format_steps(plan: &RecordingPlan) -> String {
 pub fn to_json(proposal: &RecordingProposal) -> Value {
     json!({
         "plan": proposal.plan,
-        "seconds": proposal.plan.seconds(),
+        "seconds": f64::from(proposal.plan.recordings) * proposal.plan.seconds(),
         "decisions": proposal.decisions,
         "not_planned_for": proposal.left,
     })

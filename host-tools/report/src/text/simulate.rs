@@ -42,7 +42,8 @@ pub fn format_report(
         settings.recordings,
         numbers::decimal(settings.seconds, 3),
         settings.plan.as_ref().map_or_else(String::new, |plan| format!(
-            "one of {} s by the plan, ",
+            "{} of {} s by the plan, ",
+            plan.recordings,
             numbers::decimal(plan.seconds(), 3)
         )),
         settings.sensors,
@@ -76,6 +77,7 @@ pub fn to_json(
         "noise": settings.noise,
         "recordings": settings.recordings,
         "seconds": settings.seconds,
+        "planned_recordings": settings.plan.as_ref().map(|plan| plan.recordings),
         "planned_seconds": settings.plan.as_ref().map(RecordingPlan::seconds),
         "sensors": settings.sensors,
         "hidden": settings.hidden.then_some(settings.effects.len()),

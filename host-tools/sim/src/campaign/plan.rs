@@ -61,21 +61,32 @@ pub struct PlanStep {
     pub attitude: AttitudePattern,
 }
 
-/// Plan of a recording.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+/// Plan of a recording, or of two: what a model learns from one is validated on another.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RecordingPlan {
-    /// What the recording decides, for people.
+    /// What it decides, for people.
     #[serde(default)]
     pub decides: Vec<String>,
+    /// Number of recordings with the same steps; in every second one the temperature changes the other way.
+    #[serde(default = "one")]
+    pub recordings: u32,
+    /// Temperature at the start of this one, relative to that of the first, in kelvin.
+    #[serde(skip)]
+    start_k: f64,
     /// Steps in their order.
     #[serde(rename = "step")]
     pub steps: Vec<PlanStep>,
 }
 
+fn one() -> u32 {
+    1
+}
+
 /// Ranges of the values of a plan (those of the time and the number of steps are for a person's patience).
 const SECONDS: [f64; 2] = [2.0, 120.0];
 const MAX_STEPS: usize = 30;
+const MAX_RECORDINGS: u32 = 10;
 const MAX_LOAD_N: f64 = 2000.0;
 const MAX_OPENING_MM: f64 = 500.0;
 const MAX_CHANGE_K: f64 = 60.0;
@@ -102,6 +113,26 @@ const SHAKE_MPS2: f64 = 3.0;
 const SHAKE_HZ: [f64; 3] = [1.3, 1.9, 1.6];
 
 impl RecordingPlan {
+    /// One recording of these steps.
+    pub fn new(steps: Vec<PlanStep>) -> Self {
+        Self { decides: Vec::new(), recordings: 1, start_k: 0.0, steps }
+    }
+
+    /// The recording with this number, from 1; `None` where the plan has fewer.
+    pub fn recording(&self, number: u32) -> Option<Self> {
+        if !(1..=self.recordings).contains(&number) {
+            return None;
+        }
+        let mut one = Self { recordings: 1, ..self.clone() };
+        if number.is_multiple_of(2) {
+            one.start_k = self.warming_k(self.seconds());
+            for step in &mut one.steps {
+                step.temperature_k = 0.0 - step.temperature_k;
+            }
+        }
+        Some(one)
+    }
+
     /// Reads and checks a plan.
     ///
     /// # Errors
@@ -117,6 +148,9 @@ impl RecordingPlan {
     fn check(&self) -> Result<()> {
         if self.steps.is_empty() || self.steps.len() > MAX_STEPS {
             bail!("{} steps; give 1 to {MAX_STEPS} tables [[step]]", self.steps.len());
+        }
+        if !(1..=MAX_RECORDINGS).contains(&self.recordings) {
+            bail!("recordings = {}; give 1 to {MAX_RECORDINGS}", self.recordings);
         }
         for (number, step) in (1..).zip(&self.steps) {
             let within = |name: &str, value: f64, [low, high]: [f64; 2]| {
@@ -150,9 +184,9 @@ impl RecordingPlan {
         toml::to_string(self).context("cannot write the plan as TOML")
     }
 
-    /// Duration in seconds.
+    /// Duration of one recording in seconds.
     pub fn seconds(&self) -> f64 {
-        self.steps.iter().map(|step| step.seconds).sum()
+        self.steps.iter().fold(0.0, |sum, step| sum + step.seconds)
     }
 
     /// Index of the step at a time, and the time since its start; the last step also after its end.
@@ -192,10 +226,10 @@ impl RecordingPlan {
         })
     }
 
-    /// Change of the temperature since the start, in kelvin.
+    /// Change of the temperature since the start of the first recording, in kelvin.
     pub fn warming_k(&self, time_s: f64) -> f64 {
         let mut start_s = 0.0;
-        let mut sum = 0.0;
+        let mut sum = self.start_k;
         for step in &self.steps {
             sum += step.temperature_k * smoothstep(time_s, start_s, start_s + step.seconds);
             start_s += step.seconds;

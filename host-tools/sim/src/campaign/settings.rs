@@ -26,7 +26,7 @@ pub struct CampaignSettings {
     pub recordings: u32,
     /// Length of each of them in seconds.
     pub seconds: f64,
-    /// Plan of one more recording after them.
+    /// Plan of more recordings after them.
     pub plan: Option<RecordingPlan>,
     /// Nominal design; each sensor deviates from it.
     pub design: NominalDesign,
@@ -65,8 +65,12 @@ impl CampaignSettings {
     /// Excitation of a recording, numbered from 1.
     pub fn excitation(&self, recording: u32) -> Excitation {
         let (seed, sensors) = (self.seed, self.sensors);
-        if let Some(plan) = self.plan.as_ref().filter(|_| recording > self.recordings) {
-            return Excitation::planned(plan, OpeningProfile::rotor_rad(seed))
+        let planned = self
+            .plan
+            .as_ref()
+            .and_then(|plan| plan.recording(recording.checked_sub(self.recordings)?));
+        if let Some(plan) = planned {
+            return Excitation::planned(&plan, OpeningProfile::rotor_rad(seed))
                 .scaled(1.0, self.warmer_k);
         }
         let range = self.design.force_range_n() / constants::FORCE_RANGE.value;
@@ -76,7 +80,7 @@ impl CampaignSettings {
 
     /// Numbers of all recordings.
     pub fn numbers(&self) -> RangeInclusive<u32> {
-        1..=self.recordings + u32::from(self.plan.is_some())
+        1..=self.recordings + self.plan.as_ref().map_or(0, |plan| plan.recordings)
     }
 
     /// Noise of a sensor in a recording.

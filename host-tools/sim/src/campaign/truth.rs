@@ -333,15 +333,15 @@ mod tests {
             design: NominalDesign { force_range_n: Some(90.0), ..NominalDesign::magpie() },
             part: HallScale { gauss_per_lsb: 0.25, range_gauss: 4000.0 },
             plan: Some(RecordingPlan {
-                decides: Vec::new(),
-                steps: vec![PlanStep {
+                recordings: 2,
+                ..RecordingPlan::new(vec![PlanStep {
                     seconds: 4.0,
                     load: LoadPattern::Cycles,
                     load_n: [80.0, 60.0],
                     opening_mm: [10.0, 30.0],
                     temperature_k: 2.0,
                     attitude: AttitudePattern::Turning,
-                }],
+                }])
             }),
         };
         let truth = simulate(&original, &folder.path().join("then"), || ()).unwrap();
@@ -349,7 +349,7 @@ mod tests {
         std::fs::write(&path, truth.text().unwrap()).unwrap();
         let again = simulate(&read_settings(&path).unwrap(), &folder.path().join("again"), || ());
         assert_eq!(again.unwrap().text().unwrap(), truth.text().unwrap());
-        for recording in ["1", "2"] {
+        for recording in ["1", "2", "3"] {
             let of = |campaign: &str| {
                 let file = folder.path().join(campaign).join(recording).join("hall.csv.gz");
                 std::fs::read(file).unwrap()

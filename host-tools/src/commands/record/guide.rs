@@ -143,11 +143,7 @@ mod tests {
             attitude: AttitudePattern::Level,
         };
         let still = PlanStep { opening_mm: [10.0; 2], ..step.clone() };
-        Guide::new(
-            RecordingPlan { decides: Vec::new(), steps: vec![step, still] },
-            250.0,
-            Vec::new(),
-        )
+        Guide::new(RecordingPlan::new(vec![step, still]), 250.0, Vec::new())
     }
 
     #[test]

@@ -82,6 +82,9 @@ pub struct Args {
     /// Plan of the recording, step by step; ends after the last one.
     #[arg(long, value_name = "PLAN", conflicts_with = "seconds")]
     plan: Option<PathBuf>,
+    /// Number of the recording within the plan.
+    #[arg(long, value_name = "N", default_value_t = 1, requires = "plan")]
+    plan_recording: u32,
     /// Description of the recording.
     #[arg(long, value_name = "TEXT", default_value = "recorded live")]
     note: String,
@@ -120,7 +123,7 @@ const COVERAGE_PERIOD: Duration = Duration::from_secs(1);
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     check_vacant(&args.output)?;
-    let plan = args.plan.as_deref().map(RecordingPlan::read).transpose()?;
+    let plan = args.plan.as_deref().map(|path| read_plan(path, args.plan_recording)).transpose()?;
     let mut description = description(args)?;
     let start_s = description.start_s;
     let rows = if args.gripper.is_on_bus() {
@@ -191,6 +194,14 @@ pub fn run(args: &Args) -> Result<()> {
     };
     terminal::print_result(args.json, || summary.to_json(), || summary.format())?;
     ended.and(failed)
+}
+
+/// One recording of a plan.
+fn read_plan(path: &Path, number: u32) -> Result<RecordingPlan> {
+    let plan = RecordingPlan::read(path)?;
+    plan.recording(number).ok_or_else(|| {
+        anyhow!("{}: --plan-recording {number}; the plan has {}", path.display(), plan.recordings)
+    })
 }
 
 /// Result of a recording.

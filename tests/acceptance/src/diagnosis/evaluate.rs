@@ -19,8 +19,62 @@ pub struct Evaluation {
     pub tied: Option<usize>,
     /// Whether the expected covariate was located; none without one.
     pub located: Option<bool>,
+    /// Decisions that a proposed recording promised; none where no recording is planned.
+    pub promised: Option<Promises>,
     /// Comparison of the discovered formulas with the simulated effect; none where no formula is expected.
     pub formulas: Option<FormulaEvaluation>,
+}
+
+/// Open questions of a diagnosis, and what became of them with the recording that it proposed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Promises {
+    /// Open questions that a recording could decide by their kind.
+    pub open: usize,
+    /// Those of which the proposal promises a decision.
+    pub promised: usize,
+    /// Those that were decided rightly.
+    pub kept: usize,
+}
+
+impl Promises {
+    /// Compares the diagnosis `first`, with its proposal, with that of all recordings together.
+    pub fn new(case: &Case, first: &Value, again: &Value) -> Self {
+        let list = |value: &Value| -> Vec<String> {
+            let all = value.as_array().into_iter().flatten();
+            all.filter_map(Value::as_str).map(str::to_owned).collect()
+        };
+        let proposal = &first["proposal"];
+        let mut promises =
+            Self { open: proposal["decisions"].as_array().map_or(0, Vec::len), ..Self::default() };
+        let accepted: Vec<Vec<String>> =
+            again["accepted"].as_array().into_iter().flatten().map(list).collect();
+        let verdict = |id: &str| {
+            let mut verdicts = again["verdicts"].as_array().into_iter().flatten();
+            verdicts
+                .find(|verdict| verdict["effect"] == *id)
+                .map_or("", |own| own["verdict"].as_str().unwrap_or(""))
+        };
+        for decision in list(&proposal["plan"]["decides"]) {
+            promises.promised += 1;
+            let effects: Vec<&str> = decision.split(" or ").collect();
+            // A simulated effect is present, alone or among others that the question does not separate from it; the others are
+            // not, except among such.
+            let is_right = effects.iter().all(|effect| {
+                let holds = |step: &&Vec<String>| step.iter().any(|name| name == effect);
+                let step = accepted.iter().find(holds);
+                let is_tied = |other: &&&str| {
+                    *other != effect
+                        && step.is_some_and(|step| step.iter().any(|name| name == **other))
+                };
+                let is_true = step.is_some_and(|step| step.iter().any(|name| case.hides(name)));
+                let is_decided =
+                    verdict(effect) != "not_judgeable" && effects.iter().find(is_tied).is_none();
+                is_decided && if step.is_some() { is_true } else { !case.hides(effect) }
+            });
+            promises.kept += usize::from(is_right);
+        }
+        promises
+    }
 }
 
 /// Maximum held-out error in noise floors of a campaign that the model explains.
@@ -71,6 +125,8 @@ impl Evaluation {
     /// Word in the log.
     pub fn word(&self) -> &'static str {
         match (self.right, self.wrong_alone) {
+            _ if self.promised.is_some_and(|of| of.kept < of.promised) => "NOT DECIDED",
+            _ if self.promised.is_some_and(|of| of.promised == 0) => "no plan",
             _ if self.formulas.is_some_and(|of| of.false_name) => "WRONG NAME",
             _ if self.formulas.is_some_and(|of| !of.right_covariates) => "NO FORMULA",
             _ if self.formulas.is_some_and(|of| !of.explains) => "UNEXPLAINED",
@@ -104,7 +160,7 @@ pub fn evaluate(case: &Case, output: &Value) -> Evaluation {
             Expected::Names => case.hidden.iter().all(|(id, _)| holds(id).is_some()),
             Expected::NoName(_) | Expected::Formula(_) => true,
             Expected::Verdict(id, output) => output.contains(&verdict(id)),
-            Expected::FoundWithPlan(id) => verdict(id) == "found",
+            Expected::PromisedDecisions => true,
         };
     let located = match &case.expected {
         Expected::NoName(Some(covariate)) => {
@@ -122,6 +178,7 @@ pub fn evaluate(case: &Case, output: &Value) -> Evaluation {
         wrong_alone: false_steps().any(|step| step.len() == 1),
         tied: case.hidden.first().and_then(|(id, _)| holds(id)).map(Vec::len),
         located,
+        promised: None,
         formulas: match case.expected {
             Expected::Formula(covariates) => Some(FormulaEvaluation::new(covariates, output)),
             _ => None,
