@@ -128,6 +128,32 @@ fn indistinguishable_effects_are_tied() {
 }
 
 #[test]
+fn planned_recordings_decide_on_an_effect_that_the_others_cannot_show() {
+    let dir = WorkDir::empty();
+    let gripper = "--programme level --effect earth_field --sensors 2 --seconds 15 --seed 4";
+    dir.stdout(&format!("simulate -o level {gripper}"));
+    dir.stdout("fit level -o model.toml");
+    let first = dir.json("diagnose model.toml level --plan plan.toml --json");
+    assert_eq!(verdict(&first, "earth_field"), "not_judgeable");
+    let proposal = &first["proposal"];
+    assert_eq!(proposal["plan"]["decides"], serde_json::json!(["earth_field"]));
+    let seconds = proposal["seconds"].as_f64().unwrap();
+    assert!((5.0..=60.0).contains(&seconds), "{seconds} s");
+    let steps = proposal["plan"]["step"].as_array().unwrap();
+    assert!(steps.iter().any(|step| step["attitude"] == "turning"));
+    let earth = |decision: &&Value| decision["effects"] == serde_json::json!(["earth_field"]);
+    let decision = proposal["decisions"].as_array().unwrap().iter().find(earth).unwrap();
+    let power = |when: &str| decision[when].as_f64().unwrap();
+    assert!(power("power_now") < 0.05 && power("power_planned") > 0.95, "{decision}");
+    // The same gripper, with the planned recordings after the others.
+    dir.stdout(&format!("simulate -o longer {gripper} --plan plan.toml"));
+    dir.stdout("fit longer -o again.toml");
+    let second = dir.json("diagnose again.toml longer --json");
+    assert_eq!(accepted(&second), [["earth_field"]]);
+    assert_eq!(second["at_floor"], true);
+}
+
+#[test]
 fn unrecorded_disturbance_gives_no_effect() {
     let diagnosis = simulated("--seed 2 --effect unlogged --sensors 2");
     let none: [[&str; 1]; 0] = [];

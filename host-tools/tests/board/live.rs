@@ -203,6 +203,28 @@ fn ctrl_c_ends_a_recording_without_overwriting() {
 }
 
 #[test]
+fn plan_is_recorded_step_by_step() {
+    let dir = workdir();
+    let step = "[[step]]\nseconds = 2\nopening_mm = [10, 10]\n";
+    // Nobody loads the virtual board: the second step is prolonged, and reported.
+    let plan = format!("{step}{step}load = \"hold\"\nload_n = [80, 0]\n");
+    std::fs::write(dir.path("plan.toml"), plan).unwrap();
+    let line = "record --virtual --model model.toml --plan plan.toml -o campaign/1 --json";
+    let output = dir.run(line);
+    assert!(output.status.success());
+    let shown = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(shown.contains("Step 1 of 2, 2 s: do not load the fingers"), "{shown}");
+    assert!(shown.contains("Enough. Step 2 of 2, 2 s: hold 80 N lateral"), "{shown}");
+    let summary: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let seconds = |step: usize| summary["steps"][step]["seconds"].as_f64().unwrap();
+    assert!((1.9..2.2).contains(&seconds(0)) && (5.9..6.3).contains(&seconds(1)), "{summary}");
+    assert_eq!(summary["steps"][0]["not_covered"], serde_json::json!([]));
+    assert_eq!(summary["steps"][1]["not_covered"][0]["quantity"], "lateral force");
+    let message = dir.failure(&format!("{line} --plan-recording 2"));
+    assert!(message.contains("the plan has 1"), "{message}");
+}
+
+#[test]
 fn recorded_counts_equal_the_replayed_ones() {
     let dir = workdir();
     let (source, seconds) = (data("clean/1"), 3);

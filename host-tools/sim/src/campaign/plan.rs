@@ -356,3 +356,117 @@ impl PlanStep {
         parts.join("; ")
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const STEP: PlanStep = PlanStep {
+        seconds: 10.0,
+        load: LoadPattern::Hold,
+        load_n: [100.0, 50.0],
+        opening_mm: [10.0, 30.0],
+        temperature_k: 4.0,
+        attitude: AttitudePattern::Turning,
+    };
+
+    fn read(text: &str) -> Result<RecordingPlan> {
+        let folder = tempfile::TempDir::new()?;
+        let path = folder.path().join("plan.toml");
+        std::fs::write(&path, text)?;
+        RecordingPlan::read(&path)
+    }
+
+    #[test]
+    fn file_is_read_as_written() {
+        let mut plan = RecordingPlan::new(vec![STEP, PlanStep { load: LoadPattern::Fast, ..STEP }]);
+        (plan.recordings, plan.decides) = (2, vec!["thermal_gap".to_owned()]);
+        assert_eq!(read(&plan.to_toml().unwrap()).unwrap(), plan);
+    }
+
+    #[test]
+    fn invalid_plans_are_refused_with_the_reason() {
+        let step = "[[step]]\nseconds = 5\nopening_mm = [10, 10]\n";
+        for (text, reason) in [
+            (String::new(), "missing field `step`"),
+            ("step = []".to_owned(), "0 steps"),
+            (step.replace("5", "nan"), "seconds = NaN; give 2 to 120"),
+            (step.replace("5", "1"), "seconds = 1.0; give 2 to 120"),
+            (format!("{step}temperature_k = -80"), "step 1: temperature_k = -80.0; give -60 to 60"),
+            (format!("{step}load_n = [5, 5]"), "load_n without a load"),
+            (format!("{step}load = \"heavy\""), "unknown variant `heavy`"),
+            (format!("{step}weight = 1"), "unknown field `weight`"),
+            (format!("recordings = 0\n{step}"), "recordings = 0; give 1 to 10"),
+        ] {
+            let error = format!("{:#}", read(&text).unwrap_err());
+            assert!(error.contains(reason) && error.contains("plan.toml"), "{text}: {error}");
+        }
+        assert_eq!(read(step).unwrap().steps[0].load, LoadPattern::None);
+    }
+
+    #[test]
+    fn constant_load_is_held_and_released() {
+        let plan = RecordingPlan::new(vec![STEP]);
+        assert_eq!(plan.load_n(0, 0.0), [0.0; 2]);
+        assert_eq!(plan.load_n(0, 3.0), [100.0, 50.0]);
+        // Held for 6 s of 10.
+        assert_eq!(plan.load_n(0, 6.5), [0.0; 2]);
+    }
+
+    #[test]
+    fn second_recording_cools_what_the_first_warmed() {
+        let mut plan = RecordingPlan::new(vec![STEP, PlanStep { temperature_k: 3.0, ..STEP }]);
+        plan.recordings = 2;
+        let [first, second] = [1, 2].map(|number| plan.recording(number).unwrap());
+        assert_eq!([0.0, 10.0, 20.0].map(|time_s| first.warming_k(time_s)), [0.0, 4.0, 7.0]);
+        assert_eq!([0.0, 10.0, 20.0].map(|time_s| second.warming_k(time_s)), [7.0, 3.0, 0.0]);
+        assert_eq!(plan.recording(3), None);
+    }
+
+    #[test]
+    fn excitation_reaches_the_ranges_of_its_steps_and_no_more() {
+        for load in [LoadPattern::None, LoadPattern::Cycles, LoadPattern::Fast, LoadPattern::Hold] {
+            for attitude in [AttitudePattern::Level, AttitudePattern::Turning, AttitudePattern::Shaken] {
+                let load_n = if load == LoadPattern::None { [0.0; 2] } else { STEP.load_n };
+                let step = PlanStep { load, load_n, attitude, ..STEP };
+                let plan = RecordingPlan::new(vec![step.clone()]);
+                let opening = plan.opening(0.0);
+                let times = (0..=1000).map(|row| 0.01 * f64::from(row));
+                let rows = times.map(|time_s| {
+                    let orientation = plan.orientation(time_s);
+                    let [roll, pitch, yaw] = orientation.angles_rad;
+                    let force = orientation.specific_force;
+                    let [x_n, z_n] = plan.load_n(1, time_s);
+                    let opening_mm = opening.at(time_s).opening_mm;
+                    [x_n, z_n, opening_mm, plan.warming_k(time_s), roll, pitch, yaw, force.x, force.z]
+                });
+                let rows: Vec<[f64; 9]> = rows.collect();
+                let names = [
+                    "lateral force",
+                    "longitudinal force",
+                    "opening",
+                    "temperature",
+                    "roll",
+                    "pitch",
+                    "yaw",
+                    "acceleration along x",
+                    "acceleration along z",
+                ];
+                for (place, name) in names.into_iter().enumerate() {
+                    let column = || rows.iter().map(|row| row[place]);
+                    let width = column().fold(f64::MIN, f64::max) - column().fold(f64::MAX, f64::min);
+                    let range = step.ranges().into_iter().find(|(own, _)| *own == name);
+                    match range {
+                        Some((_, range)) => {
+                            let share = width / range;
+                            assert!((0.85..=1.001).contains(&share), "{name} {step:?}: {share}");
+                        }
+                        // Gravity turns with the gripper.
+                        None if attitude == AttitudePattern::Turning => {}
+                        None => assert!(width < 1e-9, "{name} {step:?}: {width}"),
+                    }
+                }
+            }
+        }
+    }
+}
