@@ -102,16 +102,16 @@ impl RecordingProposal {
 /// What is open.
 enum Question<'a> {
     /// Which of two effects is present: the last model, and the same with the other effect.
-    Which { truth: &'a FittedModel, rival: FittedModel, effects: [String; 2] },
+    Equivalent { truth: &'a FittedModel, rival: FittedModel, effects: [String; 2] },
     /// Whether an effect is present, and the column that must vary for that, if it does not.
-    Whether(EffectTerm, Option<String>),
+    Presence(EffectTerm, Option<String>),
 }
 
 impl Question<'_> {
     fn effects(&self) -> Vec<String> {
         match self {
-            Self::Which { effects, .. } => effects.to_vec(),
-            Self::Whether(effect, _) => vec![effect.name().to_owned()],
+            Self::Equivalent { effects, .. } => effects.to_vec(),
+            Self::Presence(effect, _) => vec![effect.name().to_owned()],
         }
     }
 }
@@ -193,7 +193,7 @@ fn questions<'a>(
             for effect in effects.iter_mut().filter(|effect| **effect == step.chosen) {
                 *effect = other.clone();
             }
-            questions.push(Question::Which {
+            questions.push(Question::Equivalent {
                 truth: last,
                 rival: FittedModel::without_validation(setup, effects, options)?,
                 effects: [step.chosen.name(), other.name()].map(str::to_owned),
@@ -217,7 +217,7 @@ fn questions<'a>(
         };
         match effect {
             Some(effect) if !effect.is_transient() => {
-                questions.push(Question::Whether(effect, column));
+                questions.push(Question::Presence(effect, column));
             }
             _ => proposal.left.push(verdict.effect.clone()),
         }
@@ -352,8 +352,8 @@ impl Planner<'_> {
         };
         let enough = questions.len() as f64 - 1e-9;
         // Whether an effect is present shows in the error of recordings that were not fitted.
-        let is_whether = |question: &Question| matches!(question, Question::Whether(..));
-        let recordings = if questions.iter().any(is_whether) { 2 } else { 1 };
+        let is_presence = |question: &Question| matches!(question, Question::Presence(..));
+        let recordings = if questions.iter().any(is_presence) { 2 } else { 1 };
         let mut plan = RecordingPlan::new(Vec::new());
         plan.recordings = recordings;
         let mut reached = total(None);
@@ -405,8 +405,8 @@ impl Planner<'_> {
         // Of all sensors together; the search has some of the rows of some of them.
         let scale = (self.setup.rows.len() as f64 / sensors.len().max(1) as f64).sqrt()
             * (FINAL_ROWS as f64 / max_rows as f64).sqrt();
-        let is_whether = |question: &Question| matches!(question, Question::Whether(..));
-        let setup = questions.iter().any(is_whether).then(|| {
+        let is_presence = |question: &Question| matches!(question, Question::Presence(..));
+        let setup = questions.iter().any(is_presence).then(|| {
             let rows = self.rows(plan, sensors, |rows| rows / max_rows);
             let mut setup = self.setup.with_rows(rows);
             let fit = extended(&setup, self.last);
@@ -418,18 +418,18 @@ impl Planner<'_> {
             .as_ref()
             .map(|(setup, model)| ScoreTest::new(setup, &model.effects, &model.fit, self.block_s));
         let evidence = |question: &Question| match question {
-            Question::Whether(_, Some(column))
+            Question::Presence(_, Some(column))
                 if !setup.as_ref().is_some_and(|(setup, _)| has_variation(setup, column)) =>
             {
                 Evidence { share: 0.0, power: 0.0 }
             }
-            Question::Whether(effect, _) => {
+            Question::Presence(effect, _) => {
                 let score = test.as_ref().and_then(|test| test.score(effect));
                 let z = scale * score.map_or(0.0, |score| score.z_typical);
                 let wanted = MIN_Z.max(DETECTED + self.noise.inverse_cdf(WANTED));
                 Evidence { share: (z / wanted).min(1.0), power: self.noise.cdf(z - DETECTED) }
             }
-            Question::Which { truth, rival, effects } => {
+            Question::Equivalent { truth, rival, effects } => {
                 let longest = |rows: &SensorRows| rows.parts.iter().map(RecordingRows::len).max();
                 let longest = self.setup.rows.iter().filter_map(longest).max().unwrap_or(0);
                 let mut setup =

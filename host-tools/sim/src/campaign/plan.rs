@@ -426,7 +426,9 @@ mod tests {
     #[test]
     fn excitation_reaches_the_ranges_of_its_steps_and_no_more() {
         for load in [LoadPattern::None, LoadPattern::Cycles, LoadPattern::Fast, LoadPattern::Hold] {
-            for attitude in [AttitudePattern::Level, AttitudePattern::Turning, AttitudePattern::Shaken] {
+            for attitude in
+                [AttitudePattern::Level, AttitudePattern::Turning, AttitudePattern::Shaken]
+            {
                 let load_n = if load == LoadPattern::None { [0.0; 2] } else { STEP.load_n };
                 let step = PlanStep { load, load_n, attitude, ..STEP };
                 let plan = RecordingPlan::new(vec![step.clone()]);
@@ -438,7 +440,17 @@ mod tests {
                     let force = orientation.specific_force;
                     let [x_n, z_n] = plan.load_n(1, time_s);
                     let opening_mm = opening.at(time_s).opening_mm;
-                    [x_n, z_n, opening_mm, plan.warming_k(time_s), roll, pitch, yaw, force.x, force.z]
+                    [
+                        x_n,
+                        z_n,
+                        opening_mm,
+                        plan.warming_k(time_s),
+                        roll,
+                        pitch,
+                        yaw,
+                        force.x,
+                        force.z,
+                    ]
                 });
                 let rows: Vec<[f64; 9]> = rows.collect();
                 let names = [
@@ -454,7 +466,8 @@ mod tests {
                 ];
                 for (place, name) in names.into_iter().enumerate() {
                     let column = || rows.iter().map(|row| row[place]);
-                    let width = column().fold(f64::MIN, f64::max) - column().fold(f64::MAX, f64::min);
+                    let width =
+                        column().fold(f64::MIN, f64::max) - column().fold(f64::MAX, f64::min);
                     let range = step.ranges().into_iter().find(|(own, _)| *own == name);
                     match range {
                         Some((_, range)) => {

@@ -15,7 +15,7 @@ pub struct StepResult {
     /// Duration in seconds.
     pub seconds: f64,
     /// Ranges of which less than [`ENOUGH`] was covered, with the covered share.
-    pub lacking: Vec<(String, f64)>,
+    pub uncovered: Vec<(String, f64)>,
 }
 
 /// The steps of a plan while they are recorded.
@@ -51,12 +51,12 @@ impl Guide {
         self.elapsed_s = 1e-6 * row.time_us.saturating_sub(start_us) as f64;
         self.coverage.update(row);
         let Some(step) = self.step() else { return false };
-        let lacking = self.lacking(step);
-        let limit_s = if lacking.is_empty() { step.seconds } else { PATIENCE * step.seconds };
+        let uncovered = self.uncovered(step);
+        let limit_s = if uncovered.is_empty() { step.seconds } else { PATIENCE * step.seconds };
         if self.elapsed_s < limit_s {
             return false;
         }
-        self.results.push(StepResult { seconds: self.elapsed_s, lacking });
+        self.results.push(StepResult { seconds: self.elapsed_s, uncovered });
         let (force_range_n, reference) = self.forces.clone();
         self.coverage = Coverage::new(force_range_n, reference);
         self.start_us = None;
@@ -110,7 +110,7 @@ impl Guide {
         step.ranges().into_iter().map(share).collect()
     }
 
-    fn lacking(&self, step: &PlanStep) -> Vec<(String, f64)> {
+    fn uncovered(&self, step: &PlanStep) -> Vec<(String, f64)> {
         self.shares(step).into_iter().filter(|(_, share)| *share < ENOUGH).collect()
     }
 }
@@ -154,7 +154,7 @@ mod tests {
             (0..=4001).filter(|ms| guide.update(&row(*ms, 10_000 + 8 * *ms as i32))).collect();
         // 16 mm of 20 are covered at its end. The second step begins with the next row.
         assert_eq!(ended, [2000, 4001]);
-        assert!(guide.is_finished() && guide.results.iter().all(|one| one.lacking.is_empty()));
+        assert!(guide.is_finished() && guide.results.iter().all(|one| one.uncovered.is_empty()));
     }
 
     #[test]
@@ -162,7 +162,7 @@ mod tests {
         let mut guide = guide();
         let ended = (0..10_000).find(|ms| guide.update(&row(*ms, 10_000 + (*ms as i32).min(5000))));
         assert_eq!(ended, Some(6000));
-        assert_eq!(guide.results[0].lacking, [("opening".to_owned(), 0.25)]);
+        assert_eq!(guide.results[0].uncovered, [("opening".to_owned(), 0.25)]);
         assert!(!guide.is_finished());
     }
 }

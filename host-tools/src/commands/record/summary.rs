@@ -147,10 +147,10 @@ impl Summary<'_> {
 
 /// Steps of a plan whose ranges were not covered.
 fn format_steps(steps: &[StepResult]) -> String {
-    let lacking = (1..).zip(steps).filter(|(_, step)| !step.lacking.is_empty());
-    let lines: Vec<String> = lacking
+    let uncovered = (1..).zip(steps).filter(|(_, step)| !step.uncovered.is_empty());
+    let lines: Vec<String> = uncovered
         .map(|(number, step)| {
-            let ranges = step.lacking.iter();
+            let ranges = step.uncovered.iter();
             let ranges = ranges.map(|(name, share)| format!("{name} {:.0} %", 100.0 * share));
             format!("step {number} ({})", ranges.collect::<Vec<_>>().join(", "))
         })
@@ -163,10 +163,11 @@ fn format_steps(steps: &[StepResult]) -> String {
 
 /// Duration, and the ranges that were not covered with their shares.
 fn step_json(step: &StepResult) -> Value {
-    let lacking = step.lacking.iter();
-    let lacking: Vec<Value> =
-        lacking.map(|(quantity, share)| json!({ "quantity": quantity, "share": share })).collect();
-    json!({ "seconds": step.seconds, "not_covered": lacking })
+    let uncovered = step.uncovered.iter();
+    let uncovered: Vec<Value> = uncovered
+        .map(|(quantity, share)| json!({ "quantity": quantity, "share": share }))
+        .collect();
+    json!({ "seconds": step.seconds, "not_covered": uncovered })
 }
 
 /// Covered ranges, then the effects.
