@@ -47,9 +47,6 @@ const CURRENT_A: f64 = 10.0;
 const DRIVING_A: f64 = 4.0;
 const HOLDING_A: f64 = 7.0;
 
-/// Frequency of the holding current of a planned recording.
-const HOLDING_HZ: f64 = 0.23;
-
 /// Current at constant opening.
 const STILL_A: f64 = 3.0;
 
@@ -116,11 +113,11 @@ impl OpeningProfile {
         Self { strokes: vec![at_rest], holding: None, rotor_rad }
     }
 
-    /// Adds a move after all others, during which and after which the motor's current varies.
-    pub fn add_stroke(&mut self, start_s: f64, seconds: f64, to_mm: f64) {
+    /// Adds a move after all others, with a holding current of this frequency.
+    pub fn add_stroke(&mut self, start_s: f64, seconds: f64, to_mm: f64, holding_hz: f64) {
         let from_mm = self.strokes.last().map_or(to_mm, |stroke| stroke.to_mm);
         self.strokes.push(Stroke { start_s, seconds, from_mm, to_mm });
-        self.holding.get_or_insert_with(|| SineSum::one(HOLDING_A, HOLDING_HZ, 0.0));
+        self.holding.get_or_insert_with(|| SineSum::one(HOLDING_A, holding_hz, 0.0));
     }
 
     /// Opening and motor state at a time in seconds.

@@ -381,8 +381,10 @@ impl Planner<'_> {
             (reached, plan) = (score, simplest);
         }
         for place in 0..plan.steps.len() {
-            let is_warming = plan.steps[place].temperature_k != 0.0;
-            for seconds in SHORTER_S.into_iter().filter(|_| !is_warming) {
+            // Warming and several strokes take their time.
+            let step = &plan.steps[place];
+            let is_fixed = step.temperature_k != 0.0 || step.opening_mm[0] != step.opening_mm[1];
+            for seconds in SHORTER_S.into_iter().filter(|_| !is_fixed) {
                 let mut shorter = plan.clone();
                 shorter.steps[place].seconds = seconds;
                 if total(Some(&shorter)) >= reached - 1e-9 {
@@ -705,9 +707,9 @@ mod tests {
         let excitation = Excitation::planned(&plan, 0.5);
         let at = |name: &str, time_s: f64| covariate(name, &excitation, time_s);
         assert_eq!(at("opening_mm", 0.0), Some(10.0));
-        // The first stroke takes 1.6 s, the second one begins at 2 s.
+        // The first stroke takes 1.6 s, the second one begins at 2 s and ends at a quarter.
         assert_eq!(at("opening_mm", 1.8), Some(40.0));
-        assert!((at("opening_mm", 3.9).unwrap() - 10.0).abs() < 1e-9);
+        assert!((at("opening_mm", 3.9).unwrap() - 17.5).abs() < 1e-9);
         assert_eq!(at("accel_z_mps2", 1.0), Some(9.81));
         let angle = (0.5 + TAU * 40.0 / LEAD_MM).rem_euclid(TAU);
         assert!((at("motor_angle_rad", 1.8).unwrap() - angle).abs() < 1e-9);

@@ -74,6 +74,9 @@ pub struct RecordingPlan {
     /// Temperature at the start of this one, relative to that of the first, in kelvin.
     #[serde(skip)]
     start_k: f64,
+    /// Whether this one is a second recording, with other frequencies: what repeats exactly validates nothing.
+    #[serde(skip)]
+    is_second: bool,
     /// Steps in their order.
     #[serde(rename = "step")]
     pub steps: Vec<PlanStep>,
@@ -91,9 +94,15 @@ const MAX_LOAD_N: f64 = 2000.0;
 const MAX_OPENING_MM: f64 = 500.0;
 const MAX_CHANGE_K: f64 = 60.0;
 
-/// A stroke of the opening and the rest after it, in seconds.
-const STROKE_S: f64 = 1.6;
+/// A stroke of the opening in every first and second recording, and the rest after it, in seconds.
+const STROKE_S: [f64; 2] = [1.6, 1.9];
 const REST_S: f64 = 0.4;
+/// Ends of the strokes within their range. Strokes of one length would repeat one relation of opening, speed and current.
+const STROKE_ENDS: [f64; 7] = [1.0, 0.25, 0.75, 0.1, 0.6, 0.0, 0.9];
+/// Frequency of the motor's holding current in every first and second recording.
+const HOLDING_HZ: [f64; 2] = [0.23, 0.37];
+/// Frequencies of the loads in every second recording, relative to those in the first.
+const SECOND_HZ: f64 = 1.17;
 /// Time in which a load begins and ends.
 const RAMP_S: f64 = 0.5;
 /// Frequencies of the lateral and the longitudinal load.
@@ -115,7 +124,7 @@ const SHAKE_HZ: [f64; 3] = [1.3, 1.9, 1.6];
 impl RecordingPlan {
     /// One recording of these steps.
     pub fn new(steps: Vec<PlanStep>) -> Self {
-        Self { decides: Vec::new(), recordings: 1, start_k: 0.0, steps }
+        Self { decides: Vec::new(), recordings: 1, start_k: 0.0, is_second: false, steps }
     }
 
     /// The recording with this number, from 1; `None` where the plan has fewer.
@@ -125,6 +134,7 @@ impl RecordingPlan {
         }
         let mut one = Self { recordings: 1, ..self.clone() };
         if number.is_multiple_of(2) {
+            one.is_second = true;
             one.start_k = self.warming_k(self.seconds());
             for step in &mut one.steps {
                 step.temperature_k = 0.0 - step.temperature_k;
@@ -212,7 +222,8 @@ impl RecordingPlan {
                 * (1.0 - smoothstep(since_s, until_s - RAMP_S, until_s))
         };
         std::array::from_fn(|axis| {
-            let wave = |hz: f64| libm::sin(TAU * hz * since_s + phase + axis as f64);
+            let faster = if self.is_second { SECOND_HZ } else { 1.0 };
+            let wave = |hz: f64| libm::sin(TAU * faster * hz * since_s + phase + axis as f64);
             let relative = match step.load {
                 LoadPattern::None => 0.0,
                 LoadPattern::Cycles => {
@@ -268,17 +279,19 @@ impl RecordingPlan {
         let mut at_mm = self.steps.first().map_or(0.0, |step| step.opening_mm[0]);
         let mut profile = OpeningProfile::resting(at_mm, rotor_rad);
         let mut start_s = 0.0;
+        let kind = usize::from(self.is_second);
+        let mut ends = STROKE_ENDS.into_iter().cycle();
         for step in &self.steps {
             let end_s = start_s + step.seconds;
             let [from_mm, to_mm] = step.opening_mm;
             let mut time_s = start_s;
-            while time_s + STROKE_S <= end_s {
-                let next_mm = if at_mm == from_mm { to_mm } else { from_mm };
+            while time_s + STROKE_S[kind] <= end_s {
+                let next_mm = from_mm + ends.next().unwrap_or_default() * (to_mm - from_mm);
                 if next_mm != at_mm {
-                    profile.add_stroke(time_s, STROKE_S, next_mm);
+                    profile.add_stroke(time_s, STROKE_S[kind], next_mm, HOLDING_HZ[kind]);
                     at_mm = next_mm;
                 }
-                time_s += STROKE_S + REST_S;
+                time_s += STROKE_S[kind] + REST_S;
             }
             start_s = end_s;
         }
@@ -341,7 +354,9 @@ impl PlanStep {
         if from == to {
             parts.push(format!("keep the opening at {from:.0} mm"));
         } else {
-            parts.push(format!("open and close between {from:.0} and {to:.0} mm"));
+            parts.push(format!(
+                "open and close between {from:.0} and {to:.0} mm in strokes of different lengths"
+            ));
         }
         match self.temperature_k {
             0.0 => {}
@@ -421,6 +436,16 @@ mod tests {
         assert_eq!([0.0, 10.0, 20.0].map(|time_s| first.warming_k(time_s)), [0.0, 4.0, 7.0]);
         assert_eq!([0.0, 10.0, 20.0].map(|time_s| second.warming_k(time_s)), [7.0, 3.0, 0.0]);
         assert_eq!(plan.recording(3), None);
+        // Neither loads nor openings repeat.
+        assert_ne!(first.load_n(0, 2.0), [0.0; 2]);
+        let fast =
+            |plan: &RecordingPlan| PlanStep { load: LoadPattern::Fast, ..plan.steps[0].clone() };
+        let load = |plan: &RecordingPlan| {
+            RecordingPlan { steps: vec![fast(plan)], ..plan.clone() }.load_n(0, 2.0)
+        };
+        assert_ne!(load(&first), load(&second));
+        let opening = |plan: &RecordingPlan| plan.opening(0.0).at(3.0);
+        assert_ne!(opening(&first), opening(&second));
     }
 
     #[test]
