@@ -1,37 +1,39 @@
 //! A proposed recording as text and JSON: what it decides, and its steps.
 
-use analysis::diagnose::recording_plan::RecordingProposal;
+use analysis::diagnose::recording_plan::{PlannedDecision, RecordingProposal};
 use serde_json::{Value, json};
 use sim::campaign::plan::RecordingPlan;
 
 use super::terminal;
 
-/// What a proposed recording decides, with predicted probabilities, and its steps; empty where nothing is open.
+/// Columns of the table of decisions.
+pub const COLUMNS: [&str; 3] = ["effects", "now", "with it"];
+
+/// Number and duration of the proposed recordings.
+pub fn heading(proposal: &RecordingProposal) -> String {
+    let plan = &proposal.plan;
+    match (plan.steps.is_empty(), plan.recordings) {
+        (true, _) => "No recording of up to 60 s would decide more".to_owned(),
+        (false, 1) => format!("Plan: a recording of {:.0} s", plan.seconds()),
+        (false, count) => format!("Plan: {count} recordings of {:.0} s each", plan.seconds()),
+    }
+}
+
+/// Cells of a row of the table.
+pub fn decision_cells(decision: &PlannedDecision) -> [String; 3] {
+    [decision.effects.join(" or "), percent(decision.power_now), percent(decision.power_planned)]
+}
+
+/// What proposed recordings decide, with predicted probabilities, and their steps.
 pub fn format_proposal(proposal: &RecordingProposal) -> String {
     let RecordingProposal { plan, decisions, left } = proposal;
-    let mut text = String::new();
-    if plan.steps.is_empty() {
-        text += "Plan: no recording of up to 60 s would decide more.\n";
-    } else {
-        text += &format!(
-            "Plan: {} of {:.0} s, with the predicted probability of the right decision:\n",
-            if plan.recordings == 1 {
-                "a recording".to_owned()
-            } else {
-                format!("{} recordings", plan.recordings)
-            },
-            plan.seconds()
-        );
-    }
+    let mut text = format!("{}\n", heading(proposal));
     if !decisions.is_empty() {
-        let mut table = terminal::table(["effects", "now", "with it"]);
-        for one in decisions {
-            table.add_row([
-                one.effects.join(" or "),
-                percent(one.power_now),
-                percent(one.power_planned),
-            ]);
-        }
+        text += "Predicted probability of the right decision:\n";
+        let mut table = terminal::table(COLUMNS);
+        decisions.iter().for_each(|one| {
+            table.add_row(decision_cells(one));
+        });
         terminal::right_align(&mut table, 1);
         text += &format!("{table}\n");
     }
@@ -81,5 +83,55 @@ fn percent(probability: f64) -> String {
         low if low < 1.0 => "< 1 %".to_owned(),
         high if high > 99.0 => "> 99 %".to_owned(),
         percent => format!("{percent:.0} %"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use sim::campaign::plan::{AttitudePattern, LoadPattern, PlanStep};
+
+    use super::*;
+
+    #[test]
+    fn proposal_states_decisions_steps_and_what_is_left() {
+        let step = PlanStep {
+            seconds: 25.0,
+            load: LoadPattern::Hold,
+            load_n: [150.0, 140.0],
+            opening_mm: [10.0, 10.0],
+            temperature_k: 8.0,
+            attitude: AttitudePattern::Level,
+        };
+        let mut plan = RecordingPlan::new(vec![step]);
+        plan.recordings = 2;
+        let decision = |effects: &[&str], power_planned| PlannedDecision {
+            effects: effects.iter().map(|name| (*name).to_owned()).collect(),
+            power_now: 0.0,
+            power_planned,
+        };
+        let decisions =
+            vec![decision(&["creep", "viscous_lag"], 0.997), decision(&["tip_slope"], 0.42)];
+        let proposal =
+            RecordingProposal { plan, decisions, left: vec!["external_magnet".to_owned()] };
+        let text = format_proposal(&proposal);
+        for part in [
+            "Plan: 2 recordings of 25 s each",
+            "creep or viscous_lag   < 1 %    > 99 %",
+            "tip_slope              < 1 %     42 %",
+            "1. 0 to 25 s: hold 150 N lateral and 140 N longitudinal for 15 s, then release;",
+            "keep the opening at\n10 mm; warm by 8 K.",
+            "Not planned for: external_magnet",
+        ] {
+            assert!(text.contains(part), "{part}: {text}");
+        }
+        let json = to_json(&proposal);
+        assert_eq!(json["seconds"], 50.0);
+        assert_eq!(json["plan"]["step"][0]["load"], "hold");
+        let nothing = RecordingProposal {
+            plan: RecordingPlan::new(Vec::new()),
+            decisions: Vec::new(),
+            left: Vec::new(),
+        };
+        assert_eq!(format_proposal(&nothing), "No recording of up to 60 s would decide more\n");
     }
 }

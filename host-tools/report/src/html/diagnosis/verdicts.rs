@@ -4,6 +4,8 @@ use crate::html::Section;
 use crate::html::diagnosis::effect;
 use crate::html::tables::table;
 use crate::text::diagnosis::{self as text, EquivalentSet, InconclusiveGroup};
+use crate::text::recording_plan;
+use analysis::diagnose::recording_plan::RecordingProposal;
 use analysis::diagnose::{Diagnosis, DiscoveredFormula, EffectShape, Verdict};
 use analysis::numbers::{number, percent};
 use maud::{Markup, html};
@@ -129,8 +131,24 @@ pub fn open_section(diagnosis: &Diagnosis) -> Option<Section> {
                 h3 { "Inconclusive from these recordings" }
                 ul { @for group in &unjudged { (inconclusive(group)) } }
             }
+            @if let Some(proposal) = &diagnosis.proposal { (planned(proposal)) }
         },
     })
+}
+
+/// The proposed recordings: what they decide, and their steps.
+fn planned(proposal: &RecordingProposal) -> Markup {
+    let rows = proposal.decisions.iter().map(recording_plan::decision_cells);
+    let rows = rows.map(|row| row.map(|cell| html! { (cell) }).to_vec());
+    html! {
+        h3 { (recording_plan::heading(proposal)) }
+        @if !proposal.decisions.is_empty() {
+            (table("Predicted probability of the right decision", &recording_plan::COLUMNS, rows))
+        }
+        ol { @for step in &proposal.plan.steps {
+            li { (format!("{:.0} s: {}.", step.seconds, step.instruction())) }
+        } }
+    }
 }
 
 fn unexplained(Diagnosis { unexplained, remaining, .. }: &Diagnosis) -> Markup {
