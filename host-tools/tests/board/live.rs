@@ -220,7 +220,8 @@ fn plan_is_recorded_step_by_step() {
     assert!((1.9..2.2).contains(&seconds(0)) && (5.9..6.3).contains(&seconds(1)), "{summary}");
     assert_eq!(summary["steps"][0]["not_covered"], serde_json::json!([]));
     assert_eq!(summary["steps"][1]["not_covered"][0]["quantity"], "lateral force");
-    let message = dir.failure(&format!("{line} --plan-recording 2"));
+    let again = line.replace("campaign/1", "campaign/2");
+    let message = dir.failure(&format!("{again} --plan-recording 2"));
     assert!(message.contains("the plan has 1"), "{message}");
 }
 
