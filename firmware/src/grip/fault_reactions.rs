@@ -252,6 +252,10 @@ mod tests {
         let strongest = strongest_reaction(bits, GripPhase::Moving, true);
         assert_eq!(strongest, Some((Reaction::Brake, Fault::OverSpeed)));
         assert_eq!(strongest_reaction(0, GripPhase::Moving, true), None);
+        // Of equal ones the first.
+        let bits = bit(Fault::SensorFrozen) | bit(Fault::SensorLost) | bit(Fault::Blind);
+        let strongest = strongest_reaction(bits, GripPhase::Moving, true);
+        assert_eq!(strongest, Some((Reaction::QuickStop, Fault::SensorLost)));
     }
 
     #[test]

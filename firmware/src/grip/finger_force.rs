@@ -146,6 +146,8 @@ mod tests {
         let fingers = FingerForces::of(&pressed([30.0, 40.0, -20.0, -35.0], [1.0, 2.0, 3.0, -4.0]));
         assert_eq!(fingers.max_n(), Some(70.0));
         assert_eq!((fingers.sum_n(), fingers.drag_n), (Some(125.0), 2.0));
+        let fingers = FingerForces::of(&pressed([20.0, 35.0, -30.0, -40.0], [0.0; 4]));
+        assert_eq!(fingers.max_n(), Some(70.0));
     }
 
     #[test]

@@ -202,7 +202,11 @@ mod tests {
             estimate.update(travel_mm, force_n);
             assert!((estimate.value() - expected).abs() < 0.01, "{}", estimate.value());
         }
-        // Less than 2 um of travel adds nothing.
+        // Less than 2 um of travel adds nothing, 2 um are a sample.
+        let mut shortest = StiffnessEstimator::default();
+        shortest.update(0.0, 0.0);
+        shortest.update(0.002, 5.0);
+        assert!(shortest.value() > 334.0, "{}", shortest.value());
         estimate.update(2.0015, 900.0);
         assert!((estimate.value() - 150.865).abs() < 0.01);
         estimate.update(1.9975, 900.0);

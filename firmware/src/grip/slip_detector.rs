@@ -90,7 +90,9 @@ impl SlipDetector {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::estimator::Estimate;
     use crate::grip::tests::rig::pressed;
+    use crate::sensors::hall::SENSORS;
 
     const LIMITS: GripLimits = GripLimits::GRIPPER;
 
@@ -184,5 +186,18 @@ mod tests {
         let opposite = (0..300).map(|_| (forces(100.0, -91.0), 0.0));
         let expected = usize::from(LIMITS.slip_pause_ms) - 1;
         assert_eq!(first(ObjectState::Slipping, opposite), Some(expected));
+    }
+
+    #[test]
+    fn invalid_forces_restart_the_history_but_not_the_pause() {
+        let missing = FingerForces::of(&[Estimate::MISSING; SENSORS]);
+        let at = |tick: usize| match tick {
+            ..300 => forces(100.0, 0.0),
+            300 => missing,
+            _ => forces(100.0, 91.0),
+        };
+        let found = first(ObjectState::Slipping, (0..600).map(|tick| (at(tick), 0.0)));
+        // Eight samples after the invalid one.
+        assert_eq!(found, Some(308));
     }
 }

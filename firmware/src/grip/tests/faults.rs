@@ -266,6 +266,19 @@ fn implausible_opening_becomes_unknown_after_3_ms() {
 }
 
 #[test]
+fn overtravel_of_exactly_0_8_mm_is_plausible() {
+    let stroke = constants::STROKE.value as f32;
+    for (opening_mm, is_plausible) in
+        [(-0.8, true), (-0.81, false), (stroke + 0.8, true), (stroke + 0.81, false)]
+    {
+        let mut rig = GripRig::new(true);
+        rig.motor.opening_mm = Some(opening_mm);
+        rig.run(10);
+        assert_eq!(rig.motor.opening_mm.is_some(), is_plausible, "{opening_mm}");
+    }
+}
+
+#[test]
 fn homing_accepts_any_opening() {
     let mut rig = GripRig::enabled(true);
     rig.send(mode::HOME, |_| {});

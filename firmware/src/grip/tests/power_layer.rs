@@ -141,6 +141,29 @@ fn calibration_ends_at_a_part_softer_than_30_n_per_mm() {
     }
 }
 
+#[test]
+fn part_of_exactly_the_minimum_stiffness_is_not_soft() {
+    let mut grip = in_power(PowerState::Calibrating);
+    // At the contact both the rise above it and the travel are zero.
+    (grip.rise_n, grip.limits.part_n) = (5.0, 4.0);
+    let motor = MotorStatus::default();
+    assert_eq!(grip.calibration_failure(CalibrationKind::Screw, &motor, 0), None);
+}
+
+#[test]
+fn calibration_lasts_until_its_request_ends() {
+    let mut rig = GripRig::new(true);
+    rig.run(5);
+    rig.is_calibrating = true;
+    for _ in 0..10 {
+        rig.tick();
+        assert_eq!(rig.grip.power(), PowerState::Calibrating);
+    }
+    rig.is_calibrating = false;
+    rig.tick();
+    assert_eq!(rig.grip.power(), PowerState::Safe);
+}
+
 /// Steps in a power state until it ends, with moving or resting fingers and a force.
 fn lasts(power: PowerState, backs_off: bool, closing_mm_s: f32, newtons: f64) -> Option<u32> {
     let mut grip = in_power(power);
@@ -164,6 +187,19 @@ fn stops_and_reactions_end_at_rest_or_by_timeout() {
     assert_eq!(lasts(QuickStop, true, 0.0, 59.0), Some(5));
     assert_eq!(lasts(QuickStop, true, 0.0, 61.0), Some(2000));
     assert_eq!(lasts(QuickStop, true, 10.0, 59.0), Some(2000));
+}
+
+#[test]
+fn stop_after_excessive_force_lasts_at_its_release_force() {
+    // 1.2 times 62.5 N.
+    for (newtons, is_over) in [(74.75, true), (75.0, false)] {
+        let mut grip = in_power(PowerState::QuickStop);
+        (grip.backs_off, grip.limits.overforce_release_n) = (true, 62.5);
+        for _ in 0..5 {
+            step(&mut grip, &both(newtons), armed_motor());
+        }
+        assert_eq!(grip.power() == PowerState::Armed, is_over, "{newtons}");
+    }
 }
 
 #[test]
@@ -219,6 +255,11 @@ fn obstacle_is_forgotten_after_closing_by_6_mm() {
         step(&mut grip, &MISSING, turned(closing_mm));
         assert_eq!(grip.obstacle_rad.is_none(), is_forgotten, "{closing_mm}");
     }
+    // Exactly at the limit it is kept: one radian.
+    let mut grip = in_power(PowerState::Armed);
+    (grip.obstacle_rad, grip.limits.clear_mm) = (Some(100.0), Screw::B.ratio_mm);
+    step(&mut grip, &MISSING, MotorStatus { rotor_rad: 101.0, ..armed_motor() });
+    assert_eq!(grip.obstacle_rad, Some(100.0));
     let mut grip = in_power(PowerState::Armed);
     grip.obstacle_rad = Some(100.0);
     step(&mut grip, &both(0.0), turned(0.0));
@@ -309,6 +350,17 @@ fn enabling_again_after_a_quick_stop_is_a_new_command() {
     rig.tick();
     rig.clear = false;
     assert_eq!(rig.grip.power(), PowerState::Armed);
+    rig.send(mode::ENABLE, |_| {});
+    assert_eq!(rig.grip.power(), PowerState::Enabled);
+}
+
+#[test]
+fn enabling_after_foreign_frames_disabled_is_a_new_command() {
+    let mut rig = GripRig::enabled(true);
+    rig.fault(Fault::StrangeFrames, true);
+    rig.tick();
+    assert_eq!(rig.grip.power(), PowerState::Armed);
+    rig.fault(Fault::StrangeFrames, false);
     rig.send(mode::ENABLE, |_| {});
     assert_eq!(rig.grip.power(), PowerState::Enabled);
 }

@@ -3,7 +3,7 @@
 use crate::config::limits::GripLimits;
 use crate::estimator::Estimate;
 use crate::fixed_point::Force;
-use crate::grip::commands::{MoveTarget, RefusalReason, flag, mode};
+use crate::grip::commands::{MoveTarget, RefusalReason, WidthWindow, flag, mode};
 use crate::grip::states::{PowerState, TaskState};
 use crate::grip::tests::rig::{GripRig, pressed};
 use crate::grip::transitions::TaskEvent;
@@ -67,6 +67,29 @@ fn disable_is_refused_while_something_moves_or_may_be_held() {
 }
 
 #[test]
+fn repeated_command_is_executed_again_only_with_the_flag_toggled() {
+    let mut rig = GripRig::enabled(true);
+    for (flags, is_executed) in [
+        (flag::UNCALIBRATED, true),
+        (flag::UNCALIBRATED, false),
+        (flag::UNCALIBRATED | flag::AGAIN, true),
+        (flag::UNCALIBRATED | flag::AGAIN, false),
+        (flag::UNCALIBRATED, true),
+    ] {
+        // At the target already, a move lasts until the fingers have rested.
+        rig.grip.resting_ms = 0;
+        rig.send(mode::MOVE, |command| {
+            (command.position, command.speed, command.flags) = (900, 200, flags);
+        });
+        assert_eq!(rig.grip.task() == TaskState::Moving, is_executed, "{flags}");
+        rig.run_until(TaskState::Idle);
+    }
+    // Once enabled, ENABLE is a sign of life.
+    rig.send(mode::ENABLE, |_| {});
+    assert!(rig.refused.is_empty());
+}
+
+#[test]
 fn fault_of_two_tasks_prevents_enabling() {
     let mut rig = GripRig::new(true);
     rig.run(5);
@@ -105,6 +128,35 @@ fn release_must_open() {
         rig.send(mode::RELEASE, |command| (command.position, command.speed) = (position, 40));
         assert_eq!(rig.refused.first().copied(), refused, "{position}");
     }
+}
+
+#[test]
+fn move_to_the_present_opening_closes() {
+    for (position, is_opening) in [(999, false), (1000, false), (1001, true)] {
+        let mut rig = GripRig::enabled(true);
+        rig.send(mode::MOVE, |command| (command.position, command.speed) = (position, 40));
+        assert_eq!(rig.grip.is_opening, is_opening, "{position}");
+    }
+}
+
+#[test]
+fn held_position_is_the_first_at_rest() {
+    let mut rig = in_task(TaskState::Idle);
+    rig.grip.hold_mm = None;
+    rig.grip.copy();
+    for _ in 0..10 {
+        rig.motor.closing_mm_s = 10.0;
+        rig.tick();
+        assert_eq!(rig.grip.hold_mm, None);
+    }
+    for _ in 0..30 {
+        rest(&mut rig, Some(45.0), 0.0);
+    }
+    assert_eq!(rig.grip.hold_mm, Some(45.0));
+    for _ in 0..10 {
+        rest(&mut rig, Some(45.5), 0.0);
+    }
+    assert_eq!(rig.grip.hold_mm, Some(45.0));
 }
 
 #[test]
@@ -294,6 +346,86 @@ fn grip_settles_after_50_ms_or_fails_after_5_s() {
 }
 
 #[test]
+fn tolerance_of_a_strong_grip_is_2_percent() {
+    // 7 N of 350 N.
+    for (force_n, settles) in [(344.0, true), (342.75, false)] {
+        let mut rig = in_task(TaskState::Idle);
+        press(&mut rig, force_n);
+        rig.run(3);
+        rig.grip.task = TaskState::Force;
+        (rig.grip.setpoint_n, rig.grip.target.setpoint_n, rig.grip.task_ms) = (350.0, 350.0, 0);
+        rig.grip.copy();
+        rig.run(50);
+        assert_eq!(rig.grip.task() == TaskState::HoldActive, settles, "{force_n}");
+    }
+}
+
+#[test]
+fn grip_does_not_settle_on_an_invalid_force() {
+    for (is_valid, expected) in [(false, TaskState::Force), (true, TaskState::HoldActive)] {
+        let mut rig = in_task(TaskState::Idle);
+        press(&mut rig, 100.0);
+        rig.run(3);
+        rig.grip.task = TaskState::Force;
+        (rig.grip.setpoint_n, rig.grip.target.setpoint_n) = (100.0, 100.0);
+        (rig.grip.task_ms, rig.grip.in_band_ms) = (0, 49);
+        rig.grip.copy();
+        if !is_valid {
+            rig.estimates = Some([Estimate::MISSING; 4]);
+        }
+        rig.tick();
+        assert_eq!(rig.grip.task(), expected);
+    }
+}
+
+#[test]
+fn stop_of_moving_fingers_ends_after_200_ms() {
+    let mut rig = in_task(TaskState::Stopping);
+    rig.grip.task_ms = 0;
+    for task_ms in 1..=200 {
+        rig.motor.closing_mm_s = 10.0;
+        rig.tick();
+        let expected = if task_ms < 200 { TaskState::Stopping } else { TaskState::Idle };
+        assert_eq!(rig.grip.task(), expected, "{task_ms}");
+    }
+}
+
+#[test]
+fn homing_again_begins_from_the_start() {
+    let mut rig = GripRig::enabled(true);
+    let limit_a = |rig: &GripRig| match rig.setpoint() {
+        Setpoint::Speed { closing_mm_s, max_a } => (closing_mm_s, max_a),
+        other => panic!("{other:?}"),
+    };
+    rig.send(mode::HOME, |_| {});
+    assert_eq!(limit_a(&rig), (5.0, 4.0));
+    rig.run(100);
+    assert_eq!(limit_a(&rig), (5.0, 1.5));
+    rig.send(mode::STOP, |_| {});
+    rig.run_until(TaskState::Idle);
+    // The current that loosens the screw, once more.
+    rig.send(mode::HOME, |_| {});
+    assert_eq!(limit_a(&rig), (5.0, 4.0));
+}
+
+#[test]
+fn obstacle_of_a_blind_opening_is_a_rise_of_the_current() {
+    for (limit_a, is_blocked) in [(0.75, false), (0.5, true)] {
+        let mut rig = in_task(TaskState::Releasing);
+        rig.estimates = Some([Estimate::MISSING; 4]);
+        rig.grip.move_target.opening_mm = 60.0;
+        (rig.grip.opening_ms, rig.grip.limits.blind_rise_a) = (100, limit_a);
+        rig.grip.copy();
+        rest(&mut rig, Some(50.0), 0.0);
+        // The mean of a constant current.
+        rig.grip.opening_a = 0.75;
+        rest(&mut rig, Some(50.0), -0.75);
+        let expected = if is_blocked { TaskState::ContactStop } else { TaskState::Releasing };
+        assert_eq!(rig.grip.task(), expected, "{limit_a}");
+    }
+}
+
+#[test]
 fn raised_force_returns_after_two_seconds_without_a_slip() {
     for (task, since_slip_ms, setpoint_n, expected) in [
         (TaskState::HoldActive, 1999, 24.0, TaskState::Force),
@@ -313,17 +445,21 @@ fn raised_force_returns_after_two_seconds_without_a_slip() {
     }
 }
 
+/// One millisecond of fingers that rest at an opening, with a current.
+fn rest(rig: &mut GripRig, opening_mm: Option<f32>, current_a: f32) {
+    (rig.motor.opening_mm, rig.true_mm) = (opening_mm, opening_mm.unwrap_or(50.0));
+    (rig.motor.closing_mm_s, rig.motor.current) = (0.0, Dq { d: 0.0, q: current_a });
+    rig.tick();
+}
+
 /// Lets the fingers rest against something that gives no force, with a current.
 fn stalled(task: TaskState, current_a: f32, ticks: u32) -> GripRig {
     let mut rig = in_task(task);
     rig.grip.target.setpoint_n = 100.0;
     rig.grip.move_target.opening_mm = 20.0;
-    rig.end_mm = f32::INFINITY;
+    rig.grip.copy();
     for _ in 0..ticks {
-        (rig.motor.opening_mm, rig.true_mm) = (Some(50.0), 50.0);
-        (rig.motor.closing_mm_s, rig.motor.current) = (0.0, Dq { d: 0.0, q: current_a });
-        rig.grip.copy();
-        rig.tick();
+        rest(&mut rig, Some(50.0), current_a);
     }
     rig
 }
@@ -338,6 +474,143 @@ fn stall_of_a_motion_is_a_jam_with_its_current() {
         assert!(jammed(&rig), "{task:?}");
         let event = rig.outputs.as_ref().unwrap().events.last().copied().unwrap();
         assert_eq!((event.code, event.detail), (Fault::Jammed as u16, 1500));
+    }
+}
+
+#[test]
+fn move_without_believed_forces_ends_at_nine_tenths_of_its_current() {
+    // Of 0.6 A, and of 4 A where it leaves an end of the stroke.
+    for (opening_mm, is_opening, current_a, ends) in [
+        (50.0, false, 0.53, false),
+        (50.0, false, 0.55, true),
+        (50.0, true, -0.55, true),
+        (0.5, true, -3.55, false),
+        (0.5, true, -3.65, true),
+    ] {
+        let mut rig = in_task(TaskState::Moving);
+        rig.grip.move_target =
+            MoveTarget { opening_mm: 30.0, speed_mm_s: 20.0, is_uncalibrated: true };
+        rig.grip.is_opening = is_opening;
+        rig.grip.copy();
+        // A force of such a move has no effect.
+        press(&mut rig, 30.0);
+        for _ in 0..39 {
+            rest(&mut rig, Some(opening_mm), current_a);
+        }
+        assert_eq!(rig.grip.task(), TaskState::Moving, "{opening_mm} {current_a}");
+        rest(&mut rig, Some(opening_mm), current_a);
+        let expected = if ends { TaskState::ContactStop } else { TaskState::Moving };
+        assert_eq!(rig.grip.task(), expected, "{opening_mm} {current_a}");
+        // At the target it has arrived.
+        rig.grip.task = TaskState::Moving;
+        rig.grip.copy();
+        rest(&mut rig, Some(30.05), 0.1);
+        assert_eq!(rig.grip.task(), TaskState::Idle);
+    }
+}
+
+#[test]
+fn opening_move_ends_above_15_n_outward() {
+    for (newtons, ends) in [(-15.0, false), (-15.25, true)] {
+        let mut rig = GripRig::enabled(true);
+        rig.send(mode::MOVE, |command| (command.position, command.speed) = (1400, 40));
+        press(&mut rig, newtons);
+        rig.tick();
+        let expected = if ends { TaskState::ContactStop } else { TaskState::Moving };
+        assert_eq!(rig.grip.task(), expected, "{newtons}");
+    }
+}
+
+/// State after one millisecond of an approach without a new force.
+fn approached(change: impl Fn(&mut GripRig)) -> TaskState {
+    let mut rig = in_task(TaskState::Approach);
+    rig.estimates = Some([Estimate::MISSING; 4]);
+    rig.grip.target.setpoint_n = 100.0;
+    change(&mut rig);
+    rig.grip.copy();
+    let opening_mm = rig.motor.opening_mm;
+    rest(&mut rig, opening_mm, 0.3);
+    rig.grip.task()
+}
+
+#[test]
+fn approach_ends_by_contact_or_by_a_rise_of_the_force() {
+    use TaskState::{Approach, Force, GripFailed};
+    // Samples of a force above 5 N, whether the contact is older than the approach, and the rise of the force.
+    for (samples, was_touching, rise_n, expected) in [
+        (2, false, 0.0, Force),
+        (1, false, 30.0, Approach),
+        (0, false, 20.0, Approach),
+        (0, false, 20.25, GripFailed),
+        (2, true, 10.0, Approach),
+        (2, true, 10.25, Force),
+        (2, true, 30.0, Force),
+    ] {
+        let found = approached(|rig| {
+            for _ in 0..samples {
+                rig.grip.contact.update(6.0, &GripLimits::GRIPPER);
+            }
+            (rig.grip.was_touching, rig.grip.rise_n) = (was_touching, rise_n);
+        });
+        assert_eq!(found, expected, "{samples} {was_touching} {rise_n}");
+    }
+}
+
+#[test]
+fn approach_ends_beyond_its_window_or_after_a_minute() {
+    use TaskState::{Approach, Force, GripFailed, NoObject};
+    let window = Some(WidthWindow { min_mm: 31.0, max_mm: 39.0 });
+    let narrow = Some(WidthWindow { min_mm: -1.0, max_mm: 1.0 });
+    for (window, opening_mm, in_contact, task_ms, expected) in [
+        (window, 39.0, true, 0, Force),
+        (window, 39.1, true, 0, GripFailed),
+        (None, 60.0, true, 0, Force),
+        (window, 31.1, false, 0, Approach),
+        (window, 31.0, false, 0, NoObject),
+        // Below 0.2 mm the fingers touch.
+        (None, 0.25, false, 0, Approach),
+        (None, 0.2, false, 0, NoObject),
+        (narrow, 0.25, false, 0, Approach),
+        (narrow, 0.2, false, 0, NoObject),
+        (None, 50.0, false, 59_998, Approach),
+        (None, 50.0, false, 59_999, GripFailed),
+    ] {
+        let found = approached(|rig| {
+            rig.grip.target.window = window;
+            rig.grip.task_ms = task_ms;
+            rig.motor.opening_mm = Some(opening_mm);
+            for _ in 0..2 * u8::from(in_contact) {
+                rig.grip.contact.update(6.0, &GripLimits::GRIPPER);
+            }
+        });
+        assert_eq!(found, expected, "{window:?} {opening_mm} {in_contact} {task_ms}");
+    }
+    // 4 ms ahead at 50 mm/s: 0.2 mm.
+    for (opening_mm, closing_mm_s, expected) in
+        [(31.15, 50.0, NoObject), (31.25, 50.0, Approach), (30.9, -50.0, Approach)]
+    {
+        let mut rig = in_task(Approach);
+        rig.grip.target.window = window;
+        rig.grip.copy();
+        (rig.motor.opening_mm, rig.motor.closing_mm_s) = (Some(opening_mm), closing_mm_s);
+        rig.tick();
+        assert_eq!(rig.grip.task(), expected, "{opening_mm} {closing_mm_s}");
+    }
+}
+
+#[test]
+fn opening_is_stalled_40_ms_after_loosening_the_screw_for_100_ms() {
+    for (opening_mm, ended) in [(Some(50.0), TaskState::ContactStop), (None, TaskState::Unhomed)] {
+        let mut rig = in_task(TaskState::Releasing);
+        rig.grip.move_target.opening_mm = 60.0;
+        rig.grip.copy();
+        for _ in 0..138 {
+            rest(&mut rig, opening_mm, -1.5);
+        }
+        assert_eq!(rig.grip.task(), TaskState::Releasing);
+        // The milliseconds 100 to 139 count.
+        rest(&mut rig, opening_mm, -1.5);
+        assert_eq!(rig.grip.task(), ended, "{opening_mm:?}");
     }
 }
 

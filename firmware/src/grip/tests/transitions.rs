@@ -267,6 +267,10 @@ fn homing_finds_both_ends_and_rejects_a_short_stroke() {
     assert!((rig.motor.opening_mm.unwrap() - 80.0).abs() < 0.1, "{:?}", rig.motor.opening_mm);
     let mut rig = home(12.0, 70.0);
     assert_eq!((rig.grip.task(), rig.motor.opening_mm), (TaskState::Unhomed, None));
+    let mut events = rig.outputs.as_ref().unwrap().events.iter();
+    let failed = events.find(|event| event.code == Fault::StrokeWrong as u16).unwrap();
+    // The measured stroke in micrometres.
+    assert!((69_900..70_100).contains(&failed.detail), "{failed:?}");
     rig.run(1);
     assert_eq!(rig.grip.first_cause().unwrap().fault, Fault::StrokeWrong);
 }
