@@ -60,9 +60,10 @@ pub fn evaluate_groups(args: &Args, options: &Options) -> Result<Section> {
             rows.push(rate.cells(group, count));
         }
     }
-    // Alone, the effects outside the catalogue have a section of their own: their run must not replace the table of all.
+    // Alone, these two have a section of their own: their run must not replace the table of all.
     let (id, title) = match *args.groups {
         [Group::Outside] => ("diagnosis-outside", "Diagnosis of effects outside the catalogue"),
+        [Group::Planned] => ("diagnosis-planned", "Diagnosis with the proposed recordings"),
         _ => ("diagnosis", "Diagnosis"),
     };
     Ok(Section {
