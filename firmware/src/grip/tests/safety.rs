@@ -117,6 +117,22 @@ fn opening_under_a_latched_fault_ends_disabled() {
 }
 
 #[test]
+fn opening_that_ends_at_once_under_a_latched_fault_ends_disabled() {
+    let mut rig = GripRig::enabled(true);
+    rig.fault(Fault::SensorLost, true);
+    rig.run(300);
+    rig.fault(Fault::SensorLost, false);
+    // 50.05 mm, from 50 mm.
+    rig.send(mode::RELEASE, |command| (command.position, command.speed) = (1001, 1));
+    assert_eq!((rig.grip.power(), rig.grip.task()), (PowerState::Enabled, TaskState::Idle));
+    rig.tick();
+    assert_eq!(rig.grip.power(), PowerState::QuickStop);
+    rig.run(20);
+    assert_eq!(rig.grip.power(), PowerState::Armed);
+    assert!((50.0..50.1).contains(&rig.true_mm), "{}", rig.true_mm);
+}
+
+#[test]
 fn a_hand_is_squeezed_with_at_most_20_n_however_often_the_host_repeats() {
     for (stiffness, offset_n) in
         [(10.0, 0.0), (10.0, 8.0), (10.0, -8.0), (10.0, -100.0), (50.0, 0.0)]

@@ -117,6 +117,43 @@ fn release_without_a_live_host_is_refused_while_disabled() {
 }
 
 #[test]
+fn release_without_a_session_is_refused_as_not_enabled() {
+    let mut rig = GripRig::new(true);
+    rig.run(5);
+    assert_eq!(rig.grip.power(), PowerState::Safe);
+    rig.send(mode::RELEASE, |command| (command.position, command.speed) = (1400, 40));
+    assert_eq!(rig.refused, [RefusalReason::NotEnabled]);
+}
+
+#[test]
+fn homing_and_grips_are_refused_without_a_valid_force() {
+    let mut rig = GripRig::enabled(true);
+    // Disturbed forces are invalid and, unlike lost ones, no fault of the grip.
+    rig.corrupt = Some(|estimates| {
+        for estimate in estimates {
+            estimate.disturbed = true;
+        }
+    });
+    rig.run(3);
+    for mode in [mode::HOME, mode::GRIP, mode::MOVE] {
+        rig.send(mode, |command| {
+            (command.position, command.speed, command.force) = (1400, 40, 500);
+        });
+    }
+    assert_eq!(rig.refused, [RefusalReason::Blind; 2]);
+    assert_eq!(rig.grip.task(), TaskState::Moving);
+}
+
+#[test]
+fn loaded_foot_accepts_foot_again() {
+    let mut rig = GripRig::foot(true);
+    rig.estimates = Some(pressed([0.0; 4], [50.0; 4]));
+    rig.run(10);
+    rig.send(mode::FOOT, |command| command.flags = flag::AGAIN);
+    assert_eq!((rig.refused.first(), rig.grip.task()), (None, TaskState::Foot));
+}
+
+#[test]
 fn release_must_open() {
     // At 50 mm: 1000 counts of 0.05 mm.
     for (position, refused) in [

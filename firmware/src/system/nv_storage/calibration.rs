@@ -361,11 +361,15 @@ mod tests {
     const PAGES: usize = (SLOTS * SLOT_BYTES) as usize / PAGE;
     type Memory = FlashModel<PAGES>;
 
+    /// A calibration with this payload.
+    fn encoded(payload: &[u8]) -> Vec<u8> {
+        let header = Header { length: payload.len() as u32, crc: CRC32.checksum(payload) };
+        [&header.to_bytes()[..], payload].concat()
+    }
+
     /// A calibration of this length with a payload of one byte's value.
     fn calibration(byte: u8, length: usize) -> Vec<u8> {
-        let payload = std::vec![byte; length - HEADER_BYTES];
-        let header = Header { length: payload.len() as u32, crc: CRC32.checksum(&payload) };
-        [&header.to_bytes()[..], &payload].concat()
+        encoded(&std::vec![byte; length - HEADER_BYTES])
     }
 
     /// Uploads as a host does, which repeats nothing.
@@ -415,6 +419,48 @@ mod tests {
             let stored = block(CalibrationSlots::new(0).newest(&mut flash));
             let found = stored.map(|stored| (stored.sequence, stored.is_finished));
             assert_eq!(found, expected, "{damaged:?}");
+        }
+    }
+
+    #[test]
+    fn payload_is_read_up_to_its_end() {
+        let mut flash = Memory::new(1);
+        let slots = CalibrationSlots::new(0);
+        let payload: Vec<u8> = (1..=16).collect();
+        let stored = upload(&mut flash, &encoded(&payload)).unwrap();
+        for (offset, count, expected) in
+            [(0, 16, Some(1)), (8, 8, Some(9)), (8, 7, Some(9)), (8, 9, None), (16, 1, None)]
+        {
+            let mut bytes = std::vec![0; count];
+            let found = block(slots.read(&mut flash, &stored, offset, &mut bytes));
+            assert_eq!(found.map(|()| bytes[0]), expected, "{offset} {count}");
+        }
+    }
+
+    #[test]
+    fn description_has_at_most_2048_bytes() {
+        for (length, expected) in
+            [(0_u16, Some(0)), (257, Some(257)), (2048, Some(2048)), (2049, None)]
+        {
+            let mut flash = Memory::new(1);
+            let payload = [&length.to_le_bytes()[..], &[0; 40]].concat();
+            let stored = upload(&mut flash, &encoded(&payload)).unwrap();
+            let found = block(CalibrationSlots::new(0).description_bytes(&mut flash, &stored));
+            assert_eq!(found, expected, "{length}");
+        }
+    }
+
+    #[test]
+    fn calibration_beyond_the_end_of_its_slot_is_invalid() {
+        // Its last word is the first one of the other slot, and its checksum is right.
+        for (length, expected) in [(MAX_BYTES, Some(1)), (MAX_BYTES + 8, None)] {
+            let mut flash = Memory::new(1);
+            let marks = [&[1, 0, 0, 0][..], &FIRST_MARK, &[1, 0, 0, 0], &SECOND_MARK].concat();
+            let image = [marks, calibration(1, length as usize)].concat();
+            for (at, word) in (0..).step_by(MARK_BYTES).zip(image.chunks(MARK_BYTES)) {
+                block(flash.write(at, word)).unwrap();
+            }
+            assert_eq!(newest(&mut flash), expected, "{length}");
         }
     }
 
