@@ -247,7 +247,7 @@ pub fn diagnose(
     if plans && !observer.is_stopped() {
         let verdicts = &diagnosis.verdicts;
         diagnosis.proposal =
-            Some(propose(&prepared, &selection, verdicts, &untestable, options, observer)?);
+            Some(propose(&prepared, &selection, verdicts, &untestable, options, observer));
     }
     diagnosis.shapes = shapes(campaign, &prepared, &selection, &formulas, options.seed);
     diagnosis.formulas = formulas;

@@ -10,7 +10,7 @@
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
-use anyhow::Result;
+use firmware::config::constants;
 use model_export::effects::excitation::LoadCycleCounter;
 use model_export::effects::operators::SmoothingImpulse;
 use model_export::effects::{EffectTerm, ExcitationSeries, find};
@@ -88,7 +88,7 @@ pub struct RecordingProposal {
     pub plan: RecordingPlan,
     /// What it decides, and what it cannot decide (with a low probability).
     pub decisions: Vec<PlannedDecision>,
-    /// Inconclusive effects for another reason than the excitation, for which nothing was planned.
+    /// Effects for which nothing was planned: inconclusive for another reason than the excitation, or not fitted.
     pub left: Vec<String>,
 }
 
@@ -125,9 +125,6 @@ struct Evidence {
 }
 
 /// Proposes a recording for what the verdicts leave open.
-///
-/// # Errors
-/// A model cannot be fitted.
 pub fn propose(
     setup: &FitSetup,
     selection: &Selection,
@@ -135,13 +132,13 @@ pub fn propose(
     untestable: &[UntestableEffect],
     options: FitOptions,
     observer: &Observer,
-) -> Result<RecordingProposal> {
+) -> RecordingProposal {
     let Some(last) = selection.stages.last() else {
-        return Ok(RecordingProposal::none());
+        return RecordingProposal::none();
     };
     observer.stage("planning a recording", 0.5);
     let mut proposal = RecordingProposal::none();
-    let questions = questions(setup, selection, verdicts, untestable, options, &mut proposal)?;
+    let questions = questions(setup, selection, verdicts, untestable, options, &mut proposal);
     let planner = Planner {
         setup,
         last,
@@ -151,7 +148,7 @@ pub fn propose(
         templates: setup.rows.iter().map(Template::of).collect(),
     };
     if questions.is_empty() {
-        return Ok(proposal);
+        return proposal;
     }
     let plan = planner.search(&questions, observer);
     let all: Vec<usize> = (0..setup.rows.len()).collect();
@@ -171,7 +168,7 @@ pub fn propose(
     proposal.decisions.sort_by(|a, b| b.power_planned.total_cmp(&a.power_planned));
     let decided = proposal.decisions.iter().filter(|decision| decision.power_planned >= WANTED);
     proposal.plan.decides = decided.map(|decision| decision.effects.join(" or ")).collect();
-    Ok(proposal)
+    proposal
 }
 
 /// Questions that a recording can answer; the others are added to `proposal.left`.
@@ -182,10 +179,10 @@ fn questions<'a>(
     untestable: &[UntestableEffect],
     options: FitOptions,
     proposal: &mut RecordingProposal,
-) -> Result<Vec<Question<'a>>> {
+) -> Vec<Question<'a>> {
     let mut questions = Vec::new();
     let Some(last) = selection.stages.last() else {
-        return Ok(questions);
+        return questions;
     };
     for step in &selection.steps {
         for other in &step.tied {
@@ -193,11 +190,14 @@ fn questions<'a>(
             for effect in effects.iter_mut().filter(|effect| **effect == step.chosen) {
                 *effect = other.clone();
             }
-            questions.push(Question::Equivalent {
-                truth: last,
-                rival: FittedModel::without_validation(setup, effects, options)?,
-                effects: [step.chosen.name(), other.name()].map(str::to_owned),
-            });
+            match FittedModel::without_validation(setup, effects, options) {
+                Ok(rival) => questions.push(Question::Equivalent {
+                    truth: last,
+                    rival,
+                    effects: [step.chosen.name(), other.name()].map(str::to_owned),
+                }),
+                Err(_) => proposal.left.push(other.name().to_owned()),
+            }
         }
     }
     let screened = |name: &str| {
@@ -222,7 +222,7 @@ fn questions<'a>(
             _ => proposal.left.push(verdict.effect.clone()),
         }
     }
-    Ok(questions)
+    questions
 }
 
 /// Ranges of a planned recording.
@@ -259,7 +259,11 @@ impl Limits {
             opening_mm: match (low, high) {
                 _ if opening.is_empty() => OPENING_MM,
                 (low, high) if high - low >= MIN_STROKE_MM => [whole(low), whole(high)],
-                (low, _) => [whole(low), whole(low) + OPENING_MM[1] - OPENING_MM[0]],
+                (low, _) => {
+                    let stroke_mm = OPENING_MM[1] - OPENING_MM[0];
+                    let from_mm = whole(low).min(constants::STROKE.value - stroke_mm);
+                    [from_mm, from_mm + stroke_mm]
+                }
             },
             rotor_rad: f64::atan2(sin, cos),
         }
@@ -354,8 +358,7 @@ impl Planner<'_> {
         // Whether an effect is present shows in the error of recordings that were not fitted.
         let is_presence = |question: &Question| matches!(question, Question::Presence(..));
         let recordings = if questions.iter().any(is_presence) { 2 } else { 1 };
-        let mut plan = RecordingPlan::new(Vec::new());
-        plan.recordings = recordings;
+        let mut plan = RecordingPlan::new(Vec::new()).repeated(recordings);
         let mut reached = total(None);
         while reached < enough && !observer.is_stopped() {
             observer.stage(&format!("planning a recording, step {}", plan.steps.len() + 1), 0.3);

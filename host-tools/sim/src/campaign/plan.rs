@@ -127,6 +127,11 @@ impl RecordingPlan {
         Self { decides: Vec::new(), recordings: 1, start_k: 0.0, is_second: false, steps }
     }
 
+    /// So many recordings of these steps.
+    pub fn repeated(self, recordings: u32) -> Self {
+        Self { recordings, ..self }
+    }
+
     /// The recording with this number, from 1; `None` where the plan has fewer.
     pub fn recording(&self, number: u32) -> Option<Self> {
         if !(1..=self.recordings).contains(&number) {

@@ -332,9 +332,8 @@ mod tests {
             hidden: true,
             design: NominalDesign { force_range_n: Some(90.0), ..NominalDesign::magpie() },
             part: HallScale { gauss_per_lsb: 0.25, range_gauss: 4000.0 },
-            plan: Some(RecordingPlan {
-                recordings: 2,
-                ..RecordingPlan::new(vec![PlanStep {
+            plan: Some(
+                RecordingPlan::new(vec![PlanStep {
                     seconds: 4.0,
                     load: LoadPattern::Cycles,
                     load_n: [80.0, 60.0],
@@ -342,7 +341,8 @@ mod tests {
                     temperature_k: 2.0,
                     attitude: AttitudePattern::Turning,
                 }])
-            }),
+                .repeated(2),
+            ),
         };
         let truth = simulate(&original, &folder.path().join("then"), || ()).unwrap();
         let path = folder.path().join("truth.toml");
