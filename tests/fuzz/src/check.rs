@@ -11,27 +11,51 @@ pub fn crc16(bytes: impl IntoIterator<Item = u8>) -> u16 {
         .fold(0xFFFF, |crc, byte| (0..8).fold(crc ^ (u16::from(byte) << 8), |crc, _| bit(crc)))
 }
 
-/// CRC-32/ISO-HDLC: polynomial 0x04C11DB7 from all ones, the lowest bit first, inverted.
+/// CRC-32/ISO-HDLC: polynomial 0x04C11DB7 from all ones, the lowest bit first, inverted. Eight bytes at a time, each with the
+/// remainder at its distance from the end: calibrations are too long for single bytes.
 pub fn crc32(bytes: &[u8]) -> u32 {
-    let next = |crc: u32, byte: &u8| (crc >> 8) ^ CRC32_OF_BYTE[usize::from(crc as u8 ^ byte)];
-    // Chunks of a fixed length: with one comparison for each byte the coverage takes longer than the checksum.
-    let (chunks, rest) = bytes.as_chunks::<16>();
-    let crc = chunks.iter().fold(u32::MAX, |crc, chunk| chunk.iter().fold(crc, next));
-    !rest.iter().fold(crc, next)
+    let (words, rest) = bytes.as_chunks::<8>();
+    let crc = words.iter().fold(u32::MAX, |crc, word| {
+        let [a, b, c, d] = crc.to_le_bytes();
+        let [e, f, g, h, last @ ..] = *word;
+        let [i, j, k, l] = last;
+        let [t0, t1, t2, t3, t4, t5, t6, t7] = &CRC32_OF_BYTE;
+        let at = |table: &[u32; 256], byte: u8| table[usize::from(byte)];
+        at(t7, a ^ e)
+            ^ at(t6, b ^ f)
+            ^ at(t5, c ^ g)
+            ^ at(t4, d ^ h)
+            ^ at(t3, i)
+            ^ at(t2, j)
+            ^ at(t1, k)
+            ^ at(t0, l)
+    });
+    let [of_byte, ..] = &CRC32_OF_BYTE;
+    !rest.iter().fold(crc, |crc, byte| (crc >> 8) ^ of_byte[usize::from(crc as u8 ^ byte)])
 }
 
-/// The remainder of each byte, bit by bit. Calibrations of 25 KB are too long for single bits.
-const CRC32_OF_BYTE: [u32; 256] = {
-    let mut all = [0; 256];
+/// The remainder of each byte that is followed by 0 to 7 zeros, the first bit by bit.
+const CRC32_OF_BYTE: [[u32; 256]; 8] = {
+    let mut all = [[0; 256]; 8];
     let mut byte = 0;
-    while byte < all.len() {
+    while byte < 256 {
         let (mut crc, mut bit) = (byte as u32, 0);
         while bit < 8 {
             crc = if crc & 1 == 0 { crc >> 1 } else { (crc >> 1) ^ 0xEDB8_8320 };
             bit += 1;
         }
-        all[byte] = crc;
+        all[0][byte] = crc;
         byte += 1;
+    }
+    let mut zeros = 1;
+    while zeros < all.len() {
+        byte = 0;
+        while byte < 256 {
+            let shorter = all[zeros - 1][byte];
+            all[zeros][byte] = (shorter >> 8) ^ all[0][(shorter & 0xFF) as usize];
+            byte += 1;
+        }
+        zeros += 1;
     }
     all
 };
