@@ -116,7 +116,7 @@ mod tests {
         let text = format_proposal(&proposal);
         for part in [
             "Plan: 2 recordings of 25 s each",
-            "creep or viscous_lag   < 1 %    > 99 %",
+            "creep or viscous_lag   < 1 %   > 99 %",
             "tip_slope              < 1 %     42 %",
             "1. 0 to 25 s: hold 150 N lateral and 140 N longitudinal for 15 s, then release;",
             "keep the opening at\n10 mm; warm by 8 K.",
