@@ -325,7 +325,9 @@ impl PlanStep {
         match self.attitude {
             AttitudePattern::Level => {}
             AttitudePattern::Turning => {
-                let widths = TURN_RAD.map(|peak| 2.0 * peak);
+                let [roll, pitch, yaw] = TURN_RAD;
+                // The yaw turns to one side and back.
+                let widths = [2.0 * roll, 2.0 * pitch, yaw];
                 ranges.extend(["roll", "pitch", "yaw"].into_iter().zip(widths));
             }
             AttitudePattern::Shaken => {
