@@ -216,8 +216,8 @@ pub struct StaircaseStep {
 }
 
 /// Diagnoses which effects `model` (read from `path`) does not contain on `campaign`: those of the catalogue and the user's
-/// `own`. With `plans` it proposes a recording for what is open. `observer` receives the progress and can end it early. The second value is the fit of `model` to the campaign, where
-/// its cross-validation is that of a comparison.
+/// `own`. With `plans` it proposes recordings for what is open. `observer` receives the progress and can end it early. The
+/// second value is the fit of `model` to the campaign, where its cross-validation is that of a comparison.
 ///
 /// # Errors
 /// A fit fails.

@@ -49,8 +49,8 @@ const STEP_S: f64 = 10.0;
 const SHORTER_S: [f64; 2] = [5.0, 7.0];
 /// Duration of a step in which the temperature changes (assumed: a heat gun or a fan changes it by 0.3 K/s).
 const WARMING_S: f64 = 25.0;
-/// Maximum duration of a plan in seconds.
-const MAX_S: f64 = 60.0;
+/// Maximum duration of all planned recordings in seconds.
+pub const MAX_S: f64 = 60.0;
 /// A step must add this much to the sum of the decided shares.
 const MIN_PROGRESS: f64 = 0.02;
 /// Steps within this of the best are equivalent; the one with the fewest quantities that vary is taken.
@@ -230,7 +230,7 @@ struct Limits {
     /// Amplitudes of the lateral and the longitudinal load.
     load_n: [f64; 2],
     opening_mm: [f64; 2],
-    /// Rotor's angle at the screw's zero.
+    /// Rotor's angle at the screw's zero, with the lead of MAGPIE's screw (assumed, as the current of strokes).
     rotor_rad: f64,
 }
 
@@ -399,7 +399,7 @@ impl Planner<'_> {
         plan
     }
 
-    /// Evidence on each question by the recordings, with a planned one, of some sensors.
+    /// Evidence on each question by the recordings, with planned ones, of some sensors.
     fn evidence(
         &self,
         questions: &[Question],
@@ -407,69 +407,65 @@ impl Planner<'_> {
         sensors: &[usize],
         max_rows: usize,
     ) -> Vec<Evidence> {
-        // Of all sensors together; the search has some of the rows of some of them.
-        let scale = (self.setup.rows.len() as f64 / sensors.len().max(1) as f64).sqrt()
-            * (FINAL_ROWS as f64 / max_rows as f64).sqrt();
         let is_presence = |question: &Question| matches!(question, Question::Presence(..));
-        let setup = questions.iter().any(is_presence).then(|| {
-            let rows = self.rows(plan, sensors, |rows| rows / max_rows);
-            let mut setup = self.setup.with_rows(rows);
-            let fit = extended(&setup, self.last);
+        let with_last = questions.iter().any(is_presence).then(|| {
+            let mut setup = self.setup.with_rows(self.rows(plan, sensors, |rows| rows / max_rows));
+            let model = extended(&setup, self.last);
             let planned = self.setup.rows.first().map_or(0, |rows| rows.parts.len());
-            set_fields(&mut setup, &fit, planned);
-            (setup, fit)
+            set_fields(&mut setup, &model, planned);
+            (setup, model)
         });
-        let test = setup
+        let test = with_last
             .as_ref()
             .map(|(setup, model)| ScoreTest::new(setup, &model.effects, &model.fit, self.block_s));
+        // The search has some of the rows of some of the sensors; noise is independent between them.
+        let fraction =
+            (sensors.len() * max_rows) as f64 / (self.setup.rows.len() * FINAL_ROWS).max(1) as f64;
         let evidence = |question: &Question| match question {
-            Question::Presence(_, Some(column))
-                if !setup.as_ref().is_some_and(|(setup, _)| has_variation(setup, column)) =>
-            {
-                Evidence { share: 0.0, power: 0.0 }
-            }
-            Question::Presence(effect, _) => {
-                let score = test.as_ref().and_then(|test| test.score(effect));
-                let z = scale * score.map_or(0.0, |score| score.z_typical);
+            Question::Presence(effect, column) => {
+                let is_testable = column.as_ref().is_none_or(|column| {
+                    with_last.as_ref().is_some_and(|(setup, _)| has_variation(setup, column))
+                });
+                let score =
+                    test.as_ref().filter(|_| is_testable).and_then(|test| test.score(effect));
+                let z = score.map_or(0.0, |score| score.z_typical) / fraction.sqrt();
                 let wanted = MIN_Z.max(DETECTED + self.noise.inverse_cdf(WANTED));
                 Evidence { share: (z / wanted).min(1.0), power: self.noise.cdf(z - DETECTED) }
             }
             Question::Equivalent { truth, rival, effects } => {
                 let longest = |rows: &SensorRows| rows.parts.iter().map(RecordingRows::len).max();
                 let longest = self.setup.rows.iter().filter_map(longest).max().unwrap_or(0);
-                let mut setup =
-                    self.setup.with_rows(self.rows(plan, sensors, |_| longest / max_rows));
-                if self.hides_the_difference(&setup, effects) {
-                    return Evidence { share: 0.0, power: 0.0 };
-                }
-                let truth = extended(&setup, truth);
-                set_fields(&mut setup, &truth, 0);
-                let rival = extended(&setup, rival);
-                let test = ScoreTest::new(&setup, &rival.effects, &rival.fit, self.block_s);
-                let difference = test.mean_square();
-                let stride = (longest / max_rows).max(1) as f64;
-                let rows: usize = setup.rows.iter().map(SensorRows::len).sum();
-                let entries = 3.0 * stride * rows as f64 * self.setup.rows.len() as f64
-                    / sensors.len().max(1) as f64;
-                let sigma = 2.0 * (difference * CORRELATED / entries).sqrt();
-                let z = (difference - DISTINGUISHABLE) / sigma.max(f64::MIN_POSITIVE);
-                let power = self.noise.cdf(z);
-                let share = if power >= WANTED {
-                    1.0
-                } else {
-                    (0.5 * difference / DISTINGUISHABLE).min(1.0 - MIN_PROGRESS)
-                };
-                Evidence { share, power }
+                let stride = (longest / max_rows).max(1);
+                let setup = self.setup.with_rows(self.rows(plan, sensors, |_| stride));
+                self.difference(setup, (truth, rival), effects, stride)
             }
         };
         questions.iter().map(evidence).collect()
     }
 
-    /// Whether the excitation gives both effects nearly the same response, by the rule of the diagnosis.
-    fn hides_the_difference(&self, setup: &FitSetup, effects: &[String; 2]) -> bool {
-        let named = |name: &String| find(name).ok().map(EffectTerm::Catalogue);
-        let pair = named(&effects[0]).zip(named(&effects[1]));
-        pair.is_some_and(|(one, other)| Collinearity::of(setup).hides_the_difference(&one, &other))
+    /// Evidence on the difference of two models, on rows of which every `stride`-th is present.
+    fn difference(
+        &self,
+        mut setup: FitSetup,
+        (truth, rival): (&FittedModel, &FittedModel),
+        effects: &[String; 2],
+        stride: usize,
+    ) -> Evidence {
+        if hides_the_difference(&setup, effects) {
+            return Evidence { share: 0.0, power: 0.0 };
+        }
+        let truth = extended(&setup, truth);
+        set_fields(&mut setup, &truth, 0);
+        let rival = extended(&setup, rival);
+        let test = ScoreTest::new(&setup, &rival.effects, &rival.fit, self.block_s);
+        let difference = test.mean_square();
+        let rows: usize = setup.rows.iter().map(|rows| stride * rows.len()).sum();
+        let sensors = self.setup.rows.len() as f64 / setup.rows.len().max(1) as f64;
+        let sigma = 2.0 * (difference * CORRELATED / (3.0 * rows as f64 * sensors)).sqrt();
+        let z = (difference - DISTINGUISHABLE) / sigma.max(f64::MIN_POSITIVE);
+        let power = self.noise.cdf(z);
+        let share = (0.5 * difference / DISTINGUISHABLE).min(1.0 - MIN_PROGRESS);
+        Evidence { share: if power >= WANTED { 1.0 } else { share }, power }
     }
 
     /// Rows of some sensors, thinned by the stride of their number, with those of the planned recordings, without fields.
@@ -496,6 +492,13 @@ impl Planner<'_> {
         };
         sensors.iter().filter_map(of_sensor).collect()
     }
+}
+
+/// Whether the excitation gives both effects nearly the same response, by the rule of the diagnosis.
+fn hides_the_difference(setup: &FitSetup, effects: &[String; 2]) -> bool {
+    let named = |name: &String| find(name).ok().map(EffectTerm::Catalogue);
+    let pair = named(&effects[0]).zip(named(&effects[1]));
+    pair.is_some_and(|(one, other)| Collinearity::of(setup).hides_the_difference(&one, &other))
 }
 
 /// Whether a column varies over all recordings, as the diagnosis demands.
@@ -565,10 +568,6 @@ impl Template {
             .iter()
             .map(|time_s| pair.map(|force| force.map_or(0.0, |force| load(time_s, force))))
             .collect();
-        let of_time = |(name, mean): (&String, &f64)| {
-            let value = |time_s: &f64| covariate(name, excitation, *time_s).unwrap_or(*mean);
-            (name.clone(), time_s.iter().map(value).collect())
-        };
         let temperature = |time_s: &f64| excitation.temperature_c(sensor.sensor as usize, *time_s);
         let mut track = ExcitationSeries {
             recording: self.recording,
@@ -579,7 +578,7 @@ impl Template {
                 true => time_s.iter().map(temperature).collect(),
                 false => Vec::new(),
             },
-            covariates: self.covariates.iter().map(of_time).collect(),
+            covariates: covariates(&self.covariates, excitation, &time_s),
             time_s: time_s.clone(),
             ..ExcitationSeries::default()
         }
@@ -602,28 +601,25 @@ impl Template {
     }
 }
 
-/// Value of a covariate of the gripper in a planned recording; `None` for one that a plan does not have.
-fn covariate(name: &str, excitation: &Excitation, time_s: f64) -> Option<f64> {
-    let motion = excitation.motion(time_s);
-    if let Some(place) = STATOR_CURRENTS.iter().position(|own| *own == name) {
-        return motor_currents(&motion).get(place).copied();
+/// Columns of a planned recording, of the same names as `recorded`; one that a plan does not have keeps its recorded mean.
+fn covariates(
+    recorded: &BTreeMap<String, f64>,
+    excitation: &Excitation,
+    time_s: &[f64],
+) -> BTreeMap<String, Vec<f64>> {
+    let mut columns: BTreeMap<String, Vec<f64>> =
+        recorded.iter().map(|(name, mean)| (name.clone(), vec![*mean; time_s.len()])).collect();
+    for (row, time_s) in time_s.iter().enumerate() {
+        let currents = motor_currents(&excitation.motion(*time_s));
+        let names = COVARIATES.iter().chain(&STATOR_CURRENTS);
+        let values = excitation.covariates(*time_s).into_iter().chain(currents.iter().copied());
+        for (name, value) in names.zip(values) {
+            if let Some(column) = columns.get_mut(*name) {
+                column[row] = value;
+            }
+        }
     }
-    let orientation = excitation.orientation(time_s);
-    let force = orientation.specific_force;
-    let [roll, pitch, yaw] = orientation.angles_rad;
-    let values = [
-        motion.opening_mm,
-        motion.current_a,
-        motion.angle_rad.rem_euclid(TAU),
-        force.x,
-        force.y,
-        force.z,
-        roll,
-        pitch,
-        yaw,
-    ];
-    let place = COVARIATES.iter().position(|own| *own == name)?;
-    values.get(place).copied()
+    columns
 }
 
 /// A model with values for the recordings of `setup`; initial states of further recordings have their start values.
@@ -708,14 +704,14 @@ mod tests {
             attitude: AttitudePattern::Level,
         }]);
         let excitation = Excitation::planned(&plan, 0.5);
-        let at = |name: &str, time_s: f64| covariate(name, &excitation, time_s);
-        assert_eq!(at("opening_mm", 0.0), Some(10.0));
+        let names = ["opening_mm", "accel_z_mps2", "motor_angle_rad", "hose_pressure_kpa"];
+        let recorded = names.map(|name| (name.to_owned(), 3.0)).into();
         // The first stroke takes 1.6 s, the second one begins at 2 s and ends at a quarter.
-        assert_eq!(at("opening_mm", 1.8), Some(40.0));
-        assert!((at("opening_mm", 3.9).unwrap() - 17.5).abs() < 1e-9);
-        assert_eq!(at("accel_z_mps2", 1.0), Some(9.81));
-        let angle = (0.5 + TAU * 40.0 / LEAD_MM).rem_euclid(TAU);
-        assert!((at("motor_angle_rad", 1.8).unwrap() - angle).abs() < 1e-9);
-        assert_eq!(at("hose_pressure_kpa", 1.0), None);
+        let found = covariates(&recorded, &excitation, &[0.0, 1.8, 3.9]);
+        assert_eq!(found["opening_mm"], [10.0, 40.0, 17.5]);
+        assert_eq!(found["accel_z_mps2"], [9.81; 3]);
+        assert_eq!(found["motor_angle_rad"][1], 0.5 + TAU * 40.0 / LEAD_MM);
+        assert_eq!(found["hose_pressure_kpa"], [3.0; 3]);
+        assert_eq!(found.len(), 4);
     }
 }

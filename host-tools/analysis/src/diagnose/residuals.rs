@@ -5,10 +5,10 @@ use crate::compare::attribution::{Attributor, Binning};
 use crate::compare::bootstrap_bands::BlockBootstrap;
 use crate::compare::covariates::{Covariate, all_covariates, standard_covariates};
 use crate::compare::pipeline::correlation_s;
-use crate::compare::residual_table::ResidualTable;
+use crate::compare::residual_table::{CovariateColumn, ResidualTable};
 use crate::diagnose::formulas::DiscoveredFormula;
 use crate::diagnose::selection::{AcceptedStep, FittedModel, Selection};
-use model_export::effects::{EffectTerm, Signature};
+use model_export::effects::{EffectTerm, Signature, find};
 use model_export::fit::campaign::FitSetup;
 use model_export::fit::cross_validation::noise_variance;
 use model_export::fit::problem::SensorProblem;
@@ -98,13 +98,16 @@ pub struct EffectShape {
     /// The residual before the step, with its bands.
     pub bins: Vec<Bin>,
     /// Mean residual removed by the step, by bin, sensor and axis, in gauss; NaN without rows.
-    pub taken_g: Vec<Vec<[f64; 3]>>,
+    pub taken_g: MeansByBin,
     /// The hysteresis loop of an effect of the history of the load.
     pub load_loop: Option<LoadLoop>,
 }
 
 /// Mean field in gauss by bin, sensor and axis; NaN without rows.
 type MeansByBin = Vec<Vec<[f64; 3]>>;
+
+/// Covariates of the loops.
+const LOOP: [&str; 4] = ["fx_n", "loading_x", "fz_n", "loading_z"];
 
 /// Residual over a force, apart for rising and falling force.
 #[derive(Clone, Debug, Default)]
@@ -121,39 +124,29 @@ pub struct LoadLoop {
 
 impl LoadLoop {
     /// Over one of the two forces; `None` where it does not vary.
-    fn new(before: &[ResidualTable], after: &[ResidualTable], axis: Axis) -> Option<Self> {
+    fn new(before: &[ResidualTable], removed: &[Vec<Vector3<f64>>], axis: Axis) -> Option<Self> {
         let letter = axis.letter();
-        let column = |table: &'_ ResidualTable, name: &str| {
-            table.column(name).map_or_else(Vec::new, |column| column.values.clone())
+        let columns = |name: String| -> Option<Vec<&CovariateColumn>> {
+            before.iter().map(|table| table.column(&name)).collect()
         };
-        let forces: Vec<Vec<f32>> =
-            before.iter().map(|table| column(table, &format!("f{letter}_n"))).collect();
-        let binning = Binning::of(&forces.iter().map(Vec::as_slice).collect::<Vec<_>>())?;
-        let direction = |sign: f32| {
-            let mut own = binning.clone();
-            for (table, of) in before.iter().zip(&mut own.of) {
-                let directions = column(table, &format!("loading_{letter}"));
-                for (bin, _) in of.iter_mut().zip(directions).filter(|(_, own)| *own != sign) {
-                    *bin = Binning::NONE;
-                }
+        let forces = columns(format!("f{letter}_n"))?;
+        let directions = columns(format!("loading_{letter}"))?;
+        let values: Vec<&[f32]> = forces.iter().map(|force| force.values.as_slice()).collect();
+        let binning = Binning::of(&values)?;
+        let residual: Vec<Vec<Vector3<f64>>> =
+            before.iter().map(|table| table.residual_g.clone()).collect();
+        let branches = [1.0, -1.0].map(|sign| {
+            let mut branch = binning.clone();
+            for (bins, directions) in branch.of.iter_mut().zip(&directions) {
+                let pairs = bins.iter_mut().zip(&directions.values);
+                pairs.filter(|(_, own)| **own != sign).for_each(|(bin, _)| *bin = Binning::NONE);
             }
-            own
-        };
-        let branches = [1.0, -1.0].map(direction);
-        let none: Vec<ResidualTable> = before
-            .iter()
-            .map(|table| ResidualTable {
-                residual_g: vec![Vector3::zeros(); table.len()],
-                ..table.clone()
-            })
-            .collect();
+            branch
+        });
         Some(Self {
-            words: match axis {
-                Axis::X => "lateral force".to_owned(),
-                _ => "longitudinal force".to_owned(),
-            },
-            before_g: branches.each_ref().map(|branch| taken(before, &none, branch)),
-            taken_g: branches.each_ref().map(|branch| taken(before, after, branch)),
+            words: forces.first()?.of.words.to_string(),
+            before_g: branches.each_ref().map(|branch| means_by_bin(&residual, branch)),
+            taken_g: branches.each_ref().map(|branch| means_by_bin(removed, branch)),
             force_n: binning.centres,
         })
     }
@@ -257,10 +250,21 @@ fn shape(
     covariates: &[Covariate],
     seed: u64,
 ) -> Option<EffectShape> {
-    let before = residuals_against(prepared, stages.first()?, covariates);
+    let is_of_load = effects
+        .first()
+        .and_then(|name| find(name).ok())
+        .is_some_and(|effect| effect.signatures.contains(&Signature::LoadHistory));
+    let of_loop =
+        standard_covariates().iter().filter(|own| is_of_load && LOOP.contains(&&*own.name));
+    let all: Vec<Covariate> = covariates.iter().chain(of_loop).cloned().collect();
+    let before = residuals_against(prepared, stages.first()?, &all);
     let after = residuals_against(prepared, stages.last()?, &[]);
     let bands = BlockBootstrap::new(&before, block_s(&before), seed);
-    let load_loop = load_loop(prepared, stages, effects);
+    let removed = removed(&before, &after);
+    let loops = [Axis::X, Axis::Z].map(|axis| LoadLoop::new(&before, &removed, axis));
+    let loops = loops.into_iter().flatten().filter(|_| is_of_load);
+    let width = |one: &LoadLoop| one.widest().map_or(0.0, |(_, width)| width);
+    let load_loop = loops.max_by(|a, b| width(a).total_cmp(&width(b)));
     let over = |(i, covariate): (usize, &Covariate)| {
         let values: Vec<&[f32]> =
             before.iter().map(|sensor| sensor.covariates[i].values.as_slice()).collect();
@@ -272,7 +276,7 @@ fn shape(
             unit: covariate.unit,
             sensors: before.iter().map(|sensor| sensor.sensor).collect(),
             bins: bands.bins(&before, &binning),
-            taken_g: taken(&before, &after, &binning),
+            taken_g: means_by_bin(&removed, &binning),
             load_loop: load_loop.clone(),
         })
     };
@@ -280,37 +284,23 @@ fn shape(
     drawn.max_by(|a, b| a.follows().total_cmp(&b.follows()))
 }
 
-/// The wider of the two loops of a step with an effect of the history of the load.
-fn load_loop(prepared: &FitSetup, stages: &[FittedModel], effects: &[String]) -> Option<LoadLoop> {
-    let effect = model_export::effects::find(effects.first()?).ok()?;
-    if !effect.signatures.contains(&Signature::LoadHistory) {
-        return None;
-    }
-    let names = ["fx_n", "loading_x", "fz_n", "loading_z"];
-    let is_needed = |covariate: &&Covariate| names.contains(&&*covariate.name);
-    let covariates: Vec<Covariate> =
-        standard_covariates().iter().filter(is_needed).cloned().collect();
-    let before = residuals_against(prepared, stages.first()?, &covariates);
-    let after = residuals_against(prepared, stages.last()?, &[]);
-    let loops =
-        [Axis::X, Axis::Z].into_iter().filter_map(|axis| LoadLoop::new(&before, &after, axis));
-    let width = |one: &LoadLoop| one.widest().map_or(0.0, |(_, width)| width);
-    loops.max_by(|a, b| width(a).total_cmp(&width(b)))
+/// Differences of two residuals of the same rows, by sensor.
+fn removed(before: &[ResidualTable], after: &[ResidualTable]) -> Vec<Vec<Vector3<f64>>> {
+    let difference = |(before, after): (&ResidualTable, &ResidualTable)| {
+        let rows = before.residual_g.iter().zip(&after.residual_g);
+        rows.map(|(before, after)| before - after).collect()
+    };
+    before.iter().zip(after).map(difference).collect()
 }
 
-/// Means of the difference of two residuals of the same rows: each bin, each sensor, each axis.
-fn taken(
-    before: &[ResidualTable],
-    after: &[ResidualTable],
-    binning: &Binning,
-) -> Vec<Vec<[f64; 3]>> {
+/// Means of values by row of each sensor.
+fn means_by_bin(sensors: &[Vec<Vector3<f64>>], binning: &Binning) -> MeansByBin {
     let mut means = vec![Vec::new(); binning.count()];
-    for ((before, after), of) in before.iter().zip(after).zip(&binning.of) {
+    for (rows, of) in sensors.iter().zip(&binning.of) {
         let mut sums = vec![(Vector3::zeros(), 0.0); binning.count()];
-        let rows = before.residual_g.iter().zip(&after.residual_g);
-        for ((before, after), bin) in rows.zip(of) {
+        for (value, bin) in rows.iter().zip(of) {
             if let Some((sum, rows)) = sums.get_mut(usize::from(*bin)) {
-                *sum += before - after;
+                *sum += value;
                 *rows += 1.0;
             }
         }
@@ -341,7 +331,8 @@ mod tests {
             of: vec![vec![0, 0, 1, Binning::NONE]],
         };
         let (before, after) = (sensor(0, [5.0, 7.0, 1.0, 90.0]), sensor(0, [1.0, 1.0, 4.0, 0.0]));
-        assert_eq!(taken(&[before], &[after], &binning), [[[5.0, 0.0, -5.0]], [[-3.0, 0.0, 3.0]]]);
+        let removed = removed(&[before], &[after]);
+        assert_eq!(means_by_bin(&removed, &binning), [[[5.0, 0.0, -5.0]], [[-3.0, 0.0, 3.0]]]);
     }
 
     #[test]
@@ -369,13 +360,13 @@ mod tests {
                 });
             }
         }
-        let after = ResidualTable { residual_g: vec![Vector3::zeros(); 400], ..before.clone() };
-        let found = LoadLoop::new(&[before.clone()], &[after], Axis::X).unwrap();
+        let removed = [before.residual_g.clone()];
+        let found = LoadLoop::new(&[before.clone()], &removed, Axis::X).unwrap();
         assert_eq!(found.widest(), Some(((0, 1), 4.0)));
         assert!(found.before_g[0].iter().all(|bin| bin[0] == [0.0, 1.0, 0.0]));
         assert!(found.taken_g[1].iter().all(|bin| bin[0] == [0.0, 3.0, 0.0]));
         // Its covariates have no longitudinal force.
-        assert!(LoadLoop::new(&[before.clone()], &[before], Axis::Z).is_none());
+        assert!(LoadLoop::new(&[before], &removed, Axis::Z).is_none());
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! A proposed recording as text and JSON: what it decides, and its steps.
 
-use analysis::diagnose::recording_plan::{PlannedDecision, RecordingProposal};
+use analysis::diagnose::recording_plan::{MAX_S, PlannedDecision, RecordingProposal};
 use serde_json::{Value, json};
 use sim::campaign::plan::RecordingPlan;
 
@@ -13,7 +13,10 @@ pub const COLUMNS: [&str; 3] = ["effects", "now", "with it"];
 pub fn heading(proposal: &RecordingProposal) -> String {
     let plan = &proposal.plan;
     match (plan.steps.is_empty(), plan.recordings) {
-        (true, _) => "No recording of up to 60 s would decide more".to_owned(),
+        (true, _) if proposal.decisions.is_empty() => {
+            "Nothing is open that another recording could decide".to_owned()
+        }
+        (true, _) => format!("No recordings of up to {MAX_S:.0} s together would decide more"),
         (false, 1) => format!("Plan: a recording of {:.0} s", plan.seconds()),
         (false, count) => format!("Plan: {count} recordings of {:.0} s each", plan.seconds()),
     }
@@ -132,6 +135,14 @@ mod tests {
             decisions: Vec::new(),
             left: Vec::new(),
         };
-        assert_eq!(format_proposal(&nothing), "No recording of up to 60 s would decide more\n");
+        let text = format_proposal(&nothing);
+        assert_eq!(text, "Nothing is open that another recording could decide\n");
+        let hopeless =
+            RecordingProposal { decisions: vec![decision(&["tip_slope"], 0.0)], ..nothing };
+        let text = format_proposal(&hopeless);
+        assert!(
+            text.starts_with("No recordings of up to 60 s together would decide more\n"),
+            "{text}"
+        );
     }
 }

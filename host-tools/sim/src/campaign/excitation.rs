@@ -4,6 +4,7 @@ use crate::campaign::plan::RecordingPlan;
 use crate::motion::{AttitudeProfile, MotionState, OpeningProfile, Orientation, Programme};
 use crate::random::{Purpose, SineSum, smoothstep, stream, uniform};
 use model_export::effects::REFERENCE_C;
+use model_export::recordings::columns::COVARIATES;
 use nalgebra::Vector3;
 use std::f64::consts::TAU;
 
@@ -84,11 +85,7 @@ impl Excitation {
 
     /// Maximum absolute load of each axis of a sensor, in newtons.
     pub fn max_load(&self, sensor: usize) -> [f64; 2] {
-        let steps = (self.seconds * 100.0) as u32;
-        let loads = (0..=steps).map(|step| self.load(sensor, f64::from(step) * 0.01));
-        loads.fold([f64::MIN_POSITIVE; 2], |[max_x, max_z], [x, z]| {
-            [max_x.max(x.abs()), max_z.max(z.abs())]
-        })
+        [0, 1].map(|axis| max_abs(|time_s| self.load(sensor, time_s)[axis], self.seconds))
     }
 
     /// Opening and motor state.
@@ -107,6 +104,15 @@ impl Excitation {
     /// Specific force in body axes, in m/s^2.
     pub fn specific_force(&self, time_s: f64) -> Vector3<f64> {
         self.orientation(time_s).specific_force
+    }
+
+    /// Values of [`COVARIATES`]; the angle of the motor is not wrapped.
+    pub fn covariates(&self, time_s: f64) -> [f64; COVARIATES.len()] {
+        let motion = self.motion(time_s);
+        let orientation = self.orientation(time_s);
+        let [x, y, z] = orientation.specific_force.into();
+        let [roll, pitch, yaw] = orientation.angles_rad;
+        [motion.opening_mm, motion.current_a, motion.angle_rad, x, y, z, roll, pitch, yaw]
     }
 
     /// Angular rate in body axes, in rad/s.
@@ -185,10 +191,15 @@ impl LoadProfile {
 
     /// Maximum absolute load in newtons during a recording.
     pub fn max(&self, seconds: f64) -> f64 {
-        let steps = (seconds * 100.0) as u32;
-        let loads = (0..=steps).map(|step| self.at(f64::from(step) * 0.01).abs());
-        loads.fold(f64::MIN_POSITIVE, f64::max)
+        max_abs(|time_s| self.at(time_s), seconds)
     }
+}
+
+/// Maximum absolute value over a recording, sampled at 100 Hz.
+fn max_abs(load_n: impl Fn(f64) -> f64, seconds: f64) -> f64 {
+    let steps = (seconds * 100.0) as u32;
+    let loads = (0..=steps).map(|step| load_n(f64::from(step) * 0.01).abs());
+    loads.fold(f64::MIN_POSITIVE, f64::max)
 }
 
 /// Range of the temperature change of a recording, in K.

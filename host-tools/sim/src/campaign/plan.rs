@@ -71,9 +71,6 @@ pub struct RecordingPlan {
     /// Number of recordings with the same steps; in every second one the temperature changes the other way.
     #[serde(default = "one")]
     pub recordings: u32,
-    /// Temperature at the start of this one, relative to that of the first, in kelvin.
-    #[serde(skip)]
-    start_k: f64,
     /// Whether this one is a second recording, with other frequencies: what repeats exactly validates nothing.
     #[serde(skip)]
     is_second: bool,
@@ -124,7 +121,7 @@ const SHAKE_HZ: [f64; 3] = [1.3, 1.9, 1.6];
 impl RecordingPlan {
     /// One recording of these steps.
     pub fn new(steps: Vec<PlanStep>) -> Self {
-        Self { decides: Vec::new(), recordings: 1, start_k: 0.0, is_second: false, steps }
+        Self { decides: Vec::new(), recordings: 1, is_second: false, steps }
     }
 
     /// So many recordings of these steps.
@@ -140,8 +137,8 @@ impl RecordingPlan {
         let mut one = Self { recordings: 1, ..self.clone() };
         if number.is_multiple_of(2) {
             one.is_second = true;
-            one.start_k = self.warming_k(self.seconds());
             for step in &mut one.steps {
+                // Zero stays positive.
                 step.temperature_k = 0.0 - step.temperature_k;
             }
         }
@@ -160,7 +157,11 @@ impl RecordingPlan {
         Ok(plan)
     }
 
-    fn check(&self) -> Result<()> {
+    /// Checks that a recording can have its values.
+    ///
+    /// # Errors
+    /// One is out of range.
+    pub fn check(&self) -> Result<()> {
         if self.steps.is_empty() || self.steps.len() > MAX_STEPS {
             bail!("{} steps; give 1 to {MAX_STEPS} tables [[step]]", self.steps.len());
         }
@@ -204,22 +205,23 @@ impl RecordingPlan {
         self.steps.iter().fold(0.0, |sum, step| sum + step.seconds)
     }
 
-    /// Index of the step at a time, and the time since its start; the last step also after its end.
-    pub fn step_at(&self, time_s: f64) -> Option<(usize, f64)> {
+    /// The step at a time, and the time since its start; the last step also after its end.
+    fn step_at(&self, time_s: f64) -> Option<(&PlanStep, f64)> {
+        let mut found = None;
         let mut start_s = 0.0;
-        for (index, step) in self.steps.iter().enumerate() {
-            if time_s < start_s + step.seconds || index + 1 == self.steps.len() {
-                return Some((index, time_s - start_s));
-            }
+        for step in &self.steps {
+            found = Some((step, time_s - start_s));
             start_s += step.seconds;
+            if time_s < start_s {
+                break;
+            }
         }
-        None
+        found
     }
 
     /// Lateral and longitudinal load on a sensor in newtons.
     pub fn load_n(&self, sensor: usize, time_s: f64) -> [f64; 2] {
-        let Some((index, since_s)) = self.step_at(time_s) else { return [0.0; 2] };
-        let step = &self.steps[index];
+        let Some((step, since_s)) = self.step_at(time_s) else { return [0.0; 2] };
         let share = (since_s / step.seconds).clamp(0.0, 1.0);
         let phase = SENSOR_PHASE_RAD * sensor as f64;
         let ramp = |until_s: f64| {
@@ -245,7 +247,9 @@ impl RecordingPlan {
     /// Change of the temperature since the start of the first recording, in kelvin.
     pub fn warming_k(&self, time_s: f64) -> f64 {
         let mut start_s = 0.0;
-        let mut sum = self.start_k;
+        // A second recording ends at the temperature at which the first one began.
+        let whole: f64 = self.steps.iter().map(|step| step.temperature_k).sum();
+        let mut sum = if self.is_second { -whole } else { 0.0 };
         for step in &self.steps {
             sum += step.temperature_k * smoothstep(time_s, start_s, start_s + step.seconds);
             start_s += step.seconds;
@@ -255,26 +259,24 @@ impl RecordingPlan {
 
     /// Orientation and specific force.
     pub fn orientation(&self, time_s: f64) -> Orientation {
-        let (step, since_s) = match self.step_at(time_s) {
-            Some((index, since_s)) => (self.steps.get(index), since_s),
-            None => (None, 0.0),
-        };
-        let pattern = step.map(|step| (step.attitude, step.seconds));
         let (mut angles_rad, mut acceleration) = ([0.0; 3], [0.0; 3]);
-        match pattern {
-            Some((AttitudePattern::Turning, seconds)) => {
-                let share = (since_s / seconds).clamp(0.0, 1.0);
+        let Some((step, since_s)) = self.step_at(time_s) else {
+            return Orientation::new(angles_rad, acceleration.into());
+        };
+        let share = (since_s / step.seconds).clamp(0.0, 1.0);
+        match step.attitude {
+            AttitudePattern::Turning => {
                 // All are zero at both ends, where the next step begins.
                 let turns = [1.0, 2.0, 0.5];
                 angles_rad =
                     std::array::from_fn(|i| TURN_RAD[i] * libm::sin(TAU * turns[i] * share));
             }
-            Some((AttitudePattern::Shaken, seconds)) => {
-                let window = libm::sin(PI * (since_s / seconds).clamp(0.0, 1.0));
+            AttitudePattern::Shaken => {
+                let window = libm::sin(PI * share);
                 acceleration =
                     SHAKE_HZ.map(|hz| SHAKE_MPS2 * window * libm::sin(TAU * hz * since_s));
             }
-            Some((AttitudePattern::Level, _)) | None => {}
+            AttitudePattern::Level => {}
         }
         Orientation::new(angles_rad, acceleration.into())
     }

@@ -24,11 +24,9 @@ use std::path::Path;
 
 /// Noise of a temperature in K, one standard deviation (assumed of ordinary parts, as those below).
 const TEMPERATURE_C: f64 = 0.05;
-/// Noise of the board's other channels.
-const OPENING_MM: f64 = 0.005;
-const CURRENT_A: f64 = 0.02;
-const ANGLE_RAD: f64 = 0.002;
-const ACCELERATION_MPS2: f64 = 0.05;
+/// Noise of [`COVARIATES`] in mm, A, rad and m/s^2.
+const COVARIATE_NOISE: [f64; COVARIATES.len()] =
+    [0.005, 0.02, 0.002, 0.05, 0.05, 0.05, 0.002, 0.002, 0.002];
 
 /// Unloaded time before the first row.
 pub const SETTLING_S: f64 = 1.0;
@@ -183,16 +181,13 @@ fn covariates(
     time_s: f64,
     rng: &mut ChaCha8Rng,
 ) -> [f64; COVARIATES.len()] {
-    let mut noisy = |value: f64, noise: f64| value + noise * normal(rng);
-    let motion = excitation.motion(time_s);
-    let orientation = excitation.orientation(time_s);
-    let opening_mm = noisy(motion.opening_mm, OPENING_MM);
-    let current_a = noisy(motion.current_a, CURRENT_A);
-    let angle_rad = noisy(motion.angle_rad, ANGLE_RAD).rem_euclid(TAU);
-    let force: [f64; 3] = orientation.specific_force.into();
-    let [x, y, z] = force.map(|force| noisy(force, ACCELERATION_MPS2));
-    let [roll, pitch, yaw] = orientation.angles_rad.map(|angle| noisy(angle, ANGLE_RAD));
-    [opening_mm, current_a, angle_rad, x, y, z, roll, pitch, yaw]
+    let mut values = excitation.covariates(time_s);
+    for (value, noise) in values.iter_mut().zip(COVARIATE_NOISE) {
+        *value += noise * normal(rng);
+    }
+    let [.., angle_rad, _, _, _, _, _, _] = &mut values;
+    *angle_rad = angle_rad.rem_euclid(TAU);
+    values
 }
 
 fn hall_columns(sensors: u32) -> Vec<String> {

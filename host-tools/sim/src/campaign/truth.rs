@@ -270,6 +270,9 @@ pub fn read_settings(truth: &Path) -> Result<CampaignSettings> {
             truth.display()
         );
     }
+    if let Some(plan) = &truth_settings.plan {
+        plan.check().with_context(|| truth.display().to_string())?;
+    }
     // Implicit effects are added again by the effects that need them.
     let effects = truth_settings.effect.iter().filter(|one| one.needed_by.is_none());
     let effect = |one: &TruthEffect| -> Result<Effect> {

@@ -23,8 +23,8 @@ pub struct Guide {
     plan: RecordingPlan,
     /// Of the steps that have ended.
     pub results: Vec<StepResult>,
-    /// Range of the design in newtons, and forces of the reference.
-    forces: (f64, Vec<(u32, Axis)>),
+    /// Without rows.
+    empty: Coverage,
     /// Of the present step.
     coverage: Coverage,
     /// Start of the present step in microseconds of the board.
@@ -33,13 +33,13 @@ pub struct Guide {
 }
 
 impl Guide {
-    /// Before the first row; the forces of `reference` are measured, the others are estimated by the board.
-    pub fn new(plan: RecordingPlan, force_range_n: f64, reference: Vec<(u32, Axis)>) -> Self {
+    /// Before the first row; `empty` has no rows either.
+    pub fn new(plan: RecordingPlan, empty: Coverage) -> Self {
         Self {
             plan,
             results: Vec::new(),
-            coverage: Coverage::new(force_range_n, reference.clone()),
-            forces: (force_range_n, reference),
+            coverage: empty.clone(),
+            empty,
             start_us: None,
             elapsed_s: 0.0,
         }
@@ -50,15 +50,15 @@ impl Guide {
         let start_us = *self.start_us.get_or_insert(row.time_us);
         self.elapsed_s = 1e-6 * row.time_us.saturating_sub(start_us) as f64;
         self.coverage.update(row);
-        let Some(step) = self.step() else { return false };
+        let Some(step) = self.step().filter(|step| self.elapsed_s >= step.seconds) else {
+            return false;
+        };
         let uncovered = self.uncovered(step);
-        let limit_s = if uncovered.is_empty() { step.seconds } else { PATIENCE * step.seconds };
-        if self.elapsed_s < limit_s {
+        if !uncovered.is_empty() && self.elapsed_s < PATIENCE * step.seconds {
             return false;
         }
         self.results.push(StepResult { seconds: self.elapsed_s, uncovered });
-        let (force_range_n, reference) = self.forces.clone();
-        self.coverage = Coverage::new(force_range_n, reference);
+        self.coverage = self.empty.clone();
         self.start_us = None;
         self.elapsed_s = 0.0;
         true
@@ -117,7 +117,7 @@ impl Guide {
 
 #[cfg(test)]
 mod tests {
-    use firmware::compensation::covariates::Covariates;
+    use firmware::compensation::covariates::{AccelerationSample, AttitudeSample, Covariates};
     use firmware::sensors::hall::{HallReading, SENSORS};
     use sim::campaign::plan::{AttitudePattern, LoadPattern};
 
@@ -143,7 +143,7 @@ mod tests {
             attitude: AttitudePattern::Level,
         };
         let still = PlanStep { opening_mm: [10.0; 2], ..step.clone() };
-        Guide::new(RecordingPlan::new(vec![step, still]), 250.0, Vec::new())
+        Guide::new(RecordingPlan::new(vec![step, still]), Coverage::new(250.0, Vec::new()))
     }
 
     #[test]
@@ -155,6 +155,47 @@ mod tests {
         // 16 mm of 20 are covered at its end. The second step begins with the next row.
         assert_eq!(ended, [2000, 4001]);
         assert!(guide.is_finished() && guide.results.iter().all(|one| one.uncovered.is_empty()));
+    }
+
+    #[test]
+    fn every_range_of_a_step_is_a_covered_quantity() {
+        let turning = PlanStep {
+            seconds: 10.0,
+            load: LoadPattern::Cycles,
+            load_n: [100.0, 100.0],
+            opening_mm: [10.0, 30.0],
+            temperature_k: 5.0,
+            attitude: AttitudePattern::Turning,
+        };
+        let shaken = PlanStep { attitude: AttitudePattern::Shaken, ..turning.clone() };
+        for step in [turning, shaken] {
+            let ranges = step.ranges();
+            let reference = vec![(0, Axis::X), (0, Axis::Z)];
+            let mut guide =
+                Guide::new(RecordingPlan::new(vec![step]), Coverage::new(250.0, reference.clone()));
+            for place in 0..2_i16 {
+                let covariates = Covariates {
+                    opening_um: Some(10_000 * i32::from(place)),
+                    acceleration: Some(AccelerationSample {
+                        age_us: 0,
+                        mm_s2: [5000 * i32::from(place); 3],
+                    }),
+                    attitude: Some(AttitudeSample { age_ms: 0, euler: [5000 * place; 3] }),
+                    ..Covariates::default()
+                };
+                let mut row = SensorRow { covariates, ..row(place as u64, 0) };
+                let reading = HallReading { field: [1; 3], temperature: 100 * place };
+                row.readings = [Some(reading); SENSORS];
+                guide.update(&row);
+                for key in &reference {
+                    guide.update_force(*key, 50.0 * f64::from(place));
+                }
+            }
+            let step = guide.step().unwrap();
+            let shares = guide.shares(step);
+            assert_eq!(shares.len(), ranges.len());
+            assert!(shares.iter().all(|(_, share)| *share > 0.0), "{shares:?}");
+        }
     }
 
     #[test]

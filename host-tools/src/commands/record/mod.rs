@@ -152,14 +152,11 @@ pub fn run(args: &Args) -> Result<()> {
     let reference = reference
         .map(|(source, mapping)| ReferenceReader::start(source, mapping, hearing.begun))
         .transpose();
+    let coverage =
+        Coverage::new(force_range_n.unwrap_or(constants::FORCE_RANGE.value), forces.clone());
     let mut progress = RecordingProgress {
-        coverage: Coverage::new(
-            force_range_n.unwrap_or(constants::FORCE_RANGE.value),
-            forces.clone(),
-        ),
-        guide: plan.map(|plan| {
-            Guide::new(plan, force_range_n.unwrap_or(constants::FORCE_RANGE.value), forces.clone())
-        }),
+        guide: plan.map(|plan| Guide::new(plan, coverage.clone())),
+        coverage,
         forces,
         clock: ReferenceClock::default(),
         pose_sent_s: f64::NEG_INFINITY,
@@ -255,6 +252,7 @@ struct RecordingProgress {
     coverage: Coverage,
     /// Forces of the reference, in the order of its rows.
     forces: Vec<(u32, Axis)>,
+    /// Steps of the plan, if there is one.
     guide: Option<Guide>,
     clock: ReferenceClock,
     /// Time of the last pose sent to the board.

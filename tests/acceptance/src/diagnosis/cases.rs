@@ -89,8 +89,8 @@ pub enum Expected {
     Formula(&'static [&'static str]),
     /// One of these verdicts on this effect, and no wrong effect.
     Verdict(&'static str, &'static [&'static str]),
-    /// Each promised decision is right, together with the recording that the diagnosis of the others proposes.
-    PromisedDecisions,
+    /// Each predicted decision is right, together with the recording that the diagnosis of the others proposes.
+    PredictedDecisions,
 }
 
 impl Case {
@@ -180,7 +180,7 @@ fn with_seed(group: Group, seed: u64) -> Vec<Case> {
         Group::Always => always(seed),
         Group::Planned => always(seed)
             .into_iter()
-            .map(|case| Case { expected: Expected::PromisedDecisions, ..case })
+            .map(|case| Case { expected: Expected::PredictedDecisions, ..case })
             .collect(),
     }
 }

@@ -1,7 +1,7 @@
 //! Rates with their confidence intervals and specifications.
 
 use super::cases::Group;
-use super::evaluate::{FormulaEvaluation, Promises};
+use super::evaluate::{FormulaEvaluation, PredictedCounts};
 use super::run::Outcome;
 use crate::intervals;
 
@@ -90,10 +90,10 @@ pub fn rates(group: Group, outcomes: &[Outcome]) -> Vec<Rate> {
     let only_wrong = |specified| Rate::of("only a wrong effect", wrong, all, false, specified);
     let formulas: Vec<FormulaEvaluation> =
         outcomes.iter().filter_map(|outcome| outcome.evaluation.formulas).collect();
-    let sum = |count: fn(&Promises) -> usize| -> usize {
-        outcomes.iter().filter_map(|outcome| outcome.evaluation.promised.as_ref()).map(count).sum()
+    let sum = |count: fn(&PredictedCounts) -> usize| -> usize {
+        outcomes.iter().filter_map(|outcome| outcome.evaluation.predicted.as_ref()).map(count).sum()
     };
-    let promised = sum(|of| of.promised);
+    let predicted = sum(|of| of.predicted);
     let mut rates = match group {
         Group::Typical => vec![correct(0.96), only_wrong(0.02)],
         Group::Small => vec![correct(0.85), only_wrong(0.03)],
@@ -108,8 +108,14 @@ pub fn rates(group: Group, outcomes: &[Outcome]) -> Vec<Rate> {
         }
         Group::Always => vec![Rate::of("reported as inconclusive", right, all, true, 1.0)],
         Group::Planned => vec![
-            Rate::of("promised decisions that are right", sum(|of| of.kept), promised, true, 0.95),
-            Rate::figure("open questions with a promised decision", promised, sum(|of| of.open)),
+            Rate::of(
+                "predicted decisions that are right",
+                sum(|of| of.right),
+                predicted,
+                true,
+                0.95,
+            ),
+            Rate::figure("open questions with a predicted decision", predicted, sum(|of| of.open)),
             Rate::of("only a wrong effect", wrong, all, false, 0.02),
         ],
     };

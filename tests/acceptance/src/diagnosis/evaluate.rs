@@ -19,62 +19,64 @@ pub struct Evaluation {
     pub tied: Option<usize>,
     /// Whether the expected covariate was located; none without one.
     pub located: Option<bool>,
-    /// Decisions that a proposed recording promised; none where no recording is planned.
-    pub promised: Option<Promises>,
+    /// Decisions predicted for a proposed recording; none where no recording is planned.
+    pub predicted: Option<PredictedCounts>,
     /// Comparison of the discovered formulas with the simulated effect; none where no formula is expected.
     pub formulas: Option<FormulaEvaluation>,
 }
 
 /// Open questions of a diagnosis, and what became of them with the recording that it proposed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Promises {
+pub struct PredictedCounts {
     /// Open questions that a recording could decide by their kind.
     pub open: usize,
-    /// Those of which the proposal promises a decision.
-    pub promised: usize,
+    /// Those of which the proposal predicts a decision.
+    pub predicted: usize,
     /// Those that were decided rightly.
-    pub kept: usize,
+    pub right: usize,
 }
 
-impl Promises {
+impl PredictedCounts {
     /// Compares the diagnosis `first`, with its proposal, with that of all recordings together.
     pub fn new(case: &Case, first: &Value, again: &Value) -> Self {
-        let list = |value: &Value| -> Vec<String> {
-            let all = value.as_array().into_iter().flatten();
-            all.filter_map(Value::as_str).map(str::to_owned).collect()
-        };
         let proposal = &first["proposal"];
-        let mut promises =
+        let accepted = accepted(again);
+        let mut counts =
             Self { open: proposal["decisions"].as_array().map_or(0, Vec::len), ..Self::default() };
-        let accepted: Vec<Vec<String>> =
-            again["accepted"].as_array().into_iter().flatten().map(list).collect();
-        let verdict = |id: &str| {
-            let mut verdicts = again["verdicts"].as_array().into_iter().flatten();
-            verdicts
-                .find(|verdict| verdict["effect"] == *id)
-                .map_or("", |own| own["verdict"].as_str().unwrap_or(""))
-        };
-        for decision in list(&proposal["plan"]["decides"]) {
-            promises.promised += 1;
+        for decision in names(&proposal["plan"]["decides"]) {
+            counts.predicted += 1;
             let effects: Vec<&str> = decision.split(" or ").collect();
             // A simulated effect is present, alone or among others that the question does not separate from it; the others are
             // not, except among such.
-            let is_right = effects.iter().all(|effect| {
-                let holds = |step: &&Vec<String>| step.iter().any(|name| name == effect);
-                let step = accepted.iter().find(holds);
-                let is_tied = |other: &&&str| {
-                    *other != effect
-                        && step.is_some_and(|step| step.iter().any(|name| name == **other))
-                };
-                let is_true = step.is_some_and(|step| step.iter().any(|name| case.hides(name)));
-                let is_decided =
-                    verdict(effect) != "not_judgeable" && effects.iter().find(is_tied).is_none();
-                is_decided && if step.is_some() { is_true } else { !case.hides(effect) }
-            });
-            promises.kept += usize::from(is_right);
+            let is_right = |effect: &str| match accepted.iter().find(|step| step.contains(&effect))
+            {
+                Some(step) => {
+                    let of_question = effects.iter().filter(|name| step.contains(name)).count();
+                    of_question == 1 && step.iter().any(|name| case.hides(name))
+                }
+                None => verdict(again, effect) != "not_judgeable" && !case.hides(effect),
+            };
+            counts.right += usize::from(effects.iter().all(|effect| is_right(effect)));
         }
-        promises
+        counts
     }
+}
+
+/// Strings of an array.
+fn names(value: &Value) -> Vec<&str> {
+    value.as_array().into_iter().flatten().filter_map(Value::as_str).collect()
+}
+
+/// Accepted steps, each one effect or several equivalent ones.
+fn accepted(output: &Value) -> Vec<Vec<&str>> {
+    output["accepted"].as_array().into_iter().flatten().map(names).collect()
+}
+
+/// Verdict on an effect; empty where there is none.
+fn verdict<'a>(output: &'a Value, id: &str) -> &'a str {
+    let mut verdicts = output["verdicts"].as_array().into_iter().flatten();
+    let own = verdicts.find(|verdict| verdict["effect"] == *id);
+    own.and_then(|own| own["verdict"].as_str()).unwrap_or("")
 }
 
 /// Maximum held-out error in noise floors of a campaign that the model explains.
@@ -125,8 +127,8 @@ impl Evaluation {
     /// Word in the log.
     pub fn word(&self) -> &'static str {
         match (self.right, self.wrong_alone) {
-            _ if self.promised.is_some_and(|of| of.kept < of.promised) => "NOT DECIDED",
-            _ if self.promised.is_some_and(|of| of.promised == 0) => "no plan",
+            _ if self.predicted.is_some_and(|of| of.right < of.predicted) => "NOT DECIDED",
+            _ if self.predicted.is_some_and(|of| of.predicted == 0) => "no plan",
             _ if self.formulas.is_some_and(|of| of.false_name) => "WRONG NAME",
             _ if self.formulas.is_some_and(|of| !of.right_covariates) => "NO FORMULA",
             _ if self.formulas.is_some_and(|of| !of.explains) => "UNEXPLAINED",
@@ -141,26 +143,16 @@ impl Evaluation {
 
 /// Evaluates the JSON output of `magpie diagnose`.
 pub fn evaluate(case: &Case, output: &Value) -> Evaluation {
-    let accepted: Vec<Vec<&str>> = output["accepted"]
-        .as_array()
-        .into_iter()
-        .flatten()
-        .map(|step| step.as_array().into_iter().flatten().filter_map(Value::as_str).collect())
-        .collect();
+    let accepted = accepted(output);
     let is_true = |name: &str| case.hides(name);
     let false_steps = || accepted.iter().filter(|step| !step.iter().any(|name| is_true(name)));
     let holds = |id: &str| accepted.iter().find(|step| step.contains(&id));
-    let verdict = |id: &str| {
-        let mut verdicts = output["verdicts"].as_array().into_iter().flatten();
-        let own = verdicts.find(|verdict| verdict["effect"] == *id);
-        own.and_then(|own| own["verdict"].as_str()).unwrap_or("")
-    };
     let right = false_steps().count() == 0
         && match &case.expected {
             Expected::Names => case.hidden.iter().all(|(id, _)| holds(id).is_some()),
             Expected::NoName(_) | Expected::Formula(_) => true,
-            Expected::Verdict(id, output) => output.contains(&verdict(id)),
-            Expected::PromisedDecisions => true,
+            Expected::Verdict(id, verdicts) => verdicts.contains(&verdict(output, id)),
+            Expected::PredictedDecisions => true,
         };
     let located = match &case.expected {
         Expected::NoName(Some(covariate)) => {
@@ -178,7 +170,7 @@ pub fn evaluate(case: &Case, output: &Value) -> Evaluation {
         wrong_alone: false_steps().any(|step| step.len() == 1),
         tied: case.hidden.first().and_then(|(id, _)| holds(id)).map(Vec::len),
         located,
-        promised: None,
+        predicted: None,
         formulas: match case.expected {
             Expected::Formula(covariates) => Some(FormulaEvaluation::new(covariates, output)),
             _ => None,
@@ -230,6 +222,33 @@ mod tests {
             .flat_map(|name| recorded_columns(name))
             .collect();
         assert_eq!(columns, BTreeSet::from(["fz_n", "motor_angle_rad", "motor_iq_a", "temp_c"]));
+    }
+
+    #[test]
+    fn predicted_decision_is_right_if_it_names_the_simulated_effect_alone() {
+        let mut case = of(Group::Planned, 1..2).remove(0);
+        case.hidden = vec![("viscous_lag", 1.0)];
+        let first = |decides: &str| json!({ "proposal": { "decisions": [{}, {}], "plan": { "decides": [decides] } } });
+        let both = "hysteresis or viscous_lag";
+        for (decides, accepted, verdict, right) in [
+            (both, json!([["viscous_lag"]]), "shadow", true),
+            (both, json!([["viscous_lag", "hysteresis"]]), "tied", false),
+            (both, json!([["hysteresis"]]), "found", false),
+            (both, json!([]), "not_judgeable", false),
+            // Not separated by the question.
+            (both, json!([["viscous_lag", "clock_skew"]]), "shadow", true),
+            ("hysteresis", json!([["viscous_lag"]]), "absent", true),
+            ("hysteresis", json!([["viscous_lag"]]), "not_judgeable", false),
+            ("viscous_lag", json!([]), "absent", false),
+        ] {
+            let verdicts = [json!({ "effect": "hysteresis", "verdict": verdict })];
+            let again = json!({ "accepted": accepted, "verdicts": verdicts });
+            let counts = PredictedCounts::new(&case, &first(decides), &again);
+            let expected = PredictedCounts { open: 2, predicted: 1, right: usize::from(right) };
+            assert_eq!(counts, expected, "{decides}: {again}");
+        }
+        let none = PredictedCounts::new(&case, &json!({ "proposal": null }), &json!({}));
+        assert_eq!(none, PredictedCounts::default());
     }
 
     #[test]

@@ -13,7 +13,7 @@ use sim::effects::find_kind;
 use tempfile::TempDir;
 
 use super::cases::{Case, Expected};
-use super::evaluate::{Evaluation, Promises, evaluate};
+use super::evaluate::{Evaluation, PredictedCounts, evaluate};
 use crate::magpie;
 
 /// Block length for a known change; the result does not depend on it.
@@ -59,8 +59,8 @@ pub fn run(case: &Case) -> Result<Outcome> {
     simulate(case, true, None, &campaign)?;
     // All cores are busy with campaigns.
     magpie::run(&["fit".as_ref(), &*campaign, "-o".as_ref(), &*model], Some(1))?;
-    let (output, promised) = match case.expected {
-        Expected::PromisedDecisions => with_plan(case, folder.path(), &campaign, &model)?,
+    let (output, predicted) = match case.expected {
+        Expected::PredictedDecisions => with_plan(case, folder.path(), &campaign, &model)?,
         _ => (magpie::json(&["diagnose".as_ref(), &*model, &*campaign], Some(1))?, None),
     };
     let z = match (&case.expected, case.hidden.is_empty()) {
@@ -77,7 +77,7 @@ pub fn run(case: &Case) -> Result<Outcome> {
     };
     let stairs = output["staircase"].as_array();
     Ok(Outcome {
-        evaluation: Evaluation { promised, ..evaluate(case, &output) },
+        evaluation: Evaluation { predicted, ..evaluate(case, &output) },
         z,
         accepted: output["accepted"].to_string(),
         floors: (floors(stairs.and_then(|s| s.first())), floors(stairs.and_then(|s| s.last()))),
@@ -90,20 +90,20 @@ fn with_plan(
     folder: &Path,
     campaign: &Path,
     model: &Path,
-) -> Result<(Value, Option<Promises>)> {
+) -> Result<(Value, Option<PredictedCounts>)> {
     let plan = folder.join("plan.toml");
     let first =
         magpie::json(&["diagnose".as_ref(), model, campaign, "--plan".as_ref(), &*plan], Some(1))?;
     if !plan.exists() {
-        let promises = Promises::new(case, &first, &first);
-        return Ok((first, Some(promises)));
+        let counts = PredictedCounts::new(case, &first, &first);
+        return Ok((first, Some(counts)));
     }
     let (longer, again) = (folder.join("longer"), folder.join("again.toml"));
     simulate(case, true, Some(&plan), &longer)?;
     magpie::run(&["fit".as_ref(), &*longer, "-o".as_ref(), &*again], Some(1))?;
     let second = magpie::json(&["diagnose".as_ref(), &*again, &*longer], Some(1))?;
-    let promises = Promises::new(case, &first, &second);
-    Ok((second, Some(promises)))
+    let counts = PredictedCounts::new(case, &first, &second);
+    Ok((second, Some(counts)))
 }
 
 fn simulate(case: &Case, hidden: bool, plan: Option<&Path>, to: &Path) -> Result<()> {
