@@ -223,10 +223,8 @@ fn replay_before_and_after(
         return Ok(None);
     };
     let run = |fitted: &Fitted| -> Result<(f64, Vec<UncompensatedEffect>)> {
-        let fit = match fitted.fit.split {
-            CvSplit::Recordings(count) => fitted.fit.without(count - 1),
-            CvSplit::KFold | CvSplit::Interleaved => fitted.fit.clone(),
-        };
+        let fold = fitted.fit.split.fold_of(campaign.recordings.len() - 1);
+        let fit = fold.map_or_else(|| fitted.fit.clone(), |fold| fitted.fit.without(fold));
         let model =
             ModelFile::with_effects(campaign, prepared, &fit, fitted.effects, provenance.clone());
         replay_model(model, &last.folder, alignment)

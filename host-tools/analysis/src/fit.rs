@@ -76,7 +76,7 @@ pub fn fit_campaign(
         BaseKind::Cylinder => fit::campaign::cylinder(campaign, options, |_| bar.inc(1))?,
         BaseKind::Polynomial => {
             let degree = degree.map(usize::from);
-            (fit::campaign::polynomial(campaign, degree, options, |_| bar.inc(1))?, Vec::new())
+            fit::campaign::polynomial(campaign, degree, options, |_| bar.inc(1))?
         }
     };
     bar.finish_and_clear();

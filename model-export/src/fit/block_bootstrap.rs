@@ -4,7 +4,7 @@
 //! Whole blocks of time are drawn with replacement (Künsch 1989). Each draw solves the problem linearised at
 //! the solution: one small matrix instead of a new fit.
 
-use std::ops::Range;
+use std::ops::{AddAssign, Range};
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 use rand::{RngExt, SeedableRng};
@@ -20,6 +20,16 @@ pub struct Block {
     pub normal: DMatrix<f64>,
     /// `J'r` over the rows of the block, `r` measured minus modelled.
     pub score: DVector<f64>,
+    /// `r'r` over the rows of the block.
+    pub squares: f64,
+}
+
+impl AddAssign<&Block> for Block {
+    fn add_assign(&mut self, other: &Block) {
+        self.normal += &other.normal;
+        self.score += &other.score;
+        self.squares += other.squares;
+    }
 }
 
 impl Block {
@@ -28,12 +38,13 @@ impl Block {
         let columns = columns(jacobian, rows.clone());
         let residuals = residuals.get(rows).unwrap_or_default();
         let score = products(&columns, &[residuals]).column(0).into_owned();
-        Self { normal: gram(&columns), score }
+        let squares = residuals.iter().map(|r| r * r).sum();
+        Self { normal: gram(&columns), score, squares }
     }
 
     /// Empty block.
     pub fn zeros(size: usize) -> Self {
-        Self { normal: DMatrix::zeros(size, size), score: DVector::zeros(size) }
+        Self { normal: DMatrix::zeros(size, size), score: DVector::zeros(size), squares: 0.0 }
     }
 }
 
@@ -165,6 +176,7 @@ mod tests {
             .map(|chunk| Block {
                 normal: DMatrix::from_element(1, 1, chunk.len() as f64),
                 score: DVector::from_element(1, chunk.iter().sum()),
+                squares: 0.0,
             })
             .collect();
         let error = bootstrap_covariance(&blocks, 400, 1)[(0, 0)].sqrt();

@@ -50,9 +50,19 @@ pub struct FitSetup {
     pub notices: Vec<Notice>,
     /// Fits without effects, computed on first use.
     base_fits: OnceLock<BaseFits>,
+    /// Some rows of each sensor for the first steps of a fit, selected on first use.
+    coarse: OnceLock<Vec<SensorRows>>,
 }
 
+/// Rows of a recording for the first steps of a fit.
+const COARSE_ROWS: usize = 300;
+
 impl FitSetup {
+    /// The same with about `count` rows of each recording, or all.
+    pub fn sampled(&self, count: usize) -> Self {
+        self.with_rows(self.rows.iter().map(|rows| rows.at_most(count)).collect())
+    }
+
     /// With the cylinder base, for every sensor with both forces recorded; the others are reported as notices.
     pub fn cylinder(campaign: &Campaign) -> Result<Self, FitError> {
         let design = campaign
@@ -84,6 +94,7 @@ impl FitSetup {
             design: Some(design.clone()),
             polynomials: Vec::new(),
             base_fits: OnceLock::new(),
+            coarse: OnceLock::new(),
         })
     }
 
@@ -106,13 +117,15 @@ impl FitSetup {
                 FitError::ManyForces { place: Location::file(&campaign.folder), sensor: fit.sensor }
             })
         };
+        let notices = left_out(campaign, &rows);
         Ok(Self {
             bases: polynomials.iter().zip(&rows).map(base).collect::<Result<_, _>>()?,
             rows,
             design: None,
             polynomials,
-            notices: Vec::new(),
+            notices,
             base_fits: OnceLock::new(),
+            coarse: OnceLock::new(),
         })
     }
 
@@ -131,7 +144,13 @@ impl FitSetup {
             polynomials: self.polynomials.clone(),
             notices: Vec::new(),
             base_fits: OnceLock::new(),
+            coarse: OnceLock::new(),
         }
+    }
+
+    /// Rows of all sensors.
+    pub fn row_count(&self) -> usize {
+        self.rows.iter().map(SensorRows::len).sum()
     }
 
     /// Fits the base with these effects, cross-validated by `split`. `done` is called after each sensor, from
@@ -143,14 +162,17 @@ impl FitSetup {
         options: FitOptions,
         done: impl Fn(u32) + Sync,
     ) -> Result<JointFit, FitError> {
+        let coarse = self
+            .coarse
+            .get_or_init(|| self.rows.iter().map(|rows| rows.at_most(COARSE_ROWS)).collect());
         let base_fits = match self.base_fits.get() {
             Some(base_fits) => base_fits,
             None => {
-                let base_fits = BaseFits::new(&self.rows, &self.bases)?;
+                let base_fits = BaseFits::new(&self.rows, coarse, &self.bases)?;
                 self.base_fits.get_or_init(|| base_fits)
             }
         };
-        joint::fit(&self.rows, &self.bases, base_fits, effects, split, options, done)
+        joint::fit((&self.rows, coarse), &self.bases, base_fits, effects, split, options, done)
     }
 
     /// Cross-validation split for a fit with these effects.
@@ -159,16 +181,25 @@ impl FitSetup {
     }
 }
 
+/// What of the campaign is not fitted: sensors without both forces, and rows of a long campaign.
 fn left_out(campaign: &Campaign, rows: &[SensorRows]) -> Vec<Notice> {
-    campaign
-        .sensors()
-        .into_iter()
-        .filter(|sensor| !rows.iter().any(|r| r.sensor == *sensor))
-        .map(|sensor| Notice {
-            location: Location::file(&campaign.folder),
-            message: format!("sensor {sensor} was not fitted, since f{sensor}_x_n and f{sensor}_z_n were not both recorded"),
-        })
-        .collect()
+    let notice = |message| Notice { location: Location::file(&campaign.folder), message };
+    let sensors = campaign.sensors().into_iter();
+    let without = sensors.filter(|sensor| !rows.iter().any(|own| own.sensor == *sensor));
+    let of_sensors = without.map(|sensor| {
+        notice(format!(
+            "sensor {sensor} was not fitted, since f{sensor}_x_n and f{sensor}_z_n were not both recorded"
+        ))
+    });
+    let stride = rows.iter().map(|rows| rows.stride).max().unwrap_or(1);
+    let of_rows = (stride > 1).then(|| {
+        notice(format!(
+            "one in {stride} of the {} rows is fitted: where the residual is white noise, standard errors are {:.1} times those with all rows",
+            campaign.row_count(),
+            (stride as f64).sqrt()
+        ))
+    });
+    of_sensors.chain(of_rows).collect()
 }
 
 /// Fits the cylinder base without effects.
@@ -191,9 +222,12 @@ pub fn polynomial(
     degree: Option<usize>,
     options: FitOptions,
     done: impl Fn(u32) + Sync,
-) -> Result<CampaignFits, FitError> {
-    let fits = polynomials(campaign, degree, options, done)?;
-    Ok(CampaignFits::Polynomial(fits.into_iter().map(|(_, fit)| fit).collect()))
+) -> Result<(CampaignFits, Vec<Notice>), FitError> {
+    let (fits, rows): (Vec<_>, Vec<_>) = polynomials(campaign, degree, options, done)?
+        .into_iter()
+        .map(|(rows, fit)| (fit, rows))
+        .unzip();
+    Ok((CampaignFits::Polynomial(fits), left_out(campaign, &rows)))
 }
 
 fn polynomials(

@@ -1,4 +1,4 @@
-//! Cross-validation: splits of a campaign, held-out error and noise floor. Folds are whole recordings, or
+//! Cross-validation: splits of a campaign, held-out error and noise floor. Folds are whole recordings (at most ten groups), or
 //! sixths of each recording where there is only one or an effect is transient.
 
 use crate::fit::rows::{RecordingRows, SensorRows};
@@ -8,6 +8,9 @@ use std::ops::Range;
 
 /// Number of folds within a recording.
 const FOLDS: usize = 6;
+
+/// Maximum number of folds of whole recordings.
+const MAX_RECORDING_FOLDS: usize = 10;
 
 /// Slice length of [`CvSplit::Interleaved`] in seconds.
 const SLICE_S: f64 = 0.25;
@@ -33,7 +36,7 @@ pub struct Fold {
 /// Cross-validation scheme of a campaign, the same for all sensors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CvSplit {
-    /// Leave one recording out, of this many.
+    /// Leave one recording out, of this many; where there are more than ten, a tenth of them in their order.
     Recordings(usize),
     /// Leave a contiguous sixth of every recording out.
     KFold,
@@ -57,12 +60,26 @@ impl CvSplit {
     /// rows are excluded from training because of autocorrelation.
     pub fn folds(self, rows: &SensorRows, gap_s: f64) -> Vec<Fold> {
         match self {
-            Self::Recordings(count) => {
-                (0..count).map(|test_part| recording_fold(rows, test_part)).collect()
-            }
+            Self::Recordings(count) => (0..count.min(MAX_RECORDING_FOLDS))
+                .map(|fold| self.recording_fold(rows, fold))
+                .collect(),
             Self::KFold => (0..FOLDS).map(|cut| k_fold(rows, cut, gap_s)).collect(),
             Self::Interleaved => (0..FOLDS).map(|slice| interleaved_fold(rows, slice)).collect(),
         }
+    }
+
+    /// Fold in which this recording is held out; `None` where folds are parts of recordings.
+    pub fn fold_of(self, part: usize) -> Option<usize> {
+        match self {
+            Self::Recordings(count) => Some(part * count.min(MAX_RECORDING_FOLDS) / count.max(1)),
+            Self::KFold | Self::Interleaved => None,
+        }
+    }
+
+    fn recording_fold(self, rows: &SensorRows, fold: usize) -> Fold {
+        let (test, training) =
+            whole(rows).partition(|range| self.fold_of(range.part) == Some(fold));
+        Fold { training, test }
     }
 }
 
@@ -74,11 +91,6 @@ pub fn all_rows(rows: &SensorRows) -> Vec<RowRange> {
 fn whole(rows: &SensorRows) -> impl Iterator<Item = RowRange> {
     let range = |(part, rows): (usize, &RecordingRows)| RowRange { part, rows: 0..rows.len() };
     rows.parts.iter().enumerate().map(range)
-}
-
-fn recording_fold(rows: &SensorRows, test_part: usize) -> Fold {
-    let (test, training) = whole(rows).partition(|range| range.part == test_part);
-    Fold { training, test }
 }
 
 fn k_fold(rows: &SensorRows, cut: usize, gap_s: f64) -> Fold {

@@ -145,6 +145,7 @@ impl FreeDirections {
             .map(|block| Block {
                 normal: self.free.transpose() * &block.normal * &self.free,
                 score: self.free.transpose() * &block.score,
+                squares: block.squares,
             })
             .collect();
         let free = block_bootstrap::bootstrap_covariance(&reduced, options.draws, options.seed);

@@ -19,9 +19,11 @@ const ROWS: usize = 400;
 const ROUNDS: usize = 2;
 /// Refinement of the grid of a shape that spans recordings.
 const FINE: i32 = 4;
-/// Step in seconds of the first search for an instant, and of its refinement.
-const INSTANT_S: [f64; 2] = [0.5, 0.05];
-/// Refinement steps on each side of the best instant.
+/// Minimum step in seconds of the first search for an instant, and the maximum number of steps.
+const INSTANT_S: f64 = 1.0;
+const INSTANTS: f64 = 2000.0;
+/// Refinement of that step, and steps on each side of the best instant.
+const INSTANT_FINE: f64 = 10.0;
 const FINE_STEPS: usize = 12;
 /// Minimum reduction of a sensor's squared residual by a shape of its own.
 const OWN_GAIN: f64 = 0.05;
@@ -102,11 +104,11 @@ impl<'a> ShapeSearch<'a> {
 
     /// States of a recording's rows with the parameter `index` changed.
     fn states(&self, part: usize, index: usize, moved: &[f64]) -> Vec<PhysicalState> {
-        let ranges = self.problem.ranges().into_iter();
+        let ranges = self.problem.ranges().iter();
         let mut of_effects = self.problem.effects.iter().zip(ranges);
         let own = of_effects.find(|(_, range)| range.contains(&index));
         if let Some((effect, range)) = own.filter(|(effect, _)| effect.is_pointwise()) {
-            return self.linearisation.states_with(part, effect, &moved[range]);
+            return self.linearisation.states_with(part, effect, &moved[range.clone()]);
         }
         let states = self.problem.states(part, moved);
         let rows = self.linearisation.rows[part].iter();
@@ -206,15 +208,18 @@ fn grid(parameter: &EffectParameter, searches: &[ShapeSearch], round: usize, now
             grid.iter().copied().filter(|value| *value <= max_n).collect()
         }
         ParameterKind::Shape { grid } => grid.to_vec(),
-        ParameterKind::Instant if round > 0 => (0..=2 * FINE_STEPS)
-            .map(|k| now + INSTANT_S[1] * (k as f64 - FINE_STEPS as f64))
-            .collect(),
         ParameterKind::Instant => {
             let spans = searches.iter().flat_map(|s| &s.problem.rows.parts);
             let end =
                 spans.filter_map(|part| Some(part.track.before_s + part.track.time_s.last()?));
             let end_s = end.fold(0.0, f64::max);
-            (1..(end_s / INSTANT_S[0]) as usize).map(|k| INSTANT_S[0] * k as f64).collect()
+            let step_s = INSTANT_S.max(end_s / INSTANTS);
+            if round > 0 {
+                let offset = |k: usize| step_s / INSTANT_FINE * (k as f64 - FINE_STEPS as f64);
+                (0..=2 * FINE_STEPS).map(|k| now + offset(k)).collect()
+            } else {
+                (1..(end_s / step_s) as usize).map(|k| step_s * k as f64).collect()
+            }
         }
     }
 }

@@ -103,16 +103,20 @@ pub struct BaseFits {
 }
 
 impl BaseFits {
-    /// Fits every sensor.
+    /// Fits every sensor; `coarse` are some of its rows, for the first steps.
     ///
     /// # Errors
     /// A fit fails.
-    pub fn new(rows: &[SensorRows], bases: &[Arc<dyn BaseModel>]) -> Result<Self, FitError> {
-        let pairs: Vec<_> = rows.iter().zip(bases).collect();
-        let solutions: Vec<SensorSolution> = pairs
-            .par_iter()
-            .map(|(rows, base)| {
-                sensor_fit::fit_from_nominal(&SensorProblem::new(rows, base.as_ref(), &[]))
+    pub fn new(
+        rows: &[SensorRows],
+        coarse: &[SensorRows],
+        bases: &[Arc<dyn BaseModel>],
+    ) -> Result<Self, FitError> {
+        let solutions: Vec<SensorSolution> = (0..rows.len())
+            .into_par_iter()
+            .map(|s| {
+                let problem = SensorProblem::new(&rows[s], bases[s].as_ref(), &[]);
+                sensor_fit::fit_from_nominal(&problem, &coarse[s])
             })
             .collect::<Result<_, _>>()?;
         let of_training = solutions.iter().map(|_| Mutex::default()).collect();
@@ -131,16 +135,17 @@ impl BaseFits {
             return Ok(values.clone());
         }
         let solution = &self.solutions[sensor];
-        let values = problem.values(&solution.refit(problem, training, &solution.scaled)?);
+        let scaled = solution.refit_from_here(problem, training, &solution.scaled)?;
+        let values = problem.values(&scaled);
         known().insert(training.to_vec(), values.clone());
         Ok(values)
     }
 }
 
 /// Fits every sensor with its base and the effects (in any order), starting from `base_fits` without
-/// effects. `done` is called after each sensor, from any thread.
+/// effects. `coarse` are some of the rows, for the first steps. `done` is called after each sensor, from any thread.
 pub fn fit(
-    rows: &[SensorRows],
+    (rows, coarse): (&[SensorRows], &[SensorRows]),
     bases: &[Arc<dyn BaseModel>],
     base_fits: &BaseFits,
     effects: &[EffectTerm],
@@ -162,7 +167,7 @@ pub fn fit(
         (alone, states, covariances, folds)
     } else {
         let (problems, states): (Vec<_>, Vec<_>) =
-            with_effects(&alone, base_fits, &effects)?.into_iter().unzip();
+            with_effects(&alone, coarse, base_fits, &effects)?.into_iter().unzip();
         let (states, covariances) = pool_shared(&problems, states, options)?;
         let folds = cross_validate(&problems, &states, split, Some((base_fits, &alone[..])))?;
         (problems, states, covariances, folds)
@@ -191,6 +196,7 @@ type FoldResults = (Vec<Vec<f64>>, Vec<ErrorSums>);
 /// Adds effects to the fits of the bases.
 fn with_effects<'a>(
     bases: &[SensorProblem<'a>],
+    coarse: &'a [SensorRows],
     base_fits: &BaseFits,
     effects: &'a [EffectTerm],
 ) -> Result<SensorStates<'a>, FitError> {
@@ -205,7 +211,8 @@ fn with_effects<'a>(
     search_all(&mut searches);
     searches
         .into_par_iter()
-        .map(|search| sensor_fit::fit_from_base(search.problem, &search.values))
+        .zip(coarse)
+        .map(|(search, coarse)| sensor_fit::fit_from_base(search.problem, &search.values, coarse))
         .collect()
 }
 
@@ -315,31 +322,30 @@ fn cross_validate_fold(
             Ok((problem, start))
         })
         .collect::<Result<_, FitError>>()?;
-    let refit = |starts: &[DVector<f64>], open: bool| {
-        (0..problems.len())
-            .into_par_iter()
-            .map(|s| {
-                let (problem, training) = (&prepared[s].0, &folds[s].training);
-                if open {
-                    states[s]
-                        .with_freed(&shared_slots(problem))
-                        .refit(problem, training, &starts[s])
-                } else {
-                    states[s].refit(problem, training, &starts[s])
-                }
-            })
-            .collect::<Result<Vec<_>, FitError>>()
+    let for_all = |refit: &(dyn Fn(usize) -> Result<DVector<f64>, FitError> + Sync)| {
+        (0..problems.len()).into_par_iter().map(refit).collect::<Result<Vec<_>, FitError>>()
     };
-    let mut starts: Vec<DVector<f64>> = prepared.iter().map(|(_, start)| start.clone()).collect();
-    if problems.iter().any(|problem| !shared_slots(problem).is_empty()) {
-        let opened = refit(&starts, true)?;
+    let fitted = if problems.iter().any(|problem| !shared_slots(problem).is_empty()) {
+        let opened = for_all(&|s| {
+            let (problem, start) = &prepared[s];
+            let freed = states[s].with_freed(&shared_slots(problem));
+            freed.refit_from_here(problem, &folds[s].training, start)
+        })?;
         let mean =
             |index: usize| opened.iter().map(|d| d[index]).sum::<f64>() / opened.len() as f64;
-        for (problem, start) in problems.iter().zip(&mut starts) {
+        for_all(&|s| {
+            let (problem, start) = &prepared[s];
+            let mut start = start.clone();
             shared_slots(problem).into_iter().for_each(|index| start[index] = mean(index));
-        }
-    }
-    let results_of_fold = refit(&starts, false)?.into_iter().enumerate().map(|(s, scaled)| {
+            states[s].refit(problem, &folds[s].training, &start)
+        })?
+    } else {
+        for_all(&|s| {
+            let (problem, start) = &prepared[s];
+            states[s].refit_from_here(problem, &folds[s].training, start)
+        })?
+    };
+    let results_of_fold = fitted.into_par_iter().enumerate().map(|(s, scaled)| {
         let problem = &prepared[s].0;
         (problem.values(&scaled), held_out_errors(problem, folds[s], &scaled))
     });

@@ -9,8 +9,8 @@ use nalgebra::{DMatrix, DVector, Vector3};
 use std::ops::Range;
 use std::sync::Arc;
 
-/// Scale of spline columns in noise floors: large, so that no prior limits them.
-const COLUMN_HEIGHT: f64 = 1000.0;
+/// Scale of columns without a prior, in noise floors: large, so that no prior limits them.
+pub(super) const COLUMN_HEIGHT: f64 = 1000.0;
 
 /// Residual and Jacobian of a fitted model on a subset of rows.
 #[derive(Clone)]
@@ -40,14 +40,14 @@ impl Linearisation {
         let at = problem.base.linearise(&values[..problem.base_count]);
         let mut unused = vec![Vector3::zeros(); problem.base_count];
         for (part, of) in problem.rows.parts.iter().enumerate() {
-            let linear = problem.linearise(part, &scaled);
+            let (modelled, jacobian) = problem.linearise(part, &scaled);
             let series = problem.series(part, values);
             let sampled: Vec<usize> = sampled(of.len(), per_recording).collect();
             for &row in &sampled {
-                let error = of.field_g[row] - linear.fields[row];
+                let error = of.field_g[row] - modelled.fields[row];
                 for axis in 0..3 {
                     residual.push(error[axis] * problem.weights[axis]);
-                    let row = linear.jacobian.row(3 * row + axis);
+                    let row = jacobian.row(3 * row + axis);
                     columns.extend(fixed.iter().map(|&index| row[index] * problem.weights[axis]));
                 }
             }

@@ -9,7 +9,7 @@ use crate::fit::base_model::BaseModel;
 use crate::fit::cross_validation::noise_variance;
 use crate::fit::parameters::FreeParameter;
 use crate::fit::rows::SensorRows;
-use crate::physics::PhysicalState;
+use crate::physics::{FieldResponse, PhysicalState};
 
 /// Step of numerical derivatives of the states, in prior widths.
 const STEP: f64 = 1e-4;
@@ -41,17 +41,27 @@ pub struct SensorProblem<'a> {
     pub offset_count: usize,
     /// Reciprocal noise floor at rest of each axis.
     pub weights: Vector3<f64>,
+    /// Index range of each effect's parameters.
+    ranges: Vec<Range<usize>>,
 }
 
-/// Fields and derivatives over one recording.
-pub struct LinearisedFields {
-    /// Modelled fields in gauss.
+/// Modelled fields over one recording.
+pub struct ModelledFields {
+    /// In gauss.
     pub fields: Vec<Vector3<f64>>,
     /// dB/dFx and dB/dFz in G/N.
     pub per_newton: Vec<[Vector3<f64>; 2]>,
-    /// Derivative of the field to the scaled parameters: three rows for each row of the recording, one column
-    /// for each parameter.
-    pub jacobian: DMatrix<f64>,
+}
+
+impl ModelledFields {
+    fn with_capacity(rows: usize) -> Self {
+        Self { fields: Vec::with_capacity(rows), per_newton: Vec::with_capacity(rows) }
+    }
+
+    fn push(&mut self, response: &FieldResponse, [kx, kz]: [f64; 2]) {
+        self.fields.push(response.field_g);
+        self.per_newton.push([response.per_mm.column(0) / kx, response.per_mm.column(2) / kz]);
+    }
 }
 
 impl<'a> SensorProblem<'a> {
@@ -60,8 +70,12 @@ impl<'a> SensorProblem<'a> {
         let mut parameters = base.parameters();
         let base_count = parameters.len();
         let recordings = rows.parts.len();
-        let of_effects = effects.iter().flat_map(|effect| effect.parameters(recordings));
-        parameters.extend(of_effects.map(|parameter| FreeParameter::of(&parameter)));
+        let mut ranges = Vec::with_capacity(effects.len());
+        for effect in effects {
+            let start = parameters.len();
+            parameters.extend(effect.parameters(recordings).iter().map(FreeParameter::of));
+            ranges.push(start..parameters.len());
+        }
         let mut problem = Self {
             rows,
             base,
@@ -76,6 +90,7 @@ impl<'a> SensorProblem<'a> {
                 0
             },
             weights: Vector3::repeat(1.0),
+            ranges,
         };
         problem.weights = problem.axis_weights();
         for index in &mut problem.parameters[..problem.offset_count] {
@@ -113,14 +128,8 @@ impl<'a> SensorProblem<'a> {
     }
 
     /// Index range of each effect's parameters.
-    pub fn ranges(&self) -> Vec<Range<usize>> {
-        let mut start = self.base_count;
-        let recordings = self.rows.parts.len();
-        let range = |effect: &EffectTerm| {
-            let end = start + effect.parameters(recordings).len();
-            std::mem::replace(&mut start, end)..end
-        };
-        self.effects.iter().map(range).collect()
+    pub fn ranges(&self) -> &[Range<usize>] {
+        &self.ranges
     }
 
     /// Values in their units.
@@ -151,7 +160,7 @@ impl<'a> SensorProblem<'a> {
             .effects
             .iter()
             .zip(self.ranges())
-            .map(|(effect, range)| (effect, &values[range]))
+            .map(|(effect, range)| (effect, &values[range.clone()]))
             .collect();
         StateSeries::of(&self.rows.parts[part].track, self.base.stiffness(values), &effects)
     }
@@ -172,17 +181,34 @@ impl<'a> SensorProblem<'a> {
         self.states(part, &values).iter().map(field).collect()
     }
 
-    /// Fields and derivatives over a recording.
-    pub fn linearise(&self, part: usize, scaled: &DVector<f64>) -> LinearisedFields {
+    /// The same problem with other rows of the same recordings.
+    pub fn on(&self, rows: &'a SensorRows) -> Self {
+        Self { rows, ..self.clone() }
+    }
+
+    /// Fields over a recording, with their derivatives to the forces.
+    pub fn predict(&self, part: usize, scaled: &DVector<f64>) -> ModelledFields {
         let values = self.values(scaled);
         let states = self.states(part, &values);
-        let [kx, kz] = self.base.stiffness(&values);
+        let stiffness = self.base.stiffness(&values);
         let at = self.base.linearise(&values[..self.base_count]);
-        let mut linear = LinearisedFields {
-            fields: Vec::with_capacity(states.len()),
-            per_newton: Vec::with_capacity(states.len()),
-            jacobian: DMatrix::zeros(3 * states.len(), self.parameters.len()),
-        };
+        let mut unused = vec![Vector3::zeros(); self.base_count];
+        let mut modelled = ModelledFields::with_capacity(states.len());
+        for state in &states {
+            modelled.push(&at(state, &mut unused), stiffness);
+        }
+        modelled
+    }
+
+    /// Fields over a recording, and their derivatives to the scaled parameters: three rows for each row of the recording, one
+    /// column for each parameter.
+    pub fn linearise(&self, part: usize, scaled: &DVector<f64>) -> (ModelledFields, DMatrix<f64>) {
+        let values = self.values(scaled);
+        let states = self.states(part, &values);
+        let stiffness = self.base.stiffness(&values);
+        let at = self.base.linearise(&values[..self.base_count]);
+        let mut modelled = ModelledFields::with_capacity(states.len());
+        let mut jacobian = DMatrix::zeros(3 * states.len(), self.parameters.len());
         let derivatives: Vec<f64> = self
             .parameters
             .iter()
@@ -194,18 +220,15 @@ impl<'a> SensorProblem<'a> {
         for (row, state) in states.iter().enumerate() {
             let response = at(state, &mut columns);
             for (index, column) in columns.iter().enumerate() {
-                set_column(&mut linear.jacobian, row, index, column * derivatives[index]);
+                set_column(&mut jacobian, row, index, column * derivatives[index]);
             }
-            linear.fields.push(response.field_g);
-            linear
-                .per_newton
-                .push([response.per_mm.column(0) / kx, response.per_mm.column(2) / kz]);
+            modelled.push(&response, stiffness);
             responses.push(response);
         }
         let mut set_columns = |index: usize, from: &[PhysicalState], moved: &[PhysicalState]| {
             for (row, response) in responses.iter().enumerate() {
                 let change = response.change(&from[row], &moved[row]) / STEP;
-                set_column(&mut linear.jacobian, row, index, change);
+                set_column(&mut jacobian, row, index, change);
             }
         };
         let moved = |index: usize| {
@@ -231,7 +254,7 @@ impl<'a> SensorProblem<'a> {
                 }
             }
         }
-        linear
+        (modelled, jacobian)
     }
 
     fn axis_weights(&self) -> Vector3<f64> {

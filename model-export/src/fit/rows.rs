@@ -20,7 +20,13 @@ pub struct SensorRows {
     pub forces: Vec<(u32, Axis)>,
     /// One part for each recording, in the campaign's order.
     pub parts: Vec<RecordingRows>,
+    /// Every how manyth row of the campaign is used: more than one where it is longer than [`MAX_ROWS`].
+    pub stride: usize,
 }
+
+/// Maximum number of rows of a campaign that are fitted: half an hour at 100 Hz. The parameters are then determined far better than
+/// any model is right.
+pub const MAX_ROWS: usize = 180_000;
 
 /// The rows of one recording.
 #[derive(Clone, Debug)]
@@ -112,10 +118,11 @@ impl SensorRows {
         let mut before_s = 0.0;
         let mut parts = Vec::new();
         let mut cycles = LoadCycleCounter::default();
+        let stride = campaign.row_count().div_ceil(MAX_ROWS).max(1);
         for (i, recording) in campaign.recordings.iter().enumerate() {
             let mut part = RecordingRows::new(recording, (i, before_s), sensor, &forces);
             cycles.update(&mut part.track);
-            parts.push(part);
+            parts.push(if stride > 1 { part.thinned(stride) } else { part });
             before_s += recording.span_s();
         }
         let rows: usize = parts.iter().map(RecordingRows::len).sum();
@@ -137,7 +144,7 @@ impl SensorRows {
                 needed,
             });
         }
-        Ok(Self { sensor, forces, parts })
+        Ok(Self { sensor, forces, parts, stride })
     }
 
     /// Rejects a constant field channel, and a force that varies little more than its noise.
@@ -168,6 +175,12 @@ impl SensorRows {
     pub fn slopes(&self, per_newton: &[Vector3<f64>; 2]) -> impl Iterator<Item = Vector3<f64>> {
         let slope = |axis| per_newton[usize::from(axis == Axis::Z)];
         self.forces.iter().map(move |(_, axis)| slope(*axis)).collect::<Vec<_>>().into_iter()
+    }
+
+    /// About `count` rows of each recording, evenly spaced, or all.
+    pub fn at_most(&self, count: usize) -> Self {
+        let parts = self.parts.iter().map(|part| part.thinned((part.len() / count).max(1)));
+        Self { parts: parts.collect(), forces: self.forces.clone(), ..*self }
     }
 
     /// Rows in all parts.

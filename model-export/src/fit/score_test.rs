@@ -5,20 +5,20 @@
 //! held-out rows; and its explained sum of squares is compared with that under random signs of residual blocks
 //! (Wu's wild bootstrap).
 
-use crate::effects::{Aggregation, EffectTerm};
+use crate::effects::{Aggregation, EffectParameter, EffectTerm, ParameterKind};
 use crate::fit::campaign::FitSetup;
 use crate::fit::cross_validation::{CvSplit, Fold};
 use crate::fit::initial_guess::{ShapeSearch, search_one};
 use crate::fit::joint::JointFit;
-use crate::fit::linearisation::{Linearisation, NormalEquations};
+use crate::fit::linearisation::{COLUMN_HEIGHT, Linearisation, NormalEquations};
 use crate::fit::problem::SensorProblem;
 use crate::fit::tall_products::{columns, gram, products};
-use crate::physics::FieldResponse;
+use crate::physics::{FieldResponse, PhysicalState};
 use nalgebra::{DMatrix, DVector, Vector3};
 use rayon::prelude::*;
 
 /// Rows of a recording that are used.
-const ROWS: usize = 1500;
+const ROWS: usize = 1000;
 /// Knots of the spline in time, over each recording.
 const KNOTS: usize = 12;
 
@@ -204,6 +204,23 @@ impl<'a> ScoreTest<'a> {
         1.0 - with / without
     }
 
+    /// Relative reduction of the held-out squared residual by other forms of a fitted effect (see [`form_columns`]), each with a
+    /// coefficient for each sensor.
+    pub fn form_gain(&self, effect: &EffectTerm) -> f64 {
+        let Some(place) = self.effects.iter().position(|own| own == effect) else {
+            return 0.0;
+        };
+        let scored = self.sensors.par_iter().enumerate().map(|(s, sensor)| {
+            let (rows, base) = (&self.setup.rows[s], self.setup.bases[s].as_ref());
+            let problem = SensorProblem::new(rows, base, &self.effects);
+            let columns = form_columns(&sensor.linearisation, &problem, &self.values[s], place);
+            let folds = sensor.held_out_squares(&columns, usize::from(effect.is_transient()));
+            folds.iter().fold((0.0, 0.0), |(a, b), f| (a + f.0, b + f.1))
+        });
+        let (without, with) = scored.reduce(|| (0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
+        if without > 0.0 { 1.0 - with / without } else { 0.0 }
+    }
+
     /// Values of a model with one more effect than fitted.
     fn start_values(&self, problem: &SensorProblem, place: usize, values: &[f64]) -> Vec<f64> {
         let own = problem.ranges()[place].clone();
@@ -331,6 +348,67 @@ impl<'a> ScoreTest<'a> {
     }
 }
 
+/// Columns of other forms of the effect with this index: its field times both forces, their magnitudes and squares (another
+/// stiffness or exponent), and the change of its field where each of its shapes is half and twice as large. Their scale is large,
+/// so that no prior limits them.
+fn form_columns(
+    linearisation: &Linearisation,
+    problem: &SensorProblem,
+    values: &[f64],
+    effect: usize,
+) -> DMatrix<f64> {
+    let recordings = problem.rows.parts.len();
+    let range = problem.ranges()[effect].clone();
+    let parameters = problem.effects[effect].parameters(recordings);
+    let own = || range.clone().zip(&parameters);
+    let mut without = values.to_vec();
+    own().filter(|(_, p)| p.is_coefficient()).for_each(|(index, _)| without[index] = 0.0);
+    let mut others = vec![without];
+    let is_shape = |p: &EffectParameter| matches!(p.kind, ParameterKind::Shape { .. });
+    for (index, _) in own().filter(|(_, parameter)| is_shape(parameter)) {
+        let parameter = &problem.parameters[index];
+        for sign in [-1.0, 1.0] {
+            let mut moved = values.to_vec();
+            moved[index] = if parameter.relative {
+                values[index] * f64::powf(2.0, sign)
+            } else {
+                values[index] + sign * parameter.scale
+            };
+            others.push(moved);
+        }
+    }
+    let spans = problem.rows.force_spans();
+    let largest = spans.iter().map(|(low, high)| low.abs().max(high.abs())).fold(0.0, f64::max);
+    let mut columns = DMatrix::zeros(linearisation.residual().len(), 5 + others.len());
+    let mut at = 0;
+    for (part, rows) in linearisation.rows.iter().enumerate() {
+        let states: Vec<Vec<PhysicalState>> =
+            others.iter().map(|values| problem.states(part, values)).collect();
+        for (row, state, response) in rows {
+            let [fx, fz] =
+                problem.rows.parts[part].track.force_n[*row].map(|f| f / largest.max(1e-9));
+            let changes = states.iter().map(|states| {
+                response.change(&states[*row], state).component_mul(&problem.weights)
+            });
+            let changes: Vec<Vector3<f64>> = changes.collect();
+            let modulated = [fx, fz, fx.abs(), fz.abs(), fx * fx, fz * fz];
+            let modulated = modulated.iter().map(|factor| changes[0] * *factor);
+            let all = modulated.chain(changes[1..].iter().copied());
+            for (column, change) in all.enumerate() {
+                (0..3).for_each(|axis| columns[(at + axis, column)] = change[axis]);
+            }
+            at += 3;
+        }
+    }
+    for mut column in columns.column_iter_mut() {
+        let rms = (column.norm_squared() / column.len().max(1) as f64).sqrt();
+        if rms > 0.0 {
+            column *= COLUMN_HEIGHT / rms;
+        }
+    }
+    columns
+}
+
 /// Index of the first block of each recording, and the number of blocks.
 fn first_blocks(setup: &FitSetup, block_s: f64) -> (Vec<usize>, usize) {
     let recordings = setup.rows.first().map_or(0, |rows| rows.parts.len());
@@ -356,7 +434,7 @@ fn part_of(folds: &[Fold], linearisation: &Linearisation) -> Vec<usize> {
 }
 
 /// Row stride of the search for shapes.
-const COARSE: usize = 4;
+const COARSE: usize = 6;
 
 /// Linearised model of one sensor.
 pub(super) struct SensorScore {

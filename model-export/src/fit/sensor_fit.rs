@@ -8,7 +8,7 @@
 //! Directions of the parameter space whose standard error exceeds half a prior width are not identifiable and
 //! stay at their start. They are determined once, on all recordings; values are fitted anew in each fold.
 
-use nalgebra::{DMatrix, DVector, Vector3};
+use nalgebra::{DMatrix, DVector};
 
 use crate::fit::block_bootstrap::{self, Block};
 use crate::fit::cross_validation::{ErrorSums, Fold, RowRange, all_rows, time_slices};
@@ -26,33 +26,31 @@ const FIRST_INFLATION: f64 = 1e4;
 pub struct SensorSolution {
     /// Solution in scaled parameters.
     pub scaled: DVector<f64>,
-    /// Weight of each axis after variance inflation.
-    pub weights: Vector3<f64>,
+    /// Variance inflation of the data.
+    pub inflation: f64,
     /// Free directions.
     pub space: FreeDirections,
     /// Block length in seconds.
     pub length_s: f64,
     /// Normal equations at the solution, in blocks of time.
     pub blocks: Vec<Block>,
+    /// Recording of each block.
+    parts: Vec<usize>,
 }
 
-/// Fit from the nominal design: with a low weight of the data to obtain residuals, then with the proper weight,
-/// last with unidentifiable directions fixed.
-pub fn fit_from_nominal(problem: &SensorProblem) -> Result<SensorSolution, FitError> {
+/// Fit from the nominal design: with a low weight of the data to obtain residuals, then with the proper weight, both on the
+/// rows `coarse`; last on all rows, with unidentifiable directions fixed.
+pub fn fit_from_nominal<'a>(
+    problem: &SensorProblem<'a>,
+    coarse: &'a SensorRows,
+) -> Result<SensorSolution, FitError> {
+    let on_coarse = problem.on(coarse);
     let whole = FreeDirections::except(&problem.preset(), problem.parameters.len());
     let start = DVector::zeros(problem.parameters.len());
-    let all = all_rows(problem.rows);
-    let low = problem.weights / FIRST_INFLATION.sqrt();
-    let first = minimise(problem, &all, low, &whole, &start, COARSE_TOLERANCE)?;
-    let (_, blocks) = linearised(problem, &first);
-    let second = minimise(
-        problem,
-        &all,
-        problem.weights / noise_inflation(&blocks).sqrt(),
-        &whole,
-        &first,
-        COARSE_TOLERANCE,
-    )?;
+    let all = all_rows(coarse);
+    let low = (&start, None);
+    let first = minimise(&on_coarse, &all, FIRST_INFLATION, &whole, low, COARSE_TOLERANCE)?;
+    let second = fit_all_free(&on_coarse, &first, 1)?;
     fit_identifiable(problem, &second, &[])
 }
 
@@ -64,13 +62,14 @@ const BETTER: f64 = 0.9;
 /// Fit of a base with effects, started at the fit of the base alone, where the priors of its parameters are centred. Where one of
 /// them is far from nominal, the base may imitate the effects (tilts of 8 degrees instead of a coupling of the flexures),
 /// and the priors and the directions that the data do not determine keep it there. Priors centred at nominal are then tried
-/// as well, and taken if the fit is better.
+/// as well, and taken if the fit is better. The fits before the last use the rows `coarse`.
 pub fn fit_from_base<'a>(
     problem: SensorProblem<'a>,
     values: &[f64],
+    coarse: &'a SensorRows,
 ) -> Result<(SensorProblem<'a>, SensorSolution), FitError> {
-    let fit = |problem: &SensorProblem, values: &[f64]| {
-        let near = fit_all_free(problem, &problem.to_scaled(values))?;
+    let fit = |problem: &SensorProblem<'a>, values: &[f64]| {
+        let near = fit_all_free(&problem.on(coarse), &problem.to_scaled(values), FREE_ROUNDS)?;
         fit_identifiable(problem, &near, &[])
     };
     let found = fit(&problem, values)?;
@@ -97,15 +96,23 @@ pub fn fit_from_base<'a>(
     Ok(if is_better { (nominal, other) } else { (problem, found) })
 }
 
+/// Rounds of a fit with all directions free: the weight of the data follows from the residuals of the round before.
+const FREE_ROUNDS: usize = 2;
+
 /// Fit from a nearby start with all directions free.
-fn fit_all_free(problem: &SensorProblem, start: &DVector<f64>) -> Result<DVector<f64>, FitError> {
+fn fit_all_free(
+    problem: &SensorProblem,
+    start: &DVector<f64>,
+    rounds: usize,
+) -> Result<DVector<f64>, FitError> {
     let whole = FreeDirections::except(&problem.preset(), problem.parameters.len());
     let all = all_rows(problem.rows);
     let mut scaled = start.clone();
-    for _ in 0..2 {
-        let (_, blocks) = linearised(problem, &scaled);
-        let weights = problem.weights / noise_inflation(&blocks).sqrt();
-        scaled = minimise(problem, &all, weights, &whole, &scaled, COARSE_TOLERANCE)?;
+    for _ in 0..rounds {
+        let (_, blocks, _) = linearised(problem, &scaled);
+        let inflation = noise_inflation(&blocks);
+        let from = (&scaled, Some(sum(&blocks)));
+        scaled = minimise(problem, &all, inflation, &whole, from, COARSE_TOLERANCE)?;
     }
     Ok(scaled)
 }
@@ -116,8 +123,8 @@ pub fn fit_identifiable(
     start: &DVector<f64>,
     frozen: &[usize],
 ) -> Result<SensorSolution, FitError> {
-    let (_, blocks) = linearised(problem, start);
-    let weights = problem.weights / noise_inflation(&blocks).sqrt();
+    let (_, blocks, _) = linearised(problem, start);
+    let inflation = noise_inflation(&blocks);
     let frozen: Vec<usize> = frozen.iter().copied().chain(problem.preset()).collect();
     let space = FreeDirections::from_data(&blocks, &problem.parameters, &frozen);
     if space.free.ncols() == 0 {
@@ -127,20 +134,39 @@ pub fn fit_identifiable(
         });
     }
     let all = all_rows(problem.rows);
-    let scaled = minimise(problem, &all, weights, &space, start, FINE_TOLERANCE)?;
-    let (length_s, blocks) = linearised(problem, &scaled);
-    Ok(SensorSolution { scaled, weights, space, length_s, blocks })
+    let from = (start, Some(sum(&blocks)));
+    let scaled = minimise(problem, &all, inflation, &space, from, FINE_TOLERANCE)?;
+    let (length_s, blocks, parts) = linearised(problem, &scaled);
+    Ok(SensorSolution { scaled, inflation, space, length_s, blocks, parts })
 }
 
 impl SensorSolution {
-    /// Fit of other rows, with the same weights and directions.
+    /// Fit of other rows, with the same inflation and directions.
     pub fn refit(
         &self,
         problem: &SensorProblem,
         training: &[RowRange],
         start: &DVector<f64>,
     ) -> Result<DVector<f64>, FitError> {
-        minimise(problem, training, self.weights, &self.space, start, COARSE_TOLERANCE)
+        let from = (start, None);
+        minimise(problem, training, self.inflation, &self.space, from, COARSE_TOLERANCE)
+    }
+
+    /// The same from this solution, whose values are `start` in the scale of `problem`.
+    pub fn refit_from_here(
+        &self,
+        problem: &SensorProblem,
+        training: &[RowRange],
+        start: &DVector<f64>,
+    ) -> Result<DVector<f64>, FitError> {
+        let is_whole = |range: &RowRange| range.rows == (0..problem.rows.parts[range.part].len());
+        let known = training.iter().all(is_whole).then(|| {
+            let blocks = self.blocks.iter().zip(&self.parts);
+            let is_used = |part: usize| training.iter().any(|range| range.part == part);
+            sum(blocks.filter(|(_, part)| is_used(**part)).map(|(block, _)| block))
+        });
+        let from = (start, known);
+        minimise(problem, training, self.inflation, &self.space, from, COARSE_TOLERANCE)
     }
 
     /// The same with these frozen parameters freed.
@@ -167,10 +193,10 @@ pub fn add_errors(
             continue;
         };
         let part = &problem.rows.parts[place.part];
-        let linear = problem.linearise(place.part, scaled);
+        let modelled = problem.predict(place.part, scaled);
         for row in ranges.iter().flat_map(|range| range.rows.clone()) {
-            let residual = part.field_g[row] - linear.fields[row];
-            tally.add(part, residual, problem.rows.slopes(&linear.per_newton[row]));
+            let residual = part.field_g[row] - modelled.fields[row];
+            tally.add(part, residual, problem.rows.slopes(&modelled.per_newton[row]));
         }
     }
 }
@@ -182,20 +208,32 @@ pub fn held_out_errors(problem: &SensorProblem, fold: &Fold, scaled: &DVector<f6
     tally
 }
 
-/// Block length and normal equations in blocks of time.
-fn linearised(problem: &SensorProblem, scaled: &DVector<f64>) -> (f64, Vec<Block>) {
+/// Sum over blocks.
+fn sum<'b>(blocks: impl IntoIterator<Item = &'b Block>) -> Block {
+    let sum = blocks.into_iter().fold(None, |sum: Option<Block>, block| match sum {
+        Some(mut sum) => {
+            sum += block;
+            Some(sum)
+        }
+        None => Some(block.clone()),
+    });
+    sum.unwrap_or_else(|| Block::zeros(0))
+}
+
+/// Block length, normal equations in blocks of time, and the recording of each block.
+fn linearised(problem: &SensorProblem, scaled: &DVector<f64>) -> (f64, Vec<Block>, Vec<usize>) {
     let rows: &SensorRows = problem.rows;
-    let evaluated: Vec<(DMatrix<f64>, Vec<f64>)> = (0..rows.parts.len())
-        .map(|part| weighted_jacobian(problem, part, scaled, &problem.weights))
-        .collect();
+    let evaluated: Vec<(DMatrix<f64>, Vec<f64>)> =
+        (0..rows.parts.len()).map(|part| weighted_jacobian(problem, part, scaled)).collect();
     let length_s = block_bootstrap::block_length_s(rows, |part, axis| {
         evaluated[part].1.iter().skip(axis).step_by(3).copied().collect()
     });
-    let mut list = Vec::new();
-    for (part, (jacobian, residuals)) in rows.parts.iter().zip(&evaluated) {
+    let (mut list, mut parts) = (Vec::new(), Vec::new());
+    for (place, (part, (jacobian, residuals))) in rows.parts.iter().zip(&evaluated).enumerate() {
         for range in time_slices(&part.time_s, length_s) {
             list.push(Block::of(jacobian, residuals, 3 * range.start..3 * range.end));
+            parts.push(place);
         }
     }
-    (length_s, list)
+    (length_s, list, parts)
 }

@@ -2,7 +2,7 @@
 
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt, TerminationReason};
 use nalgebra::storage::Owned;
-use nalgebra::{DMatrix, DVector, Dyn, OMatrix, Vector3};
+use nalgebra::{DMatrix, DVector, Dyn, OMatrix};
 
 use crate::fit::FitError;
 use crate::fit::block_bootstrap::Block;
@@ -29,7 +29,8 @@ const ROUNDS: usize = 30;
 struct Descent<'a> {
     problem: &'a SensorProblem<'a>,
     ranges: &'a [RowRange],
-    weights: Vector3<f64>,
+    /// Variance inflation of the data.
+    inflation: f64,
     space: &'a FreeDirections,
     /// Component outside the free directions.
     fixed: DVector<f64>,
@@ -56,29 +57,32 @@ impl Descent<'_> {
         parts
     }
 
-    /// Normal equations and sum of squares at the current point, prior included.
-    fn normal(&self) -> (Block, f64) {
+    /// Normal equations of the data at the current point.
+    fn data(&self) -> Block {
         let scaled = self.scaled();
         let mut sum = Block::zeros(scaled.len());
-        sum.normal.fill_with_identity();
-        sum.score -= &scaled;
-        let mut squares = scaled.norm_squared();
         for part in self.parts() {
-            let (jacobian, residuals) =
-                weighted_jacobian(self.problem, part, &scaled, &self.weights);
+            let (jacobian, residuals) = weighted_jacobian(self.problem, part, &scaled);
             for range in self.ranges.iter().filter(|range| range.part == part) {
                 let rows = 3 * range.rows.start..3 * range.rows.end;
-                let block = Block::of(&jacobian, &residuals, rows.clone());
-                sum.normal += block.normal;
-                sum.score += block.score;
-                squares += residuals[rows].iter().map(|r| r * r).sum::<f64>();
+                sum += &Block::of(&jacobian, &residuals, rows);
             }
         }
-        (sum, squares)
+        sum
     }
 
-    fn reduced(&self) -> Option<ReducedProblem> {
-        let (full, squares) = self.normal();
+    /// The reduced problem with these normal equations of the data, and the prior.
+    fn reduced(&self, data: &Block) -> Option<ReducedProblem> {
+        let scaled = self.scaled();
+        let squares = data.squares / self.inflation + scaled.norm_squared();
+        let mut full = Block {
+            normal: &data.normal / self.inflation,
+            score: &data.score / self.inflation - scaled,
+            squares,
+        };
+        for i in 0..full.score.len() {
+            full.normal[(i, i)] += 1.0;
+        }
         let free = &self.space.free;
         let normal = multiply(&multiply(&full.normal, free).transpose(), free);
         let score = multiply(&free.transpose(), &full.score);
@@ -99,17 +103,16 @@ pub fn weighted_jacobian(
     problem: &SensorProblem,
     part: usize,
     scaled: &DVector<f64>,
-    weights: &Vector3<f64>,
 ) -> (DMatrix<f64>, Vec<f64>) {
-    let linear = problem.linearise(part, scaled);
-    let mut jacobian = linear.jacobian;
+    let weights = &problem.weights;
+    let (modelled, mut jacobian) = problem.linearise(part, scaled);
     for mut column in jacobian.column_iter_mut() {
         for row in column.as_mut_slice().chunks_exact_mut(3) {
             row.iter_mut().zip(weights.iter()).for_each(|(v, w)| *v *= w);
         }
     }
     let measured = &problem.rows.parts[part].field_g;
-    let left = measured.iter().zip(&linear.fields);
+    let left = measured.iter().zip(&modelled.fields);
     let left = left.flat_map(|(measured, modelled)| {
         let error = (measured - modelled).component_mul(weights);
         [error.x, error.y, error.z]
@@ -124,7 +127,7 @@ impl LeastSquaresProblem<f64, Dyn, Dyn> for Descent<'_> {
 
     fn set_params(&mut self, free: &DVector<f64>) {
         self.free.copy_from(free);
-        self.reduced = self.reduced();
+        self.reduced = self.reduced(&self.data());
     }
 
     fn params(&self) -> DVector<f64> {
@@ -160,14 +163,15 @@ where
     product
 }
 
-/// Scaled parameters that minimise the squared residuals of these rows and the prior, from `start`, within the
-/// free directions; converged where a step lowers the sum of squares by less than `tolerance`, relative.
+/// Scaled parameters that minimise the squared residuals of these rows, divided by the variance `inflation`, and the prior, from
+/// `start`, within the free directions; converged where a step lowers the sum of squares by less than `tolerance`, relative.
+/// `at_start` are the normal equations of the same rows at `start`, where they are known.
 pub fn minimise(
     problem: &SensorProblem,
     ranges: &[RowRange],
-    weights: Vector3<f64>,
+    inflation: f64,
     space: &FreeDirections,
-    start: &DVector<f64>,
+    (start, at_start): (&DVector<f64>, Option<Block>),
     tolerance: f64,
 ) -> Result<DVector<f64>, FitError> {
     let not_converged =
@@ -176,13 +180,14 @@ pub fn minimise(
     let mut descent = Descent {
         problem,
         ranges,
-        weights,
+        inflation,
         space,
         fixed: space.fixed_part(start),
         free,
         reduced: None,
     };
-    descent.reduced = descent.reduced();
+    let at_start = at_start.unwrap_or_else(|| descent.data());
+    descent.reduced = descent.reduced(&at_start);
     let descent = descend(descent, tolerance).map_err(not_converged)?;
     let scaled = descent.scaled();
     if scaled.iter().all(|d| d.is_finite()) {

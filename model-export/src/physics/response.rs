@@ -33,17 +33,25 @@ pub struct FieldResponse {
 impl FieldResponse {
     /// First-order change of the reading between two states.
     pub fn change(&self, from: &PhysicalState, to: &PhysicalState) -> Vector3<f64> {
-        let tilt =
-            [0, 1].map(|i| self.per_tilt[i] * (to.extra_tilt_rad[i] - from.extra_tilt_rad[i]));
-        self.per_mm * (to.displacement_mm - from.displacement_mm)
-            + tilt[0]
-            + tilt[1]
-            + self.per_strength * (to.strength - from.strength)
-            + self.per_external * (to.external_g - from.external_g)
-            + self.per_gain.component_mul(&(to.gain - from.gain))
-            + self.per_rotation * (to.rotation_rad - from.rotation_rad)
-            + self.per_offset * (to.offset_g - from.offset_g)
-            + self.per_compression * (to.compression - from.compression)
+        let mut change = Vector3::zeros();
+        // Most effects change one of these: the comparisons cost less than the products.
+        let mut add = |derivative: &Matrix3<f64>, from: &Vector3<f64>, to: &Vector3<f64>| {
+            if from != to {
+                change += derivative * (to - from);
+            }
+        };
+        add(&self.per_mm, &from.displacement_mm, &to.displacement_mm);
+        add(&self.per_external, &from.external_g, &to.external_g);
+        add(&self.per_rotation, &from.rotation_rad, &to.rotation_rad);
+        add(&self.per_offset, &from.offset_g, &to.offset_g);
+        if from.extra_tilt_rad != to.extra_tilt_rad {
+            for (axis, per_tilt) in self.per_tilt.iter().enumerate() {
+                change += per_tilt * (to.extra_tilt_rad[axis] - from.extra_tilt_rad[axis]);
+            }
+        }
+        change += self.per_strength * (to.strength - from.strength);
+        change += self.per_gain.component_mul(&(to.gain - from.gain));
+        change + self.per_compression * (to.compression - from.compression)
     }
 }
 

@@ -44,6 +44,11 @@ impl Campaign {
         Ok(campaign)
     }
 
+    /// Rows of all recordings, on the clock of the reference.
+    pub fn row_count(&self) -> usize {
+        self.recordings.iter().map(|recording| recording.time_s.len()).sum()
+    }
+
     /// Indices of the sensors, equal in all recordings.
     pub fn sensors(&self) -> Vec<u32> {
         self.recordings

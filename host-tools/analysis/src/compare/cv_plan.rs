@@ -7,7 +7,6 @@ use crate::progress;
 use anyhow::Result;
 use model_export::effects::EffectTerm;
 use model_export::fit::campaign::FitSetup;
-use model_export::fit::cross_validation::CvSplit;
 use model_export::fit::joint::JointFit;
 use model_export::fit::{FitError, FitOptions};
 use model_export::model_file::{ModelFile, Provenance};
@@ -200,8 +199,8 @@ fn excess_error(
 
 /// Segments of a recording with the models of their folds.
 fn segments(prepared: &FitSetup, fit: &JointFit, part: usize, first: usize) -> Vec<(f64, usize)> {
-    if let CvSplit::Recordings(_) = fit.split {
-        return vec![(f64::INFINITY, first + part)];
+    if let Some(fold) = fit.split.fold_of(part) {
+        return vec![(f64::INFINITY, first + fold)];
     }
     let Some((rows, of)) = prepared.rows.first().zip(fit.sensors.first()) else {
         return Vec::new();

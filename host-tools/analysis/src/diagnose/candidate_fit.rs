@@ -2,7 +2,6 @@
 //! of the cross-validated error is added; candidates close to it are provisionally equivalent.
 
 use crate::diagnose::candidates::{MIN_GAIN, ScreenedEffect};
-use crate::diagnose::confusable_effects::are_confusable;
 use crate::diagnose::selection::{AcceptedStep, FittedModel, SMALL, Selection};
 use anyhow::Result;
 use model_export::effects::EffectTerm;
@@ -25,7 +24,7 @@ const MIN_OF_FREE: f64 = 0.8;
 /// Minimum gain of a transient effect relative to everything that is not noise: with less, it imitates something in time, and
 /// its many coefficients take long to fit.
 const MIN_OF_EXCESS: f64 = 0.2;
-/// A confusable effect below this fraction of an accepted one's reduction is the remainder of that one.
+/// Another form of an accepted effect that reduces the error by less than this fraction of its reduction is its remainder.
 const MAX_REMAINDER: f64 = 0.2;
 
 /// A fitted candidate.
@@ -151,7 +150,7 @@ impl<'a> CandidateFit<'a> {
         let fitted = contenders.par_iter().filter_map(|&screened| self.fitted(screened));
         let mut ranked: Vec<FittedCandidate> = fitted.collect();
         ranked.sort_by(|a, b| b.gain.total_cmp(&a.gain));
-        let best = ranked.remove(winner(&ranked, &selection.steps)?);
+        let best = ranked.remove(winner(&ranked, selection)?);
         let is_near = |other: &FittedCandidate| {
             let near = equivalent_gain(best.screened, other.screened, selection);
             other.gain >= near * best.gain
@@ -190,13 +189,15 @@ impl<'a> CandidateFit<'a> {
 
 /// Index of the best candidate that improves the error and is not the remainder of an earlier step; `None` where
 /// such a remainder explains much more.
-fn winner(ranked: &[FittedCandidate], steps: &[AcceptedStep]) -> Option<usize> {
-    // The remainder of a larger effect resembles a confusable effect, or has an implausible magnitude.
+fn winner(ranked: &[FittedCandidate], selection: &Selection) -> Option<usize> {
+    // No effect of the catalogue has exactly the form of a real one: friction is not three sliders, creep not two time constants.
+    // The remainder of a larger effect is explained by other forms of it, or has an implausible magnitude.
     let is_remainder = |candidate: &FittedCandidate| {
-        steps.iter().any(|step| {
-            let related = are_confusable(&step.chosen, &candidate.screened.candidate)
-                || !candidate.is_plausible;
-            related && candidate.reduction < MAX_REMAINDER * step.reduction
+        let form_of = selection.form_of(candidate.screened);
+        selection.steps.iter().any(|step| {
+            let is_form = form_of.is_some_and(|other| other.chosen == step.chosen);
+            (is_form || !candidate.is_plausible)
+                && candidate.reduction < MAX_REMAINDER * step.reduction
         })
     };
     let first = ranked.iter().find(|c| c.is_improvement())?;

@@ -44,6 +44,7 @@ pub fn forward_selection(
             prepared.split(present),
             options,
         )?],
+        form_gains: Vec::new(),
         last: Vec::new(),
         attributed: Vec::new(),
         collinearity: Collinearity::of(prepared),
@@ -101,6 +102,8 @@ pub fn screen_last<'a>(
     selection.block_s = block_s;
     selection.blocks = around.blocks;
     selection.last = screen(&around, &remaining, options.seed);
+    selection.form_gains =
+        selection.steps.iter().map(|step| around.form_gain(&step.chosen)).collect();
     selection.attributed = attributed_covariates(&columns, block_s);
     around
 }

@@ -52,6 +52,12 @@ pub mod selection;
 pub mod suggestions;
 pub mod verdicts;
 
+/// Rows of a recording by which effects and formulas are selected; the models of the result are fitted to all rows. Where the
+/// residual is white noise, standard errors during the selection are larger by the root of the ratio.
+const SELECTION_ROWS: usize = 1000;
+/// Fraction of the remaining work that these last fits take.
+const ALL_ROWS: f64 = 0.7;
+
 /// Results of a diagnosis.
 #[derive(Clone, Debug, Default)]
 pub struct Diagnosis {
@@ -130,8 +136,8 @@ pub enum Reason {
     Equivalent,
     /// The effects of this step, the accepted one first, explain more of the same.
     ExplainedBetter(Vec<String>),
-    /// What it explains is consistent with the form of an accepted effect.
-    RemainderOf(String),
+    /// Other forms of an accepted effect explain nearly as much.
+    FormOf(String),
     /// The residual drifts with time more freely than the effect can.
     DriftsWithTime,
     /// It fits part of a residual with another cause.
@@ -232,24 +238,33 @@ pub fn diagnose(
 ) -> Result<(Diagnosis, Option<ModelRefit>)> {
     observer.begin();
     let prepared = model.fit_setup(campaign, options)?;
+    let sample = prepared.sampled(SELECTION_ROWS);
     let present: Vec<EffectTerm> = model.effect_terms(path)?;
     let (testable, untestable) =
         candidates(campaign, model.base, model.force_axes(), &present, own);
     let mut selection =
-        forward_selection(campaign, &prepared, &present, &testable, options, observer)?;
-    let formulas = discover(campaign, &prepared, &testable, &mut selection, options, observer)?;
+        forward_selection(campaign, &sample, &present, &testable, options, observer)?;
+    let mut formulas = discover(campaign, &sample, &testable, &mut selection, options, observer)?;
+    if sample.row_count() < prepared.row_count() {
+        observer.stage("fitting all rows", ALL_ROWS);
+        selection.fit_again(&prepared, options)?;
+    }
+    if let Some(last) = selection.stages.last() {
+        let recordings = campaign.recordings.len();
+        formulas.iter_mut().for_each(|formula| formula.set_models(last, recordings));
+    }
     let mut diagnosis = conclude(&selection, &formulas, &untestable, campaign.recordings.len());
     if let Some(last) = selection.stages.last().filter(|_| !diagnosis.at_floor) {
         let located = selection.attributed.iter().map(|(_, share)| share).sum();
-        let columns = residuals_against(&prepared, last, &[]);
+        let columns = residuals_against(&sample, last, &[]);
         diagnosis.remaining = Some(RemainingStructure::of(&columns, located));
     }
     if plans && !observer.is_stopped() {
         let verdicts = &diagnosis.verdicts;
         diagnosis.proposal =
-            Some(propose(&prepared, &selection, verdicts, &untestable, options, observer));
+            Some(propose(&sample, &selection, verdicts, &untestable, options, observer));
     }
-    diagnosis.shapes = shapes(campaign, &prepared, &selection, &formulas, options.seed);
+    diagnosis.shapes = shapes(campaign, &sample, &selection, &formulas, options.seed);
     diagnosis.formulas = formulas;
     diagnosis.model = path.display().to_string();
     diagnosis.campaign = campaign.folder.display().to_string();

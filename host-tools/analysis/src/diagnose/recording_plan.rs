@@ -488,7 +488,7 @@ impl Planner<'_> {
                 let planned = template.rows(rows, excitation);
                 parts.push(planned.thinned(stride(planned.len())));
             }
-            Some(SensorRows { sensor: rows.sensor, forces: rows.forces.clone(), parts })
+            Some(SensorRows { forces: rows.forces.clone(), parts, ..*rows })
         };
         sensors.iter().filter_map(of_sensor).collect()
     }

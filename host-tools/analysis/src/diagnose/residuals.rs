@@ -48,10 +48,10 @@ pub fn residuals_against(
             let problem = SensorProblem::new(rows, base.as_ref(), &effects);
             let departures = problem.to_scaled(&fit.values);
             for (place, part) in rows.parts.iter().enumerate() {
-                let linear = problem.linearise(place, &departures);
-                let errors = part.field_g.iter().zip(&linear.fields);
+                let modelled = problem.predict(place, &departures);
+                let errors = part.field_g.iter().zip(&modelled.fields);
                 let left: Vec<Vector3<f64>> = errors.map(|(b, m)| b - m).collect();
-                let slopes = linear.per_newton.iter();
+                let slopes = modelled.per_newton.iter();
                 let floor: Vec<Vector3<f64>> = slopes
                     .map(|per_newton| noise_variance(part, rows.slopes(per_newton)))
                     .collect();

@@ -16,6 +16,8 @@ use model_export::fit::joint::JointFit;
 const COMPLETE: f64 = 1.5;
 /// Maximum remaining structure of a complete selection, relative to the explained part.
 const MAX_REMAINING: f64 = 0.4;
+/// Minimum gain of other forms of an accepted effect, relative to that of a candidate that is only one of them.
+const FORM: f64 = 0.8;
 /// Minimum gain of a named effect relative to an unnamed cause.
 pub const SMALL: f64 = 0.5;
 
@@ -43,6 +45,8 @@ pub struct Selection {
     pub steps: Vec<AcceptedStep>,
     /// Models from the first to the last step.
     pub stages: Vec<FittedModel>,
+    /// Reduction of the last model's held-out squared residual by other forms of each step's effect.
+    pub form_gains: Vec<f64>,
     /// Score tests of all candidates on the last model.
     pub last: Vec<ScreenedEffect>,
     /// Covariates that explain the residual, with their shares.
@@ -66,6 +70,28 @@ impl Selection {
         let structure = last.powi(2) - 1.0;
         let is_explained = self.steps.is_empty() || structure <= MAX_REMAINING * explained;
         *last <= AT_FLOOR || (*last <= COMPLETE && is_explained)
+    }
+}
+
+impl Selection {
+    /// Fits every model again, to the rows of `setup`.
+    ///
+    /// # Errors
+    /// A fit fails.
+    pub fn fit_again(&mut self, setup: &FitSetup, options: FitOptions) -> Result<()> {
+        for stage in &mut self.stages {
+            *stage = FittedModel::new(setup, stage.effects.clone(), stage.fit.split, options)?;
+        }
+        Ok(())
+    }
+}
+
+impl Selection {
+    /// The step of which `candidate` explains only another form: other forms explain nearly as much of the residual.
+    pub fn form_of(&self, candidate: &ScreenedEffect) -> Option<&AcceptedStep> {
+        let steps = self.steps.iter().zip(&self.form_gains);
+        let mut forms = steps.filter(|(_, gain)| **gain >= FORM * candidate.evidence.gain());
+        forms.next().map(|(step, _)| step)
     }
 }
 

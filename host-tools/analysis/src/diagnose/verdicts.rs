@@ -2,7 +2,6 @@
 
 use crate::compare::AT_FLOOR;
 use crate::diagnose::candidates::{ScreenedEffect, UntestableEffect};
-use crate::diagnose::confusable_effects::are_confusable;
 use crate::diagnose::selection::FittedModel;
 use crate::diagnose::selection::{AcceptedStep, Selection};
 use crate::diagnose::{
@@ -152,7 +151,7 @@ fn of_rest(
     let (kind, reason) = if !complete {
         (VerdictKind::Inconclusive, Reason::UnexplainedResidual(unexplained.first().cloned()))
     } else if screened.is_significant() {
-        remainder(effect, selection)
+        remainder(screened, selection)
     } else if let Some(reason) = insufficient(evidence) {
         (VerdictKind::Inconclusive, reason)
     } else {
@@ -191,11 +190,12 @@ pub(super) fn insufficient(evidence: &CandidateScore) -> Option<Reason> {
 }
 
 /// Verdict on an effect that explains part of the residual without being accepted.
-fn remainder(effect: &EffectTerm, selection: &Selection) -> (VerdictKind, Reason) {
-    let confusable = selection.steps.iter().find(|step| are_confusable(&step.chosen, effect));
-    match confusable {
-        Some(step) => (VerdictKind::Shadow, Reason::RemainderOf(step.chosen.name().to_owned())),
-        None if effect.is_transient() => (VerdictKind::Inconclusive, Reason::DriftsWithTime),
+fn remainder(screened: &ScreenedEffect, selection: &Selection) -> (VerdictKind, Reason) {
+    match selection.form_of(screened) {
+        Some(step) => (VerdictKind::Shadow, Reason::FormOf(step.chosen.name().to_owned())),
+        None if screened.candidate.is_transient() => {
+            (VerdictKind::Inconclusive, Reason::DriftsWithTime)
+        }
         None => (VerdictKind::Inconclusive, Reason::OtherCause),
     }
 }

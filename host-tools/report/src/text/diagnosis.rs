@@ -568,8 +568,8 @@ pub fn reason(verdict: &Verdict) -> String {
         Reason::ExplainedBetter(effects) => {
             format!("it explains part of what {} explains better", effects.join(" or "))
         }
-        Reason::RemainderOf(effect) => {
-            format!("it explains a remainder that is consistent with the form of {effect}")
+        Reason::FormOf(effect) => {
+            format!("it explains a remainder that another form of {effect} explains as well")
         }
         Reason::DriftsWithTime => {
             "the residual drifts with time more freely than this effect can".to_owned()
@@ -619,7 +619,7 @@ pub fn short_reason(verdict: &Verdict) -> String {
         Reason::ExplainedBetter(effects) => {
             effects.first().map_or_else(String::new, |first| format!("part of {first}"))
         }
-        Reason::RemainderOf(effect) => format!("part of {effect}"),
+        Reason::FormOf(effect) => format!("form of {effect}"),
         Reason::DriftsWithTime => "drifts with time".to_owned(),
         Reason::OtherCause => "has another cause".to_owned(),
         Reason::UnexplainedResidual(_) => "much is unexplained".to_owned(),

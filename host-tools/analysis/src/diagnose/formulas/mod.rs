@@ -93,6 +93,16 @@ pub struct DiscoveredFormula {
     pub other_targets: Option<Vec<Vec<&'static str>>>,
 }
 
+impl DiscoveredFormula {
+    /// Sets its effects with the values of each sensor in this model.
+    pub fn set_models(&mut self, model: &FittedModel, recordings: usize) {
+        let models = EffectModel::all_of(&model.fit, &model.effects, recordings);
+        let is_own =
+            |model: &EffectModel| self.effects.iter().any(|effect| effect.name() == model.name);
+        self.models = models.into_iter().filter(is_own).collect();
+    }
+}
+
 /// Result of a search.
 #[derive(Clone, Debug)]
 pub struct Discovery {
@@ -175,18 +185,7 @@ pub fn discover(
     remove_needless(setup, selection, options)?;
     observer.stage("screening candidates", FINAL);
     screen_last(campaign, setup, candidates, selection, options);
-    let mut formulas = found.formulas;
-    if let Some(last) = selection.stages.last() {
-        let recordings = setup.rows.first().map_or(0, |rows| rows.parts.len());
-        let models = EffectModel::all_of(&last.fit, &last.effects, recordings);
-        for formula in &mut formulas {
-            let is_own = |model: &&EffectModel| {
-                formula.effects.iter().any(|effect| effect.name() == model.name)
-            };
-            formula.models = models.iter().filter(is_own).cloned().collect();
-        }
-    }
-    Ok(formulas)
+    Ok(found.formulas)
 }
 
 /// Removes the effects of a selection that its last model, with formulas, does not need.

@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use model_export::effects::{EffectTerm, ExcitationSeries};
 use model_export::fit::campaign::FitSetup;
+use model_export::fit::cross_validation::CvSplit;
 use model_export::fit::problem::SensorProblem;
 use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Vector3};
 use rayon::prelude::*;
@@ -109,7 +110,7 @@ fn of_sensor(
     let scaled = problem.to_scaled(values);
     let ranges = problem.ranges();
     let of_effects = |is_own: &dyn Fn(&EffectTerm) -> bool| -> Vec<usize> {
-        let own = problem.effects.iter().zip(&ranges).filter(|(effect, _)| is_own(effect));
+        let own = problem.effects.iter().zip(ranges).filter(|(effect, _)| is_own(effect));
         own.flat_map(|(_, range)| range.clone()).collect()
     };
     let left_out = of_effects(&|effect| without.contains(effect));
@@ -119,10 +120,11 @@ fn of_sensor(
     let mut unused = vec![Vector3::zeros(); problem.base_count];
     let (mut residual, mut patterns) = (Vec::new(), vec![Vec::new(); points.len()]);
     let mut jacobian: Vec<f64> = Vec::new();
-    let (mut folds, mut blocks) = (Vec::new(), Vec::new());
+    let mut folds: Vec<(Option<usize>, Range<usize>)> = Vec::new();
+    let mut blocks = Vec::new();
     let (mut count, columns) = (0, problem.parameters.len());
     for (place, (part, windows)) in rows.parts.iter().zip(windows).enumerate() {
-        let linear = problem.linearise(place, &scaled);
+        let (modelled, jacobian_of) = problem.linearise(place, &scaled);
         let series = problem.series(place, values);
         let first = count;
         let mut block = first;
@@ -133,14 +135,14 @@ fn of_sensor(
             let mut covariance = Matrix3::zeros();
             for row in window.clone() {
                 let response = at(&series.states[row], &mut unused);
-                sums[0] += part.field_g[row] - linear.fields[row];
+                sums[0] += part.field_g[row] - modelled.fields[row];
                 for (sum, point) in sums[1..].iter_mut().zip(points) {
                     *sum += point.pattern(&response, series.force_n[row], stiffness);
                 }
-                derivatives += linear.jacobian.rows(3 * row, 3);
+                derivatives += jacobian_of.rows(3 * row, 3);
                 let known = |noise: f64| if noise.is_finite() { noise } else { 0.0 };
                 covariance += Matrix3::from_diagonal(&part.field_noise_g.map(|n| known(n).powi(2)));
-                let slopes = rows.slopes(&linear.per_newton[row]);
+                let slopes = rows.slopes(&modelled.per_newton[row]);
                 for (slope, noise) in slopes.zip(&part.force_noise_n) {
                     covariance += slope * slope.transpose() * known(*noise).powi(2);
                 }
@@ -177,9 +179,15 @@ fn of_sensor(
             blocks.push(block..count);
         }
         if first < count {
-            folds.push(first..count);
+            let split = CvSplit::Recordings(rows.parts.len());
+            match folds.last_mut() {
+                // In one fold with the recording before.
+                Some((last, fold)) if *last == split.fold_of(place) => fold.end = count,
+                _ => folds.push((split.fold_of(place), first..count)),
+            }
         }
     }
+    let mut folds: Vec<Range<usize>> = folds.into_iter().map(|(_, rows)| rows).collect();
     if folds.len() < 2 {
         let edge = |fold: usize| fold * count / FOLDS;
         folds = (0..FOLDS).map(|fold| edge(fold)..edge(fold + 1)).collect();
