@@ -3,7 +3,7 @@
 
 Wide and narrow, light and dark, with and without its script: nothing is fetched, nothing is said on the
 console, each panel is there and drawn, the page does not scroll sideways, and its controls work.
-Leaves screenshots in FOLDER.
+Leaves screenshots in a folder of the page's name in FOLDER.
 """
 
 import sys
@@ -220,7 +220,8 @@ def controls(opened, screen):
 
 
 def main():
-    path, folder = Path(sys.argv[1]).resolve(), Path(sys.argv[2])
+    path = Path(sys.argv[1]).resolve()
+    folder = Path(sys.argv[2]) / path.stem
     folder.mkdir(parents=True, exist_ok=True)
     failed = False
     with sync_playwright() as playwright:
@@ -244,9 +245,9 @@ def main():
                     page.screenshot(path=folder / f"{name}-zoomed.png")
                     panels(opened)
             for wrong in dict.fromkeys(opened.wrong):
-                print(f"{name}: {wrong}")
+                print(f"{path.stem}, {name}: {wrong}\n", end="")
             failed |= bool(opened.wrong)
-            print(f"{name}: {'FAILED' if opened.wrong else 'good'}")
+            print(f"{path.stem}, {name}: {'FAILED' if opened.wrong else 'good'}\n", end="", flush=True)
             page.context.close()
         browser.close()
     sys.exit(failed)

@@ -111,6 +111,23 @@ impl Chip {
         Ok(chip)
     }
 
+    /// A copy in its present state, with other devices, which must be in the state of its own. A line of the log that has begun
+    /// is lost.
+    pub fn copy(&self, devices: Devices) -> Self {
+        Self {
+            core: self.core.clone(),
+            state: self.state,
+            soc: self.soc.copy(devices),
+            image: self.image.clone(),
+            log: self.log.copy(),
+            logged: self.logged,
+            resets: self.resets.clone(),
+            measured_from: self.measured_from,
+            asleep: self.asleep,
+            sampler: self.sampler.clone(),
+        }
+    }
+
     fn start(&mut self) -> Result<(), Halt> {
         self.log.restart();
         if self.soc.is_browned_out() {

@@ -29,6 +29,7 @@ pub trait I2cBus {
 }
 
 /// No device: nothing acknowledges, both lines are pulled up.
+#[derive(Clone)]
 pub struct EmptyI2cBus;
 
 impl I2cBus for EmptyI2cBus {

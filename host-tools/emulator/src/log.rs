@@ -43,6 +43,12 @@ impl Log {
         Self { block, table, decoder: table.map(Table::new_stream_decoder), lines: Vec::new() }
     }
 
+    /// A copy that begins with the next line.
+    pub(crate) fn copy(&self) -> Self {
+        let decoder = self.table.map(Table::new_stream_decoder);
+        Self { block: self.block, table: self.table, decoder, lines: self.lines.clone() }
+    }
+
     /// Begins anew after a reset: what had not ended is lost.
     pub(crate) fn restart(&mut self) {
         self.decoder = self.table.map(Table::new_stream_decoder);

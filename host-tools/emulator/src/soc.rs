@@ -123,6 +123,7 @@ struct Request {
 }
 
 /// Numbers of the interrupts.
+#[derive(Clone)]
 struct Interrupts {
     i2c: [[usize; 2]; 3],
     fdcan: [usize; 2],
@@ -239,6 +240,7 @@ pub struct Soc {
     functions: Functions,
 }
 
+#[derive(Clone)]
 struct Functions {
     bridges: [(Pin, u8); 6],
     break_input: (Pin, u8),
@@ -353,6 +355,53 @@ impl Soc {
         };
         soc.power_on();
         soc
+    }
+
+    /// A copy in its present state, with other devices.
+    pub(crate) fn copy(&self, devices: Devices) -> Self {
+        Self {
+            now: self.now,
+            next: self.next,
+            pause_at: self.pause_at,
+            end: self.end,
+            cycle: self.cycle,
+            system: self.system.clone(),
+            sram: self.sram.clone(),
+            ccm: self.ccm.clone(),
+            flash: self.flash.clone(),
+            rcc: self.rcc.clone(),
+            pwr: self.pwr.clone(),
+            syscfg: self.syscfg.clone(),
+            dbgmcu: self.dbgmcu.clone(),
+            exti: self.exti.clone(),
+            gpio: self.gpio.clone(),
+            dma: self.dma.clone(),
+            tim5: self.tim5.clone(),
+            tim1: self.tim1.clone(),
+            iwdg: self.iwdg.clone(),
+            i2c: self.i2c.clone(),
+            usart: self.usart.clone(),
+            fdcan: self.fdcan.clone(),
+            adc: self.adc.clone(),
+            slow_adcs: self.slow_adcs.clone(),
+            spi: self.spi.clone(),
+            rng: self.rng.clone(),
+            devices,
+            violations: self.violations.clone(),
+            options: self.options.clone(),
+            entries: self.entries.clone(),
+            map: self.map.clone(),
+            requests: self.requests,
+            interrupts: self.interrupts.clone(),
+            buses: self.buses,
+            empty: EmptyI2cBus,
+            modified: self.modified.clone(),
+            reset: self.reset,
+            gate_fault: self.gate_fault,
+            is_break_wire_open: self.is_break_wire_open,
+            has_motor_trigger: self.has_motor_trigger,
+            functions: self.functions.clone(),
+        }
     }
 
     /// Registers take their reset values, memories hold what they happen to.

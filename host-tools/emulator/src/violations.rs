@@ -89,7 +89,7 @@ impl fmt::Display for Violation {
 }
 
 /// All violations since power-on.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct Violations {
     found: BTreeMap<(Kind, u32, &'static str), Violation>,
     /// The instruction that runs, and when.

@@ -63,6 +63,7 @@ pub struct FieldConditions {
 }
 
 /// A sensor with its finger and the sources that depend on its place.
+#[derive(Clone)]
 pub struct SensorUnit {
     /// Manufactured dimensions.
     pub specimen: SensorSpecimen,

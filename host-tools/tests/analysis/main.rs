@@ -1,9 +1,13 @@
-//! `magpie add`, `compare`, `demo`, `diagnose` and `effects` on small campaigns.
+//! `magpie add`, `compare`, `demo`, `diagnose`, `effects`, `train` and `benchmark` on small campaigns, and setup errors in
+//! them: one program, since each links the whole workspace.
 
 mod add;
+mod catalogue;
 mod compare;
 mod demo;
 mod diagnose;
 mod diagnose_variants;
+mod networks;
+mod setup_errors;
 #[path = "../workdir/mod.rs"]
 mod workdir;

@@ -62,6 +62,7 @@ pub(crate) enum Inputs {
 }
 
 /// The peripheral.
+#[derive(Clone)]
 pub struct Adc {
     words: [u32; WORDS],
     common: u32,

@@ -99,6 +99,7 @@ impl ResetCause {
 }
 
 /// The peripheral.
+#[derive(Clone)]
 pub struct Rcc {
     words: [u32; WORDS],
     /// When each oscillator is ready: HSI, HSE, PLL, HSI48, LSI.

@@ -57,7 +57,7 @@ pub(crate) struct Transfer {
 }
 
 /// The peripherals.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub struct Dma {
     channels: [Channel; CHANNELS],
     flags: [u32; 2],

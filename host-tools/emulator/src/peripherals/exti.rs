@@ -13,6 +13,7 @@ registers! { "EXTI":
 const PINS: u32 = 0xFFFF;
 
 /// The peripheral.
+#[derive(Clone)]
 pub struct Exti {
     words: [u32; 14],
 }

@@ -61,6 +61,7 @@ struct Fifo {
 }
 
 /// The peripheral.
+#[derive(Clone)]
 pub struct Fdcan {
     cccr: Cccr,
     nbtp: u32,

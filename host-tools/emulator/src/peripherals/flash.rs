@@ -61,6 +61,7 @@ pub enum Remains {
 }
 
 /// Memory and controller.
+#[derive(Clone)]
 pub struct Flash {
     bytes: Vec<u8>,
     /// Offsets of double words with two wrong bits, sorted.

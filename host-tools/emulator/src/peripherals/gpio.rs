@@ -58,6 +58,7 @@ pub enum Mode {
 }
 
 /// A port of 16 pins.
+#[derive(Clone)]
 pub struct Gpio {
     words: [u32; 10],
     /// What is outside of each pin: driven low or high, or nothing.

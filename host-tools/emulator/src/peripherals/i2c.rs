@@ -55,6 +55,7 @@ enum Phase {
 }
 
 /// The peripheral.
+#[derive(Clone)]
 pub struct I2c {
     cr1: Cr1,
     cr2: Cr2,

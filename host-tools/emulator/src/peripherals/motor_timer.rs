@@ -42,6 +42,7 @@ pub(crate) enum Moment {
 }
 
 /// The peripheral.
+#[derive(Clone)]
 pub struct MotorTimer {
     words: [u32; WORDS],
     /// Values in use; new ones wait for an update.

@@ -24,6 +24,7 @@ const THRESHOLDS_MV: [u32; 7] = [2000, 2200, 2400, 2500, 2600, 2800, 2900];
 const SUPPLY_MV: u32 = 3300;
 
 /// The peripheral.
+#[derive(Clone)]
 pub struct Pwr {
     cr: [u32; 4],
     cr5: u32,

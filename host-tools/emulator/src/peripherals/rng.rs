@@ -14,6 +14,7 @@ const NUMBER_CYCLES: u64 = 412;
 const FIRST_CYCLES: u64 = 2 * NUMBER_CYCLES;
 
 /// The peripheral.
+#[derive(Clone)]
 pub struct Rng {
     control: u32,
     thresholds: u32,

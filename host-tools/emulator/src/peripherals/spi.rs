@@ -23,6 +23,7 @@ const UNMODELLED_CR2: u32 = 0x60F8;
 const FIFO_BYTES: usize = 4;
 
 /// The peripheral.
+#[derive(Clone)]
 pub struct Spi {
     /// Modes, 2 CPOL + CPHA, that the device understands.
     modes: &'static [u32],

@@ -22,7 +22,7 @@ pub enum BreakSource {
 }
 
 /// The peripheral.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub struct Syscfg {
     words: [u32; 10],
 }
@@ -79,7 +79,7 @@ impl Syscfg {
 }
 
 /// The debug unit's registers.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub struct Dbgmcu {
     control: u32,
 }

@@ -15,6 +15,7 @@ const WORDS: usize = 17;
 const FLAGS: u32 = 0x1F;
 
 /// The peripheral.
+#[derive(Clone)]
 pub struct Timer {
     words: [u32; WORDS],
     /// Prescaler in use; a new one is taken over with the next update.

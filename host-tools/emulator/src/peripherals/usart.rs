@@ -26,6 +26,7 @@ const CLEARABLE: u32 = 0x0012_3B5F;
 const TOLERANCE: u64 = 3;
 
 /// The peripheral.
+#[derive(Clone)]
 pub struct Usart {
     cr1: u32,
     cr2: u32,

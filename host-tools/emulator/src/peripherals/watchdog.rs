@@ -27,6 +27,7 @@ pub struct Feeds {
 }
 
 /// The peripheral.
+#[derive(Clone)]
 pub struct Watchdog {
     prescaler: u32,
     reload: u32,

@@ -37,7 +37,7 @@ struct Transfer {
 }
 
 /// Simulated bus.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub struct CanBus {
     /// Pending frame of the board's controller.
     offered: Option<devices::CanFrame>,

@@ -77,6 +77,21 @@ impl CanHost {
         }
     }
 
+    /// A copy in its present state, on another bus.
+    pub fn copy(&self, bus: Rc<RefCell<CanBus>>) -> Self {
+        Self {
+            bus,
+            session: self.session.clone(),
+            command: self.command,
+            wait_ms: self.wait_ms,
+            waiting: self.waiting.clone(),
+            opening_ms: self.opening_ms,
+            unanswered: self.unanswered.clone(),
+            is_silent: self.is_silent,
+            received: self.received.clone(),
+        }
+    }
+
     /// Opens a session with motion, as soon as the challenge arrives.
     pub fn arm(&mut self) {
         self.waiting.clear();

@@ -111,6 +111,7 @@ impl I2cSensor {
 }
 
 /// Lines of a bus and its sensors.
+#[derive(Clone)]
 pub struct SensorBusWires {
     /// Sensors on the bus.
     pub sensors: Vec<I2cSensor>,
@@ -127,6 +128,11 @@ pub struct SensorBusWires {
 }
 
 impl SensorBusWires {
+    /// A copy in its present state, in another world.
+    pub(crate) fn copy(&self, now: &Rc<RefCell<WorldClock>>) -> Self {
+        Self { now: now.clone(), ..self.clone() }
+    }
+
     /// An idle bus.
     pub fn new(sensors: Vec<I2cSensor>, now: Rc<RefCell<WorldClock>>) -> Self {
         Self {

@@ -20,6 +20,7 @@ const OUTPUTS: [u8; 2] = [0x22, 0x2D];
 const PULLED_UP: u8 = 0xFF;
 
 /// Registers of the sensor.
+#[derive(Clone)]
 pub struct InertialSensor {
     now: Rc<RefCell<WorldClock>>,
     settings: [u8; 128],
@@ -34,6 +35,11 @@ pub struct InertialSensor {
 }
 
 impl InertialSensor {
+    /// A copy in its present state, in another world.
+    pub(crate) fn copy(&self, now: &Rc<RefCell<WorldClock>>) -> Self {
+        Self { now: now.clone(), ..self.clone() }
+    }
+
     /// At power-on.
     pub fn new(now: Rc<RefCell<WorldClock>>) -> Self {
         Self {

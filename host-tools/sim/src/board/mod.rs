@@ -163,6 +163,16 @@ impl Connections {
         Self { buses, inertial, can: Rc::default(), line: Rc::default(), now }
     }
 
+    /// A copy in its present state, which goes on with a copy of its world.
+    pub fn copy(&self, world: Box<dyn World>) -> Self {
+        let now = Rc::new(RefCell::new(self.now.borrow().copy(world)));
+        let buses = self.buses.each_ref().map(|bus| Rc::new(RefCell::new(bus.borrow().copy(&now))));
+        let inertial = Rc::new(RefCell::new(self.inertial.borrow().copy(&now)));
+        let can = Rc::new(RefCell::new(self.can.borrow().clone()));
+        let line = Rc::new(RefCell::new(self.line.borrow().clone()));
+        Self { buses, inertial, can, line, now }
+    }
+
     /// Modifies a sensor, by its number on the gripper.
     pub fn change_sensor(&self, number: usize, change: impl Fn(&mut I2cSensor)) {
         for bus in &self.buses {

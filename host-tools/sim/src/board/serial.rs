@@ -23,7 +23,7 @@ fn duration_us(bytes: usize) -> u64 {
 const RX_BYTES: usize = 512;
 
 /// Both directions of the line.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub struct SerialLink {
     /// Bytes from the board.
     pub sent: Vec<u8>,

@@ -104,6 +104,11 @@ impl WorldClock {
         now
     }
 
+    /// A copy in its present state, which goes on with a copy of its world.
+    pub fn copy(&self, world: Box<dyn World>) -> Self {
+        Self { world, ..*self }
+    }
+
     /// Sample at the time of a sensor transfer.
     pub fn at_transfer(&mut self, time_us: u64) -> &WorldSample {
         self.begins_us.get_or_insert(time_us + FIRST_TICK_US - MARGIN_US);

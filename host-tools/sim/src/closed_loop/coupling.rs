@@ -105,6 +105,7 @@ pub struct SimulatedGripper {
     pending_order: Option<MotorCommand>,
     status: Timed<MotorStatus>,
     samples: u64,
+    rotor: RotorLine,
     /// The timer of an emulated chip advances it, not its own rig.
     is_driven_by_chip: bool,
 }
@@ -133,7 +134,36 @@ impl SimulatedGripper {
             pending_order: None,
             status: Timed::default(),
             samples: 0,
+            rotor: RotorLine::default(),
             is_driven_by_chip: false,
+        }
+    }
+
+    /// A copy in its present state, without the injected errors.
+    pub fn copy(&self) -> Self {
+        Self {
+            rig: self.rig.clone(),
+            errors: SensingErrors::default(),
+            towards_first: self.towards_first,
+            impacts: self.impacts.clone(),
+            bench: self.bench.clone(),
+            peak_n: self.peak_n,
+            outward_peak_n: self.outward_peak_n,
+            last_order_us: self.last_order_us,
+            tripped: self.tripped,
+            out_us: self.out_us,
+            temperatures_c: self.temperatures_c,
+            tips: self.tips.clone(),
+            inertial: self.inertial.clone(),
+            specific_force: self.specific_force,
+            periods: self.periods,
+            is_second_half: self.is_second_half,
+            status_phase: self.status_phase,
+            pending_order: self.pending_order,
+            status: self.status,
+            samples: self.samples,
+            rotor: self.rotor,
+            is_driven_by_chip: self.is_driven_by_chip,
         }
     }
 
@@ -289,8 +319,11 @@ impl Drivetrain for PowerStagePins {
 
 /// Its rotor sensor, an AS5047P (datasheet, tables 12 to 22): each frame returns the answer to the previous one. After an
 /// invalid command every answer has the error flag, until the error register is read.
-pub struct RotorSensor {
-    gripper: SharedGripper,
+pub struct RotorSensor(pub SharedGripper);
+
+/// What it remembers from frame to frame.
+#[derive(Clone, Copy, Debug, Default)]
+struct RotorLine {
     command: u16,
     answer: u16,
     /// Bits of the error register, ERRFL.
@@ -311,47 +344,45 @@ const ERROR_REGISTER: u16 = 0x0001;
 const ANGLE_REGISTER: u16 = 0x3FFF;
 
 impl RotorSensor {
-    /// Before the first frame.
-    pub fn new(gripper: SharedGripper) -> Self {
-        Self { gripper, command: 0, answer: 0, errors: 0 }
-    }
-
-    /// Executes a command; returns the answer of the next frame.
-    fn execute(&mut self, command: u16) -> u16 {
-        let gripper = &mut *self.gripper.borrow_mut();
-        let command = gripper.errors.command.as_mut().map_or(command, |change| change(command));
+    /// Executes the last command: its answer is that of the next frame.
+    fn execute(&mut self) {
+        let gripper = &mut *self.0.borrow_mut();
+        let RotorLine { command, errors, .. } = &mut gripper.rotor;
+        let command = gripper.errors.command.as_mut().map_or(*command, |change| change(*command));
         if command.count_ones() % 2 == 1 {
-            self.errors |= PARITY_ERROR;
+            *errors |= PARITY_ERROR;
         } else if command & READ == 0 && command != NO_OPERATION {
-            self.errors |= INVALID_COMMAND;
+            *errors |= INVALID_COMMAND;
         }
-        let flag = if self.errors == 0 { 0 } else { ERROR_FLAG };
+        let flag = if *errors == 0 { 0 } else { ERROR_FLAG };
         let data = match command & ADDRESS {
             ANGLE_REGISTER => gripper.rig.plant.angle(),
             // Reading it clears it.
-            ERROR_REGISTER => std::mem::take(&mut self.errors),
+            ERROR_REGISTER => std::mem::take(errors),
             NO_OPERATION => 0,
             _ => {
-                self.errors |= INVALID_COMMAND;
+                *errors |= INVALID_COMMAND;
                 0
             }
         };
         let word = data & as5047::DATA | flag;
         let answer = if word.count_ones() % 2 == 1 { word | PARITY } else { word };
-        gripper.errors.frame.as_mut().map_or(answer, |frame| frame(answer))
+        let frame = &mut gripper.errors.frame;
+        gripper.rotor.answer = frame.as_mut().map_or(answer, |frame| frame(answer));
     }
 }
 
 impl SpiDevice for RotorSensor {
     fn select(&mut self, _: Time, is_selected: bool) {
         if !is_selected {
-            self.answer = self.execute(self.command);
+            self.execute();
         }
     }
 
     fn transfer(&mut self, _: Time, frame: u16) -> u16 {
-        self.command = frame;
-        self.answer
+        let rotor = &mut self.0.borrow_mut().rotor;
+        rotor.command = frame;
+        rotor.answer
     }
 }
 

@@ -88,17 +88,7 @@ impl EmulatedBoard {
     ) -> Result<Self> {
         gripper.borrow_mut().connect_chip();
         let connections = Connections::new(world);
-        let [first, second] = connections.buses.clone();
-        let devices = Devices {
-            sensor_buses: [Box::new(first), Box::new(second)],
-            spi: [
-                Box::new(RotorSensor::new(gripper.clone())),
-                Box::new(InertialPins(connections.inertial.clone())),
-            ],
-            drivetrain: Box::new(PowerStagePins(gripper)),
-            can: Box::new(connections.can.clone()),
-            serial: Box::new(connections.line.clone()),
-        };
+        let devices = devices(&connections, gripper);
         let options = Options {
             wiring,
             i2c_synchronisation: conditions.i2c_synchronisation,
@@ -108,6 +98,13 @@ impl EmulatedBoard {
         let chip = Chip::new(image, conditions.model, options, devices)
             .context("the image does not start")?;
         Ok(Self { chip, connections })
+    }
+
+    /// A copy in its present state, which goes on with copies of its world and gripper.
+    pub fn copy(&self, world: Box<dyn World>, gripper: SharedGripper) -> Self {
+        let connections = self.connections.copy(world);
+        let chip = self.chip.copy(devices(&connections, gripper));
+        Self { chip, connections }
     }
 
     /// Bytes of the serial line since the last call.
@@ -122,6 +119,21 @@ impl EmulatedBoard {
     /// Packets of the serial line since the last call, with their end times.
     pub fn take_packets(&self, receiver: &mut PacketDecoder) -> Vec<(Time, Packet)> {
         self.take_sent().packets(receiver)
+    }
+}
+
+/// What is at the chip's pins.
+fn devices(connections: &Connections, gripper: SharedGripper) -> Devices {
+    let [first, second] = connections.buses.clone();
+    Devices {
+        sensor_buses: [Box::new(first), Box::new(second)],
+        spi: [
+            Box::new(RotorSensor(gripper.clone())),
+            Box::new(InertialPins(connections.inertial.clone())),
+        ],
+        drivetrain: Box::new(PowerStagePins(gripper)),
+        can: Box::new(connections.can.clone()),
+        serial: Box::new(connections.line.clone()),
     }
 }
 

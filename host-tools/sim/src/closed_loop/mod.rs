@@ -24,6 +24,7 @@ mod tests;
 use crate::board::host::CanHost;
 use crate::board::{MotorConnection, Program, SimulatedBoard, VirtualTimeBoard};
 use crate::closed_loop::coupling::{GripperMotor, GripperWorld, SharedGripper, SimulatedGripper};
+use crate::closed_loop::emulated_board::EmulatedBoard;
 use crate::closed_loop::motor_rig::MotorRig;
 use crate::drivetrain::fingertips::{Fingertips, distribute_forces};
 use crate::drivetrain::parameters::{Lead, PlantParameters, SCATTER};
@@ -184,6 +185,16 @@ impl ClosedLoop {
         board.hides_corruption = is_disabled(DisabledProtection::MemoryCheck);
         board.controller.hides_bus_off.set(is_disabled(DisabledProtection::BusOffDetection));
         Self::from_board(board, gripper)
+    }
+}
+
+impl ClosedLoop<EmulatedBoard> {
+    /// A copy in its present state, without injected errors: both go on from here, alike.
+    pub fn copy(&self) -> Self {
+        let gripper = Rc::new(RefCell::new(self.gripper.borrow().copy()));
+        let board = self.board.copy(Box::new(GripperWorld(gripper.clone())), gripper.clone());
+        let host = self.host.copy(board.connections.can.clone());
+        Self { board, gripper, host, time_us: self.time_us }
     }
 }
 

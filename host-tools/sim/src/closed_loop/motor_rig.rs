@@ -12,6 +12,7 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 const ARMING_S: f64 = 0.1;
 
 /// The firmware's motor control on a plant.
+#[derive(Clone)]
 pub struct MotorRig {
     /// Drivetrain.
     pub plant: Plant,

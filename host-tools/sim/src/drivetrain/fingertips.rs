@@ -49,6 +49,7 @@ impl Default for AmbientConditions {
 }
 
 /// All sensors of the gripper, with measurement noise.
+#[derive(Clone)]
 pub struct Fingertips {
     sensors: Vec<SensorUnit>,
     rng: ChaCha8Rng,

@@ -38,6 +38,7 @@ pub const PERIOD_S: f64 = 1e-3 / constants::PWM_RATE.value;
 const HALF_STEPS: u32 = 10;
 
 /// The drivetrain in time.
+#[derive(Clone)]
 pub struct Plant {
     parameters: PlantParameters,
     /// Mechanical state.

@@ -3,5 +3,3 @@
 mod benchmark;
 mod device;
 mod train;
-#[path = "../workdir/mod.rs"]
-mod workdir;

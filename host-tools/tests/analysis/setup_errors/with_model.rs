@@ -17,7 +17,7 @@ use nalgebra::Vector3;
 use tests::campaign_copy::{CampaignCopy, CsvTable};
 use tests::data;
 
-use crate::{ALL, assert_equal_numbers, assert_message, clean, single};
+use super::{ALL, assert_equal_numbers, assert_message, clean, single};
 
 const NO_DELAY: Alignment = Alignment { delay_us: 0.0 };
 const SENSORS: [u32; 4] = [0, 1, 2, 3];

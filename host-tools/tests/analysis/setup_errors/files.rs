@@ -8,7 +8,7 @@ use report::text::findings::message;
 use tests::campaign_copy::{CampaignCopy, CsvTable};
 use tests::data;
 
-use crate::{ALL, assert_equal_numbers, assert_message, clean, single};
+use super::{ALL, assert_equal_numbers, assert_message, clean, single};
 
 fn found(spoilt: &CampaignCopy) -> Vec<Finding> {
     scan_files(&spoilt.path(), |_| ()).unwrap()

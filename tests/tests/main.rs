@@ -1,0 +1,11 @@
+//! The library crates in use, as one program: each program links the whole workspace.
+
+mod compensation;
+mod creep;
+mod drivers;
+mod fitting;
+mod ideal_model;
+mod import;
+mod magnet_fields;
+mod recording_errors;
+mod third_party_data;
