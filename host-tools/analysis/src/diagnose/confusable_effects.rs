@@ -1,4 +1,8 @@
-//! Effects that the excitation of the recordings makes hard to distinguish.
+//! Effects that are hard to distinguish: by their covariates, or on the data at hand.
+//!
+//! No effect of the catalogue has exactly the form of a real one: friction is not three sliders, creep not two
+//! time constants. The remainder of an accepted effect resembles the effects with a common [`Signature`], or is explained by
+//! other forms of that effect ([`model_export::fit::score_test::ScoreTest::form_gain`]), and is much smaller; such a remainder is not named.
 
 use crate::statistics::mean_and_std;
 use model_export::effects::{EffectStage, EffectTerm, ExcitationSeries, Signature, find};
@@ -7,6 +11,11 @@ use model_export::fit::campaign::FitSetup;
 /// Signatures of an effect; none for a user-defined one.
 fn signatures(effect: &EffectTerm) -> &'static [Signature] {
     find(effect.name()).map_or(&[], |effect| effect.signatures)
+}
+
+/// True if two effects have a common signature.
+pub fn are_confusable(one: &EffectTerm, other: &EffectTerm) -> bool {
+    signatures(one).iter().any(|signature| signatures(other).contains(signature))
 }
 
 /// Maximum relative standard deviation of the amplitude of a single sine.
@@ -128,6 +137,16 @@ fn is_steady(track: &ExcitationSeries, axis: usize) -> Option<bool> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use model_export::effects::find;
+
+    #[test]
+    fn creep_is_confusable_with_lags_and_with_drifts() {
+        let effect = |id| EffectTerm::Catalogue(find(id).unwrap());
+        assert!(are_confusable(&effect("creep"), &effect("viscous_lag")));
+        assert!(are_confusable(&effect("field_drift"), &effect("creep")));
+        assert!(!are_confusable(&effect("field_drift"), &effect("viscous_lag")));
+    }
+
     fn steady(force: impl Fn(f64) -> f64) -> Option<bool> {
         let time_s: Vec<f64> = (0..3000).map(|i| 0.01 * f64::from(i)).collect();
         let force_n = time_s.iter().map(|t| [force(*t), 0.0]).collect();

@@ -62,18 +62,18 @@ pub fn forward_selection(
         }
         let stage = &selection.stages[selection.stages.len() - 1];
         observer.stage("fitting candidates", FITTING);
-        let Some((step, next)) = best_candidate(prepared, stage, &around, &selection, options)?
-        else {
-            break;
-        };
-        if let Some((_, share)) = selection.attributed.first() {
-            let excess = 1.0 - stage.floors().powi(-2);
-            if *share > ATTRIBUTED && step.gain < SMALL * share * excess {
-                break;
+        let best = best_candidate(prepared, stage, &around, &selection, options)?;
+        let excess = 1.0 - stage.floors().powi(-2);
+        let attributed = selection.attributed.first().map_or(0.0, |(_, share)| *share);
+        let is_named = |gain: f64| attributed <= ATTRIBUTED || gain >= SMALL * attributed * excess;
+        match best.filter(|(step, _)| is_named(step.gain)) {
+            Some((step, next)) => {
+                selection.steps.push(step);
+                selection.stages.push(next);
             }
+            None if exchange(prepared, &mut selection, options)? => {}
+            None => break,
         }
-        selection.steps.push(step);
-        selection.stages.push(next);
     }
     if !observer.is_stopped() {
         observer.stage("separating equivalent effects", FITTING);
@@ -164,6 +164,70 @@ pub fn eliminate_backward(
         selection.steps.remove(place);
     }
     Ok(())
+}
+
+/// Residual in noise floors below which no effect is exchanged.
+const MIN_EXCHANGE: f64 = 1.03;
+
+/// Replaces the effect of an earlier step by one that explained less in any step, where that now lowers the error: what the later
+/// steps explain was in the residual when it was accepted. Returns whether an effect was replaced.
+///
+/// # Errors
+/// A fit fails.
+fn exchange(prepared: &FitSetup, selection: &mut Selection, options: FitOptions) -> Result<bool> {
+    let Some(last) = selection.stages.last().filter(|last| last.floors() > MIN_EXCHANGE) else {
+        return Ok(false);
+    };
+    let replaced = |effects: &[EffectTerm], old: &EffectTerm, new: &EffectTerm| {
+        let effects = effects.iter();
+        effects
+            .map(|effect| if effect == old { new.clone() } else { effect.clone() })
+            .collect::<Vec<_>>()
+    };
+    // The effect of the last step was compared with everything else fitted.
+    let earlier = selection.steps.len().saturating_sub(1);
+    let mut others: Vec<EffectTerm> = Vec::new();
+    for other in selection.steps.iter().flat_map(|step| &step.shadows) {
+        if !last.effects.contains(other) && !others.contains(other) {
+            others.push(other.clone());
+        }
+    }
+    let pairs: Vec<(usize, EffectTerm)> = (0..earlier)
+        .flat_map(|place| others.iter().map(move |other| (place, other.clone())))
+        .collect();
+    let fitted = |(place, other): &(usize, EffectTerm)| {
+        let effects = replaced(&last.effects, &selection.steps[*place].chosen, other);
+        FittedModel::without_validation(prepared, effects, options).ok()
+    };
+    let fits: Vec<Option<FittedModel>> = pairs.par_iter().map(fitted).collect();
+    let best = pairs
+        .into_iter()
+        .zip(fits)
+        .filter_map(|(pair, fit)| Some((pair, fit?)))
+        .filter(|(_, fit)| fit.is_better_fit(DISTINGUISHABLE, last))
+        .min_by(|a, b| a.1.fitted_mean_square().total_cmp(&b.1.fitted_mean_square()));
+    let Some(((place, other), fit)) = best else {
+        return Ok(false);
+    };
+    let split = prepared.split(&[&last.effects[..], &fit.effects].concat());
+    let old = last.clone().with_split(prepared, split, options);
+    let new = FittedModel::new(prepared, fit.effects, split, options)?;
+    let recordings = prepared.rows.first().map_or(0, |rows| rows.parts.len());
+    let is_worse = old.mean_square() > (1.0 + DISTINGUISHABLE) * new.mean_square();
+    if !is_worse || !new.improves_all_folds(&old) || !new.is_possible(recordings) {
+        return Ok(false);
+    }
+    let step = &mut selection.steps[place];
+    let chosen = std::mem::replace(&mut step.chosen, other.clone());
+    step.shadows.retain(|shadow| *shadow != other);
+    step.shadows.push(chosen.clone());
+    step.shadows.append(&mut step.tied);
+    for stage in &mut selection.stages[place + 1..] {
+        let effects = replaced(&stage.effects, &chosen, &other);
+        let split = prepared.split(&effects);
+        *stage = FittedModel::new(prepared, effects, split, options)?;
+    }
+    Ok(true)
 }
 
 /// Minimum relative difference of the squared errors of two distinguishable effects. (A shift and a derivative

@@ -3,7 +3,7 @@
 use crate::compare::AT_FLOOR;
 use crate::compare::covariates::Covariate;
 use crate::diagnose::candidates::ScreenedEffect;
-use crate::diagnose::confusable_effects::Collinearity;
+use crate::diagnose::confusable_effects::{Collinearity, are_confusable};
 use anyhow::Result;
 use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
@@ -87,16 +87,20 @@ impl Selection {
 }
 
 impl Selection {
-    /// The step of which `candidate` explains only another form: other forms explain nearly as much of the residual.
+    /// The step of which `candidate` explains only another form: other forms explain nearly as much of the residual, or both effects
+    /// have a common signature.
     pub fn form_of(&self, candidate: &ScreenedEffect) -> Option<&AcceptedStep> {
         let steps = self.steps.iter().zip(&self.form_gains);
-        let mut forms = steps.filter(|(_, gain)| **gain >= FORM * candidate.evidence.gain());
+        let mut forms = steps.filter(|(step, gain)| {
+            **gain >= FORM * candidate.evidence.gain()
+                || are_confusable(&step.chosen, &candidate.candidate)
+        });
         forms.next().map(|(step, _)| step)
     }
 }
 
-/// Maximum ratio of squared errors on the fitted rows for a comparable model.
-const MAX_RATIO: f64 = 1.1;
+/// Maximum excess of the squared error on the fitted rows of a comparable model, as a fraction.
+const MAX_EXCESS: f64 = 0.1;
 
 /// Minimum plausible magnitude relative to the typical one.
 const MIN_MAGNITUDE: f64 = 0.03;
@@ -151,11 +155,16 @@ impl FittedModel {
 
     /// Whether its error on the fitted rows is so much larger than that of `other` that cross-validation is not needed.
     pub fn is_clearly_worse(&self, other: &Self) -> bool {
-        self.fitted_mean_square() > MAX_RATIO * other.fitted_mean_square()
+        other.is_better_fit(MAX_EXCESS, self)
+    }
+
+    /// Whether its error on the fitted rows is lower than that of `other` by more than this fraction.
+    pub fn is_better_fit(&self, fraction: f64, other: &Self) -> bool {
+        other.fitted_mean_square() > (1.0 + fraction) * self.fitted_mean_square()
     }
 
     /// Mean square over all channels on the fitted rows, in gauss squared.
-    fn fitted_mean_square(&self) -> f64 {
+    pub fn fitted_mean_square(&self) -> f64 {
         let scores = || self.fit.sensors.iter().flat_map(|sensor| &sensor.scores);
         let squares: f64 = scores().map(|score| score.fitted_rms_g.powi(2)).sum();
         squares / scores().count().max(1) as f64

@@ -53,10 +53,17 @@ pub fn conclude(
     if last.floors() <= AT_FLOOR {
         diagnosis.unexplained.clear();
     }
-    for step in &selection.steps {
-        diagnosis.verdicts.extend(of_step(step, last, recordings, complete));
-    }
     let named = |name: &str, verdicts: &[Verdict]| verdicts.iter().any(|v| v.effect == name);
+    let of_steps: Vec<Verdict> =
+        selection.steps.iter().flat_map(|step| of_step(step, last, recordings, complete)).collect();
+    // An effect may explain less than another in one step and be accepted in the next.
+    let (shadows, accepted): (Vec<_>, Vec<_>) =
+        of_steps.into_iter().partition(|verdict| verdict.kind == VerdictKind::Shadow);
+    for verdict in accepted.into_iter().chain(shadows) {
+        if !named(&verdict.effect, &diagnosis.verdicts) {
+            diagnosis.verdicts.push(verdict);
+        }
+    }
     for screened in &selection.last {
         if !named(screened.candidate.name(), &diagnosis.verdicts) {
             diagnosis.verdicts.push(of_rest(screened, complete, selection, &diagnosis.unexplained));

@@ -569,7 +569,7 @@ pub fn reason(verdict: &Verdict) -> String {
             format!("it explains part of what {} explains better", effects.join(" or "))
         }
         Reason::FormOf(effect) => {
-            format!("it explains a remainder that another form of {effect} explains as well")
+            format!("it explains a remainder that is consistent with another form of {effect}")
         }
         Reason::DriftsWithTime => {
             "the residual drifts with time more freely than this effect can".to_owned()
