@@ -50,12 +50,7 @@ pub struct FitSetup {
     pub notices: Vec<Notice>,
     /// Fits without effects, computed on first use.
     base_fits: OnceLock<BaseFits>,
-    /// Some rows of each sensor for the first steps of a fit, selected on first use.
-    coarse: OnceLock<Vec<SensorRows>>,
 }
-
-/// Rows of a recording for the first steps of a fit.
-const COARSE_ROWS: usize = 300;
 
 impl FitSetup {
     /// The same with about `count` rows of each recording, or all.
@@ -94,7 +89,6 @@ impl FitSetup {
             design: Some(design.clone()),
             polynomials: Vec::new(),
             base_fits: OnceLock::new(),
-            coarse: OnceLock::new(),
         })
     }
 
@@ -125,7 +119,6 @@ impl FitSetup {
             polynomials,
             notices,
             base_fits: OnceLock::new(),
-            coarse: OnceLock::new(),
         })
     }
 
@@ -144,7 +137,6 @@ impl FitSetup {
             polynomials: self.polynomials.clone(),
             notices: Vec::new(),
             base_fits: OnceLock::new(),
-            coarse: OnceLock::new(),
         }
     }
 
@@ -162,17 +154,14 @@ impl FitSetup {
         options: FitOptions,
         done: impl Fn(u32) + Sync,
     ) -> Result<JointFit, FitError> {
-        let coarse = self
-            .coarse
-            .get_or_init(|| self.rows.iter().map(|rows| rows.at_most(COARSE_ROWS)).collect());
         let base_fits = match self.base_fits.get() {
             Some(base_fits) => base_fits,
             None => {
-                let base_fits = BaseFits::new(&self.rows, coarse, &self.bases)?;
+                let base_fits = BaseFits::new(&self.rows, &self.bases)?;
                 self.base_fits.get_or_init(|| base_fits)
             }
         };
-        joint::fit((&self.rows, coarse), &self.bases, base_fits, effects, split, options, done)
+        joint::fit(&self.rows, &self.bases, base_fits, effects, split, options, done)
     }
 
     /// Cross-validation split for a fit with these effects.

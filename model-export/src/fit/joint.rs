@@ -103,20 +103,16 @@ pub struct BaseFits {
 }
 
 impl BaseFits {
-    /// Fits every sensor; `coarse` are some of its rows, for the first steps.
+    /// Fits every sensor.
     ///
     /// # Errors
     /// A fit fails.
-    pub fn new(
-        rows: &[SensorRows],
-        coarse: &[SensorRows],
-        bases: &[Arc<dyn BaseModel>],
-    ) -> Result<Self, FitError> {
+    pub fn new(rows: &[SensorRows], bases: &[Arc<dyn BaseModel>]) -> Result<Self, FitError> {
         let solutions: Vec<SensorSolution> = (0..rows.len())
             .into_par_iter()
             .map(|s| {
                 let problem = SensorProblem::new(&rows[s], bases[s].as_ref(), &[]);
-                sensor_fit::fit_from_nominal(&problem, &coarse[s])
+                sensor_fit::fit_from_nominal(&problem)
             })
             .collect::<Result<_, _>>()?;
         let of_training = solutions.iter().map(|_| Mutex::default()).collect();
@@ -143,9 +139,9 @@ impl BaseFits {
 }
 
 /// Fits every sensor with its base and the effects (in any order), starting from `base_fits` without
-/// effects. `coarse` are some of the rows, for the first steps. `done` is called after each sensor, from any thread.
+/// effects. `done` is called after each sensor, from any thread.
 pub fn fit(
-    (rows, coarse): (&[SensorRows], &[SensorRows]),
+    rows: &[SensorRows],
     bases: &[Arc<dyn BaseModel>],
     base_fits: &BaseFits,
     effects: &[EffectTerm],
@@ -167,7 +163,7 @@ pub fn fit(
         (alone, states, covariances, folds)
     } else {
         let (problems, states): (Vec<_>, Vec<_>) =
-            with_effects(&alone, coarse, base_fits, &effects)?.into_iter().unzip();
+            with_effects(&alone, base_fits, &effects)?.into_iter().unzip();
         let (states, covariances) = pool_shared(&problems, states, options)?;
         let folds = cross_validate(&problems, &states, split, Some((base_fits, &alone[..])))?;
         (problems, states, covariances, folds)
@@ -196,7 +192,6 @@ type FoldResults = (Vec<Vec<f64>>, Vec<ErrorSums>);
 /// Adds effects to the fits of the bases.
 fn with_effects<'a>(
     bases: &[SensorProblem<'a>],
-    coarse: &'a [SensorRows],
     base_fits: &BaseFits,
     effects: &'a [EffectTerm],
 ) -> Result<SensorStates<'a>, FitError> {
@@ -211,8 +206,7 @@ fn with_effects<'a>(
     search_all(&mut searches);
     searches
         .into_par_iter()
-        .zip(coarse)
-        .map(|(search, coarse)| sensor_fit::fit_from_base(search.problem, &search.values, coarse))
+        .map(|search| sensor_fit::fit_from_base(search.problem, &search.values))
         .collect()
 }
 

@@ -181,11 +181,6 @@ impl<'a> SensorProblem<'a> {
         self.states(part, &values).iter().map(field).collect()
     }
 
-    /// The same problem with other rows of the same recordings.
-    pub fn on(&self, rows: &'a SensorRows) -> Self {
-        Self { rows, ..self.clone() }
-    }
-
     /// Fields over a recording, with their derivatives to the forces.
     pub fn predict(&self, part: usize, scaled: &DVector<f64>) -> ModelledFields {
         let values = self.values(scaled);

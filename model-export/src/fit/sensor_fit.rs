@@ -38,19 +38,15 @@ pub struct SensorSolution {
     parts: Vec<usize>,
 }
 
-/// Fit from the nominal design: with a low weight of the data to obtain residuals, then with the proper weight, both on the
-/// rows `coarse`; last on all rows, with unidentifiable directions fixed.
-pub fn fit_from_nominal<'a>(
-    problem: &SensorProblem<'a>,
-    coarse: &'a SensorRows,
-) -> Result<SensorSolution, FitError> {
-    let on_coarse = problem.on(coarse);
+/// Fit from the nominal design: with a low weight of the data to obtain residuals, then with the proper weight,
+/// last with unidentifiable directions fixed.
+pub fn fit_from_nominal(problem: &SensorProblem) -> Result<SensorSolution, FitError> {
     let whole = FreeDirections::except(&problem.preset(), problem.parameters.len());
     let start = DVector::zeros(problem.parameters.len());
-    let all = all_rows(coarse);
+    let all = all_rows(problem.rows);
     let low = (&start, None);
-    let first = minimise(&on_coarse, &all, FIRST_INFLATION, &whole, low, COARSE_TOLERANCE)?;
-    let second = fit_all_free(&on_coarse, &first, 1)?;
+    let first = minimise(problem, &all, FIRST_INFLATION, &whole, low, COARSE_TOLERANCE)?;
+    let second = fit_all_free(problem, &first, 1)?;
     fit_identifiable(problem, &second, &[])
 }
 
@@ -62,14 +58,13 @@ const BETTER: f64 = 0.9;
 /// Fit of a base with effects, started at the fit of the base alone, where the priors of its parameters are centred. Where one of
 /// them is far from nominal, the base may imitate the effects (tilts of 8 degrees instead of a coupling of the flexures),
 /// and the priors and the directions that the data do not determine keep it there. Priors centred at nominal are then tried
-/// as well, and taken if the fit is better. The fits before the last use the rows `coarse`.
+/// as well, and taken if the fit is better.
 pub fn fit_from_base<'a>(
     problem: SensorProblem<'a>,
     values: &[f64],
-    coarse: &'a SensorRows,
 ) -> Result<(SensorProblem<'a>, SensorSolution), FitError> {
     let fit = |problem: &SensorProblem<'a>, values: &[f64]| {
-        let near = fit_all_free(&problem.on(coarse), &problem.to_scaled(values), FREE_ROUNDS)?;
+        let near = fit_all_free(problem, &problem.to_scaled(values), FREE_ROUNDS)?;
         fit_identifiable(problem, &near, &[])
     };
     let found = fit(&problem, values)?;
