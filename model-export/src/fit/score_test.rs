@@ -204,7 +204,7 @@ impl<'a> ScoreTest<'a> {
         1.0 - with / without
     }
 
-    /// Relative reduction of the held-out squared residual by other forms of a fitted effect (see [`form_columns`]), each with a
+    /// Relative reduction of the held-out squared residual by other forms of a fitted effect (see `form_columns`), each with a
     /// coefficient for each sensor.
     pub fn form_gain(&self, effect: &EffectTerm) -> f64 {
         let Some(place) = self.effects.iter().position(|own| own == effect) else {
