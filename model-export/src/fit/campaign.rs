@@ -53,11 +53,6 @@ pub struct FitSetup {
 }
 
 impl FitSetup {
-    /// The same with about `count` rows of each recording, or all.
-    pub fn sampled(&self, count: usize) -> Self {
-        self.with_rows(self.rows.iter().map(|rows| rows.at_most(count)).collect())
-    }
-
     /// With the cylinder base, for every sensor with both forces recorded; the others are reported as notices.
     pub fn cylinder(campaign: &Campaign) -> Result<Self, FitError> {
         let design = campaign
@@ -138,6 +133,11 @@ impl FitSetup {
             notices: Vec::new(),
             base_fits: OnceLock::new(),
         }
+    }
+
+    /// The same with about `count` rows of each recording, or all.
+    pub fn sampled(&self, count: usize) -> Self {
+        self.with_rows(self.rows.iter().map(|rows| rows.at_most(count)).collect())
     }
 
     /// Rows of all sensors.

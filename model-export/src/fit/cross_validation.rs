@@ -10,7 +10,7 @@ use std::ops::Range;
 const FOLDS: usize = 6;
 
 /// Maximum number of folds of whole recordings.
-const MAX_RECORDING_FOLDS: usize = 10;
+pub const MAX_RECORDING_FOLDS: usize = 10;
 
 /// Slice length of [`CvSplit::Interleaved`] in seconds.
 const SLICE_S: f64 = 0.25;
@@ -305,4 +305,23 @@ pub fn off_plane_residual(
     let across = gx.cross(gz);
     let axis = across.iamax();
     (across[axis] != 0.0).then(|| (axis, across.dot(&residual) / across[axis]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn recordings_are_held_out_once_in_at_most_ten_folds_of_nearly_equal_size() {
+        for count in [1, 3, 10, 11, 25, 100] {
+            let folds: Vec<usize> =
+                (0..count).filter_map(|part| CvSplit::Recordings(count).fold_of(part)).collect();
+            assert_eq!(folds.len(), count);
+            assert!(folds.is_sorted() && folds[0] == 0);
+            assert_eq!(folds[count - 1] + 1, count.min(10));
+            let sizes: Vec<usize> = folds.chunk_by(|a, b| a == b).map(<[usize]>::len).collect();
+            assert_eq!(sizes.len(), count.min(10), "{count}");
+            assert!(sizes.iter().all(|size| [count / 10, count.div_ceil(10)].contains(size)));
+        }
+    }
 }

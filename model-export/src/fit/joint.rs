@@ -108,11 +108,11 @@ impl BaseFits {
     /// # Errors
     /// A fit fails.
     pub fn new(rows: &[SensorRows], bases: &[Arc<dyn BaseModel>]) -> Result<Self, FitError> {
-        let solutions: Vec<SensorSolution> = (0..rows.len())
-            .into_par_iter()
-            .map(|s| {
-                let problem = SensorProblem::new(&rows[s], bases[s].as_ref(), &[]);
-                sensor_fit::fit_from_nominal(&problem)
+        let pairs: Vec<_> = rows.iter().zip(bases).collect();
+        let solutions: Vec<SensorSolution> = pairs
+            .par_iter()
+            .map(|(rows, base)| {
+                sensor_fit::fit_from_nominal(&SensorProblem::new(rows, base.as_ref(), &[]))
             })
             .collect::<Result<_, _>>()?;
         let of_training = solutions.iter().map(|_| Mutex::default()).collect();
@@ -131,7 +131,8 @@ impl BaseFits {
             return Ok(values.clone());
         }
         let solution = &self.solutions[sensor];
-        let scaled = solution.refit_from_here(problem, training, &solution.scaled)?;
+        let start = (&solution.scaled, solution.normal_equations(problem.rows, training));
+        let scaled = solution.refit(problem, training, start)?;
         let values = problem.values(&scaled);
         known().insert(training.to_vec(), values.clone());
         Ok(values)
@@ -323,7 +324,8 @@ fn cross_validate_fold(
         let opened = for_all(&|s| {
             let (problem, start) = &prepared[s];
             let freed = states[s].with_freed(&shared_slots(problem));
-            freed.refit_from_here(problem, &folds[s].training, start)
+            let known = freed.normal_equations(problem.rows, &folds[s].training);
+            freed.refit(problem, &folds[s].training, (start, known))
         })?;
         let mean =
             |index: usize| opened.iter().map(|d| d[index]).sum::<f64>() / opened.len() as f64;
@@ -331,12 +333,13 @@ fn cross_validate_fold(
             let (problem, start) = &prepared[s];
             let mut start = start.clone();
             shared_slots(problem).into_iter().for_each(|index| start[index] = mean(index));
-            states[s].refit(problem, &folds[s].training, &start)
+            states[s].refit(problem, &folds[s].training, (&start, None))
         })?
     } else {
         for_all(&|s| {
             let (problem, start) = &prepared[s];
-            states[s].refit_from_here(problem, &folds[s].training, start)
+            let known = states[s].normal_equations(problem.rows, &folds[s].training);
+            states[s].refit(problem, &folds[s].training, (start, known))
         })?
     };
     let results_of_fold = fitted.into_par_iter().enumerate().map(|(s, scaled)| {

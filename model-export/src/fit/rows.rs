@@ -20,7 +20,7 @@ pub struct SensorRows {
     pub forces: Vec<(u32, Axis)>,
     /// One part for each recording, in the campaign's order.
     pub parts: Vec<RecordingRows>,
-    /// Every how manyth row of the campaign is used: more than one where it is longer than [`MAX_ROWS`].
+    /// One in this many rows of the campaign is used: more than one where it has more than [`MAX_ROWS`].
     pub stride: usize,
 }
 
@@ -179,7 +179,7 @@ impl SensorRows {
 
     /// About `count` rows of each recording, evenly spaced, or all.
     pub fn at_most(&self, count: usize) -> Self {
-        let parts = self.parts.iter().map(|part| part.thinned((part.len() / count).max(1)));
+        let parts = self.parts.iter().map(|part| part.at_most(count));
         Self { parts: parts.collect(), forces: self.forces.clone(), ..*self }
     }
 
@@ -272,6 +272,11 @@ impl RecordingRows {
             force_noise_n: loads.iter().map(|load| load.noise_n).collect(),
             track: ExcitationSeries::new(recording, place, sensor, pair, &usable),
         }
+    }
+
+    /// About `count` rows, evenly spaced, or all.
+    pub fn at_most(&self, count: usize) -> Self {
+        self.thinned(self.len() / count.max(1))
     }
 
     /// Every `stride`-th row.

@@ -34,8 +34,6 @@ pub struct SensorSolution {
     pub length_s: f64,
     /// Normal equations at the solution, in blocks of time.
     pub blocks: Vec<Block>,
-    /// Recording of each block.
-    parts: Vec<usize>,
 }
 
 /// Fit from the nominal design: with a low weight of the data to obtain residuals, then with the proper weight,
@@ -63,7 +61,7 @@ pub fn fit_from_base<'a>(
     problem: SensorProblem<'a>,
     values: &[f64],
 ) -> Result<(SensorProblem<'a>, SensorSolution), FitError> {
-    let fit = |problem: &SensorProblem<'a>, values: &[f64]| {
+    let fit = |problem: &SensorProblem, values: &[f64]| {
         let near = fit_all_free(problem, &problem.to_scaled(values), FREE_ROUNDS)?;
         fit_identifiable(problem, &near, &[])
     };
@@ -104,9 +102,9 @@ fn fit_all_free(
     let all = all_rows(problem.rows);
     let mut scaled = start.clone();
     for _ in 0..rounds {
-        let (_, blocks, _) = linearised(problem, &scaled);
+        let (_, blocks) = linearised(problem, &scaled);
         let inflation = noise_inflation(&blocks);
-        let from = (&scaled, Some(sum(&blocks)));
+        let from = (&scaled, Some(sum(start.len(), &blocks)));
         scaled = minimise(problem, &all, inflation, &whole, from, COARSE_TOLERANCE)?;
     }
     Ok(scaled)
@@ -118,7 +116,7 @@ pub fn fit_identifiable(
     start: &DVector<f64>,
     frozen: &[usize],
 ) -> Result<SensorSolution, FitError> {
-    let (_, blocks, _) = linearised(problem, start);
+    let (_, blocks) = linearised(problem, start);
     let inflation = noise_inflation(&blocks);
     let frozen: Vec<usize> = frozen.iter().copied().chain(problem.preset()).collect();
     let space = FreeDirections::from_data(&blocks, &problem.parameters, &frozen);
@@ -129,39 +127,38 @@ pub fn fit_identifiable(
         });
     }
     let all = all_rows(problem.rows);
-    let from = (start, Some(sum(&blocks)));
+    let from = (start, Some(sum(start.len(), &blocks)));
     let scaled = minimise(problem, &all, inflation, &space, from, FINE_TOLERANCE)?;
-    let (length_s, blocks, parts) = linearised(problem, &scaled);
-    Ok(SensorSolution { scaled, inflation, space, length_s, blocks, parts })
+    let (length_s, blocks) = linearised(problem, &scaled);
+    Ok(SensorSolution { scaled, inflation, space, length_s, blocks })
 }
 
 impl SensorSolution {
-    /// Fit of other rows, with the same inflation and directions.
+    /// Fit of other rows, with the same inflation and directions, from a start and its normal equations, where they are known.
     pub fn refit(
         &self,
         problem: &SensorProblem,
         training: &[RowRange],
-        start: &DVector<f64>,
+        start: (&DVector<f64>, Option<Block>),
     ) -> Result<DVector<f64>, FitError> {
-        let from = (start, None);
-        minimise(problem, training, self.inflation, &self.space, from, COARSE_TOLERANCE)
+        minimise(problem, training, self.inflation, &self.space, start, COARSE_TOLERANCE)
     }
 
-    /// The same from this solution, whose values are `start` in the scale of `problem`.
-    pub fn refit_from_here(
-        &self,
-        problem: &SensorProblem,
-        training: &[RowRange],
-        start: &DVector<f64>,
-    ) -> Result<DVector<f64>, FitError> {
-        let is_whole = |range: &RowRange| range.rows == (0..problem.rows.parts[range.part].len());
-        let known = training.iter().all(is_whole).then(|| {
-            let blocks = self.blocks.iter().zip(&self.parts);
-            let is_used = |part: usize| training.iter().any(|range| range.part == part);
-            sum(blocks.filter(|(_, part)| is_used(**part)).map(|(block, _)| block))
+    /// Normal equations of these rows at the solution; `None` where they are not whole recordings.
+    pub fn normal_equations(&self, rows: &SensorRows, training: &[RowRange]) -> Option<Block> {
+        if training.iter().any(|range| range.rows != (0..rows.parts[range.part].len())) {
+            return None;
+        }
+        let parts = rows.parts.iter().enumerate();
+        let part_of_block = parts.flat_map(|(place, part)| {
+            time_slices(&part.time_s, self.length_s).into_iter().map(move |_| place)
         });
-        let from = (start, known);
-        minimise(problem, training, self.inflation, &self.space, from, COARSE_TOLERANCE)
+        let is_used = |part: usize| training.iter().any(|range| range.part == part);
+        let blocks = self.blocks.iter().zip(part_of_block);
+        Some(sum(
+            self.scaled.len(),
+            blocks.filter(|(_, part)| is_used(*part)).map(|(block, _)| block),
+        ))
     }
 
     /// The same with these frozen parameters freed.
@@ -203,32 +200,26 @@ pub fn held_out_errors(problem: &SensorProblem, fold: &Fold, scaled: &DVector<f6
     tally
 }
 
-/// Sum over blocks.
-fn sum<'b>(blocks: impl IntoIterator<Item = &'b Block>) -> Block {
-    let sum = blocks.into_iter().fold(None, |sum: Option<Block>, block| match sum {
-        Some(mut sum) => {
-            sum += block;
-            Some(sum)
-        }
-        None => Some(block.clone()),
-    });
-    sum.unwrap_or_else(|| Block::zeros(0))
+/// Sum over blocks of this many parameters.
+fn sum<'b>(size: usize, blocks: impl IntoIterator<Item = &'b Block>) -> Block {
+    let mut sum = Block::zeros(size);
+    blocks.into_iter().for_each(|block| sum += block);
+    sum
 }
 
-/// Block length, normal equations in blocks of time, and the recording of each block.
-fn linearised(problem: &SensorProblem, scaled: &DVector<f64>) -> (f64, Vec<Block>, Vec<usize>) {
+/// Block length and normal equations in blocks of time.
+fn linearised(problem: &SensorProblem, scaled: &DVector<f64>) -> (f64, Vec<Block>) {
     let rows: &SensorRows = problem.rows;
     let evaluated: Vec<(DMatrix<f64>, Vec<f64>)> =
         (0..rows.parts.len()).map(|part| weighted_jacobian(problem, part, scaled)).collect();
     let length_s = block_bootstrap::block_length_s(rows, |part, axis| {
         evaluated[part].1.iter().skip(axis).step_by(3).copied().collect()
     });
-    let (mut list, mut parts) = (Vec::new(), Vec::new());
-    for (place, (part, (jacobian, residuals))) in rows.parts.iter().zip(&evaluated).enumerate() {
+    let mut list = Vec::new();
+    for (part, (jacobian, residuals)) in rows.parts.iter().zip(&evaluated) {
         for range in time_slices(&part.time_s, length_s) {
             list.push(Block::of(jacobian, residuals, 3 * range.start..3 * range.end));
-            parts.push(place);
         }
     }
-    (length_s, list, parts)
+    (length_s, list)
 }

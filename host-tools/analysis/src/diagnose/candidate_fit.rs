@@ -92,6 +92,7 @@ pub fn best_candidate(
         reduction: best.reduction,
         p_adjusted: best.screened.p_adjusted,
         z_typical: best.screened.evidence.z_typical,
+        form_gain: 0.0,
     };
     let own = prepared.split(&best.stage.effects);
     Ok(Some((step, best.stage.with_split(prepared, own, options))))
@@ -190,15 +191,11 @@ impl<'a> CandidateFit<'a> {
 /// Index of the best candidate that improves the error and is not the remainder of an earlier step; `None` where
 /// such a remainder explains much more.
 fn winner(ranked: &[FittedCandidate], selection: &Selection) -> Option<usize> {
-    // No effect of the catalogue has exactly the form of a real one: friction is not three sliders, creep not two time constants.
     // The remainder of a larger effect is explained by other forms of it, or has an implausible magnitude.
     let is_remainder = |candidate: &FittedCandidate| {
-        let form_of = selection.form_of(candidate.screened);
-        selection.steps.iter().any(|step| {
-            let is_form = form_of.is_some_and(|other| other.chosen == step.chosen);
-            (is_form || !candidate.is_plausible)
-                && candidate.reduction < MAX_REMAINDER * step.reduction
-        })
+        let is_larger = |step: &AcceptedStep| candidate.reduction < MAX_REMAINDER * step.reduction;
+        selection.forms(candidate.screened).any(is_larger)
+            || (!candidate.is_plausible && selection.steps.iter().any(is_larger))
     };
     let first = ranked.iter().find(|c| c.is_improvement())?;
     let place = ranked.iter().position(|c| c.is_improvement() && !is_remainder(c))?;

@@ -2,7 +2,8 @@
 //!
 //! No effect of the catalogue has exactly the form of a real one: friction is not three sliders, creep not two
 //! time constants. The remainder of an accepted effect resembles the effects with a common [`Signature`], or is explained by
-//! other forms of that effect ([`model_export::fit::score_test::ScoreTest::form_gain`]), and is much smaller; such a remainder is not named.
+//! other forms of that effect ([`model_export::fit::score_test::ScoreTest::form_gain`]), and is much smaller; such a remainder
+//! is not named.
 
 use crate::statistics::mean_and_std;
 use model_export::effects::{EffectStage, EffectTerm, ExcitationSeries, Signature, find};

@@ -6,7 +6,7 @@ use crate::diagnose::candidates::{MIN_GAIN, screen};
 use crate::diagnose::confusable_effects::Collinearity;
 use crate::diagnose::observer::Observer;
 use crate::diagnose::residuals::{attributed_covariates, block_s, residual_tables};
-use crate::diagnose::selection::{FittedModel, SMALL, Selection};
+use crate::diagnose::selection::{DISTINGUISHABLE, FittedModel, SMALL, Selection};
 use anyhow::Result;
 use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
@@ -44,7 +44,6 @@ pub fn forward_selection(
             prepared.split(present),
             options,
         )?],
-        form_gains: Vec::new(),
         last: Vec::new(),
         attributed: Vec::new(),
         collinearity: Collinearity::of(prepared),
@@ -102,8 +101,9 @@ pub fn screen_last<'a>(
     selection.block_s = block_s;
     selection.blocks = around.blocks;
     selection.last = screen(&around, &remaining, options.seed);
-    selection.form_gains =
-        selection.steps.iter().map(|step| around.form_gain(&step.chosen)).collect();
+    for step in &mut selection.steps {
+        step.form_gain = around.form_gain(&step.chosen);
+    }
     selection.attributed = attributed_covariates(&columns, block_s);
     around
 }
@@ -178,12 +178,6 @@ fn exchange(prepared: &FitSetup, selection: &mut Selection, options: FitOptions)
     let Some(last) = selection.stages.last().filter(|last| last.floors() > MIN_EXCHANGE) else {
         return Ok(false);
     };
-    let replaced = |effects: &[EffectTerm], old: &EffectTerm, new: &EffectTerm| {
-        let effects = effects.iter();
-        effects
-            .map(|effect| if effect == old { new.clone() } else { effect.clone() })
-            .collect::<Vec<_>>()
-    };
     // The effect of the last step was compared with everything else fitted.
     let earlier = selection.steps.len().saturating_sub(1);
     let mut others: Vec<EffectTerm> = Vec::new();
@@ -213,8 +207,7 @@ fn exchange(prepared: &FitSetup, selection: &mut Selection, options: FitOptions)
     let old = last.clone().with_split(prepared, split, options);
     let new = FittedModel::new(prepared, fit.effects, split, options)?;
     let recordings = prepared.rows.first().map_or(0, |rows| rows.parts.len());
-    let is_worse = old.mean_square() > (1.0 + DISTINGUISHABLE) * new.mean_square();
-    if !is_worse || !new.improves_all_folds(&old) || !new.is_possible(recordings) {
+    if !new.is_distinguishably_better(&old) || !new.is_possible(recordings) {
         return Ok(false);
     }
     let step = &mut selection.steps[place];
@@ -230,10 +223,10 @@ fn exchange(prepared: &FitSetup, selection: &mut Selection, options: FitOptions)
     Ok(true)
 }
 
-/// Minimum relative difference of the squared errors of two distinguishable effects. (A shift and a derivative propagate the
-/// reference's noise differently: 0.25 % between clock skew and a filter of 4 ms. Where the data hardly determine some directions of
-/// the base, the error depends on the path of the fit: 0.7 % between magnet_temperature and sensor_temperature, which are equal.)
-pub const DISTINGUISHABLE: f64 = 0.01;
+/// The effects with `new` in place of `old`.
+fn replaced(effects: &[EffectTerm], old: &EffectTerm, new: &EffectTerm) -> Vec<EffectTerm> {
+    effects.iter().map(|effect| if effect == old { new } else { effect }).cloned().collect()
+}
 
 /// Separates provisionally equivalent effects in the last model, where no larger effect hides their difference.
 ///
@@ -258,10 +251,7 @@ fn resolve_step(prepared: &FitSetup, selection: &mut Selection, place: usize, op
     // Transient effects require cross-validation within recordings for the whole set.
     let split = prepared.split(&[&last.effects[..], &step.tied].concat());
     let instead = |other: &EffectTerm| {
-        let mut effects = last.effects.clone();
-        for effect in effects.iter_mut().filter(|effect| **effect == step.chosen) {
-            *effect = other.clone();
-        }
+        let effects = replaced(&last.effects, &step.chosen, other);
         let stage = FittedModel::new(prepared, effects, split, options).ok()?;
         let possible = stage.is_possible(recordings);
         possible.then(|| (other.clone(), stage))
@@ -274,8 +264,7 @@ fn resolve_step(prepared: &FitSetup, selection: &mut Selection, place: usize, op
     let (chosen, best) = set.remove(0);
     let is_worse = |(effect, other): &(EffectTerm, FittedModel)| {
         let hidden = collinearity.hides_the_difference(&chosen, effect);
-        let clearly = other.mean_square() > (1.0 + DISTINGUISHABLE) * best.mean_square();
-        !hidden && clearly && best.improves_all_folds(other)
+        !hidden && best.is_distinguishably_better(other)
     };
     let (worse, tied): (Vec<_>, Vec<_>) = set.into_iter().partition(is_worse);
     let plain = |list: Vec<(EffectTerm, FittedModel)>| list.into_iter().map(|(effect, _)| effect);

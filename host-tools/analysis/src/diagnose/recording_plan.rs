@@ -32,9 +32,8 @@ use statrs::distribution::{ContinuousCDF, Normal};
 
 use crate::diagnose::candidates::{UntestableEffect, varies};
 use crate::diagnose::confusable_effects::Collinearity;
-use crate::diagnose::forward_selection::DISTINGUISHABLE;
 use crate::diagnose::observer::Observer;
-use crate::diagnose::selection::{FittedModel, Selection};
+use crate::diagnose::selection::{DISTINGUISHABLE, FittedModel, Selection};
 use crate::diagnose::verdicts::MIN_Z;
 use crate::diagnose::{Reason, Verdict, VerdictKind};
 

@@ -46,9 +46,9 @@ pub fn residuals_against(
             let (rows, base, fit) = (&prepared.rows[s], &prepared.bases[s], &stage.fit.sensors[s]);
             let mut columns = ResidualTable::new(rows.sensor, covariates);
             let problem = SensorProblem::new(rows, base.as_ref(), &effects);
-            let departures = problem.to_scaled(&fit.values);
+            let scaled = problem.to_scaled(&fit.values);
             for (place, part) in rows.parts.iter().enumerate() {
-                let modelled = problem.predict(place, &departures);
+                let modelled = problem.predict(place, &scaled);
                 let errors = part.field_g.iter().zip(&modelled.fields);
                 let left: Vec<Vector3<f64>> = errors.map(|(b, m)| b - m).collect();
                 let slopes = modelled.per_newton.iter();

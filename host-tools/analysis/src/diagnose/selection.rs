@@ -37,6 +37,8 @@ pub struct AcceptedStep {
     pub p_adjusted: f64,
     /// Typical magnitude in standard errors at this step.
     pub z_typical: f64,
+    /// Relative reduction of the last model's held-out squared residual by other forms of the effect.
+    pub form_gain: f64,
 }
 
 /// Result of the selection.
@@ -45,8 +47,6 @@ pub struct Selection {
     pub steps: Vec<AcceptedStep>,
     /// Models from the first to the last step.
     pub stages: Vec<FittedModel>,
-    /// Reduction of the last model's held-out squared residual by other forms of each step's effect.
-    pub form_gains: Vec<f64>,
     /// Score tests of all candidates on the last model.
     pub last: Vec<ScreenedEffect>,
     /// Covariates that explain the residual, with their shares.
@@ -71,9 +71,7 @@ impl Selection {
         let is_explained = self.steps.is_empty() || structure <= MAX_REMAINING * explained;
         *last <= AT_FLOOR || (*last <= COMPLETE && is_explained)
     }
-}
 
-impl Selection {
     /// Fits every model again, to the rows of `setup`.
     ///
     /// # Errors
@@ -84,20 +82,20 @@ impl Selection {
         }
         Ok(())
     }
-}
 
-impl Selection {
-    /// The step of which `candidate` explains only another form: other forms explain nearly as much of the residual, or both effects
-    /// have a common signature.
-    pub fn form_of(&self, candidate: &ScreenedEffect) -> Option<&AcceptedStep> {
-        let steps = self.steps.iter().zip(&self.form_gains);
-        let mut forms = steps.filter(|(step, gain)| {
-            **gain >= FORM * candidate.evidence.gain()
+    /// The steps of which `candidate` explains only another form: other forms explain nearly as much of the residual, or both
+    /// effects have a common signature.
+    pub fn forms(&self, candidate: &ScreenedEffect) -> impl Iterator<Item = &AcceptedStep> {
+        self.steps.iter().filter(|step| {
+            step.form_gain >= FORM * candidate.evidence.gain()
                 || are_confusable(&step.chosen, &candidate.candidate)
-        });
-        forms.next().map(|(step, _)| step)
+        })
     }
 }
+
+/// Minimum relative difference of the squared errors of two distinguishable effects. (A shift and a derivative
+/// propagate the reference's noise differently: 0.25 % between clock skew and a filter of 4 ms.)
+pub const DISTINGUISHABLE: f64 = 0.005;
 
 /// Maximum excess of the squared error on the fitted rows of a comparable model, as a fraction.
 const MAX_EXCESS: f64 = 0.1;
@@ -191,6 +189,12 @@ impl FittedModel {
         pairs
             .filter(|(_, old)| old.rows() > 0)
             .all(|(new, old)| new.mean_square() < old.mean_square())
+    }
+
+    /// Whether its error is distinguishably lower than that of `other`, and lower in every fold.
+    pub fn is_distinguishably_better(&self, other: &Self) -> bool {
+        other.mean_square() > (1.0 + DISTINGUISHABLE) * self.mean_square()
+            && self.improves_all_folds(other)
     }
 
     /// Whether the effect added last has a plausible magnitude.

@@ -198,7 +198,7 @@ pub(super) fn insufficient(evidence: &CandidateScore) -> Option<Reason> {
 
 /// Verdict on an effect that explains part of the residual without being accepted.
 fn remainder(screened: &ScreenedEffect, selection: &Selection) -> (VerdictKind, Reason) {
-    match selection.form_of(screened) {
+    match selection.forms(screened).next() {
         Some(step) => (VerdictKind::Shadow, Reason::FormOf(step.chosen.name().to_owned())),
         None if screened.candidate.is_transient() => {
             (VerdictKind::Inconclusive, Reason::DriftsWithTime)

@@ -10,7 +10,7 @@ use analysis::numbers::{self, field, three_digits};
 use analysis::replay::tare::TARE_HARM;
 use analysis::statistics::{ErrorStatistics, pooled_rms};
 use anstyle::Style;
-use model_export::fit::cross_validation::CvSplit;
+use model_export::fit::cross_validation::{CvSplit, MAX_RECORDING_FOLDS};
 use serde_json::{Value, json};
 
 use crate::text::findings;
@@ -315,6 +315,9 @@ pub fn validation(comparison: &Comparison) -> String {
 
 fn cross_validation(split: CvSplit, seen: usize, refitted: usize, all: usize) -> String {
     let how = match split {
+        CvSplit::Recordings(count) if count > MAX_RECORDING_FOLDS => {
+            "each tenth of the recordings is predicted by a fit to the others"
+        }
         CvSplit::Recordings(_) => "each recording is predicted by a fit to the others",
         CvSplit::KFold => {
             "one recording: each sixth is predicted by a fit to the rest; no claim about other recordings"
