@@ -154,14 +154,26 @@ impl FitSetup {
         options: FitOptions,
         done: impl Fn(u32) + Sync,
     ) -> Result<JointFit, FitError> {
-        let base_fits = match self.base_fits.get() {
-            Some(base_fits) => base_fits,
-            None => {
-                let base_fits = BaseFits::new(&self.rows, &self.bases)?;
-                self.base_fits.get_or_init(|| base_fits)
-            }
-        };
-        joint::fit(&self.rows, &self.bases, base_fits, effects, split, options, done)
+        joint::fit(self, self.base_fits()?, effects, None, (split, options), done)
+    }
+
+    /// The same, from a fit `near` of these effects to a sample of the rows ([`FitSetup::sampled`]): the shapes of the effects
+    /// are not searched again.
+    pub fn refit(
+        &self,
+        near: &JointFit,
+        effects: &[EffectTerm],
+        options: FitOptions,
+    ) -> Result<JointFit, FitError> {
+        joint::fit(self, self.base_fits()?, effects, Some(near), (near.split, options), |_| ())
+    }
+
+    fn base_fits(&self) -> Result<&BaseFits, FitError> {
+        if let Some(base_fits) = self.base_fits.get() {
+            return Ok(base_fits);
+        }
+        let base_fits = BaseFits::new(&self.rows, &self.bases)?;
+        Ok(self.base_fits.get_or_init(|| base_fits))
     }
 
     /// Cross-validation split for a fit with these effects.

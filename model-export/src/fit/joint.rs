@@ -2,6 +2,7 @@
 
 use crate::effects::EffectTerm;
 use crate::fit::base_model::BaseModel;
+use crate::fit::campaign::FitSetup;
 use crate::fit::cross_validation::{CvSplit, ErrorSums, Fold, RowRange, all_rows};
 use crate::fit::identifiability::{MAX_UNCERTAINTY, Unidentifiable, variance_inflation};
 use crate::fit::initial_guess::{ShapeSearch, search_all};
@@ -45,6 +46,8 @@ pub struct SensorFit {
     pub fold_values: Vec<Vec<f64>>,
     /// Bootstrap block length in seconds.
     pub block_s: f64,
+    /// Whether the priors of the base parameters were centred at nominal, not at the fit of the base alone.
+    pub starts_nominal: bool,
 }
 
 impl SensorFit {
@@ -140,21 +143,22 @@ impl BaseFits {
 }
 
 /// Fits every sensor with its base and the effects (in any order), starting from `base_fits` without
-/// effects. `done` is called after each sensor, from any thread.
+/// effects, or from a fit `near` of the same effects to other rows of these recordings. `done` is called after each sensor,
+/// from any thread.
 pub fn fit(
-    rows: &[SensorRows],
-    bases: &[Arc<dyn BaseModel>],
+    setup: &FitSetup,
     base_fits: &BaseFits,
     effects: &[EffectTerm],
-    split: CvSplit,
-    options: FitOptions,
+    near: Option<&JointFit>,
+    (split, options): (CvSplit, FitOptions),
     done: impl Fn(u32) + Sync,
 ) -> Result<JointFit, FitError> {
     let mut effects = effects.to_vec();
     effects.sort_by_key(EffectTerm::stage);
-    let alone: Vec<SensorProblem> = rows
+    let alone: Vec<SensorProblem> = setup
+        .rows
         .iter()
-        .zip(bases)
+        .zip(&setup.bases)
         .map(|(rows, base)| SensorProblem::new(rows, base.as_ref(), &[]))
         .collect();
     let folds = if effects.is_empty() {
@@ -163,8 +167,11 @@ pub fn fit(
         let folds = cross_validate(&alone, &states, split, None)?;
         (alone, states, covariances, folds)
     } else {
-        let (problems, states): (Vec<_>, Vec<_>) =
-            with_effects(&alone, base_fits, &effects)?.into_iter().unzip();
+        let states = match near {
+            Some(near) => from_near(&alone, base_fits, &effects, near)?,
+            None => with_effects(&alone, base_fits, &effects)?,
+        };
+        let (problems, states): (Vec<_>, Vec<_>) = states.into_iter().unzip();
         let (states, covariances) = pool_shared(&problems, states, options)?;
         let folds = cross_validate(&problems, &states, split, Some((base_fits, &alone[..])))?;
         (problems, states, covariances, folds)
@@ -208,6 +215,33 @@ fn with_effects<'a>(
     searches
         .into_par_iter()
         .map(|search| sensor_fit::fit_from_base(search.problem, &search.values))
+        .collect()
+}
+
+/// Fits the effects from a fit of them to other rows, whose shapes are kept.
+fn from_near<'a>(
+    bases: &[SensorProblem<'a>],
+    base_fits: &BaseFits,
+    effects: &'a [EffectTerm],
+    near: &JointFit,
+) -> Result<SensorStates<'a>, FitError> {
+    bases
+        .par_iter()
+        .zip(&base_fits.solutions)
+        .zip(&near.sensors)
+        .map(|((base, state), near)| {
+            let mut problem = SensorProblem::new(base.rows, base.base, effects);
+            if near.starts_nominal {
+                problem.set_nominal_start();
+            } else {
+                problem.set_base_start(&base.values(&state.scaled));
+            }
+            let of_effects = problem.base_count..;
+            problem.parameters[of_effects.clone()].clone_from_slice(&near.parameters[of_effects]);
+            let start = problem.to_scaled(&near.values);
+            let solution = sensor_fit::fit_identifiable(&problem, &start, &[])?;
+            Ok((problem, solution))
+        })
         .collect()
 }
 
@@ -387,6 +421,7 @@ fn sensor_result(
         folds,
         fold_values,
         block_s: state.length_s,
+        starts_nominal: problem.starts_nominal,
         parameters: problem.parameters.clone(),
     }
 }

@@ -27,7 +27,7 @@ pub struct Linearisation {
 
 impl Linearisation {
     /// At values where the parameters `fixed` were fitted and all other coefficients are zero, with at most
-    /// about `per_recording` rows of each recording.
+    /// `per_recording` rows of each recording.
     pub fn new(
         problem: &SensorProblem,
         values: &[f64],
@@ -152,7 +152,7 @@ impl Linearisation {
 
 /// Row indices, evenly spaced over a recording.
 fn sampled(rows: usize, most: usize) -> impl Iterator<Item = usize> + Clone {
-    (0..rows).step_by((rows / most).max(1))
+    (0..rows).step_by(rows.div_ceil(most).max(1))
 }
 
 /// Relative ridge for columns without sensitivity.

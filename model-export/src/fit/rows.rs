@@ -177,7 +177,7 @@ impl SensorRows {
         self.forces.iter().map(move |(_, axis)| slope(*axis)).collect::<Vec<_>>().into_iter()
     }
 
-    /// About `count` rows of each recording, evenly spaced, or all.
+    /// At most `count` rows of each recording, evenly spaced, or all.
     pub fn at_most(&self, count: usize) -> Self {
         let parts = self.parts.iter().map(|part| part.at_most(count));
         Self { parts: parts.collect(), forces: self.forces.clone(), ..*self }
@@ -274,9 +274,9 @@ impl RecordingRows {
         }
     }
 
-    /// About `count` rows, evenly spaced, or all.
+    /// At most `count` rows, evenly spaced, or all.
     pub fn at_most(&self, count: usize) -> Self {
-        self.thinned(self.len() / count.max(1))
+        self.thinned(self.len().div_ceil(count.max(1)))
     }
 
     /// Every `stride`-th row.

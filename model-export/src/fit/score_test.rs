@@ -434,7 +434,7 @@ fn part_of(folds: &[Fold], linearisation: &Linearisation) -> Vec<usize> {
 }
 
 /// Row stride of the search for shapes.
-const COARSE: usize = 6;
+const COARSE: usize = 3;
 
 /// Linearised model of one sensor.
 pub(super) struct SensorScore {

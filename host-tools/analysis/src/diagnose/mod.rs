@@ -54,7 +54,7 @@ pub mod verdicts;
 
 /// Rows of a recording by which effects and formulas are selected; the models of the result are fitted to all rows. Where the
 /// residual is white noise, standard errors during the selection are larger by the root of the ratio.
-const SELECTION_ROWS: usize = 1000;
+const SELECTION_ROWS: usize = 600;
 /// Fraction of the remaining work that these last fits take.
 const ALL_ROWS: f64 = 0.7;
 
@@ -247,7 +247,7 @@ pub fn diagnose(
     let mut formulas = discover(campaign, &sample, &testable, &mut selection, options, observer)?;
     if sample.row_count() < prepared.row_count() {
         observer.stage("fitting all rows", ALL_ROWS);
-        selection.fit_again(&prepared, options)?;
+        selection.refit(&prepared, options)?;
     }
     if let Some(last) = selection.stages.last() {
         let recordings = campaign.recordings.len();

@@ -72,13 +72,18 @@ impl Selection {
         *last <= AT_FLOOR || (*last <= COMPLETE && is_explained)
     }
 
-    /// Fits every model again, to the rows of `setup`.
+    /// Fits every model again, to the rows of `setup`: the first as any other command fits it, the others from their fits to the
+    /// sample.
     ///
     /// # Errors
     /// A fit fails.
-    pub fn fit_again(&mut self, setup: &FitSetup, options: FitOptions) -> Result<()> {
-        for stage in &mut self.stages {
-            *stage = FittedModel::new(setup, stage.effects.clone(), stage.fit.split, options)?;
+    pub fn refit(&mut self, setup: &FitSetup, options: FitOptions) -> Result<()> {
+        for (place, stage) in self.stages.iter_mut().enumerate() {
+            stage.fit = if place == 0 {
+                setup.fit(&stage.effects, stage.fit.split, options, |_| ())?
+            } else {
+                setup.refit(&stage.fit, &stage.effects, options)?
+            };
         }
         Ok(())
     }
