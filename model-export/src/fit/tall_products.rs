@@ -107,30 +107,35 @@ fn lane_sums_portable(left: Chunks, right: Chunks) -> LaneSums {
 #[target_feature(enable = "avx2")]
 fn lane_sums_avx2(left: Chunks, right: Chunks) -> LaneSums {
     use std::arch::x86_64::{
-        __m256d, _mm256_add_pd, _mm256_loadu_pd, _mm256_mul_pd, _mm256_setzero_pd, _mm256_storeu_pd,
+        _mm256_add_pd, _mm256_loadu_pd, _mm256_mul_pd, _mm256_setzero_pd, _mm256_storeu_pd,
     };
-    // SAFETY: four numbers are read from an array of four.
-    let load = |lanes: &[f64; LANES]| unsafe { _mm256_loadu_pd(lanes.as_ptr()) };
     let count = left.iter().chain(&right).map(|chunks| chunks.len()).min().unwrap_or(0);
     let (left, right) = (left.map(|chunks| &chunks[..count]), right.map(|chunks| &chunks[..count]));
     let mut sums = [[_mm256_setzero_pd(); BLOCK]; BLOCK];
+    // Loops, since closures would not be compiled with these instructions.
     for at in 0..count {
-        let a: [__m256d; BLOCK] = std::array::from_fn(|i| load(&left[i][at]));
-        let b: [__m256d; BLOCK] = std::array::from_fn(|j| load(&right[j][at]));
+        let (mut a, mut b) = ([_mm256_setzero_pd(); BLOCK], [_mm256_setzero_pd(); BLOCK]);
+        for i in 0..BLOCK {
+            // SAFETY: four numbers are read from an array of four.
+            unsafe {
+                a[i] = _mm256_loadu_pd(left[i][at].as_ptr());
+                b[i] = _mm256_loadu_pd(right[i][at].as_ptr());
+            }
+        }
         for i in 0..BLOCK {
             for j in 0..BLOCK {
                 sums[i][j] = _mm256_add_pd(sums[i][j], _mm256_mul_pd(a[i], b[j]));
             }
         }
     }
-    sums.map(|sums| {
-        sums.map(|sum| {
-            let mut lanes = [0.0; LANES];
+    let mut lanes = LaneSums::default();
+    for i in 0..BLOCK {
+        for j in 0..BLOCK {
             // SAFETY: four numbers are written to an array of four.
-            unsafe { _mm256_storeu_pd(lanes.as_mut_ptr(), sum) };
-            lanes
-        })
-    })
+            unsafe { _mm256_storeu_pd(lanes[i][j].as_mut_ptr(), sums[i][j]) };
+        }
+    }
+    lanes
 }
 
 #[cfg(test)]
