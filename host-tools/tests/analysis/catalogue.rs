@@ -47,9 +47,7 @@ fn ids_are_unique_and_confusable_ids_exist() {
 
 #[test]
 fn effects_with_a_common_signature_are_stated_as_confusable() {
-    for signature in
-        [Signature::NonlinearLoad, Signature::LoadHistory, Signature::Time, Signature::Temperature]
-    {
+    for signature in [Signature::LoadHistory, Signature::Time, Signature::Temperature] {
         let set: Vec<&Effect> =
             CATALOGUE.into_iter().filter(|e| e.signatures.contains(&signature)).collect();
         let linked = |one: &Effect, other: &Effect| {

@@ -107,8 +107,6 @@ pub type FrictionSliders = (f64, [(f64, f64); 3]);
 /// form of a real one; the remainder of an accepted effect resembles the effects with a common signature.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Signature {
-    /// A nonlinear function of the present load.
-    NonlinearLoad,
     /// History or rate of the load: one elliptic response to a single sine.
     LoadHistory,
     /// Time, or the number of the recording.

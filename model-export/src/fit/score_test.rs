@@ -63,6 +63,21 @@ impl CandidateScore {
         1.0 - with / without
     }
 
+    /// Share of the squared pattern of `other`, at its typical magnitudes and orthogonal to the fitted columns, that this
+    /// candidate reproduces on the same recordings.
+    pub fn reproduced_share(&self, other: &Self) -> f64 {
+        let (mut reproduced, mut all) = (0.0, 0.0);
+        for ((own, inverse), other) in
+            self.orthogonal.iter().zip(&self.inverse).zip(&other.orthogonal)
+        {
+            let rows = 0..own.nrows();
+            let across = products(&columns(own, rows.clone()), &columns(other, rows));
+            reproduced += (across.transpose() * inverse * &across).trace();
+            all += other.norm_squared();
+        }
+        if all > 0.0 { reproduced / all } else { 0.0 }
+    }
+
     /// Number of folds in which the error falls.
     pub fn wins(&self) -> usize {
         self.folds.iter().filter(|(without, with)| with < without).count()

@@ -13,6 +13,7 @@ mod magnetic_disturbance;
 mod magpie;
 mod results;
 mod robustness;
+mod similarity;
 #[cfg(test)]
 #[path = "tests.rs"]
 mod unit_tests;
@@ -82,6 +83,9 @@ impl Options {
 #[derive(Debug, Subcommand)]
 enum Run {
     Diagnosis(diagnosis::Args),
+    /// Measure how similar the effects of the catalogue are, by excitation.
+    #[command(after_help = "Example:\n  cargo acceptance similarity")]
+    Similarity,
     MagneticDisturbance(magnetic_disturbance::Args),
     /// Compare eight force estimators on a held-out recording.
     #[command(after_help = "Example:\n  cargo acceptance force-estimators --first 12")]
@@ -103,6 +107,7 @@ impl Run {
     fn evaluate(&self, options: &Options) -> Result<Section> {
         match self {
             Self::Diagnosis(args) => diagnosis::evaluate_groups(args, options),
+            Self::Similarity => similarity::evaluate(options),
             Self::MagneticDisturbance(args) => magnetic_disturbance::evaluate(args, options),
             Self::ForceEstimators => force_estimators::evaluate(options),
             Self::Drive => drive::evaluate(options),

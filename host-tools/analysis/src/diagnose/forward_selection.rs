@@ -3,7 +3,7 @@
 
 use crate::diagnose::candidate_fit::best_candidate;
 use crate::diagnose::candidates::{MIN_GAIN, screen};
-use crate::diagnose::confusable_effects::Collinearity;
+use crate::diagnose::confusable_effects::{Collinearity, Similarity};
 use crate::diagnose::observer::Observer;
 use crate::diagnose::residuals::{attributed_covariates, block_s, residual_tables};
 use crate::diagnose::selection::{DISTINGUISHABLE, FittedModel, SMALL, Selection};
@@ -47,6 +47,7 @@ pub fn forward_selection(
         last: Vec::new(),
         attributed: Vec::new(),
         collinearity: Collinearity::of(prepared),
+        similarity: Similarity::default(),
         block_s: 0.0,
         blocks: 0,
     };
@@ -55,6 +56,7 @@ pub fn forward_selection(
         let around = screen_last(campaign, prepared, candidates, &mut selection, options);
         if selection.steps.is_empty() {
             observer.screened(&selection.last);
+            selection.similarity = Similarity::of(&selection.last);
         }
         if selection.steps.len() >= MAX_STEPS || observer.is_stopped() {
             break;

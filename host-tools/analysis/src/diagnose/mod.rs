@@ -7,7 +7,7 @@
 //! - [`candidate_fit`]: a full fit of the significant candidates, of which the best is added.
 //! - [`selection`]: state of the selection.
 //! - [`mod@forward_selection`]: forward selection, equivalent effects, backward elimination.
-//! - [`confusable_effects`]: effects that depend on the same covariates, and data that cannot separate them.
+//! - [`confusable_effects`]: how similar the effects are on the recordings, and data that cannot separate them.
 //! - [`residuals`]: the remaining residual, and what each effect removed of it.
 //! - [`remaining_structure`]: what follows no covariate.
 //! - [`formulas`]: formulas of the covariates, where the catalogue leaves structure.
@@ -21,7 +21,7 @@ use crate::compare::cv_plan::ModelRefit;
 use crate::data_quality::Finding;
 use crate::diagnose::candidates::candidates;
 pub use crate::diagnose::formulas::DiscoveredFormula;
-use crate::diagnose::formulas::discover;
+use crate::diagnose::formulas::{discover, rivals};
 use crate::diagnose::forward_selection::forward_selection;
 use crate::diagnose::observer::Observer;
 use crate::diagnose::recording_plan::{RecordingProposal, propose};
@@ -31,7 +31,7 @@ use crate::diagnose::residuals::{residuals_against, shapes};
 pub use crate::diagnose::suggestions::{Suggestion, SuggestionKind};
 use crate::diagnose::verdicts::conclude;
 use anyhow::Result;
-use model_export::effects::EffectTerm;
+use model_export::effects::{EffectTerm, find};
 use model_export::fit::FitOptions;
 use model_export::model_file::ModelFile;
 use model_export::recordings::Campaign;
@@ -73,6 +73,8 @@ pub struct Diagnosis {
     pub accepted: Vec<Vec<String>>,
     /// Formulas of the covariates that explain what no effect of the catalogue does.
     pub formulas: Vec<DiscoveredFormula>,
+    /// Formulas that explain as much as the accepted effects together.
+    pub rivals: Vec<DiscoveredFormula>,
     /// Residual structure that no effect explains, largest share first.
     pub unexplained: Vec<Unexplained>,
     /// What of the residual follows no covariate; none at the noise floor.
@@ -91,6 +93,8 @@ pub struct Diagnosis {
     pub is_interrupted: bool,
     /// True if the effects explain the residual except noise; otherwise names are provisional.
     pub is_complete: bool,
+    /// Rows of all sensors by which effects were selected, and all rows, to which the models were fitted.
+    pub rows: [usize; 2],
     /// Number of bootstrap blocks.
     pub blocks: usize,
     /// Length of a block in seconds.
@@ -176,6 +180,8 @@ pub struct Verdict {
     pub provisional: bool,
     /// Equivalent effects.
     pub tied_with: Vec<String>,
+    /// Other effects, each with the share of its pattern on these recordings that this one reproduces, largest first.
+    pub reproduces: Vec<(String, f64)>,
     /// Reduction of the cross-validated squared error, as a fraction.
     pub gain: f64,
     /// p-value adjusted for all candidates; NaN if not tested.
@@ -194,6 +200,26 @@ pub struct Verdict {
     pub reason: Reason,
     /// Recording that would decide; empty if none is needed.
     pub record: String,
+}
+
+impl Diagnosis {
+    /// Accepted effects are equivalent to formulas that explain as much.
+    fn set_rivals(&mut self, rivals: Vec<DiscoveredFormula>) {
+        if rivals.is_empty() {
+            return;
+        }
+        let is_accepted =
+            |verdict: &&mut Verdict| matches!(verdict.kind, VerdictKind::Found | VerdictKind::Tied);
+        for verdict in self.verdicts.iter_mut().filter(is_accepted) {
+            (verdict.kind, verdict.reason) = (VerdictKind::Tied, Reason::Equivalent);
+            verdict.tied_with.extend(rivals.iter().map(|formula| formula.name.clone()));
+            if verdict.record.is_empty() {
+                let effect = find(&verdict.effect);
+                verdict.record = effect.map_or_else(|_| String::new(), |one| one.record.to_owned());
+            }
+        }
+        self.rivals = rivals;
+    }
 }
 
 /// Residual structure that depends on a covariate and that no effect explains.
@@ -249,11 +275,14 @@ pub fn diagnose(
         observer.stage("fitting all rows", ALL_ROWS);
         selection.refit(&prepared, options)?;
     }
+    let rivals = rivals(campaign, &prepared, &selection, options, observer)?;
     if let Some(last) = selection.stages.last() {
         let recordings = campaign.recordings.len();
         formulas.iter_mut().for_each(|formula| formula.set_models(last, recordings));
     }
     let mut diagnosis = conclude(&selection, &formulas, &untestable, campaign.recordings.len());
+    diagnosis.set_rivals(rivals);
+    diagnosis.rows = [sample.row_count(), prepared.row_count()];
     if let Some(last) = selection.stages.last().filter(|_| !diagnosis.at_floor) {
         let located = selection.attributed.iter().map(|(_, share)| share).sum();
         let columns = residuals_against(&sample, last, &[]);

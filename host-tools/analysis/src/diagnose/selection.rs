@@ -3,7 +3,7 @@
 use crate::compare::AT_FLOOR;
 use crate::compare::covariates::Covariate;
 use crate::diagnose::candidates::ScreenedEffect;
-use crate::diagnose::confusable_effects::{Collinearity, are_confusable};
+use crate::diagnose::confusable_effects::{Collinearity, Similarity};
 use anyhow::Result;
 use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
@@ -53,6 +53,8 @@ pub struct Selection {
     pub attributed: Vec<(Covariate, f64)>,
     /// Collinear covariates of the recordings.
     pub collinearity: Collinearity,
+    /// How similar the effects are on the recordings, in the first screening.
+    pub similarity: Similarity,
     /// Length of the bootstrap blocks in seconds.
     pub block_s: f64,
     /// Number of bootstrap blocks.
@@ -88,12 +90,12 @@ impl Selection {
         Ok(())
     }
 
-    /// The steps of which `candidate` explains only another form: other forms explain nearly as much of the residual, or both
-    /// effects have a common signature.
+    /// The steps of which `candidate` explains only another form: other forms explain nearly as much of the residual, or the two
+    /// effects are similar.
     pub fn forms(&self, candidate: &ScreenedEffect) -> impl Iterator<Item = &AcceptedStep> {
         self.steps.iter().filter(|step| {
             step.form_gain >= FORM * candidate.evidence.gain()
-                || are_confusable(&step.chosen, &candidate.candidate)
+                || self.similarity.are_similar(&step.chosen, &candidate.candidate)
         })
     }
 }

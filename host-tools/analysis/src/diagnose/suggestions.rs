@@ -76,11 +76,15 @@ pub fn suggest(diagnosis: &Diagnosis, typed: &Invocation) -> Suggestion {
             rest.extend(["-o".to_owned(), better(typed.model)]);
             command("add", &rest)
         };
-        let kind = match sets.len() {
+        let rivals = diagnosis.rivals.iter().flat_map(|formula| &formula.effects);
+        let rivals: Vec<String> = rivals.map(|effect| effect.name().to_owned()).collect();
+        let rivals = (!rivals.is_empty()).then(|| rivals.iter().collect());
+        let commands: Vec<String> = sets.iter().chain(&rivals).map(add).collect();
+        let kind = match commands.len() {
             1 => SuggestionKind::AddEffects,
             _ => SuggestionKind::ChooseEffect,
         };
-        return suggestion(kind, sets.iter().map(add).collect());
+        return suggestion(kind, commands);
     }
     let usable = |covariate: &&str| !MADE.contains(covariate);
     let covariates = diagnosis.unexplained.iter().map(|u| u.covariate.as_str());
@@ -165,7 +169,8 @@ fn line(words: &[String]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnose::Unexplained;
+    use crate::diagnose::{DiscoveredFormula, Unexplained};
+    use model_export::effects::expression::Expression;
 
     const TYPED: Invocation = Invocation {
         model: "m.toml",
@@ -201,6 +206,30 @@ mod tests {
             ]
         );
         assert_eq!(suggest(&tied, &typed).kind, SuggestionKind::ChooseEffect);
+    }
+
+    #[test]
+    fn a_formula_that_explains_as_much_gets_a_command() {
+        let text = "formula_1: dx_um = a*opening_mm";
+        let parsed = Expression::parse(text, &[], &["opening_mm".to_owned()]).unwrap();
+        let effect = EffectTerm::Expression(std::sync::Arc::new(parsed));
+        let rival = DiscoveredFormula {
+            name: "formula_1".to_owned(),
+            effects: vec![effect.clone()],
+            covariates: Vec::new(),
+            targets: Vec::new(),
+            models: Vec::new(),
+            gain: 0.9,
+            p_value: 0.002,
+            other_targets: None,
+        };
+        let diagnosis = Diagnosis { rivals: vec![rival], ..accepted(&[&["sensor_temperature"]]) };
+        let next = suggest(&diagnosis, &Invocation { own: &[effect], ..TYPED });
+        assert_eq!(next.kind, SuggestionKind::ChooseEffect);
+        assert_eq!(
+            next.commands[1],
+            "magpie add m.toml 'my campaign' --expr 'formula_1: dx_um = a*opening_mm' -o m-better.toml"
+        );
     }
 
     #[test]

@@ -69,6 +69,9 @@ pub fn conclude(
             diagnosis.verdicts.push(of_rest(screened, complete, selection, &diagnosis.unexplained));
         }
     }
+    for verdict in &mut diagnosis.verdicts {
+        verdict.reproduces = selection.similarity.reproduced_by(&verdict.effect);
+    }
     diagnosis.verdicts.extend(unjudged.iter().map(of_unjudged));
     diagnosis.verdicts.sort_by(|a, b| {
         (a.kind, b.gain).partial_cmp(&(b.kind, a.gain)).unwrap_or(std::cmp::Ordering::Equal)
@@ -109,6 +112,7 @@ fn of_step(
         effect: effect.name().to_owned(),
         kind,
         provisional: !complete,
+        reproduces: Vec::new(),
         tied_with: all.iter().filter(|name| *name != effect.name()).cloned().collect(),
         gain: step.gain,
         p_adjusted: step.p_adjusted,
@@ -171,6 +175,7 @@ fn of_rest(
         kind,
         provisional: !complete,
         tied_with: Vec::new(),
+        reproduces: Vec::new(),
         gain: evidence.gain(),
         p_adjusted: screened.p_adjusted,
         value: f64::NAN,
@@ -214,6 +219,7 @@ pub(super) fn of_unjudged(unjudged: &UntestableEffect) -> Verdict {
         kind: VerdictKind::Inconclusive,
         provisional: false,
         tied_with: Vec::new(),
+        reproduces: Vec::new(),
         gain: 0.0,
         p_adjusted: f64::NAN,
         value: f64::NAN,

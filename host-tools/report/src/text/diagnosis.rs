@@ -171,9 +171,24 @@ fn accepted_effects(diagnosis: &Diagnosis) -> String {
     for verdict in diagnosis.verdicts.iter().filter(|v| is_present(v)) {
         page += &styled(HEADING, &heading(verdict));
         page += &paragraph(&format!("  {}", physics(verdict)));
-        page += &paragraph(&format!("  {}\n", reason_sentence(verdict)));
+        let evidence = format!("  {} {}", reason_sentence(verdict), similar_effects(verdict));
+        page += &paragraph(&format!("{}\n", evidence.trim_end()));
     }
     page
+}
+
+/// Minimum share of a pattern that is mentioned.
+const MIN_SIMILAR: f64 = 0.5;
+
+/// "On these recordings it reproduces the patterns of clock_skew (92 %), creep (54 %)."; empty where no other effect is similar.
+pub fn similar_effects(verdict: &Verdict) -> String {
+    let similar = verdict.reproduces.iter().filter(|(_, share)| *share >= MIN_SIMILAR);
+    let parts: Vec<String> =
+        similar.map(|(effect, share)| format!("{effect} ({:.0} %)", 100.0 * share)).collect();
+    if parts.is_empty() {
+        return String::new();
+    }
+    format!("On these recordings it reproduces the patterns of {}.", parts.join(", "))
 }
 
 /// Formulas beyond the catalogue: text, evidence, values of each sensor.
@@ -389,10 +404,12 @@ pub fn to_json(diagnosis: &Diagnosis) -> Value {
         "verdicts": diagnosis.verdicts.iter().map(verdict_json).collect::<Vec<_>>(),
         "accepted": accepted_of_catalogue(diagnosis),
         "formulas": diagnosis.formulas.iter().map(|one| formula_json(diagnosis, one)).collect::<Vec<_>>(),
+        "rivals": diagnosis.rivals.iter().map(|one| formula_json(diagnosis, one)).collect::<Vec<_>>(),
         "unexplained": unexplained_json(diagnosis),
         "at_floor": diagnosis.at_floor,
         "interrupted": diagnosis.is_interrupted,
         "staircase": diagnosis.staircase,
+        "rows": { "selected_by": diagnosis.rows[0], "all": diagnosis.rows[1] },
         "blocks": diagnosis.blocks,
         "block_s": diagnosis.block_s,
         "seed": diagnosis.seed,
@@ -441,6 +458,7 @@ fn verdict_json(verdict: &Verdict) -> Value {
         "verdict": verdict.kind.id(),
         "provisional": verdict.provisional,
         "tied_with": verdict.tied_with,
+        "reproduces": verdict.reproduces.iter().map(|(effect, share)| json!({ "effect": effect, "share": share })).collect::<Vec<_>>(),
         "gain": verdict.gain,
         "p_adjusted": verdict.p_adjusted,
         "value": verdict.value,
@@ -675,7 +693,13 @@ pub fn equivalent_sets(diagnosis: &Diagnosis) -> Vec<EquivalentSet> {
         let effects: Vec<String> =
             std::iter::once(&verdict.effect).chain(&verdict.tied_with).cloned().collect();
         let members = diagnosis.verdicts.iter().filter(|v| effects.contains(&v.effect));
-        ties.push(EquivalentSet { alike: alike(&effects), record: records(members), effects });
+        let rivals = diagnosis.rivals.iter().filter(|formula| effects.contains(&formula.name));
+        let texts = rivals.flat_map(|formula| &formula.models).filter_map(|model| {
+            let text = model.expression.as_deref()?;
+            Some(format!("A formula leaves the same error: {text}"))
+        });
+        let alike = alike(&effects).into_iter().chain(texts).collect();
+        ties.push(EquivalentSet { alike, record: records(members), effects });
     }
     ties
 }
@@ -796,10 +820,21 @@ pub fn added_effects(stair: &StaircaseStep) -> String {
 
 /// How gain and p-value were computed.
 pub fn significance_note(diagnosis: &Diagnosis) -> String {
+    let [selected, all] = diagnosis.rows;
+    let sampled = if selected < all {
+        format!(
+            " Effects are selected on {:.0} % of the rows: where the residual is white noise, standard errors are {:.1} times \
+             those of all rows then. Magnitudes and errors of the accepted models are from all rows.",
+            100.0 * selected as f64 / all as f64,
+            (all as f64 / selected.max(1) as f64).sqrt()
+        )
+    } else {
+        String::new()
+    };
     format!(
         "Gain: reduction of the cross-validated squared error. p: p-value adjusted for all candidates \
          (wild bootstrap over {} blocks of {:.1} s, seed {}). Present: p below {LEVEL}, gain above {} %, and a lower \
-         error in every fold. < b of typical: 95 % upper bound of the magnitude.",
+         error in every fold. < b of typical: 95 % upper bound of the magnitude.{sampled}",
         diagnosis.blocks,
         diagnosis.block_s,
         diagnosis.seed,
@@ -1023,6 +1058,29 @@ mod tests {
             page.contains("earth_field: roll_rad was not recorded. Record: Rotate the unloaded")
         );
         assert!(page.contains("thermal_gap: it acts on the magnet, which a polynomial"));
+    }
+
+    #[test]
+    fn sampling_similar_effects_and_rival_formulas_are_stated() {
+        let mut diagnosis = full();
+        diagnosis.rows = [900, 3600];
+        let found = &mut diagnosis.verdicts[0];
+        let share = |effect: &str, share| (effect.to_owned(), share);
+        found.reproduces = vec![share("creep", 0.76), share("clock_skew", 0.3)];
+        let rival = formula();
+        let text = rival.models[0].expression.clone().unwrap();
+        (found.kind, found.tied_with) = (VerdictKind::Tied, vec![rival.name.clone()]);
+        diagnosis.rivals = vec![rival];
+        let page = unwrapped(&uncolored(&diagnosis));
+        assert!(page.contains("Effects are selected on 25 % of the rows"));
+        assert!(page.contains("standard errors are 2.0 times those of all rows then"));
+        assert!(page.contains("On these recordings it reproduces the patterns of creep (76 %)."));
+        assert!(page.contains("Equivalent on these data: hysteresis, formula_1"));
+        assert!(page.contains(&format!("A formula leaves the same error: {text}.")));
+        let json = to_json(&diagnosis);
+        assert_eq!(json["rivals"][0]["name"], "formula_1");
+        assert_eq!(json["verdicts"][0]["reproduces"][0]["effect"], "creep");
+        assert_eq!(json["rows"]["all"], 3600);
     }
 
     #[test]

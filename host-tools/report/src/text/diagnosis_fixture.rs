@@ -12,6 +12,7 @@ pub fn verdict_of(effect: &str, kind: VerdictKind, reason: Reason) -> Verdict {
         effect: effect.to_owned(),
         kind,
         provisional: false,
+        reproduces: Vec::new(),
         tied_with: Vec::new(),
         gain: 0.0,
         p_adjusted: 1.0,

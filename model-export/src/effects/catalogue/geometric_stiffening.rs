@@ -1,7 +1,7 @@
 //! Geometric stiffening of a flexure clamped at both ends.
 
 use crate::effects::{
-    DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, Signature,
+    DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec,
     SimulatedMagnitude, Simulation, StateSeries,
 };
 
@@ -37,7 +37,7 @@ pub const EFFECT: Effect = Effect {
         ("sensor_compression", "where the field along the gap increases with the load"),
         ("tip_slope", "where both axes are always loaded together"),
     ],
-    signatures: &[Signature::NonlinearLoad],
+    signatures: &[],
     simulation: Simulation::Magnitude(SimulatedMagnitude {
         random_stream: 0,
         range: (-20.0, 100.0),

@@ -2,7 +2,7 @@
 
 use crate::effects::{
     DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, ForceForm, MagnitudeSpec,
-    Signature, SimulatedMagnitude, Simulation, StateSeries,
+    SimulatedMagnitude, Simulation, StateSeries,
 };
 
 pub const EFFECT: Effect = Effect {
@@ -46,7 +46,7 @@ pub const EFFECT: Effect = Effect {
         ("geometric_stiffening", "where the load barely exceeds the knee"),
         ("sensor_compression", "where the field along the gap increases with the load"),
     ],
-    signatures: &[Signature::NonlinearLoad],
+    signatures: &[],
     simulation: Simulation::Magnitude(SimulatedMagnitude {
         random_stream: 15,
         range: (0.0, 95.0),

@@ -1,7 +1,7 @@
 //! Gain compression of the sensor in strong fields.
 
 use crate::effects::{
-    DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, Signature,
+    DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec,
     SimulatedMagnitude, Simulation, StateSeries,
 };
 
@@ -29,7 +29,7 @@ pub const EFFECT: Effect = Effect {
         ("tip_slope", "both are even in the load"),
         ("geometric_stiffening", "where the field along the gap increases with the load"),
     ],
-    signatures: &[Signature::NonlinearLoad],
+    signatures: &[],
     simulation: Simulation::Magnitude(SimulatedMagnitude {
         random_stream: 22,
         range: (-5.0, 10.0),

@@ -1,7 +1,7 @@
 //! Foreshortening and tip slope of a bent flexure.
 
 use crate::effects::{
-    DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, Signature,
+    DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec,
     SimulatedMagnitude, Simulation, StateSeries,
 };
 
@@ -40,7 +40,7 @@ pub const EFFECT: Effect = Effect {
         ("sensor_compression", "both are even in the load"),
         ("geometric_stiffening", "where only one sign of the load was recorded"),
     ],
-    signatures: &[Signature::NonlinearLoad],
+    signatures: &[],
     simulation: Simulation::Magnitude(SimulatedMagnitude {
         random_stream: 1,
         range: (-50.0, 50.0),

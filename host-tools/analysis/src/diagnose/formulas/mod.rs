@@ -25,6 +25,7 @@ use anyhow::Result;
 use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
 use model_export::fit::campaign::FitSetup;
+use model_export::fit::score_test::{CandidateScore, ScoreTest};
 use model_export::model_file::EffectModel;
 use model_export::recordings::Campaign;
 use model_export::recordings::columns::{Axis, STATOR_CURRENTS};
@@ -45,6 +46,11 @@ use scan::{Scan, Score, TermScan};
 const MAX_FORMULAS: usize = 4;
 /// Squared error relative to the noise below which nothing is searched.
 const AT_NOISE: f64 = 1.03;
+/// Residual in noise floors above which effects at the floor may imitate another cause: a gain of each axis took 98 % of the
+/// reduction by the true cause at 1.03 to 1.06 floors.
+const OPEN: f64 = 1.03;
+/// Minimum share of a formula's pattern that an accepted effect reproduces where the formula is another form of the effect.
+const REPRODUCED: f64 = 0.9;
 /// Candidates within this fraction of the least remaining squared error are equivalent; the simplest is taken.
 const NEAR: f64 = 0.02;
 /// Candidates with points of the chain within this fraction are ranked by the number of their coefficients.
@@ -143,14 +149,7 @@ pub fn discover(
         return Ok(Vec::new());
     }
     observer.stage("preparing the search for formulas", STEP);
-    let has =
-        |axis: Axis| setup.rows.iter().any(|rows| rows.forces.iter().any(|(_, own)| *own == axis));
-    let axes = [has(Axis::X), has(Axis::Z)];
-    let covariates: Vec<String> = varying_covariates(campaign, axes)
-        .into_iter()
-        .filter(|name| !STATOR_CURRENTS.contains(&name.as_str()))
-        .collect();
-    let search = FormulaSearch::new(setup, &covariates, axes, selection.block_s, options);
+    let search = FormulaSearch::new(campaign, setup, selection.block_s, options);
     let alone = search.run(first, observer)?;
     let is_enough =
         |found: &Discovery| found.is_at_floor() && found.formulas.len() <= selection.steps.len();
@@ -185,6 +184,56 @@ pub fn discover(
     remove_needless(setup, selection, options)?;
     observer.stage("screening candidates", FINAL);
     screen_last(campaign, setup, candidates, selection, options);
+    Ok(found.formulas)
+}
+
+/// Formulas that explain as much as the effects of a selection at the noise floor, with as many terms at most, where the effects
+/// leave more than noise: a free parameter of an effect may imitate another cause. Formulas that an accepted effect can reproduce
+/// are only another form of it.
+///
+/// # Errors
+/// A fit fails.
+pub fn rivals(
+    campaign: &Campaign,
+    setup: &FitSetup,
+    selection: &Selection,
+    options: FitOptions,
+    observer: &Observer,
+) -> Result<Vec<DiscoveredFormula>> {
+    let (Some(first), Some(last)) = (selection.stages.first(), selection.stages.last()) else {
+        return Ok(Vec::new());
+    };
+    let floors = last.floors();
+    let is_open = floors > OPEN && floors <= AT_FLOOR && !selection.steps.is_empty();
+    if !is_open || observer.is_stopped() {
+        return Ok(Vec::new());
+    }
+    observer.stage("preparing the search for formulas", STEP);
+    let found =
+        FormulaSearch::new(campaign, setup, selection.block_s, options).run(first, observer)?;
+    let Some(mut found) = found.filter(|found| found.formulas.len() <= selection.steps.len())
+    else {
+        return Ok(Vec::new());
+    };
+    let Some(model) = found.stages.pop() else {
+        return Ok(Vec::new());
+    };
+    if model.mean_square() > (1.0 + NEAR) * last.mean_square() {
+        return Ok(Vec::new());
+    }
+    let test = ScoreTest::new(setup, &first.effects, &first.fit, selection.block_s);
+    let accepted: Vec<CandidateScore> =
+        selection.steps.iter().filter_map(|step| test.score(&step.chosen)).collect();
+    let is_reproduced = |effect: &EffectTerm| {
+        test.score(effect).is_some_and(|formula| {
+            accepted.iter().any(|own| own.reproduced_share(&formula) >= REPRODUCED)
+        })
+    };
+    if found.formulas.iter().flat_map(|formula| &formula.effects).all(is_reproduced) {
+        return Ok(Vec::new());
+    }
+    let recordings = campaign.recordings.len();
+    found.formulas.iter_mut().for_each(|formula| formula.set_models(&model, recordings));
     Ok(found.formulas)
 }
 
@@ -238,17 +287,21 @@ pub struct FormulaSearch<'a> {
 }
 
 impl<'a> FormulaSearch<'a> {
-    /// Over these covariates; `axes`: whether a lateral and a longitudinal force were recorded; `block_s`: length in seconds
-    /// of the blocks of residuals that are independent.
+    /// Over the covariates that vary; `block_s`: length in seconds of the blocks of residuals that are independent.
     pub fn new(
+        campaign: &Campaign,
         setup: &'a FitSetup,
-        covariates: &[String],
-        axes: [bool; 2],
         block_s: f64,
         options: FitOptions,
     ) -> Self {
+        let forces = || setup.rows.iter().flat_map(|rows| &rows.forces);
+        let axes = [Axis::X, Axis::Z].map(|axis| forces().any(|(_, own)| *own == axis));
+        let covariates: Vec<String> = varying_covariates(campaign, axes)
+            .into_iter()
+            .filter(|name| !STATOR_CURRENTS.contains(&name.as_str()))
+            .collect();
         let windows = rows::windows(setup);
-        let dictionary = Dictionary::new(setup, covariates, &windows);
+        let dictionary = Dictionary::new(setup, &covariates, &windows);
         Self {
             setup,
             options,

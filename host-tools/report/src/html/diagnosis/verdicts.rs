@@ -108,7 +108,7 @@ fn part(verdict: &Verdict, shape: Option<&EffectShape>) -> Markup {
             div {
                 @if !text::magnitude(verdict).is_empty() { p { strong { (text::magnitude(verdict)) } } }
                 p { (text::physics(verdict)) }
-                p.note { (text::reason_sentence(verdict)) }
+                p.note { (text::reason_sentence(verdict)) " " (text::similar_effects(verdict)) }
             }
             @if let Some(shape) = shape { (effect::strongest(shape)) }
         }
