@@ -61,6 +61,24 @@ fn clean_recordings_give_no_effect() {
 }
 
 #[test]
+fn similarity_of_effects_is_that_of_their_patterns() {
+    let diagnosis = diagnosed("clean", &[]);
+    let share = |one: &str, other: &str| {
+        let all = verdict(&diagnosis, one)["reproduces"].as_array().unwrap().iter();
+        let own = all.clone().find(|own| own["effect"] == other);
+        own.unwrap_or_else(|| panic!("{one}: no {other}"))["share"].as_f64().unwrap()
+    };
+    // A filter of the reference and a skew of the clocks have the same derivative to first order; a lag of its own on each axis
+    // contains both.
+    assert!(share("clock_skew", "reference_filter") > 0.99);
+    assert!(share("viscous_lag", "clock_skew") > 0.8);
+    assert!(share("clock_skew", "viscous_lag") < share("viscous_lag", "clock_skew"));
+    // The load and the opening vary independently.
+    assert!(share("neighbour_magnet", "hysteresis") < 0.1);
+    assert!(share("softening", "cross_coupling") < 0.1);
+}
+
+#[test]
 fn check_of_recordings_agrees_with_their_diagnosis() {
     let diagnosis = diagnosed("clean", &[]);
     let campaign = Campaign::read(&data("clean"), Alignment { delay_us: 0.0 }, |_| ()).unwrap();

@@ -198,9 +198,11 @@ impl FittedModel {
             .all(|(new, old)| new.mean_square() < old.mean_square())
     }
 
-    /// Whether its error is distinguishably lower than that of `other`, and lower in every fold.
+    /// Whether its error is distinguishably lower than that of `other`, and lower in every fold; on the fitted rows too, since a
+    /// model with more parameters loses on held-out rows even where it contains the better one.
     pub fn is_distinguishably_better(&self, other: &Self) -> bool {
-        other.mean_square() > (1.0 + DISTINGUISHABLE) * self.mean_square()
+        self.is_better_fit(DISTINGUISHABLE, other)
+            && other.mean_square() > (1.0 + DISTINGUISHABLE) * self.mean_square()
             && self.improves_all_folds(other)
     }
 
