@@ -97,6 +97,12 @@ fn an_import_has_all_values_of_its_source_or_leaves_nothing() {
     assert_reached((9, 300, 300), |input| fuzz::mapping::convert(input).counts(), least);
 }
 
+#[test]
+fn a_plan_is_refused_or_stays_within_its_own_limits() {
+    let least = [("accepted", 0.25), ("refused", 0.4), ("compared", 4.5)];
+    assert_reached((10, 2_000, 60), |input| fuzz::plan::read(input).counts(), least);
+}
+
 mod sensing {
     use super::fuzz::sensing::Chain;
     use super::{inputs, tables};

@@ -40,3 +40,14 @@ impl<'a> Bytes<'a> {
         u16::from_le_bytes(self.array())
     }
 }
+
+/// Inserts, removes or replaces a character of an ASCII text.
+pub fn change(text: &mut String, bytes: &mut Bytes) {
+    let at = usize::from(bytes.word()) % text.len();
+    let character = char::from(b' ' + bytes.byte() % 95);
+    match bytes.byte() % 3 {
+        0 => text.insert(at, character),
+        1 => text.replace_range(at..=at, ""),
+        _ => text.replace_range(at..=at, character.encode_utf8(&mut [0; 4])),
+    }
+}

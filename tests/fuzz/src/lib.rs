@@ -6,6 +6,7 @@
 //! - [`serial`]: bytes on the serial line.
 //! - [`formula`]: formulas of user-defined effects.
 //! - [`mapping`]: mapping files and tables of other test benches.
+//! - [`plan`]: plans of recordings.
 //! - [`sensing`]: bytes of the sensors, to forces.
 //! - [`store`]: pages of flash, and saves that are cut short.
 //! - [`upload`]: uploads of calibrations, with power cuts.
@@ -20,6 +21,7 @@ pub mod check;
 pub mod counters;
 pub mod formula;
 pub mod mapping;
+pub mod plan;
 pub mod sensing;
 pub mod serial;
 pub mod store;

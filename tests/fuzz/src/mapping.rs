@@ -8,7 +8,7 @@ use model_export::recordings::columns::Axis;
 use model_export::recordings::import::import;
 use model_export::recordings::recording::Recording;
 
-use super::bytes::Bytes;
+use super::bytes::{Bytes, change};
 
 /// Units of magnetic fields with their factor to gauss, and one that is none.
 const FIELDS: [(&str, f64); 8] = [
@@ -108,17 +108,6 @@ pub fn convert(bytes: &[u8]) -> Tally {
         }
     }
     tally
-}
-
-/// Changes a few characters.
-fn change(text: &mut String, bytes: &mut Bytes) {
-    let at = usize::from(bytes.word()) % text.len();
-    let character = char::from(b' ' + bytes.byte() % 95);
-    match bytes.byte() % 3 {
-        0 => text.insert(at, character),
-        1 => text.replace_range(at..=at, ""),
-        _ => text.replace_range(at..=at, character.encode_utf8(&mut [0; 4])),
-    }
 }
 
 /// A source that is valid in most cases.
