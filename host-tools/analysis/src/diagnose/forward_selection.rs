@@ -24,13 +24,13 @@ const ATTRIBUTED: f64 = 0.3;
 const SCREENING: f64 = 0.25;
 const FITTING: f64 = 0.2;
 
-/// Runs the selection from a model with the effects `present`.
+/// Runs the selection from a model with the effects `present`, on the rows of `prepared`, a sample of those of `all`.
 ///
 /// # Errors
 /// The initial model cannot be fitted.
 pub fn forward_selection(
     campaign: &Campaign,
-    prepared: &FitSetup,
+    (prepared, all): (&FitSetup, &FitSetup),
     present: &[EffectTerm],
     candidates: &[EffectTerm],
     options: FitOptions,
@@ -78,7 +78,7 @@ pub fn forward_selection(
     }
     if !observer.is_stopped() {
         observer.stage("separating equivalent effects", FITTING);
-        resolve_equivalences(prepared, &mut selection, options);
+        resolve_equivalences((prepared, all), &mut selection, options);
         observer.stage("eliminating effects", FITTING);
         eliminate_backward(prepared, &mut selection, options)?;
     }
@@ -232,17 +232,34 @@ fn replaced(effects: &[EffectTerm], old: &EffectTerm, new: &EffectTerm) -> Vec<E
 
 /// Separates provisionally equivalent effects in the last model, where no larger effect hides their difference.
 ///
-/// The last model is fitted with each of them. If one model has a clearly lower error, its effect explains
-/// everything that the other does and more; otherwise they remain equivalent.
-pub fn resolve_equivalences(prepared: &FitSetup, selection: &mut Selection, options: FitOptions) {
+/// The last model is fitted with each of them, to all rows: a filter or a delay of some milliseconds differ only there. If one
+/// model has a clearly lower error, its effect explains everything that the other does and more; otherwise they remain
+/// equivalent.
+pub fn resolve_equivalences(
+    setups: (&FitSetup, &FitSetup),
+    selection: &mut Selection,
+    options: FitOptions,
+) {
     for place in 0..selection.steps.len() {
         if !selection.steps[place].tied.is_empty() {
-            resolve_step(prepared, selection, place, options);
+            resolve_step(setups, selection, place, options);
         }
     }
 }
 
-fn resolve_step(prepared: &FitSetup, selection: &mut Selection, place: usize, options: FitOptions) {
+/// A model fitted to the sample, and to all rows.
+struct Rival {
+    effect: EffectTerm,
+    sampled: FittedModel,
+    whole: FittedModel,
+}
+
+fn resolve_step(
+    (prepared, all): (&FitSetup, &FitSetup),
+    selection: &mut Selection,
+    place: usize,
+    options: FitOptions,
+) {
     let recordings = prepared.rows.first().map_or(0, |rows| rows.parts.len());
     let collinearity = selection.collinearity;
     let (Some(last), step) = (selection.stages.pop(), &mut selection.steps[place]) else {
@@ -252,27 +269,31 @@ fn resolve_step(prepared: &FitSetup, selection: &mut Selection, place: usize, op
     step.tied.retain(|tied| !last.effects.contains(tied));
     // Transient effects require cross-validation within recordings for the whole set.
     let split = prepared.split(&[&last.effects[..], &step.tied].concat());
+    let rival = |effect: &EffectTerm, sampled: FittedModel| {
+        let whole = match prepared.row_count() < all.row_count() {
+            true => sampled.on(all, options).unwrap_or_else(|_| sampled.clone()),
+            false => sampled.clone(),
+        };
+        Rival { effect: effect.clone(), sampled, whole }
+    };
     let instead = |other: &EffectTerm| {
         let effects = replaced(&last.effects, &step.chosen, other);
         let stage = FittedModel::new(prepared, effects, split, options).ok()?;
-        let possible = stage.is_possible(recordings);
-        possible.then(|| (other.clone(), stage))
+        stage.is_possible(recordings).then(|| rival(other, stage))
     };
-    let mut set: Vec<(EffectTerm, FittedModel)> =
-        step.tied.par_iter().filter_map(instead).collect();
-    let last = last.with_split(prepared, split, options);
-    set.push((step.chosen.clone(), last));
-    set.sort_by(|a, b| a.1.mean_square().total_cmp(&b.1.mean_square()));
-    let (chosen, best) = set.remove(0);
-    let is_worse = |(effect, other): &(EffectTerm, FittedModel)| {
-        let hidden = collinearity.hides_the_difference(&chosen, effect);
-        !hidden && best.is_distinguishably_better(other)
+    let mut set: Vec<Rival> = step.tied.par_iter().filter_map(instead).collect();
+    set.push(rival(&step.chosen, last.with_split(prepared, split, options)));
+    set.sort_by(|a, b| a.whole.mean_square().total_cmp(&b.whole.mean_square()));
+    let best = set.remove(0);
+    let is_worse = |other: &Rival| {
+        let hidden = collinearity.hides_the_difference(&best.effect, &other.effect);
+        !hidden && best.whole.is_distinguishably_better(&other.whole)
     };
     let (worse, tied): (Vec<_>, Vec<_>) = set.into_iter().partition(is_worse);
-    let plain = |list: Vec<(EffectTerm, FittedModel)>| list.into_iter().map(|(effect, _)| effect);
-    step.chosen = chosen;
+    let plain = |list: Vec<Rival>| list.into_iter().map(|rival| rival.effect);
+    step.chosen = best.effect;
     step.tied = plain(tied).collect();
     step.shadows.extend(plain(worse));
-    let own = prepared.split(&best.effects);
-    selection.stages.push(best.with_split(prepared, own, options));
+    let own = prepared.split(&best.sampled.effects);
+    selection.stages.push(best.sampled.with_split(prepared, own, options));
 }

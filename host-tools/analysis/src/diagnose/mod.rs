@@ -269,7 +269,7 @@ pub fn diagnose(
     let (testable, untestable) =
         candidates(campaign, model.base, model.force_axes(), &present, own);
     let mut selection =
-        forward_selection(campaign, &sample, &present, &testable, options, observer)?;
+        forward_selection(campaign, (&sample, &prepared), &present, &testable, options, observer)?;
     let mut formulas = discover(campaign, &sample, &testable, &mut selection, options, observer)?;
     if sample.row_count() < prepared.row_count() {
         observer.stage("fitting all rows", ALL_ROWS);

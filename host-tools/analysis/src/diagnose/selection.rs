@@ -81,10 +81,10 @@ impl Selection {
     /// A fit fails.
     pub fn refit(&mut self, setup: &FitSetup, options: FitOptions) -> Result<()> {
         for (place, stage) in self.stages.iter_mut().enumerate() {
-            stage.fit = if place == 0 {
-                setup.fit(&stage.effects, stage.fit.split, options, |_| ())?
+            *stage = if place == 0 {
+                FittedModel::new(setup, stage.effects.clone(), stage.fit.split, options)?
             } else {
-                setup.refit(&stage.fit, &stage.effects, options)?
+                stage.on(setup, options)?
             };
         }
         Ok(())
@@ -144,6 +144,15 @@ impl FittedModel {
             return self;
         }
         Self::new(prepared, self.effects.clone(), split, options).unwrap_or(self)
+    }
+
+    /// The same model fitted to the rows of `setup`, of which its own are a sample.
+    ///
+    /// # Errors
+    /// The fit fails.
+    pub fn on(&self, setup: &FitSetup, options: FitOptions) -> Result<Self> {
+        let fit = setup.refit(&self.fit, &self.effects, options)?;
+        Ok(Self { effects: self.effects.clone(), fit })
     }
 
     /// Fits a model without cross-validation.
