@@ -103,8 +103,8 @@ pub type CreepParts = [(f64, f64); 2];
 /// Friction force in newtons, and weight and reach in newtons of each slider, along one axis.
 pub type FrictionSliders = (f64, [(f64, f64); 3]);
 
-/// Dependence on the excitation that an effect has in common with others. No effect of the catalogue has exactly the
-/// form of a real one; the remainder of an accepted effect resembles the effects with a common signature.
+/// Dependence on the excitation that an effect has in common with others: recordings with a special excitation (a single sine, the
+/// same warm-up) do not distinguish them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Signature {
     /// History or rate of the load: one elliptic response to a single sine.

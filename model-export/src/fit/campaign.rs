@@ -135,7 +135,7 @@ impl FitSetup {
         }
     }
 
-    /// The same with about `count` rows of each recording, or all.
+    /// The same with at most `count` rows of each recording.
     pub fn sampled(&self, count: usize) -> Self {
         self.with_rows(self.rows.iter().map(|rows| rows.at_most(count)).collect())
     }
@@ -154,7 +154,8 @@ impl FitSetup {
         options: FitOptions,
         done: impl Fn(u32) + Sync,
     ) -> Result<JointFit, FitError> {
-        joint::fit(self, self.base_fits()?, effects, None, (split, options), done)
+        let base_fits = self.base_fits()?;
+        joint::fit(&self.rows, &self.bases, base_fits, effects, None, (split, options), done)
     }
 
     /// The same, from a fit `near` of these effects to a sample of the rows ([`FitSetup::sampled`]): the shapes of the effects
@@ -165,7 +166,8 @@ impl FitSetup {
         effects: &[EffectTerm],
         options: FitOptions,
     ) -> Result<JointFit, FitError> {
-        joint::fit(self, self.base_fits()?, effects, Some(near), (near.split, options), |_| ())
+        let (base_fits, how) = (self.base_fits()?, (near.split, options));
+        joint::fit(&self.rows, &self.bases, base_fits, effects, Some(near), how, |_| ())
     }
 
     fn base_fits(&self) -> Result<&BaseFits, FitError> {

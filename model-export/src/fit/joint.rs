@@ -2,7 +2,6 @@
 
 use crate::effects::EffectTerm;
 use crate::fit::base_model::BaseModel;
-use crate::fit::campaign::FitSetup;
 use crate::fit::cross_validation::{CvSplit, ErrorSums, Fold, RowRange, all_rows};
 use crate::fit::identifiability::{MAX_UNCERTAINTY, Unidentifiable, variance_inflation};
 use crate::fit::initial_guess::{ShapeSearch, search_all};
@@ -146,7 +145,8 @@ impl BaseFits {
 /// effects, or from a fit `near` of the same effects to other rows of these recordings. `done` is called after each sensor,
 /// from any thread.
 pub fn fit(
-    setup: &FitSetup,
+    rows: &[SensorRows],
+    bases: &[Arc<dyn BaseModel>],
     base_fits: &BaseFits,
     effects: &[EffectTerm],
     near: Option<&JointFit>,
@@ -155,10 +155,9 @@ pub fn fit(
 ) -> Result<JointFit, FitError> {
     let mut effects = effects.to_vec();
     effects.sort_by_key(EffectTerm::stage);
-    let alone: Vec<SensorProblem> = setup
-        .rows
+    let alone: Vec<SensorProblem> = rows
         .iter()
-        .zip(&setup.bases)
+        .zip(bases)
         .map(|(rows, base)| SensorProblem::new(rows, base.as_ref(), &[]))
         .collect();
     let folds = if effects.is_empty() {

@@ -2,10 +2,7 @@
 //! processor, since a fit must be bit-equal everywhere: the library's products select instructions by processor, and its dot
 //! products, which do not, take four times as long.
 
-#![expect(
-    unsafe_code,
-    reason = "instructions that not every processor has, and loads and stores of four numbers at once"
-)]
+#![allow(unsafe_code)] // Instructions that not every processor has, loads and stores of four numbers at once.
 
 use std::ops::Range;
 
@@ -102,7 +99,7 @@ fn lane_sums_portable(left: Chunks, right: Chunks) -> LaneSums {
     sums
 }
 
-/// The same sums, six times as fast. Products are rounded before they are added, as everywhere: no fused instructions.
+/// The same sums, to the bit: products are rounded before they are added, without fused instructions.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 fn lane_sums_avx2(left: Chunks, right: Chunks) -> LaneSums {
