@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use model_export::effects::ExcitationSeries;
 use model_export::effects::expression::{Expression, ParameterRange};
 
-use super::bytes::Bytes;
+use super::bytes::{Bytes, change};
 
 /// Limits of formulas, from the documentation.
 const MAX_BYTES: usize = 1000;
@@ -226,13 +226,7 @@ fn formula(kind: u8, bytes: &mut Bytes) -> String {
     // Any change of a few characters.
     if kind & 15 == 1 {
         for _ in 0..=bytes.byte() % 3 {
-            let at = usize::from(bytes.byte()) % text.len();
-            let character = char::from(b' ' + bytes.byte() % 95);
-            match bytes.byte() % 3 {
-                0 => text.insert(at, character),
-                1 => text.replace_range(at..=at, ""),
-                _ => text.replace_range(at..=at, character.encode_utf8(&mut [0; 4])),
-            }
+            change(&mut text, bytes);
         }
     }
     text
