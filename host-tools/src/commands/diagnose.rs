@@ -128,7 +128,7 @@ pub fn run(args: &Args) -> Result<()> {
             drop(observer);
             bar.finish();
             diagnosis.findings.clone_from(&scanned.findings);
-            let formulas = diagnosis.formulas.iter().chain(&diagnosis.rivals);
+            let formulas = diagnosis.formulas.iter().chain(&diagnosis.equivalent_formulas);
             let discovered = formulas.flat_map(|formula| &formula.effects);
             let own: Vec<_> = own.iter().chain(discovered).cloned().collect();
             diagnosis.next = suggest(

@@ -17,7 +17,7 @@ fn signatures(effect: &EffectTerm) -> &'static [Signature] {
 }
 
 /// Minimum share of an effect's pattern that a similar one reproduces. (Of 3 x 30 s in which everything varies: lags, friction
-/// and creep 0.44 to 0.92 of each other; effects with different covariates below 0.3.)
+/// and creep 0.43 to 0.99 of each other; effects with different covariates below 0.3.)
 const SIMILAR: f64 = 0.4;
 
 /// How similar the patterns of effects are on the recordings: what each one does to the fields, without what the parameters of

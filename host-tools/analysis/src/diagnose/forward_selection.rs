@@ -78,7 +78,7 @@ pub fn forward_selection(
     }
     if !observer.is_stopped() {
         observer.stage("separating equivalent effects", FITTING);
-        resolve_equivalences((prepared, all), &mut selection, options);
+        resolve_equivalences((prepared, all), &mut selection, options)?;
         observer.stage("eliminating effects", FITTING);
         eliminate_backward(prepared, &mut selection, options)?;
     }
@@ -234,21 +234,22 @@ fn replaced(effects: &[EffectTerm], old: &EffectTerm, new: &EffectTerm) -> Vec<E
 ///
 /// The last model is fitted with each of them, to all rows: a filter or a delay of some milliseconds differ only there. If one
 /// model has a clearly lower error, its effect explains everything that the other does and more; otherwise they remain
-/// equivalent.
-pub fn resolve_equivalences(
+/// equivalent. An effect with which the model cannot be fitted is left out.
+fn resolve_equivalences(
     setups: (&FitSetup, &FitSetup),
     selection: &mut Selection,
     options: FitOptions,
-) {
+) -> Result<()> {
     for place in 0..selection.steps.len() {
         if !selection.steps[place].tied.is_empty() {
-            resolve_step(setups, selection, place, options);
+            resolve_step(setups, selection, place, options)?;
         }
     }
+    Ok(())
 }
 
-/// A model fitted to the sample, and to all rows.
-struct Rival {
+/// The last model with one of several equivalent effects, fitted to the sample and to all rows.
+struct Alternative {
     effect: EffectTerm,
     sampled: FittedModel,
     whole: FittedModel,
@@ -259,41 +260,40 @@ fn resolve_step(
     selection: &mut Selection,
     place: usize,
     options: FitOptions,
-) {
+) -> Result<()> {
     let recordings = prepared.rows.first().map_or(0, |rows| rows.parts.len());
     let collinearity = selection.collinearity;
     let (Some(last), step) = (selection.stages.pop(), &mut selection.steps[place]) else {
-        return;
+        return Ok(());
     };
     // An effect accepted in a later step is not equivalent.
     step.tied.retain(|tied| !last.effects.contains(tied));
     // Transient effects require cross-validation within recordings for the whole set.
     let split = prepared.split(&[&last.effects[..], &step.tied].concat());
-    let rival = |effect: &EffectTerm, sampled: FittedModel| {
-        let whole = match prepared.row_count() < all.row_count() {
-            true => sampled.on(all, options).unwrap_or_else(|_| sampled.clone()),
-            false => sampled.clone(),
-        };
-        Rival { effect: effect.clone(), sampled, whole }
+    let fitted = |effect: &EffectTerm, sampled: FittedModel| -> Result<Alternative> {
+        let is_sample = prepared.row_count() < all.row_count();
+        let whole = if is_sample { sampled.on(all, options)? } else { sampled.clone() };
+        Ok(Alternative { effect: effect.clone(), sampled, whole })
     };
     let instead = |other: &EffectTerm| {
         let effects = replaced(&last.effects, &step.chosen, other);
         let stage = FittedModel::new(prepared, effects, split, options).ok()?;
-        stage.is_possible(recordings).then(|| rival(other, stage))
+        stage.is_possible(recordings).then(|| fitted(other, stage).ok()).flatten()
     };
-    let mut set: Vec<Rival> = step.tied.par_iter().filter_map(instead).collect();
-    set.push(rival(&step.chosen, last.with_split(prepared, split, options)));
+    let mut set: Vec<Alternative> = step.tied.par_iter().filter_map(instead).collect();
+    set.push(fitted(&step.chosen, last.with_split(prepared, split, options))?);
     set.sort_by(|a, b| a.whole.mean_square().total_cmp(&b.whole.mean_square()));
     let best = set.remove(0);
-    let is_worse = |other: &Rival| {
+    let is_worse = |other: &Alternative| {
         let hidden = collinearity.hides_the_difference(&best.effect, &other.effect);
         !hidden && best.whole.is_distinguishably_better(&other.whole)
     };
     let (worse, tied): (Vec<_>, Vec<_>) = set.into_iter().partition(is_worse);
-    let plain = |list: Vec<Rival>| list.into_iter().map(|rival| rival.effect);
+    let plain = |list: Vec<Alternative>| list.into_iter().map(|one| one.effect);
     step.chosen = best.effect;
     step.tied = plain(tied).collect();
     step.shadows.extend(plain(worse));
     let own = prepared.split(&best.sampled.effects);
     selection.stages.push(best.sampled.with_split(prepared, own, options));
+    Ok(())
 }

@@ -21,7 +21,7 @@ use crate::compare::cv_plan::ModelRefit;
 use crate::data_quality::Finding;
 use crate::diagnose::candidates::candidates;
 pub use crate::diagnose::formulas::DiscoveredFormula;
-use crate::diagnose::formulas::{discover, rivals};
+use crate::diagnose::formulas::{discover, equivalent_formulas};
 use crate::diagnose::forward_selection::forward_selection;
 use crate::diagnose::observer::Observer;
 use crate::diagnose::recording_plan::{RecordingProposal, propose};
@@ -74,7 +74,7 @@ pub struct Diagnosis {
     /// Formulas of the covariates that explain what no effect of the catalogue does.
     pub formulas: Vec<DiscoveredFormula>,
     /// Formulas that explain as much as the accepted effects together.
-    pub rivals: Vec<DiscoveredFormula>,
+    pub equivalent_formulas: Vec<DiscoveredFormula>,
     /// Residual structure that no effect explains, largest share first.
     pub unexplained: Vec<Unexplained>,
     /// What of the residual follows no covariate; none at the noise floor.
@@ -204,21 +204,23 @@ pub struct Verdict {
 
 impl Diagnosis {
     /// Accepted effects are equivalent to formulas that explain as much.
-    fn set_rivals(&mut self, rivals: Vec<DiscoveredFormula>) {
-        if rivals.is_empty() {
+    fn set_equivalent_formulas(&mut self, equivalent_formulas: Vec<DiscoveredFormula>) {
+        if equivalent_formulas.is_empty() {
             return;
         }
         let is_accepted =
             |verdict: &&mut Verdict| matches!(verdict.kind, VerdictKind::Found | VerdictKind::Tied);
         for verdict in self.verdicts.iter_mut().filter(is_accepted) {
             (verdict.kind, verdict.reason) = (VerdictKind::Tied, Reason::Equivalent);
-            verdict.tied_with.extend(rivals.iter().map(|formula| formula.name.clone()));
+            verdict
+                .tied_with
+                .extend(equivalent_formulas.iter().map(|formula| formula.name.clone()));
             if verdict.record.is_empty() {
                 let effect = find(&verdict.effect);
                 verdict.record = effect.map_or_else(|_| String::new(), |one| one.record.to_owned());
             }
         }
-        self.rivals = rivals;
+        self.equivalent_formulas = equivalent_formulas;
     }
 }
 
@@ -275,13 +277,14 @@ pub fn diagnose(
         observer.stage("fitting all rows", ALL_ROWS);
         selection.refit(&prepared, options)?;
     }
-    let rivals = rivals(campaign, &prepared, &selection, options, observer)?;
+    let equivalent_formulas =
+        equivalent_formulas(campaign, &prepared, &selection, options, observer)?;
     if let Some(last) = selection.stages.last() {
         let recordings = campaign.recordings.len();
         formulas.iter_mut().for_each(|formula| formula.set_models(last, recordings));
     }
     let mut diagnosis = conclude(&selection, &formulas, &untestable, campaign.recordings.len());
-    diagnosis.set_rivals(rivals);
+    diagnosis.set_equivalent_formulas(equivalent_formulas);
     diagnosis.rows = [sample.row_count(), prepared.row_count()];
     if let Some(last) = selection.stages.last().filter(|_| !diagnosis.at_floor) {
         let located = selection.attributed.iter().map(|(_, share)| share).sum();

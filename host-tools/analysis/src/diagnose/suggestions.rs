@@ -76,10 +76,13 @@ pub fn suggest(diagnosis: &Diagnosis, typed: &Invocation) -> Suggestion {
             rest.extend(["-o".to_owned(), better(typed.model)]);
             command("add", &rest)
         };
-        let rivals = diagnosis.rivals.iter().flat_map(|formula| &formula.effects);
-        let rivals: Vec<String> = rivals.map(|effect| effect.name().to_owned()).collect();
-        let rivals = (!rivals.is_empty()).then(|| rivals.iter().collect());
-        let commands: Vec<String> = sets.iter().chain(&rivals).map(add).collect();
+        let equivalent_formulas =
+            diagnosis.equivalent_formulas.iter().flat_map(|formula| &formula.effects);
+        let equivalent_formulas: Vec<String> =
+            equivalent_formulas.map(|effect| effect.name().to_owned()).collect();
+        let equivalent_formulas =
+            (!equivalent_formulas.is_empty()).then(|| equivalent_formulas.iter().collect());
+        let commands: Vec<String> = sets.iter().chain(&equivalent_formulas).map(add).collect();
         let kind = match commands.len() {
             1 => SuggestionKind::AddEffects,
             _ => SuggestionKind::ChooseEffect,
@@ -213,7 +216,7 @@ mod tests {
         let text = "formula_1: dx_um = a*opening_mm";
         let parsed = Expression::parse(text, &[], &["opening_mm".to_owned()]).unwrap();
         let effect = EffectTerm::Expression(std::sync::Arc::new(parsed));
-        let rival = DiscoveredFormula {
+        let equivalent = DiscoveredFormula {
             name: "formula_1".to_owned(),
             effects: vec![effect.clone()],
             covariates: Vec::new(),
@@ -223,7 +226,10 @@ mod tests {
             p_value: 0.002,
             other_targets: None,
         };
-        let diagnosis = Diagnosis { rivals: vec![rival], ..accepted(&[&["sensor_temperature"]]) };
+        let diagnosis = Diagnosis {
+            equivalent_formulas: vec![equivalent],
+            ..accepted(&[&["sensor_temperature"]])
+        };
         let next = suggest(&diagnosis, &Invocation { own: &[effect], ..TYPED });
         assert_eq!(next.kind, SuggestionKind::ChooseEffect);
         assert_eq!(

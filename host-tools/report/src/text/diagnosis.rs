@@ -404,7 +404,7 @@ pub fn to_json(diagnosis: &Diagnosis) -> Value {
         "verdicts": diagnosis.verdicts.iter().map(verdict_json).collect::<Vec<_>>(),
         "accepted": accepted_of_catalogue(diagnosis),
         "formulas": diagnosis.formulas.iter().map(|one| formula_json(diagnosis, one)).collect::<Vec<_>>(),
-        "rivals": diagnosis.rivals.iter().map(|one| formula_json(diagnosis, one)).collect::<Vec<_>>(),
+        "equivalent_formulas": diagnosis.equivalent_formulas.iter().map(|one| formula_json(diagnosis, one)).collect::<Vec<_>>(),
         "unexplained": unexplained_json(diagnosis),
         "at_floor": diagnosis.at_floor,
         "interrupted": diagnosis.is_interrupted,
@@ -693,8 +693,9 @@ pub fn equivalent_sets(diagnosis: &Diagnosis) -> Vec<EquivalentSet> {
         let effects: Vec<String> =
             std::iter::once(&verdict.effect).chain(&verdict.tied_with).cloned().collect();
         let members = diagnosis.verdicts.iter().filter(|v| effects.contains(&v.effect));
-        let rivals = diagnosis.rivals.iter().filter(|formula| effects.contains(&formula.name));
-        let texts = rivals.flat_map(|formula| &formula.models).filter_map(|model| {
+        let equivalent_formulas =
+            diagnosis.equivalent_formulas.iter().filter(|formula| effects.contains(&formula.name));
+        let texts = equivalent_formulas.flat_map(|formula| &formula.models).filter_map(|model| {
             let text = model.expression.as_deref()?;
             Some(format!("A formula leaves the same error: {text}"))
         });
@@ -1061,16 +1062,16 @@ mod tests {
     }
 
     #[test]
-    fn sampling_similar_effects_and_rival_formulas_are_stated() {
+    fn sampling_similar_effects_and_equivalent_formulas_are_stated() {
         let mut diagnosis = full();
         diagnosis.rows = [900, 3600];
         let found = &mut diagnosis.verdicts[0];
         let share = |effect: &str, share| (effect.to_owned(), share);
         found.reproduces = vec![share("creep", 0.76), share("clock_skew", 0.3)];
-        let rival = formula();
-        let text = rival.models[0].expression.clone().unwrap();
-        (found.kind, found.tied_with) = (VerdictKind::Tied, vec![rival.name.clone()]);
-        diagnosis.rivals = vec![rival];
+        let equivalent = formula();
+        let text = equivalent.models[0].expression.clone().unwrap();
+        (found.kind, found.tied_with) = (VerdictKind::Tied, vec![equivalent.name.clone()]);
+        diagnosis.equivalent_formulas = vec![equivalent];
         let page = unwrapped(&uncolored(&diagnosis));
         assert!(page.contains("Effects are selected on 25 % of the rows"));
         assert!(page.contains("standard errors are 2.0 times those of all rows then"));
@@ -1078,7 +1079,7 @@ mod tests {
         assert!(page.contains("Equivalent on these data: hysteresis, formula_1"));
         assert!(page.contains(&format!("A formula leaves the same error: {text}.")));
         let json = to_json(&diagnosis);
-        assert_eq!(json["rivals"][0]["name"], "formula_1");
+        assert_eq!(json["equivalent_formulas"][0]["name"], "formula_1");
         assert_eq!(json["verdicts"][0]["reproduces"][0]["effect"], "creep");
         assert_eq!(json["rows"]["all"], 3600);
     }

@@ -193,7 +193,7 @@ pub fn discover(
 ///
 /// # Errors
 /// A fit fails.
-pub fn rivals(
+pub fn equivalent_formulas(
     campaign: &Campaign,
     setup: &FitSetup,
     selection: &Selection,
