@@ -77,15 +77,13 @@ fn records(seconds: u32) -> Result<(), Failed> {
 fn calibrates(effect: &str) -> Result<(), Failed> {
     let setup = BenchSetup {
         seed: 1,
-        // With 1 the second recording begins on another branch of the friction's loop than the fit assumes: 0.8 G at sensor 1 in
-        // its first second, and 1.5 noise floors over all.
-        excitation_seed: 2,
+        excitation_seed: 1,
         scatter: 1.0,
         effects: vec![effect.parse().map_err(|error| format!("{error:#}"))?],
         recordings: 3,
         seconds: 9.0,
     };
-    let evaluation = BenchSetup { excitation_seed: 3, recordings: 1, ..setup.clone() };
+    let evaluation = BenchSetup { excitation_seed: 2, recordings: 1, ..setup.clone() };
     let run = || -> Result<()> {
         let dir = WorkDir::empty();
         let folder = dir.0.path();

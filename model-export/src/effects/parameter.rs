@@ -12,7 +12,7 @@ pub enum ParameterKind {
         /// Start values of the search.
         grid: Cow<'static, [f64]>,
     },
-    /// Initial state of a memory in a recording; prior mean zero.
+    /// Initial state of a memory in a recording, from -1 to 1; prior mean zero.
     InitialState,
     /// Instant of the campaign in seconds (recordings laid end to end), searched on the data and refined.
     Instant,
@@ -39,6 +39,8 @@ pub struct EffectParameter {
     pub limited_to_half_range: bool,
     /// Recordings to which a value applies.
     pub scope: ParameterScope,
+    /// Index of the only recording whose field depends on it, if there is one.
+    pub recording: Option<usize>,
 }
 
 /// Recordings to which a value of a parameter applies.
@@ -68,6 +70,7 @@ impl EffectParameter {
             cross_validated: false,
             limited_to_half_range: false,
             scope: ParameterScope::Campaign,
+            recording: None,
         }
     }
 
@@ -125,8 +128,11 @@ impl EffectParameter {
             ParameterScope::EachRecording => 1,
             ParameterScope::EachLaterRecording => 2,
         };
-        let numbered =
-            |n: usize| Self { name: Cow::Owned(format!("{}_{n}", self.name)), ..self.clone() };
+        let numbered = |n: usize| Self {
+            name: Cow::Owned(format!("{}_{n}", self.name)),
+            recording: (self.kind == ParameterKind::InitialState).then_some(n - 1),
+            ..self.clone()
+        };
         (first..=recordings).map(numbered).collect()
     }
 

@@ -67,6 +67,8 @@ impl BaseModel for CylinderBase {
             relative: false,
             shared: false,
             refit_per_fold: true,
+            limited: false,
+            recording: None,
             preset_sigma: None,
         };
         (0..COUNT).map(index).collect()
@@ -147,6 +149,8 @@ impl BaseModel for PolynomialBase {
             relative: false,
             shared: false,
             refit_per_fold: true,
+            limited: false,
+            recording: None,
             preset_sigma: None,
         };
         (0..3 * terms).map(index).collect()

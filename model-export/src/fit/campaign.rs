@@ -164,9 +164,10 @@ impl FitSetup {
         &self,
         near: &JointFit,
         effects: &[EffectTerm],
+        split: CvSplit,
         options: FitOptions,
     ) -> Result<JointFit, FitError> {
-        let (base_fits, how) = (self.base_fits()?, (near.split, options));
+        let (base_fits, how) = (self.base_fits()?, (split, options));
         joint::fit(&self.rows, &self.bases, base_fits, effects, Some(near), how, |_| ())
     }
 

@@ -29,6 +29,8 @@ const FINE_STEPS: usize = 12;
 const OWN_GAIN: f64 = 0.05;
 /// Scale of a coefficient without a typical value: what moves the field by this multiple of its residual.
 const EXPECTED: f64 = 10.0;
+/// Tried initial states: at rest, and with a slider of friction nearly at its limit.
+const INITIAL_STATES: [f64; 3] = [-0.9, 0.0, 0.9];
 
 /// Search state of one sensor: its problem and the current values.
 pub struct ShapeSearch<'a> {
@@ -201,7 +203,10 @@ fn first_value(searches: &[ShapeSearch], i: usize, j: usize) -> f64 {
 
 fn grid(parameter: &EffectParameter, searches: &[ShapeSearch], round: usize, now: f64) -> Vec<f64> {
     match &parameter.kind {
-        ParameterKind::Coefficient | ParameterKind::InitialState => Vec::new(),
+        ParameterKind::Coefficient => Vec::new(),
+        // Once: the second round searches the shapes that belong to them.
+        ParameterKind::InitialState if round == 0 => INITIAL_STATES.to_vec(),
+        ParameterKind::InitialState => Vec::new(),
         ParameterKind::Shape { grid } if parameter.cross_validated => refined(grid),
         ParameterKind::Shape { grid } if parameter.limited_to_half_range => {
             let max_n = half_swing_n(searches).max(grid[0]);
@@ -264,15 +269,19 @@ fn select_value(searches: &mut [ShapeSearch], i: usize, j: usize, tried: &[f64],
     let std_error = across.then(|| jackknife(tried, &left));
     for (sensor, search) in searches.iter_mut().enumerate() {
         let mut value = tried[place];
-        if !across && matches!(search.problem.effects[i], EffectTerm::Expression(_)) {
+        let index = search.problem.ranges()[i].start + j;
+        let is_own = matches!(search.problem.effects[i], EffectTerm::Expression(_))
+            || search.problem.parameters[index].limited;
+        if !across && is_own {
             let own = |place: usize| by_sensor[place][sensor].iter().sum::<f64>();
             let best = (0..tried.len()).min_by(|a, b| own(*a).total_cmp(&own(*b)));
             let is_better = |best: &usize| own(*best) < (1.0 - OWN_GAIN) * own(place);
             value = best.filter(is_better).map_or(value, |best| tried[best]);
         }
-        let index = search.problem.ranges()[i].start + j;
         search.values[index] = value;
-        search.problem.parameters[index].start = value;
+        if !search.problem.parameters[index].limited {
+            search.problem.parameters[index].start = value;
+        }
         search.problem.parameters[index].preset_sigma =
             std_error.map(|std_error| std_error / search.problem.parameters[index].scale);
     }

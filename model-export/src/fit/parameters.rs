@@ -176,6 +176,10 @@ pub struct FreeParameter {
     pub scale: f64,
     /// Whether the parameter is a positive shape, scaled logarithmically.
     pub relative: bool,
+    /// Whether the value is limited to -1 to 1; beyond, the field does not depend on it.
+    pub limited: bool,
+    /// Index of the only recording whose field depends on it, if there is one.
+    pub recording: Option<usize>,
     /// Whether all sensors share the value.
     pub shared: bool,
     /// Whether each fold refits it from its start: true for coefficients and the base. Shapes and initial
@@ -210,6 +214,8 @@ impl FreeParameter {
             start,
             scale,
             relative,
+            limited: parameter.kind == ParameterKind::InitialState,
+            recording: parameter.recording,
             shared: parameter.shared,
             refit_per_fold: parameter.is_coefficient(),
             preset_sigma: None,
@@ -232,6 +238,11 @@ impl FreeParameter {
         } else {
             (value - self.start) / self.scale
         }
+    }
+
+    /// The scaled value, within its limits.
+    pub fn within_limits(&self, scaled: f64) -> f64 {
+        if self.limited { self.to_scaled(self.value(scaled).clamp(-1.0, 1.0)) } else { scaled }
     }
 
     /// Derivative of the value to the scaled value.

@@ -220,15 +220,20 @@ impl<'a> SensorProblem<'a> {
             modelled.push(&response, stiffness);
             responses.push(response);
         }
+        // At a limit the field depends on the parameter only inwards.
+        let step = |index: usize| {
+            let inwards = self.parameters[index].limited && scaled[index] > 0.0;
+            if inwards { -STEP } else { STEP }
+        };
         let mut set_columns = |index: usize, from: &[PhysicalState], moved: &[PhysicalState]| {
             for (row, response) in responses.iter().enumerate() {
-                let change = response.change(&from[row], &moved[row]) / STEP;
+                let change = response.change(&from[row], &moved[row]) / step(index);
                 set_column(&mut jacobian, row, index, change);
             }
         };
         let moved = |index: usize| {
             let mut moved = scaled.clone();
-            moved[index] += STEP;
+            moved[index] += step(index);
             self.values(&moved)
         };
         for index in 0..self.base.stiffness_count() {
@@ -238,7 +243,10 @@ impl<'a> SensorProblem<'a> {
             let alone = effect
                 .adds_to_states()
                 .then(|| self.states_alone(part, effect, &values[range.clone()]));
-            for index in range.clone() {
+            let here = self.rows.parts[part].track.recording;
+            let acts =
+                |index: &usize| self.parameters[*index].recording.is_none_or(|own| own == here);
+            for index in range.clone().filter(acts) {
                 let moved = moved(index);
                 match &alone {
                     Some(alone) => {

@@ -8,6 +8,8 @@
 //! Directions of the parameter space whose standard error exceeds half a prior width are not identifiable and
 //! stay at their start. They are determined once, on all recordings; values are fitted anew in each fold.
 
+use std::ops::RangeInclusive;
+
 use nalgebra::{DMatrix, DVector};
 
 use crate::fit::block_bootstrap::{self, Block};
@@ -44,7 +46,7 @@ pub fn fit_from_nominal(problem: &SensorProblem) -> Result<SensorSolution, FitEr
     let all = all_rows(problem.rows);
     let low = (&start, None);
     let first = minimise(problem, &all, FIRST_INFLATION, &whole, low, COARSE_TOLERANCE)?;
-    let second = fit_all_free(problem, &first, 1)?;
+    let second = fit_all_free(problem, &first, 1..=1)?;
     fit_identifiable(problem, &second, &[])
 }
 
@@ -89,21 +91,29 @@ pub fn fit_from_base<'a>(
     Ok(if is_better { (nominal, other) } else { (problem, found) })
 }
 
-/// Rounds of a fit with all directions free: the weight of the data follows from the residuals of the round before.
-const FREE_ROUNDS: usize = 2;
+/// Rounds of a fit with all directions free, at least and at most: the weight of the data follows from the residuals of the round
+/// before.
+const FREE_ROUNDS: RangeInclusive<usize> = 2..=5;
+/// Further rounds are made while the variance inflation falls below this share of that of the round before.
+const FALLING: f64 = 0.2;
 
 /// Fit from a nearby start with all directions free.
 fn fit_all_free(
     problem: &SensorProblem,
     start: &DVector<f64>,
-    rounds: usize,
+    rounds: RangeInclusive<usize>,
 ) -> Result<DVector<f64>, FitError> {
     let whole = FreeDirections::except(&problem.preset(), problem.parameters.len());
     let all = all_rows(problem.rows);
     let mut scaled = start.clone();
-    for _ in 0..rounds {
+    let mut before = f64::INFINITY;
+    for round in 0..*rounds.end() {
         let (_, blocks) = linearised(problem, &scaled);
         let inflation = noise_inflation(&blocks);
+        if round >= *rounds.start() && inflation > FALLING * before {
+            break;
+        }
+        before = inflation;
         let from = (&scaled, Some(sum(start.len(), &blocks)));
         scaled = minimise(problem, &all, inflation, &whole, from, COARSE_TOLERANCE)?;
     }

@@ -189,7 +189,8 @@ pub fn minimise(
     let at_start = at_start.unwrap_or_else(|| descent.data());
     descent.reduced = descent.reduced(&at_start);
     let descent = descend(descent, tolerance).map_err(not_converged)?;
-    let scaled = descent.scaled();
+    let mut scaled = descent.scaled();
+    scaled.iter_mut().zip(&problem.parameters).for_each(|(v, index)| *v = index.within_limits(*v));
     if scaled.iter().all(|d| d.is_finite()) {
         Ok(scaled)
     } else {

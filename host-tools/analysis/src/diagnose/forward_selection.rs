@@ -44,6 +44,7 @@ pub fn forward_selection(
             prepared.split(present),
             options,
         )?],
+        resolved: None,
         last: Vec::new(),
         attributed: Vec::new(),
         collinearity: Collinearity::of(prepared),
@@ -248,11 +249,10 @@ fn resolve_equivalences(
     Ok(())
 }
 
-/// The last model with one of several equivalent effects, fitted to the sample and to all rows.
+/// The last model with one of several equivalent effects, fitted to all rows.
 struct Alternative {
     effect: EffectTerm,
-    sampled: FittedModel,
-    whole: FittedModel,
+    model: FittedModel,
 }
 
 fn resolve_step(
@@ -263,37 +263,41 @@ fn resolve_step(
 ) -> Result<()> {
     let recordings = prepared.rows.first().map_or(0, |rows| rows.parts.len());
     let collinearity = selection.collinearity;
-    let (Some(last), step) = (selection.stages.pop(), &mut selection.steps[place]) else {
+    let (Some(last), step) = (selection.stages.last(), &mut selection.steps[place]) else {
         return Ok(());
     };
     // An effect accepted in a later step is not equivalent.
     step.tied.retain(|tied| !last.effects.contains(tied));
     // Transient effects require cross-validation within recordings for the whole set.
     let split = prepared.split(&[&last.effects[..], &step.tied].concat());
-    let fitted = |effect: &EffectTerm, sampled: FittedModel| -> Result<Alternative> {
-        let is_sample = prepared.row_count() < all.row_count();
-        let whole = if is_sample { sampled.on(all, options)? } else { sampled.clone() };
-        Ok(Alternative { effect: effect.clone(), sampled, whole })
+    let on_all_rows = |effect: &EffectTerm, sampled: &FittedModel| -> Result<Alternative> {
+        Ok(Alternative { effect: effect.clone(), model: sampled.on(all, split, options)? })
     };
     let instead = |other: &EffectTerm| {
         let effects = replaced(&last.effects, &step.chosen, other);
-        let stage = FittedModel::new(prepared, effects, split, options).ok()?;
-        stage.is_possible(recordings).then(|| fitted(other, stage).ok()).flatten()
+        let sampled = FittedModel::without_validation(prepared, effects, options).ok()?;
+        let alternative = on_all_rows(other, &sampled).ok()?;
+        alternative.model.is_possible(recordings).then_some(alternative)
     };
     let mut set: Vec<Alternative> = step.tied.par_iter().filter_map(instead).collect();
-    set.push(fitted(&step.chosen, last.with_split(prepared, split, options))?);
-    set.sort_by(|a, b| a.whole.mean_square().total_cmp(&b.whole.mean_square()));
+    set.push(on_all_rows(&step.chosen, last)?);
+    set.sort_by(|a, b| a.model.mean_square().total_cmp(&b.model.mean_square()));
     let best = set.remove(0);
     let is_worse = |other: &Alternative| {
         let hidden = collinearity.hides_the_difference(&best.effect, &other.effect);
-        !hidden && best.whole.is_distinguishably_better(&other.whole)
+        !hidden && best.model.is_distinguishably_better(&other.model)
     };
     let (worse, tied): (Vec<_>, Vec<_>) = set.into_iter().partition(is_worse);
     let plain = |list: Vec<Alternative>| list.into_iter().map(|one| one.effect);
-    step.chosen = best.effect;
     step.tied = plain(tied).collect();
     step.shadows.extend(plain(worse));
-    let own = prepared.split(&best.sampled.effects);
-    selection.stages.push(best.sampled.with_split(prepared, own, options));
+    if best.effect != step.chosen {
+        step.chosen = best.effect;
+        let effects = best.model.effects.clone();
+        let own = prepared.split(&effects);
+        selection.stages.pop();
+        selection.stages.push(FittedModel::new(prepared, effects, own, options)?);
+    }
+    selection.resolved = Some(best.model);
     Ok(())
 }

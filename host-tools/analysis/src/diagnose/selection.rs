@@ -47,6 +47,8 @@ pub struct Selection {
     pub steps: Vec<AcceptedStep>,
     /// Models from the first to the last step.
     pub stages: Vec<FittedModel>,
+    /// The last model fitted to all rows, where that separated equivalent effects.
+    pub resolved: Option<FittedModel>,
     /// Score tests of all candidates on the last model.
     pub last: Vec<ScreenedEffect>,
     /// Covariates that explain the residual, with their shares.
@@ -81,10 +83,15 @@ impl Selection {
     /// A fit fails.
     pub fn refit(&mut self, setup: &FitSetup, options: FitOptions) -> Result<()> {
         for (place, stage) in self.stages.iter_mut().enumerate() {
+            let (effects, split) = (&stage.effects, stage.fit.split);
+            let is_same =
+                |known: &FittedModel| known.effects == *effects && known.fit.split == split;
             *stage = if place == 0 {
-                FittedModel::new(setup, stage.effects.clone(), stage.fit.split, options)?
+                FittedModel::new(setup, effects.clone(), split, options)?
+            } else if let Some(known) = self.resolved.take_if(|known| is_same(known)) {
+                known
             } else {
-                stage.on(setup, options)?
+                stage.on(setup, split, options)?
             };
         }
         Ok(())
@@ -146,12 +153,12 @@ impl FittedModel {
         Self::new(prepared, self.effects.clone(), split, options).unwrap_or(self)
     }
 
-    /// The same model fitted to the rows of `setup`, of which its own are a sample.
+    /// The same model fitted to the rows of `setup`, of which its own are a sample, and cross-validated.
     ///
     /// # Errors
     /// The fit fails.
-    pub fn on(&self, setup: &FitSetup, options: FitOptions) -> Result<Self> {
-        let fit = setup.refit(&self.fit, &self.effects, options)?;
+    pub fn on(&self, setup: &FitSetup, split: CvSplit, options: FitOptions) -> Result<Self> {
+        let fit = setup.refit(&self.fit, &self.effects, split, options)?;
         Ok(Self { effects: self.effects.clone(), fit })
     }
 
