@@ -2,6 +2,7 @@
 
 use model_export::effects::CATALOGUE;
 use serde_json::Value;
+use tests::campaign_copy::{CampaignCopy, CsvTable};
 
 use crate::workdir::{WorkDir, campaign, text};
 
@@ -36,6 +37,31 @@ fn before_and_after(added: &Value, what: &str) -> (f64, f64) {
 /// Held-out error over floor after adding.
 fn over_floor(added: &Value) -> f64 {
     number(&added["after"]["held_out_rms_g"]) / number(&added["floor_g"])
+}
+
+/// Recordings that begin while the finger is loaded: nothing tells the state of the friction then, and three sliders begin with one.
+/// The fit finds it nearly (1.2 to 1.5 noise floors; without a search 1.7, 2.2 and 1.5).
+#[test]
+fn friction_is_fitted_to_recordings_that_begin_loaded() {
+    for begin_s in [1.3, 4.9, 6.7] {
+        let keep = |cells: &mut CsvTable| {
+            let time_us = cells.numbers("t_us");
+            let mut times = time_us.iter();
+            cells.rows.retain(|_| times.next().is_some_and(|time_us| *time_us >= begin_s * 1e6));
+        };
+        let recordings = [1, 2, 3];
+        let copy = CampaignCopy::of("friction").change(&recordings, "hall.csv", keep).change(
+            &recordings,
+            "force.csv",
+            keep,
+        );
+        let dir = WorkDir::empty();
+        let folder = copy.path().display().to_string();
+        dir.stdout(&["fit", &folder, "-o", "model.toml"]);
+        let effects = ["hysteresis", "magnet_temperature", "-o", "new.toml", "--json"];
+        let added = dir.json(&[&["add", "model.toml", &folder][..], &effects].concat());
+        assert!((0.95..=1.5).contains(&over_floor(&added)), "{begin_s}: {}", over_floor(&added));
+    }
 }
 
 #[test]
