@@ -107,6 +107,14 @@ impl ExcitationSeries {
         }
     }
 
+    /// Rows at which the smoothed force along an axis (0 lateral, 1 longitudinal) turns by more than a twentieth of its amplitude.
+    pub fn turning_points(&self, axis: usize) -> Vec<usize> {
+        let force_n = || self.smooth_n.iter().map(|force| force[axis]);
+        let mean = force_n().sum::<f64>() / self.len().max(1) as f64;
+        let squares: f64 = force_n().map(|force| (force - mean).powi(2)).sum();
+        turning_points(force_n(), DEADBAND * (2.0 * squares / self.len().max(1) as f64).sqrt())
+    }
+
     /// Number of rows.
     pub fn len(&self) -> usize {
         self.time_s.len()
@@ -199,6 +207,30 @@ impl LoadCycleCounter {
     }
 }
 
+/// Places of the extrema from which the values then move away by more than `deadband`.
+fn turning_points(values: impl Iterator<Item = f64>, deadband: f64) -> Vec<usize> {
+    let mut found = Vec::new();
+    // Extreme values since the last turning point, with their places.
+    let (mut high, mut low) = ((0, f64::NEG_INFINITY), (0, f64::INFINITY));
+    let mut rises = None;
+    for (place, value) in values.enumerate() {
+        if value > high.1 {
+            high = (place, value);
+        }
+        if value < low.1 {
+            low = (place, value);
+        }
+        if rises != Some(false) && value < high.1 - deadband {
+            found.push(high.0);
+            (rises, low) = (Some(false), (place, value));
+        } else if rises != Some(true) && value > low.1 + deadband {
+            found.push(low.0);
+            (rises, high) = (Some(true), (place, value));
+        }
+    }
+    found
+}
+
 /// Accumulated path of the force after a play operator with this half width.
 fn path_length(force_n: &[f64], half_width_n: f64) -> Vec<f64> {
     let (mut output, mut path) = (force_n.first().copied().unwrap_or(0.0), 0.0);
@@ -231,6 +263,15 @@ mod tests {
         assert!((changed.smooth_n[1][0] - 4.5).abs() < 1e-9);
         assert!((changed.rate_n_per_s[0][0] - 5.0).abs() < 1e-6);
         assert!(changed.rate_n_per_s[1][1].abs() < 1e-6);
+    }
+
+    #[test]
+    fn turning_points_ignore_what_is_within_the_deadband() {
+        let values = [0.0, 3.0, 2.5, 5.0, 1.0, 1.4, 0.5, 4.0, 4.2, 3.9];
+        assert_eq!(turning_points(values.into_iter(), 1.0), [0, 3, 6]);
+        // A turn at the row that ended the rise before.
+        assert_eq!(turning_points([0.0, 2.0, 0.5, 2.0].into_iter(), 1.0), [0, 1, 2]);
+        assert!(turning_points([1.0; 5].into_iter(), 0.0).is_empty());
     }
 
     #[test]

@@ -35,11 +35,23 @@ impl AddAssign<&Block> for Block {
 impl Block {
     /// From these rows of weighted derivatives and residuals.
     pub fn of(jacobian: &DMatrix<f64>, residuals: &[f64], rows: Range<usize>) -> Self {
-        let columns = columns(jacobian, rows.clone());
+        // Parameters of other recordings have no derivatives here.
+        let (acting, columns): (Vec<usize>, Vec<&[f64]>) = columns(jacobian, rows.clone())
+            .into_iter()
+            .enumerate()
+            .filter(|(_, column)| column.iter().any(|derivative| *derivative != 0.0))
+            .unzip();
         let residuals = residuals.get(rows).unwrap_or_default();
-        let score = products(&columns, &[residuals]).column(0).into_owned();
-        let squares = residuals.iter().map(|r| r * r).sum();
-        Self { normal: gram(&columns), score, squares }
+        let mut block = Self::zeros(jacobian.ncols());
+        block.squares = residuals.iter().map(|r| r * r).sum();
+        let (normal, score) = (gram(&columns), products(&columns, &[residuals]));
+        for (i, &row) in acting.iter().enumerate() {
+            block.score[row] = score[(i, 0)];
+            for (j, &column) in acting.iter().enumerate() {
+                block.normal[(row, column)] = normal[(i, j)];
+            }
+        }
+        block
     }
 
     /// Empty block.
@@ -51,11 +63,14 @@ impl Block {
 /// Minimum number of blocks for a useful error bar.
 pub const MIN_BLOCKS: usize = 12;
 
+/// Maximum number of blocks: their matrices are kept, and drawn again and again.
+const MAX_BLOCKS: usize = 300;
+
 /// Minimum block length in seconds.
 const MIN_BLOCK_S: f64 = 1.0;
 
 /// Block length in seconds: three times the longest correlation time of the residuals (by recording and axis),
-/// at least `MIN_BLOCK_S`, at most what leaves `MIN_BLOCKS` blocks.
+/// at least `MIN_BLOCK_S` and what leaves `MAX_BLOCKS` blocks, at most what leaves `MIN_BLOCKS` blocks.
 pub fn block_length_s(rows: &SensorRows, residuals: impl Fn(usize, usize) -> Vec<f64>) -> f64 {
     let (mut longest_s, mut duration_s) = (0.0_f64, 0.0);
     for (i, part) in rows.parts.iter().enumerate() {
@@ -68,7 +83,8 @@ pub fn block_length_s(rows: &SensorRows, residuals: impl Fn(usize, usize) -> Vec
             longest_s = longest_s.max(period_s * autocorrelation_rows(&residuals(i, axis)));
         }
     }
-    (3.0 * longest_s).max(MIN_BLOCK_S).min(duration_s / MIN_BLOCKS as f64)
+    let shortest_s = MIN_BLOCK_S.max(duration_s / MAX_BLOCKS as f64);
+    (3.0 * longest_s).max(shortest_s).min(duration_s / MIN_BLOCKS as f64)
 }
 
 /// Integrated autocorrelation time of evenly spaced values, in rows: 1 for white noise.

@@ -137,7 +137,25 @@ impl FitSetup {
 
     /// The same with at most `count` rows of each recording.
     pub fn sampled(&self, count: usize) -> Self {
-        self.with_rows(self.rows.iter().map(|rows| rows.at_most(count)).collect())
+        self.with_rows(self.rows.iter().map(|rows| rows.at_most(|_| count)).collect())
+    }
+
+    /// The same, of more than ten recordings with the first of each fold of the cross-validation only.
+    pub fn sampled_by_fold(&self, count: usize) -> Self {
+        let of = |rows: &SensorRows| {
+            let split = CvSplit::Recordings(rows.parts.len());
+            let is_first =
+                |place: usize| place == 0 || split.fold_of(place) != split.fold_of(place - 1);
+            rows.at_most(|place| if is_first(place) { count } else { 0 })
+        };
+        self.with_rows(self.rows.iter().map(of).collect())
+    }
+
+    /// Number of recordings with rows of any sensor.
+    pub fn recording_count(&self) -> usize {
+        let counts =
+            self.rows.iter().map(|rows| rows.parts.iter().filter(|p| !p.is_empty()).count());
+        counts.max().unwrap_or(0)
     }
 
     /// Rows of all sensors.

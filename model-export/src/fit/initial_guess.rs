@@ -31,6 +31,8 @@ const OWN_GAIN: f64 = 0.05;
 const EXPECTED: f64 = 10.0;
 /// Tried initial states: at rest, and with a slider of friction nearly at its limit.
 const INITIAL_STATES: [f64; 3] = [-0.9, 0.0, 0.9];
+/// Maximum number of recordings whose initial states are searched: each takes as long as the search of a shape.
+const SEARCHED_RECORDINGS: usize = 10;
 
 /// Search state of one sensor: its problem and the current values.
 pub struct ShapeSearch<'a> {
@@ -205,8 +207,17 @@ fn grid(parameter: &EffectParameter, searches: &[ShapeSearch], round: usize, now
     match &parameter.kind {
         ParameterKind::Coefficient => Vec::new(),
         // Once: the second round searches the shapes that belong to them.
-        ParameterKind::InitialState if round == 0 => INITIAL_STATES.to_vec(),
-        ParameterKind::InitialState => Vec::new(),
+        ParameterKind::InitialState => {
+            let has_rows = |recording: usize| {
+                searches
+                    .iter()
+                    .any(|s| s.problem.rows.parts.get(recording).is_some_and(|p| !p.is_empty()))
+            };
+            let is_searched = round == 0
+                && parameter.recording.is_some_and(has_rows)
+                && recordings_with_rows(searches) <= SEARCHED_RECORDINGS;
+            if is_searched { INITIAL_STATES.to_vec() } else { Vec::new() }
+        }
         ParameterKind::Shape { grid } if parameter.cross_validated => refined(grid),
         ParameterKind::Shape { grid } if parameter.limited_to_half_range => {
             let max_n = half_swing_n(searches).max(grid[0]);

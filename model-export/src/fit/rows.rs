@@ -28,6 +28,9 @@ pub struct SensorRows {
 /// any model is right.
 pub const MAX_ROWS: usize = 180_000;
 
+/// Maximum spacing in seconds of a sample of evenly spaced rows only.
+const MAX_SPACING_S: f64 = 0.075;
+
 /// The rows of one recording.
 #[derive(Clone, Debug)]
 pub struct RecordingRows {
@@ -122,7 +125,7 @@ impl SensorRows {
         for (i, recording) in campaign.recordings.iter().enumerate() {
             let mut part = RecordingRows::new(recording, (i, before_s), sensor, &forces);
             cycles.update(&mut part.track);
-            parts.push(if stride > 1 { part.thinned(stride) } else { part });
+            parts.push(if stride > 1 { part.sampled(stride) } else { part });
             before_s += recording.span_s();
         }
         let rows: usize = parts.iter().map(RecordingRows::len).sum();
@@ -177,9 +180,10 @@ impl SensorRows {
         self.forces.iter().map(move |(_, axis)| slope(*axis)).collect::<Vec<_>>().into_iter()
     }
 
-    /// At most `count` rows of each recording, evenly spaced, or all.
-    pub fn at_most(&self, count: usize) -> Self {
-        let parts = self.parts.iter().map(|part| part.at_most(count));
+    /// At most `count(place)` rows of each recording, evenly spaced, or all; `place` is the recording's index.
+    pub fn at_most(&self, count: impl Fn(usize) -> usize) -> Self {
+        let parts = self.parts.iter().enumerate();
+        let parts = parts.map(|(place, part)| part.at_most(count(place)));
         Self { parts: parts.collect(), forces: self.forces.clone(), ..*self }
     }
 
@@ -274,21 +278,38 @@ impl RecordingRows {
         }
     }
 
-    /// At most `count` rows, evenly spaced, or all.
+    /// At most `count` evenly spaced rows or all, and the turning points of the load ([`RecordingRows::sampled`]).
     pub fn at_most(&self, count: usize) -> Self {
-        self.thinned(self.len().div_ceil(count.max(1)))
+        if count == 0 { self.at(&[]) } else { self.sampled(self.len().div_ceil(count)) }
+    }
+
+    /// Every `stride`-th row and, where these are further apart than 75 ms, those at which the load turns: friction depends on its
+    /// peaks.
+    fn sampled(&self, stride: usize) -> Self {
+        let duration_s = self.time_s.last().zip(self.time_s.first()).map_or(0.0, |(b, a)| b - a);
+        if duration_s * stride as f64 <= MAX_SPACING_S * self.len() as f64 {
+            return self.thinned(stride);
+        }
+        let mut rows: Vec<usize> = (0..self.len()).step_by(stride.max(1)).collect();
+        (0..2).for_each(|axis| rows.extend(self.track.turning_points(axis)));
+        rows.sort_unstable();
+        rows.dedup();
+        self.at(&rows)
     }
 
     /// Every `stride`-th row.
     pub fn thinned(&self, stride: usize) -> Self {
-        let rows: Vec<usize> = (0..self.len()).step_by(stride.max(1)).collect();
+        self.at(&(0..self.len()).step_by(stride.max(1)).collect::<Vec<_>>())
+    }
+
+    fn at(&self, rows: &[usize]) -> Self {
         Self {
             time_s: rows.iter().map(|&row| self.time_s[row]).collect(),
             force_n: rows.iter().map(|&row| self.force_n[row].clone()).collect(),
             field_g: rows.iter().map(|&row| self.field_g[row]).collect(),
             field_noise_g: self.field_noise_g,
             force_noise_n: self.force_noise_n.clone(),
-            track: self.track.at(&rows),
+            track: self.track.at(rows),
         }
     }
 

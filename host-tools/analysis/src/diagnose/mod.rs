@@ -95,6 +95,8 @@ pub struct Diagnosis {
     pub is_complete: bool,
     /// Rows of all sensors by which effects were selected, and all rows, to which the models were fitted.
     pub rows: [usize; 2],
+    /// Recordings by which effects were selected, and all recordings.
+    pub recordings: [usize; 2],
     /// Number of bootstrap blocks.
     pub blocks: usize,
     /// Length of a block in seconds.
@@ -266,7 +268,7 @@ pub fn diagnose(
 ) -> Result<(Diagnosis, Option<ModelRefit>)> {
     observer.begin();
     let prepared = model.fit_setup(campaign, options)?;
-    let sample = prepared.sampled(SELECTION_ROWS);
+    let sample = prepared.sampled_by_fold(SELECTION_ROWS);
     let present: Vec<EffectTerm> = model.effect_terms(path)?;
     let (testable, untestable) =
         candidates(campaign, model.base, model.force_axes(), &present, own);
@@ -286,6 +288,7 @@ pub fn diagnose(
     let mut diagnosis = conclude(&selection, &formulas, &untestable, campaign.recordings.len());
     diagnosis.set_equivalent_formulas(equivalent_formulas);
     diagnosis.rows = [sample.row_count(), prepared.row_count()];
+    diagnosis.recordings = [sample.recording_count(), prepared.recording_count()];
     if let Some(last) = selection.stages.last().filter(|_| !diagnosis.at_floor) {
         let located = selection.attributed.iter().map(|(_, share)| share).sum();
         let columns = residuals_against(&sample, last, &[]);

@@ -823,9 +823,15 @@ pub fn added_effects(stair: &StaircaseStep) -> String {
 pub fn significance_note(diagnosis: &Diagnosis) -> String {
     let [selected, all] = diagnosis.rows;
     let sampled = if selected < all {
+        let recordings = match diagnosis.recordings {
+            [some, every] if some < every => format!(
+                ", in {some} of the {every} recordings: what acts only in the others is not found"
+            ),
+            _ => String::new(),
+        };
         format!(
-            " Effects are selected on {:.0} % of the rows: where the residual is white noise, standard errors are {:.1} times \
-             those of all rows then. Magnitudes and errors of the accepted models are from all rows.",
+            " Effects are selected on {:.0} % of the rows{recordings}. Where the residual is white noise, standard errors are \
+             {:.1} times those of all rows then. Magnitudes and errors of the accepted models are from all rows.",
             100.0 * selected as f64 / all as f64,
             (all as f64 / selected.max(1) as f64).sqrt()
         )
