@@ -16,47 +16,58 @@ use crate::fit::tall_products::{columns, gram, products};
 /// Contribution of a block of rows to the normal equations `H = J'J` and `g = J'r`.
 #[derive(Clone, Debug)]
 pub struct Block {
-    /// `J'J` over the rows of the block.
+    /// Parameters on which the field of the block depends, ascending.
+    pub acting: Vec<usize>,
+    /// `J'J` over the rows of the block, of these parameters.
     pub normal: DMatrix<f64>,
-    /// `J'r` over the rows of the block, `r` measured minus modelled.
+    /// `J'r` over the rows of the block, of all parameters; `r` measured minus modelled.
     pub score: DVector<f64>,
     /// `r'r` over the rows of the block.
     pub squares: f64,
 }
 
 impl AddAssign<&Block> for Block {
+    /// Adds a block of the same parameters; this one must have the normal equations of all of them.
     fn add_assign(&mut self, other: &Block) {
-        self.normal += &other.normal;
+        add_normal(&mut self.normal, other);
         self.score += &other.score;
         self.squares += other.squares;
     }
 }
 
-impl Block {
-    /// From these rows of weighted derivatives and residuals.
-    pub fn of(jacobian: &DMatrix<f64>, residuals: &[f64], rows: Range<usize>) -> Self {
-        // Parameters of other recordings have no derivatives here.
-        let (acting, columns): (Vec<usize>, Vec<&[f64]>) = columns(jacobian, rows.clone())
-            .into_iter()
-            .enumerate()
-            .filter(|(_, column)| column.iter().any(|derivative| *derivative != 0.0))
-            .unzip();
-        let residuals = residuals.get(rows).unwrap_or_default();
-        let mut block = Self::zeros(jacobian.ncols());
-        block.squares = residuals.iter().map(|r| r * r).sum();
-        let (normal, score) = (gram(&columns), products(&columns, &[residuals]));
-        for (i, &row) in acting.iter().enumerate() {
-            block.score[row] = score[(i, 0)];
-            for (j, &column) in acting.iter().enumerate() {
-                block.normal[(row, column)] = normal[(i, j)];
-            }
+/// Adds the normal equations of a block to those of all parameters.
+pub fn add_normal(sum: &mut DMatrix<f64>, block: &Block) {
+    for (j, &column) in block.acting.iter().enumerate() {
+        for (i, &row) in block.acting.iter().enumerate() {
+            sum[(row, column)] += block.normal[(i, j)];
         }
-        block
+    }
+}
+
+impl Block {
+    /// From these rows of weighted derivatives to the parameters `acting` out of `count`, and of residuals.
+    pub fn of(
+        (jacobian, acting, count): (&DMatrix<f64>, &[usize], usize),
+        residuals: &[f64],
+        rows: Range<usize>,
+    ) -> Self {
+        let columns = columns(jacobian, rows.clone());
+        let residuals = residuals.get(rows).unwrap_or_default();
+        let scores = products(&columns, &[residuals]);
+        let mut score = DVector::zeros(count);
+        acting.iter().zip(scores.iter()).for_each(|(&place, value)| score[place] = *value);
+        let squares = residuals.iter().map(|r| r * r).sum();
+        Self { acting: acting.to_vec(), normal: gram(&columns), score, squares }
     }
 
-    /// Empty block.
-    pub fn zeros(size: usize) -> Self {
-        Self { normal: DMatrix::zeros(size, size), score: DVector::zeros(size), squares: 0.0 }
+    /// Empty block of all parameters.
+    pub fn zeros(count: usize) -> Self {
+        Self {
+            acting: (0..count).collect(),
+            normal: DMatrix::zeros(count, count),
+            score: DVector::zeros(count),
+            squares: 0.0,
+        }
     }
 }
 
@@ -138,7 +149,7 @@ pub fn bootstrap_covariance(blocks: &[Block], draws: usize, seed: u64) -> DMatri
         let mut score = DVector::zeros(size);
         for _ in 0..blocks.len() {
             let block = &blocks[rng.random_range(0..blocks.len())];
-            normal += &block.normal;
+            add_normal(&mut normal, block);
             score += &block.score;
         }
         if let Some(factor) = Cholesky::new(normal) {
@@ -190,6 +201,7 @@ mod tests {
         let blocks: Vec<Block> = values
             .chunks(200)
             .map(|chunk| Block {
+                acting: vec![0],
                 normal: DMatrix::from_element(1, 1, chunk.len() as f64),
                 score: DVector::from_element(1, chunk.iter().sum()),
                 squares: 0.0,

@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 use crate::fit::FitOptions;
-use crate::fit::block_bootstrap::{self, Block};
+use crate::fit::block_bootstrap::{self, Block, add_normal};
 use crate::fit::parameters::FreeParameter;
 
 /// A direction is free if its standard error is at most this, in prior widths.
@@ -36,7 +36,9 @@ pub fn noise_inflation(blocks: &[Block]) -> f64 {
 
 fn normal(blocks: &[Block]) -> DMatrix<f64> {
     let size = blocks.first().map_or(0, |block| block.score.len());
-    blocks.iter().fold(DMatrix::zeros(size, size), |sum, block| sum + &block.normal)
+    let mut sum = DMatrix::zeros(size, size);
+    blocks.iter().for_each(|block| add_normal(&mut sum, block));
+    sum
 }
 
 /// Variance inflation factor of one parameter by collinearity, from the Jacobian alone, without a prior.
@@ -142,10 +144,14 @@ impl FreeDirections {
     pub fn covariance(&self, blocks: &[Block], options: FitOptions) -> DMatrix<f64> {
         let reduced: Vec<Block> = blocks
             .iter()
-            .map(|block| Block {
-                normal: self.free.transpose() * &block.normal * &self.free,
-                score: self.free.transpose() * &block.score,
-                squares: block.squares,
+            .map(|block| {
+                let free = self.free.select_rows(&block.acting);
+                Block {
+                    acting: (0..free.ncols()).collect(),
+                    normal: free.transpose() * &block.normal * &free,
+                    score: self.free.transpose() * &block.score,
+                    squares: block.squares,
+                }
             })
             .collect();
         let free = block_bootstrap::bootstrap_covariance(&reduced, options.draws, options.seed);
@@ -178,7 +184,7 @@ mod tests {
         let answers = |second: [f64; 4]| {
             let columns: Vec<f64> = [1.0; 4].into_iter().chain(second).collect();
             let jacobian = DMatrix::from_column_slice(4, 2, &columns);
-            variance_inflation(&[Block::of(&jacobian, &[0.0; 4], 0..4)], 0)
+            variance_inflation(&[Block::of((&jacobian, &[0, 1], 2), &[0.0; 4], 0..4)], 0)
         };
         assert!((answers([1.0, -1.0, 1.0, -1.0]) - 1.0).abs() < 1e-9);
         assert!(answers([1.0, 1.1, 0.9, 1.0]) > 100.0);

@@ -41,6 +41,9 @@ impl Linearisation {
         let mut unused = vec![Vector3::zeros(); problem.base_count];
         for (part, of) in problem.rows.parts.iter().enumerate() {
             let (modelled, jacobian) = problem.linearise(part, &scaled);
+            let acting = problem.acting(part);
+            let columns_of: Vec<Option<usize>> =
+                fixed.iter().map(|index| acting.binary_search(index).ok()).collect();
             let series = problem.series(part, values);
             let sampled: Vec<usize> = sampled(of.len(), per_recording).collect();
             for &row in &sampled {
@@ -48,7 +51,10 @@ impl Linearisation {
                 for axis in 0..3 {
                     residual.push(error[axis] * problem.weights[axis]);
                     let row = jacobian.row(3 * row + axis);
-                    columns.extend(fixed.iter().map(|&index| row[index] * problem.weights[axis]));
+                    let derivative = |column: &Option<usize>| {
+                        column.map_or(0.0, |column| row[column] * problem.weights[axis])
+                    };
+                    columns.extend(columns_of.iter().map(derivative));
                 }
             }
             let response = |&row: &usize| {
@@ -181,6 +187,7 @@ impl RecordingNormals {
         let starts = std::iter::once(0).chain(ends.iter().copied());
         let recordings = starts
             .zip(ends)
+            .filter(|(start, end)| start < *end)
             .map(|(start, &end)| (start..end, NormalEquations::of(&fixed, &target, start..end)))
             .collect();
         Self { fixed, target, recordings }

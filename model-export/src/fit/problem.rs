@@ -195,15 +195,23 @@ impl<'a> SensorProblem<'a> {
         modelled
     }
 
-    /// Fields over a recording, and their derivatives to the scaled parameters: three rows for each row of the recording, one
-    /// column for each parameter.
+    /// Parameters on which the field of a recording can depend: all but those of other recordings.
+    pub fn acting(&self, part: usize) -> Vec<usize> {
+        let here = self.rows.parts[part].track.recording;
+        let acts = |index: &usize| self.parameters[*index].recording.is_none_or(|own| own == here);
+        (0..self.parameters.len()).filter(acts).collect()
+    }
+
+    /// Fields over a recording, and their derivatives to the acting scaled parameters ([`SensorProblem::acting`]): three rows for
+    /// each row of the recording, one column for each parameter.
     pub fn linearise(&self, part: usize, scaled: &DVector<f64>) -> (ModelledFields, DMatrix<f64>) {
         let values = self.values(scaled);
         let states = self.states(part, &values);
         let stiffness = self.base.stiffness(&values);
         let at = self.base.linearise(&values[..self.base_count]);
         let mut modelled = ModelledFields::with_capacity(states.len());
-        let mut jacobian = DMatrix::zeros(3 * states.len(), self.parameters.len());
+        let acting = self.acting(part);
+        let mut jacobian = DMatrix::zeros(3 * states.len(), acting.len());
         let derivatives: Vec<f64> = self
             .parameters
             .iter()
@@ -226,9 +234,10 @@ impl<'a> SensorProblem<'a> {
             if inwards { -STEP } else { STEP }
         };
         let mut set_columns = |index: usize, from: &[PhysicalState], moved: &[PhysicalState]| {
+            let Ok(column) = acting.binary_search(&index) else { return };
             for (row, response) in responses.iter().enumerate() {
                 let change = response.change(&from[row], &moved[row]) / step(index);
-                set_column(&mut jacobian, row, index, change);
+                set_column(&mut jacobian, row, column, change);
             }
         };
         let moved = |index: usize| {
@@ -243,10 +252,7 @@ impl<'a> SensorProblem<'a> {
             let alone = effect
                 .adds_to_states()
                 .then(|| self.states_alone(part, effect, &values[range.clone()]));
-            let here = self.rows.parts[part].track.recording;
-            let acts =
-                |index: &usize| self.parameters[*index].recording.is_none_or(|own| own == here);
-            for index in range.clone().filter(acts) {
+            for index in range.clone().filter(|index| acting.binary_search(index).is_ok()) {
                 let moved = moved(index);
                 match &alone {
                     Some(alone) => {

@@ -5,6 +5,8 @@
 //! held-out rows; and its explained sum of squares is compared with that under random signs of residual blocks
 //! (Wu's wild bootstrap).
 
+use std::collections::BTreeSet;
+
 use crate::effects::{Aggregation, EffectParameter, EffectTerm, ParameterKind};
 use crate::fit::campaign::FitSetup;
 use crate::fit::cross_validation::{CvSplit, Fold};
@@ -98,7 +100,9 @@ impl<'a> ScoreTest<'a> {
             .map(|s| {
                 let rows = &setup.rows[s];
                 let problem = SensorProblem::new(rows, setup.bases[s].as_ref(), &effects);
-                let fixed: Vec<usize> = (0..problem.parameters.len()).collect();
+                let filled = (0..rows.parts.len()).filter(|&part| !rows.parts[part].is_empty());
+                let fixed: BTreeSet<usize> = filled.flat_map(|part| problem.acting(part)).collect();
+                let fixed: Vec<usize> = fixed.into_iter().collect();
                 let linearisation = Linearisation::new(&problem, &values[s], &fixed, ROWS);
                 let place = |(part, row): (usize, usize)| {
                     let time_s = rows.parts[part].track.time_s[row];

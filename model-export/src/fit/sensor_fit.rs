@@ -226,9 +226,11 @@ fn linearised(problem: &SensorProblem, scaled: &DVector<f64>) -> (f64, Vec<Block
         evaluated[part].1.iter().skip(axis).step_by(3).copied().collect()
     });
     let mut list = Vec::new();
-    for (part, (jacobian, residuals)) in rows.parts.iter().zip(&evaluated) {
+    for (place, (part, (jacobian, residuals))) in rows.parts.iter().zip(&evaluated).enumerate() {
+        let acting = problem.acting(place);
+        let derivatives = (jacobian, &acting[..], scaled.len());
         for range in time_slices(&part.time_s, length_s) {
-            list.push(Block::of(jacobian, residuals, 3 * range.start..3 * range.end));
+            list.push(Block::of(derivatives, residuals, 3 * range.start..3 * range.end));
         }
     }
     (length_s, list)

@@ -63,9 +63,10 @@ impl Descent<'_> {
         let mut sum = Block::zeros(scaled.len());
         for part in self.parts() {
             let (jacobian, residuals) = weighted_jacobian(self.problem, part, &scaled);
+            let acting = self.problem.acting(part);
             for range in self.ranges.iter().filter(|range| range.part == part) {
                 let rows = 3 * range.rows.start..3 * range.rows.end;
-                sum += &Block::of(&jacobian, &residuals, rows);
+                sum += &Block::of((&jacobian, &acting, scaled.len()), &residuals, rows);
             }
         }
         sum
@@ -76,6 +77,7 @@ impl Descent<'_> {
         let scaled = self.scaled();
         let squares = data.squares / self.inflation + scaled.norm_squared();
         let mut full = Block {
+            acting: data.acting.clone(),
             normal: &data.normal / self.inflation,
             score: &data.score / self.inflation - scaled,
             squares,
@@ -98,7 +100,8 @@ impl Descent<'_> {
     }
 }
 
-/// Weighted Jacobian and residuals of one recording; three rows for each of its rows.
+/// Weighted Jacobian of the acting parameters ([`SensorProblem::acting`]) and residuals of one recording; three rows for each of its
+/// rows.
 pub fn weighted_jacobian(
     problem: &SensorProblem,
     part: usize,

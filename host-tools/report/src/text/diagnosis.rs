@@ -410,6 +410,7 @@ pub fn to_json(diagnosis: &Diagnosis) -> Value {
         "interrupted": diagnosis.is_interrupted,
         "staircase": diagnosis.staircase,
         "rows": { "selected_by": diagnosis.rows[0], "all": diagnosis.rows[1] },
+        "recordings": { "selected_by": diagnosis.recordings[0], "all": diagnosis.recordings[1] },
         "blocks": diagnosis.blocks,
         "block_s": diagnosis.block_s,
         "seed": diagnosis.seed,

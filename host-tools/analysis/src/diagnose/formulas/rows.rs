@@ -125,6 +125,7 @@ fn of_sensor(
     let (mut count, columns) = (0, problem.parameters.len());
     for (place, (part, windows)) in rows.parts.iter().zip(windows).enumerate() {
         let (modelled, part_jacobian) = problem.linearise(place, &scaled);
+        let acting = problem.acting(place);
         let series = problem.series(place, values);
         let first = count;
         let mut block = first;
@@ -139,7 +140,10 @@ fn of_sensor(
                 for (sum, point) in sums[1..].iter_mut().zip(points) {
                     *sum += point.pattern(&response, series.force_n[row], stiffness);
                 }
-                derivatives += part_jacobian.rows(3 * row, 3);
+                for (&index, column) in acting.iter().zip(part_jacobian.column_iter()) {
+                    let mut sum = derivatives.column_mut(index);
+                    sum += column.rows(3 * row, 3);
+                }
                 let known = |noise: f64| if noise.is_finite() { noise } else { 0.0 };
                 covariance += Matrix3::from_diagonal(&part.field_noise_g.map(|n| known(n).powi(2)));
                 let slopes = rows.slopes(&modelled.per_newton[row]);
