@@ -1,4 +1,4 @@
-//! Initial values of effect parameters: shapes by grid search, coefficients by least squares.
+//! Initial values of effect parameters: shapes and initial states by grid search, coefficients by least squares.
 //!
 //! The residual of the base fit is regressed on the derivatives to the coefficients together with those of the
 //! base parameters, so that an effect gets no credit for what the base can absorb. The shape with the smallest

@@ -278,7 +278,7 @@ impl RecordingRows {
         }
     }
 
-    /// At most `count` evenly spaced rows or all, and the turning points of the load ([`RecordingRows::sampled`]).
+    /// At most `count` evenly spaced rows or all, and, where they are more than 75 ms apart, the turning points of the load.
     pub fn at_most(&self, count: usize) -> Self {
         if count == 0 { self.at(&[]) } else { self.sampled(self.len().div_ceil(count)) }
     }
