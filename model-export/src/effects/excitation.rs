@@ -107,12 +107,19 @@ impl ExcitationSeries {
         }
     }
 
-    /// Rows at which the smoothed force along an axis (0 lateral, 1 longitudinal) turns by more than a twentieth of its amplitude.
-    pub fn turning_points(&self, axis: usize) -> Vec<usize> {
+    /// Rows at which the smoothed force along an axis (0 lateral, 1 longitudinal) turns by more than a twentieth of its amplitude; at
+    /// most `most` of them, those of the larger turns.
+    pub fn turning_points(&self, axis: usize, most: usize) -> Vec<usize> {
         let force_n = || self.smooth_n.iter().map(|force| force[axis]);
         let mean = force_n().sum::<f64>() / self.len().max(1) as f64;
         let squares: f64 = force_n().map(|force| (force - mean).powi(2)).sum();
-        turning_points(force_n(), DEADBAND * (2.0 * squares / self.len().max(1) as f64).sqrt())
+        let amplitude_n = (2.0 * squares / self.len().max(1) as f64).sqrt();
+        let deadbands = std::iter::successors(Some(DEADBAND), |deadband| Some(1.5 * deadband));
+        deadbands
+            .take_while(|deadband| *deadband < 1.0)
+            .map(|deadband| turning_points(force_n(), deadband * amplitude_n))
+            .find(|points| points.len() <= most)
+            .unwrap_or_default()
     }
 
     /// Number of rows.

@@ -28,6 +28,8 @@ pub struct SensorRows {
 /// any model is right.
 pub const MAX_ROWS: usize = 180_000;
 
+/// Evenly spaced rows of a sample for each turning point of one axis, at least.
+const TURNING_SHARE: usize = 3;
 /// Maximum spacing in seconds of a sample of evenly spaced rows only.
 const MAX_SPACING_S: f64 = 0.075;
 
@@ -291,7 +293,8 @@ impl RecordingRows {
             return self.thinned(stride);
         }
         let mut rows: Vec<usize> = (0..self.len()).step_by(stride.max(1)).collect();
-        (0..2).for_each(|axis| rows.extend(self.track.turning_points(axis)));
+        let most = rows.len() / TURNING_SHARE;
+        (0..2).for_each(|axis| rows.extend(self.track.turning_points(axis, most)));
         rows.sort_unstable();
         rows.dedup();
         self.at(&rows)
