@@ -40,10 +40,11 @@ fn over_floor(added: &Value) -> f64 {
 }
 
 /// Recordings that begin while the finger is loaded: nothing tells the state of the friction then, and three sliders begin with one.
-/// The fit finds it nearly (1.2 to 1.5 noise floors; without a search 1.7, 2.2 and 1.5).
+/// The fit finds it nearly: 1.21, 1.24 and 1.43 noise floors; 1.68, 2.2 and 1.45 where the initial states are not searched, 6.1 in the
+/// last case where the weight of the data is not settled.
 #[test]
 fn friction_is_fitted_to_recordings_that_begin_loaded() {
-    for begin_s in [1.3, 4.9, 6.7] {
+    for (begin_s, most) in [(1.3, 1.35), (4.9, 1.4), (6.7, 1.5)] {
         let keep = |cells: &mut CsvTable| {
             let time_us = cells.numbers("t_us");
             let mut times = time_us.iter();
@@ -60,7 +61,7 @@ fn friction_is_fitted_to_recordings_that_begin_loaded() {
         dir.stdout(&["fit", &folder, "-o", "model.toml"]);
         let effects = ["hysteresis", "magnet_temperature", "-o", "new.toml", "--json"];
         let added = dir.json(&[&["add", "model.toml", &folder][..], &effects].concat());
-        assert!((0.95..=1.5).contains(&over_floor(&added)), "{begin_s}: {}", over_floor(&added));
+        assert!((0.95..=most).contains(&over_floor(&added)), "{begin_s}: {}", over_floor(&added));
     }
 }
 

@@ -153,9 +153,7 @@ impl FitSetup {
 
     /// Number of recordings with rows of any sensor.
     pub fn recording_count(&self) -> usize {
-        let counts =
-            self.rows.iter().map(|rows| rows.parts.iter().filter(|p| !p.is_empty()).count());
-        counts.max().unwrap_or(0)
+        self.rows.iter().map(SensorRows::filled_parts).max().unwrap_or(0)
     }
 
     /// Rows of all sensors.

@@ -47,8 +47,7 @@ pub enum CvSplit {
 impl CvSplit {
     /// By recordings where there are several, unless an effect is transient.
     pub fn of(sensors: &[SensorRows], within_recordings: bool) -> Self {
-        let filled = |rows: &SensorRows| rows.parts.iter().filter(|part| !part.is_empty()).count();
-        let recordings = sensors.iter().map(filled).max().unwrap_or(0);
+        let recordings = sensors.iter().map(SensorRows::filled_parts).max().unwrap_or(0);
         match recordings < 2 {
             _ if within_recordings => Self::Interleaved,
             true => Self::KFold,

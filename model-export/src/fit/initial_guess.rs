@@ -9,6 +9,7 @@ use nalgebra::DMatrix;
 use rayon::prelude::*;
 
 use crate::effects::{EffectParameter, EffectTerm, ParameterKind};
+use crate::fit::cross_validation::MAX_RECORDING_FOLDS;
 use crate::fit::linearisation::{Linearisation, held_out_residuals, least_residual};
 use crate::fit::problem::SensorProblem;
 use crate::physics::PhysicalState;
@@ -31,8 +32,6 @@ const OWN_GAIN: f64 = 0.05;
 const EXPECTED: f64 = 10.0;
 /// Tried initial states: at rest, and with a slider of friction nearly at its limit.
 const INITIAL_STATES: [f64; 3] = [-0.9, 0.0, 0.9];
-/// Maximum number of recordings whose initial states are searched: each takes as long as the search of a shape.
-const SEARCHED_RECORDINGS: usize = 10;
 
 /// Search state of one sensor: its problem and the current values.
 pub struct ShapeSearch<'a> {
@@ -194,8 +193,7 @@ fn search_effect(searches: &mut [ShapeSearch], i: usize, parameters: &[EffectPar
 
 /// Number of recordings with rows of at least one sensor.
 fn recordings_with_rows(searches: &[ShapeSearch]) -> usize {
-    let filled = |s: &ShapeSearch| s.problem.rows.parts.iter().filter(|p| !p.is_empty()).count();
-    searches.iter().map(filled).max().unwrap_or(0)
+    searches.iter().map(|search| search.problem.rows.filled_parts()).max().unwrap_or(0)
 }
 
 /// Current value of parameter `j` of effect `i`, the same for every sensor during the search.
@@ -206,7 +204,8 @@ fn first_value(searches: &[ShapeSearch], i: usize, j: usize) -> f64 {
 fn grid(parameter: &EffectParameter, searches: &[ShapeSearch], round: usize, now: f64) -> Vec<f64> {
     match &parameter.kind {
         ParameterKind::Coefficient => Vec::new(),
-        // Once: the second round searches the shapes that belong to them.
+        // Once: the second round searches the shapes that belong to them. Each takes as long as a shape, so not in a campaign of
+        // more recordings than effects are selected on.
         ParameterKind::InitialState => {
             let has_rows = |recording: usize| {
                 searches
@@ -215,7 +214,7 @@ fn grid(parameter: &EffectParameter, searches: &[ShapeSearch], round: usize, now
             };
             let is_searched = round == 0
                 && parameter.recording.is_some_and(has_rows)
-                && recordings_with_rows(searches) <= SEARCHED_RECORDINGS;
+                && recordings_with_rows(searches) <= MAX_RECORDING_FOLDS;
             if is_searched { INITIAL_STATES.to_vec() } else { Vec::new() }
         }
         ParameterKind::Shape { grid } if parameter.cross_validated => refined(grid),
@@ -259,7 +258,7 @@ fn refined(grid: &[f64]) -> Vec<f64> {
 
 /// Selects the value of parameter `j` of effect `i` with the smallest residual over all sensors; with `across`
 /// by leave-one-recording-out error, and fixes it. A sensor has another value of a user-defined effect where that leaves clearly
-/// less there: the load at which a joint closes differs from finger to finger.
+/// less there: the load at which a joint closes differs from finger to finger. So does an initial state.
 fn select_value(searches: &mut [ShapeSearch], i: usize, j: usize, tried: &[f64], across: bool) {
     let by_sensor: Vec<Vec<Vec<f64>>> = tried
         .par_iter()
@@ -290,6 +289,7 @@ fn select_value(searches: &mut [ShapeSearch], i: usize, j: usize, tried: &[f64],
             value = best.filter(is_better).map_or(value, |best| tried[best]);
         }
         search.values[index] = value;
+        // The prior of an initial state stays at rest.
         if !search.problem.parameters[index].limited {
             search.problem.parameters[index].start = value;
         }

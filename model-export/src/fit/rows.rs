@@ -29,7 +29,7 @@ pub struct SensorRows {
 pub const MAX_ROWS: usize = 180_000;
 
 /// Evenly spaced rows of a sample for each turning point of one axis, at least.
-const TURNING_SHARE: usize = 3;
+const ROWS_PER_TURN: usize = 3;
 /// Maximum spacing in seconds of a sample of evenly spaced rows only.
 const MAX_SPACING_S: f64 = 0.075;
 
@@ -189,6 +189,11 @@ impl SensorRows {
         Self { parts: parts.collect(), forces: self.forces.clone(), ..*self }
     }
 
+    /// Number of recordings with rows.
+    pub fn filled_parts(&self) -> usize {
+        self.parts.iter().filter(|part| !part.is_empty()).count()
+    }
+
     /// Rows in all parts.
     pub fn len(&self) -> usize {
         self.parts.iter().map(RecordingRows::len).sum()
@@ -293,7 +298,7 @@ impl RecordingRows {
             return self.thinned(stride);
         }
         let mut rows: Vec<usize> = (0..self.len()).step_by(stride.max(1)).collect();
-        let most = rows.len() / TURNING_SHARE;
+        let most = rows.len() / ROWS_PER_TURN;
         (0..2).for_each(|axis| rows.extend(self.track.turning_points(axis, most)));
         rows.sort_unstable();
         rows.dedup();

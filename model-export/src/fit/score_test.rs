@@ -100,6 +100,7 @@ impl<'a> ScoreTest<'a> {
             .map(|s| {
                 let rows = &setup.rows[s];
                 let problem = SensorProblem::new(rows, setup.bases[s].as_ref(), &effects);
+                // A parameter of a recording without rows in the sample has no derivatives.
                 let filled = (0..rows.parts.len()).filter(|&part| !rows.parts[part].is_empty());
                 let fixed: BTreeSet<usize> = filled.flat_map(|part| problem.acting(part)).collect();
                 let fixed: Vec<usize> = fixed.into_iter().collect();
