@@ -171,8 +171,9 @@ impl BaseModel for PolynomialBase {
 
     fn field(&self, values: &[f64]) -> FieldFn<'_> {
         let model = self.model(values);
+        let basis = model.basis();
         Box::new(move |state| {
-            let clean = model.field(&Self::forces(&self.axes, state));
+            let clean = model.combine(&basis.values(&Self::forces(&self.axes, state)));
             crate::physics::response::reading_of(clean + state.external_g, Vector3::zeros(), state)
                 .field_g
         })
@@ -180,16 +181,17 @@ impl BaseModel for PolynomialBase {
 
     fn linearise(&self, values: &[f64]) -> LinearFn<'_> {
         let model = self.model(values);
+        let basis = model.basis();
         Box::new(move |state, columns| {
-            let forces = Self::forces(&self.axes, state);
-            let at_element_g = model.field(&forces) + state.external_g;
+            let at = basis.linearise(&Self::forces(&self.axes, state));
+            let at_element_g = model.combine(&at.values) + state.external_g;
             let reading =
                 crate::physics::response::reading_of(at_element_g, Vector3::zeros(), state);
             let mut per_mm = Matrix3::zeros();
-            for (&axis, slope) in self.axes.iter().zip(model.per_newton(&forces)) {
-                per_mm.set_column(axis, &(reading.per_field * slope));
+            for (&axis, slopes) in self.axes.iter().zip(&at.per_newton) {
+                per_mm.set_column(axis, &(reading.per_field * model.combine(slopes)));
             }
-            for (i, value) in model.basis(&forces).into_iter().enumerate() {
+            for (i, value) in at.values.into_iter().enumerate() {
                 for axis in 0..3 {
                     if let Some(column) = columns.get_mut(3 * i + axis) {
                         *column = reading.per_field.column(axis) * value;

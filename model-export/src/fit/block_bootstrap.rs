@@ -37,10 +37,9 @@ impl AddAssign<&Block> for Block {
 
 /// Adds the normal equations of a block to those of all parameters.
 pub fn add_normal(sum: &mut DMatrix<f64>, block: &Block) {
-    for (j, &column) in block.acting.iter().enumerate() {
-        for (i, &row) in block.acting.iter().enumerate() {
-            sum[(row, column)] += block.normal[(i, j)];
-        }
+    for (&column, from) in block.acting.iter().zip(block.normal.column_iter()) {
+        let mut to = sum.column_mut(column);
+        block.acting.iter().zip(from.iter()).for_each(|(&row, value)| to[row] += value);
     }
 }
 
@@ -131,38 +130,65 @@ pub fn score_covariance(blocks: &[Block]) -> DMatrix<f64> {
     let count = blocks.len() as f64;
     let sum = blocks.iter().fold(DVector::zeros(size), |sum, block| sum + &block.score);
     let mean = sum / count;
-    let scatter = blocks.iter().fold(DMatrix::zeros(size, size), |scatter, block| {
-        let d = &block.score - &mean;
-        scatter + &d * d.transpose()
-    });
     // n/(n-1): the mean was estimated from the same blocks.
-    scatter * (count / (count - 1.0).max(1.0))
+    let weight = count / (count - 1.0).max(1.0);
+    let mut scatter = DMatrix::zeros(size, size);
+    for block in blocks {
+        let d = &block.score - &mean;
+        scatter.ger(weight, &d, &d, 1.0);
+    }
+    scatter
 }
 
-/// Bootstrap covariance of the solution; zero where it cannot be solved.
+/// Draws whose normal equations are held at once.
+const DRAWS_AT_ONCE: usize = 32;
+
+/// Bootstrap covariance of the solution from blocks of the same parameters; zero where it cannot be solved.
+///
+/// The normal equations of a draw are the sum of those of the blocks, each as often as it was drawn: over all draws, a product of
+/// two matrices.
 pub fn bootstrap_covariance(blocks: &[Block], draws: usize, seed: u64) -> DMatrix<f64> {
     let size = blocks.first().map_or(0, |block| block.score.len());
+    let of_blocks = |value: &dyn Fn(&Block) -> f64| blocks.iter().map(value).collect::<Vec<f64>>();
+    let triangle: Vec<(usize, usize)> =
+        (0..size).flat_map(|column| (column..size).map(move |row| (row, column))).collect();
+    let entries: Vec<Vec<f64>> = triangle
+        .iter()
+        .map(|place| of_blocks(&|block| block.normal[*place]))
+        .chain((0..size).map(|row| of_blocks(&|block| block.score[row])))
+        .collect();
+    let entries: Vec<&[f64]> = entries.iter().map(Vec::as_slice).collect();
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut draw = || {
+        let mut times = vec![0.0; blocks.len()];
+        (0..blocks.len()).for_each(|_| times[rng.random_range(0..blocks.len())] += 1.0);
+        times
+    };
     let mut steps: Vec<DVector<f64>> = Vec::with_capacity(draws);
-    for _ in 0..draws {
-        let mut normal = DMatrix::zeros(size, size);
-        let mut score = DVector::zeros(size);
-        for _ in 0..blocks.len() {
-            let block = &blocks[rng.random_range(0..blocks.len())];
-            add_normal(&mut normal, block);
-            score += &block.score;
-        }
-        if let Some(factor) = Cholesky::new(normal) {
-            steps.push(factor.solve(&score));
+    for first in (0..draws).step_by(DRAWS_AT_ONCE) {
+        let times: Vec<Vec<f64>> =
+            (first..draws.min(first + DRAWS_AT_ONCE)).map(|_| draw()).collect();
+        let times: Vec<&[f64]> = times.iter().map(Vec::as_slice).collect();
+        for sums in products(&entries, &times).column_iter() {
+            let mut normal = DMatrix::zeros(size, size);
+            for ((row, column), sum) in triangle.iter().zip(sums.iter()) {
+                normal[(*row, *column)] = *sum;
+                normal[(*column, *row)] = *sum;
+            }
+            let score = DVector::from_iterator(size, sums.iter().skip(triangle.len()).copied());
+            if let Some(factor) = Cholesky::new(normal) {
+                steps.push(factor.solve(&score));
+            }
         }
     }
     let count = steps.len().max(2) as f64;
     let mean = steps.iter().fold(DVector::zeros(size), |sum, step| sum + step) / count;
-    let scatter = steps.iter().fold(DMatrix::zeros(size, size), |scatter, step| {
+    let mut scatter = DMatrix::zeros(size, size);
+    for step in &steps {
         let d = step - &mean;
-        scatter + &d * d.transpose()
-    });
-    scatter / (count - 1.0)
+        scatter.ger(1.0 / (count - 1.0), &d, &d, 1.0);
+    }
+    scatter
 }
 
 #[cfg(test)]

@@ -52,59 +52,90 @@ impl Polynomial {
             .try_fold(1_usize, |count, i| Some(count.checked_mul(degree.checked_add(i)?)? / i))
     }
 
-    /// Field in gauss under `force_n`, in the order of [`Polynomial::forces`].
-    pub fn field(&self, force_n: &[f64]) -> Vector3<f64> {
-        self.combine(&self.basis(force_n))
+    /// Basis functions of the polynomial, for the evaluation of many rows.
+    pub fn basis(&self) -> LegendreBasis {
+        LegendreBasis::new(&self.spans_n, self.degree)
     }
 
-    /// Values of all terms under `force_n`.
-    pub fn basis(&self, force_n: &[f64]) -> Vec<f64> {
-        let terms = Self::terms(self.spans_n.len(), self.degree);
-        basis(force_n, &self.spans_n, &terms, self.degree)
-    }
-
-    fn combine(&self, values: &[f64]) -> Vector3<f64> {
+    /// Field in gauss with these values of the terms; with their derivatives to a force, its derivative.
+    pub fn combine(&self, values: &[f64]) -> Vector3<f64> {
         let mut field = Vector3::zeros();
         for (value, row) in values.iter().zip(self.coefficients_g.row_iter()) {
             field += Vector3::new(row[0], row[1], row[2]) * *value;
         }
         field
     }
-
-    /// dB/dF for each force, in G/N.
-    pub fn per_newton(&self, force_n: &[f64]) -> Vec<Vector3<f64>> {
-        let step = |force: usize, by: f64| {
-            let mut moved = force_n.to_vec();
-            moved[force] += by;
-            self.field(&moved)
-        };
-        let half = |force: usize| 5e-4 * (self.spans_n[force].1 - self.spans_n[force].0);
-        (0..force_n.len())
-            .map(|f| (step(f, half(f)) - step(f, -half(f))) / (2.0 * half(f)))
-            .collect()
-    }
 }
 
-/// Values of all terms at one load.
-fn basis(force_n: &[f64], spans: &[(f64, f64)], terms: &[Vec<usize>], degree: usize) -> Vec<f64> {
-    let legendre: Vec<Vec<f64>> = force_n
-        .iter()
-        .zip(spans)
-        .map(|(force, (low, high))| {
+/// Products of Legendre polynomials of the scaled forces, up to a total degree.
+#[derive(Clone, Debug)]
+pub struct LegendreBasis {
+    degree: usize,
+    /// Range of each force in newtons that is scaled to -1 to 1.
+    spans_n: Vec<(f64, f64)>,
+    terms: Vec<Vec<usize>>,
+}
+
+/// Values of all terms at one load, and their derivatives to each force in 1/N.
+pub struct BasisValues {
+    /// One for each of [`Polynomial::terms`].
+    pub values: Vec<f64>,
+    /// A list like the values for each force.
+    pub per_newton: Vec<Vec<f64>>,
+}
+
+impl LegendreBasis {
+    /// Up to a total `degree` of forces with these ranges.
+    pub fn new(spans_n: &[(f64, f64)], degree: usize) -> Self {
+        let terms = Polynomial::terms(spans_n.len(), degree);
+        Self { degree, spans_n: spans_n.to_vec(), terms }
+    }
+
+    /// Values of all terms under `force_n`, in the order of [`Polynomial::forces`].
+    pub fn values(&self, force_n: &[f64]) -> Vec<f64> {
+        let legendre = self.legendre(force_n);
+        self.products(|force, power| legendre[force][power].0)
+    }
+
+    /// Values of all terms under `force_n`, and their derivatives.
+    pub fn linearise(&self, force_n: &[f64]) -> BasisValues {
+        let legendre = self.legendre(force_n);
+        let values = self.products(|force, power| legendre[force][power].0);
+        let slope = |along: usize| {
+            self.products(|force, power| {
+                let (value, slope) = legendre[force][power];
+                if force == along { slope } else { value }
+            })
+        };
+        BasisValues { values, per_newton: (0..self.spans_n.len()).map(slope).collect() }
+    }
+
+    /// Value and derivative of the Legendre polynomial of each force and degree.
+    fn legendre(&self, force_n: &[f64]) -> Vec<Vec<(f64, f64)>> {
+        let of = |(force, (low, high)): (&f64, &(f64, f64))| {
+            let per_newton = 2.0 / (high - low);
             let x = (2.0 * force - low - high) / (high - low);
-            let mut values = vec![1.0, x];
-            for n in 1..degree {
+            let mut list = Vec::with_capacity(self.degree + 2);
+            list.extend([(1.0, 0.0), (x, per_newton)]);
+            for n in 1..self.degree {
                 let n_f = n as f64;
-                values
-                    .push(((2.0 * n_f + 1.0) * x * values[n] - n_f * values[n - 1]) / (n_f + 1.0));
+                let ((before, slope_before), (value, _)) = (list[n - 1], list[n]);
+                let next = ((2.0 * n_f + 1.0) * x * value - n_f * before) / (n_f + 1.0);
+                let slope = slope_before + (2.0 * n_f + 1.0) * value * per_newton;
+                list.push((next, slope));
             }
-            values
-        })
-        .collect();
-    terms
-        .iter()
-        .map(|term| term.iter().zip(&legendre).map(|(&power, values)| values[power]).product())
-        .collect()
+            list
+        };
+        force_n.iter().zip(&self.spans_n).map(of).collect()
+    }
+
+    /// Products over the forces of `factor(force, power)`, one for each term.
+    fn products(&self, factor: impl Fn(usize, usize) -> f64) -> Vec<f64> {
+        let product = |term: &Vec<usize>| {
+            term.iter().enumerate().map(|(force, &power)| factor(force, power)).product()
+        };
+        self.terms.iter().map(product).collect()
+    }
 }
 
 /// The fit of one sensor.
@@ -191,12 +222,13 @@ fn held_out(rows: &SensorRows, spans: &[(f64, f64)], degree: usize) -> Result<Er
 }
 
 fn add_errors(sums: &mut ErrorSums, rows: &SensorRows, ranges: &[RowRange], model: &Polynomial) {
+    let basis = model.basis();
     for range in ranges {
         let part = &rows.parts[range.part];
         for row in range.rows.clone() {
-            let force = &part.force_n[row];
-            let residual = part.field_g[row] - model.field(force);
-            sums.add(part, residual, model.per_newton(force));
+            let at = basis.linearise(&part.force_n[row]);
+            let residual = part.field_g[row] - model.combine(&at.values);
+            sums.add(part, residual, at.per_newton.iter().map(|slopes| model.combine(slopes)));
         }
     }
 }
@@ -207,13 +239,14 @@ fn solve(
     spans: &[(f64, f64)],
     degree: usize,
 ) -> Result<Polynomial, FitError> {
-    let terms = Polynomial::terms(spans.len(), degree);
-    let mut normal = DMatrix::zeros(terms.len(), terms.len());
-    let mut right = DMatrix::zeros(terms.len(), 3);
+    let basis = LegendreBasis::new(spans, degree);
+    let count = basis.terms.len();
+    let mut normal = DMatrix::zeros(count, count);
+    let mut right = DMatrix::zeros(count, 3);
     for range in ranges {
         let part = &rows.parts[range.part];
         for row in range.rows.clone() {
-            let values = DVector::from_vec(basis(&part.force_n[row], spans, &terms, degree));
+            let values = DVector::from_vec(basis.values(&part.force_n[row]));
             normal.ger(1.0, &values, &values, 1.0);
             right += &values * part.field_g[row].transpose();
         }
@@ -221,8 +254,7 @@ fn solve(
     let not_converged = || FitError::NotConverged {
         sensor: rows.sensor,
         reason: format!(
-            "the loads do not determine {} terms of degree {degree}: use a lower --degree",
-            terms.len()
+            "the loads do not determine {count} terms of degree {degree}: use a lower --degree"
         ),
     };
     let coefficients_g = normal.cholesky().ok_or_else(not_converged)?.solve(&right);
@@ -230,31 +262,27 @@ fn solve(
 }
 
 fn error_bars(rows: &SensorRows, model: &Polynomial, options: FitOptions) -> (DMatrix<f64>, f64) {
-    let terms = Polynomial::terms(model.spans_n.len(), model.degree);
+    let basis = model.basis();
+    let count = basis.terms.len();
     let residuals: Vec<Vec<Vector3<f64>>> = rows
         .parts
         .iter()
         .map(|part| {
             let loads = part.force_n.iter().zip(&part.field_g);
-            loads.map(|(force, field)| field - model.field(force)).collect()
+            loads.map(|(force, field)| field - model.combine(&basis.values(force))).collect()
         })
         .collect();
     let length_s = block_bootstrap::block_length_s(rows, |part, axis| {
         residuals[part].iter().map(|r| r[axis]).collect()
     });
-    let mut bars = DMatrix::zeros(terms.len(), 3);
+    let mut bars = DMatrix::zeros(count, 3);
     for axis in 0..3 {
         let mut list = Vec::new();
         for (part, residuals) in rows.parts.iter().zip(&residuals) {
             for range in time_slices(&part.time_s, length_s) {
-                let mut block = Block::zeros(terms.len());
+                let mut block = Block::zeros(count);
                 for i in range {
-                    let values = DVector::from_vec(basis(
-                        &part.force_n[i],
-                        &model.spans_n,
-                        &terms,
-                        model.degree,
-                    ));
+                    let values = DVector::from_vec(basis.values(&part.force_n[i]));
                     block.normal.ger(1.0, &values, &values, 1.0);
                     block.score.axpy(residuals[i][axis], &values, 1.0);
                 }
@@ -297,7 +325,15 @@ mod tests {
     #[test]
     fn the_basis_is_legendre_s() {
         // P3(0.5) = (5 * 0.125 - 3 * 0.5) / 2 = -0.4375, at force 3 in the range 0 to 4.
-        let terms = Polynomial::terms(1, 3);
-        assert_eq!(basis(&[3.0], &[(0.0, 4.0)], &terms, 3), [1.0, 0.5, -0.125, -0.4375]);
+        let basis = LegendreBasis::new(&[(0.0, 4.0)], 3);
+        assert_eq!(basis.values(&[3.0]), [1.0, 0.5, -0.125, -0.4375]);
+        // P2'(0.5) = 3 * 0.5, P3'(0.5) = (15 * 0.25 - 3) / 2, times 2 / 4 per newton.
+        assert_eq!(basis.linearise(&[3.0]).per_newton, [[0.0, 0.5, 0.75, 0.1875]]);
+        // Terms x z of two forces: 0.5 * 0.25, and the derivatives 0.25 / 2 and 0.5 / 4.
+        let basis = LegendreBasis::new(&[(0.0, 4.0), (-4.0, 4.0)], 2);
+        let place = basis.terms.iter().position(|term| term == &[1, 1]).unwrap();
+        let at = basis.linearise(&[3.0, 1.0]);
+        assert_eq!(at.values[place], 0.125);
+        assert_eq!([at.per_newton[0][place], at.per_newton[1][place]], [0.125, 0.125]);
     }
 }

@@ -117,9 +117,12 @@ impl Predictor {
         let mut prediction = FieldPrediction::default();
         match &self.base {
             PredictorBase::FromForces(polynomial) => {
+                let basis = polynomial.basis();
                 for force in &part.force_n {
-                    prediction.field_g.push(polynomial.field(force));
-                    prediction.per_newton.push(polynomial.per_newton(force));
+                    let at = basis.linearise(force);
+                    let slopes = at.per_newton.iter().map(|slopes| polynomial.combine(slopes));
+                    prediction.field_g.push(polynomial.combine(&at.values));
+                    prediction.per_newton.push(slopes.collect());
                 }
             }
             PredictorBase::FromState { base, values } => {
