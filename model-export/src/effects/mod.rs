@@ -28,7 +28,7 @@ pub use channelwise::Channelwise;
 pub use excitation::ExcitationSeries;
 pub use expression::Expression;
 pub use parameter::{Aggregation, EffectParameter, MagnitudeSpec, ParameterKind, ParameterScope};
-pub use state_series::{EffectStage, StateSeries};
+pub use state_series::{EffectChain, EffectStage, StateSeries};
 
 /// Temperature in degrees Celsius at which remanence, offsets and gaps are stated.
 pub const REFERENCE_C: f64 = 25.0;
@@ -173,6 +173,8 @@ pub struct Effect {
     pub device: DeviceForm,
     /// True for events within single recordings: a held-out recording carries no information on them.
     pub is_transient: bool,
+    /// Stages of the effects before it whose results it reads or scales: its contribution depends on them.
+    pub reads: &'static [EffectStage],
     /// Applies the effect. Arguments: values in the order of [`Effect::parameters`] (those of each
     /// recording repeated), the excitation, the series so far.
     pub apply: fn(&[f64], &ExcitationSeries, &mut StateSeries),
@@ -273,10 +275,9 @@ impl EffectTerm {
         !has_memory && !on_force_or_opening
     }
 
-    /// True where it adds to the states what depends on the excitation alone: independent of the stiffness and of all other
-    /// effects.
-    pub fn adds_to_states(&self) -> bool {
-        matches!(self, Self::Expression(formula) if formula.stage() > EffectStage::Flexure)
+    /// Whether it reads or scales what `earlier`, an effect before it in the chain, changes. A formula depends on covariates alone.
+    pub fn depends_on(&self, earlier: &Self) -> bool {
+        self.effect().is_some_and(|effect| effect.reads.contains(&earlier.stage()))
     }
 
     /// The underlying effect of the catalogue; `None` for a user-defined one.

@@ -20,8 +20,10 @@ const ROWS: usize = 400;
 const ROUNDS: usize = 2;
 /// Refinement of the grid of a shape that spans recordings.
 const FINE: i32 = 4;
-/// Minimum step in seconds of the first search for an instant, and the maximum number of steps.
+/// Minimum step in seconds of the first search for an instant, and the maximum number of steps in a recording and in all: in longer
+/// recordings an event that takes less than a step may be missed.
 const INSTANT_S: f64 = 1.0;
+const INSTANTS_IN_RECORDING: f64 = 100.0;
 const INSTANTS: f64 = 2000.0;
 /// Refinement of that step, and steps on each side of the best instant.
 const INSTANT_FINE: f64 = 10.0;
@@ -224,11 +226,14 @@ fn grid(parameter: &EffectParameter, searches: &[ShapeSearch], round: usize, now
         }
         ParameterKind::Shape { grid } => grid.to_vec(),
         ParameterKind::Instant => {
-            let spans = searches.iter().flat_map(|s| &s.problem.rows.parts);
-            let end =
-                spans.filter_map(|part| Some(part.track.before_s + part.track.time_s.last()?));
-            let end_s = end.fold(0.0, f64::max);
-            let step_s = INSTANT_S.max(end_s / INSTANTS);
+            let parts = searches.iter().flat_map(|s| &s.problem.rows.parts);
+            let ends =
+                parts.filter_map(|part| Some((part.track.before_s, *part.track.time_s.last()?)));
+            let (longest_s, end_s) = ends
+                .fold((0.0_f64, 0.0_f64), |(longest, end), (before, own)| {
+                    (longest.max(own), end.max(before + own))
+                });
+            let step_s = INSTANT_S.max(longest_s / INSTANTS_IN_RECORDING).max(end_s / INSTANTS);
             if round > 0 {
                 let offset = |k: usize| step_s / INSTANT_FINE * (k as f64 - FINE_STEPS as f64);
                 (0..=2 * FINE_STEPS).map(|k| now + offset(k)).collect()

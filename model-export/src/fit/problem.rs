@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
-use crate::effects::{EffectTerm, StateSeries};
+use crate::effects::{EffectChain, EffectTerm, StateSeries};
 use crate::fit::base_model::BaseModel;
 use crate::fit::cross_validation::noise_variance;
 use crate::fit::parameters::FreeParameter;
@@ -156,22 +156,14 @@ impl<'a> SensorProblem<'a> {
 
     /// Forces, opening and states over a recording.
     pub fn series(&self, part: usize, values: &[f64]) -> StateSeries {
-        let effects: Vec<(&EffectTerm, &[f64])> = self
-            .effects
-            .iter()
-            .zip(self.ranges())
-            .map(|(effect, range)| (effect, &values[range.clone()]))
-            .collect();
-        StateSeries::of(&self.rows.parts[part].track, self.base.stiffness(values), &effects)
+        let (track, stiffness) = (&self.rows.parts[part].track, self.base.stiffness(values));
+        StateSeries::of(track, stiffness, &self.effects_with(values))
     }
 
-    /// What an effect that adds to the states adds over a recording.
-    fn states_alone(&self, part: usize, effect: &EffectTerm, values: &[f64]) -> Vec<PhysicalState> {
-        let track = &self.rows.parts[part].track;
-        let states = vec![PhysicalState::displaced(Vector3::zeros()); track.len()];
-        let mut series = StateSeries { force_n: Vec::new(), opening_mm: Vec::new(), states };
-        effect.apply(values, track, &mut series);
-        series.states
+    /// The effects in their order, each with its values.
+    fn effects_with<'v>(&'v self, values: &'v [f64]) -> Vec<(&'v EffectTerm, &'v [f64])> {
+        let effects = self.effects.iter().zip(self.ranges());
+        effects.map(|(effect, range)| (effect, &values[range.clone()])).collect()
     }
 
     /// Modelled fields over a recording.
@@ -206,8 +198,10 @@ impl<'a> SensorProblem<'a> {
     /// each row of the recording, one column for each parameter.
     pub fn linearise(&self, part: usize, scaled: &DVector<f64>) -> (ModelledFields, DMatrix<f64>) {
         let values = self.values(scaled);
-        let states = self.states(part, &values);
         let stiffness = self.base.stiffness(&values);
+        let track = &self.rows.parts[part].track;
+        let chain = EffectChain::new(track, stiffness, self.effects_with(&values));
+        let states = chain.states();
         let at = self.base.linearise(&values[..self.base_count]);
         let mut modelled = ModelledFields::with_capacity(states.len());
         let acting = self.acting(part);
@@ -233,11 +227,10 @@ impl<'a> SensorProblem<'a> {
             let inwards = self.parameters[index].limited && scaled[index] > 0.0;
             if inwards { -STEP } else { STEP }
         };
-        let mut set_columns = |index: usize, from: &[PhysicalState], moved: &[PhysicalState]| {
+        let mut set_columns = |index: usize, changes: &[Vector3<f64>]| {
             let Ok(column) = acting.binary_search(&index) else { return };
-            for (row, response) in responses.iter().enumerate() {
-                let change = response.change(&from[row], &moved[row]) / step(index);
-                set_column(&mut jacobian, row, column, change);
+            for (row, change) in changes.iter().enumerate() {
+                set_column(&mut jacobian, row, column, change / step(index));
             }
         };
         let moved = |index: usize| {
@@ -246,21 +239,13 @@ impl<'a> SensorProblem<'a> {
             self.values(&moved)
         };
         for index in 0..self.base.stiffness_count() {
-            set_columns(index, &states, &self.states(part, &moved(index)));
+            let stiffness = self.base.stiffness(&moved(index));
+            set_columns(index, &chain.change_of_stiffness(stiffness, &responses));
         }
-        for (effect, range) in self.effects.iter().zip(self.ranges()) {
-            let alone = effect
-                .adds_to_states()
-                .then(|| self.states_alone(part, effect, &values[range.clone()]));
+        for (place, range) in self.ranges().iter().enumerate() {
             for index in range.clone().filter(|index| acting.binary_search(index).is_ok()) {
-                let moved = moved(index);
-                match &alone {
-                    Some(alone) => {
-                        let moved = self.states_alone(part, effect, &moved[range.clone()]);
-                        set_columns(index, alone, &moved);
-                    }
-                    None => set_columns(index, &states, &self.states(part, &moved)),
-                }
+                let values = &moved(index)[range.clone()];
+                set_columns(index, &chain.change(place, values, &responses));
             }
         }
         (modelled, jacobian)

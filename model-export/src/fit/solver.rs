@@ -14,9 +14,9 @@ use crate::fit::problem::SensorProblem;
 /// minutes in a flat valley.
 const EVALUATIONS: usize = 50;
 /// Relative tolerance of the sum of squares for a final solution.
-pub const FINE_TOLERANCE: f64 = 1e-8;
+pub const FINE_TOLERANCE: f64 = 1e-7;
 /// Relative tolerance for intermediate solutions.
-pub const COARSE_TOLERANCE: f64 = 1e-5;
+pub const COARSE_TOLERANCE: f64 = 1e-4;
 /// Minimum relative gain of a round; below it the valley is flat and the position is determined by noise.
 const MIN_GAIN: f64 = 1e-4;
 /// Maximum number of rounds.

@@ -43,6 +43,7 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Bench("set --delay-ms or correct the clocks"),
     is_transient: false,
+    reads: &[],
     apply,
 };
 

@@ -52,6 +52,7 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Force(ForceForm::Creep(parts_of)),
     is_transient: false,
+    reads: &[],
     apply,
 };
 

@@ -39,6 +39,7 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Tables,
     is_transient: false,
+    reads: EffectStage::FORCES,
     apply,
 };
 

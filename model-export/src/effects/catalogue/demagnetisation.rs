@@ -42,6 +42,7 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Settled,
     is_transient: true,
+    reads: &[EffectStage::Magnet],
     apply,
 };
 

@@ -48,6 +48,7 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Field(FieldForm::EarthField),
     is_transient: false,
+    reads: &[],
     apply,
 };
 

@@ -64,6 +64,7 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Never("a single event; the device can only detect it"),
     is_transient: true,
+    reads: &[],
     apply,
 };
 

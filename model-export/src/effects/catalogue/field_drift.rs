@@ -57,6 +57,7 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Settled,
     is_transient: false,
+    reads: &[],
     apply,
 };
 

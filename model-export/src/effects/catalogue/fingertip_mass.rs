@@ -41,6 +41,7 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Force(ForceForm::FingertipMass),
     is_transient: false,
+    reads: &[],
     apply,
 };
 

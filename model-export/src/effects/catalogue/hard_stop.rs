@@ -55,6 +55,7 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Force(ForceForm::HardStop),
     is_transient: false,
+    reads: EffectStage::FORCES,
     apply,
 };
 

@@ -65,6 +65,7 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Force(ForceForm::Hysteresis(sliders_of)),
     is_transient: false,
+    reads: &[],
     apply,
 };
 

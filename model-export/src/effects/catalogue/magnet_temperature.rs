@@ -40,6 +40,7 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Field(FieldForm::MagnetTemperature),
     is_transient: false,
+    reads: &[EffectStage::Magnet],
     apply,
 };
 

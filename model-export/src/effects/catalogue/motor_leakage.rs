@@ -55,6 +55,7 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Field(FieldForm::MotorLeakage),
     is_transient: false,
+    reads: &[],
     apply,
 };
 

@@ -54,6 +54,7 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Field(FieldForm::NeighbourMagnet(field)),
     is_transient: false,
+    reads: &[EffectStage::Opening],
     apply,
 };
 

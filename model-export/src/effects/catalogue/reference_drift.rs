@@ -41,6 +41,7 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Bench("correct the reference sensor"),
     is_transient: false,
+    reads: &[],
     apply,
 };
 

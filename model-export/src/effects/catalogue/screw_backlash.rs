@@ -46,6 +46,7 @@ pub const EFFECT: Effect = Effect {
         "the device measures the motor's angle, and the play is below its noise; home from one side",
     ),
     is_transient: false,
+    reads: &[EffectStage::Opening],
     apply,
 };
 

@@ -38,6 +38,7 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Tables,
     is_transient: false,
+    reads: &[],
     apply,
 };
 

@@ -50,6 +50,7 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Field(FieldForm::SensorTemperature),
     is_transient: false,
+    reads: &[EffectStage::Sensor],
     apply,
 };
 

@@ -44,6 +44,7 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Settled,
     is_transient: true,
+    reads: EffectStage::FORCES,
     apply,
 };
 

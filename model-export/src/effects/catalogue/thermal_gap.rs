@@ -38,6 +38,7 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Field(FieldForm::ThermalGap),
     is_transient: false,
+    reads: &[],
     apply,
 };
 

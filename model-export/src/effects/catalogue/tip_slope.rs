@@ -49,6 +49,7 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Tables,
     is_transient: false,
+    reads: EffectStage::DISPLACEMENTS,
     apply,
 };
 

@@ -44,6 +44,7 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Force(ForceForm::ViscousLag),
     is_transient: false,
+    reads: &[],
     apply,
 };
 

@@ -1,8 +1,9 @@
-//! Field of a cylinder (complete elliptic integrals) and gradients from central differences.
+//! Field of a cylinder (complete elliptic integrals) and its gradient.
 //!
 //! The error of a point dipole of the same moment is 36 % at the nominal gap.
 
-use magba::fields::cylinder_B;
+use magba::base::Float;
+use magba::fields::{circular_B, cylinder_B};
 use nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3};
 
 use crate::physics::magnet::GAUSS_PER_TESLA;
@@ -59,15 +60,30 @@ impl Cylinder {
         unit_field_t * GAUSS_PER_TESLA
     }
 
+    /// Derivative of [`Cylinder::unit_field`] along the axis, per mm. A magnetised cylinder is a stack of current loops: a shift of it
+    /// along the axis adds one at one end and removes one at the other.
+    fn loops(&self, at_mm: Vector3<f64>) -> Vector3<f64> {
+        let end = Vector3::z() * (0.5 * self.length_mm);
+        let field_t = |at: Vector3<f64>| {
+            circular_B(
+                Point3::from(at),
+                Point3::origin(),
+                UnitQuaternion::identity(),
+                self.diameter_mm,
+                // One tesla of remanence is a sheet current of 1/mu0 amperes per metre.
+                f64::recip_mu0(),
+            )
+        };
+        (field_t(at_mm + end) - field_t(at_mm - end)) * GAUSS_PER_TESLA
+    }
+
     /// Field with axial magnetisation, and gradient `gradient[(i, j)]` = dB_i/dx_j in gauss per mm and tesla.
     ///
     /// Outside the magnet the gradient is symmetric and traceless (curl B = 0, div B = 0). With the
     /// axial symmetry, the derivative along the axis determines it.
     pub fn unit_field_and_gradient(&self, at_mm: Vector3<f64>) -> (Vector3<f64>, Matrix3<f64>) {
         let field = self.unit_field(at_mm);
-        let step = Vector3::z() * DIFFERENCE_MM;
-        let along =
-            (self.unit_field(at_mm + step) - self.unit_field(at_mm - step)) / (2.0 * DIFFERENCE_MM);
+        let along = self.loops(at_mm);
         let (x, y) = (at_mm.x, at_mm.y);
         let radius = x.hypot(y);
         let dbz_dz = along.z;
