@@ -134,7 +134,7 @@ impl BaseFits {
             .par_iter()
             .map(|((rows, base), near)| {
                 let problem = SensorProblem::new(rows, base.as_ref(), &[]);
-                sensor_fit::fit_identifiable(&problem, &near.scaled, &[])
+                sensor_fit::fit_from_near(&problem, &near.scaled)
             })
             .collect::<Result<_, _>>()?;
         Ok(Self::of(solutions))
