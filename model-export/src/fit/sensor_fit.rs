@@ -17,7 +17,9 @@ use crate::fit::cross_validation::{ErrorSums, Fold, RowRange, all_rows, time_sli
 use crate::fit::identifiability::{FreeDirections, noise_inflation};
 use crate::fit::problem::SensorProblem;
 use crate::fit::rows::SensorRows;
-use crate::fit::solver::{COARSE_TOLERANCE, FINE_TOLERANCE, minimise, weighted_jacobian};
+use crate::fit::solver::{
+    COARSE_TOLERANCE, FINE_TOLERANCE, FOLD_TOLERANCE, minimise, weighted_jacobian,
+};
 use crate::fit::{FitError, FitOptions};
 
 /// Variance inflation of the first round, before the residuals are known.
@@ -159,7 +161,7 @@ impl SensorSolution {
         training: &[RowRange],
         start: (&DVector<f64>, Option<Block>),
     ) -> Result<DVector<f64>, FitError> {
-        minimise(problem, training, self.inflation, &self.space, start, COARSE_TOLERANCE)
+        minimise(problem, training, self.inflation, &self.space, start, FOLD_TOLERANCE)
     }
 
     /// Normal equations of these rows at the solution; `None` where they are not whole recordings.

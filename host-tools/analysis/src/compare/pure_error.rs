@@ -176,7 +176,7 @@ mod tests {
     use super::*;
     use crate::compare::covariates::Covariate;
     use model_export::fit::FitOptions;
-    use model_export::fit::polynomial;
+    use model_export::fit::polynomial::{self, Polynomial};
     use model_export::fit::rows::{RecordingRows, SensorRows};
     use model_export::recordings::columns::Axis;
     use nalgebra::Vector3;
@@ -235,7 +235,7 @@ mod tests {
     ];
 
     /// A polynomial of the load fitted by the project's own base, and its residuals by load.
-    fn fitted(degree: usize) -> (polynomial::Polynomial, Vec<Vec<f64>>) {
+    fn fitted(degree: usize) -> (Polynomial, Vec<Vec<f64>>) {
         let part = RecordingRows {
             time_s: (0..40).map(f64::from).collect(),
             force_n: PONTIUS.iter().map(|(load, _)| vec![*load]).collect(),
