@@ -187,19 +187,6 @@ impl FitSetup {
         joint::fit(&self.rows, &self.bases, base_fits, effects, Some(near), how, |_| ())
     }
 
-    /// Fits the bases from their fits to a sample of the rows of the same sensors.
-    ///
-    /// # Errors
-    /// A fit fails.
-    pub fn fit_bases_near(&self, sample: &Self) -> Result<(), FitError> {
-        let sensors = |setup: &Self| setup.rows.iter().map(|rows| rows.sensor).collect::<Vec<_>>();
-        if self.base_fits.get().is_none() && sensors(self) == sensors(sample) {
-            let base_fits = BaseFits::near(&self.rows, &self.bases, sample.base_fits()?)?;
-            self.base_fits.get_or_init(|| base_fits);
-        }
-        Ok(())
-    }
-
     fn base_fits(&self) -> Result<&BaseFits, FitError> {
         if let Some(base_fits) = self.base_fits.get() {
             return Ok(base_fits);

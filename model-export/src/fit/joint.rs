@@ -117,32 +117,8 @@ impl BaseFits {
                 sensor_fit::fit_from_nominal(&SensorProblem::new(rows, base.as_ref(), &[]))
             })
             .collect::<Result<_, _>>()?;
-        Ok(Self::of(solutions))
-    }
-
-    /// The same from the fits of a sample of the rows.
-    ///
-    /// # Errors
-    /// A fit fails.
-    pub fn near(
-        rows: &[SensorRows],
-        bases: &[Arc<dyn BaseModel>],
-        sample: &Self,
-    ) -> Result<Self, FitError> {
-        let pairs: Vec<_> = rows.iter().zip(bases).zip(&sample.solutions).collect();
-        let solutions: Vec<SensorSolution> = pairs
-            .par_iter()
-            .map(|((rows, base), near)| {
-                let problem = SensorProblem::new(rows, base.as_ref(), &[]);
-                sensor_fit::fit_from_near(&problem, &near.scaled)
-            })
-            .collect::<Result<_, _>>()?;
-        Ok(Self::of(solutions))
-    }
-
-    fn of(solutions: Vec<SensorSolution>) -> Self {
         let of_training = solutions.iter().map(|_| Mutex::default()).collect();
-        Self { solutions, of_training }
+        Ok(Self { solutions, of_training })
     }
 
     /// Values of one sensor on these rows: fitted once for all models.

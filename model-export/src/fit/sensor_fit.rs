@@ -48,16 +48,8 @@ pub fn fit_from_nominal(problem: &SensorProblem) -> Result<SensorSolution, FitEr
     let all = all_rows(problem.rows);
     let low = (&start, None);
     let first = minimise(problem, &all, FIRST_INFLATION, &whole, low, COARSE_TOLERANCE)?;
-    fit_from_near(problem, &first)
-}
-
-/// Fit from a nearby start: with all directions free, then with unidentifiable directions fixed.
-pub fn fit_from_near(
-    problem: &SensorProblem,
-    start: &DVector<f64>,
-) -> Result<SensorSolution, FitError> {
-    let free = fit_all_free(problem, start, 1..=1)?;
-    fit_identifiable(problem, &free, &[])
+    let second = fit_all_free(problem, &first, 1..=1)?;
+    fit_identifiable(problem, &second, &[])
 }
 
 /// Offset of a base parameter from nominal, in prior widths, beyond which it probably imitates an effect.

@@ -77,7 +77,6 @@ pub fn forward_selection(
             None => break,
         }
     }
-    all.fit_bases_near(prepared)?;
     if !observer.is_stopped() {
         observer.stage("separating equivalent effects", FITTING);
         resolve_equivalences((prepared, all), &mut selection, options)?;
