@@ -1,27 +1,22 @@
 //! A model refitted with other effects: the error before and after.
 
-use std::path::{Path, PathBuf};
-
 use anyhow::{Result, bail};
-use device_run::ReplayModels;
 use model_export::effects::EffectTerm;
 use model_export::effects::catalogue::{NEIGHBOUR_MAGNET, SCREW_BACKLASH};
 use model_export::effects::excitation::{BUILT_IN_COVARIATES, source_column};
 use model_export::fit::FitOptions;
 use model_export::fit::campaign::FitSetup;
-use model_export::fit::cross_validation::CvSplit;
 use model_export::fit::effect_size::{EffectSize, effect_sizes};
 use model_export::fit::joint::JointFit;
-use model_export::inverse::build::{BuildError, ModelVariant, build_model};
 use model_export::model_file::{BaseKind, ModelFile, Provenance};
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
-use serde::Serialize;
 
 use crate::compare::campaign_reader::check_distinct;
+use crate::compare::force_errors::held_out_forces;
+use crate::compare::{ForceError, MissingForces};
 use crate::notes::{Note, UncompensatedEffect, collect};
 use crate::progress;
-use crate::replay::evaluation::{replay_all, rmse_n};
 
 /// A model before and after an edit of its effects, both refitted on the same recordings.
 pub struct ModelEdit {
@@ -35,25 +30,12 @@ pub struct ModelEdit {
     pub sizes: Vec<EffectSize>,
     /// The new model.
     pub model: ModelFile,
-    /// Force error of the device code; `None` if the base has no inverse or an effect no compensation.
-    pub device: Option<DeviceComparison>,
-    /// Notes on the recordings and on the effects.
-    pub notes: Vec<Note>,
-}
-
-/// RMS force errors of the device code over all sensors and axes, in newtons.
-#[derive(Clone, Debug, Serialize)]
-pub struct DeviceComparison {
-    /// Error with the model before the edit.
-    pub before_rmse_n: f64,
-    /// Error with the model after the edit, its effects compensated on the device.
-    pub after_rmse_n: f64,
-    /// Recording that was replayed.
-    pub recording: String,
-    /// True if both models were fitted without that recording.
-    pub held_out: bool,
+    /// Held-out force errors before and after; `None` if the base has no inverse or an effect no compensation.
+    pub force: Option<[ForceError; 2]>,
     /// Effects that the device does not compensate.
     pub uncompensated: Vec<UncompensatedEffect>,
+    /// Notes on the recordings and on the effects.
+    pub notes: Vec<Note>,
 }
 
 /// Refits a model with the effects `before` and with the effects `after`.
@@ -84,11 +66,22 @@ pub fn refit(
         let provenance = Provenance::of(&campaign, alignment.delay_us, options)?;
         let sources = provenance.recordings.iter();
         check_distinct(&provenance.campaign, sources.map(|r| (&*r.name, &*r.sha256)))?;
-        let sides = [(&before, &old), (&after, &new)].map(|(effects, fit)| Fitted { effects, fit });
-        let device =
-            replay_before_and_after(&campaign, &prepared, &provenance, alignment, sides, notes)?;
+        let bar = progress::progress_bar("replaying, before and after", 2);
+        let forces = |effects: &[EffectTerm], fit: &JointFit| {
+            bar.inc(1);
+            held_out_forces(&campaign, &prepared, fit, effects, alignment, options)
+        };
+        let [before_n, after_n] = [forces(&before, &old)?, forces(&after, &new)?];
+        bar.finish_and_clear();
+        for missing in [&before_n, &after_n].into_iter().filter_map(|side| side.none.as_ref()) {
+            if let MissingForces::NotCompensable(why) = missing {
+                notes.push(Note::NotCompensable(why.clone()));
+            }
+        }
+        let force = ForceError::of(&before_n.errors).zip(ForceError::of(&after_n.errors));
         Ok(ModelEdit {
-            device,
+            force: force.map(|(before, after)| [before, after]),
+            uncompensated: after_n.uncompensated,
             sizes: effect_sizes(&new, &after, campaign.recordings.len()),
             model: ModelFile::with_effects(&campaign, &prepared, &new, &after, provenance),
             before: (before, old),
@@ -201,63 +194,4 @@ pub fn find_effects(effects: &[String], formulas: &[EffectTerm]) -> Result<Vec<E
         }
     }
     Ok(all)
-}
-
-/// Effects and their joint fit.
-struct Fitted<'a> {
-    effects: &'a [EffectTerm],
-    fit: &'a JointFit,
-}
-
-/// Replays the last recording with both models, cross-validated if the split is by recording. `None` if the base
-/// has no inverse or an effect cannot be compensated on the device; the reason is then added to `notes`.
-fn replay_before_and_after(
-    campaign: &Campaign,
-    prepared: &FitSetup,
-    provenance: &Provenance,
-    alignment: Alignment,
-    [before, after]: [Fitted; 2],
-    notes: &mut Vec<Note>,
-) -> Result<Option<DeviceComparison>> {
-    let (Some(last), true) = (campaign.recordings.last(), prepared.design.is_some()) else {
-        return Ok(None);
-    };
-    let run = |fitted: &Fitted| -> Result<(f64, Vec<UncompensatedEffect>)> {
-        let fold = fitted.fit.split.fold_of(campaign.recordings.len() - 1);
-        let fit = fold.map_or_else(|| fitted.fit.clone(), |fold| fitted.fit.without(fold));
-        let model =
-            ModelFile::with_effects(campaign, prepared, &fit, fitted.effects, provenance.clone());
-        replay_model(model, &last.folder, alignment)
-    };
-    let both = run(&before).and_then(|before| Ok((before, run(&after)?)));
-    let ((before_rmse_n, _), (after_rmse_n, uncompensated)) = match both {
-        Ok(both) => both,
-        Err(error) => match error.downcast_ref::<BuildError>() {
-            Some(BuildError::NotCompensable(why)) => {
-                notes.push(Note::NotCompensable(why.clone()));
-                return Ok(None);
-            }
-            _ => return Err(error),
-        },
-    };
-    Ok(Some(DeviceComparison {
-        before_rmse_n,
-        after_rmse_n,
-        recording: last.name.clone(),
-        held_out: matches!(after.fit.split, CvSplit::Recordings(_)),
-        uncompensated,
-    }))
-}
-
-fn replay_model(
-    model: ModelFile,
-    folder: &Path,
-    alignment: Alignment,
-) -> Result<(f64, Vec<UncompensatedEffect>)> {
-    let bytes = toml::to_string(&model)?;
-    let built =
-        build_model(model, Path::new("the new model"), bytes.as_bytes(), ModelVariant::Fitted)?;
-    let models = ReplayModels::of(&built);
-    let replays = replay_all(&[PathBuf::from(folder)], models, alignment)?;
-    Ok((rmse_n(&replays), UncompensatedEffect::of(&built).collect()))
 }

@@ -3,12 +3,15 @@
 use std::path::Path;
 
 use anyhow::Result;
+use model_export::fit::campaign::FitSetup;
 use model_export::fit::{self, CampaignFits, FitOptions};
 use model_export::model_file::{BaseKind, ModelFile, Provenance};
 use model_export::recordings::align::Alignment;
 use model_export::recordings::{Campaign, Notice};
 
+use crate::compare::ForceError;
 use crate::compare::campaign_reader::{check_distinct, read_campaign, scan_with_progress};
+use crate::compare::force_errors::held_out_forces;
 use crate::data_quality::Finding;
 use crate::notes::{Note, collect};
 use crate::progress;
@@ -21,6 +24,8 @@ pub struct CampaignFit {
     pub fits: CampaignFits,
     /// The model.
     pub model: ModelFile,
+    /// Held-out force error; `None` if the base has no inverse.
+    pub force: Option<ForceError>,
     /// Notes on the recordings and on the fit.
     pub notes: Vec<Note>,
 }
@@ -48,7 +53,17 @@ pub fn fit_model(
         let sources = provenance.recordings.iter();
         check_distinct(&provenance.campaign, sources.map(|r| (&*r.name, &*r.sha256)))?;
         let model = ModelFile::of(&campaign, &fits, provenance);
-        Ok(CampaignFit { campaign, fits, model, notes: std::mem::take(notes) })
+        let force = match &fits {
+            CampaignFits::Polynomial(_) => None,
+            CampaignFits::Cylinder(_, fit) => {
+                let bar = progress::progress_bar("replaying on the device's code", 1);
+                let setup = FitSetup::cylinder(&campaign)?;
+                let forces = held_out_forces(&campaign, &setup, fit, &[], alignment, options)?;
+                bar.finish_and_clear();
+                ForceError::of(&forces.errors)
+            }
+        };
+        Ok(CampaignFit { campaign, fits, model, force, notes: std::mem::take(notes) })
     })
 }
 

@@ -15,6 +15,7 @@ use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 
 use crate::commands::print_notes;
+use analysis::compare::ForceError;
 use analysis::compare::campaign_reader::{
     Caching, CampaignReader, ScannedCampaign, scan_with_progress,
 };
@@ -23,7 +24,7 @@ use analysis::diagnose::observer::Observer;
 use analysis::diagnose::{Diagnosis, diagnose};
 use analysis::edit_model::{find_effects, refit};
 use analysis::fit::fit_campaign;
-use analysis::replay::evaluation::{ReplayEvaluation, evaluate, rmse_n};
+use analysis::replay::evaluation::{ReplayEvaluation, evaluate, pooled_error};
 use analysis::statistics::pooled_rms;
 use report::text;
 use report::text::diagnosis::format_summary;
@@ -165,8 +166,8 @@ struct Fitted<'a> {
     options: FitOptions,
 }
 
-/// Added effects and force error of the device code in newtons, step by step.
-type ErrorSteps = Vec<(String, f64)>;
+/// Added effects and force error of the held-out recording, step by step.
+type ErrorSteps = Vec<(String, ForceError)>;
 
 /// Compares, diagnoses and adds the missing effects.
 fn improve(fitted: &Fitted, scanned: ScannedCampaign) -> Result<()> {
@@ -180,7 +181,7 @@ fn improve(fitted: &Fitted, scanned: ScannedCampaign) -> Result<()> {
     let bar = progress::Stages::new();
     let observer = Observer::new(|stage, share| bar.set(stage, share), |_| (), || false);
     let (mut diagnosis, _) = diagnose(
-        fitted.campaign,
+        (fitted.campaign, ALIGNMENT),
         fitted.model,
         fitted.model_path,
         &[],
@@ -209,7 +210,7 @@ fn improve(fitted: &Fitted, scanned: ScannedCampaign) -> Result<()> {
 
 /// Adds the accepted effects one by one and replays the held-out recording with each model.
 fn add_effects(fitted: &Fitted, diagnosis: &Diagnosis) -> Result<ErrorSteps> {
-    let mut steps = vec![("base model".to_owned(), rmse_n(&fitted.before.fitted))];
+    let mut steps = vec![("base model".to_owned(), pooled_error(&fitted.before.fitted))];
     let mut added: Vec<EffectTerm> = Vec::new();
     for (i, step) in diagnosis.accepted.iter().enumerate() {
         // The first of several equivalent effects; a user would choose, or record data that separate them.
@@ -232,8 +233,7 @@ fn add_effects(fitted: &Fitted, diagnosis: &Diagnosis) -> Result<ErrorSteps> {
         edit.model.write(&path)?;
         let after = evaluate(&path, fitted.held_out, None, ALIGNMENT)?;
         print_notes(&after.notes);
-        let newtons = rmse_n(&after.fitted);
-        steps.push((format!("+ {}", step.join(" or ")), newtons));
+        steps.push((format!("+ {}", step.join(" or ")), pooled_error(&after.fitted)));
     }
     Ok(steps)
 }
@@ -244,9 +244,10 @@ fn error_table(fitted: &Fitted, steps: &ErrorSteps) -> String {
             "No effect of the catalogue is missing. (User-defined formulas are tested with `magpie diagnose --expr`.)",
         );
     }
-    let mut table = terminal::table(["with", "error / N"]);
-    for (with, newtons) in steps {
-        table.add_row([with.clone(), format!("{newtons:.3}")]);
+    let mut table = terminal::table(["with", "excess / N", "force / N", "noise / N"]);
+    for (with, error) in steps {
+        let newtons = [error.excess_n(), error.rms_n, error.noise_n].map(|n| format!("{n:.3}"));
+        table.add_row(std::iter::once(with.clone()).chain(newtons));
     }
     terminal::right_align(&mut table, 1);
     let tie = if steps.iter().any(|(with, _)| with.contains(" or ")) {
@@ -255,7 +256,7 @@ fn error_table(fitted: &Fitted, steps: &ErrorSteps) -> String {
         ""
     };
     format!(
-        "RMSE over all forces of the held-out recording, device code (fixed point):\n\n\
+        "Force error of the held-out recording (device's code, RMS over all forces), its noise, and the excess over noise:\n\n\
          {table}\n{tie}Models: better-1.toml and so on, in {}.\n",
         fitted.output.display()
     )

@@ -117,7 +117,7 @@ pub fn run(args: &Args) -> Result<()> {
                 || stop.load(Ordering::Relaxed),
             );
             let (mut diagnosis, refit) = diagnose(
-                &campaign,
+                (&campaign, alignment),
                 &model,
                 &input.model,
                 &own,

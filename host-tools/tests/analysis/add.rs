@@ -73,7 +73,7 @@ fn added_friction_and_temperature_reach_the_floor() {
     assert!(before > 3.0 && after < 0.2, "{before} {after}");
     assert!((0.95..=1.1).contains(&over_floor(&added)), "{}", over_floor(&added));
     let (before, after) =
-        (number(&added["device"]["before_rmse_n"]), number(&added["device"]["after_rmse_n"]));
+        (number(&added["force"]["before"]["rms_n"]), number(&added["force"]["after"]["rms_n"]));
     assert!(before > 2.0 && (0.4..0.6).contains(&after), "{before} {after}");
     let effects = added["effects"].as_array().unwrap();
     assert_eq!(effects[1]["unit"], "%/K");
@@ -83,7 +83,10 @@ fn added_friction_and_temperature_reach_the_floor() {
 
     // The replay of the written model agrees, and reports the benefit of the compensation.
     let replayed = fitted.dir.json(&["replay", "new.toml", &fitted.campaign, "--json"]);
-    assert!(number(&replayed["rmse_n"]) < 0.6 && number(&replayed["uncompensated_rmse_n"]) > 2.0);
+    assert!(
+        number(&replayed["force"]["rms_n"]) < 0.6
+            && number(&replayed["uncompensated_force"]["rms_n"]) > 2.0
+    );
 
     // Without the effect the error is as before.
     let remove = ["drop", "new.toml", &fitted.campaign, "magnet_temperature", "--json"];
@@ -101,7 +104,7 @@ fn added_neighbour_magnet_reaches_the_floor() {
     let added = Fitted::of("demo").add(&["neighbour_magnet"]);
     assert!((0.95..=1.1).contains(&over_floor(&added)), "{}", over_floor(&added));
     let (before, after) =
-        (number(&added["device"]["before_rmse_n"]), number(&added["device"]["after_rmse_n"]));
+        (number(&added["force"]["before"]["rms_n"]), number(&added["force"]["after"]["rms_n"]));
     assert!(after < 0.95 * before && after < 0.5, "{before} {after}");
 }
 
@@ -117,7 +120,7 @@ fn user_formula_of_a_ripple_runs_on_the_device() {
         assert!((3.21..3.216).contains(&period), "{period}");
     }
     let (before, after) =
-        (number(&added["device"]["before_rmse_n"]), number(&added["device"]["after_rmse_n"]));
+        (number(&added["force"]["before"]["rms_n"]), number(&added["force"]["after"]["rms_n"]));
     assert!(before > 2.0 && after < 0.6, "{before} {after}");
     fitted.dir.stdout("export new.toml -o tables.rs");
     assert!(fitted.dir.read("tables.rs").contains("covariate: Covariate::Opening"));

@@ -3,7 +3,7 @@
 
 use crate::fit::rows::{RecordingRows, SensorRows};
 use crate::recordings::columns::Axis;
-use nalgebra::{DMatrix, DVector, Vector3};
+use nalgebra::Vector3;
 use std::ops::Range;
 
 /// Number of folds within a recording.
@@ -160,21 +160,13 @@ pub struct ErrorSums {
     rows: usize,
     error: Vector3<f64>,
     floor: Vector3<f64>,
-    /// Sum of squared apparent forces of the residuals, and their number.
-    force: (f64, usize),
     /// Sum of squared off-plane residuals, and their number.
     off_plane: (f64, usize),
 }
 
 impl Default for ErrorSums {
     fn default() -> Self {
-        Self {
-            rows: 0,
-            error: Vector3::zeros(),
-            floor: Vector3::zeros(),
-            force: (0.0, 0),
-            off_plane: (0.0, 0),
-        }
+        Self { rows: 0, error: Vector3::zeros(), floor: Vector3::zeros(), off_plane: (0.0, 0) }
     }
 }
 
@@ -191,10 +183,6 @@ impl ErrorSums {
         self.rows += 1;
         self.error += residual.component_mul(&residual);
         self.floor += floor;
-        if let Some(apparent) = local_inverse(residual, &per_newton, floor) {
-            self.force.0 += apparent.norm_squared();
-            self.force.1 += apparent.len();
-        }
         if let Some((_, off_plane)) = off_plane_residual(&per_newton, residual) {
             self.off_plane.0 += off_plane * off_plane;
             self.off_plane.1 += 1;
@@ -207,7 +195,6 @@ impl ErrorSums {
             rows: self.rows + other.rows,
             error: self.error + other.error,
             floor: self.floor + other.floor,
-            force: (self.force.0 + other.force.0, self.force.1 + other.force.1),
             off_plane: (self.off_plane.0 + other.off_plane.0, self.off_plane.1 + other.off_plane.1),
         }
     }
@@ -220,13 +207,6 @@ impl ErrorSums {
     /// Noise floor, root mean square over rows and axes, in gauss.
     pub fn floor_g(&self) -> f64 {
         (self.floor.sum() / (3 * self.rows.max(1)) as f64).sqrt()
-    }
-
-    /// Root mean square of the apparent force of the residual over all forces, in newtons; `None` where no
-    /// force was recorded.
-    pub fn rmse_n(&self) -> Option<f64> {
-        let (squares, count) = self.force;
-        (count > 0).then(|| (squares / count as f64).sqrt())
     }
 
     /// Root mean square in gauss of the residual normal to the plane of both forces' fields, which no force
@@ -271,25 +251,6 @@ pub fn noise_variance(
         .zip(&part.force_noise_n)
         .map(through)
         .fold(sensor, |sum, term| sum + term)
-}
-
-/// Apparent forces of a residual by least squares, each axis weighted by its noise variance.
-fn local_inverse(
-    residual: Vector3<f64>,
-    per_newton: &[Vector3<f64>],
-    floor_squared: Vector3<f64>,
-) -> Option<DVector<f64>> {
-    if per_newton.is_empty() {
-        return None;
-    }
-    let min_variance = 1e-6 * floor_squared.amax().max(f64::MIN_POSITIVE);
-    let weight = floor_squared.map(|variance| 1.0 / variance.max(min_variance));
-    let count = per_newton.len();
-    let weighted: Vec<Vector3<f64>> =
-        per_newton.iter().map(|slope| slope.component_mul(&weight)).collect();
-    let normal = DMatrix::from_fn(count, count, |i, j| weighted[i].dot(&per_newton[j]));
-    let right = DVector::from_fn(count, |i, _| weighted[i].dot(&residual));
-    Some(normal.cholesky()?.solve(&right))
 }
 
 /// Axis with the largest component of the normal of the plane of both forces' fields, and the distance of a

@@ -91,6 +91,37 @@ impl CvPlan {
         Ok(plan)
     }
 
+    /// Plan of a fit with these effects to a whole campaign.
+    pub fn of_fit(
+        campaign: &Campaign,
+        setup: &FitSetup,
+        fit: &JointFit,
+        effects: &[EffectTerm],
+        provenance: &Provenance,
+    ) -> Self {
+        let read = campaign.recordings.iter().zip(&provenance.recordings).enumerate();
+        let recordings = read.map(|(part, (recording, source))| {
+            let named = RecordingId {
+                folder: recording.folder.clone(),
+                name: recording.name.clone(),
+                sha256: source.sha256.clone(),
+            };
+            RecordingFolds { named, folds: segments(setup, fit, part, 0) }
+        });
+        let recordings: Vec<RecordingFolds> = recordings.collect();
+        let all = recordings.len();
+        Self {
+            models: fold_models(campaign, setup, fit, effects, provenance),
+            recordings,
+            validation: Validation::CrossValidated {
+                split: fit.split,
+                seen: all,
+                refitted: all,
+                all,
+            },
+        }
+    }
+
     /// Fits the model again without the rows of each fold.
     fn refit(
         &mut self,
@@ -125,21 +156,9 @@ impl CvPlan {
             return Ok(());
         }
         let provenance = Provenance::of(&campaign, source.alignment.delay_us, options)?;
-        let fold_model = |fit: &JointFit| FoldModel {
-            model: ModelFile::with_effects(
-                &campaign,
-                prepared,
-                fit,
-                &additions,
-                provenance.clone(),
-            ),
-            additions: additions.clone(),
-        };
-        let folds = fit.sensors.first().map_or(0, |sensor| sensor.folds.len());
         let first = self.models.len();
-        self.models.extend((0..folds).map(|fold| fold_model(&fit.without(fold))));
-        let all = self.models.len();
-        self.models.push(fold_model(fit));
+        self.models.extend(fold_models(&campaign, prepared, fit, &additions, &provenance));
+        let all = self.models.len() - 1;
         let names: Vec<String> = campaign.recordings.iter().map(|r| r.name.clone()).collect();
         for &i in seen {
             let recording = &mut self.recordings[i];
@@ -156,6 +175,22 @@ impl CvPlan {
         };
         Ok(())
     }
+}
+
+/// Models fitted without the rows of each fold, then that of all rows.
+fn fold_models(
+    campaign: &Campaign,
+    setup: &FitSetup,
+    fit: &JointFit,
+    effects: &[EffectTerm],
+    provenance: &Provenance,
+) -> Vec<FoldModel> {
+    let of = |fit: &JointFit| FoldModel {
+        model: ModelFile::with_effects(campaign, setup, fit, effects, provenance.clone()),
+        additions: effects.to_vec(),
+    };
+    let folds = fit.sensors.first().map_or(0, |sensor| sensor.folds.len());
+    (0..folds).map(|fold| of(&fit.without(fold))).chain([of(fit)]).collect()
 }
 
 /// Fits the base and effects of a model to a campaign.

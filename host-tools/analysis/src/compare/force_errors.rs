@@ -2,12 +2,20 @@
 
 use crate::compare::cv_plan::{CvPlan, RecordingFolds};
 use crate::compare::{Envelope, ForceAxisErrors, Histogram, MissingForces, Trace};
+use crate::notes::UncompensatedEffect;
 use crate::progress;
 use crate::replay::{RecordingReplay, replay_with};
 use crate::statistics::{ErrorAccumulator, Moments};
 use anyhow::{Result, anyhow};
 use device_run::ReplayModels;
+use indicatif::ProgressBar;
+use model_export::effects::EffectTerm;
+use model_export::fit::FitOptions;
+use model_export::fit::campaign::FitSetup;
+use model_export::fit::joint::JointFit;
 use model_export::inverse::build::{BuildError, DeviceModel, ModelVariant, build_model};
+use model_export::model_file::Provenance;
+use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::columns::Axis;
 use model_export::recordings::stream::RawStream;
@@ -34,6 +42,30 @@ pub struct ForceEvaluation {
     pub histograms: Vec<Histogram>,
     /// Reason for missing forces.
     pub none: Option<MissingForces>,
+    /// Effects that the device does not compensate.
+    pub uncompensated: Vec<UncompensatedEffect>,
+}
+
+/// Held-out error of the forces of a fit with these effects to a whole campaign, and of what the device does not compensate.
+///
+/// # Errors
+/// A recording cannot be read.
+pub fn held_out_forces(
+    campaign: &Campaign,
+    setup: &FitSetup,
+    fit: &JointFit,
+    effects: &[EffectTerm],
+    alignment: Alignment,
+    options: FitOptions,
+) -> Result<ForceEvaluation> {
+    let provenance = Provenance::of(campaign, alignment.delay_us, options)?;
+    let plan = CvPlan::of_fit(campaign, setup, fit, effects, &provenance);
+    let origins_s: Vec<f64> = campaign
+        .recordings
+        .iter()
+        .map(|recording| recording.time_s.first().copied().unwrap_or(0.0))
+        .collect();
+    evaluate_forces(&plan, Path::new("the fitted model"), alignment, &origins_s, &mut [])
 }
 
 /// Errors of one force of one sensor.
@@ -74,7 +106,12 @@ pub fn evaluate_forces(
             plan.recordings.iter().any(of)
         })
         .collect();
-    let bar = progress::progress_bar("building tables", used.iter().filter(|used| **used).count());
+    // Without traces the caller shows the progress.
+    let progress_bar = |message, steps| {
+        let is_hidden = traces.is_empty();
+        if is_hidden { ProgressBar::hidden() } else { progress::progress_bar(message, steps) }
+    };
+    let bar = progress_bar("building tables", used.iter().filter(|used| **used).count());
     let built = plan
         .models
         .par_iter()
@@ -98,12 +135,15 @@ pub fn evaluate_forces(
                 return Ok(none(MissingForces::PolynomialBase));
             }
             Some(BuildError::NotCompensable(why)) => {
-                return Ok(none(MissingForces::NotCompensable(why.to_string())));
+                return Ok(none(MissingForces::NotCompensable(why.clone())));
             }
             _ => return Err(error),
         },
     };
-    let bar = progress::progress_bar("replaying on the device's code", plan.recordings.len());
+    let any = built.iter().flatten().next();
+    let uncompensated: Vec<UncompensatedEffect> =
+        any.map_or_else(Vec::new, |built| UncompensatedEffect::of(built).collect());
+    let bar = progress_bar("replaying on the device's code", plan.recordings.len());
     let mut channels: Vec<(u32, [Channel; 2])> = Vec::new();
     let at_once = 2 * rayon::current_num_threads();
     let points = (POINTS / (4 * traces.len().max(1))).clamp(50, 3000);
@@ -138,7 +178,7 @@ pub fn evaluate_forces(
         }
     }
     bar.finish_and_clear();
-    let mut result = finish(&channels);
+    let mut result = ForceEvaluation { uncompensated, ..finish(&channels) };
     if result.errors.is_empty() {
         result.none = Some(MissingForces::NoValidRow);
     }

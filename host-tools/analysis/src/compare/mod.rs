@@ -16,9 +16,11 @@ use crate::data_quality::Finding;
 use crate::notes::Note;
 use crate::statistics::{ErrorStatistics, pooled_rms};
 use model_export::fit::cross_validation::CvSplit;
+use model_export::inverse::compensation::NotCompensable;
 use model_export::model_file::SensorScale;
 use model_export::recordings::columns::Axis;
 use serde::Serialize;
+use serde::ser::{SerializeStruct, Serializer};
 
 pub mod attribution;
 pub mod bootstrap_bands;
@@ -44,9 +46,38 @@ pub fn floor_g(axes: &[FieldAxisErrors]) -> f64 {
     pooled_rms(axes.iter().map(|axis| axis.floor.total))
 }
 
-/// Error over all forces, in newtons; NaN without forces.
-pub fn rmse_n(forces: &[ForceAxisErrors]) -> f64 {
-    pooled_rms(forces.iter().map(|force| force.error.rms))
+/// Error over all forces through the device's own code, with the noise next to it: the figure that every command states first.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ForceError {
+    /// Root mean square over all forces in newtons.
+    pub rms_n: f64,
+    /// The same from the white noise of sensors and reference alone.
+    pub noise_n: f64,
+}
+
+impl Serialize for ForceError {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut object = serializer.serialize_struct("ForceError", 3)?;
+        object.serialize_field("rms_n", &self.rms_n)?;
+        object.serialize_field("noise_n", &self.noise_n)?;
+        object.serialize_field("excess_n", &self.excess_n())?;
+        object.end()
+    }
+}
+
+impl ForceError {
+    /// Pools the forces; `None` without any.
+    pub fn of(forces: &[ForceAxisErrors]) -> Option<Self> {
+        (!forces.is_empty()).then(|| Self {
+            rms_n: pooled_rms(forces.iter().map(|force| force.error.rms)),
+            noise_n: pooled_rms(forces.iter().map(|force| force.floor)),
+        })
+    }
+
+    /// Error that a better model can remove, in newtons: root of the difference of squares.
+    pub fn excess_n(&self) -> f64 {
+        (self.rms_n.powi(2) - self.noise_n.powi(2)).max(0.0).sqrt()
+    }
 }
 
 /// How the errors of a model are separated from its fit.
@@ -77,7 +108,7 @@ pub enum MissingForces {
     /// A polynomial of the forces has no unique inverse.
     PolynomialBase,
     /// The device cannot compensate an effect, for this reason.
-    NotCompensable(String),
+    NotCompensable(NotCompensable),
     /// No row has both a valid estimate and the reference forces.
     NoValidRow,
 }

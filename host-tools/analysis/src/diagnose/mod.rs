@@ -17,7 +17,9 @@
 //! - [`recording_check`]: effects on which recordings can decide, before a diagnosis.
 //! - [`suggestions`]: the next command.
 
+use crate::compare::ForceError;
 use crate::compare::cv_plan::ModelRefit;
+use crate::compare::force_errors::held_out_forces;
 use crate::data_quality::Finding;
 use crate::diagnose::candidates::candidates;
 pub use crate::diagnose::formulas::DiscoveredFormula;
@@ -35,6 +37,7 @@ use model_export::effects::{EffectTerm, find};
 use model_export::fit::FitOptions;
 use model_export::model_file::ModelFile;
 use model_export::recordings::Campaign;
+use model_export::recordings::align::Alignment;
 use serde::Serialize;
 use std::path::Path;
 
@@ -57,6 +60,8 @@ pub mod verdicts;
 const SELECTION_ROWS: usize = 600;
 /// Fraction of the remaining work that these last fits take.
 const ALL_ROWS: f64 = 0.7;
+/// Fraction of what then remains that the replays take.
+const REPLAYS: f64 = 0.5;
 
 /// Results of a diagnosis.
 #[derive(Clone, Debug, Default)]
@@ -245,20 +250,20 @@ pub struct StaircaseStep {
     pub added: Vec<String>,
     /// Cross-validated error over all channels, in gauss.
     pub held_out_rms_g: f64,
-    /// Cross-validated force error in newtons; `None` without forces.
-    pub held_out_rmse_n: Option<f64>,
+    /// Held-out force error; `None` where the device cannot compute the forces.
+    pub force: Option<ForceError>,
     /// Noise floor in gauss.
     pub floor_g: f64,
 }
 
 /// Diagnoses which effects `model` (read from `path`) does not contain on `campaign`: those of the catalogue and the user's
-/// `own`. With `plans` it proposes recordings for what is open. `observer` receives the progress and can end it early. The
+/// `own`. The campaign was read with `alignment`. With `plans` it proposes recordings for what is open. `observer` receives the progress and can end it early. The
 /// second value is the fit of `model` to the campaign, where its cross-validation is that of a comparison.
 ///
 /// # Errors
 /// A fit fails.
 pub fn diagnose(
-    campaign: &Campaign,
+    (campaign, alignment): (&Campaign, Alignment),
     model: &ModelFile,
     path: &Path,
     own: &[EffectTerm],
@@ -289,6 +294,12 @@ pub fn diagnose(
     diagnosis.set_equivalent_formulas(equivalent_formulas);
     diagnosis.rows = [sample.row_count(), prepared.row_count()];
     diagnosis.recordings = [sample.recording_count(), prepared.recording_count()];
+    observer.stage("replaying each step on the device's code", REPLAYS);
+    for (step, stage) in diagnosis.staircase.iter_mut().zip(&selection.stages) {
+        let (fit, effects) = (&stage.fit, &stage.effects);
+        let forces = held_out_forces(campaign, &prepared, fit, effects, alignment, options)?;
+        step.force = ForceError::of(&forces.errors);
+    }
     if let Some(last) = selection.stages.last().filter(|_| !diagnosis.at_floor) {
         let located = selection.attributed.iter().map(|(_, share)| share).sum();
         let columns = residuals_against(&sample, last, &[]);

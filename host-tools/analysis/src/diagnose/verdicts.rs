@@ -90,7 +90,7 @@ fn stairs(selection: &Selection, formulas: &[DiscoveredFormula]) -> Vec<Staircas
     let stair = |(stage, added): (&FittedModel, Vec<String>)| StaircaseStep {
         added,
         held_out_rms_g: stage.mean_square().sqrt(),
-        held_out_rmse_n: stage.fit.tally().rmse_n(),
+        force: None,
         floor_g: stage.fit.tally().floor_g(),
     };
     selection.stages.iter().zip(added).map(stair).collect()

@@ -18,6 +18,7 @@ use model_export::recordings::recording::fingerprint;
 use model_export::recordings::recording::recording_name;
 use model_export::recordings::stream::RawStream;
 
+use crate::compare::ForceError;
 use crate::compare::campaign_reader::check_sensor_scale;
 use crate::notes::{Note, UncompensatedEffect};
 use crate::progress;
@@ -247,10 +248,13 @@ pub fn times_real_time(recordings: &[RecordingReplay]) -> f64 {
     recordings.iter().map(|r| r.span_s).sum::<f64>() / spent
 }
 
-/// RMS error over all sensors and axes in newtons.
-pub fn rmse_n(recordings: &[RecordingReplay]) -> f64 {
-    let axes = recordings.iter().flat_map(|r| r.sensors.iter().flat_map(|s| &s.axes));
-    axes.fold(Moments::default(), |sum, track| sum.with(track.error)).rms()
+/// Error over all forces; NaN without any.
+pub fn pooled_error(recordings: &[RecordingReplay]) -> ForceError {
+    let pooled = pooled(recordings);
+    ForceError {
+        rms_n: pooled_rms(pooled.iter().map(|axis| axis.sum(|track| track.error).rms())),
+        noise_n: pooled_rms(pooled.iter().map(PooledAxis::noise_n)),
+    }
 }
 
 /// Replays with and without networks, on held-out recordings if there are any.

@@ -128,8 +128,15 @@ pub fn identify(
     let fit = fit_model(&campaign, BaseKind::Cylinder, None, ALIGNED, options)?;
     fit.model.write(&plain)?;
     let recordings = read_campaign(&campaign, ALIGNED)?;
-    let (diagnosis, _) =
-        diagnose(&recordings, &fit.model, &plain, &[], false, options, &Observer::default())?;
+    let (diagnosis, _) = diagnose(
+        (&recordings, ALIGNED),
+        &fit.model,
+        &plain,
+        &[],
+        false,
+        options,
+        &Observer::default(),
+    )?;
     let added: Vec<String> =
         diagnosis.accepted.iter().filter_map(|step| step.first().cloned()).collect();
     let model = if added.is_empty() {

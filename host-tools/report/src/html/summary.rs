@@ -6,7 +6,7 @@
 use crate::html::both;
 use crate::html::palette::{self, Role};
 use crate::html::plot::{Failure, Paper, Swatch, centred, figure, key, letters, px, stroke};
-use crate::text::comparison::{validation, verdict};
+use crate::text::comparison::{force_headline, validation, verdict};
 use crate::text::findings;
 use analysis::compare::Comparison;
 use analysis::numbers::{number, percent};
@@ -76,6 +76,7 @@ fn pools(comparison: &Comparison) -> Vec<Pool> {
 pub fn head(comparison: &Comparison) -> Markup {
     let models = both(comparison);
     let two = models.len() > 1;
+    let headline = force_headline(comparison);
     html! {
         header {
             h1 { "Model versus measurement" }
@@ -85,6 +86,7 @@ pub fn head(comparison: &Comparison) -> Markup {
                 }
                 dt { "Campaign" } dd { (comparison.campaign) }
             }
+            @if !headline.is_empty() { p.verdict { (headline) } }
             @for (role, letter, model) in &models {
                 p.verdict {
                     @if two { (initial(*role, letter)) ": " }

@@ -2,8 +2,8 @@
 
 use analysis::compare::attribution::MIN_SHARE;
 use analysis::compare::{
-    AT_FLOOR, Attribution, Bin, Comparison, FieldAxisErrors, ForceAxisErrors, MeanCondition,
-    MissingForces, Validation, WorstInterval, floor_g, rms_g, rmse_n,
+    AT_FLOOR, Attribution, Bin, Comparison, FieldAxisErrors, ForceAxisErrors, ForceError,
+    MeanCondition, MissingForces, Validation, WorstInterval, floor_g, rms_g,
 };
 use analysis::data_quality::Finding;
 use analysis::numbers::{self, field, three_digits};
@@ -13,8 +13,8 @@ use anstyle::Style;
 use model_export::fit::cross_validation::{CvSplit, MAX_RECORDING_FOLDS};
 use serde_json::{Value, json};
 
-use crate::text::findings;
 use crate::text::terminal::{self, ERROR, GOOD, HEADING, WARNING, WIDTH};
+use crate::text::{findings, force_error};
 
 /// Fraction of the explained residual that counts as concentrated.
 const CONCENTRATED: f64 = 0.6;
@@ -44,7 +44,20 @@ pub fn format_report(comparison: &Comparison) -> String {
         page += &side_by_side(comparison, other);
     }
     page.push('\n');
+    page += &terminal::paragraph(&force_headline(comparison));
     page + &colored(verdict_style(comparison), &verdict(comparison))
+}
+
+/// The force error, of the baseline and of the model where there are two; empty without forces.
+pub fn force_headline(comparison: &Comparison) -> String {
+    let Some(error) = ForceError::of(&comparison.forces) else {
+        return String::new();
+    };
+    let baseline = comparison.other.as_ref().and_then(|other| ForceError::of(&other.forces));
+    match baseline {
+        Some(baseline) => force_error::change(&baseline, &error),
+        None => force_error::headline(&error),
+    }
 }
 
 fn colored(style: Style, text: &str) -> String {
@@ -344,13 +357,15 @@ fn cross_validation(split: CvSplit, seen: usize, refitted: usize, all: usize) ->
 }
 
 /// Why forces are missing.
-pub fn missing_forces(why: &MissingForces) -> &str {
+pub fn missing_forces(why: &MissingForces) -> String {
     match why {
         MissingForces::PolynomialBase => {
-            "a polynomial of the forces has no unique inverse; the device requires a model with the cylinder base"
+            "a polynomial of the forces has no unique inverse; the device requires a model with the cylinder base".to_owned()
         }
-        MissingForces::NotCompensable(why) => why,
-        MissingForces::NoValidRow => "no row has both a valid estimate and the reference forces",
+        MissingForces::NotCompensable(why) => why.to_string(),
+        MissingForces::NoValidRow => {
+            "no row has both a valid estimate and the reference forces".to_owned()
+        }
     }
 }
 
@@ -386,20 +401,30 @@ fn worst_segments(list: &[WorstInterval]) -> String {
 
 /// Two models on the same rows.
 fn side_by_side(one: &Comparison, other: &Comparison) -> String {
-    let mut table =
-        terminal::table(["", "field / G", "x floor", "force / N", "first covariate", "share"]);
+    let mut table = terminal::table([
+        "",
+        "excess / N",
+        "force / N",
+        "noise / N",
+        "field / G",
+        "x floor",
+        "residual follows",
+        "share",
+    ]);
     for model in [one, other] {
         let (rms, floor) = (rms_g(&model.axes), floor_g(&model.axes));
         let first = model.located.iter().find(|located| located.chosen);
-        let newtons = |forces: &[ForceAxisErrors]| match rmse_n(forces) {
-            n if n.is_finite() => format!("{n:.3}"),
-            _ => "-".to_owned(),
+        let force = ForceError::of(&model.forces);
+        let newtons = |figure: fn(&ForceError) -> f64| {
+            force.as_ref().map_or_else(|| "-".to_owned(), |force| format!("{:.3}", figure(force)))
         };
         table.add_row([
             model.model.clone(),
+            newtons(ForceError::excess_n),
+            newtons(|force| force.rms_n),
+            newtons(|force| force.noise_n),
             format!("{rms:.4}"),
             format!("{:.2}", rms / floor),
-            newtons(&model.forces),
             first.map_or("none", |located| located.words.as_ref()).to_owned(),
             first.map_or_else(|| "-".to_owned(), |l| format!("{:.0} %", 100.0 * l.share)),
         ]);
@@ -430,6 +455,7 @@ pub fn to_json(comparison: &Comparison) -> Value {
         "findings": findings.collect::<Vec<_>>(),
         "judged": validation(comparison),
         "axes": comparison.axes.iter().map(axis_json).collect::<Vec<_>>(),
+        "force": ForceError::of(&comparison.forces),
         "forces": comparison.forces.iter().map(force_json).collect::<Vec<_>>(),
         "where": comparison.located,
         "worst": comparison.worst.iter().map(worst_json).collect::<Vec<_>>(),
@@ -495,15 +521,11 @@ pub fn verdict(comparison: &Comparison) -> String {
 
 fn conclusion(comparison: &Comparison) -> String {
     let (rms, floor) = (rms_g(&comparison.axes), floor_g(&comparison.axes));
-    let newtons = match rmse_n(&comparison.forces) {
-        n if n.is_finite() => format!(", {n:.2} N through the device's code"),
-        _ => String::new(),
-    };
     let span = pooled_rms(comparison.axes.iter().map(|axis| axis.error.span));
     let error = format!("{} held out ({:.2} % of the range)", field(rms), 100.0 * rms / span);
     if floor <= 0.0 || floor.is_nan() {
         return format!(
-            "Inconclusive: the noise of these recordings is unknown, so there is no floor to compare {error}{newtons} with."
+            "Inconclusive: the noise of these recordings is unknown, so there is no floor to compare {error} with."
         );
     }
     let worst =
@@ -512,7 +534,7 @@ fn conclusion(comparison: &Comparison) -> String {
     if rms <= AT_FLOOR * floor && worst <= AT_FLOOR * AT_FLOOR {
         if let Some(lead) = chosen.first() {
             return format!(
-                "Within {:.0} % of the noise floor: {error}, the floor is {}{newtons}; {:.0} % of the remaining residual follows the {}.",
+                "Within {:.0} % of the noise floor: {error}, the floor is {}; {:.0} % of the remaining residual follows the {}.",
                 100.0 * (rms / floor - 1.0),
                 field(floor),
                 100.0 * lead.share,
@@ -520,7 +542,7 @@ fn conclusion(comparison: &Comparison) -> String {
             );
         }
         return format!(
-            "At the noise floor: {error}, the floor is {}{newtons}. These recordings show no missing effect.",
+            "At the noise floor: {error}, the floor is {}. These recordings show no missing effect.",
             field(floor)
         );
     }
@@ -551,7 +573,7 @@ fn conclusion(comparison: &Comparison) -> String {
         String::new()
     };
     format!(
-        "Structure remains: {error}, {:.1} times the floor of {}{newtons}; {lead}{open}.",
+        "Structure remains: {error}, {:.1} times the floor of {}; {lead}{open}.",
         rms / floor,
         field(floor)
     )

@@ -1,5 +1,6 @@
 //! Text and JSON of a diagnosis.
 
+use analysis::compare::ForceError;
 use analysis::diagnose::candidates::{LEVEL, MIN_GAIN};
 use analysis::diagnose::remaining_structure::RemainingStructure;
 use analysis::diagnose::{
@@ -12,9 +13,9 @@ use model_export::effects::find;
 use serde_json::{Value, json};
 
 use crate::text::comparison::{data_findings, stopped_verdict};
-use crate::text::findings;
 use crate::text::recording_plan::{self, format_proposal};
 use crate::text::terminal::{self, GOOD, HEADING, NARROW_WIDTH, WARNING};
+use crate::text::{findings, force_error};
 
 /// Result as tables and text.
 pub fn format_report(diagnosis: &Diagnosis) -> String {
@@ -36,6 +37,7 @@ pub fn format_report(diagnosis: &Diagnosis) -> String {
     if diagnosis.is_interrupted {
         page += &styled(WARNING, INTERRUPTED_NOTE);
     }
+    page += &paragraph(&force_headline(diagnosis));
     let style = if diagnosis.at_floor { GOOD } else { WARNING };
     page += &styled(style, &verdict(diagnosis));
     if let Some(proposal) = &diagnosis.proposal {
@@ -151,18 +153,59 @@ fn verdict_table(diagnosis: &Diagnosis) -> String {
 }
 
 fn step_table(diagnosis: &Diagnosis) -> String {
-    let mut table = terminal::table(["step", "held-out error", "x floor", "as force / N"]);
+    let heads = ["step", "excess / N", "force / N", "noise / N", "field", "x floor"];
+    let mut table = terminal::table(heads);
     table.set_width(NARROW_WIDTH);
     for stair in &diagnosis.staircase {
+        let newtons = |figure: fn(&ForceError) -> f64| {
+            stair.force.as_ref().map_or_else(|| "-".to_owned(), |of| format!("{:.3}", figure(of)))
+        };
         table.add_row([
             added_effects(stair),
+            newtons(ForceError::excess_n),
+            newtons(|force| force.rms_n),
+            newtons(|force| force.noise_n),
             field(stair.held_out_rms_g),
             format!("{:.2}", stair.held_out_rms_g / stair.floor_g),
-            stair.held_out_rmse_n.map_or_else(|| "-".to_owned(), |n| format!("{n:.3}")),
         ]);
     }
     terminal::right_align(&mut table, 1);
-    format!("{table}\n\n")
+    let rise = rising_force(&diagnosis.staircase).map_or_else(String::new, |note| paragraph(&note));
+    format!("{table}\n{}{rise}\n", paragraph(STEP_NOTE))
+}
+
+/// Explains steps that lower the error of the field and raise that of the forces; `None` without one.
+pub fn rising_force(steps: &[StaircaseStep]) -> Option<String> {
+    let raises = |pair: &&[StaircaseStep]| match (pair[0].force, pair[1].force) {
+        (Some(before), Some(after)) => {
+            pair[1].held_out_rms_g < pair[0].held_out_rms_g && after.rms_n > before.rms_n
+        }
+        _ => false,
+    };
+    let raising: Vec<String> =
+        steps.windows(2).filter(raises).map(|pair| pair[1].added.join(" or ")).collect();
+    (!raising.is_empty()).then(|| {
+        format!(
+            "With {} the error of the forces rises although that of the field falls: what is still missing then acts on the forces \
+             alone, where the errors of two effects had partly cancelled. The last step counts.",
+            raising.join(" and with ")
+        )
+    })
+}
+
+/// What the columns of the steps are.
+const STEP_NOTE: &str = "Held out. Force: RMS over all forces through the device's code, of which noise alone, and the excess over it \
+                         (root of the difference of squares). Field: RMS over all channels, and in multiples of the noise floor.";
+
+/// The force error of the model as it is and with everything that was found; empty without forces.
+pub fn force_headline(diagnosis: &Diagnosis) -> String {
+    let force = |step: Option<&StaircaseStep>| step.and_then(|step| step.force);
+    let steps = &diagnosis.staircase;
+    match (force(steps.first()), force(steps.last())) {
+        (Some(before), Some(after)) if steps.len() > 1 => force_error::change(&before, &after),
+        (Some(only), _) => force_error::headline(&only),
+        (None, _) => String::new(),
+    }
 }
 
 /// Accepted effects: estimated and typical magnitude, evidence, physics.
@@ -930,12 +973,8 @@ mod tests {
         verdicts.extend(names.iter().map(|name| blocked(name, 0.001)));
         let missing = Reason::NotRecorded("opening_mm".to_owned());
         verdicts.push(verdict_of("neighbour_magnet", VerdictKind::Inconclusive, missing));
-        let step = StaircaseStep {
-            added: Vec::new(),
-            held_out_rms_g: 0.7,
-            held_out_rmse_n: None,
-            floor_g: 0.16,
-        };
+        let step =
+            StaircaseStep { added: Vec::new(), held_out_rms_g: 0.7, force: None, floor_g: 0.16 };
         let diagnosis = Diagnosis { verdicts, staircase: vec![step], ..Diagnosis::default() };
         let page = uncolored(&diagnosis);
         let row = page.lines().find(|line| line.contains("7 others")).unwrap();
@@ -962,6 +1001,27 @@ mod tests {
     }
 
     #[test]
+    fn rising_force_error_is_explained() {
+        let step = |added: &str, rms_g: f64, rms_n: f64| StaircaseStep {
+            added: vec![added.to_owned()],
+            held_out_rms_g: rms_g,
+            force: Some(ForceError { rms_n, noise_n: 0.4 }),
+            floor_g: 0.16,
+        };
+        let steps = [
+            step("", 3.8, 2.4),
+            step("magnet_temperature", 2.1, 2.6),
+            step("hysteresis", 0.2, 0.5),
+        ];
+        let note = rising_force(&steps).unwrap();
+        assert!(
+            note.starts_with("With magnet_temperature the error of the forces rises"),
+            "{note}"
+        );
+        assert_eq!(rising_force(&steps[1..]), None);
+    }
+
+    #[test]
     fn magnitude_is_formatted_with_the_typical_one() {
         let mut found = verdict_of("hysteresis", VerdictKind::Found, Reason::ReducesError);
         (found.value, found.std_error) = (7.982, 0.010);
@@ -977,7 +1037,7 @@ mod tests {
         let step = |added: &[&str], rms: f64| StaircaseStep {
             added: added.iter().map(|&name| name.to_owned()).collect(),
             held_out_rms_g: rms,
-            held_out_rmse_n: None,
+            force: None,
             floor_g: 0.16,
         };
         let diagnosis = Diagnosis {

@@ -1,7 +1,7 @@
 //! Text and JSON of a model with other effects.
 
 use analysis::compare::AT_FLOOR;
-use analysis::edit_model::{DeviceComparison, ModelEdit};
+use analysis::edit_model::ModelEdit;
 use analysis::numbers;
 use model_export::effects::EffectTerm;
 use model_export::fit::cross_validation::{CvSplit, ErrorSums};
@@ -11,8 +11,8 @@ use model_export::model_file::EffectModel;
 use model_export::recordings::mapping::ATTITUDE_COLUMNS;
 use serde_json::{Value, json};
 
-use crate::text::notes;
 use crate::text::terminal::{self, SENSORS_ACROSS};
+use crate::text::{force_error, notes};
 
 /// Relative changes of the held-out error below this are insignificant.
 const INSIGNIFICANT_CHANGE: f64 = 0.005;
@@ -28,7 +28,7 @@ pub fn format_report(edit: &ModelEdit) -> String {
         effect_table(edit),
         parameter_table(&edit.model.effects),
         error_table(edit),
-        device_sentence(edit).unwrap_or_default(),
+        force_sentence(edit),
         terminal::paragraph(&verdict(edit)),
     )
 }
@@ -154,12 +154,8 @@ fn error_table(edit: &ModelEdit) -> String {
 fn summary(edit: &ModelEdit) -> String {
     let (old, new) = (edit.before.1.tally(), edit.after.1.tally());
     let (improved, folds) = improved_folds(edit);
-    let newtons = match (old.rmse_n(), new.rmse_n()) {
-        (Some(old), Some(new)) => format!(" ({old:.3} N -> {new:.3} N as force)"),
-        _ => String::new(),
-    };
     terminal::paragraph(&format!(
-        "Total: {:.4} G -> {:.4} G{newtons}, floor {:.4} G. Lower in {} of {} folds.",
+        "Field, all channels: {:.4} G -> {:.4} G, floor {:.4} G. Lower in {} of {} folds.",
         old.mean_square().sqrt(),
         new.mean_square().sqrt(),
         new.floor_g(),
@@ -168,22 +164,12 @@ fn summary(edit: &ModelEdit) -> String {
     ))
 }
 
-/// Force error of the device code.
-fn device_sentence(edit: &ModelEdit) -> Option<String> {
-    let device = edit.device.as_ref()?;
-    let how = if device.held_out {
-        "both models refitted without it"
-    } else {
-        "which both models were fitted to"
-    };
-    let uncompensated = device.uncompensated.iter().map(notes::uncompensated);
-    let uncompensated: String =
-        uncompensated.map(|line| terminal::paragraph(&format!("  {line}"))).collect();
-    let sentence = format!(
-        "Device code (fixed point), recording {}, {how}: {:.3} N -> {:.3} N RMSE.",
-        device.recording, device.before_rmse_n, device.after_rmse_n
-    );
-    Some(terminal::paragraph(&sentence) + &uncompensated)
+/// The force error before and after, and the effects that the device does not compensate.
+fn force_sentence(edit: &ModelEdit) -> String {
+    let uncompensated = edit.uncompensated.iter().map(notes::uncompensated);
+    let lines = edit.force.iter().map(|[before, after]| force_error::change(before, after));
+    let lines = lines.chain(uncompensated.map(|line| format!("  {line}")));
+    lines.map(|line| terminal::paragraph(&line)).collect()
 }
 
 /// Number of folds with a lower error after the edit, and of all folds.
@@ -290,7 +276,7 @@ pub fn to_json(edit: &ModelEdit) -> Value {
     let side = |fit: &JointFit| {
         let tally = fit.tally();
         json!({
-            "held_out_rms_g": tally.mean_square().sqrt(), "rmse_n": tally.rmse_n(),
+            "held_out_rms_g": tally.mean_square().sqrt(),
             "parts_rms_g": fit.folds().iter().map(|fold| fold.mean_square().sqrt()).collect::<Vec<_>>(),
             "axes": fit.sensors.iter().flat_map(|s| &s.scores).map(|score| json!({
                 "sensor": score.sensor, "axis": score.axis.letter(),
@@ -310,17 +296,9 @@ pub fn to_json(edit: &ModelEdit) -> Value {
         "after": side(&edit.after.1),
         "floor_g": edit.after.1.tally().floor_g(),
         "effects": effects.collect::<Vec<_>>(),
-        "device": edit.device.as_ref().map(device_json),
+        "force": edit.force.map(|[before, after]| json!({ "before": before, "after": after })),
+        "uncompensated": edit.uncompensated.iter().map(notes::uncompensated).collect::<Vec<_>>(),
         "verdict": verdict(edit),
         "notices": notes::texts(&edit.notes),
-    })
-}
-
-fn device_json(device: &DeviceComparison) -> Value {
-    let uncompensated: Vec<String> =
-        device.uncompensated.iter().map(notes::uncompensated).collect();
-    json!({
-        "before_rmse_n": device.before_rmse_n, "after_rmse_n": device.after_rmse_n,
-        "recording": device.recording, "held_out": device.held_out, "left": uncompensated,
     })
 }

@@ -14,15 +14,15 @@ use model_export::physics::ForwardModel;
 use model_export::recordings::Campaign;
 use serde_json::{Value, json};
 
-use crate::text::notes;
 use crate::text::terminal::{self, SENSORS_ACROSS};
+use crate::text::{force_error, notes};
 
 /// Parameters further from nominal, in tolerances, are marked: the gripper or the design file may be wrong.
 const OUTLIER_TOLERANCES: f64 = 3.0;
 
 /// The report as text.
 pub fn format_report(fit: &CampaignFit) -> String {
-    let CampaignFit { campaign, fits, model, .. } = fit;
+    let CampaignFit { campaign, fits, model, force, .. } = fit;
     let provenance = &model.provenance;
     let base = match fits {
         CampaignFits::Cylinder(..) => parameters(model) + &unidentifiable_text(model),
@@ -30,7 +30,7 @@ pub fn format_report(fit: &CampaignFit) -> String {
     };
     format!(
         "{}: {} recordings, {:.1} s, {} rows; the field is averaged over ±{:.2} ms around each\n\
-         reference row (delay {} ms).\n\n{base}\n{}{}\n\
+         reference row (delay {} ms).\n\n{base}\n{}{}{}\n\
          Error bars: block bootstrap, {} draws, seed {}, blocks of {} s.\n",
         provenance.campaign,
         campaign.recordings.len(),
@@ -39,6 +39,9 @@ pub fn format_report(fit: &CampaignFit) -> String {
         provenance.half_window_ms,
         provenance.delay_ms,
         error_table(campaign, model),
+        force.as_ref().map_or_else(String::new, |error| {
+            terminal::paragraph(&force_error::headline(error))
+        }),
         verdict(model),
         FitOptions::default().draws,
         provenance.seed,
@@ -231,6 +234,7 @@ pub fn to_json(fit: &CampaignFit) -> Value {
     });
     json!({
         "axes": axis_errors.collect::<Vec<_>>(),
+        "force": fit.force,
         "held_out_rms_g": pooled_rms(axes(model).map(|(_, axis)| axis.rms_g)),
         "parameters": model.sensors.iter().flat_map(parameters_json).collect::<Vec<_>>(),
         "held": held.collect::<Vec<_>>(),

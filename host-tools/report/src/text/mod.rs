@@ -17,6 +17,7 @@ pub mod export;
 pub mod fault_campaign;
 pub mod findings;
 pub mod fit;
+pub mod force_error;
 pub mod grasp;
 pub mod notes;
 pub mod recording_check;

@@ -2,15 +2,15 @@
 
 use analysis::benchmark::MIN_BENEFIT;
 use analysis::replay::evaluation::{
-    NetworkComparison, PooledAxis, ReplayEvaluation, coverage_fractions, pooled, rejected_fraction,
-    rmse_n, times_real_time,
+    NetworkComparison, PooledAxis, ReplayEvaluation, coverage_fractions, pooled, pooled_error,
+    rejected_fraction, times_real_time,
 };
 use analysis::replay::tare::TARE_HARM;
 use analysis::replay::{AxisReplay, RecordingReplay, coverage};
 use serde_json::{Value, json};
 
 use crate::text::calibration::{coverage_json, coverage_percent};
-use crate::text::{FORCES, notes, rms_or_dash, terminal};
+use crate::text::{FORCES, force_error, notes, rms_or_dash, terminal};
 
 /// The report as text.
 pub fn format_report(evaluation: &ReplayEvaluation) -> String {
@@ -53,8 +53,18 @@ pub fn force_table(evaluation: &ReplayEvaluation) -> String {
     }
     terminal::right_align(&mut table, 2);
     let rows: u64 = evaluation.fitted.iter().map(|r| r.rows).sum();
+    let error = pooled_error(&evaluation.fitted);
+    let recordings = evaluation.fitted.iter();
+    let is_training = |name: &String| evaluation.training_recordings.contains(name);
+    let seen = recordings.filter(|recording| is_training(&recording.name)).count();
+    let how = match (seen, evaluation.fitted.len()) {
+        (0, _) => "held out",
+        (seen, all) if seen == all => "NOT held out: the model was fitted to these recordings",
+        _ => "partly NOT held out: the model was fitted to some of these recordings",
+    };
+    let headline = terminal::paragraph(&force_error::of(how, &error));
     format!(
-        "Force error of the device code in newtons: device minus (linearly interpolated) reference. Noise:\n\
+        "{headline}\nForce error of the device code in newtons: device minus (linearly interpolated) reference. Noise:\n\
          the error due to white noise of sensor and reference alone.\n{table}\n\
          {}{}{}{}\n{}{rows} rows, {:.0} times real time on one core (including reading).\n",
         tare_line(&evaluation.fitted),
@@ -69,10 +79,11 @@ pub fn force_table(evaluation: &ReplayEvaluation) -> String {
 /// Benefit of the compensation on the device.
 fn without_compensation(evaluation: &ReplayEvaluation) -> Option<String> {
     let without = evaluation.uncompensated.as_ref()?;
+    let (with, without) = (pooled_error(&evaluation.fitted), pooled_error(without));
     Some(format!(
-        "Over all forces: RMSE {:.3} N with compensation of the model's effects, {:.3} N without.\n\n",
-        rmse_n(&evaluation.fitted),
-        rmse_n(without),
+        "The compensation of the model's effects lowers the excess over noise from {:.3} N to {:.3} N.\n\n",
+        without.excess_n(),
+        with.excess_n(),
     ))
 }
 
@@ -223,8 +234,8 @@ pub fn to_json(evaluation: &ReplayEvaluation) -> Value {
         }).collect::<Vec<_>>(),
         "linear": pooled(&evaluation.linear).iter().map(sensor_json).collect::<Vec<_>>(),
         "nominal": pooled(&evaluation.nominal).iter().map(sensor_json).collect::<Vec<_>>(),
-        "rmse_n": rmse_n(&evaluation.fitted),
-        "uncompensated_rmse_n": evaluation.uncompensated.as_deref().map(rmse_n),
+        "force": pooled_error(&evaluation.fitted),
+        "uncompensated_force": evaluation.uncompensated.as_deref().map(pooled_error),
         "networks": network_json(evaluation),
         "notes": notes::texts(&evaluation.notes),
         "rows": evaluation.fitted.iter().map(|r| r.rows).sum::<u64>(),
@@ -307,15 +318,17 @@ fn network_report(evaluation: &ReplayEvaluation) -> Option<String> {
         ]);
     }
     terminal::right_align(&mut table, 2);
+    let [without_n, with_n] =
+        [&comparison.without, &comparison.with].map(|replays| pooled_error(replays).rms_n);
     Some(format!(
         "Recurrent networks, in newtons, on {}:\n\
          RMSE without and with networks, with networks in floating point, predicted standard deviation and\n\
          coverage of one and two of it (Gaussian: 68.3 and 95.4 %).\n{table}\n\
          Over all forces: RMSE {:.3} N without, {:.3} N with. {}\n{}{}\n",
         if comparison.held_out { "held-out recordings" } else { "training recordings" },
-        rmse_n(&comparison.without),
-        rmse_n(&comparison.with),
-        network_verdict(rmse_n(&comparison.without), rmse_n(&comparison.with)),
+        without_n,
+        with_n,
+        network_verdict(without_n, with_n),
         rejection_sentence(&comparison.with),
         coverage_line(&comparison.with),
     ))
@@ -355,6 +368,6 @@ fn network_json(evaluation: &ReplayEvaluation) -> Value {
     json!({
         "held_out": comparison.held_out, "sensors": rows,
         "coverage": coverage(&comparison.with).as_ref().map(coverage_json),
-        "without_rmse_n": rmse_n(&comparison.without), "rmse_n": rmse_n(&comparison.with),
+        "without_force": pooled_error(&comparison.without), "force": pooled_error(&comparison.with),
     })
 }

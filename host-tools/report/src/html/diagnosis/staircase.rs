@@ -1,4 +1,4 @@
-//! Held-out error after each added effect, relative to the floor.
+//! Held-out error after each added effect, with its noise.
 
 use maud::{Markup, html};
 use plotters::prelude::*;
@@ -18,26 +18,30 @@ const FILLED: f64 = 0.6;
 /// Bars, and a table with the names of the effects.
 pub fn section(diagnosis: &Diagnosis) -> Section {
     let stairs = &diagnosis.staircase;
+    let bars = Bars::of(stairs);
     let rows = stairs.iter().enumerate().map(|(i, stair)| {
         vec![
             html! { (i) ". " (text::added_effects(stair)) },
             html! { (number(stair.held_out_rms_g)) },
             html! { (number(floors(stair))) },
-            html! { (maybe(stair.held_out_rmse_n)) },
+            html! { (maybe(stair.force.map(|force| force.excess_n()))) },
+            html! { (maybe(stair.force.map(|force| force.rms_n))) },
+            html! { (maybe(stair.force.map(|force| force.noise_n))) },
         ]
     });
     let body = html! {
         figure {
-                figcaption { "Held-out error over all sensors, in gauss; above each bar in floors" }
-                (plot(stairs))
+                figcaption { (bars.caption) }
+                (plot(stairs, &bars))
                 (key(&[
                     (Swatch::Full, palette::FIRST, "RMS, held out".to_owned()),
-                    (Swatch::Mark, palette::INK, "floor: residual of a perfect model".to_owned()),
+                    (Swatch::Mark, palette::INK, bars.floor.to_owned()),
                 ]))
             }
+            @if let Some(note) = text::rising_force(stairs) { p.note { (note) } }
             (table(
                 "Step by step",
-                &["added", "RMS in G", "RMS / floor", "as force in N"],
+                &["added", "field RMS in G", "field RMS / floor", "force excess in N", "force RMS in N", "noise in N"],
                 rows,
             ))
     };
@@ -48,47 +52,71 @@ fn floors(stair: &StaircaseStep) -> f64 {
     stair.held_out_rms_g / stair.floor_g
 }
 
-fn plot(stairs: &[StaircaseStep]) -> Markup {
-    let says =
-        stairs.iter().fold("Bars: held-out error after each step.".to_owned(), |says, stair| {
-            format!(
-                "{says} {}: {} G, {} floors.",
-                text::added_effects(stair),
-                number(stair.held_out_rms_g),
-                number(floors(stair))
-            )
-        });
-    figure(SIZE, &says, |paper| draw(paper, stairs))
+/// What the bars show: forces in newtons, or the field in gauss where the device computes no forces.
+struct Bars {
+    caption: &'static str,
+    axis: &'static str,
+    floor: &'static str,
+    /// Error, noise and label of each bar.
+    list: Vec<(f64, f64, String)>,
 }
 
-fn draw(paper: &Paper, stairs: &[StaircaseStep]) -> Result<(), Failure> {
-    let sizes = stairs.iter().flat_map(|s| [s.held_out_rms_g, s.floor_g]);
-    let mut upwards = Along::bars("RMS in gauss", sizes);
+impl Bars {
+    fn of(stairs: &[StaircaseStep]) -> Self {
+        let forces: Option<Vec<_>> = stairs.iter().map(|stair| stair.force).collect();
+        match forces {
+            Some(forces) => Self {
+                caption: "Held-out force error through the device's code, RMS over all forces; above each bar the excess over the noise",
+                axis: "RMS in newtons",
+                floor: "noise: error of a perfect model",
+                list: forces
+                    .iter()
+                    .map(|of| (of.rms_n, of.noise_n, format!("{} N", number(of.excess_n()))))
+                    .collect(),
+            },
+            None => Self {
+                caption: "Held-out error of the field over all sensors, in gauss; above each bar in floors",
+                axis: "RMS in gauss",
+                floor: "floor: residual of a perfect model",
+                list: stairs
+                    .iter()
+                    .map(|s| (s.held_out_rms_g, s.floor_g, format!("{} x", number(floors(s)))))
+                    .collect(),
+            },
+        }
+    }
+}
+
+fn plot(stairs: &[StaircaseStep], bars: &Bars) -> Markup {
+    let steps = stairs.iter().zip(&bars.list);
+    let says = steps.fold(format!("Bars: {}.", bars.caption), |says, (stair, (rms, _, label))| {
+        format!("{says} {}: {}, {label}.", text::added_effects(stair), number(*rms))
+    });
+    figure(SIZE, &says, |paper| draw(paper, bars))
+}
+
+fn draw(paper: &Paper, bars: &Bars) -> Result<(), Failure> {
+    let sizes = bars.list.iter().flat_map(|(rms, noise, _)| [*rms, *noise]);
+    let mut upwards = Along::bars(bars.axis, sizes);
     // Space for the labels above the highest bar.
     upwards.range.end *= 1.08;
-    let mut chart = axes(paper, &Along::things(stairs.len()), &upwards)?;
+    let mut chart = axes(paper, &Along::things(bars.list.len()), &upwards)?;
     let (foot, top) = (upwards.range.start, upwards.range.end);
-    for (i, stair) in stairs.iter().enumerate() {
+    for (i, (rms, noise, label)) in bars.list.iter().enumerate() {
         let (from, to) = (i as f64, i as f64 + 1.0);
         let middle = from + 0.5;
-        if stair.held_out_rms_g.is_finite() {
-            let corners =
-                [(middle - 0.5 * FILLED, 0.0), (middle + 0.5 * FILLED, stair.held_out_rms_g)];
+        if rms.is_finite() {
+            let corners = [(middle - 0.5 * FILLED, 0.0), (middle + 0.5 * FILLED, *rms)];
             let fill = palette::FIRST.light.filled();
             chart.draw_series([Rectangle::new(corners, fill)])?;
         }
-        if stair.floor_g.is_finite() {
-            let line = [(from, stair.floor_g), (to, stair.floor_g)];
+        if noise.is_finite() {
+            let line = [(from, *noise), (to, *noise)];
             chart.draw_series([PathElement::new(line, stroke(palette::INK, 2.5))])?;
         }
-        let height = if stair.held_out_rms_g.is_finite() {
-            stair.held_out_rms_g.max(stair.floor_g)
-        } else {
-            top
-        };
+        let height = if rms.is_finite() { rms.max(*noise) } else { top };
         let (x, y) = chart.backend_coord(&(middle, height));
-        let words = format!("{} x", number(floors(stair)));
-        paper.draw(&Text::new(words, (x, y - px(10.0)), centred(palette::INK, 1.0)))?;
+        paper.draw(&Text::new(label.as_str(), (x, y - px(10.0)), centred(palette::INK, 1.0)))?;
         let (x, y) = chart.backend_coord(&(middle, foot));
         let words = match i {
             0 => "initial".to_owned(),

@@ -2,6 +2,7 @@ use super::*;
 use crate::html::fixture::comparison;
 use crate::html::page_with;
 use crate::text::diagnosis_fixture::full;
+use analysis::compare::ForceError;
 
 fn page(diagnosis: &Diagnosis) -> String {
     page_with(&comparison(1, 4, 4.0), &sections(diagnosis))
@@ -41,7 +42,15 @@ fn staircase_has_a_bar_with_floors_per_step() {
     for floors in ["24.0 x", "13.0 x", "1.45 x"] {
         assert!(stairs.contains(floors), "{floors}");
     }
-    assert!(stairs.contains("2. + hysteresis"));
+    assert!(stairs.contains("2. + hysteresis") && stairs.contains("RMS in gauss"));
+
+    // With forces of every step: 0.5^2 - 0.4^2 = 0.3^2.
+    let mut with_forces = full();
+    let force = Some(ForceError { rms_n: 0.5, noise_n: 0.4 });
+    with_forces.staircase.iter_mut().for_each(|step| step.force = force);
+    let page = page_with(&comparison(1, 4, 4.0), &sections(&with_forces));
+    let stairs = section(&page, "staircase");
+    assert!(stairs.contains("RMS in newtons") && stairs.contains("0.300 N"), "{stairs}");
 }
 
 #[test]

@@ -14,8 +14,10 @@ use maud::{Markup, html};
 pub fn verdict_section(diagnosis: &Diagnosis) -> Section {
     let there = diagnosis.verdicts.iter().filter(|v| text::is_present(v));
     let provisional = there.clone().any(|verdict| verdict.provisional);
+    let headline = text::force_headline(diagnosis);
     let body = html! {
         @if diagnosis.is_interrupted { p { strong { (text::INTERRUPTED_NOTE) } } }
+        @if !headline.is_empty() { p.verdict { (headline) } }
         p.verdict { (text::verdict(diagnosis)) }
         @if diagnosis.at_floor { p { strong { (text::at_floor_note(diagnosis)) } } }
         (next(diagnosis))

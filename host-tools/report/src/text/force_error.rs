@@ -1,0 +1,45 @@
+//! The error over all forces through the device's own code, in the words of every command.
+
+use analysis::compare::ForceError;
+
+/// Headline of one model on held-out rows.
+pub fn headline(error: &ForceError) -> String {
+    of("held out", error)
+}
+
+/// Headline of one model on rows that are used like this: "held out".
+pub fn of(rows: &str, error: &ForceError) -> String {
+    format!(
+        "Force error ({rows}, device's code, RMS over all forces): {:.3} N; noise {:.3} N, excess over noise {:.3} N.",
+        error.rms_n,
+        error.noise_n,
+        error.excess_n()
+    )
+}
+
+/// Headline of a model before and after a change.
+pub fn change(before: &ForceError, after: &ForceError) -> String {
+    format!(
+        "Force error (held out, device's code, RMS over all forces): {:.3} N -> {:.3} N; noise {:.3} N, excess over noise \
+         {:.3} N -> {:.3} N.",
+        before.rms_n,
+        after.rms_n,
+        after.noise_n,
+        before.excess_n(),
+        after.excess_n()
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_excess_is_the_root_of_the_difference_of_squares() {
+        // 0.5^2 - 0.4^2 = 0.3^2; an error below the noise has no excess.
+        let (before, after) =
+            (ForceError { rms_n: 0.5, noise_n: 0.4 }, ForceError { rms_n: 0.39, noise_n: 0.4 });
+        assert!(headline(&before).contains("0.500 N; noise 0.400 N, excess over noise 0.300 N"));
+        assert!(change(&before, &after).contains("excess over noise 0.300 N -> 0.000 N"));
+    }
+}
