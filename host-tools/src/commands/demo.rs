@@ -255,9 +255,11 @@ fn error_table(fitted: &Fitted, steps: &ErrorSteps) -> String {
     } else {
         ""
     };
+    let heading = terminal::paragraph(
+        "Force error of the held-out recording (device's code, RMS over all forces), its noise, and the excess over the noise:",
+    );
     format!(
-        "Force error of the held-out recording (device's code, RMS over all forces), its noise, and the excess over noise:\n\n\
-         {table}\n{tie}Models: better-1.toml and so on, in {}.\n",
+        "{heading}\n{table}\n{tie}Models: better-1.toml and so on, in {}.\n",
         fitted.output.display()
     )
 }
