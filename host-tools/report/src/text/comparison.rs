@@ -522,7 +522,7 @@ pub fn verdict(comparison: &Comparison) -> String {
 fn conclusion(comparison: &Comparison) -> String {
     let (rms, floor) = (rms_g(&comparison.axes), floor_g(&comparison.axes));
     let span = pooled_rms(comparison.axes.iter().map(|axis| axis.error.span));
-    let error = format!("{} held out ({:.2} % of the range)", field(rms), 100.0 * rms / span);
+    let error = format!("field {} held out ({:.2} % of the range)", field(rms), 100.0 * rms / span);
     if floor <= 0.0 || floor.is_nan() {
         return format!(
             "Inconclusive: the noise of these recordings is unknown, so there is no floor to compare {error} with."
