@@ -73,10 +73,9 @@ pub fn refit(
         };
         let [before_n, after_n] = [forces(&before, &old)?, forces(&after, &new)?];
         bar.finish_and_clear();
-        for missing in [&before_n, &after_n].into_iter().filter_map(|side| side.none.as_ref()) {
-            if let MissingForces::NotCompensable(why) = missing {
-                notes.push(Note::NotCompensable(why.clone()));
-            }
+        let missing = before_n.none.as_ref().or(after_n.none.as_ref());
+        if let Some(MissingForces::NotCompensable(why)) = missing {
+            notes.push(Note::NotCompensable(why.clone()));
         }
         let force = ForceError::of(&before_n.errors).zip(ForceError::of(&after_n.errors));
         Ok(ModelEdit {

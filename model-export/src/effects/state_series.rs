@@ -336,7 +336,7 @@ mod tests {
             let from = StateSeries::of(&excitation, stiffness, &chain);
             let effect_chain = EffectChain::new(&excitation, stiffness, chain.clone());
             for (place, (effect, values_here)) in chain.iter().enumerate() {
-                let mut felt = 0.0_f64;
+                let mut largest = 0.0_f64;
                 for index in 0..values_here.len() {
                     let moved = values(effect.effect().unwrap(), Some(index));
                     let mut other = chain.clone();
@@ -345,10 +345,10 @@ mod tests {
                     let found = effect_chain.change(place, &moved, &responses);
                     let what =
                         format!("{} of {:?}", effect.name(), [one.name(), other[0].0.name()]);
-                    felt = felt.max(compare(&found, &from, &to, &what));
+                    largest = largest.max(compare(&found, &from, &to, &what));
                 }
-                // A backlash of the screw is felt through a magnet that depends on the opening.
-                assert!(felt > 0.0 || effect.name() == "screw_backlash", "{}", effect.name());
+                // A backlash of the screw changes the field only through a magnet that depends on the opening.
+                assert!(largest > 0.0 || effect.name() == "screw_backlash", "{}", effect.name());
             }
             let to = StateSeries::of(&excitation, [2.1, 4.8], &chain);
             let found = effect_chain.change_of_stiffness([2.1, 4.8], &responses);

@@ -250,15 +250,15 @@ pub struct StaircaseStep {
     pub added: Vec<String>,
     /// Cross-validated error over all channels, in gauss.
     pub held_out_rms_g: f64,
-    /// Held-out force error; `None` where the device cannot compute the forces.
+    /// Held-out force error; `None` where the device cannot compute the forces, or the diagnosis was ended early.
     pub force: Option<ForceError>,
     /// Noise floor in gauss.
     pub floor_g: f64,
 }
 
 /// Diagnoses which effects `model` (read from `path`) does not contain on `campaign`: those of the catalogue and the user's
-/// `own`. The campaign was read with `alignment`. With `plans` it proposes recordings for what is open. `observer` receives the progress and can end it early. The
-/// second value is the fit of `model` to the campaign, where its cross-validation is that of a comparison.
+/// `own`. The campaign was read with `alignment`. With `plans` it proposes recordings for what is open. `observer` receives the
+/// progress and can end it early. The second value is the fit of `model` to the campaign, where its cross-validation is that of a comparison.
 ///
 /// # Errors
 /// A fit fails.
@@ -294,11 +294,13 @@ pub fn diagnose(
     diagnosis.set_equivalent_formulas(equivalent_formulas);
     diagnosis.rows = [sample.row_count(), prepared.row_count()];
     diagnosis.recordings = [sample.recording_count(), prepared.recording_count()];
-    observer.stage("replaying each step on the device's code", REPLAYS);
-    for (step, stage) in diagnosis.staircase.iter_mut().zip(&selection.stages) {
-        let (fit, effects) = (&stage.fit, &stage.effects);
-        let forces = held_out_forces(campaign, &prepared, fit, effects, alignment, options)?;
-        step.force = ForceError::of(&forces.errors);
+    if !observer.is_stopped() {
+        observer.stage("replaying each step on the device's code", REPLAYS);
+        for (step, stage) in diagnosis.staircase.iter_mut().zip(&selection.stages) {
+            let (fit, effects) = (&stage.fit, &stage.effects);
+            let forces = held_out_forces(campaign, &prepared, fit, effects, alignment, options)?;
+            step.force = ForceError::of(&forces.errors);
+        }
     }
     if let Some(last) = selection.stages.last().filter(|_| !diagnosis.at_floor) {
         let located = selection.attributed.iter().map(|(_, share)| share).sum();

@@ -54,9 +54,15 @@ pub fn force_headline(comparison: &Comparison) -> String {
         return String::new();
     };
     let baseline = comparison.other.as_ref().and_then(|other| ForceError::of(&other.forces));
+    let models = std::iter::once(comparison).chain(comparison.other.as_deref());
+    let is_fitted = |model: &Comparison| {
+        matches!(model.validation, Some(Validation::NotHeldOut(_) | Validation::Edited(_)))
+    };
+    let rows =
+        if models.into_iter().any(is_fitted) { "NOT held out" } else { force_error::HELD_OUT };
     match baseline {
-        Some(baseline) => force_error::change(&baseline, &error),
-        None => force_error::headline(&error),
+        Some(baseline) => force_error::change_of(rows, &baseline, &error),
+        None => force_error::of(rows, &error),
     }
 }
 
@@ -688,5 +694,29 @@ mod tests {
     #[test]
     fn uniform_residual_has_no_limit() {
         assert_eq!(follows(&located([0.1; 6])), "48 % of the residual follows the opening");
+    }
+
+    #[test]
+    fn headline_says_where_rows_are_not_held_out() {
+        let force = |rms: f64| ForceAxisErrors {
+            sensor: 0,
+            axis: model_export::recordings::columns::Axis::X,
+            error: ErrorStatistics { rms, ..ErrorStatistics::default() },
+            tared_rms: None,
+            floor: 0.4,
+            explainable: 0.0,
+        };
+        let of = |rms: f64, validation: Validation| Comparison {
+            forces: vec![force(rms)],
+            validation: Some(validation),
+            ..Comparison::default()
+        };
+        let unseen = || of(0.5, Validation::UnseenRecordings);
+        let fitted = || of(0.5, Validation::NotHeldOut("no".to_owned()));
+        assert!(force_headline(&unseen()).starts_with("Force error (held out, "));
+        assert!(force_headline(&fitted()).starts_with("Force error (NOT held out, "));
+        let both = Comparison { other: Some(Box::new(fitted())), ..unseen() };
+        assert!(force_headline(&both).starts_with("Force error (NOT held out, "));
+        assert_eq!(force_headline(&Comparison::default()), "");
     }
 }

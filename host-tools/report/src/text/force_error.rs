@@ -2,9 +2,12 @@
 
 use analysis::compare::ForceError;
 
+/// Of rows that the model was not fitted to.
+pub const HELD_OUT: &str = "held out";
+
 /// Headline of one model on held-out rows.
 pub fn headline(error: &ForceError) -> String {
-    of("held out", error)
+    of(HELD_OUT, error)
 }
 
 /// Headline of one model on rows that are used like this: "held out".
@@ -17,10 +20,15 @@ pub fn of(rows: &str, error: &ForceError) -> String {
     )
 }
 
-/// Headline of a model before and after a change.
+/// Headline of a model before and after a change, on held-out rows.
 pub fn change(before: &ForceError, after: &ForceError) -> String {
+    change_of(HELD_OUT, before, after)
+}
+
+/// Headline of a model before and after a change, on rows that are used like this.
+pub fn change_of(rows: &str, before: &ForceError, after: &ForceError) -> String {
     format!(
-        "Force error (held out, device's code, RMS over all forces): {:.3} N -> {:.3} N; noise {:.3} N, excess over noise \
+        "Force error ({rows}, device's code, RMS over all forces): {:.3} N -> {:.3} N; noise {:.3} N, excess over noise \
          {:.3} N -> {:.3} N.",
         before.rms_n,
         after.rms_n,

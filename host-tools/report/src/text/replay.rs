@@ -81,7 +81,7 @@ fn without_compensation(evaluation: &ReplayEvaluation) -> Option<String> {
     let without = evaluation.uncompensated.as_ref()?;
     let (with, without) = (pooled_error(&evaluation.fitted), pooled_error(without));
     Some(format!(
-        "The compensation of the model's effects lowers the excess over noise from {:.3} N to {:.3} N.\n\n",
+        "Excess over noise without the compensation of the model's effects {:.3} N, with it {:.3} N.\n\n",
         without.excess_n(),
         with.excess_n(),
     ))

@@ -62,7 +62,7 @@ impl Cylinder {
 
     /// Derivative of [`Cylinder::unit_field`] along the axis, per mm. A magnetised cylinder is a stack of current loops: a shift of it
     /// along the axis adds one at one end and removes one at the other.
-    fn loops(&self, at_mm: Vector3<f64>) -> Vector3<f64> {
+    fn axial_derivative(&self, at_mm: Vector3<f64>) -> Vector3<f64> {
         let end = Vector3::z() * (0.5 * self.length_mm);
         let field_t = |at: Vector3<f64>| {
             circular_B(
@@ -83,7 +83,7 @@ impl Cylinder {
     /// axial symmetry, the derivative along the axis determines it.
     pub fn unit_field_and_gradient(&self, at_mm: Vector3<f64>) -> (Vector3<f64>, Matrix3<f64>) {
         let field = self.unit_field(at_mm);
-        let along = self.loops(at_mm);
+        let along = self.axial_derivative(at_mm);
         let (x, y) = (at_mm.x, at_mm.y);
         let radius = x.hypot(y);
         let dbz_dz = along.z;
