@@ -125,7 +125,7 @@ fn effect_with_values(id: &str) -> (EffectTerm, Vec<f64>) {
 }
 
 fn chosen(rest: &StaticModel) -> SelectedModels {
-    select_models(std::slice::from_ref(rest), &[0], 7, GAUSS_PER_LSB, 2000.0).unwrap()
+    select_models(std::slice::from_ref(rest), &[0], 7, GAUSS_PER_LSB, 2000.0, None).unwrap()
 }
 
 /// RMS error of both forces in newtons, with and without compensation.

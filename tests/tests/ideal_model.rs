@@ -39,7 +39,7 @@ const RANGE_G: f64 = 2000.0;
 fn chosen() -> &'static SelectedModels {
     static CHOSEN: std::sync::OnceLock<SelectedModels> = std::sync::OnceLock::new();
     CHOSEN.get_or_init(|| {
-        select_models(&[(); 4].map(|()| nominal()), &[0, 1, 2, 3], 7, GAUSS_PER_LSB, RANGE_G)
+        select_models(&[(); 4].map(|()| nominal()), &[0, 1, 2, 3], 7, GAUSS_PER_LSB, RANGE_G, None)
             .unwrap()
     })
 }
@@ -51,7 +51,7 @@ fn reading(field_g: Vector3<f64>) -> HallReading {
 
 #[test]
 fn fixed_point_agrees_with_floating_point_to_0_1_n_rms() {
-    for errors in &chosen().errors {
+    for errors in chosen().errors() {
         let (rms, worst) = errors.fixed;
         assert!(rms.iter().all(|rms| *rms <= 0.1), "{rms:?}");
         assert!(worst.iter().all(|worst| *worst <= 0.5), "{worst:?}");
@@ -60,7 +60,7 @@ fn fixed_point_agrees_with_floating_point_to_0_1_n_rms() {
 
 #[test]
 fn the_inverse_error_is_below_the_noise_of_a_reading() {
-    for errors in &chosen().errors {
+    for errors in chosen().errors() {
         let (rms, _) = errors.model;
         let (linear, _) = errors.linear;
         for axis in 0..2 {
@@ -133,7 +133,8 @@ fn unusable_readings_have_the_right_validity() {
 #[test]
 fn sensors_without_a_table_are_missing() {
     let chosen =
-        select_models(&[(); 2].map(|()| nominal()), &[1, 3], 7, GAUSS_PER_LSB, RANGE_G).unwrap();
+        select_models(&[(); 2].map(|()| nominal()), &[1, 3], 7, GAUSS_PER_LSB, RANGE_G, None)
+            .unwrap();
     let loaded = Some(reading(nominal().field([50.0, -80.0])));
     let frame = HallFrame { time_us: 0, readings: [loaded; 4] };
     let found = estimate_all(&chosen.tables.tables(&[]), &frame).map(|estimate| estimate.validity);
@@ -199,7 +200,7 @@ fn with_tolerances() -> StaticModel {
 /// Parity residuals of the device in gauss, with the tables of `model`.
 fn parity_residuals(model: &StaticModel, fields: &[Vector3<f64>]) -> Vec<f64> {
     let chosen =
-        select_models(std::slice::from_ref(model), &[0], 7, GAUSS_PER_LSB, RANGE_G).unwrap();
+        select_models(std::slice::from_ref(model), &[0], 7, GAUSS_PER_LSB, RANGE_G, None).unwrap();
     let surface = &chosen.surfaces[0];
     assert!(surface.fit_rms_g < 0.01, "{}", surface.fit_rms_g);
     let mut tables = chosen.tables.clone();
@@ -271,8 +272,9 @@ fn inverse_errors_of_other_magnets_are_below_the_noise() {
         let noise_n = slopes.map(|slope| constants::SENSOR_NOISE.value / slope.norm());
         let (scale, range) = (constants::SENSOR_SCALE.value, constants::SENSOR_RANGE.value);
         let chosen =
-            select_models(&[StaticModel::without_effects(model)], &[2], 7, scale, range).unwrap();
-        let errors = chosen.errors[0];
+            select_models(&[StaticModel::without_effects(model)], &[2], 7, scale, range, None)
+                .unwrap();
+        let errors = chosen.errors()[0];
         for (axis, noise_n) in noise_n.into_iter().enumerate() {
             let (inverse, fixed) = (errors.model.0[axis], errors.fixed.0[axis]);
             assert!(inverse < 0.5 * noise_n, "{inverse} {noise_n} {design:?}");

@@ -66,13 +66,13 @@ pub fn refit(
         let provenance = Provenance::of(&campaign, alignment.delay_us, options)?;
         let sources = provenance.recordings.iter();
         check_distinct(&provenance.campaign, sources.map(|r| (&*r.name, &*r.sha256)))?;
-        let bar = progress::progress_bar("replaying, before and after", 2);
-        let forces = |effects: &[EffectTerm], fit: &JointFit| {
-            bar.inc(1);
-            held_out_forces(&campaign, &prepared, fit, effects, alignment, options)
-        };
-        let [before_n, after_n] = [forces(&before, &old)?, forces(&after, &new)?];
+        let bar = progress::progress_bar("replaying, before and after", 1);
+        let fits = [(&old, before.as_slice()), (&new, after.as_slice())];
+        let forces = held_out_forces(&campaign, &prepared, &fits, alignment, options)?;
         bar.finish_and_clear();
+        let mut forces = forces.into_iter();
+        let mut next = || forces.next().unwrap_or_default();
+        let (before_n, after_n) = (next(), next());
         let missing = before_n.none.as_ref().or(after_n.none.as_ref());
         if let Some(MissingForces::NotCompensable(why)) = missing {
             notes.push(Note::NotCompensable(why.clone()));

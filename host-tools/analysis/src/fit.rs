@@ -58,9 +58,9 @@ pub fn fit_model(
             CampaignFits::Cylinder(_, fit) => {
                 let bar = progress::progress_bar("replaying on the device's code", 1);
                 let setup = FitSetup::cylinder(&campaign)?;
-                let forces = held_out_forces(&campaign, &setup, fit, &[], alignment, options)?;
+                let forces = held_out_forces(&campaign, &setup, &[(fit, &[])], alignment, options)?;
                 bar.finish_and_clear();
-                ForceError::of(&forces.errors)
+                forces.first().and_then(|forces| ForceError::of(&forces.errors))
             }
         };
         Ok(CampaignFit { campaign, fits, model, force, notes: std::mem::take(notes) })

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::sync::atomic::Ordering::Relaxed;
 
-use analysis::replay::replay_with;
+use analysis::replay::replay_each;
 use device_run::ReplayModels;
 use device_run::networks::NetworkSet;
 use embedded_can::Frame;
@@ -118,17 +118,21 @@ fn replayed(made: &Made, folder: &Path) -> Vec<[Replayed; SENSORS]> {
     }
     let mut estimates = vec![[None; SENSORS]; places.len()];
     let raw = |newtons: [f64; 2]| newtons.map(|n| (n * fixed_point::Force::PER_NEWTON) as i32);
-    let models = ReplayModels { networks: made.networks.as_ref(), ..ReplayModels::of(&made.built) };
+    // In one pass with a model without networks, which must not change the others.
+    let alone = ReplayModels::of(&made.built);
+    let models = [alone, ReplayModels { networks: made.networks.as_ref(), ..alone }];
     let numbers = &made.built.header.sensors;
-    replay_with(
-        models,
+    replay_each(
+        &models,
         "",
         stream(folder),
         |_| (),
-        |seen| {
-            let row = places[&seen.time_s.to_bits()];
-            estimates[row][numbers[seen.sensor] as usize] =
-                Some((raw(seen.estimate_n), seen.sigma_n.map(raw)));
+        |model, seen| {
+            if model == 1 {
+                let row = places[&seen.time_s.to_bits()];
+                estimates[row][numbers[seen.sensor] as usize] =
+                    Some((raw(seen.estimate_n), seen.sigma_n.map(raw)));
+            }
         },
     )
     .unwrap();

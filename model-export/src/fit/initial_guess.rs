@@ -10,9 +10,12 @@ use rayon::prelude::*;
 
 use crate::effects::{EffectParameter, EffectTerm, ParameterKind};
 use crate::fit::cross_validation::MAX_RECORDING_FOLDS;
-use crate::fit::linearisation::{Linearisation, held_out_residuals, least_residual};
+use crate::fit::linearisation::{
+    Linearisation, RecordingNormals, held_out_residuals, least_residual,
+};
 use crate::fit::problem::SensorProblem;
 use crate::physics::PhysicalState;
+use std::sync::Arc;
 
 /// Rows of a recording that the search uses.
 const ROWS: usize = 400;
@@ -42,8 +45,8 @@ pub struct ShapeSearch<'a> {
     /// Fitted values, then current values of the effects.
     pub values: Vec<f64>,
     linearisation: Linearisation,
-    /// Derivatives to the coefficients of the other effects.
-    others: DMatrix<f64>,
+    /// Normal equations with the coefficients of the other effects.
+    normals: Arc<RecordingNormals>,
 }
 
 impl<'a> ShapeSearch<'a> {
@@ -62,12 +65,7 @@ impl<'a> ShapeSearch<'a> {
         problem: SensorProblem<'a>,
         values: Vec<f64>,
     ) -> Self {
-        Self {
-            others: DMatrix::zeros(linearisation.residual.len(), 0),
-            linearisation,
-            problem,
-            values,
-        }
+        Self { normals: linearisation.normals.clone(), linearisation, problem, values }
     }
 
     /// The same state on other rows.
@@ -126,25 +124,16 @@ impl<'a> ShapeSearch<'a> {
         let mut values = self.values.clone();
         values[self.problem.ranges()[effect].start + j] = value;
         let own = self.jacobian(&coefficients(&self.problem, effect), &values);
-        let all = hstack(&self.others, &own);
-        let normals = self.linearisation.normals.with(&all);
+        let normals = self.normals.with(&own);
         if left_out { held_out_residuals(&normals) } else { vec![least_residual(&normals).0] }
     }
 
-    /// Sets the regressors of the other effects.
+    /// Sets the other effects whose coefficients are fitted.
     fn set_others(&mut self, others: &[usize]) {
         let parameters: Vec<usize> =
             others.iter().flat_map(|&i| coefficients(&self.problem, i)).collect();
-        self.others = self.jacobian(&parameters, &self.values);
-    }
-}
-
-fn hstack(left: &DMatrix<f64>, right: &DMatrix<f64>) -> DMatrix<f64> {
-    let columns: Vec<_> = left.column_iter().chain(right.column_iter()).collect();
-    if columns.is_empty() {
-        DMatrix::zeros(left.nrows(), 0)
-    } else {
-        DMatrix::from_columns(&columns)
+        let columns = self.jacobian(&parameters, &self.values);
+        self.normals = Arc::new(self.linearisation.normals.extended(&columns));
     }
 }
 

@@ -156,6 +156,12 @@ impl Linearisation {
     }
 }
 
+fn hstack(left: &DMatrix<f64>, right: &DMatrix<f64>) -> DMatrix<f64> {
+    let mut both = left.clone().resize_horizontally(left.ncols() + right.ncols(), 0.0);
+    both.columns_mut(left.ncols(), right.ncols()).copy_from(right);
+    both
+}
+
 /// Row indices, evenly spaced over a recording.
 fn sampled(rows: usize, most: usize) -> impl Iterator<Item = usize> + Clone {
     (0..rows).step_by(rows.div_ceil(most).max(1))
@@ -196,6 +202,16 @@ impl RecordingNormals {
     /// The fixed columns.
     pub fn fixed(&self) -> &DMatrix<f64> {
         &self.fixed
+    }
+
+    /// With these columns among the fixed ones.
+    pub fn extended(&self, columns: &DMatrix<f64>) -> Self {
+        let ranges = self.recordings.iter().map(|(rows, _)| rows.clone());
+        Self {
+            recordings: ranges.zip(self.with(columns)).collect(),
+            fixed: hstack(&self.fixed, columns),
+            target: self.target.clone(),
+        }
     }
 
     /// Normal equations of each recording with these columns appended.

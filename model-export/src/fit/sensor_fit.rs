@@ -48,8 +48,7 @@ pub fn fit_from_nominal(problem: &SensorProblem) -> Result<SensorSolution, FitEr
     let all = all_rows(problem.rows);
     let low = (&start, None);
     let first = minimise(problem, &all, FIRST_INFLATION, &whole, low, COARSE_TOLERANCE)?;
-    let second = fit_all_free(problem, &first, 1..=1)?;
-    fit_identifiable(problem, &second, &[])
+    fit_identifiable_from(problem, fit_all_free(problem, &first, 1..=1)?, &[])
 }
 
 /// Offset of a base parameter from nominal, in prior widths, beyond which it probably imitates an effect.
@@ -67,7 +66,7 @@ pub fn fit_from_base<'a>(
 ) -> Result<(SensorProblem<'a>, SensorSolution), FitError> {
     let fit = |problem: &SensorProblem, values: &[f64]| {
         let near = fit_all_free(problem, &problem.to_scaled(values), FREE_ROUNDS)?;
-        fit_identifiable(problem, &near, &[])
+        fit_identifiable_from(problem, near, &[])
     };
     let found = fit(&problem, values)?;
     let is_far = |index: usize| {
@@ -99,18 +98,21 @@ const FREE_ROUNDS: RangeInclusive<usize> = 2..=5;
 /// Further rounds are made while the variance inflation falls below this share of that of the round before.
 const FALLING: f64 = 0.2;
 
+/// Scaled parameters with the normal equations of all rows there, in blocks of time.
+type LinearisedAt = (DVector<f64>, Vec<Block>);
+
 /// Fit from a nearby start with all directions free.
 fn fit_all_free(
     problem: &SensorProblem,
     start: &DVector<f64>,
     rounds: RangeInclusive<usize>,
-) -> Result<DVector<f64>, FitError> {
+) -> Result<LinearisedAt, FitError> {
     let whole = FreeDirections::except(&problem.preset(), problem.parameters.len());
     let all = all_rows(problem.rows);
     let mut scaled = start.clone();
+    let (_, mut blocks) = linearised(problem, &scaled);
     let mut before = f64::INFINITY;
     for round in 0..*rounds.end() {
-        let (_, blocks) = linearised(problem, &scaled);
         let inflation = noise_inflation(&blocks);
         if round >= *rounds.start() && inflation > FALLING * before {
             break;
@@ -118,8 +120,9 @@ fn fit_all_free(
         before = inflation;
         let from = (&scaled, Some(sum(start.len(), &blocks)));
         scaled = minimise(problem, &all, inflation, &whole, from, COARSE_TOLERANCE)?;
+        (_, blocks) = linearised(problem, &scaled);
     }
-    Ok(scaled)
+    Ok((scaled, blocks))
 }
 
 /// Fit from a close start with new weights and free directions. `frozen` parameters keep their values.
@@ -129,6 +132,14 @@ pub fn fit_identifiable(
     frozen: &[usize],
 ) -> Result<SensorSolution, FitError> {
     let (_, blocks) = linearised(problem, start);
+    fit_identifiable_from(problem, (start.clone(), blocks), frozen)
+}
+
+fn fit_identifiable_from(
+    problem: &SensorProblem,
+    (start, blocks): LinearisedAt,
+    frozen: &[usize],
+) -> Result<SensorSolution, FitError> {
     let inflation = noise_inflation(&blocks);
     let frozen: Vec<usize> = frozen.iter().copied().chain(problem.preset()).collect();
     let space = FreeDirections::from_data(&blocks, &problem.parameters, &frozen);
@@ -139,7 +150,7 @@ pub fn fit_identifiable(
         });
     }
     let all = all_rows(problem.rows);
-    let from = (start, Some(sum(start.len(), &blocks)));
+    let from = (&start, Some(sum(start.len(), &blocks)));
     let scaled = minimise(problem, &all, inflation, &space, from, FINE_TOLERANCE)?;
     let (length_s, blocks) = linearised(problem, &scaled);
     Ok(SensorSolution { scaled, inflation, space, length_s, blocks })

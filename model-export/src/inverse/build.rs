@@ -7,6 +7,7 @@ use sha2::{Digest, Sha256};
 use crate::effects::{DeviceForm, Effect, EffectTerm};
 use crate::input;
 use crate::inverse::compensation::{NotCompensable, OwnedCompensation, board_conditions};
+use crate::inverse::grbf::GrbfShape;
 use crate::inverse::model_selection::{SelectedModels, select_models};
 use crate::inverse::quantise::TableOverflow;
 use crate::inverse::static_model::StaticModel;
@@ -78,15 +79,17 @@ pub struct DeviceModel {
 pub fn build(path: &Path, variant: ModelVariant) -> Result<DeviceModel, BuildError> {
     let model = ModelFile::read(path)?;
     let bytes = input::read_bytes(path, input::MAX_DOCUMENT_BYTES)?;
-    build_model(model, path, &bytes, variant)
+    build_model(model, path, &bytes, variant, None)
 }
 
 /// Builds the tables of a model in memory; `place` is its path for messages, `bytes` its content for the hash.
+/// The shape of the inverse is selected unless it is given.
 pub fn build_model(
     model: ModelFile,
     place: &Path,
     bytes: &[u8],
     variant: ModelVariant,
+    shape: Option<GrbfShape>,
 ) -> Result<DeviceModel, BuildError> {
     let recordings = model.provenance.recordings.len();
     let additions = match variant {
@@ -122,7 +125,7 @@ pub fn build_model(
         ModelVariant::Nominal => !id,
     };
     let mut chosen =
-        select_models(&static_models, &numbers, id, scale.gauss_per_lsb, scale.range_gauss)
+        select_models(&static_models, &numbers, id, scale.gauss_per_lsb, scale.range_gauss, shape)
             .map_err(|overflow| BuildError::TableOverflow {
                 place: Location::file(place),
                 overflow: Box::new(overflow),

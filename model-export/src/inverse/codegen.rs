@@ -117,7 +117,7 @@ fn comment(chosen: &SelectedModels, header: &ExportHeader) -> String {
         chosen.shape.gamma,
         chosen.shape.ridge,
     );
-    for (errors, number) in chosen.errors.iter().zip(&header.sensors) {
+    for (errors, number) in chosen.errors().into_iter().zip(&header.sensors) {
         let both = |(rms, max): ([f64; 2], [f64; 2])| {
             format!("{:.3} / {:.3}, {:.3} / {:.3}", rms[0], max[0], rms[1], max[1])
         };

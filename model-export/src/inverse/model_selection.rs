@@ -34,7 +34,10 @@ const WIDTHS: [f64; 5] = [1.0, 1.4, 2.0, 2.8, 4.0];
 /// Candidate ridge penalties.
 const RIDGES: [f64; 6] = [1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8];
 
-/// Selected models with their errors.
+/// The linear part alone.
+const LINEAR: GrbfShape = GrbfShape { centres_across: 0, gamma: 1.0, ridge: 0.0 };
+
+/// Selected models.
 #[derive(Clone, Debug)]
 pub struct SelectedModels {
     /// Selected hyperparameters.
@@ -45,12 +48,12 @@ pub struct SelectedModels {
     pub models: Vec<Grbf>,
     /// Tables for the device.
     pub tables: TableSet,
-    /// Errors of each sensor on test samples.
-    pub errors: Vec<InverseErrors>,
     /// Linear models for comparison.
     pub linear: Vec<Grbf>,
     /// Surfaces of the fields, one for each sensor.
     pub surfaces: Vec<ParitySurface>,
+    /// Field per count, in gauss.
+    pub gauss_per_lsb: f64,
 }
 
 /// Errors of one sensor's inverse over the box in newtons, for Fx and Fz: root mean square and maximum.
@@ -68,81 +71,40 @@ struct SensorData<'a> {
     model: &'a StaticModel,
     design: DesignBox,
     training: Vec<FieldSample>,
-    validation: Vec<FieldSample>,
 }
 
-/// Selects common hyperparameters and fits the models of all sensors.
+/// The sensors to invert, as the device reads them.
+struct InverseProblem<'a> {
+    models: &'a [StaticModel],
+    numbers: &'a [u32],
+    id: u16,
+    gauss_per_lsb: f64,
+    range_gauss: f64,
+    sensors: Vec<SensorData<'a>>,
+}
+
+/// Fits the inverse models of all sensors with common hyperparameters: `shape`, or the selected ones.
+///
+/// # Errors
+/// A table cannot be represented.
 pub fn select_models(
     models: &[StaticModel],
     numbers: &[u32],
     id: u16,
     gauss_per_lsb: f64,
     range_gauss: f64,
+    shape: Option<GrbfShape>,
 ) -> Result<SelectedModels, TableOverflow> {
     let sensors: Vec<SensorData> = models
         .par_iter()
         .map(|model| {
             let (_, design) = DesignBox::of(model).device_scale(gauss_per_lsb);
-            SensorData {
-                model,
-                design,
-                training: training_samples(model, &design),
-                validation: held_out_samples(model, &design, SAMPLES, SELECTION_SEED),
-            }
+            SensorData { model, design, training: training_samples(model, &design) }
         })
         .collect();
-    let fit_all = |shape: GrbfShape| -> Option<Vec<Grbf>> {
-        let fit = |s: &SensorData| Grbf::fit(s.model, &s.design, shape, &s.training, representable);
-        sensors.iter().map(fit).collect()
-    };
-    let noise_n = noise_n(models);
-    let build = |models: &[Grbf]| TableSet::build(id, models, numbers, gauss_per_lsb, range_gauss);
-    // Error of a candidate over all sensors; `None` where the device cannot represent it.
-    let evaluate = |models: &[Grbf]| -> Option<f64> {
-        let tables = build(models).ok()?;
-        let mut worst = 0.0_f64;
-        for (i, (sensor, model)) in sensors.iter().zip(models).enumerate() {
-            let fixed = |field: &_| tables.force(i, field, gauss_per_lsb);
-            let float = float_samples(model, &sensor.validation[..SAMPLES / 5]);
-            let (rounding, _) = force_errors(&float, fixed);
-            if rounding.iter().any(|rms| *rms > MAX_ROUNDING * noise_n) {
-                return None;
-            }
-            let (rms, _) = force_errors(&sensor.validation, fixed);
-            worst = worst.max(rms[0].hypot(rms[1]));
-        }
-        Some(worst)
-    };
-    let candidates = |shape: GrbfShape| -> Vec<(GrbfShape, f64)> {
-        let fit = |s: &SensorData| {
-            Grbf::fit_ridges(s.model, &s.design, shape, &RIDGES, &s.training, representable)
-        };
-        let fitted: Vec<Vec<Option<Grbf>>> = sensors.iter().map(fit).collect();
-        let candidate = |(i, ridge): (usize, &f64)| {
-            let models: Vec<Grbf> = fitted.iter().map(|of| of[i].clone()).collect::<Option<_>>()?;
-            let shape = GrbfShape { ridge: *ridge, ..shape };
-            Some((shape, evaluate(&models)?))
-        };
-        RIDGES.iter().enumerate().filter_map(candidate).collect()
-    };
-    let mut tried: Vec<(GrbfShape, f64)> = Vec::new();
-    for centres_across in CENTRES_ACROSS {
-        tried.par_extend(widths(centres_across).into_par_iter().flat_map_iter(candidates));
-        // More centres would not be selected.
-        if tried.iter().any(|(_, error)| *error <= TARGET_ERROR * noise_n) {
-            break;
-        }
-    }
-    let best = tried.iter().min_by(|a, b| a.1.total_cmp(&b.1)).copied();
-    let enough = tried.iter().filter(|(_, error)| *error <= TARGET_ERROR * noise_n);
-    let smallest = enough.min_by(|a, b| {
-        (a.0.centres_across, a.1)
-            .partial_cmp(&(b.0.centres_across, b.1))
-            .unwrap_or(std::cmp::Ordering::Equal)
-    });
-    let linear_shape = GrbfShape { centres_across: 0, gamma: 1.0, ridge: 0.0 };
-    let (shape, _) = smallest.copied().or(best).unwrap_or((linear_shape, f64::NAN));
-    let (Some(chosen), Some(linear)) = (fit_all(shape), fit_all(linear_shape)) else {
+    let problem = InverseProblem { models, numbers, id, gauss_per_lsb, range_gauss, sensors };
+    let shape = shape.or_else(|| problem.select_shape()).unwrap_or(LINEAR);
+    let (Some(chosen), Some(linear)) = (problem.fit(shape), problem.fit(LINEAR)) else {
         return Err(TableOverflow {
             sensor: 0,
             row: "every row".to_owned(),
@@ -151,28 +113,102 @@ pub fn select_models(
             advice: "the field of this model does not determine the forces: check its parameters",
         });
     };
-    let tables = build(&chosen)?;
-    let errors = sensors.par_iter().enumerate().map(|(i, sensor)| {
-        let samples = held_out_samples(sensor.model, &sensor.design, SAMPLES, TEST_SEED);
-        let float = float_samples(&chosen[i], &samples);
-        InverseErrors {
-            model: force_errors(&samples, |field| chosen[i].force(field)),
-            fixed: force_errors(&float, |field| tables.force(i, field, gauss_per_lsb)),
-            linear: force_errors(&samples, |field| linear[i].force(field)),
-        }
-    });
     Ok(SelectedModels {
         shape,
-        errors: errors.collect(),
-        surfaces: sensors
+        surfaces: problem
+            .sensors
             .par_iter()
             .map(|sensor| ParitySurface::of(sensor.model, &sensor.design))
             .collect(),
         forward: models.to_vec(),
+        tables: problem.tables(&chosen)?,
         models: chosen,
-        tables,
         linear,
+        gauss_per_lsb,
     })
+}
+
+impl InverseProblem<'_> {
+    fn fit(&self, shape: GrbfShape) -> Option<Vec<Grbf>> {
+        let fit = |s: &SensorData| Grbf::fit(s.model, &s.design, shape, &s.training, representable);
+        self.sensors.iter().map(fit).collect()
+    }
+
+    fn tables(&self, models: &[Grbf]) -> Result<TableSet, TableOverflow> {
+        TableSet::build(self.id, models, self.numbers, self.gauss_per_lsb, self.range_gauss)
+    }
+
+    /// The smallest shape that reaches the target error, or the best; `None` if the device can represent none.
+    fn select_shape(&self) -> Option<GrbfShape> {
+        let validation: Vec<Vec<FieldSample>> = self
+            .sensors
+            .par_iter()
+            .map(|sensor| held_out_samples(sensor.model, &sensor.design, SAMPLES, SELECTION_SEED))
+            .collect();
+        let noise_n = noise_n(self.models);
+        // Error of a candidate over all sensors; `None` where the device cannot represent it.
+        let evaluate = |models: &[Grbf]| -> Option<f64> {
+            let tables = self.tables(models).ok()?;
+            let mut worst = 0.0_f64;
+            for (i, (validation, model)) in validation.iter().zip(models).enumerate() {
+                let fixed = |field: &_| tables.force(i, field, self.gauss_per_lsb);
+                let float = float_samples(model, &validation[..SAMPLES / 5]);
+                let (rounding, _) = force_errors(&float, fixed);
+                if rounding.iter().any(|rms| *rms > MAX_ROUNDING * noise_n) {
+                    return None;
+                }
+                let (rms, _) = force_errors(validation, fixed);
+                worst = worst.max(rms[0].hypot(rms[1]));
+            }
+            Some(worst)
+        };
+        let candidates = |shape: GrbfShape| -> Vec<(GrbfShape, f64)> {
+            let fit = |s: &SensorData| {
+                Grbf::fit_ridges(s.model, &s.design, shape, &RIDGES, &s.training, representable)
+            };
+            let fitted: Vec<Vec<Option<Grbf>>> = self.sensors.iter().map(fit).collect();
+            let candidate = |(i, ridge): (usize, &f64)| {
+                let models: Vec<Grbf> =
+                    fitted.iter().map(|of| of[i].clone()).collect::<Option<_>>()?;
+                let shape = GrbfShape { ridge: *ridge, ..shape };
+                Some((shape, evaluate(&models)?))
+            };
+            RIDGES.iter().enumerate().filter_map(candidate).collect()
+        };
+        let mut tried: Vec<(GrbfShape, f64)> = Vec::new();
+        for centres_across in CENTRES_ACROSS {
+            tried.par_extend(widths(centres_across).into_par_iter().flat_map_iter(candidates));
+            // More centres would not be selected.
+            if tried.iter().any(|(_, error)| *error <= TARGET_ERROR * noise_n) {
+                break;
+            }
+        }
+        let best = tried.iter().min_by(|a, b| a.1.total_cmp(&b.1));
+        let enough = tried.iter().filter(|(_, error)| *error <= TARGET_ERROR * noise_n);
+        let smallest = enough.min_by(|a, b| {
+            (a.0.centres_across, a.1)
+                .partial_cmp(&(b.0.centres_across, b.1))
+                .unwrap_or(std::cmp::Ordering::Equal)
+        });
+        smallest.or(best).map(|(shape, _)| *shape)
+    }
+}
+
+impl SelectedModels {
+    /// Errors of each sensor on test samples.
+    pub fn errors(&self) -> Vec<InverseErrors> {
+        let gauss_per_lsb = self.gauss_per_lsb;
+        let of_sensor = |(i, forward): (usize, &StaticModel)| {
+            let samples = held_out_samples(forward, &self.models[i].design, SAMPLES, TEST_SEED);
+            let float = float_samples(&self.models[i], &samples);
+            InverseErrors {
+                model: force_errors(&samples, |field| self.models[i].force(field)),
+                fixed: force_errors(&float, |field| self.tables.force(i, field, gauss_per_lsb)),
+                linear: force_errors(&samples, |field| self.linear[i].force(field)),
+            }
+        };
+        self.forward.par_iter().enumerate().map(of_sensor).collect()
+    }
 }
 
 /// Noise of one reading over both forces, in newtons, root mean square over the sensors.

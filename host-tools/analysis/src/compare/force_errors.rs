@@ -4,7 +4,7 @@ use crate::compare::cv_plan::{CvPlan, RecordingFolds};
 use crate::compare::{Envelope, ForceAxisErrors, Histogram, MissingForces, Trace};
 use crate::notes::UncompensatedEffect;
 use crate::progress;
-use crate::replay::{RecordingReplay, replay_with};
+use crate::replay::{RecordingReplay, replay_each};
 use crate::statistics::{ErrorAccumulator, Moments};
 use anyhow::{Result, anyhow};
 use device_run::ReplayModels;
@@ -14,6 +14,7 @@ use model_export::fit::FitOptions;
 use model_export::fit::campaign::FitSetup;
 use model_export::fit::joint::JointFit;
 use model_export::inverse::build::{BuildError, DeviceModel, ModelVariant, build_model};
+use model_export::inverse::grbf::GrbfShape;
 use model_export::model_file::Provenance;
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
@@ -46,26 +47,29 @@ pub struct ForceEvaluation {
     pub uncompensated: Vec<UncompensatedEffect>,
 }
 
-/// Held-out error of the forces of a fit with these effects to a whole campaign, and of what the device does not compensate.
+/// Held-out errors of the forces of fits to a whole campaign, each with its effects, and what the device does
+/// not compensate.
 ///
 /// # Errors
 /// A recording cannot be read.
 pub fn held_out_forces(
     campaign: &Campaign,
     setup: &FitSetup,
-    fit: &JointFit,
-    effects: &[EffectTerm],
+    fits: &[(&JointFit, &[EffectTerm])],
     alignment: Alignment,
     options: FitOptions,
-) -> Result<ForceEvaluation> {
+) -> Result<Vec<ForceEvaluation>> {
     let provenance = Provenance::of(campaign, alignment.delay_us, options)?;
-    let plan = CvPlan::of_fit(campaign, setup, fit, effects, &provenance);
+    let plan_of = |(fit, effects): &(&JointFit, &[EffectTerm])| {
+        CvPlan::of_fit(campaign, setup, fit, effects, &provenance)
+    };
+    let plans: Vec<CvPlan> = fits.iter().map(plan_of).collect();
     let origins_s: Vec<f64> = campaign
         .recordings
         .iter()
         .map(|recording| recording.time_s.first().copied().unwrap_or(0.0))
         .collect();
-    evaluate_forces(&plan, Path::new("the fitted model"), alignment, &origins_s, &mut [])
+    evaluate_plans(&plans, Path::new("the fitted model"), alignment, &origins_s, &mut [])
 }
 
 /// Errors of one force of one sensor.
@@ -79,10 +83,11 @@ struct Channel {
 }
 
 /// One sensor over one recording.
-#[derive(Default)]
+#[derive(Clone, Default)]
 struct SensorForces {
     number: u32,
     channels: [Channel; 2],
+    /// Of the curves; empty where these are not displayed.
     time_s: Vec<f64>,
     /// Lateral, longitudinal; each reference, device.
     curves: [[Vec<f64>; 2]; 2],
@@ -100,149 +105,215 @@ pub fn evaluate_forces(
     origins_s: &[f64],
     traces: &mut [Trace],
 ) -> Result<ForceEvaluation> {
-    let used: Vec<bool> = (0..plan.models.len())
-        .map(|model| {
-            let of = |recording: &RecordingFolds| recording.folds.iter().any(|(_, m)| *m == model);
-            plan.recordings.iter().any(of)
-        })
-        .collect();
+    let plans = std::slice::from_ref(plan);
+    let evaluated = evaluate_plans(plans, path, alignment, origins_s, traces)?;
+    Ok(evaluated.into_iter().next().unwrap_or_default())
+}
+
+/// Evaluates several plans of the same recordings in one pass over these; `traces` are of the first plan.
+fn evaluate_plans(
+    plans: &[CvPlan],
+    path: &Path,
+    alignment: Alignment,
+    origins_s: &[f64],
+    traces: &mut [Trace],
+) -> Result<Vec<ForceEvaluation>> {
     // Without traces the caller shows the progress.
     let progress_bar = |message, steps| {
         let is_hidden = traces.is_empty();
         if is_hidden { ProgressBar::hidden() } else { progress::progress_bar(message, steps) }
     };
-    let bar = progress_bar("building tables", used.iter().filter(|used| **used).count());
-    let built = plan
-        .models
-        .par_iter()
-        .zip(&used)
-        .map(|(fold, used)| {
-            if !used {
-                return Ok(None);
-            }
-            let bytes = toml::to_string(&fold.model)?;
-            let built =
-                build_model(fold.model.clone(), path, bytes.as_bytes(), ModelVariant::Fitted)?;
-            bar.inc(1);
-            Ok(Some(built))
-        })
-        .collect::<Result<Vec<Option<DeviceModel>>>>();
+    let bar = progress_bar("building tables", plans.len());
+    let built = plans.par_iter().map(|plan| {
+        let built = build_tables(plan, path);
+        bar.inc(1);
+        built
+    });
+    let built = built.collect::<Result<Vec<Result<Vec<Option<DeviceModel>>, MissingForces>>>>()?;
     bar.finish_and_clear();
-    let built = match built {
-        Ok(built) => built,
-        Err(error) => match error.downcast_ref::<BuildError>() {
-            Some(BuildError::Polynomial { .. }) => {
-                return Ok(none(MissingForces::PolynomialBase));
-            }
-            Some(BuildError::NotCompensable(why)) => {
-                return Ok(none(MissingForces::NotCompensable(why.clone())));
-            }
-            _ => return Err(error),
-        },
-    };
-    let any = built.iter().flatten().next();
-    let uncompensated: Vec<UncompensatedEffect> =
-        any.map_or_else(Vec::new, |built| UncompensatedEffect::of(built).collect());
-    let bar = progress_bar("replaying on the device's code", plan.recordings.len());
-    let mut channels: Vec<(u32, [Channel; 2])> = Vec::new();
+    let has_curves = !traces.is_empty();
+    let recordings: &[RecordingFolds] = plans.first().map_or(&[], |plan| &plan.recordings);
+    let bar = progress_bar("replaying on the device's code", recordings.len());
+    let mut channels: Vec<Vec<(u32, [Channel; 2])>> = vec![Vec::new(); plans.len()];
     let at_once = 2 * rayon::current_num_threads();
     let points = (POINTS / (4 * traces.len().max(1))).clamp(50, 3000);
-    let of_all: Vec<(&RecordingFolds, &f64)> = plan.recordings.iter().zip(origins_s).collect();
-    for planned in of_all.chunks(at_once) {
-        let replayed = planned
+    let of_all: Vec<(usize, &f64)> = origins_s.iter().take(recordings.len()).enumerate().collect();
+    for some in of_all.chunks(at_once) {
+        let replayed = some
             .par_iter()
-            .map(|(planned, origin_s)| {
-                let replayed = replay_folds(planned, &built, alignment, **origin_s);
+            .map(|(recording, origin_s)| {
+                let replayed =
+                    replay_folds(plans, &built, *recording, alignment, **origin_s, has_curves);
                 bar.inc(1);
                 replayed
             })
             .collect::<Vec<_>>()
             .into_iter()
             .collect::<Result<Vec<_>>>()?;
-        for ((planned, _), sensors) in planned.iter().zip(replayed) {
-            for sensor in sensors {
-                let matches =
-                    |t: &&mut Trace| t.recording == planned.named.name && t.sensor == sensor.number;
-                if let Some(trace) = traces.iter_mut().find(matches) {
-                    let curve = |values: &Vec<f64>| Envelope::of(&sensor.time_s, values, points);
-                    trace.force =
-                        sensor.curves.iter().map(|of| [curve(&of[0]), curve(&of[1])]).collect();
-                }
-                match channels.iter_mut().find(|(number, _)| *number == sensor.number) {
-                    Some((_, pooled)) => {
-                        pooled.iter_mut().zip(sensor.channels).for_each(|(a, b)| a.add(b));
-                    }
-                    None => channels.push((sensor.number, sensor.channels)),
-                }
+        for ((recording, _), of_plans) in some.iter().zip(replayed) {
+            if let Some(sensors) = of_plans.first() {
+                add_to_traces(traces, &recordings[*recording].named.name, sensors, points);
             }
+            channels.iter_mut().zip(of_plans).for_each(|(channels, of)| pool(channels, of));
         }
     }
     bar.finish_and_clear();
-    let mut result = ForceEvaluation { uncompensated, ..finish(&channels) };
-    if result.errors.is_empty() {
-        result.none = Some(MissingForces::NoValidRow);
+    let evaluated = built.into_iter().zip(&channels).map(|(built, channels)| match built {
+        Err(why) => ForceEvaluation { none: Some(why), ..ForceEvaluation::default() },
+        Ok(built) => {
+            let any = built.iter().flatten().next();
+            let uncompensated = any.map_or_else(Vec::new, |b| UncompensatedEffect::of(b).collect());
+            let mut result = ForceEvaluation { uncompensated, ..finish(channels) };
+            if result.errors.is_empty() {
+                result.none = Some(MissingForces::NoValidRow);
+            }
+            result
+        }
+    });
+    Ok(evaluated.collect())
+}
+
+/// Sets the curves of the forces of one recording, of at most this many points.
+fn add_to_traces(traces: &mut [Trace], recording: &str, sensors: &[SensorForces], points: usize) {
+    for sensor in sensors {
+        let matches = |t: &&mut Trace| t.recording == recording && t.sensor == sensor.number;
+        if let Some(trace) = traces.iter_mut().find(matches) {
+            let curve = |values: &Vec<f64>| Envelope::of(&sensor.time_s, values, points);
+            trace.force = sensor.curves.iter().map(|of| [curve(&of[0]), curve(&of[1])]).collect();
+        }
     }
-    Ok(result)
 }
 
-fn none(why: MissingForces) -> ForceEvaluation {
-    ForceEvaluation { none: Some(why), ..ForceEvaluation::default() }
+/// Adds the errors of one recording to those of all, by sensor.
+fn pool(all: &mut Vec<(u32, [Channel; 2])>, sensors: Vec<SensorForces>) {
+    for sensor in sensors {
+        match all.iter_mut().find(|(number, _)| *number == sensor.number) {
+            Some((_, pooled)) => {
+                pooled.iter_mut().zip(sensor.channels).for_each(|(a, b)| a.add(b));
+            }
+            None => all.push((sensor.number, sensor.channels)),
+        }
+    }
 }
 
-/// Replays one recording, each segment with the model of its fold.
+/// Tables of the models of a plan that predict any row. The shape of the inverse is selected once, for the
+/// first: those of the other folds differ too little to need another.
+fn build_tables(
+    plan: &CvPlan,
+    path: &Path,
+) -> Result<Result<Vec<Option<DeviceModel>>, MissingForces>> {
+    let is_used = |model: &usize| {
+        let mut folds = plan.recordings.iter().flat_map(|recording| &recording.folds);
+        folds.any(|(_, of)| of == model)
+    };
+    let build = |model: usize, shape: Option<GrbfShape>| -> Result<DeviceModel> {
+        let model = &plan.models[model].model;
+        let bytes = toml::to_string(model)?;
+        let variant = ModelVariant::Fitted;
+        Ok(build_model(model.clone(), path, bytes.as_bytes(), variant, shape)?)
+    };
+    let used: Vec<usize> = (0..plan.models.len()).filter(is_used).collect();
+    let Some((&first, others)) = used.split_first() else {
+        return Ok(Ok(Vec::new()));
+    };
+    let all = build(first, None).and_then(|first_built| {
+        let shape = Some(first_built.chosen.shape);
+        let build_other = |model: &usize| Ok((*model, build(*model, shape)?));
+        let others = others.par_iter().map(build_other).collect::<Result<Vec<_>>>()?;
+        Ok([(first, first_built)].into_iter().chain(others))
+    });
+    match all {
+        Ok(all) => {
+            let mut built: Vec<Option<DeviceModel>> = plan.models.iter().map(|_| None).collect();
+            all.for_each(|(model, tables)| built[model] = Some(tables));
+            Ok(Ok(built))
+        }
+        Err(error) => match error.downcast_ref::<BuildError>() {
+            Some(BuildError::Polynomial { .. }) => Ok(Err(MissingForces::PolynomialBase)),
+            Some(BuildError::NotCompensable(why)) => {
+                Ok(Err(MissingForces::NotCompensable(why.clone())))
+            }
+            _ => Err(error),
+        },
+    }
+}
+
+/// Replays one recording in one pass, each segment with the model of its fold of each plan: sensors by plan; the first plan with
+/// its curves where `has_curves`.
 fn replay_folds(
-    planned: &RecordingFolds,
-    built: &[Option<DeviceModel>],
+    plans: &[CvPlan],
+    built: &[Result<Vec<Option<DeviceModel>>, MissingForces>],
+    recording: usize,
     alignment: Alignment,
     origin_s: f64,
-) -> Result<Vec<SensorForces>> {
-    let mut used: Vec<usize> = planned.folds.iter().map(|(_, model)| *model).collect();
+    has_curves: bool,
+) -> Result<Vec<Vec<SensorForces>>> {
+    // Plan and model of each replay.
+    let mut used: Vec<(usize, usize)> = Vec::new();
+    for (place, (plan, built)) in plans.iter().zip(built).enumerate() {
+        if built.is_ok() {
+            used.extend(plan.recordings[recording].folds.iter().map(|(_, model)| (place, *model)));
+        }
+    }
     used.sort_unstable();
     used.dedup();
-    let mut sensors: Vec<SensorForces> = Vec::new();
-    for model in &used {
-        let built = built
-            .get(*model)
-            .and_then(Option::as_ref)
-            .ok_or_else(|| anyhow!("{}: no tables were built", planned.named.name))?;
-        let models = ReplayModels::of(built);
-        let stream = RawStream::open_folder(&planned.named.folder, alignment)?;
-        let mut segment: Vec<SensorForces> = Vec::new();
-        let replayed = replay_with(
-            models,
-            &planned.named.name,
-            stream,
-            |_| (),
-            |row| {
-                let time_s = row.time_s - 1e-6 * alignment.delay_us - origin_s;
-                let fold = planned.folds.iter().find(|(until, _)| time_s < *until);
-                if fold.is_none_or(|(_, of)| of != model) {
-                    return;
-                }
-                while segment.len() <= row.sensor {
-                    segment.push(SensorForces::default());
-                }
-                let sensor = &mut segment[row.sensor];
+    let named = &plans[0].recordings[recording].named;
+    let models = used.iter().map(|(plan, model)| {
+        let built = built[*plan].as_ref().ok().and_then(|built| built.get(*model)?.as_ref());
+        built.map(ReplayModels::of).ok_or_else(|| anyhow!("{}: no tables were built", named.name))
+    });
+    let models = models.collect::<Result<Vec<ReplayModels>>>()?;
+    let stream = RawStream::open_folder(&named.folder, alignment)?;
+    let mut segments: Vec<Vec<SensorForces>> = vec![Vec::new(); used.len()];
+    let replayed = replay_each(
+        &models,
+        &named.name,
+        stream,
+        |_| (),
+        |place, row| {
+            let (plan, model) = used[place];
+            let time_s = row.time_s - 1e-6 * alignment.delay_us - origin_s;
+            let folds = &plans[plan].recordings[recording].folds;
+            let fold = folds.iter().find(|(until, _)| time_s < *until);
+            if fold.is_none_or(|(_, of)| *of != model) {
+                return;
+            }
+            let segment = &mut segments[place];
+            while segment.len() <= row.sensor {
+                segment.push(SensorForces::default());
+            }
+            let sensor = &mut segment[row.sensor];
+            if has_curves && plan == 0 {
                 sensor.time_s.push(time_s);
-                for axis in 0..2 {
-                    sensor.curves[axis][0].push(row.reference_n[axis]);
-                    sensor.curves[axis][1].push(row.estimate_n[axis]);
-                    let error = row.estimate_n[axis] - row.reference_n[axis];
-                    sensor.channels[axis].errors.add(row.reference_n[axis], error);
-                    sensor.channels[axis].count(error);
+                for (axis, curves) in sensor.curves.iter_mut().enumerate() {
+                    curves[0].push(row.reference_n[axis]);
+                    curves[1].push(row.estimate_n[axis]);
                 }
-            },
-        )?;
-        add_noise_and_tare(&mut segment, &replayed, used.len() == 1);
+            }
+            for axis in 0..2 {
+                let error = row.estimate_n[axis] - row.reference_n[axis];
+                sensor.channels[axis].errors.add(row.reference_n[axis], error);
+                sensor.channels[axis].count(error);
+            }
+        },
+    )?;
+    let mut of_plans: Vec<Vec<SensorForces>> = vec![Vec::new(); plans.len()];
+    for (place, (mut segment, replayed)) in segments.into_iter().zip(&replayed).enumerate() {
+        let plan = used[place].0;
+        let is_whole = used.iter().filter(|(of, _)| *of == plan).count() == 1;
+        add_noise_and_tare(&mut segment, replayed, is_whole);
+        let sensors = &mut of_plans[plan];
         if sensors.is_empty() {
-            sensors = segment
+            *sensors = segment
         } else {
             sensors.iter_mut().zip(segment).for_each(|(sensor, more)| sensor.append(more))
         }
     }
-    sensors.retain(|sensor| !sensor.time_s.is_empty());
-    sensors.iter_mut().for_each(SensorForces::sort);
-    Ok(sensors)
+    for sensors in &mut of_plans {
+        sensors.retain(|sensor| sensor.channels[0].errors.rows() > 0.0);
+        sensors.iter_mut().for_each(SensorForces::sort);
+    }
+    Ok(of_plans)
 }
 
 /// Sets number, noise and tare of the sensors; a tare only if one model replayed the `whole` recording.

@@ -233,9 +233,9 @@ fn replaced(effects: &[EffectTerm], old: &EffectTerm, new: &EffectTerm) -> Vec<E
 
 /// Separates provisionally equivalent effects in the last model, where no larger effect hides their difference.
 ///
-/// The last model is fitted with each of them, to all rows: a filter or a delay of some milliseconds differ only there. If one
-/// model has a clearly lower error, its effect explains everything that the other does and more; otherwise they remain
-/// equivalent. An effect with which the model cannot be fitted is left out.
+/// The last model is fitted with each of them to the sample, and those that are not clearly worse there to all rows: a filter or a
+/// delay of some milliseconds differ only there. If one model has a clearly lower error, its effect explains everything that the
+/// other does and more; otherwise they remain equivalent. An effect with which the model cannot be fitted is left out.
 fn resolve_equivalences(
     setups: (&FitSetup, &FitSetup),
     selection: &mut Selection,
@@ -249,10 +249,32 @@ fn resolve_equivalences(
     Ok(())
 }
 
-/// The last model with one of several equivalent effects, fitted to all rows.
+/// The last model with one of several equivalent effects.
 struct Alternative {
     effect: EffectTerm,
     model: FittedModel,
+}
+
+/// The alternative with the smallest `error`, and the others: equivalent ones and worse ones.
+struct Separated {
+    best: Alternative,
+    tied: Vec<Alternative>,
+    worse: Vec<Alternative>,
+}
+
+impl Separated {
+    /// `None` without alternatives.
+    fn of(
+        mut set: Vec<Alternative>,
+        error: impl Fn(&FittedModel) -> f64,
+        is_worse: impl Fn(&Alternative, &Alternative) -> bool,
+    ) -> Option<Self> {
+        set.sort_by(|a, b| error(&a.model).total_cmp(&error(&b.model)));
+        let others = set.split_off(1.min(set.len()));
+        let best = set.pop()?;
+        let (worse, tied) = others.into_iter().partition(|other| is_worse(other, &best));
+        Some(Self { best, tied, worse })
+    }
 }
 
 fn resolve_step(
@@ -268,29 +290,46 @@ fn resolve_step(
     };
     // An effect accepted in a later step is not equivalent.
     step.tied.retain(|tied| !last.effects.contains(tied));
-    // Transient effects require cross-validation within recordings for the whole set.
-    let split = prepared.split(&[&last.effects[..], &step.tied].concat());
-    let on_all_rows = |effect: &EffectTerm, sampled: &FittedModel| -> Result<Alternative> {
-        Ok(Alternative { effect: effect.clone(), model: sampled.on(all, split, options)? })
-    };
     let instead = |other: &EffectTerm| {
         let effects = replaced(&last.effects, &step.chosen, other);
-        let sampled = FittedModel::without_validation(prepared, effects, options).ok()?;
-        let alternative = on_all_rows(other, &sampled).ok()?;
-        alternative.model.is_possible(recordings).then_some(alternative)
+        let model = FittedModel::without_validation(prepared, effects, options).ok()?;
+        model.is_possible(recordings).then(|| Alternative { effect: other.clone(), model })
     };
     let mut set: Vec<Alternative> = step.tied.par_iter().filter_map(instead).collect();
-    set.push(on_all_rows(&step.chosen, last)?);
-    set.sort_by(|a, b| a.model.mean_square().total_cmp(&b.model.mean_square()));
-    let best = set.remove(0);
-    let is_worse = |other: &Alternative| {
-        let hidden = collinearity.hides_the_difference(&best.effect, &other.effect);
-        !hidden && best.model.is_distinguishably_better(&other.model)
+    set.push(Alternative { effect: step.chosen.clone(), model: last.clone() });
+    let is_hidden = |one: &Alternative, other: &Alternative| {
+        collinearity.hides_the_difference(&one.effect, &other.effect)
     };
-    let (worse, tied): (Vec<_>, Vec<_>) = set.into_iter().partition(is_worse);
-    let plain = |list: Vec<Alternative>| list.into_iter().map(|one| one.effect);
-    step.tied = plain(tied).collect();
-    step.shadows.extend(plain(worse));
+    let on_sample = Separated::of(set, FittedModel::fitted_mean_square, |other, best| {
+        !is_hidden(best, other) && other.model.is_clearly_worse(&best.model)
+    });
+    let Some(Separated { best, tied, worse }) = on_sample else {
+        return Ok(());
+    };
+    let effects_of = |list: Vec<Alternative>| list.into_iter().map(|one| one.effect);
+    step.shadows.extend(effects_of(worse));
+    let (best, is_on_all_rows) = if tied.is_empty() {
+        step.tied.clear();
+        (best, false)
+    } else {
+        let close: Vec<Alternative> = std::iter::once(best).chain(tied).collect();
+        // Transient effects require cross-validation within recordings for the whole set.
+        let split = prepared.split(&[&last.effects[..], &step.tied].concat());
+        let fitted = close.into_par_iter().filter_map(|Alternative { effect, model }| {
+            let model = model.on(all, split, options).ok()?;
+            let is_kept = effect == step.chosen || model.is_possible(recordings);
+            is_kept.then_some(Alternative { effect, model })
+        });
+        let on_all = Separated::of(fitted.collect(), FittedModel::mean_square, |other, best| {
+            !is_hidden(best, other) && best.model.is_distinguishably_better(&other.model)
+        });
+        let Some(Separated { best, tied, worse }) = on_all else {
+            return Ok(());
+        };
+        step.tied = effects_of(tied).collect();
+        step.shadows.extend(effects_of(worse));
+        (best, true)
+    };
     if best.effect != step.chosen {
         step.chosen = best.effect;
         let effects = best.model.effects.clone();
@@ -298,6 +337,8 @@ fn resolve_step(
         selection.stages.pop();
         selection.stages.push(FittedModel::new(prepared, effects, own, options)?);
     }
-    selection.resolved = Some(best.model);
+    if is_on_all_rows {
+        selection.resolved = Some(best.model);
+    }
     Ok(())
 }

@@ -35,6 +35,7 @@ use crate::diagnose::verdicts::conclude;
 use anyhow::Result;
 use model_export::effects::{EffectTerm, find};
 use model_export::fit::FitOptions;
+use model_export::fit::joint::JointFit;
 use model_export::model_file::ModelFile;
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
@@ -296,9 +297,10 @@ pub fn diagnose(
     diagnosis.recordings = [sample.recording_count(), prepared.recording_count()];
     if !observer.is_stopped() {
         observer.stage("replaying each step on the device's code", REPLAYS);
-        for (step, stage) in diagnosis.staircase.iter_mut().zip(&selection.stages) {
-            let (fit, effects) = (&stage.fit, &stage.effects);
-            let forces = held_out_forces(campaign, &prepared, fit, effects, alignment, options)?;
+        let fits: Vec<(&JointFit, &[EffectTerm])> =
+            selection.stages.iter().map(|stage| (&stage.fit, stage.effects.as_slice())).collect();
+        let forces = held_out_forces(campaign, &prepared, &fits, alignment, options)?;
+        for (step, forces) in diagnosis.staircase.iter_mut().zip(&forces) {
             step.force = ForceError::of(&forces.errors);
         }
     }

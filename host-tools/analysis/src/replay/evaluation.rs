@@ -7,8 +7,6 @@ use device_run::ReplayModels;
 use device_run::networks::NetworkSet;
 use firmware::config::constants;
 use model_export::inverse::build::{DeviceModel, ModelVariant, build};
-use model_export::inverse::compensation::OwnedCompensation;
-use model_export::inverse::grbf::Grbf;
 use model_export::inverse::quantise::TableSet;
 use model_export::model_file::ModelFile;
 use model_export::recordings::align::Alignment;
@@ -22,7 +20,7 @@ use crate::compare::ForceError;
 use crate::compare::campaign_reader::check_sensor_scale;
 use crate::notes::{Note, UncompensatedEffect};
 use crate::progress;
-use crate::replay::{AxisReplay, RecordingReplay, replay};
+use crate::replay::{AxisReplay, RecordingReplay, replay_each};
 use crate::statistics::{Moments, pooled_rms};
 
 /// Replays of a campaign with a model and, for comparison, with simpler models.
@@ -72,26 +70,31 @@ pub fn evaluate(
         scale.gauss_per_lsb,
         scale.range_gauss,
     )?;
-    let run = |tables: &TableSet,
-               float: &[Grbf],
-               compensations: &[OwnedCompensation],
-               networks: Option<&NetworkSet>| {
-        let models = ReplayModels {
-            numbers: &header.sensors,
-            tables,
-            compensations,
-            design: file.design.as_ref(),
-            float,
-            gauss_per_lsb: scale.gauss_per_lsb,
-            networks,
-        };
-        replay_all(&folders, models, alignment)
+    let variant = |tables, float, compensations, networks| ReplayModels {
+        numbers: &header.sensors,
+        tables,
+        compensations,
+        design: file.design.as_ref(),
+        float,
+        gauss_per_lsb: scale.gauss_per_lsb,
+        networks,
     };
-    let without_networks =
-        |tables: &TableSet, float: &[Grbf], compensations: &[OwnedCompensation]| {
-            run(tables, float, compensations, None)
-        };
-    let replayed = run(&fitted.tables, &fitted.models, &compensations, networks.as_ref())?;
+    let mut models = vec![
+        variant(&fitted.tables, &fitted.models, &compensations, networks.as_ref()),
+        variant(&linear, &fitted.linear, &[], None),
+        variant(&nominal.tables, &nominal.models, &[], None),
+    ];
+    if !header.effects.is_empty() {
+        models.push(variant(&fitted.tables, &fitted.models, &[], None));
+    }
+    if networks.is_some() {
+        models.push(variant(&fitted.tables, &fitted.models, &compensations, None));
+    }
+    let mut replayed = replay_all(&folders, &models, alignment)?.into_iter();
+    let mut next = || replayed.next().unwrap_or_default();
+    let (replayed, linear, nominal) = (next(), next(), next());
+    let uncompensated = (!header.effects.is_empty()).then(&mut next);
+    let without_networks = networks.as_ref().map(|_| next());
     let sensors = || replayed.iter().flat_map(|recording| &recording.sensors);
     if sensors().count() == 0 {
         bail!(
@@ -118,17 +121,10 @@ pub fn evaluate(
         });
     }
     Ok(ReplayEvaluation {
-        linear: without_networks(&linear, &fitted.linear, &[])?,
-        nominal: without_networks(&nominal.tables, &nominal.models, &[])?,
-        uncompensated: if header.effects.is_empty() {
-            None
-        } else {
-            Some(without_networks(&fitted.tables, &fitted.models, &[])?)
-        },
-        without_networks: match networks {
-            None => None,
-            Some(_) => Some(without_networks(&fitted.tables, &fitted.models, &compensations)?),
-        },
+        linear,
+        nominal,
+        uncompensated,
+        without_networks,
         fitted: replayed,
         training_recordings: training_recordings(&folders, &file, networks.as_ref())?,
         force_range_n: file
@@ -156,21 +152,24 @@ fn differences(folders: &[PathBuf], model: &ModelFile, alignment: Alignment) -> 
     Ok(notes)
 }
 
-/// Replays all recordings sequentially, with progress.
+/// Replays all recordings in order with each of the models, with progress: by model.
+///
+/// # Errors
+/// A recording cannot be read.
 pub fn replay_all(
     folders: &[PathBuf],
-    models: ReplayModels,
+    models: &[ReplayModels],
     alignment: Alignment,
-) -> Result<Vec<RecordingReplay>> {
+) -> Result<Vec<Vec<RecordingReplay>>> {
     let bar = progress::row_spinner("replaying");
-    let mut replays = Vec::new();
+    let mut replays = vec![Vec::new(); models.len()];
     for folder in folders {
         let (description, _) = RecordingDescription::read(folder)?;
         let stream = RawStream::open(folder, &description, alignment)?;
         let before = bar.position();
-        replays.push(replay(models, &recording_name(folder), stream, |rows| {
-            bar.set_position(before + rows)
-        })?);
+        let done = |rows| bar.set_position(before + rows);
+        let of_each = replay_each(models, &recording_name(folder), stream, done, |_, _| ())?;
+        replays.iter_mut().zip(of_each).for_each(|(of_model, replay)| of_model.push(replay));
     }
     bar.finish_and_clear();
     Ok(replays)

@@ -5,10 +5,11 @@ pub mod tare;
 
 use std::time::{Duration, Instant};
 
-use firmware::compensation::CompensationState;
+use firmware::compensation::{Compensation, CompensationState};
 use firmware::config::constants;
 use firmware::estimator::{Estimate, Estimator, Validity, estimate};
 use firmware::fixed_point::{Field, Force};
+use firmware::model::formats::Tables;
 use firmware::sensors::hall::HallFrame;
 use model_export::inverse::compensation::OwnedCompensation;
 use model_export::recordings::DataError;
@@ -20,9 +21,9 @@ use nalgebra::Vector3;
 use crate::calibration::{Coverage, PredictedError, SIGMA_MULTIPLES, subtract_tare};
 use crate::replay::tare::{TareEstimator, friction_n};
 use crate::statistics::Moments;
-use device_run::ReplayModels;
 use device_run::channel_map::SensorChannels;
 use device_run::networks::{FloatForce, NetworkSet, ReplayNetworks};
+use device_run::{DeviceRow, ReplayModels};
 
 /// Rows that are read and estimated together; only these two are timed.
 const CHUNK: usize = 4096;
@@ -142,20 +143,8 @@ pub struct ForceSample {
     pub sigma_n: Option<[f64; 2]>,
 }
 
-/// Replays one recording. `done` receives the number of rows so far.
-///
-/// # Errors
-/// The recording cannot be read.
-pub fn replay(
-    models: ReplayModels,
-    name: &str,
-    stream: RawStream,
-    done: impl Fn(u64),
-) -> Result<RecordingReplay, DataError> {
-    replay_with(models, name, stream, done, |_| ())
-}
-
-/// Replays one recording and passes every valid estimate to `on_sample`.
+/// Replays one recording and passes every valid estimate to `on_sample`. `done` receives the number of rows so
+/// far.
 ///
 /// # Errors
 /// The recording cannot be read.
@@ -166,62 +155,141 @@ pub fn replay_with(
     done: impl Fn(u64),
     mut on_sample: impl FnMut(ForceSample),
 ) -> Result<RecordingReplay, DataError> {
-    let mut input = models.rows(stream);
+    let replayed = replay_each(&[models], name, stream, done, |_, sample| on_sample(sample))?;
+    Ok(replayed.into_iter().next().unwrap_or_default())
+}
+
+/// Replays one recording with several models in one pass and passes every valid estimate, with the index of
+/// its model, to `on_sample`. The models have the sensors, design and scale of the first.
+///
+/// # Errors
+/// The recording cannot be read.
+pub fn replay_each(
+    models: &[ReplayModels],
+    name: &str,
+    stream: RawStream,
+    done: impl Fn(u64),
+    mut on_sample: impl FnMut(usize, ForceSample),
+) -> Result<Vec<RecordingReplay>, DataError> {
+    let Some(first) = models.first() else {
+        return Ok(Vec::new());
+    };
+    let mut input = first.rows(stream);
     let sensors = input.sensors().to_vec();
-    let mut evaluation = Evaluation::new(models, name, &sensors);
-    let compensations = models.compensation_views();
-    let tables = models.tables.tables(&compensations);
-    let mut owned = models.compensations.iter();
-    let needs_temperature = owned.any(OwnedCompensation::needs_temperature);
-    let mut estimator = Estimator::new(&tables, models.networks.map(NetworkSet::start));
-    // Of sensors without a slot on the board.
-    let mut memories = vec![CompensationState::default(); sensors.len()];
-    let mut disturbances = FlagIntervals::default();
-    let mut first_s = None;
+    let compensations: Vec<Vec<Compensation>> =
+        models.iter().map(ReplayModels::compensation_views).collect();
+    let tables: Vec<Tables> = models
+        .iter()
+        .zip(&compensations)
+        .map(|(models, compensations)| models.tables.tables(compensations))
+        .collect();
+    let mut replays: Vec<ModelReplay> = models
+        .iter()
+        .zip(&tables)
+        .map(|(models, tables)| ModelReplay::new(*models, tables, name, &sensors))
+        .collect();
     let mut rows = Vec::with_capacity(CHUNK);
-    let mut estimates = Vec::with_capacity(CHUNK * sensors.len());
-    let mut network_valid = Vec::with_capacity(CHUNK * sensors.len());
+    let mut count = 0;
     loop {
         rows.clear();
-        estimates.clear();
-        network_valid.clear();
-        let networks = estimator.networks();
-        networks.iter_mut().for_each(ReplayNetworks::clear_inputs);
         let start = Instant::now();
         while rows.len() < CHUNK
             && let Some(row) = input.next().transpose()?
         {
+            rows.push(row);
+        }
+        let reading = start.elapsed();
+        if rows.is_empty() {
+            break;
+        }
+        count += rows.len() as u64;
+        for (model, replay) in replays.iter_mut().enumerate() {
+            replay.evaluation.result.spent += reading;
+            replay.update(&rows, &sensors, |sample| on_sample(model, sample));
+        }
+        done(count);
+    }
+    let force_noise = input.stream().force_noise();
+    Ok(replays.into_iter().map(|replay| replay.finish(&sensors, &force_noise)).collect())
+}
+
+/// One model over one recording.
+struct ModelReplay<'a> {
+    tables: &'a Tables<'a>,
+    estimator: Estimator<'a, Option<ReplayNetworks<'a>>>,
+    /// Of sensors without a slot on the board.
+    memories: Vec<CompensationState>,
+    needs_temperature: bool,
+    disturbances: FlagIntervals,
+    first_s: Option<f64>,
+    estimates: Vec<Estimate>,
+    network_valid: Vec<bool>,
+    evaluation: Evaluation<'a>,
+}
+
+impl<'a> ModelReplay<'a> {
+    fn new(
+        models: ReplayModels<'a>,
+        tables: &'a Tables<'a>,
+        name: &str,
+        sensors: &[SensorChannels],
+    ) -> Self {
+        let mut owned = models.compensations.iter();
+        Self {
+            tables,
+            estimator: Estimator::new(tables, models.networks.map(NetworkSet::start)),
+            memories: vec![CompensationState::default(); sensors.len()],
+            needs_temperature: owned.any(OwnedCompensation::needs_temperature),
+            disturbances: FlagIntervals::default(),
+            first_s: None,
+            estimates: Vec::with_capacity(CHUNK * sensors.len()),
+            network_valid: Vec::with_capacity(CHUNK * sensors.len()),
+            evaluation: Evaluation::new(models, name, sensors),
+        }
+    }
+
+    fn update(
+        &mut self,
+        rows: &[DeviceRow],
+        sensors: &[SensorChannels],
+        mut on_sample: impl FnMut(ForceSample),
+    ) {
+        let estimator = &mut self.estimator;
+        self.estimates.clear();
+        self.network_valid.clear();
+        estimator.networks().iter_mut().for_each(ReplayNetworks::clear_inputs);
+        let gauss_per_lsb = self.evaluation.models.gauss_per_lsb;
+        let start = Instant::now();
+        for row in rows {
             let frame = HallFrame { readings: row.readings, ..HallFrame::default() };
             let on_board = estimator.update(&frame, &row.inputs);
-            disturbances.update(row.raw.time_s, estimator.detector().flag());
-            for (channels, memory) in sensors.iter().zip(&mut memories) {
+            self.disturbances.update(row.raw.time_s, estimator.detector().flag());
+            for (channels, memory) in sensors.iter().zip(&mut self.memories) {
                 let number = channels.number as usize;
-                network_valid.push(!estimator.network_diverged(number));
-                estimates.push(on_board.get(number).copied().unwrap_or_else(|| {
-                    let reading = Some(channels.reading(&row.raw, models.gauss_per_lsb));
-                    estimate(&tables, number, reading, &row.inputs, memory)
+                self.network_valid.push(!estimator.network_diverged(number));
+                self.estimates.push(on_board.get(number).copied().unwrap_or_else(|| {
+                    let reading = Some(channels.reading(&row.raw, gauss_per_lsb));
+                    estimate(self.tables, number, reading, &row.inputs, memory)
                 }));
             }
-            rows.push(row.raw);
         }
-        let result = &mut evaluation.result;
+        let result = &mut self.evaluation.result;
         result.spent += start.elapsed();
-        let (Some(first), Some(last)) = (rows.first(), rows.last()) else {
-            break;
-        };
-        result.span_s = last.time_s - *first_s.get_or_insert(first.time_s);
+        if let (Some(first), Some(last)) = (rows.first(), rows.last()) {
+            result.span_s = last.raw.time_s - *self.first_s.get_or_insert(first.raw.time_s);
+        }
         result.rows += rows.len() as u64;
-        let estimates = estimates.chunks(sensors.len().max(1));
-        let mut network_valid = network_valid.iter().copied();
+        let estimates = self.estimates.chunks(sensors.len().max(1));
+        let mut network_valid = self.network_valid.iter().copied();
         let networks = estimator.networks();
         for (at, (row, estimates)) in rows.iter().zip(estimates).enumerate() {
             let floats = networks.as_mut().map(|networks| networks.float(at));
             for (i, (channels, estimate)) in sensors.iter().zip(estimates).enumerate() {
                 let number = channels.number as usize;
                 let network_valid = network_valid.next().unwrap_or(true);
-                let sensor = &mut evaluation.result.sensors[i];
+                let sensor = &mut self.evaluation.result.sensors[i];
                 sensor.diverged += u64::from(!network_valid);
-                let no_temperature = needs_temperature && channels.temperature.is_none();
+                let no_temperature = self.needs_temperature && channels.temperature.is_none();
                 sensor.missing_inputs += u64::from(estimate.missing_inputs || no_temperature);
                 if estimate.validity != Validity::Valid {
                     sensor.invalid += 1;
@@ -233,14 +301,21 @@ pub fn replay_with(
                 let network =
                     floats.filter(|_| network_valid).and_then(|floats| *floats.get(number)?);
                 let ideal = ideal.unwrap_or(estimate);
-                let sample = evaluation.update((i, channels), row, estimate, ideal, network);
+                let sample =
+                    self.evaluation.update((i, channels), &row.raw, estimate, ideal, network);
                 sample.into_iter().for_each(&mut on_sample);
             }
         }
-        done(evaluation.result.rows);
     }
-    evaluation.result.disturbed_s = disturbances.intervals_s;
-    Ok(evaluation.finish(&sensors, &input.stream().force_noise()))
+
+    fn finish(
+        mut self,
+        sensors: &[SensorChannels],
+        force_noise: &[Option<f64>],
+    ) -> RecordingReplay {
+        self.evaluation.result.disturbed_s = self.disturbances.intervals_s;
+        self.evaluation.finish(sensors, force_noise)
+    }
 }
 
 /// Running statistics of a replay.

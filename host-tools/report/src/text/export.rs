@@ -24,7 +24,7 @@ pub fn format_tables(chosen: &SelectedModels, header: &ExportHeader) -> String {
         "linear rms",
         "worst",
     ]);
-    for (errors, number) in chosen.errors.iter().zip(&header.sensors) {
+    for (errors, number) in chosen.errors().into_iter().zip(&header.sensors) {
         for (axis, (name, _)) in FORCES.into_iter().enumerate() {
             let cells =
                 [errors.model, errors.fixed, errors.linear].into_iter().flat_map(|(rms, worst)| {
@@ -77,7 +77,7 @@ pub fn worst_map(model: &ModelFile, chosen: &SelectedModels, header: &ExportHead
 
 /// The object of `--json`.
 pub fn to_json(chosen: &SelectedModels, header: &ExportHeader) -> Value {
-    let sensors = chosen.errors.iter().zip(&header.sensors).flat_map(|(errors, number)| {
+    let sensors = chosen.errors().into_iter().zip(&header.sensors).flat_map(|(errors, number)| {
         FORCES.into_iter().enumerate().map(move |(axis, (_, name))| {
             json!({
                 "sensor": number, "axis": name,

@@ -321,7 +321,7 @@ pub fn nominal_tables() -> Result<TableSet> {
     let model = StaticModel::without_effects(ForwardModel::nominal(&design));
     let models = vec![model; SENSORS];
     let (scale, range) = (SENSOR_SCALE.value, SENSOR_RANGE.value);
-    let mut chosen = select_models(&models, &numbers, ID, scale, range)?;
+    let mut chosen = select_models(&models, &numbers, ID, scale, range, None)?;
     let surfaces = chosen.surfaces.iter().zip(&numbers);
     for (table, (surface, &number)) in chosen.tables.sensors.iter_mut().zip(surfaces) {
         table.parity = surface.table(number, NOISE_G, scale)?;

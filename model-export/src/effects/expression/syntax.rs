@@ -1,5 +1,6 @@
 //! Syntax check of formulas with error positions, which the expression parser does not provide.
 
+use crate::effects::CATALOGUE;
 use crate::input::{
     MAX_FORMULA_BYTES, MAX_FORMULA_DEPTH, MAX_FORMULA_OPERATORS, MAX_FORMULA_PARAMETERS,
 };
@@ -84,7 +85,7 @@ pub(super) fn split(text: &str) -> Result<Parts<'_>, ExpressionError> {
     if parts.name.text.is_empty() || !parts.name.text.chars().all(is_name_char) {
         return Err(parts.name.error(text, "names consist of letters, digits and _".to_owned()));
     }
-    if crate::effects::find(parts.name.text).is_ok() {
+    if CATALOGUE.iter().any(|effect| effect.id == parts.name.text) {
         let advice = "the catalogue contains an effect of this name: choose another".to_owned();
         return Err(parts.name.error(text, advice));
     }

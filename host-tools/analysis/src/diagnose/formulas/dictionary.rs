@@ -17,6 +17,9 @@ use crate::diagnose::formulas::rows::{Windows, averaged, excitations};
 /// Covariates with which a function of searched period is multiplied.
 const FACTORS_OF_PERIODS: [&str; 2] = ["fx_n", "fz_n"];
 
+/// Numbers in a line of the processor's cache.
+const CACHE_LINE: usize = 8;
+
 /// Terms with their values.
 pub struct Dictionary {
     atoms: Vec<Atom>,
@@ -115,9 +118,18 @@ impl Dictionary {
             })
             .collect();
         let values = sensors
+            .into_par_iter()
             .map(|sensor| {
                 let count = rows.first().map_or(0, |row| row[sensor].len());
-                DMatrix::from_fn(rows.len(), count, |term, row| rows[term][sensor][row])
+                let mut values = DMatrix::zeros(rows.len(), count);
+                // By blocks, since both sides are read in order within a cache line only.
+                for start in (0..count).step_by(CACHE_LINE) {
+                    for (term, row) in rows.iter().enumerate() {
+                        let block = row[sensor].iter().enumerate().skip(start).take(CACHE_LINE);
+                        block.for_each(|(column, value)| values[(term, column)] = *value);
+                    }
+                }
+                values
             })
             .collect();
         Self { atoms, terms, partners, values }
