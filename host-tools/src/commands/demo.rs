@@ -30,22 +30,25 @@ use report::text;
 use report::text::diagnosis::format_summary;
 use report::text::terminal;
 
-/// The complete workflow on one campaign: fit, invert, evaluate, diagnose, add the missing effects.
+/// The complete workflow on one campaign: fit, compare, diagnose, add the missing effects.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   cargo magpie demo
-  cargo magpie demo tests/data/friction -o friction-demo")]
+  cargo magpie demo tests/data/friction -o friction-demo --verbose")]
 pub struct Args {
     /// Folder of recordings [default: a small campaign of the project].
     campaign: Option<PathBuf>,
     /// Folder for models, tables and report.
     #[arg(short, long, value_name = "FOLDER", default_value = "magpie-demo")]
     output: PathBuf,
+    /// Print what each step computes: parameters, tables of errors, evidence.
+    #[arg(short, long)]
+    verbose: bool,
 }
 
 /// The default campaign, in the source tree of this build.
-pub(super) const CAMPAIGN: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/data/demo");
+pub(super) const CAMPAIGN: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/data/ripple");
 
 /// The demo assumes synchronised clocks.
 const ALIGNMENT: Alignment = Alignment { delay_us: 0.0 };
@@ -58,7 +61,6 @@ pub fn run(args: &Args) -> Result<()> {
     std::fs::create_dir_all(&args.output)
         .with_context(|| format!("{} cannot be made", args.output.display()))?;
     let model_path = args.output.join("model.toml");
-    let tables_path = args.output.join("tables.rs");
 
     if campaign.recordings.len() < 3 {
         bail!(
@@ -68,46 +70,43 @@ pub fn run(args: &Args) -> Result<()> {
         );
     }
     let held_out = campaign.recordings.pop().context("no recording")?;
-    terminal::print(&format!(
-        "1. The recordings. {} recordings of a gripper on a (simulated) bench, {:.0} s each: {} Hall sensors at\n\
-         1 kHz and a force reference at 100 Hz. Recording {} is held out.\n\n",
-        campaign.recordings.len() + 1,
-        campaign.duration_s() / campaign.recordings.len() as f64,
+    let fitted_count = campaign.recordings.len();
+    terminal::print(&terminal::paragraph(&format!(
+        "Recorded: {} recordings of {:.0} s of a gripper on a (simulated) bench, {} Hall sensors at 1 kHz, force \
+         reference at 100 Hz. Recording {} is held out. What the base model misses is not known to the tool.",
+        fitted_count + 1,
+        campaign.duration_s() / fitted_count as f64,
         campaign.sensors().len(),
         held_out.name,
-    ))?;
+    )))?;
 
     let options = FitOptions::default();
     let (fits, _) = fit_campaign(&campaign, BaseKind::Cylinder, None, options)?;
     let provenance = Provenance::of(&campaign, ALIGNMENT.delay_us, options)?;
     let model = ModelFile::of(&campaign, &fits, provenance);
     model.write(&model_path)?;
-    terminal::print(&format!(
-        "2. The fit. Magnet, gap, flexures and misalignment of each sensor.\n\n{}\n{}{}\n{}\n",
-        text::fit::parameters(&model),
-        text::fit::error_table(&campaign, &model),
-        text::fit::verdict(&model),
-        gap_axis_note(&model),
-    ))?;
-
     let building = progress::progress_bar("building tables", 1);
     let built = build(&model_path, ModelVariant::Fitted)?;
     building.finish_and_clear();
-    write_output(&tables_path, tables_source(&built).as_bytes(), MARK)?;
-    terminal::print(&format!(
-        "3. The inverse. From three field axes to two forces in fixed point, as in the {} Hz task.\n\n{}\n",
+    let before = evaluate(&model_path, &held_out.folder, None, ALIGNMENT)?;
+    print_notes(&before.notes);
+    terminal::print(&terminal::paragraph(&format!(
+        "1. Fit. Magnet, gap, flexures and misalignment of each sensor; the inverse in fixed point, as in the {} Hz task. {}",
         constants::SENSE_RATE.value,
-        text::export::format_tables(&built.chosen, &built.header),
-    ))?;
-
-    let outcome = evaluate(&model_path, &held_out.folder, None, ALIGNMENT)?;
-    print_notes(&outcome.notes);
-    terminal::print(&format!(
-        "4. The evaluation. The held-out recording {}, row by row through the device code.\n\n{}\n{}\n",
-        held_out.name,
-        text::replay::force_table(&outcome),
-        text::replay::model_table(&outcome),
-    ))?;
+        text::force_error::headline(&pooled_error(&before.fitted)),
+    )))?;
+    if args.verbose {
+        terminal::print(&format!(
+            "\n{}\n{}{}\n{}\n{}\n{}\n{}\n",
+            text::fit::parameters(&model),
+            text::fit::error_table(&campaign, &model),
+            text::fit::verdict(&model),
+            gap_axis_note(&model),
+            text::export::format_tables(&built.chosen, &built.header),
+            text::replay::force_table(&before),
+            text::replay::model_table(&before),
+        ))?;
+    }
     let findings = scan_with_progress(folder)?;
     let scanned = ScannedCampaign::of(reader, findings);
     let fitted = Fitted {
@@ -116,11 +115,11 @@ pub fn run(args: &Args) -> Result<()> {
         held_out: &held_out.folder,
         model: &model,
         model_path: &model_path,
-        before: &outcome,
+        before: &before,
         output: &args.output,
         options,
     };
-    improve(&fitted, scanned)?;
+    improve(&fitted, scanned, args.verbose)?;
     terminal::print(&closing(&args.output))?;
     Ok(())
 }
@@ -141,14 +140,13 @@ fn gap_axis_note(model: &ModelFile) -> String {
 }
 
 fn closing(output: &Path) -> String {
-    let tables = output.join("tables.rs");
     format!(
-        "Output in {}: models, tables.rs for the firmware, report.html for a browser.\n\
-         Image with the tables:      MAGPIE_TABLES={} cargo image\n\
+        "\nOpen {0}/report.html: forces before and after, the curve over its covariate, error step by step.\n\
+         All numbers of each step:   cargo magpie demo --verbose\n\
+         Image with the tables:      MAGPIE_TABLES={0}/tables.rs cargo image\n\
          Your own recordings:        cargo magpie fit YOUR-CAMPAIGN -o model.toml\n\
          Missing effects:            cargo magpie diagnose model.toml YOUR-CAMPAIGN -o report.html\n",
         output.display(),
-        tables.display(),
     )
 }
 
@@ -166,18 +164,11 @@ struct Fitted<'a> {
     options: FitOptions,
 }
 
-/// Added effects and force error of the held-out recording, step by step.
-type ErrorSteps = Vec<(String, ForceError)>;
+/// Models of the held-out recording, step by step: added effects, force error, file.
+type ErrorSteps = Vec<(String, ForceError, PathBuf)>;
 
-/// Compares, diagnoses and adds the missing effects.
-fn improve(fitted: &Fitted, scanned: ScannedCampaign) -> Result<()> {
-    let comparison =
-        compare_scanned(fitted.model_path, fitted.model, None, scanned, None, fitted.options)?;
-    print_notes(&comparison.notes);
-    terminal::print(&format!(
-        "5. The residual. Model and measurement over all recordings.\n\n{}\n",
-        terminal::paragraph(&text::comparison::verdict(&comparison))
-    ))?;
+/// Diagnoses, adds the missing effects, and compares the last model with the first.
+fn improve(fitted: &Fitted, scanned: ScannedCampaign, is_verbose: bool) -> Result<()> {
     let bar = progress::Stages::new();
     let observer = Observer::new(|stage, share| bar.set(stage, share), |_| (), || false);
     let (mut diagnosis, _) = diagnose(
@@ -192,25 +183,50 @@ fn improve(fitted: &Fitted, scanned: ScannedCampaign) -> Result<()> {
     drop(observer);
     bar.finish();
     diagnosis.campaign = fitted.folder.display().to_string();
-    terminal::print(&format!(
-        "{}\n{}",
-        terminal::paragraph(
-            "6. The missing effects. Each effect of the catalogue is tested on the fitted recordings by \
-             cross-validation."
-        ),
-        format_summary(&diagnosis)
-    ))?;
     let steps = add_effects(fitted, &diagnosis)?;
-    terminal::print(&format!("7. The error by effect.\n\n{}\n", error_table(fitted, &steps)))?;
-    let path = fitted.output.join("report.html");
-    report::html::write(&path, &comparison, &report::html::diagnosis::sections(&diagnosis))?;
-    terminal::print(&format!("8. Plots: {}\n\n", path.display()))?;
+    let Some((_, _, last)) = steps.last() else {
+        bail!("no model");
+    };
+    let baseline = (steps.len() > 1).then_some(fitted.model_path);
+    let model = ModelFile::read(last)?;
+    let comparison = compare_scanned(last, &model, baseline, scanned, None, fitted.options)?;
+    print_notes(&comparison.notes);
+    let base = comparison.other.as_deref().unwrap_or(&comparison);
+    let verdict = text::comparison::verdict(base);
+    terminal::print(&terminal::paragraph(&format!("2. Compare. {verdict}")))?;
+    terminal::print(&found(&diagnosis))?;
+    if is_verbose {
+        terminal::print(&format!("\n{}", format_summary(&diagnosis)))?;
+    }
+    terminal::print(&error_table(&steps, &diagnosis))?;
+    let built = build(last, ModelVariant::Fitted)?;
+    write_output(&fitted.output.join("tables.rs"), tables_source(&built).as_bytes(), MARK)?;
+    let page = fitted.output.join("report.html");
+    report::html::write(&page, &comparison, &report::html::diagnosis::story(&diagnosis))?;
     Ok(())
+}
+
+/// What is missing, with the formulas in full.
+fn found(diagnosis: &Diagnosis) -> String {
+    let verdict = text::diagnosis::verdict(diagnosis);
+    let models = diagnosis.formulas.iter().flat_map(|formula| &formula.models);
+    let formulas: Vec<String> = models
+        .filter_map(|model| model.expression.as_ref())
+        .map(|text| format!("   {text}\n"))
+        .collect();
+    if formulas.is_empty() {
+        return terminal::paragraph(&format!("3. Diagnose. {verdict}"));
+    }
+    let heading = format!(
+        "3. Diagnose. {verdict} No effect of the catalogue has this form; it is a formula, not a cause:"
+    );
+    terminal::paragraph(&heading) + &formulas.concat()
 }
 
 /// Adds the accepted effects one by one and replays the held-out recording with each model.
 fn add_effects(fitted: &Fitted, diagnosis: &Diagnosis) -> Result<ErrorSteps> {
-    let mut steps = vec![("base model".to_owned(), pooled_error(&fitted.before.fitted))];
+    let first = pooled_error(&fitted.before.fitted);
+    let mut steps = vec![("base model".to_owned(), first, fitted.model_path.to_path_buf())];
     let mut added: Vec<EffectTerm> = Vec::new();
     for (i, step) in diagnosis.accepted.iter().enumerate() {
         // The first of several equivalent effects; a user would choose, or record data that separate them.
@@ -233,33 +249,35 @@ fn add_effects(fitted: &Fitted, diagnosis: &Diagnosis) -> Result<ErrorSteps> {
         edit.model.write(&path)?;
         let after = evaluate(&path, fitted.held_out, None, ALIGNMENT)?;
         print_notes(&after.notes);
-        steps.push((format!("+ {}", step.join(" or ")), pooled_error(&after.fitted)));
+        steps.push((format!("+ {}", step.join(" or ")), pooled_error(&after.fitted), path));
     }
     Ok(steps)
 }
 
-fn error_table(fitted: &Fitted, steps: &ErrorSteps) -> String {
+fn error_table(steps: &ErrorSteps, diagnosis: &Diagnosis) -> String {
     if steps.len() < 2 {
         return terminal::paragraph(
-            "No effect of the catalogue is missing. (User-defined formulas are tested with `magpie diagnose --expr`.)",
+            "4. Add. No effect of the catalogue is missing. (User-defined formulas are tested with `magpie diagnose --expr`.)",
         );
     }
-    let mut table = terminal::table(["with", "excess / N", "force / N", "noise / N"]);
-    for (with, error) in steps {
+    let mut table = terminal::table(["with", "excess / N", "force / N", "noise / N", "model"]);
+    for (with, error, path) in steps {
         let newtons = [error.excess_n(), error.rms_n, error.noise_n].map(|n| format!("{n:.3}"));
-        table.add_row(std::iter::once(with.clone()).chain(newtons));
+        let file = path.display().to_string();
+        table.add_row(std::iter::once(with.clone()).chain(newtons).chain([file]));
     }
     terminal::right_align(&mut table, 1);
-    let tie = if steps.iter().any(|(with, _)| with.contains(" or ")) {
-        "Effects joined by \"or\" are equivalent on these data; the first was added.\n"
-    } else {
-        ""
-    };
+    let mut notes = Vec::new();
+    if steps.iter().any(|(with, ..)| with.contains(" or ")) {
+        notes.push(
+            "Effects joined by \"or\" are equivalent on these data; the first was added."
+                .to_owned(),
+        );
+    }
+    notes.extend(text::diagnosis::rising_force(&diagnosis.staircase));
+    let note = if notes.is_empty() { String::new() } else { terminal::paragraph(&notes.join(" ")) };
     let heading = terminal::paragraph(
-        "Force error of the held-out recording (device's code, RMS over all forces), its noise, and the excess over the noise:",
+        "4. Add. Force error of the held-out recording (device's code, RMS over all forces), its noise, and the excess over the noise:",
     );
-    format!(
-        "{heading}\n{table}\n{tie}Models: better-1.toml and so on, in {}.\n",
-        fitted.output.display()
-    )
+    format!("{heading}{table}\n{note}")
 }

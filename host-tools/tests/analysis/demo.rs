@@ -1,26 +1,30 @@
 //! `magpie demo`: its report follows the campaign.
 
 use crate::workdir::{WorkDir, campaign, text};
+use model_export::inverse::codegen::MARK;
 
-/// Report of the demo, and the files that it writes.
-fn demo(of: Option<&str>) -> (String, Vec<String>) {
+/// Report of the demo, and its folder of output.
+fn demo(arguments: &[&str]) -> (String, WorkDir) {
     let dir = WorkDir::empty();
-    let campaign = of.map(campaign);
-    let arguments = ["demo", "-o", "."].into_iter().chain(campaign.as_deref());
-    let output = dir.stdout(&arguments.collect::<Vec<_>>());
+    let output = dir.stdout(&[&["demo", "-o", "."], arguments].concat());
+    (text(&output), dir)
+}
+
+fn files(dir: &WorkDir) -> Vec<String> {
     let entries = std::fs::read_dir(dir.0.path()).unwrap();
     let mut files: Vec<String> =
         entries.map(|entry| entry.unwrap().file_name().to_string_lossy().into_owned()).collect();
     files.sort();
-    (text(&output), files)
+    files
 }
 
 /// Models of the last table with the excess of their error over the noise, the error and the noise, in newtons.
 fn errors(report: &str) -> Vec<(String, [f64; 3])> {
-    let (_, table) = report.split_once("7. The error by effect.").unwrap();
-    let (table, _) = table.split_once("Models: better").unwrap();
+    let (_, table) = report.split_once("4. Add.").unwrap();
+    let (table, _) = table.split_once("Open ").unwrap();
     let row = |line: &str| {
         let mut words: Vec<&str> = line.split_whitespace().collect();
+        words.pop().filter(|file| file.ends_with(".toml"))?;
         let newtons: Vec<f64> =
             words.split_off(words.len().checked_sub(3)?).iter().flat_map(|n| n.parse()).collect();
         Some((words.join(" "), newtons.try_into().ok()?))
@@ -29,21 +33,33 @@ fn errors(report: &str) -> Vec<(String, [f64; 3])> {
 }
 
 #[test]
-fn demo_finds_the_neighbour_magnet_and_reduces_the_error() {
-    let (report, files) = demo(None);
+fn demo_finds_a_formula_and_reduces_the_error_to_a_fifth() {
+    let (report, dir) = demo(&[]);
     let errors = errors(&report);
     assert_eq!(errors.len(), 2, "{report}");
-    assert_eq!(errors[1].0, "+ neighbour_magnet");
-    let ([before, ..], [after, error, noise]) = (errors[0].1, errors[1].1);
-    assert!(before > 0.2 && after < 0.15 && (0.40..0.44).contains(&noise), "{errors:?}");
+    assert_eq!(errors[1].0, "+ formula_1");
+    let ([.., before, _], [after, error, noise]) = (errors[0].1, errors[1].1);
+    assert!(before > 5.0 * error && after < 0.15 && (0.40..0.45).contains(&noise), "{errors:?}");
     assert!((error.powi(2) - noise.powi(2) - after.powi(2)).abs() < 0.002, "{errors:?}");
-    assert!(report.contains("follows the opening"));
-    assert_eq!(files, ["better-1.toml", "model.toml", "report.html", "tables.rs"]);
+    assert!(report.contains("follows the rotor angle") && report.contains("sin(motor_angle_rad)"));
+    assert!(report.lines().count() <= 25, "{report}");
+    for line in report.lines() {
+        assert!(line.chars().count() <= 100 || line.contains("MAGPIE_TABLES"), "{line}");
+    }
+    assert_eq!(files(&dir), ["better-1.toml", "model.toml", "report.html", "tables.rs"]);
+    // The tables are those of the last model.
+    let tables = std::fs::read_to_string(dir.path("tables.rs")).unwrap();
+    assert!(tables.starts_with(MARK) && tables.contains("formula_1"));
+    // Forces before and after, the curve, the error step by step.
+    let page = std::fs::read_to_string(dir.path("report.html")).unwrap();
+    let place = |id: &str| page.find(&format!("<section id=\"{id}\"")).unwrap();
+    let order = ["scale", "overlay", "found", "staircase", "diagnosis", "errors"].map(place);
+    assert!(order.is_sorted(), "{order:?}");
 }
 
 #[test]
 fn demo_of_friction_finds_hysteresis_and_temperature() {
-    let (report, files) = demo(Some("friction"));
+    let (report, dir) = demo(&["--verbose", &campaign("friction")]);
     let errors = errors(&report);
     assert_eq!(errors.len(), 3, "{report}");
     let named = |name: &str| errors[1..].iter().any(|(with, _)| with.contains(name));
@@ -52,7 +68,19 @@ fn demo_of_friction_finds_hysteresis_and_temperature() {
     // Equivalent effects are reported with a recording that separates them.
     assert!(report.contains("Equivalent on these data"), "{report}");
     assert!(errors[2].1[0] < 0.2 * errors[0].1[0], "{errors:?}");
-    assert!(files.contains(&"better-2.toml".to_owned()));
+    // A step that raises the error is explained below the table.
+    let (_, table) = report.split_once("4. Add.").unwrap();
+    let rises = errors.windows(2).any(|pair| pair[1].1[1] > pair[0].1[1]);
+    assert_eq!(rises, table.contains("the error of the forces rises"), "{report}");
+    assert!(files(&dir).contains(&"better-2.toml".to_owned()));
+}
+
+#[test]
+fn demo_without_missing_effects_says_so() {
+    let (report, dir) = demo(&[&campaign("clean")]);
+    assert!(report.contains("4. Add. No effect of the catalogue is missing."), "{report}");
+    assert!(report.contains("At the noise floor"), "{report}");
+    assert_eq!(files(&dir), ["model.toml", "report.html", "tables.rs"]);
 }
 
 #[test]

@@ -3,7 +3,6 @@
 use tests::{data, real_data};
 
 use crate::workdir::{WorkDir, campaign, text};
-use model_export::inverse::codegen::MARK;
 
 #[test]
 fn fit_json_has_axes_and_parameters() {
@@ -115,28 +114,6 @@ fn held_out_replay_error_is_below_one_newton() {
     // The paper's ideal model (nominal design) has errors of newtons.
     let nominal = json["nominal"].as_array().unwrap();
     assert!(nominal.iter().all(|sensor| sensor["rmse_n"].as_f64() > Some(2.0)));
-}
-
-#[test]
-fn demo_reaches_the_noise_floor() {
-    let dir = WorkDir::empty();
-    let report = text(&dir.stdout("demo -o ."));
-    assert!(dir.read("tables.rs").starts_with(MARK));
-    for part in [
-        "1. The recordings.",
-        "2. The fit.",
-        "3. The inverse.",
-        "4. The evaluation.",
-        "5. The residual.",
-        "6. The missing effects.",
-        "AT NOISE FLOOR",
-        "7. The error by effect.",
-    ] {
-        assert!(report.contains(part), "{report}");
-    }
-    for line in report.lines() {
-        assert!(line.chars().count() <= 100 || line.contains("MAGPIE_TABLES"), "{line}");
-    }
 }
 
 #[test]

@@ -63,18 +63,21 @@ pub fn page(comparison: &Comparison) -> String {
 /// Page of a comparison with additional sections after the summary.
 pub fn page_with(comparison: &Comparison, more: &[Section]) -> String {
     let title = format!("magpie: {} versus {}", comparison.model, comparison.campaign);
+    // With a diagnosis, the two models are those before and after what it found: their forces come first.
+    let is_before_and_after = comparison.other.is_some() && !more.is_empty();
     let body = html! {
         (summary::head(comparison))
-        @if !stopped(comparison) { (links(more)) }
+        @if !stopped(comparison) { (links(more, is_before_and_after)) }
         (summary::findings_section(comparison))
         @if stopped(comparison) {
             p.empty { "No results: fix the setup errors first." }
             @for section in more { (placed(section)) }
         } @else {
             (summary::section(comparison))
+            @if is_before_and_after { (traces::section(comparison)) }
             @for section in more { (placed(section)) }
             (errors::section(comparison))
-            (traces::section(comparison))
+            @if !is_before_and_after { (traces::section(comparison)) }
             (histograms::section(comparison))
             (attribution::section(comparison))
             (map::section(comparison))
@@ -126,21 +129,21 @@ fn placed(section: &Section) -> Markup {
 }
 
 /// Navigation of a comparison.
-fn links(more: &[Section]) -> Markup {
-    let more = more.iter().map(|s| (s.id, s.heading.as_str()));
-    let first = std::iter::once(("scale", "Overall error")).chain(more);
-    let places = [
-        ("errors", "By sensor"),
-        ("overlay", "Over time"),
+fn links(more: &[Section], is_before_and_after: bool) -> Markup {
+    let mut places = vec![("scale", "Overall error")];
+    places.extend(more.iter().map(|section| (section.id, section.heading.as_str())));
+    places.push(("errors", "By sensor"));
+    places.insert(if is_before_and_after { 1 } else { places.len() }, ("overlay", "Over time"));
+    places.extend([
         ("histograms", "Distribution of the errors"),
         ("located", "Dependence on covariates"),
         ("map", "Map"),
         ("worst", "Worst stretches"),
         ("origin", "Provenance"),
-    ];
+    ]);
     html! {
         nav aria-label="On this page" {
-            @for (place, words) in first.chain(places) { a href=(format!("#{place}")) { (words) } }
+            @for (place, words) in places { a href=(format!("#{place}")) { (words) } }
         }
     }
 }

@@ -540,11 +540,11 @@ fn conclusion(comparison: &Comparison) -> String {
     if rms <= AT_FLOOR * floor && worst <= AT_FLOOR * AT_FLOOR {
         if let Some(lead) = chosen.first() {
             return format!(
-                "Within {:.0} % of the noise floor: {error}, the floor is {}; {:.0} % of the remaining residual follows the {}.",
+                "Within {:.0} % of the noise floor: {error}, the floor is {}; {:.0} % of the remaining residual {}.",
                 100.0 * (rms / floor - 1.0),
                 field(floor),
                 100.0 * lead.share,
-                lead.words
+                dependence(&lead.covariate, &lead.words)
             );
         }
         return format!(
@@ -613,16 +613,23 @@ fn caveat(findings: &[Finding]) -> Option<String> {
     })
 }
 
+/// "follows the opening" or "is a constant of each channel".
+pub fn dependence(covariate: &str, words: &str) -> String {
+    if covariate == "constant" { format!("is {words}") } else { format!("follows the {words}") }
+}
+
 /// "48 % of the residual follows the opening, most of it below 12 mm".
 pub fn follows(located: &Attribution) -> String {
-    let share = 100.0 * located.share;
+    let share = format!(
+        "{:.0} % of the residual {}",
+        100.0 * located.share,
+        dependence(&located.covariate, &located.words)
+    );
     if located.covariate == "constant" {
         return format!(
-            "{share:.0} % of the residual is {}: another gripper, a displaced magnet, or a reference that was not zeroed",
-            located.words
+            "{share}: another gripper, a displaced magnet, or a reference that was not zeroed"
         );
     }
-    let share = format!("{share:.0} % of the residual follows the {}", located.words);
     match concentrated(located) {
         Some(place) => format!("{share}, most of it {place}"),
         None => share,

@@ -12,7 +12,7 @@ use anstyle::Style;
 use model_export::effects::find;
 use serde_json::{Value, json};
 
-use crate::text::comparison::{data_findings, stopped_verdict};
+use crate::text::comparison::{data_findings, dependence, stopped_verdict};
 use crate::text::recording_plan::{self, format_proposal};
 use crate::text::terminal::{self, GOOD, HEADING, NARROW_WIDTH, WARNING};
 use crate::text::{findings, force_error};
@@ -705,7 +705,8 @@ pub fn short_reason(verdict: &Verdict) -> String {
 
 /// "84 % of the residual follows the rotor angle".
 fn residual_follows(unexplained: &Unexplained) -> String {
-    format!("{:.0} % of the residual follows the {}", 100.0 * unexplained.share, unexplained.words)
+    let dependence = dependence(&unexplained.covariate, &unexplained.words);
+    format!("{:.0} % of the residual {dependence}", 100.0 * unexplained.share)
 }
 
 /// The reason as a sentence.

@@ -14,6 +14,17 @@ mod tests;
 use crate::html::Section;
 use analysis::diagnose::Diagnosis;
 
+/// The same sections after plots of the forces: first the curves of what was found, then the error step by step.
+pub fn story(diagnosis: &Diagnosis) -> Vec<Section> {
+    let mut sections: Vec<Section> = verdicts::found_section(diagnosis).into_iter().collect();
+    if !diagnosis.staircase.is_empty() {
+        sections.push(staircase::section(diagnosis));
+    }
+    sections.push(verdicts::verdict_section(diagnosis));
+    sections.extend(verdicts::open_section(diagnosis));
+    sections
+}
+
 /// The sections, in the order in which a person reads them; one without content is left out.
 pub fn sections(diagnosis: &Diagnosis) -> Vec<Section> {
     let mut sections = vec![verdicts::verdict_section(diagnosis)];
