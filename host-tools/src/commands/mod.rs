@@ -24,6 +24,7 @@ pub mod monitor;
 pub mod parameter;
 pub mod record;
 pub mod replay;
+pub mod shell;
 pub mod simulate;
 pub mod tare;
 pub mod train;
@@ -78,6 +79,8 @@ enum Command {
     Design(design::Args),
     #[command(alias = "faults")]
     FaultCampaign(fault_campaign::Args),
+    Completions(shell::CompletionsArgs),
+    Man(shell::ManArgs),
 }
 
 /// The parser of the command line.
@@ -119,6 +122,8 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Grasp(args) => grasp::run(&args),
         Command::Design(args) => design::run(&args),
         Command::FaultCampaign(args) => fault_campaign::run(&args),
+        Command::Completions(args) => shell::run_completions(&args),
+        Command::Man(args) => shell::run_man(&args),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

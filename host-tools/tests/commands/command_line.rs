@@ -182,6 +182,29 @@ fn real_lattice_measurements_are_imported_and_fitted() {
     assert!(message.contains("an import never overwrites"), "{message}");
 }
 
+#[test]
+fn completions_and_manual_pages_cover_every_command() {
+    let dir = WorkDir::empty();
+    let parser = host_tools::commands::parser();
+    let names: Vec<&str> = parser.get_subcommands().map(clap::Command::get_name).collect();
+    for shell in ["bash", "elvish", "fish", "powershell", "zsh"] {
+        let script = text(&dir.stdout(&["completions", shell]));
+        let missing: Vec<&&str> = names.iter().filter(|name| !script.contains(**name)).collect();
+        assert!(missing.is_empty(), "{shell}: {missing:?}");
+    }
+    let script = dir.stdout("completions bash");
+    std::fs::write(dir.path("magpie.bash"), script).unwrap();
+    let ask = "source magpie.bash; COMP_WORDS=(magpie diagno); COMP_CWORD=1; _magpie magpie diagno magpie; echo ${COMPREPLY[@]}";
+    let mut bash = std::process::Command::new("bash");
+    let answer = bash.args(["-c", ask]).current_dir(dir.0.path()).output().unwrap();
+    assert_eq!(text(&answer.stdout).trim(), "diagnose", "{}", text(&answer.stderr));
+    dir.stdout("man pages");
+    for name in names {
+        let page = dir.read(&format!("pages/magpie-{name}.1"));
+        assert!(page.contains(&format!("magpie\\-{}", name.replace('-', "\\-"))), "{page}");
+    }
+}
+
 /// `UPDATE_README=1 cargo test -p host-tools --test commands` rewrites the table.
 #[test]
 fn readme_lists_all_commands() {

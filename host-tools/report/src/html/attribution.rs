@@ -1,6 +1,8 @@
 //! Residual over each covariate as small multiples with one scale per sensor, and the worst stretches.
 
-use crate::html::plot::{Along, Failure, Paper, Swatch, axes, bounds, figure, key, lines, stroke};
+use crate::html::plot::{
+    Along, AxisScale, Failure, Paper, Swatch, axes, bounds, figure, key, lines, stroke,
+};
 use crate::html::tables::table;
 use crate::html::{palette, sensor_that_errs_most};
 use crate::text::comparison::conditions;
@@ -115,7 +117,8 @@ fn plot(located: &Attribution, sensor_at: usize, sensor: u32, scale: &Range<f64>
     let words = format!("{}{unit}", located.words);
     let across =
         Along { labels: 4, ..Along::holding(&words, located.bins.iter().map(|bin| bin.centre)) };
-    let upwards = Along { words: "G".to_owned(), range: scale.clone(), labels: 4, powers: false };
+    let upwards =
+        Along { words: "G".to_owned(), range: scale.clone(), labels: 4, scale: AxisScale::Linear };
     let says = format!(
         "Mean residual of sensor {sensor} in gauss over {words}: x, y and z with 95 % bands."
     );

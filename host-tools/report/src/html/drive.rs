@@ -36,10 +36,16 @@ const POINTS: usize = 900;
 /// Curves over one axis.
 pub(super) fn curves(says: &str, (across, upwards): (&str, &str), curves: &[Curve]) -> Markup {
     let all = || curves.iter().flat_map(|(_, points)| points);
-    let across = Along { labels: 5, ..Along::holding(across, all().map(|point| point.0)) };
     let upwards = Along::holding(upwards, all().map(|point| point.1));
+    curves_along(says, across, &upwards, curves)
+}
+
+/// The same with this axis upwards.
+pub(super) fn curves_along(says: &str, across: &str, upwards: &Along, curves: &[Curve]) -> Markup {
+    let all = || curves.iter().flat_map(|(_, points)| points);
+    let across = Along { labels: 5, ..Along::holding(across, all().map(|point| point.0)) };
     let drawn = figure(HALF, says, |paper| {
-        let mut chart = axes(paper, &across, &upwards)?;
+        let mut chart = axes(paper, &across, upwards)?;
         for (role, points) in curves {
             let every = points.len().div_ceil(POINTS).max(1);
             let thinned: Vec<_> = points.iter().copied().step_by(every).collect();

@@ -1,9 +1,9 @@
 //! Sections of a grasp and of a ground contact.
 
 use crate::html::Section;
-use crate::html::drive::{self, Curve, curves};
+use crate::html::drive::{self, Curve, curves, curves_along};
 use crate::html::palette::{self, Role};
-use crate::html::plot::{Swatch, key};
+use crate::html::plot::{Along, Swatch, key};
 use crate::html::tables::table;
 use analysis::numbers::number;
 use maud::{Markup, html};
@@ -33,13 +33,16 @@ pub fn landing(landed: &LandingResult) -> Vec<Section> {
 /// Time range relative to the contact in seconds.
 const SHOWN_S: [f64; 2] = [-0.1, 0.7];
 
-/// Curve over the time range in milliseconds.
-fn curve(course: &GraspTrace, role: Role, of: impl Fn(&GraspSample) -> Option<f64>) -> Curve {
+/// Samples within that range.
+fn shown(course: &GraspTrace) -> impl Iterator<Item = &GraspSample> {
     let [from_s, to_s] = SHOWN_S;
     let last_s = course.hold_s().unwrap_or_default() + to_s;
-    let shown = course.points.iter();
-    let shown = shown.filter(|point| (from_s..last_s).contains(&point.time_s));
-    let points = shown.filter_map(|point| Some((1e3 * point.time_s, of(point)?)));
+    course.points.iter().filter(move |point| (from_s..last_s).contains(&point.time_s))
+}
+
+/// Curve over the time range in milliseconds.
+fn curve(course: &GraspTrace, role: Role, of: impl Fn(&GraspSample) -> Option<f64>) -> Curve {
+    let points = shown(course).filter_map(|point| Some((1e3 * point.time_s, of(point)?)));
     (role, points.collect())
 }
 
@@ -73,9 +76,9 @@ pub fn grasp_section(gripped: &GraspResult) -> Section {
             (curves("Force over time.", (across, "force, N"), &forces))
             (curves("Opening over time.", (across, "opening, mm"), &widths))
             (curves("Motor current over time.", (across, "current, A"), &currents))
-            (curves("State number over time.", (across, "state"), &[state(own)]))
+            (state_plot(own, across))
         }
-        (table("States of the firmware", &["number", "state", "from, ms"], states(gripped)))
+        (table("States of the firmware", &["state", "from, ms"], states(gripped)))
         (figures(gripped))
         @if gripped.other.is_some() {
             p.note { "A current limit bounds the static torque. The impact force at the contact results from the rotor's \
@@ -85,22 +88,27 @@ pub fn grasp_section(gripped: &GraspResult) -> Section {
     Section { id: "grasp", heading: "Grasp".to_owned(), body }
 }
 
-fn state(course: &GraspTrace) -> Curve {
-    curve(course, palette::FIRST, |point| {
-        let (power, task) = point.state?;
-        Some(f64::from(firmware::grip::states::state_code(power, task)))
-    })
+/// The states by name, in the order in which they first occur.
+fn state_plot(course: &GraspTrace, across: &str) -> Markup {
+    let mut names: Vec<String> = Vec::new();
+    for state in shown(course).filter_map(|point| point.state) {
+        let name = GraspResult::state_name(state);
+        if !names.contains(&name) {
+            names.push(name);
+        }
+    }
+    let place = |point: &GraspSample| {
+        let name = GraspResult::state_name(point.state?);
+        Some(names.iter().position(|own| *own == name)? as f64)
+    };
+    let states = curve(course, palette::FIRST, place);
+    curves_along("State over time.", across, &Along::names(names), &[states])
 }
 
 fn states(gripped: &GraspResult) -> Vec<Vec<Markup>> {
-    let row = |(time_s, power, task): (f64, _, _)| {
-        vec![
-            html! { (firmware::grip::states::state_code(power, task)) },
-            html! { (GraspResult::state_name((power, task))) },
-            html! { (number(1e3 * time_s)) },
-        ]
-    };
-    gripped.own.states().into_iter().map(row).collect()
+    let row =
+        |(time_s, name): (f64, String)| vec![html! { (name) }, html! { (number(1e3 * time_s)) }];
+    gripped.states().into_iter().map(row).collect()
 }
 
 fn figures(gripped: &GraspResult) -> Markup {

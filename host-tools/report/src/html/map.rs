@@ -5,7 +5,7 @@ use plotters::prelude::*;
 use plotters::style::colors::colormaps::{ColorMap, ViridisRGB};
 
 use crate::html::palette;
-use crate::html::plot::{Along, Failure, Paper, axes, bounds, figure, letters, px};
+use crate::html::plot::{Along, AxisScale, Failure, Paper, axes, bounds, figure, letters, px};
 use analysis::compare::{Comparison, ResidualMap};
 use analysis::numbers::number;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
@@ -106,7 +106,7 @@ fn grid(
     let ends = |edges: &[f64]| bounds(edges.iter().copied()).unwrap_or((0.0, 1.0));
     let axis = |words: &String, edges: &[f64]| {
         let (from, to) = ends(edges);
-        Along { words: words.clone(), range: from..to, labels: 6, powers: false }
+        Along { words: words.clone(), range: from..to, labels: 6, scale: AxisScale::Linear }
     };
     let [across, upwards] = &map.axes;
     let (across, upwards) = (axis(across, &map.across), axis(upwards, &map.upwards));

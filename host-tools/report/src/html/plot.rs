@@ -17,6 +17,9 @@ const PX: u32 = 4;
 /// Line height of text in pixels, 1.24 times the font size: a plot 440 pixels wide
 /// is scaled to 358 on a phone.
 const LETTERS: u32 = 16;
+/// Mean width of a letter in pixels, and minimum width of the labels beside an axis.
+const LETTER_WIDTH: f64 = 8.0;
+const MARGIN: f64 = 60.0;
 /// Size in pixels of plots placed in pairs; the text remains legible on a phone.
 pub const HALF: (u32, u32) = (440, 260);
 
@@ -61,6 +64,17 @@ pub fn figure(
     }
 }
 
+/// What the numbers of an axis are, and how its labels are written.
+#[derive(Clone, Debug, PartialEq)]
+pub enum AxisScale {
+    /// Values.
+    Linear,
+    /// Decimal logarithms; the labels show the values.
+    Logarithmic,
+    /// Indices of these names.
+    Names(Vec<String>),
+}
+
 /// Axis: label with unit, and range.
 #[derive(Clone, Debug)]
 pub struct Along {
@@ -70,8 +84,8 @@ pub struct Along {
     pub range: Range<f64>,
     /// Approximate number of tick labels; 0 for categories.
     pub labels: usize,
-    /// True if the range is in decimal logarithms; the labels show the values.
-    pub powers: bool,
+    /// What the numbers are.
+    pub scale: AxisScale,
 }
 
 impl Along {
@@ -86,7 +100,7 @@ impl Along {
             words: words.into(),
             range: least - margin..greatest + margin,
             labels: 5,
-            powers: false,
+            scale: AxisScale::Linear,
         }
     }
 
@@ -97,23 +111,55 @@ impl Along {
             words: words.into(),
             range: 0.0..if greatest > 0.0 { 1.08 * greatest } else { 1.0 },
             labels: 5,
-            powers: false,
+            scale: AxisScale::Linear,
         }
     }
 
     /// Logarithmic axis for these decimal logarithms.
     pub fn powers(words: impl Into<String>, values: impl IntoIterator<Item = f64>) -> Self {
-        Self { powers: true, ..Self::holding(words, values) }
+        Self { scale: AxisScale::Logarithmic, ..Self::holding(words, values) }
     }
 
     /// Axis of `count` categories, each one unit wide.
     pub fn things(count: usize) -> Self {
-        Self { words: String::new(), range: 0.0..count.max(1) as f64, labels: 0, powers: false }
+        Self {
+            words: String::new(),
+            range: 0.0..count.max(1) as f64,
+            labels: 0,
+            scale: AxisScale::Linear,
+        }
+    }
+
+    /// Axis of these names, at 0, 1 and so on.
+    pub fn names(names: Vec<String>) -> Self {
+        Self {
+            words: String::new(),
+            range: -0.5..names.len().max(1) as f64 - 0.5,
+            labels: names.len() + 1,
+            scale: AxisScale::Names(names),
+        }
+    }
+
+    /// Width of its labels beside the axis in pixels.
+    fn width(&self) -> f64 {
+        match &self.scale {
+            AxisScale::Names(names) => {
+                let longest = names.iter().map(|name| name.chars().count()).max().unwrap_or(0);
+                MARGIN.max(LETTER_WIDTH * longest as f64)
+            }
+            _ => MARGIN,
+        }
     }
 
     fn label(&self, value: f64) -> String {
-        if self.powers {
-            return power(value);
+        match &self.scale {
+            AxisScale::Linear => {}
+            AxisScale::Logarithmic => return power(value),
+            AxisScale::Names(names) => {
+                let is_index = value >= 0.0 && (value - value.round()).abs() < 1e-9;
+                let name = names.get(value.round() as usize).filter(|_| is_index);
+                return name.cloned().unwrap_or_default();
+            }
         }
         let step = (self.range.end - self.range.start) / self.labels.max(1) as f64;
         let text = decimal(value, decimals_for(step));
@@ -175,7 +221,7 @@ pub fn axes<'a, 'b>(
         .margin_top(px(8.0))
         .margin_right(px(10.0))
         .x_label_area_size(px(below))
-        .y_label_area_size(px(60.0))
+        .y_label_area_size(px(upwards.width()))
         .build_cartesian_2d(across.range.clone(), upwards.range.clone())?;
     let grid = stroke(palette::GRID, 1.0);
     let mut mesh = chart.configure_mesh();
@@ -289,6 +335,14 @@ mod tests {
         let known =
             ["10\u{207b}\u{2074}", "0.01", "1", "1000", "10\u{2074}", "10\u{b9}\u{b2}", "3.16"];
         assert_eq!(labels, known);
+    }
+
+    #[test]
+    fn names_are_written_at_their_index_only() {
+        let axis = Along::names(vec!["idle".to_owned(), "holding the object".to_owned()]);
+        let labels = [-0.5, 0.0, 0.5, 1.0, 2.0].map(|value| axis.label(value));
+        assert_eq!(labels, ["", "idle", "", "holding the object", ""]);
+        assert_eq!((axis.range.clone(), axis.width()), (-0.5..1.5, 18.0 * LETTER_WIDTH));
     }
 
     #[test]

@@ -6,7 +6,9 @@ use maud::{Markup, html};
 use plotters::prelude::*;
 
 use crate::html::palette;
-use crate::html::plot::{Along, Failure, Paper, Swatch, axes, bounds, figure, key, lines, stroke};
+use crate::html::plot::{
+    Along, AxisScale, Failure, Paper, Swatch, axes, bounds, figure, key, lines, stroke,
+};
 use analysis::diagnose::EffectShape;
 
 /// Size of the plot of the strongest channel, in pixels.
@@ -156,7 +158,8 @@ fn plot(shape: &EffectShape, of: (usize, usize), size: (u32, u32), scale: &Range
         labels: if few { shape.bins.len() } else { 4 },
         ..Along::holding(&words, shape.bins.iter().map(|bin| bin.centre))
     };
-    let upwards = Along { words: "G".to_owned(), range: scale.clone(), labels: 4, powers: false };
+    let upwards =
+        Along { words: "G".to_owned(), range: scale.clone(), labels: 4, scale: AxisScale::Linear };
     let points = points(shape, of);
     figure(size, &says, |paper| draw(paper, &points, &across, &upwards))
 }

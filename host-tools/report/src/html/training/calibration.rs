@@ -6,7 +6,7 @@ use plotters::prelude::*;
 
 use crate::html::Section;
 use crate::html::palette::{self, Role};
-use crate::html::plot::{Along, Failure, Paper, Swatch, axes, figure, key, px, stroke};
+use crate::html::plot::{Along, AxisScale, Failure, Paper, Swatch, axes, figure, key, px, stroke};
 use analysis::benchmark::Benchmark;
 use analysis::benchmark::variants::EstimatorVariant;
 use analysis::calibration::Coverage;
@@ -59,7 +59,7 @@ fn draw(paper: &Paper, curves: &[(EstimatorVariant, Role, &Coverage)]) -> Result
         words: words.to_owned(),
         range: 0.0..100.0,
         labels: 6,
-        powers: false,
+        scale: AxisScale::Linear,
     };
     let (across, upwards) = (share("share of a Gaussian, %"), share("share found, %"));
     let mut chart = axes(paper, &across, &upwards)?;

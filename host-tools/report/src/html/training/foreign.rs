@@ -5,7 +5,9 @@ use plotters::prelude::*;
 
 use crate::html::Section;
 use crate::html::palette::{self, Role};
-use crate::html::plot::{Along, Failure, Paper, Swatch, axes, centred, figure, key, px, stroke};
+use crate::html::plot::{
+    Along, AxisScale, Failure, Paper, Swatch, axes, centred, figure, key, px, stroke,
+};
 use crate::text::disturbance::summary;
 use analysis::magnetic_disturbance::counts::{DetectionCounts, MEASURES, OperatingPoint, PER_S};
 use analysis::magnetic_disturbance::event::MAX_LATENCY;
@@ -83,7 +85,7 @@ fn draw(paper: &Paper, tally: &DetectionCounts, curves: &[Curve]) -> Result<(), 
         words: "detected in time, %".to_owned(),
         range: from..100.0 + 0.04 * (100.0 - from),
         labels: 6,
-        powers: false,
+        scale: AxisScale::Linear,
     };
     let mut chart = axes(paper, &along, &upwards)?;
     for (_, role, points) in curves {
