@@ -42,7 +42,10 @@ fn grasp_is_compared_with_a_current_limit() {
     assert!(figure(&json["current_limit"], "peak force") > 300.0);
     let states = json["points"].as_array().unwrap().iter();
     assert!(states.clone().any(|point| point["state"] == "hold latched"));
+    let sentence = "333 N/mm contact stiffness, flexures included, with 50 N; seed 1.";
     let page = dir.read("page.html");
+    // In the plot and in the table.
+    assert!(page.contains(sentence) && page.matches("hold latched").count() >= 2, "{page}");
     for words in ["force, N", "opening, mm", "current, A", "state", "hold latched", "Assumed"] {
         assert!(page.contains(words), "{words}");
     }

@@ -40,17 +40,12 @@ struct Descent<'a> {
     free: DVector<f64>,
     /// Equivalent problem at `free`; `None` where a value overflows.
     reduced: Option<ReducedProblem>,
-    tolerance: f64,
 }
 
 /// Equivalent least-squares problem of few rows.
 struct ReducedProblem {
     jacobian: DMatrix<f64>,
     residuals: DVector<f64>,
-    /// Gauss-Newton step, and the relative reduction of the sum of squares that it predicts: no step of the linear problem has a
-    /// larger one.
-    step: DVector<f64>,
-    predicted: f64,
 }
 
 impl Descent<'_> {
@@ -102,16 +97,9 @@ impl Descent<'_> {
         let along = -factor.solve_lower_triangular(&score)?;
         let across = (squares - along.norm_squared()).max(0.0).sqrt();
         Some(ReducedProblem {
-            step: -factor.tr_solve_lower_triangular(&along)?,
-            predicted: along.norm_squared() / squares.max(f64::MIN_POSITIVE),
             jacobian: factor.transpose().insert_row(free.ncols(), 0.0),
             residuals: along.push(across),
         })
-    }
-
-    /// Whether the next step predicts a reduction below the tolerance.
-    fn is_converged(&self) -> bool {
-        self.reduced.as_ref().is_some_and(|reduced| reduced.predicted <= self.tolerance)
     }
 }
 
@@ -156,9 +144,8 @@ impl LeastSquaresProblem<f64, Dyn, Dyn> for Descent<'_> {
         Some(self.reduced.as_ref()?.residuals.clone())
     }
 
-    /// None at convergence: it ends the descent.
     fn jacobian(&self) -> Option<OMatrix<f64, Dyn, Dyn>> {
-        Some(self.reduced.as_ref().filter(|_| !self.is_converged())?.jacobian.clone())
+        Some(self.reduced.as_ref()?.jacobian.clone())
     }
 }
 
@@ -183,8 +170,8 @@ where
 }
 
 /// Scaled parameters that minimise the squared residuals of these rows, divided by the variance `inflation`, and the prior, from
-/// `start`, within the free directions; converged where the next step predicts a reduction of the sum of squares below `tolerance`,
-/// relative. That step is taken without another evaluation. `at_start` are the normal equations of the same rows at `start`, where they are known.
+/// `start`, within the free directions; converged where a step lowers the sum of squares by less than `tolerance`, relative.
+/// `at_start` are the normal equations of the same rows at `start`, where they are known.
 pub fn minimise(
     problem: &SensorProblem,
     ranges: &[RowRange],
@@ -204,11 +191,10 @@ pub fn minimise(
         fixed: space.fixed_part(start),
         free,
         reduced: None,
-        tolerance,
     };
     let at_start = at_start.unwrap_or_else(|| descent.data());
     descent.reduced = descent.reduced(&at_start);
-    let descent = descend(descent).map_err(not_converged)?;
+    let descent = descend(descent, tolerance).map_err(not_converged)?;
     let mut scaled = descent.scaled();
     scaled.iter_mut().zip(&problem.parameters).for_each(|(v, index)| *v = index.within_limits(*v));
     if scaled.iter().all(|d| d.is_finite()) {
@@ -219,9 +205,9 @@ pub fn minimise(
 }
 
 /// Minimises in rounds until convergence; the error is the reason for failure.
-fn descend(mut descent: Descent) -> Result<Descent, String> {
+fn descend(mut descent: Descent, tolerance: f64) -> Result<Descent, String> {
     let method = LevenbergMarquardt::new()
-        .with_ftol(descent.tolerance)
+        .with_ftol(tolerance)
         .with_xtol(1e-8)
         .with_gtol(1e-10)
         .with_patience(EVALUATIONS.div_ceil(descent.free.len() + 1));
@@ -229,12 +215,6 @@ fn descend(mut descent: Descent) -> Result<Descent, String> {
     for _ in 0..ROUNDS {
         let (after, report) = method.minimize(descent);
         descent = after;
-        if descent.is_converged() {
-            if let Some(reduced) = &descent.reduced {
-                descent.free += &reduced.step;
-            }
-            return Ok(descent);
-        }
         match report.termination {
             TerminationReason::LostPatience => {
                 let left = report.objective_function;

@@ -276,9 +276,9 @@ impl GraspResult {
         let ms = |seconds: Option<f64>| 1e3 * seconds.unwrap_or(f64::NAN);
         let set_n = trace.target.set_n;
         vec![
-            ("force target for", set_n, "N"),
+            ("set-point of the force", set_n, "N"),
             ("peak force", trace.peak_n(), "N"),
-            ("beyond what is target for", (trace.peak_n() - set_n).max(0.0), "N"),
+            ("overshoot of the force", (trace.peak_n() - set_n).max(0.0), "N"),
             ("rise time to 95 %", ms(trace.rise_s()), "ms"),
             ("time to hold", ms(trace.hold_s()), "ms"),
             ("final force", trace.end_n(), "N"),
@@ -316,7 +316,7 @@ impl GraspResult {
             "Screw {lead:?} grips an object of {} N/mm contact stiffness, flexures included, with {} N; seed {}. \
              The firmware's grasp and motor control on a simulated gripper; the force of each finger is measured with \
              {NOISE_N} N of noise and 1 ms delay.",
-            target.set_n, target.contact_n_per_mm, self.case.seed
+            target.contact_n_per_mm, target.set_n, self.case.seed
         )
     }
 
