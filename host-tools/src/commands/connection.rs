@@ -15,7 +15,6 @@ use model_export::output::StagingDir;
 use model_export::recordings::align::Alignment;
 
 use crate::commands::args::parse_number;
-use crate::commands::demo::CAMPAIGN;
 use analysis::compare::campaign_reader::read_campaign;
 use analysis::fit::fit_campaign;
 use device::key_file;
@@ -124,7 +123,7 @@ pub struct GripperArgs {
     /// Virtual board: the firmware's tasks behind a pseudo-terminal.
     #[arg(long = "virtual", id = "virtual")]
     is_virtual: bool,
-    /// Model of the virtual board [default: fitted to the project's demo campaign].
+    /// Model of the virtual board [default: fitted to a campaign of the project, with four sensors].
     #[arg(long, requires = "virtual", value_name = "MODEL")]
     model: Option<PathBuf>,
     /// Networks of the virtual board.
@@ -191,22 +190,26 @@ impl GripperArgs {
         let bar = progress::progress_bar("building tables", 1);
         let built = match &self.model {
             Some(path) => build(path, ModelVariant::Fitted)?,
-            None => fit_demo()?,
+            None => default_model()?,
         };
         bar.finish_and_clear();
         Ok(built)
     }
 }
 
-/// The model of the demo campaign.
+/// Campaign of four sensors in the source tree of this build.
 #[cfg(unix)]
-fn fit_demo() -> Result<DeviceModel> {
+const CAMPAIGN: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/data/demo");
+
+/// The model of that campaign.
+#[cfg(unix)]
+fn default_model() -> Result<DeviceModel> {
     let options = FitOptions::default();
     let alignment = Alignment { delay_us: 0.0 };
     let campaign = read_campaign(Path::new(CAMPAIGN), alignment)?;
     let (fits, _) = fit_campaign(&campaign, BaseKind::Cylinder, None, options)?;
     let provenance = Provenance::of(&campaign, alignment.delay_us, options)?;
-    let folder = StagingDir::new(&std::env::temp_dir().join("model"), "demo")?;
+    let folder = StagingDir::new(&std::env::temp_dir().join("model"), "default")?;
     let path = folder.path().join("model.toml");
     ModelFile::of(&campaign, &fits, provenance).write(&path)?;
     Ok(build(&path, ModelVariant::Fitted)?)
