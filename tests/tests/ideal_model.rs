@@ -131,6 +131,19 @@ fn unusable_readings_have_the_right_validity() {
 }
 
 #[test]
+fn given_shape_is_taken_only_where_the_device_can_represent_it() {
+    let select = |shape| {
+        select_models(&[nominal()], &[0], 7, GAUSS_PER_LSB, RANGE_G, Some(shape)).unwrap().shape
+    };
+    let selected = chosen().shape;
+    let other = GrbfShape { ridge: 1e-3, ..selected };
+    assert_eq!(select(other), other);
+    // Nearly constant functions need huge weights.
+    let huge = GrbfShape { gamma: 1e-4, ridge: 1e-14, ..selected };
+    assert_ne!(select(huge), huge);
+}
+
+#[test]
 fn sensors_without_a_table_are_missing() {
     let chosen =
         select_models(&[(); 2].map(|()| nominal()), &[1, 3], 7, GAUSS_PER_LSB, RANGE_G, None)

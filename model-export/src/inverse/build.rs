@@ -83,7 +83,7 @@ pub fn build(path: &Path, variant: ModelVariant) -> Result<DeviceModel, BuildErr
 }
 
 /// Builds the tables of a model in memory; `place` is its path for messages, `bytes` its content for the hash.
-/// The shape of the inverse is selected unless it is given.
+/// The shape of the inverse is selected unless one is given that the device can represent.
 pub fn build_model(
     model: ModelFile,
     place: &Path,

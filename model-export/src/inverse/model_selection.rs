@@ -83,7 +83,8 @@ struct InverseProblem<'a> {
     sensors: Vec<SensorData<'a>>,
 }
 
-/// Fits the inverse models of all sensors with common hyperparameters: `shape`, or the selected ones.
+/// Fits the inverse models of all sensors with common hyperparameters: `shape`, or the selected ones where none is given or the
+/// device cannot represent it.
 ///
 /// # Errors
 /// A table cannot be represented.
@@ -103,7 +104,10 @@ pub fn select_models(
         })
         .collect();
     let problem = InverseProblem { models, numbers, id, gauss_per_lsb, range_gauss, sensors };
-    let shape = shape.or_else(|| problem.select_shape()).unwrap_or(LINEAR);
+    let is_representable = |shape: &GrbfShape| {
+        problem.fit(*shape).is_some_and(|models| problem.tables(&models).is_ok())
+    };
+    let shape = shape.filter(is_representable).or_else(|| problem.select_shape()).unwrap_or(LINEAR);
     let (Some(chosen), Some(linear)) = (problem.fit(shape), problem.fit(LINEAR)) else {
         return Err(TableOverflow {
             sensor: 0,

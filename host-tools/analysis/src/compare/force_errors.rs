@@ -129,7 +129,7 @@ fn evaluate_plans(
         bar.inc(1);
         built
     });
-    let built = built.collect::<Result<Vec<Result<Vec<Option<DeviceModel>>, MissingForces>>>>()?;
+    let built = built.collect::<Result<Vec<FoldTables>>>()?;
     bar.finish_and_clear();
     let has_curves = !traces.is_empty();
     let recordings: &[RecordingFolds] = plans.first().map_or(&[], |plan| &plan.recordings);
@@ -196,12 +196,12 @@ fn pool(all: &mut Vec<(u32, [Channel; 2])>, sensors: Vec<SensorForces>) {
     }
 }
 
+/// Tables of the models of a plan, `None` where a model predicts no row, or why there are none.
+type FoldTables = Result<Vec<Option<DeviceModel>>, MissingForces>;
+
 /// Tables of the models of a plan that predict any row. The shape of the inverse is selected once, for the
 /// first: those of the other folds differ too little to need another.
-fn build_tables(
-    plan: &CvPlan,
-    path: &Path,
-) -> Result<Result<Vec<Option<DeviceModel>>, MissingForces>> {
+fn build_tables(plan: &CvPlan, path: &Path) -> Result<FoldTables> {
     let is_used = |model: &usize| {
         let mut folds = plan.recordings.iter().flat_map(|recording| &recording.folds);
         folds.any(|(_, of)| of == model)
@@ -242,7 +242,7 @@ fn build_tables(
 /// its curves where `has_curves`.
 fn replay_folds(
     plans: &[CvPlan],
-    built: &[Result<Vec<Option<DeviceModel>>, MissingForces>],
+    built: &[FoldTables],
     recording: usize,
     alignment: Alignment,
     origin_s: f64,
