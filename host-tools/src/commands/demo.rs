@@ -48,7 +48,7 @@ pub struct Args {
 }
 
 /// The default campaign, in the source tree of this build.
-pub(super) const CAMPAIGN: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/data/ripple");
+const CAMPAIGN: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/data/ripple");
 
 /// The demo assumes synchronised clocks.
 const ALIGNMENT: Alignment = Alignment { delay_us: 0.0 };
@@ -85,9 +85,6 @@ pub fn run(args: &Args) -> Result<()> {
     let provenance = Provenance::of(&campaign, ALIGNMENT.delay_us, options)?;
     let model = ModelFile::of(&campaign, &fits, provenance);
     model.write(&model_path)?;
-    let building = progress::progress_bar("building tables", 1);
-    let built = build(&model_path, ModelVariant::Fitted)?;
-    building.finish_and_clear();
     let before = evaluate(&model_path, &held_out.folder, None, ALIGNMENT)?;
     print_notes(&before.notes);
     terminal::print(&terminal::paragraph(&format!(
@@ -96,6 +93,7 @@ pub fn run(args: &Args) -> Result<()> {
         text::force_error::headline(&pooled_error(&before.fitted)),
     )))?;
     if args.verbose {
+        let built = build(&model_path, ModelVariant::Fitted)?;
         terminal::print(&format!(
             "\n{}\n{}{}\n{}\n{}\n{}\n{}\n",
             text::fit::parameters(&model),
@@ -133,7 +131,7 @@ fn gap_axis_note(model: &ModelFile) -> String {
     if along > 2.0 * across {
         return format!(
             "An effect that is not in the model changes the field along the gap ({along:.1} G, {across:.1} G in the plane of\n\
-             motion). The forces depend mainly on the plane, so their error is smaller: see step 4.\n"
+             motion). The forces depend mainly on the plane, so their error is smaller.\n"
         );
     }
     String::new()
@@ -141,7 +139,7 @@ fn gap_axis_note(model: &ModelFile) -> String {
 
 fn closing(output: &Path) -> String {
     format!(
-        "\nOpen {0}/report.html: forces before and after, the curve over its covariate, error step by step.\n\
+        "\nOpen {0}/report.html: forces over time, what was found, error step by step.\n\
          All numbers of each step:   cargo magpie demo --verbose\n\
          Image with the tables:      MAGPIE_TABLES={0}/tables.rs cargo image\n\
          Your own recordings:        cargo magpie fit YOUR-CAMPAIGN -o model.toml\n\
@@ -202,7 +200,7 @@ fn improve(fitted: &Fitted, scanned: ScannedCampaign, is_verbose: bool) -> Resul
     let built = build(last, ModelVariant::Fitted)?;
     write_output(&fitted.output.join("tables.rs"), tables_source(&built).as_bytes(), MARK)?;
     let page = fitted.output.join("report.html");
-    report::html::write(&page, &comparison, &report::html::diagnosis::story(&diagnosis))?;
+    report::html::write(&page, &comparison, &report::html::diagnosis::effects_first(&diagnosis))?;
     Ok(())
 }
 

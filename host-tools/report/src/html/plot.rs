@@ -17,9 +17,10 @@ const PX: u32 = 4;
 /// Line height of text in pixels, 1.24 times the font size: a plot 440 pixels wide
 /// is scaled to 358 on a phone.
 const LETTERS: u32 = 16;
-/// Mean width of a letter in pixels, and minimum width of the labels beside an axis.
+/// Mean width of a letter in pixels.
 const LETTER_WIDTH: f64 = 8.0;
-const MARGIN: f64 = 60.0;
+/// Minimum width of the labels of a vertical axis in pixels.
+const LABEL_WIDTH: f64 = 60.0;
 /// Size in pixels of plots placed in pairs; the text remains legible on a phone.
 pub const HALF: (u32, u32) = (440, 260);
 
@@ -140,14 +141,14 @@ impl Along {
         }
     }
 
-    /// Width of its labels beside the axis in pixels.
+    /// Width of its labels as a vertical axis in pixels.
     fn width(&self) -> f64 {
         match &self.scale {
             AxisScale::Names(names) => {
                 let longest = names.iter().map(|name| name.chars().count()).max().unwrap_or(0);
-                MARGIN.max(LETTER_WIDTH * longest as f64)
+                LABEL_WIDTH.max(LETTER_WIDTH * longest as f64)
             }
-            _ => MARGIN,
+            _ => LABEL_WIDTH,
         }
     }
 

@@ -14,17 +14,6 @@ mod tests;
 use crate::html::Section;
 use analysis::diagnose::Diagnosis;
 
-/// The same sections after plots of the forces: first the curves of what was found, then the error step by step.
-pub fn story(diagnosis: &Diagnosis) -> Vec<Section> {
-    let mut sections: Vec<Section> = verdicts::found_section(diagnosis).into_iter().collect();
-    if !diagnosis.staircase.is_empty() {
-        sections.push(staircase::section(diagnosis));
-    }
-    sections.push(verdicts::verdict_section(diagnosis));
-    sections.extend(verdicts::open_section(diagnosis));
-    sections
-}
-
 /// The sections, in the order in which a person reads them; one without content is left out.
 pub fn sections(diagnosis: &Diagnosis) -> Vec<Section> {
     let mut sections = vec![verdicts::verdict_section(diagnosis)];
@@ -34,5 +23,16 @@ pub fn sections(diagnosis: &Diagnosis) -> Vec<Section> {
     sections.push(staircase::section(diagnosis));
     sections.extend(verdicts::found_section(diagnosis));
     sections.extend(verdicts::open_section(diagnosis));
+    sections
+}
+
+/// The same after plots of the forces: first what was found, then the error step by step.
+pub fn effects_first(diagnosis: &Diagnosis) -> Vec<Section> {
+    let mut sections = sections(diagnosis);
+    sections.sort_by_key(|section| match section.id {
+        "found" => 0,
+        "staircase" => 1,
+        _ => 2,
+    });
     sections
 }
