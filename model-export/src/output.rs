@@ -95,7 +95,10 @@ pub fn check_output<'a>(
     if !folder.exists() {
         return Err(ErrorKind::NoSuchFolder.at(Location::file(folder)));
     }
-    folder.metadata().map_err(|error| unwritable(path, error))?;
+    // Permissions do not tell whether a file system accepts a file.
+    let trial =
+        tempfile::Builder::new().prefix(DRAFT_PREFIX).suffix(DRAFT_SUFFIX).tempfile_in(folder);
+    trial.map_err(|error| unwritable(path, error))?;
     Ok(target)
 }
 

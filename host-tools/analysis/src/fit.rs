@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use model_export::fit::campaign::FitSetup;
-use model_export::fit::{self, CampaignFits, FitOptions};
+use model_export::fit::{self, CampaignFits, FitError, FitOptions};
 use model_export::model_file::{BaseKind, ModelFile, Provenance};
 use model_export::recordings::align::Alignment;
 use model_export::recordings::{Campaign, Notice};
@@ -45,8 +45,15 @@ pub fn fit_model(
     collect(|notes| {
         let campaign = read_campaign(folder, alignment)?;
         let findings = data_findings(folder, &campaign)?;
+        let wrong_unit = findings.iter().find(|finding| finding.is_channel_unit()).cloned();
         notes.extend(campaign.notices().cloned().map(Note::Recording));
         notes.extend(findings.into_iter().map(Box::new).map(Note::SetupError));
+        if let Some(finding) = wrong_unit {
+            bail!(
+                "{}: its unit is not that of the other channels, see the note; a fit with --fix NEW corrects a copy",
+                finding.place
+            );
+        }
         let (fits, notices) = fit_campaign(&campaign, base, degree, options)?;
         notes.extend(notices.into_iter().map(Note::Recording));
         let provenance = Provenance::of(&campaign, alignment.delay_us, options)?;
@@ -65,6 +72,16 @@ pub fn fit_model(
         };
         Ok(CampaignFit { campaign, fits, model, force, notes: std::mem::take(notes) })
     })
+}
+
+/// Setup errors of an imported campaign: from its files and, where the design is known, against it, as the fit will find them.
+///
+/// # Errors
+/// A recording cannot be read.
+pub fn import_notes(campaign: &Campaign) -> Result<(Vec<Note>, Option<FitError>)> {
+    let findings = data_findings(&campaign.folder, campaign)?;
+    let error = campaign.design().and_then(|_| FitSetup::cylinder(campaign).err());
+    Ok((findings.into_iter().map(Box::new).map(Note::SetupError).collect(), error))
 }
 
 /// Setup errors that affect the fit, except in files that a notice of the reader covers already.

@@ -1,20 +1,32 @@
-//! Progress bars on stderr of a terminal; long work also reports to a file or pipe.
+//! Progress on stderr: bars on a terminal, else a line every ten seconds.
 
-use std::cell::Cell;
+use std::io::{self, IsTerminal};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{HumanCount, ProgressBar, ProgressDrawTarget, ProgressStyle, TermLike};
 
 /// A bar over `steps`, removed when dropped.
 pub fn progress_bar(message: &'static str, steps: usize) -> ProgressBar {
     let bar = ProgressBar::new(steps as u64);
-    styled(bar, "{msg:<28} [{bar:30}] {pos}/{len} {elapsed}", message)
+    styled(bar, "{msg:<28} [{bar:30}] {pos}/{len} {elapsed}, about {eta} left", message)
 }
 
 /// A spinner with the number and rate of rows, where the total is unknown.
 pub fn row_spinner(message: &'static str) -> ProgressBar {
     let template = "{msg:<28} {spinner} {human_pos} rows, {per_sec}";
     styled(ProgressBar::new_spinner(), template, message)
+}
+
+/// A bar over recordings; [`show_rows`] adds the rows.
+pub fn recording_bar(message: &'static str, recordings: usize) -> ProgressBar {
+    let template = "{msg:<44} [{bar:20}] {pos}/{len} {elapsed}, about {eta} left";
+    styled(ProgressBar::new(recordings as u64), template, message)
+}
+
+/// Shows the number of rows so far.
+pub fn show_rows(bar: &ProgressBar, message: &str, rows: u64) {
+    bar.set_message(format!("{message}, {} rows", HumanCount(rows)));
 }
 
 /// A spinner behind a changing message.
@@ -37,16 +49,12 @@ pub fn growing_bar() -> ProgressBar {
     styled(ProgressBar::new(0), template, "fitting the physics")
 }
 
-/// Stage, share done and time left of work whose length is estimated: a bar on a terminal, else a line at most every
-/// ten seconds.
+/// Stage, share done and time left of work whose length is estimated.
 pub struct Stages {
     bar: ProgressBar,
     start: Instant,
-    next_line_s: Cell<f64>,
 }
 
-/// Seconds between two lines where stderr is no terminal.
-const LINE_S: f64 = 10.0;
 /// Steps of the bar.
 const BAR_STEPS: f64 = 1000.0;
 
@@ -56,7 +64,7 @@ impl Stages {
     pub fn new() -> Self {
         let template = "{msg:<60} [{bar:20}] {elapsed}";
         let bar = styled(ProgressBar::new(BAR_STEPS as u64), template, "");
-        Self { bar, start: Instant::now(), next_line_s: Cell::new(LINE_S) }
+        Self { bar, start: Instant::now() }
     }
 
     /// Shows the stage that begins and the estimated share that is done.
@@ -67,12 +75,7 @@ impl Stages {
         } else {
             String::new()
         };
-        let text = format!("{stage}, {:.0} % done{left}", 100.0 * share);
-        if self.bar.is_hidden() && elapsed_s >= self.next_line_s.get() {
-            eprintln!("{elapsed_s:.0} s: {text}");
-            self.next_line_s.set(elapsed_s + LINE_S);
-        }
-        self.bar.set_message(text);
+        self.bar.set_message(format!("{stage}, {:.0} % done{left}", 100.0 * share));
         self.bar.set_position((BAR_STEPS * share) as u64);
     }
 
@@ -91,7 +94,97 @@ fn styled(bar: ProgressBar, template: &str, message: &'static str) -> ProgressBa
     if let Ok(style) = ProgressStyle::with_template(template) {
         bar.set_style(style.progress_chars("=> "));
     }
+    if !io::stderr().is_terminal() {
+        bar.set_draw_target(ProgressDrawTarget::term_like(Box::new(Lines::new())));
+    }
     bar.set_message(message);
     bar.enable_steady_tick(Duration::from_millis(100));
     bar
+}
+
+/// Time between two lines where stderr is no terminal.
+const LINE_PERIOD: Duration = Duration::from_secs(10);
+/// Columns of such a line.
+const LINE_WIDTH: u16 = 120;
+
+/// A file or pipe in place of a terminal: every ten seconds one line of what a terminal would show.
+#[derive(Debug)]
+struct Lines {
+    /// Text since the last flush, and the time of the next line.
+    state: Mutex<(String, Instant)>,
+}
+
+impl Lines {
+    fn new() -> Self {
+        Self { state: Mutex::new((String::new(), Instant::now() + LINE_PERIOD)) }
+    }
+}
+
+impl TermLike for Lines {
+    fn width(&self) -> u16 {
+        LINE_WIDTH
+    }
+
+    fn move_cursor_up(&self, _: usize) -> io::Result<()> {
+        Ok(())
+    }
+
+    fn move_cursor_down(&self, _: usize) -> io::Result<()> {
+        Ok(())
+    }
+
+    fn move_cursor_right(&self, _: usize) -> io::Result<()> {
+        Ok(())
+    }
+
+    fn move_cursor_left(&self, _: usize) -> io::Result<()> {
+        Ok(())
+    }
+
+    fn write_line(&self, text: &str) -> io::Result<()> {
+        self.write_str(text)
+    }
+
+    fn write_str(&self, text: &str) -> io::Result<()> {
+        let (shown, _) = &mut *self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        shown.push_str(text);
+        Ok(())
+    }
+
+    fn clear_line(&self) -> io::Result<()> {
+        Ok(())
+    }
+
+    fn flush(&self) -> io::Result<()> {
+        let (shown, next) = &mut *self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        let text = std::mem::take(shown);
+        let now = Instant::now();
+        if now >= *next && !text.trim().is_empty() {
+            eprintln!("{}", text.trim());
+            *next = now + LINE_PERIOD;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn line_is_due_after_its_period() {
+        let lines = Lines::new();
+        let next = |lines: &Lines| lines.state.lock().unwrap().1;
+        let first = next(&lines);
+        lines.write_str("half done").unwrap();
+        lines.flush().unwrap();
+        assert_eq!(next(&lines), first, "a line before its time");
+        lines.state.lock().unwrap().1 = Instant::now();
+        lines.write_str("  ").unwrap();
+        lines.flush().unwrap();
+        assert!(next(&lines) <= Instant::now(), "an empty line");
+        lines.write_str("half done").unwrap();
+        lines.flush().unwrap();
+        assert!(next(&lines) > Instant::now() + LINE_PERIOD / 2);
+    }
 }

@@ -71,7 +71,7 @@ impl NetworkSet {
             )
         });
         lines.collect::<String>()
-            + "No accumulator can overflow. The error of fixed point: `magpie replay --network`.\n"
+            + "No accumulator can overflow. The error of fixed point: `cargo magpie replay --network`.\n"
     }
 
     /// True if the recording with this fingerprint was training data.

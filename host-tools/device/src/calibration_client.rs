@@ -171,7 +171,7 @@ pub fn reboot_into(source: &mut SessionSource<'_>, tables: u16) -> Result<()> {
     }
     match found {
         Some(other) => bail!(
-            "{}: the gripper runs tables {other:04x} after its reboot instead of {tables:04x}; see `magpie board`",
+            "{}: the gripper runs tables {other:04x} after its reboot instead of {tables:04x}; see `cargo magpie board`",
             source.name()
         ),
         None => bail!("{}: the gripper does not answer after its reboot", source.name()),
@@ -290,13 +290,13 @@ const fn failure_text(failure: CalibrationFailure) -> &'static str {
             "a session is armed, a fault is latched, or a tare is in progress"
         }
         CalibrationFailure::NotReady => {
-            "the motor does not begin: see the faults in `magpie monitor`"
+            "the motor does not begin: see the faults in `cargo magpie monitor`"
         }
         CalibrationFailure::Tripped => {
-            "the motor's protection tripped: see the faults in `magpie monitor`"
+            "the motor's protection tripped: see the faults in `cargo magpie monitor`"
         }
         CalibrationFailure::Stopped => {
-            "a stop frame ended it, or a stop is latched: clear it first (`magpie grasp` with --clear-faults)"
+            "a stop frame ended it, or a stop is latched: clear it first (`cargo magpie grasp` with --clear-faults)"
         }
         CalibrationFailure::NothingGripped => {
             "nothing was gripped: put a rigid part between the fingers, at most 20 mm narrower than their opening"
@@ -315,7 +315,7 @@ const fn failure_text(failure: CalibrationFailure) -> &'static str {
             "the number of pole pairs is not plausible: check the rotor sensor's magnet"
         }
         CalibrationFailure::Slipped => "the rotor did not follow the field: nothing may be gripped",
-        CalibrationFailure::Fault => "a fault stopped it: see the faults in `magpie monitor`",
+        CalibrationFailure::Fault => "a fault stopped it: see the faults in `cargo magpie monitor`",
         CalibrationFailure::Force => "something presses on the fingers: remove it",
         CalibrationFailure::SoftPart => "the part is too soft; it might be a hand: use a rigid one",
     }
@@ -450,7 +450,7 @@ fn done(source: &dyn Source, reply: ServiceReply) -> Result<u32> {
     let why = match reply.status {
         status::DONE => return Ok(reply.detail),
         status::ARMED => {
-            "a host is armed or the motor is driven: end that program, or the session of one that was killed with `magpie grasp --position`"
+            "a host is armed or the motor is driven: end that program, or the session of one that was killed with `cargo magpie grasp --position`"
         }
         status::UNKNOWN => "the firmware is older than this tool",
         status::UNAUTHENTICATED => "the session has ended: try again",

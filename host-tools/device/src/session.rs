@@ -374,7 +374,7 @@ const fn advice(reason: RefusalReason) -> &'static str {
         RefusalReason::NotApplicable => "not applicable in this state",
         RefusalReason::OutOfRange => "a number is out of range",
         RefusalReason::Blind => {
-            "no finger reports a valid force: check the sensors with `magpie monitor`"
+            "no finger reports a valid force: check the sensors with `cargo magpie monitor`"
         }
         RefusalReason::Loaded => "the fingers are loaded: remove the load",
         RefusalReason::NotParked => {
@@ -396,7 +396,7 @@ pub const fn session_refusal(code: u8) -> &'static str {
             "it has another key than this host: give its key with --key FILE, or none if it is unprotected"
         }
         status::FAULTY => {
-            "a fault prevents it: check with `magpie monitor`, remove its cause, and use --clear-faults"
+            "a fault prevents it: check with `cargo magpie monitor`, remove its cause, and use --clear-faults"
         }
         status::ARMED => "another host owns its session: end that program first",
         status::UNKNOWN => "its firmware is older than this tool",

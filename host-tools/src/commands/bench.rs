@@ -167,7 +167,7 @@ fn record(args: &RecordArgs) -> Result<()> {
         || json!({ "campaign": args.output, "recordings": args.recordings, "seed": args.hidden.seed }),
         || {
             format!(
-                "Recorded to {}: {} recordings of {} s with a reference.\n\nNext:\n  magpie fit {} -o plain.toml\n",
+                "Recorded to {}: {} recordings of {} s with a reference.\n\nNext:\n  cargo magpie fit {} -o plain.toml\n",
                 args.output.display(),
                 args.recordings,
                 args.hidden.seconds,

@@ -10,7 +10,7 @@ use report::html::training;
 use report::text::benchmark::{format_report, to_json};
 use report::text::terminal;
 
-use crate::commands::train::{DEFAULT_HIDDEN, TrainingArgs};
+use crate::commands::train::TrainingArgs;
 
 /// Default weight of rows without force in the weighted variant.
 const DEFAULT_ZERO_WEIGHT: f64 = 4.0;
@@ -72,7 +72,7 @@ pub fn run(args: &Args) -> Result<()> {
     };
     let plan = VariantTrainer::new(
         settings,
-        common.hidden.map_or(DEFAULT_HIDDEN, usize::from),
+        common.hidden(),
         common.zero_weight.unwrap_or(DEFAULT_ZERO_WEIGHT),
     );
     plan.announce(evaluate::trainings(&data).into_iter());

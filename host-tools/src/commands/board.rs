@@ -71,10 +71,10 @@ fn drive_text(is_commissioned: bool, screw: &str) -> String {
     let motor = if is_commissioned {
         "measured"
     } else {
-        "assumed constants, not measured (`magpie identify motor`)"
+        "assumed constants, not measured (`cargo magpie identify motor`)"
     };
     let screw = match screw {
-        "unknown" => "unknown, treated as backdrivable (`magpie identify screw`)",
+        "unknown" => "unknown, treated as backdrivable (`cargo magpie identify screw`)",
         known => known,
     };
     format!("motor        {motor}\nscrew        {screw}\n")
@@ -83,7 +83,7 @@ fn drive_text(is_commissioned: bool, screw: &str) -> String {
 fn state_text(state: &GripperState) -> String {
     let Some(beat) = &state.heartbeat else { return String::new() };
     let stopped = match beat.value.stopped {
-        true => "; a stop is latched (`magpie grasp` with --clear-faults)",
+        true => "; a stop is latched (`cargo magpie grasp` with --clear-faults)",
         false => "",
     };
     format!("state        {}{stopped}\n", state_name(beat.value.state))
@@ -92,7 +92,7 @@ fn state_text(state: &GripperState) -> String {
 fn key_text(state: &GripperState) -> &'static str {
     match state.heartbeat {
         Some(latest) if latest.value.unprotected => {
-            "key          none: everybody on the bus can move the gripper (`magpie key --help`)\n"
+            "key          none: everybody on the bus can move the gripper (`cargo magpie key --help`)\n"
         }
         Some(_) => "key          stored\n",
         None => "key          unknown: no heartbeat\n",

@@ -1,12 +1,12 @@
 //! `magpie compare`: residuals of a model on a campaign, and what explains them.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 
 use crate::commands::args::CompareArgs;
 use crate::commands::print_notes;
-use analysis::compare::pipeline::compare;
+use analysis::compare::pipeline::{compare, setup_errors};
 use analysis::data_quality::fix;
 use report::text::comparison::{format_report, to_json};
 use report::text::terminal;
@@ -46,10 +46,12 @@ pub fn run(args: &Args) -> Result<()> {
     terminal::print_result(input.json, || to_json(&comparison), || format_report(&comparison))?;
     common.write_report(&comparison, &[])?;
     if let Some(to) = &args.fix {
-        for correction in fix::write(&input.campaign, &comparison.findings, to)? {
+        let alignment = input.align.alignment()?;
+        let check = |folder: &Path| setup_errors(&input.model, folder, alignment);
+        for correction in fix::write(&input.campaign, &comparison.findings, to, check)? {
             common.print_line(&correction)?;
         }
-        common.print_line(&format!("Corrected recordings: {}", to.display()))?;
+        common.print_line(&format!("Corrected and checked: {}", to.display()))?;
     }
     Ok(())
 }

@@ -218,7 +218,7 @@ fn default_model() -> Result<DeviceModel> {
 /// States that a gripper has no key.
 pub fn print_unprotected(name: &str) {
     eprintln!(
-        "note: {name}: the gripper is unprotected, everybody on its bus can move it; see `magpie key --help`"
+        "note: {name}: the gripper is unprotected, everybody on its bus can move it; see `cargo magpie key --help`"
     );
 }
 

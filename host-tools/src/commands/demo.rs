@@ -255,7 +255,7 @@ fn add_effects(fitted: &Fitted, diagnosis: &Diagnosis) -> Result<ErrorSteps> {
 fn error_table(steps: &ErrorSteps, diagnosis: &Diagnosis) -> String {
     if steps.len() < 2 {
         return terminal::paragraph(
-            "4. Add. No effect of the catalogue is missing. (User-defined formulas are tested with `magpie diagnose --expr`.)",
+            "4. Add. No effect of the catalogue is missing. (User-defined formulas are tested with `cargo magpie diagnose --expr`.)",
         );
     }
     let mut table = terminal::table(["with", "excess / N", "force / N", "noise / N", "model"]);

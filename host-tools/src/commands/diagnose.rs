@@ -1,17 +1,15 @@
 //! `magpie diagnose`: which physical effect is missing from a model.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 
 use analysis::progress;
-use anyhow::{Context, Result};
+use anyhow::Result;
 use model_export::model_file::ModelFile;
 use model_export::output::{check_output, write_output};
-use signal_hook::consts::SIGINT;
 
 use crate::commands::args::{CompareArgs, ExprArgs};
-use crate::commands::print_notes;
+use crate::commands::{INTERRUPTED, first_interrupt, print_notes};
 use analysis::compare::campaign_reader::{Caching, ScannedCampaign};
 use analysis::compare::pipeline::compare_scanned;
 use analysis::diagnose::observer::{FirstCandidate, Observer};
@@ -20,9 +18,6 @@ use analysis::diagnose::suggestions::{Invocation, suggest};
 use analysis::diagnose::{Diagnosis, diagnose};
 use report::text::diagnosis::{format_report, to_json};
 use report::text::terminal;
-
-/// Exit status of a process that Ctrl-C ended.
-const INTERRUPTED: i32 = 130;
 
 /// Identify the physical effects that are missing from a model, with the evidence.
 #[derive(Debug, clap::Args)]
@@ -41,17 +36,6 @@ pub struct Args {
     /// Write a plan of the shortest recording that decides what is open (for record --plan and simulate --plan).
     #[arg(long, value_name = "PLAN")]
     plan: Option<PathBuf>,
-}
-
-/// A flag that the first Ctrl-C sets; the second ends the process.
-fn first_interrupt() -> Result<Arc<AtomicBool>> {
-    let flag = Arc::new(AtomicBool::new(false));
-    let context = "cannot install the handler for Ctrl-C";
-    // In this order: the first one only arms the end.
-    signal_hook::flag::register_conditional_shutdown(SIGINT, INTERRUPTED, flag.clone())
-        .context(context)?;
-    signal_hook::flag::register(SIGINT, flag.clone()).context(context)?;
-    Ok(flag)
 }
 
 /// What the screening says, before anything was fitted.

@@ -79,7 +79,7 @@ pub struct AddArgs {
 /// Runs the command.
 pub fn run_add(args: &AddArgs) -> Result<()> {
     if args.effects.is_empty() && args.exprs.is_empty() {
-        bail!("name an effect (`magpie effects` lists them), or give a formula with --expr");
+        bail!("name an effect (`cargo magpie effects` lists them), or give a formula with --expr");
     }
     edit(&args.edit, |_, before, campaign| {
         let added = find_effects(&args.effects, &args.exprs.parse(campaign)?)?;

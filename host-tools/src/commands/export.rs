@@ -50,7 +50,7 @@ pub fn run(args: &Args) -> Result<()> {
     {
         bail!(
             "the device never compensates {effect}: {why}. Its error stays in the forces: remove it from the model \
-             (`magpie remove`), or export with --uncompensated"
+             (`cargo magpie remove`), or export with --uncompensated"
         );
     }
     let networks =

@@ -1,7 +1,9 @@
 //! `magpie fit`: fits the base physics to a campaign.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
+use analysis::compare::campaign_reader::scan_with_progress;
+use analysis::data_quality::fix;
 use analysis::fit::fit_model;
 use anyhow::Result;
 use clap::ValueEnum;
@@ -20,6 +22,7 @@ use crate::commands::print_notes;
 Examples:
   cargo magpie fit tests/data/clean -o model.toml
   cargo magpie fit my-campaign --base polynomial --degree 5 -o model.toml
+  cargo magpie fit my-campaign --fix corrected -o model.toml
   cargo magpie fit tests/data/clean --json | jq '.axes'")]
 pub struct Args {
     /// Folder of recordings (or one recording).
@@ -33,6 +36,10 @@ pub struct Args {
     /// Degree of the polynomial base [default: chosen by held-out error].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=9))]
     degree: Option<u8>,
+    /// Fit a corrected copy of the recordings, written to this new folder: all setup errors with an unambiguous correction that
+    /// the files show without a model.
+    #[arg(long, value_name = "NEW")]
+    fix: Option<PathBuf>,
     #[command(flatten)]
     align: AlignArgs,
     /// Seed of the bootstrap.
@@ -70,8 +77,16 @@ pub fn run(args: &Args) -> Result<()> {
         check_output(path, model_file::SIGNATURE)?;
     }
     let alignment = args.align.alignment()?;
+    if let Some(to) = &args.fix {
+        let check = |folder: &Path| scan_with_progress(folder);
+        for correction in fix::write(&args.campaign, &check(&args.campaign)?, to, check)? {
+            eprintln!("{correction}");
+        }
+        eprintln!("Corrected and checked: {}", to.display());
+    }
+    let campaign = args.fix.as_ref().unwrap_or(&args.campaign);
     let options = FitOptions { seed: args.seed, ..FitOptions::default() };
-    let fit = fit_model(&args.campaign, args.base.kind(), args.degree, alignment, options)?;
+    let fit = fit_model(campaign, args.base.kind(), args.degree, alignment, options)?;
     print_notes(&fit.notes);
     terminal::print_result(args.json, || to_json(&fit), || format_report(&fit))?;
     if let Some(path) = &args.output {

@@ -2,11 +2,13 @@
 
 use std::path::PathBuf;
 
+use analysis::fit::import_notes;
 use analysis::notes::Note;
 use analysis::progress;
 use anyhow::Result;
+use model_export::output::write_new;
 use model_export::recordings::align::Alignment;
-use model_export::recordings::{Campaign, import};
+use model_export::recordings::{Campaign, guess, import};
 use serde_json::json;
 
 use crate::commands::print_notes;
@@ -16,6 +18,8 @@ use report::text::terminal;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
+  cargo magpie import --guess run1.csv run2.csv run3.csv -o mapping.toml    # proposes a mapping: check it
+  cargo magpie import mapping.toml run1.csv run2.csv run3.csv -o my-campaign
   cargo magpie import tests/data/eflesh_normal.mapping.toml run1.csv run2.csv run3.csv -o eflesh
 
 A mapping file:
@@ -27,15 +31,24 @@ A mapping file:
   [force]
   clock = { from = \"t_state_s\", unit = \"s\" }
   columns = [ { from = \"weight_g\", unit = \"g\", to = \"f0_z_n\", scale = -1, missing = -1 } ]
+  [design]                          # of the sensor, if known; else fit with --base polynomial
+  gap_mm = 2.0                      # from the magnet's face to the Hall element, unloaded
+  stiffness_x_n_per_mm = 100.0      # lateral (grasping)
+  stiffness_z_n_per_mm = 100.0      # longitudinal
+  magnet = { shape = \"cylinder\", diameter_mm = 4.0, length_mm = 3.0, remanence_t = 1.3, axis = \"y\" }
 For separate files of the two sides, give each side `file = \"NAME\"` and pass folders as sources.")]
 pub struct Args {
     /// Mapping of the source columns.
-    mapping: PathBuf,
+    #[arg(required_unless_present = "guess")]
+    mapping: Option<PathBuf>,
     /// One file (or folder) for each recording, in order.
-    #[arg(required = true)]
+    #[arg(required_unless_present = "guess")]
     sources: Vec<PathBuf>,
-    /// Folder of the new campaign; must not exist yet.
-    #[arg(short, long, value_name = "CAMPAIGN")]
+    /// Write a mapping file proposed from the names and values of these files (or folders of two files), to be checked.
+    #[arg(long, value_name = "SOURCE", num_args = 1.., conflicts_with_all = ["mapping", "sources"])]
+    guess: Vec<PathBuf>,
+    /// Folder of the new campaign, or file of the proposed mapping; must not exist yet.
+    #[arg(short, long, value_name = "PATH")]
     output: PathBuf,
     /// Print one JSON object on stdout and nothing else.
     #[arg(long)]
@@ -44,11 +57,19 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
+    let Some(mapping) = &args.mapping else {
+        return propose(args);
+    };
     let bar = progress::progress_bar("importing", args.sources.len());
-    let (imported, notices) =
-        import::import(&args.mapping, &args.sources, &args.output, |_| bar.inc(1))?;
+    let (imported, notices) = import::import(mapping, &args.sources, &args.output, |_| bar.inc(1))?;
     bar.finish_and_clear();
     print_notes(&notices.into_iter().map(Note::Recording).collect::<Vec<_>>());
+    let campaign = Campaign::read(&args.output, Alignment { delay_us: 0.0 }, |_| ())?;
+    let (notes, error) = import_notes(&campaign)?;
+    print_notes(&notes);
+    if let Some(error) = error {
+        eprintln!("note: a fit will refuse these recordings: {error}");
+    }
     if args.json {
         let recordings = imported.iter().map(|recording| {
             let (hall, force, measured) = recording.rows;
@@ -60,7 +81,6 @@ pub fn run(args: &Args) -> Result<()> {
         ))?;
         return Ok(());
     }
-    let campaign = Campaign::read(&args.output, Alignment { delay_us: 0.0 }, |_| ())?;
     let mut table = terminal::table([
         "recording",
         "start s",
@@ -84,8 +104,65 @@ pub fn run(args: &Args) -> Result<()> {
         ]);
     }
     terminal::right_align(&mut table, 1);
+    let mut next = String::new();
     let base = if campaign.design().is_some() { "" } else { " --base polynomial" };
-    let next = format!("Next: cargo magpie fit {:?}{base} -o model.toml", args.output);
+    if !base.is_empty() {
+        next += "Without [design] in the mapping a polynomial shows errors and missing effects, but a board cannot run it; with \
+                 [design] (see --help), import again and fit without --base.\n";
+    }
+    next += &format!("Next: cargo magpie fit {:?}{base} -o model.toml", args.output);
     terminal::print(&format!("{table}\n{next}\n"))?;
     Ok(())
+}
+
+/// Writes a proposed mapping.
+fn propose(args: &Args) -> Result<()> {
+    let proposal = guess::propose(&args.guess)?;
+    write_new(&args.output, proposal.text.as_bytes())?;
+    if args.json {
+        let columns = proposal.columns.iter().map(|column| {
+            json!({ "from": column.from, "unit": column.unit, "to": column.to, "range": [column.range.0, column.range.1] })
+        });
+        let ignored = proposal
+            .ignored
+            .iter()
+            .map(|(name, reason)| json!({ "column": name, "reason": reason }));
+        return Ok(terminal::print(&format!(
+            "{}\n",
+            json!({
+                "mapping": args.output,
+                "columns": columns.collect::<Vec<_>>(),
+                "checks": proposal.checks,
+                "ignored": ignored.collect::<Vec<_>>(),
+            })
+        ))?);
+    }
+    let mut table = terminal::table(["column", "unit", "from", "to", "becomes"]);
+    for column in &proposal.columns {
+        let (min, max) = column.range;
+        table.add_row([
+            column.from.clone(),
+            column.unit.to_owned(),
+            format!("{min}"),
+            format!("{max}"),
+            column.to.clone(),
+        ]);
+    }
+    for column in [2, 3] {
+        terminal::right_align(&mut table, column);
+    }
+    let mut text = format!("{table}\n");
+    if !proposal.ignored.is_empty() {
+        let names = proposal.ignored.iter().map(|(name, reason)| format!("{name} ({reason})"));
+        text += &format!("Not imported: {}.\n", names.collect::<Vec<_>>().join(", "));
+    }
+    text += "Please check in the file:\n";
+    for check in &proposal.checks {
+        text += &format!("  - {check}\n");
+    }
+    let sources =
+        args.guess.iter().map(|source| format!("{source:?}")).collect::<Vec<_>>().join(" ");
+    text += &format!("Written to {}.\n", args.output.display());
+    text += &format!("Next: cargo magpie import {:?} {sources} -o my-campaign\n", args.output);
+    Ok(terminal::print(&text)?)
 }

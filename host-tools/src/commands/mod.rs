@@ -32,11 +32,15 @@ pub mod upload;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 use analysis::notes::{ErrorWithNotes, Note};
+use anyhow::Context;
 use clap::{CommandFactory, Parser, Subcommand};
 use firmware::sensors::hall::SENSORS;
 use model_export::inverse::build::{DeviceModel, ExportHeader};
+use signal_hook::consts::SIGINT;
 
 /// Calibrates Hall-effect force sensors of a robot gripper, diagnoses missing physical effects, and operates the
 /// gripper.
@@ -135,6 +139,20 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
             ExitCode::FAILURE
         }
     }
+}
+
+/// Exit status of a process that Ctrl-C ended.
+const INTERRUPTED: i32 = 130;
+
+/// A flag that the first Ctrl-C sets; the second ends the process.
+fn first_interrupt() -> anyhow::Result<Arc<AtomicBool>> {
+    let flag = Arc::new(AtomicBool::new(false));
+    let context = "cannot install the handler for Ctrl-C";
+    // In this order: the first one only arms the end.
+    signal_hook::flag::register_conditional_shutdown(SIGINT, INTERRUPTED, flag.clone())
+        .context(context)?;
+    signal_hook::flag::register(SIGINT, flag.clone()).context(context)?;
+    Ok(flag)
 }
 
 /// Prints notes on stderr.

@@ -1,10 +1,12 @@
 //! `magpie train`: trains recurrent networks on recordings.
 
 use std::path::PathBuf;
-use std::time::Instant;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
 use clap::ValueEnum;
+use indicatif::HumanDuration;
 use model_export::gru::file::NetworkFile;
 use model_export::gru::network::Target;
 use model_export::gru::tensors::TensorFileKind;
@@ -14,7 +16,7 @@ use model_export::gru::train::trainer::{Trainer, TrainingSettings};
 use model_export::output::check_output;
 
 use crate::commands::args::AlignArgs;
-use crate::commands::print_notes;
+use crate::commands::{INTERRUPTED, first_interrupt, print_notes};
 use analysis::network_calibration::NetworkCalibration;
 use analysis::network_training::TrainingResult;
 use analysis::network_training::dataset::TrainingData;
@@ -24,9 +26,17 @@ use report::text::training::{format_report, to_json};
 
 /// Default units per layer: with three inputs the device computes them within the time that the paper states for
 /// a computer.
-pub const DEFAULT_HIDDEN: usize = 16;
+const DEFAULT_HIDDEN: usize = 16;
 /// The same for one network of all sensors.
 const DEFAULT_HIDDEN_SHARED: usize = 32;
+/// Default maximum number of epochs.
+const DEFAULT_EPOCHS: u32 = 80;
+/// Units per layer and epochs of `--quick`.
+const QUICK_HIDDEN: usize = 8;
+const QUICK_EPOCHS: u32 = 15;
+
+/// Trainings that may take longer than this announce it.
+const ANNOUNCED: Duration = Duration::from_secs(30);
 
 /// Learning rates: below, the weights do not change; above, the training diverges.
 const MIN_RATE: f64 = 1e-9;
@@ -41,15 +51,18 @@ pub struct TrainingArgs {
     pub model: PathBuf,
     /// Folder of at least two recordings.
     pub campaign: PathBuf,
-    /// Units of each of the two layers [default: 16, or 32 with --shared].
+    /// Smaller networks and fewer epochs: a first impression in a small part of the time.
+    #[arg(long)]
+    pub quick: bool,
+    /// Units of each of the two layers [default: 16, 32 with --shared, or 8 with --quick].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=32))]
     pub hidden: Option<u16>,
     /// Held-out recording, counted from 1 in the campaign's order [default: the last].
     #[arg(long, value_name = "NUMBER")]
     pub hold_out: Option<usize>,
-    /// Maximum number of epochs.
-    #[arg(long, value_name = "N", default_value_t = 80, value_parser = clap::value_parser!(u32).range(1..))]
-    pub epochs: u32,
+    /// Maximum number of epochs [default: 80, or 15 with --quick].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub epochs: Option<u32>,
     /// Early stopping: epochs without a better held-out likelihood.
     #[arg(long, value_name = "N", default_value_t = 25, value_parser = clap::value_parser!(u32).range(1..))]
     pub patience: u32,
@@ -85,11 +98,26 @@ impl TrainingArgs {
         Ok(())
     }
 
+    /// Units per layer; `default` without `--hidden` and `--quick`.
+    fn hidden_or(&self, default: usize) -> usize {
+        let default = if self.quick { QUICK_HIDDEN } else { default };
+        self.hidden.map_or(default, usize::from)
+    }
+
+    /// Units per layer of networks of one sensor.
+    pub fn hidden(&self) -> usize {
+        self.hidden_or(DEFAULT_HIDDEN)
+    }
+
+    fn epochs(&self) -> u32 {
+        self.epochs.unwrap_or(if self.quick { QUICK_EPOCHS } else { DEFAULT_EPOCHS })
+    }
+
     /// Settings of the trainer for sensors with this force range.
     pub fn settings(&self, force_range_n: f64) -> TrainingSettings {
         TrainingSettings {
             seed: self.seed,
-            epochs: self.epochs,
+            epochs: self.epochs(),
             patience: self.patience,
             rate: self.rate,
             near_zero: self.zero_weight.unwrap_or(1.0),
@@ -106,6 +134,7 @@ impl TrainingArgs {
 #[command(after_help = "\
 Examples:
   cargo magpie train model.toml my-campaign -o network.safetensors
+  cargo magpie train model.toml my-campaign --quick -o network.safetensors
   cargo magpie train model.toml my-campaign --shared --hidden 32 -o network.safetensors
   cargo magpie train model.toml my-campaign -o network.safetensors \\
     --checkpoint training.safetensors --resume")]
@@ -127,7 +156,7 @@ pub struct Args {
     /// One network for all sensors instead of one per sensor.
     #[arg(long)]
     shared: bool,
-    /// Checkpoint file, written after every epoch.
+    /// Checkpoint file, written after every epoch. Ctrl-C writes one next to the output as well.
     #[arg(long, value_name = "PATH")]
     checkpoint: Option<PathBuf>,
     /// Resume from the checkpoint if it exists.
@@ -187,7 +216,10 @@ pub fn run(args: &Args) -> Result<()> {
         &data.training,
         &data.held_out,
     )?;
-    train(args, &mut trainer, &data.key())?;
+    if let Some(interrupted) = train(args, &mut trainer, &data.key())? {
+        eprintln!("{interrupted}");
+        std::process::exit(INTERRUPTED);
+    }
     let sigma = NetworkCalibration::of(&trainer, &data.training, &data.held_out, &data.built)?;
     let evaluation = TrainingResult::of(&trainer, &data.held_out, sigma, start.elapsed())?;
     terminal::print_result(
@@ -229,13 +261,14 @@ impl Args {
                 TargetArg::Residual => Target::Residual,
             },
             shared: self.shared,
-            hidden: self.common.hidden.map_or(default, usize::from),
+            hidden: self.common.hidden_or(default),
         }
     }
 }
 
-/// Trains until early stopping, with a checkpoint after each epoch if requested.
-fn train(args: &Args, trainer: &mut Trainer, key: &str) -> Result<()> {
+/// Trains until early stopping, with a checkpoint after each epoch if requested. If Ctrl-C ended it, returns how it resumes.
+fn train(args: &Args, trainer: &mut Trainer, key: &str) -> Result<Option<String>> {
+    let interrupted = first_interrupt()?;
     if let Some(path) = &args.checkpoint {
         match (args.resume, path.exists()) {
             (true, true) => checkpoint::resume(path, trainer, key)?,
@@ -245,7 +278,10 @@ fn train(args: &Args, trainer: &mut Trainer, key: &str) -> Result<()> {
             (false, _) => {}
         }
     }
-    let bar = progress::epoch_bar("training", args.common.epochs, trainer.epoch);
+    let epochs = args.common.epochs();
+    let bar = progress::epoch_bar("training", epochs, trainer.epoch);
+    let start = Instant::now();
+    let mut is_announced = false;
     while !trainer.finished() {
         let progress = trainer.epoch()?;
         bar.set_message(format!(
@@ -256,7 +292,54 @@ fn train(args: &Args, trainer: &mut Trainer, key: &str) -> Result<()> {
         if let Some(path) = &args.checkpoint {
             checkpoint::write(path, trainer, key)?;
         }
+        if interrupted.load(Ordering::Relaxed) {
+            bar.finish_and_clear();
+            return Ok(Some(saved(args, trainer, key)?));
+        }
+        let longest = start.elapsed() * epochs.saturating_sub(trainer.epoch);
+        if !is_announced && longest > ANNOUNCED {
+            bar.suspend(|| eprintln!("{}", announcement(&args.common, start.elapsed(), longest)));
+        }
+        is_announced = true;
     }
     bar.finish_and_clear();
-    Ok(())
+    Ok(None)
+}
+
+/// How long a training takes, from the time of one epoch.
+fn announcement(common: &TrainingArgs, epoch: Duration, longest: Duration) -> String {
+    let quick = if common.quick {
+        "."
+    } else {
+        "; --quick gives a first impression in a tenth of that. Ctrl-C saves the training."
+    };
+    format!(
+        "An epoch takes {:.1} s: at most {} more, less if {} epochs bring no improvement{quick}",
+        epoch.as_secs_f64(),
+        HumanDuration(longest),
+        common.patience,
+    )
+}
+
+/// Writes a checkpoint of an interrupted training, unless there is no place for it; how it resumes.
+fn saved(args: &Args, trainer: &Trainer, key: &str) -> Result<String> {
+    let done = format!("Interrupted after epoch {}", trainer.epoch);
+    let beside = args.output.as_ref().map(|path| path.with_extension("checkpoint.safetensors"));
+    let Some(path) = args.checkpoint.clone().or(beside) else {
+        return Ok(format!(
+            "{done}; nothing is saved, because neither -o nor --checkpoint was given."
+        ));
+    };
+    checkpoint::write(&path, trainer, key)?;
+    let words: Vec<String> = std::env::args().skip(1).collect();
+    let mut words: Vec<&str> =
+        ["cargo", "magpie"].into_iter().chain(words.iter().map(String::as_str)).collect();
+    let name = path.display().to_string();
+    if args.checkpoint.is_none() {
+        words.extend(["--checkpoint", &name]);
+    }
+    if !args.resume {
+        words.push("--resume");
+    }
+    Ok(format!("{done}; saved to {name}. Continue with:\n  {}", shell_words::join(words)))
 }

@@ -58,7 +58,7 @@ pub fn run(args: &Args) -> Result<()> {
     {
         bail!(
             "the device never compensates {effect}: {why}. Its error stays in the forces: remove it from the model \
-             (`magpie remove`), or upload with --uncompensated"
+             (`cargo magpie remove`), or upload with --uncompensated"
         );
     }
     let set = args.network.as_deref().map(|path| NetworkSet::read(path, &built)).transpose()?;

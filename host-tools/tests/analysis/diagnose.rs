@@ -35,7 +35,7 @@ fn staircase(diagnosis: &Value) -> Vec<f64> {
 fn report_contains_diagnosis_and_comparison() {
     let (dir, campaign) = (WorkDir::with_model("demo"), campaign("demo"));
     let stdout = dir.stdout(&["diagnose", "model.toml", &campaign, "-o", "report.html"]);
-    let next = format!("magpie add model.toml {campaign} neighbour_magnet -o ");
+    let next = format!("cargo magpie add model.toml {campaign} neighbour_magnet -o ");
     assert!(text(&stdout).contains(&next), "{}", text(&stdout));
     let text = dir.read("report.html");
     assert!(text.starts_with("<!-- report of magpie -->"));

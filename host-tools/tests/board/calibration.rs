@@ -105,7 +105,7 @@ fn what_a_board_cannot_load_is_refused_with_a_remedy() {
     ]);
     let refused =
         dir.failure(&format!("upload model.toml --network large.safetensors --port {line}"));
-    assert!(refused.contains("`magpie export` and `cargo flash`"), "{refused}");
+    assert!(refused.contains("`cargo magpie export` and `cargo flash`"), "{refused}");
     assert_eq!(shown(&dir, &line)["calibration"]["slot"], Value::Null);
     let nobody = dir.failure("upload model.toml");
     assert!(nobody.contains("--port"), "{nobody}");

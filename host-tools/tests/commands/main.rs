@@ -9,5 +9,7 @@ mod grasp;
 mod readme_tutorial;
 mod session_rules;
 mod simulate;
+#[cfg(unix)]
+mod tutorials;
 #[path = "../workdir/mod.rs"]
 mod workdir;

@@ -4,6 +4,8 @@
 
 #[cfg(unix)]
 pub mod running;
+#[cfg(unix)]
+pub mod tutorial;
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

@@ -45,6 +45,11 @@ impl AxisEvaluation {
         self.limits.binding().0
     }
 
+    /// Whether the force changes the field by more than its noise within the range: not along the axis of a lying magnet.
+    pub fn is_measurable(&self) -> bool {
+        self.noise_n.abs() <= self.range_n()
+    }
+
     /// Whether the slope exceeds the validity of the beam equations.
     pub fn exceeds_beam_model(&self) -> bool {
         self.tilt_rad.abs() > MODERATE_SLOPE_RAD
@@ -87,10 +92,11 @@ impl DesignEvaluation {
     /// Whether both axes measure `force_n`.
     pub fn covers_range(&self, force_n: f64) -> bool {
         // An optimised design meets its force up to rounding in the file.
-        self.range_n() >= force_n * (1.0 - 1e-3)
+        self.axes.iter().all(AxisEvaluation::is_measurable)
+            && self.range_n() >= force_n * (1.0 - 1e-3)
     }
 
-    /// Force that both axes measure, in N.
+    /// Force that both axes bear and, where they are measurable, measure, in N.
     pub fn range_n(&self) -> f64 {
         self.limiting_axis().range_n()
     }

@@ -1,4 +1,4 @@
-//! Design optimisation: minimum error for a required force.
+//! Design optimisation: minimum error for a required force, and maximum force range.
 
 use crate::design::design_file::SensorDesign;
 use crate::design::evaluation::DesignEvaluation;
@@ -56,7 +56,8 @@ pub fn optimise(
         candidates.iter().filter(|one| one.works() && one.range_n >= force_n).collect();
     let rough = |one: &Candidate| one.noise_n.hypot(one.interference_n * force_n / one.range_n);
     feasible.sort_by(|a, b| rough(a).total_cmp(&rough(b)));
-    let search = Search { base: &base, space, force_n, sources };
+    let cost = |design: &SensorDesign| error_n(design, force_n, sources);
+    let search = Search { base: &base, space, cost: &cost };
     let ends = feasible.iter().take(MAX_STARTS).map(|one| search.downhill(one));
     let (sizes, material, error_n) = ends.flatten().min_by(|(.., a), (.., b)| a.total_cmp(b))?;
     let mut design = space.sized(&base, sizes, &material);
@@ -73,20 +74,39 @@ pub fn optimise(
     })
 }
 
-/// Sizes, material and error.
+/// Design with the maximum force range: coordinate descent in available sizes from the best of `candidates`, which are designs of
+/// `space`; `None` where none works.
+pub fn widest_range(
+    base: &SensorDesign,
+    space: &DesignSpace,
+    candidates: &[Candidate],
+    sources: &InterferenceSources,
+) -> Option<Candidate> {
+    let mut starts: Vec<&Candidate> = candidates.iter().filter(|one| one.works()).collect();
+    starts.sort_by(|a, b| b.range_n.total_cmp(&a.range_n));
+    let cost = |design: &SensorDesign| match DesignEvaluation::of(design).range_n() {
+        range_n if range_n > 0.0 => -range_n,
+        _ => f64::INFINITY,
+    };
+    let search = Search { base, space, cost: &cost };
+    let ends = starts.into_iter().take(MAX_STARTS).map(|one| search.downhill(one));
+    let (sizes, material, _) = ends.flatten().min_by(|(.., a), (.., b)| a.total_cmp(b))?;
+    Some(Candidate::of(space.sized(base, sizes, &material), sources))
+}
+
+/// Sizes, material and cost.
 type Found = ([f64; SIZES.len()], String, f64);
 
 struct Search<'a> {
     base: &'a SensorDesign,
     space: &'a DesignSpace,
-    force_n: f64,
-    sources: &'a InterferenceSources,
+    /// Infinite where a design is infeasible.
+    cost: &'a dyn Fn(&SensorDesign) -> f64,
 }
 
 impl Search<'_> {
-    fn error_n(&self, sizes: [f64; SIZES.len()], material: &str) -> f64 {
-        let design = self.space.sized(self.base, sizes, material);
-        error_n(&design, self.force_n, self.sources)
+    fn cost(&self, sizes: [f64; SIZES.len()], material: &str) -> f64 {
+        (self.cost)(&self.space.sized(self.base, sizes, material))
     }
 
     /// Coordinate descent from a candidate; `None` where rounded sizes are infeasible.
@@ -105,22 +125,22 @@ impl Search<'_> {
         ];
         let material = beam.material.clone();
         let mut sizes = std::array::from_fn(|i| self.within(i, exact[i]));
-        let mut error_n = self.error_n(sizes, &material);
+        let mut cost = self.cost(sizes, &material);
         for _ in 0..MAX_ROUNDS {
             let tries = (0..SIZES.len()).flat_map(|i| [-8.0, -1.0, 1.0, 8.0].map(|by| (i, by)));
             let better = tries
                 .map(|(i, by)| {
                     let mut sizes = sizes;
                     sizes[i] = self.within(i, sizes[i] + by * STEPS_MM[i]);
-                    (sizes, self.error_n(sizes, &material))
+                    (sizes, self.cost(sizes, &material))
                 })
                 .min_by(|(_, a), (_, b)| a.total_cmp(b));
             match better {
-                Some((tried, error)) if error < error_n => (sizes, error_n) = (tried, error),
+                Some((tried, lower)) if lower < cost => (sizes, cost) = (tried, lower),
                 _ => break,
             }
         }
-        error_n.is_finite().then_some((sizes, material, error_n))
+        cost.is_finite().then_some((sizes, material, cost))
     }
 
     /// Nearest available size within the space.

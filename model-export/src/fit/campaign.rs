@@ -10,7 +10,7 @@ use crate::fit::cross_validation::CvSplit;
 use crate::fit::joint::{self, BaseFits, JointFit};
 use crate::fit::polynomial::{self, PolynomialFit};
 use crate::fit::rows::SensorRows;
-use crate::fit::{AxisScore, FitError, FitOptions, orientation};
+use crate::fit::{AxisScore, FitError, FitOptions, in_order, orientation};
 use crate::physics::ForwardModel;
 use crate::recordings::description::NominalDesign;
 use crate::recordings::{Campaign, Location, Notice};
@@ -256,15 +256,11 @@ fn polynomials(
     options: FitOptions,
     done: impl Fn(u32) + Sync,
 ) -> Result<Vec<(SensorRows, PolynomialFit)>, FitError> {
-    campaign
-        .sensors()
-        .par_iter()
-        .map(|&sensor| {
-            let rows = SensorRows::with_recorded_forces(campaign, sensor)?;
-            rows.check_excitation(campaign)?;
-            let fit = polynomial::fit(&rows, degree, options)?;
-            done(sensor);
-            Ok((rows, fit))
-        })
-        .collect()
+    in_order(campaign.sensors().par_iter().map(|&sensor| {
+        let rows = SensorRows::with_recorded_forces(campaign, sensor)?;
+        rows.check_excitation(campaign)?;
+        let fit = polynomial::fit(&rows, degree, options)?;
+        done(sensor);
+        Ok((rows, fit))
+    }))
 }

@@ -9,7 +9,7 @@ use crate::fit::parameters::FreeParameter;
 use crate::fit::problem::SensorProblem;
 use crate::fit::rows::SensorRows;
 use crate::fit::sensor_fit::{self, SensorSolution, add_errors, held_out_errors};
-use crate::fit::{AxisScore, FitError, FitOptions};
+use crate::fit::{AxisScore, FitError, FitOptions, in_order};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use std::collections::HashMap;
@@ -111,12 +111,9 @@ impl BaseFits {
     /// A fit fails.
     pub fn new(rows: &[SensorRows], bases: &[Arc<dyn BaseModel>]) -> Result<Self, FitError> {
         let pairs: Vec<_> = rows.iter().zip(bases).collect();
-        let solutions: Vec<SensorSolution> = pairs
-            .par_iter()
-            .map(|(rows, base)| {
-                sensor_fit::fit_from_nominal(&SensorProblem::new(rows, base.as_ref(), &[]))
-            })
-            .collect::<Result<_, _>>()?;
+        let solutions = in_order(pairs.par_iter().map(|(rows, base)| {
+            sensor_fit::fit_from_nominal(&SensorProblem::new(rows, base.as_ref(), &[]))
+        }))?;
         let of_training = solutions.iter().map(|_| Mutex::default()).collect();
         Ok(Self { solutions, of_training })
     }
@@ -211,10 +208,8 @@ fn with_effects<'a>(
         })
         .collect();
     search_all(&mut searches);
-    searches
-        .into_par_iter()
-        .map(|search| sensor_fit::fit_from_base(search.problem, &search.values))
-        .collect()
+    let fits = searches.into_par_iter();
+    in_order(fits.map(|search| sensor_fit::fit_from_base(search.problem, &search.values)))
 }
 
 /// Fits the effects from a fit of them to other rows, whose shapes are kept.
@@ -351,7 +346,7 @@ fn cross_validate_fold(
         })
         .collect::<Result<_, FitError>>()?;
     let for_all = |refit: &(dyn Fn(usize) -> Result<DVector<f64>, FitError> + Sync)| {
-        (0..problems.len()).into_par_iter().map(refit).collect::<Result<Vec<_>, FitError>>()
+        in_order((0..problems.len()).into_par_iter().map(refit))
     };
     let fitted = if problems.iter().any(|problem| !shared_slots(problem).is_empty()) {
         let opened = for_all(&|s| {

@@ -49,7 +49,7 @@ pub enum FitError {
     #[error(transparent)]
     Recording(#[from] DataError),
     #[error(
-        "{place}: there is no [design] table, so the geometry is unknown; add the nominal design, or fit with --base polynomial"
+        "{place}: there is no [design] table, so the geometry is unknown; add it to recording.toml or to the mapping of the import (`cargo magpie import --help` shows one), or, to see errors and missing effects without tables for a board, fit with --base polynomial"
     )]
     NoDesign { place: Location },
     #[error(
@@ -98,6 +98,13 @@ pub enum FitError {
         "the fit of sensor {sensor} did not converge ({reason}); check the nominal design in recording.toml, or fit with --base polynomial"
     )]
     NotConverged { sensor: u32, reason: String },
+}
+
+/// The results, or the first error in their order: the same input always gives the same error, whichever thread met one first.
+pub(crate) fn in_order<T: Send, E: Send>(
+    results: impl rayon::iter::ParallelIterator<Item = Result<T, E>>,
+) -> Result<Vec<T>, E> {
+    results.collect::<Vec<_>>().into_iter().collect()
 }
 
 /// Bootstrap options.

@@ -14,8 +14,14 @@ use crate::recordings::{Campaign, Location, Recording};
 
 /// Maximum plausible factor from nominal, either way.
 const SCALE: f64 = 3.0;
-/// Minimum standard deviation in N of a force for its column to be checked.
+/// Minimum standard deviation of a force in a recording for its column to be checked: in newtons, and relative to the recording in
+/// which it varies most (of forces in kilonewtons it is below the first).
 const MIN_FORCE_SIGMA_N: f64 = 1.0;
+const MIN_FORCE_SHARE: f64 = 0.3;
+/// Units of a force by mistake, in newtons, and the maximum factor between one and the sensitivity's ratio to nominal.
+const FORCE_UNITS_N: [(&str, f64); 5] =
+    [("kN", 1e3), ("kgf", 9.806_65), ("lbf", 4.448_222), ("gf", 9.806_65e-3), ("mN", 1e-3)];
+const SAME_UNIT: f64 = 1.4;
 
 /// Checks every recording's columns for `sensor` against the nominal design.
 ///
@@ -23,10 +29,10 @@ const MIN_FORCE_SIGMA_N: f64 = 1.0;
 /// The first implausible column.
 pub fn check(campaign: &Campaign, sensor: u32, nominal: &ForwardModel) -> Result<(), FitError> {
     for recording in &campaign.recordings {
-        let Some(slopes) = Slopes::of(recording, sensor, sensor) else {
+        let Some(slopes) = Slopes::of(campaign, recording, sensor, sensor) else {
             continue;
         };
-        let found = Check { recording, sensor, nominal, slopes };
+        let found = Check { campaign, recording, sensor, nominal, slopes };
         found.rest_field()?;
         found.forces()?;
     }
@@ -41,7 +47,7 @@ struct Slopes {
 }
 
 impl Slopes {
-    fn of(recording: &Recording, sensor: u32, place: u32) -> Option<Self> {
+    fn of(campaign: &Campaign, recording: &Recording, sensor: u32, place: u32) -> Option<Self> {
         let track = recording.sensors.get(&sensor)?;
         let loads = [Axis::X, Axis::Z].map(|axis| recording.forces.get(&(place, axis)));
         let [x, z] = loads;
@@ -56,9 +62,11 @@ impl Slopes {
             }
         }
         let count = normal[(0, 0)];
-        let moves = [1, 2].map(|i| {
+        let moves = [Axis::X, Axis::Z].map(|axis| {
+            let i = if axis == Axis::X { 1 } else { 2 };
             let mean = normal[(0, i)] / count;
-            normal[(i, i)] / count - mean * mean > MIN_FORCE_SIGMA_N * MIN_FORCE_SIGMA_N
+            let sigma_n = (normal[(i, i)] / count - mean * mean).max(0.0).sqrt();
+            sigma_n > MIN_FORCE_SIGMA_N.min(MIN_FORCE_SHARE * max_sigma_n(campaign, (place, axis)))
         });
         // A constant force has no defined slope: regularised to zero.
         for (i, moves) in moves.iter().enumerate() {
@@ -77,7 +85,27 @@ impl Slopes {
     }
 }
 
+/// Maximum over the recordings of the standard deviation of a force.
+fn max_sigma_n(campaign: &Campaign, force: (u32, Axis)) -> f64 {
+    let sigma_n = |recording: &Recording| {
+        let newtons = recording.forces.get(&force)?.newtons.iter().filter(|n| n.is_finite());
+        let count = newtons.clone().count().max(1) as f64;
+        let mean = newtons.clone().sum::<f64>() / count;
+        Some((newtons.map(|n| (n - mean).powi(2)).sum::<f64>() / count).sqrt())
+    };
+    campaign.recordings.iter().filter_map(sigma_n).fold(0.0, f64::max)
+}
+
+/// The unit that explains this ratio of the sensitivity to nominal, as a clause.
+fn unit_by_mistake(share: f64) -> String {
+    let is_near =
+        |(_, newtons): &&(&str, f64)| (SAME_UNIT.recip()..=SAME_UNIT).contains(&(share / newtons));
+    let unit = FORCE_UNITS_N.iter().find(is_near);
+    unit.map_or_else(String::new, |(name, _)| format!(", as if the force were in {name}"))
+}
+
 struct Check<'a> {
+    campaign: &'a Campaign,
     recording: &'a Recording,
     sensor: u32,
     nominal: &'a ForwardModel,
@@ -136,7 +164,7 @@ impl Check<'_> {
                 return self.force(
                     force,
                     format!("sensor {} does not follow this force, it follows that of place {place}", self.sensor),
-                    "the force columns of the two places (or the two sensors' field columns) are swapped: rename them",
+                    "the forces of the two places, or the fields of the two sensors, are exchanged; the recordings do not show which: press one finger by hand and see which columns move, then rename those that are wrong",
                 );
             }
             if share <= -1.0 / SCALE {
@@ -149,14 +177,14 @@ impl Check<'_> {
             if share < 1.0 / SCALE {
                 return self.force(
                     force,
-                    format!("sensor {} has {share:.2} of the sensitivity of the design", self.sensor),
+                    format!("sensor {} has {share:.2} of the sensitivity of the design{}", self.sensor, unit_by_mistake(share)),
                     "check the force's unit (newtons), the field's unit, and the stiffness in recording.toml",
                 );
             }
             if share > SCALE {
                 return self.force(
                     force,
-                    format!("sensor {} has {share:.1} times the sensitivity of the design", self.sensor),
+                    format!("sensor {} has {share:.1} times the sensitivity of the design{}", self.sensor, unit_by_mistake(share)),
                     "check the force's unit (newtons, not kilograms), the field's unit, and the stiffness in recording.toml",
                 );
             }
@@ -168,7 +196,7 @@ impl Check<'_> {
     fn followed(&self, force: usize) -> Option<u32> {
         let places = self.recording.forces.keys().map(|(place, _)| *place);
         places.filter(|place| *place != self.sensor).find(|place| {
-            Slopes::of(self.recording, self.sensor, *place)
+            Slopes::of(self.campaign, self.recording, self.sensor, *place)
                 .and_then(|slopes| slopes.shares(self.nominal)[force])
                 .is_some_and(|shares| shares[force] > 1.0 / SCALE)
         })

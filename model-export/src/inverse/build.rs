@@ -33,7 +33,7 @@ pub enum BuildError {
     #[error(transparent)]
     File(#[from] DataError),
     #[error(
-        "{place}: a polynomial of the forces has no unique inverse here; the device needs a model with the cylinder base (`magpie fit CAMPAIGN -o model.toml`)"
+        "{place}: a polynomial of the forces has no unique inverse, so a board cannot run it; add [design] to every recording.toml of the campaign (gap, stiffnesses, magnet: `cargo magpie import --help` shows one) and fit again without --base"
     )]
     Polynomial { place: Location },
     #[error(transparent)]

@@ -15,6 +15,7 @@ use crate::fit::{CampaignFits, FitError, FitOptions};
 use crate::input::{
     self, MAX_EFFECTS, MAX_MAGNITUDE, MAX_SENSORS, check_plausible, plausible_range,
 };
+use crate::inverse::codegen;
 use crate::output::write_output;
 use crate::physics::ForwardModel;
 use crate::recordings::description::{NominalDesign, parse_toml};
@@ -170,7 +171,13 @@ impl ModelFile {
         if path.is_dir() {
             return Err(ErrorKind::ModelIsFolder.at(Location::file(path)));
         }
+        if path.extension().is_some_and(|extension| extension == "safetensors") {
+            return Err(ErrorKind::NetworkForModel.at(Location::file(path)));
+        }
         let text = input::read_text(path)?;
+        if text.starts_with(codegen::MARK) {
+            return Err(ErrorKind::TablesForModel.at(Location::file(path)));
+        }
         let is_model =
             |table: &toml::Table| table.contains_key("base") && table.contains_key("sensor");
         if text.parse::<toml::Table>().is_ok_and(|table| !is_model(&table)) {
@@ -252,7 +259,7 @@ impl ModelFile {
             for parameter in &PARAMETERS {
                 let Some(value) = sensor.parameters.get(parameter.name).map(|value| value.value)
                 else {
-                    let example = "it in the form written by `magpie fit`, or repeat the fit";
+                    let example = "it in the form written by `cargo magpie fit`, or repeat the fit";
                     return Err(ErrorKind::MissingKey { example }.at(location(key(parameter.name))));
                 };
                 let must_be_positive =

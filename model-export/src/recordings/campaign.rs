@@ -121,13 +121,36 @@ pub fn recording_folders(folder: &Path) -> Result<Vec<PathBuf>, DataError> {
         .filter(|path| path.is_dir() && is_recording(path))
         .collect();
     if folders.is_empty() {
-        return Err(ErrorKind::NoRecordings.at(Location::file(folder)));
+        let kind = match several_campaigns(folder) {
+            Some(campaigns) => ErrorKind::SeveralCampaigns { campaigns },
+            None => ErrorKind::NoRecordings,
+        };
+        return Err(kind.at(Location::file(folder)));
     }
     folders.sort_by_key(|path| {
         let name = recording_name(path);
         (name.parse::<u64>().unwrap_or(u64::MAX), name)
     });
     Ok(folders)
+}
+
+/// Names of the folders that are campaigns.
+fn several_campaigns(folder: &Path) -> Option<String> {
+    let folders = |folder: &Path| -> Vec<PathBuf> {
+        let entries = fs::read_dir(folder).into_iter().flatten();
+        entries
+            .filter_map(|entry| entry.ok().map(|entry| entry.path()))
+            .filter(|path| path.is_dir())
+            .collect()
+    };
+    let is_campaign = |path: &PathBuf| folders(path).iter().any(|path| is_recording(path));
+    let mut campaigns: Vec<String> = folders(folder)
+        .iter()
+        .filter(|path| is_campaign(path))
+        .map(|path| recording_name(path))
+        .collect();
+    campaigns.sort();
+    (!campaigns.is_empty()).then(|| campaigns.join(", "))
 }
 
 /// A folder with any of the three files counts as a recording: the missing files are errors.

@@ -126,13 +126,25 @@ pub enum ErrorKind {
     MissingKey { example: &'static str },
     #[error("{found} is not allowed here; {advice}")]
     BadValue { found: String, advice: String },
-    #[error("this is a folder, not a model file of `magpie fit`; the order is MODEL CAMPAIGN")]
+    #[error(
+        "this is a folder, not a model file of `cargo magpie fit`; the order is MODEL CAMPAIGN"
+    )]
     ModelIsFolder,
-    #[error("this is not a model file; `magpie fit` writes one")]
+    #[error("this is not a model file; `cargo magpie fit` writes one")]
     NotAModel,
-    #[error("this is not a network file; `magpie train` writes one")]
+    #[error(
+        "these are tables of `cargo magpie export`, not a model file; give the model from which they were written"
+    )]
+    TablesForModel,
+    #[error(
+        "this is a network file, not a model file; give the model, and the network with --network"
+    )]
+    NetworkForModel,
+    #[error("this folder holds several campaigns ({campaigns}); give one of them")]
+    SeveralCampaigns { campaigns: String },
+    #[error("this is not a network file; `cargo magpie train` writes one")]
     NotANetwork,
-    #[error("this is not a checkpoint; `magpie train --checkpoint` writes one")]
+    #[error("this is not a checkpoint; `cargo magpie train --checkpoint` writes one")]
     NotACheckpoint,
     #[error("the file is damaged ({0}); copy it again, or repeat the training")]
     DamagedArrays(String),

@@ -13,6 +13,7 @@
 //! - [`campaign`]: all recordings of one gripper.
 //! - [`mapping`]: mapping files and attitude conversion for imports.
 //! - [`import`]: conversion of third-party tables to a campaign.
+//! - [`guess`]: proposal of a mapping file from the names and values of a table.
 
 pub mod align;
 pub mod campaign;
@@ -20,6 +21,7 @@ pub mod columns;
 pub mod csv_table;
 pub mod description;
 pub mod error;
+pub mod guess;
 pub mod import;
 pub mod mapping;
 pub mod noise;

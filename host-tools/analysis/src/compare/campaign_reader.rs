@@ -99,7 +99,7 @@ impl CampaignReader {
     /// # Errors
     /// A recording cannot be read.
     pub fn open(folder: &Path, alignment: Alignment, caching: Caching) -> Result<Self> {
-        let mut list = recording_folders(folder)?
+        let list: Vec<Result<_, DataError>> = recording_folders(folder)?
             .into_par_iter()
             .map(|folder| {
                 let (description, _) = RecordingDescription::read(&folder)?;
@@ -110,7 +110,9 @@ impl CampaignReader {
                 };
                 Ok((description.start_s, named))
             })
-            .collect::<Result<Vec<_>, DataError>>()?;
+            .collect();
+        // In order, so that the same campaign always gives the same error.
+        let mut list = list.into_iter().collect::<Result<Vec<_>, _>>()?;
         list.sort_by(|a, b| a.0.total_cmp(&b.0));
         let names: Vec<RecordingId> = list.into_iter().map(|(_, named)| named).collect();
         let mut source =

@@ -129,7 +129,7 @@ fn evaluate_plans(
         bar.inc(1);
         built
     });
-    let built = built.collect::<Result<Vec<FoldTables>>>()?;
+    let built = built.collect::<Vec<_>>().into_iter().collect::<Result<Vec<FoldTables>>>()?;
     bar.finish_and_clear();
     let has_curves = !traces.is_empty();
     let recordings: &[RecordingFolds] = plans.first().map_or(&[], |plan| &plan.recordings);

@@ -43,6 +43,20 @@ pub fn compare(
     compare_scanned(path, &model, other, scanned, None, options)
 }
 
+/// Setup errors of a campaign, from its files and from the predictions of the model at `path`.
+///
+/// # Errors
+/// A file cannot be read.
+pub fn setup_errors(path: &Path, campaign: &Path, alignment: Alignment) -> Result<Vec<Finding>> {
+    let model = ModelFile::read(path)?;
+    let scanned = ScannedCampaign::open(campaign, alignment, Caching::IfFew)?;
+    let of_model = match &scanned.reader {
+        Some(source) => model_findings(source, &model, &model.effect_terms(path)?)?,
+        None => Vec::new(),
+    };
+    Ok(merge(scanned.findings, of_model))
+}
+
 /// [`compare`] on a campaign that is already open. `refit` is a fit of the model to all of its recordings, if known.
 ///
 /// # Errors

@@ -72,6 +72,15 @@ pub enum Evidence {
         /// Its magnitude.
         magnitude: Magnitude,
     },
+    /// Field channels differ from all others by one factor in noise and magnitude.
+    ChannelUnit {
+        /// The columns.
+        columns: ColumnSet,
+        /// Noise of the first column relative to the median of the other channels.
+        noise_ratio: f64,
+        /// The power of ten that it is; `None` if it is near none.
+        factor: Option<f64>,
+    },
     /// Columns have one value in every row.
     StuckThroughout {
         /// The columns.
@@ -119,6 +128,13 @@ pub enum Evidence {
         value: f64,
         /// True for a force clipped at zero, which may be correct.
         at_rest: bool,
+    },
+    /// Sensors without a temperature, where others have one.
+    MissingTemperature {
+        /// Numbers of the sensors.
+        sensors: Vec<u32>,
+        /// Recordings without it.
+        recordings: RecordingSet,
     },
     /// Covariates do not vary above their noise in the whole campaign.
     ConstantCovariates {

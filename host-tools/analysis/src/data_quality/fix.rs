@@ -110,9 +110,18 @@ impl fmt::Display for Change {
 }
 
 /// Writes the campaign to the new folder `to` with every correction that carries a
-/// [`Fix`]; everything else is copied byte for byte. On failure no folder is
-/// left behind. Returns one sentence for each correction.
-pub fn write(campaign: &Path, findings: &[Finding], to: &Path) -> Result<Vec<String>> {
+/// [`Fix`]; everything else is copied byte for byte. `check` returns the findings of a campaign. Returns one sentence for each
+/// correction.
+///
+/// # Errors
+/// The folder exists or cannot be written, no finding has a correction, or the corrected copy still has an error of a corrected
+/// kind; no folder is left behind.
+pub fn write(
+    campaign: &Path,
+    findings: &[Finding],
+    to: &Path,
+    check: impl Fn(&Path) -> Result<Vec<Finding>>,
+) -> Result<Vec<String>> {
     if to.exists() {
         bail!("{}: output path exists; refusing to overwrite", to.display());
     }
@@ -137,8 +146,25 @@ pub fn write(campaign: &Path, findings: &[Finding], to: &Path) -> Result<Vec<Str
     if folders.iter().all(|folder| folder != campaign) {
         copy_files(campaign, draft.path())?;
     }
+    let is_corrected =
+        |id| findings.iter().any(|finding| finding.id == id && finding.fix.is_some());
+    let left = check(draft.path())?.into_iter().filter(|finding| is_corrected(finding.id));
+    let left: Vec<String> = left.map(|finding| describe(&finding, draft.path())).collect();
+    if !left.is_empty() {
+        bail!(
+            "the corrected copy would still have {}: correct all columns of this kind yourself; nothing is written",
+            left.join(" and ")
+        );
+    }
     draft.commit(to)?;
     Ok(said)
+}
+
+/// Identifier and place of a finding, relative to `folder`.
+fn describe(finding: &Finding, folder: &Path) -> String {
+    let mut place = finding.place.clone();
+    place.file = place.file.strip_prefix(folder).map(Path::to_path_buf).unwrap_or(place.file);
+    format!("{} ({place})", finding.id)
 }
 
 /// Writes one recording; returns its corrections.

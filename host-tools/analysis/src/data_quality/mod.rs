@@ -45,6 +45,13 @@ pub struct Finding {
     pub fix: Option<Fix>,
 }
 
+impl Finding {
+    /// True for single channels in another unit.
+    pub fn is_channel_unit(&self) -> bool {
+        matches!(self.evidence, Evidence::ChannelUnit { .. })
+    }
+}
+
 /// Search for one setup error, in the files alone, against a model, or both.
 struct Check {
     id: &'static str,
@@ -54,7 +61,7 @@ struct Check {
 }
 
 /// All checks, most severe first: a check skips the columns that an earlier one explains.
-const CHECKS: [Check; 16] = {
+const CHECKS: [Check; 17] = {
     const fn files(
         id: &'static str,
         check: for<'a> fn(&CheckContext<'a>) -> Vec<Found<'a>>,
@@ -84,6 +91,7 @@ const CHECKS: [Check; 16] = {
         files("repeated_samples", clock::repeated_samples),
         files("outlier", columns::outliers),
         files("spectral_line", lines::spectral_lines),
+        files("missing_temperature", columns::missing_temperatures),
         files("constant_covariate", columns::constant_covariates),
     ]
 };

@@ -61,7 +61,8 @@ const MADE: [&str; 8] = [
 /// Suggests the next command after a diagnosis.
 pub fn suggest(diagnosis: &Diagnosis, typed: &Invocation) -> Suggestion {
     let command = |what: &str, rest: &[String]| {
-        let mut words = ["magpie", what, typed.model, typed.campaign].map(str::to_owned).to_vec();
+        let mut words =
+            ["cargo", "magpie", what, typed.model, typed.campaign].map(str::to_owned).to_vec();
         words.extend_from_slice(rest);
         if typed.delay_ms != 0.0 {
             words.extend(["--delay-ms".to_owned(), typed.delay_ms.to_string()]);
@@ -92,7 +93,8 @@ pub fn suggest(diagnosis: &Diagnosis, typed: &Invocation) -> Suggestion {
     let usable = |covariate: &&str| !MADE.contains(covariate);
     let covariates = diagnosis.unexplained.iter().map(|u| u.covariate.as_str());
     if diagnosis.at_floor {
-        let words = ["magpie", "export", typed.model, "-o", "tables.rs"].map(str::to_owned);
+        let words =
+            ["cargo", "magpie", "export", typed.model, "-o", "tables.rs"].map(str::to_owned);
         return suggestion(SuggestionKind::Export, vec![line(&words)]);
     }
     match (diagnosis.unexplained.is_empty(), covariates.clone().find(usable)) {
@@ -165,8 +167,7 @@ fn better(model: &str) -> String {
 
 /// One line for a shell.
 fn line(words: &[String]) -> String {
-    // Only a zero byte cannot be quoted, and no argument holds one.
-    shlex::try_join(words.iter().map(String::as_str)).unwrap_or_else(|_| words.join(" "))
+    shell_words::join(words)
 }
 
 #[cfg(test)]
@@ -193,7 +194,7 @@ mod tests {
         let next = suggest(&accepted(&[&["hysteresis"], &["creep"]]), &TYPED);
         assert_eq!(
             next.commands,
-            ["magpie add m.toml 'my campaign' hysteresis creep -o m-better.toml"]
+            ["cargo magpie add m.toml 'my campaign' hysteresis creep -o m-better.toml"]
         );
     }
 
@@ -204,8 +205,8 @@ mod tests {
         assert_eq!(
             suggest(&tied, &typed).commands,
             [
-                "magpie add m.toml 'my campaign' magnet_temperature creep -o m-better.toml --delay-ms -2.5",
-                "magpie add m.toml 'my campaign' thermal_gap creep -o m-better.toml --delay-ms -2.5",
+                "cargo magpie add m.toml 'my campaign' magnet_temperature creep -o m-better.toml --delay-ms -2.5",
+                "cargo magpie add m.toml 'my campaign' thermal_gap creep -o m-better.toml --delay-ms -2.5",
             ]
         );
         assert_eq!(suggest(&tied, &typed).kind, SuggestionKind::ChooseEffect);
@@ -234,7 +235,7 @@ mod tests {
         assert_eq!(next.kind, SuggestionKind::ChooseEffect);
         assert_eq!(
             next.commands[1],
-            "magpie add m.toml 'my campaign' --expr 'formula_1: dx_um = a*opening_mm' -o m-better.toml"
+            "cargo magpie add m.toml 'my campaign' --expr 'formula_1: dx_um = a*opening_mm' -o m-better.toml"
         );
     }
 
@@ -252,7 +253,7 @@ mod tests {
         assert_eq!(
             suggest(&diagnosis, &TYPED).commands,
             [
-                "magpie diagnose m.toml 'my campaign' --expr 'own: dz_um = a*sin(motor_angle_rad) + b*cos(motor_angle_rad)'"
+                "cargo magpie diagnose m.toml 'my campaign' --expr 'own: dz_um = a*sin(motor_angle_rad) + b*cos(motor_angle_rad)'"
             ]
         );
     }
@@ -260,6 +261,9 @@ mod tests {
     #[test]
     fn export_is_suggested_at_the_noise_floor() {
         let diagnosis = Diagnosis { at_floor: true, ..Diagnosis::default() };
-        assert_eq!(suggest(&diagnosis, &TYPED).commands, ["magpie export m.toml -o tables.rs"]);
+        assert_eq!(
+            suggest(&diagnosis, &TYPED).commands,
+            ["cargo magpie export m.toml -o tables.rs"]
+        );
     }
 }

@@ -1,5 +1,6 @@
 //! Training data: recordings through the device code.
 
+use std::cell::Cell;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
@@ -108,20 +109,26 @@ fn read_sequences(
     built: &DeviceModel,
     alignment: Alignment,
 ) -> Result<Vec<Sequence>> {
-    let bar = progress::row_spinner("running the device code");
+    let message = "running the device's code";
+    let bar = progress::recording_bar(message, folders.len());
+    let rows = Cell::new(0);
     let mut sequences = Vec::new();
     for folder in folders {
         let (description, _) = RecordingDescription::read(folder)?;
         check_sensor_scale(folder, &description, &built.model)?;
         let stream = RawStream::open(folder, &description, alignment)?;
-        let before = bar.position();
-        let done = |rows| bar.set_position(before + rows);
+        let before = rows.get();
+        let done = |count| {
+            rows.set(before + count);
+            progress::show_rows(&bar, message, rows.get());
+        };
         sequences.push(training_sequence(
             ReplayModels::of(built),
             &recording_name(folder),
             stream,
             done,
         )?);
+        bar.inc(1);
     }
     bar.finish_and_clear();
     Ok(sequences)

@@ -1,5 +1,6 @@
 //! Evaluation of a model on a campaign through the device code, compared with simpler models.
 
+use std::cell::Cell;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
@@ -161,14 +162,20 @@ pub fn replay_all(
     models: &[ReplayModels],
     alignment: Alignment,
 ) -> Result<Vec<Vec<RecordingReplay>>> {
-    let bar = progress::row_spinner("replaying");
+    let message = "replaying on the device's code";
+    let bar = progress::recording_bar(message, folders.len());
+    let rows = Cell::new(0);
     let mut replays = vec![Vec::new(); models.len()];
     for folder in folders {
         let (description, _) = RecordingDescription::read(folder)?;
         let stream = RawStream::open(folder, &description, alignment)?;
-        let before = bar.position();
-        let done = |rows| bar.set_position(before + rows);
+        let before = rows.get();
+        let done = |count| {
+            rows.set(before + count);
+            progress::show_rows(&bar, message, rows.get());
+        };
         let of_each = replay_each(models, &recording_name(folder), stream, done, |_, _| ())?;
+        bar.inc(1);
         replays.iter_mut().zip(of_each).for_each(|(of_model, replay)| of_model.push(replay));
     }
     bar.finish_and_clear();

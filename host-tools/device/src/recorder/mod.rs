@@ -212,7 +212,7 @@ impl Recorder {
         let sensors: Vec<usize> = (0..SENSORS).filter(answers).collect();
         if sensors.is_empty() {
             bail!(
-                "no sensor gave a reading, so nothing is recorded: `magpie monitor` shows the faults"
+                "no sensor gave a reading, so nothing is recorded: `cargo magpie monitor` shows the faults"
             );
         }
         // A column needs a value in every row: rows without it are omitted. One late message of a host must not omit the

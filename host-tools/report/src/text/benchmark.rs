@@ -136,7 +136,7 @@ fn data_efficiency(table: &Benchmark) -> String {
 /// Benefit of the networks.
 fn network_gain(table: &Benchmark) -> String {
     let physics = match network_benefit(table) {
-        None => "The model has no effects, so physics with effects is not evaluated. `magpie diagnose` identifies missing effects, `magpie add` adds them.".to_owned(),
+        None => "The model has no effects, so physics with effects is not evaluated. `cargo magpie diagnose` identifies missing effects, `cargo magpie add` adds them.".to_owned(),
         Some(NetworkBenefit::Floor) => "Physics with effects reaches the noise floor on both forces: a network has no benefit.".to_owned(),
         Some(NetworkBenefit::Nothing) => "Physics with effects is above the floor, but a network reduces its error by less than 2 %: no significant benefit.".to_owned(),
         Some(NetworkBenefit::Share(share)) => format!("A network after physics with effects reduces the error by {:.0} %.", 100.0 * share),

@@ -77,14 +77,20 @@ pub type AxisQuantity = (&'static str, &'static str, [f64; 2]);
 /// Quantities of both axes.
 pub fn figures(evaluation: &DesignEvaluation) -> Vec<AxisQuantity> {
     let both = |of: fn(&AxisEvaluation) -> f64| evaluation.axes.each_ref().map(of);
+    let measured = |of: fn(&AxisEvaluation) -> f64| {
+        evaluation
+            .axes
+            .each_ref()
+            .map(|axis| if axis.is_measurable() { of(axis) } else { f64::INFINITY })
+    };
     vec![
         ("force range", "N", both(AxisEvaluation::range_n)),
         ("stiffness", "N/mm", both(|axis| axis.stiffness_n_per_mm)),
         ("field gradient at rest", "G/mm", both(|axis| axis.sensitivity.rest_g_per_mm)),
         ("minimum over the stroke", "%", both(|axis| 100.0 * axis.sensitivity.constancy)),
         ("sensitivity", "G/N", both(|axis| axis.g_per_n)),
-        ("noise of one reading", "N", both(|axis| axis.noise_n)),
-        ("resolution", "N", both(|axis| axis.resolution_n)),
+        ("noise of one reading", "N", measured(|axis| axis.noise_n)),
+        ("resolution", "N", measured(|axis| axis.resolution_n)),
         ("stress at full range, of yield", "%", both(|axis| 100.0 * axis.yield_share)),
         ("tilt at full range", "deg", both(|axis| axis.tilt_rad.to_degrees())),
         ("gap reduction", "mm", both(|axis| axis.gap_closure_mm)),
@@ -261,11 +267,27 @@ pub fn finite(value: f64) -> Option<f64> {
 /// Whether the design reaches the required force range.
 pub fn verdict(design: &SensorDesign, evaluation: &DesignEvaluation) -> String {
     let required = number(design.force_range_n);
+    let names = ["lateral", "longitudinal"];
+    let axes = || evaluation.axes.iter().zip(names);
+    let ranges: Vec<String> =
+        axes().map(|(axis, name)| format!("{name} {} N", number(axis.range_n()))).collect();
+    let unmeasured: Vec<&str> =
+        axes().filter(|(axis, _)| !axis.is_measurable()).map(|(_, name)| name).collect();
     let range = number(evaluation.range_n());
-    let sentence = if evaluation.covers_range(design.force_range_n) {
-        format!("Force range {range} N on both axes; required {required} N.")
+    let sentence = if !unmeasured.is_empty() {
+        format!(
+            "Cannot be assessed: the {} force changes the field by less than its noise, so the sensor does not measure it; choose \
+             another axis of the magnet. The beams bear {}.",
+            unmeasured.join(" and the "),
+            ranges.join(", "),
+        )
+    } else if evaluation.covers_range(design.force_range_n) {
+        format!(
+            "Force range at least {range} N on each axis ({}); required {required} N.",
+            ranges.join(", ")
+        )
     } else {
-        format!("Insufficient force range: {range} N, required {required} N.")
+        format!("Insufficient force range: {} ({required} N required).", ranges.join(", "))
     };
     terminal::paragraph(&sentence)
 }

@@ -1087,7 +1087,7 @@ mod tests {
     #[test]
     fn lines_other_than_commands_fit_in_80_columns() {
         let page = uncolored(&full());
-        for line in page.lines().filter(|line| !line.contains("magpie add")) {
+        for line in page.lines().filter(|line| !line.contains("cargo magpie add")) {
             assert!(line.chars().count() <= 80, "{line}");
         }
     }
@@ -1178,7 +1178,9 @@ mod tests {
     #[test]
     fn report_ends_with_the_next_command() {
         let page = uncolored(&full());
-        assert!(page.ends_with("\n  magpie add model.toml 'my <b>' hysteresis -o new.toml\n"));
+        assert!(
+            page.ends_with("\n  cargo magpie add model.toml 'my <b>' hysteresis -o new.toml\n")
+        );
     }
 
     #[test]

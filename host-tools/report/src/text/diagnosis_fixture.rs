@@ -121,7 +121,9 @@ pub fn full() -> Diagnosis {
         ],
         next: Suggestion {
             kind: SuggestionKind::ChooseEffect,
-            commands: vec!["magpie add model.toml 'my <b>' hysteresis -o new.toml".to_owned()],
+            commands: vec![
+                "cargo magpie add model.toml 'my <b>' hysteresis -o new.toml".to_owned(),
+            ],
         },
         is_complete: true,
         blocks: 18,

@@ -26,7 +26,7 @@ pub fn catalogue_table() -> String {
          are those of the final state; bench, an error of the test bench, which the device does not have; no, the error stays.",
     );
     format!(
-        "{table}\n{legend}`magpie effects NAME` describes one; `magpie add MODEL CAMPAIGN NAME` adds it to a model.\n"
+        "{table}\n{legend}`cargo magpie effects NAME` describes one; `cargo magpie add MODEL CAMPAIGN NAME` adds it to a model.\n"
     )
 }
 

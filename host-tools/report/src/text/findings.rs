@@ -68,6 +68,19 @@ pub fn message(finding: &Finding) -> String {
                 }
             )
         }
+        Evidence::ChannelUnit { columns, noise_ratio, factor } => format!(
+            "{} {} {} times the noise of the other field channels, and {} magnitude differs as much from the same axis of other sensors: the unit is another one{}",
+            columns_in(columns),
+            verb(columns, "has", "have"),
+            digits(*noise_ratio),
+            verb(columns, "its", "their"),
+            match factor {
+                Some(factor) => format!(
+                    " by a factor of {factor} (1 mT is 10 G, 100 uT are 1 G); convert the column"
+                ),
+                None => "; check the column's scale".to_owned(),
+            }
+        ),
         Evidence::StuckThroughout { columns, value, at_limit, in_every_recording } => format!(
             "{} {} {}{} in every row; a working channel shows noise: look for a broken wire, a sensor that was not read, or a column filled by hand{}",
             columns_in(columns),
@@ -103,6 +116,15 @@ pub fn message(finding: &Finding) -> String {
                 verb(columns, "is", "are"),
                 percent(*share),
                 digits(*value),
+            )
+        }
+        Evidence::MissingTemperature { sensors, recordings } => {
+            let columns = list(sensors.iter().map(|sensor| format!("s{sensor}_temp_c")));
+            let (verb, them) = if sensors.len() == 1 { ("is", "it") } else { ("are", "them") };
+            format!(
+                "{columns} {verb} not recorded {}, but other sensors have a temperature: effects of temperature cannot be tested at {}; record {them}, or copy the column of a sensor at the same temperature",
+                in_recordings(recordings),
+                list(sensors.iter().map(|sensor| format!("sensor {sensor}"))),
             )
         }
         Evidence::ConstantCovariates { columns, effects } => {
@@ -225,7 +247,7 @@ fn line_advice(source: LineSource) -> String {
             "mains of {hz} Hz, directly or aliased: look for a ground loop, an unshielded lead or a power supply nearby"
         ),
         LineSource::Rotor(hz) => format!(
-            "multiples of the rotor's {} turns per second: the motor's field, or an imbalance; `magpie diagnose` tests motor_leakage",
+            "multiples of the rotor's {} turns per second: the motor's field, or an imbalance; `cargo magpie diagnose` tests motor_leakage",
             digits(hz)
         ),
         LineSource::Unknown => "if the inverter's PWM is near a multiple of the row rate, it aliases to this frequency: shift or synchronise the sampling; otherwise look for a fan, a mechanical resonance or another switching supply".to_owned(),

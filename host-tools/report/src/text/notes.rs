@@ -9,7 +9,7 @@ pub fn text(note: &Note) -> String {
     match note {
         Note::Recording(notice) => notice.to_string(),
         Note::SetupError(finding) => {
-            format!("{}: {} (details: `magpie compare`)", finding.place, findings::message(finding))
+            format!("{}: {} (details: `cargo magpie compare`)", finding.place, findings::message(finding))
         }
         Note::ReplayDelay { fitted_ms, delay_ms } => {
             format!("the model was fitted with --delay-ms {fitted_ms}, this replay has {delay_ms}")
@@ -50,7 +50,7 @@ pub fn text(note: &Note) -> String {
         Note::EffectsNotHeldOut { recording } => format!(
             "the model was also fitted to recording {recording}: its parameters are fitted again without it, but its effects may have been selected with it"
         ),
-        Note::NoEffects => "the model has no effects, so the variants of physics with effects are left out: `magpie diagnose` finds missing effects, `magpie add` adds them".to_owned(),
+        Note::NoEffects => "the model has no effects, so the variants of physics with effects are left out: `cargo magpie diagnose` finds missing effects, `cargo magpie add` adds them".to_owned(),
         Note::EffectsLeftOut { training_s, error } => format!(
             "with {training_s:.0} s of data the physics with effects is left out: {error}"
         ),

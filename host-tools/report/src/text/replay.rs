@@ -177,7 +177,7 @@ fn large_error_warning(evaluation: &ReplayEvaluation) -> Option<String> {
         .map(|p| p.sum(|t| t.error).std())
         .fold(0.0, f64::max);
     (worst > limit).then(|| {
-        format!("Errors above {limit:.0} N: is this the model's gripper? Are columns swapped or inverted? `magpie fit` checks this.\n")
+        format!("Errors above {limit:.0} N: is this the model's gripper? Are columns swapped or inverted? `cargo magpie fit` checks this.\n")
     })
 }
 

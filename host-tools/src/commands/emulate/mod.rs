@@ -27,7 +27,7 @@ At the end, and after Ctrl-C, it prints a profile (load of each priority level a
 latency, stack, hottest functions), the latency from tick to packet on the serial line, rule violations, resets and
 faults. Without --can, the CAN bus is a local TCP port with the socketcand protocol (ASCII, raw mode), which
 python-can and other tools support. Times are virtual (chip time). The simulated fingertips have the
-nominal design: build the image with tables of `magpie export MODEL --nominal`. The peripherals are modelled from manuals and not
+nominal design: build the image with tables of `cargo magpie export MODEL --nominal`. The peripherals are modelled from manuals and not
 validated on a chip.")]
 pub struct Args {
     /// Firmware image (ELF) [default: the newest build of `cargo image` or `.ci/image`].

@@ -192,7 +192,7 @@ fn stop(args: &Args) -> Result<()> {
         || {
             format!(
                 "The gripper has stopped, state: {state}. The stop is latched; to open the fingers:\n  \
-                 magpie grasp {} --release --clear-faults\n",
+                 cargo magpie grasp {} --release --clear-faults\n",
                 args.port.words()
             )
         },

@@ -38,7 +38,7 @@ Examples:
   cargo magpie grasp --port /dev/ttyACM0 --home --position 40    # moves a real gripper
   cargo magpie grasp --port /dev/ttyACM0 --position 20 --uncalibrated
   cargo magpie grasp --can can0 --force 80 --seconds 10
-  cargo magpie grasp --can 127.0.0.1:29536 --home --force 80     # `magpie emulate`
+  cargo magpie grasp --can 127.0.0.1:29536 --home --force 80     # `cargo magpie emulate`
   cargo magpie grasp --port /dev/ttyACM0 --release               # frees what is gripped, also under a fault of the sensors
   cargo magpie grasp --can can0 --stop
 

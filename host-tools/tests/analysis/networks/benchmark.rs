@@ -168,7 +168,7 @@ fn model_without_effects_skips_physics_variants() {
     assert_eq!(output["rows"].as_array().unwrap().len(), 2 * 6);
     assert_eq!(output["network_on_physics"], Value::Null);
     let note = output["notes"][0].as_str().unwrap();
-    assert!(note.contains("no effects") && note.contains("magpie add"), "{note}");
+    assert!(note.contains("no effects") && note.contains("cargo magpie add"), "{note}");
 }
 
 #[test]

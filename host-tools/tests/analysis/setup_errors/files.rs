@@ -14,6 +14,11 @@ fn found(spoilt: &CampaignCopy) -> Vec<Finding> {
     scan_files(&spoilt.path(), |_| ()).unwrap()
 }
 
+/// Findings of a corrected copy.
+fn checked(folder: &std::path::Path) -> anyhow::Result<Vec<Finding>> {
+    scan_files(folder, |_| ())
+}
+
 /// The only finding.
 fn only(spoilt: &CampaignCopy) -> Finding {
     single(found(spoilt))
@@ -25,7 +30,8 @@ fn column(finding: &Finding) -> &str {
 
 /// Corrects the campaign, which must then have no finding; returns a table of the corrected one.
 fn corrected(spoilt: &CampaignCopy, recording: u32, name: &str) -> CsvTable {
-    let done = fix::write(&spoilt.path(), &found(spoilt), &spoilt.repaired_path()).unwrap();
+    let done =
+        fix::write(&spoilt.path(), &found(spoilt), &spoilt.repaired_path(), checked).unwrap();
     assert!(!done.is_empty());
     let left = scan_files(&spoilt.repaired_path(), |_| ()).unwrap();
     assert!(left.is_empty(), "{left:#?}");
@@ -365,9 +371,72 @@ fn constant_covariate_lists_untestable_effects() {
 fn fix_never_overwrites_a_campaign() {
     let spoilt = CampaignCopy::new().change(&[2], "hall.csv", |cells| cells.rows.swap(5000, 5001));
     let findings = found(&spoilt);
-    let refused = fix::write(&spoilt.path(), &findings, &spoilt.recording(1)).unwrap_err();
+    let refused = fix::write(&spoilt.path(), &findings, &spoilt.recording(1), checked).unwrap_err();
     assert!(refused.to_string().contains("refusing to overwrite"), "{refused}");
-    let nothing = fix::write(&spoilt.path(), &[], &spoilt.repaired_path()).unwrap_err();
+    let nothing = fix::write(&spoilt.path(), &[], &spoilt.repaired_path(), checked).unwrap_err();
     assert!(nothing.to_string().contains("nothing is written"), "{nothing}");
     assert!(!spoilt.repaired_path().exists());
+}
+
+#[test]
+fn single_channel_in_another_unit_is_converted() {
+    for (factor, column) in [(1000.0, "s1_z_lsb"), (0.01, "s3_y_lsb"), (100.0, "s0_x_lsb")] {
+        let spoilt = CampaignCopy::new().change(&ALL, "hall.csv", |cells| {
+            cells.change(column, |_, value| format!("{:.3}", value * factor));
+            let i = cells.index(column);
+            cells.header[i] = column.replace("_lsb", "_gauss");
+        });
+        // Counts in a column of gauss differ by the scale as well.
+        for recording in ALL {
+            let path = spoilt.recording(recording).join("recording.toml");
+            let text = std::fs::read_to_string(&path).unwrap();
+            std::fs::write(
+                path,
+                text.replace("range_gauss = 2000.0\n", "")
+                    .replace("gauss_per_lsb = 0.125", "gauss_per_lsb = 1.0"),
+            )
+            .unwrap();
+        }
+        let finding = only(&spoilt);
+        assert_eq!((finding.id, finding.stops), ("wrong_unit", true), "{column}");
+        assert_message(
+            &finding,
+            &[&column.replace("_lsb", "_gauss"), &format!("by a factor of {factor}"), "throughout"],
+        );
+        let corrected = corrected(&spoilt, 2, "hall.csv");
+        let expected = clean(2, "hall.csv").numbers(column);
+        let found = corrected.numbers(&column.replace("_lsb", "_gauss"));
+        assert!(found.iter().zip(&expected).all(|(a, b)| (a - b).abs() < 0.06), "{column}");
+    }
+}
+
+#[test]
+fn copy_that_still_has_the_error_is_not_written() {
+    let spoilt = CampaignCopy::new().change(&[2], "hall.csv", |cells| cells.rows.swap(5000, 5001));
+    let findings = found(&spoilt);
+    let left =
+        fix::write(&spoilt.path(), &findings, &spoilt.repaired_path(), |_| Ok(findings.clone()));
+    let left = left.unwrap_err().to_string();
+    assert!(
+        left.contains("would still have clock_backwards") && left.contains("nothing is written"),
+        "{left}"
+    );
+    assert!(!spoilt.repaired_path().exists());
+}
+
+#[test]
+fn sensor_without_temperature_is_named() {
+    let spoilt = CampaignCopy::new().change(&[2, 3], "hall.csv", |cells| {
+        let i = cells.index("s2_temp_c");
+        cells.header.remove(i);
+        cells.rows.iter_mut().for_each(|row| {
+            row.remove(i);
+        });
+    });
+    let finding = only(&spoilt);
+    assert_eq!(
+        (finding.id, finding.stops, column(&finding)),
+        ("missing_temperature", false, "s2_temp_c")
+    );
+    assert_message(&finding, &["s2_temp_c is not recorded in recordings 2 and 3", "at sensor 2"]);
 }

@@ -59,7 +59,7 @@ pub fn find(name: &str) -> Result<&'static Effect, UnknownEffect> {
         name: name.to_owned(),
         advice: match closest_match(name, CATALOGUE.iter().map(|effect| effect.id)) {
             Some(id) => format!("did you mean {id}?"),
-            None => "`magpie effects` lists them".to_owned(),
+            None => "`cargo magpie effects` lists them".to_owned(),
         },
     })
 }

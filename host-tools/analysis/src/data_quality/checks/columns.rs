@@ -7,7 +7,9 @@ use crate::data_quality::scan::RecordingScan;
 use crate::data_quality::scan::column::{ColumnScan, FEW, Quantity, Run};
 use firmware::config::constants;
 use model_export::effects::CATALOGUE;
+use model_export::recordings::Location;
 use model_export::recordings::columns::FieldUnit;
+use std::collections::BTreeSet;
 use std::f64::consts::{PI, TAU};
 
 /// Standard gravity in m/s².
@@ -35,8 +37,114 @@ struct Misfit {
     cure: Option<(f64, f64)>,
 }
 
-/// Magnitudes of all covariates.
+/// Units of fields, temperatures and covariates.
 pub fn wrong_units<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
+    let mut found = channel_units(context);
+    found.extend(covariate_units(context));
+    found
+}
+
+/// Minimum factor between the noise of a field channel and that of the others. Axes of one type of sensor differ by less
+/// than three.
+const MIN_NOISE_FACTOR: f64 = 30.0;
+/// Maximum factor between the noise's ratio to other channels and the magnitude's ratio to the same axis of other sensors.
+const SAME_FACTOR: f64 = 10.0;
+/// Maximum difference in decades between the noise's ratio and a power of ten.
+const NAMED_DECADES: f64 = 0.15;
+
+/// Single field channels in another unit: noise and magnitude differ from those of the other channels by one factor.
+fn channel_units<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
+    let fields: Vec<Channel> = context
+        .columns()
+        .into_iter()
+        .filter(|one| one.column.quantity.is_field() && one.column.rows >= LEAST_ROWS)
+        .collect();
+    let mut groups: Vec<(i32, f64, Vec<Channel>)> = Vec::new();
+    for one in &fields {
+        let Some(ratio) = noise_ratio(one, &fields) else { continue };
+        if ratio.max(ratio.recip()) < MIN_NOISE_FACTOR || !has_magnitude(one, &fields, ratio) {
+            continue;
+        }
+        let decades = ratio.log10().round() as i32;
+        match groups.iter_mut().find(|(other, ..)| *other == decades) {
+            Some((.., seen)) => seen.push(*one),
+            None => groups.push((decades, ratio, vec![*one])),
+        }
+    }
+    groups
+        .iter()
+        .map(|(decades, ratio, seen)| channel_unit(context, *decades, *ratio, seen))
+        .collect()
+}
+
+/// Noise of a channel relative to the median of all other fields of the recording, both in gauss.
+fn noise_ratio(one: &Channel, fields: &[Channel]) -> Option<f64> {
+    let noise = |one: &Channel| one.column.noise() * one.column.scale;
+    let others = fields.iter().filter(|other| {
+        other.recording == one.recording
+            && other.column.name != one.column.name
+            && other.column.is_noisy()
+    });
+    let median = median(others.map(noise).collect())?;
+    (one.column.is_noisy() && median > 0.0).then(|| noise(one) / median)
+}
+
+/// True if the magnitude differs by about `ratio` from the same axis of the other sensors, or there is no other sensor.
+fn has_magnitude(one: &Channel, fields: &[Channel], ratio: f64) -> bool {
+    let size = |one: &Channel| one.column.sample.size(1.0).unwrap_or(0.0) * one.column.scale;
+    let axis = |one: &Channel| match one.column.quantity {
+        Quantity::Field { axis, .. } => Some(axis),
+        _ => None,
+    };
+    let others = fields.iter().filter(|other| {
+        other.recording == one.recording
+            && other.column.name != one.column.name
+            && axis(other) == axis(one)
+    });
+    let Some(median) = median(others.map(size).collect()) else {
+        return true;
+    };
+    let off = size(one) / median / ratio;
+    off.is_finite() && (SAME_FACTOR.recip()..=SAME_FACTOR).contains(&off)
+}
+
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
+}
+
+fn channel_unit<'a>(
+    context: &CheckContext,
+    decades: i32,
+    ratio: f64,
+    seen: &[Channel<'a>],
+) -> Found<'a> {
+    let is_named = (ratio.log10() - f64::from(decades)).abs() <= NAMED_DECADES;
+    let factor = 10_f64.powi(decades);
+    let fix = is_named.then(|| Fix {
+        kind: FixKind::ConvertColumns,
+        repairs: seen
+            .iter()
+            .map(|one| Repair {
+                file: one.table.path.clone(),
+                change: Change::Convert {
+                    column: one.column.name.clone(),
+                    factor: 10_f64.powi(-decades),
+                    offset: 0.0,
+                },
+            })
+            .collect(),
+    });
+    let evidence = Evidence::ChannelUnit {
+        columns: context.columns_in(seen),
+        noise_ratio: ratio,
+        factor: is_named.then_some(factor),
+    };
+    Found::new(seen[0].at(2), evidence).stopping(fix).explaining(seen)
+}
+
+/// Magnitudes of temperatures and covariates.
+fn covariate_units<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
     let covariates: Vec<Channel> = context
         .columns()
         .into_iter()
@@ -272,6 +380,34 @@ fn cut_short<'a>(context: &CheckContext, seen: &[Channel<'a>]) -> Option<Found<'
         at_rest: value == 0.0 && worst.column.quantity == Quantity::Force,
     };
     Some(Found::new(worst.at(2), evidence).explaining(seen))
+}
+
+/// Sensors without a temperature in recordings where others have one.
+pub fn missing_temperatures<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
+    let mut sensors = BTreeSet::new();
+    let mut place = None;
+    let mut hit = Vec::new();
+    for (recording, table) in context.tables() {
+        let of_fields = table.columns.iter().filter_map(|column| match column.quantity {
+            Quantity::Field { sensor, .. } => Some(sensor),
+            _ => None,
+        });
+        let of_fields: BTreeSet<u32> = of_fields.collect();
+        let has = |sensor: &u32| table.column(&format!("s{sensor}_temp_c")).is_some();
+        let missing: Vec<u32> = of_fields.iter().copied().filter(|sensor| !has(sensor)).collect();
+        if missing.is_empty() || missing.len() == of_fields.len() {
+            continue;
+        }
+        let column = format!("s{}_temp_c", missing[0]);
+        place.get_or_insert_with(|| Location::file(&table.path).line(1).column(column));
+        sensors.extend(missing);
+        hit.push(recording);
+    }
+    let evidence = |recordings| Evidence::MissingTemperature {
+        sensors: sensors.iter().copied().collect(),
+        recordings,
+    };
+    place.map(|place| Found::new(place, evidence(context.recordings_in(hit)))).into_iter().collect()
 }
 
 /// A covariate with a spread below this multiple of its white noise counts as constant.

@@ -1,0 +1,573 @@
+//! Proposal of a mapping file for third-party tables, from the names and the values of their columns.
+//!
+//! What a name does not state is derived from the values (the unit of a clock from its step) or assumed. Each such decision
+//! is a comment of the proposal and listed, since a wrong unit or axis yields a campaign that is read without an error.
+
+mod names;
+mod source;
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use crate::recordings::columns::{COVARIATES, hall_column};
+use crate::recordings::error::{DataError, ErrorKind, Location};
+use crate::recordings::guess::names::Quantity;
+use crate::recordings::guess::source::{
+    MAX_ROWS, SourceColumn, SourceTable, axis_of, numeric, owners, read_source, table_with,
+};
+use crate::recordings::units::{find_unit, round_significant};
+
+/// Plausible maximum magnitudes of a field in gauss and of a force in newtons; beyond, the unit is probably another.
+const FIELD_G: (f64, f64) = (0.05, 5000.0);
+const FORCE_N: (f64, f64) = (0.05, 2000.0);
+
+/// A proposed mapping file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Proposal {
+    /// Content of the file.
+    pub text: String,
+    /// Columns to import.
+    pub columns: Vec<ProposedColumn>,
+    /// Decisions that the tables do not determine: what to check.
+    pub checks: Vec<String>,
+    /// Columns that are not imported, with the reason.
+    pub ignored: Vec<(String, &'static str)>,
+}
+
+/// A column to import.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ProposedColumn {
+    /// Name in the source.
+    pub from: String,
+    /// Unit of the source.
+    pub unit: &'static str,
+    /// Name in the recording.
+    pub to: String,
+    /// Minimum and maximum in the unit of the source, without markers of missing measurements.
+    pub range: (f64, f64),
+    /// Marker of missing measurements.
+    missing: Option<f64>,
+    /// Decision that the table does not determine.
+    check: Option<String>,
+}
+
+/// Proposes a mapping for `sources`, from the columns of the first one: files, or folders of two tables.
+///
+/// # Errors
+/// A source cannot be read, has no field, or has other columns than the first.
+pub fn propose(sources: &[PathBuf]) -> Result<Proposal, DataError> {
+    let mut recordings = Vec::new();
+    for source in sources {
+        recordings.push(read_source(source)?);
+    }
+    let Some((first, others)) = recordings.split_first() else {
+        return Ok(Proposal {
+            text: String::new(),
+            columns: vec![],
+            checks: vec![],
+            ignored: vec![],
+        });
+    };
+    let hall = table_with(first, Quantity::Field).ok_or_else(|| no_field(first))?;
+    let force = table_with(first, Quantity::Force);
+    for other in others {
+        check_equal_columns(hall, other, force.is_none())?;
+    }
+    let mut draft = Draft::default();
+    let sensors = draft.fields(hall);
+    draft.covariates(hall, sensors);
+    let hall_end = draft.columns.len();
+    let attitude = draft.attitude(hall);
+    match force {
+        Some(force) => draft.forces(force, sensors),
+        None => draft.check(
+            "no column of a force was recognised: without a reference nothing can be fitted; complete [force]",
+        ),
+    }
+    let force = force.unwrap_or(hall);
+    let hall_clock = draft.clock(hall, &["sensor", "hall", "mag", "board", "mcu", "device"])?;
+    let force_clock =
+        draft.clock(force, &["force", "state", "ref", "scale", "ft", "load", "robot"])?;
+    draft.unused(&[hall, force], &[&hall_clock, &force_clock]);
+    let one_clock = runs_on(hall, &hall_clock, others);
+    if one_clock {
+        draft.check("each file begins after the end of the one before: taken as one running clock");
+    }
+    let (hall_columns, force_columns) = draft.columns.split_at(hall_end);
+    let mut text = head(first, &draft, one_clock);
+    let is_folder = hall.is_in_folder;
+    write_table(&mut text, "hall", hall, is_folder, &hall_clock, hall_columns);
+    if let Some([w, x, y, z]) = attitude {
+        let [w, x, y, z] = [w, x, y, z].map(quoted);
+        let _ = writeln!(text, "attitude = {{ w = {w}, x = {x}, y = {y}, z = {z} }}");
+    }
+    write_table(&mut text, "force", force, is_folder, &force_clock, force_columns);
+    text.push_str(DESIGN);
+    for (name, reason) in &draft.ignored {
+        let _ = writeln!(text, "# Not imported: {} ({reason})", quoted(name));
+    }
+    let Draft { columns, checks, ignored } = draft;
+    Ok(Proposal { text, columns, checks, ignored })
+}
+
+/// The nominal design as a comment.
+const DESIGN: &str = "
+# The nominal design of the sensor, if you know it; without it, fit with `--base polynomial`.
+# [design]
+# gap_mm = 2.0                    # from the magnet's face to the Hall element, unloaded
+# stiffness_x_n_per_mm = 100.0    # lateral (grasping)
+# stiffness_z_n_per_mm = 100.0    # longitudinal
+# magnet = { shape = \"cylinder\", diameter_mm = 4.0, length_mm = 3.0, remanence_t = 1.3, axis = \"y\" }
+
+";
+
+fn no_field(tables: &[SourceTable]) -> DataError {
+    let names = tables.iter().flat_map(|table| &table.columns).map(|column| column.name.as_str());
+    let advice = format!(
+        "none of the columns is recognised as a magnetic field: call them bx, by, bz with a number for each sensor, or write \
+         the mapping yourself (cargo magpie import --help); the columns are {}",
+        names.collect::<Vec<_>>().join(", ")
+    );
+    let path = tables.first().map_or(Path::new(""), |table| &table.path);
+    ErrorKind::MissingColumn { advice }.at(Location::file(path).column("field"))
+}
+
+/// Checks that a source has the columns of the first one.
+fn check_equal_columns(
+    hall: &SourceTable,
+    other: &[SourceTable],
+    no_force: bool,
+) -> Result<(), DataError> {
+    let names = |table: &SourceTable| {
+        table.columns.iter().map(|column| column.name.clone()).collect::<Vec<_>>()
+    };
+    if other.iter().any(|table| names(table) == names(hall)) {
+        return Ok(());
+    }
+    let path = other.first().map_or(Path::new(""), |table| &table.path);
+    let advice = if no_force && table_with(other, Quantity::Force).is_some() {
+        "where field and force of a recording are in two files, put both into a folder and give the folders".to_owned()
+    } else {
+        format!(
+            "give files with the columns of {} only, and others in another campaign",
+            hall.path.display()
+        )
+    };
+    Err(ErrorKind::bad_value("a table with other columns", advice).at(Location::file(path)))
+}
+
+/// True if the clock of every further source begins after the end of the one before.
+fn runs_on(hall: &SourceTable, clock: &ClockColumn, others: &[Vec<SourceTable>]) -> bool {
+    let column = |tables: &'_ [SourceTable]| {
+        let columns = tables.iter().flat_map(|table| &table.columns);
+        columns
+            .clone()
+            .find(|column| column.name == clock.name)
+            .map(|column| (column.first, column.last))
+    };
+    let mut spans = vec![column(std::slice::from_ref(hall))];
+    spans.extend(others.iter().map(|tables| column(tables)));
+    let follows = |pair: &[Option<(f64, f64)>]| matches!(pair, [Some((_, end)), Some((start, _))] if start > end);
+    spans.len() > 1 && spans.windows(2).all(follows)
+}
+
+/// A clock column with its unit.
+struct ClockColumn {
+    name: String,
+    unit: &'static str,
+    check: Option<String>,
+}
+
+/// Columns and checks so far.
+#[derive(Default)]
+struct Draft {
+    columns: Vec<ProposedColumn>,
+    checks: Vec<String>,
+    ignored: Vec<(String, &'static str)>,
+}
+
+impl Draft {
+    fn check(&mut self, text: impl Into<String>) {
+        self.checks.push(text.into());
+    }
+
+    fn is_used(&self, name: &str) -> bool {
+        self.columns.iter().any(|column| column.from == name)
+    }
+
+    /// Adds a column; `check` is what its name or values do not determine.
+    fn add(
+        &mut self,
+        column: &SourceColumn,
+        unit: &'static str,
+        to: String,
+        check: Option<String>,
+    ) {
+        let missing = to.starts_with('f').then(|| column.missing()).flatten();
+        let mut checks: Vec<String> = check.into_iter().collect();
+        if let Some(marker) = missing {
+            checks.push(format!("{marker} is taken as the mark of missing values"));
+        }
+        let magnitude = column.magnitude() * find_unit(unit).map_or(1.0, |unit| unit.factor);
+        let plausible = match find_unit(unit).map(|unit| unit.canonical) {
+            Some("gauss") => Some((FIELD_G, "G")),
+            Some("n") => Some((FORCE_N, "N")),
+            _ => None,
+        };
+        if let Some(((min, max), symbol)) = plausible
+            && !(min..=max).contains(&magnitude)
+        {
+            checks.push(format!(
+                "at most {} {symbol}, which is unusual: is it in {unit}?",
+                short(magnitude)
+            ));
+        }
+        let check = (!checks.is_empty()).then(|| checks.join("; "));
+        if let Some(check) = &check {
+            self.check(format!("{}: {check}", column.name));
+        }
+        let from = column.name.clone();
+        self.columns.push(ProposedColumn { from, unit, to, range: column.range(), missing, check });
+    }
+
+    /// Adds the fields; returns the number of sensors.
+    fn fields(&mut self, table: &SourceTable) -> usize {
+        let fields = || numeric(table, Quantity::Field).filter(|column| axis_of(column).is_some());
+        let owners = owners(fields());
+        for (sensor, owner) in owners.iter().enumerate() {
+            for column in fields().filter(|column| column.stated.owner == **owner) {
+                let Some(axis) = axis_of(column) else { continue };
+                let to = |unit: &str| format!("s{sensor}_{}_{unit}", axis.letter());
+                match column.stated.unit {
+                    Some(unit) if unit.canonical == "lsb" => {
+                        self.add(column, "lsb", to("lsb"), None)
+                    }
+                    Some(unit) => self.add(column, unit.name, to("gauss"), None),
+                    None if column.is_whole => {
+                        let check = "whole numbers without a unit: taken as raw counts";
+                        self.add(column, "lsb", to("lsb"), Some(check.to_owned()));
+                    }
+                    None => {
+                        self.add(
+                            column,
+                            "G",
+                            to("gauss"),
+                            Some("no unit: taken as gauss".to_owned()),
+                        );
+                    }
+                }
+            }
+        }
+        if self.columns.iter().any(|column| column.unit == "lsb") {
+            self.check("raw counts: give gauss_per_lsb, the scale from the sensor's data sheet");
+        }
+        self.check(
+            "axes: x lateral (grasping) and z longitudinal in the plane of motion, y across the gap; exchange the columns, or \
+             set scale = -1, where your sensor is mounted otherwise",
+        );
+        owners.len()
+    }
+
+    /// Adds temperatures, accelerations, motor and pose, and other lengths and angles.
+    fn covariates(&mut self, table: &SourceTable, sensors: usize) {
+        let temperatures: Vec<_> = numeric(table, Quantity::Temperature).collect();
+        let owners = owners(temperatures.iter().copied());
+        match temperatures.as_slice() {
+            [one] if sensors > 1 => {
+                for sensor in 0..sensors {
+                    let check = "one temperature: taken as that of every sensor".to_owned();
+                    self.add(
+                        one,
+                        "degC",
+                        format!("s{sensor}_temp_c"),
+                        (sensor == 0).then_some(check),
+                    );
+                }
+            }
+            several => {
+                for column in several {
+                    let sensor = owners.iter().position(|owner| **owner == column.stated.owner);
+                    match sensor.filter(|sensor| *sensor < sensors) {
+                        Some(sensor) => self.add(column, "degC", format!("s{sensor}_temp_c"), None),
+                        None => self.named(column, "degC"),
+                    }
+                }
+            }
+        }
+        for column in numeric(table, Quantity::Acceleration) {
+            let unit = column.stated.unit.map(|unit| unit.name);
+            // Gravity is 9.8 m/s2.
+            let guessed = if column.magnitude() < 4.0 { "g0" } else { "m/s2" };
+            let check = unit.is_none().then(|| format!("no unit: taken as {guessed}"));
+            match column.stated.axis {
+                Some(axis @ ('x' | 'y' | 'z')) if !self.has(&format!("accel_{axis}_mps2")) => {
+                    self.add(column, unit.unwrap_or(guessed), format!("accel_{axis}_mps2"), check);
+                }
+                _ => self.ignored.push((column.name.clone(), "a second or unclear acceleration")),
+            }
+        }
+        let has_word = |column: &SourceColumn, words: &[&str]| {
+            column.stated.words.iter().any(|word| words.contains(&word.as_str()))
+        };
+        let standard: [(Quantity, &str, &[&str], &str); 6] = [
+            (Quantity::Length, "mm", &["opening", "aperture", "width"], "opening_mm"),
+            (Quantity::Current, "A", &["iq"], "motor_iq_a"),
+            (Quantity::Angle, "rad", &["motor", "rotor"], "motor_angle_rad"),
+            (Quantity::Angle, "rad", &["roll"], "roll_rad"),
+            (Quantity::Angle, "rad", &["pitch"], "pitch_rad"),
+            (Quantity::Angle, "rad", &["yaw"], "yaw_rad"),
+        ];
+        for (quantity, default, words, to) in standard {
+            let Some(column) = numeric(table, quantity).find(|column| has_word(column, words))
+            else {
+                continue;
+            };
+            let check =
+                column.stated.unit.is_none().then(|| format!("no unit: taken as {default}"));
+            self.add(
+                column,
+                column.stated.unit.map_or(default, |unit| unit.name),
+                to.to_owned(),
+                check,
+            );
+        }
+        for column in &table.columns {
+            let is_other =
+                matches!(column.quantity, Quantity::Length | Quantity::Current | Quantity::Angle);
+            if is_other
+                && column.is_numeric()
+                && !column.is_constant()
+                && !self.is_used(&column.name)
+            {
+                match column.stated.unit {
+                    Some(unit) => self.named(column, unit.name),
+                    None => self.ignored.push((column.name.clone(), "no unit")),
+                }
+            }
+        }
+    }
+
+    fn has(&self, to: &str) -> bool {
+        self.columns.iter().any(|column| column.to == to)
+    }
+
+    /// Adds a covariate under its own name.
+    fn named(&mut self, column: &SourceColumn, unit: &'static str) {
+        let Some(found) = find_unit(unit) else { return };
+        let mut to = column.stated.words.join("_");
+        let is_plain = to.starts_with(|c: char| c.is_ascii_lowercase()) && to.is_ascii();
+        // A sensor's name with a number is not that of a covariate.
+        if !is_plain || to.starts_with(['s', 'f']) {
+            to = format!("covariate_{}", if to.is_ascii() { to.as_str() } else { "of_source" });
+        }
+        to = format!("{to}_{}", found.canonical);
+        let is_valid = hall_column(&to, std::slice::from_ref(&to)).is_ok()
+            && !COVARIATES.contains(&to.as_str());
+        if is_valid && !self.has(&to) {
+            self.add(column, unit, to, None);
+        } else {
+            self.ignored.push((column.name.clone(), "its name is not unique"));
+        }
+    }
+
+    /// Columns of an attitude as a quaternion, scalar part first.
+    fn attitude<'a>(&mut self, table: &'a SourceTable) -> Option<[&'a str; 4]> {
+        let part = |axis: char| {
+            let mut columns = numeric(table, Quantity::Attitude);
+            columns
+                .find(|column| column.stated.axis == Some(axis))
+                .map(|column| column.name.as_str())
+        };
+        let parts = [part('w')?, part('x')?, part('y')?, part('z')?];
+        self.check("attitude: the quaternion is taken as body to world");
+        Some(parts)
+    }
+
+    /// Adds the forces.
+    fn forces(&mut self, table: &SourceTable, sensors: usize) {
+        let forces: Vec<_> = numeric(table, Quantity::Force).collect();
+        let owners = owners(forces.iter().copied());
+        if owners.len() != sensors {
+            self.check(format!(
+                "{} force sensor{} for {sensors} field sensors: f0 is the force on sensor 0, and so on; correct the numbers",
+                owners.len(),
+                if owners.len() == 1 { "" } else { "s" },
+            ));
+        }
+        for column in forces {
+            let index = owners.iter().position(|owner| **owner == column.stated.owner).unwrap_or(0);
+            let mut checks = Vec::new();
+            if column.stated.unit.is_none() {
+                checks.push("no unit: taken as newtons".to_owned());
+            }
+            let axis = match column.stated.axis {
+                Some('x') => 'x',
+                Some('y') => {
+                    self.ignored
+                        .push((column.name.clone(), "the force across the gap is not estimated"));
+                    continue;
+                }
+                Some(_) => 'z',
+                None => {
+                    checks.push("no axis: taken as longitudinal (z)".to_owned());
+                    'z'
+                }
+            };
+            let to = format!("f{index}_{axis}_n");
+            if self.has(&to) {
+                self.ignored.push((column.name.clone(), "a second force of this sensor and axis"));
+                continue;
+            }
+            let unit = column.stated.unit.map_or("N", |unit| unit.name);
+            self.add(column, unit, to, (!checks.is_empty()).then(|| checks.join("; ")));
+        }
+    }
+
+    /// The clock of a table; `words` are preferred where there are several.
+    fn clock(&mut self, table: &SourceTable, words: &[&str]) -> Result<ClockColumn, DataError> {
+        let ascending =
+            || table.columns.iter().filter(|column| column.is_numeric() && column.is_ascending);
+        let named = || ascending().filter(|column| column.quantity == Quantity::Time);
+        let preferred = named()
+            .find(|column| column.stated.words.iter().any(|word| words.contains(&word.as_str())));
+        let Some(column) = preferred
+            .or_else(|| named().next())
+            .or_else(|| ascending().find(|column| column.quantity == Quantity::Unknown))
+        else {
+            let advice = "no column increases in every row, as a clock does: add one, or sort the rows by time and remove \
+                          duplicates"
+                .to_owned();
+            return Err(ErrorKind::MissingColumn { advice }
+                .at(Location::file(&table.path).line(1).column("clock")));
+        };
+        let mut steps = column.steps.clone();
+        steps.sort_by(f64::total_cmp);
+        let step = steps.get(steps.len() / 2).copied().unwrap_or(0.0);
+        let stated = column.stated.unit.filter(|unit| unit.canonical == "us").map(|unit| unit.name);
+        let unit = stated.unwrap_or_else(|| unit_of_clock(column.first, step));
+        let rate_hz = find_unit(unit).map_or(f64::NAN, |unit| 1e6 / (step * unit.factor));
+        let mut checks = Vec::new();
+        if stated.is_none() {
+            checks.push(format!(
+                "no unit: taken as {unit}, which makes {} rows per second",
+                short(rate_hz)
+            ));
+        }
+        if column.quantity != Quantity::Time {
+            checks.push("taken as the clock, since it increases in every row".to_owned());
+        }
+        let check = (!checks.is_empty()).then(|| checks.join("; "));
+        if let Some(check) = &check {
+            let text = format!("{}: {check}", column.name);
+            if !self.checks.contains(&text) {
+                self.check(text);
+            }
+        }
+        Ok(ClockColumn { name: column.name.clone(), unit, check })
+    }
+
+    /// Lists the columns that are not imported for another reason.
+    fn unused(&mut self, tables: &[&SourceTable], clocks: &[&ClockColumn]) {
+        for column in tables.iter().flat_map(|table| &table.columns) {
+            let is_listed = self.ignored.iter().any(|(name, _)| *name == column.name)
+                || clocks.iter().any(|clock| clock.name == column.name)
+                || self.is_used(&column.name);
+            if is_listed || column.quantity == Quantity::Attitude {
+                continue;
+            }
+            let reason = match column.quantity {
+                _ if !column.is_numeric() => "text, or empty",
+                Quantity::Unsupported => "a torque or an angular rate",
+                Quantity::Time => "another clock",
+                _ if column.is_constant() => "constant",
+                _ => "not recognised",
+            };
+            self.ignored.push((column.name.clone(), reason));
+        }
+    }
+}
+
+/// Unit of a clock without one: times since 1970 have a known magnitude; else rows are 0.2 ms to 0.2 s apart.
+fn unit_of_clock(first: f64, step: f64) -> &'static str {
+    const UNITS: [&str; 4] = ["s", "ms", "us", "ns"];
+    /// Seconds since 1970 in the year 2001.
+    const EPOCH_S: f64 = 1e9;
+    const LONGEST_STEP_S: f64 = 0.2;
+    let mut of_magnitude = UNITS.into_iter().rev().zip([1e9, 1e6, 1e3, 1.0]);
+    if let Some((unit, _)) = of_magnitude.find(|(_, per_s)| first >= EPOCH_S * per_s) {
+        return unit;
+    }
+    let mut of_step = UNITS.into_iter().zip([1.0, 1e3, 1e6, 1e9]);
+    of_step.find(|(_, per_s)| step <= LONGEST_STEP_S * per_s).map_or("ns", |(unit, _)| unit)
+}
+
+fn short(value: f64) -> String {
+    round_significant(value, 4).to_string()
+}
+
+/// A TOML string, also safe in a comment.
+fn quoted(text: impl AsRef<str>) -> String {
+    toml::Value::String(text.as_ref().replace(|c: char| c.is_control(), " ")).to_string()
+}
+
+fn head(first: &[SourceTable], draft: &Draft, one_clock: bool) -> String {
+    let mut text = "# Proposed by `magpie import --guess` from ".to_owned();
+    let names = first.iter().map(|table| {
+        let name = table.path.file_name().unwrap_or_default().to_string_lossy();
+        let limit = if table.rows == MAX_ROWS { "the first " } else { "" };
+        format!("{} ({limit}{} rows)", quoted(name), table.rows)
+    });
+    text.push_str(&names.collect::<Vec<_>>().join(" and "));
+    text.push_str(".\n# Please check:\n");
+    for check in &draft.checks {
+        let _ = writeln!(text, "#   {}", check.replace(|c: char| c.is_control(), " "));
+    }
+    let _ = writeln!(text, "\ndescription = \"\"\none_clock = {one_clock}");
+    let is_raw = draft.columns.iter().any(|column| column.unit == "lsb");
+    if is_raw {
+        text.push_str("# gauss_per_lsb = 0.125        # scale of the raw counts, from the data sheet: required\n");
+    }
+    text.push_str("# range_gauss = 2000.0         # full scale of the sensor: samples there are left out as saturated\n");
+    text
+}
+
+fn write_table(
+    text: &mut String,
+    key: &str,
+    table: &SourceTable,
+    is_folder: bool,
+    clock: &ClockColumn,
+    columns: &[ProposedColumn],
+) {
+    let _ = writeln!(text, "\n[{key}]");
+    if is_folder {
+        let name = table.path.file_name().unwrap_or_default().to_string_lossy();
+        let _ = writeln!(text, "file = {}", quoted(name));
+    }
+    let check =
+        clock.check.as_ref().map_or_else(String::new, |check| format!("  # check: {check}"));
+    let _ = writeln!(
+        text,
+        "clock = {{ from = {}, unit = \"{}\" }}{check}",
+        quoted(&clock.name),
+        clock.unit
+    );
+    text.push_str("columns = [\n");
+    for column in columns {
+        let missing =
+            column.missing.map_or_else(String::new, |marker| format!(", missing = {marker:?}"));
+        let (min, max) = column.range;
+        let check =
+            column.check.as_ref().map_or_else(String::new, |check| format!("; check: {check}"));
+        let _ = writeln!(
+            text,
+            "  {{ from = {}, unit = \"{}\", to = \"{}\"{missing} }},  # {} to {}{check}",
+            quoted(&column.from),
+            column.unit,
+            column.to,
+            short(min),
+            short(max),
+        );
+    }
+    text.push_str("]\n");
+}

@@ -1,0 +1,232 @@
+//! Tables of a source, with what their values show.
+
+use std::path::{Path, PathBuf};
+
+use crate::recordings::columns::Axis;
+use crate::recordings::csv_table::{CsvReader, CsvTable, number};
+use crate::recordings::error::{DataError, ErrorKind, Location};
+use crate::recordings::guess::names::{ColumnName, Quantity};
+
+/// Rows of each table that are examined.
+pub const MAX_ROWS: u64 = 100_000;
+/// Rows from which the step of a clock is taken.
+const STEP_ROWS: usize = 1000;
+/// Values that loggers write where nothing was measured.
+const MISSING_MARKERS: [f64; 5] = [-1.0, -99.0, -999.0, -9999.0, -32768.0];
+/// Share of the rows from which such a value is proposed as a marker.
+const MISSING_SHARE: f64 = 0.01;
+
+/// A column of a source with its values.
+#[derive(Clone, Debug)]
+pub struct SourceColumn {
+    pub name: String,
+    pub stated: ColumnName,
+    pub quantity: Quantity,
+    /// Cells with a number, and with text.
+    numbers: u64,
+    texts: u64,
+    pub min: f64,
+    pub max: f64,
+    pub first: f64,
+    pub last: f64,
+    pub is_whole: bool,
+    pub is_ascending: bool,
+    /// Steps of the first rows.
+    pub steps: Vec<f64>,
+    /// Number of rows with each of [`MISSING_MARKERS`], and the minimum of all other values.
+    markers: [u64; MISSING_MARKERS.len()],
+    min_unmarked: f64,
+}
+
+/// A table of a source.
+#[derive(Clone, Debug)]
+pub struct SourceTable {
+    pub path: PathBuf,
+    pub is_in_folder: bool,
+    pub rows: u64,
+    pub columns: Vec<SourceColumn>,
+}
+
+/// Tables of a file, or of a folder.
+pub fn read_source(source: &Path) -> Result<Vec<SourceTable>, DataError> {
+    if !source.is_dir() {
+        return Ok(vec![read_table(source, false)?]);
+    }
+    let unreadable = |error| ErrorKind::Unreadable(error).at(Location::file(source));
+    let mut paths = Vec::new();
+    for entry in std::fs::read_dir(source).map_err(unreadable)? {
+        let path = entry.map_err(unreadable)?.path();
+        let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+        if name.ends_with(".csv") || name.ends_with(".csv.gz") {
+            paths.push(path);
+        }
+    }
+    if paths.is_empty() {
+        let advice = "give the folder that holds the tables of one recording, or the files";
+        return Err(
+            ErrorKind::bad_value("a folder without .csv files", advice).at(Location::file(source))
+        );
+    }
+    paths.sort();
+    paths.iter().map(|path| read_table(path, true)).collect()
+}
+
+fn read_table(path: &Path, is_in_folder: bool) -> Result<SourceTable, DataError> {
+    let header = CsvTable::open_file(path)?.header().to_vec();
+    let mut reader = CsvReader::open(path)?;
+    let mut record = csv::ByteRecord::new();
+    reader.read(&mut record)?;
+    let mut columns: Vec<SourceColumn> = header.into_iter().map(SourceColumn::new).collect();
+    let mut rows = 0;
+    while rows < MAX_ROWS && reader.read(&mut record)? {
+        rows += 1;
+        for (column, cell) in columns.iter_mut().zip(&record) {
+            column.add(cell);
+        }
+    }
+    if rows == 0 {
+        return Err(ErrorKind::NoRows.at(Location::file(path)));
+    }
+    // A torque of a force sensor is called mx like a field.
+    let has_other_field = columns.iter().any(|column| {
+        column.quantity == Quantity::Field
+            && !column.stated.words.iter().any(|word| is_moment(word))
+    });
+    let has_forces = columns.iter().filter(|column| column.quantity == Quantity::Force).count() > 1;
+    for column in &mut columns {
+        let is_moment =
+            column.stated.unit.is_none() && column.stated.words.iter().any(|word| is_moment(word));
+        if has_other_field && has_forces && is_moment && column.quantity == Quantity::Field {
+            column.quantity = Quantity::Unsupported;
+        }
+    }
+    Ok(SourceTable { path: path.to_path_buf(), is_in_folder, rows, columns })
+}
+
+fn is_moment(word: &str) -> bool {
+    matches!(word, "mx" | "my" | "mz")
+}
+
+impl SourceColumn {
+    fn new(name: String) -> Self {
+        let stated = ColumnName::of(&name);
+        Self {
+            quantity: stated.quantity,
+            name,
+            stated,
+            numbers: 0,
+            texts: 0,
+            min: f64::INFINITY,
+            max: f64::NEG_INFINITY,
+            first: f64::NAN,
+            last: f64::NAN,
+            is_whole: true,
+            is_ascending: true,
+            steps: Vec::new(),
+            markers: [0; MISSING_MARKERS.len()],
+            min_unmarked: f64::INFINITY,
+        }
+    }
+
+    fn add(&mut self, cell: &[u8]) {
+        let Some(value) = number(cell) else {
+            self.texts += u64::from(!cell.trim_ascii().is_empty());
+            return;
+        };
+        if !value.is_finite() {
+            return;
+        }
+        self.numbers += 1;
+        if self.numbers == 1 {
+            self.first = value;
+        } else {
+            self.is_ascending &= value > self.last;
+            if self.steps.len() < STEP_ROWS {
+                self.steps.push(value - self.last);
+            }
+        }
+        self.last = value;
+        self.min = self.min.min(value);
+        self.max = self.max.max(value);
+        self.is_whole &= value.fract() == 0.0;
+        match MISSING_MARKERS.iter().position(|marker| *marker == value) {
+            Some(index) => self.markers[index] += 1,
+            None => self.min_unmarked = self.min_unmarked.min(value),
+        }
+    }
+
+    /// True if every cell is a number, empty, or not finite.
+    pub fn is_numeric(&self) -> bool {
+        self.numbers > 0 && self.texts == 0
+    }
+
+    pub fn is_constant(&self) -> bool {
+        self.min == self.max
+    }
+
+    /// Marker of missing measurements: a lone value below all others.
+    pub fn missing(&self) -> Option<f64> {
+        let is_marker = |(marker, count): (&f64, &u64)| {
+            *count as f64 >= MISSING_SHARE * self.numbers as f64
+                && *marker < self.min_unmarked
+                && self.min_unmarked.is_finite()
+        };
+        let counted = MISSING_MARKERS.iter().zip(&self.markers);
+        counted
+            .filter(|(_, count)| **count > 0)
+            .find(|pair| is_marker(*pair))
+            .map(|(marker, _)| *marker)
+    }
+
+    /// Minimum and maximum without markers of missing measurements.
+    pub fn range(&self) -> (f64, f64) {
+        (if self.missing().is_some() { self.min_unmarked } else { self.min }, self.max)
+    }
+
+    pub fn magnitude(&self) -> f64 {
+        let (min, max) = self.range();
+        min.abs().max(max.abs())
+    }
+}
+
+/// The table with the most columns of a quantity.
+pub fn table_with(tables: &[SourceTable], quantity: Quantity) -> Option<&SourceTable> {
+    let count = |table: &SourceTable| {
+        table
+            .columns
+            .iter()
+            .filter(|column| column.quantity == quantity && column.is_numeric())
+            .count()
+    };
+    let most = tables.iter().rev().max_by_key(|table| count(table))?;
+    (count(most) > 0).then_some(most)
+}
+
+pub fn numeric(table: &SourceTable, quantity: Quantity) -> impl Iterator<Item = &SourceColumn> {
+    table.columns.iter().filter(move |column| column.quantity == quantity && column.is_numeric())
+}
+
+/// Owners of the columns: by number where all else is equal, in the order of the table otherwise.
+pub fn owners<'a>(
+    columns: impl Iterator<Item = &'a SourceColumn>,
+) -> Vec<&'a (Vec<String>, Option<u64>)> {
+    let mut owners = Vec::new();
+    for column in columns {
+        if !owners.contains(&&column.stated.owner) {
+            owners.push(&column.stated.owner);
+        }
+    }
+    if owners.windows(2).all(|pair| pair[0].0 == pair[1].0) {
+        owners.sort_by_key(|owner| owner.1);
+    }
+    owners
+}
+
+pub fn axis_of(column: &SourceColumn) -> Option<Axis> {
+    match column.stated.axis? {
+        'x' => Some(Axis::X),
+        'y' => Some(Axis::Y),
+        'z' => Some(Axis::Z),
+        _ => None,
+    }
+}
