@@ -5,7 +5,9 @@ use std::path::PathBuf;
 
 use model_export::recordings::align::Alignment;
 use model_export::recordings::columns::Axis;
+use model_export::recordings::guess::{Proposal, propose};
 use model_export::recordings::import::import;
+use model_export::recordings::mapping::Mapping;
 use model_export::recordings::{Campaign, DataError};
 use tempfile::TempDir;
 
@@ -155,4 +157,217 @@ fn a_quaternion_is_converted_without_a_force() {
     assert!(first.forces.is_empty());
     assert!((first.covariates["yaw_rad"][3] - std::f64::consts::FRAC_PI_2).abs() < 1e-6);
     assert!(first.covariates["roll_rad"][3].abs() < 1e-6);
+}
+
+/// A table of 50 rows: clocks ascend by `step`, other columns oscillate, in whole numbers or not.
+fn table(header: &str, step: f64, start: f64, is_whole: bool) -> String {
+    let names: Vec<&str> = header.split(',').collect();
+    let mut text = format!("{header}\n");
+    for row in 0..50 {
+        let cell = |(i, name): (usize, &&str)| {
+            let lower = name.to_lowercase();
+            let wave = (0.3 * f64::from(row) + i as f64).sin();
+            if lower.starts_with('t') && !lower.starts_with("temp") {
+                format!("{:?}", start + step * f64::from(row))
+            } else if is_whole {
+                format!("{:.0}", 400.0 + 300.0 * wave)
+            } else {
+                format!("{:.4}", 40.0 + 30.0 * wave)
+            }
+        };
+        text += &names.iter().enumerate().map(cell).collect::<Vec<_>>().join(",");
+        text.push('\n');
+    }
+    text
+}
+
+/// A proposal for this table, whose mapping must be valid and import the table.
+fn proposal(content: &str) -> Proposal {
+    let folder = TempDir::new().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    fs::write(at("source.csv"), content).unwrap();
+    let proposal = propose(&[at("source.csv")]).unwrap();
+    let text = proposal.text.replace("# gauss_per_lsb", "gauss_per_lsb");
+    fs::write(at("mapping.toml"), &text).unwrap();
+    Mapping::read(&at("mapping.toml")).unwrap_or_else(|error| panic!("{error}\n{text}"));
+    let imported = import(&at("mapping.toml"), &[at("source.csv")], &at("campaign"), |_| ());
+    imported.unwrap_or_else(|error| panic!("{error}\n{text}"));
+    proposal
+}
+
+#[test]
+fn proposal_recognises_columns_of_common_loggers() {
+    struct Case {
+        header: &'static str,
+        step: f64,
+        is_whole: bool,
+        clock_unit: &'static str,
+        /// Name, unit, and name in the recording.
+        columns: &'static [(&'static str, &'static str, &'static str)],
+    }
+    let cases = [
+        Case {
+            header: "Time (s),Hall1_X (mT),Hall1_Y (mT),Hall1_Z (mT),Hall2_X (mT),Hall2_Y (mT),Hall2_Z (mT),Fx [N],Fy [N],Fz [N]",
+            step: 0.001,
+            is_whole: false,
+            clock_unit: "s",
+            columns: &[
+                ("Hall1_X (mT)", "mT", "s0_x_gauss"),
+                ("Hall2_Z (mT)", "mT", "s1_z_gauss"),
+                ("Fx [N]", "N", "f0_x_n"),
+                ("Fz [N]", "N", "f0_z_n"),
+            ],
+        },
+        Case {
+            header: "timestamp_ns,mag.x,mag.y,mag.z,wrench.force.x,wrench.force.z",
+            step: 1e6,
+            is_whole: true,
+            clock_unit: "ns",
+            columns: &[("mag.x", "lsb", "s0_x_lsb"), ("wrench.force.z", "N", "f0_z_n")],
+        },
+        Case {
+            header: "t,B1x,B1y,B1z,B2x,B2y,B2z,F1,F2",
+            step: 2.0,
+            is_whole: false,
+            clock_unit: "ms",
+            columns: &[
+                ("B1x", "G", "s0_x_gauss"),
+                ("B2y", "G", "s1_y_gauss"),
+                ("F1", "N", "f0_z_n"),
+                ("F2", "N", "f1_z_n"),
+            ],
+        },
+        Case {
+            header: "t_us,left_bx_uT,left_by_uT,left_bz_uT,right_bx_uT,right_by_uT,right_bz_uT,load_kg,gripper_width_mm,motor_iq_A,temperature_degC",
+            step: 1000.0,
+            is_whole: false,
+            clock_unit: "us",
+            columns: &[
+                ("left_bz_uT", "uT", "s0_z_gauss"),
+                ("right_bx_uT", "uT", "s1_x_gauss"),
+                ("load_kg", "kg", "f0_z_n"),
+                ("gripper_width_mm", "mm", "opening_mm"),
+                ("motor_iq_A", "A", "motor_iq_a"),
+                ("temperature_degC", "degC", "s1_temp_c"),
+            ],
+        },
+        // A sensor of force and torque: its mx is a torque.
+        Case {
+            header: "time_ms,bx_G,by_G,bz_G,Fx,Fz,Mx,My,Mz,roll_deg,stage_um",
+            step: 1.0,
+            is_whole: false,
+            clock_unit: "ms",
+            columns: &[
+                ("bx_G", "G", "s0_x_gauss"),
+                ("Fx", "N", "f0_x_n"),
+                ("roll_deg", "deg", "roll_rad"),
+                ("stage_um", "um", "covariate_stage_mm"),
+            ],
+        },
+        Case {
+            header: "t_s,s1_x_lsb,s1_y_lsb,s1_z_lsb,s3_x_lsb,s3_y_lsb,s3_z_lsb,f1_x_n,f3_x_n",
+            step: 0.001,
+            is_whole: true,
+            clock_unit: "s",
+            columns: &[
+                ("s1_x_lsb", "lsb", "s0_x_lsb"),
+                ("s3_z_lsb", "lsb", "s1_z_lsb"),
+                ("f3_x_n", "N", "f1_x_n"),
+            ],
+        },
+        Case {
+            header: "t_s,mx_G,my_G,mz_G,ax_g,ay_g,az_g,qw,qx,qy,qz,weight_g",
+            step: 0.01,
+            is_whole: false,
+            clock_unit: "s",
+            columns: &[
+                ("mx_G", "G", "s0_x_gauss"),
+                ("ax_g", "g0", "accel_x_mps2"),
+                ("weight_g", "g", "f0_z_n"),
+            ],
+        },
+    ];
+    for Case { header, step, is_whole, clock_unit, columns } in cases {
+        let proposal = proposal(&table(header, step, 0.0, is_whole));
+        let text = &proposal.text;
+        let clocks = text.lines().filter(|line| line.starts_with("clock = "));
+        let unit = format!("unit = \"{clock_unit}\"");
+        assert!(
+            clocks.clone().count() == 2 && clocks.clone().all(|line| line.contains(&unit)),
+            "{text}"
+        );
+        for (from, unit, to) in columns {
+            let mut proposed = proposal.columns.iter();
+            let found = proposed.any(|c| c.from == *from && c.unit == *unit && c.to == *to);
+            assert!(found, "{from} as {to} in {unit}\n{text}");
+        }
+        assert!(!proposal.columns.iter().any(|column| column.from.starts_with('M')), "{text}");
+    }
+}
+
+#[test]
+fn proposal_names_what_it_assumes() {
+    let proposal = proposal(&table("time,bx,by,bz,force", 1.0, 1.7e12, true));
+    let checks = proposal.checks.join("\n");
+    for expected in [
+        "bx: whole numbers without a unit: taken as raw counts",
+        "give gauss_per_lsb",
+        "force: no unit: taken as newtons; no axis: taken as longitudinal (z)",
+        "time: no unit: taken as ms, which makes 1000 rows per second",
+    ] {
+        assert!(checks.contains(expected), "{expected}\n{checks}");
+        assert!(proposal.text.contains(expected), "{expected}\n{}", proposal.text);
+    }
+}
+
+#[test]
+fn proposal_finds_markers_of_missing_forces_and_a_running_clock() {
+    let folder = TempDir::new().unwrap();
+    let write = |name: &str, start: f64| {
+        let mut text = "t_s,bx_G,by_G,bz_G,weight_g\n".to_owned();
+        for row in 0..40 {
+            let weight = if row % 2 == 0 { "-1".to_owned() } else { format!("{row}.5") };
+            text += &format!("{},{row}.5,2.5,3.5,{weight}\n", start + 0.01 * f64::from(row));
+        }
+        let path = folder.path().join(name);
+        fs::write(&path, text).unwrap();
+        path
+    };
+    let proposal = propose(&[write("1.csv", 100.0), write("2.csv", 200.0)]).unwrap();
+    assert!(proposal.text.contains("one_clock = true"), "{}", proposal.text);
+    assert!(proposal.text.contains("missing = -1.0"), "{}", proposal.text);
+    let weight = proposal.columns.iter().find(|column| column.from == "weight_g").unwrap();
+    assert_eq!(weight.range, (1.5, 39.5));
+    let apart = propose(&[write("3.csv", 0.0), write("4.csv", 0.0)]).unwrap();
+    assert!(apart.text.contains("one_clock = false"), "{}", apart.text);
+}
+
+#[test]
+fn folders_of_two_tables_are_mapped_by_their_columns() {
+    let folder = TempDir::new().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    fs::write(at("a.csv"), table("t_s,fx_N,fz_N", 0.01, 0.0, false)).unwrap();
+    fs::write(at("b.csv"), table("t_s,bx_G,by_G,bz_G", 0.001, 0.0, false)).unwrap();
+    let proposal = propose(&[folder.path().to_path_buf()]).unwrap();
+    assert!(proposal.text.contains("[hall]\nfile = \"b.csv\""), "{}", proposal.text);
+    assert!(proposal.text.contains("[force]\nfile = \"a.csv\""), "{}", proposal.text);
+    // As two sources they would be two recordings.
+    let error = propose(&[at("b.csv"), at("a.csv")]).unwrap_err().to_string();
+    assert!(error.contains("put both into a folder"), "{error}");
+}
+
+#[test]
+fn table_without_a_field_or_clock_is_refused() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("source.csv");
+    for (content, expected) in [
+        ("run,load,deflection\n1,2,3\n2,3,4\n", "a table without a magnetic field"),
+        ("bx_G,by_G,bz_G\n1,2,3\n1,2,3\n", "no column increases in every row"),
+        ("bx_G;by_G\n1;2\n", "separated by"),
+        ("t_s,bx_G,by_G,bz_G\n", "there are no rows"),
+    ] {
+        fs::write(&path, content).unwrap();
+        let error = propose(std::slice::from_ref(&path)).unwrap_err().to_string();
+        assert!(error.contains(expected), "{expected}: {error}");
+    }
 }

@@ -41,6 +41,11 @@ pub enum Note {
         /// Folder of the recording.
         recording: PathBuf,
     },
+    /// The model's prediction differs from most channels by a constant, as that of another gripper.
+    OtherGripper {
+        /// Median over the channels of the difference, in multiples of the noise floor.
+        floors: f64,
+    },
     /// A sensor of the model whose field or forces were not recorded has no replay.
     NotReplayed {
         /// Number of the sensor.

@@ -137,7 +137,7 @@ fn propose(args: &Args) -> Result<()> {
             })
         ))?);
     }
-    let mut table = terminal::table(["column", "unit", "from", "to", "becomes"]);
+    let mut table = terminal::table(["column", "unit", "minimum", "maximum", "becomes"]);
     for column in &proposal.columns {
         let (min, max) = column.range;
         table.add_row([
@@ -160,9 +160,9 @@ fn propose(args: &Args) -> Result<()> {
     for check in &proposal.checks {
         text += &format!("  - {check}\n");
     }
-    let sources =
-        args.guess.iter().map(|source| format!("{source:?}")).collect::<Vec<_>>().join(" ");
+    let paths = [&args.output].into_iter().chain(&args.guess);
+    let paths = shell_words::join(paths.map(|path| path.display().to_string()));
     text += &format!("Written to {}.\n", args.output.display());
-    text += &format!("Next: cargo magpie import {:?} {sources} -o my-campaign\n", args.output);
+    text += &format!("Next: cargo magpie import {paths} -o my-campaign\n");
     Ok(terminal::print(&text)?)
 }

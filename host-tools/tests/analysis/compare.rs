@@ -5,6 +5,7 @@ use std::path::Path;
 use analysis::compare::Comparison;
 use analysis::compare::pipeline::compare;
 use analysis::compare::{Validation, floor_g, rms_g};
+use analysis::notes::Note;
 use model_export::fit::FitOptions;
 use model_export::recordings::align::Alignment;
 use report::text::comparison::verdict;
@@ -114,6 +115,18 @@ fn unseen_recordings_use_the_models_own_parameters() {
     let comparison = compared(&fitted_model("demo"), "clean");
     assert_eq!(comparison.validation, Some(Validation::UnseenRecordings));
     assert!(verdict(&comparison).starts_with("Structure remains"));
+}
+
+#[test]
+fn model_of_another_gripper_is_noted() {
+    let is_noted = |model: &str, campaign: &str| {
+        let comparison = compared(&fitted_model(model), campaign);
+        comparison.notes.iter().any(|note| matches!(note, Note::OtherGripper { .. }))
+    };
+    assert!(is_noted("clean", "demo"));
+    for own in ["clean", "demo", "friction", "ripple"] {
+        assert!(!is_noted(own, own), "{own}");
+    }
 }
 
 #[test]

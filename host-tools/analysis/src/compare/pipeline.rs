@@ -174,6 +174,8 @@ fn evaluate(
         .iter_mut()
         .map(|sensor| std::mem::replace(&mut sensor.columns, ResidualTable::new(0, &[])))
         .collect();
+    let axes = axes(&fields, &columns);
+    notes.extend(other_gripper(&axes));
     let correlation_s = correlation_s(&columns);
     let block_s = (3.0 * correlation_s).max(MIN_BLOCK_S);
     let locator = Attributor::new(&columns, block_s);
@@ -183,7 +185,7 @@ fn evaluate(
         model: path.display().to_string(),
         campaign: source.folder.display().to_string(),
         validation: Some(plan.validation.clone()),
-        axes: axes(&fields, &columns),
+        axes,
         forces: device.errors,
         no_forces: device.none,
         located: located(&columns, &locator, &ranked, block_s, options.seed),
@@ -199,6 +201,27 @@ fn evaluate(
         ..Comparison::default()
     };
     Ok(comparison)
+}
+
+/// Constant difference of a channel, in noise floors and as a share of its RMS residual, from which a model is probably that of
+/// another gripper. A bias that an effect leaves is smaller, and on few channels.
+const OTHER_GRIPPER_FLOORS: f64 = 20.0;
+const OTHER_GRIPPER_SHARE: f64 = 0.8;
+
+/// A note if most channels have a large constant difference.
+fn other_gripper(axes: &[FieldAxisErrors]) -> Option<Note> {
+    let is_constant = |axis: &&FieldAxisErrors| {
+        axis.error.mean.abs() > OTHER_GRIPPER_SHARE * axis.error.rms
+            && axis.error.mean.abs() > OTHER_GRIPPER_FLOORS * axis.floor.total
+    };
+    let mut floors: Vec<f64> = axes
+        .iter()
+        .filter(is_constant)
+        .map(|axis| axis.error.mean.abs() / axis.floor.total)
+        .collect();
+    floors.sort_by(f64::total_cmp);
+    let is_most = 2 * floors.len() > axes.len();
+    is_most.then(|| Note::OtherGripper { floors: floors[floors.len() / 2] })
 }
 
 fn axes(fields: &FieldEvaluation, columns: &[ResidualTable]) -> Vec<FieldAxisErrors> {

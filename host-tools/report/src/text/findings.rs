@@ -122,7 +122,7 @@ pub fn message(finding: &Finding) -> String {
             let columns = list(sensors.iter().map(|sensor| format!("s{sensor}_temp_c")));
             let (verb, them) = if sensors.len() == 1 { ("is", "it") } else { ("are", "them") };
             format!(
-                "{columns} {verb} not recorded {}, but other sensors have a temperature: effects of temperature cannot be tested at {}; record {them}, or copy the column of a sensor at the same temperature",
+                "{columns} {verb} missing {}, but other sensors have a temperature: effects of temperature cannot be tested at {}; record {them}, or copy the column of a sensor at the same temperature",
                 in_recordings(recordings),
                 list(sensors.iter().map(|sensor| format!("sensor {sensor}"))),
             )

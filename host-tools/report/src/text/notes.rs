@@ -22,6 +22,9 @@ pub fn text(note: &Note) -> String {
             "{}: [design] differs from the model's: is it the same gripper?",
             recording.display()
         ),
+        Note::OtherGripper { floors } => format!(
+            "the model's prediction is off by a constant on most channels, {floors:.0} times the noise: is it a model of another gripper? A fit to these recordings gives one of this gripper"
+        ),
         Note::NotReplayed { sensor } => format!(
             "sensor {sensor} of the model was not replayed: these recordings lack its field or its forces"
         ),

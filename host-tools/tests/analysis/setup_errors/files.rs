@@ -401,7 +401,11 @@ fn single_channel_in_another_unit_is_converted() {
         assert_eq!((finding.id, finding.stops), ("wrong_unit", true), "{column}");
         assert_message(
             &finding,
-            &[&column.replace("_lsb", "_gauss"), &format!("by a factor of {factor}"), "throughout"],
+            &[
+                &column.replace("_lsb", "_gauss"),
+                &format!("by a factor of {factor}"),
+                "every recording",
+            ],
         );
         let corrected = corrected(&spoilt, 2, "hall.csv");
         let expected = clean(2, "hall.csv").numbers(column);
@@ -438,5 +442,5 @@ fn sensor_without_temperature_is_named() {
         (finding.id, finding.stops, column(&finding)),
         ("missing_temperature", false, "s2_temp_c")
     );
-    assert_message(&finding, &["s2_temp_c is not recorded in recordings 2 and 3", "at sensor 2"]);
+    assert_message(&finding, &["s2_temp_c is missing in recordings 2 and 3", "at sensor 2"]);
 }

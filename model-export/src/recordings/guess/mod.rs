@@ -9,7 +9,7 @@ mod source;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use crate::recordings::columns::{COVARIATES, hall_column};
+use crate::recordings::columns::{Axis, COVARIATES, hall_column};
 use crate::recordings::error::{DataError, ErrorKind, Location};
 use crate::recordings::guess::names::Quantity;
 use crate::recordings::guess::source::{
@@ -124,12 +124,13 @@ const DESIGN: &str = "
 fn no_field(tables: &[SourceTable]) -> DataError {
     let names = tables.iter().flat_map(|table| &table.columns).map(|column| column.name.as_str());
     let advice = format!(
-        "none of the columns is recognised as a magnetic field: call them bx, by, bz with a number for each sensor, or write \
-         the mapping yourself (cargo magpie import --help); the columns are {}",
+        "call its columns bx, by, bz with a number for each sensor, or write the mapping yourself (`cargo magpie import --help`); \
+         they are {}",
         names.collect::<Vec<_>>().join(", ")
     );
     let path = tables.first().map_or(Path::new(""), |table| &table.path);
-    ErrorKind::MissingColumn { advice }.at(Location::file(path).column("field"))
+    ErrorKind::bad_value("a table without a magnetic field", advice)
+        .at(Location::file(path).line(1))
 }
 
 /// Checks that a source has the columns of the first one.
@@ -265,12 +266,22 @@ impl Draft {
             "axes: x lateral (grasping) and z longitudinal in the plane of motion, y across the gap; exchange the columns, or \
              set scale = -1, where your sensor is mounted otherwise",
         );
+        if let Some(axis) = strongest_axis(&fields().collect::<Vec<_>>())
+            && axis != Axis::Y
+        {
+            self.check(format!(
+                "the field is strongest on {0}: if the magnet is magnetised across the gap, your {0} is the y of this project: \
+                 map it to sN_y, and the others accordingly",
+                axis.letter()
+            ));
+        }
         owners.len()
     }
 
     /// Adds temperatures, accelerations, motor and pose, and other lengths and angles.
     fn covariates(&mut self, table: &SourceTable, sensors: usize) {
-        let temperatures: Vec<_> = numeric(table, Quantity::Temperature).collect();
+        let temperatures: Vec<_> =
+            numeric(table, Quantity::Temperature).filter(|column| !column.is_constant()).collect();
         let owners = owners(temperatures.iter().copied());
         match temperatures.as_slice() {
             [one] if sensors > 1 => {
@@ -485,6 +496,18 @@ impl Draft {
             self.ignored.push((column.name.clone(), reason));
         }
     }
+}
+
+/// The axis with the strongest field at every sensor, if there is one.
+fn strongest_axis(fields: &[&SourceColumn]) -> Option<Axis> {
+    let of_sensor = |owner: &(Vec<String>, Option<u64>)| {
+        let own = fields.iter().filter(|column| column.stated.owner == *owner);
+        let mean = |column: &SourceColumn| 0.5 * (column.min + column.max).abs();
+        own.max_by(|a, b| mean(a).total_cmp(&mean(b))).and_then(|column| axis_of(column))
+    };
+    let mut axes = owners(fields.iter().copied()).into_iter().map(of_sensor);
+    let first = axes.next()??;
+    axes.all(|axis| axis == Some(first)).then_some(first)
 }
 
 /// Unit of a clock without one: times since 1970 have a known magnitude; else rows are 0.2 ms to 0.2 s apart.
