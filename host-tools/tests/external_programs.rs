@@ -28,8 +28,9 @@ mod unix {
     use serde_json::Value;
 
     use crate::images::{self, Variant};
-    use crate::workdir::WorkDir;
     use crate::workdir::running::Running;
+    use crate::workdir::tutorial::{Step, folder, link_data, steps};
+    use crate::workdir::{WorkDir, text};
 
     pub fn main() -> ExitCode {
         let arguments = Arguments::from_args();
@@ -48,6 +49,7 @@ mod unix {
             Trial::test("motor_and_screw_are_identified", identification),
             Trial::test("only_hosts_with_the_key_change_a_protected_gripper", keys),
             Trial::test("an_image_that_is_none_is_refused", refused),
+            Trial::test("the_tutorial_flashes_and_drives", tutorial),
         ];
         let trials =
             trials.into_iter().map(|trial| trial.with_ignored_flag(absent.is_some())).collect();
@@ -210,6 +212,45 @@ mod unix {
         let stopped = dir.json(&format!("grip --can {} --stop --json", emulation.can));
         assert_eq!(stopped["stopped"], true, "{stopped}");
         is_clean(&emulation.end());
+        Ok(())
+    }
+
+    fn tutorial() -> Result<(), Failed> {
+        let tutorial = std::fs::read_to_string(folder().join("flash-and-drive.md"))?;
+        let dir = WorkDir::empty();
+        link_data(&dir);
+        let image = path(Variant::Nominal)?;
+        let (mut emulation, mut others) = (None, Vec::new());
+        let mut commands = 0;
+        for step in steps(&tutorial) {
+            let Step::Command { command, arguments, is_background, .. } = step else {
+                continue;
+            };
+            commands += 1;
+            let Some(arguments) = arguments else {
+                // The image above has these tables.
+                assert_eq!(command, "MAGPIE_TABLES=nominal.rs cargo image");
+                continue;
+            };
+            if arguments[0] == "emulate" {
+                let line = arguments[1..].join(" ").replace("29536", "0");
+                emulation = Some(Emulation::start(&dir, &image, &format!("{line} --json")));
+                continue;
+            }
+            let can = emulation.as_ref().map_or("", |emulation| &emulation.can);
+            let arguments: Vec<String> =
+                arguments.iter().map(|word| word.replace("127.0.0.1:29536", can)).collect();
+            if is_background {
+                others.push(Running::start(&dir, &arguments.join(" ")));
+            } else {
+                let output = dir.run(&arguments);
+                assert!(output.status.success(), "{command}: {}", text(&output.stderr));
+            }
+        }
+        assert!(commands >= 8, "{commands}");
+        drop(others);
+        let measured = emulation.expect("an emulation").end();
+        is_clean(&measured);
         Ok(())
     }
 
