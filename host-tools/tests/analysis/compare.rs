@@ -119,13 +119,18 @@ fn unseen_recordings_use_the_models_own_parameters() {
 
 #[test]
 fn model_of_another_gripper_is_noted() {
-    let is_noted = |model: &str, campaign: &str| {
-        let comparison = compared(&fitted_model(model), campaign);
+    let is_noted = |model: &str, campaign: &Path| {
+        let alignment = Alignment { delay_us: 0.0 };
+        let options = FitOptions::default();
+        let comparison = compare(&fitted_model(model), campaign, None, alignment, options).unwrap();
         comparison.notes.iter().any(|note| matches!(note, Note::OtherGripper { .. }))
     };
-    assert!(is_noted("clean", "demo"));
-    for own in ["clean", "demo", "friction", "ripple"] {
-        assert!(!is_noted(own, own), "{own}");
+    let other = WorkDir::empty();
+    other.stdout("simulate -o other --seconds 5 --sensors 2 --seed 7");
+    assert!(is_noted("clean", &other.path("other")));
+    // All of these are of one gripper, with different effects.
+    for campaign in ["clean", "demo", "friction", "ripple"] {
+        assert!(!is_noted("clean", &data(campaign)), "{campaign}");
     }
 }
 

@@ -203,22 +203,14 @@ fn evaluate(
     Ok(comparison)
 }
 
-/// Constant difference of a channel, in noise floors and as a share of its RMS residual, from which a model is probably that of
-/// another gripper. A bias that an effect leaves is smaller, and on few channels.
+/// Constant difference of most channels, in noise floors, from which a model is probably that of another gripper. The bias that an
+/// effect leaves is as large on one axis only.
 const OTHER_GRIPPER_FLOORS: f64 = 20.0;
-const OTHER_GRIPPER_SHARE: f64 = 0.8;
 
 /// A note if most channels have a large constant difference.
 fn other_gripper(axes: &[FieldAxisErrors]) -> Option<Note> {
-    let is_constant = |axis: &&FieldAxisErrors| {
-        axis.error.mean.abs() > OTHER_GRIPPER_SHARE * axis.error.rms
-            && axis.error.mean.abs() > OTHER_GRIPPER_FLOORS * axis.floor.total
-    };
-    let mut floors: Vec<f64> = axes
-        .iter()
-        .filter(is_constant)
-        .map(|axis| axis.error.mean.abs() / axis.floor.total)
-        .collect();
+    let floors = axes.iter().map(|axis| axis.error.mean.abs() / axis.floor.total);
+    let mut floors: Vec<f64> = floors.filter(|floors| *floors > OTHER_GRIPPER_FLOORS).collect();
     floors.sort_by(f64::total_cmp);
     let is_most = 2 * floors.len() > axes.len();
     is_most.then(|| Note::OtherGripper { floors: floors[floors.len() / 2] })

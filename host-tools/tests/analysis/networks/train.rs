@@ -30,6 +30,43 @@ fn training_is_reproducible_across_threads_and_resume() {
     assert!(message.contains("(--axes"), "{message}");
 }
 
+#[cfg(unix)]
+#[test]
+fn interrupted_training_continues_with_the_printed_command() {
+    use std::time::Duration;
+
+    use rustix::process::Signal;
+
+    use crate::workdir::running::Running;
+
+    let dir = simulated();
+    let line = "train model.toml bench --hidden 4 --epochs 60 --patience 60";
+    dir.stdout(&format!("{line} -o complete.safetensors"));
+
+    let mut running =
+        Running::start(&dir, &format!("{line} -o network.safetensors --checkpoint saved"));
+    while !dir.path("saved").exists() {
+        assert!(running.0.try_wait().unwrap().is_none(), "it ended before its first checkpoint");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    running.signal(Signal::INT);
+    let mut message = String::new();
+    std::io::Read::read_to_string(running.0.stderr.as_mut().unwrap(), &mut message).unwrap();
+    assert_eq!(running.0.wait().unwrap().code(), Some(130), "{message}");
+    assert!(
+        message.contains("Interrupted after epoch") && message.contains("saved to saved"),
+        "{message}"
+    );
+    assert!(!dir.path("network.safetensors").exists());
+
+    let command =
+        message.lines().find_map(|line| line.trim().strip_prefix("cargo magpie ")).unwrap();
+    assert!(command.ends_with("--resume"), "{command}");
+    dir.stdout(command);
+    let bytes = |name: &str| fs::read(dir.path(name)).unwrap();
+    assert_eq!(bytes("network.safetensors"), bytes("complete.safetensors"));
+}
+
 #[test]
 fn training_report_has_error_and_range_of_every_force() {
     let line = "train model.toml bench --hidden 8 --epochs 30 --inputs field+ideal --target rest --axes xz \
