@@ -73,7 +73,7 @@ pub fn run(args: &Args) -> Result<()> {
     let fitted_count = campaign.recordings.len();
     terminal::print(&terminal::paragraph(&format!(
         "Recorded: {} recordings of {:.0} s of a gripper on a (simulated) bench, {} Hall sensors at 1 kHz, force \
-         reference at 100 Hz. Recording {} is held out. What the base model misses is not known to the tool.",
+         reference at 100 Hz. Recording {} is held out: no fit uses it. What the base model misses is not known to the tool.",
         fitted_count + 1,
         campaign.duration_s() / fitted_count as f64,
         campaign.sensors().len(),
@@ -275,7 +275,7 @@ fn error_table(steps: &ErrorSteps, diagnosis: &Diagnosis) -> String {
     notes.extend(text::diagnosis::rising_force(&diagnosis.staircase));
     let note = if notes.is_empty() { String::new() } else { terminal::paragraph(&notes.join(" ")) };
     let heading = terminal::paragraph(
-        "4. Add. Force error of the held-out recording (device's code, RMS over all forces), its noise, and the excess over the noise:",
+        "4. Add. Force error of the held-out recording (device's code, RMS over all forces), its noise, and the excess over it, which a better model could remove:",
     );
     format!("{heading}{table}\n{note}")
 }

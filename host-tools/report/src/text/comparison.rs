@@ -44,7 +44,11 @@ pub fn format_report(comparison: &Comparison) -> String {
         page += &side_by_side(comparison, other);
     }
     page.push('\n');
-    page += &terminal::paragraph(&force_headline(comparison));
+    let headline = force_headline(comparison);
+    if !headline.is_empty() {
+        page += &terminal::paragraph(&headline);
+        page += &terminal::paragraph(force_error::TERMS);
+    }
     page + &colored(verdict_style(comparison), &verdict(comparison))
 }
 

@@ -41,6 +41,7 @@ pub fn format_report(fit: &CampaignFit) -> String {
         error_table(campaign, model),
         force.as_ref().map_or_else(String::new, |error| {
             terminal::paragraph(&force_error::headline(error))
+                + &terminal::paragraph(force_error::TERMS)
         }),
         verdict(model),
         FitOptions::default().draws,

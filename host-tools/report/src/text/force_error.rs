@@ -5,6 +5,10 @@ use analysis::compare::ForceError;
 /// Of rows that the model was not fitted to.
 pub const HELD_OUT: &str = "held out";
 
+/// The terms of a headline, where a user meets them first.
+pub const TERMS: &str = "Held out: on recordings that the fit did not use. Noise: the error that the white noise of sensor and \
+    reference causes alone. Excess: the root of the difference of their squares, which a better model could remove.";
+
 /// Headline of one model on held-out rows.
 pub fn headline(error: &ForceError) -> String {
     of(HELD_OUT, error)
