@@ -49,11 +49,7 @@ pub fn refit(
 ) -> Result<ModelEdit> {
     collect(|notes| {
         let prepared = model.fit_setup(&campaign, options)?;
-        let mut constant = Vec::new();
-        for effect in &after {
-            constant.extend(check_identifiable(effect, &after, model.base, &campaign)?);
-            check_defined(effect, &prepared)?;
-        }
+        let constant = check_effects(&after, model.base, &campaign, &prepared)?;
         let notices = campaign.notices().chain(&prepared.notices);
         notes.extend(notices.cloned().map(Note::Recording).chain(constant));
         let all: Vec<EffectTerm> = before.iter().chain(&after).cloned().collect();
@@ -89,6 +85,21 @@ pub fn refit(
             notes: std::mem::take(notes),
         })
     })
+}
+
+/// Checks that effects are defined and identifiable on these recordings; returns a note for each constant covariate.
+pub(crate) fn check_effects(
+    effects: &[EffectTerm],
+    base: BaseKind,
+    campaign: &Campaign,
+    prepared: &FitSetup,
+) -> Result<Vec<Note>> {
+    let mut notes = Vec::new();
+    for effect in effects {
+        notes.extend(check_identifiable(effect, effects, base, campaign)?);
+        check_defined(effect, prepared)?;
+    }
+    Ok(notes)
 }
 
 /// The effects in the form that the model's base requires.

@@ -6,6 +6,7 @@
 //! - [`diagnose`]: missing physical effects.
 //! - [`benchmark`]: eight force estimators on a held-out recording.
 //! - [`fit`], [`edit_model`]: fit of the base physics, and of other effects.
+//! - [`workbench`]: models of one campaign side by side, each fitted on first use.
 //! - [`network_training`]: training of recurrent networks.
 //! - [`magnetic_disturbance`]: detection rate and false alarms of the disturbance detector.
 //! - [`reference_delay`]: delay between the clocks of board and reference.
@@ -31,3 +32,4 @@ pub mod progress;
 pub mod reference_delay;
 pub mod replay;
 pub mod statistics;
+pub mod workbench;

@@ -71,7 +71,7 @@ impl CvPlan {
         path: &Path,
         model: &ModelFile,
         source: &CampaignReader,
-        refit: Option<&ModelRefit>,
+        refit: Option<(&FitSetup, &JointFit)>,
         options: FitOptions,
     ) -> Result<Self> {
         let unseen = |named: &RecordingId| RecordingFolds {
@@ -127,7 +127,7 @@ impl CvPlan {
         &mut self,
         source: &CampaignReader,
         seen: &[usize],
-        known: Option<&ModelRefit>,
+        known: Option<(&FitSetup, &JointFit)>,
         options: FitOptions,
     ) -> Result<()> {
         // Ten minutes determine the parameters sufficiently; of more, a uniform subset is used.
@@ -136,21 +136,20 @@ impl CvPlan {
         let campaign = source.campaign(&some)?;
         let (model, additions) = (self.models[0].model.clone(), self.models[0].additions.clone());
         let computed;
-        let ModelRefit { setup: prepared, fit } =
-            match known.filter(|_| some.len() == self.recordings.len()) {
-                Some(known) => known,
-                None => match fit_model(&campaign, &model, &additions, options) {
-                    Ok(fitted) => {
-                        computed = fitted;
-                        &computed
-                    }
-                    Err(FitError::Recording(problem)) => return Err(problem.into()),
-                    Err(why) => {
-                        self.validation = Validation::NotHeldOut(why.to_string());
-                        return Ok(());
-                    }
-                },
-            };
+        let (prepared, fit) = match known.filter(|_| some.len() == self.recordings.len()) {
+            Some(known) => known,
+            None => match fit_model(&campaign, &model, &additions, options) {
+                Ok(fitted) => {
+                    computed = fitted;
+                    (&computed.setup, &computed.fit)
+                }
+                Err(FitError::Recording(problem)) => return Err(problem.into()),
+                Err(why) => {
+                    self.validation = Validation::NotHeldOut(why.to_string());
+                    return Ok(());
+                }
+            },
+        };
         if let Some(worse) = excess_error(&model, &additions, prepared, fit) {
             self.validation = Validation::Edited(worse);
             return Ok(());

@@ -17,6 +17,8 @@ use anyhow::Result;
 use model_export::effects::{EffectTerm, ExcitationSeries};
 use model_export::fit::FitOptions;
 use model_export::fit::block_bootstrap::autocorrelation_rows;
+use model_export::fit::campaign::FitSetup;
+use model_export::fit::joint::JointFit;
 use model_export::fit::rows::SensorRows;
 use model_export::model_file::{ModelFile, Predictor};
 use model_export::recordings::Location;
@@ -85,6 +87,7 @@ pub fn compare_scanned(
         return Ok(stopped(findings));
     }
     collect(|notes| {
+        let refit = refit.map(|refit| (&refit.setup, &refit.fit));
         let mut comparison = evaluate(path, model, &source, refit, &findings, options, notes)?;
         if let Some(other) = other {
             let model = ModelFile::read(other)?;
@@ -142,12 +145,15 @@ fn model_findings(
     Ok(findings)
 }
 
-/// Evaluates one model on checked recordings.
-fn evaluate(
+/// Evaluates one model on checked recordings. `refit` is a fit of it to all of them, if known.
+///
+/// # Errors
+/// A recording cannot be read, or model and recordings do not match.
+pub(crate) fn evaluate(
     path: &Path,
     model: &ModelFile,
     source: &CampaignReader,
-    refit: Option<&ModelRefit>,
+    refit: Option<(&FitSetup, &JointFit)>,
     findings: &[Finding],
     options: FitOptions,
     notes: &mut Vec<Note>,

@@ -58,7 +58,7 @@ pub mod verdicts;
 
 /// Rows of a recording by which effects and formulas are selected; the models of the result are fitted to all rows. Where the
 /// residual is white noise, standard errors during the selection are larger by the root of the ratio.
-const SELECTION_ROWS: usize = 600;
+pub(crate) const SELECTION_ROWS: usize = 600;
 /// Fraction of the remaining work that these last fits take.
 const ALL_ROWS: f64 = 0.7;
 /// Fraction of what then remains that the replays take.

@@ -1,0 +1,193 @@
+//! Models of one campaign side by side: the base with any set of effects. Each is fitted once, evaluated on held-out rows, and
+//! screened for effects that it lacks.
+
+use std::path::Path;
+
+use anyhow::{Result, bail};
+use model_export::effects::EffectTerm;
+use model_export::fit::FitOptions;
+use model_export::fit::campaign::FitSetup;
+use model_export::fit::effect_size::{EffectSize, effect_sizes};
+use model_export::fit::score_test::ScoreTest;
+use model_export::model_file::{BaseKind, ModelFile, Provenance};
+use model_export::recordings::Campaign;
+use model_export::recordings::align::Alignment;
+use model_export::recordings::campaign::recording_folders;
+
+use crate::compare::campaign_reader::{Caching, CampaignReader, ScannedCampaign};
+use crate::compare::pipeline::evaluate;
+use crate::compare::{Comparison, ForceError};
+use crate::data_quality::Finding;
+use crate::diagnose::SELECTION_ROWS;
+use crate::diagnose::candidates::{UntestableEffect, candidates, screen};
+use crate::diagnose::residuals::{block_s, residual_tables};
+use crate::diagnose::selection::FittedModel;
+use crate::edit_model::check_effects;
+
+/// The models of a campaign.
+pub struct Workbench {
+    /// Setup errors in the recordings.
+    pub findings: Vec<Finding>,
+    /// Effects of the catalogue that these recordings cannot test.
+    pub untestable: Vec<UntestableEffect>,
+    /// The base; has no effects.
+    pub base: BaseKind,
+    reader: CampaignReader,
+    campaign: Campaign,
+    setup: FitSetup,
+    /// A part of the rows, for the screening.
+    sample: FitSetup,
+    /// Effects of the catalogue that these recordings can test.
+    testable: Vec<EffectTerm>,
+    force_axes: Option<[bool; 2]>,
+    options: FitOptions,
+    models: Vec<WorkbenchModel>,
+}
+
+/// One model of a campaign.
+pub struct WorkbenchModel {
+    /// Effects, the catalogue's and formulas.
+    pub effects: Vec<EffectTerm>,
+    /// The model, fitted to all rows.
+    pub model: ModelFile,
+    /// Magnitudes of the effects.
+    pub sizes: Vec<EffectSize>,
+    /// Its errors on held-out rows.
+    pub comparison: Comparison,
+    /// What every other effect would add, largest first.
+    pub candidates: Vec<ScoredEffect>,
+}
+
+/// What an effect would add to a model.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ScoredEffect {
+    /// Name of the effect.
+    pub effect: String,
+    /// Predicted reduction of the held-out squared error of the field, as a fraction, by the linearised model.
+    pub gain: f64,
+    /// p-value adjusted for all effects.
+    pub p_adjusted: f64,
+    /// Whether the p-value is below 5 % and the error falls in every fold.
+    pub is_significant: bool,
+}
+
+impl WorkbenchModel {
+    /// Held-out force error; `None` where the device cannot compute the forces.
+    pub fn force(&self) -> Option<ForceError> {
+        ForceError::of(&self.comparison.forces)
+    }
+}
+
+impl Workbench {
+    /// Reads a campaign and fits the base: the design's, or polynomials where there is no design.
+    ///
+    /// # Errors
+    /// A recording cannot be read, a setup error prevents any result, or the fit fails.
+    pub fn open(folder: &Path, alignment: Alignment, options: FitOptions) -> Result<Self> {
+        let scanned = ScannedCampaign::open(folder, alignment, Caching::Always)?;
+        let Some(reader) = scanned.reader else {
+            bail!(
+                "{}: the recordings have setup errors: `cargo magpie compare` names them",
+                folder.display()
+            );
+        };
+        reader.check_distinct()?;
+        let campaign = reader.whole()?.into_owned();
+        let (setup, base) = match campaign.design() {
+            Some(_) => (FitSetup::cylinder(&campaign)?, BaseKind::Cylinder),
+            None => (FitSetup::polynomial(&campaign, None, options)?, BaseKind::Polynomial),
+        };
+        let fit = setup.fit(&[], setup.split(&[]), options, |_| ())?;
+        let provenance = Provenance::of(&campaign, alignment.delay_us, options)?;
+        let model = ModelFile::with_effects(&campaign, &setup, &fit, &[], provenance);
+        let force_axes = model.force_axes();
+        let (testable, untestable) = candidates(&campaign, base, force_axes, &[], &[]);
+        Ok(Self {
+            findings: scanned.findings,
+            untestable,
+            base,
+            sample: setup.sampled_by_fold(SELECTION_ROWS),
+            reader,
+            campaign,
+            setup,
+            testable,
+            force_axes,
+            options,
+            models: Vec::new(),
+        })
+    }
+
+    /// Columns of the recordings for formulas.
+    pub fn covariates(&self) -> Vec<String> {
+        let first = self.campaign.recordings.first();
+        first.map_or_else(Vec::new, |recording| recording.covariates.keys().cloned().collect())
+    }
+
+    /// The model with these effects, fitted on first use.
+    ///
+    /// # Errors
+    /// The recordings cannot identify an effect, a fit fails, or a recording was removed meanwhile.
+    pub fn model(&mut self, effects: &[EffectTerm]) -> Result<&WorkbenchModel> {
+        let place = match self.models.iter().position(|known| known.effects == effects) {
+            Some(place) => place,
+            None => {
+                // The replay reads the recordings again.
+                recording_folders(&self.reader.folder)?;
+                let model = self.fit(effects)?;
+                self.models.push(model);
+                self.models.len() - 1
+            }
+        };
+        Ok(&self.models[place])
+    }
+
+    fn fit(&self, effects: &[EffectTerm]) -> Result<WorkbenchModel> {
+        let own: Vec<EffectTerm> = match self.force_axes {
+            Some(axes) => {
+                effects.iter().map(|effect| effect.clone().for_polynomial(axes)).collect()
+            }
+            None => effects.to_vec(),
+        };
+        let mut notes = check_effects(&own, self.base, &self.campaign, &self.setup)?;
+        let fit = self.setup.fit(&own, self.setup.split(&own), self.options, |_| ())?;
+        let provenance =
+            Provenance::of(&self.campaign, self.reader.alignment.delay_us, self.options)?;
+        let model = ModelFile::with_effects(&self.campaign, &self.setup, &fit, &own, provenance);
+        let sizes = effect_sizes(&fit, &own, self.campaign.recordings.len());
+        let stage = FittedModel { effects: own, fit };
+        let candidates = self.screen(&stage);
+        let name = effects.iter().map(EffectTerm::name).collect::<Vec<_>>().join(" + ");
+        let name = if name.is_empty() { "base".to_owned() } else { name };
+        let comparison = evaluate(
+            Path::new(&name),
+            &model,
+            &self.reader,
+            Some((&self.setup, &stage.fit)),
+            &self.findings,
+            self.options,
+            &mut notes,
+        )?;
+        let comparison = Comparison { findings: self.findings.clone(), notes, ..comparison };
+        Ok(WorkbenchModel { effects: effects.to_vec(), model, sizes, comparison, candidates })
+    }
+
+    /// Scores the effects that a model lacks.
+    fn screen(&self, stage: &FittedModel) -> Vec<ScoredEffect> {
+        let block_s = block_s(&residual_tables(&self.campaign, &self.sample, stage));
+        let around = ScoreTest::new(&self.sample, &stage.effects, &stage.fit, block_s);
+        let others: Vec<EffectTerm> = self
+            .testable
+            .iter()
+            .filter(|effect| !stage.effects.contains(effect))
+            .cloned()
+            .collect();
+        let screened = screen(&around, &others, self.options.seed);
+        let scored = screened.iter().map(|one| ScoredEffect {
+            effect: one.candidate.name().to_owned(),
+            gain: one.evidence.gain(),
+            p_adjusted: one.p_adjusted,
+            is_significant: one.is_significant(),
+        });
+        scored.collect()
+    }
+}
