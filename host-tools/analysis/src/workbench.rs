@@ -7,7 +7,6 @@ use anyhow::{Result, bail};
 use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
 use model_export::fit::campaign::FitSetup;
-use model_export::fit::effect_size::{EffectSize, effect_sizes};
 use model_export::fit::score_test::ScoreTest;
 use model_export::model_file::{BaseKind, ModelFile, Provenance};
 use model_export::recordings::Campaign;
@@ -50,8 +49,6 @@ pub struct WorkbenchModel {
     pub effects: Vec<EffectTerm>,
     /// The model, fitted to all rows.
     pub model: ModelFile,
-    /// Magnitudes of the effects.
-    pub sizes: Vec<EffectSize>,
     /// Its errors on held-out rows.
     pub comparison: Comparison,
     /// What every other effect would add, largest first.
@@ -123,22 +120,23 @@ impl Workbench {
         first.map_or_else(Vec::new, |recording| recording.covariates.keys().cloned().collect())
     }
 
-    /// The model with these effects, fitted on first use.
+    /// The model with these effects, if it was fitted.
+    pub fn fitted(&self, effects: &[EffectTerm]) -> Option<&WorkbenchModel> {
+        self.models.iter().find(|known| known.effects == effects)
+    }
+
+    /// Fits the model with these effects, unless it was fitted before.
     ///
     /// # Errors
     /// The recordings cannot identify an effect, a fit fails, or a recording was removed meanwhile.
-    pub fn model(&mut self, effects: &[EffectTerm]) -> Result<&WorkbenchModel> {
-        let place = match self.models.iter().position(|known| known.effects == effects) {
-            Some(place) => place,
-            None => {
-                // The replay reads the recordings again.
-                recording_folders(&self.reader.folder)?;
-                let model = self.fit(effects)?;
-                self.models.push(model);
-                self.models.len() - 1
-            }
-        };
-        Ok(&self.models[place])
+    pub fn fit_model(&mut self, effects: &[EffectTerm]) -> Result<()> {
+        if self.fitted(effects).is_none() {
+            // The replay reads the recordings again.
+            recording_folders(&self.reader.folder)?;
+            let model = self.fit(effects)?;
+            self.models.push(model);
+        }
+        Ok(())
     }
 
     fn fit(&self, effects: &[EffectTerm]) -> Result<WorkbenchModel> {
@@ -153,7 +151,6 @@ impl Workbench {
         let provenance =
             Provenance::of(&self.campaign, self.reader.alignment.delay_us, self.options)?;
         let model = ModelFile::with_effects(&self.campaign, &self.setup, &fit, &own, provenance);
-        let sizes = effect_sizes(&fit, &own, self.campaign.recordings.len());
         let stage = FittedModel { effects: own, fit };
         let candidates = self.screen(&stage);
         let name = effects.iter().map(EffectTerm::name).collect::<Vec<_>>().join(" + ");
@@ -168,7 +165,7 @@ impl Workbench {
             &mut notes,
         )?;
         let comparison = Comparison { findings: self.findings.clone(), notes, ..comparison };
-        Ok(WorkbenchModel { effects: effects.to_vec(), model, sizes, comparison, candidates })
+        Ok(WorkbenchModel { effects: effects.to_vec(), model, comparison, candidates })
     }
 
     /// Scores the effects that a model lacks.

@@ -141,30 +141,40 @@ impl ExprArgs {
     pub fn parse(&self, campaign: &Campaign) -> Result<Vec<EffectTerm>> {
         let first = campaign.recordings.first().context("the campaign is empty")?;
         let columns: Vec<String> = first.covariates.keys().cloned().collect();
-        let contains = |formula: &str, range: &ParameterRange| {
-            let separator = |c: char| !(c.is_ascii_alphanumeric() || c == '_');
-            formula.split(separator).any(|name| name == range.name)
-        };
-        for range in &self.range {
-            if !self.expr.iter().any(|formula| contains(formula, range)) {
-                bail!("--range {}: no formula has such a name", range.name);
-            }
-        }
-        let parse = |formula: &String| {
-            let ranges = self.range.iter().filter(|range| contains(formula, range));
-            let ranges: Vec<ParameterRange> = ranges.cloned().collect();
-            let effect = Expression::parse(formula, &ranges, &columns)
-                .map_err(|error| anyhow!("--expr: {error}"))?;
-            Ok(EffectTerm::Expression(Arc::new(effect)))
-        };
-        if self.expr.len() > MAX_EFFECTS {
-            bail!("there are {} --expr, and the limit is {MAX_EFFECTS}", self.expr.len());
-        }
-        self.expr.iter().map(parse).collect()
+        parse_formulas(&self.expr, &self.range, &columns)
     }
 }
 
-fn parse_range(text: &str) -> Result<ParameterRange, String> {
+/// Parses formulas over these columns; each receives the ranges of the parameters that it contains.
+pub fn parse_formulas(
+    formulas: &[String],
+    ranges: &[ParameterRange],
+    columns: &[String],
+) -> Result<Vec<EffectTerm>> {
+    let contains = |formula: &str, range: &ParameterRange| {
+        let separator = |c: char| !(c.is_ascii_alphanumeric() || c == '_');
+        formula.split(separator).any(|name| name == range.name)
+    };
+    for range in ranges {
+        if !formulas.iter().any(|formula| contains(formula, range)) {
+            bail!("--range {}: no formula has such a name", range.name);
+        }
+    }
+    let parse = |formula: &String| {
+        let own = ranges.iter().filter(|range| contains(formula, range));
+        let own: Vec<ParameterRange> = own.cloned().collect();
+        let effect = Expression::parse(formula, &own, columns)
+            .map_err(|error| anyhow!("--expr: {error}"))?;
+        Ok(EffectTerm::Expression(Arc::new(effect)))
+    };
+    if formulas.len() > MAX_EFFECTS {
+        bail!("there are {} --expr, and the limit is {MAX_EFFECTS}", formulas.len());
+    }
+    formulas.iter().map(parse).collect()
+}
+
+/// Parses NAME=FROM..TO.
+pub fn parse_range(text: &str) -> Result<ParameterRange, String> {
     let usage = || "write NAME=FROM..TO, as in p=2..5".to_owned();
     let (name, ends) = text.split_once('=').ok_or_else(usage)?;
     let (from, to) = ends.split_once("..").ok_or_else(usage)?;

@@ -29,6 +29,7 @@ pub mod simulate;
 pub mod tare;
 pub mod train;
 pub mod upload;
+pub mod workbench;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -57,6 +58,7 @@ enum Command {
     Fit(fit::Args),
     Compare(compare::Args),
     Diagnose(diagnose::Args),
+    Workbench(workbench::Args),
     Import(import::Args),
     Effects(effects::Args),
     Add(edit_model::AddArgs),
@@ -103,6 +105,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Fit(args) => fit::run(&args),
         Command::Compare(args) => compare::run(&args),
         Command::Diagnose(args) => diagnose::run(&args),
+        Command::Workbench(args) => workbench::run(&args),
         Command::Import(args) => import::run(&args),
         Command::Effects(args) => effects::run(&args),
         Command::Add(args) => edit_model::run_add(&args),

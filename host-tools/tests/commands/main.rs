@@ -11,5 +11,7 @@ mod session_rules;
 mod simulate;
 #[cfg(unix)]
 mod tutorials;
+#[cfg(unix)]
+mod workbench;
 #[path = "../workdir/mod.rs"]
 mod workdir;

@@ -10,6 +10,7 @@
 //! - [`drive`]: sections of a run of the drive; [`grasp`]: of a grasp and of a ground contact; [`faults`]: of a
 //!   fault campaign.
 //! - [`training`]: sections of a benchmark of networks.
+//! - [`workbench`]: the page of the workbench, which is served and not written.
 //!
 //! Plots are rendered to inline SVG; the page's script only zooms and switches between sensors.
 
@@ -31,6 +32,7 @@ pub mod summary;
 pub mod tables;
 pub mod traces;
 pub mod training;
+pub mod workbench;
 
 use std::path::Path;
 

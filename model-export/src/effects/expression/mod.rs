@@ -136,6 +136,16 @@ impl Expression {
         Ok(expression)
     }
 
+    /// Names of the targets.
+    pub fn target_names() -> Vec<&'static str> {
+        TARGETS.iter().map(|target| target.name).collect()
+    }
+
+    /// Names of the functions.
+    pub fn function_names() -> Vec<&'static str> {
+        syntax::FUNCTIONS.iter().map(|(name, _)| *name).collect()
+    }
+
     /// All names of a validated formula that end in a unit: its covariates.
     pub fn covariate_names(text: &str) -> Vec<String> {
         let separator = |c: char| !(c.is_ascii_alphanumeric() || c == '_');

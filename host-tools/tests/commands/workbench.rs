@@ -1,0 +1,158 @@
+//! `magpie workbench`: what its server answers, and whom it refuses.
+
+use std::io::{Read, Write};
+use std::net::TcpStream;
+
+use serde_json::{Value, json};
+
+use crate::workdir::running::Running;
+use crate::workdir::{WorkDir, campaign};
+
+/// A running server with its address and token.
+struct Served {
+    _running: Running,
+    host: String,
+    token: String,
+}
+
+impl Served {
+    fn start(dir: &WorkDir, campaign: &str) -> Self {
+        let mut running = Running::start(dir, &format!("workbench {campaign} --json"));
+        let url = running.objects().next().unwrap()["url"].as_str().unwrap().to_owned();
+        let (host, token) = url.strip_prefix("http://").unwrap().split_once("/?token=").unwrap();
+        Self { host: host.to_owned(), token: token.to_owned(), _running: running }
+    }
+
+    /// Status and body of a request with these header lines.
+    fn request(&self, line: &str, headers: &str, body: &str) -> (u16, String) {
+        let mut stream = TcpStream::connect(&self.host).unwrap();
+        let length = body.len();
+        let request = format!(
+            "{line} HTTP/1.1\r\n{headers}content-type: application/json\r\ncontent-length: {length}\r\nconnection: close\r\n\r\n{body}"
+        );
+        stream.write_all(request.as_bytes()).unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).unwrap();
+        let (head, body) = answer.split_once("\r\n\r\n").unwrap();
+        (head.split(' ').nth(1).unwrap().parse().unwrap(), body.to_owned())
+    }
+
+    /// Answer to a request of the page.
+    fn ask(&self, path: &str, body: &Value) -> (u16, Value) {
+        let headers = format!("host: {}\r\nx-token: {}\r\n", self.host, self.token);
+        let (status, body) = self.request(&format!("POST /{path}"), &headers, &body.to_string());
+        (status, serde_json::from_str(&body).unwrap())
+    }
+}
+
+#[test]
+fn only_the_printed_address_is_answered() {
+    let dir = WorkDir::empty();
+    let served = Served::start(&dir, &campaign("friction"));
+    let Served { host, token, .. } = &served;
+    assert!(host.starts_with("127.0.0.1:"), "{host}");
+    let own = format!("host: {host}\r\n");
+    let page = format!("GET /?token={token}");
+    assert_eq!(served.request(&page, &own, "").0, 200);
+    let other_token = "0".repeat(token.len());
+    for (line, headers) in [
+        ("GET /".to_owned(), own.clone()),
+        (format!("GET /?token={other_token}"), own.clone()),
+        // A page under a name that resolves to this machine.
+        (page, "host: example.org\r\n".to_owned()),
+        ("POST /model".to_owned(), own.clone()),
+        (format!("POST /model?token={token}"), own.clone()),
+        ("POST /write".to_owned(), format!("{own}x-token: {other_token}\r\n")),
+    ] {
+        assert_eq!(served.request(&line, &headers, "{}").0, 403, "{line} {headers}");
+    }
+}
+
+#[test]
+fn models_are_fitted_compared_and_written() {
+    let dir = WorkDir::empty();
+    let served = Served::start(&dir, &campaign("friction"));
+    let base = json!({ "effects": [], "formulas": [] });
+    let (status, state) = served.ask("model", &base);
+    assert_eq!(status, 200, "{state}");
+    let error = |state: &Value| state["force"]["excess_n"].as_f64().unwrap();
+    assert!(error(&state) > 2.0, "{}", state["force"]);
+    let candidates = state["candidates"].as_array().unwrap();
+    let is_found = |name: &str| {
+        candidates.iter().any(|one| one["name"] == name && one["is_significant"] == true)
+    };
+    assert!(is_found("hysteresis") && is_found("magnet_temperature"), "{candidates:?}");
+
+    let better = json!({ "effects": ["magnet_temperature", "hysteresis"], "formulas": [], "baseline": base });
+    let (_, state) = served.ask("model", &better);
+    assert!(error(&state) < 0.2, "{}", state["force"]);
+    assert!(state["baseline_force"]["excess_n"].as_f64().unwrap() > 2.0);
+    assert_eq!(state["present"].as_array().unwrap().len(), 2);
+    assert!(state["view"].as_str().unwrap().contains("id=\"overlay\""));
+
+    let write = |kind: &str, path: &str| {
+        let mut request = better.clone();
+        request["kind"] = json!(kind);
+        request["path"] = json!(path);
+        served.ask("write", &request)
+    };
+    assert_eq!(write("model", "better.toml").0, 200);
+    assert_eq!(write("tables", "tables.rs").0, 200);
+    assert_eq!(write("report", "report.html").0, 200);
+    // What it shows is what the commands show.
+    let replayed = dir.json(&format!("replay better.toml {} --json", campaign("friction")));
+    assert_eq!(replayed["sensors"].as_array().unwrap().len(), 4);
+    assert!(dir.read("tables.rs").contains("static SENSORS"));
+    assert!(dir.read("report.html").contains("Measured and modelled over time"));
+    std::fs::write(dir.path("mine"), "text").unwrap();
+    let (status, answer) = write("report", "mine");
+    assert_eq!(status, 422);
+    assert!(answer["error"].as_str().unwrap().contains("not overwritten"), "{answer}");
+    assert_eq!(dir.read("mine"), "text");
+}
+
+#[test]
+fn formulas_are_fitted_and_errors_name_their_place() {
+    let dir = WorkDir::empty();
+    let served = Served::start(&dir, &campaign("ripple"));
+    let with =
+        |formula: &str| served.ask("model", &json!({ "effects": [], "formulas": [formula] }));
+    let (status, state) = with("own: dz_um = a*sin(motor_angle_rad) + b*cos(motor_angle_rad)");
+    assert_eq!(status, 200, "{state}");
+    assert!(state["force"]["excess_n"].as_f64().unwrap() < 0.3, "{}", state["force"]);
+    let (status, state) =
+        with("own: dz_um = a*sin(2*pi*opening_mm/p) + b*cos(2*pi*opening_mm/p); p=2..5");
+    assert_eq!(status, 200, "{state}");
+    for (formula, expected) in [
+        ("own: dz_um = a*motor_angel_rad", "did you mean motor_angle_rad"),
+        ("own: z = a*opening_mm", "is not a target"),
+        ("own: dz_um = a*opening_mm; p=2", "write NAME=FROM..TO"),
+    ] {
+        let (status, answer) = with(formula);
+        assert_eq!(status, 422, "{formula}");
+        assert!(answer["error"].as_str().unwrap().contains(expected), "{formula}: {answer}");
+    }
+    let (status, answer) =
+        served.ask("model", &json!({ "effects": ["hysterisis"], "formulas": [] }));
+    assert_eq!(status, 422);
+    assert!(answer["error"].as_str().unwrap().contains("hysteresis"), "{answer}");
+    // It goes on after errors.
+    assert_eq!(served.ask("names", &json!({})).1["targets"][0], "fx_n");
+}
+
+#[test]
+fn removed_campaign_is_an_error_and_not_the_end() {
+    let dir = WorkDir::empty();
+    dir.stdout("simulate -o bench --seconds 5 --sensors 1");
+    let served = Served::start(&dir, "bench");
+    assert_eq!(served.ask("model", &json!({ "effects": [], "formulas": [] })).0, 200);
+    std::fs::rename(dir.path("bench"), dir.path("away")).unwrap();
+    let hysteresis = json!({ "effects": ["hysteresis"], "formulas": [] });
+    let (status, answer) = served.ask("model", &hysteresis);
+    assert_eq!(status, 422);
+    assert!(answer["error"].as_str().unwrap().contains("bench"), "{answer}");
+    std::fs::rename(dir.path("away"), dir.path("bench")).unwrap();
+    assert_eq!(served.ask("model", &hysteresis).0, 200);
+    let message = dir.failure("workbench nowhere");
+    assert!(message.contains("nowhere"), "{message}");
+}
