@@ -97,6 +97,21 @@ def effects(browser, magpie, folder, name):
     tab.check(base > 2, f"the base has an excess of {base} N")
     tab.fits()
 
+    # The scatter follows the stretch of the plots over time.
+    scatter = "#scatter-plot svg"
+    page.wait_for_selector(scatter)
+    page.select_option("#covariate", "fx_n")
+    page.wait_for_function("() => document.querySelector('#scatter-plot svg').ariaLabel.includes('lateral force')")
+    whole = page.get_attribute(scatter, "aria-label")
+    page.click("[data-zoom=in]")
+    page.wait_for_function("whole => document.querySelector('#scatter-plot svg').ariaLabel !== whole", arg=whole)
+
+    # What a diagnosis finds can be added.
+    page.click("#diagnose")
+    page.wait_for_selector("#diagnosis-result li button")
+    found = page.locator("#diagnosis-result li").all_inner_texts()
+    tab.check("Add hysteresis" in found and len(found) == 3, f"diagnosis: {found}")
+
     # The prediction under the pointer or with the keyboard, then the effect itself.
     page.focus("#candidates li[data-effect=magnet_temperature] button")
     tab.check("Predicted" in page.inner_text("#headline"), "no prediction for the effect in focus")

@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
 use model_export::fit::campaign::FitSetup;
@@ -12,15 +12,18 @@ use model_export::model_file::{BaseKind, ModelFile, Provenance};
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::campaign::recording_folders;
+use serde::Deserialize;
 
 use crate::compare::campaign_reader::{Caching, CampaignReader, ScannedCampaign};
+use crate::compare::covariates::{Covariate, all_covariates};
 use crate::compare::pipeline::evaluate;
 use crate::compare::{Comparison, ForceError};
 use crate::data_quality::Finding;
-use crate::diagnose::SELECTION_ROWS;
 use crate::diagnose::candidates::{UntestableEffect, candidates, screen};
-use crate::diagnose::residuals::{block_s, residual_tables};
+use crate::diagnose::observer::Observer;
+use crate::diagnose::residuals::{block_s, residual_tables, residuals_against};
 use crate::diagnose::selection::FittedModel;
+use crate::diagnose::{Diagnosis, SELECTION_ROWS, diagnose};
 use crate::edit_model::check_effects;
 
 /// The models of a campaign.
@@ -53,6 +56,32 @@ pub struct WorkbenchModel {
     pub comparison: Comparison,
     /// What every other effect would add, largest first.
     pub candidates: Vec<ScoredEffect>,
+    stage: FittedModel,
+}
+
+/// Residuals of one channel over a covariate, of the fit to all rows.
+pub struct ResidualScatter {
+    /// The covariate.
+    pub covariate: Covariate,
+    /// Covariate and residual in gauss, in order of time.
+    pub all: Vec<[f64; 2]>,
+    /// The same within a stretch of one recording.
+    pub stretch: Vec<[f64; 2]>,
+}
+
+/// A channel and a stretch of a recording.
+#[derive(Clone, Debug, Deserialize)]
+pub struct Stretch {
+    /// Name of the recording.
+    pub recording: String,
+    /// Number of the sensor.
+    pub sensor: u32,
+    /// Index of the field axis.
+    pub axis: usize,
+    /// Start and end in seconds of the recording.
+    pub from: f64,
+    /// See [`Stretch::from`].
+    pub to: f64,
 }
 
 /// What an effect would add to a model.
@@ -165,7 +194,63 @@ impl Workbench {
             &mut notes,
         )?;
         let comparison = Comparison { findings: self.findings.clone(), notes, ..comparison };
-        Ok(WorkbenchModel { effects: effects.to_vec(), model, comparison, candidates })
+        Ok(WorkbenchModel { effects: effects.to_vec(), model, comparison, candidates, stage })
+    }
+
+    /// Diagnoses what a fitted model lacks, and with `plans` which recording decides what is open.
+    ///
+    /// # Errors
+    /// The model was not fitted, or a fit fails.
+    pub fn diagnose(&self, effects: &[EffectTerm], plans: bool) -> Result<Diagnosis> {
+        let model = self.fitted(effects).context("the model was not fitted")?;
+        let campaign = (&self.campaign, self.reader.alignment);
+        let path = Path::new("model.toml");
+        let observer = Observer::default();
+        let (diagnosis, _) =
+            diagnose(campaign, &model.model, path, &[], plans, self.options, &observer)?;
+        Ok(diagnosis)
+    }
+
+    /// Covariates of the recordings over which residuals can be shown.
+    pub fn residual_covariates(&self) -> Vec<Covariate> {
+        self.campaign.recordings.first().map_or_else(Vec::new, all_covariates)
+    }
+
+    /// Residuals of a fitted model over the covariate of this name.
+    ///
+    /// # Errors
+    /// The model was not fitted, or there is no such covariate, sensor or recording.
+    pub fn scatter(
+        &self,
+        effects: &[EffectTerm],
+        covariate: &str,
+        stretch: &Stretch,
+    ) -> Result<ResidualScatter> {
+        let model = self.fitted(effects).context("the model was not fitted")?;
+        let covariates = self.residual_covariates();
+        let covariate = covariates.into_iter().find(|known| known.name == covariate);
+        let covariate = covariate.context("there is no such covariate")?;
+        let tables = residuals_against(&self.setup, &model.stage, std::slice::from_ref(&covariate));
+        let table = tables.iter().find(|table| table.sensor == stretch.sensor);
+        let table = table.with_context(|| format!("there is no sensor {}", stretch.sensor))?;
+        let place = self.campaign.recordings.iter().position(|one| one.name == stretch.recording);
+        let place =
+            place.with_context(|| format!("there is no recording {}", stretch.recording))?;
+        let values = table.covariates.first().map_or(&[][..], |column| &column.values);
+        let mut scatter = ResidualScatter { covariate, all: Vec::new(), stretch: Vec::new() };
+        for (row, (value, residual)) in values.iter().zip(&table.residual_g).enumerate() {
+            let point =
+                [f64::from(*value), *residual.get(stretch.axis).context("there is no such axis")?];
+            if !point.iter().all(|number| number.is_finite()) {
+                continue;
+            }
+            scatter.all.push(point);
+            let is_inside = (stretch.from..=stretch.to).contains(&table.time_s[row]);
+            if table.recording[row] as usize == place && is_inside {
+                scatter.stretch.push(point);
+            }
+        }
+        Ok(scatter)
     }
 
     /// Scores the effects that a model lacks.

@@ -4,7 +4,7 @@ use std::net::{Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use analysis::workbench::Workbench;
+use analysis::workbench::{Stretch, Workbench};
 use anyhow::{Context, Result, anyhow};
 use axum::extract::{DefaultBodyLimit, Query, Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
@@ -114,6 +114,8 @@ fn router(server: Server) -> Router {
         .route("/", get(page))
         .route("/model", post(model))
         .route("/names", post(names))
+        .route("/diagnose", post(diagnose))
+        .route("/scatter", post(scatter))
         .route("/write", post(write))
         .layer(DefaultBodyLimit::max(MAX_REQUEST_BYTES))
         .layer(middleware::from_fn_with_state(server.clone(), authorise))
@@ -203,6 +205,41 @@ async fn model(State(server): State<Server>, Json(request): Json<ModelRequest>) 
 
 async fn names(State(server): State<Server>) -> Response {
     answer(server, |bench| Ok(pages::formula_names(bench))).await
+}
+
+#[derive(Deserialize)]
+struct DiagnosisRequest {
+    #[serde(flatten)]
+    choice: Choice,
+    /// Whether to plan the next recording.
+    plans: bool,
+}
+
+async fn diagnose(State(server): State<Server>, Json(request): Json<DiagnosisRequest>) -> Response {
+    answer(server, move |bench| {
+        let terms = request.choice.terms(bench)?;
+        bench.fit_model(&terms)?;
+        Ok(pages::diagnosis(&bench.diagnose(&terms, request.plans)?))
+    })
+    .await
+}
+
+#[derive(Deserialize)]
+struct ScatterRequest {
+    // Not flattened: numbers of flattened structures are not read where a dependency enables serde_json's arbitrary precision.
+    choice: Choice,
+    covariate: String,
+    stretch: Stretch,
+}
+
+async fn scatter(State(server): State<Server>, Json(request): Json<ScatterRequest>) -> Response {
+    answer(server, move |bench| {
+        let terms = request.choice.terms(bench)?;
+        bench.fit_model(&terms)?;
+        let found = bench.scatter(&terms, &request.covariate, &request.stretch)?;
+        Ok(json!({ "plot": pages::scatter(&found) }))
+    })
+    .await
 }
 
 async fn write(State(server): State<Server>, Json(request): Json<WriteRequest>) -> Response {

@@ -2,16 +2,20 @@
 //! comparison, which the page replaces with each model.
 
 use analysis::compare::Comparison;
-use analysis::diagnose::Reason;
-use analysis::workbench::{Workbench, WorkbenchModel};
+use analysis::diagnose::{Diagnosis, Reason};
+use analysis::workbench::{ResidualScatter, Workbench, WorkbenchModel};
 use maud::{DOCTYPE, PreEscaped, html};
 use model_export::effects::excitation::BUILT_IN_COVARIATES;
 use model_export::effects::{EffectTerm, Expression, find};
+use plotters::prelude::*;
 use serde_json::{Value, json};
 
+use crate::html::plot::{Along, axes, figure, px, stroke};
 use crate::html::{attribution, errors, histograms, map, palette, summary, traces};
 use crate::text::comparison::{validation, verdict};
+use crate::text::diagnosis::{force_headline, missing_columns};
 use crate::text::notes;
+use crate::text::recording_plan::format_proposal;
 
 /// The page, without a model; its script asks for one.
 pub fn page(campaign: &str) -> String {
@@ -42,6 +46,11 @@ pub fn page(campaign: &str) -> String {
                         h2 { "In the model" }
                         ul #present {}
                         h2 { "Could be missing" }
+                        div.buttons {
+                            button #diagnose type="button" { "Diagnose" }
+                            button #plan type="button" { "Plan the next recording" }
+                        }
+                        div #diagnosis-result role="status" {}
                         p.note { "Predicted fall of the squared field error on held-out rows, by the linearised model." }
                         ul #candidates {}
                         details { summary { "Not significant" } ul #others {} }
@@ -58,7 +67,18 @@ pub fn page(campaign: &str) -> String {
                         h2 { "Compared with" }
                         select #baseline aria-label="Model to compare with" {}
                     }
-                    main #view aria-busy="true" {}
+                    div #results {
+                        main #view aria-busy="true" {}
+                        section #scatter {
+                            h2 { "Residual over a covariate" }
+                            p.note { "Of the fit to all rows. Colour: the stretch that the plots over time show, in order of time; zoom there to see a loop here." }
+                            div.controls {
+                                label { "Over " select #covariate {} }
+                                label { "Axis " select #scatter-axis { option value="0" { "x" } option value="1" { "y" } option value="2" selected { "z" } } }
+                            }
+                            div #scatter-plot {}
+                        }
+                    }
                 }
                 footer #bottom {
                     form #write-form {
@@ -134,8 +154,78 @@ pub fn formula_names(bench: &Workbench) -> Value {
         "targets": Expression::target_names(),
         "covariates": covariates.collect::<Vec<_>>(),
         "functions": Expression::function_names(),
+        "residual_covariates": bench.residual_covariates().iter().map(|one| json!({ "name": one.name, "words": one.words })).collect::<Vec<_>>(),
     })
 }
+
+/// A diagnosis: its sentences, and what can be added.
+pub fn diagnosis(diagnosis: &Diagnosis) -> Value {
+    let formula = |effect: &EffectTerm| match effect {
+        EffectTerm::Expression(expression) => {
+            let ranges = expression.ranges.iter();
+            let ranges =
+                ranges.map(|range| format!("; {}={}..{}", range.name, range.from, range.to));
+            Some(format!("{}{}", expression.text, ranges.collect::<String>()))
+        }
+        _ => None,
+    };
+    let formulas = || diagnosis.formulas.iter().chain(&diagnosis.equivalent_formulas);
+    let is_formula = |name: &String| {
+        formulas().any(|one| one.effects.iter().any(|effect| effect.name() == name.as_str()))
+    };
+    let steps = diagnosis
+        .accepted
+        .iter()
+        .map(|step| step.iter().filter(|name| !is_formula(name)).cloned().collect::<Vec<_>>());
+    let formulas = formulas().map(|one| {
+        json!({ "name": one.name, "formulas": one.effects.iter().filter_map(formula).collect::<Vec<_>>(), "gain": one.gain, "p": one.p_value })
+    });
+    json!({
+        "headline": force_headline(diagnosis),
+        "missing": missing_columns(diagnosis),
+        "steps": steps.filter(|step| !step.is_empty()).collect::<Vec<_>>(),
+        "formulas": formulas.collect::<Vec<_>>(),
+        "at_floor": diagnosis.at_floor,
+        "plan": diagnosis.proposal.as_ref().map(format_proposal),
+    })
+}
+
+/// Drawn points of each kind.
+const POINTS: usize = 1500;
+
+/// Residuals over a covariate as a plot.
+pub fn scatter(scatter: &ResidualScatter) -> String {
+    let name = &scatter.covariate.words;
+    let words = match scatter.covariate.unit {
+        "" => name.to_string(),
+        unit => format!("{name}, {unit}"),
+    };
+    let across = Along::holding(words, scatter.all.iter().map(|point| point[0]));
+    let upwards = Along::holding("residual, G", scatter.all.iter().map(|point| point[1]));
+    let some = |points: &[[f64; 2]]| -> Vec<(f64, f64)> {
+        points.iter().step_by(points.len().div_ceil(POINTS).max(1)).map(|&[x, y]| (x, y)).collect()
+    };
+    let says = format!(
+        "Residual over {name}: {} rows, of which {} are in the shown stretch.",
+        scatter.all.len(),
+        scatter.stretch.len()
+    );
+    let plot = figure(SCATTER_SIZE, &says, |paper| {
+        let mut chart = axes(paper, &across, &upwards)?;
+        let dot = |role, size| {
+            move |(x, y): (f64, f64)| Circle::new((x, y), px(size), stroke(role, 1.0).filled())
+        };
+        chart.draw_series(some(&scatter.all).into_iter().map(dot(palette::MUTED, 1.0)))?;
+        let stretch = some(&scatter.stretch);
+        chart.draw_series([PathElement::new(stretch.clone(), stroke(palette::FIRST, 0.7))])?;
+        chart.draw_series(stretch.into_iter().map(dot(palette::FIRST, 1.6)))?;
+        Ok(())
+    });
+    plot.into_string()
+}
+
+/// Size of the plot in pixels.
+const SCATTER_SIZE: (u32, u32) = (760, 380);
 
 /// The comparison of a model with a baseline: the baseline is the first of the two.
 pub fn with_baseline(model: &WorkbenchModel, baseline: Option<&WorkbenchModel>) -> Comparison {

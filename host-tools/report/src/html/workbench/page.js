@@ -5,6 +5,7 @@
   // A model is its effects and formulas. The history holds each model that was shown, for undo and redo.
   const empty = { effects: [], formulas: [] };
   let history = [empty], place = 0, shown, names, request = 0;
+  let shownModel = empty; // whose state `shown` is: a wrong formula is in the history until the server refuses it
   let chosen; // the model to compare with, once it was selected; else the base
   const current = () => history[place];
   const key = (model) => JSON.stringify([model.effects, model.formulas]);
@@ -22,9 +23,10 @@
       headers: { "content-type": "application/json", "x-token": token },
       body: JSON.stringify(body),
     });
-    const content = await answer.json();
-    if (!answer.ok) throw new Error(content.error);
-    return content;
+    const content = await answer.text();
+    if (answer.ok) return JSON.parse(content);
+    // The server's own errors are objects, those of its library text.
+    throw new Error(content.startsWith("{") ? JSON.parse(content).error : content);
   }
 
   const newtons = (value) => `${value.toFixed(3)} N`;
@@ -78,7 +80,7 @@
   const precise = (value) => (Number.isFinite(value) ? Number(value.toPrecision(3)).toString() : "\u2013");
 
   function draw() {
-    const { effects, formulas } = current();
+    const { effects, formulas } = shownModel;
     at("present").replaceChildren(
       ...shown.present.map((effect) => {
         const size = effect.value === null ? "" : `${precise(effect.value)}\u00b1${precise(effect.std_error)} ${effect.unit}`;
@@ -113,6 +115,7 @@
     baselines();
     preview();
     commands();
+    at("diagnosis-result").replaceChildren();
     const view = at("view");
     view.innerHTML = shown.view;
     // Scripts in replaced content do not run by themselves.
@@ -157,9 +160,10 @@
     const other = at("baseline").value;
     try {
       const baseline = other ? JSON.parse(other) : undefined;
-      const state = await ask("model", { ...current(), baseline: baseline && { effects: baseline[0], formulas: baseline[1] } });
+      const model = current();
+      const state = await ask("model", { ...model, baseline: baseline && { effects: baseline[0], formulas: baseline[1] } });
       if (own !== request) return true;
-      shown = state;
+      [shown, shownModel] = [state, model];
       draw();
       return true;
     } catch (error) {
@@ -190,6 +194,56 @@
     place += by;
     show();
   }
+
+  /** What is missing from the shown model, with buttons that add it. */
+  async function diagnose(plans) {
+    const model = shownModel, result = at("diagnosis-result");
+    for (const id of ["diagnose", "plan"]) at(id).disabled = true;
+    result.replaceChildren(element("p", { className: "note", textContent: plans ? "Diagnosing and planning: up to a minute." : "Diagnosing: some seconds." }));
+    try {
+      const found = await ask("diagnose", { ...model, plans });
+      const add = (text, effects, formulas) => {
+        const button = element("button", { type: "button", textContent: text });
+        button.addEventListener("click", () => go({ effects: [...model.effects, ...effects], formulas: [...model.formulas, ...formulas] }));
+        return element("li", {}, button);
+      };
+      const parts = found.steps.flatMap((step) => step.map((name) => add(step.length > 1 ? `Add ${name}: one of ${step.length} that explain the same` : `Add ${name}`, [name], [])));
+      parts.push(...found.formulas.map((one) => add(`Add ${one.formulas.join(" and ")}`, [], one.formulas)));
+      const nothing = found.at_floor ? "Nothing is missing: the residual is noise." : "Neither the catalogue nor formulas explain what is left.";
+      result.replaceChildren(
+        element("p", { className: "note", textContent: [found.missing.trim(), found.headline].filter(Boolean).join(" ") }),
+        parts.length ? element("ul", {}, ...parts) : element("p", { className: "note", textContent: nothing }),
+      );
+      if (found.plan) result.append(element("pre", { className: "command", textContent: found.plan }));
+    } catch (error) {
+      result.replaceChildren(element("p", { className: "note", textContent: error.message }));
+    }
+    for (const id of ["diagnose", "plan"]) at(id).disabled = false;
+  }
+  at("diagnose").addEventListener("click", () => diagnose(false));
+  at("plan").addEventListener("click", () => diagnose(true));
+
+  // The scatter follows the stretch that the plots over time show.
+  let stretch, waiting;
+  function follow() {
+    clearTimeout(waiting);
+    waiting = setTimeout(async () => {
+      if (!stretch || !at("covariate").value) return;
+      const model = shownModel;
+      try {
+        const { plot } = await ask("scatter", {
+          choice: model,
+          covariate: at("covariate").value,
+          stretch: { ...stretch, axis: Number(at("scatter-axis").value) },
+        });
+        if (model === shownModel) at("scatter-plot").innerHTML = plot;
+      } catch (error) {
+        at("scatter-plot").textContent = error.message;
+      }
+    }, 150);
+  }
+  document.addEventListener("stretch", (event) => ((stretch = event.detail), follow()));
+  for (const id of ["covariate", "scatter-axis"]) at(id).addEventListener("change", follow);
 
   at("undo").addEventListener("click", () => step(-1));
   at("redo").addEventListener("click", () => step(1));
@@ -243,6 +297,8 @@
 
   ask("names", {}).then((found) => {
     names = found;
+    at("covariate").replaceChildren(...found.residual_covariates.map(({ name, words }) => element("option", { value: name, textContent: words })));
+    follow();
     for (const [heading, list] of [["Targets", names.targets], ["Covariates", names.covariates], ["Functions", names.functions]]) {
       at("names").append(element("h3", { textContent: heading }));
       for (const name of list) {
