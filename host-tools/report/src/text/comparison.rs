@@ -574,18 +574,15 @@ fn conclusion(comparison: &Comparison) -> String {
         ),
     };
     let open = if unexplained >= MIN_SHARE && !chosen.is_empty() {
-        format!(
-            "; {:.0} % ({}) are explained by no covariate",
-            100.0 * unexplained,
-            field((unexplained * (rms * rms - floor * floor).max(0.0)).sqrt())
-        )
+        format!("; {:.0} % follow no covariate", 100.0 * unexplained)
     } else {
         String::new()
     };
+    // At most two lines: the tables have the rest.
     format!(
-        "Structure remains: {error}, {:.1} times the floor of {}; {lead}{open}.",
-        rms / floor,
-        field(floor)
+        "Structure remains: field {} held out, {:.1} times the floor; {lead}{open}.",
+        field(rms),
+        rms / floor
     )
 }
 
