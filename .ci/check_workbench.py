@@ -24,14 +24,18 @@ SHOWN_MS = 60000
 class Server:
     """`magpie workbench` in a folder of its own."""
 
-    def __init__(self, magpie, campaign):
+    running = []
+
+    def __init__(self, magpie, campaign, *options):
         self.folder = Path(tempfile.mkdtemp())
         shutil.copytree(DATA / campaign, self.folder / "campaign")
-        command = [magpie, "workbench", "campaign", "--json"]
+        command = [magpie, "workbench", "campaign", "--json", *options]
         self.process = subprocess.Popen(command, cwd=self.folder, stdout=subprocess.PIPE, text=True)
+        Server.running.append(self)
         self.url = json.loads(self.process.stdout.readline())["url"]
 
     def end(self):
+        Server.running.remove(self)
         self.process.kill()
         self.process.wait()
         shutil.rmtree(self.folder)
@@ -163,12 +167,11 @@ def effects(browser, magpie, folder, name):
     tab.expected_errors = 1
     page.click("summary:has-text('Not significant')")
     page.click("#others li:first-child button")
-    page.wait_for_function("() => document.querySelector('#headline').innerText.includes('campaign')")
+    page.wait_for_function("() => document.querySelector('#error').innerText.includes('campaign')")
     tab.check(tab.present() == ["magnet_temperature", "hysteresis"], "an error changes the model")
     (server.folder / "away").rename(server.folder / "campaign")
     tab.act(lambda: page.click("#present li[data-effect=hysteresis] button"))
     tab.check(tab.present() == ["magnet_temperature"], f"after removal: {tab.present()}")
-    server.end()
     return tab.wrong + other.wrong
 
 
@@ -180,8 +183,8 @@ def formula(browser, magpie, folder, name):
     tab.expected_errors = 1
     page.fill("#formula", "own: dz_um = a*sin(motor_angel_rad)")
     page.press("#formula", "Enter")
-    page.wait_for_function("() => document.querySelector('#formula-error').innerText.includes('did you mean motor_angle_rad')")
-    tab.check("^" in page.inner_text("#formula-error"), "the error does not show its place")
+    page.wait_for_function("() => document.querySelector('#error').innerText.includes('did you mean motor_angle_rad')")
+    tab.check("^" in page.inner_text("#error"), "the error does not show its place")
     tab.check(tab.present() == [], "a wrong formula changes the model")
     # Names are completed while typing, and inserted by a click.
     page.fill("#formula", "")
@@ -196,7 +199,29 @@ def formula(browser, magpie, folder, name):
     tab.check(tab.present() == ["own"] and tab.excess() < 0.3, f"{tab.present()}, {tab.excess()} N")
     tab.fits()
     page.screenshot(path=folder / f"formula-{name}.png")
-    server.end()
+    return tab.wrong
+
+
+def live(browser, magpie, folder, name):
+    size, scheme = SCREENS[name]
+    server = Server(magpie, "ripple", "--virtual")
+    tab = Page(browser, server.url, size, scheme)
+    page = tab.page
+    # Repeated grasps: the forces change.
+    forces = "() => [...document.querySelectorAll('#live-sensors td:nth-child(2)')].map(cell => parseFloat(cell.innerText))"
+    page.wait_for_function("() => document.querySelectorAll('#live-sensors tr').length === 4")
+    page.wait_for_function("() => Math.abs(parseFloat(document.querySelector('#live-sensors td:nth-child(2)').innerText)) > 5")
+    tab.check(len(page.evaluate(forces)) == 4, "not four sensors")
+    page.wait_for_function("() => document.querySelector('#live-state').innerText.includes('1000 ticks per second')")
+    tab.check("no faults" in page.inner_text("#live-state"), page.inner_text("#live-state"))
+    tab.fits()
+    page.screenshot(path=folder / f"live-{name}.png")
+    # Recordings that are added are fitted after a click.
+    recordings = "#view #recording option"
+    tab.check(page.locator(recordings).count() == 3, "not three recordings")
+    (server.folder / "campaign" / "3").rename(server.folder / "3")
+    tab.act(lambda: page.click("#reload"))
+    tab.check(page.locator(recordings).count() == 2, "a removed recording is still shown")
     return tab.wrong
 
 
@@ -206,9 +231,14 @@ def main():
     bad = False
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path="/usr/bin/chromium", args=["--no-sandbox"])
-        for check in (effects, formula):
+        for check in (effects, formula, live):
             for name in SCREENS:
-                wrong = check(browser, magpie, folder, name)
+                try:
+                    wrong = check(browser, magpie, folder, name)
+                except Exception as error:  # The other checks still say something.
+                    wrong = [str(error)]
+                while Server.running:
+                    Server.running[0].end()
                 print(f"workbench, {check.__name__}, {name}: {'; '.join(wrong) or 'good'}")
                 bad |= bool(wrong)
         browser.close()

@@ -251,6 +251,31 @@ fn proposal_recognises_columns_of_common_loggers() {
                 ("temperature_degC", "degC", "s1_temp_c"),
             ],
         },
+        // Names of sensors decide, not the order.
+        Case {
+            header: "t_s,right_bx_G,right_by_G,right_bz_G,left_bx_G,left_by_G,left_bz_G,left_temp_degC,right_temp_degC,left_fz_N,right_fz_N",
+            step: 0.001,
+            is_whole: false,
+            clock_unit: "s",
+            columns: &[
+                ("right_bx_G", "G", "s0_x_gauss"),
+                ("left_bx_G", "G", "s1_x_gauss"),
+                ("left_temp_degC", "degC", "s1_temp_c"),
+                ("left_fz_N", "N", "f1_z_n"),
+                ("right_fz_N", "N", "f0_z_n"),
+            ],
+        },
+        Case {
+            header: "t_s,b1x_G,b1y_G,b1z_G,motor_temp_C,motor_position_rad,channel_c,f1_z_N",
+            step: 0.001,
+            is_whole: false,
+            clock_unit: "s",
+            columns: &[
+                ("motor_temp_C", "degC", "motor_temp_c"),
+                ("motor_position_rad", "rad", "motor_angle_rad"),
+                ("f1_z_N", "N", "f0_z_n"),
+            ],
+        },
         // A sensor of force and torque: its mx is a torque.
         Case {
             header: "time_ms,bx_G,by_G,bz_G,Fx,Fz,Mx,My,Mz,roll_deg,stage_um",
@@ -303,6 +328,32 @@ fn proposal_recognises_columns_of_common_loggers() {
         }
         assert!(!proposal.columns.iter().any(|column| column.from.starts_with('M')), "{text}");
     }
+}
+
+#[test]
+fn proposal_takes_quaternions_by_any_name_and_lists_what_it_leaves_out() {
+    for names in [
+        "qw,qx,qy,qz",
+        "orientation.w,orientation.x,orientation.y,orientation.z",
+        "quat_w,quat_x,quat_y,quat_z",
+    ] {
+        let header = format!("t_s,bx_G,by_G,bz_G,fz_N,{names},hall_9,b2x_G");
+        let proposal = proposal(&table(&header, 0.001, 0.0, false));
+        let scalar = names.split(',').next().unwrap();
+        assert!(
+            proposal.text.contains(&format!("attitude = {{ w = \"{scalar}\"")),
+            "{}",
+            proposal.text
+        );
+        let ignored: Vec<&str> = proposal.ignored.iter().map(|(name, _)| name.as_str()).collect();
+        assert_eq!(ignored, ["b2x_G", "hall_9"]);
+    }
+}
+
+#[test]
+fn clock_of_microseconds_since_power_on_is_not_one_since_1970() {
+    let proposal = proposal(&table("time,bx_G,by_G,bz_G,fz_N", 1000.0, 1.2e9, false));
+    assert!(proposal.text.contains("from = \"time\", unit = \"us\""), "{}", proposal.text);
 }
 
 #[test]
@@ -363,6 +414,7 @@ fn table_without_a_field_or_clock_is_refused() {
     for (content, expected) in [
         ("run,load,deflection\n1,2,3\n2,3,4\n", "a table without a magnetic field"),
         ("bx_G,by_G,bz_G\n1,2,3\n1,2,3\n", "no column increases in every row"),
+        ("t_s,hall_1,hall_2\n1,2,3\n2,3,4\n", "a table without a magnetic field"),
         ("bx_G;by_G\n1;2\n", "separated by"),
         ("t_s,bx_G,by_G,bz_G\n", "there are no rows"),
     ] {

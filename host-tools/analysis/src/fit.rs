@@ -49,8 +49,13 @@ pub fn fit_model(
         notes.extend(campaign.notices().cloned().map(Note::Recording));
         notes.extend(findings.into_iter().map(Box::new).map(Note::SetupError));
         if let Some(finding) = wrong_unit {
+            let advice = if finding.fix.is_some() {
+                "a fit with --fix NEW corrects a copy"
+            } else {
+                "correct its scale, or remove the columns of its sensor"
+            };
             bail!(
-                "{}: its unit is not that of the other channels, see the note; a fit with --fix NEW corrects a copy",
+                "{}: its unit is not that of the other channels, see the note; {advice}",
                 finding.place
             );
         }

@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
 use model_export::fit::campaign::FitSetup;
@@ -16,9 +16,9 @@ use serde::Deserialize;
 
 use crate::compare::campaign_reader::{Caching, CampaignReader, ScannedCampaign};
 use crate::compare::covariates::{Covariate, all_covariates};
-use crate::compare::pipeline::evaluate;
+use crate::compare::pipeline::{evaluate, model_findings};
 use crate::compare::{Comparison, ForceError};
-use crate::data_quality::Finding;
+use crate::data_quality::{Finding, merge};
 use crate::diagnose::candidates::{UntestableEffect, candidates, screen};
 use crate::diagnose::observer::Observer;
 use crate::diagnose::residuals::{block_s, residual_tables, residuals_against};
@@ -32,8 +32,7 @@ pub struct Workbench {
     pub findings: Vec<Finding>,
     /// Effects of the catalogue that these recordings cannot test.
     pub untestable: Vec<UntestableEffect>,
-    /// The base; has no effects.
-    pub base: BaseKind,
+    base: BaseKind,
     reader: CampaignReader,
     campaign: Campaign,
     setup: FitSetup,
@@ -65,13 +64,13 @@ pub struct ResidualScatter {
     pub covariate: Covariate,
     /// Covariate and residual in gauss, in order of time.
     pub all: Vec<[f64; 2]>,
-    /// The same within a stretch of one recording.
-    pub stretch: Vec<[f64; 2]>,
+    /// The same within a time interval of one recording.
+    pub interval: Vec<[f64; 2]>,
 }
 
-/// A channel and a stretch of a recording.
+/// A channel and a time interval of a recording.
 #[derive(Clone, Debug, Deserialize)]
-pub struct Stretch {
+pub struct Interval {
     /// Name of the recording.
     pub recording: String,
     /// Number of the sensor.
@@ -80,7 +79,7 @@ pub struct Stretch {
     pub axis: usize,
     /// Start and end in seconds of the recording.
     pub from: f64,
-    /// See [`Stretch::from`].
+    /// See [`Interval::from`].
     pub to: f64,
 }
 
@@ -97,6 +96,16 @@ pub struct ScoredEffect {
     pub is_significant: bool,
 }
 
+/// Whether two terms are the same, also in their formula: terms are equal if they have one name.
+fn is_same(one: &EffectTerm, other: &EffectTerm) -> bool {
+    match (one, other) {
+        (EffectTerm::Expression(one), EffectTerm::Expression(other)) => {
+            one.text == other.text && one.ranges == other.ranges
+        }
+        _ => one == other,
+    }
+}
+
 impl WorkbenchModel {
     /// Held-out force error; `None` where the device cannot compute the forces.
     pub fn force(&self) -> Option<ForceError> {
@@ -105,17 +114,19 @@ impl WorkbenchModel {
 }
 
 impl Workbench {
-    /// Reads a campaign and fits the base: the design's, or polynomials where there is no design.
+    /// Reads a campaign and fits the base: the design's, or polynomials where there is no design. If setup errors prevent any
+    /// result, they are returned instead.
     ///
     /// # Errors
-    /// A recording cannot be read, a setup error prevents any result, or the fit fails.
-    pub fn open(folder: &Path, alignment: Alignment, options: FitOptions) -> Result<Self> {
+    /// A recording cannot be read, or the fit fails.
+    pub fn open(
+        folder: &Path,
+        alignment: Alignment,
+        options: FitOptions,
+    ) -> Result<Result<Self, Vec<Finding>>> {
         let scanned = ScannedCampaign::open(folder, alignment, Caching::Always)?;
         let Some(reader) = scanned.reader else {
-            bail!(
-                "{}: the recordings have setup errors: `cargo magpie compare` names them",
-                folder.display()
-            );
+            return Ok(Err(scanned.findings));
         };
         reader.check_distinct()?;
         let campaign = reader.whole()?.into_owned();
@@ -128,8 +139,12 @@ impl Workbench {
         let model = ModelFile::with_effects(&campaign, &setup, &fit, &[], provenance);
         let force_axes = model.force_axes();
         let (testable, untestable) = candidates(&campaign, base, force_axes, &[], &[]);
-        Ok(Self {
-            findings: scanned.findings,
+        let findings = merge(scanned.findings, model_findings(&reader, &model, &[])?);
+        if findings.iter().any(|finding| finding.stops) {
+            return Ok(Err(findings));
+        }
+        Ok(Ok(Self {
+            findings,
             untestable,
             base,
             sample: setup.sampled_by_fold(SELECTION_ROWS),
@@ -140,7 +155,7 @@ impl Workbench {
             force_axes,
             options,
             models: Vec::new(),
-        })
+        }))
     }
 
     /// Columns of the recordings for formulas.
@@ -151,7 +166,10 @@ impl Workbench {
 
     /// The model with these effects, if it was fitted.
     pub fn fitted(&self, effects: &[EffectTerm]) -> Option<&WorkbenchModel> {
-        self.models.iter().find(|known| known.effects == effects)
+        self.models.iter().find(|known| {
+            known.effects.len() == effects.len()
+                && known.effects.iter().zip(effects).all(|(a, b)| is_same(a, b))
+        })
     }
 
     /// Fits the model with these effects, unless it was fitted before.
@@ -211,9 +229,20 @@ impl Workbench {
         Ok(diagnosis)
     }
 
-    /// Covariates of the recordings over which residuals can be shown.
+    /// Covariates over which residuals can be shown: those with values in the recordings.
     pub fn residual_covariates(&self) -> Vec<Covariate> {
-        self.campaign.recordings.first().map_or_else(Vec::new, all_covariates)
+        let all = self.campaign.recordings.first().map_or_else(Vec::new, all_covariates);
+        let first = self.setup.rows.first().and_then(|rows| rows.parts.first());
+        let has_values = |covariate: &Covariate| {
+            let values = first.and_then(|part| covariate.values(&part.track, 1));
+            values.is_some_and(|values| values.iter().any(|value| value.is_finite()))
+        };
+        all.into_iter().filter(has_values).collect()
+    }
+
+    /// The base as options of `fit`.
+    pub fn base(&self) -> BaseKind {
+        self.base
     }
 
     /// Residuals of a fitted model over the covariate of this name.
@@ -224,30 +253,30 @@ impl Workbench {
         &self,
         effects: &[EffectTerm],
         covariate: &str,
-        stretch: &Stretch,
+        interval: &Interval,
     ) -> Result<ResidualScatter> {
         let model = self.fitted(effects).context("the model was not fitted")?;
         let covariates = self.residual_covariates();
         let covariate = covariates.into_iter().find(|known| known.name == covariate);
         let covariate = covariate.context("there is no such covariate")?;
         let tables = residuals_against(&self.setup, &model.stage, std::slice::from_ref(&covariate));
-        let table = tables.iter().find(|table| table.sensor == stretch.sensor);
-        let table = table.with_context(|| format!("there is no sensor {}", stretch.sensor))?;
-        let place = self.campaign.recordings.iter().position(|one| one.name == stretch.recording);
+        let table = tables.iter().find(|table| table.sensor == interval.sensor);
+        let table = table.with_context(|| format!("there is no sensor {}", interval.sensor))?;
+        let place = self.campaign.recordings.iter().position(|one| one.name == interval.recording);
         let place =
-            place.with_context(|| format!("there is no recording {}", stretch.recording))?;
+            place.with_context(|| format!("there is no recording {}", interval.recording))?;
         let values = table.covariates.first().map_or(&[][..], |column| &column.values);
-        let mut scatter = ResidualScatter { covariate, all: Vec::new(), stretch: Vec::new() };
+        let mut scatter = ResidualScatter { covariate, all: Vec::new(), interval: Vec::new() };
         for (row, (value, residual)) in values.iter().zip(&table.residual_g).enumerate() {
             let point =
-                [f64::from(*value), *residual.get(stretch.axis).context("there is no such axis")?];
+                [f64::from(*value), *residual.get(interval.axis).context("there is no such axis")?];
             if !point.iter().all(|number| number.is_finite()) {
                 continue;
             }
             scatter.all.push(point);
-            let is_inside = (stretch.from..=stretch.to).contains(&table.time_s[row]);
+            let is_inside = (interval.from..=interval.to).contains(&table.time_s[row]);
             if table.recording[row] as usize == place && is_inside {
-                scatter.stretch.push(point);
+                scatter.interval.push(point);
             }
         }
         Ok(scatter)

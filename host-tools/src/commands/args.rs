@@ -142,10 +142,14 @@ impl ExprArgs {
         let first = campaign.recordings.first().context("the campaign is empty")?;
         let columns: Vec<String> = first.covariates.keys().cloned().collect();
         parse_formulas(&self.expr, &self.range, &columns)
+            .map_err(|error| anyhow!("--expr: {error}"))
     }
 }
 
 /// Parses formulas over these columns; each receives the ranges of the parameters that it contains.
+///
+/// # Errors
+/// A formula is invalid, or no formula contains the parameter of a range.
 pub fn parse_formulas(
     formulas: &[String],
     ranges: &[ParameterRange],
@@ -157,14 +161,14 @@ pub fn parse_formulas(
     };
     for range in ranges {
         if !formulas.iter().any(|formula| contains(formula, range)) {
-            bail!("--range {}: no formula has such a name", range.name);
+            bail!("the range of {}: no formula has such a name", range.name);
         }
     }
     let parse = |formula: &String| {
         let own = ranges.iter().filter(|range| contains(formula, range));
         let own: Vec<ParameterRange> = own.cloned().collect();
-        let effect = Expression::parse(formula, &own, columns)
-            .map_err(|error| anyhow!("--expr: {error}"))?;
+        let effect =
+            Expression::parse(formula, &own, columns).map_err(|error| anyhow!("{error}"))?;
         Ok(EffectTerm::Expression(Arc::new(effect)))
     };
     if formulas.len() > MAX_EFFECTS {
@@ -174,6 +178,9 @@ pub fn parse_formulas(
 }
 
 /// Parses NAME=FROM..TO.
+///
+/// # Errors
+/// The text has another form.
 pub fn parse_range(text: &str) -> Result<ParameterRange, String> {
     let usage = || "write NAME=FROM..TO, as in p=2..5".to_owned();
     let (name, ends) = text.split_once('=').ok_or_else(usage)?;

@@ -166,7 +166,6 @@ impl GripperArgs {
 
     #[cfg(unix)]
     fn virtual_board(&self) -> Result<Box<dyn Source + Send>> {
-        use device::virtual_board::VirtualBoard;
         let doing = match (&self.replay, self.press) {
             (Some(folder), _) => SensorInput::Recorded(folder.clone()),
             (None, Some(forces_n)) => SensorInput::Pressed(forces_n),
@@ -175,9 +174,7 @@ impl GripperArgs {
         let built = self.built()?;
         let networks = self.network.as_deref();
         let networks = networks.map(|path| NetworkSet::read(path, &built)).transpose()?;
-        let board = VirtualBoard::start(built, networks, doing, self.unplug.clone())?;
-        eprintln!("virtual board: serial line for other programs at {}", board.outside.display());
-        Ok(Box::new(board))
+        virtual_board(built, networks, doing, self.unplug.clone())
     }
 
     #[cfg(not(unix))]
@@ -195,6 +192,37 @@ impl GripperArgs {
         bar.finish_and_clear();
         Ok(built)
     }
+}
+
+/// Starts a virtual board.
+#[cfg(unix)]
+fn virtual_board(
+    built: DeviceModel,
+    networks: Option<NetworkSet>,
+    input: SensorInput,
+    unplug: Vec<Unplug>,
+) -> Result<Box<dyn Source + Send>> {
+    let board = device::virtual_board::VirtualBoard::start(built, networks, input, unplug)?;
+    eprintln!("virtual board: serial line for other programs at {}", board.outside.display());
+    Ok(Box::new(board))
+}
+
+/// A virtual board with the default model, whose sensors measure repeated grasps.
+///
+/// # Errors
+/// The model cannot be fitted, or there is no pseudo terminal.
+#[cfg(unix)]
+pub fn default_virtual_board() -> Result<Box<dyn Source + Send>> {
+    virtual_board(default_model()?, None, SensorInput::Grasps, Vec::new())
+}
+
+/// A virtual board needs pseudo-terminals.
+///
+/// # Errors
+/// Always.
+#[cfg(not(unix))]
+pub fn default_virtual_board() -> Result<Box<dyn Source + Send>> {
+    bail!("--virtual needs pseudo-terminals, which this system does not have; use --port")
 }
 
 /// Campaign of four sensors in the source tree of this build.

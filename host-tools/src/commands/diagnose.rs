@@ -18,6 +18,7 @@ use analysis::diagnose::suggestions::{Invocation, suggest};
 use analysis::diagnose::{Diagnosis, diagnose};
 use report::text::diagnosis::{format_report, to_json};
 use report::text::terminal;
+use sim::campaign::plan::RecordingPlan;
 
 /// Identify the physical effects that are missing from a model, with the evidence.
 #[derive(Debug, clap::Args)]
@@ -62,19 +63,26 @@ fn write_plan(args: &Args, path: &Path, proposal: &RecordingProposal) -> Result<
     if proposal.plan.steps.is_empty() {
         return args.common.print_line(&format!("{} was not written: no plan.", path.display()));
     }
-    let text = format!("{PLAN_MARK}\n{}", proposal.plan.to_toml()?);
+    args.common.print_line(&write_plan_file(path, &proposal.plan, &args.common.input.campaign)?)
+}
+
+/// Writes a plan; returns the commands that record it into `campaign`.
+///
+/// # Errors
+/// The file cannot be written, or is of another origin.
+pub fn write_plan_file(path: &Path, plan: &RecordingPlan, campaign: &Path) -> Result<String> {
+    let text = format!("{PLAN_MARK}\n{}", plan.to_toml()?);
     write_output(path, text.as_bytes(), PLAN_MARK)?;
-    let campaign = args.common.input.campaign.display();
-    let path = path.display();
+    let (path, campaign) = (path.display(), campaign.display());
     let mut text =
         format!("Plan: {path}. Record it into the same campaign, then fit and diagnose again:");
-    for number in 1..=proposal.plan.recordings {
+    for number in 1..=plan.recordings {
         let which = if number == 1 { String::new() } else { format!(" --plan-recording {number}") };
         text += &format!(
             "\n  cargo magpie record --port PATH --plan {path}{which} -o {campaign}/planned-{number}"
         );
     }
-    args.common.print_line(&text)
+    Ok(text)
 }
 
 /// Runs the command.

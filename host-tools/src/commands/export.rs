@@ -40,18 +40,27 @@ pub struct Args {
     json: bool,
 }
 
+/// Refuses a model with an effect that the device never compensates.
+///
+/// # Errors
+/// There is one; the error has the reason.
+pub fn check_compensated(built: &DeviceModel) -> Result<()> {
+    let Some((effect, why)) = built.uncompensated.first() else {
+        return Ok(());
+    };
+    bail!(
+        "the device never compensates {effect}: {why}. Its error stays in the forces: remove it from the model \
+         (`cargo magpie remove`), or export with --uncompensated"
+    )
+}
+
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     let variant = if args.nominal { ModelVariant::Nominal } else { ModelVariant::Fitted };
     check_output(&args.output, MARK)?;
     let built = build(&args.model, variant)?;
-    if let Some((effect, why)) = built.uncompensated.first()
-        && !args.uncompensated
-    {
-        bail!(
-            "the device never compensates {effect}: {why}. Its error stays in the forces: remove it from the model \
-             (`cargo magpie remove`), or export with --uncompensated"
-        );
+    if !args.uncompensated {
+        check_compensated(&built)?;
     }
     let networks =
         args.network.as_deref().map(|path| NetworkSet::read(path, &built)).transpose()?;

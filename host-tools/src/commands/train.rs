@@ -1,6 +1,6 @@
 //! `magpie train`: trains recurrent networks on recordings.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
@@ -308,24 +308,27 @@ fn train(args: &Args, trainer: &mut Trainer, key: &str) -> Result<Option<String>
 
 /// How long a training takes, from the time of one epoch.
 fn announcement(common: &TrainingArgs, epoch: Duration, longest: Duration) -> String {
-    let quick = if common.quick {
-        "."
-    } else {
-        "; --quick gives a first impression in a tenth of that. Ctrl-C saves the training."
-    };
+    let quick = if common.quick { "" } else { "; --quick gives a first impression much sooner" };
     format!(
-        "An epoch takes {:.1} s: at most {} more, less if {} epochs bring no improvement{quick}",
+        "An epoch takes {:.1} s: at most {} more, less if {} epochs bring no improvement{quick}.",
         epoch.as_secs_f64(),
         HumanDuration(longest),
         common.patience,
     )
 }
 
+/// A name next to the network's that no file has.
+fn vacant_checkpoint(network: &Path) -> Option<PathBuf> {
+    let names = std::iter::once("checkpoint.safetensors".to_owned())
+        .chain((2..1000).map(|number| format!("checkpoint-{number}.safetensors")));
+    names.map(|end| network.with_extension(end)).find(|path| !path.exists())
+}
+
 /// Writes a checkpoint of an interrupted training, unless there is no place for it; how it resumes.
 fn saved(args: &Args, trainer: &Trainer, key: &str) -> Result<String> {
     let done = format!("Interrupted after epoch {}", trainer.epoch);
-    let beside = args.output.as_ref().map(|path| path.with_extension("checkpoint.safetensors"));
-    let Some(path) = args.checkpoint.clone().or(beside) else {
+    let new = || args.output.as_deref().and_then(vacant_checkpoint);
+    let Some(path) = args.checkpoint.clone().or_else(new) else {
         return Ok(format!(
             "{done}; nothing is saved, because neither -o nor --checkpoint was given."
         ));

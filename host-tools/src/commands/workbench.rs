@@ -1,11 +1,13 @@
 //! `magpie workbench`: a page on this machine in which models of a campaign are built and compared.
 
+use std::collections::BTreeSet;
 use std::net::{Ipv4Addr, SocketAddr};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
 
-use analysis::workbench::{Stretch, Workbench};
-use anyhow::{Context, Result, anyhow};
+use analysis::workbench::{Interval, Workbench};
+use anyhow::{Context, Result, anyhow, bail};
 use axum::extract::{DefaultBodyLimit, Query, Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::middleware::{self, Next};
@@ -16,32 +18,49 @@ use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
 use model_export::inverse::build::{ModelVariant, build};
 use model_export::inverse::codegen::{self, tables_source};
-use model_export::model_file;
-use model_export::output::{check_output, write_output};
+use model_export::model_file::BaseKind;
+use model_export::output::{StagingDir, check_output, write_output};
 use model_export::recordings::align::Alignment;
 use model_export::recordings::campaign::recording_folders;
 use report::html::workbench as pages;
-use report::text::terminal;
+use report::text::{findings, terminal};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::commands::args::{AlignArgs, parse_formulas, parse_range};
+use crate::commands::connection::{PortArgs, check_protocol, default_virtual_board};
+use crate::commands::diagnose::write_plan_file;
+use crate::commands::export::check_compensated;
+use device::format;
+use device::reader::{ReaderEvent, SourceReader};
+use device::source::Source;
+use device::state::GripperState;
+use firmware::protocol::host_session::service;
+use firmware::protocol::session::op;
+use sim::campaign::plan::RecordingPlan;
 
 /// Open a page in a browser of this machine: add effects and formulas to a model of a campaign, and every number and plot follows.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   cargo magpie workbench tests/data/friction
-  cargo magpie workbench my-campaign --http-port 8080
+  cargo magpie workbench my-campaign --port /dev/ttyACM0    # with the forces of the gripper
+  cargo magpie workbench tests/data/demo --virtual          # without hardware
 
 It serves the printed address on this machine only, until Ctrl-C. Only who has the address, which contains a random token, can use
-it. Everything that the page does is the command that it shows.")]
+it. The page shows the commands that do the same. After a semicolon a formula has the ranges of its nonlinear parameters:
+own: dz_um = a*sin(2*pi*opening_mm/p); p=2..5")]
 pub struct Args {
     /// Folder of recordings (or one recording).
     campaign: PathBuf,
     /// TCP port on 127.0.0.1; 0 selects a free one.
     #[arg(long, value_name = "PORT", default_value_t = 0)]
     http_port: u16,
+    #[command(flatten)]
+    gripper: PortArgs,
+    /// Virtual board: the firmware's tasks, whose sensors measure repeated grasps.
+    #[arg(long = "virtual", id = "virtual", conflicts_with_all = ["port", "can"])]
+    is_virtual: bool,
     #[command(flatten)]
     align: AlignArgs,
     /// Seed of the bootstrap.
@@ -62,6 +81,9 @@ const CONTENT_POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; st
 pub fn run(args: &Args) -> Result<()> {
     let alignment = args.align.alignment()?;
     recording_folders(&args.campaign)?;
+    let source =
+        if args.is_virtual { Some(default_virtual_board()?) } else { args.gripper.open()? };
+    let live = source.map(LiveGripper::watch).transpose()?;
     let mut token = [0; 16];
     getrandom::fill(&mut token).context("the system has no random numbers")?;
     let token: String = token.iter().map(|byte| format!("{byte:02x}")).collect();
@@ -87,6 +109,8 @@ pub fn run(args: &Args) -> Result<()> {
         }
         let server = Server {
             bench: Arc::default(),
+            plan: Arc::default(),
+            live: live.map(Arc::new),
             campaign: Arc::new(args.campaign.clone()),
             alignment,
             options: FitOptions { seed: args.seed, ..FitOptions::default() },
@@ -102,6 +126,9 @@ pub fn run(args: &Args) -> Result<()> {
 struct Server {
     /// The models; opened by the first request, since the page appears before the base is fitted.
     bench: Arc<Mutex<Option<Workbench>>>,
+    /// The last plan of a recording.
+    plan: Arc<Mutex<Option<RecordingPlan>>>,
+    live: Option<Arc<LiveGripper>>,
     campaign: Arc<PathBuf>,
     alignment: Alignment,
     options: FitOptions,
@@ -116,6 +143,8 @@ fn router(server: Server) -> Router {
         .route("/names", post(names))
         .route("/diagnose", post(diagnose))
         .route("/scatter", post(scatter))
+        .route("/live", post(live))
+        .route("/reload", post(reload))
         .route("/write", post(write))
         .layer(DefaultBodyLimit::max(MAX_REQUEST_BYTES))
         .layer(middleware::from_fn_with_state(server.clone(), authorise))
@@ -140,7 +169,10 @@ async fn authorise(
         |name: &str| headers.get(name).and_then(|value| value.to_str().ok()).unwrap_or("");
     let is_page = request.uri().path() == "/";
     let given = if is_page { token.as_str() } else { of_header("x-token") };
-    if of_header("host") != &*server.host || given != &*server.token {
+    // Browsers leave out the port of HTTP.
+    let host = of_header("host");
+    let is_own = host == &*server.host || server.host.strip_suffix(":80") == Some(host);
+    if !is_own || given != &*server.token {
         return (StatusCode::FORBIDDEN, "Use the address that the command printed.\n")
             .into_response();
     }
@@ -153,7 +185,85 @@ async fn authorise(
 }
 
 async fn page(State(server): State<Server>) -> Html<String> {
-    Html(pages::page(&server.campaign.display().to_string()))
+    Html(pages::page(&server.campaign.display().to_string(), server.live.is_some()))
+}
+
+/// A gripper that is watched in the background.
+struct LiveGripper {
+    name: String,
+    start: Instant,
+    state: Arc<Mutex<LiveState>>,
+}
+
+/// What a gripper sends, or why nothing more follows.
+#[derive(Default)]
+struct LiveState {
+    gripper: GripperState,
+    ended: Option<String>,
+}
+
+impl LiveGripper {
+    fn watch(mut source: Box<dyn Source + Send>) -> Result<Self> {
+        // Requests the version; a listen-only connection still receives data.
+        let _ = source.send(service(op::VERSION, 0));
+        let name = source.name();
+        let reader = SourceReader::start(source);
+        let start = reader.begun;
+        let state = Arc::new(Mutex::new(LiveState::default()));
+        let shared = state.clone();
+        std::thread::Builder::new().name("gripper".to_owned()).spawn(move || {
+            let with = |change: &mut dyn FnMut(&mut LiveState)| {
+                change(&mut shared.lock().unwrap_or_else(PoisonError::into_inner));
+            };
+            loop {
+                let ended = match reader.news.recv() {
+                    Ok(ReaderEvent::Packets { at_s, packets, broken }) => {
+                        let mut unknown = None;
+                        with(&mut |state| {
+                            state.gripper.lost.broken = broken;
+                            packets.iter().for_each(|packet| state.gripper.update(at_s, packet));
+                            unknown = check_protocol(&state.gripper).err();
+                        });
+                        match unknown {
+                            None => continue,
+                            Some(error) => format!("{error:#}"),
+                        }
+                    }
+                    Ok(ReaderEvent::Failed(error)) => format!("{error:#}"),
+                    Ok(ReaderEvent::Ended) | Err(_) => "the connection ended".to_owned(),
+                };
+                with(&mut |state| state.ended = Some(ended.clone()));
+                return;
+            }
+        })?;
+        Ok(Self { name, start, state })
+    }
+
+    fn to_json(&self) -> Value {
+        let state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        let now_s = self.start.elapsed().as_secs_f64();
+        json!({ "name": self.name, "ended": state.ended, "state": format::state_json(&state.gripper, now_s) })
+    }
+}
+
+async fn live(State(server): State<Server>) -> Response {
+    match &server.live {
+        Some(live) => Json(live.to_json()).into_response(),
+        None => StatusCode::NOT_FOUND.into_response(),
+    }
+}
+
+/// Forgets all models: recordings were added to the campaign, or removed.
+async fn reload(State(server): State<Server>) -> Response {
+    let bench = server.bench.clone();
+    *server.plan.lock().unwrap_or_else(PoisonError::into_inner) = None;
+    let forgotten = tokio::task::spawn_blocking(move || {
+        *bench.lock().unwrap_or_else(PoisonError::into_inner) = None;
+    });
+    match forgotten.await {
+        Ok(()) => Json(json!({})).into_response(),
+        Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
+    }
 }
 
 /// Effects of the catalogue and formulas of a model. Ranges of a formula follow it after semicolons.
@@ -186,19 +296,22 @@ enum Kind {
     Model,
     Tables,
     Report,
+    Plan,
 }
 
 async fn model(State(server): State<Server>, Json(request): Json<ModelRequest>) -> Response {
+    let (campaign, alignment, seed) =
+        (server.campaign.clone(), server.alignment, server.options.seed);
     answer(server, move |bench| {
         let terms = request.choice.terms(bench)?;
         let baseline = request.baseline.map(|choice| choice.terms(bench)).transpose()?;
-        if let Some(baseline) = &baseline {
-            bench.fit_model(baseline)?;
+        for terms in std::iter::once(&terms).chain(&baseline) {
+            bench.fit_model(terms)?;
         }
-        bench.fit_model(&terms)?;
         let shown = bench.fitted(&terms).context("the model is gone")?;
         let baseline = baseline.and_then(|terms| bench.fitted(&terms));
-        Ok(pages::state(bench, shown, baseline))
+        let commands = request.choice.commands(&campaign, bench.base(), alignment, seed);
+        Ok(pages::state(bench, shown, baseline, &commands))
     })
     .await
 }
@@ -216,10 +329,16 @@ struct DiagnosisRequest {
 }
 
 async fn diagnose(State(server): State<Server>, Json(request): Json<DiagnosisRequest>) -> Response {
+    let last = server.plan.clone();
     answer(server, move |bench| {
         let terms = request.choice.terms(bench)?;
         bench.fit_model(&terms)?;
-        Ok(pages::diagnosis(&bench.diagnose(&terms, request.plans)?))
+        let diagnosis = bench.diagnose(&terms, request.plans)?;
+        let plan = diagnosis.proposal.as_ref().map(|proposal| proposal.plan.clone());
+        if let Some(plan) = plan.filter(|plan| !plan.steps.is_empty()) {
+            *last.lock().unwrap_or_else(PoisonError::into_inner) = Some(plan);
+        }
+        Ok(pages::diagnosis(&diagnosis))
     })
     .await
 }
@@ -229,24 +348,28 @@ struct ScatterRequest {
     // Not flattened: numbers of flattened structures are not read where a dependency enables serde_json's arbitrary precision.
     choice: Choice,
     covariate: String,
-    stretch: Stretch,
+    interval: Interval,
 }
 
 async fn scatter(State(server): State<Server>, Json(request): Json<ScatterRequest>) -> Response {
     answer(server, move |bench| {
         let terms = request.choice.terms(bench)?;
         bench.fit_model(&terms)?;
-        let found = bench.scatter(&terms, &request.covariate, &request.stretch)?;
+        let found = bench.scatter(&terms, &request.covariate, &request.interval)?;
         Ok(json!({ "plot": pages::scatter(&found) }))
     })
     .await
 }
 
 async fn write(State(server): State<Server>, Json(request): Json<WriteRequest>) -> Response {
+    let plan = server.plan.lock().unwrap_or_else(PoisonError::into_inner).clone();
+    let campaign = server.campaign.clone();
     answer(server, move |bench| {
         let terms = request.choice.terms(bench)?;
         let baseline = request.baseline.map(|choice| choice.terms(bench)).transpose()?;
-        bench.fit_model(&terms)?;
+        for terms in std::iter::once(&terms).chain(&baseline) {
+            bench.fit_model(terms)?;
+        }
         let shown = bench.fitted(&terms).context("the model is gone")?;
         let baseline = baseline.and_then(|terms| bench.fitted(&terms));
         let path = &request.path;
@@ -259,14 +382,25 @@ async fn write(State(server): State<Server>, Json(request): Json<WriteRequest>) 
                 report::html::write(path, &pages::with_baseline(shown, baseline), &[])?;
                 format!("Written to {}.", path.display())
             }
+            Kind::Plan => {
+                let plan =
+                    plan.context("there is no plan yet: \"Plan the next recording\" makes one")?;
+                write_plan_file(path, &plan, &campaign)?
+            }
             Kind::Tables => {
-                let model = path.with_extension("toml");
                 check_output(path, codegen::MARK)?;
-                check_output(&model, model_file::SIGNATURE)?;
+                // Tables are built from a model file, whose hash they carry.
+                let folder = StagingDir::new(&std::env::temp_dir().join("model"), "workbench")?;
+                let model = folder.path().join("model.toml");
                 shown.model.write(&model)?;
                 let built = build(&model, ModelVariant::Fitted)?;
+                check_compensated(&built)?;
                 write_output(path, tables_source(&built).as_bytes(), codegen::MARK)?;
-                format!("Written to {}, with its model {}.", path.display(), model.display())
+                let conditions = built.conditions.iter();
+                let conditions = conditions.map(|(effect, conditions)| {
+                    format!(" The board compensates {effect} {}.", conditions.join("; "))
+                });
+                format!("Written to {}.{}", path.display(), conditions.collect::<String>())
             }
         };
         Ok(json!({ "message": message }))
@@ -275,21 +409,91 @@ async fn write(State(server): State<Server>, Json(request): Json<WriteRequest>) 
 }
 
 impl Choice {
+    /// Formula and ranges of each formula.
+    fn parts(&self) -> impl Iterator<Item = (&str, Vec<&str>)> {
+        self.formulas.iter().map(|text| {
+            let mut parts = text.split(';').map(str::trim);
+            (parts.next().unwrap_or_default(), parts.collect())
+        })
+    }
+
+    /// The commands that fit, evaluate and export this model.
+    fn commands(
+        &self,
+        campaign: &Path,
+        base: BaseKind,
+        alignment: Alignment,
+        seed: u64,
+    ) -> Vec<String> {
+        let campaign = campaign.display().to_string();
+        let line = |words: &[&str]| shell_words::join(["cargo", "magpie"].iter().chain(words));
+        let (delay_ms, seed) = (format!("{}", 1e-3 * alignment.delay_us), seed.to_string());
+        let delay: &[&str] =
+            if alignment.delay_us == 0.0 { &[] } else { &["--delay-ms", &delay_ms] };
+        let seed: &[&str] = if seed == "1" { &[] } else { &["--seed", &seed] };
+        let polynomial: &[&str] =
+            if base == BaseKind::Polynomial { &["--base", "polynomial"] } else { &[] };
+        let fit = ["fit", &campaign, "-o", "base.toml"];
+        let mut commands = vec![line(&[&fit[..], polynomial, delay, seed].concat())];
+        let mut model = "base.toml";
+        if !self.effects.is_empty() || !self.formulas.is_empty() {
+            let mut words = vec!["add", model, campaign.as_str()];
+            words.extend(self.effects.iter().map(String::as_str));
+            for (formula, ranges) in self.parts() {
+                words.extend(["--expr", formula]);
+                words.extend(ranges.into_iter().flat_map(|range| ["--range", range]));
+            }
+            words.extend(["-o", "model.toml"]);
+            commands.push(line(&[&words[..], delay, seed].concat()));
+            model = "model.toml";
+        }
+        for words in [
+            ["compare", model, &campaign, "-o", "report.html"],
+            ["diagnose", model, &campaign, "--plan", "plan.toml"],
+        ] {
+            commands.push(line(&[&words[..], delay, seed].concat()));
+        }
+        if base == BaseKind::Cylinder {
+            commands.push(line(&[&["replay", model, &campaign][..], delay].concat()));
+            commands.push(line(&["export", model, "-o", "tables.rs"]));
+        }
+        commands
+    }
+
+    /// The effects and formulas.
     fn terms(&self, bench: &Workbench) -> Result<Vec<EffectTerm>> {
         let mut formulas = Vec::new();
-        for text in &self.formulas {
-            let mut parts = text.split(';');
-            let formula = parts.next().unwrap_or_default().trim().to_owned();
-            let ranges =
-                parts.map(|range| parse_range(range).map_err(|error| anyhow!("{range}: {error}")));
-            formulas.extend(parse_formulas(
-                &[formula],
-                &ranges.collect::<Result<Vec<_>>>()?,
-                &bench.covariates(),
-            )?);
+        let mut parameters = BTreeSet::new();
+        for (formula, ranges) in self.parts() {
+            let parsed = ranges
+                .into_iter()
+                .map(|range| parse_range(range).map_err(|error| anyhow!("{range}: {error}")));
+            let ranges = parsed.collect::<Result<Vec<_>>>()?;
+            for range in &ranges {
+                // The options of a command have one range for each name.
+                if !parameters.insert(range.name.clone()) {
+                    bail!(
+                        "two formulas have a parameter {}: give them different names",
+                        range.name
+                    );
+                }
+            }
+            let columns = bench.covariates();
+            formulas.extend(parse_formulas(&[formula.to_owned()], &ranges, &columns)?);
         }
         analysis::edit_model::find_effects(&self.effects, &formulas)
     }
+}
+
+/// Opens the campaign; setup errors that prevent any result are the error.
+fn open(server: &Server) -> Result<Workbench> {
+    let opened = Workbench::open(&server.campaign, server.alignment, server.options)?;
+    opened.map_err(|findings| {
+        let stops = findings.iter().filter(|finding| finding.stops);
+        let messages =
+            stops.map(|finding| format!("{}: {}", finding.place, findings::message(finding)));
+        anyhow!("setup errors in the recordings: {}", messages.collect::<Vec<_>>().join("; "))
+    })
 }
 
 /// Runs a request on a thread that may block; one at a time.
@@ -299,10 +503,9 @@ async fn answer(
 ) -> Response {
     let done = tokio::task::spawn_blocking(move || {
         let mut bench = server.bench.lock().unwrap_or_else(PoisonError::into_inner);
-        let open = || Workbench::open(&server.campaign, server.alignment, server.options);
         let bench = match &mut *bench {
             Some(bench) => bench,
-            empty => empty.insert(open()?),
+            empty => empty.insert(open(&server)?),
         };
         work(bench)
     });

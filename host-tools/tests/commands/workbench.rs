@@ -4,6 +4,7 @@ use std::io::{Read, Write};
 use std::net::TcpStream;
 
 use serde_json::{Value, json};
+use tests::campaign_copy::CampaignCopy;
 
 use crate::workdir::running::Running;
 use crate::workdir::{WorkDir, campaign};
@@ -120,9 +121,21 @@ fn formulas_are_fitted_and_errors_name_their_place() {
     let (status, state) = with("own: dz_um = a*sin(motor_angle_rad) + b*cos(motor_angle_rad)");
     assert_eq!(status, 200, "{state}");
     assert!(state["force"]["excess_n"].as_f64().unwrap() < 0.3, "{}", state["force"]);
-    let (status, state) =
-        with("own: dz_um = a*sin(2*pi*opening_mm/p) + b*cos(2*pi*opening_mm/p); p=2..5");
-    assert_eq!(status, 200, "{state}");
+    // Another formula of the same name, and the same formula with another range, are other models.
+    let wave = "own: dz_um = a*sin(2*pi*opening_mm/p) + b*cos(2*pi*opening_mm/p)";
+    for (range, is_good) in [("p=2..5", true), ("p=50..60", false)] {
+        let (status, state) = with(&format!("{wave}; {range}"));
+        assert_eq!(status, 200, "{state}");
+        assert_eq!(state["present"][0]["formula"], wave);
+        let add = state["commands"][1].as_str().unwrap();
+        assert!(
+            add.contains(&format!("--range {range}"))
+                || add.contains(&format!("--range '{range}'")),
+            "{add}"
+        );
+        let excess_n = state["force"]["excess_n"].as_f64().unwrap();
+        assert_eq!(excess_n < 0.5, is_good, "{range}: {}", state["force"]);
+    }
     for (formula, expected) in [
         ("own: dz_um = a*motor_angel_rad", "did you mean motor_angle_rad"),
         ("own: z = a*opening_mm", "is not a target"),
@@ -138,6 +151,81 @@ fn formulas_are_fitted_and_errors_name_their_place() {
     assert!(answer["error"].as_str().unwrap().contains("hysteresis"), "{answer}");
     // It goes on after errors.
     assert_eq!(served.ask("names", &json!({})).1["targets"][0], "fx_n");
+}
+
+#[test]
+fn diagnosis_scatter_and_reading_again_are_answered() {
+    let dir = WorkDir::empty();
+    let served = Served::start(&dir, &campaign("friction"));
+    let base = json!({ "effects": [], "formulas": [] });
+    let request = json!({ "effects": [], "formulas": [], "plans": false });
+    let (status, found) = served.ask("diagnose", &request);
+    assert_eq!(status, 200, "{found}");
+    let steps = found["steps"].as_array().unwrap();
+    let is_found = steps.iter().any(|step| step.as_array().unwrap().contains(&json!("hysteresis")));
+    assert!(is_found, "{found}");
+    assert_eq!(found["plan"], Value::Null);
+
+    let scatter = |covariate: &str| {
+        let interval = json!({ "recording": "3", "sensor": 1, "axis": 0, "from": 2.0, "to": 4.5 });
+        let request = json!({ "choice": base, "covariate": covariate, "interval": interval });
+        served.ask("scatter", &request)
+    };
+    let (status, drawn) = scatter("fx_n");
+    assert_eq!(status, 200, "{drawn}");
+    // 2.5 s at 100 Hz.
+    let plot = drawn["plot"].as_str().unwrap();
+    assert!(plot.contains("of which 250 are") || plot.contains("of which 251 are"), "{plot}");
+    assert_eq!(scatter("no_such_mm").0, 422);
+    assert_eq!(served.ask("reload", &json!({})).0, 200);
+    assert_eq!(served.ask("model", &base).0, 200);
+}
+
+#[test]
+fn plan_of_the_next_recording_is_written() {
+    let dir = WorkDir::empty();
+    let simulate = "simulate --programme level --effect earth_field --seconds 8 --sensors 1";
+    dir.stdout(&format!("{simulate} -o level"));
+    let served = Served::start(&dir, "level");
+    let write = json!({ "effects": [], "formulas": [], "kind": "plan", "path": "plan.toml" });
+    let (status, answer) = served.ask("write", &write);
+    assert_eq!(status, 422);
+    assert!(answer["error"].as_str().unwrap().contains("there is no plan yet"), "{answer}");
+    let request = json!({ "effects": [], "formulas": [], "plans": true });
+    let (status, found) = served.ask("diagnose", &request);
+    assert_eq!(status, 200, "{found}");
+    assert!(found["plan"].as_str().unwrap().contains("earth_field"), "{found}");
+    let (status, answer) = served.ask("write", &write);
+    assert_eq!(status, 200, "{answer}");
+    let message = answer["message"].as_str().unwrap();
+    assert!(message.contains("record --port PATH --plan plan.toml"), "{answer}");
+    dir.stdout(&format!("{simulate} -o longer --plan plan.toml"));
+}
+
+#[test]
+fn tables_of_an_effect_that_no_board_compensates_are_refused() {
+    let dir = WorkDir::empty();
+    let served = Served::start(&dir, &campaign("demo"));
+    let effects = ["neighbour_magnet", "screw_backlash"];
+    let request =
+        json!({ "effects": effects, "formulas": [], "kind": "tables", "path": "tables.rs" });
+    let (status, answer) = served.ask("write", &request);
+    assert_eq!(status, 422);
+    let error = answer["error"].as_str().unwrap();
+    assert!(error.contains("never compensates screw_backlash"), "{answer}");
+    assert!(!dir.path("tables.rs").exists());
+}
+
+#[test]
+fn setup_errors_are_named() {
+    let spoilt = CampaignCopy::new().change(&[1, 2, 3], "force.csv", |table| {
+        table.exchange("f0_x_n", "f0_z_n");
+    });
+    let dir = WorkDir::empty();
+    let served = Served::start(&dir, &spoilt.path().display().to_string());
+    let (status, answer) = served.ask("model", &json!({ "effects": [], "formulas": [] }));
+    assert_eq!(status, 422);
+    assert!(answer["error"].as_str().unwrap().contains("swapped"), "{answer}");
 }
 
 #[test]

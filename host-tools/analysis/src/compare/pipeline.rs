@@ -101,7 +101,10 @@ pub fn compare_scanned(
 }
 
 /// Setup errors that are detectable only with a model, some recordings at a time.
-fn model_findings(
+///
+/// # Errors
+/// A recording cannot be read.
+pub(crate) fn model_findings(
     source: &CampaignReader,
     model: &ModelFile,
     additions: &[EffectTerm],

@@ -147,7 +147,7 @@
       const all = whole();
       plots.classList.toggle("zoomed", !all);
       output.textContent = `${from.toFixed(2)} to ${to.toFixed(2)} s`;
-      document.dispatchEvent(new CustomEvent("stretch", { detail: { recording: recording.value, sensor: Number(sensor.value), from, to } }));
+      document.dispatchEvent(new CustomEvent("interval", { detail: { recording: recording.value, sensor: Number(sensor.value), from, to } }));
       for (const button of document.querySelectorAll("[data-zoom]")) button.disabled = all && button.dataset.zoom !== "in";
     }
 

@@ -40,7 +40,7 @@ fn interrupted_training_continues_with_the_printed_command() {
     use crate::workdir::running::Running;
 
     let dir = simulated();
-    let line = "train model.toml bench --hidden 4 --epochs 60 --patience 60";
+    let line = "train model.toml bench --hidden 4 --epochs 200 --patience 200";
     dir.stdout(&format!("{line} -o complete.safetensors"));
 
     let mut running =

@@ -11,9 +11,9 @@ use std::path::{Path, PathBuf};
 
 use crate::recordings::columns::{Axis, COVARIATES, hall_column};
 use crate::recordings::error::{DataError, ErrorKind, Location};
-use crate::recordings::guess::names::Quantity;
+use crate::recordings::guess::names::{Group, Quantity};
 use crate::recordings::guess::source::{
-    MAX_ROWS, SourceColumn, SourceTable, axis_of, numeric, owners, read_source, table_with,
+    MAX_ROWS, SourceColumn, SourceTable, axis_of, column_groups, numeric, read_source, table_with,
 };
 use crate::recordings::units::{find_unit, round_significant};
 
@@ -75,11 +75,14 @@ pub fn propose(sources: &[PathBuf]) -> Result<Proposal, DataError> {
     }
     let mut draft = Draft::default();
     let sensors = draft.fields(hall);
-    draft.covariates(hall, sensors);
+    if sensors.is_empty() {
+        return Err(no_field(first));
+    }
+    draft.covariates(hall, &sensors);
     let hall_end = draft.columns.len();
     let attitude = draft.attitude(hall);
     match force {
-        Some(force) => draft.forces(force, sensors),
+        Some(force) => draft.forces(force, &sensors),
         None => draft.check(
             "no column of a force was recognised: without a reference nothing can be fitted; complete [force]",
         ),
@@ -88,7 +91,7 @@ pub fn propose(sources: &[PathBuf]) -> Result<Proposal, DataError> {
     let hall_clock = draft.clock(hall, &["sensor", "hall", "mag", "board", "mcu", "device"])?;
     let force_clock =
         draft.clock(force, &["force", "state", "ref", "scale", "ft", "load", "robot"])?;
-    draft.unused(&[hall, force], &[&hall_clock, &force_clock]);
+    draft.unused(&[hall, force], &[&hall_clock, &force_clock], attitude.is_some());
     let one_clock = runs_on(hall, &hall_clock, others);
     if one_clock {
         draft.check("each file begins after the end of the one before: taken as one running clock");
@@ -207,7 +210,7 @@ impl Draft {
         let missing = to.starts_with('f').then(|| column.missing()).flatten();
         let mut checks: Vec<String> = check.into_iter().collect();
         if let Some(marker) = missing {
-            checks.push(format!("{marker} is taken as the mark of missing values"));
+            checks.push(format!("{marker} is taken as the code of missing values"));
         }
         let magnitude = column.magnitude() * find_unit(unit).map_or(1.0, |unit| unit.factor);
         let plausible = match find_unit(unit).map(|unit| unit.canonical) {
@@ -231,17 +234,30 @@ impl Draft {
         self.columns.push(ProposedColumn { from, unit, to, range: column.range(), missing, check });
     }
 
-    /// Adds the fields; returns the number of sensors.
-    fn fields(&mut self, table: &SourceTable) -> usize {
+    /// Adds the fields; returns the groups of the sensors in their order.
+    fn fields(&mut self, table: &SourceTable) -> Vec<Group> {
         let fields = || numeric(table, Quantity::Field).filter(|column| axis_of(column).is_some());
-        let owners = owners(fields());
-        for (sensor, owner) in owners.iter().enumerate() {
-            for column in fields().filter(|column| column.stated.owner == **owner) {
+        let has = |group: &Group, axis: Axis| {
+            fields().any(|column| column.stated.group == *group && axis_of(column) == Some(axis))
+        };
+        let (complete, partial): (Vec<&Group>, Vec<&Group>) = column_groups(fields())
+            .into_iter()
+            .partition(|group| Axis::ALL.into_iter().all(|axis| has(group, axis)));
+        for column in fields().filter(|column| partial.contains(&&column.stated.group)) {
+            self.ignored.push((column.name.clone(), "its sensor has not all of x, y and z"));
+        }
+        for (sensor, group) in complete.iter().enumerate() {
+            for column in fields().filter(|column| column.stated.group == **group) {
                 let Some(axis) = axis_of(column) else { continue };
                 let to = |unit: &str| format!("s{sensor}_{}_{unit}", axis.letter());
+                if self.has(&to("lsb")) || self.has(&to("gauss")) {
+                    self.ignored
+                        .push((column.name.clone(), "a second field of this sensor and axis"));
+                    continue;
+                }
                 match column.stated.unit {
                     Some(unit) if unit.canonical == "lsb" => {
-                        self.add(column, "lsb", to("lsb"), None)
+                        self.add(column, "lsb", to("lsb"), None);
                     }
                     Some(unit) => self.add(column, unit.name, to("gauss"), None),
                     None if column.is_whole => {
@@ -249,12 +265,8 @@ impl Draft {
                         self.add(column, "lsb", to("lsb"), Some(check.to_owned()));
                     }
                     None => {
-                        self.add(
-                            column,
-                            "G",
-                            to("gauss"),
-                            Some("no unit: taken as gauss".to_owned()),
-                        );
+                        let check = "no unit: taken as gauss".to_owned();
+                        self.add(column, "G", to("gauss"), Some(check));
                     }
                 }
             }
@@ -263,8 +275,8 @@ impl Draft {
             self.check("raw counts: give gauss_per_lsb, the scale from the sensor's data sheet");
         }
         self.check(
-            "axes: x lateral (grasping) and z longitudinal in the plane of motion, y across the gap; exchange the columns, or \
-             set scale = -1, where your sensor is mounted otherwise",
+            "axes and signs: x lateral (grasping) and z longitudinal in the plane of motion, y across the gap; a force and the \
+             motion that it causes have one sign; exchange the columns, or set scale = -1, where yours are otherwise",
         );
         if let Some(axis) = strongest_axis(&fields().collect::<Vec<_>>())
             && axis != Axis::Y
@@ -275,34 +287,30 @@ impl Draft {
                 axis.letter()
             ));
         }
-        owners.len()
+        complete.into_iter().cloned().collect()
     }
 
     /// Adds temperatures, accelerations, motor and pose, and other lengths and angles.
-    fn covariates(&mut self, table: &SourceTable, sensors: usize) {
+    fn covariates(&mut self, table: &SourceTable, sensors: &[Group]) {
         let temperatures: Vec<_> =
             numeric(table, Quantity::Temperature).filter(|column| !column.is_constant()).collect();
-        let owners = owners(temperatures.iter().copied());
-        match temperatures.as_slice() {
-            [one] if sensors > 1 => {
-                for sensor in 0..sensors {
-                    let check = "one temperature: taken as that of every sensor".to_owned();
-                    self.add(
-                        one,
-                        "degC",
-                        format!("s{sensor}_temp_c"),
-                        (sensor == 0).then_some(check),
-                    );
+        for column in &temperatures {
+            let unit = column.stated.unit.is_none().then(|| "no unit: taken as degC".to_owned());
+            let group = &column.stated.group;
+            if let Some(sensor) = sensors.iter().position(|own| own == group) {
+                self.add(column, "degC", format!("s{sensor}_temp_c"), unit);
+            } else if temperatures.len() == 1 && *group == (Vec::new(), None) {
+                let check = match sensors {
+                    [_] => unit,
+                    _ => Some("one temperature: taken as that of every sensor, in degC".to_owned()),
+                };
+                for sensor in 0..sensors.len() {
+                    let check = check.clone().filter(|_| sensor == 0);
+                    self.add(column, "degC", format!("s{sensor}_temp_c"), check);
                 }
-            }
-            several => {
-                for column in several {
-                    let sensor = owners.iter().position(|owner| **owner == column.stated.owner);
-                    match sensor.filter(|sensor| *sensor < sensors) {
-                        Some(sensor) => self.add(column, "degC", format!("s{sensor}_temp_c"), None),
-                        None => self.named(column, "degC"),
-                    }
-                }
+            } else {
+                let check = "no sensor of this name: map it to sN_temp_c where it is the temperature of a sensor";
+                self.named(column, "degC", Some(check.to_owned()));
             }
         }
         for column in numeric(table, Quantity::Acceleration) {
@@ -351,7 +359,7 @@ impl Draft {
                 && !self.is_used(&column.name)
             {
                 match column.stated.unit {
-                    Some(unit) => self.named(column, unit.name),
+                    Some(unit) => self.named(column, unit.name, None),
                     None => self.ignored.push((column.name.clone(), "no unit")),
                 }
             }
@@ -363,7 +371,7 @@ impl Draft {
     }
 
     /// Adds a covariate under its own name.
-    fn named(&mut self, column: &SourceColumn, unit: &'static str) {
+    fn named(&mut self, column: &SourceColumn, unit: &'static str, check: Option<String>) {
         let Some(found) = find_unit(unit) else { return };
         let mut to = column.stated.words.join("_");
         let is_plain = to.starts_with(|c: char| c.is_ascii_lowercase()) && to.is_ascii();
@@ -375,7 +383,7 @@ impl Draft {
         let is_valid = hall_column(&to, std::slice::from_ref(&to)).is_ok()
             && !COVARIATES.contains(&to.as_str());
         if is_valid && !self.has(&to) {
-            self.add(column, unit, to, None);
+            self.add(column, unit, to, check);
         } else {
             self.ignored.push((column.name.clone(), "its name is not unique"));
         }
@@ -394,19 +402,25 @@ impl Draft {
         Some(parts)
     }
 
-    /// Adds the forces.
-    fn forces(&mut self, table: &SourceTable, sensors: usize) {
+    /// Adds the forces: on the sensor of the same name or number, else in their order.
+    fn forces(&mut self, table: &SourceTable, sensors: &[Group]) {
         let forces: Vec<_> = numeric(table, Quantity::Force).collect();
-        let owners = owners(forces.iter().copied());
-        if owners.len() != sensors {
+        let groups = column_groups(forces.iter().copied());
+        let places: Vec<Option<usize>> =
+            groups.iter().map(|group| sensors.iter().position(|own| own == *group)).collect();
+        let is_named = places.iter().all(Option::is_some);
+        if !is_named {
             self.check(format!(
-                "{} force sensor{} for {sensors} field sensors: f0 is the force on sensor 0, and so on; correct the numbers",
-                owners.len(),
-                if owners.len() == 1 { "" } else { "s" },
+                "{} force sensor{} for {} field sensors, assigned in their order: f0 is the force on sensor 0, and so on; correct \
+                 the numbers",
+                groups.len(),
+                if groups.len() == 1 { "" } else { "s" },
+                sensors.len(),
             ));
         }
         for column in forces {
-            let index = owners.iter().position(|owner| **owner == column.stated.owner).unwrap_or(0);
+            let group = groups.iter().position(|group| **group == column.stated.group).unwrap_or(0);
+            let index = if is_named { places[group].unwrap_or(group) } else { group };
             let mut checks = Vec::new();
             if column.stated.unit.is_none() {
                 checks.push("no unit: taken as newtons".to_owned());
@@ -478,12 +492,12 @@ impl Draft {
     }
 
     /// Lists the columns that are not imported for another reason.
-    fn unused(&mut self, tables: &[&SourceTable], clocks: &[&ClockColumn]) {
+    fn unused(&mut self, tables: &[&SourceTable], clocks: &[&ClockColumn], has_attitude: bool) {
         for column in tables.iter().flat_map(|table| &table.columns) {
             let is_listed = self.ignored.iter().any(|(name, _)| *name == column.name)
                 || clocks.iter().any(|clock| clock.name == column.name)
                 || self.is_used(&column.name);
-            if is_listed || column.quantity == Quantity::Attitude {
+            if is_listed || (has_attitude && column.quantity == Quantity::Attitude) {
                 continue;
             }
             let reason = match column.quantity {
@@ -500,12 +514,12 @@ impl Draft {
 
 /// The axis with the strongest field at every sensor, if there is one.
 fn strongest_axis(fields: &[&SourceColumn]) -> Option<Axis> {
-    let of_sensor = |owner: &(Vec<String>, Option<u64>)| {
-        let own = fields.iter().filter(|column| column.stated.owner == *owner);
+    let of_sensor = |group: &Group| {
+        let own = fields.iter().filter(|column| column.stated.group == *group);
         let mean = |column: &SourceColumn| 0.5 * (column.min + column.max).abs();
         own.max_by(|a, b| mean(a).total_cmp(&mean(b))).and_then(|column| axis_of(column))
     };
-    let mut axes = owners(fields.iter().copied()).into_iter().map(of_sensor);
+    let mut axes = column_groups(fields.iter().copied()).into_iter().map(of_sensor);
     let first = axes.next()??;
     axes.all(|axis| axis == Some(first)).then_some(first)
 }
@@ -516,8 +530,14 @@ fn unit_of_clock(first: f64, step: f64) -> &'static str {
     /// Seconds since 1970 in the year 2001.
     const EPOCH_S: f64 = 1e9;
     const LONGEST_STEP_S: f64 = 0.2;
+    /// A clock since 1970 may have rows this close together.
+    const SHORTEST_STEP_S: f64 = 5e-6;
+    let is_plausible = |per_s: f64| {
+        first >= EPOCH_S * per_s
+            && (SHORTEST_STEP_S * per_s..=LONGEST_STEP_S * per_s).contains(&step)
+    };
     let mut of_magnitude = UNITS.into_iter().rev().zip([1e9, 1e6, 1e3, 1.0]);
-    if let Some((unit, _)) = of_magnitude.find(|(_, per_s)| first >= EPOCH_S * per_s) {
+    if let Some((unit, _)) = of_magnitude.find(|(_, per_s)| is_plausible(*per_s)) {
         return unit;
     }
     let mut of_step = UNITS.into_iter().zip([1.0, 1e3, 1e6, 1e9]);

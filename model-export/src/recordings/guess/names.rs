@@ -68,6 +68,9 @@ impl Quantity {
     }
 }
 
+/// Words of a name besides quantity, axis and unit, and its number.
+pub type Group = (Vec<String>, Option<u64>);
+
 /// What a name states.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ColumnName {
@@ -75,8 +78,8 @@ pub struct ColumnName {
     pub unit: Option<Unit>,
     pub axis: Option<char>,
     pub words: Vec<String>,
-    /// Words besides quantity, axis and unit, and the number: equal for the axes of one sensor.
-    pub owner: (Vec<String>, Option<u64>),
+    /// Equal for the axes of one sensor.
+    pub group: Group,
 }
 
 /// Unit at the end of a name, `bx (uT)`, `Fz[N]` or `bx_uT`, and what precedes it.
@@ -127,10 +130,14 @@ fn unit_named(stem: &str, text: &str) -> Option<Unit> {
         units.into_iter().find(|unit| unit.eq_ignore_ascii_case(&symbol)).and_then(find_unit)
     };
     let unit = find_unit(name).or_else(other_case)?;
-    // `pos_m`, but not the magnetometer `imu_m`; `sensor_s`, but not `force_s`.
-    let is_other =
-        !matches!(quantity, Quantity::Unknown | Quantity::Unsupported) && !quantity.accepts(unit);
-    (!is_other).then_some(unit)
+    // Longer symbols are clear. One letter may be another word: the third channel `channel_c`, a force at the time `force_t`.
+    let is_letter = symbol.chars().count() == 1;
+    let is_other = match quantity {
+        Quantity::Unknown => !matches!(symbol.as_str(), "m" | "s" | "A" | "N" | "T" | "G"),
+        Quantity::Unsupported => false,
+        known => !known.accepts(unit),
+    };
+    (!(is_letter && is_other)).then_some(unit)
 }
 
 /// Words of a name in lower case: split at other characters, at a change from lower to upper case, and at digits.
@@ -159,6 +166,14 @@ fn quantity_of(words: &[String]) -> (Quantity, Option<char>, BTreeSet<usize>) {
     let mut axis = None;
     let mut used = BTreeSet::new();
     for (i, word) in words.iter().enumerate() {
+        // `orientation.w` is part of a quaternion, `w` alone an angular rate.
+        let is_axis = matches!(word.as_str(), "x" | "y" | "z")
+            || (word == "w" && quantity == Quantity::Attitude);
+        if is_axis {
+            axis = word.chars().next();
+            used.insert(i);
+            continue;
+        }
         if let Some(known) = Quantity::of_word(word) {
             // The last one counts: `sensor_time`, `motor_angle`; but `force_t` is not the time of a force.
             if quantity == Quantity::Unknown || word.len() > 1 {
@@ -202,7 +217,7 @@ impl ColumnName {
             words.iter().enumerate().filter(|(i, _)| !used.contains(i)).map(|(_, word)| word);
         let number =
             others.clone().rfind(|word| is_number(word)).and_then(|word| word.parse().ok());
-        let owner = (others.filter(|word| !is_number(word)).cloned().collect(), number);
-        Self { quantity, unit, axis, words, owner }
+        let group = (others.filter(|word| !is_number(word)).cloned().collect(), number);
+        Self { quantity, unit, axis, words, group }
     }
 }

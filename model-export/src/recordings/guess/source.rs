@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::recordings::columns::Axis;
 use crate::recordings::csv_table::{CsvReader, CsvTable, number};
 use crate::recordings::error::{DataError, ErrorKind, Location};
-use crate::recordings::guess::names::{ColumnName, Quantity};
+use crate::recordings::guess::names::{ColumnName, Group, Quantity};
 
 /// Rows of each table that are examined.
 pub const MAX_ROWS: u64 = 100_000;
@@ -206,20 +206,18 @@ pub fn numeric(table: &SourceTable, quantity: Quantity) -> impl Iterator<Item = 
     table.columns.iter().filter(move |column| column.quantity == quantity && column.is_numeric())
 }
 
-/// Owners of the columns: by number where all else is equal, in the order of the table otherwise.
-pub fn owners<'a>(
-    columns: impl Iterator<Item = &'a SourceColumn>,
-) -> Vec<&'a (Vec<String>, Option<u64>)> {
-    let mut owners = Vec::new();
+/// Groups of the columns: by number where all else is equal, in the order of the table otherwise.
+pub fn column_groups<'a>(columns: impl Iterator<Item = &'a SourceColumn>) -> Vec<&'a Group> {
+    let mut groups = Vec::new();
     for column in columns {
-        if !owners.contains(&&column.stated.owner) {
-            owners.push(&column.stated.owner);
+        if !groups.contains(&&column.stated.group) {
+            groups.push(&column.stated.group);
         }
     }
-    if owners.windows(2).all(|pair| pair[0].0 == pair[1].0) {
-        owners.sort_by_key(|owner| owner.1);
+    if groups.windows(2).all(|pair| pair[0].0 == pair[1].0) {
+        groups.sort_by_key(|group| group.1);
     }
-    owners
+    groups
 }
 
 pub fn axis_of(column: &SourceColumn) -> Option<Axis> {

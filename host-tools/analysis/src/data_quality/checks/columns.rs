@@ -89,7 +89,8 @@ fn noise_ratio(one: &Channel, fields: &[Channel]) -> Option<f64> {
     (one.column.is_noisy() && median > 0.0).then(|| noise(one) / median)
 }
 
-/// True if the magnitude differs by about `ratio` from the same axis of the other sensors, or there is no other sensor.
+/// True if the magnitude differs by about `ratio` from the same axis of the other sensors. Without another sensor, noise alone does
+/// not tell a unit from a noisy channel.
 fn has_magnitude(one: &Channel, fields: &[Channel], ratio: f64) -> bool {
     let size = |one: &Channel| one.column.sample.size(1.0).unwrap_or(0.0) * one.column.scale;
     let axis = |one: &Channel| match one.column.quantity {
@@ -102,7 +103,7 @@ fn has_magnitude(one: &Channel, fields: &[Channel], ratio: f64) -> bool {
             && axis(other) == axis(one)
     });
     let Some(median) = median(others.map(size).collect()) else {
-        return true;
+        return false;
     };
     let off = size(one) / median / ratio;
     off.is_finite() && (SAME_FACTOR.recip()..=SAME_FACTOR).contains(&off)

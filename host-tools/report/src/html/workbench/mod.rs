@@ -17,8 +17,8 @@ use crate::text::diagnosis::{force_headline, missing_columns};
 use crate::text::notes;
 use crate::text::recording_plan::format_proposal;
 
-/// The page, without a model; its script asks for one.
-pub fn page(campaign: &str) -> String {
+/// The page, without a model; its script asks for one. With `live` it shows a gripper.
+pub fn page(campaign: &str, live: bool) -> String {
     let page = html! {
         (DOCTYPE)
         html lang="en" {
@@ -35,7 +35,9 @@ pub fn page(campaign: &str) -> String {
                     h1 { "Workbench " span #campaign { (campaign) } }
                     div #bar role="img" aria-label="Force error" {}
                     p #headline role="status" { "Fitting the base model." }
+                    pre #error role="alert" {}
                     p.note #verdict {}
+                    ul.note #notes {}
                 }
                 div #sides {
                     div #choices {
@@ -51,7 +53,7 @@ pub fn page(campaign: &str) -> String {
                             button #plan type="button" { "Plan the next recording" }
                         }
                         div #diagnosis-result role="status" {}
-                        p.note { "Predicted fall of the squared field error on held-out rows, by the linearised model." }
+                        p.note { "Predicted reduction of the squared field error on held-out rows, by the linearised model." }
                         ul #candidates {}
                         details { summary { "Not significant" } ul #others {} }
                         details { summary { "Cannot be tested here" } ul #untestable {} }
@@ -61,17 +63,27 @@ pub fn page(campaign: &str) -> String {
                             input #formula type="text" spellcheck="false" autocomplete="off" list="words" placeholder="own: dz_um = a*opening_mm";
                             datalist #words {}
                             button type="submit" { "Add" }
-                            pre #formula-error role="alert" {}
                         }
                         details { summary { "Names for formulas" } div #names {} }
                         h2 { "Compared with" }
                         select #baseline aria-label="Model to compare with" {}
                     }
                     div #results {
+                        @if live {
+                            section #live {
+                                h2 { "Gripper " span #live-name {} }
+                                p.note #live-state role="status" { "Waiting for the gripper." }
+                                div.pair {
+                                    figure { figcaption { "Lateral force, N" } canvas #live-x role="img" aria-label="Lateral forces of the last 20 seconds" {} }
+                                    figure { figcaption { "Longitudinal force, N" } canvas #live-z role="img" aria-label="Longitudinal forces of the last 20 seconds" {} }
+                                }
+                                div.wide tabindex="0" role="region" aria-label="Sensors" { table { thead { tr { th { "sensor" } th { "Fx, N" } th { "Fz, N" } th { "validity" } th { "temperature, °C" } } } tbody #live-sensors {} } }
+                            }
+                        }
                         main #view aria-busy="true" {}
                         section #scatter {
                             h2 { "Residual over a covariate" }
-                            p.note { "Of the fit to all rows. Colour: the stretch that the plots over time show, in order of time; zoom there to see a loop here." }
+                            p.note { "Of the fit to all rows. Connected points: the time interval that the plots over time show; zoom there to see a loop here." }
                             div.controls {
                                 label { "Over " select #covariate {} }
                                 label { "Axis " select #scatter-axis { option value="0" { "x" } option value="1" { "y" } option value="2" selected { "z" } } }
@@ -86,9 +98,11 @@ pub fn page(campaign: &str) -> String {
                             option value="model" { "Model" }
                             option value="tables" { "Tables for the board" }
                             option value="report" { "This page as a report" }
+                            option value="plan" { "Plan of the next recording" }
                         }
                         input #write-path type="text" value="model.toml" aria-label="File";
                         button type="submit" { "Write" }
+                        button #reload type="button" title="After recordings were added to the campaign" { "Read the campaign again" }
                         output #written {}
                     }
                     details { summary { "The same on the command line" } pre #commands {} }
@@ -101,11 +115,12 @@ pub fn page(campaign: &str) -> String {
     page.into_string()
 }
 
-/// A model as the page shows it, compared with `baseline`.
+/// A model as the page shows it, compared with `baseline`; `commands` do the same.
 pub fn state(
     bench: &Workbench,
     model: &WorkbenchModel,
     baseline: Option<&WorkbenchModel>,
+    commands: &[String],
 ) -> Value {
     let present = model.effects.iter().zip(&model.model.effects).map(|(term, effect)| {
         let formula = match term {
@@ -142,6 +157,7 @@ pub fn state(
         "candidates": candidates.collect::<Vec<_>>(),
         "untestable": untestable.collect::<Vec<_>>(),
         "notes": notes::texts(&model.comparison.notes),
+        "commands": commands,
         "view": view(&with_baseline(model, baseline)),
     })
 }
@@ -206,9 +222,9 @@ pub fn scatter(scatter: &ResidualScatter) -> String {
         points.iter().step_by(points.len().div_ceil(POINTS).max(1)).map(|&[x, y]| (x, y)).collect()
     };
     let says = format!(
-        "Residual over {name}: {} rows, of which {} are in the shown stretch.",
+        "Residual over {name}: {} rows, of which {} are in the shown time interval.",
         scatter.all.len(),
-        scatter.stretch.len()
+        scatter.interval.len()
     );
     let plot = figure(SCATTER_SIZE, &says, |paper| {
         let mut chart = axes(paper, &across, &upwards)?;
@@ -216,9 +232,9 @@ pub fn scatter(scatter: &ResidualScatter) -> String {
             move |(x, y): (f64, f64)| Circle::new((x, y), px(size), stroke(role, 1.0).filled())
         };
         chart.draw_series(some(&scatter.all).into_iter().map(dot(palette::MUTED, 1.0)))?;
-        let stretch = some(&scatter.stretch);
-        chart.draw_series([PathElement::new(stretch.clone(), stroke(palette::FIRST, 0.7))])?;
-        chart.draw_series(stretch.into_iter().map(dot(palette::FIRST, 1.6)))?;
+        let interval = some(&scatter.interval);
+        chart.draw_series([PathElement::new(interval.clone(), stroke(palette::FIRST, 0.7))])?;
+        chart.draw_series(interval.into_iter().map(dot(palette::FIRST, 1.6)))?;
         Ok(())
     });
     plot.into_string()
@@ -241,6 +257,7 @@ pub fn with_baseline(model: &WorkbenchModel, baseline: Option<&WorkbenchModel>) 
 /// Sections of a comparison that change with the model.
 fn view(comparison: &Comparison) -> String {
     let sections = html! {
+        (summary::findings_section(comparison))
         (summary::section(comparison))
         (traces::section(comparison))
         (errors::section(comparison))

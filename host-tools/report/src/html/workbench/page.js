@@ -2,14 +2,16 @@
 {
   const at = (id) => document.getElementById(id);
   const token = new URLSearchParams(location.search).get("token") ?? "";
-  // A model is its effects and formulas. The history holds each model that was shown, for undo and redo.
+  // A model is its effects and formulas. The history holds those that were shown, for undo and redo; `shown` is the server's answer
+  // to the one at `place`. Both change only after an answer, one request for a model at a time.
   const empty = { effects: [], formulas: [] };
-  let history = [empty], place = 0, shown, names, request = 0;
-  let shownModel = empty; // whose state `shown` is: a wrong formula is in the history until the server refuses it
+  let history = [], place = -1, shown, names, isBusy = false;
   let chosen; // the model to compare with, once it was selected; else the base
-  const current = () => history[place];
+  const fitted = new Map(); // every model that was shown, by its key
+  const current = () => history[place] ?? empty;
   const key = (model) => JSON.stringify([model.effects, model.formulas]);
-  const title = (model) => [...model.effects, ...model.formulas.map((text) => text.split(":")[0])].join(" + ") || "base";
+  const name = (formula) => formula.split(":")[0].trim();
+  const title = (model) => [...model.effects, ...model.formulas.map(name)].join(" + ") || "base";
 
   function element(tag, properties = {}, ...children) {
     const made = Object.assign(document.createElement(tag), properties);
@@ -80,12 +82,12 @@
   const precise = (value) => (Number.isFinite(value) ? Number(value.toPrecision(3)).toString() : "\u2013");
 
   function draw() {
-    const { effects, formulas } = shownModel;
+    const { effects, formulas } = current();
     at("present").replaceChildren(
       ...shown.present.map((effect) => {
         const size = effect.value === null ? "" : `${precise(effect.value)}\u00b1${precise(effect.std_error)} ${effect.unit}`;
         const without = effect.formula
-          ? { effects, formulas: formulas.filter((text) => text.split(":")[0].trim() !== effect.name) }
+          ? { effects, formulas: formulas.filter((text) => name(text) !== effect.name) }
           : { effects: effects.filter((name) => name !== effect.name), formulas };
         const item = choice(effect.name, "remove", [effect.formula, size].filter(Boolean).join("; "), () => go(without));
         item.dataset.effect = effect.name;
@@ -114,94 +116,74 @@
     at("redo").disabled = place === history.length - 1;
     baselines();
     preview();
-    commands();
+    at("commands").textContent = shown.commands.join("\n");
     at("diagnosis-result").replaceChildren();
+    at("error").textContent = "";
+    at("notes").replaceChildren(...shown.notes.map((text) => element("li", { textContent: text })));
     const view = at("view");
     view.innerHTML = shown.view;
     // Scripts in replaced content do not run by themselves.
     view.append(element("script", { textContent: at("view-script").textContent }));
   }
 
-  /** Models to compare with: all that were shown. */
+  /** Models to compare with. */
   function baselines() {
     const others = new Map([["", "nothing"]]);
-    for (const model of history) others.set(key(model), title(model));
+    for (const [own, model] of fitted) others.set(own, title(model));
     others.delete(key(current()));
     at("baseline").replaceChildren(...[...others].map(([value, text]) => element("option", { value, textContent: text })));
     const wanted = chosen ?? key(empty);
     at("baseline").value = others.has(wanted) ? wanted : "";
   }
 
-  const quote = (word) => (/^[\w./=+-]+$/.test(word) ? word : `'${word.replaceAll("'", `'\\''`)}'`);
-
-  function commands() {
-    const campaign = quote(at("campaign").textContent);
-    const { effects, formulas } = current();
-    const lines = [`cargo magpie fit ${campaign} -o base.toml`];
-    let model = "base.toml";
-    if (effects.length + formulas.length) {
-      const options = (text) => {
-        const [formula, ...ranges] = text.split(";").map((part) => part.trim());
-        return ["--expr", quote(formula), ...ranges.flatMap((range) => ["--range", quote(range)])];
-      };
-      const words = [...effects, ...formulas.flatMap(options)];
-      lines.push(`cargo magpie add base.toml ${campaign} ${words.join(" ")} -o model.toml`);
-      model = "model.toml";
-    }
-    lines.push(`cargo magpie replay ${model} ${campaign}`, `cargo magpie export ${model} -o tables.rs`);
-    at("commands").textContent = lines.join("\n");
+  /** The model to compare `model` with. */
+  function baselineOf(model) {
+    const wanted = chosen ?? key(empty);
+    return wanted === key(model) ? undefined : fitted.get(wanted);
   }
 
-  /** Shows the model at `place` in the history; true if it could be fitted. */
-  async function show() {
-    const own = ++request;
+  /** Asks for a model and shows it; `accept` changes the history. True if it could be fitted. */
+  async function show(model, accept) {
+    if (isBusy) return false;
+    isBusy = true;
     at("view").setAttribute("aria-busy", "true");
-    baselines();
-    const other = at("baseline").value;
+    at("choices").inert = true;
     try {
-      const baseline = other ? JSON.parse(other) : undefined;
-      const model = current();
-      const state = await ask("model", { ...model, baseline: baseline && { effects: baseline[0], formulas: baseline[1] } });
-      if (own !== request) return true;
-      [shown, shownModel] = [state, model];
+      shown = await ask("model", { ...model, baseline: baselineOf(model) });
+      accept();
+      fitted.set(key(model), model);
       draw();
       return true;
     } catch (error) {
-      if (own === request) at("headline").textContent = error.message;
-      at("formula-error").textContent = error.message;
+      at("error").textContent = error.message;
       return false;
     } finally {
-      if (own === request) at("view").setAttribute("aria-busy", "false");
+      isBusy = false;
+      at("choices").inert = false;
+      at("view").setAttribute("aria-busy", "false");
     }
   }
 
   /** A new model, which ends what could be redone. */
-  async function go(model) {
-    const before = [history, place];
-    at("formula-error").textContent = "";
-    history = [...history.slice(0, place + 1), model];
-    place = history.length - 1;
-    if (!(await show()) && current() === model) {
-      [history, place] = before;
-      baselines();
-      return false;
-    }
-    return true;
-  }
+  const go = (model) =>
+    show(model, () => {
+      history = [...history.slice(0, place + 1), model];
+      place = history.length - 1;
+    });
 
   function step(by) {
-    if (place + by < 0 || place + by >= history.length) return;
-    place += by;
-    show();
+    const model = history[place + by];
+    if (model) show(model, () => (place += by));
   }
 
   /** What is missing from the shown model, with buttons that add it. */
   async function diagnose(plans) {
-    const model = shownModel, result = at("diagnosis-result");
+    const model = current(), result = at("diagnosis-result");
     for (const id of ["diagnose", "plan"]) at(id).disabled = true;
     result.replaceChildren(element("p", { className: "note", textContent: plans ? "Diagnosing and planning: up to a minute." : "Diagnosing: some seconds." }));
     try {
       const found = await ask("diagnose", { ...model, plans });
+      if (model !== current()) return;
       const add = (text, effects, formulas) => {
         const button = element("button", { type: "button", textContent: text });
         button.addEventListener("click", () => go({ effects: [...model.effects, ...effects], formulas: [...model.formulas, ...formulas] }));
@@ -217,32 +199,33 @@
       if (found.plan) result.append(element("pre", { className: "command", textContent: found.plan }));
     } catch (error) {
       result.replaceChildren(element("p", { className: "note", textContent: error.message }));
+    } finally {
+      for (const id of ["diagnose", "plan"]) at(id).disabled = false;
     }
-    for (const id of ["diagnose", "plan"]) at(id).disabled = false;
   }
   at("diagnose").addEventListener("click", () => diagnose(false));
   at("plan").addEventListener("click", () => diagnose(true));
 
-  // The scatter follows the stretch that the plots over time show.
-  let stretch, waiting;
+  // The scatter follows the time interval that the plots over time show.
+  let interval, waiting, latest = 0;
   function follow() {
     clearTimeout(waiting);
     waiting = setTimeout(async () => {
-      if (!stretch || !at("covariate").value) return;
-      const model = shownModel;
+      if (!interval || !at("covariate").value || !shown) return;
+      const own = ++latest;
+      let plot, message;
       try {
-        const { plot } = await ask("scatter", {
-          choice: model,
-          covariate: at("covariate").value,
-          stretch: { ...stretch, axis: Number(at("scatter-axis").value) },
-        });
-        if (model === shownModel) at("scatter-plot").innerHTML = plot;
+        const request = { choice: current(), covariate: at("covariate").value, interval: { ...interval, axis: Number(at("scatter-axis").value) } };
+        plot = (await ask("scatter", request)).plot;
       } catch (error) {
-        at("scatter-plot").textContent = error.message;
+        message = error.message;
       }
+      if (own !== latest) return;
+      if (plot) at("scatter-plot").innerHTML = plot;
+      else at("scatter-plot").textContent = message;
     }, 150);
   }
-  document.addEventListener("stretch", (event) => ((stretch = event.detail), follow()));
+  document.addEventListener("interval", (event) => ((interval = event.detail), follow()));
   for (const id of ["covariate", "scatter-axis"]) at(id).addEventListener("change", follow);
 
   at("undo").addEventListener("click", () => step(-1));
@@ -254,7 +237,7 @@
   });
   at("baseline").addEventListener("change", () => {
     chosen = at("baseline").value;
-    show();
+    show(current(), () => {});
   });
   at("formula-form").addEventListener("submit", async (event) => {
     event.preventDefault();
@@ -263,20 +246,89 @@
     const { effects, formulas } = current();
     if (await go({ effects, formulas: [...formulas, text] })) at("formula").value = "";
   });
-  const files = { model: "model.toml", tables: "tables.rs", report: "report.html" };
+  const files = { model: "model.toml", tables: "tables.rs", report: "report.html", plan: "plan.toml" };
   at("write-kind").addEventListener("change", () => (at("write-path").value = files[at("write-kind").value]));
   at("write-form").addEventListener("submit", async (event) => {
     event.preventDefault();
-    const other = at("baseline").value;
-    const baseline = other ? JSON.parse(other) : undefined;
-    const body = { ...current(), kind: at("write-kind").value, path: at("write-path").value };
+    const body = { ...current(), baseline: baselineOf(current()), kind: at("write-kind").value, path: at("write-path").value };
     try {
-      const done = await ask("write", { ...body, baseline: baseline && { effects: baseline[0], formulas: baseline[1] } });
-      at("written").textContent = done.message;
+      at("written").textContent = (await ask("write", body)).message;
     } catch (error) {
       at("written").textContent = error.message;
     }
   });
+  at("reload").addEventListener("click", async () => {
+    try {
+      await ask("reload", {});
+    } catch (error) {
+      return (at("written").textContent = error.message);
+    }
+    at("written").textContent = "";
+    if (await show(current(), () => {})) nameFormulas();
+  });
+
+  // The gripper, ten times a second.
+  const PERIOD_MS = 100, SHOWN_S = 20, SILENT_S = 1;
+  const LINES = [["ink", []], ["first", [6, 3]], ["second", [2, 2]], ["third", [8, 3, 2, 3]]];
+  const past = [];
+  function strip(canvas, force) {
+    const context = canvas.getContext("2d"), scale = devicePixelRatio || 1;
+    const [wide, high] = [canvas.clientWidth, canvas.clientHeight];
+    if (canvas.width !== wide * scale) [canvas.width, canvas.height] = [wide * scale, high * scale];
+    context.setTransform(scale, 0, 0, scale, 0, 0);
+    context.clearRect(0, 0, wide, high);
+    const values = past.flatMap(({ sensors }) => sensors.map((one) => one[force]));
+    const most = Math.max(1, ...values.map(Math.abs)), now = past[past.length - 1].time_s;
+    const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`);
+    const y = (value) => high / 2 - (value / most) * (high / 2 - 8);
+    context.strokeStyle = colour("grid");
+    context.setLineDash([]);
+    context.strokeRect(0, y(0), wide, 0);
+    context.fillStyle = colour("muted");
+    context.fillText(`\u00b1${most.toFixed(1)} N`, 4, 12);
+    LINES.forEach(([name, dash], sensor) => {
+      context.strokeStyle = colour(name);
+      context.setLineDash(dash);
+      context.beginPath();
+      for (const { time_s, sensors } of past) {
+        const value = sensors[sensor]?.[force];
+        if (value === undefined || sensors[sensor].validity === "missing") context.moveTo(wide * (1 - (now - time_s) / SHOWN_S), y(0));
+        else context.lineTo(wide * (1 - (now - time_s) / SHOWN_S), y(value));
+      }
+      context.stroke();
+    });
+  }
+  async function watch() {
+    try {
+      const { name: line, ended, state } = await ask("live", {});
+      at("live-name").textContent = line;
+      past.push(state);
+      while (past[0].time_s < state.time_s - SHOWN_S) past.shift();
+      strip(at("live-x"), "fx_n");
+      strip(at("live-z"), "fz_n");
+      const isSilent = state.silent_s === null || state.silent_s > SILENT_S;
+      const size = (value, sigma) => `${value.toFixed(2)}${sigma === null ? "" : ` \u00b1 ${sigma.toFixed(2)}`}`;
+      const none = "\u2013";
+      at("live-sensors").replaceChildren(
+        ...state.sensors.map((one) => {
+          const isMissing = isSilent || one.validity === "missing";
+          const forces = isMissing ? [none, none] : [size(one.fx_n, one.sigma_x_n), size(one.fz_n, one.sigma_z_n)];
+          const cells = [...forces, isSilent ? none : one.validity + (one.disturbed ? ", disturbed" : ""), isSilent ? none : one.temp_c?.toFixed(1) ?? none];
+          return element("tr", {}, element("th", { textContent: one.sensor, scope: "row" }), ...cells.map((text) => element("td", { textContent: text })));
+        }),
+      );
+      const faults = state.faults.map((one) => one.name ?? one.code).join(", ") || "no faults";
+      const opening = state.covariates?.opening_mm;
+      const words = [`${state.ticks_hz} ticks per second`, faults, state.heartbeat?.state, opening == null ? undefined : `opening ${opening.toFixed(1)} mm`];
+      const silence = state.silent_s === null ? "Nothing was received yet." : `Silent for ${state.silent_s.toFixed(0)} s.`;
+      at("live-state").textContent = ended ?? (isSilent ? silence : words.filter(Boolean).join("; "));
+      if (ended) return;
+    } catch (error) {
+      at("live-state").textContent = `No answer (${error.message}); trying again.`;
+    }
+    setTimeout(watch, PERIOD_MS);
+  }
+  if (at("live")) watch();
 
   /** Completes the word before the cursor, and inserts names that are clicked. */
   function insert(word) {
@@ -289,24 +341,34 @@
   function suggest() {
     const input = at("formula"), end = input.selectionStart ?? input.value.length;
     const before = input.value.slice(0, end), start = before.search(/[\w]*$/), part = before.slice(start);
-    const all = [...names.targets, ...names.covariates, ...names.functions];
-    const found = part ? all.filter((name) => name.startsWith(part) && name !== part) : [];
-    at("words").replaceChildren(...found.map((name) => element("option", { value: before.slice(0, start) + name + input.value.slice(end) })));
+    const all = names ? [...names.targets, ...names.covariates, ...names.functions] : [];
+    const found = part ? all.filter((word) => word.startsWith(part) && word !== part) : [];
+    at("words").replaceChildren(...found.map((word) => element("option", { value: before.slice(0, start) + word + input.value.slice(end) })));
   }
   at("formula").addEventListener("input", suggest);
 
-  ask("names", {}).then((found) => {
-    names = found;
-    at("covariate").replaceChildren(...found.residual_covariates.map(({ name, words }) => element("option", { value: name, textContent: words })));
-    follow();
-    for (const [heading, list] of [["Targets", names.targets], ["Covariates", names.covariates], ["Functions", names.functions]]) {
-      at("names").append(element("h3", { textContent: heading }));
-      for (const name of list) {
-        const button = element("button", { type: "button", textContent: name });
-        button.addEventListener("click", () => insert(name));
-        at("names").append(button);
-      }
+  async function nameFormulas() {
+    try {
+      names = await ask("names", {});
+    } catch (error) {
+      return (at("error").textContent = error.message);
     }
-  });
-  show();
+    const before = at("covariate").value;
+    at("covariate").replaceChildren(...names.residual_covariates.map(({ name: value, words }) => element("option", { value, textContent: words })));
+    if (names.residual_covariates.some((one) => one.name === before)) at("covariate").value = before;
+    const parts = [["Targets", names.targets], ["Covariates", names.covariates], ["Functions", names.functions]];
+    at("names").replaceChildren(
+      ...parts.flatMap(([heading, list]) => [
+        element("h3", { textContent: heading }),
+        ...list.map((word) => {
+          const button = element("button", { type: "button", textContent: word });
+          button.addEventListener("click", () => insert(word));
+          return button;
+        }),
+      ]),
+    );
+    follow();
+  }
+
+  go(empty).then(nameFormulas);
 }
