@@ -29,8 +29,9 @@ mod unix {
 
     use crate::images::{self, Variant};
     use crate::workdir::running::Running;
+    use crate::workdir::served::Served;
     use crate::workdir::tutorial::{Step, folder, link_data, steps};
-    use crate::workdir::{WorkDir, text};
+    use crate::workdir::{WorkDir, campaign, text};
 
     pub fn main() -> ExitCode {
         let arguments = Arguments::from_args();
@@ -50,6 +51,7 @@ mod unix {
             Trial::test("only_hosts_with_the_key_change_a_protected_gripper", keys),
             Trial::test("an_image_that_is_none_is_refused", refused),
             Trial::test("the_tutorial_flashes_and_drives", tutorial),
+            Trial::test("the_workbench_uploads_a_calibration", workbench),
         ];
         let trials =
             trials.into_iter().map(|trial| trial.with_ignored_flag(absent.is_some())).collect();
@@ -251,6 +253,33 @@ mod unix {
         drop(others);
         let measured = emulation.expect("an emulation").end();
         is_clean(&measured);
+        Ok(())
+    }
+
+    fn workbench() -> Result<(), Failed> {
+        let dir = WorkDir::empty();
+        let emulation = Emulation::start(&dir, &path(Variant::Nominal)?, "--json");
+        let before = dir.json(&format!("board --port {} --json", emulation.serial));
+        let line = format!("{} --port {}", campaign("friction"), emulation.serial);
+        let served = Served::start(&dir, &line);
+        let request = serde_json::json!({
+            "effects": ["magnet_temperature", "hysteresis"], "formulas": [], "kind": "board", "path": "",
+        });
+        let (status, answer) = served.ask("write", &request);
+        assert_eq!(status, 200, "{answer}");
+        assert!(answer["message"].as_str().unwrap().contains("runs on the gripper"), "{answer}");
+        // The gripper is watched again.
+        let is_watched =
+            || served.ask("live", &serde_json::json!({})).1["state"]["ticks_hz"].as_u64() > Some(0);
+        while !is_watched() {
+            std::thread::sleep(std::time::Duration::from_millis(100));
+        }
+        drop(served);
+        let after = dir.json(&format!("board --port {} --json", emulation.serial));
+        let effects = serde_json::json!(["magnet_temperature", "hysteresis"]);
+        assert_ne!(before["calibration"]["effects"], effects, "{before}");
+        assert_eq!(after["calibration"]["effects"], effects, "{after}");
+        drop(emulation);
         Ok(())
     }
 

@@ -29,7 +29,7 @@ use device::virtual_board::world::SensorInput;
 use device_run::networks::NetworkSet;
 
 /// Serial line or CAN bus of a gripper.
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub struct PortArgs {
     /// Serial port, such as /dev/ttyACM0.
     #[arg(long, value_name = "PATH", conflicts_with = "can")]

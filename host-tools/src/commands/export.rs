@@ -40,17 +40,17 @@ pub struct Args {
     json: bool,
 }
 
-/// Refuses a model with an effect that the device never compensates.
+/// Refuses a model with an effect that the device never compensates; `command` can override that.
 ///
 /// # Errors
 /// There is one; the error has the reason.
-pub fn check_compensated(built: &DeviceModel) -> Result<()> {
+pub fn check_compensated(built: &DeviceModel, command: &str) -> Result<()> {
     let Some((effect, why)) = built.uncompensated.first() else {
         return Ok(());
     };
     bail!(
         "the device never compensates {effect}: {why}. Its error stays in the forces: remove it from the model \
-         (`cargo magpie remove`), or export with --uncompensated"
+         (`cargo magpie remove`), or {command} with --uncompensated"
     )
 }
 
@@ -60,7 +60,7 @@ pub fn run(args: &Args) -> Result<()> {
     check_output(&args.output, MARK)?;
     let built = build(&args.model, variant)?;
     if !args.uncompensated {
-        check_compensated(&built)?;
+        check_compensated(&built, "export")?;
     }
     let networks =
         args.network.as_deref().map(|path| NetworkSet::read(path, &built)).transpose()?;

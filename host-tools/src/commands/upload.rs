@@ -5,15 +5,18 @@ use std::time::{Duration, Instant, SystemTime};
 
 use analysis::notes::{Note, UncompensatedEffect};
 use analysis::progress;
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use device::calibration_client;
+use device::source::Source;
 use device_run::networks::NetworkSet;
-use model_export::inverse::build::{ModelVariant, build};
+use model_export::gru::network::Network;
+use model_export::inverse::build::{DeviceModel, ModelVariant, build};
 use model_export::inverse::calibration::{CalibrationDescription, encode_calibration};
 use report::text::terminal;
 use serde_json::json;
 
 use crate::commands::connection::PortArgs;
+use crate::commands::export::check_compensated;
 use crate::commands::{print_conditions, print_missing_sensors, print_notes};
 
 /// Upload a calibration to a gripper: force model, compensation and networks, without a compiler.
@@ -53,62 +56,87 @@ pub fn run(args: &Args) -> Result<()> {
     let mut source = args.port.open_given()?;
     let variant = if args.nominal { ModelVariant::Nominal } else { ModelVariant::Fitted };
     let built = build(&args.model, variant)?;
-    if let Some((effect, why)) = built.uncompensated.first()
-        && !args.uncompensated
-    {
-        bail!(
-            "the device never compensates {effect}: {why}. Its error stays in the forces: remove it from the model \
-             (`cargo magpie remove`), or upload with --uncompensated"
-        );
+    if !args.uncompensated {
+        check_compensated(&built, "upload")?;
     }
     let set = args.network.as_deref().map(|path| NetworkSet::read(path, &built)).transpose()?;
     let networks = set.as_ref().map_or(&[][..], |set| &set.file.networks);
-    let now = humantime::format_rfc3339_seconds(SystemTime::now()).to_string();
-    let description = CalibrationDescription {
-        uploaded: Some(now),
-        ..CalibrationDescription::of(&built, networks)
-    };
-    let bytes = encode_calibration(&built, networks, &description)
-        .with_context(|| args.model.display().to_string())?;
     let uncompensated = UncompensatedEffect::of(&built).map(Note::Uncompensated);
     print_notes(&uncompensated.collect::<Vec<_>>());
     print_conditions(&built);
     print_missing_sensors(&built.header);
-    let bar = progress::progress_bar("uploading", bytes.len());
-    let begun = Instant::now();
-    let tables = built.chosen.tables.id;
-    let (sequence, took) = args.port.in_session(source.as_mut(), |session| {
-        let sequence =
-            calibration_client::upload(session, &bytes, |done| bar.set_position(done as u64))?;
-        let took = begun.elapsed();
-        bar.finish_and_clear();
-        if !args.no_reboot {
-            calibration_client::reboot_into(session, tables)?;
-        }
-        Ok((sequence, took))
-    })?;
+    let uploaded = upload(&args.port, source.as_mut(), &built, networks, !args.no_reboot)
+        .with_context(|| args.model.display().to_string())?;
+    let UploadedCalibration { tables, sequence, bytes, took, description } = &uploaded;
     terminal::print_result(
         args.json,
         || {
             json!({
                 "tables": format!("{tables:04x}"),
                 "sequence": sequence,
-                "bytes": bytes.len(),
+                "bytes": bytes,
                 "seconds": took.as_secs_f64(),
                 "running": !args.no_reboot,
                 "calibration": description,
             })
         },
-        || text(tables, bytes.len(), took, args.no_reboot),
+        || uploaded.text(args.no_reboot),
     )
 }
 
-fn text(tables: u16, bytes: usize, took: Duration, waits: bool) -> String {
-    let state = if waits { "runs after the next reboot" } else { "runs on the gripper" };
-    format!(
-        "Calibration {tables:04x} {state}: {:.1} KiB uploaded in {:.1} s.\n\
-         A tare belongs to the former calibration: repeat it without load (`magpie tare`).\n",
-        bytes as f64 / 1024.0,
-        took.as_secs_f64()
-    )
+/// A calibration that was uploaded.
+pub struct UploadedCalibration {
+    /// Identifier of its tables.
+    pub tables: u16,
+    sequence: u32,
+    bytes: usize,
+    took: Duration,
+    description: CalibrationDescription,
+}
+
+impl UploadedCalibration {
+    /// Result in words; `waits` if the gripper was not rebooted.
+    pub fn text(&self, waits: bool) -> String {
+        let state = if waits { "runs after the next reboot" } else { "runs on the gripper" };
+        format!(
+            "Calibration {:04x} {state}: {:.1} KiB uploaded in {:.1} s.\n\
+             A tare belongs to the former calibration: repeat it without load (`cargo magpie tare`).\n",
+            self.tables,
+            self.bytes as f64 / 1024.0,
+            self.took.as_secs_f64()
+        )
+    }
+}
+
+/// Uploads a calibration in a session, and reboots the gripper into it unless `reboot` is false.
+///
+/// # Errors
+/// The calibration does not fit the board, or the gripper refuses it or does not answer.
+pub fn upload(
+    port: &PortArgs,
+    source: &mut dyn Source,
+    built: &DeviceModel,
+    networks: &[Network],
+    reboot: bool,
+) -> Result<UploadedCalibration> {
+    let now = humantime::format_rfc3339_seconds(SystemTime::now()).to_string();
+    let description = CalibrationDescription {
+        uploaded: Some(now),
+        ..CalibrationDescription::of(built, networks)
+    };
+    let bytes = encode_calibration(built, networks, &description)?;
+    let bar = progress::progress_bar("uploading", bytes.len());
+    let begun = Instant::now();
+    let tables = built.chosen.tables.id;
+    let (sequence, took) = port.in_session(source, |session| {
+        let sequence =
+            calibration_client::upload(session, &bytes, |done| bar.set_position(done as u64))?;
+        let took = begun.elapsed();
+        bar.finish_and_clear();
+        if reboot {
+            calibration_client::reboot_into(session, tables)?;
+        }
+        Ok((sequence, took))
+    })?;
+    Ok(UploadedCalibration { tables, sequence, bytes: bytes.len(), took, description })
 }

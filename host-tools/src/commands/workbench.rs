@@ -3,8 +3,11 @@
 use std::collections::BTreeSet;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::RecvTimeoutError;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Instant;
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
 use analysis::workbench::{Interval, Workbench};
 use anyhow::{Context, Result, anyhow, bail};
@@ -16,9 +19,9 @@ use axum::routing::{get, post};
 use axum::{Json, Router};
 use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
-use model_export::inverse::build::{ModelVariant, build};
+use model_export::inverse::build::{DeviceModel, ModelVariant, build};
 use model_export::inverse::codegen::{self, tables_source};
-use model_export::model_file::BaseKind;
+use model_export::model_file::{BaseKind, ModelFile};
 use model_export::output::{StagingDir, check_output, write_output};
 use model_export::recordings::align::Alignment;
 use model_export::recordings::campaign::recording_folders;
@@ -31,6 +34,7 @@ use crate::commands::args::{AlignArgs, parse_formulas, parse_range};
 use crate::commands::connection::{PortArgs, check_protocol, default_virtual_board};
 use crate::commands::diagnose::write_plan_file;
 use crate::commands::export::check_compensated;
+use crate::commands::upload::{UploadedCalibration, upload};
 use device::format;
 use device::reader::{ReaderEvent, SourceReader};
 use device::source::Source;
@@ -71,6 +75,8 @@ pub struct Args {
     json: bool,
 }
 
+/// Time after which the watching thread looks whether it should end.
+const WAIT: Duration = Duration::from_millis(100);
 /// Maximum length of a request in bytes: some formulas.
 const MAX_REQUEST_BYTES: usize = 64 << 10;
 /// What the page may load: only itself.
@@ -83,7 +89,7 @@ pub fn run(args: &Args) -> Result<()> {
     recording_folders(&args.campaign)?;
     let source =
         if args.is_virtual { Some(default_virtual_board()?) } else { args.gripper.open()? };
-    let live = source.map(LiveGripper::watch).transpose()?;
+    let live = source.map(|source| LiveGripper::new(source, args.gripper.clone())).transpose()?;
     let mut token = [0; 16];
     getrandom::fill(&mut token).context("the system has no random numbers")?;
     let token: String = token.iter().map(|byte| format!("{byte:02x}")).collect();
@@ -188,60 +194,100 @@ async fn page(State(server): State<Server>) -> Html<String> {
     Html(pages::page(&server.campaign.display().to_string(), server.live.is_some()))
 }
 
-/// A gripper that is watched in the background.
+/// A gripper that is watched in the background, but for uploads.
 struct LiveGripper {
     name: String,
-    start: Instant,
+    port: PortArgs,
     state: Arc<Mutex<LiveState>>,
+    watching: Mutex<Option<Watching>>,
+}
+
+/// The thread that watches, and the request to end it.
+struct Watching {
+    stop: Arc<AtomicBool>,
+    thread: JoinHandle<SourceReader>,
 }
 
 /// What a gripper sends, or why nothing more follows.
-#[derive(Default)]
 struct LiveState {
     gripper: GripperState,
+    /// Start of the gripper's times.
+    start: Instant,
     ended: Option<String>,
 }
 
 impl LiveGripper {
-    fn watch(mut source: Box<dyn Source + Send>) -> Result<Self> {
+    fn new(source: Box<dyn Source + Send>, port: PortArgs) -> Result<Self> {
+        let state =
+            LiveState { gripper: GripperState::default(), start: Instant::now(), ended: None };
+        let live = Self {
+            name: source.name(),
+            port,
+            state: Arc::new(Mutex::new(state)),
+            watching: Mutex::new(None),
+        };
+        live.watch(source)?;
+        Ok(live)
+    }
+
+    fn watch(&self, mut source: Box<dyn Source + Send>) -> Result<()> {
         // Requests the version; a listen-only connection still receives data.
         let _ = source.send(service(op::VERSION, 0));
-        let name = source.name();
         let reader = SourceReader::start(source);
-        let start = reader.begun;
-        let state = Arc::new(Mutex::new(LiveState::default()));
-        let shared = state.clone();
-        std::thread::Builder::new().name("gripper".to_owned()).spawn(move || {
-            let with = |change: &mut dyn FnMut(&mut LiveState)| {
-                change(&mut shared.lock().unwrap_or_else(PoisonError::into_inner));
-            };
-            loop {
-                let ended = match reader.news.recv() {
-                    Ok(ReaderEvent::Packets { at_s, packets, broken }) => {
-                        let mut unknown = None;
-                        with(&mut |state| {
-                            state.gripper.lost.broken = broken;
-                            packets.iter().for_each(|packet| state.gripper.update(at_s, packet));
-                            unknown = check_protocol(&state.gripper).err();
-                        });
-                        match unknown {
-                            None => continue,
-                            Some(error) => format!("{error:#}"),
-                        }
-                    }
-                    Ok(ReaderEvent::Failed(error)) => format!("{error:#}"),
-                    Ok(ReaderEvent::Ended) | Err(_) => "the connection ended".to_owned(),
+        let (shared, stop) = (self.state.clone(), Arc::new(AtomicBool::new(false)));
+        *shared.lock().unwrap_or_else(PoisonError::into_inner) =
+            LiveState { gripper: GripperState::default(), start: reader.begun, ended: None };
+        let stopped = stop.clone();
+        let thread = std::thread::Builder::new().name("gripper".to_owned()).spawn(move || {
+            while !stopped.load(Ordering::Relaxed) {
+                let event = match reader.news.recv_timeout(WAIT) {
+                    Ok(event) => event,
+                    Err(RecvTimeoutError::Timeout) => continue,
+                    Err(RecvTimeoutError::Disconnected) => ReaderEvent::Ended,
                 };
-                with(&mut |state| state.ended = Some(ended.clone()));
-                return;
+                let mut state = shared.lock().unwrap_or_else(PoisonError::into_inner);
+                let ended = match event {
+                    ReaderEvent::Packets { at_s, packets, broken } => {
+                        state.gripper.lost.broken = broken;
+                        packets.iter().for_each(|packet| state.gripper.update(at_s, packet));
+                        check_protocol(&state.gripper).err().map(|error| format!("{error:#}"))
+                    }
+                    ReaderEvent::Failed(error) => Some(format!("{error:#}")),
+                    ReaderEvent::Ended => Some("The connection ended.".to_owned()),
+                };
+                if ended.is_some() {
+                    state.ended = ended;
+                    break;
+                }
             }
+            reader
         })?;
-        Ok(Self { name, start, state })
+        *self.watching.lock().unwrap_or_else(PoisonError::into_inner) =
+            Some(Watching { stop, thread });
+        Ok(())
+    }
+
+    /// Uploads a calibration; the gripper is not watched meanwhile.
+    fn upload(&self, built: &DeviceModel) -> Result<UploadedCalibration> {
+        if !self.port.is_given() {
+            bail!(
+                "a virtual board takes no calibration: give --port or --can, also of `cargo magpie emulate`"
+            );
+        }
+        let watching = self.watching.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let Watching { stop, thread } = watching.context("an upload is under way")?;
+        stop.store(true, Ordering::Relaxed);
+        let reader =
+            thread.join().map_err(|_| anyhow!("the thread that watches the gripper panicked"))?;
+        let mut source = reader.stop()?;
+        let uploaded = upload(&self.port, source.as_mut(), built, &[], true);
+        self.watch(source)?;
+        uploaded
     }
 
     fn to_json(&self) -> Value {
         let state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
-        let now_s = self.start.elapsed().as_secs_f64();
+        let now_s = state.start.elapsed().as_secs_f64();
         json!({ "name": self.name, "ended": state.ended, "state": format::state_json(&state.gripper, now_s) })
     }
 }
@@ -297,6 +343,7 @@ enum Kind {
     Tables,
     Report,
     Plan,
+    Board,
 }
 
 async fn model(State(server): State<Server>, Json(request): Json<ModelRequest>) -> Response {
@@ -363,7 +410,7 @@ async fn scatter(State(server): State<Server>, Json(request): Json<ScatterReques
 
 async fn write(State(server): State<Server>, Json(request): Json<WriteRequest>) -> Response {
     let plan = server.plan.lock().unwrap_or_else(PoisonError::into_inner).clone();
-    let campaign = server.campaign.clone();
+    let (campaign, live) = (server.campaign.clone(), server.live.clone());
     answer(server, move |bench| {
         let terms = request.choice.terms(bench)?;
         let baseline = request.baseline.map(|choice| choice.terms(bench)).transpose()?;
@@ -389,23 +436,38 @@ async fn write(State(server): State<Server>, Json(request): Json<WriteRequest>) 
             }
             Kind::Tables => {
                 check_output(path, codegen::MARK)?;
-                // Tables are built from a model file, whose hash they carry.
-                let folder = StagingDir::new(&std::env::temp_dir().join("model"), "workbench")?;
-                let model = folder.path().join("model.toml");
-                shown.model.write(&model)?;
-                let built = build(&model, ModelVariant::Fitted)?;
-                check_compensated(&built)?;
+                let built = tables(&shown.model)?;
+                check_compensated(&built, "export")?;
                 write_output(path, tables_source(&built).as_bytes(), codegen::MARK)?;
-                let conditions = built.conditions.iter();
-                let conditions = conditions.map(|(effect, conditions)| {
-                    format!(" The board compensates {effect} {}.", conditions.join("; "))
-                });
-                format!("Written to {}.{}", path.display(), conditions.collect::<String>())
+                format!("Written to {}.{}", path.display(), conditions(&built))
+            }
+            Kind::Board => {
+                let live = live.context("no gripper is connected: give --port or --can")?;
+                let built = tables(&shown.model)?;
+                check_compensated(&built, "upload")?;
+                live.upload(&built)?.text(false) + &conditions(&built)
             }
         };
         Ok(json!({ "message": message }))
     })
     .await
+}
+
+/// Tables of a model. They carry the hash of a model file.
+fn tables(model: &ModelFile) -> Result<DeviceModel> {
+    let folder = StagingDir::new(&std::env::temp_dir().join("model"), "workbench")?;
+    let path = folder.path().join("model.toml");
+    model.write(&path)?;
+    Ok(build(&path, ModelVariant::Fitted)?)
+}
+
+/// When the board compensates the effects of a model, in sentences.
+fn conditions(built: &DeviceModel) -> String {
+    let conditions = built.conditions.iter();
+    let sentence = conditions.map(|(effect, conditions)| {
+        format!(" The board compensates {effect} {}.", conditions.join("; "))
+    });
+    sentence.collect()
 }
 
 impl Choice {

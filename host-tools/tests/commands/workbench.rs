@@ -1,50 +1,10 @@
 //! `magpie workbench`: what its server answers, and whom it refuses.
 
-use std::io::{Read, Write};
-use std::net::TcpStream;
-
 use serde_json::{Value, json};
 use tests::campaign_copy::CampaignCopy;
 
-use crate::workdir::running::Running;
+use crate::workdir::served::Served;
 use crate::workdir::{WorkDir, campaign};
-
-/// A running server with its address and token.
-struct Served {
-    _running: Running,
-    host: String,
-    token: String,
-}
-
-impl Served {
-    fn start(dir: &WorkDir, campaign: &str) -> Self {
-        let mut running = Running::start(dir, &format!("workbench {campaign} --json"));
-        let url = running.objects().next().unwrap()["url"].as_str().unwrap().to_owned();
-        let (host, token) = url.strip_prefix("http://").unwrap().split_once("/?token=").unwrap();
-        Self { host: host.to_owned(), token: token.to_owned(), _running: running }
-    }
-
-    /// Status and body of a request with these header lines.
-    fn request(&self, line: &str, headers: &str, body: &str) -> (u16, String) {
-        let mut stream = TcpStream::connect(&self.host).unwrap();
-        let length = body.len();
-        let request = format!(
-            "{line} HTTP/1.1\r\n{headers}content-type: application/json\r\ncontent-length: {length}\r\nconnection: close\r\n\r\n{body}"
-        );
-        stream.write_all(request.as_bytes()).unwrap();
-        let mut answer = String::new();
-        stream.read_to_string(&mut answer).unwrap();
-        let (head, body) = answer.split_once("\r\n\r\n").unwrap();
-        (head.split(' ').nth(1).unwrap().parse().unwrap(), body.to_owned())
-    }
-
-    /// Answer to a request of the page.
-    fn ask(&self, path: &str, body: &Value) -> (u16, Value) {
-        let headers = format!("host: {}\r\nx-token: {}\r\n", self.host, self.token);
-        let (status, body) = self.request(&format!("POST /{path}"), &headers, &body.to_string());
-        (status, serde_json::from_str(&body).unwrap())
-    }
-}
 
 #[test]
 fn only_the_printed_address_is_answered() {

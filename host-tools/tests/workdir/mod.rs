@@ -5,6 +5,8 @@
 #[cfg(unix)]
 pub mod running;
 #[cfg(unix)]
+pub mod served;
+#[cfg(unix)]
 pub mod tutorial;
 
 use std::path::{Path, PathBuf};

@@ -99,6 +99,7 @@ pub fn page(campaign: &str, live: bool) -> String {
                             option value="tables" { "Tables for the board" }
                             option value="report" { "This page as a report" }
                             option value="plan" { "Plan of the next recording" }
+                            @if live { option value="board" { "To the gripper" } }
                         }
                         input #write-path type="text" value="model.toml" aria-label="File";
                         button type="submit" { "Write" }

@@ -247,10 +247,15 @@
     if (await go({ effects, formulas: [...formulas, text] })) at("formula").value = "";
   });
   const files = { model: "model.toml", tables: "tables.rs", report: "report.html", plan: "plan.toml" };
-  at("write-kind").addEventListener("change", () => (at("write-path").value = files[at("write-kind").value]));
+  at("write-kind").addEventListener("change", () => {
+    const file = files[at("write-kind").value];
+    at("write-path").value = file ?? "";
+    at("write-path").hidden = file === undefined;
+  });
   at("write-form").addEventListener("submit", async (event) => {
     event.preventDefault();
     const body = { ...current(), baseline: baselineOf(current()), kind: at("write-kind").value, path: at("write-path").value };
+    at("written").textContent = body.kind === "board" ? "Uploading: some seconds." : "";
     try {
       at("written").textContent = (await ask("write", body)).message;
     } catch (error) {
