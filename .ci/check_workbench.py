@@ -216,6 +216,15 @@ def live(browser, magpie, folder, name):
     tab.check("no faults" in page.inner_text("#live-state"), page.inner_text("#live-state"))
     tab.fits()
     page.screenshot(path=folder / f"live-{name}.png")
+    # A recording by `magpie record`, ended by a click.
+    page.fill("#record-output", "recorded/1")
+    page.click("#record-form button[type=submit]")
+    page.wait_for_function("() => document.querySelector('#record-lines').innerText.includes('Recording.')")
+    page.wait_for_timeout(2500)
+    page.click("#record-end")
+    page.wait_for_function("() => document.querySelector('#record-lines').innerText.includes('has ended')")
+    rows = len((server.folder / "recorded" / "1" / "hall.csv").read_text().splitlines())
+    tab.check(rows > 500, f"{rows} rows were recorded: {page.inner_text('#record-lines')}")
     # Recordings that are added are fitted after a click.
     recordings = "#view #recording option"
     tab.check(page.locator(recordings).count() == 3, "not three recordings")

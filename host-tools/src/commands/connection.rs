@@ -76,6 +76,22 @@ impl PortArgs {
         }
     }
 
+    /// The connection as arguments of another command.
+    pub fn arguments(&self) -> Vec<String> {
+        let mut arguments = Vec::new();
+        let mut add = |name: &str, value: String| arguments.extend([name.to_owned(), value]);
+        if let Some(port) = &self.port {
+            add("--port", port.clone());
+        } else if let Some(bus) = &self.can {
+            add("--can", bus.clone());
+            add("--node", self.node.to_string());
+        }
+        if let Some(key) = &self.key {
+            add("--key", key.display().to_string());
+        }
+        arguments
+    }
+
     /// Does some work in a session with the gripper; states that it is unprotected if it is.
     ///
     /// # Errors

@@ -1,8 +1,10 @@
 //! `magpie workbench`: a page on this machine in which models of a campaign are built and compared.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, VecDeque};
+use std::io::{BufRead, BufReader, Read};
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::RecvTimeoutError;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -150,6 +152,8 @@ fn router(server: Server) -> Router {
         .route("/diagnose", post(diagnose))
         .route("/scatter", post(scatter))
         .route("/live", post(live))
+        .route("/record", post(record))
+        .route("/end-recording", post(end_recording))
         .route("/reload", post(reload))
         .route("/write", post(write))
         .layer(DefaultBodyLimit::max(MAX_REQUEST_BYTES))
@@ -200,12 +204,86 @@ struct LiveGripper {
     port: PortArgs,
     state: Arc<Mutex<LiveState>>,
     watching: Mutex<Option<Watching>>,
+    recording: Mutex<Option<RecordingProcess>>,
 }
 
 /// The thread that watches, and the request to end it.
 struct Watching {
     stop: Arc<AtomicBool>,
     thread: JoinHandle<SourceReader>,
+}
+
+/// A recording by a process of its own, `magpie record`.
+struct RecordingProcess {
+    child: Child,
+    /// What it prints, the last lines.
+    lines: Arc<Mutex<VecDeque<String>>>,
+    readers: Vec<JoinHandle<()>>,
+}
+
+/// Lines of a recording that are shown.
+const SHOWN_LINES: usize = 12;
+
+impl RecordingProcess {
+    fn start(arguments: &[String]) -> Result<Self> {
+        let program = std::env::current_exe().context("the path of this program is unknown")?;
+        let mut child = Command::new(program)
+            .arg("record")
+            .args(arguments)
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .context("the recording cannot be started")?;
+        let lines = Arc::new(Mutex::new(VecDeque::new()));
+        let read = |source: Option<Box<dyn Read + Send>>| {
+            let shown = lines.clone();
+            std::thread::spawn(move || {
+                let source = source.into_iter().flat_map(|source| BufReader::new(source).lines());
+                for line in source.map_while(Result::ok) {
+                    let mut shown = shown.lock().unwrap_or_else(PoisonError::into_inner);
+                    shown.push_back(line);
+                    if shown.len() > SHOWN_LINES {
+                        shown.pop_front();
+                    }
+                }
+            })
+        };
+        let stdout = child.stdout.take().map(|pipe| Box::new(pipe) as Box<dyn Read + Send>);
+        let stderr = child.stderr.take().map(|pipe| Box::new(pipe) as Box<dyn Read + Send>);
+        let readers = vec![read(stdout), read(stderr)];
+        Ok(Self { child, lines, readers })
+    }
+
+    /// Whether it goes on, and what it printed.
+    fn status(&mut self) -> (bool, String) {
+        let goes_on = matches!(self.child.try_wait(), Ok(None));
+        if !goes_on {
+            // What was printed last.
+            self.readers.drain(..).for_each(|reader| drop(reader.join()));
+        }
+        let lines = self.lines.lock().unwrap_or_else(PoisonError::into_inner);
+        (goes_on, lines.iter().map(String::as_str).collect::<Vec<_>>().join("\n"))
+    }
+
+    /// Asks it to end, as Ctrl-C does; what was recorded is kept.
+    fn interrupt(&mut self) -> Result<()> {
+        #[cfg(unix)]
+        rustix::process::kill_process(
+            rustix::process::Pid::from_child(&self.child),
+            rustix::process::Signal::INT,
+        )?;
+        #[cfg(not(unix))]
+        self.child.kill()?;
+        Ok(())
+    }
+}
+
+impl Drop for RecordingProcess {
+    fn drop(&mut self) {
+        let _ = self.interrupt();
+        let _ = self.child.wait();
+    }
 }
 
 /// What a gripper sends, or why nothing more follows.
@@ -225,6 +303,7 @@ impl LiveGripper {
             port,
             state: Arc::new(Mutex::new(state)),
             watching: Mutex::new(None),
+            recording: Mutex::new(None),
         };
         live.watch(source)?;
         Ok(live)
@@ -267,6 +346,55 @@ impl LiveGripper {
         Ok(())
     }
 
+    /// Ends the watching and returns the connection.
+    fn release(&self) -> Result<Box<dyn Source + Send>> {
+        let watching = self.watching.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let Watching { stop, thread } =
+            watching.context("the gripper is in use: an upload or a recording is under way")?;
+        stop.store(true, Ordering::Relaxed);
+        let reader = thread.join();
+        reader.map_err(|_| anyhow!("the thread that watches the gripper panicked"))?.stop()
+    }
+
+    /// Starts a recording. A gripper has one connection, so that it is not watched meanwhile; a virtual board records one of its
+    /// own.
+    fn record(&self, request: &RecordRequest) -> Result<()> {
+        let mut recording = self.recording.lock().unwrap_or_else(PoisonError::into_inner);
+        if recording.as_mut().is_some_and(|recording| recording.status().0) {
+            bail!("a recording is under way");
+        }
+        let mut arguments = if self.port.is_given() {
+            drop(self.release()?);
+            self.port.arguments()
+        } else {
+            vec!["--virtual".to_owned()]
+        };
+        arguments.extend(["-o".to_owned(), request.output.display().to_string()]);
+        arguments.extend(match &request.plan {
+            Some(plan) => ["--plan".to_owned(), plan.display().to_string()],
+            None => ["--seconds".to_owned(), request.seconds.to_string()],
+        });
+        *recording = Some(RecordingProcess::start(&arguments)?);
+        Ok(())
+    }
+
+    /// State of the recording, if there was one; watches the gripper again after its end.
+    fn recording_json(&self) -> Value {
+        let mut recording = self.recording.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some((goes_on, lines)) = recording.as_mut().map(RecordingProcess::status) else {
+            return Value::Null;
+        };
+        let is_watched = self.watching.lock().unwrap_or_else(PoisonError::into_inner).is_some();
+        if !goes_on && !is_watched {
+            let again = self.port.open_given().and_then(|source| self.watch(source));
+            if let Err(error) = again {
+                let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+                state.ended = Some(format!("{error:#}"));
+            }
+        }
+        json!({ "goes_on": goes_on, "lines": lines })
+    }
+
     /// Uploads a calibration; the gripper is not watched meanwhile.
     fn upload(&self, built: &DeviceModel) -> Result<UploadedCalibration> {
         if !self.port.is_given() {
@@ -274,28 +402,74 @@ impl LiveGripper {
                 "a virtual board takes no calibration: give --port or --can, also of `cargo magpie emulate`"
             );
         }
-        let watching = self.watching.lock().unwrap_or_else(PoisonError::into_inner).take();
-        let Watching { stop, thread } = watching.context("an upload is under way")?;
-        stop.store(true, Ordering::Relaxed);
-        let reader =
-            thread.join().map_err(|_| anyhow!("the thread that watches the gripper panicked"))?;
-        let mut source = reader.stop()?;
+        let mut source = self.release()?;
         let uploaded = upload(&self.port, source.as_mut(), built, &[], true);
         self.watch(source)?;
         uploaded
     }
 
     fn to_json(&self) -> Value {
+        let recording = self.recording_json();
         let state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         let now_s = state.start.elapsed().as_secs_f64();
-        json!({ "name": self.name, "ended": state.ended, "state": format::state_json(&state.gripper, now_s) })
+        json!({
+            "name": self.name, "ended": state.ended, "recording": recording,
+            "state": format::state_json(&state.gripper, now_s),
+        })
     }
 }
 
 async fn live(State(server): State<Server>) -> Response {
     match &server.live {
-        Some(live) => Json(live.to_json()).into_response(),
+        // It may wait for the end of a recording.
+        Some(live) => {
+            let live = live.clone();
+            match tokio::task::spawn_blocking(move || live.to_json()).await {
+                Ok(state) => Json(state).into_response(),
+                Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
+            }
+        }
         None => StatusCode::NOT_FOUND.into_response(),
+    }
+}
+
+/// A recording to start: by a plan, or for a time.
+#[derive(Deserialize)]
+struct RecordRequest {
+    output: PathBuf,
+    plan: Option<PathBuf>,
+    seconds: f64,
+}
+
+async fn record(State(server): State<Server>, Json(request): Json<RecordRequest>) -> Response {
+    with_live(server, move |live| live.record(&request)).await
+}
+
+async fn end_recording(State(server): State<Server>) -> Response {
+    with_live(server, |live| {
+        let mut recording = live.recording.lock().unwrap_or_else(PoisonError::into_inner);
+        recording.as_mut().context("there is no recording")?.interrupt()
+    })
+    .await
+}
+
+/// Does something with the gripper on a thread that may block.
+async fn with_live(
+    server: Server,
+    work: impl FnOnce(&LiveGripper) -> Result<()> + Send + 'static,
+) -> Response {
+    let done = tokio::task::spawn_blocking(move || {
+        let live =
+            server.live.context("no gripper is connected: give --port, --can or --virtual")?;
+        work(&live)
+    });
+    match done.await {
+        Ok(Ok(())) => Json(json!({})).into_response(),
+        Ok(Err(error)) => {
+            let error = json!({ "error": format!("{error:#}") });
+            (StatusCode::UNPROCESSABLE_ENTITY, Json(error)).into_response()
+        }
+        Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
     }
 }
 

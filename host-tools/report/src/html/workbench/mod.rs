@@ -78,6 +78,14 @@ pub fn page(campaign: &str, live: bool) -> String {
                                     figure { figcaption { "Longitudinal force, N" } canvas #live-z role="img" aria-label="Longitudinal forces of the last 20 seconds" {} }
                                 }
                                 div.wide tabindex="0" role="region" aria-label="Sensors" { table { thead { tr { th { "sensor" } th { "Fx, N" } th { "Fz, N" } th { "validity" } th { "temperature, °C" } } } tbody #live-sensors {} } }
+                                form #record-form {
+                                    label { "Record to " input #record-output type="text" value=(format!("{campaign}/planned-1")); }
+                                    label { "Plan " input #record-plan type="text" placeholder="plan.toml, or empty"; }
+                                    label { "Seconds " input #record-seconds type="number" min="1" max="36000" value="30"; }
+                                    button type="submit" { "Record" }
+                                    button #record-end type="button" { "End" }
+                                }
+                                pre #record-lines role="status" {}
                             }
                         }
                         main #view aria-busy="true" {}

@@ -305,8 +305,9 @@
   }
   async function watch() {
     try {
-      const { name: line, ended, state } = await ask("live", {});
+      const { name: line, ended, state, recording } = await ask("live", {});
       at("live-name").textContent = line;
+      if (recording) at("record-lines").textContent = `${recording.lines}\n${recording.goes_on ? "Recording." : "The recording has ended. Read the campaign again to evaluate it."}`;
       past.push(state);
       while (past[0].time_s < state.time_s - SHOWN_S) past.shift();
       strip(at("live-x"), "fx_n");
@@ -325,7 +326,7 @@
       const faults = state.faults.map((one) => one.name ?? one.code).join(", ") || "no faults";
       const opening = state.covariates?.opening_mm;
       const words = [`${state.ticks_hz} ticks per second`, faults, state.heartbeat?.state, opening == null ? undefined : `opening ${opening.toFixed(1)} mm`];
-      const silence = state.silent_s === null ? "Nothing was received yet." : `Silent for ${state.silent_s.toFixed(0)} s.`;
+      const silence = recording?.goes_on ? "Recording; not watched meanwhile." : state.silent_s === null ? "Nothing was received yet." : `Silent for ${state.silent_s.toFixed(0)} s.`;
       at("live-state").textContent = ended ?? (isSilent ? silence : words.filter(Boolean).join("; "));
       if (ended) return;
     } catch (error) {
@@ -333,7 +334,22 @@
     }
     setTimeout(watch, PERIOD_MS);
   }
-  if (at("live")) watch();
+  async function command(path, body) {
+    try {
+      at("record-lines").textContent = "";
+      await ask(path, body);
+    } catch (error) {
+      at("record-lines").textContent = error.message;
+    }
+  }
+  if (at("live")) {
+    watch();
+    at("record-form").addEventListener("submit", (event) => {
+      event.preventDefault();
+      command("record", { output: at("record-output").value, plan: at("record-plan").value || null, seconds: Number(at("record-seconds").value) });
+    });
+    at("record-end").addEventListener("click", () => command("end-recording", {}));
+  }
 
   /** Completes the word before the cursor, and inserts names that are clicked. */
   function insert(word) {
