@@ -1,11 +1,20 @@
 //! Fits: true parameters within their standard errors, the noise floor on clean data, refusal of implausible columns.
 
+use model_export::fit::base_model::CylinderBase;
+use model_export::fit::block_bootstrap::Block;
+use model_export::fit::cross_validation::all_rows;
 use model_export::fit::joint::SensorFit;
 use model_export::fit::parameters::{COUNT, PARAMETERS, tolerances, values, with_values};
+use model_export::fit::problem::SensorProblem;
+use model_export::fit::rows::SensorRows;
+use model_export::fit::sensor_fit::{self, SensorSolution};
+use model_export::fit::solver::{FINE_TOLERANCE, minimise, weighted_jacobian};
 use model_export::fit::{CampaignFits, FitOptions, campaign};
 use model_export::model_file::{ModelFile, Provenance};
+use model_export::physics::ForwardModel;
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
+use nalgebra::DVector;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -243,4 +252,33 @@ fn swapped_inverted_and_scaled_columns_are_refused() {
         millitesla.contains("column s0_y") && millitesla.contains("1 mT is 10 G"),
         "{millitesla}"
     );
+}
+
+#[test]
+fn fit_from_outside_of_the_free_directions_ends_at_its_minimum() {
+    let campaign = read(&data("friction"));
+    let rows = SensorRows::with_own_forces(&campaign, 0).unwrap();
+    let base = CylinderBase { nominal: ForwardModel::nominal(campaign.design().unwrap()) };
+    let problem = SensorProblem::new(&rows, &base, &[]);
+    let SensorSolution { space, inflation, scaled, .. } =
+        sensor_fit::fit_from_nominal(&problem).unwrap();
+    let all = all_rows(&rows);
+    // A solution of other priors: unidentifiable directions, which the fit sets to nominal, are far from it.
+    let start =
+        DVector::from_fn(scaled.len(), |i, _| scaled[i] + if i % 2 == 0 { 1.5 } else { -1.0 });
+    let mut equations = Block::zeros(start.len());
+    for (place, part) in rows.parts.iter().enumerate() {
+        let (jacobian, residuals) = weighted_jacobian(&problem, place, &start);
+        let acting = problem.acting(place);
+        equations += &Block::of((&jacobian, &acting, start.len()), &residuals, 0..3 * part.len());
+    }
+    // As if the start were a minimum already.
+    equations.score.fill(0.0);
+    let fit = |known: Option<Block>| {
+        minimise(&problem, &all, inflation, &space, (&start, known), FINE_TOLERANCE).unwrap()
+    };
+    let (with, without) = (fit(Some(equations)), fit(None));
+    let difference = (&with - &without).amax();
+    assert!(difference < 1e-6, "{difference}");
+    assert!((&without - &scaled).amax() < 0.05, "another minimum: {}", (&without - &scaled).amax());
 }

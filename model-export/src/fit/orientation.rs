@@ -14,10 +14,13 @@ use crate::recordings::{Campaign, Location, Recording};
 
 /// Maximum plausible factor from nominal, either way.
 const SCALE: f64 = 3.0;
-/// Minimum standard deviation of a force in a recording for its column to be checked: in newtons, and relative to the recording in
-/// which it varies most (of forces in kilonewtons it is below the first).
+/// Minimum standard deviation in N of a force in a recording for its column to be checked.
 const MIN_FORCE_SIGMA_N: f64 = 1.0;
+/// Where it is larger in no recording, as of forces in kilonewtons, the minimum relative to the largest one; then only the unit is
+/// checked, since small loads are mainly noise.
 const MIN_FORCE_SHARE: f64 = 0.3;
+/// Maximum correlation of the two forces of a recording for their slopes to be told apart.
+const MAX_CORRELATION: f64 = 0.95;
 /// Units of a force by mistake, in newtons, and the maximum factor between one and the sensitivity's ratio to nominal.
 const FORCE_UNITS_N: [(&str, f64); 5] =
     [("kN", 1e3), ("kgf", 9.806_65), ("lbf", 4.448_222), ("gf", 9.806_65e-3), ("mN", 1e-3)];
@@ -44,6 +47,8 @@ struct Slopes {
     rest_g: Vector3<f64>,
     /// `[dB/dFx, dB/dFz]` in G/N; `None` where the force does not move.
     per_newton: [Option<Vector3<f64>>; 2],
+    /// Whether the force is small in every recording.
+    is_small: [bool; 2],
 }
 
 impl Slopes {
@@ -62,19 +67,38 @@ impl Slopes {
             }
         }
         let count = normal[(0, 0)];
+        let largest_n = [Axis::X, Axis::Z].map(|axis| max_sigma_n(campaign, (place, axis)));
+        let is_small = largest_n.map(|sigma_n| sigma_n <= MIN_FORCE_SIGMA_N);
         let moves = [Axis::X, Axis::Z].map(|axis| {
             let i = if axis == Axis::X { 1 } else { 2 };
             let mean = normal[(0, i)] / count;
             let sigma_n = (normal[(i, i)] / count - mean * mean).max(0.0).sqrt();
-            sigma_n > MIN_FORCE_SIGMA_N.min(MIN_FORCE_SHARE * max_sigma_n(campaign, (place, axis)))
+            let least_n = if is_small[i - 1] {
+                MIN_FORCE_SHARE * largest_n[i - 1]
+            } else {
+                MIN_FORCE_SIGMA_N
+            };
+            sigma_n > least_n
         });
+        // Forces that rise and fall together have no slopes of their own.
+        let covariance = |i: usize, j: usize| {
+            normal[(i, j)] / count - normal[(0, i)] * normal[(0, j)] / (count * count)
+        };
+        let correlation = covariance(1, 2) / (covariance(1, 1) * covariance(2, 2)).sqrt();
+        if moves == [true, true] && correlation.abs() > MAX_CORRELATION {
+            return None;
+        }
         // A constant force has no defined slope: regularised to zero.
         for (i, moves) in moves.iter().enumerate() {
             normal[(i + 1, i + 1)] += if *moves { 0.0 } else { 1e12 };
         }
         let solution = normal.cholesky()?.solve(&right);
         let slope = |i: usize| moves[i].then(|| solution.row(i + 1).transpose());
-        Some(Self { rest_g: solution.row(0).transpose(), per_newton: [slope(0), slope(1)] })
+        Some(Self {
+            rest_g: solution.row(0).transpose(),
+            per_newton: [slope(0), slope(1)],
+            is_small,
+        })
     }
 
     /// Slopes relative to nominal: `shares[force][axis]`, each of x and z.
@@ -147,7 +171,9 @@ impl Check<'_> {
         let own = |force: usize| shares[force].map(|share| share[force]);
         let other = |force: usize| shares[force].map(|share| share[1 - force]);
         let follows = |share: Option<f64>| share.is_some_and(|share| share.abs() > 1.0 / SCALE);
-        let silent = |force: usize| shares[force].is_some() && !follows(own(force));
+        let is_small = self.slopes.is_small;
+        let silent =
+            |force: usize| !is_small[force] && shares[force].is_some() && !follows(own(force));
         if (silent(0) && follows(other(0))) || (silent(1) && follows(other(1))) {
             return self.force(
                 if silent(0) { 0 } else { 1 },
@@ -158,6 +184,9 @@ impl Check<'_> {
         for force in 0..2 {
             let Some(share) = own(force) else { continue };
             let axis = ["x", "z"][force];
+            if is_small[force] && (share <= SCALE || unit_by_mistake(share).is_empty()) {
+                continue;
+            }
             if share < 1.0 / SCALE
                 && let Some(place) = self.followed(force)
             {

@@ -22,6 +22,8 @@ pub const FOLD_TOLERANCE: f64 = 1e-4;
 pub const COARSE_TOLERANCE: f64 = 1e-5;
 /// Minimum relative gain of a round; below it the valley is flat and the position is determined by noise.
 const MIN_GAIN: f64 = 1e-4;
+/// Maximum difference of a scaled parameter between two points that count as one.
+const SAME_POINT: f64 = 1e-9;
 /// Maximum number of rounds.
 const ROUNDS: usize = 30;
 
@@ -192,7 +194,10 @@ pub fn minimise(
         free,
         reduced: None,
     };
-    let at_start = at_start.unwrap_or_else(|| descent.data());
+    // The component outside of the free directions may have changed: then the equations are those of another point, at which the
+    // descent would already look converged.
+    let has_moved = (descent.scaled() - start).amax() > SAME_POINT;
+    let at_start = at_start.filter(|_| !has_moved).unwrap_or_else(|| descent.data());
     descent.reduced = descent.reduced(&at_start);
     let descent = descend(descent, tolerance).map_err(not_converged)?;
     let mut scaled = descent.scaled();
