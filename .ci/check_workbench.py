@@ -156,6 +156,14 @@ def effects(browser, magpie, folder, name):
         done = subprocess.run(line.replace("cargo magpie", magpie), shell=True, cwd=server.folder, capture_output=True, text=True)
         tab.check(done.returncode == 0, f"{line}: {done.stderr}")
 
+    # A page that is loaded again shows the same model, with its history.
+    page.reload()
+    tab.shown()
+    page.wait_for_selector("#present li[data-effect=hysteresis]")
+    tab.check(tab.present() == ["magnet_temperature", "hysteresis"], f"after loading again: {tab.present()}")
+    tab.check(page.is_enabled("#undo"), "no undo after loading again")
+    tab.shown()
+
     # A second tab has models of its own, on the same server.
     other = Page(browser, server.url)
     other.check(other.present() == [], "the second tab begins with the models of the first")

@@ -1,5 +1,6 @@
 //! Fit of the base physics to a campaign.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use anyhow::{Result, bail};
@@ -7,7 +8,7 @@ use model_export::fit::campaign::FitSetup;
 use model_export::fit::{self, CampaignFits, FitError, FitOptions};
 use model_export::model_file::{BaseKind, ModelFile, Provenance};
 use model_export::recordings::align::Alignment;
-use model_export::recordings::{Campaign, Notice};
+use model_export::recordings::{Campaign, Location, Notice};
 
 use crate::compare::ForceError;
 use crate::compare::campaign_reader::{check_distinct, read_campaign, scan_with_progress};
@@ -47,6 +48,7 @@ pub fn fit_model(
         let findings = data_findings(folder, &campaign)?;
         let wrong_unit = findings.iter().find(|finding| finding.is_channel_unit()).cloned();
         notes.extend(campaign.notices().cloned().map(Note::Recording));
+        notes.extend(unused_forces(&campaign).map(Note::Recording));
         notes.extend(findings.into_iter().map(Box::new).map(Note::SetupError));
         if let Some(finding) = wrong_unit {
             let advice = if finding.fix.is_some() {
@@ -85,8 +87,29 @@ pub fn fit_model(
 /// A recording cannot be read.
 pub fn import_notes(campaign: &Campaign) -> Result<(Vec<Note>, Option<FitError>)> {
     let findings = data_findings(&campaign.folder, campaign)?;
+    let unused = unused_forces(campaign).map(Note::Recording);
     let error = campaign.design().and_then(|_| FitSetup::cylinder(campaign).err());
-    Ok((findings.into_iter().map(Box::new).map(Note::SetupError).collect(), error))
+    let findings = findings.into_iter().map(Box::new).map(Note::SetupError);
+    Ok((findings.chain(unused).collect(), error))
+}
+
+/// Forces on sensors without a field: probably with another number.
+fn unused_forces(campaign: &Campaign) -> impl Iterator<Item = Notice> {
+    let sensors = campaign.sensors();
+    let forces: BTreeSet<u32> = campaign
+        .recordings
+        .iter()
+        .flat_map(|recording| recording.forces.keys().map(|(sensor, _)| *sensor))
+        .collect();
+    let unused = forces.into_iter().filter(move |force| !sensors.contains(force));
+    let folder = campaign.folder.clone();
+    unused.map(move |force| Notice {
+        location: Location::file(&folder).column(format!("f{force}")),
+        message: format!(
+            "forces of sensor {force} were recorded, but no field s{force}: they are not used; where they act on another sensor, \
+             give them its number"
+        ),
+    })
 }
 
 /// Setup errors that affect the fit, except in files that a notice of the reader covers already.

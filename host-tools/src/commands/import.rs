@@ -67,7 +67,11 @@ pub fn run(args: &Args) -> Result<()> {
     let campaign = Campaign::read(&args.output, Alignment { delay_us: 0.0 }, |_| ())?;
     let (notes, error) = import_notes(&campaign)?;
     print_notes(&notes);
-    if let Some(error) = error {
+    // A channel in another unit looks like permuted axes, too.
+    let is_unit =
+        |note: &Note| matches!(note, Note::SetupError(finding) if finding.is_channel_unit());
+    let is_refused = error.is_some();
+    if let Some(error) = error.filter(|_| !notes.iter().any(is_unit)) {
         eprintln!("note: a fit will refuse these recordings: {error}");
     }
     if args.json {
@@ -110,7 +114,11 @@ pub fn run(args: &Args) -> Result<()> {
         next += "Without [design] in the mapping a polynomial shows errors and missing effects, but a board cannot run it; with \
                  [design] (see --help), import again and fit without --base.\n";
     }
-    next += &format!("Next: cargo magpie fit {:?}{base} -o model.toml", args.output);
+    next += &if is_refused {
+        "Next: correct what the note names, and import again to another folder.".to_owned()
+    } else {
+        format!("Next: cargo magpie fit {:?}{base} -o model.toml", args.output)
+    };
     terminal::print(&format!("{table}\n{next}\n"))?;
     Ok(())
 }

@@ -53,8 +53,10 @@ Examples:
   cargo magpie workbench my-campaign --port /dev/ttyACM0    # with the forces of the gripper
   cargo magpie workbench tests/data/demo --virtual          # without hardware
 
-It serves the printed address on this machine only, until Ctrl-C. Only who has the address, which contains a random token, can use
-it. The page shows the commands that do the same. After a semicolon a formula has the ranges of its nonlinear parameters:
+It serves the printed address on this machine only, until Ctrl-C. Only who has the address, which
+contains a random token, can use it. The page shows the commands that do the same. Files are written
+relative to this folder; those of this tool are replaced. After a semicolon a formula has the ranges of
+its nonlinear parameters:
 own: dz_um = a*sin(2*pi*opening_mm/p); p=2..5")]
 pub struct Args {
     /// Folder of recordings (or one recording).

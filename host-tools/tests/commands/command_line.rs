@@ -1,5 +1,6 @@
 //! The command line: exit codes, output formats, error messages, reproducibility.
 
+use tests::campaign_copy::CampaignCopy;
 use tests::{data, real_data};
 
 use crate::workdir::{WorkDir, campaign, text};
@@ -227,4 +228,19 @@ fn readme_lists_all_commands() {
         readme == expected || std::env::var_os("UPDATE_README").is_some(),
         "run this test with UPDATE_README=1"
     );
+}
+
+#[test]
+fn forces_of_a_sensor_without_field_are_noted() {
+    let spoilt = CampaignCopy::new().change(&[1, 2, 3], "force.csv", |table| {
+        for axis in ["x", "z"] {
+            let column = table.index(&format!("f3_{axis}_n"));
+            table.header[column] = format!("f7_{axis}_n");
+        }
+    });
+    let fit = WorkDir::empty().run(&["fit", &spoilt.path().display().to_string()]);
+    let notes = text(&fit.stderr);
+    assert!(fit.status.success(), "{notes}");
+    assert!(notes.contains("forces of sensor 7 were recorded, but no field s7"), "{notes}");
+    assert!(!notes.contains("sensor 2 were"), "{notes}");
 }

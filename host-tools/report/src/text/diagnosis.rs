@@ -420,7 +420,7 @@ pub fn suggestion_heading(kind: SuggestionKind) -> &'static str {
         SuggestionKind::None => "",
         SuggestionKind::AddEffects => "Suggestion, add it and see the error fall:",
         SuggestionKind::ChooseEffect => {
-            "Suggestion, record what tells them apart, or choose one and add it:"
+            "Suggestion, make a recording that tells them apart (`--plan` proposes one), or choose one and add it:"
         }
         SuggestionKind::Export => "Nothing is missing here. Suggestion, the device's tables:",
         SuggestionKind::TestFormula => {

@@ -9,7 +9,12 @@ pub fn text(note: &Note) -> String {
     match note {
         Note::Recording(notice) => notice.to_string(),
         Note::SetupError(finding) => {
-            format!("{}: {} (details: `cargo magpie compare`)", finding.place, findings::message(finding))
+            let fix = if finding.fix.is_some() {
+                " (`cargo magpie fit CAMPAIGN --fix NEW` fits a corrected copy)"
+            } else {
+                ""
+            };
+            format!("{}: {}{fix}", finding.place, findings::message(finding))
         }
         Note::ReplayDelay { fitted_ms, delay_ms } => {
             format!("the model was fitted with --delay-ms {fitted_ms}, this replay has {delay_ms}")

@@ -126,6 +126,22 @@ const DESIGN: &str = "
 
 fn no_field(tables: &[SourceTable]) -> DataError {
     let names = tables.iter().flat_map(|table| &table.columns).map(|column| column.name.as_str());
+    let in_gauss = |column: &&SourceColumn| {
+        column.stated.axis.is_none()
+            && column.stated.unit.is_some_and(|unit| unit.canonical == "gauss")
+    };
+    let columns = || tables.iter().flat_map(|table| &table.columns);
+    let without_axis: Vec<&str> =
+        columns().filter(in_gauss).map(|column| column.name.as_str()).collect();
+    if !without_axis.is_empty() {
+        let advice = format!(
+            "put x, y or z into their names, such as bx_mT, or write the mapping yourself (`cargo magpie import --help`): {}",
+            without_axis.join(", ")
+        );
+        let path = tables.first().map_or(Path::new(""), |table| &table.path);
+        let kind = ErrorKind::bad_value("a magnetic field without its axis", advice);
+        return kind.at(Location::file(path).line(1));
+    }
     let advice = format!(
         "call its columns bx, by, bz with a number for each sensor, or write the mapping yourself (`cargo magpie import --help`); \
          they are {}",

@@ -5,6 +5,8 @@
   // A model is its effects and formulas. The history holds those that were shown, for undo and redo; `shown` is the server's answer
   // to the one at `place`. Both change only after an answer, one request for a model at a time.
   const empty = { effects: [], formulas: [] };
+  // A page that is loaded again goes on where it was.
+  const STORED = `workbench ${token}`;
   let history = [], place = -1, shown, names, isBusy = false;
   let chosen; // the model to compare with, once it was selected; else the base
   const fitted = new Map(); // every model that was shown, by its key
@@ -111,6 +113,7 @@
     at("candidates").replaceChildren(...items(true));
     if (!items(true).length) at("candidates").append(element("li", { className: "note", textContent: "No effect of the catalogue is significant. If structure remains, try a formula." }));
     at("others").replaceChildren(...items(false));
+    at("untestable").parentElement.hidden = !shown.untestable.length;
     at("untestable").replaceChildren(...shown.untestable.map((one) => element("li", { textContent: `${one.name}: ${one.reason}. ${one.record}` })));
     at("undo").disabled = place === 0;
     at("redo").disabled = place === history.length - 1;
@@ -152,6 +155,7 @@
       shown = await ask("model", { ...model, baseline: baselineOf(model) });
       accept();
       fitted.set(key(model), model);
+      sessionStorage.setItem(STORED, JSON.stringify({ history, place, chosen }));
       draw();
       return true;
     } catch (error) {
@@ -391,5 +395,17 @@
     follow();
   }
 
-  go(empty).then(nameFormulas);
+  async function begin() {
+    const stored = JSON.parse(sessionStorage.getItem(STORED) ?? "null");
+    const model = stored?.history[stored.place];
+    // The base first: others are compared with it.
+    await (model ? show(empty, () => {}) : go(empty));
+    if (model) {
+      chosen = stored.chosen;
+      for (const one of stored.history) fitted.set(key(one), one);
+      if (!(await show(model, () => ([history, place] = [stored.history, stored.place])))) await go(empty);
+    }
+    nameFormulas();
+  }
+  begin();
 }
