@@ -1,5 +1,5 @@
 //! Models of one campaign side by side: the base with any set of effects. Each is fitted once, evaluated on held-out rows, and
-//! screened for effects that it lacks.
+//! screened for missing effects.
 
 use std::path::Path;
 
@@ -215,7 +215,7 @@ impl Workbench {
         Ok(WorkbenchModel { effects: effects.to_vec(), model, comparison, candidates, stage })
     }
 
-    /// Diagnoses what a fitted model lacks, and with `plans` which recording decides what is open.
+    /// Diagnoses what is missing from a fitted model, and with `plans` which recording decides what is open.
     ///
     /// # Errors
     /// The model was not fitted, or a fit fails.
@@ -282,7 +282,7 @@ impl Workbench {
         Ok(scatter)
     }
 
-    /// Scores the effects that a model lacks.
+    /// Scores the effects that may be missing from a model.
     fn screen(&self, stage: &FittedModel) -> Vec<ScoredEffect> {
         let block_s = block_s(&residual_tables(&self.campaign, &self.sample, stage));
         let around = ScoreTest::new(&self.sample, &stage.effects, &stage.fit, block_s);

@@ -11,7 +11,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use analysis::workbench::{Interval, Workbench};
+use analysis::workbench::{Interval, Workbench, WorkbenchModel};
 use anyhow::{Context, Result, anyhow, bail};
 use axum::extract::{DefaultBodyLimit, Query, Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
@@ -221,13 +221,15 @@ struct RecordingProcess {
     /// What it prints, the last lines.
     lines: Arc<Mutex<VecDeque<String>>>,
     readers: Vec<JoinHandle<()>>,
+    /// Whether it uses the connection, which is watched again after its end.
+    uses_connection: bool,
 }
 
 /// Lines of a recording that are shown.
 const SHOWN_LINES: usize = 12;
 
 impl RecordingProcess {
-    fn start(arguments: &[String]) -> Result<Self> {
+    fn start(arguments: &[String], uses_connection: bool) -> Result<Self> {
         let program = std::env::current_exe().context("the path of this program is unknown")?;
         let mut child = Command::new(program)
             .arg("record")
@@ -254,7 +256,7 @@ impl RecordingProcess {
         let stdout = child.stdout.take().map(|pipe| Box::new(pipe) as Box<dyn Read + Send>);
         let stderr = child.stderr.take().map(|pipe| Box::new(pipe) as Box<dyn Read + Send>);
         let readers = vec![read(stdout), read(stderr)];
-        Ok(Self { child, lines, readers })
+        Ok(Self { child, lines, readers, uses_connection })
     }
 
     /// Whether it goes on, and what it printed.
@@ -365,7 +367,8 @@ impl LiveGripper {
         if recording.as_mut().is_some_and(|recording| recording.status().0) {
             bail!("a recording is under way");
         }
-        let mut arguments = if self.port.is_given() {
+        let uses_connection = self.port.is_given();
+        let mut arguments = if uses_connection {
             drop(self.release()?);
             self.port.arguments()
         } else {
@@ -376,23 +379,33 @@ impl LiveGripper {
             Some(plan) => ["--plan".to_owned(), plan.display().to_string()],
             None => ["--seconds".to_owned(), request.seconds.to_string()],
         });
-        *recording = Some(RecordingProcess::start(&arguments)?);
+        let started = RecordingProcess::start(&arguments, uses_connection);
+        if started.is_err() && uses_connection {
+            self.watch_again();
+        }
+        *recording = Some(started?);
         Ok(())
+    }
+
+    /// Opens the connection again and watches it.
+    fn watch_again(&self) {
+        let again = self.port.open_given().and_then(|source| self.watch(source));
+        if let Err(error) = again {
+            let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+            state.ended = Some(format!("{error:#}"));
+        }
     }
 
     /// State of the recording, if there was one; watches the gripper again after its end.
     fn recording_json(&self) -> Value {
         let mut recording = self.recording.lock().unwrap_or_else(PoisonError::into_inner);
-        let Some((goes_on, lines)) = recording.as_mut().map(RecordingProcess::status) else {
+        let Some(process) = recording.as_mut() else {
             return Value::Null;
         };
-        let is_watched = self.watching.lock().unwrap_or_else(PoisonError::into_inner).is_some();
-        if !goes_on && !is_watched {
-            let again = self.port.open_given().and_then(|source| self.watch(source));
-            if let Err(error) = again {
-                let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
-                state.ended = Some(format!("{error:#}"));
-            }
+        let (goes_on, lines) = process.status();
+        // Once: later an upload may have the connection.
+        if !goes_on && std::mem::take(&mut process.uses_connection) {
+            self.watch_again();
         }
         json!({ "goes_on": goes_on, "lines": lines })
     }
@@ -422,17 +435,7 @@ impl LiveGripper {
 }
 
 async fn live(State(server): State<Server>) -> Response {
-    match &server.live {
-        // It may wait for the end of a recording.
-        Some(live) => {
-            let live = live.clone();
-            match tokio::task::spawn_blocking(move || live.to_json()).await {
-                Ok(state) => Json(state).into_response(),
-                Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
-            }
-        }
-        None => StatusCode::NOT_FOUND.into_response(),
-    }
+    with_gripper(server, |live| Ok(live.to_json())).await
 }
 
 /// A recording to start: by a plan, or for a time.
@@ -444,48 +447,38 @@ struct RecordRequest {
 }
 
 async fn record(State(server): State<Server>, Json(request): Json<RecordRequest>) -> Response {
-    with_live(server, move |live| live.record(&request)).await
+    with_gripper(server, move |live| live.record(&request).map(|()| json!({}))).await
 }
 
 async fn end_recording(State(server): State<Server>) -> Response {
-    with_live(server, |live| {
+    with_gripper(server, |live| {
         let mut recording = live.recording.lock().unwrap_or_else(PoisonError::into_inner);
-        recording.as_mut().context("there is no recording")?.interrupt()
+        recording.as_mut().context("there is no recording")?.interrupt()?;
+        Ok(json!({}))
     })
     .await
 }
 
-/// Does something with the gripper on a thread that may block.
-async fn with_live(
+/// Answers from the gripper, if one is connected.
+async fn with_gripper(
     server: Server,
-    work: impl FnOnce(&LiveGripper) -> Result<()> + Send + 'static,
+    work: impl FnOnce(&LiveGripper) -> Result<Value> + Send + 'static,
 ) -> Response {
-    let done = tokio::task::spawn_blocking(move || {
-        let live =
-            server.live.context("no gripper is connected: give --port, --can or --virtual")?;
-        work(&live)
-    });
-    match done.await {
-        Ok(Ok(())) => Json(json!({})).into_response(),
-        Ok(Err(error)) => {
-            let error = json!({ "error": format!("{error:#}") });
-            (StatusCode::UNPROCESSABLE_ENTITY, Json(error)).into_response()
-        }
-        Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
-    }
+    respond(move || {
+        let live = server.live.as_ref();
+        work(live.context("no gripper is connected: give --port, --can or --virtual")?)
+    })
+    .await
 }
 
 /// Forgets all models: recordings were added to the campaign, or removed.
 async fn reload(State(server): State<Server>) -> Response {
-    let bench = server.bench.clone();
-    *server.plan.lock().unwrap_or_else(PoisonError::into_inner) = None;
-    let forgotten = tokio::task::spawn_blocking(move || {
-        *bench.lock().unwrap_or_else(PoisonError::into_inner) = None;
-    });
-    match forgotten.await {
-        Ok(()) => Json(json!({})).into_response(),
-        Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
-    }
+    respond(move || {
+        *server.plan.lock().unwrap_or_else(PoisonError::into_inner) = None;
+        *server.bench.lock().unwrap_or_else(PoisonError::into_inner) = None;
+        Ok(json!({}))
+    })
+    .await
 }
 
 /// Effects of the catalogue and formulas of a model. Ranges of a formula follow it after semicolons.
@@ -502,11 +495,27 @@ struct ModelRequest {
     baseline: Option<Choice>,
 }
 
+impl ModelRequest {
+    /// Fits the model and the baseline, and returns them after the models that were fitted.
+    fn fit<'a>(
+        &self,
+        bench: &'a mut Workbench,
+    ) -> Result<(&'a Workbench, &'a WorkbenchModel, Option<&'a WorkbenchModel>)> {
+        let terms = self.choice.terms(bench)?;
+        let baseline = self.baseline.as_ref().map(|choice| choice.terms(bench)).transpose()?;
+        for terms in std::iter::once(&terms).chain(&baseline) {
+            bench.fit_model(terms)?;
+        }
+        let bench = &*bench;
+        let model = bench.fitted(&terms).context("the model was not fitted")?;
+        Ok((bench, model, baseline.and_then(|terms| bench.fitted(&terms))))
+    }
+}
+
 #[derive(Deserialize)]
 struct WriteRequest {
     #[serde(flatten)]
-    choice: Choice,
-    baseline: Option<Choice>,
+    model: ModelRequest,
     kind: Kind,
     path: PathBuf,
 }
@@ -526,13 +535,7 @@ async fn model(State(server): State<Server>, Json(request): Json<ModelRequest>) 
     let (campaign, alignment, seed) =
         (server.campaign.clone(), server.alignment, server.options.seed);
     answer(server, move |bench| {
-        let terms = request.choice.terms(bench)?;
-        let baseline = request.baseline.map(|choice| choice.terms(bench)).transpose()?;
-        for terms in std::iter::once(&terms).chain(&baseline) {
-            bench.fit_model(terms)?;
-        }
-        let shown = bench.fitted(&terms).context("the model is gone")?;
-        let baseline = baseline.and_then(|terms| bench.fitted(&terms));
+        let (bench, shown, baseline) = request.fit(bench)?;
         let commands = request.choice.commands(&campaign, bench.base(), alignment, seed);
         Ok(pages::state(bench, shown, baseline, &commands))
     })
@@ -588,13 +591,7 @@ async fn write(State(server): State<Server>, Json(request): Json<WriteRequest>) 
     let plan = server.plan.lock().unwrap_or_else(PoisonError::into_inner).clone();
     let (campaign, live) = (server.campaign.clone(), server.live.clone());
     answer(server, move |bench| {
-        let terms = request.choice.terms(bench)?;
-        let baseline = request.baseline.map(|choice| choice.terms(bench)).transpose()?;
-        for terms in std::iter::once(&terms).chain(&baseline) {
-            bench.fit_model(terms)?;
-        }
-        let shown = bench.fitted(&terms).context("the model is gone")?;
-        let baseline = baseline.and_then(|terms| bench.fitted(&terms));
+        let (_, shown, baseline) = request.model.fit(bench)?;
         let path = &request.path;
         let message = match request.kind {
             Kind::Model => {
@@ -734,21 +731,26 @@ fn open(server: &Server) -> Result<Workbench> {
     })
 }
 
-/// Runs a request on a thread that may block; one at a time.
+/// Answers from the models; one request at a time.
 async fn answer(
     server: Server,
     work: impl FnOnce(&mut Workbench) -> Result<Value> + Send + 'static,
 ) -> Response {
-    let done = tokio::task::spawn_blocking(move || {
+    respond(move || {
         let mut bench = server.bench.lock().unwrap_or_else(PoisonError::into_inner);
         let bench = match &mut *bench {
             Some(bench) => bench,
             empty => empty.insert(open(&server)?),
         };
         work(bench)
-    });
+    })
+    .await
+}
+
+/// Runs a request on a thread that may block.
+async fn respond(work: impl FnOnce() -> Result<Value> + Send + 'static) -> Response {
     let failed = |status, error: String| (status, Json(json!({ "error": error }))).into_response();
-    match done.await {
+    match tokio::task::spawn_blocking(work).await {
         Ok(Ok(value)) => Json(value).into_response(),
         Ok(Err(error)) => failed(StatusCode::UNPROCESSABLE_ENTITY, format!("{error:#}")),
         Err(_) => failed(

@@ -19,7 +19,7 @@ const MIN_FORCE_SIGMA_N: f64 = 1.0;
 /// Where it is larger in no recording, as of forces in kilonewtons, the minimum relative to the largest one; then only the unit is
 /// checked, since small loads are mainly noise.
 const MIN_FORCE_SHARE: f64 = 0.3;
-/// Maximum correlation of the two forces of a recording for their slopes to be told apart.
+/// Maximum correlation of the two forces of a recording for their slopes to be identifiable.
 const MAX_CORRELATION: f64 = 0.95;
 /// Units of a force by mistake, in newtons, and the maximum factor between one and the sensitivity's ratio to nominal.
 const FORCE_UNITS_N: [(&str, f64); 5] =

@@ -34,7 +34,7 @@ pub fn text(note: &Note) -> String {
             "sensor {sensor} of the model was not replayed: these recordings lack its field or its forces"
         ),
         Note::NotRecorded { sensor } => format!(
-            "sensor {sensor} of the model lacks field or forces in these recordings and is ignored"
+            "sensor {sensor} of the model has no field or no forces in these recordings and is ignored"
         ),
         Note::NotInModel { sensor } => {
             format!("sensor {sensor} of the recordings is not in the model and is ignored")

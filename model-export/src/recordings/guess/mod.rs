@@ -570,7 +570,7 @@ fn quoted(text: impl AsRef<str>) -> String {
 }
 
 fn head(first: &[SourceTable], draft: &Draft, one_clock: bool) -> String {
-    let mut text = "# Proposed by `magpie import --guess` from ".to_owned();
+    let mut text = "# Proposed by `cargo magpie import --guess` from ".to_owned();
     let names = first.iter().map(|table| {
         let name = table.path.file_name().unwrap_or_default().to_string_lossy();
         let limit = if table.rows == MAX_ROWS { "the first " } else { "" };
