@@ -21,6 +21,7 @@ mod unix {
     use std::io::{BufRead, BufReader, Read, Write};
     use std::net::TcpStream;
     use std::process::ExitCode;
+    use std::sync::atomic::{AtomicBool, Ordering};
 
     use firmware::config::constants;
     use libtest_mimic::{Arguments, Failed, Trial};
@@ -262,16 +263,32 @@ mod unix {
         let before = dir.json(&format!("board --port {} --json", emulation.serial));
         let line = format!("{} --port {}", campaign("friction"), emulation.serial);
         let served = Served::start(&dir, &line);
+        let live = || served.ask("live", &serde_json::json!({})).1;
+        let recorded = serde_json::json!({ "output": "planned-1", "plan": null, "seconds": 1.0 });
+        assert_eq!(served.ask("record", &recorded).0, 200);
+        while live()["recording"]["goes_on"] == true {
+            std::thread::sleep(std::time::Duration::from_millis(100));
+        }
+        assert!(dir.path("planned-1").exists(), "{}", live());
         let request = serde_json::json!({
             "effects": ["magnet_temperature", "hysteresis"], "formulas": [], "kind": "board", "path": "",
         });
-        let (status, answer) = served.ask("write", &request);
+        // The page asks for the forces meanwhile.
+        let ended = AtomicBool::new(false);
+        let (status, answer) = std::thread::scope(|scope| {
+            scope.spawn(|| {
+                while !ended.load(Ordering::Relaxed) {
+                    live();
+                }
+            });
+            let answer = served.ask("write", &request);
+            ended.store(true, Ordering::Relaxed);
+            answer
+        });
         assert_eq!(status, 200, "{answer}");
         assert!(answer["message"].as_str().unwrap().contains("runs on the gripper"), "{answer}");
         // The gripper is watched again.
-        let is_watched =
-            || served.ask("live", &serde_json::json!({})).1["state"]["ticks_hz"].as_u64() > Some(0);
-        while !is_watched() {
+        while live()["state"]["ticks_hz"].as_u64() <= Some(0) {
             std::thread::sleep(std::time::Duration::from_millis(100));
         }
         drop(served);
