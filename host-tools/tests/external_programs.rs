@@ -278,7 +278,8 @@ mod unix {
         let (status, answer) = std::thread::scope(|scope| {
             scope.spawn(|| {
                 while !ended.load(Ordering::Relaxed) {
-                    live();
+                    // The page stops asking after an end.
+                    assert!(live()["ended"].is_null(), "{}", live());
                 }
             });
             let answer = served.ask("write", &request);
