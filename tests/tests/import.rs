@@ -276,6 +276,30 @@ fn proposal_recognises_columns_of_common_loggers() {
                 ("f1_z_N", "N", "f0_z_n"),
             ],
         },
+        // Letters of sensors, which are letters of quantities, too.
+        Case {
+            header: "t_s,bx_A,by_A,bz_A,bx_B,by_B,bz_B,fx_A,fz_B",
+            step: 0.001,
+            is_whole: false,
+            clock_unit: "s",
+            columns: &[
+                ("by_A", "G", "s0_y_gauss"),
+                ("bz_B", "G", "s1_z_gauss"),
+                ("fx_A", "N", "f0_x_n"),
+                ("fz_B", "N", "f1_z_n"),
+            ],
+        },
+        Case {
+            header: "t_s,mag_L_x,mag_L_y,mag_L_z,mag_F_x,mag_F_y,mag_F_z,fz_F",
+            step: 0.001,
+            is_whole: false,
+            clock_unit: "s",
+            columns: &[
+                ("mag_L_x", "G", "s0_x_gauss"),
+                ("mag_F_z", "G", "s1_z_gauss"),
+                ("fz_F", "N", "f1_z_n"),
+            ],
+        },
         // A sensor of force and torque: its mx is a torque.
         Case {
             header: "time_ms,bx_G,by_G,bz_G,Fx,Fz,Mx,My,Mz,roll_deg,stage_um",
@@ -348,6 +372,24 @@ fn proposal_takes_quaternions_by_any_name_and_lists_what_it_leaves_out() {
         let ignored: Vec<&str> = proposal.ignored.iter().map(|(name, _)| name.as_str()).collect();
         assert_eq!(ignored, ["b2x_G", "hall_9"]);
     }
+}
+
+#[test]
+fn lines_of_comment_and_a_constant_whole_number_are_understood() {
+    let lines = table("t_s,bx,by,bz,fz", 0.01, 0.0, false);
+    let mut rows = lines.lines();
+    let header = rows.next().unwrap();
+    let constant = rows.map(|row| {
+        let mut cells: Vec<&str> = row.split(',').collect();
+        cells[2] = "1200";
+        cells.join(",") + "\n"
+    });
+    let constant: String = constant.collect();
+    let text = format!("# logger 1.2\n# 2026-11-01\n{header}\n# tare\n{constant}");
+    let proposal = proposal(&text);
+    let units = proposal.columns.iter().take(3).map(|column| column.unit);
+    assert_eq!(units.collect::<Vec<_>>(), ["G"; 3]);
+    assert!(!proposal.text.contains("raw counts"), "{}", proposal.text);
 }
 
 #[test]

@@ -52,6 +52,7 @@ pub fn refit(
         let constant = check_effects(&after, model.base, &campaign, &prepared)?;
         let notices = campaign.notices().chain(&prepared.notices);
         notes.extend(notices.cloned().map(Note::Recording).chain(constant));
+        notes.extend(Note::other_design(&campaign, model));
         let all: Vec<EffectTerm> = before.iter().chain(&after).cloned().collect();
         let split = prepared.split(&all);
         let bar =

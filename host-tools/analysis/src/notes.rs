@@ -7,7 +7,8 @@ use std::path::PathBuf;
 use anyhow::Result;
 use model_export::inverse::build::DeviceModel;
 use model_export::inverse::compensation::NotCompensable;
-use model_export::recordings::Notice;
+use model_export::model_file::ModelFile;
+use model_export::recordings::{Campaign, Notice};
 use serde::Serialize;
 
 use crate::benchmark::variants::EstimatorVariant;
@@ -112,6 +113,14 @@ pub enum Note {
         /// The error.
         error: String,
     },
+}
+
+impl Note {
+    /// That the design of a campaign, by which a model is fitted again, differs from the model's, if it does.
+    pub fn other_design(campaign: &Campaign, model: &ModelFile) -> Option<Self> {
+        let is_other = model.design.is_some() && campaign.design() != model.design.as_ref();
+        is_other.then(|| Self::OtherDesign { recording: campaign.folder.clone() })
+    }
 }
 
 /// An effect of a model that the device does not compensate.

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 
+use analysis::notes::Note;
 use analysis::progress;
 use anyhow::Result;
 use model_export::model_file::ModelFile;
@@ -101,6 +102,7 @@ pub fn run(args: &Args) -> Result<()> {
         Some(reader) => {
             let campaign = reader.whole()?;
             let own = args.exprs.parse(&campaign)?;
+            print_notes(Note::other_design(&campaign, &model).as_slice());
             let bar = progress::Stages::new();
             let stop = first_interrupt()?;
             let observer = Observer::new(

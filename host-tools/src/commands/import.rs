@@ -35,6 +35,7 @@ A mapping file:
   gap_mm = 2.0                      # from the magnet's face to the Hall element, unloaded
   stiffness_x_n_per_mm = 100.0      # lateral (grasping)
   stiffness_z_n_per_mm = 100.0      # longitudinal
+  force_range_n = 250.0             # largest force of each axis, either sign; the tables of the device cover it
   magnet = { shape = \"cylinder\", diameter_mm = 4.0, length_mm = 3.0, remanence_t = 1.3, axis = \"y\" }
 For separate files of the two sides, give each side `file = \"NAME\"` and pass folders as sources.")]
 pub struct Args {

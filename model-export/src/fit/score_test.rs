@@ -14,6 +14,7 @@ use crate::fit::initial_guess::{ShapeSearch, search_one};
 use crate::fit::joint::JointFit;
 use crate::fit::linearisation::{COLUMN_HEIGHT, Linearisation, NormalEquations};
 use crate::fit::problem::SensorProblem;
+use crate::fit::rows::SensorRows;
 use crate::fit::tall_products::{columns, gram, products};
 use crate::physics::{FieldResponse, PhysicalState};
 use nalgebra::{DMatrix, DVector, Vector3};
@@ -21,6 +22,8 @@ use rayon::prelude::*;
 
 /// Rows of a recording that are used.
 const ROWS: usize = 1000;
+/// A typical magnitude in prior widths, which are the unit of all columns.
+const TYPICAL: f64 = 0.1;
 /// Knots of the spline in time, over each recording.
 const KNOTS: usize = 12;
 
@@ -202,9 +205,18 @@ impl<'a> ScoreTest<'a> {
         squares.sqrt()
     }
 
-    /// Mean square of the residual after one more linear step of the fitted parameters, in units of the noise variance.
-    pub fn mean_square(&self) -> f64 {
-        let squares: f64 = self.sensors.iter().map(|s| s.residual.norm_squared()).sum();
+    /// Squared residual of the rows of which `is_counted(recording, time in seconds)` after one more linear step of the fitted
+    /// parameters, relative to the noise variance of all rows. A value counts as its noise variance at most: where a load changes
+    /// within a few rows, sampling and smoothing change the residual as much.
+    pub fn mean_square_in(&self, is_counted: impl Fn(usize, f64) -> bool) -> f64 {
+        let of_sensor = |(sensor, rows): (&SensorScore, &SensorRows)| -> f64 {
+            let entries = sensor.linearisation.places().zip(sensor.residual.as_slice().chunks(3));
+            let counted = entries.filter(|((recording, row), _)| {
+                is_counted(*recording, rows.parts[*recording].track.time_s[*row])
+            });
+            counted.flat_map(|(_, entries)| entries).map(|entry| (entry * entry).min(1.0)).sum()
+        };
+        let squares: f64 = self.sensors.iter().zip(&self.setup.rows).map(of_sensor).sum();
         let entries: usize = self.sensors.iter().map(|s| s.residual.len()).sum();
         squares / entries.max(1) as f64
     }
@@ -310,6 +322,20 @@ impl<'a> ScoreTest<'a> {
         draws.par_iter().map(draw).collect()
     }
 
+    /// Normal equations of the candidate's coefficients in typical magnitudes, common to all sensors: their matrix, and the scores
+    /// of each block.
+    fn common_coefficients(&self, score: &CandidateScore) -> (DMatrix<f64>, Vec<DVector<f64>>) {
+        let mut normal = DMatrix::zeros(score.count, score.count);
+        for orthogonal in &score.orthogonal {
+            normal += TYPICAL * TYPICAL * gram(&columns(orthogonal, 0..orthogonal.nrows()));
+        }
+        let mut by_block = vec![DVector::zeros(score.count); self.blocks];
+        for of_sensor in self.block_scores(score, None) {
+            by_block.iter_mut().zip(&of_sensor).for_each(|(sum, own)| sum.axpy(TYPICAL, own, 1.0));
+        }
+        (normal, by_block)
+    }
+
     /// Sets the significance of the typical magnitude (block residuals, white noise, nothing else fitted) and
     /// the upper bound.
     fn set_significance(
@@ -324,34 +350,21 @@ impl<'a> ScoreTest<'a> {
             .filter(|parameter| parameter.is_coefficient())
             .map(|parameter| parameter.typical)
             .collect();
-        let (mut singles, mut bound) = (Vec::new(), 0.0_f64);
+        let mut singles = Vec::new();
         let (mut in_noise, mut alone) = (Vec::new(), Vec::new());
+        let (normal, by_block) = self.common_coefficients(score);
         for j in 0..score.count {
             if typical.get(j).is_none_or(|typical| typical.is_nan()) {
                 continue;
             }
-            let (mut norm, mut by_block) = (0.0, vec![0.0; self.blocks]);
-            for (sensor, orthogonal) in self.sensors.iter().zip(&score.orthogonal) {
-                // Columns are per prior width, ten typical magnitudes.
-                let column = orthogonal.column(j) * 0.1;
-                norm += column.norm_squared();
-                for (row, &block) in sensor.block.iter().enumerate() {
-                    for entry in 3 * row..3 * row + 3 {
-                        by_block[block] += column[entry] * sensor.residual[entry];
-                    }
-                }
-            }
-            let norm = norm.sqrt();
+            let norm = normal[(j, j)].sqrt();
             let squares: f64 = regressors.iter().map(|a| a.column(j).norm_squared()).sum();
             in_noise.push(norm);
-            alone.push(0.1 * squares.sqrt());
-            let block_norm = by_block.iter().map(|score| score * score).sum::<f64>().sqrt();
+            alone.push(TYPICAL * squares.sqrt());
+            let block_norm = by_block.iter().map(|score| score[j] * score[j]).sum::<f64>().sqrt();
             if norm > 0.0 {
                 // No residual is below white noise of the floor's magnitude.
-                let z = norm / (block_norm / norm).max(1.0);
-                let estimate = by_block.iter().sum::<f64>() / (norm * norm);
-                bound = bound.max(estimate.abs() + 2.0 / z);
-                singles.push(z);
+                singles.push(norm / (block_norm / norm).max(1.0));
             }
         }
         let combine = |singles: &[f64]| match candidate.size().aggregation {
@@ -364,8 +377,27 @@ impl<'a> ScoreTest<'a> {
         score.z_typical = combine(&singles);
         score.z_white_noise = combine(&in_noise);
         score.z_unadjusted = combine(&alone);
-        score.bound = bound;
+        let first = candidate.size().first;
+        let magnitudes = if first == 0 { typical.len() } else { first };
+        score.bound = upper_bound(&normal, &by_block, magnitudes);
     }
+}
+
+/// 95 % upper bound of the first `count` coefficients, in typical magnitudes: the largest estimate and two of its standard errors by
+/// the scores of the blocks (not below those of white noise), next to the other coefficients and with the prior of the fit.
+fn upper_bound(normal: &DMatrix<f64>, by_block: &[DVector<f64>], count: usize) -> f64 {
+    let covariance = inverse(normal.clone(), TYPICAL * TYPICAL);
+    let mut estimate = DVector::zeros(normal.nrows());
+    let mut variance = covariance.diagonal() * 0.0;
+    for score in by_block {
+        let change = &covariance * score;
+        variance += change.component_mul(&change);
+        estimate += change;
+    }
+    let bound = |j: usize| {
+        estimate[j].abs() + 2.0 * variance[j].max(covariance[(j, j)]).max(0.0).sqrt()
+    };
+    (0..count.min(normal.nrows())).map(bound).fold(0.0, f64::max)
 }
 
 /// Columns of other forms of the effect with this index: its field times both forces, their magnitudes and squares (another

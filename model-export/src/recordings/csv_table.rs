@@ -94,6 +94,8 @@ impl CsvReader {
         let reader = csv::ReaderBuilder::new()
             .has_headers(false)
             .flexible(true)
+            // Loggers write about themselves before the header.
+            .comment(Some(b'#'))
             .buffer_capacity(BUFFER_BYTES)
             .from_reader(input);
         Self { path: path.to_path_buf(), reader }

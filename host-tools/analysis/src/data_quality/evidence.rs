@@ -29,6 +29,15 @@ pub enum Evidence {
         /// Rows with different cells.
         different: u64,
     },
+    /// A sampling period that no logger has.
+    ClockUnit {
+        /// Recordings with such a period.
+        recordings: RecordingSet,
+        /// Sampling period in microseconds.
+        period_us: f64,
+        /// Duration of the first of these recordings in seconds.
+        duration_s: f64,
+    },
     /// Timestamp steps far above the sampling period.
     ClockGaps {
         /// Number of gaps.

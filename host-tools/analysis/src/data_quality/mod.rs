@@ -61,7 +61,7 @@ struct Check {
 }
 
 /// All checks, most severe first: a check skips the columns that an earlier one explains.
-const CHECKS: [Check; 17] = {
+const CHECKS: [Check; 18] = {
     const fn files(
         id: &'static str,
         check: for<'a> fn(&CheckContext<'a>) -> Vec<Found<'a>>,
@@ -86,6 +86,7 @@ const CHECKS: [Check; 17] = {
             in_files: None,
             against_model: Some(|residuals, _| model_checks::clock::offsets(residuals)),
         },
+        files("clock_unit", clock::units),
         files("clock_gap", clock::gaps),
         files("coarse_steps", columns::coarse_steps),
         files("repeated_samples", clock::repeated_samples),

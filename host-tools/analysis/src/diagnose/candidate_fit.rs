@@ -154,7 +154,9 @@ impl<'a> CandidateFit<'a> {
         let best = ranked.remove(winner(&ranked, selection)?);
         let is_near = |other: &FittedCandidate| {
             let near = equivalent_gain(best.screened, other.screened, selection);
-            other.gain >= near * best.gain
+            let is_equal =
+                other.screened.can_replace(best.screened) && !best.stage.is_better_validated(&other.stage);
+            other.gain >= near * best.gain || is_equal
         };
         let (tied, shadows) = ranked.into_iter().partition::<Vec<_>, _>(is_near);
         let plain = |list: Vec<FittedCandidate>| -> Vec<EffectTerm> {
@@ -212,7 +214,7 @@ fn equivalent_gain(one: &ScreenedEffect, other: &ScreenedEffect, selection: &Sel
     }
 }
 
-/// Significant candidates that are fitted, sorted by the gain of the score test; `excess` is the fraction of the squared error
+/// Candidates that are fitted: the significant ones, sorted by the gain of the score test, and those that can replace the best; `excess` is the fraction of the squared error
 /// that is not noise.
 fn significant_candidates(
     screened: &[ScreenedEffect],
@@ -233,5 +235,14 @@ fn significant_candidates(
             s.evidence.gain() >= MIN_RELATIVE_GAIN * ordinary
         }
     };
-    significant.into_iter().filter(is_fitted).take(MAX_FITTED).collect()
+    let mut fitted: Vec<&ScreenedEffect> =
+        significant.into_iter().filter(is_fitted).take(MAX_FITTED).collect();
+    // With more coefficients, an effect that can do the same may not be significant by itself.
+    if let Some(best) = fitted.iter().copied().find(|s| !within(s)) {
+        let is_new = |s: &&ScreenedEffect| !fitted.iter().any(|own| std::ptr::eq(*own, *s));
+        let others = screened.iter().filter(|s| !within(s) && s.can_replace(best));
+        let others: Vec<&ScreenedEffect> = others.filter(is_new).collect();
+        fitted.extend(others);
+    }
+    fitted
 }

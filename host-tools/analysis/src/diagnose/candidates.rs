@@ -163,7 +163,15 @@ impl ScreenedEffect {
             && self.evidence.wins() == self.evidence.folds.len()
             && self.evidence.gain() > MIN_GAIN
     }
+
+    /// Whether this effect reproduces nearly everything that `other` does to the fields.
+    pub fn can_replace(&self, other: &Self) -> bool {
+        self.evidence.reproduced_share(&other.evidence) >= REPLACES
+    }
 }
+
+/// Minimum share of an effect's pattern that one which can replace it reproduces.
+const REPLACES: f64 = 0.8;
 
 /// Screens the candidates; sorted by gain.
 pub fn screen(around: &ScoreTest, candidates: &[EffectTerm], seed: u64) -> Vec<ScreenedEffect> {

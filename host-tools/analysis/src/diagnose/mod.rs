@@ -154,6 +154,8 @@ pub enum Reason {
     DriftsWithTime,
     /// It fits part of a residual with another cause.
     OtherCause,
+    /// Significant by itself, but not in a full fit.
+    Unconfirmed,
     /// Much more than noise is unexplained; the covariate that it follows most, if any.
     UnexplainedResidual(Option<Unexplained>),
     /// A typical magnitude hardly changes the field.
@@ -312,7 +314,7 @@ pub fn diagnose(
     if plans && !observer.is_stopped() {
         let verdicts = &diagnosis.verdicts;
         diagnosis.proposal =
-            Some(propose(&sample, &selection, verdicts, &untestable, options, observer));
+            Some(propose((&sample, &prepared), &selection, verdicts, &untestable, options, observer));
     }
     diagnosis.shapes = shapes(campaign, &sample, &selection, &formulas, options.seed);
     diagnosis.formulas = formulas;

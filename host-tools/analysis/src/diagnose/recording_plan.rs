@@ -41,6 +41,9 @@ use crate::diagnose::{Reason, Verdict, VerdictKind};
 const DETECTED: f64 = 3.0;
 /// Pause before the planned recording in seconds (assumed; it matters to drifts alone).
 const PAUSE_S: f64 = 600.0;
+/// Time at the start of a planned recording in seconds that is not counted: what an effect with a memory does there depends on the
+/// load before it, which no model knows.
+const SETTLED_S: f64 = 0.2;
 /// Wanted probability of a right decision.
 const WANTED: f64 = 0.95;
 /// Duration of a step before it is shortened, and the shorter ones that are tried, in seconds.
@@ -123,9 +126,9 @@ struct Evidence {
     power: f64,
 }
 
-/// Proposes a recording for what the verdicts leave open.
+/// Proposes a recording for what the verdicts leave open, with a sample of the rows of `all`.
 pub fn propose(
-    setup: &FitSetup,
+    (setup, all): (&FitSetup, &FitSetup),
     selection: &Selection,
     verdicts: &[Verdict],
     untestable: &[UntestableEffect],
@@ -144,7 +147,8 @@ pub fn propose(
         block_s: selection.block_s,
         noise: Normal::standard(),
         limits: Limits::of(setup),
-        templates: setup.rows.iter().map(Template::of).collect(),
+        templates: all.rows.iter().map(Template::of).collect(),
+        rows_per_sampled: (longest(all) / longest(setup).max(1)).max(1),
     };
     if questions.is_empty() {
         return proposal;
@@ -336,8 +340,10 @@ struct Planner<'a> {
     block_s: f64,
     noise: Normal,
     limits: Limits,
-    /// Of every sensor.
+    /// Of every sensor, from all rows: delays of milliseconds are computed with the period of the recordings.
     templates: Vec<Template>,
+    /// Rows of a recording for each sampled one.
+    rows_per_sampled: usize,
 }
 
 impl Planner<'_> {
@@ -432,9 +438,7 @@ impl Planner<'_> {
                 Evidence { share: (z / wanted).min(1.0), power: self.noise.cdf(z - DETECTED) }
             }
             Question::Equivalent { truth, rival, effects } => {
-                let longest = |rows: &SensorRows| rows.parts.iter().map(RecordingRows::len).max();
-                let longest = self.setup.rows.iter().filter_map(longest).max().unwrap_or(0);
-                let stride = (longest / max_rows).max(1);
+                let stride = (longest(self.setup) / max_rows).max(1);
                 let setup = self.setup.with_rows(self.rows(plan, sensors, |_| stride));
                 self.difference(setup, (truth, rival), effects, stride)
             }
@@ -442,7 +446,8 @@ impl Planner<'_> {
         questions.iter().map(evidence).collect()
     }
 
-    /// Evidence on the difference of two models, on rows of which every `stride`-th is present.
+    /// Evidence on the difference of two models, on rows of which every `stride`-th is present. Only the planned recordings count:
+    /// those at hand do not distinguish the two, and the noise of their forces would be computed as if it moved the magnet.
     fn difference(
         &self,
         mut setup: FitSetup,
@@ -455,9 +460,10 @@ impl Planner<'_> {
         }
         let truth = extended(&setup, truth);
         set_fields(&mut setup, &truth, 0);
+        let recorded = self.setup.rows.first().map_or(0, |rows| rows.parts.len());
         let rival = extended(&setup, rival);
         let test = ScoreTest::new(&setup, &rival.effects, &rival.fit, self.block_s);
-        let difference = test.mean_square();
+        let difference = test.mean_square_in(|recording, time_s| recording >= recorded && time_s >= SETTLED_S);
         let rows: usize = setup.rows.iter().map(|rows| stride * rows.len()).sum();
         let sensors = self.setup.rows.len() as f64 / setup.rows.len().max(1) as f64;
         let sigma = 2.0 * (difference * CORRELATED / (3.0 * rows as f64 * sensors)).sqrt();
@@ -485,12 +491,19 @@ impl Planner<'_> {
                 rows.parts.iter().map(|part| part.thinned(stride(part.len()))).collect();
             for excitation in &excitations {
                 let planned = template.rows(rows, excitation);
-                parts.push(planned.thinned(stride(planned.len())));
+                let sampled = planned.len() / self.rows_per_sampled;
+                parts.push(planned.thinned(self.rows_per_sampled * stride(sampled)));
             }
             Some(SensorRows { forces: rows.forces.clone(), parts, ..*rows })
         };
         sensors.iter().filter_map(of_sensor).collect()
     }
+}
+
+/// Rows of the longest recording.
+fn longest(setup: &FitSetup) -> usize {
+    let parts = setup.rows.iter().flat_map(|rows| &rows.parts);
+    parts.map(RecordingRows::len).max().unwrap_or(0)
 }
 
 /// Whether the excitation gives both effects nearly the same response, by the rule of the diagnosis.

@@ -214,12 +214,25 @@ impl FittedModel {
             .all(|(new, old)| new.mean_square() < old.mean_square())
     }
 
-    /// Whether its error is distinguishably lower than that of `other`, and lower in every fold; on the fitted rows too, since a
-    /// model with more parameters loses on held-out rows even where it contains the better one.
+    /// Whether its error is distinguishably lower than that of `other`, and distinguishably higher in no fold (recordings may differ in
+    /// what they tell apart); on the fitted rows too, since a model with more parameters loses on held-out rows even where it
+    /// contains the better one.
     pub fn is_distinguishably_better(&self, other: &Self) -> bool {
         self.is_better_fit(DISTINGUISHABLE, other)
-            && other.mean_square() > (1.0 + DISTINGUISHABLE) * self.mean_square()
-            && self.improves_all_folds(other)
+            && self.is_better_validated(other)
+            && self.is_worse_in_no_fold(other)
+    }
+
+    fn is_worse_in_no_fold(&self, other: &Self) -> bool {
+        let pairs = self.fit.folds().into_iter().zip(other.fit.folds());
+        pairs
+            .filter(|(_, old)| old.rows() > 0)
+            .all(|(new, old)| new.mean_square() <= (1.0 + DISTINGUISHABLE) * old.mean_square())
+    }
+
+    /// Whether its cross-validated error is distinguishably lower than that of `other`.
+    pub fn is_better_validated(&self, other: &Self) -> bool {
+        other.mean_square() > (1.0 + DISTINGUISHABLE) * self.mean_square()
     }
 
     /// Whether the effect added last has a plausible magnitude.

@@ -208,6 +208,9 @@ fn remainder(screened: &ScreenedEffect, selection: &Selection) -> (VerdictKind, 
         None if screened.candidate.is_transient() => {
             (VerdictKind::Inconclusive, Reason::DriftsWithTime)
         }
+        None if selection.stages.last().is_some_and(|last| last.floors() <= AT_FLOOR) => {
+            (VerdictKind::Inconclusive, Reason::Unconfirmed)
+        }
         None => (VerdictKind::Inconclusive, Reason::OtherCause),
     }
 }

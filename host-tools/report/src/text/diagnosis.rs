@@ -1,6 +1,6 @@
 //! Text and JSON of a diagnosis.
 
-use analysis::compare::ForceError;
+use analysis::compare::{AT_FLOOR, ForceError};
 use analysis::diagnose::candidates::{LEVEL, MIN_GAIN};
 use analysis::diagnose::remaining_structure::RemainingStructure;
 use analysis::diagnose::{
@@ -148,6 +148,9 @@ fn verdict_table(diagnosis: &Diagnosis) -> String {
     let mut page = format!("{table}\n");
     if diagnosis.verdicts.iter().any(|v| is_present(v) && v.provisional) {
         page += &paragraph(PROVISIONAL_NOTE);
+    }
+    if diagnosis.verdicts.iter().any(|v| v.kind == VerdictKind::Shadow) {
+        page += &paragraph(SHADOW_NOTE);
     }
     page + &paragraph(&significance_note(diagnosis)) + "\n"
 }
@@ -422,7 +425,7 @@ pub fn suggestion_heading(kind: SuggestionKind) -> &'static str {
         SuggestionKind::ChooseEffect => {
             "Suggestion, make a recording that tells them apart (`--plan` proposes one), or choose one and add it:"
         }
-        SuggestionKind::Export => "Nothing is missing here. Suggestion, the device's tables:",
+        SuggestionKind::Export => "No missing effect was found. Suggestion, the tables for the device:",
         SuggestionKind::TestFormula => {
             "Suggestion, propose its shape and test it like any effect (put in yours):"
         }
@@ -533,11 +536,19 @@ pub fn verdict_label(verdict: &Verdict) -> String {
 pub const PROVISIONAL_NOTE: &str =
     "A question mark: provisional, because much more than noise is unexplained.";
 
+/// Explanation of shadows.
+pub const SHADOW_NOTE: &str = "Shadow: significant by itself, but it explains part of the same residual as the effect named in its row, and \
+                               nothing beside it.";
+
 /// Note where the residual is at the noise floor.
 pub fn at_floor_note(diagnosis: &Diagnosis) -> String {
     let with = if diagnosis.accepted.is_empty() { "" } else { " with what was found" };
     format!(
-        "AT NOISE FLOOR{with}: what is left is indistinguishable from noise. A further effect would fit noise."
+        "AT NOISE FLOOR{with}: the error of the field is within {:.0} % of its noise floor, and a further effect would fit noise. \
+         The same margin in newtons is an excess of {:.2} times the noise; it contains the error of the device's tables and \
+         fixed-point arithmetic, and that of the noise's estimate.",
+        100.0 * (AT_FLOOR - 1.0),
+        (AT_FLOOR * AT_FLOOR - 1.0).sqrt(),
     )
 }
 
@@ -637,6 +648,10 @@ pub fn reason(verdict: &Verdict) -> String {
             "the residual drifts with time more freely than this effect can".to_owned()
         }
         Reason::OtherCause => "it fits part of a residual with another cause".to_owned(),
+        Reason::Unconfirmed => {
+            "its score test is significant, but no fit with it lowers the held-out error in every fold, with a plausible magnitude"
+                .to_owned()
+        }
         Reason::UnexplainedResidual(first) => format!(
             "{} and is explained by no effect, which prevents a verdict",
             first
@@ -652,6 +667,9 @@ pub fn reason(verdict: &Verdict) -> String {
         Reason::Masked => format!(
             "the residual of other causes masks a typical magnitude ({z:.1} standard errors)"
         ),
+        Reason::BelowBound(bound) if *bound >= 1.0 => {
+            format!("not significant, where a typical magnitude would be {z:.0} standard errors")
+        }
         Reason::BelowBound(bound) => {
             format!("at most {bound:.2} times its typical magnitude (95 %)")
         }
@@ -684,6 +702,7 @@ pub fn short_reason(verdict: &Verdict) -> String {
         Reason::FormOf(effect) => format!("form of {effect}"),
         Reason::DriftsWithTime => "drifts with time".to_owned(),
         Reason::OtherCause => "has another cause".to_owned(),
+        Reason::Unconfirmed => "not confirmed by a fit".to_owned(),
         Reason::UnexplainedResidual(_) => "much is unexplained".to_owned(),
         Reason::HardlyChangesField => "not detectable here".to_owned(),
         Reason::Confounded => "confounded".to_owned(),
@@ -695,7 +714,11 @@ pub fn short_reason(verdict: &Verdict) -> String {
                 true => "not in every fold, ",
                 false => "",
             };
-            format!("{rule}< {bound:.2} of typical")
+            if *bound < 1.0 {
+                format!("{rule}< {bound:.2} of typical")
+            } else {
+                format!("{rule}not significant")
+            }
         }
         Reason::NotRecorded(column) => format!("no {column}"),
         Reason::NeedsGeometry | Reason::NeedsForce | Reason::DoesNotVary(_) => SEE_BELOW.to_owned(),

@@ -1,6 +1,7 @@
 //! Text and JSON of a model with other effects.
 
 use analysis::compare::AT_FLOOR;
+use analysis::diagnose::candidates::MIN_GAIN;
 use analysis::edit_model::ModelEdit;
 use analysis::numbers;
 use model_export::effects::EffectTerm;
@@ -14,8 +15,6 @@ use serde_json::{Value, json};
 use crate::text::terminal::{self, SENSORS_ACROSS};
 use crate::text::{force_error, notes};
 
-/// Relative changes of the held-out error below this are insignificant.
-const INSIGNIFICANT_CHANGE: f64 = 0.005;
 /// A residual above this multiple of the floor may mask an effect.
 const MASKING_RESIDUAL: f64 = 1.5;
 /// A smaller reduction of the error is doubtful if the magnitude is implausible.
@@ -223,7 +222,7 @@ fn gain(edit: &ModelEdit) -> String {
     };
     if !adding {
         let removed = names(&edit.before.0, &edit.after.0);
-        return if -reduction > INSIGNIFICANT_CHANGE {
+        return if (new / old).powi(2) > 1.0 + MIN_GAIN {
             format!("Without {removed} the error is {:.1} % higher.", -100.0 * reduction)
         } else {
             format!(
@@ -232,7 +231,7 @@ fn gain(edit: &ModelEdit) -> String {
         };
     }
     let added = names(&edit.after.0, &edit.before.0);
-    if reduction <= INSIGNIFICANT_CHANGE {
+    if 1.0 - (new / old).powi(2) <= MIN_GAIN {
         let reason = if new > MASKING_RESIDUAL * floor {
             format!("The residual, {:.1} times the floor, may mask {added}", new / floor)
         } else {

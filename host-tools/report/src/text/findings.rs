@@ -31,6 +31,18 @@ pub fn message(finding: &Finding) -> String {
             )
         }
         Evidence::DuplicateRows { identical, different } => duplicate_rows(*identical, *different),
+        Evidence::ClockUnit { recordings, period_us, duration_s } => {
+            let (unit, declared) = match *period_us > 1e3 {
+                true => ("milliseconds or microseconds", "a larger unit"),
+                false => ("seconds or milliseconds", "a smaller unit"),
+            };
+            format!(
+                "rows are {} s apart {}, the recording lasts {} s: it looks as if the clock counted {unit} and was imported as {declared}; correct its unit in the mapping and import again",
+                digits(1e-6 * period_us),
+                in_recordings(recordings),
+                digits(*duration_s),
+            )
+        }
         Evidence::ClockGaps { gaps, recordings, lost, from_s, longest_ms, period_ms } => format!(
             "{} in the clock {}, {} of the total time; the longest here, from {} s on: {} ms where rows are {} ms apart. Rows next to a gap are excluded; look for lost transfers or a blocked logger",
             counted(*gaps, "1 gap", "gaps"),

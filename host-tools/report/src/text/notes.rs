@@ -24,7 +24,7 @@ pub fn text(note: &Note) -> String {
             model.display()
         ),
         Note::OtherDesign { recording } => format!(
-            "{}: [design] differs from the model's: is it the same gripper?",
+            "{}: [design] differs from the model's: is it the same gripper? A fit uses that of the recordings",
             recording.display()
         ),
         Note::OtherGripper { floors } => format!(

@@ -42,9 +42,15 @@ pub fn format_proposal(proposal: &RecordingProposal) -> String {
     }
     text += &format_steps(plan);
     if plan.recordings > 1 {
-        text += &terminal::paragraph(
-            "In the second recording the temperature changes the other way. Two are needed: what a model learns from one is validated on the other.",
-        );
+        text += &terminal::paragraph(&format!(
+            "{} recordings: what a model learns from one is validated on another.{}",
+            plan.recordings,
+            if plan.steps.iter().any(|step| step.temperature_k != 0.0) {
+                " In the second one the temperature changes the other way."
+            } else {
+                ""
+            }
+        ));
     }
     if !left.is_empty() {
         text += &terminal::paragraph(&format!(
@@ -121,6 +127,7 @@ mod tests {
             "Plan: 2 recordings of 25 s each",
             "creep or viscous_lag   < 1 %   > 99 %",
             "tip_slope              < 1 %     42 %",
+            "2 recordings: what a model learns from one is validated on another. In the second one\nthe temperature changes",
             "1. 0 to 25 s: hold 150 N lateral and 140 N longitudinal for 15 s, then release;",
             "keep the opening at\n10 mm; warm by 8 K.",
             "Not planned for: external_magnet",

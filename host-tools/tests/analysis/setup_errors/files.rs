@@ -74,6 +74,20 @@ fn clock_reset_is_found_and_not_sorted() {
 }
 
 #[test]
+fn clock_in_another_unit_is_found() {
+    // Milliseconds taken for seconds: rows of 1 ms are 1000 times as far apart, those of the reference 10 s.
+    for (factor, says) in [(1e4, "10 s apart"), (1e-3, "0.00001 s apart")] {
+        let spoilt = CampaignCopy::new().change(&[1, 2, 3], "force.csv", |cells| {
+            cells.change("t_us", |_, t| (t * factor).to_string());
+        });
+        let found = found(&spoilt);
+        let finding = found.iter().find(|finding| finding.id == "clock_unit").unwrap();
+        assert!(!finding.stops && finding.place.file.ends_with("1/force.csv.gz"), "{finding:?}");
+        assert_message(finding, &["the clock counted", says, "import again"]);
+    }
+}
+
+#[test]
 fn duplicated_block_is_removed() {
     let spoilt = CampaignCopy::new().change(&[3], "force.csv", |cells| {
         let block = cells.rows[400..405].to_vec();

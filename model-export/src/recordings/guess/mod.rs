@@ -120,36 +120,38 @@ const DESIGN: &str = "
 # gap_mm = 2.0                    # from the magnet's face to the Hall element, unloaded
 # stiffness_x_n_per_mm = 100.0    # lateral (grasping)
 # stiffness_z_n_per_mm = 100.0    # longitudinal
+# force_range_n = 250.0           # largest force of each axis, either sign; the tables of the device cover it
 # magnet = { shape = \"cylinder\", diameter_mm = 4.0, length_mm = 3.0, remanence_t = 1.3, axis = \"y\" }
 
 ";
 
 fn no_field(tables: &[SourceTable]) -> DataError {
-    let names = tables.iter().flat_map(|table| &table.columns).map(|column| column.name.as_str());
-    let in_gauss = |column: &&SourceColumn| {
+    let in_gauss = |column: &SourceColumn| {
         column.stated.axis.is_none()
             && column.stated.unit.is_some_and(|unit| unit.canonical == "gauss")
     };
-    let columns = || tables.iter().flat_map(|table| &table.columns);
-    let without_axis: Vec<&str> =
-        columns().filter(in_gauss).map(|column| column.name.as_str()).collect();
-    if !without_axis.is_empty() {
-        let advice = format!(
-            "put x, y or z into their names, such as bx_mT, or write the mapping yourself (`cargo magpie import --help`): {}",
-            without_axis.join(", ")
-        );
-        let path = tables.first().map_or(Path::new(""), |table| &table.path);
-        let kind = ErrorKind::bad_value("a magnetic field without its axis", advice);
-        return kind.at(Location::file(path).line(1));
-    }
-    let advice = format!(
-        "call its columns bx, by, bz with a number for each sensor, or write the mapping yourself (`cargo magpie import --help`); \
-         they are {}",
-        names.collect::<Vec<_>>().join(", ")
-    );
+    let names = |is_listed: &dyn Fn(&SourceColumn) -> bool| {
+        let columns = tables.iter().flat_map(|table| &table.columns);
+        let listed = columns.filter(|column| is_listed(column)).map(|column| column.name.as_str());
+        listed.collect::<Vec<_>>().join(", ")
+    };
+    let without_axis = names(&in_gauss);
+    let (found, advice, names) = if without_axis.is_empty() {
+        let advice = "call its columns bx, by, bz with a number or a letter for each sensor";
+        ("a table without a magnetic field", advice, names(&|_| true))
+    } else {
+        let advice = "put x, y or z into their names, such as bx_mT";
+        ("a magnetic field without its axis", advice, without_axis)
+    };
+    let advice =
+        format!("{advice}, or write the mapping yourself (`cargo magpie import --help`): {names}");
     let path = tables.first().map_or(Path::new(""), |table| &table.path);
-    ErrorKind::bad_value("a table without a magnetic field", advice)
-        .at(Location::file(path).line(1))
+    ErrorKind::bad_value(found, advice).at(Location::file(path).line(1))
+}
+
+/// The checks as one; none without one.
+fn joined(checks: Vec<String>) -> Option<String> {
+    (!checks.is_empty()).then(|| checks.join("; "))
 }
 
 /// Checks that a source has the columns of the first one.
@@ -242,7 +244,7 @@ impl Draft {
                 short(magnitude)
             ));
         }
-        let check = (!checks.is_empty()).then(|| checks.join("; "));
+        let check = joined(checks);
         if let Some(check) = &check {
             self.check(format!("{}: {check}", column.name));
         }
@@ -259,6 +261,8 @@ impl Draft {
         let (complete, partial): (Vec<&Group>, Vec<&Group>) = column_groups(fields())
             .into_iter()
             .partition(|group| Axis::ALL.into_iter().all(|axis| has(group, axis)));
+        let mut without_unit = fields().filter(|column| column.stated.unit.is_none());
+        let are_whole = without_unit.all(|column| column.is_whole);
         for column in fields().filter(|column| partial.contains(&&column.stated.group)) {
             self.ignored.push((column.name.clone(), "its sensor has not all of x, y and z"));
         }
@@ -276,7 +280,7 @@ impl Draft {
                         self.add(column, "lsb", to("lsb"), None);
                     }
                     Some(unit) => self.add(column, unit.name, to("gauss"), None),
-                    None if column.is_whole => {
+                    None if are_whole => {
                         let check = "whole numbers without a unit: taken as raw counts";
                         self.add(column, "lsb", to("lsb"), Some(check.to_owned()));
                     }
@@ -460,7 +464,7 @@ impl Draft {
                 continue;
             }
             let unit = column.stated.unit.map_or("N", |unit| unit.name);
-            self.add(column, unit, to, (!checks.is_empty()).then(|| checks.join("; ")));
+            self.add(column, unit, to, joined(checks));
         }
     }
 
@@ -497,7 +501,7 @@ impl Draft {
         if column.quantity != Quantity::Time {
             checks.push("taken as the clock, since it increases in every row".to_owned());
         }
-        let check = (!checks.is_empty()).then(|| checks.join("; "));
+        let check = joined(checks);
         if let Some(check) = &check {
             let text = format!("{}: {check}", column.name);
             if !self.checks.contains(&text) {

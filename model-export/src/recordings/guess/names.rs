@@ -174,11 +174,11 @@ fn quantity_of(words: &[String]) -> (Quantity, Option<char>, BTreeSet<usize>) {
             used.insert(i);
             continue;
         }
-        if let Some(known) = Quantity::of_word(word) {
-            // The last one counts: `sensor_time`, `motor_angle`; but `force_t` is not the time of a force.
-            if quantity == Quantity::Unknown || word.len() > 1 {
-                quantity = known;
-            }
+        // The last quantity counts: `sensor_time`, `motor_angle`; but `bx_a` and `mag_b_x` are of sensors a and b, and `force_t` is
+        // not the time of a force.
+        let is_label = quantity != Quantity::Unknown && word.len() == 1;
+        if let Some(known) = Quantity::of_word(word).filter(|_| !is_label) {
+            quantity = known;
             used.insert(i);
             continue;
         }

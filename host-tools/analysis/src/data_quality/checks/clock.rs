@@ -58,6 +58,30 @@ fn fix(table: &TableScan, kind: FixKind, changes: Vec<Change>) -> Fix {
     Fix { kind, repairs: changes.into_iter().map(repair).collect() }
 }
 
+/// Sampling periods in microseconds of loggers of sensors and load cells; outside, the unit of the clock is probably wrong.
+const PERIODS_US: std::ops::RangeInclusive<f64> = 20.0..=2e6;
+
+/// Sampling periods that no logger of forces has.
+pub fn units<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
+    ["hall.csv", "force.csv"].into_iter().filter_map(|name| unit_of(context, name)).collect()
+}
+
+fn unit_of<'a>(context: &CheckContext<'a>, name: &str) -> Option<Found<'a>> {
+    let is_hit = |table: &TableScan| {
+        let period_us = table.clock.period_us;
+        table.name == name && period_us > 0.0 && !PERIODS_US.contains(&period_us)
+    };
+    let tables = context.tables();
+    let hit: Vec<_> = tables.into_iter().filter(|(_, table)| is_hit(table)).collect();
+    let (_, first) = hit.first()?;
+    let evidence = Evidence::ClockUnit {
+        recordings: context.recordings_in(hit.iter().map(|(recording, _)| *recording)),
+        period_us: first.clock.period_us,
+        duration_s: first.clock.span_s(),
+    };
+    Some(Found::new(Location::file(&first.path).column("t_us"), evidence))
+}
+
 /// Timestamp steps far above the sampling period.
 pub fn gaps<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
     ["hall.csv", "force.csv"].into_iter().filter_map(|name| gaps_of(context, name)).collect()

@@ -77,7 +77,7 @@ fn complete_model_has_no_found_section() {
         ..Diagnosis::default()
     };
     let page = page(&clean);
-    assert!(section(&page, "diagnosis").contains("AT NOISE FLOOR: what is left"));
+    assert!(section(&page, "diagnosis").contains("AT NOISE FLOOR: the error of the field"));
     assert!(!page.contains("<section id=\"found\""));
     assert!(!page.contains("<section id=\"open\""));
 }

@@ -6,7 +6,7 @@ use crate::html::tables::table;
 use crate::text::diagnosis::{self as text, EquivalentSet, InconclusiveGroup};
 use crate::text::recording_plan;
 use analysis::diagnose::recording_plan::RecordingProposal;
-use analysis::diagnose::{Diagnosis, DiscoveredFormula, EffectShape, Verdict};
+use analysis::diagnose::{Diagnosis, DiscoveredFormula, EffectShape, Verdict, VerdictKind};
 use analysis::numbers::{number, percent};
 use maud::{Markup, html};
 
@@ -28,6 +28,7 @@ pub fn verdict_section(diagnosis: &Diagnosis) -> Section {
                 diagnosis.verdicts.iter().map(row),
             ))
             @if provisional { p.note { (text::PROVISIONAL_NOTE) } }
+            @if diagnosis.verdicts.iter().any(|v| v.kind == VerdictKind::Shadow) { p.note { (text::SHADOW_NOTE) } }
             p.note {
                 (text::significance_note(diagnosis))
                 " Typical / std. error: a typical magnitude of the effect in standard errors of these recordings."
