@@ -72,6 +72,24 @@ fn diagnosis_is_invariant_to_order_and_offset() {
     }
 }
 
+/// Foreshortening of 1.5 um, which the screening sees as a loss of gain; an effect that can do the same is fitted, too, and bounds
+/// of absent effects hold although coefficients of one effect compensate each other.
+#[test]
+fn small_effect_is_tied_with_the_one_that_imitates_it_and_bounds_hold() {
+    let diagnosis = simulated("--effect tip_slope=1.5 --seed 1");
+    let mut names = accepted(&diagnosis).concat();
+    names.sort_unstable();
+    assert_eq!(names, ["sensor_compression", "tip_slope"]);
+    // 0.3 of its typical 5 um.
+    let diagnosis = simulated("--effect tip_slope=1.5 --seed 2");
+    let mut verdicts = diagnosis["verdicts"].as_array().unwrap().iter();
+    let own = verdicts.find(|verdict| verdict["effect"] == "tip_slope").unwrap();
+    let reason = own["reason"].as_str().unwrap();
+    let bound = reason.strip_prefix("at most ").and_then(|rest| rest.split(' ').next());
+    let bound: f64 = bound.unwrap_or_else(|| panic!("{reason}")).parse().unwrap();
+    assert!((0.3..1.0).contains(&bound), "{reason}");
+}
+
 #[test]
 fn reversed_covariate_loses_its_effect() {
     let campaign =

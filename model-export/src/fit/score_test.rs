@@ -394,9 +394,8 @@ fn upper_bound(normal: &DMatrix<f64>, by_block: &[DVector<f64>], count: usize) -
         variance += change.component_mul(&change);
         estimate += change;
     }
-    let bound = |j: usize| {
-        estimate[j].abs() + 2.0 * variance[j].max(covariance[(j, j)]).max(0.0).sqrt()
-    };
+    let bound =
+        |j: usize| estimate[j].abs() + 2.0 * variance[j].max(covariance[(j, j)]).max(0.0).sqrt();
     (0..count.min(normal.nrows())).map(bound).fold(0.0, f64::max)
 }
 
@@ -610,4 +609,20 @@ fn inverse(mut normal: DMatrix<f64>, prior: f64) -> DMatrix<f64> {
     }
     let size = normal.nrows();
     normal.cholesky().map_or_else(|| DMatrix::zeros(size, size), |factor| factor.inverse())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn upper_bound_holds_for_coefficients_that_compensate_each_other() {
+        // Two collinear coefficients, 0.5 and -0.4, in two blocks of equal rows.
+        let normal = DMatrix::from_row_slice(2, 2, &[100.0, 90.0, 90.0, 100.0]);
+        let score = &normal * DVector::from_row_slice(&[0.25, -0.2]);
+        let bound = upper_bound(&normal, &[score.clone(), score], 1);
+        // Alone, the first would be (100 * 0.5 - 90 * 0.4) / 100 = 0.14. Jointly it is 0.5, and its standard error by the two
+        // blocks the root of 0.25^2 + 0.25^2.
+        assert!((bound - (0.5 + 2.0 * 0.125_f64.sqrt())).abs() < 0.002, "{bound}");
+    }
 }

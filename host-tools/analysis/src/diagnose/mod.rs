@@ -32,6 +32,7 @@ pub use crate::diagnose::residuals::EffectShape;
 use crate::diagnose::residuals::{residuals_against, shapes};
 pub use crate::diagnose::suggestions::{Suggestion, SuggestionKind};
 use crate::diagnose::verdicts::conclude;
+use crate::notes::UncompensatedEffect;
 use anyhow::Result;
 use model_export::effects::{EffectTerm, find};
 use model_export::fit::FitOptions;
@@ -89,6 +90,8 @@ pub struct Diagnosis {
     pub at_floor: bool,
     /// Cross-validated error after every step.
     pub staircase: Vec<StaircaseStep>,
+    /// Effects of the last step that the device does not compensate.
+    pub uncompensated: Vec<UncompensatedEffect>,
     /// Residual removed by each step, in order.
     pub shapes: Vec<EffectShape>,
     /// Proposed recording for what is open, where it was asked for.
@@ -305,6 +308,8 @@ pub fn diagnose(
         for (step, forces) in diagnosis.staircase.iter_mut().zip(&forces) {
             step.force = ForceError::of(&forces.errors);
         }
+        let last = forces.into_iter().last();
+        diagnosis.uncompensated = last.map_or_else(Vec::new, |last| last.uncompensated);
     }
     if let Some(last) = selection.stages.last().filter(|_| !diagnosis.at_floor) {
         let located = selection.attributed.iter().map(|(_, share)| share).sum();
@@ -313,8 +318,14 @@ pub fn diagnose(
     }
     if plans && !observer.is_stopped() {
         let verdicts = &diagnosis.verdicts;
-        diagnosis.proposal =
-            Some(propose((&sample, &prepared), &selection, verdicts, &untestable, options, observer));
+        diagnosis.proposal = Some(propose(
+            (&sample, &prepared),
+            &selection,
+            verdicts,
+            &untestable,
+            options,
+            observer,
+        ));
     }
     diagnosis.shapes = shapes(campaign, &sample, &selection, &formulas, options.seed);
     diagnosis.formulas = formulas;

@@ -463,7 +463,8 @@ impl Planner<'_> {
         let recorded = self.setup.rows.first().map_or(0, |rows| rows.parts.len());
         let rival = extended(&setup, rival);
         let test = ScoreTest::new(&setup, &rival.effects, &rival.fit, self.block_s);
-        let difference = test.mean_square_in(|recording, time_s| recording >= recorded && time_s >= SETTLED_S);
+        let difference =
+            test.mean_square_in(|recording, time_s| recording >= recorded && time_s >= SETTLED_S);
         let rows: usize = setup.rows.iter().map(|rows| stride * rows.len()).sum();
         let sensors = self.setup.rows.len() as f64 / setup.rows.len().max(1) as f64;
         let sigma = 2.0 * (difference * CORRELATED / (3.0 * rows as f64 * sensors)).sqrt();

@@ -41,16 +41,8 @@ pub fn format_proposal(proposal: &RecordingProposal) -> String {
         text += &format!("{table}\n");
     }
     text += &format_steps(plan);
-    if plan.recordings > 1 {
-        text += &terminal::paragraph(&format!(
-            "{} recordings: what a model learns from one is validated on another.{}",
-            plan.recordings,
-            if plan.steps.iter().any(|step| step.temperature_k != 0.0) {
-                " In the second one the temperature changes the other way."
-            } else {
-                ""
-            }
-        ));
+    if let Some(note) = several(plan) {
+        text += &terminal::paragraph(&note);
     }
     if !left.is_empty() {
         text += &terminal::paragraph(&format!(
@@ -59,6 +51,19 @@ pub fn format_proposal(proposal: &RecordingProposal) -> String {
         ));
     }
     text
+}
+
+/// Why the plan has several recordings, if it has.
+pub fn several(plan: &RecordingPlan) -> Option<String> {
+    let is_warmed = plan.steps.iter().any(|step| step.temperature_k != 0.0);
+    let other =
+        if is_warmed { " In the second one the temperature changes the other way." } else { "" };
+    (plan.recordings > 1).then(|| {
+        format!(
+            "{} recordings: what a model learns from one is validated on another.{other}",
+            plan.recordings
+        )
+    })
 }
 
 /// The steps as instructions, with their start.

@@ -187,7 +187,7 @@ impl Expression {
                 Some((lag, _)) => {
                     let index = shape(&lag.seconds).ok_or_else(|| {
                         let advice = format!(
-                            "the time constant {:?} is neither a positive number of seconds nor a name with a range, as in --range {}=1..10",
+                            "the time constant {:?} is neither a positive number of seconds nor a name with a range: --range {}=1..10, or after a semicolon in the workbench",
                             lag.seconds, lag.seconds
                         );
                         position.error(text, advice)
@@ -246,15 +246,15 @@ impl Expression {
             let is_time_constant = self.inputs.iter().any(|input| input.lag == of_lag);
             let is_used = is_time_constant || self.roles.contains(&Role::Shape(i));
             let message = if !is_used {
-                format!("--range {}: the formula has no such name", range.name)
+                format!("range {}: the formula has no such name", range.name)
             } else if !is_valid(range) {
                 format!(
-                    "--range {}: {:e} to {:e} is not a valid range; give finite bounds, the lower first, of at most {MAX_MAGNITUDE:e}",
+                    "range {}: {:e} to {:e} is not a valid range; give finite bounds, the lower first, of at most {MAX_MAGNITUDE:e}",
                     range.name, range.from, range.to
                 )
             } else if is_time_constant && range.from <= 0.0 {
                 format!(
-                    "--range {}: {:e} to {:e} is not a range of a time constant; give positive bounds in seconds",
+                    "range {}: {:e} to {:e} is not a range of a time constant; give positive bounds in seconds",
                     range.name, range.from, range.to
                 )
             } else {
@@ -287,7 +287,7 @@ impl Expression {
             let [low, middle, high] = [1.0, 2.0, 3.0].map(|to| at(&all, to));
             if differs(high - middle, middle - low, high.abs() + middle.abs() + low.abs()) {
                 let advice = format!(
-                    "{name:?} does not enter linearly: give it a range, as in --range {name}=1..10"
+                    "{name:?} does not enter linearly: give it a range, --range {name}=1..10, or after a semicolon in the workbench"
                 );
                 return Err(names.position(name).error(text, advice));
             }

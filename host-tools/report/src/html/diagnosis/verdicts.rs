@@ -140,7 +140,7 @@ pub fn open_section(diagnosis: &Diagnosis) -> Option<Section> {
 }
 
 /// The proposed recordings: what they decide, and their steps.
-fn planned(proposal: &RecordingProposal) -> Markup {
+pub fn planned(proposal: &RecordingProposal) -> Markup {
     let rows = proposal.decisions.iter().map(recording_plan::decision_cells);
     let rows = rows.map(|row| row.map(|cell| html! { (cell) }).to_vec());
     html! {
@@ -151,6 +151,7 @@ fn planned(proposal: &RecordingProposal) -> Markup {
         ol { @for step in &proposal.plan.steps {
             li { (format!("{:.0} s: {}.", step.seconds, step.instruction())) }
         } }
+        @if let Some(note) = recording_plan::several(&proposal.plan) { p.note { (note) } }
     }
 }
 

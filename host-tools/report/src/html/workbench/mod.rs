@@ -10,12 +10,12 @@ use model_export::effects::{EffectTerm, Expression, find};
 use plotters::prelude::*;
 use serde_json::{Value, json};
 
+use crate::html::diagnosis::verdicts::planned;
 use crate::html::plot::{Along, axes, figure, px, stroke};
 use crate::html::{attribution, errors, histograms, map, palette, summary, traces};
 use crate::text::comparison::{validation, verdict};
 use crate::text::diagnosis::{force_headline, missing_columns};
 use crate::text::notes;
-use crate::text::recording_plan::format_proposal;
 
 /// The page, without a model; its script asks for one. With `live` it shows a gripper.
 pub fn page(campaign: &str, live: bool) -> String {
@@ -34,6 +34,7 @@ pub fn page(campaign: &str, live: bool) -> String {
                 header #top {
                     h1 { "Workbench " span #campaign { (campaign) } }
                     div #bar role="img" aria-label="Force error" {}
+                    p.note #legend { span.key.error {} " force error " span.key.predicted {} " predicted with the effect under the pointer " span.key.noise {} " noise alone" }
                     p #headline role="status" { "Fitting the base model." }
                     pre #error role="alert" {}
                     p.note #verdict {}
@@ -81,6 +82,8 @@ pub fn page(campaign: &str, live: bool) -> String {
                                 form #record-form {
                                     label { "Record to " input #record-output type="text" value=(format!("{campaign}/planned-1")); }
                                     label { "Plan " input #record-plan type="text" placeholder="plan.toml, or empty"; }
+                                    label { "Reference " input #record-reference type="text" placeholder="/dev/ttyUSB0 or tcp:HOST:PORT"; }
+                                    label { "Its columns " input #record-map type="text" placeholder="load-cell.toml"; }
                                     label { "Seconds " input #record-seconds type="number" min="1" max="36000" value="30"; }
                                     button type="submit" { "Record" }
                                     button #record-end type="button" { "End" }
@@ -211,7 +214,7 @@ pub fn diagnosis(diagnosis: &Diagnosis) -> Value {
         "steps": steps.filter(|step| !step.is_empty()).collect::<Vec<_>>(),
         "formulas": formulas.collect::<Vec<_>>(),
         "at_floor": diagnosis.at_floor,
-        "plan": diagnosis.proposal.as_ref().map(format_proposal),
+        "plan": diagnosis.proposal.as_ref().map(|proposal| planned(proposal).into_string()),
     })
 }
 
@@ -252,15 +255,10 @@ pub fn scatter(scatter: &ResidualScatter) -> String {
 /// Size of the plot in pixels.
 const SCATTER_SIZE: (u32, u32) = (760, 380);
 
-/// The comparison of a model with a baseline: the baseline is the first of the two.
+/// The comparison of a model with a baseline, as `magpie compare --baseline` makes it.
 pub fn with_baseline(model: &WorkbenchModel, baseline: Option<&WorkbenchModel>) -> Comparison {
-    match baseline {
-        None => model.comparison.clone(),
-        Some(baseline) => Comparison {
-            other: Some(Box::new(model.comparison.clone())),
-            ..baseline.comparison.clone()
-        },
-    }
+    let other = baseline.map(|baseline| Box::new(baseline.comparison.clone()));
+    Comparison { other, ..model.comparison.clone() }
 }
 
 /// Sections of a comparison that change with the model.

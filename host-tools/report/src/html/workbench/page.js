@@ -160,6 +160,7 @@
       return true;
     } catch (error) {
       at("error").textContent = error.message;
+      if (!shown) at("headline").textContent = "No model could be fitted.";
       return false;
     } finally {
       isBusy = false;
@@ -195,12 +196,12 @@
       };
       const parts = found.steps.flatMap((step) => step.map((name) => add(step.length > 1 ? `Add ${name}: one of ${step.length} that explain the same` : `Add ${name}`, [name], [])));
       parts.push(...found.formulas.map((one) => add(`Add ${one.formulas.join(" and ")}`, [], one.formulas)));
-      const nothing = found.at_floor ? "Nothing is missing: the residual is noise." : "Neither the catalogue nor formulas explain what is left.";
+      const nothing = found.at_floor ? "No missing effect was found: the residual is at its noise floor." : "Neither the catalogue nor formulas explain what is left.";
       result.replaceChildren(
         element("p", { className: "note", textContent: [found.missing.trim(), found.headline].filter(Boolean).join(" ") }),
         parts.length ? element("ul", {}, ...parts) : element("p", { className: "note", textContent: nothing }),
       );
-      if (found.plan) result.append(element("pre", { className: "command", textContent: found.plan }));
+      if (found.plan) result.append(element("div", { innerHTML: found.plan }));
     } catch (error) {
       result.replaceChildren(element("p", { className: "note", textContent: error.message }));
     } finally {
@@ -350,7 +351,7 @@
     watch();
     at("record-form").addEventListener("submit", (event) => {
       event.preventDefault();
-      command("record", { output: at("record-output").value, plan: at("record-plan").value || null, seconds: Number(at("record-seconds").value) });
+      command("record", { output: at("record-output").value, plan: at("record-plan").value || null, reference: at("record-reference").value || null, reference_map: at("record-map").value || null, seconds: Number(at("record-seconds").value) });
     });
     at("record-end").addEventListener("click", () => command("end-recording", {}));
   }

@@ -1,16 +1,13 @@
 //! `magpie workbench`: a page on this machine in which models of a campaign are built and compared.
 
-use std::collections::{BTreeSet, VecDeque};
-use std::io::{BufRead, BufReader, Read};
+mod live;
+
+use std::collections::BTreeSet;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::RecvTimeoutError;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
 
+use analysis::diagnose::Diagnosis;
 use analysis::workbench::{Interval, Workbench, WorkbenchModel};
 use anyhow::{Context, Result, anyhow, bail};
 use axum::extract::{DefaultBodyLimit, Query, Request, State};
@@ -27,23 +24,16 @@ use model_export::model_file::{BaseKind, ModelFile};
 use model_export::output::{StagingDir, check_output, write_output};
 use model_export::recordings::align::Alignment;
 use model_export::recordings::campaign::recording_folders;
-use report::html::workbench as pages;
+use report::html::{diagnosis, workbench as pages};
 use report::text::{findings, terminal};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::commands::args::{AlignArgs, parse_formulas, parse_range};
-use crate::commands::connection::{PortArgs, check_protocol, default_virtual_board};
+use crate::commands::connection::{PortArgs, default_virtual_board};
 use crate::commands::diagnose::write_plan_file;
 use crate::commands::export::check_compensated;
-use crate::commands::upload::{UploadedCalibration, upload};
-use device::format;
-use device::reader::{ReaderEvent, SourceReader};
-use device::source::Source;
-use device::state::GripperState;
-use firmware::protocol::host_session::service;
-use firmware::protocol::session::op;
-use sim::campaign::plan::RecordingPlan;
+use crate::commands::workbench::live::{LiveGripper, RecordRequest};
 
 /// Open a page in a browser of this machine: add effects and formulas to a model of a campaign, and every number and plot follows.
 #[derive(Debug, clap::Args)]
@@ -79,8 +69,6 @@ pub struct Args {
     json: bool,
 }
 
-/// Time after which the watching thread looks whether it should end.
-const WAIT: Duration = Duration::from_millis(100);
 /// Maximum length of a request in bytes: some formulas.
 const MAX_REQUEST_BYTES: usize = 64 << 10;
 /// What the page may load: only itself.
@@ -119,7 +107,7 @@ pub fn run(args: &Args) -> Result<()> {
         }
         let server = Server {
             bench: Arc::default(),
-            plan: Arc::default(),
+            diagnosis: Arc::default(),
             live: live.map(Arc::new),
             campaign: Arc::new(args.campaign.clone()),
             alignment,
@@ -136,8 +124,8 @@ pub fn run(args: &Args) -> Result<()> {
 struct Server {
     /// The models; opened by the first request, since the page appears before the base is fitted.
     bench: Arc<Mutex<Option<Workbench>>>,
-    /// The last plan of a recording.
-    plan: Arc<Mutex<Option<RecordingPlan>>>,
+    /// The last diagnosis, and the model of which it is.
+    diagnosis: Arc<Mutex<Option<(Choice, Diagnosis)>>>,
     live: Option<Arc<LiveGripper>>,
     campaign: Arc<PathBuf>,
     alignment: Alignment,
@@ -153,7 +141,7 @@ fn router(server: Server) -> Router {
         .route("/names", post(names))
         .route("/diagnose", post(diagnose))
         .route("/scatter", post(scatter))
-        .route("/live", post(live))
+        .route("/live", post(live_state))
         .route("/record", post(record))
         .route("/end-recording", post(end_recording))
         .route("/reload", post(reload))
@@ -200,250 +188,8 @@ async fn page(State(server): State<Server>) -> Html<String> {
     Html(pages::page(&server.campaign.display().to_string(), server.live.is_some()))
 }
 
-/// A gripper that is watched in the background, but for uploads.
-struct LiveGripper {
-    name: String,
-    port: PortArgs,
-    state: Arc<Mutex<LiveState>>,
-    watching: Mutex<Option<Watching>>,
-    recording: Mutex<Option<RecordingProcess>>,
-}
-
-/// The thread that watches, and the request to end it.
-struct Watching {
-    stop: Arc<AtomicBool>,
-    thread: JoinHandle<SourceReader>,
-}
-
-/// A recording by a process of its own, `magpie record`.
-struct RecordingProcess {
-    child: Child,
-    /// What it prints, the last lines.
-    lines: Arc<Mutex<VecDeque<String>>>,
-    readers: Vec<JoinHandle<()>>,
-    /// Whether it uses the connection, which is watched again after its end.
-    uses_connection: bool,
-}
-
-/// Lines of a recording that are shown.
-const SHOWN_LINES: usize = 12;
-
-impl RecordingProcess {
-    fn start(arguments: &[String], uses_connection: bool) -> Result<Self> {
-        let program = std::env::current_exe().context("the path of this program is unknown")?;
-        let mut child = Command::new(program)
-            .arg("record")
-            .args(arguments)
-            .stdin(Stdio::null())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .context("the recording cannot be started")?;
-        let lines = Arc::new(Mutex::new(VecDeque::new()));
-        let read = |source: Option<Box<dyn Read + Send>>| {
-            let shown = lines.clone();
-            std::thread::spawn(move || {
-                let source = source.into_iter().flat_map(|source| BufReader::new(source).lines());
-                for line in source.map_while(Result::ok) {
-                    let mut shown = shown.lock().unwrap_or_else(PoisonError::into_inner);
-                    shown.push_back(line);
-                    if shown.len() > SHOWN_LINES {
-                        shown.pop_front();
-                    }
-                }
-            })
-        };
-        let stdout = child.stdout.take().map(|pipe| Box::new(pipe) as Box<dyn Read + Send>);
-        let stderr = child.stderr.take().map(|pipe| Box::new(pipe) as Box<dyn Read + Send>);
-        let readers = vec![read(stdout), read(stderr)];
-        Ok(Self { child, lines, readers, uses_connection })
-    }
-
-    /// Whether it goes on, and what it printed.
-    fn status(&mut self) -> (bool, String) {
-        let goes_on = matches!(self.child.try_wait(), Ok(None));
-        if !goes_on {
-            // What was printed last.
-            self.readers.drain(..).for_each(|reader| drop(reader.join()));
-        }
-        let lines = self.lines.lock().unwrap_or_else(PoisonError::into_inner);
-        (goes_on, lines.iter().map(String::as_str).collect::<Vec<_>>().join("\n"))
-    }
-
-    /// Asks it to end, as Ctrl-C does; what was recorded is kept.
-    fn interrupt(&mut self) -> Result<()> {
-        #[cfg(unix)]
-        rustix::process::kill_process(
-            rustix::process::Pid::from_child(&self.child),
-            rustix::process::Signal::INT,
-        )?;
-        #[cfg(not(unix))]
-        self.child.kill()?;
-        Ok(())
-    }
-}
-
-impl Drop for RecordingProcess {
-    fn drop(&mut self) {
-        let _ = self.interrupt();
-        let _ = self.child.wait();
-    }
-}
-
-/// What a gripper sends, or why nothing more follows.
-struct LiveState {
-    gripper: GripperState,
-    /// Start of the gripper's times.
-    start: Instant,
-    ended: Option<String>,
-}
-
-impl LiveGripper {
-    fn new(source: Box<dyn Source + Send>, port: PortArgs) -> Result<Self> {
-        let state =
-            LiveState { gripper: GripperState::default(), start: Instant::now(), ended: None };
-        let live = Self {
-            name: source.name(),
-            port,
-            state: Arc::new(Mutex::new(state)),
-            watching: Mutex::new(None),
-            recording: Mutex::new(None),
-        };
-        live.watch(source)?;
-        Ok(live)
-    }
-
-    fn watch(&self, mut source: Box<dyn Source + Send>) -> Result<()> {
-        // Requests the version; a listen-only connection still receives data.
-        let _ = source.send(service(op::VERSION, 0));
-        let reader = SourceReader::start(source);
-        let (shared, stop) = (self.state.clone(), Arc::new(AtomicBool::new(false)));
-        *shared.lock().unwrap_or_else(PoisonError::into_inner) =
-            LiveState { gripper: GripperState::default(), start: reader.begun, ended: None };
-        let stopped = stop.clone();
-        let thread = std::thread::Builder::new().name("gripper".to_owned()).spawn(move || {
-            while !stopped.load(Ordering::Relaxed) {
-                let event = match reader.news.recv_timeout(WAIT) {
-                    Ok(event) => event,
-                    Err(RecvTimeoutError::Timeout) => continue,
-                    Err(RecvTimeoutError::Disconnected) => ReaderEvent::Ended,
-                };
-                let mut state = shared.lock().unwrap_or_else(PoisonError::into_inner);
-                let ended = match event {
-                    ReaderEvent::Packets { at_s, packets, broken } => {
-                        state.gripper.lost.broken = broken;
-                        packets.iter().for_each(|packet| state.gripper.update(at_s, packet));
-                        check_protocol(&state.gripper).err().map(|error| format!("{error:#}"))
-                    }
-                    ReaderEvent::Failed(error) => Some(format!("{error:#}")),
-                    ReaderEvent::Ended => Some("The connection ended.".to_owned()),
-                };
-                if ended.is_some() {
-                    state.ended = ended;
-                    break;
-                }
-            }
-            reader
-        })?;
-        *self.watching.lock().unwrap_or_else(PoisonError::into_inner) =
-            Some(Watching { stop, thread });
-        Ok(())
-    }
-
-    /// Ends the watching and returns the connection.
-    fn release(&self) -> Result<Box<dyn Source + Send>> {
-        let watching = self.watching.lock().unwrap_or_else(PoisonError::into_inner).take();
-        let Watching { stop, thread } =
-            watching.context("the gripper is in use: an upload or a recording is under way")?;
-        stop.store(true, Ordering::Relaxed);
-        let reader = thread.join();
-        reader.map_err(|_| anyhow!("the thread that watches the gripper panicked"))?.stop()
-    }
-
-    /// Starts a recording. A gripper has one connection, so that it is not watched meanwhile; a virtual board records one of its
-    /// own.
-    fn record(&self, request: &RecordRequest) -> Result<()> {
-        let mut recording = self.recording.lock().unwrap_or_else(PoisonError::into_inner);
-        if recording.as_mut().is_some_and(|recording| recording.status().0) {
-            bail!("a recording is under way");
-        }
-        let uses_connection = self.port.is_given();
-        let mut arguments = if uses_connection {
-            drop(self.release()?);
-            self.port.arguments()
-        } else {
-            vec!["--virtual".to_owned()]
-        };
-        arguments.extend(["-o".to_owned(), request.output.display().to_string()]);
-        arguments.extend(match &request.plan {
-            Some(plan) => ["--plan".to_owned(), plan.display().to_string()],
-            None => ["--seconds".to_owned(), request.seconds.to_string()],
-        });
-        let started = RecordingProcess::start(&arguments, uses_connection);
-        if started.is_err() && uses_connection {
-            self.watch_again();
-        }
-        *recording = Some(started?);
-        Ok(())
-    }
-
-    /// Opens the connection again and watches it.
-    fn watch_again(&self) {
-        let again = self.port.open_given().and_then(|source| self.watch(source));
-        if let Err(error) = again {
-            let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
-            state.ended = Some(format!("{error:#}"));
-        }
-    }
-
-    /// State of the recording, if there was one; watches the gripper again after its end.
-    fn recording_json(&self) -> Value {
-        let mut recording = self.recording.lock().unwrap_or_else(PoisonError::into_inner);
-        let Some(process) = recording.as_mut() else {
-            return Value::Null;
-        };
-        let (goes_on, lines) = process.status();
-        // Once: later an upload may have the connection.
-        if !goes_on && std::mem::take(&mut process.uses_connection) {
-            self.watch_again();
-        }
-        json!({ "goes_on": goes_on, "lines": lines })
-    }
-
-    /// Uploads a calibration; the gripper is not watched meanwhile.
-    fn upload(&self, built: &DeviceModel) -> Result<UploadedCalibration> {
-        if !self.port.is_given() {
-            bail!(
-                "a virtual board takes no calibration: give --port or --can, also of `cargo magpie emulate`"
-            );
-        }
-        let mut source = self.release()?;
-        let uploaded = upload(&self.port, source.as_mut(), built, &[], true);
-        self.watch(source)?;
-        uploaded
-    }
-
-    fn to_json(&self) -> Value {
-        let recording = self.recording_json();
-        let state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
-        let now_s = state.start.elapsed().as_secs_f64();
-        json!({
-            "name": self.name, "ended": state.ended, "recording": recording,
-            "state": format::state_json(&state.gripper, now_s),
-        })
-    }
-}
-
-async fn live(State(server): State<Server>) -> Response {
+async fn live_state(State(server): State<Server>) -> Response {
     with_gripper(server, |live| Ok(live.to_json())).await
-}
-
-/// A recording to start: by a plan, or for a time.
-#[derive(Deserialize)]
-struct RecordRequest {
-    output: PathBuf,
-    plan: Option<PathBuf>,
-    seconds: f64,
 }
 
 async fn record(State(server): State<Server>, Json(request): Json<RecordRequest>) -> Response {
@@ -451,12 +197,7 @@ async fn record(State(server): State<Server>, Json(request): Json<RecordRequest>
 }
 
 async fn end_recording(State(server): State<Server>) -> Response {
-    with_gripper(server, |live| {
-        let mut recording = live.recording.lock().unwrap_or_else(PoisonError::into_inner);
-        recording.as_mut().context("there is no recording")?.interrupt()?;
-        Ok(json!({}))
-    })
-    .await
+    with_gripper(server, |live| live.end_recording().map(|()| json!({}))).await
 }
 
 /// Answers from the gripper, if one is connected.
@@ -474,7 +215,7 @@ async fn with_gripper(
 /// Forgets all models: recordings were added to the campaign, or removed.
 async fn reload(State(server): State<Server>) -> Response {
     respond(move || {
-        *server.plan.lock().unwrap_or_else(PoisonError::into_inner) = None;
+        *server.diagnosis.lock().unwrap_or_else(PoisonError::into_inner) = None;
         *server.bench.lock().unwrap_or_else(PoisonError::into_inner) = None;
         Ok(json!({}))
     })
@@ -482,7 +223,7 @@ async fn reload(State(server): State<Server>) -> Response {
 }
 
 /// Effects of the catalogue and formulas of a model. Ranges of a formula follow it after semicolons.
-#[derive(Clone, Debug, Default, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 struct Choice {
     effects: Vec<String>,
     formulas: Vec<String>,
@@ -555,16 +296,14 @@ struct DiagnosisRequest {
 }
 
 async fn diagnose(State(server): State<Server>, Json(request): Json<DiagnosisRequest>) -> Response {
-    let last = server.plan.clone();
+    let last = server.diagnosis.clone();
     answer(server, move |bench| {
         let terms = request.choice.terms(bench)?;
         bench.fit_model(&terms)?;
         let diagnosis = bench.diagnose(&terms, request.plans)?;
-        let plan = diagnosis.proposal.as_ref().map(|proposal| proposal.plan.clone());
-        if let Some(plan) = plan.filter(|plan| !plan.steps.is_empty()) {
-            *last.lock().unwrap_or_else(PoisonError::into_inner) = Some(plan);
-        }
-        Ok(pages::diagnosis(&diagnosis))
+        let answer = pages::diagnosis(&diagnosis);
+        *last.lock().unwrap_or_else(PoisonError::into_inner) = Some((request.choice, diagnosis));
+        Ok(answer)
     })
     .await
 }
@@ -588,7 +327,7 @@ async fn scatter(State(server): State<Server>, Json(request): Json<ScatterReques
 }
 
 async fn write(State(server): State<Server>, Json(request): Json<WriteRequest>) -> Response {
-    let plan = server.plan.lock().unwrap_or_else(PoisonError::into_inner).clone();
+    let last = server.diagnosis.lock().unwrap_or_else(PoisonError::into_inner).clone();
     let (campaign, live) = (server.campaign.clone(), server.live.clone());
     answer(server, move |bench| {
         let (_, shown, baseline) = request.model.fit(bench)?;
@@ -599,10 +338,20 @@ async fn write(State(server): State<Server>, Json(request): Json<WriteRequest>) 
                 format!("Written to {}.", path.display())
             }
             Kind::Report => {
-                report::html::write(path, &pages::with_baseline(shown, baseline), &[])?;
-                format!("Written to {}.", path.display())
+                let own = last.filter(|(choice, _)| *choice == request.model.choice);
+                let sections =
+                    own.map_or_else(Vec::new, |(_, of_model)| diagnosis::sections(&of_model));
+                report::html::write(path, &pages::with_baseline(shown, baseline), &sections)?;
+                let without = if sections.is_empty() {
+                    " Without a diagnosis: \"Diagnose\" makes the one of this model."
+                } else {
+                    ""
+                };
+                format!("Written to {}.{without}", path.display())
             }
             Kind::Plan => {
+                let plan = last.and_then(|(_, diagnosis)| diagnosis.proposal);
+                let plan = plan.map(|proposal| proposal.plan).filter(|plan| !plan.steps.is_empty());
                 let plan =
                     plan.context("there is no plan yet: \"Plan the next recording\" makes one")?;
                 write_plan_file(path, &plan, &campaign)?

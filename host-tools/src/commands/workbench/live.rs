@@ -1,0 +1,297 @@
+//! The gripper of the workbench: watched in the background, recorded by a process of its own, and calibrated.
+
+use std::collections::VecDeque;
+use std::io::{BufRead, BufReader, Read};
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::RecvTimeoutError;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, anyhow, bail};
+use device::format;
+use device::reader::{ReaderEvent, SourceReader};
+use device::source::Source;
+use device::state::GripperState;
+use firmware::protocol::host_session::service;
+use firmware::protocol::session::op;
+use model_export::inverse::build::DeviceModel;
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use crate::commands::connection::{PortArgs, check_protocol};
+use crate::commands::upload::{UploadedCalibration, upload};
+
+/// Time after which the watching thread looks whether it should end.
+const WAIT: Duration = Duration::from_millis(100);
+/// Lines of a recording that are shown.
+const SHOWN_LINES: usize = 12;
+
+/// A recording to start: by a plan, or for a time.
+#[derive(Deserialize)]
+pub struct RecordRequest {
+    output: PathBuf,
+    plan: Option<PathBuf>,
+    seconds: f64,
+    /// Force sensor or pose, as `magpie record --reference` takes it.
+    reference: Option<String>,
+    reference_map: Option<PathBuf>,
+}
+
+/// A gripper that is watched in the background, but for uploads.
+pub struct LiveGripper {
+    name: String,
+    port: PortArgs,
+    state: Arc<Mutex<LiveState>>,
+    watching: Mutex<Option<Watching>>,
+    recording: Mutex<Option<RecordingProcess>>,
+}
+
+/// The thread that watches, and the request to end it.
+struct Watching {
+    stop: Arc<AtomicBool>,
+    thread: JoinHandle<SourceReader>,
+}
+
+/// A recording by a process of its own, `magpie record`.
+struct RecordingProcess {
+    child: Child,
+    /// What it prints, the last lines.
+    lines: Arc<Mutex<VecDeque<String>>>,
+    readers: Vec<JoinHandle<()>>,
+    /// Whether it uses the connection, which is watched again after its end.
+    uses_connection: bool,
+}
+
+impl RecordingProcess {
+    fn start(arguments: &[String], uses_connection: bool) -> Result<Self> {
+        let program = std::env::current_exe().context("the path of this program is unknown")?;
+        let mut child = Command::new(program)
+            .arg("record")
+            .args(arguments)
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .context("the recording cannot be started")?;
+        let lines = Arc::new(Mutex::new(VecDeque::new()));
+        let read = |source: Option<Box<dyn Read + Send>>| {
+            let shown = lines.clone();
+            std::thread::spawn(move || {
+                let source = source.into_iter().flat_map(|source| BufReader::new(source).lines());
+                for line in source.map_while(Result::ok) {
+                    let mut shown = shown.lock().unwrap_or_else(PoisonError::into_inner);
+                    shown.push_back(line);
+                    if shown.len() > SHOWN_LINES {
+                        shown.pop_front();
+                    }
+                }
+            })
+        };
+        let stdout = child.stdout.take().map(|pipe| Box::new(pipe) as Box<dyn Read + Send>);
+        let stderr = child.stderr.take().map(|pipe| Box::new(pipe) as Box<dyn Read + Send>);
+        let readers = vec![read(stdout), read(stderr)];
+        Ok(Self { child, lines, readers, uses_connection })
+    }
+
+    /// Whether it goes on, and what it printed.
+    fn status(&mut self) -> (bool, String) {
+        let goes_on = matches!(self.child.try_wait(), Ok(None));
+        if !goes_on {
+            // What was printed last.
+            self.readers.drain(..).for_each(|reader| drop(reader.join()));
+        }
+        let lines = self.lines.lock().unwrap_or_else(PoisonError::into_inner);
+        (goes_on, lines.iter().map(String::as_str).collect::<Vec<_>>().join("\n"))
+    }
+
+    /// Asks it to end, as Ctrl-C does; what was recorded is kept.
+    fn interrupt(&mut self) -> Result<()> {
+        #[cfg(unix)]
+        rustix::process::kill_process(
+            rustix::process::Pid::from_child(&self.child),
+            rustix::process::Signal::INT,
+        )?;
+        #[cfg(not(unix))]
+        self.child.kill()?;
+        Ok(())
+    }
+}
+
+impl Drop for RecordingProcess {
+    fn drop(&mut self) {
+        let _ = self.interrupt();
+        let _ = self.child.wait();
+    }
+}
+
+/// What a gripper sends, or why nothing more follows.
+struct LiveState {
+    gripper: GripperState,
+    /// Start of the gripper's times.
+    start: Instant,
+    ended: Option<String>,
+}
+
+impl LiveGripper {
+    /// Watches a gripper.
+    ///
+    /// # Errors
+    /// The thread cannot be started.
+    pub fn new(source: Box<dyn Source + Send>, port: PortArgs) -> Result<Self> {
+        let state =
+            LiveState { gripper: GripperState::default(), start: Instant::now(), ended: None };
+        let live = Self {
+            name: source.name(),
+            port,
+            state: Arc::new(Mutex::new(state)),
+            watching: Mutex::new(None),
+            recording: Mutex::new(None),
+        };
+        live.watch(source)?;
+        Ok(live)
+    }
+
+    fn watch(&self, mut source: Box<dyn Source + Send>) -> Result<()> {
+        // Requests the version; a listen-only connection still receives data.
+        let _ = source.send(service(op::VERSION, 0));
+        let reader = SourceReader::start(source);
+        let (shared, stop) = (self.state.clone(), Arc::new(AtomicBool::new(false)));
+        *shared.lock().unwrap_or_else(PoisonError::into_inner) =
+            LiveState { gripper: GripperState::default(), start: reader.begun, ended: None };
+        let stopped = stop.clone();
+        let thread = std::thread::Builder::new().name("gripper".to_owned()).spawn(move || {
+            while !stopped.load(Ordering::Relaxed) {
+                let event = match reader.news.recv_timeout(WAIT) {
+                    Ok(event) => event,
+                    Err(RecvTimeoutError::Timeout) => continue,
+                    Err(RecvTimeoutError::Disconnected) => ReaderEvent::Ended,
+                };
+                let mut state = shared.lock().unwrap_or_else(PoisonError::into_inner);
+                let ended = match event {
+                    ReaderEvent::Packets { at_s, packets, broken } => {
+                        state.gripper.lost.broken = broken;
+                        packets.iter().for_each(|packet| state.gripper.update(at_s, packet));
+                        check_protocol(&state.gripper).err().map(|error| format!("{error:#}"))
+                    }
+                    ReaderEvent::Failed(error) => Some(format!("{error:#}")),
+                    ReaderEvent::Ended => Some("The connection ended.".to_owned()),
+                };
+                if ended.is_some() {
+                    state.ended = ended;
+                    break;
+                }
+            }
+            reader
+        })?;
+        *self.watching.lock().unwrap_or_else(PoisonError::into_inner) =
+            Some(Watching { stop, thread });
+        Ok(())
+    }
+
+    /// Ends the watching and returns the connection.
+    fn release(&self) -> Result<Box<dyn Source + Send>> {
+        let watching = self.watching.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let Watching { stop, thread } =
+            watching.context("the gripper is in use: an upload or a recording is under way")?;
+        stop.store(true, Ordering::Relaxed);
+        let reader = thread.join();
+        reader.map_err(|_| anyhow!("the thread that watches the gripper panicked"))?.stop()
+    }
+
+    /// Starts a recording. A gripper has one connection, so that it is not watched meanwhile; a virtual board records one of its
+    /// own.
+    ///
+    /// # Errors
+    /// A recording or an upload is under way, or the process cannot be started.
+    pub fn record(&self, request: &RecordRequest) -> Result<()> {
+        let mut recording = self.recording.lock().unwrap_or_else(PoisonError::into_inner);
+        if recording.as_mut().is_some_and(|recording| recording.status().0) {
+            bail!("a recording is under way");
+        }
+        let uses_connection = self.port.is_given();
+        let mut arguments = if uses_connection {
+            drop(self.release()?);
+            self.port.arguments()
+        } else {
+            vec!["--virtual".to_owned()]
+        };
+        arguments.extend(["-o".to_owned(), request.output.display().to_string()]);
+        arguments.extend(match &request.plan {
+            Some(plan) => ["--plan".to_owned(), plan.display().to_string()],
+            None => ["--seconds".to_owned(), request.seconds.to_string()],
+        });
+        let map = request.reference_map.as_ref().map(|path| path.display().to_string());
+        for (option, value) in [("--reference", &request.reference), ("--reference-map", &map)] {
+            let given = value.iter().flat_map(|value| [option.to_owned(), value.clone()]);
+            arguments.extend(given);
+        }
+        let started = RecordingProcess::start(&arguments, uses_connection);
+        if started.is_err() && uses_connection {
+            self.watch_again();
+        }
+        *recording = Some(started?);
+        Ok(())
+    }
+
+    /// Opens the connection again and watches it.
+    fn watch_again(&self) {
+        let again = self.port.open_given().and_then(|source| self.watch(source));
+        if let Err(error) = again {
+            let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+            state.ended = Some(format!("{error:#}"));
+        }
+    }
+
+    /// State of the recording, if there was one; watches the gripper again after its end.
+    fn recording_json(&self) -> Value {
+        let mut recording = self.recording.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some(process) = recording.as_mut() else {
+            return Value::Null;
+        };
+        let (goes_on, lines) = process.status();
+        // Once: later an upload may have the connection.
+        if !goes_on && std::mem::take(&mut process.uses_connection) {
+            self.watch_again();
+        }
+        json!({ "goes_on": goes_on, "lines": lines })
+    }
+
+    /// Asks the recording to end, as Ctrl-C does.
+    ///
+    /// # Errors
+    /// There is none.
+    pub fn end_recording(&self) -> Result<()> {
+        let mut recording = self.recording.lock().unwrap_or_else(PoisonError::into_inner);
+        recording.as_mut().context("there is no recording")?.interrupt()
+    }
+
+    /// Uploads a calibration; the gripper is not watched meanwhile.
+    ///
+    /// # Errors
+    /// The board is virtual or in use, or the upload fails.
+    pub fn upload(&self, built: &DeviceModel) -> Result<UploadedCalibration> {
+        if !self.port.is_given() {
+            bail!(
+                "a virtual board takes no calibration: give --port or --can, also of `cargo magpie emulate`"
+            );
+        }
+        let mut source = self.release()?;
+        let uploaded = upload(&self.port, source.as_mut(), built, &[], true);
+        self.watch(source)?;
+        uploaded
+    }
+
+    /// What the gripper sends, and the state of the recording.
+    pub fn to_json(&self) -> Value {
+        let recording = self.recording_json();
+        let state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        let now_s = state.start.elapsed().as_secs_f64();
+        json!({
+            "name": self.name, "ended": state.ended, "recording": recording,
+            "state": format::state_json(&state.gripper, now_s),
+        })
+    }
+}
