@@ -139,7 +139,8 @@ fn gap_axis_note(model: &ModelFile) -> String {
 
 fn closing(output: &Path) -> String {
     format!(
-        "\nOpen {0}/report.html: forces over time, what was found, error step by step.\n\
+        "\nOpen {0}/report.html: forces of the held-out recording over time, what was found, and the error\n\
+         step by step, there cross-validated over the recordings of the fit.\n\
          All numbers of each step:   cargo magpie demo --verbose\n\
          Image with the tables:      MAGPIE_TABLES={0}/tables.rs cargo image\n\
          Your own recordings:        cargo magpie fit YOUR-CAMPAIGN -o model.toml\n\
