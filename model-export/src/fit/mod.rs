@@ -100,13 +100,6 @@ pub enum FitError {
     NotConverged { sensor: u32, reason: String },
 }
 
-/// The results, or the first error in their order: the same input always gives the same error, whichever thread met one first.
-pub(crate) fn in_order<T: Send, E: Send>(
-    results: impl rayon::iter::ParallelIterator<Item = Result<T, E>>,
-) -> Result<Vec<T>, E> {
-    results.collect::<Vec<_>>().into_iter().collect()
-}
-
 /// Bootstrap options.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FitOptions {

@@ -285,10 +285,14 @@ impl ModelFile {
 
     /// Writes the file; see [`write_output`].
     pub fn write(&self, path: &Path) -> Result<(), DataError> {
-        let text = toml::to_string(self)
+        write_output(path, self.to_toml(path)?.as_bytes(), SIGNATURE)
+    }
+
+    /// Content of the file; errors name `path`.
+    pub fn to_toml(&self, path: &Path) -> Result<String, DataError> {
+        toml::to_string(self)
             .map(|text| format!("{SIGNATURE}\n{text}"))
-            .map_err(|error| ErrorKind::Toml(error.to_string()).at(Location::file(path)))?;
-        write_output(path, text.as_bytes(), SIGNATURE)
+            .map_err(|error| ErrorKind::Toml(error.to_string()).at(Location::file(path)))
     }
 
     /// Standard deviation in gauss of a sensor's residual that no force explains; without it, the held-out

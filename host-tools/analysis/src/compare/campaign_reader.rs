@@ -4,6 +4,7 @@
 use crate::data_quality::{Finding, scan_files};
 use crate::progress;
 use anyhow::{Result, bail};
+use model_export::in_order;
 use model_export::model_file::ModelFile;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::campaign::recording_folders;
@@ -99,20 +100,16 @@ impl CampaignReader {
     /// # Errors
     /// A recording cannot be read.
     pub fn open(folder: &Path, alignment: Alignment, caching: Caching) -> Result<Self> {
-        let list: Vec<Result<_, DataError>> = recording_folders(folder)?
-            .into_par_iter()
-            .map(|folder| {
-                let (description, _) = RecordingDescription::read(&folder)?;
-                let named = RecordingId {
-                    name: recording_name(&folder),
-                    sha256: fingerprint(&folder)?,
-                    folder,
-                };
-                Ok((description.start_s, named))
-            })
-            .collect();
-        // In order, so that the same campaign always gives the same error.
-        let mut list = list.into_iter().collect::<Result<Vec<_>, _>>()?;
+        let folders = recording_folders(folder)?.into_par_iter();
+        let mut list = in_order(folders.map(|folder| {
+            let (description, _) = RecordingDescription::read(&folder)?;
+            let named = RecordingId {
+                name: recording_name(&folder),
+                sha256: fingerprint(&folder)?,
+                folder,
+            };
+            Ok::<_, DataError>((description.start_s, named))
+        }))?;
         list.sort_by(|a, b| a.0.total_cmp(&b.0));
         let names: Vec<RecordingId> = list.into_iter().map(|(_, named)| named).collect();
         let mut source =

@@ -13,6 +13,7 @@ use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
 use model_export::fit::campaign::FitSetup;
 use model_export::fit::joint::JointFit;
+use model_export::in_order;
 use model_export::inverse::build::{BuildError, DeviceModel, ModelVariant, build_model};
 use model_export::inverse::grbf::GrbfShape;
 use model_export::model_file::Provenance;
@@ -124,12 +125,11 @@ fn evaluate_plans(
         if is_hidden { ProgressBar::hidden() } else { progress::progress_bar(message, steps) }
     };
     let bar = progress_bar("building tables", plans.len());
-    let built = plans.par_iter().map(|plan| {
+    let built = in_order(plans.par_iter().map(|plan| {
         let built = build_tables(plan, path);
         bar.inc(1);
         built
-    });
-    let built = built.collect::<Vec<_>>().into_iter().collect::<Result<Vec<FoldTables>>>()?;
+    }))?;
     bar.finish_and_clear();
     let has_curves = !traces.is_empty();
     let recordings: &[RecordingFolds] = plans.first().map_or(&[], |plan| &plan.recordings);

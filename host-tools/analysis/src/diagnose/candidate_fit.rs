@@ -154,8 +154,9 @@ impl<'a> CandidateFit<'a> {
         let best = ranked.remove(winner(&ranked, selection)?);
         let is_near = |other: &FittedCandidate| {
             let near = equivalent_gain(best.screened, other.screened, selection);
-            let is_equal = other.screened.can_replace(best.screened)
-                && !best.stage.is_better_validated(&other.stage);
+            let can_replace = other.screened.can_replace(best.screened)
+                || best.screened.can_replace(other.screened);
+            let is_equal = can_replace && !best.stage.is_better_validated(&other.stage);
             other.gain >= near * best.gain || is_equal
         };
         let (tied, shadows) = ranked.into_iter().partition::<Vec<_>, _>(is_near);

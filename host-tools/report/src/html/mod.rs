@@ -102,21 +102,28 @@ pub fn page_of(title: &str, sections: &[Section]) -> String {
     whole(title, &body)
 }
 
+/// Head of every page; `more` follows the common style.
+fn head(title: &str, more: Markup) -> Markup {
+    html! {
+        head {
+            meta charset="utf-8";
+            meta name="viewport" content="width=device-width, initial-scale=1";
+            meta name="color-scheme" content="light dark";
+            // Browsers ask for an icon otherwise.
+            link rel="icon" href="data:,";
+            title { (title) }
+            style { (PreEscaped(palette::style())) (PreEscaped(include_str!("page.css"))) }
+            (more)
+        }
+    }
+}
+
 /// Frame of every page.
 fn whole(title: &str, body: &Markup) -> String {
     let page = html! {
         (DOCTYPE)
         html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="color-scheme" content="light dark";
-                // Browsers ask for an icon otherwise.
-                link rel="icon" href="data:,";
-                title { (title) }
-                style { (PreEscaped(palette::style())) (PreEscaped(include_str!("page.css"))) }
-                noscript { style { (PreEscaped(WITHOUT_SCRIPT)) } }
-            }
+            (head(title, html! { noscript { style { (PreEscaped(WITHOUT_SCRIPT)) } } }))
             body {
                 main { (body) }
                 script { (PreEscaped(include_str!("page.js"))) }

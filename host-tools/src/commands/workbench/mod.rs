@@ -18,10 +18,10 @@ use axum::routing::{get, post};
 use axum::{Json, Router};
 use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
-use model_export::inverse::build::{DeviceModel, ModelVariant, build};
+use model_export::inverse::build::{DeviceModel, ModelVariant, build_model};
 use model_export::inverse::codegen::{self, tables_source};
 use model_export::model_file::{BaseKind, ModelFile};
-use model_export::output::{StagingDir, check_output, write_output};
+use model_export::output::{check_output, write_output};
 use model_export::recordings::align::Alignment;
 use model_export::recordings::campaign::recording_folders;
 use report::html::{diagnosis, workbench as pages};
@@ -375,12 +375,11 @@ async fn write(State(server): State<Server>, Json(request): Json<WriteRequest>) 
     .await
 }
 
-/// Tables of a model. They carry the hash of a model file.
+/// Tables of a model, with the hash of its file.
 fn tables(model: &ModelFile) -> Result<DeviceModel> {
-    let folder = StagingDir::new(&std::env::temp_dir().join("model"), "workbench")?;
-    let path = folder.path().join("model.toml");
-    model.write(&path)?;
-    Ok(build(&path, ModelVariant::Fitted)?)
+    let place = Path::new("model.toml");
+    let file = model.to_toml(place)?;
+    Ok(build_model(model.clone(), place, file.as_bytes(), ModelVariant::Fitted, None)?)
 }
 
 /// When the board compensates the effects of a model, in sentences.

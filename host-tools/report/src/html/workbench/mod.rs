@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 
 use crate::html::diagnosis::verdicts::planned;
 use crate::html::plot::{Along, axes, figure, px, stroke};
-use crate::html::{attribution, errors, histograms, map, palette, summary, traces};
+use crate::html::{attribution, errors, head, histograms, map, palette, summary, traces};
 use crate::text::comparison::{validation, verdict};
 use crate::text::diagnosis::{force_headline, missing_columns};
 use crate::text::notes;
@@ -22,14 +22,7 @@ pub fn page(campaign: &str, live: bool) -> String {
     let page = html! {
         (DOCTYPE)
         html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="color-scheme" content="light dark";
-                link rel="icon" href="data:,";
-                title { "magpie workbench: " (campaign) }
-                style { (PreEscaped(palette::style())) (PreEscaped(include_str!("../page.css"))) (PreEscaped(include_str!("page.css"))) }
-            }
+            (head(&format!("magpie workbench: {campaign}"), html! { style { (PreEscaped(include_str!("page.css"))) } }))
             body {
                 header #top {
                     h1 { "Workbench " span #campaign { (campaign) } }
