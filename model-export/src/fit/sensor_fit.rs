@@ -53,13 +53,11 @@ pub fn fit_from_nominal(problem: &SensorProblem) -> Result<SensorSolution, FitEr
 
 /// Offset of a base parameter from nominal, in prior widths, beyond which it probably imitates an effect.
 const IMITATES: f64 = 3.0;
-/// Maximum squared error of a fit from nominal that replaces the fit from the base, relative to that.
-const BETTER: f64 = 0.9;
 
 /// Fit of a base with effects, started at the fit of the base alone, where the priors of its parameters are centred. Where one of
 /// them is far from nominal, the base may imitate the effects (tilts of 8 degrees instead of a coupling of the flexures),
 /// and the priors and the directions that the data do not determine keep it there. Priors centred at nominal are then tried
-/// as well, and taken if the fit is better.
+/// as well; of the two fits, that with the smaller sum of squares of residuals and of distances from nominal is taken.
 pub fn fit_from_base<'a>(
     problem: SensorProblem<'a>,
     values: &[f64],
@@ -83,12 +81,13 @@ pub fn fit_from_base<'a>(
     let Ok(other) = fit(&nominal, &start) else {
         return Ok((problem, found));
     };
-    let mean_square = |problem: &SensorProblem, solution: &SensorSolution| {
-        let mut sums = ErrorSums::default();
-        add_errors(&mut sums, problem, &all_rows(problem.rows), &solution.scaled);
-        sums.mean_square()
+    let inflation = found.inflation.min(other.inflation);
+    let squares = |problem: &SensorProblem, solution: &SensorSolution| {
+        let residuals: f64 = solution.blocks.iter().map(|block| block.squares).sum();
+        let distances = nominal.to_scaled(&problem.values(&solution.scaled));
+        residuals / inflation + distances.norm_squared()
     };
-    let is_better = mean_square(&nominal, &other) < BETTER * mean_square(&problem, &found);
+    let is_better = squares(&nominal, &other) < squares(&problem, &found);
     Ok(if is_better { (nominal, other) } else { (problem, found) })
 }
 

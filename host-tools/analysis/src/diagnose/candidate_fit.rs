@@ -17,6 +17,9 @@ const MAX_FITTED: usize = 5;
 const MIN_RELATIVE_GAIN: f64 = 0.5;
 /// Candidates within this fraction of the best gain are provisionally equivalent.
 const NEAR: f64 = 0.05;
+/// So are candidates that can replace each other within this fraction of the squared error: on a sample, noise alone makes a
+/// difference of a third of a percent.
+const CLOSE: f64 = 0.02;
 /// Minimum relative gain of an equivalent effect where the recordings hardly distinguish the two.
 const COLLINEAR_GAIN: f64 = 0.5;
 /// Minimum gain of a transient effect relative to an arbitrary function of time.
@@ -156,8 +159,8 @@ impl<'a> CandidateFit<'a> {
             let near = equivalent_gain(best.screened, other.screened, selection);
             let can_replace = other.screened.can_replace(best.screened)
                 || best.screened.can_replace(other.screened);
-            let is_equal = can_replace && !best.stage.is_better_validated(&other.stage);
-            other.gain >= near * best.gain || is_equal
+            let is_equal = other.stage.mean_square() <= (1.0 + CLOSE) * best.stage.mean_square();
+            other.gain >= near * best.gain || (can_replace && is_equal)
         };
         let (tied, shadows) = ranked.into_iter().partition::<Vec<_>, _>(is_near);
         let plain = |list: Vec<FittedCandidate>| -> Vec<EffectTerm> {

@@ -219,7 +219,7 @@ impl FittedModel {
     /// contains the better one.
     pub fn is_distinguishably_better(&self, other: &Self) -> bool {
         self.is_better_fit(DISTINGUISHABLE, other)
-            && self.is_better_validated(other)
+            && other.mean_square() > (1.0 + DISTINGUISHABLE) * self.mean_square()
             && self.is_worse_in_no_fold(other)
     }
 
@@ -228,11 +228,6 @@ impl FittedModel {
         pairs
             .filter(|(_, old)| old.rows() > 0)
             .all(|(new, old)| new.mean_square() <= (1.0 + DISTINGUISHABLE) * old.mean_square())
-    }
-
-    /// Whether its cross-validated error is distinguishably lower than that of `other`.
-    pub fn is_better_validated(&self, other: &Self) -> bool {
-        other.mean_square() > (1.0 + DISTINGUISHABLE) * self.mean_square()
     }
 
     /// Whether the effect added last has a plausible magnitude.
