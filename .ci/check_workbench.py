@@ -124,7 +124,7 @@ def effects(browser, magpie, folder, name):
     tab.check(tab.present() == ["magnet_temperature", "hysteresis"], f"in the model: {tab.present()}")
     both = tab.excess()
     tab.check(both < 0.2, f"with both effects the excess is {both} N")
-    tab.check("A: base" in page.inner_text("#view"), "the base is not shown next to it")
+    tab.check("B: base" in page.inner_text("#view"), "the base is not shown next to it")
     tab.check(page.locator("#plots svg path.curve").count() > 4, "no curves over time")
     tab.fits()
     page.screenshot(path=folder / f"{name}.png")
