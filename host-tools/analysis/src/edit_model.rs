@@ -62,7 +62,8 @@ pub fn refit(
         bar.finish_and_clear();
         let provenance = Provenance::of(&campaign, alignment.delay_us, options)?;
         let sources = provenance.recordings.iter();
-        check_distinct(&provenance.campaign, sources.map(|r| (&*r.name, &*r.sha256)))?;
+        check_distinct(&provenance.campaign, sources.clone().map(|r| (&*r.name, &*r.sha256)))?;
+        notes.extend(Note::other_recordings(model, sources.map(|recording| &*recording.sha256)));
         let bar = progress::progress_bar("replaying, before and after", 1);
         let fits = [(&old, before.as_slice()), (&new, after.as_slice())];
         let forces = held_out_forces(&campaign, &prepared, &fits, alignment, options)?;

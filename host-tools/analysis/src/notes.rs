@@ -42,6 +42,11 @@ pub enum Note {
         /// Folder of the recording.
         recording: PathBuf,
     },
+    /// The model was fitted to other recordings than those to which its effects are fitted again.
+    OtherRecordings {
+        /// Campaign of the model.
+        campaign: String,
+    },
     /// The model's prediction differs from most channels by a constant, as that of another gripper.
     OtherGripper {
         /// Median over the channels of the difference, in multiples of the noise floor.
@@ -116,6 +121,16 @@ pub enum Note {
 }
 
 impl Note {
+    /// That a model was fitted to none of the recordings with these hashes, to which it is fitted again.
+    pub fn other_recordings<'a>(
+        model: &ModelFile,
+        mut hashes: impl Iterator<Item = &'a str>,
+    ) -> Option<Self> {
+        let fitted = &model.provenance.recordings;
+        let is_known = hashes.any(|hash| fitted.iter().any(|own| own.sha256 == hash));
+        (!is_known).then(|| Self::OtherRecordings { campaign: model.provenance.campaign.clone() })
+    }
+
     /// That the design of a campaign, by which a model is fitted again, differs from the model's, if it does.
     pub fn other_design(campaign: &Campaign, model: &ModelFile) -> Option<Self> {
         let is_other = model.design.is_some() && campaign.design() != model.design.as_ref();

@@ -103,6 +103,8 @@ pub fn run(args: &Args) -> Result<()> {
             let campaign = reader.whole()?;
             let own = args.exprs.parse(&campaign)?;
             print_notes(Note::other_design(&campaign, &model).as_slice());
+            let hashes = reader.names.iter().map(|recording| recording.sha256.as_str());
+            print_notes(Note::other_recordings(&model, hashes).as_slice());
             let bar = progress::Stages::new();
             let stop = first_interrupt()?;
             let observer = Observer::new(

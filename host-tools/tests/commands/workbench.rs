@@ -1,5 +1,9 @@
 //! `magpie workbench`: what its server answers, and whom it refuses.
 
+use std::io::Write;
+use std::net::TcpListener;
+use std::time::{Duration, Instant};
+
 use serde_json::{Value, json};
 use tests::campaign_copy::CampaignCopy;
 
@@ -203,4 +207,40 @@ fn removed_campaign_is_an_error_and_not_the_end() {
     assert_eq!(served.ask("model", &hysteresis).0, 200);
     let message = dir.failure("workbench nowhere");
     assert!(message.contains("nowhere"), "{message}");
+}
+
+#[test]
+fn forces_of_a_reference_are_shown_next_to_the_estimates() {
+    let dir = WorkDir::empty();
+    let map = "columns = [{ column = 1, unit = \"N\", to = \"f0_x_n\" }, { column = 2, unit = \"kN\", to = \"f2_z_n\" }]";
+    std::fs::write(dir.path("map.toml"), map).unwrap();
+    let reference = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = reference.local_addr().unwrap().port();
+    let writer = std::thread::spawn(move || {
+        let mut stream = reference.accept().unwrap().0;
+        // Until the server ends.
+        while stream.write_all(b"12.5 -0.25\n").is_ok() {
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    });
+    let options = format!("--virtual --reference tcp:127.0.0.1:{port} --reference-map map.toml");
+    let served = Served::start(&dir, &format!("{} {options}", campaign("demo")));
+    let begun = Instant::now();
+    let shown = loop {
+        let (status, live) = served.ask("live", &json!({}));
+        assert_eq!(status, 200, "{live}");
+        if !live["reference"]["forces"].as_array().unwrap().is_empty() {
+            break live["reference"].clone();
+        }
+        assert!(begun.elapsed() < Duration::from_secs(60), "{live}");
+        std::thread::sleep(Duration::from_millis(50));
+    };
+    assert_eq!(
+        shown,
+        json!({ "error": null, "forces": [
+            { "sensor": 0, "axis": "x", "newtons": 12.5 }, { "sensor": 2, "axis": "z", "newtons": -250.0 },
+        ] })
+    );
+    drop(served);
+    writer.join().unwrap();
 }

@@ -92,7 +92,7 @@ pub fn suggest(diagnosis: &Diagnosis, typed: &Invocation) -> Suggestion {
     }
     let usable = |covariate: &&str| !MADE.contains(covariate);
     let covariates = diagnosis.unexplained.iter().map(|u| u.covariate.as_str());
-    if diagnosis.at_floor {
+    if diagnosis.at_floor && typed.base == BaseKind::Cylinder {
         let words =
             ["cargo", "magpie", "export", typed.model, "-o", "tables.rs"].map(str::to_owned);
         return suggestion(SuggestionKind::Export, vec![line(&words)]);
@@ -139,7 +139,10 @@ fn named(set: &[&String], own: &[EffectTerm]) -> Vec<String> {
         formulas.extend(["--expr".to_owned(), expression.text.clone()]);
         for range in &expression.ranges {
             let ends = format!("{}={}..{}", range.name, range.from, range.to);
-            formulas.extend(["--range".to_owned(), ends]);
+            // A command has one range for each name.
+            if !formulas.contains(&ends) {
+                formulas.extend(["--range".to_owned(), ends]);
+            }
         }
     }
     names.extend(formulas);

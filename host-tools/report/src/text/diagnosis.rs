@@ -19,7 +19,10 @@ use crate::text::{findings, force_error, notes};
 
 /// Result as tables and text.
 pub fn format_report(diagnosis: &Diagnosis) -> String {
-    let mut page = data_findings(&diagnosis.findings);
+    let mut page = match diagnosis.findings.is_empty() {
+        true => paragraph(FILES_ARE_GOOD) + "\n",
+        false => data_findings(&diagnosis.findings),
+    };
     if diagnosis.staircase.is_empty() {
         return page + &paragraph(&verdict(diagnosis));
     }
@@ -45,6 +48,10 @@ pub fn format_report(diagnosis: &Diagnosis) -> String {
     }
     page + &next_commands(&diagnosis.next)
 }
+
+/// A diagnosis does not compare the recordings with the model before it fits it again.
+const FILES_ARE_GOOD: &str = "No setup errors were found in the files of these recordings; `compare` looks for those that only a \
+                              model shows.";
 
 /// Of a diagnosis that was ended early.
 pub const INTERRUPTED_NOTE: &str =
@@ -687,7 +694,7 @@ pub fn reason(verdict: &Verdict) -> String {
             "the residual of other causes masks a typical magnitude ({z:.1} standard errors)"
         ),
         Reason::BelowBound(bound) if *bound >= 1.0 => {
-            format!("not significant, where a typical magnitude would be {z:.0} standard errors")
+            format!("no significant gain on held-out rows, where a typical magnitude would be {z:.0} standard errors")
         }
         Reason::BelowBound(bound) => {
             format!("at most {bound:.2} times its typical magnitude (95 %)")
@@ -733,10 +740,10 @@ pub fn short_reason(verdict: &Verdict) -> String {
                 true => "not in every fold, ",
                 false => "",
             };
-            if *bound < 1.0 {
-                format!("{rule}< {bound:.2} of typical")
-            } else {
-                format!("{rule}not significant")
+            match rule {
+                _ if *bound < 1.0 => format!("{rule}< {bound:.2} of typical"),
+                "" => "not significant".to_owned(),
+                rule => rule.trim_end_matches(", ").to_owned(),
             }
         }
         Reason::NotRecorded(column) => format!("no {column}"),

@@ -27,6 +27,10 @@ pub fn text(note: &Note) -> String {
             "{}: [design] differs from the model's: is it the same gripper? A fit uses that of the recordings",
             recording.display()
         ),
+        Note::OtherRecordings { campaign } => format!(
+            "the model was fitted to {campaign}, to none of these recordings: only its base and its effects are used, fitted again; the errors \
+             are not those of the file, which `compare` and `replay` show"
+        ),
         Note::OtherGripper { floors } => format!(
             "the model's prediction is off by a constant on most channels, {floors:.0} times the noise: is it a model of another gripper? A fit to these recordings gives one of this gripper"
         ),

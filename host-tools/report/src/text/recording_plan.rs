@@ -58,7 +58,7 @@ pub fn several(plan: &RecordingPlan) -> Option<String> {
     let is_warmed = plan.steps.iter().any(|step| step.temperature_k != 0.0);
     let other =
         if is_warmed { " In the second one the temperature changes the other way." } else { "" };
-    (plan.recordings > 1).then(|| {
+    (plan.recordings > 1 && !plan.steps.is_empty()).then(|| {
         format!(
             "{} recordings: what a model learns from one is validated on another.{other}",
             plan.recordings

@@ -1,8 +1,9 @@
-//! The gripper of the workbench: watched in the background, recorded by a process of its own, and calibrated.
+//! The gripper of the workbench: watched in the background next to a reference force sensor, recorded by a process of its own,
+//! and calibrated.
 
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::RecvTimeoutError;
@@ -13,6 +14,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, anyhow, bail};
 use device::format;
 use device::reader::{ReaderEvent, SourceReader};
+use device::reference::{ReferenceMapping, ReferenceReader, ReferenceSource};
 use device::source::Source;
 use device::state::GripperState;
 use firmware::protocol::host_session::service;
@@ -35,15 +37,36 @@ pub struct RecordRequest {
     output: PathBuf,
     plan: Option<PathBuf>,
     seconds: f64,
-    /// Force sensor or pose, as `magpie record --reference` takes it.
-    reference: Option<String>,
-    reference_map: Option<PathBuf>,
+}
+
+/// A reference force sensor next to the gripper.
+pub struct Reference {
+    source: ReferenceSource,
+    mapping: ReferenceMapping,
+    /// As `magpie record` takes them.
+    arguments: Vec<String>,
+}
+
+impl Reference {
+    /// From the options of a command.
+    ///
+    /// # Errors
+    /// The mapping cannot be read.
+    pub fn read(source: &str, map: &Path) -> Result<Self> {
+        let arguments = ["--reference", source, "--reference-map", &map.display().to_string()];
+        Ok(Self {
+            source: source.parse().map_err(|error: String| anyhow!(error))?,
+            mapping: ReferenceMapping::read(map)?,
+            arguments: arguments.map(str::to_owned).to_vec(),
+        })
+    }
 }
 
 /// A gripper that is watched in the background, but for uploads.
 pub struct LiveGripper {
     name: String,
     port: PortArgs,
+    reference: Option<Reference>,
     state: Arc<Mutex<LiveState>>,
     watching: Mutex<Option<Watching>>,
     recording: Mutex<Option<RecordingProcess>>,
@@ -133,20 +156,42 @@ struct LiveState {
     /// Start of the gripper's times.
     start: Instant,
     ended: Option<String>,
+    /// The newest forces of the reference in newtons, in the order of its mapping, and the time of their arrival in seconds.
+    reference: Option<(f64, Vec<f64>)>,
+    /// Why nothing more comes from the reference.
+    reference_error: Option<String>,
 }
+
+impl LiveState {
+    fn new(start: Instant) -> Self {
+        Self {
+            gripper: GripperState::default(),
+            start,
+            ended: None,
+            reference: None,
+            reference_error: None,
+        }
+    }
+}
+
+/// Time without a line after which the reference is not shown, in seconds.
+const SILENT_S: f64 = 1.0;
 
 impl LiveGripper {
     /// Watches a gripper.
     ///
     /// # Errors
-    /// The thread cannot be started.
-    pub fn new(source: Box<dyn Source + Send>, port: PortArgs) -> Result<Self> {
-        let state =
-            LiveState { gripper: GripperState::default(), start: Instant::now(), ended: None };
+    /// The thread cannot be started, or the reference cannot be opened.
+    pub fn new(
+        source: Box<dyn Source + Send>,
+        port: PortArgs,
+        reference: Option<Reference>,
+    ) -> Result<Self> {
         let live = Self {
             name: source.name(),
             port,
-            state: Arc::new(Mutex::new(state)),
+            reference,
+            state: Arc::new(Mutex::new(LiveState::new(Instant::now()))),
             watching: Mutex::new(None),
             recording: Mutex::new(None),
         };
@@ -159,17 +204,27 @@ impl LiveGripper {
         let _ = source.send(service(op::VERSION, 0));
         let reader = SourceReader::start(source);
         let (shared, stop) = (self.state.clone(), Arc::new(AtomicBool::new(false)));
-        *shared.lock().unwrap_or_else(PoisonError::into_inner) =
-            LiveState { gripper: GripperState::default(), start: reader.begun, ended: None };
+        *shared.lock().unwrap_or_else(PoisonError::into_inner) = LiveState::new(reader.begun);
+        let open = |one: &Reference| {
+            ReferenceReader::start(&one.source, one.mapping.clone(), reader.begun)
+        };
+        let reference = self.reference.as_ref().map(open).transpose()?;
         let stopped = stop.clone();
         let thread = std::thread::Builder::new().name("gripper".to_owned()).spawn(move || {
             while !stopped.load(Ordering::Relaxed) {
-                let event = match reader.news.recv_timeout(WAIT) {
+                let event = reader.news.recv_timeout(WAIT);
+                let mut state = shared.lock().unwrap_or_else(PoisonError::into_inner);
+                for row in reference.iter().flat_map(|reference| reference.rows.try_iter()) {
+                    match row {
+                        Ok(row) => state.reference = Some((row.at_s, row.force_n)),
+                        Err(error) => state.reference_error = Some(format!("{error:#}")),
+                    }
+                }
+                let event = match event {
                     Ok(event) => event,
                     Err(RecvTimeoutError::Timeout) => continue,
                     Err(RecvTimeoutError::Disconnected) => ReaderEvent::Ended,
                 };
-                let mut state = shared.lock().unwrap_or_else(PoisonError::into_inner);
                 let ended = match event {
                     ReaderEvent::Packets { at_s, packets, broken } => {
                         state.gripper.lost.broken = broken;
@@ -223,10 +278,9 @@ impl LiveGripper {
             Some(plan) => ["--plan".to_owned(), plan.display().to_string()],
             None => ["--seconds".to_owned(), request.seconds.to_string()],
         });
-        let map = request.reference_map.as_ref().map(|path| path.display().to_string());
-        for (option, value) in [("--reference", &request.reference), ("--reference-map", &map)] {
-            let given = value.iter().flat_map(|value| [option.to_owned(), value.clone()]);
-            arguments.extend(given);
+        // A virtual board records its own loads.
+        if let Some(reference) = self.reference.as_ref().filter(|_| uses_connection) {
+            arguments.extend_from_slice(&reference.arguments);
         }
         let started = RecordingProcess::start(&arguments, uses_connection);
         if started.is_err() && uses_connection {
@@ -284,7 +338,22 @@ impl LiveGripper {
         uploaded
     }
 
-    /// What the gripper sends, and the state of the recording.
+    /// Forces of the reference by sensor, none while it is silent; null without a reference.
+    fn reference_json(&self, state: &LiveState, now_s: f64) -> Value {
+        let Some(reference) = &self.reference else {
+            return Value::Null;
+        };
+        let newest = state.reference.as_ref().filter(|(at_s, _)| now_s - at_s < SILENT_S);
+        let values = newest.map_or(&[][..], |(_, force_n)| force_n);
+        let forces = reference.mapping.forces().into_iter().zip(values).map(
+            |((sensor, axis), newtons)| {
+                json!({ "sensor": sensor, "axis": axis.letter(), "newtons": newtons })
+            },
+        );
+        json!({ "forces": forces.collect::<Vec<_>>(), "error": state.reference_error })
+    }
+
+    /// What the gripper and the reference send, and the state of the recording.
     pub fn to_json(&self) -> Value {
         let recording = self.recording_json();
         let state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
@@ -292,6 +361,7 @@ impl LiveGripper {
         json!({
             "name": self.name, "ended": state.ended, "recording": recording,
             "state": format::state_json(&state.gripper, now_s),
+            "reference": self.reference_json(&state, now_s),
         })
     }
 }

@@ -33,7 +33,7 @@ use crate::commands::args::{AlignArgs, parse_formulas, parse_range};
 use crate::commands::connection::{PortArgs, default_virtual_board};
 use crate::commands::diagnose::write_plan_file;
 use crate::commands::export::check_compensated;
-use crate::commands::workbench::live::{LiveGripper, RecordRequest};
+use crate::commands::workbench::live::{LiveGripper, RecordRequest, Reference};
 
 /// Open a page in a browser of this machine: add effects and formulas to a model of a campaign, and every number and plot follows.
 #[derive(Debug, clap::Args)]
@@ -41,6 +41,7 @@ use crate::commands::workbench::live::{LiveGripper, RecordRequest};
 Examples:
   cargo magpie workbench tests/data/friction
   cargo magpie workbench my-campaign --port /dev/ttyACM0    # with the forces of the gripper
+  cargo magpie workbench my-campaign --port /dev/ttyACM0 --reference /dev/ttyUSB0 --reference-map load-cell.toml
   cargo magpie workbench tests/data/demo --virtual          # without hardware
 
 It serves the printed address on this machine only, until Ctrl-C. Only who has the address, which
@@ -59,6 +60,12 @@ pub struct Args {
     /// Virtual board: the firmware's tasks, whose sensors measure repeated grasps.
     #[arg(long = "virtual", id = "virtual", conflicts_with_all = ["port", "can"])]
     is_virtual: bool,
+    /// Reference force sensor, shown next to the estimates and part of the recordings; as that of `magpie record`.
+    #[arg(long, value_name = "SOURCE", requires = "reference_map")]
+    reference: Option<String>,
+    /// Mapping of the reference's columns.
+    #[arg(long, value_name = "PATH", requires = "reference")]
+    reference_map: Option<PathBuf>,
     #[command(flatten)]
     align: AlignArgs,
     /// Seed of the bootstrap.
@@ -81,7 +88,13 @@ pub fn run(args: &Args) -> Result<()> {
     recording_folders(&args.campaign)?;
     let source =
         if args.is_virtual { Some(default_virtual_board()?) } else { args.gripper.open()? };
-    let live = source.map(|source| LiveGripper::new(source, args.gripper.clone())).transpose()?;
+    let given = args.reference.as_ref().zip(args.reference_map.as_ref());
+    let reference = given.map(|(source, map)| Reference::read(source, map)).transpose()?;
+    if reference.is_some() && source.is_none() {
+        bail!("--reference belongs to a gripper: give --port, --can or --virtual");
+    }
+    let start = |source| LiveGripper::new(source, args.gripper.clone(), reference);
+    let live = source.map(start).transpose()?;
     let mut token = [0; 16];
     getrandom::fill(&mut token).context("the system has no random numbers")?;
     let token: String = token.iter().map(|byte| format!("{byte:02x}")).collect();

@@ -67,16 +67,15 @@ pub fn page(campaign: &str, live: bool) -> String {
                             section #live {
                                 h2 { "Gripper " span #live-name {} }
                                 p.note #live-state role="status" { "Waiting for the gripper." }
+                                p.note #reference-state {}
                                 div.pair {
                                     figure { figcaption { "Lateral force, N" } canvas #live-x role="img" aria-label="Lateral forces of the last 20 seconds" {} }
                                     figure { figcaption { "Longitudinal force, N" } canvas #live-z role="img" aria-label="Longitudinal forces of the last 20 seconds" {} }
                                 }
-                                div.wide tabindex="0" role="region" aria-label="Sensors" { table { thead { tr { th { "sensor" } th { "Fx, N" } th { "Fz, N" } th { "validity" } th { "temperature, °C" } } } tbody #live-sensors {} } }
+                                div.wide tabindex="0" role="region" aria-label="Sensors" { table { thead { tr { th { "sensor" } th { "Fx, N" } th { "Fz, N" } th { "validity" } th { "temperature, °C" } th.reference { "reference Fx, N" } th.reference { "reference Fz, N" } } } tbody #live-sensors {} } }
                                 form #record-form {
                                     label { "Record to " input #record-output type="text" value=(format!("{campaign}/planned-1")); }
                                     label { "Plan " input #record-plan type="text" placeholder="plan.toml, or empty"; }
-                                    label { "Reference " input #record-reference type="text" placeholder="/dev/ttyUSB0 or tcp:HOST:PORT"; }
-                                    label { "Its columns " input #record-map type="text" placeholder="load-cell.toml"; }
                                     label { "Seconds " input #record-seconds type="number" min="1" max="36000" value="30"; }
                                     button type="submit" { "Record" }
                                     button #record-end type="button" { "End" }

@@ -38,6 +38,7 @@
   /** Error, predicted error of the effect under the pointer, and noise, on one scale. */
   function bar(predicted) {
     const force = shown?.force;
+    at("legend").hidden = !force;
     if (!force) return at("bar").replaceChildren();
     const most = Math.max(force.rms_n, shown.baseline_force?.rms_n ?? 0);
     const part = (name, value) => element("span", { className: name, style: `width:${(100 * value) / most}%` });
@@ -96,7 +97,7 @@
         return item;
       }),
     );
-    if (!shown.present.length) at("present").append(element("li", { className: "note", textContent: "No effects: magnet, gap, flexures and mounting only." }));
+    if (!shown.present.length) at("present").append(element("li", { className: "note", textContent: "No effects: the base physics alone." }));
     const candidates = shown.candidates.map((one) => {
       const fall = `\u2212${(100 * Math.max(0, one.gain)).toFixed(1)} %`;
       const verdict = one.is_significant ? `significant, p ${one.p.toFixed(3)}` : `not significant, p ${one.p.toFixed(2)}`;
@@ -287,7 +288,7 @@
     if (canvas.width !== wide * scale) [canvas.width, canvas.height] = [wide * scale, high * scale];
     context.setTransform(scale, 0, 0, scale, 0, 0);
     context.clearRect(0, 0, wide, high);
-    const values = past.flatMap(({ sensors }) => sensors.map((one) => one[force]));
+    const values = past.flatMap(({ sensors, measured }) => [...sensors.map((one) => one[force]), ...measured[force].filter((value) => value !== undefined)]);
     const most = Math.max(1, ...values.map(Math.abs)), now = past[past.length - 1].time_s;
     const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`);
     const y = (value) => high / 2 - (value / most) * (high / 2 - 8);
@@ -296,6 +297,20 @@
     context.strokeRect(0, y(0), wide, 0);
     context.fillStyle = colour("muted");
     context.fillText(`\u00b1${most.toFixed(1)} N`, 4, 12);
+    // The reference below the estimates, wide and pale.
+    context.strokeStyle = colour("muted");
+    context.lineWidth = 4;
+    context.globalAlpha = 0.4;
+    LINES.forEach((_, sensor) => {
+      context.beginPath();
+      for (const { time_s, measured } of past) {
+        const value = measured[force][sensor], x = wide * (1 - (now - time_s) / SHOWN_S);
+        if (value !== undefined) context.lineTo(x, y(value));
+      }
+      context.stroke();
+    });
+    context.lineWidth = 1;
+    context.globalAlpha = 1;
     LINES.forEach(([name, dash], sensor) => {
       context.strokeStyle = colour(name);
       context.setLineDash(dash);
@@ -310,10 +325,13 @@
   }
   async function watch() {
     try {
-      const { name: line, ended, state, recording } = await ask("live", {});
+      const { name: line, ended, state, recording, reference } = await ask("live", {});
       at("live-name").textContent = line;
       if (recording) at("record-lines").textContent = `${recording.lines}\n${recording.goes_on ? "Recording." : "The recording has ended. Read the campaign again to evaluate it."}`;
-      past.push(state);
+      const measured = (sensor, axis) => reference?.forces.find((one) => one.sensor === sensor && one.axis === axis)?.newtons;
+      at("live").classList.toggle("referenced", reference !== null);
+      at("reference-state").textContent = !reference ? "" : reference.error ?? (reference.forces.length ? "Grey: the reference." : "Nothing from the reference.");
+      past.push({ ...state, measured: { fx_n: state.sensors.map((one) => measured(one.sensor, "x")), fz_n: state.sensors.map((one) => measured(one.sensor, "z")) } });
       while (past[0].time_s < state.time_s - SHOWN_S) past.shift();
       strip(at("live-x"), "fx_n");
       strip(at("live-z"), "fz_n");
@@ -324,7 +342,8 @@
         ...state.sensors.map((one) => {
           const isMissing = isSilent || one.validity === "missing";
           const forces = isMissing ? [none, none] : [size(one.fx_n, one.sigma_x_n), size(one.fz_n, one.sigma_z_n)];
-          const cells = [...forces, isSilent ? none : one.validity + (one.disturbed ? ", disturbed" : ""), isSilent ? none : one.temp_c?.toFixed(1) ?? none];
+          const references = reference === null ? [] : ["x", "z"].map((axis) => measured(one.sensor, axis)?.toFixed(2) ?? none);
+          const cells = [...forces, isSilent ? none : one.validity + (one.disturbed ? ", disturbed" : ""), isSilent ? none : one.temp_c?.toFixed(1) ?? none, ...references];
           return element("tr", {}, element("th", { textContent: one.sensor, scope: "row" }), ...cells.map((text) => element("td", { textContent: text })));
         }),
       );
@@ -351,7 +370,7 @@
     watch();
     at("record-form").addEventListener("submit", (event) => {
       event.preventDefault();
-      command("record", { output: at("record-output").value, plan: at("record-plan").value || null, reference: at("record-reference").value || null, reference_map: at("record-map").value || null, seconds: Number(at("record-seconds").value) });
+      command("record", { output: at("record-output").value, plan: at("record-plan").value || null, seconds: Number(at("record-seconds").value) });
     });
     at("record-end").addEventListener("click", () => command("end-recording", {}));
   }
