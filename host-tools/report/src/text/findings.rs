@@ -36,9 +36,12 @@ pub fn message(finding: &Finding) -> String {
                 true => ("milliseconds or microseconds", "a larger unit"),
                 false => ("seconds or milliseconds", "a smaller unit"),
             };
+            let period = match *period_us > 1e3 {
+                true => format!("{} s", digits(1e-6 * period_us)),
+                false => format!("{} us", digits(*period_us)),
+            };
             format!(
-                "rows are {} s apart {}, the recording lasts {} s: it looks as if the clock counted {unit} and was imported as {declared}; correct its unit in the mapping and import again",
-                digits(1e-6 * period_us),
+                "rows are {period} apart {}, the recording lasts {} s: it looks as if the clock counted {unit} and was imported as {declared}; correct its unit in the mapping and import again",
                 in_recordings(recordings),
                 digits(*duration_s),
             )
