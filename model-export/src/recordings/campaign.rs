@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
-use crate::in_order;
 use crate::recordings::align::Alignment;
 use crate::recordings::description::{NominalDesign, RECORDING_FILE};
 use crate::recordings::error::{DataError, ErrorKind, Location, Notice};
@@ -29,11 +28,16 @@ impl Campaign {
         progress: impl Fn(&str) + Sync,
     ) -> Result<Self, DataError> {
         let folders = recording_folders(folder)?;
-        let mut recordings = in_order(folders.par_iter().map(|folder| {
-            let recording = Recording::read(folder, alignment)?;
-            progress(&recording.name);
-            Ok::<_, DataError>(recording)
-        }))?;
+        let read: Vec<Result<Recording, DataError>> = folders
+            .par_iter()
+            .map(|folder| {
+                let recording = Recording::read(folder, alignment)?;
+                progress(&recording.name);
+                Ok(recording)
+            })
+            .collect();
+        // In order, so that the same campaign always gives the same error.
+        let mut recordings = read.into_iter().collect::<Result<Vec<_>, _>>()?;
         recordings.sort_by(|a, b| a.description.start_s.total_cmp(&b.description.start_s));
         let campaign = Self { folder: folder.to_path_buf(), recordings };
         campaign.check_same_gripper()?;
