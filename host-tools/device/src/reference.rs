@@ -65,6 +65,17 @@ impl FromStr for ReferenceSource {
     }
 }
 
+impl ReferenceSource {
+    /// As an option of a command, which [`FromStr`] reads.
+    pub fn option(&self) -> String {
+        match self {
+            Self::Stdin => "-".to_owned(),
+            Self::Socket(address) => format!("tcp:{address}"),
+            Self::Serial(path, baud) => format!("{path}@{baud}"),
+        }
+    }
+}
+
 impl fmt::Display for ReferenceSource {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         match self {
@@ -469,6 +480,7 @@ mod tests {
             ("/dev/ttyUSB1", serial("/dev/ttyUSB1", 115_200)),
             ("/dev/ttyUSB1@921600", serial("/dev/ttyUSB1", 921_600)),
         ] {
+            assert_eq!(source.option().parse(), Ok(source.clone()));
             assert_eq!(text.parse(), Ok(source));
         }
         for wrong in ["", "tcp:host", "tcp::80", "tcp:host:99999", "/dev/ttyUSB1@fast", "@9600"] {

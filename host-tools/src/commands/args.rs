@@ -48,18 +48,26 @@ pub struct CampaignArgs {
     pub model: PathBuf,
     /// Folder of recordings (or one recording).
     pub campaign: PathBuf,
+    /// Options of the fits.
+    #[command(flatten)]
+    pub fit: FitArgs,
+}
+
+/// Options of every command that fits.
+#[derive(Clone, Copy, Debug, clap::Args)]
+pub struct FitArgs {
     /// Clock alignment.
     #[command(flatten)]
     pub align: AlignArgs,
     /// Seed of the bootstrap.
     #[arg(long, default_value_t = 1)]
-    pub seed: u64,
+    seed: u64,
     /// Print one JSON object on stdout and nothing else.
     #[arg(long)]
     pub json: bool,
 }
 
-impl CampaignArgs {
+impl FitArgs {
     /// Options of every fit.
     pub fn options(&self) -> FitOptions {
         FitOptions { seed: self.seed, ..FitOptions::default() }
@@ -97,7 +105,7 @@ impl CompareArgs {
 
     /// Prints a line on stdout, or on stderr with `--json`.
     pub fn print_line(&self, line: &str) -> Result<()> {
-        if self.input.json {
+        if self.input.fit.json {
             eprintln!("{line}");
         } else {
             terminal::print(&format!("{line}\n"))?;

@@ -39,14 +39,14 @@ pub fn run(args: &Args) -> Result<()> {
         &input.model,
         &input.campaign,
         args.baseline.as_deref(),
-        input.align.alignment()?,
-        input.options(),
+        input.fit.align.alignment()?,
+        input.fit.options(),
     )?;
     print_notes(&comparison.notes);
-    terminal::print_result(input.json, || to_json(&comparison), || format_report(&comparison))?;
+    terminal::print_result(input.fit.json, || to_json(&comparison), || format_report(&comparison))?;
     common.write_report(&comparison, &[])?;
     if let Some(to) = &args.fix {
-        let alignment = input.align.alignment()?;
+        let alignment = input.fit.align.alignment()?;
         let check = |folder: &Path| setup_errors(&input.model, folder, alignment);
         for correction in fix::write(&input.campaign, &comparison.findings, to, check)? {
             common.print_line(&correction)?;

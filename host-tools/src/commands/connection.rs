@@ -1,4 +1,4 @@
-//! Arguments for the connection to a gripper: serial line, CAN bus or virtual board.
+//! Arguments for the connection to a gripper, serial line, CAN bus or virtual board, and to a reference next to it.
 
 use analysis::progress;
 use std::path::{Path, PathBuf};
@@ -18,6 +18,7 @@ use crate::commands::args::parse_number;
 use analysis::compare::campaign_reader::read_campaign;
 use analysis::fit::fit_campaign;
 use device::key_file;
+use device::reference::{ReferenceMapping, ReferenceSource};
 use device::serial_port::SerialLine;
 use device::session::{Credentials, SessionSource, with_session};
 use device::socket_can::CanBus;
@@ -27,6 +28,48 @@ use device::state::GripperState;
 use device::virtual_board::Unplug;
 use device::virtual_board::world::SensorInput;
 use device_run::networks::NetworkSet;
+
+/// Reference next to a gripper.
+#[derive(Clone, Debug, clap::Args)]
+pub struct ReferenceArgs {
+    /// Reference force sensor or pose: a serial port (PORT or PORT@BAUD), a socket (tcp:HOST:PORT) or - for standard input.
+    #[arg(long, value_name = "SOURCE", requires = "reference_map")]
+    reference: Option<ReferenceSource>,
+    /// Mapping of the reference's columns to those of force.csv and to the pose.
+    #[arg(long, value_name = "PATH", requires = "reference")]
+    reference_map: Option<PathBuf>,
+}
+
+impl ReferenceArgs {
+    /// The reference, if one is given.
+    ///
+    /// # Errors
+    /// The mapping cannot be read.
+    pub fn read(&self) -> Result<Option<Reference>> {
+        let (Some(source), Some(path)) = (&self.reference, &self.reference_map) else {
+            return Ok(None);
+        };
+        let mapping = ReferenceMapping::read(path)?;
+        Ok(Some(Reference { source: source.clone(), mapping, path: path.clone() }))
+    }
+}
+
+/// A reference and the mapping of its columns.
+pub struct Reference {
+    /// Where its lines come from.
+    pub source: ReferenceSource,
+    /// The mapping.
+    pub mapping: ReferenceMapping,
+    path: PathBuf,
+}
+
+impl Reference {
+    /// As options of another command.
+    pub fn arguments(&self) -> [String; 4] {
+        let path = self.path.display().to_string();
+        ["--reference".to_owned(), self.source.option(), "--reference-map".to_owned(), path]
+    }
+}
 
 /// Serial line or CAN bus of a gripper.
 #[derive(Clone, Debug, clap::Args)]

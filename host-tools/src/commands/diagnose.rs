@@ -95,8 +95,8 @@ pub fn run(args: &Args) -> Result<()> {
     }
     let input = &common.input;
     let model = ModelFile::read(&input.model)?;
-    let options = input.options();
-    let alignment = input.align.alignment()?;
+    let options = input.fit.options();
+    let alignment = input.fit.align.alignment()?;
     let scanned = ScannedCampaign::open(&input.campaign, alignment, Caching::Always)?;
     let (diagnosis, refit) = match &scanned.reader {
         Some(reader) => {
@@ -141,7 +141,7 @@ pub fn run(args: &Args) -> Result<()> {
         }
         None => (Diagnosis { findings: scanned.findings.clone(), ..Diagnosis::default() }, None),
     };
-    terminal::print_result(input.json, || to_json(&diagnosis), || format_report(&diagnosis))?;
+    terminal::print_result(input.fit.json, || to_json(&diagnosis), || format_report(&diagnosis))?;
     if let Some((path, proposal)) = args.plan.as_ref().zip(diagnosis.proposal.as_ref()) {
         write_plan(args, path, proposal)?;
     }

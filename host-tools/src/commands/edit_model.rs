@@ -34,18 +34,18 @@ fn edit(
         check_output(path, model_file::SIGNATURE)?;
     }
     let model = ModelFile::read(&args.input.model)?;
-    let alignment = args.input.align.alignment()?;
-    let options = args.input.options();
+    let alignment = args.input.fit.align.alignment()?;
+    let options = args.input.fit.options();
     let campaign = read_campaign(&args.input.campaign, alignment)?;
     let before = model.effect_terms(&args.input.model)?;
     let after = channelwise(&model, edit_effects(&model, &before, &campaign)?)?;
     let edited = refit(campaign, &model, before, after, alignment, options)?;
     print_notes(&edited.notes);
-    terminal::print_result(args.input.json, || to_json(&edited), || format_report(&edited))?;
+    terminal::print_result(args.input.fit.json, || to_json(&edited), || format_report(&edited))?;
     if let Some(path) = &args.output {
         edited.model.write(path)?;
     }
-    if !args.input.json {
+    if !args.input.fit.json {
         terminal::print_written(args.output.as_deref(), "-o NEW")?;
     }
     Ok(())

@@ -7,13 +7,12 @@ use analysis::data_quality::fix;
 use analysis::fit::fit_model;
 use anyhow::Result;
 use clap::ValueEnum;
-use model_export::fit::FitOptions;
 use model_export::model_file::{self, BaseKind};
 use model_export::output::check_output;
 use report::text::fit::{format_report, to_json};
 use report::text::terminal;
 
-use crate::commands::args::AlignArgs;
+use crate::commands::args::FitArgs;
 use crate::commands::print_notes;
 
 /// Fit the base physics to a campaign and write a model file.
@@ -41,13 +40,7 @@ pub struct Args {
     #[arg(long, value_name = "NEW")]
     fix: Option<PathBuf>,
     #[command(flatten)]
-    align: AlignArgs,
-    /// Seed of the bootstrap.
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
-    /// Print one JSON object on stdout and nothing else.
-    #[arg(long)]
-    json: bool,
+    fit: FitArgs,
 }
 
 /// The base physics.
@@ -76,7 +69,7 @@ pub fn run(args: &Args) -> Result<()> {
     if let Some(path) = &args.output {
         check_output(path, model_file::SIGNATURE)?;
     }
-    let alignment = args.align.alignment()?;
+    let alignment = args.fit.align.alignment()?;
     if let Some(to) = &args.fix {
         let check = |folder: &Path| scan_with_progress(folder);
         for correction in fix::write(&args.campaign, &check(&args.campaign)?, to, check)? {
@@ -85,14 +78,14 @@ pub fn run(args: &Args) -> Result<()> {
         eprintln!("Corrected and checked: {}", to.display());
     }
     let campaign = args.fix.as_ref().unwrap_or(&args.campaign);
-    let options = FitOptions { seed: args.seed, ..FitOptions::default() };
+    let options = args.fit.options();
     let fit = fit_model(campaign, args.base.kind(), args.degree, alignment, options)?;
     print_notes(&fit.notes);
-    terminal::print_result(args.json, || to_json(&fit), || format_report(&fit))?;
+    terminal::print_result(args.fit.json, || to_json(&fit), || format_report(&fit))?;
     if let Some(path) = &args.output {
         fit.model.write(path)?;
     }
-    if !args.json {
+    if !args.fit.json {
         terminal::print_written(args.output.as_deref(), "-o model.toml")?;
     }
     Ok(())

@@ -11,9 +11,9 @@ use crate::fit::joint::{self, BaseFits, JointFit};
 use crate::fit::polynomial::{self, PolynomialFit};
 use crate::fit::rows::SensorRows;
 use crate::fit::{AxisScore, FitError, FitOptions, orientation};
-use crate::in_order;
 use crate::physics::ForwardModel;
 use crate::recordings::description::NominalDesign;
+use crate::recordings::in_order;
 use crate::recordings::{Campaign, Location, Notice};
 
 /// Fits of all sensors, in ascending order of their numbers.

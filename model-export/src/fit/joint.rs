@@ -10,7 +10,7 @@ use crate::fit::problem::SensorProblem;
 use crate::fit::rows::SensorRows;
 use crate::fit::sensor_fit::{self, SensorSolution, add_errors, held_out_errors};
 use crate::fit::{AxisScore, FitError, FitOptions};
-use crate::in_order;
+use crate::recordings::in_order;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use std::collections::HashMap;

@@ -388,7 +388,7 @@ impl<'a> ScoreTest<'a> {
 fn upper_bound(normal: &DMatrix<f64>, by_block: &[DVector<f64>], count: usize) -> f64 {
     let covariance = inverse(normal.clone(), TYPICAL * TYPICAL);
     let mut estimate = DVector::zeros(normal.nrows());
-    let mut variance = covariance.diagonal() * 0.0;
+    let mut variance = DVector::<f64>::zeros(normal.nrows());
     for score in by_block {
         let change = &covariance * score;
         variance += change.component_mul(&change);

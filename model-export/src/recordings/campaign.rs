@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use crate::recordings::align::Alignment;
 use crate::recordings::description::{NominalDesign, RECORDING_FILE};
 use crate::recordings::error::{DataError, ErrorKind, Location, Notice};
+use crate::recordings::in_order;
 use crate::recordings::recording::{Recording, recording_name};
 
 /// All recordings of one gripper in order of their start.
@@ -28,16 +29,11 @@ impl Campaign {
         progress: impl Fn(&str) + Sync,
     ) -> Result<Self, DataError> {
         let folders = recording_folders(folder)?;
-        let read: Vec<Result<Recording, DataError>> = folders
-            .par_iter()
-            .map(|folder| {
-                let recording = Recording::read(folder, alignment)?;
-                progress(&recording.name);
-                Ok(recording)
-            })
-            .collect();
-        // In order, so that the same campaign always gives the same error.
-        let mut recordings = read.into_iter().collect::<Result<Vec<_>, _>>()?;
+        let mut recordings = in_order(folders.par_iter().map(|folder| {
+            let recording = Recording::read(folder, alignment)?;
+            progress(&recording.name);
+            Ok::<_, DataError>(recording)
+        }))?;
         recordings.sort_by(|a, b| a.description.start_s.total_cmp(&b.description.start_s));
         let campaign = Self { folder: folder.to_path_buf(), recordings };
         campaign.check_same_gripper()?;

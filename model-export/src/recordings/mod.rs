@@ -33,3 +33,13 @@ pub mod units;
 pub use campaign::Campaign;
 pub use error::{DataError, Location, Notice};
 pub use recording::{Recording, SensorSeries};
+
+/// The results, or the first error in their order: the same input always gives the same error, whichever thread met one first.
+///
+/// # Errors
+/// A result is one.
+pub fn in_order<T: Send, E: Send>(
+    results: impl rayon::iter::ParallelIterator<Item = Result<T, E>>,
+) -> Result<Vec<T>, E> {
+    results.collect::<Vec<_>>().into_iter().collect()
+}

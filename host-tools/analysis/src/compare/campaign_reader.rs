@@ -4,11 +4,11 @@
 use crate::data_quality::{Finding, scan_files};
 use crate::progress;
 use anyhow::{Result, bail};
-use model_export::in_order;
 use model_export::model_file::ModelFile;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::campaign::recording_folders;
 use model_export::recordings::description::RecordingDescription;
+use model_export::recordings::in_order;
 use model_export::recordings::recording::fingerprint;
 use model_export::recordings::recording::recording_name;
 use model_export::recordings::{Campaign, DataError, Recording};

@@ -2,7 +2,7 @@
 //! of the cross-validated error is added; candidates close to it are provisionally equivalent.
 
 use crate::diagnose::candidates::{MIN_GAIN, ScreenedEffect};
-use crate::diagnose::selection::{AcceptedStep, FittedModel, SMALL, Selection};
+use crate::diagnose::selection::{AcceptedStep, DISTINGUISHABLE, FittedModel, SMALL, Selection};
 use anyhow::Result;
 use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
@@ -17,9 +17,6 @@ const MAX_FITTED: usize = 5;
 const MIN_RELATIVE_GAIN: f64 = 0.5;
 /// Candidates within this fraction of the best gain are provisionally equivalent.
 const NEAR: f64 = 0.05;
-/// So are candidates that can replace each other within this fraction of the squared error: on a sample, noise alone makes a
-/// difference of a third of a percent.
-const CLOSE: f64 = 0.02;
 /// Minimum relative gain of an equivalent effect where the recordings hardly distinguish the two.
 const COLLINEAR_GAIN: f64 = 0.5;
 /// Minimum gain of a transient effect relative to an arbitrary function of time.
@@ -72,9 +69,9 @@ pub fn best_candidate(
     options: FitOptions,
 ) -> Result<Option<(AcceptedStep, FittedModel)>> {
     let excess = 1.0 - stage.floors().powi(-2);
-    let significant = significant_candidates(&selection.last, excess, || around.time_spline_gain());
+    let candidates = candidates_to_fit(&selection.last, excess, || around.time_spline_gain());
     let (within, ordinary): (Vec<_>, Vec<_>) =
-        significant.into_iter().partition(|screened| screened.candidate.is_transient());
+        candidates.into_iter().partition(|screened| screened.candidate.is_transient());
     let ordinary =
         CandidateFit::new(prepared, stage, &ordinary, options)?.rank(&ordinary, selection);
     let transient = CandidateFit::new(prepared, stage, &within, options)?;
@@ -159,7 +156,8 @@ impl<'a> CandidateFit<'a> {
             let near = equivalent_gain(best.screened, other.screened, selection);
             let can_replace = other.screened.can_replace(best.screened)
                 || best.screened.can_replace(other.screened);
-            let is_equal = other.stage.mean_square() <= (1.0 + CLOSE) * best.stage.mean_square();
+            let is_equal =
+                other.stage.mean_square() <= (1.0 + DISTINGUISHABLE) * best.stage.mean_square();
             other.gain >= near * best.gain || (can_replace && is_equal)
         };
         let (tied, shadows) = ranked.into_iter().partition::<Vec<_>, _>(is_near);
@@ -218,9 +216,9 @@ fn equivalent_gain(one: &ScreenedEffect, other: &ScreenedEffect, selection: &Sel
     }
 }
 
-/// Candidates that are fitted: the significant ones, sorted by the gain of the score test, and those that can replace the best; `excess` is the fraction of the squared error
-/// that is not noise.
-fn significant_candidates(
+/// Candidates to fit: the significant ones, sorted by the gain of the score test, and those that can replace the best. `excess` is
+/// the fraction of the squared error that is not noise.
+fn candidates_to_fit(
     screened: &[ScreenedEffect],
     excess: f64,
     time_spline_gain: impl FnOnce() -> f64,

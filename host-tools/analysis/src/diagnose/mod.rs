@@ -308,7 +308,7 @@ pub fn diagnose(
         for (step, forces) in diagnosis.staircase.iter_mut().zip(&forces) {
             step.force = ForceError::of(&forces.errors);
         }
-        let last = forces.into_iter().last();
+        let last = forces.into_iter().next_back();
         diagnosis.uncompensated = last.map_or_else(Vec::new, |last| last.uncompensated);
     }
     if let Some(last) = selection.stages.last().filter(|_| !diagnosis.at_floor) {

@@ -20,7 +20,7 @@ use crate::text::{findings, force_error, notes};
 /// Result as tables and text.
 pub fn format_report(diagnosis: &Diagnosis) -> String {
     let mut page = match diagnosis.findings.is_empty() {
-        true => paragraph(FILES_ARE_GOOD) + "\n",
+        true => paragraph(NO_FILE_ERRORS) + "\n",
         false => data_findings(&diagnosis.findings),
     };
     if diagnosis.staircase.is_empty() {
@@ -50,7 +50,7 @@ pub fn format_report(diagnosis: &Diagnosis) -> String {
 }
 
 /// A diagnosis does not compare the recordings with the model before it fits it again.
-const FILES_ARE_GOOD: &str = "No setup errors were found in the files of these recordings; `compare` looks for those that only a \
+const NO_FILE_ERRORS: &str = "No setup errors were found in the files of these recordings; `compare` looks for those that only a \
                               model shows.";
 
 /// Of a diagnosis that was ended early.
@@ -547,7 +547,7 @@ pub const PROVISIONAL_NOTE: &str =
 
 /// Explanation of shadows.
 pub const SHADOW_NOTE: &str = "Shadow: significant by itself, but it explains part of the same residual as the effect named in its row, and \
-                               nothing beside it.";
+                               nothing else.";
 
 /// Note where the residual is at the noise floor.
 pub fn at_floor_note(diagnosis: &Diagnosis) -> String {
@@ -561,7 +561,7 @@ pub fn at_floor_note(diagnosis: &Diagnosis) -> String {
              tables and fixed-point arithmetic, and that of the noise's estimate."
         ),
         Some(_) if diagnosis.uncompensated.is_empty() => {
-            " The forces have a larger excess, since the device's tables do not follow the model everywhere.".to_owned()
+            " The forces of the device have a larger excess: `replay` shows it by sensor and recording.".to_owned()
         }
         Some(_) => {
             let effects = diagnosis.uncompensated.iter().map(notes::uncompensated);
@@ -736,14 +736,14 @@ pub fn short_reason(verdict: &Verdict) -> String {
         Reason::BelowBound(bound) => {
             // Why a small p-value is not enough.
             let rule = match verdict.p_adjusted < LEVEL {
-                true if verdict.gain <= MIN_GAIN => "no held-out gain, ",
-                true => "not in every fold, ",
-                false => "",
+                true if verdict.gain <= MIN_GAIN => Some("no held-out gain"),
+                true => Some("not in every fold"),
+                false => None,
             };
-            match rule {
-                _ if *bound < 1.0 => format!("{rule}< {bound:.2} of typical"),
-                "" => "not significant".to_owned(),
-                rule => rule.trim_end_matches(", ").to_owned(),
+            match (rule, *bound < 1.0) {
+                (Some(rule), true) => format!("{rule}, < {bound:.2} of typical"),
+                (None, true) => format!("< {bound:.2} of typical"),
+                (rule, false) => rule.unwrap_or("not significant").to_owned(),
             }
         }
         Reason::NotRecorded(column) => format!("no {column}"),

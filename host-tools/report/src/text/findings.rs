@@ -32,13 +32,11 @@ pub fn message(finding: &Finding) -> String {
         }
         Evidence::DuplicateRows { identical, different } => duplicate_rows(*identical, *different),
         Evidence::ClockUnit { recordings, period_us, duration_s } => {
-            let (unit, declared) = match *period_us > 1e3 {
-                true => ("milliseconds or microseconds", "a larger unit"),
-                false => ("seconds or milliseconds", "a smaller unit"),
-            };
-            let period = match *period_us > 1e3 {
-                true => format!("{} s", digits(1e-6 * period_us)),
-                false => format!("{} us", digits(*period_us)),
+            let (period, unit, declared) = if *period_us > 1e3 {
+                let period = format!("{} s", digits(1e-6 * period_us));
+                (period, "milliseconds or microseconds", "a larger unit")
+            } else {
+                (format!("{} us", digits(*period_us)), "seconds or milliseconds", "a smaller unit")
             };
             format!(
                 "rows are {period} apart {}, the recording lasts {} s: it looks as if the clock counted {unit} and was imported as {declared}; correct its unit in the mapping and import again",

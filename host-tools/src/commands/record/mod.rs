@@ -26,7 +26,9 @@ mod guide;
 mod summary;
 
 use crate::commands::args::read_design;
-use crate::commands::connection::{GripperArgs, interrupted, parse_seconds};
+use crate::commands::connection::{
+    GripperArgs, Reference, ReferenceArgs, interrupted, parse_seconds,
+};
 use device::params_client;
 use device::reader::{ReaderEvent, SourceReader};
 use device::recorder::{
@@ -34,7 +36,7 @@ use device::recorder::{
     SensorRowAssembler,
 };
 use device::reference::{
-    HostPose, MAX_WAITING_ROWS, ReferenceClock, ReferenceMapping, ReferenceReader, ReferenceSource,
+    HostPose, MAX_WAITING_ROWS, ReferenceClock, ReferenceMapping, ReferenceReader,
 };
 use device::session::{Credentials, with_session};
 use device::source::Source;
@@ -94,12 +96,8 @@ pub struct Args {
     /// Nominal design of the gripper [default: MAGPIE].
     #[arg(long, value_name = "PATH")]
     design: Option<PathBuf>,
-    /// Reference force sensor or pose: a serial port (PORT or PORT@BAUD), a socket (tcp:HOST:PORT) or - for standard input.
-    #[arg(long, value_name = "SOURCE", requires = "reference_map")]
-    reference: Option<ReferenceSource>,
-    /// Mapping of the reference's columns to those of force.csv and to the pose.
-    #[arg(long, value_name = "PATH", requires = "reference")]
-    reference_map: Option<PathBuf>,
+    #[command(flatten)]
+    reference: ReferenceArgs,
     /// Row rate over a CAN bus: 100, 250 or 500.
     #[arg(long, value_name = "HZ", default_value_t = 100, requires = "can", value_parser = parse_rate)]
     rate: u32,
@@ -131,12 +129,13 @@ pub fn run(args: &Args) -> Result<()> {
     } else {
         SensorRowAssembler::of_ticks()
     };
-    let mapping = args.reference_map.as_deref().map(ReferenceMapping::read).transpose()?;
-    let columns = mapping.as_ref().map(ReferenceMapping::force_columns);
+    let reference = args.reference.read()?;
+    let mapping = reference.as_ref().map(|reference| &reference.mapping);
+    let columns = mapping.map(ReferenceMapping::force_columns);
     let columns = columns.filter(|columns| !columns.is_empty());
     let (has_forces, has_pose) =
-        (columns.is_some(), mapping.as_ref().is_some_and(ReferenceMapping::has_pose));
-    let forces = mapping.as_ref().map(ReferenceMapping::forces).unwrap_or_default();
+        (columns.is_some(), mapping.is_some_and(ReferenceMapping::has_pose));
+    let forces = mapping.map(ReferenceMapping::forces).unwrap_or_default();
     let force_range_n = description.design.as_ref().map(NominalDesign::force_range_n);
     let mut source = args.gripper.open()?;
     if let Some(design) = &mut description.design {
@@ -148,9 +147,10 @@ pub fn run(args: &Args) -> Result<()> {
     let credentials = args.gripper.credentials()?;
     let previous = enable_readings(source.as_mut(), args, credentials)?;
     let hearing = SourceReader::start(source);
-    let reference = args.reference.as_ref().zip(mapping);
     let reference = reference
-        .map(|(source, mapping)| ReferenceReader::start(source, mapping, hearing.begun))
+        .map(|Reference { source, mapping, .. }| {
+            ReferenceReader::start(&source, mapping, hearing.begun)
+        })
         .transpose();
     let coverage =
         Coverage::new(force_range_n.unwrap_or(constants::FORCE_RANGE.value), forces.clone());

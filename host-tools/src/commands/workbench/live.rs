@@ -3,7 +3,7 @@
 
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::RecvTimeoutError;
@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, anyhow, bail};
 use device::format;
 use device::reader::{ReaderEvent, SourceReader};
-use device::reference::{ReferenceMapping, ReferenceReader, ReferenceSource};
+use device::reference::ReferenceReader;
 use device::source::Source;
 use device::state::GripperState;
 use firmware::protocol::host_session::service;
@@ -23,7 +23,7 @@ use model_export::inverse::build::DeviceModel;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::commands::connection::{PortArgs, check_protocol};
+use crate::commands::connection::{PortArgs, Reference, check_protocol};
 use crate::commands::upload::{UploadedCalibration, upload};
 
 /// Time after which the watching thread looks whether it should end.
@@ -37,29 +37,6 @@ pub struct RecordRequest {
     output: PathBuf,
     plan: Option<PathBuf>,
     seconds: f64,
-}
-
-/// A reference force sensor next to the gripper.
-pub struct Reference {
-    source: ReferenceSource,
-    mapping: ReferenceMapping,
-    /// As `magpie record` takes them.
-    arguments: Vec<String>,
-}
-
-impl Reference {
-    /// From the options of a command.
-    ///
-    /// # Errors
-    /// The mapping cannot be read.
-    pub fn read(source: &str, map: &Path) -> Result<Self> {
-        let arguments = ["--reference", source, "--reference-map", &map.display().to_string()];
-        Ok(Self {
-            source: source.parse().map_err(|error: String| anyhow!(error))?,
-            mapping: ReferenceMapping::read(map)?,
-            arguments: arguments.map(str::to_owned).to_vec(),
-        })
-    }
 }
 
 /// A gripper that is watched in the background, but for uploads.
@@ -280,7 +257,7 @@ impl LiveGripper {
         });
         // A virtual board records its own loads.
         if let Some(reference) = self.reference.as_ref().filter(|_| uses_connection) {
-            arguments.extend_from_slice(&reference.arguments);
+            arguments.extend(reference.arguments());
         }
         let started = RecordingProcess::start(&arguments, uses_connection);
         if started.is_err() && uses_connection {

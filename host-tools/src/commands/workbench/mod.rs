@@ -29,11 +29,12 @@ use report::text::{findings, terminal};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::commands::args::{AlignArgs, parse_formulas, parse_range};
-use crate::commands::connection::{PortArgs, default_virtual_board};
+use crate::commands::args::{FitArgs, parse_formulas, parse_range};
+use crate::commands::connection::{PortArgs, ReferenceArgs, default_virtual_board};
 use crate::commands::diagnose::write_plan_file;
 use crate::commands::export::check_compensated;
-use crate::commands::workbench::live::{LiveGripper, RecordRequest, Reference};
+use crate::commands::workbench::live::{LiveGripper, RecordRequest};
+use device::reference::ReferenceSource;
 
 /// Open a page in a browser of this machine: add effects and formulas to a model of a campaign, and every number and plot follows.
 #[derive(Debug, clap::Args)]
@@ -60,20 +61,11 @@ pub struct Args {
     /// Virtual board: the firmware's tasks, whose sensors measure repeated grasps.
     #[arg(long = "virtual", id = "virtual", conflicts_with_all = ["port", "can"])]
     is_virtual: bool,
-    /// Reference force sensor, shown next to the estimates and part of the recordings; as that of `magpie record`.
-    #[arg(long, value_name = "SOURCE", requires = "reference_map")]
-    reference: Option<String>,
-    /// Mapping of the reference's columns.
-    #[arg(long, value_name = "PATH", requires = "reference")]
-    reference_map: Option<PathBuf>,
+    // Shown next to the estimates, and part of the recordings.
     #[command(flatten)]
-    align: AlignArgs,
-    /// Seed of the bootstrap.
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
-    /// Print one JSON object with the address on stdout and nothing else.
-    #[arg(long)]
-    json: bool,
+    reference: ReferenceArgs,
+    #[command(flatten)]
+    fit: FitArgs,
 }
 
 /// Maximum length of a request in bytes: some formulas.
@@ -84,14 +76,16 @@ const CONTENT_POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; st
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
-    let alignment = args.align.alignment()?;
+    let alignment = args.fit.align.alignment()?;
     recording_folders(&args.campaign)?;
     let source =
         if args.is_virtual { Some(default_virtual_board()?) } else { args.gripper.open()? };
-    let given = args.reference.as_ref().zip(args.reference_map.as_ref());
-    let reference = given.map(|(source, map)| Reference::read(source, map)).transpose()?;
+    let reference = args.reference.read()?;
     if reference.is_some() && source.is_none() {
         bail!("--reference belongs to a gripper: give --port, --can or --virtual");
+    }
+    if reference.as_ref().is_some_and(|reference| reference.source == ReferenceSource::Stdin) {
+        bail!("recordings open the reference again: give --reference a port or a socket, not -");
     }
     let start = |source| LiveGripper::new(source, args.gripper.clone(), reference);
     let live = source.map(start).transpose()?;
@@ -111,7 +105,7 @@ pub fn run(args: &Args) -> Result<()> {
             listener.with_context(|| format!("port {} cannot be used", args.http_port))?;
         let address = listener.local_addr()?;
         let url = format!("http://{address}/?token={token}");
-        if args.json {
+        if args.fit.json {
             terminal::print(&format!("{}\n", json!({ "url": url })))?;
         } else {
             terminal::print(&format!(
@@ -124,7 +118,7 @@ pub fn run(args: &Args) -> Result<()> {
             live: live.map(Arc::new),
             campaign: Arc::new(args.campaign.clone()),
             alignment,
-            options: FitOptions { seed: args.seed, ..FitOptions::default() },
+            options: args.fit.options(),
             token: token.into(),
             host: address.to_string().into(),
         };

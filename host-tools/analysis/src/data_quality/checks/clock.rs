@@ -58,7 +58,7 @@ fn fix(table: &TableScan, kind: FixKind, changes: Vec<Change>) -> Fix {
     Fix { kind, repairs: changes.into_iter().map(repair).collect() }
 }
 
-/// Sampling periods in microseconds of loggers of sensors and load cells; outside, the unit of the clock is probably wrong.
+/// Sampling periods in microseconds of loggers of sensors and load cells (assumed); outside, the unit of the clock is probably wrong.
 const PERIODS_US: std::ops::RangeInclusive<f64> = 20.0..=2e6;
 
 /// Sampling periods that no logger of forces has.
